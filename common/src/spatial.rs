@@ -1,0 +1,1 @@
+//! Uniform grid over points, for neighbour queries.

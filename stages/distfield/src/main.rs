@@ -1,0 +1,2 @@
+//! The `distfield` program.
+fn main() {}

@@ -1,0 +1,2 @@
+//! The `particles` program.
+fn main() {}

@@ -1,0 +1,2 @@
+//! The `reconstruct` program.
+fn main() {}

@@ -1,0 +1,2 @@
+//! The `sizefield` program.
+fn main() {}

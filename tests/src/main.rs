@@ -1,0 +1,2 @@
+//! phantom program
+fn main() {}
