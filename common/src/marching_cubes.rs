@@ -1,1 +1,458 @@
-//! Marching cubes (Lorensen and Cline 1987) on a signed field: the seeds' first home.
+//! Marching cubes (Lorensen and Cline 1987): a closed, manifold first triangulation of F = iso, from which the stages
+//! take seeds, components and dense samples of the surface.
+//!
+//! The case table is not typed in but derived: on each face of the cell the contour keeps the inside corners apart, so
+//! that two cells that share a face always draw the same segments on it; the segments link up into loops, and
+//! a loop is cut into triangles without any diagonal on a cell face. Hence every edge lies in exactly two triangles.
+
+use crate::image::Image;
+use crate::mesh::TriangleMesh;
+use glam::DVec3;
+use rayon::prelude::*;
+use std::sync::OnceLock;
+
+/// Vertices keep this distance (in edge lengths) from the grid nodes, so that no triangle collapses where a
+/// sample equals the iso value.
+const CLEARANCE: f64 = 1e-3;
+
+/// Slices that one task triangulates.
+const SLICES_PER_TASK: usize = 8;
+
+const NONE: u32 = u32::MAX;
+
+/// The surface between the samples below `iso` (inside) and the others, in the grid frame (mm).
+///
+/// Triangles are counter-clockwise seen from the larger values. Values equal to `iso` count as outside, and so do
+/// NaNs. The mesh is closed unless inside samples lie on the border of the image, and then ends there; its edges and
+/// vertices are manifold. The order of vertices and triangles does not depend on the number of threads.
+pub fn marching_cubes(image: &Image<f32>, iso: f32) -> TriangleMesh {
+    let [nx, ny, nz] = image.geometry.size;
+    if nx < 2 || ny < 2 || nz < 2 {
+        return TriangleMesh::default();
+    }
+    let grid = Grid { image, iso };
+    let slices: Vec<Vec<DVec3>> = (0..nz).into_par_iter().map(|k| grid.slice_vertices(k)).collect();
+    let mut offsets = Vec::with_capacity(nz);
+    let mut total = 0u32;
+    for slice in &slices {
+        offsets.push(total);
+        total += slice.len() as u32;
+    }
+    let mut vertices = slices.concat();
+    drop(slices);
+
+    let cells: Vec<usize> = (0..nz - 1).collect();
+    let parts: Vec<Part> =
+        cells.par_chunks(SLICES_PER_TASK).map(|chunk| grid.triangulate(chunk, &offsets, total, &vertices)).collect();
+    let mut triangles = Vec::with_capacity(parts.iter().map(|part| part.triangles.len()).sum());
+    for part in parts {
+        let shift = vertices.len() as u32 - total;
+        let shifted = |v: u32| if v < total { v } else { v + shift };
+        triangles.extend(part.triangles.into_iter().map(|t| t.map(shifted)));
+        vertices.extend(part.centres);
+    }
+    TriangleMesh { vertices, triangles }
+}
+
+struct Grid<'a> {
+    image: &'a Image<f32>,
+    iso: f32,
+}
+
+/// Triangles of some slices of cells; indices from the number of edge vertices on count `centres`.
+#[derive(Default)]
+struct Part {
+    triangles: Vec<[u32; 3]>,
+    centres: Vec<DVec3>,
+}
+
+/// Vertex numbers on the three grid edges that leave each node of a slice upwards, x fastest.
+struct SliceNumbers {
+    on_edge: Vec<[u32; 3]>,
+}
+
+impl Grid<'_> {
+    /// Visits the crossed grid edges that start in slice `k`, in the order of the vertex numbers.
+    fn each_crossing(&self, k: usize, mut visit: impl FnMut(usize, usize, usize, f32, f32)) {
+        let [nx, ny, nz] = self.image.geometry.size;
+        let data = &self.image.data;
+        for j in 0..ny {
+            let row = (k * ny + j) * nx;
+            for i in 0..nx {
+                let a = data[row + i];
+                let inside = a < self.iso;
+                let mut edge = |axis: usize, end: usize| {
+                    let b = data[end];
+                    if (b < self.iso) != inside {
+                        visit(i, j, axis, a, b);
+                    }
+                };
+                if i + 1 < nx {
+                    edge(0, row + i + 1);
+                }
+                if j + 1 < ny {
+                    edge(1, row + i + nx);
+                }
+                if k + 1 < nz {
+                    edge(2, row + i + nx * ny);
+                }
+            }
+        }
+    }
+
+    fn slice_vertices(&self, k: usize) -> Vec<DVec3> {
+        let mut vertices = Vec::new();
+        self.each_crossing(k, |i, j, axis, a, b| {
+            let t = (f64::from(self.iso) - f64::from(a)) / (f64::from(b) - f64::from(a));
+            let t = if t.is_finite() { t.clamp(CLEARANCE, 1.0 - CLEARANCE) } else { 0.5 };
+            let index = DVec3::new(i as f64, j as f64, k as f64) + DVec3::AXES[axis] * t;
+            vertices.push(self.image.geometry.index_to_grid(index));
+        });
+        vertices
+    }
+
+    fn slice_numbers(&self, k: usize, offset: u32) -> SliceNumbers {
+        let [nx, ny, _] = self.image.geometry.size;
+        let mut on_edge = vec![[NONE; 3]; nx * ny];
+        let mut next = offset;
+        self.each_crossing(k, |i, j, axis, _, _| {
+            on_edge[j * nx + i][axis] = next;
+            next += 1;
+        });
+        SliceNumbers { on_edge }
+    }
+
+    fn triangulate(&self, slices: &[usize], offsets: &[u32], total: u32, vertices: &[DVec3]) -> Part {
+        let [nx, ny, _] = self.image.geometry.size;
+        let table = table();
+        let mut part = Part::default();
+        let mut lower = self.slice_numbers(slices[0], offsets[slices[0]]);
+        for &k in slices {
+            let upper = self.slice_numbers(k + 1, offsets[k + 1]);
+            for j in 0..ny - 1 {
+                let mut case = self.column(0, j, k) << 4;
+                for i in 0..nx - 1 {
+                    case = case >> 4 | self.column(i + 1, j, k) << 4;
+                    if case == 0 || case == 255 {
+                        continue;
+                    }
+                    let number = |e: u8| {
+                        let edge = EDGES[usize::from(e)];
+                        let [di, dj, dk] = offset(edge.corner);
+                        let slice = if dk == 0 { &lower } else { &upper };
+                        slice.on_edge[(j + dj) * nx + i + di][edge.axis]
+                    };
+                    for piece in &table[usize::from(case)] {
+                        match piece {
+                            Piece::Triangles(list) => {
+                                part.triangles.extend(list.iter().map(|t| t.map(number)));
+                            }
+                            Piece::Fan(cycle) => {
+                                let centre = total + part.centres.len() as u32;
+                                let sum: DVec3 = cycle.iter().map(|&e| vertices[number(e) as usize]).sum();
+                                part.centres.push(sum / cycle.len() as f64);
+                                for (n, &e) in cycle.iter().enumerate() {
+                                    let next = cycle[(n + 1) % cycle.len()];
+                                    part.triangles.push([centre, number(e), number(next)]);
+                                }
+                            }
+                        }
+                    }
+                }
+            }
+            lower = upper;
+        }
+        part
+    }
+
+    /// Inside bits of the four nodes at (i, j..j+2, k..k+2), y fastest.
+    fn column(&self, i: usize, j: usize, k: usize) -> u8 {
+        let [nx, ny, _] = self.image.geometry.size;
+        let at = (k * ny + j) * nx + i;
+        let bit = |n: usize| u8::from(self.image.data[n] < self.iso);
+        bit(at) | bit(at + nx) << 1 | bit(at + nx * ny) << 2 | bit(at + nx * ny + nx) << 3
+    }
+}
+
+// ---- the case table -------------------------------------------------------------------------------------------
+
+/// Bit of a corner number that holds its offset along x, y and z: columns of fixed x are four neighbouring bits.
+const AXIS_BIT: [u8; 3] = [4, 1, 2];
+
+/// Offsets of a corner of the cell.
+fn offset(corner: u8) -> [usize; 3] {
+    AXIS_BIT.map(|bit| usize::from(corner & bit != 0))
+}
+
+/// An edge of the cell: its lower corner and its direction.
+#[derive(Clone, Copy)]
+struct Edge {
+    corner: u8,
+    axis: usize,
+}
+
+const EDGES: [Edge; 12] = edges();
+
+const fn edges() -> [Edge; 12] {
+    let mut list = [Edge { corner: 0, axis: 0 }; 12];
+    let (mut axis, mut n) = (0, 0);
+    while axis < 3 {
+        let mut corner = 0;
+        while corner < 8 {
+            if corner & AXIS_BIT[axis] == 0 {
+                list[n] = Edge { corner, axis };
+                n += 1;
+            }
+            corner += 1;
+        }
+        axis += 1;
+    }
+    list
+}
+
+/// One loop of the contour in a cell, as edges of the cell.
+enum Piece {
+    Triangles(Vec<[u8; 3]>),
+    /// No diagonals exist that avoid the cell faces: triangles round an extra vertex at the mean of the loop.
+    Fan(Vec<u8>),
+}
+
+fn table() -> &'static [Vec<Piece>] {
+    static TABLE: OnceLock<Vec<Vec<Piece>>> = OnceLock::new();
+    TABLE.get_or_init(|| (0..=255).map(|case| loops(case).into_iter().map(cut).collect()).collect())
+}
+
+/// The edge of the cell between two neighbouring corners.
+fn edge_between(a: u8, b: u8) -> u8 {
+    let low = a & b;
+    let found = EDGES.iter().position(|e| e.corner == low && AXIS_BIT[e.axis] == a ^ b);
+    found.expect("neighbouring corners of a face share an edge") as u8
+}
+
+/// The four corners of each face of the cell, counter-clockwise seen from outside the cell.
+fn faces() -> impl Iterator<Item = [u8; 4]> {
+    (0..3usize).flat_map(|axis| {
+        let (b, c) = (AXIS_BIT[(axis + 1) % 3], AXIS_BIT[(axis + 2) % 3]);
+        let far = AXIS_BIT[axis];
+        [[far, far | b, far | b | c, far | c], [0, c, b | c, b]]
+    })
+}
+
+/// Closed loops of the contour on the surface of the cell, the inside on a fixed hand.
+fn loops(case: u8) -> Vec<Vec<u8>> {
+    let inside = |corner: u8| case >> corner & 1 == 1;
+    let mut next = [None; 12];
+    for face in faces() {
+        for start in 0..4 {
+            if !inside(face[start]) || inside(face[(start + 3) % 4]) {
+                continue;
+            }
+            // a run of inside corners from `start` to `end`: one segment cuts it off from the rest
+            let mut end = start;
+            while inside(face[(end + 1) % 4]) {
+                end = (end + 1) % 4;
+            }
+            let entering = edge_between(face[(start + 3) % 4], face[start]);
+            let leaving = edge_between(face[end], face[(end + 1) % 4]);
+            next[usize::from(entering)] = Some(leaving);
+        }
+    }
+    let mut loops = Vec::new();
+    for start in 0..12u8 {
+        let mut cycle = Vec::new();
+        let mut edge = start;
+        while let Some(to) = next[usize::from(edge)].take() {
+            cycle.push(edge);
+            edge = to;
+        }
+        if !cycle.is_empty() {
+            loops.push(cycle);
+        }
+    }
+    loops
+}
+
+fn cut(cycle: Vec<u8>) -> Piece {
+    let mut triangles = Vec::new();
+    if cut_without_face_diagonals(&cycle, &mut triangles) { Piece::Triangles(triangles) } else { Piece::Fan(cycle) }
+}
+
+/// Cuts off ears until a triangle is left, going back where only diagonals on a cell face remain.
+fn cut_without_face_diagonals(cycle: &[u8], triangles: &mut Vec<[u8; 3]>) -> bool {
+    if let &[a, b, c] = cycle {
+        triangles.push([a, b, c]);
+        return true;
+    }
+    let n = cycle.len();
+    for ear in 0..n {
+        let (before, after) = (cycle[(ear + n - 1) % n], cycle[(ear + 1) % n]);
+        if share_a_face(before, after) {
+            continue;
+        }
+        triangles.push([before, cycle[ear], after]);
+        let rest: Vec<u8> = cycle.iter().copied().filter(|&e| e != cycle[ear]).collect();
+        if cut_without_face_diagonals(&rest, triangles) {
+            return true;
+        }
+        triangles.pop();
+    }
+    false
+}
+
+fn share_a_face(a: u8, b: u8) -> bool {
+    let ends = |e: u8| {
+        let edge = EDGES[usize::from(e)];
+        [edge.corner, edge.corner | AXIS_BIT[edge.axis]]
+    };
+    faces().any(|face| [ends(a), ends(b)].iter().flatten().all(|corner| face.contains(corner)))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::geometry::Geometry;
+    use proptest::prelude::*;
+    use std::collections::HashMap;
+    use std::f64::consts::PI;
+
+    fn sampled(size: [usize; 3], spacing: DVec3, f: impl Fn(DVec3) -> f64) -> Image<f32> {
+        let geometry = Geometry::axis_aligned(size, spacing);
+        let mut data = Vec::new();
+        for k in 0..size[2] {
+            for j in 0..size[1] {
+                for i in 0..size[0] {
+                    data.push(f(geometry.index_to_grid(DVec3::new(i as f64, j as f64, k as f64))) as f32);
+                }
+            }
+        }
+        Image { geometry, data }
+    }
+
+    fn corners(mesh: &TriangleMesh, t: [u32; 3]) -> [DVec3; 3] {
+        t.map(|v| mesh.vertices[v as usize])
+    }
+
+    /// Area and enclosed volume.
+    fn measure(mesh: &TriangleMesh) -> (f64, f64) {
+        mesh.triangles.iter().map(|&t| corners(mesh, t)).fold((0.0, 0.0), |(area, volume), [a, b, c]| {
+            (area + 0.5 * (b - a).cross(c - a).length(), volume + a.dot(b.cross(c)) / 6.0)
+        })
+    }
+
+    /// Checks edges, vertex umbrellas and triangles; returns the Euler characteristic.
+    fn check_closed(mesh: &TriangleMesh) -> isize {
+        let mut edges: HashMap<(u32, u32), usize> = HashMap::new();
+        let mut fans: Vec<HashMap<u32, u32>> = vec![HashMap::new(); mesh.vertices.len()];
+        for t in &mesh.triangles {
+            for n in 0..3 {
+                let (a, b, c) = (t[n], t[(n + 1) % 3], t[(n + 2) % 3]);
+                *edges.entry((a, b)).or_default() += 1;
+                assert!(fans[a as usize].insert(b, c).is_none());
+            }
+            let [a, b, c] = corners(mesh, *t);
+            assert!((b - a).cross(c - a).length() > 1e-9, "zero-area triangle");
+        }
+        for (&(a, b), &count) in &edges {
+            assert_eq!(count, 1, "edge {a} {b} used {count} times in one direction");
+            assert!(edges.contains_key(&(b, a)), "edge {a} {b} has no partner");
+        }
+        for (vertex, fan) in fans.iter().enumerate() {
+            assert!(!fan.is_empty(), "vertex {vertex} is in no triangle");
+            let start = *fan.keys().next().expect("not empty");
+            let (mut at, mut steps) = (start, 0);
+            while steps == 0 || at != start {
+                at = fan[&at];
+                steps += 1;
+            }
+            assert_eq!(steps, fan.len(), "the triangles round vertex {vertex} form more than one fan");
+        }
+        mesh.vertices.len() as isize - edges.len() as isize / 2 + mesh.triangles.len() as isize
+    }
+
+    #[test]
+    fn sphere_torus_and_two_balls_have_their_topology_area_and_volume() {
+        let spacing = DVec3::new(0.5, 0.6, 0.4);
+        let centre = DVec3::new(12.1, 12.3, 10.2);
+        let size = [50, 42, 52];
+
+        let sphere = marching_cubes(&sampled(size, spacing, |p| p.distance(centre) - 8.0), 0.0);
+        assert_eq!(check_closed(&sphere), 2);
+        let (area, volume) = measure(&sphere);
+        // a chord mesh of a ball of 13 to 20 voxels is too small by a few times (h/R)^2/8
+        assert!((area / (4.0 * PI * 64.0) - 1.0).abs() < 4e-3, "area {area}");
+        assert!((volume / (4.0 / 3.0 * PI * 512.0) - 1.0).abs() < 4e-3, "volume {volume}");
+
+        let torus = |p: DVec3| {
+            let q = p - centre;
+            (q.x.hypot(q.y) - 7.0).hypot(q.z) - 3.0
+        };
+        let torus = marching_cubes(&sampled(size, spacing, torus), 0.0);
+        assert_eq!(check_closed(&torus), 0);
+        let (area, volume) = measure(&torus);
+        assert!((area / (4.0 * PI * PI * 21.0) - 1.0).abs() < 1.5e-2, "area {area}");
+        assert!((volume / (2.0 * PI * PI * 63.0) - 1.0).abs() < 1.5e-2, "volume {volume}");
+
+        let balls = |p: DVec3| {
+            let shift = DVec3::X * 4.2;
+            (p - centre - shift).length().min((p - centre + shift).length()) - 4.0
+        };
+        assert_eq!(check_closed(&marching_cubes(&sampled(size, spacing, balls), 0.0)), 4);
+    }
+
+    #[test]
+    fn triangles_face_the_larger_values() {
+        let centre = DVec3::splat(6.0);
+        let mesh = marching_cubes(&sampled([13, 13, 13], DVec3::ONE, |p| p.distance(centre) - 4.3), 0.0);
+        for &t in &mesh.triangles {
+            let [a, b, c] = corners(&mesh, t);
+            assert!((b - a).cross(c - a).dot(a - centre) > 0.0);
+        }
+    }
+
+    #[test]
+    fn samples_equal_to_the_iso_value_make_no_degenerate_triangle() {
+        // integer data with every surface sample exactly on the iso value
+        let distance = |p: DVec3| (p - DVec3::splat(7.0)).abs().element_sum();
+        let mesh = marching_cubes(&sampled([15, 15, 15], DVec3::ONE, distance), 5.0);
+        assert_eq!(check_closed(&mesh), 2);
+    }
+
+    #[test]
+    fn the_table_covers_every_crossed_edge_once() {
+        for case in 0..=255u8 {
+            let crossed =
+                EDGES.iter().filter(|e| (case >> e.corner & 1) != (case >> (e.corner | AXIS_BIT[e.axis]) & 1)).count();
+            let in_loops: usize = loops(case).iter().map(Vec::len).sum();
+            assert_eq!(crossed, in_loops, "case {case:#010b}");
+        }
+    }
+
+    #[test]
+    fn empty_full_and_flat_images_have_no_surface() {
+        for (size, value) in [([4, 4, 4], 1.0), ([4, 4, 4], -1.0), ([1, 4, 4], -1.0)] {
+            let mesh = marching_cubes(&sampled(size, DVec3::ONE, |_| value), 0.0);
+            assert!(mesh.triangles.is_empty() && mesh.vertices.is_empty());
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn any_field_gives_a_closed_manifold(values in proptest::collection::vec(-2i8..=2, 6 * 5 * 7), exact: bool) {
+            let mut field = sampled([8, 7, 9], DVec3::new(1.0, 0.5, 2.0), |_| 1.0);
+            let mut value = values.iter();
+            for k in 1..8 {
+                for j in 1..6 {
+                    for i in 1..7 {
+                        let at = field.geometry.linear(i, j, k);
+                        let v = f32::from(*value.next().expect("one value an inner node"));
+                        field.data[at] = if exact { v } else { v + 0.3 };
+                    }
+                }
+            }
+            let mesh = marching_cubes(&field, 0.0);
+            check_closed(&mesh);
+            let (_, volume) = measure(&mesh);
+            prop_assert!(mesh.triangles.is_empty() || volume > 0.0);
+        }
+    }
+}
