@@ -35,9 +35,7 @@ impl CubicSpline {
         let mut coefficients = image.data.clone();
         let [nx, ny, nz] = image.geometry.size;
         // x: every line is contiguous
-        coefficients
-            .par_chunks_mut(nx)
-            .for_each_init(|| vec![0.0f64; nx], |line, row| filter_strided(row, 1, nx, line));
+        coefficients.par_chunks_mut(nx).for_each_init(|| vec![0.0f64; nx], |line, row| filter_block(row, 1, nx, line));
         // y: within each slice
         coefficients
             .par_chunks_mut(nx * ny)
@@ -136,24 +134,25 @@ impl CubicSpline {
     /// longest total move (mm); `None` when the point runs away, or the gradient vanishes, or 25 steps are not enough
     /// to reach |F| <= `tolerance` (mm).
     pub fn project(&self, start: DVec3, limit: f64, tolerance: f64) -> Option<DVec3> {
+        self.project_with_gradient(start, limit, tolerance).map(|(p, _)| p)
+    }
+
+    /// As [`Self::project`], with the gradient of F at the point reached.
+    pub fn project_with_gradient(&self, start: DVec3, limit: f64, tolerance: f64) -> Option<(DVec3, DVec3)> {
+        let longest = 0.5 * self.geometry.mean_spacing();
         let mut p = start;
         for _ in 0..25 {
             let (f, g) = self.value_gradient(p);
             let g2 = g.length_squared();
-            if g2 < 1e-8 {
+            // also refuses a gradient that is not a number
+            if g2.partial_cmp(&1e-8) != Some(std::cmp::Ordering::Greater) {
                 return None;
             }
             if f.abs() <= tolerance * g2.sqrt().min(1.0) {
-                return Some(p);
+                return Some((p, g));
             }
-            let mut step = -g * (f / g2);
-            let longest = 0.5 * self.geometry.mean_spacing();
-            let length = step.length();
-            if length > longest {
-                step *= longest / length;
-            }
-            p += step;
-            if !p.is_finite() || p.distance(start) > limit {
+            p += (-g * (f / g2)).clamp_length_max(longest);
+            if p.distance_squared(start) > limit * limit {
                 return None;
             }
         }
@@ -278,10 +277,6 @@ fn filter_block(block: &mut [f32], width: usize, length: usize, scratch: &mut [f
     for (to, from) in block.iter_mut().zip(scratch.iter()) {
         *to = *from as f32;
     }
-}
-
-fn filter_strided(row: &mut [f32], width: usize, length: usize, scratch: &mut [f64]) {
-    filter_block(row, width, length, scratch);
 }
 
 fn causal_start(sample: impl Fn(usize) -> f64, length: usize, horizon: usize) -> f64 {

@@ -1,1 +1,16 @@
-//! The `particles` stage.
+//! The `particles` stage: settles particles on F = 0 until they form a near-hexagonal lattice of local spacing h.
+//!
+//! Section 3 of Kim, Chen and Hansen 2012, on the CPU: neighbours, energy, damped Newton steps, projection, density
+//! control, stagnation test. Same seeds, fields and parameters give the same bytes for any number of threads.
+
+mod density;
+mod movement;
+pub mod run;
+mod settle;
+mod state;
+
+pub use settle::{Parameters, PassRecord, Summary, settle};
+pub use state::Fields;
+
+/// Levenberg-Marquardt damping of a particle that has not moved yet.
+pub const INITIAL_LAMBDA: f64 = 0.1;

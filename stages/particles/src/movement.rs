@@ -1,0 +1,186 @@
+//! One pass of movement: sections 3.2.1 and 3.2.2 and Algorithm 1 of the paper.
+//!
+//! A particle takes the damped Newton step of its energy in the tangent plane of F, is projected back onto F = 0
+//! (Eq. 5) and stays there if its energy has fallen; otherwise lambda grows tenfold and it tries again. Particles of one
+//! independent class move at the same time: none of them sees another, so the pass is the Gauss-Seidel sweep of the
+//! paper in an order of our own, with the same result for any number of threads.
+
+use crate::state::{Fields, State};
+use glam::{DMat3, DVec3};
+use isoparticles_common::energy::pair_jet;
+use rayon::prelude::*;
+
+/// Smallest and largest damping; a particle whose lambda reaches the largest stays where it is in this pass.
+const LAMBDA_RANGE: (f64, f64) = (1e-3, 1e4);
+/// Longest step in one pass, as a share of h (the paper's bound is h; neighbour lists allow for this one).
+const LONGEST_STEP: f64 = 0.25;
+/// |F| after a step, as a share of the voxel spacing; the particles are put onto F = 0 to more digits at the end.
+const PASS_TOLERANCE: f64 = 1e-5;
+
+/// What a pass of movement did.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct Moves {
+    /// Particles that took a step.
+    pub moved: usize,
+    /// Steps tried, refused ones included.
+    pub tries: usize,
+}
+
+struct Step {
+    position: DVec3,
+    normal: DVec3,
+    size: f64,
+    lambda: f64,
+    tries: u32,
+    moved: bool,
+}
+
+/// Moves every particle once.
+pub(crate) fn pass(state: &mut State, fields: &Fields) -> Moves {
+    let mut moves = Moves::default();
+    let mut steps: Vec<Step> = Vec::new();
+    let classes = std::mem::take(&mut state.classes);
+    for class in &classes {
+        let settled: &State = state;
+        class.par_iter().with_min_len(64).map(|&i| step(settled, fields, i as usize)).collect_into_vec(&mut steps);
+        for (&i, step) in class.iter().zip(&steps) {
+            let (i, set) = (i as usize, &mut state.set);
+            set.lambdas[i] = step.lambda;
+            moves.tries += step.tries as usize;
+            if step.moved {
+                moves.moved += 1;
+                set.positions[i] = step.position;
+                set.normals[i] = step.normal;
+                set.sizes[i] = step.size;
+            }
+        }
+    }
+    state.classes = classes;
+    moves
+}
+
+/// Finds the next place of particle i (Algorithm 1).
+fn step(state: &State, fields: &Fields, i: usize) -> Step {
+    let set = &state.set;
+    let (position, normal, size) = (set.positions[i], set.normals[i], set.sizes[i]);
+    let mut result = Step { position, normal, size, lambda: set.lambdas[i], tries: 0, moved: false };
+    let (energy, gradient, hessian) = energy_jet(state, i);
+    if energy == 0.0 {
+        return result;
+    }
+    let plane = TangentPlane::new(normal);
+    let force = plane.into_plane(gradient);
+    if force[0].hypot(force[1]) * size < 1e-12 * energy {
+        return result;
+    }
+    let curvature = positive_definite(plane.restrict(&hessian));
+    let tolerance = PASS_TOLERANCE * fields.surface.geometry().min_spacing();
+    let mut lambda = set.lambdas[i];
+    while lambda < LAMBDA_RANGE.1 {
+        result.tries += 1;
+        let motion = plane.out_of_plane(damped_newton(&curvature, force, lambda)).clamp_length_max(LONGEST_STEP * size);
+        let limit = motion.length() + 0.5 * size;
+        if let Some((p, n, h)) = fields.project(position + motion, limit, tolerance)
+            && n.dot(normal) > 0.0
+            && p.distance_squared(position) < (2.0 * LONGEST_STEP * size).powi(2)
+            && state.energy_at(i, p, h) < energy
+        {
+            let lambda = if result.tries == 1 { (0.1 * lambda).max(LAMBDA_RANGE.0) } else { lambda };
+            return Step { position: p, normal: n, size: h, lambda, moved: true, ..result };
+        }
+        lambda *= 10.0;
+    }
+    // Algorithm 1: lambda goes back to what it was
+    result
+}
+
+/// Energy, gradient and Hessian of particle i at its place.
+fn energy_jet(state: &State, i: usize) -> (f64, DVec3, DMat3) {
+    let set = &state.set;
+    let (position, size) = (set.positions[i], set.sizes[i]);
+    let mut sum = (0.0, DVec3::ZERO, DMat3::ZERO);
+    for &j in state.neighbours.of(i) {
+        let j = j as usize;
+        let (energy, gradient, hessian) = pair_jet(position - set.positions[j], size, set.sizes[j]);
+        sum = (sum.0 + energy, sum.1 + gradient, sum.2 + hessian);
+    }
+    sum
+}
+
+/// Two orthonormal directions that span the tangent plane of F.
+pub(crate) struct TangentPlane {
+    pub u: DVec3,
+    pub v: DVec3,
+}
+
+impl TangentPlane {
+    pub(crate) fn new(normal: DVec3) -> Self {
+        let u = normal.any_orthonormal_vector();
+        Self { u, v: normal.cross(u) }
+    }
+
+    fn into_plane(&self, x: DVec3) -> [f64; 2] {
+        [self.u.dot(x), self.v.dot(x)]
+    }
+
+    pub(crate) fn out_of_plane(&self, x: [f64; 2]) -> DVec3 {
+        self.u * x[0] + self.v * x[1]
+    }
+
+    /// Symmetric 2 x 2 restriction of a 3 x 3 matrix: entries uu, uv, vv.
+    fn restrict(&self, m: &DMat3) -> [f64; 3] {
+        let (mu, mv) = (*m * self.u, *m * self.v);
+        [self.u.dot(mu), self.u.dot(mv), self.v.dot(mv)]
+    }
+}
+
+/// Replaces the eigenvalues of a symmetric 2 x 2 matrix by their magnitudes (bounded away from zero), so that the Newton
+/// step always leads downhill.
+fn positive_definite(m: [f64; 3]) -> [f64; 3] {
+    let [a, b, c] = m;
+    let (mean, half) = (0.5 * (a + c), (0.5 * (a - c)).hypot(b));
+    let (low, high) = (mean - half, mean + half);
+    let floor = 0.05 * low.abs().max(high.abs());
+    let (l, h) = (low.abs().max(floor), high.abs().max(floor));
+    if half <= 1e-12 * mean.abs() {
+        return [l, 0.0, l];
+    }
+    // eigenvector of the high value is (cos t, sin t)
+    let (cos2, sin2) = (0.5 * (a - c) / half, b / half);
+    let (middle, spread) = (0.5 * (l + h), 0.5 * (h - l));
+    [middle + spread * cos2, spread * sin2, middle - spread * cos2]
+}
+
+/// Solves (H + lambda diag H) x = -g (Eq. 3; the single H holds the sum over the neighbours).
+fn damped_newton(h: &[f64; 3], g: [f64; 2], lambda: f64) -> [f64; 2] {
+    let (a, b, c) = (h[0] * (1.0 + lambda), h[1], h[2] * (1.0 + lambda));
+    let determinant = a * c - b * b;
+    [-(c * g[0] - b * g[1]) / determinant, -(a * g[1] - b * g[0]) / determinant]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn newton_step_solves_the_damped_system() {
+        let h = [3.0, 0.7, 2.0];
+        let x = damped_newton(&h, [0.4, -0.9], 0.25);
+        assert!((h[0] * 1.25 * x[0] + h[1] * x[1] + 0.4).abs() < 1e-14);
+        assert!((h[1] * x[0] + h[2] * 1.25 * x[1] - 0.9).abs() < 1e-14);
+    }
+
+    #[test]
+    fn indefinite_matrices_become_positive_definite_and_good_ones_stay() {
+        let good = [3.0, 0.7, 2.0];
+        let kept = positive_definite(good);
+        assert!(good.iter().zip(kept).all(|(a, b)| (a - b).abs() < 1e-12), "{kept:?}");
+        for m in [[1.0, 0.0, -2.0], [-1.0, 0.5, -3.0], [0.0, 2.0, 0.0], [-1.0, 0.0, -1.0]] {
+            let [a, b, c] = positive_definite(m);
+            assert!(a > 0.0 && a * c - b * b > 0.0, "{m:?}");
+        }
+        // eigenvalues 1 and -2 along the axes become 1 and 2
+        let [a, b, c] = positive_definite([1.0, 0.0, -2.0]);
+        assert!((a - 1.0).abs() < 1e-12 && b.abs() < 1e-12 && (c - 2.0).abs() < 1e-12);
+    }
+}

@@ -1,0 +1,1 @@
+//! The program around [`crate::settle`]: files, log, checkpoints.

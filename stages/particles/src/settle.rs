@@ -1,0 +1,199 @@
+//! The loop of Figure 1 of the paper: move, measure, control the density, until the energy stagnates.
+
+use crate::density::{self, Limits};
+use crate::movement;
+use crate::state::{Fields, State};
+use isoparticles_common::energy;
+use isoparticles_common::error::Result;
+use isoparticles_common::particle_set::ParticleSet;
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+use std::time::Instant;
+
+/// How to settle.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct Parameters {
+    /// Most passes over all particles.
+    pub max_passes: u64,
+    /// Stop when the mean relative change of the energy per particle over [`STAGNATION_WINDOW`] passes is below this
+    /// (the paper's E_min) and density control is nearly at rest.
+    pub energy_tolerance: f64,
+    /// Energy of a particle that has just enough neighbours (E_ideal).
+    pub ideal_energy: f64,
+    /// Add a particle where E < this times E_ideal.
+    pub add_below: f64,
+    /// Delete a particle where E > this times E_ideal.
+    pub delete_above: f64,
+    /// Whether particles may be added at all (off: the paper's synthetic test, Table 3).
+    pub allow_insert: bool,
+    /// Passes without density control at the end, so that the last newcomers settle.
+    pub closing_passes: u64,
+    /// Two particles interact only if the dot product of their normals exceeds this.
+    pub normal_agreement: f64,
+    /// Seed of the random bias of density control.
+    pub seed: u64,
+}
+
+impl Default for Parameters {
+    fn default() -> Self {
+        Self {
+            max_passes: 150,
+            energy_tolerance: 2e-4,
+            ideal_energy: energy::ideal_energy(),
+            add_below: 0.75,
+            delete_above: 1.35,
+            allow_insert: true,
+            closing_passes: 10,
+            normal_agreement: 0.0,
+            seed: 0,
+        }
+    }
+}
+
+/// Passes over which the stagnation test averages.
+pub const STAGNATION_WINDOW: usize = 5;
+
+/// Every so many passes the particles are put in order of place again; checkpoints are written between.
+pub const REORDER_INTERVAL: u64 = 10;
+
+/// One line of the log.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct PassRecord {
+    /// Number of the pass, from 1.
+    pub pass: u64,
+    /// Sum of the particles' energies after the movement (Eq. 1).
+    pub energy: f64,
+    /// Particles after density control.
+    pub count: usize,
+    /// Particles added.
+    pub inserted: usize,
+    /// Particles deleted.
+    pub deleted: usize,
+    /// Particles removed because they could not be kept on the surface.
+    pub escaped: usize,
+    /// Particles that took a step.
+    pub moved: usize,
+    /// Steps tried for each particle, refused ones included.
+    pub tries_per_particle: f64,
+    /// Mean number of listed neighbours.
+    pub neighbours: f64,
+    /// Seconds since the first pass of this run.
+    pub seconds: f64,
+}
+
+/// How the run ended.
+#[derive(Clone, Copy, Debug, Serialize)]
+pub struct Summary {
+    /// Passes run, those of a resumed run included.
+    pub passes: u64,
+    /// Whether the stagnation test ended it (else the pass limit did).
+    pub stagnated: bool,
+    /// Particles that could not be kept on the surface, in all.
+    pub escaped: usize,
+    /// Final energy per particle over E_ideal.
+    pub energy_ratio: f64,
+}
+
+/// Settles particles. `resumed` holds the records of the passes already run (empty at first); `observe` sees each new
+/// record with the particles and may end the run with an error.
+pub fn settle(
+    set: ParticleSet,
+    fields: &Fields,
+    parameters: &Parameters,
+    resumed: &[PassRecord],
+    mut observe: impl FnMut(&PassRecord, &ParticleSet) -> Result<()>,
+) -> Result<(ParticleSet, Summary)> {
+    let start = Instant::now();
+    let limits = Limits {
+        ideal_energy: parameters.ideal_energy,
+        add_below: parameters.add_below,
+        delete_above: parameters.delete_above,
+    };
+    let mut records = resumed.to_vec();
+    let mut state = State::new(set, parameters.normal_agreement);
+    let mut pass = records.last().map_or(0, |r| r.pass);
+    let mut closing = closing_since(&records, parameters);
+    while pass < parameters.max_passes && closing.is_none_or(|since| pass < since + parameters.closing_passes) {
+        pass += 1;
+        if pass % REORDER_INTERVAL == 1 {
+            // also what a resumed run starts with: checkpoints are only written just before
+            state.sort_by_place();
+            state.rebuild();
+        } else {
+            state.rebuild_if_moved();
+        }
+        let moves = movement::pass(&mut state, fields);
+        let energy = state.update_energies();
+        let movable = state.len();
+        let quiet = closing.is_some() || pass + parameters.closing_passes > parameters.max_passes;
+        let changes = if quiet {
+            density::Changes::default()
+        } else {
+            density::control(&mut state, fields, &limits, parameters.seed, pass, parameters.allow_insert)
+        };
+        let record = PassRecord {
+            pass,
+            energy,
+            count: state.len(),
+            inserted: changes.inserted,
+            deleted: changes.deleted,
+            escaped: 0,
+            moved: moves.moved,
+            tries_per_particle: moves.tries as f64 / movable.max(1) as f64,
+            neighbours: state.neighbours.mean_count(),
+            seconds: start.elapsed().as_secs_f64(),
+        };
+        records.push(record);
+        observe(&record, &state.set)?;
+        closing = closing_since(&records, parameters);
+    }
+    let escaped = finish(&mut state, fields);
+    let energy = state.update_energies();
+    let summary = Summary {
+        passes: pass,
+        stagnated: closing.is_some(),
+        escaped: escaped + records.iter().map(|r| r.escaped).sum::<usize>(),
+        energy_ratio: energy / (parameters.ideal_energy * state.len().max(1) as f64),
+    };
+    Ok((state.set, summary))
+}
+
+/// The pass after which the energy was found to stagnate (density control rests from then on), if any.
+fn closing_since(records: &[PassRecord], parameters: &Parameters) -> Option<u64> {
+    (STAGNATION_WINDOW..records.len()).find_map(|last| {
+        let (old, new) = (&records[last - STAGNATION_WINDOW], &records[last]);
+        // per particle: a falling count must not pass for a falling energy, nor mask a rising one
+        let mean = |r: &PassRecord| r.energy / (r.count + r.deleted - r.inserted).max(1) as f64;
+        let change = (mean(old) - mean(new)).abs() / mean(new).max(f64::MIN_POSITIVE) / STAGNATION_WINDOW as f64;
+        let churn = records[last + 1 - STAGNATION_WINDOW..=last].iter().map(|r| r.inserted + r.deleted).sum::<usize>();
+        let rest = churn as f64 <= 5e-4 * STAGNATION_WINDOW as f64 * new.count as f64;
+        (change < parameters.energy_tolerance && rest).then_some(new.pass)
+    })
+}
+
+/// Puts every particle onto F = 0 to the last useful digit and removes those that cannot be; says how many.
+fn finish(state: &mut State, fields: &Fields) -> usize {
+    let spacing = fields.surface.geometry().min_spacing();
+    let projected: Vec<_> = state
+        .set
+        .positions
+        .par_iter()
+        .zip(&state.set.sizes)
+        .map(|(&p, &h)| fields.project(p, 0.5 * h.max(spacing), 1e-8 * spacing))
+        .collect();
+    let mut kept = Vec::with_capacity(projected.len());
+    for (i, place) in projected.into_iter().enumerate() {
+        if let Some((position, normal, size)) = place {
+            state.set.positions[i] = position;
+            state.set.normals[i] = normal;
+            state.set.sizes[i] = size;
+            kept.push(i as u32);
+        }
+    }
+    let escaped = state.len() - kept.len();
+    if escaped > 0 {
+        state.take(&kept);
+    }
+    state.rebuild();
+    escaped
+}
