@@ -1,1 +1,0 @@
-//! Delaunay triangulation in three dimensions.

@@ -1,0 +1,140 @@
+//! The order in which points are inserted: rounds of doubling size, each along a Hilbert curve (biased randomised
+//! insertion order of Amenta, Choi and Rote, 2003), so that a walk from the last insertion is short and no
+//! arrangement of the input is a bad one.
+
+use crate::random::bits;
+use glam::DVec3;
+
+/// Bits of the Hilbert index along each axis.
+const LEVELS: u32 = 20;
+
+/// Points below which there is a single round.
+const SMALLEST_ROUND: usize = 1000;
+
+/// Insertion order of the distinct points, and for every point the first one at the same place (itself as a rule).
+pub(super) fn insertion_order(points: &[DVec3]) -> (Vec<u32>, Vec<u32>) {
+    let low = points.iter().copied().reduce(DVec3::min).unwrap_or_default();
+    let high = points.iter().copied().reduce(DVec3::max).unwrap_or_default();
+    let extent = (high - low).max_element();
+    let cells = f64::from((1u32 << LEVELS) - 1);
+    let scale = if extent > 0.0 { cells / extent } else { 0.0 };
+    let mut along: Vec<(u64, u32)> = points
+        .iter()
+        .enumerate()
+        .map(|(i, &p)| {
+            let cell = ((p - low) * scale).to_array().map(|x| x as u32);
+            (hilbert_index(cell), i as u32)
+        })
+        .collect();
+    let key = |&(cell, i): &(u64, u32)| (cell, i);
+    along.sort_unstable_by_key(key);
+    let mut first: Vec<u32> = (0..points.len() as u32).collect();
+    let mut distinct: Vec<u32> = Vec::with_capacity(points.len());
+    // equal points share a cell; within one, bring them together by coordinates
+    for group in along.chunk_by_mut(|a, b| a.0 == b.0) {
+        if group.len() > 1 {
+            group.sort_unstable_by(|a, b| {
+                let (p, q) = (points[a.1 as usize], points[b.1 as usize]);
+                p.x.total_cmp(&q.x).then(p.y.total_cmp(&q.y)).then(p.z.total_cmp(&q.z)).then(a.1.cmp(&b.1))
+            });
+        }
+        let mut kept = group[0].1;
+        distinct.push(kept);
+        for &(_, i) in &group[1..] {
+            if points[i as usize] == points[kept as usize] {
+                first[i as usize] = kept;
+            } else {
+                kept = i;
+                distinct.push(i);
+            }
+        }
+    }
+    let rounds = (distinct.len() / SMALLEST_ROUND).checked_ilog2().map_or(0, |n| n + 1);
+    let mut order = Vec::with_capacity(distinct.len());
+    // a point is in the last round with probability 1/2, in the one before with 1/4, and so on
+    let round_of = |i: u32| rounds.saturating_sub(bits(0x0b71_0d3e, 0, u64::from(i)).trailing_ones());
+    for round in 0..=rounds {
+        // every other round runs backwards, so that it starts where the last one ended
+        let members = distinct.iter().copied().filter(|&i| round_of(i) == round);
+        let start = order.len();
+        order.extend(members);
+        if round % 2 == 1 {
+            order[start..].reverse();
+        }
+    }
+    (order, first)
+}
+
+/// Position of a cell along the three-dimensional Hilbert curve (transposition method of Skilling, 2004).
+fn hilbert_index(mut x: [u32; 3]) -> u64 {
+    let top = 1u32 << (LEVELS - 1);
+    let mut q = top;
+    while q > 1 {
+        let below = q - 1;
+        for i in 0..3 {
+            if x[i] & q != 0 {
+                x[0] ^= below;
+            } else {
+                let t = (x[0] ^ x[i]) & below;
+                x[0] ^= t;
+                x[i] ^= t;
+            }
+        }
+        q >>= 1;
+    }
+    x[1] ^= x[0];
+    x[2] ^= x[1];
+    let mut t = 0;
+    q = top;
+    while q > 1 {
+        if x[2] & q != 0 {
+            t ^= q - 1;
+        }
+        q >>= 1;
+    }
+    x.iter_mut().for_each(|v| *v ^= t);
+    let mut index = 0u64;
+    for level in (0..LEVELS).rev() {
+        for v in x {
+            index = index << 1 | u64::from(v >> level & 1);
+        }
+    }
+    index
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn hilbert_curve_steps_to_a_neighbour() {
+        let mut cells: Vec<(u64, [u32; 3])> = Vec::new();
+        for i in 0..8u32 {
+            for j in 0..8 {
+                for k in 0..8 {
+                    cells.push((hilbert_index([i, j, k]), [i, j, k]));
+                }
+            }
+        }
+        cells.sort_unstable();
+        for pair in cells.windows(2) {
+            let step: u32 = (0..3).map(|a| pair[0].1[a].abs_diff(pair[1].1[a])).sum();
+            assert_eq!(step, 1, "{pair:?}");
+            assert_eq!(pair[1].0 - pair[0].0, 1);
+        }
+    }
+
+    #[test]
+    fn order_is_a_permutation_of_the_distinct_points() {
+        let points: Vec<DVec3> =
+            (0..5000u64).map(|n| DVec3::new((bits(1, 0, n) % 17) as f64, (bits(1, 1, n) % 13) as f64, 0.5)).collect();
+        let (order, first) = insertion_order(&points);
+        assert_eq!(order.len(), 17 * 13);
+        for (i, &f) in first.iter().enumerate() {
+            assert_eq!(points[f as usize], points[i]);
+            assert!(f as usize <= i, "the representative is the first of its kind");
+            assert_eq!(first[f as usize], f);
+        }
+        assert!(order.iter().all(|&i| first[i as usize] == i));
+    }
+}

@@ -1,0 +1,156 @@
+//! Orientation and in-sphere tests that are always right: a floating-point filter first, then the exact adaptive
+//! predicates of Shewchuk (crate `robust`), and for exact in-sphere ties the symbolic perturbation of Devillers and
+//! Teillaud (2003).
+//!
+//! Filter bounds: a determinant is a sum of monomials, each of which passes through a known number of roundings. With
+//! differences of coordinates bounded by (mx, my, mz), the orientation has 6 monomials and at most 8 roundings on a
+//! path, hence an error of at most 6 * 8 * 2^-53 * mx my mz; the in-sphere determinant has 72 monomials and at most 16
+//! roundings, hence 72 * 16 * 2^-53 * mx my mz m^2 with m the largest of the three. The constants below are rounded up
+//! by more than the roundings of the bound itself can take away.
+
+use glam::DVec3;
+use robust::Coord3D;
+
+/// 48 * 2^-53 = 5.33e-15, rounded up.
+const ORIENTATION_BOUND: f64 = 5.5e-15;
+/// 1152 * 2^-53 = 1.279e-13, rounded up.
+const IN_SPHERE_BOUND: f64 = 1.3e-13;
+
+fn coordinates(p: DVec3) -> Coord3D<f64> {
+    Coord3D { x: p.x, y: p.y, z: p.z }
+}
+
+/// Number with the sign of (b - a) x (c - a) . (d - a), exactly: positive when b, c, d turn counter-clockwise seen from
+/// the side that a is not on, as VTK orders a tetrahedron.
+#[inline]
+pub fn orientation(a: DVec3, b: DVec3, c: DVec3, d: DVec3) -> f64 {
+    let (u, v, w) = (b - a, c - a, d - a);
+    let determinant = w.dot(u.cross(v));
+    let m = u.abs().max(v.abs()).max(w.abs());
+    let bound = ORIENTATION_BOUND * (m.x * m.y * m.z);
+    if determinant.abs() > bound {
+        return determinant;
+    }
+    -robust::orient3d(coordinates(a), coordinates(b), coordinates(c), coordinates(d))
+}
+
+/// Number with the sign of the in-sphere determinant, exactly: positive when e lies inside the sphere through a
+/// positively oriented tetrahedron, zero when on it.
+#[inline]
+pub fn in_sphere(a: DVec3, b: DVec3, c: DVec3, d: DVec3, e: DVec3) -> f64 {
+    let (p, q, r, s) = (a - e, b - e, c - e, d - e);
+    let pq = p.x * q.y - q.x * p.y;
+    let qr = q.x * r.y - r.x * q.y;
+    let rs = r.x * s.y - s.x * r.y;
+    let sp = s.x * p.y - p.x * s.y;
+    let pr = p.x * r.y - r.x * p.y;
+    let qs = q.x * s.y - s.x * q.y;
+    let pqr = p.z * qr - q.z * pr + r.z * pq;
+    let qrs = q.z * rs - r.z * qs + s.z * qr;
+    let rsp = r.z * sp + s.z * pr + p.z * rs;
+    let spq = s.z * pq + p.z * qs + q.z * sp;
+    let determinant =
+        (r.length_squared() * spq - s.length_squared() * pqr) + (p.length_squared() * qrs - q.length_squared() * rsp);
+    let m = p.abs().max(q.abs()).max(r.abs()).max(s.abs());
+    let largest = m.max_element();
+    let bound = IN_SPHERE_BOUND * (m.x * m.y * m.z) * (largest * largest);
+    if determinant.abs() > bound {
+        return determinant;
+    }
+    -robust::insphere(coordinates(a), coordinates(b), coordinates(c), coordinates(d), coordinates(e))
+}
+
+/// Whether `points[4]` lies inside the sphere through the positively oriented `points[0..4]`, never undecided: of
+/// points exactly on a sphere, each is thought lifted from the paraboloid by an infinitesimal amount, larger by orders
+/// for a larger rank. Every point keeps its lift, so the answers together describe one regular triangulation, whose
+/// cells are never flat and whose cavities are star-shaped. Ranks are distinct, and so are the points.
+#[inline]
+pub fn in_sphere_perturbed(points: &[DVec3; 5], ranks: impl FnOnce() -> [u32; 5]) -> bool {
+    let [a, b, c, d, e] = *points;
+    let exact = in_sphere(a, b, c, d, e);
+    if exact != 0.0 { exact > 0.0 } else { break_tie(points, ranks()) }
+}
+
+#[cold]
+fn break_tie(points: &[DVec3; 5], ranks: [u32; 5]) -> bool {
+    let [a, b, c, d, e] = *points;
+    let mut order = [0usize, 1, 2, 3, 4];
+    order.sort_unstable_by_key(|&i| std::cmp::Reverse(ranks[i]));
+    for i in order {
+        // lifting a vertex raises the plane at e by e's barycentric coordinate, so it has the sign of that
+        let sign = match i {
+            0 => orientation(e, b, c, d),
+            1 => orientation(a, e, c, d),
+            2 => orientation(a, b, e, d),
+            3 => orientation(a, b, c, e),
+            _ => return false,
+        };
+        if sign != 0.0 {
+            return sign > 0.0;
+        }
+    }
+    false
+}
+
+/// Whether three points lie on one line, exactly.
+pub fn collinear(a: DVec3, b: DVec3, c: DVec3) -> bool {
+    let flat = |i: usize, j: usize| {
+        let at = |p: DVec3| robust::Coord { x: p[i], y: p[j] };
+        robust::orient2d(at(a), at(b), at(c)) == 0.0
+    };
+    flat(0, 1) && flat(1, 2) && flat(0, 2)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::random::uniform;
+
+    fn point(seed: u64, n: u64) -> DVec3 {
+        DVec3::new(uniform(seed, 0, n), uniform(seed, 1, n), uniform(seed, 2, n))
+    }
+
+    #[test]
+    fn signs_follow_the_convention() {
+        let (a, b, c, d) = (DVec3::ZERO, DVec3::X, DVec3::Y, DVec3::Z);
+        assert!(orientation(a, b, c, d) > 0.0 && orientation(a, c, b, d) < 0.0);
+        assert!(in_sphere(a, b, c, d, DVec3::splat(0.4)) > 0.0);
+        assert!(in_sphere(a, b, c, d, DVec3::splat(1.1)) < 0.0);
+        assert_eq!(in_sphere(a, b, c, d, DVec3::ONE), 0.0);
+        assert!(collinear(DVec3::ZERO, DVec3::ONE, DVec3::splat(3.0)) && !collinear(a, b, c));
+    }
+
+    #[test]
+    fn the_filter_never_contradicts_the_exact_predicates() {
+        // tiny offsets from degenerate positions are where a wrong bound would show
+        for n in 0..20_000u64 {
+            let q = |k: u64| {
+                let coarse = (point(1, 5 * n + k) * 4.0).floor();
+                coarse + point(2, 5 * n + k) * 10f64.powi(-((n % 18) as i32))
+            };
+            let p: [DVec3; 5] = std::array::from_fn(|k| q(k as u64));
+            let [a, b, c, d, e] = p.map(coordinates);
+            let sign = |x: f64| if x == 0.0 { 0.0 } else { x.signum() };
+            assert_eq!(sign(orientation(p[0], p[1], p[2], p[3])), -sign(robust::orient3d(a, b, c, d)));
+            assert_eq!(sign(in_sphere(p[0], p[1], p[2], p[3], p[4])), -sign(robust::insphere(a, b, c, d, e)));
+        }
+    }
+
+    /// The sphere of a tetrahedron and that of its neighbour must tell the same story: e in conflict with abcd exactly
+    /// when d is in conflict with the tetrahedron of abc and e on the other side.
+    #[test]
+    fn perturbed_test_is_symmetric() {
+        let mut ties = 0;
+        for n in 0..40_000u64 {
+            let p: [DVec3; 5] = std::array::from_fn(|k| (point(3, 5 * n + k as u64) * 3.0).floor());
+            let [a, b, c, d, e] = p;
+            if orientation(a, b, c, d) > 0.0 && orientation(a, b, c, e) < 0.0 {
+                ties += u32::from(in_sphere(a, b, c, d, e) == 0.0);
+                let one = in_sphere_perturbed(&[a, b, c, d, e], || [0, 1, 2, 3, 4]);
+                let other = in_sphere_perturbed(&[a, c, b, e, d], || [0, 2, 1, 4, 3]);
+                assert_eq!(one, other, "{p:?}");
+            }
+        }
+        assert!(ties > 500, "only {ties} ties were met");
+    }
+}
