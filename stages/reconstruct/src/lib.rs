@@ -1,1 +1,3 @@
 //! The `reconstruct` stage.
+
+pub mod improve;

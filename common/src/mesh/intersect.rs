@@ -1,0 +1,323 @@
+//! Self-intersections of a mesh, by exact predicates (Shewchuk's adaptive `orient2d` and `orient3d`).
+//!
+//! Triangles are closed sets: touching counts. Two triangles without a common vertex must be disjoint, two with one
+//! common vertex may meet there only, two with a common edge must not lie folded onto each other in one plane, and
+//! none may stand twice.
+
+use super::TriangleMesh;
+use crate::spatial::{Bounds, BoxTree};
+use glam::DVec3;
+use rayon::prelude::*;
+use robust::{Coord, Coord3D};
+
+/// All pairs of triangles (lower index first, ascending) that have more in common than the vertices they share.
+pub fn self_intersections(mesh: &TriangleMesh) -> Vec<[u32; 2]> {
+    let boxes: Vec<Bounds> = (0..mesh.triangles.len()).into_par_iter().map(|t| Bounds::of(&mesh.corners(t))).collect();
+    let tree = BoxTree::new(boxes.clone());
+    boxes
+        .par_iter()
+        .enumerate()
+        .flat_map_iter(|(t, bounds)| {
+            let mut pairs = Vec::new();
+            tree.overlapping(bounds, |other| {
+                if (other as usize) > t && triangles_cross(mesh, t, other as usize) {
+                    pairs.push([t as u32, other]);
+                }
+            });
+            pairs.sort_unstable();
+            pairs
+        })
+        .collect()
+}
+
+/// Whether two different triangles of a mesh have more in common than the vertices they share.
+pub fn triangles_cross(mesh: &TriangleMesh, first: usize, second: usize) -> bool {
+    corners_cross(mesh.triangles[first], mesh.corners(first), mesh.triangles[second], mesh.corners(second))
+}
+
+/// The same for two triangles given by vertex indices and positions.
+pub fn corners_cross(first: [u32; 3], p: [DVec3; 3], second: [u32; 3], q: [DVec3; 3]) -> bool {
+    let mut shared = [(0, 0); 3];
+    let mut count = 0;
+    for (i, a) in first.iter().enumerate() {
+        if let Some(j) = second.iter().position(|b| a == b) {
+            shared[count] = (i, j);
+            count += 1;
+        }
+    }
+    match count {
+        0 => triangles_meet(p, q),
+        1 => {
+            let (i, j) = shared[0];
+            segment_meets_triangle(p[(i + 1) % 3], p[(i + 2) % 3], q)
+                || segment_meets_triangle(q[(j + 1) % 3], q[(j + 2) % 3], p)
+        }
+        2 => {
+            let (u, v) = (shared[0].0, shared[1].0);
+            let apex = q[3 - shared[0].1 - shared[1].1];
+            folded(p[u], p[v], p[3 - u - v], apex)
+        }
+        _ => true,
+    }
+}
+
+/// Whether two triangles without a common vertex have a point in common.
+pub fn triangles_meet(p: [DVec3; 3], q: [DVec3; 3]) -> bool {
+    let side = |t: [DVec3; 3], of: [DVec3; 3]| of.map(|x| orientation(t[0], t[1], t[2], x));
+    let of_q = side(p, q);
+    if one_sided(of_q) {
+        return false;
+    }
+    let of_p = side(q, p);
+    if one_sided(of_p) {
+        return false;
+    }
+    if of_p == [0; 3] && of_q == [0; 3] {
+        return flat_triangles_meet(p, q);
+    }
+    (0..3).any(|e| segment_meets_triangle(p[e], p[(e + 1) % 3], q) || segment_meets_triangle(q[e], q[(e + 1) % 3], p))
+}
+
+fn one_sided(s: [i8; 3]) -> bool {
+    s == [1; 3] || s == [-1; 3]
+}
+
+/// Whether a closed segment and a closed triangle have a point in common.
+pub fn segment_meets_triangle(a: DVec3, b: DVec3, t: [DVec3; 3]) -> bool {
+    let at_a = orientation(t[0], t[1], t[2], a);
+    let at_b = orientation(t[0], t[1], t[2], b);
+    if at_a * at_b > 0 {
+        return false;
+    }
+    if at_a == 0 && at_b == 0 {
+        return flat_segment_meets_triangle(a, b, t);
+    }
+    let turns: [i8; 3] = std::array::from_fn(|e| orientation(a, b, t[e], t[(e + 1) % 3]));
+    !(turns.contains(&1) && turns.contains(&-1))
+}
+
+/// Whether triangles (u, v, p) and (u, v, q) lie in one plane on the same side of their common edge.
+fn folded(u: DVec3, v: DVec3, p: DVec3, q: DVec3) -> bool {
+    if orientation(u, v, p, q) != 0 {
+        return false;
+    }
+    (0..3).any(|axis| {
+        let [u, v, p, q] = [u, v, p, q].map(|x| flat(x, axis));
+        turn(u, v, p) * turn(u, v, q) > 0
+    })
+}
+
+// Things in one plane meet exactly when their shadows along all three axes do: a common point casts a common shadow,
+// and along at least one axis (unless all lie on one point or line) the plane is not seen edge on.
+
+fn flat_triangles_meet(p: [DVec3; 3], q: [DVec3; 3]) -> bool {
+    (0..3).all(|axis| {
+        let (p, q) = (p.map(|x| flat(x, axis)), q.map(|x| flat(x, axis)));
+        let sides_meet = (0..3).any(|i| (0..3).any(|j| segments_meet_2d(p[i], p[(i + 1) % 3], q[j], q[(j + 1) % 3])));
+        sides_meet || holds(q, p[0]) || holds(p, q[0])
+    })
+}
+
+fn flat_segment_meets_triangle(a: DVec3, b: DVec3, t: [DVec3; 3]) -> bool {
+    (0..3).all(|axis| {
+        let (a, b, t) = (flat(a, axis), flat(b, axis), t.map(|x| flat(x, axis)));
+        holds(t, a) || (0..3).any(|e| segments_meet_2d(a, b, t[e], t[(e + 1) % 3]))
+    })
+}
+
+fn flat(p: DVec3, axis: usize) -> Coord<f64> {
+    Coord { x: p[(axis + 1) % 3], y: p[(axis + 2) % 3] }
+}
+
+/// Whether a point lies in a triangle that has an area; one without is left to its sides.
+fn holds(t: [Coord<f64>; 3], p: Coord<f64>) -> bool {
+    let turns: [i8; 3] = std::array::from_fn(|e| turn(t[e], t[(e + 1) % 3], p));
+    turn(t[0], t[1], t[2]) != 0 && !(turns.contains(&1) && turns.contains(&-1))
+}
+
+fn segments_meet_2d(a: Coord<f64>, b: Coord<f64>, c: Coord<f64>, d: Coord<f64>) -> bool {
+    let (of_c, of_d) = (turn(a, b, c), turn(a, b, d));
+    let (of_a, of_b) = (turn(c, d, a), turn(c, d, b));
+    if of_c * of_d > 0 || of_a * of_b > 0 {
+        return false;
+    }
+    if of_c == 0 && of_d == 0 && of_a == 0 && of_b == 0 {
+        // on one line, or points: compare extents
+        let apart = |a: f64, b: f64, c: f64, d: f64| a.max(b) < c.min(d) || c.max(d) < a.min(b);
+        return !apart(a.x, b.x, c.x, d.x) && !apart(a.y, b.y, c.y, d.y);
+    }
+    true
+}
+
+/// Exact sign of the turn a, b, c in the plane: 1 to the left, -1 to the right, 0 on one line.
+pub fn turn(a: Coord<f64>, b: Coord<f64>, c: Coord<f64>) -> i8 {
+    sign(robust::orient2d(a, b, c))
+}
+
+/// Exact side of d from the plane through a, b, c: 1 on the side that their normal (b - a) x (c - a) points to,
+/// -1 on the other, 0 in the plane.
+pub fn orientation(a: DVec3, b: DVec3, c: DVec3, d: DVec3) -> i8 {
+    let coordinate = |p: DVec3| Coord3D { x: p.x, y: p.y, z: p.z };
+    -sign(robust::orient3d(coordinate(a), coordinate(b), coordinate(c), coordinate(d)))
+}
+
+fn sign(x: f64) -> i8 {
+    i8::from(x > 0.0) - i8::from(x < 0.0)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::shapes;
+    use super::*;
+    use proptest::prelude::*;
+
+    fn v(x: f64, y: f64, z: f64) -> DVec3 {
+        DVec3::new(x, y, z)
+    }
+
+    fn pair(p: [DVec3; 3], q: [DVec3; 3]) -> bool {
+        let mesh = TriangleMesh { vertices: [p, q].concat(), triangles: vec![[0, 1, 2], [3, 4, 5]] };
+        let found = self_intersections(&mesh);
+        assert_eq!(triangles_meet(p, q), triangles_meet(q, p));
+        !found.is_empty()
+    }
+
+    const BASE: [DVec3; 3] = [DVec3::ZERO, DVec3::X, DVec3::Y];
+
+    #[test]
+    fn orientation_is_positive_above() {
+        assert_eq!(orientation(BASE[0], BASE[1], BASE[2], DVec3::Z), 1);
+        assert_eq!(orientation(BASE[0], BASE[1], BASE[2], -DVec3::Z), -1);
+        assert_eq!(orientation(BASE[0], BASE[1], BASE[2], v(0.3, 0.9, 0.0)), 0);
+    }
+
+    #[test]
+    fn crossing_touching_and_parted_triangles() {
+        assert!(pair(BASE, [v(0.2, 0.2, -1.0), v(0.2, 0.2, 1.0), v(3.0, 3.0, 0.0)]));
+        // a corner just on the face, and just off it
+        assert!(pair(BASE, [v(0.25, 0.25, 0.0), v(0.0, 0.0, 1.0), v(1.0, 0.0, 1.0)]));
+        assert!(!pair(BASE, [v(0.25, 0.25, 1e-300), v(0.0, 0.0, 1.0), v(1.0, 0.0, 1.0)]));
+        // edge on edge
+        assert!(pair(BASE, [v(0.5, 0.0, -1.0), v(0.5, 0.0, 1.0), v(0.5, -1.0, 0.0)]));
+        // parallel
+        assert!(!pair(BASE, BASE.map(|p| p + DVec3::Z * 1e-12)));
+        // in one plane: overlapping, one in the other, apart, touching in a point
+        assert!(pair(BASE, BASE.map(|p| p + v(0.3, 0.3, 0.0))));
+        assert!(pair(BASE, BASE.map(|p| p * 0.25 + v(0.25, 0.25, 0.0))));
+        assert!(!pair(BASE, BASE.map(|p| p + v(0.6, 0.6, 0.0))));
+        assert!(pair(BASE, BASE.map(|p| p + v(0.5, 0.5, 0.0))));
+    }
+
+    #[test]
+    fn degenerate_triangles_meet_what_their_points_touch() {
+        let needle = [v(0.25, 0.25, -1.0), v(0.25, 0.25, 0.5), v(0.25, 0.25, 1.0)];
+        assert!(pair(BASE, needle));
+        assert!(!pair(BASE, needle.map(|p| p + DVec3::Z * 2.0)));
+        assert!(!pair(BASE, needle.map(|p| p + DVec3::X * 2.0)));
+        let other = [v(-1.0, 0.25, 0.75), v(1.0, 0.25, 0.75), v(2.0, 0.25, 0.75)];
+        assert!(pair(needle, other));
+        assert!(!pair(needle, other.map(|p| p + DVec3::Y)));
+        let point = [v(0.25, 0.5, 0.0); 3];
+        assert!(pair(BASE, point));
+        assert!(!pair(BASE, point.map(|p| p + DVec3::X)));
+    }
+
+    #[test]
+    fn triangles_with_a_common_vertex_may_meet_only_there() {
+        let mesh = |a: DVec3, b: DVec3| TriangleMesh {
+            vertices: [&BASE[..], &[a, b]].concat(),
+            triangles: vec![[0, 1, 2], [4, 0, 3]],
+        };
+        assert!(self_intersections(&mesh(v(-1.0, 0.0, 0.0), v(0.0, -1.0, 0.5))).is_empty());
+        // the far edge of the second goes through the first, then past its far edge
+        assert_eq!(self_intersections(&mesh(v(0.2, 0.2, -1.0), v(0.2, 0.2, 1.0))), [[0, 1]]);
+        assert_eq!(self_intersections(&mesh(v(2.0, 2.0, -1.0), v(2.0, 2.0, 1.0))), [[0, 1]]);
+        // in one plane: side by side, and overlapping
+        assert!(self_intersections(&mesh(v(-1.0, 0.0, 0.0), v(0.0, -1.0, 0.0))).is_empty());
+        assert_eq!(self_intersections(&mesh(v(1.0, 3.0, 0.0), v(3.0, 1.0, 0.0))), [[0, 1]]);
+    }
+
+    #[test]
+    fn a_folded_pair_and_a_duplicate_are_found() {
+        let mesh = |apex: DVec3| TriangleMesh {
+            vertices: [&BASE[..], &[apex]].concat(),
+            triangles: vec![[0, 1, 2], [1, 0, 3]],
+        };
+        assert_eq!(self_intersections(&mesh(v(0.7, 0.1, 0.0))), [[0, 1]]);
+        assert!(self_intersections(&mesh(v(0.7, 0.1, 1e-300))).is_empty());
+        assert!(self_intersections(&mesh(v(0.7, -0.1, 0.0))).is_empty());
+        let twice = TriangleMesh { vertices: BASE.to_vec(), triangles: vec![[0, 1, 2], [1, 0, 2]] };
+        assert_eq!(self_intersections(&twice), [[0, 1]]);
+    }
+
+    #[test]
+    fn sound_meshes_have_none_and_two_crossing_spheres_do() {
+        let sphere = shapes::icosphere(1.0, 4);
+        assert!(self_intersections(&sphere).is_empty());
+        assert!(self_intersections(&shapes::torus(3.0, 1.0, 60, 30)).is_empty());
+        assert!(self_intersections(&shapes::cuboid(DVec3::ONE)).is_empty());
+        let mut moved = sphere.clone();
+        for p in &mut moved.vertices {
+            p.x += 0.5;
+        }
+        let both = shapes::union(&[sphere, moved]);
+        let found = self_intersections(&both);
+        let half = (both.triangles.len() / 2) as u32;
+        assert!(found.len() > 50);
+        assert!(found.iter().all(|&[a, b]| a < half && b >= half));
+        assert!(found.windows(2).all(|w| w[0] < w[1]));
+    }
+
+    /// The separating-axis test in whole numbers, where it is exact: two convex sets are apart exactly when their
+    /// shadows on a face normal, on a product of two edges or on an in-plane edge normal are.
+    fn reference_meet(p: [[i64; 3]; 3], q: [[i64; 3]; 3]) -> bool {
+        let sub = |a: [i64; 3], b: [i64; 3]| std::array::from_fn::<i128, 3, _>(|i| i128::from(a[i]) - i128::from(b[i]));
+        let cross = |a: [i128; 3], b: [i128; 3]| {
+            [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
+        };
+        let edges = |t: [[i64; 3]; 3]| [sub(t[1], t[0]), sub(t[2], t[1]), sub(t[0], t[2])];
+        let (e, f) = (edges(p), edges(q));
+        let (n, m) = (cross(e[0], e[1]), cross(f[0], f[1]));
+        let mut axes = vec![n, m];
+        for a in e {
+            axes.push(cross(n, a));
+            axes.extend(f.iter().map(|&b| cross(a, b)));
+        }
+        axes.extend(f.iter().map(|&b| cross(m, b)));
+        !axes.iter().any(|&axis| {
+            let extent = |t: [[i64; 3]; 3]| {
+                let d = t.map(|x| (0..3).map(|i| axis[i] * i128::from(x[i])).sum::<i128>());
+                (d[0].min(d[1]).min(d[2]), d[0].max(d[1]).max(d[2]))
+            };
+            let ((a, b), (c, d)) = (extent(p), extent(q));
+            axis != [0; 3] && (b < c || d < a)
+        })
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(4000))]
+        /// Against the separating-axis test in whole numbers, where touching and coplanar cases abound.
+        #[test]
+        fn agrees_with_the_separating_axis_test(
+            p in prop::array::uniform3(prop::array::uniform3(-3i64..4)),
+            q in prop::array::uniform3(prop::array::uniform3(-3i64..4)),
+        ) {
+            let real = |t: [[i64; 3]; 3]| t.map(|x| v(x[0] as f64, x[1] as f64, x[2] as f64));
+            let has_area = |t: [DVec3; 3]| (t[1] - t[0]).cross(t[2] - t[0]) != DVec3::ZERO;
+            prop_assume!(has_area(real(p)) && has_area(real(q)));
+            prop_assert_eq!(triangles_meet(real(p), real(q)), reference_meet(p, q));
+        }
+
+        #[test]
+        fn does_not_depend_on_order_or_winding(
+            p in prop::array::uniform3(prop::array::uniform3(-2i8..3)),
+            q in prop::array::uniform3(prop::array::uniform3(-2i8..3)),
+        ) {
+            let real = |t: [[i8; 3]; 3]| t.map(|x| v(f64::from(x[0]), f64::from(x[1]), f64::from(x[2])));
+            let (p, q) = (real(p), real(q));
+            let expected = triangles_meet(p, q);
+            prop_assert_eq!(triangles_meet(q, p), expected);
+            prop_assert_eq!(triangles_meet([p[1], p[0], p[2]], [q[2], q[0], q[1]]), expected);
+        }
+    }
+}

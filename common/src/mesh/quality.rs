@@ -1,0 +1,205 @@
+//! Shape of triangles: the radius ratio 2r/R of the paper's Table 1 (1 for an equilateral triangle, 0 for a
+//! degenerate one), angles, areas, edge lengths, and their distribution over a mesh.
+
+use super::TriangleMesh;
+use glam::DVec3;
+use rayon::prelude::*;
+use serde::Serialize;
+
+/// Number of equal bins of the radius-ratio histogram over [0, 1].
+pub const HISTOGRAM_BINS: usize = 50;
+
+/// A triangle counts as having no area when its area is at most this share of the mean.
+pub const ZERO_AREA_SHARE: f64 = 1e-12;
+
+/// Twice the inradius over the circumradius: 8 A^2 / (s a b c) with s half the perimeter; 0 when degenerate.
+pub fn radius_ratio(a: DVec3, b: DVec3, c: DVec3) -> f64 {
+    let lengths = [b.distance(c), c.distance(a), a.distance(b)];
+    let doubled_area_squared = (b - a).cross(c - a).length_squared();
+    let half_perimeter = 0.5 * (lengths[0] + lengths[1] + lengths[2]);
+    let ratio = 2.0 * doubled_area_squared / (half_perimeter * lengths[0] * lengths[1] * lengths[2]);
+    if ratio.is_finite() { ratio } else { 0.0 }
+}
+
+/// Area of a triangle.
+pub fn area(a: DVec3, b: DVec3, c: DVec3) -> f64 {
+    0.5 * (b - a).cross(c - a).length()
+}
+
+/// The three interior angles in degrees, at `a`, `b` and `c`; NaN where an edge has no length.
+pub fn angles(a: DVec3, b: DVec3, c: DVec3) -> [f64; 3] {
+    let at = |p: DVec3, q: DVec3, r: DVec3| {
+        let (u, v) = (q - p, r - p);
+        if u == DVec3::ZERO || v == DVec3::ZERO { f64::NAN } else { u.cross(v).length().atan2(u.dot(v)).to_degrees() }
+    };
+    [at(a, b, c), at(b, c, a), at(c, a, b)]
+}
+
+/// Radius ratio of every triangle, in order.
+pub fn radius_ratios(mesh: &TriangleMesh) -> Vec<f64> {
+    (0..mesh.triangles.len())
+        .into_par_iter()
+        .map(|t| {
+            let [a, b, c] = mesh.corners(t);
+            radius_ratio(a, b, c)
+        })
+        .collect()
+}
+
+/// Triangles whose area is (next to) nothing compared with the mean area.
+pub fn zero_area_triangles(mesh: &TriangleMesh) -> Vec<u32> {
+    let areas: Vec<f64> = (0..mesh.triangles.len())
+        .into_par_iter()
+        .map(|t| {
+            let [a, b, c] = mesh.corners(t);
+            area(a, b, c)
+        })
+        .collect();
+    let limit = ZERO_AREA_SHARE * mean(&areas);
+    (0..areas.len() as u32).filter(|&t| areas[t as usize] <= limit).collect()
+}
+
+/// Distribution of the shapes of a mesh's triangles.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct QualitySummary {
+    /// Number of triangles.
+    pub triangles: usize,
+    /// Mean radius ratio.
+    pub radius_ratio_mean: f64,
+    /// Smallest radius ratio.
+    pub radius_ratio_min: f64,
+    /// 0.1th percentile of the radius ratio.
+    pub radius_ratio_p01: f64,
+    /// 1st percentile of the radius ratio.
+    pub radius_ratio_p1: f64,
+    /// 5th percentile of the radius ratio.
+    pub radius_ratio_p5: f64,
+    /// Median radius ratio.
+    pub radius_ratio_median: f64,
+    /// Share of the triangles with a radius ratio below one half.
+    pub share_below_half: f64,
+    /// Triangles in each of [`HISTOGRAM_BINS`] equal bins of the radius ratio over [0, 1].
+    pub radius_ratio_histogram: Vec<usize>,
+    /// Smallest angle, degrees.
+    pub angle_min: f64,
+    /// Largest angle, degrees.
+    pub angle_max: f64,
+    /// Shortest side of a triangle, mm.
+    pub edge_length_min: f64,
+    /// Mean over the sides of all triangles (an inner edge counts twice), mm.
+    pub edge_length_mean: f64,
+    /// Longest side of a triangle, mm.
+    pub edge_length_max: f64,
+}
+
+/// Summarises the shapes of all triangles; all zeros for an empty mesh.
+pub fn summarise(mesh: &TriangleMesh) -> QualitySummary {
+    if mesh.triangles.is_empty() {
+        return QualitySummary { radius_ratio_histogram: vec![0; HISTOGRAM_BINS], ..QualitySummary::default() };
+    }
+    let mut ratios = radius_ratios(mesh);
+    let mut summary = QualitySummary {
+        triangles: ratios.len(),
+        radius_ratio_mean: mean(&ratios),
+        share_below_half: ratios.iter().filter(|&&r| r < 0.5).count() as f64 / ratios.len() as f64,
+        radius_ratio_histogram: vec![0; HISTOGRAM_BINS],
+        angle_min: f64::INFINITY,
+        edge_length_min: f64::INFINITY,
+        ..QualitySummary::default()
+    };
+    for ratio in &ratios {
+        let bin = (ratio * HISTOGRAM_BINS as f64) as usize;
+        summary.radius_ratio_histogram[bin.min(HISTOGRAM_BINS - 1)] += 1;
+    }
+    ratios.par_sort_unstable_by(f64::total_cmp);
+    summary.radius_ratio_min = ratios[0];
+    summary.radius_ratio_p01 = percentile(&ratios, 0.1);
+    summary.radius_ratio_p1 = percentile(&ratios, 1.0);
+    summary.radius_ratio_p5 = percentile(&ratios, 5.0);
+    summary.radius_ratio_median = percentile(&ratios, 50.0);
+    let mut total_length = 0.0;
+    for t in 0..mesh.triangles.len() {
+        let [a, b, c] = mesh.corners(t);
+        for angle in angles(a, b, c) {
+            summary.angle_min = summary.angle_min.min(angle);
+            summary.angle_max = summary.angle_max.max(angle);
+        }
+        for length in [a.distance(b), b.distance(c), c.distance(a)] {
+            summary.edge_length_min = summary.edge_length_min.min(length);
+            summary.edge_length_max = summary.edge_length_max.max(length);
+            total_length += length;
+        }
+    }
+    if summary.angle_min.is_infinite() {
+        summary.angle_min = 0.0;
+    }
+    summary.edge_length_mean = total_length / (3 * ratios.len()) as f64;
+    summary
+}
+
+/// Mean of the values (0 of none), summed in order.
+pub fn mean(values: &[f64]) -> f64 {
+    if values.is_empty() { 0.0 } else { values.iter().sum::<f64>() / values.len() as f64 }
+}
+
+/// Percentile (0 to 100) of ascending values, linear between neighbours; 0 of none.
+pub fn percentile(ascending: &[f64], percent: f64) -> f64 {
+    if ascending.is_empty() {
+        return 0.0;
+    }
+    let position = (percent / 100.0).clamp(0.0, 1.0) * (ascending.len() - 1) as f64;
+    let below = position.floor() as usize;
+    let above = (below + 1).min(ascending.len() - 1);
+    ascending[below] + (position - below as f64) * (ascending[above] - ascending[below])
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn radius_ratio_of_known_triangles() {
+        let equilateral = radius_ratio(DVec3::ZERO, DVec3::X, DVec3::new(0.5, 0.75f64.sqrt(), 0.0));
+        assert!((equilateral - 1.0).abs() < 1e-14);
+        // 3-4-5: r = 1, R = 2.5
+        let right = radius_ratio(DVec3::ZERO, DVec3::X * 3.0, DVec3::Y * 4.0);
+        assert!((right - 0.8).abs() < 1e-14);
+        // right isosceles: 2 (sqrt 2 - 1)
+        let isosceles = radius_ratio(DVec3::ZERO, DVec3::X, DVec3::Z);
+        assert!((isosceles - 2.0 * (2f64.sqrt() - 1.0)).abs() < 1e-14);
+        assert_eq!(radius_ratio(DVec3::ZERO, DVec3::X, DVec3::X * 2.0), 0.0);
+        assert_eq!(radius_ratio(DVec3::ONE, DVec3::ONE, DVec3::ONE), 0.0);
+    }
+
+    #[test]
+    fn angles_of_a_right_triangle() {
+        let [a, b, c] = angles(DVec3::ZERO, DVec3::X, DVec3::Y * 3f64.sqrt());
+        assert!((a - 90.0).abs() < 1e-12 && (b - 60.0).abs() < 1e-12 && (c - 30.0).abs() < 1e-12);
+    }
+
+    #[test]
+    fn percentiles_are_linear_between_neighbours() {
+        let values = [1.0, 2.0, 4.0, 8.0];
+        assert_eq!(percentile(&values, 0.0), 1.0);
+        assert_eq!(percentile(&values, 50.0), 3.0);
+        assert_eq!(percentile(&values, 100.0), 8.0);
+        assert_eq!(percentile(&[], 50.0), 0.0);
+    }
+
+    #[test]
+    fn summary_of_two_triangles() {
+        let mesh = TriangleMesh {
+            vertices: vec![DVec3::ZERO, DVec3::X * 3.0, DVec3::Y * 4.0, DVec3::X * 6.0],
+            triangles: vec![[0, 1, 2], [0, 1, 3]],
+        };
+        let summary = summarise(&mesh);
+        assert!((summary.radius_ratio_mean - 0.4).abs() < 1e-14);
+        assert_eq!(summary.radius_ratio_min, 0.0);
+        assert_eq!((summary.angle_min, summary.angle_max), (0.0, 180.0));
+        assert_eq!((summary.edge_length_min, summary.edge_length_max), (3.0, 6.0));
+        assert_eq!(summary.share_below_half, 0.5);
+        assert_eq!(summary.radius_ratio_histogram.iter().sum::<usize>(), 2);
+        assert_eq!(zero_area_triangles(&mesh), vec![1]);
+        assert_eq!(summarise(&TriangleMesh::default()).triangles, 0);
+    }
+}

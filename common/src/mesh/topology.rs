@@ -1,0 +1,329 @@
+//! Whether a mesh is a surface: edges in exactly two oppositely oriented triangles, one fan of triangles round every
+//! vertex, components, Euler characteristic and genus; with the offending simplices, not only their numbers.
+
+use super::TriangleMesh;
+use rayon::prelude::*;
+use serde::Serialize;
+
+/// Marks a vertex that belongs to no triangle in [`Topology::component_of_vertex`].
+pub const NO_COMPONENT: u32 = u32::MAX;
+
+/// Topology of one component (vertices joined through triangles).
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+pub struct ComponentTopology {
+    /// Vertices.
+    pub vertices: usize,
+    /// Edges.
+    pub edges: usize,
+    /// Triangles.
+    pub triangles: usize,
+    /// Vertices - edges + triangles.
+    pub euler: i64,
+    /// Number of handles; `None` unless the component is a closed, oriented manifold.
+    pub genus: Option<i64>,
+}
+
+/// Topology of a mesh. Edges are given by their vertices, lower index first, and all lists are ascending.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Topology {
+    /// Number of different edges.
+    pub edges: usize,
+    /// Edges in one triangle only.
+    pub open_edges: Vec<[u32; 2]>,
+    /// Edges in more than two triangles.
+    pub non_manifold_edges: Vec<[u32; 2]>,
+    /// Edges that both of their two triangles run through in the same direction.
+    pub badly_oriented_edges: Vec<[u32; 2]>,
+    /// Vertices whose triangles form more than one fan.
+    pub non_manifold_vertices: Vec<u32>,
+    /// Vertices of no triangle.
+    pub unused_vertices: Vec<u32>,
+    /// Triangles that name a vertex more than once.
+    pub collapsed_triangles: Vec<u32>,
+    /// Triangles over the same three vertices as an earlier one.
+    pub duplicate_triangles: Vec<u32>,
+    /// Component of each vertex, numbered by their lowest vertex; [`NO_COMPONENT`] for an unused one.
+    pub component_of_vertex: Vec<u32>,
+    /// Component of each triangle.
+    pub component_of_triangle: Vec<u32>,
+    /// The components.
+    pub components: Vec<ComponentTopology>,
+    /// Used vertices - edges + triangles of the whole mesh.
+    pub euler: i64,
+}
+
+impl Topology {
+    /// Closed: every edge is in exactly two triangles that run through it in opposite directions.
+    pub fn is_watertight(&self) -> bool {
+        self.open_edges.is_empty() && self.non_manifold_edges.is_empty() && self.badly_oriented_edges.is_empty()
+    }
+
+    /// Watertight, one fan round every vertex, and no triangle twice or collapsed.
+    pub fn is_closed_manifold(&self) -> bool {
+        self.is_watertight()
+            && self.non_manifold_vertices.is_empty()
+            && self.collapsed_triangles.is_empty()
+            && self.duplicate_triangles.is_empty()
+    }
+}
+
+/// Analyses a mesh whose indices all name a vertex ([`TriangleMesh::is_well_formed`]).
+pub fn analyse(mesh: &TriangleMesh) -> Topology {
+    let mut topology = Topology { duplicate_triangles: duplicates(mesh), ..Topology::default() };
+    for (t, &[a, b, c]) in mesh.triangles.iter().enumerate() {
+        if a == b || b == c || c == a {
+            topology.collapsed_triangles.push(t as u32);
+        }
+    }
+    find_components(mesh, &mut topology);
+
+    let sides = sorted_sides(mesh);
+    // the corners of a vertex are joined where their triangles share an edge: one set left means one fan
+    let mut fans = DisjointSets::new(3 * mesh.triangles.len());
+    let mut faulty = vec![false; topology.components.len()];
+    let mut from = 0;
+    while from < sides.len() {
+        let key = sides[from].key;
+        let to = from + sides[from..].iter().take_while(|s| s.key == key).count();
+        let group = &sides[from..to];
+        let edge = [(key >> 32) as u32, key as u32];
+        let component = topology.component_of_vertex[edge[0] as usize] as usize;
+        topology.edges += 1;
+        topology.components[component].edges += 1;
+        let forward = group.iter().filter(|s| s.forward).count();
+        let fault = match group.len() {
+            1 => Some(&mut topology.open_edges),
+            2 if forward != 1 => Some(&mut topology.badly_oriented_edges),
+            2 => None,
+            _ => Some(&mut topology.non_manifold_edges),
+        };
+        if let Some(list) = fault {
+            list.push(edge);
+            faulty[component] = true;
+        }
+        for pair in group.windows(2) {
+            for vertex in edge {
+                fans.join(corner_of(mesh, pair[0].triangle, vertex), corner_of(mesh, pair[1].triangle, vertex));
+            }
+        }
+        from = to;
+    }
+
+    let mut fan_count = vec![0u32; mesh.vertices.len()];
+    for corner in 0..3 * mesh.triangles.len() {
+        let vertex = mesh.triangles[corner / 3][corner % 3];
+        // a corner that repeats its triangle's vertex is no fan of its own
+        if fans.find(corner) == corner && corner_of(mesh, (corner / 3) as u32, vertex) == corner {
+            fan_count[vertex as usize] += 1;
+        }
+    }
+    for (v, &count) in fan_count.iter().enumerate() {
+        match count {
+            0 => topology.unused_vertices.push(v as u32),
+            1 => {}
+            _ => {
+                topology.non_manifold_vertices.push(v as u32);
+                faulty[topology.component_of_vertex[v] as usize] = true;
+            }
+        }
+    }
+    for (component, faulty) in topology.components.iter_mut().zip(faulty) {
+        component.euler = component.vertices as i64 - component.edges as i64 + component.triangles as i64;
+        component.genus = (!faulty).then_some((2 - component.euler) / 2);
+        topology.euler += component.euler;
+    }
+    topology
+}
+
+/// One side of a triangle under the key of its edge.
+struct Side {
+    key: u64,
+    triangle: u32,
+    forward: bool,
+}
+
+fn sorted_sides(mesh: &TriangleMesh) -> Vec<Side> {
+    let mut sides: Vec<Side> = mesh
+        .triangles
+        .par_iter()
+        .enumerate()
+        .flat_map_iter(|(t, &[a, b, c])| {
+            [(a, b), (b, c), (c, a)].map(|(from, to)| Side {
+                key: u64::from(from.min(to)) << 32 | u64::from(from.max(to)),
+                triangle: t as u32,
+                forward: from < to,
+            })
+        })
+        .collect();
+    sides.par_sort_unstable_by_key(|s| (s.key, s.triangle, s.forward));
+    sides
+}
+
+/// Corner number of the first place where a triangle names a vertex.
+fn corner_of(mesh: &TriangleMesh, triangle: u32, vertex: u32) -> usize {
+    let corners = mesh.triangles[triangle as usize];
+    3 * triangle as usize + usize::from(corners[0] != vertex) * (1 + usize::from(corners[1] != vertex))
+}
+
+fn duplicates(mesh: &TriangleMesh) -> Vec<u32> {
+    let mut keys: Vec<([u32; 3], u32)> = mesh
+        .triangles
+        .par_iter()
+        .enumerate()
+        .map(|(t, corners)| {
+            let mut key = *corners;
+            key.sort_unstable();
+            (key, t as u32)
+        })
+        .collect();
+    keys.par_sort_unstable();
+    let mut found: Vec<u32> = keys.windows(2).filter(|pair| pair[0].0 == pair[1].0).map(|pair| pair[1].1).collect();
+    found.sort_unstable();
+    found
+}
+
+fn find_components(mesh: &TriangleMesh, topology: &mut Topology) {
+    let mut sets = DisjointSets::new(mesh.vertices.len());
+    let mut used = vec![false; mesh.vertices.len()];
+    for &[a, b, c] in &mesh.triangles {
+        sets.join(a as usize, b as usize);
+        sets.join(b as usize, c as usize);
+        for v in [a, b, c] {
+            used[v as usize] = true;
+        }
+    }
+    let mut number = vec![NO_COMPONENT; mesh.vertices.len()];
+    topology.component_of_vertex = vec![NO_COMPONENT; mesh.vertices.len()];
+    for v in (0..mesh.vertices.len()).filter(|&v| used[v]) {
+        let root = sets.find(v);
+        if number[root] == NO_COMPONENT {
+            number[root] = topology.components.len() as u32;
+            topology.components.push(ComponentTopology::default());
+        }
+        topology.component_of_vertex[v] = number[root];
+        topology.components[number[root] as usize].vertices += 1;
+    }
+    topology.component_of_triangle =
+        mesh.triangles.iter().map(|t| topology.component_of_vertex[t[0] as usize]).collect();
+    for &component in &topology.component_of_triangle {
+        topology.components[component as usize].triangles += 1;
+    }
+}
+
+/// Union-find with path halving; the smallest member represents a set.
+struct DisjointSets {
+    parent: Vec<u32>,
+}
+
+impl DisjointSets {
+    fn new(count: usize) -> Self {
+        Self { parent: (0..count as u32).collect() }
+    }
+
+    fn find(&mut self, mut x: usize) -> usize {
+        while self.parent[x] as usize != x {
+            let above = self.parent[self.parent[x] as usize];
+            self.parent[x] = above;
+            x = above as usize;
+        }
+        x
+    }
+
+    fn join(&mut self, a: usize, b: usize) {
+        let (a, b) = (self.find(a), self.find(b));
+        self.parent[a.max(b)] = a.min(b) as u32;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::shapes;
+    use super::*;
+    use glam::DVec3;
+
+    #[test]
+    fn sphere_torus_and_box_have_their_genus() {
+        for (mesh, genus) in [
+            (shapes::icosphere(1.0, 3), 0),
+            (shapes::torus(3.0, 1.0, 24, 12), 1),
+            (shapes::cuboid(DVec3::new(1.0, 2.0, 3.0)), 0),
+        ] {
+            let topology = analyse(&mesh);
+            assert!(topology.is_closed_manifold());
+            assert_eq!(topology.components.len(), 1);
+            assert_eq!(topology.components[0].genus, Some(genus));
+            assert_eq!(topology.euler, 2 - 2 * genus);
+            assert_eq!(2 * topology.edges, 3 * mesh.triangles.len());
+            assert!(topology.unused_vertices.is_empty());
+        }
+    }
+
+    #[test]
+    fn components_are_counted_one_by_one() {
+        let mut mesh = shapes::union(&[shapes::torus(3.0, 1.0, 12, 8), shapes::icosphere(1.0, 1)]);
+        mesh.vertices.push(DVec3::ZERO);
+        let topology = analyse(&mesh);
+        assert_eq!(topology.components.len(), 2);
+        assert_eq!(topology.components.iter().map(|c| c.genus).collect::<Vec<_>>(), [Some(1), Some(0)]);
+        assert_eq!(topology.components[1].vertices, 42);
+        assert_eq!(topology.unused_vertices, [96 + 42]);
+        assert_eq!(topology.component_of_vertex[138], NO_COMPONENT);
+        assert!(topology.component_of_triangle.iter().take(192).all(|&c| c == 0));
+    }
+
+    #[test]
+    fn an_open_edge_is_named() {
+        let mut mesh = shapes::cuboid(DVec3::ONE);
+        let gone = mesh.triangles.pop().unwrap_or_default();
+        let topology = analyse(&mesh);
+        let mut expected: Vec<[u32; 2]> =
+            (0..3).map(|e| [gone[e], gone[(e + 1) % 3]]).map(|[a, b]| [a.min(b), a.max(b)]).collect();
+        expected.sort_unstable();
+        assert_eq!(topology.open_edges, expected);
+        assert!(!topology.is_watertight());
+        assert_eq!(topology.components[0].genus, None);
+    }
+
+    #[test]
+    fn a_turned_triangle_has_three_badly_oriented_edges() {
+        let mut mesh = shapes::icosphere(1.0, 1);
+        mesh.triangles[7].swap(0, 1);
+        let topology = analyse(&mesh);
+        assert_eq!(topology.badly_oriented_edges.len(), 3);
+        assert!(topology.badly_oriented_edges.iter().flatten().all(|v| mesh.triangles[7].contains(v)));
+        assert!(topology.open_edges.is_empty() && topology.non_manifold_edges.is_empty());
+    }
+
+    #[test]
+    fn a_bow_tie_vertex_is_found() {
+        let mut mesh = shapes::union(&[shapes::icosphere(1.0, 0), shapes::icosphere(1.0, 0)]);
+        for p in &mut mesh.vertices[12..] {
+            p.x += 5.0;
+        }
+        for t in &mut mesh.triangles[20..] {
+            for v in t {
+                if *v == 12 {
+                    *v = 3;
+                }
+            }
+        }
+        let topology = analyse(&mesh);
+        assert_eq!(topology.non_manifold_vertices, [3]);
+        assert_eq!(topology.unused_vertices, [12]);
+        assert!(topology.is_watertight() && !topology.is_closed_manifold());
+        assert_eq!(topology.components.len(), 1);
+        assert_eq!(topology.components[0].genus, None);
+    }
+
+    #[test]
+    fn three_triangles_on_an_edge_and_duplicates_are_found() {
+        let mut mesh = shapes::cuboid(DVec3::ONE);
+        let again = mesh.triangles[4];
+        mesh.triangles.push([again[1], again[2], again[0]]);
+        let topology = analyse(&mesh);
+        assert_eq!(topology.non_manifold_edges.len(), 3);
+        assert_eq!(topology.duplicate_triangles, [12]);
+        mesh.triangles[12] = [1, 1, 2];
+        assert_eq!(analyse(&mesh).collapsed_triangles, [12]);
+    }
+}
