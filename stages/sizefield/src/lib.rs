@@ -1,1 +1,73 @@
-//! The `sizefield` stage.
+//! The `sizefield` stage: target edge length h from local feature size and curvature, then gradation.
+//!
+//! Section 3.1 of Kim, Chen and Hansen 2012 and Meyer, Kirby and Whitaker 2007: h0 = epsilon times the local feature
+//! size at the surface, bounded by curvature, then |grad h| <= delta.
+
+pub mod feature;
+pub mod gradation;
+pub mod medial;
+pub mod run;
+
+use feature::Features;
+use glam::DVec3;
+use isoparticles_common::image::Image;
+use isoparticles_common::sizing::SizingField;
+use serde::{Deserialize, Serialize};
+
+/// What asks for which edge length. Lengths in mm.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct Parameters {
+    /// h0 = epsilon times local feature size.
+    pub epsilon: f64,
+    /// Bound on |grad h|.
+    pub delta: f64,
+    /// Smallest h.
+    pub min_size: f64,
+    /// Largest h at the surface.
+    pub max_size: f64,
+    /// Largest distance of a triangle's centre from the surface that curvature may cause: h0 <= sqrt(6 deviation R).
+    pub max_deviation: f64,
+    /// Smallest number of particles a component of the surface may end up with.
+    pub min_particles: f64,
+}
+
+/// Edge length that each sample asks for.
+pub fn wanted_sizes(features: &Features, parameters: &Parameters) -> Vec<f64> {
+    (0..features.points.len())
+        .map(|i| {
+            let by_feature = parameters.epsilon * features.feature_size[i];
+            // centre of an equilateral triangle of edge h inscribed in a ball of radius R: h^2 / (6 R) below the surface
+            let by_deviation = (6.0 * parameters.max_deviation / features.curvature[i].max(1e-12)).sqrt();
+            let area = features.component_area[features.component[i] as usize];
+            let by_component = (2.0 * area / (3f64.sqrt() * parameters.min_particles)).sqrt();
+            by_feature.min(by_deviation).min(parameters.max_size).max(parameters.min_size).min(by_component)
+        })
+        .collect()
+}
+
+/// The sizing field on the grid of the distance field: no larger at a sample than what it asks for, and graded.
+pub fn size_field(distance: &Image<f32>, features: &Features, parameters: &Parameters) -> SizingField {
+    let geometry = &distance.geometry;
+    let wanted = wanted_sizes(features, parameters);
+    let mut h = Image::filled(geometry.clone(), f32::INFINITY);
+    for t in &features.triangles {
+        let size = t.iter().map(|&v| wanted[v as usize]).fold(f64::INFINITY, f64::min) as f32;
+        // trilinear h within the triangle's cell is no larger than its corners
+        let centre = t.iter().map(|&v| features.points[v as usize]).sum::<DVec3>() / 3.0;
+        let index = geometry.grid_to_index(centre);
+        let base: [usize; 3] =
+            std::array::from_fn(|a| (index[a].max(0.0) as usize).min(geometry.size[a].saturating_sub(2)));
+        for corner in 0..8 {
+            let at: [usize; 3] = std::array::from_fn(|a| (base[a] + (corner >> a & 1)).min(geometry.size[a] - 1));
+            let node = geometry.linear(at[0], at[1], at[2]);
+            h.data[node] = h.data[node].min(size);
+        }
+    }
+    gradation::limit_gradient(&mut h, parameters.delta);
+    SizingField::new(h)
+}
+
+/// A constant sizing field.
+pub fn uniform_field(distance: &Image<f32>, size: f64) -> SizingField {
+    SizingField::new(Image::filled(distance.geometry.clone(), size as f32))
+}

@@ -1,0 +1,124 @@
+//! Local feature size and gradation against analytic truth.
+
+use glam::DVec3;
+use isoparticles_common::geometry::Geometry;
+use isoparticles_common::image::Image;
+use isoparticles_common::spline::CubicSpline;
+use isoparticles_sizefield::feature::Features;
+use isoparticles_sizefield::{Parameters, size_field};
+
+fn sampled(n: usize, f: impl Fn(DVec3) -> f64) -> Image<f32> {
+    let geometry = Geometry::axis_aligned([n; 3], DVec3::splat(0.8));
+    let centre = 0.5 * geometry.upper_corner();
+    let mut data = Vec::with_capacity(geometry.voxel_count());
+    for k in 0..n {
+        for j in 0..n {
+            for i in 0..n {
+                data.push(f(geometry.index_to_grid(DVec3::new(i as f64, j as f64, k as f64)) - centre) as f32);
+            }
+        }
+    }
+    Image { geometry, data }
+}
+
+fn features(image: &Image<f32>) -> Features {
+    Features::new(image, &CubicSpline::new(image))
+}
+
+/// Largest relative error of the local feature size against `truth` (point relative to the volume's centre).
+fn worst(image: &Image<f32>, found: &Features, truth: impl Fn(DVec3) -> f64) -> f64 {
+    let centre = 0.5 * image.geometry.upper_corner();
+    assert!(found.points.len() > 1000);
+    found
+        .points
+        .iter()
+        .zip(&found.feature_size)
+        .map(|(&p, &got)| (got / truth(p - centre) - 1.0).abs())
+        .fold(0.0, f64::max)
+}
+
+#[test]
+fn ball() {
+    let image = sampled(48, |p| p.length() - 12.0);
+    let error = worst(&image, &features(&image), |_| 12.0);
+    assert!(error < 0.03, "{error}");
+}
+
+#[test]
+fn torus() {
+    let image = sampled(56, |p| (p.truncate().length() - 13.0).hypot(p.z) - 5.0);
+    // the tube's centre circle; the hole's axis is 8 away at the nearest
+    let error = worst(&image, &features(&image), |_| 5.0);
+    assert!(error < 0.03, "{error}");
+}
+
+#[test]
+fn two_balls_see_the_gap_between_them() {
+    let image = sampled(64, |p| (p - DVec3::X * 11.0).length().min((p + DVec3::X * 11.0).length()) - 9.0);
+    let found = features(&image);
+    let centre = 0.5 * image.geometry.upper_corner();
+    let at_gap = |p: &DVec3| (*p - centre).truncate().with_y((*p - centre).y).length() < 2.6;
+    let nearest = found
+        .points
+        .iter()
+        .zip(&found.feature_size)
+        .filter(|(p, _)| at_gap(p))
+        .map(|(_, &size)| size)
+        .fold(f64::INFINITY, f64::min);
+    assert!((nearest / 2.0 - 1.0).abs() < 0.03, "{nearest}, not half the gap of 4");
+    let farthest = found.feature_size.iter().copied().fold(0.0, f64::max);
+    assert!((farthest / 9.0 - 1.0).abs() < 0.03, "{farthest}");
+}
+
+#[test]
+fn slab() {
+    let image = sampled(40, |p| {
+        let q = p.abs() - DVec3::new(30.0, 30.0, 2.0);
+        q.z
+    });
+    let error = worst(&image, &features(&image), |_| 2.0);
+    assert!(error < 0.03, "{error}");
+}
+
+#[test]
+fn ellipsoid_tip_is_bounded_by_its_curvature() {
+    // distance-like implicit of an ellipsoid with half axes 16, 8, 8: b^2 / a = 4 at the tips
+    let image = sampled(56, |p| {
+        let (q, r) = (p / DVec3::new(16.0, 8.0, 8.0), p / DVec3::new(256.0, 64.0, 64.0));
+        q.length() * (q.length() - 1.0) / r.length().max(1e-3)
+    });
+    let found = features(&image);
+    let smallest = found.feature_size.iter().copied().fold(f64::INFINITY, f64::min);
+    assert!((smallest / 4.0 - 1.0).abs() < 0.03, "{smallest}");
+}
+
+#[test]
+fn the_field_asks_for_epsilon_times_feature_size_and_is_graded() {
+    let image = sampled(48, |p| p.length() - 12.0);
+    let found = features(&image);
+    let parameters = Parameters {
+        epsilon: 0.25,
+        delta: 0.3,
+        min_size: 0.1,
+        max_size: 100.0,
+        max_deviation: f64::INFINITY,
+        min_particles: 12.0,
+    };
+    let field = size_field(&image, &found, &parameters);
+    for &p in &found.points {
+        assert!((field.at(p) / 3.0 - 1.0).abs() < 0.03, "{}", field.at(p));
+    }
+    // 4 pi R^2 2 / (sqrt(3) h^2)
+    let want = 4.0 * std::f64::consts::PI * 144.0 * 2.0 / (3f64.sqrt() * 9.0);
+    let count = found.predicted_count(|p| field.at(p));
+    assert!((count / want - 1.0).abs() < 0.05, "{count}, not {want}");
+    let h = field.image();
+    let step = 0.8 * 0.3 * 1.01;
+    for k in 0..48 {
+        for j in 0..48 {
+            for i in 0..47 {
+                assert!(f64::from((h.at(i + 1, j, k) - h.at(i, j, k)).abs()) <= step);
+            }
+        }
+    }
+}
