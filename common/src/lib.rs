@@ -5,6 +5,7 @@
 //! knows the way from there to the world.
 
 pub mod cli;
+pub mod components;
 pub mod delaunay;
 pub mod energy;
 pub mod error;

@@ -18,6 +18,9 @@ pub(crate) struct Limits {
     pub delete_above: f64,
 }
 
+/// A newcomer keeps this share of h from everybody; the lattice makes room for it in the next passes.
+const CLOSEST: f64 = 0.45;
+
 /// What a pass of density control did.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Changes {
@@ -95,15 +98,15 @@ fn insert(
             continue;
         }
         let Some((position, normal, size)) = place_in_widest_gap(state, fields, deleted, i) else { continue };
-        // nobody may be left crowded by the newcomer, nor the newcomer itself
         let mut energy = 0.0;
-        for j in state.neighbours.of(i).iter().map(|&j| j as usize).chain([i]) {
-            if !deleted[j] {
-                let distance = position.distance(state.set.positions[j]);
-                energy += energy::pair_energy(energy::scaled_distance(distance, size, state.set.sizes[j]));
-            }
+        let mut room = true;
+        for j in state.neighbours.of(i).iter().map(|&j| j as usize).chain([i]).filter(|&j| !deleted[j]) {
+            let distance = position.distance(state.set.positions[j]);
+            let smaller = size.min(state.set.sizes[j]);
+            room &= distance > CLOSEST * smaller;
+            energy += energy::pair_energy(energy::scaled_distance(distance, smaller, smaller));
         }
-        if energy > limits.delete_above * limits.ideal_energy {
+        if !room {
             continue;
         }
         // one newcomer a neighbourhood and pass

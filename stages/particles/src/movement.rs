@@ -83,7 +83,7 @@ fn step(state: &State, fields: &Fields, i: usize) -> Step {
         if let Some((p, n, h)) = fields.project(position + motion, limit, tolerance)
             && n.dot(normal) > 0.0
             && p.distance_squared(position) < (2.0 * LONGEST_STEP * size).powi(2)
-            && state.energy_at(i, p, h) < energy
+            && state.energy_at(i, p, size) < energy
         {
             let lambda = if result.tries == 1 { (0.1 * lambda).max(LAMBDA_RANGE.0) } else { lambda };
             return Step { position: p, normal: n, size: h, lambda, moved: true, ..result };

@@ -5,6 +5,7 @@
 
 use crate::medial::medial_points;
 use glam::DVec3;
+use isoparticles_common::components;
 use isoparticles_common::image::Image;
 use isoparticles_common::kd_tree::KdTree;
 use isoparticles_common::marching_cubes::marching_cubes;
@@ -55,7 +56,7 @@ impl Features {
             .zip(&curvature)
             .map(|(&p, &k)| axis.nearest(p).map_or(diagonal, |(_, d)| d).min(1.0 / k.max(1.0 / diagonal)))
             .collect();
-        let component = components(points.len(), &mesh.triangles);
+        let component = components::of_vertices(points.len(), &mesh.triangles);
         let mut component_area = vec![0.0; component.iter().map(|&c| c as usize + 1).max().unwrap_or(0)];
         for t in &mesh.triangles {
             component_area[component[t[0] as usize] as usize] += area(&points, t);
@@ -93,34 +94,4 @@ fn largest_curvature(jet: &isoparticles_common::spline::Jet) -> f64 {
 fn area(points: &[DVec3], t: &[u32; 3]) -> f64 {
     let [a, b, c] = t.map(|v| points[v as usize]);
     0.5 * (b - a).cross(c - a).length()
-}
-
-/// Component of each vertex, numbered in order of first appearance.
-fn components(count: usize, triangles: &[[u32; 3]]) -> Vec<u32> {
-    let mut parent: Vec<u32> = (0..count as u32).collect();
-    fn root(parent: &mut [u32], mut i: u32) -> u32 {
-        while parent[i as usize] != i {
-            parent[i as usize] = parent[parent[i as usize] as usize];
-            i = parent[i as usize];
-        }
-        i
-    }
-    for t in triangles {
-        for pair in [[t[0], t[1]], [t[1], t[2]]] {
-            let (a, b) = (root(&mut parent, pair[0]), root(&mut parent, pair[1]));
-            parent[a.max(b) as usize] = a.min(b);
-        }
-    }
-    let mut number = vec![u32::MAX; count];
-    let mut next = 0;
-    (0..count as u32)
-        .map(|i| {
-            let r = root(&mut parent, i) as usize;
-            if number[r] == u32::MAX {
-                number[r] = next;
-                next += 1;
-            }
-            number[r]
-        })
-        .collect()
 }

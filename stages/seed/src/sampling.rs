@@ -1,0 +1,202 @@
+//! Poisson-disk sampling of the isosurface at the spacing that the sizing field asks for.
+
+use glam::DVec3;
+use isoparticles_common::components;
+use isoparticles_common::image::Image;
+use isoparticles_common::marching_cubes::marching_cubes;
+use isoparticles_common::mesh::TriangleMesh;
+use isoparticles_common::neighbours::LevelBins;
+use isoparticles_common::particle_set::ParticleSet;
+use isoparticles_common::random;
+use isoparticles_common::sizing::SizingField;
+use isoparticles_common::spline::CubicSpline;
+use rayon::prelude::*;
+
+/// Candidates for each particle that the sizing field asks for.
+const OVERSAMPLING: f64 = 8.0;
+/// Disk radius over h at which this sampling has the density of the hexagonal lattice of spacing h (random disks jam at a
+/// covered share of 0.55 where the lattice covers 0.91; measured at this oversampling).
+const DISK_RADIUS: f64 = 0.71;
+/// Fewest particles a component is seeded with.
+const COMPONENT_MINIMUM: usize = 12;
+
+/// What the seeding did.
+#[derive(Clone, Copy, Debug, Default, serde::Serialize)]
+pub struct Summary {
+    /// Components of the isosurface.
+    pub components: usize,
+    /// Components that got extra particles, because the sizing field asked for fewer than they need.
+    pub crowded_components: usize,
+    /// Integral of 2 / (sqrt(3) h^2) over the surface.
+    pub predicted_count: f64,
+    /// Seeds dropped because they could not be projected onto F = 0.
+    pub not_projected: usize,
+}
+
+#[derive(Default)]
+struct Candidates {
+    points: Vec<DVec3>,
+    normals: Vec<DVec3>,
+    sizes: Vec<f64>,
+    component: Vec<u32>,
+}
+
+/// Seeds the surface F = 0. With `count` the spacing is scaled to give about that many particles (the paper's Table 3);
+/// the particles keep the sizes of the field. The result depends on the arguments alone.
+pub fn seed_surface(
+    distance: &Image<f32>,
+    surface: &CubicSpline,
+    sizing: &SizingField,
+    count: Option<usize>,
+    seed: u64,
+) -> (ParticleSet, Summary) {
+    let mesh = marching_cubes(distance, 0.0);
+    let component = components::of_vertices(mesh.vertices.len(), &mesh.triangles);
+    let component_count = component.iter().map(|&c| c as usize + 1).max().unwrap_or(0);
+    let predicted: f64 = (0..mesh.triangles.len()).map(|t| lattice_count(&mesh, t, |p| sizing.at(p))).sum();
+    let scale = count.map_or(1.0, |n| (predicted / n.max(1) as f64).sqrt());
+    let every: Vec<u32> = (0..mesh.triangles.len() as u32).collect();
+    let all = sample(&mesh, &every, &component, |p| scale * sizing.at(p), OVERSAMPLING, seed);
+    let mut chosen = eliminate(&all, seed);
+    let mut counts = vec![0usize; component_count];
+    for &i in &chosen {
+        counts[all.component[i as usize] as usize] += 1;
+    }
+    // components that h would leave (nearly) bare are sampled on their own, at a spacing that their area allows
+    let bare: Vec<bool> = counts.iter().map(|&n| n < COMPONENT_MINIMUM).collect();
+    let crowded_components = bare.iter().filter(|&&b| b).count();
+    let mut picked: Vec<(DVec3, DVec3)> = Vec::with_capacity(chosen.len());
+    chosen.sort_unstable();
+    for &i in &chosen {
+        if !bare[all.component[i as usize] as usize] {
+            picked.push((all.points[i as usize], all.normals[i as usize]));
+        }
+    }
+    if crowded_components > 0 {
+        picked.extend(sample_bare_components(&mesh, &component, &bare, seed));
+    }
+    let spacing = distance.geometry.mean_spacing();
+    let projected: Vec<_> = picked
+        .par_iter()
+        .map(|&(p, n)| {
+            let found = surface.project_with_gradient(p, 1.5 * spacing, 1e-6 * spacing);
+            found.map(|(p, g)| (p, g.normalize())).filter(|(_, normal)| normal.dot(n) > 0.0)
+        })
+        .collect();
+    let not_projected = projected.iter().filter(|p| p.is_none()).count();
+    let (positions, normals): (Vec<_>, Vec<_>) = projected.into_iter().flatten().unzip();
+    let sizes = positions.iter().map(|&p| sizing.at(p)).collect();
+    let set = ParticleSet {
+        geometry: distance.geometry.clone(),
+        energies: vec![0.0; positions.len()],
+        lambdas: vec![0.1; positions.len()],
+        positions,
+        normals,
+        sizes,
+    };
+    (set, Summary { components: component_count, crowded_components, predicted_count: predicted, not_projected })
+}
+
+/// Vertices of the hexagonal lattice of spacing h that fit on a triangle.
+fn lattice_count(mesh: &TriangleMesh, triangle: usize, size: impl Fn(DVec3) -> f64) -> f64 {
+    let (centre, doubled) = centre_and_normal(mesh, triangle);
+    doubled.length() / (3f64.sqrt() * size(centre).powi(2))
+}
+
+/// Centroid, and the normal as long as twice the area.
+fn centre_and_normal(mesh: &TriangleMesh, triangle: usize) -> (DVec3, DVec3) {
+    let [a, b, c] = mesh.triangles[triangle].map(|v| mesh.vertices[v as usize]);
+    ((a + b + c) / 3.0, (b - a).cross(c - a))
+}
+
+/// Random points on the triangles named by `members`, `oversampling` times as many as h asks for.
+fn sample(
+    mesh: &TriangleMesh,
+    members: &[u32],
+    component: &[u32],
+    size: impl Fn(DVec3) -> f64 + Sync,
+    oversampling: f64,
+    seed: u64,
+) -> Candidates {
+    const CHUNK: usize = 4096;
+    let parts: Vec<Candidates> = members
+        .par_chunks(CHUNK)
+        .map(|chunk| {
+            let mut part = Candidates::default();
+            for &t in chunk {
+                let t = t as usize;
+                let wanted = oversampling * lattice_count(mesh, t, &size);
+                // rounded up or down at random, so that the mean is kept
+                let count = (wanted + random::uniform(seed, 0, t as u64)).floor() as u64;
+                let [a, b, c] = mesh.triangles[t].map(|v| mesh.vertices[v as usize]);
+                let normal = (b - a).cross(c - a).normalize_or_zero();
+                for n in 0..count {
+                    let stream = 1 + 2 * n;
+                    let (u, v) = (random::uniform(seed, stream, t as u64), random::uniform(seed, stream + 1, t as u64));
+                    let (u, v) = if u + v > 1.0 { (1.0 - u, 1.0 - v) } else { (u, v) };
+                    let p = a + (b - a) * u + (c - a) * v;
+                    part.points.push(p);
+                    part.normals.push(normal);
+                    part.sizes.push(size(p));
+                    part.component.push(component[mesh.triangles[t][0] as usize]);
+                }
+            }
+            part
+        })
+        .collect();
+    let mut all = Candidates::default();
+    for part in parts {
+        all.points.extend(part.points);
+        all.normals.extend(part.normals);
+        all.sizes.extend(part.sizes);
+        all.component.extend(part.component);
+    }
+    all
+}
+
+/// Candidates that stay when, in random order, each one kept removes all nearer than the disk radius on its own sheet.
+fn eliminate(candidates: &Candidates, seed: u64) -> Vec<u32> {
+    let bins = LevelBins::new(&candidates.points, &candidates.sizes, DISK_RADIUS);
+    let mut order: Vec<(u64, u32)> =
+        (0..candidates.points.len()).map(|i| (random::bits(seed ^ 0x5eed, 0, i as u64), i as u32)).collect();
+    order.par_sort_unstable();
+    let mut gone = vec![false; candidates.points.len()];
+    let mut kept = Vec::new();
+    for (_, i) in order {
+        let at = i as usize;
+        if gone[at] {
+            continue;
+        }
+        kept.push(i);
+        let (p, h, n) = (candidates.points[at], candidates.sizes[at], candidates.normals[at]);
+        bins.visit(p, h, |j| {
+            let j = j as usize;
+            let radius = DISK_RADIUS * h.min(candidates.sizes[j]);
+            if p.distance_squared(candidates.points[j]) < radius * radius && candidates.normals[j].dot(n) > 0.0 {
+                gone[j] = true;
+            }
+        });
+    }
+    kept
+}
+
+/// Seeds for the components marked in `bare`, about twice [`COMPONENT_MINIMUM`] on each.
+fn sample_bare_components(mesh: &TriangleMesh, component: &[u32], bare: &[bool], seed: u64) -> Vec<(DVec3, DVec3)> {
+    let mut members: Vec<Vec<u32>> = vec![Vec::new(); bare.len()];
+    for (t, triangle) in mesh.triangles.iter().enumerate() {
+        let c = component[triangle[0] as usize] as usize;
+        if bare[c] {
+            members[c].push(t as u32);
+        }
+    }
+    let mut found = Vec::new();
+    for (c, members) in members.iter().enumerate().filter(|(_, m)| !m.is_empty()) {
+        let area: f64 = members.iter().map(|&t| 0.5 * centre_and_normal(mesh, t as usize).1.length()).sum();
+        let h = (2.0 * area / (3f64.sqrt() * 2.0 * COMPONENT_MINIMUM as f64)).sqrt();
+        let candidates = sample(mesh, members, component, |_| h, 4.0 * OVERSAMPLING, seed.wrapping_add(c as u64 + 1));
+        for i in eliminate(&candidates, seed) {
+            found.push((candidates.points[i as usize], candidates.normals[i as usize]));
+        }
+    }
+    found
+}
