@@ -1,0 +1,135 @@
+//! Honest progress on stderr: a percentage where the total is known, else what has been done and how long it took.
+
+use indicatif::{MultiProgress, ProgressBar, ProgressStyle};
+use std::io::Write;
+use std::sync::Mutex;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::{Duration, Instant};
+
+/// Time between two lines of progress.
+const LINE_INTERVAL: Duration = Duration::from_secs(5);
+
+/// Progress of one piece of work; may be shared by threads. It ends when it is dropped.
+pub struct Progress {
+    label: String,
+    total: Option<u64>,
+    done: AtomicU64,
+    started: Instant,
+    shown: Shown,
+}
+
+enum Shown {
+    Bar(ProgressBar),
+    Lines(Mutex<Lines>),
+    Nothing,
+}
+
+struct Lines {
+    last: Instant,
+    message: String,
+}
+
+impl Progress {
+    pub(super) fn bar(bars: &MultiProgress, label: &str, total: Option<u64>) -> Self {
+        let (bar, template) = match total {
+            Some(total) => (ProgressBar::new(total), "{prefix} [{bar:30}] {percent:>3}% {elapsed} {msg}"),
+            None => (ProgressBar::new_spinner(), "{prefix} {spinner} {elapsed} {msg}"),
+        };
+        let bar = bars.add(bar);
+        if let Ok(style) = ProgressStyle::with_template(template) {
+            bar.set_style(style.progress_chars("=> "));
+        }
+        bar.set_prefix(label.to_owned());
+        bar.enable_steady_tick(Duration::from_millis(250));
+        Self::new(label, total, Shown::Bar(bar))
+    }
+
+    pub(super) fn lines(label: &str, total: Option<u64>) -> Self {
+        let lines = Lines { last: Instant::now(), message: String::new() };
+        Self::new(label, total, Shown::Lines(Mutex::new(lines)))
+    }
+
+    pub(super) fn nothing(label: &str, total: Option<u64>) -> Self {
+        Self::new(label, total, Shown::Nothing)
+    }
+
+    fn new(label: &str, total: Option<u64>, shown: Shown) -> Self {
+        Self { label: label.to_owned(), total, done: AtomicU64::new(0), started: Instant::now(), shown }
+    }
+
+    /// Adds `amount` to what has been done. Cheap, but call it once a slice or a chunk, not once a voxel.
+    pub fn add(&self, amount: u64) {
+        let done = self.done.fetch_add(amount, Ordering::Relaxed).saturating_add(amount);
+        self.show(done);
+    }
+
+    /// Sets what has been done.
+    pub fn set(&self, done: u64) {
+        self.done.store(done, Ordering::Relaxed);
+        self.show(done);
+    }
+
+    /// Sets the text beside the figure, such as "iteration 12, energy 0.712, 11209 particles".
+    pub fn message(&self, text: impl Into<String>) {
+        match &self.shown {
+            Shown::Bar(bar) => bar.set_message(text.into()),
+            Shown::Lines(lines) => {
+                if let Ok(mut lines) = lines.lock() {
+                    lines.message = text.into();
+                }
+                self.show(self.done.load(Ordering::Relaxed));
+            }
+            Shown::Nothing => {}
+        }
+    }
+
+    fn show(&self, done: u64) {
+        match &self.shown {
+            Shown::Bar(bar) => bar.set_position(done),
+            Shown::Lines(lines) => {
+                let Ok(mut lines) = lines.try_lock() else { return };
+                if lines.last.elapsed() < LINE_INTERVAL {
+                    return;
+                }
+                lines.last = Instant::now();
+                let text = line(&self.label, self.total, done, self.started.elapsed(), &lines.message);
+                let _ = writeln!(std::io::stderr(), "{text}");
+            }
+            Shown::Nothing => {}
+        }
+    }
+}
+
+impl Drop for Progress {
+    fn drop(&mut self) {
+        if let Shown::Bar(bar) = &self.shown {
+            bar.finish_and_clear();
+        }
+    }
+}
+
+/// One line of plain progress.
+fn line(label: &str, total: Option<u64>, done: u64, elapsed: Duration, message: &str) -> String {
+    let mut text = match total {
+        Some(total) if total > 0 => format!("{label}: {:.0} %", 100.0 * done.min(total) as f64 / total as f64),
+        _ => format!("{label}:"),
+    };
+    if !message.is_empty() {
+        text = format!("{text} {message},");
+    }
+    format!("{text} {:.0} s", elapsed.as_secs_f64())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::line;
+    use std::time::Duration;
+
+    #[test]
+    fn a_line_has_a_percentage_only_where_the_total_is_known() {
+        let elapsed = Duration::from_secs(12);
+        assert_eq!(line("sweep", Some(8), 2, elapsed, ""), "sweep: 25 % 12 s");
+        assert_eq!(line("settle", None, 7, elapsed, "iteration 7"), "settle: iteration 7, 12 s");
+        assert_eq!(line("sweep", Some(0), 2, elapsed, ""), "sweep: 12 s");
+    }
+}

@@ -1,0 +1,13 @@
+//! Files: each format in one module, all of them checked before memory is taken.
+//!
+//! Volumes come in through [`volume::read_volume`]; fields, particles and surfaces go between the stages through
+//! [`field`], [`particles`] and [`surface`]; [`output`] writes every file whole or not at all.
+
+pub mod field;
+mod limit;
+pub mod nrrd;
+pub mod output;
+pub mod particles;
+pub mod volume;
+mod vti;
+mod vtk_xml;

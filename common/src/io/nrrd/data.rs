@@ -1,0 +1,232 @@
+//! The voxels of an NRRD file: attached or in one or more data files, in one of five encodings.
+
+use super::header::{Coding, DataFiles, Header};
+use crate::error::{Error, Result};
+use crate::io::limit::bad;
+use crate::io::volume::{Endian, ScalarType, Voxels};
+use std::fs::File;
+use std::io::{self, BufRead, BufReader, ErrorKind, Read, Seek, SeekFrom};
+use std::path::Path;
+
+/// Reads `count` voxels; `attached` stands right after the header.
+pub(super) fn read_voxels(path: &Path, header: &Header, count: usize, attached: BufReader<File>) -> Result<Voxels> {
+    if header.endian.is_none() && header.scalar.bytes() > 1 && header.coding != Coding::Text {
+        return Err(bad(
+            path,
+            format!("does not say the byte order of its {} voxels", header.scalar.name()),
+            "read in the wrong order they would be noise",
+            "add the line 'endian: little' (or big) to the header",
+        ));
+    }
+    if header.byte_skip < 0 && header.coding != Coding::Raw {
+        return Err(bad(
+            path,
+            format!("has 'byte skip: {}' with an encoding other than raw", header.byte_skip),
+            "skipping from the end needs a known size",
+            "correct the header",
+        ));
+    }
+    match &header.files {
+        DataFiles::Attached => read_part(path, header, count, attached),
+        DataFiles::Named(names) => {
+            let folder = path.parent().unwrap_or(Path::new(""));
+            if names.is_empty() || !count.is_multiple_of(names.len()) {
+                return Err(bad(
+                    path,
+                    format!("names {} data files for {count} voxels", names.len()),
+                    "every file holds the same number of voxels",
+                    "correct 'data file' in the header",
+                ));
+            }
+            let mut whole: Option<Voxels> = None;
+            for name in names {
+                let part_path = folder.join(name);
+                let file = File::open(&part_path).map_err(|error| {
+                    Error::file(&part_path, "read", &error, format!("{} names it: put it in its place", path.display()))
+                })?;
+                let part = read_part(&part_path, header, count / names.len(), BufReader::new(file))?;
+                match &mut whole {
+                    None => whole = Some(part),
+                    Some(whole) => whole.append(part),
+                }
+            }
+            whole.ok_or_else(|| bad(path, "names no data file", "there are no voxels", "correct the header"))
+        }
+    }
+}
+
+/// Reads the voxels of one file from where the reader stands, and checks that nothing follows them.
+fn read_part(path: &Path, header: &Header, count: usize, mut reader: BufReader<File>) -> Result<Voxels> {
+    let read = |reader: &mut BufReader<File>| -> io::Result<Voxels> {
+        skip_lines(reader, header.line_skip)?;
+        let endian = header.endian.unwrap_or(Endian::Little);
+        let expected = count as u64 * header.scalar.bytes() as u64;
+        match header.coding {
+            Coding::Raw => {
+                place_raw(reader, header.byte_skip, expected)?;
+                Voxels::read_from(reader, header.scalar, endian, count)
+            }
+            Coding::Gzip => {
+                let mut decoder = flate2::bufread::MultiGzDecoder::new(reader);
+                read_stream(&mut decoder, header, endian, count)
+            }
+            Coding::Bzip2 => {
+                let mut decoder = bzip2::bufread::MultiBzDecoder::new(reader);
+                read_stream(&mut decoder, header, endian, count)
+            }
+            Coding::Hex => read_stream(&mut HexReader { inner: reader }, header, endian, count),
+            Coding::Text => {
+                skip_bytes(reader, header.byte_skip.unsigned_abs())?;
+                read_text(reader, header.scalar, count)
+            }
+        }
+    };
+    read(&mut reader).map_err(|error| data_error(path, header, count, &error))
+}
+
+/// What is wrong with the data, in words.
+fn data_error(path: &Path, header: &Header, count: usize, error: &io::Error) -> Error {
+    let promised = format!("the header promises {count} voxels of type {} in this file", header.scalar.name());
+    match error.kind() {
+        ErrorKind::UnexpectedEof => bad(
+            path,
+            format!("the data is cut short ({error})"),
+            promised,
+            "copy or download the file again, or correct the sizes in the header",
+        ),
+        ErrorKind::InvalidData | ErrorKind::InvalidInput => {
+            bad(path, format!("the data is not as the header says: {error}"), promised, "write the file again")
+        }
+        _ => Error::file(path, "read the voxels", error, "copy or download the file again"),
+    }
+}
+
+fn skip_lines(reader: &mut impl BufRead, lines: u64) -> io::Result<()> {
+    for _ in 0..lines {
+        if reader.skip_until(b'\n')? == 0 {
+            return Err(io::Error::new(ErrorKind::UnexpectedEof, "it ends within the lines to skip"));
+        }
+    }
+    Ok(())
+}
+
+fn skip_bytes(reader: &mut impl Read, bytes: u64) -> io::Result<()> {
+    if io::copy(&mut Read::take(reader, bytes), &mut io::sink())? == bytes {
+        return Ok(());
+    }
+    Err(io::Error::new(ErrorKind::UnexpectedEof, "it ends within the bytes to skip"))
+}
+
+/// Moves to the first voxel of raw data. The rest of the file must be the voxels and nothing more, except that a negative
+/// skip counts from the end: -1 for voxels that end with the file, -n for n - 1 bytes behind them.
+fn place_raw(reader: &mut BufReader<File>, skip: i64, expected: u64) -> io::Result<()> {
+    let here = reader.stream_position()?;
+    let length = reader.get_ref().metadata()?.len();
+    let short =
+        |found: u64| io::Error::new(ErrorKind::UnexpectedEof, format!("{found} bytes where {expected} are needed"));
+    if skip < 0 {
+        let behind = skip.unsigned_abs() - 1;
+        let from_here = length.saturating_sub(here).saturating_sub(behind);
+        let start = length.checked_sub(behind).and_then(|end| end.checked_sub(expected)).filter(|&start| start >= here);
+        let start = start.ok_or_else(|| short(from_here))?;
+        reader.seek(SeekFrom::Start(start))?;
+        return Ok(());
+    }
+    let found = length.saturating_sub(here).saturating_sub(skip.unsigned_abs());
+    if found < expected {
+        return Err(short(found));
+    }
+    if found > expected {
+        return Err(trailing(&format!("{} bytes", found - expected)));
+    }
+    reader.seek(SeekFrom::Start(here + skip.unsigned_abs()))?;
+    Ok(())
+}
+
+/// Reads a stream to its end: skipped bytes, voxels, nothing else.
+fn read_stream(reader: &mut dyn Read, header: &Header, endian: Endian, count: usize) -> io::Result<Voxels> {
+    let mut reader = reader;
+    skip_bytes(&mut reader, header.byte_skip.unsigned_abs())?;
+    let voxels = Voxels::read_from(reader, header.scalar, endian, count)?;
+    if reader.read(&mut [0])? > 0 { Err(trailing("more data")) } else { Ok(voxels) }
+}
+
+fn trailing(what: &str) -> io::Error {
+    io::Error::new(ErrorKind::InvalidData, format!("{what} behind the last voxel"))
+}
+
+/// Turns pairs of hexadecimal digits into bytes.
+struct HexReader<R> {
+    inner: R,
+}
+
+impl<R: BufRead> HexReader<R> {
+    /// The next digit, white space left out; `None` at the end.
+    fn digit(&mut self) -> io::Result<Option<u8>> {
+        loop {
+            let Some(&byte) = self.inner.fill_buf()?.first() else { return Ok(None) };
+            self.inner.consume(1);
+            if byte.is_ascii_whitespace() {
+                continue;
+            }
+            let value = char::from(byte).to_digit(16);
+            let value = value.ok_or_else(|| io::Error::new(ErrorKind::InvalidData, "not a hexadecimal digit"))?;
+            return Ok(Some(value as u8));
+        }
+    }
+}
+
+impl<R: BufRead> Read for HexReader<R> {
+    fn read(&mut self, bytes: &mut [u8]) -> io::Result<usize> {
+        for (position, byte) in bytes.iter_mut().enumerate() {
+            let Some(high) = self.digit()? else { return Ok(position) };
+            let low = self.digit()?;
+            let low = low.ok_or_else(|| io::Error::new(ErrorKind::UnexpectedEof, "it ends within a byte"))?;
+            *byte = 16 * high + low;
+        }
+        Ok(bytes.len())
+    }
+}
+
+/// Reads numbers in text, parted by white space or commas.
+fn read_text(reader: &mut impl BufRead, scalar: ScalarType, count: usize) -> io::Result<Voxels> {
+    let mut voxels = Voxels::empty(scalar);
+    let mut line = Vec::new();
+    loop {
+        line.clear();
+        // A line without end is read in pieces; a number is never cut, because a piece goes on to the next separator.
+        Read::take(&mut *reader, 1 << 16).read_until(b'\n', &mut line)?;
+        if line.len() == 1 << 16 {
+            while let Some(&byte) = reader.fill_buf()?.first() {
+                if is_separator(byte) || line.len() > 1 << 17 {
+                    break;
+                }
+                line.push(byte);
+                reader.consume(1);
+            }
+        }
+        if line.is_empty() {
+            break;
+        }
+        for word in line.split(|&byte| is_separator(byte)).filter(|word| !word.is_empty()) {
+            let text = std::str::from_utf8(word).ok();
+            if voxels.len() == count {
+                return Err(trailing("more numbers"));
+            }
+            if text.is_none_or(|text| !voxels.push_text(text)) {
+                let shown: String = String::from_utf8_lossy(word).chars().take(40).collect();
+                let text = format!("'{shown}' is no {}", scalar.name());
+                return Err(io::Error::new(ErrorKind::InvalidData, text));
+            }
+        }
+    }
+    if voxels.len() < count {
+        let text = format!("{} numbers where {count} are needed", voxels.len());
+        return Err(io::Error::new(ErrorKind::UnexpectedEof, text));
+    }
+    Ok(voxels)
+}
+
+fn is_separator(byte: u8) -> bool {
+    byte.is_ascii_whitespace() || byte == b','
+}

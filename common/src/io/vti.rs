@@ -1,0 +1,123 @@
+//! VTK image files (`.vti`): a regular grid with its place in the world.
+
+use super::limit::{bad, geometry_from_steps, voxel_count};
+use super::volume::{Volume, Voxels};
+use super::vtk_xml::{Document, Element, VtkFile};
+use crate::error::Result;
+use crate::geometry::{Geometry, Space};
+use glam::DVec3;
+use std::path::Path;
+
+/// Opens the elements of an image at a geometry.
+pub(super) fn open_image(document: &mut Document<'_>, geometry: &Geometry) {
+    let [nx, ny, nz] = geometry.size.map(|n| n.saturating_sub(1));
+    let extent = format!("0 {nx} 0 {ny} 0 {nz}");
+    let three = |v: DVec3| format!("{} {} {}", v.x, v.y, v.z);
+    let rows = geometry.directions.transpose();
+    let direction = [rows.x_axis, rows.y_axis, rows.z_axis].map(three).join(" ");
+    let attributes = [
+        ("WholeExtent", extent),
+        ("Origin", three(geometry.origin)),
+        ("Spacing", three(geometry.spacing)),
+        ("Direction", direction),
+    ];
+    document.open("ImageData", &attributes);
+}
+
+/// The extent of the one piece of an image, as an attribute of it.
+pub(super) fn piece_extent(geometry: &Geometry) -> String {
+    let [nx, ny, nz] = geometry.size.map(|n| n.saturating_sub(1));
+    format!("0 {nx} 0 {ny} 0 {nz}")
+}
+
+/// Geometry of an image. The exact one in its field data holds as long as it agrees with what VTK knows of it.
+pub(super) fn geometry(path: &Path, file: &VtkFile) -> Result<Geometry> {
+    let image = file.data_set("ImageData")?;
+    let numbers = |name: &str, default: &[f64]| -> Result<Vec<f64>> {
+        let Some(text) = image.attribute(name) else { return Ok(default.to_vec()) };
+        let numbers: Option<Vec<f64>> = text.split_whitespace().map(|word| word.parse().ok()).collect();
+        numbers.filter(|numbers| numbers.len() == default.len()).ok_or_else(|| {
+            bad(path, format!("has {name}=\"{text}\""), "the image has no place", "write the file again")
+        })
+    };
+    let extent = numbers("WholeExtent", &[0.0, -1.0, 0.0, -1.0, 0.0, -1.0])?;
+    let piece = file.piece("ImageData")?;
+    if let Some(text) = piece.attribute("Extent") {
+        let words: Vec<Option<f64>> = text.split_whitespace().map(|word| word.parse().ok()).collect();
+        if words != extent.iter().map(|&number| Some(number)).collect::<Vec<_>>() {
+            return Err(bad(
+                path,
+                "holds only a part of its image",
+                "the rest of the voxels is in other files",
+                "save the whole image in one file",
+            ));
+        }
+    }
+    let size = [0, 1, 2].map(|axis| {
+        let samples = extent[2 * axis + 1] - extent[2 * axis] + 1.0;
+        // Saturates at the ends; NaN gives zero.
+        samples as usize
+    });
+    voxel_count(path, size)?;
+    if size.contains(&1) {
+        return Err(bad(
+            path,
+            format!("is a flat image of {} x {} x {} voxels", size[0], size[1], size[2]),
+            "a surface is extracted from a volume with at least two voxels along each axis",
+            "give a 3-D volume",
+        ));
+    }
+    let origin = DVec3::from_slice(&numbers("Origin", &[0.0; 3])?);
+    let spacing = DVec3::from_slice(&numbers("Spacing", &[1.0; 3])?);
+    let direction = numbers("Direction", &[1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0])?;
+    let steps =
+        [0, 1, 2].map(|axis| DVec3::new(direction[axis], direction[3 + axis], direction[6 + axis]) * spacing[axis]);
+    let first = DVec3::new(extent[0], extent[2], extent[4]);
+    let origin = origin + steps[0] * first.x + steps[1] * first.y + steps[2] * first.z;
+    let plain = geometry_from_steps(path, size, steps, origin, Space::Unnamed)?;
+    let exact = file.text(image, "geometry")?.and_then(|text| serde_json::from_str::<Geometry>(&text).ok());
+    Ok(match exact {
+        Some(exact) if same_grid(&exact, &plain) => exact,
+        Some(other) => Geometry { space: other.space, ..plain },
+        None => plain,
+    })
+}
+
+/// Whether two geometries put the same voxels in the same places, but for rounding.
+pub(super) fn same_grid(a: &Geometry, b: &Geometry) -> bool {
+    let tolerance = 1e-4 * a.min_spacing();
+    let corner = |g: &Geometry| g.grid_to_world(g.upper_corner());
+    let axis_end = |g: &Geometry, axis: usize| {
+        let mut end = DVec3::ZERO;
+        end[axis] = g.upper_corner()[axis];
+        g.grid_to_world(end)
+    };
+    a.size == b.size
+        && a.origin.abs_diff_eq(b.origin, tolerance)
+        && corner(a).abs_diff_eq(corner(b), tolerance)
+        && (0..3).all(|axis| axis_end(a, axis).abs_diff_eq(axis_end(b, axis), tolerance))
+}
+
+/// Reads an image with one number a voxel as a volume: its active scalars, or its only array.
+pub(super) fn read_vti(path: &Path) -> Result<Volume> {
+    let file = VtkFile::open(path)?;
+    let geometry = geometry(path, &file)?;
+    let piece = file.piece("ImageData")?;
+    let arrays = piece.child("PointData");
+    let active = arrays.and_then(|arrays| arrays.array(arrays.attribute("Scalars")?));
+    let single: Vec<&Element> =
+        arrays.iter().flat_map(|arrays| &arrays.children).filter(|array| VtkFile::components(array) == 1).collect();
+    let array = active.or(if let [only] = single.as_slice() { Some(*only) } else { None });
+    let array = array.filter(|array| VtkFile::components(array) == 1).ok_or_else(|| {
+        let names: Vec<&str> =
+            arrays.iter().flat_map(|arrays| &arrays.children).filter_map(|array| array.attribute("Name")).collect();
+        bad(
+            path,
+            format!("has no single scalar array on its points (arrays: {})", names.join(", ")),
+            "a surface is extracted from one number a voxel",
+            "save it with one scalar point array, or make that array the active one",
+        )
+    })?;
+    let voxels: Voxels = file.numbers(array, geometry.voxel_count())?;
+    Ok(Volume { geometry, voxels, remarks: Vec::new() })
+}
