@@ -1,3 +1,16 @@
-//! The `reconstruct` stage.
+//! Particles on the isosurface, joined into a watertight triangle mesh with its topology.
+//!
+//! The steps: [`prepare`] puts the particles on F = 0; [`restricted`] triangulates them (Delaunay) and takes the facets
+//! between tetrahedra whose circumcentres are inside and outside; [`defects`] compares that surface with the
+//! [`isosurface`]; [`refine`] adds points where it differs, until it does not.
 
+pub mod defects;
 pub mod improve;
+pub mod isosurface;
+pub mod prepare;
+pub mod refine;
+pub mod restricted;
+#[cfg(test)]
+mod scenes;
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,202 @@
+//! Where a restricted surface is not yet that of F: edges and vertices that are not manifold, facets that join
+//! different components of the isosurface, or stray from it, and components that are missing or of the wrong genus.
+
+use crate::isosurface::{Isosurface, components, euler_characteristics};
+use crate::restricted::Facet;
+use rayon::prelude::*;
+
+/// Topology of a set of facets against the isosurface.
+#[derive(Clone, Debug, Default)]
+pub struct Defects {
+    /// For each edge that is not in exactly two facets, its facets (numbers in the list given).
+    pub edges: Vec<Vec<u32>>,
+    /// For each vertex with more than one fan of facets, the vertex and its facets.
+    pub vertices: Vec<(u32, Vec<u32>)>,
+    /// Facets whose vertices lie on different components of the isosurface.
+    pub bridges: Vec<u32>,
+    /// Components of the isosurface that have no facet.
+    pub missing: Vec<u32>,
+    /// Components of the isosurface whose facets fall apart.
+    pub in_pieces: Vec<u32>,
+    /// Components of the isosurface whose facets have another Euler characteristic.
+    pub wrong_genus: Vec<u32>,
+    /// Components of the facets.
+    pub component_count: usize,
+}
+
+impl Defects {
+    /// Looks for defects; `component_of` gives the component of the isosurface of each vertex (`u32::MAX` unknown).
+    /// `open_edges_allowed` tells which edges may be in one facet only (open borders).
+    pub fn find(
+        facets: &[Facet],
+        component_of: &[u32],
+        isosurface: &Isosurface,
+        open_edge_allowed: impl Fn(u32, u32) -> bool,
+    ) -> Self {
+        let vertex_count = component_of.len();
+        let mut defects = Self::default();
+        let mut sides: Vec<(u32, u32, u32)> = facets
+            .par_iter()
+            .enumerate()
+            .flat_map_iter(|(f, facet)| {
+                let [a, b, c] = facet.vertices;
+                [(a, b), (b, c), (c, a)].map(|(p, q)| (p.min(q), p.max(q), f as u32))
+            })
+            .collect();
+        sides.par_sort_unstable();
+        // fans: the corners of a vertex, joined across the edges that are in two facets
+        let mut corner_parent: Vec<u32> = (0..3 * facets.len() as u32).collect();
+        let corner = |f: u32, v: u32| {
+            let place = facets[f as usize].vertices.iter().position(|&u| u == v);
+            3 * f + place.unwrap_or_default() as u32
+        };
+        for edge in sides.chunk_by(|x, y| (x.0, x.1) == (y.0, y.1)) {
+            let (a, b, first) = edge[0];
+            match edge {
+                [_, (_, _, second)] => {
+                    for v in [a, b] {
+                        join(&mut corner_parent, corner(first, v), corner(*second, v));
+                    }
+                }
+                [_] if open_edge_allowed(a, b) => {}
+                _ => defects.edges.push(edge.iter().map(|s| s.2).collect()),
+            }
+        }
+        defects.find_pinched_vertices(facets, vertex_count, &mut corner_parent);
+        defects.compare(facets, component_of, isosurface);
+        defects
+    }
+
+    fn find_pinched_vertices(&mut self, facets: &[Facet], vertex_count: usize, parent: &mut [u32]) {
+        let mut fan_of = vec![u32::MAX; vertex_count];
+        let mut pinched = Vec::new();
+        for (f, facet) in facets.iter().enumerate() {
+            for (k, &v) in facet.vertices.iter().enumerate() {
+                let fan = find(parent, (3 * f + k) as u32);
+                let known = &mut fan_of[v as usize];
+                if *known == u32::MAX {
+                    *known = fan;
+                } else if *known != fan {
+                    pinched.push(v);
+                }
+            }
+        }
+        pinched.sort_unstable();
+        pinched.dedup();
+        self.vertices = pinched.iter().map(|&v| (v, Vec::new())).collect();
+        if pinched.is_empty() {
+            return;
+        }
+        for (f, facet) in facets.iter().enumerate() {
+            for v in facet.vertices {
+                if let Ok(at) = pinched.binary_search(&v) {
+                    self.vertices[at].1.push(f as u32);
+                }
+            }
+        }
+    }
+
+    fn compare(&mut self, facets: &[Facet], component_of: &[u32], isosurface: &Isosurface) {
+        let expected = isosurface.class_bound();
+        let triangles: Vec<[u32; 3]> = facets.iter().map(|f| f.vertices).collect();
+        let (own, own_count) = components(component_of.len(), &triangles);
+        self.component_count = own_count;
+        // the class of a facet: its component of the isosurface, or one past the last for bridges and strangers
+        let class = |t: &[u32; 3]| {
+            let [a, b, c] = t.map(|v| component_of[v as usize]);
+            if a == b && b == c && a != u32::MAX { a } else { expected as u32 }
+        };
+        let euler = euler_characteristics(&triangles, class, expected + 1);
+        let mut pieces: Vec<Vec<u32>> = vec![Vec::new(); expected + 1];
+        for (f, t) in triangles.iter().enumerate() {
+            let class = class(t);
+            let known = t.map(|v| component_of[v as usize]);
+            if class == expected as u32 && known.iter().all(|&c| c != u32::MAX) {
+                self.bridges.push(f as u32);
+            }
+            let piece = own[t[0] as usize];
+            let pieces = &mut pieces[class as usize];
+            if !pieces.contains(&piece) && pieces.len() < 2 {
+                pieces.push(piece);
+            }
+        }
+        for c in isosurface.classes() {
+            let pieces = pieces[c as usize].len();
+            if pieces == 0 {
+                self.missing.push(c);
+            } else if pieces > 1 {
+                self.in_pieces.push(c);
+            } else if euler[c as usize] != isosurface.euler(c) {
+                self.wrong_genus.push(c);
+            }
+        }
+    }
+
+    /// Whether the surface is a closed manifold.
+    pub fn is_manifold(&self) -> bool {
+        self.edges.is_empty() && self.vertices.is_empty()
+    }
+
+    /// Whether the surface is a closed manifold with the topology of the isosurface.
+    pub fn is_empty(&self) -> bool {
+        let same_components = self.bridges.is_empty() && self.missing.is_empty() && self.in_pieces.is_empty();
+        self.is_manifold() && same_components && self.wrong_genus.is_empty()
+    }
+}
+
+fn find(parent: &mut [u32], start: u32) -> u32 {
+    let mut v = start;
+    while parent[v as usize] != v {
+        let up = parent[parent[v as usize] as usize];
+        parent[v as usize] = up;
+        v = up;
+    }
+    v
+}
+
+fn join(parent: &mut [u32], a: u32, b: u32) {
+    let (a, b) = (find(parent, a), find(parent, b));
+    parent[a.max(b) as usize] = a.min(b);
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scenes;
+
+    fn facets(triangles: &[[u32; 3]]) -> Vec<Facet> {
+        triangles.iter().map(|&vertices| Facet { vertices, tetrahedron: 0, opposite: 0 }).collect()
+    }
+
+    const TETRAHEDRON: [[u32; 3]; 4] = [[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]];
+
+    #[test]
+    fn a_pinch_at_a_vertex_and_at_an_edge_are_found() {
+        let one = Isosurface::new(&scenes::sphere().image);
+        let find =
+            |triangles: &[[u32; 3]], n: usize| Defects::find(&facets(triangles), &vec![0; n], &one, |_, _| false);
+        assert!(find(&TETRAHEDRON, 4).is_empty());
+        // a second tetrahedron that shares vertex 3
+        let touching = TETRAHEDRON.map(|t| t.map(|v| v + 3));
+        let pinched = find(&[TETRAHEDRON, touching].concat(), 7);
+        assert_eq!(pinched.vertices.len(), 1);
+        assert_eq!((pinched.vertices[0].0, pinched.vertices[0].1.len()), (3, 6));
+        assert!(pinched.edges.is_empty());
+        // a second tetrahedron that shares the edge 2-3
+        let hinged = TETRAHEDRON.map(|t| t.map(|v| v + 2));
+        let hinged = find(&[TETRAHEDRON, hinged].concat(), 6);
+        assert_eq!(hinged.edges.len(), 1);
+        assert_eq!(hinged.edges[0].len(), 4);
+        let open = find(&TETRAHEDRON[1..], 4);
+        assert_eq!(open.edges.len(), 3);
+    }
+
+    #[test]
+    fn bridges_and_missing_components_are_found() {
+        let two = Isosurface::new(&scenes::two_balls().image);
+        let lost = Defects::find(&facets(&TETRAHEDRON), &[0; 4], &two, |_, _| false);
+        assert_eq!(lost.missing, [1]);
+        let merged = Defects::find(&facets(&TETRAHEDRON), &[0, 0, 0, 1], &two, |_, _| false);
+        assert_eq!(merged.bridges.len(), 3);
+    }
+}

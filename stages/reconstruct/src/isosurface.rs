@@ -1,0 +1,393 @@
+//! What the mesh has to have: the components of the isosurface and the Euler characteristic of each, and to which
+//! component a place on the surface belongs.
+//!
+//! Marching cubes on the samples of F says it first. It sees straight lines between samples, where F is a cubic spline:
+//! necks and gaps narrower than a voxel may differ. Where mesh and marching cubes disagree, [`Isosurface`] is therefore
+//! asked to look again at the place on a finer sampling of the spline.
+
+use glam::DVec3;
+use isoparticles_common::geometry::Geometry;
+use isoparticles_common::image::Image;
+use isoparticles_common::marching_cubes::marching_cubes;
+use isoparticles_common::mesh::TriangleMesh;
+use isoparticles_common::spline::CubicSpline;
+use rayon::prelude::*;
+
+/// Samples a voxel edge of a second look.
+const FINE: usize = 4;
+
+/// Voxels around the place of a second look.
+const MARGIN: f64 = 2.0;
+
+/// Samples that a second look may take.
+const MOST_SAMPLES: f64 = 3e7;
+
+/// The isosurface F = 0 by components. Components that turn out to be one share a *class*: the number of its first.
+#[derive(Clone, Debug)]
+pub struct Isosurface {
+    mesh: TriangleMesh,
+    /// Component of each vertex of the mesh.
+    component_of_vertex: Vec<u32>,
+    /// First component of the class of each component.
+    class: Vec<u32>,
+    /// Euler characteristic of each class (2 for a ball, 0 for a torus).
+    euler: Vec<i64>,
+    /// Components that only the finer sampling parts.
+    parted: usize,
+    geometry: Geometry,
+    /// Grid position of the first sample.
+    corner: DVec3,
+    /// (cell, triangle), sorted.
+    cells: Vec<(u64, u32)>,
+}
+
+impl Isosurface {
+    /// Triangulates F = 0 on its samples.
+    pub fn new(image: &Image<f32>) -> Self {
+        Self::of_mesh(marching_cubes(image, 0.0), image.geometry.clone(), DVec3::ZERO)
+    }
+
+    /// Samples the spline between two corners (cut at the volume, grid frame), `fine` times a voxel edge, or as often as
+    /// the number of samples allows; `None` when that is less than once.
+    fn patch(field: &CubicSpline, low: DVec3, high: DVec3, fine: usize) -> Option<Self> {
+        let whole = field.geometry();
+        let low = low.max(DVec3::ZERO);
+        let extent = (high.min(whole.upper_corner()) - low).max(DVec3::ZERO);
+        let voxels = (extent / whole.spacing).ceil() + 1.0;
+        let affordable = (MOST_SAMPLES / (voxels.x * voxels.y * voxels.z)).cbrt().floor();
+        let fine = (fine as f64).min(affordable);
+        if fine < 1.0 {
+            return None;
+        }
+        let spacing = whole.spacing / fine;
+        let size = (extent / spacing).ceil().to_array().map(|n| n as usize + 1);
+        let geometry = Geometry::axis_aligned(size, spacing);
+        let mut data = vec![0.0f32; geometry.voxel_count()];
+        data.par_chunks_mut(size[0]).enumerate().for_each(|(row, values)| {
+            let (j, k) = ((row % size[1]) as f64, (row / size[1]) as f64);
+            for (i, value) in values.iter_mut().enumerate() {
+                *value = field.value(low + geometry.index_to_grid(DVec3::new(i as f64, j, k))) as f32;
+            }
+        });
+        let mut mesh = marching_cubes(&Image { geometry: geometry.clone(), data }, 0.0);
+        mesh.vertices.iter_mut().for_each(|p| *p += low);
+        Some(Self::of_mesh(mesh, geometry, low))
+    }
+
+    fn of_mesh(mesh: TriangleMesh, geometry: Geometry, corner: DVec3) -> Self {
+        let (component_of_vertex, count) = components(mesh.vertices.len(), &mesh.triangles);
+        let component_of = |t: &[u32; 3]| component_of_vertex[t[0] as usize];
+        let euler = euler_characteristics(&mesh.triangles, component_of, count);
+        let class = (0..count as u32).collect();
+        let mut new = Self { mesh, component_of_vertex, class, euler, parted: 0, geometry, corner, cells: Vec::new() };
+        let mut cells: Vec<(u64, u32)> = (0..new.mesh.triangles.len() as u32)
+            .into_par_iter()
+            .map(|t| (new.cell(new.centroid(t), [0; 3]), t))
+            .collect();
+        cells.par_sort_unstable();
+        new.cells = cells;
+        new
+    }
+
+    /// The classes: the numbers that [`Isosurface::component_at`] gives.
+    pub fn classes(&self) -> impl Iterator<Item = u32> + '_ {
+        (0..self.class.len() as u32).filter(|&c| self.class[c as usize] == c)
+    }
+
+    /// One more than the largest class.
+    pub fn class_bound(&self) -> usize {
+        self.class.len()
+    }
+
+    /// Number of components of the isosurface, as far as it is known by now.
+    pub fn component_count(&self) -> usize {
+        self.classes().count() + self.parted
+    }
+
+    /// Number of components by marching cubes on the samples alone.
+    pub fn sampled_component_count(&self) -> usize {
+        self.class.len()
+    }
+
+    /// Euler characteristic of a class.
+    pub fn euler(&self, class: u32) -> i64 {
+        self.euler[class as usize]
+    }
+
+    /// Class of a component or of a former class.
+    pub fn class_of(&self, component: u32) -> u32 {
+        self.class.get(component as usize).copied().unwrap_or(component)
+    }
+
+    fn class_of_triangle(&self, t: u32) -> u32 {
+        let vertex = self.mesh.triangles[t as usize][0];
+        self.class[self.component_of_vertex[vertex as usize] as usize]
+    }
+
+    /// Joins two classes by a neck: the Euler characteristic of the connected sum.
+    fn merge(&mut self, a: u32, b: u32) {
+        let (kept, gone) = (a.min(b), a.max(b));
+        if kept != gone {
+            self.euler[kept as usize] += self.euler[gone as usize] - 2;
+            self.class.iter_mut().filter(|c| **c == gone).for_each(|c| *c = kept);
+        }
+    }
+
+    /// The marching-cubes vertices and the centroids of the triangles of a class: a dense sample of it.
+    pub fn samples(&self, class: u32) -> Vec<DVec3> {
+        let vertices = self.mesh.vertices.iter().zip(&self.component_of_vertex);
+        let triangles = 0..self.mesh.triangles.len() as u32;
+        let centroids = triangles.filter(|&t| self.class_of_triangle(t) == class).map(|t| self.centroid(t));
+        let own = |c: u32| c != u32::MAX && self.class[c as usize] == class;
+        vertices.filter(|(_, c)| own(**c)).map(|(p, _)| *p).chain(centroids).collect()
+    }
+
+    /// The class that a point on F = 0 belongs to: that of the nearest marching-cubes triangle in its cell and the
+    /// cells around it that faces the way of `normal`. `None` when there is none.
+    pub fn component_at(&self, point: DVec3, normal: DVec3) -> Option<u32> {
+        let mut best: Option<(bool, f64, u32)> = None;
+        for z in -1..=1 {
+            for y in -1..=1 {
+                for x in -1..=1 {
+                    let cell = self.cell(point, [x, y, z]);
+                    let start = self.cells.partition_point(|&(c, _)| c < cell);
+                    for &(_, t) in self.cells[start..].iter().take_while(|&&(c, _)| c == cell) {
+                        let [a, b, c] = self.mesh.triangles[t as usize].map(|v| self.mesh.vertices[v as usize]);
+                        let turned = (b - a).cross(c - a).dot(normal) <= 0.0;
+                        let distance = self.centroid(t).distance_squared(point);
+                        if best.is_none_or(|(worse, far, _)| (turned, distance) < (worse, far)) {
+                            best = Some((turned, distance, t));
+                        }
+                    }
+                }
+            }
+        }
+        best.map(|(_, _, t)| self.class_of_triangle(t))
+    }
+
+    /// Looks again whether two points of different classes lie on one component between them; then the classes are
+    /// merged, and the answer is true.
+    pub fn merge_if_joined(&mut self, field: &CubicSpline, points: [DVec3; 2], classes: [u32; 2]) -> bool {
+        let margin = field.geometry().spacing * MARGIN;
+        let (low, high) = (points[0].min(points[1]) - margin, points[0].max(points[1]) + margin);
+        let Some(patch) = Self::patch(field, low, high, FINE) else { return false };
+        let [a, b] = points.map(|p| patch.component_at(p, field.value_gradient(p).1));
+        let joined = a.is_some() && a == b;
+        if joined {
+            self.merge(classes[0], classes[1]);
+        }
+        joined
+    }
+
+    /// Looks again whether a small class is joined to others around it; then they are merged, and the answer is true.
+    pub fn merge_if_part_of_others(&mut self, field: &CubicSpline, class: u32) -> bool {
+        let samples = self.samples(class);
+        let Some((low, high)) = bounds(&samples) else { return false };
+        let margin = field.geometry().spacing * MARGIN;
+        let (low, high) = (low - margin, high + margin);
+        if ((high - low) / field.geometry().spacing).max_element() > 16.0 {
+            return false;
+        }
+        let Some(patch) = Self::patch(field, low, high, FINE) else { return false };
+        let at = |p: DVec3| patch.component_at(p, field.value_gradient(p).1);
+        let own: Vec<u32> = samples.iter().filter_map(|&p| at(p)).collect();
+        let within = |p: &DVec3| p.cmpge(low).all() && p.cmple(high).all();
+        let mut joined: Vec<u32> = (0..self.mesh.triangles.len() as u32)
+            .filter(|&t| self.class_of_triangle(t) != class && within(&self.centroid(t)))
+            .filter(|&t| at(self.centroid(t)).is_some_and(|c| own.contains(&c)))
+            .map(|t| self.class_of_triangle(t))
+            .collect();
+        joined.sort_unstable();
+        joined.dedup();
+        let mut kept = class;
+        for &other in &joined {
+            self.merge(kept, other);
+            kept = self.class_of(kept);
+        }
+        !joined.is_empty()
+    }
+
+    /// Looks again at the Euler characteristic of a class on twice as fine a sampling, and takes that. False when the class
+    /// is too large for it.
+    pub fn recount_euler(&mut self, field: &CubicSpline, class: u32) -> bool {
+        let samples = self.samples(class);
+        let Some((low, high)) = bounds(&samples) else { return false };
+        let margin = field.geometry().spacing * MARGIN;
+        let Some(patch) = Self::patch(field, low - margin, high + margin, 3) else { return false };
+        let mut votes = vec![0usize; patch.class_bound()];
+        for &p in samples.iter().step_by(samples.len() / 200 + 1) {
+            if let Some(c) = patch.component_at(p, field.value_gradient(p).1) {
+                votes[c as usize] += 1;
+            }
+        }
+        let finer = patch.geometry.spacing.max_element() < 0.75 * self.geometry.spacing.max_element();
+        let elected = (0..votes.len()).max_by_key(|&c| votes[c]).filter(|&c| votes[c] > 0 && finer);
+        if let Some(c) = elected {
+            self.euler[class as usize] = patch.euler[c];
+        }
+        elected.is_some()
+    }
+
+    /// Looks again whether a piece of the mesh, given by its vertices, is a component of its own although marching cubes
+    /// joins it to its class; then that is counted, and the answer is true.
+    pub fn part_if_separate(&mut self, field: &CubicSpline, piece: &[DVec3], others: &[DVec3]) -> bool {
+        let Some((low, high)) = bounds(piece) else { return false };
+        let margin = field.geometry().spacing * MARGIN;
+        let Some(patch) = Self::patch(field, low - margin, high + margin, FINE) else { return false };
+        let labels = |points: &[DVec3]| {
+            let mut labels: Vec<u32> =
+                points.iter().filter_map(|&p| patch.component_at(p, field.value_gradient(p).1)).collect();
+            labels.sort_unstable();
+            labels.dedup();
+            labels
+        };
+        let (own, other) = (labels(piece), labels(others));
+        let separate = !own.is_empty() && own.iter().all(|c| !other.contains(c));
+        self.parted += usize::from(separate);
+        separate
+    }
+
+    fn centroid(&self, triangle: u32) -> DVec3 {
+        let [a, b, c] = self.mesh.triangles[triangle as usize].map(|v| self.mesh.vertices[v as usize]);
+        (a + b + c) / 3.0
+    }
+
+    fn cell(&self, point: DVec3, shift: [i32; 3]) -> u64 {
+        let index = self.geometry.grid_to_index(point - self.corner).floor();
+        // two cells of margin on the low side keep the numbers positive
+        let at = |axis: usize| (index[axis].max(-1.0) as i64 + i64::from(shift[axis]) + 2) as u64;
+        (at(2) << 42) | (at(1) << 21) | at(0)
+    }
+}
+
+fn bounds(points: &[DVec3]) -> Option<(DVec3, DVec3)> {
+    let low = points.iter().copied().reduce(DVec3::min)?;
+    let high = points.iter().copied().reduce(DVec3::max)?;
+    Some((low, high))
+}
+
+/// Connected components of a triangle soup: the component of each vertex (in the order of their first triangle;
+/// `u32::MAX` for vertices of no triangle), and their number.
+pub fn components(vertex_count: usize, triangles: &[[u32; 3]]) -> (Vec<u32>, usize) {
+    let mut parent: Vec<u32> = (0..vertex_count as u32).collect();
+    let root = |parent: &mut Vec<u32>, v: u32| {
+        let mut v = v;
+        while parent[v as usize] != v {
+            let up = parent[parent[v as usize] as usize];
+            parent[v as usize] = up;
+            v = up;
+        }
+        v
+    };
+    for t in triangles {
+        for k in 1..3 {
+            let (a, b) = (root(&mut parent, t[0]), root(&mut parent, t[k]));
+            parent[a.max(b) as usize] = a.min(b);
+        }
+    }
+    let mut number = vec![u32::MAX; vertex_count];
+    let mut count = 0;
+    for &v in triangles.iter().flatten() {
+        let r = root(&mut parent, v) as usize;
+        if number[r] == u32::MAX {
+            number[r] = count;
+            count += 1;
+        }
+        let n = number[r];
+        number[v as usize] = n;
+    }
+    (number, count as usize)
+}
+
+/// Euler characteristic V - E + F of each class of triangles.
+pub fn euler_characteristics(
+    triangles: &[[u32; 3]],
+    class_of: impl Fn(&[u32; 3]) -> u32 + Sync,
+    classes: usize,
+) -> Vec<i64> {
+    let mut vertices: Vec<(u32, u32)> = triangles.par_iter().flat_map_iter(|t| t.map(|v| (class_of(t), v))).collect();
+    let mut edges: Vec<(u32, u32, u32)> = triangles
+        .par_iter()
+        .flat_map_iter(|t| {
+            let class = class_of(t);
+            [(t[0], t[1]), (t[1], t[2]), (t[2], t[0])].map(|(a, b)| (class, a.min(b), a.max(b)))
+        })
+        .collect();
+    vertices.par_sort_unstable();
+    vertices.dedup();
+    edges.par_sort_unstable();
+    edges.dedup();
+    let mut euler = vec![0i64; classes];
+    for (class, _) in vertices {
+        euler[class as usize] += 1;
+    }
+    for (class, _, _) in edges {
+        euler[class as usize] -= 1;
+    }
+    for t in triangles {
+        euler[class_of(t) as usize] += 1;
+    }
+    euler
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scenes;
+
+    fn euler(iso: &Isosurface) -> Vec<i64> {
+        iso.classes().map(|c| iso.euler(c)).collect()
+    }
+
+    #[test]
+    fn components_and_euler_characteristics_of_known_shapes() {
+        assert_eq!(euler(&Isosurface::new(&scenes::torus().image)), [0]);
+        assert_eq!(euler(&Isosurface::new(&scenes::shell().image)), [2, 2]);
+        let scene = scenes::two_balls();
+        let balls = Isosurface::new(&scene.image);
+        assert_eq!(euler(&balls), [2, 2]);
+        for component in 0..2 {
+            let samples = balls.samples(component);
+            assert!(samples.len() > 100);
+            for p in samples {
+                assert_eq!(balls.component_at(p, scene.gradient(p)), Some(component), "at {p}");
+            }
+        }
+        assert_eq!(balls.component_at(DVec3::ZERO, DVec3::X), None);
+    }
+
+    #[test]
+    fn facing_sheets_of_a_thin_wall_are_told_apart() {
+        let scene = scenes::shell();
+        let shell = Isosurface::new(&scene.image);
+        for p in shell.samples(0) {
+            let normal = scene.gradient(p);
+            assert_eq!(shell.component_at(p + normal * 0.4, normal), Some(0));
+        }
+    }
+
+    #[test]
+    fn a_second_look_joins_what_only_the_samples_part() {
+        // single nodes off the rim of this gyroid hang on to it by necks thinner than a voxel
+        let scene = scenes::gyroid();
+        let mut gyroid = Isosurface::new(&scene.image);
+        assert_eq!(euler(&gyroid), [2, -14, 2, 2]);
+        for class in [0, 2, 3] {
+            assert!(gyroid.merge_if_part_of_others(&scene.field, gyroid.class_of(class)) || class > 0);
+        }
+        assert_eq!(euler(&gyroid), [-14]);
+        assert_eq!((gyroid.component_count(), gyroid.sampled_component_count()), (1, 4));
+        assert!(gyroid.recount_euler(&scene.field, 0));
+        assert_eq!(euler(&gyroid), [-14]);
+    }
+
+    #[test]
+    fn a_second_look_leaves_apart_what_is_apart() {
+        let scene = scenes::two_balls();
+        let mut balls = Isosurface::new(&scene.image);
+        let (p, q) = (DVec3::new(14.6, 11.6, 11.6), DVec3::new(16.6, 11.6, 11.6));
+        assert!(!balls.merge_if_joined(&scene.field, [p, q], [0, 1]));
+        assert!(!balls.merge_if_part_of_others(&scene.field, 0));
+        assert_eq!(balls.component_count(), 2);
+    }
+}

@@ -1,0 +1,377 @@
+//! The refinement loop: points are added on F = 0 until the restricted surface is a closed manifold with the components
+//! and the genus of the isosurface, and no facet strays from it.
+//!
+//! Where a facet is at fault, the point is where its Voronoi edge crosses F = 0: the centre of the facet's surface ball,
+//! the place of the isosurface nearby that is farthest from all points (Boissonnat and Oudot 2005).
+
+use crate::defects::Defects;
+use crate::isosurface::Isosurface;
+use crate::prepare::{ON_SURFACE, SurfacePoints};
+use crate::restricted::{Facet, Restricted};
+use glam::DVec3;
+use isoparticles_common::error::Result;
+use isoparticles_common::spline::CubicSpline;
+use rayon::prelude::*;
+use serde::Serialize;
+use std::collections::HashMap;
+
+/// A facet may lie this part of h away from F = 0 when no limit is given: three times what a facet of edge h has on a
+/// ball of radius 2 h (h^2 / 6 R).
+const DEFAULT_DEVIATION: f64 = 0.25;
+
+/// Cosine between a facet's normal and grad F at its centroid below which the facet counts as astray.
+const TURNED: f64 = 0.3;
+
+/// A new point keeps this part of h from all others, unless the topology asks for it.
+const NEAREST_FOR_SHAPE: f64 = 0.35;
+
+/// The same where the topology asks.
+const NEAREST_FOR_TOPOLOGY: f64 = 0.02;
+
+/// Rounds spent on a genus that will not come right: below a voxel, marching cubes and the spline may differ.
+const GENUS_ROUNDS: usize = 6;
+
+/// How far the refinement may go.
+#[derive(Clone, Copy, Debug)]
+pub struct RefineOptions {
+    /// Most rounds.
+    pub max_rounds: usize,
+    /// Farthest that the centroid of a facet may lie from F = 0, mm; `None`: a quarter of h, at least a quarter voxel.
+    pub max_deviation: Option<f64>,
+    /// Whether the object is open where the volume ends.
+    pub open_border: bool,
+}
+
+impl Default for RefineOptions {
+    fn default() -> Self {
+        Self { max_rounds: 20, max_deviation: None, open_border: false }
+    }
+}
+
+/// What the refinement did.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct RefineReport {
+    /// Rounds of insertion.
+    pub rounds: usize,
+    /// Points inserted in all.
+    pub inserted: usize,
+    /// ... at edges and vertices that were not manifold.
+    pub inserted_manifold: usize,
+    /// ... at facets that joined different components.
+    pub inserted_bridges: usize,
+    /// ... on components that had no facets.
+    pub inserted_missing: usize,
+    /// ... on components of the wrong genus.
+    pub inserted_genus: usize,
+    /// ... at facets too far from F = 0, or turned away from it.
+    pub inserted_deviation: usize,
+    /// ... near grid nodes on the wrong side (label volumes).
+    pub inserted_nodes: usize,
+    /// Edges and vertices that are still not manifold.
+    pub unresolved_manifold: usize,
+    /// Facets that still join different components.
+    pub unresolved_bridges: usize,
+    /// Components still without facets.
+    pub unresolved_missing: usize,
+    /// Components whose Euler characteristic still differs from that of marching cubes.
+    pub unresolved_genus: usize,
+}
+
+/// Why a point is to be inserted.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+enum Reason {
+    Missing,
+    Manifold,
+    Bridge,
+    Genus,
+    Deviation,
+    Node,
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Candidate {
+    reason: Reason,
+    point: DVec3,
+    /// Distance from the nearest vertices known.
+    radius: f64,
+    size: f64,
+    near: u32,
+}
+
+/// A restricted surface on its way to the topology of the isosurface.
+pub struct Refinement<'a> {
+    /// The triangulation.
+    pub restricted: Restricted<'a>,
+    /// Target edge length at each point, mm.
+    pub sizes: Vec<f64>,
+    /// Component of the isosurface of each point, `u32::MAX` where there is none near.
+    pub component_of: Vec<u32>,
+    /// What was done so far.
+    pub report: RefineReport,
+    isosurface: &'a Isosurface,
+    options: RefineOptions,
+    genus_rounds: usize,
+}
+
+impl<'a> Refinement<'a> {
+    /// Triangulates points on F = 0.
+    ///
+    /// # Errors
+    /// When the points lie in one plane.
+    pub fn new(
+        points: &SurfacePoints,
+        field: &'a CubicSpline,
+        isosurface: &'a Isosurface,
+        options: RefineOptions,
+    ) -> Result<Self> {
+        let restricted = Restricted::new(&points.positions, field)?;
+        let component_of =
+            points.positions.par_iter().map(|&p| component_at(p, field, isosurface)).collect::<Vec<u32>>();
+        Ok(Self {
+            restricted,
+            sizes: points.sizes.clone(),
+            component_of,
+            report: RefineReport::default(),
+            isosurface,
+            options,
+            genus_rounds: 0,
+        })
+    }
+
+    /// The facets of the surface; with an open border, without those that would close it there.
+    pub fn facets(&self) -> Vec<Facet> {
+        let mut facets = self.restricted.facets();
+        if self.options.open_border {
+            let closure: Vec<bool> = facets.par_iter().map(|f| self.restricted.is_border_closure(f)).collect();
+            let mut closure = closure.into_iter();
+            facets.retain(|_| !closure.next().unwrap_or(false));
+        }
+        facets
+    }
+
+    /// Defects of a set of facets.
+    pub fn defects(&self, facets: &[Facet]) -> Defects {
+        let points = self.restricted.points();
+        let geometry = self.restricted.field().geometry();
+        let upper = geometry.upper_corner();
+        let open = self.options.open_border;
+        let near_border = |v: u32| {
+            let p = points[v as usize];
+            p.min(upper - p).min_element() < self.sizes[v as usize] + geometry.mean_spacing()
+        };
+        Defects::find(facets, &self.component_of, self.isosurface, |a, b| open && near_border(a) && near_border(b))
+    }
+
+    /// Adds points until there is no defect left, or `max_rounds` are over. `step` hears the round and the number of
+    /// points and may stop the loop with an error. Returns the facets.
+    ///
+    /// # Errors
+    /// Those of `step`.
+    pub fn run(&mut self, mut step: impl FnMut(usize, usize) -> Result<()>) -> Result<Vec<Facet>> {
+        loop {
+            step(self.report.rounds, self.restricted.points().len())?;
+            let facets = self.facets();
+            let defects = self.defects(&facets);
+            self.report.unresolved_manifold = defects.edges.len() + defects.vertices.len();
+            self.report.unresolved_bridges = defects.bridges.len();
+            self.report.unresolved_missing = defects.missing.len();
+            self.report.unresolved_genus = defects.wrong_genus.len();
+            if self.report.rounds >= self.options.max_rounds {
+                return Ok(facets);
+            }
+            let candidates = self.candidates(&facets, &defects);
+            if self.insert_all(candidates)? == 0 {
+                return Ok(facets);
+            }
+        }
+    }
+
+    /// Inserts the points of F = 0 nearest to grid nodes that lie on the wrong side of the mesh. Returns how many.
+    ///
+    /// # Errors
+    /// None as a rule; those of the triangulation.
+    pub fn insert_near_nodes(&mut self, nodes: &[[usize; 3]], near: impl Fn(DVec3) -> u32 + Sync) -> Result<usize> {
+        let field = self.restricted.field();
+        let geometry = field.geometry();
+        let candidates = nodes
+            .par_iter()
+            .filter_map(|node| {
+                let index = DVec3::from_array(node.map(|n| n as f64));
+                let point = self.on_surface(geometry.index_to_grid(index), 2.0)?;
+                let near = near(point);
+                let vertex = self.restricted.points()[near as usize];
+                let size = self.sizes[near as usize];
+                Some(Candidate { reason: Reason::Node, point, radius: vertex.distance(point), size, near })
+            })
+            .collect();
+        self.insert_all(candidates)
+    }
+
+    fn on_surface(&self, p: DVec3, voxels: f64) -> Option<DVec3> {
+        let voxel = self.restricted.field().geometry().mean_spacing();
+        self.restricted.field().project(p, voxels * voxel, ON_SURFACE * voxel)
+    }
+
+    fn candidates(&mut self, facets: &[Facet], defects: &Defects) -> Vec<Candidate> {
+        let mut candidates = Vec::new();
+        for &component in &defects.missing {
+            candidates.extend(self.sample_component(component));
+        }
+        let spots = defects.edges.iter().chain(defects.vertices.iter().map(|(_, around)| around));
+        for around in spots {
+            let balls = around.iter().filter_map(|&f| self.ball(&facets[f as usize], Reason::Manifold));
+            candidates.extend(balls.max_by(|a, b| a.radius.total_cmp(&b.radius)));
+        }
+        candidates.extend(defects.bridges.iter().filter_map(|&f| self.ball(&facets[f as usize], Reason::Bridge)));
+        candidates.par_extend(facets.par_iter().filter(|f| self.badness(f) > 1.0).filter_map(|f| {
+            let ball = self.ball(f, Reason::Deviation)?;
+            (ball.radius > NEAREST_FOR_SHAPE * ball.size).then_some(ball)
+        }));
+        if candidates.is_empty() && !defects.wrong_genus.is_empty() && self.genus_rounds < GENUS_ROUNDS {
+            self.genus_rounds += 1;
+            candidates = self.genus_candidates(facets, &defects.wrong_genus);
+        }
+        candidates
+    }
+
+    /// How far a facet strays, in units of what is allowed.
+    fn badness(&self, facet: &Facet) -> f64 {
+        let [a, b, c] = facet.vertices.map(|v| self.restricted.points()[v as usize]);
+        let field = self.restricted.field();
+        let (value, gradient) = field.value_gradient((a + b + c) / 3.0);
+        let slope = gradient.length().max(1e-6);
+        let limit = self.options.max_deviation.unwrap_or_else(|| {
+            let size = facet.vertices.map(|v| self.sizes[v as usize]).iter().sum::<f64>() / 3.0;
+            DEFAULT_DEVIATION * size.max(field.geometry().mean_spacing())
+        });
+        let agreement = (b - a).cross(c - a).normalize_or_zero().dot(gradient / slope);
+        let turned = if agreement < TURNED { 1.0 + TURNED - agreement } else { 0.0 };
+        (value.abs() / slope / limit).max(turned)
+    }
+
+    /// The surface ball of a facet: where its Voronoi edge crosses F = 0, else the projected centroid.
+    fn ball(&self, facet: &Facet, reason: Reason) -> Option<Candidate> {
+        let points = self.restricted.points();
+        let [a, b, c] = facet.vertices.map(|v| points[v as usize]);
+        let crossing = self.restricted.dual_crossing(facet).and_then(|p| self.on_surface(p, 0.5));
+        let point = crossing.or_else(|| self.on_surface((a + b + c) / 3.0, 2.0))?;
+        let radius = a.distance(point).min(b.distance(point)).min(c.distance(point));
+        let size = facet.vertices.map(|v| self.sizes[v as usize]).iter().sum::<f64>() / 3.0;
+        Some(Candidate { reason, point, radius, size, near: facet.vertices[0] })
+    }
+
+    /// At least a dozen points on a component of the isosurface, where it is large enough, a voxel apart at most.
+    fn sample_component(&self, component: u32) -> Vec<Candidate> {
+        let voxel = self.restricted.field().geometry().mean_spacing();
+        let samples: Vec<DVec3> =
+            self.isosurface.samples(component).into_iter().filter_map(|p| self.on_surface(p, 1.0)).collect();
+        let mut spacing = voxel;
+        let mut kept = thinned(&samples, spacing);
+        while kept.len() < 12 && spacing > 0.1 * voxel {
+            spacing *= 0.7;
+            kept = thinned(&samples, spacing);
+        }
+        kept.into_iter()
+            .map(|point| Candidate { reason: Reason::Missing, point, radius: spacing, size: spacing * 1.2, near: 0 })
+            .collect()
+    }
+
+    /// Facets of components of the wrong genus: those whose Voronoi edge crosses F = 0 more than once, else the worst
+    /// three in a hundred.
+    fn genus_candidates(&self, facets: &[Facet], components: &[u32]) -> Vec<Candidate> {
+        let mut ranked: Vec<(f64, &Facet)> = facets
+            .par_iter()
+            .filter(|f| f.vertices.iter().any(|&v| components.contains(&self.component_of[v as usize])))
+            .map(|f| (self.badness(f) + if self.crosses_again(f) { 10.0 } else { 0.0 }, f))
+            .collect();
+        ranked.sort_by(|a, b| b.0.total_cmp(&a.0));
+        let several = ranked.partition_point(|(badness, _)| *badness >= 10.0);
+        ranked.truncate(several.max(ranked.len() * 3 / 100).max(4));
+        ranked.iter().filter_map(|(_, f)| self.ball(f, Reason::Genus)).collect()
+    }
+
+    fn crosses_again(&self, facet: &Facet) -> bool {
+        let Some((from, to)) = self.restricted.dual_edge(facet) else { return false };
+        let field = self.restricted.field();
+        let steps = (2.0 * from.distance(to) / field.geometry().min_spacing()).ceil().clamp(1.0, 1000.0) as usize;
+        let mut crossings = 0;
+        let mut inside = true;
+        for k in 1..=steps {
+            let now = field.value(from.lerp(to, k as f64 / steps as f64)) < 0.0;
+            crossings += u32::from(now != inside);
+            inside = now;
+        }
+        crossings > 1
+    }
+
+    /// Inserts candidates, the most needed and the roomiest first, none too near to one inserted in the same round.
+    fn insert_all(&mut self, mut candidates: Vec<Candidate>) -> Result<usize> {
+        candidates.sort_by(|a, b| {
+            a.reason.cmp(&b.reason).then(b.radius.total_cmp(&a.radius)).then_with(|| {
+                let (p, q) = (a.point.to_array(), b.point.to_array());
+                p.partial_cmp(&q).unwrap_or(std::cmp::Ordering::Equal)
+            })
+        });
+        let cell_size = candidates.iter().map(|c| c.radius).fold(0.0, f64::max).max(1e-12);
+        let mut taken: HashMap<[i64; 3], Vec<DVec3>> = HashMap::new();
+        let mut inserted = 0;
+        for candidate in candidates {
+            if candidate.radius < NEAREST_FOR_TOPOLOGY * candidate.size {
+                continue;
+            }
+            let cell = |p: DVec3| (p / cell_size).floor().to_array().map(|x| x as i64);
+            let at = cell(candidate.point);
+            let around = (0..27i64).map(|n| [at[0] + n % 3 - 1, at[1] + n / 3 % 3 - 1, at[2] + n / 9 - 1]);
+            let clearance = if candidate.reason == Reason::Missing { 0.99 } else { 0.8 } * candidate.radius;
+            let blocked =
+                around.filter_map(|key| taken.get(&key)).flatten().any(|p| p.distance(candidate.point) < clearance);
+            if blocked {
+                continue;
+            }
+            if self.restricted.insert(candidate.point, candidate.near)?.is_none() {
+                continue;
+            }
+            taken.entry(at).or_default().push(candidate.point);
+            self.sizes.push(candidate.size);
+            self.component_of.push(component_at(candidate.point, self.restricted.field(), self.isosurface));
+            inserted += 1;
+            let report = &mut self.report;
+            *match candidate.reason {
+                Reason::Missing => &mut report.inserted_missing,
+                Reason::Manifold => &mut report.inserted_manifold,
+                Reason::Bridge => &mut report.inserted_bridges,
+                Reason::Genus => &mut report.inserted_genus,
+                Reason::Deviation => &mut report.inserted_deviation,
+                Reason::Node => &mut report.inserted_nodes,
+            } += 1;
+        }
+        if inserted > 0 {
+            self.restricted.decide_sides();
+            self.report.rounds += 1;
+            self.report.inserted += inserted;
+        }
+        Ok(inserted)
+    }
+}
+
+fn component_at(p: DVec3, field: &CubicSpline, isosurface: &Isosurface) -> u32 {
+    isosurface.component_at(p, field.value_gradient(p).1).unwrap_or(u32::MAX)
+}
+
+/// Points no two of which are nearer than `spacing`, first come first kept.
+fn thinned(points: &[DVec3], spacing: f64) -> Vec<DVec3> {
+    let mut kept: Vec<DVec3> = Vec::new();
+    let mut bins: HashMap<[i64; 3], Vec<DVec3>> = HashMap::new();
+    for &p in points {
+        let at = (p / spacing).floor().to_array().map(|x| x as i64);
+        let near = (0..27i64)
+            .filter_map(|n| bins.get(&[at[0] + n % 3 - 1, at[1] + n / 3 % 3 - 1, at[2] + n / 9 - 1]))
+            .flatten()
+            .any(|q| q.distance(p) < spacing);
+        if !near {
+            bins.entry(at).or_default().push(p);
+            kept.push(p);
+        }
+    }
+    kept
+}

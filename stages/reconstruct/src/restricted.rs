@@ -1,0 +1,183 @@
+//! The Delaunay triangulation of the particles restricted to the isosurface: a tetrahedron is inside when F is negative
+//! at its circumcentre, and the surface is where inside meets outside.
+//!
+//! Being the boundary of a set of tetrahedra the surface is closed whatever the sampling; where the sampling is dense
+//! enough (an epsilon-sample, Amenta and Bern 1999) each of its facets is the one that the paper's Tight Cocone finds
+//! too. The Voronoi edge dual to a facet joins the two circumcentres and crosses F = 0: that crossing is the
+//! point which refines the facet (Boissonnat and Oudot 2005).
+
+use glam::DVec3;
+use isoparticles_common::delaunay::{Delaunay, INFINITE, Insertion};
+use isoparticles_common::error::Result;
+use isoparticles_common::spline::CubicSpline;
+use rayon::prelude::*;
+
+/// Halvings of a Voronoi edge when its crossing with F = 0 is sought.
+const HALVINGS: usize = 60;
+
+/// A triangulation whose tetrahedra know their side of F = 0.
+pub struct Restricted<'a> {
+    delaunay: Delaunay,
+    field: &'a CubicSpline,
+    upper: DVec3,
+    inside: Vec<bool>,
+    /// Tetrahedra made since the sides were last decided.
+    undecided: Vec<u32>,
+}
+
+/// A facet between inside and outside.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Facet {
+    /// Its vertices, counter-clockwise seen from outside.
+    pub vertices: [u32; 3],
+    /// The tetrahedron inside.
+    pub tetrahedron: u32,
+    /// Which facet of it this is: the one opposite to the vertex at this place.
+    pub opposite: u8,
+}
+
+impl<'a> Restricted<'a> {
+    /// Triangulates points in the grid frame of F.
+    ///
+    /// # Errors
+    /// Those of [`Delaunay::new`].
+    pub fn new(points: &[DVec3], field: &'a CubicSpline) -> Result<Self> {
+        let delaunay = Delaunay::new(points)?;
+        let undecided = delaunay.finite_tetrahedra().map(|(t, _)| t).collect();
+        let upper = field.geometry().upper_corner();
+        let mut new = Self { delaunay, field, upper, inside: Vec::new(), undecided };
+        new.decide_sides();
+        Ok(new)
+    }
+
+    /// The triangulation.
+    pub fn delaunay(&self) -> &Delaunay {
+        &self.delaunay
+    }
+
+    /// The implicit function.
+    pub fn field(&self) -> &'a CubicSpline {
+        self.field
+    }
+
+    /// The points, those inserted at the end.
+    pub fn points(&self) -> &[DVec3] {
+        self.delaunay.points()
+    }
+
+    /// Adds a point; [`Restricted::decide_sides`] must follow the last of a round. `None` when it was there already.
+    pub fn insert(&mut self, point: DVec3, near: u32) -> Result<Option<u32>> {
+        match self.delaunay.insert(point, Some(near))? {
+            Insertion::Duplicate(_) => Ok(None),
+            Insertion::New(v) => {
+                self.undecided.extend_from_slice(self.delaunay.created());
+                Ok(Some(v))
+            }
+        }
+    }
+
+    /// Decides the side of every tetrahedron made since the last call.
+    pub fn decide_sides(&mut self) {
+        self.inside.resize(self.delaunay.slot_count(), false);
+        let mut undecided = std::mem::take(&mut self.undecided);
+        undecided.sort_unstable();
+        undecided.dedup();
+        let sides: Vec<bool> = undecided.par_iter().map(|&t| self.is_centre_inside(t)).collect();
+        for (&t, &side) in undecided.iter().zip(&sides) {
+            self.inside[t as usize] = side;
+        }
+    }
+
+    fn is_centre_inside(&self, t: u32) -> bool {
+        if !self.delaunay.is_alive(t) {
+            return false;
+        }
+        self.delaunay.circumcentre(t).is_some_and(|c| self.in_volume(c) && self.field.value(c) < 0.0)
+    }
+
+    fn in_volume(&self, p: DVec3) -> bool {
+        p.cmpge(DVec3::ZERO).all() && p.cmple(self.upper).all()
+    }
+
+    /// Whether a tetrahedron is inside.
+    pub fn is_inside(&self, tetrahedron: u32) -> bool {
+        self.inside[tetrahedron as usize]
+    }
+
+    /// The facets between inside and outside, in the order of the tetrahedra.
+    pub fn facets(&self) -> Vec<Facet> {
+        let slots: Vec<u32> = (0..self.delaunay.slot_count() as u32).collect();
+        slots
+            .par_iter()
+            .flat_map_iter(|&t| {
+                let inside = self.inside[t as usize] && self.delaunay.is_alive(t);
+                let neighbours = self.delaunay.neighbours(t);
+                (0..4usize).filter(move |&i| inside && !self.inside[neighbours[i] as usize]).map(move |i| Facet {
+                    vertices: self.delaunay.facet(t, i),
+                    tetrahedron: t,
+                    opposite: i as u8,
+                })
+            })
+            .collect()
+    }
+
+    /// The two ends of the Voronoi edge dual to a facet, inside first, the outer one cut at the border of the volume.
+    pub fn dual_edge(&self, facet: &Facet) -> Option<(DVec3, DVec3)> {
+        let from = self.delaunay.circumcentre(facet.tetrahedron)?;
+        let across = self.delaunay.neighbours(facet.tetrahedron)[usize::from(facet.opposite)];
+        let to = self.delaunay.circumcentre(across).filter(|_| !self.delaunay.vertices(across).contains(&INFINITE));
+        let to = match to {
+            Some(to) if self.in_volume(to) => to,
+            Some(to) => self.cut_at_border(from, to - from),
+            None => {
+                let [a, b, c] = facet.vertices.map(|v| self.points()[v as usize]);
+                self.cut_at_border(from, (b - a).cross(c - a))
+            }
+        };
+        to.is_finite().then_some((from, to))
+    }
+
+    /// Where a ray leaves the volume.
+    fn cut_at_border(&self, from: DVec3, direction: DVec3) -> DVec3 {
+        let mut reach = f64::INFINITY;
+        for axis in 0..3 {
+            let wall = if direction[axis] > 0.0 { self.upper[axis] } else { 0.0 };
+            if direction[axis] != 0.0 {
+                reach = reach.min((wall - from[axis]) / direction[axis]);
+            }
+        }
+        (from + direction * reach.max(0.0)).clamp(DVec3::ZERO, self.upper)
+    }
+
+    /// Whether the outer end of the facet's Voronoi edge is outside only because the volume ends there, so that the
+    /// facet closes an object which an open border left open.
+    pub fn is_border_closure(&self, facet: &Facet) -> bool {
+        self.dual_edge(facet).is_none_or(|(_, to)| self.field.value(to) < 0.0)
+    }
+
+    /// Where the Voronoi edge dual to a facet crosses F = 0, near the facet; `None` when it cannot be found.
+    pub fn dual_crossing(&self, facet: &Facet) -> Option<DVec3> {
+        let (mut low, mut high) = self.dual_edge(facet)?;
+        let [a, b, c] = facet.vertices.map(|v| self.points()[v as usize]);
+        // the point of the edge in the facet's plane parts it, so that the crossing next to the facet is taken
+        let normal = (b - a).cross(c - a);
+        let along = (high - low).dot(normal);
+        if along > 0.0 {
+            let fraction = ((a - low).dot(normal) / along).clamp(0.0, 1.0);
+            let middle = low.lerp(high, fraction);
+            if self.field.value(middle) < 0.0 { low = middle } else { high = middle }
+        }
+        if self.field.value(low) >= 0.0 || self.field.value(high) < 0.0 {
+            return None;
+        }
+        let tolerance = 1e-9 * self.field.geometry().mean_spacing();
+        for _ in 0..HALVINGS {
+            if low.distance_squared(high) < tolerance * tolerance {
+                break;
+            }
+            let middle = low.midpoint(high);
+            if self.field.value(middle) < 0.0 { low = middle } else { high = middle }
+        }
+        Some(low.midpoint(high))
+    }
+}

@@ -1,0 +1,117 @@
+//! Analytic scenes for the tests: F sampled on small grids, and well-spaced points on F = 0.
+
+use glam::DVec3;
+use isoparticles_common::geometry::Geometry;
+use isoparticles_common::image::Image;
+use isoparticles_common::marching_cubes::marching_cubes;
+use isoparticles_common::random::uniform;
+use isoparticles_common::spline::CubicSpline;
+
+/// A signed distance (or like) function on a grid.
+pub(crate) struct Scene {
+    /// Samples.
+    pub(crate) image: Image<f32>,
+    /// Spline through them.
+    pub(crate) field: CubicSpline,
+}
+
+impl Scene {
+    /// Samples a function over a grid of `size` voxels of the given spacing.
+    pub(crate) fn new(size: [usize; 3], spacing: DVec3, function: impl Fn(DVec3) -> f64) -> Self {
+        let geometry = Geometry::axis_aligned(size, spacing);
+        let mut data = Vec::with_capacity(geometry.voxel_count());
+        for k in 0..size[2] {
+            for j in 0..size[1] {
+                for i in 0..size[0] {
+                    let p = geometry.index_to_grid(DVec3::new(i as f64, j as f64, k as f64));
+                    data.push(function(p) as f32);
+                }
+            }
+        }
+        let image = Image { geometry, data };
+        let field = CubicSpline::new(&image);
+        Self { image, field }
+    }
+
+    /// Gradient of F.
+    pub(crate) fn gradient(&self, p: DVec3) -> DVec3 {
+        self.field.value_gradient(p).1
+    }
+
+    /// Points on F = 0, no two nearer than `spacing` (dart throwing over a dense sample): the sampling radius is about
+    /// `spacing`, worse than that of settled particles.
+    pub(crate) fn points(&self, spacing: f64) -> Vec<DVec3> {
+        let mesh = marching_cubes(&self.image, 0.0);
+        let mut candidates: Vec<DVec3> = Vec::new();
+        for (t, triangle) in mesh.triangles.iter().enumerate() {
+            let [a, b, c] = triangle.map(|v| mesh.vertices[v as usize]);
+            for n in 0..6u64 {
+                let (r, s) = (uniform(1, t as u64, 2 * n).sqrt(), uniform(1, t as u64, 2 * n + 1));
+                let p = a * (1.0 - r) + b * (r * (1.0 - s)) + c * (r * s);
+                candidates.extend(self.field.project(p, 1.0, 1e-9));
+            }
+        }
+        let mut order: Vec<usize> = (0..candidates.len()).collect();
+        order.sort_by(|&i, &j| uniform(2, 0, i as u64).total_cmp(&uniform(2, 0, j as u64)));
+        let mut kept: Vec<DVec3> = Vec::new();
+        let cell = |p: DVec3| (p / spacing).floor().as_ivec3();
+        let mut bins: std::collections::HashMap<[i32; 3], Vec<DVec3>> = std::collections::HashMap::new();
+        for i in order {
+            let p = candidates[i];
+            let at = cell(p);
+            let mut near = false;
+            for x in -1..=1 {
+                for y in -1..=1 {
+                    for z in -1..=1 {
+                        let key = [at.x + x, at.y + y, at.z + z];
+                        near |= bins.get(&key).is_some_and(|b| b.iter().any(|q| q.distance(p) < spacing));
+                    }
+                }
+            }
+            if !near {
+                bins.entry(at.to_array()).or_default().push(p);
+                kept.push(p);
+            }
+        }
+        kept
+    }
+}
+
+pub(crate) const CENTRE: DVec3 = DVec3::splat(15.7);
+
+/// Ball of radius 10.
+pub(crate) fn sphere() -> Scene {
+    Scene::new([32; 3], DVec3::ONE, |p| p.distance(CENTRE) - 10.0)
+}
+
+/// Torus of radii 9 and 4.
+pub(crate) fn torus() -> Scene {
+    Scene::new([32; 3], DVec3::ONE, |p| {
+        let q = p - CENTRE;
+        (q.truncate().length() - 9.0).hypot(q.z) - 4.0
+    })
+}
+
+/// Two balls of radius 5 with a gap of 2.
+pub(crate) fn two_balls() -> Scene {
+    Scene::new([32, 24, 24], DVec3::ONE, |p| {
+        let centre = |x: f64| DVec3::new(x, 11.6, 11.6);
+        (p.distance(centre(9.6)) - 5.0).min(p.distance(centre(21.6)) - 5.0)
+    })
+}
+
+/// Spherical shell between the radii 8 and 10.5.
+pub(crate) fn shell() -> Scene {
+    Scene::new([32; 3], DVec3::ONE, |p| (p.distance(CENTRE) - 9.25).abs() - 1.25)
+}
+
+/// Gyroid inside a ball of radius 13: one component of high genus.
+pub(crate) fn gyroid() -> Scene {
+    Scene::new([36; 3], DVec3::ONE, |p| {
+        let q = (p - DVec3::splat(17.6)) * 0.45;
+        let g = q.x.sin() * q.y.cos() + q.y.sin() * q.z.cos() + q.z.sin() * q.x.cos();
+        let (g, ball) = (g / 0.7, (p - DVec3::splat(17.6)).length() - 13.0);
+        // smooth maximum, so that the rim is no crease
+        (g + ball + (g - ball).hypot(1.0)) / 2.0
+    })
+}
