@@ -22,6 +22,8 @@ pub struct Defects {
     pub wrong_genus: Vec<u32>,
     /// Components of the facets.
     pub component_count: usize,
+    /// Component of each vertex among the facets; `u32::MAX` for vertices of no facet.
+    pub piece_of_vertex: Vec<u32>,
 }
 
 impl Defects {
@@ -116,15 +118,16 @@ impl Defects {
             }
             let piece = own[t[0] as usize];
             let pieces = &mut pieces[class as usize];
-            if !pieces.contains(&piece) && pieces.len() < 2 {
+            if !pieces.contains(&piece) {
                 pieces.push(piece);
             }
         }
+        self.piece_of_vertex = own;
         for c in isosurface.classes() {
             let pieces = pieces[c as usize].len();
             if pieces == 0 {
                 self.missing.push(c);
-            } else if pieces > 1 {
+            } else if pieces > isosurface.pieces(c) {
                 self.in_pieces.push(c);
             } else if euler[c as usize] != isosurface.euler(c) {
                 self.wrong_genus.push(c);

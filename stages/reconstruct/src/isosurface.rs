@@ -32,8 +32,8 @@ pub struct Isosurface {
     class: Vec<u32>,
     /// Euler characteristic of each class (2 for a ball, 0 for a torus).
     euler: Vec<i64>,
-    /// Components that only the finer sampling parts.
-    parted: usize,
+    /// Components beyond the first that a finer sampling finds in each class.
+    parted: Vec<u32>,
     geometry: Geometry,
     /// Grid position of the first sample.
     corner: DVec3,
@@ -79,7 +79,16 @@ impl Isosurface {
         let component_of = |t: &[u32; 3]| component_of_vertex[t[0] as usize];
         let euler = euler_characteristics(&mesh.triangles, component_of, count);
         let class = (0..count as u32).collect();
-        let mut new = Self { mesh, component_of_vertex, class, euler, parted: 0, geometry, corner, cells: Vec::new() };
+        let mut new = Self {
+            mesh,
+            component_of_vertex,
+            class,
+            euler,
+            parted: vec![0; count],
+            geometry,
+            corner,
+            cells: Vec::new(),
+        };
         let mut cells: Vec<(u64, u32)> = (0..new.mesh.triangles.len() as u32)
             .into_par_iter()
             .map(|t| (new.cell(new.centroid(t), [0; 3]), t))
@@ -101,7 +110,7 @@ impl Isosurface {
 
     /// Number of components of the isosurface, as far as it is known by now.
     pub fn component_count(&self) -> usize {
-        self.classes().count() + self.parted
+        self.classes().map(|c| 1 + self.parted[c as usize] as usize).sum()
     }
 
     /// Number of components by marching cubes on the samples alone.
@@ -112,6 +121,11 @@ impl Isosurface {
     /// Euler characteristic of a class.
     pub fn euler(&self, class: u32) -> i64 {
         self.euler[class as usize]
+    }
+
+    /// Components that a class is known to have: one, as a rule.
+    pub fn pieces(&self, class: u32) -> usize {
+        1 + self.parted[class as usize] as usize
     }
 
     /// Class of a component or of a former class.
@@ -129,6 +143,7 @@ impl Isosurface {
         let (kept, gone) = (a.min(b), a.max(b));
         if kept != gone {
             self.euler[kept as usize] += self.euler[gone as usize] - 2;
+            self.parted[kept as usize] += self.parted[gone as usize];
             self.class.iter_mut().filter(|c| **c == gone).for_each(|c| *c = kept);
         }
     }
@@ -230,7 +245,7 @@ impl Isosurface {
 
     /// Looks again whether a piece of the mesh, given by its vertices, is a component of its own although marching cubes
     /// joins it to its class; then that is counted, and the answer is true.
-    pub fn part_if_separate(&mut self, field: &CubicSpline, piece: &[DVec3], others: &[DVec3]) -> bool {
+    pub fn part_if_separate(&mut self, field: &CubicSpline, class: u32, piece: &[DVec3], others: &[DVec3]) -> bool {
         let Some((low, high)) = bounds(piece) else { return false };
         let margin = field.geometry().spacing * MARGIN;
         let Some(patch) = Self::patch(field, low - margin, high + margin, FINE) else { return false };
@@ -243,7 +258,10 @@ impl Isosurface {
         };
         let (own, other) = (labels(piece), labels(others));
         let separate = !own.is_empty() && own.iter().all(|c| !other.contains(c));
-        self.parted += usize::from(separate);
+        if separate {
+            self.parted[class as usize] += 1;
+            self.euler[class as usize] += 2;
+        }
         separate
     }
 

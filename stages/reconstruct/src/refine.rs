@@ -13,7 +13,7 @@ use isoparticles_common::error::Result;
 use isoparticles_common::spline::CubicSpline;
 use rayon::prelude::*;
 use serde::Serialize;
-use std::collections::HashMap;
+use std::collections::{BTreeMap, HashMap, HashSet};
 
 /// A facet may lie this part of h away from F = 0 when no limit is given: three times what a facet of edge h has on a
 /// ball of radius 2 h (h^2 / 6 R).
@@ -30,6 +30,9 @@ const NEAREST_FOR_TOPOLOGY: f64 = 0.02;
 
 /// Rounds spent on a genus that will not come right: below a voxel, marching cubes and the spline may differ.
 const GENUS_ROUNDS: usize = 6;
+
+/// Second looks at the places where the mesh joins two components.
+const LOOKS_AT_A_PAIR: usize = 3;
 
 /// How far the refinement may go.
 #[derive(Clone, Copy, Debug)]
@@ -108,9 +111,21 @@ pub struct Refinement<'a> {
     pub component_of: Vec<u32>,
     /// What was done so far.
     pub report: RefineReport,
-    isosurface: &'a Isosurface,
+    isosurface: Isosurface,
     options: RefineOptions,
     genus_rounds: usize,
+    looks: Looks,
+    /// Times that points were added on each class for want of facets.
+    samplings: HashMap<u32, i32>,
+}
+
+/// Which places of the isosurface were looked at again, so that each is once.
+#[derive(Clone, Debug, Default)]
+struct Looks {
+    pairs: HashMap<(u32, u32), usize>,
+    missing: HashSet<u32>,
+    genus: HashSet<u32>,
+    pieces: HashSet<(u32, usize)>,
 }
 
 impl<'a> Refinement<'a> {
@@ -121,12 +136,12 @@ impl<'a> Refinement<'a> {
     pub fn new(
         points: &SurfacePoints,
         field: &'a CubicSpline,
-        isosurface: &'a Isosurface,
+        isosurface: Isosurface,
         options: RefineOptions,
     ) -> Result<Self> {
         let restricted = Restricted::new(&points.positions, field)?;
         let component_of =
-            points.positions.par_iter().map(|&p| component_at(p, field, isosurface)).collect::<Vec<u32>>();
+            points.positions.par_iter().map(|&p| component_at(p, field, &isosurface)).collect::<Vec<u32>>();
         Ok(Self {
             restricted,
             sizes: points.sizes.clone(),
@@ -135,7 +150,14 @@ impl<'a> Refinement<'a> {
             isosurface,
             options,
             genus_rounds: 0,
+            looks: Looks::default(),
+            samplings: HashMap::new(),
         })
+    }
+
+    /// What is known of the isosurface by now.
+    pub fn isosurface(&self) -> &Isosurface {
+        &self.isosurface
     }
 
     /// The facets of the surface; with an open border, without those that would close it there.
@@ -159,7 +181,7 @@ impl<'a> Refinement<'a> {
             let p = points[v as usize];
             p.min(upper - p).min_element() < self.sizes[v as usize] + geometry.mean_spacing()
         };
-        Defects::find(facets, &self.component_of, self.isosurface, |a, b| open && near_border(a) && near_border(b))
+        Defects::find(facets, &self.component_of, &self.isosurface, |a, b| open && near_border(a) && near_border(b))
     }
 
     /// Adds points until there is no defect left, or `max_rounds` are over. `step` hears the round and the number of
@@ -172,10 +194,13 @@ impl<'a> Refinement<'a> {
             step(self.report.rounds, self.restricted.points().len())?;
             let facets = self.facets();
             let defects = self.defects(&facets);
+            if self.look_again(&facets, &defects) {
+                continue;
+            }
             self.report.unresolved_manifold = defects.edges.len() + defects.vertices.len();
             self.report.unresolved_bridges = defects.bridges.len();
             self.report.unresolved_missing = defects.missing.len();
-            self.report.unresolved_genus = defects.wrong_genus.len();
+            self.report.unresolved_genus = defects.wrong_genus.len() + defects.in_pieces.len();
             if self.report.rounds >= self.options.max_rounds {
                 return Ok(facets);
             }
@@ -214,8 +239,10 @@ impl<'a> Refinement<'a> {
 
     fn candidates(&mut self, facets: &[Facet], defects: &Defects) -> Vec<Candidate> {
         let mut candidates = Vec::new();
-        for &component in &defects.missing {
-            candidates.extend(self.sample_component(component));
+        for &class in &defects.missing {
+            let attempt = self.samplings.entry(class).and_modify(|n| *n += 1).or_insert(0);
+            let attempt = *attempt;
+            candidates.extend(self.sample_class(class, attempt));
         }
         let spots = defects.edges.iter().chain(defects.vertices.iter().map(|(_, around)| around));
         for around in spots {
@@ -227,9 +254,10 @@ impl<'a> Refinement<'a> {
             let ball = self.ball(f, Reason::Deviation)?;
             (ball.radius > NEAREST_FOR_SHAPE * ball.size).then_some(ball)
         }));
-        if candidates.is_empty() && !defects.wrong_genus.is_empty() && self.genus_rounds < GENUS_ROUNDS {
+        let doubtful: Vec<u32> = defects.wrong_genus.iter().chain(&defects.in_pieces).copied().collect();
+        if candidates.is_empty() && !doubtful.is_empty() && self.genus_rounds < GENUS_ROUNDS {
             self.genus_rounds += 1;
-            candidates = self.genus_candidates(facets, &defects.wrong_genus);
+            candidates = self.genus_candidates(facets, &doubtful);
         }
         candidates
     }
@@ -260,17 +288,91 @@ impl<'a> Refinement<'a> {
         Some(Candidate { reason, point, radius, size, near: facet.vertices[0] })
     }
 
-    /// At least a dozen points on a component of the isosurface, where it is large enough, a voxel apart at most.
-    fn sample_component(&self, component: u32) -> Vec<Candidate> {
+    /// Where mesh and marching cubes disagree, asks the spline itself. True when more is known of the isosurface now.
+    fn look_again(&mut self, facets: &[Facet], defects: &Defects) -> bool {
+        let field = self.restricted.field();
+        let mut learnt = false;
+        for &class in &defects.missing {
+            learnt |= self.looks.missing.insert(class) && self.isosurface.merge_if_part_of_others(field, class);
+        }
+        let points = self.restricted.points();
+        let mut pairs: BTreeMap<(u32, u32), (f64, [DVec3; 2])> = BTreeMap::new();
+        for facet in defects.bridges.iter().map(|&f| &facets[f as usize]) {
+            for (k, &v) in facet.vertices.iter().enumerate() {
+                let w = facet.vertices[(k + 1) % 3];
+                let ends = [points[v as usize], points[w as usize]];
+                let classes = [v, w].map(|u| self.isosurface.class_of(self.component_of[u as usize]));
+                let length = ends[0].distance(ends[1]);
+                if classes[0] < classes[1] {
+                    let shortest = pairs.entry((classes[0], classes[1])).or_insert((length, ends));
+                    if length < shortest.0 {
+                        *shortest = (length, ends);
+                    }
+                }
+            }
+        }
+        for (pair, (_, ends)) in pairs {
+            let looked = self.looks.pairs.entry(pair).or_default();
+            if *looked < LOOKS_AT_A_PAIR {
+                *looked += 1;
+                learnt |= self.isosurface.merge_if_joined(field, ends, [pair.0, pair.1]);
+            }
+        }
+        for &class in &defects.in_pieces {
+            learnt |= self.look_at_pieces(class, defects);
+        }
+        for &class in &defects.wrong_genus {
+            learnt |= self.looks.genus.insert(class) && self.isosurface.recount_euler(field, class);
+        }
+        if learnt {
+            for c in self.component_of.iter_mut().filter(|c| **c != u32::MAX) {
+                *c = self.isosurface.class_of(*c);
+            }
+        }
+        learnt
+    }
+
+    /// Whether the smaller pieces of a class that fell apart are components of their own after all.
+    fn look_at_pieces(&mut self, class: u32, defects: &Defects) -> bool {
+        let points = self.restricted.points();
+        let mut pieces: BTreeMap<u32, Vec<DVec3>> = BTreeMap::new();
+        for (v, &piece) in defects.piece_of_vertex.iter().enumerate() {
+            if piece != u32::MAX && self.component_of[v] == class {
+                pieces.entry(piece).or_default().push(points[v]);
+            }
+        }
+        let mut pieces: Vec<Vec<DVec3>> = pieces.into_values().collect();
+        pieces.sort_by_key(|p| std::cmp::Reverse(p.len()));
+        let mut learnt = false;
+        for k in (1..pieces.len()).rev() {
+            let others = pieces[..k].concat();
+            if self.looks.pieces.insert((class, pieces[k].len())) {
+                learnt |= self.isosurface.part_if_separate(self.restricted.field(), class, &pieces[k], &others);
+            }
+        }
+        learnt
+    }
+
+    /// Points on a class that has no facets: as far apart as its particles want to be, if it has any, and nearer each
+    /// time; at least a dozen, where it is large enough.
+    fn sample_class(&self, class: u32, attempt: i32) -> Vec<Candidate> {
         let voxel = self.restricted.field().geometry().mean_spacing();
         let samples: Vec<DVec3> =
-            self.isosurface.samples(component).into_iter().filter_map(|p| self.on_surface(p, 1.0)).collect();
-        let mut spacing = voxel;
-        let mut kept = thinned(&samples, spacing);
+            self.isosurface.samples(class).into_iter().filter_map(|p| self.on_surface(p, 1.0)).collect();
+        let members = (0..self.sizes.len()).filter(|&v| self.component_of[v] == class);
+        let (mut present, mut largest) = (Vec::new(), voxel);
+        for v in members {
+            present.push(self.restricted.points()[v]);
+            largest = self.sizes[v].max(largest);
+        }
+        let mut spacing = largest * 0.7f64.powi(attempt);
+        let fresh = |spacing: f64| thinned(&[&present[..], &samples[..]].concat(), spacing)[..].to_vec();
+        let mut kept = fresh(spacing);
         while kept.len() < 12 && spacing > 0.1 * voxel {
             spacing *= 0.7;
-            kept = thinned(&samples, spacing);
+            kept = fresh(spacing);
         }
+        // those of the present points that were kept are in the triangulation already, and will be found there
         kept.into_iter()
             .map(|point| Candidate { reason: Reason::Missing, point, radius: spacing, size: spacing * 1.2, near: 0 })
             .collect()
@@ -333,7 +435,7 @@ impl<'a> Refinement<'a> {
             }
             taken.entry(at).or_default().push(candidate.point);
             self.sizes.push(candidate.size);
-            self.component_of.push(component_at(candidate.point, self.restricted.field(), self.isosurface));
+            self.component_of.push(component_at(candidate.point, self.restricted.field(), &self.isosurface));
             inserted += 1;
             let report = &mut self.report;
             *match candidate.reason {
