@@ -1,2 +1,223 @@
-//! phantom program
-fn main() {}
+//! `phantom`: writes an analytic volume and the truth about it, for tests, demos and benchmarks.
+
+use clap::Parser;
+use glam::{DMat3, DVec3};
+use isoparticles_common::error::{Error, Result};
+use isoparticles_common::geometry::{Geometry, Space};
+use isoparticles_tests::nrrd::{self, FileSpace, Voxels};
+use isoparticles_tests::scene::{self, Options, Scene, Shape, Truth};
+use isoparticles_tests::{torso, volume};
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+
+/// Write an analytic volume (NRRD) and, on request, the truth about its surface (JSON).
+///
+/// Example: phantom torus -o torus.nrrd --size 64 --spacing 1,1,1.5 --truth torus.json
+#[derive(Debug, Parser)]
+#[command(name = "phantom", version)]
+struct Arguments {
+    /// Shape to write.
+    #[arg(value_enum)]
+    shape: Shape,
+    /// File to write (NRRD, gzip).
+    #[arg(short, long)]
+    output: PathBuf,
+    /// Write the truth (area, volume, genus, components, local feature size, iso value) to this JSON file.
+    #[arg(long, value_name = "FILE.json")]
+    truth: Option<PathBuf>,
+    /// Voxels: one number for a cube or three with commas [default: 64; torso 268,129,177].
+    #[arg(long, value_parser = parse_size)]
+    size: Option<[usize; 3]>,
+    /// Distance of voxel centres, mm: one number or three with commas [default: 1; torso 1.3].
+    #[arg(long, value_parser = parse_spacing)]
+    spacing: Option<[f64; 3]>,
+    /// Scalar volume (smooth edge, Hounsfield-like) or label map.
+    #[arg(long, value_enum, default_value_t = Kind::Scalar)]
+    kind: Kind,
+    /// Voxel type of scalar volumes.
+    #[arg(long = "type", value_enum, default_value_t = Type::Int16)]
+    voxel_type: Type,
+    /// Standard deviation of Gaussian noise, in scalar units (inside and outside are 400 apart).
+    #[arg(long, default_value_t = 0.0, value_name = "SIGMA")]
+    noise: f64,
+    /// Wall of `thin-shell`, mm [default: 2.5 voxels].
+    #[arg(long, value_name = "MM")]
+    thickness: Option<f64>,
+    /// Gap of `two-balls`, mm [default: 3 voxels].
+    #[arg(long, value_name = "MM")]
+    gap: Option<f64>,
+    /// Part of `torso`.
+    #[arg(long, value_enum, default_value_t = torso::Part::All)]
+    part: torso::Part,
+    /// Turn the grid about the world's x, then y, then z axis: three angles in degrees, with commas.
+    #[arg(long, value_parser = parse_three, value_name = "X,Y,Z", allow_hyphen_values = true)]
+    rotate: Option<[f64; 3]>,
+    /// Mirror the first grid axis in the world, so that the three axes are left-handed.
+    #[arg(long)]
+    left_handed: bool,
+    /// World position of the first voxel's centre, mm (LPS for --space RAS too).
+    #[arg(long, value_parser = parse_three, value_name = "X,Y,Z", allow_hyphen_values = true)]
+    origin: Option<[f64; 3]>,
+    /// World frame the file names; the numbers in the file follow it.
+    #[arg(long, value_enum, default_value_t = FileSpace::Lps)]
+    space: FileSpace,
+    /// Seed of the noise.
+    #[arg(long, default_value_t = 0)]
+    seed: u64,
+    /// Write raw instead of gzip.
+    #[arg(long)]
+    raw: bool,
+    /// Replace files that exist.
+    #[arg(long)]
+    force: bool,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+enum Kind {
+    /// Smooth edge round iso 100 (or as the truth file says).
+    Scalar,
+    /// Whole numbers: 0 outside, 1 inside; the torso has four tissues.
+    Label,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+enum Type {
+    /// 16-bit whole numbers, as a scanner gives them.
+    Int16,
+    /// 32-bit floating point.
+    Float,
+}
+
+fn main() -> ExitCode {
+    match run(&Arguments::parse()) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("phantom: {error}");
+            ExitCode::from(2)
+        }
+    }
+}
+
+fn run(arguments: &Arguments) -> Result<()> {
+    refuse_existing(&arguments.output, arguments.force)?;
+    if let Some(path) = &arguments.truth {
+        refuse_existing(path, arguments.force)?;
+    }
+    let geometry = geometry(arguments)?;
+    let default = Options::for_grid(&geometry);
+    let options = Options {
+        thickness: arguments.thickness.unwrap_or(default.thickness),
+        gap: arguments.gap.unwrap_or(default.gap),
+        part: arguments.part,
+    };
+    let scene = scene::build(arguments.shape, &geometry, &options);
+    nrrd::write(
+        &arguments.output,
+        &geometry,
+        arguments.space,
+        &voxels(arguments, scene.as_ref(), &geometry),
+        !arguments.raw,
+    )?;
+    if let Some(path) = &arguments.truth {
+        let text = serde_json::to_string_pretty(&truth(arguments, scene.as_ref(), &geometry)).map_err(|e| {
+            Error::input(
+                format!("the truth cannot be written as JSON: {e}"),
+                "a figure is not finite",
+                "change the size",
+            )
+        })?;
+        std::fs::write(path, text + "\n")
+            .map_err(|e| Error::file(path, "write the truth", &e, "choose a folder that can be written"))?;
+    }
+    Ok(())
+}
+
+fn refuse_existing(path: &Path, force: bool) -> Result<()> {
+    if path.exists() && !force {
+        return Err(Error::input(
+            format!("{}: this file exists already", path.display()),
+            "an existing file is never replaced by accident",
+            "choose another name or add --force",
+        ));
+    }
+    Ok(())
+}
+
+fn voxels(arguments: &Arguments, scene: &dyn Scene, geometry: &Geometry) -> Voxels {
+    if arguments.kind == Kind::Label {
+        return Voxels::U8(volume::labels(scene, geometry).data);
+    }
+    let image = volume::scalar(scene, geometry, arguments.noise, arguments.seed);
+    match arguments.voxel_type {
+        Type::Float => Voxels::F32(image.data),
+        // The values lie far inside the range of 16 bits; `as` saturates a wild noise.
+        Type::Int16 => Voxels::I16(image.data.iter().map(|v| v.round() as i16).collect()),
+    }
+}
+
+/// The scene's truth with what depends on the kind of volume filled in.
+fn truth(arguments: &Arguments, scene: &dyn Scene, geometry: &Geometry) -> Truth {
+    let mut truth = scene.truth();
+    truth.centre_world = geometry.grid_to_world(DVec3::from_array(truth.centre_grid)).to_array();
+    let whole_torso = arguments.shape == Shape::Torso && arguments.part == torso::Part::All;
+    if arguments.kind == Kind::Label {
+        truth.labels = if whole_torso { vec![1, 2, 3] } else { vec![1] };
+    } else if whole_torso {
+        // Bone against everything else.
+        truth.iso = Some(500.0);
+        truth.inside = Some("above".into());
+    } else {
+        let (outside, inside) = scene.intensities();
+        truth.iso = Some(0.5 * (outside + inside));
+        truth.inside = Some(if inside > outside { "above".into() } else { "below".into() });
+    }
+    truth
+}
+
+fn geometry(arguments: &Arguments) -> Result<Geometry> {
+    let is_torso = arguments.shape == Shape::Torso;
+    let size = arguments.size.unwrap_or(if is_torso { torso::PAPER_SIZE } else { [64; 3] });
+    let spacing = arguments.spacing.unwrap_or(if is_torso { [torso::PAPER_SPACING; 3] } else { [1.0; 3] });
+    if size.iter().any(|n| *n < 8) || size.iter().product::<usize>() > 1 << 31 {
+        return Err(Error::input(
+            format!("--size {},{},{}", size[0], size[1], size[2]),
+            "a phantom needs at least 8 voxels a side and at most 2^31 in all",
+            "choose another size",
+        ));
+    }
+    let [x, y, z] = arguments.rotate.unwrap_or([0.0; 3]).map(f64::to_radians);
+    let mut directions = DMat3::from_rotation_z(z) * DMat3::from_rotation_y(y) * DMat3::from_rotation_x(x);
+    if arguments.left_handed {
+        directions.x_axis = -directions.x_axis;
+    }
+    let space = if arguments.space == FileSpace::Unnamed { Space::Unnamed } else { Space::Lps };
+    let origin = DVec3::from_array(arguments.origin.unwrap_or([0.0; 3]));
+    Ok(Geometry { size, spacing: DVec3::from_array(spacing), directions, origin, space })
+}
+
+fn parse_three(text: &str) -> std::result::Result<[f64; 3], String> {
+    let numbers = text.split(',').map(|part| part.trim().parse::<f64>().map_err(|e| format!("{part}: {e}")));
+    let numbers: Vec<f64> = numbers.collect::<std::result::Result<_, _>>()?;
+    if numbers.iter().any(|n| !n.is_finite()) {
+        return Err("the numbers must be finite".into());
+    }
+    <[f64; 3]>::try_from(numbers).map_err(|n| format!("three numbers are needed, {} given", n.len()))
+}
+
+fn parse_spacing(text: &str) -> std::result::Result<[f64; 3], String> {
+    let spacing = if text.contains(',') { parse_three(text)? } else { parse_three(&format!("{text},{text},{text}"))? };
+    if spacing.iter().any(|step| *step <= 0.0) {
+        return Err("spacing must be positive".into());
+    }
+    Ok(spacing)
+}
+
+fn parse_size(text: &str) -> std::result::Result<[usize; 3], String> {
+    let numbers = text.split(',').map(|part| part.trim().parse::<usize>().map_err(|e| format!("{part}: {e}")));
+    let numbers: Vec<usize> = numbers.collect::<std::result::Result<_, _>>()?;
+    match *numbers {
+        [n] => Ok([n; 3]),
+        [x, y, z] => Ok([x, y, z]),
+        _ => Err(format!("one or three numbers are needed, {} given", numbers.len())),
+    }
+}

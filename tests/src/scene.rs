@@ -1,0 +1,146 @@
+//! What a phantom is: an implicit function in the grid frame with the truth about its surface.
+
+use crate::{shapes, torso};
+use glam::DVec3;
+use isoparticles_common::geometry::Geometry;
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+
+/// An implicit function, negative inside; a signed distance wherever [`Truth::exact_distance`] says so.
+pub trait Scene: Sync {
+    /// Value at a grid-frame position (mm).
+    fn value(&self, position: DVec3) -> f64;
+
+    /// Label of a voxel whose centre lies at `position`: 0 outside, 1 inside, unless the scene has several parts.
+    fn label(&self, position: DVec3) -> u8 {
+        u8::from(self.value(position) < 0.0)
+    }
+
+    /// Scalar at a position, for an edge of the given width (mm); 0.5 (between 0 outside and 1 inside) on the surface.
+    fn profile(&self, position: DVec3, edge_width: f64) -> f64 {
+        edge_profile(self.value(position), edge_width)
+    }
+
+    /// Scalar values of "outside" (profile 0) and "inside" (profile 1); Hounsfield-like.
+    fn intensities(&self) -> (f64, f64) {
+        (-100.0, 300.0)
+    }
+
+    /// What is known about the surface.
+    fn truth(&self) -> Truth;
+}
+
+/// The smooth edge a scanner leaves: 1 deep inside, 0.5 on the surface, 0 far outside.
+pub fn edge_profile(signed_distance: f64, edge_width: f64) -> f64 {
+    0.5 * (1.0 - (signed_distance / edge_width).tanh())
+}
+
+/// What is known about a scene's surface; absent where no closed form or quadrature gives it.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Truth {
+    /// Name of the shape.
+    pub shape: String,
+    /// How the figures were obtained, in one sentence.
+    pub method: String,
+    /// Iso value of the scalar volume that gives the surface.
+    pub iso: Option<f64>,
+    /// Side of the iso value on which the object lies: `above` or `below`.
+    pub inside: Option<String>,
+    /// Labels that together are the object (label maps).
+    pub labels: Vec<u8>,
+    /// Whether the implicit function is the exact signed distance.
+    pub exact_distance: bool,
+    /// Surface area, mm^2.
+    pub area: Option<f64>,
+    /// Enclosed volume, mm^3.
+    pub volume: Option<f64>,
+    /// Closed components of the surface.
+    pub components: Option<usize>,
+    /// Sum of the genera of all components.
+    pub genus: Option<usize>,
+    /// Smallest local feature size on the surface, mm.
+    pub local_feature_size_min: Option<f64>,
+    /// Largest local feature size on the surface, mm.
+    pub local_feature_size_max: Option<f64>,
+    /// Centre of the object in the grid frame, mm.
+    pub centre_grid: [f64; 3],
+    /// Centre of the object in the world (LPS when the file names a space), mm.
+    pub centre_world: [f64; 3],
+    /// Named dimensions of the shape, mm.
+    pub dimensions: BTreeMap<String, f64>,
+}
+
+/// The shapes the `phantom` program knows.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+pub enum Shape {
+    /// A ball.
+    Ball,
+    /// An ellipsoid with three different axes.
+    Ellipsoid,
+    /// A torus; its local feature size is the tube radius everywhere.
+    Torus,
+    /// A torus with a wavy tube.
+    BumpyTorus,
+    /// A hollow ball with a thin wall (`--thickness`).
+    ThinShell,
+    /// Two balls a small distance apart (`--gap`).
+    TwoBalls,
+    /// A gyroid that fills the volume and is cut by all six borders.
+    Gyroid,
+    /// A cylinder along z, cut by the lower and the upper border.
+    Cylinder,
+    /// A plate one voxel thick.
+    Plate,
+    /// A rod one voxel wide.
+    Rod,
+    /// Two boxes that touch along one voxel edge (not manifold as a set of voxels).
+    TouchingBoxes,
+    /// A chest with heart-like, lung-like and ribcage-like parts.
+    Torso,
+}
+
+/// What a shape may be asked to vary.
+#[derive(Clone, Copy, Debug)]
+pub struct Options {
+    /// Wall of the thin shell, mm.
+    pub thickness: f64,
+    /// Gap between the two balls, mm.
+    pub gap: f64,
+    /// Part of the torso.
+    pub part: torso::Part,
+}
+
+impl Options {
+    /// Wall of 2.5 and gap of 3 mean voxels; the whole torso.
+    pub fn for_grid(grid: &Geometry) -> Self {
+        Self { thickness: 2.5 * grid.mean_spacing(), gap: 3.0 * grid.mean_spacing(), part: torso::Part::All }
+    }
+}
+
+/// The scene of a shape, sized to fill the grid with a margin.
+pub fn build(shape: Shape, grid: &Geometry, options: &Options) -> Box<dyn Scene> {
+    match shape {
+        Shape::Ball => Box::new(shapes::round::Ball::filling(grid)),
+        Shape::Ellipsoid => Box::new(shapes::round::Ellipsoid::filling(grid)),
+        Shape::Torus => Box::new(shapes::torus::Torus::filling(grid)),
+        Shape::BumpyTorus => Box::new(shapes::torus::BumpyTorus::filling(grid)),
+        Shape::ThinShell => Box::new(shapes::round::ThinShell::filling(grid, options.thickness)),
+        Shape::TwoBalls => Box::new(shapes::round::TwoBalls::filling(grid, options.gap)),
+        Shape::Gyroid => Box::new(shapes::cut::Gyroid::filling(grid)),
+        Shape::Cylinder => Box::new(shapes::cut::Cylinder::filling(grid)),
+        Shape::Plate => Box::new(shapes::boxes::Boxes::plate(grid)),
+        Shape::Rod => Box::new(shapes::boxes::Boxes::rod(grid)),
+        Shape::TouchingBoxes => Box::new(shapes::boxes::Boxes::touching(grid)),
+        Shape::Torso => Box::new(torso::Torso::filling(grid, options.part)),
+    }
+}
+
+/// Shortest side of the box spanned by the voxel centres, mm: what the shapes scale with.
+pub fn shortest_extent(grid: &Geometry) -> f64 {
+    grid.upper_corner().min_element()
+}
+
+/// Centre of the grid, moved off every symmetry of the lattice by a fraction of a voxel, grid frame (mm).
+pub fn off_lattice_centre(grid: &Geometry) -> DVec3 {
+    0.5 * grid.upper_corner() + grid.index_to_grid(DVec3::new(0.137, 0.291, -0.173))
+}

@@ -1,0 +1,83 @@
+//! Shapes that meet the border of the volume: cylinder (two faces) and gyroid (all six).
+
+use crate::scene::{Scene, Truth, off_lattice_centre, shortest_extent};
+use glam::DVec3;
+use isoparticles_common::geometry::Geometry;
+use std::collections::BTreeMap;
+use std::f64::consts::PI;
+
+/// An endless cylinder along z, so that the volume cuts it.
+#[derive(Clone, Copy, Debug)]
+pub struct Cylinder {
+    /// A point of the axis, grid frame (mm).
+    pub centre: DVec3,
+    /// Radius, mm.
+    pub radius: f64,
+    /// Distance of the first and the last voxel centre along z, mm.
+    pub length: f64,
+}
+
+impl Cylinder {
+    /// Radius of 0.28 of the shortest side.
+    pub fn filling(grid: &Geometry) -> Self {
+        Self { centre: off_lattice_centre(grid), radius: 0.28 * shortest_extent(grid), length: grid.upper_corner().z }
+    }
+}
+
+impl Scene for Cylinder {
+    fn value(&self, position: DVec3) -> f64 {
+        (position - self.centre).truncate().length() - self.radius
+    }
+
+    fn truth(&self) -> Truth {
+        let (radius, length) = (self.radius, self.length);
+        Truth {
+            shape: "cylinder".into(),
+            method: "closed form, with flat caps through the outermost voxel centres".into(),
+            exact_distance: true,
+            area: Some(2.0 * PI * radius * (length + radius)),
+            volume: Some(PI * radius * radius * length),
+            components: Some(1),
+            genus: Some(0),
+            centre_grid: self.centre.to_array(),
+            dimensions: BTreeMap::from([("radius".into(), radius), ("length".into(), length)]),
+            ..Truth::default()
+        }
+    }
+}
+
+/// The gyroid `sin x cos y + sin y cos z + sin z cos x < 0`, two periods along the shortest side.
+#[derive(Clone, Copy, Debug)]
+pub struct Gyroid {
+    /// Phase origin, grid frame (mm).
+    pub centre: DVec3,
+    /// Length of one period, mm.
+    pub period: f64,
+}
+
+impl Gyroid {
+    /// Two periods along the shortest side.
+    pub fn filling(grid: &Geometry) -> Self {
+        Self { centre: off_lattice_centre(grid), period: 0.5 * shortest_extent(grid) }
+    }
+}
+
+impl Scene for Gyroid {
+    fn value(&self, position: DVec3) -> f64 {
+        let scale = 2.0 * PI / self.period;
+        let p = scale * (position - self.centre);
+        let (x, y, z) = (p.x, p.y, p.z);
+        // The gradient has a length near 1.5 on the surface, in phase units.
+        (x.sin() * y.cos() + y.sin() * z.cos() + z.sin() * x.cos()) / (1.5 * scale)
+    }
+
+    fn truth(&self) -> Truth {
+        Truth {
+            shape: "gyroid".into(),
+            method: "components and genus are not stated: the cut by the border decides them".into(),
+            centre_grid: self.centre.to_array(),
+            dimensions: BTreeMap::from([("period".into(), self.period)]),
+            ..Truth::default()
+        }
+    }
+}
