@@ -199,7 +199,7 @@ mod tests {
                     let q = torso.reference(grid.index_to_grid(DVec3::new(i as f64, j as f64, k as f64)));
                     let parts = [torso.heart_value(q), torso.lungs_value(q), torso.ribs_value(q)];
                     let inside = parts.iter().filter(|value| **value < 0.0).count();
-                    assert!(inside <= 1, "two parts hold the reference point {q}");
+                    assert!(inside <= 1, "two parts hold the reference point {q}: heart, lungs, ribs {parts:?}");
                     assert!(inside == 0 || torso.body_value(q) < 0.0, "a part leaves the body at {q}");
                 }
             }
