@@ -8,6 +8,7 @@ mod limit;
 pub mod nrrd;
 pub mod output;
 pub mod particles;
+pub mod surface;
 pub mod volume;
 mod vti;
 mod vtk_xml;
