@@ -1,0 +1,39 @@
+# The demo: a heart-like phantom at half the resolution of the paper's volume (`make demo`). Also the list of every key
+# that a case may set; whatever is left out keeps the stage's default, and the command line comes before the file.
+
+# The volume. Either INPUT (a file: .nrrd .nhdr .nii .nii.gz .vti; $(DATA) is the folder of the real volumes, set by DATA=...)
+#   INPUT := $(DATA)/heart_label.nrrd
+# or PHANTOM: shape and options of the `phantom` program (`target/release/phantom --help`), which makes the volume.
+PHANTOM := torso --part heart --size 134,65,89 --spacing 2.6
+
+# Name of the results in OUT/NAME/ (the file's own name by default).
+NAME := demo
+
+# What to mesh. Either ISO, an iso value of the volume's scalars, with INSIDE = above or below ...
+ISO := 170
+INSIDE := above
+# ... or LABELS, whole numbers with commas; their union is meshed.
+#   LABELS := 1,2
+
+# BORDER = cap closes the object where the volume cuts it, open leaves it open.
+#   BORDER := cap
+
+# Edge length h: EPSILON times the local feature size, its gradient at most DELTA, between MIN_SIZE and MAX_SIZE (mm) ...
+#   EPSILON := 0.5
+#   DELTA := 0.4
+#   MIN_SIZE := 1
+#   MAX_SIZE := 10
+# ... or one length everywhere (mm).
+#   SIZE := 2
+
+# COUNT = number of particles to seed (by default what h asks for). SEED = seed of the random numbers.
+#   COUNT := 20000
+#   SEED := 1
+
+# BACKEND = auto, gpu or cpu.
+#   BACKEND := auto
+
+# Anything else that a stage's --help offers.
+#   PARTICLES_OPTIONS :=
+#   RECONSTRUCT_OPTIONS :=
+#   TETMESH_OPTIONS :=

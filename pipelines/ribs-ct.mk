@@ -1,0 +1,8 @@
+# Bone of a chest CT by an iso value, with every speck of noise that lies above it (LIDC-IDRI-0314, CC BY 3.0).
+# Keys: see demo.mk.
+# The volume, Hounsfield units.
+INPUT := $(DATA)/thorax_ct.nrrd
+# Bone is above 200 HU.
+ISO := 200
+INSIDE := above
+NAME := ribs-ct
