@@ -1,0 +1,184 @@
+#!/bin/sh
+# Makes the Python environment of tetmesh-check: `.venv` at the root of the repository, from requirements.lock.
+#
+# Usage:   stages/tetmesh-check/setup-env.sh [--venv DIR] [--check] [--no-system-packages]
+#   --venv DIR             where the environment goes (default: .venv at the root of the repository)
+#   --check                change nothing; say what is missing; exit 0 when the environment is ready, else 2
+#   --no-system-packages   never call apt-get, only say what it would have installed
+# Environment: PYTHON      the interpreter to use (default: the first of python3.11, python3, python3.12, ... >= 3.11)
+#
+# Exit codes: 0 ready; 2 something is missing, and the message says which command gets it.
+#
+# Runs in well under a second when nothing has changed: the stamp DIR/.tetmesh-check-stamp holds a checksum of the
+# lock file, of pyproject.toml, of this script, and of the interpreter. Packages come from pip's own configured index and are
+# checked against the hashes in the lock; nothing is compiled.
+#
+# Debian and Ubuntu split `ensurepip` off their python3 (package python3-venv), and VTK finds its off-screen renderer at
+# run time: libOSMesa (libosmesa6), or EGL with Mesa's drivers (libegl1 libgl1-mesa-dri) where a release has dropped it.
+# Importing VTK needs neither, so a missing renderer is a warning: only the pictures are skipped.
+set -eu
+
+here=$(CDPATH='' cd -- "$(dirname -- "$0")" && pwd)
+root=$(CDPATH='' cd -- "$here/../.." && pwd)
+venv=$root/.venv
+check_only=no
+system_packages=yes
+
+say() { printf 'setup-env: %s\n' "$*" >&2; }
+
+# fail WHAT WHY NEXT
+fail() {
+    printf 'error: %s\n  why it matters: %s\n  what to do: %s\n' "$1" "$2" "$3" >&2
+    exit 2
+}
+
+while [ $# -gt 0 ]; do
+    case $1 in
+        --venv)
+            [ $# -ge 2 ] || fail "--venv needs a folder" "it says where the environment goes" "give one, as in --venv .venv"
+            venv=$2
+            shift
+            ;;
+        --check) check_only=yes ;;
+        --no-system-packages) system_packages=no ;;
+        -h | --help)
+            sed -n '2,/^set -eu/{/^set -eu/d;s/^# \{0,1\}//;p;}' "$0"
+            exit 0
+            ;;
+        *) fail "unknown option $1" "it would be ignored in silence" "see $0 --help" ;;
+    esac
+    shift
+done
+
+lock=$here/requirements.lock
+stamp=$venv/.tetmesh-check-stamp
+
+# How this user may install Debian packages: "" as root, "sudo -n" without a password, or "no".
+privilege() {
+    if ! command -v apt-get >/dev/null 2>&1 || [ "$system_packages" = no ] || [ "$check_only" = yes ]; then
+        echo no
+    elif [ "$(id -u)" = 0 ]; then
+        echo ""
+    elif command -v sudo >/dev/null 2>&1 && sudo -n true >/dev/null 2>&1; then
+        echo "sudo -n"
+    else
+        echo no
+    fi
+}
+
+# install_packages PACKAGE... : returns 1 when that is not allowed or fails
+install_packages() {
+    how=$(privilege)
+    [ "$how" != no ] || return 1
+    say "installing Debian packages: $*"
+    packages_log=$(mktemp)
+    # The package lists of a fresh container are empty, hence the second try after an update.
+    if $how env DEBIAN_FRONTEND=noninteractive apt-get install -y -q --no-install-recommends "$@" >"$packages_log" 2>&1 ||
+        { $how apt-get update -q >>"$packages_log" 2>&1 &&
+            $how env DEBIAN_FRONTEND=noninteractive apt-get install -y -q --no-install-recommends "$@" >>"$packages_log" 2>&1; }; then
+        rm -f "$packages_log"
+        return 0
+    fi
+    say "apt-get failed; its last words:"
+    tail -n 3 "$packages_log" >&2
+    rm -f "$packages_log"
+    return 1
+}
+
+python_is_new_enough() {
+    "$1" -c 'import sys; raise SystemExit(sys.version_info < (3, 11))' >/dev/null 2>&1
+}
+
+find_python() {
+    for candidate in ${PYTHON:-} python3.11 python3 python3.12 python3.13 python3.14 /usr/bin/python3; do
+        if python_is_new_enough "$candidate"; then
+            command -v "$candidate"
+            return 0
+        fi
+    done
+    return 1
+}
+
+# has_modules PYTHON MODULE... ; ensurepip is looked for without being run
+has_modules() {
+    interpreter=$1
+    shift
+    "$interpreter" -c 'import sys, importlib.util as u; raise SystemExit(not all(u.find_spec(m) for m in sys.argv[1:]))' "$@" \
+        >/dev/null 2>&1
+}
+
+can_render() {
+    "$venv/bin/python" -m tetmesh_check.rendering >/dev/null 2>&1
+}
+
+warn_no_renderer() {
+    say "WARNING: no off-screen renderer was found, so tetmesh-check will skip its 3-D pictures (nothing else)."
+    say "         To get them on Debian or Ubuntu: apt-get install libosmesa6   (or: libegl1 libgl1-mesa-dri)"
+}
+
+[ -f "$lock" ] || fail "$lock: not found" "it names the packages to install" "restore it from version control"
+
+python=$(find_python) || python=""
+if [ -z "$python" ]; then
+    if install_packages python3 python3-venv; then python=$(find_python) || python=""; fi
+    [ -n "$python" ] || fail "no Python 3.11 or later was found" "tetmesh-check is written in Python" \
+        "install it (Debian 12, Ubuntu 24.04 or later: apt-get install python3 python3-venv), or set PYTHON=/path/to/python3.11"
+fi
+
+fingerprint=$({
+    cat "$lock" "$here/pyproject.toml" "$0"
+    "$python" -c 'import sys; print(sys.version, sys.executable)'
+    echo "$here"
+} | "$python" -c 'import hashlib, sys; print(hashlib.sha256(sys.stdin.buffer.read()).hexdigest())')
+
+if [ -x "$venv/bin/tetmesh-check" ] && [ "$(cat "$stamp" 2>/dev/null || true)" = "$fingerprint" ]; then
+    if [ "$check_only" = yes ]; then
+        say "ready: $venv ($("$venv/bin/python" --version))"
+        can_render || warn_no_renderer
+    fi
+    exit 0
+fi
+if [ "$check_only" = yes ]; then
+    has_modules "$python" venv ensurepip ||
+        say "Python's venv or ensurepip is missing; Debian and Ubuntu: apt-get install python3-venv"
+    fail "$venv: not there, or not up to date" "tetmesh-check runs in it" "run $0"
+fi
+
+if ! has_modules "$python" venv ensurepip; then
+    version=$("$python" -c 'import sys; print("%d.%d" % sys.version_info[:2])')
+    packages=python3-venv
+    case $(readlink -f "$python") in
+        /usr/bin/python3.*) packages="python$version-venv" ;;
+        *) python=/usr/bin/python3 ;;
+    esac
+    install_packages "$packages" || true
+    has_modules "$python" venv ensurepip && python_is_new_enough "$python" ||
+        fail "$python has no venv or no ensurepip module" "they make the environment that the packages go into" \
+            "run this as root, then try again: apt-get update && apt-get install -y $packages"
+fi
+
+if [ -e "$venv" ] && [ ! -f "$venv/pyvenv.cfg" ] && [ -n "$(ls -A "$venv" 2>/dev/null)" ]; then
+    fail "$venv: exists and is no Python environment" "it would be emptied" "move it away, or give another folder with --venv"
+fi
+
+say "making $venv with $("$python" --version)"
+rm -f "$stamp"
+"$python" -m venv --clear "$venv" ||
+    fail "$venv: could not be made" "the packages go into it" "see the message above; is the disk full or the folder read-only?"
+
+say "installing the packages of requirements.lock (about 220 MB to download the first time)"
+"$venv/bin/python" -m pip install --quiet --disable-pip-version-check --no-input --only-binary :all: --require-hashes -r "$lock" ||
+    fail "pip could not install the packages of requirements.lock" "tetmesh-check needs them" \
+        "see the message above; is the network reachable? Behind a proxy, configure pip (pip config) and try again"
+"$venv/bin/python" -m pip install --quiet --disable-pip-version-check --no-input --no-deps --no-index --no-build-isolation \
+    --editable "$here" ||
+    fail "pip could not install $here" "it is the stage itself" "see the message above"
+
+if ! can_render; then
+    # libosmesa6 is the smallest that does it; later releases have only EGL.
+    if install_packages libosmesa6 || install_packages libegl1 libgl1-mesa-dri; then :; fi
+    can_render || warn_no_renderer
+fi
+
+printf '%s\n' "$fingerprint" >"$stamp"
+say "ready: $venv/bin/tetmesh-check"

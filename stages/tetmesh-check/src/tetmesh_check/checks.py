@@ -1,0 +1,170 @@
+"""What makes a volume mesh fit for simulation: each check with its value, its limit and its verdict in words."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from tetmesh_check.quality import TetrahedronQuality
+from tetmesh_check.topology import Topology
+
+
+@dataclass(frozen=True)
+class Limits:
+    """Beyond these the mesh is not fit."""
+
+    min_dihedral: float = 5.0
+    """Smallest dihedral angle, degrees. The condition number of the stiffness matrix grows with the inverse of its sine."""
+    min_scaled_jacobian: float = 0.05
+    """Smallest scaled Jacobian."""
+    max_volume_change: float = 1.0
+    """Largest difference between the volume of the tetrahedra and that inside the surface, percent."""
+    max_distance: float | None = None
+    """Largest distance between the boundary of the tetrahedra and the surface, either way, mm; default twice the envelope."""
+
+
+@dataclass(frozen=True)
+class Check:
+    """One verdict."""
+
+    name: str
+    """Short name, stable from version to version."""
+    passed: bool
+    """Whether the mesh is fit in this respect."""
+    required: bool
+    """Whether a failure makes the mesh unfit (exit code 1) or is only worth a warning."""
+    value: float
+    """What was measured."""
+    limit: float
+    """What it is compared with."""
+    words: str
+    """The verdict as a sentence."""
+
+    def as_dict(self) -> dict[str, Any]:
+        """Write the check for the report, with ``verdict`` one of pass, warning, fail."""
+        verdict = "pass" if self.passed else "fail" if self.required else "warning"
+        return {**asdict(self), "verdict": verdict}
+
+
+@dataclass(frozen=True)
+class Measurements:
+    """What the checks look at."""
+
+    quality: TetrahedronQuality
+    surface_volume: float
+    """Volume inside the input surface, mm^3."""
+    surface_bodies: int
+    """Components of the input surface that bound a body from outside (cavities not counted)."""
+    surface_topology: Topology
+    boundary_topology: Topology
+    bodies: int
+    """Face-connected components of the tetrahedra."""
+    boundary_distance: float
+    """Largest distance of the boundary from the surface, mm."""
+    surface_distance: float
+    """Largest distance of the surface from the boundary, mm."""
+    envelope: float
+    """The envelope that fTetWild was given, mm."""
+
+
+def run_checks(measured: Measurements, limits: Limits) -> list[Check]:
+    """Judge a volume mesh.
+
+    Parameters
+    ----------
+    measured
+        What was measured on it.
+    limits
+        What is demanded of it.
+    """
+    quality = measured.quality
+    not_positive = int((quality.volume <= 0).sum())
+    dihedral = float(quality.min_dihedral.min())
+    jacobian = float(quality.scaled_jacobian.min())
+    volume = float(quality.volume.sum())
+    change = 100.0 * (volume / measured.surface_volume - 1.0)
+    max_distance = limits.max_distance if limits.max_distance is not None else 2.0 * measured.envelope
+    sharp = int((quality.min_dihedral < limits.min_dihedral).sum())
+    flat = int((quality.scaled_jacobian < limits.min_scaled_jacobian).sum())
+    total = quality.volume.size
+    boundary = measured.boundary_topology
+    loose = (
+        boundary.open_edges + boundary.nonmanifold_edges + boundary.badly_oriented_edges + boundary.nonmanifold_vertices
+    )
+
+    def check(name: str, passed: bool, value: float, limit: float, words: str, required: bool = True) -> Check:
+        return Check(name, bool(passed), required, float(value), float(limit), words)
+
+    return [
+        check(
+            "positive_volumes",
+            not_positive == 0,
+            not_positive,
+            0,
+            f"{not_positive} of {total} tetrahedra are inverted or flat",
+        ),
+        check(
+            "min_dihedral",
+            dihedral >= limits.min_dihedral,
+            dihedral,
+            limits.min_dihedral,
+            f"the smallest dihedral angle is {dihedral:.3g} degrees; {sharp} tetrahedra are below the limit of "
+            f"{limits.min_dihedral:g}",
+        ),
+        check(
+            "min_scaled_jacobian",
+            jacobian >= limits.min_scaled_jacobian,
+            jacobian,
+            limits.min_scaled_jacobian,
+            f"the smallest scaled Jacobian is {jacobian:.3g}; {flat} tetrahedra are below the limit of "
+            f"{limits.min_scaled_jacobian:g}",
+        ),
+        check(
+            "volume_change",
+            np.abs(change) <= limits.max_volume_change,
+            change,
+            limits.max_volume_change,
+            f"the tetrahedra fill {volume:.6g} mm^3, the surface bounds {measured.surface_volume:.6g} mm^3: {change:+.3g} % "
+            f"(limit {limits.max_volume_change:g} %)",
+        ),
+        check(
+            "bodies",
+            measured.bodies == measured.surface_bodies,
+            measured.bodies,
+            measured.surface_bodies,
+            f"{measured.bodies} bodies of tetrahedra for {measured.surface_bodies} bodies of the surface",
+        ),
+        check(
+            "boundary_distance",
+            measured.boundary_distance <= max_distance,
+            measured.boundary_distance,
+            max_distance,
+            f"the boundary strays up to {measured.boundary_distance:.3g} mm from the surface (limit {max_distance:.3g} mm)",
+        ),
+        check(
+            "surface_distance",
+            measured.surface_distance <= max_distance,
+            measured.surface_distance,
+            max_distance,
+            f"the surface lies up to {measured.surface_distance:.3g} mm from the boundary (limit {max_distance:.3g} mm)",
+        ),
+        check(
+            "boundary_manifold",
+            loose == 0,
+            loose,
+            0,
+            f"{loose} edges or vertices of the boundary are not manifold (sheets that touch there); most solvers accept that",
+            required=False,
+        ),
+        check(
+            "euler_characteristic",
+            boundary.euler_characteristic == measured.surface_topology.euler_characteristic,
+            boundary.euler_characteristic,
+            measured.surface_topology.euler_characteristic,
+            f"the boundary has Euler characteristic {boundary.euler_characteristic}, the surface "
+            f"{measured.surface_topology.euler_characteristic}: where they differ, a handle or a gap was opened or closed",
+            required=False,
+        ),
+    ]

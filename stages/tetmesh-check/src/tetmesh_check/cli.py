@@ -1,0 +1,272 @@
+"""The command line of ``tetmesh-check``."""
+
+from __future__ import annotations
+
+import argparse
+import math
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import NoReturn
+
+from tetmesh_check import __version__
+from tetmesh_check.context import TOOL, CommonArguments, Context, Interruptible, canonical_command_line
+from tetmesh_check.errors import ExitCode, StageError
+from tetmesh_check.files import refuse_existing
+
+_DESCRIPTION = """\
+Fills a closed triangle surface with tetrahedra (fTetWild), graded by the size field h of sizefield, and checks that they are fit
+for simulation. Lengths are in mm (the unit of the volume), angles in degrees. h is the sizing of the paper (section 3.3): the target
+edge length of the surface; inside the object it grows away from thin places at the rate --delta of sizefield.
+"""
+_EPILOG = """\
+exit codes: 0 written and fit; 1 written, but a check failed; 2 bad usage or input, nothing written; 130 interrupted
+
+example:
+  tetmesh-check heart.surface.vtp --sizefield heart.sizefield.vti -o heart.volume.vtu \\
+      --report heart.report.json --pictures pictures
+"""
+
+
+class _Parser(argparse.ArgumentParser):
+    """Usage errors in three parts, as everywhere."""
+
+    def error(self, message: str) -> NoReturn:
+        error = StageError(message, "the command line was not understood", f"see {TOOL} --help")
+        print(f"error: {error}", file=sys.stderr)
+        raise SystemExit(int(ExitCode.BAD_INPUT))
+
+
+def _number(low: float, high: float, low_allowed: bool = True) -> Callable[[str], float]:
+    """Build a parser of numbers in a range."""
+
+    def parse(text: str) -> float:
+        try:
+            value = float(text)
+        except ValueError:
+            value = math.nan
+        if not (value > low or (low_allowed and value == low)) or not value <= high or math.isinf(value):
+            opening = "[" if low_allowed else "("
+            closing = ")" if math.isinf(high) else "]"
+            raise argparse.ArgumentTypeError(f"'{text}' is not a number in {opening}{low:g}, {high:g}{closing}")
+        return value
+
+    return parse
+
+
+def _whole(low: int) -> Callable[[str], int]:
+    """Build a parser of whole numbers from a smallest one on."""
+
+    def parse(text: str) -> int:
+        if not text.isascii() or not text.isdigit() or int(text) < low:
+            raise argparse.ArgumentTypeError(f"'{text}' is not a whole number from {low}")
+        return int(text)
+
+    return parse
+
+
+def build_parser() -> argparse.ArgumentParser:
+    """Build the parser of the command line."""
+    parser = _Parser(
+        prog=TOOL,
+        description=_DESCRIPTION,
+        epilog=_EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        add_help=False,
+        allow_abbrev=False,
+    )
+    positive = _number(0.0, math.inf, low_allowed=False)
+
+    files = parser.add_argument_group("Files")
+    files.add_argument(
+        "surface", metavar="SURFACE.vtp", type=Path, help="closed outward triangle surface (.vtp .ply .stl .obj)"
+    )
+    files.add_argument(
+        "-o",
+        "--output",
+        metavar="VOLUME.vtu",
+        type=Path,
+        required=True,
+        help="the volume mesh to write; fTetWild's log is kept beside it as NAME.tetwild.log",
+    )
+    files.add_argument(
+        "--sizefield",
+        metavar="S.vti",
+        type=Path,
+        help="size field h from sizefield, mm; without it all tetrahedra get the median edge length of the surface",
+    )
+    files.add_argument(
+        "--pictures",
+        metavar="DIR",
+        type=Path,
+        help="write pictures (PNG) of surface, close-up, cut and histograms there",
+    )
+
+    method = parser.add_argument_group("Method")
+    method.add_argument(
+        "--tet-size-factor",
+        metavar="X",
+        type=_number(0.1, 100.0),
+        default=1.0,
+        help="edge length of the tetrahedra over h, 0.1 to 100 (default 1)",
+    )
+    method.add_argument(
+        "--envelope",
+        metavar="MM",
+        type=positive,
+        help="largest distance of the boundary of the tetrahedra from the "
+        "surface, mm, above 0 (default 0.05 of the h that 95%% of the surface exceed)",
+    )
+    method.add_argument(
+        "--stop-energy",
+        metavar="E",
+        type=_number(3.0, 1e6),
+        default=10.0,
+        help="optimize until the largest AMIPS energy is below this; a regular tetrahedron has 3 (default 10)",
+    )
+    method.add_argument(
+        "--max-passes", metavar="N", type=_whole(1), default=80, help="optimize for at most N passes (default 80)"
+    )
+    method.add_argument(
+        "--max-seconds",
+        metavar="S",
+        type=positive,
+        default=3600.0,
+        help="end the tetrahedralizer after this time, s (default 3600)",
+    )
+
+    checks = parser.add_argument_group(
+        "Checks", "A mesh beyond one of these limits is written, but the exit code is 1."
+    )
+    checks.add_argument(
+        "--min-dihedral",
+        metavar="DEG",
+        type=_number(0.0, 70.0),
+        default=5.0,
+        help="smallest dihedral angle, degrees, 0 to 70 (default 5)",
+    )
+    checks.add_argument(
+        "--min-scaled-jacobian",
+        metavar="X",
+        type=_number(0.0, 1.0),
+        default=0.05,
+        help="smallest scaled Jacobian, 0 to 1 (default 0.05)",
+    )
+    checks.add_argument(
+        "--max-volume-change",
+        metavar="PERCENT",
+        type=_number(0.0, 100.0),
+        default=1.0,
+        help="largest change of the volume, percent (default 1)",
+    )
+    checks.add_argument(
+        "--max-distance",
+        metavar="MM",
+        type=positive,
+        help="largest distance between boundary and surface, either way, mm (default twice the envelope)",
+    )
+
+    shared = parser.add_argument_group("Shared options")
+    loudness = shared.add_mutually_exclusive_group()
+    loudness.add_argument("-v", "--verbose", action="count", default=0, help="say more on stderr")
+    loudness.add_argument("-q", "--quiet", action="store_true", help="print only warnings and errors, and no progress")
+    shared.add_argument(
+        "--force",
+        action="store_true",
+        help="replace outputs that exist already; without it they are kept and the run is refused",
+    )
+    shared.add_argument(
+        "--threads", metavar="N", type=_whole(0), default=0, help="CPU threads to use, 0 for all cores (default 0)"
+    )
+    shared.add_argument(
+        "--seed",
+        metavar="N",
+        type=_whole(0),
+        default=1,
+        help="recorded only: fTetWild draws no random numbers of ours, and "
+        "its result may differ from run to run (default 1)",
+    )
+    shared.add_argument(
+        "--report",
+        metavar="FILE.json",
+        type=Path,
+        help="write what was done, measured and checked to this JSON file (always replaced)",
+    )
+    shared.add_argument(
+        "--progress",
+        choices=["auto", "bar", "lines", "none"],
+        default="auto",
+        help="how to show progress on stderr (default auto: a bar on a terminal, else lines)",
+    )
+    shared.add_argument("--version", action="version", version=f"{TOOL} {__version__}", help="print the version")
+    shared.add_argument("-h", "--help", action="help", help="print this help")
+    return parser
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the program.
+
+    Parameters
+    ----------
+    argv
+        The command line without the program's name; that of the process by default.
+
+    Returns
+    -------
+    int
+        The exit code (see :class:`.ExitCode`).
+    """
+    words = list(sys.argv[1:] if argv is None else argv)
+    parsed = build_parser().parse_args(words)
+    common = CommonArguments(
+        parsed.verbose, parsed.quiet, parsed.force, parsed.threads, parsed.seed, parsed.report, parsed.progress
+    )
+    context = Context(common, canonical_command_line(words, [parsed.output]), {})
+    failed: list[str] = []
+    error: StageError | None = None
+    with Interruptible(TOOL) as stopped:
+        try:
+            failed = _run(parsed, context)
+        except StageError as problem:
+            error = problem
+        except MemoryError:
+            error = StageError(
+                "there is not enough memory",
+                "the meshes do not fit into it",
+                "use a larger --tet-size-factor, or a machine with more memory",
+            )
+        stopped.ignore()
+        return int(context.close(failed, error))
+
+
+def _run(parsed: argparse.Namespace, context: Context) -> list[str]:
+    # pyvista takes a second to load; --help and usage errors need not wait for it
+    from tetmesh_check.checks import Limits
+    from tetmesh_check.pictures import PICTURES
+    from tetmesh_check.pipeline import Arguments, run
+
+    arguments = Arguments(
+        surface=parsed.surface,
+        output=parsed.output,
+        sizefield=parsed.sizefield,
+        pictures=parsed.pictures,
+        tet_size_factor=parsed.tet_size_factor,
+        envelope=parsed.envelope,
+        stop_energy=parsed.stop_energy,
+        max_passes=parsed.max_passes,
+        max_seconds=parsed.max_seconds,
+        limits=Limits(parsed.min_dihedral, parsed.min_scaled_jacobian, parsed.max_volume_change, parsed.max_distance),
+    )
+    context.parameters.update(arguments.parameters())
+    if arguments.output.suffix != ".vtu":
+        raise StageError(
+            f"{arguments.output}: does not end in .vtu",
+            "the volume mesh is written in VTK's format for unstructured grids",
+            "name the output NAME.volume.vtu",
+        )
+    refuse_existing([arguments.output], context.common.force)
+    if (job := arguments.picture_job) is not None and job.folder.is_dir():
+        refuse_existing([job.path(picture) for picture in PICTURES], context.common.force)
+    if context.common.report is not None:
+        refuse_existing([context.common.report], force=True)
+    return run(arguments, context)

@@ -1,0 +1,81 @@
+"""One error type: what happened (file, value), why it matters, what to do next; and the exit codes."""
+
+from __future__ import annotations
+
+from enum import IntEnum
+from pathlib import Path
+
+
+class ExitCode(IntEnum):
+    """How the program ends; the same numbers as every other stage."""
+
+    OK = 0
+    """The output is written and every check passed."""
+    CHECK_FAILED = 1
+    """The output is written, but a check failed; the report says which."""
+    BAD_INPUT = 2
+    """Bad usage or input; nothing was written."""
+    INTERRUPTED = 130
+    """The user stopped the run; nothing half written is left."""
+
+
+class StageError(Exception):
+    """An error in three parts.
+
+    Parameters
+    ----------
+    what
+        What happened: the file and the value.
+    why
+        Why the stage cannot go on.
+    next_step
+        What the user can do next.
+    code
+        How the program should exit.
+    """
+
+    def __init__(self, what: str, why: str, next_step: str, code: ExitCode = ExitCode.BAD_INPUT) -> None:
+        super().__init__(what)
+        self.what = what
+        self.why = why
+        self.next_step = next_step
+        self.code = code
+
+    def __str__(self) -> str:
+        return f"{self.what}\n  why it matters: {self.why}\n  what to do: {self.next_step}"
+
+    @classmethod
+    def file(cls, path: Path, doing: str, source: BaseException, next_step: str) -> StageError:
+        """Build the error for a file that cannot be read or written.
+
+        Parameters
+        ----------
+        path
+            The file.
+        doing
+            What was tried, as in "cannot *read*".
+        source
+            The exception of the operating system or of the reader.
+        next_step
+            What the user can do next.
+        """
+        reason = getattr(source, "strerror", None) or str(source) or type(source).__name__
+        return cls(f"{path}: cannot {doing}: {reason}", "the stage needs this file", next_step)
+
+
+class InterruptedRunError(StageError):
+    """The user, or the system, asked the run to stop (SIGINT, SIGTERM or SIGHUP).
+
+    Parameters
+    ----------
+    during
+        What was running.
+    """
+
+    def __init__(self, during: str) -> None:
+        super().__init__(
+            f"{during}: interrupted",
+            "the run was stopped before its output was complete; nothing half written is left",
+            "run the same command again",
+            ExitCode.INTERRUPTED,
+        )

@@ -1,0 +1,112 @@
+"""Outputs that are whole or absent: temporary name beside the target, then rename; and the hash of an input."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterable
+from pathlib import Path
+
+import blake3
+
+from tetmesh_check.errors import StageError
+
+_CHUNK_BYTES = 1 << 20
+
+
+def blake3_of_file(path: Path) -> str:
+    """Hash a file the way every stage does.
+
+    Parameters
+    ----------
+    path
+        The file.
+
+    Returns
+    -------
+    str
+        BLAKE3 of the bytes of the file, 64 hexadecimal digits.
+    """
+    hasher = blake3.blake3()
+    try:
+        with path.open("rb") as stream:
+            while chunk := stream.read(_CHUNK_BYTES):
+                hasher.update(chunk)
+    except OSError as error:
+        raise StageError.file(path, "read", error, "check the name and the permissions") from error
+    return hasher.hexdigest()
+
+
+def refuse_existing(outputs: Iterable[Path], force: bool) -> None:
+    """Keep what is already there unless the user said otherwise.
+
+    Parameters
+    ----------
+    outputs
+        The files that the run is going to write.
+    force
+        Whether they may be replaced.
+
+    Raises
+    ------
+    StageError
+        If one of them exists and ``force`` is off, or if its folder is missing or is no folder.
+    """
+    for path in outputs:
+        if path.is_dir():
+            raise StageError(f"{path}: is a folder", "a file is to be written under this name", "give a file name")
+        if path.exists() and not force:
+            raise StageError(
+                f"{path}: exists already",
+                "an output is never replaced without being asked to",
+                "add --force to replace it, or choose another name",
+            )
+        folder = path.parent
+        if not folder.is_dir():
+            raise StageError(f"{folder}: no such folder", f"{path.name} is to be written there", "create it first")
+        if not os.access(folder, os.W_OK):
+            raise StageError(f"{folder}: not writable", f"{path.name} is to be written there", "check its permissions")
+
+
+def write_atomically(path: Path, write: Callable[[Path], None]) -> None:
+    """Write a file so that a reader, or ``make``, never sees half of it.
+
+    Parameters
+    ----------
+    path
+        The target.
+    write
+        Writes the content to the path it is handed, which keeps the target's suffix because some writers choose the
+        format by it.
+
+    Raises
+    ------
+    StageError
+        If the folder cannot be written to or the disk is full; the temporary file is removed.
+    """
+    temporary = path.with_name(f".{path.stem}.{os.getpid()}.part{path.suffix}")
+    try:
+        write(temporary)
+        with temporary.open("rb+") as stream:
+            os.fsync(stream.fileno())
+        temporary.replace(path)
+    except OSError as error:
+        raise StageError.file(path, "write", error, "check the permissions and the free space of the disk") from error
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write text (UTF-8) atomically.
+
+    Parameters
+    ----------
+    path
+        The target.
+    text
+        Its whole content.
+    """
+
+    def write(temporary: Path) -> None:
+        temporary.write_text(text, encoding="utf-8")
+
+    write_atomically(path, write)

@@ -1,0 +1,339 @@
+"""Pictures of the result: ``python -m tetmesh_check.pictures JOB.json`` draws, :func:`draw_pictures` has it drawn.
+
+Drawing happens in a process of its own because VTK may end it where it finds no renderer (see :mod:`.rendering`).
+"""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tetmesh_check.rendering import rendering_environment
+
+PICTURES = ("surface", "closeup", "cut", "quality")
+"""The pictures, in the order they are drawn."""
+_RENDERED = frozenset({"surface", "closeup", "cut"})
+_DRAWING_SECONDS = 300.0
+_WINDOW = (1600, 1200)
+_VIEW = np.array([0.55, -0.75, 0.37])
+"""From the object towards the eye."""
+_UP = (0.0, 0.0, 1.0)
+_SURFACE_COLOUR = "#d9c7b0"
+_EDGE_COLOUR = "#2b2b2b"
+_CLOSEUP_EDGES = 22.0
+"""Height of the close-up in local edge lengths."""
+_COLOURS = "viridis"
+
+
+@dataclass(frozen=True)
+class PictureJob:
+    """What is to be drawn."""
+
+    surface: Path
+    """The input surface."""
+    volume: Path
+    """The volume mesh, with cell data ``radius_ratio`` and ``min_dihedral``."""
+    folder: Path
+    """Where the pictures go."""
+    name: str
+    """Name of the case; a picture is called ``NAME.PICTURE.png``."""
+
+    def path(self, picture: str) -> Path:
+        """File of one of :data:`PICTURES`."""
+        return self.folder / f"{self.name}.{picture}.png"
+
+
+def draw_pictures(job: PictureJob) -> tuple[list[str], dict[str, str]]:
+    """Have the pictures drawn by another process.
+
+    Parameters
+    ----------
+    job
+        What is to be drawn.
+
+    Returns
+    -------
+    tuple
+        The file names of the pictures that are there, and for each that is not, by its name, the reason.
+    """
+    environment = rendering_environment()
+    wanted = [picture for picture in PICTURES if environment is not None or picture not in _RENDERED]
+    skipped = {
+        picture: "no off-screen renderer on this machine (Debian, Ubuntu: apt-get install libosmesa6, or libegl1 libgl1-mesa-dri)"
+        for picture in PICTURES
+        if picture not in wanted
+    }
+    with tempfile.TemporaryDirectory(prefix="tetmesh-check-") as folder:
+        description = Path(folder) / "job.json"
+        description.write_text(
+            json.dumps(
+                {
+                    "surface": str(job.surface.absolute()),
+                    "volume": str(job.volume.absolute()),
+                    "folder": str(Path(folder)),
+                    "name": job.name,
+                    "pictures": wanted,
+                }
+            ),
+            encoding="utf-8",
+        )
+        reason = ""
+        try:
+            process = subprocess.run(
+                [sys.executable, "-m", "tetmesh_check.pictures", str(description)],
+                env=environment,
+                capture_output=True,
+                timeout=_DRAWING_SECONDS,
+                check=False,
+            )
+            words = process.stderr.decode("utf-8", errors="replace").strip().splitlines()
+            if process.returncode != 0:
+                reason = f"the drawing process ended with code {process.returncode}: {words[-1] if words else ''}"
+        except subprocess.TimeoutExpired:
+            reason = f"the drawing process was ended after {_DRAWING_SECONDS:g} s"
+        drawn = []
+        for picture in wanted:
+            fresh = Path(folder) / f"{job.name}.{picture}.png"
+            if fresh.is_file():
+                target = job.path(picture)
+                temporary = target.with_name(f".{target.name}.part")
+                temporary.write_bytes(fresh.read_bytes())
+                temporary.replace(target)
+                drawn.append(target.name)
+            else:
+                skipped[picture] = reason or "the drawing process wrote no file"
+    return drawn, skipped
+
+
+def _plotter() -> Any:
+    import pyvista as pv
+
+    plotter = pv.Plotter(off_screen=True, window_size=list(_WINDOW), lighting="three lights")
+    plotter.set_background("white")
+    plotter.enable_anti_aliasing("msaa", multi_samples=8)
+    return plotter
+
+
+def _look(plotter: Any, focus: Any, towards_eye: Any, height: float, up: Any = _UP) -> None:
+    """Look at a point without perspective, so that triangles of one size look alike near and far."""
+    direction = np.asarray(towards_eye) / np.linalg.norm(towards_eye)
+    plotter.camera.focal_point = tuple(focus)
+    plotter.camera.position = tuple(np.asarray(focus) + 10.0 * height * direction)
+    plotter.camera.up = up
+    plotter.enable_parallel_projection()
+    plotter.camera.parallel_scale = 0.5 * height
+    plotter.reset_camera_clipping_range()
+
+
+def _height_in_view(points: Any, towards_eye: Any, up: Any = _UP) -> float:
+    """Height of the window, in mm, that shows all points with a small margin."""
+    direction = np.asarray(towards_eye) / np.linalg.norm(towards_eye)
+    right = np.cross(up, direction)
+    right /= np.linalg.norm(right)
+    above = np.cross(direction, right)
+    aspect = _WINDOW[0] / _WINDOW[1]
+    across, along = np.ptp(points @ right), np.ptp(points @ above)
+    return float(1.12 * max(along, across / aspect))
+
+
+def _centre(points: Any) -> Any:
+    return 0.5 * (points.min(axis=0) + points.max(axis=0))
+
+
+def _scalar_bar(title: str) -> dict[str, Any]:
+    return {
+        "title": title,
+        "color": "black",
+        "vertical": False,
+        "width": 0.5,
+        "height": 0.09,
+        "position_x": 0.25,
+        "position_y": 0.015,
+        "title_font_size": 26,
+        "label_font_size": 22,
+        "fmt": "%.1f",
+        "n_labels": 6,
+        "background_color": "white",
+        "fill": True,
+    }
+
+
+def _edge_width(shown_height: float, edge_length: float) -> float:
+    """Line width in pixels that leaves the faces visible between the edges."""
+    pixels = edge_length / shown_height * _WINDOW[1]
+    return float(np.clip(pixels / 12.0, 0.25, 2.5))
+
+
+def _draw_surface(surface: Any, _volume: Any, path: Path) -> None:
+    plotter = _plotter()
+    points = np.asarray(surface.points)
+    height = _height_in_view(points, _VIEW)
+    edge = float(np.sqrt(2.3 * surface.area / surface.n_cells))
+    plotter.add_mesh(
+        surface,
+        color=_SURFACE_COLOUR,
+        show_edges=True,
+        edge_color=_EDGE_COLOUR,
+        line_width=_edge_width(height, edge),
+        edge_opacity=float(np.clip(edge / height * _WINDOW[1] / 6.0, 0.15, 1.0)),
+        ambient=0.25,
+        specular=0.1,
+    )
+    _look(plotter, _centre(points), _VIEW, height)
+    plotter.screenshot(path)
+
+
+def _draw_closeup(surface: Any, _volume: Any, path: Path) -> None:
+    from tetmesh_check.quality import triangle_quality
+
+    plotter = _plotter()
+    points = np.asarray(surface.points, dtype=np.float64)
+    triangles = np.asarray(surface.faces).reshape(-1, 4)[:, 1:].astype(np.int64)
+    quality = triangle_quality(points, triangles)
+    surface.cell_data["radius ratio"] = quality.radius_ratio
+    # The triangle nearest to the eye is hidden by nothing.
+    direction = _VIEW / np.linalg.norm(_VIEW)
+    nearest = int(np.argmax(points[triangles].mean(axis=1) @ direction))
+    corner = points[triangles[nearest]]
+    normal = np.cross(corner[1] - corner[0], corner[2] - corner[0])
+    normal /= np.linalg.norm(normal)
+    near = np.linalg.norm(points[triangles].mean(axis=1) - corner.mean(axis=0), axis=1)
+    around = np.argsort(near)[:200]
+    edge = float(np.median(quality.edge_length[around]))
+    height = min(_CLOSEUP_EDGES * edge, _height_in_view(points, normal))
+    plotter.add_mesh(
+        surface,
+        scalars="radius ratio",
+        clim=(0.0, 1.0),
+        ambient=0.35,
+        diffuse=0.7,
+        cmap=_COLOURS,
+        show_edges=True,
+        edge_color=_EDGE_COLOUR,
+        line_width=_edge_width(height, edge),
+        scalar_bar_args=_scalar_bar("radius ratio of the surface triangles (1 = equilateral)"),
+    )
+    up = _UP if abs(normal[2]) < 0.95 else (0.0, 1.0, 0.0)
+    _look(plotter, corner.mean(axis=0), normal, height, up)
+    plotter.screenshot(path)
+
+
+def _draw_cut(_surface: Any, volume: Any, path: Path) -> None:
+    plotter = _plotter()
+    points = np.asarray(volume.points, dtype=np.float64)
+    axis = int(np.argmin(np.ptp(points, axis=0)))
+    normal = np.zeros(3)
+    normal[axis] = -1.0 if axis == 1 else 1.0
+    up = (0.0, 1.0, 0.0) if axis == 2 else _UP
+    centres = points[np.asarray(volume.cells_dict[10])].mean(axis=1)
+    depth = centres @ normal
+    # Through the middle of the matter, keeping whole tetrahedra on the far side.
+    kept = volume.extract_cells(np.flatnonzero(depth < np.median(depth)))
+    kept.cell_data["radius ratio"] = kept.cell_data["radius_ratio"]
+    # Seen slightly from the side, so that the depth of the cut shows.
+    towards_eye = normal + 0.28 * np.cross(up, normal) + 0.22 * np.asarray(up)
+    shown = np.asarray(kept.points)
+    height = _height_in_view(shown, towards_eye, up)
+    edge = float((2.0**0.5 * 6.0 * volume.volume / volume.n_cells) ** (1.0 / 3.0))
+    plotter.add_mesh(
+        kept,
+        scalars="radius ratio",
+        clim=(0.0, 1.0),
+        ambient=0.35,
+        diffuse=0.7,
+        cmap=_COLOURS,
+        show_edges=True,
+        edge_color=_EDGE_COLOUR,
+        line_width=_edge_width(height, edge),
+        edge_opacity=float(np.clip(edge / height * _WINDOW[1] / 6.0, 0.15, 1.0)),
+        scalar_bar_args=_scalar_bar("radius ratio of the tetrahedra (1 = regular)"),
+    )
+    focus = _centre(shown) - 0.06 * height * np.asarray(up)
+    _look(plotter, focus, towards_eye, 1.1 * height, up)
+    plotter.screenshot(path)
+
+
+def _draw_quality(surface: Any, volume: Any, path: Path) -> None:
+    import matplotlib as mpl
+
+    mpl.use("Agg")
+    from matplotlib import pyplot
+
+    from tetmesh_check.quality import triangle_quality
+
+    triangles = np.asarray(surface.faces).reshape(-1, 4)[:, 1:].astype(np.int64)
+    shape = triangle_quality(np.asarray(surface.points, dtype=np.float64), triangles)
+    panels = [
+        ("surface triangles", "radius ratio", shape.radius_ratio, (0.0, 1.0), "#4878a8"),
+        ("surface triangles", "smallest angle (degrees)", shape.min_angle, (0.0, 60.0), "#4878a8"),
+        ("tetrahedra", "radius ratio", np.asarray(volume.cell_data["radius_ratio"]), (0.0, 1.0), "#4f9d69"),
+        (
+            "tetrahedra",
+            "smallest dihedral angle (degrees)",
+            np.asarray(volume.cell_data["min_dihedral"]),
+            (0.0, 70.6),
+            "#4f9d69",
+        ),
+    ]
+    figure, axes = pyplot.subplots(2, 2, figsize=(12, 8), layout="constrained")
+    for axis, (what, measure, values, limits, colour) in zip(axes.flat, panels, strict=True):
+        axis.hist(
+            values, bins=np.linspace(*limits, 61), weights=np.full(len(values), 100.0 / len(values)), color=colour
+        )
+        axis.set_title(f"{len(values):,} {what}")
+        axis.set_xlabel(measure)
+        axis.set_ylabel("share (%)")
+        axis.set_xlim(limits)
+        axis.axvline(float(values.mean()), color="black", linewidth=1.0)
+        axis.axvline(float(values.min()), color="#b03030", linewidth=1.0, linestyle="--")
+        axis.text(
+            0.03,
+            0.95,
+            f"mean {values.mean():.3g}\nsmallest {values.min():.3g}",
+            transform=axis.transAxes,
+            verticalalignment="top",
+        )
+        axis.spines[["top", "right"]].set_visible(False)
+    figure.savefig(path, dpi=120)
+    pyplot.close(figure)
+
+
+_DRAW: dict[str, Callable[[Any, Any, Path], None]] = {
+    "surface": _draw_surface,
+    "closeup": _draw_closeup,
+    "cut": _draw_cut,
+    "quality": _draw_quality,
+}
+
+
+def _main(description: Path) -> None:
+    """Draw what the job asks for; a picture that fails does not take the others with it."""
+    import pyvista as pv
+
+    job = json.loads(description.read_text(encoding="utf-8"))
+    surface, volume = pv.read(job["surface"]), pv.read(job["volume"])
+    folder = Path(job["folder"])
+    failed = []
+    # the histogram first: it needs no renderer and is kept if one of the others brings the process down
+    for picture in sorted(job["pictures"], key=lambda name: name in _RENDERED):
+        target = folder / f"{job['name']}.{picture}.png"
+        part = folder / f"part.{picture}.png"
+        try:
+            _DRAW[picture](surface, volume, part)
+            part.replace(target)
+        except Exception as error:
+            failed.append(f"{picture}: {type(error).__name__}: {error}")
+    if failed:
+        raise SystemExit("; ".join(failed))
+
+
+if __name__ == "__main__":
+    _main(Path(sys.argv[1]))

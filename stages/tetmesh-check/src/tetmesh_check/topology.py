@@ -1,0 +1,173 @@
+"""Topology of triangle meshes from their connectivity alone: edges, fans, components, Euler characteristic."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+
+import numpy as np
+
+from tetmesh_check.quality import Cells, Labels, Points
+
+
+def connected_components(count: int, links: Cells) -> Labels:
+    """Number the connected components of a graph.
+
+    Parameters
+    ----------
+    count
+        Number of nodes.
+    links
+        Pairs of nodes, shape ``(m, 2)``.
+
+    Returns
+    -------
+    ndarray
+        Component of each node, shape ``(count,)``, numbered from 0 by first appearance.
+    """
+    root = np.arange(count, dtype=np.int64)
+    first, second = links[:, 0], links[:, 1]
+    while True:
+        a, b = root[first], root[second]
+        apart = a != b
+        if not apart.any():
+            break
+        first, second, a, b = first[apart], second[apart], a[apart], b[apart]
+        np.minimum.at(root, np.maximum(a, b), np.minimum(a, b))
+        while True:  # let every node point at the end of its chain
+            shorter = root[root]
+            if np.array_equal(shorter, root):
+                break
+            root = shorter
+    _, first_seen, labels = np.unique(root, return_index=True, return_inverse=True)
+    order = np.empty(len(first_seen), dtype=np.int64)
+    order[np.argsort(first_seen, kind="stable")] = np.arange(len(first_seen))
+    return order[labels.ravel()]
+
+
+@dataclass(frozen=True)
+class Topology:
+    """Counts that say whether a triangle mesh is a closed oriented surface."""
+
+    vertices: int
+    triangles: int
+    edges: int
+    unused_vertices: int
+    open_edges: int
+    """Edges with one triangle."""
+    nonmanifold_edges: int
+    """Edges with three or more triangles."""
+    badly_oriented_edges: int
+    """Edges whose two triangles disagree on which side is out."""
+    nonmanifold_vertices: int
+    """Vertices round which the triangles form more than one fan."""
+    components: int
+    euler_characteristic: int
+    """Vertices in use minus edges plus triangles: 2 for each sphere, 0 for a torus."""
+
+    @property
+    def is_closed_manifold(self) -> bool:
+        """Whether the mesh is a closed, oriented 2-manifold."""
+        return not (self.open_edges or self.nonmanifold_edges or self.badly_oriented_edges or self.nonmanifold_vertices)
+
+    def as_dict(self) -> dict[str, int]:
+        """Write the counts for the report."""
+        return asdict(self)
+
+
+def triangle_components(vertex_count: int, triangles: Cells) -> Labels:
+    """Component of each triangle; triangles that share a vertex belong together.
+
+    Parameters
+    ----------
+    vertex_count
+        Number of vertices.
+    triangles
+        Vertex indices, shape ``(m, 3)``.
+    """
+    labels = connected_components(vertex_count, np.concatenate([triangles[:, :2], triangles[:, 1:]]))
+    _, result = np.unique(labels[triangles[:, 0]], return_inverse=True)
+    return result.ravel().astype(np.int64)
+
+
+def measure_topology(points: Points, triangles: Cells) -> Topology:
+    """Count edges, fans and components of a triangle mesh.
+
+    Parameters
+    ----------
+    points
+        Positions, shape ``(n, 3)``; only their number matters.
+    triangles
+        Vertex indices, shape ``(m, 3)``.
+    """
+    count = len(points)
+    size = len(triangles)
+    tail = triangles.ravel()
+    head = np.roll(triangles, -1, axis=1).ravel()
+    low, high = np.minimum(tail, head), np.maximum(tail, head)
+    key = low * count + high
+    order = np.argsort(key, kind="stable")
+    _, start, uses = np.unique(key[order], return_index=True, return_counts=True)
+    twice = start[uses == 2]
+    one, other = order[twice], order[twice + 1]
+
+    # A corner is half-edge number h = 3 * triangle + slot at its tail; its head is the next slot of the triangle.
+    next_corner = np.arange(3 * size).reshape(-1, 3)[:, [1, 2, 0]].ravel()
+    same_direction = tail[one] == tail[other]
+    other_tail = np.where(same_direction, other, next_corner[other])
+    other_head = np.where(same_direction, next_corner[other], other)
+    links = np.concatenate([np.stack([one, other_tail], 1), np.stack([next_corner[one], other_head], 1)])
+    fans = connected_components(3 * size, links)
+    vertex_of_fan = np.zeros(int(fans.max(initial=-1)) + 1, dtype=np.int64)
+    vertex_of_fan[fans] = tail
+    fans_of_vertex = np.bincount(vertex_of_fan, minlength=count)
+    used = int((fans_of_vertex > 0).sum())
+    parts = triangle_components(count, triangles)
+
+    return Topology(
+        vertices=count,
+        triangles=size,
+        edges=len(uses),
+        unused_vertices=count - used,
+        open_edges=int((uses == 1).sum()),
+        nonmanifold_edges=int((uses > 2).sum()),
+        badly_oriented_edges=int(same_direction.sum()),
+        nonmanifold_vertices=int((fans_of_vertex > 1).sum()),
+        components=int(parts.max(initial=-1)) + 1,
+        euler_characteristic=used - len(uses) + size,
+    )
+
+
+def tetrahedron_boundary(tetrahedra: Cells) -> Cells:
+    """Triangles that belong to one tetrahedron only, wound to point out of positive tetrahedra.
+
+    Parameters
+    ----------
+    tetrahedra
+        Vertex indices in VTK order, shape ``(m, 4)``.
+
+    Returns
+    -------
+    ndarray
+        Vertex indices of the boundary, shape ``(k, 3)``.
+    """
+    faces = np.concatenate([tetrahedra[:, face] for face in ([0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2])])
+    _, where, uses = np.unique(np.sort(faces, axis=1), axis=0, return_index=True, return_counts=True)
+    boundary: Cells = faces[np.sort(where[uses == 1])]
+    return boundary
+
+
+def tetrahedron_components(tetrahedra: Cells) -> int:
+    """Count the bodies of a volume mesh; tetrahedra hang together through faces.
+
+    Parameters
+    ----------
+    tetrahedra
+        Vertex indices, shape ``(m, 4)``.
+    """
+    size = len(tetrahedra)
+    faces = np.sort(np.concatenate([tetrahedra[:, f] for f in ([0, 1, 2], [0, 1, 3], [1, 2, 3], [0, 2, 3])]), axis=1)
+    owner = np.tile(np.arange(size), 4)
+    order = np.lexsort(faces.T)
+    same = (faces[order[1:]] == faces[order[:-1]]).all(axis=1)
+    links = np.stack([owner[order[:-1][same]], owner[order[1:][same]]], 1)
+    return int(connected_components(size, links).max(initial=-1)) + 1

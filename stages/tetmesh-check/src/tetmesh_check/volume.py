@@ -1,0 +1,69 @@
+"""The volume mesh as a VTK file: tetrahedra, their quality, and where they came from."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyvista as pv
+
+from tetmesh_check.files import write_atomically
+from tetmesh_check.quality import Cells, Points, TetrahedronQuality, signed_tetrahedron_volumes
+
+KIND = "volume"
+"""Kind of the file, in the field data ``isoparticles_kind``."""
+FORMAT = 1
+"""Version of the file's layout, in the field data ``isoparticles_format``."""
+
+
+def orient_positive(points: Points, tetrahedra: Cells) -> tuple[Cells, bool]:
+    """Bring tetrahedra that are all wound the other way into VTK's order.
+
+    Single inverted tetrahedra among positive ones are a fault of the mesh and stay as they are.
+
+    Parameters
+    ----------
+    points
+        Positions, mm, shape ``(n, 3)``.
+    tetrahedra
+        Vertex indices, shape ``(m, 4)``.
+
+    Returns
+    -------
+    tuple
+        The tetrahedra, and whether they were turned.
+    """
+    volumes = signed_tetrahedron_volumes(points, tetrahedra)
+    if (volumes < 0).sum() <= (volumes > 0).sum():
+        return tetrahedra, False
+    return tetrahedra[:, [0, 2, 1, 3]], True
+
+
+def write_volume(
+    path: Path, points: Points, tetrahedra: Cells, quality: TetrahedronQuality, history: dict[str, Any]
+) -> None:
+    """Write the volume mesh.
+
+    Parameters
+    ----------
+    path
+        A ``.vtu`` file.
+    points
+        World positions, mm, shape ``(n, 3)``; written in double precision.
+    tetrahedra
+        Vertex indices in VTK order, shape ``(m, 4)``.
+    quality
+        Its radius ratio, scaled Jacobian and smallest dihedral angle (degrees) go along as cell data.
+    history
+        What made the file, with which parameters, from what.
+    """
+    grid = pv.UnstructuredGrid({pv.CellType.TETRA: tetrahedra}, points)
+    grid.cell_data["radius_ratio"] = quality.radius_ratio
+    grid.cell_data["scaled_jacobian"] = quality.scaled_jacobian
+    grid.cell_data["min_dihedral"] = quality.min_dihedral
+    grid.add_field_data([KIND], "isoparticles_kind")
+    grid.add_field_data(np.array([FORMAT], dtype=np.uint32), "isoparticles_format")
+    grid.add_field_data([json.dumps(history)], "history")
+    write_atomically(path, lambda temporary: grid.save(temporary, binary=True))

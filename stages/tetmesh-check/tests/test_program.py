@@ -1,0 +1,263 @@
+"""The program from the command line: what it writes, refuses, and how it ends."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import blake3
+import numpy as np
+import pytest
+import pyvista as pv
+from conftest import Run, ball, write_sizing
+
+from tetmesh_check.context import canonical_command_line
+from tetmesh_check.quality import signed_tetrahedron_volumes
+
+
+def tetrahedra(path: Path) -> tuple[np.ndarray, np.ndarray, pv.UnstructuredGrid]:
+    grid = pv.read(path)
+    return np.asarray(grid.points), np.asarray(grid.cells_dict[10]).astype(np.int64), grid
+
+
+def test_ball_with_graded_sizing(tmp_path: Path, run: Run) -> None:
+    ball(subdivisions=3).save(tmp_path / "ball.surface.vtp")
+    write_sizing(tmp_path / "ball.sizefield.vti", lambda world: np.where(world[:, 0] < 0, 1.5, 4.0))
+    done = run(
+        "ball.surface.vtp", "--sizefield", "ball.sizefield.vti", "-o", "ball.volume.vtu", "--report", "ball.report.json",
+        "--max-passes", 10, "--progress", "lines",
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    assert done.stdout == ""
+    assert "peak memory" in done.stderr
+    points, cells, grid = tetrahedra(tmp_path / "ball.volume.vtu")
+    assert points.dtype == np.float64
+    volumes = signed_tetrahedron_volumes(points, cells)
+    assert volumes.min() > 0
+    # the polyhedron inside the sphere of radius 10, within the 1 % that the check demands
+    assert volumes.sum() == pytest.approx(pv.read(tmp_path / "ball.surface.vtp").volume, rel=0.01)
+    left = points[cells].mean(axis=1)[:, 0] < 0
+    # volume per tetrahedron goes with the cube of the edge; the common surface keeps the ratio far below (4 / 1.5)^3
+    assert left.sum() > 2.0 * (~left).sum()
+
+    assert set(grid.cell_data.keys()) == {"radius_ratio", "scaled_jacobian", "min_dihedral"}
+    history = json.loads(grid.field_data["history"][0])
+    assert history["tool"] == "tetmesh-check"
+    assert history["inputs"][1]["history"]["tool"] == "sizefield"
+    assert history["inputs"][0]["blake3"] == blake3.blake3((tmp_path / "ball.surface.vtp").read_bytes()).hexdigest()
+    assert history["parameters"]["envelope"] == pytest.approx(0.05 * 1.5, rel=0.05)
+    assert "ball.report.json" not in history["command_line"]
+
+    report = json.loads((tmp_path / "ball.report.json").read_text())
+    assert set(report) == {
+        "tool", "version", "command_line", "parameters", "inputs", "threads", "seconds", "steps", "peak_memory_bytes",
+        "warnings", "outcome", "exit_code", "failed_checks", "error", "results",
+    }  # fmt: skip
+    assert (report["outcome"], report["exit_code"], report["failed_checks"]) == ("passed", 0, [])
+    results = report["results"]
+    assert set(results) == {"surface", "sizing", "tetwild", "volume", "distance_mm", "checks"}
+    assert results["volume"]["tetrahedra"] == len(cells)
+    assert sum(results["volume"]["quality"]["radius_ratio"]["histogram"]["counts"]) == len(cells)
+    assert results["volume"]["edge_length_over_target"]["median"] == pytest.approx(1.0, abs=0.25)
+    assert results["distance_mm"]["boundary_to_surface"]["max"] <= history["parameters"]["envelope"]
+    assert {check["name"]: check["verdict"] for check in results["checks"]} == dict.fromkeys(
+        [
+            "positive_volumes", "min_dihedral", "min_scaled_jacobian", "volume_change", "bodies", "boundary_distance",
+            "surface_distance", "boundary_manifold", "euler_characteristic",
+        ],
+        "pass",
+    )  # fmt: skip
+    assert (tmp_path / "ball.tetwild.log").stat().st_size > 0
+    assert not list(tmp_path.glob(".*"))
+
+
+def test_existing_output_is_kept_and_failed_checks_are_told(tmp_path: Path, run: Run) -> None:
+    ball().save(tmp_path / "ball.vtp")
+    (tmp_path / "out.vtu").write_text("precious")
+    refused = run("ball.vtp", "-o", "out.vtu")
+    assert refused.returncode == 2
+    assert "--force" in refused.stderr
+    assert (tmp_path / "out.vtu").read_text() == "precious"
+    assert not (tmp_path / "out.tetwild.log").exists()
+
+    forced = run(
+        "ball.vtp", "-o", "out.vtu", "--force", "--min-dihedral", 69, "--report", "r.json", "--max-passes", 5, "-q"
+    )
+    assert forced.returncode == 1, forced.stderr
+    assert "check failed: the smallest dihedral angle" in forced.stderr
+    assert "warning: no --sizefield" in forced.stderr
+    report = json.loads((tmp_path / "r.json").read_text())
+    assert (report["outcome"], report["exit_code"]) == ("checks_failed", 1)
+    assert len(report["failed_checks"]) == 1
+    assert tetrahedra(tmp_path / "out.vtu")[1].shape[1] == 4
+
+
+def test_pictures(tmp_path: Path, run: Run) -> None:
+    ball().save(tmp_path / "ball.vtp")
+    done = run("ball.vtp", "-o", "ball.volume.vtu", "--max-passes", 3, "--pictures", "pictures", "--report", "r.json")
+    assert done.returncode == 0, done.stderr
+    pictures = json.loads((tmp_path / "r.json").read_text())["results"]["pictures"]
+    if pictures["skipped"]:
+        assert "apt-get install" in done.stderr
+        pytest.skip(f"no renderer here: {pictures['skipped']}")
+    assert pictures["drawn"] == [f"ball.{name}.png" for name in ("surface", "closeup", "cut", "quality")]
+    for name in pictures["drawn"]:
+        pixels = np.asarray(pv.read(tmp_path / "pictures" / name).point_data.active_scalars)
+        assert pixels.std() > 10  # no blank sheet
+    again = run(
+        "ball.vtp",
+        "-o",
+        "other.volume.vtu",
+        "--pictures",
+        "pictures",
+        "--max-passes",
+        3,
+        "-q",
+        "--report",
+        "pictures/x.json",
+    )
+    assert again.returncode == 0
+
+
+def test_no_renderer_is_a_warning(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from tetmesh_check import pictures
+
+    monkeypatch.setattr(pictures, "rendering_environment", lambda: None)
+    surface = ball()
+    surface.save(tmp_path / "b.vtp")
+    grid = pv.UnstructuredGrid({10: np.array([[0, 1, 2, 3]])}, np.eye(4, 3))
+    grid.cell_data["radius_ratio"] = [0.5]
+    grid.cell_data["min_dihedral"] = [50.0]
+    grid.save(tmp_path / "b.vtu")
+    drawn, skipped = pictures.draw_pictures(pictures.PictureJob(tmp_path / "b.vtp", tmp_path / "b.vtu", tmp_path, "b"))
+    assert drawn == ["b.quality.png"]
+    assert set(skipped) == {"surface", "closeup", "cut"}
+    assert "libosmesa6" in skipped["cut"]
+
+
+def worker_processes(folder: Path) -> list[str]:
+    """Running tetrahedralizers whose job lies in a folder (Linux)."""
+    found = []
+    for entry in Path("/proc").glob("[0-9]*/cmdline"):
+        try:
+            words = entry.read_bytes().decode(errors="replace")
+        except OSError:  # it ended in the meantime
+            continue
+        if "tetwild_worker" in words and str(folder) in words:
+            found.append(words)
+    return found
+
+
+def test_time_limit_ends_the_tetrahedralizer(tmp_path: Path, run: Run) -> None:
+    ball(subdivisions=3).save(tmp_path / "ball.vtp")
+    write_sizing(tmp_path / "fine.vti", lambda world: np.full(len(world), 0.3))
+    started = time.monotonic()
+    done = run("ball.vtp", "--sizefield", "fine.vti", "-o", "ball.vtu", "--max-seconds", 2, "--report", "r.json")
+    assert done.returncode == 2
+    assert "ended after 2 s" in done.stderr
+    assert "--max-seconds" in done.stderr
+    assert time.monotonic() - started < 45
+    assert not (tmp_path / "ball.vtu").exists()
+    assert (tmp_path / "ball.tetwild.log").exists()
+    assert json.loads((tmp_path / "r.json").read_text())["outcome"] == "error"
+    assert not worker_processes(tmp_path)
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_interrupt_ends_everything(tmp_path: Path, number: signal.Signals) -> None:
+    ball(subdivisions=3).save(tmp_path / "ball.vtp")
+    write_sizing(tmp_path / "fine.vti", lambda world: np.full(len(world), 0.3))
+    words = ["ball.vtp", "--sizefield", "fine.vti", "-o", "ball.vtu", "--report", "r.json", "--progress", "none"]
+    environment = {**os.environ, "TMPDIR": str(tmp_path)}
+    process = subprocess.Popen(
+        [sys.executable, "-m", "tetmesh_check", *words],
+        cwd=tmp_path,
+        stderr=subprocess.PIPE,
+        text=True,
+        env=environment,
+    )
+    log = tmp_path / "ball.tetwild.log"
+    while not (log.exists() and log.stat().st_size > 0):
+        assert process.poll() is None
+        time.sleep(0.05)
+    assert worker_processes(tmp_path) or not Path("/proc/self/cmdline").exists()
+    process.send_signal(number)
+    _, stderr = process.communicate(timeout=30)
+    assert process.returncode == 130, stderr
+    assert "interrupted" in stderr
+    assert "Traceback" not in stderr
+    assert json.loads((tmp_path / "r.json").read_text())["outcome"] == "interrupted"
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["ball.tetwild.log", "ball.vtp", "fine.vti", "r.json"]
+    assert not worker_processes(tmp_path)
+
+
+def test_crash_of_the_tetrahedralizer_is_reported(tmp_path: Path, run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    ball().save(tmp_path / "ball.vtp")
+    fake = tmp_path / "fake" / "pytetwild"
+    fake.mkdir(parents=True)
+    (fake / "__init__.py").write_text(
+        "import os, signal\ndef tetrahedralize(*a, **k): os.kill(os.getpid(), signal.SIGSEGV)\n"
+    )
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path / "fake"))
+    done = run("ball.vtp", "-o", "ball.vtu")
+    assert done.returncode == 2
+    assert "crashed: SIGSEGV" in done.stderr
+    (fake / "__init__.py").write_text("def tetrahedralize(*a, **k): raise RuntimeError('no luck')\n")
+    done = run("ball.vtp", "-o", "ball.vtu")
+    assert done.returncode == 2
+    assert "no luck" in done.stderr
+    assert not (tmp_path / "ball.vtu").exists()
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        [],
+        ["a.vtp"],
+        ["a.vtp", "-o", "b.vtk"],
+        ["a.vtp", "-o", "no/such/folder/b.vtu"],
+        ["a.vtp", "-o", "b.vtu", "--envelope", "0"],
+        ["a.vtp", "-o", "b.vtu", "--tet-size-factor", "nan"],
+        ["a.vtp", "-o", "b.vtu", "--threads", "-1"],
+        ["a.vtp", "-o", "b.vtu", "-v", "-q"],
+        ["a.vtp", "-o", "b.vtu", "--forc"],
+        ["a.vtp", "-o", "b.vtu"],
+    ],
+)
+def test_bad_usage(words: list[str], run: Run) -> None:
+    done = run(*words)
+    assert done.returncode == 2
+    assert "what to do" in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+def test_help_and_version(run: Run) -> None:
+    shown = run("--help")
+    assert shown.returncode == 0
+    for option in (
+        "--sizefield",
+        "--force",
+        "--threads",
+        "--seed",
+        "--report",
+        "--progress",
+        "--quiet",
+        "--verbose",
+        "mm",
+    ):
+        assert option in shown.stdout
+    version = run("--version")
+    assert version.stdout.startswith("tetmesh-check ")
+
+
+def test_command_line_of_the_history_does_not_depend_on_folders() -> None:
+    first = canonical_command_line(
+        ["/a/s.vtp", "-o", "/a/v.vtu", "-vv", "--threads=4", "--force", "--seed", "3"], [Path("/a/v.vtu")]
+    )
+    second = canonical_command_line(["s.vtp", "-o", "w.vtu", "--seed", "3", "--report", "r.json"], [Path("w.vtu")])
+    assert first == second == "tetmesh-check s.vtp -o OUTPUT --seed 3"
