@@ -5,6 +5,7 @@
 
 pub mod field;
 mod limit;
+mod nifti;
 pub mod nrrd;
 pub mod output;
 pub mod particles;

@@ -411,6 +411,9 @@ pub fn read_volume(path: &Path) -> Result<Volume> {
     if name.ends_with(".vti") || start.windows(8).any(|window| window == b"<VTKFile") {
         return super::vti::read_vti(path);
     }
+    if name.ends_with(".nii") || name.ends_with(".nii.gz") || super::nifti::is_nifti(&start) {
+        return super::nifti::read_nifti(path);
+    }
     if name.ends_with(".nrrd") || name.ends_with(".nhdr") {
         return Err(bad(
             path,

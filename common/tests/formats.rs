@@ -1,0 +1,74 @@
+//! The readers against other programs: every fixture in `tests/data` was made, and told, by pynrrd, SimpleITK, Teem's unu,
+//! nibabel or VTK (see `tests/data/make_fixtures.py`).
+
+use glam::DVec3;
+use isoparticles_common::io::volume::{Volume, Voxels, read_volume};
+use serde_json::Value;
+use std::path::{Path, PathBuf};
+
+fn data() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data")
+}
+
+fn expected() -> Value {
+    serde_json::from_slice(&std::fs::read(data().join("expected.json")).expect("expected.json")).expect("JSON")
+}
+
+/// World positions of the first voxel and of the last one along each axis.
+fn positions(volume: &Volume) -> [DVec3; 4] {
+    let geometry = &volume.geometry;
+    let end = geometry.upper_corner();
+    [DVec3::ZERO, DVec3::X * end.x, DVec3::Y * end.y, DVec3::Z * end.z].map(|grid| geometry.grid_to_world(grid))
+}
+
+/// Whether the values are those of the texts, exactly.
+fn same_values(voxels: &Voxels, texts: &[String]) -> bool {
+    fn whole<T: ToString>(values: &[T], texts: &[String]) -> bool {
+        values.iter().map(T::to_string).eq(texts.iter().cloned())
+    }
+    let numbers = || texts.iter().map(|text| text.parse::<f64>().expect("a number"));
+    match voxels {
+        Voxels::I8(values) => whole(values, texts),
+        Voxels::U8(values) => whole(values, texts),
+        Voxels::I16(values) => whole(values, texts),
+        Voxels::U16(values) => whole(values, texts),
+        Voxels::I32(values) => whole(values, texts),
+        Voxels::U32(values) => whole(values, texts),
+        Voxels::I64(values) => whole(values, texts),
+        Voxels::U64(values) => whole(values, texts),
+        Voxels::F32(values) => values.iter().map(|&value| f64::from(value)).eq(numbers()),
+        Voxels::F64(values) => values.iter().copied().eq(numbers()),
+    }
+}
+
+#[test]
+fn other_programs_see_the_same_voxels_in_the_same_places() {
+    let expected = expected();
+    let volumes = expected["volumes"].as_object().expect("volumes");
+    assert!(volumes.len() >= 65);
+    for (file, told) in volumes {
+        let volume = read_volume(&data().join(file)).unwrap_or_else(|error| panic!("{error}"));
+        assert_eq!(volume.voxels.type_name(), told["type"], "{file}");
+        let texts: Vec<String> = serde_json::from_value(told["values"].clone()).expect("texts");
+        assert!(same_values(&volume.voxels, &texts), "{file}: {:?}", volume.voxels);
+        let places: [[f64; 3]; 4] = serde_json::from_value(told["positions"].clone()).expect("positions");
+        // NIfTI keeps its geometry in 32-bit numbers, and VTK its origin in about as many digits.
+        let tolerance = if file.starts_with("nrrd") { 1e-10 } else { 1e-5 };
+        for (ours, theirs) in positions(&volume).iter().zip(places) {
+            let theirs = DVec3::from_array(theirs);
+            assert!(ours.abs_diff_eq(theirs, tolerance), "{file}: {ours} is not {theirs} ({})", told["told_by"]);
+        }
+    }
+}
+
+#[test]
+fn what_cannot_be_meshed_is_refused_with_the_reason() {
+    let expected = expected();
+    for (file, word) in expected["refused"].as_object().expect("refused") {
+        let error = read_volume(&data().join(file)).expect_err(file);
+        let word = word.as_str().expect("a word");
+        assert!(error.what.contains(word), "{file}: '{word}' is not in '{error}'");
+        assert!(error.what.contains(file.rsplit('/').next().expect("a name")), "{file}: not named in '{error}'");
+        assert!(!error.why.is_empty() && !error.next.is_empty(), "{file}");
+    }
+}
