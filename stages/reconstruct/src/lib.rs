@@ -2,14 +2,17 @@
 //!
 //! The steps: [`prepare`] puts the particles on F = 0; [`restricted`] triangulates them (Delaunay) and takes the facets
 //! between tetrahedra whose circumcentres are inside and outside; [`defects`] compares that surface with the
-//! [`isosurface`]; [`refine`] adds points where it differs, until it does not.
+//! [`isosurface`]; [`refine`] adds points where it differs, until it does not; [`improve`] lifts the worst triangles;
+//! [`finish`] attaches the data; [`run`] is the program.
 
 pub mod defects;
+pub mod finish;
 pub mod improve;
 pub mod isosurface;
 pub mod prepare;
 pub mod refine;
 pub mod restricted;
+pub mod run;
 #[cfg(test)]
 mod scenes;
 #[cfg(test)]

@@ -10,6 +10,7 @@ use crate::prepare::{ON_SURFACE, SurfacePoints};
 use crate::restricted::{Facet, Restricted};
 use glam::DVec3;
 use isoparticles_common::error::Result;
+use isoparticles_common::kd_tree::KdTree;
 use isoparticles_common::spline::CubicSpline;
 use rayon::prelude::*;
 use serde::Serialize;
@@ -215,18 +216,16 @@ impl<'a> Refinement<'a> {
     ///
     /// # Errors
     /// None as a rule; those of the triangulation.
-    pub fn insert_near_nodes(&mut self, nodes: &[[usize; 3]], near: impl Fn(DVec3) -> u32 + Sync) -> Result<usize> {
-        let field = self.restricted.field();
-        let geometry = field.geometry();
+    pub fn insert_near_nodes(&mut self, nodes: &[[usize; 3]]) -> Result<usize> {
+        let geometry = self.restricted.field().geometry();
+        let tree = KdTree::new(self.restricted.points());
         let candidates = nodes
             .par_iter()
             .filter_map(|node| {
                 let index = DVec3::from_array(node.map(|n| n as f64));
                 let point = self.on_surface(geometry.index_to_grid(index), 2.0)?;
-                let near = near(point);
-                let vertex = self.restricted.points()[near as usize];
-                let size = self.sizes[near as usize];
-                Some(Candidate { reason: Reason::Node, point, radius: vertex.distance(point), size, near })
+                let (near, radius) = tree.nearest(point)?;
+                Some(Candidate { reason: Reason::Node, point, radius, size: self.sizes[near], near: near as u32 })
             })
             .collect();
         self.insert_all(candidates)
@@ -366,7 +365,7 @@ impl<'a> Refinement<'a> {
             largest = self.sizes[v].max(largest);
         }
         let mut spacing = largest * 0.7f64.powi(attempt);
-        let fresh = |spacing: f64| thinned(&[&present[..], &samples[..]].concat(), spacing)[..].to_vec();
+        let fresh = |spacing: f64| thinned(&[&present[..], &samples[..]].concat(), spacing);
         let mut kept = fresh(spacing);
         while kept.len() < 12 && spacing > 0.1 * voxel {
             spacing *= 0.7;

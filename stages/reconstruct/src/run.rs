@@ -1,0 +1,354 @@
+//! The program: options, reading, the steps in order, the checks, writing.
+
+use crate::finish::{CapPlane, attributes, cap_planes, offending};
+use crate::improve::{ImproveOptions, improve};
+use crate::isosurface::Isosurface;
+use crate::prepare::{SurfacePoints, prepare};
+use crate::refine::{RefineOptions, RefineReport, Refinement};
+use crate::restricted::Facet;
+use glam::DVec3;
+use isoparticles_common::cli::{CHECKS, CommonArgs, Context, FILES, METHOD, Outcome, StageArgs};
+use isoparticles_common::error::Result;
+use isoparticles_common::image::Image;
+use isoparticles_common::io::field::{Field, FieldKind, check_same_grid, read_field};
+use isoparticles_common::io::particles::{ParticleKind, read_particles};
+use isoparticles_common::io::surface::{check_surface_name, write_simplices, write_surface};
+use isoparticles_common::kd_tree::KdTree;
+use isoparticles_common::mesh::TriangleMesh;
+use isoparticles_common::mesh::check::{CheckOptions, CheckReport, check};
+use isoparticles_common::mesh::inside::nodes_on_wrong_side;
+use isoparticles_common::spline::CubicSpline;
+use serde_json::{Value, json};
+use std::path::{Path, PathBuf};
+
+/// Settled particles become a watertight triangle mesh
+///
+/// The particles are joined by a Delaunay triangulation whose tetrahedra are inside where F is negative at their
+/// circumcentre; the surface lies between inside and outside, closed in any case. Where it is not manifold, lacks or joins
+/// components of the isosurface, or strays from F = 0, points are added until it is right. Then the worst triangles are lifted
+/// by local moves, and everything a simulation counts on is checked. The mesh is in world coordinates (mm), triangles
+/// counter-clockwise seen from outside.
+#[derive(Clone, Debug, clap::Parser)]
+#[command(
+    name = "reconstruct",
+    version,
+    after_help = "Exit code 1: the mesh was written but a check failed; the offending simplices are in NAME.offending.vtp beside it.\nExample:\n  reconstruct tooth.particles.bin --distfield tooth.distfield.vti -o tooth.surface.vtp --report tooth.json"
+)]
+pub struct Args {
+    /// Particles to join, made by `particles` (those of `seed` are taken too)
+    #[arg(value_name = "P.bin", help_heading = FILES)]
+    pub particles: PathBuf,
+    /// Distance field F that they were made from; lengths in mm
+    #[arg(long, value_name = "F.vti", help_heading = FILES)]
+    pub distfield: PathBuf,
+    /// Surface to write: .vtp with all data, or .ply, .stl, .obj
+    #[arg(short, long, value_name = "SURFACE", help_heading = FILES)]
+    pub output: PathBuf,
+    /// Farthest that the centroid of a triangle may lie from F = 0 before points are added there, mm, above 0
+    /// [default: a quarter of the target edge length h, and of a voxel at least]
+    #[arg(long, value_name = "MM", value_parser = positive, help_heading = METHOD)]
+    pub max_deviation: Option<f64>,
+    /// Most rounds of adding points, 0 to 100; a round adds at most one point a place
+    #[arg(long, value_name = "N", default_value_t = 20, value_parser = clap::value_parser!(u16).range(0..=100), help_heading = METHOD)]
+    pub max_rounds: u16,
+    /// Radius ratio (2r/R, 1 for an equilateral triangle) below which triangles are worked on by local moves, 0 to 1; 0 leaves
+    /// the triangulation as it is
+    #[arg(long, value_name = "RATIO", default_value_t = 0.6, value_parser = part, help_heading = METHOD)]
+    pub improve_below: f64,
+    /// Passes over the worst triangles, of growing effort, 0 to 20
+    #[arg(long, value_name = "N", default_value_t = 3, value_parser = clap::value_parser!(u16).range(0..=20), help_heading = METHOD)]
+    pub improve_rounds: u16,
+    /// Smallest radius ratio that passes, 0 to 1
+    #[arg(long, value_name = "RATIO", default_value_t = 0.3, value_parser = part, help_heading = CHECKS)]
+    pub min_radius_ratio: f64,
+    /// Farthest from F = 0 that a vertex may lie, voxels (geometric mean spacing), above 0
+    #[arg(long, value_name = "VOXELS", default_value_t = 1e-4, value_parser = positive, help_heading = CHECKS)]
+    pub max_vertex_distance: f64,
+    /// The options that every stage has.
+    #[command(flatten)]
+    pub common: CommonArgs,
+}
+
+fn positive(text: &str) -> std::result::Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(value) if value > 0.0 && value.is_finite() => Ok(value),
+        _ => Err(format!("{text} is not a number above 0")),
+    }
+}
+
+fn part(text: &str) -> std::result::Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(value) if (0.0..=1.0).contains(&value) => Ok(value),
+        _ => Err(format!("{text} is not a number from 0 to 1")),
+    }
+}
+
+impl StageArgs for Args {
+    fn common(&self) -> &CommonArgs {
+        &self.common
+    }
+
+    fn outputs(&self) -> Vec<PathBuf> {
+        vec![self.output.clone()]
+    }
+
+    fn parameters(&self) -> Value {
+        json!({
+            "max_deviation": self.max_deviation, "max_rounds": self.max_rounds,
+            "improve_below": self.improve_below, "improve_rounds": self.improve_rounds,
+            "min_radius_ratio": self.min_radius_ratio, "max_vertex_distance": self.max_vertex_distance,
+        })
+    }
+}
+
+/// What the distance field says about itself.
+struct Origin {
+    is_labels: bool,
+    is_open: bool,
+    caps: Vec<CapPlane>,
+}
+
+impl Origin {
+    fn of(field: &Field) -> Self {
+        Self {
+            is_labels: field.meta["source"] == "labels",
+            is_open: field.meta["border"] == "open",
+            caps: cap_planes(&field.meta),
+        }
+    }
+}
+
+/// Runs the stage.
+///
+/// # Errors
+/// On files that cannot be read or written or do not belong together, on particles that are not on F = 0 or all in one
+/// plane, and when interrupted.
+pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
+    check_surface_name(&args.output)?;
+    let step = context.step("read");
+    let kinds = [ParticleKind::Particles, ParticleKind::Seeds, ParticleKind::Checkpoint];
+    let particle_file = read_particles(&args.particles, &kinds)?;
+    if particle_file.kind != ParticleKind::Particles {
+        let kind = particle_file.kind.name();
+        context.warn(format!("{}: holds {kind}, not settled particles; expect worse triangles", args.particles.display()));
+    }
+    let field = read_field(&args.distfield, FieldKind::Distance)?;
+    let particles = particle_file.particles;
+    check_same_grid((&args.particles, &particles.geometry), (&args.distfield, &field.image.geometry))?;
+    context.add_input(&args.particles, Some(particle_file.history))?;
+    context.add_input(&args.distfield, field.history.clone())?;
+    let origin = Origin::of(&field);
+    let spline = CubicSpline::new(&field.image);
+    drop(step);
+
+    let step = context.step("isosurface");
+    let isosurface = Isosurface::new(&field.image);
+    drop(step);
+    let step = context.step("project");
+    let points = prepare(&particles, &spline).map_err(|e| e_about(&args.particles, e))?;
+    drop(step);
+    let made = join(args, context, &points, &spline, isosurface, &field.image, &origin)?;
+    let Joined { mut mesh, sizes, report: refined, expected_components, sampled_components } = made;
+
+    let step = context.step("improve");
+    let tree = KdTree::new(&sizes.0);
+    let size = |p: DVec3| tree.nearest(p).map_or(spline.geometry().mean_spacing(), |(v, _)| sizes.1[v]);
+    let options = ImproveOptions {
+        target: args.improve_below,
+        rounds: usize::from(args.improve_rounds),
+        sides: (origin.is_labels && !origin.is_open).then_some(&field.image),
+        ..ImproveOptions::default()
+    };
+    let improved = improve(&mut mesh, &spline, &size, &options)?;
+    drop(step);
+    context.check_interrupt()?;
+
+    let step = context.step("check");
+    let options = CheckOptions {
+        field: Some(&spline),
+        sides: (!origin.is_open).then_some(&field.image),
+        expected_components: Some(expected_components),
+        min_radius_ratio: Some(args.min_radius_ratio),
+        max_vertex_distance: Some(args.max_vertex_distance),
+    };
+    let mut checked = check(&mesh, &options);
+    let failed = judge(&mut checked, &mesh, &refined, &origin, &spline, context);
+    drop(step);
+
+    context.report("prepare", json!(points.report));
+    context.report("refine", json!(refined));
+    context.report("improve", json!(improved));
+    context.report("check", json!(checked));
+    context.report("isosurface_components", expected_components);
+    context.report("marching_cubes_components", sampled_components);
+    describe(&checked, &points, &refined, expected_components, context);
+
+    let step = context.step("write");
+    let surface = attributes(&mesh, &spline, &size, &origin.caps);
+    let meta = json!({
+        "source": field.meta["source"], "border": field.meta["border"], "failed_checks": failed,
+        "components": expected_components, "refine": refined,
+    });
+    write_surface(&args.output, &surface, &meta, &context.history())?;
+    let offenders = args.output.with_extension("offending.vtp");
+    match offending(&mesh, &checked, spline.geometry()) {
+        Some(simplices) if !failed.is_empty() => {
+            write_simplices(&offenders, &simplices, &context.history())?;
+            context.info(format!("the offending simplices are in {}", offenders.display()));
+        }
+        // one left by an earlier run would mislead
+        _ => remove_stale(&offenders, context),
+    }
+    drop(step);
+    Ok(Outcome::from_failed_checks(failed))
+}
+
+fn e_about(path: &Path, error: isoparticles_common::error::Error) -> isoparticles_common::error::Error {
+    isoparticles_common::error::Error { what: format!("{}: {}", path.display(), error.what), ..error }
+}
+
+fn remove_stale(path: &Path, context: &Context) {
+    if path.exists()
+        && let Err(error) = std::fs::remove_file(path)
+    {
+        context.warn(format!("{}: is left from an earlier run and cannot be removed: {error}", path.display()));
+    }
+}
+
+/// A mesh joined from particles, before improvement.
+struct Joined {
+    mesh: TriangleMesh,
+    /// All points of the triangulation, and the target edge length at each.
+    sizes: (Vec<DVec3>, Vec<f64>),
+    report: RefineReport,
+    expected_components: usize,
+    sampled_components: usize,
+}
+
+fn join(
+    args: &Args,
+    context: &Context,
+    points: &SurfacePoints,
+    spline: &CubicSpline,
+    isosurface: Isosurface,
+    samples: &Image<f32>,
+    origin: &Origin,
+) -> Result<Joined> {
+    let step = context.step("triangulate");
+    let options = RefineOptions {
+        max_rounds: usize::from(args.max_rounds),
+        max_deviation: args.max_deviation,
+        open_border: origin.is_open,
+    };
+    let sampled_components = isosurface.sampled_component_count();
+    let mut refinement =
+        Refinement::new(points, spline, isosurface, options).map_err(|e| e_about(&args.particles, e))?;
+    drop(step);
+    let step = context.step("refine");
+    let hear = |round: usize, count: usize| {
+        context.verbose(format!("round {round}: {count} points"));
+        context.check_interrupt()
+    };
+    let mut facets = refinement.run(hear)?;
+    while origin.is_labels && !origin.is_open && refinement.report.rounds < options.max_rounds {
+        let (mesh, _) = compact(&refinement, &facets);
+        let nodes = nodes_on_wrong_side(&mesh, samples);
+        context.verbose(format!("{} grid nodes on the wrong side", nodes.len()));
+        if nodes.is_empty() || refinement.insert_near_nodes(&nodes)? == 0 {
+            break;
+        }
+        facets = refinement.run(hear)?;
+    }
+    drop(step);
+    let (mesh, _) = compact(&refinement, &facets);
+    Ok(Joined {
+        mesh,
+        sizes: (refinement.restricted.points().to_vec(), refinement.sizes.clone()),
+        report: refinement.report.clone(),
+        expected_components: refinement.isosurface().component_count(),
+        sampled_components,
+    })
+}
+
+/// The mesh of the facets with the vertices that they use, and the point behind each vertex.
+pub fn compact(refinement: &Refinement, facets: &[Facet]) -> (TriangleMesh, Vec<u32>) {
+    let points = refinement.restricted.points();
+    let mut number = vec![u32::MAX; points.len()];
+    facets.iter().flat_map(|f| f.vertices).for_each(|v| number[v as usize] = 0);
+    let used: Vec<u32> = (0..points.len() as u32).filter(|&v| number[v as usize] == 0).collect();
+    for (n, &v) in used.iter().enumerate() {
+        number[v as usize] = n as u32;
+    }
+    let mesh = TriangleMesh {
+        vertices: used.iter().map(|&v| points[v as usize]).collect(),
+        triangles: facets.iter().map(|f| f.vertices.map(|v| number[v as usize])).collect(),
+    };
+    (mesh, used)
+}
+
+/// The checks that failed, in words. What an open border entails is no failure; nodes on the wrong side are one for
+/// labels only, since for a scalar volume a chord may cut off a node next to the surface.
+fn judge(
+    checked: &mut CheckReport,
+    mesh: &TriangleMesh,
+    refined: &RefineReport,
+    origin: &Origin,
+    spline: &CubicSpline,
+    context: &Context,
+) -> Vec<String> {
+    if origin.is_open {
+        let geometry = spline.geometry();
+        let upper = geometry.upper_corner();
+        let longest = |[a, b]: &[u32; 2]| mesh.vertices[*a as usize].distance(mesh.vertices[*b as usize]);
+        let margin = |v: u32, edge: &[u32; 2]| {
+            let p = mesh.vertices[v as usize];
+            p.min(upper - p).min_element() < 2.0 * longest(edge) + geometry.mean_spacing()
+        };
+        checked.offenders.open_edges.retain(|edge| !edge.iter().all(|&v| margin(v, edge)));
+        context.report("border_edges", checked.open_edges - checked.offenders.open_edges.len());
+        checked.open_edges = checked.offenders.open_edges.len();
+    }
+    let nodes = checked.nodes_on_wrong_side;
+    if !origin.is_labels {
+        checked.nodes_on_wrong_side = None;
+    }
+    let mut failed = checked.failed_checks();
+    checked.nodes_on_wrong_side = nodes;
+    if refined.unresolved_bridges > 0 {
+        let bridges = refined.unresolved_bridges;
+        failed.push(format!("{bridges} triangles that join different components of the isosurface"));
+    }
+    if refined.unresolved_genus > 0 {
+        context.warn(format!(
+            "{} components whose Euler characteristic differs from that of marching cubes on F: their finest handles are \
+             narrower than a voxel, or than the particles can tell",
+            refined.unresolved_genus
+        ));
+    }
+    failed
+}
+
+fn describe(checked: &CheckReport, points: &SurfacePoints, refined: &RefineReport, expected: usize, context: &Context) {
+    let quality = &checked.quality;
+    context.summary("vertices, triangles", format!("{}, {}", checked.vertices, checked.triangles));
+    context.summary("components", format!("{} of {expected}", checked.components.len()));
+    context.summary("Euler characteristic", checked.euler);
+    let dropped = points.report.invalid + points.report.astray + points.report.crowded;
+    context.summary("particles taken, not taken", format!("{}, {dropped}", points.positions.len()));
+    context.summary("points added", format!("{} in {} rounds", refined.inserted, refined.rounds));
+    context.summary(
+        "radius ratio",
+        format!("mean {:.4}, smallest {:.4}", quality.radius_ratio_mean, quality.radius_ratio_min),
+    );
+    context.summary("angles, degrees", format!("{:.1} to {:.1}", quality.angle_min, quality.angle_max));
+    context.summary("area, mm^2; volume, mm^3", format!("{:.6e}; {:.6e}", checked.area, checked.volume));
+    if let (Some(v), Some(c)) = (checked.vertex_distance, checked.centroid_distance) {
+        context.summary(
+            "distance from F = 0, voxels",
+            format!("vertices at most {:.1e}; centroids mean {:.4}, largest {:.3}", v.max, c.mean, c.max),
+        );
+    }
+    if let Some(nodes) = checked.nodes_on_wrong_side {
+        context.summary("grid nodes on the wrong side", nodes);
+    }
+}
