@@ -127,9 +127,7 @@ pub fn offending(mesh: &TriangleMesh, checked: &CheckReport, geometry: &Geometry
         simplices.points.push(geometry.grid_to_world(geometry.index_to_grid(index)));
         vertex_reasons.push(6);
     }
-    for (list, reason) in
-        [(&found.open_edges, 1), (&found.non_manifold_edges, 2), (&found.badly_oriented_edges, 3)]
-    {
+    for (list, reason) in [(&found.open_edges, 1), (&found.non_manifold_edges, 2), (&found.badly_oriented_edges, 3)] {
         simplices.edges.extend(list);
         edge_reasons.resize(simplices.edges.len(), reason);
     }

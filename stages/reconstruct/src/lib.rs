@@ -10,6 +10,8 @@ pub mod finish;
 pub mod improve;
 pub mod isosurface;
 pub mod prepare;
+#[cfg(test)]
+mod program_tests;
 pub mod refine;
 pub mod restricted;
 pub mod run;
