@@ -4,6 +4,7 @@
 //! control, stagnation test. Same seeds, fields and parameters give the same bytes for any number of threads.
 
 mod density;
+mod log;
 mod movement;
 pub mod run;
 mod settle;

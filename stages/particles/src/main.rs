@@ -1,2 +1,7 @@
-//! The `particles` program.
-fn main() {}
+//! The `particles` program: parse, run, exit code.
+
+use std::process::ExitCode;
+
+fn main() -> ExitCode {
+    isoparticles_common::cli::run_stage("particles", isoparticles_particles::run::run)
+}

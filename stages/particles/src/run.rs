@@ -1,1 +1,292 @@
-//! The program around [`crate::settle`]: files, log, checkpoints.
+//! The program around [`crate::settle`]: options, files, log by pass, checkpoints.
+
+use crate::log::Log;
+use crate::settle::{Parameters, PassRecord, REORDER_INTERVAL, settle};
+use crate::state::Fields;
+use clap::{Parser, ValueEnum};
+use isoparticles_common::cli::{CommonArgs, Context, FILES, METHOD, Outcome, StageArgs};
+use isoparticles_common::energy;
+use isoparticles_common::error::{Error, Result};
+use isoparticles_common::history::hash_file;
+use isoparticles_common::io::field::{FieldKind, check_same_grid, read_field};
+use isoparticles_common::io::particles::{ParticleKind, read_particles, write_particles, write_particles_with};
+use isoparticles_common::particle_set::ParticleSet;
+use isoparticles_common::sizing::SizingField;
+use isoparticles_common::spline::CubicSpline;
+use serde::{Deserialize, Serialize};
+use serde_json::{Value, json};
+use std::path::{Path, PathBuf};
+
+/// Where the particles are moved.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum Backend {
+    /// The fastest there is; in this version always the CPU.
+    Auto,
+    /// A GPU, or an error with exit code 3.
+    Gpu,
+    /// All CPU cores (see --threads).
+    Cpu,
+}
+
+/// Settles particles on F = 0 until they form a near-hexagonal lattice of local spacing h
+#[derive(Debug, Parser)]
+#[command(
+    name = "particles",
+    version,
+    after_help = "Example:\n  particles heart.seeds.bin --distfield heart.distfield.vti --sizefield heart.sizefield.vti \\\n      \
+        -o heart.particles.bin --log heart.passes.csv\n\n\
+        Paper: section 3, Eq. 1 to 5 and Algorithm 1. The printed limits are --max-passes 50 --energy-tolerance 0.0015 \
+        --ideal-energy 3.462 (six times the ideal distance by mistake: it packs 2.3 times as many particles)."
+)]
+pub struct Args {
+    /// Seeds, made by seed
+    #[arg(value_name = "seeds.bin", help_heading = FILES)]
+    seeds: PathBuf,
+    /// Distance field F that the seeds were made from
+    #[arg(long, value_name = "F.vti", help_heading = FILES)]
+    distfield: PathBuf,
+    /// Sizing field h on the same grid
+    #[arg(long, value_name = "S.vti", help_heading = FILES)]
+    sizefield: PathBuf,
+    /// Particle file to write
+    #[arg(short, long, value_name = "P.bin", help_heading = FILES)]
+    output: PathBuf,
+    /// One line a pass: energy, count, inserted, deleted, escaped, time; CSV, or JSON lines when it ends in .jsonl
+    #[arg(long, value_name = "FILE", help_heading = FILES)]
+    log: Option<PathBuf>,
+    /// Keep the particles in this file every --checkpoint-interval passes
+    #[arg(long, value_name = "FILE", help_heading = FILES)]
+    checkpoint: Option<PathBuf>,
+    /// Go on from the checkpoint if it is there; the result is that of an unbroken run, byte for byte
+    #[arg(long, requires = "checkpoint", help_heading = FILES)]
+    resume: bool,
+    /// Passes between checkpoints; a multiple of 10
+    #[arg(long, value_name = "N", default_value_t = 10, value_parser = interval, help_heading = FILES)]
+    checkpoint_interval: u64,
+    /// Where to compute; gpu is not in this version
+    #[arg(long, value_enum, default_value_t = Backend::Auto, help_heading = METHOD)]
+    backend: Backend,
+    /// Most passes over all particles (the paper: 50)
+    #[arg(long, value_name = "N", default_value_t = Parameters::default().max_passes, help_heading = METHOD,
+        value_parser = clap::value_parser!(u64).range(1..))]
+    max_passes: u64,
+    /// Stop when the mean energy changes by less than this share a pass, 0 to 1 (the paper's E_min: 0.0015)
+    #[arg(long, value_name = "SHARE", default_value_t = Parameters::default().energy_tolerance, value_parser = share,
+        help_heading = METHOD)]
+    energy_tolerance: f64,
+    /// Energy that density control aims at, above 0 [default: that of the hexagonal lattice by Eq. 1, 0.7108]
+    #[arg(long, value_name = "E", value_parser = positive, help_heading = METHOD)]
+    ideal_energy: Option<f64>,
+    /// Add a particle where the energy is below this share of the ideal one, 0 to 1
+    #[arg(long, value_name = "SHARE", default_value_t = Parameters::default().add_below, value_parser = share,
+        help_heading = METHOD)]
+    add_below: f64,
+    /// Delete a particle whose energy is above this multiple of the ideal one, above 1
+    #[arg(long, value_name = "RATIO", default_value_t = Parameters::default().delete_above, value_parser = above_one,
+        help_heading = METHOD)]
+    delete_above: f64,
+    /// Never add particles (the synthetic test of Table 3)
+    #[arg(long, help_heading = METHOD)]
+    no_insert: bool,
+    #[command(flatten)]
+    common: CommonArgs,
+}
+
+fn number(text: &str, fits: impl Fn(f64) -> bool, must: &str) -> std::result::Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(x) if fits(x) => Ok(x),
+        Ok(_) => Err(must.into()),
+        Err(error) => Err(error.to_string()),
+    }
+}
+
+fn positive(text: &str) -> std::result::Result<f64, String> {
+    number(text, |x| x.is_finite() && x > 0.0, "must be finite and above 0")
+}
+
+fn share(text: &str) -> std::result::Result<f64, String> {
+    number(text, |x| (0.0..=1.0).contains(&x), "must be from 0 to 1")
+}
+
+fn above_one(text: &str) -> std::result::Result<f64, String> {
+    number(text, |x| x.is_finite() && x > 1.0, "must be finite and above 1")
+}
+
+fn interval(text: &str) -> std::result::Result<u64, String> {
+    match text.parse::<u64>() {
+        Ok(n) if n > 0 && n.is_multiple_of(REORDER_INTERVAL) => Ok(n),
+        Ok(_) => Err(format!("must be a multiple of {REORDER_INTERVAL}, from {REORDER_INTERVAL}")),
+        Err(error) => Err(error.to_string()),
+    }
+}
+
+impl Args {
+    fn settling(&self) -> Parameters {
+        Parameters {
+            max_passes: self.max_passes,
+            energy_tolerance: self.energy_tolerance,
+            ideal_energy: self.ideal_energy.unwrap_or_else(energy::ideal_energy),
+            add_below: self.add_below,
+            delete_above: self.delete_above,
+            allow_insert: !self.no_insert,
+            seed: self.common.seed,
+            ..Parameters::default()
+        }
+    }
+}
+
+impl StageArgs for Args {
+    fn common(&self) -> &CommonArgs {
+        &self.common
+    }
+
+    fn outputs(&self) -> Vec<PathBuf> {
+        let mut outputs = vec![self.output.clone()];
+        // a resumed run goes on with its own log and checkpoint
+        if !self.resume {
+            outputs.extend(self.log.clone());
+            outputs.extend(self.checkpoint.clone());
+        }
+        outputs
+    }
+
+    fn parameters(&self) -> Value {
+        json!(self.settling())
+    }
+}
+
+/// What a checkpoint carries besides the particles.
+#[derive(Serialize, Deserialize)]
+struct Progress {
+    parameters: Parameters,
+    /// Hashes of seeds, distance field and sizing field.
+    inputs: [String; 3],
+    records: Vec<PassRecord>,
+}
+
+/// Settles the particles.
+pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
+    match args.backend {
+        Backend::Gpu => {
+            return Err(Error::gpu(
+                "--backend gpu: this version has no GPU backend",
+                "the run was told not to use anything else",
+                "use --backend cpu, or auto",
+            ));
+        }
+        Backend::Auto | Backend::Cpu => context.verbose("backend: cpu"),
+    }
+    let step = context.step("read");
+    let seeds = read_particles(&args.seeds, &[ParticleKind::Seeds, ParticleKind::Particles])?;
+    let distance = read_field(&args.distfield, FieldKind::Distance)?;
+    let sizing = read_field(&args.sizefield, FieldKind::Sizing)?;
+    check_same_grid((&args.distfield, &distance.image.geometry), (&args.sizefield, &sizing.image.geometry))?;
+    check_same_grid((&args.distfield, &distance.image.geometry), (&args.seeds, &seeds.particles.geometry))?;
+    context.add_input(&args.seeds, Some(seeds.history.clone()))?;
+    context.add_input(&args.distfield, distance.history.clone())?;
+    context.add_input(&args.sizefield, sizing.history.clone())?;
+    if seeds.particles.positions.is_empty() {
+        return Err(Error::input(
+            format!("{}: holds no particles", args.seeds.display()),
+            "there is nothing to settle",
+            "run seed again to make it anew",
+        ));
+    }
+    let surface = CubicSpline::new(&distance.image);
+    let parameters = args.settling();
+    let inputs = [hash_file(&args.seeds)?, hash_file(&args.distfield)?, hash_file(&args.sizefield)?];
+    let (start, records) = match &args.checkpoint {
+        Some(path) if args.resume && path.exists() => resume(path, &parameters, &inputs, context)?,
+        _ => (seeds.particles, Vec::new()),
+    };
+    let sizing = SizingField::new(sizing.image);
+    drop((distance, step));
+
+    let step = context.step("settle");
+    let mut log = args.log.as_deref().map(|path| Log::create(path, &records)).transpose()?;
+    let progress = context.progress(Some(parameters.max_passes), "pass");
+    let mut kept = Progress { parameters: parameters.clone(), inputs, records: records.clone() };
+    let fields = Fields { surface: &surface, sizing: &sizing };
+    let (particles, summary) = settle(start, &fields, &parameters, &records, |record, particles| {
+        progress.set(record.pass);
+        progress.message(format!(
+            "energy {:.5} a particle, {} particles (+{} -{})",
+            record.energy / record.count.max(1) as f64,
+            record.count,
+            record.inserted,
+            record.deleted
+        ));
+        if let Some(log) = &mut log {
+            log.write(record)?;
+        }
+        kept.records.push(*record);
+        if let Some(path) = &args.checkpoint
+            && record.pass % args.checkpoint_interval == 0
+        {
+            keep(path, particles, &kept, context)?;
+        }
+        context.check_interrupt()
+    })?;
+    drop((progress, step));
+    if particles.positions.is_empty() {
+        return Err(Error::input(
+            format!("{}: no particle stayed on the surface", args.seeds.display()),
+            "there is nothing to write",
+            "check that the distance field is the one that the seeds were made from",
+        ));
+    }
+    if summary.escaped > 0 {
+        context.warn(format!("{} particles could not be kept on F = 0 and were removed", summary.escaped));
+    }
+    context.summary("particles", particles.positions.len());
+    context.summary("passes", summary.passes);
+    context.summary("stopped by", if summary.stagnated { "stagnation of the energy" } else { "the pass limit" });
+    context.summary("escaped", summary.escaped);
+    context.summary("energy over ideal", format!("{:.4}", summary.energy_ratio));
+    context.summary("backend", "cpu");
+    let meta = json!(summary);
+    context.report("settling", meta.clone());
+    context.report("passes", json!(kept.records));
+    let _step = context.step("write");
+    write_particles(&args.output, ParticleKind::Particles, &particles, &meta, &context.history())?;
+    Ok(Outcome::Passed)
+}
+
+/// Writes the checkpoint.
+fn keep(path: &Path, particles: &ParticleSet, progress: &Progress, context: &Context) -> Result<()> {
+    let extra = serde_json::to_vec(progress).map_err(|error| {
+        Error::input(
+            format!("{}: cannot put the log into bytes: {error}", path.display()),
+            "the checkpoint needs it",
+            "report this bug",
+        )
+    })?;
+    write_particles_with(path, ParticleKind::Checkpoint, particles, &Value::Null, &context.history(), &extra)
+}
+
+/// Reads a checkpoint and makes sure that it belongs to this run.
+fn resume(
+    path: &Path,
+    parameters: &Parameters,
+    inputs: &[String; 3],
+    context: &Context,
+) -> Result<(ParticleSet, Vec<PassRecord>)> {
+    let file = read_particles(path, &[ParticleKind::Checkpoint])?;
+    let refuse = |what: &str| {
+        Error::input(
+            format!("{}: {what}", path.display()),
+            "going on from it would not give the result of an unbroken run",
+            "leave out --resume to start anew, or give the inputs and parameters that the checkpoint was made with",
+        )
+    };
+    let progress: Progress =
+        serde_json::from_slice(&file.extra).map_err(|error| refuse(&format!("cannot be understood: {error}")))?;
+    if progress.inputs != *inputs {
+        return Err(refuse("was made from other seeds or fields"));
+    }
+    if json!(progress.parameters) != json!(parameters) {
+        return Err(refuse("was made with other parameters"));
+    }
+    context.info(format!("resuming after pass {}", progress.records.last().map_or(0, |r| r.pass)));
+    Ok((file.particles, progress.records))
+}

@@ -1,2 +1,7 @@
-//! The `seed` program.
-fn main() {}
+//! The `seed` program: parse, run, exit code.
+
+use std::process::ExitCode;
+
+fn main() -> ExitCode {
+    isoparticles_common::cli::run_stage("seed", isoparticles_seed::run::run)
+}

@@ -1,1 +1,93 @@
-//! program
+//! The program around [`crate::sampling`]: options, files, report.
+
+use crate::sampling::seed_surface;
+use clap::Parser;
+use isoparticles_common::cli::{CommonArgs, Context, FILES, METHOD, Outcome, StageArgs};
+use isoparticles_common::error::{Error, Result};
+use isoparticles_common::io::field::{FieldKind, check_same_grid, read_field};
+use isoparticles_common::io::particles::{ParticleKind, write_particles};
+use isoparticles_common::sizing::SizingField;
+use isoparticles_common::spline::CubicSpline;
+use serde_json::{Value, json};
+use std::path::PathBuf;
+
+/// First particles on the isosurface F = 0, on every component, near the density that the sizing field asks for
+#[derive(Debug, Parser)]
+#[command(
+    name = "seed",
+    version,
+    after_help = "Example:\n  seed heart.distfield.vti heart.sizefield.vti -o heart.seeds.bin\n\n\
+        Paper: section 3.1 (seeds from marching cubes) and Eq. 5; --count is the synthetic test of Table 3."
+)]
+pub struct Args {
+    /// Distance field, made by distfield
+    #[arg(value_name = "F.vti", help_heading = FILES)]
+    distfield: PathBuf,
+    /// Sizing field on the same grid, made by sizefield
+    #[arg(value_name = "S.vti", help_heading = FILES)]
+    sizefield: PathBuf,
+    /// Particle file to write
+    #[arg(short, long, value_name = "seeds.bin", help_heading = FILES)]
+    output: PathBuf,
+    /// Seed about this many particles instead of what the sizing field asks for (each component gets some all the same)
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(4..), help_heading = METHOD)]
+    count: Option<u64>,
+    #[command(flatten)]
+    common: CommonArgs,
+}
+
+impl StageArgs for Args {
+    fn common(&self) -> &CommonArgs {
+        &self.common
+    }
+
+    fn outputs(&self) -> Vec<PathBuf> {
+        vec![self.output.clone()]
+    }
+
+    fn parameters(&self) -> Value {
+        json!({ "count": self.count })
+    }
+}
+
+/// Seeds the surface.
+pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
+    let step = context.step("read");
+    let distance = read_field(&args.distfield, FieldKind::Distance)?;
+    let sizing = read_field(&args.sizefield, FieldKind::Sizing)?;
+    check_same_grid((&args.distfield, &distance.image.geometry), (&args.sizefield, &sizing.image.geometry))?;
+    context.add_input(&args.distfield, distance.history.clone())?;
+    context.add_input(&args.sizefield, sizing.history.clone())?;
+    let surface = CubicSpline::new(&distance.image);
+    drop(step);
+    context.check_interrupt()?;
+    let step = context.step("sample");
+    let sizing = SizingField::new(sizing.image);
+    let count = args.count.map(|n| n as usize);
+    let (particles, summary) = seed_surface(&distance.image, &surface, &sizing, count, context.seed());
+    drop(step);
+    if particles.positions.is_empty() {
+        return Err(Error::input(
+            format!("{}: has no surface to seed", args.distfield.display()),
+            "particles live on F = 0, and F has no zero that can be reached",
+            "look at the iso value or the labels that distfield was given",
+        ));
+    }
+    if summary.crowded_components > 0 {
+        context.warn(format!(
+            "{} of {} components are small for their h and got extra particles; a smaller h (sizefield --min-size, \
+             --epsilon) suits them better",
+            summary.crowded_components, summary.components
+        ));
+    }
+    context.summary("particles", particles.positions.len());
+    context.summary("predicted particles", summary.predicted_count.round());
+    context.summary("components", summary.components);
+    context.summary("not projected", summary.not_projected);
+    let meta = json!(summary);
+    context.report("seeding", meta.clone());
+    context.check_interrupt()?;
+    let _step = context.step("write");
+    write_particles(&args.output, ParticleKind::Seeds, &particles, &meta, &context.history())?;
+    Ok(Outcome::Passed)
+}

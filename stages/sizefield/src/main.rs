@@ -1,2 +1,7 @@
-//! The `sizefield` program.
-fn main() {}
+//! The `sizefield` program: parse, run, exit code.
+
+use std::process::ExitCode;
+
+fn main() -> ExitCode {
+    isoparticles_common::cli::run_stage("sizefield", isoparticles_sizefield::run::run)
+}

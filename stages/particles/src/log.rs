@@ -1,0 +1,57 @@
+//! The log of the run: one line a pass, as CSV or as JSON lines.
+
+use crate::settle::PassRecord;
+use isoparticles_common::error::{Error, Result};
+use std::fs::File;
+use std::io::Write;
+use std::path::{Path, PathBuf};
+
+/// An open log, written line by line so that it can be followed.
+pub(crate) struct Log {
+    path: PathBuf,
+    file: File,
+    json_lines: bool,
+}
+
+impl Log {
+    /// Starts a log with the records of the passes already run. JSON lines when the name ends in `.jsonl`.
+    pub(crate) fn create(path: &Path, records: &[PassRecord]) -> Result<Self> {
+        let file = File::create(path).map_err(|e| failed(path, &e))?;
+        let mut log = Self { path: path.into(), file, json_lines: path.extension().is_some_and(|e| e == "jsonl") };
+        if !log.json_lines {
+            log.line("pass,energy,count,inserted,deleted,escaped,moved,tries_per_particle,neighbours,seconds")?;
+        }
+        records.iter().try_for_each(|record| log.write(record))?;
+        Ok(log)
+    }
+
+    /// Adds a line.
+    pub(crate) fn write(&mut self, r: &PassRecord) -> Result<()> {
+        let line = if self.json_lines {
+            serde_json::json!(r).to_string()
+        } else {
+            format!(
+                "{},{},{},{},{},{},{},{:.3},{:.2},{:.3}",
+                r.pass,
+                r.energy,
+                r.count,
+                r.inserted,
+                r.deleted,
+                r.escaped,
+                r.moved,
+                r.tries_per_particle,
+                r.neighbours,
+                r.seconds
+            )
+        };
+        self.line(&line)
+    }
+
+    fn line(&mut self, line: &str) -> Result<()> {
+        writeln!(self.file, "{line}").map_err(|e| failed(&self.path, &e))
+    }
+}
+
+fn failed(path: &Path, error: &std::io::Error) -> Error {
+    Error::file(path, "write the log", error, "check the folder and the free space, or leave out --log")
+}

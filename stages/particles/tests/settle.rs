@@ -1,0 +1,191 @@
+//! Settling on analytic surfaces: density, evenness, sheets that must not see each other, repeatability, resuming.
+
+use glam::DVec3;
+use isoparticles_common::energy::{SUPPORT, ideal_energy};
+use isoparticles_common::geometry::Geometry;
+use isoparticles_common::image::Image;
+use isoparticles_common::particle_set::ParticleSet;
+use isoparticles_common::random::uniform;
+use isoparticles_common::sizing::SizingField;
+use isoparticles_common::spline::CubicSpline;
+use isoparticles_particles::{Fields, INITIAL_LAMBDA, Parameters, PassRecord, settle};
+
+const SIZE: usize = 40;
+
+fn sampled(f: impl Fn(DVec3) -> f64) -> Image<f32> {
+    let geometry = Geometry::axis_aligned([SIZE; 3], DVec3::splat(1.0));
+    let centre = 0.5 * geometry.upper_corner();
+    let mut data = Vec::with_capacity(geometry.voxel_count());
+    for k in 0..SIZE {
+        for j in 0..SIZE {
+            for i in 0..SIZE {
+                data.push(f(DVec3::new(i as f64, j as f64, k as f64) - centre) as f32);
+            }
+        }
+    }
+    Image { geometry, data }
+}
+
+/// Random points near the surface, projected onto it.
+fn seeds(surface: &CubicSpline, sizing: &SizingField, count: u64, start: impl Fn(DVec3) -> DVec3) -> ParticleSet {
+    let centre = 0.5 * surface.geometry().upper_corner();
+    let mut set = ParticleSet {
+        geometry: surface.geometry().clone(),
+        positions: vec![],
+        normals: vec![],
+        sizes: vec![],
+        energies: vec![],
+        lambdas: vec![],
+    };
+    for n in 0..count {
+        let random = DVec3::new(uniform(1, 0, n), uniform(1, 1, n), uniform(1, 2, n)) - 0.5;
+        if let Some((p, g)) = surface.project_with_gradient(centre + start(random.normalize()), 3.0, 1e-6) {
+            set.positions.push(p);
+            set.normals.push(g.normalize());
+            set.sizes.push(sizing.at(p));
+            set.energies.push(0.0);
+            set.lambdas.push(INITIAL_LAMBDA);
+        }
+    }
+    set
+}
+
+fn uniform_size(image: &Image<f32>, h: f64) -> SizingField {
+    SizingField::new(Image::filled(image.geometry.clone(), h as f32))
+}
+
+/// Distance of each particle to its nearest neighbour, over h.
+fn nearest(set: &ParticleSet) -> Vec<f64> {
+    (0..set.positions.len())
+        .map(|i| {
+            (0..set.positions.len())
+                .filter(|&j| j != i)
+                .map(|j| set.positions[i].distance(set.positions[j]) / set.sizes[i])
+                .fold(f64::INFINITY, f64::min)
+        })
+        .collect()
+}
+
+#[test]
+fn a_ball_gets_the_lattice_of_spacing_h_from_too_few_and_too_many_seeds() {
+    let image = sampled(|p| p.length() - 12.0);
+    let surface = CubicSpline::new(&image);
+    let sizing = uniform_size(&image, 1.6);
+    let fields = Fields { surface: &surface, sizing: &sizing };
+    let lattice = 4.0 * std::f64::consts::PI * 144.0 * 2.0 / (3f64.sqrt() * 1.6 * 1.6);
+    for count in [40, 3000] {
+        let (set, summary) = settle(
+            seeds(&surface, &sizing, count, |d| 12.0 * d),
+            &fields,
+            &Parameters { max_passes: 120, ..Parameters::default() },
+            &[],
+            |_, _| Ok(()),
+        )
+        .unwrap();
+        let found = set.positions.len() as f64;
+        assert!((found / lattice - 1.0).abs() < 0.08, "from {count}: {found} particles, the lattice has {lattice:.0}");
+        assert!((summary.energy_ratio - 1.0).abs() < 0.2, "{summary:?}");
+        let gaps = nearest(&set);
+        let mean = gaps.iter().sum::<f64>() / found;
+        assert!((mean - 1.0).abs() < 0.08, "from {count}: mean nearest distance {mean} h");
+        assert!(gaps.iter().all(|&g| g > 0.75), "{:?}", gaps.iter().copied().fold(f64::INFINITY, f64::min));
+        for (&p, &n) in set.positions.iter().zip(&set.normals) {
+            let (f, g) = surface.value_gradient(p);
+            assert!(f.abs() < 1e-7, "F = {f}");
+            assert!((g.normalize() - n).length() < 1e-9);
+        }
+        // the stored energies are those of Eq. 1 at the final places
+        let i = set.positions.len() / 2;
+        let energy: f64 = (0..set.positions.len())
+            .filter(|&j| j != i)
+            .map(|j| {
+                let d = set.positions[i].distance(set.positions[j]) / (SUPPORT * set.sizes[i].min(set.sizes[j]));
+                isoparticles_common::energy::pair_energy(d)
+            })
+            .sum();
+        assert!((energy - set.energies[i]).abs() < 1e-9);
+    }
+}
+
+#[test]
+fn the_two_faces_of_a_thin_shell_do_not_see_each_other() {
+    // wall of 1.5 voxels, h of 2.5 voxels
+    let image = sampled(|p| (p.length() - 11.0).abs() - 0.75);
+    let surface = CubicSpline::new(&image);
+    let sizing = uniform_size(&image, 2.5);
+    let fields = Fields { surface: &surface, sizing: &sizing };
+    let mut start = seeds(&surface, &sizing, 400, |d| 11.75 * d);
+    let inner = seeds(&surface, &sizing, 300, |d| 10.25 * d);
+    start.positions.extend(inner.positions);
+    start.normals.extend(inner.normals);
+    start.sizes.extend(inner.sizes);
+    start.energies.extend(inner.energies);
+    start.lambdas.extend(inner.lambdas);
+    let (set, _) = settle(start, &fields, &Parameters::default(), &[], |_, _| Ok(())).unwrap();
+    let centre = 0.5 * image.geometry.upper_corner();
+    let (mut outside, mut inside) = (0.0, 0.0);
+    for p in &set.positions {
+        if p.distance(centre) > 11.0 { outside += 1.0 } else { inside += 1.0 }
+    }
+    let ratio = outside / inside;
+    let areas = (11.75f64 / 10.25).powi(2);
+    assert!((ratio / areas - 1.0).abs() < 0.15, "outer {outside}, inner {inside}");
+    let lattice = 4.0 * std::f64::consts::PI * 11.75f64.powi(2) * 2.0 / (3f64.sqrt() * 6.25);
+    assert!((outside / lattice - 1.0).abs() < 0.12, "outer face has {outside}, its lattice {lattice:.0}");
+}
+
+#[test]
+fn graded_sizes_are_followed() {
+    let image = sampled(|p| p.length() - 12.0);
+    let surface = CubicSpline::new(&image);
+    let mut h = Image::filled(image.geometry.clone(), 0.0f32);
+    for n in 0..h.data.len() {
+        h.data[n] = (0.9 + 0.06 * (n % SIZE) as f64) as f32;
+    }
+    let sizing = SizingField::new(h);
+    let fields = Fields { surface: &surface, sizing: &sizing };
+    let (set, _) =
+        settle(seeds(&surface, &sizing, 900, |d| 12.0 * d), &fields, &Parameters::default(), &[], |_, _| Ok(()))
+            .unwrap();
+    let gaps = nearest(&set);
+    let centre = 0.5 * image.geometry.upper_corner();
+    for side in [-1.0, 1.0] {
+        let part: Vec<f64> =
+            (0..gaps.len()).filter(|&i| (set.positions[i].x - centre.x) * side > 6.0).map(|i| gaps[i]).collect();
+        let mean = part.iter().sum::<f64>() / part.len() as f64;
+        assert!((mean - 0.97).abs() < 0.08, "side {side}: mean nearest distance {mean} h");
+    }
+}
+
+#[test]
+fn the_result_depends_neither_on_threads_nor_on_a_break() {
+    let image = sampled(|p| (p.truncate().length() - 11.0).hypot(p.z) - 4.0);
+    let surface = CubicSpline::new(&image);
+    let sizing = uniform_size(&image, 1.3);
+    let start = seeds(&surface, &sizing, 800, |d| 11.0 * d.with_z(0.0).normalize() + 4.0 * d);
+    let parameters = Parameters { max_passes: 43, ..Parameters::default() };
+    let mut kept: Option<(Vec<PassRecord>, ParticleSet)> = None;
+    let in_pool = |threads, body: &mut (dyn FnMut() -> ParticleSet + Send)| {
+        rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap().install(body)
+    };
+    let mut records = Vec::new();
+    let whole = in_pool(1, &mut || {
+        let fields = Fields { surface: &surface, sizing: &sizing };
+        settle(start.clone(), &fields, &parameters, &[], |r, set| {
+            records.push(*r);
+            if r.pass == 20 {
+                kept = Some((records.clone(), set.clone()));
+            }
+            Ok(())
+        })
+        .unwrap()
+        .0
+    });
+    let fields = Fields { surface: &surface, sizing: &sizing };
+    let threaded = in_pool(3, &mut || settle(start.clone(), &fields, &parameters, &[], |_, _| Ok(())).unwrap().0);
+    assert!(whole == threaded, "one and three threads differ");
+    let (records, set) = kept.unwrap();
+    let (resumed, _) = settle(set, &fields, &parameters, &records, |_, _| Ok(())).unwrap();
+    assert!(whole == resumed, "a resumed run differs");
+    assert!((records[19].energy / records[19].count as f64 / ideal_energy() - 1.0).abs() < 0.3);
+}
