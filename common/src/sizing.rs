@@ -22,35 +22,73 @@ impl SizingField {
 
     /// Edge length (mm) at a grid position, trilinear, clamped at the border of the volume.
     pub fn at(&self, grid: DVec3) -> f64 {
+        self.value_gradient(grid).0
+    }
+
+    /// Edge length (mm) and its gradient (dimensionless) at a grid position. The gradient is that of the trilinear cell,
+    /// so it jumps from cell to cell.
+    pub fn value_gradient(&self, grid: DVec3) -> (f64, DVec3) {
         let g = &self.image.geometry;
         let index = g.grid_to_index(grid);
         let mut base = [0usize; 3];
         let mut fraction = [0.0f64; 3];
+        let mut step = [0usize; 3];
+        let stride = [1, g.size[0], g.size[0] * g.size[1]];
         for axis in 0..3 {
             let last = (g.size[axis] - 1) as f64;
             let x = index[axis].clamp(0.0, last);
-            let b = (x.floor() as usize).min(g.size[axis].saturating_sub(2));
-            base[axis] = b;
-            fraction[axis] = x - b as f64;
+            base[axis] = (x.floor() as usize).min(g.size[axis].saturating_sub(2));
+            fraction[axis] = x - base[axis] as f64;
+            // an axis of one voxel has no neighbour to blend with
+            step[axis] = if g.size[axis] > 1 { stride[axis] } else { 0 };
         }
-        let step = [1, g.size[0], g.size[0] * g.size[1]];
         let start = g.linear(base[0], base[1], base[2]);
-        let mut sum = 0.0;
-        for corner in 0..8usize {
-            let mut weight = 1.0;
-            let mut at = start;
-            for axis in 0..3 {
-                if corner >> axis & 1 == 1 {
-                    weight *= fraction[axis];
-                    at += step[axis];
-                } else {
-                    weight *= 1.0 - fraction[axis];
-                }
-            }
-            if weight > 0.0 {
-                sum += weight * f64::from(self.image.data[at]);
-            }
+        let value =
+            |x: usize, y: usize, z: usize| f64::from(self.image.data[start + x * step[0] + y * step[1] + z * step[2]]);
+        let mix = |a: f64, b: f64, t: f64| a + (b - a) * t;
+        let [tx, ty, tz] = fraction;
+        // along x first: the four edges of the cell
+        let (e00, e10) = (mix(value(0, 0, 0), value(1, 0, 0), tx), mix(value(0, 1, 0), value(1, 1, 0), tx));
+        let (e01, e11) = (mix(value(0, 0, 1), value(1, 0, 1), tx), mix(value(0, 1, 1), value(1, 1, 1), tx));
+        let slope = |y: usize, z: usize| value(1, y, z) - value(0, y, z);
+        let gradient = DVec3::new(
+            mix(mix(slope(0, 0), slope(1, 0), ty), mix(slope(0, 1), slope(1, 1), ty), tz),
+            mix(e10 - e00, e11 - e01, tz),
+            mix(e01, e11, ty) - mix(e00, e10, ty),
+        );
+        (mix(mix(e00, e10, ty), mix(e01, e11, ty), tz), gradient / g.spacing)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::geometry::Geometry;
+    use crate::random::uniform;
+
+    #[test]
+    fn trilinear_functions_are_met_exactly_with_their_gradient() {
+        let geometry = Geometry::axis_aligned([5, 4, 6], DVec3::new(0.5, 2.0, 1.25));
+        let h = |p: DVec3| 3.0 + 0.5 * p.x - 0.2 * p.y + 0.1 * p.z + 0.25 * p.x * p.y - 0.125 * p.x * p.y * p.z;
+        let mut image = Image::filled(geometry.clone(), 0.0f32);
+        for n in 0..image.data.len() {
+            let (i, j, k) = (n % 5, n / 5 % 4, n / 20);
+            image.data[n] = h(geometry.index_to_grid(DVec3::new(i as f64, j as f64, k as f64))) as f32;
         }
-        sum
+        let field = SizingField::new(image);
+        for n in 0..200 {
+            let p = geometry.upper_corner() * DVec3::new(uniform(1, 0, n), uniform(1, 1, n), uniform(1, 2, n));
+            let (value, gradient) = field.value_gradient(p);
+            assert!((value - h(p)).abs() < 1e-5, "{p}");
+            let want = DVec3::new(
+                0.5 + 0.25 * p.y - 0.125 * p.y * p.z,
+                -0.2 + 0.25 * p.x - 0.125 * p.x * p.z,
+                0.1 - 0.125 * p.x * p.y,
+            );
+            assert!((gradient - want).length() < 2e-5, "{p}: {gradient}, not {want}");
+        }
+        // clamped outside
+        assert_eq!(field.at(DVec3::splat(-3.0)), field.at(DVec3::ZERO));
+        assert_eq!(field.at(2.0 * geometry.upper_corner()), field.at(geometry.upper_corner()));
     }
 }

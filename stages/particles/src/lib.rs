@@ -10,7 +10,7 @@ pub mod run;
 mod settle;
 mod state;
 
-pub use settle::{Parameters, PassRecord, Summary, settle};
+pub use settle::{Parameters, PassRecord, REORDER_INTERVAL, STAGNATION_WINDOW, Summary, settle};
 pub use state::Fields;
 
 /// Levenberg-Marquardt damping of a particle that has not moved yet.

@@ -7,7 +7,7 @@
 
 use crate::state::{Fields, State};
 use glam::{DMat3, DVec3};
-use isoparticles_common::energy::pair_jet;
+use isoparticles_common::energy::{pair_jet, pair_size_derivative};
 use rayon::prelude::*;
 
 /// Smallest and largest damping; a particle whose lambda reaches the largest stays where it is in this pass.
@@ -64,12 +64,12 @@ fn step(state: &State, fields: &Fields, i: usize) -> Step {
     let set = &state.set;
     let (position, normal, size) = (set.positions[i], set.normals[i], set.sizes[i]);
     let mut result = Step { position, normal, size, lambda: set.lambdas[i], tries: 0, moved: false };
-    let (energy, gradient, hessian) = energy_jet(state, i);
+    let (energy, gradient, hessian) = energy_jet(state, fields, i);
     if energy == 0.0 {
         return result;
     }
     let plane = TangentPlane::new(normal);
-    let force = plane.into_plane(gradient);
+    let force = plane.coordinates(gradient);
     if force[0].hypot(force[1]) * size < 1e-12 * energy {
         return result;
     }
@@ -83,7 +83,7 @@ fn step(state: &State, fields: &Fields, i: usize) -> Step {
         if let Some((p, n, h)) = fields.project(position + motion, limit, tolerance)
             && n.dot(normal) > 0.0
             && p.distance_squared(position) < (2.0 * LONGEST_STEP * size).powi(2)
-            && state.energy_at(i, p, size) < energy
+            && state.energy_at(i, p, h) < energy
         {
             let lambda = if result.tries == 1 { (0.1 * lambda).max(LAMBDA_RANGE.0) } else { lambda };
             return Step { position: p, normal: n, size: h, lambda, moved: true, ..result };
@@ -94,17 +94,23 @@ fn step(state: &State, fields: &Fields, i: usize) -> Step {
     result
 }
 
-/// Energy, gradient and Hessian of particle i at its place.
-fn energy_jet(state: &State, i: usize) -> (f64, DVec3, DMat3) {
+/// Energy, gradient and Hessian of particle i at its place. The gradient has the part of the particle's own h, which
+/// changes with its place; the Hessian holds h fixed.
+fn energy_jet(state: &State, fields: &Fields, i: usize) -> (f64, DVec3, DMat3) {
     let set = &state.set;
     let (position, size) = (set.positions[i], set.sizes[i]);
     let mut sum = (0.0, DVec3::ZERO, DMat3::ZERO);
+    let mut by_size = 0.0;
     for &j in state.neighbours.of(i) {
         let j = j as usize;
-        let (energy, gradient, hessian) = pair_jet(position - set.positions[j], size, set.sizes[j]);
-        sum = (sum.0 + energy, sum.1 + gradient, sum.2 + hessian);
+        let offset = position - set.positions[j];
+        let (energy, gradient, hessian) = pair_jet(offset, size, set.sizes[j]);
+        if energy > 0.0 {
+            sum = (sum.0 + energy, sum.1 + gradient, sum.2 + hessian);
+            by_size += pair_size_derivative(offset.length(), size, set.sizes[j]);
+        }
     }
-    sum
+    (sum.0, sum.1 + fields.sizing.value_gradient(position).1 * by_size, sum.2)
 }
 
 /// Two orthonormal directions that span the tangent plane of F.
@@ -119,7 +125,7 @@ impl TangentPlane {
         Self { u, v: normal.cross(u) }
     }
 
-    fn into_plane(&self, x: DVec3) -> [f64; 2] {
+    fn coordinates(&self, x: DVec3) -> [f64; 2] {
         [self.u.dot(x), self.v.dot(x)]
     }
 

@@ -54,13 +54,13 @@ fn uniform_size(image: &Image<f32>, h: f64) -> SizingField {
     SizingField::new(Image::filled(image.geometry.clone(), h as f32))
 }
 
-/// Distance of each particle to its nearest neighbour, over h.
+/// Distance of each particle to its nearest neighbour, over the smaller h of the two (as Eq. 2 scales it).
 fn nearest(set: &ParticleSet) -> Vec<f64> {
     (0..set.positions.len())
         .map(|i| {
             (0..set.positions.len())
                 .filter(|&j| j != i)
-                .map(|j| set.positions[i].distance(set.positions[j]) / set.sizes[i])
+                .map(|j| set.positions[i].distance(set.positions[j]) / set.sizes[i].min(set.sizes[j]))
                 .fold(f64::INFINITY, f64::min)
         })
         .collect()
@@ -147,13 +147,21 @@ fn graded_sizes_are_followed() {
     let (set, _) =
         settle(seeds(&surface, &sizing, 900, |d| 12.0 * d), &fields, &Parameters::default(), &[], |_, _| Ok(()))
             .unwrap();
-    let gaps = nearest(&set);
+    // area of the ball between x and x + dx is 2 pi R dx, and h is linear in x
     let centre = 0.5 * image.geometry.upper_corner();
-    for side in [-1.0, 1.0] {
-        let part: Vec<f64> =
-            (0..gaps.len()).filter(|&i| (set.positions[i].x - centre.x) * side > 6.0).map(|i| gaps[i]).collect();
-        let mean = part.iter().sum::<f64>() / part.len() as f64;
-        assert!((mean - 0.97).abs() < 0.08, "side {side}: mean nearest distance {mean} h");
+    for (low, high) in [(-12.0, -6.0), (-6.0, 0.0), (0.0, 6.0), (6.0, 12.0)] {
+        let steps = 600;
+        let lattice: f64 = (0..steps)
+            .map(|n| low + (high - low) * (f64::from(n) + 0.5) / f64::from(steps))
+            .map(|x| 2.0 / (3f64.sqrt() * (0.9 + 0.06 * (x + centre.x)).powi(2)))
+            .sum::<f64>()
+            * 2.0
+            * std::f64::consts::PI
+            * 12.0
+            * (high - low)
+            / f64::from(steps);
+        let found = set.positions.iter().filter(|p| (low..high).contains(&(p.x - centre.x))).count() as f64;
+        assert!((found / lattice - 1.0).abs() < 0.12, "{low} < x < {high}: {found}, the lattice has {lattice:.0}");
     }
 }
 
