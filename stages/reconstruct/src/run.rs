@@ -7,7 +7,7 @@ use crate::refine::{RefineOptions, RefineReport, Refinement};
 use crate::restricted::Facet;
 use glam::DVec3;
 use isoparticles_common::cli::{CHECKS, CommonArgs, Context, FILES, METHOD, Outcome, StageArgs};
-use isoparticles_common::error::Result;
+use isoparticles_common::error::{Error, Result};
 use isoparticles_common::image::Image;
 use isoparticles_common::io::field::{Field, FieldKind, check_same_grid, read_field};
 use isoparticles_common::io::particles::{ParticleKind, read_particles};
@@ -16,6 +16,7 @@ use isoparticles_common::kd_tree::KdTree;
 use isoparticles_common::mesh::TriangleMesh;
 use isoparticles_common::mesh::check::{CheckOptions, CheckReport, check};
 use isoparticles_common::mesh::inside::nodes_on_wrong_side;
+use isoparticles_common::sizing::SizingField;
 use isoparticles_common::spline::CubicSpline;
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
@@ -39,6 +40,9 @@ pub struct Args {
     /// Distance field F that they were made from; lengths in mm
     #[arg(long, value_name = "F.vti", help_heading = FILES)]
     pub distfield: PathBuf,
+    /// Size field h of the same grid, edge lengths in mm [default: the h that each particle carries]
+    #[arg(long, value_name = "S.vti", help_heading = FILES)]
+    pub sizefield: Option<PathBuf>,
     /// Surface to write: .vtp with all data, or .ply, .stl, .obj
     #[arg(short, long, value_name = "SURFACE", help_heading = FILES)]
     pub output: PathBuf,
@@ -128,6 +132,7 @@ pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
     check_same_grid((&args.particles, &particles.geometry), (&args.distfield, &field.image.geometry))?;
     context.add_input(&args.particles, Some(particle_file.history))?;
     context.add_input(&args.distfield, field.history.clone())?;
+    let sizing = args.sizefield.as_deref().map(|path| read_sizing(path, args, &field.image, context)).transpose()?;
     let origin = Origin::of(&field);
     let spline = CubicSpline::new(&field.image);
     drop(step);
@@ -136,13 +141,14 @@ pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
     let isosurface = Isosurface::new(&field.image);
     drop(step);
     let step = context.step("project");
-    let points = prepare(&particles, &spline).map_err(|e| e_about(&args.particles, e))?;
+    let points = prepare(&particles, &spline).map_err(|e| about(&args.particles, e))?;
     drop(step);
     let made = join(args, context, &points, &spline, isosurface, &field.image, &origin)?;
     let Joined { mesh, sizes, report: refined, expected_components, sampled_components } = made;
 
     let tree = KdTree::new(&sizes.0);
-    let size = |p: DVec3| tree.nearest(p).map_or(spline.geometry().mean_spacing(), |(v, _)| sizes.1[v]);
+    let size_near = |p: DVec3| tree.nearest(p).map_or(spline.geometry().mean_spacing(), |(v, _)| sizes.1[v]);
+    let size = |p: DVec3| sizing.as_ref().map_or_else(|| size_near(p), |h| h.at(p));
     let step = context.step("check");
     let options = CheckOptions {
         field: Some(&spline),
@@ -182,8 +188,15 @@ pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
     Ok(Outcome::from_failed_checks(failed))
 }
 
-fn e_about(path: &Path, error: isoparticles_common::error::Error) -> isoparticles_common::error::Error {
-    isoparticles_common::error::Error { what: format!("{}: {}", path.display(), error.what), ..error }
+fn read_sizing(path: &Path, args: &Args, distance: &Image<f32>, context: &Context) -> Result<SizingField> {
+    let field = read_field(path, FieldKind::Sizing)?;
+    check_same_grid((path, &field.image.geometry), (&args.distfield, &distance.geometry))?;
+    context.add_input(path, field.history)?;
+    Ok(SizingField::new(field.image))
+}
+
+fn about(path: &Path, error: Error) -> Error {
+    Error { what: format!("{}: {}", path.display(), error.what), ..error }
 }
 
 fn remove_stale(path: &Path, context: &Context) {
@@ -220,8 +233,7 @@ fn join(
         open_border: origin.is_open,
     };
     let sampled_components = isosurface.sampled_component_count();
-    let mut refinement =
-        Refinement::new(points, spline, isosurface, options).map_err(|e| e_about(&args.particles, e))?;
+    let mut refinement = Refinement::new(points, spline, isosurface, options).map_err(|e| about(&args.particles, e))?;
     drop(step);
     let step = context.step("refine");
     let hear = |round: usize, count: usize| {
