@@ -2,12 +2,12 @@
 
 use super::report::Report;
 use super::{CommonArgs, Outcome, Progress, ProgressMode, interrupt, memory};
-use crate::error::Result;
+use crate::error::{Error, Result};
 use crate::history::{History, Input};
 use indicatif::MultiProgress;
 use serde_json::Value;
 use std::io::{IsTerminal, Write};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::Instant;
 
@@ -21,6 +21,7 @@ pub struct Context {
     /// The shared options.
     pub common: CommonArgs,
     command_line: String,
+    outputs: Vec<PathBuf>,
     started: Instant,
     bars: MultiProgress,
     state: Mutex<State>,
@@ -59,10 +60,17 @@ impl Context {
             tool,
             common,
             command_line,
+            outputs: Vec::new(),
             started: Instant::now(),
             bars: MultiProgress::new(),
             state: Mutex::new(state),
         }
+    }
+
+    /// The same, with the files that the run will write, none of which may be an input.
+    pub(super) fn with_outputs(mut self, outputs: Vec<PathBuf>) -> Self {
+        self.outputs = outputs;
+        self
     }
 
     /// A context that prints nothing, for use as a library and in tests.
@@ -144,8 +152,16 @@ impl Context {
         self.state().parameters.insert(key.into(), value.into());
     }
 
-    /// Hashes an input file and notes it, with the history that it carries, for the history and the report.
+    /// Hashes an input file and notes it, with the history that it carries, for the history and the report. Fails if the
+    /// file cannot be read, or is to be replaced by an output of this run.
     pub fn add_input(&self, path: &Path, history: Option<History>) -> Result<()> {
+        if self.outputs.iter().any(|output| super::same_file(output, path)) {
+            return Err(Error::input(
+                format!("{}: is both an input and an output", path.display()),
+                "the input would be replaced",
+                "give the output another name",
+            ));
+        }
         let input = Input::of_file(path, history)?;
         self.state().inputs.push(input);
         Ok(())
@@ -245,7 +261,6 @@ impl Drop for Step<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::error::Error;
 
     #[test]
     fn steps_add_up_and_the_history_holds_the_seed() {

@@ -15,7 +15,7 @@ pub use progress::Progress;
 
 use crate::error::{Error, Kind, Result};
 use crate::io::output;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 /// Help heading of the block of options that every stage has.
@@ -124,12 +124,46 @@ pub fn run_stage<A: clap::Parser + StageArgs>(
             return ExitCode::from(if error.use_stderr() { 2 } else { 0 });
         }
     };
-    let command_line = crate::history::canonical_command_line(tool, std::env::args().skip(1), &args.outputs());
-    let context = Context::new(tool, command_line, args.common().clone(), args.parameters());
+    let outputs = args.outputs();
+    let command_line = crate::history::canonical_command_line(tool, std::env::args().skip(1), &outputs);
+    let mut common = args.common().clone();
+    let report = check_report(common.report.as_deref(), &outputs);
+    if report.is_err() {
+        // Not even to tell of the error may a file be replaced that is no report.
+        common.report = None;
+    }
+    let context = Context::new(tool, command_line, common, args.parameters()).with_outputs(outputs);
     interrupt::install();
-    let result = prepare(&args, &context).and_then(|()| run(&args, &context));
+    let result = report.and_then(|()| prepare(&args, &context)).and_then(|()| run(&args, &context));
     let result = context.close(result);
     ExitCode::from(exit_code(&result))
+}
+
+/// Refuses a report that would replace an output of this run, or a file that is no report.
+fn check_report(report: Option<&Path>, outputs: &[PathBuf]) -> Result<()> {
+    let Some(path) = report else { return Ok(()) };
+    output::check_output(path, true)?;
+    let mut start = [b'{'];
+    if path.is_file() {
+        // An empty file leaves the brace; nothing is lost with it.
+        let _ = std::fs::File::open(path).and_then(|mut file| std::io::Read::read(&mut file, &mut start));
+    }
+    if outputs.iter().any(|output| output == path || same_file(output, path)) || start != [b'{'] {
+        return Err(Error::input(
+            format!("{}: is not the place for the report", path.display()),
+            "an output or a file that is no report would be replaced",
+            "give --report a name of its own, such as case.report.json",
+        ));
+    }
+    Ok(())
+}
+
+/// Whether two names are those of one existing file.
+fn same_file(a: &Path, b: &Path) -> bool {
+    match (a.canonicalize(), b.canonicalize()) {
+        (Ok(a), Ok(b)) => a == b,
+        _ => false,
+    }
 }
 
 /// Everything that can be refused before the work starts.
@@ -140,7 +174,7 @@ fn prepare<A: StageArgs>(args: &A, context: &Context) -> Result<()> {
     }
     let outputs = args.outputs();
     for (position, path) in outputs.iter().enumerate() {
-        if outputs[..position].contains(path) || common.report.as_ref() == Some(path) {
+        if outputs[..position].contains(path) {
             return Err(Error::input(
                 format!("{}: is named for two outputs", path.display()),
                 "the second would replace the first",
@@ -149,5 +183,5 @@ fn prepare<A: StageArgs>(args: &A, context: &Context) -> Result<()> {
         }
         output::check_output(path, common.force)?;
     }
-    common.report.as_deref().map_or(Ok(()), |path| output::check_output(path, true))
+    Ok(())
 }
