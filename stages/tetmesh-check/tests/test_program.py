@@ -97,6 +97,22 @@ def test_existing_output_is_kept_and_failed_checks_are_told(tmp_path: Path, run:
     assert tetrahedra(tmp_path / "out.vtu")[1].shape[1] == 4
 
 
+def test_inputs_are_never_replaced(tmp_path: Path, run: Run) -> None:
+    ball().save(tmp_path / "ball.vtp")
+    before = (tmp_path / "ball.vtp").read_bytes()
+    (tmp_path / "same.vtu").symlink_to("ball.vtp")
+    for words in (
+        ["-o", "same.vtu", "--force"],
+        ["-o", "v.vtu", "--report", "ball.vtp"],
+        ["-o", "v.vtu", "--report", "v.vtu"],
+    ):
+        done = run("ball.vtp", *words)
+        assert done.returncode == 2, done.stderr
+        assert "would be replaced" in done.stderr
+        assert (tmp_path / "ball.vtp").read_bytes() == before
+        assert not (tmp_path / "v.vtu").exists()
+
+
 def test_pictures(tmp_path: Path, run: Run) -> None:
     ball().save(tmp_path / "ball.vtp")
     done = run("ball.vtp", "-o", "ball.volume.vtu", "--max-passes", 3, "--pictures", "pictures", "--report", "r.json")

@@ -12,7 +12,7 @@ from typing import NoReturn
 from tetmesh_check import __version__
 from tetmesh_check.context import TOOL, CommonArguments, Context, Interruptible, canonical_command_line
 from tetmesh_check.errors import ExitCode, StageError
-from tetmesh_check.files import refuse_existing
+from tetmesh_check.files import check_report, refuse_existing, same_file
 
 _DESCRIPTION = """\
 Fills a closed triangle surface with tetrahedra (fTetWild), graded by the size field h of sizefield, and checks that they are fit
@@ -218,15 +218,25 @@ def main(argv: Sequence[str] | None = None) -> int:
     """
     words = list(sys.argv[1:] if argv is None else argv)
     parsed = build_parser().parse_args(words)
-    common = CommonArguments(
-        parsed.verbose, parsed.quiet, parsed.force, parsed.threads, parsed.seed, parsed.report, parsed.progress
-    )
-    context = Context(common, canonical_command_line(words, [parsed.output]), {})
     failed: list[str] = []
     error: StageError | None = None
+    report: Path | None = parsed.report
+    if report is not None:
+        try:
+            check_report(
+                report, [path for path in (parsed.surface, parsed.sizefield, parsed.output) if path is not None]
+            )
+        except StageError as problem:
+            # not even to tell of the error may a file be replaced that is no report
+            error, report = problem, None
+    common = CommonArguments(
+        parsed.verbose, parsed.quiet, parsed.force, parsed.threads, parsed.seed, report, parsed.progress
+    )
+    context = Context(common, canonical_command_line(words, [parsed.output]), {})
     with Interruptible(TOOL) as stopped:
         try:
-            failed = _run(parsed, context)
+            if error is None:
+                failed = _run(parsed, context)
         except StageError as problem:
             error = problem
         except MemoryError:
@@ -264,9 +274,14 @@ def _run(parsed: argparse.Namespace, context: Context) -> list[str]:
             "the volume mesh is written in VTK's format for unstructured grids",
             "name the output NAME.volume.vtu",
         )
+    for source in (arguments.surface, arguments.sizefield):
+        if source is not None and same_file(source, arguments.output):
+            raise StageError(
+                f"{source}: is both an input and an output",
+                "the input would be replaced",
+                "give the output another name",
+            )
     refuse_existing([arguments.output], context.common.force)
     if (job := arguments.picture_job) is not None and job.folder.is_dir():
         refuse_existing([job.path(picture) for picture in PICTURES], context.common.force)
-    if context.common.report is not None:
-        refuse_existing([context.common.report], force=True)
     return run(arguments, context)

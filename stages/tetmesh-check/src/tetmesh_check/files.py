@@ -67,6 +67,46 @@ def refuse_existing(outputs: Iterable[Path], force: bool) -> None:
             raise StageError(f"{folder}: not writable", f"{path.name} is to be written there", "check its permissions")
 
 
+def check_report(report: Path, others: Iterable[Path]) -> None:
+    """Refuse a report that would replace an input, another output, or a file that is no report.
+
+    Parameters
+    ----------
+    report
+        Where the report is to go; an older report there is replaced.
+    others
+        The inputs and the other outputs of the run.
+
+    Raises
+    ------
+    StageError
+        If the report must not be written there.
+    """
+    refuse_existing([report], force=True)
+    try:
+        with report.open("rb") as stream:
+            start = stream.read(1)
+    except OSError:
+        start = b""
+    if start not in (b"", b"{") or any(same_file(report, other) for other in others):
+        raise StageError(
+            f"{report}: is not the place for the report",
+            "an input, an output or a file that is no report would be replaced",
+            "give --report a name of its own, such as case.report.json",
+        )
+
+
+def same_file(first: Path, second: Path) -> bool:
+    """Whether two names lead to the same place, whether or not there is a file yet.
+
+    Parameters
+    ----------
+    first, second
+        The names.
+    """
+    return first.resolve() == second.resolve()
+
+
 def write_atomically(path: Path, write: Callable[[Path], None]) -> None:
     """Write a file so that a reader, or ``make``, never sees half of it.
 

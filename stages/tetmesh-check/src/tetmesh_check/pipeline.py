@@ -14,7 +14,7 @@ from tetmesh_check.distance import distances_both_ways, summarize_distances
 from tetmesh_check.errors import StageError
 from tetmesh_check.pictures import PictureJob, draw_pictures
 from tetmesh_check.quality import summarize, summarize_all, tetrahedron_quality, triangle_quality
-from tetmesh_check.sizing import Background, SizingField, background_mesh, read_sizing_field
+from tetmesh_check.sizing import Background, SizingField, background_mesh, read_sizing_field, uniform_sizing_field
 from tetmesh_check.surface import Surface, check_surface, component_volumes, read_surface
 from tetmesh_check.tetwild import TetwildResult, TetwildSettings, tetrahedralize
 from tetmesh_check.topology import measure_topology, tetrahedron_boundary, tetrahedron_components, triangle_components
@@ -22,6 +22,9 @@ from tetmesh_check.volume import orient_positive, write_volume
 
 ENVELOPE_FRACTION = 0.05
 """Default envelope over the edge length that 95 % of the surface exceed: small enough to keep good triangles as they are."""
+
+COARSE_FRACTION = 0.05
+"""Edge length outside the object over the diagonal of its bounding box, where h is smaller; fTetWild's own default."""
 
 
 @dataclass(frozen=True)
@@ -72,11 +75,12 @@ class Arguments:
 
 @dataclass(frozen=True)
 class _Sizing:
-    """Edge lengths for the tetrahedra, the size factor applied."""
+    """Edge lengths for the tetrahedra."""
 
-    background: Background | None
+    background: Background
+    """On the background mesh, the size factor applied."""
     edge_length: float
-    """Where the background says nothing, mm; no smaller than any of its values (fTetWild only refines from it)."""
+    """Where there is no background, mm."""
     at_surface: float
     """Edge length that 95 % of the surface exceed, without the factor, mm."""
 
@@ -88,18 +92,23 @@ def _prepare_sizing(surface: Surface, sizing: SizingField | None, factor: float,
         context.warn(
             f"no --sizefield was given: all tetrahedra get the median edge length of the surface, {median:.4g} mm"
         )
-        return _Sizing(None, factor * median, float(np.percentile(lengths, 5)))
-    background = background_mesh(sizing, surface)
+        at_surface = lengths
+        background = background_mesh(uniform_sizing_field(surface, median), surface)
+    else:
+        at_surface = sizing.at(surface.points)
+        background = background_mesh(sizing, surface)
+        context.results["sizing"] = {
+            "voxel_mm": sizing.voxel,
+            "at_surface": summarize(at_surface),
+            "background_nodes": len(background.points),
+            "background_tetrahedra": len(background.tetrahedra),
+            "background_stride_voxels": background.stride,
+        }
     scaled = Background(background.points, background.tetrahedra, factor * background.values, background.stride)
-    at_surface = sizing.at(surface.points)
-    context.results["sizing"] = {
-        "voxel_mm": sizing.voxel,
-        "at_surface": summarize(at_surface),
-        "background_nodes": len(background.points),
-        "background_tetrahedra": len(background.tetrahedra),
-        "background_stride_voxels": background.stride,
-    }
-    return _Sizing(scaled, float(scaled.values.max()), float(np.percentile(at_surface, 5)))
+    # fTetWild meshes the whole box at this length and only then refines to the background: the coarser, the less work
+    # goes into tetrahedra outside the object, which are thrown away.
+    coarse = max(float(scaled.values.max()), COARSE_FRACTION * surface.bounding_box_diagonal)
+    return _Sizing(scaled, coarse, float(np.percentile(at_surface, 5)))
 
 
 def _surface_results(surface: Surface, topology: dict[str, int]) -> dict[str, Any]:

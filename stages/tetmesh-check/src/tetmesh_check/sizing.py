@@ -143,6 +143,23 @@ def read_sizing_field(path: Path) -> SizingField:
     )
 
 
+def uniform_sizing_field(surface: Surface, edge_length: float) -> SizingField:
+    """Build a size field of one length, on a coarse grid round the object.
+
+    Parameters
+    ----------
+    surface
+        The object.
+    edge_length
+        The length, mm.
+    """
+    low, high = surface.points.min(axis=0), surface.points.max(axis=0)
+    spacing = max(float((high - low).max()) / 48.0, edge_length)
+    count = np.ceil((high - low) / spacing).astype(np.int64) + 3
+    values = np.full(tuple(int(n) for n in count), edge_length, dtype=np.float32)
+    return SizingField(values, np.eye(3) * spacing, low - spacing, None)
+
+
 def _inside_nodes(surface_index: Points, triangles: Cells, shape: tuple[int, int, int]) -> NDArray[np.bool_]:
     """Which nodes of a grid lie inside a surface given in the index positions of that grid; shape ``shape``."""
     faces = np.hstack([np.full((len(triangles), 1), 3), triangles]).ravel()

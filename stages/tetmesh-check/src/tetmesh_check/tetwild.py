@@ -40,7 +40,7 @@ class TetwildSettings:
     envelope: float
     """Largest distance of the new boundary from the surface, mm."""
     edge_length: float
-    """Edge length where the background says nothing, and upper bound of it, mm."""
+    """Edge length where the background says nothing, mm; not below any of its values (fTetWild only refines from it)."""
     stop_energy: float
     """Optimization stops at this largest AMIPS energy (3 is regular, larger is worse)."""
     max_passes: int
@@ -126,7 +126,7 @@ def _watch(process: subprocess.Popen[bytes], log: Path, limit: float, context: C
 
 
 def tetrahedralize(
-    surface: Surface, background: Background | None, settings: TetwildSettings, log: Path, context: Context
+    surface: Surface, background: Background, settings: TetwildSettings, log: Path, context: Context
 ) -> TetwildResult:
     """Fill a surface with tetrahedra.
 
@@ -135,7 +135,7 @@ def tetrahedralize(
     surface
         A checked surface.
     background
-        Edge lengths over the object, already multiplied by the size factor; ``None`` for the same length everywhere.
+        Edge lengths over the object, already multiplied by the size factor.
     settings
         What fTetWild is told.
     log
@@ -154,14 +154,11 @@ def tetrahedralize(
         arrays: dict[str, Any] = {
             "points": surface.points,
             "triangles": surface.triangles.astype(np.int32),
+            "background_points": background.points,
+            "background_tetrahedra": background.tetrahedra.astype(np.int32),
+            "background_values": background.values,
             "settings": np.array(json.dumps({**asdict(settings), "epsilon": epsilon})),
         }
-        if background is not None:
-            arrays |= {
-                "background_points": background.points,
-                "background_tetrahedra": background.tetrahedra.astype(np.int32),
-                "background_values": background.values,
-            }
         np.savez(job, **arrays)
         started = time.monotonic()
         try:

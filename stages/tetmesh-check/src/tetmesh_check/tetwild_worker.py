@@ -33,7 +33,7 @@ def run(job: Path, result: Path) -> None:
     Parameters
     ----------
     job
-        Arrays ``points, triangles``, optionally ``background_*``, and ``settings`` as JSON text.
+        Arrays ``points, triangles``, ``background_*``, and ``settings`` as JSON text.
     result
         Gets the arrays ``points`` and ``tetrahedra``; written whole or not at all.
     """
@@ -42,13 +42,6 @@ def run(job: Path, result: Path) -> None:
     with np.load(job) as loaded:
         arrays: dict[str, Any] = dict(loaded)
     settings = json.loads(str(arrays["settings"]))
-    background: dict[str, Any] = {}
-    if "background_points" in arrays:
-        background = {
-            "bg_vertices": arrays["background_points"],
-            "bg_tets": arrays["background_tetrahedra"],
-            "bg_values": arrays["background_values"],
-        }
     points, tetrahedra = pytetwild.tetrahedralize(
         arrays["points"],
         arrays["triangles"],
@@ -60,7 +53,9 @@ def run(job: Path, result: Path) -> None:
         loglevel=_LOG_LEVEL,
         quiet=False,
         vtk_ordering=True,
-        **background,
+        bg_vertices=arrays["background_points"],
+        bg_tets=arrays["background_tetrahedra"],
+        bg_values=arrays["background_values"],
     )
     temporary = result.with_name("part.npz")
     np.savez(temporary, points=points, tetrahedra=tetrahedra)
