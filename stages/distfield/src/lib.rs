@@ -1,1 +1,48 @@
-//! The `distfield` stage.
+//! The `distfield` stage: a volume and an iso value, or a set of labels, become the signed distance field F of section 3.1
+//! of the paper (Kim, Chen and Hansen 2012): negative inside, in mm, and read everywhere as the interpolating cubic
+//! B-spline through its samples.
+//!
+//! [`scalar`] and [`labels`] say what the surface is, [`field`] turns it into distances ([`samples`], [`closest`]), pins the
+//! zero set of the spline on it ([`fit`]) and closes it at the border ([`cap`]); [`topology`] counts what came out and
+//! [`run`] is the program.
+
+pub mod cap;
+pub mod closest;
+pub mod field;
+pub mod fit;
+pub mod labels;
+pub mod run;
+pub mod samples;
+pub mod scalar;
+pub mod topology;
+
+pub use field::{Redistanced, Shift};
+pub use labels::{LabelOptions, from_labels};
+pub use scalar::from_scalar;
+
+/// Which side of the iso value the object is on.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+pub enum Inside {
+    /// Values above the iso value.
+    Above,
+    /// Values below the iso value.
+    Below,
+}
+
+/// What happens to the surface where the object meets the border of the volume.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+pub enum Border {
+    /// The object is closed half a voxel beyond the outermost voxel centres.
+    Cap,
+    /// The surface runs on straight and leaves the volume.
+    Open,
+}
+
+/// Least distance of the surface of labels from voxel centres, in voxels (smallest spacing).
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Clearance {
+    /// At most voxels.
+    pub usual: f64,
+    /// At voxels where the object, or the gap between two parts, is one voxel thin.
+    pub thin: f64,
+}

@@ -1,0 +1,83 @@
+//! Closing the object where it meets the border of the volume: intersection with the box of the voxels, its edges rounded.
+//!
+//! The box reaches half a voxel beyond the outermost voxel centres and the rounding radius is half a voxel, so that the
+//! surface between voxel centres stays as it was.
+
+use glam::DVec3;
+use isoparticles_common::geometry::Geometry;
+
+/// The box of the voxels of the input, in the frame of the padded grid.
+#[derive(Clone, Debug)]
+pub struct BorderBox {
+    low: DVec3,
+    high: DVec3,
+    radius: f64,
+    reach: f64,
+}
+
+impl BorderBox {
+    /// The box of an input of which `padded` is the grid with `margin` more voxels on each face.
+    pub fn new(padded: &Geometry, margin: usize) -> Self {
+        let low = padded.index_to_grid(DVec3::splat(margin as f64 - 0.5));
+        let high = padded.upper_corner() - low;
+        Self { low, high, radius: 0.5 * padded.min_spacing(), reach: padded.spacing.max_element() }
+    }
+
+    /// Signed distance of the object (`value`) intersected with the box, and its gradient.
+    pub fn intersect(&self, grid: DVec3, value: f64, gradient: DVec3) -> (f64, DVec3) {
+        let (below, above) = (self.low - grid, grid - self.high);
+        let mut result = (value, gradient);
+        for axis in 0..3 {
+            result = self.rounded_maximum(result, (below[axis], -DVec3::AXES[axis]));
+            result = self.rounded_maximum(result, (above[axis], DVec3::AXES[axis]));
+        }
+        result
+    }
+
+    /// Whether a point is so far inside that the box leaves the surface there and in the cells around as it is.
+    pub fn is_deep(&self, grid: DVec3) -> bool {
+        (self.low - grid).max(grid - self.high).max_element() < -3.0 * self.reach
+    }
+
+    /// Whether the box leaves the surface at a point as it is.
+    pub fn leaves(&self, grid: DVec3) -> bool {
+        (self.low - grid).max(grid - self.high).max_element() <= -self.radius
+    }
+
+    /// Larger of two signed distances, with a circular fillet where both are above minus the radius.
+    fn rounded_maximum(&self, a: (f64, DVec3), b: (f64, DVec3)) -> (f64, DVec3) {
+        let (u, v) = (a.0 + self.radius, b.0 + self.radius);
+        if u > 0.0 && v > 0.0 {
+            let length = u.hypot(v);
+            (length - self.radius, (a.1 * u + b.1 * v) / length)
+        } else if a.0 >= b.0 {
+            a
+        } else {
+            b
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_surface_between_voxel_centres_stays() {
+        let padded = Geometry::axis_aligned([20, 20, 20], DVec3::new(0.7, 0.7, 3.0)).padded(4);
+        let border = BorderBox::new(&padded, 4);
+        let first = padded.index_to_grid(DVec3::splat(4.0));
+        let gradient = DVec3::new(0.6, 0.0, 0.8);
+        let (value, direction) = border.intersect(first, 0.0, gradient);
+        assert_eq!(value, 0.0);
+        assert_eq!(direction, gradient);
+        // deep inside the object, the border is the surface
+        let (value, direction) = border.intersect(first - DVec3::X * 0.35, -5.0, gradient);
+        assert!(value.abs() < 1e-12 && direction == -DVec3::X);
+        // past a right-angled edge the distance is that to the fillet
+        let corner = DVec3::new(border.low.x - 1.0, border.low.y - 1.0, 20.0);
+        let (value, _) = border.intersect(corner, -9.0, gradient);
+        let r = 0.35;
+        assert!((value - ((1.0f64 + r).hypot(1.0 + r) - r)).abs() < 1e-12);
+    }
+}

@@ -1,0 +1,198 @@
+//! From an implicit function to F: samples of its zero set, signed distance, and the zero set pinned.
+
+use crate::cap::BorderBox;
+use crate::closest::distance_to_zero_set;
+use crate::fit::{FitReport, pin_zero_set};
+use crate::samples::{Implicit, project, surface_samples};
+use crate::topology::Parts;
+use glam::DVec3;
+use isoparticles_common::cli::Context;
+use isoparticles_common::error::Result;
+use isoparticles_common::image::Image;
+use isoparticles_common::marching_cubes::marching_cubes;
+use isoparticles_common::mesh::TriangleMesh;
+use isoparticles_common::spline::CubicSpline;
+use rayon::prelude::*;
+use serde::Serialize;
+
+/// The zero set counts as pinned at this root-mean-square of F at the samples, in voxels.
+const PINNED: f64 = 0.001;
+
+/// Conjugate-gradient steps that pin the zero set, at most. Smooth surfaces need about 10; noise, where the surface
+/// folds within a voxel, takes them all.
+const MOST_PIN_STEPS: usize = 80;
+
+/// Half-width of the band with exact distances, in voxels.
+const BAND: f64 = 4.0;
+
+/// Points at which the result is compared with its source, at most.
+const CHECKED_POINTS: usize = 200_000;
+
+/// A source to re-distance: an implicit function with a spline, and which nodes are inside.
+pub struct Source {
+    /// Values at the nodes; their signs say which nodes are inside (negative), zero being outside.
+    pub nodes: Image<f32>,
+    /// The spline whose zero set is the surface (before it is cut at the border).
+    pub spline: CubicSpline,
+    /// The box that closes the object, if any.
+    pub cap: Option<BorderBox>,
+}
+
+/// How far the zero set of F is from that of its source, to first order (value over slope), in voxels (mean spacing).
+#[derive(Clone, Copy, Debug, Default, Serialize)]
+pub struct Shift {
+    /// Mean over the surface.
+    pub mean: f64,
+    /// 99th percentile.
+    pub p99: f64,
+    /// Largest.
+    pub max: f64,
+    /// Points it was measured at.
+    pub points: usize,
+}
+
+/// F with what is known about it.
+pub struct Redistanced {
+    /// Signed distance samples, in mm, negative inside.
+    pub field: Image<f32>,
+    /// Parts of the source, by marching cubes at its nodes.
+    pub parts_before: Parts,
+    /// Parts of F, by marching cubes.
+    pub parts_after: Parts,
+    /// Distance of the zero sets.
+    pub shift: Shift,
+    /// Nodes whose |F| was raised to the clearance after the zero set was pinned.
+    pub held_nodes: usize,
+    /// How the zero set was pinned.
+    pub fit: FitReport,
+}
+
+impl Implicit for Source {
+    /// First-order distance to the surface, cut at the border, and its gradient.
+    fn value_gradient(&self, grid: DVec3) -> (f64, DVec3) {
+        let (f, g) = self.spline.value_gradient(grid);
+        self.cap
+            .as_ref()
+            .map_or((f, g), |cap| cap.intersect(grid, first_order_distance(f, g.length()), g.normalize_or_zero()))
+    }
+}
+
+impl Source {
+    /// Values at the nodes, negative inside, of the object cut at the border.
+    fn cut_nodes(&self) -> Image<f32> {
+        let mut nodes = self.nodes.clone();
+        let Some(cap) = &self.cap else {
+            return nodes;
+        };
+        let geometry = &self.nodes.geometry;
+        let [nx, ny, _] = geometry.size;
+        nodes.data.par_chunks_mut(nx).enumerate().for_each(|(row, values)| {
+            for (i, value) in values.iter_mut().enumerate() {
+                let node = geometry.index_to_grid(DVec3::new(i as f64, (row % ny) as f64, (row / ny) as f64));
+                if !cap.is_deep(node) {
+                    let slope = self.spline.value_gradient(node).1.length();
+                    *value = cap.intersect(node, first_order_distance(f64::from(*value), slope), DVec3::ZERO).0 as f32;
+                }
+            }
+        });
+        nodes
+    }
+}
+
+/// Value over slope; where there is no slope, far away on the side of the value (zero being outside).
+fn first_order_distance(value: f64, slope: f64) -> f64 {
+    if slope > 1e-12 {
+        value / slope
+    } else if value < 0.0 {
+        -1e6
+    } else {
+        1e6
+    }
+}
+
+/// Re-distances a source. `clearance` gives the least |F| (mm) at each node.
+///
+/// # Errors
+/// When the run is interrupted.
+pub fn redistance(source: &Source, clearance: impl Fn(usize) -> f32 + Sync, context: &Context) -> Result<Redistanced> {
+    let geometry = source.nodes.geometry.clone();
+    let voxel = geometry.mean_spacing();
+    let band = (BAND * voxel).max(1.5 * geometry.spacing.max_element());
+
+    let step = context.step("surface samples");
+    let nodes = source.cut_nodes();
+    let mesh = marching_cubes(&nodes, 0.0);
+    let samples = surface_samples(source, &nodes, &mesh);
+    let parts_before = Parts::of(&mesh);
+    drop(mesh);
+    let inside: Vec<bool> = nodes.data.par_iter().map(|&f| f < 0.0).collect();
+    drop(nodes);
+    drop(step);
+    context.check_interrupt()?;
+
+    let step = context.step("distance");
+    let mut field = distance_to_zero_set(source, &samples, band);
+    field.data.par_iter_mut().zip(&inside).for_each(|(f, &inside)| *f = f.copysign(if inside { -1.0 } else { 1.0 }));
+    drop(step);
+    context.check_interrupt()?;
+
+    let step = context.step("zero set pinned");
+    let fit = pin_zero_set(&mut field, &samples, PINNED * voxel, MOST_PIN_STEPS);
+    drop(samples);
+    let held_nodes = hold_nodes(&mut field, &inside, &clearance);
+    drop(step);
+    context.check_interrupt()?;
+
+    let _step = context.step("result checked");
+    let mesh = marching_cubes(&field, 0.0);
+    let parts_after = Parts::of(&mesh);
+    let shift = measure_shift(source, &field, &edge_midpoints(&mesh));
+    Ok(Redistanced { field, parts_before, parts_after, shift, held_nodes, fit })
+}
+
+/// Keeps every node at least the clearance away from zero on its side; returns how many had to be moved.
+fn hold_nodes(field: &mut Image<f32>, inside: &[bool], clearance: &(impl Fn(usize) -> f32 + Sync)) -> usize {
+    let moved = field.data.par_iter_mut().enumerate().map(|(n, f)| {
+        let sign = if inside[n] { -1.0 } else { 1.0 };
+        let least = clearance(n);
+        let moves = *f * sign < least;
+        if moves {
+            *f = sign * least;
+        }
+        usize::from(moves)
+    });
+    moved.sum()
+}
+
+/// One edge midpoint of each triangle: places that the fit has not seen.
+fn edge_midpoints(mesh: &TriangleMesh) -> Vec<DVec3> {
+    let middle = |t: &[u32; 3]| 0.5 * (mesh.vertices[t[0] as usize] + mesh.vertices[t[1] as usize]);
+    mesh.triangles.iter().map(middle).collect()
+}
+
+/// Distance of the zero set of the spline through `field` to that of the source, at projections of `points`.
+pub fn measure_shift<I: Implicit>(source: &I, field: &Image<f32>, points: &[DVec3]) -> Shift {
+    let spline = CubicSpline::new(field);
+    let voxel = field.geometry.mean_spacing();
+    let own = |p: DVec3| spline.value_gradient(p);
+    let every = points.len().div_ceil(CHECKED_POINTS).max(1);
+    let mut shifts: Vec<f64> = points
+        .par_iter()
+        .step_by(every)
+        .filter_map(|&start| {
+            let p = project(&own, start, field.geometry.min_spacing())?;
+            let (f, g) = source.value_gradient(p);
+            Some(f.abs() / g.length().max(1e-12) / voxel)
+        })
+        .collect();
+    shifts.par_sort_by(f64::total_cmp);
+    let Some(&max) = shifts.last() else {
+        return Shift::default();
+    };
+    Shift {
+        mean: shifts.iter().sum::<f64>() / shifts.len() as f64,
+        p99: shifts[(shifts.len() - 1) * 99 / 100],
+        max,
+        points: shifts.len(),
+    }
+}

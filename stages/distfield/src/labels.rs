@@ -1,0 +1,211 @@
+//! Label maps: the smoothest surface that keeps every voxel centre on its side (Whitaker 2000, reference [19] of the paper).
+//!
+//! A clamped fourth-order flow (bi-Laplacian of the distance) smooths the staircase; after each step every node is held
+//! on its side of zero by its clearance. Curvature flow (second order) would pull the surface onto the innermost place that the
+//! clamp allows.
+
+use crate::closest::distance_to_samples;
+use crate::field::{Redistanced, Source, redistance};
+use crate::scalar::pad;
+use crate::{Border, Clearance};
+use glam::DVec3;
+use isoparticles_common::cli::Context;
+use isoparticles_common::error::{Error, Result};
+use isoparticles_common::image::Image;
+use isoparticles_common::marching_cubes::marching_cubes;
+use isoparticles_common::spline::CubicSpline;
+use rayon::prelude::*;
+
+/// Half-width of the band that the flow acts in, in voxels. Beyond it the distance of the binary image stays: a band
+/// that ends in clipped, constant values instead makes balls shrink.
+const BAND: f64 = 5.0;
+
+/// Step of the flow; above 2/144 (the largest eigenvalue of the squared seven-point Laplacian is 144) it is unstable.
+const STEP: f32 = 1.8 / 144.0;
+
+/// How labels become a surface.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct LabelOptions {
+    /// What happens at the border of the volume.
+    pub border: Border,
+    /// Voxels added on each face.
+    pub margin: usize,
+    /// Least distance of the surface from voxel centres.
+    pub clearance: Clearance,
+    /// Steps of the flow; 0 leaves the staircase.
+    pub smoothing_steps: usize,
+}
+
+/// F of the union of some labels: `inside` is true at their voxels.
+///
+/// # Errors
+/// When no voxel is inside, or with an open border all are, or when the run is interrupted.
+pub fn from_labels(inside: &Image<bool>, options: &LabelOptions, context: &Context) -> Result<Redistanced> {
+    let step = context.step("binary distance");
+    let mask = padded_mask(inside, options.border, options.margin);
+    if !mask.data.contains(&true) || !mask.data.contains(&false) {
+        return Err(Error::input(
+            "the chosen labels cover no voxel, or every voxel with an open border",
+            "there is no surface between inside and outside",
+            "choose other labels, or --border cap",
+        ));
+    }
+    let least = least_distances(&mask, options.clearance);
+    let binary = binary_distance(&mask, &least);
+    drop(step);
+    let step = context.step("smoothing");
+    let nodes = smooth(binary, &mask, &least, options.smoothing_steps, context)?;
+    let spline = CubicSpline::new(&nodes);
+    drop(step);
+    let source = Source { nodes, spline, cap: None };
+    redistance(&source, |n| least[n], context)
+}
+
+fn padded_mask(inside: &Image<bool>, border: Border, margin: usize) -> Image<bool> {
+    let size = inside.geometry.size;
+    let geometry = inside.geometry.padded(margin);
+    let nearest = |i: isize, n: usize| i.clamp(0, n as isize - 1) as usize;
+    let mut data = pad(&inside.data, size, margin, nearest);
+    if border == Border::Cap {
+        let [nx, ny, _] = geometry.size;
+        data.par_chunks_mut(nx).enumerate().for_each(|(row, values)| {
+            let beyond = |i: usize, n: usize| i < margin || i >= margin + n;
+            if beyond(row % ny, size[1]) || beyond(row / ny, size[2]) {
+                values.fill(false);
+            }
+            values[..margin].fill(false);
+            values[margin + size[0]..].fill(false);
+        });
+    }
+    Image { geometry, data }
+}
+
+/// Least |F| at every node, in mm: the clearance, and more where the object or the gap is one voxel thin.
+fn least_distances(mask: &Image<bool>, clearance: Clearance) -> Vec<f32> {
+    let voxel = mask.geometry.min_spacing();
+    let (usual, thin) = ((clearance.usual * voxel) as f32, (clearance.thin * voxel) as f32);
+    thin_nodes(mask).into_par_iter().map(|is_thin| if is_thin { thin } else { usual }).collect()
+}
+
+/// Nodes that lie in no block of 2 x 2 x 2 nodes of their own side: what an opening by such a block would remove.
+fn thin_nodes(mask: &Image<bool>) -> Vec<bool> {
+    let [nx, ny, nz] = mask.geometry.size;
+    let plane = nx * ny;
+    let data = &mask.data;
+    // bit 0: the block that starts here is all inside; bit 1: all outside
+    let blocks: Vec<u8> = (0..data.len())
+        .into_par_iter()
+        .map(|n| {
+            if n % nx + 1 >= nx || n / nx % ny + 1 >= ny || n / plane + 1 >= nz {
+                return 0;
+            }
+            let corners = [0, 1, nx, nx + 1, plane, plane + 1, plane + nx, plane + nx + 1];
+            let count = corners.iter().filter(|&&c| data[n + c]).count();
+            u8::from(count == 8) | u8::from(count == 0) << 1
+        })
+        .collect();
+    (0..data.len())
+        .into_par_iter()
+        .map(|n| {
+            let (i, j, k) = (n % nx, n / nx % ny, n / plane);
+            let on_rim = i == 0 || j == 0 || k == 0 || i + 1 == nx || j + 1 == ny || k + 1 == nz;
+            if on_rim {
+                return false;
+            }
+            let own = if data[n] { 1 } else { 2 };
+            let corners = [0, 1, nx, nx + 1, plane, plane + 1, plane + nx, plane + nx + 1];
+            !corners.iter().any(|&c| blocks[n - c] & own != 0)
+        })
+        .collect()
+}
+
+/// Signed distance of the binary surface (mm), which runs midway between voxel centres of different sides, with every node
+/// held on its side.
+fn binary_distance(mask: &Image<bool>, least: &[f32]) -> Image<f32> {
+    let data = mask.data.iter().map(|&m| if m { -1.0 } else { 1.0 }).collect();
+    let binary = Image { geometry: mask.geometry.clone(), data };
+    let mesh = marching_cubes(&binary, 0.0);
+    drop(binary);
+    let mut samples = mesh.vertices.clone();
+    samples.extend(mesh.triangles.iter().map(|t| t.iter().map(|&v| mesh.vertices[v as usize]).sum::<DVec3>() / 3.0));
+    let mut field = distance_to_samples(&mask.geometry, &samples);
+    field.data.par_iter_mut().enumerate().for_each(|(n, f)| {
+        *f = f.max(least[n]);
+        if mask.data[n] {
+            *f = -*f;
+        }
+    });
+    field
+}
+
+/// Nodes in rows along x: `start[row]..start[row + 1]` are the x indices of a row's nodes.
+struct Rows {
+    start: Vec<usize>,
+    columns: Vec<u32>,
+}
+
+impl Rows {
+    /// The nodes off the rim of the grid for which `keep` holds.
+    fn of(size: [usize; 3], keep: impl Fn(usize) -> bool + Sync) -> Self {
+        let [nx, ny, nz] = size;
+        let rows: Vec<Vec<u32>> = (0..ny * nz)
+            .into_par_iter()
+            .map(|row| {
+                let (j, k) = (row % ny, row / ny);
+                if j == 0 || k == 0 || j + 1 == ny || k + 1 == nz {
+                    return Vec::new();
+                }
+                (1..nx as u32 - 1).filter(|&i| keep(row * nx + i as usize)).collect()
+            })
+            .collect();
+        let mut start = vec![0];
+        for row in &rows {
+            start.push(start[start.len() - 1] + row.len());
+        }
+        Self { start, columns: rows.concat() }
+    }
+
+    /// Gives every node of the rows a new value; `new` gets its old one and its number.
+    fn update(&self, nx: usize, data: &mut [f32], new: impl Fn(f32, usize) -> f32 + Sync) {
+        data.par_chunks_mut(nx).enumerate().for_each(|(row, values)| {
+            for &i in &self.columns[self.start[row]..self.start[row + 1]] {
+                let value = &mut values[i as usize];
+                *value = new(*value, row * nx + i as usize);
+            }
+        });
+    }
+}
+
+/// The clamped bi-Laplacian flow, in a band round the binary surface; beyond the band its distance stays as it is.
+///
+/// The differences are those of the grid, not of the millimetres: the staircase lives on the grid, and thick slices need the
+/// longer reach that this gives across them.
+fn smooth(
+    mut field: Image<f32>,
+    mask: &Image<bool>,
+    least: &[f32],
+    steps: usize,
+    context: &Context,
+) -> Result<Image<f32>> {
+    let size = field.geometry.size;
+    let [nx, ny, _] = size;
+    let plane = nx * ny;
+    let band = (BAND * field.geometry.mean_spacing()) as f32;
+    let in_band = |n: usize| field.data[n].abs() < band;
+    let active = Rows::of(size, in_band);
+    let neighbours = |n: usize| [n - 1, n + 1, n - nx, n + nx, n - plane, n + plane];
+    let ring = Rows::of(size, |n| in_band(n) || neighbours(n).into_iter().any(in_band));
+    let differences = |data: &[f32], n: usize| neighbours(n).into_iter().map(|m| data[m]).sum::<f32>() - 6.0 * data[n];
+    let mut laplacian = vec![0.0f32; field.data.len()];
+    let progress = context.progress(Some(steps as u64), "smoothing");
+    for _ in 0..steps {
+        context.check_interrupt()?;
+        ring.update(nx, &mut laplacian, |_, n| differences(&field.data, n));
+        active.update(nx, &mut field.data, |value, n| {
+            let value = value - STEP * differences(&laplacian, n);
+            if mask.data[n] { value.min(-least[n]) } else { value.max(least[n]) }
+        });
+        progress.add(1);
+    }
+    Ok(field)
+}

@@ -1,0 +1,295 @@
+//! The program: options, checks of the input, the run, the report.
+
+use crate::labels::{LabelOptions, from_labels};
+use crate::scalar::from_scalar;
+use crate::{Border, Clearance, Inside, Redistanced};
+use isoparticles_common::cli::{CommonArgs, Context, FILES, METHOD, Outcome, StageArgs};
+use isoparticles_common::error::{Error, Result};
+use isoparticles_common::geometry::Geometry;
+use isoparticles_common::image::Image;
+use isoparticles_common::io::field::{FieldKind, write_field};
+use isoparticles_common::io::volume::{Volume, read_volume};
+use serde_json::{Value, json};
+use std::collections::BTreeSet;
+use std::path::PathBuf;
+
+/// A volume and an iso value, or labels, become the signed distance field F
+///
+/// F is the implicit function of section 3.1 of the paper (Kim, Chen and Hansen 2012): samples of the signed distance to the
+/// surface in mm, negative inside, read as the cubic B-spline that interpolates them. For a scalar volume the surface is that
+/// of the cubic B-spline through the voxels at the iso value; for labels it is the smoothest one that leaves every voxel
+/// centre on its side (Whitaker 2000). The grid is that of the input with --margin more voxels on each face.
+#[derive(Clone, Debug, clap::Parser)]
+#[command(
+    name = "distfield",
+    version,
+    after_help = "Example: the tooth of a CT, integer iso values being fine\n  distfield tooth_ct.nrrd -o tooth.distfield.vti --iso 600\nExample: both lungs of a label map as one object\n  distfield lungs_label.nrrd -o lungs.distfield.vti --labels 2,3"
+)]
+pub struct Args {
+    /// Volume to read: NRRD (.nrrd, .nhdr), NIfTI (.nii, .nii.gz) or VTK image (.vti)
+    #[arg(value_name = "IN.nrrd", help_heading = FILES)]
+    pub input: PathBuf,
+    /// Distance field to write, a VTK image file; lengths in mm
+    #[arg(short, long, value_name = "F.vti", help_heading = FILES)]
+    pub output: PathBuf,
+    /// Iso value of a scalar volume, in its own unit; between its smallest and largest value
+    #[arg(
+        long,
+        value_name = "V",
+        allow_negative_numbers = true,
+        required_unless_present = "labels",
+        conflicts_with = "labels",
+        help_heading = METHOD
+    )]
+    pub iso: Option<f64>,
+    /// Side of the iso value that the object is on: lungs in a CT are the low side, --inside below
+    #[arg(long, value_enum, value_name = "SIDE", default_value_t = Inside::Above, help_heading = METHOD)]
+    pub inside: Inside,
+    /// Labels whose union is the object, whole numbers separated by commas
+    #[arg(long, value_name = "A,B", value_delimiter = ',', allow_negative_numbers = true, help_heading = METHOD)]
+    pub labels: Option<Vec<i64>>,
+    /// What happens where the object meets the border of the volume: cap closes it half a voxel beyond the outermost voxel
+    /// centres, with edges rounded by half a voxel; open lets the surface run on straight and leave the volume
+    #[arg(long, value_enum, value_name = "HOW", default_value_t = Border::Cap, help_heading = METHOD)]
+    pub border: Border,
+    /// Voxels added on each face of the grid, 3 to 64: room for the surface's neighbourhood
+    #[arg(long, value_name = "N", default_value_t = 5, value_parser = clap::value_parser!(u16).range(3..=64), help_heading = METHOD)]
+    pub margin: u16,
+    /// Labels: least distance of the surface from every voxel centre, in voxels (smallest spacing), 0.01 to 0.3; room for
+    /// the chords of the triangles to come. Where the object or a gap is one voxel thin it is at least 0.3, so that the part stays
+    /// as thick as 0.6 voxel
+    #[arg(long, value_name = "VOXELS", default_value_t = 0.1, value_parser = clearance_in_range, help_heading = METHOD)]
+    pub clearance: f64,
+    /// Labels: steps of the smoothing flow, 0 to 10000; 0 leaves the staircase, more makes smoother
+    #[arg(long, value_name = "N", default_value_t = 100, value_parser = clap::value_parser!(u16).range(0..=10000), help_heading = METHOD)]
+    pub smoothing_steps: u16,
+    /// The options that every stage has.
+    #[command(flatten)]
+    pub common: CommonArgs,
+}
+
+fn clearance_in_range(text: &str) -> std::result::Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(value) if (0.01..=THIN_CLEARANCE).contains(&value) => Ok(value),
+        _ => Err(format!("{text} is not a number from 0.01 to {THIN_CLEARANCE}")),
+    }
+}
+
+/// Clearance at voxels where the object or a gap is one voxel thin.
+const THIN_CLEARANCE: f64 = 0.3;
+
+/// Shift of the zero set (voxels; mean and 99th percentile) above which the user is warned.
+const SHIFT_LIMITS: (f64, f64) = (0.03, 0.15);
+
+impl StageArgs for Args {
+    fn common(&self) -> &CommonArgs {
+        &self.common
+    }
+
+    fn outputs(&self) -> Vec<PathBuf> {
+        vec![self.output.clone()]
+    }
+
+    fn parameters(&self) -> Value {
+        let border = border_name(self.border);
+        match (&self.labels, self.iso) {
+            (Some(labels), _) => json!({
+                "labels": labels, "border": border, "margin": self.margin,
+                "clearance": self.clearance, "smoothing_steps": self.smoothing_steps,
+            }),
+            (None, iso) => {
+                json!({ "iso": iso, "inside": inside_name(self.inside), "border": border, "margin": self.margin })
+            }
+        }
+    }
+}
+
+/// Runs the stage.
+///
+/// # Errors
+/// On input that holds no such surface, on files that cannot be read or written, and when interrupted.
+pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
+    let step = context.step("read");
+    let volume = read_volume(&args.input)?;
+    context.add_input(&args.input, None)?;
+    drop(step);
+    for remark in &volume.remarks {
+        context.warn(remark);
+    }
+    let about_file = |error: Error| Error { what: format!("{}: {}", args.input.display(), error.what), ..error };
+    let geometry = volume.geometry.clone();
+    let (result, mut meta, changed) = match (&args.labels, args.iso) {
+        (Some(labels), _) => extract_labels(args, volume, labels, context).map_err(about_file)?,
+        (None, Some(iso)) => extract_iso(args, volume, iso, context).map_err(about_file)?,
+        (None, None) => {
+            return Err(Error::input(
+                "neither --iso nor --labels was given",
+                "they say which surface is meant",
+                "give --iso for a scalar volume or --labels for a label map",
+            ));
+        }
+    };
+    let margin = usize::from(args.margin);
+    meta["border"] = json!(border_name(args.border));
+    meta["margin"] = json!(margin);
+    meta["cap_planes"] = match args.border {
+        Border::Cap => cap_planes(&result.field, &geometry, margin),
+        Border::Open => json!([]),
+    };
+    meta["components_before"] = json!(result.parts_before.components);
+    meta["cavities_before"] = json!(result.parts_before.cavities);
+    meta["components"] = json!(result.parts_after.components);
+    meta["cavities"] = json!(result.parts_after.cavities);
+    meta["volume"] = json!(result.parts_after.volume);
+    meta["zero_set_shift"] = json!(result.shift);
+    describe(&result, &meta, changed, context);
+
+    let step = context.step("write");
+    write_field(&args.output, FieldKind::Distance, &result.field, &meta, &context.history())?;
+    drop(step);
+    Ok(Outcome::from_failed_checks(failed_checks(&result, changed)))
+}
+
+/// F, what to note about it, and the voxels that changed side (labels).
+type Extracted = (Redistanced, Value, Option<usize>);
+
+fn extract_iso(args: &Args, volume: Volume, iso: f64, context: &Context) -> Result<Extracted> {
+    let values = volume.voxels.to_f32();
+    if looks_like_labels(&values) {
+        context.warn(format!(
+            "{}: holds a few whole numbers only, like a label map; if it is one, --labels keeps every voxel centre on its side",
+            args.input.display()
+        ));
+    }
+    let image = Image { geometry: volume.geometry, data: values };
+    let margin = usize::from(args.margin);
+    let result = from_scalar(&image, iso, args.inside, args.border, margin, context)?;
+    let meta = json!({ "source": "scalar", "iso": iso, "inside": inside_name(args.inside) });
+    Ok((result, meta, None))
+}
+
+fn extract_labels(args: &Args, volume: Volume, labels: &[i64], context: &Context) -> Result<Extracted> {
+    volume.voxels.check_labels(labels)?;
+    let mask = Image { data: volume.voxels.label_mask(labels), geometry: volume.geometry };
+    drop(volume.voxels);
+    let options = LabelOptions {
+        border: args.border,
+        margin: usize::from(args.margin),
+        clearance: Clearance { usual: args.clearance, thin: THIN_CLEARANCE },
+        smoothing_steps: usize::from(args.smoothing_steps),
+    };
+    let result = from_labels(&mask, &options, context)?;
+    let geometry = &mask.geometry;
+    let voxel = geometry.spacing.element_product();
+    let volume_before = mask.data.iter().filter(|m| **m).count() as f64 * voxel;
+    let changed = voxels_changed(&mask, &result.field, options.margin);
+    let meta = json!({
+        "source": "labels", "labels": labels, "clearance": args.clearance, "smoothing_steps": args.smoothing_steps,
+        "volume_before": volume_before, "voxels_changed": changed,
+    });
+    Ok((result, meta, Some(changed)))
+}
+
+/// Voxel centres that F puts on the other side.
+fn voxels_changed(mask: &Image<bool>, field: &Image<f32>, margin: usize) -> usize {
+    let [nx, ny, _] = mask.geometry.size;
+    let is_inside = |n: usize| field.at(n % nx + margin, n / nx % ny + margin, n / (nx * ny) + margin) < 0.0;
+    mask.data.iter().enumerate().filter(|&(n, &m)| is_inside(n) != m).count()
+}
+
+/// The planes at which the object was cut, in the grid frame of the field: axis (0 to 2), side, position in mm.
+fn cap_planes(field: &Image<f32>, input: &Geometry, margin: usize) -> Value {
+    let mut planes = Vec::new();
+    for axis in 0..3 {
+        for (side, layer) in [("low", margin), ("high", margin + input.size[axis] - 1)] {
+            let (u, v) = ((axis + 1) % 3, (axis + 2) % 3);
+            let is_inside = |a: usize, b: usize| {
+                let mut index = [0; 3];
+                (index[axis], index[u], index[v]) = (layer, a, b);
+                field.at(index[0], index[1], index[2]) < 0.0
+            };
+            let size = field.geometry.size;
+            if (0..size[v]).any(|b| (0..size[u]).any(|a| is_inside(a, b))) {
+                let beyond = if side == "low" { -0.5 } else { 0.5 };
+                let position = (layer as f64 + beyond) * field.geometry.spacing[axis];
+                planes.push(json!({ "axis": axis, "side": side, "position": position }));
+            }
+        }
+    }
+    Value::Array(planes)
+}
+
+/// Whether a sample of the voxels holds only a handful of whole numbers.
+fn looks_like_labels(values: &[f32]) -> bool {
+    const MOST_LABELS: usize = 12;
+    // an odd stride that shares no factor with common row lengths
+    let stride = values.len() / 50_021 + 1;
+    let mut seen = BTreeSet::new();
+    for value in values.iter().step_by(stride) {
+        if value.fract() != 0.0 {
+            return false;
+        }
+        seen.insert(value.to_bits());
+        if seen.len() > MOST_LABELS {
+            return false;
+        }
+    }
+    true
+}
+
+fn describe(result: &Redistanced, meta: &Value, changed: Option<usize>, context: &Context) {
+    let (before, after) = (result.parts_before, result.parts_after);
+    context.summary("components", format!("{} -> {}", before.components, after.components));
+    context.summary("cavities", format!("{} -> {}", before.cavities, after.cavities));
+    let volume_before = meta["volume_before"].as_f64().unwrap_or(before.volume);
+    let change = 100.0 * (after.volume / volume_before - 1.0);
+    context.summary("volume, mm^3", format!("{volume_before:.6e} -> {:.6e} ({change:+.2} %)", after.volume));
+    if let Some(changed) = changed {
+        context.summary("voxel centres that changed side", changed);
+    }
+    let shift = result.shift;
+    context.summary(
+        "shift of the zero set, voxels",
+        format!("mean {:.4}, 99th percentile {:.4}, largest {:.3}", shift.mean, shift.p99, shift.max),
+    );
+    context.report("held_nodes", result.held_nodes);
+    context.report("zero_set_fit", json!(result.fit));
+    context.report("meta", meta.clone());
+    if shift.mean > SHIFT_LIMITS.0 || shift.p99 > SHIFT_LIMITS.1 {
+        context.warn(format!(
+            "the zero set of F is {:.3} voxel from that of the input on average and {:.3} at the 99th percentile: the surface \
+             folds within a voxel in many places, which no distance field on this grid can hold; smooth the input, or \
+             choose another iso value",
+            shift.mean, shift.p99
+        ));
+    }
+}
+
+fn failed_checks(result: &Redistanced, changed: Option<usize>) -> Vec<String> {
+    let (before, after) = (result.parts_before, result.parts_after);
+    let mut failed = Vec::new();
+    if (before.components, before.cavities) != (after.components, after.cavities) {
+        failed.push(format!(
+            "components and cavities: {} and {} in the input, {} and {} in F",
+            before.components, before.cavities, after.components, after.cavities
+        ));
+    }
+    if let Some(changed) = changed.filter(|&changed| changed > 0) {
+        failed.push(format!("{changed} voxel centres changed side"));
+    }
+    failed
+}
+
+fn border_name(border: Border) -> &'static str {
+    match border {
+        Border::Cap => "cap",
+        Border::Open => "open",
+    }
+}
+
+fn inside_name(inside: Inside) -> &'static str {
+    match inside {
+        Inside::Above => "above",
+        Inside::Below => "below",
+    }
+}

@@ -1,0 +1,96 @@
+//! Dense samples of the zero set of an implicit function: marching-cubes vertices and triangle centres, moved onto it
+//! by Newton steps along the gradient (Eq. 5 with its sign mended). Distances are measured to them, and
+//! [`crate::fit`] pins the zero set of F on them.
+
+use glam::DVec3;
+use isoparticles_common::image::Image;
+use isoparticles_common::mesh::TriangleMesh;
+use rayon::prelude::*;
+
+/// An implicit function, negative inside: value and gradient (per mm) at a grid position.
+pub trait Implicit: Sync {
+    /// Value and gradient.
+    fn value_gradient(&self, grid: DVec3) -> (f64, DVec3);
+}
+
+impl<T: Fn(DVec3) -> (f64, DVec3) + Sync> Implicit for T {
+    fn value_gradient(&self, grid: DVec3) -> (f64, DVec3) {
+        self(grid)
+    }
+}
+
+/// Newton steps allowed to a sample.
+const STEPS: usize = 12;
+
+/// A sample is on the surface when it is this near to it, in voxels (first order: |f| over its slope).
+const TOLERANCE: f64 = 1e-6;
+
+/// Longest way of a sample from its place on the marching-cubes mesh, in voxels; beyond, it is off to another sheet.
+const REACH: f64 = 0.75;
+
+/// Samples of the zero set of `implicit`, from its marching-cubes mesh at the nodes of `image`.
+///
+/// Vertices come first, one sample each and in their order; a vertex that Newton loses is found by
+/// bisection on its grid edge, where the sign change guarantees a zero. Centres of triangles follow; lost ones are
+/// left out.
+pub fn surface_samples<I: Implicit>(implicit: &I, image: &Image<f32>, mesh: &TriangleMesh) -> Vec<DVec3> {
+    let voxel = image.geometry.min_spacing();
+    let vertices = mesh
+        .vertices
+        .par_iter()
+        .map(|&v| project(implicit, v, voxel).unwrap_or_else(|| bisect_edge(implicit, image, v)));
+    let centres = mesh.triangles.par_iter().filter_map(|t| {
+        let centre = t.iter().map(|&v| mesh.vertices[v as usize]).sum::<DVec3>() / 3.0;
+        project(implicit, centre, voxel)
+    });
+    let mut samples: Vec<DVec3> = vertices.collect();
+    samples.par_extend(centres);
+    samples
+}
+
+/// The point on the zero set near `start`; `None` when it is more than [`REACH`] voxels away or the gradient vanishes.
+pub fn project<I: Implicit>(implicit: &I, start: DVec3, voxel: f64) -> Option<DVec3> {
+    let mut p = start;
+    for _ in 0..STEPS {
+        let (f, g) = implicit.value_gradient(p);
+        let slope = g.length();
+        if slope.is_nan() || slope <= 1e-12 {
+            return None;
+        }
+        let distance = f / slope;
+        if distance.abs() <= TOLERANCE * voxel {
+            return Some(p);
+        }
+        p -= g / slope * distance.clamp(-0.4 * voxel, 0.4 * voxel);
+        if p.distance(start) > REACH * voxel {
+            return None;
+        }
+    }
+    None
+}
+
+/// Zero of the implicit function on the grid edge that holds the marching-cubes vertex `v`.
+fn bisect_edge<I: Implicit>(implicit: &I, image: &Image<f32>, v: DVec3) -> DVec3 {
+    let geometry = &image.geometry;
+    let index = geometry.grid_to_index(v);
+    let off = (index - index.round()).abs();
+    let axis = (0..3).max_by(|&a, &b| off[a].total_cmp(&off[b])).unwrap_or(0);
+    let mut low = index.round();
+    low[axis] = index[axis].floor();
+    let high = low + DVec3::AXES[axis];
+    let (mut low, mut high) = (geometry.index_to_grid(low), geometry.index_to_grid(high));
+    let inside = implicit.value_gradient(low).0 < 0.0;
+    if inside == (implicit.value_gradient(high).0 < 0.0) {
+        // an extra vertex within a cell, or an end that is on the surface to rounding
+        return v;
+    }
+    for _ in 0..40 {
+        let middle = 0.5 * (low + high);
+        if (implicit.value_gradient(middle).0 < 0.0) == inside {
+            low = middle;
+        } else {
+            high = middle;
+        }
+    }
+    0.5 * (low + high)
+}

@@ -1,0 +1,30 @@
+//! What the surface is made of: parts and cavities, and the volume they enclose.
+
+use isoparticles_common::components;
+use isoparticles_common::mesh::TriangleMesh;
+use serde::Serialize;
+
+/// Parts of a closed surface.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+pub struct Parts {
+    /// Connected surfaces that bound a part of the object from outside.
+    pub components: usize,
+    /// Connected surfaces that bound a cavity.
+    pub cavities: usize,
+    /// Enclosed volume, cavities taken off, in cubic mm.
+    pub volume: f64,
+}
+
+impl Parts {
+    /// Counts the connected surfaces of an outward-oriented mesh; those with negative volume are cavities.
+    pub fn of(mesh: &TriangleMesh) -> Self {
+        let component = components::of_vertices(mesh.vertices.len(), &mesh.triangles);
+        let mut volume = vec![0.0; component.iter().max().map_or(0, |&last| last as usize + 1)];
+        for t in &mesh.triangles {
+            let [a, b, c] = t.map(|v| mesh.vertices[v as usize]);
+            volume[component[t[0] as usize] as usize] += a.dot(b.cross(c)) / 6.0;
+        }
+        let cavities = volume.iter().filter(|v| **v < 0.0).count();
+        Self { components: volume.len() - cavities, cavities, volume: volume.iter().sum() }
+    }
+}

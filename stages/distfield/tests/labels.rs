@@ -1,0 +1,147 @@
+//! Label maps: smoothness, volume, no voxel centre on the wrong side, thin parts.
+
+mod support;
+
+use glam::DVec3;
+use isoparticles_common::cli::Context;
+use isoparticles_common::image::Image;
+use isoparticles_common::spline::CubicSpline;
+use isoparticles_distfield::{Border, Clearance, LabelOptions, Redistanced, from_labels};
+use support::{directions, sampled, topology, volume};
+
+const MARGIN: usize = 4;
+
+const OPTIONS: LabelOptions = LabelOptions {
+    border: Border::Cap,
+    margin: MARGIN,
+    clearance: Clearance { usual: 0.1, thin: 0.3 },
+    smoothing_steps: 100,
+};
+
+fn extract(mask: &Image<bool>) -> Redistanced {
+    let result = from_labels(mask, &OPTIONS, &Context::silent("distfield")).expect("a surface");
+    let least = (OPTIONS.clearance.usual * mask.geometry.min_spacing()) as f32;
+    let [nx, ny, _] = mask.geometry.size;
+    for (n, &inside) in mask.data.iter().enumerate() {
+        let f = result.field.at(n % nx + MARGIN, n / nx % ny + MARGIN, n / (nx * ny) + MARGIN);
+        assert_eq!(f < 0.0, inside, "voxel {n} changed side");
+        assert!(f.abs() >= least * 0.999, "voxel {n}: |F| = {f}");
+    }
+    result
+}
+
+/// Root-mean-square error of the radius along rays, and relative error of the volume.
+fn ball_errors(radius: f64, spacing: DVec3) -> (f64, f64) {
+    let size = ((2.0 * radius + 4.0 * spacing.max_element()) / spacing).ceil();
+    let centre = (0.5 * size + DVec3::new(0.13, -0.21, 0.37)) * spacing;
+    let mask = sampled([size.x as usize, size.y as usize, size.z as usize], spacing, |p| p.distance(centre) < radius);
+    let result = extract(&mask);
+    assert_eq!((result.parts_after.components, result.parts_after.cavities), (1, 0));
+    let spline = CubicSpline::new(&result.field);
+    let centre = centre + spacing * MARGIN as f64;
+    let count = 2000;
+    let (mut squares, mut cubes) = (0.0, 0.0);
+    for direction in directions(count) {
+        let (mut low, mut high) = (0.5 * radius, 1.5 * radius);
+        for _ in 0..40 {
+            let middle = 0.5 * (low + high);
+            if spline.value(centre + direction * middle) < 0.0 {
+                low = middle;
+            } else {
+                high = middle;
+            }
+        }
+        squares += (low - radius).powi(2);
+        cubes += low.powi(3);
+    }
+    ((squares / count as f64).sqrt(), cubes / count as f64 / radius.powi(3) - 1.0)
+}
+
+#[test]
+fn a_binary_ball_becomes_round() {
+    let (rms, volume) = ball_errors(20.0, DVec3::ONE);
+    println!("ball of 20 voxels: rms {rms:.4} voxel, volume {:+.3} %", 100.0 * volume);
+    assert!(rms < 0.06, "rms {rms} voxel");
+    assert!(volume.abs() < 0.003, "volume off by {volume}");
+}
+
+#[test]
+fn thick_slices_are_smoothed_as_well() {
+    let spacing = DVec3::new(0.7, 0.7, 3.0);
+    let (rms, volume) = ball_errors(14.0, spacing);
+    println!("ball of 14 mm, slices of 3 mm: rms {rms:.4} mm, volume {:+.3} %", 100.0 * volume);
+    assert!(rms < 0.1 * 3.0, "rms {rms} mm");
+    assert!(volume.abs() < 0.005, "volume off by {volume}");
+}
+
+/// Thickness of F < 0 along a direction through a point (index position of the mask), in voxels.
+fn thickness(result: &Redistanced, index: DVec3, direction: DVec3) -> f64 {
+    let spline = CubicSpline::new(&result.field);
+    let geometry = &result.field.geometry;
+    let at = |t: f64| geometry.index_to_grid(index + DVec3::splat(MARGIN as f64) + direction * t);
+    (-400..400).filter(|&n| spline.value(at(f64::from(n) * 0.005)) < 0.0).count() as f64 * 0.005
+}
+
+#[test]
+fn parts_one_voxel_thin_keep_their_components_their_genus_and_half_a_voxel() {
+    for spacing in [DVec3::ONE, DVec3::new(0.7, 0.7, 3.0)] {
+        let index = |p: DVec3| (p / spacing).round();
+        let size = [20, 20, 20];
+
+        let plate = extract(&sampled(size, spacing, |p| {
+            let i = index(p);
+            i.z == 9.0 && i.x >= 4.0 && i.x < 16.0 && i.y >= 4.0 && i.y < 16.0
+        }));
+        let found = topology(&plate.field);
+        assert_eq!((found.components.len(), found.components[0].genus), (1, Some(0)));
+        let thick = thickness(&plate, DVec3::splat(9.0), DVec3::Z);
+        assert!(thick > 0.5 * spacing.x.min(spacing.z) / spacing.z, "plate {thick} voxel");
+
+        let rod = extract(&sampled(size, spacing, |p| {
+            let i = index(p);
+            i.z == 9.0 && i.y == 10.0 && i.x >= 3.0 && i.x < 17.0
+        }));
+        let found = topology(&rod.field);
+        assert_eq!((found.components.len(), found.components[0].genus), (1, Some(0)));
+        let thick = thickness(&rod, DVec3::new(9.0, 10.0, 9.0), DVec3::Y);
+        assert!(thick > 0.5, "rod {thick} voxel");
+
+        // the one-voxel layer of a box: a shell with a cavity
+        let shell = extract(&sampled(size, spacing, |p| (index(p) - DVec3::splat(9.0)).abs().max_element() == 5.0));
+        assert_eq!((shell.parts_after.components, shell.parts_after.cavities), (1, 1));
+
+        // a square ring of rods: genus 1
+        let ring = extract(&sampled(size, spacing, |p| {
+            let i = index(p) - DVec3::splat(9.0);
+            i.z == 0.0 && i.x.abs().max(i.y.abs()) == 5.0
+        }));
+        let found = topology(&ring.field);
+        assert_eq!((found.components.len(), found.components[0].genus), (1, Some(1)));
+
+        // two blocks with a gap of one voxel stay apart by half a voxel
+        let blocks = extract(&sampled(size, spacing, |p| {
+            let i = index(p);
+            (4.0..=15.0).contains(&i.y) && (4.0..=15.0).contains(&i.z) && (3.0..=15.0).contains(&i.x) && i.x != 9.0
+        }));
+        assert_eq!(blocks.parts_after.components, 2);
+        let gap = 4.0 - thickness(&blocks, DVec3::splat(9.0), DVec3::X);
+        assert!(gap > 0.5, "gap {gap} voxel");
+    }
+}
+
+#[test]
+fn single_voxels_and_the_border_are_kept() {
+    let voxel = extract(&sampled([7, 7, 7], DVec3::ONE, |p| p == DVec3::splat(3.0)));
+    assert_eq!(topology(&voxel.field).components.len(), 1);
+    // an object that fills the volume becomes its box
+    let full = extract(&sampled([12, 12, 12], DVec3::ONE, |_| true));
+    assert!(topology(&full.field).is_closed_manifold());
+    let lost = 1.0 - volume(&full.field) / 12f64.powi(3);
+    assert!(lost.abs() < 0.03, "volume lost: {lost}");
+    let open = LabelOptions { border: Border::Open, ..OPTIONS };
+    let slab = sampled([12, 12, 12], DVec3::ONE, |p| p.z < 5.5);
+    let slab = from_labels(&slab, &open, &Context::silent("distfield")).expect("a plane");
+    assert!(!topology(&slab.field).is_watertight());
+    let error = from_labels(&sampled([5, 5, 5], DVec3::ONE, |_| true), &open, &Context::silent("distfield"));
+    assert!(error.is_err());
+}

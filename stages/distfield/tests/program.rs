@@ -1,0 +1,143 @@
+//! The program: files in and out, exit codes, bad input, real volumes where they are found.
+
+use isoparticles_common::io::field::{FieldKind, read_field};
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+
+fn distfield(arguments: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_distfield")).args(arguments).output().expect("the program runs")
+}
+
+/// A raw NRRD file of 32-bit numbers.
+fn write_nrrd(path: &Path, size: [usize; 3], value: impl Fn(usize, usize, usize) -> f32) {
+    let [nx, ny, nz] = size;
+    let header = format!(
+        "NRRD0004\ntype: float\ndimension: 3\nsizes: {nx} {ny} {nz}\nspacings: 1 1 1\nendian: little\nencoding: raw\n\n"
+    );
+    let mut bytes = header.into_bytes();
+    for k in 0..nz {
+        for j in 0..ny {
+            for i in 0..nx {
+                bytes.extend(value(i, j, k).to_le_bytes());
+            }
+        }
+    }
+    std::fs::write(path, bytes).expect("written");
+}
+
+fn radius(i: usize, j: usize, k: usize) -> f32 {
+    [i, j, k].map(|n| (n as f32 - 6.2).powi(2)).iter().sum::<f32>().sqrt()
+}
+
+#[test]
+fn a_volume_becomes_a_field_with_its_story() {
+    let folder = tempfile::tempdir().expect("folder");
+    let (input, output) = (folder.path().join("in.nrrd"), folder.path().join("f.vti"));
+    write_nrrd(&input, [13, 13, 13], |i, j, k| 10.0 - radius(i, j, k));
+    let (input, output) = (input.to_str().expect("text"), output.to_str().expect("text"));
+    let run = distfield(&[input, "-o", output, "--iso", "6", "--threads", "1"]);
+    assert_eq!(run.status.code(), Some(0), "{}", String::from_utf8_lossy(&run.stderr));
+    assert!(run.stdout.is_empty());
+    let field = read_field(Path::new(output), FieldKind::Distance).expect("a field");
+    assert_eq!(field.image.geometry.size, [23, 23, 23]);
+    assert_eq!(field.meta["source"], "scalar");
+    assert_eq!(field.meta["iso"], 6.0);
+    assert_eq!(field.meta["border"], "cap");
+    assert_eq!(field.meta["components"], 1);
+    assert!(field.meta["cap_planes"].as_array().is_some_and(Vec::is_empty), "the ball meets no face");
+    assert_eq!(field.history.expect("history").inputs.len(), 1);
+
+    // the same bytes with another number of threads; an existing output is kept without --force
+    let first = std::fs::read(output).expect("bytes");
+    assert_eq!(distfield(&[input, "-o", output, "--iso", "6"]).status.code(), Some(2));
+    assert_eq!(distfield(&[input, "-o", output, "--iso", "6", "--threads", "2", "--force"]).status.code(), Some(0));
+    assert!(first == std::fs::read(output).expect("bytes"), "the bytes depend on the number of threads");
+}
+
+#[test]
+fn a_cut_object_names_its_cap_planes() {
+    let folder = tempfile::tempdir().expect("folder");
+    let (input, output) = (folder.path().join("in.nrrd"), folder.path().join("f.vti"));
+    write_nrrd(
+        &input,
+        [10, 12, 12],
+        |i, j, k| if i < 4 && (3..9).contains(&j) && (3..9).contains(&k) { 2.0 } else { 0.0 },
+    );
+    let run = distfield(&[
+        input.to_str().expect("text"),
+        "-o",
+        output.to_str().expect("text"),
+        "--labels",
+        "2",
+        "--margin",
+        "4",
+    ]);
+    assert_eq!(run.status.code(), Some(0), "{}", String::from_utf8_lossy(&run.stderr));
+    let field = read_field(&output, FieldKind::Distance).expect("a field");
+    assert_eq!(field.meta["cap_planes"], serde_json::json!([{ "axis": 0, "side": "low", "position": 3.5 }]));
+    assert_eq!(field.meta["voxels_changed"], 0);
+    assert_eq!(field.meta["volume_before"], 144.0);
+}
+
+#[test]
+fn bad_input_ends_with_code_2_a_message_in_three_parts_and_no_output() {
+    let folder = tempfile::tempdir().expect("folder");
+    let path = |name: &str| folder.path().join(name);
+    write_nrrd(&path("good.nrrd"), [8, 8, 8], |i, j, k| radius(i, j, k).floor());
+    write_nrrd(&path("nan.nrrd"), [8, 8, 8], |i, j, k| if (i, j, k) == (3, 2, 1) { f32::NAN } else { i as f32 });
+    write_nrrd(&path("flat.nrrd"), [8, 8, 8], |_, _, _| 7.0);
+    write_nrrd(&path("half.nrrd"), [8, 8, 8], |i, _, _| i as f32 + 0.5);
+    let cases: [(&str, &[&str], &str); 7] = [
+        ("nan.nrrd", &["--iso", "2"], "1 voxels are NaN or infinite, the first at index (3, 2, 1)"),
+        ("flat.nrrd", &["--iso", "7"], "every voxel has the value 7"),
+        ("good.nrrd", &["--iso", "100"], "ranges from 0 to 10"),
+        ("good.nrrd", &["--iso=-3"], "ranges from 0 to 10"),
+        ("good.nrrd", &["--labels", "3,77"], "labels present: 0, 1, 2"),
+        ("half.nrrd", &["--labels", "1"], "0.5"),
+        ("absent.nrrd", &["--iso", "1"], "absent.nrrd"),
+    ];
+    for (input, options, says) in cases {
+        let output = path("out.vti");
+        let input = path(input);
+        let mut arguments = vec![input.to_str().expect("text"), "-o", output.to_str().expect("text")];
+        arguments.extend(options);
+        let run = distfield(&arguments);
+        let message = String::from_utf8_lossy(&run.stderr);
+        assert_eq!(run.status.code(), Some(2), "{arguments:?}: {message}");
+        assert!(message.contains(says), "{arguments:?} should say '{says}': {message}");
+        assert!(message.contains("why it matters:") && message.contains("what to do:"), "{message}");
+        assert!(!output.exists(), "{arguments:?} left an output behind");
+    }
+    let both = distfield(&["in.nrrd", "-o", "x.vti", "--iso", "1", "--labels", "1"]);
+    assert_eq!(both.status.code(), Some(2));
+    assert_eq!(distfield(&["in.nrrd", "-o", "x.vti"]).status.code(), Some(2));
+}
+
+/// The folder of the real volumes, or a note that the test skips.
+fn real_volume(name: &str) -> Option<PathBuf> {
+    let beside = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data");
+    let folder = std::env::var_os("ISOPARTICLES_DATA").map_or(beside, PathBuf::from);
+    let path = folder.join(name);
+    if path.exists() {
+        return Some(path);
+    }
+    println!("SKIP: {} is not there", path.display());
+    None
+}
+
+#[test]
+fn real_volumes_keep_their_zero_set_and_parts() {
+    for (name, option, value) in [("tooth_ct.nrrd", "--iso", "600"), ("mickey_labels.nrrd", "--labels", "2,3,4,5")] {
+        let Some(input) = real_volume(name) else { continue };
+        let folder = tempfile::tempdir().expect("folder");
+        let output = folder.path().join("f.vti");
+        let run = distfield(&[input.to_str().expect("text"), "-o", output.to_str().expect("text"), option, value]);
+        assert_eq!(run.status.code(), Some(0), "{name}: {}", String::from_utf8_lossy(&run.stderr));
+        let meta = read_field(&output, FieldKind::Distance).expect("a field").meta;
+        let shift = |key: &str| meta["zero_set_shift"][key].as_f64().expect("a number");
+        println!("{name}: {meta}");
+        assert!(shift("mean") < 0.01 && shift("p99") < 0.05, "{name}: {meta}");
+        assert_eq!(meta["components"], meta["components_before"]);
+        assert_eq!(meta["cavities"], meta["cavities_before"]);
+    }
+}
