@@ -13,6 +13,7 @@ use std::time::Duration;
 /// Set in the environment of the program under test.
 const CHILD: &str = "ISOPARTICLES_STAGE_FRAME_CHILD";
 
+/// Tries the frame of a stage.
 #[derive(clap::Parser)]
 #[command(name = "trial", version)]
 struct Args {
@@ -151,6 +152,7 @@ fn exit_codes_and_files() {
     let help = start(&["--help"], folder.path());
     assert_eq!(help.status.code(), Some(0));
     let help = String::from_utf8_lossy(&help.stdout).into_owned();
+    assert!(help.starts_with("Tries the frame of a stage"), "{help}");
     for option in ["--verbose", "--quiet", "--force", "--threads", "--seed", "--report", "--progress", "--version"] {
         assert!(help.contains(option), "{option}");
     }

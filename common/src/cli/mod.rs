@@ -41,7 +41,8 @@ pub enum ProgressMode {
     None,
 }
 
-/// The options that every stage has, under the same names.
+// The options that every stage has, under the same names.
+#[expect(missing_docs, reason = "clap prints a doc comment of flattened options as the description of the program")]
 #[derive(Clone, Debug, Default, clap::Args)]
 pub struct CommonArgs {
     /// Say more on stderr (-vv: still more)

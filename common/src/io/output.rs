@@ -54,6 +54,9 @@ pub fn remove_temporaries() {
 }
 
 fn write_and_rename(path: &Path, write: impl FnOnce(&mut dyn Write) -> io::Result<()>) -> io::Result<()> {
+    // A link stays a link; what it points to is replaced.
+    let target = path.canonicalize().unwrap_or_else(|_| path.to_path_buf());
+    let path = target.as_path();
     let temporary = temporary_beside(path)?;
     let name = temporary.path().to_path_buf();
     temporaries().push(name.clone());
