@@ -46,9 +46,13 @@ pub fn corners_cross(first: [u32; 3], p: [DVec3; 3], second: [u32; 3], q: [DVec3
         }
     }
     match count {
-        0 => triangles_meet(p, q),
+        0 => !clearly_apart(p, q, &q) && !clearly_apart(q, p, &p) && triangles_meet(p, q),
         1 => {
             let (i, j) = shared[0];
+            let rest = |t: [DVec3; 3], at: usize| [t[(at + 1) % 3], t[(at + 2) % 3]];
+            if clearly_apart(turned(p, i), q, &rest(q, j)) || clearly_apart(turned(q, j), p, &rest(p, i)) {
+                return false;
+            }
             segment_meets_triangle(p[(i + 1) % 3], p[(i + 2) % 3], q)
                 || segment_meets_triangle(q[(j + 1) % 3], q[(j + 2) % 3], p)
         }
@@ -59,6 +63,30 @@ pub fn corners_cross(first: [u32; 3], p: [DVec3; 3], second: [u32; 3], q: [DVec3
         }
         _ => true,
     }
+}
+
+/// The same triangle starting from another corner.
+fn turned(t: [DVec3; 3], first: usize) -> [DVec3; 3] {
+    [t[first], t[(first + 1) % 3], t[(first + 2) % 3]]
+}
+
+/// A quick certificate in floating point: whether a plane through the first corner of `t`, its own or one that stands on an
+/// edge there, has all of `points` (of the triangle `other`) so far on its free side that no rounding can matter. Where
+/// `points` leaves out a corner, that corner must be the first one of `t`. False when in doubt.
+fn clearly_apart(t: [DVec3; 3], other: [DVec3; 3], points: &[DVec3]) -> bool {
+    let (u, v) = (t[1] - t[0], t[2] - t[0]);
+    let normal = u.cross(v);
+    let length = u.length() + v.length();
+    let far = other.iter().map(|p| p.distance(t[0])).fold(0.0, f64::max);
+    let plane = |direction: DVec3, size: f64| {
+        // errors are below 1e-14 of the product; whatever is near it goes to the exact test
+        let margin = 1e-10 * size * far;
+        let side = |p: &DVec3| (*p - t[0]).dot(direction);
+        (points.iter().all(|p| side(p) < -margin), points.iter().all(|p| side(p) > margin))
+    };
+    let (square, cube) = (length * length, length * length * length);
+    let (below, above) = plane(normal, square);
+    below || above || plane(normal.cross(u), cube).0 || plane(v.cross(normal), cube).0
 }
 
 /// Whether two triangles without a common vertex have a point in common.
@@ -305,7 +333,25 @@ mod tests {
             let real = |t: [[i64; 3]; 3]| t.map(|x| v(x[0] as f64, x[1] as f64, x[2] as f64));
             let has_area = |t: [DVec3; 3]| (t[1] - t[0]).cross(t[2] - t[0]) != DVec3::ZERO;
             prop_assume!(has_area(real(p)) && has_area(real(q)));
-            prop_assert_eq!(triangles_meet(real(p), real(q)), reference_meet(p, q));
+            let expected = reference_meet(p, q);
+            prop_assert_eq!(triangles_meet(real(p), real(q)), expected);
+            prop_assert_eq!(corners_cross([0, 1, 2], real(p), [3, 4, 5], real(q)), expected);
+        }
+
+        /// The quick certificate must never let a pair pass that the exact test does not.
+        #[test]
+        fn pairs_with_a_common_vertex_agree_with_the_exact_test(
+            points in prop::array::uniform5(prop::array::uniform3(-3i8..4)),
+            turn_first in 0usize..3,
+            turn_second in 0usize..3,
+        ) {
+            let [s, a, b, c, d] = points.map(|x| v(f64::from(x[0]), f64::from(x[1]), f64::from(x[2])));
+            prop_assume!((a - s).cross(b - s) != DVec3::ZERO && (c - s).cross(d - s) != DVec3::ZERO);
+            let exact = segment_meets_triangle(a, b, [s, c, d]) || segment_meets_triangle(c, d, [s, a, b]);
+            let (p, q) = (turned([s, a, b], turn_first), turned([s, c, d], turn_second));
+            let index = |t: [u32; 3], k: usize| [t[k], t[(k + 1) % 3], t[(k + 2) % 3]];
+            let (i, j) = (index([0, 1, 2], turn_first), index([0, 3, 4], turn_second));
+            prop_assert_eq!(corners_cross(i, p, j, q), exact);
         }
 
         #[test]

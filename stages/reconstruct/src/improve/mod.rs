@@ -1,1 +1,234 @@
 //! Local moves that lift the worst triangles of a closed mesh on F = 0 without touching the rest.
+//!
+//! Edge flips, collapses (under the link condition), splits, and vertices that settle where the smallest radius ratio round
+//! them is largest, always projected back onto F = 0 (Eq. 5). A move is kept only when it helps and passes the guard: no
+//! triangle turned or folded, none crossing another (exact predicates), none farther from F = 0 than the bound, no grid
+//! node carried to the other side where that is asked for. Topology cannot change. Optionally the whole mesh is remeshed by the
+//! same moves, which makes a good mesh even of marching cubes' output. The result depends on the input only, not on threads.
+
+mod grid;
+mod guard;
+mod moves;
+mod remesh;
+mod sides;
+mod surface;
+#[cfg(test)]
+mod tests;
+mod worst;
+
+use glam::DVec3;
+use guard::{Limits, Rule, commit_if_welcome};
+use isoparticles_common::error::{Error, Result};
+use isoparticles_common::image::Image;
+use isoparticles_common::mesh::TriangleMesh;
+use isoparticles_common::mesh::quality::{QualitySummary, summarise};
+use isoparticles_common::spline::CubicSpline;
+use serde::Serialize;
+use sides::Sides;
+use surface::Surface;
+use worst::Effort;
+
+/// How far to go. The defaults lift what is below 0.6 and leave everything else alone.
+#[derive(Clone, Copy, Debug)]
+pub struct ImproveOptions<'a> {
+    /// Radius ratio below which a triangle is worked on.
+    pub target: f64,
+    /// Passes over the worst triangles, of growing effort: single moves, moves with settling, two moves in a row; 0 for none.
+    pub rounds: usize,
+    /// Rounds of global remeshing towards h before that; 0 for none.
+    pub remesh_rounds: usize,
+    /// Sweeps of relaxation and degree-equalising flips over the whole mesh, none of which lets any triangle's
+    /// neighbourhood get worse; 0 for none.
+    pub relaxation_sweeps: usize,
+    /// Largest distance of a triangle's centroid from F = 0 that a move may bring about, over h.
+    pub max_deviation: f64,
+    /// Range of edge lengths, over h, that a move must stay in where the edges round it are within.
+    pub length_range: [f64; 2],
+    /// Samples of F at whose nodes the mesh must not change sides (label volumes).
+    pub sides: Option<&'a Image<f32>>,
+}
+
+impl Default for ImproveOptions<'_> {
+    fn default() -> Self {
+        Self {
+            target: 0.6,
+            rounds: 3,
+            remesh_rounds: 0,
+            relaxation_sweeps: 0,
+            max_deviation: 0.15,
+            length_range: [0.5, 1.6],
+            sides: None,
+        }
+    }
+}
+
+impl ImproveOptions<'_> {
+    /// Remeshes the whole surface towards h: a good mesh from any closed one, marching cubes' included.
+    pub fn remesh() -> Self {
+        Self { remesh_rounds: 8, relaxation_sweeps: 4, ..Self::default() }
+    }
+}
+
+/// Moves made.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+pub struct Tally {
+    /// Vertices brought onto F = 0 at the start.
+    pub projections: usize,
+    /// Vertices relaxed or settled.
+    pub relocations: usize,
+    /// Edges flipped by the global passes.
+    pub flips: usize,
+    /// Edges collapsed by the global passes.
+    pub collapses: usize,
+    /// Edges split by the global passes.
+    pub splits: usize,
+    /// Single flips, collapses and splits on behalf of a bad triangle.
+    pub single_moves: usize,
+    /// Two such moves in a row.
+    pub double_moves: usize,
+}
+
+impl Tally {
+    fn count(&mut self, moves: usize, is_relocation: bool) {
+        match (moves, is_relocation) {
+            (_, true) => self.relocations += 1,
+            (1, false) => self.single_moves += 1,
+            _ => self.double_moves += 1,
+        }
+    }
+}
+
+/// What came of it.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct ImproveReport {
+    /// Shapes before.
+    pub before: QualitySummary,
+    /// Shapes after.
+    pub after: QualitySummary,
+    /// Moves made.
+    pub moves: Tally,
+    /// Triangles below the target before.
+    pub below_target_before: usize,
+    /// Triangles still below the target.
+    pub below_target: usize,
+    /// Vertices left alone because their triangles do not form one closed fan.
+    pub frozen_vertices: usize,
+    /// Vertices that could not be brought onto F = 0 (none when they all lay there before).
+    pub off_surface: usize,
+    /// Grid nodes on the wrong side before and after; `None` when they were not guarded.
+    pub nodes_on_wrong_side: Option<[usize; 2]>,
+}
+
+/// Improves a mesh in the grid frame. `size` is the target edge length h (mm) at a position.
+///
+/// # Errors
+/// When the mesh has a coordinate that is not finite or an index that names no vertex, or `size` is not positive on it.
+pub fn improve(
+    mesh: &mut TriangleMesh,
+    field: &CubicSpline,
+    size: &(dyn Fn(DVec3) -> f64 + Sync),
+    options: &ImproveOptions,
+) -> Result<ImproveReport> {
+    if !mesh.is_well_formed() {
+        return Err(Error::input(
+            "the mesh has a coordinate that is not a finite number, or a triangle names a vertex that does not exist",
+            "nothing can be measured on such a mesh",
+            "reconstruct it again; if it comes from a file, the file is damaged",
+        ));
+    }
+    if let Some(p) = mesh.vertices.iter().find(|&&p| !(size(p) > 0.0 && size(p).is_finite())) {
+        return Err(Error::input(
+            format!("the target edge length at {p} is {}", size(*p)),
+            "edge lengths are measured against it",
+            "give a size field that is positive everywhere on the surface",
+        ));
+    }
+    let below = |mesh: &TriangleMesh| {
+        isoparticles_common::mesh::quality::radius_ratios(mesh).iter().filter(|&&q| q < options.target).count()
+    };
+    let mut report =
+        ImproveReport { before: summarise(mesh), below_target_before: below(mesh), ..ImproveReport::default() };
+    let mut surface = Surface::new(mesh, field, size, options.length_range);
+    surface.sides = options.sides.map(|image| Sides::new(mesh, image));
+    let wrong_before = surface.sides.as_ref().map(Sides::wrong_count);
+    report.frozen_vertices = surface.frozen.iter().filter(|&&frozen| frozen).count();
+
+    let limits = Limits { agreement: 0.3, fold: 0.0, deviation: options.max_deviation, excess: 1e-9 };
+    let tally = &mut report.moves;
+    project_all(&mut surface, tally);
+    for _ in 0..options.remesh_rounds {
+        remesh::round(&mut surface, &limits, tally);
+        project_all(&mut surface, tally);
+    }
+    for _ in 0..options.relaxation_sweeps {
+        remesh::equalise_degrees(&mut surface, &limits, Rule::Even, tally);
+        remesh::relax_all(&mut surface, &limits, Rule::Even, tally);
+    }
+    for round in 0..options.rounds {
+        let efforts = [Effort::Single, Effort::Settled, Effort::Double];
+        for &effort in &efforts[..=round.min(efforts.len() - 1)] {
+            worst::lift(&mut surface, &limits, options.target, effort, tally);
+        }
+    }
+    if options.rounds > 0 {
+        project_all(&mut surface, tally);
+        let bar = options.target.min(LAST_RESORT_BELOW);
+        worst::lift(&mut surface, &limits.loosened(), bar, Effort::Double, tally);
+    }
+
+    report.off_surface = (0..surface.positions.len()).filter(|&v| is_off_surface(&surface, v)).count();
+    report.nodes_on_wrong_side =
+        wrong_before.zip(surface.sides.as_ref().map(Sides::wrong_count)).map(|(before, after)| [before, after]);
+    *mesh = surface.into_mesh();
+    report.after = summarise(mesh);
+    report.below_target = below(mesh);
+    Ok(report)
+}
+
+/// Triangles below this radius ratio are worth the loosened limits.
+const LAST_RESORT_BELOW: f64 = 0.5;
+
+/// Distance from F = 0, in voxels, beyond which a vertex does not lie on it.
+const ON_SURFACE: f64 = 5e-5;
+
+fn is_off_surface(surface: &Surface, v: usize) -> bool {
+    let (value, gradient) = surface.field.value_gradient(surface.positions[v]);
+    let voxel = surface.field.geometry().mean_spacing();
+    !surface.around[v].is_empty() && value.abs() > ON_SURFACE * voxel * gradient.length()
+}
+
+/// Brings vertices that do not lie on F = 0 there; one that cannot get there gives way to a neighbour that does.
+fn project_all(surface: &mut Surface, tally: &mut Tally) {
+    let limits = &Limits::FOR_PROJECTION;
+    let off: Vec<u32> =
+        (0..surface.positions.len()).filter(|&v| is_off_surface(surface, v)).map(|v| v as u32).collect();
+    for v in off {
+        if surface.frozen[v as usize] || surface.degree(v) == 0 {
+            continue;
+        }
+        let from = surface.positions[v as usize];
+        let reach = surface.link(v).map(|(a, _)| surface.positions[a as usize].distance(from)).fold(0.0, f64::max);
+        let neighbours: Vec<u32> = surface.link(v).map(|(a, _)| a).collect();
+        let sum: DVec3 = neighbours.iter().map(|&u| surface.positions[u as usize]).sum();
+        let moved = [from, sum / neighbours.len() as f64].into_iter().any(|start| {
+            let to = moves::projected(surface, start, reach);
+            to.is_some_and(|to| {
+                surface.move_vertex(v, to);
+                commit_if_welcome(surface, limits, Rule::Any).is_some()
+            })
+        });
+        if moved {
+            tally.projections += 1;
+            continue;
+        }
+        for u in neighbours {
+            let at = surface.positions[u as usize];
+            let keeps = !is_off_surface(surface, u as usize) && moves::collapse(surface, u, v, at);
+            if keeps && commit_if_welcome(surface, limits, Rule::Keep { floor: 0.2 }).is_some() {
+                tally.collapses += 1;
+                break;
+            }
+            surface.undo();
+        }
+    }
+}

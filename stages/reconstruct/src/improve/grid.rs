@@ -1,0 +1,167 @@
+//! Finds the triangles near a triangle while the mesh is being edited.
+//!
+//! A hashed grid with a level for each power of two of the triangles' extent, so that a strongly graded mesh costs no more
+//! than a uniform one. A triangle lies in the one cell that holds the centre of its box.
+
+use glam::DVec3;
+use isoparticles_common::spatial::Bounds;
+use std::collections::HashMap;
+use std::hash::{BuildHasherDefault, Hasher};
+
+/// Levels; the coarsest takes every larger triangle.
+const LEVELS: usize = 32;
+/// Cells an axis can have in one level.
+const CELLS: f64 = (1 << 19) as f64;
+
+/// Triangles by place and size.
+pub(super) struct TriangleGrid {
+    origin: DVec3,
+    finest: f64,
+    population: [usize; LEVELS],
+    cells: HashMap<u64, Vec<u32>, BuildHasherDefault<KeyHasher>>,
+    boxes: Vec<Bounds>,
+}
+
+impl TriangleGrid {
+    /// An empty grid for triangles within `whole` (mm), the smallest of them about `finest` mm large.
+    pub(super) fn new(whole: Bounds, finest: f64) -> Self {
+        let extent = (whole.high - whole.low).max_element().max(f64::MIN_POSITIVE);
+        // so many cells that the outermost ones are never reached
+        let finest = finest.max(extent / (0.25 * CELLS));
+        Self {
+            origin: whole.low - extent,
+            finest,
+            population: [0; LEVELS],
+            cells: HashMap::default(),
+            boxes: Vec::new(),
+        }
+    }
+
+    /// Puts a triangle in.
+    pub(super) fn insert(&mut self, triangle: u32, bounds: Bounds) {
+        let slot = triangle as usize;
+        if self.boxes.len() <= slot {
+            self.boxes.resize(slot + 1, Bounds::EMPTY);
+        }
+        self.boxes[slot] = bounds;
+        let level = self.level(&bounds);
+        self.population[level] += 1;
+        self.cells.entry(self.home(level, &bounds)).or_default().push(triangle);
+    }
+
+    /// Takes a triangle out that was put in.
+    pub(super) fn remove(&mut self, triangle: u32) {
+        let bounds = self.boxes[triangle as usize];
+        let level = self.level(&bounds);
+        if let Some(cell) = self.cells.get_mut(&self.home(level, &bounds))
+            && let Some(at) = cell.iter().position(|&t| t == triangle)
+        {
+            cell.remove(at);
+            self.population[level] -= 1;
+        }
+    }
+
+    /// Whether `test` holds for any triangle whose box, given along, meets the given one.
+    pub(super) fn any(&self, query: &Bounds, mut test: impl FnMut(u32, &Bounds) -> bool) -> bool {
+        for level in (0..LEVELS).filter(|&l| self.population[l] > 0) {
+            // the centre of a triangle of this level is at most half a cell away from any of its points
+            let reach = if level + 1 < LEVELS { 0.5 * self.size(level) } else { f64::INFINITY };
+            let low = self.cell(level, query.low - reach);
+            let high = self.cell(level, query.high + reach);
+            for z in low[2]..=high[2] {
+                for y in low[1]..=high[1] {
+                    for x in low[0]..=high[0] {
+                        let Some(cell) = self.cells.get(&key(level, [x, y, z])) else { continue };
+                        let hit = |&t: &u32| {
+                            let bounds = &self.boxes[t as usize];
+                            bounds.meets(query) && test(t, bounds)
+                        };
+                        if cell.iter().any(hit) {
+                            return true;
+                        }
+                    }
+                }
+            }
+        }
+        false
+    }
+
+    fn level(&self, bounds: &Bounds) -> usize {
+        let extent = (bounds.high - bounds.low).max_element();
+        ((extent / self.finest).log2().ceil().max(0.0) as usize).min(LEVELS - 1)
+    }
+
+    fn size(&self, level: usize) -> f64 {
+        self.finest * (1u64 << level) as f64
+    }
+
+    fn cell(&self, level: usize, p: DVec3) -> [u64; 3] {
+        let scaled = ((p - self.origin) / self.size(level)).clamp(DVec3::ZERO, DVec3::splat(CELLS - 1.0));
+        [scaled.x as u64, scaled.y as u64, scaled.z as u64]
+    }
+
+    fn home(&self, level: usize, bounds: &Bounds) -> u64 {
+        key(level, self.cell(level, bounds.centre()))
+    }
+}
+
+fn key(level: usize, [x, y, z]: [u64; 3]) -> u64 {
+    (level as u64) << 57 | z << 38 | y << 19 | x
+}
+
+/// Mixes one 64-bit key; the order of the map is never looked at.
+#[derive(Default)]
+pub(super) struct KeyHasher(u64);
+
+impl Hasher for KeyHasher {
+    fn finish(&self) -> u64 {
+        self.0
+    }
+
+    fn write(&mut self, bytes: &[u8]) {
+        for &byte in bytes {
+            self.write_u64(u64::from(byte));
+        }
+    }
+
+    fn write_u64(&mut self, key: u64) {
+        let x = (self.0.rotate_left(5) ^ key).wrapping_mul(0x9e37_79b9_7f4a_7c15);
+        self.0 = x ^ (x >> 32);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use isoparticles_common::random::uniform;
+
+    #[test]
+    fn finds_what_a_scan_finds_through_insertions_and_removals() {
+        let boxes: Vec<Bounds> = (0..400u64)
+            .map(|n| {
+                let at = |s: u64| DVec3::new(uniform(s, 0, n), uniform(s, 1, n), uniform(s, 2, n));
+                let low = at(1) * 10.0;
+                // sizes over three orders of magnitude
+                Bounds { low, high: low + at(2) * 10f64.powf(-2.0 + 3.0 * uniform(3, 0, n)) }
+            })
+            .collect();
+        let whole = boxes.iter().fold(Bounds::EMPTY, |a, &b| a.merged(b));
+        let mut grid = TriangleGrid::new(whole, 0.02);
+        for (t, &b) in boxes.iter().enumerate() {
+            grid.insert(t as u32, b);
+        }
+        for t in (0..400).step_by(3) {
+            grid.remove(t);
+        }
+        for query in &boxes {
+            let mut found = Vec::new();
+            grid.any(query, |t, _| {
+                found.push(t);
+                false
+            });
+            found.sort_unstable();
+            let expected: Vec<u32> = (0..400).filter(|&t| t % 3 != 0 && boxes[t as usize].meets(query)).collect();
+            assert_eq!(found, expected);
+        }
+    }
+}

@@ -1,0 +1,190 @@
+//! The elementary moves: flip, collapse and split of an edge, and the best place of a vertex among its neighbours. They keep
+//! the mesh a manifold of the same topology (link condition); whether the outcome is welcome is for the guard to say.
+
+use super::surface::{DEAD, Surface};
+use glam::DVec3;
+use isoparticles_common::mesh::quality::radius_ratio;
+use std::f64::consts::TAU;
+
+/// Distance from F = 0 that a projected vertex may keep, in voxels.
+const PROJECTION_TOLERANCE: f64 = 1e-5;
+/// Directions that the search for the best place looks in at each step.
+const DIRECTIONS: usize = 8;
+/// The search starts with steps of this share of the mean distance to the neighbours.
+const FIRST_STEP: f64 = 0.25;
+/// It ends with steps of this share.
+const LAST_STEP: f64 = 0.01;
+/// A place is better when the smallest radius ratio rises by this much.
+const LEAST_GAIN: f64 = 1e-6;
+
+/// The point of F = 0 near a position, no farther than `limit` mm.
+pub(super) fn projected(surface: &Surface, p: DVec3, limit: f64) -> Option<DVec3> {
+    surface.field.project(p, limit, PROJECTION_TOLERANCE * surface.field.geometry().mean_spacing())
+}
+
+/// Replaces the edge a, b by the other diagonal of its two triangles.
+pub(super) fn flip(surface: &mut Surface, a: u32, b: u32) -> bool {
+    let Some([(left, c), (right, d)]) = surface.wings(a, b) else { return false };
+    if [a, b, c, d].iter().any(|&v| surface.frozen[v as usize])
+        || c == d
+        || surface.degree(a) < 4
+        || surface.degree(b) < 4
+        || surface.joined(c, d)
+    {
+        return false;
+    }
+    surface.set_triangle(left, [a, d, c]);
+    surface.set_triangle(right, [d, b, c]);
+    true
+}
+
+/// Merges `gone` into `keep`, which moves to `at`.
+pub(super) fn collapse(surface: &mut Surface, keep: u32, gone: u32, at: DVec3) -> bool {
+    let Some([(left, c), (right, d)]) = surface.wings(keep, gone) else { return false };
+    if [keep, gone].iter().any(|&v| surface.frozen[v as usize])
+        || c == d
+        || surface.degree(c) < 4
+        || surface.degree(d) < 4
+        || surface.degree(keep) + surface.degree(gone) < 7
+        || surface.link(gone).any(|(v, _)| surface.frozen[v as usize])
+    {
+        return false;
+    }
+    // link condition: the ends share no neighbour but the two opposite corners
+    if surface.link(gone).filter(|&(v, _)| v != keep && surface.joined(v, keep)).count() != 2 {
+        return false;
+    }
+    for t in surface.around[gone as usize].clone() {
+        let corners = if t == left || t == right {
+            DEAD
+        } else {
+            surface.triangles[t as usize].map(|v| if v == gone { keep } else { v })
+        };
+        surface.set_triangle(t, corners);
+    }
+    if surface.positions[keep as usize] != at {
+        surface.move_vertex(keep, at);
+    }
+    true
+}
+
+/// Cuts the edge a, b at a new vertex on F = 0 next to its middle.
+pub(super) fn split(surface: &mut Surface, a: u32, b: u32) -> Option<u32> {
+    let [(left, c), (right, d)] = surface.wings(a, b)?;
+    if [a, b, c, d].iter().any(|&v| surface.frozen[v as usize]) || c == d {
+        return None;
+    }
+    let (p, q) = (surface.positions[a as usize], surface.positions[b as usize]);
+    let middle = projected(surface, 0.5 * (p + q), 0.5 * p.distance(q))?;
+    let m = surface.add_vertex(middle);
+    surface.set_triangle(left, [a, m, c]);
+    surface.add_triangle([m, b, c]);
+    surface.set_triangle(right, [b, m, d]);
+    surface.add_triangle([m, a, d]);
+    Some(m)
+}
+
+/// Moves a vertex along the surface to where the smallest radius ratio of its triangles is largest.
+pub(super) fn settle(surface: &mut Surface, vertex: u32) -> bool {
+    let v = vertex as usize;
+    if surface.frozen[v] || surface.around[v].is_empty() {
+        return false;
+    }
+    let start = surface.positions[v];
+    let jet = surface.field.jet(start);
+    let slope = jet.gradient.length();
+    if slope < 1e-6 {
+        return false;
+    }
+    let normal = jet.gradient / slope;
+    let ring: Vec<(DVec3, DVec3)> =
+        surface.link(vertex).map(|(a, b)| (surface.positions[a as usize], surface.positions[b as usize])).collect();
+    let reach = ring.iter().map(|(a, _)| a.distance(start)).sum::<f64>() / ring.len() as f64;
+    let worth = |p: DVec3| ring_worth(&ring, normal, p);
+
+    // to second order the surface is a paraboloid over its tangent plane
+    let (e1, e2) = normal.any_orthonormal_pair();
+    let place = |x: f64, y: f64| {
+        let t = e1 * x + e2 * y;
+        start + t - normal * (0.5 * t.dot(jet.hessian * t) / slope)
+    };
+    let before = worth(start);
+    let (mut best, mut best_worth) = ((0.0, 0.0), before);
+    let (mut step, mut turn) = (FIRST_STEP * reach, 0.0);
+    while step > LAST_STEP * reach {
+        let mut next = None;
+        for d in 0..DIRECTIONS {
+            let angle = turn + TAU * d as f64 / DIRECTIONS as f64;
+            let candidate = (best.0 + step * angle.cos(), best.1 + step * angle.sin());
+            let candidate_worth = worth(place(candidate.0, candidate.1));
+            if candidate_worth > best_worth + LEAST_GAIN {
+                best_worth = candidate_worth;
+                next = Some(candidate);
+            }
+        }
+        match next {
+            Some(candidate) if candidate.0.hypot(candidate.1) < reach => best = candidate,
+            Some(_) => break,
+            None => {
+                step *= 0.5;
+                // other directions, lest a ridge of the smallest of several functions hide between two of them
+                turn += 0.3;
+            }
+        }
+    }
+    if best == (0.0, 0.0) {
+        return false;
+    }
+    match projected(surface, place(best.0, best.1), reach) {
+        Some(p) if worth(p) > before + LEAST_GAIN => {
+            surface.move_vertex(vertex, p);
+            true
+        }
+        _ => false,
+    }
+}
+
+/// Smallest radius ratio round a vertex at `p`; negative when a triangle is turned against the normal there.
+fn ring_worth(ring: &[(DVec3, DVec3)], normal: DVec3, p: DVec3) -> f64 {
+    let mut smallest = f64::INFINITY;
+    for &(a, b) in ring {
+        let ratio = radius_ratio(p, a, b);
+        let upright = (a - p).cross(b - p).dot(normal) > 0.0;
+        smallest = smallest.min(if upright { ratio } else { ratio - 1.0 });
+    }
+    smallest
+}
+
+/// Moves a vertex along the surface towards the centre of its triangles, weighted by area over target area.
+/// `share` of the way is gone.
+pub(super) fn relax(surface: &mut Surface, vertex: u32, share: f64) -> bool {
+    let v = vertex as usize;
+    if surface.frozen[v] || surface.around[v].is_empty() {
+        return false;
+    }
+    let start = surface.positions[v];
+    let (mut sum, mut weights, mut reach) = (DVec3::ZERO, 0.0, 0.0);
+    for (a, b) in surface.link(vertex) {
+        let (p, q) = (surface.positions[a as usize], surface.positions[b as usize]);
+        let target = (surface.target[v] + surface.target[a as usize] + surface.target[b as usize]) / 3.0;
+        let weight = (p - start).cross(q - start).length() / (target * target);
+        sum += weight * (start + p + q) / 3.0;
+        weights += weight;
+        reach += p.distance(start);
+    }
+    reach /= surface.degree(vertex) as f64;
+    let (_, gradient) = surface.field.value_gradient(start);
+    let normal = gradient.normalize_or_zero();
+    let way = share * (sum / weights - start);
+    let way = way - normal * way.dot(normal);
+    if !way.is_finite() || way.length() < 1e-4 * reach {
+        return false;
+    }
+    match projected(surface, start + way, reach) {
+        Some(p) => {
+            surface.move_vertex(vertex, p);
+            true
+        }
+        None => false,
+    }
+}

@@ -1,0 +1,109 @@
+//! Brings edge lengths and vertex degrees in order over the whole mesh: split long edges, collapse short ones, flip towards
+//! degree six, relax along the surface (after Botsch and Kobbelt 2004), every step under the guard and with the vertices
+//! on F = 0.
+
+use super::Tally;
+use super::guard::{Limits, Rule, commit_if_welcome};
+use super::moves::{collapse, flip, projected, relax, split};
+use super::surface::{DEAD, Surface};
+
+/// An edge longer than this times h is split.
+const LONG: f64 = 4.0 / 3.0;
+/// An edge shorter than this times h is collapsed.
+const SHORT: f64 = 4.0 / 5.0;
+/// What a split, collapse or flip may leave behind where it was better: the relaxation comes after.
+const FLOOR: f64 = 0.35;
+
+/// One round of everything.
+pub(super) fn round(surface: &mut Surface, limits: &Limits, tally: &mut Tally) {
+    split_long(surface, limits, tally);
+    collapse_short(surface, limits, tally);
+    equalise_degrees(surface, limits, Rule::Keep { floor: FLOOR }, tally);
+    for _ in 0..2 {
+        relax_all(surface, limits, Rule::Keep { floor: 0.6 }, tally);
+    }
+}
+
+/// All edges, by their vertices (lower first), in order.
+pub(super) fn edges(surface: &Surface) -> Vec<(u32, u32)> {
+    let mut edges: Vec<(u32, u32)> = surface
+        .triangles
+        .iter()
+        .filter(|t| **t != DEAD)
+        .flat_map(|&[a, b, c]| [(a, b), (b, c), (c, a)])
+        .filter(|(a, b)| a < b)
+        .collect();
+    edges.sort_unstable();
+    edges
+}
+
+fn split_long(surface: &mut Surface, limits: &Limits, tally: &mut Tally) {
+    let mut long: Vec<(f64, u32, u32)> = edges(surface)
+        .into_iter()
+        .map(|(a, b)| (surface.relative_length(a, b), a, b))
+        .filter(|edge| edge.0 > LONG)
+        .collect();
+    long.sort_by(|a, b| b.0.total_cmp(&a.0));
+    for (_, a, b) in long {
+        if split(surface, a, b).is_some() && commit_if_welcome(surface, limits, Rule::Keep { floor: FLOOR }).is_some() {
+            tally.splits += 1;
+        }
+        surface.undo();
+    }
+}
+
+fn collapse_short(surface: &mut Surface, limits: &Limits, tally: &mut Tally) {
+    let mut short: Vec<(f64, u32, u32)> = edges(surface)
+        .into_iter()
+        .map(|(a, b)| (surface.relative_length(a, b), a, b))
+        .filter(|edge| edge.0 < SHORT)
+        .collect();
+    short.sort_by(|a, b| a.0.total_cmp(&b.0));
+    for (_, a, b) in short {
+        if surface.wings(a, b).is_none() || surface.relative_length(a, b) >= SHORT {
+            continue;
+        }
+        let (p, q) = (surface.positions[a as usize], surface.positions[b as usize]);
+        let middle = projected(surface, 0.5 * (p + q), p.distance(q));
+        for (keep, gone, at) in [(a, b, middle), (a, b, Some(p)), (b, a, Some(q))] {
+            let Some(at) = at else { continue };
+            let too_long = |s: &Surface| s.link(keep).any(|(v, _)| s.relative_length(keep, v) > LONG);
+            if collapse(surface, keep, gone, at)
+                && !too_long(surface)
+                && commit_if_welcome(surface, limits, Rule::Keep { floor: FLOOR }).is_some()
+            {
+                tally.collapses += 1;
+                break;
+            }
+            surface.undo();
+        }
+    }
+}
+
+/// Flips edges where that brings the degrees round them closer to six.
+pub(super) fn equalise_degrees(surface: &mut Surface, limits: &Limits, rule: Rule, tally: &mut Tally) {
+    for (a, b) in edges(surface) {
+        let Some([(_, c), (_, d)]) = surface.wings(a, b) else { continue };
+        let degree = |v: u32| surface.degree(v) as i64;
+        let cost = |x: i64| (x - 6) * (x - 6);
+        let before = cost(degree(a)) + cost(degree(b)) + cost(degree(c)) + cost(degree(d));
+        let after = cost(degree(a) - 1) + cost(degree(b) - 1) + cost(degree(c) + 1) + cost(degree(d) + 1);
+        if after < before && flip(surface, a, b) && commit_if_welcome(surface, limits, rule).is_some() {
+            tally.flips += 1;
+        }
+        surface.undo();
+    }
+}
+
+/// Relaxes every vertex once, in order.
+pub(super) fn relax_all(surface: &mut Surface, limits: &Limits, rule: Rule, tally: &mut Tally) {
+    for v in 0..surface.positions.len() as u32 {
+        for share in [1.0, 0.4] {
+            if relax(surface, v, share) && commit_if_welcome(surface, limits, rule).is_some() {
+                tally.relocations += 1;
+                break;
+            }
+            surface.undo();
+        }
+    }
+}

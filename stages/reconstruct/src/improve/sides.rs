@@ -1,0 +1,64 @@
+//! Keeps every grid node on the side of the mesh where F has it (label volumes: no voxel may change sides).
+//!
+//! What a move takes away and what it puts there bound a closed region; the nodes in it change sides. They are found as in
+//! [`isoparticles_common::mesh::inside`], by exact parity along grid lines.
+
+use glam::DVec3;
+use isoparticles_common::image::Image;
+use isoparticles_common::mesh::TriangleMesh;
+use isoparticles_common::mesh::inside::{Crossing, crossings, nodes_on_wrong_side};
+use std::collections::HashSet;
+
+/// The nodes, their sides, and those on the wrong one.
+pub(super) struct Sides<'a> {
+    image: &'a Image<f32>,
+    wrong: HashSet<usize>,
+}
+
+impl<'a> Sides<'a> {
+    /// Finds the nodes that a mesh has on the wrong side to begin with.
+    pub(super) fn new(mesh: &TriangleMesh, image: &'a Image<f32>) -> Self {
+        let geometry = &image.geometry;
+        let wrong = nodes_on_wrong_side(mesh, image).into_iter().map(|[i, j, k]| geometry.linear(i, j, k)).collect();
+        Self { image, wrong }
+    }
+
+    /// Number of nodes on the wrong side.
+    pub(super) fn wrong_count(&self) -> usize {
+        self.wrong.len()
+    }
+
+    /// Nodes that change sides when some triangles give way to others with the same rim.
+    pub(super) fn changed(&self, before: &[[DVec3; 3]], after: &[[DVec3; 3]]) -> Vec<usize> {
+        let geometry = &self.image.geometry;
+        let mut toggles: Vec<Crossing> = Vec::new();
+        for &corners in before.iter().chain(after) {
+            crossings(corners, geometry, |crossing| toggles.push(crossing));
+        }
+        toggles.sort_unstable();
+        let mut changed = Vec::new();
+        for pair in toggles.chunks(2) {
+            if let [from, to] = pair
+                && from.row == to.row
+            {
+                let start = from.row * geometry.size[0];
+                changed.extend((start + from.first..start + to.first).filter(|&n| self.image.data[n] != 0.0));
+            }
+        }
+        changed
+    }
+
+    /// Whether none of the nodes is on its right side now, so that the change can only mend.
+    pub(super) fn are_wrong(&self, nodes: &[usize]) -> bool {
+        nodes.iter().all(|n| self.wrong.contains(n))
+    }
+
+    /// Takes note that nodes changed sides.
+    pub(super) fn turn(&mut self, nodes: &[usize]) {
+        for node in nodes {
+            if !self.wrong.remove(node) {
+                self.wrong.insert(*node);
+            }
+        }
+    }
+}

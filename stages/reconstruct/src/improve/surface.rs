@@ -1,0 +1,369 @@
+//! A closed triangle mesh that can be edited and taken back: positions, triangles, the triangles round each vertex, and a
+//! log from which any move can be undone. Nothing is final until [`Surface::commit`].
+
+use super::grid::TriangleGrid;
+use super::sides::Sides;
+use glam::DVec3;
+use isoparticles_common::mesh::TriangleMesh;
+use isoparticles_common::mesh::quality::radius_ratio;
+use isoparticles_common::spatial::Bounds;
+use isoparticles_common::spline::CubicSpline;
+use rayon::prelude::*;
+
+/// Corners of a triangle that is not there.
+pub(super) const DEAD: [u32; 3] = [u32::MAX; 3];
+
+/// Target edge length h (mm) at a grid position.
+pub(super) type Size<'a> = &'a (dyn Fn(DVec3) -> f64 + Sync);
+
+/// What is known of a triangle as it was last committed.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Facts {
+    /// Radius ratio.
+    pub(super) quality: f64,
+    /// Cosine between the normal and grad F at the centroid.
+    pub(super) agreement: f64,
+    /// |F| / |grad F| at the centroid over the mean target edge length.
+    pub(super) deviation: f64,
+    /// Factor by which the worst side leaves the range of lengths allowed, as a logarithm; 0 within.
+    pub(super) excess: f64,
+    /// Unit normal.
+    pub(super) normal: DVec3,
+}
+
+impl Facts {
+    /// Of a triangle that is not there: the best of everything.
+    pub(super) const NONE: Self =
+        Self { quality: f64::INFINITY, agreement: 1.0, deviation: 0.0, excess: 0.0, normal: DVec3::ZERO };
+}
+
+/// One step of the log.
+#[derive(Clone, Copy, Debug)]
+enum Change {
+    Moved { vertex: u32, from: DVec3, target: f64 },
+    Retriangled { triangle: u32, from: [u32; 3] },
+    VertexAdded,
+    TriangleAdded,
+}
+
+/// The mesh under edit.
+pub(super) struct Surface<'a> {
+    /// The implicit function.
+    pub(super) field: &'a CubicSpline,
+    size: Size<'a>,
+    /// Allowed range of edge lengths over h.
+    pub(super) lengths: [f64; 2],
+    /// Positions, also of vertices no longer used.
+    pub(super) positions: Vec<DVec3>,
+    /// Target edge length at each vertex, mm.
+    pub(super) target: Vec<f64>,
+    /// Triangles, [`DEAD`] where one was removed.
+    pub(super) triangles: Vec<[u32; 3]>,
+    /// Triangles round each vertex.
+    pub(super) around: Vec<Vec<u32>>,
+    /// Vertices whose triangles do not form one closed fan: nothing next to them is touched.
+    pub(super) frozen: Vec<bool>,
+    /// Facts of each triangle as last committed.
+    pub(super) facts: Vec<Facts>,
+    /// Committed triangles by place.
+    pub(super) grid: TriangleGrid,
+    /// Guard of the grid nodes, where asked for.
+    pub(super) sides: Option<Sides<'a>>,
+    log: Vec<Change>,
+}
+
+impl<'a> Surface<'a> {
+    /// Takes a well-formed mesh over.
+    pub(super) fn new(mesh: &TriangleMesh, field: &'a CubicSpline, size: Size<'a>, lengths: [f64; 2]) -> Self {
+        let mut around = vec![Vec::new(); mesh.vertices.len()];
+        for (t, corners) in mesh.triangles.iter().enumerate() {
+            for &v in corners {
+                around[v as usize].push(t as u32);
+            }
+        }
+        let whole = Bounds::of(&mesh.vertices);
+        let mut surface = Self {
+            field,
+            size,
+            lengths,
+            positions: mesh.vertices.clone(),
+            target: mesh.vertices.par_iter().map(|&p| size(p)).collect(),
+            triangles: mesh.triangles.clone(),
+            frozen: Vec::new(),
+            around,
+            facts: Vec::new(),
+            grid: TriangleGrid::new(whole, typical_extent(mesh)),
+            sides: None,
+            log: Vec::new(),
+        };
+        surface.frozen = (0..mesh.vertices.len() as u32).into_par_iter().map(|v| !surface.is_closed_fan(v)).collect();
+        surface.facts = (0..mesh.triangles.len() as u32).into_par_iter().map(|t| surface.measure(t)).collect();
+        for t in 0..mesh.triangles.len() as u32 {
+            surface.grid.insert(t, surface.bounds(t));
+        }
+        surface
+    }
+
+    /// The mesh without what was removed; vertices and triangles keep their order.
+    pub(super) fn into_mesh(self) -> TriangleMesh {
+        let mut number = vec![u32::MAX; self.positions.len()];
+        let mut mesh = TriangleMesh::default();
+        for (v, &p) in self.positions.iter().enumerate() {
+            if !self.around[v].is_empty() {
+                number[v] = mesh.vertices.len() as u32;
+                mesh.vertices.push(p);
+            }
+        }
+        let alive = self.triangles.iter().filter(|t| **t != DEAD);
+        mesh.triangles = alive.map(|t| t.map(|v| number[v as usize])).collect();
+        mesh
+    }
+
+    /// Positions of a triangle's corners.
+    pub(super) fn corners(&self, triangle: u32) -> [DVec3; 3] {
+        self.triangles[triangle as usize].map(|v| self.positions[v as usize])
+    }
+
+    /// Box round a triangle.
+    pub(super) fn bounds(&self, triangle: u32) -> Bounds {
+        Bounds::of(&self.corners(triangle))
+    }
+
+    /// Whether a triangle is there.
+    pub(super) fn is_alive(&self, triangle: u32) -> bool {
+        self.triangles[triangle as usize] != DEAD
+    }
+
+    /// Radius ratio of a triangle as it is now.
+    pub(super) fn quality(&self, triangle: u32) -> f64 {
+        let [a, b, c] = self.corners(triangle);
+        radius_ratio(a, b, c)
+    }
+
+    /// Target length of an edge, mm.
+    pub(super) fn target_between(&self, a: u32, b: u32) -> f64 {
+        0.5 * (self.target[a as usize] + self.target[b as usize])
+    }
+
+    /// Length of an edge over its target.
+    pub(super) fn relative_length(&self, a: u32, b: u32) -> f64 {
+        self.positions[a as usize].distance(self.positions[b as usize]) / self.target_between(a, b)
+    }
+
+    /// Everything about a triangle as it is now.
+    pub(super) fn measure(&self, triangle: u32) -> Facts {
+        let corners = self.triangles[triangle as usize];
+        if corners == DEAD {
+            return Facts::NONE;
+        }
+        let [a, b, c] = self.corners(triangle);
+        let (value, gradient) = self.field.value_gradient((a + b + c) / 3.0);
+        let normal = (b - a).cross(c - a).normalize_or_zero();
+        let mean_target = corners.iter().map(|&v| self.target[v as usize]).sum::<f64>() / 3.0;
+        let excess = |e: usize| {
+            let length = self.relative_length(corners[e], corners[(e + 1) % 3]).max(1e-12);
+            (self.lengths[0] / length).max(length / self.lengths[1]).ln().max(0.0)
+        };
+        Facts {
+            quality: radius_ratio(a, b, c),
+            agreement: normal.dot(gradient.normalize_or_zero()),
+            deviation: value.abs() / gradient.length().max(1e-12) / mean_target,
+            excess: excess(0).max(excess(1)).max(excess(2)),
+            normal,
+        }
+    }
+
+    /// The sides opposite a vertex, oriented so that (vertex, first, second) is a triangle.
+    pub(super) fn link(&self, vertex: u32) -> impl Iterator<Item = (u32, u32)> + '_ {
+        self.around[vertex as usize].iter().map(move |&t| {
+            let c = self.triangles[t as usize];
+            let at = c.iter().position(|&v| v == vertex).unwrap_or(0);
+            (c[(at + 1) % 3], c[(at + 2) % 3])
+        })
+    }
+
+    /// The two triangles of an edge with their third corners: first the one that runs from `a` to `b`.
+    pub(super) fn wings(&self, a: u32, b: u32) -> Option<[(u32, u32); 2]> {
+        let (mut left, mut right) = (None, None);
+        for &t in &self.around[a as usize] {
+            let c = self.triangles[t as usize];
+            for e in 0..3 {
+                if c[e] == a && c[(e + 1) % 3] == b {
+                    if left.is_some() {
+                        return None;
+                    }
+                    left = Some((t, c[(e + 2) % 3]));
+                } else if c[e] == b && c[(e + 1) % 3] == a {
+                    if right.is_some() {
+                        return None;
+                    }
+                    right = Some((t, c[(e + 2) % 3]));
+                }
+            }
+        }
+        Some([left?, right?])
+    }
+
+    /// Whether two vertices are joined by an edge.
+    pub(super) fn joined(&self, a: u32, b: u32) -> bool {
+        self.around[a as usize].iter().any(|&t| self.triangles[t as usize].contains(&b))
+    }
+
+    /// Number of triangles (and of edges) at a vertex.
+    pub(super) fn degree(&self, vertex: u32) -> usize {
+        self.around[vertex as usize].len()
+    }
+
+    fn is_closed_fan(&self, vertex: u32) -> bool {
+        let link: Vec<(u32, u32)> = self.link(vertex).collect();
+        let Some(&(start, mut at)) = link.first() else { return false };
+        for step in 1..=link.len() {
+            if at == start {
+                return step == link.len();
+            }
+            let mut next = link.iter().filter(|(from, _)| *from == at);
+            match (next.next(), next.next()) {
+                (Some(&(_, to)), None) => at = to,
+                _ => return false,
+            }
+        }
+        false
+    }
+
+    // --- edits, all in the log ---
+
+    /// Moves a vertex.
+    pub(super) fn move_vertex(&mut self, vertex: u32, to: DVec3) {
+        let v = vertex as usize;
+        self.log.push(Change::Moved { vertex, from: self.positions[v], target: self.target[v] });
+        self.positions[v] = to;
+        self.target[v] = (self.size)(to);
+    }
+
+    /// Adds a vertex.
+    pub(super) fn add_vertex(&mut self, at: DVec3) -> u32 {
+        self.log.push(Change::VertexAdded);
+        self.positions.push(at);
+        self.target.push((self.size)(at));
+        self.around.push(Vec::new());
+        self.frozen.push(false);
+        self.positions.len() as u32 - 1
+    }
+
+    /// Adds a triangle.
+    pub(super) fn add_triangle(&mut self, corners: [u32; 3]) -> u32 {
+        self.log.push(Change::TriangleAdded);
+        self.triangles.push(DEAD);
+        self.facts.push(Facts::NONE);
+        let t = self.triangles.len() as u32 - 1;
+        self.set_triangle(t, corners);
+        t
+    }
+
+    /// Gives a triangle other corners, or removes it ([`DEAD`]).
+    pub(super) fn set_triangle(&mut self, triangle: u32, corners: [u32; 3]) {
+        self.log.push(Change::Retriangled { triangle, from: self.triangles[triangle as usize] });
+        self.rewire(triangle, corners);
+    }
+
+    fn rewire(&mut self, triangle: u32, corners: [u32; 3]) {
+        let old = std::mem::replace(&mut self.triangles[triangle as usize], corners);
+        for v in old {
+            if v != u32::MAX && !corners.contains(&v) {
+                let list = &mut self.around[v as usize];
+                if let Some(at) = list.iter().position(|&t| t == triangle) {
+                    list.swap_remove(at);
+                }
+            }
+        }
+        for v in corners {
+            if v != u32::MAX && !old.contains(&v) {
+                self.around[v as usize].push(triangle);
+            }
+        }
+    }
+
+    /// Takes back everything since the last commit.
+    pub(super) fn undo(&mut self) {
+        while let Some(change) = self.log.pop() {
+            match change {
+                Change::Moved { vertex, from, target } => {
+                    self.positions[vertex as usize] = from;
+                    self.target[vertex as usize] = target;
+                }
+                Change::Retriangled { triangle, from } => self.rewire(triangle, from),
+                Change::VertexAdded => {
+                    self.positions.pop();
+                    self.target.pop();
+                    self.around.pop();
+                    self.frozen.pop();
+                }
+                Change::TriangleAdded => {
+                    self.triangles.pop();
+                    self.facts.pop();
+                }
+            }
+        }
+    }
+
+    /// Triangles that differ from their last commit, ascending; those not there any more as well.
+    pub(super) fn touched(&self) -> Vec<u32> {
+        let mut touched = Vec::new();
+        for change in &self.log {
+            match *change {
+                Change::Moved { vertex, .. } => touched.extend(&self.around[vertex as usize]),
+                Change::Retriangled { triangle, .. } => touched.push(triangle),
+                Change::VertexAdded | Change::TriangleAdded => {}
+            }
+        }
+        touched.sort_unstable();
+        touched.dedup();
+        touched
+    }
+
+    /// Corner positions of the touched triangles as last committed.
+    pub(super) fn former_corners(&self, touched: &[u32]) -> Vec<[DVec3; 3]> {
+        let mut moved: Vec<(u32, DVec3)> = Vec::new();
+        let mut retriangled: Vec<(u32, [u32; 3])> = Vec::new();
+        for change in &self.log {
+            match *change {
+                Change::Moved { vertex, from, .. } if moved.iter().all(|m| m.0 != vertex) => moved.push((vertex, from)),
+                Change::Retriangled { triangle, from } if retriangled.iter().all(|r| r.0 != triangle) => {
+                    retriangled.push((triangle, from));
+                }
+                _ => {}
+            }
+        }
+        touched
+            .iter()
+            .map(|&t| retriangled.iter().find(|r| r.0 == t).map_or(self.triangles[t as usize], |r| r.1))
+            .filter(|corners| *corners != DEAD)
+            .map(|c| c.map(|v| moved.iter().find(|m| m.0 == v).map_or(self.positions[v as usize], |m| m.1)))
+            .collect()
+    }
+
+    /// Makes the edits since the last commit final.
+    pub(super) fn commit(&mut self, touched: &[u32], facts: &[Facts]) {
+        for (&t, &fact) in touched.iter().zip(facts) {
+            if self.facts[t as usize] != Facts::NONE {
+                self.grid.remove(t);
+            }
+            self.facts[t as usize] = fact;
+            if self.is_alive(t) {
+                self.grid.insert(t, self.bounds(t));
+            }
+        }
+        self.log.clear();
+    }
+}
+
+fn typical_extent(mesh: &TriangleMesh) -> f64 {
+    let mut extents: Vec<f64> = (0..mesh.triangles.len())
+        .map(|t| {
+            let b = Bounds::of(&mesh.corners(t));
+            (b.high - b.low).max_element()
+        })
+        .collect();
+    extents.sort_unstable_by(f64::total_cmp);
+    extents.get(extents.len() / 4).copied().unwrap_or(1.0)
+}

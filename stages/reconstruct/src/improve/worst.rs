@@ -1,0 +1,212 @@
+//! Works the worst triangles off: for each, the elementary moves on its edges and vertices, alone or two in a row, followed
+//! by a settling of the vertices round them; the move that helps most and passes the guard is kept.
+
+use super::Tally;
+use super::guard::{Limits, Rule, commit_if_welcome, scores};
+use super::moves::{collapse, flip, projected, settle, split};
+use super::surface::{DEAD, Surface};
+use std::cmp::Reverse;
+use std::collections::BinaryHeap;
+
+/// Double plans, the most promising first, whose neighbourhood is settled before they are judged.
+const PLANS_SETTLED: usize = 100;
+/// Plans, the best first, that are put before the guard.
+const PLANS_TRIED: usize = 40;
+
+/// How hard to try.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub(super) enum Effort {
+    /// Single moves.
+    Single,
+    /// Single moves, and the vertices round them settle.
+    Settled,
+    /// Two moves in a row, and the vertices round them settle.
+    Double,
+}
+
+/// An elementary move.
+#[derive(Clone, Copy, Debug)]
+enum Move {
+    Settle(u32),
+    Flip(u32, u32),
+    /// Keeps the first; the new place is this share of the way to the second.
+    Collapse(u32, u32, f64),
+    Split(u32, u32),
+}
+
+/// Tries every triangle below `bar`, worst first, and again whatever falls short next to a success.
+pub(super) fn lift(surface: &mut Surface, limits: &Limits, bar: f64, effort: Effort, tally: &mut Tally) {
+    let mut queue = BinaryHeap::new();
+    for (t, facts) in surface.facts.iter().enumerate() {
+        if facts.quality < bar {
+            queue.push(Reverse((facts.quality.to_bits(), t as u32)));
+        }
+    }
+    // every success shrinks the shortfall by a fixed least amount; this is for the pathological rest
+    let mut budget = 50 * queue.len() + 100;
+    while let Some(Reverse((bits, t))) = queue.pop() {
+        let current = surface.facts[t as usize].quality;
+        if current.to_bits() != bits || !surface.is_alive(t) {
+            continue;
+        }
+        if budget == 0 {
+            break;
+        }
+        budget -= 1;
+        if let Some(touched) = lift_one(surface, limits, bar, t, effort, tally) {
+            for t in touched {
+                let quality = surface.facts[t as usize].quality;
+                if quality < bar {
+                    queue.push(Reverse((quality.to_bits(), t)));
+                }
+            }
+        }
+    }
+}
+
+/// A plan and the shortfall that it saves before anything has settled (negative when it costs some at first).
+type Rated = (f64, Vec<Move>);
+
+fn lift_one(
+    surface: &mut Surface,
+    limits: &Limits,
+    bar: f64,
+    triangle: u32,
+    effort: Effort,
+    tally: &mut Tally,
+) -> Option<Vec<u32>> {
+    let mut plans: Vec<Rated> = Vec::new();
+    let corners = surface.triangles[triangle as usize];
+    for first in moves_near(&[corners], &corners) {
+        let mut plan = vec![first];
+        let patch = rate(surface, &plan, bar, &mut plans);
+        if effort < Effort::Double || matches!(first, Move::Settle(_)) {
+            continue;
+        }
+        for second in moves_near(&patch, &[]) {
+            plan.truncate(1);
+            plan.push(second);
+            rate(surface, &plan, bar, &mut plans);
+        }
+    }
+    // stable sorts keep the order of the moves among equals
+    plans.sort_by(|a, b| b.0.total_cmp(&a.0));
+    if effort >= Effort::Settled {
+        plans.truncate(if effort == Effort::Double { PLANS_SETTLED } else { usize::MAX });
+        for (gain, plan) in &mut plans {
+            *gain = f64::NEG_INFINITY;
+            if execute(surface, plan, effort) {
+                *gain = saved(surface, bar);
+            }
+            surface.undo();
+        }
+        plans.sort_by(|a, b| b.0.total_cmp(&a.0));
+    }
+    plans.retain(|(gain, _)| *gain > 0.0);
+    plans.truncate(PLANS_TRIED);
+    for (_, plan) in plans {
+        if execute(surface, &plan, effort)
+            && let Some(touched) = commit_if_welcome(surface, limits, Rule::Lift { bar })
+        {
+            tally.count(plan.len(), matches!(plan[0], Move::Settle(_)));
+            return Some(touched);
+        }
+        surface.undo();
+    }
+    None
+}
+
+/// Shortfall that the edits since the last commit save; negative infinity when they lower the smallest radius ratio.
+fn saved(surface: &Surface, bar: f64) -> f64 {
+    let (before, after) = scores(surface, &surface.touched(), bar);
+    if after.smallest < before.smallest { f64::NEG_INFINITY } else { before.shortfall - after.shortfall }
+}
+
+/// Moves on the edges of some triangles and on some vertices.
+fn moves_near(triangles: &[[u32; 3]], vertices: &[u32]) -> Vec<Move> {
+    let mut edges: Vec<(u32, u32)> =
+        triangles.iter().flat_map(|&[a, b, c]| [(a, b), (b, c), (c, a)]).map(|(a, b)| (a.min(b), a.max(b))).collect();
+    edges.sort_unstable();
+    edges.dedup();
+    let mut moves: Vec<Move> = vertices.iter().map(|&v| Move::Settle(v)).collect();
+    for (a, b) in edges {
+        moves.extend([
+            Move::Flip(a, b),
+            Move::Collapse(a, b, 0.5),
+            Move::Collapse(a, b, 0.0),
+            Move::Collapse(b, a, 0.0),
+            Move::Split(a, b),
+        ]);
+    }
+    moves
+}
+
+/// Tries a plan without settling, notes the shortfall it saves, and takes it back. The triangles it left.
+fn rate(surface: &mut Surface, plan: &[Move], bar: f64, plans: &mut Vec<Rated>) -> Vec<[u32; 3]> {
+    let mut patch = Vec::new();
+    if execute(surface, plan, Effort::Single) {
+        let touched = surface.touched();
+        let (before, after) = scores(surface, &touched, bar);
+        plans.push((before.shortfall - after.shortfall, plan.to_vec()));
+        patch = touched.into_iter().map(|t| surface.triangles[t as usize]).filter(|t| *t != DEAD).collect();
+    }
+    surface.undo();
+    patch
+}
+
+fn execute(surface: &mut Surface, plan: &[Move], effort: Effort) -> bool {
+    let mut involved = Vec::new();
+    if !plan.iter().all(|&step| perform(surface, step, &mut involved)) {
+        return false;
+    }
+    if effort >= Effort::Settled {
+        involved.retain(|&v| surface.degree(v) > 0);
+        involved.sort_unstable();
+        involved.dedup();
+        for _ in 0..2 {
+            let mut moved = false;
+            for &v in &involved {
+                moved |= settle(surface, v);
+            }
+            if !moved {
+                break;
+            }
+        }
+    }
+    true
+}
+
+/// Makes a move, and names the vertices that should settle afterwards.
+fn perform(surface: &mut Surface, step: Move, involved: &mut Vec<u32>) -> bool {
+    match step {
+        Move::Settle(v) => {
+            involved.push(v);
+            involved.extend(surface.link(v).map(|(a, _)| a));
+            settle(surface, v)
+        }
+        Move::Flip(a, b) => {
+            let Some([(_, c), (_, d)]) = surface.wings(a, b) else { return false };
+            involved.extend([a, b, c, d]);
+            flip(surface, a, b)
+        }
+        Move::Collapse(keep, gone, share) => {
+            if surface.degree(gone) == 0 {
+                return false;
+            }
+            let (p, q) = (surface.positions[keep as usize], surface.positions[gone as usize]);
+            let at = if share == 0.0 { Some(p) } else { projected(surface, p.lerp(q, share), p.distance(q)) };
+            let done = at.is_some_and(|at| collapse(surface, keep, gone, at));
+            if done {
+                involved.push(keep);
+                involved.extend(surface.link(keep).map(|(a, _)| a));
+            }
+            done
+        }
+        Move::Split(a, b) => {
+            let Some(middle) = split(surface, a, b) else { return false };
+            involved.push(middle);
+            involved.extend(surface.link(middle).map(|(v, _)| v));
+            true
+        }
+    }
+}
