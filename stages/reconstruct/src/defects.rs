@@ -103,17 +103,23 @@ impl Defects {
         let triangles: Vec<[u32; 3]> = facets.iter().map(|f| f.vertices).collect();
         let (own, own_count) = components(component_of.len(), &triangles);
         self.component_count = own_count;
-        // the class of a facet: its component of the isosurface, or one past the last for bridges and strangers
+        // a vertex of unknown component counts for nothing; where a whole facet is unknown, its piece tells
+        let mut class_of_piece = vec![u32::MAX; own_count];
+        for t in &triangles {
+            let piece = &mut class_of_piece[own[t[0] as usize] as usize];
+            *piece = t.iter().map(|&v| component_of[v as usize]).fold(*piece, u32::min);
+        }
+        // the class of a facet, or one past the last for bridges and strangers
         let class = |t: &[u32; 3]| {
-            let [a, b, c] = t.map(|v| component_of[v as usize]);
-            if a == b && b == c && a != u32::MAX { a } else { expected as u32 }
+            let mut known = t.iter().map(|&v| component_of[v as usize]).filter(|&c| c != u32::MAX);
+            let first = known.next().unwrap_or(class_of_piece[own[t[0] as usize] as usize]);
+            if known.any(|c| c != first) { expected as u32 } else { first.min(expected as u32) }
         };
         let euler = euler_characteristics(&triangles, class, expected + 1);
         let mut pieces: Vec<Vec<u32>> = vec![Vec::new(); expected + 1];
         for (f, t) in triangles.iter().enumerate() {
             let class = class(t);
-            let known = t.map(|v| component_of[v as usize]);
-            if class == expected as u32 && known.iter().all(|&c| c != u32::MAX) {
+            if class == expected as u32 && t.iter().any(|&v| component_of[v as usize] != u32::MAX) {
                 self.bridges.push(f as u32);
             }
             let piece = own[t[0] as usize];

@@ -35,6 +35,9 @@ const AT_A_VERTEX: f64 = 0.15;
 /// Rounds spent on a genus that will not come right: below a voxel, marching cubes and the spline may differ.
 const GENUS_ROUNDS: usize = 6;
 
+/// Most facets that a round refines on behalf of a component of the wrong genus: the fault is at a few places.
+const MOST_FOR_GENUS: usize = 50;
+
 /// Second looks at the places where the mesh joins two components.
 const LOOKS_AT_A_PAIR: usize = 3;
 
@@ -422,7 +425,7 @@ impl<'a> Refinement<'a> {
             .collect();
         ranked.sort_by(|a, b| b.0.total_cmp(&a.0));
         let several = ranked.partition_point(|(badness, _)| *badness >= 10.0);
-        ranked.truncate(several.max(ranked.len() * 3 / 100).max(4));
+        ranked.truncate(several.max(ranked.len() * 3 / 100).clamp(4, MOST_FOR_GENUS * components.len()));
         ranked.iter().filter_map(|(_, f)| self.ball(f, Reason::Genus)).collect()
     }
 
