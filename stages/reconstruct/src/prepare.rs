@@ -1,13 +1,13 @@
-//! From particles to points that may be triangulated: on F = 0 to the tolerance of the mesh, inside the volume, and no
-//! two on one spot.
+//! From particles to triangulated points: on F = 0 to the tolerance of the mesh, inside the volume, and no two on one spot.
 
 use glam::DVec3;
+use isoparticles_common::delaunay::{Delaunay, INFINITE};
 use isoparticles_common::error::{Error, Result};
-use isoparticles_common::neighbours::NeighbourLists;
 use isoparticles_common::particle_set::ParticleSet;
 use isoparticles_common::spline::CubicSpline;
 use rayon::prelude::*;
 use serde::Serialize;
+use std::collections::BTreeSet;
 
 /// |F| / |grad F| of a vertex, in voxels: far below the 1e-4 that is promised.
 pub const ON_SURFACE: f64 = 1e-7;
@@ -29,6 +29,49 @@ pub struct SurfacePoints {
     pub report: PrepareReport,
 }
 
+impl SurfacePoints {
+    /// Triangulates the points, and leaves out those that lie on the spot of another, or nearly. A point and its nearest
+    /// neighbour always share an edge of the triangulation, so its edges are the only pairs to look at.
+    ///
+    /// # Errors
+    /// Those of [`Delaunay::new`].
+    pub fn triangulate(&mut self) -> Result<Delaunay> {
+        loop {
+            let delaunay = Delaunay::new(&self.positions)?;
+            let crowded = self.crowded(&delaunay);
+            if crowded.is_empty() {
+                return Ok(delaunay);
+            }
+            self.report.crowded += crowded.len();
+            let kept = (0..self.positions.len()).filter(|v| crowded.binary_search(&(*v as u32)).is_err());
+            (self.positions, self.sizes) = kept.map(|v| (self.positions[v], self.sizes[v])).unzip();
+        }
+    }
+
+    /// Duplicates, and the later ends of edges that are too short, but for those whose other end goes already; ascending.
+    fn crowded(&self, delaunay: &Delaunay) -> Vec<u32> {
+        let mut gone: BTreeSet<u32> =
+            (0..self.positions.len() as u32).filter(|&v| delaunay.duplicate_of(v).is_some()).collect();
+        let is_short = |a: u32, b: u32| {
+            let (a, b) = (a as usize, b as usize);
+            a < b && self.positions[a].distance(self.positions[b]) < TOO_CLOSE * self.sizes[a].min(self.sizes[b])
+        };
+        let mut short: Vec<(u32, u32)> = delaunay
+            .tetrahedra()
+            .flat_map(|(_, t)| (0..16usize).map(move |k| (t[k / 4], t[k % 4])))
+            .filter(|&(a, b)| a != INFINITE && b != INFINITE && is_short(a, b))
+            .collect();
+        short.sort_unstable();
+        short.dedup();
+        for (a, b) in short {
+            if !gone.contains(&a) {
+                gone.insert(b);
+            }
+        }
+        gone.into_iter().collect()
+    }
+}
+
 /// Particles that were not taken, and why.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct PrepareReport {
@@ -42,7 +85,7 @@ pub struct PrepareReport {
     pub crowded: usize,
 }
 
-/// Projects particles on F = 0 and takes those that a mesh can be made of.
+/// Projects particles on F = 0 and takes those that get there.
 ///
 /// # Errors
 /// When arrays of the set differ in length, or hardly any particle lies near F = 0: the files do not belong together.
@@ -83,17 +126,5 @@ pub fn prepare(particles: &ParticleSet, field: &CubicSpline) -> Result<SurfacePo
             "give the distance field that the particles were made from, or rerun `seed` and `particles`",
         ));
     }
-    let near = NeighbourLists::new(&positions, &sizes, TOO_CLOSE, |_, _| true);
-    let mut kept = vec![true; positions.len()];
-    for i in 0..positions.len() {
-        kept[i] = !near.of(i).iter().any(|&j| (j as usize) < i && kept[j as usize]);
-    }
-    let take = |i: &usize| kept[*i];
-    let survivors: Vec<usize> = (0..positions.len()).filter(take).collect();
-    report.crowded = positions.len() - survivors.len();
-    Ok(SurfacePoints {
-        positions: survivors.iter().map(|&i| positions[i]).collect(),
-        sizes: survivors.iter().map(|&i| sizes[i]).collect(),
-        report,
-    })
+    Ok(SurfacePoints { positions, sizes, report })
 }

@@ -136,17 +136,17 @@ struct Looks {
 }
 
 impl<'a> Refinement<'a> {
-    /// Triangulates points on F = 0.
+    /// Triangulates points on F = 0; `points` loses those that crowd others.
     ///
     /// # Errors
     /// When the points lie in one plane.
     pub fn new(
-        points: &SurfacePoints,
+        points: &mut SurfacePoints,
         field: &'a CubicSpline,
         isosurface: Isosurface,
         options: RefineOptions,
     ) -> Result<Self> {
-        let restricted = Restricted::new(&points.positions, field)?;
+        let restricted = Restricted::new(points.triangulate()?, field);
         let component_of =
             points.positions.par_iter().map(|&p| component_at(p, field, &isosurface)).collect::<Vec<u32>>();
         Ok(Self {

@@ -37,17 +37,13 @@ pub struct Facet {
 }
 
 impl<'a> Restricted<'a> {
-    /// Triangulates points in the grid frame of F.
-    ///
-    /// # Errors
-    /// Those of [`Delaunay::new`].
-    pub fn new(points: &[DVec3], field: &'a CubicSpline) -> Result<Self> {
-        let delaunay = Delaunay::new(points)?;
+    /// Decides the side of each tetrahedron of a triangulation in the grid frame of F.
+    pub fn new(delaunay: Delaunay, field: &'a CubicSpline) -> Self {
         let undecided = delaunay.finite_tetrahedra().map(|(t, _)| t).collect();
         let upper = field.geometry().upper_corner();
         let mut new = Self { delaunay, field, upper, inside: Vec::new(), undecided };
         new.decide_sides();
-        Ok(new)
+        new
     }
 
     /// The triangulation.

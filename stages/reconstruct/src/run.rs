@@ -141,9 +141,9 @@ pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
     let isosurface = Isosurface::new(&field.image);
     drop(step);
     let step = context.step("project");
-    let points = prepare(&particles, &spline).map_err(|e| about(&args.particles, e))?;
+    let mut points = prepare(&particles, &spline).map_err(|e| about(&args.particles, e))?;
     drop(step);
-    let made = join(args, context, &points, &spline, isosurface, &field.image, &origin)?;
+    let made = join(args, context, &mut points, &spline, isosurface, &field.image, &origin)?;
     let Joined { mesh, sizes, report: refined, expected_components, sampled_components } = made;
 
     let tree = KdTree::new(&sizes.0);
@@ -220,7 +220,7 @@ struct Joined {
 fn join(
     args: &Args,
     context: &Context,
-    points: &SurfacePoints,
+    points: &mut SurfacePoints,
     spline: &CubicSpline,
     isosurface: Isosurface,
     samples: &Image<f32>,

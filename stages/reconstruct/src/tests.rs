@@ -12,9 +12,9 @@ use isoparticles_common::particle_set::ParticleSet;
 fn surface(scene: &Scene, spacing: f64) -> (TriangleMesh, Defects, RefineReport, Vec<i64>) {
     let positions = scene.points(spacing);
     let sizes = vec![spacing * 1.2; positions.len()];
-    let points = SurfacePoints { positions, sizes, report: PrepareReport::default() };
+    let mut points = SurfacePoints { positions, sizes, report: PrepareReport::default() };
     let isosurface = Isosurface::new(&scene.image);
-    let mut refinement = Refinement::new(&points, &scene.field, isosurface, RefineOptions::default()).unwrap();
+    let mut refinement = Refinement::new(&mut points, &scene.field, isosurface, RefineOptions::default()).unwrap();
     let facets = refinement.run(|_, _| Ok(())).unwrap();
     let defects = refinement.defects(&facets);
     let mesh = TriangleMesh {
@@ -113,9 +113,9 @@ fn a_component_without_particles_is_found_and_sampled() {
     });
     let positions: Vec<DVec3> = scene.points(1.2).into_iter().filter(|p| p.x < 18.0).collect();
     let sizes = vec![1.4; positions.len()];
-    let points = SurfacePoints { positions, sizes, report: PrepareReport::default() };
+    let mut points = SurfacePoints { positions, sizes, report: PrepareReport::default() };
     let iso = Isosurface::new(&scene.image);
-    let mut refinement = Refinement::new(&points, &scene.field, iso, RefineOptions::default()).unwrap();
+    let mut refinement = Refinement::new(&mut points, &scene.field, iso, RefineOptions::default()).unwrap();
     let facets = refinement.run(|_, _| Ok(())).unwrap();
     let defects = refinement.defects(&facets);
     assert!(defects.is_empty() && defects.component_count == 2);
@@ -144,13 +144,13 @@ fn grid_aligned_and_repeated_particles_are_no_trouble() {
         }
     }
     let particles = particles(&scene, [&positions[..], &positions[..]].concat(), 1.0);
-    let points = prepare(&particles, &scene.field).unwrap();
-    assert_eq!(points.report.crowded, positions.len(), "{:?}", points.report);
+    let mut points = prepare(&particles, &scene.field).unwrap();
     let iso = Isosurface::new(&scene.image);
-    let mut refinement = Refinement::new(&points, &scene.field, iso, RefineOptions::default()).unwrap();
+    let mut refinement = Refinement::new(&mut points, &scene.field, iso, RefineOptions::default()).unwrap();
     let facets = refinement.run(|_, _| Ok(())).unwrap();
     let defects = refinement.defects(&facets);
     assert!(defects.is_empty() && defects.component_count == 1, "{:?}", refinement.report);
+    assert_eq!(points.report.crowded, positions.len(), "{:?}", points.report);
 }
 
 fn particles(scene: &Scene, positions: Vec<DVec3>, size: f64) -> ParticleSet {
@@ -181,10 +181,26 @@ fn particles_that_cannot_be_used_are_counted_or_refused() {
     }
     let points = prepare(&set, &scene.field).unwrap();
     assert_eq!((points.report.invalid, points.report.astray), (2, 2));
-    assert_eq!(points.positions.len() + points.report.crowded, good);
+    assert_eq!(points.positions.len(), good);
 
     set.sizes.pop();
     assert!(prepare(&set, &scene.field).unwrap_err().what.contains("target edge lengths"));
     let elsewhere = particles(&scene, vec![DVec3::splat(2.0); 100], 1.0);
     assert!(prepare(&elsewhere, &scene.field).unwrap_err().what.contains("only 0 of 100"));
+}
+
+#[test]
+fn a_crowd_on_one_spot_leaves_one_point() {
+    let scene = scenes::sphere();
+    let mut set = particles(&scene, scene.points(2.0), 2.4);
+    let good = set.positions.len();
+    let (spot, normal) = (set.positions[0], set.normals[0]);
+    for n in 1..=30 {
+        set.positions.push(spot + normal.any_orthogonal_vector() * (1e-3 * f64::from(n)));
+        set.sizes.push(2.4);
+    }
+    let mut points = prepare(&set, &scene.field).unwrap();
+    let delaunay = points.triangulate().unwrap();
+    assert_eq!((points.positions.len(), points.report.crowded), (good, 30));
+    assert_eq!(delaunay.vertex_count(), good);
 }
