@@ -83,7 +83,7 @@ fn oblique_left_handed_torus_lands_in_the_world_facing_outward() {
     geometry.origin = DVec3::new(-120.0, 45.0, 300.0);
     geometry.space = Space::Lps;
     let case = Case::new(&scene, geometry.clone(), 0.8, &json!({"source": "scalar", "border": "cap"}));
-    assert_eq!(case.run("torus.vtp", &["--min-radius-ratio", "0.1"]).unwrap(), Outcome::Passed);
+    assert_eq!(case.run("torus.vtp", &[]).unwrap(), Outcome::Passed);
     let file = case.surface("torus.vtp");
     let surface = &file.surface;
     // 2 pi^2 R r^2 and 4 pi^2 R r; points thrown 0.8 apart lose 1.2 % of the volume and 0.3 % of the area
@@ -97,11 +97,11 @@ fn oblique_left_handed_torus_lands_in_the_world_facing_outward() {
         assert!(value.abs() < 1e-4 * gradient.length(), "{p} is off by {value}");
         assert!(DVec3::from_slice(n).dot(geometry.directions * gradient) > 0.99 * gradient.length());
     }
-    assert!(numbers(&surface.cell_data, "radius_ratio").iter().all(|&q| q >= 0.1));
+    assert!(numbers(&surface.cell_data, "radius_ratio").iter().all(|&q| q >= 0.3));
     assert_eq!(file.history.unwrap().inputs.len(), 2);
     assert!(!case.path("torus.offending.vtp").exists());
     for other in ["t.ply", "t.stl", "t.obj"] {
-        assert_eq!(case.run(other, &["--min-radius-ratio", "0.1"]).unwrap(), Outcome::Passed);
+        assert_eq!(case.run(other, &[]).unwrap(), Outcome::Passed);
         assert!(case.path(other).metadata().unwrap().len() > 1000);
     }
     case.run("again.vtp", &["--threads", "1"]).unwrap();
@@ -130,7 +130,7 @@ fn no_node_of_a_label_volume_changes_side() {
 fn a_failed_check_writes_the_mesh_and_the_offenders() {
     let scene = scenes::sphere();
     let case = Case::new(&scene, scene.image.geometry.clone(), 2.0, &Value::Null);
-    let outcome = case.run("s.vtp", &["--min-radius-ratio", "1"]).unwrap();
+    let outcome = case.run("s.vtp", &["--min-radius-ratio", "1", "--improve-below", "0"]).unwrap();
     let Outcome::ChecksFailed(failed) = outcome else { panic!("passed") };
     assert!(failed.len() == 1 && failed[0].contains("radius ratio"), "{failed:?}");
     assert!(case.path("s.vtp").exists() && case.path("s.offending.vtp").exists());
@@ -158,7 +158,7 @@ fn wrong_input_is_refused_and_leaves_nothing_behind() {
     std::fs::copy(case.path("kept.vti"), case.path("f.vti")).unwrap();
     std::fs::write(case.path("p.bin"), b"not particles").unwrap();
     refused("s.vtp", "p.bin");
-    for wrong in [["--max-deviation", "-1"], ["--min-radius-ratio", "2"], ["--max-rounds", "1000"]] {
+    for wrong in [["--max-deviation", "-1"], ["--improve-below", "2"], ["--max-rounds", "1000"]] {
         let words = [&["reconstruct", "p", "--distfield", "f", "-o", "o.vtp"][..], &wrong[..]].concat();
         assert!(Args::try_parse_from(words).is_err());
     }

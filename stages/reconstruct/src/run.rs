@@ -1,6 +1,7 @@
 //! The program: options, reading, the steps in order, the checks, writing.
 
 use crate::finish::{CapPlane, attributes, cap_planes, offending};
+use crate::improve::{ImproveOptions, improve};
 use crate::isosurface::Isosurface;
 use crate::prepare::{SurfacePoints, prepare};
 use crate::refine::{RefineOptions, RefineReport, Refinement};
@@ -25,7 +26,8 @@ use std::path::{Path, PathBuf};
 ///
 /// The particles are joined by a Delaunay triangulation whose tetrahedra are inside where F is negative at their
 /// circumcentre; the surface lies between inside and outside, closed in any case. Where it is not manifold, lacks or joins
-/// components of the isosurface, or strays from F = 0, points are added until it is right. Then everything a simulation counts on is checked. The mesh is in world coordinates (mm), triangles
+/// components of the isosurface, or strays from F = 0, points are added until it is right. Then the worst triangles are lifted
+/// by local moves, and everything a simulation counts on is checked. The mesh is in world coordinates (mm), triangles
 /// counter-clockwise seen from outside.
 #[derive(Clone, Debug, clap::Parser)]
 #[command(
@@ -53,6 +55,13 @@ pub struct Args {
     /// Most rounds of adding points, 0 to 100; a round adds at most one point a place
     #[arg(long, value_name = "N", default_value_t = 20, value_parser = clap::value_parser!(u16).range(0..=100), help_heading = METHOD)]
     pub max_rounds: u16,
+    /// Radius ratio (2r/R, 1 for an equilateral triangle) below which triangles are worked on by local moves, 0 to 1; 0 leaves
+    /// the triangulation as it is
+    #[arg(long, value_name = "RATIO", default_value_t = 0.6, value_parser = part, help_heading = METHOD)]
+    pub improve_below: f64,
+    /// Passes over the worst triangles, of growing effort, 0 to 20
+    #[arg(long, value_name = "N", default_value_t = 3, value_parser = clap::value_parser!(u16).range(0..=20), help_heading = METHOD)]
+    pub improve_rounds: u16,
     /// Smallest radius ratio that passes, 0 to 1
     #[arg(long, value_name = "RATIO", default_value_t = 0.3, value_parser = part, help_heading = CHECKS)]
     pub min_radius_ratio: f64,
@@ -90,6 +99,7 @@ impl StageArgs for Args {
     fn parameters(&self) -> Value {
         json!({
             "max_deviation": self.max_deviation, "max_rounds": self.max_rounds,
+            "improve_below": self.improve_below, "improve_rounds": self.improve_rounds,
             "min_radius_ratio": self.min_radius_ratio, "max_vertex_distance": self.max_vertex_distance,
         })
     }
@@ -144,11 +154,22 @@ pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
     let mut points = prepare(&particles, &spline).map_err(|e| about(&args.particles, e))?;
     drop(step);
     let made = join(args, context, &mut points, &spline, isosurface, &field.image, &origin)?;
-    let Joined { mesh, sizes, report: refined, expected_components, sampled_components } = made;
+    let Joined { mut mesh, sizes, report: refined, expected_components, sampled_components } = made;
 
+    let step = context.step("improve");
     let tree = KdTree::new(&sizes.0);
     let size_near = |p: DVec3| tree.nearest(p).map_or(spline.geometry().mean_spacing(), |(v, _)| sizes.1[v]);
     let size = |p: DVec3| sizing.as_ref().map_or_else(|| size_near(p), |h| h.at(p));
+    let options = ImproveOptions {
+        target: args.improve_below,
+        rounds: usize::from(args.improve_rounds),
+        sides: (origin.is_labels && !origin.is_open).then_some(&field.image),
+        ..ImproveOptions::default()
+    };
+    let improved = improve(&mut mesh, &spline, &size, &options)?;
+    drop(step);
+    context.check_interrupt()?;
+
     let step = context.step("check");
     let options = CheckOptions {
         field: Some(&spline),
@@ -163,6 +184,7 @@ pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
 
     context.report("prepare", json!(points.report));
     context.report("refine", json!(refined));
+    context.report("improve", json!(improved));
     context.report("check", json!(checked));
     context.report("isosurface_components", expected_components);
     context.report("marching_cubes_components", sampled_components);
