@@ -62,6 +62,7 @@ def test_ball_with_graded_sizing(tmp_path: Path, run: Run) -> None:
     results = report["results"]
     assert set(results) == {"surface", "sizing", "tetwild", "volume", "distance_mm", "checks"}
     assert results["volume"]["tetrahedra"] == len(cells)
+    assert len(results["tetwild"]["attempts"]) == 1
     assert sum(results["volume"]["quality"]["radius_ratio"]["histogram"]["counts"]) == len(cells)
     assert results["volume"]["edge_length_over_target"]["median"] == pytest.approx(1.0, abs=0.25)
     assert results["distance_mm"]["boundary_to_surface"]["max"] <= history["parameters"]["envelope"]
@@ -94,6 +95,8 @@ def test_existing_output_is_kept_and_failed_checks_are_told(tmp_path: Path, run:
     report = json.loads((tmp_path / "r.json").read_text())
     assert (report["outcome"], report["exit_code"]) == ("checks_failed", 1)
     assert len(report["failed_checks"]) == 1
+    # not good enough at first, so it was tried again with more patience
+    assert [attempt["stop_energy"] for attempt in report["results"]["tetwild"]["attempts"]] == [30.0, 10.0]
     assert tetrahedra(tmp_path / "out.vtu")[1].shape[1] == 4
 
 

@@ -69,6 +69,23 @@ class Measurements:
     """The envelope that fTetWild was given, mm."""
 
 
+def well_shaped(quality: TetrahedronQuality, limits: Limits) -> bool:
+    """Whether every tetrahedron is positive and within the limits of shape.
+
+    Parameters
+    ----------
+    quality
+        The measures.
+    limits
+        What is demanded.
+    """
+    return bool(
+        quality.volume.min() > 0
+        and quality.min_dihedral.min() >= limits.min_dihedral
+        and quality.scaled_jacobian.min() >= limits.min_scaled_jacobian
+    )
+
+
 def run_checks(measured: Measurements, limits: Limits) -> list[Check]:
     """Judge a volume mesh.
 

@@ -121,8 +121,8 @@ def build_parser() -> argparse.ArgumentParser:
         "--stop-energy",
         metavar="E",
         type=_number(3.0, 1e6),
-        default=10.0,
-        help="optimize until the largest AMIPS energy is below this; a regular tetrahedron has 3 (default 10)",
+        help="optimize until the largest AMIPS energy is below this, from 3 (all regular); with the default, 30 is tried "
+        "first, then 10 if a limit of shape is missed",
     )
     method.add_argument(
         "--max-passes", metavar="N", type=_whole(1), default=80, help="optimize for at most N passes (default 80)"
@@ -239,6 +239,9 @@ def main(argv: Sequence[str] | None = None) -> int:
                 failed = _run(parsed, context)
         except StageError as problem:
             error = problem
+        except OSError as problem:
+            name = Path(problem.filename) if problem.filename else parsed.output
+            error = StageError.file(name, "use", problem, "check its permissions and the free space of the disk")
         except MemoryError:
             error = StageError(
                 "there is not enough memory",

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+import time
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from tetmesh_check.checks import Check, Limits, Measurements, run_checks
+from tetmesh_check.checks import Check, Limits, Measurements, run_checks, well_shaped
 from tetmesh_check.context import Context
 from tetmesh_check.distance import distances_both_ways, summarize_distances
-from tetmesh_check.errors import StageError
+from tetmesh_check.errors import ExitCode, StageError
 from tetmesh_check.pictures import PictureJob, draw_pictures
 from tetmesh_check.quality import summarize, summarize_all, tetrahedron_quality, triangle_quality
 from tetmesh_check.sizing import Background, SizingField, background_mesh, read_sizing_field, uniform_sizing_field
@@ -26,6 +27,10 @@ ENVELOPE_FRACTION = 0.05
 COARSE_FRACTION = 0.05
 """Edge length outside the object over the diagonal of its bounding box, where h is smaller; fTetWild's own default."""
 
+STOP_ENERGIES = (30.0, 10.0)
+"""Default ends of fTetWild's optimization before it turns to the background: the first takes half the time and is enough
+for a good surface; when the tetrahedra then miss a limit of shape, the second is tried."""
+
 
 @dataclass(frozen=True)
 class Arguments:
@@ -39,7 +44,8 @@ class Arguments:
     """Tetrahedron edge length over h."""
     envelope: float | None = None
     """Largest distance of the boundary from the surface, mm."""
-    stop_energy: float = 10.0
+    stop_energy: float | None = None
+    """Largest AMIPS energy at which fTetWild stops; by default each of :data:`STOP_ENERGIES` in turn."""
     max_passes: int = 80
     max_seconds: float = 3600.0
     limits: Limits = field(default_factory=Limits)
@@ -176,6 +182,46 @@ def _measure(
     return measured, run_checks(measured, arguments.limits)
 
 
+def _fill(surface: Surface, sizes: _Sizing, envelope: float, arguments: Arguments, context: Context) -> TetwildResult:
+    """Have the surface filled, a second time and with more patience where the first result is not well shaped."""
+    energies = STOP_ENERGIES if arguments.stop_energy is None else (arguments.stop_energy,)
+    deadline = time.monotonic() + arguments.max_seconds
+    arguments.log.unlink(missing_ok=True)
+    attempts: list[dict[str, Any]] = []
+    best: tuple[float, TetwildResult] | None = None
+    for energy in energies:
+        settings = TetwildSettings(
+            envelope=envelope,
+            edge_length=min(sizes.edge_length, surface.bounding_box_diagonal),
+            stop_energy=energy,
+            max_passes=arguments.max_passes,
+            seconds_left=deadline - time.monotonic(),
+            max_seconds=arguments.max_seconds,
+            threads=context.common.thread_count,
+        )
+        try:
+            raw = tetrahedralize(surface, sizes.background, settings, arguments.log, context)
+        except StageError as error:
+            if best is None or error.code == ExitCode.INTERRUPTED:
+                raise
+            context.warn(f"the second attempt at better tetrahedra came to nothing: {error.what}")
+            break
+        tetrahedra, turned = orient_positive(raw.points, raw.tetrahedra)
+        quality = tetrahedron_quality(raw.points, tetrahedra)
+        worst = float(quality.scaled_jacobian.min())
+        attempts.append(
+            {**raw.summary, "stop_energy": energy, "orientation_turned": turned, "min_scaled_jacobian": worst}
+        )
+        if best is None or worst > best[0]:
+            best = worst, TetwildResult(raw.points, tetrahedra, raw.summary)
+        if well_shaped(quality, arguments.limits):
+            break
+        context.verbose(f"stop energy {energy:g}: smallest dihedral angle {quality.min_dihedral.min():.3g} degrees")
+    context.results["tetwild"] = {"log": arguments.log.name, "attempts": attempts}
+    assert best is not None, "the loop runs at least once"
+    return best[1]
+
+
 def _draw(job: PictureJob, context: Context) -> None:
     with context.step("pictures"):
         try:
@@ -231,27 +277,13 @@ def run(arguments: Arguments, context: Context) -> list[str]:
             "the tetrahedra would not resemble it",
             "give a smaller one, or leave it out",
         )
-    settings = TetwildSettings(
-        envelope=envelope,
-        edge_length=min(sizes.edge_length, surface.bounding_box_diagonal),
-        stop_energy=arguments.stop_energy,
-        max_passes=arguments.max_passes,
-        max_seconds=arguments.max_seconds,
-        threads=context.common.thread_count,
-    )
     context.parameters["envelope"] = envelope
     context.parameters["max_distance"] = (
         arguments.limits.max_distance if arguments.limits.max_distance is not None else 2.0 * envelope
     )
-    context.verbose(
-        f"envelope {envelope:.4g} mm, edge length up to {settings.edge_length:.4g} mm; log: {arguments.log}"
-    )
-
+    context.verbose(f"envelope {envelope:.4g} mm, edge length up to {sizes.edge_length:.4g} mm; log: {arguments.log}")
     with context.step("tetrahedralize"):
-        raw = tetrahedralize(surface, sizes.background, settings, arguments.log, context)
-    tetrahedra, turned = orient_positive(raw.points, raw.tetrahedra)
-    filled = TetwildResult(raw.points, tetrahedra, raw.summary)
-    context.results["tetwild"] = {**raw.summary, "orientation_turned": turned}
+        filled = _fill(surface, sizes, envelope, arguments, context)
 
     measured, checks = _measure(surface, sizing, filled, envelope, arguments, context)
     with context.step("write"):
@@ -262,7 +294,7 @@ def run(arguments: Arguments, context: Context) -> list[str]:
     context.results["checks"] = [check.as_dict() for check in checks]
     quality = measured.quality
     context.closing += [
-        ("tetrahedra", f"{len(tetrahedra):,}"),
+        ("tetrahedra", f"{len(filled.tetrahedra):,}"),
         ("radius ratio", f"mean {quality.radius_ratio.mean():.3f}, smallest {quality.radius_ratio.min():.3f}"),
         ("dihedral angle", f"{quality.min_dihedral.min():.1f} to {quality.max_dihedral.max():.1f} degrees"),
     ]

@@ -45,8 +45,10 @@ class TetwildSettings:
     """Optimization stops at this largest AMIPS energy (3 is regular, larger is worse)."""
     max_passes: int
     """Optimization stops after this many passes."""
-    max_seconds: float
+    seconds_left: float
     """The process is ended after this time, s."""
+    max_seconds: float
+    """The limit that the user set for all attempts together, s."""
     threads: int
     """Threads of the process."""
 
@@ -101,16 +103,16 @@ def _how_it_ended(code: int, log: Path) -> StageError:
     )
 
 
-def _watch(process: subprocess.Popen[bytes], log: Path, limit: float, context: Context) -> None:
+def _watch(process: subprocess.Popen[bytes], log: Path, settings: TetwildSettings, context: Context) -> None:
     """Wait for the end, showing how far it is."""
     progress = context.progress("tetrahedralize")
     started = time.monotonic()
     current: dict[str, str] = {}
     try:
         while process.poll() is None:
-            if time.monotonic() - started > limit:
+            if time.monotonic() - started > settings.seconds_left:
                 raise StageError(
-                    f"the tetrahedralizer was ended after {limit:g} s, its time limit (--max-seconds)",
+                    f"the tetrahedralizer was ended after {settings.max_seconds:g} s, its time limit (--max-seconds)",
                     "without it there is no volume mesh; nothing was written",
                     f"its log is {log}; raise --max-seconds, or ask for larger tetrahedra with --tet-size-factor",
                 )
@@ -139,7 +141,7 @@ def tetrahedralize(
     settings
         What fTetWild is told.
     log
-        Where its output goes; kept.
+        Where its output goes, after what is there already; kept.
     context
         For progress.
 
@@ -162,7 +164,8 @@ def tetrahedralize(
         np.savez(job, **arrays)
         started = time.monotonic()
         try:
-            stream = log.open("wb")
+            stream = log.open("ab")
+            start = stream.tell()
         except OSError as error:
             raise StageError.file(log, "write", error, "check the permissions of its folder") from error
         with stream:
@@ -177,7 +180,7 @@ def tetrahedralize(
                 start_new_session=True,
             )
             try:
-                _watch(process, log, settings.max_seconds, context)
+                _watch(process, log, settings, context)
             finally:
                 _end_group(process)
         seconds = time.monotonic() - started
@@ -192,13 +195,12 @@ def tetrahedralize(
             "without them there is no volume mesh; nothing was written",
             f"its log is {log}; the envelope may be larger than the object: try a smaller --envelope",
         )
-    text = log.read_text(encoding="utf-8", errors="replace")
+    text = log.read_bytes()[start:].decode("utf-8", errors="replace")
     energy, passes = _last(_ENERGY, text), _last(_PASS, text)
     summary = {
         "seconds": seconds,
         "passes": int(passes) + 1 if passes is not None else 0,
         "last_max_energy": float(energy) if energy is not None else None,
         "epsilon_relative": epsilon,
-        "log": log.name,
     }
     return TetwildResult(points, tetrahedra, summary)
