@@ -169,7 +169,7 @@ def _scalar_bar(title: str) -> dict[str, Any]:
 def _edge_width(shown_height: float, edge_length: float) -> float:
     """Line width in pixels that leaves the faces visible between the edges."""
     pixels = edge_length / shown_height * _WINDOW[1]
-    return float(np.clip(pixels / 12.0, 0.25, 2.5))
+    return float(np.clip(pixels / 16.0, 0.25, 2.0))
 
 
 def _draw_surface(surface: Any, _volume: Any, path: Path) -> None:
@@ -184,7 +184,8 @@ def _draw_surface(surface: Any, _volume: Any, path: Path) -> None:
         edge_color=_EDGE_COLOUR,
         line_width=_edge_width(height, edge),
         edge_opacity=float(np.clip(edge / height * _WINDOW[1] / 6.0, 0.15, 1.0)),
-        ambient=0.25,
+        ambient=0.12,
+        diffuse=0.72,
         specular=0.1,
     )
     _look(plotter, _centre(points), _VIEW, height)
