@@ -28,8 +28,8 @@ COARSE_FRACTION = 0.05
 """Edge length outside the object over the diagonal of its bounding box, where h is smaller; fTetWild's own default."""
 
 STOP_ENERGIES = (30.0, 10.0)
-"""Default ends of fTetWild's optimization before it turns to the background: the first takes half the time and is enough
-for a good surface; when the tetrahedra then miss a limit of shape, the second is tried."""
+"""Default ends of fTetWild's optimization before it turns to the background: the first is quicker and enough for
+a good surface; when the tetrahedra then miss a limit of shape, the second is tried."""
 
 
 @dataclass(frozen=True)
