@@ -8,6 +8,7 @@ pub mod interrupt;
 mod memory;
 mod progress;
 mod report;
+pub mod values;
 
 pub use context::{Context, Step};
 pub use memory::{available_memory, peak_memory};

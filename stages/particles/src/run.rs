@@ -4,6 +4,7 @@ use crate::log::Log;
 use crate::settle::{Parameters, PassRecord, REORDER_INTERVAL, settle};
 use crate::state::Fields;
 use clap::{Parser, ValueEnum};
+use isoparticles_common::cli::values::{above_one, positive, share};
 use isoparticles_common::cli::{CommonArgs, Context, FILES, METHOD, Outcome, StageArgs};
 use isoparticles_common::energy;
 use isoparticles_common::error::{Error, Result};
@@ -92,26 +93,7 @@ pub struct Args {
     common: CommonArgs,
 }
 
-fn number(text: &str, fits: impl Fn(f64) -> bool, must: &str) -> std::result::Result<f64, String> {
-    match text.parse::<f64>() {
-        Ok(x) if fits(x) => Ok(x),
-        Ok(_) => Err(must.into()),
-        Err(error) => Err(error.to_string()),
-    }
-}
-
-fn positive(text: &str) -> std::result::Result<f64, String> {
-    number(text, |x| x.is_finite() && x > 0.0, "must be finite and above 0")
-}
-
-fn share(text: &str) -> std::result::Result<f64, String> {
-    number(text, |x| (0.0..=1.0).contains(&x), "must be from 0 to 1")
-}
-
-fn above_one(text: &str) -> std::result::Result<f64, String> {
-    number(text, |x| x.is_finite() && x > 1.0, "must be finite and above 1")
-}
-
+/// Parses a number of passes between checkpoints.
 fn interval(text: &str) -> std::result::Result<u64, String> {
     match text.parse::<u64>() {
         Ok(n) if n > 0 && n.is_multiple_of(REORDER_INTERVAL) => Ok(n),

@@ -38,7 +38,7 @@ impl Default for Parameters {
     fn default() -> Self {
         Self {
             max_passes: 150,
-            energy_tolerance: 2e-4,
+            energy_tolerance: 1e-4,
             ideal_energy: energy::ideal_energy(),
             add_below: 0.75,
             delete_above: 1.35,

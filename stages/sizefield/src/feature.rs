@@ -32,8 +32,9 @@ pub struct Features {
 }
 
 impl Features {
-    /// Samples F = 0 at the projected vertices of marching cubes and measures them. Empty where there is no surface.
-    pub fn new(image: &Image<f32>, surface: &CubicSpline) -> Self {
+    /// Samples F = 0 at the projected vertices of marching cubes and measures them. Feature sizes above `largest` (mm) are
+    /// not told apart from it. Empty where there is no surface.
+    pub fn new(image: &Image<f32>, surface: &CubicSpline, largest: f64) -> Self {
         let mesh = marching_cubes(image, 0.0);
         let spacing = image.geometry.mean_spacing();
         let measured: Vec<(DVec3, DVec3, f64)> = mesh
@@ -49,12 +50,11 @@ impl Features {
         let points: Vec<DVec3> = measured.iter().map(|m| m.0).collect();
         let normals: Vec<DVec3> = measured.iter().map(|m| m.1).collect();
         let curvature: Vec<f64> = measured.iter().map(|m| m.2).collect();
-        let diagonal = image.geometry.upper_corner().length();
-        let axis = KdTree::new(&medial_points(&points, &normals, diagonal));
+        let axis = KdTree::new(&medial_points(&points, &normals, largest));
         let feature_size = points
             .par_iter()
             .zip(&curvature)
-            .map(|(&p, &k)| axis.nearest(p).map_or(diagonal, |(_, d)| d).min(1.0 / k.max(1.0 / diagonal)))
+            .map(|(&p, &k)| axis.nearest_within(p, largest).map_or(largest, |(_, d)| d).min(1.0 / k.max(1.0 / largest)))
             .collect();
         let component = components::of_vertices(points.len(), &mesh.triangles);
         let mut component_area = vec![0.0; component.iter().map(|&c| c as usize + 1).max().unwrap_or(0)];

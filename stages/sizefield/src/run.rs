@@ -4,6 +4,7 @@ use crate::feature::Features;
 use crate::{Parameters, size_field, uniform_field, wanted_sizes};
 use clap::Parser;
 use glam::DVec3;
+use isoparticles_common::cli::values::{not_negative, positive};
 use isoparticles_common::cli::{CommonArgs, Context, FILES, METHOD, Outcome, StageArgs};
 use isoparticles_common::error::{Error, Result};
 use isoparticles_common::io::field::{Field, FieldKind, read_field, write_field};
@@ -13,13 +14,15 @@ use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
 
 /// Default smallest h over the mean voxel spacing: finer triangles than this say nothing about the data.
-const MIN_SIZE_VOXELS: f64 = 0.3;
+const MIN_SIZE_VOXELS: f64 = 0.5;
 /// Default deviation, over the mean voxel spacing, of a scalar volume's surface.
 const DEVIATION_SCALAR: f64 = 0.1;
 /// The same for labels, where the triangles must pass each voxel centre on its own side.
 const DEVIATION_LABELS: f64 = 0.05;
 /// Default largest h over the diagonal of the object's bounding box.
 const MAX_SIZE_DIAGONALS: f64 = 0.1;
+/// Medial balls are looked for up to this radius, over the diagonal of the volume; larger features ask for no other h.
+const LARGEST_FEATURE_DIAGONALS: f64 = 0.25;
 /// Fewest particles that a component is given room for.
 const MIN_PARTICLES: f64 = 32.0;
 
@@ -44,7 +47,7 @@ pub struct Args {
     /// Largest change of h per mm of distance, above 0 (the paper's delta); smaller grades more gently
     #[arg(long, value_name = "SLOPE", default_value_t = 0.4, value_parser = positive, help_heading = METHOD)]
     delta: f64,
-    /// Smallest h, in mm [default: 0.3 of the mean voxel spacing]
+    /// Smallest h, in mm [default: half of the mean voxel spacing]
     #[arg(long, value_name = "MM", value_parser = positive, help_heading = METHOD)]
     min_size: Option<f64>,
     /// Largest h at the surface, in mm [default: a tenth of the diagonal of the object's bounding box]
@@ -60,20 +63,6 @@ pub struct Args {
     uniform: Option<f64>,
     #[command(flatten)]
     common: CommonArgs,
-}
-
-/// Parses a finite number above zero.
-fn positive(text: &str) -> std::result::Result<f64, String> {
-    not_negative(text).and_then(|x| if x > 0.0 { Ok(x) } else { Err("must be above 0".into()) })
-}
-
-/// Parses a finite number that is not below zero.
-fn not_negative(text: &str) -> std::result::Result<f64, String> {
-    match text.parse::<f64>() {
-        Ok(x) if x.is_finite() && x >= 0.0 => Ok(x),
-        Ok(_) => Err("must be finite and not below 0".into()),
-        Err(error) => Err(error.to_string()),
-    }
 }
 
 impl StageArgs for Args {
@@ -102,7 +91,8 @@ pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
     drop(step);
     context.check_interrupt()?;
     let step = context.step("measure features");
-    let features = Features::new(&field.image, &surface);
+    let features =
+        Features::new(&field.image, &surface, LARGEST_FEATURE_DIAGONALS * field.image.geometry.upper_corner().length());
     drop(step);
     if features.triangles.is_empty() {
         return Err(Error::input(

@@ -22,7 +22,7 @@ fn sampled(n: usize, f: impl Fn(DVec3) -> f64) -> Image<f32> {
 }
 
 fn features(image: &Image<f32>) -> Features {
-    Features::new(image, &CubicSpline::new(image))
+    Features::new(image, &CubicSpline::new(image), image.geometry.upper_corner().length())
 }
 
 /// Largest relative error of the local feature size against `truth` (point relative to the volume's centre).
