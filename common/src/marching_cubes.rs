@@ -1,9 +1,10 @@
 //! Marching cubes (Lorensen and Cline 1987): a closed, manifold first triangulation of F = iso, from which the stages
 //! take seeds, components and dense samples of the surface.
 //!
-//! The case table is not typed in but derived: on each face of the cell the contour keeps the inside corners apart, so
-//! that two cells that share a face always draw the same segments on it; the segments link up into loops, and
-//! a loop is cut into triangles without any diagonal on a cell face. Hence every edge lies in exactly two triangles.
+//! The case table is not typed in but derived. Where only two opposite corners of a cell face are inside, the sign of
+//! the bilinear interpolant at its saddle decides whether they are joined across the face (Nielson and Hamann 1991), so that two
+//! cells that share a face always draw the same segments on it; the segments link up into loops, and a loop is cut into
+//! triangles without any diagonal on a cell face. Hence every edge lies in exactly two triangles.
 
 use crate::image::Image;
 use crate::mesh::TriangleMesh;
@@ -142,7 +143,9 @@ impl Grid<'_> {
                         let slice = if dk == 0 { &lower } else { &upper };
                         slice.on_edge[(j + dj) * nx + i + di][edge.axis]
                     };
-                    for piece in &table[usize::from(case)] {
+                    let case = &table[usize::from(case)];
+                    let variant = self.joined_faces(&case.ambiguous, (k * ny + j) * nx + i);
+                    for piece in &case.variants[variant] {
                         match piece {
                             Piece::Triangles(list) => {
                                 part.triangles.extend(list.iter().map(|t| t.map(number)));
@@ -165,6 +168,20 @@ impl Grid<'_> {
         part
     }
 
+    /// One bit for each ambiguous face of the cell at `base`: whether its inside corners are joined.
+    fn joined_faces(&self, ambiguous: &[[u8; 4]], base: usize) -> usize {
+        let [nx, ny, _] = self.image.geometry.size;
+        let value = |corner: u8| {
+            let [di, dj, dk] = offset(corner);
+            f64::from(self.image.data[base + (dk * ny + dj) * nx + di]) - f64::from(self.iso)
+        };
+        let joined = ambiguous.iter().enumerate().map(|(n, &face)| {
+            let [a, b, c, d] = face.map(value);
+            usize::from(inside_corners_are_joined([a, c], [b, d])) << n
+        });
+        joined.sum()
+    }
+
     /// Inside bits of the four nodes at (i, j..j+2, k..k+2), y fastest.
     fn column(&self, i: usize, j: usize, k: usize) -> u8 {
         let [nx, ny, _] = self.image.geometry.size;
@@ -172,6 +189,12 @@ impl Grid<'_> {
         let bit = |n: usize| u8::from(self.image.data[n] < self.iso);
         bit(at) | bit(at + nx) << 1 | bit(at + nx * ny) << 2 | bit(at + nx * ny + nx) << 3
     }
+}
+
+/// Whether the two opposite `inside` corners of a cell face, the other two being `outside`, are joined across it: whether the
+/// bilinear interpolant of the four values (relative to the iso value) is inside at its saddle. A tie keeps them apart.
+pub fn inside_corners_are_joined(inside: [f64; 2], outside: [f64; 2]) -> bool {
+    inside[0] * inside[1] > outside[0] * outside[1]
 }
 
 // ---- the case table -------------------------------------------------------------------------------------------
@@ -217,9 +240,36 @@ enum Piece {
     Fan(Vec<u8>),
 }
 
-fn table() -> &'static [Vec<Piece>] {
-    static TABLE: OnceLock<Vec<Vec<Piece>>> = OnceLock::new();
-    TABLE.get_or_init(|| (0..=255).map(|case| loops(case).into_iter().map(cut).collect()).collect())
+/// What to draw for one pattern of inside corners.
+struct Case {
+    /// Faces whose inside corners (the first and third) lie opposite each other, in the order of the bits of a variant.
+    ambiguous: Vec<[u8; 4]>,
+    /// The contour for each choice of joined ambiguous faces.
+    variants: Vec<Vec<Piece>>,
+}
+
+fn table() -> &'static [Case] {
+    static TABLE: OnceLock<Vec<Case>> = OnceLock::new();
+    TABLE.get_or_init(|| {
+        let case = |case: u8| {
+            let ambiguous = ambiguous_faces(case);
+            let contour = |variant| loops(case, variant).into_iter().map(cut).collect();
+            Case { variants: (0..1usize << ambiguous.len()).map(contour).collect(), ambiguous }
+        };
+        (0..=255).map(case).collect()
+    })
+}
+
+/// Faces with two opposite corners inside, turned so that these are the first and the third.
+fn ambiguous_faces(case: u8) -> Vec<[u8; 4]> {
+    let pattern = |face: [u8; 4]| face.map(|corner| case >> corner & 1 == 1);
+    faces()
+        .filter_map(|face| match pattern(face) {
+            [true, false, true, false] => Some(face),
+            [false, true, false, true] => Some([face[1], face[2], face[3], face[0]]),
+            _ => None,
+        })
+        .collect()
 }
 
 /// The edge of the cell between two neighbouring corners.
@@ -238,19 +288,30 @@ fn faces() -> impl Iterator<Item = [u8; 4]> {
     })
 }
 
-/// Closed loops of the contour on the surface of the cell, the inside on a fixed hand.
-fn loops(case: u8) -> Vec<Vec<u8>> {
+/// Closed loops of the contour on the surface of the cell, the inside on a fixed hand. The bits of `variant` say which of the
+/// ambiguous faces join their inside corners.
+fn loops(case: u8, variant: usize) -> Vec<Vec<u8>> {
     let inside = |corner: u8| case >> corner & 1 == 1;
     let mut next = [None; 12];
+    let mut ambiguous = 0;
     for face in faces() {
+        let is_ambiguous = inside(face[0]) == inside(face[2])
+            && inside(face[1]) != inside(face[0])
+            && inside(face[1]) == inside(face[3]);
+        let joined = is_ambiguous && variant >> ambiguous & 1 == 1;
+        ambiguous += usize::from(is_ambiguous);
         for start in 0..4 {
             if !inside(face[start]) || inside(face[(start + 3) % 4]) {
                 continue;
             }
-            // a run of inside corners from `start` to `end`: one segment cuts it off from the rest
+            // a run of inside corners from `start` to `end`: one segment cuts it off from the rest ...
             let mut end = start;
             while inside(face[(end + 1) % 4]) {
                 end = (end + 1) % 4;
+            }
+            if joined {
+                // ... or runs on to where the opposite run ends, cutting off the outside corner before it
+                end = (end + 2) % 4;
             }
             let entering = edge_between(face[(start + 3) % 4], face[start]);
             let leaving = edge_between(face[end], face[(end + 1) % 4]);
@@ -422,8 +483,22 @@ mod tests {
         for case in 0..=255u8 {
             let crossed =
                 EDGES.iter().filter(|e| (case >> e.corner & 1) != (case >> (e.corner | AXIS_BIT[e.axis]) & 1)).count();
-            let in_loops: usize = loops(case).iter().map(Vec::len).sum();
-            assert_eq!(crossed, in_loops, "case {case:#010b}");
+            for variant in 0..1usize << ambiguous_faces(case).len() {
+                let in_loops: usize = loops(case, variant).iter().map(Vec::len).sum();
+                assert_eq!(crossed, in_loops, "case {case:#010b}, variant {variant:#b}");
+            }
+        }
+    }
+
+    #[test]
+    fn the_saddle_decides_whether_diagonal_neighbours_are_joined() {
+        for (outside, components) in [(0.4, 1), (0.6, 2)] {
+            let diagonal = |p: DVec3| {
+                let touches = p == DVec3::new(2.0, 2.0, 2.0) || p == DVec3::new(3.0, 3.0, 2.0);
+                if touches { -0.5 } else { outside }
+            };
+            let mesh = marching_cubes(&sampled([6, 6, 5], DVec3::ONE, diagonal), 0.0);
+            assert_eq!(check_closed(&mesh), 2 * components, "outside value {outside}");
         }
     }
 

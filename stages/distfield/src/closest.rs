@@ -17,27 +17,26 @@ struct Closest {
     squared: Vec<f32>,
 }
 
-/// Unsigned distance (mm) of every node to the nearest of the samples, good to a small part of the sample spacing.
-///
-/// All values are infinite without samples.
-pub fn distance_to_samples(geometry: &Geometry, samples: &[DVec3]) -> Image<f32> {
-    let closest = closest_samples(geometry, samples);
+/// Unsigned distance (mm) of every node to the nearest of the samples, good to a small part of the sample spacing, within
+/// `limit` mm; farther away some larger number, possibly infinite.
+pub fn distance_to_samples(geometry: &Geometry, samples: &[DVec3], limit: f64) -> Image<f32> {
+    let closest = closest_samples(geometry, samples, limit);
     let data = closest.squared.into_par_iter().map(f32::sqrt).collect();
     Image { geometry: geometry.clone(), data }
 }
 
-/// Distances of nodes to their samples stand beyond the band when they are this good, in voxels.
-const FAR_TOLERANCE: f64 = 0.01;
+/// Beyond the band the distance to a sample stands where it looks this good, as a share of the distance. The true error is
+/// smaller by as much as the surface bends between the sample and the closest point.
+const FAR_TOLERANCE: f64 = 0.006;
 
 /// Unsigned distance (mm) of every node to the surface of `source`, of which `samples` is a dense sampling. Exact within
 /// `band` mm, by Newton's method for the closest point; beyond, the distance to the nearest sample where that sample looks
 /// straight at the node.
 pub fn distance_to_zero_set(source: &Source, samples: &[DVec3], band: f64) -> Image<f32> {
     let geometry = source.spline.geometry();
-    let closest = closest_samples(geometry, samples);
+    let closest = closest_samples(geometry, samples, f64::INFINITY);
     let normals: Vec<Vec3> =
         samples.par_iter().map(|&p| source.value_gradient(p).1.normalize_or_zero().as_vec3()).collect();
-    let voxel = geometry.mean_spacing();
     let [nx, ny, _] = geometry.size;
     let mut data = closest.squared;
     data.par_chunks_mut(nx).zip(closest.sample.par_chunks(nx)).enumerate().for_each(|(row, (values, nearest))| {
@@ -53,7 +52,7 @@ pub fn distance_to_zero_set(source: &Source, samples: &[DVec3], band: f64) -> Im
             if distance > band {
                 // the sample is that far aside from the foot of the node: an estimate of the error
                 let along = (node - start).dot(normals[sample as usize].as_dvec3());
-                if squared - along * along < 2.0 * FAR_TOLERANCE * voxel * distance {
+                if squared - along * along < 2.0 * FAR_TOLERANCE * squared {
                     continue;
                 }
             }
@@ -131,10 +130,11 @@ fn is_positive_definite(m: &DMat3) -> bool {
     m.x_axis.x > 0.05 && two > 0.0025 && m.determinant() > 1e-4
 }
 
-fn closest_samples(geometry: &Geometry, samples: &[DVec3]) -> Closest {
+fn closest_samples(geometry: &Geometry, samples: &[DVec3], limit: f64) -> Closest {
     let count = geometry.voxel_count();
     let mut closest = Closest { sample: vec![NONE; count], squared: vec![f32::INFINITY; count] };
     let [nx, ny, nz] = geometry.size;
+    let single: Vec<Vec3> = samples.iter().map(|p| p.as_vec3()).collect();
     // every sample is offered to the eight nodes of its cell
     for (number, &sample) in samples.iter().enumerate() {
         let index = geometry.grid_to_index(sample);
@@ -160,24 +160,26 @@ fn closest_samples(geometry: &Geometry, samples: &[DVec3]) -> Closest {
     for diagonal in [false, true] {
         for axis in 0..3 {
             for upward in [true, false] {
-                sweep(geometry, samples, &mut closest, Sweep { axis, upward, diagonal });
+                sweep(geometry, &single, &mut closest, Sweep { axis, upward, diagonal, limit: (limit * limit) as f32 });
             }
         }
     }
     closest
 }
 
-/// Along which axis, which way, and whether the four nodes across the corners are asked as well.
+/// Along which axis, which way, whether the four nodes across the corners are asked as well, and up to which squared
+/// distance a node is asked.
 #[derive(Clone, Copy)]
 struct Sweep {
     axis: usize,
     upward: bool,
     diagonal: bool,
+    limit: f32,
 }
 
 /// Hands closest samples on along an axis, plane by plane: each node asks the nearest nodes of the plane before, five or nine.
-fn sweep(geometry: &Geometry, samples: &[DVec3], closest: &mut Closest, how: Sweep) {
-    let Sweep { axis, upward, diagonal } = how;
+fn sweep(geometry: &Geometry, samples: &[Vec3], closest: &mut Closest, how: Sweep) {
+    let Sweep { axis, upward, diagonal, limit } = how;
     let size = geometry.size;
     let stride = [1, size[0], size[0] * size[1]];
     // rows of a plane run along `u`, the axis with the smaller stride
@@ -194,19 +196,20 @@ fn sweep(geometry: &Geometry, samples: &[DVec3], closest: &mut Closest, how: Swe
                 let at = to * stride[axis] + b * stride[v] + a * stride[u];
                 *best = (sample[at], squared[at]);
                 index[u] = a as f64;
-                let node = geometry.index_to_grid(DVec3::from_array(index));
+                let node = geometry.index_to_grid(DVec3::from_array(index)).as_vec3();
                 let mut asked = best.0;
                 for near_b in b.saturating_sub(1)..(b + 2).min(size[v]) {
                     for near_a in a.saturating_sub(1)..(a + 2).min(size[u]) {
                         if !diagonal && near_a != a && near_b != b {
                             continue;
                         }
-                        let other = sample[from * stride[axis] + near_b * stride[v] + near_a * stride[u]];
-                        if other == NONE || other == asked || other == best.0 {
+                        let near = from * stride[axis] + near_b * stride[v] + near_a * stride[u];
+                        let other = sample[near];
+                        if other == NONE || other == asked || other == best.0 || squared[near] > limit {
                             continue;
                         }
                         asked = other;
-                        let candidate = node.distance_squared(samples[other as usize]) as f32;
+                        let candidate = node.distance_squared(samples[other as usize]);
                         if candidate < best.1 {
                             *best = (other, candidate);
                         }

@@ -3,6 +3,7 @@
 use crate::cap::BorderBox;
 use crate::closest::distance_to_zero_set;
 use crate::fit::{FitReport, pin_zero_set};
+use crate::junctions::{junctions, make_agree};
 use crate::samples::{Implicit, project, surface_samples};
 use crate::topology::Parts;
 use glam::DVec3;
@@ -63,6 +64,8 @@ pub struct Redistanced {
     pub shift: Shift,
     /// Nodes whose |F| was raised to the clearance after the zero set was pinned.
     pub held_nodes: usize,
+    /// Places where two parts touch along an edge and F does not join or part them as the source does.
+    pub undecided: usize,
     /// How the zero set was pinned.
     pub fit: FitReport,
 }
@@ -126,6 +129,7 @@ pub fn redistance(source: &Source, clearance: impl Fn(usize) -> f32 + Sync, cont
     let parts_before = Parts::of(&mesh);
     drop(mesh);
     let inside: Vec<bool> = nodes.data.par_iter().map(|&f| f < 0.0).collect();
+    let choices = junctions(&nodes);
     drop(nodes);
     drop(step);
     context.check_interrupt()?;
@@ -140,6 +144,7 @@ pub fn redistance(source: &Source, clearance: impl Fn(usize) -> f32 + Sync, cont
     let fit = pin_zero_set(&mut field, &samples, PINNED * voxel, MOST_PIN_STEPS);
     drop(samples);
     let held_nodes = hold_nodes(&mut field, &inside, &clearance);
+    let undecided = make_agree(&mut field.data, &choices, &clearance);
     drop(step);
     context.check_interrupt()?;
 
@@ -147,7 +152,7 @@ pub fn redistance(source: &Source, clearance: impl Fn(usize) -> f32 + Sync, cont
     let mesh = marching_cubes(&field, 0.0);
     let parts_after = Parts::of(&mesh);
     let shift = measure_shift(source, &field, &edge_midpoints(&mesh));
-    Ok(Redistanced { field, parts_before, parts_after, shift, held_nodes, fit })
+    Ok(Redistanced { field, parts_before, parts_after, shift, held_nodes, undecided, fit })
 }
 
 /// Keeps every node at least the clearance away from zero on its side; returns how many had to be moved.

@@ -6,6 +6,7 @@
 
 use crate::closest::distance_to_samples;
 use crate::field::{Redistanced, Source, redistance};
+use crate::junctions::{Bound, junctions, plain_choices};
 use crate::scalar::pad;
 use crate::{Border, Clearance};
 use glam::DVec3;
@@ -22,6 +23,12 @@ const BAND: f64 = 5.0;
 
 /// Step of the flow; above 2/144 (the largest eigenvalue of the squared seven-point Laplacian is 144) it is unstable.
 const STEP: f32 = 1.8 / 144.0;
+
+/// Distance of the surface from the voxel centres that are joined where two parts touch along an edge, in voxels.
+const JUNCTION_DISTANCE: f64 = 0.45;
+
+/// Steps of the flow after those distances have been imposed.
+const JUNCTION_STEPS: usize = 20;
 
 /// How labels become a surface.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -50,11 +57,18 @@ pub fn from_labels(inside: &Image<bool>, options: &LabelOptions, context: &Conte
             "choose other labels, or --border cap",
         ));
     }
-    let least = least_distances(&mask, options.clearance);
+    let mut least = least_distances(&mask, options.clearance);
     let binary = binary_distance(&mask, &least);
     drop(step);
     let step = context.step("smoothing");
-    let nodes = smooth(binary, &mask, &least, options.smoothing_steps, context)?;
+    let flowed = smooth(binary, &mask, &least, &[], options.smoothing_steps, context)?;
+    let voxel = mask.geometry.min_spacing();
+    let (near, far) = ((options.clearance.usual * voxel) as f32, (JUNCTION_DISTANCE * voxel) as f32);
+    let bounds = plain_choices(&junctions(&flowed), &least, near, far);
+    let nodes = smooth(flowed, &mask, &least, &bounds, options.smoothing_steps.min(JUNCTION_STEPS), context)?;
+    for bound in &bounds {
+        least[bound.node] = bound.least;
+    }
     let spline = CubicSpline::new(&nodes);
     drop(step);
     let source = Source { nodes, spline, cap: None };
@@ -128,9 +142,11 @@ fn binary_distance(mask: &Image<bool>, least: &[f32]) -> Image<f32> {
     drop(binary);
     let mut samples = mesh.vertices.clone();
     samples.extend(mesh.triangles.iter().map(|t| t.iter().map(|&v| mesh.vertices[v as usize]).sum::<DVec3>() / 3.0));
-    let mut field = distance_to_samples(&mask.geometry, &samples);
+    // room for the differences at the rim of the band; beyond, any large number will do
+    let limit = BAND * mask.geometry.mean_spacing() + 3.0 * mask.geometry.spacing.max_element();
+    let mut field = distance_to_samples(&mask.geometry, &samples, limit);
     field.data.par_iter_mut().enumerate().for_each(|(n, f)| {
-        *f = f.max(least[n]);
+        *f = f.min(limit as f32).max(least[n]);
         if mask.data[n] {
             *f = -*f;
         }
@@ -176,7 +192,8 @@ impl Rows {
     }
 }
 
-/// The clamped bi-Laplacian flow, in a band round the binary surface; beyond the band its distance stays as it is.
+/// The clamped bi-Laplacian flow, in a band round the binary surface; beyond the band its distance stays as it is. `bounds`
+/// hold single nodes closer than `least` does.
 ///
 /// The differences are those of the grid, not of the millimetres: the staircase lives on the grid, and thick slices need the
 /// longer reach that this gives across them.
@@ -184,6 +201,7 @@ fn smooth(
     mut field: Image<f32>,
     mask: &Image<bool>,
     least: &[f32],
+    bounds: &[Bound],
     steps: usize,
     context: &Context,
 ) -> Result<Image<f32>> {
@@ -197,6 +215,13 @@ fn smooth(
     let ring = Rows::of(size, |n| in_band(n) || neighbours(n).into_iter().any(in_band));
     let differences = |data: &[f32], n: usize| neighbours(n).into_iter().map(|m| data[m]).sum::<f32>() - 6.0 * data[n];
     let mut laplacian = vec![0.0f32; field.data.len()];
+    let impose = |data: &mut [f32]| {
+        for bound in bounds {
+            let value = &mut data[bound.node];
+            *value = value.abs().clamp(bound.least, bound.most).copysign(*value);
+        }
+    };
+    impose(&mut field.data);
     let progress = context.progress(Some(steps as u64), "smoothing");
     for _ in 0..steps {
         context.check_interrupt()?;
@@ -205,6 +230,7 @@ fn smooth(
             let value = value - STEP * differences(&laplacian, n);
             if mask.data[n] { value.min(-least[n]) } else { value.max(least[n]) }
         });
+        impose(&mut field.data);
         progress.add(1);
     }
     Ok(field)

@@ -3,13 +3,14 @@
 //! B-spline through its samples.
 //!
 //! [`scalar`] and [`labels`] say what the surface is, [`field`] turns it into distances ([`samples`], [`closest`]), pins the
-//! zero set of the spline on it ([`fit`]) and closes it at the border ([`cap`]); [`topology`] counts what came out and
-//! [`run`] is the program.
+//! zero set of the spline on it ([`fit`]), joins and parts what touches as the source does ([`junctions`]) and closes it at
+//! the border ([`cap`]); [`topology`] counts what came out and [`run`] is the program.
 
 pub mod cap;
 pub mod closest;
 pub mod field;
 pub mod fit;
+pub mod junctions;
 pub mod labels;
 pub mod run;
 pub mod samples;

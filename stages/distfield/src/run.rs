@@ -253,6 +253,7 @@ fn describe(result: &Redistanced, meta: &Value, changed: Option<usize>, context:
         format!("mean {:.4}, 99th percentile {:.4}, largest {:.3}", shift.mean, shift.p99, shift.max),
     );
     context.report("held_nodes", result.held_nodes);
+    context.report("undecided_junctions", result.undecided);
     context.report("zero_set_fit", json!(result.fit));
     context.report("meta", meta.clone());
     if shift.mean > SHIFT_LIMITS.0 || shift.p99 > SHIFT_LIMITS.1 {

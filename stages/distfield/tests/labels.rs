@@ -145,3 +145,21 @@ fn single_voxels_and_the_border_are_kept() {
     let error = from_labels(&sampled([5, 5, 5], DVec3::ONE, |_| true), &open, &Context::silent("distfield"));
     assert!(error.is_err());
 }
+
+#[test]
+fn parts_that_touch_along_an_edge_are_plainly_joined_or_parted() {
+    let mask = sampled([18, 18, 14], DVec3::ONE, |p| {
+        let in_box = |low: DVec3| (p - low).min_element() >= 0.0 && (p - low).max_element() < 5.0;
+        in_box(DVec3::new(4.0, 4.0, 4.0)) || in_box(DVec3::new(9.0, 9.0, 5.0))
+    });
+    let result = extract(&mask);
+    assert_eq!(result.undecided, 0);
+    assert_eq!(result.parts_before.components, result.parts_after.components);
+    let spline = CubicSpline::new(&result.field);
+    for z in [6.0, 7.0, 8.0] {
+        let f = spline.value(DVec3::new(8.5, 8.5, z) + DVec3::splat(MARGIN as f64));
+        println!("F between the boxes at z = {z}: {f}");
+        assert!(f.abs() > 0.05, "F = {f} at the edge that the boxes share");
+        assert_eq!(f < 0.0, result.parts_after.components == 1);
+    }
+}

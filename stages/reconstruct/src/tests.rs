@@ -99,7 +99,7 @@ fn both_sheets_of_a_thin_wall_are_kept() {
 
 #[test]
 fn gyroid_keeps_its_handles() {
-    for spacing in [1.0, 2.5, 4.0] {
+    for spacing in [1.0, 2.5, 3.8] {
         sound(&scenes::gyroid(), spacing, &[-14]);
     }
 }
