@@ -28,7 +28,7 @@ THREADS ?=
 # What a case may set. The command line comes before the case's file; the environment has no say, because names as
 # plain as NAME or SIZE may mean something else there.
 KEYS := CASE CASES NAME INPUT PHANTOM ISO LABELS INSIDE BORDER EPSILON DELTA SIZE MIN_SIZE MAX_SIZE COUNT BACKEND SEED \
-        PARTICLES_OPTIONS RECONSTRUCT_OPTIONS TETMESH_OPTIONS
+        DISTFIELD_OPTIONS SIZEFIELD_OPTIONS PARTICLES_OPTIONS RECONSTRUCT_OPTIONS TETMESH_OPTIONS
 $(foreach key,$(KEYS),$(if $(filter environment,$(origin $(key))),$(eval undefine $(key))))
 
 define newline
@@ -74,8 +74,8 @@ ifneq ($(filter mesh surface,$(or $(MAKECMDGOALS),$(.DEFAULT_GOAL))),)
   ifneq ($(and $(ISO),$(LABELS)),)
     $(call stop,ISO=$(ISO) and LABELS=$(LABELS) are both set,a volume is meshed as a scalar or as labels,keep one of them)
   endif
-  ifneq ($(and $(SIZE),$(MIN_SIZE)$(MAX_SIZE)),)
-    $(call stop,SIZE=$(SIZE) is set with MIN_SIZE or MAX_SIZE,SIZE is one edge length everywhere and leaves nothing to bound,keep one)
+  ifneq ($(and $(SIZE),$(EPSILON)$(DELTA)$(MIN_SIZE)$(MAX_SIZE)),)
+    $(call stop,SIZE=$(SIZE) is set with EPSILON or DELTA or MIN_SIZE or MAX_SIZE,SIZE is one edge length everywhere and leaves nothing to grade or bound,keep SIZE or the others)
   endif
 endif
 
@@ -94,9 +94,10 @@ REPORT    = $(F).report.json
 # Options by stage: exactly what its stamp holds. An empty variable leaves the stage's own default.
 option = $(if $(2),$(1) $(2))
 distfield_options   = $(call option,--iso,$(ISO)) $(call option,--labels,$(LABELS)) $(call option,--inside,$(INSIDE)) \
-                      $(call option,--border,$(BORDER))
+                      $(call option,--border,$(BORDER)) $(DISTFIELD_OPTIONS)
 sizefield_options   = $(call option,--epsilon,$(EPSILON)) $(call option,--delta,$(DELTA)) $(call option,--uniform,$(SIZE)) \
-                      $(call option,--min-size,$(MIN_SIZE)) $(call option,--max-size,$(MAX_SIZE))
+                      $(call option,--min-size,$(MIN_SIZE)) $(call option,--max-size,$(MAX_SIZE)) \
+                      $(SIZEFIELD_OPTIONS)
 seed_options        = $(call option,--count,$(COUNT)) $(call option,--seed,$(SEED))
 particles_options   = $(call option,--backend,$(BACKEND)) $(call option,--seed,$(SEED)) $(PARTICLES_OPTIONS)
 reconstruct_options = $(RECONSTRUCT_OPTIONS)
@@ -229,9 +230,13 @@ $(SIZEFIELD): $(DISTFIELD) $(P)/sizefield
 $(SEEDS): $(DISTFIELD) $(SIZEFIELD) $(P)/seed
 	$(call run,seed,$(BIN)/seed $(DISTFIELD) $(SIZEFIELD) -o $@ $(seed_options))
 
+# A run that was stopped goes on from its checkpoint, unless something it depends on is newer.
+CHECKPOINT = $(F).checkpoint.bin
 $(PARTICLES): $(SEEDS) $(DISTFIELD) $(SIZEFIELD) $(P)/particles
+	@for file in $^; do if [ $$file -nt $(CHECKPOINT) ]; then rm -f $(CHECKPOINT); fi; done
 	$(call run,particles,$(BIN)/particles $(SEEDS) --distfield $(DISTFIELD) --sizefield $(SIZEFIELD) -o $@ \
-	  --log $(F).iterations.csv $(particles_options))
+	  --log $(F).passes.csv --checkpoint $(CHECKPOINT) --resume $(particles_options))
+	@rm -f $(CHECKPOINT)
 
 $(SURFACE): $(PARTICLES) $(DISTFIELD) $(SIZEFIELD) $(P)/reconstruct
 	$(call run,reconstruct,$(BIN)/reconstruct $(PARTICLES) --distfield $(DISTFIELD) --sizefield $(SIZEFIELD) -o $@ \

@@ -21,7 +21,7 @@ INSIDE := above
 # Edge length h: EPSILON times the local feature size, its gradient at most DELTA, between MIN_SIZE and MAX_SIZE (mm) ...
 #   EPSILON := 0.5
 #   DELTA := 0.4
-#   MIN_SIZE := 1
+MIN_SIZE := 2
 #   MAX_SIZE := 10
 # ... or one length everywhere (mm).
 #   SIZE := 2
@@ -34,6 +34,8 @@ INSIDE := above
 #   BACKEND := auto
 
 # Anything else that a stage's --help offers.
+#   DISTFIELD_OPTIONS :=
+#   SIZEFIELD_OPTIONS :=
 #   PARTICLES_OPTIONS :=
 #   RECONSTRUCT_OPTIONS :=
 #   TETMESH_OPTIONS :=

@@ -13,14 +13,18 @@ pub struct Cylinder {
     pub centre: DVec3,
     /// Radius, mm.
     pub radius: f64,
-    /// Distance of the first and the last voxel centre along z, mm.
+    /// From half a voxel before the first voxel centre along z to half a voxel past the last, mm.
     pub length: f64,
 }
 
 impl Cylinder {
     /// Radius of 0.28 of the shortest side.
     pub fn filling(grid: &Geometry) -> Self {
-        Self { centre: off_lattice_centre(grid), radius: 0.28 * shortest_extent(grid), length: grid.upper_corner().z }
+        Self {
+            centre: off_lattice_centre(grid),
+            radius: 0.28 * shortest_extent(grid),
+            length: grid.upper_corner().z + grid.spacing.z,
+        }
     }
 }
 
@@ -33,7 +37,7 @@ impl Scene for Cylinder {
         let (radius, length) = (self.radius, self.length);
         Truth {
             shape: "cylinder".into(),
-            method: "closed form, with flat caps through the outermost voxel centres".into(),
+            method: "closed form, with flat caps half a voxel past the outermost voxel centres".into(),
             exact_distance: true,
             area: Some(2.0 * PI * radius * (length + radius)),
             volume: Some(PI * radius * radius * length),

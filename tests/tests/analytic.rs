@@ -1,0 +1,239 @@
+//! The chain against analytic truth: area, volume, genus, components, distance to the true surface, local feature size.
+
+mod support;
+
+use glam::DVec3;
+use isoparticles_common::geometry::Geometry;
+use isoparticles_common::io::field::{FieldKind, read_field};
+use isoparticles_common::io::surface::read_surface;
+use isoparticles_common::sizing::SizingField;
+use isoparticles_tests::nrrd::{self, FileSpace, Voxels};
+use isoparticles_tests::scene::{self, Options, Shape, Truth};
+use isoparticles_tests::volume;
+use support::chain::{self, Wishes};
+use support::examine::{Examination, examine};
+use support::{Kind, write_phantom};
+
+fn cube(n: usize) -> Geometry {
+    Geometry::axis_aligned([n; 3], DVec3::ONE)
+}
+
+struct Meshed {
+    truth: Truth,
+    examined: Examination,
+    vertices: Vec<DVec3>,
+}
+
+fn mesh(shape: Shape, geometry: &Geometry, kind: Kind, size: Option<f64>) -> Meshed {
+    let folder = tempfile::tempdir().expect("folder");
+    let volume = folder.path().join("phantom.nrrd");
+    let truth = write_phantom(&volume, shape, geometry, kind);
+    let wishes = if kind == Kind::Scalar { Wishes::scalar(size) } else { Wishes::label(size) };
+    let files = chain::surface(&volume, folder.path(), &wishes);
+    let surface = read_surface(&files.surface).expect("surface").surface.mesh;
+    let examined = examine(&surface.vertices, &surface.triangles);
+    Meshed { truth, examined, vertices: surface.vertices }
+}
+
+/// Closed, outward, right topology, good triangles; area and volume within 1 % of the truth.
+#[track_caller]
+fn assert_as_stated(shape: Shape, meshed: &Meshed) {
+    let (examined, truth) = (&meshed.examined, &meshed.truth);
+    assert_eq!(examined.bad_edges, 0, "{shape:?}: {examined:?}");
+    assert_eq!(Some(examined.components), truth.components, "{shape:?}: {examined:?}");
+    assert_eq!(Some(examined.genus), truth.genus.map(|g| g as i64), "{shape:?}: {examined:?}");
+    for (name, found, stated) in
+        [("area", examined.area, truth.area.unwrap()), ("volume", examined.volume, truth.volume.unwrap())]
+    {
+        let relative = found / stated - 1.0;
+        assert!(relative.abs() < 0.01, "{shape:?}: {name} {found} is off {stated} by {:.2} %", 100.0 * relative);
+    }
+    // The floor for organs; the phantoms are no harder.
+    assert!(examined.mean_radius_ratio >= 0.95, "{shape:?}: {examined:?}");
+    assert!(examined.smallest_radius_ratio >= 0.30, "{shape:?}: {examined:?}");
+}
+
+/// Every vertex lies on the true surface, to a part of a voxel.
+#[track_caller]
+fn assert_on_surface(shape: Shape, geometry: &Geometry, meshed: &Meshed, tolerance: f64) {
+    let scene = scene::build(shape, geometry, &Options::for_grid(geometry));
+    let farthest = meshed.vertices.iter().map(|v| scene.value(*v).abs()).fold(0.0, f64::max);
+    assert!(farthest < tolerance, "{shape:?}: a vertex is {farthest} mm off the surface");
+}
+
+#[test]
+fn ball_scalar() {
+    let geometry = cube(40);
+    let meshed = mesh(Shape::Ball, &geometry, Kind::Scalar, Some(1.6));
+    assert_as_stated(Shape::Ball, &meshed);
+    assert_on_surface(Shape::Ball, &geometry, &meshed, 0.03);
+}
+
+#[test]
+fn ball_label() {
+    let meshed = mesh(Shape::Ball, &cube(40), Kind::Label, Some(1.6));
+    assert_as_stated(Shape::Ball, &meshed);
+}
+
+#[test]
+fn ellipsoid_scalar() {
+    let geometry = cube(48);
+    let meshed = mesh(Shape::Ellipsoid, &geometry, Kind::Scalar, Some(1.6));
+    assert_as_stated(Shape::Ellipsoid, &meshed);
+    assert_on_surface(Shape::Ellipsoid, &geometry, &meshed, 0.03);
+}
+
+#[test]
+fn torus_scalar() {
+    let geometry = cube(56);
+    let meshed = mesh(Shape::Torus, &geometry, Kind::Scalar, Some(1.2));
+    assert_as_stated(Shape::Torus, &meshed);
+    assert_on_surface(Shape::Torus, &geometry, &meshed, 0.03);
+}
+
+#[test]
+fn bumpy_torus_scalar_graded() {
+    let geometry = cube(64);
+    let folder = tempfile::tempdir().expect("folder");
+    let volume = folder.path().join("phantom.nrrd");
+    let truth = write_phantom(&volume, Shape::BumpyTorus, &geometry, Kind::Scalar);
+    let mut wishes = Wishes::scalar(None);
+    wishes.sizefield = arguments!["--epsilon", "0.3", "--max-size", "1.6"];
+    let files = chain::surface(&volume, folder.path(), &wishes);
+    let surface = read_surface(&files.surface).expect("surface").surface.mesh;
+    let examined = examine(&surface.vertices, &surface.triangles);
+    assert_as_stated(Shape::BumpyTorus, &Meshed { truth, examined, vertices: surface.vertices });
+}
+
+#[test]
+fn two_balls_scalar() {
+    let geometry = cube(56);
+    let meshed = mesh(Shape::TwoBalls, &geometry, Kind::Scalar, Some(1.0));
+    assert_as_stated(Shape::TwoBalls, &meshed);
+    assert_on_surface(Shape::TwoBalls, &geometry, &meshed, 0.05);
+}
+
+#[test]
+fn thin_shell_scalar() {
+    // Two surfaces 2.5 voxels apart, at an edge length as large as the wall: particles of the two must not mix.
+    let geometry = cube(40);
+    let folder = tempfile::tempdir().expect("folder");
+    let volume = folder.path().join("phantom.nrrd");
+    let truth = write_phantom(&volume, Shape::ThinShell, &geometry, Kind::Scalar);
+    // The edge profile of two walls this close moves the half-way surface: take the sampled field's own truth, the
+    // topology, and leave area and volume to thicker walls.
+    let files = chain::surface(&volume, folder.path(), &Wishes::scalar(Some(1.6)));
+    let surface = read_surface(&files.surface).expect("surface").surface.mesh;
+    let examined = examine(&surface.vertices, &surface.triangles);
+    assert_eq!(examined.bad_edges, 0);
+    assert_eq!(Some(examined.components), truth.components);
+    assert_eq!(examined.genus, 0);
+    assert!(examined.volume > 0.0 && examined.mean_radius_ratio > 0.95, "{examined:?}");
+}
+
+#[test]
+fn cylinder_is_closed_where_the_volume_cuts_it() {
+    // Rounded rims take 0.1 % of the volume and 0.5 % of the area here.
+    let meshed = mesh(Shape::Cylinder, &cube(48), Kind::Scalar, Some(1.3));
+    assert_as_stated(Shape::Cylinder, &meshed);
+}
+
+#[test]
+fn gyroid_is_closed_on_all_six_faces() {
+    let meshed = mesh(Shape::Gyroid, &cube(48), Kind::Scalar, Some(1.3));
+    assert_eq!(meshed.examined.bad_edges, 0, "{:?}", meshed.examined);
+    assert!(meshed.examined.genus > 3, "a gyroid has many handles: {:?}", meshed.examined);
+    // Half of the box between the capped faces, which lie half a voxel outside the voxel centres.
+    let half_box = 0.5 * 48.0_f64.powi(3);
+    assert!((meshed.examined.volume / half_box - 1.0).abs() < 0.03, "{:?}", meshed.examined);
+}
+
+#[test]
+fn one_voxel_thin_labels_keep_their_topology() {
+    for shape in [Shape::Plate, Shape::Rod] {
+        let meshed = mesh(shape, &cube(24), Kind::Label, Some(0.5));
+        assert_eq!(meshed.examined.bad_edges, 0, "{shape:?}: {:?}", meshed.examined);
+        assert_eq!(meshed.examined.components, 1, "{shape:?}: {:?}", meshed.examined);
+        assert_eq!(meshed.examined.genus, 0, "{shape:?}: {:?}", meshed.examined);
+        assert!(meshed.examined.volume > 0.0, "{shape:?}: {:?}", meshed.examined);
+    }
+}
+
+/// h on the surface is epsilon times the local feature size, which these shapes have in closed form. The volume holds
+/// the distance itself: an edge as sharp as a scanner's, sampled, has ripples of a few thousandths of a voxel, whose
+/// curvature is a feature of its own.
+#[test]
+fn local_feature_size_is_within_five_percent() {
+    let geometry = cube(64);
+    for shape in [Shape::Ball, Shape::Torus, Shape::TwoBalls] {
+        let folder = tempfile::tempdir().expect("folder");
+        let volume = folder.path().join("phantom.nrrd");
+        let mut options = Options::for_grid(&geometry);
+        // Wide enough that the medial plane of the gap lies several voxels from either ball.
+        options.gap = 10.0;
+        let scene = scene::build(shape, &geometry, &options);
+        let truth = scene.truth();
+        let voxels = Voxels::F32(volume::values(scene.as_ref(), &geometry).data);
+        nrrd::write(&volume, &geometry, FileSpace::Lps, &voxels, true).expect("phantom");
+        let wishes = Wishes {
+            distfield: arguments!["--iso", "0", "--inside", "below"],
+            sizefield: arguments!["--epsilon", "0.5", "--delta", "1", "--max-deviation", "0", "--max-size", "100"],
+            particles: Vec::new(),
+        };
+        let files = chain::fields(&volume, folder.path(), &wishes);
+        let sizing = read_field(&files.sizefield, FieldKind::Sizing).expect("sizing field").image;
+        let shift = sizing.geometry.world_to_grid(DVec3::ZERO);
+        let sizing = SizingField::new(sizing);
+        let mut errors: Vec<f64> = surface_points(scene.as_ref(), &truth)
+            .into_iter()
+            .map(|point| (sizing.at(point + shift) / (0.5 * true_feature_size(shape, &truth, point)) - 1.0).abs())
+            .collect();
+        errors.sort_by(f64::total_cmp);
+        let mean = errors.iter().sum::<f64>() / errors.len() as f64;
+        let at = |percent: usize| errors[(errors.len() - 1) * percent / 100];
+        let report: serde_json::Value =
+            serde_json::from_slice(&std::fs::read(&files.sizefield_report).expect("report")).expect("JSON");
+        let measured = |figure: &str| report["results"]["fields"]["local_feature_size"][figure].as_f64().expect(figure);
+        // The few samples below the first percentile of the ball and the torus are not what decides; where the feature
+        // size varies, its minimum does. Measured: 0.9 % off for the ball, 0.6 % for the torus, 0.3 % for the two balls.
+        let smallest = measured(if shape == Shape::TwoBalls { "min" } else { "p1" });
+        for (found, stated) in [
+            (smallest, truth.local_feature_size_min.expect("a closed form")),
+            (measured("median"), truth.local_feature_size_max.expect("a closed form")),
+            (measured("max"), truth.local_feature_size_max.expect("a closed form")),
+        ] {
+            assert!((found / stated - 1.0).abs() < 0.05, "{shape:?}: local feature size {found}, not {stated}");
+        }
+        // h at the surface, which is smoothed and graded. Measured: means of 0.7, 0.4 and 2.9 %.
+        assert!(mean < 0.05, "{shape:?}: h is off by {mean:.4} on average, {:.4} at worst", at(100));
+    }
+}
+
+/// Points of the true surface, spread evenly over directions from the centre of each part.
+fn surface_points(scene: &dyn scene::Scene, truth: &Truth) -> Vec<DVec3> {
+    let centre = DVec3::from_array(truth.centre_grid);
+    let mut points = Vec::new();
+    for i in 0..4000 {
+        // A Fibonacci spiral; start well outside and walk in along the ray by sphere tracing (the distance is exact).
+        let z = 1.0 - (2.0 * f64::from(i) + 1.0) / 4000.0;
+        let azimuth = f64::from(i) * std::f64::consts::PI * (3.0 - 5.0_f64.sqrt());
+        let across = (1.0 - z * z).sqrt();
+        let direction = DVec3::new(across * azimuth.cos(), across * azimuth.sin(), z);
+        let mut point = centre + 40.0 * direction;
+        for _ in 0..300 {
+            point -= scene.value(point) * direction;
+        }
+        if scene.value(point).abs() < 1e-6 && point.distance(centre) < 40.0 {
+            points.push(point);
+        }
+    }
+    assert!(points.len() > 300, "rays must meet the surface: {} did", points.len());
+    points
+}
+
+fn true_feature_size(shape: Shape, truth: &Truth, point: DVec3) -> f64 {
+    match shape {
+        Shape::TwoBalls => truth.dimensions["radius"].min((point.x - truth.centre_grid[0]).abs()),
+        _ => truth.local_feature_size_min.expect("a closed form"),
+    }
+}

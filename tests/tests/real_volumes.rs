@@ -1,0 +1,70 @@
+//! Real volumes, where they are found (`../shared/data` from the repository's root, or `ISOPARTICLES_DATA`): the surface
+//! is closed, outward, complete and made of good triangles. The small ones always, the rest with `ISOPARTICLES_REAL=all`,
+//! because they take minutes.
+
+mod support;
+
+use isoparticles_common::io::surface::read_surface;
+use std::path::Path;
+use support::examine::examine;
+use support::{binaries, real_volumes, root, run, skip};
+
+/// Meshes a case of `pipelines/` through the Makefile and examines it.
+fn mesh(test: &str, case: &str, components: Option<usize>) {
+    let Some(data) = real_volumes(test) else { return };
+    let folder = tempfile::tempdir().expect("folder");
+    let mut command = std::process::Command::new("make");
+    command.current_dir(root()).args(["surface", "NO_BUILD=yes", "VERBOSITY=-q"]);
+    for (key, value) in [("CASE", Path::new(case)), ("DATA", &data), ("OUT", folder.path()), ("BIN", binaries())] {
+        command.arg(format!("{key}={}", value.display()));
+    }
+    for variable in ["MAKEFLAGS", "MFLAGS", "MAKELEVEL", "MAKEOVERRIDES"] {
+        command.env_remove(variable);
+    }
+    run(&mut command).expect_success(case);
+    let path = folder.path().join(case).join(format!("{case}.surface.vtp"));
+    let surface = read_surface(&path).expect("surface").surface.mesh;
+    let examined = examine(&surface.vertices, &surface.triangles);
+    assert_eq!(examined.bad_edges, 0, "{case}: {examined:?}");
+    assert!(examined.volume > 0.0, "{case}: {examined:?}");
+    assert!(examined.mean_radius_ratio >= 0.94, "{case}: {examined:?}");
+    assert!(examined.smallest_radius_ratio >= 0.30, "{case}: {examined:?}");
+    if let Some(components) = components {
+        assert_eq!(examined.components, components, "{case}: {examined:?}");
+    }
+}
+
+/// A case that takes minutes.
+fn mesh_on_request(test: &str, case: &str, components: Option<usize>) {
+    if std::env::var_os("ISOPARTICLES_REAL").is_some_and(|value| value == "all") {
+        mesh(test, case, components);
+    } else {
+        skip(test, "takes minutes; ISOPARTICLES_REAL=all runs it");
+    }
+}
+
+#[test]
+fn mickey() {
+    // A hollow ball: an outer and an inner surface.
+    mesh("mickey", "mickey", Some(2));
+}
+
+#[test]
+fn heart() {
+    mesh_on_request("heart", "heart", Some(1));
+}
+
+#[test]
+fn tooth() {
+    mesh_on_request("tooth", "tooth", None);
+}
+
+#[test]
+fn lungs() {
+    mesh_on_request("lungs", "lungs", None);
+}
+
+#[test]
+fn ribs() {
+    mesh_on_request("ribs", "ribs", None);
+}

@@ -1,0 +1,96 @@
+//! The chain from a volume to triangles, by the stage programs themselves.
+
+use super::stage;
+use crate::arguments;
+use std::ffi::OsString;
+use std::path::{Path, PathBuf};
+
+/// Files of a case in a folder.
+#[derive(Clone, Debug)]
+pub struct Files {
+    /// Signed distance field.
+    pub distfield: PathBuf,
+    /// Target edge length.
+    pub sizefield: PathBuf,
+    /// What `sizefield` measured.
+    pub sizefield_report: PathBuf,
+    /// First particles.
+    pub seeds: PathBuf,
+    /// Settled particles.
+    pub particles: PathBuf,
+    /// Triangles.
+    pub surface: PathBuf,
+}
+
+impl Files {
+    /// Names in a folder.
+    pub fn in_folder(folder: &Path) -> Self {
+        let file = |name: &str| folder.join(name);
+        Self {
+            distfield: file("case.distfield.vti"),
+            sizefield: file("case.sizefield.vti"),
+            sizefield_report: file("case.sizefield.json"),
+            seeds: file("case.seeds.bin"),
+            particles: file("case.particles.bin"),
+            surface: file("case.surface.vtp"),
+        }
+    }
+}
+
+/// What to ask of the stages beyond their defaults.
+#[derive(Clone, Debug, Default)]
+pub struct Wishes {
+    /// Options of `distfield`: the iso value or the labels at least.
+    pub distfield: Vec<OsString>,
+    /// Options of `sizefield`.
+    pub sizefield: Vec<OsString>,
+    /// Options of `particles`.
+    pub particles: Vec<OsString>,
+}
+
+impl Wishes {
+    /// A phantom's scalar volume, with one edge length everywhere when `size` is given.
+    pub fn scalar(size: Option<f64>) -> Self {
+        Self::of(arguments!["--iso", "100"], size)
+    }
+
+    /// A phantom's label map, likewise.
+    pub fn label(size: Option<f64>) -> Self {
+        Self::of(arguments!["--labels", "1"], size)
+    }
+
+    fn of(distfield: Vec<OsString>, size: Option<f64>) -> Self {
+        let sizefield = size.map_or_else(Vec::new, |h| arguments!["--uniform", h.to_string()]);
+        Self { distfield, sizefield, particles: Vec::new() }
+    }
+}
+
+/// Runs distfield and sizefield.
+#[track_caller]
+pub fn fields(volume: &Path, folder: &Path, wishes: &Wishes) -> Files {
+    let files = Files::in_folder(folder);
+    let mut command = arguments![volume, "-o", &files.distfield];
+    command.extend(wishes.distfield.clone());
+    stage("distfield", command).expect_success("distfield");
+    let report = &files.sizefield_report;
+    let mut command = arguments![&files.distfield, "-o", &files.sizefield, "--report", report];
+    command.extend(wishes.sizefield.clone());
+    stage("sizefield", command).expect_success("sizefield");
+    files
+}
+
+/// Runs everything up to the triangles.
+#[track_caller]
+pub fn surface(volume: &Path, folder: &Path, wishes: &Wishes) -> Files {
+    let files = fields(volume, folder, wishes);
+    stage("seed", arguments![&files.distfield, &files.sizefield, "-o", &files.seeds]).expect_success("seed");
+    let fields = arguments!["--distfield", &files.distfield, "--sizefield", &files.sizefield];
+    let mut command = arguments![&files.seeds, "-o", &files.particles];
+    command.extend(fields.clone());
+    command.extend(wishes.particles.clone());
+    stage("particles", command).expect_success("particles");
+    let mut command = arguments![&files.particles, "-o", &files.surface];
+    command.extend(fields);
+    stage("reconstruct", command).expect_success("reconstruct");
+    files
+}
