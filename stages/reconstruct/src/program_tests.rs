@@ -3,7 +3,7 @@
 use crate::run::{Args, run};
 use crate::scenes::{self, Scene};
 use clap::Parser;
-use glam::{DMat3, DVec3};
+use glam::{DMat3, DVec2, DVec3};
 use isoparticles_common::cli::{Context, Outcome};
 use isoparticles_common::geometry::{Geometry, Space};
 use isoparticles_common::history::History;
@@ -12,8 +12,10 @@ use isoparticles_common::io::particles::{ParticleKind, write_particles};
 use isoparticles_common::io::surface::{DataArray, SurfaceFile, read_surface};
 use isoparticles_common::io::volume::Voxels;
 use isoparticles_common::mesh::measure::measure;
+use isoparticles_common::mesh::topology::analyse;
 use isoparticles_common::particle_set::ParticleSet;
 use serde_json::{Value, json};
+use std::f64::consts::TAU;
 use std::path::PathBuf;
 
 struct Case {
@@ -124,6 +126,22 @@ fn no_node_of_a_label_volume_changes_side() {
     let meta = json!({"source": "labels", "border": "cap"});
     let case = Case::new(&scene, scene.image.geometry.clone(), 1.5, &meta);
     assert_eq!(case.run("g.vtp", &["--min-radius-ratio", "0"]).unwrap(), Outcome::Passed);
+}
+
+#[test]
+fn an_open_border_leaves_the_surface_open_there_and_nowhere_else() {
+    // a cylinder of radius 6 that runs through the volume along z
+    let scene = Scene::new([24, 24, 20], DVec3::ONE, |p| (p.truncate() - DVec2::splat(11.6)).length() - 6.0);
+    let case = Case::new(&scene, scene.image.geometry.clone(), 1.0, &json!({"source": "scalar", "border": "open"}));
+    assert_eq!(case.run("tube.vtp", &[]).unwrap(), Outcome::Passed);
+    let mesh = case.surface("tube.vtp").surface.mesh;
+    let topology = analyse(&mesh);
+    assert_eq!((topology.components.len(), topology.euler), (1, 0), "a tube");
+    let ends = |v: u32| mesh.vertices[v as usize].z.min(19.0 - mesh.vertices[v as usize].z);
+    assert!(!topology.open_edges.is_empty() && topology.open_edges.iter().flatten().all(|&v| ends(v) < 1.5));
+    // 2 pi r times the length that the particles reach
+    let area = measure(&mesh).area;
+    assert!((area / (TAU * 6.0 * 18.0) - 1.0).abs() < 0.06, "{area}");
 }
 
 #[test]

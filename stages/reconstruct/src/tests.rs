@@ -8,6 +8,7 @@ use crate::scenes::{self, Scene};
 use glam::DVec3;
 use isoparticles_common::mesh::TriangleMesh;
 use isoparticles_common::particle_set::ParticleSet;
+use isoparticles_common::random::uniform;
 
 fn surface(scene: &Scene, spacing: f64) -> (TriangleMesh, Defects, RefineReport, Vec<i64>) {
     let positions = scene.points(spacing);
@@ -203,4 +204,38 @@ fn a_crowd_on_one_spot_leaves_one_point() {
     let delaunay = points.triangulate().unwrap();
     assert_eq!((points.positions.len(), points.report.crowded), (good, 30));
     assert_eq!(delaunay.vertex_count(), good);
+}
+
+/// Smooth unions and differences of a few balls and tori, from points as sparse as their thinnest parts.
+#[test]
+fn random_blends_come_out_closed_with_the_right_topology() {
+    let mut inserted = 0;
+    for seed in 0..16u64 {
+        let u = |k: u64| uniform(77, seed, k);
+        let parts: Vec<(DVec3, f64, f64, bool)> = (0..5u64)
+            .map(|k| {
+                let centre = DVec3::new(u(10 * k), u(10 * k + 1), u(10 * k + 2)) * 14.0 + DVec3::splat(9.0);
+                (centre, 2.5 + 3.0 * u(10 * k + 3), 1.0 + u(10 * k + 4), u(10 * k + 5) < 0.5)
+            })
+            .collect();
+        let distance = |p: DVec3, &(c, radius, tube, is_torus): &(DVec3, f64, f64, bool)| {
+            let q = p - c;
+            if is_torus { (q.truncate().length() - radius).hypot(q.z) - tube } else { q.length() - radius }
+        };
+        let scene = Scene::new([32; 3], DVec3::ONE, |p| {
+            let soft = parts.iter().map(|part| (-2.0 * distance(p, part)).exp()).sum::<f64>();
+            -0.5 * soft.ln()
+        });
+        for spacing in [1.0, 2.2] {
+            let (mesh, defects, report, euler) = surface(&scene, spacing);
+            assert!(defects.is_manifold(), "scene {seed}: {report:?}");
+            assert!(defects.is_empty(), "scene {seed}: {euler:?} {report:?}");
+            let (volume, _) = volume_and_area(&mesh);
+            let voxels = scene.image.data.iter().filter(|f| **f < 0.0).count() as f64;
+            // chords of 1.2 on tubes of radius 1 cut off up to 9 % (measured), those of 2.5 up to a quarter
+            assert!(spacing > 2.0 || within(volume, voxels, 0.12), "scene {seed}: {volume} of {voxels}");
+            inserted += report.inserted;
+        }
+    }
+    assert!(inserted > 0, "none of the scenes needed refinement: they are too easy");
 }
