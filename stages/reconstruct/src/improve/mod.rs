@@ -63,6 +63,12 @@ impl Default for ImproveOptions<'_> {
 }
 
 impl ImproveOptions<'_> {
+    /// For a mesh of settled particles: a few sweeps over all of it, which raise the mean as well as the minimum, then the
+    /// worst triangles.
+    pub fn polish() -> Self {
+        Self { target: 0.7, relaxation_sweeps: 3, ..Self::default() }
+    }
+
     /// Remeshes the whole surface towards h: a good mesh from any closed one, marching cubes' included.
     pub fn remesh() -> Self {
         Self { remesh_rounds: 8, relaxation_sweeps: 4, ..Self::default() }
@@ -161,7 +167,7 @@ pub fn improve(
         project_all(&mut surface, tally);
     }
     for _ in 0..options.relaxation_sweeps {
-        remesh::equalise_degrees(&mut surface, &limits, Rule::Even, tally);
+        remesh::equalise_degrees(&mut surface, &limits, Rule::Even, 2, tally);
         remesh::relax_all(&mut surface, &limits, Rule::Even, tally);
     }
     for round in 0..options.rounds {

@@ -18,7 +18,7 @@ const FLOOR: f64 = 0.35;
 pub(super) fn round(surface: &mut Surface, limits: &Limits, tally: &mut Tally) {
     split_long(surface, limits, tally);
     collapse_short(surface, limits, tally);
-    equalise_degrees(surface, limits, Rule::Keep { floor: FLOOR }, tally);
+    equalise_degrees(surface, limits, Rule::Keep { floor: FLOOR }, 0, tally);
     for _ in 0..2 {
         relax_all(surface, limits, Rule::Keep { floor: 0.6 }, tally);
     }
@@ -80,16 +80,22 @@ fn collapse_short(surface: &mut Surface, limits: &Limits, tally: &mut Tally) {
     }
 }
 
-/// Flips edges where that brings the degrees round them closer to six.
-pub(super) fn equalise_degrees(surface: &mut Surface, limits: &Limits, rule: Rule, tally: &mut Tally) {
+/// Flips edges where that brings the degrees round them closer to six; the four vertices of a flip relax `sweeps` times
+/// before it is judged, since a flip alone seldom makes better triangles at once.
+pub(super) fn equalise_degrees(surface: &mut Surface, limits: &Limits, rule: Rule, sweeps: usize, tally: &mut Tally) {
     for (a, b) in edges(surface) {
         let Some([(_, c), (_, d)]) = surface.wings(a, b) else { continue };
         let degree = |v: u32| surface.degree(v) as i64;
         let cost = |x: i64| (x - 6) * (x - 6);
         let before = cost(degree(a)) + cost(degree(b)) + cost(degree(c)) + cost(degree(d));
         let after = cost(degree(a) - 1) + cost(degree(b) - 1) + cost(degree(c) + 1) + cost(degree(d) + 1);
-        if after < before && flip(surface, a, b) && commit_if_welcome(surface, limits, rule).is_some() {
-            tally.flips += 1;
+        if after < before && flip(surface, a, b) {
+            for _ in 0..sweeps {
+                for v in [a, b, c, d] {
+                    relax(surface, v, 1.0);
+                }
+            }
+            tally.flips += usize::from(commit_if_welcome(surface, limits, rule).is_some());
         }
         surface.undo();
     }

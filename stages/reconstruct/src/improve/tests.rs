@@ -65,14 +65,14 @@ fn remeshing_makes_good_meshes_of_marching_cubes() {
     let sphere = sampled([21; 3], DVec3::ONE, ball(centre, 7.3));
     let torus = sampled([42, 42, 18], DVec3::splat(0.5), ring(DVec3::new(10.3, 10.1, 4.2), 6.4, 2.3));
     let uneven = sampled([32, 26, 21], DVec3::new(0.7, 0.8, 1.0), ball(DVec3::new(10.8, 10.1, 10.2), 7.1));
-    // measured: minima 0.66 to 0.75, means 0.97 to 0.98
+    // measured: minima 0.83 to 0.88, means 0.981 to 0.982
     for (image, h, genus, label) in
         [(&sphere, 1.3, 0, "sphere"), (&torus, 0.8, 1, "torus"), (&uneven, 1.3, 0, "uneven spacing")]
     {
         let after = remesh_from_marching_cubes(image, h, label);
         assert_eq!(after.components[0].topology.genus, Some(genus), "{label}");
-        assert!(after.quality.radius_ratio_min >= 0.5, "{label}: {:?}", after.quality);
-        assert!(after.quality.radius_ratio_mean >= 0.96, "{label}: {:?}", after.quality);
+        assert!(after.quality.radius_ratio_min >= 0.7, "{label}: {:?}", after.quality);
+        assert!(after.quality.radius_ratio_mean >= 0.97, "{label}: {:?}", after.quality);
         assert!((after.quality.edge_length_mean / h - 1.0).abs() < 0.15, "{label}: {:?}", after.quality);
     }
 }
@@ -130,6 +130,28 @@ fn lifting_the_worst_leaves_the_rest_alone() {
     // every vertex more than two rings from a dragged one is where it was
     let stayed = untouched.iter().filter(|p| mesh.vertices.contains(p)).count();
     assert!(stayed + dragged.len() * 20 >= untouched.len(), "{stayed} of {} stayed", untouched.len());
+}
+
+#[test]
+fn polishing_raises_mean_and_minimum_and_no_triangle_count_changes() {
+    let centre = DVec3::splat(6.1);
+    let image = sampled([26; 3], DVec3::splat(0.5), ball(centre, 4.0));
+    let field = CubicSpline::new(&image);
+    let mut mesh = shapes::icosphere(4.0, 3);
+    for (n, p) in mesh.vertices.iter_mut().enumerate() {
+        let shake = DVec3::from_array(std::array::from_fn(|a| uniform(5, a as u64, n as u64) - 0.5));
+        *p = field.project(*p + centre + 0.35 * shake, 1.0, 1e-7).unwrap_or(*p + centre);
+    }
+    let before = check(&mesh, &CheckOptions::default());
+    assert_eq!(before.self_intersections, 0);
+    let (vertices, triangles) = (mesh.vertices.len(), mesh.triangles.len());
+    improve(&mut mesh, &field, &|_| 0.6, &ImproveOptions::polish()).expect("a sound mesh");
+    let after = assert_sound(&mesh, &field, &before, "shaken sphere");
+    // measured: mean 0.871 to 0.996, minimum 0.296 to 0.943
+    assert!(before.quality.radius_ratio_mean < 0.9, "{:?}", before.quality);
+    assert!(after.quality.radius_ratio_mean >= 0.98, "{:?}", after.quality);
+    assert!(after.quality.radius_ratio_min >= 0.85, "{:?}", after.quality);
+    assert_eq!((mesh.vertices.len(), mesh.triangles.len()), (vertices, triangles));
 }
 
 #[test]
