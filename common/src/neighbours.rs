@@ -8,6 +8,9 @@
 use glam::DVec3;
 use rayon::prelude::*;
 
+/// Most bins along an axis of a level.
+const MOST_BINS: f64 = 1024.0;
+
 /// Points in bins, one grid of bins for each octave of size.
 #[derive(Clone, Debug)]
 pub struct LevelBins {
@@ -46,6 +49,8 @@ impl LevelBins {
                 let largest = members.iter().map(|&i| sizes[i as usize]).fold(0.0, f64::max);
                 let edge =
                     if members.is_empty() { reach * smallest * f64::powi(2.0, l as i32 + 1) } else { reach * largest };
+                // wider bins are right as well, and the table of rows stays small where a few points are tiny
+                let edge = edge.max((upper - origin).max_element() / MOST_BINS);
                 let bins = ((upper - origin) / edge).floor();
                 let rows = if members.is_empty() { [0, 0] } else { [bins.y as usize + 1, bins.z as usize + 1] };
                 let mut keyed: Vec<(u64, u32)> = members
@@ -211,7 +216,9 @@ mod tests {
 
     #[test]
     fn lists_equal_brute_force_at_any_contrast() {
-        for (count, contrast) in [(0, 1.0), (1, 1.0), (2, 1.0), (500, 1.0), (500, 3.0), (800, 27.0)] {
+        for (count, contrast) in
+            [(0, 1.0), (1, 1.0), (2, 1.0), (500, 1.0), (500, 3.0), (800, 27.0), (800, 1e-4), (800, 1e4)]
+        {
             let (points, sizes) = scene(count, contrast);
             let reach = 1.9;
             let lists = NeighbourLists::new(&points, &sizes, reach, |i, j| (i + j) % 7 != 0);

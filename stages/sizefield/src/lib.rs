@@ -18,6 +18,9 @@ use serde::{Deserialize, Serialize};
 /// where h is rough: on a label map at voxel scale this lifts the mean radius ratio by 0.01.
 const SMOOTHING: (usize, f64) = (6, 1.3);
 
+/// Share of the smallest h that h never falls below, not even on a speck.
+const SMALLEST_SHARE: f64 = 0.05;
+
 /// What asks for which edge length. Lengths in mm.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Parameters {
@@ -43,7 +46,10 @@ pub fn wanted_sizes(features: &Features, parameters: &Parameters) -> Vec<f64> {
             // centre of an equilateral triangle of edge h inscribed in a ball of radius R: h^2 / (6 R) below the surface
             let by_deviation = (6.0 * parameters.max_deviation / features.curvature[i].max(1e-12)).sqrt();
             let area = features.component_area[features.component[i] as usize];
-            let by_component = (2.0 * area / (3f64.sqrt() * parameters.min_particles)).sqrt();
+            // specks may be smaller than any triangle that says something about the data; a few must do there
+            let by_component = (2.0 * area / (3f64.sqrt() * parameters.min_particles))
+                .sqrt()
+                .max(SMALLEST_SHARE * parameters.min_size);
             by_feature.min(by_deviation).min(parameters.max_size).max(parameters.min_size).min(by_component)
         })
         .collect()

@@ -14,11 +14,10 @@ use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
 
 /// Default smallest h over the mean voxel spacing: finer triangles than this say nothing about the data.
-const MIN_SIZE_VOXELS: f64 = 0.5;
-/// Default deviation, over the mean voxel spacing, of a scalar volume's surface.
-const DEVIATION_SCALAR: f64 = 0.1;
-/// The same for labels, where the triangles must pass each voxel centre on its own side.
-const DEVIATION_LABELS: f64 = 0.05;
+const MIN_SIZE_VOXELS: f64 = 0.75;
+/// Default deviation over the mean voxel spacing: also the distance that distfield keeps between the surface of labels and
+/// the voxel centres, each of which the triangles must pass on its own side.
+const DEVIATION_VOXELS: f64 = 0.1;
 /// Default largest h over the diagonal of the object's bounding box.
 const MAX_SIZE_DIAGONALS: f64 = 0.1;
 /// Medial balls are looked for up to this radius, over the diagonal of the volume; larger features ask for no other h.
@@ -47,14 +46,14 @@ pub struct Args {
     /// Largest change of h per mm of distance, above 0 (the paper's delta); smaller grades more gently
     #[arg(long, value_name = "SLOPE", default_value_t = 0.4, value_parser = positive, help_heading = METHOD)]
     delta: f64,
-    /// Smallest h, in mm [default: half of the mean voxel spacing]
+    /// Smallest h, in mm [default: 0.75 of the mean voxel spacing]
     #[arg(long, value_name = "MM", value_parser = positive, help_heading = METHOD)]
     min_size: Option<f64>,
     /// Largest h at the surface, in mm [default: a tenth of the diagonal of the object's bounding box]
     #[arg(long, value_name = "MM", value_parser = positive, help_heading = METHOD)]
     max_size: Option<f64>,
     /// Bound h so that curvature puts no triangle's centre farther than this from the surface, in mm; 0 for no bound
-    /// [default: 0.1 of the mean voxel spacing, for labels 0.05]
+    /// [default: 0.1 of the mean voxel spacing]
     #[arg(long, value_name = "MM", value_parser = not_negative, help_heading = METHOD)]
     max_deviation: Option<f64>,
     /// The same h everywhere, in mm, in place of all of the above
@@ -126,15 +125,13 @@ fn resolve(args: &Args, field: &Field, features: &Features, context: &Context) -
     let voxel = field.image.geometry.mean_spacing();
     let low = features.points.iter().copied().fold(DVec3::INFINITY, DVec3::min);
     let high = features.points.iter().copied().fold(DVec3::NEG_INFINITY, DVec3::max);
-    let labels = field.meta.get("source").and_then(Value::as_str) == Some("labels");
-    let deviation = voxel * if labels { DEVIATION_LABELS } else { DEVIATION_SCALAR };
     let min_size = args.min_size.unwrap_or(MIN_SIZE_VOXELS * voxel);
     let parameters = Parameters {
         epsilon: args.epsilon,
         delta: args.delta,
         min_size,
         max_size: args.max_size.unwrap_or((MAX_SIZE_DIAGONALS * (high - low).length()).max(min_size)),
-        max_deviation: match args.max_deviation.unwrap_or(deviation) {
+        max_deviation: match args.max_deviation.unwrap_or(DEVIATION_VOXELS * voxel) {
             0.0 => f64::MAX,
             bound => bound,
         },
