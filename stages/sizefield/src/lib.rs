@@ -19,7 +19,7 @@ use serde::{Deserialize, Serialize};
 const SMOOTHING: (usize, f64) = (6, 1.3);
 
 /// Share of the smallest h that h never falls below, not even on a speck.
-const SMALLEST_SHARE: f64 = 0.05;
+const SMALLEST_SHARE: f64 = 0.25;
 
 /// What asks for which edge length. Lengths in mm.
 #[derive(Clone, Debug, Serialize, Deserialize)]
