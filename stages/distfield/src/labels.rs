@@ -1,4 +1,4 @@
-//! Label maps: the smoothest surface that keeps every voxel centre on its side (Whitaker 2000, reference [19] of the paper).
+//! Label maps: the smoothest surface that keeps every voxel centre on its side (Whitaker 2000, reference 19 of the paper).
 //!
 //! A clamped fourth-order flow (bi-Laplacian of the distance) smooths the staircase; after each step every node is held
 //! on its side of zero by its clearance. Curvature flow (second order) would pull the surface onto the innermost place that the

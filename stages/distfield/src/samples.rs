@@ -48,7 +48,7 @@ pub fn surface_samples<I: Implicit>(implicit: &I, image: &Image<f32>, mesh: &Tri
     samples
 }
 
-/// The point on the zero set near `start`; `None` when it is more than [`REACH`] voxels away or the gradient vanishes.
+/// The point on the zero set near `start`; `None` when it is more than `REACH` voxels away or the gradient vanishes.
 pub fn project<I: Implicit>(implicit: &I, start: DVec3, voxel: f64) -> Option<DVec3> {
     let mut p = start;
     for _ in 0..STEPS {

@@ -1,7 +1,7 @@
 //! The surface seen at dense samples: local feature size, curvature, and the edge length they ask for.
 //!
 //! Local feature size is the distance from the surface to its medial axis (Amenta and Bern 1999), the basis of the
-//! epsilon-sampling of Meyer, Kirby and Whitaker 2007 (the paper's [15]).
+//! epsilon-sampling of Meyer, Kirby and Whitaker 2007 (the paper's reference 15).
 
 use crate::medial::medial_points;
 use glam::DVec3;
