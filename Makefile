@@ -283,8 +283,8 @@ doctor:
 PARTS ?= heart lungs ribs
 GOAL ?= mesh
 bench-stages: build env
-	@for part in $(PARTS); do \
-	  rm -rf $(OUT)/bench/torso-$$part && \
-	  $(MAKE) --no-print-directory CASE=torso-$$part NAME=torso-$$part OUT=$(OUT)/bench NO_BUILD=yes $(GOAL) || exit $$?; \
-	done
-	@python3 tests/stage_table.py $(addprefix $(OUT)/bench/torso-,$(PARTS))
+	@status=0; for part in $(PARTS); do \
+	  rm -rf $(OUT)/bench/torso-$$part; \
+	  $(MAKE) --no-print-directory CASE=torso-$$part NAME=torso-$$part OUT=$(OUT)/bench NO_BUILD=yes $(GOAL) || status=$$?; \
+	done; \
+	python3 tests/stage_table.py $(addprefix $(OUT)/bench/torso-,$(PARTS)) && exit $$status
