@@ -27,7 +27,7 @@ fn mesh(test: &str, case: &str, components: Option<usize>) {
     let examined = examine(&surface.vertices, &surface.triangles);
     assert_eq!(examined.bad_edges, 0, "{case}: {examined:?}");
     assert!(examined.volume > 0.0, "{case}: {examined:?}");
-    assert!(examined.mean_radius_ratio >= 0.94, "{case}: {examined:?}");
+    assert!(examined.mean_radius_ratio >= 0.95, "{case}: {examined:?}");
     assert!(examined.smallest_radius_ratio >= 0.30, "{case}: {examined:?}");
     if let Some(components) = components {
         assert_eq!(examined.components, components, "{case}: {examined:?}");
