@@ -26,7 +26,7 @@ use isoparticles_common::spline::CubicSpline;
 use serde::Serialize;
 use sides::Sides;
 use surface::Surface;
-use worst::Effort;
+use worst::{Effort, Failures};
 
 /// How far to go. The defaults lift what is below 0.6 and leave everything else alone.
 #[derive(Clone, Copy, Debug)]
@@ -170,16 +170,17 @@ pub fn improve(
         remesh::equalise_degrees(&mut surface, &limits, Rule::Even, 2, tally);
         remesh::relax_all(&mut surface, &limits, Rule::Even, tally);
     }
+    let mut failures = Failures::default();
     for round in 0..options.rounds {
         let efforts = [Effort::Single, Effort::Settled, Effort::Double];
         for &effort in &efforts[..=round.min(efforts.len() - 1)] {
-            worst::lift(&mut surface, &limits, options.target, effort, tally);
+            worst::lift(&mut surface, &limits, options.target, effort, &mut failures, tally);
         }
     }
     if options.rounds > 0 {
         project_all(&mut surface, tally);
         let bar = options.target.min(LAST_RESORT_BELOW);
-        worst::lift(&mut surface, &limits.loosened(), bar, Effort::Double, tally);
+        worst::lift(&mut surface, &limits.loosened(), bar, Effort::Double, &mut Failures::default(), tally);
     }
 
     report.off_surface = (0..surface.positions.len()).filter(|&v| is_off_surface(&surface, v)).count();

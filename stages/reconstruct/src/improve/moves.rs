@@ -10,6 +10,8 @@ use std::f64::consts::TAU;
 const PROJECTION_TOLERANCE: f64 = 1e-5;
 /// Directions that the search for the best place looks in at each step.
 const DIRECTIONS: usize = 8;
+/// They turn by this angle (radians) when a step is halved.
+const TURN: f64 = 0.3;
 /// The search starts with steps of this share of the mean distance to the neighbours.
 const FIRST_STEP: f64 = 0.25;
 /// It ends with steps of this share.
@@ -100,7 +102,7 @@ pub(super) fn settle(surface: &mut Surface, vertex: u32) -> bool {
     let ring: Vec<(DVec3, DVec3)> =
         surface.link(vertex).map(|(a, b)| (surface.positions[a as usize], surface.positions[b as usize])).collect();
     let reach = ring.iter().map(|(a, _)| a.distance(start)).sum::<f64>() / ring.len() as f64;
-    let worth = |p: DVec3| ring_worth(&ring, normal, p);
+    let worth = |p: DVec3| ring_worth_above(&ring, normal, p, f64::NEG_INFINITY).unwrap_or(f64::NEG_INFINITY);
 
     // to second order the surface is a paraboloid over its tangent plane
     let (e1, e2) = normal.any_orthonormal_pair();
@@ -110,15 +112,20 @@ pub(super) fn settle(surface: &mut Surface, vertex: u32) -> bool {
     };
     let before = worth(start);
     let (mut best, mut best_worth) = ((0.0, 0.0), before);
-    let (mut step, mut turn) = (FIRST_STEP * reach, 0.0);
+    let mut step = FIRST_STEP * reach;
+    let mut directions: [(f64, f64); DIRECTIONS] = std::array::from_fn(|d| {
+        let angle = TAU * d as f64 / DIRECTIONS as f64;
+        (angle.cos(), angle.sin())
+    });
+    let (turn_cos, turn_sin) = (TURN.cos(), TURN.sin());
     while step > LAST_STEP * reach {
         let mut next = None;
-        for d in 0..DIRECTIONS {
-            let angle = turn + TAU * d as f64 / DIRECTIONS as f64;
-            let candidate = (best.0 + step * angle.cos(), best.1 + step * angle.sin());
-            let candidate_worth = worth(place(candidate.0, candidate.1));
-            if candidate_worth > best_worth + LEAST_GAIN {
-                best_worth = candidate_worth;
+        for (x, y) in directions {
+            let candidate = (best.0 + step * x, best.1 + step * y);
+            if let Some(worth) =
+                ring_worth_above(&ring, normal, place(candidate.0, candidate.1), best_worth + LEAST_GAIN)
+            {
+                best_worth = worth;
                 next = Some(candidate);
             }
         }
@@ -128,7 +135,7 @@ pub(super) fn settle(surface: &mut Surface, vertex: u32) -> bool {
             None => {
                 step *= 0.5;
                 // other directions, lest a ridge of the smallest of several functions hide between two of them
-                turn += 0.3;
+                directions = directions.map(|(x, y)| (x * turn_cos - y * turn_sin, x * turn_sin + y * turn_cos));
             }
         }
     }
@@ -144,15 +151,19 @@ pub(super) fn settle(surface: &mut Surface, vertex: u32) -> bool {
     }
 }
 
-/// Smallest radius ratio round a vertex at `p`; negative when a triangle is turned against the normal there.
-fn ring_worth(ring: &[(DVec3, DVec3)], normal: DVec3, p: DVec3) -> f64 {
+/// Smallest radius ratio round a vertex at `p`, if it is above a bar; negative when a triangle is turned against the normal
+/// there.
+fn ring_worth_above(ring: &[(DVec3, DVec3)], normal: DVec3, p: DVec3, bar: f64) -> Option<f64> {
     let mut smallest = f64::INFINITY;
     for &(a, b) in ring {
         let ratio = radius_ratio(p, a, b);
         let upright = (a - p).cross(b - p).dot(normal) > 0.0;
         smallest = smallest.min(if upright { ratio } else { ratio - 1.0 });
+        if smallest <= bar {
+            return None;
+        }
     }
-    smallest
+    Some(smallest)
 }
 
 /// Moves a vertex along the surface towards the centre of its triangles, weighted by area over target area.

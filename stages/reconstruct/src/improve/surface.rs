@@ -70,6 +70,9 @@ pub(super) struct Surface<'a> {
     /// Guard of the grid nodes, where asked for.
     pub(super) sides: Option<Sides<'a>>,
     log: Vec<Change>,
+    commits: u32,
+    /// The number of the last commit that changed each triangle.
+    changed_at: Vec<u32>,
 }
 
 impl<'a> Surface<'a> {
@@ -95,6 +98,8 @@ impl<'a> Surface<'a> {
             grid: TriangleGrid::new(whole, typical_extent(mesh)),
             sides: None,
             log: Vec::new(),
+            commits: 0,
+            changed_at: vec![0; mesh.triangles.len()],
         };
         surface.frozen = (0..mesh.vertices.len() as u32).into_par_iter().map(|v| !surface.is_closed_fan(v)).collect();
         surface.facts = (0..mesh.triangles.len() as u32).into_par_iter().map(|t| surface.measure(t)).collect();
@@ -342,9 +347,24 @@ impl<'a> Surface<'a> {
             .collect()
     }
 
+    /// Number of commits so far.
+    pub(super) fn commits(&self) -> u32 {
+        self.commits
+    }
+
+    /// Whether a triangle and all that touch it are as they were after the given number of commits.
+    pub(super) fn is_unchanged_since(&self, triangle: u32, commits: u32) -> bool {
+        self.triangles[triangle as usize]
+            .iter()
+            .all(|&v| self.around[v as usize].iter().all(|&t| self.changed_at[t as usize] <= commits))
+    }
+
     /// Makes the edits since the last commit final.
     pub(super) fn commit(&mut self, touched: &[u32], facts: &[Facts]) {
+        self.commits += 1;
+        self.changed_at.resize(self.triangles.len(), 0);
         for (&t, &fact) in touched.iter().zip(facts) {
+            self.changed_at[t as usize] = self.commits;
             if self.facts[t as usize] != Facts::NONE {
                 self.grid.remove(t);
             }

@@ -6,12 +6,16 @@ use super::guard::{Limits, Rule, commit_if_welcome, scores};
 use super::moves::{collapse, flip, projected, settle, split};
 use super::surface::{DEAD, Surface};
 use std::cmp::Reverse;
-use std::collections::BinaryHeap;
+use std::collections::{BinaryHeap, HashMap};
 
 /// Double plans, the most promising first, whose neighbourhood is settled before they are judged.
-const PLANS_SETTLED: usize = 100;
+const PLANS_SETTLED: usize = 60;
 /// Plans, the best first, that are put before the guard.
 const PLANS_TRIED: usize = 40;
+
+/// Triangles that a pass tries double plans on, worst first: some tens of milliseconds each. Where there are more of them,
+/// the surface has too much detail below h for local moves to mend.
+const DOUBLE_BUDGET: usize = 1500;
 
 /// How hard to try.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -34,8 +38,30 @@ enum Move {
     Split(u32, u32),
 }
 
+/// Remembers what was tried in vain, lest it be tried again before anything has changed there.
+#[derive(Default)]
+pub(super) struct Failures {
+    /// For each triangle: number of commits at the time, and the effort.
+    at: HashMap<u32, (u32, Effort)>,
+}
+
+impl Failures {
+    fn holds(&self, surface: &Surface, triangle: u32, effort: Effort) -> bool {
+        self.at
+            .get(&triangle)
+            .is_some_and(|&(commits, tried)| tried >= effort && surface.is_unchanged_since(triangle, commits))
+    }
+}
+
 /// Tries every triangle below `bar`, worst first, and again whatever falls short next to a success.
-pub(super) fn lift(surface: &mut Surface, limits: &Limits, bar: f64, effort: Effort, tally: &mut Tally) {
+pub(super) fn lift(
+    surface: &mut Surface,
+    limits: &Limits,
+    bar: f64,
+    effort: Effort,
+    failures: &mut Failures,
+    tally: &mut Tally,
+) {
     let mut queue = BinaryHeap::new();
     for (t, facts) in surface.facts.iter().enumerate() {
         if facts.quality < bar {
@@ -44,21 +70,29 @@ pub(super) fn lift(surface: &mut Surface, limits: &Limits, bar: f64, effort: Eff
     }
     // every success shrinks the shortfall by a fixed least amount; this is for the pathological rest
     let mut budget = 50 * queue.len() + 100;
+    if effort == Effort::Double {
+        budget = budget.min(DOUBLE_BUDGET);
+    }
     while let Some(Reverse((bits, t))) = queue.pop() {
         let current = surface.facts[t as usize].quality;
-        if current.to_bits() != bits || !surface.is_alive(t) {
+        if current.to_bits() != bits || !surface.is_alive(t) || failures.holds(surface, t, effort) {
             continue;
         }
         if budget == 0 {
             break;
         }
         budget -= 1;
-        if let Some(touched) = lift_one(surface, limits, bar, t, effort, tally) {
-            for t in touched {
-                let quality = surface.facts[t as usize].quality;
-                if quality < bar {
-                    queue.push(Reverse((quality.to_bits(), t)));
+        match lift_one(surface, limits, bar, t, effort, tally) {
+            Some(touched) => {
+                for t in touched {
+                    let quality = surface.facts[t as usize].quality;
+                    if quality < bar {
+                        queue.push(Reverse((quality.to_bits(), t)));
+                    }
                 }
+            }
+            None => {
+                failures.at.insert(t, (surface.commits(), effort));
             }
         }
     }
