@@ -40,9 +40,11 @@ pub struct ImproveOptions<'a> {
     /// Sweeps of relaxation and degree-equalising flips over the whole mesh, none of which lets any triangle's
     /// neighbourhood get worse; 0 for none.
     pub relaxation_sweeps: usize,
-    /// Largest distance of a triangle's centroid from F = 0 that a move may bring about, over h.
+    /// Largest distance of a triangle's centroid from F = 0 that a move may bring about, over h; twice that (at least
+    /// 0.35) for the sake of a triangle below 0.5 that nothing else can help.
     pub max_deviation: f64,
-    /// Range of edge lengths, over h, that a move must stay in where the edges round it are within.
+    /// Range of edge lengths, over h, that a move must stay in where the edges round it are within (wider by a factor of
+    /// 1.4 for such a triangle).
     pub length_range: [f64; 2],
     /// Samples of F at whose nodes the mesh must not change sides (label volumes).
     pub sides: Option<&'a Image<f32>>,
