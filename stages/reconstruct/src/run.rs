@@ -57,8 +57,12 @@ pub struct Args {
     pub max_rounds: u16,
     /// Radius ratio (2r/R, 1 for an equilateral triangle) below which triangles are worked on by local moves, 0 to 1; 0 leaves
     /// the triangulation as it is
-    #[arg(long, value_name = "RATIO", default_value_t = 0.6, value_parser = part, help_heading = METHOD)]
+    #[arg(long, value_name = "RATIO", default_value_t = 0.7, value_parser = part, help_heading = METHOD)]
     pub improve_below: f64,
+    /// Sweeps over the whole mesh before that, which move vertices along F = 0 and flip edges wherever the triangles gain
+    /// by it, 0 to 20
+    #[arg(long, value_name = "N", default_value_t = 3, value_parser = clap::value_parser!(u16).range(0..=20), help_heading = METHOD)]
+    pub relaxation_sweeps: u16,
     /// Passes over the worst triangles, of growing effort, 0 to 20
     #[arg(long, value_name = "N", default_value_t = 3, value_parser = clap::value_parser!(u16).range(0..=20), help_heading = METHOD)]
     pub improve_rounds: u16,
@@ -99,7 +103,7 @@ impl StageArgs for Args {
     fn parameters(&self) -> Value {
         json!({
             "max_deviation": self.max_deviation, "max_rounds": self.max_rounds,
-            "improve_below": self.improve_below, "improve_rounds": self.improve_rounds,
+            "improve_below": self.improve_below, "relaxation_sweeps": self.relaxation_sweeps, "improve_rounds": self.improve_rounds,
             "min_radius_ratio": self.min_radius_ratio, "max_vertex_distance": self.max_vertex_distance,
         })
     }
@@ -163,8 +167,9 @@ pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
     let options = ImproveOptions {
         target: args.improve_below,
         rounds: usize::from(args.improve_rounds),
+        relaxation_sweeps: usize::from(args.relaxation_sweeps),
         sides: (origin.is_labels && !origin.is_open).then_some(&field.image),
-        ..ImproveOptions::default()
+        ..ImproveOptions::polish()
     };
     let improved = improve(&mut mesh, &spline, &size, &options)?;
     drop(step);
