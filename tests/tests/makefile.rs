@@ -195,10 +195,13 @@ fn the_output_of_a_failed_check_is_kept_aside() {
 #[test]
 #[cfg(unix)]
 fn a_stopped_run_is_finished_by_the_next() {
+    use std::os::unix::process::CommandExt;
     let (stopped, unbroken) = (Case::new(), Case::new());
     let options = "PARTICLES_OPTIONS=--max-passes 300 --energy-tolerance 0";
     let variables = ["ISO=100", "SIZE=1.2", "VERBOSITY=-q", options];
     let mut command = stopped.command("surface", &variables);
+    // a process group of its own: the signal must reach make and what it runs alike, as Ctrl-C does in a terminal
+    command.process_group(0);
     let mut child = command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null()).spawn().expect("make");
     let checkpoint = stopped.file("checkpoint.bin");
     let mut waited = 0;
@@ -207,8 +210,7 @@ fn a_stopped_run_is_finished_by_the_next() {
         std::thread::sleep(std::time::Duration::from_millis(10));
         waited += 1;
     }
-    // Make passes the signal on to what it runs.
-    let killed = Command::new("kill").args(["-TERM", &child.id().to_string()]).status().expect("kill");
+    let killed = Command::new("kill").args(["-INT", "--", &format!("-{}", child.id())]).status().expect("kill");
     assert!(killed.success());
     assert!(!child.wait().expect("make ends").success(), "make must not call a stopped run a success");
     assert!(!stopped.file("particles.bin").exists(), "{:?}", listing(&stopped.out().join("ball")));
