@@ -140,6 +140,8 @@ impl Isosurface {
 
     /// Joins two classes by a neck: the Euler characteristic of the connected sum.
     fn merge(&mut self, a: u32, b: u32) {
+        // either may have been merged with a third since its caller looked
+        let (a, b) = (self.class_of(a), self.class_of(b));
         let (kept, gone) = (a.min(b), a.max(b));
         if kept != gone {
             self.euler[kept as usize] += self.euler[gone as usize] - 2;
@@ -396,6 +398,17 @@ mod tests {
         assert_eq!(euler(&gyroid), [-14]);
         assert_eq!((gyroid.component_count(), gyroid.sampled_component_count()), (1, 4));
         assert!(gyroid.recount_euler(&scene.field, 0));
+        assert_eq!(euler(&gyroid), [-14]);
+    }
+
+    #[test]
+    fn classes_merged_in_a_chain_are_one() {
+        let mut gyroid = Isosurface::new(&scenes::gyroid().image);
+        gyroid.merge(1, 2);
+        gyroid.merge(0, 1);
+        gyroid.merge(2, 3);
+        assert_eq!(gyroid.classes().collect::<Vec<_>>(), [0]);
+        assert!((0..4).all(|c| gyroid.class_of(c) == 0));
         assert_eq!(euler(&gyroid), [-14]);
     }
 
