@@ -159,11 +159,40 @@ fn one_voxel_thin_labels_keep_their_topology() {
     }
 }
 
-/// h on the surface is epsilon times the local feature size, which these shapes have in closed form. The volume holds
-/// the distance itself: an edge as sharp as a scanner's, sampled, has ripples of a few thousandths of a voxel, whose
-/// curvature is a feature of its own.
+/// Local feature size in an image with an edge like a scanner's, whose spline has ripples of a few thousandths of a voxel.
+/// Measured (smallest and median over the stated value): ball 0.990 and 0.992, torus 0.966 and 0.985, two balls 1.007 and
+/// 0.979; ellipsoid, at its tips, 1.004.
 #[test]
-fn local_feature_size_is_within_five_percent() {
+fn local_feature_size_stands_the_ripple_of_an_edge() {
+    for (shape, n) in [(Shape::Ball, 56), (Shape::Torus, 64), (Shape::TwoBalls, 56), (Shape::Ellipsoid, 64)] {
+        let folder = tempfile::tempdir().expect("folder");
+        let volume = folder.path().join("phantom.nrrd");
+        let truth = write_phantom(&volume, shape, &cube(n), Kind::Scalar);
+        let files = chain::fields(&volume, folder.path(), &Wishes::scalar(None));
+        let report: serde_json::Value =
+            serde_json::from_slice(&std::fs::read(&files.sizefield_report).expect("report")).expect("JSON");
+        let measured = |figure: &str| report["results"]["fields"]["local_feature_size"][figure].as_f64().expect(figure);
+        let (low, high) =
+            (truth.local_feature_size_min.expect("stated"), truth.local_feature_size_max.expect("stated"));
+        let mut pairs = vec![("min", low), ("max", high)];
+        if shape != Shape::Ellipsoid {
+            // all over the ball and the torus, and at most places of the two balls
+            pairs.push(("median", high));
+        }
+        for (figure, stated) in pairs {
+            let ratio = measured(figure) / stated;
+            assert!(
+                (ratio - 1.0).abs() < 0.05,
+                "{shape:?}: {figure} of the local feature size is {ratio:.3} of the truth"
+            );
+        }
+    }
+}
+
+/// h on the surface is epsilon times the local feature size, which these shapes have in closed form. The volume holds
+/// the distance itself, and the bound by curvature is off.
+#[test]
+fn size_is_epsilon_times_local_feature_size() {
     let geometry = cube(64);
     for shape in [Shape::Ball, Shape::Torus, Shape::TwoBalls] {
         let folder = tempfile::tempdir().expect("folder");
@@ -191,19 +220,6 @@ fn local_feature_size_is_within_five_percent() {
         errors.sort_by(f64::total_cmp);
         let mean = errors.iter().sum::<f64>() / errors.len() as f64;
         let at = |percent: usize| errors[(errors.len() - 1) * percent / 100];
-        let report: serde_json::Value =
-            serde_json::from_slice(&std::fs::read(&files.sizefield_report).expect("report")).expect("JSON");
-        let measured = |figure: &str| report["results"]["fields"]["local_feature_size"][figure].as_f64().expect(figure);
-        // The few samples below the first percentile of the ball and the torus are not what decides; where the feature
-        // size varies, its minimum does. Measured: 0.9 % off for the ball, 0.6 % for the torus, 0.3 % for the two balls.
-        let smallest = measured(if shape == Shape::TwoBalls { "min" } else { "p1" });
-        for (found, stated) in [
-            (smallest, truth.local_feature_size_min.expect("a closed form")),
-            (measured("median"), truth.local_feature_size_max.expect("a closed form")),
-            (measured("max"), truth.local_feature_size_max.expect("a closed form")),
-        ] {
-            assert!((found / stated - 1.0).abs() < 0.05, "{shape:?}: local feature size {found}, not {stated}");
-        }
         // h at the surface, which is smoothed and graded. Measured: means of 0.7, 0.4 and 2.9 %.
         assert!(mean < 0.05, "{shape:?}: h is off by {mean:.4} on average, {:.4} at worst", at(100));
     }

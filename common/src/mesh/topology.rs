@@ -2,11 +2,9 @@
 //! vertex, components, Euler characteristic and genus; with the offending simplices, not only their numbers.
 
 use super::TriangleMesh;
+use crate::components::{self, DisjointSets, NO_COMPONENT};
 use rayon::prelude::*;
 use serde::Serialize;
-
-/// Marks a vertex that belongs to no triangle in [`Topology::component_of_vertex`].
-pub const NO_COMPONENT: u32 = u32::MAX;
 
 /// Topology of one component (vertices joined through triangles).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
@@ -110,10 +108,10 @@ pub fn analyse(mesh: &TriangleMesh) -> Topology {
     }
 
     let mut fan_count = vec![0u32; mesh.vertices.len()];
-    for corner in 0..3 * mesh.triangles.len() {
-        let vertex = mesh.triangles[corner / 3][corner % 3];
+    for corner in 0..3 * mesh.triangles.len() as u32 {
+        let vertex = mesh.triangles[corner as usize / 3][corner as usize % 3];
         // a corner that repeats its triangle's vertex is no fan of its own
-        if fans.find(corner) == corner && corner_of(mesh, (corner / 3) as u32, vertex) == corner {
+        if fans.find(corner) == corner && corner_of(mesh, corner / 3, vertex) == corner {
             fan_count[vertex as usize] += 1;
         }
     }
@@ -160,9 +158,9 @@ fn sorted_sides(mesh: &TriangleMesh) -> Vec<Side> {
 }
 
 /// Corner number of the first place where a triangle names a vertex.
-fn corner_of(mesh: &TriangleMesh, triangle: u32, vertex: u32) -> usize {
+fn corner_of(mesh: &TriangleMesh, triangle: u32, vertex: u32) -> u32 {
     let corners = mesh.triangles[triangle as usize];
-    3 * triangle as usize + usize::from(corners[0] != vertex) * (1 + usize::from(corners[1] != vertex))
+    3 * triangle + u32::from(corners[0] != vertex) * (1 + u32::from(corners[1] != vertex))
 }
 
 fn duplicates(mesh: &TriangleMesh) -> Vec<u32> {
@@ -183,55 +181,16 @@ fn duplicates(mesh: &TriangleMesh) -> Vec<u32> {
 }
 
 fn find_components(mesh: &TriangleMesh, topology: &mut Topology) {
-    let mut sets = DisjointSets::new(mesh.vertices.len());
-    let mut used = vec![false; mesh.vertices.len()];
-    for &[a, b, c] in &mesh.triangles {
-        sets.join(a as usize, b as usize);
-        sets.join(b as usize, c as usize);
-        for v in [a, b, c] {
-            used[v as usize] = true;
-        }
+    let (component_of_vertex, count) = components::of_vertices(mesh.vertices.len(), &mesh.triangles);
+    topology.components = vec![ComponentTopology::default(); count];
+    for &component in component_of_vertex.iter().filter(|&&c| c != NO_COMPONENT) {
+        topology.components[component as usize].vertices += 1;
     }
-    let mut number = vec![NO_COMPONENT; mesh.vertices.len()];
-    topology.component_of_vertex = vec![NO_COMPONENT; mesh.vertices.len()];
-    for v in (0..mesh.vertices.len()).filter(|&v| used[v]) {
-        let root = sets.find(v);
-        if number[root] == NO_COMPONENT {
-            number[root] = topology.components.len() as u32;
-            topology.components.push(ComponentTopology::default());
-        }
-        topology.component_of_vertex[v] = number[root];
-        topology.components[number[root] as usize].vertices += 1;
-    }
+    topology.component_of_vertex = component_of_vertex;
     topology.component_of_triangle =
         mesh.triangles.iter().map(|t| topology.component_of_vertex[t[0] as usize]).collect();
     for &component in &topology.component_of_triangle {
         topology.components[component as usize].triangles += 1;
-    }
-}
-
-/// Union-find with path halving; the smallest member represents a set.
-struct DisjointSets {
-    parent: Vec<u32>,
-}
-
-impl DisjointSets {
-    fn new(count: usize) -> Self {
-        Self { parent: (0..count as u32).collect() }
-    }
-
-    fn find(&mut self, mut x: usize) -> usize {
-        while self.parent[x] as usize != x {
-            let above = self.parent[self.parent[x] as usize];
-            self.parent[x] = above;
-            x = above as usize;
-        }
-        x
-    }
-
-    fn join(&mut self, a: usize, b: usize) {
-        let (a, b) = (self.find(a), self.find(b));
-        self.parent[a.max(b)] = a.min(b) as u32;
     }
 }
 

@@ -18,8 +18,8 @@ pub struct Parts {
 impl Parts {
     /// Counts the connected surfaces of an outward-oriented mesh; those with negative volume are cavities.
     pub fn of(mesh: &TriangleMesh) -> Self {
-        let component = components::of_vertices(mesh.vertices.len(), &mesh.triangles);
-        let mut volume = vec![0.0; component.iter().max().map_or(0, |&last| last as usize + 1)];
+        let (component, count) = components::of_vertices(mesh.vertices.len(), &mesh.triangles);
+        let mut volume = vec![0.0; count];
         for t in &mesh.triangles {
             let [a, b, c] = t.map(|v| mesh.vertices[v as usize]);
             volume[component[t[0] as usize] as usize] += a.dot(b.cross(c)) / 6.0;

@@ -1,8 +1,9 @@
 //! Where a restricted surface is not yet that of F: edges and vertices that are not manifold, facets that join
 //! different components of the isosurface, or stray from it, and components that are missing or of the wrong genus.
 
-use crate::isosurface::{Isosurface, components, euler_characteristics};
+use crate::isosurface::{Isosurface, euler_characteristics};
 use crate::restricted::Facet;
+use isoparticles_common::components::{self, DisjointSets, NO_COMPONENT};
 use rayon::prelude::*;
 
 /// Topology of a set of facets against the isosurface.
@@ -22,12 +23,12 @@ pub struct Defects {
     pub wrong_genus: Vec<u32>,
     /// Components of the facets.
     pub component_count: usize,
-    /// Component of each vertex among the facets; `u32::MAX` for vertices of no facet.
+    /// Component of each vertex among the facets; [`NO_COMPONENT`] for vertices of no facet.
     pub piece_of_vertex: Vec<u32>,
 }
 
 impl Defects {
-    /// Looks for defects; `component_of` gives the component of the isosurface of each vertex (`u32::MAX` unknown).
+    /// Looks for defects; `component_of` gives the component of the isosurface of each vertex ([`NO_COMPONENT`] unknown).
     /// `open_edges_allowed` tells which edges may be in one facet only (open borders).
     pub fn find(
         facets: &[Facet],
@@ -47,7 +48,7 @@ impl Defects {
             .collect();
         sides.par_sort_unstable();
         // fans: the corners of a vertex, joined across the edges that are in two facets
-        let mut corner_parent: Vec<u32> = (0..3 * facets.len() as u32).collect();
+        let mut fans = DisjointSets::new(3 * facets.len());
         let corner = |f: u32, v: u32| {
             let place = facets[f as usize].vertices.iter().position(|&u| u == v);
             3 * f + place.unwrap_or_default() as u32
@@ -57,24 +58,24 @@ impl Defects {
             match edge {
                 [_, (_, _, second)] => {
                     for v in [a, b] {
-                        join(&mut corner_parent, corner(first, v), corner(*second, v));
+                        fans.join(corner(first, v), corner(*second, v));
                     }
                 }
                 [_] if open_edge_allowed(a, b) => {}
                 _ => defects.edges.push(edge.iter().map(|s| s.2).collect()),
             }
         }
-        defects.find_pinched_vertices(facets, vertex_count, &mut corner_parent);
+        defects.find_pinched_vertices(facets, vertex_count, &mut fans);
         defects.compare(facets, component_of, isosurface);
         defects
     }
 
-    fn find_pinched_vertices(&mut self, facets: &[Facet], vertex_count: usize, parent: &mut [u32]) {
+    fn find_pinched_vertices(&mut self, facets: &[Facet], vertex_count: usize, fans: &mut DisjointSets) {
         let mut fan_of = vec![u32::MAX; vertex_count];
         let mut pinched = Vec::new();
         for (f, facet) in facets.iter().enumerate() {
             for (k, &v) in facet.vertices.iter().enumerate() {
-                let fan = find(parent, (3 * f + k) as u32);
+                let fan = fans.find((3 * f + k) as u32);
                 let known = &mut fan_of[v as usize];
                 if *known == u32::MAX {
                     *known = fan;
@@ -101,17 +102,17 @@ impl Defects {
     fn compare(&mut self, facets: &[Facet], component_of: &[u32], isosurface: &Isosurface) {
         let expected = isosurface.class_bound();
         let triangles: Vec<[u32; 3]> = facets.iter().map(|f| f.vertices).collect();
-        let (own, own_count) = components(component_of.len(), &triangles);
+        let (own, own_count) = components::of_vertices(component_of.len(), &triangles);
         self.component_count = own_count;
         // a vertex of unknown component counts for nothing; where a whole facet is unknown, its piece tells
-        let mut class_of_piece = vec![u32::MAX; own_count];
+        let mut class_of_piece = vec![NO_COMPONENT; own_count];
         for t in &triangles {
             let piece = &mut class_of_piece[own[t[0] as usize] as usize];
             *piece = t.iter().map(|&v| component_of[v as usize]).fold(*piece, u32::min);
         }
         // the class of a facet, or one past the last for bridges and strangers
         let class = |t: &[u32; 3]| {
-            let mut known = t.iter().map(|&v| component_of[v as usize]).filter(|&c| c != u32::MAX);
+            let mut known = t.iter().map(|&v| component_of[v as usize]).filter(|&c| c != NO_COMPONENT);
             let first = known.next().unwrap_or(class_of_piece[own[t[0] as usize] as usize]);
             if known.any(|c| c != first) { expected as u32 } else { first.min(expected as u32) }
         };
@@ -119,7 +120,7 @@ impl Defects {
         let mut pieces: Vec<Vec<u32>> = vec![Vec::new(); expected + 1];
         for (f, t) in triangles.iter().enumerate() {
             let class = class(t);
-            if class == expected as u32 && t.iter().any(|&v| component_of[v as usize] != u32::MAX) {
+            if class == expected as u32 && t.iter().any(|&v| component_of[v as usize] != NO_COMPONENT) {
                 self.bridges.push(f as u32);
             }
             let piece = own[t[0] as usize];
@@ -151,21 +152,6 @@ impl Defects {
         let same_components = self.bridges.is_empty() && self.missing.is_empty() && self.in_pieces.is_empty();
         self.is_manifold() && same_components && self.wrong_genus.is_empty()
     }
-}
-
-fn find(parent: &mut [u32], start: u32) -> u32 {
-    let mut v = start;
-    while parent[v as usize] != v {
-        let up = parent[parent[v as usize] as usize];
-        parent[v as usize] = up;
-        v = up;
-    }
-    v
-}
-
-fn join(parent: &mut [u32], a: u32, b: u32) {
-    let (a, b) = (find(parent, a), find(parent, b));
-    parent[a.max(b) as usize] = a.min(b);
 }
 
 #[cfg(test)]

@@ -6,6 +6,7 @@
 //! asked to look again at the place on a finer sampling of the spline.
 
 use glam::DVec3;
+use isoparticles_common::components::{self, NO_COMPONENT};
 use isoparticles_common::geometry::Geometry;
 use isoparticles_common::image::Image;
 use isoparticles_common::marching_cubes::marching_cubes;
@@ -75,7 +76,7 @@ impl Isosurface {
     }
 
     fn of_mesh(mesh: TriangleMesh, geometry: Geometry, corner: DVec3) -> Self {
-        let (component_of_vertex, count) = components(mesh.vertices.len(), &mesh.triangles);
+        let (component_of_vertex, count) = components::of_vertices(mesh.vertices.len(), &mesh.triangles);
         let component_of = |t: &[u32; 3]| component_of_vertex[t[0] as usize];
         let euler = euler_characteristics(&mesh.triangles, component_of, count);
         let class = (0..count as u32).collect();
@@ -155,7 +156,7 @@ impl Isosurface {
         let vertices = self.mesh.vertices.iter().zip(&self.component_of_vertex);
         let triangles = 0..self.mesh.triangles.len() as u32;
         let centroids = triangles.filter(|&t| self.class_of_triangle(t) == class).map(|t| self.centroid(t));
-        let own = |c: u32| c != u32::MAX && self.class[c as usize] == class;
+        let own = |c: u32| c != NO_COMPONENT && self.class[c as usize] == class;
         vertices.filter(|(_, c)| own(**c)).map(|(p, _)| *p).chain(centroids).collect()
     }
 
@@ -284,39 +285,6 @@ fn bounds(points: &[DVec3]) -> Option<(DVec3, DVec3)> {
     let low = points.iter().copied().reduce(DVec3::min)?;
     let high = points.iter().copied().reduce(DVec3::max)?;
     Some((low, high))
-}
-
-/// Connected components of a triangle soup: the component of each vertex (in the order of their first triangle;
-/// `u32::MAX` for vertices of no triangle), and their number.
-pub fn components(vertex_count: usize, triangles: &[[u32; 3]]) -> (Vec<u32>, usize) {
-    let mut parent: Vec<u32> = (0..vertex_count as u32).collect();
-    let root = |parent: &mut Vec<u32>, v: u32| {
-        let mut v = v;
-        while parent[v as usize] != v {
-            let up = parent[parent[v as usize] as usize];
-            parent[v as usize] = up;
-            v = up;
-        }
-        v
-    };
-    for t in triangles {
-        for k in 1..3 {
-            let (a, b) = (root(&mut parent, t[0]), root(&mut parent, t[k]));
-            parent[a.max(b) as usize] = a.min(b);
-        }
-    }
-    let mut number = vec![u32::MAX; vertex_count];
-    let mut count = 0;
-    for &v in triangles.iter().flatten() {
-        let r = root(&mut parent, v) as usize;
-        if number[r] == u32::MAX {
-            number[r] = count;
-            count += 1;
-        }
-        let n = number[r];
-        number[v as usize] = n;
-    }
-    (number, count as usize)
 }
 
 /// Euler characteristic V - E + F of each class of triangles.

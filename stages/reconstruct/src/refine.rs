@@ -9,6 +9,7 @@ use crate::isosurface::Isosurface;
 use crate::prepare::{ON_SURFACE, SurfacePoints};
 use crate::restricted::{Facet, Restricted};
 use glam::DVec3;
+use isoparticles_common::components::NO_COMPONENT;
 use isoparticles_common::error::Result;
 use isoparticles_common::kd_tree::KdTree;
 use isoparticles_common::spline::CubicSpline;
@@ -114,7 +115,7 @@ pub struct Refinement<'a> {
     pub restricted: Restricted<'a>,
     /// Target edge length at each point, mm.
     pub sizes: Vec<f64>,
-    /// Component of the isosurface of each point, `u32::MAX` where there is none near.
+    /// Component of the isosurface of each point, [`NO_COMPONENT`] where there is none near.
     pub component_of: Vec<u32>,
     /// What was done so far.
     pub report: RefineReport,
@@ -340,7 +341,7 @@ impl<'a> Refinement<'a> {
                 let ends = [points[v as usize], points[w as usize]];
                 let classes = [v, w].map(|u| self.isosurface.class_of(self.component_of[u as usize]));
                 let length = ends[0].distance(ends[1]);
-                if classes[0] < classes[1] {
+                if classes[0] < classes[1] && classes[1] != NO_COMPONENT {
                     let shortest = pairs.entry((classes[0], classes[1])).or_insert((length, ends));
                     if length < shortest.0 {
                         *shortest = (length, ends);
@@ -362,7 +363,7 @@ impl<'a> Refinement<'a> {
             learnt |= self.looks.genus.insert(class) && self.isosurface.recount_euler(field, class);
         }
         if learnt {
-            for c in self.component_of.iter_mut().filter(|c| **c != u32::MAX) {
+            for c in self.component_of.iter_mut().filter(|c| **c != NO_COMPONENT) {
                 *c = self.isosurface.class_of(*c);
             }
         }
@@ -374,7 +375,7 @@ impl<'a> Refinement<'a> {
         let points = self.restricted.points();
         let mut pieces: BTreeMap<u32, Vec<DVec3>> = BTreeMap::new();
         for (v, &piece) in defects.piece_of_vertex.iter().enumerate() {
-            if piece != u32::MAX && self.component_of[v] == class {
+            if piece != NO_COMPONENT && self.component_of[v] == class {
                 pieces.entry(piece).or_default().push(points[v]);
             }
         }
@@ -494,7 +495,7 @@ impl<'a> Refinement<'a> {
 }
 
 fn component_at(p: DVec3, field: &CubicSpline, isosurface: &Isosurface) -> u32 {
-    isosurface.component_at(p, field.value_gradient(p).1).unwrap_or(u32::MAX)
+    isosurface.component_at(p, field.value_gradient(p).1).unwrap_or(NO_COMPONENT)
 }
 
 /// Points no two of which are nearer than `spacing`, first come first kept.

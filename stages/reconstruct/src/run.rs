@@ -7,6 +7,7 @@ use crate::prepare::{SurfacePoints, prepare};
 use crate::refine::{RefineOptions, RefineReport, Refinement};
 use crate::restricted::Facet;
 use glam::DVec3;
+use isoparticles_common::cli::values::share;
 use isoparticles_common::cli::{CHECKS, CommonArgs, Context, FILES, METHOD, Outcome, StageArgs};
 use isoparticles_common::error::{Error, Result};
 use isoparticles_common::image::Image;
@@ -57,7 +58,7 @@ pub struct Args {
     pub max_rounds: u16,
     /// Radius ratio (2r/R, 1 for an equilateral triangle) below which triangles are worked on by local moves, 0 to 1; 0 leaves
     /// the triangulation as it is
-    #[arg(long, value_name = "RATIO", default_value_t = 0.7, value_parser = part, help_heading = METHOD)]
+    #[arg(long, value_name = "RATIO", default_value_t = 0.7, value_parser = share, help_heading = METHOD)]
     pub improve_below: f64,
     /// Sweeps over the whole mesh before that, which move vertices along F = 0 and flip edges wherever the triangles gain
     /// by it, 0 to 20
@@ -67,7 +68,7 @@ pub struct Args {
     #[arg(long, value_name = "N", default_value_t = 3, value_parser = clap::value_parser!(u16).range(0..=20), help_heading = METHOD)]
     pub improve_rounds: u16,
     /// Smallest radius ratio that passes, 0 to 1
-    #[arg(long, value_name = "RATIO", default_value_t = 0.3, value_parser = part, help_heading = CHECKS)]
+    #[arg(long, value_name = "RATIO", default_value_t = 0.3, value_parser = share, help_heading = CHECKS)]
     pub min_radius_ratio: f64,
     /// Farthest from F = 0 that a vertex may lie, voxels (geometric mean spacing), above 0
     #[arg(long, value_name = "VOXELS", default_value_t = 1e-4, value_parser = positive, help_heading = CHECKS)]
@@ -81,13 +82,6 @@ fn positive(text: &str) -> std::result::Result<f64, String> {
     match text.parse::<f64>() {
         Ok(value) if value > 0.0 && value.is_finite() => Ok(value),
         _ => Err(format!("{text} is not a number above 0")),
-    }
-}
-
-fn part(text: &str) -> std::result::Result<f64, String> {
-    match text.parse::<f64>() {
-        Ok(value) if (0.0..=1.0).contains(&value) => Ok(value),
-        _ => Err(format!("{text} is not a number from 0 to 1")),
     }
 }
 

@@ -51,8 +51,7 @@ pub fn seed_surface(
     seed: u64,
 ) -> (ParticleSet, Summary) {
     let mesh = marching_cubes(distance, 0.0);
-    let component = components::of_vertices(mesh.vertices.len(), &mesh.triangles);
-    let component_count = component.iter().map(|&c| c as usize + 1).max().unwrap_or(0);
+    let (component, component_count) = components::of_vertices(mesh.vertices.len(), &mesh.triangles);
     let predicted: f64 = (0..mesh.triangles.len()).map(|t| lattice_count(&mesh, t, |p| sizing.at(p))).sum();
     let scale = count.map_or(1.0, |n| (predicted / n.max(1) as f64).sqrt());
     let every: Vec<u32> = (0..mesh.triangles.len() as u32).collect();

@@ -3,14 +3,24 @@
 //! Local feature size is the distance from the surface to its medial axis (Amenta and Bern 1999), the basis of the
 //! epsilon-sampling of Meyer, Kirby and Whitaker 2007 (the paper's reference 15).
 
+use crate::average_over_surface;
 use crate::medial::medial_points;
-use glam::DVec3;
+use glam::{DMat3, DVec3};
 use isoparticles_common::components;
 use isoparticles_common::image::Image;
 use isoparticles_common::kd_tree::KdTree;
 use isoparticles_common::marching_cubes::marching_cubes;
-use isoparticles_common::spline::CubicSpline;
+use isoparticles_common::spline::{CubicSpline, Jet};
 use rayon::prelude::*;
+
+/// Rounds of averaging that take ripple out of the curvature: a spline through samples of a steep edge rings, and its second
+/// derivatives tell of that as much as of the shape. On a ball of radius 19 voxels whose edge is two voxels wide the largest
+/// curvature read is 2.1 / R without averaging and 1.25 / R with it.
+const CURVATURE_ROUNDS: usize = 8;
+
+/// How deep a sample may lie inside a medial ball (voxels) before the ball counts as not empty: ripple of that height next to
+/// the touching point would shrink balls to nothing. More takes a part off the feature size (2.5 % on the ball at 0.03).
+const BLUR: f64 = 0.01;
 
 /// Samples of F = 0 with what was found at each.
 #[derive(Clone, Debug)]
@@ -21,7 +31,7 @@ pub struct Features {
     pub normals: Vec<DVec3>,
     /// Largest principal curvature in magnitude, per mm.
     pub curvature: Vec<f64>,
-    /// Distance to the medial axis, no larger than the radius of curvature, mm.
+    /// Distance to the medial axis, inside or outside, mm.
     pub feature_size: Vec<f64>,
     /// Triangles between the samples (marching cubes, projected).
     pub triangles: Vec<[u32; 3]>,
@@ -37,27 +47,25 @@ impl Features {
     pub fn new(image: &Image<f32>, surface: &CubicSpline, largest: f64) -> Self {
         let mesh = marching_cubes(image, 0.0);
         let spacing = image.geometry.mean_spacing();
-        let measured: Vec<(DVec3, DVec3, f64)> = mesh
+        let measured: Vec<(DVec3, DVec3, DMat3)> = mesh
             .vertices
             .par_iter()
             .map(|&v| {
                 let p = surface.project(v, 1.5 * spacing, 1e-6 * spacing).unwrap_or(v);
                 let jet = surface.jet(p);
-                let normal = jet.gradient.normalize_or_zero();
-                (p, normal, largest_curvature(&jet))
+                (p, jet.gradient.normalize_or_zero(), curvature_tensor(&jet))
             })
             .collect();
         let points: Vec<DVec3> = measured.iter().map(|m| m.0).collect();
         let normals: Vec<DVec3> = measured.iter().map(|m| m.1).collect();
-        let curvature: Vec<f64> = measured.iter().map(|m| m.2).collect();
-        let axis = KdTree::new(&medial_points(&points, &normals, largest));
-        let feature_size = points
-            .par_iter()
-            .zip(&curvature)
-            .map(|(&p, &k)| axis.nearest_within(p, largest).map_or(largest, |(_, d)| d).min(1.0 / k.max(1.0 / largest)))
-            .collect();
-        let component = components::of_vertices(points.len(), &mesh.triangles);
-        let mut component_area = vec![0.0; component.iter().map(|&c| c as usize + 1).max().unwrap_or(0)];
+        let mut tensors: Vec<DMat3> = measured.iter().map(|m| m.2).collect();
+        average_over_surface(&mut tensors, DMat3::ZERO, &mesh.triangles, CURVATURE_ROUNDS);
+        let curvature: Vec<f64> = tensors.par_iter().zip(&normals).map(|(t, &n)| largest_curvature(t, n)).collect();
+        let axis = KdTree::new(&medial_points(&points, &normals, largest, BLUR * spacing));
+        let feature_size =
+            points.par_iter().map(|&p| axis.nearest_within(p, largest).map_or(largest, |(_, d)| d)).collect();
+        let (component, count) = components::of_vertices(points.len(), &mesh.triangles);
+        let mut component_area = vec![0.0; count];
         for t in &mesh.triangles {
             component_area[component[t[0] as usize] as usize] += area(&points, t);
         }
@@ -77,18 +85,25 @@ impl Features {
     }
 }
 
-/// Largest principal curvature in magnitude of the level set through a point (Goldman 2005), per mm.
-fn largest_curvature(jet: &isoparticles_common::spline::Jet) -> f64 {
+/// Curvature tensor of the level set through a point (Goldman 2005), per mm: the Hessian over the slope, restricted to the
+/// tangent plane. Its eigenvalues are 0 (along the normal) and the two principal curvatures.
+fn curvature_tensor(jet: &Jet) -> DMat3 {
     let slope = jet.gradient.length();
     if slope < 1e-9 {
-        return 0.0;
+        return DMat3::ZERO;
     }
     let n = jet.gradient / slope;
+    let across = DMat3::IDENTITY - DMat3::from_cols(n * n.x, n * n.y, n * n.z);
+    across * jet.hessian * across * (1.0 / slope)
+}
+
+/// Largest principal curvature in magnitude, per mm, of a curvature tensor on a surface with normal n.
+fn largest_curvature(tensor: &DMat3, n: DVec3) -> f64 {
     let u = n.any_orthonormal_vector();
     let v = n.cross(u);
-    let (hu, hv) = (jet.hessian * u, jet.hessian * v);
-    let (a, b, c) = (u.dot(hu), u.dot(hv), v.dot(hv));
-    ((0.5 * (a + c)).abs() + (0.5 * (a - c)).hypot(b)) / slope
+    let (tu, tv) = (*tensor * u, *tensor * v);
+    let (a, b, c) = (u.dot(tu), u.dot(tv), v.dot(tv));
+    (0.5 * (a + c)).abs() + (0.5 * (a - c)).hypot(b)
 }
 
 fn area(points: &[DVec3], t: &[u32; 3]) -> f64 {

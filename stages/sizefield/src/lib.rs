@@ -13,6 +13,7 @@ use glam::DVec3;
 use isoparticles_common::image::Image;
 use isoparticles_common::sizing::SizingField;
 use serde::{Deserialize, Serialize};
+use std::ops::{Add, Mul};
 
 /// Rounds of averaging over the surface that smooth the graded h, and the most that h may grow by. Particles settle badly
 /// where h is rough: on a label map at voxel scale this lifts the mean radius ratio by 0.01.
@@ -86,22 +87,34 @@ fn spread(distance: &Image<f32>, features: &Features, sizes: &[f64], delta: f64)
     SizingField::new(h)
 }
 
-/// Averages the sizes over the triangles, round by round.
+/// Smooths the sizes along the surface, without letting any grow far.
 fn smooth_over_surface(sizes: &mut [f64], triangles: &[[u32; 3]]) {
     let limit: Vec<f64> = sizes.iter().map(|h| SMOOTHING.1 * h).collect();
-    let mut sums = vec![(0.0, 0u32); sizes.len()];
     for _ in 0..SMOOTHING.0 {
-        sums.fill((0.0, 0));
+        average_over_surface(sizes, 0.0, triangles, 1);
+        sizes.iter_mut().zip(&limit).for_each(|(size, limit)| *size = size.min(*limit));
+    }
+}
+
+/// Replaces each vertex's value by the mean over the triangles at it, round by round.
+pub(crate) fn average_over_surface<T>(values: &mut [T], zero: T, triangles: &[[u32; 3]], rounds: usize)
+where
+    T: Copy + Add<Output = T> + Mul<f64, Output = T>,
+{
+    let mut sums = vec![(zero, 0u32); values.len()];
+    for _ in 0..rounds {
+        sums.fill((zero, 0));
         for t in triangles {
-            let mean = t.iter().map(|&v| sizes[v as usize]).sum::<f64>() / 3.0;
+            let [a, b, c] = t.map(|v| values[v as usize]);
+            let mean = (a + b + c) * (1.0 / 3.0);
             for &v in t {
                 let sum = &mut sums[v as usize];
                 *sum = (sum.0 + mean, sum.1 + 1);
             }
         }
-        for ((size, sum), limit) in sizes.iter_mut().zip(&sums).zip(&limit) {
+        for (value, sum) in values.iter_mut().zip(&sums) {
             if sum.1 > 0 {
-                *size = (sum.0 / f64::from(sum.1)).min(*limit);
+                *value = sum.0 * (1.0 / f64::from(sum.1));
             }
         }
     }

@@ -47,6 +47,8 @@ def run(job: Path, result: Path) -> None:
         arrays["triangles"],
         edge_length_abs=settings["edge_length"],
         epsilon=settings["epsilon"],
+        simplify=os.environ.get("SIMP", "1") == "1",
+        optimize=True,
         stop_energy=settings["stop_energy"],
         num_opt_iter=settings["max_passes"],
         num_threads=settings["threads"],
