@@ -1,7 +1,8 @@
 //! The program around [`crate::settle`]: options, files, log by pass, checkpoints.
 
+use crate::gpu::{self, Binning, Choice, DeviceReport, Gpu, GpuEngine};
 use crate::log::Log;
-use crate::settle::{Parameters, PassRecord, REORDER_INTERVAL, settle};
+use crate::settle::{Engine, Parameters, PassRecord, REORDER_INTERVAL, Summary, settle, settle_with};
 use crate::state::Fields;
 use clap::{Parser, ValueEnum};
 use isoparticles_common::cli::values::{above_one, positive, share};
@@ -21,7 +22,7 @@ use std::path::{Path, PathBuf};
 /// Where the particles are moved.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum Backend {
-    /// The fastest there is; in this version always the CPU.
+    /// A real GPU if there is one, else the CPU.
     Auto,
     /// A GPU, or an error with exit code 3.
     Gpu,
@@ -41,16 +42,20 @@ pub enum Backend {
 )]
 pub struct Args {
     /// Seeds, made by seed
-    #[arg(value_name = "seeds.bin", help_heading = FILES)]
+    #[arg(value_name = "seeds.bin", help_heading = FILES, required_unless_present = "list_adapters", default_value = "",
+        hide_default_value = true)]
     seeds: PathBuf,
     /// Distance field F that the seeds were made from
-    #[arg(long, value_name = "F.vti", help_heading = FILES)]
+    #[arg(long, value_name = "F.vti", help_heading = FILES, required_unless_present = "list_adapters", default_value = "",
+        hide_default_value = true)]
     distfield: PathBuf,
     /// Sizing field h on the same grid
-    #[arg(long, value_name = "S.vti", help_heading = FILES)]
+    #[arg(long, value_name = "S.vti", help_heading = FILES, required_unless_present = "list_adapters", default_value = "",
+        hide_default_value = true)]
     sizefield: PathBuf,
     /// Particle file to write
-    #[arg(short, long, value_name = "P.bin", help_heading = FILES)]
+    #[arg(short, long, value_name = "P.bin", help_heading = FILES, required_unless_present = "list_adapters",
+        default_value = "", hide_default_value = true)]
     output: PathBuf,
     /// One line a pass: energy, count, inserted, deleted, escaped, time; CSV, or JSON lines when it ends in .jsonl
     #[arg(long, value_name = "FILE", help_heading = FILES)]
@@ -64,9 +69,27 @@ pub struct Args {
     /// Passes between checkpoints; a multiple of 10
     #[arg(long, value_name = "N", default_value_t = 10, value_parser = interval, help_heading = FILES)]
     checkpoint_interval: u64,
-    /// Where to compute; gpu is not in this version
+    /// Where to move the particles; gpu ends with exit code 3 where there is none
     #[arg(long, value_enum, default_value_t = Backend::Auto, help_heading = METHOD)]
     backend: Backend,
+    /// GPU to use: part of its name, in any case (see --list-adapters); software renderers are used only when named
+    #[arg(long, value_name = "NAME", help_heading = METHOD)]
+    adapter: Option<String>,
+    /// Print the adapters of this machine on stdout and end
+    #[arg(long, exclusive = true, help_heading = METHOD)]
+    list_adapters: bool,
+    /// Bins of the GPU's neighbour search: graded, or uniform as in the paper (same result but for the order of sums)
+    #[arg(long, value_enum, default_value_t = Binning::Graded, help_heading = METHOD)]
+    binning: Binning,
+    /// Measure each kernel of the GPU by timestamp queries, for the report and the closing table
+    #[arg(long, help_heading = METHOD)]
+    profile: bool,
+    /// Never use subgroup operations
+    #[arg(long, hide = true)]
+    no_subgroups: bool,
+    /// Lanes that work for one particle
+    #[arg(long, hide = true, value_parser = clap::builder::PossibleValuesParser::new(["8", "16", "32"]))]
+    team: Option<String>,
     /// Most passes over all particles (the paper: 50)
     #[arg(long, value_name = "N", default_value_t = Parameters::default().max_passes, help_heading = METHOD,
         value_parser = clap::value_parser!(u64).range(1..))]
@@ -146,18 +169,75 @@ struct Progress {
     records: Vec<PassRecord>,
 }
 
+/// Opens the GPU that the options ask for; `None` means the CPU.
+fn open_gpu(args: &Args, context: &Context) -> Result<Option<Gpu>> {
+    let choice = Choice {
+        name: args.adapter.clone(),
+        no_subgroups: args.no_subgroups,
+        team: args.team.as_ref().and_then(|t| t.parse().ok()),
+        profile: args.profile,
+        ..Choice::default()
+    };
+    let gpu = match args.backend {
+        Backend::Cpu => return Ok(None),
+        Backend::Gpu => Gpu::open(&choice)?,
+        Backend::Auto => match Gpu::open(&choice) {
+            Ok(gpu) => gpu,
+            // a named adapter is a demand
+            Err(error) if args.adapter.is_some() => return Err(error),
+            Err(error) => {
+                context.verbose(format!("no GPU is used: {}", error.what));
+                return Ok(None);
+            }
+        },
+    };
+    context.verbose(format!("adapter: {}", gpu.summary()));
+    context.verbose(gpu.limits_in_words());
+    if args.profile && !gpu.has_timestamps() {
+        context.info(format!("--profile: {} has no timestamp queries; kernels are not measured", gpu.summary().name));
+    }
+    Ok(Some(gpu))
+}
+
+/// Prints the adapters, one a line.
+fn list_adapters() {
+    let adapters = gpu::adapters();
+    for adapter in &adapters {
+        println!("{adapter}");
+    }
+    if adapters.is_empty() {
+        println!("no adapter: there is no Vulkan, Metal or DX12 driver");
+    }
+}
+
+/// Puts what the device did into the closing table and the report.
+fn tell(report: &DeviceReport, context: &Context) {
+    context.summary("adapter", &report.adapter);
+    context.summary("device time", format!("{:.3} s", report.device_seconds));
+    context.summary("device memory", format!("{} MiB", report.peak_device_bytes.div_ceil(1 << 20)));
+    let all: f64 = report.kernels.iter().map(|k| k.seconds).sum();
+    for kernel in &report.kernels {
+        context.summary(
+            format!("  {}", kernel.kernel),
+            format!(
+                "{:.3} ms, {:.1} %, {} dispatches",
+                1e3 * kernel.seconds,
+                100.0 * kernel.seconds / all.max(f64::MIN_POSITIVE),
+                kernel.dispatches
+            ),
+        );
+    }
+    context.report("device", json!(report));
+}
+
 /// Settles the particles.
 pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
-    match args.backend {
-        Backend::Gpu => {
-            return Err(Error::gpu(
-                "--backend gpu: this version has no GPU backend",
-                "the run was told not to use anything else",
-                "use --backend cpu, or auto",
-            ));
-        }
-        Backend::Auto | Backend::Cpu => context.verbose("backend: cpu"),
+    if args.list_adapters {
+        list_adapters();
+        return Ok(Outcome::Passed);
     }
+    let gpu = open_gpu(args, context)?;
+    context.verbose(format!("backend: {}", if gpu.is_some() { "gpu" } else { "cpu" }));
     let step = context.step("read");
     let seeds = read_particles(&args.seeds, &[ParticleKind::Seeds, ParticleKind::Particles])?;
     let distance = read_field(&args.distfield, FieldKind::Distance)?;
@@ -189,7 +269,7 @@ pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
     let progress = context.progress(Some(parameters.max_passes), "pass");
     let mut kept = Progress { parameters: parameters.clone(), inputs, records: records.clone() };
     let fields = Fields { surface: &surface, sizing: &sizing };
-    let (particles, summary) = settle(start, &fields, &parameters, &records, |record, particles| {
+    let observe = |record: &PassRecord, engine: &mut dyn Engine| {
         progress.set(record.pass);
         progress.message(format!(
             "energy {:.5} a particle, {} particles (+{} -{})",
@@ -205,10 +285,18 @@ pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
         if let Some(path) = &args.checkpoint
             && record.pass % args.checkpoint_interval == 0
         {
-            keep(path, particles, &kept, context)?;
+            keep(path, &engine.particles()?, &kept, context)?;
         }
         context.check_interrupt()
-    })?;
+    };
+    let ((particles, summary), device): ((ParticleSet, Summary), _) = match &gpu {
+        Some(gpu) => {
+            let mut engine = GpuEngine::new(gpu, &fields, &start, &parameters, args.binning)?;
+            let settled = settle_with(&mut engine, &fields, &parameters, &records, observe)?;
+            (settled, Some(engine.report()))
+        }
+        None => (settle(start, &fields, &parameters, &records, observe)?, None),
+    };
     drop((progress, step));
     if particles.positions.is_empty() {
         return Err(Error::input(
@@ -225,7 +313,10 @@ pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
     context.summary("stopped by", if summary.stagnated { "stagnation of the energy" } else { "the pass limit" });
     context.summary("escaped", summary.escaped);
     context.summary("energy over ideal", format!("{:.4}", summary.energy_ratio));
-    context.summary("backend", "cpu");
+    context.summary("backend", if gpu.is_some() { "gpu" } else { "cpu" });
+    if let Some(device) = &device {
+        tell(device, context);
+    }
     let meta = json!(summary);
     context.report("settling", meta.clone());
     context.report("passes", json!(kept.records));

@@ -42,16 +42,15 @@ pub(crate) struct State {
 
 impl State {
     pub(crate) fn new(set: ParticleSet, normal_agreement: f64) -> Self {
-        let mut state = Self {
-            set,
-            normal_agreement,
-            neighbours: NeighbourLists::default(),
-            classes: Vec::new(),
-            listed: Vec::new(),
-        };
+        let mut state = Self::unlisted(set, normal_agreement);
         state.sort_by_place();
         state.rebuild();
         state
+    }
+
+    /// The particles in the order they have, without lists.
+    pub(crate) fn unlisted(set: ParticleSet, normal_agreement: f64) -> Self {
+        Self { set, normal_agreement, neighbours: NeighbourLists::default(), classes: Vec::new(), listed: Vec::new() }
     }
 
     pub(crate) fn len(&self) -> usize {
