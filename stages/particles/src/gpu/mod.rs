@@ -15,3 +15,6 @@ mod shaders;
 
 pub use adapter::{AdapterSummary, Choice, Gpu, adapters};
 pub use engine::{Binning, DeviceReport, GpuEngine, KernelTime};
+
+#[cfg(test)]
+mod tests;
