@@ -35,6 +35,8 @@ pub enum Backend {
 #[command(
     name = "particles",
     version,
+    override_usage = "particles [OPTIONS] --distfield <F.vti> --sizefield <S.vti> --output <P.bin> <seeds.bin>\n       \
+        particles --list-adapters",
     after_help = "Example:\n  particles heart.seeds.bin --distfield heart.distfield.vti --sizefield heart.sizefield.vti \\\n      \
         -o heart.particles.bin --log heart.passes.csv\n\n\
         Paper: section 3, Eq. 1 to 5 and Algorithm 1. The printed limits are --max-passes 50 --energy-tolerance 0.0015 \
@@ -42,21 +44,17 @@ pub enum Backend {
 )]
 pub struct Args {
     /// Seeds, made by seed
-    #[arg(value_name = "seeds.bin", help_heading = FILES, required_unless_present = "list_adapters", default_value = "",
-        hide_default_value = true)]
-    seeds: PathBuf,
+    #[arg(value_name = "seeds.bin", help_heading = FILES, required_unless_present = "list_adapters")]
+    seeds: Option<PathBuf>,
     /// Distance field F that the seeds were made from
-    #[arg(long, value_name = "F.vti", help_heading = FILES, required_unless_present = "list_adapters", default_value = "",
-        hide_default_value = true)]
-    distfield: PathBuf,
+    #[arg(long, value_name = "F.vti", help_heading = FILES, required_unless_present = "list_adapters")]
+    distfield: Option<PathBuf>,
     /// Sizing field h on the same grid
-    #[arg(long, value_name = "S.vti", help_heading = FILES, required_unless_present = "list_adapters", default_value = "",
-        hide_default_value = true)]
-    sizefield: PathBuf,
+    #[arg(long, value_name = "S.vti", help_heading = FILES, required_unless_present = "list_adapters")]
+    sizefield: Option<PathBuf>,
     /// Particle file to write
-    #[arg(short, long, value_name = "P.bin", help_heading = FILES, required_unless_present = "list_adapters",
-        default_value = "", hide_default_value = true)]
-    output: PathBuf,
+    #[arg(short, long, value_name = "P.bin", help_heading = FILES, required_unless_present = "list_adapters")]
+    output: Option<PathBuf>,
     /// One line a pass: energy, count, inserted, deleted, escaped, time; CSV, or JSON lines when it ends in .jsonl
     #[arg(long, value_name = "FILE", help_heading = FILES)]
     log: Option<PathBuf>,
@@ -146,7 +144,7 @@ impl StageArgs for Args {
     }
 
     fn outputs(&self) -> Vec<PathBuf> {
-        let mut outputs = vec![self.output.clone()];
+        let mut outputs: Vec<PathBuf> = self.output.clone().into_iter().collect();
         // a resumed run goes on with its own log and checkpoint
         if !self.resume {
             outputs.extend(self.log.clone());
@@ -167,6 +165,9 @@ struct Progress {
     /// Hashes of seeds, distance field and sizing field.
     inputs: [String; 3],
     records: Vec<PassRecord>,
+    /// Backend, and the adapter if there is one.
+    #[serde(default)]
+    engine: String,
 }
 
 /// Opens the GPU that the options ask for; `None` means the CPU.
@@ -232,33 +233,41 @@ fn tell(report: &DeviceReport, context: &Context) {
 
 /// Settles the particles.
 pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
-    if args.list_adapters {
+    let (Some(seeds_file), Some(distance_file), Some(sizing_file), Some(output)) =
+        (&args.seeds, &args.distfield, &args.sizefield, &args.output)
+    else {
+        // the files may be left out only for this
         list_adapters();
         return Ok(Outcome::Passed);
-    }
+    };
     let gpu = open_gpu(args, context)?;
+    context.set_parameter("backend", if gpu.is_some() { "gpu" } else { "cpu" });
+    if let Some(gpu) = &gpu {
+        context.set_parameter("adapter", gpu.summary().name.clone());
+    }
     context.verbose(format!("backend: {}", if gpu.is_some() { "gpu" } else { "cpu" }));
     let step = context.step("read");
-    let seeds = read_particles(&args.seeds, &[ParticleKind::Seeds, ParticleKind::Particles])?;
-    let distance = read_field(&args.distfield, FieldKind::Distance)?;
-    let sizing = read_field(&args.sizefield, FieldKind::Sizing)?;
-    check_same_grid((&args.distfield, &distance.image.geometry), (&args.sizefield, &sizing.image.geometry))?;
-    check_same_grid((&args.distfield, &distance.image.geometry), (&args.seeds, &seeds.particles.geometry))?;
-    context.add_input(&args.seeds, Some(seeds.history.clone()))?;
-    context.add_input(&args.distfield, distance.history.clone())?;
-    context.add_input(&args.sizefield, sizing.history.clone())?;
+    let seeds = read_particles(seeds_file, &[ParticleKind::Seeds, ParticleKind::Particles])?;
+    let distance = read_field(distance_file, FieldKind::Distance)?;
+    let sizing = read_field(sizing_file, FieldKind::Sizing)?;
+    check_same_grid((distance_file, &distance.image.geometry), (sizing_file, &sizing.image.geometry))?;
+    check_same_grid((distance_file, &distance.image.geometry), (seeds_file, &seeds.particles.geometry))?;
+    context.add_input(seeds_file, Some(seeds.history.clone()))?;
+    context.add_input(distance_file, distance.history.clone())?;
+    context.add_input(sizing_file, sizing.history.clone())?;
     if seeds.particles.positions.is_empty() {
         return Err(Error::input(
-            format!("{}: holds no particles", args.seeds.display()),
+            format!("{}: holds no particles", seeds_file.display()),
             "there is nothing to settle",
             "run seed again to make it anew",
         ));
     }
+    let engine = gpu.as_ref().map_or_else(|| "cpu".to_owned(), |gpu| format!("gpu: {}", gpu.summary().name));
     let surface = CubicSpline::new(&distance.image);
     let parameters = args.settling();
-    let inputs = [hash_file(&args.seeds)?, hash_file(&args.distfield)?, hash_file(&args.sizefield)?];
+    let inputs = [hash_file(seeds_file)?, hash_file(distance_file)?, hash_file(sizing_file)?];
     let (start, records) = match &args.checkpoint {
-        Some(path) if args.resume && path.exists() => resume(path, &parameters, &inputs, context)?,
+        Some(path) if args.resume && path.exists() => resume(path, &parameters, &inputs, &engine, context)?,
         _ => (seeds.particles, Vec::new()),
     };
     let sizing = SizingField::new(sizing.image);
@@ -267,7 +276,7 @@ pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
     let step = context.step("settle");
     let mut log = args.log.as_deref().map(|path| Log::create(path, &records)).transpose()?;
     let progress = context.progress(Some(parameters.max_passes), "pass");
-    let mut kept = Progress { parameters: parameters.clone(), inputs, records: records.clone() };
+    let mut kept = Progress { parameters: parameters.clone(), inputs, records: records.clone(), engine };
     let fields = Fields { surface: &surface, sizing: &sizing };
     let observe = |record: &PassRecord, engine: &mut dyn Engine| {
         progress.set(record.pass);
@@ -300,7 +309,7 @@ pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
     drop((progress, step));
     if particles.positions.is_empty() {
         return Err(Error::input(
-            format!("{}: no particle stayed on the surface", args.seeds.display()),
+            format!("{}: no particle stayed on the surface", seeds_file.display()),
             "there is nothing to write",
             "check that the distance field is the one that the seeds were made from",
         ));
@@ -321,7 +330,7 @@ pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
     context.report("settling", meta.clone());
     context.report("passes", json!(kept.records));
     let _step = context.step("write");
-    write_particles(&args.output, ParticleKind::Particles, &particles, &meta, &context.history())?;
+    write_particles(output, ParticleKind::Particles, &particles, &meta, &context.history())?;
     Ok(Outcome::Passed)
 }
 
@@ -342,6 +351,7 @@ fn resume(
     path: &Path,
     parameters: &Parameters,
     inputs: &[String; 3],
+    engine: &str,
     context: &Context,
 ) -> Result<(ParticleSet, Vec<PassRecord>)> {
     let file = read_particles(path, &[ParticleKind::Checkpoint])?;
@@ -359,6 +369,12 @@ fn resume(
     }
     if json!(progress.parameters) != json!(parameters) {
         return Err(refuse("was made with other parameters"));
+    }
+    if progress.engine != engine {
+        context.warn(format!(
+            "the checkpoint was made on another device ({}): the result will not be that of an unbroken run to the last bit",
+            progress.engine
+        ));
     }
     context.info(format!("resuming after pass {}", progress.records.last().map_or(0, |r| r.pass)));
     Ok((file.particles, progress.records))

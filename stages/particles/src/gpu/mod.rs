@@ -11,6 +11,7 @@ mod kernels;
 mod levels;
 mod memory;
 mod parameters;
+mod schedule;
 mod shaders;
 
 pub use adapter::{AdapterSummary, Choice, Gpu, adapters};
