@@ -166,8 +166,13 @@ struct Progress {
     inputs: [String; 3],
     records: Vec<PassRecord>,
     /// Backend, and the adapter if there is one.
-    #[serde(default)]
+    #[serde(default = "cpu_engine")]
     engine: String,
+}
+
+/// What moved the particles of a checkpoint that does not say.
+fn cpu_engine() -> String {
+    "cpu".to_owned()
 }
 
 /// Opens the GPU that the options ask for; `None` means the CPU.
@@ -262,7 +267,7 @@ pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
             "run seed again to make it anew",
         ));
     }
-    let engine = gpu.as_ref().map_or_else(|| "cpu".to_owned(), |gpu| format!("gpu: {}", gpu.summary().name));
+    let engine = gpu.as_ref().map_or_else(cpu_engine, |gpu| format!("gpu: {}", gpu.summary().name));
     let surface = CubicSpline::new(&distance.image);
     let parameters = args.settling();
     let inputs = [hash_file(seeds_file)?, hash_file(distance_file)?, hash_file(sizing_file)?];

@@ -50,8 +50,8 @@ pub struct Choice {
     pub team: Option<u32>,
     /// Measure each kernel by timestamp queries.
     pub profile: bool,
-    /// Take bindings to be no larger than this, bytes (tests of the slabs).
-    pub largest_binding: Option<u64>,
+    /// Cut fields into slabs no larger than this, bytes, even where a binding could be (tests of the slabs).
+    pub largest_slab: Option<u64>,
 }
 
 /// An open adapter.
@@ -59,6 +59,8 @@ pub struct Gpu {
     pub(crate) device: wgpu::Device,
     pub(crate) queue: wgpu::Queue,
     pub(crate) limits: wgpu::Limits,
+    /// Largest slab of a field, bytes.
+    pub(crate) largest_slab: u64,
     /// Lanes of a team where subgroup operations are used.
     pub(crate) subgroup_team: Option<u32>,
     /// Whether timestamp queries are on.
@@ -146,10 +148,9 @@ impl Gpu {
         };
         let summary = summary(adapter);
         let features = adapter.features();
-        let mut limits = adapter.limits();
-        if let Some(most) = choice.largest_binding {
-            limits.max_storage_buffer_binding_size = limits.max_storage_buffer_binding_size.min(most);
-        }
+        let limits = adapter.limits();
+        let largest_slab = limits.max_storage_buffer_binding_size.min(limits.max_buffer_size);
+        let largest_slab = largest_slab.min(choice.largest_slab.unwrap_or(u64::MAX));
         let subgroups =
             features.contains(wgpu::Features::SUBGROUP) && summary.subgroup[0] >= 32 && !choice.no_subgroups;
         let timestamps = choice.profile && features.contains(wgpu::Features::TIMESTAMP_QUERY);
@@ -181,7 +182,7 @@ impl Gpu {
             }
         });
         let subgroup_team = subgroups.then_some(choice.team.unwrap_or(32));
-        Ok(Self { device, queue, limits, subgroup_team, timestamps, summary, failure })
+        Ok(Self { device, queue, limits, largest_slab, subgroup_team, timestamps, summary, failure })
     }
 
     /// What is known of the adapter.

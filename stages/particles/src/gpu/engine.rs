@@ -65,19 +65,19 @@ const WORDS: usize = 7;
 /// Moves the particles on a GPU.
 pub struct GpuEngine<'a> {
     gpu: &'a Gpu,
-    kernels: Kernels,
-    memory: Memory,
+    pub(super) kernels: Kernels,
+    pub(super) memory: Memory,
     groups: HashMap<(&'static str, u32), wgpu::BindGroup>,
     words: wgpu::Buffer,
-    geometry: Geometry,
+    pub(super) geometry: Geometry,
     settling: Parameters,
-    levels: Levels,
+    pub(super) levels: Levels,
     slab_length: u32,
-    count: u32,
+    pub(super) count: u32,
     capacity: u32,
     list_capacity: u32,
     /// Whether the state is in the listed buffers.
-    listed: bool,
+    pub(super) listed: bool,
     /// Whether a particle has moved too far for the lists.
     stale: bool,
     profile: Profile,
@@ -262,7 +262,7 @@ impl<'a> GpuEngine<'a> {
     }
 
     /// Runs the steps of a pass in one command buffer; `sort` brings the particles to the listed buffers beforehand.
-    fn run_steps(&mut self, pass: u64, steps: &[Step], sort: bool) -> Result<Vec<u32>> {
+    pub(super) fn run_steps(&mut self, pass: u64, steps: &[Step], sort: bool) -> Result<Vec<u32>> {
         self.write("now", pass_block(pass, self.count, self.settling.allow_insert).bytes());
         self.write("scan_lists", scan_block(self.count).bytes());
         self.write("scan_keep", scan_block(2 * self.count).bytes());
@@ -376,7 +376,7 @@ impl Engine for GpuEngine<'_> {
 /// Voxels in each slab of a field: all of them where one binding holds the field.
 fn slab_length(gpu: &Gpu, geometry: &Geometry) -> Result<u32> {
     let voxels = geometry.voxel_count() as u64;
-    let most = gpu.limits.max_storage_buffer_binding_size.min(gpu.limits.max_buffer_size) / 4;
+    let most = gpu.largest_slab / 4;
     if voxels > 4 * most || voxels > u64::from(u32::MAX) {
         return Err(Error::gpu(
             format!(

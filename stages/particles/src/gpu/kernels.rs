@@ -2,7 +2,7 @@
 
 use super::adapter::Gpu;
 use super::memory::Memory;
-use super::shaders::{Access, Binding, SOURCES, Variant, bindings};
+use super::shaders::{Access, Binding, Variant, bindings, sources};
 use isoparticles_common::error::Result;
 use std::collections::HashMap;
 use std::num::NonZeroU64;
@@ -29,7 +29,7 @@ impl Kernels {
     pub(crate) fn new(gpu: &Gpu, slabs: bool) -> Result<Self> {
         let variant = Variant { slabs, subgroup_team: gpu.subgroup_team };
         let guard = gpu.device.push_error_scope(wgpu::ErrorFilter::Validation);
-        let kernels = SOURCES.iter().map(|s| (s.name, kernel(gpu, s.name, s.compose(variant)))).collect();
+        let kernels = sources().map(|s| (s.name, kernel(gpu, s.name, s.compose(variant)))).collect();
         if let Some(error) = pollster::block_on(guard.pop()) {
             return Err(gpu.failed(&format!("cannot run the kernels: {error}")));
         }

@@ -15,7 +15,7 @@ pub(crate) struct Step {
     pub label: &'static str,
     /// The number that the kernel sees as `round`.
     pub round: u32,
-    aliases: &'static [(&'static str, &'static str)],
+    pub aliases: &'static [(&'static str, &'static str)],
     /// `None`: as many as the device says for this class.
     pub workgroups: Option<u32>,
 }

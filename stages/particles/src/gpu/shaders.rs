@@ -52,7 +52,7 @@ macro_rules! source {
 }
 
 /// Every kernel.
-pub(crate) const SOURCES: &[Source] = &[
+const SOURCES: &[Source] = &[
     source!("scan_blocks", &[]),
     source!("scan_sums", &[]),
     source!("scan_add", &[]),
@@ -92,6 +92,23 @@ pub(crate) const SOURCES: &[Source] = &[
     source!("insert_choose", &[PARAMETERS, RANDOM, LISTS]),
     source!("compact", &[PARAMETERS]),
 ];
+
+/// Kernels that only the tests run: they show what the shared pieces compute.
+#[cfg(test)]
+pub(crate) const PROBES: &[Source] = &[
+    source!("tests/probe_fields", &[PARAMETERS, Piece::Fields, GRID, SPLINE, PROJECT]),
+    source!(
+        "tests/probe_jets",
+        &[PARAMETERS, Piece::Fields, GRID, SPLINE, Piece::Team, TEAM_PROJECT, ENERGY, PLANE, LISTS, TEAM_ENERGY]
+    ),
+];
+#[cfg(not(test))]
+const PROBES: &[Source] = &[];
+
+/// Every kernel, those of the tests included where they are built.
+pub(crate) fn sources() -> impl Iterator<Item = &'static Source> {
+    SOURCES.iter().chain(PROBES)
+}
 
 impl Source {
     /// The whole text for an adapter.

@@ -2,7 +2,7 @@
 
 use crate::gpu::levels::Levels;
 use crate::gpu::parameters::{Block, pass_block, run_block, scan_block};
-use crate::gpu::shaders::{Access, SOURCES, Variant, bindings};
+use crate::gpu::shaders::{Access, Variant, bindings, sources};
 use glam::{DVec3, Vec3};
 use isoparticles_common::geometry::Geometry;
 use naga::valid::{Capabilities, ValidationFlags, Validator};
@@ -22,7 +22,7 @@ fn module(text: &str, what: &str) -> naga::Module {
 #[test]
 fn every_kernel_is_valid() {
     for variant in VARIANTS {
-        for source in SOURCES {
+        for source in sources() {
             let text = source.compose(variant);
             let module = module(&text, source.name);
             let capabilities =
@@ -43,7 +43,7 @@ fn every_kernel_is_valid() {
 #[test]
 fn the_bindings_are_those_that_naga_sees() {
     for variant in VARIANTS {
-        for source in SOURCES {
+        for source in sources() {
             let text = source.compose(variant);
             let module = module(&text, source.name);
             let mut seen: Vec<_> = module
@@ -74,7 +74,7 @@ fn the_bindings_are_those_that_naga_sees() {
 
 /// Compares the members of a block with those of the struct of this name in a kernel.
 fn same_layout(kernel: &str, name: &str, block: &Block) {
-    let source = SOURCES.iter().find(|s| s.name == kernel).unwrap();
+    let source = sources().find(|s| s.name == kernel).unwrap();
     let module = module(&source.compose(VARIANTS[0]), kernel);
     let (_, found) = module.types.iter().find(|(_, t)| t.name.as_deref() == Some(name)).unwrap();
     let naga::TypeInner::Struct { members, span } = &found.inner else { panic!("{name} is no struct") };
