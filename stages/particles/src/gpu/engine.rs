@@ -75,7 +75,7 @@ pub struct GpuEngine<'a> {
     slab_length: u32,
     pub(super) count: u32,
     capacity: u32,
-    list_capacity: u32,
+    pub(super) list_capacity: u32,
     /// Whether the state is in the listed buffers.
     pub(super) listed: bool,
     /// Whether a particle has moved too far for the lists.
@@ -225,7 +225,7 @@ impl<'a> GpuEngine<'a> {
     }
 
     /// Makes the neighbour lists with room for so many members.
-    fn make_lists(&mut self, members: u64) -> Result<()> {
+    pub(super) fn make_lists(&mut self, members: u64) -> Result<()> {
         let members = members.max(4096);
         self.memory.make(self.gpu, "lists", 4 * members, wgpu::BufferUsages::empty())?;
         self.list_capacity = u32::try_from(members).map_err(|_| too_many(self.gpu))?;

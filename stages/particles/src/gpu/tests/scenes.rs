@@ -63,9 +63,9 @@ impl Scene {
         Self { surface, sizing, seeds }
     }
 
-    /// A ball of radius 12 with h = 1.6.
-    pub(super) fn ball(count: u64) -> Self {
-        Self::new([34; 3], DVec3::ONE, |p| p.length() - 12.0, |_| 1.6, count, |d| 12.0 * d)
+    /// A ball of radius 12 with the same h everywhere.
+    pub(super) fn ball(count: u64, h: f64) -> Self {
+        Self::new([34; 3], DVec3::ONE, |p| p.length() - 12.0, |_| h, count, |d| 12.0 * d)
     }
 
     /// A torus with a wavy tube, anisotropic voxels, and h from 0.8 to 3.2 across it.
@@ -76,7 +76,8 @@ impl Scene {
         };
         let h = |p: DVec3| 0.8 * 4f64.powf((p.x / 38.0 + 0.5).clamp(0.0, 1.0));
         Self::new([42, 53, 18], DVec3::new(1.0, 0.8, 1.0), f, h, count, |d| {
-            13.0 * d.with_z(0.0).normalize() + 4.5 * DVec3::new(d.y, d.z, d.x)
+            let (out, tube) = (d.with_z(0.0).normalize(), std::f64::consts::TAU * (7.3 * d.z).fract());
+            13.0 * out + 4.5 * (tube.cos() * out + tube.sin() * DVec3::Z)
         })
     }
 }
