@@ -74,7 +74,7 @@ pub struct Args {
     #[arg(long, value_name = "NAME", help_heading = METHOD)]
     adapter: Option<String>,
     /// Print the adapters of this machine on stdout and end
-    #[arg(long, exclusive = true, help_heading = METHOD)]
+    #[arg(long, help_heading = METHOD)]
     list_adapters: bool,
     /// Bins of the GPU's neighbour search: graded, or uniform as in the paper (same result but for the order of sums)
     #[arg(long, value_enum, default_value_t = Binning::Graded, help_heading = METHOD)]
@@ -297,7 +297,7 @@ pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
         }
         kept.records.push(*record);
         if let Some(path) = &args.checkpoint
-            && record.pass % args.checkpoint_interval == 0
+            && record.pass.is_multiple_of(args.checkpoint_interval)
         {
             keep(path, &engine.particles()?, &kept, context)?;
         }
