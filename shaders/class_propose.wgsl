@@ -1,5 +1,5 @@
-// Classes, first half of a round: each particle without a class proposes one that none of its neighbours has, at random
-// among the first sixteen if it can.
+// Classes, first half of a round: each particle without a class proposes one that none of its neighbours has: at random among
+// the first sixteen, or one of the next few, so that the rest stay empty (a class costs a dispatch) unless there are crowds.
 
 @group(0) @binding(3) var<storage, read> classes: array<u32>;
 @group(0) @binding(4) var<storage, read_write> proposed_classes: array<u32>;
@@ -29,13 +29,15 @@ fn class_propose(
         }
     }
     var free = ~taken & 0xffffu;
+    var choices = 16u;
     if free == 0u {
         free = ~taken;
+        choices = 3u;
     }
     var choice = UNCLASSED;
     if free != 0u {
         // the n-th of the free ones
-        var n = random_bits(0xc0000000u + 16u * now.number + round.number, i) % countOneBits(free);
+        var n = random_bits(0xc0000000u + 16u * now.number + round.number, i) % min(choices, countOneBits(free));
         while n > 0u {
             free &= free - 1u;
             n--;

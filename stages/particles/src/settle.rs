@@ -267,6 +267,6 @@ fn finish(state: &mut State, fields: &Fields) -> usize {
     if escaped > 0 {
         state.take(&kept);
     }
-    state.rebuild();
+    state.rebuild_lists();
     escaped
 }

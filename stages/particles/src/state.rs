@@ -91,13 +91,18 @@ impl State {
 
     /// Makes lists and classes anew.
     pub(crate) fn rebuild(&mut self) {
+        self.rebuild_lists();
+        self.classes = self.neighbours.independent_classes();
+        self.listed.clone_from(&self.set.positions);
+    }
+
+    /// Makes the lists anew, for energies only.
+    pub(crate) fn rebuild_lists(&mut self) {
         let normals = &self.set.normals;
         let agreement = self.normal_agreement;
         self.neighbours = NeighbourLists::new(&self.set.positions, &self.set.sizes, SUPPORT * (1.0 + SKIN), |i, j| {
             normals[i].dot(normals[j]) > agreement
         });
-        self.classes = self.neighbours.independent_classes();
-        self.listed.clone_from(&self.set.positions);
     }
 
     /// Makes the lists anew if a particle has moved too far for them; says whether it did.

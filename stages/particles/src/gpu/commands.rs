@@ -1,4 +1,5 @@
-//! The commands of one pass, encoded into one command buffer, with a timestamp around each kernel when profiling.
+//! The commands of one pass, encoded into one command buffer, with a timestamp around each kernel when profiling. Encoding
+//! takes the host as long as a small pass takes the device, so the next pass is encoded while the device works on this one.
 
 use super::adapter::Gpu;
 use super::kernels::Kernels;
@@ -41,8 +42,15 @@ pub(crate) struct Profile {
 /// Dispatches that one profiled pass may have.
 const MOST_QUERIES: u32 = 512;
 
-/// Encodes and submits the commands in order.
-pub(crate) fn submit(gpu: &Gpu, kernels: &Kernels, commands: &[Command<'_>], profile: &mut Profile) -> Result<()> {
+/// Commands that can be submitted, once.
+pub(crate) struct Encoded {
+    buffer: wgpu::CommandBuffer,
+    /// The kernels that have timestamps, in order.
+    timed: Vec<&'static str>,
+}
+
+/// Encodes the commands in order.
+pub(crate) fn encode(gpu: &Gpu, kernels: &Kernels, commands: &[Command<'_>], profile: &mut Profile) -> Encoded {
     let mut encoder = gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
     if gpu.timestamps && profile.queries.is_none() {
         let set = gpu.device.create_query_set(&wgpu::QuerySetDescriptor {
@@ -110,15 +118,26 @@ pub(crate) fn submit(gpu: &Gpu, kernels: &Kernels, commands: &[Command<'_>], pro
         encoder.resolve_query_set(set, 0..count, resolved, 0);
         encoder.copy_buffer_to_buffer(resolved, 0, host, 0, u64::from(count) * 8);
     }
-    gpu.queue.submit([encoder.finish()]);
-    if let Some((_, _, host)) = &profile.queries {
+    Encoded { buffer: encoder.finish(), timed }
+}
+
+/// Hands encoded commands to the device; returns the kernels whose timestamps [`Profile::collect`] will find.
+pub(crate) fn submit(gpu: &Gpu, encoded: Encoded) -> Vec<&'static str> {
+    gpu.queue.submit([encoded.buffer]);
+    encoded.timed
+}
+
+impl Profile {
+    /// Waits for the device and adds up the timestamps of what was submitted last.
+    pub(crate) fn collect(&mut self, gpu: &Gpu, timed: &[&'static str]) -> Result<()> {
+        let Some((_, _, host)) = &self.queries else { return Ok(()) };
         let stamps: Vec<u64> = read_staging(gpu, host, 16 * timed.len() as u64)?;
         let tick = f64::from(gpu.queue.get_timestamp_period()) * 1e-9;
-        for (kernel, pair) in timed.iter().zip(stamps.chunks_exact(2)) {
-            let entry = profile.times.entry(kernel).or_default();
+        for (&kernel, pair) in timed.iter().zip(stamps.chunks_exact(2)) {
+            let entry = self.times.entry(kernel).or_default();
             entry.0 += pair[1].saturating_sub(pair[0]) as f64 * tick;
             entry.1 += 1;
         }
+        Ok(())
     }
-    Ok(())
 }

@@ -5,7 +5,7 @@
 //! anything changed, into the *listed* buffers (`listed_place`, `listed_normal`), from which the next pass sorts again.
 
 use super::adapter::Gpu;
-use super::commands::{Command, Profile, submit};
+use super::commands::{Command, Encoded, Profile, encode, submit};
 use super::kernels::{Kernels, ROUND_STRIDE, ROUNDS};
 use super::levels::Levels;
 use super::memory::{Memory, download, read_staging, staging, upload};
@@ -59,6 +59,17 @@ pub struct DeviceReport {
     pub kernels: Vec<KernelTime>,
 }
 
+/// What a pass is made of.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+struct Plan {
+    /// Sort, and make lists and classes anew.
+    sort: bool,
+    /// Bring the particles from the sorted to the listed buffers beforehand.
+    bring: bool,
+    /// Control the density.
+    density: bool,
+}
+
 /// Words that the host reads after a pass (see `shaders/sum_total.wgsl`).
 const WORDS: usize = 7;
 
@@ -81,6 +92,8 @@ pub struct GpuEngine<'a> {
     /// Whether a particle has moved too far for the lists.
     stale: bool,
     profile: Profile,
+    /// The next pass, if it is of this plan and has no more than so many particles.
+    ahead: Option<(Plan, u32, Encoded)>,
     started: Instant,
     compile_seconds: f64,
     device_seconds: f64,
@@ -145,6 +158,7 @@ impl<'a> GpuEngine<'a> {
             listed: true,
             stale: true,
             profile: Profile::default(),
+            ahead: None,
             started,
             compile_seconds,
             device_seconds: 0.0,
@@ -221,6 +235,7 @@ impl<'a> GpuEngine<'a> {
         self.memory.make(self.gpu, "scan_sums", 4 * u64::from(blocks), none)?;
         self.capacity = capacity;
         self.groups.clear();
+        self.ahead = None;
         Ok(())
     }
 
@@ -232,6 +247,7 @@ impl<'a> GpuEngine<'a> {
         let block = run_block(&self.geometry, &self.levels, &self.settling, self.slab_length, self.list_capacity);
         self.write("parameters", block.bytes());
         self.groups.clear();
+        self.ahead = None;
         Ok(())
     }
 
@@ -255,17 +271,39 @@ impl<'a> GpuEngine<'a> {
         Ok(())
     }
 
-    /// Runs a pass once; returns the words that the host reads.
-    fn run_pass(&mut self, pass: u64, density: bool, sort: bool) -> Result<Vec<u32>> {
-        let steps = steps(self.count, self.levels.bin_total(), sort, density);
-        self.run_steps(pass, &steps, sort)
+    /// Runs the steps of a pass in one command buffer; returns the words that the host reads.
+    #[cfg(test)]
+    pub(super) fn run_steps(&mut self, pass: u64, steps: &[Step], sort: bool) -> Result<Vec<u32>> {
+        let encoded = self.encode(steps, sort && !self.listed, sort);
+        self.submit(pass, encoded)?;
+        self.read_words()
     }
 
-    /// Runs the steps of a pass in one command buffer; `sort` brings the particles to the listed buffers beforehand.
-    pub(super) fn run_steps(&mut self, pass: u64, steps: &[Step], sort: bool) -> Result<Vec<u32>> {
-        self.write("now", pass_block(pass, self.count, self.settling.allow_insert).bytes());
-        self.write("scan_lists", scan_block(self.count).bytes());
-        self.write("scan_keep", scan_block(2 * self.count).bytes());
+    /// Runs a pass once; returns the words that the host reads.
+    fn run_pass(&mut self, pass: u64, plan: Plan) -> Result<Vec<u32>> {
+        let ready = self.ahead.take().filter(|(planned, room, _)| *planned == plan && self.count <= *room);
+        let encoded = match ready {
+            Some((_, _, encoded)) => encoded,
+            None => self.encode_plan(plan, self.count),
+        };
+        let timed = self.submit(pass, encoded)?;
+        // while the device works: the next pass, likely to be of the same kind and of about as many particles
+        let sort = plan.sort || (pass + 1) % REORDER_INTERVAL == 1;
+        let next = Plan { sort, bring: sort && !plan.density, ..plan };
+        let room = (self.count + self.count / 32 + 64).min(self.capacity);
+        self.ahead = Some((next, room, self.encode_plan(next, room)));
+        self.profile.collect(self.gpu, &timed)?;
+        self.read_words()
+    }
+
+    /// Encodes a pass over up to so many particles.
+    fn encode_plan(&mut self, plan: Plan, count: u32) -> Encoded {
+        let steps = steps(count, self.levels.bin_total(), plan.sort, plan.density);
+        self.encode(&steps, plan.bring, plan.sort)
+    }
+
+    /// Encodes steps, after bringing the particles back to the listed buffers if `bring` is set.
+    fn encode(&mut self, steps: &[Step], bring: bool, sort: bool) -> Encoded {
         for step in steps {
             let key = (step.label, step.round);
             if !self.groups.contains_key(&key) {
@@ -275,10 +313,13 @@ impl<'a> GpuEngine<'a> {
         }
         let memory = &self.memory;
         let mut commands = Vec::with_capacity(steps.len() + 4);
-        if sort && !self.listed {
-            let bytes = 16 * u64::from(self.count);
+        if bring {
             for (from, to) in [("place", "listed_place"), ("normal", "listed_normal")] {
-                commands.push(Command::Copy { from: memory.get(from), to: memory.get(to), bytes });
+                commands.push(Command::Copy {
+                    from: memory.get(from),
+                    to: memory.get(to),
+                    bytes: 16 * u64::from(self.capacity),
+                });
             }
         }
         if sort {
@@ -297,7 +338,21 @@ impl<'a> GpuEngine<'a> {
             }
         }));
         commands.push(Command::Copy { from: memory.get("words"), to: &self.words, bytes: 4 * WORDS as u64 });
-        submit(self.gpu, &self.kernels, &commands, &mut self.profile)?;
+        encode(self.gpu, &self.kernels, &commands, &mut self.profile)
+    }
+
+    /// Hands a pass to the device.
+    fn submit(&self, pass: u64, encoded: Encoded) -> Result<Vec<&'static str>> {
+        self.write("now", pass_block(pass, self.count, self.settling.allow_insert).bytes());
+        self.write("scan_lists", scan_block(self.count).bytes());
+        self.write("scan_keep", scan_block(2 * self.count).bytes());
+        let timed = submit(self.gpu, encoded);
+        self.gpu.check()?;
+        Ok(timed)
+    }
+
+    /// Waits for the pass to end.
+    fn read_words(&self) -> Result<Vec<u32>> {
         read_staging(self.gpu, &self.words, 4 * WORDS as u64)
     }
 
@@ -326,7 +381,7 @@ impl Engine for GpuEngine<'_> {
     fn pass(&mut self, pass: u64, density: bool) -> Result<PassOutcome> {
         let sort = self.listed || self.stale || pass % REORDER_INTERVAL == 1;
         let words = loop {
-            let words = self.run_pass(pass, density, sort)?;
+            let words = self.run_pass(pass, Plan { sort, bring: sort && !self.listed, density })?;
             // the lists need room for so many members; what the pass has done is cast away
             let needed = u64::from(words[4]);
             if needed <= u64::from(self.list_capacity) {

@@ -4,6 +4,7 @@ use super::adapter::Gpu;
 use super::memory::Memory;
 use super::shaders::{Access, Binding, Variant, bindings, sources};
 use isoparticles_common::error::Result;
+use rayon::prelude::*;
 use std::collections::HashMap;
 use std::num::NonZeroU64;
 
@@ -28,11 +29,10 @@ impl Kernels {
     /// Compiles every kernel.
     pub(crate) fn new(gpu: &Gpu, slabs: bool) -> Result<Self> {
         let variant = Variant { slabs, subgroup_team: gpu.subgroup_team };
-        let guard = gpu.device.push_error_scope(wgpu::ErrorFilter::Validation);
-        let kernels = sources().map(|s| (s.name, kernel(gpu, s.name, s.compose(variant)))).collect();
-        if let Some(error) = pollster::block_on(guard.pop()) {
-            return Err(gpu.failed(&format!("cannot run the kernels: {error}")));
-        }
+        let all: Vec<_> = sources().collect();
+        // drivers take their time over each
+        let kernels = all.par_iter().map(|s| (s.name, kernel(gpu, s.name, s.compose(variant)))).collect();
+        gpu.check()?;
         Ok(Self { kernels })
     }
 

@@ -2,7 +2,7 @@
 
 use super::any_gpu;
 use crate::gpu::adapter::{Choice, Gpu};
-use crate::gpu::commands::{Command, Profile, submit};
+use crate::gpu::commands::{Command, Profile, encode, submit};
 use crate::gpu::kernels::Kernels;
 use crate::gpu::levels::Levels;
 use crate::gpu::memory::{Memory, download, upload};
@@ -40,7 +40,7 @@ impl Rig {
             .zip(&groups)
             .map(|(s, group)| Command::Run { kernel: s.kernel, group, workgroups: s.workgroups.unwrap() })
             .collect();
-        submit(&self.gpu, &self.kernels, &commands, &mut Profile::default()).unwrap();
+        submit(&self.gpu, encode(&self.gpu, &self.kernels, &commands, &mut Profile::default()));
     }
 
     fn take(&self, name: &str, count: usize) -> Vec<u32> {
