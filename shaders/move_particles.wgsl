@@ -34,7 +34,8 @@ fn move_particles(
     let facing = normal[i];
     let range = list_of(i);
     let plane = tangent_plane(facing.xyz);
-    let jet = team_jet(own, plane, range, lane);
+    let nearest = first_neighbour(range, lane);
+    let jet = team_jet(own, plane, range, nearest, lane);
     var tries = 0u;
     var moved = false;
     if jet.energy > 0.0 {
@@ -52,7 +53,7 @@ fn move_particles(
             let there = team_project(own.xyz + motion, length(motion) + 0.5 * own.w, lane);
             if there.found && dot(there.normal, facing.xyz) > 0.0 && distance(there.position, own.xyz) < 2.0 * LONGEST_STEP * own.w {
                 let candidate = vec4(there.position, there.size);
-                if team_energy(candidate, range, lane) < jet.energy {
+                if team_energy(candidate, range, nearest, lane) < jet.energy {
                     moved = true;
                     if lane == 0u {
                         place[i] = candidate;

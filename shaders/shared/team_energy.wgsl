@@ -9,12 +9,26 @@ struct Jet {
     hessian: vec3<f32>,
 }
 
-fn team_jet(own: vec4<f32>, plane: Plane, range: vec2<u32>, lane: u32) -> Jet {
+// The lane's first neighbour, kept at hand because it is looked at in every try (most lists are no longer than a team); far
+// away when the list is shorter.
+fn first_neighbour(range: vec2<u32>, lane: u32) -> vec4<f32> {
+    if range.x + lane < range.y {
+        return place[lists[range.x + lane]];
+    }
+    return vec4(1e18, 0.0, 0.0, 1.0);
+}
+
+fn team_jet(own: vec4<f32>, plane: Plane, range: vec2<u32>, nearest: vec4<f32>, lane: u32) -> Jet {
+    // asked for before it is needed, so that the memory answers meanwhile
+    let slope = sizing_at(own.xyz).xyz;
     // energy, gradient (2), derivative by the particle's size
     var a = vec4(0.0);
     var b = vec4(0.0);
+    var other = nearest;
     for (var k = range.x + lane; k < range.y; k += TEAM) {
-        let other = place[lists[k]];
+        if k >= range.x + TEAM {
+            other = place[lists[k]];
+        }
         let offset = own.xyz - other.xyz;
         let reach = SUPPORT * min(own.w, other.w);
         let distance = max(length(offset), 1e-6 * reach);
@@ -38,18 +52,16 @@ fn team_jet(own: vec4<f32>, plane: Plane, range: vec2<u32>, lane: u32) -> Jet {
     }
     a = team_sum(a, lane);
     b = team_sum(b, lane);
-    var gradient = a.yz;
-    if a.w != 0.0 {
-        let slope = sizing_at(own.xyz).xyz;
-        gradient += a.w * vec2(dot(slope, plane.u), dot(slope, plane.v));
-    }
-    return Jet(a.x, gradient, b.xyz);
+    return Jet(a.x, a.yz + a.w * vec2(dot(slope, plane.u), dot(slope, plane.v)), b.xyz);
 }
 
-fn team_energy(own: vec4<f32>, range: vec2<u32>, lane: u32) -> f32 {
+fn team_energy(own: vec4<f32>, range: vec2<u32>, nearest: vec4<f32>, lane: u32) -> f32 {
     var sum = 0.0;
+    var other = nearest;
     for (var k = range.x + lane; k < range.y; k += TEAM) {
-        let other = place[lists[k]];
+        if k >= range.x + TEAM {
+            other = place[lists[k]];
+        }
         sum += energy_between(own.xyz - other.xyz, own.w, other.w);
     }
     return team_sum(vec4(sum, 0.0, 0.0, 0.0), lane).x;

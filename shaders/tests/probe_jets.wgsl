@@ -18,8 +18,9 @@ fn probe_jets(
     let own = place[i];
     let range = list_of(i);
     let plane = tangent_plane(normal[i].xyz);
-    let jet = team_jet(own, plane, range, lane);
-    let energy = team_energy(own, range, lane);
+    let nearest = first_neighbour(range, lane);
+    let jet = team_jet(own, plane, range, nearest, lane);
+    let energy = team_energy(own, range, nearest, lane);
     let surface = team_surface_at(own.xyz, lane);
     if lane == 0u {
         probed[3u * i] = vec4(plane.u * jet.gradient.x + plane.v * jet.gradient.y, jet.energy);
