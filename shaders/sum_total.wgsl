@@ -2,7 +2,7 @@
 
 @group(0) @binding(6) var<storage, read> block_totals: array<vec4<u32>>;
 @group(0) @binding(10) var<storage, read> list_starts: array<u32>;
-// Energy (bits of an f32), moved, tries, stale, members of all lists, particles after density control, kept of the old ones.
+// Energy (bits of an f32), moved, tries, longest way since the lists were made over h (bits of an f32), members of all lists, particles after density control, kept of the old ones.
 @group(0) @binding(15) var<storage, read_write> words: array<u32>;
 
 var<workgroup> partial: array<vec4<u32>, 256>;
@@ -15,7 +15,7 @@ fn sum_total(@builtin(local_invocation_index) lane: u32) {
     for (var block = lane; block < blocks; block += 256u) {
         let own = block_totals[block];
         energy += bitcast<f32>(own.x);
-        totals += own;
+        totals = vec4(0u, totals.yz + own.yz, max(totals.w, own.w));
     }
     totals.x = bitcast<u32>(energy);
     partial[lane] = totals;
@@ -24,7 +24,8 @@ fn sum_total(@builtin(local_invocation_index) lane: u32) {
         if lane < step {
             let a = partial[lane];
             let b = partial[lane + step];
-            partial[lane] = vec4(bitcast<u32>(bitcast<f32>(a.x) + bitcast<f32>(b.x)), a.yzw + b.yzw);
+            // bits of positive numbers are in the numbers' order
+            partial[lane] = vec4(bitcast<u32>(bitcast<f32>(a.x) + bitcast<f32>(b.x)), a.yz + b.yz, max(a.w, b.w));
         }
         workgroupBarrier();
     }

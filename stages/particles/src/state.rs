@@ -11,7 +11,7 @@ use rayon::prelude::*;
 /// Neighbour lists reach this much farther than the support, so that they stay good while particles move.
 pub(crate) const SKIN: f64 = 0.3;
 /// Lists are made anew once a particle has moved by this share of its h since they were made.
-const REBUILD_MOVE: f64 = 0.1;
+pub(crate) const REBUILD_MOVE: f64 = 0.1;
 
 /// The implicit function and the sizing field that the particles live on.
 pub struct Fields<'a> {

@@ -12,7 +12,7 @@ use super::memory::{Memory, download, read_staging, staging, upload};
 use super::parameters::{device_origin, pass_block, run_block, scan_block, scan_blocks};
 use super::schedule::{Step, steps};
 use crate::settle::{Engine, Parameters, PassOutcome, REORDER_INTERVAL};
-use crate::state::Fields;
+use crate::state::{Fields, REBUILD_MOVE};
 use isoparticles_common::error::{Error, Result};
 use isoparticles_common::geometry::Geometry;
 use isoparticles_common::particle_set::ParticleSet;
@@ -393,7 +393,7 @@ impl Engine for GpuEngine<'_> {
         let before = self.count;
         let (after, kept) = (words[5], words[6]);
         self.listed = after != before || kept != before;
-        self.stale = words[3] > 0;
+        self.stale = f64::from(f32::from_bits(words[3])) > REBUILD_MOVE;
         self.count = after;
         if u64::from(after) * 2 > u64::from(self.capacity) {
             self.grow()?;
