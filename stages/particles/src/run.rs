@@ -246,11 +246,6 @@ pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
         return Ok(Outcome::Passed);
     };
     let gpu = open_gpu(args, context)?;
-    context.set_parameter("backend", if gpu.is_some() { "gpu" } else { "cpu" });
-    if let Some(gpu) = &gpu {
-        context.set_parameter("adapter", gpu.summary().name.clone());
-    }
-    context.verbose(format!("backend: {}", if gpu.is_some() { "gpu" } else { "cpu" }));
     let step = context.step("read");
     let seeds = read_particles(seeds_file, &[ParticleKind::Seeds, ParticleKind::Particles])?;
     let distance = read_field(distance_file, FieldKind::Distance)?;
@@ -283,6 +278,24 @@ pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
     let progress = context.progress(Some(parameters.max_passes), "pass");
     let mut kept = Progress { parameters: parameters.clone(), inputs, records: records.clone(), engine };
     let fields = Fields { surface: &surface, sizing: &sizing };
+    let moving = match &gpu {
+        Some(gpu) => match GpuEngine::new(gpu, &fields, &start, &parameters, args.binning) {
+            Ok(engine) => Some(engine),
+            Err(error) if args.backend == Backend::Auto && args.adapter.is_none() => {
+                context.warn(format!("the GPU is not used: {}", error.what));
+                kept.engine = cpu_engine();
+                None
+            }
+            Err(error) => return Err(error),
+        },
+        None => None,
+    };
+    let backend = if moving.is_some() { "gpu" } else { "cpu" };
+    context.set_parameter("backend", backend);
+    if let (Some(gpu), Some(_)) = (&gpu, &moving) {
+        context.set_parameter("adapter", gpu.summary().name.clone());
+    }
+    context.verbose(format!("backend: {backend}"));
     let observe = |record: &PassRecord, engine: &mut dyn Engine| {
         progress.set(record.pass);
         progress.message(format!(
@@ -303,9 +316,8 @@ pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
         }
         context.check_interrupt()
     };
-    let ((particles, summary), device): ((ParticleSet, Summary), _) = match &gpu {
-        Some(gpu) => {
-            let mut engine = GpuEngine::new(gpu, &fields, &start, &parameters, args.binning)?;
+    let ((particles, summary), device): ((ParticleSet, Summary), _) = match moving {
+        Some(mut engine) => {
             let settled = settle_with(&mut engine, &fields, &parameters, &records, observe)?;
             (settled, Some(engine.report()))
         }
@@ -327,7 +339,7 @@ pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
     context.summary("stopped by", if summary.stagnated { "stagnation of the energy" } else { "the pass limit" });
     context.summary("escaped", summary.escaped);
     context.summary("energy over ideal", format!("{:.4}", summary.energy_ratio));
-    context.summary("backend", if gpu.is_some() { "gpu" } else { "cpu" });
+    context.summary("backend", backend);
     if let Some(device) = &device {
         tell(device, context);
     }
