@@ -129,6 +129,7 @@ endef
 # --- Goals ------------------------------------------------------------------------------------------------------------
 
 .PHONY: help mesh surface demo cases build env doctor test format lint documentation test-rust test-python bench-stages \
+        bench-gpu \
         FORCE
 FORCE:
 
@@ -144,6 +145,7 @@ Volumes in, simulation-ready meshes out.
   make surface ...                             stop at the triangles
   make test                                    format, lints, documentation, tests
   make bench-stages                            time and memory of every stage on the torso phantom
+  make bench-gpu                               the particles stage on the GPU against one CPU thread (BENCH_OPTIONS=...)
 
 Parameters of mesh, surface and CASE, with the stages' defaults where left out:
   NAME=...      name of the results [the volume's]       OUT=...       folder of the results [out]
@@ -288,3 +290,8 @@ bench-stages: build env
 	  $(MAKE) --no-print-directory CASE=torso-$$part NAME=torso-$$part OUT=$(OUT)/bench NO_BUILD=yes $(GOAL) || status=$$?; \
 	done; \
 	python3 tests/stage_table.py $(addprefix $(OUT)/bench/torso-,$(PARTS)) && exit $$status
+
+# The particles stage on the GPU against one CPU thread; BENCH_OPTIONS="--adapter NAME --sizes '2 1'" and the like.
+BENCH_OPTIONS ?=
+bench-gpu: build
+	@stages/particles/benches/bench_gpu.sh --bin $(BIN) --work $(OUT)/bench-gpu $(BENCH_OPTIONS)

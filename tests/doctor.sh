@@ -77,7 +77,14 @@ disk=$(df -Pk . | awk 'NR == 2 { print int($4 / 1024) }')
 if [ "$disk" -ge 6000 ]; then good "$disk MiB of disk free here (6000 hold the builds and the Python environment)"; else
     bad "$disk MiB of disk free here; the builds and the Python environment want 6000" "make room, or set CARGO_TARGET_DIR and VENV to another disk"
 fi
-note "no GPU is needed: this version computes on the CPU"
+note "no GPU is needed; particles uses one where it finds one (Vulkan, Metal or DX12 driver)"
+particles=${CARGO_TARGET_DIR:-target}/release/particles
+if [ -x "$particles" ]; then
+    adapters=$("$particles" --list-adapters --quiet 2>/dev/null)
+    if [ -n "$adapters" ]; then printf '%s\n' "$adapters" | while IFS= read -r line; do note "adapter: $line"; done; fi
+else
+    note "the adapters are listed here once particles is built (make build)"
+fi
 
 if [ "$missing" = 0 ]; then
     echo "Everything needed is here."

@@ -168,7 +168,8 @@ fn a_gpu_that_is_not_there_ends_with_three() {
     let (name, mut arguments, _) = commands(good())[2].clone();
     let folder = tempfile::tempdir().expect("folder");
     arguments.extend(arguments!["-o", folder.path().join("out.bin"), "--backend", "gpu"]);
-    stage(name, arguments).expect_error(3, &["--backend"]);
+    arguments.extend(arguments!["--adapter", "no such adapter"]);
+    stage(name, arguments).expect_error(3, &["--adapter no such adapter", "--backend cpu"]);
     assert_eq!(listing(folder.path()), [] as [&str; 0]);
 }
 

@@ -1,16 +1,19 @@
 //! The `particles` stage: settles particles on F = 0 until they form a near-hexagonal lattice of local spacing h.
 //!
-//! Section 3 of Kim, Chen and Hansen 2012, on the CPU: neighbours, energy, damped Newton steps, projection, density
-//! control, stagnation test. Same seeds, fields and parameters give the same bytes for any number of threads.
+//! Section 3 of Kim, Chen and Hansen 2012: neighbours, energy, damped Newton steps, projection, density control, stagnation
+//! test. Same seeds, fields and parameters give the same bytes for any number of threads on the CPU, and on one GPU adapter.
 
 mod density;
+pub mod gpu;
 mod log;
 mod movement;
 pub mod run;
 mod settle;
 mod state;
 
-pub use settle::{Parameters, PassRecord, REORDER_INTERVAL, STAGNATION_WINDOW, Summary, settle};
+pub use settle::{
+    Engine, Parameters, PassOutcome, PassRecord, REORDER_INTERVAL, STAGNATION_WINDOW, Summary, settle, settle_with,
+};
 pub use state::Fields;
 
 /// Levenberg-Marquardt damping of a particle that has not moved yet.

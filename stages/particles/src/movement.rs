@@ -96,7 +96,7 @@ fn step(state: &State, fields: &Fields, i: usize) -> Step {
 
 /// Energy, gradient and Hessian of particle i at its place. The gradient has the part of the particle's own h, which
 /// changes with its place; the Hessian holds h fixed.
-fn energy_jet(state: &State, fields: &Fields, i: usize) -> (f64, DVec3, DMat3) {
+pub(crate) fn energy_jet(state: &State, fields: &Fields, i: usize) -> (f64, DVec3, DMat3) {
     let set = &state.set;
     let (position, size) = (set.positions[i], set.sizes[i]);
     let mut sum = (0.0, DVec3::ZERO, DMat3::ZERO);
@@ -125,7 +125,7 @@ impl TangentPlane {
         Self { u, v: normal.cross(u) }
     }
 
-    fn coordinates(&self, x: DVec3) -> [f64; 2] {
+    pub(crate) fn coordinates(&self, x: DVec3) -> [f64; 2] {
         [self.u.dot(x), self.v.dot(x)]
     }
 
@@ -134,7 +134,7 @@ impl TangentPlane {
     }
 
     /// Symmetric 2 x 2 restriction of a 3 x 3 matrix: entries uu, uv, vv.
-    fn restrict(&self, m: &DMat3) -> [f64; 3] {
+    pub(crate) fn restrict(&self, m: &DMat3) -> [f64; 3] {
         let (mu, mv) = (*m * self.u, *m * self.v);
         [self.u.dot(mu), self.u.dot(mv), self.v.dot(mv)]
     }

@@ -1,7 +1,8 @@
 //! The program around [`crate::settle`]: options, files, log by pass, checkpoints.
 
+use crate::gpu::{self, Binning, Choice, DeviceReport, Gpu, GpuEngine};
 use crate::log::Log;
-use crate::settle::{Parameters, PassRecord, REORDER_INTERVAL, settle};
+use crate::settle::{Engine, Parameters, PassRecord, REORDER_INTERVAL, Summary, settle, settle_with};
 use crate::state::Fields;
 use clap::{Parser, ValueEnum};
 use isoparticles_common::cli::values::{above_one, positive, share};
@@ -21,7 +22,7 @@ use std::path::{Path, PathBuf};
 /// Where the particles are moved.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum Backend {
-    /// The fastest there is; in this version always the CPU.
+    /// A real GPU if there is one, else the CPU.
     Auto,
     /// A GPU, or an error with exit code 3.
     Gpu,
@@ -34,6 +35,8 @@ pub enum Backend {
 #[command(
     name = "particles",
     version,
+    override_usage = "particles [OPTIONS] --distfield <F.vti> --sizefield <S.vti> --output <P.bin> <seeds.bin>\n       \
+        particles --list-adapters",
     after_help = "Example:\n  particles heart.seeds.bin --distfield heart.distfield.vti --sizefield heart.sizefield.vti \\\n      \
         -o heart.particles.bin --log heart.passes.csv\n\n\
         Paper: section 3, Eq. 1 to 5 and Algorithm 1. The printed limits are --max-passes 50 --energy-tolerance 0.0015 \
@@ -41,17 +44,17 @@ pub enum Backend {
 )]
 pub struct Args {
     /// Seeds, made by seed
-    #[arg(value_name = "seeds.bin", help_heading = FILES)]
-    seeds: PathBuf,
+    #[arg(value_name = "seeds.bin", help_heading = FILES, required_unless_present = "list_adapters")]
+    seeds: Option<PathBuf>,
     /// Distance field F that the seeds were made from
-    #[arg(long, value_name = "F.vti", help_heading = FILES)]
-    distfield: PathBuf,
+    #[arg(long, value_name = "F.vti", help_heading = FILES, required_unless_present = "list_adapters")]
+    distfield: Option<PathBuf>,
     /// Sizing field h on the same grid
-    #[arg(long, value_name = "S.vti", help_heading = FILES)]
-    sizefield: PathBuf,
+    #[arg(long, value_name = "S.vti", help_heading = FILES, required_unless_present = "list_adapters")]
+    sizefield: Option<PathBuf>,
     /// Particle file to write
-    #[arg(short, long, value_name = "P.bin", help_heading = FILES)]
-    output: PathBuf,
+    #[arg(short, long, value_name = "P.bin", help_heading = FILES, required_unless_present = "list_adapters")]
+    output: Option<PathBuf>,
     /// One line a pass: energy, count, inserted, deleted, escaped, time; CSV, or JSON lines when it ends in .jsonl
     #[arg(long, value_name = "FILE", help_heading = FILES)]
     log: Option<PathBuf>,
@@ -64,9 +67,27 @@ pub struct Args {
     /// Passes between checkpoints; a multiple of 10
     #[arg(long, value_name = "N", default_value_t = 10, value_parser = interval, help_heading = FILES)]
     checkpoint_interval: u64,
-    /// Where to compute; gpu is not in this version
+    /// Where to move the particles; gpu ends with exit code 3 where there is none
     #[arg(long, value_enum, default_value_t = Backend::Auto, help_heading = METHOD)]
     backend: Backend,
+    /// GPU to use: part of its name, in any case (see --list-adapters); software renderers are used only when named
+    #[arg(long, value_name = "NAME", help_heading = METHOD)]
+    adapter: Option<String>,
+    /// Print the adapters of this machine on stdout and end
+    #[arg(long, help_heading = METHOD)]
+    list_adapters: bool,
+    /// Bins of the GPU's neighbour search: graded, or uniform as in the paper (same result but for the order of sums)
+    #[arg(long, value_enum, default_value_t = Binning::Graded, help_heading = METHOD)]
+    binning: Binning,
+    /// Measure each kernel of the GPU by timestamp queries, for the report and the closing table
+    #[arg(long, help_heading = METHOD)]
+    profile: bool,
+    /// Never use subgroup operations
+    #[arg(long, hide = true)]
+    no_subgroups: bool,
+    /// Lanes that work for one particle
+    #[arg(long, hide = true, value_parser = clap::builder::PossibleValuesParser::new(["8", "16", "32"]))]
+    team: Option<String>,
     /// Most passes over all particles (the paper: 50)
     #[arg(long, value_name = "N", default_value_t = Parameters::default().max_passes, help_heading = METHOD,
         value_parser = clap::value_parser!(u64).range(1..))]
@@ -123,7 +144,7 @@ impl StageArgs for Args {
     }
 
     fn outputs(&self) -> Vec<PathBuf> {
-        let mut outputs = vec![self.output.clone()];
+        let mut outputs: Vec<PathBuf> = self.output.clone().into_iter().collect();
         // a resumed run goes on with its own log and checkpoint
         if !self.resume {
             outputs.extend(self.log.clone());
@@ -144,41 +165,109 @@ struct Progress {
     /// Hashes of seeds, distance field and sizing field.
     inputs: [String; 3],
     records: Vec<PassRecord>,
+    /// Backend, and the adapter if there is one.
+    #[serde(default = "cpu_engine")]
+    engine: String,
+}
+
+/// What moved the particles of a checkpoint that does not say.
+fn cpu_engine() -> String {
+    "cpu".to_owned()
+}
+
+/// Opens the GPU that the options ask for; `None` means the CPU.
+fn open_gpu(args: &Args, context: &Context) -> Result<Option<Gpu>> {
+    let choice = Choice {
+        name: args.adapter.clone(),
+        no_subgroups: args.no_subgroups,
+        team: args.team.as_ref().and_then(|t| t.parse().ok()),
+        profile: args.profile,
+        ..Choice::default()
+    };
+    let gpu = match args.backend {
+        Backend::Cpu => return Ok(None),
+        Backend::Gpu => Gpu::open(&choice)?,
+        Backend::Auto => match Gpu::open(&choice) {
+            Ok(gpu) => gpu,
+            // a named adapter is a demand
+            Err(error) if args.adapter.is_some() => return Err(error),
+            Err(error) => {
+                context.verbose(format!("no GPU is used: {}", error.what));
+                return Ok(None);
+            }
+        },
+    };
+    context.verbose(format!("adapter: {}", gpu.summary()));
+    context.verbose(gpu.limits_in_words());
+    if args.profile && !gpu.has_timestamps() {
+        context.info(format!("--profile: {} has no timestamp queries; kernels are not measured", gpu.summary().name));
+    }
+    Ok(Some(gpu))
+}
+
+/// Prints the adapters, one a line.
+fn list_adapters() {
+    let adapters = gpu::adapters();
+    for adapter in &adapters {
+        println!("{adapter}");
+    }
+    if adapters.is_empty() {
+        println!("no adapter: there is no Vulkan, Metal or DX12 driver");
+    }
+}
+
+/// Puts what the device did into the closing table and the report.
+fn tell(report: &DeviceReport, context: &Context) {
+    context.summary("adapter", &report.adapter);
+    context.summary("device time", format!("{:.3} s", report.device_seconds));
+    context.summary("device memory", format!("{} MiB", report.peak_device_bytes.div_ceil(1 << 20)));
+    let all: f64 = report.kernels.iter().map(|k| k.seconds).sum();
+    for kernel in &report.kernels {
+        context.summary(
+            format!("  {}", kernel.kernel),
+            format!(
+                "{:.3} ms, {:.1} %, {} dispatches",
+                1e3 * kernel.seconds,
+                100.0 * kernel.seconds / all.max(f64::MIN_POSITIVE),
+                kernel.dispatches
+            ),
+        );
+    }
+    context.report("device", json!(report));
 }
 
 /// Settles the particles.
 pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
-    match args.backend {
-        Backend::Gpu => {
-            return Err(Error::gpu(
-                "--backend gpu: this version has no GPU backend",
-                "the run was told not to use anything else",
-                "use --backend cpu, or auto",
-            ));
-        }
-        Backend::Auto | Backend::Cpu => context.verbose("backend: cpu"),
-    }
+    let (Some(seeds_file), Some(distance_file), Some(sizing_file), Some(output)) =
+        (&args.seeds, &args.distfield, &args.sizefield, &args.output)
+    else {
+        // the files may be left out only for this
+        list_adapters();
+        return Ok(Outcome::Passed);
+    };
+    let gpu = open_gpu(args, context)?;
     let step = context.step("read");
-    let seeds = read_particles(&args.seeds, &[ParticleKind::Seeds, ParticleKind::Particles])?;
-    let distance = read_field(&args.distfield, FieldKind::Distance)?;
-    let sizing = read_field(&args.sizefield, FieldKind::Sizing)?;
-    check_same_grid((&args.distfield, &distance.image.geometry), (&args.sizefield, &sizing.image.geometry))?;
-    check_same_grid((&args.distfield, &distance.image.geometry), (&args.seeds, &seeds.particles.geometry))?;
-    context.add_input(&args.seeds, Some(seeds.history.clone()))?;
-    context.add_input(&args.distfield, distance.history.clone())?;
-    context.add_input(&args.sizefield, sizing.history.clone())?;
+    let seeds = read_particles(seeds_file, &[ParticleKind::Seeds, ParticleKind::Particles])?;
+    let distance = read_field(distance_file, FieldKind::Distance)?;
+    let sizing = read_field(sizing_file, FieldKind::Sizing)?;
+    check_same_grid((distance_file, &distance.image.geometry), (sizing_file, &sizing.image.geometry))?;
+    check_same_grid((distance_file, &distance.image.geometry), (seeds_file, &seeds.particles.geometry))?;
+    context.add_input(seeds_file, Some(seeds.history.clone()))?;
+    context.add_input(distance_file, distance.history.clone())?;
+    context.add_input(sizing_file, sizing.history.clone())?;
     if seeds.particles.positions.is_empty() {
         return Err(Error::input(
-            format!("{}: holds no particles", args.seeds.display()),
+            format!("{}: holds no particles", seeds_file.display()),
             "there is nothing to settle",
             "run seed again to make it anew",
         ));
     }
+    let engine = gpu.as_ref().map_or_else(cpu_engine, |gpu| format!("gpu: {}", gpu.summary().name));
     let surface = CubicSpline::new(&distance.image);
     let parameters = args.settling();
-    let inputs = [hash_file(&args.seeds)?, hash_file(&args.distfield)?, hash_file(&args.sizefield)?];
+    let inputs = [hash_file(seeds_file)?, hash_file(distance_file)?, hash_file(sizing_file)?];
     let (start, records) = match &args.checkpoint {
-        Some(path) if args.resume && path.exists() => resume(path, &parameters, &inputs, context)?,
+        Some(path) if args.resume && path.exists() => resume(path, &parameters, &inputs, &engine, context)?,
         _ => (seeds.particles, Vec::new()),
     };
     let sizing = SizingField::new(sizing.image);
@@ -187,9 +276,27 @@ pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
     let step = context.step("settle");
     let mut log = args.log.as_deref().map(|path| Log::create(path, &records)).transpose()?;
     let progress = context.progress(Some(parameters.max_passes), "pass");
-    let mut kept = Progress { parameters: parameters.clone(), inputs, records: records.clone() };
+    let mut kept = Progress { parameters: parameters.clone(), inputs, records: records.clone(), engine };
     let fields = Fields { surface: &surface, sizing: &sizing };
-    let (particles, summary) = settle(start, &fields, &parameters, &records, |record, particles| {
+    let moving = match &gpu {
+        Some(gpu) => match GpuEngine::new(gpu, &fields, &start, &parameters, args.binning) {
+            Ok(engine) => Some(engine),
+            Err(error) if args.backend == Backend::Auto && args.adapter.is_none() => {
+                context.warn(format!("the GPU is not used: {}", error.what));
+                kept.engine = cpu_engine();
+                None
+            }
+            Err(error) => return Err(error),
+        },
+        None => None,
+    };
+    let backend = if moving.is_some() { "gpu" } else { "cpu" };
+    context.set_parameter("backend", backend);
+    if let (Some(gpu), Some(_)) = (&gpu, &moving) {
+        context.set_parameter("adapter", gpu.summary().name.clone());
+    }
+    context.verbose(format!("backend: {backend}"));
+    let observe = |record: &PassRecord, engine: &mut dyn Engine| {
         progress.set(record.pass);
         progress.message(format!(
             "energy {:.5} a particle, {} particles (+{} -{})",
@@ -203,16 +310,23 @@ pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
         }
         kept.records.push(*record);
         if let Some(path) = &args.checkpoint
-            && record.pass % args.checkpoint_interval == 0
+            && record.pass.is_multiple_of(args.checkpoint_interval)
         {
-            keep(path, particles, &kept, context)?;
+            keep(path, &engine.particles()?, &kept, context)?;
         }
         context.check_interrupt()
-    })?;
+    };
+    let ((particles, summary), device): ((ParticleSet, Summary), _) = match moving {
+        Some(mut engine) => {
+            let settled = settle_with(&mut engine, &fields, &parameters, &records, observe)?;
+            (settled, Some(engine.report()))
+        }
+        None => (settle(start, &fields, &parameters, &records, observe)?, None),
+    };
     drop((progress, step));
     if particles.positions.is_empty() {
         return Err(Error::input(
-            format!("{}: no particle stayed on the surface", args.seeds.display()),
+            format!("{}: no particle stayed on the surface", seeds_file.display()),
             "there is nothing to write",
             "check that the distance field is the one that the seeds were made from",
         ));
@@ -225,12 +339,15 @@ pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
     context.summary("stopped by", if summary.stagnated { "stagnation of the energy" } else { "the pass limit" });
     context.summary("escaped", summary.escaped);
     context.summary("energy over ideal", format!("{:.4}", summary.energy_ratio));
-    context.summary("backend", "cpu");
+    context.summary("backend", backend);
+    if let Some(device) = &device {
+        tell(device, context);
+    }
     let meta = json!(summary);
     context.report("settling", meta.clone());
     context.report("passes", json!(kept.records));
     let _step = context.step("write");
-    write_particles(&args.output, ParticleKind::Particles, &particles, &meta, &context.history())?;
+    write_particles(output, ParticleKind::Particles, &particles, &meta, &context.history())?;
     Ok(Outcome::Passed)
 }
 
@@ -251,6 +368,7 @@ fn resume(
     path: &Path,
     parameters: &Parameters,
     inputs: &[String; 3],
+    engine: &str,
     context: &Context,
 ) -> Result<(ParticleSet, Vec<PassRecord>)> {
     let file = read_particles(path, &[ParticleKind::Checkpoint])?;
@@ -268,6 +386,12 @@ fn resume(
     }
     if json!(progress.parameters) != json!(parameters) {
         return Err(refuse("was made with other parameters"));
+    }
+    if progress.engine != engine {
+        context.warn(format!(
+            "the checkpoint was made on another device ({}): the result will not be that of an unbroken run to the last bit",
+            progress.engine
+        ));
     }
     context.info(format!("resuming after pass {}", progress.records.last().map_or(0, |r| r.pass)));
     Ok((file.particles, progress.records))

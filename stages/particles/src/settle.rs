@@ -94,59 +94,80 @@ pub struct Summary {
     pub energy_ratio: f64,
 }
 
-/// Settles particles. `resumed` holds the records of the passes already run (empty at first); `observe` sees each new
-/// record with the particles and may end the run with an error.
+/// What a pass did, besides what the driver knows.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct PassOutcome {
+    /// Sum of the particles' energies after the movement (Eq. 1).
+    pub energy: f64,
+    /// Particles after density control.
+    pub count: usize,
+    /// Particles added.
+    pub inserted: usize,
+    /// Particles deleted.
+    pub deleted: usize,
+    /// Particles that took a step.
+    pub moved: usize,
+    /// Steps tried for each particle, refused ones included.
+    pub tries_per_particle: f64,
+    /// Mean number of listed neighbours.
+    pub neighbours: f64,
+}
+
+/// What moves the particles: the CPU or a GPU. A pass starts afresh from the particles every [`REORDER_INTERVAL`] passes, so that a
+/// run resumed there equals an unbroken one.
+pub trait Engine {
+    /// Moves every particle once, measures the energy and, if `density` is set, controls the density.
+    fn pass(&mut self, pass: u64, density: bool) -> Result<PassOutcome>;
+
+    /// The particles as they are.
+    fn particles(&mut self) -> Result<ParticleSet>;
+}
+
+/// Settles particles on the CPU, on the threads of the current pool. `resumed` holds the records of the passes already run
+/// (empty at first); `observe` sees each new record, can ask for the particles, and may end the run with an error.
 pub fn settle(
     set: ParticleSet,
     fields: &Fields,
     parameters: &Parameters,
     resumed: &[PassRecord],
-    mut observe: impl FnMut(&PassRecord, &ParticleSet) -> Result<()>,
+    observe: impl FnMut(&PassRecord, &mut dyn Engine) -> Result<()>,
+) -> Result<(ParticleSet, Summary)> {
+    settle_with(&mut CpuEngine::new(set, fields, parameters), fields, parameters, resumed, observe)
+}
+
+/// As [`settle`], on any engine; the particles are put onto F = 0 to the last digit on the CPU at the end.
+pub fn settle_with(
+    engine: &mut dyn Engine,
+    fields: &Fields,
+    parameters: &Parameters,
+    resumed: &[PassRecord],
+    mut observe: impl FnMut(&PassRecord, &mut dyn Engine) -> Result<()>,
 ) -> Result<(ParticleSet, Summary)> {
     let start = Instant::now();
-    let limits = Limits {
-        ideal_energy: parameters.ideal_energy,
-        add_below: parameters.add_below,
-        delete_above: parameters.delete_above,
-    };
     let mut records = resumed.to_vec();
-    let mut state = State::new(set, parameters.normal_agreement);
     let mut pass = records.last().map_or(0, |r| r.pass);
     let mut closing = closing_since(&records, parameters);
     while pass < parameters.max_passes && closing.is_none_or(|since| pass < since + parameters.closing_passes) {
         pass += 1;
-        if pass % REORDER_INTERVAL == 1 {
-            // also what a resumed run starts with: checkpoints are only written just before
-            state.sort_by_place();
-            state.rebuild();
-        } else {
-            state.rebuild_if_moved();
-        }
-        let moves = movement::pass(&mut state, fields);
-        let energy = state.update_energies();
-        let movable = state.len();
         let quiet = closing.is_some() || pass + parameters.closing_passes > parameters.max_passes;
-        let changes = if quiet {
-            density::Changes::default()
-        } else {
-            density::control(&mut state, fields, &limits, parameters.seed, pass, parameters.allow_insert)
-        };
+        let outcome = engine.pass(pass, !quiet)?;
         let record = PassRecord {
             pass,
-            energy,
-            count: state.len(),
-            inserted: changes.inserted,
-            deleted: changes.deleted,
+            energy: outcome.energy,
+            count: outcome.count,
+            inserted: outcome.inserted,
+            deleted: outcome.deleted,
             escaped: 0,
-            moved: moves.moved,
-            tries_per_particle: moves.tries as f64 / movable.max(1) as f64,
-            neighbours: state.neighbours.mean_count(),
+            moved: outcome.moved,
+            tries_per_particle: outcome.tries_per_particle,
+            neighbours: outcome.neighbours,
             seconds: start.elapsed().as_secs_f64(),
         };
         records.push(record);
-        observe(&record, &state.set)?;
+        observe(&record, engine)?;
         closing = closing_since(&records, parameters);
     }
+    let mut state = State::unlisted(engine.particles()?, parameters.normal_agreement);
     let escaped = finish(&mut state, fields);
     let energy = state.update_energies();
     let summary = Summary {
@@ -156,6 +177,58 @@ pub fn settle(
         energy_ratio: energy / (parameters.ideal_energy * state.len().max(1) as f64),
     };
     Ok((state.set, summary))
+}
+
+/// Moves the particles on the CPU.
+struct CpuEngine<'a> {
+    state: State,
+    fields: &'a Fields<'a>,
+    parameters: &'a Parameters,
+}
+
+impl<'a> CpuEngine<'a> {
+    fn new(set: ParticleSet, fields: &'a Fields<'a>, parameters: &'a Parameters) -> Self {
+        Self { state: State::new(set, parameters.normal_agreement), fields, parameters }
+    }
+}
+
+impl Engine for CpuEngine<'_> {
+    fn pass(&mut self, pass: u64, density: bool) -> Result<PassOutcome> {
+        let (state, parameters) = (&mut self.state, self.parameters);
+        if pass % REORDER_INTERVAL == 1 {
+            // also what a resumed run starts with: checkpoints are only written just before
+            state.sort_by_place();
+            state.rebuild();
+        } else {
+            state.rebuild_if_moved();
+        }
+        let moves = movement::pass(state, self.fields);
+        let energy = state.update_energies();
+        let movable = state.len();
+        let limits = Limits {
+            ideal_energy: parameters.ideal_energy,
+            add_below: parameters.add_below,
+            delete_above: parameters.delete_above,
+        };
+        let changes = if density {
+            density::control(state, self.fields, &limits, parameters.seed, pass, parameters.allow_insert)
+        } else {
+            density::Changes::default()
+        };
+        Ok(PassOutcome {
+            energy,
+            count: state.len(),
+            inserted: changes.inserted,
+            deleted: changes.deleted,
+            moved: moves.moved,
+            tries_per_particle: moves.tries as f64 / movable.max(1) as f64,
+            neighbours: state.neighbours.mean_count(),
+        })
+    }
+
+    fn particles(&mut self) -> Result<ParticleSet> {
+        Ok(self.state.set.clone())
+    }
 }
 
 /// The pass after which the energy was found to stagnate (density control rests from then on), if any.
@@ -194,6 +267,6 @@ fn finish(state: &mut State, fields: &Fields) -> usize {
     if escaped > 0 {
         state.take(&kept);
     }
-    state.rebuild();
+    state.rebuild_lists();
     escaped
 }

@@ -11,7 +11,7 @@ use rayon::prelude::*;
 /// Neighbour lists reach this much farther than the support, so that they stay good while particles move.
 pub(crate) const SKIN: f64 = 0.3;
 /// Lists are made anew once a particle has moved by this share of its h since they were made.
-const REBUILD_MOVE: f64 = 0.1;
+pub(crate) const REBUILD_MOVE: f64 = 0.1;
 
 /// The implicit function and the sizing field that the particles live on.
 pub struct Fields<'a> {
@@ -42,16 +42,15 @@ pub(crate) struct State {
 
 impl State {
     pub(crate) fn new(set: ParticleSet, normal_agreement: f64) -> Self {
-        let mut state = Self {
-            set,
-            normal_agreement,
-            neighbours: NeighbourLists::default(),
-            classes: Vec::new(),
-            listed: Vec::new(),
-        };
+        let mut state = Self::unlisted(set, normal_agreement);
         state.sort_by_place();
         state.rebuild();
         state
+    }
+
+    /// The particles in the order they have, without lists.
+    pub(crate) fn unlisted(set: ParticleSet, normal_agreement: f64) -> Self {
+        Self { set, normal_agreement, neighbours: NeighbourLists::default(), classes: Vec::new(), listed: Vec::new() }
     }
 
     pub(crate) fn len(&self) -> usize {
@@ -92,13 +91,18 @@ impl State {
 
     /// Makes lists and classes anew.
     pub(crate) fn rebuild(&mut self) {
+        self.rebuild_lists();
+        self.classes = self.neighbours.independent_classes();
+        self.listed.clone_from(&self.set.positions);
+    }
+
+    /// Makes the lists anew, for energies only.
+    pub(crate) fn rebuild_lists(&mut self) {
         let normals = &self.set.normals;
         let agreement = self.normal_agreement;
         self.neighbours = NeighbourLists::new(&self.set.positions, &self.set.sizes, SUPPORT * (1.0 + SKIN), |i, j| {
             normals[i].dot(normals[j]) > agreement
         });
-        self.classes = self.neighbours.independent_classes();
-        self.listed.clone_from(&self.set.positions);
     }
 
     /// Makes the lists anew if a particle has moved too far for them; says whether it did.

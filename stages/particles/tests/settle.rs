@@ -179,10 +179,10 @@ fn the_result_depends_neither_on_threads_nor_on_a_break() {
     let mut records = Vec::new();
     let whole = in_pool(1, &mut || {
         let fields = Fields { surface: &surface, sizing: &sizing };
-        settle(start.clone(), &fields, &parameters, &[], |r, set| {
+        settle(start.clone(), &fields, &parameters, &[], |r, engine| {
             records.push(*r);
             if r.pass == 20 {
-                kept = Some((records.clone(), set.clone()));
+                kept = Some((records.clone(), engine.particles()?));
             }
             Ok(())
         })

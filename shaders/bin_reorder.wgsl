@@ -1,0 +1,38 @@
+// Counting sort into bins, third step: moves the particles to their places. Within a bin they keep the order that they came in,
+// whatever the atomics of the second step did, so the sort is stable and the same on every run.
+
+@group(0) @binding(2) var<storage, read> listed_place: array<vec4<f32>>;
+@group(0) @binding(3) var<storage, read> bin_of: array<u32>;
+@group(0) @binding(5) var<storage, read> bin_starts: array<u32>;
+@group(0) @binding(6) var<storage, read> order: array<u32>;
+@group(0) @binding(7) var<storage, read> listed_normal: array<vec4<f32>>;
+@group(0) @binding(8) var<storage, read_write> place: array<vec4<f32>>;
+@group(0) @binding(9) var<storage, read_write> normal: array<vec4<f32>>;
+@group(0) @binding(12) var<storage, read_write> place_at_listing: array<vec4<f32>>;
+@group(0) @binding(13) var<storage, read_write> outcome: array<u32>;
+
+@compute @workgroup_size(64)
+fn bin_reorder(
+    @builtin(workgroup_id) group: vec3<u32>,
+    @builtin(num_workgroups) groups: vec3<u32>,
+    @builtin(local_invocation_index) lane: u32,
+) {
+    let slot = flat_group(group, groups) * 64u + lane;
+    if slot >= now.count {
+        return;
+    }
+    let i = order[slot];
+    let bin = bin_of[i];
+    let first = bin_starts[bin];
+    let end = bin_starts[bin + 1u];
+    var rank = 0u;
+    for (var k = first; k < end; k++) {
+        rank += select(0u, 1u, order[k] < i);
+    }
+    let to = first + rank;
+    place[to] = listed_place[i];
+    place_at_listing[to] = listed_place[i];
+    normal[to] = listed_normal[i];
+    // whoever gets no class is not moved and says so
+    outcome[to] = 0u;
+}

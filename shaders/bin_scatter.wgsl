@@ -1,0 +1,21 @@
+// Counting sort into bins, second step: the particles' numbers, bin by bin, in any order within a bin. The counts go back to
+// zero on the way, ready for the next sort.
+
+@group(0) @binding(3) var<storage, read> bin_of: array<u32>;
+@group(0) @binding(4) var<storage, read_write> bin_counts: array<atomic<u32>>;
+@group(0) @binding(5) var<storage, read> bin_starts: array<u32>;
+@group(0) @binding(6) var<storage, read_write> order: array<u32>;
+
+@compute @workgroup_size(64)
+fn bin_scatter(
+    @builtin(workgroup_id) group: vec3<u32>,
+    @builtin(num_workgroups) groups: vec3<u32>,
+    @builtin(local_invocation_index) lane: u32,
+) {
+    let i = flat_group(group, groups) * 64u + lane;
+    if i >= now.count {
+        return;
+    }
+    let bin = bin_of[i];
+    order[bin_starts[bin] + atomicSub(&bin_counts[bin], 1u) - 1u] = i;
+}

@@ -1,0 +1,48 @@
+// Classes, first half of a round: each particle without a class proposes one that none of its neighbours has: at random among
+// the first sixteen, or one of the next few, so that the rest stay empty (a class costs a dispatch) unless there are crowds.
+
+@group(0) @binding(3) var<storage, read> classes: array<u32>;
+@group(0) @binding(4) var<storage, read_write> proposed_classes: array<u32>;
+
+@compute @workgroup_size(64)
+fn class_propose(
+    @builtin(workgroup_id) group: vec3<u32>,
+    @builtin(num_workgroups) groups: vec3<u32>,
+    @builtin(local_invocation_index) lane: u32,
+) {
+    let i = flat_group(group, groups) * 64u + lane;
+    if i >= now.count {
+        return;
+    }
+    if classes[i] < CLASSES && round.number > 0u {
+        proposed_classes[i] = UNCLASSED;
+        return;
+    }
+    var taken = 0u;
+    if round.number > 0u {
+        let range = list_of(i);
+        for (var k = range.x; k < range.y; k++) {
+            let class_of_other = classes[lists[k]];
+            if class_of_other < CLASSES {
+                taken |= 1u << class_of_other;
+            }
+        }
+    }
+    var free = ~taken & 0xffffu;
+    var choices = 16u;
+    if free == 0u {
+        free = ~taken;
+        choices = 3u;
+    }
+    var choice = UNCLASSED;
+    if free != 0u {
+        // the n-th of the free ones
+        var n = random_bits(0xc0000000u + 16u * now.number + round.number, i) % min(choices, countOneBits(free));
+        while n > 0u {
+            free &= free - 1u;
+            n--;
+        }
+        choice = countTrailingZeros(free);
+    }
+    proposed_classes[i] = choice;
+}

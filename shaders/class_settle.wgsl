@@ -1,0 +1,36 @@
+// Classes, second half of a round: of neighbours that proposed the same class the one of highest priority gets it. Whoever is
+// left without a class after the last round rests until the lists are made anew.
+
+@group(0) @binding(3) var<storage, read_write> classes: array<u32>;
+@group(0) @binding(4) var<storage, read> proposed_classes: array<u32>;
+
+@compute @workgroup_size(64)
+fn class_settle(
+    @builtin(workgroup_id) group: vec3<u32>,
+    @builtin(num_workgroups) groups: vec3<u32>,
+    @builtin(local_invocation_index) lane: u32,
+) {
+    let i = flat_group(group, groups) * 64u + lane;
+    if i >= now.count {
+        return;
+    }
+    let choice = proposed_classes[i];
+    if round.number == 0u {
+        classes[i] = UNCLASSED;
+    }
+    if choice == UNCLASSED {
+        return;
+    }
+    let priority = class_priority(i, round.number);
+    let range = list_of(i);
+    for (var k = range.x; k < range.y; k++) {
+        let j = lists[k];
+        if proposed_classes[j] == choice {
+            let other = class_priority(j, round.number);
+            if other > priority || (other == priority && j < i) {
+                return;
+            }
+        }
+    }
+    classes[i] = choice;
+}

@@ -1,0 +1,39 @@
+// Density control, last step: the particles that stay and the newcomers, in order, into the other set of buffers. Does nothing
+// when nothing changed, or when the lists did not fit (the host then redoes the pass from that other set).
+
+@group(0) @binding(2) var<storage, read_write> listed_place: array<vec4<f32>>;
+@group(0) @binding(3) var<storage, read> keep: array<u32>;
+@group(0) @binding(4) var<storage, read> destinations: array<u32>;
+@group(0) @binding(5) var<storage, read> newcomer_place: array<vec4<f32>>;
+@group(0) @binding(6) var<storage, read> newcomer_normal: array<vec4<f32>>;
+@group(0) @binding(7) var<storage, read_write> listed_normal: array<vec4<f32>>;
+@group(0) @binding(8) var<storage, read> place: array<vec4<f32>>;
+@group(0) @binding(9) var<storage, read> normal: array<vec4<f32>>;
+@group(0) @binding(10) var<storage, read> list_starts: array<u32>;
+@group(0) @binding(15) var<storage, read_write> words: array<u32>;
+
+@compute @workgroup_size(64)
+fn compact(
+    @builtin(workgroup_id) group: vec3<u32>,
+    @builtin(num_workgroups) groups: vec3<u32>,
+    @builtin(local_invocation_index) lane: u32,
+) {
+    let i = flat_group(group, groups) * 64u + lane;
+    let kept = destinations[now.count];
+    let total = destinations[2u * now.count];
+    if i >= now.count || list_starts[now.count] > parameters.list_capacity || (kept == now.count && total == now.count) {
+        return;
+    }
+    if keep[i] != 0u {
+        listed_place[destinations[i]] = place[i];
+        listed_normal[destinations[i]] = normal[i];
+    }
+    if keep[now.count + i] != 0u {
+        listed_place[destinations[now.count + i]] = newcomer_place[i];
+        listed_normal[destinations[now.count + i]] = newcomer_normal[i];
+    }
+    if i == 0u {
+        words[5] = total;
+        words[6] = kept;
+    }
+}

@@ -1,0 +1,41 @@
+// Density control, a round of deletion: of crowded particles that see each other the most crowded goes. (The CPU takes them one
+// by one, the most crowded first; rounds with the energies relieved in between come to the same.)
+
+@group(0) @binding(8) var<storage, read> place: array<vec4<f32>>;
+@group(0) @binding(12) var<storage, read> energies: array<f32>;
+@group(0) @binding(13) var<storage, read_write> marks: array<atomic<u32>>;
+@group(0) @binding(14) var<storage, read_write> touched: array<atomic<u32>>;
+
+// Whether particle j was there when this round began.
+fn was_there(j: u32) -> bool {
+    let mark = atomicLoad(&marks[j]);
+    return mark == 0u || mark == round.number;
+}
+
+@compute @workgroup_size(64)
+fn density_delete(
+    @builtin(workgroup_id) group: vec3<u32>,
+    @builtin(num_workgroups) groups: vec3<u32>,
+    @builtin(local_invocation_index) lane: u32,
+) {
+    let i = flat_group(group, groups) * 64u + lane;
+    if i >= now.count || !was_there(i) || !is_crowded(energies[i], i) {
+        return;
+    }
+    let own = place[i];
+    let range = list_of(i);
+    for (var k = range.x; k < range.y; k++) {
+        let j = lists[k];
+        let worse = energies[j] > energies[i] || (energies[j] == energies[i] && j < i);
+        if worse && was_there(j) && is_crowded(energies[j], j) {
+            let other = place[j];
+            if distance(own.xyz, other.xyz) < SUPPORT * min(own.w, other.w) {
+                return;
+            }
+        }
+    }
+    atomicStore(&marks[i], round.number);
+    for (var k = range.x; k < range.y; k++) {
+        atomicStore(&touched[lists[k]], round.number);
+    }
+}

@@ -1,0 +1,72 @@
+// One pass of movement for one class of particles: sections 3.2.1 and 3.2.2 and Algorithm 1 of the paper, the twin of
+// stages/particles/src/movement.rs.
+//
+// A team of lanes works for one particle: damped Newton step in the tangent plane, projection onto F = 0 (Eq. 5), the energy
+// test; lambda grows tenfold until a step is good. No conflict: a particle reads itself and its listed neighbours and writes
+// itself. Members of one class are in no list of each other, so within a dispatch nobody reads what another writes.
+
+@group(0) @binding(5) var<storage, read> class_starts: array<u32>;
+@group(0) @binding(6) var<storage, read> class_members: array<u32>;
+@group(0) @binding(8) var<storage, read_write> place: array<vec4<f32>>;
+@group(0) @binding(9) var<storage, read_write> normal: array<vec4<f32>>;
+// Steps tried; the top bit says that one was taken.
+@group(0) @binding(12) var<storage, read_write> outcome: array<u32>;
+
+const LEAST_LAMBDA: f32 = 1e-3;
+const MOST_LAMBDA: f32 = 1e4;
+const LONGEST_STEP: f32 = 0.25;
+// A particle rests when the step promises to lower its energy by less than this share: f32 could not tell.
+const REST: f32 = 1e-6;
+
+@compute @workgroup_size(TEAM * TEAMS)
+fn move_particles(
+    @builtin(workgroup_id) group: vec3<u32>,
+    @builtin(num_workgroups) groups: vec3<u32>,
+    @builtin(local_invocation_index) local: u32,
+) {
+    let lane = local % TEAM;
+    let member = class_starts[round.number] + flat_group(group, groups) * TEAMS + local / TEAM;
+    if member >= class_starts[round.number + 1u] {
+        return;
+    }
+    let i = class_members[member];
+    let own = place[i];
+    let facing = normal[i];
+    let range = list_of(i);
+    let plane = tangent_plane(facing.xyz);
+    let nearest = first_neighbour(range, lane);
+    let jet = team_jet(own, plane, range, nearest, lane);
+    var tries = 0u;
+    var moved = false;
+    if jet.energy > 0.0 {
+        let curvature = positive_definite(jet.hessian);
+        var lambda = facing.w;
+        while lambda < MOST_LAMBDA {
+            let step = damped_newton(curvature, jet.gradient, lambda);
+            if !(-0.5 * dot(step, jet.gradient) > REST * jet.energy) {
+                break;
+            }
+            tries++;
+            var motion = plane.u * step.x + plane.v * step.y;
+            let stretch = length(motion);
+            motion *= select(1.0, LONGEST_STEP * own.w / stretch, stretch > LONGEST_STEP * own.w);
+            let there = team_project(own.xyz + motion, length(motion) + 0.5 * own.w, lane);
+            if there.found && dot(there.normal, facing.xyz) > 0.0 && distance(there.position, own.xyz) < 2.0 * LONGEST_STEP * own.w {
+                let candidate = vec4(there.position, there.size);
+                if team_energy(candidate, range, nearest, lane) < jet.energy {
+                    moved = true;
+                    if lane == 0u {
+                        place[i] = candidate;
+                        // the first try was good: less damping the next time
+                        normal[i] = vec4(there.normal, select(lambda, max(0.1 * lambda, LEAST_LAMBDA), tries == 1u));
+                    }
+                    break;
+                }
+            }
+            lambda *= 10.0;
+        }
+    }
+    if lane == 0u {
+        outcome[i] = tries | select(0u, 0x80000000u, moved);
+    }
+}

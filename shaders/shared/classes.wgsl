@@ -1,0 +1,9 @@
+// Classes of particles that may move together: no two members are neighbours.
+
+const CLASSES: u32 = 32u;
+const UNCLASSED: u32 = 0xffffffffu;
+
+// Which of two particles that want the same class gets it.
+fn class_priority(i: u32, round: u32) -> u32 {
+    return random_bits(0x80000000u + 16u * now.number + round, i);
+}

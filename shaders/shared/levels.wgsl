@@ -1,0 +1,21 @@
+// Levels of bins by octave of h: the twin of LevelBins in common/src/neighbours.rs. A query looks at no more than 27 bins a
+// level however strongly h is graded; the paper's one bin edge max(h) makes the fine regions pay for the coarse ones.
+
+// The finest level whose particles may be of size h.
+fn level_of(h: f32) -> u32 {
+    var level = 0u;
+    for (var k = 1u; k < parameters.level_count; k++) {
+        level += select(0u, 1u, h <= parameters.levels[k].largest);
+    }
+    return level;
+}
+
+fn bin_coordinate(position: vec3<f32>, level: u32) -> vec3<i32> {
+    let relative = (position - parameters.bins_origin) * parameters.levels[level].inverse_edge;
+    return clamp(vec3<i32>(floor(relative)), vec3(0), vec3<i32>(parameters.levels[level].bins) - 1);
+}
+
+fn bin_number(at: vec3<i32>, level: u32) -> u32 {
+    let bins = parameters.levels[level].bins;
+    return parameters.levels[level].first_bin + (u32(at.z) * bins.y + u32(at.y)) * bins.x + u32(at.x);
+}

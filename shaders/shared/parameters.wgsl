@@ -1,0 +1,66 @@
+// What every kernel knows of the run: grid, levels of bins, limits. Made by stages/particles/src/gpu/parameters.rs, whose
+// tests compare this layout with naga's.
+
+// 2 cos(pi/6), Eq. 2: interactions reach this many target edge lengths.
+const SUPPORT: f32 = 1.7320508;
+// Neighbour lists reach this much farther than the support (stages/particles/src/state.rs).
+const SKIN: f32 = 0.3;
+const MOST_LEVELS: u32 = 12u;
+
+// Bins of the particles of one octave of h.
+struct Level {
+    edge: f32,
+    inverse_edge: f32,
+    // Largest h of the level, mm.
+    largest: f32,
+    // Number of its first bin.
+    first_bin: u32,
+    bins: vec3<u32>,
+    unused: u32,
+}
+
+struct Parameters {
+    grid_size: vec3<u32>,
+    level_count: u32,
+    // mm
+    spacing: vec3<f32>,
+    // |F| that counts as zero, mm.
+    tolerance: f32,
+    inverse_spacing: vec3<f32>,
+    // Longest single step of a projection, mm.
+    projection_step: f32,
+    // The voxel at the origin of device positions.
+    centre: vec3<i32>,
+    // Voxels in each slab of a field.
+    slab_length: u32,
+    // Device position of the corner of bin (0, 0, 0), mm.
+    bins_origin: vec3<f32>,
+    normal_agreement: f32,
+    ideal_energy: f32,
+    add_below: f32,
+    delete_above: f32,
+    // h is cut off here, mm; no point of the surface has a larger one.
+    largest_size: f32,
+    bin_total: u32,
+    list_capacity: u32,
+    seed: u32,
+    initial_lambda: f32,
+    levels: array<Level, MOST_LEVELS>,
+}
+
+// What changes from pass to pass.
+struct Pass {
+    number: u32,
+    // Particles.
+    count: u32,
+    allow_insert: u32,
+    unused: u32,
+}
+
+@group(0) @binding(0) var<uniform> parameters: Parameters;
+@group(0) @binding(1) var<uniform> now: Pass;
+
+// Number of this invocation or workgroup when the work is spread over two dimensions of workgroups.
+fn flat_group(group: vec3<u32>, groups: vec3<u32>) -> u32 {
+    return group.y * groups.x + group.x;
+}

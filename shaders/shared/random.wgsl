@@ -1,0 +1,22 @@
+// Counter-based random numbers: a pure function of seed, stream and counter (the 32-bit sibling of common/src/random.rs; the
+// mixer is the PCG hash of Jarzynski and Olano 2020).
+
+fn mix_bits(x: u32) -> u32 {
+    let state = x * 747796405u + 2891336453u;
+    let word = ((state >> ((state >> 28u) + 4u)) ^ state) * 277803737u;
+    return (word >> 22u) ^ word;
+}
+
+fn random_bits(stream: u32, counter: u32) -> u32 {
+    return mix_bits(mix_bits(mix_bits(parameters.seed) + stream) + counter);
+}
+
+// Uniform in [0, 1).
+fn random_uniform(stream: u32, counter: u32) -> f32 {
+    return f32(random_bits(stream, counter) >> 8u) * 5.9604645e-8;
+}
+
+// Streams of pass n: 4n deletion, 4n + 1 insertion, 4n + 2 the newcomers' order; classes use the upper half.
+fn stream_of(kind: u32) -> u32 {
+    return 4u * now.number + kind;
+}

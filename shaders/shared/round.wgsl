@@ -1,0 +1,10 @@
+// The number of a round or class: what tells apart dispatches of one kernel within a pass.
+
+struct Round {
+    number: u32,
+    unused_1: u32,
+    unused_2: u32,
+    unused_3: u32,
+}
+
+@group(0) @binding(2) var<uniform> round: Round;

@@ -1,0 +1,55 @@
+// The implicit function F: cubic B-spline with its gradient in full f32 (no hardware filter), mirrored at the border, and the
+// projection onto F = 0 of Eq. 5 with its sign mended: the twin of common/src/spline.rs.
+
+// Weight (x) and its derivative (y) of tap 0 to 3 at fraction t of a cell.
+fn tap_weight(tap: u32, t: f32) -> vec2<f32> {
+    let left = tap < 2u;
+    let s = select(1.0 - t, t, left);
+    let sign = select(-1.0, 1.0, left);
+    let r = 1.0 - s;
+    if tap == 0u || tap == 3u {
+        return vec2(r * r * r / 6.0, -0.5 * sign * r * r);
+    }
+    return vec2((4.0 + s * s * (3.0 * s - 6.0)) / 6.0, sign * s * (1.5 * s - 2.0));
+}
+
+fn mirrored(i: i32, n: i32) -> i32 {
+    let low = abs(i);
+    return select(select(low, 2 * (n - 1) - low, low > n - 1), 0, n == 1);
+}
+
+// One of the 64 taps: its share of the gradient per voxel (xyz) and of the value (w).
+fn spline_tap(cell: Cell, tap: u32) -> vec4<f32> {
+    let step = vec3(tap & 3u, (tap >> 2u) & 3u, tap >> 4u);
+    let size = vec3<i32>(parameters.grid_size);
+    let at = cell.base + vec3<i32>(step) - 1;
+    let c = coefficient_at(linear_index(vec3(mirrored(at.x, size.x), mirrored(at.y, size.y), mirrored(at.z, size.z))));
+    let x = tap_weight(step.x, cell.fraction.x);
+    let y = tap_weight(step.y, cell.fraction.y);
+    let z = tap_weight(step.z, cell.fraction.z);
+    return c * vec4(x.y * y.x * z.x, x.x * y.y * z.x, x.x * y.x * z.y, x.x * y.x * z.x);
+}
+
+struct Projected {
+    position: vec3<f32>,
+    found: bool,
+    normal: vec3<f32>,
+    size: f32,
+}
+
+const MOST_PROJECTION_STEPS: u32 = 25u;
+
+// What a step of the projection says: 0 go on, 1 arrived, 2 lost. `field` is gradient per mm and value.
+fn projection_state(field: vec4<f32>) -> u32 {
+    let squared = dot(field.xyz, field.xyz);
+    if !(squared > 1e-8) {
+        return 2u;
+    }
+    return select(0u, 1u, abs(field.w) <= parameters.tolerance * min(sqrt(squared), 1.0));
+}
+
+fn projection_motion(field: vec4<f32>) -> vec3<f32> {
+    let motion = field.xyz * (-field.w / dot(field.xyz, field.xyz));
+    let distance = length(motion);
+    return motion * select(1.0, parameters.projection_step / distance, distance > parameters.projection_step);
+}

@@ -1,0 +1,13 @@
+// A team of lanes of one subgroup works for one particle; a workgroup is 128 lanes. Sums go by butterfly, in which each
+// step adds the same two numbers in both lanes, so that every lane ends with the same bits. TEAM, a power of two, is set when the text is put together.
+
+const TEAMS: u32 = 128u / TEAM;
+
+// The sum over the team's lanes, the same bits in each.
+fn team_sum(value: vec4<f32>, lane: u32) -> vec4<f32> {
+    var sum = value;
+    for (var step = TEAM / 2u; step > 0u; step >>= 1u) {
+        sum += subgroupShuffleXor(sum, step);
+    }
+    return sum;
+}

@@ -1,0 +1,111 @@
+#!/bin/sh
+# The particles stage on the GPU against one CPU thread, on the same particles in one run (`make bench-gpu`).
+# Needs nothing but the stage programs; on a machine without the fields' sources, bring a folder made elsewhere with --prepare.
+#
+#   bench_gpu.sh [--bin FOLDER] [--work FOLDER] [--prepare] [--adapter NAME] [--no-cpu]
+#                [--sizes "H ..."] [--contrasts "C ..."] [--passes N] [--options "..."]
+#
+# --bin        where the programs are                                                     [target/release]
+# --work       where fields, seeds and results go; what is there already is used as it is [out/bench-gpu]
+# --prepare    make fields and seeds, and stop
+# --adapter    part of the GPU's name (a software renderer must be named)
+# --no-cpu     leave out the CPU runs
+# --sizes      uniform target edge lengths, mm, on the torso phantom's ribcage
+#              [1.9 1.205 0.852 0.682: about 60, 150, 300 and 468 thousand particles]
+# --contrasts  largest over smallest h of graded runs, smallest --least mm                [1 3 9 27]
+# --least      smallest h of the graded runs, mm                                          [1]
+# --passes     passes of each run                                                         [50]
+# --options    further options of the GPU runs
+set -eu
+
+bin=${BIN:-target/release}
+work=out/bench-gpu
+prepare= adapter= cpu=yes options=
+sizes="1.9 1.205 0.852 0.682" contrasts="1 3 9 27" least=1 passes=50
+while [ $# -gt 0 ]; do
+    case $1 in
+        --prepare) prepare=yes; shift; continue ;;
+        --no-cpu) cpu=; shift; continue ;;
+        -h|--help) sed -n '2,/^set -eu/s/^# \{0,1\}//p' "$0"; exit 0 ;;
+    esac
+    [ $# -ge 2 ] || { echo "$1: what it should be is missing; see --help" >&2; exit 2; }
+    case $1 in
+        --bin) bin=$2 ;;
+        --work) work=$2 ;;
+        --adapter) adapter=$2 ;;
+        --sizes) sizes=$2 ;;
+        --contrasts) contrasts=$2 ;;
+        --least) least=$2 ;;
+        --passes) passes=$2 ;;
+        --options) options=$2 ;;
+        *) echo "$1: no such option; see --help" >&2; exit 2 ;;
+    esac
+    shift 2
+done
+
+mkdir -p "$work"
+distance=$work/ribs.distfield.vti
+
+# fields NAME OPTIONS...: makes the size field and the seeds of a run unless they are there.
+fields() {
+    name=$1
+    shift
+    [ -e "$work/$name.sizefield.vti" ] || "$bin/sizefield" "$distance" -o "$work/$name.sizefield.vti" "$@" -q
+    [ -e "$work/$name.seeds.bin" ] || "$bin/seed" "$distance" "$work/$name.sizefield.vti" -o "$work/$name.seeds.bin" -q
+}
+
+# number FILE KEY: the first number of that key in a report.
+number() { sed -n "s/^ *\"$2\": *\"\{0,1\}\([-+.0-9eE]*\).*/\1/p" "$1" | head -n 1; }
+# total FILE: seconds of the whole process (the outermost key).
+total() { sed -n 's/^  "seconds": *\([-+.0-9eE]*\).*/\1/p' "$1" | head -n 1; }
+# settle FILE: seconds of the step settle.
+settle() { awk '/"name": "settle"/ { found = 1 } found && /"seconds"/ { gsub(/[^0-9.eE+-]/, "", $2); print $2; exit }' "$1"; }
+
+# row NAME: runs both backends and prints a line of the table.
+row() {
+    name=$1
+    common="$work/$name.seeds.bin --distfield $distance --sizefield $work/$name.sizefield.vti --force --progress none -q"
+    common="$common --max-passes $passes --energy-tolerance 0"
+    # shellcheck disable=SC2086 # options are split on purpose
+    "$bin/particles" $common -o "$work/$name.gpu.bin" --backend gpu ${adapter:+--adapter "$adapter"} $options \
+        --report "$work/$name.gpu.json"
+    report=$work/$name.gpu.json
+    count=$(number "$report" particles)
+    device=$(number "$report" device_seconds)
+    memory=$(number "$report" peak_device_bytes)
+    alone=-
+    if [ -n "$cpu" ]; then
+        # shellcheck disable=SC2086
+        "$bin/particles" $common -o "$work/$name.cpu.bin" --backend cpu --threads 1 --report "$work/$name.cpu.json"
+        alone=$(settle "$work/$name.cpu.json")
+        other=$(number "$work/$name.cpu.json" energy_ratio)
+        others=$(number "$work/$name.cpu.json" particles)
+    fi
+    awk -v name="$name" -v n="$count" -v d="$device" -v t="$(total "$report")" -v p="$passes" -v c="$alone" \
+        -v e="$(number "$report" energy_ratio)" -v f="${other:--}" -v m="$memory" -v o="${others:--}" 'BEGIN {
+        printf "| %s | %d | %s | %.3f | %.2f | %.3f | %s | %s | %s | %.4f | %s | %.0f |\n", name, n, o, d, t, d / n / p * 1e6,
+            c == "-" ? "-" : sprintf("%.2f", c), c == "-" ? "-" : sprintf("%.2f", c / o / p * 1e6),
+            c == "-" ? "-" : sprintf("%.1f", c / d), e, f == "-" ? "-" : sprintf("%.4f", f), m / n }'
+}
+
+if [ ! -e "$distance" ]; then
+    "$bin/phantom" torso --part ribs -o "$work/ribs.nrrd" --force
+    "$bin/distfield" "$work/ribs.nrrd" --iso 370 -o "$distance" -q
+fi
+for h in $sizes; do fields "uniform-$h" --uniform "$h"; done
+for c in $contrasts; do
+    if [ "$c" = 1 ]; then fields "contrast-1" --uniform "$least"; else
+        most=$(awk -v a="$least" -v c="$c" 'BEGIN { print a * c }')
+        fields "contrast-$c" --min-size "$least" --max-size "$most" --epsilon 2 --max-deviation 0
+    fi
+done
+[ -z "$prepare" ] || exit 0
+
+echo "Adapter: $("$bin/particles" --list-adapters 2>/dev/null | grep -i -m 1 "${adapter:-}" || echo none)"
+echo "Processor: $(sed -n 's/^model name[^:]*: //p' /proc/cpuinfo 2>/dev/null | head -n 1)"
+echo "$passes passes; device time is from upload to the last readback, CPU time that of the settling on one thread."
+echo
+echo "| run | particles | CPU's | device s | process s | us a particle and pass | CPU s | CPU us | speed-up | energy/ideal | CPU's | device B a particle |"
+echo "|---|---|---|---|---|---|---|---|---|---|---|---|"
+for h in $sizes; do row "uniform-$h"; done
+for c in $contrasts; do row "contrast-$c"; done

@@ -1,0 +1,229 @@
+//! Which adapters there are, choosing one, and opening it with the limits that it has (not wgpu's defaults).
+
+use isoparticles_common::error::{Error, Result};
+use std::fmt;
+use std::sync::{Arc, Mutex, PoisonError};
+
+/// What is known of an adapter before it is opened.
+#[derive(Clone, Debug)]
+pub struct AdapterSummary {
+    /// Name by the driver.
+    pub name: String,
+    /// `discrete`, `integrated`, `virtual`, `software` or `other`.
+    pub kind: &'static str,
+    /// `vulkan`, `metal` or `dx12`.
+    pub backend: String,
+    /// Driver and its version.
+    pub driver: String,
+    /// Largest buffer, bytes.
+    pub largest_buffer: u64,
+    /// Largest part of a buffer that a kernel can see, bytes.
+    pub largest_binding: u64,
+    /// Smallest and largest subgroup, lanes.
+    pub subgroup: [u32; 2],
+}
+
+impl fmt::Display for AdapterSummary {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let mib = |bytes: u64| bytes / (1 << 20);
+        write!(
+            f,
+            "{} ({}, {}, {}; buffers up to {} MiB, bindings up to {} MiB)",
+            self.name,
+            self.kind,
+            self.backend,
+            self.driver,
+            mib(self.largest_buffer),
+            mib(self.largest_binding)
+        )
+    }
+}
+
+/// Which adapter to take.
+#[derive(Clone, Debug, Default)]
+pub struct Choice {
+    /// Part of its name, in any case. Without it a real GPU is taken, a discrete one first; software renderers only by name.
+    pub name: Option<String>,
+    /// Never use subgroup operations (to find out whether a driver has them wrong).
+    pub no_subgroups: bool,
+    /// Lanes that work for one particle where subgroup operations are used: 8, 16 or 32.
+    pub team: Option<u32>,
+    /// Measure each kernel by timestamp queries.
+    pub profile: bool,
+    /// Cut fields into slabs no larger than this, bytes, even where a binding could be (tests of the slabs).
+    pub largest_slab: Option<u64>,
+}
+
+/// An open adapter.
+pub struct Gpu {
+    pub(crate) device: wgpu::Device,
+    pub(crate) queue: wgpu::Queue,
+    pub(crate) limits: wgpu::Limits,
+    /// Largest slab of a field, bytes.
+    pub(crate) largest_slab: u64,
+    /// Lanes of a team where subgroup operations are used.
+    pub(crate) subgroup_team: Option<u32>,
+    /// Whether timestamp queries are on.
+    pub(crate) timestamps: bool,
+    summary: AdapterSummary,
+    /// The first error that came outside any call's result.
+    failure: Arc<Mutex<Option<String>>>,
+}
+
+fn instance() -> wgpu::Instance {
+    let mut descriptor = wgpu::InstanceDescriptor::new_without_display_handle();
+    // The dispatches are sized by our own kernels, within the limits; checking them again would cost a pass each.
+    descriptor.flags = wgpu::InstanceFlags::ALLOW_UNDERLYING_NONCOMPLIANT_ADAPTER;
+    wgpu::Instance::new(descriptor)
+}
+
+fn summary(adapter: &wgpu::Adapter) -> AdapterSummary {
+    let info = adapter.get_info();
+    let limits = adapter.limits();
+    AdapterSummary {
+        kind: match info.device_type {
+            wgpu::DeviceType::DiscreteGpu => "discrete",
+            wgpu::DeviceType::IntegratedGpu => "integrated",
+            wgpu::DeviceType::VirtualGpu => "virtual",
+            wgpu::DeviceType::Cpu => "software",
+            wgpu::DeviceType::Other => "other",
+        },
+        backend: info.backend.to_str().to_owned(),
+        driver: format!("{} {}", info.driver, info.driver_info).trim().to_owned(),
+        name: info.name,
+        largest_buffer: limits.max_buffer_size,
+        largest_binding: limits.max_storage_buffer_binding_size,
+        subgroup: [info.subgroup_min_size, info.subgroup_max_size],
+    }
+}
+
+/// The adapters of this machine, in the order in which they are preferred.
+pub fn adapters() -> Vec<AdapterSummary> {
+    found(&instance()).iter().map(summary).collect()
+}
+
+fn found(instance: &wgpu::Instance) -> Vec<wgpu::Adapter> {
+    let mut adapters = pollster::block_on(instance.enumerate_adapters(wgpu::Backends::all()));
+    adapters.sort_by_key(|adapter| match adapter.get_info().device_type {
+        wgpu::DeviceType::DiscreteGpu => 0,
+        wgpu::DeviceType::VirtualGpu => 1,
+        wgpu::DeviceType::IntegratedGpu => 2,
+        wgpu::DeviceType::Other => 3,
+        wgpu::DeviceType::Cpu => 4,
+    });
+    adapters
+}
+
+impl Gpu {
+    /// Opens the adapter of choice; exit code 3 when there is none or it cannot be opened.
+    pub fn open(choice: &Choice) -> Result<Self> {
+        let instance = instance();
+        let all = found(&instance);
+        let listed = || {
+            let names: Vec<String> = all.iter().map(|a| summary(a).to_string()).collect();
+            if names.is_empty() { "none was found".to_owned() } else { names.join("; ") }
+        };
+        let adapter = match &choice.name {
+            Some(name) => all
+                .iter()
+                .find(|a| a.get_info().name.to_lowercase().contains(&name.to_lowercase()))
+                .ok_or_else(|| {
+                    Error::gpu(
+                        format!("--adapter {name}: no adapter has that in its name"),
+                        "the particles were to be moved there",
+                        format!("choose one of these, or --backend cpu: {}", listed()),
+                    )
+                })?,
+            None => all.iter().find(|a| a.get_info().device_type != wgpu::DeviceType::Cpu).ok_or_else(|| {
+                Error::gpu(
+                    "no GPU was found",
+                    "the run was told to use one",
+                    format!(
+                        "install its Vulkan, Metal or DX12 driver, use --backend cpu, or name a software adapter with \
+                         --adapter ({})",
+                        listed()
+                    ),
+                )
+            })?,
+        };
+        let summary = summary(adapter);
+        let features = adapter.features();
+        let limits = adapter.limits();
+        let largest_slab = limits.max_storage_buffer_binding_size.min(limits.max_buffer_size);
+        let largest_slab = largest_slab.min(choice.largest_slab.unwrap_or(u64::MAX));
+        let subgroups =
+            features.contains(wgpu::Features::SUBGROUP) && summary.subgroup[0] >= 32 && !choice.no_subgroups;
+        let timestamps = choice.profile && features.contains(wgpu::Features::TIMESTAMP_QUERY);
+        let mut wanted = wgpu::Features::empty();
+        wanted.set(wgpu::Features::SUBGROUP, subgroups);
+        wanted.set(wgpu::Features::TIMESTAMP_QUERY, timestamps);
+        let (device, queue) = pollster::block_on(adapter.request_device(&wgpu::DeviceDescriptor {
+            label: Some("particles"),
+            required_features: wanted,
+            required_limits: limits.clone(),
+            ..wgpu::DeviceDescriptor::default()
+        }))
+        .map_err(|error| {
+            Error::gpu(
+                format!("{}: cannot be opened: {error}", summary.name),
+                "the particles were to be moved there",
+                "close other programs that use it, update its driver, or use --backend cpu",
+            )
+        })?;
+        let failure = Arc::new(Mutex::new(None));
+        let keep = |failure: &Arc<Mutex<Option<String>>>, text: String| {
+            failure.lock().unwrap_or_else(PoisonError::into_inner).get_or_insert(text);
+        };
+        let (uncaptured, lost) = (failure.clone(), failure.clone());
+        device.on_uncaptured_error(Arc::new(move |error: wgpu::Error| keep(&uncaptured, error.to_string())));
+        device.set_device_lost_callback(move |reason, text| {
+            if reason != wgpu::DeviceLostReason::Destroyed {
+                keep(&lost, format!("the device was lost: {text}"));
+            }
+        });
+        let subgroup_team = subgroups.then_some(choice.team.unwrap_or(32));
+        Ok(Self { device, queue, limits, largest_slab, subgroup_team, timestamps, summary, failure })
+    }
+
+    /// What is known of the adapter.
+    pub fn summary(&self) -> &AdapterSummary {
+        &self.summary
+    }
+
+    /// Whether kernels are measured.
+    pub fn has_timestamps(&self) -> bool {
+        self.timestamps
+    }
+
+    /// The limits in words, for verbose mode.
+    pub fn limits_in_words(&self) -> String {
+        format!(
+            "limits: {} storage buffers a kernel, {} bytes of workgroup memory, subgroups of {} to {}; sums by {}",
+            self.limits.max_storage_buffers_per_shader_stage,
+            self.limits.max_compute_workgroup_storage_size,
+            self.summary.subgroup[0],
+            self.summary.subgroup[1],
+            match self.subgroup_team {
+                Some(lanes) => format!("subgroup operations over {lanes} lanes"),
+                None => "workgroup memory".to_owned(),
+            }
+        )
+    }
+
+    /// Fails when the device has reported an error since it was opened.
+    pub(crate) fn check(&self) -> Result<()> {
+        match &*self.failure.lock().unwrap_or_else(PoisonError::into_inner) {
+            Some(text) => Err(self.failed(text)),
+            None => Ok(()),
+        }
+    }
+
+    /// The error for a device that failed.
+    pub(crate) fn failed(&self, what: &str) -> Error {
+        Error::gpu(
+            format!("{}: {what}", self.summary.name),
+            "the particles are on that device and cannot be moved on",
+            "run the same command again with --resume if a checkpoint was kept; if it fails again, use --backend cpu",
+        )
+    }
+}

@@ -1,0 +1,143 @@
+//! The commands of one pass, encoded into one command buffer, with a timestamp around each kernel when profiling. Encoding
+//! takes the host as long as a small pass takes the device, so the next pass is encoded while the device works on this one.
+
+use super::adapter::Gpu;
+use super::kernels::Kernels;
+use super::memory::{read_staging, staging};
+use isoparticles_common::error::Result;
+use std::collections::BTreeMap;
+
+/// Workgroups along one axis of a dispatch; the rest goes along the second.
+const ROW: u32 = 65_535;
+
+/// One step on the device.
+pub(crate) enum Command<'a> {
+    /// Runs a kernel over so many workgroups.
+    Run { kernel: &'static str, group: &'a wgpu::BindGroup, workgroups: u32 },
+    /// Runs a kernel over as many workgroups as the device has put into a buffer.
+    RunIndirect { kernel: &'static str, group: &'a wgpu::BindGroup, arguments: &'a wgpu::Buffer, offset: u64 },
+    /// Copies the first bytes of one buffer to another.
+    Copy { from: &'a wgpu::Buffer, to: &'a wgpu::Buffer, bytes: u64 },
+    /// Sets a buffer to zero.
+    Clear { buffer: &'a wgpu::Buffer },
+}
+
+impl Command<'_> {
+    fn kernel(&self) -> Option<&'static str> {
+        match self {
+            Command::Run { kernel, .. } | Command::RunIndirect { kernel, .. } => Some(kernel),
+            _ => None,
+        }
+    }
+}
+
+/// Time and runs by kernel.
+#[derive(Default)]
+pub(crate) struct Profile {
+    queries: Option<(wgpu::QuerySet, wgpu::Buffer, wgpu::Buffer)>,
+    /// Seconds and dispatches by kernel.
+    pub times: BTreeMap<&'static str, (f64, u64)>,
+}
+
+/// Dispatches that one profiled pass may have.
+const MOST_QUERIES: u32 = 512;
+
+/// Commands that can be submitted, once.
+pub(crate) struct Encoded {
+    buffer: wgpu::CommandBuffer,
+    /// The kernels that have timestamps, in order.
+    timed: Vec<&'static str>,
+}
+
+/// Encodes the commands in order.
+pub(crate) fn encode(gpu: &Gpu, kernels: &Kernels, commands: &[Command<'_>], profile: &mut Profile) -> Encoded {
+    let mut encoder = gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
+    if gpu.timestamps && profile.queries.is_none() {
+        let set = gpu.device.create_query_set(&wgpu::QuerySetDescriptor {
+            label: Some("timestamps"),
+            ty: wgpu::QueryType::Timestamp,
+            count: 2 * MOST_QUERIES,
+        });
+        let bytes = u64::from(2 * MOST_QUERIES) * 8;
+        let resolved = gpu.device.create_buffer(&wgpu::BufferDescriptor {
+            label: Some("timestamps"),
+            size: bytes,
+            usage: wgpu::BufferUsages::QUERY_RESOLVE | wgpu::BufferUsages::COPY_SRC,
+            mapped_at_creation: false,
+        });
+        profile.queries = Some((set, resolved, staging(gpu, bytes)));
+    }
+    let mut pass: Option<wgpu::ComputePass<'static>> = None;
+    let mut timed = Vec::new();
+    for command in commands {
+        match command {
+            Command::Copy { from, to, bytes } => {
+                pass = None;
+                encoder.copy_buffer_to_buffer(from, 0, to, 0, *bytes);
+            }
+            Command::Clear { buffer } => {
+                pass = None;
+                encoder.clear_buffer(buffer, 0, None);
+            }
+            Command::Run { group, .. } | Command::RunIndirect { group, .. } => {
+                let Some(kernel) = command.kernel() else { continue };
+                let timestamp_writes =
+                    profile.queries.as_ref().filter(|_| timed.len() < MOST_QUERIES as usize).map(|q| {
+                        // a pass for each, so that its two stamps are its own
+                        pass = None;
+                        let at = 2 * timed.len() as u32;
+                        timed.push(kernel);
+                        wgpu::ComputePassTimestampWrites {
+                            query_set: &q.0,
+                            beginning_of_pass_write_index: Some(at),
+                            end_of_pass_write_index: Some(at + 1),
+                        }
+                    });
+                let current = pass.get_or_insert_with(|| {
+                    encoder
+                        .begin_compute_pass(&wgpu::ComputePassDescriptor { label: None, timestamp_writes })
+                        .forget_lifetime()
+                });
+                current.set_pipeline(&kernels.get(kernel).pipeline);
+                current.set_bind_group(0, *group, &[]);
+                match command {
+                    Command::Run { workgroups, .. } if *workgroups > 0 => {
+                        current.dispatch_workgroups((*workgroups).min(ROW), workgroups.div_ceil(ROW), 1);
+                    }
+                    Command::RunIndirect { arguments, offset, .. } => {
+                        current.dispatch_workgroups_indirect(arguments, *offset);
+                    }
+                    _ => {}
+                }
+            }
+        }
+    }
+    drop(pass);
+    if let Some((set, resolved, host)) = &profile.queries {
+        let count = 2 * timed.len() as u32;
+        encoder.resolve_query_set(set, 0..count, resolved, 0);
+        encoder.copy_buffer_to_buffer(resolved, 0, host, 0, u64::from(count) * 8);
+    }
+    Encoded { buffer: encoder.finish(), timed }
+}
+
+/// Hands encoded commands to the device; returns the kernels whose timestamps [`Profile::collect`] will find.
+pub(crate) fn submit(gpu: &Gpu, encoded: Encoded) -> Vec<&'static str> {
+    gpu.queue.submit([encoded.buffer]);
+    encoded.timed
+}
+
+impl Profile {
+    /// Waits for the device and adds up the timestamps of what was submitted last.
+    pub(crate) fn collect(&mut self, gpu: &Gpu, timed: &[&'static str]) -> Result<()> {
+        let Some((_, _, host)) = &self.queries else { return Ok(()) };
+        let stamps: Vec<u64> = read_staging(gpu, host, 16 * timed.len() as u64)?;
+        let tick = f64::from(gpu.queue.get_timestamp_period()) * 1e-9;
+        for (&kernel, pair) in timed.iter().zip(stamps.chunks_exact(2)) {
+            let entry = self.times.entry(kernel).or_default();
+            entry.0 += pair[1].saturating_sub(pair[0]) as f64 * tick;
+            entry.1 += 1;
+        }
+        Ok(())
+    }
+}

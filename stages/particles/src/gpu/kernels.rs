@@ -1,0 +1,125 @@
+//! The compute pipelines, made once, and the bind groups that tie them to buffers.
+
+use super::adapter::Gpu;
+use super::memory::Memory;
+use super::shaders::{Access, Binding, Variant, bindings, sources};
+use isoparticles_common::error::Result;
+use rayon::prelude::*;
+use std::collections::HashMap;
+use std::num::NonZeroU64;
+
+/// Bytes between the numbers in the buffer `round`: uniform offsets are multiples of this on every adapter.
+pub(crate) const ROUND_STRIDE: u64 = 256;
+/// Rounds and classes that the buffer `round` has numbers for.
+pub(crate) const ROUNDS: u32 = 32;
+
+/// A pipeline and what it binds.
+pub(crate) struct Kernel {
+    pub pipeline: wgpu::ComputePipeline,
+    layout: wgpu::BindGroupLayout,
+    bindings: Vec<Binding>,
+}
+
+/// All pipelines.
+pub(crate) struct Kernels {
+    kernels: HashMap<&'static str, Kernel>,
+}
+
+impl Kernels {
+    /// Compiles every kernel.
+    pub(crate) fn new(gpu: &Gpu, slabs: bool) -> Result<Self> {
+        let variant = Variant { slabs, subgroup_team: gpu.subgroup_team };
+        let all: Vec<_> = sources().collect();
+        // drivers take their time over each
+        let kernels = all.par_iter().map(|s| (s.name, kernel(gpu, s.name, s.compose(variant)))).collect();
+        gpu.check()?;
+        Ok(Self { kernels })
+    }
+
+    /// A pipeline.
+    pub(crate) fn get(&self, name: &str) -> &Kernel {
+        &self.kernels[name]
+    }
+
+    /// Ties a kernel to its buffers. `aliases` gives other buffers for some of its names; `round` picks the number that the kernel
+    /// sees as `round`.
+    pub(crate) fn bind(
+        &self,
+        gpu: &Gpu,
+        memory: &Memory,
+        name: &str,
+        round: u32,
+        aliases: &[(&str, &str)],
+    ) -> wgpu::BindGroup {
+        let kernel = self.get(name);
+        let entries: Vec<_> = kernel
+            .bindings
+            .iter()
+            .map(|binding| {
+                let buffer = aliases.iter().find(|a| a.0 == binding.name).map_or(binding.name.as_str(), |a| a.1);
+                let buffer = memory.get(buffer);
+                let resource = if binding.name == "round" {
+                    wgpu::BindingResource::Buffer(wgpu::BufferBinding {
+                        buffer,
+                        offset: u64::from(round) * ROUND_STRIDE,
+                        size: NonZeroU64::new(16),
+                    })
+                } else {
+                    buffer.as_entire_binding()
+                };
+                wgpu::BindGroupEntry { binding: binding.number, resource }
+            })
+            .collect();
+        gpu.device.create_bind_group(&wgpu::BindGroupDescriptor {
+            label: Some(name),
+            layout: &kernel.layout,
+            entries: &entries,
+        })
+    }
+}
+
+fn kernel(gpu: &Gpu, name: &'static str, text: String) -> Kernel {
+    let bindings = bindings(&text);
+    let entries: Vec<_> = bindings
+        .iter()
+        .map(|binding| wgpu::BindGroupLayoutEntry {
+            binding: binding.number,
+            visibility: wgpu::ShaderStages::COMPUTE,
+            ty: wgpu::BindingType::Buffer {
+                ty: match binding.access {
+                    Access::Uniform => wgpu::BufferBindingType::Uniform,
+                    Access::Read => wgpu::BufferBindingType::Storage { read_only: true },
+                    Access::ReadWrite => wgpu::BufferBindingType::Storage { read_only: false },
+                },
+                has_dynamic_offset: false,
+                min_binding_size: None,
+            },
+            count: None,
+        })
+        .collect();
+    let device = &gpu.device;
+    let layout =
+        device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor { label: Some(name), entries: &entries });
+    let pipeline_layout = device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
+        label: Some(name),
+        bind_group_layouts: &[Some(&layout)],
+        immediate_size: 0,
+    });
+    let module = device.create_shader_module(wgpu::ShaderModuleDescriptor {
+        label: Some(name),
+        source: wgpu::ShaderSource::Wgsl(text.into()),
+    });
+    let pipeline = device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
+        label: Some(name),
+        layout: Some(&pipeline_layout),
+        module: &module,
+        entry_point: None,
+        // no kernel reads workgroup memory that it has not written
+        compilation_options: wgpu::PipelineCompilationOptions {
+            zero_initialize_workgroup_memory: false,
+            ..wgpu::PipelineCompilationOptions::default()
+        },
+        cache: None,
+    });
+    Kernel { pipeline, layout, bindings }
+}

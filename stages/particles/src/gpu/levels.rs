@@ -1,0 +1,137 @@
+//! Levels of bins by octave of h, laid out once a run from the fields near the surface, so that they do not depend on the
+//! particles and a resumed run has the same ones.
+//!
+//! Level k holds the particles with h up to `largest / 2^k` that do not fit level k + 1. Its bins are as wide as the reach of its
+//! neighbour lists, SUPPORT (1 + SKIN) largest / 2^k, so a query sees at most 27 bins of it. One level for everything is the
+//! paper's global bin edge.
+
+use super::parameters::{MOST_LEVELS, device_origin};
+use crate::state::{Fields, SKIN};
+use glam::{DVec3, UVec3, Vec3};
+use isoparticles_common::energy::SUPPORT;
+use rayon::prelude::*;
+
+/// Most bins in a level; wider bins are right as well.
+const MOST_BINS: f64 = 4e6;
+
+/// One level.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Level {
+    /// Edge of a bin, mm.
+    pub edge: f32,
+    /// Largest h, mm.
+    pub largest: f32,
+    /// Number of the first bin.
+    pub first_bin: u32,
+    /// Bins along each axis.
+    pub bins: UVec3,
+}
+
+/// All levels, the coarsest first.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Levels {
+    /// Device position of the corner of bin (0, 0, 0), mm.
+    pub origin: Vec3,
+    pub levels: Vec<Level>,
+}
+
+/// Range of h and of position near the surface.
+#[derive(Clone, Copy)]
+struct Range {
+    smallest: f32,
+    largest: f32,
+    low: DVec3,
+    high: DVec3,
+}
+
+impl Range {
+    const NOTHING: Self =
+        Self { smallest: f32::INFINITY, largest: 0.0, low: DVec3::INFINITY, high: DVec3::NEG_INFINITY };
+
+    fn join(self, other: Self) -> Self {
+        Self {
+            smallest: self.smallest.min(other.smallest),
+            largest: self.largest.max(other.largest),
+            low: self.low.min(other.low),
+            high: self.high.max(other.high),
+        }
+    }
+}
+
+impl Levels {
+    /// Lays out the levels; `graded` off makes one.
+    pub(crate) fn new(fields: &Fields, graded: bool) -> Self {
+        let geometry = fields.surface.geometry();
+        let near = near_surface(fields, 2.0 * geometry.spacing.length());
+        let range = if near.largest > 0.0 { near } else { near_surface(fields, f64::INFINITY) };
+        let origin = device_origin(geometry);
+        let octaves = (f64::from(range.largest) / f64::from(range.smallest)).log2().floor() as usize + 1;
+        Self::over(
+            (range.low - origin).as_vec3(),
+            (range.high - origin).as_vec3(),
+            range.largest,
+            if graded { octaves.min(MOST_LEVELS) } else { 1 },
+        )
+    }
+
+    /// Levels over a box.
+    pub(crate) fn over(low: Vec3, high: Vec3, largest: f32, count: usize) -> Self {
+        let extent = (high - low).as_dvec3().max(DVec3::splat(f64::MIN_POSITIVE));
+        let mut first_bin = 0;
+        let levels = (0..count)
+            .map(|k| {
+                let largest = largest / (1u32 << k) as f32;
+                let reach = 1.0001 * SUPPORT * (1.0 + SKIN) * f64::from(largest);
+                let bins_at = |edge: f64| (extent / edge).floor() + 1.0;
+                let mut edge = reach;
+                while bins_at(edge).element_product() > MOST_BINS {
+                    edge *= 1.1;
+                }
+                let level = Level { edge: edge as f32, largest, first_bin, bins: bins_at(edge).as_uvec3() };
+                first_bin += level.bins.element_product();
+                level
+            })
+            .collect();
+        Self { origin: low, levels }
+    }
+
+    /// Bins in all.
+    pub(crate) fn bin_total(&self) -> u32 {
+        self.levels.last().map_or(0, |l| l.first_bin + l.bins.element_product())
+    }
+}
+
+/// Range over the voxels with |F| up to `band`: the spline's coefficients serve as F, which they are up to a small part of a voxel.
+fn near_surface(fields: &Fields, band: f64) -> Range {
+    let geometry = fields.surface.geometry();
+    let [nx, ny, _] = geometry.size;
+    let sizes = &fields.sizing.image().data;
+    let band = band as f32;
+    fields
+        .surface
+        .coefficients()
+        .par_chunks(nx * ny)
+        .zip(sizes.par_chunks(nx * ny))
+        .enumerate()
+        .map(|(k, (surface, sizing))| {
+            let mut range = Range::NOTHING;
+            for (j, (surface, sizing)) in surface.chunks(nx).zip(sizing.chunks(nx)).enumerate() {
+                let (mut first, mut last) = (usize::MAX, 0);
+                for (i, (f, h)) in surface.iter().zip(sizing).enumerate() {
+                    if f.abs() <= band {
+                        range.smallest = range.smallest.min(*h);
+                        range.largest = range.largest.max(*h);
+                        first = first.min(i);
+                        last = i;
+                    }
+                }
+                if first <= last {
+                    let at = |i: usize| geometry.index_to_grid(DVec3::new(i as f64, j as f64, k as f64));
+                    range.low = range.low.min(at(first));
+                    range.high = range.high.max(at(last));
+                }
+            }
+            range
+        })
+        .reduce(|| Range::NOTHING, Range::join)
+}

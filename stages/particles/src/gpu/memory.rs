@@ -1,0 +1,132 @@
+//! Buffers by name, what they take, and the way of their contents to and from the host.
+
+use super::adapter::Gpu;
+use isoparticles_common::error::{Error, Result};
+use std::collections::BTreeMap;
+
+/// The buffers on the device.
+#[derive(Default)]
+pub(crate) struct Memory {
+    buffers: BTreeMap<String, wgpu::Buffer>,
+    bytes: u64,
+    peak: u64,
+}
+
+const PLAIN: wgpu::BufferUsages =
+    wgpu::BufferUsages::STORAGE.union(wgpu::BufferUsages::COPY_SRC).union(wgpu::BufferUsages::COPY_DST);
+
+impl Memory {
+    /// Makes (or replaces) a storage buffer of at least `bytes` bytes; `extra` are further uses.
+    pub(crate) fn make(&mut self, gpu: &Gpu, name: &str, bytes: u64, extra: wgpu::BufferUsages) -> Result<()> {
+        let size = bytes.max(16).next_multiple_of(16);
+        if size > gpu.limits.max_buffer_size.min(gpu.limits.max_storage_buffer_binding_size) {
+            return Err(Error::gpu(
+                format!(
+                    "{}: the buffer `{name}` needs {size} bytes, the adapter's limit is {}",
+                    gpu.summary().name,
+                    gpu.limits.max_storage_buffer_binding_size
+                ),
+                "the particles and their neighbours must be on the device",
+                "use a larger target edge length, another adapter, or --backend cpu",
+            ));
+        }
+        self.remove(name);
+        let guard = gpu.device.push_error_scope(wgpu::ErrorFilter::OutOfMemory);
+        let usage = PLAIN | extra;
+        let buffer = gpu.device.create_buffer(&wgpu::BufferDescriptor {
+            label: Some(name),
+            size,
+            usage,
+            mapped_at_creation: false,
+        });
+        if let Some(error) = pollster::block_on(guard.pop()) {
+            return Err(Error::gpu(
+                format!(
+                    "{}: out of memory at the buffer `{name}` of {size} bytes, with {} in use: {error}",
+                    gpu.summary().name,
+                    self.bytes
+                ),
+                "fields, particles and neighbours must be on the device",
+                "close other programs that use it, use a larger target edge length, or --backend cpu",
+            ));
+        }
+        self.bytes += size;
+        self.peak = self.peak.max(self.bytes);
+        self.buffers.insert(name.to_owned(), buffer);
+        Ok(())
+    }
+
+    /// Lets go of a buffer.
+    pub(crate) fn remove(&mut self, name: &str) {
+        if let Some(old) = self.buffers.remove(name) {
+            self.bytes -= old.size();
+        }
+    }
+
+    /// A buffer.
+    pub(crate) fn get(&self, name: &str) -> &wgpu::Buffer {
+        self.buffers.get(name).unwrap_or_else(|| panic!("no kernel may name a buffer that was not made: {name}"))
+    }
+
+    /// Most bytes held at one time.
+    pub(crate) fn peak(&self) -> u64 {
+        self.peak
+    }
+}
+
+/// Copies a run of values into a buffer, in pieces, so that no second copy of a whole field is held.
+pub(crate) fn upload<T: bytemuck::NoUninit>(gpu: &Gpu, buffer: &wgpu::Buffer, values: &[T]) {
+    const PIECE: usize = 1 << 22;
+    for (k, piece) in values.chunks(PIECE).enumerate() {
+        gpu.queue.write_buffer(buffer, (k * PIECE * size_of::<T>()) as u64, bytemuck::cast_slice(piece));
+        gpu.queue.submit([]);
+    }
+}
+
+/// Reads the first `count` values of a buffer.
+pub(crate) fn download<T: bytemuck::AnyBitPattern>(gpu: &Gpu, buffer: &wgpu::Buffer, count: usize) -> Result<Vec<T>> {
+    let bytes = (count * size_of::<T>()) as u64;
+    if bytes == 0 {
+        return Ok(Vec::new());
+    }
+    let staging = staging(gpu, bytes);
+    let mut encoder = gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
+    encoder.copy_buffer_to_buffer(buffer, 0, &staging, 0, bytes);
+    gpu.queue.submit([encoder.finish()]);
+    read_staging(gpu, &staging, bytes)
+}
+
+/// A buffer that the host can read.
+pub(crate) fn staging(gpu: &Gpu, bytes: u64) -> wgpu::Buffer {
+    gpu.device.create_buffer(&wgpu::BufferDescriptor {
+        label: Some("staging"),
+        size: bytes,
+        usage: wgpu::BufferUsages::MAP_READ | wgpu::BufferUsages::COPY_DST,
+        mapped_at_creation: false,
+    })
+}
+
+/// Waits for the device and reads the first bytes of a staging buffer.
+pub(crate) fn read_staging<T: bytemuck::AnyBitPattern>(
+    gpu: &Gpu,
+    staging: &wgpu::Buffer,
+    bytes: u64,
+) -> Result<Vec<T>> {
+    let (sender, receiver) = std::sync::mpsc::channel();
+    staging.slice(..bytes).map_async(wgpu::MapMode::Read, move |result| {
+        let _ = sender.send(result);
+    });
+    gpu.device.poll(wgpu::PollType::wait_indefinitely()).map_err(|error| gpu.failed(&error.to_string()))?;
+    gpu.check()?;
+    match receiver.recv() {
+        Ok(Ok(())) => {}
+        Ok(Err(error)) => return Err(gpu.failed(&format!("cannot read its memory: {error}"))),
+        Err(error) => return Err(gpu.failed(&format!("did not answer: {error}"))),
+    }
+    let view = staging.slice(..bytes).get_mapped_range().map_err(|error| gpu.failed(&error.to_string()))?;
+    let mut values = Vec::with_capacity(bytes as usize / size_of::<T>());
+    values.extend(view.chunks_exact(size_of::<T>()).map(bytemuck::pod_read_unaligned::<T>));
+    drop(view);
+    staging.unmap();
+    Ok(values)
+}

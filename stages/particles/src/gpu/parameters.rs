@@ -1,0 +1,122 @@
+//! What the kernels know of the run, as the bytes of `shaders/shared/parameters.wgsl`: a list of named words in the order of
+//! the WGSL struct, whose layout the tests compare with naga's.
+
+use super::levels::Levels;
+use crate::settle::Parameters;
+use glam::{DVec3, UVec3};
+use isoparticles_common::geometry::Geometry;
+
+/// Levels that the shaders have room for.
+pub(crate) const MOST_LEVELS: usize = 12;
+
+/// Named words of a uniform block, in order and without gaps.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Block {
+    words: Vec<u32>,
+    /// Name and first byte of each member.
+    pub members: Vec<(&'static str, usize)>,
+}
+
+impl Block {
+    fn whole(mut self, name: &'static str, values: impl IntoIterator<Item = u32>) -> Self {
+        self.members.push((name, 4 * self.words.len()));
+        self.words.extend(values);
+        self
+    }
+
+    fn real(self, name: &'static str, values: impl IntoIterator<Item = f32>) -> Self {
+        self.whole(name, values.into_iter().map(f32::to_bits))
+    }
+
+    /// The bytes.
+    pub(crate) fn bytes(&self) -> &[u8] {
+        bytemuck::cast_slice(&self.words)
+    }
+}
+
+/// Where device positions have their origin: the centre of this voxel, a whole one near the middle of the grid, so that f32
+/// positions are as fine as they can be and the fraction within a cell is exact.
+pub(crate) fn centre_voxel(geometry: &Geometry) -> UVec3 {
+    UVec3::from_array(geometry.size.map(|n| n as u32 / 2))
+}
+
+/// The same in the grid frame, mm.
+pub(crate) fn device_origin(geometry: &Geometry) -> DVec3 {
+    geometry.index_to_grid(centre_voxel(geometry).as_dvec3())
+}
+
+/// |F| that counts as zero on the device, mm: the tolerance of the CPU's passes, or what f32 positions can tell.
+pub(crate) fn tolerance(geometry: &Geometry) -> f64 {
+    let resolution = geometry.upper_corner().max_element() * f64::from(f32::EPSILON);
+    (1e-5 * geometry.min_spacing()).max(2.0 * resolution)
+}
+
+/// What stays the same for a whole run.
+pub(crate) fn run_block(
+    geometry: &Geometry,
+    levels: &Levels,
+    settling: &Parameters,
+    slab_length: u32,
+    list_capacity: u32,
+) -> Block {
+    let size = geometry.size.map(|n| n as u32);
+    let real = |v: DVec3| v.as_vec3().to_array();
+    let seed = (settling.seed as u32) ^ ((settling.seed >> 32) as u32).wrapping_mul(0x9e37_79b9);
+    let mut block = Block::default()
+        .whole("grid_size", size)
+        .whole("level_count", [levels.levels.len() as u32])
+        .real("spacing", real(geometry.spacing))
+        .real("tolerance", [tolerance(geometry) as f32])
+        .real("inverse_spacing", real(1.0 / geometry.spacing))
+        .real("projection_step", [0.5 * geometry.mean_spacing() as f32])
+        .whole("centre", centre_voxel(geometry).to_array())
+        .whole("slab_length", [slab_length])
+        .real("bins_origin", levels.origin.to_array())
+        .real("normal_agreement", [settling.normal_agreement as f32])
+        .real("ideal_energy", [settling.ideal_energy as f32])
+        .real("add_below", [settling.add_below as f32])
+        .real("delete_above", [settling.delete_above as f32])
+        .real("largest_size", [levels.levels[0].largest])
+        .whole("bin_total", [levels.bin_total()])
+        .whole("list_capacity", [list_capacity])
+        .whole("seed", [seed])
+        .real("initial_lambda", [crate::INITIAL_LAMBDA as f32]);
+    let mut words = Vec::new();
+    for k in 0..MOST_LEVELS {
+        let Some(level) = levels.levels.get(k) else {
+            words.extend([0; 8]);
+            continue;
+        };
+        words.extend([level.edge.to_bits(), (1.0 / level.edge).to_bits(), level.largest.to_bits(), level.first_bin]);
+        words.extend(level.bins.to_array());
+        words.push(0);
+    }
+    block = block.whole("levels", words);
+    block
+}
+
+/// What changes from pass to pass.
+pub(crate) fn pass_block(number: u64, count: u32, allow_insert: bool) -> Block {
+    Block::default()
+        .whole("number", [number as u32])
+        .whole("count", [count])
+        .whole("allow_insert", [u32::from(allow_insert)])
+        .whole("unused", [0])
+}
+
+/// Numbers that a prefix sum adds up, and the blocks of [`SCAN_BLOCK`] that it works in.
+pub(crate) fn scan_block(length: u32) -> Block {
+    Block::default()
+        .whole("length", [length])
+        .whole("blocks", [scan_blocks(length)])
+        .whole("unused_1", [0])
+        .whole("unused_2", [0])
+}
+
+/// Numbers in a block of a prefix sum.
+pub(crate) const SCAN_BLOCK: u32 = 2048;
+
+/// Blocks of a prefix sum of so many numbers: the result has one more.
+pub(crate) fn scan_blocks(length: u32) -> u32 {
+    (length + 1).div_ceil(SCAN_BLOCK)
+}

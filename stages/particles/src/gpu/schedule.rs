@@ -1,0 +1,91 @@
+//! Which kernels a pass runs, over how many workgroups, and in which order.
+
+use super::kernels::ROUNDS;
+use super::parameters::scan_blocks;
+
+/// Rounds in which classes are given out.
+const CLASS_ROUNDS: u32 = 6;
+/// Rounds of deletion.
+const DELETION_ROUNDS: u32 = 3;
+
+/// One dispatch of a pass.
+pub(crate) struct Step {
+    pub kernel: &'static str,
+    /// Tells apart dispatches of one kernel over different buffers.
+    pub label: &'static str,
+    /// The number that the kernel sees as `round`.
+    pub round: u32,
+    pub aliases: &'static [(&'static str, &'static str)],
+    /// `None`: as many as the device says for this class.
+    pub workgroups: Option<u32>,
+}
+
+impl Step {
+    pub(crate) fn over(kernel: &'static str, round: u32, workgroups: u32) -> Self {
+        Self { kernel, label: kernel, round, aliases: &[], workgroups: Some(workgroups) }
+    }
+}
+
+/// The dispatches of a pass, in order.
+pub(crate) fn steps(count: u32, bins: u32, sort: bool, density: bool) -> Vec<Step> {
+    let mut steps = Vec::with_capacity(80);
+    let each = count.div_ceil(64);
+    let wide = count.div_ceil(256);
+    if sort {
+        steps.push(Step::over("bin_count", 0, each));
+        scan(&mut steps, "bins", bins);
+        steps.push(Step::over("bin_scatter", 0, each));
+        steps.push(Step::over("bin_reorder", 0, each));
+        steps.push(Step::over("neighbour_count", 0, each));
+        scan(&mut steps, "lists", count);
+        steps.push(Step::over("neighbour_fill", 0, each));
+        for round in 0..CLASS_ROUNDS {
+            steps.push(Step::over("class_propose", round, each));
+            steps.push(Step::over("class_settle", round, each));
+        }
+        steps.push(Step::over("class_count", 0, wide));
+        steps.push(Step::over("class_starts", 0, 1));
+        steps.push(Step::over("class_scatter", 0, wide));
+    }
+    for class in 0..ROUNDS {
+        steps.push(Step { workgroups: None, ..Step::over("move_particles", class, 0) });
+    }
+    steps.push(Step::over("energies", 0, each));
+    steps.push(Step::over("sum_blocks", 0, count.div_ceil(2048)));
+    steps.push(Step::over("sum_total", 0, 1));
+    if density {
+        for round in 1..=DELETION_ROUNDS {
+            steps.push(Step::over("density_delete", round, each));
+            steps.push(Step::over("density_relieve", round, each));
+        }
+        steps.push(Step::over("insert_propose", 0, each));
+        steps.push(Step::over("insert_choose", 0, each));
+        scan(&mut steps, "keep", 2 * count);
+        steps.push(Step::over("compact", 0, each));
+    }
+    steps
+}
+
+/// The three kernels of a prefix sum; `what` says of what.
+pub(crate) fn scan(steps: &mut Vec<Step>, what: &str, length: u32) {
+    type Names = &'static [(&'static str, &'static str)];
+    let (aliases, labels): (Names, [&'static str; 3]) = match what {
+        "bins" => (
+            &[("scan", "scan_bins"), ("scan_input", "bin_counts"), ("scan_output", "bin_starts")],
+            ["scan_blocks of bins", "scan_sums of bins", "scan_add of bins"],
+        ),
+        "lists" => (
+            &[("scan", "scan_lists"), ("scan_input", "neighbour_counts"), ("scan_output", "list_starts")],
+            ["scan_blocks of lists", "scan_sums of lists", "scan_add of lists"],
+        ),
+        _ => (
+            &[("scan", "scan_keep"), ("scan_input", "keep"), ("scan_output", "destinations")],
+            ["scan_blocks of flags", "scan_sums of flags", "scan_add of flags"],
+        ),
+    };
+    let blocks = scan_blocks(length);
+    for (k, kernel) in ["scan_blocks", "scan_sums", "scan_add"].into_iter().enumerate() {
+        let workgroups = Some(if k == 1 { 1 } else { blocks });
+        steps.push(Step { kernel, label: labels[k], round: 0, aliases, workgroups });
+    }
+}

@@ -1,0 +1,173 @@
+//! The texts of the kernels: each is its own file after the shared pieces that it uses, joined end to end.
+
+/// How a kernel is made up.
+pub(crate) struct Source {
+    /// Name of the kernel and of its file.
+    pub name: &'static str,
+    /// Shared pieces, in order.
+    pieces: &'static [Piece],
+    text: &'static str,
+}
+
+/// A shared piece; the last two depend on the adapter.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Piece {
+    Text(&'static str),
+    /// Access to the fields, in one or four slabs.
+    Fields,
+    /// Sums over the lanes of a team.
+    Team,
+}
+
+/// What of the texts depends on the adapter.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Variant {
+    /// Whether the fields are cut into slabs.
+    pub slabs: bool,
+    /// Lanes of a team that sums by subgroup operations; `None` sums through workgroup memory.
+    pub subgroup_team: Option<u32>,
+}
+
+const PARAMETERS: Piece = Piece::Text(include_str!("../../../../shaders/shared/parameters.wgsl"));
+const ENERGY: Piece = Piece::Text(include_str!("../../../../shaders/shared/energy.wgsl"));
+const PLANE: Piece = Piece::Text(include_str!("../../../../shaders/shared/plane.wgsl"));
+const RANDOM: Piece = Piece::Text(include_str!("../../../../shaders/shared/random.wgsl"));
+const GRID: Piece = Piece::Text(include_str!("../../../../shaders/shared/grid.wgsl"));
+const SPLINE: Piece = Piece::Text(include_str!("../../../../shaders/shared/spline.wgsl"));
+const PROJECT: Piece = Piece::Text(include_str!("../../../../shaders/shared/project.wgsl"));
+const TEAM_PROJECT: Piece = Piece::Text(include_str!("../../../../shaders/shared/team_project.wgsl"));
+const LEVELS: Piece = Piece::Text(include_str!("../../../../shaders/shared/levels.wgsl"));
+const LISTS: Piece = Piece::Text(include_str!("../../../../shaders/shared/lists.wgsl"));
+const WALK: Piece = Piece::Text(include_str!("../../../../shaders/shared/neighbour_walk.wgsl"));
+const CLASSES: Piece = Piece::Text(include_str!("../../../../shaders/shared/classes.wgsl"));
+const NEWTON: Piece = Piece::Text(include_str!("../../../../shaders/shared/newton.wgsl"));
+const TEAM_ENERGY: Piece = Piece::Text(include_str!("../../../../shaders/shared/team_energy.wgsl"));
+const DENSITY: Piece = Piece::Text(include_str!("../../../../shaders/shared/density.wgsl"));
+const ROUND: Piece = Piece::Text(include_str!("../../../../shaders/shared/round.wgsl"));
+
+macro_rules! source {
+    ($name:literal, $pieces:expr) => {
+        Source { name: $name, pieces: $pieces, text: include_str!(concat!("../../../../shaders/", $name, ".wgsl")) }
+    };
+}
+
+/// Every kernel.
+const SOURCES: &[Source] = &[
+    source!("scan_blocks", &[]),
+    source!("scan_sums", &[]),
+    source!("scan_add", &[]),
+    source!("bin_count", &[PARAMETERS, LEVELS]),
+    source!("bin_scatter", &[PARAMETERS]),
+    source!("bin_reorder", &[PARAMETERS]),
+    source!("neighbour_count", &[PARAMETERS, LEVELS, WALK]),
+    source!("neighbour_fill", &[PARAMETERS, LEVELS, WALK]),
+    source!("class_propose", &[PARAMETERS, RANDOM, LISTS, ROUND, CLASSES]),
+    source!("class_settle", &[PARAMETERS, RANDOM, LISTS, ROUND, CLASSES]),
+    source!("class_count", &[PARAMETERS, RANDOM, CLASSES]),
+    source!("class_starts", &[PARAMETERS, RANDOM, CLASSES, Piece::Team]),
+    source!("class_scatter", &[PARAMETERS, RANDOM, CLASSES]),
+    source!(
+        "move_particles",
+        &[
+            PARAMETERS,
+            Piece::Fields,
+            GRID,
+            SPLINE,
+            Piece::Team,
+            TEAM_PROJECT,
+            ENERGY,
+            PLANE,
+            LISTS,
+            TEAM_ENERGY,
+            NEWTON,
+            ROUND
+        ]
+    ),
+    source!("energies", &[PARAMETERS, ENERGY, LISTS]),
+    source!("sum_blocks", &[PARAMETERS]),
+    source!("sum_total", &[PARAMETERS]),
+    source!("density_delete", &[PARAMETERS, RANDOM, DENSITY, LISTS, ROUND]),
+    source!("density_relieve", &[PARAMETERS, ENERGY, LISTS, ROUND]),
+    source!("insert_propose", &[PARAMETERS, Piece::Fields, GRID, SPLINE, PROJECT, PLANE, RANDOM, DENSITY, LISTS]),
+    source!("insert_choose", &[PARAMETERS, RANDOM, LISTS]),
+    source!("compact", &[PARAMETERS]),
+];
+
+/// Kernels that only the tests run: they show what the shared pieces compute.
+#[cfg(test)]
+pub(crate) const PROBES: &[Source] = &[
+    source!("tests/probe_fields", &[PARAMETERS, Piece::Fields, GRID, SPLINE, PROJECT]),
+    source!(
+        "tests/probe_jets",
+        &[PARAMETERS, Piece::Fields, GRID, SPLINE, Piece::Team, TEAM_PROJECT, ENERGY, PLANE, LISTS, TEAM_ENERGY]
+    ),
+];
+#[cfg(not(test))]
+const PROBES: &[Source] = &[];
+
+/// Every kernel, those of the tests included where they are built.
+pub(crate) fn sources() -> impl Iterator<Item = &'static Source> {
+    SOURCES.iter().chain(PROBES)
+}
+
+impl Source {
+    /// The whole text for an adapter.
+    pub(crate) fn compose(&self, variant: Variant) -> String {
+        let mut text = String::new();
+        for piece in self.pieces {
+            let piece = match piece {
+                Piece::Text(text) => text,
+                Piece::Fields if variant.slabs => include_str!("../../../../shaders/shared/fields_4.wgsl"),
+                Piece::Fields => include_str!("../../../../shaders/shared/fields_1.wgsl"),
+                Piece::Team => match variant.subgroup_team {
+                    Some(lanes) => {
+                        text.push_str(&format!("const TEAM: u32 = {lanes}u;\n"));
+                        include_str!("../../../../shaders/shared/team_subgroups.wgsl")
+                    }
+                    None => include_str!("../../../../shaders/shared/team_memory.wgsl"),
+                },
+            };
+            text.push_str(piece);
+            text.push('\n');
+        }
+        text.push_str(self.text);
+        text
+    }
+}
+
+/// A buffer that a kernel uses.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) struct Binding {
+    /// Its number in group 0.
+    pub number: u32,
+    /// Name of the variable, which is the name of the buffer.
+    pub name: String,
+    /// How it is used.
+    pub access: Access,
+}
+
+/// How a kernel uses a buffer.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Access {
+    Uniform,
+    Read,
+    ReadWrite,
+}
+
+/// The buffers that a text declares, read off its lines `@group(0) @binding(n) var<...> name: type;`.
+pub(crate) fn bindings(text: &str) -> Vec<Binding> {
+    text.lines()
+        .filter_map(|line| {
+            let rest = line.strip_prefix("@group(0) @binding(")?;
+            let (number, rest) = rest.split_once(") var<")?;
+            let (space, rest) = rest.split_once("> ")?;
+            let (name, _) = rest.split_once(':')?;
+            let access = match space {
+                "uniform" => Access::Uniform,
+                "storage, read" => Access::Read,
+                _ => Access::ReadWrite,
+            };
+            Some(Binding { number: number.parse().ok()?, name: name.to_owned(), access })
+        })
+        .collect()
+}

@@ -1,0 +1,107 @@
+//! F, h, energies and their derivatives against the CPU's.
+
+use super::any_gpu;
+use super::scenes::Scene;
+use crate::gpu::adapter::{Choice, Gpu};
+use crate::gpu::engine::{Binning, GpuEngine};
+use crate::gpu::memory::download;
+use crate::gpu::parameters::device_origin;
+use crate::gpu::schedule::{Step, steps};
+use crate::movement::{TangentPlane, energy_jet};
+use crate::settle::Engine;
+use crate::state::State;
+use glam::{DVec3, Vec3};
+
+/// An engine that has sorted its particles and made their lists, and room for what a probe writes.
+pub(super) fn sorted<'a>(gpu: &'a Gpu, scene: &Scene, binning: Binning) -> GpuEngine<'a> {
+    let settings = crate::Parameters::default();
+    let mut engine = GpuEngine::new(gpu, &scene.fields(), &scene.seeds, &settings, binning).unwrap();
+    let mut all = steps(engine.count, engine.levels.bin_total(), true, false);
+    all.retain(|s| s.kernel != "move_particles");
+    let words = engine.run_steps(1, &all, true).unwrap();
+    if words[4] > engine.list_capacity {
+        engine.make_lists(u64::from(words[4])).unwrap();
+        engine.run_steps(1, &all, true).unwrap();
+    }
+    let bytes = 48 * u64::from(engine.count);
+    engine.memory.make(gpu, "probed", bytes, wgpu::BufferUsages::empty()).unwrap();
+    engine
+}
+
+/// The particles as the device has them.
+fn on_device(gpu: &Gpu, engine: &GpuEngine<'_>) -> Vec<DVec3> {
+    let place: Vec<[f32; 4]> = download(gpu, engine.memory.get("place"), engine.count as usize).unwrap();
+    let origin = device_origin(&engine.geometry);
+    place.iter().map(|p| origin + Vec3::new(p[0], p[1], p[2]).as_dvec3()).collect()
+}
+
+fn vector(v: [f32; 4]) -> DVec3 {
+    Vec3::new(v[0], v[1], v[2]).as_dvec3()
+}
+
+#[test]
+fn fields_are_those_of_the_cpu_also_outside_and_in_slabs() {
+    for largest_slab in [None, Some(48 * 1024)] {
+        let Some(gpu) = any_gpu("fields", Choice { largest_slab, ..Choice::default() }) else { return };
+        let mut scene = Scene::bumpy_torus(300);
+        // anywhere, beyond the border as well
+        let corner = scene.surface.geometry().upper_corner();
+        for (n, p) in scene.seeds.positions.iter_mut().enumerate().skip(100) {
+            let at = |axis| 1.4 * isoparticles_common::random::uniform(2, axis, n as u64) - 0.2;
+            *p = corner * DVec3::new(at(0), at(1), at(2));
+        }
+        scene.seeds.positions[100] = corner;
+        scene.seeds.positions[101] = DVec3::ZERO;
+        let mut engine = sorted(&gpu, &scene, Binning::Graded);
+        let each = engine.count.div_ceil(64);
+        engine.run_steps(1, &[Step::over("tests/probe_fields", 0, each)], false).unwrap();
+        let probed: Vec<[f32; 4]> = download(&gpu, engine.memory.get("probed"), 2 * engine.count as usize).unwrap();
+        for (p, found) in on_device(&gpu, &engine).into_iter().zip(probed.chunks(2)) {
+            let (value, gradient) = scene.surface.value_gradient(p);
+            assert!((f64::from(found[0][3]) - value).abs() < 2e-6 * (1.0 + value.abs()), "F at {p}");
+            assert!((vector(found[0]) - gradient).length() < 2e-5, "gradient at {p}: {:?}, {gradient}", found[0]);
+            let (h, slope) = scene.sizing.value_gradient(p);
+            let most = engine.levels.levels[0].largest;
+            assert!((found[1][3] - (h as f32).min(most)).abs() < 2e-6, "h at {p}");
+            assert!((vector(found[1]) - slope).length() < 2e-5, "gradient of h at {p}: {:?}, {slope}", found[1]);
+        }
+    }
+}
+
+#[test]
+fn energies_and_forces_are_those_of_the_cpu() {
+    let Some(gpu) = any_gpu("energies and forces", Choice::default()) else { return };
+    for scene in [Scene::ball(900, 1.6), Scene::bumpy_torus(1500)] {
+        let mut engine = sorted(&gpu, &scene, Binning::Graded);
+        let count = engine.count;
+        engine.run_steps(1, &[Step::over("tests/probe_jets", 0, count)], false).unwrap();
+        let probed: Vec<[f32; 4]> = download(&gpu, engine.memory.get("probed"), 3 * count as usize).unwrap();
+        let energies: Vec<f32> = download(&gpu, engine.memory.get("energies"), count as usize).unwrap();
+        engine.listed = false;
+        let mut state = State::unlisted(engine.particles().unwrap(), 0.0);
+        state.rebuild();
+        let fields = scene.fields();
+        let mut worst = [0.0f64; 4];
+        for (i, found) in probed.chunks(3).enumerate() {
+            let (energy, gradient, hessian) = energy_jet(&state, &fields, i);
+            let normal = state.set.normals[i];
+            let plane = TangentPlane::new(normal);
+            let force = plane.out_of_plane(plane.coordinates(gradient));
+            let curvature = plane.restrict(&hessian);
+            let scale = 1e-9 + energy;
+            worst[0] = worst[0].max((f64::from(found[0][3]) - energy).abs() / scale);
+            worst[0] = worst[0].max((f64::from(found[1][3]) - energy).abs() / scale);
+            worst[0] = worst[0].max((f64::from(energies[i]) - energy).abs() / scale);
+            // forces cancel in part: relative to the sum of their magnitudes, which is of the order of the Hessian times h
+            let size = curvature[0].abs().max(curvature[2].abs()) * state.set.sizes[i] + 1e-9;
+            worst[1] = worst[1].max((vector(found[0]) - force).length() / size);
+            for (a, b) in found[1].iter().zip(curvature) {
+                worst[2] = worst[2].max((f64::from(*a) - b).abs() * state.set.sizes[i] / size);
+            }
+            let (value, slope) = scene.surface.value_gradient(state.set.positions[i]);
+            let surface = (f64::from(found[2][3]) - value).abs() + (vector(found[2]) - slope).length();
+            worst[3] = worst[3].max(surface);
+        }
+        assert!(worst[0] < 1e-4 && worst[1] < 1e-4 && worst[2] < 1e-3 && worst[3] < 2e-5, "{worst:?}");
+    }
+}

@@ -1,0 +1,65 @@
+//! Neighbour lists and classes.
+
+use super::any_gpu;
+use super::fields::sorted;
+use super::scenes::Scene;
+use crate::gpu::adapter::Choice;
+use crate::gpu::engine::Binning;
+use crate::gpu::memory::download;
+use crate::settle::Engine;
+use crate::state::State;
+
+#[test]
+fn lists_are_those_of_the_cpu_and_no_two_neighbours_share_a_class() {
+    let Some(gpu) = any_gpu("neighbour lists", Choice::default()) else { return };
+    for (scene, binning) in [
+        (Scene::ball(1, 1.6), Binning::Graded),
+        (Scene::ball(700, 1.6), Binning::Graded),
+        (Scene::bumpy_torus(2500), Binning::Graded),
+        (Scene::bumpy_torus(2500), Binning::Uniform),
+    ] {
+        let mut engine = sorted(&gpu, &scene, binning);
+        assert!(engine.levels.levels.len() == 1 || binning == Binning::Graded);
+        let count = engine.count as usize;
+        engine.listed = false;
+        let mut state = State::unlisted(engine.particles().unwrap(), 0.0);
+        state.rebuild();
+        let starts: Vec<u32> = download(&gpu, engine.memory.get("list_starts"), count + 1).unwrap();
+        let members: Vec<u32> = download(&gpu, engine.memory.get("lists"), starts[count] as usize).unwrap();
+        let list = |i: usize| &members[starts[i] as usize..starts[i + 1] as usize];
+        let reach = isoparticles_common::energy::SUPPORT * (1.0 + crate::state::SKIN);
+        for i in 0..count {
+            let mut found = list(i).to_vec();
+            found.sort_unstable();
+            let mut want = state.neighbours.of(i).to_vec();
+            want.sort_unstable();
+            // only pairs on the very edge may differ
+            let set = &state.set;
+            let edge = |j: &u32| {
+                let j = *j as usize;
+                let limit = reach * set.sizes[i].min(set.sizes[j]);
+                let distance = set.positions[i].distance(set.positions[j]);
+                (distance / limit - 1.0).abs() < 1e-5 || set.normals[i].dot(set.normals[j]).abs() < 1e-5
+            };
+            assert!(found.iter().filter(|j| !want.contains(j)).all(edge), "{i}: too many");
+            assert!(want.iter().filter(|j| !found.contains(j)).all(edge), "{i}: too few");
+        }
+        let classes: Vec<u32> = download(&gpu, engine.memory.get("classes"), count).unwrap();
+        for i in 0..count {
+            assert!(classes[i] == u32::MAX || list(i).iter().all(|&j| classes[j as usize] != classes[i]), "{i}");
+        }
+        let given = classes.iter().filter(|&&c| c != u32::MAX).count();
+        // those left out of a crowd rest until the next sort
+        assert!(
+            given as f64 >= if count < 1000 { 0.995 } else { 0.8 } * count as f64,
+            "{given} of {count} particles got a class"
+        );
+        let class_starts: Vec<u32> = download(&gpu, engine.memory.get("class_starts"), 33).unwrap();
+        let ordered: Vec<u32> = download(&gpu, engine.memory.get("class_members"), given).unwrap();
+        assert_eq!(class_starts[32] as usize, given);
+        for c in 0..32 {
+            let range = class_starts[c] as usize..class_starts[c + 1] as usize;
+            assert!(ordered[range].iter().all(|&i| classes[i as usize] == c as u32));
+        }
+    }
+}

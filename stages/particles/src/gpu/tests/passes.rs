@@ -1,0 +1,123 @@
+//! The whole backend: same lattice as the CPU's, same bytes on every run, whether broken off or not.
+
+use super::any_gpu;
+use super::scenes::Scene;
+use crate::gpu::adapter::{Choice, Gpu};
+use crate::gpu::engine::{Binning, GpuEngine};
+use crate::settle::{Engine, Parameters, PassRecord, Summary, settle, settle_with};
+use isoparticles_common::particle_set::ParticleSet;
+
+fn settled(gpu: &Gpu, scene: &Scene, parameters: &Parameters, binning: Binning) -> (ParticleSet, Summary) {
+    let fields = scene.fields();
+    let mut engine = GpuEngine::new(gpu, &fields, &scene.seeds, parameters, binning).unwrap();
+    settle_with(&mut engine, &fields, parameters, &[], |_, _| Ok(())).unwrap()
+}
+
+/// Within 1 % in count and energy.
+fn alike(a: &(ParticleSet, Summary), b: &(ParticleSet, Summary), what: &str) {
+    let count = a.0.positions.len() as f64 / b.0.positions.len() as f64;
+    let energy = a.1.energy_ratio / b.1.energy_ratio;
+    assert!((count - 1.0).abs() < 0.01, "{what}: count off by {:.2} %", 100.0 * (count - 1.0));
+    assert!((energy - 1.0).abs() < 0.01, "{what}: energy off by {:.2} %", 100.0 * (energy - 1.0));
+}
+
+#[test]
+fn the_lattice_is_that_of_the_cpu() {
+    let Some(gpu) = any_gpu("the whole backend", Choice::default()) else { return };
+    let first = Parameters { max_passes: 12, closing_passes: 2, energy_tolerance: 0.0, ..Parameters::default() };
+    let parameters = Parameters { max_passes: 25, seed: 5, ..first.clone() };
+    for (mut scene, what) in [(Scene::ball(1500, 1.2), "ball"), (Scene::bumpy_torus(1300), "graded torus")] {
+        // from seeds about as even as those of the seed stage: chance has less of a say than from random ones
+        scene.seeds = settle(scene.seeds.clone(), &scene.fields(), &first, &[], |_, _| Ok(())).unwrap().0;
+        let on_cpu = settle(scene.seeds.clone(), &scene.fields(), &parameters, &[], |_, _| Ok(())).unwrap();
+        let graded = settled(&gpu, &scene, &parameters, Binning::Graded);
+        alike(&graded, &on_cpu, what);
+        if what != "ball" {
+            let uniform = settled(&gpu, &scene, &parameters, Binning::Uniform);
+            alike(&uniform, &on_cpu, &format!("{what}, uniform bins"));
+        }
+    }
+}
+
+#[test]
+fn particles_stay_on_the_surface_and_energy_falls() {
+    let Some(gpu) = any_gpu("movement", Choice::default()) else { return };
+    let scene = Scene::bumpy_torus(1300);
+    let fields = scene.fields();
+    let mut engine = GpuEngine::new(&gpu, &fields, &scene.seeds, &Parameters::default(), Binning::Graded).unwrap();
+    let mut last = f64::INFINITY;
+    for pass in 1..=6 {
+        let outcome = engine.pass(pass, false).unwrap();
+        assert!(outcome.energy < last * 1.0001, "pass {pass}: {} after {last}", outcome.energy);
+        assert!(outcome.moved as f64 > 0.9 * outcome.count as f64);
+        last = outcome.energy;
+        let set = engine.particles().unwrap();
+        let voxel = scene.surface.geometry().min_spacing();
+        for ((&p, &n), &h) in set.positions.iter().zip(&set.normals).zip(&set.sizes) {
+            let (f, g) = scene.surface.value_gradient(p);
+            assert!(f.abs() < 1e-4 * voxel, "F = {f}");
+            assert!((g.normalize() - n).length() < 1e-4);
+            assert!((scene.sizing.at(p) - h).abs() < 1e-5);
+        }
+    }
+}
+
+#[test]
+fn every_run_gives_the_same_bytes_also_a_resumed_one_and_one_in_slabs() {
+    let Some(gpu) = any_gpu("repeatability", Choice::default()) else { return };
+    let scene = Scene::bumpy_torus(900);
+    let fields = scene.fields();
+    let parameters = Parameters { max_passes: 27, ..Parameters::default() };
+    let mut kept: Option<(Vec<PassRecord>, ParticleSet)> = None;
+    let mut records = Vec::new();
+    let mut engine = GpuEngine::new(&gpu, &fields, &scene.seeds, &parameters, Binning::Graded).unwrap();
+    let whole = settle_with(&mut engine, &fields, &parameters, &[], |record, engine| {
+        records.push(*record);
+        if record.pass == 10 {
+            kept = Some((records.clone(), engine.particles()?));
+        }
+        Ok(())
+    })
+    .unwrap();
+    assert!(records.iter().map(|r| r.inserted).sum::<usize>() > 50, "the seeds were to be too few");
+    assert!(whole.0 == settled(&gpu, &scene, &parameters, Binning::Graded).0, "two runs differ");
+    let (records, set) = kept.unwrap();
+    let mut engine = GpuEngine::new(&gpu, &fields, &set, &parameters, Binning::Graded).unwrap();
+    let resumed = settle_with(&mut engine, &fields, &parameters, &records, |_, _| Ok(())).unwrap();
+    assert!(whole.0 == resumed.0, "a resumed run differs");
+    let Some(narrow) = any_gpu("slabs", Choice { largest_slab: Some(48 * 1024), ..Choice::default() }) else {
+        return;
+    };
+    assert!(whole.0 == settled(&narrow, &scene, &parameters, Binning::Graded).0, "slabs make a difference");
+}
+
+#[test]
+fn crowds_and_lonely_ones_end_as_the_lattice() {
+    let Some(gpu) = any_gpu("density control", Choice::default()) else { return };
+    let lattice = 4.0 * std::f64::consts::PI * 144.0 * 2.0 / (3f64.sqrt() * 1.6 * 1.6);
+    // 3000 is three times too many: the lists outgrow their first room
+    for count in [40, 3000] {
+        let parameters = Parameters { max_passes: 60, ..Parameters::default() };
+        let (set, summary) = settled(&gpu, &Scene::ball(count, 1.6), &parameters, Binning::Graded);
+        let found = set.positions.len() as f64;
+        assert!((found / lattice - 1.0).abs() < 0.08, "from {count}: {found}, the lattice has {lattice:.0}");
+        assert!((summary.energy_ratio - 1.0).abs() < 0.2, "{summary:?}");
+    }
+}
+
+#[test]
+fn an_adapter_that_is_not_there_ends_with_exit_code_3() {
+    let choice = Choice { name: Some("no such adapter".to_owned()), ..Choice::default() };
+    let Err(error) = Gpu::open(&choice) else { panic!("it was opened") };
+    assert_eq!(error.kind, isoparticles_common::error::Kind::Gpu);
+}
+
+#[test]
+fn a_field_beyond_the_limits_is_refused() {
+    let choice = Choice { largest_slab: Some(1024), ..Choice::default() };
+    let Some(gpu) = any_gpu("limits", choice) else { return };
+    let scene = Scene::ball(10, 1.6);
+    let engine = GpuEngine::new(&gpu, &scene.fields(), &scene.seeds, &Parameters::default(), Binning::Graded);
+    let Err(error) = engine else { panic!("it was taken") };
+    assert_eq!(error.kind, isoparticles_common::error::Kind::Gpu);
+}

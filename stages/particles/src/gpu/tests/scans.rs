@@ -1,0 +1,145 @@
+//! Prefix sums and the sort into bins: exact, for any count, on any number of workgroups.
+
+use super::any_gpu;
+use crate::gpu::adapter::{Choice, Gpu};
+use crate::gpu::commands::{Command, Profile, encode, submit};
+use crate::gpu::kernels::Kernels;
+use crate::gpu::levels::Levels;
+use crate::gpu::memory::{Memory, download, upload};
+use crate::gpu::parameters::{pass_block, run_block, scan_block};
+use crate::gpu::schedule::{Step, scan};
+use glam::{DVec3, Vec3};
+use isoparticles_common::geometry::Geometry;
+use isoparticles_common::random::{bits, uniform};
+
+/// Buffers made by hand and single steps over them.
+struct Rig {
+    gpu: Gpu,
+    kernels: Kernels,
+    memory: Memory,
+}
+
+impl Rig {
+    fn new(what: &str) -> Option<Self> {
+        let gpu = any_gpu(what, Choice::default())?;
+        let kernels = Kernels::new(&gpu, false).unwrap();
+        Some(Self { gpu, kernels, memory: Memory::default() })
+    }
+
+    fn put<T: bytemuck::NoUninit>(&mut self, name: &str, values: &[T]) {
+        let bytes = size_of_val(values) as u64;
+        self.memory.make(&self.gpu, name, bytes, wgpu::BufferUsages::UNIFORM).unwrap();
+        upload(&self.gpu, self.memory.get(name), values);
+    }
+
+    fn run(&mut self, steps: &[Step]) {
+        let groups: Vec<_> =
+            steps.iter().map(|s| self.kernels.bind(&self.gpu, &self.memory, s.kernel, s.round, s.aliases)).collect();
+        let commands: Vec<_> = steps
+            .iter()
+            .zip(&groups)
+            .map(|(s, group)| Command::Run { kernel: s.kernel, group, workgroups: s.workgroups.unwrap() })
+            .collect();
+        submit(&self.gpu, encode(&self.gpu, &self.kernels, &commands, &mut Profile::default()));
+    }
+
+    fn take(&self, name: &str, count: usize) -> Vec<u32> {
+        download(&self.gpu, self.memory.get(name), count).unwrap()
+    }
+}
+
+#[test]
+fn prefix_sums_are_exact() {
+    let Some(mut rig) = Rig::new("prefix sums") else { return };
+    for count in [0usize, 1, 2, 7, 2047, 2048, 2049, 4096, 70_001, 3_000_017] {
+        let numbers: Vec<u32> = (0..count as u64).map(|n| (bits(3, 0, n) % 9) as u32).collect();
+        rig.put("neighbour_counts", &numbers);
+        rig.put("list_starts", &vec![77u32; count + 1]);
+        rig.put("scan_sums", &vec![77u32; count / 2048 + 2]);
+        rig.put("scan_lists", bytemuck::cast_slice::<u8, u32>(scan_block(count as u32).bytes()));
+        let mut steps = Vec::new();
+        scan(&mut steps, "lists", count as u32);
+        rig.run(&steps);
+        let mut sum = 0;
+        let want: Vec<u32> = std::iter::once(0)
+            .chain(numbers.iter().map(|n| {
+                sum += n;
+                sum
+            }))
+            .collect();
+        assert!(rig.take("list_starts", count + 1) == want, "{count} numbers");
+    }
+}
+
+/// Sorts particles and compares with a stable sort by (level, bin).
+fn check_sort(rig: &mut Rig, count: usize, largest: f32, contrast: f64, levels: usize) {
+    let geometry = Geometry::axis_aligned([9, 9, 9], DVec3::ONE);
+    let (low, high) = (Vec3::splat(-4.0), Vec3::splat(4.0));
+    let levels = Levels::over(low, high, largest, levels);
+    let place: Vec<[f32; 4]> = (0..count as u64)
+        .map(|n| {
+            let at = |axis| (10.0 * uniform(5, axis, n) - 5.0) as f32;
+            [at(0), at(1), at(2), largest * contrast.powf(-uniform(5, 3, n)) as f32]
+        })
+        .collect();
+    let settings = crate::Parameters::default();
+    let words = |block: crate::gpu::parameters::Block| bytemuck::cast_slice::<u8, u32>(block.bytes()).to_vec();
+    rig.put("parameters", &words(run_block(&geometry, &levels, &settings, 729, 1)));
+    rig.put("now", &words(pass_block(1, count as u32, true)));
+    rig.put("listed_place", &place);
+    rig.put("listed_normal", &place);
+    for name in ["place", "normal", "place_at_listing"] {
+        rig.put(name, &vec![[0.0f32; 4]; count]);
+    }
+    for name in ["bin_of", "order", "outcome"] {
+        rig.put(name, &vec![0u32; count]);
+    }
+    let bins = levels.bin_total();
+    rig.put("bin_counts", &vec![0u32; bins as usize]);
+    rig.put("bin_starts", &vec![0u32; bins as usize + 1]);
+    rig.put("scan_sums", &vec![0u32; bins as usize / 2048 + 2]);
+    rig.put("scan_bins", &words(scan_block(bins)));
+    let each = count.div_ceil(64) as u32;
+    let mut steps = vec![Step::over("bin_count", 0, each)];
+    scan(&mut steps, "bins", bins);
+    steps.push(Step::over("bin_scatter", 0, each));
+    steps.push(Step::over("bin_reorder", 0, each));
+    rig.run(&steps);
+    let mut keyed: Vec<(u32, u32)> = place
+        .iter()
+        .enumerate()
+        .map(|(i, p)| {
+            let level = levels.levels.iter().rposition(|l| p[3] <= l.largest).unwrap_or(0);
+            let l = &levels.levels[level];
+            let cell = ((Vec3::new(p[0], p[1], p[2]) - levels.origin) * (1.0 / l.edge)).floor();
+            let cell = cell.max(Vec3::ZERO).as_uvec3().min(l.bins - 1);
+            (l.first_bin + (cell.z * l.bins.y + cell.y) * l.bins.x + cell.x, i as u32)
+        })
+        .collect();
+    keyed.sort_unstable();
+    let want: Vec<u32> = keyed.iter().flat_map(|&(_, i)| place[i as usize].map(f32::to_bits)).collect();
+    assert!(rig.take("place", 4 * count) == want, "{count} particles in {} levels", levels.levels.len());
+    assert!(rig.take("bin_counts", bins as usize).iter().all(|&n| n == 0), "counts go back to zero");
+    let starts = rig.take("bin_starts", bins as usize + 1);
+    assert_eq!(starts[bins as usize], count as u32);
+    assert!(
+        keyed
+            .iter()
+            .enumerate()
+            .all(|(k, &(bin, _))| { (starts[bin as usize]..starts[bin as usize + 1]).contains(&(k as u32)) })
+    );
+}
+
+#[test]
+fn the_sort_is_exact_and_stable() {
+    let Some(mut rig) = Rig::new("the sort into bins") else { return };
+    for (count, contrast, levels) in [(0, 1.0, 1), (1, 1.0, 1), (63, 1.0, 1), (1001, 8.0, 1), (6000, 30.0, 5)] {
+        check_sort(&mut rig, count, 0.5, contrast, levels);
+    }
+}
+
+#[test]
+fn more_than_65535_workgroups_are_no_different() {
+    let Some(mut rig) = Rig::new("more than 65,535 workgroups") else { return };
+    check_sort(&mut rig, 65_536 * 64 + 33, 0.04, 1.0, 1);
+}

@@ -1,0 +1,83 @@
+//! Surfaces and particles for the tests.
+
+use crate::state::Fields;
+use glam::DVec3;
+use isoparticles_common::geometry::Geometry;
+use isoparticles_common::image::Image;
+use isoparticles_common::particle_set::ParticleSet;
+use isoparticles_common::random::uniform;
+use isoparticles_common::sizing::SizingField;
+use isoparticles_common::spline::CubicSpline;
+
+/// A surface with its size field and seeds.
+pub(super) struct Scene {
+    pub surface: CubicSpline,
+    pub sizing: SizingField,
+    pub seeds: ParticleSet,
+}
+
+impl Scene {
+    pub(super) fn fields(&self) -> Fields<'_> {
+        Fields { surface: &self.surface, sizing: &self.sizing }
+    }
+
+    /// Samples F and h (of the position from the centre), and scatters `count` points over F = 0 from random starts.
+    pub(super) fn new(
+        size: [usize; 3],
+        spacing: DVec3,
+        f: impl Fn(DVec3) -> f64,
+        h: impl Fn(DVec3) -> f64,
+        count: u64,
+        start: impl Fn(DVec3) -> DVec3,
+    ) -> Self {
+        let geometry = Geometry::axis_aligned(size, spacing);
+        let centre = 0.5 * geometry.upper_corner();
+        let sampled = |g: &dyn Fn(DVec3) -> f64| {
+            let mut image = Image::filled(geometry.clone(), 0.0f32);
+            for (n, value) in image.data.iter_mut().enumerate() {
+                let (i, j, k) = (n % size[0], n / size[0] % size[1], n / size[0] / size[1]);
+                *value = g(geometry.index_to_grid(DVec3::new(i as f64, j as f64, k as f64)) - centre) as f32;
+            }
+            image
+        };
+        let surface = CubicSpline::new(&sampled(&f));
+        let sizing = SizingField::new(sampled(&h));
+        let mut seeds = ParticleSet {
+            geometry,
+            positions: vec![],
+            normals: vec![],
+            sizes: vec![],
+            energies: vec![],
+            lambdas: vec![],
+        };
+        for n in 0..count {
+            let random = DVec3::new(uniform(1, 0, n), uniform(1, 1, n), uniform(1, 2, n)) - 0.5;
+            if let Some((p, g)) = surface.project_with_gradient(centre + start(random.normalize()), 6.0, 1e-6) {
+                seeds.positions.push(p);
+                seeds.normals.push(g.normalize());
+                seeds.sizes.push(sizing.at(p));
+                seeds.energies.push(0.0);
+                seeds.lambdas.push(crate::INITIAL_LAMBDA);
+            }
+        }
+        Self { surface, sizing, seeds }
+    }
+
+    /// A ball of radius 12 with the same h everywhere.
+    pub(super) fn ball(count: u64, h: f64) -> Self {
+        Self::new([34; 3], DVec3::ONE, |p| p.length() - 12.0, |_| h, count, |d| 12.0 * d)
+    }
+
+    /// A torus with a wavy tube, anisotropic voxels, and h from 0.8 to 3.2 across it.
+    pub(super) fn bumpy_torus(count: u64) -> Self {
+        let f = |p: DVec3| {
+            let around = p.y.atan2(p.x);
+            (p.truncate().length() - 13.0).hypot(p.z) - 4.5 - 0.6 * (5.0 * around).sin()
+        };
+        let h = |p: DVec3| 0.8 * 4f64.powf((p.x / 38.0 + 0.5).clamp(0.0, 1.0));
+        Self::new([42, 53, 18], DVec3::new(1.0, 0.8, 1.0), f, h, count, |d| {
+            let (out, tube) = (d.with_z(0.0).normalize(), std::f64::consts::TAU * (7.3 * d.z).fract());
+            13.0 * out + 4.5 * (tube.cos() * out + tube.sin() * DVec3::Z)
+        })
+    }
+}

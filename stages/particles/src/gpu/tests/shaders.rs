@@ -1,0 +1,95 @@
+//! What needs no adapter: every text is valid WGSL, and the layouts shared with Rust are naga's.
+
+use crate::gpu::levels::Levels;
+use crate::gpu::parameters::{Block, pass_block, run_block, scan_block};
+use crate::gpu::shaders::{Access, Variant, bindings, sources};
+use glam::{DVec3, Vec3};
+use isoparticles_common::geometry::Geometry;
+use naga::valid::{Capabilities, ValidationFlags, Validator};
+
+const VARIANTS: [Variant; 5] = [
+    Variant { slabs: false, subgroup_team: None },
+    Variant { slabs: true, subgroup_team: None },
+    Variant { slabs: false, subgroup_team: Some(32) },
+    Variant { slabs: false, subgroup_team: Some(16) },
+    Variant { slabs: true, subgroup_team: Some(8) },
+];
+
+fn module(text: &str, what: &str) -> naga::Module {
+    naga::front::wgsl::parse_str(text).unwrap_or_else(|error| panic!("{what}: {}", error.emit_to_string(text)))
+}
+
+#[test]
+fn every_kernel_is_valid() {
+    for variant in VARIANTS {
+        for source in sources() {
+            let text = source.compose(variant);
+            let module = module(&text, source.name);
+            let capabilities =
+                if variant.subgroup_team.is_some() { Capabilities::SUBGROUP } else { Capabilities::empty() };
+            let mut validator = Validator::new(ValidationFlags::all(), capabilities);
+            validator
+                .subgroup_stages(naga::valid::ShaderStages::COMPUTE)
+                .subgroup_operations(naga::valid::SubgroupOperationSet::all());
+            let checked = validator.validate(&module);
+            if let Err(error) = checked {
+                panic!("{}: {}", source.name, error.emit_to_string(&text));
+            }
+            assert_eq!(module.entry_points.len(), 1, "{}: one kernel a file", source.name);
+        }
+    }
+}
+
+#[test]
+fn the_bindings_are_those_that_naga_sees() {
+    for variant in VARIANTS {
+        for source in sources() {
+            let text = source.compose(variant);
+            let module = module(&text, source.name);
+            let mut seen: Vec<_> = module
+                .global_variables
+                .iter()
+                .filter_map(|(_, variable)| {
+                    let binding = variable.binding.as_ref()?;
+                    assert_eq!(binding.group, 0);
+                    let access = match variable.space {
+                        naga::AddressSpace::Uniform => Access::Uniform,
+                        naga::AddressSpace::Storage { access } if access.contains(naga::StorageAccess::STORE) => {
+                            Access::ReadWrite
+                        }
+                        naga::AddressSpace::Storage { .. } => Access::Read,
+                        space => panic!("{}: a binding in {space:?}", source.name),
+                    };
+                    Some((binding.binding, variable.name.clone()?, access))
+                })
+                .collect();
+            let mut read: Vec<_> = bindings(&text).into_iter().map(|b| (b.number, b.name, b.access)).collect();
+            seen.sort_by_key(|b| b.0);
+            read.sort_by_key(|b| b.0);
+            assert_eq!(read, seen, "{}", source.name);
+            assert!(read.windows(2).all(|pair| pair[0].0 < pair[1].0), "{}: a number twice", source.name);
+        }
+    }
+}
+
+/// Compares the members of a block with those of the struct of this name in a kernel.
+fn same_layout(kernel: &str, name: &str, block: &Block) {
+    let source = sources().find(|s| s.name == kernel).unwrap();
+    let module = module(&source.compose(VARIANTS[0]), kernel);
+    let (_, found) = module.types.iter().find(|(_, t)| t.name.as_deref() == Some(name)).unwrap();
+    let naga::TypeInner::Struct { members, span } = &found.inner else { panic!("{name} is no struct") };
+    let want: Vec<_> = members.iter().map(|m| (m.name.as_deref().unwrap(), m.offset as usize)).collect();
+    assert_eq!(block.members, want, "{name}");
+    assert_eq!(block.bytes().len(), *span as usize, "{name}");
+}
+
+#[test]
+fn layouts_are_those_of_naga() {
+    let geometry = Geometry::axis_aligned([9, 8, 7], DVec3::new(0.5, 0.75, 1.0));
+    let levels = Levels::over(Vec3::ZERO, Vec3::splat(4.0), 1.0, 3);
+    same_layout("move_particles", "Parameters", &run_block(&geometry, &levels, &crate::Parameters::default(), 504, 99));
+    same_layout("move_particles", "Pass", &pass_block(3, 4, true));
+    same_layout("scan_blocks", "Scan", &scan_block(5));
+    same_layout("scan_sums", "Scan", &scan_block(5));
+    same_layout("scan_add", "Scan", &scan_block(5));
+}

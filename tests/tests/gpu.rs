@@ -1,0 +1,98 @@
+//! The GPU backend of `particles` as a program: on the first adapter there is, Mesa's lavapipe as well. Its mesh is as good as the
+//! CPU's, its runs repeat and resume to the same particles, and its failures have exit code 3.
+
+mod support;
+
+use glam::DVec3;
+use isoparticles_common::geometry::Geometry;
+use isoparticles_common::io::particles::{ParticleKind, read_particles};
+use isoparticles_common::io::surface::read_surface;
+use isoparticles_common::particle_set::ParticleSet;
+use isoparticles_tests::scene::Shape;
+use std::ffi::OsString;
+use std::path::Path;
+use support::chain::{self, Files, Wishes};
+use support::{Kind, examine, listing, skip, stage, write_phantom};
+
+/// The name of the first adapter, or `None` with a line that says what is skipped.
+fn adapter(test: &str) -> Option<String> {
+    let ended = stage("particles", ["--list-adapters"]).expect_success("--list-adapters");
+    let name = ended.stdout.lines().find_map(|line| line.split_once(" (").map(|(name, _)| name.to_owned()));
+    if name.is_none() {
+        skip(test, "no Vulkan, Metal or DX12 adapter");
+    }
+    name
+}
+
+/// A small case, settled on the CPU.
+fn torus(folder: &Path) -> Files {
+    let volume = folder.join("torus.nrrd");
+    write_phantom(&volume, Shape::BumpyTorus, &Geometry::axis_aligned([36; 3], DVec3::ONE), Kind::Scalar);
+    let wishes = Wishes { particles: arguments!["--backend", "cpu"], ..Wishes::scalar(Some(1.8)) };
+    chain::surface(&volume, folder, &wishes)
+}
+
+/// Settles the seeds of a case on an adapter.
+fn settle(files: &Files, adapter: &str, output: &Path, more: &[&str]) -> ParticleSet {
+    let mut command =
+        arguments![&files.seeds, "--distfield", &files.distfield, "--sizefield", &files.sizefield, "-o", output];
+    command.extend(arguments!["--backend", "gpu", "--adapter", adapter]);
+    command.extend(more.iter().map(OsString::from));
+    stage("particles", command).expect_success("particles on the GPU");
+    read_particles(output, &[ParticleKind::Particles]).expect("particles").particles
+}
+
+#[test]
+fn the_mesh_is_as_good_as_that_of_the_cpu() {
+    let Some(adapter) = adapter("the mesh from the GPU's particles") else { return };
+    let folder = tempfile::tempdir().expect("folder");
+    let files = torus(folder.path());
+    let report = folder.path().join("particles.json");
+    let output = folder.path().join("gpu.bin");
+    let found = settle(&files, &adapter, &output, &["--report", &report.to_string_lossy()]);
+    let on_cpu = read_particles(&files.particles, &[ParticleKind::Particles]).expect("particles").particles;
+    let ratio = found.positions.len() as f64 / on_cpu.positions.len() as f64;
+    assert!((ratio - 1.0).abs() < 0.01, "{} particles, {} on the CPU", found.positions.len(), on_cpu.positions.len());
+    let surface = folder.path().join("gpu.vtp");
+    let command = arguments![&output, "--distfield", &files.distfield, "--sizefield", &files.sizefield, "-o", &surface];
+    stage("reconstruct", command).expect_success("reconstruct");
+    let examined = |path: &Path| {
+        let mesh = read_surface(path).expect("surface").surface.mesh;
+        examine::examine(&mesh.vertices, &mesh.triangles)
+    };
+    let (gpu, cpu) = (examined(&surface), examined(&files.surface));
+    assert_eq!((gpu.bad_edges, gpu.components, gpu.genus), (0, cpu.components, cpu.genus));
+    assert!((gpu.mean_radius_ratio - cpu.mean_radius_ratio).abs() < 0.005, "{gpu:?}\n{cpu:?}");
+    let text = std::fs::read_to_string(report).unwrap();
+    assert!(text.contains("\"device_seconds\"") && text.contains("\"peak_device_bytes\""), "{text}");
+}
+
+#[test]
+fn runs_repeat_and_resume_to_the_same_particles() {
+    let Some(adapter) = adapter("repeated and resumed runs on the GPU") else { return };
+    let folder = tempfile::tempdir().expect("folder");
+    let files = torus(folder.path());
+    let passes = ["--energy-tolerance", "0", "--max-passes", "12"];
+    let whole = settle(&files, &adapter, &folder.path().join("whole.bin"), &passes);
+    assert!(whole == settle(&files, &adapter, &folder.path().join("again.bin"), &passes), "two runs differ");
+    // a run that has come to its end leaves the checkpoint of pass 10, from which the second goes on
+    let checkpoint = folder.path().join("checkpoint.bin");
+    let mut more = passes.to_vec();
+    let name = checkpoint.to_string_lossy().into_owned();
+    more.extend(["--checkpoint", &name, "--resume"]);
+    for output in ["first.bin", "second.bin"] {
+        assert!(whole == settle(&files, &adapter, &folder.path().join(output), &more), "{output} differs");
+    }
+}
+
+#[test]
+fn an_adapter_that_is_not_there_ends_with_three() {
+    let folder = tempfile::tempdir().expect("folder");
+    let files = torus(folder.path());
+    let before = listing(folder.path());
+    let output = folder.path().join("out.bin");
+    let mut command = arguments![&files.seeds, "--distfield", &files.distfield, "--sizefield", &files.sizefield];
+    command.extend(arguments!["-o", &output, "--backend", "gpu", "--adapter", "no such adapter"]);
+    stage("particles", command).expect_error(3, &["--adapter no such adapter", "--backend cpu"]);
+    assert_eq!(listing(folder.path()), before);
+}
