@@ -271,6 +271,7 @@ documentation:
 	RUSTDOCFLAGS='-D warnings' $(CARGO) doc --locked --workspace --no-deps --quiet
 
 test-rust: build env
+	@tests/lavapipe.sh $(BIN)/particles
 	$(CARGO) test --locked --workspace
 
 # From the stage's own folder: its pyproject.toml holds the settings of all four.

@@ -27,9 +27,10 @@ ENVELOPE_FRACTION = 0.05
 COARSE_FRACTION = 0.05
 """Edge length outside the object over the diagonal of its bounding box, where h is smaller; fTetWild's own default."""
 
-STOP_ENERGIES = (30.0, 10.0)
-"""Default ends of fTetWild's optimization before it turns to the background: the first is quicker and enough for
-a good surface; when the tetrahedra then miss a limit of shape, the second is tried."""
+STOP_ENERGIES = (1000.0, 30.0, 10.0)
+"""Default ends of fTetWild's optimization, before it turns to the background and after: the first is the quickest and enough
+for a good surface, because refinement to the background optimizes anyway; when the tetrahedra then miss a limit of
+shape, the next is tried."""
 
 
 @dataclass(frozen=True)
@@ -183,7 +184,7 @@ def _measure(
 
 
 def _fill(surface: Surface, sizes: _Sizing, envelope: float, arguments: Arguments, context: Context) -> TetwildResult:
-    """Have the surface filled, a second time and with more patience where the first result is not well shaped."""
+    """Have the surface filled, again and with more patience where the result is not well shaped."""
     energies = STOP_ENERGIES if arguments.stop_energy is None else (arguments.stop_energy,)
     deadline = time.monotonic() + arguments.max_seconds
     arguments.log.unlink(missing_ok=True)
@@ -204,7 +205,7 @@ def _fill(surface: Surface, sizes: _Sizing, envelope: float, arguments: Argument
         except StageError as error:
             if best is None or error.code == ExitCode.INTERRUPTED:
                 raise
-            context.warn(f"the second attempt at better tetrahedra came to nothing: {error.what}")
+            context.warn(f"another attempt at better tetrahedra came to nothing: {error.what}")
             break
         tetrahedra, turned = orient_positive(raw.points, raw.tetrahedra)
         quality = tetrahedron_quality(raw.points, tetrahedra)
