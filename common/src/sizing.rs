@@ -15,6 +15,12 @@ impl SizingField {
         Self { image }
     }
 
+    /// The field whose edge lengths are `factor` times as long.
+    pub fn scaled(&self, factor: f64) -> Self {
+        let data = self.image.data.iter().map(|&h| (factor * f64::from(h)) as f32).collect();
+        Self { image: Image { geometry: self.image.geometry.clone(), data } }
+    }
+
     /// The image of edge lengths.
     pub fn image(&self) -> &Image<f32> {
         &self.image

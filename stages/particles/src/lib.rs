@@ -3,6 +3,7 @@
 //! Section 3 of Kim, Chen and Hansen 2012: neighbours, energy, damped Newton steps, projection, density control, stagnation
 //! test. Same seeds, fields and parameters give the same bytes for any number of threads on the CPU, and on one GPU adapter.
 
+mod coarse;
 mod density;
 pub mod gpu;
 mod log;

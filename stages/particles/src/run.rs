@@ -1,8 +1,9 @@
 //! The program around [`crate::settle`]: options, files, log by pass, checkpoints.
 
+use crate::coarse::{MakeEngine, settle_levels};
 use crate::gpu::{self, Binning, Choice, DeviceReport, Gpu, GpuEngine};
 use crate::log::Log;
-use crate::settle::{Engine, Parameters, PassRecord, REORDER_INTERVAL, Summary, settle, settle_with};
+use crate::settle::{Engine, OnCpu, Parameters, PassRecord, REORDER_INTERVAL};
 use crate::state::Fields;
 use clap::{Parser, ValueEnum};
 use isoparticles_common::cli::values::{above_one, positive, share};
@@ -17,6 +18,7 @@ use isoparticles_common::sizing::SizingField;
 use isoparticles_common::spline::CubicSpline;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
+use std::cell::Cell;
 use std::path::{Path, PathBuf};
 
 /// Where the particles are moved.
@@ -92,6 +94,14 @@ pub struct Args {
     #[arg(long, value_name = "N", default_value_t = Parameters::default().max_passes, help_heading = METHOD,
         value_parser = clap::value_parser!(u64).range(1..))]
     max_passes: u64,
+    /// Settle first at 2^(LEVELS - 1) times h, split the edges, and so on down to h; 1 to 4, 1: at h alone
+    #[arg(long, value_name = "N", default_value_t = Parameters::default().levels, help_heading = METHOD,
+        value_parser = clap::value_parser!(u32).range(1..=4))]
+    levels: u32,
+    /// Most passes on each level but the last
+    #[arg(long, value_name = "N", default_value_t = Parameters::default().coarse_passes, help_heading = METHOD,
+        value_parser = clap::value_parser!(u64).range(1..))]
+    coarse_passes: u64,
     /// Stop when the mean energy changes by less than this share a pass, 0 to 1 (the paper's E_min: 0.0015)
     #[arg(long, value_name = "SHARE", default_value_t = Parameters::default().energy_tolerance, value_parser = share,
         help_heading = METHOD)]
@@ -133,6 +143,8 @@ impl Args {
             delete_above: self.delete_above,
             allow_insert: !self.no_insert,
             seed: self.common.seed,
+            levels: self.levels,
+            coarse_passes: self.coarse_passes,
             ..Parameters::default()
         }
     }
@@ -205,6 +217,36 @@ fn open_gpu(args: &Args, context: &Context) -> Result<Option<Gpu>> {
     Ok(Some(gpu))
 }
 
+/// Makes the engine that the options ask for.
+struct Engines<'a> {
+    gpu: Option<&'a Gpu>,
+    parameters: &'a Parameters,
+    binning: Binning,
+    /// Whether the CPU may take over what the GPU cannot hold.
+    may_fall_back: bool,
+    fell_back: Cell<bool>,
+    context: &'a Context,
+}
+
+impl MakeEngine for Engines<'_> {
+    fn make<'f>(&self, set: ParticleSet, fields: &'f Fields<'f>) -> Result<Box<dyn Engine + 'f>>
+    where
+        Self: 'f,
+    {
+        if let Some(gpu) = self.gpu.filter(|_| !self.fell_back.get()) {
+            match GpuEngine::new(gpu, fields, &set, self.parameters, self.binning) {
+                Ok(engine) => return Ok(Box::new(engine)),
+                Err(error) if self.may_fall_back => {
+                    self.context.warn(format!("the GPU is not used: {}", error.what));
+                    self.fell_back.set(true);
+                }
+                Err(error) => return Err(error),
+            }
+        }
+        OnCpu(self.parameters).make(set, fields)
+    }
+}
+
 /// Prints the adapters, one a line.
 fn list_adapters() {
     let adapters = gpu::adapters();
@@ -212,7 +254,7 @@ fn list_adapters() {
         println!("{adapter}");
     }
     if adapters.is_empty() {
-        println!("no adapter: there is no Vulkan, Metal or DX12 driver");
+        eprintln!("no adapter: there is no Vulkan, Metal or DX12 driver");
     }
 }
 
@@ -266,37 +308,29 @@ pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
     let surface = CubicSpline::new(&distance.image);
     let parameters = args.settling();
     let inputs = [hash_file(seeds_file)?, hash_file(distance_file)?, hash_file(sizing_file)?];
-    let (start, records) = match &args.checkpoint {
-        Some(path) if args.resume && path.exists() => resume(path, &parameters, &inputs, &engine, context)?,
-        _ => (seeds.particles, Vec::new()),
+    let resumed = match &args.checkpoint {
+        Some(path) if args.resume && path.exists() => Some(resume(path, &parameters, &inputs, &engine, context)?),
+        _ => None,
     };
+    let records = resumed.as_ref().map_or_else(Vec::new, |r| r.1.clone());
     let sizing = SizingField::new(sizing.image);
     drop((distance, step));
 
     let step = context.step("settle");
     let mut log = args.log.as_deref().map(|path| Log::create(path, &records)).transpose()?;
-    let progress = context.progress(Some(parameters.max_passes), "pass");
+    let progress = context
+        .progress(Some(parameters.max_passes + u64::from(parameters.levels - 1) * parameters.coarse_passes), "pass");
     let mut kept = Progress { parameters: parameters.clone(), inputs, records: records.clone(), engine };
     let fields = Fields { surface: &surface, sizing: &sizing };
-    let moving = match &gpu {
-        Some(gpu) => match GpuEngine::new(gpu, &fields, &start, &parameters, args.binning) {
-            Ok(engine) => Some(engine),
-            Err(error) if args.backend == Backend::Auto && args.adapter.is_none() => {
-                context.warn(format!("the GPU is not used: {}", error.what));
-                kept.engine = cpu_engine();
-                None
-            }
-            Err(error) => return Err(error),
-        },
-        None => None,
+    let engines = Engines {
+        gpu: gpu.as_ref(),
+        parameters: &parameters,
+        binning: args.binning,
+        may_fall_back: args.backend == Backend::Auto && args.adapter.is_none(),
+        fell_back: Cell::new(false),
+        context,
     };
-    let backend = if moving.is_some() { "gpu" } else { "cpu" };
-    context.set_parameter("backend", backend);
-    if let (Some(gpu), Some(_)) = (&gpu, &moving) {
-        context.set_parameter("adapter", gpu.summary().name.clone());
-    }
-    context.verbose(format!("backend: {backend}"));
-    let observe = |record: &PassRecord, engine: &mut dyn Engine| {
+    let mut observe = |record: &PassRecord, engine: &mut dyn Engine| {
         progress.set(record.pass);
         progress.message(format!(
             "energy {:.5} a particle, {} particles (+{} -{})",
@@ -312,17 +346,21 @@ pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
         if let Some(path) = &args.checkpoint
             && record.pass.is_multiple_of(args.checkpoint_interval)
         {
+            if engines.fell_back.get() {
+                kept.engine = cpu_engine();
+            }
             keep(path, &engine.particles()?, &kept, context)?;
         }
         context.check_interrupt()
     };
-    let ((particles, summary), device): ((ParticleSet, Summary), _) = match moving {
-        Some(mut engine) => {
-            let settled = settle_with(&mut engine, &fields, &parameters, &records, observe)?;
-            (settled, Some(engine.report()))
-        }
-        None => (settle(start, &fields, &parameters, &records, observe)?, None),
-    };
+    let resumed = resumed.as_ref().map(|(set, records)| (set.clone(), records.as_slice()));
+    let (particles, summary, device) =
+        settle_levels(&seeds.particles, resumed, &fields, &parameters, &engines, &mut observe)?;
+    let backend = if device.is_some() { "gpu" } else { "cpu" };
+    context.set_parameter("backend", backend);
+    if let Some(device) = &device {
+        context.set_parameter("adapter", device.adapter.clone());
+    }
     drop((progress, step));
     if particles.positions.is_empty() {
         return Err(Error::input(

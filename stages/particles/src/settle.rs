@@ -1,6 +1,8 @@
 //! The loop of Figure 1 of the paper: move, measure, control the density, until the energy stagnates.
 
+use crate::coarse::{MakeEngine, settle_levels};
 use crate::density::{self, Limits};
+use crate::gpu::DeviceReport;
 use crate::movement;
 use crate::state::{Fields, State};
 use isoparticles_common::energy;
@@ -32,6 +34,10 @@ pub struct Parameters {
     pub normal_agreement: f64,
     /// Seed of the random bias of density control.
     pub seed: u64,
+    /// Levels of coarse-to-fine placement: the first settles at `2^(levels - 1)` times h, the last at h.
+    pub levels: u32,
+    /// Most passes on each level but the last.
+    pub coarse_passes: u64,
 }
 
 impl Default for Parameters {
@@ -46,6 +52,8 @@ impl Default for Parameters {
             closing_passes: 10,
             normal_agreement: 0.0,
             seed: 0,
+            levels: 1,
+            coarse_passes: 100,
         }
     }
 }
@@ -79,6 +87,8 @@ pub struct PassRecord {
     pub neighbours: f64,
     /// Seconds since the first pass of this run.
     pub seconds: f64,
+    /// Edge length of the level that the pass was on, in units of h.
+    pub scale: f64,
 }
 
 /// How the run ended.
@@ -121,10 +131,15 @@ pub trait Engine {
 
     /// The particles as they are.
     fn particles(&mut self) -> Result<ParticleSet>;
+
+    /// What a device did, if there is one.
+    fn device_report(&self) -> Option<DeviceReport> {
+        None
+    }
 }
 
 /// Settles particles on the CPU, on the threads of the current pool. `resumed` holds the records of the passes already run
-/// (empty at first); `observe` sees each new record, can ask for the particles, and may end the run with an error.
+/// (empty at first; on a coarse level the particles then stand for the seeds as well); `observe` sees each new record, can ask for the particles, and may end the run with an error.
 pub fn settle(
     set: ParticleSet,
     fields: &Fields,
@@ -132,7 +147,31 @@ pub fn settle(
     resumed: &[PassRecord],
     observe: impl FnMut(&PassRecord, &mut dyn Engine) -> Result<()>,
 ) -> Result<(ParticleSet, Summary)> {
-    settle_with(&mut CpuEngine::new(set, fields, parameters), fields, parameters, resumed, observe)
+    let mut observe = observe;
+    settle_levels(&set, Some((set.clone(), resumed)), fields, parameters, &OnCpu(parameters), &mut observe)
+        .map(|s| (s.0, s.1))
+}
+
+/// Makes engines that move the particles on the CPU.
+pub(crate) struct OnCpu<'a>(pub &'a Parameters);
+
+impl MakeEngine for OnCpu<'_> {
+    fn make<'f>(&self, set: ParticleSet, fields: &'f Fields<'f>) -> Result<Box<dyn Engine + 'f>>
+    where
+        Self: 'f,
+    {
+        Ok(Box::new(CpuEngine::new(set, fields, self.0)))
+    }
+}
+
+/// One level of coarse-to-fine placement.
+pub(crate) struct Level {
+    /// Edge length in units of h.
+    pub scale: f64,
+    /// Passes on the levels before.
+    pub before: u64,
+    /// Most passes on this level.
+    pub max_passes: u64,
 }
 
 /// As [`settle`], on any engine; the particles are put onto F = 0 to the last digit on the CPU at the end.
@@ -143,13 +182,27 @@ pub fn settle_with(
     resumed: &[PassRecord],
     mut observe: impl FnMut(&PassRecord, &mut dyn Engine) -> Result<()>,
 ) -> Result<(ParticleSet, Summary)> {
+    let level = Level { scale: 1.0, before: 0, max_passes: parameters.max_passes };
+    settle_level(engine, fields, parameters, &level, resumed, &mut observe)
+}
+
+/// As [`settle_with`], on one of several levels; `resumed` holds its records.
+pub(crate) fn settle_level(
+    engine: &mut dyn Engine,
+    fields: &Fields,
+    parameters: &Parameters,
+    level: &Level,
+    resumed: &[PassRecord],
+    observe: &mut dyn FnMut(&PassRecord, &mut dyn Engine) -> Result<()>,
+) -> Result<(ParticleSet, Summary)> {
     let start = Instant::now();
     let mut records = resumed.to_vec();
-    let mut pass = records.last().map_or(0, |r| r.pass);
+    let mut pass = records.last().map_or(level.before, |r| r.pass);
+    let end = level.before + level.max_passes;
     let mut closing = closing_since(&records, parameters);
-    while pass < parameters.max_passes && closing.is_none_or(|since| pass < since + parameters.closing_passes) {
+    while pass < end && closing.is_none_or(|since| pass < since + parameters.closing_passes) {
         pass += 1;
-        let quiet = closing.is_some() || pass + parameters.closing_passes > parameters.max_passes;
+        let quiet = closing.is_some() || pass + parameters.closing_passes > end;
         let outcome = engine.pass(pass, !quiet)?;
         let record = PassRecord {
             pass,
@@ -162,6 +215,7 @@ pub fn settle_with(
             tries_per_particle: outcome.tries_per_particle,
             neighbours: outcome.neighbours,
             seconds: start.elapsed().as_secs_f64(),
+            scale: level.scale,
         };
         records.push(record);
         observe(&record, engine)?;
@@ -183,18 +237,18 @@ pub fn settle_with(
 struct CpuEngine<'a> {
     state: State,
     fields: &'a Fields<'a>,
-    parameters: &'a Parameters,
+    parameters: Parameters,
 }
 
 impl<'a> CpuEngine<'a> {
-    fn new(set: ParticleSet, fields: &'a Fields<'a>, parameters: &'a Parameters) -> Self {
-        Self { state: State::new(set, parameters.normal_agreement), fields, parameters }
+    fn new(set: ParticleSet, fields: &'a Fields<'a>, parameters: &Parameters) -> Self {
+        Self { state: State::new(set, parameters.normal_agreement), fields, parameters: parameters.clone() }
     }
 }
 
 impl Engine for CpuEngine<'_> {
     fn pass(&mut self, pass: u64, density: bool) -> Result<PassOutcome> {
-        let (state, parameters) = (&mut self.state, self.parameters);
+        let (state, parameters) = (&mut self.state, &self.parameters);
         if pass % REORDER_INTERVAL == 1 {
             // also what a resumed run starts with: checkpoints are only written just before
             state.sort_by_place();

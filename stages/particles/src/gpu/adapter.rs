@@ -1,5 +1,6 @@
 //! Which adapters there are, choosing one, and opening it with the limits that it has (not wgpu's defaults).
 
+use super::kernels::Kernels;
 use isoparticles_common::error::{Error, Result};
 use std::fmt;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -68,6 +69,8 @@ pub struct Gpu {
     summary: AdapterSummary,
     /// The first error that came outside any call's result.
     failure: Arc<Mutex<Option<String>>>,
+    /// The kernels, compiled once for fields in one slab and once for more.
+    kernels: Mutex<[Option<Arc<Kernels>>; 2]>,
 }
 
 fn instance() -> wgpu::Instance {
@@ -182,7 +185,29 @@ impl Gpu {
             }
         });
         let subgroup_team = subgroups.then_some(choice.team.unwrap_or(32));
-        Ok(Self { device, queue, limits, largest_slab, subgroup_team, timestamps, summary, failure })
+        Ok(Self {
+            device,
+            queue,
+            limits,
+            largest_slab,
+            subgroup_team,
+            timestamps,
+            summary,
+            failure,
+            kernels: Mutex::default(),
+        })
+    }
+
+    /// The kernels for fields in one slab, or in several.
+    pub(super) fn kernels(&self, several: bool) -> Result<Arc<Kernels>> {
+        let mut known = self.kernels.lock().unwrap_or_else(PoisonError::into_inner);
+        let place = &mut known[usize::from(several)];
+        if let Some(kernels) = place {
+            return Ok(Arc::clone(kernels));
+        }
+        let kernels = Arc::new(Kernels::new(self, several)?);
+        *place = Some(Arc::clone(&kernels));
+        Ok(kernels)
     }
 
     /// What is known of the adapter.

@@ -17,6 +17,7 @@ use isoparticles_common::error::{Error, Result};
 use isoparticles_common::geometry::Geometry;
 use isoparticles_common::particle_set::ParticleSet;
 use std::collections::HashMap;
+use std::sync::Arc;
 use std::time::Instant;
 
 /// How the bins of the neighbour search are made.
@@ -59,6 +60,26 @@ pub struct DeviceReport {
     pub kernels: Vec<KernelTime>,
 }
 
+impl DeviceReport {
+    /// This level's report with those of the levels before it.
+    pub(crate) fn after(mut self, before: Self) -> Self {
+        self.device_seconds += before.device_seconds;
+        self.compile_seconds += before.compile_seconds;
+        self.peak_device_bytes = self.peak_device_bytes.max(before.peak_device_bytes);
+        for old in before.kernels {
+            match self.kernels.iter_mut().find(|k| k.kernel == old.kernel) {
+                Some(kernel) => {
+                    kernel.seconds += old.seconds;
+                    kernel.dispatches += old.dispatches;
+                }
+                None => self.kernels.push(old),
+            }
+        }
+        self.kernels.sort_by(|a, b| b.seconds.total_cmp(&a.seconds));
+        self
+    }
+}
+
 /// What a pass is made of.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Plan {
@@ -76,7 +97,7 @@ const WORDS: usize = 7;
 /// Moves the particles on a GPU.
 pub struct GpuEngine<'a> {
     gpu: &'a Gpu,
-    pub(super) kernels: Kernels,
+    pub(super) kernels: Arc<Kernels>,
     pub(super) memory: Memory,
     groups: HashMap<(&'static str, u32), wgpu::BindGroup>,
     words: wgpu::Buffer,
@@ -111,7 +132,7 @@ impl<'a> GpuEngine<'a> {
         let compiling = Instant::now();
         let geometry = fields.surface.geometry().clone();
         let slab_length = slab_length(gpu, &geometry)?;
-        let kernels = Kernels::new(gpu, u64::from(slab_length) < geometry.voxel_count() as u64)?;
+        let kernels = gpu.kernels(u64::from(slab_length) < geometry.voxel_count() as u64)?;
         let compile_seconds = compiling.elapsed().as_secs_f64();
         let started = Instant::now();
         let levels = Levels::new(fields, binning == Binning::Graded);
@@ -357,7 +378,7 @@ impl<'a> GpuEngine<'a> {
     }
 
     /// What the device did, from the upload to the last readback.
-    pub fn report(&self) -> DeviceReport {
+    fn report(&self) -> DeviceReport {
         let mut kernels: Vec<_> = self
             .profile
             .times
@@ -378,6 +399,10 @@ impl<'a> GpuEngine<'a> {
 }
 
 impl Engine for GpuEngine<'_> {
+    fn device_report(&self) -> Option<DeviceReport> {
+        Some(self.report())
+    }
+
     fn pass(&mut self, pass: u64, density: bool) -> Result<PassOutcome> {
         let sort = self.listed || self.stale || pass % REORDER_INTERVAL == 1;
         let words = loop {
