@@ -168,6 +168,11 @@ impl<'a> Refinement<'a> {
         &self.isosurface
     }
 
+    /// Lets the refinement go on for so many rounds from now.
+    pub fn allow_rounds(&mut self, rounds: usize) {
+        self.options.max_rounds = self.report.rounds + rounds;
+    }
+
     /// The facets of the surface; with an open border, without those that would close it there.
     pub fn facets(&self) -> Vec<Facet> {
         let mut facets = self.restricted.facets();

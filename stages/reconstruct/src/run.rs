@@ -262,7 +262,10 @@ fn join(
         context.check_interrupt()
     };
     let mut facets = refinement.run(hear)?;
-    while origin.is_labels && !origin.is_open && refinement.report.rounds < options.max_rounds {
+    // the nodes have rounds of their own: a stubborn handle elsewhere must not use them up
+    refinement.allow_rounds(options.max_rounds);
+    let end = refinement.report.rounds + options.max_rounds;
+    while origin.is_labels && !origin.is_open && refinement.report.rounds < end {
         let (mesh, _) = compact(&refinement, &facets);
         let nodes = nodes_on_wrong_side(&mesh, samples);
         context.verbose(format!("{} grid nodes on the wrong side", nodes.len()));

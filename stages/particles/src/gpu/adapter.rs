@@ -184,7 +184,7 @@ impl Gpu {
                 keep(&lost, format!("the device was lost: {text}"));
             }
         });
-        let subgroup_team = subgroups.then_some(choice.team.unwrap_or(32));
+        let subgroup_team = subgroups.then_some(choice.team.unwrap_or(8));
         Ok(Self {
             device,
             queue,
