@@ -19,6 +19,8 @@ pub struct Defects {
     pub missing: Vec<u32>,
     /// Components of the isosurface whose facets fall apart.
     pub in_pieces: Vec<u32>,
+    /// Components of the isosurface that were thought to be several, and the fewer pieces that their facets form by now.
+    pub rejoined: Vec<(u32, usize)>,
     /// Components of the isosurface whose facets have another Euler characteristic.
     pub wrong_genus: Vec<u32>,
     /// Components of the facets.
@@ -136,6 +138,8 @@ impl Defects {
                 self.missing.push(c);
             } else if pieces > isosurface.pieces(c) {
                 self.in_pieces.push(c);
+            } else if pieces < isosurface.pieces(c) {
+                self.rejoined.push((c, pieces));
             } else if euler[c as usize] != isosurface.euler(c) {
                 self.wrong_genus.push(c);
             }

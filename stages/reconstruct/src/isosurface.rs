@@ -9,6 +9,7 @@ use glam::DVec3;
 use isoparticles_common::components::{self, NO_COMPONENT};
 use isoparticles_common::geometry::Geometry;
 use isoparticles_common::image::Image;
+use isoparticles_common::kd_tree::KdTree;
 use isoparticles_common::marching_cubes::marching_cubes;
 use isoparticles_common::mesh::TriangleMesh;
 use isoparticles_common::spline::CubicSpline;
@@ -129,6 +130,13 @@ impl Isosurface {
         1 + self.parted[class as usize] as usize
     }
 
+    /// Takes back that a class has more pieces than these: points added since have closed the gap.
+    pub fn set_pieces(&mut self, class: u32, pieces: usize) {
+        let taken_back = self.pieces(class) - pieces;
+        self.parted[class as usize] -= taken_back as u32;
+        self.euler[class as usize] -= 2 * taken_back as i64;
+    }
+
     /// Class of a component or of a former class.
     pub fn class_of(&self, component: u32) -> u32 {
         self.class.get(component as usize).copied().unwrap_or(component)
@@ -184,11 +192,13 @@ impl Isosurface {
     }
 
     /// Looks again whether two points of different classes lie on one component between them; then the classes are
-    /// merged, and the answer is true.
-    pub fn merge_if_joined(&mut self, field: &CubicSpline, points: [DVec3; 2], classes: [u32; 2]) -> bool {
-        let margin = field.geometry().spacing * MARGIN;
+    /// merged, and the answer is true. Each further `look` is twice as fine and half as wide, for necks that are thinner
+    /// still.
+    pub fn merge_if_joined(&mut self, field: &CubicSpline, points: [DVec3; 2], classes: [u32; 2], look: usize) -> bool {
+        let finer = 1 << look;
+        let margin = field.geometry().spacing * (MARGIN / finer as f64);
         let (low, high) = (points[0].min(points[1]) - margin, points[0].max(points[1]) + margin);
-        let Some(patch) = Self::patch(field, low, high, FINE) else { return false };
+        let Some(patch) = Self::patch(field, low, high, FINE * finer) else { return false };
         let [a, b] = points.map(|p| patch.component_at(p, field.value_gradient(p).1));
         let joined = a.is_some() && a == b;
         if joined {
@@ -247,14 +257,30 @@ impl Isosurface {
     }
 
     /// Looks again whether a piece of the mesh, given by its vertices, is a component of its own although marching cubes
-    /// joins it to its class; then that is counted, and the answer is true.
-    pub fn part_if_separate(&mut self, field: &CubicSpline, class: u32, piece: &[DVec3], others: &[DVec3]) -> bool {
-        let Some((low, high)) = bounds(piece) else { return false };
-        let margin = field.geometry().spacing * MARGIN;
-        let Some(patch) = Self::patch(field, low - margin, high + margin, FINE) else { return false };
+    /// joins it to its class; then that is counted, and the answer is true. The first `look` takes in the whole piece, each
+    /// further one a smaller box where the piece is nearest to the `others`, sampled as many times finer.
+    pub fn part_if_separate(
+        &mut self,
+        field: &CubicSpline,
+        class: u32,
+        piece: &[DVec3],
+        others: &[DVec3],
+        look: usize,
+    ) -> bool {
+        let finer = 1 << look;
+        let near = nearest_pair(piece, others).map(|(p, q)| [p, q]);
+        let Some((low, high)) = (if look == 0 { bounds(piece) } else { near.and_then(|pair| bounds(&pair)) }) else {
+            return false;
+        };
+        let margin = field.geometry().spacing * (MARGIN / finer as f64);
+        let (low, high) = (low - margin, high + margin);
+        let Some(patch) = Self::patch(field, low, high, FINE * finer) else { return false };
         let labels = |points: &[DVec3]| {
-            let mut labels: Vec<u32> =
-                points.iter().filter_map(|&p| patch.component_at(p, field.value_gradient(p).1)).collect();
+            let mut labels: Vec<u32> = points
+                .iter()
+                .filter(|p| p.cmpge(low).all() && p.cmple(high).all())
+                .filter_map(|&p| patch.component_at(p, field.value_gradient(p).1))
+                .collect();
             labels.sort_unstable();
             labels.dedup();
             labels
@@ -281,10 +307,18 @@ impl Isosurface {
     }
 }
 
-fn bounds(points: &[DVec3]) -> Option<(DVec3, DVec3)> {
+/// Box round points.
+pub(crate) fn bounds(points: &[DVec3]) -> Option<(DVec3, DVec3)> {
     let low = points.iter().copied().reduce(DVec3::min)?;
     let high = points.iter().copied().reduce(DVec3::max)?;
     Some((low, high))
+}
+
+/// The two points, one of each set, that are nearest to each other; the first set is the smaller one.
+pub(crate) fn nearest_pair(few: &[DVec3], many: &[DVec3]) -> Option<(DVec3, DVec3)> {
+    let tree = KdTree::new(many);
+    let nearest = few.iter().filter_map(|&p| tree.nearest(p).map(|(q, d)| (d, p, many[q])));
+    nearest.min_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, p, q)| (p, q))
 }
 
 /// Euler characteristic V - E + F of each class of triangles.
@@ -385,7 +419,7 @@ mod tests {
         let scene = scenes::two_balls();
         let mut balls = Isosurface::new(&scene.image);
         let (p, q) = (DVec3::new(14.6, 11.6, 11.6), DVec3::new(16.6, 11.6, 11.6));
-        assert!(!balls.merge_if_joined(&scene.field, [p, q], [0, 1]));
+        assert!(!balls.merge_if_joined(&scene.field, [p, q], [0, 1], 0));
         assert!(!balls.merge_if_part_of_others(&scene.field, 0));
         assert_eq!(balls.component_count(), 2);
     }

@@ -9,6 +9,7 @@ pub mod defects;
 pub mod finish;
 pub mod improve;
 pub mod isosurface;
+pub mod pinched;
 pub mod prepare;
 #[cfg(test)]
 mod program_tests;

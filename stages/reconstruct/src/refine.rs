@@ -4,8 +4,10 @@
 //! Where a facet is at fault, the point is where its Voronoi edge crosses F = 0: the centre of the facet's surface ball,
 //! the place of the isosurface nearby that is farthest from all points (Boissonnat and Oudot 2005).
 
+mod looks;
+
 use crate::defects::Defects;
-use crate::isosurface::Isosurface;
+use crate::isosurface::{Isosurface, bounds, nearest_pair};
 use crate::prepare::{ON_SURFACE, SurfacePoints};
 use crate::restricted::{Facet, Restricted};
 use glam::DVec3;
@@ -13,9 +15,10 @@ use isoparticles_common::components::NO_COMPONENT;
 use isoparticles_common::error::Result;
 use isoparticles_common::kd_tree::KdTree;
 use isoparticles_common::spline::CubicSpline;
+use looks::Looks;
 use rayon::prelude::*;
 use serde::Serialize;
-use std::collections::{BTreeMap, HashMap, HashSet};
+use std::collections::HashMap;
 
 /// A facet may lie this part of h away from F = 0 when no limit is given: three times what a facet of edge h has on a
 /// ball of radius 2 h (h^2 / 6 R).
@@ -39,9 +42,6 @@ const GENUS_ROUNDS: usize = 6;
 /// Most facets that a round refines on behalf of a component of the wrong genus: the fault is at a few places.
 const MOST_FOR_GENUS: usize = 50;
 
-/// Second looks at the places where the mesh joins two components.
-const LOOKS_AT_A_PAIR: usize = 3;
-
 /// How far the refinement may go.
 #[derive(Clone, Copy, Debug)]
 pub struct RefineOptions {
@@ -55,7 +55,7 @@ pub struct RefineOptions {
 
 impl Default for RefineOptions {
     fn default() -> Self {
-        Self { max_rounds: 20, max_deviation: None, open_border: false }
+        Self { max_rounds: 40, max_deviation: None, open_border: false }
     }
 }
 
@@ -125,15 +125,6 @@ pub struct Refinement<'a> {
     looks: Looks,
     /// Times that points were added on each class for want of facets.
     samplings: HashMap<u32, i32>,
-}
-
-/// Which places of the isosurface were looked at again, so that each is once.
-#[derive(Clone, Debug, Default)]
-struct Looks {
-    pairs: HashMap<(u32, u32), usize>,
-    missing: HashSet<u32>,
-    genus: HashSet<u32>,
-    pieces: HashSet<(u32, usize)>,
 }
 
 impl<'a> Refinement<'a> {
@@ -292,13 +283,16 @@ impl<'a> Refinement<'a> {
             let balls = around.iter().filter_map(|&f| self.ball(&facets[f as usize], Reason::Manifold));
             candidates.extend(balls.max_by(|a, b| a.radius.total_cmp(&b.radius)));
         }
+        candidates.extend(defects.in_pieces.iter().flat_map(|&class| self.gaps(class, defects)));
         candidates.extend(defects.bridges.iter().filter_map(|&f| self.ball(&facets[f as usize], Reason::Bridge)));
         candidates.par_extend(facets.par_iter().filter(|f| self.badness(f) > 1.0).filter_map(|f| {
             let ball = self.ball(f, Reason::Deviation)?;
             (ball.radius > NEAREST_FOR_SHAPE * ball.size).then_some(ball)
         }));
+        // what a genus round upsets takes rounds to come right again
+        let room = 2 * self.report.rounds <= self.options.max_rounds;
         let doubtful: Vec<u32> = defects.wrong_genus.iter().chain(&defects.in_pieces).copied().collect();
-        if candidates.is_empty() && !doubtful.is_empty() && self.genus_rounds < GENUS_ROUNDS {
+        if candidates.is_empty() && !doubtful.is_empty() && self.genus_rounds < GENUS_ROUNDS && room {
             self.genus_rounds += 1;
             candidates = self.genus_candidates(facets, &doubtful);
         }
@@ -331,69 +325,16 @@ impl<'a> Refinement<'a> {
         Some(Candidate { reason, point, radius, size, near: facet.vertices[0] })
     }
 
-    /// Where mesh and marching cubes disagree, asks the spline itself. True when more is known of the isosurface now.
-    fn look_again(&mut self, facets: &[Facet], defects: &Defects) -> bool {
-        let field = self.restricted.field();
-        let mut learnt = false;
-        for &class in &defects.missing {
-            learnt |= self.looks.missing.insert(class) && self.isosurface.merge_if_part_of_others(field, class);
-        }
-        let points = self.restricted.points();
-        let mut pairs: BTreeMap<(u32, u32), (f64, [DVec3; 2])> = BTreeMap::new();
-        for facet in defects.bridges.iter().map(|&f| &facets[f as usize]) {
-            for (k, &v) in facet.vertices.iter().enumerate() {
-                let w = facet.vertices[(k + 1) % 3];
-                let ends = [points[v as usize], points[w as usize]];
-                let classes = [v, w].map(|u| self.isosurface.class_of(self.component_of[u as usize]));
-                let length = ends[0].distance(ends[1]);
-                if classes[0] < classes[1] && classes[1] != NO_COMPONENT {
-                    let shortest = pairs.entry((classes[0], classes[1])).or_insert((length, ends));
-                    if length < shortest.0 {
-                        *shortest = (length, ends);
-                    }
-                }
-            }
-        }
-        for (pair, (_, ends)) in pairs {
-            let looked = self.looks.pairs.entry(pair).or_default();
-            if *looked < LOOKS_AT_A_PAIR {
-                *looked += 1;
-                learnt |= self.isosurface.merge_if_joined(field, ends, [pair.0, pair.1]);
-            }
-        }
-        for &class in &defects.in_pieces {
-            learnt |= self.look_at_pieces(class, defects);
-        }
-        for &class in &defects.wrong_genus {
-            learnt |= self.looks.genus.insert(class) && self.isosurface.recount_euler(field, class);
-        }
-        if learnt {
-            for c in self.component_of.iter_mut().filter(|c| **c != NO_COMPONENT) {
-                *c = self.isosurface.class_of(*c);
-            }
-        }
-        learnt
-    }
-
-    /// Whether the smaller pieces of a class that fell apart are components of their own after all.
-    fn look_at_pieces(&mut self, class: u32, defects: &Defects) -> bool {
-        let points = self.restricted.points();
-        let mut pieces: BTreeMap<u32, Vec<DVec3>> = BTreeMap::new();
-        for (v, &piece) in defects.piece_of_vertex.iter().enumerate() {
-            if piece != NO_COMPONENT && self.component_of[v] == class {
-                pieces.entry(piece).or_default().push(points[v]);
-            }
-        }
-        let mut pieces: Vec<Vec<DVec3>> = pieces.into_values().collect();
-        pieces.sort_by_key(|p| std::cmp::Reverse(p.len()));
-        let mut learnt = false;
-        for k in (1..pieces.len()).rev() {
-            let others = pieces[..k].concat();
-            if self.looks.pieces.insert((class, pieces[k].len())) {
-                learnt |= self.isosurface.part_if_separate(self.restricted.field(), class, &pieces[k], &others);
-            }
-        }
-        learnt
+    /// Points in the gaps of a class that fell apart: between each smaller piece and the nearest vertex of the others.
+    fn gaps(&self, class: u32, defects: &Defects) -> Vec<Candidate> {
+        let pieces = self.pieces(class, defects);
+        let between = (1..pieces.len()).filter_map(|k| {
+            let (p, q) = nearest_pair(&pieces[k], &pieces[..k].concat())?;
+            let point = self.on_surface(p.midpoint(q), 2.0)?;
+            let radius = point.distance(p).min(point.distance(q));
+            Some(Candidate { reason: Reason::Genus, point, radius, size: p.distance(q), near: 0 })
+        });
+        between.collect()
     }
 
     /// Points on a class that has no facets: as far apart as its particles want to be, if it has any, and nearer each
@@ -408,10 +349,12 @@ impl<'a> Refinement<'a> {
             present.push(self.restricted.points()[v]);
             largest = self.sizes[v].max(largest);
         }
-        let mut spacing = largest * 0.7f64.powi(attempt);
+        let Some((low, high)) = bounds(&samples) else { return Vec::new() };
+        let extent = (high - low).max_element();
+        let mut spacing = largest.min(extent) * 0.7f64.powi(attempt);
         let fresh = |spacing: f64| thinned(&[&present[..], &samples[..]].concat(), spacing);
         let mut kept = fresh(spacing);
-        while kept.len() < 12 && spacing > 0.1 * voxel {
+        while kept.len() < 12 && spacing > 0.1 * voxel.min(extent) {
             spacing *= 0.7;
             kept = fresh(spacing);
         }

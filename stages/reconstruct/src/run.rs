@@ -3,7 +3,8 @@
 use crate::finish::{CapPlane, attributes, cap_planes, offending};
 use crate::improve::{ImproveOptions, improve};
 use crate::isosurface::Isosurface;
-use crate::prepare::{SurfacePoints, prepare};
+use crate::pinched::part_sheets;
+use crate::prepare::{ON_SURFACE, SurfacePoints, prepare};
 use crate::refine::{RefineOptions, RefineReport, Refinement};
 use crate::restricted::Facet;
 use glam::DVec3;
@@ -54,7 +55,7 @@ pub struct Args {
     #[arg(long, value_name = "MM", value_parser = positive, help_heading = METHOD)]
     pub max_deviation: Option<f64>,
     /// Most rounds of adding points, 0 to 100; a round adds at most one point a place
-    #[arg(long, value_name = "N", default_value_t = 20, value_parser = clap::value_parser!(u16).range(0..=100), help_heading = METHOD)]
+    #[arg(long, value_name = "N", default_value_t = 40, value_parser = clap::value_parser!(u16).range(0..=100), help_heading = METHOD)]
     pub max_rounds: u16,
     /// Radius ratio (2r/R, 1 for an equilateral triangle) below which triangles are worked on by local moves, 0 to 1; 0 leaves
     /// the triangulation as it is
@@ -275,7 +276,16 @@ fn join(
         facets = refinement.run(hear)?;
     }
     drop(step);
-    let (mesh, _) = compact(&refinement, &facets);
+    let (mut mesh, used) = compact(&refinement, &facets);
+    let pinched: Vec<(u32, Vec<u32>)> = refinement.defects(&facets).vertices;
+    if !pinched.is_empty() {
+        let number = |v: u32| used.binary_search(&v).expect("a vertex of a facet is in the mesh") as u32;
+        let pinched: Vec<_> = pinched.into_iter().map(|(v, around)| (number(v), around)).collect();
+        let voxel = spline.geometry().mean_spacing();
+        let parted = part_sheets(&mut mesh, &pinched, |p| spline.project(p, voxel, ON_SURFACE * voxel));
+        context.verbose(format!("{parted} vertices added where sheets touch in a point"));
+        context.report("parted_vertices", parted);
+    }
     Ok(Joined {
         mesh,
         sizes: (refinement.restricted.points().to_vec(), refinement.sizes.clone()),
