@@ -4,6 +4,7 @@
 //! number of equal coordinates (points on grid planes are the rule here, and some published trees refuse them).
 
 use glam::DVec3;
+use std::ops::Range;
 
 const LEAF: usize = 12;
 
@@ -39,33 +40,58 @@ impl KdTree {
 
     /// Index and distance of the nearest point closer than `radius`.
     pub fn nearest_within(&self, query: DVec3, radius: f64) -> Option<(usize, f64)> {
-        let mut best = (u32::MAX, radius * radius);
-        self.search(query, 0, self.points.len(), 0, &mut best);
-        (best.0 != u32::MAX).then(|| (best.0 as usize, best.1.sqrt()))
+        self.nearest_of_leaves(query, radius, usize::MAX)
     }
 
-    fn search(&self, query: DVec3, low: usize, high: usize, depth: usize, best: &mut (u32, f64)) {
-        if high - low <= LEAF {
-            for at in low..high {
-                let d = self.points[at].distance_squared(query);
-                if d < best.1 || (d == best.1 && self.index[at] < best.0 && best.0 != u32::MAX) {
-                    *best = (self.index[at], d);
-                }
-            }
+    /// As [`KdTree::nearest_within`], but no more than so many leaves are looked at, the likeliest first: where all points are
+    /// about equally far, as at the centre of a ball, an exact search would look at every one. The answer is then a point
+    /// nearly as near as the nearest.
+    pub fn nearest_of_leaves(&self, query: DVec3, radius: f64, leaves: usize) -> Option<(usize, f64)> {
+        let mut search = Search { query, best: (u32::MAX, radius * radius), leaves };
+        self.search(&mut search, 0..self.points.len(), 0, DVec3::ZERO);
+        let (index, squared) = search.best;
+        (index != u32::MAX).then(|| (index as usize, squared.sqrt()))
+    }
+
+    /// Searches a part of the tree that is `offset` away from the query, by axis (Arya and Mount 1993).
+    fn search(&self, search: &mut Search, part: Range<usize>, depth: usize, offset: DVec3) {
+        if search.leaves == 0 {
             return;
         }
-        let middle = low + (high - low) / 2;
-        let (point, axis) = (self.points[middle], depth % 3);
-        let d = point.distance_squared(query);
-        if d < best.1 || (d == best.1 && self.index[middle] < best.0 && best.0 != u32::MAX) {
-            *best = (self.index[middle], d);
+        if part.len() <= LEAF {
+            search.leaves -= 1;
+            part.for_each(|at| search.consider(self.points[at], self.index[at]));
+            return;
         }
-        let side = query[axis] - point[axis];
-        let (near, far) =
-            if side < 0.0 { ((low, middle), (middle + 1, high)) } else { ((middle + 1, high), (low, middle)) };
-        self.search(query, near.0, near.1, depth + 1, best);
-        if side * side <= best.1 {
-            self.search(query, far.0, far.1, depth + 1, best);
+        let middle = part.start + part.len() / 2;
+        let (point, axis) = (self.points[middle], depth % 3);
+        search.consider(point, self.index[middle]);
+        let side = search.query[axis] - point[axis];
+        let (left, right) = (part.start..middle, middle + 1..part.end);
+        let (near, far) = if side < 0.0 { (left, right) } else { (right, left) };
+        self.search(search, near, depth + 1, offset);
+        let mut offset = offset;
+        offset[axis] = side;
+        if offset.length_squared() <= search.best.1 {
+            self.search(search, far, depth + 1, offset);
+        }
+    }
+}
+
+/// A search under way.
+struct Search {
+    query: DVec3,
+    /// Index and squared distance of the nearest point so far.
+    best: (u32, f64),
+    /// Leaves that may still be looked at.
+    leaves: usize,
+}
+
+impl Search {
+    fn consider(&mut self, point: DVec3, index: u32) {
+        let d = point.distance_squared(self.query);
+        if d < self.best.1 || (d == self.best.1 && index < self.best.0 && self.best.0 != u32::MAX) {
+            self.best = (index, d);
         }
     }
 }
@@ -108,6 +134,22 @@ mod tests {
                 assert!(tree.nearest_within(q, 0.5 * want).is_none());
             }
         }
+    }
+
+    #[test]
+    fn a_search_of_few_leaves_ends_soon_and_near_the_truth() {
+        let points: Vec<DVec3> = (0..20_000)
+            .map(|n| {
+                let (z, turn) = (2.0 * uniform(3, 0, n) - 1.0, std::f64::consts::TAU * uniform(3, 1, n));
+                DVec3::new((1.0 - z * z).sqrt() * turn.cos(), (1.0 - z * z).sqrt() * turn.sin(), z) * 10.0
+            })
+            .collect();
+        let tree = KdTree::new(&points);
+        let centre = DVec3::new(1e-3, 0.0, 0.0);
+        let (_, exact) = tree.nearest(centre).unwrap();
+        let (_, near) = tree.nearest_of_leaves(centre, f64::INFINITY, 20).unwrap();
+        assert!(near >= exact && near < exact + 2e-3, "{near} against {exact}");
+        assert!(tree.nearest_of_leaves(centre, 9.0, 20).is_none());
         assert!(KdTree::new(&[]).nearest(DVec3::ZERO).is_none());
     }
 }

@@ -1,55 +1,66 @@
 //! Gradation: lowers h until |grad h| <= delta everywhere.
 //!
 //! The paper's predecessor runs an upwind scheme that only lowers h, time step by time step; its steady state,
-//! h(x) = min over y of h0(y) + delta |x - y|, is an Eikonal problem with boundary values, which fast sweeping (Zhao
-//! 2005) solves in a few sweeps over the grid.
+//! h(x) = min over y of h0(y) + delta |x - y|, is an Eikonal problem with boundary values. It is solved by marching from
+//! small h to large (Sethian 1996) with a queue of buckets (Yatziv, Bartesaghi and Sapiro 2006); a node that a later
+//! one of its bucket still lowers is queued again, so the order within a bucket does not matter.
 
 use isoparticles_common::image::Image;
+use std::collections::BTreeMap;
 
-/// Sweeps in all eight directions, repeated until nothing changes by more than a thousandth (or 8 rounds).
-pub fn limit_gradient(h: &mut Image<f32>, delta: f64) {
-    let [nx, ny, nz] = h.geometry.size;
-    let spacing = h.geometry.spacing;
-    let rise = [spacing.x * delta, spacing.y * delta, spacing.z * delta];
-    let strides = [1, nx, nx * ny];
-    for _ in 0..8 {
-        let mut changed = false;
-        for direction in 0..8 {
-            for kk in 0..nz {
-                let k = if direction & 4 == 0 { kk } else { nz - 1 - kk };
-                for jj in 0..ny {
-                    let j = if direction & 2 == 0 { jj } else { ny - 1 - jj };
-                    let row = (k * ny + j) * nx;
-                    for ii in 0..nx {
-                        let i = if direction & 1 == 0 { ii } else { nx - 1 - ii };
-                        let at = row + i;
-                        let smaller = |low: bool, high: bool, stride: usize| {
-                            let before = if low { h.data[at - stride] } else { f32::INFINITY };
-                            let after = if high { h.data[at + stride] } else { f32::INFINITY };
-                            f64::from(before.min(after))
-                        };
-                        let from = [
-                            smaller(i > 0, i + 1 < nx, strides[0]),
-                            smaller(j > 0, j + 1 < ny, strides[1]),
-                            smaller(k > 0, k + 1 < nz, strides[2]),
-                        ];
-                        let old = f64::from(h.data[at]);
-                        if from.iter().all(|&a| a >= old) {
-                            continue;
-                        }
-                        let new = upwind(from, rise);
-                        if new < old {
-                            changed |= new < old * (1.0 - 1e-3);
-                            h.data[at] = new as f32;
-                        }
+/// Width of a bucket over the least change of h from a node to the next.
+const BUCKET: f64 = 0.5;
+
+/// A node is lowered when it gains more than this share.
+const LEAST_GAIN: f64 = 1e-6;
+
+/// Lowers h to the steady state; infinite values are filled in. Nodes that come to no less than `enough` may be left as
+/// they are: they lower none that is below it.
+pub fn limit_gradient(h: &mut Image<f32>, delta: f64, enough: f64) {
+    let size = h.geometry.size;
+    let rise = (h.geometry.spacing * delta).to_array();
+    let strides = [1, size[0], size[0] * size[1]];
+    let width = BUCKET * rise[0].min(rise[1]).min(rise[2]);
+    let bucket = |value: f64| (value / width) as u64;
+    let mut queue: BTreeMap<u64, Vec<u32>> = BTreeMap::new();
+    for (at, &value) in h.data.iter().enumerate().filter(|(_, value)| value.is_finite()) {
+        queue.entry(bucket(f64::from(value))).or_default().push(at as u32);
+    }
+    while let Some((key, nodes)) = queue.pop_first() {
+        if key as f64 * width >= enough {
+            break;
+        }
+        for at in nodes {
+            let (at, value) = (at as usize, f64::from(h.data[at as usize]));
+            if bucket(value) < key {
+                continue;
+            }
+            for axis in 0..3 {
+                let place = at / strides[axis] % size[axis];
+                for next in
+                    [(place > 0).then(|| at - strides[axis]), (place + 1 < size[axis]).then(|| at + strides[axis])]
+                {
+                    let Some(next) = next.filter(|&n| f64::from(h.data[n]) > value) else { continue };
+                    let new = upwind(smaller_neighbours(h, next, strides), rise);
+                    if new < f64::from(h.data[next]) * (1.0 - LEAST_GAIN) {
+                        h.data[next] = new as f32;
+                        queue.entry(bucket(new).max(key)).or_default().push(next as u32);
                     }
                 }
             }
         }
-        if !changed {
-            break;
-        }
     }
+}
+
+/// The smaller of the two neighbours of a node along each axis.
+fn smaller_neighbours(h: &Image<f32>, at: usize, strides: [usize; 3]) -> [f64; 3] {
+    std::array::from_fn(|axis| {
+        let (stride, size) = (strides[axis], h.geometry.size[axis]);
+        let place = at / stride % size;
+        let before = if place > 0 { h.data[at - stride] } else { f32::INFINITY };
+        let after = if place + 1 < size { h.data[at + stride] } else { f32::INFINITY };
+        f64::from(before.min(after))
+    })
 }
 
 /// Solves sum over axes of (max(u - a, 0) / rise)^2 = 1 for u: the Godunov scheme of |grad u| = delta.
@@ -85,7 +96,7 @@ mod tests {
         let mut h = Image::filled(geometry.clone(), 100.0f32);
         let source = DVec3::new(20.0, 18.0, 16.0);
         h.data[geometry.linear(20, 18, 16)] = 2.0;
-        limit_gradient(&mut h, 0.4);
+        limit_gradient(&mut h, 0.4, f64::INFINITY);
         for (i, j, k) in [(40, 18, 16), (20, 0, 16), (20, 18, 0), (35, 30, 16), (2, 3, 30)] {
             let distance = ((DVec3::new(i as f64, j as f64, k as f64) - source) * geometry.spacing).length();
             let want = 2.0 + 0.4 * distance;
@@ -105,7 +116,7 @@ mod tests {
             h.data[n] = if i < 10 { 1.0 + 0.1 * i as f32 } else { 50.0 };
         }
         let before = h.clone();
-        limit_gradient(&mut h, 0.4);
+        limit_gradient(&mut h, 0.4, f64::INFINITY);
         for i in 0..30 {
             let want = if i < 10 { f64::from(before.at(i, 2, 2)) } else { 1.9 + 0.2 * (i as f64 - 9.0) };
             assert!((f64::from(h.at(i, 2, 2)) - want).abs() < 1e-5);

@@ -60,15 +60,16 @@ pub fn wanted_sizes(features: &Features, parameters: &Parameters) -> Vec<f64> {
 /// graded into the volume.
 pub fn size_field(distance: &Image<f32>, features: &Features, parameters: &Parameters) -> SizingField {
     let wanted = wanted_sizes(features, parameters);
-    let graded = spread(distance, features, &wanted, parameters.delta);
+    let largest = wanted.iter().copied().fold(0.0, f64::max);
+    let graded = spread(distance, features, &wanted, parameters.delta, largest);
     let mut smooth: Vec<f64> = features.points.iter().map(|&p| graded.at(p)).collect();
     smooth_over_surface(&mut smooth, &features.triangles);
-    spread(distance, features, &smooth, parameters.delta)
+    spread(distance, features, &smooth, parameters.delta, f64::INFINITY)
 }
 
 /// Gives the nodes of each triangle's cell the smallest size at its corners, so that trilinear h there is no larger, and
-/// grades the rest.
-fn spread(distance: &Image<f32>, features: &Features, sizes: &[f64], delta: f64) -> SizingField {
+/// grades the rest, as far as it is below `enough`.
+fn spread(distance: &Image<f32>, features: &Features, sizes: &[f64], delta: f64, enough: f64) -> SizingField {
     let geometry = &distance.geometry;
     let mut h = Image::filled(geometry.clone(), f32::INFINITY);
     for t in &features.triangles {
@@ -83,7 +84,7 @@ fn spread(distance: &Image<f32>, features: &Features, sizes: &[f64], delta: f64)
             h.data[node] = h.data[node].min(size);
         }
     }
-    gradation::limit_gradient(&mut h, delta);
+    gradation::limit_gradient(&mut h, delta, enough);
     SizingField::new(h)
 }
 

@@ -12,6 +12,10 @@ use rayon::prelude::*;
 /// Balls whose two touching points are seen from the centre under less than this (radians) are pruned.
 pub const MIN_SEPARATION_ANGLE: f64 = 40.0 * std::f64::consts::PI / 180.0;
 
+/// Leaves of the tree of samples that one look for a sample inside a ball may take: a ball that fits the surface all round has
+/// every sample at its rim.
+const MOST_LEAVES: usize = 400;
+
 /// Centres of the medial balls of both sides, pruned. `largest` bounds the radius looked for (mm); samples that lie inside a
 /// ball by no more than `blur` (mm) do not shrink it: next to the touching point that is ripple, not shape.
 pub fn medial_points(points: &[DVec3], normals: &[DVec3], largest: f64, blur: f64) -> Vec<DVec3> {
@@ -34,7 +38,7 @@ fn shrink(points: &[DVec3], tree: &KdTree, i: usize, direction: DVec3, [largest,
     let (mut radius, mut touching) = (largest, None);
     for _ in 0..60 {
         let centre = p + direction * radius;
-        let Some((q, _)) = tree.nearest_within(centre, radius - blur) else { break };
+        let Some((q, _)) = tree.nearest_of_leaves(centre, radius - blur, MOST_LEAVES) else { break };
         let offset = points[q] - p;
         let height = direction.dot(offset);
         if q == i || height <= 0.0 {
