@@ -33,7 +33,7 @@ _WORKER = Worker(
     ),
     when_it_fails="try --method ftetwild, a larger --tet-size-factor, or a machine with more memory",
     when_it_is_empty="try --method ftetwild",
-    when_it_is_missing="install it with stages/tetmesh-check/setup-env.sh (make env HXT=yes), which also says which system "
+    when_it_is_missing="install it with stages/tetmesh-check/setup-env.sh (make env), which also says which system "
     "libraries it lacks, or use --method ftetwild",
 )
 
