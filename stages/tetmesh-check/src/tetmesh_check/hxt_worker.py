@@ -38,9 +38,8 @@ def write_structured_field(path: Path, values: Any, origin: Any, spacing: float)
 def _set_options(gmsh: Any, settings: dict[str, Any]) -> None:
     for name, value in {
         "General.Terminal": 1,
-        # One thread gives the same bytes whatever the machine. With more, the result depends on their number even with
-        # Mesh.Reproducible, and Gmsh reads the background field unguarded when several threads first ask for it, which
-        # failed on a surface of many bodies.
+        # One thread gives the same bytes however many the machine has. With more, the result depends on their number even
+        # with Mesh.Reproducible, and Gmsh failed to read the background field on a surface of several bodies.
         "General.NumThreads": 1,
         "Mesh.Algorithm3D": _HXT,
         "Mesh.OptimizeThreshold": settings["optimize_threshold"],

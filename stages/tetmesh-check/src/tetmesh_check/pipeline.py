@@ -22,7 +22,7 @@ from tetmesh_check.topology import Topology, changed_triangles, measure_topology
 from tetmesh_check.volume import write_volume
 
 ENVELOPE_FRACTION = 0.05
-"""Default envelope over the edge length that 95 % of the surface exceed: small enough to keep good triangles as they are."""
+"""Default envelope over the edge length that 95 % of the surface exceed: small enough that thin walls stay apart."""
 
 
 @dataclass(frozen=True)
