@@ -17,6 +17,9 @@ NO_BUILD ?=
 # The Python environment of tetmesh-check.
 VENV ?= .venv
 TETMESH_CHECK ?= $(VENV)/bin/tetmesh-check
+# HXT=no leaves Gmsh (GPL-2.0-or-later) out of it, and fTetWild fills large surfaces, too.
+HXT ?= yes
+without_hxt = $(if $(filter no,$(HXT)),--without-hxt)
 # Real volumes for the cases in pipelines/.
 DATA ?= ../shared/data
 # Results go to OUT/NAME/.
@@ -153,6 +156,7 @@ Parameters of mesh, surface and CASE, with the stages' defaults where left out:
   SIZE=...      one edge length everywhere, mm           MIN_SIZE=...  MAX_SIZE=...  bounds of h, mm
   BORDER=...    cap or open                              BACKEND=...   auto, gpu or cpu
   SEED=...      of the random numbers                    THREADS=...   CPU threads [all]
+  HXT=no        without Gmsh: large surfaces take hours
 Results: OUT/NAME/NAME.{distfield.vti,sizefield.vti,seeds.bin,particles.bin,surface.vtp,volume.vtu,report.json}
 endef
 export HELP
@@ -192,7 +196,7 @@ endif
 
 env:
 ifeq ($(NO_BUILD),)
-	@stages/tetmesh-check/setup-env.sh --venv $(VENV)
+	@stages/tetmesh-check/setup-env.sh --venv $(VENV) $(without_hxt)
 endif
 
 # --- The chain --------------------------------------------------------------------------------------------------------
@@ -216,7 +220,8 @@ $(P)/reconstruct: FORCE | build
 	$(call stamp,reconstruct,$(reconstruct_options),$(BIN)/reconstruct)
 
 $(P)/tetmesh: FORCE | env
-	$(call stamp,tetmesh-check,$(tetmesh_options),stages/tetmesh-check/requirements.lock stages/tetmesh-check/src/tetmesh_check/*.py)
+	$(call stamp,tetmesh-check,$(without_hxt) $(tetmesh_options),stages/tetmesh-check/requirements*.lock \
+	  stages/tetmesh-check/src/tetmesh_check/*.py)
 
 ifneq ($(PHANTOM),)
 $(INPUT): $(P)/phantom

@@ -1,21 +1,23 @@
 #!/bin/sh
 # Makes the Python environment of tetmesh-check: `.venv` at the root of the repository, from requirements.lock.
 #
-# Usage:   stages/tetmesh-check/setup-env.sh [--venv DIR] [--check] [--no-system-packages]
+# Usage:   stages/tetmesh-check/setup-env.sh [--venv DIR] [--check] [--without-hxt] [--no-system-packages]
 #   --venv DIR             where the environment goes (default: .venv at the root of the repository)
 #   --check                change nothing; say what is missing; exit 0 when the environment is ready, else 2
+#   --without-hxt          leave out Gmsh (GPL-2.0-or-later, requirements-hxt.lock), which fills large surfaces fast
 #   --no-system-packages   never call apt-get, only say what it would have installed
 # Environment: PYTHON      the interpreter to use (default: the first of python3.11, python3, python3.12, ... >= 3.11)
 #
 # Exit codes: 0 ready; 2 something is missing, and the message says which command gets it.
 #
 # Runs in well under a second when nothing has changed: the stamp DIR/.tetmesh-check-stamp holds a checksum of the
-# lock file, of pyproject.toml, of this script, and of the interpreter. Packages come from pip's own configured index and are
+# lock files, of pyproject.toml, of this script, of the interpreter, and whether HXT is wanted. Packages come from pip's own configured index and are
 # checked against the hashes in the lock; nothing is compiled.
 #
 # Debian and Ubuntu split `ensurepip` off their python3 (package python3-venv), and VTK finds its off-screen renderer at
 # run time: libOSMesa (libosmesa6), or EGL with Mesa's drivers (libegl1 libgl1-mesa-dri) where a release has dropped it.
-# Importing VTK needs neither, so a missing renderer is a warning: only the pictures are skipped.
+# Importing VTK needs neither, so a missing renderer is a warning: only the pictures are skipped. Gmsh's library links to
+# OpenGL, X11 and fontconfig; where it cannot be installed or loaded that is a warning, too: fTetWild does the work.
 set -eu
 
 here=$(CDPATH='' cd -- "$(dirname -- "$0")" && pwd)
@@ -23,6 +25,7 @@ root=$(CDPATH='' cd -- "$here/../.." && pwd)
 venv=$root/.venv
 check_only=no
 system_packages=yes
+with_hxt=yes
 
 say() { printf 'setup-env: %s\n' "$*" >&2; }
 
@@ -40,6 +43,7 @@ while [ $# -gt 0 ]; do
             shift
             ;;
         --check) check_only=yes ;;
+        --without-hxt) with_hxt=no ;;
         --no-system-packages) system_packages=no ;;
         -h | --help)
             sed -n '2,/^set -eu/{/^set -eu/d;s/^# \{0,1\}//;p;}' "$0"
@@ -51,6 +55,9 @@ while [ $# -gt 0 ]; do
 done
 
 lock=$here/requirements.lock
+hxt_lock=$here/requirements-hxt.lock
+# What Gmsh's library links to and a bare Debian or Ubuntu lacks.
+hxt_packages="libgl1 libglu1-mesa libxrender1 libxcursor1 libxft2 libxinerama1 libxfixes3 libfontconfig1 libgomp1"
 stamp=$venv/.tetmesh-check-stamp
 
 # How this user may install Debian packages: "" as root, "sudo -n" without a password, or "no".
@@ -116,7 +123,25 @@ warn_no_renderer() {
     say "         To get them on Debian or Ubuntu: apt-get install libosmesa6   (or: libegl1 libgl1-mesa-dri)"
 }
 
-[ -f "$lock" ] || fail "$lock: not found" "it names the packages to install" "restore it from version control"
+last_line() {
+    printf '%s\n' "$1" | tail -n 1
+}
+
+# Says in its output why Gmsh cannot be used.
+can_hxt() {
+    "$venv/bin/python" -c 'import gmsh' 2>&1
+}
+
+warn_no_hxt() {
+    say "WARNING: HXT (Gmsh) cannot be used ($1), so fTetWild fills large surfaces, too, which may take hours."
+    say "         To get it on Debian or Ubuntu: apt-get install $hxt_packages"
+    say "         and, if its Python package is missing: $venv/bin/python -m pip install --require-hashes -r $hxt_lock"
+    say "         To do without it: $0 --without-hxt (make: HXT=no)"
+}
+
+for file in "$lock" "$hxt_lock"; do
+    [ -f "$file" ] || fail "$file: not found" "it names the packages to install" "restore it from version control"
+done
 
 python=$(find_python) || python=""
 if [ -z "$python" ]; then
@@ -126,15 +151,16 @@ if [ -z "$python" ]; then
 fi
 
 fingerprint=$({
-    cat "$lock" "$here/pyproject.toml" "$0"
+    cat "$lock" "$hxt_lock" "$here/pyproject.toml" "$0"
     "$python" -c 'import sys; print(sys.version, sys.executable)'
-    echo "$here"
+    echo "$here, HXT: $with_hxt"
 } | "$python" -c 'import hashlib, sys; print(hashlib.sha256(sys.stdin.buffer.read()).hexdigest())')
 
 if [ -x "$venv/bin/tetmesh-check" ] && [ "$(cat "$stamp" 2>/dev/null || true)" = "$fingerprint" ]; then
     if [ "$check_only" = yes ]; then
         say "ready: $venv ($("$venv/bin/python" --version))"
         can_render || warn_no_renderer
+        [ "$with_hxt" = no ] || reason=$(can_hxt) || warn_no_hxt "$(last_line "$reason")"
     fi
     exit 0
 fi
@@ -178,6 +204,18 @@ if ! can_render; then
     # libosmesa6 is the smallest that does it; later releases have only EGL.
     if install_packages libosmesa6 || install_packages libegl1 libgl1-mesa-dri; then :; fi
     can_render || warn_no_renderer
+fi
+
+if [ "$with_hxt" = yes ]; then
+    say "installing HXT: Gmsh, GPL-2.0-or-later (40 MB; --without-hxt leaves it out)"
+    "$venv/bin/python" -m pip install --quiet --disable-pip-version-check --no-input --no-deps --only-binary :all: --require-hashes \
+        -r "$hxt_lock" || say "pip could not install Gmsh; see the message above"
+    # without the package its system libraries are of no use
+    if ! reason=$(can_hxt) && has_modules "$venv/bin/python" gmsh; then
+        # shellcheck disable=SC2086 # a list of names
+        install_packages $hxt_packages || true
+    fi
+    reason=$(can_hxt) || warn_no_hxt "$(last_line "$reason")"
 fi
 
 printf '%s\n' "$fingerprint" >"$stamp"

@@ -12,6 +12,14 @@ import numpy as np
 import pytest
 import pyvista as pv
 
+
+def _hxt_is_there() -> bool:
+    """Whether Gmsh can be imported, tried in another process because it is never imported into this one."""
+    return subprocess.run([sys.executable, "-c", "import gmsh"], capture_output=True, check=False).returncode == 0
+
+
+NEEDS_HXT = pytest.mark.skipif(not _hxt_is_there(), reason="Gmsh (HXT) is not installed: see setup-env.sh --help")
+
 Run = Callable[..., subprocess.CompletedProcess[str]]
 
 
@@ -31,6 +39,37 @@ def write_sizing(path: Path, h: Callable[[np.ndarray], np.ndarray], half_width: 
     grid.add_field_data(['{"tool": "sizefield", "version": "0"}'], "history")
     grid.save(path)
     return path
+
+
+def merged(*surfaces: pv.PolyData) -> pv.PolyData:
+    """Several surfaces as one."""
+    points, triangles, shift = [], [], 0
+    for surface in surfaces:
+        points.append(np.asarray(surface.points))
+        triangles.append(np.asarray(surface.faces).reshape(-1, 4)[:, 1:] + shift)
+        shift += surface.n_points
+    faces = np.concatenate(triangles)
+    return pv.PolyData(np.concatenate(points), np.hstack([np.full((len(faces), 1), 3), faces]).ravel())
+
+
+def reversed_winding(surface: pv.PolyData) -> pv.PolyData:
+    """The surface inside out."""
+    faces = np.asarray(surface.faces).reshape(-1, 4)[:, [0, 1, 3, 2]]
+    return pv.PolyData(np.asarray(surface.points), faces.ravel())
+
+
+def tetrahedra(path: Path) -> tuple[np.ndarray, np.ndarray, pv.UnstructuredGrid]:
+    """Points, tetrahedra and all of a volume mesh."""
+    grid = pv.read(path)
+    return np.asarray(grid.points), np.asarray(grid.cells_dict[10]).astype(np.int64), grid
+
+
+def fake_library(folder: Path, monkeypatch: pytest.MonkeyPatch, name: str, code: str) -> None:
+    """Let processes started from now on import this code under the name of a library."""
+    (folder / "fake").mkdir(exist_ok=True)
+    (folder / "fake" / f"{name}.py").write_text(code)
+    monkeypatch.setenv("PYTHONPATH", str(folder / "fake"))
+    monkeypatch.setenv("PYTHONDONTWRITEBYTECODE", "1")
 
 
 @pytest.fixture

@@ -14,15 +14,12 @@ import blake3
 import numpy as np
 import pytest
 import pyvista as pv
-from conftest import Run, ball, write_sizing
+from conftest import NEEDS_HXT, Run, ball, fake_library, tetrahedra, write_sizing
 
 from tetmesh_check.context import canonical_command_line
 from tetmesh_check.quality import signed_tetrahedron_volumes
 
-
-def tetrahedra(path: Path) -> tuple[np.ndarray, np.ndarray, pv.UnstructuredGrid]:
-    grid = pv.read(path)
-    return np.asarray(grid.points), np.asarray(grid.cells_dict[10]).astype(np.int64), grid
+METHODS = ["ftetwild", pytest.param("hxt", marks=NEEDS_HXT)]
 
 
 def test_ball_with_graded_sizing(tmp_path: Path, run: Run) -> None:
@@ -60,9 +57,11 @@ def test_ball_with_graded_sizing(tmp_path: Path, run: Run) -> None:
     }  # fmt: skip
     assert (report["outcome"], report["exit_code"], report["failed_checks"]) == ("passed", 0, [])
     results = report["results"]
-    assert set(results) == {"surface", "sizing", "tetwild", "volume", "distance_mm", "checks"}
+    assert set(results) == {"surface", "sizing", "tetrahedralizer", "volume", "distance_mm", "checks"}
     assert results["volume"]["tetrahedra"] == len(cells)
-    assert len(results["tetwild"]["attempts"]) == 1
+    assert results["tetrahedralizer"]["method"] == history["parameters"]["method"] == "ftetwild"
+    assert "642 vertices" in results["tetrahedralizer"]["reason"]
+    assert len(results["tetrahedralizer"]["attempts"]) == 1
     assert sum(results["volume"]["quality"]["radius_ratio"]["histogram"]["counts"]) == len(cells)
     assert results["volume"]["edge_length_over_target"]["median"] == pytest.approx(1.0, abs=0.25)
     assert results["distance_mm"]["boundary_to_surface"]["max"] <= history["parameters"]["envelope"]
@@ -73,7 +72,7 @@ def test_ball_with_graded_sizing(tmp_path: Path, run: Run) -> None:
         ],
         "pass",
     )  # fmt: skip
-    assert (tmp_path / "ball.tetwild.log").stat().st_size > 0
+    assert (tmp_path / "ball.tetrahedra.log").stat().st_size > 0
     assert not list(tmp_path.glob(".*"))
 
 
@@ -84,7 +83,7 @@ def test_existing_output_is_kept_and_failed_checks_are_told(tmp_path: Path, run:
     assert refused.returncode == 2
     assert "--force" in refused.stderr
     assert (tmp_path / "out.vtu").read_text() == "precious"
-    assert not (tmp_path / "out.tetwild.log").exists()
+    assert not (tmp_path / "out.tetrahedra.log").exists()
 
     forced = run(
         "ball.vtp", "-o", "out.vtu", "--force", "--min-dihedral", 69, "--report", "r.json", "--max-passes", 5, "-q"
@@ -96,7 +95,11 @@ def test_existing_output_is_kept_and_failed_checks_are_told(tmp_path: Path, run:
     assert (report["outcome"], report["exit_code"]) == ("checks_failed", 1)
     assert len(report["failed_checks"]) == 1
     # not good enough at first, so it was tried again with more patience
-    assert [attempt["stop_energy"] for attempt in report["results"]["tetwild"]["attempts"]] == [1000.0, 30.0, 10.0]
+    assert [attempt["stop_energy"] for attempt in report["results"]["tetrahedralizer"]["attempts"]] == [
+        1000.0,
+        30.0,
+        10.0,
+    ]
     assert tetrahedra(tmp_path / "out.vtu")[1].shape[1] == 4
 
 
@@ -167,31 +170,49 @@ def worker_processes(folder: Path) -> list[str]:
             words = entry.read_bytes().decode(errors="replace")
         except OSError:  # it ended in the meantime
             continue
-        if "tetwild_worker" in words and str(folder) in words:
+        if ("tetwild_worker" in words or "hxt_worker" in words) and str(folder) in words:
             found.append(words)
     return found
 
 
-def test_time_limit_ends_the_tetrahedralizer(tmp_path: Path, run: Run) -> None:
+@pytest.mark.parametrize("method", METHODS)
+def test_time_limit_ends_the_tetrahedralizer(tmp_path: Path, run: Run, method: str) -> None:
     ball(subdivisions=3).save(tmp_path / "ball.vtp")
-    write_sizing(tmp_path / "fine.vti", lambda world: np.full(len(world), 0.3))
+    write_sizing(tmp_path / "fine.vti", lambda world: np.full(len(world), 0.15))
     started = time.monotonic()
-    done = run("ball.vtp", "--sizefield", "fine.vti", "-o", "ball.vtu", "--max-seconds", 2, "--report", "r.json")
+    done = run(
+        "ball.vtp", "--sizefield", "fine.vti", "-o", "ball.vtu", "--method", method, "--max-seconds", 2, "--report", "r.json"
+    )  # fmt: skip
     assert done.returncode == 2
     assert "ended after 2 s" in done.stderr
     assert "--max-seconds" in done.stderr
     assert time.monotonic() - started < 45
     assert not (tmp_path / "ball.vtu").exists()
-    assert (tmp_path / "ball.tetwild.log").exists()
+    assert (tmp_path / "ball.tetrahedra.log").exists()
     assert json.loads((tmp_path / "r.json").read_text())["outcome"] == "error"
     assert not worker_processes(tmp_path)
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_interrupt_ends_everything(tmp_path: Path, number: signal.Signals) -> None:
+@pytest.mark.parametrize(
+    ("number", "method"),
+    [(signal.SIGINT, "ftetwild"), (signal.SIGTERM, "ftetwild"), pytest.param(signal.SIGINT, "hxt", marks=NEEDS_HXT)],
+)
+def test_interrupt_ends_everything(tmp_path: Path, number: signal.Signals, method: str) -> None:
     ball(subdivisions=3).save(tmp_path / "ball.vtp")
-    write_sizing(tmp_path / "fine.vti", lambda world: np.full(len(world), 0.3))
-    words = ["ball.vtp", "--sizefield", "fine.vti", "-o", "ball.vtu", "--report", "r.json", "--progress", "none"]
+    write_sizing(tmp_path / "fine.vti", lambda world: np.full(len(world), 0.15))
+    words = [
+        "ball.vtp",
+        "--method",
+        method,
+        "--sizefield",
+        "fine.vti",
+        "-o",
+        "ball.vtu",
+        "--report",
+        "r.json",
+        "--progress",
+        "none",
+    ]
     environment = {**os.environ, "TMPDIR": str(tmp_path)}
     process = subprocess.Popen(
         [sys.executable, "-m", "tetmesh_check", *words],
@@ -200,7 +221,7 @@ def test_interrupt_ends_everything(tmp_path: Path, number: signal.Signals) -> No
         text=True,
         env=environment,
     )
-    log = tmp_path / "ball.tetwild.log"
+    log = tmp_path / "ball.tetrahedra.log"
     while not (log.exists() and log.stat().st_size > 0):
         assert process.poll() is None
         time.sleep(0.05)
@@ -211,23 +232,22 @@ def test_interrupt_ends_everything(tmp_path: Path, number: signal.Signals) -> No
     assert "interrupted" in stderr
     assert "Traceback" not in stderr
     assert json.loads((tmp_path / "r.json").read_text())["outcome"] == "interrupted"
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["ball.tetwild.log", "ball.vtp", "fine.vti", "r.json"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["ball.tetrahedra.log", "ball.vtp", "fine.vti", "r.json"]
     assert not worker_processes(tmp_path)
 
 
-def test_crash_of_the_tetrahedralizer_is_reported(tmp_path: Path, run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("method", ["ftetwild", "hxt"])
+def test_crash_of_the_tetrahedralizer_is_reported(
+    tmp_path: Path, run: Run, monkeypatch: pytest.MonkeyPatch, method: str
+) -> None:
     ball().save(tmp_path / "ball.vtp")
-    fake = tmp_path / "fake" / "pytetwild"
-    fake.mkdir(parents=True)
-    (fake / "__init__.py").write_text(
-        "import os, signal\ndef tetrahedralize(*a, **k): os.kill(os.getpid(), signal.SIGSEGV)\n"
-    )
-    monkeypatch.setenv("PYTHONPATH", str(tmp_path / "fake"))
-    done = run("ball.vtp", "-o", "ball.vtu")
+    library, function = {"ftetwild": ("pytetwild", "tetrahedralize"), "hxt": ("gmsh", "initialize")}[method]
+    fake_library(tmp_path, monkeypatch, library, f"import os\ndef {function}(*a, **k): os.kill(os.getpid(), 11)\n")
+    done = run("ball.vtp", "-o", "ball.vtu", "--method", method)
     assert done.returncode == 2
     assert "crashed: SIGSEGV" in done.stderr
-    (fake / "__init__.py").write_text("def tetrahedralize(*a, **k): raise RuntimeError('no luck')\n")
-    done = run("ball.vtp", "-o", "ball.vtu")
+    fake_library(tmp_path, monkeypatch, library, f"def {function}(*a, **k): raise RuntimeError('no luck')\n")
+    done = run("ball.vtp", "-o", "ball.vtu", "--method", method)
     assert done.returncode == 2
     assert "no luck" in done.stderr
     assert not (tmp_path / "ball.vtu").exists()
@@ -245,6 +265,7 @@ def test_crash_of_the_tetrahedralizer_is_reported(tmp_path: Path, run: Run, monk
         ["a.vtp", "-o", "b.vtu", "--threads", "-1"],
         ["a.vtp", "-o", "b.vtu", "-v", "-q"],
         ["a.vtp", "-o", "b.vtu", "--forc"],
+        ["a.vtp", "-o", "b.vtu", "--method", "tetgen"],
         ["a.vtp", "-o", "b.vtu"],
     ],
 )

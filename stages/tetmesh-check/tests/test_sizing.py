@@ -11,7 +11,7 @@ from conftest import ball, write_sizing
 
 from tetmesh_check.errors import StageError
 from tetmesh_check.quality import signed_tetrahedron_volumes
-from tetmesh_check.sizing import background_mesh, read_sizing_field
+from tetmesh_check.sizing import background_mesh, read_sizing_field, world_grid
 from tetmesh_check.surface import read_surface
 
 
@@ -71,6 +71,19 @@ def test_background_covers_the_object_without_gaps(tmp_path: Path, max_nodes: in
     border = (uses == 1).sum()
     assert border % 2 == 0
     assert border < 0.5 * len(uses)
+
+
+@pytest.mark.parametrize("max_nodes", [100_000, 800])
+def test_world_grid_covers_the_object(tmp_path: Path, max_nodes: int) -> None:
+    ball(8.0).save(tmp_path / "b.vtp")
+    surface = read_surface(tmp_path / "b.vtp")
+    grid = world_grid(read_sizing_field(write_sizing(tmp_path / "s.vti", linear)), surface, 2.0, max_nodes)
+    assert grid.values.size <= max_nodes
+    assert (grid.spacing == 1.0) == (max_nodes > 10_000)
+    nodes = grid.origin + grid.spacing * np.argwhere(np.ones(grid.values.shape))
+    np.testing.assert_allclose(grid.values.ravel(), 2.0 * linear(nodes), rtol=0.03)  # clamped beyond 12 mm
+    assert (nodes.min(axis=0) <= surface.points.min(axis=0)).all()
+    assert (nodes.max(axis=0) >= surface.points.max(axis=0)).all()
 
 
 def test_files_that_are_no_size_field(tmp_path: Path) -> None:

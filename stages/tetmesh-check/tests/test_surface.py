@@ -7,27 +7,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 import pyvista as pv
-from conftest import Run, ball
+from conftest import Run, ball, merged, reversed_winding
 
+from tetmesh_check.components import measure_components
 from tetmesh_check.errors import ExitCode, StageError
 from tetmesh_check.intersections import self_intersections
-from tetmesh_check.surface import check_surface, inside_out_components, read_surface
-from tetmesh_check.topology import connected_components, measure_topology
-
-
-def merged(*surfaces: pv.PolyData) -> pv.PolyData:
-    points, triangles, shift = [], [], 0
-    for surface in surfaces:
-        points.append(np.asarray(surface.points))
-        triangles.append(np.asarray(surface.faces).reshape(-1, 4)[:, 1:] + shift)
-        shift += surface.n_points
-    faces = np.concatenate(triangles)
-    return pv.PolyData(np.concatenate(points), np.hstack([np.full((len(faces), 1), 3), faces]).ravel())
-
-
-def reversed_winding(surface: pv.PolyData) -> pv.PolyData:
-    faces = np.asarray(surface.faces).reshape(-1, 4)[:, [0, 1, 3, 2]]
-    return pv.PolyData(np.asarray(surface.points), faces.ravel())
+from tetmesh_check.polydata import from_polydata
+from tetmesh_check.surface import check_surface, read_surface
+from tetmesh_check.topology import changed_triangles, connected_components, measure_topology, tetrahedron_boundary
 
 
 def without_one_triangle(surface: pv.PolyData) -> pv.PolyData:
@@ -116,28 +103,27 @@ def test_good_surfaces_pass(tmp_path: Path) -> None:
         (merged(ball(), ball(2).translate((15, 0, 0))), 2, 4),
     ):
         surface.save(path)
-        topology = check_surface(path, read_surface(path))
+        topology, _ = check_surface(path, read_surface(path))
         assert (topology.components, topology.euler_characteristic) == (components, euler)
 
 
 def measure(surface: pv.PolyData) -> tuple[int, bool]:
     triangles = np.asarray(surface.faces).reshape(-1, 4)[:, 1:].astype(np.int64)
     points = np.asarray(surface.points, dtype=np.float64)
-    wrong = inside_out_components(points, triangles)
-    return len(triangles), not wrong
+    return len(triangles), not len(measure_components(points, triangles).inside_out())
 
 
 def test_vertices_written_once_a_triangle_are_joined(tmp_path: Path) -> None:
     ball().save(tmp_path / "soup.stl")
     surface = read_surface(tmp_path / "soup.stl")
-    assert check_surface(tmp_path / "soup.stl", surface).vertices == 162
+    assert check_surface(tmp_path / "soup.stl", surface)[0].vertices == 162
     soup = ball()
     corners = np.asarray(soup.points)[np.asarray(soup.faces).reshape(-1, 4)[:, 1:].ravel()]
     faces = np.arange(len(corners)).reshape(-1, 3)
     pv.PolyData(corners, np.hstack([np.full((len(faces), 1), 3), faces]).ravel()).save(tmp_path / "soup.vtp")
     surface = read_surface(tmp_path / "soup.vtp")
     assert surface.merged_points == 960 - 162
-    assert check_surface(tmp_path / "soup.vtp", surface).vertices == 162
+    assert check_surface(tmp_path / "soup.vtp", surface)[0].vertices == 162
 
 
 def test_pinched_vertex_is_counted() -> None:
@@ -178,6 +164,70 @@ def test_mirrored_overlap_is_found() -> None:
     both = merged(ball(), ball().translate((9.0, 0, 0)))
     triangles = np.asarray(both.faces).reshape(-1, 4)[:, 1:].astype(np.int64)
     assert len(self_intersections(np.asarray(both.points), triangles)) > 0
+
+
+def nested() -> pv.PolyData:
+    """A body with a cavity, a body in that cavity with a cavity of its own, and a body apart; in no order of size."""
+    return merged(
+        ball(3.0).translate((30.0, 0, 0)),
+        reversed_winding(ball(2.0).translate((0.3, 0, 0))),
+        ball(10.0),
+        ball(5.0),
+        reversed_winding(ball(8.0)),
+        reversed_winding(ball(0.5).translate((30.5, 0, 0))),
+    )
+
+
+def test_which_component_lies_in_which() -> None:
+    surface = nested()
+    components = measure_components(*from_polydata(surface))
+    np.testing.assert_array_equal(components.depths, [0, 3, 0, 2, 1, 1])
+    np.testing.assert_array_equal(components.parents, [-1, 3, -1, 4, 2, 0])
+    np.testing.assert_array_equal(components.bodies(), [0, 3, 2, 3, 2, 0])
+    assert not len(components.inside_out())
+    np.testing.assert_array_equal(np.sign(components.volumes), [1, -1, 1, 1, -1, -1])
+    turned = measure_components(*from_polydata(reversed_winding(surface)))
+    np.testing.assert_array_equal(turned.inside_out(), range(6))
+    np.testing.assert_array_equal(turned.parents, components.parents)
+
+
+def test_many_components_are_told_apart() -> None:
+    places = 3.0 * np.stack(np.meshgrid(*3 * [np.arange(10)], indexing="ij"), -1).reshape(-1, 3)
+    small = ball(1.0, 1)
+    points = (places[:, None] + np.asarray(small.points)).reshape(-1, 3)
+    cavities = np.asarray(small.faces).reshape(-1, 4)[:, [1, 3, 2]]
+    triangles = np.concatenate([cavities + k * small.n_points for k in range(len(places))])
+    around = ball(60.0, 4)
+    points = np.concatenate([points, np.asarray(around.points)])
+    triangles = np.concatenate(
+        [triangles, np.asarray(around.faces).reshape(-1, 4)[:, 1:] + len(places) * small.n_points]
+    )
+    components = measure_components(points, triangles)
+    np.testing.assert_array_equal(components.bodies(), np.full(1001, 1000))
+    assert not len(components.inside_out())
+
+
+def test_changed_triangles_are_counted() -> None:
+    points, triangles = from_polydata(ball())
+    # the same in another order, with a vertex more
+    order = np.random.default_rng(1).permutation(len(points))
+    place = np.argsort(order)
+    same = (np.concatenate([points[order], [[0.0, 0, 0]]]), np.roll(place[triangles], 1, axis=1)[::-1])
+    assert changed_triangles((points, triangles), same) == (0, 0)
+    assert changed_triangles((points, triangles), (points, triangles[3:])) == (3, 0)
+    assert changed_triangles((points, triangles), (points, triangles[:, ::-1])) == (320, 320)
+    moved = points.copy()
+    moved[7, 1] = np.nextafter(moved[7, 1], 1e9)
+    around = int((triangles == 7).sum())
+    assert changed_triangles((points, triangles), (moved, triangles)) == (around, around)
+
+
+def test_boundary_and_bodies_of_tetrahedra() -> None:
+    # two tetrahedra with a common face, and one that shares an edge with them
+    cells = np.array([[0, 1, 2, 3], [0, 2, 1, 4], [0, 1, 5, 6]])
+    boundary, bodies = tetrahedron_boundary(cells)
+    assert (len(boundary), bodies) == (10, 2)
+    assert {0, 1, 2} not in [set(triangle) for triangle in boundary.tolist()]
 
 
 def test_components_are_numbered_by_first_appearance() -> None:

@@ -66,7 +66,7 @@ class Measurements:
     surface_distance: float
     """Largest distance of the surface from the boundary, mm."""
     envelope: float
-    """The envelope that fTetWild was given, mm."""
+    """The envelope, mm: how far fTetWild may move the boundary."""
 
 
 def well_shaped(quality: TetrahedronQuality, limits: Limits) -> bool:

@@ -15,9 +15,10 @@ from tetmesh_check.errors import ExitCode, StageError
 from tetmesh_check.files import check_report, refuse_existing, same_file
 
 _DESCRIPTION = """\
-Fills a closed triangle surface with tetrahedra (fTetWild), graded by the size field h of sizefield, and checks that they are fit
-for simulation. Lengths are in mm (the unit of the volume), angles in degrees. h is the sizing of the paper (section 3.3): the target
-edge length of the surface; inside the object it grows away from thin places at the rate --delta of sizefield.
+Fills a closed triangle surface with tetrahedra (fTetWild, or HXT of Gmsh where that is installed), graded by the size field h of
+sizefield, and checks that they are fit for simulation. Lengths are in mm (the unit of the volume), angles in degrees. h is the sizing
+of the paper (section 3.3): the target edge length of the surface; inside the object it grows away from thin places at the rate
+--delta of sizefield.
 """
 _EPILOG = """\
 exit codes: 0 written and fit; 1 written, but a check failed; 2 bad usage or input, nothing written; 130 interrupted
@@ -87,7 +88,7 @@ def build_parser() -> argparse.ArgumentParser:
         metavar="VOLUME.vtu",
         type=Path,
         required=True,
-        help="the volume mesh to write; fTetWild's log is kept beside it as NAME.tetwild.log",
+        help="the volume mesh to write; the tetrahedralizer's log is kept beside it as NAME.tetrahedra.log",
     )
     files.add_argument(
         "--sizefield",
@@ -104,6 +105,14 @@ def build_parser() -> argparse.ArgumentParser:
 
     method = parser.add_argument_group("Method")
     method.add_argument(
+        "--method",
+        choices=["auto", "ftetwild", "hxt"],
+        default="auto",
+        help="ftetwild takes long on large surfaces and may move the surface within the envelope; hxt (Gmsh) takes seconds and "
+        "keeps its triangles; auto is ftetwild up to 10,000 vertices, hxt beyond, and ftetwild where hxt is missing or fails "
+        "(default auto)",
+    )
+    method.add_argument(
         "--tet-size-factor",
         metavar="X",
         type=_number(0.1, 100.0),
@@ -114,25 +123,29 @@ def build_parser() -> argparse.ArgumentParser:
         "--envelope",
         metavar="MM",
         type=positive,
-        help="largest distance of the boundary of the tetrahedra from the "
-        "surface, mm, above 0 (default 0.05 of the h that 95%% of the surface exceed)",
+        help="ftetwild: largest distance of the boundary of the tetrahedra from the surface, mm, above 0; both: half of the "
+        "default of --max-distance (default 0.05 of the h that 95%% of the surface exceed)",
     )
     method.add_argument(
         "--stop-energy",
         metavar="E",
         type=_number(3.0, 1e6),
-        help="optimize until the largest AMIPS energy is below this, from 3 (all regular); with the default, 30 is tried "
-        "first, then 10 if a limit of shape is missed",
+        help="ftetwild: optimize until the largest AMIPS energy is below this, from 3 (all regular); without it 1000 is tried "
+        "first, then 30, then 10 while a limit of shape is missed",
     )
     method.add_argument(
-        "--max-passes", metavar="N", type=_whole(1), default=80, help="optimize for at most N passes (default 80)"
+        "--max-passes",
+        metavar="N",
+        type=_whole(1),
+        default=80,
+        help="ftetwild: optimize for at most N passes (default 80)",
     )
     method.add_argument(
         "--max-seconds",
         metavar="S",
         type=positive,
         default=3600.0,
-        help="end the tetrahedralizer after this time, s (default 3600)",
+        help="end the tetrahedralizer, whichever it is and all its attempts, after this time, s (default 3600)",
     )
 
     checks = parser.add_argument_group(
@@ -183,8 +196,8 @@ def build_parser() -> argparse.ArgumentParser:
         metavar="N",
         type=_whole(0),
         default=1,
-        help="recorded only: fTetWild draws no random numbers of ours, and "
-        "its result may differ from run to run (default 1)",
+        help="recorded only: the tetrahedralizers draw no random numbers of ours, and fTetWild's result may differ from run to "
+        "run (default 1)",
     )
     shared.add_argument(
         "--report",
@@ -255,6 +268,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 def _run(parsed: argparse.Namespace, context: Context) -> list[str]:
     # pyvista takes a second to load; --help and usage errors need not wait for it
     from tetmesh_check.checks import Limits
+    from tetmesh_check.fill import Method
     from tetmesh_check.pictures import PICTURES
     from tetmesh_check.pipeline import Arguments, run
 
@@ -264,6 +278,7 @@ def _run(parsed: argparse.Namespace, context: Context) -> list[str]:
         sizefield=parsed.sizefield,
         pictures=parsed.pictures,
         tet_size_factor=parsed.tet_size_factor,
+        method=Method(parsed.method),
         envelope=parsed.envelope,
         stop_energy=parsed.stop_energy,
         max_passes=parsed.max_passes,

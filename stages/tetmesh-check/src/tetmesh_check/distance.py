@@ -10,23 +10,11 @@ from vtkmodules.util.numpy_support import numpy_to_vtk, vtk_to_numpy
 from vtkmodules.vtkCommonCore import vtkDoubleArray
 from vtkmodules.vtkFiltersCore import vtkImplicitPolyDataDistance
 
+from tetmesh_check.polydata import to_polydata
 from tetmesh_check.quality import Cells, Points, Values
 
 MAX_SAMPLES = 200_000
 """Sample points a surface; more than this are thinned evenly."""
-
-
-def to_polydata(points: Points, triangles: Cells) -> pv.PolyData:
-    """Build pyvista's form of a triangle mesh.
-
-    Parameters
-    ----------
-    points
-        Positions, mm, shape ``(n, 3)``.
-    triangles
-        Vertex indices, shape ``(m, 3)``.
-    """
-    return pv.PolyData(points, np.hstack([np.full((len(triangles), 1), 3), triangles]).ravel())
 
 
 def distances_to(target: pv.PolyData, samples: Points) -> Values:

@@ -193,11 +193,11 @@ def _draw_surface(surface: Any, _volume: Any, path: Path) -> None:
 
 
 def _draw_closeup(surface: Any, _volume: Any, path: Path) -> None:
+    from tetmesh_check.polydata import from_polydata
     from tetmesh_check.quality import triangle_quality
 
     plotter = _plotter()
-    points = np.asarray(surface.points, dtype=np.float64)
-    triangles = np.asarray(surface.faces).reshape(-1, 4)[:, 1:].astype(np.int64)
+    points, triangles = from_polydata(surface)
     quality = triangle_quality(points, triangles)
     surface.cell_data["radius ratio"] = quality.radius_ratio
     # The triangle nearest to the eye is hidden by nothing.
@@ -268,10 +268,10 @@ def _draw_quality(surface: Any, volume: Any, path: Path) -> None:
     mpl.use("Agg")
     from matplotlib import pyplot
 
+    from tetmesh_check.polydata import from_polydata
     from tetmesh_check.quality import triangle_quality
 
-    triangles = np.asarray(surface.faces).reshape(-1, 4)[:, 1:].astype(np.int64)
-    shape = triangle_quality(np.asarray(surface.points, dtype=np.float64), triangles)
+    shape = triangle_quality(*from_polydata(surface))
     panels = [
         ("surface triangles", "radius ratio", shape.radius_ratio, (0.0, 1.0), "#4878a8"),
         ("surface triangles", "smallest angle (degrees)", shape.min_angle, (0.0, 60.0), "#4878a8"),

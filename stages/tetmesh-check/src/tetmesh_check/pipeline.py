@@ -2,35 +2,27 @@
 
 from __future__ import annotations
 
-import time
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from tetmesh_check.checks import Check, Limits, Measurements, run_checks, well_shaped
+from tetmesh_check.checks import Limits, Measurements, run_checks
+from tetmesh_check.components import Components
 from tetmesh_check.context import Context
 from tetmesh_check.distance import distances_both_ways, summarize_distances
-from tetmesh_check.errors import ExitCode, StageError
+from tetmesh_check.errors import StageError
+from tetmesh_check.fill import Filled, Method, Task, fill
 from tetmesh_check.pictures import PictureJob, draw_pictures
-from tetmesh_check.quality import summarize, summarize_all, tetrahedron_quality, triangle_quality
-from tetmesh_check.sizing import Background, SizingField, background_mesh, read_sizing_field, uniform_sizing_field
-from tetmesh_check.surface import Surface, check_surface, component_volumes, read_surface
-from tetmesh_check.tetwild import TetwildResult, TetwildSettings, tetrahedralize
-from tetmesh_check.topology import measure_topology, tetrahedron_boundary, tetrahedron_components, triangle_components
-from tetmesh_check.volume import orient_positive, write_volume
+from tetmesh_check.quality import Values, summarize, summarize_all, tetrahedron_quality, triangle_quality
+from tetmesh_check.sizing import SizingField, read_sizing_field, uniform_sizing_field
+from tetmesh_check.surface import Surface, check_surface, read_surface
+from tetmesh_check.topology import Topology, changed_triangles, measure_topology, tetrahedron_boundary
+from tetmesh_check.volume import write_volume
 
 ENVELOPE_FRACTION = 0.05
-"""Default envelope over the edge length that 95 % of the surface exceed: small enough to keep good triangles as they are."""
-
-COARSE_FRACTION = 0.05
-"""Edge length outside the object over the diagonal of its bounding box, where h is smaller; fTetWild's own default."""
-
-STOP_ENERGIES = (1000.0, 30.0, 10.0)
-"""Default ends of fTetWild's optimization, before it turns to the background and after: the first is the quickest and enough
-for a good surface, because refinement to the background optimizes anyway; when the tetrahedra then miss a limit of
-shape, the next is tried."""
+"""Default envelope over the edge length that 95 % of the surface exceed: small enough that thin walls stay apart."""
 
 
 @dataclass(frozen=True)
@@ -43,10 +35,12 @@ class Arguments:
     pictures: Path | None = None
     tet_size_factor: float = 1.0
     """Tetrahedron edge length over h."""
+    method: Method = Method.AUTO
+    """Who makes the tetrahedra."""
     envelope: float | None = None
     """Largest distance of the boundary from the surface, mm."""
     stop_energy: float | None = None
-    """Largest AMIPS energy at which fTetWild stops; by default each of :data:`STOP_ENERGIES` in turn."""
+    """Largest AMIPS energy at which fTetWild stops; by default each of :data:`.STOP_ENERGIES` in turn."""
     max_passes: int = 80
     max_seconds: float = 3600.0
     limits: Limits = field(default_factory=Limits)
@@ -58,8 +52,8 @@ class Arguments:
 
     @property
     def log(self) -> Path:
-        """Where fTetWild's log goes."""
-        return self.output.with_name(f"{self.name}.tetwild.log")
+        """Where the tetrahedralizer's log goes."""
+        return self.output.with_name(f"{self.name}.tetrahedra.log")
 
     @property
     def picture_job(self) -> PictureJob | None:
@@ -70,6 +64,7 @@ class Arguments:
         """Parameters for the history, as given; what is resolved later is set during the run."""
         return {
             "tet_size_factor": self.tet_size_factor,
+            "method": self.method,
             "envelope": self.envelope,
             "stop_energy": self.stop_energy,
             "max_passes": self.max_passes,
@@ -80,77 +75,54 @@ class Arguments:
         }
 
 
-@dataclass(frozen=True)
-class _Sizing:
-    """Edge lengths for the tetrahedra."""
-
-    background: Background
-    """On the background mesh, the size factor applied."""
-    edge_length: float
-    """Where there is no background, mm."""
-    at_surface: float
-    """Edge length that 95 % of the surface exceed, without the factor, mm."""
-
-
-def _prepare_sizing(surface: Surface, sizing: SizingField | None, factor: float, context: Context) -> _Sizing:
-    if sizing is None:
-        lengths = triangle_quality(surface.points, surface.triangles).edge_length
-        median = float(np.median(lengths))
-        context.warn(
-            f"no --sizefield was given: all tetrahedra get the median edge length of the surface, {median:.4g} mm"
-        )
-        at_surface = lengths
-        background = background_mesh(uniform_sizing_field(surface, median), surface)
-    else:
+def _size(surface: Surface, sizing: SizingField | None, context: Context) -> tuple[SizingField, Values]:
+    """Edge lengths everywhere, and those at the surface, mm."""
+    if sizing is not None:
         at_surface = sizing.at(surface.points)
-        background = background_mesh(sizing, surface)
-        context.results["sizing"] = {
-            "voxel_mm": sizing.voxel,
-            "at_surface": summarize(at_surface),
-            "background_nodes": len(background.points),
-            "background_tetrahedra": len(background.tetrahedra),
-            "background_stride_voxels": background.stride,
-        }
-    scaled = Background(background.points, background.tetrahedra, factor * background.values, background.stride)
-    # fTetWild meshes the whole box at this length and only then refines to the background: the coarser, the less work
-    # goes into tetrahedra outside the object, which are thrown away.
-    coarse = max(float(scaled.values.max()), COARSE_FRACTION * surface.bounding_box_diagonal)
-    return _Sizing(scaled, coarse, float(np.percentile(at_surface, 5)))
+        context.results["sizing"] = {"voxel_mm": sizing.voxel, "at_surface": summarize(at_surface)}
+        return sizing, at_surface
+    lengths = triangle_quality(surface.points, surface.triangles).edge_length
+    median = float(np.median(lengths))
+    context.warn(f"no --sizefield was given: all tetrahedra get the median edge length of the surface, {median:.4g} mm")
+    return uniform_sizing_field(surface, median), lengths
 
 
-def _surface_results(surface: Surface, topology: dict[str, int]) -> dict[str, Any]:
+def _surface_results(surface: Surface, topology: Topology) -> dict[str, Any]:
+    quality = triangle_quality(surface.points, surface.triangles)
     return {
-        "topology": topology,
+        "topology": topology.as_dict(),
         "merged_points": surface.merged_points,
-        "area_mm2": float(triangle_quality(surface.points, surface.triangles).area.sum()),
+        "area_mm2": float(quality.area.sum()),
         "volume_mm3": surface.volume(),
         "bounding_box_diagonal_mm": surface.bounding_box_diagonal,
-        "quality": summarize_all(triangle_quality(surface.points, surface.triangles)),
+        "quality": summarize_all(quality),
     }
 
 
 def _measure(
     surface: Surface,
+    topology: Topology,
+    components: Components,
     sizing: SizingField | None,
-    filled: TetwildResult,
+    filled: Filled,
     envelope: float,
     arguments: Arguments,
     context: Context,
-) -> tuple[Measurements, list[Check]]:
+) -> Measurements:
     points, tetrahedra = filled.points, filled.tetrahedra
     with context.step("measure quality"):
         quality = tetrahedron_quality(points, tetrahedra)
-        boundary = tetrahedron_boundary(tetrahedra)
+        boundary, bodies = tetrahedron_boundary(tetrahedra)
         boundary_topology = measure_topology(points, boundary)
-        surface_topology = measure_topology(surface.points, surface.triangles)
-        labels = triangle_components(len(surface.points), surface.triangles)
-        bodies = int((component_volumes(surface.points, surface.triangles, labels) > 0).sum())
+        missing, added = changed_triangles((surface.points, surface.triangles), (points, boundary))
         context.results["volume"] = {
             "points": len(points),
             "tetrahedra": len(tetrahedra),
-            "bodies": tetrahedron_components(tetrahedra),
+            "bodies": bodies,
             "volume_mm3": float(quality.volume.sum()),
             "quality": summarize_all(quality),
+            "boundary_kept": missing == added == 0,
+            "boundary_triangles": {"missing": missing, "added": added},
             "boundary_topology": {
                 **boundary_topology.as_dict(),
                 "unused_vertices": 0,
@@ -169,58 +141,17 @@ def _measure(
             "boundary_to_surface": summarize_distances(to_surface),
             "surface_to_boundary": summarize_distances(to_boundary),
         }
-    measured = Measurements(
+    return Measurements(
         quality=quality,
         surface_volume=surface.volume(),
-        surface_bodies=bodies,
-        surface_topology=surface_topology,
+        surface_bodies=int((components.volumes > 0).sum()),
+        surface_topology=topology,
         boundary_topology=boundary_topology,
-        bodies=context.results["volume"]["bodies"],
+        bodies=bodies,
         boundary_distance=float(to_surface.max()),
         surface_distance=float(to_boundary.max()),
         envelope=envelope,
     )
-    return measured, run_checks(measured, arguments.limits)
-
-
-def _fill(surface: Surface, sizes: _Sizing, envelope: float, arguments: Arguments, context: Context) -> TetwildResult:
-    """Have the surface filled, again and with more patience where the result is not well shaped."""
-    energies = STOP_ENERGIES if arguments.stop_energy is None else (arguments.stop_energy,)
-    deadline = time.monotonic() + arguments.max_seconds
-    arguments.log.unlink(missing_ok=True)
-    attempts: list[dict[str, Any]] = []
-    best: tuple[float, TetwildResult] | None = None
-    for energy in energies:
-        settings = TetwildSettings(
-            envelope=envelope,
-            edge_length=min(sizes.edge_length, surface.bounding_box_diagonal),
-            stop_energy=energy,
-            max_passes=arguments.max_passes,
-            seconds_left=deadline - time.monotonic(),
-            max_seconds=arguments.max_seconds,
-            threads=context.common.thread_count,
-        )
-        try:
-            raw = tetrahedralize(surface, sizes.background, settings, arguments.log, context)
-        except StageError as error:
-            if best is None or error.code == ExitCode.INTERRUPTED:
-                raise
-            context.warn(f"another attempt at better tetrahedra came to nothing: {error.what}")
-            break
-        tetrahedra, turned = orient_positive(raw.points, raw.tetrahedra)
-        quality = tetrahedron_quality(raw.points, tetrahedra)
-        worst = float(quality.scaled_jacobian.min())
-        attempts.append(
-            {**raw.summary, "stop_energy": energy, "orientation_turned": turned, "min_scaled_jacobian": worst}
-        )
-        if best is None or worst > best[0]:
-            best = worst, TetwildResult(raw.points, tetrahedra, raw.summary)
-        if well_shaped(quality, arguments.limits):
-            break
-        context.verbose(f"stop energy {energy:g}: smallest dihedral angle {quality.min_dihedral.min():.3g} degrees")
-    context.results["tetwild"] = {"log": arguments.log.name, "attempts": attempts}
-    assert best is not None, "the loop runs at least once"
-    return best[1]
 
 
 def _draw(job: PictureJob, context: Context) -> None:
@@ -266,12 +197,13 @@ def run(arguments: Arguments, context: Context) -> list[str]:
     context.verbose(f"{arguments.surface}: {len(surface.points)} vertices, {len(surface.triangles)} triangles")
 
     with context.step("check surface"):
-        topology = check_surface(arguments.surface, surface)
-        context.results["surface"] = _surface_results(surface, topology.as_dict())
+        topology, components = check_surface(arguments.surface, surface)
+        context.results["surface"] = _surface_results(surface, topology)
 
-    with context.step("background sizing"):
-        sizes = _prepare_sizing(surface, sizing, arguments.tet_size_factor, context)
-    envelope = arguments.envelope if arguments.envelope is not None else ENVELOPE_FRACTION * sizes.at_surface
+    field_everywhere, at_surface = _size(surface, sizing, context)
+    envelope = arguments.envelope
+    if envelope is None:
+        envelope = ENVELOPE_FRACTION * float(np.percentile(at_surface, 5))
     if envelope >= 0.1 * surface.bounding_box_diagonal:
         raise StageError(
             f"--envelope {envelope:g} mm is more than a tenth of the object ({surface.bounding_box_diagonal:.4g} mm across)",
@@ -282,11 +214,23 @@ def run(arguments: Arguments, context: Context) -> list[str]:
     context.parameters["max_distance"] = (
         arguments.limits.max_distance if arguments.limits.max_distance is not None else 2.0 * envelope
     )
-    context.verbose(f"envelope {envelope:.4g} mm, edge length up to {sizes.edge_length:.4g} mm; log: {arguments.log}")
-    with context.step("tetrahedralize"):
-        filled = _fill(surface, sizes, envelope, arguments, context)
+    task = Task(
+        surface=surface,
+        components=components,
+        field=field_everywhere,
+        tet_size_factor=arguments.tet_size_factor,
+        method=arguments.method,
+        envelope=envelope,
+        stop_energy=arguments.stop_energy,
+        max_passes=arguments.max_passes,
+        max_seconds=arguments.max_seconds,
+        limits=arguments.limits,
+        log=arguments.log,
+    )
+    filled = fill(task, context)
 
-    measured, checks = _measure(surface, sizing, filled, envelope, arguments, context)
+    measured = _measure(surface, topology, components, sizing, filled, envelope, arguments, context)
+    checks = run_checks(measured, arguments.limits)
     with context.step("write"):
         write_volume(arguments.output, filled.points, filled.tetrahedra, measured.quality, context.history())
     if (job := arguments.picture_job) is not None:

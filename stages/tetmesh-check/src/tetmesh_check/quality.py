@@ -29,7 +29,7 @@ PERCENTILES = (1, 5, 10, 25, 50, 75, 90, 95, 99)
 _TETRAHEDRON_EDGES = ((0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3))
 _TETRAHEDRON_CORNERS = ((0, 1, 2), (0, 3, 4), (1, 3, 5), (2, 4, 5))
 """For each vertex, the three of the edges above that meet in it."""
-_OUTWARD_FACES = ((0, 2, 1), (0, 1, 3), (1, 2, 3), (0, 3, 2))
+OUTWARD_FACES = ((0, 2, 1), (0, 1, 3), (1, 2, 3), (0, 3, 2))
 """Faces of a positive tetrahedron in VTK order, each wound so that its normal points out."""
 
 
@@ -156,7 +156,7 @@ def tetrahedron_quality(points: Points, tetrahedra: Cells) -> TetrahedronQuality
     longest, shortest = np.maximum.reduce(edge), np.minimum.reduce(edge)
 
     # area vectors pointing out of a positive tetrahedron; face k lies opposite vertex (3, 2, 0, 1)[k]
-    area_vectors = [np.cross(corner[j] - corner[i], corner[k] - corner[i]) for i, j, k in _OUTWARD_FACES]
+    area_vectors = [np.cross(corner[j] - corner[i], corner[k] - corner[i]) for i, j, k in OUTWARD_FACES]
     doubled_areas = [_lengths(vector) for vector in area_vectors]
     surface = 0.5 * np.add.reduce(doubled_areas)
     inradius = _ratio(3.0 * np.abs(volume), surface, 0.0)

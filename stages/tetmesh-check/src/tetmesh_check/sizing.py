@@ -2,7 +2,8 @@
 
 ``sizefield`` writes h on the grid of the distance field. fTetWild wants it on a tetrahedral background mesh, which it
 searches for every vertex. Only the grid cells in and near the object matter, and h varies slowly (its gradient is at
-most the delta of ``sizefield``), so the grid is thinned until the background mesh is small beside the result.
+most the delta of ``sizefield``), so the grid is thinned until the background mesh is small beside the result. Gmsh wants
+it on a grid along the world's axes, which is cheap to search and may have more nodes.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from numpy.typing import NDArray
 from vtkmodules.vtkImagingStencil import vtkImageStencilToImage, vtkPolyDataToImageStencil
 
 from tetmesh_check.errors import StageError
+from tetmesh_check.polydata import to_polydata
 from tetmesh_check.quality import Cells, Points, Values
 from tetmesh_check.surface import Surface, history_of, read_dataset
 
@@ -24,6 +26,9 @@ ARRAY_NAME = "sizing"
 """Point array of a size field: target edge length h, mm."""
 MAX_BACKGROUND_NODES = 200_000
 """Nodes of the background mesh that are cheap beside the tetrahedra themselves."""
+MAX_GRID_NODES = 4_000_000
+"""Nodes of the grid along the world's axes: 32 MB."""
+_SLAB_NODES = 1 << 18
 
 _FIVE_TETRAHEDRA = (
     ((0, 1, 3, 4), (1, 2, 3, 6), (1, 3, 4, 6), (1, 4, 5, 6), (3, 4, 6, 7)),
@@ -96,6 +101,18 @@ class Background:
     """Voxels from one node to the next."""
 
 
+@dataclass(frozen=True)
+class WorldGrid:
+    """The size field on a regular grid along the world's axes that covers the object."""
+
+    values: NDArray[np.float64]
+    """Edge lengths, mm, shape ``(nx, ny, nz)``."""
+    origin: NDArray[np.float64]
+    """World position of node (0, 0, 0), mm."""
+    spacing: float
+    """From a node to the next along each axis, mm."""
+
+
 def read_sizing_field(path: Path) -> SizingField:
     """Read a size field.
 
@@ -162,9 +179,8 @@ def uniform_sizing_field(surface: Surface, edge_length: float) -> SizingField:
 
 def _inside_nodes(surface_index: Points, triangles: Cells, shape: tuple[int, int, int]) -> NDArray[np.bool_]:
     """Which nodes of a grid lie inside a surface given in the index positions of that grid; shape ``shape``."""
-    faces = np.hstack([np.full((len(triangles), 1), 3), triangles]).ravel()
     stencil = vtkPolyDataToImageStencil()
-    stencil.SetInputData(pv.PolyData(np.ascontiguousarray(surface_index), faces))
+    stencil.SetInputData(to_polydata(np.ascontiguousarray(surface_index), triangles))
     stencil.SetOutputOrigin(0.0, 0.0, 0.0)
     stencil.SetOutputSpacing(1.0, 1.0, 1.0)
     stencil.SetOutputWholeExtent(0, shape[0] - 1, 0, shape[1] - 1, 0, shape[2] - 1)
@@ -236,3 +252,35 @@ def background_mesh(field: SizingField, surface: Surface, max_nodes: int = MAX_B
     nodes = np.stack([used // ((ny + 1) * (nz + 1)), used // (nz + 1) % (ny + 1), used % (nz + 1)], 1)
     points = field.to_world(nodes * float(stride) + low)
     return Background(points, tetrahedra, field.at(points), stride)
+
+
+def world_grid(field: SizingField, surface: Surface, factor: float, max_nodes: int = MAX_GRID_NODES) -> WorldGrid:
+    """Put the size field on a grid along the world's axes, over the bounding box of the object.
+
+    Parameters
+    ----------
+    field
+        The size field.
+    surface
+        The surface of the object, world coordinates.
+    factor
+        What the edge lengths are multiplied by.
+    max_nodes
+        The spacing is the smallest of the field, or larger where that would take more nodes than this.
+    """
+    low, high = surface.points.min(axis=0), surface.points.max(axis=0)
+    spacing = float(np.linalg.norm(field.step, axis=0).min())
+    while True:
+        count = np.ceil((high - low) / spacing).astype(np.int64) + 1
+        nodes = float(np.prod(count.astype(np.float64)))
+        if nodes <= max_nodes:
+            break
+        spacing *= max(1.01, float(np.cbrt(nodes / max_nodes)))
+    axes = [low[k] + spacing * np.arange(count[k]) for k in range(3)]
+    values = np.empty(tuple(int(n) for n in count))
+    thickness = max(1, _SLAB_NODES // int(count[1] * count[2]))
+    for start in range(0, len(axes[0]), thickness):  # in slabs, so that memory stays bounded
+        slab = axes[0][start : start + thickness]
+        nodes_of_slab = np.stack(np.meshgrid(slab, axes[1], axes[2], indexing="ij"), axis=-1).reshape(-1, 3)
+        values[start : start + thickness] = factor * field.at(nodes_of_slab).reshape(len(slab), *values.shape[1:])
+    return WorldGrid(values, low, spacing)

@@ -11,10 +11,12 @@ import numpy as np
 import pyvista as pv
 from vtkmodules.vtkCommonCore import vtkObject
 
+from tetmesh_check.components import Components, component_volumes, measure_components
 from tetmesh_check.errors import StageError
 from tetmesh_check.intersections import self_intersections
-from tetmesh_check.quality import Cells, Labels, Points, Values
-from tetmesh_check.topology import Topology, measure_topology, triangle_components
+from tetmesh_check.polydata import from_polydata
+from tetmesh_check.quality import Cells, Points
+from tetmesh_check.topology import Topology, measure_topology
 
 _TOOLS = "reconstruct writes surfaces that pass; another program's needs repairing first"
 
@@ -114,8 +116,7 @@ def read_surface(path: Path) -> Surface:
             "only triangle surfaces are checked and filled",
             "triangulate it first",
         )
-    points = np.asarray(dataset.points, dtype=np.float64)
-    triangles = np.asarray(dataset.faces, dtype=np.int64).reshape(-1, 4)[:, 1:]
+    points, triangles = from_polydata(dataset)
     bad = ~np.isfinite(points).all(axis=1)
     if bad.any():
         raise StageError(
@@ -134,75 +135,7 @@ def read_surface(path: Path) -> Surface:
     return Surface(points, triangles, history_of(dataset), merged)
 
 
-def component_volumes(points: Points, triangles: Cells, labels: Labels) -> Values:
-    """Signed volume of each component, mm^3.
-
-    Parameters
-    ----------
-    points
-        Positions, mm, shape ``(n, 3)``.
-    triangles
-        Vertex indices, shape ``(m, 3)``.
-    labels
-        Component of each triangle, shape ``(m,)``.
-    """
-    centred = points - points.mean(axis=0)
-    a, b, c = (centred[triangles[:, k]] for k in range(3))
-    volumes: Values = np.bincount(labels, weights=np.einsum("ij,ij->i", a, np.cross(b, c)) / 6.0).astype(np.float64)
-    return volumes
-
-
-def _generic_rotation() -> Points:
-    """Build a rotation without any relation to the axes, so that rays do not run along rows of vertices."""
-    rotation, _ = np.linalg.qr(np.array([[0.36, 0.48, -0.8], [-0.81, 0.57, 0.13], [0.52, 0.64, 0.57]]))
-    return np.asarray(rotation)
-
-
-def inside_out_components(points: Points, triangles: Cells) -> list[int]:
-    """Find the components that are turned the wrong way round.
-
-    A component that lies in the open must have a positive volume, one that bounds a cavity (it lies inside one other
-    body) a negative one.
-
-    Parameters
-    ----------
-    points
-        Positions, mm, shape ``(n, 3)``.
-    triangles
-        Vertex indices of a closed surface, shape ``(m, 3)``.
-
-    Returns
-    -------
-    list of int
-        Numbers of the components.
-    """
-    labels = triangle_components(len(points), triangles)
-    volumes = component_volumes(points, triangles, labels)
-    if len(volumes) == 1:
-        return [] if volumes[0] > 0 else [0]
-    turned = points @ _generic_rotation().T
-    corner = turned[triangles]
-    low, high = corner.min(axis=1), corner.max(axis=1)
-    first_triangle = np.unique(labels, return_index=True)[1]
-    wrong = []
-    for label, volume in enumerate(volumes):
-        x, y, z = turned[triangles[first_triangle[label], 0]]
-        near = (low[:, 1] <= y) & (high[:, 1] >= y) & (low[:, 2] <= z) & (high[:, 2] >= z) & (high[:, 0] >= x)
-        index = np.flatnonzero(near & (labels != label))
-        # Signed crossings of the ray from this vertex along +x with all other components: how many enclose it.
-        a, b, c = (corner[index, k] for k in range(3))
-        s = [(q[:, 1] - y) * (r[:, 2] - z) - (q[:, 2] - z) * (r[:, 1] - y) for q, r in ((b, c), (c, a), (a, b))]
-        area = s[0] + s[1] + s[2]
-        through = ((s[0] > 0) & (s[1] > 0) & (s[2] > 0)) | ((s[0] < 0) & (s[1] < 0) & (s[2] < 0))
-        weight = np.where(through, area, 1.0)
-        at = (s[0] * a[:, 0] + s[1] * b[:, 0] + s[2] * c[:, 0]) / weight
-        enclosing = int(np.sign(area[through & (at > x)]).sum())
-        if volume <= 0 if enclosing == 0 else volume >= 0:
-            wrong.append(label)
-    return wrong
-
-
-def check_surface(path: Path, surface: Surface) -> Topology:
+def check_surface(path: Path, surface: Surface) -> tuple[Topology, Components]:
     """Refuse a surface that bounds no volume.
 
     Parameters
@@ -214,8 +147,8 @@ def check_surface(path: Path, surface: Surface) -> Topology:
 
     Returns
     -------
-    Topology
-        Its counts.
+    tuple
+        Its counts, and its components.
 
     Raises
     ------
@@ -231,8 +164,9 @@ def check_surface(path: Path, surface: Surface) -> Topology:
             "inside and outside are not defined, so there is no volume to fill",
             _TOOLS,
         )
-    wrong = inside_out_components(surface.points, surface.triangles)
-    if wrong:
+    components = measure_components(surface.points, surface.triangles)
+    wrong = components.inside_out()
+    if len(wrong):
         raise StageError(
             f"{path}: {len(wrong)} of {topology.components} components are inside out "
             f"(signed volume of the whole: {surface.volume():.6g} mm^3)",
@@ -248,4 +182,4 @@ def check_surface(path: Path, surface: Surface) -> Topology:
             "the volume inside such a surface is ambiguous, and tetrahedra would hide the fault",
             _TOOLS,
         )
-    return topology
+    return topology, components

@@ -2,46 +2,31 @@
 
 from __future__ import annotations
 
-import ctypes
-import json
-import os
-import signal
-import sys
-from pathlib import Path
 from typing import Any
 
-import numpy as np
+from tetmesh_check.worker import serve
 
-_PR_SET_PDEATHSIG = 1
-_LINE_BUFFERED = 1
 _LOG_LEVEL = 3
 """fTetWild's warnings; below that it also writes debugging meshes into the working folder."""
 
 
-def _prepare_process() -> None:
-    """Write the log line by line, and end with the parent even when that is killed."""
-    if sys.platform != "linux":
-        return
-    libc = ctypes.CDLL(None)
-    libc.setvbuf(ctypes.c_void_p.in_dll(libc, "stdout"), None, _LINE_BUFFERED, 1 << 16)
-    libc.prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
-
-
-def run(job: Path, result: Path) -> None:
-    """Read the job, fill the surface, write the result.
+def fill(pytetwild: Any, arrays: dict[str, Any], settings: dict[str, Any]) -> tuple[Any, Any]:
+    """Fill the surface.
 
     Parameters
     ----------
-    job
-        Arrays ``points, triangles``, ``background_*``, and ``settings`` as JSON text.
-    result
-        Gets the arrays ``points`` and ``tetrahedra``; written whole or not at all.
-    """
-    import pytetwild
+    pytetwild
+        The library.
+    arrays
+        ``points, triangles`` and ``background_points, background_tetrahedra, background_values``.
+    settings
+        Those of :class:`.TetwildSettings`.
 
-    with np.load(job) as loaded:
-        arrays: dict[str, Any] = dict(loaded)
-    settings = json.loads(str(arrays["settings"]))
+    Returns
+    -------
+    tuple
+        Points, mm, and tetrahedra.
+    """
     points, tetrahedra = pytetwild.tetrahedralize(
         arrays["points"],
         arrays["triangles"],
@@ -58,13 +43,8 @@ def run(job: Path, result: Path) -> None:
         bg_tets=arrays["background_tetrahedra"],
         bg_values=arrays["background_values"],
     )
-    temporary = result.with_name("part.npz")
-    np.savez(temporary, points=points, tetrahedra=tetrahedra)
-    temporary.replace(result)
+    return points, tetrahedra
 
 
 if __name__ == "__main__":
-    _prepare_process()
-    # stdout and stderr are the log; Python's own buffer comes before the C library's
-    os.environ.setdefault("PYTHONUNBUFFERED", "1")
-    run(Path(sys.argv[1]), Path(sys.argv[2]))
+    serve("pytetwild", fill)

@@ -6,7 +6,7 @@ from dataclasses import asdict, dataclass
 
 import numpy as np
 
-from tetmesh_check.quality import Cells, Labels, Points
+from tetmesh_check.quality import OUTWARD_FACES, Cells, Labels, Points
 
 
 def connected_components(count: int, links: Cells) -> Labels:
@@ -137,8 +137,8 @@ def measure_topology(points: Points, triangles: Cells) -> Topology:
     )
 
 
-def tetrahedron_boundary(tetrahedra: Cells) -> Cells:
-    """Triangles that belong to one tetrahedron only, wound to point out of positive tetrahedra.
+def tetrahedron_boundary(tetrahedra: Cells) -> tuple[Cells, int]:
+    """Find the boundary of a volume mesh, and count its bodies.
 
     Parameters
     ----------
@@ -147,27 +147,50 @@ def tetrahedron_boundary(tetrahedra: Cells) -> Cells:
 
     Returns
     -------
-    ndarray
-        Vertex indices of the boundary, shape ``(k, 3)``.
+    tuple
+        The triangles that belong to one tetrahedron only, shape ``(k, 3)``, wound to point out of positive tetrahedra, and
+        the number of bodies; tetrahedra hang together through faces.
     """
-    faces = np.concatenate([tetrahedra[:, face] for face in ([0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2])])
-    _, where, uses = np.unique(np.sort(faces, axis=1), axis=0, return_index=True, return_counts=True)
-    boundary: Cells = faces[np.sort(where[uses == 1])]
-    return boundary
+    size = len(tetrahedra)
+    faces = np.concatenate([tetrahedra[:, face] for face in map(list, OUTWARD_FACES)])
+    low, middle, high = np.sort(faces, axis=1).T
+    pair = low * (int(tetrahedra.max(initial=0)) + 1) + middle
+    order = np.lexsort((high, pair))
+    pair, high = pair[order], high[order]
+    same = (pair[1:] == pair[:-1]) & (high[1:] == high[:-1])
+    alone = np.concatenate([[True], ~same]) & np.concatenate([~same, [True]])
+    boundary: Cells = faces[np.sort(order[alone])]
+    # face number f of the concatenation belongs to tetrahedron f modulo their number
+    links = np.stack([order[:-1][same] % size, order[1:][same] % size], 1)
+    return boundary, int(connected_components(size, links).max(initial=-1)) + 1
 
 
-def tetrahedron_components(tetrahedra: Cells) -> int:
-    """Count the bodies of a volume mesh; tetrahedra hang together through faces.
+def _number_rows(rows: Points | Cells) -> Labels:
+    """Give equal rows of an array equal numbers, shape ``(n,)``."""
+    order = np.lexsort(rows.T)
+    new = (rows[order[1:]] != rows[order[:-1]]).any(axis=1)
+    number = np.zeros(len(rows), dtype=np.int64)
+    number[order[1:]] = np.cumsum(new)
+    return number
+
+
+def changed_triangles(before: tuple[Points, Cells], after: tuple[Points, Cells]) -> tuple[int, int]:
+    """Compare two triangle meshes by the coordinates of their corners, bit for bit, and by their winding.
 
     Parameters
     ----------
-    tetrahedra
-        Vertex indices, shape ``(m, 4)``.
+    before, after
+        Points and triangles of the two meshes.
+
+    Returns
+    -------
+    tuple
+        How many triangles of the first are not in the second, and the other way round.
     """
-    size = len(tetrahedra)
-    faces = np.sort(np.concatenate([tetrahedra[:, f] for f in ([0, 1, 2], [0, 1, 3], [1, 2, 3], [0, 2, 3])]), axis=1)
-    owner = np.tile(np.arange(size), 4)
-    order = np.lexsort(faces.T)
-    same = (faces[order[1:]] == faces[order[:-1]]).all(axis=1)
-    links = np.stack([owner[order[:-1][same]], owner[order[1:][same]]], 1)
-    return int(connected_components(size, links).max(initial=-1)) + 1
+    corners = np.concatenate([mesh[0][mesh[1]].reshape(-1, 3) for mesh in (before, after)])
+    triangles = _number_rows(corners).reshape(-1, 3)
+    # every triangle from its smallest corner on
+    turn = (np.argmin(triangles, axis=1)[:, None] + np.arange(3)) % 3
+    number = _number_rows(np.take_along_axis(triangles, turn, axis=1))
+    first, second = np.split(number, [len(before[1])])
+    return len(np.setdiff1d(first, second)), len(np.setdiff1d(second, first))

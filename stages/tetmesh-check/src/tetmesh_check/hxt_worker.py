@@ -1,0 +1,121 @@
+"""The process that Gmsh's HXT runs in: ``python -m tetmesh_check.hxt_worker JOB.npz RESULT.npz``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tetmesh_check.worker import serve
+
+_HXT = 10
+"""HXT's number in Gmsh's option ``Mesh.Algorithm3D``."""
+_TRIANGLE, _TETRAHEDRON = 2, 4
+"""Gmsh's numbers of the kinds of cells."""
+
+
+def write_structured_field(path: Path, values: Any, origin: Any, spacing: float) -> None:
+    """Write edge lengths on a regular grid in the binary form of Gmsh's field ``Structured``.
+
+    Parameters
+    ----------
+    path
+        The file.
+    values
+        Edge lengths, mm, shape ``(nx, ny, nz)``.
+    origin
+        Position of the first node, mm.
+    spacing
+        From a node to the next, mm.
+    """
+    with path.open("wb") as stream:
+        for numbers, kind in ((origin, np.float64), ([spacing] * 3, np.float64), (values.shape, np.int32)):
+            stream.write(np.asarray(numbers, dtype=kind).tobytes())
+        stream.write(np.ascontiguousarray(values, dtype=np.float64).tobytes())
+
+
+def _set_options(gmsh: Any, settings: dict[str, Any]) -> None:
+    for name, value in {
+        "General.Terminal": 1,
+        # One thread gives the same bytes however many the machine has. With more, the result depends on their number even
+        # with Mesh.Reproducible, and Gmsh failed to read the background field on a surface of several bodies.
+        "General.NumThreads": 1,
+        "Mesh.Algorithm3D": _HXT,
+        "Mesh.OptimizeThreshold": settings["optimize_threshold"],
+        # the background field alone says how large the tetrahedra are
+        "Mesh.MeshSizeExtendFromBoundary": 0,
+        "Mesh.MeshSizeFromPoints": 0,
+        "Mesh.MeshSizeFromCurvature": 0,
+        # a node keeps its number, so that the surface's come first and in their order
+        "Mesh.Renumber": 0,
+    }.items():
+        gmsh.option.setNumber(name, value)
+
+
+def _add_volumes(gmsh: Any, arrays: dict[str, Any]) -> list[int]:
+    """Hand over the surface, one discrete surface a component, and one volume a body; returns their tags."""
+    points, triangles, labels = arrays["points"], arrays["triangles"], arrays["labels"]
+    order = np.argsort(labels, kind="stable")
+    loops = []
+    for part in np.split(order, np.cumsum(np.bincount(labels))[:-1]):
+        surface = gmsh.model.addDiscreteEntity(2)
+        used = np.unique(triangles[part])
+        gmsh.model.mesh.addNodes(2, surface, used + 1, points[used].ravel())
+        gmsh.model.mesh.addElementsByType(surface, _TRIANGLE, [], (triangles[part] + 1).ravel())
+        loops.append(gmsh.model.geo.addSurfaceLoop([surface]))
+    body = arrays["bodies"]
+    # the loop round the body first, then those of its cavities
+    volumes = [
+        gmsh.model.geo.addVolume([loops[outer], *(loops[k] for k in np.flatnonzero(body == outer) if k != outer)])
+        for outer in np.unique(body)
+    ]
+    gmsh.model.geo.synchronize()
+    return volumes
+
+
+def fill(gmsh: Any, arrays: dict[str, Any], settings: dict[str, Any]) -> tuple[Any, Any]:
+    """Fill the surface.
+
+    Parameters
+    ----------
+    gmsh
+        The library.
+    arrays
+        ``points, triangles``; ``labels`` (component of each triangle); ``bodies`` (for each component the number of the
+        one round its body); ``sizing, sizing_origin, sizing_spacing`` (edge lengths on a grid).
+    settings
+        Those of :class:`.HxtSettings`.
+
+    Returns
+    -------
+    tuple
+        Points, mm, those of the surface first, and tetrahedra.
+    """
+    gmsh.initialize(readConfigFiles=False, interruptible=False)
+    _set_options(gmsh, settings)
+    volumes = _add_volumes(gmsh, arrays)
+
+    file = Path("sizing.bin").absolute()
+    write_structured_field(file, arrays["sizing"], arrays["sizing_origin"], float(arrays["sizing_spacing"]))
+    fields = gmsh.model.mesh.field
+    background = fields.add("Structured")
+    fields.setString(background, "FileName", str(file))
+    fields.setNumber(background, "TextFormat", 0)
+    fields.setAsBackgroundMesh(background)
+
+    gmsh.model.mesh.generate(3)
+
+    empty = sum(len(gmsh.model.mesh.getElementsByType(_TETRAHEDRON, tag)[0]) == 0 for tag in volumes)
+    if empty:
+        raise SystemExit(f"{empty} of {len(volumes)} bodies were not filled")
+    tags, coordinates, _ = gmsh.model.mesh.getNodes()
+    _, corners = gmsh.model.mesh.getElementsByType(_TETRAHEDRON)
+    used, tetrahedra = np.unique(corners, return_inverse=True)
+    place = np.empty(int(tags.max()) + 1, dtype=np.int64)
+    place[tags] = np.arange(len(tags))
+    return coordinates.reshape(-1, 3)[place[used]], tetrahedra.reshape(-1, 4)
+
+
+if __name__ == "__main__":
+    serve("gmsh", fill)

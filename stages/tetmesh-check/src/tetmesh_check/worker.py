@@ -1,0 +1,279 @@
+"""A tetrahedralizer in a process of its own: with progress, a time limit, its log kept, and a clean end however it ends.
+
+Tetrahedralizers are native code that may run for hours, crash, or take all memory; none of that may take this program
+with it. This file holds both ends of the way there and back: :func:`run_worker` writes ``job.npz``, starts
+``python -m MODULE job.npz result.npz`` and reads the result; that module calls :func:`serve`.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import importlib
+import importlib.metadata
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tetmesh_check.context import Context
+from tetmesh_check.errors import StageError
+from tetmesh_check.quality import Cells, Points
+
+Fill = Callable[[Any, dict[str, Any], dict[str, Any]], tuple[Any, Any]]
+"""What a worker does: from its library, the arrays and the settings of the job to points and tetrahedra."""
+
+_POLL_SECONDS = 0.05
+_GRACE_SECONDS = 2.0
+_TAIL_BYTES = 4096
+_UNAVAILABLE = 3
+"""Exit code of a worker whose library cannot be imported."""
+_PR_SET_PDEATHSIG = 1
+_LINE_BUFFERED = 1
+
+
+class UnavailableError(StageError):
+    """The library of a tetrahedralizer cannot be imported."""
+
+
+class TimeLimitError(StageError):
+    """A tetrahedralizer was ended because its time was over."""
+
+
+@dataclass(frozen=True)
+class Worker:
+    """One kind of tetrahedralizer."""
+
+    name: str
+    """What people call it."""
+    module: str
+    """The Python module that calls :func:`serve`."""
+    library: str
+    """The Python package that it needs."""
+    shown: tuple[tuple[str, re.Pattern[str]], ...]
+    """What of its log is shown as progress: a name, and a pattern whose group is the value."""
+    when_it_fails: str
+    """What to try when it fails."""
+    when_it_is_empty: str
+    """What to try when it returns nothing."""
+    when_it_is_missing: str
+    """How to get its library."""
+
+
+@dataclass(frozen=True)
+class TimeLimit:
+    """The time that all attempts together may take."""
+
+    max_seconds: float
+    """What the user set, s."""
+    deadline: float
+    """When it is over, by the monotonic clock, s."""
+
+    @classmethod
+    def start(cls, max_seconds: float) -> TimeLimit:
+        """Count from now."""
+        return cls(max_seconds, time.monotonic() + max_seconds)
+
+
+@dataclass(frozen=True)
+class WorkerResult:
+    """What came back."""
+
+    points: Points
+    """Positions, mm, shape ``(n, 3)``."""
+    tetrahedra: Cells
+    """Vertex indices, shape ``(m, 4)``."""
+    said: str
+    """What it wrote into its log."""
+    summary: dict[str, Any]
+    """Its library's version and the time it took, s, for the report."""
+
+
+def last_match(pattern: re.Pattern[str], text: str) -> str | None:
+    """Find the group of the last match in a text, or ``None``."""
+    found = pattern.findall(text)
+    return str(found[-1]) if found else None
+
+
+def _end_group(process: subprocess.Popen[bytes]) -> None:
+    """End the process and whatever it started: first politely, then for sure."""
+    for number in (signal.SIGTERM, signal.SIGKILL):
+        if process.poll() is not None:
+            return
+        try:
+            os.killpg(process.pid, number)
+            process.wait(timeout=_GRACE_SECONDS)
+        except (ProcessLookupError, subprocess.TimeoutExpired):
+            continue
+
+
+def _tail(path: Path) -> str:
+    with path.open("rb") as stream:
+        stream.seek(max(0, stream.seek(0, os.SEEK_END) - _TAIL_BYTES))
+        return stream.read().decode("utf-8", errors="replace")
+
+
+def _last_words(log: Path) -> str:
+    words = [line for line in _tail(log).splitlines() if line.strip()]
+    return words[-1] if words else "it said nothing"
+
+
+def _how_it_ended(worker: Worker, code: int, log: Path) -> StageError:
+    if code == _UNAVAILABLE:
+        return UnavailableError(
+            f"{worker.name} is not available: {_last_words(log)}",
+            "it is the tetrahedralizer that was to fill the surface; nothing was written",
+            worker.when_it_is_missing,
+        )
+    if code < 0:
+        name = signal.Signals(-code).name if -code in {int(s) for s in signal.Signals} else f"signal {-code}"
+        hint = " (often: out of memory)" if -code == signal.SIGKILL else ""
+        what = f"the tetrahedralizer ({worker.name}) crashed: {name}{hint}"
+    else:
+        what = f"the tetrahedralizer ({worker.name}) failed with exit code {code}: {_last_words(log)}"
+    return StageError(
+        what,
+        "without it there is no volume mesh; nothing was written",
+        f"its log is {log}; {worker.when_it_fails}",
+    )
+
+
+def _watch(process: subprocess.Popen[bytes], worker: Worker, log: Path, limit: TimeLimit, context: Context) -> None:
+    """Wait for the end, showing how far it is."""
+    progress = context.progress("tetrahedralize")
+    current: dict[str, str] = {}
+    try:
+        while process.poll() is None:
+            if time.monotonic() > limit.deadline:
+                raise TimeLimitError(
+                    f"the tetrahedralizer ({worker.name}) was ended after {limit.max_seconds:g} s, its time limit "
+                    "(--max-seconds)",
+                    "without it there is no volume mesh; nothing was written",
+                    f"its log is {log}; raise --max-seconds, or ask for larger tetrahedra with --tet-size-factor",
+                )
+            text = _tail(log)
+            for name, pattern in worker.shown:
+                value = last_match(pattern, text)
+                if value is not None:
+                    current[name] = value
+            progress.show(", ".join(f"{name} {value}" for name, value in current.items()) or "starting")
+            time.sleep(_POLL_SECONDS)
+    finally:
+        progress.close()
+
+
+def _version(library: str) -> str | None:
+    try:
+        return importlib.metadata.version(library)
+    except importlib.metadata.PackageNotFoundError:
+        return None
+
+
+def run_worker(
+    worker: Worker, arrays: dict[str, Any], settings: Any, log: Path, limit: TimeLimit, context: Context
+) -> WorkerResult:
+    """Have a surface filled with tetrahedra by another process.
+
+    Parameters
+    ----------
+    worker
+        Which tetrahedralizer.
+    arrays
+        The meshes and fields of the job, by name.
+    settings
+        What else it is told: a dataclass of numbers.
+    log
+        Where its output goes, after what is there already; kept.
+    limit
+        When it is ended.
+    context
+        For progress.
+
+    Raises
+    ------
+    StageError
+        If it crashes, fails, returns nothing, or takes longer than its limit; the process is ended then.
+    """
+    with tempfile.TemporaryDirectory(prefix="tetmesh-check-") as folder:
+        job, result = Path(folder) / "job.npz", Path(folder) / "result.npz"
+        np.savez(job, settings=np.array(json.dumps(asdict(settings))), **arrays)
+        started = time.monotonic()
+        try:
+            stream = log.open("ab")
+            start = stream.tell()
+        except OSError as error:
+            raise StageError.file(log, "write", error, "check the permissions of its folder") from error
+        with stream:
+            # Some write debugging files where they stand: let them stand in the temporary folder.
+            # A session of its own, so that a Ctrl-C reaches it through us and in order.
+            process = subprocess.Popen(
+                [sys.executable, "-m", worker.module, str(job), str(result)],
+                cwd=folder,
+                stdin=subprocess.DEVNULL,
+                stdout=stream,
+                stderr=subprocess.STDOUT,
+                start_new_session=True,
+            )
+            try:
+                _watch(process, worker, log, limit, context)
+            finally:
+                _end_group(process)
+        seconds = time.monotonic() - started
+        if process.returncode != 0 or not result.is_file():
+            raise _how_it_ended(worker, process.returncode, log)
+        with np.load(result) as loaded:
+            points = loaded["points"].astype(np.float64)
+            tetrahedra = loaded["tetrahedra"].astype(np.int64)
+    if len(tetrahedra) == 0:
+        raise StageError(
+            f"the tetrahedralizer ({worker.name}) returned no tetrahedra",
+            "without them there is no volume mesh; nothing was written",
+            f"its log is {log}; {worker.when_it_is_empty}",
+        )
+    said = log.read_bytes()[start:].decode("utf-8", errors="replace")
+    return WorkerResult(points, tetrahedra, said, {"version": _version(worker.library), "seconds": seconds})
+
+
+def _prepare_process() -> None:
+    """Write the log line by line, and end with the parent even when that is killed."""
+    # stdout and stderr are the log; Python's own buffer must not come after the C library's
+    sys.stdout.reconfigure(line_buffering=True)  # type: ignore[union-attr]
+    if sys.platform != "linux":
+        return
+    libc = ctypes.CDLL(None)
+    libc.setvbuf(ctypes.c_void_p.in_dll(libc, "stdout"), None, _LINE_BUFFERED, 1 << 16)
+    libc.prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
+
+
+def serve(library: str, fill: Fill) -> None:
+    """Be a worker: read the job, fill the surface, write the result, whole or not at all.
+
+    Parameters
+    ----------
+    library
+        The Python package to import; the process ends with a code of its own if that cannot be done.
+    fill
+        What does the work.
+    """
+    _prepare_process()
+    job, result = (Path(word) for word in sys.argv[1:3])
+    try:
+        loaded = importlib.import_module(library)
+    except (ImportError, OSError) as error:
+        print(f"{type(error).__name__}: {error}", flush=True)
+        raise SystemExit(_UNAVAILABLE) from None
+    with np.load(job) as stored:
+        arrays: dict[str, Any] = dict(stored)
+    points, tetrahedra = fill(loaded, arrays, json.loads(str(arrays.pop("settings"))))
+    temporary = result.with_name("part.npz")
+    np.savez(temporary, points=points, tetrahedra=tetrahedra)
+    temporary.replace(result)
