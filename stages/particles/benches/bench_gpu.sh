@@ -12,8 +12,8 @@
 # --no-cpu     leave out the CPU runs
 # --sizes      uniform target edge lengths, mm, on the torso phantom's ribcage
 #              [1.9 1.205 0.852 0.682: about 60, 150, 300 and 468 thousand particles]
-# --contrasts  largest over smallest h of graded runs, smallest --least mm                [1 3 9 27]
-# --least      smallest h of the graded runs, mm                                          [1]
+# --contrasts  largest over smallest h of graded runs on a ball, refined at one side     [1 3 9 27]
+# --count      particles of each graded run, whatever its contrast                        [150000]
 # --passes     passes of each run                                                         [50]
 # --options    further options of the GPU runs
 set -eu
@@ -21,7 +21,7 @@ set -eu
 bin=${BIN:-target/release}
 work=out/bench-gpu
 prepare= adapter= cpu=yes options=
-sizes="1.9 1.205 0.852 0.682" contrasts="1 3 9 27" least=1 passes=50
+sizes="1.9 1.205 0.852 0.682" contrasts="1 3 9 27" count=150000 passes=50
 while [ $# -gt 0 ]; do
     case $1 in
         --prepare) prepare=yes; shift; continue ;;
@@ -35,7 +35,7 @@ while [ $# -gt 0 ]; do
         --adapter) adapter=$2 ;;
         --sizes) sizes=$2 ;;
         --contrasts) contrasts=$2 ;;
-        --least) least=$2 ;;
+        --count) count=$2 ;;
         --passes) passes=$2 ;;
         --options) options=$2 ;;
         *) echo "$1: no such option; see --help" >&2; exit 2 ;;
@@ -44,12 +44,12 @@ while [ $# -gt 0 ]; do
 done
 
 mkdir -p "$work"
-distance=$work/ribs.distfield.vti
+ribs=$work/ribs.distfield.vti ball=$work/ball.distfield.vti
 
-# fields NAME OPTIONS...: makes the size field and the seeds of a run unless they are there.
+# fields NAME DISTANCE OPTIONS...: makes the size field and the seeds of a run unless they are there.
 fields() {
-    name=$1
-    shift
+    name=$1 distance=$2
+    shift 2
     [ -e "$work/$name.sizefield.vti" ] || "$bin/sizefield" "$distance" -o "$work/$name.sizefield.vti" "$@" -q
     [ -e "$work/$name.seeds.bin" ] || "$bin/seed" "$distance" "$work/$name.sizefield.vti" -o "$work/$name.seeds.bin" -q
 }
@@ -61,16 +61,34 @@ total() { sed -n 's/^  "seconds": *\([-+.0-9eE]*\).*/\1/p' "$1" | head -n 1; }
 # settle FILE: seconds of the step settle.
 settle() { awk '/"name": "settle"/ { found = 1 } found && /"seconds"/ { gsub(/[^0-9.eE+-]/, "", $2); print $2; exit }' "$1"; }
 
-# row NAME: runs both backends and prints a line of the table.
+# graded CONTRAST: fields of a run on the ball whose h spans the contrast; the smallest h is sought that gives the count.
+graded() {
+    least=0.3
+    [ ! -e "$work/contrast-$1.seeds.bin" ] || return 0
+    for _ in 1 2 3 4 5; do
+        rm -f "$work/contrast-$1.sizefield.vti"
+        if [ "$1" = 1 ]; then sizing="--uniform $least"; else
+            most=$(awk -v a="$least" -v c="$1" 'BEGIN { print a * c }')
+            sizing="--epsilon 1000 --max-deviation 0 --min-size $most --max-size $most --refine ball:$pole,25=$least"
+        fi
+        # shellcheck disable=SC2086 # options are split on purpose
+        "$bin/sizefield" "$ball" -o "$work/contrast-$1.sizefield.vti" $sizing -q --report "$work/contrast-$1.json"
+        predicted=$(number "$work/contrast-$1.json" predicted_count)
+        least=$(awk -v a="$least" -v p="$predicted" -v n="$count" 'BEGIN { print a * sqrt(p / n) }')
+    done
+    fields "contrast-$1" "$ball"
+}
+
+# row NAME DISTANCE: runs both backends and prints a line of the table.
 row() {
-    name=$1
+    name=$1 distance=$2
     common="$work/$name.seeds.bin --distfield $distance --sizefield $work/$name.sizefield.vti --force --progress none -q"
     common="$common --max-passes $passes --energy-tolerance 0"
     # shellcheck disable=SC2086 # options are split on purpose
     "$bin/particles" $common -o "$work/$name.gpu.bin" --backend gpu ${adapter:+--adapter "$adapter"} $options \
         --report "$work/$name.gpu.json"
     report=$work/$name.gpu.json
-    count=$(number "$report" particles)
+    particles=$(number "$report" particles)
     device=$(number "$report" device_seconds)
     memory=$(number "$report" peak_device_bytes)
     alone=-
@@ -81,24 +99,25 @@ row() {
         other=$(number "$work/$name.cpu.json" energy_ratio)
         others=$(number "$work/$name.cpu.json" particles)
     fi
-    awk -v name="$name" -v n="$count" -v d="$device" -v t="$(total "$report")" -v p="$passes" -v c="$alone" \
+    awk -v name="$name" -v n="$particles" -v d="$device" -v t="$(total "$report")" -v p="$passes" -v c="$alone" \
         -v e="$(number "$report" energy_ratio)" -v f="${other:--}" -v m="$memory" -v o="${others:--}" 'BEGIN {
         printf "| %s | %d | %s | %.3f | %.2f | %.3f | %s | %s | %s | %.4f | %s | %.0f |\n", name, n, o, d, t, d / n / p * 1e6,
             c == "-" ? "-" : sprintf("%.2f", c), c == "-" ? "-" : sprintf("%.2f", c / o / p * 1e6),
             c == "-" ? "-" : sprintf("%.1f", c / d), e, f == "-" ? "-" : sprintf("%.4f", f), m / n }'
 }
 
-if [ ! -e "$distance" ]; then
+if [ ! -e "$ribs" ] && [ -n "$sizes" ]; then
     "$bin/phantom" torso --part ribs -o "$work/ribs.nrrd" --force
-    "$bin/distfield" "$work/ribs.nrrd" --iso 370 -o "$distance" -q
+    "$bin/distfield" "$work/ribs.nrrd" --iso 370 -o "$ribs" -q
 fi
-for h in $sizes; do fields "uniform-$h" --uniform "$h"; done
-for c in $contrasts; do
-    if [ "$c" = 1 ]; then fields "contrast-1" --uniform "$least"; else
-        most=$(awk -v a="$least" -v c="$c" 'BEGIN { print a * c }')
-        fields "contrast-$c" --min-size "$least" --max-size "$most" --epsilon 2 --max-deviation 0
-    fi
-done
+if [ ! -e "$ball" ] && [ -n "$contrasts" ]; then
+    "$bin/phantom" ball --size 128 -o "$work/ball.nrrd" --force
+    "$bin/distfield" "$work/ball.nrrd" --iso 100 -o "$ball" -q
+fi
+# where the ball is refined: on its surface, mm (`phantom ball --size 128 --truth`: centre 63.6, 63.8, 63.3, radius 44.45)
+pole=108.1,63.8,63.3
+for h in $sizes; do fields "uniform-$h" "$ribs" --uniform "$h"; done
+for c in $contrasts; do graded "$c"; done
 [ -z "$prepare" ] || exit 0
 
 echo "Adapter: $("$bin/particles" --list-adapters 2>/dev/null | grep -i -m 1 "${adapter:-}" || echo none)"
@@ -107,5 +126,5 @@ echo "$passes passes; device time is from upload to the last readback, CPU time 
 echo
 echo "| run | particles | CPU's | device s | process s | us a particle and pass | CPU s | CPU us | speed-up | energy/ideal | CPU's | device B a particle |"
 echo "|---|---|---|---|---|---|---|---|---|---|---|---|"
-for h in $sizes; do row "uniform-$h"; done
-for c in $contrasts; do row "contrast-$c"; done
+for h in $sizes; do row "uniform-$h" "$ribs"; done
+for c in $contrasts; do row "contrast-$c" "$ball"; done

@@ -6,12 +6,14 @@
 pub mod feature;
 pub mod gradation;
 pub mod medial;
+pub mod region;
 pub mod run;
 
 use feature::Features;
 use glam::DVec3;
 use isoparticles_common::image::Image;
 use isoparticles_common::sizing::SizingField;
+use region::Region;
 use serde::{Deserialize, Serialize};
 use std::ops::{Add, Mul};
 
@@ -37,6 +39,8 @@ pub struct Parameters {
     pub max_deviation: f64,
     /// Smallest number of particles a component of the surface may end up with.
     pub min_particles: f64,
+    /// Regions of smaller h, whatever the smallest h is elsewhere.
+    pub regions: Vec<Region>,
 }
 
 /// Edge length that each sample asks for.
@@ -61,15 +65,21 @@ pub fn wanted_sizes(features: &Features, parameters: &Parameters) -> Vec<f64> {
 pub fn size_field(distance: &Image<f32>, features: &Features, parameters: &Parameters) -> SizingField {
     let wanted = wanted_sizes(features, parameters);
     let largest = wanted.iter().copied().fold(0.0, f64::max);
-    let graded = spread(distance, features, &wanted, parameters.delta, largest);
+    let graded = spread(distance, features, &wanted, parameters, largest);
     let mut smooth: Vec<f64> = features.points.iter().map(|&p| graded.at(p)).collect();
     smooth_over_surface(&mut smooth, &features.triangles);
-    spread(distance, features, &smooth, parameters.delta, f64::INFINITY)
+    spread(distance, features, &smooth, parameters, f64::INFINITY)
 }
 
 /// Gives the nodes of each triangle's cell the smallest size at its corners, so that trilinear h there is no larger, and
 /// grades the rest, as far as it is below `enough`.
-fn spread(distance: &Image<f32>, features: &Features, sizes: &[f64], delta: f64, enough: f64) -> SizingField {
+fn spread(
+    distance: &Image<f32>,
+    features: &Features,
+    sizes: &[f64],
+    parameters: &Parameters,
+    enough: f64,
+) -> SizingField {
     let geometry = &distance.geometry;
     let mut h = Image::filled(geometry.clone(), f32::INFINITY);
     for t in &features.triangles {
@@ -84,7 +94,12 @@ fn spread(distance: &Image<f32>, features: &Features, sizes: &[f64], delta: f64,
             h.data[node] = h.data[node].min(size);
         }
     }
-    gradation::limit_gradient(&mut h, delta, enough);
+    for region in &parameters.regions {
+        for node in region.nodes(geometry) {
+            h.data[node] = h.data[node].min(region.size as f32);
+        }
+    }
+    gradation::limit_gradient(&mut h, parameters.delta, enough);
     SizingField::new(h)
 }
 

@@ -1,6 +1,7 @@
 //! The program around [`crate::size_field`]: options, files, defaults from the data, report.
 
 use crate::feature::Features;
+use crate::region::Region;
 use crate::{Parameters, size_field, uniform_field, wanted_sizes};
 use clap::Parser;
 use glam::DVec3;
@@ -30,7 +31,7 @@ const MIN_PARTICLES: f64 = 32.0;
 #[command(
     name = "sizefield",
     version,
-    after_help = "Example:\n  sizefield heart.distfield.vti -o heart.sizefield.vti --epsilon 0.4 --delta 0.3\n\n\
+    after_help = "Example:\n  sizefield heart.distfield.vti -o heart.sizefield.vti --epsilon 0.4 --delta 0.3 \\\n      --refine ball:10,-20,35,8=0.5\n\n\
         Paper: h of section 3.1; epsilon and delta as in Table 4."
 )]
 pub struct Args {
@@ -60,6 +61,10 @@ pub struct Args {
     #[arg(long, value_name = "MM", value_parser = positive, help_heading = METHOD,
         conflicts_with_all = ["epsilon", "delta", "min_size", "max_size", "max_deviation"])]
     uniform: Option<f64>,
+    /// Make h no larger than H within RADIUS of a place (world coordinates, mm); h grows from there by delta; may be given
+    /// several times, and goes below --min-size
+    #[arg(long, value_name = "ball:X,Y,Z,RADIUS=H", help_heading = METHOD, conflicts_with = "uniform")]
+    refine: Vec<Region>,
     #[command(flatten)]
     common: CommonArgs,
 }
@@ -76,7 +81,7 @@ impl StageArgs for Args {
     fn parameters(&self) -> Value {
         match self.uniform {
             Some(size) => json!({ "uniform": size }),
-            None => json!({ "epsilon": self.epsilon, "delta": self.delta }),
+            None => json!({ "epsilon": self.epsilon, "delta": self.delta, "refine": self.refine }),
         }
     }
 }
@@ -99,6 +104,18 @@ pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
             "there is nothing to size",
             "look at the iso value or the labels that distfield was given",
         ));
+    }
+    for region in &args.refine {
+        if region.nodes(&field.image.geometry).next().is_none() {
+            return Err(Error::input(
+                format!(
+                    "--refine: the ball of radius {} mm round {} lies outside the volume",
+                    region.radius, region.centre
+                ),
+                "it would refine nothing",
+                "give its centre in world coordinates, as the meshes have them (LPS, mm)",
+            ));
+        }
     }
     context.check_interrupt()?;
     let step = context.step("size and grade");
@@ -136,6 +153,7 @@ fn resolve(args: &Args, field: &Field, features: &Features, context: &Context) -
             bound => bound,
         },
         min_particles: MIN_PARTICLES,
+        regions: args.refine.clone(),
     };
     if parameters.min_size > parameters.max_size {
         return Err(Error::input(
@@ -161,7 +179,8 @@ fn resolve(args: &Args, field: &Field, features: &Features, context: &Context) -
     context.set_parameter("max_size", parameters.max_size);
     context.set_parameter("max_deviation", parameters.max_deviation);
     context.set_parameter("min_particles", parameters.min_particles);
-    let bound = wanted_sizes(features, &parameters).iter().filter(|&&h| h <= parameters.min_size).count();
+    let unbound = Parameters { min_size: 0.0, ..parameters.clone() };
+    let bound = wanted_sizes(features, &unbound).iter().filter(|&&h| h < parameters.min_size).count();
     if bound * 100 > features.points.len() {
         context.warn(format!(
             "local features ask for less than the smallest h on {:.1} % of the surface samples; --min-size lowers it",

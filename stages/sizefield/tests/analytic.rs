@@ -5,6 +5,7 @@ use isoparticles_common::geometry::Geometry;
 use isoparticles_common::image::Image;
 use isoparticles_common::spline::CubicSpline;
 use isoparticles_sizefield::feature::Features;
+use isoparticles_sizefield::region::Region;
 use isoparticles_sizefield::{Parameters, size_field};
 
 fn sampled(n: usize, f: impl Fn(DVec3) -> f64) -> Image<f32> {
@@ -103,6 +104,7 @@ fn the_field_asks_for_epsilon_times_feature_size_and_is_graded() {
         max_size: 100.0,
         max_deviation: f64::INFINITY,
         min_particles: 12.0,
+        regions: Vec::new(),
     };
     let field = size_field(&image, &found, &parameters);
     for &p in &found.points {
@@ -121,4 +123,28 @@ fn the_field_asks_for_epsilon_times_feature_size_and_is_graded() {
             }
         }
     }
+}
+
+#[test]
+fn a_region_is_refined_and_h_grows_from_it_by_delta() {
+    let image = sampled(48, |p| p.length() - 12.0);
+    let found = features(&image);
+    let centre = 0.5 * image.geometry.upper_corner();
+    let pole = centre + DVec3::new(12.0, 0.0, 0.0);
+    let parameters = Parameters {
+        epsilon: 0.25,
+        delta: 0.3,
+        min_size: 2.0,
+        max_size: 100.0,
+        max_deviation: f64::INFINITY,
+        min_particles: 12.0,
+        regions: vec![Region { centre: image.geometry.grid_to_world(pole), radius: 3.0, size: 0.8 }],
+    };
+    let field = size_field(&image, &found, &parameters);
+    assert!((field.at(pole) / 0.8 - 1.0).abs() < 1e-3, "{}", field.at(pole));
+    // 4 mm beyond the ball, outwards; marching errs towards larger values, and the ball's rim is a staircase
+    let beyond = field.at(pole + DVec3::new(7.0, 0.0, 0.0));
+    assert!((beyond / (0.8 + 0.3 * 4.0) - 1.0).abs() < 0.06, "{beyond}");
+    let far = field.at(centre - DVec3::new(12.0, 0.0, 0.0));
+    assert!((far / 3.0 - 1.0).abs() < 0.03, "{far}");
 }

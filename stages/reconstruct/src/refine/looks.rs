@@ -19,7 +19,7 @@ pub(super) struct Looks {
     pairs: HashMap<(u32, u32), usize>,
     missing: HashSet<u32>,
     genus: HashSet<u32>,
-    pieces: HashSet<(u32, usize)>,
+    pieces: HashSet<(u32, usize, usize)>,
     rounds_in_pieces: HashMap<u32, usize>,
 }
 
@@ -96,7 +96,7 @@ impl Refinement<'_> {
         let look = look.min(LOOKS_AT_A_PAIR - 1);
         let mut learnt = false;
         for k in (1..pieces.len()).rev() {
-            if self.looks.pieces.insert((class, pieces[k].len())) {
+            if self.looks.pieces.insert((class, pieces[k].len(), look)) {
                 let others = pieces[..k].concat();
                 learnt |= self.isosurface.part_if_separate(self.restricted.field(), class, &pieces[k], &others, look);
             }
