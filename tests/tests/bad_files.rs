@@ -252,7 +252,7 @@ fn an_interrupted_run_leaves_nothing_but_its_checkpoint() {
         std::thread::sleep(std::time::Duration::from_millis(10));
         waited += 1;
     }
-    let killed = Command::new("kill").args(["-INT", &child.id().to_string()]).status().expect("kill");
+    let killed = Command::new("sh").args(["-c", &format!("kill -INT {}", child.id())]).status().expect("sh");
     assert!(killed.success());
     let ended = child.wait_with_output().expect("particles ends");
     let stderr = String::from_utf8_lossy(&ended.stderr);
