@@ -210,7 +210,7 @@ fn a_stopped_run_is_finished_by_the_next() {
         std::thread::sleep(std::time::Duration::from_millis(10));
         waited += 1;
     }
-    let killed = Command::new("sh").args(["-c", &format!("kill -s INT -{}", child.id())]).status().expect("sh");
+    let killed = Command::new("sh").args(["-c", &format!("kill -s INT -- -{}", child.id())]).status().expect("sh");
     assert!(killed.success());
     assert!(!child.wait().expect("make ends").success(), "make must not call a stopped run a success");
     assert!(!stopped.file("particles.bin").exists(), "{:?}", listing(&stopped.out().join("ball")));
