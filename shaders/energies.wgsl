@@ -1,4 +1,4 @@
-// The energy of every particle (Eq. 1), and a clean slate for density control.
+// The energy of every particle (Eq. 1), whether the lattice has a fault there, and a clean slate for density control.
 
 @group(0) @binding(8) var<storage, read> place: array<vec4<f32>>;
 @group(0) @binding(12) var<storage, read_write> energies: array<f32>;
@@ -6,6 +6,12 @@
 @group(0) @binding(13) var<storage, read_write> marks: array<u32>;
 // The last round in which a neighbour was deleted.
 @group(0) @binding(14) var<storage, read_write> touched: array<u32>;
+
+// Steps tried; the top bit says that one was taken, the next that the particle has not six neighbours in the first ring.
+@group(0) @binding(15) var<storage, read_write> outcome: array<u32>;
+
+// Between the first ring of the lattice and the second, in h.
+const FIRST_RING: f32 = 1.3160740;
 
 @compute @workgroup_size(64)
 fn energies_kernel(
@@ -20,11 +26,16 @@ fn energies_kernel(
     let own = place[i];
     let range = list_of(i);
     var sum = 0.0;
+    var ring = 0u;
     for (var k = range.x; k < range.y; k++) {
         let other = place[lists[k]];
-        sum += energy_between(own.xyz - other.xyz, own.w, other.w);
+        let offset = own.xyz - other.xyz;
+        sum += energy_between(offset, own.w, other.w);
+        let reach = FIRST_RING * min(own.w, other.w);
+        ring += select(0u, 1u, dot(offset, offset) < reach * reach);
     }
     energies[i] = sum;
+    outcome[i] = (outcome[i] & 0xbfffffffu) | select(0u, 0x40000000u, ring != 6u);
     marks[i] = 0u;
     touched[i] = 0u;
 }

@@ -11,9 +11,10 @@ use crate::state::Fields;
 use glam::DVec3;
 use isoparticles_common::error::Result;
 use isoparticles_common::geometry::Geometry;
-use isoparticles_common::neighbours::{LevelBins, NeighbourLists};
+use isoparticles_common::neighbours::NeighbourLists;
 use isoparticles_common::particle_set::ParticleSet;
 use isoparticles_common::random::bits;
+use rayon::prelude::*;
 
 /// Seeds nearer than this many edge lengths to one that was taken before are passed over when they are thinned: as many are left
 /// as the hexagonal lattice has (points taken at random until no room is left at spacing r are 0.70 / r^2 a unit of area, the
@@ -98,7 +99,7 @@ pub(crate) fn settle_levels(
 fn thinned(seeds: &ParticleSet, fields: &Fields, scale: f64, parameters: &Parameters) -> ParticleSet {
     let mut order: Vec<u32> = (0..seeds.positions.len() as u32).collect();
     order.sort_by_key(|&i| (bits(parameters.seed, u64::MAX, u64::from(i)), i));
-    let sizes: Vec<f64> = seeds.positions.iter().map(|&p| scale * fields.sizing.at(p)).collect();
+    let sizes: Vec<f64> = seeds.positions.par_iter().map(|&p| scale * fields.sizing.at(p)).collect();
     let taken = take_with_room(&seeds.positions, &seeds.normals, &sizes, &order, parameters.normal_agreement, |_| ROOM);
     pick(seeds, &sizes, &taken)
 }
@@ -117,27 +118,26 @@ fn split(
     let near = NeighbourLists::new(points, &coarse.sizes, EDGE, agree);
     let spacing = fields.surface.geometry().min_spacing();
     let mut all = coarse.clone();
-    for i in 0..points.len() {
-        for &j in near.of(i).iter().filter(|&&j| j as usize > i) {
-            let j = j as usize;
-            let middle = points[i].midpoint(points[j]);
-            let half = 0.25 * points[i].distance_squared(points[j]);
-            // the edges of a lattice are those whose ball holds no third particle (Gabriel's graph)
-            let crossed =
-                near.of(i).iter().any(|&k| k as usize != j && points[k as usize].distance_squared(middle) < half);
-            if crossed {
-                continue;
-            }
-            if let Some((position, normal, size)) = fields.project(middle, half.sqrt(), 1e-5 * spacing) {
-                add(&mut all, position, normal, scale * size);
-            }
-        }
+    let middle_of = |i: usize, j: usize| {
+        let middle = points[i].midpoint(points[j]);
+        let half = 0.25 * points[i].distance_squared(points[j]);
+        // the edges of a lattice are those whose ball holds no third particle (Gabriel's graph)
+        let crossed = near.of(i).iter().any(|&k| k as usize != j && points[k as usize].distance_squared(middle) < half);
+        if crossed { None } else { fields.project(middle, half.sqrt(), 1e-5 * spacing) }
+    };
+    let middles: Vec<_> = (0..points.len())
+        .into_par_iter()
+        .flat_map_iter(|i| near.of(i).iter().filter_map(move |&j| (j as usize > i).then(|| (i, j as usize))))
+        .filter_map(|(i, j)| middle_of(i, j))
+        .collect();
+    for (position, normal, size) in middles {
+        add(&mut all, position, normal, scale * size);
     }
     let edges = all.positions.len();
     for (&p, &n) in seeds.positions.iter().zip(&seeds.normals) {
-        add(&mut all, p, n, scale * fields.sizing.at(p));
+        add(&mut all, p, n, 0.0);
     }
-    let sizes: Vec<f64> = all.positions.iter().map(|&p| scale * fields.sizing.at(p)).collect();
+    let sizes: Vec<f64> = all.positions.par_iter().map(|&p| scale * fields.sizing.at(p)).collect();
     let mut order: Vec<u32> = (0..edges as u32).collect();
     let mut rest: Vec<u32> = (edges as u32..all.positions.len() as u32).collect();
     rest.sort_by_key(|&i| (bits(parameters.seed, u64::MAX, u64::from(i)), i));
@@ -158,22 +158,18 @@ fn take_with_room(
     agreement: f64,
     room: impl Fn(usize) -> f64,
 ) -> Vec<u32> {
-    let bins = LevelBins::new(points, sizes, ROOM_FOR_MORE);
+    let near = NeighbourLists::new(points, sizes, ROOM_FOR_MORE, |i, j| normals[i].dot(normals[j]) > agreement);
     let mut state = vec![false; points.len()];
     let mut taken = Vec::new();
     for &i in order {
-        let i = i as usize;
-        let (p, h) = (points[i], sizes[i]);
-        let (mut free, room) = (true, room(i));
-        bins.visit(p, h, |j| {
-            let j = j as usize;
-            let reach = room * h.min(sizes[j]);
-            free &=
-                !(state[j] && normals[j].dot(normals[i]) > agreement && points[j].distance_squared(p) < reach * reach);
+        let at = i as usize;
+        let free = near.of(at).iter().map(|&j| j as usize).all(|j| {
+            let reach = room(at) * sizes[at].min(sizes[j]);
+            !state[j] || points[j].distance_squared(points[at]) >= reach * reach
         });
         if free {
-            state[i] = true;
-            taken.push(i as u32);
+            state[at] = true;
+            taken.push(i);
         }
     }
     taken

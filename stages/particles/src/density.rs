@@ -124,7 +124,7 @@ fn insert(
 }
 
 /// The point at distance h from particle i in the middle of its widest gap, on the surface.
-fn place_in_widest_gap(
+pub(crate) fn place_in_widest_gap(
     state: &State,
     fields: &Fields,
     deleted: &[bool],

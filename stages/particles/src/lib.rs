@@ -13,7 +13,7 @@ mod settle;
 mod state;
 
 pub use settle::{
-    Engine, Parameters, PassOutcome, PassRecord, REORDER_INTERVAL, STAGNATION_WINDOW, Summary, settle, settle_with,
+    Engine, FAULT_WINDOW, Parameters, PassOutcome, PassRecord, REORDER_INTERVAL, Summary, settle, settle_with,
 };
 pub use state::Fields;
 

@@ -19,7 +19,9 @@ impl Log {
         let file = File::create(path).map_err(|e| failed(path, &e))?;
         let mut log = Self { path: path.into(), file, json_lines: path.extension().is_some_and(|e| e == "jsonl") };
         if !log.json_lines {
-            log.line("pass,energy,count,inserted,deleted,escaped,moved,tries_per_particle,neighbours,seconds,scale")?;
+            log.line(
+                "pass,energy,count,inserted,deleted,escaped,moved,tries_per_particle,neighbours,faults,seconds,scale",
+            )?;
         }
         records.iter().try_for_each(|record| log.write(record))?;
         Ok(log)
@@ -31,7 +33,7 @@ impl Log {
             serde_json::json!(r).to_string()
         } else {
             format!(
-                "{},{},{},{},{},{},{},{:.3},{:.2},{:.3},{}",
+                "{},{},{},{},{},{},{},{:.3},{:.2},{},{:.3},{}",
                 r.pass,
                 r.energy,
                 r.count,
@@ -41,6 +43,7 @@ impl Log {
                 r.moved,
                 r.tries_per_particle,
                 r.neighbours,
+                r.faults,
                 r.seconds,
                 r.scale
             )

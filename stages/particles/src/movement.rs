@@ -26,13 +26,14 @@ pub(crate) struct Moves {
     pub tries: usize,
 }
 
-struct Step {
-    position: DVec3,
+/// The next place of a particle.
+pub(crate) struct Step {
+    pub position: DVec3,
     normal: DVec3,
     size: f64,
     lambda: f64,
     tries: u32,
-    moved: bool,
+    pub moved: bool,
 }
 
 /// Moves every particle once.
@@ -60,7 +61,7 @@ pub(crate) fn pass(state: &mut State, fields: &Fields) -> Moves {
 }
 
 /// Finds the next place of particle i (Algorithm 1).
-fn step(state: &State, fields: &Fields, i: usize) -> Step {
+pub(crate) fn step(state: &State, fields: &Fields, i: usize) -> Step {
     let set = &state.set;
     let (position, normal, size) = (set.positions[i], set.normals[i], set.sizes[i]);
     let mut result = Step { position, normal, size, lambda: set.lambdas[i], tries: 0, moved: false };

@@ -17,9 +17,12 @@ use std::time::Instant;
 pub struct Parameters {
     /// Most passes over all particles.
     pub max_passes: u64,
-    /// Stop when the mean relative change of the energy per particle over [`STAGNATION_WINDOW`] passes is below this
-    /// (the paper's E_min) and density control is nearly at rest.
-    pub energy_tolerance: f64,
+    /// Stop when the share of [`PassRecord::faults`] falls by less than this share of itself a pass, on average over
+    /// [`FAULT_WINDOW`] passes, and density control is nearly at rest.
+    pub fault_tolerance: f64,
+    /// If given, stop by the paper's test instead (E_min): when the mean relative change of the energy per particle over
+    /// [`STAGNATION_WINDOW`] passes is below this and density control is nearly at rest.
+    pub energy_tolerance: Option<f64>,
     /// Energy of a particle that has just enough neighbours (E_ideal).
     pub ideal_energy: f64,
     /// Add a particle where E < this times E_ideal.
@@ -44,7 +47,8 @@ impl Default for Parameters {
     fn default() -> Self {
         Self {
             max_passes: 150,
-            energy_tolerance: 1e-4,
+            fault_tolerance: 5e-3,
+            energy_tolerance: None,
             ideal_energy: energy::ideal_energy(),
             add_below: 0.75,
             delete_above: 1.35,
@@ -52,14 +56,21 @@ impl Default for Parameters {
             closing_passes: 10,
             normal_agreement: 0.0,
             seed: 0,
-            levels: 1,
+            levels: 3,
             coarse_passes: 100,
         }
     }
 }
 
-/// Passes over which the stagnation test averages.
-pub const STAGNATION_WINDOW: usize = 5;
+/// Passes over which the paper's stagnation test averages.
+pub(crate) const STAGNATION_WINDOW: usize = 5;
+
+/// Passes over which the test by faults averages.
+pub const FAULT_WINDOW: usize = 10;
+
+/// Density control is at rest when it adds and deletes no more than this share of the particles a pass, at h and on coarser levels.
+const CHURN: f64 = 5e-4;
+const COARSE_CHURN: f64 = 5e-3;
 
 /// Every so many passes the particles are put in order of place again; checkpoints are written between.
 pub const REORDER_INTERVAL: u64 = 10;
@@ -85,6 +96,9 @@ pub struct PassRecord {
     pub tries_per_particle: f64,
     /// Mean number of listed neighbours.
     pub neighbours: f64,
+    /// Particles that do not have exactly six neighbours in the first ring, after the movement.
+    #[serde(default)]
+    pub faults: usize,
     /// Seconds since the first pass of this run.
     pub seconds: f64,
     /// Edge length of the level that the pass was on, in units of h.
@@ -96,7 +110,7 @@ pub struct PassRecord {
 pub struct Summary {
     /// Passes run, those of a resumed run included.
     pub passes: u64,
-    /// Whether the stagnation test ended it (else the pass limit did).
+    /// Whether the stop test ended it (else the pass limit did).
     pub stagnated: bool,
     /// Particles that could not be kept on the surface, in all.
     pub escaped: usize,
@@ -121,6 +135,8 @@ pub struct PassOutcome {
     pub tries_per_particle: f64,
     /// Mean number of listed neighbours.
     pub neighbours: f64,
+    /// Particles that do not have exactly six neighbours in the first ring, after the movement.
+    pub faults: usize,
 }
 
 /// What moves the particles: the CPU or a GPU. A pass starts afresh from the particles every [`REORDER_INTERVAL`] passes, so that a
@@ -138,18 +154,17 @@ pub trait Engine {
     }
 }
 
-/// Settles particles on the CPU, on the threads of the current pool. `resumed` holds the records of the passes already run
-/// (empty at first; on a coarse level the particles then stand for the seeds as well); `observe` sees each new record, can ask for the particles, and may end the run with an error.
+/// Settles particles on the CPU, on the threads of the current pool. `resumed` holds the particles after the passes already
+/// run, and the records of those; `observe` sees each new record, can ask for the particles, and may end the run with an error.
 pub fn settle(
-    set: ParticleSet,
+    seeds: &ParticleSet,
+    resumed: Option<(ParticleSet, &[PassRecord])>,
     fields: &Fields,
     parameters: &Parameters,
-    resumed: &[PassRecord],
-    observe: impl FnMut(&PassRecord, &mut dyn Engine) -> Result<()>,
+    mut observe: impl FnMut(&PassRecord, &mut dyn Engine) -> Result<()>,
 ) -> Result<(ParticleSet, Summary)> {
-    let mut observe = observe;
-    settle_levels(&set, Some((set.clone(), resumed)), fields, parameters, &OnCpu(parameters), &mut observe)
-        .map(|s| (s.0, s.1))
+    let (set, summary, _) = settle_levels(seeds, resumed, fields, parameters, &OnCpu(parameters), &mut observe)?;
+    Ok((set, summary))
 }
 
 /// Makes engines that move the particles on the CPU.
@@ -214,6 +229,7 @@ pub(crate) fn settle_level(
             moved: outcome.moved,
             tries_per_particle: outcome.tries_per_particle,
             neighbours: outcome.neighbours,
+            faults: outcome.faults,
             seconds: start.elapsed().as_secs_f64(),
             scale: level.scale,
         };
@@ -258,6 +274,7 @@ impl Engine for CpuEngine<'_> {
         }
         let moves = movement::pass(state, self.fields);
         let energy = state.update_energies();
+        let faults = state.faults();
         let movable = state.len();
         let limits = Limits {
             ideal_energy: parameters.ideal_energy,
@@ -277,6 +294,7 @@ impl Engine for CpuEngine<'_> {
             moved: moves.moved,
             tries_per_particle: moves.tries as f64 / movable.max(1) as f64,
             neighbours: state.neighbours.mean_count(),
+            faults,
         })
     }
 
@@ -285,16 +303,26 @@ impl Engine for CpuEngine<'_> {
     }
 }
 
-/// The pass after which the energy was found to stagnate (density control rests from then on), if any.
+/// The pass after which nothing more was found to improve (density control rests from then on), if any.
 fn closing_since(records: &[PassRecord], parameters: &Parameters) -> Option<u64> {
-    (STAGNATION_WINDOW..records.len()).find_map(|last| {
-        let (old, new) = (&records[last - STAGNATION_WINDOW], &records[last]);
-        // per particle: a falling count must not pass for a falling energy, nor mask a rising one
-        let mean = |r: &PassRecord| r.energy / (r.count + r.deleted - r.inserted).max(1) as f64;
-        let change = (mean(old) - mean(new)).abs() / mean(new).max(f64::MIN_POSITIVE) / STAGNATION_WINDOW as f64;
-        let churn = records[last + 1 - STAGNATION_WINDOW..=last].iter().map(|r| r.inserted + r.deleted).sum::<usize>();
-        let rest = churn as f64 <= 5e-4 * STAGNATION_WINDOW as f64 * new.count as f64;
-        (change < parameters.energy_tolerance && rest).then_some(new.pass)
+    let window = if parameters.energy_tolerance.is_some() { STAGNATION_WINDOW } else { FAULT_WINDOW };
+    (window..records.len()).find_map(|last| {
+        let (old, new) = (&records[last - window], &records[last]);
+        // per particle: a falling count must not pass for an improvement, nor mask a change for the worse
+        let moved = |r: &PassRecord| (r.count + r.deleted - r.inserted).max(1) as f64;
+        let change = |quantity: &dyn Fn(&PassRecord) -> f64| {
+            let (old, new) = (quantity(old) / moved(old), quantity(new) / moved(new));
+            (old - new) / new.max(f64::MIN_POSITIVE) / window as f64
+        };
+        let settled = match parameters.energy_tolerance {
+            Some(tolerance) => change(&|r| r.energy).abs() < tolerance,
+            None => new.faults == 0 || change(&|r| r.faults as f64) < parameters.fault_tolerance,
+        };
+        let churn = records[last + 1 - window..=last].iter().map(|r| r.inserted + r.deleted).sum::<usize>();
+        // what a coarse level adds and deletes is nearly all settled anew on the next
+        let allowed = if new.scale > 1.0 { COARSE_CHURN } else { CHURN };
+        let rest = churn as f64 <= allowed * window as f64 * new.count as f64;
+        (settled && rest).then_some(new.pass)
     })
 }
 

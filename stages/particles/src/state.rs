@@ -13,6 +13,10 @@ pub(crate) const SKIN: f64 = 0.3;
 /// Lists are made anew once a particle has moved by this share of its h since they were made.
 pub(crate) const REBUILD_MOVE: f64 = 0.1;
 
+/// Neighbours on the hexagonal lattice of edge h are nearer than this many h, and the next ring is farther: the geometric mean of
+/// the two radii, 1 and sqrt(3).
+pub(crate) const FIRST_RING: f64 = 1.316_074_012_952_492_5;
+
 /// The implicit function and the sizing field that the particles live on.
 pub struct Fields<'a> {
     /// F.
@@ -145,6 +149,19 @@ impl State {
         let total = energies.iter().sum();
         self.set.energies = energies;
         total
+    }
+
+    /// Number of particles that do not have exactly six neighbours in the first ring: faults of the lattice.
+    pub(crate) fn faults(&self) -> usize {
+        let (positions, sizes) = (&self.set.positions, &self.set.sizes);
+        let in_ring = |i: usize, j: usize| {
+            let reach = FIRST_RING * sizes[i].min(sizes[j]);
+            positions[i].distance_squared(positions[j]) < reach * reach
+        };
+        (0..self.len())
+            .into_par_iter()
+            .filter(|&i| self.neighbours.of(i).iter().filter(|&&j| in_ring(i, j as usize)).count() != 6)
+            .count()
     }
 }
 

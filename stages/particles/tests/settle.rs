@@ -75,10 +75,10 @@ fn a_ball_gets_the_lattice_of_spacing_h_from_too_few_and_too_many_seeds() {
     let lattice = 4.0 * std::f64::consts::PI * 144.0 * 2.0 / (3f64.sqrt() * 1.6 * 1.6);
     for count in [40, 3000] {
         let (set, summary) = settle(
-            seeds(&surface, &sizing, count, |d| 12.0 * d),
+            &seeds(&surface, &sizing, count, |d| 12.0 * d),
+            None,
             &fields,
             &Parameters { max_passes: 120, ..Parameters::default() },
-            &[],
             |_, _| Ok(()),
         )
         .unwrap();
@@ -121,7 +121,7 @@ fn the_two_faces_of_a_thin_shell_do_not_see_each_other() {
     start.sizes.extend(inner.sizes);
     start.energies.extend(inner.energies);
     start.lambdas.extend(inner.lambdas);
-    let (set, _) = settle(start, &fields, &Parameters::default(), &[], |_, _| Ok(())).unwrap();
+    let (set, _) = settle(&start, None, &fields, &Parameters::default(), |_, _| Ok(())).unwrap();
     let centre = 0.5 * image.geometry.upper_corner();
     let (mut outside, mut inside) = (0.0, 0.0);
     for p in &set.positions {
@@ -145,7 +145,7 @@ fn graded_sizes_are_followed() {
     let sizing = SizingField::new(h);
     let fields = Fields { surface: &surface, sizing: &sizing };
     let (set, _) =
-        settle(seeds(&surface, &sizing, 900, |d| 12.0 * d), &fields, &Parameters::default(), &[], |_, _| Ok(()))
+        settle(&seeds(&surface, &sizing, 900, |d| 12.0 * d), None, &fields, &Parameters::default(), |_, _| Ok(()))
             .unwrap();
     // area of the ball between x and x + dx is 2 pi R dx, and h is linear in x
     let centre = 0.5 * image.geometry.upper_corner();
@@ -179,7 +179,7 @@ fn the_result_depends_neither_on_threads_nor_on_a_break() {
     let mut records = Vec::new();
     let whole = in_pool(1, &mut || {
         let fields = Fields { surface: &surface, sizing: &sizing };
-        settle(start.clone(), &fields, &parameters, &[], |r, engine| {
+        settle(&start, None, &fields, &parameters, |r, engine| {
             records.push(*r);
             if r.pass == 20 {
                 kept = Some((records.clone(), engine.particles()?));
@@ -190,10 +190,10 @@ fn the_result_depends_neither_on_threads_nor_on_a_break() {
         .0
     });
     let fields = Fields { surface: &surface, sizing: &sizing };
-    let threaded = in_pool(3, &mut || settle(start.clone(), &fields, &parameters, &[], |_, _| Ok(())).unwrap().0);
+    let threaded = in_pool(3, &mut || settle(&start, None, &fields, &parameters, |_, _| Ok(())).unwrap().0);
     assert!(whole == threaded, "one and three threads differ");
     let (records, set) = kept.unwrap();
-    let (resumed, _) = settle(set, &fields, &parameters, &records, |_, _| Ok(())).unwrap();
+    let (resumed, _) = settle(&start, Some((set, &records)), &fields, &parameters, |_, _| Ok(())).unwrap();
     assert!(whole == resumed, "a resumed run differs");
     assert!((records[19].energy / records[19].count as f64 / ideal_energy() - 1.0).abs() < 0.3);
 }

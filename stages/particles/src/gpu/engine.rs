@@ -92,7 +92,7 @@ struct Plan {
 }
 
 /// Words that the host reads after a pass (see `shaders/sum_total.wgsl`).
-const WORDS: usize = 7;
+const WORDS: usize = 8;
 
 /// Moves the particles on a GPU.
 pub struct GpuEngine<'a> {
@@ -251,7 +251,7 @@ impl<'a> GpuEngine<'a> {
         for name in ["keep", "destinations"] {
             self.memory.make(self.gpu, name, 8 * u64::from(capacity) + 4, none)?;
         }
-        self.memory.make(self.gpu, "block_totals", 16 * u64::from(capacity.div_ceil(2048)), none)?;
+        self.memory.make(self.gpu, "block_totals", 20 * u64::from(capacity.div_ceil(2048)), none)?;
         let blocks = scan_blocks(self.levels.bin_total()).max(scan_blocks(2 * capacity));
         self.memory.make(self.gpu, "scan_sums", 4 * u64::from(blocks), none)?;
         self.capacity = capacity;
@@ -431,6 +431,7 @@ impl Engine for GpuEngine<'_> {
             moved: words[1] as usize,
             tries_per_particle: f64::from(words[2]) / f64::from(before.max(1)),
             neighbours: f64::from(words[4]) / f64::from(before.max(1)),
+            faults: words[7] as usize,
         })
     }
 

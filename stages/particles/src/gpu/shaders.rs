@@ -43,6 +43,7 @@ const CLASSES: Piece = Piece::Text(include_str!("../../../../shaders/shared/clas
 const NEWTON: Piece = Piece::Text(include_str!("../../../../shaders/shared/newton.wgsl"));
 const TEAM_ENERGY: Piece = Piece::Text(include_str!("../../../../shaders/shared/team_energy.wgsl"));
 const DENSITY: Piece = Piece::Text(include_str!("../../../../shaders/shared/density.wgsl"));
+const TOTALS: Piece = Piece::Text(include_str!("../../../../shaders/shared/totals.wgsl"));
 const ROUND: Piece = Piece::Text(include_str!("../../../../shaders/shared/round.wgsl"));
 
 macro_rules! source {
@@ -84,8 +85,8 @@ const SOURCES: &[Source] = &[
         ]
     ),
     source!("energies", &[PARAMETERS, ENERGY, LISTS]),
-    source!("sum_blocks", &[PARAMETERS]),
-    source!("sum_total", &[PARAMETERS]),
+    source!("sum_blocks", &[PARAMETERS, TOTALS]),
+    source!("sum_total", &[PARAMETERS, TOTALS]),
     source!("density_delete", &[PARAMETERS, RANDOM, DENSITY, LISTS, ROUND]),
     source!("density_relieve", &[PARAMETERS, ENERGY, LISTS, ROUND]),
     source!("insert_propose", &[PARAMETERS, Piece::Fields, GRID, SPLINE, PROJECT, PLANE, RANDOM, DENSITY, LISTS]),

@@ -24,12 +24,18 @@ fn alike(a: &(ParticleSet, Summary), b: &(ParticleSet, Summary), what: &str) {
 #[test]
 fn the_lattice_is_that_of_the_cpu() {
     let Some(gpu) = any_gpu("the whole backend", Choice::default()) else { return };
-    let first = Parameters { max_passes: 12, closing_passes: 2, energy_tolerance: 0.0, ..Parameters::default() };
+    let first = Parameters {
+        max_passes: 12,
+        closing_passes: 2,
+        energy_tolerance: Some(0.0),
+        levels: 1,
+        ..Parameters::default()
+    };
     let parameters = Parameters { max_passes: 25, seed: 5, ..first.clone() };
     for (mut scene, what) in [(Scene::ball(1500, 1.2), "ball"), (Scene::bumpy_torus(1300), "graded torus")] {
         // from seeds about as even as those of the seed stage: chance has less of a say than from random ones
-        scene.seeds = settle(scene.seeds.clone(), &scene.fields(), &first, &[], |_, _| Ok(())).unwrap().0;
-        let on_cpu = settle(scene.seeds.clone(), &scene.fields(), &parameters, &[], |_, _| Ok(())).unwrap();
+        scene.seeds = settle(&scene.seeds, None, &scene.fields(), &first, |_, _| Ok(())).unwrap().0;
+        let on_cpu = settle(&scene.seeds, None, &scene.fields(), &parameters, |_, _| Ok(())).unwrap();
         let graded = settled(&gpu, &scene, &parameters, Binning::Graded);
         alike(&graded, &on_cpu, what);
         if what != "ball" {

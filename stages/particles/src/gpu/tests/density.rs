@@ -1,0 +1,291 @@
+//! Movement of one class and every kernel of density control against twins that do the same, one particle after the other.
+
+use super::any_gpu;
+use super::fields::sorted;
+use super::scenes::Scene;
+use crate::density::place_in_widest_gap;
+use crate::gpu::adapter::{Choice, Gpu};
+use crate::gpu::engine::{Binning, GpuEngine};
+use crate::gpu::memory::download;
+use crate::gpu::parameters::device_origin;
+use crate::gpu::schedule::{Step, scan};
+use crate::movement;
+use crate::settle::{Engine, Parameters};
+use crate::state::State;
+use glam::{DVec3, Vec3};
+use isoparticles_common::energy::{SUPPORT, pair_energy, scaled_distance};
+
+/// The pass that the random numbers are those of.
+const PASS: u32 = 7;
+/// Decisions this near to a threshold may fall either way in f32.
+const EDGE: f64 = 1e-5;
+
+/// The twin of `shaders/shared/random.wgsl`.
+fn random_bits(stream: u32, counter: u32) -> u32 {
+    fn mix(x: u32) -> u32 {
+        let state = x.wrapping_mul(747_796_405).wrapping_add(2_891_336_453);
+        let word = ((state >> ((state >> 28) + 4)) ^ state).wrapping_mul(277_803_737);
+        (word >> 22) ^ word
+    }
+    mix(mix(mix(Parameters::default().seed as u32).wrapping_add(stream)).wrapping_add(counter))
+}
+
+fn random_uniform(kind: u32, counter: usize) -> f64 {
+    f64::from(random_bits(4 * PASS + kind, counter as u32) >> 8) / f64::from(1 << 24)
+}
+
+/// The particles on the device, their lists, and what a kernel made of them.
+struct Rig<'a> {
+    gpu: &'a Gpu,
+    engine: GpuEngine<'a>,
+    /// xyz from the device's origin, and h.
+    places: Vec<[f32; 4]>,
+    starts: Vec<u32>,
+    lists: Vec<u32>,
+}
+
+impl<'a> Rig<'a> {
+    fn new(gpu: &'a Gpu, scene: &Scene) -> Self {
+        let mut engine = sorted(gpu, scene, Binning::Graded);
+        engine.listed = false;
+        let count = engine.count as usize;
+        let starts: Vec<u32> = download(gpu, engine.memory.get("list_starts"), count + 1).unwrap();
+        let lists = download(gpu, engine.memory.get("lists"), starts[count] as usize).unwrap();
+        let places = download(gpu, engine.memory.get("place"), count).unwrap();
+        Self { gpu, engine, places, starts, lists }
+    }
+
+    fn count(&self) -> usize {
+        self.engine.count as usize
+    }
+
+    fn list(&self, i: usize) -> impl Iterator<Item = usize> + '_ {
+        self.lists[self.starts[i] as usize..self.starts[i + 1] as usize].iter().map(|&j| j as usize)
+    }
+
+    fn run(&mut self, kernel: &'static str, round: u32) {
+        let each = self.engine.count.div_ceil(64);
+        self.engine.run_steps(u64::from(PASS), &[Step::over(kernel, round, each)], false).unwrap();
+    }
+
+    fn take<T: bytemuck::AnyBitPattern>(&self, name: &str, count: usize) -> Vec<T> {
+        download(self.gpu, self.engine.memory.get(name), count).unwrap()
+    }
+
+    /// Scaled distance of two particles (Eq. 2).
+    fn apart(&self, i: usize, j: usize) -> f64 {
+        let at = |i: usize| Vec3::from_slice(&self.places[i]).as_dvec3();
+        scaled_distance(at(i).distance(at(j)), f64::from(self.places[i][3]), f64::from(self.places[j][3]))
+    }
+
+    /// The state as the CPU sees it, with its own lists.
+    fn state(&mut self) -> State {
+        let mut state = State::unlisted(self.engine.particles().unwrap(), Parameters::default().normal_agreement);
+        state.rebuild();
+        state
+    }
+}
+
+/// Yes, no, or too near to a threshold to tell.
+fn beyond(value: f64, threshold: f64) -> Option<bool> {
+    ((value - threshold).abs() > EDGE * (1.0 + threshold.abs())).then_some(value > threshold)
+}
+
+/// Whether both hold; unknown only where it matters.
+fn both(a: Option<bool>, b: Option<bool>) -> Option<bool> {
+    if a == Some(false) || b == Some(false) { Some(false) } else { a.and(b) }
+}
+
+fn crowded(energy: f32, i: usize) -> Option<bool> {
+    let parameters = Parameters::default();
+    let excess = f64::from(energy) / parameters.ideal_energy - 1.0;
+    let bar = parameters.delete_above - 1.0;
+    both(beyond(excess, bar), beyond(random_uniform(0, i) * excess, bar))
+}
+
+fn lonely(energy: f32, i: usize) -> Option<bool> {
+    let parameters = Parameters::default();
+    let lack = 1.0 - f64::from(energy) / parameters.ideal_energy;
+    let bar = 1.0 - parameters.add_below;
+    both(beyond(lack, bar), beyond(random_uniform(1, i) * lack, bar))
+}
+
+/// A crowd with holes: random points on a torus whose h is graded.
+fn scene() -> Scene {
+    Scene::bumpy_torus(2100)
+}
+
+#[test]
+fn one_class_moves_as_on_the_cpu_and_nobody_else_does() {
+    let Some(gpu) = any_gpu("movement of a class", Choice::default()) else { return };
+    let scene = scene();
+    let mut rig = Rig::new(&gpu, &scene);
+    let (state, fields) = (rig.state(), scene.fields());
+    let classes: Vec<u32> = rig.take("classes", rig.count());
+    let class = 3;
+    let step = Step { workgroups: None, ..Step::over("move_particles", class, 0) };
+    rig.engine.run_steps(u64::from(PASS), &[step], false).unwrap();
+    let after: Vec<[f32; 4]> = rig.take("place", rig.count());
+    let origin = device_origin(&rig.engine.geometry);
+    let (mut members, mut alike, mut moved) = (0, 0, 0);
+    for i in 0..rig.count() {
+        if classes[i] != class {
+            assert!(after[i] == rig.places[i], "{i} is of class {}", classes[i]);
+            continue;
+        }
+        let wanted = movement::step(&state, &fields, i);
+        let found = origin + Vec3::from_slice(&after[i]).as_dvec3();
+        let h = state.set.sizes[i];
+        members += 1;
+        moved += usize::from(wanted.moved);
+        alike += usize::from(found.distance(wanted.position) < 1e-3 * h);
+        let (was, now) =
+            (state.energy_at(i, state.set.positions[i], h), state.energy_at(i, found, f64::from(after[i][3])));
+        assert!(now <= was * (1.0 + 1e-4), "{i}: energy {was} -> {now}");
+    }
+    assert!(members > 40 && moved * 10 > members * 9, "{moved} of {members} moved");
+    // a step whose energy test is a close call may be refused on one side and not on the other
+    assert!(alike * 100 >= members * 98, "{alike} of {members} went where the CPU sends them");
+}
+
+#[test]
+fn rounds_of_deletion_are_those_of_the_twin() {
+    let Some(gpu) = any_gpu("deletion", Choice::default()) else { return };
+    let mut rig = Rig::new(&gpu, &scene());
+    let count = rig.count();
+    let mut gone = [0; 4];
+    for round in 1..=3 {
+        let was: Vec<u32> = rig.take("marks", count);
+        let energies: Vec<f32> = rig.take("energies", count);
+        rig.run("density_delete", round);
+        let marks: Vec<u32> = rig.take("marks", count);
+        let touched: Vec<u32> = rig.take("touched", count);
+        for i in 0..count {
+            if was[i] != 0 {
+                assert_eq!(marks[i], was[i], "{i} was deleted before");
+                continue;
+            }
+            // goes if it is crowded and none that is crowded, worse and within reach is there
+            let mut wanted = crowded(energies[i], i);
+            for j in rig.list(i).filter(|&j| was[j] == 0) {
+                let worse = energies[j] > energies[i] || (energies[j] == energies[i] && j < i);
+                let beaten = both(both(Some(worse), crowded(energies[j], j)), beyond(1.0, rig.apart(i, j)));
+                wanted = both(wanted, beaten.map(|b| !b));
+            }
+            assert!(
+                wanted.is_none_or(|w| w == (marks[i] == round)),
+                "{i} in round {round}: {wanted:?}, mark {}",
+                marks[i]
+            );
+            gone[round as usize] += usize::from(marks[i] == round);
+            let near_one = rig.list(i).any(|j| marks[j] == round);
+            assert_eq!(touched[i] == round, near_one, "{i} in round {round}");
+        }
+        rig.run("density_relieve", round);
+        let relieved: Vec<f32> = rig.take("energies", count);
+        for i in (0..count).filter(|&i| marks[i] == 0) {
+            let share: f64 = rig.list(i).filter(|&j| marks[j] == round).map(|j| pair_energy(rig.apart(i, j))).sum();
+            let wanted = f64::from(energies[i]) - share;
+            assert!((f64::from(relieved[i]) - wanted).abs() < 1e-4 * (0.1 + f64::from(energies[i])), "{i}: {wanted}");
+        }
+    }
+    assert!(gone[1] > 50 && gone[2] > 5, "{gone:?} were deleted: too few for a test");
+}
+
+#[test]
+fn newcomers_are_those_of_the_twin_and_everybody_finds_a_place() {
+    let Some(gpu) = any_gpu("insertion", Choice::default()) else { return };
+    let scene = scene();
+    let mut rig = Rig::new(&gpu, &scene);
+    let (state, fields) = (rig.state(), scene.fields());
+    let count = rig.count();
+    for round in 1..=3 {
+        rig.run("density_delete", round);
+        rig.run("density_relieve", round);
+    }
+    let marks: Vec<u32> = rig.take("marks", count);
+    let energies: Vec<f32> = rig.take("energies", count);
+    rig.run("insert_propose", 0);
+    let proposals: Vec<u32> = rig.take("proposals", count);
+    let newcomers: Vec<[f32; 4]> = rig.take("newcomer_place", count);
+    let origin = device_origin(&rig.engine.geometry);
+    let deleted: Vec<bool> = marks.iter().map(|&mark| mark != 0).collect();
+    let (mut made, mut differ) = (0, 0);
+    for i in 0..count {
+        let Some(is_lonely) = lonely(energies[i], i) else { continue };
+        let wanted = (is_lonely && !deleted[i]).then(|| place_in_widest_gap(&state, &fields, &deleted, i)).flatten();
+        let wanted = wanted.filter(|(p, _, h)| {
+            let room = |j: usize| p.distance(state.set.positions[j]) > 0.45 * h.min(state.set.sizes[j]);
+            rig.list(i).filter(|&j| !deleted[j]).all(room)
+        });
+        made += usize::from(proposals[i] != 0);
+        let alike = match wanted {
+            Some((p, _, h)) => {
+                let found = origin + Vec3::from_slice(&newcomers[i]).as_dvec3();
+                proposals[i] == 1 && found.distance(p) < 1e-3 * h && (f64::from(newcomers[i][3]) - h).abs() < 1e-3 * h
+            }
+            None => proposals[i] == 0,
+        };
+        differ += usize::from(!alike);
+    }
+    assert!(made > 30, "{made} newcomers: too few for a test");
+    // two gaps of the same width, to f32, or room that is a close call
+    assert!(differ * 100 <= made, "{differ} of {made} proposals differ");
+
+    rig.run("insert_choose", 0);
+    let keep: Vec<u32> = rig.take("keep", 2 * count);
+    let at = |i: usize| Vec3::from_slice(&newcomers[i]).as_dvec3();
+    let beats = |j: usize, i: usize| {
+        let priority = |i: usize| random_bits(4 * PASS + 2, i as u32);
+        priority(j) > priority(i) || (priority(j) == priority(i) && j < i)
+    };
+    for i in 0..count {
+        assert_eq!(keep[i] == 1, !deleted[i], "{i}");
+        let beaten_by_neighbour = rig.list(i).any(|j| proposals[j] != 0 && beats(j, i));
+        let crowded_out = rig.list(i).flat_map(|j| rig.list(j)).any(|far| {
+            let near = 0.7 * f64::from(newcomers[i][3].min(newcomers[far][3]));
+            far != i && proposals[far] != 0 && beats(far, i) && DVec3::distance(at(i), at(far)) < near
+        });
+        let wanted = proposals[i] != 0 && !beaten_by_neighbour && !crowded_out;
+        assert_eq!(keep[count + i] == 1, wanted, "newcomer of {i}");
+    }
+
+    let mut last = Vec::new();
+    scan(&mut last, "keep", 2 * count as u32);
+    last.push(Step::over("compact", 0, rig.engine.count.div_ceil(64)));
+    let words = rig.engine.run_steps(u64::from(PASS), &last, false).unwrap();
+    let stay = (0..count).filter(|&i| keep[i] == 1).map(|i| rig.places[i]);
+    let come = (0..count).filter(|&i| keep[count + i] == 1).map(|i| newcomers[i]);
+    let wanted: Vec<[f32; 4]> = stay.chain(come).collect();
+    assert_eq!([words[5], words[6]].map(|w| w as usize), [wanted.len(), keep[..count].iter().sum::<u32>() as usize]);
+    assert!(rig.take::<[f32; 4]>("listed_place", wanted.len()) == wanted, "places after compaction");
+}
+
+#[test]
+fn totals_are_those_of_the_particles() {
+    let Some(gpu) = any_gpu("totals", Choice::default()) else { return };
+    // one particle, one block, and an odd number of blocks
+    for count in [1, 2048, 4500] {
+        let mut rig = Rig::new(&gpu, &Scene::ball(count, 0.9));
+        let energies: Vec<f32> = rig.take("energies", rig.count());
+        let blocks = rig.engine.count.div_ceil(2048);
+        let steps = [Step::over("sum_blocks", 0, blocks), Step::over("sum_total", 0, 1)];
+        let words = rig.engine.run_steps(u64::from(PASS), &steps, false).unwrap();
+        let energy: f64 = energies.iter().map(|&e| f64::from(e)).sum();
+        assert!((f64::from(f32::from_bits(words[0])) - energy).abs() <= 1e-5 * energy, "{count}: {energy}");
+        assert_eq!([words[1], words[2], words[3]], [0; 3], "nobody has moved");
+        let state = rig.state();
+        let unsure = (0..state.len()).filter(|&i| on_the_edge(&state, i)).count();
+        assert!((words[7] as usize).abs_diff(state.faults()) <= unsure, "{} faults, not {}", words[7], state.faults());
+        assert!(unsure * 100 <= rig.count(), "{unsure} of {count} are close calls");
+    }
+}
+
+/// Whether f32 may see a neighbour of particle i on the other side of the first ring.
+fn on_the_edge(state: &State, i: usize) -> bool {
+    let set = &state.set;
+    state.neighbours.of(i).iter().any(|&j| {
+        let ratio = set.positions[i].distance(set.positions[j as usize]) / set.sizes[i].min(set.sizes[j as usize]);
+        (ratio / crate::state::FIRST_RING - 1.0).abs() < EDGE || (ratio / SUPPORT - 1.0).abs() < EDGE
+    })
+}
