@@ -127,7 +127,7 @@ fn split(
     };
     let middles: Vec<_> = (0..points.len())
         .into_par_iter()
-        .flat_map_iter(|i| near.of(i).iter().filter_map(move |&j| (j as usize > i).then(|| (i, j as usize))))
+        .flat_map_iter(|i| near.of(i).iter().map(move |&j| (i, j as usize)).filter(|(i, j)| j > i))
         .filter_map(|(i, j)| middle_of(i, j))
         .collect();
     for (position, normal, size) in middles {

@@ -4,6 +4,7 @@ use super::any_gpu;
 use super::scenes::Scene;
 use crate::gpu::adapter::{Choice, Gpu};
 use crate::gpu::engine::{Binning, GpuEngine};
+use crate::gpu::memory::Memory;
 use crate::settle::{Engine, Parameters, PassRecord, Summary, settle, settle_with};
 use isoparticles_common::particle_set::ParticleSet;
 
@@ -116,6 +117,48 @@ fn an_adapter_that_is_not_there_ends_with_exit_code_3() {
     let choice = Choice { name: Some("no such adapter".to_owned()), ..Choice::default() };
     let Err(error) = Gpu::open(&choice) else { panic!("it was opened") };
     assert_eq!(error.kind, isoparticles_common::error::Kind::Gpu);
+}
+
+#[test]
+fn a_lost_device_is_an_error_with_exit_code_3_and_the_run_goes_on_elsewhere() {
+    let Some(gpu) = any_gpu("a lost device", Choice::default()) else { return };
+    let scene = Scene::ball(300, 1.6);
+    let parameters = Parameters { max_passes: 15, levels: 1, ..Parameters::default() };
+    let whole = settled(&gpu, &scene, &parameters, Binning::Graded);
+    let mut kept: Option<(Vec<PassRecord>, ParticleSet)> = None;
+    let mut records = Vec::new();
+    let fields = scene.fields();
+    let mut engine = GpuEngine::new(&gpu, &fields, &scene.seeds, &parameters, Binning::Graded).unwrap();
+    let lost = settle_with(&mut engine, &fields, &parameters, &[], |record, engine| {
+        records.push(*record);
+        match record.pass {
+            10 => kept = Some((records.clone(), engine.particles()?)),
+            12 => gpu.device.destroy(),
+            _ => {}
+        }
+        Ok(())
+    });
+    let Err(error) = lost else { panic!("it was not noticed") };
+    assert_eq!(error.kind, isoparticles_common::error::Kind::Gpu, "{error}");
+    assert!(error.next.contains("--resume"), "{error}");
+    assert_eq!(records.len(), 12, "no pass after the loss counts");
+    // from the last checkpoint, on a device opened anew
+    let (records, set) = kept.unwrap();
+    let Some(gpu) = any_gpu("a device opened anew", Choice::default()) else { return };
+    let mut engine = GpuEngine::new(&gpu, &fields, &set, &parameters, Binning::Graded).unwrap();
+    let resumed = settle_with(&mut engine, &fields, &parameters, &records, |_, _| Ok(())).unwrap();
+    assert!(whole.0 == resumed.0, "the resumed run differs");
+}
+
+#[test]
+fn a_buffer_beyond_the_limits_is_refused() {
+    let Some(gpu) = any_gpu("limits of buffers", Choice::default()) else { return };
+    let mut memory = Memory::default();
+    let most = gpu.limits.max_buffer_size.min(gpu.limits.max_storage_buffer_binding_size);
+    let error = memory.make(&gpu, "lists", most + 16, wgpu::BufferUsages::empty()).unwrap_err();
+    assert_eq!(error.kind, isoparticles_common::error::Kind::Gpu);
+    assert!(error.what.contains("lists") && error.what.contains(&most.to_string()), "{error}");
+    assert_eq!(memory.peak(), 0, "nothing was taken");
 }
 
 #[test]
