@@ -110,15 +110,15 @@ fn lonely(energy: f32, i: usize) -> Option<bool> {
     both(beyond(lack, bar), beyond(random_uniform(1, i) * lack, bar))
 }
 
-/// A crowd with holes: random points on a torus whose h is graded.
-fn scene() -> Scene {
+/// Random points on a torus whose h is graded: more than a lattice has.
+fn crowd() -> Scene {
     Scene::bumpy_torus(2100)
 }
 
 #[test]
 fn one_class_moves_as_on_the_cpu_and_nobody_else_does() {
     let Some(gpu) = any_gpu("movement of a class", Choice::default()) else { return };
-    let scene = scene();
+    let scene = crowd();
     let mut rig = Rig::new(&gpu, &scene);
     let (state, fields) = (rig.state(), scene.fields());
     let classes: Vec<u32> = rig.take("classes", rig.count());
@@ -151,7 +151,7 @@ fn one_class_moves_as_on_the_cpu_and_nobody_else_does() {
 #[test]
 fn rounds_of_deletion_are_those_of_the_twin() {
     let Some(gpu) = any_gpu("deletion", Choice::default()) else { return };
-    let mut rig = Rig::new(&gpu, &scene());
+    let mut rig = Rig::new(&gpu, &crowd());
     let count = rig.count();
     let mut gone = [0; 4];
     for round in 1..=3 {
@@ -195,8 +195,15 @@ fn rounds_of_deletion_are_those_of_the_twin() {
 #[test]
 fn newcomers_are_those_of_the_twin_and_everybody_finds_a_place() {
     let Some(gpu) = any_gpu("insertion", Choice::default()) else { return };
-    let scene = scene();
-    let mut rig = Rig::new(&gpu, &scene);
+    // far fewer than a lattice has: newcomers come near each other
+    let by_distance: usize =
+        [160, 200, 240, 300, 360].into_iter().map(|n| insertion(&gpu, &Scene::bumpy_torus(n))).sum();
+    assert!(by_distance >= 3, "{by_distance} newcomers gave way to another's over a distance: too few for a test");
+}
+
+/// Compares all steps of insertion; says how many newcomers gave way to one beyond the next neighbours.
+fn insertion(gpu: &Gpu, scene: &Scene) -> usize {
+    let mut rig = Rig::new(gpu, scene);
     let (state, fields) = (rig.state(), scene.fields());
     let count = rig.count();
     for round in 1..=3 {
@@ -239,6 +246,7 @@ fn newcomers_are_those_of_the_twin_and_everybody_finds_a_place() {
         let priority = |i: usize| random_bits(4 * PASS + 2, i as u32);
         priority(j) > priority(i) || (priority(j) == priority(i) && j < i)
     };
+    let mut by_distance = 0;
     for i in 0..count {
         assert_eq!(keep[i] == 1, !deleted[i], "{i}");
         let beaten_by_neighbour = rig.list(i).any(|j| proposals[j] != 0 && beats(j, i));
@@ -247,6 +255,7 @@ fn newcomers_are_those_of_the_twin_and_everybody_finds_a_place() {
             far != i && proposals[far] != 0 && beats(far, i) && DVec3::distance(at(i), at(far)) < near
         });
         let wanted = proposals[i] != 0 && !beaten_by_neighbour && !crowded_out;
+        by_distance += usize::from(proposals[i] != 0 && !beaten_by_neighbour && crowded_out);
         assert_eq!(keep[count + i] == 1, wanted, "newcomer of {i}");
     }
 
@@ -259,6 +268,7 @@ fn newcomers_are_those_of_the_twin_and_everybody_finds_a_place() {
     let wanted: Vec<[f32; 4]> = stay.chain(come).collect();
     assert_eq!([words[5], words[6]].map(|w| w as usize), [wanted.len(), keep[..count].iter().sum::<u32>() as usize]);
     assert!(rig.take::<[f32; 4]>("listed_place", wanted.len()) == wanted, "places after compaction");
+    by_distance
 }
 
 #[test]
