@@ -1,0 +1,202 @@
+#!/usr/bin/env python3
+"""Quality of the triangles that settled particles make: over passes and time, or on both backends.
+
+    quality.py passes CASE ... [--passes 5 10 20 ...] [--levels 1 3]    CSV: quality after so many passes on each level
+    quality.py backends CASE ... [--jobs N]                             table: CPU against GPU, default parameters
+    quality.py plot CSV PICTURE                                         draws the CSV (needs matplotlib)
+
+CASE is NAME=VOLUME;DISTFIELD OPTIONS[;SIZEFIELD OPTIONS]; VOLUME is a file, or the words for `phantom` that make one:
+    torus="torus --size 128;--iso 100;--uniform 1.2"    heart="heart.nrrd;--labels 1"
+
+"raw" are the Delaunay triangles of the particles as they are, "full" those after reconstruct has improved them. Time is the device's
+where there is one, else that of the settling.
+"""
+
+from __future__ import annotations
+
+import argparse
+import concurrent.futures
+import csv
+import hashlib
+import json
+import subprocess
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+RAW = ["--relaxation-sweeps", "0", "--improve-rounds", "0"]
+
+
+@dataclass
+class Case:
+    """A surface with its size field and seeds, and the folder and programs to work with."""
+
+    name: str
+    volume: str
+    distfield: list[str]
+    sizefield: list[str]
+    programs: Path
+    work: Path
+
+    def file(self, ending: str) -> str:
+        """Path of one of the case's files."""
+        return str(self.work / f"{self.name}.{ending}")
+
+    def run(self, program: str, *arguments: str, allowed: tuple[int, ...] = (0,)) -> dict[str, Any]:
+        """Runs a stage and returns its report."""
+        report = self.file(f"{program}.json")
+        command = [str(self.programs / program), *arguments, "--force", "-q", "--report", report]
+        done = subprocess.run(command, check=False, stderr=subprocess.PIPE, text=True)
+        if done.returncode not in allowed:
+            sys.exit(f"{' '.join(command)}: exit code {done.returncode}\n{done.stderr}")
+        with open(report, encoding="utf-8") as file:
+            loaded: dict[str, Any] = json.load(file)
+        return loaded
+
+    def prepare(self) -> None:
+        """Makes fields and seeds unless they are there."""
+        if Path(self.file("seeds.bin")).exists():
+            return
+        volume = self.volume
+        if not Path(volume).exists():
+            volume = self.file("nrrd")
+            subprocess.run([str(self.programs / "phantom"), *self.volume.split(), "-o", volume, "--force"], check=True)
+        self.run("distfield", volume, *self.distfield, "-o", self.file("distfield.vti"))
+        self.run("sizefield", self.file("distfield.vti"), *self.sizefield, "-o", self.file("sizefield.vti"))
+        self.run("seed", self.file("distfield.vti"), self.file("sizefield.vti"), "-o", self.file("seeds.bin"))
+
+    def settle(self, *options: str) -> dict[str, Any]:
+        """Settles the seeds; returns particles, passes, seconds, faults and a hash of the file."""
+        report = self.run(
+            "particles", self.file("seeds.bin"), "--distfield", self.file("distfield.vti"), "--sizefield",
+            self.file("sizefield.vti"), "-o", self.file("bin"), "--log", self.file("csv"), *options,
+        )  # fmt: skip
+        results = report["results"]
+        settling = next(step["seconds"] for step in report["steps"] if step["name"] == "settle")
+        with open(self.file("csv"), encoding="utf-8") as file:
+            last = list(csv.DictReader(file))[-1]
+        with open(self.file("bin"), "rb") as particles:
+            digest = hashlib.file_digest(particles, "sha256").hexdigest()
+        return {
+            "particles": int(last["count"]),
+            "passes": int(last["pass"]),
+            "seconds": results.get("device", {}).get("device_seconds", settling),
+            "faults": int(last["faults"]) / int(last["count"]),
+            "hash": digest,
+        }
+
+    def quality(self, *options: str) -> tuple[float, float]:
+        """Mean and smallest radius ratio of the triangles of the settled particles."""
+        report = self.run(
+            "reconstruct", self.file("bin"), "--distfield", self.file("distfield.vti"), "--sizefield",
+            self.file("sizefield.vti"), "-o", self.file("vtp"), *options, allowed=(0, 1),
+        )  # fmt: skip
+        quality = report["results"]["check"]["quality"]
+        return quality["radius_ratio_mean"], quality["radius_ratio_min"]
+
+
+def over_passes(cases: list[Case], arguments: argparse.Namespace) -> None:
+    """Prints a line for each case, number of levels and of passes."""
+    writer = csv.writer(sys.stdout, lineterminator="\n")
+    writer.writerow(["case", "levels", "passes", "particles", "seconds", "faults", "mean", "smallest"])
+    for case in cases:
+        case.prepare()
+        for levels in arguments.levels:
+            runs = [["--max-passes", str(n), "--coarse-passes", str(n), "--energy-tolerance", "0"] for n in arguments.passes]
+            for options in [*runs, []]:
+                settled = case.settle("--backend", arguments.backend, "--levels", str(levels), *options)
+                mean, smallest = case.quality(*RAW)
+                passes = f"{settled['passes']}{'' if options else ' (stop test)'}"
+                numbers = [f"{x:.4f}" for x in (settled["seconds"], settled["faults"], mean, smallest)]
+                writer.writerow([case.name, levels, passes, settled["particles"], *numbers])
+                sys.stdout.flush()
+
+
+def compare(case: Case, backends: list[str], raw_only: bool) -> str:
+    """A row of the table of [`over_backends`]."""
+    case.prepare()
+    counts, passes, faults, raw, full, notes = [], [], [], [], [], []
+    for backend in backends:
+        settled = case.settle("--backend", backend)
+        counts.append(f"{settled['particles']:,}")
+        passes.append(str(settled["passes"]))
+        faults.append(f"{100 * settled['faults']:.1f}")
+        raw.append("{:.3f} / {:.2f}".format(*case.quality(*RAW)))
+        full.append("-" if raw_only else "{:.3f} / {:.2f}".format(*case.quality()))
+        if backend == "gpu":
+            again = case.settle("--backend", backend)
+            notes.append("same bytes" if again["hash"] == settled["hash"] else "DIFFERENT BYTES")
+    columns = [", ".join(column) for column in (counts, passes, faults, raw, full)]
+    return f"| {case.name} | " + " | ".join([*columns, *notes]) + " |"
+
+
+def over_backends(cases: list[Case], arguments: argparse.Namespace) -> None:
+    """Prints a row for each case, CPU and GPU side by side."""
+    backends = ["cpu"] if arguments.backend == "cpu" else ["cpu", "gpu"]
+    again = " two GPU runs |" if "gpu" in backends else ""
+    print(f"| surface | particles, {', '.join(backends)} | passes | faults, % | raw, mean / smallest | full |{again}")
+    print("|---" * (7 if again else 6) + "|")
+    with concurrent.futures.ThreadPoolExecutor(arguments.jobs) as pool:
+        rows = [pool.submit(compare, case, backends, arguments.raw_only) for case in cases]
+        for row in concurrent.futures.as_completed(rows):
+            print(row.result(), flush=True)
+
+
+def plot(table: Path, picture: Path) -> None:
+    """Draws mean and smallest radius ratio over time and passes, a column for each case."""
+    import matplotlib.pyplot as plt
+
+    with open(table, encoding="utf-8") as file:
+        rows = [row for row in csv.DictReader(file) if "stop" not in row["passes"]]
+    names = list(dict.fromkeys(row["case"] for row in rows))
+    figure, axes = plt.subplots(2, len(names), figsize=(3.6 * len(names), 6), squeeze=False, sharey="row", layout="constrained")
+    for column, name in enumerate(names):
+        for levels, marker in (("1", "o"), ("3", "s")):
+            own = [row for row in rows if row["case"] == name and row["levels"] == levels]
+            seconds = [1e3 * float(row["seconds"]) for row in own]
+            label = "at h at once" if levels == "1" else "coarse to fine, 3 levels"
+            for line, key in enumerate(("mean", "smallest")):
+                axes[line][column].plot(seconds, [float(row[key]) for row in own], marker=marker, label=label)
+            for x, row in zip(seconds, own, strict=True):
+                axes[0][column].annotate(
+                    row["passes"], (x, float(row["mean"])), fontsize=6, xytext=(2, -8), textcoords="offset points"
+                )
+        axes[0][column].set_title(f"{name}, {int(own[-1]['particles']):,} particles", fontsize=10)
+        axes[1][column].set_xlabel("time, ms")
+        for line in range(2):
+            axes[line][column].set_xscale("log")
+            axes[line][column].grid(alpha=0.3, which="both")
+    axes[0][0].set_ylabel("radius ratio, mean (passes in small)")
+    axes[1][0].set_ylabel("radius ratio, smallest")
+    axes[0][0].legend(fontsize=8, loc="lower right")
+    figure.savefig(picture, dpi=130)
+
+
+def main() -> None:
+    """Reads the command line."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("task", choices=["passes", "backends", "plot"])
+    parser.add_argument("cases", nargs="+", metavar="CASE")
+    parser.add_argument("--bin", type=Path, default=Path("target/release"), help="folder of the stage programs")
+    parser.add_argument("--work", type=Path, default=Path("out/quality"), help="folder for the files")
+    parser.add_argument("--backend", choices=["auto", "gpu", "cpu"], default="auto")
+    parser.add_argument("--passes", type=int, nargs="+", default=[5, 10, 20, 40, 80, 160])
+    parser.add_argument("--levels", type=int, nargs="+", default=[1, 3])
+    parser.add_argument("--raw-only", action="store_true", help="leave out the improved triangles")
+    parser.add_argument("--jobs", type=int, default=1, help="cases at once")
+    arguments = parser.parse_intermixed_args()
+    if arguments.task == "plot":
+        plot(Path(arguments.cases[0]), Path(arguments.cases[1]))
+        return
+    arguments.work.mkdir(parents=True, exist_ok=True)
+    cases = []
+    for text in arguments.cases:
+        name, _, rest = text.partition("=")
+        volume, distfield, sizefield = [*rest.split(";"), ""][:3]
+        cases.append(Case(name, volume, distfield.split(), sizefield.split(), arguments.bin, arguments.work))
+    {"passes": over_passes, "backends": over_backends}[arguments.task](cases, arguments)
+
+
+if __name__ == "__main__":
+    main()
