@@ -83,7 +83,7 @@ graded() {
 row() {
     name=$1 distance=$2
     common="$work/$name.seeds.bin --distfield $distance --sizefield $work/$name.sizefield.vti --force --progress none -q"
-    common="$common --max-passes $passes --energy-tolerance 0"
+    common="$common --max-passes $passes --energy-tolerance 0 --levels 1"
     # shellcheck disable=SC2086 # options are split on purpose
     "$bin/particles" $common -o "$work/$name.gpu.bin" --backend gpu ${adapter:+--adapter "$adapter"} $options \
         --report "$work/$name.gpu.json"

@@ -50,8 +50,8 @@ impl Default for Parameters {
             fault_tolerance: 5e-3,
             energy_tolerance: None,
             ideal_energy: energy::ideal_energy(),
-            add_below: 0.75,
-            delete_above: 1.35,
+            add_below: 0.8,
+            delete_above: 1.25,
             allow_insert: true,
             closing_passes: 10,
             normal_agreement: 0.0,
@@ -70,7 +70,7 @@ pub const FAULT_WINDOW: usize = 10;
 
 /// Density control is at rest when it adds and deletes no more than this share of the particles a pass, at h and on coarser levels.
 const CHURN: f64 = 5e-4;
-const COARSE_CHURN: f64 = 5e-3;
+const COARSE_CHURN: f64 = 2e-2;
 
 /// Every so many passes the particles are put in order of place again; checkpoints are written between.
 pub const REORDER_INTERVAL: u64 = 10;

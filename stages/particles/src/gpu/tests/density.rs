@@ -196,8 +196,9 @@ fn rounds_of_deletion_are_those_of_the_twin() {
 fn newcomers_are_those_of_the_twin_and_everybody_finds_a_place() {
     let Some(gpu) = any_gpu("insertion", Choice::default()) else { return };
     // far fewer than a lattice has: newcomers come near each other
-    let by_distance: usize =
-        [160, 200, 240, 300, 360].into_iter().map(|n| insertion(&gpu, &Scene::bumpy_torus(n))).sum();
+    let tori = (120..420).step_by(60).map(Scene::bumpy_torus);
+    let balls = (40..400).step_by(20).map(|n| Scene::ball(n, 1.6));
+    let by_distance: usize = tori.chain(balls).map(|scene| insertion(&gpu, &scene)).sum();
     assert!(by_distance >= 3, "{by_distance} newcomers gave way to another's over a distance: too few for a test");
 }
 
@@ -235,7 +236,7 @@ fn insertion(gpu: &Gpu, scene: &Scene) -> usize {
         };
         differ += usize::from(!alike);
     }
-    assert!(made > 30, "{made} newcomers: too few for a test");
+    assert!(made > 10, "{made} newcomers: too few for a test");
     // two gaps of the same width, to f32, or room that is a close call
     assert!(differ * 100 <= made, "{differ} of {made} proposals differ");
 
