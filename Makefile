@@ -132,7 +132,7 @@ endef
 # --- Goals ------------------------------------------------------------------------------------------------------------
 
 .PHONY: help mesh surface demo cases build env doctor test format lint documentation test-rust test-python bench-stages \
-        bench-gpu \
+        bench-gpu bench-convergence bench-marching-cubes \
         FORCE
 FORCE:
 
@@ -149,6 +149,8 @@ Volumes in, simulation-ready meshes out.
   make test                                    format, lints, documentation, tests
   make bench-stages                            time and memory of every stage on the torso phantom
   make bench-gpu                               the particles stage on the GPU against one CPU thread (BENCH_OPTIONS=...)
+  make bench-convergence                       error of a known solution on the ball, from coarse to fine tetrahedra
+  make bench-marching-cubes                    solvers on tetrahedra in our surfaces against those in marching cubes (PARTS=...)
 
 Parameters of mesh, surface and CASE, with the stages' defaults where left out:
   NAME=...      name of the results [the volume's]       OUT=...       folder of the results [out]
@@ -301,3 +303,19 @@ bench-stages: build env
 BENCH_OPTIONS ?=
 bench-gpu: build
 	@stages/particles/benches/bench_gpu.sh --bin $(BIN) --work $(OUT)/bench-gpu $(BENCH_OPTIONS)
+
+# The error of Poisson's equation on the ball at several edge lengths, mm.
+SIZES ?= 4 2 1
+bench-convergence: build env
+	@for size in $(SIZES); do \
+	  $(MAKE) --no-print-directory CASE=ball NAME=ball-$$size SIZE=$$size OUT=$(OUT)/bench NO_BUILD=yes VERBOSITY=-q mesh || exit $$?; \
+	done
+	$(TETMESH_CHECK)-convergence $(foreach size,$(SIZES),$(OUT)/bench/ball-$(size)/ball-$(size).volume.vtu)
+
+# Our surfaces against marching cubes on the same distance field, through the same tetrahedralizer.
+bench-marching-cubes: build env
+	@for part in $(PARTS); do \
+	  $(MAKE) --no-print-directory CASE=$$part NAME=$$part OUT=$(OUT)/bench NO_BUILD=yes surface || exit $$?; \
+	done
+	$(VENV)/bin/python stages/tetmesh-check/benches/marching_cubes.py $(addprefix $(OUT)/bench/,$(PARTS)) \
+	  --work $(OUT)/bench/marching-cubes

@@ -57,7 +57,7 @@ def test_ball_with_graded_sizing(tmp_path: Path, run: Run) -> None:
     }  # fmt: skip
     assert (report["outcome"], report["exit_code"], report["failed_checks"]) == ("passed", 0, [])
     results = report["results"]
-    assert set(results) == {"surface", "sizing", "tetrahedralizer", "volume", "distance_mm", "checks"}
+    assert set(results) == {"surface", "sizing", "tetrahedralizer", "volume", "distance_mm", "solve", "checks"}
     assert results["volume"]["tetrahedra"] == len(cells)
     assert results["tetrahedralizer"]["method"] == history["parameters"]["method"] == "ftetwild"
     assert "642 vertices" in results["tetrahedralizer"]["reason"]
@@ -68,7 +68,7 @@ def test_ball_with_graded_sizing(tmp_path: Path, run: Run) -> None:
     assert {check["name"]: check["verdict"] for check in results["checks"]} == dict.fromkeys(
         [
             "positive_volumes", "min_dihedral", "min_scaled_jacobian", "volume_change", "bodies", "boundary_distance",
-            "surface_distance", "boundary_manifold", "euler_characteristic",
+            "surface_distance", "boundary_manifold", "euler_characteristic", "solve_converged", "best_approximation",
         ],
         "pass",
     )  # fmt: skip

@@ -17,6 +17,7 @@ from tetmesh_check.fill import Filled, Method, Task, fill
 from tetmesh_check.pictures import PictureJob, draw_pictures
 from tetmesh_check.quality import Values, summarize, summarize_all, tetrahedron_quality, triangle_quality
 from tetmesh_check.sizing import SizingField, read_sizing_field, uniform_sizing_field
+from tetmesh_check.solve import SolveSettings, VolumeMesh, solve_on
 from tetmesh_check.surface import Surface, check_surface, read_surface
 from tetmesh_check.topology import Topology, changed_triangles, measure_topology, tetrahedron_boundary
 from tetmesh_check.volume import write_volume
@@ -44,6 +45,7 @@ class Arguments:
     max_passes: int = 80
     max_seconds: float = 3600.0
     limits: Limits = field(default_factory=Limits)
+    solve: SolveSettings = field(default_factory=SolveSettings)
 
     @property
     def name(self) -> str:
@@ -72,6 +74,7 @@ class Arguments:
             "min_scaled_jacobian": self.limits.min_scaled_jacobian,
             "max_volume_change": self.limits.max_volume_change,
             "max_distance": self.limits.max_distance,
+            "solve": self.solve.mode,
         }
 
 
@@ -108,11 +111,12 @@ def _measure(
     envelope: float,
     arguments: Arguments,
     context: Context,
-) -> Measurements:
+) -> tuple[Measurements, VolumeMesh]:
     points, tetrahedra = filled.points, filled.tetrahedra
     with context.step("measure quality"):
         quality = tetrahedron_quality(points, tetrahedra)
-        boundary, bodies = tetrahedron_boundary(tetrahedra)
+        boundary, body_of_tetrahedron = tetrahedron_boundary(tetrahedra)
+        bodies = int(body_of_tetrahedron.max()) + 1
         boundary_topology = measure_topology(points, boundary)
         missing, added = changed_triangles((surface.points, surface.triangles), (points, boundary))
         context.results["volume"] = {
@@ -141,7 +145,7 @@ def _measure(
             "boundary_to_surface": summarize_distances(to_surface),
             "surface_to_boundary": summarize_distances(to_boundary),
         }
-    return Measurements(
+    measured = Measurements(
         quality=quality,
         surface_volume=surface.volume(),
         surface_bodies=int((components.volumes > 0).sum()),
@@ -152,6 +156,7 @@ def _measure(
         surface_distance=float(to_boundary.max()),
         envelope=envelope,
     )
+    return measured, VolumeMesh(points, tetrahedra, quality.volume, boundary, body_of_tetrahedron)
 
 
 def _draw(job: PictureJob, context: Context) -> None:
@@ -229,8 +234,8 @@ def run(arguments: Arguments, context: Context) -> list[str]:
     )
     filled = fill(task, context)
 
-    measured = _measure(surface, topology, components, sizing, filled, envelope, arguments, context)
-    checks = run_checks(measured, arguments.limits)
+    measured, mesh = _measure(surface, topology, components, sizing, filled, envelope, arguments, context)
+    checks = run_checks(measured, arguments.limits) + solve_on(mesh, arguments.solve, context)
     with context.step("write"):
         write_volume(arguments.output, filled.points, filled.tetrahedra, measured.quality, context.history())
     if (job := arguments.picture_job) is not None:

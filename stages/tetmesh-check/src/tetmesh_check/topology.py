@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass
 
 import numpy as np
+from scipy.sparse import coo_matrix, csgraph
 
 from tetmesh_check.quality import OUTWARD_FACES, Cells, Labels, Points
 
@@ -24,24 +25,9 @@ def connected_components(count: int, links: Cells) -> Labels:
     ndarray
         Component of each node, shape ``(count,)``, numbered from 0 by first appearance.
     """
-    root = np.arange(count, dtype=np.int64)
-    first, second = links[:, 0], links[:, 1]
-    while True:
-        a, b = root[first], root[second]
-        apart = a != b
-        if not apart.any():
-            break
-        first, second, a, b = first[apart], second[apart], a[apart], b[apart]
-        np.minimum.at(root, np.maximum(a, b), np.minimum(a, b))
-        while True:  # let every node point at the end of its chain
-            shorter = root[root]
-            if np.array_equal(shorter, root):
-                break
-            root = shorter
-    _, first_seen, labels = np.unique(root, return_index=True, return_inverse=True)
-    order = np.empty(len(first_seen), dtype=np.int64)
-    order[np.argsort(first_seen, kind="stable")] = np.arange(len(first_seen))
-    return order[labels.ravel()]
+    graph = coo_matrix((np.ones(len(links), dtype=np.int32), (links[:, 0], links[:, 1])), shape=(count, count))
+    labels: Labels = csgraph.connected_components(graph, directed=False)[1].astype(np.int64)
+    return labels
 
 
 @dataclass(frozen=True)
@@ -137,8 +123,8 @@ def measure_topology(points: Points, triangles: Cells) -> Topology:
     )
 
 
-def tetrahedron_boundary(tetrahedra: Cells) -> tuple[Cells, int]:
-    """Find the boundary of a volume mesh, and count its bodies.
+def tetrahedron_boundary(tetrahedra: Cells) -> tuple[Cells, Labels]:
+    """Find the boundary of a volume mesh, and its bodies.
 
     Parameters
     ----------
@@ -149,7 +135,7 @@ def tetrahedron_boundary(tetrahedra: Cells) -> tuple[Cells, int]:
     -------
     tuple
         The triangles that belong to one tetrahedron only, shape ``(k, 3)``, wound to point out of positive tetrahedra, and
-        the number of bodies; tetrahedra hang together through faces.
+        the body of each tetrahedron, shape ``(m,)``, numbered from 0; bodies hang together through faces.
     """
     size = len(tetrahedra)
     faces = np.concatenate([tetrahedra[:, face] for face in map(list, OUTWARD_FACES)])
@@ -162,7 +148,7 @@ def tetrahedron_boundary(tetrahedra: Cells) -> tuple[Cells, int]:
     boundary: Cells = faces[np.sort(order[alone])]
     # face number f of the concatenation belongs to tetrahedron f modulo their number
     links = np.stack([order[:-1][same] % size, order[1:][same] % size], 1)
-    return boundary, int(connected_components(size, links).max(initial=-1)) + 1
+    return boundary, connected_components(size, links)
 
 
 def _number_rows(rows: Points | Cells) -> Labels:
