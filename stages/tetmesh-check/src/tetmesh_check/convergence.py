@@ -16,9 +16,9 @@ import pyvista as pv
 
 from tetmesh_check import __version__
 from tetmesh_check.assembly import Assembler
-from tetmesh_check.cli import Parser
 from tetmesh_check.context import Interruptible
 from tetmesh_check.errors import ExitCode, StageError
+from tetmesh_check.parsing import Parser
 from tetmesh_check.problems import Solver, poisson
 from tetmesh_check.quality import Cells, Points, signed_tetrahedron_volumes
 from tetmesh_check.solve import MAX_ITERATIONS

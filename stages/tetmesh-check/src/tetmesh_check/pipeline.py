@@ -13,9 +13,11 @@ from tetmesh_check.components import Components
 from tetmesh_check.context import Context
 from tetmesh_check.distance import distances_both_ways, summarize_distances
 from tetmesh_check.errors import StageError
+from tetmesh_check.export import MarkedMesh, export, export_path
 from tetmesh_check.fill import Filled, Method, Task, fill
 from tetmesh_check.pictures import PictureJob, draw_pictures
 from tetmesh_check.quality import Values, summarize, summarize_all, tetrahedron_quality, triangle_quality
+from tetmesh_check.regions import CAP, LabelVolume, boundary_marks, meshed_labels, read_label_volume, regions_of
 from tetmesh_check.sizing import SizingField, read_sizing_field, uniform_sizing_field
 from tetmesh_check.solve import SolveSettings, VolumeMesh, solve_on
 from tetmesh_check.surface import Surface, check_surface, read_surface
@@ -34,6 +36,9 @@ class Arguments:
     output: Path
     sizefield: Path | None = None
     pictures: Path | None = None
+    labels_volume: Path | None = None
+    exports: tuple[str, ...] = ()
+    """What of :data:`.FORMATS` is written, too."""
     tet_size_factor: float = 1.0
     """Tetrahedron edge length over h."""
     method: Method = Method.AUTO
@@ -56,6 +61,10 @@ class Arguments:
     def log(self) -> Path:
         """Where the tetrahedralizer's log goes."""
         return self.output.with_name(f"{self.name}.tetrahedra.log")
+
+    def export_paths(self) -> dict[str, Path]:
+        """The file of each format that is written, too."""
+        return {kind: export_path(self.output, self.name, kind) for kind in self.exports}
 
     @property
     def picture_job(self) -> PictureJob | None:
@@ -159,6 +168,31 @@ def _measure(
     return measured, VolumeMesh(points, tetrahedra, quality.volume, boundary, body_of_tetrahedron)
 
 
+def _mark(surface: Surface, mesh: VolumeMesh, labels: LabelVolume | None, context: Context) -> MarkedMesh:
+    """Find the region of each tetrahedron, and the part of the boundary each of its triangles belongs to."""
+    regions = np.ones(len(mesh.tetrahedra), dtype=np.int64)
+    if labels is not None:
+        with context.step("regions"):
+            wanted = meshed_labels(surface.history)
+            regions = regions_of(mesh.points[mesh.tetrahedra].mean(axis=1), labels, wanted)
+        context.results["regions"] = {
+            str(label): {
+                "tetrahedra": int((regions == label).sum()),
+                "volume_mm3": float(mesh.volumes[regions == label].sum()),
+                "voxels_mm3": float((labels.values == label).sum() * labels.voxel_volume),
+            }
+            for label in np.unique(regions).tolist()
+        }
+    marks = boundary_marks(surface, mesh.points, mesh.boundary)
+    cap = marks == CAP
+    areas = triangle_quality(mesh.points, mesh.boundary).area
+    context.results["boundary"] = {
+        "surface": {"triangles": int((~cap).sum()), "area_mm2": float(areas[~cap].sum())},
+        "cap": {"triangles": int(cap.sum()), "area_mm2": float(areas[cap].sum())},
+    }
+    return MarkedMesh(mesh.points, mesh.tetrahedra, regions, mesh.boundary, marks)
+
+
 def _draw(job: PictureJob, context: Context) -> None:
     with context.step("pictures"):
         try:
@@ -199,6 +233,10 @@ def run(arguments: Arguments, context: Context) -> list[str]:
         if arguments.sizefield is not None:
             sizing = read_sizing_field(arguments.sizefield)
             context.add_input(arguments.sizefield, sizing.history)
+        labels = None
+        if arguments.labels_volume is not None:
+            labels = read_label_volume(arguments.labels_volume)
+            context.add_input(arguments.labels_volume, None)
     context.verbose(f"{arguments.surface}: {len(surface.points)} vertices, {len(surface.triangles)} triangles")
 
     with context.step("check surface"):
@@ -236,8 +274,13 @@ def run(arguments: Arguments, context: Context) -> list[str]:
 
     measured, mesh = _measure(surface, topology, components, sizing, filled, envelope, arguments, context)
     checks = run_checks(measured, arguments.limits) + solve_on(mesh, arguments.solve, context)
+    marked = _mark(surface, mesh, labels, context)
     with context.step("write"):
-        write_volume(arguments.output, filled.points, filled.tetrahedra, measured.quality, context.history())
+        write_volume(arguments.output, marked, measured.quality, context.history())
+    for kind, path in arguments.export_paths().items():
+        with context.step(f"export {kind}"):
+            export(marked, path, kind)
+    context.results["exports"] = [path.name for path in arguments.export_paths().values()]
     if (job := arguments.picture_job) is not None:
         _draw(job, context)
 
