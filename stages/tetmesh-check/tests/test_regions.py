@@ -89,11 +89,12 @@ def test_meshed_labels_come_from_the_history() -> None:
 def marked_block() -> MarkedMesh:
     """A block whose lower half is region 2 and whose side x = 0 is a cap."""
     points, cells = block((3, 2, 4))
-    boundary = tetrahedron_boundary(cells)[0]
+    outside = tetrahedron_boundary(cells)
+    boundary = outside.triangles
     surface = Surface(points, boundary, None, 0, (points[boundary][..., 0] == 0.0).all(axis=1))
     marks = boundary_marks(surface, points, boundary)
     regions = np.where(points[cells].mean(axis=1)[:, 2] < 2.0, 2, 5)
-    return MarkedMesh(points, cells, regions, boundary, marks)
+    return MarkedMesh(points, cells, regions, boundary, outside.owners, marks)
 
 
 def test_exported_files_are_read_back(tmp_path: Path) -> None:

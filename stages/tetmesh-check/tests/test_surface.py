@@ -225,10 +225,12 @@ def test_changed_triangles_are_counted() -> None:
 def test_boundary_and_bodies_of_tetrahedra() -> None:
     # two tetrahedra with a common face, and one that shares an edge with them
     cells = np.array([[0, 1, 2, 3], [0, 2, 1, 4], [0, 1, 5, 6]])
-    boundary, bodies = tetrahedron_boundary(cells)
-    assert len(boundary) == 10
-    np.testing.assert_array_equal(bodies, [0, 0, 1])
-    assert {0, 1, 2} not in [set(triangle) for triangle in boundary.tolist()]
+    outside = tetrahedron_boundary(cells)
+    assert len(outside.triangles) == 10
+    np.testing.assert_array_equal(outside.bodies, [0, 0, 1])
+    assert {0, 1, 2} not in [set(triangle) for triangle in outside.triangles.tolist()]
+    for triangle, owner in zip(outside.triangles.tolist(), outside.owners, strict=True):
+        assert set(triangle) < set(cells[owner].tolist())
 
 
 def test_components_are_numbered_by_first_appearance() -> None:

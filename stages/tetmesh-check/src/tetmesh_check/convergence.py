@@ -82,7 +82,7 @@ def measure(name: str, points: Points, tetrahedra: Cells) -> Row:
     if not (volumes > 0).all():
         raise StageError(f"{name}: has inverted or flat tetrahedra", "there is no solution on it", "mesh it again")
     boundary = np.zeros(len(points), dtype=bool)
-    boundary[tetrahedron_boundary(tetrahedra)[0]] = True
+    boundary[tetrahedron_boundary(tetrahedra).triangles] = True
     figures, converged = poisson(Assembler(points, tetrahedra), boundary, Solver(MAX_ITERATIONS, math.inf))
     if not converged:
         raise StageError(f"{name}: conjugate gradients did not converge", "there is no solution", "look at its quality")

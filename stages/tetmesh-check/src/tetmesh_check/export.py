@@ -32,6 +32,8 @@ class MarkedMesh:
     """Label of each tetrahedron, shape ``(m,)``; all 1 where no label volume is given."""
     boundary: Cells
     """Triangles of the boundary, outward, shape ``(k, 3)``."""
+    owners: Labels
+    """Tetrahedron behind each of them, shape ``(k,)``."""
     marks: Labels
     """:data:`.SURFACE` or :data:`.CAP`, shape ``(k,)``."""
 
@@ -41,27 +43,6 @@ class MarkedMesh:
         marks[self.boundary[self.marks == CAP]] = CAP
         marks[self.boundary[self.marks == SURFACE]] = SURFACE
         return marks
-
-    def owners(self) -> Labels:
-        """Tetrahedron of each triangle of the boundary, shape ``(k,)``."""
-        count = len(self.points)
-
-        def keys(rows: Cells) -> Labels:
-            low, middle, high = np.sort(rows, axis=1).T
-            pair: Labels = np.unique(low * count + middle, return_inverse=True)[1].ravel()
-            key: Labels = pair * count + high
-            return key
-
-        on_boundary = np.zeros(count, dtype=bool)
-        on_boundary[self.boundary] = True
-        sides = [[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]]
-        faces = np.concatenate([self.tetrahedra[:, side] for side in sides])
-        candidates = np.flatnonzero(on_boundary[faces].all(axis=1))
-        number = keys(np.concatenate([faces[candidates], self.boundary]))
-        known, wanted = np.split(number, [len(candidates)])
-        order = np.argsort(known, kind="stable")
-        owners: Labels = candidates[order[np.searchsorted(known[order], wanted)]] % len(self.tetrahedra)
-        return owners
 
 
 def _abaqus(mesh: MarkedMesh, path: Path) -> None:
@@ -127,10 +108,9 @@ def _triangles(mesh: MarkedMesh, path: Path) -> None:
     """The boundary with ``mark``, ``tetrahedron`` (its owner), ``region`` of that, and ``point`` in the volume mesh."""
     used, local = np.unique(mesh.boundary, return_inverse=True)
     surface = to_polydata(mesh.points[used], local.reshape(-1, 3))
-    owners = mesh.owners()
     surface.cell_data["mark"] = mesh.marks
-    surface.cell_data["tetrahedron"] = owners
-    surface.cell_data["region"] = mesh.regions[owners]
+    surface.cell_data["tetrahedron"] = mesh.owners
+    surface.cell_data["region"] = mesh.regions[mesh.owners]
     surface.point_data["point"] = used
     surface.save(path)
 

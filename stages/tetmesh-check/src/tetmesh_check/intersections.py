@@ -17,8 +17,14 @@ _RELATIVE_TOLERANCE = 1e-13
 """A tetrahedron this flat, relative to the product of its edge vectors, counts as degenerate (touching)."""
 
 
-def _morton_order(centres: Points) -> NDArray[np.int64]:
-    """Order in which points that are near each other in space lie near each other in the list."""
+def morton_order(centres: Points) -> NDArray[np.int64]:
+    """Order in which points that are near each other in space lie near each other in the list.
+
+    Parameters
+    ----------
+    centres
+        Positions, shape ``(n, 3)``.
+    """
     low = centres.min(axis=0)
     extent = max(float((centres.max(axis=0) - low).max()), 1e-300)
     cells = ((centres - low) / extent * 0xFFFFF).astype(np.uint64)
@@ -32,7 +38,7 @@ def _morton_order(centres: Points) -> NDArray[np.int64]:
 def _candidate_pairs(low: Points, high: Points) -> list[Cells]:
     """Pairs of boxes that overlap, each pair once, as chunks of shape ``(k, 2)``."""
     count = len(low)
-    order = _morton_order(0.5 * (low + high))
+    order = morton_order(0.5 * (low + high))
     depth = max(int(np.ceil(np.log2(max(count, 1)))), 0)
     padded = 1 << depth
     # Level d holds 2^d boxes; the missing leaves are empty boxes that overlap nothing.

@@ -91,7 +91,8 @@ def _size(surface: Surface, sizing: SizingField | None, context: Context) -> tup
     """Edge lengths everywhere, and those at the surface, mm."""
     if sizing is not None:
         at_surface = sizing.at(surface.points)
-        context.results["sizing"] = {"voxel_mm": sizing.voxel, "at_surface": summarize(at_surface)}
+        bins = np.linspace(0.0, float(at_surface.max()), 51)
+        context.results["sizing"] = {"voxel_mm": sizing.voxel, "at_surface": summarize(at_surface, bins)}
         return sizing, at_surface
     lengths = triangle_quality(surface.points, surface.triangles).edge_length
     median = float(np.median(lengths))
@@ -124,8 +125,8 @@ def _measure(
     points, tetrahedra = filled.points, filled.tetrahedra
     with context.step("measure quality"):
         quality = tetrahedron_quality(points, tetrahedra)
-        boundary, body_of_tetrahedron = tetrahedron_boundary(tetrahedra)
-        bodies = int(body_of_tetrahedron.max()) + 1
+        outside = tetrahedron_boundary(tetrahedra)
+        boundary, bodies = outside.triangles, int(outside.bodies.max()) + 1
         boundary_topology = measure_topology(points, boundary)
         missing, added = changed_triangles((surface.points, surface.triangles), (points, boundary))
         context.results["volume"] = {
@@ -165,7 +166,7 @@ def _measure(
         surface_distance=float(to_boundary.max()),
         envelope=envelope,
     )
-    return measured, VolumeMesh(points, tetrahedra, quality.volume, boundary, body_of_tetrahedron)
+    return measured, VolumeMesh(points, tetrahedra, quality.volume, outside)
 
 
 def _mark(surface: Surface, mesh: VolumeMesh, labels: LabelVolume | None, context: Context) -> MarkedMesh:
@@ -183,14 +184,15 @@ def _mark(surface: Surface, mesh: VolumeMesh, labels: LabelVolume | None, contex
             }
             for label in np.unique(regions).tolist()
         }
-    marks = boundary_marks(surface, mesh.points, mesh.boundary)
+    outside = mesh.boundary.triangles
+    marks = boundary_marks(surface, mesh.points, outside)
     cap = marks == CAP
-    areas = triangle_quality(mesh.points, mesh.boundary).area
+    areas = triangle_quality(mesh.points, outside).area
     context.results["boundary"] = {
         "surface": {"triangles": int((~cap).sum()), "area_mm2": float(areas[~cap].sum())},
         "cap": {"triangles": int(cap.sum()), "area_mm2": float(areas[cap].sum())},
     }
-    return MarkedMesh(mesh.points, mesh.tetrahedra, regions, mesh.boundary, marks)
+    return MarkedMesh(mesh.points, mesh.tetrahedra, regions, outside, mesh.boundary.owners, marks)
 
 
 def _draw(job: PictureJob, context: Context) -> None:

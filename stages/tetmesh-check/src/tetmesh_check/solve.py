@@ -15,7 +15,8 @@ from tetmesh_check.checks import Check
 from tetmesh_check.context import Context
 from tetmesh_check.krylov import OutOfTimeError
 from tetmesh_check.problems import Solver, conduction, elasticity, poisson
-from tetmesh_check.quality import Cells, Labels, Points, Values
+from tetmesh_check.quality import Cells, Points, Values
+from tetmesh_check.topology import Boundary
 
 AUTO_MAX_TETRAHEDRA = 150_000
 """Largest mesh that is solved on by default: at most about half a minute and 1 GB."""
@@ -56,10 +57,8 @@ class VolumeMesh:
     """Vertex indices, shape ``(m, 4)``."""
     volumes: Values
     """Of each tetrahedron, mm^3, shape ``(m,)``."""
-    boundary: Cells
-    """Triangles of the boundary, shape ``(k, 3)``."""
-    bodies: Labels
-    """Body of each tetrahedron, shape ``(m,)``, numbered from 0."""
+    boundary: Boundary
+    """Its outside, and its bodies."""
 
 
 def _why_not(mesh: VolumeMesh, settings: SolveSettings) -> str | None:
@@ -77,9 +76,9 @@ def _why_not(mesh: VolumeMesh, settings: SolveSettings) -> str | None:
 
 
 def _checks(done: dict[str, dict[str, Any]], stuck: list[str], unfinished: list[str]) -> list[Check]:
-    words = f"{len(stuck)} of {len(done) + len(unfinished)} problems did not come to their solution"
+    words = f"conjugate gradients solved {len(done) - len(stuck)} of {len(done) + len(unfinished)} problems"
     if stuck:
-        words += f" ({', '.join(stuck)}); conjugate gradients end there only when the matrix is close to singular"
+        words += f", not {', '.join(stuck)}: the matrix is close to singular"
     checks = [Check("solve_converged", not stuck, True, float(len(stuck)), 0.0, words)]
     if "poisson" in done:
         ratio = done["poisson"]["best_approximation"]
@@ -90,9 +89,8 @@ def _checks(done: dict[str, dict[str, Any]], stuck: list[str], unfinished: list[
                 True,
                 ratio,
                 MAX_BEST_APPROXIMATION,
-                f"on a known solution of Poisson's equation the gradient computed is wrong by {ratio:.3g} times what it is for the "
-                f"interpolated solution (limit {MAX_BEST_APPROXIMATION:g}); by how much: "
-                f"{100.0 * done['poisson']['relative_h1_error']:.3g} %",
+                f"the gradient of a known solution of Poisson's equation comes out {100.0 * done['poisson']['relative_h1_error']:.3g} % "
+                f"wrong, {ratio:.3g} times as much as by interpolation (limit {MAX_BEST_APPROXIMATION:g})",
             )
         )
     return checks
@@ -122,12 +120,12 @@ def solve_on(mesh: VolumeMesh, settings: SolveSettings, context: Context) -> lis
         return []
     solver = Solver(MAX_ITERATIONS, time.monotonic() + settings.max_seconds)
     boundary = np.zeros(len(mesh.points), dtype=bool)
-    boundary[mesh.boundary] = True
+    boundary[mesh.boundary.triangles] = True
     assembler = Assembler(mesh.points, mesh.tetrahedra, solver.deadline)
     problems: dict[str, Callable[[], tuple[dict[str, Any], bool]]] = {
         "poisson": lambda: poisson(assembler, boundary, solver),
         "conduction": lambda: conduction(assembler, solver),
-        "elasticity": lambda: elasticity(assembler, mesh.volumes, mesh.bodies, solver),
+        "elasticity": lambda: elasticity(assembler, mesh.volumes, mesh.boundary.bodies, solver),
     }
     done: dict[str, dict[str, Any]] = {}
     stuck, unfinished = [], []

@@ -123,19 +123,25 @@ def measure_topology(points: Points, triangles: Cells) -> Topology:
     )
 
 
-def tetrahedron_boundary(tetrahedra: Cells) -> tuple[Cells, Labels]:
+@dataclass(frozen=True)
+class Boundary:
+    """The outside of a volume mesh."""
+
+    triangles: Cells
+    """Those that belong to one tetrahedron only, wound to point out of positive ones, shape ``(k, 3)``."""
+    owners: Labels
+    """The tetrahedron of each, shape ``(k,)``."""
+    bodies: Labels
+    """Body of each tetrahedron, shape ``(m,)``, numbered from 0; bodies hang together through faces."""
+
+
+def tetrahedron_boundary(tetrahedra: Cells) -> Boundary:
     """Find the boundary of a volume mesh, and its bodies.
 
     Parameters
     ----------
     tetrahedra
         Vertex indices in VTK order, shape ``(m, 4)``.
-
-    Returns
-    -------
-    tuple
-        The triangles that belong to one tetrahedron only, shape ``(k, 3)``, wound to point out of positive tetrahedra, and
-        the body of each tetrahedron, shape ``(m,)``, numbered from 0; bodies hang together through faces.
     """
     size = len(tetrahedra)
     faces = np.concatenate([tetrahedra[:, face] for face in map(list, OUTWARD_FACES)])
@@ -144,11 +150,10 @@ def tetrahedron_boundary(tetrahedra: Cells) -> tuple[Cells, Labels]:
     order = np.lexsort((high, pair))
     pair, high = pair[order], high[order]
     same = (pair[1:] == pair[:-1]) & (high[1:] == high[:-1])
-    alone = np.concatenate([[True], ~same]) & np.concatenate([~same, [True]])
-    boundary: Cells = faces[np.sort(order[alone])]
+    alone = np.sort(order[np.concatenate([[True], ~same]) & np.concatenate([~same, [True]])])
     # face number f of the concatenation belongs to tetrahedron f modulo their number
     links = np.stack([order[:-1][same] % size, order[1:][same] % size], 1)
-    return boundary, connected_components(size, links)
+    return Boundary(faces[alone], alone % size, connected_components(size, links))
 
 
 def _number_rows(rows: Points | Cells) -> Labels:

@@ -1,0 +1,46 @@
+"""A cut through the middle of a volume mesh, along faces of whole tetrahedra: for the picture and for the page."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from tetmesh_check.quality import Cells, Labels, Points
+from tetmesh_check.topology import tetrahedron_boundary
+
+
+@dataclass(frozen=True)
+class Cut:
+    """The outside of the farther half."""
+
+    triangles: Cells
+    """Vertex indices, outward, shape ``(k, 3)``."""
+    owners: Labels
+    """Tetrahedron of each triangle, shape ``(k,)``."""
+    normal: Points
+    """From the half that is kept towards the eye, along an axis of the world; shape ``(3,)``."""
+    up: Points
+    """What is up in the picture; shape ``(3,)``."""
+
+
+def cut_through_the_middle(points: Points, tetrahedra: Cells) -> Cut:
+    """Cut across the shortest side of the object, so that as many tetrahedra lie before the cut as behind it.
+
+    Parameters
+    ----------
+    points
+        Positions, mm, shape ``(n, 3)``.
+    tetrahedra
+        Vertex indices, shape ``(m, 4)``.
+    """
+    axis = int(np.argmin(np.ptp(points, axis=0)))
+    normal = np.zeros(3)
+    normal[axis] = -1.0 if axis == 1 else 1.0
+    up = np.array([0.0, 1.0, 0.0]) if axis == 2 else np.array([0.0, 0.0, 1.0])
+    depth = (points @ normal)[tetrahedra].mean(axis=1)
+    kept = np.flatnonzero(depth < np.median(depth))
+    if len(kept) == 0:  # all in one plane
+        kept = np.arange(len(tetrahedra))
+    outside = tetrahedron_boundary(tetrahedra[kept])
+    return Cut(outside.triangles, kept[outside.owners], normal, up)
