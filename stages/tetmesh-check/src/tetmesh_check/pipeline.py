@@ -16,7 +16,7 @@ from tetmesh_check.errors import StageError
 from tetmesh_check.export import MarkedMesh, export, export_path
 from tetmesh_check.fill import Filled, Method, Task, fill
 from tetmesh_check.pictures import PictureJob, draw_pictures
-from tetmesh_check.quality import Values, summarize, summarize_all, tetrahedron_quality, triangle_quality
+from tetmesh_check.quality import Values, centres_of, summarize, summarize_all, tetrahedron_quality, triangle_quality
 from tetmesh_check.regions import CAP, LabelVolume, boundary_marks, meshed_labels, read_label_volume, regions_of
 from tetmesh_check.sizing import SizingField, read_sizing_field, uniform_sizing_field
 from tetmesh_check.solve import SolveSettings, VolumeMesh, solve_on
@@ -145,7 +145,7 @@ def _measure(
             "boundary_quality": summarize_all(triangle_quality(points, boundary)),
         }
         if sizing is not None:
-            wanted = arguments.tet_size_factor * sizing.at(points[tetrahedra].mean(axis=1))
+            wanted = arguments.tet_size_factor * sizing.at(centres_of(points, tetrahedra))
             context.results["volume"]["edge_length_over_target"] = summarize(
                 quality.edge_length / wanted, np.linspace(0.0, 3.0, 61)
             )
@@ -175,7 +175,7 @@ def _mark(surface: Surface, mesh: VolumeMesh, labels: LabelVolume | None, contex
     if labels is not None:
         with context.step("regions"):
             wanted = meshed_labels(surface.history)
-            regions = regions_of(mesh.points[mesh.tetrahedra].mean(axis=1), labels, wanted)
+            regions = regions_of(centres_of(mesh.points, mesh.tetrahedra), labels, wanted)
         context.results["regions"] = {
             str(label): {
                 "tetrahedra": int((regions == label).sum()),

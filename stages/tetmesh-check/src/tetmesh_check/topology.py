@@ -30,6 +30,10 @@ def connected_components(count: int, links: Cells) -> Labels:
     return labels
 
 
+_MAX_COUNT_IN_ONE_KEY = 1 << 21
+"""Vertices so few that three of their numbers fit one number of 64 bits."""
+
+
 @dataclass(frozen=True)
 class Topology:
     """Counts that say whether a triangle mesh is a closed oriented surface."""
@@ -144,16 +148,24 @@ def tetrahedron_boundary(tetrahedra: Cells) -> Boundary:
         Vertex indices in VTK order, shape ``(m, 4)``.
     """
     size = len(tetrahedra)
-    faces = np.concatenate([tetrahedra[:, face] for face in map(list, OUTWARD_FACES)])
-    low, middle, high = np.sort(faces, axis=1).T
-    pair = low * (int(tetrahedra.max(initial=0)) + 1) + middle
-    order = np.lexsort((high, pair))
-    pair, high = pair[order], high[order]
-    same = (pair[1:] == pair[:-1]) & (high[1:] == high[:-1])
+    corners = np.ascontiguousarray(tetrahedra.T)
+    a, b, c = (np.concatenate([corners[face[k]] for face in OUTWARD_FACES]) for k in range(3))
+    low, high = np.minimum(np.minimum(a, b), c), np.maximum(np.maximum(a, b), c)
+    middle = a + b + c - low - high
+    count = int(tetrahedra.max(initial=0)) + 1
+    pair = low * count + middle
+    if count <= _MAX_COUNT_IN_ONE_KEY:
+        key = pair * count + high
+        order = np.argsort(key)
+        key = key[order]
+        same = key[1:] == key[:-1]
+    else:
+        order = np.lexsort((high, pair))
+        same = (np.diff(pair[order]) == 0) & (np.diff(high[order]) == 0)
     alone = np.sort(order[np.concatenate([[True], ~same]) & np.concatenate([~same, [True]])])
     # face number f of the concatenation belongs to tetrahedron f modulo their number
     links = np.stack([order[:-1][same] % size, order[1:][same] % size], 1)
-    return Boundary(faces[alone], alone % size, connected_components(size, links))
+    return Boundary(np.stack([a[alone], b[alone], c[alone]], 1), alone % size, connected_components(size, links))
 
 
 def _number_rows(rows: Points | Cells) -> Labels:
