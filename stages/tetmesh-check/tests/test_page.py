@@ -18,7 +18,7 @@ import pytest
 import pyvista as pv
 from conftest import ball, tetrahedra, write_sizing
 
-from tetmesh_check.cut import cut_through_the_middle
+from tetmesh_check.cut import cut_of, cut_through_the_middle
 from tetmesh_check.page import index, program
 from tetmesh_check.page.case import read_case
 from tetmesh_check.page.charts import curve, histogram, number, ticks
@@ -224,8 +224,12 @@ def test_the_packed_meshes_are_the_meshes() -> None:
 
 
 def test_the_cut_keeps_the_farther_half(case: Path) -> None:
-    points, cells, _ = tetrahedra(case / "a&b.volume.vtu")
-    cut = cut_through_the_middle(points, cells)
+    points, cells, grid = tetrahedra(case / "a&b.volume.vtu")
+    cut = cut_of(grid)
+    # as by looking at all faces
+    everywhere = cut_through_the_middle(points, cells, np.ones(len(points), dtype=bool))
+    np.testing.assert_array_equal(cut.triangles, everywhere.triangles)
+    np.testing.assert_array_equal(cut.owners, everywhere.owners)
     depth = points[cells].mean(axis=1) @ cut.normal
     assert depth[cut.owners].max() < np.median(depth)
     corners = points[cut.triangles]

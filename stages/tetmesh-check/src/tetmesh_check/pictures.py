@@ -150,15 +150,15 @@ def _centre(points: Any) -> Any:
 
 def _scalar_bar(title: str) -> dict[str, Any]:
     return {
-        "title": title,
+        "title": f"{title}\n",
         "color": "black",
         "vertical": False,
         "width": 0.5,
-        "height": 0.09,
+        "height": 0.1,
         "position_x": 0.25,
         "position_y": 0.015,
-        "title_font_size": 26,
-        "label_font_size": 22,
+        "title_font_size": 24,
+        "label_font_size": 20,
         "fmt": "%.1f",
         "n_labels": 6,
         "background_color": "white",
@@ -235,13 +235,13 @@ def _edge_length(points: Any, cells: Any) -> float:
 
 
 def _draw_cut(_surface: Any, volume: Any, path: Path) -> None:
-    from tetmesh_check.cut import cut_through_the_middle
+    from tetmesh_check.cut import cut_of
     from tetmesh_check.polydata import to_polydata
 
     plotter = _plotter()
     points = np.asarray(volume.points, dtype=np.float64)
     cells = np.asarray(volume.cells_dict[10], dtype=np.int64)
-    cut = cut_through_the_middle(points, cells)
+    cut = cut_of(volume)
     used, local = np.unique(cut.triangles, return_inverse=True)
     kept = to_polydata(points[used], local.reshape(-1, 3))
     kept.cell_data["radius ratio"] = np.asarray(volume.cell_data["radius_ratio"])[cut.owners]

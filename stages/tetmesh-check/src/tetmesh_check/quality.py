@@ -127,7 +127,7 @@ def centres_of(points: Points, cells: Cells) -> Points:
     Parameters
     ----------
     points
-        Positions, mm, shape ``(n, 3)``.
+        Positions, mm, shape ``(n, 3)``, or one coordinate, shape ``(n,)``.
     cells
         Vertex indices, shape ``(m, k)``.
     """

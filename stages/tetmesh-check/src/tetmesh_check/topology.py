@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.sparse import coo_matrix, csgraph
 
 from tetmesh_check.quality import OUTWARD_FACES, Cells, Labels, Points
@@ -148,24 +149,63 @@ def tetrahedron_boundary(tetrahedra: Cells) -> Boundary:
         Vertex indices in VTK order, shape ``(m, 4)``.
     """
     size = len(tetrahedra)
+    faces = _faces(tetrahedra)
+    order, same = _equal_faces(faces)
+    alone = np.sort(order[np.concatenate([[True], ~same]) & np.concatenate([~same, [True]])])
+    # face number f belongs to tetrahedron f modulo their number
+    links = np.stack([order[:-1][same] % size, order[1:][same] % size], 1)
+    return Boundary(faces[:, alone].T, alone % size, connected_components(size, links))
+
+
+def outside_of_part(tetrahedra: Cells, part: Labels, on_boundary: NDArray[np.bool_]) -> tuple[Cells, Labels]:
+    """Find the outside of some of the tetrahedra without looking at all their faces.
+
+    Parameters
+    ----------
+    tetrahedra
+        Vertex indices in VTK order, shape ``(m, 4)``.
+    part
+        Numbers of those that count, ascending, shape ``(p,)``.
+    on_boundary
+        Which vertices lie on the boundary of the whole, shape ``(n,)``.
+
+    Returns
+    -------
+    tuple
+        Triangles and their owners, as in :class:`Boundary`.
+    """
+    # a face outside the part is one of the whole's, or belongs to a tetrahedron that does not count as well
+    others = np.ones(len(tetrahedra), dtype=bool)
+    others[part] = False
+    candidate = on_boundary.copy()
+    candidate[tetrahedra[others]] = True
+    faces = _faces(tetrahedra[part])
+    near = np.flatnonzero(candidate[faces[0]] & candidate[faces[1]] & candidate[faces[2]])
+    order, same = _equal_faces(faces[:, near])
+    alone = near[np.sort(order[np.concatenate([[True], ~same]) & np.concatenate([~same, [True]])])]
+    return faces[:, alone].T, part[alone % len(part)]
+
+
+def _faces(tetrahedra: Cells) -> Cells:
+    """Outward faces by rows, shape ``(3, 4 m)``: the first of every tetrahedron, then the second, and so on."""
     corners = np.ascontiguousarray(tetrahedra.T)
-    a, b, c = (np.concatenate([corners[face[k]] for face in OUTWARD_FACES]) for k in range(3))
+    return np.stack([np.concatenate([corners[face[k]] for face in OUTWARD_FACES]) for k in range(3)])
+
+
+def _equal_faces(faces: Cells) -> tuple[Labels, NDArray[np.bool_]]:
+    """Order of faces in which equal ones follow each other, and whether each is equal to the one after it."""
+    a, b, c = faces
     low, high = np.minimum(np.minimum(a, b), c), np.maximum(np.maximum(a, b), c)
     middle = a + b + c - low - high
-    count = int(tetrahedra.max(initial=0)) + 1
+    count = int(faces.max(initial=0)) + 1
     pair = low * count + middle
     if count <= _MAX_COUNT_IN_ONE_KEY:
         key = pair * count + high
         order = np.argsort(key)
         key = key[order]
-        same = key[1:] == key[:-1]
-    else:
-        order = np.lexsort((high, pair))
-        same = (np.diff(pair[order]) == 0) & (np.diff(high[order]) == 0)
-    alone = np.sort(order[np.concatenate([[True], ~same]) & np.concatenate([~same, [True]])])
-    # face number f of the concatenation belongs to tetrahedron f modulo their number
-    links = np.stack([order[:-1][same] % size, order[1:][same] % size], 1)
-    return Boundary(np.stack([a[alone], b[alone], c[alone]], 1), alone % size, connected_components(size, links))
+        return order, key[1:] == key[:-1]
+    order = np.lexsort((high, pair))
+    return order, (np.diff(pair[order]) == 0) & (np.diff(high[order]) == 0)
 
 
 def _number_rows(rows: Points | Cells) -> Labels:

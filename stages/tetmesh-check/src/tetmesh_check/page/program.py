@@ -14,7 +14,7 @@ import pyvista as pv
 
 from tetmesh_check import __version__
 from tetmesh_check.context import Interruptible
-from tetmesh_check.cut import cut_through_the_middle
+from tetmesh_check.cut import cut_of
 from tetmesh_check.errors import ExitCode, StageError
 from tetmesh_check.files import refuse_existing, write_text
 from tetmesh_check.page import sections
@@ -60,7 +60,7 @@ def view_meshes(surface: Path | None, volume: Path | None) -> list[ViewMesh]:
         grid = read_dataset(volume)
         if isinstance(grid, pv.UnstructuredGrid) and 10 in grid.cells_dict:
             points = np.asarray(grid.points, dtype=np.float64)
-            cut = cut_through_the_middle(points, np.asarray(grid.cells_dict[10], dtype=np.int64))
+            cut = cut_of(grid)
             if len(cut.triangles) <= MAX_TRIANGLES:
                 sizes = _edge_lengths(points, cut.triangles)
                 meshes.append(view_of_cut(points, np.asarray(grid.cell_data["radius_ratio"]), cut, sizes))
