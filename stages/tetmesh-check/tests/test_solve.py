@@ -182,6 +182,19 @@ def test_a_mesh_that_does_not_converge_is_not_fit(monkeypatch: pytest.MonkeyPatc
     assert "solved 0 of 3 problems" in verdicts["solve_converged"].words
 
 
+def test_what_cannot_be_solved_does_not_take_the_rest_with_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    def too_large(*_: object) -> None:
+        raise MemoryError
+
+    monkeypatch.setattr(solve, "elasticity", too_large)
+    context = Context(CommonArguments(), "", {})
+    checks = solve_on(mesh_of(*block((4, 4, 4))), SolveSettings(), context)
+    assert [check.passed for check in checks] == [True, True]
+    assert context.results["solve"]["reason"] == "elasticity: not enough memory"
+    assert "elasticity: not enough memory" in context.warnings[0]
+    assert {"poisson", "conduction"} <= set(context.results["solve"])
+
+
 def test_what_does_not_approximate_is_not_fit(monkeypatch: pytest.MonkeyPatch) -> None:
     # a source that does not belong to the solution
     wave = problems._Wave

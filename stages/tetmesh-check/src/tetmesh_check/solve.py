@@ -75,8 +75,8 @@ def _why_not(mesh: VolumeMesh, settings: SolveSettings) -> str | None:
     return None
 
 
-def _checks(done: dict[str, dict[str, Any]], stuck: list[str], unfinished: list[str]) -> list[Check]:
-    words = f"conjugate gradients solved {len(done) - len(stuck)} of {len(done) + len(unfinished)} problems"
+def _checks(done: dict[str, dict[str, Any]], stuck: list[str]) -> list[Check]:
+    words = f"conjugate gradients solved {len(done) - len(stuck)} of {len(done)} problems"
     if stuck:
         words += f", not {', '.join(stuck)}: the matrix is close to singular"
     checks = [Check("solve_converged", not stuck, True, float(len(stuck)), 0.0, words)]
@@ -128,23 +128,27 @@ def solve_on(mesh: VolumeMesh, settings: SolveSettings, context: Context) -> lis
         "elasticity": lambda: elasticity(assembler, mesh.volumes, mesh.boundary.bodies, solver),
     }
     done: dict[str, dict[str, Any]] = {}
-    stuck, unfinished = [], []
+    stuck: list[str] = []
+    unfinished: dict[str, str] = {}
     with context.step("solve"):
         for name, problem in problems.items():
             started = time.monotonic()
             try:
                 figures, converged = problem()
             except OutOfTimeError:
-                unfinished.append(name)
+                unfinished[name] = f"not finished within {settings.max_seconds:g} s (--solve-seconds)"
+                continue
+            except MemoryError:
+                unfinished[name] = "not enough memory"
                 continue
             done[name] = {**figures, "seconds": time.monotonic() - started}
             if not converged:
                 stuck.append(name)
     results.update(done=not unfinished, **done)
     if unfinished:
-        reason = f"{', '.join(unfinished)} not finished within {settings.max_seconds:g} s (--solve-seconds)"
+        reason = "; ".join(f"{name}: {why}" for name, why in unfinished.items())
         results["reason"] = reason
-        context.warn(reason)
+        context.warn(f"not everything was solved: {reason}")
     iterations = [f"{name} {figures['jacobi']['iterations']}" for name, figures in done.items() if "jacobi" in figures]
     context.closing.append(("CG iterations", ", ".join(iterations) or "none"))
-    return _checks(done, stuck, unfinished)
+    return _checks(done, stuck)
