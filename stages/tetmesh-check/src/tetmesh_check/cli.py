@@ -165,7 +165,7 @@ def build_parser() -> argparse.ArgumentParser:
         "--solve",
         choices=["auto", "yes", "no"],
         default="auto",
-        help="auto: on meshes of up to 150,000 tetrahedra; yes takes about 1.5 GB for a million (default auto)",
+        help="auto: on meshes of up to 150,000 tetrahedra; yes takes about 3 GB for a million (default auto)",
     )
     solve.add_argument(
         "--solve-seconds",

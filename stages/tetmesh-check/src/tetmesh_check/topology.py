@@ -223,15 +223,19 @@ def changed_triangles(before: tuple[Points, Cells], after: tuple[Points, Cells])
     Parameters
     ----------
     before, after
-        Points and triangles of the two meshes.
+        Points and triangles of the two meshes; no two vertices of one lie on each other.
 
     Returns
     -------
     tuple
         How many triangles of the first are not in the second, and the other way round.
     """
-    corners = np.concatenate([mesh[0][mesh[1]].reshape(-1, 3) for mesh in (before, after)])
-    triangles = _number_rows(corners).reshape(-1, 3)
+    shared = len(before[0])
+    if np.array_equal(after[0][:shared], before[0]):  # the same vertices first, as HXT leaves them
+        triangles = np.concatenate([before[1], after[1]])
+    else:
+        corners = np.concatenate([mesh[0][mesh[1]].reshape(-1, 3) for mesh in (before, after)])
+        triangles = _number_rows(corners).reshape(-1, 3)
     # every triangle from its smallest corner on
     turn = (np.argmin(triangles, axis=1)[:, None] + np.arange(3)) % 3
     number = _number_rows(np.take_along_axis(triangles, turn, axis=1))
