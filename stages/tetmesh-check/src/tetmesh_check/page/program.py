@@ -17,7 +17,7 @@ from tetmesh_check.context import Interruptible
 from tetmesh_check.cut import cut_of
 from tetmesh_check.errors import ExitCode, StageError
 from tetmesh_check.files import refuse_existing, write_text
-from tetmesh_check.page import sections
+from tetmesh_check.page import measured, sections
 from tetmesh_check.page.case import Case, read_case
 from tetmesh_check.page.payload import MAX_TRIANGLES, ViewMesh, pack, view_of_cut
 from tetmesh_check.parsing import Parser
@@ -105,9 +105,9 @@ def page(case: Case) -> str:
     writers: list[Callable[[Case], str]] = [
         sections.pictures,
         sections.checks,
-        sections.quality,
-        sections.solve,
-        sections.particles,
+        measured.quality,
+        measured.solve,
+        measured.particles,
         sections.stages,
         sections.provenance,
     ]
