@@ -93,6 +93,7 @@ PARTICLES = $(F).particles.bin
 SURFACE   = $(F).surface.vtp
 VOLUME    = $(F).volume.vtu
 REPORT    = $(F).report.json
+PAGE      = $(F).report.html
 
 # Options by stage: exactly what its stamp holds. An empty variable leaves the stage's own default.
 option = $(if $(2),$(1) $(2))
@@ -131,8 +132,8 @@ endef
 
 # --- Goals ------------------------------------------------------------------------------------------------------------
 
-.PHONY: help mesh surface demo cases build env doctor test format lint documentation test-rust test-python bench-stages \
-        bench-gpu \
+.PHONY: help mesh surface demo cases index build env doctor test format lint documentation test-rust test-python bench-stages \
+        bench-gpu bench-convergence bench-marching-cubes \
         FORCE
 FORCE:
 
@@ -146,9 +147,12 @@ Volumes in, simulation-ready meshes out.
   make CASE=heart                              mesh the case of pipelines/heart.mk
   make -j2 CASES="heart mickey" cases          several cases at once
   make surface ...                             stop at the triangles
+  make index                                   a page over all cases in OUT (make cases does it at its end)
   make test                                    format, lints, documentation, tests
   make bench-stages                            time and memory of every stage on the torso phantom
   make bench-gpu                               the particles stage on the GPU against one CPU thread (BENCH_OPTIONS=...)
+  make bench-convergence                       error of a known solution on the ball, from coarse to fine tetrahedra
+  make bench-marching-cubes                    solvers on tetrahedra in our surfaces against those in marching cubes (PARTS=...)
 
 Parameters of mesh, surface and CASE, with the stages' defaults where left out:
   NAME=...      name of the results [the volume's]       OUT=...       folder of the results [out]
@@ -157,15 +161,16 @@ Parameters of mesh, surface and CASE, with the stages' defaults where left out:
   BORDER=...    cap or open                              BACKEND=...   auto, gpu or cpu
   SEED=...      of the random numbers                    THREADS=...   CPU threads [all]
   HXT=no        without Gmsh: large surfaces take hours
-Results: OUT/NAME/NAME.{distfield.vti,sizefield.vti,seeds.bin,particles.bin,surface.vtp,volume.vtu,report.json}
+Results: OUT/NAME/NAME.{distfield.vti,sizefield.vti,seeds.bin,particles.bin,surface.vtp,volume.vtu,report.json,report.html}
+and, for several cases, OUT/index.html and OUT/index.csv
 endef
 export HELP
 
 help:
 	@printf '%s\n' "$$HELP"
 
-mesh: $(VOLUME) $(REPORT)
-	@printf '%s\n' '' 'surface     $(SURFACE)' 'tetrahedra  $(VOLUME)' 'report      $(REPORT)' 'pictures    $(D)/pictures/'
+mesh: $(VOLUME) $(REPORT) $(PAGE)
+	@printf '%s\n' '' 'surface     $(SURFACE)' 'tetrahedra  $(VOLUME)' 'report      $(REPORT)' 'page        $(PAGE)' 'pictures    $(D)/pictures/'
 
 surface: $(SURFACE)
 	@printf '%s\n' '' 'surface     $(SURFACE)'
@@ -174,6 +179,14 @@ demo:
 	@$(MAKE) --no-print-directory CASE=demo mesh
 
 cases: $(addprefix case-,$(CASES))
+	@$(write_index)
+
+# Over all cases in OUT, also those that failed.
+index: env
+	@$(write_index)
+
+write_index = $(TETMESH_CHECK)-index $$(ls $(OUT)/*/*.report.json $(OUT)/*/*.report.failed.json 2>/dev/null) -o $(OUT)/index.html --force \
+  && printf '%s\n' 'index       $(OUT)/index.html'
 
 case-%: build env
 	@$(MAKE) --no-print-directory CASE=$* CASES= NO_BUILD=yes mesh
@@ -223,6 +236,9 @@ $(P)/tetmesh: FORCE | env
 	$(call stamp,tetmesh-check,$(without_hxt) $(tetmesh_options),stages/tetmesh-check/requirements*.lock \
 	  stages/tetmesh-check/src/tetmesh_check/*.py)
 
+$(P)/page: FORCE | env
+	$(call stamp,tetmesh-check-page,,stages/tetmesh-check/src/tetmesh_check/page/*.*)
+
 ifneq ($(PHANTOM),)
 $(INPUT): $(P)/phantom
 	$(BIN)/phantom $(PHANTOM) -o $@ --truth $(F).truth.json --force
@@ -250,16 +266,24 @@ $(SURFACE): $(PARTICLES) $(DISTFIELD) $(SIZEFIELD) $(P)/reconstruct
 	  $(reconstruct_options))
 
 $(VOLUME) $(REPORT) &: $(SURFACE) $(SIZEFIELD) $(P)/tetmesh
-	@mkdir -p $(D)/reports && rm -f $(call failed,$(VOLUME))
+	@mkdir -p $(D)/reports && rm -f $(call failed,$(VOLUME)) $(call failed,$(REPORT))
 	@printf '%s\n' '$(strip $(tetmesh_command))'
 	@$(tetmesh_command) || { code=$$?; \
 	  if [ $$code = 1 ] && [ -e $(VOLUME) ]; then mv -f $(VOLUME) $(call failed,$(VOLUME)); cp -f $(REPORT) $(call failed,$(REPORT)); \
+	    $(page_command); \
 	    printf '%s\n' 'tetmesh-check: a check failed; the mesh is kept as $(call failed,$(VOLUME)), the report as $(call failed,$(REPORT))' >&2; \
 	  fi; exit $$code; }
 	@cp -f $(REPORT) $(D)/reports/tetmesh-check.json
 
 tetmesh_command = $(TETMESH_CHECK) $(SURFACE) --sizefield $(SIZEFIELD) -o $(VOLUME) --report $(REPORT) --pictures $(D)/pictures \
                   --force $(VERBOSITY) $(call option,--threads,$(THREADS)) $(tetmesh_options)
+
+# Also written where a check failed (above).
+$(PAGE): $(REPORT) $(P)/page
+	@printf '%s\n' '$(page_command)'
+	@$(page_command)
+
+page_command = $(TETMESH_CHECK)-page $(REPORT) --name $(NAME) -o $(PAGE) --force
 
 # --- Checks of the project itself -------------------------------------------------------------------------------------
 
@@ -301,3 +325,19 @@ bench-stages: build env
 BENCH_OPTIONS ?=
 bench-gpu: build
 	@stages/particles/benches/bench_gpu.sh --bin $(BIN) --work $(OUT)/bench-gpu $(BENCH_OPTIONS)
+
+# The error of Poisson's equation on the ball at several edge lengths, mm.
+SIZES ?= 4 2 1
+bench-convergence: build env
+	@for size in $(SIZES); do \
+	  $(MAKE) --no-print-directory CASE=ball NAME=ball-$$size SIZE=$$size OUT=$(OUT)/bench NO_BUILD=yes VERBOSITY=-q mesh || exit $$?; \
+	done
+	$(TETMESH_CHECK)-convergence $(foreach size,$(SIZES),$(OUT)/bench/ball-$(size)/ball-$(size).volume.vtu)
+
+# Our surfaces against marching cubes on the same distance field, through the same tetrahedralizer.
+bench-marching-cubes: build env
+	@for part in $(PARTS); do \
+	  $(MAKE) --no-print-directory CASE=$$part NAME=$$part OUT=$(OUT)/bench NO_BUILD=yes surface || exit $$?; \
+	done
+	$(VENV)/bin/python stages/tetmesh-check/benches/marching_cubes.py $(addprefix $(OUT)/bench/,$(PARTS)) \
+	  --work $(OUT)/bench/marching-cubes

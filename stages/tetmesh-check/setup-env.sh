@@ -192,7 +192,7 @@ rm -f "$stamp"
 "$python" -m venv --clear "$venv" ||
     fail "$venv: could not be made" "the packages go into it" "see the message above; is the disk full or the folder read-only?"
 
-say "installing the packages of requirements.lock (about 220 MB to download the first time)"
+say "installing the packages of requirements.lock (about 260 MB to download the first time)"
 "$venv/bin/python" -m pip install --quiet --disable-pip-version-check --no-input --only-binary :all: --require-hashes -r "$lock" ||
     fail "pip could not install the packages of requirements.lock" "tetmesh-check needs them" \
         "see the message above; is the network reachable? Behind a proxy, configure pip (pip config) and try again"

@@ -42,7 +42,7 @@ def test_ball_with_graded_sizing(tmp_path: Path, run: Run) -> None:
     # volume per tetrahedron goes with the cube of the edge; the common surface keeps the ratio far below (4 / 1.5)^3
     assert left.sum() > 2.0 * (~left).sum()
 
-    assert set(grid.cell_data.keys()) == {"radius_ratio", "scaled_jacobian", "min_dihedral"}
+    assert set(grid.cell_data.keys()) == {"radius_ratio", "scaled_jacobian", "min_dihedral", "region"}
     history = json.loads(grid.field_data["history"][0])
     assert history["tool"] == "tetmesh-check"
     assert history["inputs"][1]["history"]["tool"] == "sizefield"
@@ -57,7 +57,9 @@ def test_ball_with_graded_sizing(tmp_path: Path, run: Run) -> None:
     }  # fmt: skip
     assert (report["outcome"], report["exit_code"], report["failed_checks"]) == ("passed", 0, [])
     results = report["results"]
-    assert set(results) == {"surface", "sizing", "tetrahedralizer", "volume", "distance_mm", "checks"}
+    assert set(results) == {
+        "surface", "sizing", "tetrahedralizer", "volume", "distance_mm", "solve", "boundary", "exports", "checks",
+    }  # fmt: skip
     assert results["volume"]["tetrahedra"] == len(cells)
     assert results["tetrahedralizer"]["method"] == history["parameters"]["method"] == "ftetwild"
     assert "642 vertices" in results["tetrahedralizer"]["reason"]
@@ -68,7 +70,7 @@ def test_ball_with_graded_sizing(tmp_path: Path, run: Run) -> None:
     assert {check["name"]: check["verdict"] for check in results["checks"]} == dict.fromkeys(
         [
             "positive_volumes", "min_dihedral", "min_scaled_jacobian", "volume_change", "bodies", "boundary_distance",
-            "surface_distance", "boundary_manifold", "euler_characteristic",
+            "surface_distance", "boundary_manifold", "euler_characteristic", "solve_converged", "best_approximation",
         ],
         "pass",
     )  # fmt: skip
@@ -265,7 +267,8 @@ def test_crash_of_the_tetrahedralizer_is_reported(
         ["a.vtp", "-o", "b.vtu", "--threads", "-1"],
         ["a.vtp", "-o", "b.vtu", "-v", "-q"],
         ["a.vtp", "-o", "b.vtu", "--forc"],
-        ["a.vtp", "-o", "b.vtu", "--method", "tetgen"],
+        ["a.vtp", "-o", "b.vtu", "--method", "delaunay"],
+        ["a.vtp", "-o", "b.vtu", "--export", "inp,stl"],
         ["a.vtp", "-o", "b.vtu"],
     ],
 )

@@ -9,6 +9,7 @@ import pytest
 import pyvista as pv
 from conftest import ball, write_sizing
 
+from tetmesh_check import sizing
 from tetmesh_check.errors import StageError
 from tetmesh_check.quality import signed_tetrahedron_volumes
 from tetmesh_check.sizing import background_mesh, read_sizing_field, world_grid
@@ -19,7 +20,10 @@ def linear(world: np.ndarray) -> np.ndarray:
     return 5.0 + world @ np.array([0.1, -0.05, 0.2])
 
 
-def test_trilinear_is_exact_for_a_linear_field_and_clamped_outside(tmp_path: Path) -> None:
+def test_trilinear_is_exact_for_a_linear_field_and_clamped_outside(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sizing, "_BLOCK_POINTS", 64)  # several blocks, the last one not full
     field = read_sizing_field(write_sizing(tmp_path / "s.vti", linear))
     samples = np.random.default_rng(1).uniform(-12, 12, size=(200, 3))
     np.testing.assert_allclose(field.at(samples), linear(samples), rtol=1e-6)

@@ -9,6 +9,7 @@ import pytest
 import pyvista as pv
 from conftest import Run, ball, merged, reversed_winding
 
+from tetmesh_check import topology as topology_module
 from tetmesh_check.components import measure_components
 from tetmesh_check.errors import ExitCode, StageError
 from tetmesh_check.intersections import self_intersections
@@ -225,9 +226,22 @@ def test_changed_triangles_are_counted() -> None:
 def test_boundary_and_bodies_of_tetrahedra() -> None:
     # two tetrahedra with a common face, and one that shares an edge with them
     cells = np.array([[0, 1, 2, 3], [0, 2, 1, 4], [0, 1, 5, 6]])
-    boundary, bodies = tetrahedron_boundary(cells)
-    assert (len(boundary), bodies) == (10, 2)
-    assert {0, 1, 2} not in [set(triangle) for triangle in boundary.tolist()]
+    outside = tetrahedron_boundary(cells)
+    assert len(outside.triangles) == 10
+    np.testing.assert_array_equal(outside.bodies, [0, 0, 1])
+    assert {0, 1, 2} not in [set(triangle) for triangle in outside.triangles.tolist()]
+    for triangle, owner in zip(outside.triangles.tolist(), outside.owners, strict=True):
+        assert set(triangle) < set(cells[owner].tolist())
+
+
+def test_boundary_with_many_vertices_is_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+    cells = np.random.default_rng(2).permuted(np.tile(np.arange(40), (90, 1)), axis=1)[:, :4]
+    few = tetrahedron_boundary(cells)
+    monkeypatch.setattr(topology_module, "_MAX_COUNT_IN_ONE_KEY", 0)
+    many = tetrahedron_boundary(cells)
+    np.testing.assert_array_equal(many.triangles, few.triangles)
+    np.testing.assert_array_equal(many.owners, few.owners)
+    np.testing.assert_array_equal(many.bodies, few.bodies)
 
 
 def test_components_are_numbered_by_first_appearance() -> None:

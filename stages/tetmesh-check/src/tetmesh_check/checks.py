@@ -151,7 +151,7 @@ def run_checks(measured: Measurements, limits: Limits) -> list[Check]:
             measured.bodies == measured.surface_bodies,
             measured.bodies,
             measured.surface_bodies,
-            f"{measured.bodies} bodies of tetrahedra for {measured.surface_bodies} bodies of the surface",
+            f"separate bodies: {measured.bodies} of tetrahedra, {measured.surface_bodies} within the surface",
         ),
         check(
             "boundary_distance",

@@ -5,14 +5,14 @@ from __future__ import annotations
 import argparse
 import math
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import NoReturn
 
 from tetmesh_check import __version__
 from tetmesh_check.context import TOOL, CommonArguments, Context, Interruptible, canonical_command_line
-from tetmesh_check.errors import ExitCode, StageError
+from tetmesh_check.errors import StageError
 from tetmesh_check.files import check_report, refuse_existing, same_file
+from tetmesh_check.parsing import Parser, formats, number, whole
 
 _DESCRIPTION = """\
 Fills a closed triangle surface with tetrahedra (fTetWild, or HXT of Gmsh where that is installed), graded by the size field h of
@@ -29,46 +29,9 @@ example:
 """
 
 
-class _Parser(argparse.ArgumentParser):
-    """Usage errors in three parts, as everywhere."""
-
-    def error(self, message: str) -> NoReturn:
-        error = StageError(message, "the command line was not understood", f"see {TOOL} --help")
-        print(f"error: {error}", file=sys.stderr)
-        raise SystemExit(int(ExitCode.BAD_INPUT))
-
-
-def _number(low: float, high: float, low_allowed: bool = True) -> Callable[[str], float]:
-    """Build a parser of numbers in a range."""
-
-    def parse(text: str) -> float:
-        try:
-            value = float(text)
-        except ValueError:
-            value = math.nan
-        if not (value > low or (low_allowed and value == low)) or not value <= high or math.isinf(value):
-            opening = "[" if low_allowed else "("
-            closing = ")" if math.isinf(high) else "]"
-            raise argparse.ArgumentTypeError(f"'{text}' is not a number in {opening}{low:g}, {high:g}{closing}")
-        return value
-
-    return parse
-
-
-def _whole(low: int) -> Callable[[str], int]:
-    """Build a parser of whole numbers from a smallest one on."""
-
-    def parse(text: str) -> int:
-        if not text.isascii() or not text.isdigit() or int(text) < low:
-            raise argparse.ArgumentTypeError(f"'{text}' is not a whole number from {low}")
-        return int(text)
-
-    return parse
-
-
 def build_parser() -> argparse.ArgumentParser:
     """Build the parser of the command line."""
-    parser = _Parser(
+    parser = Parser(
         prog=TOOL,
         description=_DESCRIPTION,
         epilog=_EPILOG,
@@ -76,7 +39,7 @@ def build_parser() -> argparse.ArgumentParser:
         add_help=False,
         allow_abbrev=False,
     )
-    positive = _number(0.0, math.inf, low_allowed=False)
+    positive = number(0.0, math.inf, low_allowed=False)
 
     files = parser.add_argument_group("Files")
     files.add_argument(
@@ -97,6 +60,20 @@ def build_parser() -> argparse.ArgumentParser:
         help="size field h from sizefield, mm; without it all tetrahedra get the median edge length of the surface",
     )
     files.add_argument(
+        "--labels-volume",
+        metavar="L.nrrd",
+        type=Path,
+        help="label volume (.nrrd .nhdr .vti): each tetrahedron gets the label at its centre as its region, of those that were meshed",
+    )
+    files.add_argument(
+        "--export",
+        metavar="LIST",
+        type=formats,
+        default=(),
+        help="write the mesh in other formats, too: a list with commas of inp (Abaqus), msh (Gmsh), xdmf, and vtp (the boundary), with "
+        "regions and the parts of the boundary as sets or groups",
+    )
+    files.add_argument(
         "--pictures",
         metavar="DIR",
         type=Path,
@@ -115,7 +92,7 @@ def build_parser() -> argparse.ArgumentParser:
     method.add_argument(
         "--tet-size-factor",
         metavar="X",
-        type=_number(0.1, 100.0),
+        type=number(0.1, 100.0),
         default=1.0,
         help="edge length of the tetrahedra over h, 0.1 to 100 (default 1)",
     )
@@ -129,14 +106,14 @@ def build_parser() -> argparse.ArgumentParser:
     method.add_argument(
         "--stop-energy",
         metavar="E",
-        type=_number(3.0, 1e6),
+        type=number(3.0, 1e6),
         help="ftetwild: optimize until the largest AMIPS energy is below this, from 3 (all regular); without it 1000 is tried "
         "first, then 30, then 10 while a limit of shape is missed",
     )
     method.add_argument(
         "--max-passes",
         metavar="N",
-        type=_whole(1),
+        type=whole(1),
         default=80,
         help="ftetwild: optimize for at most N passes (default 80)",
     )
@@ -154,21 +131,21 @@ def build_parser() -> argparse.ArgumentParser:
     checks.add_argument(
         "--min-dihedral",
         metavar="DEG",
-        type=_number(0.0, 70.0),
+        type=number(0.0, 70.0),
         default=5.0,
         help="smallest dihedral angle, degrees, 0 to 70 (default 5)",
     )
     checks.add_argument(
         "--min-scaled-jacobian",
         metavar="X",
-        type=_number(0.0, 1.0),
+        type=number(0.0, 1.0),
         default=0.05,
         help="smallest scaled Jacobian, 0 to 1 (default 0.05)",
     )
     checks.add_argument(
         "--max-volume-change",
         metavar="PERCENT",
-        type=_number(0.0, 100.0),
+        type=number(0.0, 100.0),
         default=1.0,
         help="largest change of the volume, percent (default 1)",
     )
@@ -177,6 +154,25 @@ def build_parser() -> argparse.ArgumentParser:
         metavar="MM",
         type=positive,
         help="largest distance between boundary and surface, either way, mm (default twice the envelope)",
+    )
+
+    solve = parser.add_argument_group(
+        "Solve",
+        "Problems solved on the tetrahedra with linear elements (scikit-fem) and conjugate gradients: Poisson's equation with a known "
+        "solution, the potential of a wave of excitation in tissue with fibres, and an elastic organ under its own weight.",
+    )
+    solve.add_argument(
+        "--solve",
+        choices=["auto", "yes", "no"],
+        default="auto",
+        help="auto: on meshes of up to 150,000 tetrahedra; yes takes about 3 GB for a million (default auto)",
+    )
+    solve.add_argument(
+        "--solve-seconds",
+        metavar="S",
+        type=positive,
+        default=600.0,
+        help="leave out what is not solved after this time, s, with a warning (default 600)",
     )
 
     shared = parser.add_argument_group("Shared options")
@@ -189,12 +185,12 @@ def build_parser() -> argparse.ArgumentParser:
         help="replace outputs that exist already; without it they are kept and the run is refused",
     )
     shared.add_argument(
-        "--threads", metavar="N", type=_whole(0), default=0, help="CPU threads to use, 0 for all cores (default 0)"
+        "--threads", metavar="N", type=whole(0), default=0, help="CPU threads to use, 0 for all cores (default 0)"
     )
     shared.add_argument(
         "--seed",
         metavar="N",
-        type=_whole(0),
+        type=whole(0),
         default=1,
         help="recorded only: the tetrahedralizers draw no random numbers of ours, and fTetWild's result may differ from run to "
         "run (default 1)",
@@ -237,7 +233,12 @@ def main(argv: Sequence[str] | None = None) -> int:
     if report is not None:
         try:
             check_report(
-                report, [path for path in (parsed.surface, parsed.sizefield, parsed.output) if path is not None]
+                report,
+                [
+                    path
+                    for path in (parsed.surface, parsed.sizefield, parsed.labels_volume, parsed.output)
+                    if path is not None
+                ],
             )
         except StageError as problem:
             # not even to tell of the error may a file be replaced that is no report
@@ -271,12 +272,15 @@ def _run(parsed: argparse.Namespace, context: Context) -> list[str]:
     from tetmesh_check.fill import Method
     from tetmesh_check.pictures import PICTURES
     from tetmesh_check.pipeline import Arguments, run
+    from tetmesh_check.solve import SolveMode, SolveSettings
 
     arguments = Arguments(
         surface=parsed.surface,
         output=parsed.output,
         sizefield=parsed.sizefield,
         pictures=parsed.pictures,
+        labels_volume=parsed.labels_volume,
+        exports=parsed.export,
         tet_size_factor=parsed.tet_size_factor,
         method=Method(parsed.method),
         envelope=parsed.envelope,
@@ -284,6 +288,7 @@ def _run(parsed: argparse.Namespace, context: Context) -> list[str]:
         max_passes=parsed.max_passes,
         max_seconds=parsed.max_seconds,
         limits=Limits(parsed.min_dihedral, parsed.min_scaled_jacobian, parsed.max_volume_change, parsed.max_distance),
+        solve=SolveSettings(SolveMode(parsed.solve), parsed.solve_seconds),
     )
     context.parameters.update(arguments.parameters())
     if arguments.output.suffix != ".vtu":
@@ -292,14 +297,15 @@ def _run(parsed: argparse.Namespace, context: Context) -> list[str]:
             "the volume mesh is written in VTK's format for unstructured grids",
             "name the output NAME.volume.vtu",
         )
-    for source in (arguments.surface, arguments.sizefield):
-        if source is not None and same_file(source, arguments.output):
+    outputs = [arguments.output, *arguments.export_paths().values()]
+    for source in (arguments.surface, arguments.sizefield, arguments.labels_volume):
+        if source is not None and any(same_file(source, output) for output in outputs):
             raise StageError(
                 f"{source}: is both an input and an output",
                 "the input would be replaced",
                 "give the output another name",
             )
-    refuse_existing([arguments.output], context.common.force)
+    refuse_existing(outputs, context.common.force)
     if (job := arguments.picture_job) is not None and job.folder.is_dir():
         refuse_existing([job.path(picture) for picture in PICTURES], context.common.force)
     return run(arguments, context)

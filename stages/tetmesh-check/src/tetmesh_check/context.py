@@ -246,7 +246,9 @@ class Context:
 
 
 _SILENT_FLAGS = frozenset({"--verbose", "--quiet", "--force"})
-_SILENT_VALUES = frozenset({"--threads", "--report", "--progress", "--pictures", "--max-seconds"})
+_SILENT_VALUES = frozenset(
+    {"--threads", "--report", "--progress", "--pictures", "--export", "--max-seconds", "--solve-seconds"}
+)
 
 
 def canonical_command_line(arguments: list[str], outputs: list[Path]) -> str:

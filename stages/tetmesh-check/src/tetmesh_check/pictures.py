@@ -26,7 +26,7 @@ _WINDOW = (1600, 1200)
 _VIEW = np.array([0.55, -0.75, 0.37])
 """From the object towards the eye."""
 _UP = (0.0, 0.0, 1.0)
-_SURFACE_COLOUR = "#d9c7b0"
+_SURFACE_COLOUR = "#f0dfcb"
 _EDGE_COLOUR = "#2b2b2b"
 _CLOSEUP_EDGES = 22.0
 """Height of the close-up in local edge lengths."""
@@ -150,15 +150,15 @@ def _centre(points: Any) -> Any:
 
 def _scalar_bar(title: str) -> dict[str, Any]:
     return {
-        "title": title,
+        "title": f"{title}\n",
         "color": "black",
         "vertical": False,
         "width": 0.5,
-        "height": 0.09,
+        "height": 0.1,
         "position_x": 0.25,
         "position_y": 0.015,
-        "title_font_size": 26,
-        "label_font_size": 22,
+        "title_font_size": 24,
+        "label_font_size": 20,
         "fmt": "%.1f",
         "n_labels": 6,
         "background_color": "white",
@@ -183,10 +183,10 @@ def _draw_surface(surface: Any, _volume: Any, path: Path) -> None:
         show_edges=True,
         edge_color=_EDGE_COLOUR,
         line_width=_edge_width(height, edge),
-        edge_opacity=float(np.clip(edge / height * _WINDOW[1] / 6.0, 0.15, 1.0)),
-        ambient=0.12,
-        diffuse=0.72,
-        specular=0.1,
+        edge_opacity=float(np.clip(edge / height * _WINDOW[1] / 20.0, 0.25, 1.0)),
+        ambient=0.22,
+        diffuse=0.7,
+        specular=0.05,
     )
     _look(plotter, _centre(points), _VIEW, height)
     plotter.screenshot(path)
@@ -227,23 +227,30 @@ def _draw_closeup(surface: Any, _volume: Any, path: Path) -> None:
     plotter.screenshot(path)
 
 
+def _edge_length(points: Any, cells: Any) -> float:
+    """Edge length of the regular tetrahedron of mean volume, mm."""
+    from tetmesh_check.quality import signed_tetrahedron_volumes
+
+    return float((2.0**0.5 * 6.0 * signed_tetrahedron_volumes(points, cells).mean()) ** (1.0 / 3.0))
+
+
 def _draw_cut(_surface: Any, volume: Any, path: Path) -> None:
+    from tetmesh_check.cut import cut_of
+    from tetmesh_check.polydata import to_polydata
+
     plotter = _plotter()
     points = np.asarray(volume.points, dtype=np.float64)
-    axis = int(np.argmin(np.ptp(points, axis=0)))
-    normal = np.zeros(3)
-    normal[axis] = -1.0 if axis == 1 else 1.0
-    up = (0.0, 1.0, 0.0) if axis == 2 else _UP
-    centres = points[np.asarray(volume.cells_dict[10])].mean(axis=1)
-    depth = centres @ normal
-    # Through the middle of the matter, keeping whole tetrahedra on the far side.
-    kept = volume.extract_cells(np.flatnonzero(depth < np.median(depth)))
-    kept.cell_data["radius ratio"] = kept.cell_data["radius_ratio"]
+    cells = np.asarray(volume.cells_dict[10], dtype=np.int64)
+    cut = cut_of(volume)
+    used, local = np.unique(cut.triangles, return_inverse=True)
+    kept = to_polydata(points[used], local.reshape(-1, 3))
+    kept.cell_data["radius ratio"] = np.asarray(volume.cell_data["radius_ratio"])[cut.owners]
+    normal, up = cut.normal, cut.up
     # Seen slightly from the side, so that the depth of the cut shows.
-    towards_eye = normal + 0.28 * np.cross(up, normal) + 0.22 * np.asarray(up)
-    shown = np.asarray(kept.points)
+    towards_eye = normal + 0.28 * np.cross(up, normal) + 0.22 * up
+    shown = points[used]
     height = _height_in_view(shown, towards_eye, up)
-    edge = float((2.0**0.5 * 6.0 * volume.volume / volume.n_cells) ** (1.0 / 3.0))
+    edge = _edge_length(points, cells)
     plotter.add_mesh(
         kept,
         scalars="radius ratio",
@@ -257,7 +264,7 @@ def _draw_cut(_surface: Any, volume: Any, path: Path) -> None:
         edge_opacity=float(np.clip(edge / height * _WINDOW[1] / 6.0, 0.15, 1.0)),
         scalar_bar_args=_scalar_bar("radius ratio of the tetrahedra (1 = regular)"),
     )
-    focus = _centre(shown) - 0.06 * height * np.asarray(up)
+    focus = _centre(shown) - 0.06 * height * up
     _look(plotter, focus, towards_eye, 1.1 * height, up)
     plotter.screenshot(path)
 

@@ -13,10 +13,13 @@ from tetmesh_check.components import Components
 from tetmesh_check.context import Context
 from tetmesh_check.distance import distances_both_ways, summarize_distances
 from tetmesh_check.errors import StageError
+from tetmesh_check.export import MarkedMesh, export, export_path
 from tetmesh_check.fill import Filled, Method, Task, fill
 from tetmesh_check.pictures import PictureJob, draw_pictures
-from tetmesh_check.quality import Values, summarize, summarize_all, tetrahedron_quality, triangle_quality
+from tetmesh_check.quality import Values, centres_of, summarize, summarize_all, tetrahedron_quality, triangle_quality
+from tetmesh_check.regions import CAP, LabelVolume, boundary_marks, meshed_labels, read_label_volume, regions_of
 from tetmesh_check.sizing import SizingField, read_sizing_field, uniform_sizing_field
+from tetmesh_check.solve import SolveSettings, VolumeMesh, solve_on
 from tetmesh_check.surface import Surface, check_surface, read_surface
 from tetmesh_check.topology import Topology, changed_triangles, measure_topology, tetrahedron_boundary
 from tetmesh_check.volume import write_volume
@@ -33,6 +36,9 @@ class Arguments:
     output: Path
     sizefield: Path | None = None
     pictures: Path | None = None
+    labels_volume: Path | None = None
+    exports: tuple[str, ...] = ()
+    """What of :data:`.FORMATS` is written, too."""
     tet_size_factor: float = 1.0
     """Tetrahedron edge length over h."""
     method: Method = Method.AUTO
@@ -44,6 +50,7 @@ class Arguments:
     max_passes: int = 80
     max_seconds: float = 3600.0
     limits: Limits = field(default_factory=Limits)
+    solve: SolveSettings = field(default_factory=SolveSettings)
 
     @property
     def name(self) -> str:
@@ -54,6 +61,10 @@ class Arguments:
     def log(self) -> Path:
         """Where the tetrahedralizer's log goes."""
         return self.output.with_name(f"{self.name}.tetrahedra.log")
+
+    def export_paths(self) -> dict[str, Path]:
+        """The file of each format that is written, too."""
+        return {kind: export_path(self.output, self.name, kind) for kind in self.exports}
 
     @property
     def picture_job(self) -> PictureJob | None:
@@ -72,6 +83,7 @@ class Arguments:
             "min_scaled_jacobian": self.limits.min_scaled_jacobian,
             "max_volume_change": self.limits.max_volume_change,
             "max_distance": self.limits.max_distance,
+            "solve": self.solve.mode,
         }
 
 
@@ -79,7 +91,8 @@ def _size(surface: Surface, sizing: SizingField | None, context: Context) -> tup
     """Edge lengths everywhere, and those at the surface, mm."""
     if sizing is not None:
         at_surface = sizing.at(surface.points)
-        context.results["sizing"] = {"voxel_mm": sizing.voxel, "at_surface": summarize(at_surface)}
+        bins = np.linspace(0.0, float(at_surface.max()), 51)
+        context.results["sizing"] = {"voxel_mm": sizing.voxel, "at_surface": summarize(at_surface, bins)}
         return sizing, at_surface
     lengths = triangle_quality(surface.points, surface.triangles).edge_length
     median = float(np.median(lengths))
@@ -108,11 +121,12 @@ def _measure(
     envelope: float,
     arguments: Arguments,
     context: Context,
-) -> Measurements:
+) -> tuple[Measurements, VolumeMesh]:
     points, tetrahedra = filled.points, filled.tetrahedra
     with context.step("measure quality"):
         quality = tetrahedron_quality(points, tetrahedra)
-        boundary, bodies = tetrahedron_boundary(tetrahedra)
+        outside = tetrahedron_boundary(tetrahedra)
+        boundary, bodies = outside.triangles, int(outside.bodies.max()) + 1
         boundary_topology = measure_topology(points, boundary)
         missing, added = changed_triangles((surface.points, surface.triangles), (points, boundary))
         context.results["volume"] = {
@@ -131,7 +145,7 @@ def _measure(
             "boundary_quality": summarize_all(triangle_quality(points, boundary)),
         }
         if sizing is not None:
-            wanted = arguments.tet_size_factor * sizing.at(points[tetrahedra].mean(axis=1))
+            wanted = arguments.tet_size_factor * sizing.at(centres_of(points, tetrahedra))
             context.results["volume"]["edge_length_over_target"] = summarize(
                 quality.edge_length / wanted, np.linspace(0.0, 3.0, 61)
             )
@@ -141,7 +155,7 @@ def _measure(
             "boundary_to_surface": summarize_distances(to_surface),
             "surface_to_boundary": summarize_distances(to_boundary),
         }
-    return Measurements(
+    measured = Measurements(
         quality=quality,
         surface_volume=surface.volume(),
         surface_bodies=int((components.volumes > 0).sum()),
@@ -152,6 +166,33 @@ def _measure(
         surface_distance=float(to_boundary.max()),
         envelope=envelope,
     )
+    return measured, VolumeMesh(points, tetrahedra, quality.volume, outside)
+
+
+def _mark(surface: Surface, mesh: VolumeMesh, labels: LabelVolume | None, context: Context) -> MarkedMesh:
+    """Find the region of each tetrahedron, and the part of the boundary each of its triangles belongs to."""
+    regions = np.ones(len(mesh.tetrahedra), dtype=np.int64)
+    if labels is not None:
+        with context.step("regions"):
+            wanted = meshed_labels(surface.history)
+            regions = regions_of(centres_of(mesh.points, mesh.tetrahedra), labels, wanted)
+        context.results["regions"] = {
+            str(label): {
+                "tetrahedra": int((regions == label).sum()),
+                "volume_mm3": float(mesh.volumes[regions == label].sum()),
+                "voxels_mm3": float((labels.values == label).sum() * labels.voxel_volume),
+            }
+            for label in np.unique(regions).tolist()
+        }
+    outside = mesh.boundary.triangles
+    marks = boundary_marks(surface, mesh.points, outside)
+    cap = marks == CAP
+    areas = triangle_quality(mesh.points, outside).area
+    context.results["boundary"] = {
+        "surface": {"triangles": int((~cap).sum()), "area_mm2": float(areas[~cap].sum())},
+        "cap": {"triangles": int(cap.sum()), "area_mm2": float(areas[cap].sum())},
+    }
+    return MarkedMesh(mesh.points, mesh.tetrahedra, regions, outside, mesh.boundary.owners, marks)
 
 
 def _draw(job: PictureJob, context: Context) -> None:
@@ -194,6 +235,10 @@ def run(arguments: Arguments, context: Context) -> list[str]:
         if arguments.sizefield is not None:
             sizing = read_sizing_field(arguments.sizefield)
             context.add_input(arguments.sizefield, sizing.history)
+        labels = None
+        if arguments.labels_volume is not None:
+            labels = read_label_volume(arguments.labels_volume)
+            context.add_input(arguments.labels_volume, None)
     context.verbose(f"{arguments.surface}: {len(surface.points)} vertices, {len(surface.triangles)} triangles")
 
     with context.step("check surface"):
@@ -229,10 +274,15 @@ def run(arguments: Arguments, context: Context) -> list[str]:
     )
     filled = fill(task, context)
 
-    measured = _measure(surface, topology, components, sizing, filled, envelope, arguments, context)
-    checks = run_checks(measured, arguments.limits)
+    measured, mesh = _measure(surface, topology, components, sizing, filled, envelope, arguments, context)
+    checks = run_checks(measured, arguments.limits) + solve_on(mesh, arguments.solve, context)
+    marked = _mark(surface, mesh, labels, context)
     with context.step("write"):
-        write_volume(arguments.output, filled.points, filled.tetrahedra, measured.quality, context.history())
+        write_volume(arguments.output, marked, measured.quality, context.history())
+    for kind, path in arguments.export_paths().items():
+        with context.step(f"export {kind}"):
+            export(marked, path, kind)
+    context.results["exports"] = [path.name for path in arguments.export_paths().values()]
     if (job := arguments.picture_job) is not None:
         _draw(job, context)
 

@@ -9,6 +9,7 @@ Table 1 of Kim, Chen and Hansen 2012.
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
+from functools import reduce
 from typing import Any
 
 import numpy as np
@@ -26,6 +27,8 @@ Values = NDArray[np.float64]
 PERCENTILES = (1, 5, 10, 25, 50, 75, 90, 95, 99)
 """The percentiles that a summary lists."""
 
+_BLOCK = 1 << 14
+"""Tetrahedra that are measured at once: few enough for the cache."""
 _TETRAHEDRON_EDGES = ((0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3))
 _TETRAHEDRON_CORNERS = ((0, 1, 2), (0, 3, 4), (1, 3, 5), (2, 4, 5))
 """For each vertex, the three of the edges above that meet in it."""
@@ -118,6 +121,23 @@ def triangle_quality(points: Points, triangles: Cells) -> TriangleQuality:
     )
 
 
+def centres_of(points: Points, cells: Cells) -> Points:
+    """Mean position of the vertices of each cell, mm, shape ``(m, 3)``.
+
+    Parameters
+    ----------
+    points
+        Positions, mm, shape ``(n, 3)``, or one coordinate, shape ``(n,)``.
+    cells
+        Vertex indices, shape ``(m, k)``.
+    """
+    total = points[cells[:, 0]]
+    for k in range(1, cells.shape[1]):
+        total += points[cells[:, k]]
+    total /= cells.shape[1]
+    return total
+
+
 def signed_tetrahedron_volumes(points: Points, tetrahedra: Cells) -> Values:
     """Signed volume of every tetrahedron, mm^3, positive in VTK's vertex order.
 
@@ -150,15 +170,43 @@ def tetrahedron_quality(points: Points, tetrahedra: Cells) -> TetrahedronQuality
         Arrays of shape ``(m,)``. A flat tetrahedron has radius ratio and scaled Jacobian 0 and an infinite aspect
         ratio; an inverted one has negative volume and scaled Jacobian.
     """
-    volume = signed_tetrahedron_volumes(points, tetrahedra)
-    corner = [points[tetrahedra[:, k]] for k in range(4)]
-    edge = [_lengths(corner[j] - corner[i]) for i, j in _TETRAHEDRON_EDGES]
-    longest, shortest = np.maximum.reduce(edge), np.minimum.reduce(edge)
+    by_rows = np.ascontiguousarray(points.T)
+    measures = {field.name: np.empty(len(tetrahedra)) for field in fields(TetrahedronQuality)}
+    for start in range(0, len(tetrahedra), _BLOCK):
+        block = slice(start, start + _BLOCK)
+        part = _measure_block([by_rows[:, tetrahedra[block, k]] for k in range(4)])
+        for name, values in part.items():
+            measures[name][block] = values
+    return TetrahedronQuality(**measures)
+
+
+def _cross(u: Points, v: Points) -> Points:
+    """Vector products by rows, shape ``(3, n)``."""
+    return np.stack([u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]])
+
+
+def _dot(u: Points, v: Points) -> Values:
+    """Scalar products by rows, shape ``(n,)``."""
+    products: Values = u[0] * v[0] + u[1] * v[1] + u[2] * v[2]
+    return products
+
+
+def _degrees(cosine: Values) -> Values:
+    angles: Values = np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0)))
+    return angles
+
+
+def _measure_block(corner: list[Points]) -> dict[str, Values]:
+    """Measure some tetrahedra by the positions of their vertices, four arrays of shape ``(3, n)``."""
+    side = [corner[j] - corner[i] for i, j in _TETRAHEDRON_EDGES]
+    edge = [np.sqrt(_dot(vector, vector)) for vector in side]
+    longest, shortest = reduce(np.maximum, edge), reduce(np.minimum, edge)
 
     # area vectors pointing out of a positive tetrahedron; face k lies opposite vertex (3, 2, 0, 1)[k]
-    area_vectors = [np.cross(corner[j] - corner[i], corner[k] - corner[i]) for i, j, k in OUTWARD_FACES]
-    doubled_areas = [_lengths(vector) for vector in area_vectors]
-    surface = 0.5 * np.add.reduce(doubled_areas)
+    area_vectors = [_cross(corner[j] - corner[i], corner[k] - corner[i]) for i, j, k in OUTWARD_FACES]
+    volume = _dot(_cross(side[0], side[1]), side[2]) / 6.0
+    doubled_areas = [np.sqrt(_dot(vector, vector)) for vector in area_vectors]
+    surface = 0.5 * reduce(np.add, doubled_areas)
     inradius = _ratio(3.0 * np.abs(volume), surface, 0.0)
 
     # circumradius: with the three products of opposite edges p, q, r, 24 V R = sqrt((p+q+r)(p+q-r)(p-q+r)(-p+q+r))
@@ -166,27 +214,22 @@ def tetrahedron_quality(points: Points, tetrahedra: Cells) -> TetrahedronQuality
     heron = np.maximum((p + q + r) * (p + q - r) * (p - q + r) * (q + r - p), 0.0)
     radius_ratio = _ratio(72.0 * np.abs(volume) * inradius, np.sqrt(heron), 0.0)
 
-    largest_product = np.maximum.reduce([edge[i] * edge[j] * edge[k] for i, j, k in _TETRAHEDRON_CORNERS])
-    scaled_jacobian = _ratio(np.sqrt(2.0) * 6.0 * volume, largest_product, 0.0)
-
-    dihedral = []
-    for i in range(4):
-        for j in range(i):
-            cosine = _ratio(
-                -np.einsum("ij,ij->i", area_vectors[i], area_vectors[j]), doubled_areas[i] * doubled_areas[j], 1.0
-            )
-            dihedral.append(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))))
-
-    return TetrahedronQuality(
-        volume=volume,
-        radius_ratio=np.clip(radius_ratio, 0.0, 1.0),
-        scaled_jacobian=scaled_jacobian,
-        min_dihedral=np.minimum.reduce(dihedral),
-        max_dihedral=np.maximum.reduce(dihedral),
-        aspect_ratio=_ratio(longest, 2.0 * np.sqrt(6.0) * inradius, np.inf),
-        edge_ratio=_ratio(longest, shortest, np.inf),
-        edge_length=np.add.reduce(edge) / 6.0,
-    )
+    largest_product = reduce(np.maximum, [edge[i] * edge[j] * edge[k] for i, j, k in _TETRAHEDRON_CORNERS])
+    cosines = [
+        _ratio(-_dot(area_vectors[i], area_vectors[j]), doubled_areas[i] * doubled_areas[j], 1.0)
+        for i in range(4)
+        for j in range(i)
+    ]
+    return {
+        "volume": volume,
+        "radius_ratio": np.clip(radius_ratio, 0.0, 1.0),
+        "scaled_jacobian": _ratio(np.sqrt(2.0) * 6.0 * volume, largest_product, 0.0),
+        "min_dihedral": _degrees(reduce(np.maximum, cosines)),
+        "max_dihedral": _degrees(reduce(np.minimum, cosines)),
+        "aspect_ratio": _ratio(longest, 2.0 * np.sqrt(6.0) * inradius, np.inf),
+        "edge_ratio": _ratio(longest, shortest, np.inf),
+        "edge_length": reduce(np.add, edge) / 6.0,
+    }
 
 
 def summarize(values: Values, bins: NDArray[np.float64] | None = None) -> dict[str, Any]:

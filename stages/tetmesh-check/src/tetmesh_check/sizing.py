@@ -29,6 +29,8 @@ MAX_BACKGROUND_NODES = 200_000
 MAX_GRID_NODES = 4_000_000
 """Nodes of the grid along the world's axes: 32 MB."""
 _SLAB_NODES = 1 << 18
+_BLOCK_POINTS = 1 << 14
+"""Positions that are looked up at once: few enough for the cache."""
 
 _FIVE_TETRAHEDRA = (
     ((0, 1, 3, 4), (1, 2, 3, 6), (1, 3, 4, 6), (1, 4, 5, 6), (3, 4, 6, 7)),
@@ -75,13 +77,23 @@ class SizingField:
         world
             Positions, mm, shape ``(n, 3)``.
         """
+        result = np.empty(len(world))
+        for start in range(0, len(world), _BLOCK_POINTS):
+            result[start : start + _BLOCK_POINTS] = self._at(world[start : start + _BLOCK_POINTS])
+        return result
+
+    def _at(self, world: Points) -> Values:
+        """Edge length at some positions."""
         last = np.array(self.values.shape) - 1
         index = np.clip(self.to_index(world), 0, last)
         base = np.minimum(index.astype(np.int64), np.maximum(last - 1, 0))
         fraction = index - base
+        above, below = np.ascontiguousarray(fraction.T), np.ascontiguousarray((1.0 - fraction).T)
         result = np.zeros(len(world))
         for corner in _CUBE_CORNERS:
-            weight = np.where(corner == 1, fraction, 1.0 - fraction).prod(axis=1)
+            weight = np.ones(len(world))
+            for axis in range(3):
+                weight *= above[axis] if corner[axis] else below[axis]
             at = np.minimum(base + corner, last)
             result += weight * self.values[at[:, 0], at[:, 1], at[:, 2]]
         return result

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pyvista as pv
+from numpy.typing import NDArray
 from vtkmodules.vtkCommonCore import vtkObject
 
 from tetmesh_check.components import Components, component_volumes, measure_components
@@ -33,6 +34,8 @@ class Surface:
     """The history that the file carries, or ``None``."""
     merged_points: int
     """Vertices that lay exactly on another one and were joined to it."""
+    cap: NDArray[np.bool_] | None = None
+    """Whether each triangle lies where the border of the volume cut the object, shape ``(m,)``; ``None`` if nobody says."""
 
     @property
     def bounding_box_diagonal(self) -> float:
@@ -126,13 +129,15 @@ def read_surface(path: Path) -> Surface:
             "find out which stage wrote it; the volume may hold NaN voxels",
         )
     # some formats (STL) and programs write a vertex once a triangle
+    cap = np.asarray(dataset.cell_data["cap"]).ravel() != 0 if "cap" in dataset.cell_data else None
     unique, inverse = np.unique(points, axis=0, return_inverse=True)
     merged = len(points) - len(unique)
     if merged:
         points, triangles = unique, inverse.ravel()[triangles].astype(np.int64)
         distinct = (triangles != np.roll(triangles, 1, axis=1)).all(axis=1)
         triangles = triangles[distinct]
-    return Surface(points, triangles, history_of(dataset), merged)
+        cap = None if cap is None else cap[distinct]
+    return Surface(points, triangles, history_of(dataset), merged, cap)
 
 
 def check_surface(path: Path, surface: Surface) -> tuple[Topology, Components]:

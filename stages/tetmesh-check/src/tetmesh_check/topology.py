@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_matrix, csgraph
 
 from tetmesh_check.quality import OUTWARD_FACES, Cells, Labels, Points
 
@@ -24,24 +26,13 @@ def connected_components(count: int, links: Cells) -> Labels:
     ndarray
         Component of each node, shape ``(count,)``, numbered from 0 by first appearance.
     """
-    root = np.arange(count, dtype=np.int64)
-    first, second = links[:, 0], links[:, 1]
-    while True:
-        a, b = root[first], root[second]
-        apart = a != b
-        if not apart.any():
-            break
-        first, second, a, b = first[apart], second[apart], a[apart], b[apart]
-        np.minimum.at(root, np.maximum(a, b), np.minimum(a, b))
-        while True:  # let every node point at the end of its chain
-            shorter = root[root]
-            if np.array_equal(shorter, root):
-                break
-            root = shorter
-    _, first_seen, labels = np.unique(root, return_index=True, return_inverse=True)
-    order = np.empty(len(first_seen), dtype=np.int64)
-    order[np.argsort(first_seen, kind="stable")] = np.arange(len(first_seen))
-    return order[labels.ravel()]
+    graph = coo_matrix((np.ones(len(links), dtype=np.int32), (links[:, 0], links[:, 1])), shape=(count, count))
+    labels: Labels = csgraph.connected_components(graph, directed=False)[1].astype(np.int64)
+    return labels
+
+
+_MAX_COUNT_IN_ONE_KEY = 1 << 21
+"""Vertices so few that three of their numbers fit one number of 64 bits."""
 
 
 @dataclass(frozen=True)
@@ -137,32 +128,84 @@ def measure_topology(points: Points, triangles: Cells) -> Topology:
     )
 
 
-def tetrahedron_boundary(tetrahedra: Cells) -> tuple[Cells, int]:
-    """Find the boundary of a volume mesh, and count its bodies.
+@dataclass(frozen=True)
+class Boundary:
+    """The outside of a volume mesh."""
+
+    triangles: Cells
+    """Those that belong to one tetrahedron only, wound to point out of positive ones, shape ``(k, 3)``."""
+    owners: Labels
+    """The tetrahedron of each, shape ``(k,)``."""
+    bodies: Labels
+    """Body of each tetrahedron, shape ``(m,)``, numbered from 0; bodies hang together through faces."""
+
+
+def tetrahedron_boundary(tetrahedra: Cells) -> Boundary:
+    """Find the boundary of a volume mesh, and its bodies.
 
     Parameters
     ----------
     tetrahedra
         Vertex indices in VTK order, shape ``(m, 4)``.
+    """
+    size = len(tetrahedra)
+    faces = _faces(tetrahedra)
+    order, same = _equal_faces(faces)
+    alone = np.sort(order[np.concatenate([[True], ~same]) & np.concatenate([~same, [True]])])
+    # face number f belongs to tetrahedron f modulo their number
+    links = np.stack([order[:-1][same] % size, order[1:][same] % size], 1)
+    return Boundary(faces[:, alone].T, alone % size, connected_components(size, links))
+
+
+def outside_of_part(tetrahedra: Cells, part: Labels, on_boundary: NDArray[np.bool_]) -> tuple[Cells, Labels]:
+    """Find the outside of some of the tetrahedra without looking at all their faces.
+
+    Parameters
+    ----------
+    tetrahedra
+        Vertex indices in VTK order, shape ``(m, 4)``.
+    part
+        Numbers of those that count, ascending, shape ``(p,)``.
+    on_boundary
+        Which vertices lie on the boundary of the whole, shape ``(n,)``.
 
     Returns
     -------
     tuple
-        The triangles that belong to one tetrahedron only, shape ``(k, 3)``, wound to point out of positive tetrahedra, and
-        the number of bodies; tetrahedra hang together through faces.
+        Triangles and their owners, as in :class:`Boundary`.
     """
-    size = len(tetrahedra)
-    faces = np.concatenate([tetrahedra[:, face] for face in map(list, OUTWARD_FACES)])
-    low, middle, high = np.sort(faces, axis=1).T
-    pair = low * (int(tetrahedra.max(initial=0)) + 1) + middle
+    # a face outside the part is one of the whole's, or belongs to a tetrahedron that does not count as well
+    others = np.ones(len(tetrahedra), dtype=bool)
+    others[part] = False
+    candidate = on_boundary.copy()
+    candidate[tetrahedra[others]] = True
+    faces = _faces(tetrahedra[part])
+    near = np.flatnonzero(candidate[faces[0]] & candidate[faces[1]] & candidate[faces[2]])
+    order, same = _equal_faces(faces[:, near])
+    alone = near[np.sort(order[np.concatenate([[True], ~same]) & np.concatenate([~same, [True]])])]
+    return faces[:, alone].T, part[alone % len(part)]
+
+
+def _faces(tetrahedra: Cells) -> Cells:
+    """Outward faces by rows, shape ``(3, 4 m)``: the first of every tetrahedron, then the second, and so on."""
+    corners = np.ascontiguousarray(tetrahedra.T)
+    return np.stack([np.concatenate([corners[face[k]] for face in OUTWARD_FACES]) for k in range(3)])
+
+
+def _equal_faces(faces: Cells) -> tuple[Labels, NDArray[np.bool_]]:
+    """Order of faces in which equal ones follow each other, and whether each is equal to the one after it."""
+    a, b, c = faces
+    low, high = np.minimum(np.minimum(a, b), c), np.maximum(np.maximum(a, b), c)
+    middle = a + b + c - low - high
+    count = int(faces.max(initial=0)) + 1
+    pair = low * count + middle
+    if count <= _MAX_COUNT_IN_ONE_KEY:
+        key = pair * count + high
+        order = np.argsort(key)
+        key = key[order]
+        return order, key[1:] == key[:-1]
     order = np.lexsort((high, pair))
-    pair, high = pair[order], high[order]
-    same = (pair[1:] == pair[:-1]) & (high[1:] == high[:-1])
-    alone = np.concatenate([[True], ~same]) & np.concatenate([~same, [True]])
-    boundary: Cells = faces[np.sort(order[alone])]
-    # face number f of the concatenation belongs to tetrahedron f modulo their number
-    links = np.stack([order[:-1][same] % size, order[1:][same] % size], 1)
-    return boundary, int(connected_components(size, links).max(initial=-1)) + 1
+    return order, (np.diff(pair[order]) == 0) & (np.diff(high[order]) == 0)
 
 
 def _number_rows(rows: Points | Cells) -> Labels:
@@ -180,15 +223,19 @@ def changed_triangles(before: tuple[Points, Cells], after: tuple[Points, Cells])
     Parameters
     ----------
     before, after
-        Points and triangles of the two meshes.
+        Points and triangles of the two meshes; no two vertices of one lie on each other.
 
     Returns
     -------
     tuple
         How many triangles of the first are not in the second, and the other way round.
     """
-    corners = np.concatenate([mesh[0][mesh[1]].reshape(-1, 3) for mesh in (before, after)])
-    triangles = _number_rows(corners).reshape(-1, 3)
+    shared = len(before[0])
+    if np.array_equal(after[0][:shared], before[0]):  # the same vertices first, as HXT leaves them
+        triangles = np.concatenate([before[1], after[1]])
+    else:
+        corners = np.concatenate([mesh[0][mesh[1]].reshape(-1, 3) for mesh in (before, after)])
+        triangles = _number_rows(corners).reshape(-1, 3)
     # every triangle from its smallest corner on
     turn = (np.argmin(triangles, axis=1)[:, None] + np.arange(3)) % 3
     number = _number_rows(np.take_along_axis(triangles, turn, axis=1))

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pyvista as pv
 
+from tetmesh_check.export import MarkedMesh
 from tetmesh_check.files import write_atomically
 from tetmesh_check.quality import Cells, Points, TetrahedronQuality, signed_tetrahedron_volumes
 
@@ -41,28 +42,26 @@ def orient_positive(points: Points, tetrahedra: Cells) -> tuple[Cells, bool]:
     return tetrahedra[:, [0, 2, 1, 3]], True
 
 
-def write_volume(
-    path: Path, points: Points, tetrahedra: Cells, quality: TetrahedronQuality, history: dict[str, Any]
-) -> None:
+def write_volume(path: Path, mesh: MarkedMesh, quality: TetrahedronQuality, history: dict[str, Any]) -> None:
     """Write the volume mesh.
 
     Parameters
     ----------
     path
         A ``.vtu`` file.
-    points
-        World positions, mm, shape ``(n, 3)``; written in double precision.
-    tetrahedra
-        Vertex indices in VTK order, shape ``(m, 4)``.
+    mesh
+        Its points are written in double precision, the regions of its tetrahedra and the marks of its points as data.
     quality
         Its radius ratio, scaled Jacobian and smallest dihedral angle (degrees) go along as cell data.
     history
         What made the file, with which parameters, from what.
     """
-    grid = pv.UnstructuredGrid({pv.CellType.TETRA: tetrahedra}, points)
+    grid = pv.UnstructuredGrid({pv.CellType.TETRA: mesh.tetrahedra}, mesh.points)
     grid.cell_data["radius_ratio"] = quality.radius_ratio
     grid.cell_data["scaled_jacobian"] = quality.scaled_jacobian
     grid.cell_data["min_dihedral"] = quality.min_dihedral
+    grid.cell_data["region"] = mesh.regions.astype(np.int32)
+    grid.point_data["boundary"] = mesh.point_marks().astype(np.uint8)
     grid.add_field_data([KIND], "isoparticles_kind")
     grid.add_field_data(np.array([FORMAT], dtype=np.uint32), "isoparticles_format")
     grid.add_field_data([json.dumps(history)], "history")

@@ -1,0 +1,63 @@
+"""A cut through the middle of a volume mesh, along faces of whole tetrahedra: for the picture and for the page."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pyvista as pv
+from numpy.typing import NDArray
+
+from tetmesh_check.quality import Cells, Labels, Points, centres_of
+from tetmesh_check.topology import outside_of_part
+
+
+@dataclass(frozen=True)
+class Cut:
+    """The outside of the farther half."""
+
+    triangles: Cells
+    """Vertex indices, outward, shape ``(k, 3)``."""
+    owners: Labels
+    """Tetrahedron of each triangle, shape ``(k,)``."""
+    normal: Points
+    """From the half that is kept towards the eye, along an axis of the world; shape ``(3,)``."""
+    up: Points
+    """What is up in the picture; shape ``(3,)``."""
+
+
+def cut_through_the_middle(points: Points, tetrahedra: Cells, on_boundary: NDArray[np.bool_]) -> Cut:
+    """Cut across the shortest side of the object, so that as many tetrahedra lie before the cut as behind it.
+
+    Parameters
+    ----------
+    points
+        Positions, mm, shape ``(n, 3)``.
+    tetrahedra
+        Vertex indices, shape ``(m, 4)``.
+    on_boundary
+        Which points lie on the boundary, shape ``(n,)``.
+    """
+    axis = int(np.argmin(np.ptp(points, axis=0)))
+    normal = np.zeros(3)
+    normal[axis] = -1.0 if axis == 1 else 1.0
+    up = np.array([0.0, 1.0, 0.0]) if axis == 2 else np.array([0.0, 0.0, 1.0])
+    depth = centres_of(points @ normal, tetrahedra)
+    kept = np.flatnonzero(depth < np.median(depth))
+    if len(kept) == 0:  # all in one plane
+        kept = np.arange(len(tetrahedra))
+    return Cut(*outside_of_part(tetrahedra, kept, on_boundary), normal, up)
+
+
+def cut_of(volume: pv.UnstructuredGrid) -> Cut:
+    """Cut a volume mesh as ``tetmesh-check`` writes it.
+
+    Parameters
+    ----------
+    volume
+        The mesh.
+    """
+    points = np.asarray(volume.points, dtype=np.float64)
+    tetrahedra = np.asarray(volume.cells_dict[10], dtype=np.int64)
+    marks = volume.point_data["boundary"] if "boundary" in volume.point_data else np.ones(len(points))
+    return cut_through_the_middle(points, tetrahedra, np.asarray(marks) > 0)

@@ -1,0 +1,80 @@
+"""Parsing of command lines: usage errors in three parts, and numbers within their ranges."""
+
+from __future__ import annotations
+
+import argparse
+import math
+import sys
+from collections.abc import Callable
+from typing import NoReturn
+
+from tetmesh_check.errors import ExitCode, StageError
+
+_FORMATS = ("inp", "msh", "xdmf", "vtp")
+
+
+class Parser(argparse.ArgumentParser):
+    """Usage errors in three parts, as everywhere."""
+
+    def error(self, message: str) -> NoReturn:
+        """Say what was not understood, and end the program."""
+        error = StageError(message, "the command line was not understood", f"see {self.prog} --help")
+        print(f"error: {error}", file=sys.stderr)
+        raise SystemExit(int(ExitCode.BAD_INPUT))
+
+
+def number(low: float, high: float, low_allowed: bool = True) -> Callable[[str], float]:
+    """Build a parser of numbers in a range.
+
+    Parameters
+    ----------
+    low, high
+        The range.
+    low_allowed
+        Whether its lower end belongs to it.
+    """
+
+    def parse(text: str) -> float:
+        try:
+            value = float(text)
+        except ValueError:
+            value = math.nan
+        if not (value > low or (low_allowed and value == low)) or not value <= high or math.isinf(value):
+            opening = "[" if low_allowed else "("
+            closing = ")" if math.isinf(high) else "]"
+            raise argparse.ArgumentTypeError(f"'{text}' is not a number in {opening}{low:g}, {high:g}{closing}")
+        return value
+
+    return parse
+
+
+def whole(low: int) -> Callable[[str], int]:
+    """Build a parser of whole numbers.
+
+    Parameters
+    ----------
+    low
+        The smallest.
+    """
+
+    def parse(text: str) -> int:
+        if not text.isascii() or not text.isdigit() or int(text) < low:
+            raise argparse.ArgumentTypeError(f"'{text}' is not a whole number from {low}")
+        return int(text)
+
+    return parse
+
+
+def formats(text: str) -> tuple[str, ...]:
+    """Parse the list of formats of ``--export``.
+
+    Parameters
+    ----------
+    text
+        Their names, with commas.
+    """
+    words = tuple(dict.fromkeys(text.split(",")))
+    for word in words:
+        if word not in _FORMATS:
+            raise argparse.ArgumentTypeError(f"'{word}' is none of {', '.join(_FORMATS)}")
+    return words

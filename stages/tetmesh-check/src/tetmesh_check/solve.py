@@ -1,0 +1,154 @@
+"""Which problems are solved on the mesh, within which bounds, and what that says about it."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Any
+
+import numpy as np
+
+from tetmesh_check.assembly import Assembler
+from tetmesh_check.checks import Check
+from tetmesh_check.context import Context
+from tetmesh_check.krylov import OutOfTimeError
+from tetmesh_check.problems import Solver, conduction, elasticity, poisson
+from tetmesh_check.quality import Cells, Points, Values
+from tetmesh_check.topology import Boundary
+
+AUTO_MAX_TETRAHEDRA = 150_000
+"""Largest mesh that is solved on by default: at most about half a minute and 1 GB."""
+MAX_SECONDS = 600.0
+"""Default time limit for all problems together, s."""
+MAX_ITERATIONS = 50_000
+"""Of one run of conjugate gradients."""
+MAX_BEST_APPROXIMATION = 1.1
+"""Error of the computed gradient over that of the interpolated exact solution. The theory says 1; the rest is for the
+quadrature of the load."""
+
+
+class SolveMode(StrEnum):
+    """Whether problems are solved on the mesh."""
+
+    AUTO = "auto"
+    """On meshes of up to :data:`AUTO_MAX_TETRAHEDRA` tetrahedra."""
+    YES = "yes"
+    NO = "no"
+
+
+@dataclass(frozen=True)
+class SolveSettings:
+    """What the user asked for."""
+
+    mode: SolveMode = SolveMode.AUTO
+    max_seconds: float = MAX_SECONDS
+    """For all problems together, s."""
+
+
+@dataclass(frozen=True)
+class VolumeMesh:
+    """What is solved on."""
+
+    points: Points
+    """Positions, mm, shape ``(n, 3)``."""
+    tetrahedra: Cells
+    """Vertex indices, shape ``(m, 4)``."""
+    volumes: Values
+    """Of each tetrahedron, mm^3, shape ``(m,)``."""
+    boundary: Boundary
+    """Its outside, and its bodies."""
+
+
+def _why_not(mesh: VolumeMesh, settings: SolveSettings) -> str | None:
+    """Why nothing is solved, or ``None``."""
+    if settings.mode is SolveMode.NO:
+        return "--solve no was given"
+    if not (mesh.volumes > 0).all():
+        return "some tetrahedra are inverted or flat"
+    if settings.mode is SolveMode.AUTO and len(mesh.tetrahedra) > AUTO_MAX_TETRAHEDRA:
+        return (
+            f"{len(mesh.tetrahedra):,} tetrahedra are more than the {AUTO_MAX_TETRAHEDRA:,} that are solved on by default "
+            "(--solve yes does it)"
+        )
+    return None
+
+
+def _checks(done: dict[str, dict[str, Any]], stuck: list[str]) -> list[Check]:
+    words = f"conjugate gradients solved {len(done) - len(stuck)} of {len(done)} problems"
+    if stuck:
+        words += f", not {', '.join(stuck)}: the matrix is close to singular"
+    checks = [Check("solve_converged", not stuck, True, float(len(stuck)), 0.0, words)]
+    if "poisson" in done:
+        ratio = done["poisson"]["best_approximation"]
+        checks.append(
+            Check(
+                "best_approximation",
+                ratio <= MAX_BEST_APPROXIMATION,
+                True,
+                ratio,
+                MAX_BEST_APPROXIMATION,
+                f"the gradient of a known solution of Poisson's equation comes out {100.0 * done['poisson']['relative_h1_error']:.3g} % "
+                f"wrong, {ratio:.3g} times as much as by interpolation (limit {MAX_BEST_APPROXIMATION:g})",
+            )
+        )
+    return checks
+
+
+def solve_on(mesh: VolumeMesh, settings: SolveSettings, context: Context) -> list[Check]:
+    """Solve the problems of :mod:`.problems` on a mesh.
+
+    Parameters
+    ----------
+    mesh
+        The tetrahedra.
+    settings
+        What the user asked for.
+    context
+        For messages, times, and ``solve`` in the results.
+
+    Returns
+    -------
+    list of Check
+        Empty where nothing was solved.
+    """
+    results: dict[str, Any] = {"done": False, "reason": _why_not(mesh, settings)}
+    context.results["solve"] = results
+    if results["reason"] is not None:
+        context.verbose(f"nothing is solved: {results['reason']}")
+        return []
+    solver = Solver(MAX_ITERATIONS, time.monotonic() + settings.max_seconds)
+    boundary = np.zeros(len(mesh.points), dtype=bool)
+    boundary[mesh.boundary.triangles] = True
+    assembler = Assembler(mesh.points, mesh.tetrahedra, solver.deadline)
+    problems: dict[str, Callable[[], tuple[dict[str, Any], bool]]] = {
+        "poisson": lambda: poisson(assembler, boundary, solver),
+        "conduction": lambda: conduction(assembler, solver),
+        "elasticity": lambda: elasticity(assembler, mesh.volumes, mesh.boundary.bodies, solver),
+    }
+    done: dict[str, dict[str, Any]] = {}
+    stuck: list[str] = []
+    unfinished: dict[str, str] = {}
+    with context.step("solve"):
+        for name, problem in problems.items():
+            started = time.monotonic()
+            try:
+                figures, converged = problem()
+            except OutOfTimeError:
+                unfinished[name] = f"not finished within {settings.max_seconds:g} s (--solve-seconds)"
+                continue
+            except MemoryError:
+                unfinished[name] = "not enough memory"
+                continue
+            done[name] = {**figures, "seconds": time.monotonic() - started}
+            if not converged:
+                stuck.append(name)
+    results.update(done=not unfinished, **done)
+    if unfinished:
+        reason = "; ".join(f"{name}: {why}" for name, why in unfinished.items())
+        results["reason"] = reason
+        context.warn(f"not everything was solved: {reason}")
+    iterations = [f"{name} {figures['jacobi']['iterations']}" for name, figures in done.items() if "jacobi" in figures]
+    context.closing.append(("CG iterations", ", ".join(iterations) or "none"))
+    return _checks(done, stuck)

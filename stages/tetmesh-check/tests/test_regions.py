@@ -1,0 +1,188 @@
+"""Labels of tetrahedra, marks of the boundary, and what other programs find in the exported files."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import meshio
+import nrrd
+import numpy as np
+import pytest
+import pyvista as pv
+from conftest import NEEDS_HXT, Run, ball
+from test_solve import block
+from vtkmodules.vtkIOXdmf2 import vtkXdmfReader
+
+from tetmesh_check.errors import StageError
+from tetmesh_check.export import FORMATS, MarkedMesh, export, export_path
+from tetmesh_check.quality import signed_tetrahedron_volumes
+from tetmesh_check.regions import CAP, SURFACE, boundary_marks, meshed_labels, read_label_volume, regions_of
+from tetmesh_check.surface import Surface, read_surface
+from tetmesh_check.topology import tetrahedron_boundary
+
+
+def halves(path: Path, header: dict | None = None) -> Path:
+    """Labels 3 (x < 0) and 7 in a box of 25 mm round the origin, 0 and a stray 9 outside a ball of 9 mm."""
+    x, y, z = np.meshgrid(*3 * [np.arange(-12, 13)], indexing="ij")
+    values = np.where(x < 0, 3, 7).astype(np.uint8)
+    values[x**2 + y**2 + z**2 > 81] = 0
+    values[(values == 0) & (z > 0)] = 9
+    given = {"space": "left-posterior-superior", "space directions": np.eye(3), "space origin": [-12.0] * 3}
+    nrrd.write(str(path), values, header or given)
+    return path
+
+
+def test_labels_are_sampled_in_the_world(tmp_path: Path) -> None:
+    plain = read_label_volume(halves(tmp_path / "l.nrrd"))
+    centres = np.array([[-3.0, 1, 1], [4.0, 2, -2], [-9.9, 0, 0], [2.0, 0, 9.7]])
+    np.testing.assert_array_equal(regions_of(centres, plain, [3, 7]), [3, 7, 3, 7])
+    # the stray label counts unless one says which were meshed
+    np.testing.assert_array_equal(regions_of(centres, plain, None), [3, 7, 3, 9])
+
+    # the same voxels in another world: right-anterior-superior, first axis along -y
+    steps = np.array([[0.0, -2.0, 0.0], [2.0, 0.0, 0.0], [0.0, 0.0, 2.0]])
+    header = {"space": "RAS", "space directions": steps, "space origin": [1.0, 2.0, 3.0]}
+    turned = read_label_volume(halves(tmp_path / "r.nrrd", header))
+    index = np.array([[9.0, 13, 13], [16.0, 14, 10]])
+    ras = index @ steps + [1.0, 2.0, 3.0]
+    np.testing.assert_array_equal(regions_of(ras * [-1, -1, 1], turned, None), [3, 7])
+    assert turned.voxel_volume == pytest.approx(8.0)
+
+    image = pv.ImageData(dimensions=(25,) * 3, origin=(-12,) * 3)
+    image["labels"] = plain.values.ravel(order="F")
+    image.save(tmp_path / "l.vti")
+    np.testing.assert_array_equal(regions_of(centres, read_label_volume(tmp_path / "l.vti"), [3, 7]), [3, 7, 3, 7])
+
+
+def test_bad_label_volumes_are_refused(tmp_path: Path) -> None:
+    volume = read_label_volume(halves(tmp_path / "l.nrrd"))
+    with pytest.raises(StageError, match="outside the label volume"):
+        regions_of(np.full((5, 3), 40.0), volume, None)
+    with pytest.raises(StageError, match="not in the label volume"):
+        regions_of(np.zeros((5, 3)), volume, [4])
+    nrrd.write(str(tmp_path / "flat.nrrd"), np.ones((4, 4), dtype=np.uint8))
+    nrrd.write(str(tmp_path / "real.nrrd"), np.full((4, 4, 4), 0.5))
+    nrrd.write(str(tmp_path / "none.nrrd"), np.zeros((4, 4, 4), dtype=np.uint8))
+    (tmp_path / "broken.nrrd").write_bytes((tmp_path / "l.nrrd").read_bytes()[:150])
+    for name, words in (
+        ("flat", "2 axes"),
+        ("real", "no whole numbers"),
+        ("none", "no label but 0"),
+        ("broken", "cannot read"),
+        ("absent", "no such file"),
+    ):
+        with pytest.raises(StageError, match=words):
+            read_label_volume(tmp_path / f"{name}.nrrd")
+
+
+def test_meshed_labels_come_from_the_history() -> None:
+    distfield = {"tool": "distfield", "parameters": {"labels": [3, 7]}, "inputs": []}
+    nested = {"tool": "reconstruct", "parameters": {}, "inputs": [{"history": None}, {"history": distfield}]}
+    assert meshed_labels(nested) == [3, 7]
+    assert meshed_labels({"tool": "distfield", "parameters": {"iso": 5.0}}) is None
+    assert meshed_labels(None) is None
+
+
+def marked_block() -> MarkedMesh:
+    """A block whose lower half is region 2 and whose side x = 0 is a cap."""
+    points, cells = block((3, 2, 4))
+    outside = tetrahedron_boundary(cells)
+    boundary = outside.triangles
+    surface = Surface(points, boundary, None, 0, (points[boundary][..., 0] == 0.0).all(axis=1))
+    marks = boundary_marks(surface, points, boundary)
+    regions = np.where(points[cells].mean(axis=1)[:, 2] < 2.0, 2, 5)
+    return MarkedMesh(points, cells, regions, boundary, outside.owners, marks)
+
+
+def test_exported_files_are_read_back(tmp_path: Path) -> None:
+    mesh = marked_block()
+    cap_points = np.flatnonzero(mesh.points[:, 0] == 0.0)
+    assert (mesh.marks == CAP).sum() == 16
+    for kind in FORMATS:
+        export(mesh, export_path(tmp_path / "b.volume.vtu", "b", kind), kind)
+    assert sorted(path.name for path in tmp_path.iterdir()) == [
+        "b.boundary.vtp", "b.volume.inp", "b.volume.msh", "b.volume.xdmf",
+    ]  # fmt: skip
+
+    abaqus = meshio.read(tmp_path / "b.volume.inp")
+    np.testing.assert_array_equal(abaqus.cells_dict["tetra"], mesh.tetrahedra)
+    np.testing.assert_allclose(abaqus.points, mesh.points, rtol=0, atol=0)
+    np.testing.assert_array_equal(abaqus.cell_sets["REGION_5"][0], np.flatnonzero(mesh.regions == 5))
+    np.testing.assert_array_equal(np.sort(abaqus.point_sets["CAP"]), cap_points)
+    assert "TYPE=C3D4" in (tmp_path / "b.volume.inp").read_text()
+
+    gmsh = meshio.read(tmp_path / "b.volume.msh")
+    np.testing.assert_array_equal(gmsh.cell_data_dict["gmsh:physical"]["tetra"], mesh.regions)
+    np.testing.assert_array_equal(gmsh.cell_data_dict["gmsh:physical"]["triangle"], mesh.marks)
+    assert gmsh.field_data["region_5"].tolist() == [5, 3]
+    assert gmsh.field_data["cap"].tolist() == [CAP, 2]
+
+    reader = vtkXdmfReader()
+    reader.SetFileName(str(tmp_path / "b.volume.xdmf"))
+    reader.Update()
+    xdmf = pv.wrap(reader.GetOutputDataObject(0))
+    np.testing.assert_array_equal(xdmf.cells_dict[10], mesh.tetrahedra)
+    np.testing.assert_array_equal(xdmf.points, mesh.points)
+    np.testing.assert_array_equal(xdmf.cell_data["region"], mesh.regions)
+    np.testing.assert_array_equal(xdmf.point_data["boundary"], mesh.point_marks())
+
+    surface = pv.read(tmp_path / "b.boundary.vtp")
+    assert surface.is_manifold
+    assert (np.asarray(surface.cell_data["mark"]) == SURFACE).sum() == len(mesh.boundary) - 16
+    owners = np.asarray(surface.cell_data["tetrahedron"])
+    at = np.asarray(surface.point_data["point"])[np.asarray(surface.faces).reshape(-1, 4)[:, 1:]]
+    np.testing.assert_array_equal(at, mesh.boundary)
+    for triangle, owner in zip(at, owners, strict=True):
+        assert set(triangle) <= set(mesh.tetrahedra[owner])
+    np.testing.assert_array_equal(surface.cell_data["region"], mesh.regions[owners])
+
+
+def test_points_on_the_rim_of_a_cap_belong_to_the_surface() -> None:
+    mesh = marked_block()
+    inner = (mesh.points[:, 0] == 0) & (mesh.points[:, 1] == 1) & (mesh.points[:, 2] > 0) & (mesh.points[:, 2] < 4)
+    np.testing.assert_array_equal(mesh.point_marks() == CAP, inner)
+
+
+@NEEDS_HXT
+def test_gmsh_opens_its_file(tmp_path: Path) -> None:
+    export(marked_block(), tmp_path / "b.msh", "msh")
+    code = (
+        "import gmsh; gmsh.initialize(interruptible=False); gmsh.option.setNumber('General.Terminal', 0); "
+        "gmsh.open('b.msh'); print([gmsh.model.getPhysicalName(*g) for g in gmsh.model.getPhysicalGroups()])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "['surface', 'cap', 'region_2', 'region_5']"
+
+
+@NEEDS_HXT
+def test_regions_and_exports_from_the_command_line(tmp_path: Path, run: Run) -> None:
+    surface = ball(9.0, 3)
+    surface.cell_data["cap"] = (np.asarray(surface.cell_centers().points)[:, 2] > 8.0).astype(np.int64)
+    surface.save(tmp_path / "ball.surface.vtp")
+    halves(tmp_path / "l.nrrd")
+    words = ("ball.surface.vtp", "-o", "ball.volume.vtu", "--method", "hxt", "--labels-volume", "l.nrrd", "-q")
+    done = run(*words, "--export", "inp,msh,xdmf,vtp", "--report", "r.json")
+    assert done.returncode == 0, done.stderr
+    results = json.loads((tmp_path / "r.json").read_text())["results"]
+    assert results["exports"] == ["ball.volume.inp", "ball.volume.msh", "ball.volume.xdmf", "ball.boundary.vtp"]
+    grid = pv.read(tmp_path / "ball.volume.vtu")
+    cells = np.asarray(grid.cells_dict[10]).astype(np.int64)
+    region = np.asarray(grid.cell_data["region"])
+    centres = np.asarray(grid.points)[cells].mean(axis=1)
+    np.testing.assert_array_equal(region[centres[:, 0] < -1.0] == 7, False)
+    volumes = signed_tetrahedron_volumes(np.asarray(grid.points), cells)
+    assert results["regions"]["3"]["volume_mm3"] == pytest.approx(volumes[region == 3].sum())
+    assert results["regions"]["3"]["volume_mm3"] == pytest.approx(results["regions"]["3"]["voxels_mm3"], rel=0.1)
+    marked = read_surface(tmp_path / "ball.surface.vtp")
+    assert results["boundary"]["cap"]["triangles"] == int(marked.cap.sum()) > 0
+    assert set(np.unique(grid.point_data["boundary"])) == {0, SURFACE, CAP}
+
+    again = run(*words, "--export", "inp", "--force")
+    assert again.returncode == 0
+    (tmp_path / "ball.volume.vtu").unlink()
+    refused = run(*words, "--export", "inp")
+    assert refused.returncode == 2
+    assert "ball.volume.inp: exists already" in refused.stderr

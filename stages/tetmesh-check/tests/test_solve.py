@@ -1,0 +1,227 @@
+"""The problems solved on the tetrahedra: against what is known about them, and within their bounds."""
+
+from __future__ import annotations
+
+import json
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from conftest import Run, ball
+from scipy.linalg import eigh
+from scipy.sparse import csr_matrix, diags
+
+from tetmesh_check import problems, solve
+from tetmesh_check.assembly import Assembler, held_at_one_side
+from tetmesh_check.context import CommonArguments, Context
+from tetmesh_check.krylov import OutOfTimeError, conjugate_gradients
+from tetmesh_check.problems import WEIGHT, Solver, conduction, elasticity, poisson
+from tetmesh_check.quality import signed_tetrahedron_volumes
+from tetmesh_check.solve import SolveMode, SolveSettings, VolumeMesh, solve_on
+from tetmesh_check.topology import tetrahedron_boundary
+
+FOREVER = Solver(10_000, float("inf"))
+
+
+def block(counts: tuple[int, int, int], size: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
+    """A block of cubes of one size, six tetrahedra each (Kuhn), with a corner at the origin."""
+    nx, ny, nz = counts
+    grid = np.stack(np.meshgrid(*(np.arange(n + 1) for n in counts), indexing="ij"), -1).reshape(-1, 3)
+    number = np.arange(len(grid)).reshape(nx + 1, ny + 1, nz + 1)
+    corner = np.stack(np.meshgrid(*(np.arange(n) for n in counts), indexing="ij"), -1).reshape(-1, 3)
+    cells = []
+    for order in ((0, 1, 2), (0, 2, 1), (1, 0, 2), (1, 2, 0), (2, 0, 1), (2, 1, 0)):
+        path = [corner]
+        for axis in order:
+            path.append(path[-1] + np.eye(3, dtype=np.int64)[axis])
+        cells.append(np.stack([number[tuple(p.T)] for p in path], 1))
+    tetrahedra = np.concatenate(cells)
+    points = size * grid.astype(np.float64)
+    negative = signed_tetrahedron_volumes(points, tetrahedra) < 0
+    tetrahedra[negative] = tetrahedra[negative][:, [0, 2, 1, 3]]
+    return points, tetrahedra
+
+
+def on_boundary(points: np.ndarray, tetrahedra: np.ndarray) -> np.ndarray:
+    marks = np.zeros(len(points), dtype=bool)
+    marks[tetrahedron_boundary(tetrahedra).triangles] = True
+    return marks
+
+
+def mesh_of(points: np.ndarray, tetrahedra: np.ndarray) -> VolumeMesh:
+    volumes = signed_tetrahedron_volumes(points, tetrahedra)
+    return VolumeMesh(points, tetrahedra, volumes, tetrahedron_boundary(tetrahedra))
+
+
+def test_conjugate_gradients_and_their_eigenvalues() -> None:
+    generator = np.random.default_rng(5)
+    factor = generator.normal(size=(60, 60))
+    dense = factor @ factor.T + np.diag(np.linspace(1.0, 400.0, 60))
+    right_side = generator.normal(size=60)
+    for jacobi in (False, True):
+        run = conjugate_gradients(csr_matrix(dense), right_side, jacobi, 1000, float("inf"), 1e-12)
+        assert run.converged
+        np.testing.assert_allclose(run.solution, np.linalg.solve(dense, right_side), rtol=1e-8, atol=1e-12)
+        truth = eigh(dense, np.diag(np.diag(dense)) if jacobi else np.eye(60), eigvals_only=True)
+        assert run.smallest_eigenvalue == pytest.approx(truth[0], rel=1e-6)
+        assert run.largest_eigenvalue == pytest.approx(truth[-1], rel=1e-6)
+        assert run.condition == pytest.approx(truth[-1] / truth[0], rel=1e-6)
+
+
+def test_conjugate_gradients_end_where_they_must() -> None:
+    right_side = np.ones(50)
+    indefinite = conjugate_gradients(diags(np.linspace(-1.0, 2.0, 50)).tocsr(), right_side, False, 1000, float("inf"))
+    assert not indefinite.converged
+    assert indefinite.condition == float("inf")
+    few = conjugate_gradients(diags(np.linspace(1.0, 1e6, 50)).tocsr(), right_side, False, 5, float("inf"))
+    assert (few.converged, few.iterations) == (False, 5)
+    assert conjugate_gradients(diags(np.ones(50)).tocsr(), 0.0 * right_side, True, 5, float("inf")).converged
+    with pytest.raises(OutOfTimeError):
+        conjugate_gradients(diags(np.linspace(1.0, 9.0, 50)).tocsr(), right_side, False, 5, time.monotonic() - 1.0)
+
+
+def test_blocks_assemble_to_the_same_matrix(monkeypatch: pytest.MonkeyPatch) -> None:
+    points, cells = block((4, 3, 3))
+    volumes, bodies = signed_tetrahedron_volumes(points, cells), np.zeros(len(cells), dtype=np.int64)
+    whole = elasticity(Assembler(points, cells), volumes, bodies, FOREVER)[0]
+    monkeypatch.setattr("tetmesh_check.assembly.BLOCK", 37)
+    parts = elasticity(Assembler(points, cells), volumes, bodies, FOREVER)[0]
+    assert parts["strain_energy_mj"] == pytest.approx(whole["strain_energy_mj"], rel=1e-9)
+    assert parts["nonzeros"] == whole["nonzeros"]
+
+
+def test_poisson_is_second_order_and_the_best_there_is() -> None:
+    errors = []
+    for count in (12, 24):
+        points, cells = block((count,) * 3, 24.0 / count)
+        figures, converged = poisson(Assembler(points, cells), on_boundary(points, cells), FOREVER)
+        assert converged
+        assert 0.5 < figures["best_approximation"] < 1.02
+        errors.append((figures["relative_l2_error"], figures["relative_h1_error"]))
+    orders = np.log2(np.array(errors[0]) / np.array(errors[1]))
+    assert orders == pytest.approx([2.0, 1.0], rel=0.1)
+
+
+def test_a_hanging_column_stretches_as_it_must(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(problems, "_SIDES", ((2, 1.0),))
+    monkeypatch.setattr(problems, "POISSON_RATIO", 0.0)
+    points, cells = block((2, 2, 20))
+    volumes = signed_tetrahedron_volumes(points, cells)
+    figures, converged = elasticity(Assembler(points, cells), volumes, np.zeros(len(cells), dtype=np.int64), FOREVER)
+    assert converged
+    assert figures["pulled_towards"] == "+z"
+    assert figures["weight_n"] == pytest.approx(WEIGHT * 80.0)
+    assert figures["reaction_n"] == pytest.approx(figures["weight_n"], rel=1e-6)
+    assert figures["strain_energy_mj"] == pytest.approx(0.5 * figures["work_of_weight_mj"], rel=1e-6)
+    # the free length is 17 mm, because the layer with a vertex in the lower tenth is held
+    exact = WEIGHT**2 * 4.0 * 17.0**3 / (3.0 * problems.YOUNG)
+    assert 0.97 * exact < figures["work_of_weight_mj"] < exact
+    assert figures["max_displacement_mm"] == pytest.approx(WEIGHT * 17.0**2 / (2.0 * problems.YOUNG), rel=0.05)
+
+
+def test_the_side_with_most_matter_is_clamped() -> None:
+    points, cells = block((20, 2, 3))
+    volumes = signed_tetrahedron_volumes(points, cells)
+    figures, _ = elasticity(Assembler(points, cells), volumes, np.zeros(len(cells), dtype=np.int64), FOREVER)
+    assert figures["pulled_towards"][1] == "y"
+
+
+def test_a_column_held_at_its_end() -> None:
+    points, cells = block((1, 1, 20))
+    held = held_at_one_side(cells, points[:, 2], np.zeros(len(cells), dtype=np.int64), 0.1)
+    assert set(points[cells[held]][..., 2].ravel()) == {0.0, 1.0, 2.0, 3.0}
+    # of several bodies each is held
+    two = np.concatenate([cells, cells + len(points)])
+    both = np.concatenate([points, points + np.array([5.0, 0.0, 100.0])])
+    bodies = np.repeat([0, 1], len(cells))
+    assert held_at_one_side(two, both[:, 2], bodies, 0.1).sum() == 2 * held.sum()
+    figures, converged = elasticity(Assembler(both, two), signed_tetrahedron_volumes(both, two), bodies, FOREVER)
+    assert converged
+    assert figures["weight_n"] == pytest.approx(WEIGHT * 40.0)
+
+
+def test_conduction_follows_the_membrane_where_the_fibres_are_equal(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(
+        "tetmesh_check.problems.CONDUCTIVITY", {"intracellular": (0.2, 0.2), "extracellular": (0.6, 0.6)}
+    )
+    points, cells = block((16, 3, 3))
+    apart = np.concatenate([points, points + np.array([0.0, 6.0, 0.0])])
+    figures, converged = conduction(Assembler(apart, np.concatenate([cells, cells + len(points)])), FOREVER)
+    assert converged
+    assert figures["parts"] == 2
+    low, high = figures["potential_range_mv"]
+    # phi = -sigma_i / (sigma_i + sigma_e) V plus a constant: a quarter of the 100 mV
+    assert high - low == pytest.approx(25.0, rel=0.02)
+
+
+@pytest.mark.parametrize(
+    ("settings", "reason"),
+    [
+        (SolveSettings(SolveMode.NO), "--solve no"),
+        (SolveSettings(SolveMode.AUTO), "more than the 100"),
+        (SolveSettings(SolveMode.YES, 1e-9), "not finished within"),
+    ],
+)
+def test_bounds(settings: SolveSettings, reason: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(solve, "AUTO_MAX_TETRAHEDRA", 100)
+    context = Context(CommonArguments(), "", {})
+    checks = solve_on(mesh_of(*block((3, 3, 3))), settings, context)
+    assert context.results["solve"]["done"] is False
+    assert reason in context.results["solve"]["reason"]
+    assert not [check for check in checks if check.name == "best_approximation"]
+    assert bool(context.warnings) == (settings.mode is SolveMode.YES)
+
+
+def test_a_mesh_that_does_not_converge_is_not_fit(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(solve, "MAX_ITERATIONS", 3)
+    checks = solve_on(mesh_of(*block((4, 4, 4))), SolveSettings(), Context(CommonArguments(), "", {}))
+    verdicts = {check.name: check for check in checks}
+    assert not verdicts["solve_converged"].passed
+    assert verdicts["solve_converged"].required
+    assert "solved 0 of 3 problems" in verdicts["solve_converged"].words
+
+
+def test_what_cannot_be_solved_does_not_take_the_rest_with_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    def too_large(*_: object) -> None:
+        raise MemoryError
+
+    monkeypatch.setattr(solve, "elasticity", too_large)
+    context = Context(CommonArguments(), "", {})
+    checks = solve_on(mesh_of(*block((4, 4, 4))), SolveSettings(), context)
+    assert [check.passed for check in checks] == [True, True]
+    assert context.results["solve"]["reason"] == "elasticity: not enough memory"
+    assert "elasticity: not enough memory" in context.warnings[0]
+    assert {"poisson", "conduction"} <= set(context.results["solve"])
+
+
+def test_what_does_not_approximate_is_not_fit(monkeypatch: pytest.MonkeyPatch) -> None:
+    # a source that does not belong to the solution
+    wave = problems._Wave
+    monkeypatch.setattr(wave, "source", lambda self, x: 0.5 * self.wave_number**2 * self.value(x))
+    checks = solve_on(mesh_of(*block((8, 8, 8))), SolveSettings(), Context(CommonArguments(), "", {}))
+    assert {check.name: check.passed for check in checks} == {"solve_converged": True, "best_approximation": False}
+
+
+def test_nothing_is_solved_on_inverted_tetrahedra() -> None:
+    points, cells = block((3, 3, 3))
+    cells[5] = cells[5][[0, 2, 1, 3]]
+    context = Context(CommonArguments(), "", {})
+    assert solve_on(mesh_of(points, cells), SolveSettings(), context) == []
+    assert "inverted" in context.results["solve"]["reason"]
+
+
+def test_solve_from_the_command_line(tmp_path: Path, run: Run) -> None:
+    ball(subdivisions=3).save(tmp_path / "ball.vtp")
+    done = run("ball.vtp", "-o", "ball.vtu", "--max-passes", 3, "--solve", "yes", "--report", "r.json")
+    assert done.returncode == 0, done.stderr
+    assert "CG iterations" in done.stderr
+    solved = json.loads((tmp_path / "r.json").read_text())["results"]["solve"]
+    assert solved["done"] is True
+    for name in ("poisson", "conduction", "elasticity"):
+        assert solved[name]["jacobi"]["converged"]
+        assert solved[name]["jacobi"]["iterations"] <= solved[name]["plain"]["iterations"]
+        assert solved[name]["plain"]["condition"] > 1.0
+    skipped = run("ball.vtp", "-o", "b.vtu", "--max-passes", 3, "--solve", "no", "--report", "n.json", "-q")
+    assert skipped.returncode == 0
+    assert json.loads((tmp_path / "n.json").read_text())["results"]["solve"]["done"] is False
