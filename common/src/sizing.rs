@@ -34,7 +34,45 @@ impl SizingField {
     /// Edge length (mm) and its gradient (dimensionless) at a grid position. The gradient is that of the trilinear cell,
     /// so it jumps from cell to cell.
     pub fn value_gradient(&self, grid: DVec3) -> (f64, DVec3) {
-        let g = &self.image.geometry;
+        let cell = Cell::around(&self.image, grid);
+        let value = |x: usize, y: usize, z: usize| cell.value([x, y, z]);
+        let [tx, ty, tz] = cell.fraction;
+        // along x first: the four edges of the cell
+        let (e00, e10) = (mix(value(0, 0, 0), value(1, 0, 0), tx), mix(value(0, 1, 0), value(1, 1, 0), tx));
+        let (e01, e11) = (mix(value(0, 0, 1), value(1, 0, 1), tx), mix(value(0, 1, 1), value(1, 1, 1), tx));
+        let slope = |y: usize, z: usize| value(1, y, z) - value(0, y, z);
+        let gradient = DVec3::new(
+            mix(mix(slope(0, 0), slope(1, 0), ty), mix(slope(0, 1), slope(1, 1), ty), tz),
+            mix(e10 - e00, e11 - e01, tz),
+            mix(e01, e11, ty) - mix(e00, e10, ty),
+        );
+        (mix(mix(e00, e10, ty), mix(e01, e11, ty), tz), gradient / self.image.geometry.spacing)
+    }
+}
+
+/// Value of an image at a grid position, trilinear, clamped at the border of the volume.
+pub fn trilinear(image: &Image<f32>, grid: DVec3) -> f64 {
+    let cell = Cell::around(image, grid);
+    let [tx, ty, tz] = cell.fraction;
+    let along_x = |y: usize, z: usize| mix(cell.value([0, y, z]), cell.value([1, y, z]), tx);
+    mix(mix(along_x(0, 0), along_x(1, 0), ty), mix(along_x(0, 1), along_x(1, 1), ty), tz)
+}
+
+fn mix(a: f64, b: f64, t: f64) -> f64 {
+    a + (b - a) * t
+}
+
+/// The eight voxels round a position.
+struct Cell<'a> {
+    data: &'a [f32],
+    start: usize,
+    step: [usize; 3],
+    fraction: [f64; 3],
+}
+
+impl<'a> Cell<'a> {
+    fn around(image: &'a Image<f32>, grid: DVec3) -> Self {
+        let g = &image.geometry;
         let index = g.grid_to_index(grid);
         let mut base = [0usize; 3];
         let mut fraction = [0.0f64; 3];
@@ -48,21 +86,12 @@ impl SizingField {
             // an axis of one voxel has no neighbour to blend with
             step[axis] = if g.size[axis] > 1 { stride[axis] } else { 0 };
         }
-        let start = g.linear(base[0], base[1], base[2]);
-        let value =
-            |x: usize, y: usize, z: usize| f64::from(self.image.data[start + x * step[0] + y * step[1] + z * step[2]]);
-        let mix = |a: f64, b: f64, t: f64| a + (b - a) * t;
-        let [tx, ty, tz] = fraction;
-        // along x first: the four edges of the cell
-        let (e00, e10) = (mix(value(0, 0, 0), value(1, 0, 0), tx), mix(value(0, 1, 0), value(1, 1, 0), tx));
-        let (e01, e11) = (mix(value(0, 0, 1), value(1, 0, 1), tx), mix(value(0, 1, 1), value(1, 1, 1), tx));
-        let slope = |y: usize, z: usize| value(1, y, z) - value(0, y, z);
-        let gradient = DVec3::new(
-            mix(mix(slope(0, 0), slope(1, 0), ty), mix(slope(0, 1), slope(1, 1), ty), tz),
-            mix(e10 - e00, e11 - e01, tz),
-            mix(e01, e11, ty) - mix(e00, e10, ty),
-        );
-        (mix(mix(e00, e10, ty), mix(e01, e11, ty), tz), gradient / g.spacing)
+        Self { data: &image.data, start: g.linear(base[0], base[1], base[2]), step, fraction }
+    }
+
+    fn value(&self, corner: [usize; 3]) -> f64 {
+        let at: usize = (0..3).map(|axis| corner[axis] * self.step[axis]).sum();
+        f64::from(self.data[self.start + at])
     }
 }
 

@@ -9,6 +9,7 @@ mod nifti;
 pub mod nrrd;
 pub mod output;
 pub mod particles;
+pub mod points;
 pub mod surface;
 pub mod volume;
 mod vti;

@@ -4,6 +4,7 @@ use crate::cap::BorderBox;
 use crate::closest::distance_to_zero_set;
 use crate::fit::{FitReport, pin_zero_set};
 use crate::junctions::{junctions, make_agree};
+use crate::keep::{Dropped, Keep, drop_parts};
 use crate::samples::{Implicit, project, surface_samples};
 use crate::topology::Parts;
 use glam::DVec3;
@@ -56,7 +57,9 @@ pub struct Shift {
 pub struct Redistanced {
     /// Signed distance samples, in mm, negative inside.
     pub field: Image<f32>,
-    /// Parts of the source, by marching cubes at its nodes.
+    /// Parts that were dropped, before anything else was counted.
+    pub dropped: Dropped,
+    /// Parts of the source that stay, by marching cubes at its nodes.
     pub parts_before: Parts,
     /// Parts of F, by marching cubes.
     pub parts_after: Parts,
@@ -116,20 +119,29 @@ fn first_order_distance(value: f64, slope: f64) -> f64 {
 /// Re-distances a source. `clearance` gives the least |F| (mm) at each node.
 ///
 /// # Errors
-/// When the run is interrupted.
-pub fn redistance(source: &Source, clearance: impl Fn(usize) -> f32 + Sync, context: &Context) -> Result<Redistanced> {
+/// When no part of the object is to stay, or the run is interrupted.
+pub fn redistance(
+    source: &Source,
+    clearance: impl Fn(usize) -> f32 + Sync,
+    keep: Keep,
+    context: &Context,
+) -> Result<Redistanced> {
     let geometry = source.nodes.geometry.clone();
     let voxel = geometry.mean_spacing();
     let band = (BAND * voxel).max(1.5 * geometry.spacing.max_element());
 
     let step = context.step("surface samples");
-    let nodes = source.cut_nodes();
+    let mut nodes = source.cut_nodes();
+    let mut choices = junctions(&nodes);
+    let dropped = drop_parts(&mut nodes, &choices, keep)?;
+    if !dropped.nodes.is_empty() {
+        choices = junctions(&nodes);
+    }
     let mesh = marching_cubes(&nodes, 0.0);
     let samples = surface_samples(source, &nodes, &mesh);
     let parts_before = Parts::of(&mesh);
     drop(mesh);
     let inside: Vec<bool> = nodes.data.par_iter().map(|&f| f < 0.0).collect();
-    let choices = junctions(&nodes);
     drop(nodes);
     drop(step);
     context.check_interrupt()?;
@@ -152,7 +164,7 @@ pub fn redistance(source: &Source, clearance: impl Fn(usize) -> f32 + Sync, cont
     let mesh = marching_cubes(&field, 0.0);
     let parts_after = Parts::of(&mesh);
     let shift = measure_shift(source, &field, &edge_midpoints(&mesh));
-    Ok(Redistanced { field, parts_before, parts_after, shift, held_nodes, undecided, fit })
+    Ok(Redistanced { field, dropped, parts_before, parts_after, shift, held_nodes, undecided, fit })
 }
 
 /// Keeps every node at least the clearance away from zero on its side; returns how many had to be moved.

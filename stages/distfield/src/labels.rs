@@ -8,7 +8,7 @@ use crate::closest::distance_to_samples;
 use crate::field::{Redistanced, Source, redistance};
 use crate::junctions::{Bound, junctions, plain_choices};
 use crate::scalar::pad;
-use crate::{Border, Clearance};
+use crate::{Border, Clearance, Keep};
 use glam::DVec3;
 use isoparticles_common::cli::Context;
 use isoparticles_common::error::{Error, Result};
@@ -41,6 +41,8 @@ pub struct LabelOptions {
     pub clearance: Clearance,
     /// Steps of the flow; 0 leaves the staircase.
     pub smoothing_steps: usize,
+    /// Parts of the object to keep.
+    pub keep: Keep,
 }
 
 /// F of the union of some labels: `inside` is true at their voxels.
@@ -72,7 +74,7 @@ pub fn from_labels(inside: &Image<bool>, options: &LabelOptions, context: &Conte
     let spline = CubicSpline::new(&nodes);
     drop(step);
     let source = Source { nodes, spline, cap: None };
-    redistance(&source, |n| least[n], context)
+    redistance(&source, |n| least[n], options.keep, context)
 }
 
 fn padded_mask(inside: &Image<bool>, border: Border, margin: usize) -> Image<bool> {

@@ -2,24 +2,27 @@
 //! of the paper (Kim, Chen and Hansen 2012): negative inside, in mm, and read everywhere as the interpolating cubic
 //! B-spline through its samples.
 //!
-//! [`scalar`] and [`labels`] say what the surface is, [`field`] turns it into distances ([`samples`], [`closest`]), pins the
+//! [`scalar`] and [`labels`] say what the surface is, [`field`] turns it into distances ([`samples`], [`nearest`], [`closest`]), pins the
 //! zero set of the spline on it ([`fit`]), joins and parts what touches as the source does ([`junctions`]) and closes it at
-//! the border ([`cap`]); [`topology`] counts what came out and [`run`] is the program.
+//! the border ([`cap`]); [`keep`] drops parts, [`topology`] counts what came out and [`run`] is the program.
 
 pub mod cap;
 pub mod closest;
 pub mod field;
 pub mod fit;
 pub mod junctions;
+pub mod keep;
 pub mod labels;
+pub mod nearest;
 pub mod run;
 pub mod samples;
 pub mod scalar;
 pub mod topology;
 
 pub use field::{Redistanced, Shift};
+pub use keep::Keep;
 pub use labels::{LabelOptions, from_labels};
-pub use scalar::from_scalar;
+pub use scalar::{ScalarOptions, from_scalar};
 
 /// Which side of the iso value the object is on.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]

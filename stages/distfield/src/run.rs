@@ -1,8 +1,8 @@
 //! The program: options, checks of the input, the run, the report.
 
 use crate::labels::{LabelOptions, from_labels};
-use crate::scalar::from_scalar;
-use crate::{Border, Clearance, Inside, Redistanced};
+use crate::scalar::{ScalarOptions, from_scalar};
+use crate::{Border, Clearance, Inside, Keep, Redistanced};
 use isoparticles_common::cli::{CommonArgs, Context, FILES, METHOD, Outcome, StageArgs};
 use isoparticles_common::error::{Error, Result};
 use isoparticles_common::geometry::Geometry;
@@ -52,6 +52,10 @@ pub struct Args {
     /// centres, with edges rounded by half a voxel; open lets the surface run on straight and leave the volume
     #[arg(long, value_enum, value_name = "HOW", default_value_t = Border::Cap, help_heading = METHOD)]
     pub border: Border,
+    /// Parts of the object to keep: all, the largest alone, or those of at least this volume in mm^3. What is dropped is told;
+    /// cavities stay as they are
+    #[arg(long, value_name = "all|largest|VOLUME", default_value_t = Keep::All, help_heading = METHOD)]
+    pub keep: Keep,
     /// Voxels added on each face of the grid, 3 to 64: room for the surface's neighbourhood
     #[arg(long, value_name = "N", default_value_t = 5, value_parser = clap::value_parser!(u16).range(3..=64), help_heading = METHOD)]
     pub margin: u16,
@@ -91,14 +95,16 @@ impl StageArgs for Args {
     }
 
     fn parameters(&self) -> Value {
-        let border = border_name(self.border);
+        let (border, keep) = (border_name(self.border), self.keep.to_string());
         match (&self.labels, self.iso) {
             (Some(labels), _) => json!({
-                "labels": labels, "border": border, "margin": self.margin,
+                "labels": labels, "border": border, "margin": self.margin, "keep": keep,
                 "clearance": self.clearance, "smoothing_steps": self.smoothing_steps,
             }),
             (None, iso) => {
-                json!({ "iso": iso, "inside": inside_name(self.inside), "border": border, "margin": self.margin })
+                json!({
+                    "iso": iso, "inside": inside_name(self.inside), "border": border, "margin": self.margin, "keep": keep,
+                })
             }
         }
     }
@@ -136,6 +142,7 @@ pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
         Border::Cap => cap_planes(&result.field, &geometry, margin),
         Border::Open => json!([]),
     };
+    meta["dropped"] = json!(result.dropped);
     meta["components_before"] = json!(result.parts_before.components);
     meta["cavities_before"] = json!(result.parts_before.cavities);
     meta["components"] = json!(result.parts_after.components);
@@ -163,7 +170,8 @@ fn extract_iso(args: &Args, volume: Volume, iso: f64, context: &Context) -> Resu
     }
     let image = Image { geometry: volume.geometry, data: values };
     let margin = usize::from(args.margin);
-    let result = from_scalar(&image, iso, args.inside, args.border, margin, context)?;
+    let options = ScalarOptions { inside: args.inside, border: args.border, margin, keep: args.keep };
+    let result = from_scalar(&image, iso, &options, context)?;
     let meta = json!({ "source": "scalar", "iso": iso, "inside": inside_name(args.inside) });
     Ok((result, meta, None))
 }
@@ -177,12 +185,15 @@ fn extract_labels(args: &Args, volume: Volume, labels: &[i64], context: &Context
         margin: usize::from(args.margin),
         clearance: Clearance { usual: args.clearance, thin: THIN_CLEARANCE },
         smoothing_steps: usize::from(args.smoothing_steps),
+        keep: args.keep,
     };
     let result = from_labels(&mask, &options, context)?;
     let geometry = &mask.geometry;
     let voxel = geometry.spacing.element_product();
     let volume_before = mask.data.iter().filter(|m| **m).count() as f64 * voxel;
-    let changed = voxels_changed(&mask, &result.field, options.margin);
+    // all that was dropped changed side on purpose
+    let changed = voxels_changed(&mask, &result.field, options.margin)
+        .saturating_sub(result.dropped.nodes_within(geometry.size, options.margin));
     let meta = json!({
         "source": "labels", "labels": labels, "clearance": args.clearance, "smoothing_steps": args.smoothing_steps,
         "volume_before": volume_before, "voxels_changed": changed,
@@ -239,10 +250,19 @@ fn looks_like_labels(values: &[f32]) -> bool {
 
 fn describe(result: &Redistanced, meta: &Value, changed: Option<usize>, context: &Context) {
     let (before, after) = (result.parts_before, result.parts_after);
+    let dropped = &result.dropped;
+    if dropped.components > 0 {
+        let told = format!(
+            "{} of {:.6e} mm^3 together, the largest of {:.6e}",
+            dropped.components, dropped.volume, dropped.largest
+        );
+        context.summary("components dropped", told);
+    }
     context.summary("components", format!("{} -> {}", before.components, after.components));
     context.summary("cavities", format!("{} -> {}", before.cavities, after.cavities));
     match meta["volume_before"].as_f64() {
         Some(voxels) => {
+            let voxels = voxels - dropped.volume;
             let change = 100.0 * (after.volume / voxels - 1.0);
             context.summary("volume, mm^3", format!("{voxels:.6e} -> {:.6e} ({change:+.2} %)", after.volume));
         }

@@ -2,7 +2,7 @@
 
 use crate::cap::BorderBox;
 use crate::field::{Redistanced, Source, redistance};
-use crate::{Border, Inside};
+use crate::{Border, Inside, Keep};
 use glam::DVec3;
 use isoparticles_common::cli::Context;
 use isoparticles_common::error::{Error, Result};
@@ -13,25 +13,31 @@ use rayon::prelude::*;
 /// Least |F| at a node, in voxels: what a sample equal to the iso value is pushed outwards by.
 const CLEARANCE: f64 = 1e-3;
 
-/// F of a scalar volume: zero where the spline through `image` equals `iso`, on the grid padded by `margin` voxels.
+/// How an isosurface becomes F.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ScalarOptions {
+    /// Side of the iso value that the object is on.
+    pub inside: Inside,
+    /// What happens at the border of the volume.
+    pub border: Border,
+    /// Voxels added on each face.
+    pub margin: usize,
+    /// Parts of the object to keep.
+    pub keep: Keep,
+}
+
+/// F of a scalar volume: zero where the spline through `image` equals `iso`, on the padded grid.
 ///
 /// # Errors
-/// When the volume holds NaN or infinite voxels, is constant, or the iso value is outside its range.
-pub fn from_scalar(
-    image: &Image<f32>,
-    iso: f64,
-    inside: Inside,
-    border: Border,
-    margin: usize,
-    context: &Context,
-) -> Result<Redistanced> {
+/// When the volume holds NaN or infinite voxels, is constant, or the iso value is outside its range; when no part is to stay.
+pub fn from_scalar(image: &Image<f32>, iso: f64, options: &ScalarOptions, context: &Context) -> Result<Redistanced> {
     check_values(image)?;
     check_iso(image, iso)?;
     let step = context.step("input spline");
-    let source = source(image, iso, inside, border, margin);
+    let source = source(image, iso, options.inside, options.border, options.margin);
     let least = (CLEARANCE * source.nodes.geometry.min_spacing()) as f32;
     drop(step);
-    redistance(&source, |_| least, context)
+    redistance(&source, |_| least, options.keep, context)
 }
 
 /// Refuses volumes with voxels that are not numbers.

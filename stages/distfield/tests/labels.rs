@@ -6,7 +6,7 @@ use glam::DVec3;
 use isoparticles_common::cli::Context;
 use isoparticles_common::image::Image;
 use isoparticles_common::spline::CubicSpline;
-use isoparticles_distfield::{Border, Clearance, LabelOptions, Redistanced, from_labels};
+use isoparticles_distfield::{Border, Clearance, Keep, LabelOptions, Redistanced, from_labels};
 use support::{directions, sampled, topology, volume};
 
 const MARGIN: usize = 4;
@@ -16,6 +16,7 @@ const OPTIONS: LabelOptions = LabelOptions {
     margin: MARGIN,
     clearance: Clearance { usual: 0.1, thin: 0.3 },
     smoothing_steps: 100,
+    keep: Keep::All,
 };
 
 fn extract(mask: &Image<bool>) -> Redistanced {
@@ -162,4 +163,36 @@ fn parts_that_touch_along_an_edge_are_plainly_joined_or_parted() {
         assert!(f.abs() > 0.05, "F = {f} at the edge that the boxes share");
         assert_eq!(f < 0.0, result.parts_after.components == 1);
     }
+}
+
+/// A ball, a smaller one, and specks of one voxel, one of which touches the large ball across an edge.
+#[test]
+fn small_parts_are_dropped_and_told() {
+    let mask = sampled([30, 20, 20], DVec3::ONE, |p| {
+        let in_ball = |x: f64, r: f64| p.distance(DVec3::new(x, 9.0, 9.0)) <= r;
+        in_ball(8.0, 6.0) || in_ball(22.0, 3.0) || p == DVec3::new(28.0, 2.0, 2.0) || p == DVec3::new(2.0, 17.0, 17.0)
+    });
+    let volume =
+        |x: f64| mask.data.iter().enumerate().filter(|&(n, &m)| m && ((n % 30) as f64 - x).abs() < 6.5).count();
+    // less a speck each
+    let (large, small) = (volume(8.0) as f64 - 1.0, volume(22.0) as f64 - 1.0);
+    assert!(large > 800.0 && (100.0..200.0).contains(&small));
+    for (keep, components, gone) in [
+        (Keep::All, 4, 0.0),
+        (Keep::Volume(50.0), 2, 2.0),
+        (Keep::Volume(small), 2, 2.0),
+        (Keep::Largest, 1, small + 2.0),
+    ] {
+        let options = LabelOptions { keep, ..OPTIONS };
+        let result = from_labels(&mask, &options, &Context::silent("distfield")).expect("a surface");
+        assert_eq!((result.parts_before.components, result.parts_after.components), (components, components), "{keep}");
+        assert_eq!((result.dropped.components, result.dropped.volume), (4 - components, gone), "{keep}");
+        // where nothing was dropped every voxel keeps its side
+        let inside = result.field.data.iter().filter(|f| **f < 0.0).count();
+        assert_eq!(inside + gone as usize, mask.data.iter().filter(|m| **m).count(), "{keep}");
+        assert_eq!(result.dropped.nodes_within(mask.geometry.size, MARGIN), gone as usize);
+    }
+    let options = LabelOptions { keep: Keep::Volume(5000.0), ..OPTIONS };
+    let error = from_labels(&mask, &options, &Context::silent("distfield")).err().expect("nothing would be left");
+    assert!(error.what.contains("--keep 5000"), "{error}");
 }

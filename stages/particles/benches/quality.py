@@ -146,6 +146,7 @@ def over_backends(cases: list[Case], arguments: argparse.Namespace) -> None:
 def plot(table: Path, picture: Path) -> None:
     """Draws mean and smallest radius ratio over time and passes, a column for each case."""
     import matplotlib.pyplot as plt
+    from matplotlib import ticker
 
     with open(table, encoding="utf-8") as file:
         rows = [row for row in csv.DictReader(file) if "stop" not in row["passes"]]
@@ -166,6 +167,9 @@ def plot(table: Path, picture: Path) -> None:
         axes[1][column].set_xlabel("time, ms")
         for line in range(2):
             axes[line][column].set_xscale("log")
+            axes[line][column].xaxis.set_major_locator(ticker.LogLocator(subs=[1, 2, 5]))
+            axes[line][column].xaxis.set_major_formatter(ticker.ScalarFormatter())
+            axes[line][column].xaxis.set_minor_formatter(ticker.NullFormatter())
             axes[line][column].grid(alpha=0.3, which="both")
     axes[0][0].set_ylabel("radius ratio, mean (passes in small)")
     axes[1][0].set_ylabel("radius ratio, smallest")

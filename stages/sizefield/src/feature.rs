@@ -4,7 +4,7 @@
 //! epsilon-sampling of Meyer, Kirby and Whitaker 2007 (the paper's reference 15).
 
 use crate::average_over_surface;
-use crate::medial::medial_points;
+use crate::medial::{Surface, medial_points};
 use glam::{DMat3, DVec3};
 use isoparticles_common::components;
 use isoparticles_common::image::Image;
@@ -25,6 +25,10 @@ const SHARP: f64 = 5.0;
 /// How deep a sample may lie inside a medial ball (voxels) before the ball counts as not empty: ripple of that height next to
 /// the touching point would shrink balls to nothing. More takes a part off the feature size (2.5 % on the ball at 0.03).
 const BLUR: f64 = 0.01;
+
+/// Leaves of the tree of the axis that one look for its nearest point may take: the axis of a ball is a cloud of points, all
+/// of them about equally far.
+const MOST_LEAVES: usize = 400;
 
 /// Samples of F = 0 with what was found at each.
 #[derive(Clone, Debug)]
@@ -67,13 +71,17 @@ impl Features {
         let sharp: Vec<f64> = tensors.par_iter().zip(&normals).map(|(t, &n)| largest_curvature(t, n)).collect();
         average_over_surface(&mut tensors, DMat3::ZERO, &mesh.triangles, CURVATURE_ROUNDS);
         let curvature: Vec<f64> = tensors.par_iter().zip(&normals).map(|(t, &n)| largest_curvature(t, n)).collect();
-        let axis = KdTree::new(&medial_points(&points, &normals, largest, BLUR * spacing));
+        let balls =
+            medial_points(&Surface { points: &points, normals: &normals, distance: image }, largest, BLUR * spacing);
+        let axis = KdTree::new(&balls.iter().flatten().flatten().copied().collect::<Vec<_>>());
         let feature_size = points
             .par_iter()
             .zip(&sharp)
-            .map(|(&p, &k)| {
-                let bound = if k * SHARP * spacing > 1.0 { 1.0 / k } else { largest };
-                axis.nearest_within(p, largest).map_or(largest, |(_, d)| d).min(bound)
+            .zip(&balls)
+            .map(|((&p, &k), own)| {
+                let own = own.iter().flatten().map(|centre| centre.distance(p)).fold(largest, f64::min);
+                let bound = if k * SHARP * spacing > 1.0 { own.min(1.0 / k) } else { own };
+                axis.nearest_of_leaves(p, bound, MOST_LEAVES).map_or(bound, |(_, d)| d)
             })
             .collect();
         let (component, count) = components::of_vertices(points.len(), &mesh.triangles);

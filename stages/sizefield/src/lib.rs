@@ -13,8 +13,7 @@ use feature::Features;
 use glam::DVec3;
 use isoparticles_common::image::Image;
 use isoparticles_common::sizing::SizingField;
-use region::Region;
-use serde::{Deserialize, Serialize};
+use region::SizedNode;
 use std::ops::{Add, Mul};
 
 /// Rounds of averaging over the surface that smooth the graded h, and the most that h may grow by. Particles settle badly
@@ -25,7 +24,7 @@ const SMOOTHING: (usize, f64) = (6, 1.3);
 const SMALLEST_SHARE: f64 = 0.25;
 
 /// What asks for which edge length. Lengths in mm.
-#[derive(Clone, Debug, Serialize, Deserialize)]
+#[derive(Clone, Debug)]
 pub struct Parameters {
     /// h0 = epsilon times local feature size.
     pub epsilon: f64,
@@ -39,8 +38,10 @@ pub struct Parameters {
     pub max_deviation: f64,
     /// Smallest number of particles a component of the surface may end up with.
     pub min_particles: f64,
-    /// Regions of smaller h, whatever the smallest h is elsewhere.
-    pub regions: Vec<Region>,
+    /// Factor on what all of the above ask for.
+    pub scale: f64,
+    /// Nodes at which the user wants no larger h than this (mm), whatever the smallest h is elsewhere.
+    pub refined: Vec<SizedNode>,
 }
 
 /// Edge length that each sample asks for.
@@ -55,7 +56,8 @@ pub fn wanted_sizes(features: &Features, parameters: &Parameters) -> Vec<f64> {
             let by_component = (2.0 * area / (3f64.sqrt() * parameters.min_particles))
                 .sqrt()
                 .max(SMALLEST_SHARE * parameters.min_size);
-            by_feature.min(by_deviation).min(parameters.max_size).max(parameters.min_size).min(by_component)
+            parameters.scale
+                * by_feature.min(by_deviation).min(parameters.max_size).max(parameters.min_size).min(by_component)
         })
         .collect()
 }
@@ -94,10 +96,8 @@ fn spread(
             h.data[node] = h.data[node].min(size);
         }
     }
-    for region in &parameters.regions {
-        for node in region.nodes(geometry) {
-            h.data[node] = h.data[node].min(region.size as f32);
-        }
+    for &(node, size) in &parameters.refined {
+        h.data[node] = h.data[node].min(size as f32);
     }
     gradation::limit_gradient(&mut h, parameters.delta, enough);
     SizingField::new(h)

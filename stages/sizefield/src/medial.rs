@@ -4,9 +4,13 @@
 //! medial axis, inside or outside the object. Each sample gives two balls. A ball that touches the surface at two points
 //! seen from its centre under a small angle tells of noise, or of the last bit before an end of the axis: such balls are
 //! pruned. What that takes off an end is small (the tip of an ellipsoid reads 0.4 % too large).
+//!
+//! The distance field tells a ball that is surely too large without any search, so that only the last steps look at samples.
 
 use glam::DVec3;
+use isoparticles_common::image::Image;
 use isoparticles_common::kd_tree::KdTree;
+use isoparticles_common::sizing::trilinear;
 use rayon::prelude::*;
 
 /// Balls whose two touching points are seen from the centre under less than this (radians) are pruned.
@@ -16,38 +20,77 @@ pub const MIN_SEPARATION_ANGLE: f64 = 40.0 * std::f64::consts::PI / 180.0;
 /// every sample at its rim.
 const MOST_LEAVES: usize = 400;
 
-/// Centres of the medial balls of both sides, pruned. `largest` bounds the radius looked for (mm); samples that lie inside a
-/// ball by no more than `blur` (mm) do not shrink it: next to the touching point that is ripple, not shape.
-pub fn medial_points(points: &[DVec3], normals: &[DVec3], largest: f64, blur: f64) -> Vec<DVec3> {
-    let tree = KdTree::new(points);
-    (0..points.len())
+/// A ball is surely not empty when its radius exceeds the distance field at its centre by half the diagonal of a cell (what
+/// interpolation may take off the tip of a cone) and this share of the largest spacing (for the error of the samples).
+const SURE: f64 = 0.2;
+
+/// The samples of the surface and their distance field.
+pub struct Surface<'a> {
+    /// Positions (grid frame, mm).
+    pub points: &'a [DVec3],
+    /// Unit normals, outward.
+    pub normals: &'a [DVec3],
+    /// Signed distance, mm.
+    pub distance: &'a Image<f32>,
+}
+
+/// Centres of the medial balls of both sides of every sample, pruned. `largest` bounds the radius looked for (mm); samples that
+/// lie inside a ball by no more than `blur` (mm) do not shrink it: next to the touching point that is ripple, not shape.
+pub fn medial_points(surface: &Surface<'_>, largest: f64, blur: f64) -> Vec<[Option<DVec3>; 2]> {
+    let tree = KdTree::new(surface.points);
+    (0..surface.points.len())
         .into_par_iter()
-        .flat_map_iter(|i| {
-            [normals[i], -normals[i]].into_iter().filter_map({
-                let tree = &tree;
-                move |direction| shrink(points, tree, i, direction, [largest, blur])
-            })
+        .map(|i| {
+            let normal = surface.normals[i];
+            [normal, -normal].map(|direction| surface.shrink(&tree, i, direction, [largest, blur]))
         })
         .collect()
 }
 
-/// Centre of the largest empty ball that touches sample i and lies in `direction`, unless it is pruned or larger than
-/// `largest`.
-fn shrink(points: &[DVec3], tree: &KdTree, i: usize, direction: DVec3, [largest, blur]: [f64; 2]) -> Option<DVec3> {
-    let p = points[i];
-    let (mut radius, mut touching) = (largest, None);
-    for _ in 0..60 {
-        let centre = p + direction * radius;
-        let Some((q, _)) = tree.nearest_of_leaves(centre, radius - blur, MOST_LEAVES) else { break };
-        let offset = points[q] - p;
-        let height = direction.dot(offset);
-        if q == i || height <= 0.0 {
-            break;
+impl Surface<'_> {
+    /// Centre of the largest empty ball that touches sample i and lies in `direction`, unless it is pruned or larger than
+    /// `largest`.
+    fn shrink(&self, tree: &KdTree, i: usize, direction: DVec3, [largest, blur]: [f64; 2]) -> Option<DVec3> {
+        let p = self.points[i];
+        let (mut radius, mut touching) = (self.upper_bound(p, direction, largest), None);
+        for _ in 0..60 {
+            let centre = p + direction * radius;
+            let Some((q, _)) = tree.nearest_of_leaves(centre, radius - blur, MOST_LEAVES) else { break };
+            let offset = self.points[q] - p;
+            let height = direction.dot(offset);
+            if q == i || height <= 0.0 {
+                break;
+            }
+            radius = 0.5 * offset.length_squared() / height;
+            touching = Some(q);
         }
-        radius = 0.5 * offset.length_squared() / height;
-        touching = Some(q);
+        let q = touching?;
+        let centre = p + direction * radius;
+        ((p - centre).angle_between(self.points[q] - centre) >= MIN_SEPARATION_ANGLE).then_some(centre)
     }
-    let q = touching?;
-    let centre = p + direction * radius;
-    ((p - centre).angle_between(points[q] - centre) >= MIN_SEPARATION_ANGLE).then_some(centre)
+
+    /// A radius of which the distance field says that the ball holds samples, little above the largest empty one; `largest`
+    /// where it does not say so.
+    fn upper_bound(&self, p: DVec3, direction: DVec3, largest: f64) -> f64 {
+        let geometry = &self.distance.geometry;
+        let sure = 0.5 * geometry.spacing.length() + SURE * geometry.spacing.max_element();
+        let corner = geometry.upper_corner();
+        let is_full = |radius: f64| {
+            let centre = p + direction * radius;
+            let is_within = centre.cmpge(DVec3::ZERO).all() && centre.cmple(corner).all();
+            is_within.then(|| radius - trilinear(self.distance, centre).abs() > sure)
+        };
+        let (mut low, mut high) = (0.0, geometry.mean_spacing());
+        while is_full(high) == Some(false) && high < largest {
+            (low, high) = (high, 1.5 * high);
+        }
+        if high >= largest || is_full(high).is_none() {
+            return largest;
+        }
+        for _ in 0..3 {
+            let middle = 0.5 * (low + high);
+            if is_full(middle) == Some(true) { high = middle } else { low = middle }
+        }
+        high
+    }
 }

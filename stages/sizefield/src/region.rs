@@ -1,13 +1,39 @@
-//! Regions where the user wants smaller triangles: the paper's wish (section 7) to add particles where they matter.
+//! Where the user wants smaller triangles: the paper's wish (section 7) to add particles where they matter. Balls, the voxels of
+//! a mask volume, or points with a size each; h grows from there at the rate delta.
 
 use glam::DVec3;
+use isoparticles_common::error::{Error, Result};
 use isoparticles_common::geometry::Geometry;
+use isoparticles_common::io::points::read_sized_points;
+use isoparticles_common::io::volume::read_volume;
+use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
+use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
-/// A ball in which h is at most `size`; outside it h grows at the rate delta.
+/// A place to refine, as the user names it.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Refinement {
+    /// A ball.
+    Ball(Ball),
+    /// The voxels of a volume that are not zero.
+    Mask {
+        /// The volume, on any grid; it is placed by its world coordinates.
+        file: PathBuf,
+        /// Largest h in it, mm.
+        size: f64,
+    },
+    /// Points with an array `h`, the largest h round each in mm.
+    Points {
+        /// The file (.vtp or .vtu), in world coordinates.
+        file: PathBuf,
+    },
+}
+
+/// A ball in which h is at most `size`.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Region {
+pub struct Ball {
     /// Centre in world coordinates, mm.
     pub centre: DVec3,
     /// Radius, mm.
@@ -16,25 +42,121 @@ pub struct Region {
     pub size: f64,
 }
 
-impl FromStr for Region {
+/// A node of the grid, and the largest h there in mm.
+pub type SizedNode = (usize, f64);
+
+const FORMS: &str = "write it as ball:X,Y,Z,RADIUS=H (mm), mask:FILE=H (mm) or points:FILE";
+
+impl FromStr for Refinement {
     type Err = String;
 
-    /// Reads `ball:X,Y,Z,RADIUS=H`.
-    fn from_str(text: &str) -> Result<Self, String> {
-        let form = || "write it as ball:X,Y,Z,RADIUS=H, all in mm".to_owned();
-        let (place, size) = text.strip_prefix("ball:").and_then(|t| t.split_once('=')).ok_or_else(form)?;
+    /// Reads `ball:X,Y,Z,RADIUS=H`, `mask:FILE=H` or `points:FILE`.
+    fn from_str(text: &str) -> std::result::Result<Self, String> {
+        let form = || FORMS.to_owned();
         let number = |t: &str| t.trim().parse::<f64>().ok().filter(|x| x.is_finite()).ok_or_else(form);
-        let place: Vec<f64> = place.split(',').map(number).collect::<Result<_, _>>()?;
-        let &[x, y, z, radius] = place.as_slice() else { return Err(form()) };
-        let size = number(size)?;
-        if radius <= 0.0 || size <= 0.0 {
-            return Err("radius and h must be above 0".into());
+        let (kind, rest) = text.split_once(':').ok_or_else(form)?;
+        if kind == "points" && !rest.is_empty() {
+            return Ok(Self::Points { file: rest.into() });
         }
-        Ok(Self { centre: DVec3::new(x, y, z), radius, size })
+        let (place, size) = rest.rsplit_once('=').filter(|(place, _)| !place.is_empty()).ok_or_else(form)?;
+        let size = number(size)?;
+        let above_zero = |x: f64| if x > 0.0 { Ok(x) } else { Err("radius and h must be above 0".to_owned()) };
+        match kind {
+            "ball" => {
+                let place: Vec<f64> = place.split(',').map(number).collect::<std::result::Result<_, _>>()?;
+                let &[x, y, z, radius] = place.as_slice() else { return Err(form()) };
+                let (radius, size) = (above_zero(radius)?, above_zero(size)?);
+                Ok(Self::Ball(Ball { centre: DVec3::new(x, y, z), radius, size }))
+            }
+            "mask" => Ok(Self::Mask { file: place.into(), size: above_zero(size)? }),
+            _ => Err(form()),
+        }
     }
 }
 
-impl Region {
+impl Refinement {
+    /// The file that it names, if any.
+    pub fn file(&self) -> Option<&Path> {
+        match self {
+            Self::Ball(_) => None,
+            Self::Mask { file, .. } | Self::Points { file } => Some(file),
+        }
+    }
+
+    /// The nodes of a grid that it refines.
+    ///
+    /// # Errors
+    /// When its file cannot be read, or when it lies outside the grid.
+    pub fn nodes(&self, geometry: &Geometry) -> Result<Vec<SizedNode>> {
+        let nodes = match self {
+            Self::Ball(ball) => ball.nodes(geometry).map(|node| (node, ball.size)).collect(),
+            Self::Mask { file, size } => mask_nodes(file, geometry)?.into_iter().map(|node| (node, *size)).collect(),
+            Self::Points { file } => {
+                let points = read_sized_points(file, "h")?;
+                let around = |&(p, size): &(DVec3, f64)| {
+                    nodes_around(geometry, geometry.world_to_grid(p)).map(move |node| (node, size))
+                };
+                points.iter().flat_map(around).collect::<Vec<SizedNode>>()
+            }
+        };
+        if nodes.is_empty() {
+            let what = match self {
+                Self::Ball(ball) => format!("the ball of radius {} mm round {}", ball.radius, ball.centre),
+                Self::Mask { file, .. } => format!("{}: its voxels that are not zero (if any)", file.display()),
+                Self::Points { file } => format!("{}: its points (if any)", file.display()),
+            };
+            return Err(Error::input(
+                format!("--refine: {what}: outside the volume"),
+                "it would refine nothing",
+                "give places in world coordinates, as the meshes have them (LPS, mm)",
+            ));
+        }
+        Ok(nodes)
+    }
+}
+
+/// Nodes whose nearest voxel of a mask is not zero, and those round each such voxel's centre (voxels may be smaller than the grid's).
+fn mask_nodes(file: &Path, geometry: &Geometry) -> Result<Vec<usize>> {
+    let volume = read_volume(file)?;
+    let (mask, place) = (volume.voxels.to_f32(), volume.geometry);
+    let is_set = |value: f32| value != 0.0 && value.is_finite();
+    let mut nodes: Vec<usize> = (0..geometry.voxel_count())
+        .into_par_iter()
+        .filter(|&n| {
+            let index = place.grid_to_index(place.world_to_grid(geometry.grid_to_world(position(geometry, n)))).round();
+            let is_within = (0..3).all(|a| index[a] >= 0.0 && index[a] < place.size[a] as f64);
+            is_within && is_set(mask[place.linear(index.x as usize, index.y as usize, index.z as usize)])
+        })
+        .collect();
+    let own: Vec<usize> = (0..mask.len())
+        .into_par_iter()
+        .filter(|&n| is_set(mask[n]))
+        .flat_map_iter(|n| nodes_around(geometry, geometry.world_to_grid(place.grid_to_world(position(&place, n)))))
+        .collect();
+    nodes.extend(own);
+    nodes.par_sort_unstable();
+    nodes.dedup();
+    Ok(nodes)
+}
+
+/// Grid position of a voxel.
+fn position(geometry: &Geometry, n: usize) -> DVec3 {
+    let [nx, ny, _] = geometry.size;
+    geometry.index_to_grid(DVec3::new((n % nx) as f64, (n / nx % ny) as f64, (n / (nx * ny)) as f64))
+}
+
+/// The nodes of the cell that holds a grid position; none outside the grid.
+fn nodes_around(geometry: &Geometry, grid: DVec3) -> impl Iterator<Item = usize> {
+    let index = geometry.grid_to_index(grid);
+    let is_within = (0..3).all(|a| index[a] >= 0.0 && index[a] <= (geometry.size[a] - 1) as f64);
+    let (size, geometry) = (geometry.size, geometry.clone());
+    (0..if is_within { 8 } else { 0 }).map(move |corner: usize| {
+        let at: [usize; 3] = std::array::from_fn(|a| (index[a] as usize + (corner >> a & 1)).min(size[a] - 1));
+        geometry.linear(at[0], at[1], at[2])
+    })
+}
+
+impl Ball {
     /// The nodes of a grid that lie in the ball, at the least those around its centre; none when it lies outside the grid.
     pub fn nodes<'a>(&self, geometry: &'a Geometry) -> impl Iterator<Item = usize> + 'a {
         let centre = geometry.world_to_grid(self.centre);
@@ -56,30 +178,82 @@ impl Region {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use isoparticles_common::history::History;
+    use isoparticles_common::image::Image;
+    use isoparticles_common::io::field::{FieldKind, write_field};
 
     #[test]
     fn text_is_read_or_refused_with_the_form() {
-        let region: Region = "ball:1,-2.5, 3,4=0.5".parse().unwrap();
-        assert_eq!(region, Region { centre: DVec3::new(1.0, -2.5, 3.0), radius: 4.0, size: 0.5 });
-        for wrong in ["", "ball:1,2,3=1", "ball:1,2,3,4", "box:1,2,3,4=1", "ball:1,2,x,4=1", "ball:1,2,3,inf=1"] {
-            assert!(wrong.parse::<Region>().unwrap_err().contains("ball:X,Y,Z,RADIUS=H"), "{wrong}");
+        let ball: Refinement = "ball:1,-2.5, 3,4=0.5".parse().unwrap();
+        assert_eq!(ball, Refinement::Ball(Ball { centre: DVec3::new(1.0, -2.5, 3.0), radius: 4.0, size: 0.5 }));
+        let mask: Refinement = "mask:a=b:c.nrrd=0.5".parse().unwrap();
+        assert_eq!(mask, Refinement::Mask { file: "a=b:c.nrrd".into(), size: 0.5 });
+        let points: Refinement = "points:p=1.vtp".parse().unwrap();
+        assert_eq!(points, Refinement::Points { file: "p=1.vtp".into() });
+        let wrongs = ["", "ball:1,2,3=1", "ball:1,2,3,4", "box:1,2,3,4=1", "ball:1,2,x,4=1", "ball:1,2,3,inf=1"];
+        for wrong in wrongs.into_iter().chain(["points:", "mask:a.nrrd", "mask:=1", "mask:a.nrrd=NaN"]) {
+            assert!(wrong.parse::<Refinement>().unwrap_err().contains("ball:X,Y,Z,RADIUS=H"), "{wrong}");
         }
-        for wrong in ["ball:1,2,3,0=1", "ball:1,2,3,4=-1"] {
-            assert!(wrong.parse::<Region>().unwrap_err().contains("above 0"), "{wrong}");
+        for wrong in ["ball:1,2,3,0=1", "ball:1,2,3,4=-1", "mask:a.nrrd=0"] {
+            assert!(wrong.parse::<Refinement>().unwrap_err().contains("above 0"), "{wrong}");
         }
     }
 
     #[test]
     fn the_nodes_in_the_ball_are_found_and_no_others() {
         let geometry = Geometry::axis_aligned([20, 20, 20], DVec3::new(1.0, 0.5, 2.0));
-        let region = Region { centre: DVec3::new(9.0, 5.0, 20.0), radius: 4.0, size: 0.5 };
-        let place = |at: usize| DVec3::new((at % 20) as f64, (at / 20 % 20) as f64 * 0.5, (at / 400) as f64 * 2.0);
-        let want: Vec<usize> = (0..8000).filter(|&at| place(at).distance(region.centre) <= 4.0).collect();
+        let ball = Ball { centre: DVec3::new(9.0, 5.0, 20.0), radius: 4.0, size: 0.5 };
+        let want: Vec<usize> = (0..8000).filter(|&at| position(&geometry, at).distance(ball.centre) <= 4.0).collect();
         assert!(want.len() > 200);
-        assert_eq!(region.nodes(&geometry).collect::<Vec<_>>(), want);
-        let tiny = Region { centre: DVec3::new(9.5, 5.2, 21.0), radius: 1e-3, size: 0.25 };
+        assert_eq!(ball.nodes(&geometry).collect::<Vec<_>>(), want);
+        let tiny = Ball { centre: DVec3::new(9.5, 5.2, 21.0), radius: 1e-3, size: 0.25 };
         assert!(tiny.nodes(&geometry).count() >= 8);
-        let elsewhere = Region { centre: DVec3::splat(-100.0), radius: 4.0, size: 0.5 };
-        assert_eq!(elsewhere.nodes(&geometry).count(), 0);
+        let elsewhere = Refinement::Ball(Ball { centre: DVec3::splat(-100.0), radius: 4.0, size: 0.5 });
+        assert!(elsewhere.nodes(&geometry).unwrap_err().what.contains("outside the volume"));
+    }
+
+    /// A mask on a grid of its own: turned by a quarter about z, finer and shifted.
+    #[test]
+    fn a_mask_is_placed_by_its_world_coordinates() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("mask.vti");
+        let place = Geometry {
+            directions: glam::DMat3::from_cols(DVec3::Y, -DVec3::X, DVec3::Z),
+            origin: DVec3::new(12.0, 3.0, 4.0),
+            ..Geometry::axis_aligned([24, 20, 16], DVec3::splat(0.4))
+        };
+        let mut mask = Image::filled(place.clone(), 0.0f32);
+        for k in 4..9 {
+            for j in 2..12 {
+                for i in 5..15 {
+                    mask.data[place.linear(i, j, k)] = 1.0;
+                }
+            }
+        }
+        let history = History {
+            tool: "test".into(),
+            version: "0".into(),
+            command_line: String::new(),
+            parameters: serde_json::Value::Null,
+            inputs: Vec::new(),
+        };
+        write_field(&file, FieldKind::Distance, &mask, &serde_json::Value::Null, &history).unwrap();
+        // in the world: x from 12 - 11.5 * 0.4 to 12 - 1.5 * 0.4, y from 3 + 4.5 * 0.4 to 3 + 14.5 * 0.4, z from 5.4 to 7.4
+        let (low, high) = (DVec3::new(7.4, 4.8, 5.4), DVec3::new(11.4, 8.8, 7.4));
+        let geometry = Geometry::axis_aligned([20, 20, 20], DVec3::ONE);
+        let found = Refinement::Mask { file: file.clone(), size: 0.5 }.nodes(&geometry).unwrap();
+        for n in 0..geometry.voxel_count() {
+            let p = position(&geometry, n);
+            let is_found = found.contains(&(n, 0.5));
+            if p.cmpge(low).all() && p.cmple(high).all() {
+                assert!(is_found, "{p}");
+            }
+            // a voxel's centre may lie anywhere in the cell that is refined for it
+            if p.cmplt(low - 1.0).any() || p.cmpgt(high + 1.0).any() {
+                assert!(!is_found, "{p}");
+            }
+        }
+        let far = Geometry { origin: DVec3::splat(500.0), ..geometry };
+        assert!(Refinement::Mask { file, size: 0.5 }.nodes(&far).is_err());
     }
 }

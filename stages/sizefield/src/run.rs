@@ -1,28 +1,86 @@
 //! The program around [`crate::size_field`]: options, files, defaults from the data, report.
 
 use crate::feature::Features;
-use crate::region::Region;
+use crate::region::{Refinement, SizedNode};
 use crate::{Parameters, size_field, uniform_field, wanted_sizes};
 use clap::Parser;
 use glam::DVec3;
 use isoparticles_common::cli::values::{not_negative, positive};
 use isoparticles_common::cli::{CommonArgs, Context, FILES, METHOD, Outcome, StageArgs};
 use isoparticles_common::error::{Error, Result};
+use isoparticles_common::geometry::Geometry;
 use isoparticles_common::io::field::{Field, FieldKind, read_field, write_field};
 use isoparticles_common::sizing::SizingField;
 use isoparticles_common::spline::CubicSpline;
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
 
-/// Default smallest h over the mean voxel spacing: finer triangles than this say nothing about the data.
-const MIN_SIZE_VOXELS: f64 = 0.75;
-/// Default deviation over the mean voxel spacing: also the distance that distfield keeps between the surface of labels and
-/// the voxel centres, each of which the triangles must pass on its own side.
-const DEVIATION_VOXELS: f64 = 0.1;
-/// Default largest h over the diagonal of the object's bounding box.
-const MAX_SIZE_DIAGONALS: f64 = 0.1;
+/// What the defaults come from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+enum Quality {
+    /// About a quarter of the triangles: a first look.
+    Coarse,
+    /// What the data can carry.
+    Medium,
+    /// About three times the triangles: smoother than the data.
+    Fine,
+}
+
+/// The defaults of one quality.
+struct Defaults {
+    epsilon: f64,
+    delta: f64,
+    /// Smallest h over the mean voxel spacing: finer triangles than 0.75 of it say nothing about the data.
+    min_size_voxels: f64,
+    /// Largest h over the diagonal of the object's bounding box.
+    max_size_diagonals: f64,
+    /// Deviation over the mean voxel spacing: 0.1 is also the distance that distfield keeps between the surface of labels and
+    /// the voxel centres, each of which the triangles must pass on its own side.
+    deviation_voxels: f64,
+}
+
+impl Quality {
+    fn name(self) -> &'static str {
+        match self {
+            Self::Coarse => "coarse",
+            Self::Medium => "medium",
+            Self::Fine => "fine",
+        }
+    }
+
+    fn defaults(self) -> Defaults {
+        let medium = Defaults {
+            epsilon: 0.5,
+            delta: 0.4,
+            min_size_voxels: 0.75,
+            max_size_diagonals: 0.1,
+            deviation_voxels: 0.1,
+        };
+        match self {
+            // the deviation goes with the square of h
+            Self::Coarse => Defaults {
+                epsilon: 1.0,
+                min_size_voxels: 1.5,
+                max_size_diagonals: 0.2,
+                deviation_voxels: 0.4,
+                ..medium
+            },
+            Self::Medium => medium,
+            Self::Fine => Defaults {
+                epsilon: 0.25,
+                delta: 0.3,
+                min_size_voxels: 0.5,
+                max_size_diagonals: 0.05,
+                deviation_voxels: 0.04,
+            },
+        }
+    }
+}
+
 /// Medial balls are looked for up to this radius, over the diagonal of the volume; larger features ask for no other h.
 const LARGEST_FEATURE_DIAGONALS: f64 = 0.25;
+/// The same over the size of `--uniform`.
+const UNIFORM_FEATURES: f64 = 4.0;
 /// Fewest particles that a component is given room for.
 const MIN_PARTICLES: f64 = 32.0;
 
@@ -31,7 +89,7 @@ const MIN_PARTICLES: f64 = 32.0;
 #[command(
     name = "sizefield",
     version,
-    after_help = "Example:\n  sizefield heart.distfield.vti -o heart.sizefield.vti --epsilon 0.4 --delta 0.3 \\\n      --refine ball:10,-20,35,8=0.5\n\n\
+    after_help = "Example:\n  sizefield heart.distfield.vti -o heart.sizefield.vti --epsilon 0.4 --delta 0.3 \\\n      --refine ball:10,-20,35,8=0.5\nExample: half the usual edge length where a mask is set\n  sizefield heart.distfield.vti -o heart.sizefield.vti --refine mask:valve.nrrd=0.4\n\n\
         Paper: h of section 3.1; epsilon and delta as in Table 4."
 )]
 pub struct Args {
@@ -41,30 +99,40 @@ pub struct Args {
     /// Sizing field to write; a plain image of h in mm that may be edited and used in its place
     #[arg(short, long, value_name = "S.vti", help_heading = FILES)]
     output: PathBuf,
+    /// Sets the defaults of the five options below: coarse has about a quarter of the triangles, fine about three times as many;
+    /// medium is what the data can carry
+    #[arg(long, value_enum, value_name = "HOW", default_value_t = Quality::Medium, help_heading = METHOD)]
+    quality: Quality,
     /// Edge length over local feature size, above 0 (the paper's epsilon); smaller is finer
-    #[arg(long, value_name = "RATIO", default_value_t = 0.5, value_parser = positive, help_heading = METHOD)]
-    epsilon: f64,
+    /// [default: 0.5; coarse 1, fine 0.25]
+    #[arg(long, value_name = "RATIO", value_parser = positive, help_heading = METHOD)]
+    epsilon: Option<f64>,
     /// Largest change of h per mm of distance, above 0 (the paper's delta); smaller grades more gently
-    #[arg(long, value_name = "SLOPE", default_value_t = 0.4, value_parser = positive, help_heading = METHOD)]
-    delta: f64,
-    /// Smallest h, in mm [default: 0.75 of the mean voxel spacing]
+    /// [default: 0.4; fine 0.3]
+    #[arg(long, value_name = "SLOPE", value_parser = positive, help_heading = METHOD)]
+    delta: Option<f64>,
+    /// Smallest h, in mm [default: 0.75 of the mean voxel spacing; coarse 1.5, fine 0.5]
     #[arg(long, value_name = "MM", value_parser = positive, help_heading = METHOD)]
     min_size: Option<f64>,
-    /// Largest h at the surface, in mm [default: a tenth of the diagonal of the object's bounding box]
+    /// Largest h at the surface, in mm [default: a tenth of the diagonal of the object's bounding box; coarse 0.2, fine 0.05]
     #[arg(long, value_name = "MM", value_parser = positive, help_heading = METHOD)]
     max_size: Option<f64>,
     /// Bound h so that curvature puts no triangle's centre farther than this from the surface, in mm; 0 for no bound
-    /// [default: 0.1 of the mean voxel spacing]
+    /// [default: 0.1 of the mean voxel spacing; coarse 0.4, fine 0.04]
     #[arg(long, value_name = "MM", value_parser = not_negative, help_heading = METHOD)]
     max_deviation: Option<f64>,
+    /// Multiply what all of the above ask for, before it is graded, above 0; 2 gives about a quarter of the triangles
+    #[arg(long, value_name = "FACTOR", default_value_t = 1.0, value_parser = positive, help_heading = METHOD)]
+    scale: f64,
     /// The same h everywhere, in mm, in place of all of the above
     #[arg(long, value_name = "MM", value_parser = positive, help_heading = METHOD,
-        conflicts_with_all = ["epsilon", "delta", "min_size", "max_size", "max_deviation"])]
+        conflicts_with_all = ["quality", "epsilon", "delta", "min_size", "max_size", "max_deviation", "scale"])]
     uniform: Option<f64>,
-    /// Make h no larger than H within RADIUS of a place (world coordinates, mm); h grows from there by delta; may be given
-    /// several times, and goes below --min-size
-    #[arg(long, value_name = "ball:X,Y,Z,RADIUS=H", help_heading = METHOD, conflicts_with = "uniform")]
-    refine: Vec<Region>,
+    /// Make h no larger than H (mm) within RADIUS of a place, or where the voxels of a mask volume (of any geometry) are not zero, or
+    /// no larger than the point array `h` at the points of a .vtp or .vtu file. All in world coordinates, mm; h grows
+    /// from there by delta. May be given several times, and goes below --min-size
+    #[arg(long, value_name = "ball:X,Y,Z,RADIUS=H|mask:FILE=H|points:FILE", help_heading = METHOD, conflicts_with = "uniform")]
+    refine: Vec<Refinement>,
     #[command(flatten)]
     common: CommonArgs,
 }
@@ -81,7 +149,7 @@ impl StageArgs for Args {
     fn parameters(&self) -> Value {
         match self.uniform {
             Some(size) => json!({ "uniform": size }),
-            None => json!({ "epsilon": self.epsilon, "delta": self.delta, "refine": self.refine }),
+            None => json!({ "quality": self.quality.name(), "scale": self.scale, "refine": self.refine }),
         }
     }
 }
@@ -95,8 +163,11 @@ pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
     drop(step);
     context.check_interrupt()?;
     let step = context.step("measure features");
-    let features =
-        Features::new(&field.image, &surface, LARGEST_FEATURE_DIAGONALS * field.image.geometry.upper_corner().length());
+    let geometry = &field.image.geometry;
+    let largest = LARGEST_FEATURE_DIAGONALS * geometry.upper_corner().length();
+    // for one size it is enough to know which features are smaller
+    let largest = args.uniform.map_or(largest, |size| largest.min(UNIFORM_FEATURES * size));
+    let features = Features::new(&field.image, &surface, largest);
     drop(step);
     if features.triangles.is_empty() {
         return Err(Error::input(
@@ -105,29 +176,18 @@ pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
             "look at the iso value or the labels that distfield was given",
         ));
     }
-    for region in &args.refine {
-        if region.nodes(&field.image.geometry).next().is_none() {
-            return Err(Error::input(
-                format!(
-                    "--refine: the ball of radius {} mm round {} lies outside the volume",
-                    region.radius, region.centre
-                ),
-                "it would refine nothing",
-                "give its centre in world coordinates, as the meshes have them (LPS, mm)",
-            ));
-        }
-    }
+    let refined = refined_nodes(args, geometry, context)?;
     context.check_interrupt()?;
     let step = context.step("size and grade");
     let sizing = match args.uniform {
         Some(size) => uniform_field(&field.image, size),
         None => {
-            let parameters = resolve(args, &field, &features, context)?;
+            let parameters = resolve(args, &field, &features, refined, context)?;
             size_field(&field.image, &features, &parameters)
         }
     };
     drop(step);
-    let meta = describe(&features, &sizing, context);
+    let meta = describe(&features, &sizing, largest, context);
     if let Some(size) = args.uniform {
         warn_if_too_coarse(&features, size, context);
     }
@@ -137,23 +197,45 @@ pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
     Ok(Outcome::Passed)
 }
 
+/// The nodes that `--refine` names, and their files among the inputs.
+fn refined_nodes(args: &Args, geometry: &Geometry, context: &Context) -> Result<Vec<SizedNode>> {
+    let mut refined = Vec::new();
+    for refinement in &args.refine {
+        let nodes = refinement.nodes(geometry)?;
+        if let Some(file) = refinement.file() {
+            context.add_input(file, None)?;
+            context.info(format!("--refine {}: {} nodes of the grid", file.display(), nodes.len()));
+        }
+        refined.extend(nodes);
+    }
+    Ok(refined)
+}
+
 /// Fills in what the options leave to the data, and says why.
-fn resolve(args: &Args, field: &Field, features: &Features, context: &Context) -> Result<Parameters> {
+fn resolve(
+    args: &Args,
+    field: &Field,
+    features: &Features,
+    refined: Vec<SizedNode>,
+    context: &Context,
+) -> Result<Parameters> {
     let voxel = field.image.geometry.mean_spacing();
     let low = features.points.iter().copied().fold(DVec3::INFINITY, DVec3::min);
     let high = features.points.iter().copied().fold(DVec3::NEG_INFINITY, DVec3::max);
-    let min_size = args.min_size.unwrap_or(MIN_SIZE_VOXELS * voxel);
+    let defaults = args.quality.defaults();
+    let diagonal = (high - low).length();
+    let min_size = args.min_size.unwrap_or(defaults.min_size_voxels * voxel);
+    let max_size = args.max_size.unwrap_or((defaults.max_size_diagonals * diagonal).max(min_size));
+    let deviation = args.max_deviation.unwrap_or(defaults.deviation_voxels * voxel);
     let parameters = Parameters {
-        epsilon: args.epsilon,
-        delta: args.delta,
+        epsilon: args.epsilon.unwrap_or(defaults.epsilon),
+        delta: args.delta.unwrap_or(defaults.delta),
         min_size,
-        max_size: args.max_size.unwrap_or((MAX_SIZE_DIAGONALS * (high - low).length()).max(min_size)),
-        max_deviation: match args.max_deviation.unwrap_or(DEVIATION_VOXELS * voxel) {
-            0.0 => f64::MAX,
-            bound => bound,
-        },
+        max_size,
+        max_deviation: if deviation > 0.0 { deviation } else { f64::MAX },
         min_particles: MIN_PARTICLES,
-        regions: args.refine.clone(),
+        scale: args.scale,
+        refined,
     };
     if parameters.min_size > parameters.max_size {
         return Err(Error::input(
@@ -165,21 +247,26 @@ fn resolve(args: &Args, field: &Field, features: &Features, context: &Context) -
             ),
         ));
     }
-    let chosen = |given: bool| if given { "given" } else { "from the data" };
-    context.info(format!(
-        "h from {:.4} mm ({}) to {:.4} mm ({}); deviation at most {:.4} mm ({})",
-        parameters.min_size,
-        chosen(args.min_size.is_some()),
-        parameters.max_size,
-        chosen(args.max_size.is_some()),
-        parameters.max_deviation.min(1e9),
-        chosen(args.max_deviation.is_some()),
-    ));
+    let quality = args.quality.name();
+    let of_voxel = |share: f64| format!("{share} of the voxel spacing {voxel:.4} mm, quality {quality}");
+    let of_diagonal =
+        format!("{} of the object's diagonal {diagonal:.4} mm, quality {quality}", defaults.max_size_diagonals);
+    for (name, value, given, reason) in [
+        ("epsilon", parameters.epsilon, args.epsilon, format!("quality {quality}")),
+        ("delta", parameters.delta, args.delta, format!("quality {quality}")),
+        ("smallest h, mm", min_size, args.min_size, of_voxel(defaults.min_size_voxels)),
+        ("largest h, mm", max_size, args.max_size, of_diagonal),
+        ("deviation, mm", deviation, args.max_deviation, of_voxel(defaults.deviation_voxels)),
+    ] {
+        context.info(format!("{name}: {value:.4} ({})", if given.is_some() { "given" } else { &reason }));
+    }
+    context.set_parameter("epsilon", parameters.epsilon);
+    context.set_parameter("delta", parameters.delta);
     context.set_parameter("min_size", parameters.min_size);
     context.set_parameter("max_size", parameters.max_size);
     context.set_parameter("max_deviation", parameters.max_deviation);
     context.set_parameter("min_particles", parameters.min_particles);
-    let unbound = Parameters { min_size: 0.0, ..parameters.clone() };
+    let unbound = Parameters { min_size: 0.0, scale: 1.0, ..parameters.clone() };
     let bound = wanted_sizes(features, &unbound).iter().filter(|&&h| h < parameters.min_size).count();
     if bound * 100 > features.points.len() {
         context.warn(format!(
@@ -196,7 +283,7 @@ fn describe_extent(path: &Path, low: DVec3, high: DVec3) -> String {
 }
 
 /// Puts figures of the field into the report and the closing table; returns what the file carries.
-fn describe(features: &Features, sizing: &SizingField, context: &Context) -> Value {
+fn describe(features: &Features, sizing: &SizingField, largest: f64, context: &Context) -> Value {
     let mut at_surface: Vec<f64> = features.points.iter().map(|&p| sizing.at(p)).collect();
     let mut feature_size = features.feature_size.clone();
     let predicted = features.predicted_count(|p| sizing.at(p));
@@ -205,6 +292,7 @@ fn describe(features: &Features, sizing: &SizingField, context: &Context) -> Val
         "predicted_count": predicted.round(),
         "size_at_surface": percentiles(&mut at_surface),
         "local_feature_size": percentiles(&mut feature_size),
+        "largest_feature_looked_for": largest,
     });
     context.summary("components", features.component_area.len());
     context.summary("predicted particles", predicted.round());
