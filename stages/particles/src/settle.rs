@@ -1,4 +1,4 @@
-//! The loop of Figure 1 of the paper: move, measure, control the density, until the energy stagnates.
+//! The loop of Figure 1 of the paper: move, measure, control the density, until nothing improves any more.
 
 use crate::coarse::{MakeEngine, settle_levels};
 use crate::density::{self, Limits};
