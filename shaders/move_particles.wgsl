@@ -9,7 +9,7 @@
 @group(0) @binding(6) var<storage, read> class_members: array<u32>;
 @group(0) @binding(8) var<storage, read_write> place: array<vec4<f32>>;
 @group(0) @binding(9) var<storage, read_write> normal: array<vec4<f32>>;
-// Steps tried; the top bit says that one was taken.
+// Steps tried; the top bit says that one was taken (the next is for `energies`).
 @group(0) @binding(12) var<storage, read_write> outcome: array<u32>;
 
 const LEAST_LAMBDA: f32 = 1e-3;

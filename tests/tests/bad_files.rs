@@ -279,6 +279,8 @@ fn a_resumed_run_gives_the_particles_of_an_unbroken_one() {
             &output,
             "--energy-tolerance",
             "0",
+            "--levels",
+            "1",
             "--max-passes",
             passes,
         ];
@@ -302,6 +304,8 @@ fn a_resumed_run_gives_the_particles_of_an_unbroken_one() {
             folder.path().join("broken.bin"),
             "--energy-tolerance",
             "0",
+            "--levels",
+            "1",
             "--max-passes",
             "20",
             "--checkpoint",

@@ -3,7 +3,7 @@
 # Needs nothing but the stage programs; on a machine without the fields' sources, bring a folder made elsewhere with --prepare.
 #
 #   bench_gpu.sh [--bin FOLDER] [--work FOLDER] [--prepare] [--adapter NAME] [--no-cpu]
-#                [--sizes "H ..."] [--contrasts "C ..."] [--passes N] [--options "..."]
+#                [--sizes "H ..."] [--contrasts "C ..."] [--count N] [--passes N] [--options "..."]
 #
 # --bin        where the programs are                                                     [target/release]
 # --work       where fields, seeds and results go; what is there already is used as it is [out/bench-gpu]
@@ -64,19 +64,19 @@ settle() { awk '/"name": "settle"/ { found = 1 } found && /"seconds"/ { gsub(/[^
 # graded CONTRAST: fields of a run on the ball whose h spans the contrast; the smallest h is sought that gives the count.
 graded() {
     least=0.3
-    [ ! -e "$work/contrast-$1.seeds.bin" ] || return 0
+    [ ! -e "$work/contrast-$1-$count.seeds.bin" ] || return 0
     for _ in 1 2 3 4 5; do
-        rm -f "$work/contrast-$1.sizefield.vti"
+        rm -f "$work/contrast-$1-$count.sizefield.vti"
         if [ "$1" = 1 ]; then sizing="--uniform $least"; else
             most=$(awk -v a="$least" -v c="$1" 'BEGIN { print a * c }')
             sizing="--epsilon 1000 --max-deviation 0 --min-size $most --max-size $most --refine ball:$pole,25=$least"
         fi
         # shellcheck disable=SC2086 # options are split on purpose
-        "$bin/sizefield" "$ball" -o "$work/contrast-$1.sizefield.vti" $sizing -q --report "$work/contrast-$1.json"
-        predicted=$(number "$work/contrast-$1.json" predicted_count)
+        "$bin/sizefield" "$ball" -o "$work/contrast-$1-$count.sizefield.vti" $sizing -q --report "$work/contrast-$1-$count.json"
+        predicted=$(number "$work/contrast-$1-$count.json" predicted_count)
         least=$(awk -v a="$least" -v p="$predicted" -v n="$count" 'BEGIN { print a * sqrt(p / n) }')
     done
-    fields "contrast-$1" "$ball"
+    fields "contrast-$1-$count" "$ball"
 }
 
 # row NAME DISTANCE: runs both backends and prints a line of the table.
@@ -127,4 +127,4 @@ echo
 echo "| run | particles | CPU's | device s | process s | us a particle and pass | CPU s | CPU us | speed-up | energy/ideal | CPU's | device B a particle |"
 echo "|---|---|---|---|---|---|---|---|---|---|---|---|"
 for h in $sizes; do row "uniform-$h" "$ribs"; done
-for c in $contrasts; do row "contrast-$c" "$ball"; done
+for c in $contrasts; do row "contrast-$c-$count" "$ball"; done

@@ -8,7 +8,7 @@
 CASE is NAME=VOLUME;DISTFIELD OPTIONS[;SIZEFIELD OPTIONS]; VOLUME is a file, or the words for `phantom` that make one:
     torus="torus --size 128;--iso 100;--uniform 1.2"    heart="heart.nrrd;--labels 1"
 
-"raw" are the Delaunay triangles of the particles as they are, "full" those after reconstruct has improved them. Time is the device's
+Passes are those of all levels together; runs of no more than ten on a level have no density control there. "raw" are the Delaunay triangles of the particles as they are, "full" those after reconstruct has improved them. Time is the device's
 where there is one, else that of the settling.
 """
 
@@ -153,10 +153,10 @@ def plot(table: Path, picture: Path) -> None:
     names = list(dict.fromkeys(row["case"] for row in rows))
     figure, axes = plt.subplots(2, len(names), figsize=(3.6 * len(names), 6), squeeze=False, sharey="row", layout="constrained")
     for column, name in enumerate(names):
-        for levels, marker in (("1", "o"), ("3", "s")):
+        for levels, marker in zip(dict.fromkeys(row["levels"] for row in rows), "os^v", strict=False):
             own = [row for row in rows if row["case"] == name and row["levels"] == levels]
             seconds = [1e3 * float(row["seconds"]) for row in own]
-            label = "at h at once" if levels == "1" else "coarse to fine, 3 levels"
+            label = "at h at once" if levels == "1" else f"coarse to fine, {levels} levels"
             for line, key in enumerate(("mean", "smallest")):
                 axes[line][column].plot(seconds, [float(row[key]) for row in own], marker=marker, label=label)
             for x, row in zip(seconds, own, strict=True):

@@ -27,7 +27,8 @@ const ROOM_ON_LATTICE: f64 = 0.6;
 /// The same for seeds that are to fill what the lattice left bare.
 const ROOM_FOR_MORE: f64 = 0.9;
 
-/// Neighbours on a lattice of edge h are nearer than this many h; the next ring begins at 1.73.
+/// Edges of a lattice of edge h are shorter than this many h: longer than the first ring, since edges round a fault are stretched, and
+/// those that cross another are sorted out.
 const EDGE: f64 = 1.45;
 
 /// Makes the engine of a level.
@@ -54,8 +55,7 @@ pub(crate) fn settle_levels(
         None => (seeds.clone(), Vec::new()),
     };
     let first = records.last().map(|r| r.scale);
-    let mut escaped = 0;
-    for exponent in (0..parameters.levels.max(1)).rev() {
+    for exponent in (0..parameters.level_count()).rev() {
         let scale = f64::from(1u32 << exponent);
         if first.is_some_and(|first| scale > first) {
             continue;
@@ -87,9 +87,8 @@ pub(crate) fn settle_levels(
             (Some(now), Some(before)) => Some(now.after(before)),
             (now, before) => now.or(before),
         };
-        escaped += summary.escaped;
         if exponent == 0 {
-            return Ok((set, Summary { escaped, ..summary }, device));
+            return Ok((set, summary, device));
         }
     }
     unreachable!("the last level is that of h")
@@ -100,7 +99,8 @@ fn thinned(seeds: &ParticleSet, fields: &Fields, scale: f64, parameters: &Parame
     let mut order: Vec<u32> = (0..seeds.positions.len() as u32).collect();
     order.sort_by_key(|&i| (bits(parameters.seed, u64::MAX, u64::from(i)), i));
     let sizes: Vec<f64> = seeds.positions.par_iter().map(|&p| scale * fields.sizing.at(p)).collect();
-    let taken = take_with_room(&seeds.positions, &seeds.normals, &sizes, &order, parameters.normal_agreement, |_| ROOM);
+    let taken =
+        take_with_room(&seeds.positions, &seeds.normals, &sizes, &order, parameters.normal_agreement, ROOM, |_| ROOM);
     pick(seeds, &sizes, &taken)
 }
 
@@ -130,8 +130,8 @@ fn split(
         .flat_map_iter(|i| near.of(i).iter().map(move |&j| (i, j as usize)).filter(|(i, j)| j > i))
         .filter_map(|(i, j)| middle_of(i, j))
         .collect();
-    for (position, normal, size) in middles {
-        add(&mut all, position, normal, scale * size);
+    for (position, normal, _) in middles {
+        add(&mut all, position, normal, 0.0);
     }
     let edges = all.positions.len();
     for (&p, &n) in seeds.positions.iter().zip(&seeds.normals) {
@@ -143,22 +143,24 @@ fn split(
     rest.sort_by_key(|&i| (bits(parameters.seed, u64::MAX, u64::from(i)), i));
     order.extend(rest);
     let room = |i: usize| if i < edges { ROOM_ON_LATTICE } else { ROOM_FOR_MORE };
-    let mut taken = take_with_room(&all.positions, &all.normals, &sizes, &order, parameters.normal_agreement, room);
+    let mut taken =
+        take_with_room(&all.positions, &all.normals, &sizes, &order, parameters.normal_agreement, ROOM_FOR_MORE, room);
     taken.sort_unstable();
     pick(&all, &sizes, &taken)
 }
 
-/// Takes particles in the order given, passing over those nearer than `room` edge lengths to one taken before on the same
-/// sheet.
+/// Takes particles in the order given, passing over those nearer than `room` edge lengths (at most `most`) to one taken before on
+/// the same sheet.
 fn take_with_room(
     points: &[DVec3],
     normals: &[DVec3],
     sizes: &[f64],
     order: &[u32],
     agreement: f64,
+    most: f64,
     room: impl Fn(usize) -> f64,
 ) -> Vec<u32> {
-    let near = NeighbourLists::new(points, sizes, ROOM_FOR_MORE, |i, j| normals[i].dot(normals[j]) > agreement);
+    let near = NeighbourLists::new(points, sizes, most, |i, j| normals[i].dot(normals[j]) > agreement);
     let mut state = vec![false; points.len()];
     let mut taken = Vec::new();
     for &i in order {
@@ -244,18 +246,20 @@ mod tests {
             }
             Ok(())
         });
-        let whole = whole.unwrap().0;
+        let whole = whole.unwrap();
+        assert_eq!(keep_at.is_some(), kept.is_some(), "the run is to be broken off at {keep_at:?}");
         if let Some((set, records)) = kept {
             let resumed =
                 settle_levels(seeds, Some((set, &records)), fields, &parameters, &engines, &mut |_, _| Ok(()));
-            assert!(resumed.unwrap().0 == whole, "resumed after pass {keep_at:?}");
+            let resumed = resumed.unwrap();
+            assert!(resumed.0 == whole.0 && resumed.1 == whole.1, "resumed after pass {keep_at:?}");
         }
-        (whole, records)
+        (whole.0, records)
     }
 
     /// Share of the particles that have six neighbours.
     fn regular(set: &ParticleSet) -> f64 {
-        let near = NeighbourLists::new(&set.positions, &set.sizes, 1.4, |_, _| true);
+        let near = NeighbourLists::new(&set.positions, &set.sizes, crate::state::FIRST_RING, |_, _| true);
         (0..near.len()).filter(|&i| near.of(i).len() == 6).count() as f64 / near.len() as f64
     }
 
@@ -294,8 +298,30 @@ mod tests {
     fn a_run_broken_on_any_level_ends_the_same() {
         let (surface, sizing, seeds) = ball();
         let fields = Fields { surface: &surface, sizing: &sizing };
-        let (_, records) = run(2, &seeds, &fields, Some(10));
-        let coarse = records.iter().filter(|r| r.scale > 1.0).count() as u64;
-        run(2, &seeds, &fields, Some((coarse / 10 + 2) * 10));
+        let (_, records) = run(3, &seeds, &fields, Some(10));
+        for scale in [4.0, 2.0, 1.0] {
+            let middle =
+                records.iter().find(|r| r.scale == scale && r.pass % 10 == 0).expect("a checkpoint on each level");
+            run(3, &seeds, &fields, Some(middle.pass));
+        }
+    }
+
+    #[test]
+    fn nothing_is_added_where_nothing_may_be() {
+        let (surface, sizing, mut seeds) = ball();
+        let fields = Fields { surface: &surface, sizing: &sizing };
+        seeds.positions.truncate(500);
+        seeds.normals.truncate(500);
+        seeds.sizes.truncate(500);
+        seeds.energies.truncate(500);
+        seeds.lambdas.truncate(500);
+        let parameters = Parameters { allow_insert: false, max_passes: 25, ..Parameters::default() };
+        let mut counts = Vec::new();
+        settle_levels(&seeds, None, &fields, &parameters, &OnCpu(&parameters), &mut |record, _| {
+            counts.push((record.scale, record.count));
+            Ok(())
+        })
+        .unwrap();
+        assert!(counts[0].1 > 300 && counts.iter().all(|&(scale, n)| scale == 1.0 && n <= 500), "{counts:?}");
     }
 }

@@ -41,7 +41,7 @@ pub enum Backend {
         particles --list-adapters",
     after_help = "Example:\n  particles heart.seeds.bin --distfield heart.distfield.vti --sizefield heart.sizefield.vti \\\n      \
         -o heart.particles.bin --log heart.passes.csv\n\n\
-        Paper: section 3, Eq. 1 to 5 and Algorithm 1. The printed limits are --max-passes 50 --energy-tolerance 0.0015 \
+        Paper: section 3, Eq. 1 to 5 and Algorithm 1. The printed limits are --levels 1 --max-passes 50 --energy-tolerance 0.0015 \
         --ideal-energy 3.462 (six times the ideal distance by mistake: it packs 2.3 times as many particles)."
 )]
 pub struct Args {
@@ -57,7 +57,7 @@ pub struct Args {
     /// Particle file to write
     #[arg(short, long, value_name = "P.bin", help_heading = FILES, required_unless_present = "list_adapters")]
     output: Option<PathBuf>,
-    /// One line a pass: energy, count, inserted, deleted, escaped, time; CSV, or JSON lines when it ends in .jsonl
+    /// One line a pass: energy, count, inserted, deleted, faults of the lattice, time, level and more; CSV, or JSON lines when it ends in .jsonl
     #[arg(long, value_name = "FILE", help_heading = FILES)]
     log: Option<PathBuf>,
     /// Keep the particles in this file every --checkpoint-interval passes
@@ -90,7 +90,7 @@ pub struct Args {
     /// Lanes that work for one particle
     #[arg(long, hide = true, value_parser = clap::builder::PossibleValuesParser::new(["8", "16", "32"]))]
     team: Option<String>,
-    /// Most passes over all particles (the paper: 50)
+    /// Most passes on the last level, that of h (the paper: 50)
     #[arg(long, value_name = "N", default_value_t = Parameters::default().max_passes, help_heading = METHOD,
         value_parser = clap::value_parser!(u64).range(1..))]
     max_passes: u64,
@@ -103,7 +103,7 @@ pub struct Args {
         value_parser = clap::value_parser!(u64).range(1..))]
     coarse_passes: u64,
     /// Stop when the faults of the lattice (particles without exactly six neighbours) get fewer by less than this share a
-    /// pass, 0 to 1
+    /// pass and density control is nearly at rest, 0 to 1
     #[arg(long, value_name = "SHARE", default_value_t = Parameters::default().fault_tolerance, value_parser = share,
         help_heading = METHOD)]
     fault_tolerance: f64,
@@ -122,7 +122,7 @@ pub struct Args {
     #[arg(long, value_name = "RATIO", default_value_t = Parameters::default().delete_above, value_parser = above_one,
         help_heading = METHOD)]
     delete_above: f64,
-    /// Never add particles (the synthetic test of Table 3)
+    /// Never add particles, and settle on one level (the synthetic test of Table 3)
     #[arg(long, help_heading = METHOD)]
     no_insert: bool,
     #[command(flatten)]
@@ -324,8 +324,10 @@ pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
 
     let step = context.step("settle");
     let mut log = args.log.as_deref().map(|path| Log::create(path, &records)).transpose()?;
-    let progress = context
-        .progress(Some(parameters.max_passes + u64::from(parameters.levels - 1) * parameters.coarse_passes), "pass");
+    let progress = context.progress(
+        Some(parameters.max_passes + u64::from(parameters.level_count() - 1) * parameters.coarse_passes),
+        "pass",
+    );
     let mut kept = Progress { parameters: parameters.clone(), inputs, records: records.clone(), engine };
     let fields = Fields { surface: &surface, sizing: &sizing };
     let engines = Engines {
@@ -380,7 +382,7 @@ pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
     }
     context.summary("particles", particles.positions.len());
     context.summary("passes", summary.passes);
-    context.summary("stopped by", if summary.stagnated { "the stop test" } else { "the pass limit" });
+    context.summary("stopped by", if summary.settled { "the stop test" } else { "the pass limit" });
     context.summary("escaped", summary.escaped);
     context.summary("energy over ideal", format!("{:.4}", summary.energy_ratio));
     context.summary("backend", backend);

@@ -15,7 +15,7 @@ use std::time::Instant;
 /// How to settle.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Parameters {
-    /// Most passes over all particles.
+    /// Most passes on the last level, that of h (the only one where `levels` is 1).
     pub max_passes: u64,
     /// Stop when the share of [`PassRecord::faults`] falls by less than this share of itself a pass, on average over
     /// [`FAULT_WINDOW`] passes, and density control is nearly at rest.
@@ -29,7 +29,7 @@ pub struct Parameters {
     pub add_below: f64,
     /// Delete a particle where E > this times E_ideal.
     pub delete_above: f64,
-    /// Whether particles may be added at all (off: the paper's synthetic test, Table 3).
+    /// Whether particles may be added at all (off: the paper's synthetic test, Table 3; then all settle on one level).
     pub allow_insert: bool,
     /// Passes without density control at the end, so that the last newcomers settle.
     pub closing_passes: u64,
@@ -62,14 +62,24 @@ impl Default for Parameters {
     }
 }
 
+impl Parameters {
+    /// Levels that the particles settle on.
+    pub(crate) fn level_count(&self) -> u32 {
+        // the way from a level to the next adds particles
+        if self.allow_insert { self.levels.max(1) } else { 1 }
+    }
+}
+
 /// Passes over which the paper's stagnation test averages.
 pub(crate) const STAGNATION_WINDOW: usize = 5;
 
 /// Passes over which the test by faults averages.
 pub const FAULT_WINDOW: usize = 10;
 
-/// Density control is at rest when it adds and deletes no more than this share of the particles a pass, at h and on coarser levels.
+/// Density control is at rest when it adds and deletes no more than this share of the particles a pass.
 const CHURN: f64 = 5e-4;
+
+/// The same on the levels before that of h.
 const COARSE_CHURN: f64 = 2e-2;
 
 /// Every so many passes the particles are put in order of place again; checkpoints are written between.
@@ -88,7 +98,8 @@ pub struct PassRecord {
     pub inserted: usize,
     /// Particles deleted.
     pub deleted: usize,
-    /// Particles removed because they could not be kept on the surface.
+    /// Particles removed because they could not be kept on the surface: none in a pass, since a step that cannot be projected is
+    /// not taken.
     pub escaped: usize,
     /// Particles that took a step.
     pub moved: usize,
@@ -97,7 +108,6 @@ pub struct PassRecord {
     /// Mean number of listed neighbours.
     pub neighbours: f64,
     /// Particles that do not have exactly six neighbours in the first ring, after the movement.
-    #[serde(default)]
     pub faults: usize,
     /// Seconds since the first pass of this run.
     pub seconds: f64,
@@ -106,13 +116,13 @@ pub struct PassRecord {
 }
 
 /// How the run ended.
-#[derive(Clone, Copy, Debug, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Summary {
     /// Passes run, those of a resumed run included.
     pub passes: u64,
     /// Whether the stop test ended it (else the pass limit did).
-    pub stagnated: bool,
-    /// Particles that could not be kept on the surface, in all.
+    pub settled: bool,
+    /// Particles of the last level that could not be put onto the surface to the last digit.
     pub escaped: usize,
     /// Final energy per particle over E_ideal.
     pub energy_ratio: f64,
@@ -189,7 +199,7 @@ pub(crate) struct Level {
     pub max_passes: u64,
 }
 
-/// As [`settle`], on any engine; the particles are put onto F = 0 to the last digit on the CPU at the end.
+/// Settles on one level, that of h, on any engine; the particles are put onto F = 0 to the last digit on the CPU at the end.
 pub fn settle_with(
     engine: &mut dyn Engine,
     fields: &Fields,
@@ -242,8 +252,8 @@ pub(crate) fn settle_level(
     let energy = state.update_energies();
     let summary = Summary {
         passes: pass,
-        stagnated: closing.is_some(),
-        escaped: escaped + records.iter().map(|r| r.escaped).sum::<usize>(),
+        settled: closing.is_some(),
+        escaped,
         energy_ratio: energy / (parameters.ideal_energy * state.len().max(1) as f64),
     };
     Ok((state.set, summary))
@@ -309,9 +319,9 @@ fn closing_since(records: &[PassRecord], parameters: &Parameters) -> Option<u64>
     (window..records.len()).find_map(|last| {
         let (old, new) = (&records[last - window], &records[last]);
         // per particle: a falling count must not pass for an improvement, nor mask a change for the worse
-        let moved = |r: &PassRecord| (r.count + r.deleted - r.inserted).max(1) as f64;
+        let before_control = |r: &PassRecord| (r.count + r.deleted - r.inserted).max(1) as f64;
         let change = |quantity: &dyn Fn(&PassRecord) -> f64| {
-            let (old, new) = (quantity(old) / moved(old), quantity(new) / moved(new));
+            let (old, new) = (quantity(old) / before_control(old), quantity(new) / before_control(new));
             (old - new) / new.max(f64::MIN_POSITIVE) / window as f64
         };
         let settled = match parameters.energy_tolerance {
@@ -351,4 +361,59 @@ fn finish(state: &mut State, fields: &Fields) -> usize {
     }
     state.rebuild_lists();
     escaped
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Records of 1000 particles of which `faults` are faults, with `churn` particles added a pass.
+    fn records(faults: impl Fn(u64) -> usize, churn: usize, scale: f64) -> Vec<PassRecord> {
+        let record = |pass| PassRecord {
+            pass,
+            energy: 700.0,
+            count: 1000 + churn,
+            inserted: churn,
+            deleted: 0,
+            escaped: 0,
+            moved: 1000,
+            tries_per_particle: 1.0,
+            neighbours: 20.0,
+            faults: faults(pass),
+            seconds: 0.0,
+            scale,
+        };
+        (1..=40).map(record).collect()
+    }
+
+    #[test]
+    fn passes_go_on_while_faults_get_fewer_and_density_control_is_at_work() {
+        let parameters = Parameters::default();
+        let closing = |records: &[PassRecord]| closing_since(records, &parameters);
+        // 1 % a pass, then nothing from pass 20 on: the window of ten passes still sees 0.5 % at pass 24
+        let falling = |pass: u64| (900.0 * 0.99f64.powi(pass.min(20) as i32)) as usize;
+        assert_eq!(closing(&records(falling, 0, 1.0)), Some(26));
+        assert_eq!(closing(&records(|pass| 900 - 9 * pass as usize, 0, 1.0)), None);
+        assert_eq!(closing(&records(|_| 300, 0, 1.0)), Some(11), "the first pass that has a window behind it");
+        assert_eq!(closing(&records(|pass| 300 + pass as usize, 0, 1.0)), Some(11));
+        assert_eq!(closing(&records(|_| 0, 0, 1.0)), Some(11));
+        // a particle a pass is 0.1 %: too much at h, little on a coarse level
+        assert_eq!(closing(&records(|_| 300, 1, 1.0)), None);
+        assert_eq!(closing(&records(|_| 300, 1, 2.0)), Some(11));
+        assert_eq!(closing(&records(|_| 300, 30, 2.0)), None);
+    }
+
+    #[test]
+    fn the_test_of_the_paper_looks_at_the_energy_alone() {
+        let test = |tolerance| {
+            let parameters = Parameters { energy_tolerance: Some(tolerance), ..Parameters::default() };
+            closing_since(&records(|pass| 900 - 9 * pass as usize, 0, 1.0), &parameters)
+        };
+        assert_eq!(test(0.0015), Some(6));
+        assert_eq!(test(0.0), None, "0 runs all passes");
+        let mut falling = records(|_| 300, 0, 1.0);
+        falling.iter_mut().for_each(|r| r.energy *= 0.998f64.powi(r.pass as i32));
+        let parameters = Parameters { energy_tolerance: Some(0.0015), ..Parameters::default() };
+        assert_eq!(closing_since(&falling, &parameters), None);
+    }
 }

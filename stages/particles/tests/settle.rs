@@ -171,7 +171,7 @@ fn the_result_depends_neither_on_threads_nor_on_a_break() {
     let surface = CubicSpline::new(&image);
     let sizing = uniform_size(&image, 1.3);
     let start = seeds(&surface, &sizing, 800, |d| 11.0 * d.with_z(0.0).normalize() + 4.0 * d);
-    let parameters = Parameters { max_passes: 43, ..Parameters::default() };
+    let parameters = Parameters { max_passes: 43, levels: 1, ..Parameters::default() };
     let mut kept: Option<(Vec<PassRecord>, ParticleSet)> = None;
     let in_pool = |threads, body: &mut (dyn FnMut() -> ParticleSet + Send)| {
         rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap().install(body)

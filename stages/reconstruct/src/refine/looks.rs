@@ -7,19 +7,20 @@ use glam::DVec3;
 use isoparticles_common::components::NO_COMPONENT;
 use std::collections::{BTreeMap, HashMap, HashSet};
 
-/// Looks, ever finer, at the places where the mesh joins two components.
+/// Looks, ever finer, at the places where the mesh joins two components or parts one.
 const LOOKS_AT_A_PAIR: usize = 5;
 
 /// Rounds that points in the gaps of a class in pieces have, before a closer look at the gap decides.
 const PATIENCE_IN_PIECES: usize = 5;
 
-/// Which places of the isosurface were looked at again, so that each is once.
+/// Which places of the isosurface were looked at again, and how closely, so that no look is taken twice.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Looks {
     pairs: HashMap<(u32, u32), usize>,
     missing: HashSet<u32>,
     genus: HashSet<u32>,
-    pieces: HashSet<(u32, usize, usize)>,
+    /// Class, bits of the first vertex, number of vertices, look.
+    pieces: HashSet<(u32, [u64; 3], usize, usize)>,
     rounds_in_pieces: HashMap<u32, usize>,
 }
 
@@ -96,7 +97,8 @@ impl Refinement<'_> {
         let look = look.min(LOOKS_AT_A_PAIR - 1);
         let mut learnt = false;
         for k in (1..pieces.len()).rev() {
-            if self.looks.pieces.insert((class, pieces[k].len(), look)) {
+            let first = pieces[k][0].to_array().map(f64::to_bits);
+            if self.looks.pieces.insert((class, first, pieces[k].len(), look)) {
                 let others = pieces[..k].concat();
                 learnt |= self.isosurface.part_if_separate(self.restricted.field(), class, &pieces[k], &others, look);
             }
