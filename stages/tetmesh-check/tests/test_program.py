@@ -16,6 +16,7 @@ import pytest
 import pyvista as pv
 from conftest import NEEDS_HXT, Run, ball, fake_library, tetrahedra, write_sizing
 
+from tetmesh_check import cli, pipeline
 from tetmesh_check.context import canonical_command_line
 from tetmesh_check.quality import signed_tetrahedron_volumes
 
@@ -236,6 +237,23 @@ def test_interrupt_ends_everything(tmp_path: Path, number: signal.Signals, metho
     assert json.loads((tmp_path / "r.json").read_text())["outcome"] == "interrupted"
     assert sorted(path.name for path in tmp_path.iterdir()) == ["ball.tetrahedra.log", "ball.vtp", "fine.vti", "r.json"]
     assert not worker_processes(tmp_path)
+
+
+def test_an_interrupt_during_the_solves_leaves_the_mesh(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    ball().save(tmp_path / "ball.vtp")
+
+    def interrupted(*_: object) -> None:
+        os.kill(os.getpid(), signal.SIGINT)
+        time.sleep(5)
+
+    monkeypatch.setattr(pipeline, "solve_on", interrupted)
+    output, report = tmp_path / "ball.volume.vtu", tmp_path / "r.json"
+    words = [tmp_path / "ball.vtp", "-o", output, "--report", report, "--export", "vtp", "--max-passes", 3, "-q"]
+    assert cli.main([str(word) for word in words]) == 130
+    assert json.loads(report.read_text())["outcome"] == "interrupted"
+    assert len(tetrahedra(output)[1]) == json.loads(report.read_text())["results"]["volume"]["tetrahedra"]
+    assert (tmp_path / "ball.boundary.vtp").exists()
+    assert not list(tmp_path.glob(".*"))
 
 
 @pytest.mark.parametrize("method", ["ftetwild", "hxt"])

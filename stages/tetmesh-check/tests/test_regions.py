@@ -19,7 +19,15 @@ from vtkmodules.vtkIOXdmf2 import vtkXdmfReader
 from tetmesh_check.errors import StageError
 from tetmesh_check.export import FORMATS, MarkedMesh, export, export_path
 from tetmesh_check.quality import signed_tetrahedron_volumes
-from tetmesh_check.regions import CAP, SURFACE, boundary_marks, meshed_labels, read_label_volume, regions_of
+from tetmesh_check.regions import (
+    CAP,
+    SURFACE,
+    boundary_marks,
+    check_labels,
+    meshed_labels,
+    read_label_volume,
+    regions_of,
+)
 from tetmesh_check.surface import Surface, read_surface
 from tetmesh_check.topology import tetrahedron_boundary
 
@@ -60,9 +68,10 @@ def test_labels_are_sampled_in_the_world(tmp_path: Path) -> None:
 def test_bad_label_volumes_are_refused(tmp_path: Path) -> None:
     volume = read_label_volume(halves(tmp_path / "l.nrrd"))
     with pytest.raises(StageError, match="outside the label volume"):
-        regions_of(np.full((5, 3), 40.0), volume, None)
+        check_labels(np.full((5, 3), 40.0), volume, None)
     with pytest.raises(StageError, match="not in the label volume"):
-        regions_of(np.zeros((5, 3)), volume, [4])
+        check_labels(np.zeros((5, 3)), volume, [4])
+    check_labels(np.zeros((5, 3)), volume, None)
     nrrd.write(str(tmp_path / "flat.nrrd"), np.ones((4, 4), dtype=np.uint8))
     nrrd.write(str(tmp_path / "real.nrrd"), np.full((4, 4, 4), 0.5))
     nrrd.write(str(tmp_path / "none.nrrd"), np.zeros((4, 4, 4), dtype=np.uint8))
@@ -155,6 +164,26 @@ def test_gmsh_opens_its_file(tmp_path: Path) -> None:
     )
     done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "['surface', 'cap', 'region_2', 'region_5']"
+
+
+def test_a_wrong_label_volume_is_refused_before_anything_is_filled(tmp_path: Path, run: Run) -> None:
+    ball(9.0, 3).save(tmp_path / "ball.vtp")
+    elsewhere = {"space": "LPS", "space directions": np.eye(3), "space origin": [100.0] * 3}
+    halves(tmp_path / "l.nrrd", elsewhere)
+    done = run("ball.vtp", "-o", "ball.vtu", "--labels-volume", "l.nrrd", "-q")
+    assert done.returncode == 2
+    assert "outside the label volume" in done.stderr
+    assert "what to do" in done.stderr
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["ball.vtp", "l.nrrd"]
+
+
+def test_tetrahedra_outside_the_label_volume_are_told(tmp_path: Path, run: Run) -> None:
+    ball(9.0).save(tmp_path / "ball.vtp")
+    shifted = {"space": "LPS", "space directions": np.eye(3), "space origin": [-5.0, -12.0, -12.0]}
+    halves(tmp_path / "l.nrrd", shifted)
+    done = run("ball.vtp", "-o", "ball.vtu", "--labels-volume", "l.nrrd", "--max-passes", 3, "--solve", "no", "-q")
+    assert done.returncode == 0, done.stderr
+    assert "% of the tetrahedra lie outside the label volume" in done.stderr
 
 
 @NEEDS_HXT

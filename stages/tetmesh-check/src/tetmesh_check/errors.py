@@ -75,7 +75,7 @@ class InterruptedRunError(StageError):
     def __init__(self, during: str) -> None:
         super().__init__(
             f"{during}: interrupted",
-            "the run was stopped before its output was complete; nothing half written is left",
+            "the run was stopped before all was done; nothing half written is left",
             "run the same command again",
             ExitCode.INTERRUPTED,
         )

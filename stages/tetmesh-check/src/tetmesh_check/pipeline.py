@@ -17,13 +17,24 @@ from tetmesh_check.export import MarkedMesh, export, export_path
 from tetmesh_check.fill import Filled, Method, Task, fill
 from tetmesh_check.pictures import PictureJob, draw_pictures
 from tetmesh_check.quality import Values, centres_of, summarize, summarize_all, tetrahedron_quality, triangle_quality
-from tetmesh_check.regions import CAP, LabelVolume, boundary_marks, meshed_labels, read_label_volume, regions_of
+from tetmesh_check.regions import (
+    CAP,
+    LabelVolume,
+    boundary_marks,
+    check_labels,
+    meshed_labels,
+    read_label_volume,
+    regions_of,
+    share_outside,
+)
 from tetmesh_check.sizing import SizingField, read_sizing_field, uniform_sizing_field
 from tetmesh_check.solve import SolveSettings, VolumeMesh, solve_on
 from tetmesh_check.surface import Surface, check_surface, read_surface
 from tetmesh_check.topology import Topology, changed_triangles, measure_topology, tetrahedron_boundary
 from tetmesh_check.volume import write_volume
 
+MAX_SHARE_OUTSIDE = 0.05
+"""Share of the tetrahedra outside the label volume above which there is a warning."""
 ENVELOPE_FRACTION = 0.05
 """Default envelope over the edge length that 95 % of the surface exceed: small enough that thin walls stay apart."""
 
@@ -175,7 +186,14 @@ def _mark(surface: Surface, mesh: VolumeMesh, labels: LabelVolume | None, contex
     if labels is not None:
         with context.step("regions"):
             wanted = meshed_labels(surface.history)
-            regions = regions_of(centres_of(mesh.points, mesh.tetrahedra), labels, wanted)
+            centres = centres_of(mesh.points, mesh.tetrahedra)
+            outside_labels = share_outside(centres, labels)
+            regions = regions_of(centres, labels, wanted)
+        if outside_labels > MAX_SHARE_OUTSIDE:
+            context.warn(
+                f"{100.0 * outside_labels:.3g} % of the tetrahedra lie outside the label volume and have the region of its nearest "
+                "voxel: is it that of this case?"
+            )
         context.results["regions"] = {
             str(label): {
                 "tetrahedra": int((regions == label).sum()),
@@ -226,7 +244,7 @@ def run(arguments: Arguments, context: Context) -> list[str]:
     Raises
     ------
     StageError
-        If there is no volume mesh; nothing but the log is written then.
+        If there is no volume mesh; nothing but the log is written then. An interrupt after that leaves the mesh, whole.
     """
     with context.step("read"):
         surface = read_surface(arguments.surface)
@@ -244,6 +262,8 @@ def run(arguments: Arguments, context: Context) -> list[str]:
     with context.step("check surface"):
         topology, components = check_surface(arguments.surface, surface)
         context.results["surface"] = _surface_results(surface, topology)
+        if labels is not None:
+            check_labels(surface.points, labels, meshed_labels(surface.history))
 
     field_everywhere, at_surface = _size(surface, sizing, context)
     envelope = arguments.envelope
@@ -275,7 +295,7 @@ def run(arguments: Arguments, context: Context) -> list[str]:
     filled = fill(task, context)
 
     measured, mesh = _measure(surface, topology, components, sizing, filled, envelope, arguments, context)
-    checks = run_checks(measured, arguments.limits) + solve_on(mesh, arguments.solve, context)
+    # before anything is solved: what took long is safe, whatever becomes of the rest
     marked = _mark(surface, mesh, labels, context)
     with context.step("write"):
         write_volume(arguments.output, marked, measured.quality, context.history())
@@ -283,6 +303,7 @@ def run(arguments: Arguments, context: Context) -> list[str]:
         with context.step(f"export {kind}"):
             export(marked, path, kind)
     context.results["exports"] = [path.name for path in arguments.export_paths().values()]
+    checks = run_checks(measured, arguments.limits) + solve_on(mesh, arguments.solve, context)
     if (job := arguments.picture_job) is not None:
         _draw(job, context)
 

@@ -126,13 +126,33 @@ def meshed_labels(history: Any) -> list[int] | None:
     return None
 
 
-def regions_of(centres: Points, volume: LabelVolume, wanted: list[int] | None) -> Labels:
-    """Label of the voxel that each position lies in, or of the nearest voxel of a wanted label; shape ``(n,)``.
+def _voxels(positions: Points, volume: LabelVolume) -> Labels:
+    """Grid indices of the voxels that positions lie in, shape ``(n, 3)``; some may lie outside the grid."""
+    index: Labels = np.round(np.linalg.solve(volume.step, (positions - volume.origin).T).T).astype(np.int64)
+    return index
+
+
+def share_outside(positions: Points, volume: LabelVolume) -> float:
+    """Share of positions that lie in no voxel.
 
     Parameters
     ----------
-    centres
+    positions
         World positions, mm, shape ``(n, 3)``.
+    volume
+        The labels.
+    """
+    index = _voxels(positions, volume)
+    return float(((index < 0) | (index >= np.array(volume.values.shape))).any(axis=1).mean())
+
+
+def check_labels(positions: Points, volume: LabelVolume, wanted: list[int] | None) -> None:
+    """Refuse a label volume that cannot be that of an object.
+
+    Parameters
+    ----------
+    positions
+        Of its vertices, mm, shape ``(n, 3)``.
     volume
         The labels.
     wanted
@@ -143,19 +163,31 @@ def regions_of(centres: Points, volume: LabelVolume, wanted: list[int] | None) -
     StageError
         If none of them is in the volume, or if the volume lies elsewhere.
     """
-    size = np.array(volume.values.shape)
-    index = np.round(np.linalg.solve(volume.step, (centres - volume.origin).T).T).astype(np.int64)
-    if ((index < 0) | (index >= size)).any(axis=1).mean() > 0.5:
+    if share_outside(positions, volume) > 0.5:
         raise StageError(
-            "more than half of the tetrahedra lie outside the label volume",
+            "more than half of the surface lies outside the label volume",
             "it belongs to another case, or its position in the world differs",
             _ADVICE,
         )
-    inside = np.clip(index, 0, size - 1)
+    if wanted is not None and not np.isin(volume.values, wanted).any():
+        raise StageError(f"labels {wanted} are not in the label volume", "they are what was meshed", _ADVICE)
+
+
+def regions_of(centres: Points, volume: LabelVolume, wanted: list[int] | None) -> Labels:
+    """Label of the voxel that each position lies in, or of the nearest voxel of a wanted label; shape ``(n,)``.
+
+    Parameters
+    ----------
+    centres
+        World positions, mm, shape ``(n, 3)``.
+    volume
+        The labels.
+    wanted
+        Those that were meshed, one of them at least in the volume (:func:`check_labels`); all but 0 by default.
+    """
+    inside = np.clip(_voxels(centres, volume), 0, np.array(volume.values.shape) - 1)
     found: Labels = volume.values[tuple(inside.T)].astype(np.int64)
     is_wanted = volume.values != 0 if wanted is None else np.isin(volume.values, wanted)
-    if not is_wanted.any():
-        raise StageError(f"labels {wanted} are not in the label volume", "they are what was meshed", _ADVICE)
     missing = np.flatnonzero(~is_wanted[tuple(inside.T)])
     if len(missing):
         # the nearest voxel of a wanted label is one that has another kind of neighbour
