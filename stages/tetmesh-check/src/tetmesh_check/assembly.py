@@ -19,13 +19,21 @@ BLOCK = 50_000
 _STIFFNESS_ORDER = 1
 """Order of quadrature of the stiffness matrices: the gradients of linear elements are constant."""
 DATA_ORDER = 3
-"""Order of quadrature of loads and errors."""
+"""Order of quadrature of loads."""
+ERROR_ORDER = 4
+"""Order of quadrature of squared errors: that of linear elements is a square of quadratic polynomials, to first order."""
 
 
 def _unknowns(points: Labels) -> Labels:
     """Numbers of the three unknowns at each of some points."""
     numbers: Labels = (3 * points[:, None] + np.arange(3)).ravel()
     return numbers
+
+
+def _merge(parts: list[tuple[int, Any]]) -> None:
+    """Put the sum of the last two in their place."""
+    (blocks, matrix), (other_blocks, other) = parts.pop(), parts.pop()
+    parts.append((blocks + other_blocks, other + matrix))
 
 
 class Assembler:
@@ -46,17 +54,19 @@ class Assembler:
         self.tetrahedra = tetrahedra
         self.deadline = deadline
 
-    def _blocks(self, vector: bool, order: int) -> Iterator[tuple[Labels, Any]]:
+    def _blocks(self, vector: bool, order: int, timed: bool = True) -> Iterator[tuple[Labels, Any]]:
         """Points in use and basis of one block after the other; to scikit-fem each is a mesh of its own."""
         element = ElementVector(ElementTetP1()) if vector else ElementTetP1()
         for start in range(0, len(self.tetrahedra), BLOCK):
-            if time.monotonic() > self.deadline:
+            if timed and time.monotonic() > self.deadline:
                 raise OutOfTimeError
             used, local = np.unique(self.tetrahedra[start : start + BLOCK], return_inverse=True)
             mesh = MeshTet(np.ascontiguousarray(self.points[used].T), np.ascontiguousarray(local.reshape(-1, 4).T))
             yield used, Basis(mesh, element, intorder=order)
 
-    def matrix(self, form: Callable[..., Any], vector: bool = False) -> Any:
+    def matrix(
+        self, form: Callable[..., Any], vector: bool = False, coefficient: Callable[[Any], Any] | None = None
+    ) -> Any:
         """Assemble a bilinear form ``form(u, v, w)`` to a sparse matrix.
 
         Parameters
@@ -65,16 +75,24 @@ class Assembler:
             In terms of gradients only.
         vector
             Whether it is one of vector fields: unknown ``3 i + k`` is then component k at point i.
+        coefficient
+            Of positions; the form finds its values, computed once, as ``w.coefficient``.
         """
         size = (3 if vector else 1) * len(self.points)
-        parts = []
+        parts: list[tuple[int, Any]] = []  # how many blocks, and the sum of their matrices
         for used, basis in self._blocks(vector, _STIFFNESS_ORDER):
-            local = BilinearForm(form).assemble(basis).tocoo()
+            known = {}
+            if coefficient is not None:
+                known["coefficient"] = coefficient(np.asarray(basis.global_coordinates()))
+            local = BilinearForm(form).assemble(basis, **known).tocoo()
             place = _unknowns(used) if vector else used
-            parts.append(csr_matrix((local.data, (place[local.row], place[local.col])), shape=(size, size)))
-        while len(parts) > 1:  # in pairs, so that every entry is added a few times only
-            parts = [sum(parts[k + 1 : k + 2], parts[k]) for k in range(0, len(parts), 2)]
-        return parts[0]
+            parts.append((1, csr_matrix((local.data, (place[local.row], place[local.col])), shape=(size, size))))
+            # sums of equally many blocks at once, so that every entry is added a few times only and few matrices are held
+            while len(parts) > 1 and parts[-1][0] == parts[-2][0]:
+                _merge(parts)
+        while len(parts) > 1:
+            _merge(parts)
+        return parts[0][1]
 
     def load(self, form: Callable[..., Any], vector: bool = False, order: int = DATA_ORDER) -> Values:
         """Assemble a linear form ``form(v, w)`` to a vector.
@@ -96,6 +114,8 @@ class Assembler:
     def integrals(self, forms: Sequence[Callable[..., Any]], **fields: Values) -> Values:
         """Integrate each ``form(w)`` in one pass; one number a form.
 
+        A short pass, that goes on when time is over: what it judges was computed in time.
+
         Parameters
         ----------
         forms
@@ -104,7 +124,7 @@ class Assembler:
             Values at the points, shape ``(n,)`` each.
         """
         totals = np.zeros(len(forms))
-        for used, basis in self._blocks(False, DATA_ORDER):
+        for used, basis in self._blocks(False, ERROR_ORDER, timed=False):
             known = {name: basis.interpolate(values[used]) for name, values in fields.items()}
             totals += [Functional(form).assemble(basis, **known) for form in forms]
         return totals

@@ -55,8 +55,11 @@ def _extreme_eigenvalues(steps: list[float], turns: list[float]) -> tuple[float,
     beta = np.array(turns[: len(steps) - 1])
     diagonal = 1.0 / alpha
     diagonal[1:] += beta / alpha[:-1]
-    eigenvalues = eigvalsh_tridiagonal(diagonal, np.sqrt(beta) / alpha[:-1])
-    return float(eigenvalues[0]), float(eigenvalues[-1])
+    beside = np.sqrt(beta) / alpha[:-1]
+    first, last = (
+        eigvalsh_tridiagonal(diagonal, beside, select="i", select_range=(at, at)) for at in (0, len(diagonal) - 1)
+    )
+    return float(first[0]), float(last[0])
 
 
 def _dot(a: Values, b: Values) -> float:

@@ -24,9 +24,6 @@ MAX_SECONDS = 600.0
 """Default time limit for all problems together, s."""
 MAX_ITERATIONS = 50_000
 """Of one run of conjugate gradients."""
-MAX_BEST_APPROXIMATION = 1.1
-"""Error of the computed gradient over that of the interpolated exact solution. The theory says 1; the rest is for the
-quadrature of the load."""
 
 
 class SolveMode(StrEnum):
@@ -76,24 +73,15 @@ def _why_not(mesh: VolumeMesh, settings: SolveSettings) -> str | None:
 
 
 def _checks(done: dict[str, dict[str, Any]], stuck: list[str]) -> list[Check]:
-    words = f"conjugate gradients solved {len(done) - len(stuck)} of {len(done)} problems"
+    solved = [name for name, figures in done.items() if "jacobi" in figures]
+    if not solved:
+        return []
+    words = (
+        f"conjugate gradients with Jacobi's preconditioner solved {len(solved) - len(stuck)} of {len(solved)} problems"
+    )
     if stuck:
         words += f", not {', '.join(stuck)}: the matrix is close to singular"
-    checks = [Check("solve_converged", not stuck, True, float(len(stuck)), 0.0, words)]
-    if "poisson" in done:
-        ratio = done["poisson"]["best_approximation"]
-        checks.append(
-            Check(
-                "best_approximation",
-                ratio <= MAX_BEST_APPROXIMATION,
-                True,
-                ratio,
-                MAX_BEST_APPROXIMATION,
-                f"the gradient of a known solution of Poisson's equation comes out {100.0 * done['poisson']['relative_h1_error']:.3g} % "
-                f"wrong, {ratio:.3g} times as much as by interpolation (limit {MAX_BEST_APPROXIMATION:g})",
-            )
-        )
-    return checks
+    return [Check("solve_converged", not stuck, True, float(len(stuck)), 0.0, words)]
 
 
 def solve_on(mesh: VolumeMesh, settings: SolveSettings, context: Context) -> list[Check]:
@@ -111,7 +99,7 @@ def solve_on(mesh: VolumeMesh, settings: SolveSettings, context: Context) -> lis
     Returns
     -------
     list of Check
-        Empty where nothing was solved.
+        Empty where nothing was solved: no check has passed then.
     """
     results: dict[str, Any] = {"done": False, "reason": _why_not(mesh, settings)}
     context.results["solve"] = results
@@ -148,7 +136,9 @@ def solve_on(mesh: VolumeMesh, settings: SolveSettings, context: Context) -> lis
     if unfinished:
         reason = "; ".join(f"{name}: {why}" for name, why in unfinished.items())
         results["reason"] = reason
-        context.warn(f"not everything was solved: {reason}")
+        context.warn(
+            f"{'not everything' if done else 'nothing'} was solved, {'' if done else 'and not checked: '}{reason}"
+        )
     iterations = [f"{name} {figures['jacobi']['iterations']}" for name, figures in done.items() if "jacobi" in figures]
     context.closing.append(("CG iterations", ", ".join(iterations) or "none"))
     return _checks(done, stuck)

@@ -147,12 +147,13 @@ def solve(case: Case) -> str:
                 + (", beyond the linear theory" if f["max_displacement_mm"] > large else "")
             ),
         }[name](figures)
-        condition = figures["plain"]["condition"]
+        plain = figures["plain"]
+        condition = None if plain is None else plain["condition"]
         rows.append(
             (
                 title,
                 number(figures["unknowns"]),
-                number(figures["plain"]["iterations"]),
+                "out of time" if plain is None else number(plain["iterations"]),
                 number(figures["jacobi"]["iterations"]),
                 "-" if condition is None else number(float(f"{condition:.2g}")),
                 duration(figures["seconds"]),
