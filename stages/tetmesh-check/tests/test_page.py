@@ -19,12 +19,12 @@ import pyvista as pv
 from conftest import ball, tetrahedra, write_sizing
 
 from tetmesh_check.cut import cut_of, cut_through_the_middle
-from tetmesh_check.page import index, program
+from tetmesh_check.page import index, measured, program
 from tetmesh_check.page.case import read_case
 from tetmesh_check.page.charts import curve, histogram, number, ticks
 from tetmesh_check.page.payload import STEPS, ViewMesh, pack
 from tetmesh_check.polydata import from_polydata
-from tetmesh_check.quality import signed_tetrahedron_volumes, triangle_quality
+from tetmesh_check.quality import signed_tetrahedron_volumes, summarize, triangle_quality
 
 BROWSER = next(
     (found for name in ("chromium", "chromium-browser", "google-chrome") if (found := shutil.which(name))), None
@@ -223,6 +223,16 @@ def test_the_packed_meshes_are_the_meshes() -> None:
     np.testing.assert_allclose(np.sort(shown), np.sort(quality), atol=0.003)
 
 
+def test_the_colours_of_edge_length_are_those_of_the_cut(case: Path) -> None:
+    meshes = program.view_meshes(None, case / "a&b.volume.vtu")
+    cut = meshes[0]
+    used = np.unique(cut.triangles)
+    assert len(used) < 0.6 * len(cut.points)
+    low, high = np.percentile(cut.size[used], [1, 99])
+    assert low > 0.5
+    assert pack(meshes, 0.5, 0.3)[0]["scales"][2] == f"edge length, {low:.3g} to {high:.3g} mm"
+
+
 def test_the_cut_keeps_the_farther_half(case: Path) -> None:
     points, cells, grid = tetrahedra(case / "a&b.volume.vtu")
     cut = cut_of(grid)
@@ -240,13 +250,16 @@ def test_the_cut_keeps_the_farther_half(case: Path) -> None:
 def test_charts() -> None:
     assert ticks(0.0, 1.0) == pytest.approx([0.0, 0.2, 0.4, 0.6, 0.8, 1.0])
     assert ticks(34480.0, 36400.0, 4) == pytest.approx([34500, 35000, 35500, 36000])
-    assert [number(v) for v in (0.123456, 12345, 1234567.8, 2.0, float("nan"))] == [
-        "0.123", "12\u202f345", "1\u202f234\u202f568", "2", "-",
+    assert [number(v) for v in (0.123456, 12345, 1234567.8, 2.0, 999.7, -999.7, 999.4, float("nan"))] == [
+        "0.123", "12\u202f345", "1\u202f234\u202f568", "2", "1\u202f000", "-1\u202f000", "999", "-",
     ]  # fmt: skip
     drawn = histogram([0.0, 0.5, 1.0], [1, 3], "Things", "size", {"mean": 0.7, "smallest": 0.1})
     heights = [float(h) for h in re.findall(r'<rect [^>]*height="([0-9.]+)"', drawn)]
     assert heights[1] == pytest.approx(3.0 * heights[0], rel=1e-3)
     assert "mean 0.7, smallest 0.1; 4 counted" in drawn
+    assert "4 beyond; 8 counted" in histogram([0.0, 0.5, 1.0], [1, 3], "Things", "size", {"largest": 3.0}, beyond=4)
+    summary = summarize(np.array([0.5, 1.5, 2.5, 9.0, np.inf]), np.linspace(0.0, 3.0, 4))
+    assert "1 beyond; 4 counted" in measured._histogram(summary, "Things", "size", "largest")
     flat = curve([1.0, 2.0], [5.0, 5.0], "Flat", "x", "y")
     assert "nan" not in flat
     assert "from 5 to 5 after 2" in flat
@@ -294,4 +307,6 @@ def test_a_broken_view_is_noticed(page: Path, tmp_path: Path) -> None:
     (tmp_path / "broken.html").write_text(text[:start] + "AAAA" + text[start + 4 :])
     document, console = browse(tmp_path / "broken.html", tmp_path / "profile", "--dump-dom")
     assert 'data-state="failed"' in document
+    assert "cannot be drawn" in document
+    assert "Drag to turn" not in document
     assert console

@@ -17,7 +17,8 @@ from test_solve import block
 from vtkmodules.vtkIOXdmf2 import vtkXdmfReader
 
 from tetmesh_check.errors import StageError
-from tetmesh_check.export import FORMATS, MarkedMesh, export, export_path
+from tetmesh_check.export import MarkedMesh, export, export_path
+from tetmesh_check.parsing import FORMATS
 from tetmesh_check.quality import signed_tetrahedron_volumes
 from tetmesh_check.regions import (
     CAP,

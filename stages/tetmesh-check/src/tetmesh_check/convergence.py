@@ -30,7 +30,6 @@ ORDER = 2.0
 """Order of the error of linear elements in the mean square."""
 TOLERANCE = 0.1
 """How far the last order may be from that, relative."""
-_TETRAHEDRON = 10
 
 
 @dataclass(frozen=True)
@@ -54,9 +53,9 @@ def read_volume(path: Path) -> tuple[Points, Cells]:
         What ``tetmesh-check`` wrote.
     """
     grid = read_dataset(path)
-    if not isinstance(grid, pv.UnstructuredGrid) or _TETRAHEDRON not in grid.cells_dict:
+    if not isinstance(grid, pv.UnstructuredGrid) or pv.CellType.TETRA not in grid.cells_dict:
         raise StageError(f"{path}: holds no tetrahedra", "they are what is solved on", "give what tetmesh-check wrote")
-    cells = np.asarray(grid.cells_dict[_TETRAHEDRON], dtype=np.int64)
+    cells = np.asarray(grid.cells_dict[pv.CellType.TETRA], dtype=np.int64)
     used, local = np.unique(cells, return_inverse=True)
     return np.asarray(grid.points, dtype=np.float64)[used], local.reshape(-1, 4).astype(np.int64)
 

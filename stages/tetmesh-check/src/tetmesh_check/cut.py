@@ -58,6 +58,6 @@ def cut_of(volume: pv.UnstructuredGrid) -> Cut:
         The mesh.
     """
     points = np.asarray(volume.points, dtype=np.float64)
-    tetrahedra = np.asarray(volume.cells_dict[10], dtype=np.int64)
+    tetrahedra = np.asarray(volume.cells_dict[pv.CellType.TETRA], dtype=np.int64)
     marks = volume.point_data["boundary"] if "boundary" in volume.point_data else np.ones(len(points))
     return cut_through_the_middle(points, tetrahedra, np.asarray(marks) > 0)

@@ -14,8 +14,6 @@ from tetmesh_check.polydata import to_polydata
 from tetmesh_check.quality import Cells, Labels, Points
 from tetmesh_check.regions import CAP, SURFACE
 
-FORMATS = ("inp", "msh", "xdmf", "vtp")
-"""What ``--export`` takes."""
 NAMES = {SURFACE: "surface", CAP: "cap"}
 """What the parts of the boundary are called in sets and groups."""
 
@@ -128,7 +126,7 @@ def export_path(output: Path, name: str, kind: str) -> Path:
     name
         Name of the case.
     kind
-        One of :data:`FORMATS`.
+        One of :data:`.FORMATS`.
     """
     return output.with_name(f"{name}.boundary.vtp" if kind == "vtp" else f"{name}.volume.{kind}")
 
@@ -143,6 +141,6 @@ def export(mesh: MarkedMesh, path: Path, kind: str) -> None:
     path
         The file.
     kind
-        One of :data:`FORMATS`.
+        One of :data:`.FORMATS`.
     """
     write_atomically(path, lambda temporary: _WRITE[kind](mesh, temporary))

@@ -10,7 +10,8 @@ from typing import NoReturn
 
 from tetmesh_check.errors import ExitCode, StageError
 
-_FORMATS = ("inp", "msh", "xdmf", "vtp")
+FORMATS = ("inp", "msh", "xdmf", "vtp")
+"""What ``--export`` takes."""
 
 
 class Parser(argparse.ArgumentParser):
@@ -75,6 +76,6 @@ def formats(text: str) -> tuple[str, ...]:
     """
     words = tuple(dict.fromkeys(text.split(",")))
     for word in words:
-        if word not in _FORMATS:
-            raise argparse.ArgumentTypeError(f"'{word}' is none of {', '.join(_FORMATS)}")
+        if word not in FORMATS:
+            raise argparse.ArgumentTypeError(f"'{word}' is none of {', '.join(FORMATS)}")
     return words

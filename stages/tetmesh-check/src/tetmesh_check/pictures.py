@@ -235,12 +235,14 @@ def _edge_length(points: Any, cells: Any) -> float:
 
 
 def _draw_cut(_surface: Any, volume: Any, path: Path) -> None:
+    import pyvista as pv
+
     from tetmesh_check.cut import cut_of
     from tetmesh_check.polydata import to_polydata
 
     plotter = _plotter()
     points = np.asarray(volume.points, dtype=np.float64)
-    cells = np.asarray(volume.cells_dict[10], dtype=np.int64)
+    cells = np.asarray(volume.cells_dict[pv.CellType.TETRA], dtype=np.int64)
     cut = cut_of(volume)
     used, local = np.unique(cut.triangles, return_inverse=True)
     kept = to_polydata(points[used], local.reshape(-1, 3))

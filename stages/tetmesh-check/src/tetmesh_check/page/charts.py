@@ -11,7 +11,7 @@ _LEFT, _RIGHT, _TOP, _BOTTOM = 62.0, 16.0, 36.0, 46.0
 
 
 def number(value: float, digits: int = 3) -> str:
-    """Write a number for people: thousands apart, three significant digits below one thousand.
+    """Write a number for people: thousands apart, some significant digits below one thousand.
 
     Parameters
     ----------
@@ -24,9 +24,8 @@ def number(value: float, digits: int = 3) -> str:
         return "-"
     if value == round(value) and abs(value) < 1e15:
         return f"{int(value):,}".replace(",", "\u202f")
-    if abs(value) >= 1000:
-        return f"{value:,.0f}".replace(",", "\u202f")
-    return f"{value:.{digits}g}"
+    rounded = f"{value:.{digits}g}"
+    return f"{value:,.0f}".replace(",", "\u202f") if abs(float(rounded)) >= 1000 else rounded
 
 
 def ticks(low: float, high: float, about: int = 5) -> list[float]:
@@ -86,14 +85,20 @@ def _svg(words: str, content: str) -> str:
 
 
 def histogram(
-    edges: Sequence[float], counts: Sequence[int], title: str, label: str, marks: dict[str, float], second: bool = False
+    edges: Sequence[float],
+    counts: Sequence[int],
+    title: str,
+    label: str,
+    marks: dict[str, float],
+    second: bool = False,
+    beyond: int = 0,
 ) -> str:
-    """Draw shares of a whole, with lines at the mean and at the worst value.
+    """Draw shares of a whole, with lines at the mean and at the worst value (at the rim, where that lies beyond it).
 
     Parameters
     ----------
     edges
-        Of the bins, one more than ``counts``; bins of unlike width at the end are left out of the picture.
+        Of the bins, one more than ``counts``.
     counts
         In each bin.
     title, label
@@ -102,8 +107,10 @@ def histogram(
         ``mean``, and ``least``, ``smallest`` or ``largest``.
     second
         Whether the second colour is used.
+    beyond
+        How many lie outside all bins; they belong to the whole, and it is said that they are not shown.
     """
-    total = max(sum(counts), 1)
+    total = max(sum(counts) + beyond, 1)
     shares = [100.0 * count / total for count in counts]
     frame = _Frame((edges[0], edges[-1]), (0.0, max(*shares, 1e-9) * 1.08))
     bars = [
@@ -118,7 +125,9 @@ def histogram(
         kind = "mean" if name == "mean" else "least"
         lines.append(f'<line class="{kind}" x1="{x:.1f}" x2="{x:.1f}" y1="{_TOP}" y2="{frame.y(0.0):.1f}"/>')
     said = ", ".join(f"{name} {number(value)}" for name, value in marks.items())
-    words = f"Histogram: {title}, {label}; {said}; {number(sum(counts))} counted."
+    if beyond:
+        said += f"; {number(beyond)} beyond"
+    words = f"Histogram: {title}, {label}; {said}; {number(sum(counts) + beyond)} counted."
     colour = "bars second" if second else "bars"
     content = frame.axes(title, f"{label}  ({said})", "share, %")
     return _svg(words, f'{content}<g class="{colour}">{"".join(bars)}</g>{"".join(lines)}')

@@ -19,8 +19,8 @@ from tetmesh_check.errors import ExitCode, StageError
 from tetmesh_check.files import refuse_existing, write_text
 from tetmesh_check.page.case import Case, case_name, picture_data, read_case
 from tetmesh_check.page.charts import number
+from tetmesh_check.page.html import duration, memory, table
 from tetmesh_check.page.program import document
-from tetmesh_check.page.sections import duration, memory, table
 from tetmesh_check.parsing import Parser
 
 TOOL = "tetmesh-check-index"

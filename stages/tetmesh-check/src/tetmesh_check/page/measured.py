@@ -7,7 +7,7 @@ from typing import Any
 
 from tetmesh_check.page.case import Case
 from tetmesh_check.page.charts import curve, histogram, number
-from tetmesh_check.page.sections import duration, figure, table
+from tetmesh_check.page.html import duration, figure, table
 
 _MEASURES = (
     ("radius_ratio", "radius ratio", "1 is regular"),
@@ -30,9 +30,10 @@ _PROBLEMS = {
 def _histogram(
     summary: dict[str, Any], title: str, label: str, worst: str, second: bool = False, end: int | None = None
 ) -> str:
-    edges, counts = summary["histogram"]["edges"], summary["histogram"]["counts"]
+    edges, counts = summary["histogram"]["edges"], summary["histogram"]["counts"][:end]
+    beyond = summary["count"] - summary["infinite"] - sum(counts)
     marks = {"mean": summary["mean"], worst: summary["max" if worst == "largest" else "min"]}
-    return histogram(edges[: None if end is None else end + 1], counts[:end], title, label, marks, second)
+    return histogram(edges[: len(counts) + 1], counts, title, label, marks, second, beyond)
 
 
 def quality(case: Case) -> str:

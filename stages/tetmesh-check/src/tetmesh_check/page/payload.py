@@ -69,7 +69,7 @@ def pack(meshes: list[ViewMesh], yaw: float, pitch: float) -> tuple[dict[str, An
     low = np.min([mesh.points[np.unique(mesh.triangles)].min(axis=0) for mesh in meshes], axis=0)
     high = np.max([mesh.points[np.unique(mesh.triangles)].max(axis=0) for mesh in meshes], axis=0)
     centre, half = 0.5 * (low + high), 0.5 * float((high - low).max()) or 1.0
-    sizes = np.concatenate([mesh.size for mesh in meshes])
+    sizes = np.concatenate([mesh.size[np.unique(mesh.triangles)] for mesh in meshes])  # other points have none
     size_low, size_high = (float(v) for v in np.percentile(sizes, [1, 99]))
     parts: list[bytes] = []
     listed = []

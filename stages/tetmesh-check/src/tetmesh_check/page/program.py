@@ -58,7 +58,7 @@ def view_meshes(surface: Path | None, volume: Path | None) -> list[ViewMesh]:
             meshes.append(ViewMesh("surface", points, triangles, quality, _edge_lengths(points, triangles)))
     if volume is not None:
         grid = read_dataset(volume)
-        if isinstance(grid, pv.UnstructuredGrid) and 10 in grid.cells_dict:
+        if isinstance(grid, pv.UnstructuredGrid) and pv.CellType.TETRA in grid.cells_dict:
             points = np.asarray(grid.points, dtype=np.float64)
             cut = cut_of(grid)
             if len(cut.triangles) <= MAX_TRIANGLES:

@@ -3,51 +3,14 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Sequence
 from html import escape
 from typing import Any
 
 from tetmesh_check.page.case import Case, picture_data
 from tetmesh_check.page.charts import number
+from tetmesh_check.page.html import duration, figure, memory, table
 
 _VERDICTS = {"pass": "passed", "warning": "warning", "fail": "failed"}
-
-
-def table(head: Sequence[str], rows: Iterable[Sequence[str]], text: Sequence[int] = (), kind: str = "") -> str:
-    """Write a table; cells are HTML already.
-
-    Parameters
-    ----------
-    head
-        Names of the columns.
-    rows
-        Their cells.
-    text
-        Columns of words rather than numbers.
-    kind
-        Class of the table.
-    """
-
-    def cell(tag: str, column: int, content: str) -> str:
-        return f"<{tag}{' class=text' if column in text else ''}>{content}</{tag}>"
-
-    top = "".join(cell('th scope="col"', k, name).replace('</th scope="col">', "</th>") for k, name in enumerate(head))
-    body = "".join(f"<tr>{''.join(cell('td', k, content) for k, content in enumerate(row))}</tr>" for row in rows)
-    named = f' class="{kind}"' if kind else ""
-    return f'<div class="wide"><table{named}><thead><tr>{top}</tr></thead><tbody>{body}</tbody></table></div>'
-
-
-def figure(content: str, caption: str) -> str:
-    """Write a figure with what is to be seen in it.
-
-    Parameters
-    ----------
-    content
-        Picture or chart.
-    caption
-        Plain text.
-    """
-    return f"<figure>{content}<figcaption>{escape(caption)}</figcaption></figure>"
 
 
 def head(case: Case) -> str:
@@ -75,30 +38,6 @@ def head(case: Case) -> str:
         f'<header><p class="kicker">isoparticles: surface and tetrahedra</p><h1>{escape(case.name)}</h1>'
         f'<p class="verdict {kind}">{escape(words)}</p><ul class="numbers">{items}</ul></header>'
     )
-
-
-def duration(seconds: float) -> str:
-    """Write a time for people.
-
-    Parameters
-    ----------
-    seconds
-        The time, s.
-    """
-    if seconds >= 90:
-        return f"{seconds / 60:.1f} min"
-    return f"{seconds:.1f} s" if seconds >= 1 else f"{1000 * seconds:.0f} ms"
-
-
-def memory(size: float) -> str:
-    """Write an amount of memory for people.
-
-    Parameters
-    ----------
-    size
-        In bytes.
-    """
-    return f"{size / 2**30:.1f} GiB" if size >= 2**30 else f"{size / 2**20:.0f} MiB"
 
 
 def view(about: dict[str, Any], data: str) -> str:

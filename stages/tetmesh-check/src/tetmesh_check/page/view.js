@@ -117,4 +117,8 @@
     pick("view-scale").textContent = about.scales[pick("view-colour").value]; pick("view-bar").hidden = pick("view-colour").value === "0"; redraw(); });
   new ResizeObserver(redraw).observe(canvas);
   draw();
-})().catch(error => { document.getElementById("view").dataset.state = "failed"; throw error; });
+})().catch(error => {
+  document.getElementById("view").dataset.state = "failed";
+  document.getElementById("view-note").textContent = `The 3-D view cannot be drawn: ${error.message}`;
+  throw error;
+});
