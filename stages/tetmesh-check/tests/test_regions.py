@@ -18,6 +18,7 @@ from vtkmodules.vtkIOXdmf2 import vtkXdmfReader
 
 from tetmesh_check.errors import StageError
 from tetmesh_check.export import MarkedMesh, export, export_path
+from tetmesh_check.labels import LabelVolume, read_label_volume
 from tetmesh_check.parsing import FORMATS
 from tetmesh_check.quality import signed_tetrahedron_volumes
 from tetmesh_check.regions import (
@@ -26,8 +27,8 @@ from tetmesh_check.regions import (
     boundary_marks,
     check_labels,
     meshed_labels,
-    read_label_volume,
     regions_of,
+    share_outside,
 )
 from tetmesh_check.surface import Surface, read_surface
 from tetmesh_check.topology import tetrahedron_boundary
@@ -86,6 +87,72 @@ def test_bad_label_volumes_are_refused(tmp_path: Path) -> None:
     ):
         with pytest.raises(StageError, match=words):
             read_label_volume(tmp_path / f"{name}.nrrd")
+
+
+TURN = np.array([[0.8, 0.6, 0.0], [-0.48, 0.64, 0.6], [0.36, -0.48, 0.8]])
+"""A rotation."""
+
+
+@pytest.mark.parametrize(
+    "steps", [2.0 * TURN, np.diag([-1.0, 1.0, 2.0]), np.array([[1.0, 0.2, 0], [0, 1, 0.3], [0, 0, 3]])]
+)
+@pytest.mark.parametrize(
+    ("space", "signs"),
+    [("left-posterior-superior", [1, 1, 1]), ("RAS", [-1, -1, 1]), ("Left-Anterior-Superior", [1, -1, 1]), ("scanner-xyz", [1, 1, 1])],
+)  # fmt: skip
+def test_oblique_and_left_handed_grids(tmp_path: Path, steps: np.ndarray, space: str, signs: list[int]) -> None:
+    header = {"space": space, "space directions": steps, "space origin": [4.0, -5.0, 6.0]}
+    volume = read_label_volume(halves(tmp_path / "l.nrrd", header))
+    index = np.argwhere(np.isin(volume.values, (3, 7)))[::7]
+    world = signs * (index @ steps + [4.0, -5.0, 6.0])
+    np.testing.assert_array_equal(regions_of(world, volume, None), volume.values[tuple(index.T)])
+    assert volume.voxel_volume == pytest.approx(abs(np.linalg.det(steps)))
+    assert share_outside(world, volume) == 0.0
+
+
+def test_a_vti_with_direction(tmp_path: Path) -> None:
+    values = read_label_volume(halves(tmp_path / "l.nrrd")).values
+    image = pv.ImageData(dimensions=(25,) * 3, spacing=(1.0, 2.0, 3.0), origin=(5.0, 6.0, 7.0))
+    image.direction_matrix = TURN
+    image["labels"] = values.ravel(order="F")
+    image.save(tmp_path / "l.vti")
+    index = np.argwhere(values > 0)[::7]
+    world = (index * [1.0, 2.0, 3.0]) @ TURN.T + [5.0, 6.0, 7.0]
+    found = regions_of(world, read_label_volume(tmp_path / "l.vti"), None)
+    np.testing.assert_array_equal(found, values[tuple(index.T)])
+
+
+def test_headers_are_taken_as_in_the_other_stages(tmp_path: Path) -> None:
+    values = np.ones((4, 5, 6), dtype=np.uint8)
+
+    def read(given: np.ndarray, **header: object) -> LabelVolume:
+        nrrd.write(str(tmp_path / "h.nrrd"), given, {name.replace("_", " "): value for name, value in header.items()})
+        return read_label_volume(tmp_path / "h.nrrd")
+
+    limits = {"axis_mins": [0.0, 10.0, 20.0], "axis_maxs": [8.0, 20.0, 38.0]}
+    cells = read(values, **limits)
+    np.testing.assert_allclose(np.diag(cells.step), [2.0, 2.0, 3.0])
+    np.testing.assert_allclose(cells.origin, [1.0, 11.0, 21.5])
+    nodes = read(values, **limits, centers="node node cell")
+    np.testing.assert_allclose(np.diag(nodes.step), [8 / 3, 2.5, 3.0])
+    np.testing.assert_allclose(nodes.origin, [0.0, 10.0, 21.5])
+    # time as a fourth component, and axes of one sample
+    timed = read(values, space="RAST", space_directions=np.eye(3, 4) * 2, space_origin=[1.0, 2, 3, 4])
+    np.testing.assert_allclose(timed.origin, [-1.0, -2.0, 3.0])
+    np.testing.assert_allclose(timed.step, np.diag([-2.0, -2.0, 2.0]))
+    listed = np.vstack([np.full(3, np.nan), np.eye(3)])
+    single = read(values[None], space="LPS", space_directions=listed, space_origin=[1.0, 2, 3])
+    assert single.values.shape == (4, 5, 6)
+    for given, header, words in (
+        (values, {"space": "left-inferior-right", "space_directions": np.eye(3)}, "not known"),
+        (values, {"space_dimension": 2, "space_directions": np.eye(3, 2)}, "2 dimensions"),
+        (values, {"spacings": [1.0, 0.0, 1.0]}, "its spacing is 1, 0, 1"),
+        (values, {"space": "LPS", "space_directions": np.ones((3, 3))}, "span no volume"),
+        (np.stack([values] * 2), {"space": "LPS", "space_directions": listed}, "has 4 axes"),
+        (values.astype(np.int64) << 40, {}, "32 bits"),
+    ):
+        with pytest.raises(StageError, match=words):
+            read(given, **header)
 
 
 def test_meshed_labels_come_from_the_history() -> None:
@@ -154,6 +221,26 @@ def test_points_on_the_rim_of_a_cap_belong_to_the_surface() -> None:
     mesh = marked_block()
     inner = (mesh.points[:, 0] == 0) & (mesh.points[:, 1] == 1) & (mesh.points[:, 2] > 0) & (mesh.points[:, 2] < 4)
     np.testing.assert_array_equal(mesh.point_marks() == CAP, inner)
+
+
+def test_the_nearest_triangle_counts_and_not_the_nearest_centre() -> None:
+    # a fine block whose side x = 0 is the cap, against an input where that side consists of two triangles
+    points, cells = block((8, 8, 8))
+    fine = tetrahedron_boundary(cells).triangles
+    on_cap = (points[fine][..., 0] == 0.0).all(axis=1)
+    corners = np.array([[0.0, 0, 0], [0, 8, 0], [0, 8, 8], [0, 0, 8]])
+    coarse = len(points) + np.array([[0, 2, 1], [0, 3, 2]])
+    triangles = np.concatenate([fine[~on_cap], coarse])
+    cap = np.arange(len(triangles)) >= len(triangles) - 2
+    marks = boundary_marks(Surface(np.concatenate([points, corners]), triangles, None, 0, cap), points, fine)
+    np.testing.assert_array_equal(marks == CAP, on_cap)
+
+
+def test_normals_settle_ties() -> None:
+    # a cap and a wall back to back: the same place, opposite normals
+    points = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]])
+    surface = Surface(points, np.array([[0, 1, 2], [0, 2, 1]]), None, 0, np.array([True, False]))
+    np.testing.assert_array_equal(boundary_marks(surface, points, np.array([[1, 2, 0], [2, 1, 0]])), [CAP, SURFACE])
 
 
 @NEEDS_HXT

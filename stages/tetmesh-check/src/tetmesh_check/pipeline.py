@@ -15,15 +15,14 @@ from tetmesh_check.distance import distances_both_ways, summarize_distances
 from tetmesh_check.errors import StageError
 from tetmesh_check.export import MarkedMesh, export, export_path
 from tetmesh_check.fill import Filled, Method, Task, fill
+from tetmesh_check.labels import LabelVolume, read_label_volume
 from tetmesh_check.pictures import PictureJob, draw_pictures
 from tetmesh_check.quality import Values, centres_of, summarize, summarize_all, tetrahedron_quality, triangle_quality
 from tetmesh_check.regions import (
     CAP,
-    LabelVolume,
     boundary_marks,
     check_labels,
     meshed_labels,
-    read_label_volume,
     regions_of,
     share_outside,
 )

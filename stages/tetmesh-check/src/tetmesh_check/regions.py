@@ -1,106 +1,26 @@
-"""Which tissue a tetrahedron lies in, from a label volume, and which part of the boundary a triangle belongs to."""
+"""Which tissue a tetrahedron lies in, and which part of the boundary a triangle belongs to."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
-import nrrd
 import numpy as np
 import pyvista as pv
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from tetmesh_check.distance import distances_to
 from tetmesh_check.errors import StageError
+from tetmesh_check.labels import LabelVolume
+from tetmesh_check.polydata import to_polydata
 from tetmesh_check.quality import Cells, Labels, Points
-from tetmesh_check.surface import Surface, read_dataset
+from tetmesh_check.surface import Surface
 
 SURFACE, CAP = 1, 2
 """Marks of the boundary: the object's own surface, and where the border of the volume cut it."""
-_TO_LPS = {
-    "left-posterior-superior": (1.0, 1.0, 1.0),
-    "lps": (1.0, 1.0, 1.0),
-    "right-anterior-superior": (-1.0, -1.0, 1.0),
-    "ras": (-1.0, -1.0, 1.0),
-    "left-anterior-superior": (1.0, -1.0, 1.0),
-    "las": (1.0, -1.0, 1.0),
-}
-"""Signs that turn the world of a NRRD file into the one that meshes are written in; all 1 for worlds that are not the body's."""
+_TIE = 0.01
+"""Two distances of a triangle that differ by less than this share of its longest edge are alike."""
 _ADVICE = "give the label volume that the case was made from (.nrrd, .nhdr or .vti)"
-
-
-@dataclass(frozen=True)
-class LabelVolume:
-    """Whole numbers on a regular grid placed in the world."""
-
-    values: NDArray[Any]
-    """Labels, shape ``(nx, ny, nz)``; 0 is no tissue."""
-    step: Points
-    """World vectors from a voxel centre to the next along each grid axis, mm; one a column."""
-    origin: Points
-    """World position of the centre of voxel (0, 0, 0), mm."""
-
-    @property
-    def voxel_volume(self) -> float:
-        """Volume of a voxel, mm^3."""
-        return float(abs(np.linalg.det(self.step)))
-
-
-def _read_nrrd(path: Path) -> tuple[NDArray[Any], Points, Points]:
-    try:
-        values, header = nrrd.read(str(path))
-    except Exception as error:
-        raise StageError.file(path, "read", error, "check that it is complete, and a NRRD file") from error
-    if values.ndim != 3:
-        raise StageError(f"{path}: has {values.ndim} axes", "labels are one number a voxel in 3-D", _ADVICE)
-    signs = np.array(_TO_LPS.get(str(header.get("space", "")).lower(), (1.0, 1.0, 1.0)))
-    directions = header.get("space directions")
-    if directions is None:
-        directions = np.diag(np.asarray(header.get("spacings", np.ones(3)), dtype=np.float64))
-    origin = np.asarray(header.get("space origin", np.zeros(3)), dtype=np.float64)
-    step = np.asarray(directions, dtype=np.float64).T
-    if step.shape != (3, 3) or not np.isfinite(step).all() or np.linalg.det(step) == 0.0:
-        raise StageError(f"{path}: its space directions span no volume", "labels are found by their position", _ADVICE)
-    return values, signs[:, None] * step, signs * origin
-
-
-def _read_image(path: Path) -> tuple[NDArray[Any], Points, Points]:
-    image = read_dataset(path)
-    if not isinstance(image, pv.ImageData) or image.active_scalars is None or image.active_scalars.ndim != 1:
-        raise StageError(f"{path}: is no image of one number a voxel", "labels are found by their position", _ADVICE)
-    step = np.asarray(image.direction_matrix, dtype=np.float64) * np.asarray(image.spacing)
-    origin = np.asarray(image.origin, dtype=np.float64) + step @ np.array(image.extent[::2], dtype=np.float64)
-    return np.asarray(image.active_scalars).reshape(image.dimensions, order="F"), step, origin
-
-
-def read_label_volume(path: Path) -> LabelVolume:
-    """Read labels.
-
-    Parameters
-    ----------
-    path
-        A NRRD file (``.nrrd``, ``.nhdr``) or a VTK image (``.vti``).
-
-    Raises
-    ------
-    StageError
-        If it is no volume of whole numbers.
-    """
-    if not path.is_file():
-        raise StageError(f"{path}: no such file", "it says which tissue is where", _ADVICE)
-    values, step, origin = (_read_nrrd if path.suffix in (".nrrd", ".nhdr") else _read_image)(path)
-    if not np.issubdtype(values.dtype, np.integer):
-        whole = np.isfinite(values) & (values == np.round(values))
-        if not whole.all():
-            raise StageError(
-                f"{path}: {int((~whole).sum())} of {values.size} values are no whole numbers", "labels are", _ADVICE
-            )
-        values = values.astype(np.int64)
-    if not values.any():
-        raise StageError(f"{path}: holds no label but 0", "there is no tissue in it", _ADVICE)
-    return LabelVolume(values, step, origin)
 
 
 def _histories(history: Any) -> Iterator[Any]:
@@ -210,10 +130,42 @@ def boundary_marks(surface: Surface, points: Points, boundary: Cells) -> Labels:
     surface
         The input, with its own marks.
     points, boundary
-        The boundary of the tetrahedra; a triangle is marked like that of the input whose centre is nearest.
+        The boundary of the tetrahedra; a triangle is marked like that of the input nearest to its centre, and where a
+        marked and another one are equally near, like the one whose normal is more like its own.
     """
     marks = np.full(len(boundary), SURFACE, dtype=np.int64)
-    if surface.cap is not None and surface.cap.any():
-        nearest = cKDTree(surface.points[surface.triangles].mean(axis=1)).query(points[boundary].mean(axis=1))[1]
-        marks[surface.cap[nearest]] = CAP
+    if surface.cap is None or not surface.cap.any():
+        return marks
+    if surface.cap.all():
+        return np.full(len(boundary), CAP, dtype=np.int64)
+    corners = points[boundary]
+    centres = corners.mean(axis=1)
+    parts = [to_polydata(surface.points, surface.triangles[mark]) for mark in (surface.cap, ~surface.cap)]
+    to_cap, to_rest = (distances_to(part, centres) for part in parts)
+    marks[to_cap < to_rest] = CAP
+    longest = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
+    ties = np.flatnonzero(np.abs(to_cap - to_rest) <= _TIE * longest)
+    if len(ties):
+        normals = _normals(points, boundary[ties])
+        like_cap, like_rest = (
+            np.einsum(
+                "ij,ij->i", normals, _normals(surface.points, surface.triangles[mark])[_nearest(part, centres[ties])]
+            )
+            for part, mark in zip(parts, (surface.cap, ~surface.cap), strict=True)
+        )
+        marks[ties] = np.where(like_cap > like_rest, CAP, SURFACE)
     return marks
+
+
+def _nearest(part: pv.PolyData, positions: Points) -> Labels:
+    """Number of the nearest triangle of a mesh for each position, shape ``(n,)``."""
+    found: Labels = np.atleast_1d(part.find_closest_cell(positions)).astype(np.int64)
+    return found
+
+
+def _normals(points: Points, triangles: Cells) -> Points:
+    """Unit normals, shape ``(n, 3)``; zero for triangles without an area."""
+    a, b, c = (points[triangles[:, k]] for k in range(3))
+    normals: Points = np.cross(b - a, c - a)
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), np.finfo(np.float64).tiny)
+    return normals
