@@ -18,6 +18,7 @@ import pytest
 import pyvista as pv
 from conftest import ball, tetrahedra, write_sizing
 
+from tetmesh_check import cli, convergence
 from tetmesh_check.cut import cut_of, cut_through_the_middle
 from tetmesh_check.page import index, measured, program
 from tetmesh_check.page.case import read_case
@@ -194,6 +195,72 @@ def test_index_and_its_numbers(case: Path, page: Path, tmp_path: Path) -> None:
     reports[1] = str(tmp_path / "second.report.failed.json")
     assert index.main([*reports, "-o", str(output), "--force"]) == 0
     assert "Not fit for simulation: 1 of 2 cases" in output.read_text()
+
+
+def test_a_foreign_report_does_not_refuse_the_index(
+    case: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "foreign.report.json").write_text('{"a": 1}')
+    reports = [str(tmp_path / "foreign.report.json"), str(case / "a&b.report.json")]
+    assert index.main([*reports, "-o", str(tmp_path / "index.html")]) == 0
+    assert "left out of the index" in capsys.readouterr().err
+    assert "All 1 cases are fit" in (tmp_path / "index.html").read_text()
+
+
+def test_reports_that_lack_keys_are_read(case: Path, tmp_path: Path) -> None:
+    whole = json.loads((case / "a&b.report.json").read_text())
+    path = tmp_path / "x.report.json"
+
+    def made() -> str:
+        path.write_text(json.dumps(whole))
+        assert program.main([str(path), "-o", str(tmp_path / "x.html"), "--force"]) == 0
+        assert index.main([str(path), "-o", str(tmp_path / "index.html"), "--force"]) == 0
+        return Elements((tmp_path / "x.html").read_text()).words
+
+    del whole["results"]["volume"]["quality"]["radius_ratio"], whole["results"]["surface"]["topology"], whole["outcome"]
+    assert "Left out: the reports lack what it is made from (KeyError 'radius_ratio')" in made()
+    for name in list(whole["results"]):
+        del whole["results"][name]
+        made()
+    assert "holds no checks" in made()
+
+
+def test_a_stage_that_failed_makes_the_case_unfit(case: Path, tmp_path: Path) -> None:
+    shutil.copy(case / "a&b.report.json", tmp_path / "x.report.json")
+    (tmp_path / "reports").mkdir()
+    stage = json.loads((case / "reports" / "particles.json").read_text())
+    for change, words in (
+        ({"error": {"what": "v.nrrd: is empty", "why": "", "next": ""}}, "particles failed: v.nrrd: is empty"),
+        ({"failed_checks": ["too few"]}, "a check of particles failed: too few"),
+    ):
+        (tmp_path / "reports" / "particles.json").write_text(json.dumps({**stage, **change}))
+        kind, said = read_case(tmp_path / "x.report.json").verdict()
+        assert kind == "fail"
+        assert words in said
+
+
+def test_what_nobody_foresaw_does_not_look_like_a_failed_check(
+    case: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def broken(*_: object) -> None:
+        raise ZeroDivisionError("nobody foresaw")
+
+    monkeypatch.setattr(program, "page", broken)
+    monkeypatch.setattr(index, "index", broken)
+    monkeypatch.setattr(convergence, "_run", broken)
+    monkeypatch.setattr(cli, "_run", broken)
+    report = str(case / "a&b.report.json")
+    for main, words in (
+        (program.main, [report, "-o", str(tmp_path / "x.html")]),
+        (index.main, [report, "-o", str(tmp_path / "x.html")]),
+        (convergence.main, ["a.vtu", "b.vtu"]),
+        (cli.main, ["a.vtp", "-o", "b.vtu"]),
+    ):
+        assert main(words) == 2
+        error = capsys.readouterr().err
+        assert "error: ZeroDivisionError: nobody foresaw (test_page.py, line" in error
+        assert "what to do" in error
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_the_packed_meshes_are_the_meshes() -> None:

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from tetmesh_check import __version__
 from tetmesh_check.context import TOOL, CommonArguments, Context, Interruptible, canonical_command_line
-from tetmesh_check.errors import StageError
+from tetmesh_check.errors import StageError, unexpected
 from tetmesh_check.files import check_report, refuse_existing, same_file
 from tetmesh_check.parsing import Parser, formats, number, whole
 
@@ -21,7 +21,8 @@ of the paper (section 3.3): the target edge length of the surface; inside the ob
 --delta of sizefield.
 """
 _EPILOG = """\
-exit codes: 0 written and fit; 1 written, but a check failed; 2 bad usage or input, nothing written; 130 interrupted
+exit codes: 0 written and fit; 1 written, but a check failed; 2 bad usage or input, nothing written, or a fault of the program;
+130 interrupted. The mesh is written before anything is solved on it: what ends the run later leaves it there.
 
 example:
   tetmesh-check heart.surface.vtp --sizefield heart.sizefield.vti -o heart.volume.vtu \\
@@ -262,6 +263,8 @@ def main(argv: Sequence[str] | None = None) -> int:
                 "the meshes do not fit into it",
                 "use a larger --tet-size-factor, or a machine with more memory",
             )
+        except Exception as problem:
+            error = unexpected(problem)
         stopped.ignore()
         return int(context.close(failed, error))
 

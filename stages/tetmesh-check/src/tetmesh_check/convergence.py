@@ -17,7 +17,7 @@ import pyvista as pv
 from tetmesh_check import __version__
 from tetmesh_check.assembly import Assembler
 from tetmesh_check.context import Interruptible
-from tetmesh_check.errors import ExitCode, StageError
+from tetmesh_check.errors import ExitCode, StageError, unexpected
 from tetmesh_check.parsing import Parser
 from tetmesh_check.problems import Solver, poisson
 from tetmesh_check.quality import Cells, Points, signed_tetrahedron_volumes
@@ -178,6 +178,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             )
         with Interruptible(TOOL):
             return int(_run(parsed.volumes))
-    except StageError as error:
+    except Exception as problem:
+        error = problem if isinstance(problem, StageError) else unexpected(problem)
         print(f"error: {error}", file=sys.stderr)
         return int(error.code)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import traceback
 from enum import IntEnum
 from pathlib import Path
 
@@ -61,6 +62,23 @@ class StageError(Exception):
         """
         reason = getattr(source, "strerror", None) or str(source) or type(source).__name__
         return cls(f"{path}: cannot {doing}: {reason}", "the stage needs this file", next_step)
+
+
+def unexpected(error: Exception) -> StageError:
+    """Describe an exception that nobody foresaw, so that it does not end as Python ends: with the code of a failed check.
+
+    Parameters
+    ----------
+    error
+        The exception.
+    """
+    frames = traceback.extract_tb(error.__traceback__)
+    where = f" ({Path(frames[-1].filename).name}, line {frames[-1].lineno})" if frames else ""
+    return StageError(
+        f"{type(error).__name__}: {error}{where}",
+        "this is a fault of the program, or a file of a kind that it does not know",
+        "check the inputs; if they are as they should be, report this message",
+    )
 
 
 class InterruptedRunError(StageError):

@@ -18,6 +18,21 @@ STAGES = ("distfield", "sizefield", "seed", "particles", "reconstruct", "tetmesh
 _PICTURE_WIDTH = 1400
 
 
+def dig(data: Any, *keys: str) -> Any:
+    """Look up an entry of nested objects; ``None`` where a key is not there.
+
+    Parameters
+    ----------
+    data
+        The outermost object.
+    keys
+        From the outside in.
+    """
+    for key in keys:
+        data = data.get(key) if isinstance(data, dict) else None
+    return data
+
+
 @dataclass(frozen=True)
 class Case:
     """One case."""
@@ -43,13 +58,13 @@ class Case:
     @property
     def checks(self) -> list[dict[str, Any]]:
         """The checks of ``tetmesh-check``; empty where it did not come so far."""
-        checks: list[dict[str, Any]] = self.results.get("checks", [])
-        return checks
+        checks = self.results.get("checks", [])
+        return [check for check in checks if isinstance(check, dict) and {"verdict", "words"} <= set(check)]
 
     @property
     def seconds(self) -> float:
         """Time of all stages together, s."""
-        return float(sum(report["seconds"] for report in self.stages.values()))
+        return float(sum(report["seconds"] or 0.0 for report in self.stages.values()))
 
     @property
     def peak_memory(self) -> float:
@@ -59,11 +74,18 @@ class Case:
     def verdict(self) -> tuple[str, str]:
         """``pass``, ``warning`` or ``fail``, and the same in a sentence."""
         if self.report["error"] is not None:
-            return "fail", f"No mesh: {self.report['error']['what']}"
+            return "fail", f"No mesh: {dig(self.report, 'error', 'what')}"
+        for stage, report in self.stages.items():
+            if report["error"] is not None:
+                return "fail", f"Not up to date: {stage} failed: {dig(report, 'error', 'what')}"
+            if stage != STAGES[-1] and report.get("failed_checks"):
+                return "fail", f"Not fit for simulation: a check of {stage} failed: {report['failed_checks'][0]}"
         failed = [check for check in self.checks if check["verdict"] == "fail"]
         warned = [check for check in self.checks if check["verdict"] == "warning"]
         if failed:
             return "fail", f"Not fit for simulation: {len(failed)} of {len(self.checks)} checks failed"
+        if not self.checks:
+            return "fail", "Not known to be fit for simulation: the report holds no checks"
         if warned:
             passed = len(self.checks) - len(warned)
             return (
@@ -92,7 +114,7 @@ def read_report(path: Path) -> dict[str, Any]:
     except (OSError, ValueError) as error:
         raise StageError.file(path, "read", error, advice) from error
     wanted = {"tool", "seconds", "results", "command_line", "error"}
-    if not isinstance(report, dict) or not wanted <= set(report):
+    if not isinstance(report, dict) or not wanted <= set(report) or not isinstance(report["results"], dict):
         raise StageError(f"{path}: is no report of a stage", "the page is made from it", advice)
     return report
 
@@ -150,7 +172,7 @@ def read_case(report: Path, name: str | None = None) -> Case:
         return next((path for path in paths if path.is_file()), None)
 
     passes = folder / f"{stem}.passes.csv"
-    drawn = own["results"].get("pictures", {}).get("drawn", [])
+    drawn = dig(own, "results", "pictures", "drawn") or []
     pictures = {
         kind: path for kind in ("surface", "closeup", "cut") for word in drawn
         if word.endswith(f".{kind}.png") and (path := folder / "pictures" / word).is_file()

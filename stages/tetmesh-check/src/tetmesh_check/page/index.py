@@ -15,9 +15,9 @@ from urllib.parse import quote
 
 from tetmesh_check import __version__
 from tetmesh_check.context import Interruptible
-from tetmesh_check.errors import ExitCode, StageError
+from tetmesh_check.errors import ExitCode, InterruptedRunError, StageError, unexpected
 from tetmesh_check.files import refuse_existing, write_text
-from tetmesh_check.page.case import Case, case_name, picture_data, read_case
+from tetmesh_check.page.case import Case, case_name, dig, picture_data, read_case
 from tetmesh_check.page.charts import number
 from tetmesh_check.page.html import duration, memory, table
 from tetmesh_check.page.program import document
@@ -38,27 +38,27 @@ def summary(case: Case) -> dict[str, Any]:
     results = case.results
     line: dict[str, Any] = {
         "name": case.name,
-        "outcome": case.report["outcome"],
+        "outcome": case.report.get("outcome"),
         "checks": len(case.checks),
         "checks_failed": sum(check["verdict"] == "fail" for check in case.checks),
         "warnings": sum(len(report.get("warnings", [])) for report in case.stages.values()),
     }
     surface, volume = results.get("surface"), results.get("volume")
     line.update(
-        surface_vertices=surface and surface["topology"]["vertices"],
-        surface_triangles=surface and surface["topology"]["triangles"],
-        triangle_radius_ratio_min=surface and surface["quality"]["radius_ratio"]["min"],
-        triangle_radius_ratio_mean=surface and surface["quality"]["radius_ratio"]["mean"],
-        tetrahedralizer=results.get("tetrahedralizer", {}).get("method"),
-        tetrahedra=volume and volume["tetrahedra"],
-        radius_ratio_min=volume and volume["quality"]["radius_ratio"]["min"],
-        radius_ratio_mean=volume and volume["quality"]["radius_ratio"]["mean"],
-        min_dihedral=volume and volume["quality"]["min_dihedral"]["min"],
-        max_dihedral=volume and volume["quality"]["max_dihedral"]["max"],
-        volume_mm3=volume and volume["volume_mm3"],
+        surface_vertices=dig(surface, "topology", "vertices"),
+        surface_triangles=dig(surface, "topology", "triangles"),
+        triangle_radius_ratio_min=dig(surface, "quality", "radius_ratio", "min"),
+        triangle_radius_ratio_mean=dig(surface, "quality", "radius_ratio", "mean"),
+        tetrahedralizer=dig(results, "tetrahedralizer", "method"),
+        tetrahedra=dig(volume, "tetrahedra"),
+        radius_ratio_min=dig(volume, "quality", "radius_ratio", "min"),
+        radius_ratio_mean=dig(volume, "quality", "radius_ratio", "mean"),
+        min_dihedral=dig(volume, "quality", "min_dihedral", "min"),
+        max_dihedral=dig(volume, "quality", "max_dihedral", "max"),
+        volume_mm3=dig(volume, "volume_mm3"),
     )
     for problem in ("poisson", "conduction", "elasticity"):
-        line[f"{problem}_cg_jacobi"] = results.get("solve", {}).get(problem, {}).get("jacobi", {}).get("iterations")
+        line[f"{problem}_cg_jacobi"] = dig(results, "solve", problem, "jacobi", "iterations")
     line.update({f"{stage}_seconds": report["seconds"] for stage, report in case.stages.items()})
     line.update(seconds=case.seconds, peak_memory_bytes=int(case.peak_memory))
     return line
@@ -144,6 +144,34 @@ def index(cases: Sequence[tuple[Path, Case]], output: Path) -> str:
     return document("Cases: surfaces and tetrahedra", body)
 
 
+def read_cases(reports: Sequence[Path]) -> list[tuple[Path, Case]]:
+    """Read what is known about each case; a file that is no such report is left out with a warning.
+
+    Parameters
+    ----------
+    reports
+        Those of ``tetmesh-check``.
+
+    Raises
+    ------
+    StageError
+        If none of them is one.
+    """
+    cases = []
+    last: StageError | None = None
+    for report in reports:
+        try:
+            cases.append((report, read_case(report)))
+        except InterruptedRunError:
+            raise
+        except StageError as error:
+            print(f"warning: left out of the index: {error.what}", file=sys.stderr)
+            last = error
+    if last is not None and not cases:
+        raise last
+    return cases
+
+
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the program.
 
@@ -178,11 +206,12 @@ def main(argv: Sequence[str] | None = None) -> int:
             if output.suffix != ".html":
                 raise StageError(f"{output}: does not end in .html", "it is a page", "name it index.html")
             refuse_existing([output, output.with_suffix(".csv")], parsed.force)
-            cases = [(report, read_case(report)) for report in parsed.reports]
+            cases = read_cases(parsed.reports)
             page, lines = index(cases, output), as_csv([summary(case) for _, case in cases])
             write_text(output.with_suffix(".csv"), lines)
             write_text(output, page)
-    except StageError as error:
+    except Exception as problem:
+        error = problem if isinstance(problem, StageError) else unexpected(problem)
         print(f"error: {error}", file=sys.stderr)
         return int(error.code)
     return int(ExitCode.OK)

@@ -15,7 +15,7 @@ import pyvista as pv
 from tetmesh_check import __version__
 from tetmesh_check.context import Interruptible
 from tetmesh_check.cut import cut_of
-from tetmesh_check.errors import ExitCode, StageError
+from tetmesh_check.errors import ExitCode, StageError, unexpected
 from tetmesh_check.files import refuse_existing, write_text
 from tetmesh_check.page import measured, sections
 from tetmesh_check.page.case import Case, read_case
@@ -111,7 +111,11 @@ def page(case: Case) -> str:
         sections.stages,
         sections.provenance,
     ]
-    parts += [write(case) for write in writers]
+    for write in writers:
+        try:
+            parts.append(write(case))
+        except (KeyError, IndexError, TypeError, ValueError) as error:  # a report of another version
+            parts.append(sections.left_out(write.__name__, error))
     return document(f"{case.name}: surface and tetrahedra", "\n".join(part for part in parts if part), script)
 
 
@@ -145,7 +149,8 @@ def main(argv: Sequence[str] | None = None) -> int:
                 raise StageError(f"{parsed.output}: does not end in .html", "it is a page", "name it NAME.report.html")
             refuse_existing([parsed.output], parsed.force)
             write_text(parsed.output, page(read_case(parsed.report, parsed.name)))
-    except StageError as error:
+    except Exception as problem:
+        error = problem if isinstance(problem, StageError) else unexpected(problem)
         print(f"error: {error}", file=sys.stderr)
         return int(error.code)
     return int(ExitCode.OK)

@@ -3,14 +3,29 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from html import escape
 from typing import Any
 
-from tetmesh_check.page.case import Case, picture_data
+from tetmesh_check.page.case import Case, dig, picture_data
 from tetmesh_check.page.charts import number
 from tetmesh_check.page.html import duration, figure, memory, table
 
 _VERDICTS = {"pass": "passed", "warning": "warning", "fail": "failed"}
+
+
+def left_out(name: str, error: Exception) -> str:
+    """Write a note in place of a part that cannot be made from what the reports hold.
+
+    Parameters
+    ----------
+    name
+        Of the part.
+    error
+        What is missing.
+    """
+    why = escape(f"{type(error).__name__} {error}")
+    return f"<section><h2>{escape(name.capitalize())}</h2><p>Left out: the reports lack what it is made from ({why}).</p></section>"
 
 
 def head(case: Case) -> str:
@@ -23,15 +38,16 @@ def head(case: Case) -> str:
     """
     kind, words = case.verdict()
     facts: list[tuple[str, str]] = []
-    if (volume := case.results.get("volume")) is not None:
-        quality = volume["quality"]
-        facts += [
-            (number(case.results["surface"]["topology"]["triangles"]), "surface triangles"),
-            (number(volume["tetrahedra"]), "tetrahedra"),
-            (f"{quality['min_dihedral']['min']:.1f}\u00b0", "smallest dihedral angle"),
-            (f"{quality['radius_ratio']['mean']:.3f}", "mean radius ratio"),
-            (number(volume["volume_mm3"]), "volume, mm\u00b3"),
-        ]
+    results = case.results
+    known: tuple[tuple[Any, Callable[[float], str], str], ...] = (
+        (dig(results, "surface", "topology", "triangles"), number, "surface triangles"),
+        (dig(results, "volume", "tetrahedra"), number, "tetrahedra"),
+        (dig(results, "volume", "quality", "min_dihedral", "min"), "{:.1f}\u00b0".format, "smallest dihedral angle"),
+        (dig(results, "volume", "quality", "radius_ratio", "mean"), "{:.3f}".format, "mean radius ratio"),
+        (dig(results, "volume", "volume_mm3"), number, "volume, mm\u00b3"),
+    )
+    if dig(results, "volume") is not None:
+        facts += [(write(value), name) for value, write, name in known if value is not None]
     facts += [(duration(case.seconds), "all stages"), (memory(case.peak_memory), "largest process")]
     items = "".join(f"<li><b>{escape(value)}</b><span>{escape(name)}</span></li>" for value, name in facts)
     return (
@@ -76,7 +92,7 @@ def pictures(case: Case) -> str:
     case
         The case.
     """
-    triangles = number(case.results.get("surface", {}).get("topology", {}).get("triangles", 0))
+    triangles = number(dig(case.results, "surface", "topology", "triangles") or 0)
     words = {
         "surface": f"The surface with its {triangles} triangles.",
         "closeup": "Close-up of the surface, coloured by the radius ratio of its triangles; yellow is equilateral.",
@@ -101,16 +117,21 @@ def checks(case: Case) -> str:
         The case.
     """
     rows = [
-        (f'<span class="tag {check["verdict"]}">{_VERDICTS[check["verdict"]]}</span>', escape(check["words"]))
+        (
+            f'<span class="tag {escape(check["verdict"])}">{_VERDICTS.get(check["verdict"], "unknown")}</span>',
+            escape(check["words"]),
+        )
         for check in case.checks
     ]
     for stage, report in case.stages.items():
         if report["error"] is not None:
-            rows.append(('<span class="tag fail">error</span>', f"{stage}: {escape(report['error']['what'])}"))
+            rows.append(
+                ('<span class="tag fail">error</span>', f"{stage}: {escape(str(dig(report, 'error', 'what')))}")
+            )
         if stage != "tetmesh-check":
             rows += [
                 ('<span class="tag fail">failed</span>', f"{stage}: {escape(words)}")
-                for words in report["failed_checks"]
+                for words in report.get("failed_checks", [])
             ]
         rows += [
             ('<span class="tag warning">warning</span>', f"{stage}: {escape(words)}")
