@@ -12,6 +12,7 @@ import argparse
 import json
 import subprocess
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -47,8 +48,8 @@ def marching_cubes(distfield: Path, target: Path) -> None:
     to_polydata(points, triangles).save(target)
 
 
-def fill_and_solve(surface: Path, sizefield: Path, work: Path, name: str, seconds: float) -> dict[str, Any]:
-    """Fill one surface and solve on it; returns the report.
+def fill_and_solve(surface: Path, sizefield: Path, work: Path, name: str, seconds: float) -> dict[str, Any] | None:
+    """Fill one surface and solve on it; returns the report, or nothing where the run left none.
 
     Parameters
     ----------
@@ -62,6 +63,7 @@ def fill_and_solve(surface: Path, sizefield: Path, work: Path, name: str, second
         Time limit of the problems, s.
     """
     report = work / f"{name}.report.json"
+    report.unlink(missing_ok=True)
     subprocess.run(
         [
             *(sys.executable, "-m", "tetmesh_check", str(surface), "--sizefield", str(sizefield)),
@@ -79,11 +81,13 @@ def fill_and_solve(surface: Path, sizefield: Path, work: Path, name: str, second
         ],
         check=False,
     )
+    if not report.is_file():
+        return None
     loaded: dict[str, Any] = json.loads(report.read_text(encoding="utf-8"))
     return loaded
 
 
-def row(case: str, kind: str, report: dict[str, Any]) -> str:
+def row(case: str, kind: str, report: dict[str, Any] | None) -> str:
     """Write one line of the table.
 
     Parameters
@@ -91,8 +95,10 @@ def row(case: str, kind: str, report: dict[str, Any]) -> str:
     case, kind
         Its first two cells.
     report
-        What ``tetmesh-check`` wrote.
+        What ``tetmesh-check`` wrote, if anything.
     """
+    if report is None:
+        return f"| {case} | {kind} | ended without a report |"
     if report["error"] is not None:
         return f"| {case} | {kind} | {report['error']['what'].split(': ', 1)[-1]} |"
     results = report["results"]
@@ -106,22 +112,32 @@ def row(case: str, kind: str, report: dict[str, Any]) -> str:
     ]
     for problem in _PROBLEMS:
         figures = results["solve"].get(problem)
-        if figures is None or "plain" not in figures:
-            cells.append("out of time")
+        if figures is None or "jacobi" not in figures:
+            cells.append("not solved")
             continue
+        plain = figures["plain"] or {}
+        iterations, condition = plain.get("iterations"), plain.get("condition")
         cells.append(
-            f"{figures['plain']['iterations']:,} / {figures['jacobi']['iterations']:,} ({figures['plain']['condition']:.2g})"
+            f"{'out of time' if iterations is None else f'{iterations:,}'} / {figures['jacobi']['iterations']:,} "
+            f"({'-' if condition is None else f'{condition:.2g}'})"
         )
     return f"| {case} | {kind} | {' | '.join(cells)} |"
 
 
-def main() -> None:
-    """Fill, solve, print."""
+def main(argv: Sequence[str] | None = None) -> int:
+    """Fill, solve, print; 2 where a run ended in an error, 0 else (a mesh that fails a check is a row of the table).
+
+    Parameters
+    ----------
+    argv
+        The command line without the program's name; that of the process by default.
+    """
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("cases", metavar="CASE_DIR", type=Path, nargs="+", help="folders with the results of a case")
     parser.add_argument("--work", type=Path, required=True, help="where to write the meshes")
     parser.add_argument("--solve-seconds", type=float, default=600.0, help="time limit of the problems of one mesh, s")
-    parsed = parser.parse_args()
+    parsed = parser.parse_args(argv)
+    failed = False
     parsed.work.mkdir(parents=True, exist_ok=True)
     print(
         "| case | surface | vertices | smallest radius ratio, triangles | tetrahedra | smallest dihedral | radius ratio, "
@@ -136,7 +152,9 @@ def main() -> None:
             label = f"{name}.{kind.replace(' ', '-')}"
             report = fill_and_solve(surface, sizefield, parsed.work, label, parsed.solve_seconds)
             print(row(name, kind, report), flush=True)
+            failed = failed or report is None or report["error"] is not None
+    return 2 if failed else 0
 
 
 if __name__ == "__main__":
-    main()
+    raise SystemExit(main())
