@@ -117,7 +117,7 @@ failed = $(basename $(1)).failed$(suffix $(1))
 define run
 @mkdir -p $(D)/reports && rm -f $(call failed,$@)
 @printf '%s\n' '$(strip $(2) $(call shared_options,$(1)))'
-@$(2) $(call shared_options,$(1)) || { code=$$?; \
+@$(2) $(call shared_options,$(1)) || { code=$$?; rm -f $(PAGE); \
   if [ $$code = 1 ] && [ -e $@ ]; then mv -f $@ $(call failed,$@); \
     printf '%s\n' '$(1): a check failed; its output is kept as $(call failed,$@), what failed is in $(D)/reports/$(1).json' >&2; \
   fi; exit $$code; }
@@ -152,7 +152,7 @@ Volumes in, simulation-ready meshes out.
   make bench-stages                            time and memory of every stage on the torso phantom
   make bench-gpu                               the particles stage on the GPU against one CPU thread (BENCH_OPTIONS=...)
   make bench-convergence                       error of a known solution on the ball, from coarse to fine tetrahedra
-  make bench-marching-cubes                    solvers on tetrahedra in our surfaces against those in marching cubes (PARTS=...)
+  make bench-marching-cubes                    solvers on tetrahedra in our surfaces against those in marching cubes (COMPARED=...)
 
 Parameters of mesh, surface and CASE, with the stages' defaults where left out:
   NAME=...      name of the results [the volume's]       OUT=...       folder of the results [out]
@@ -178,15 +178,21 @@ surface: $(SURFACE)
 demo:
 	@$(MAKE) --no-print-directory CASE=demo mesh
 
-cases: $(addprefix case-,$(CASES))
-	@$(write_index)
+# Every case, whether or not another one fails, then the index over those that came far enough.
+cases: build env
+	@status=0; $(MAKE) --no-print-directory -k NO_BUILD=yes $(addprefix case-,$(CASES)) || status=$$?; \
+	  ( $(write_index) ) || { code=$$?; if [ $$status = 0 ]; then status=$$code; fi; }; exit $$status
 
 # Over all cases in OUT, also those that failed.
 index: env
 	@$(write_index)
 
-write_index = $(TETMESH_CHECK)-index $$(ls $(OUT)/*/*.report.json $(OUT)/*/*.report.failed.json 2>/dev/null) -o $(OUT)/index.html --force \
-  && printf '%s\n' 'index       $(OUT)/index.html'
+write_index = set -- $$(ls $(OUT)/*/*.report.json $(OUT)/*/*.report.failed.json 2>/dev/null); \
+  if [ $$\# = 0 ]; then \
+    printf '%s\n' 'error: $(OUT): no reports of cases' '  why it matters: the index is made from OUT/NAME/NAME.report.json' \
+      '  what to do: make a case first (make CASE=demo), or say where they are (OUT=...)' >&2; exit 2; \
+  fi; \
+  $(TETMESH_CHECK)-index "$$@" -o $(OUT)/index.html --force && printf '%s\n' 'index       $(OUT)/index.html'
 
 case-%: build env
 	@$(MAKE) --no-print-directory CASE=$* CASES= NO_BUILD=yes mesh
@@ -234,7 +240,10 @@ $(P)/reconstruct: FORCE | build
 
 $(P)/tetmesh: FORCE | env
 	$(call stamp,tetmesh-check,$(without_hxt) $(tetmesh_options),stages/tetmesh-check/requirements*.lock \
-	  stages/tetmesh-check/src/tetmesh_check/*.py)
+	  $(filter-out $(other_programs),$(sort $(wildcard stages/tetmesh-check/src/tetmesh_check/*.py))))
+
+# They lie beside tetmesh-check and use its parts, but make no tetrahedra.
+other_programs = %/convergence.py
 
 $(P)/page: FORCE | env
 	$(call stamp,tetmesh-check-page,,stages/tetmesh-check/src/tetmesh_check/page/*.*)
@@ -266,12 +275,14 @@ $(SURFACE): $(PARTICLES) $(DISTFIELD) $(SIZEFIELD) $(P)/reconstruct
 	  $(reconstruct_options))
 
 $(VOLUME) $(REPORT) &: $(SURFACE) $(SIZEFIELD) $(P)/tetmesh
-	@mkdir -p $(D)/reports && rm -f $(call failed,$(VOLUME)) $(call failed,$(REPORT))
+	@mkdir -p $(D)/reports && rm -f $(VOLUME) $(REPORT) $(PAGE) $(call failed,$(VOLUME)) $(call failed,$(REPORT))
 	@printf '%s\n' '$(strip $(tetmesh_command))'
 	@$(tetmesh_command) || { code=$$?; \
-	  if [ $$code = 1 ] && [ -e $(VOLUME) ]; then mv -f $(VOLUME) $(call failed,$(VOLUME)); cp -f $(REPORT) $(call failed,$(REPORT)); \
-	    $(page_command); \
-	    printf '%s\n' 'tetmesh-check: a check failed; the mesh is kept as $(call failed,$(VOLUME)), the report as $(call failed,$(REPORT))' >&2; \
+	  if [ -e $(REPORT) ]; then mv -f $(REPORT) $(call failed,$(REPORT)); \
+	    if [ $$code = 1 ] && [ -e $(VOLUME) ]; then mv -f $(VOLUME) $(call failed,$(VOLUME)); \
+	      printf '%s\n' 'tetmesh-check: a check failed; the mesh is kept as $(call failed,$(VOLUME)), the report as $(call failed,$(REPORT))' >&2; \
+	    fi; \
+	    $(call page_command,$(call failed,$(REPORT))); \
 	  fi; exit $$code; }
 	@cp -f $(REPORT) $(D)/reports/tetmesh-check.json
 
@@ -280,10 +291,10 @@ tetmesh_command = $(TETMESH_CHECK) $(SURFACE) --sizefield $(SIZEFIELD) -o $(VOLU
 
 # Also written where a check failed (above).
 $(PAGE): $(REPORT) $(P)/page
-	@printf '%s\n' '$(page_command)'
-	@$(page_command)
+	@printf '%s\n' '$(call page_command,$(REPORT))'
+	@$(call page_command,$(REPORT))
 
-page_command = $(TETMESH_CHECK)-page $(REPORT) --name $(NAME) -o $(PAGE) --force
+page_command = $(TETMESH_CHECK)-page $(1) --name $(NAME) -o $(PAGE) --force
 
 # --- Checks of the project itself -------------------------------------------------------------------------------------
 
@@ -335,9 +346,10 @@ bench-convergence: build env
 	$(TETMESH_CHECK)-convergence $(foreach size,$(SIZES),$(OUT)/bench/ball-$(size)/ball-$(size).volume.vtu)
 
 # Our surfaces against marching cubes on the same distance field, through the same tetrahedralizer.
+COMPARED ?= ball mickey
 bench-marching-cubes: build env
-	@for part in $(PARTS); do \
+	@for part in $(COMPARED); do \
 	  $(MAKE) --no-print-directory CASE=$$part NAME=$$part OUT=$(OUT)/bench NO_BUILD=yes surface || exit $$?; \
 	done
-	$(VENV)/bin/python stages/tetmesh-check/benches/marching_cubes.py $(addprefix $(OUT)/bench/,$(PARTS)) \
+	$(VENV)/bin/python stages/tetmesh-check/benches/marching_cubes.py $(addprefix $(OUT)/bench/,$(COMPARED)) \
 	  --work $(OUT)/bench/marching-cubes

@@ -190,6 +190,116 @@ fn the_output_of_a_failed_check_is_kept_aside() {
     assert!(!case.file("sizefield.failed.vti").exists());
 }
 
+/// Stand-ins for tetmesh-check and its pages; the first ends with the exit code that `end_with` sets.
+#[cfg(unix)]
+struct StandIn {
+    folder: tempfile::TempDir,
+}
+
+#[cfg(unix)]
+impl StandIn {
+    fn new() -> Self {
+        use std::os::unix::fs::PermissionsExt;
+        let folder = tempfile::tempdir().expect("folder");
+        let outputs =
+            "for word; do case $before in -o) out=$word;; --report) report=$word;; esac; before=$word; done\n";
+        let programs = [
+            (
+                "",
+                "code=$(cat \"$0.code\"); [ $code = 2 ] || echo $code > \"$out\"; echo {} > \"$report\"; exit $code\n",
+            ),
+            ("-page", "echo \"$1\" > \"$out\"\n"),
+            ("-index", "echo \"$*\" > \"$out\"\n"),
+        ];
+        for (ending, does) in programs {
+            let path = folder.path().join(format!("tetmesh-check{ending}"));
+            std::fs::write(&path, format!("#!/bin/sh\n{outputs}{does}")).unwrap();
+            std::fs::set_permissions(&path, std::fs::Permissions::from_mode(0o755)).unwrap();
+        }
+        Self { folder }
+    }
+
+    fn end_with(&self, code: i32) {
+        std::fs::write(self.folder.path().join("tetmesh-check.code"), code.to_string()).unwrap();
+    }
+
+    fn variable(&self) -> String {
+        format!("TETMESH_CHECK={}/tetmesh-check", self.folder.path().display())
+    }
+}
+
+/// However the last stage ends, nothing of an earlier run is left that could be taken for its result.
+#[test]
+#[cfg(unix)]
+fn no_stale_mesh_or_page_is_left() {
+    let (case, stand_in) = (Case::new(), StandIn::new());
+    let program = stand_in.variable();
+    let text = |ending: &str| std::fs::read_to_string(case.file(ending)).unwrap_or_default();
+    let mesh = |code: i32, options: &str| {
+        stand_in.end_with(code);
+        let ended = run(&mut case.command("mesh", &["ISO=100", "SIZE=2.5", "VERBOSITY=-q", &program, options]));
+        assert_eq!(ended.code, Some(if code == 0 { 0 } else { 2 }), "{}", ended.stderr);
+        ended.stderr
+    };
+    mesh(0, "TETMESH_OPTIONS=-a");
+    assert_eq!(text("volume.vtu"), "0\n");
+    assert!(text("report.html").ends_with("ball.report.json\n"), "{}", text("report.html"));
+    assert!(mesh(1, "TETMESH_OPTIONS=-b").contains("ball.volume.failed.vtu"));
+    assert_eq!(text("volume.failed.vtu"), "1\n");
+    assert!(text("report.html").ends_with("ball.report.failed.json\n"), "{}", text("report.html"));
+    assert!(!case.file("volume.vtu").exists() && !case.file("report.json").exists());
+    mesh(0, "TETMESH_OPTIONS=-c");
+    assert!(!case.file("volume.failed.vtu").exists() && !case.file("report.failed.json").exists());
+    mesh(2, "TETMESH_OPTIONS=-d");
+    assert!(!case.file("volume.vtu").exists() && !case.file("volume.failed.vtu").exists());
+    assert!(text("report.html").ends_with("ball.report.failed.json\n"), "the page says that there is no mesh");
+    // An earlier stage that fails takes the page of the earlier run with it.
+    mesh(0, "TETMESH_OPTIONS=-e");
+    let ended = run(&mut case.command("mesh", &["ISO=100000", "SIZE=2.5", "VERBOSITY=-q", &program]));
+    assert_eq!(ended.code, Some(2), "{}", ended.stderr);
+    assert!(!case.file("report.html").exists(), "{:?}", listing(&case.out().join("ball")));
+}
+
+/// The program of the order of convergence lies beside tetmesh-check; a change to it must not make tetrahedra anew.
+#[test]
+fn the_stamp_of_the_tetrahedra_leaves_out_other_programs() {
+    let planned =
+        run(Case::new().command("mesh", &["ISO=100", "-n"]).arg("HXT=no")).expect_success("make -n mesh").stdout;
+    let stamp = planned.lines().find(|line| line.contains("tetmesh_check/fill.py")).expect("the stamp");
+    assert!(stamp.contains("requirements*.lock") && stamp.contains("pipeline.py"), "{stamp}");
+    assert!(!stamp.contains("convergence.py") && !stamp.contains("page/"), "{stamp}");
+}
+
+/// A case that fails stops neither the others nor the index, and make says that something failed.
+#[test]
+#[cfg(unix)]
+fn the_index_is_written_although_a_case_fails() {
+    let (folder, stand_in) = (tempfile::tempdir().expect("folder"), StandIn::new());
+    let command = |goal: &str| {
+        let mut command = make();
+        command.args([goal, "CASES=nothing ball", "VERBOSITY=-q"]).arg(stand_in.variable());
+        command.arg(format!("OUT={}", folder.path().display()));
+        command
+    };
+    let ended = run(&mut command("index"));
+    assert_eq!(ended.code, Some(2));
+    for part in ["no reports of cases", "why it matters", "what to do"] {
+        assert!(ended.stderr.contains(part), "{}", ended.stderr);
+    }
+    stand_in.end_with(0);
+    let ended = run(&mut command("cases"));
+    assert_eq!(ended.code, Some(2), "{}", ended.stderr);
+    assert!(ended.stderr.contains("pipelines/nothing.mk"), "{}", ended.stderr);
+    let index = std::fs::read_to_string(folder.path().join("index.html")).expect("index.html");
+    assert!(index.contains("ball/ball.report.json"), "{index}");
+    // With a check that fails the report has another name.
+    stand_in.end_with(1);
+    assert_eq!(run(command("cases").args(["CASES=ball", "TETMESH_OPTIONS=-a"])).code, Some(2));
+    let index = std::fs::read_to_string(folder.path().join("index.html")).expect("index.html");
+    assert!(index.contains("ball/ball.report.failed.json") && !index.contains("ball.report.json"), "{index}");
+    run(&mut command("index")).expect_success("make index");
+}
+
 /// Stopping make in the middle of `particles` leaves no particle file, and the next run finishes the case with the same
 /// bytes as one that was never stopped.
 #[test]
@@ -277,5 +387,12 @@ fn make_j_over_two_cases_down_to_the_tetrahedra() {
         }
         let report: serde_json::Value = serde_json::from_slice(&std::fs::read(file("report.json")).unwrap()).unwrap();
         assert_eq!(report["outcome"], "passed", "{report}");
+        let page = std::fs::read_to_string(file("report.html")).expect("the page");
+        assert!(page.contains("Fit for simulation") && page.contains(name), "{name}.report.html");
     }
+    let index = std::fs::read_to_string(folder.path().join("index.html")).expect("the index");
+    assert!(index.contains("All 2 cases are fit for simulation"), "{index}");
+    assert!(index.contains("ball/ball.report.html") && index.contains("two-balls/two-balls.report.html"));
+    let lines = std::fs::read_to_string(folder.path().join("index.csv")).expect("the numbers");
+    assert_eq!(lines.lines().count(), 3, "{lines}");
 }
