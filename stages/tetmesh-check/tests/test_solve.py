@@ -224,6 +224,20 @@ def test_bounds(settings: SolveSettings, reason: str, monkeypatch: pytest.Monkey
         assert "nothing was solved, and not checked" in context.warnings[0]
 
 
+def test_the_plain_run_leaves_time_for_other_problems(monkeypatch: pytest.MonkeyPatch) -> None:
+    given: dict[object, float] = {}
+
+    def noting(*words: object) -> CgResult:
+        given[words[2]] = float(str(words[4])) - time.monotonic()
+        return conjugate_gradients(*words)
+
+    monkeypatch.setattr(problems, "conjugate_gradients", noting)
+    matrix = diags(np.linspace(1.0, 9.0, 50)).tocsr()
+    Solver(100, time.monotonic() + 1000.0).solve(matrix, np.ones(50))
+    assert given[True] == pytest.approx(1000.0, abs=5.0)
+    assert given[False] == pytest.approx(500.0, abs=5.0)
+
+
 def test_only_the_preconditioned_run_decides(monkeypatch: pytest.MonkeyPatch) -> None:
     points, cells = block((4, 4, 4))
 
