@@ -113,19 +113,20 @@ def over_passes(cases: list[Case], arguments: argparse.Namespace) -> None:
                 sys.stdout.flush()
 
 
-def compare(case: Case, backends: list[str], raw_only: bool) -> str:
+def compare(case: Case, backends: list[str], adapter: str | None, raw_only: bool) -> str:
     """A row of the table of [`over_backends`]."""
     case.prepare()
     counts, passes, faults, raw, full, notes = [], [], [], [], [], []
     for backend in backends:
-        settled = case.settle("--backend", backend)
+        device = ["--adapter", adapter] if adapter and backend == "gpu" else []
+        settled = case.settle("--backend", backend, *device)
         counts.append(f"{settled['particles']:,}")
         passes.append(str(settled["passes"]))
         faults.append(f"{100 * settled['faults']:.1f}")
         raw.append("{:.3f} / {:.2f}".format(*case.quality(*RAW)))
         full.append("-" if raw_only else "{:.3f} / {:.2f}".format(*case.quality()))
         if backend == "gpu":
-            again = case.settle("--backend", backend)
+            again = case.settle("--backend", backend, *device)
             notes.append("same bytes" if again["hash"] == settled["hash"] else "DIFFERENT BYTES")
     columns = [", ".join(column) for column in (counts, passes, faults, raw, full)]
     return f"| {case.name} | " + " | ".join([*columns, *notes]) + " |"
@@ -138,7 +139,7 @@ def over_backends(cases: list[Case], arguments: argparse.Namespace) -> None:
     print(f"| surface | particles, {', '.join(backends)} | passes | faults, % | raw, mean / smallest | full |{again}")
     print("|---" * (7 if again else 6) + "|")
     with concurrent.futures.ThreadPoolExecutor(arguments.jobs) as pool:
-        rows = [pool.submit(compare, case, backends, arguments.raw_only) for case in cases]
+        rows = [pool.submit(compare, case, backends, arguments.adapter, arguments.raw_only) for case in cases]
         for row in concurrent.futures.as_completed(rows):
             print(row.result(), flush=True)
 
@@ -187,6 +188,7 @@ def main() -> None:
     parser.add_argument("--backend", choices=["auto", "gpu", "cpu"], default="auto")
     parser.add_argument("--passes", type=int, nargs="+", default=[5, 10, 20, 40, 80, 160])
     parser.add_argument("--levels", type=int, nargs="+", default=[1, 3])
+    parser.add_argument("--adapter", help="part of the GPU's name; a software renderer must be named")
     parser.add_argument("--raw-only", action="store_true", help="leave out the improved triangles")
     parser.add_argument("--jobs", type=int, default=1, help="cases at once")
     arguments = parser.parse_intermixed_args()

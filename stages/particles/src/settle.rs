@@ -77,10 +77,10 @@ pub(crate) const STAGNATION_WINDOW: usize = 5;
 pub const FAULT_WINDOW: usize = 10;
 
 /// Density control is at rest when it adds and deletes no more than this share of the particles a pass.
-const CHURN: f64 = 5e-4;
+const CHURN: f64 = 2e-3;
 
 /// The same on the levels before that of h.
-const COARSE_CHURN: f64 = 2e-2;
+const COARSE_CHURN: f64 = 5e-2;
 
 /// Every so many passes the particles are put in order of place again; checkpoints are written between.
 pub const REORDER_INTERVAL: u64 = 10;
@@ -397,10 +397,11 @@ mod tests {
         assert_eq!(closing(&records(|_| 300, 0, 1.0)), Some(11), "the first pass that has a window behind it");
         assert_eq!(closing(&records(|pass| 300 + pass as usize, 0, 1.0)), Some(11));
         assert_eq!(closing(&records(|_| 0, 0, 1.0)), Some(11));
-        // a particle a pass is 0.1 %: too much at h, little on a coarse level
-        assert_eq!(closing(&records(|_| 300, 1, 1.0)), None);
-        assert_eq!(closing(&records(|_| 300, 1, 2.0)), Some(11));
-        assert_eq!(closing(&records(|_| 300, 30, 2.0)), None);
+        // a particle a pass is 0.1 %, three are too many at h and few on a coarse level
+        assert_eq!(closing(&records(|_| 300, 1, 1.0)), Some(11));
+        assert_eq!(closing(&records(|_| 300, 3, 1.0)), None);
+        assert_eq!(closing(&records(|_| 300, 3, 2.0)), Some(11));
+        assert_eq!(closing(&records(|_| 300, 80, 2.0)), None);
     }
 
     #[test]

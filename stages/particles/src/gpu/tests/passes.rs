@@ -113,6 +113,23 @@ fn crowds_and_lonely_ones_end_as_the_lattice() {
 }
 
 #[test]
+fn no_particle_and_one_are_no_different() {
+    let Some(gpu) = any_gpu("few particles", Choice::default()) else { return };
+    let alone = Parameters { max_passes: 12, allow_insert: false, ..Parameters::default() };
+    for count in [0, 1] {
+        let scene = Scene::ball(count, 1.6);
+        let (set, summary) = settled(&gpu, &scene, &alone, Binning::Graded);
+        assert_eq!(set.positions.len() as u64, count);
+        assert_eq!(summary.energy_ratio, 0.0, "nobody to repel it");
+        assert!(set.positions.iter().zip(&scene.seeds.positions).all(|(p, q)| p.distance(*q) < 1e-4), "it stays");
+    }
+    // a lonely one brings others until the ball is full
+    let growing = Parameters { max_passes: 40, ..Parameters::default() };
+    let (set, _) = settled(&gpu, &Scene::ball(1, 1.6), &growing, Binning::Graded);
+    assert!(set.positions.len() > 100, "{} after 40 passes", set.positions.len());
+}
+
+#[test]
 fn an_adapter_that_is_not_there_ends_with_exit_code_3() {
     let choice = Choice { name: Some("no such adapter".to_owned()), ..Choice::default() };
     let Err(error) = Gpu::open(&choice) else { panic!("it was opened") };

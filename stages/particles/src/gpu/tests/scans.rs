@@ -9,6 +9,7 @@ use crate::gpu::memory::{Memory, download, upload};
 use crate::gpu::parameters::{pass_block, run_block, scan_block};
 use crate::gpu::schedule::{Step, scan};
 use glam::{DVec3, Vec3};
+use isoparticles_common::energy::{pair_energy, scaled_distance};
 use isoparticles_common::geometry::Geometry;
 use isoparticles_common::random::{bits, uniform};
 
@@ -142,4 +143,53 @@ fn the_sort_is_exact_and_stable() {
 fn more_than_65535_workgroups_are_no_different() {
     let Some(mut rig) = Rig::new("more than 65,535 workgroups") else { return };
     check_sort(&mut rig, 65_536 * 64 + 33, 0.04, 1.0, 1);
+}
+
+#[test]
+fn energies_and_totals_of_more_than_65535_workgroups() {
+    let Some(mut rig) = Rig::new("energies of more than 65,535 workgroups") else { return };
+    // particles in pairs, each the other's only neighbour, and the last one alone
+    let count = 65_536 * 64 + 33u32;
+    let distance = |pair: u32| 0.2 + 0.7 * uniform(5, 0, u64::from(pair)) as f32;
+    let places: Vec<[f32; 4]> =
+        (0..count).map(|i| [if i % 2 == 0 { 0.0 } else { distance(i / 2) }, 0.0, 0.0, 0.5]).collect();
+    let last = count - 1;
+    let starts: Vec<u32> = (0..=count).map(|i| i.min(last)).collect();
+    let lists: Vec<u32> = (0..last).map(|i| i ^ 1).collect();
+    let geometry = Geometry::axis_aligned([9; 3], DVec3::ONE);
+    let levels = Levels::over(Vec3::ZERO, Vec3::splat(4.0), 1.0, 1);
+    let words = |block: &crate::gpu::parameters::Block| bytemuck::cast_slice::<u8, u32>(block.bytes()).to_vec();
+    rig.put("parameters", &words(&run_block(&geometry, &levels, &crate::Parameters::default(), 729, last)));
+    rig.put("now", &words(&pass_block(1, count, true)));
+    rig.put("place", &places);
+    rig.put("place_at_listing", &places);
+    rig.put("list_starts", &starts);
+    rig.put("lists", &lists);
+    // every third has moved, at the second try
+    let outcome: Vec<u32> = (0..count).map(|i| if i % 3 == 0 { 0x8000_0002 } else { 1 }).collect();
+    rig.put("outcome", &outcome);
+    for name in ["energies", "marks", "touched"] {
+        rig.put(name, &vec![7u32; count as usize]);
+    }
+    let blocks = count.div_ceil(2048);
+    rig.put("block_totals", &vec![0u32; 5 * blocks as usize]);
+    rig.put("words", &[0u32; 16]);
+    let each = Step::over("energies", 0, count.div_ceil(64));
+    rig.run(&[each, Step::over("sum_blocks", 0, blocks), Step::over("sum_total", 0, 1)]);
+    let energies = rig.take("energies", count as usize);
+    let pair = |pair: u32| pair_energy(scaled_distance(f64::from(distance(pair)), 0.5, 0.5));
+    for i in 0..last {
+        let found = f64::from(f32::from_bits(energies[i as usize]));
+        let wanted = pair(i / 2);
+        assert!((found - wanted).abs() < 1e-4 * (wanted + 1e-3), "{i}: {found}, not {wanted}");
+    }
+    assert_eq!(energies[last as usize], 0);
+    let totals = rig.take("words", 8);
+    let energy: f64 = (0..last / 2).map(|p| 2.0 * pair(p)).sum();
+    assert!((f64::from(f32::from_bits(totals[0])) / energy - 1.0).abs() < 1e-5);
+    assert_eq!(totals[1], count.div_ceil(3), "moved");
+    assert_eq!(totals[2], count + count.div_ceil(3), "tries");
+    assert_eq!(totals[3], 0, "nobody is away from where the lists were made");
+    assert_eq!(totals[7], count, "faults: nobody has six neighbours");
+    assert!(rig.take("marks", count as usize).iter().all(|&mark| mark == 0));
 }
