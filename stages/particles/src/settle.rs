@@ -21,7 +21,7 @@ pub struct Parameters {
     /// [`FAULT_WINDOW`] passes, and density control is nearly at rest.
     pub fault_tolerance: f64,
     /// If given, stop by the paper's test instead (E_min): when the mean relative change of the energy per particle over
-    /// [`STAGNATION_WINDOW`] passes is below this and density control is nearly at rest.
+    /// five passes is below this and density control is nearly at rest.
     pub energy_tolerance: Option<f64>,
     /// Energy of a particle that has just enough neighbours (E_ideal).
     pub ideal_energy: f64,
