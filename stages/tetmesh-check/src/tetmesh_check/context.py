@@ -8,7 +8,7 @@ import resource
 import signal
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,7 +16,7 @@ from types import FrameType
 from typing import Any
 
 from tetmesh_check import __version__
-from tetmesh_check.errors import ExitCode, InterruptedRunError, StageError
+from tetmesh_check.errors import ExitCode, InterruptedRunError, StageError, unexpected
 from tetmesh_check.files import blake3_of_file, write_text
 
 TOOL = "tetmesh-check"
@@ -320,3 +320,27 @@ class Interruptible:
         """Restore what listened before."""
         for number, handler in self._before.items():
             signal.signal(number, handler)
+
+
+def guarded(tool: str, work: Callable[[], int]) -> int:
+    """Run a program that writes no report; errors go to stderr in three parts.
+
+    Parameters
+    ----------
+    tool
+        Name of the program.
+    work
+        What it does; returns the exit code.
+
+    Returns
+    -------
+    int
+        The exit code, of the error if there was one.
+    """
+    try:
+        with Interruptible(tool):
+            return int(work())
+    except Exception as problem:
+        error = problem if isinstance(problem, StageError) else unexpected(problem)
+        print(f"error: {error}", file=sys.stderr)
+        return int(error.code)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import math
 import sys
 from collections.abc import Sequence
@@ -14,11 +13,10 @@ from typing import Any
 import numpy as np
 import pyvista as pv
 
-from tetmesh_check import __version__
 from tetmesh_check.assembly import Assembler
-from tetmesh_check.context import Interruptible
-from tetmesh_check.errors import ExitCode, StageError, unexpected
-from tetmesh_check.parsing import Parser
+from tetmesh_check.context import guarded
+from tetmesh_check.errors import ExitCode, StageError
+from tetmesh_check.parsing import program_parser
 from tetmesh_check.problems import Solver, poisson
 from tetmesh_check.quality import Cells, Points, signed_tetrahedron_volumes
 from tetmesh_check.solve import MAX_ITERATIONS
@@ -130,6 +128,8 @@ def table(rows: Sequence[Row]) -> str:
 
 
 def _run(paths: Sequence[Path]) -> ExitCode:
+    if len(paths) < 2:
+        raise StageError("one mesh is given", "an order of convergence needs two", "give coarser or finer ones, too")
     rows = [measure(path.name, *read_volume(path)) for path in paths]
     rows.sort(key=lambda row: -row.size)
     if not all(after.size < 0.9 * before.size for before, after in pairwise(rows)):
@@ -157,28 +157,15 @@ def main(argv: Sequence[str] | None = None) -> int:
     argv
         The command line without the program's name; that of the process by default.
     """
-    parser = Parser(
-        prog=TOOL,
+    parser = program_parser(
+        TOOL,
         description="Solves Poisson's equation with a known solution on two or more volume meshes of one object, with linear elements, and "
         "prints a table of the errors, their order of convergence and the iterations of conjugate gradients.",
         epilog="exit codes: 0 the last order in the mean square is 2 within 10 %; 1 it is not; 2 bad usage or input\n\nexample:\n"
         f"  {TOOL} coarse.volume.vtu middle.volume.vtu fine.volume.vtu",
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-        allow_abbrev=False,
     )
     parser.add_argument(
         "volumes", metavar="VOLUME.vtu", type=Path, nargs="+", help="the meshes, two or more, in any order"
     )
-    parser.add_argument("--version", action="version", version=f"{TOOL} {__version__}", help="print the version")
     parsed = parser.parse_args(argv)
-    try:
-        if len(parsed.volumes) < 2:
-            raise StageError(
-                "one mesh is given", "an order of convergence needs two", "give coarser or finer ones, too"
-            )
-        with Interruptible(TOOL):
-            return int(_run(parsed.volumes))
-    except Exception as problem:
-        error = problem if isinstance(problem, StageError) else unexpected(problem)
-        print(f"error: {error}", file=sys.stderr)
-        return int(error.code)
+    return guarded(TOOL, lambda: _run(parsed.volumes))

@@ -8,6 +8,7 @@ import sys
 from collections.abc import Callable
 from typing import NoReturn
 
+from tetmesh_check import __version__
 from tetmesh_check.errors import ExitCode, StageError
 
 FORMATS = ("inp", "msh", "xdmf", "vtp")
@@ -22,6 +23,27 @@ class Parser(argparse.ArgumentParser):
         error = StageError(message, "the command line was not understood", f"see {self.prog} --help")
         print(f"error: {error}", file=sys.stderr)
         raise SystemExit(int(ExitCode.BAD_INPUT))
+
+
+def program_parser(tool: str, description: str, epilog: str) -> Parser:
+    """Build the parser of a program beside ``tetmesh-check``, with ``--help`` and ``--version``.
+
+    Parameters
+    ----------
+    tool
+        Name of the program.
+    description, epilog
+        What it is for; its exit codes and an example, line by line.
+    """
+    parser = Parser(
+        prog=tool,
+        description=description,
+        epilog=epilog,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        allow_abbrev=False,
+    )
+    parser.add_argument("--version", action="version", version=f"{tool} {__version__}", help="print the version")
+    return parser
 
 
 def number(low: float, high: float, low_allowed: bool = True) -> Callable[[str], float]:

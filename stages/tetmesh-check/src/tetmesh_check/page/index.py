@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import csv
 import io
 import os
@@ -13,15 +12,14 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
-from tetmesh_check import __version__
-from tetmesh_check.context import Interruptible
-from tetmesh_check.errors import ExitCode, InterruptedRunError, StageError, unexpected
+from tetmesh_check.context import guarded
+from tetmesh_check.errors import ExitCode, InterruptedRunError, StageError
 from tetmesh_check.files import refuse_existing, write_text
 from tetmesh_check.page.case import Case, case_name, dig, picture_data, read_case
 from tetmesh_check.page.charts import number
 from tetmesh_check.page.html import duration, memory, table
 from tetmesh_check.page.program import document
-from tetmesh_check.parsing import Parser
+from tetmesh_check.parsing import program_parser
 
 TOOL = "tetmesh-check-index"
 _THUMBNAIL_WIDTH = 320
@@ -180,13 +178,11 @@ def main(argv: Sequence[str] | None = None) -> int:
     argv
         The command line without the program's name; that of the process by default.
     """
-    parser = Parser(
-        prog=TOOL,
+    parser = program_parser(
+        TOOL,
         description="Writes a page over many cases, with links to theirs, and a CSV file beside it with a line a case.",
         epilog="exit codes: 0 written; 2 bad usage or input, nothing written; 130 interrupted\n\nexample:\n"
         f"  {TOOL} out/*/*.report.json -o out/index.html",
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-        allow_abbrev=False,
     )
     parser.add_argument("reports", metavar="NAME.report.json", type=Path, nargs="+", help="reports of tetmesh-check")
     parser.add_argument(
@@ -198,20 +194,17 @@ def main(argv: Sequence[str] | None = None) -> int:
         help="the page to write; INDEX.csv goes beside it",
     )
     parser.add_argument("--force", action="store_true", help="replace page and CSV if they exist already")
-    parser.add_argument("--version", action="version", version=f"{TOOL} {__version__}", help="print the version")
     parsed = parser.parse_args(argv)
     output: Path = parsed.output
-    try:
-        with Interruptible(TOOL):
-            if output.suffix != ".html":
-                raise StageError(f"{output}: does not end in .html", "it is a page", "name it index.html")
-            refuse_existing([output, output.with_suffix(".csv")], parsed.force)
-            cases = read_cases(parsed.reports)
-            page, lines = index(cases, output), as_csv([summary(case) for _, case in cases])
-            write_text(output.with_suffix(".csv"), lines)
-            write_text(output, page)
-    except Exception as problem:
-        error = problem if isinstance(problem, StageError) else unexpected(problem)
-        print(f"error: {error}", file=sys.stderr)
-        return int(error.code)
-    return int(ExitCode.OK)
+
+    def work() -> int:
+        if output.suffix != ".html":
+            raise StageError(f"{output}: does not end in .html", "it is a page", "name it index.html")
+        refuse_existing([output, output.with_suffix(".csv")], parsed.force)
+        cases = read_cases(parsed.reports)
+        page, lines = index(cases, output), as_csv([summary(case) for _, case in cases])
+        write_text(output.with_suffix(".csv"), lines)
+        write_text(output, page)
+        return ExitCode.OK
+
+    return guarded(TOOL, work)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
-import sys
 from collections.abc import Callable, Sequence
 from html import escape
 from importlib.resources import files
@@ -13,14 +11,14 @@ import numpy as np
 import pyvista as pv
 
 from tetmesh_check import __version__
-from tetmesh_check.context import Interruptible
+from tetmesh_check.context import guarded
 from tetmesh_check.cut import cut_of
-from tetmesh_check.errors import ExitCode, StageError, unexpected
+from tetmesh_check.errors import ExitCode, StageError
 from tetmesh_check.files import refuse_existing, write_text
 from tetmesh_check.page import measured, sections
 from tetmesh_check.page.case import Case, read_case
 from tetmesh_check.page.payload import MAX_TRIANGLES, ViewMesh, pack, view_of_cut
-from tetmesh_check.parsing import Parser
+from tetmesh_check.parsing import program_parser
 from tetmesh_check.polydata import from_polydata
 from tetmesh_check.quality import Cells, Points, Values, triangle_quality
 from tetmesh_check.surface import read_dataset
@@ -127,30 +125,25 @@ def main(argv: Sequence[str] | None = None) -> int:
     argv
         The command line without the program's name; that of the process by default.
     """
-    parser = Parser(
-        prog=TOOL,
+    parser = program_parser(
+        TOOL,
         description="Writes one HTML page about a case, which needs no network and no other file: verdict, 3-D view, pictures, "
         "checks, quality, solves, particles, time and memory, parameters. It finds what make leaves beside the report: "
         "reports/STAGE.json, NAME.passes.csv, NAME.surface.vtp, NAME.volume.vtu and pictures/; what is not there is left out.",
         epilog="exit codes: 0 written; 2 bad usage or input, nothing written; 130 interrupted\n\nexample:\n"
         f"  {TOOL} out/heart/heart.report.json -o out/heart/heart.report.html",
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-        allow_abbrev=False,
     )
     parser.add_argument("report", metavar="NAME.report.json", type=Path, help="the report of tetmesh-check")
     parser.add_argument("-o", "--output", metavar="PAGE.html", type=Path, required=True, help="the page to write")
     parser.add_argument("--name", metavar="NAME", help="what the case is called (default: the name of the report)")
     parser.add_argument("--force", action="store_true", help="replace the page if it exists already")
-    parser.add_argument("--version", action="version", version=f"{TOOL} {__version__}", help="print the version")
     parsed = parser.parse_args(argv)
-    try:
-        with Interruptible(TOOL):
-            if parsed.output.suffix != ".html":
-                raise StageError(f"{parsed.output}: does not end in .html", "it is a page", "name it NAME.report.html")
-            refuse_existing([parsed.output], parsed.force)
-            write_text(parsed.output, page(read_case(parsed.report, parsed.name)))
-    except Exception as problem:
-        error = problem if isinstance(problem, StageError) else unexpected(problem)
-        print(f"error: {error}", file=sys.stderr)
-        return int(error.code)
-    return int(ExitCode.OK)
+
+    def work() -> int:
+        if parsed.output.suffix != ".html":
+            raise StageError(f"{parsed.output}: does not end in .html", "it is a page", "name it NAME.report.html")
+        refuse_existing([parsed.output], parsed.force)
+        write_text(parsed.output, page(read_case(parsed.report, parsed.name)))
+        return ExitCode.OK
+
+    return guarded(TOOL, work)
