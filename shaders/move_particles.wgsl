@@ -34,7 +34,7 @@ fn move_particles(
     let facing = normal[i];
     let range = list_of(i);
     let plane = tangent_plane(facing.xyz);
-    let nearest = first_neighbour(range, lane);
+    let nearest = nearest_neighbours(range, lane);
     let jet = team_jet(own, plane, range, nearest, lane);
     var tries = 0u;
     var moved = false;

@@ -3,8 +3,8 @@
 fn surface_at(position: vec3<f32>) -> vec4<f32> {
     let cell = cell_at(position);
     var sum = vec4(0.0);
-    for (var tap = 0u; tap < 64u; tap++) {
-        sum += spline_tap(cell, tap);
+    for (var plane = 0u; plane < 16u; plane++) {
+        sum += four_taps(cell, plane);
     }
     return vec4(sum.xyz * parameters.inverse_spacing, sum.w);
 }

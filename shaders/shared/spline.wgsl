@@ -18,16 +18,26 @@ fn mirrored(i: i32, n: i32) -> i32 {
     return select(select(low, 2 * (n - 1) - low, low > n - 1), 0, n == 1);
 }
 
-// One of the 64 taps: its share of the gradient per voxel (xyz) and of the value (w).
-fn spline_tap(cell: Cell, tap: u32) -> vec4<f32> {
-    let step = vec3(tap & 3u, (tap >> 2u) & 3u, tap >> 4u);
+// Taps (x, y, z) and (x, y, z + 1), where `plane` is x + 4 y: their share of the gradient per voxel (xyz) and of the value (w).
+// Sums over taps are written out as far as can be: the text made of a loop counts its rounds, and a driver then neither unrolls it
+// nor asks for a coefficient before the last has come.
+fn two_taps(cell: Cell, plane: u32, z: u32) -> vec4<f32> {
+    let step = vec3(plane & 3u, plane >> 2u, z);
     let size = vec3<i32>(parameters.grid_size);
     let at = cell.base + vec3<i32>(step) - 1;
-    let c = coefficient_at(linear_index(vec3(mirrored(at.x, size.x), mirrored(at.y, size.y), mirrored(at.z, size.z))));
-    let x = tap_weight(step.x, cell.fraction.x);
-    let y = tap_weight(step.y, cell.fraction.y);
-    let z = tap_weight(step.z, cell.fraction.z);
-    return c * vec4(x.y * y.x * z.x, x.x * y.y * z.x, x.x * y.x * z.y, x.x * y.x * z.x);
+    let x = mirrored(at.x, size.x);
+    let y = mirrored(at.y, size.y);
+    let near = coefficient_at(linear_index(vec3(x, y, mirrored(at.z, size.z))));
+    let far = coefficient_at(linear_index(vec3(x, y, mirrored(at.z + 1, size.z))));
+    let u = tap_weight(step.x, cell.fraction.x);
+    let v = tap_weight(step.y, cell.fraction.y);
+    let w = near * tap_weight(z, cell.fraction.z) + far * tap_weight(z + 1u, cell.fraction.z);
+    return vec4(u.y * v.x * w.x, u.x * v.y * w.x, u.x * v.x * w.y, u.x * v.x * w.x);
+}
+
+// Taps (x, y, 0) to (x, y, 3).
+fn four_taps(cell: Cell, plane: u32) -> vec4<f32> {
+    return two_taps(cell, plane, 0u) + two_taps(cell, plane, 2u);
 }
 
 struct Projected {

@@ -9,59 +9,83 @@ struct Jet {
     hessian: vec3<f32>,
 }
 
-// The lane's first neighbour, kept at hand because it is looked at in every try (most lists are no longer than a team); far
-// away when the list is shorter.
-fn first_neighbour(range: vec2<u32>, lane: u32) -> vec4<f32> {
-    if range.x + lane < range.y {
-        return place[lists[range.x + lane]];
+// A lane's first three neighbours: most lists are no longer than three times a team of eight. They are looked at in every try, and asking for
+// all of them at once spares waiting for each. Far away where the list is shorter.
+struct Nearest {
+    a: vec4<f32>,
+    b: vec4<f32>,
+    c: vec4<f32>,
+}
+
+fn neighbour_or_none(k: u32, end: u32) -> vec4<f32> {
+    if k < end {
+        return place[lists[k]];
     }
     return vec4(1e18, 0.0, 0.0, 1.0);
 }
 
-fn team_jet(own: vec4<f32>, plane: Plane, range: vec2<u32>, nearest: vec4<f32>, lane: u32) -> Jet {
+fn nearest_neighbours(range: vec2<u32>, lane: u32) -> Nearest {
+    let first = range.x + lane;
+    return Nearest(
+        neighbour_or_none(first, range.y),
+        neighbour_or_none(first + TEAM, range.y),
+        neighbour_or_none(first + 2u * TEAM, range.y),
+    );
+}
+
+// Energy, gradient (2) and derivative by the particle's size; Hessian (3).
+struct Terms {
+    first: vec4<f32>,
+    second: vec4<f32>,
+}
+
+fn add_pair(sum: Terms, own: vec4<f32>, plane: Plane, other: vec4<f32>) -> Terms {
+    let offset = own.xyz - other.xyz;
+    let reach = SUPPORT * min(own.w, other.w);
+    let distance = max(length(offset), 1e-6 * reach);
+    if distance >= reach {
+        return sum;
+    }
+    let d = distance / reach;
+    let c = cotangent(d);
+    let first = -HALF_PI * c * c;
+    let second = 2.0 * HALF_PI * HALF_PI * c * (1.0 + c * c);
+    let direction = vec2(dot(offset, plane.u), dot(offset, plane.v)) / distance;
+    let along = second / (reach * reach);
+    let across = first / (reach * distance);
+    let by_size = select(0.0, -first * d / own.w, own.w <= other.w);
+    return Terms(
+        sum.first + vec4(max(c - HALF_PI * (1.0 - d), 0.0), first / reach * direction, by_size),
+        sum.second + vec4(
+            (along - across) * direction.x * direction.x + across,
+            (along - across) * direction.x * direction.y,
+            (along - across) * direction.y * direction.y + across,
+            0.0,
+        ),
+    );
+}
+
+fn team_jet(own: vec4<f32>, plane: Plane, range: vec2<u32>, nearest: Nearest, lane: u32) -> Jet {
     // asked for before it is needed, so that the memory answers meanwhile
     let slope = sizing_at(own.xyz).xyz;
-    // energy, gradient (2), derivative by the particle's size
-    var a = vec4(0.0);
-    var b = vec4(0.0);
-    var other = nearest;
-    for (var k = range.x + lane; k < range.y; k += TEAM) {
-        if k >= range.x + TEAM {
-            other = place[lists[k]];
-        }
-        let offset = own.xyz - other.xyz;
-        let reach = SUPPORT * min(own.w, other.w);
-        let distance = max(length(offset), 1e-6 * reach);
-        if distance < reach {
-            let d = distance / reach;
-            let c = cotangent(d);
-            let first = -HALF_PI * c * c;
-            let second = 2.0 * HALF_PI * HALF_PI * c * (1.0 + c * c);
-            let direction = vec2(dot(offset, plane.u), dot(offset, plane.v)) / distance;
-            let along = second / (reach * reach);
-            let across = first / (reach * distance);
-            let by_size = select(0.0, -first * d / own.w, own.w <= other.w);
-            a += vec4(max(c - HALF_PI * (1.0 - d), 0.0), first / reach * direction, by_size);
-            b += vec4(
-                (along - across) * direction.x * direction.x + across,
-                (along - across) * direction.x * direction.y,
-                (along - across) * direction.y * direction.y + across,
-                0.0,
-            );
-        }
+    var sum = Terms(vec4(0.0), vec4(0.0));
+    sum = add_pair(sum, own, plane, nearest.a);
+    sum = add_pair(sum, own, plane, nearest.b);
+    sum = add_pair(sum, own, plane, nearest.c);
+    for (var k = range.x + lane + 3u * TEAM; k < range.y; k += TEAM) {
+        sum = add_pair(sum, own, plane, place[lists[k]]);
     }
-    a = team_sum(a, lane);
-    b = team_sum(b, lane);
+    let a = team_sum(sum.first, lane);
+    let b = team_sum(sum.second, lane);
     return Jet(a.x, a.yz + a.w * vec2(dot(slope, plane.u), dot(slope, plane.v)), b.xyz);
 }
 
-fn team_energy(own: vec4<f32>, range: vec2<u32>, nearest: vec4<f32>, lane: u32) -> f32 {
-    var sum = 0.0;
-    var other = nearest;
-    for (var k = range.x + lane; k < range.y; k += TEAM) {
-        if k >= range.x + TEAM {
-            other = place[lists[k]];
-        }
+fn team_energy(own: vec4<f32>, range: vec2<u32>, nearest: Nearest, lane: u32) -> f32 {
+    var sum = energy_between(own.xyz - nearest.a.xyz, own.w, nearest.a.w);
+    sum += energy_between(own.xyz - nearest.b.xyz, own.w, nearest.b.w);
+    sum += energy_between(own.xyz - nearest.c.xyz, own.w, nearest.c.w);
+    for (var k = range.x + lane + 3u * TEAM; k < range.y; k += TEAM) {
+        let other = place[lists[k]];
         sum += energy_between(own.xyz - other.xyz, own.w, other.w);
     }
     return team_sum(vec4(sum, 0.0, 0.0, 0.0), lane).x;

@@ -268,6 +268,13 @@ fn list_adapters() {
 fn tell(report: &DeviceReport, context: &Context) {
     context.summary("adapter", &report.adapter);
     context.summary("device time", format!("{:.3} s", report.device_seconds));
+    context.summary(
+        "  of it",
+        format!(
+            "{:.3} s upload, {:.3} s encoding, {:.3} s waiting for passes, {:.3} s readback",
+            report.upload_seconds, report.encode_seconds, report.wait_seconds, report.readback_seconds
+        ),
+    );
     context.summary("device memory", format!("{} MiB", report.peak_device_bytes.div_ceil(1 << 20)));
     let all: f64 = report.kernels.iter().map(|k| k.seconds).sum();
     for kernel in &report.kernels {

@@ -10,12 +10,14 @@ use super::kernels::{Kernels, ROUND_STRIDE, ROUNDS};
 use super::levels::Levels;
 use super::memory::{Memory, download, read_staging, staging, upload};
 use super::parameters::{device_origin, pass_block, run_block, scan_block, scan_blocks};
+use super::report::{DeviceReport, KernelTime};
 use super::schedule::{Step, steps};
 use crate::settle::{Engine, Parameters, PassOutcome, REORDER_INTERVAL};
 use crate::state::{Fields, REBUILD_MOVE};
 use isoparticles_common::error::{Error, Result};
 use isoparticles_common::geometry::Geometry;
 use isoparticles_common::particle_set::ParticleSet;
+use rayon::prelude::*;
 use std::collections::HashMap;
 use std::sync::Arc;
 use std::time::Instant;
@@ -28,56 +30,6 @@ pub enum Binning {
     Graded,
     /// One level for everything, as wide as the largest h asks for (the paper's)
     Uniform,
-}
-
-/// Time of one kernel over a whole run.
-#[derive(Clone, Debug, serde::Serialize)]
-pub struct KernelTime {
-    /// Its name, which is its file's.
-    pub kernel: &'static str,
-    /// Seconds on the device.
-    pub seconds: f64,
-    /// Dispatches.
-    pub dispatches: u64,
-}
-
-/// What the device did, for the report.
-#[derive(Clone, Debug, serde::Serialize)]
-pub struct DeviceReport {
-    /// Name of the adapter.
-    pub adapter: String,
-    /// Seconds from the start of the upload to the end of the last readback, kernels compiled beforehand.
-    pub device_seconds: f64,
-    /// Seconds that opening the adapter's kernels took.
-    pub compile_seconds: f64,
-    /// Most bytes of buffers at one time.
-    pub peak_device_bytes: u64,
-    /// Levels of bins.
-    pub levels: usize,
-    /// Bins in all levels.
-    pub bins: u32,
-    /// Time by kernel, the longest first; empty unless asked for.
-    pub kernels: Vec<KernelTime>,
-}
-
-impl DeviceReport {
-    /// This level's report with those of the levels before it.
-    pub(crate) fn after(mut self, before: Self) -> Self {
-        self.device_seconds += before.device_seconds;
-        self.compile_seconds += before.compile_seconds;
-        self.peak_device_bytes = self.peak_device_bytes.max(before.peak_device_bytes);
-        for old in before.kernels {
-            match self.kernels.iter_mut().find(|k| k.kernel == old.kernel) {
-                Some(kernel) => {
-                    kernel.seconds += old.seconds;
-                    kernel.dispatches += old.dispatches;
-                }
-                None => self.kernels.push(old),
-            }
-        }
-        self.kernels.sort_by(|a, b| b.seconds.total_cmp(&a.seconds));
-        self
-    }
 }
 
 /// What a pass is made of.
@@ -116,8 +68,8 @@ pub struct GpuEngine<'a> {
     /// The next pass, if it is of this plan and has no more than so many particles.
     ahead: Option<(Plan, u32, Encoded)>,
     started: Instant,
-    compile_seconds: f64,
-    device_seconds: f64,
+    /// Seconds so far; what has no place of its own stays zero until [`GpuEngine::report`].
+    spent: DeviceReport,
 }
 
 impl<'a> GpuEngine<'a> {
@@ -144,7 +96,7 @@ impl<'a> GpuEngine<'a> {
         }
         memory.make(gpu, "round", u64::from(ROUNDS) * ROUND_STRIDE, uniform)?;
         let numbers: Vec<u32> = (0..ROUNDS).flat_map(|n| std::iter::once(n).chain([0; 63])).collect();
-        upload(gpu, memory.get("round"), &numbers);
+        upload(gpu, memory.get("round"), &numbers)?;
         for (name, values) in
             [("surface", fields.surface.coefficients()), ("sizing", fields.sizing.image().data.as_slice())]
         {
@@ -153,7 +105,7 @@ impl<'a> GpuEngine<'a> {
                 let slab = slabs.next().unwrap_or(&[0.0]);
                 let name = format!("{name}_{k}");
                 memory.make(gpu, &name, 4 * slab.len() as u64, wgpu::BufferUsages::empty())?;
-                upload(gpu, memory.get(&name), slab);
+                upload(gpu, memory.get(&name), slab)?;
             }
         }
         let bins = u64::from(levels.bin_total());
@@ -181,12 +133,12 @@ impl<'a> GpuEngine<'a> {
             profile: Profile::default(),
             ahead: None,
             started,
-            compile_seconds,
-            device_seconds: 0.0,
+            spent: DeviceReport { compile_seconds, ..DeviceReport::default() },
         };
         engine.upload_particles(set)?;
         engine.write("scan_bins", scan_block(engine.levels.bin_total()).bytes());
         gpu.check()?;
+        engine.spent.upload_seconds = engine.started.elapsed().as_secs_f64();
         Ok(engine)
     }
 
@@ -196,20 +148,20 @@ impl<'a> GpuEngine<'a> {
         self.make_lists(24 * u64::from(count))?;
         let origin = device_origin(&self.geometry);
         let largest = self.levels.levels[0].largest;
-        let place: Vec<f32> = set
+        let place: Vec<[f32; 4]> = set
             .positions
-            .iter()
+            .par_iter()
             .zip(&set.sizes)
-            .flat_map(|(p, &h)| (*p - origin).as_vec3().extend((h as f32).min(largest)).to_array())
+            .map(|(p, &h)| (*p - origin).as_vec3().extend((h as f32).min(largest)).to_array())
             .collect();
-        let normal: Vec<f32> = set
+        let normal: Vec<[f32; 4]> = set
             .normals
-            .iter()
+            .par_iter()
             .zip(&set.lambdas)
-            .flat_map(|(n, &lambda)| n.as_vec3().extend(lambda as f32).to_array())
+            .map(|(n, &lambda)| n.as_vec3().extend(lambda as f32).to_array())
             .collect();
-        upload(self.gpu, self.memory.get("listed_place"), &place);
-        upload(self.gpu, self.memory.get("listed_normal"), &normal);
+        upload(self.gpu, self.memory.get("listed_place"), &place)?;
+        upload(self.gpu, self.memory.get("listed_normal"), &normal)?;
         self.count = count;
         Ok(())
     }
@@ -302,19 +254,24 @@ impl<'a> GpuEngine<'a> {
 
     /// Runs a pass once; returns the words that the host reads.
     fn run_pass(&mut self, pass: u64, plan: Plan) -> Result<Vec<u32>> {
+        let begun = Instant::now();
         let ready = self.ahead.take().filter(|(planned, room, _)| *planned == plan && self.count <= *room);
         let encoded = match ready {
             Some((_, _, encoded)) => encoded,
             None => self.encode_plan(plan, self.count),
         };
         let timed = self.submit(pass, encoded)?;
+        let handed_over = Instant::now();
+        self.spent.encode_seconds += (handed_over - begun).as_secs_f64();
         // while the device works: the next pass, likely to be of the same kind and of about as many particles
         let sort = plan.sort || (pass + 1) % REORDER_INTERVAL == 1;
         let next = Plan { sort, bring: sort && !plan.density, ..plan };
         let room = (self.count + self.count / 32 + 64).min(self.capacity);
         self.ahead = Some((next, room, self.encode_plan(next, room)));
         self.profile.collect(self.gpu, &timed)?;
-        self.read_words()
+        let words = self.read_words()?;
+        self.spent.wait_seconds += handed_over.elapsed().as_secs_f64();
+        Ok(words)
     }
 
     /// Encodes a pass over up to so many particles.
@@ -388,12 +345,11 @@ impl<'a> GpuEngine<'a> {
         kernels.sort_by(|a, b| b.seconds.total_cmp(&a.seconds));
         DeviceReport {
             adapter: self.gpu.summary().name.clone(),
-            device_seconds: self.device_seconds,
-            compile_seconds: self.compile_seconds,
             peak_device_bytes: self.memory.peak(),
             levels: self.levels.levels.len(),
             bins: self.levels.bin_total(),
             kernels,
+            ..self.spent.clone()
         }
     }
 }
@@ -436,11 +392,13 @@ impl Engine for GpuEngine<'_> {
     }
 
     fn particles(&mut self) -> Result<ParticleSet> {
+        let begun = Instant::now();
         let names = if self.listed { ["listed_place", "listed_normal"] } else { ["place", "normal"] };
         let count = self.count as usize;
         let place: Vec<[f32; 4]> = download(self.gpu, self.memory.get(names[0]), count)?;
         let normal: Vec<[f32; 4]> = download(self.gpu, self.memory.get(names[1]), count)?;
-        self.device_seconds = self.started.elapsed().as_secs_f64();
+        self.spent.readback_seconds += begun.elapsed().as_secs_f64();
+        self.spent.device_seconds = self.started.elapsed().as_secs_f64();
         let origin = device_origin(&self.geometry);
         let vector = |v: &[f32; 4]| glam::Vec3::new(v[0], v[1], v[2]).as_dvec3();
         Ok(ParticleSet {

@@ -2,6 +2,7 @@
 
 use super::adapter::Gpu;
 use isoparticles_common::error::{Error, Result};
+use rayon::prelude::*;
 use std::collections::BTreeMap;
 
 /// The buffers on the device.
@@ -74,13 +75,24 @@ impl Memory {
     }
 }
 
-/// Copies a run of values into a buffer, in pieces, so that no second copy of a whole field is held.
-pub(crate) fn upload<T: bytemuck::NoUninit>(gpu: &Gpu, buffer: &wgpu::Buffer, values: &[T]) {
-    const PIECE: usize = 1 << 22;
-    for (k, piece) in values.chunks(PIECE).enumerate() {
-        gpu.queue.write_buffer(buffer, (k * PIECE * size_of::<T>()) as u64, bytemuck::cast_slice(piece));
+/// Copies a run of values into a buffer, a batch of pieces at a time and the pieces on all threads. Most of the time goes into the
+/// first touch of staging memory, so the device is waited for between batches and its staging memory used again; nor is a second
+/// copy of a whole field ever held.
+pub(crate) fn upload<T: bytemuck::NoUninit + Sync>(gpu: &Gpu, buffer: &wgpu::Buffer, values: &[T]) -> Result<()> {
+    const PIECE_BYTES: usize = 1 << 19;
+    const BATCH: usize = 12;
+    let piece = PIECE_BYTES / size_of::<T>();
+    for (k, batch) in values.chunks(BATCH * piece).enumerate() {
+        batch.par_chunks(piece).enumerate().for_each(|(i, values)| {
+            let offset = (k * BATCH + i) * piece * size_of::<T>();
+            gpu.queue.write_buffer(buffer, offset as u64, bytemuck::cast_slice(values));
+        });
         gpu.queue.submit([]);
+        if batch.len() == BATCH * piece {
+            gpu.wait()?;
+        }
     }
+    Ok(())
 }
 
 /// Reads the first `count` values of a buffer.
@@ -116,8 +128,7 @@ pub(crate) fn read_staging<T: bytemuck::AnyBitPattern>(
     staging.slice(..bytes).map_async(wgpu::MapMode::Read, move |result| {
         let _ = sender.send(result);
     });
-    gpu.device.poll(wgpu::PollType::wait_indefinitely()).map_err(|error| gpu.failed(&error.to_string()))?;
-    gpu.check()?;
+    gpu.wait()?;
     match receiver.recv() {
         Ok(Ok(())) => {}
         Ok(Err(error)) => return Err(gpu.failed(&format!("cannot read its memory: {error}"))),

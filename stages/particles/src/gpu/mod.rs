@@ -11,11 +11,13 @@ mod kernels;
 mod levels;
 mod memory;
 mod parameters;
+mod report;
 mod schedule;
 mod shaders;
 
 pub use adapter::{AdapterSummary, Choice, Gpu, adapters};
-pub use engine::{Binning, DeviceReport, GpuEngine, KernelTime};
+pub use engine::{Binning, GpuEngine};
+pub use report::{DeviceReport, KernelTime};
 
 #[cfg(test)]
 mod tests;

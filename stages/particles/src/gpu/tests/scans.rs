@@ -27,10 +27,10 @@ impl Rig {
         Some(Self { gpu, kernels, memory: Memory::default() })
     }
 
-    fn put<T: bytemuck::NoUninit>(&mut self, name: &str, values: &[T]) {
+    fn put<T: bytemuck::NoUninit + Sync>(&mut self, name: &str, values: &[T]) {
         let bytes = size_of_val(values) as u64;
         self.memory.make(&self.gpu, name, bytes, wgpu::BufferUsages::UNIFORM).unwrap();
-        upload(&self.gpu, self.memory.get(name), values);
+        upload(&self.gpu, self.memory.get(name), values).unwrap();
     }
 
     fn run(&mut self, steps: &[Step]) {
