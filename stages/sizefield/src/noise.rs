@@ -29,7 +29,7 @@ const EVERY: usize = 12;
 const ROUNDS: usize = 40;
 
 /// Rounds of averaging over the surface before the vote: a place is noisy when most places round it are.
-const VOTE_ROUNDS: usize = 16;
+const VOTE_ROUNDS: usize = 40;
 
 /// Rounds that carry the noise, triangle by triangle, over the edge of a noisy place, where samples with and without it lie side by
 /// side.

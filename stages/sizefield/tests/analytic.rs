@@ -191,3 +191,39 @@ fn a_region_is_refined_and_h_grows_from_it_by_delta() {
     let far = field.at(centre - DVec3::new(12.0, 0.0, 0.0));
     assert!((far / 3.0 - 1.0).abs() < 0.03, "{far}");
 }
+
+/// Where all places ask for one size, the nodes round the surface all get one, also those that marching stops before.
+#[test]
+fn h_is_set_wherever_it_is_read_at_the_surface() {
+    for (spacing, delta) in
+        [(DVec3::splat(0.8), 0.4), (DVec3::new(0.5, 0.9, 1.7), 0.3), (DVec3::new(1.0, 1.0, 4.0), 0.1)]
+    {
+        let geometry = Geometry::axis_aligned([30, 28, 26], spacing);
+        let centre = 0.5 * geometry.upper_corner() + DVec3::new(0.13, 0.21, 0.37);
+        let radius = 0.35 * geometry.upper_corner().min_element();
+        let mut data = Vec::with_capacity(geometry.voxel_count());
+        for n in 0..geometry.voxel_count() {
+            let at = DVec3::new((n % 30) as f64, (n / 30 % 28) as f64, (n / 840) as f64);
+            // rough, so that samples leave the cell of their triangle when they are moved onto F = 0
+            let bump = 1.5 * spacing.min_element() * (isoparticles_common::random::uniform(7, 0, n as u64) - 0.5);
+            data.push((geometry.index_to_grid(at).distance(centre) - radius + bump) as f32);
+        }
+        let image = Image { geometry, data };
+        let found = features(&image);
+        let parameters = Parameters {
+            epsilon: 0.5,
+            delta,
+            min_size: 1.0,
+            max_size: 1.0,
+            max_deviation: f64::INFINITY,
+            min_particles: 1e-6,
+            scale: 1.0,
+            refined: Vec::new(),
+        };
+        let field = size_field(&image, &found, &parameters);
+        assert!(field.image().data.iter().all(|h| h.is_finite()));
+        for &p in &found.points {
+            assert!((field.at(p) - 1.0).abs() < 0.02, "h = {} at {p}", field.at(p));
+        }
+    }
+}
