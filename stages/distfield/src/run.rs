@@ -70,7 +70,7 @@ pub struct Args {
     /// Labels: how far the smoothed surface may leave the staircase of the voxels, in voxels (smallest spacing), 0 to 3. At 0 every voxel
     /// centre keeps its side; more is smoother where a coarser mask shows, the report says how many voxel centres changed sides, and
     /// parts and gaps thinner than twice the radius may vanish. Larger radii want more --smoothing-steps
-    #[arg(long, value_name = "RADIUS", default_value_t = 0.0, value_parser = tightening_in_range, requires = "labels", help_heading = METHOD)]
+    #[arg(long, value_name = "RADIUS", default_value_t = 0.0, value_parser = tightening_in_range, conflicts_with = "iso", help_heading = METHOD)]
     pub tightening: f64,
     /// The options that every stage has.
     #[command(flatten)]
