@@ -160,8 +160,8 @@ fn one_voxel_thin_labels_keep_their_topology() {
 }
 
 /// Local feature size in an image with an edge like a scanner's, whose spline has ripples of a few thousandths of a voxel.
-/// Measured (smallest and median over the stated value): ball 0.990 and 0.992, torus 0.966 and 0.985, two balls 1.007 and
-/// 0.979; ellipsoid, at its tips, 1.004.
+/// Measured (smallest and median over the stated value): ball 0.988 and 0.995, torus 0.966 and 0.987, two balls 1.005 and
+/// 0.999; ellipsoid, at its tips, 1.016.
 #[test]
 fn local_feature_size_stands_the_ripple_of_an_edge() {
     for (shape, n) in [(Shape::Ball, 56), (Shape::Torus, 64), (Shape::TwoBalls, 56), (Shape::Ellipsoid, 64)] {
@@ -272,7 +272,7 @@ fn noisy_sizes(shape: Shape, n: usize, noise: f64) -> [f64; 4] {
 }
 
 /// With noise of 5 % of the edge's height, which makes bumps of 0.1 voxel (root mean square) all over the surface, the medians change by at
-/// most 10 %. Measured: local feature size -3, -4 and -8 %, h -3, 0 and -2 %; without the smoothing both fall to a tenth.
+/// most 10 %. Measured: local feature size -5, -4 and -7 %, h -4, 0 and -3 %; measured on F itself the feature size of each falls to 1.3 voxels.
 #[test]
 fn local_feature_size_and_h_stand_noise() {
     for (shape, n) in [(Shape::Ball, 56), (Shape::Torus, 64), (Shape::TwoBalls, 56)] {
@@ -291,7 +291,7 @@ fn local_feature_size_and_h_stand_noise() {
     }
 }
 
-/// On a ball with a scanner's edge h is the same everywhere. Measured: 2.6 % from smallest to largest.
+/// On a ball with a scanner's edge h is the same everywhere. Measured: 2.7 % from smallest to largest.
 #[test]
 fn h_is_even_on_a_ball_with_a_scanners_edge() {
     let folder = tempfile::tempdir().expect("folder");

@@ -15,6 +15,7 @@ use isoparticles_common::kd_tree::KdTree;
 use isoparticles_common::marching_cubes::marching_cubes;
 use isoparticles_common::spline::{CubicSpline, Jet};
 use rayon::prelude::*;
+use std::f64::consts::PI;
 
 /// Rounds of averaging that take ripple out of the curvature: a spline through samples of a steep edge rings, and its second
 /// derivatives tell of that as much as of the shape. On a ball of radius 19 voxels whose edge is two voxels wide the largest
@@ -29,8 +30,8 @@ const SHARP: f64 = 5.0;
 /// the touching point would shrink balls to nothing. More takes a part off the feature size (2.5 % on the ball at 0.03).
 const BLUR: f64 = 0.01;
 
-/// The same where there is noise, as a share of it: what is left of it in the patches under it. At less, the feature size of a noisy ball
-/// falls (to a third of its radius in places at 0.3); more changes nothing (measured at 1).
+/// The same where there is noise, as a share of it: what is left of it in the patches under it. At 0.3 the 5th percentile of the feature
+/// size of a noisy ball of 19 voxels fell from 18 to 7.5 (without the pruning of bumps); at 1 it is as at 0.6.
 const LEFT_OVER: f64 = 0.6;
 
 /// Leaves of the tree of the axis that one look for its nearest point may take: the axis of a ball is a cloud of points, all
@@ -124,16 +125,28 @@ impl Features {
     }
 
     /// Integral of 2 / (sqrt(3) h^2) over the surface: the number of vertices of a mesh of equilateral triangles of
-    /// edge h.
+    /// edge h. Where h varies two particles keep the distance of the smaller of their two h (Eq. 2), which over all directions is less than h by
+    /// |grad h| h / pi on average.
     pub fn predicted_count(&self, size: impl Fn(DVec3) -> f64 + Sync) -> f64 {
         self.triangles
             .iter()
             .map(|t| {
-                let centre = t.iter().map(|&v| self.points[v as usize]).sum::<DVec3>() / 3.0;
-                2.0 * area(&self.points, t) / (3f64.sqrt() * size(centre).powi(2))
+                let corners = t.map(|v| self.points[v as usize]);
+                let centre = corners.iter().sum::<DVec3>() / 3.0;
+                let slope = slope_over_triangle(corners, corners.map(&size));
+                let edge = size(centre) * (1.0 - slope.min(1.0) / PI);
+                2.0 * area(&self.points, t) / (3f64.sqrt() * edge.powi(2))
             })
             .sum()
     }
+}
+
+/// Length of the gradient of the linear function that takes these values at the corners of a triangle; 0 on a triangle without area.
+fn slope_over_triangle([a, b, c]: [DVec3; 3], [u, v, w]: [f64; 3]) -> f64 {
+    let normal = (b - a).cross(c - a);
+    let rotated = (c - b) * u + (a - c) * v + (b - a) * w;
+    // the gradient is this, turned by a right angle
+    if normal.length_squared() > 0.0 { rotated.length() / normal.length() } else { 0.0 }
 }
 
 /// Largest principal curvature (per mm) from the tensors of F, averaged along the surface; where there is noise, from those of the

@@ -15,7 +15,7 @@ const FIRST_RADIUS: f64 = 2.0;
 
 /// Radii of the wider patches, in voxels, and the most that the residual (root mean square over the surroundings) may grow by from the
 /// radius before. For white noise, whose bumps on the surface are about 1.5 voxels wide, it grows by 1.5 to 1.6, 1.1 and 1.06 to 1.12
-/// (balls and tori of 8 to 33 voxels), for a torus without noise by 2.3 and more each time. The first step is wider because a
+/// (balls of 11 and 19 voxels, a torus of 8), for a torus without noise by 2.3 and more each time. The first step is wider because a
 /// patch of two voxels follows such bumps in part.
 const WIDER: [(f64, f64); 3] = [(3.0, 1.8), (4.0, 1.25), (6.0, 1.2)];
 

@@ -156,3 +156,81 @@ fn solve(mut rows: [[f64; UNKNOWNS + 1]; UNKNOWNS]) -> Option<[f64; UNKNOWNS]> {
     }
     Some(solution)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use isoparticles_common::random::uniform;
+
+    /// Points of a grid over the plane lifted onto a surface with its normals, and a patch at the middle one.
+    fn patch_of(
+        radius: f64,
+        surface: impl Fn(f64, f64) -> (DVec3, DVec3),
+        moved: impl Fn(usize) -> f64,
+    ) -> (Patch, DVec3) {
+        let n = 41u32;
+        let place = |i: u32| (f64::from(i) - 20.0) * 0.6 + 0.1;
+        let (mut points, mut normals, mut triangles) = (Vec::new(), Vec::new(), Vec::new());
+        for j in 0..n {
+            for i in 0..n {
+                let (point, normal) = surface(place(i), place(j));
+                points.push(point + normal * moved(points.len()));
+                normals.push(normal);
+                if i + 1 < n && j + 1 < n {
+                    let at = j * n + i;
+                    triangles.extend([[at, at + 1, at + n + 1], [at, at + n + 1, at + n]]);
+                }
+            }
+        }
+        let connections = Connections::new(points.len(), &triangles);
+        let samples = Samples { points: &points, normals: &normals, connections: &connections };
+        let middle = (20 * n + 20) as usize;
+        let patch = samples.patch(middle, radius, &mut Marks::new(points.len())).expect("a patch");
+        (patch, normals[middle])
+    }
+
+    fn ball(r: f64) -> impl Fn(f64, f64) -> (DVec3, DVec3) {
+        move |x, y| {
+            let normal = DVec3::new((x / r).sin() * (y / r).cos(), (y / r).sin(), (x / r).cos() * (y / r).cos());
+            (normal * r, normal)
+        }
+    }
+
+    /// Largest difference of the curvature, times the radius, from that of a ball.
+    fn off_ball(patch: &Patch, r: f64) -> f64 {
+        let (u, v) = patch.normal.any_orthonormal_pair();
+        let at = |a: DVec3, b: DVec3| r * a.dot(patch.curvature * b);
+        (at(u, u) - 1.0).abs().max((at(v, v) - 1.0).abs()).max(at(u, v).abs())
+    }
+
+    #[test]
+    fn a_wide_patch_of_a_ball_has_its_curvature() {
+        for radius in [2.0, 4.0, 6.0] {
+            let (patch, normal) = patch_of(radius, ball(10.0), |_| 0.0);
+            // measured 4e-9, 9e-8 and 4e-7
+            assert!(off_ball(&patch, 10.0) < 1e-3 && patch.residual < 1e-4, "{radius}: {patch:?}");
+            assert!(patch.normal.dot(normal) > 1.0 - 1e-8 && (patch.point.length() - 10.0).abs() < 1e-4);
+        }
+    }
+
+    #[test]
+    fn a_tube_has_its_two_curvatures() {
+        let tube = |x: f64, y: f64| {
+            let normal = DVec3::new((x / 8.0).sin(), 0.0, (x / 8.0).cos());
+            (normal * 8.0 + DVec3::Y * y, normal)
+        };
+        let (patch, _) = patch_of(3.0, tube, |_| 0.0);
+        let across = patch.normal.cross(DVec3::Y);
+        assert!((across.dot(patch.curvature * across) * 8.0 - 1.0).abs() < 0.01, "{patch:?}");
+        assert!(DVec3::Y.dot(patch.curvature * DVec3::Y).abs() < 1e-3, "{patch:?}");
+    }
+
+    #[test]
+    fn the_residual_is_the_noise_and_a_wide_patch_averages_it() {
+        let noise = |n: usize| 0.35 * (uniform(5, 0, n as u64) - 0.5);
+        let (patch, normal) = patch_of(6.0, ball(20.0), noise);
+        // even noise of this width has a standard deviation of 0.101
+        assert!((patch.residual / 0.101 - 1.0).abs() < 0.15, "{patch:?}");
+        assert!(off_ball(&patch, 20.0) < 0.2 && patch.normal.dot(normal) > 0.9998, "{patch:?}");
+    }
+}

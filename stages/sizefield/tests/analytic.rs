@@ -227,3 +227,27 @@ fn h_is_set_wherever_it_is_read_at_the_surface() {
         }
     }
 }
+
+/// Where h varies, neighbours keep the distance of the smaller of their two h, so more particles fit than 2 / (sqrt(3) h^2) says.
+#[test]
+fn the_predicted_count_takes_account_of_the_slope_of_h() {
+    let image = sampled(48, |p| p.length() - 12.0);
+    let found = features(&image);
+    let centre = 0.5 * image.geometry.upper_corner();
+    let even = found.predicted_count(|_| 1.0);
+    let area = 4.0 * std::f64::consts::PI * 144.0;
+    assert!((even / (area * 2.0 / 3f64.sqrt()) - 1.0).abs() < 0.01, "{even}");
+    // h = 4 + 0.2 x, integrated over rings of one height t = x / R
+    let size = |x: f64| 4.0 + 0.2 * x;
+    let rings = 2000;
+    let want: f64 = (0..rings)
+        .map(|n| {
+            let t = -1.0 + (2.0 * f64::from(n) + 1.0) / f64::from(rings);
+            let slope = 0.2 * (1.0 - t * t).sqrt();
+            let edge = size(12.0 * t) * (1.0 - slope / std::f64::consts::PI);
+            area / f64::from(rings) * 2.0 / (3f64.sqrt() * edge * edge)
+        })
+        .sum();
+    let count = found.predicted_count(|p| size((p - centre).x));
+    assert!((count / want - 1.0).abs() < 0.01, "{count}, not {want}");
+}
