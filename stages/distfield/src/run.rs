@@ -185,10 +185,11 @@ fn extract_iso(args: &Args, volume: Volume, iso: f64, context: &Context) -> Resu
             args.input.display()
         ));
     }
+    drop(volume.voxels);
     let image = Image { geometry: volume.geometry, data: values };
     let margin = usize::from(args.margin);
     let options = ScalarOptions { inside: args.inside, border: args.border, margin, keep: args.keep };
-    let result = from_scalar(&image, iso, &options, context)?;
+    let result = from_scalar(image, iso, &options, context)?;
     let meta = json!({ "source": "scalar", "iso": iso, "inside": inside_name(args.inside) });
     Ok((result, meta, None))
 }
