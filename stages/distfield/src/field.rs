@@ -18,11 +18,11 @@ use rayon::prelude::*;
 use serde::Serialize;
 
 /// The zero set counts as pinned at this root-mean-square of F at the samples, in voxels.
-const PINNED: f64 = 0.001;
+const PINNED: f64 = 0.0005;
 
 /// Conjugate-gradient steps that pin the zero set, at most. Smooth surfaces need about 10; noise, where the surface
 /// folds within a voxel, takes them all.
-const MOST_PIN_STEPS: usize = 80;
+const MOST_PIN_STEPS: usize = 160;
 
 /// Half-width of the band with exact distances, in voxels.
 const BAND: f64 = 4.0;

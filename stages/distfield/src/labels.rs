@@ -3,6 +3,9 @@
 //! A clamped fourth-order flow (bi-Laplacian of the distance) smooths the staircase; after each step every node is held
 //! on its side of zero by its clearance. Curvature flow (second order) would pull the surface onto the innermost place that the
 //! clamp allows.
+//!
+//! Who wants it smoother than the voxels allow gives a tightening radius (the paper's program opens and closes by one): nodes nearer to
+//! the staircase than that may change sides.
 
 use crate::closest::distance_to_samples;
 use crate::field::{Redistanced, Source, redistance};
@@ -27,6 +30,9 @@ const STEP: f32 = 1.8 / 144.0;
 /// Distance of the surface from the voxel centres that are joined where two parts touch along an edge, in voxels.
 const JUNCTION_DISTANCE: f64 = 0.45;
 
+/// Least |F| at a node that may leave its side, in voxels.
+const SMALLEST_CLEARANCE: f32 = 1e-3;
+
 /// Steps of the flow after those distances have been imposed.
 const JUNCTION_STEPS: usize = 20;
 
@@ -41,6 +47,9 @@ pub struct LabelOptions {
     pub clearance: Clearance,
     /// Steps of the flow; 0 leaves the staircase.
     pub smoothing_steps: usize,
+    /// How far the surface may leave the staircase of the voxels (voxels, smallest spacing), centres of voxels or not; 0 keeps every
+    /// voxel centre on its side.
+    pub tightening: f64,
     /// Parts of the object to keep.
     pub keep: Keep,
 }
@@ -60,7 +69,9 @@ pub fn from_labels(inside: &Image<bool>, options: &LabelOptions, context: &Conte
         ));
     }
     let mut least = least_distances(&mask, options.clearance);
-    let binary = binary_distance(&mask, &least);
+    let mut binary = binary_distance(&mask);
+    relax(&mut least, &binary, options.tightening);
+    hold(&mut binary, &mask, &least);
     drop(step);
     let step = context.step("smoothing");
     let flowed = smooth(binary, &mask, &least, &[], options.smoothing_steps, context)?;
@@ -71,10 +82,37 @@ pub fn from_labels(inside: &Image<bool>, options: &LabelOptions, context: &Conte
     for bound in &bounds {
         least[bound.node] = bound.least;
     }
+    if nodes.data.par_iter().all(|f| *f >= 0.0) {
+        return Err(Error::input(
+            format!("tightening by {} voxels leaves nothing of the object", options.tightening),
+            "parts thinner than twice that radius may vanish, and all are",
+            "choose a smaller --tightening; 0 keeps every voxel",
+        ));
+    }
     let spline = CubicSpline::new(&nodes);
     drop(step);
     let source = Source { nodes, spline, cap: None };
-    redistance(&source, |n| least[n], options.keep, context)
+    let smallest = SMALLEST_CLEARANCE * voxel as f32;
+    redistance(&source, |n| least[n].max(smallest), options.keep, context)
+}
+
+/// Lets nodes within the radius of the staircase (voxels) come nearer to the surface than their least distance, and leave their side: the
+/// surface then stays within that radius of the staircase.
+fn relax(least: &mut [f32], binary: &Image<f32>, radius: f64) {
+    if radius > 0.0 {
+        let radius = (radius * binary.geometry.min_spacing()) as f32;
+        least
+            .par_iter_mut()
+            .zip(&binary.data)
+            .for_each(|(least, distance)| *least = least.min(distance.abs() - radius));
+    }
+}
+
+/// Puts every node on its side of zero, by its least distance.
+fn hold(field: &mut Image<f32>, mask: &Image<bool>, least: &[f32]) {
+    field.data.par_iter_mut().enumerate().for_each(|(n, f)| {
+        *f = if mask.data[n] { f.min(-least[n]) } else { f.max(least[n]) };
+    });
 }
 
 fn padded_mask(inside: &Image<bool>, border: Border, margin: usize) -> Image<bool> {
@@ -135,9 +173,8 @@ fn thin_nodes(mask: &Image<bool>) -> Vec<bool> {
         .collect()
 }
 
-/// Signed distance of the binary surface (mm), which runs midway between voxel centres of different sides, with every node
-/// held on its side.
-fn binary_distance(mask: &Image<bool>, least: &[f32]) -> Image<f32> {
+/// Signed distance of the binary surface (mm), which runs midway between voxel centres of different sides.
+fn binary_distance(mask: &Image<bool>) -> Image<f32> {
     let data = mask.data.iter().map(|&m| if m { -1.0 } else { 1.0 }).collect();
     let binary = Image { geometry: mask.geometry.clone(), data };
     let mesh = marching_cubes(&binary, 0.0);
@@ -148,7 +185,7 @@ fn binary_distance(mask: &Image<bool>, least: &[f32]) -> Image<f32> {
     let limit = BAND * mask.geometry.mean_spacing() + 3.0 * mask.geometry.spacing.max_element();
     let mut field = distance_to_samples(&mask.geometry, &samples, limit);
     field.data.par_iter_mut().enumerate().for_each(|(n, f)| {
-        *f = f.min(limit as f32).max(least[n]);
+        *f = f.min(limit as f32);
         if mask.data[n] {
             *f = -*f;
         }

@@ -26,13 +26,14 @@ pub struct ScalarOptions {
     pub keep: Keep,
 }
 
-/// F of a scalar volume: zero where the spline through `image` equals `iso`, on the padded grid.
+/// F of a scalar volume: zero where the spline through `image` equals `iso`, on the padded grid. The image is taken over, so that its memory
+/// is free again when the distances are made.
 ///
 /// # Errors
 /// When the volume holds NaN or infinite voxels, is constant, or the iso value is outside its range; when no part is to stay.
-pub fn from_scalar(image: &Image<f32>, iso: f64, options: &ScalarOptions, context: &Context) -> Result<Redistanced> {
-    check_values(image)?;
-    check_iso(image, iso)?;
+pub fn from_scalar(image: Image<f32>, iso: f64, options: &ScalarOptions, context: &Context) -> Result<Redistanced> {
+    check_values(&image)?;
+    check_iso(&image, iso)?;
     let step = context.step("input spline");
     let source = source(image, iso, options.inside, options.border, options.margin);
     let least = (CLEARANCE * source.nodes.geometry.min_spacing()) as f32;
@@ -84,18 +85,18 @@ fn check_iso(image: &Image<f32>, iso: f64) -> Result<()> {
 }
 
 /// The implicit function of a scalar volume on the padded grid.
-fn source(image: &Image<f32>, iso: f64, inside: Inside, border: Border, margin: usize) -> Source {
+fn source(mut image: Image<f32>, iso: f64, inside: Inside, border: Border, margin: usize) -> Source {
     let sign = match inside {
         Inside::Above => -1.0,
         Inside::Below => 1.0,
     };
-    let data = image.data.par_iter().map(|&v| (sign * (f64::from(v) - iso)) as f32).collect();
-    let signed = Image { geometry: image.geometry.clone(), data };
+    image.data.par_iter_mut().for_each(|v| *v = (sign * (f64::from(*v) - iso)) as f32);
+    let signed = image;
     let spline = CubicSpline::new(&signed);
-    let padded = image.geometry.padded(margin);
+    let padded = signed.geometry.padded(margin);
     // The spline's own mirror boundary gives the first coefficient beyond the border, and constant ones after it continue the
     // surface straight: between voxel centres the padded spline is the input's to the bit.
-    let coefficients = pad(spline.coefficients(), image.geometry.size, margin, |i, n| {
+    let coefficients = pad(spline.coefficients(), signed.geometry.size, margin, |i, n| {
         let last = n as isize - 1;
         let nearest = if i < 0 {
             1
@@ -108,7 +109,7 @@ fn source(image: &Image<f32>, iso: f64, inside: Inside, border: Border, margin: 
     });
     let spline = CubicSpline::from_coefficients(padded.clone(), coefficients);
     let mut nodes = Image { geometry: padded.clone(), data: vec![0.0f32; padded.voxel_count()] };
-    let [nx, ny, nz] = image.geometry.size;
+    let [nx, ny, nz] = signed.geometry.size;
     let [px, py, _] = padded.size;
     nodes.data.par_chunks_mut(px).enumerate().for_each(|(row, values)| {
         let (j, k) = (row % py, row / py);

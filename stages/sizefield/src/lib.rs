@@ -3,9 +3,12 @@
 //! Section 3.1 of Kim, Chen and Hansen 2012 and Meyer, Kirby and Whitaker 2007: h0 = epsilon times the local feature
 //! size at the surface, bounded by curvature, then |grad h| <= delta.
 
+pub mod connections;
 pub mod feature;
 pub mod gradation;
 pub mod medial;
+pub mod noise;
+pub mod patch;
 pub mod region;
 pub mod run;
 

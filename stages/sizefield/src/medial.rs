@@ -1,9 +1,12 @@
 //! Points of the medial axis, by the shrinking-ball algorithm (Ma, Bae and Choi 2012) on dense samples of the surface.
 //!
 //! A ball that touches the surface at a sample is shrunk until no other sample lies inside it; its centre is then on the
-//! medial axis, inside or outside the object. Each sample gives two balls. A ball that touches the surface at two points
-//! seen from its centre under a small angle tells of noise, or of the last bit before an end of the axis: such balls are
-//! pruned. What that takes off an end is small (the tip of an ellipsoid reads 0.4 % too large).
+//! medial axis, inside or outside the object. Each sample gives two balls. Two kinds of balls are pruned, because the part of the axis that
+//! they stand for moves with every small change of the surface (the axis of a surface and of one next to it differ by just such
+//! branches: Chazal and Lieutier 2005). A ball that touches the surface at two points seen from its centre under a
+//! small angle tells of ripple, or of the last bit before an end of the axis; what that takes off an end is small (the tip of an ellipsoid
+//! reads 0.4 % too large). And where there is noise ([`crate::noise`]), a ball whose cap between the two points is no higher than
+//! twice the noise tells of a bump of it.
 //!
 //! The distance field tells a ball that is surely too large without any search, so that only the last steps look at samples.
 
@@ -15,6 +18,9 @@ use rayon::prelude::*;
 
 /// Balls whose two touching points are seen from the centre under less than this (radians) are pruned.
 pub const MIN_SEPARATION_ANGLE: f64 = 40.0 * std::f64::consts::PI / 180.0;
+
+/// A ball is pruned whose cap between the touching points is lower than this many times the noise.
+const PLAIN_BUMP: f64 = 2.0;
 
 /// Leaves of the tree of samples that one look for a sample inside a ball may take: a ball that fits the surface all round has
 /// every sample at its rim.
@@ -30,19 +36,23 @@ pub struct Surface<'a> {
     pub points: &'a [DVec3],
     /// Unit normals, outward.
     pub normals: &'a [DVec3],
+    /// How deep other samples may lie inside the ball of each (mm) without shrinking it: next to the touching point that is ripple
+    /// or what is left of the noise, not shape.
+    pub blur: &'a [f64],
+    /// How high noise stands at each (mm).
+    pub noise: &'a [f64],
     /// Signed distance, mm.
     pub distance: &'a Image<f32>,
 }
 
-/// Centres of the medial balls of both sides of every sample, pruned. `largest` bounds the radius looked for (mm); samples that
-/// lie inside a ball by no more than `blur` (mm) do not shrink it: next to the touching point that is ripple, not shape.
-pub fn medial_points(surface: &Surface<'_>, largest: f64, blur: f64) -> Vec<[Option<DVec3>; 2]> {
+/// Centres of the medial balls of both sides of every sample, pruned. `largest` bounds the radius looked for (mm).
+pub fn medial_points(surface: &Surface<'_>, largest: f64) -> Vec<[Option<DVec3>; 2]> {
     let tree = KdTree::new(surface.points);
     (0..surface.points.len())
         .into_par_iter()
         .map(|i| {
             let normal = surface.normals[i];
-            [normal, -normal].map(|direction| surface.shrink(&tree, i, direction, [largest, blur]))
+            [normal, -normal].map(|direction| surface.shrink(&tree, i, direction, largest))
         })
         .collect()
 }
@@ -50,12 +60,12 @@ pub fn medial_points(surface: &Surface<'_>, largest: f64, blur: f64) -> Vec<[Opt
 impl Surface<'_> {
     /// Centre of the largest empty ball that touches sample i and lies in `direction`, unless it is pruned or larger than
     /// `largest`.
-    fn shrink(&self, tree: &KdTree, i: usize, direction: DVec3, [largest, blur]: [f64; 2]) -> Option<DVec3> {
+    fn shrink(&self, tree: &KdTree, i: usize, direction: DVec3, largest: f64) -> Option<DVec3> {
         let p = self.points[i];
         let (mut radius, mut touching) = (self.upper_bound(p, direction, largest), None);
         for _ in 0..60 {
             let centre = p + direction * radius;
-            let Some((q, _)) = tree.nearest_of_leaves(centre, radius - blur, MOST_LEAVES) else { break };
+            let Some((q, _)) = tree.nearest_of_leaves(centre, radius - self.blur[i], MOST_LEAVES) else { break };
             let offset = self.points[q] - p;
             let height = direction.dot(offset);
             if q == i || height <= 0.0 {
@@ -66,7 +76,9 @@ impl Surface<'_> {
         }
         let q = touching?;
         let centre = p + direction * radius;
-        ((p - centre).angle_between(self.points[q] - centre) >= MIN_SEPARATION_ANGLE).then_some(centre)
+        let angle = (p - centre).angle_between(self.points[q] - centre);
+        let height = radius * (1.0 - (0.5 * angle).cos());
+        (angle >= MIN_SEPARATION_ANGLE && height >= PLAIN_BUMP * self.noise[i]).then_some(centre)
     }
 
     /// A radius of which the distance field says that the ball holds samples, little above the largest empty one; `largest`

@@ -1,6 +1,6 @@
 //! The program around [`crate::size_field`]: options, files, defaults from the data, report.
 
-use crate::feature::Features;
+use crate::feature::{Features, Source};
 use crate::region::{Refinement, SizedNode};
 use crate::{Parameters, size_field, uniform_field, wanted_sizes};
 use clap::Parser;
@@ -167,7 +167,8 @@ pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
     let largest = LARGEST_FEATURE_DIAGONALS * geometry.upper_corner().length();
     // for one size it is enough to know which features are smaller
     let largest = args.uniform.map_or(largest, |size| largest.min(UNIFORM_FEATURES * size));
-    let features = Features::new(&field.image, &surface, largest);
+    let source = if field.meta["source"] == "labels" { Source::Labels } else { Source::Scalars };
+    let features = Features::new(&field.image, &surface, largest, source);
     drop(step);
     if features.triangles.is_empty() {
         return Err(Error::input(
@@ -187,6 +188,7 @@ pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
         }
     };
     drop(step);
+    tell_noise(&features, context);
     let meta = describe(&features, &sizing, largest, context);
     if let Some(size) = args.uniform {
         warn_if_too_coarse(&features, size, context);
@@ -282,6 +284,19 @@ fn describe_extent(path: &Path, low: DVec3, high: DVec3) -> String {
     format!("the surface in {} measures {:.3} x {:.3} x {:.3} mm", path.display(), extent.x, extent.y, extent.z)
 }
 
+/// Says what part of the surface is measured under its noise, and how high that stands.
+fn tell_noise(features: &Features, context: &Context) {
+    let noise: Vec<f64> = features.noise.iter().copied().filter(|&noise| noise > 0.0).collect();
+    if noise.is_empty() {
+        return;
+    }
+    let mean = (noise.iter().map(|noise| noise * noise).sum::<f64>() / noise.len() as f64).sqrt();
+    context.info(format!(
+        "noise of {mean:.4} mm (root mean square) on {:.1} % of the surface is not taken for shape",
+        100.0 * noise.len() as f64 / features.noise.len() as f64
+    ));
+}
+
 /// Puts figures of the field into the report and the closing table; returns what the file carries.
 fn describe(features: &Features, sizing: &SizingField, largest: f64, context: &Context) -> Value {
     let mut at_surface: Vec<f64> = features.points.iter().map(|&p| sizing.at(p)).collect();
@@ -292,6 +307,7 @@ fn describe(features: &Features, sizing: &SizingField, largest: f64, context: &C
         "predicted_count": predicted.round(),
         "size_at_surface": percentiles(&mut at_surface),
         "local_feature_size": percentiles(&mut feature_size),
+        "noise": percentiles(&mut features.noise.clone()),
         "largest_feature_looked_for": largest,
     });
     context.summary("components", features.component_area.len());

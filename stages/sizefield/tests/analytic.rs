@@ -4,7 +4,7 @@ use glam::DVec3;
 use isoparticles_common::geometry::Geometry;
 use isoparticles_common::image::Image;
 use isoparticles_common::spline::CubicSpline;
-use isoparticles_sizefield::feature::Features;
+use isoparticles_sizefield::feature::{Features, Source};
 use isoparticles_sizefield::region::Ball;
 use isoparticles_sizefield::{Parameters, size_field};
 
@@ -23,7 +23,7 @@ fn sampled(n: usize, f: impl Fn(DVec3) -> f64) -> Image<f32> {
 }
 
 fn features(image: &Image<f32>) -> Features {
-    Features::new(image, &CubicSpline::new(image), image.geometry.upper_corner().length())
+    Features::new(image, &CubicSpline::new(image), image.geometry.upper_corner().length(), Source::Scalars)
 }
 
 /// Largest relative error of the local feature size against `truth` (point relative to the volume's centre).
@@ -190,4 +190,64 @@ fn a_region_is_refined_and_h_grows_from_it_by_delta() {
     assert!((beyond / (0.8 + 0.3 * 4.0) - 1.0).abs() < 0.06, "{beyond}");
     let far = field.at(centre - DVec3::new(12.0, 0.0, 0.0));
     assert!((far / 3.0 - 1.0).abs() < 0.03, "{far}");
+}
+
+/// Where all places ask for one size, the nodes round the surface all get one, also those that marching stops before.
+#[test]
+fn h_is_set_wherever_it_is_read_at_the_surface() {
+    for (spacing, delta) in
+        [(DVec3::splat(0.8), 0.4), (DVec3::new(0.5, 0.9, 1.7), 0.3), (DVec3::new(1.0, 1.0, 4.0), 0.1)]
+    {
+        let geometry = Geometry::axis_aligned([30, 28, 26], spacing);
+        let centre = 0.5 * geometry.upper_corner() + DVec3::new(0.13, 0.21, 0.37);
+        let radius = 0.35 * geometry.upper_corner().min_element();
+        let mut data = Vec::with_capacity(geometry.voxel_count());
+        for n in 0..geometry.voxel_count() {
+            let at = DVec3::new((n % 30) as f64, (n / 30 % 28) as f64, (n / 840) as f64);
+            // rough, so that samples leave the cell of their triangle when they are moved onto F = 0
+            let bump = 1.5 * spacing.min_element() * (isoparticles_common::random::uniform(7, 0, n as u64) - 0.5);
+            data.push((geometry.index_to_grid(at).distance(centre) - radius + bump) as f32);
+        }
+        let image = Image { geometry, data };
+        let found = features(&image);
+        let parameters = Parameters {
+            epsilon: 0.5,
+            delta,
+            min_size: 1.0,
+            max_size: 1.0,
+            max_deviation: f64::INFINITY,
+            min_particles: 1e-6,
+            scale: 1.0,
+            refined: Vec::new(),
+        };
+        let field = size_field(&image, &found, &parameters);
+        assert!(field.image().data.iter().all(|h| h.is_finite()));
+        for &p in &found.points {
+            assert!((field.at(p) - 1.0).abs() < 0.02, "h = {} at {p}", field.at(p));
+        }
+    }
+}
+
+/// Where h varies, neighbours keep the distance of the smaller of their two h, so more particles fit than 2 / (sqrt(3) h^2) says.
+#[test]
+fn the_predicted_count_takes_account_of_the_slope_of_h() {
+    let image = sampled(48, |p| p.length() - 12.0);
+    let found = features(&image);
+    let centre = 0.5 * image.geometry.upper_corner();
+    let even = found.predicted_count(|_| 1.0);
+    let area = 4.0 * std::f64::consts::PI * 144.0;
+    assert!((even / (area * 2.0 / 3f64.sqrt()) - 1.0).abs() < 0.01, "{even}");
+    // h = 4 + 0.2 x, integrated over rings of one height t = x / R
+    let size = |x: f64| 4.0 + 0.2 * x;
+    let rings = 2000;
+    let want: f64 = (0..rings)
+        .map(|n| {
+            let t = -1.0 + (2.0 * f64::from(n) + 1.0) / f64::from(rings);
+            let slope = 0.2 * (1.0 - t * t).sqrt();
+            let edge = size(12.0 * t) * (1.0 - slope / std::f64::consts::PI);
+            area / f64::from(rings) * 2.0 / (3f64.sqrt() * edge * edge)
+        })
+        .sum();
+    let count = found.predicted_count(|p| size((p - centre).x));
+    assert!((count / want - 1.0).abs() < 0.01, "{count}, not {want}");
 }

@@ -1,0 +1,37 @@
+//! Which samples of the surface a triangle's edge joins.
+
+/// Neighbours of every sample, in one array.
+#[derive(Clone, Debug)]
+pub struct Connections {
+    start: Vec<u32>,
+    neighbours: Vec<u32>,
+}
+
+impl Connections {
+    /// The edges of triangles over so many samples.
+    pub fn new(samples: usize, triangles: &[[u32; 3]]) -> Self {
+        // an edge lies in two triangles that run along it in opposite directions, so one direction of each triangle's edges gives
+        // every neighbour once; at the rim of an open surface one of the two is missing, which a walk can do without
+        let mut start = vec![0u32; samples + 1];
+        for t in triangles {
+            t.iter().for_each(|&v| start[v as usize + 1] += 1);
+        }
+        for v in 0..samples {
+            start[v + 1] += start[v];
+        }
+        let mut next = start.clone();
+        let mut neighbours = vec![0; 3 * triangles.len()];
+        for t in triangles {
+            for (from, to) in [(t[0], t[1]), (t[1], t[2]), (t[2], t[0])] {
+                neighbours[next[from as usize] as usize] = to;
+                next[from as usize] += 1;
+            }
+        }
+        Self { start, neighbours }
+    }
+
+    /// The neighbours of a sample.
+    pub fn of(&self, sample: usize) -> &[u32] {
+        &self.neighbours[self.start[sample] as usize..self.start[sample + 1] as usize]
+    }
+}

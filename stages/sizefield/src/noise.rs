@@ -1,0 +1,136 @@
+//! Tells noise from shape, and gives the surface under the noise.
+//!
+//! How far the samples lie off a least-squares patch ([`crate::patch`]) grows with the patch: by a power of its radius where the shape
+//! is richer than a quadric, and hardly at all where the samples scatter about one, as noise of the intensities makes them. So a
+//! patch is widened as long as its residual stays where it was: the scale is chosen by the data, place by place (in the manner
+//! of Lepski 1990). Where the first widening already tells of shape the surface is left as it is.
+
+use crate::average_over_surface;
+use crate::patch::{Marks, Patch, Samples};
+use glam::{DVec2, DVec3};
+use rayon::prelude::*;
+
+/// Radius of the first patches, in voxels.
+const FIRST_RADIUS: f64 = 2.0;
+
+/// Radii of the wider patches, in voxels, and the most that the residual (root mean square over the surroundings) may grow by from the
+/// radius before. For white noise, whose bumps on the surface are about 1.5 voxels wide, it grows by 1.5 to 1.6, 1.1 and 1.06 to 1.12
+/// (balls of 11 and 19 voxels, a torus of 8), for a torus without noise by 2.3 and more each time. The first step is wider because a
+/// patch of two voxels follows such bumps in part.
+const WIDER: [(f64, f64); 3] = [(3.0, 1.8), (4.0, 1.25), (6.0, 1.2)];
+
+/// What lies off the patches by more than this (voxels, root mean square) is shape, however it scatters: the steps of a coarse mask do.
+const LARGEST_NOISE: f64 = 0.15;
+
+/// The residuals are measured at one sample of so many ...
+const EVERY: usize = 12;
+
+/// ... and averaged over the surface in so many rounds.
+const ROUNDS: usize = 40;
+
+/// Rounds of averaging over the surface before the vote: a place is noisy when most places round it are.
+const VOTE_ROUNDS: usize = 40;
+
+/// Rounds that carry the noise, triangle by triangle, over the edge of a noisy place, where samples with and without it lie side by
+/// side.
+const EDGE_ROUNDS: usize = 4;
+
+/// Samples of one task.
+const CHUNK: usize = 4096;
+
+/// What was found at each sample.
+pub struct Smoothed {
+    /// The patch under the noise, `None` where there is no noise to speak of.
+    pub patches: Vec<Option<Patch>>,
+    /// How high the noise stands, root mean square, mm; carried a little beyond the edge of noisy places.
+    pub noise: Vec<f64>,
+}
+
+impl Smoothed {
+    /// Looks for noise; `voxel` is the mean spacing, mm.
+    pub fn new(samples: &Samples<'_>, triangles: &[[u32; 3]], voxel: f64) -> Self {
+        let scale = scales(samples, triangles, voxel);
+        let patches = in_chunks(samples.points.len(), |i, marks| {
+            let (radius, _) = *WIDER.get(scale[i].checked_sub(1)?)?;
+            samples.patch(i, radius * voxel, marks)
+        });
+        let mut noise: Vec<f64> = patches.iter().map(|patch| patch.map_or(0.0, |patch| patch.residual)).collect();
+        for _ in 0..EDGE_ROUNDS {
+            spread_largest(&mut noise, triangles);
+        }
+        Self { patches, noise }
+    }
+
+    /// No noise anywhere.
+    pub fn none(samples: usize) -> Self {
+        Self { patches: vec![None; samples], noise: vec![0.0; samples] }
+    }
+}
+
+/// Number of the widest patch that fits each sample as well as the first one, in [`WIDER`] from 1 on; 0 where none does.
+fn scales(samples: &Samples<'_>, triangles: &[[u32; 3]], voxel: f64) -> Vec<usize> {
+    let limit = LARGEST_NOISE * voxel;
+    let mut scale = vec![0; samples.points.len()];
+    let mut before = residuals(samples, FIRST_RADIUS * voxel, |_| true);
+    for (n, (radius, growth)) in WIDER.into_iter().enumerate() {
+        let after = residuals(samples, radius * voxel, |i| scale[i] == n);
+        // squares of both residuals, and the share of samples that they stand for
+        let squares = |pair: (&Option<f64>, &Option<f64>)| match pair {
+            (Some(b), Some(a)) => DVec3::new(b * b, a * a, 1.0),
+            _ => DVec3::ZERO,
+        };
+        let mut sums: Vec<DVec3> = before.iter().zip(&after).map(squares).collect();
+        average_over_surface(&mut sums, DVec3::ZERO, triangles, ROUNDS);
+        let mut is_wider = false;
+        for (scale, sum) in scale.iter_mut().zip(&sums).filter(|(scale, _)| **scale == n) {
+            if sum.z > 0.0 && sum.y <= growth * growth * sum.x && sum.y <= limit * limit * sum.z {
+                *scale = n + 1;
+                is_wider = true;
+            }
+        }
+        if !is_wider {
+            break;
+        }
+        before = after;
+    }
+    vote(&mut scale, triangles);
+    scale
+}
+
+/// Lets the surroundings decide which samples are noisy, and how much so.
+fn vote(scale: &mut [usize], triangles: &[[u32; 3]]) {
+    let mut votes: Vec<DVec2> = scale.iter().map(|&s| DVec2::new(s.min(1) as f64, s as f64)).collect();
+    average_over_surface(&mut votes, DVec2::ZERO, triangles, VOTE_ROUNDS);
+    for (scale, vote) in scale.iter_mut().zip(votes) {
+        *scale = if vote.x > 0.5 { (vote.y / vote.x).round() as usize } else { 0 };
+    }
+}
+
+/// Gives every sample the largest value of the samples that share a triangle with it.
+fn spread_largest(values: &mut [f64], triangles: &[[u32; 3]]) {
+    let before = values.to_vec();
+    for t in triangles {
+        let largest = t.iter().map(|&v| before[v as usize]).fold(0.0, f64::max);
+        t.iter().for_each(|&v| values[v as usize] = values[v as usize].max(largest));
+    }
+}
+
+/// Residuals (mm) of patches of a radius at every so-manieth sample that is wanted.
+fn residuals(samples: &Samples<'_>, radius: f64, wanted: impl Fn(usize) -> bool + Sync) -> Vec<Option<f64>> {
+    in_chunks(samples.points.len(), |i, marks| {
+        (i % EVERY == 0 && wanted(i)).then(|| samples.patch(i, radius, marks)).flatten().map(|patch| patch.residual)
+    })
+}
+
+/// Calls `at` for every sample, many at a time, with marks of its own.
+fn in_chunks<T: Send>(count: usize, at: impl Fn(usize, &mut Marks) -> T + Sync) -> Vec<T> {
+    let starts: Vec<usize> = (0..count).step_by(CHUNK).collect();
+    let chunks: Vec<Vec<T>> = starts
+        .par_iter()
+        .map(|&start| {
+            let mut marks = Marks::new(count);
+            (start..(start + CHUNK).min(count)).map(|i| at(i, &mut marks)).collect()
+        })
+        .collect();
+    chunks.into_iter().flatten().collect()
+}
