@@ -7,6 +7,7 @@
 
 CASE is NAME=VOLUME;DISTFIELD OPTIONS[;SIZEFIELD OPTIONS]; VOLUME is a file, or the words for `phantom` that make one:
     torus="torus --size 128;--iso 100;--uniform 1.2"    heart="heart.nrrd;--labels 1"
+@FILE stands for the lines of a file (phantoms.txt, volumes.txt and volumes-large.txt beside this program); $NAME for a variable of the environment.
 
 Passes are those of all levels together; runs of no more than ten on a level have no density control there. "raw" are the Delaunay triangles of the particles as they are, "full" those after reconstruct has improved them. Time is the device's
 where there is one, else that of the settling.
@@ -19,6 +20,7 @@ import concurrent.futures
 import csv
 import hashlib
 import json
+import os
 import subprocess
 import sys
 from dataclasses import dataclass
@@ -180,7 +182,9 @@ def plot(table: Path, picture: Path) -> None:
 
 def main() -> None:
     """Reads the command line."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter, fromfile_prefix_chars="@"
+    )
     parser.add_argument("task", choices=["passes", "backends", "plot"])
     parser.add_argument("cases", nargs="+", metavar="CASE")
     parser.add_argument("--bin", type=Path, default=Path("target/release"), help="folder of the stage programs")
@@ -199,7 +203,7 @@ def main() -> None:
     cases = []
     for text in arguments.cases:
         name, _, rest = text.partition("=")
-        volume, distfield, sizefield = [*rest.split(";"), ""][:3]
+        volume, distfield, sizefield = [*os.path.expandvars(rest).split(";"), ""][:3]
         cases.append(Case(name, volume, distfield.split(), sizefield.split(), arguments.bin, arguments.work))
     {"passes": over_passes, "backends": over_backends}[arguments.task](cases, arguments)
 
