@@ -9,7 +9,9 @@ pub mod defects;
 pub mod finish;
 pub mod improve;
 pub mod isosurface;
+mod join;
 pub mod pinched;
+mod points_alone;
 pub mod prepare;
 #[cfg(test)]
 mod program_tests;
@@ -20,3 +22,4 @@ pub mod run;
 mod scenes;
 #[cfg(test)]
 mod tests;
+pub mod tight_cocone;

@@ -1,0 +1,344 @@
+//! Voronoi cells as the cocone sees them: corners, poles, flatness, and the facets whose dual edge meets the cocones.
+
+use glam::DVec3;
+use isoparticles_common::delaunay::{Delaunay, INFINITE};
+use rayon::prelude::*;
+
+/// Sine of the cocone's half angle, pi/8 from the tangent plane.
+const COCONE: f64 = 0.382_683_432_365_089_8;
+
+/// A flat cell is this much longer than wide.
+const FLATNESS_RATIO: f64 = 1.2;
+
+/// Cosine of the largest angle between the normals of a flat vertex and of its cocone neighbours, pi/3.
+const FLATNESS_COSINE: f64 = 0.5;
+
+/// No tetrahedron.
+pub(super) const NOBODY: u32 = u32::MAX;
+
+/// The tetrahedra at each vertex, ghosts included, ascending.
+pub(super) struct Stars {
+    starts: Vec<u32>,
+    tetrahedra: Vec<u32>,
+}
+
+impl Stars {
+    pub(super) fn new(delaunay: &Delaunay) -> Self {
+        let mut starts = vec![0u32; delaunay.points().len() + 2];
+        let vertices = |t: [u32; 4]| t.into_iter().filter(|&v| v != INFINITE);
+        for v in delaunay.tetrahedra().flat_map(|(_, t)| vertices(t)) {
+            starts[v as usize + 2] += 1;
+        }
+        for v in 1..starts.len() {
+            starts[v] += starts[v - 1];
+        }
+        // each start runs to its end while the list is filled, and that is the start of the next
+        let mut tetrahedra = vec![0; starts[starts.len() - 1] as usize];
+        for (t, vertices_of_t) in delaunay.tetrahedra() {
+            for v in vertices(vertices_of_t) {
+                let next = &mut starts[v as usize + 1];
+                tetrahedra[*next as usize] = t;
+                *next += 1;
+            }
+        }
+        starts.pop();
+        Self { starts, tetrahedra }
+    }
+
+    /// Tetrahedra at a vertex.
+    pub(super) fn of(&self, vertex: u32) -> &[u32] {
+        let v = vertex as usize;
+        &self.tetrahedra[self.starts[v] as usize..self.starts[v + 1] as usize]
+    }
+
+    /// Places in a list aligned with that of all stars.
+    pub(super) fn range(&self, vertex: u32) -> std::ops::Range<usize> {
+        self.starts[vertex as usize] as usize..self.starts[vertex as usize + 1] as usize
+    }
+
+    /// Vertices, duplicates (with no star) included.
+    pub(super) fn vertex_count(&self) -> usize {
+        self.starts.len() - 1
+    }
+}
+
+/// Where a vertex or neighbour is in a list of four that holds it.
+pub(super) fn place_of(list: [u32; 4], what: u32) -> usize {
+    list.iter().position(|&other| other == what).unwrap_or(0)
+}
+
+/// A Voronoi cell.
+#[derive(Clone, Copy)]
+struct Cell {
+    /// Unit normal of the surface at the vertex, up to its sign.
+    normal: DVec3,
+    /// Tetrahedra whose circumcentres are the poles: the farthest on the side of the normal, and on the other.
+    poles: [u32; 2],
+    /// Whether the cell is long along the normal.
+    is_long: bool,
+    on_hull: bool,
+    /// Cosine between the estimate of the normal (outward on the hull) and the normal taken.
+    agreement: f64,
+}
+
+/// All Voronoi cells.
+pub(super) struct Cells<'a> {
+    pub(super) delaunay: &'a Delaunay,
+    pub(super) stars: Stars,
+    /// Circumcentre of each tetrahedron; for a ghost the unit outward normal of its hull triangle.
+    corners: Vec<DVec3>,
+    /// Unit normal of the surface at each vertex, up to its sign unless it was given.
+    pub(super) normals: Vec<DVec3>,
+    /// Poles of each vertex, as tetrahedra: on the side of the normal and on the other ([`NOBODY`] where there is none).
+    pub(super) poles: Vec<[u32; 2]>,
+    /// Whether each vertex passed the flatness test.
+    pub(super) is_flat: Vec<bool>,
+    /// Share of the vertices whose normals, as lines, lie within pi/3 of the direction to their poles.
+    pub(super) normals_near_poles: f64,
+    /// Share of the vertices on the convex hull whose normals point out of it.
+    pub(super) normals_out_of_hull: f64,
+    /// Whether each vertex is on the convex hull.
+    pub(super) on_hull: Vec<bool>,
+    /// Two bits for each place of each tetrahedron: its corner seen from that vertex, above, below or within the cocone.
+    zones: Vec<u8>,
+    /// A bit for each facet of each tetrahedron: whether it is a candidate for the surface.
+    candidates: Vec<u8>,
+}
+
+const WITHIN: u8 = 0;
+const ABOVE: u8 = 1;
+const BELOW: u8 = 2;
+
+impl<'a> Cells<'a> {
+    /// Reckons poles, flatness and candidates. `normals` are given ones, zero where there is none; they take the place of
+    /// the direction to the pole.
+    pub(super) fn new(delaunay: &'a Delaunay, normals: Option<&[DVec3]>) -> Self {
+        let stars = Stars::new(delaunay);
+        let slots = delaunay.slot_count() as u32;
+        let corners = (0..slots).into_par_iter().map(|t| corner(delaunay, t)).collect();
+        let count = stars.vertex_count();
+        let mut cells = Self {
+            delaunay,
+            stars,
+            corners,
+            normals: Vec::new(),
+            poles: Vec::new(),
+            is_flat: Vec::new(),
+            normals_near_poles: 1.0,
+            normals_out_of_hull: 1.0,
+            on_hull: Vec::new(),
+            zones: Vec::new(),
+            candidates: Vec::new(),
+        };
+        let given = |v: u32| normals.map_or(DVec3::ZERO, |normals| normals[v as usize]);
+        let reckoned: Vec<Cell> = (0..count as u32).into_par_iter().map(|v| cells.cell(v, given(v))).collect();
+        cells.normals = reckoned.iter().map(|cell| cell.normal).collect();
+        cells.poles = reckoned.iter().map(|cell| cell.poles).collect();
+        cells.on_hull = reckoned.iter().map(|cell| cell.on_hull).collect();
+        let share = |part: usize, of: usize| if of == 0 { 1.0 } else { part as f64 / of as f64 };
+        let present = || reckoned.iter().filter(|cell| cell.agreement != 0.0);
+        let near_poles = present().filter(|cell| cell.agreement.abs() >= FLATNESS_COSINE).count();
+        cells.normals_near_poles = share(near_poles, present().count());
+        let hull = || present().filter(|cell| cell.on_hull);
+        cells.normals_out_of_hull = share(hull().filter(|cell| cell.agreement > 0.0).count(), hull().count());
+        cells.zones = (0..slots).into_par_iter().map(|t| cells.zones_of(t)).collect();
+        let is_long: Vec<bool> = reckoned.iter().map(|cell| cell.is_long).collect();
+        cells.find_flat(&is_long);
+        cells.candidates = (0..slots).into_par_iter().map(|t| cells.candidates_of(t)).collect();
+        cells
+    }
+
+    /// Direction from a point to the corner of a tetrahedron, and whether that is at infinity.
+    fn towards(&self, t: u32, from: DVec3) -> (DVec3, bool) {
+        let corner = self.corners[t as usize];
+        if self.delaunay.is_ghost(t) { (corner, true) } else { (corner - from, false) }
+    }
+
+    fn cell(&self, v: u32, given: DVec3) -> Cell {
+        let p = self.delaunay.points()[v as usize];
+        let star = self.stars.of(v);
+        let (mut farthest, mut hull) = ((0.0, DVec3::ZERO), DVec3::ZERO);
+        let mut on_hull = false;
+        for &t in star {
+            let (direction, is_infinite) = self.towards(t, p);
+            if is_infinite {
+                hull += direction;
+                on_hull = true;
+            } else if direction.length_squared() > farthest.0 {
+                farthest = (direction.length_squared(), direction);
+            }
+        }
+        let estimate = if on_hull { hull } else { farthest.1 }.normalize_or_zero();
+        let normal = given.try_normalize().unwrap_or(estimate);
+        let (mut poles, mut heights) = ([NOBODY; 2], [0.0; 2]);
+        for &t in star {
+            let (direction, is_infinite) = self.towards(t, p);
+            let along = direction.dot(normal);
+            let side = usize::from(along < 0.0);
+            if is_infinite && side == 1 {
+                continue;
+            }
+            let height = if is_infinite { f64::MAX * (0.5 + 0.5 * along) } else { direction.length_squared() };
+            if height > heights[side] {
+                (poles[side], heights[side]) = (t, height);
+            }
+        }
+        let reach = heights[0].min(heights[1]).sqrt();
+        let is_long = poles[1] != NOBODY && FLATNESS_RATIO * self.width(v, normal) <= reach;
+        Cell { normal, poles, is_long, on_hull, agreement: estimate.dot(normal) }
+    }
+
+    /// Largest distance from a vertex to where its cell's edges cross its tangent plane.
+    fn width(&self, v: u32, normal: DVec3) -> f64 {
+        let p = self.delaunay.points()[v as usize];
+        let mut width = 0.0f64;
+        for &t in self.stars.of(v) {
+            let (from, from_infinite) = self.towards(t, p);
+            let low = from.dot(normal);
+            let vertices = self.delaunay.vertices(t);
+            for (j, &n) in self.delaunay.neighbours(t).iter().enumerate() {
+                if vertices[j] == v || n < t {
+                    continue;
+                }
+                let (to, to_infinite) = self.towards(n, p);
+                let high = to.dot(normal);
+                if (low < 0.0) == (high < 0.0) {
+                    continue;
+                }
+                let crossing = match (from_infinite, to_infinite) {
+                    (false, false) => from + (to - from) * (low / (low - high)),
+                    (false, true) => from - to * (low / high),
+                    (true, false) => to - from * (high / low),
+                    (true, true) => return f64::INFINITY,
+                };
+                width = width.max(crossing.length());
+            }
+        }
+        width
+    }
+
+    fn zones_of(&self, t: u32) -> u8 {
+        if !self.delaunay.is_alive(t) {
+            return 0;
+        }
+        let zone = |v: u32| {
+            if v == INFINITE {
+                return WITHIN;
+            }
+            let (direction, _) = self.towards(t, self.delaunay.points()[v as usize]);
+            let along = direction.dot(self.normals[v as usize]);
+            let bound = COCONE * direction.length();
+            if along > bound {
+                ABOVE
+            } else if along < -bound {
+                BELOW
+            } else {
+                WITHIN
+            }
+        };
+        let v = self.delaunay.vertices(t);
+        (0..4).fold(0, |zones, i| zones | zone(v[i]) << (2 * i))
+    }
+
+    fn zone(&self, t: u32, place: usize) -> u8 {
+        self.zones[t as usize] >> (2 * place) & 3
+    }
+
+    /// Whether the Voronoi edge between two neighbouring tetrahedra meets the cocone of a vertex of both. Above and below it are
+    /// convex cones, so the edge misses it exactly when its ends lie in one of them.
+    fn meets(&self, t: u32, place: usize, n: u32, vertex: u32) -> bool {
+        let zone = self.zone(t, place);
+        zone == WITHIN || zone != self.zone(n, place_of(self.delaunay.vertices(n), vertex))
+    }
+
+    /// Tells `hear` each cocone neighbour of a vertex (some more than once): w is one when the cocone of w reaches into the cell of v.
+    fn cocone_neighbours(&self, v: u32, mut hear: impl FnMut(u32)) {
+        for &t in self.stars.of(v) {
+            let vertices = self.delaunay.vertices(t);
+            let neighbours = self.delaunay.neighbours(t);
+            for j in (0..4).filter(|&j| vertices[j] != v && neighbours[j] > t) {
+                for k in (0..4).filter(|&k| k != j && vertices[k] != v && vertices[k] != INFINITE) {
+                    if self.meets(t, k, neighbours[j], vertices[k]) {
+                        hear(vertices[k]);
+                    }
+                }
+            }
+        }
+    }
+
+    fn agree(&self, v: u32, w: u32) -> bool {
+        self.normals[v as usize].dot(self.normals[w as usize]).abs() >= FLATNESS_COSINE
+    }
+
+    /// Flat are the vertices with long cells whose normals agree with those of all cocone neighbours, then those with long
+    /// cells that agree with a flat one.
+    fn find_flat(&mut self, is_long: &[bool]) {
+        let test = |v: u32| {
+            let mut is_flat = is_long[v as usize];
+            if is_flat {
+                self.cocone_neighbours(v, |w| is_flat &= self.agree(v, w));
+            }
+            is_flat
+        };
+        let mut is_flat: Vec<bool> = (0..is_long.len() as u32).into_par_iter().map(test).collect();
+        let mut left: Vec<u32> =
+            (0..is_long.len() as u32).filter(|&v| is_long[v as usize] && !is_flat[v as usize]).collect();
+        loop {
+            let grown: Vec<bool> = left
+                .par_iter()
+                .map(|&v| {
+                    let mut joins = false;
+                    self.cocone_neighbours(v, |w| joins |= is_flat[w as usize] && self.agree(v, w));
+                    joins
+                })
+                .collect();
+            if !grown.contains(&true) {
+                break;
+            }
+            for (&v, &joins) in left.iter().zip(&grown) {
+                is_flat[v as usize] = joins;
+            }
+            left.retain(|&v| !is_flat[v as usize]);
+        }
+        self.is_flat = is_flat;
+    }
+
+    fn candidates_of(&self, t: u32) -> u8 {
+        if !self.delaunay.is_alive(t) {
+            return 0;
+        }
+        let (v, n) = (self.delaunay.vertices(t), self.delaunay.neighbours(t));
+        let is_candidate = |j: usize| {
+            let mut others = (0..4).filter(|&k| k != j);
+            let (mut flat, mut meets) = (0, true);
+            others.all(|k| v[k] != INFINITE) && {
+                for k in (0..4).filter(|&k| k != j && self.is_flat[v[k] as usize]) {
+                    flat += 1;
+                    meets &= self.meets(t, k, n[j], v[k]);
+                }
+                flat > 0 && meets
+            }
+        };
+        (0..4).fold(0, |bits, j| bits | u8::from(is_candidate(j)) << j)
+    }
+
+    /// Whether the facet of a tetrahedron opposite to a place is a candidate for the surface.
+    pub(super) fn is_candidate(&self, t: u32, opposite: usize) -> bool {
+        self.candidates[t as usize] >> opposite & 1 == 1
+    }
+}
+
+/// Circumcentre of a tetrahedron, or the outward normal of a ghost's hull triangle.
+fn corner(delaunay: &Delaunay, t: u32) -> DVec3 {
+    let v = delaunay.vertices(t);
+    if !delaunay.is_alive(t) {
+        return DVec3::ZERO;
+    }
+    let Some(i) = v.iter().position(|&v| v == INFINITE) else {
+        // beyond the numbers only for a cell that is all but flat: the middle then stands for the point at infinity
+        let middle = || v.map(|v| delaunay.points()[v as usize]).into_iter().sum::<DVec3>() / 4.0;
+        return delaunay.circumcentre(t).unwrap_or_else(middle);
+    };
+    let [a, b, c] = delaunay.facet(t, i).map(|v| delaunay.points()[v as usize]);
+    (c - a).cross(b - a).normalize_or_zero()
+}
