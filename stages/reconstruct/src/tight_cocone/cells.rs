@@ -87,6 +87,8 @@ pub(super) struct Cells<'a> {
     pub(super) stars: Stars,
     /// Circumcentre of each tetrahedron; for a ghost the unit outward normal of its hull triangle.
     corners: Vec<DVec3>,
+    /// Whether each tetrahedron is a ghost.
+    is_ghost: Vec<bool>,
     /// Unit normal of the surface at each vertex, up to its sign unless it was given.
     pub(super) normals: Vec<DVec3>,
     /// Poles of each vertex, as tetrahedra: on the side of the normal and on the other ([`NOBODY`] where there is none).
@@ -99,8 +101,9 @@ pub(super) struct Cells<'a> {
     pub(super) normals_out_of_hull: f64,
     /// Whether each vertex is on the convex hull.
     pub(super) on_hull: Vec<bool>,
-    /// Two bits for each place of each tetrahedron: its corner seen from that vertex, above, below or within the cocone.
-    zones: Vec<u8>,
+    /// A bit for each facet of each tetrahedron and each vertex of the facet, at four times the place opposite to the facet and the
+    /// place of the vertex: whether the dual edge meets the cocone of the vertex.
+    meetings: Vec<u16>,
     /// A bit for each facet of each tetrahedron: whether it is a candidate for the surface.
     candidates: Vec<u8>,
 }
@@ -115,19 +118,23 @@ impl<'a> Cells<'a> {
     pub(super) fn new(delaunay: &'a Delaunay, normals: Option<&[DVec3]>) -> Self {
         let stars = Stars::new(delaunay);
         let slots = delaunay.slot_count() as u32;
-        let corners = (0..slots).into_par_iter().map(|t| corner(delaunay, t)).collect();
+        let (corners, is_ghost) = (0..slots)
+            .into_par_iter()
+            .map(|t| (corner(delaunay, t), delaunay.is_alive(t) && delaunay.is_ghost(t)))
+            .unzip();
         let count = stars.vertex_count();
         let mut cells = Self {
             delaunay,
             stars,
             corners,
+            is_ghost,
             normals: Vec::new(),
             poles: Vec::new(),
             is_flat: Vec::new(),
             normals_near_poles: 1.0,
             normals_out_of_hull: 1.0,
             on_hull: Vec::new(),
-            zones: Vec::new(),
+            meetings: Vec::new(),
             candidates: Vec::new(),
         };
         let given = |v: u32| normals.map_or(DVec3::ZERO, |normals| normals[v as usize]);
@@ -141,9 +148,9 @@ impl<'a> Cells<'a> {
         cells.normals_near_poles = share(near_poles, present().count());
         let hull = || present().filter(|cell| cell.on_hull);
         cells.normals_out_of_hull = share(hull().filter(|cell| cell.agreement > 0.0).count(), hull().count());
-        cells.zones = (0..slots).into_par_iter().map(|t| cells.zones_of(t)).collect();
-        let is_long: Vec<bool> = reckoned.iter().map(|cell| cell.is_long).collect();
-        cells.find_flat(&is_long);
+        let zones: Vec<u8> = (0..slots).into_par_iter().map(|t| cells.zones_of(t)).collect();
+        cells.meetings = (0..slots).into_par_iter().map(|t| cells.meetings_of(t, &zones)).collect();
+        cells.is_flat = cells.find_flat(reckoned.iter().map(|cell| cell.is_long).collect());
         cells.candidates = (0..slots).into_par_iter().map(|t| cells.candidates_of(t)).collect();
         cells
     }
@@ -151,7 +158,7 @@ impl<'a> Cells<'a> {
     /// Direction from a point to the corner of a tetrahedron, and whether that is at infinity.
     fn towards(&self, t: u32, from: DVec3) -> (DVec3, bool) {
         let corner = self.corners[t as usize];
-        if self.delaunay.is_ghost(t) { (corner, true) } else { (corner - from, false) }
+        if self.is_ghost[t as usize] { (corner, true) } else { (corner - from, false) }
     }
 
     fn cell(&self, v: u32, given: DVec3) -> Cell {
@@ -217,6 +224,7 @@ impl<'a> Cells<'a> {
         width
     }
 
+    /// Two bits for each place of a tetrahedron: its corner seen from that vertex, above, below or within the cocone.
     fn zones_of(&self, t: u32) -> u8 {
         if !self.delaunay.is_alive(t) {
             return 0;
@@ -240,27 +248,45 @@ impl<'a> Cells<'a> {
         (0..4).fold(0, |zones, i| zones | zone(v[i]) << (2 * i))
     }
 
-    fn zone(&self, t: u32, place: usize) -> u8 {
-        self.zones[t as usize] >> (2 * place) & 3
+    /// Above and below a cocone are convex cones, so a Voronoi edge misses it exactly when its ends lie in one of them.
+    fn meetings_of(&self, t: u32, zones: &[u8]) -> u16 {
+        if !self.delaunay.is_alive(t) {
+            return 0;
+        }
+        let (vertices, neighbours) = (self.delaunay.vertices(t), self.delaunay.neighbours(t));
+        let zone = |t: u32, place: usize| zones[t as usize] >> (2 * place) & 3;
+        let mut meetings = 0;
+        for (j, &n) in neighbours.iter().enumerate() {
+            let beyond = self.delaunay.vertices(n);
+            if (0..4).any(|k| k != j && vertices[k] == INFINITE) {
+                continue;
+            }
+            for k in (0..4).filter(|&k| k != j) {
+                let own = zone(t, k);
+                if own == WITHIN || own != zone(n, place_of(beyond, vertices[k])) {
+                    meetings |= 1 << (4 * j + k);
+                }
+            }
+        }
+        meetings
     }
 
-    /// Whether the Voronoi edge between two neighbouring tetrahedra meets the cocone of a vertex of both. Above and below it are
-    /// convex cones, so the edge misses it exactly when its ends lie in one of them.
-    fn meets(&self, t: u32, place: usize, n: u32, vertex: u32) -> bool {
-        let zone = self.zone(t, place);
-        zone == WITHIN || zone != self.zone(n, place_of(self.delaunay.vertices(n), vertex))
+    /// Whether the Voronoi edge dual to the facet opposite to a place meets the cocone of the facet's vertex at another.
+    fn meets(&self, t: u32, opposite: usize, place: usize) -> bool {
+        self.meetings[t as usize] >> (4 * opposite + place) & 1 == 1
     }
 
-    /// Tells `hear` each cocone neighbour of a vertex (some more than once): w is one when the cocone of w reaches into the cell of v.
-    fn cocone_neighbours(&self, v: u32, mut hear: impl FnMut(u32)) {
-        for &t in self.stars.of(v) {
-            let vertices = self.delaunay.vertices(t);
-            let neighbours = self.delaunay.neighbours(t);
-            for j in (0..4).filter(|&j| vertices[j] != v && neighbours[j] > t) {
-                for k in (0..4).filter(|&k| k != j && vertices[k] != v && vertices[k] != INFINITE) {
-                    if self.meets(t, k, neighbours[j], vertices[k]) {
-                        hear(vertices[k]);
-                    }
+    /// Tells `hear` the cocone neighbours of vertices that a tetrahedron's facets show, as (v, w): the cocone of w reaches into the
+    /// cell of v.
+    fn cocone_neighbours(&self, t: u32, mut hear: impl FnMut(u32, u32)) {
+        if self.meetings[t as usize] == 0 {
+            return;
+        }
+        let vertices = self.delaunay.vertices(t);
+        for j in 0..4 {
+            for k in (0..4).filter(|&k| k != j && self.meets(t, j, k)) {
+                for i in (0..4).filter(|&i| i != j && i != k) {
+                    hear(vertices[i], vertices[k]);
                 }
             }
         }
@@ -272,52 +298,49 @@ impl<'a> Cells<'a> {
 
     /// Flat are the vertices with long cells whose normals agree with those of all cocone neighbours, then those with long
     /// cells that agree with a flat one.
-    fn find_flat(&mut self, is_long: &[bool]) {
-        let test = |v: u32| {
-            let mut is_flat = is_long[v as usize];
-            if is_flat {
-                self.cocone_neighbours(v, |w| is_flat &= self.agree(v, w));
-            }
-            is_flat
-        };
-        let mut is_flat: Vec<bool> = (0..is_long.len() as u32).into_par_iter().map(test).collect();
-        let mut left: Vec<u32> =
-            (0..is_long.len() as u32).filter(|&v| is_long[v as usize] && !is_flat[v as usize]).collect();
+    fn find_flat(&self, is_long: Vec<bool>) -> Vec<bool> {
+        let apart: Vec<u32> = (0..self.corners.len() as u32)
+            .into_par_iter()
+            .flat_map_iter(|t| {
+                let mut found = Vec::new();
+                self.cocone_neighbours(t, |v, w| {
+                    if is_long[v as usize] && !self.agree(v, w) {
+                        found.push(v);
+                    }
+                });
+                found
+            })
+            .collect();
+        let mut is_flat = is_long;
+        let mut left = apart;
+        left.sort_unstable();
+        left.dedup();
+        left.iter().for_each(|&v| is_flat[v as usize] = false);
         loop {
-            let grown: Vec<bool> = left
-                .par_iter()
-                .map(|&v| {
-                    let mut joins = false;
-                    self.cocone_neighbours(v, |w| joins |= is_flat[w as usize] && self.agree(v, w));
-                    joins
-                })
-                .collect();
-            if !grown.contains(&true) {
-                break;
+            let joins = |v: u32| {
+                let mut joins = false;
+                for &t in self.stars.of(v) {
+                    self.cocone_neighbours(t, |u, w| joins |= u == v && is_flat[w as usize] && self.agree(v, w));
+                }
+                joins
+            };
+            let (grown, rest): (Vec<u32>, Vec<u32>) = left.par_iter().partition(|&&v| joins(v));
+            if grown.is_empty() {
+                return is_flat;
             }
-            for (&v, &joins) in left.iter().zip(&grown) {
-                is_flat[v as usize] = joins;
-            }
-            left.retain(|&v| !is_flat[v as usize]);
+            grown.iter().for_each(|&v| is_flat[v as usize] = true);
+            left = rest;
         }
-        self.is_flat = is_flat;
     }
 
     fn candidates_of(&self, t: u32) -> u8 {
-        if !self.delaunay.is_alive(t) {
+        if self.meetings[t as usize] == 0 {
             return 0;
         }
-        let (v, n) = (self.delaunay.vertices(t), self.delaunay.neighbours(t));
+        let v = self.delaunay.vertices(t);
         let is_candidate = |j: usize| {
-            let mut others = (0..4).filter(|&k| k != j);
-            let (mut flat, mut meets) = (0, true);
-            others.all(|k| v[k] != INFINITE) && {
-                for k in (0..4).filter(|&k| k != j && self.is_flat[v[k] as usize]) {
-                    flat += 1;
-                    meets &= self.meets(t, k, n[j], v[k]);
-                }
-                flat > 0 && meets
-            }
+            let flat = || (0..4).filter(|&k| k != j && v[k] != INFINITE && self.is_flat[v[k] as usize]);
+            flat().all(|k| self.meets(t, j, k)) && flat().next().is_some()
         };
         (0..4).fold(0, |bits, j| bits | u8::from(is_candidate(j)) << j)
     }

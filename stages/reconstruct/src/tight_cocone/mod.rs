@@ -5,8 +5,8 @@
 //! pi/8 of the tangent plane, Amenta, Choi, Dey and Leekha 2000) are candidates for the surface. Vertices whose cells are not flat lie
 //! where the sampling ends or is too sparse (Dey and Giesen 2001) and have no say. The steps: [`cells`] finds poles, flat
 //! vertices and candidates; [`umbrellas`] finds where the candidates part a vertex's tetrahedra, and which are on which side; [`walk`]
-//! gives the normals of each sheet one sense; [`peel`] marks tetrahedra and eats away those outside; [`repair`] parts what touches in an
-//! edge. What is left is a set of tetrahedra, so its boundary is closed whatever the points.
+//! gives the normals of each sheet one sense; [`peel`] marks tetrahedra and eats away those outside; [`repair`] parts what touches in
+//! an edge or a vertex. What is left is a set of tetrahedra, so its boundary is closed whatever the points.
 
 mod cells;
 mod peel;
@@ -42,7 +42,7 @@ pub struct CoconeReport {
     pub with_umbrella: usize,
     /// Points that no triangle of the surface uses.
     pub unused: usize,
-    /// Tetrahedra that changed sides because parts of the surface touched in an edge.
+    /// Tetrahedra that changed sides because parts of the surface touched in an edge or a vertex.
     pub changed_sides: usize,
     /// Share of the given normals that lie within 60 degrees of the direction to the pole, as lines; `None` without normals.
     pub normals_near_poles: Option<f64>,
@@ -81,7 +81,7 @@ pub fn tight_cocone(delaunay: &Delaunay, normals: Option<&[DVec3]>) -> Result<(V
     };
     let mut is_out = peel::peel(&cells, &umbrellas, &mut sheets);
     let facets;
-    (facets, report.changed_sides) = repair::part_edges(&cells, &umbrellas, &mut is_out);
+    (facets, report.changed_sides) = repair::part_pinches(&cells, &umbrellas, &mut is_out);
     if facets.is_empty() {
         let found = format!("{} of {} points have an umbrella of triangles", report.with_umbrella, report.points);
         return Err(Error::input(

@@ -1,7 +1,7 @@
 //! Marking and peeling: umbrellas mark the tetrahedra outside, and from the hull everything marked so is eaten away.
 
 use super::cells::Cells;
-use super::umbrellas::{Umbrellas, good_vertices};
+use super::umbrellas::Umbrellas;
 use super::walk::Sheets;
 use crate::restricted::Facet;
 use glam::DVec3;
@@ -49,14 +49,15 @@ pub(super) fn peel(cells: &Cells, umbrellas: &Umbrellas, sheets: &mut Sheets) ->
 
 /// For each tetrahedron, how many of its umbrellas have it outside less how many inside.
 fn mark(cells: &Cells, umbrellas: &Umbrellas, sheets: &Sheets) -> Vec<i8> {
-    let marks_of = |t: u32| {
-        if !cells.delaunay.is_alive(t) {
-            return 0;
+    let mut marks = vec![TRANSPARENT; cells.delaunay.slot_count()];
+    for v in (0..cells.stars.vertex_count() as u32).filter(|&v| umbrellas.is_good[v as usize]) {
+        let sense = sheets.sense_of(v);
+        for (t, side) in umbrellas.star(cells, v) {
+            let mark = &mut marks[t as usize];
+            *mark = if *mark == TRANSPARENT { 0 } else { *mark } + side * sense;
         }
-        let marks = good_vertices(cells, umbrellas, t).map(|v| umbrellas.side(cells, v, t) * sheets.sense_of(v));
-        marks.fold(None, |sum: Option<i8>, one| Some(sum.unwrap_or(0) + one)).unwrap_or(TRANSPARENT)
-    };
-    (0..cells.delaunay.slot_count() as u32).into_par_iter().map(marks_of).collect()
+    }
+    marks
 }
 
 /// Eats from what is outside into tetrahedra marked outside, and into transparent ones through all facets but that of least
