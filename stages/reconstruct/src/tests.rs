@@ -30,6 +30,12 @@ fn surface(scene: &Scene, spacing: f64) -> (TriangleMesh, Defects, RefineReport,
     )
 }
 
+/// The restricted surface, the Euler characteristic of each component of the isosurface, and what differs.
+pub(crate) fn restricted(scene: &Scene, spacing: f64) -> (TriangleMesh, Vec<i64>, Defects) {
+    let (mesh, defects, _, euler) = surface(scene, spacing);
+    (mesh, euler, defects)
+}
+
 fn volume_and_area(mesh: &TriangleMesh) -> (f64, f64) {
     mesh.triangles.iter().fold((0.0, 0.0), |(volume, area), t| {
         let [a, b, c] = t.map(|v| mesh.vertices[v as usize] - DVec3::splat(15.0));

@@ -74,9 +74,10 @@ struct Cell {
     normal: DVec3,
     /// Tetrahedra whose circumcentres are the poles: the farthest on the side of the normal, and on the other.
     poles: [u32; 2],
-    /// Whether the cell is long along the normal.
+    /// Whether the cell is long along the normal; given normals are taken at their word.
     is_long: bool,
-    on_hull: bool,
+    /// On the convex hull 1 where the normal points out of it and -1 where it points into it, else 0.
+    hull_side: i8,
     /// Cosine between the estimate of the normal (outward on the hull) and the normal taken.
     agreement: f64,
 }
@@ -99,8 +100,8 @@ pub(super) struct Cells<'a> {
     pub(super) normals_near_poles: f64,
     /// Share of the vertices on the convex hull whose normals point out of it.
     pub(super) normals_out_of_hull: f64,
-    /// Whether each vertex is on the convex hull.
-    pub(super) on_hull: Vec<bool>,
+    /// For each vertex on the convex hull 1 where its normal points out of it and -1 where it points into it; 0 for all others.
+    pub(super) hull_side: Vec<i8>,
     /// A bit for each facet of each tetrahedron and each vertex of the facet, at four times the place opposite to the facet and the
     /// place of the vertex: whether the dual edge meets the cocone of the vertex.
     meetings: Vec<u16>,
@@ -114,7 +115,7 @@ const BELOW: u8 = 2;
 
 impl<'a> Cells<'a> {
     /// Reckons poles, flatness and candidates. `normals` are given ones, zero where there is none; they take the place of
-    /// the direction to the pole.
+    /// the direction to the pole, and of the test of length.
     pub(super) fn new(delaunay: &'a Delaunay, normals: Option<&[DVec3]>) -> Self {
         let stars = Stars::new(delaunay);
         let slots = delaunay.slot_count() as u32;
@@ -133,7 +134,7 @@ impl<'a> Cells<'a> {
             is_flat: Vec::new(),
             normals_near_poles: 1.0,
             normals_out_of_hull: 1.0,
-            on_hull: Vec::new(),
+            hull_side: Vec::new(),
             meetings: Vec::new(),
             candidates: Vec::new(),
         };
@@ -141,13 +142,13 @@ impl<'a> Cells<'a> {
         let reckoned: Vec<Cell> = (0..count as u32).into_par_iter().map(|v| cells.cell(v, given(v))).collect();
         cells.normals = reckoned.iter().map(|cell| cell.normal).collect();
         cells.poles = reckoned.iter().map(|cell| cell.poles).collect();
-        cells.on_hull = reckoned.iter().map(|cell| cell.on_hull).collect();
+        cells.hull_side = reckoned.iter().map(|cell| cell.hull_side).collect();
         let share = |part: usize, of: usize| if of == 0 { 1.0 } else { part as f64 / of as f64 };
         let present = || reckoned.iter().filter(|cell| cell.agreement != 0.0);
         let near_poles = present().filter(|cell| cell.agreement.abs() >= FLATNESS_COSINE).count();
         cells.normals_near_poles = share(near_poles, present().count());
-        let hull = || present().filter(|cell| cell.on_hull);
-        cells.normals_out_of_hull = share(hull().filter(|cell| cell.agreement > 0.0).count(), hull().count());
+        let hull = || present().filter(|cell| cell.hull_side != 0);
+        cells.normals_out_of_hull = share(hull().filter(|cell| cell.hull_side > 0).count(), hull().count());
         let zones: Vec<u8> = (0..slots).into_par_iter().map(|t| cells.zones_of(t)).collect();
         cells.meetings = (0..slots).into_par_iter().map(|t| cells.meetings_of(t, &zones)).collect();
         cells.is_flat = cells.find_flat(reckoned.iter().map(|cell| cell.is_long).collect());
@@ -177,22 +178,31 @@ impl<'a> Cells<'a> {
         }
         let estimate = if on_hull { hull } else { farthest.1 }.normalize_or_zero();
         let normal = given.try_normalize().unwrap_or(estimate);
+        let along_hull = hull.dot(normal);
         let (mut poles, mut heights) = ([NOBODY; 2], [0.0; 2]);
         for &t in star {
             let (direction, is_infinite) = self.towards(t, p);
             let along = direction.dot(normal);
             let side = usize::from(along < 0.0);
-            if is_infinite && side == 1 {
+            if is_infinite && (along < 0.0) != (along_hull < 0.0) {
+                // at a sharp edge a triangle of the hull may face away from the normal; outside is where most of them face
                 continue;
             }
-            let height = if is_infinite { f64::MAX * (0.5 + 0.5 * along) } else { direction.length_squared() };
+            let height = if is_infinite { f64::MAX * (0.5 + 0.5 * along.abs()) } else { direction.length_squared() };
             if height > heights[side] {
                 (poles[side], heights[side]) = (t, height);
             }
         }
         let reach = heights[0].min(heights[1]).sqrt();
-        let is_long = poles[1] != NOBODY && FLATNESS_RATIO * self.width(v, normal) <= reach;
-        Cell { normal, poles, is_long, on_hull, agreement: estimate.dot(normal) }
+        let is_trusted = given != DVec3::ZERO;
+        let is_long = !poles.contains(&NOBODY) && (is_trusted || FLATNESS_RATIO * self.width(v, normal) <= reach);
+        Cell {
+            normal,
+            poles,
+            is_long,
+            hull_side: if on_hull { along_hull.signum() as i8 } else { 0 },
+            agreement: estimate.dot(normal),
+        }
     }
 
     /// Largest distance from a vertex to where its cell's edges cross its tangent plane.

@@ -31,6 +31,9 @@ const NORMALS_TRUSTED: f64 = 0.75;
 /// Given normals are outward (or all inward) where this share of those on the convex hull points that way.
 const NORMALS_ORIENTED: f64 = 0.9;
 
+/// Where a smaller share of the points has an umbrella, the surface would be guesswork.
+const FEWEST_UMBRELLAS: f64 = 1.0 / 3.0;
+
 /// What was found on the way.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct CoconeReport {
@@ -74,6 +77,9 @@ pub fn tight_cocone(delaunay: &Delaunay, normals: Option<&[DVec3]>) -> Result<(V
     report.flat = cells.is_flat.iter().filter(|&&flat| flat).count();
     let umbrellas = Umbrellas::new(&cells);
     report.with_umbrella = umbrellas.is_good.iter().filter(|&&good| good).count();
+    if (report.with_umbrella as f64) < FEWEST_UMBRELLAS * report.points as f64 {
+        return Err(encloses_nothing(&report));
+    }
     let mut sheets = if report.normals_oriented {
         Sheets::given(delaunay.points().len(), if outward < 0.5 { -1 } else { 1 })
     } else {
@@ -83,16 +89,20 @@ pub fn tight_cocone(delaunay: &Delaunay, normals: Option<&[DVec3]>) -> Result<(V
     let facets;
     (facets, report.changed_sides) = repair::part_pinches(&cells, &umbrellas, &mut is_out);
     if facets.is_empty() {
-        let found = format!("{} of {} points have an umbrella of triangles", report.with_umbrella, report.points);
-        return Err(Error::input(
-            format!("the points do not enclose anything: {found}"),
-            "Tight Cocone needs points that sample the surface of a solid about evenly, with little noise for their spacing",
-            "thin or smooth the points, or give more of them; where there is a volume, use --method restricted",
-        ));
+        return Err(encloses_nothing(&report));
     }
     let mut used = vec![false; delaunay.points().len()];
     facets.iter().flat_map(|f| f.vertices).for_each(|v| used[v as usize] = true);
     report.unused = report.points - used.iter().filter(|&&used| used).count();
     report.facing_normals = normals.map(|normals| peel::agreement(delaunay, &facets, normals));
     Ok((facets, report))
+}
+
+fn encloses_nothing(report: &CoconeReport) -> Error {
+    let found = format!("{} of {} points have an umbrella of triangles", report.with_umbrella, report.points);
+    Error::input(
+        format!("the points do not enclose a solid: only {found}"),
+        "Tight Cocone needs points that sample the surface of a solid about evenly, at a fraction of its thickness, with little noise",
+        "give more points, thin or smooth noisy ones, or give their normals; where there is a volume, use --method restricted",
+    )
 }

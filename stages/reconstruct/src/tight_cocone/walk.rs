@@ -37,8 +37,8 @@ impl Sheets {
         }
         let (sheet, sense): (Vec<u32>, Vec<i8>) = (0..count as u32).map(|v| sets.find(v)).unzip();
         let mut votes = vec![0i64; count];
-        for v in (0..count).filter(|&v| umbrellas.is_good[v] && cells.on_hull[v]) {
-            votes[sheet[v] as usize] += i64::from(sense[v]);
+        for v in (0..count).filter(|&v| umbrellas.is_good[v]) {
+            votes[sheet[v] as usize] += i64::from(sense[v] * cells.hull_side[v]);
         }
         let outward = votes.iter().map(|votes| votes.signum() as i8).collect();
         Self { sheet, sense, outward }
