@@ -12,7 +12,7 @@ use std::collections::BTreeMap;
 const FREE_ROUNDS: usize = 8;
 
 /// At a vertex no more tetrahedra than these change sides; where more would have to, the vertex is doubled later.
-const SMALL_PART: usize = 3;
+const SMALL_PART: usize = 12;
 
 /// The facets between inside and outside, in the order of the tetrahedra.
 pub(super) fn boundary(delaunay: &Delaunay, is_out: &[bool]) -> Vec<Facet> {

@@ -17,8 +17,9 @@ pub(super) struct Sheets {
 
 /// Two vertices joined by surface triangles.
 struct Link {
-    /// How far their normals agree, as lines; in whole numbers, so that it sorts.
-    agreement: u32,
+    /// Share of the tetrahedra at both whose sides agree with the most, then how far the normals agree, as lines; in whole numbers,
+    /// so that it sorts.
+    agreement: (u32, u32),
     ends: [u32; 2],
     /// Whether their normals have the same sense.
     same: bool,
@@ -63,13 +64,18 @@ fn links_of(cells: &Cells, umbrellas: &Umbrellas, v: u32) -> Vec<Link> {
     // (other vertex, whether a surface triangle joins them, how far the sides agree)
     let mut seen: Vec<(u32, bool, i32)> = Vec::new();
     for (t, side) in umbrellas.star(cells, v) {
-        let vertices = cells.delaunay.vertices(t);
+        let (vertices, neighbours) = (cells.delaunay.vertices(t), cells.delaunay.neighbours(t));
         for (k, &w) in vertices.iter().enumerate() {
             if w == INFINITE || w <= v || !umbrellas.is_good[w as usize] {
                 continue;
             }
-            let joins = (0..4).any(|j| j != k && vertices[j] != v && cells.is_candidate(t, j));
-            let agreement = if side == 0 { 0 } else { i32::from(side) * i32::from(umbrellas.side(cells, w, t)) };
+            let other_side = umbrellas.side(cells, w, t);
+            let parts = |j: usize| {
+                let n = neighbours[j];
+                umbrellas.side(cells, v, n) != side && umbrellas.side(cells, w, n) != other_side
+            };
+            let joins = (0..4).any(|j| j != k && vertices[j] != v && cells.is_candidate(t, j) && parts(j));
+            let agreement = i32::from(side) * i32::from(other_side);
             seen.push((w, joins, agreement));
         }
     }
@@ -80,7 +86,7 @@ fn links_of(cells: &Cells, umbrellas: &Umbrellas, v: u32) -> Vec<Link> {
         let w = group[0].0;
         let parallel = cells.normals[v as usize].dot(cells.normals[w as usize]).abs();
         (agreement != 0 && group.iter().any(|g| g.1)).then_some(Link {
-            agreement: (parallel.min(1.0) * 1e6) as u32,
+            agreement: (agreement.unsigned_abs() * 1000 / group.len() as u32, (parallel.min(1.0) * 1e6) as u32),
             ends: [v, w],
             same: agreement > 0,
         })
