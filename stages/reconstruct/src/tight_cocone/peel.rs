@@ -7,9 +7,13 @@ use crate::restricted::Facet;
 use glam::DVec3;
 use isoparticles_common::delaunay::Delaunay;
 use rayon::prelude::*;
+use std::collections::BTreeMap;
 
 /// Marks of a tetrahedron none of whose vertices has an umbrella.
 const TRANSPARENT: i8 = i8::MIN;
+
+/// A sheet is met for sure when this part in a thousand of it is met on one side.
+const SURELY_MET: i64 = 900;
 
 /// Outside for all four vertices, and inside for all.
 const UNANIMOUS: i8 = 4;
@@ -125,16 +129,20 @@ fn orient(
             (sheets.sheet[v as usize], vote * i64::from(sheets.sense[v as usize]))
         })
         .collect();
-    let mut sums = std::collections::BTreeMap::new();
+    let mut sums: BTreeMap<u32, (i64, i64)> = BTreeMap::new();
     for (sheet, vote) in votes {
-        *sums.entry(sheet).or_insert(0) += vote;
+        let (sum, total) = sums.entry(sheet).or_default();
+        *sum += vote;
+        *total += vote.abs();
     }
-    let mut is_any = false;
-    for (sheet, vote) in sums.into_iter().filter(|&(_, vote)| vote != 0) {
-        sheets.outward[sheet as usize] = kind * vote.signum() as i8;
-        is_any = true;
+    // a sheet met on both sides waits until those that are sure have had their say
+    let share = |(sum, total): (i64, i64)| 1000 * sum.abs() / total.max(1);
+    let met: Vec<(u32, (i64, i64))> = sums.into_iter().filter(|(_, (sum, _))| *sum != 0).collect();
+    let bar = met.iter().map(|(_, votes)| share(*votes)).max().unwrap_or(0).min(SURELY_MET);
+    for &(sheet, votes) in met.iter().filter(|(_, votes)| share(*votes) >= bar) {
+        sheets.outward[sheet as usize] = kind * votes.0.signum() as i8;
     }
-    is_any
+    !met.is_empty()
 }
 
 /// Parts of the object without a tetrahedron that all four vertices have inside are no parts: scraps between sheets.

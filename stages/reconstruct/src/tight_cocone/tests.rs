@@ -30,10 +30,11 @@ fn normals_of(scene: &Scene, points: &[DVec3]) -> Vec<DVec3> {
     points.iter().map(|&p| scene.gradient(p)).collect()
 }
 
-/// Euler characteristics of the components, and whether each is the wall of a cavity.
-fn parts(report: &CheckReport) -> Vec<(i64, bool)> {
-    let mut parts: Vec<(i64, bool)> =
-        report.components.iter().map(|c| (c.topology.euler, c.measure.volume < 0.0)).collect();
+/// Euler characteristic of a component, and whether it is the wall of a cavity.
+type Part = (i64, bool);
+
+fn parts(report: &CheckReport) -> Vec<Part> {
+    let mut parts: Vec<Part> = report.components.iter().map(|c| (c.topology.euler, c.measure.volume < 0.0)).collect();
     parts.sort_unstable();
     parts
 }
@@ -57,9 +58,9 @@ fn ball_in_a_shell() -> Scene {
 
 #[test]
 fn well_sampled_scenes_have_their_topology_with_normals_and_without() {
-    const BALL: (i64, bool) = (2, false);
-    const CAVITY: (i64, bool) = (2, true);
-    let cases: &[(&str, Scene, f64, &[(i64, bool)])] = &[
+    const BALL: Part = (2, false);
+    const CAVITY: Part = (2, true);
+    let cases: &[(&str, Scene, f64, &[Part])] = &[
         ("ball", scenes::sphere(), 1.0, &[BALL]),
         ("sparse ball", scenes::sphere(), 3.0, &[BALL]),
         ("torus", scenes::torus(), 0.8, &[(0, false)]),

@@ -85,7 +85,8 @@ fn links_of(cells: &Cells, umbrellas: &Umbrellas, v: u32) -> Vec<Link> {
         let agreement: i32 = group.iter().map(|g| g.2).sum();
         let w = group[0].0;
         let parallel = cells.normals[v as usize].dot(cells.normals[w as usize]).abs();
-        (agreement != 0 && group.iter().any(|g| g.1)).then_some(Link {
+        let is_clear = 2 * agreement.unsigned_abs() as usize >= group.len();
+        (is_clear && group.iter().any(|g| g.1)).then_some(Link {
             agreement: (agreement.unsigned_abs() * 1000 / group.len() as u32, (parallel.min(1.0) * 1e6) as u32),
             ends: [v, w],
             same: agreement > 0,
