@@ -3,7 +3,7 @@
 //! The steps: [`prepare`] puts the particles on F = 0; [`restricted`] triangulates them (Delaunay) and takes the facets
 //! between tetrahedra whose circumcentres are inside and outside; [`defects`] compares that surface with the
 //! [`isosurface`]; [`refine`] adds points where it differs, until it does not; [`improve`] lifts the worst triangles;
-//! [`finish`] attaches the data; [`run`] is the program.
+//! [`finish`] attaches the data; [`run`] is the program. [`tight_cocone`] is the other way to find the facets, from points alone.
 
 pub mod defects;
 pub mod finish;

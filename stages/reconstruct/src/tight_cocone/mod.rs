@@ -3,9 +3,9 @@
 //! On a well-sampled smooth surface a Voronoi cell is long and thin along the normal; its farthest corners, the *poles* (Amenta and
 //! Bern 1999), give the normal, and the Delaunay triangles whose dual edges pass through the *cocones* (the part of the cell within
 //! pi/8 of the tangent plane, Amenta, Choi, Dey and Leekha 2000) are candidates for the surface. Vertices whose cells are not flat lie
-//! where the sampling ends or is too sparse (Dey and Giesen 2001) and have no say. The steps: [`cells`] finds poles, flat
-//! vertices and candidates; [`umbrellas`] finds where the candidates part a vertex's tetrahedra, and which are on which side; [`walk`]
-//! gives the normals of each sheet one sense; [`peel`] marks tetrahedra and eats away those outside; [`repair`] parts what touches in
+//! where the sampling ends or is too sparse (Dey and Giesen 2001) and have no say. The steps: `cells` finds poles, flat
+//! vertices and candidates; `umbrellas` finds where the candidates part a vertex's tetrahedra, and which are on which side; `walk`
+//! gives the normals of each sheet one sense; `peel` marks tetrahedra and eats away those outside; `repair` parts what touches in
 //! an edge or a vertex. What is left is a set of tetrahedra, so its boundary is closed whatever the points.
 
 mod cells;
