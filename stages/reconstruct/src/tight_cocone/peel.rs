@@ -138,7 +138,11 @@ fn orient(
     // a sheet met on both sides waits until those that are sure have had their say
     let share = |(sum, total): (i64, i64)| 1000 * sum.abs() / total.max(1);
     let met: Vec<(u32, (i64, i64))> = sums.into_iter().filter(|(_, (sum, _))| *sum != 0).collect();
-    let bar = met.iter().map(|(_, votes)| share(*votes)).max().unwrap_or(0).min(SURELY_MET);
+    let bar = match met.iter().map(|(_, votes)| share(*votes)).max().unwrap_or(0) {
+        most if most >= SURELY_MET => SURELY_MET,
+        // halves, so that a noisy cloud with many small sheets does not take as many rounds
+        most => most / 2,
+    };
     for &(sheet, votes) in met.iter().filter(|(_, votes)| share(*votes) >= bar) {
         sheets.outward[sheet as usize] = kind * votes.0.signum() as i8;
     }

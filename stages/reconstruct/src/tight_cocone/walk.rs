@@ -61,38 +61,45 @@ fn links_of(cells: &Cells, umbrellas: &Umbrellas, v: u32) -> Vec<Link> {
     if !umbrellas.is_good[v as usize] {
         return Vec::new();
     }
-    // (other vertex, whether a surface triangle joins them, how far the sides agree)
-    let mut seen: Vec<(u32, bool, i32)> = Vec::new();
+    let others = |t: u32| {
+        let vertices = cells.delaunay.vertices(t);
+        let is_wanted = move |w: u32| w != INFINITE && w > v && umbrellas.is_good[w as usize];
+        (0..4).map(move |k| (k, vertices[k])).filter(move |&(_, w)| is_wanted(w))
+    };
+    // the ends of the edges at the vertex whose triangles part both umbrellas
+    let mut joined: Vec<u32> = Vec::new();
     for (t, side) in umbrellas.star(cells, v) {
         let (vertices, neighbours) = (cells.delaunay.vertices(t), cells.delaunay.neighbours(t));
-        for (k, &w) in vertices.iter().enumerate() {
-            if w == INFINITE || w <= v || !umbrellas.is_good[w as usize] {
+        for j in (0..4).filter(|&j| vertices[j] != v && cells.is_candidate(t, j)) {
+            if umbrellas.side(cells, v, neighbours[j]) == side {
                 continue;
             }
-            let other_side = umbrellas.side(cells, w, t);
-            let parts = |j: usize| {
-                let n = neighbours[j];
-                umbrellas.side(cells, v, n) != side && umbrellas.side(cells, w, n) != other_side
-            };
-            let joins = (0..4).any(|j| j != k && vertices[j] != v && cells.is_candidate(t, j) && parts(j));
-            let agreement = i32::from(side) * i32::from(other_side);
-            seen.push((w, joins, agreement));
+            let parts = |w: u32| umbrellas.side(cells, w, neighbours[j]) != umbrellas.side(cells, w, t);
+            joined.extend(others(t).filter(|&(k, w)| k != j && parts(w)).map(|(_, w)| w));
         }
     }
-    seen.sort_unstable();
-    let groups = seen.chunk_by(|a, b| a.0 == b.0);
-    let link = |group: &[(u32, bool, i32)]| {
-        let agreement: i32 = group.iter().map(|g| g.2).sum();
-        let w = group[0].0;
+    joined.sort_unstable();
+    joined.dedup();
+    // tetrahedra at each of these edges, and how many more of them have the same side at both ends than not
+    let mut counts = vec![(0u32, 0i32); joined.len()];
+    for (t, side) in umbrellas.star(cells, v) {
+        for (_, w) in others(t) {
+            if let Ok(at) = joined.binary_search(&w) {
+                counts[at].0 += 1;
+                counts[at].1 += i32::from(side) * i32::from(umbrellas.side(cells, w, t));
+            }
+        }
+    }
+    let link = |(&w, &(count, agreement)): (&u32, &(u32, i32))| {
         let parallel = cells.normals[v as usize].dot(cells.normals[w as usize]).abs();
-        let is_clear = 2 * agreement.unsigned_abs() as usize >= group.len();
-        (is_clear && group.iter().any(|g| g.1)).then_some(Link {
-            agreement: (agreement.unsigned_abs() * 1000 / group.len() as u32, (parallel.min(1.0) * 1e6) as u32),
+        let agreed = agreement.unsigned_abs();
+        (2 * agreed >= count).then_some(Link {
+            agreement: (1000 * agreed / count, (parallel.min(1.0) * 1e6) as u32),
             ends: [v, w],
             same: agreement > 0,
         })
     };
-    groups.filter_map(link).collect()
+    joined.iter().zip(&counts).filter_map(link).collect()
 }
 
 /// Union-find whose members know their sign relative to the smallest member of their set.
