@@ -32,7 +32,7 @@ const NORMALS_TRUSTED: f64 = 0.75;
 const NORMALS_ORIENTED: f64 = 0.9;
 
 /// Where a smaller share of the points has an umbrella, the surface would be guesswork.
-const FEWEST_UMBRELLAS: f64 = 1.0 / 3.0;
+const FEWEST_UMBRELLAS: f64 = 0.5;
 
 /// What was found on the way.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
