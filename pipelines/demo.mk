@@ -33,7 +33,7 @@ MIN_SIZE := 2
 # BACKEND = auto, gpu or cpu.
 #   BACKEND := auto
 
-# Anything else that a stage's --help offers.
+# Anything else that a stage's --help offers; RECONSTRUCT_OPTIONS := --method tight-cocone joins the particles the paper's way.
 #   DISTFIELD_OPTIONS :=
 #   SIZEFIELD_OPTIONS :=
 #   PARTICLES_OPTIONS :=

@@ -1,7 +1,8 @@
 //! Files: each format in one module, all of them checked before memory is taken.
 //!
-//! Volumes come in through [`volume::read_volume`]; fields, particles and surfaces go between the stages through
-//! [`field`], [`particles`] and [`surface`]; [`output`] writes every file whole or not at all.
+//! Volumes come in through [`volume::read_volume`] and point clouds through [`point_cloud::read_point_cloud`]; fields,
+//! particles and surfaces go between the stages through [`field`], [`particles`] and [`surface`]; [`output`] writes every
+//! file whole or not at all.
 
 pub mod field;
 mod limit;
@@ -9,6 +10,7 @@ mod nifti;
 pub mod nrrd;
 pub mod output;
 pub mod particles;
+pub mod point_cloud;
 pub mod points;
 pub mod surface;
 pub mod volume;

@@ -1,8 +1,8 @@
 //! Points with a number each, out of VTK's polygon (`.vtp`) and unstructured (`.vtu`) files; their cells do not matter.
 
 use super::limit::bad;
-use super::vtk_xml::VtkFile;
-use crate::error::Result;
+use super::vtk_xml::{Element, VtkFile};
+use crate::error::{Error, Result};
 use glam::DVec3;
 use std::path::Path;
 
@@ -22,17 +22,12 @@ pub fn read_sized_points(path: &Path, name: &str) -> Result<Vec<(DVec3, f64)>> {
             format!("write a .vtp or .vtu file with '{name}' among its point data"),
         )
     };
-    let count = piece.attribute("NumberOfPoints").and_then(|text| text.parse::<usize>().ok());
-    let count = count.filter(|&count| count > 0).ok_or_else(|| unusable("has no points"))?;
-    let values = count.checked_mul(3).ok_or_else(|| unusable("promises too many points"))?;
-    let positions = piece.child("Points").and_then(|section| section.children.first());
-    let positions = file.numbers(positions.ok_or_else(|| unusable("has no Points"))?, values)?.to_f64();
+    let positions = positions(&file, piece, unusable)?;
     let array = piece.child("PointData").and_then(|arrays| arrays.array(name));
     let array = array.filter(|array| VtkFile::components(array) == 1);
     let array = array.ok_or_else(|| unusable(&format!("has no point array '{name}' of one number each")))?;
-    let sizes = file.numbers(array, count)?.to_f64();
-    let points: Vec<(DVec3, f64)> =
-        positions.as_chunks::<3>().0.iter().map(|&p| DVec3::from_array(p)).zip(sizes).collect();
+    let sizes = file.numbers(array, positions.len())?.to_f64();
+    let points: Vec<(DVec3, f64)> = positions.into_iter().zip(sizes).collect();
     let is_usable = |&(p, size): &(DVec3, f64)| p.is_finite() && size.is_finite() && size > 0.0;
     match points.iter().position(|point| !is_usable(point)) {
         Some(n) => {
@@ -40,6 +35,16 @@ pub fn read_sized_points(path: &Path, name: &str) -> Result<Vec<(DVec3, f64)>> {
         }
         None => Ok(points),
     }
+}
+
+/// The positions of a piece's points, at least one; `unusable` makes the error.
+pub(super) fn positions(file: &VtkFile, piece: &Element, unusable: impl Fn(&str) -> Error) -> Result<Vec<DVec3>> {
+    let count = piece.attribute("NumberOfPoints").and_then(|text| text.parse::<usize>().ok());
+    let count = count.filter(|&count| count > 0).ok_or_else(|| unusable("has no points"))?;
+    let values = count.checked_mul(3).ok_or_else(|| unusable("promises too many points"))?;
+    let section = piece.child("Points").and_then(|section| section.children.first());
+    let numbers = file.numbers(section.ok_or_else(|| unusable("has no Points"))?, values)?.to_f64();
+    Ok(numbers.as_chunks::<3>().0.iter().map(|&p| DVec3::from_array(p)).collect())
 }
 
 #[cfg(test)]

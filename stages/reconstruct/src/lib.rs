@@ -3,13 +3,15 @@
 //! The steps: [`prepare`] puts the particles on F = 0; [`restricted`] triangulates them (Delaunay) and takes the facets
 //! between tetrahedra whose circumcentres are inside and outside; [`defects`] compares that surface with the
 //! [`isosurface`]; [`refine`] adds points where it differs, until it does not; [`improve`] lifts the worst triangles;
-//! [`finish`] attaches the data; [`run`] is the program.
+//! [`finish`] attaches the data; [`run`] is the program. [`tight_cocone`] is the other way to find the facets, from points alone.
 
 pub mod defects;
 pub mod finish;
 pub mod improve;
 pub mod isosurface;
+mod join;
 pub mod pinched;
+mod points_alone;
 pub mod prepare;
 #[cfg(test)]
 mod program_tests;
@@ -20,3 +22,4 @@ pub mod run;
 mod scenes;
 #[cfg(test)]
 mod tests;
+pub mod tight_cocone;

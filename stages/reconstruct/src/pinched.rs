@@ -5,6 +5,7 @@
 use glam::DVec3;
 use isoparticles_common::components::DisjointSets;
 use isoparticles_common::mesh::TriangleMesh;
+use isoparticles_common::mesh::topology::analyse;
 use std::collections::BTreeMap;
 
 /// How far a vertex is drawn back, as a share of the way to the middle of its neighbours.
@@ -37,6 +38,20 @@ pub fn part_sheets(
         }
     }
     added
+}
+
+/// The vertices of a closed mesh that have more than one fan of triangles, each with the triangles at it.
+pub fn pinched_vertices(mesh: &TriangleMesh) -> Vec<(u32, Vec<u32>)> {
+    let mut pinched: BTreeMap<u32, Vec<u32>> =
+        analyse(mesh).non_manifold_vertices.into_iter().map(|v| (v, Vec::new())).collect();
+    for (t, triangle) in mesh.triangles.iter().enumerate() {
+        for v in triangle {
+            if let Some(around) = pinched.get_mut(v) {
+                around.push(t as u32);
+            }
+        }
+    }
+    pinched.into_iter().collect()
 }
 
 /// The triangles at a vertex, by the fans that they form across their edges.

@@ -18,13 +18,15 @@ const LONGEST_MOVE: f64 = 1.0;
 /// Two particles nearer than this part of the smaller h would only make slivers; one of them goes.
 const TOO_CLOSE: f64 = 0.05;
 
-/// Points on F = 0, with their target edge lengths.
+/// Points on the surface, with their target edge lengths.
 #[derive(Clone, Debug, Default)]
 pub struct SurfacePoints {
     /// Positions, grid frame, mm.
     pub positions: Vec<DVec3>,
-    /// Target edge length h, mm.
+    /// Target edge length h, mm; empty where none is known, and the spacing of the points once they are triangulated.
     pub sizes: Vec<f64>,
+    /// Normals, where they are needed and known; else empty.
+    pub normals: Vec<DVec3>,
     /// What happened on the way.
     pub report: PrepareReport,
 }
@@ -38,13 +40,21 @@ impl SurfacePoints {
     pub fn triangulate(&mut self) -> Result<Delaunay> {
         loop {
             let delaunay = Delaunay::new(&self.positions)?;
+            if self.sizes.is_empty() {
+                self.sizes = spacings(&delaunay);
+            }
             let crowded = self.crowded(&delaunay);
             if crowded.is_empty() {
                 return Ok(delaunay);
             }
             self.report.crowded += crowded.len();
-            let kept = (0..self.positions.len()).filter(|v| crowded.binary_search(&(*v as u32)).is_err());
-            (self.positions, self.sizes) = kept.map(|v| (self.positions[v], self.sizes[v])).unzip();
+            let kept: Vec<usize> =
+                (0..self.positions.len()).filter(|v| crowded.binary_search(&(*v as u32)).is_err()).collect();
+            self.positions = kept.iter().map(|&v| self.positions[v]).collect();
+            self.sizes = kept.iter().map(|&v| self.sizes[v]).collect();
+            if !self.normals.is_empty() {
+                self.normals = kept.iter().map(|&v| self.normals[v]).collect();
+            }
         }
     }
 
@@ -70,6 +80,29 @@ impl SurfacePoints {
         }
         gone.into_iter().collect()
     }
+}
+
+/// Spacing of points: the distance of each from the third nearest of its neighbours in the triangulation, so that one near
+/// duplicate, or two, do not pass for it; zero for duplicates.
+fn spacings(delaunay: &Delaunay) -> Vec<f64> {
+    let mut nearest = vec![[f64::INFINITY; 3]; delaunay.points().len()];
+    let mut edges: Vec<(u32, u32)> = delaunay
+        .finite_tetrahedra()
+        .flat_map(|(_, t)| (0..4).flat_map(move |i| (0..i).map(move |j| (t[i].min(t[j]), t[i].max(t[j])))))
+        .collect();
+    edges.par_sort_unstable();
+    edges.dedup();
+    for (a, b) in edges {
+        let distance = delaunay.points()[a as usize].distance(delaunay.points()[b as usize]);
+        for v in [a, b] {
+            let list = &mut nearest[v as usize];
+            if distance < list[2] {
+                list[2] = distance;
+                list.sort_unstable_by(f64::total_cmp);
+            }
+        }
+    }
+    nearest.into_iter().map(|list| if list[2].is_finite() { list[2] } else { 0.0 }).collect()
 }
 
 /// Particles that were not taken, and why.
@@ -126,5 +159,5 @@ pub fn prepare(particles: &ParticleSet, field: &CubicSpline) -> Result<SurfacePo
             "give the distance field that the particles were made from, or rerun `seed` and `particles`",
         ));
     }
-    Ok(SurfacePoints { positions, sizes, report })
+    Ok(SurfacePoints { positions, sizes, normals: Vec::new(), report })
 }

@@ -145,6 +145,21 @@ fn an_open_border_leaves_the_surface_open_there_and_nowhere_else() {
 }
 
 #[test]
+fn tight_cocone_on_fields_is_improved_compared_and_checked_as_well() {
+    let scene = scenes::torus();
+    let meta = json!({"source": "scalar", "border": "cap"});
+    let case = Case::new(&scene, scene.image.geometry.clone(), 0.9, &meta);
+    let raw =
+        ["--method", "tight-cocone", "--relaxation-sweeps", "0", "--improve-rounds", "0", "--min-radius-ratio", "0"];
+    assert_eq!(case.run("raw.vtp", &raw).unwrap(), Outcome::Passed);
+    assert_eq!(case.run("full.vtp", &raw[..2]).unwrap(), Outcome::Passed);
+    let [raw, full] = ["raw.vtp", "full.vtp"].map(|name| case.surface(name).surface.mesh);
+    assert_eq!((analyse(&raw).euler, analyse(&full).euler), (0, 0));
+    let mean = |mesh| isoparticles_common::mesh::quality::summarise(mesh).radius_ratio_mean;
+    assert!(mean(&full) > mean(&raw) + 0.01);
+}
+
+#[test]
 fn a_failed_check_writes_the_mesh_and_the_offenders() {
     let scene = scenes::sphere();
     let case = Case::new(&scene, scene.image.geometry.clone(), 2.0, &Value::Null);

@@ -166,7 +166,11 @@ impl<'a> Refinement<'a> {
 
     /// The facets of the surface; with an open border, without those that would close it there.
     pub fn facets(&self) -> Vec<Facet> {
-        let mut facets = self.restricted.facets();
+        self.without_border_closure(self.restricted.facets())
+    }
+
+    /// Facets without those that would close the surface at an open border.
+    pub fn without_border_closure(&self, mut facets: Vec<Facet>) -> Vec<Facet> {
         if self.options.open_border {
             let closure: Vec<bool> = facets.par_iter().map(|f| self.restricted.is_border_closure(f)).collect();
             let mut closure = closure.into_iter();
@@ -197,14 +201,7 @@ impl<'a> Refinement<'a> {
         loop {
             step(self.report.rounds, self.restricted.points().len())?;
             let facets = self.facets();
-            let defects = self.defects(&facets);
-            if self.look_again(&facets, &defects) {
-                continue;
-            }
-            self.report.unresolved_manifold = defects.edges.len() + defects.vertices.len();
-            self.report.unresolved_bridges = defects.bridges.len();
-            self.report.unresolved_missing = defects.missing.len();
-            self.report.unresolved_genus = defects.wrong_genus.len() + defects.in_pieces.len();
+            let defects = self.compare(&facets);
             if self.report.rounds >= self.options.max_rounds {
                 return Ok(facets);
             }
@@ -212,6 +209,21 @@ impl<'a> Refinement<'a> {
             if self.insert_all(candidates)? == 0 {
                 return Ok(facets);
             }
+        }
+    }
+
+    /// Defects of a set of facets, after looking again wherever the isosurface may be at fault; they go into the report.
+    pub fn compare(&mut self, facets: &[Facet]) -> Defects {
+        loop {
+            let defects = self.defects(facets);
+            if self.look_again(facets, &defects) {
+                continue;
+            }
+            self.report.unresolved_manifold = defects.edges.len() + defects.vertices.len();
+            self.report.unresolved_bridges = defects.bridges.len();
+            self.report.unresolved_missing = defects.missing.len();
+            self.report.unresolved_genus = defects.wrong_genus.len() + defects.in_pieces.len();
+            return defects;
         }
     }
 

@@ -3,10 +3,10 @@
 use crate::finish::{CapPlane, attributes, cap_planes, offending};
 use crate::improve::{ImproveOptions, improve};
 use crate::isosurface::Isosurface;
-use crate::pinched::part_sheets;
-use crate::prepare::{ON_SURFACE, SurfacePoints, prepare};
-use crate::refine::{RefineOptions, RefineReport, Refinement};
-use crate::restricted::Facet;
+use crate::join::{Joined, join};
+use crate::points_alone;
+use crate::prepare::{SurfacePoints, prepare};
+use crate::refine::RefineReport;
 use glam::DVec3;
 use isoparticles_common::cli::values::share;
 use isoparticles_common::cli::{CHECKS, CommonArgs, Context, FILES, METHOD, Outcome, StageArgs};
@@ -14,11 +14,12 @@ use isoparticles_common::error::{Error, Result};
 use isoparticles_common::image::Image;
 use isoparticles_common::io::field::{Field, FieldKind, check_same_grid, read_field};
 use isoparticles_common::io::particles::{ParticleKind, read_particles};
-use isoparticles_common::io::surface::{check_surface_name, write_simplices, write_surface};
+use isoparticles_common::io::point_cloud::is_point_cloud;
+use isoparticles_common::io::surface::{Simplices, Surface, check_surface_name, write_simplices, write_surface};
 use isoparticles_common::kd_tree::KdTree;
 use isoparticles_common::mesh::TriangleMesh;
 use isoparticles_common::mesh::check::{CheckOptions, CheckReport, check};
-use isoparticles_common::mesh::inside::nodes_on_wrong_side;
+use isoparticles_common::particle_set::ParticleSet;
 use isoparticles_common::sizing::SizingField;
 use isoparticles_common::spline::CubicSpline;
 use serde_json::{Value, json};
@@ -26,35 +27,41 @@ use std::path::{Path, PathBuf};
 
 /// Settled particles become a watertight triangle mesh
 ///
-/// The particles are joined by a Delaunay triangulation whose tetrahedra are inside where F is negative at their
-/// circumcentre; the surface lies between inside and outside, closed in any case. Where it is not manifold, lacks or joins
-/// components of the isosurface, or strays from F = 0, points are added until it is right. Then the worst triangles are lifted
-/// by local moves, and everything a simulation counts on is checked. The mesh is in world coordinates (mm), triangles
-/// counter-clockwise seen from outside.
+/// The particles are joined by a Delaunay triangulation whose tetrahedra are inside or outside; the surface lies between them,
+/// closed in any case. --method restricted asks the sign of F at their circumcentres; where its surface is not manifold, lacks or
+/// joins components of the isosurface, or strays from F = 0, points are added until it is right. --method tight-cocone
+/// (the paper's) goes by the shape of the Voronoi cells and needs points alone, also those of other programs. Then, with a distance
+/// field, the worst triangles are lifted by local moves; and everything a simulation counts on is checked. The mesh is in
+/// world coordinates (mm), triangles counter-clockwise seen from outside.
 #[derive(Clone, Debug, clap::Parser)]
 #[command(
     name = "reconstruct",
     version,
-    after_help = "Exit code 1: the mesh was written but a check failed; the offending simplices are in NAME.offending.vtp beside it.\nExample:\n  reconstruct tooth.particles.bin --distfield tooth.distfield.vti -o tooth.surface.vtp --report tooth.json"
+    after_help = "Exit code 1: the mesh was written but a check failed; the offending simplices are in NAME.offending.vtp beside it.\nExample:\n  reconstruct tooth.particles.bin --distfield tooth.distfield.vti -o tooth.surface.vtp --report tooth.json\n  reconstruct scan.ply --method tight-cocone -o scan.surface.vtp"
 )]
 pub struct Args {
-    /// Particles to join, made by `particles` (those of `seed` are taken too)
+    /// Particles to join, made by `particles` (those of `seed` are taken too); for --method tight-cocone also a point cloud:
+    /// .ply, .xyz (lines `x y z` or `x y z nx ny nz`) or .vtp, with or without normals
     #[arg(value_name = "P.bin", help_heading = FILES)]
     pub particles: PathBuf,
-    /// Distance field F that they were made from; lengths in mm
+    /// Distance field F that the particles were made from; lengths in mm. --method restricted needs it; without it nothing is
+    /// projected, improved or compared with the isosurface
     #[arg(long, value_name = "F.vti", help_heading = FILES)]
-    pub distfield: PathBuf,
+    pub distfield: Option<PathBuf>,
     /// Size field h of the same grid, edge lengths in mm [default: the h that each particle carries]
-    #[arg(long, value_name = "S.vti", help_heading = FILES)]
+    #[arg(long, value_name = "S.vti", requires = "distfield", help_heading = FILES)]
     pub sizefield: Option<PathBuf>,
     /// Surface to write: .vtp with all data, or .ply, .stl, .obj
     #[arg(short, long, value_name = "SURFACE", help_heading = FILES)]
     pub output: PathBuf,
+    /// How the particles are joined
+    #[arg(long, value_enum, value_name = "METHOD", default_value_t = Method::Restricted, help_heading = METHOD)]
+    pub method: Method,
     /// Farthest that the centroid of a triangle may lie from F = 0 before points are added there, mm, above 0
     /// [default: a quarter of the target edge length h, and of a voxel at least]
     #[arg(long, value_name = "MM", value_parser = positive, help_heading = METHOD)]
     pub max_deviation: Option<f64>,
-    /// Most rounds of adding points, 0 to 100; a round adds at most one point a place
+    /// Most rounds of adding points (--method restricted), 0 to 100; a round adds at most one point a place
     #[arg(long, value_name = "N", default_value_t = 40, value_parser = clap::value_parser!(u16).range(0..=100), help_heading = METHOD)]
     pub max_rounds: u16,
     /// Radius ratio (2r/R, 1 for an equilateral triangle) below which triangles are worked on by local moves, 0 to 1; 0 leaves
@@ -68,15 +75,31 @@ pub struct Args {
     /// Passes over the worst triangles, of growing effort, 0 to 20
     #[arg(long, value_name = "N", default_value_t = 3, value_parser = clap::value_parser!(u16).range(0..=20), help_heading = METHOD)]
     pub improve_rounds: u16,
-    /// Smallest radius ratio that passes, 0 to 1
-    #[arg(long, value_name = "RATIO", default_value_t = 0.3, value_parser = share, help_heading = CHECKS)]
-    pub min_radius_ratio: f64,
+    /// Smallest radius ratio that passes, 0 to 1 [default: 0.3 with a distance field; without it any passes]
+    #[arg(long, value_name = "RATIO", value_parser = share, help_heading = CHECKS)]
+    pub min_radius_ratio: Option<f64>,
     /// Farthest from F = 0 that a vertex may lie, voxels (geometric mean spacing), above 0
     #[arg(long, value_name = "VOXELS", default_value_t = 1e-4, value_parser = positive, help_heading = CHECKS)]
     pub max_vertex_distance: f64,
     /// The options that every stage has.
     #[command(flatten)]
     pub common: CommonArgs,
+}
+
+/// How particles are joined.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+pub enum Method {
+    /// Delaunay triangulation restricted by the sign of F, refined until it has the topology of the isosurface
+    Restricted,
+    /// Tight Cocone (Dey and Goswami 2003): by the shape of the Voronoi cells, from points alone
+    TightCocone,
+}
+
+impl Args {
+    /// The bar for the smallest radius ratio.
+    pub(crate) fn radius_ratio_bar(&self) -> Option<f64> {
+        self.min_radius_ratio.or(self.distfield.as_ref().map(|_| 0.3))
+    }
 }
 
 fn positive(text: &str) -> std::result::Result<f64, String> {
@@ -96,18 +119,22 @@ impl StageArgs for Args {
     }
 
     fn parameters(&self) -> Value {
+        let method = match self.method {
+            Method::Restricted => "restricted",
+            Method::TightCocone => "tight-cocone",
+        };
         json!({
-            "max_deviation": self.max_deviation, "max_rounds": self.max_rounds,
+            "method": method, "max_deviation": self.max_deviation, "max_rounds": self.max_rounds,
             "improve_below": self.improve_below, "relaxation_sweeps": self.relaxation_sweeps, "improve_rounds": self.improve_rounds,
-            "min_radius_ratio": self.min_radius_ratio, "max_vertex_distance": self.max_vertex_distance,
+            "min_radius_ratio": self.radius_ratio_bar(), "max_vertex_distance": self.max_vertex_distance,
         })
     }
 }
 
 /// What the distance field says about itself.
-struct Origin {
-    is_labels: bool,
-    is_open: bool,
+pub(crate) struct Origin {
+    pub(crate) is_labels: bool,
+    pub(crate) is_open: bool,
     caps: Vec<CapPlane>,
 }
 
@@ -124,24 +151,47 @@ impl Origin {
 /// Runs the stage.
 ///
 /// # Errors
-/// On files that cannot be read or written or do not belong together, on particles that are not on F = 0 or all in one
-/// plane, and when interrupted.
+/// On files that cannot be read or written or do not belong together, on particles that are not on F = 0, all in one
+/// plane or enclose nothing, on a distance field missing or in vain, and when interrupted.
 pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
     check_surface_name(&args.output)?;
-    let step = context.step("read");
-    let kinds = [ParticleKind::Particles, ParticleKind::Seeds, ParticleKind::Checkpoint];
-    let particle_file = read_particles(&args.particles, &kinds)?;
-    if particle_file.kind != ParticleKind::Particles {
-        let kind = particle_file.kind.name();
-        context
-            .warn(format!("{}: holds {kind}, not settled particles; expect worse triangles", args.particles.display()));
+    let particles = args.particles.display();
+    match (&args.distfield, args.method) {
+        (None, Method::TightCocone) => points_alone::run(args, context),
+        (None, Method::Restricted) => Err(Error::input(
+            format!("{particles}: no distance field is given"),
+            "--method restricted tells inside from outside by it",
+            "give --distfield F.vti, or --method tight-cocone to go by the points alone",
+        )),
+        (Some(field), _) if is_point_cloud(&args.particles) => Err(Error::input(
+            format!("{particles}: is a point cloud, and {} the distance field of a volume", field.display()),
+            "only particles know their place in the grid of the field",
+            "leave out --distfield and give --method tight-cocone, or give the particles made from the field",
+        )),
+        (Some(field), _) => on_field(args, field, context),
     }
-    let field = read_field(&args.distfield, FieldKind::Distance)?;
-    let particles = particle_file.particles;
-    check_same_grid((&args.particles, &particles.geometry), (&args.distfield, &field.image.geometry))?;
-    context.add_input(&args.particles, Some(particle_file.history))?;
-    context.add_input(&args.distfield, field.history.clone())?;
-    let sizing = args.sizefield.as_deref().map(|path| read_sizing(path, args, &field.image, context)).transpose()?;
+}
+
+/// Reads the particles with a warning where they are not settled, and notes them as an input.
+pub(crate) fn read_settled(args: &Args, context: &Context) -> Result<ParticleSet> {
+    let kinds = [ParticleKind::Particles, ParticleKind::Seeds, ParticleKind::Checkpoint];
+    let file = read_particles(&args.particles, &kinds)?;
+    if file.kind != ParticleKind::Particles {
+        let (path, kind) = (args.particles.display(), file.kind.name());
+        context.warn(format!("{path}: holds {kind}, not settled particles; expect worse triangles"));
+    }
+    context.add_input(&args.particles, Some(file.history))?;
+    Ok(file.particles)
+}
+
+fn on_field(args: &Args, distfield: &Path, context: &Context) -> Result<Outcome> {
+    let step = context.step("read");
+    let particles = read_settled(args, context)?;
+    let field = read_field(distfield, FieldKind::Distance)?;
+    check_same_grid((&args.particles, &particles.geometry), (distfield, &field.image.geometry))?;
+    context.add_input(distfield, field.history.clone())?;
+    let sizing =
+        args.sizefield.as_deref().map(|path| read_sizing(path, (distfield, &field.image), context)).transpose()?;
     let origin = Origin::of(&field);
     let spline = CubicSpline::new(&field.image);
     drop(step);
@@ -153,7 +203,7 @@ pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
     let mut points = prepare(&particles, &spline).map_err(|e| about(&args.particles, e))?;
     drop(step);
     let made = join(args, context, &mut points, &spline, isosurface, &field.image, &origin)?;
-    let Joined { mut mesh, sizes, report: refined, expected_components, sampled_components } = made;
+    let Joined { mut mesh, sizes, report: refined, cocone, expected_components, sampled_components } = made;
 
     let step = context.step("improve");
     let tree = KdTree::new(&sizes.0);
@@ -175,7 +225,7 @@ pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
         field: Some(&spline),
         sides: (!origin.is_open).then_some(&field.image),
         expected_components: Some(expected_components),
-        min_radius_ratio: Some(args.min_radius_ratio),
+        min_radius_ratio: args.radius_ratio_bar(),
         max_vertex_distance: Some(args.max_vertex_distance),
     };
     let mut checked = check(&mesh, &options);
@@ -184,21 +234,34 @@ pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
 
     context.report("prepare", json!(points.report));
     context.report("refine", json!(refined));
+    context.report("cocone", json!(cocone));
     context.report("improve", json!(improved));
     context.report("check", json!(checked));
     context.report("isosurface_components", expected_components);
     context.report("marching_cubes_components", sampled_components);
     describe(&checked, &points, &refined, expected_components, context);
 
-    let step = context.step("write");
     let surface = attributes(&mesh, &spline, &size, &origin.caps);
     let meta = json!({
         "source": field.meta["source"], "border": field.meta["border"], "failed_checks": failed,
         "components": expected_components, "refine": refined,
     });
-    write_surface(&args.output, &surface, &meta, &context.history())?;
+    write(args, context, &surface, &meta, offending(&mesh, &checked, spline.geometry()), failed)
+}
+
+/// Writes the surface, and beside it what offends the failed checks.
+pub(crate) fn write(
+    args: &Args,
+    context: &Context,
+    surface: &Surface,
+    meta: &Value,
+    offending: Option<Simplices>,
+    failed: Vec<String>,
+) -> Result<Outcome> {
+    let step = context.step("write");
+    write_surface(&args.output, surface, meta, &context.history())?;
     let offenders = args.output.with_extension("offending.vtp");
-    match offending(&mesh, &checked, spline.geometry()) {
+    match offending {
         Some(simplices) if !failed.is_empty() => {
             write_simplices(&offenders, &simplices, &context.history())?;
             context.info(format!("the offending simplices are in {}", offenders.display()));
@@ -210,14 +273,15 @@ pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
     Ok(Outcome::from_failed_checks(failed))
 }
 
-fn read_sizing(path: &Path, args: &Args, distance: &Image<f32>, context: &Context) -> Result<SizingField> {
+fn read_sizing(path: &Path, distance: (&Path, &Image<f32>), context: &Context) -> Result<SizingField> {
     let field = read_field(path, FieldKind::Sizing)?;
-    check_same_grid((path, &field.image.geometry), (&args.distfield, &distance.geometry))?;
+    check_same_grid((path, &field.image.geometry), (distance.0, &distance.1.geometry))?;
     context.add_input(path, field.history)?;
     Ok(SizingField::new(field.image))
 }
 
-fn about(path: &Path, error: Error) -> Error {
+/// An error about a file.
+pub(crate) fn about(path: &Path, error: Error) -> Error {
     Error { what: format!("{}: {}", path.display(), error.what), ..error }
 }
 
@@ -227,88 +291,6 @@ fn remove_stale(path: &Path, context: &Context) {
     {
         context.warn(format!("{}: is left from an earlier run and cannot be removed: {error}", path.display()));
     }
-}
-
-/// A mesh joined from particles, before improvement.
-struct Joined {
-    mesh: TriangleMesh,
-    /// All points of the triangulation, and the target edge length at each.
-    sizes: (Vec<DVec3>, Vec<f64>),
-    report: RefineReport,
-    expected_components: usize,
-    sampled_components: usize,
-}
-
-fn join(
-    args: &Args,
-    context: &Context,
-    points: &mut SurfacePoints,
-    spline: &CubicSpline,
-    isosurface: Isosurface,
-    samples: &Image<f32>,
-    origin: &Origin,
-) -> Result<Joined> {
-    let step = context.step("triangulate");
-    let options = RefineOptions {
-        max_rounds: usize::from(args.max_rounds),
-        max_deviation: args.max_deviation,
-        open_border: origin.is_open,
-    };
-    let sampled_components = isosurface.sampled_component_count();
-    let mut refinement = Refinement::new(points, spline, isosurface, options).map_err(|e| about(&args.particles, e))?;
-    drop(step);
-    let step = context.step("refine");
-    let hear = |round: usize, count: usize| {
-        context.verbose(format!("round {round}: {count} points"));
-        context.check_interrupt()
-    };
-    let mut facets = refinement.run(hear)?;
-    // the nodes have rounds of their own: a stubborn handle elsewhere must not use them up
-    refinement.allow_rounds(options.max_rounds);
-    let end = refinement.report.rounds + options.max_rounds;
-    while origin.is_labels && !origin.is_open && refinement.report.rounds < end {
-        let (mesh, _) = compact(&refinement, &facets);
-        let nodes = nodes_on_wrong_side(&mesh, samples);
-        context.verbose(format!("{} grid nodes on the wrong side", nodes.len()));
-        if nodes.is_empty() || refinement.insert_near_nodes(&nodes, &facets)? == 0 {
-            break;
-        }
-        facets = refinement.run(hear)?;
-    }
-    drop(step);
-    let (mut mesh, used) = compact(&refinement, &facets);
-    let pinched: Vec<(u32, Vec<u32>)> = refinement.defects(&facets).vertices;
-    if !pinched.is_empty() {
-        let number = |v: u32| used.binary_search(&v).expect("a vertex of a facet is in the mesh") as u32;
-        let pinched: Vec<_> = pinched.into_iter().map(|(v, around)| (number(v), around)).collect();
-        let voxel = spline.geometry().mean_spacing();
-        let parted = part_sheets(&mut mesh, &pinched, |p| spline.project(p, voxel, ON_SURFACE * voxel));
-        context.verbose(format!("{parted} vertices added where sheets touch in a point"));
-        context.report("parted_vertices", parted);
-    }
-    Ok(Joined {
-        mesh,
-        sizes: (refinement.restricted.points().to_vec(), refinement.sizes.clone()),
-        report: refinement.report.clone(),
-        expected_components: refinement.isosurface().component_count(),
-        sampled_components,
-    })
-}
-
-/// The mesh of the facets with the vertices that they use, and the point behind each vertex.
-pub fn compact(refinement: &Refinement, facets: &[Facet]) -> (TriangleMesh, Vec<u32>) {
-    let points = refinement.restricted.points();
-    let mut number = vec![u32::MAX; points.len()];
-    facets.iter().flat_map(|f| f.vertices).for_each(|v| number[v as usize] = 0);
-    let used: Vec<u32> = (0..points.len() as u32).filter(|&v| number[v as usize] == 0).collect();
-    for (n, &v) in used.iter().enumerate() {
-        number[v as usize] = n as u32;
-    }
-    let mesh = TriangleMesh {
-        vertices: used.iter().map(|&v| points[v as usize]).collect(),
-        triangles: facets.iter().map(|f| f.vertices.map(|v| number[v as usize])).collect(),
-    };
-    (mesh, used)
 }
 
 /// The checks that failed, in words. What an open border entails is no failure; nodes on the wrong side are one for
@@ -354,19 +336,8 @@ fn judge(
 }
 
 fn describe(checked: &CheckReport, points: &SurfacePoints, refined: &RefineReport, expected: usize, context: &Context) {
-    let quality = &checked.quality;
-    context.summary("vertices, triangles", format!("{}, {}", checked.vertices, checked.triangles));
-    context.summary("components", format!("{} of {expected}", checked.components.len()));
-    context.summary("Euler characteristic", checked.euler);
-    let dropped = points.report.invalid + points.report.astray + points.report.crowded;
-    context.summary("particles taken, not taken", format!("{}, {dropped}", points.positions.len()));
+    describe_mesh(checked, Some(expected), points, context);
     context.summary("points added", format!("{} in {} rounds", refined.inserted, refined.rounds));
-    context.summary(
-        "radius ratio",
-        format!("mean {:.4}, smallest {:.4}", quality.radius_ratio_mean, quality.radius_ratio_min),
-    );
-    context.summary("angles, degrees", format!("{:.1} to {:.1}", quality.angle_min, quality.angle_max));
-    context.summary("area, mm^2; volume, mm^3", format!("{:.6e}; {:.6e}", checked.area, checked.volume));
     if let (Some(v), Some(c)) = (checked.vertex_distance, checked.centroid_distance) {
         context.summary(
             "distance from F = 0, voxels",
@@ -376,4 +347,21 @@ fn describe(checked: &CheckReport, points: &SurfacePoints, refined: &RefineRepor
     if let Some(nodes) = checked.nodes_on_wrong_side {
         context.summary("grid nodes on the wrong side", nodes);
     }
+}
+
+/// What the closing table says of any mesh.
+pub(crate) fn describe_mesh(checked: &CheckReport, expected: Option<usize>, points: &SurfacePoints, context: &Context) {
+    let quality = &checked.quality;
+    context.summary("vertices, triangles", format!("{}, {}", checked.vertices, checked.triangles));
+    let of = expected.map_or(String::new(), |expected| format!(" of {expected}"));
+    context.summary("components", format!("{}{of}", checked.components.len()));
+    context.summary("Euler characteristic", checked.euler);
+    let dropped = points.report.invalid + points.report.astray + points.report.crowded;
+    context.summary("particles taken, not taken", format!("{}, {dropped}", points.positions.len()));
+    context.summary(
+        "radius ratio",
+        format!("mean {:.4}, smallest {:.4}", quality.radius_ratio_mean, quality.radius_ratio_min),
+    );
+    context.summary("angles, degrees", format!("{:.1} to {:.1}", quality.angle_min, quality.angle_max));
+    context.summary("area, mm^2; volume, mm^3", format!("{:.6e}; {:.6e}", checked.area, checked.volume));
 }

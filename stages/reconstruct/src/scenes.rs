@@ -115,3 +115,32 @@ pub(crate) fn gyroid() -> Scene {
         (g + ball + (g - ball).hypot(1.0)) / 2.0
     })
 }
+
+/// A smooth union of a few balls, tori and thin plates, about 2 to 12 across.
+pub(crate) fn random(seed: u64) -> Scene {
+    let u = |k: u64| uniform(78, seed, k);
+    let parts: Vec<(DVec3, DVec3, f64, f64, f64)> = (0..2 + (4.0 * u(0)) as u64)
+        .map(|k| {
+            let at = |n: u64| u(10 * (k + 1) + n);
+            let centre = DVec3::new(at(0), at(1), at(2)) * 13.0 + DVec3::splat(9.5);
+            let axis = DVec3::new(at(3), at(4), at(5)) - 0.5;
+            (centre, axis.normalize_or(DVec3::Z), 2.5 + 3.0 * at(6), at(7), at(8))
+        })
+        .collect();
+    let distance = |p: DVec3, &(centre, axis, radius, thickness, kind): &(DVec3, DVec3, f64, f64, f64)| {
+        let q = p - centre;
+        let along = q.dot(axis);
+        let across = (q - along * axis).length();
+        if kind < 0.33 {
+            q.length() - radius
+        } else if kind < 0.67 {
+            (across - radius).hypot(along) - 1.0 - thickness
+        } else {
+            // a round plate, 1.4 to 2.4 thick
+            (across - radius).max(0.0).hypot(along) - 0.7 - 0.5 * thickness
+        }
+    };
+    Scene::new([32; 3], DVec3::ONE, |p| {
+        -0.4 * parts.iter().map(|part| (-2.5 * distance(p, part)).exp()).sum::<f64>().ln()
+    })
+}

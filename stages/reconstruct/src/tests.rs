@@ -2,7 +2,7 @@
 
 use crate::defects::Defects;
 use crate::isosurface::Isosurface;
-use crate::prepare::{PrepareReport, SurfacePoints, prepare};
+use crate::prepare::{SurfacePoints, prepare};
 use crate::refine::{RefineOptions, RefineReport, Refinement};
 use crate::scenes::{self, Scene};
 use glam::DVec3;
@@ -13,7 +13,7 @@ use isoparticles_common::random::uniform;
 fn surface(scene: &Scene, spacing: f64) -> (TriangleMesh, Defects, RefineReport, Vec<i64>) {
     let positions = scene.points(spacing);
     let sizes = vec![spacing * 1.2; positions.len()];
-    let mut points = SurfacePoints { positions, sizes, report: PrepareReport::default() };
+    let mut points = SurfacePoints { positions, sizes, ..SurfacePoints::default() };
     let isosurface = Isosurface::new(&scene.image);
     let mut refinement = Refinement::new(&mut points, &scene.field, isosurface, RefineOptions::default()).unwrap();
     let facets = refinement.run(|_, _| Ok(())).unwrap();
@@ -28,6 +28,12 @@ fn surface(scene: &Scene, spacing: f64) -> (TriangleMesh, Defects, RefineReport,
         refinement.report.clone(),
         refinement.isosurface().classes().map(|c| refinement.isosurface().euler(c)).collect(),
     )
+}
+
+/// The restricted surface, the Euler characteristic of each component of the isosurface, and what differs.
+pub(crate) fn restricted(scene: &Scene, spacing: f64) -> (TriangleMesh, Vec<i64>, Defects) {
+    let (mesh, defects, _, euler) = surface(scene, spacing);
+    (mesh, euler, defects)
 }
 
 fn volume_and_area(mesh: &TriangleMesh) -> (f64, f64) {
@@ -114,7 +120,7 @@ fn a_component_without_particles_is_found_and_sampled() {
     });
     let positions: Vec<DVec3> = scene.points(1.2).into_iter().filter(|p| p.x < 18.0).collect();
     let sizes = vec![1.4; positions.len()];
-    let mut points = SurfacePoints { positions, sizes, report: PrepareReport::default() };
+    let mut points = SurfacePoints { positions, sizes, ..SurfacePoints::default() };
     let iso = Isosurface::new(&scene.image);
     let mut refinement = Refinement::new(&mut points, &scene.field, iso, RefineOptions::default()).unwrap();
     let facets = refinement.run(|_, _| Ok(())).unwrap();

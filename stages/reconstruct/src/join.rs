@@ -1,0 +1,136 @@
+//! From particles on F = 0 to a mesh: the triangulation, the facets by either method, and the comparison with the isosurface.
+
+use crate::isosurface::Isosurface;
+use crate::pinched::part_sheets;
+use crate::prepare::{ON_SURFACE, SurfacePoints};
+use crate::refine::{RefineOptions, RefineReport, Refinement};
+use crate::restricted::Facet;
+use crate::run::{Args, Method, Origin, about};
+use crate::tight_cocone::{CoconeReport, tight_cocone};
+use glam::DVec3;
+use isoparticles_common::cli::Context;
+use isoparticles_common::error::Result;
+use isoparticles_common::image::Image;
+use isoparticles_common::mesh::TriangleMesh;
+use isoparticles_common::mesh::inside::nodes_on_wrong_side;
+use isoparticles_common::spline::CubicSpline;
+use rayon::prelude::*;
+
+/// A mesh joined from particles, before improvement.
+pub(crate) struct Joined {
+    /// The mesh, grid frame.
+    pub(crate) mesh: TriangleMesh,
+    /// All points of the triangulation, and the target edge length at each.
+    pub(crate) sizes: (Vec<DVec3>, Vec<f64>),
+    /// What the refinement did, or would have had to do.
+    pub(crate) report: RefineReport,
+    /// What Tight Cocone found, where that was the method.
+    pub(crate) cocone: Option<CoconeReport>,
+    /// Components of the isosurface.
+    pub(crate) expected_components: usize,
+    /// Components of the isosurface by marching cubes on the samples.
+    pub(crate) sampled_components: usize,
+}
+
+/// Joins particles on F = 0 by the method asked for.
+///
+/// # Errors
+/// When the points cannot be triangulated or enclose nothing, and when interrupted.
+pub(crate) fn join(
+    args: &Args,
+    context: &Context,
+    points: &mut SurfacePoints,
+    spline: &CubicSpline,
+    isosurface: Isosurface,
+    samples: &Image<f32>,
+    origin: &Origin,
+) -> Result<Joined> {
+    let step = context.step("triangulate");
+    let options = RefineOptions {
+        max_rounds: usize::from(args.max_rounds),
+        max_deviation: args.max_deviation,
+        open_border: origin.is_open,
+    };
+    let sampled_components = isosurface.sampled_component_count();
+    let mut refinement = Refinement::new(points, spline, isosurface, options).map_err(|e| about(&args.particles, e))?;
+    drop(step);
+    let (facets, cocone) = match args.method {
+        Method::Restricted => {
+            let step = context.step("refine");
+            let facets = refine(&mut refinement, options.max_rounds, origin, samples, context)?;
+            drop(step);
+            (facets, None)
+        }
+        Method::TightCocone => {
+            let step = context.step("cocone");
+            let delaunay = refinement.restricted.delaunay();
+            let normals: Vec<DVec3> = delaunay.points().par_iter().map(|&p| spline.value_gradient(p).1).collect();
+            let (facets, report) = tight_cocone(delaunay, Some(&normals)).map_err(|e| about(&args.particles, e))?;
+            let facets = refinement.without_border_closure(facets);
+            refinement.compare(&facets);
+            drop(step);
+            (facets, Some(report))
+        }
+    };
+    let (mut mesh, used) = compact(refinement.restricted.points(), &facets);
+    let pinched: Vec<(u32, Vec<u32>)> = refinement.defects(&facets).vertices;
+    if !pinched.is_empty() {
+        let number = |v: u32| used.binary_search(&v).expect("a vertex of a facet is in the mesh") as u32;
+        let pinched: Vec<_> = pinched.into_iter().map(|(v, around)| (number(v), around)).collect();
+        let voxel = spline.geometry().mean_spacing();
+        let parted = part_sheets(&mut mesh, &pinched, |p| spline.project(p, voxel, ON_SURFACE * voxel));
+        context.verbose(format!("{parted} vertices added where sheets touch in a point"));
+        context.report("parted_vertices", parted);
+    }
+    Ok(Joined {
+        mesh,
+        sizes: (refinement.restricted.points().to_vec(), refinement.sizes.clone()),
+        report: refinement.report.clone(),
+        cocone,
+        expected_components: refinement.isosurface().component_count(),
+        sampled_components,
+    })
+}
+
+/// Adds points until the restricted surface is that of F, and no grid node of a label volume lies on its wrong side.
+fn refine(
+    refinement: &mut Refinement,
+    max_rounds: usize,
+    origin: &Origin,
+    samples: &Image<f32>,
+    context: &Context,
+) -> Result<Vec<Facet>> {
+    let hear = |round: usize, count: usize| {
+        context.verbose(format!("round {round}: {count} points"));
+        context.check_interrupt()
+    };
+    let mut facets = refinement.run(hear)?;
+    // the nodes have rounds of their own: a stubborn handle elsewhere must not use them up
+    refinement.allow_rounds(max_rounds);
+    let end = refinement.report.rounds + max_rounds;
+    while origin.is_labels && !origin.is_open && refinement.report.rounds < end {
+        let (mesh, _) = compact(refinement.restricted.points(), &facets);
+        let nodes = nodes_on_wrong_side(&mesh, samples);
+        context.verbose(format!("{} grid nodes on the wrong side", nodes.len()));
+        if nodes.is_empty() || refinement.insert_near_nodes(&nodes, &facets)? == 0 {
+            break;
+        }
+        facets = refinement.run(hear)?;
+    }
+    Ok(facets)
+}
+
+/// The mesh of the facets with the vertices that they use, and the point behind each vertex.
+pub(crate) fn compact(points: &[DVec3], facets: &[Facet]) -> (TriangleMesh, Vec<u32>) {
+    let mut number = vec![u32::MAX; points.len()];
+    facets.iter().flat_map(|f| f.vertices).for_each(|v| number[v as usize] = 0);
+    let used: Vec<u32> = (0..points.len() as u32).filter(|&v| number[v as usize] == 0).collect();
+    for (n, &v) in used.iter().enumerate() {
+        number[v as usize] = n as u32;
+    }
+    let mesh = TriangleMesh {
+        vertices: used.iter().map(|&v| points[v as usize]).collect(),
+        triangles: facets.iter().map(|f| f.vertices.map(|v| number[v as usize])).collect(),
+    };
+    (mesh, used)
+}

@@ -1,0 +1,150 @@
+//! Tight Cocone on points alone: particles without their fields, or a point cloud of another program. Nothing is projected on F = 0,
+//! improved or compared with an isosurface, because there is none; the report says so.
+
+use crate::finish::offending;
+use crate::join::compact;
+use crate::pinched::{part_sheets, pinched_vertices};
+use crate::prepare::{PrepareReport, SurfacePoints};
+use crate::run::{Args, about, describe_mesh, read_settled, write};
+use crate::tight_cocone::{CoconeReport, tight_cocone};
+use glam::DVec3;
+use isoparticles_common::cli::{Context, Outcome};
+use isoparticles_common::components;
+use isoparticles_common::error::Result;
+use isoparticles_common::geometry::Geometry;
+use isoparticles_common::io::point_cloud::{is_point_cloud, read_point_cloud};
+use isoparticles_common::io::surface::{DataArray, Surface};
+use isoparticles_common::kd_tree::KdTree;
+use isoparticles_common::mesh::TriangleMesh;
+use isoparticles_common::mesh::check::{CheckOptions, check};
+use isoparticles_common::mesh::quality::radius_ratios;
+use serde_json::json;
+
+/// Where fewer of the points than this have an umbrella, most of the surface is guesswork.
+const MANY_UMBRELLAS: f64 = 0.8;
+
+/// Where more of the points than this are in no triangle, that is worth a warning.
+const MANY_UNUSED: f64 = 0.01;
+
+/// Points to join, and the way from their frame to the world.
+struct Input {
+    points: SurfacePoints,
+    geometry: Geometry,
+    /// Whether each point carries a target edge length.
+    has_sizes: bool,
+}
+
+/// Runs the stage on points alone.
+///
+/// # Errors
+/// On files that cannot be read or written, on points that cannot be triangulated or enclose nothing, and when interrupted.
+pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome> {
+    let step = context.step("read");
+    let Input { mut points, geometry, has_sizes } = read(args, context)?;
+    drop(step);
+    let step = context.step("triangulate");
+    let delaunay = points.triangulate().map_err(|e| about(&args.particles, e))?;
+    drop(step);
+    context.check_interrupt()?;
+    let step = context.step("cocone");
+    let normals = (!points.normals.is_empty()).then_some(&points.normals[..]);
+    let (facets, cocone) = tight_cocone(&delaunay, normals).map_err(|e| about(&args.particles, e))?;
+    let (mut mesh, used) = compact(&points.positions, &facets);
+    let pinched = pinched_vertices(&mesh);
+    let parted = part_sheets(&mut mesh, &pinched, Some);
+    drop(step);
+    context.check_interrupt()?;
+
+    let step = context.step("check");
+    let options = CheckOptions { min_radius_ratio: args.radius_ratio_bar(), ..CheckOptions::default() };
+    let checked = check(&mesh, &options);
+    let failed = checked.failed_checks();
+    drop(step);
+    warn(&cocone, context);
+    let skipped = "skipped: there is no distance field";
+    for key in ["refine", "improve", "isosurface_components"] {
+        context.report(key, skipped);
+    }
+    context.report("prepare", json!(points.report));
+    context.report("cocone", json!(cocone));
+    context.report("parted_vertices", parted);
+    context.report("check", json!(checked));
+    describe_mesh(&checked, None, &points, context);
+    context.summary("improvement, comparison with F", skipped);
+
+    let mut sizes: Vec<f64> = used.iter().map(|&v| points.sizes[v as usize]).collect();
+    if parted > 0 {
+        // vertices parted from others come last; that of theirs is the nearest
+        let tree = KdTree::new(&mesh.vertices[..used.len()]);
+        let near = |p: &DVec3| tree.nearest(*p).map_or(1.0, |(v, _)| sizes[v]);
+        let more: Vec<f64> = mesh.vertices[used.len()..].iter().map(near).collect();
+        sizes.extend(more);
+    }
+    let surface = attributes(&mesh, &geometry, has_sizes.then_some(sizes));
+    let meta = json!({"source": "points", "failed_checks": failed, "components": checked.components.len()});
+    write(args, context, &surface, &meta, offending(&mesh, &checked, &geometry), failed)
+}
+
+fn read(args: &Args, context: &Context) -> Result<Input> {
+    if is_point_cloud(&args.particles) {
+        let cloud = read_point_cloud(&args.particles)?;
+        context.add_input(&args.particles, None)?;
+        let report = PrepareReport { particles: cloud.positions.len(), ..PrepareReport::default() };
+        let normals = cloud.normals.unwrap_or_default();
+        let points = SurfacePoints { positions: cloud.positions, sizes: Vec::new(), normals, report };
+        // the cloud is in the world as it is
+        let geometry = Geometry::axis_aligned([1; 3], DVec3::ONE);
+        return Ok(Input { points, geometry, has_sizes: false });
+    }
+    let particles = read_settled(args, context)?;
+    let mut report = PrepareReport { particles: particles.positions.len(), ..PrepareReport::default() };
+    let all = particles.positions.iter().zip(&particles.normals).zip(&particles.sizes);
+    let valid: Vec<_> = all.filter(|((p, _), h)| p.is_finite() && h.is_finite() && **h > 0.0).collect();
+    report.invalid = report.particles - valid.len();
+    let points = SurfacePoints {
+        positions: valid.iter().map(|v| *v.0.0).collect(),
+        sizes: valid.iter().map(|v| *v.1).collect(),
+        normals: valid.iter().map(|v| if v.0.1.is_finite() { *v.0.1 } else { DVec3::ZERO }).collect(),
+        report,
+    };
+    Ok(Input { points, geometry: particles.geometry, has_sizes: true })
+}
+
+fn warn(cocone: &CoconeReport, context: &Context) {
+    let share = |part: usize| part as f64 / cocone.points.max(1) as f64;
+    if share(cocone.with_umbrella) < MANY_UMBRELLAS {
+        context.warn(format!(
+            "only {:.0} % of the points have an umbrella: the others lie too sparsely for the detail there, are noisy, or at holes; the \
+             surface is closed, but guesswork at them",
+            100.0 * share(cocone.with_umbrella)
+        ));
+    }
+    if share(cocone.unused) > MANY_UNUSED {
+        context.warn(format!("{} of {} points are in no triangle", cocone.unused, cocone.points));
+    }
+    if cocone.normals_near_poles.is_some() && !cocone.normals_taken {
+        context.warn("the normals given do not agree with the shape of the points and were not used");
+    }
+}
+
+/// The mesh in the world with what is known at its vertices (h where the points carry it, normal, component) and triangles
+/// (radius ratio).
+fn attributes(mesh: &TriangleMesh, geometry: &Geometry, sizes: Option<Vec<f64>>) -> Surface {
+    let (component, _) = components::of_vertices(mesh.vertices.len(), &mesh.triangles);
+    let mut normals = vec![DVec3::ZERO; mesh.vertices.len()];
+    for (t, triangle) in mesh.triangles.iter().enumerate() {
+        let [a, b, c] = mesh.corners(t);
+        triangle.iter().for_each(|&v| normals[v as usize] += (b - a).cross(c - a));
+    }
+    let normals: Vec<DVec3> = normals.into_iter().map(|n| geometry.normal_to_world(n)).collect();
+    let mut surface = Surface::from_grid(mesh, geometry);
+    surface.point_data = vec![
+        DataArray::vectors("normal", &normals),
+        DataArray::integers("component", component.into_iter().map(i64::from).collect()),
+    ];
+    if let Some(sizes) = sizes {
+        surface.point_data.insert(0, DataArray::scalars("h", sizes));
+    }
+    surface.cell_data = vec![DataArray::scalars("radius_ratio", radius_ratios(mesh))];
+    surface
+}

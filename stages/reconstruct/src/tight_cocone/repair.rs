@@ -1,0 +1,160 @@
+//! Edges and vertices in which parts of the surface touch: a part of space there changes sides.
+
+use super::cells::{Cells, place_of};
+use super::umbrellas::{Umbrellas, good_vertices};
+use crate::restricted::Facet;
+use isoparticles_common::components::DisjointSets;
+use isoparticles_common::delaunay::Delaunay;
+use rayon::prelude::*;
+use std::collections::BTreeMap;
+
+/// Rounds in which parts may go either way; after them they may only join the object, so that there is an end.
+const FREE_ROUNDS: usize = 8;
+
+/// At a vertex no more tetrahedra than these change sides; where more would have to, the vertex is doubled later.
+const SMALL_PART: usize = 12;
+
+/// The facets between inside and outside, in the order of the tetrahedra.
+pub(super) fn boundary(delaunay: &Delaunay, is_out: &[bool]) -> Vec<Facet> {
+    (0..is_out.len() as u32)
+        .into_par_iter()
+        .flat_map_iter(|t| {
+            let is_inside = !is_out[t as usize] && delaunay.is_alive(t);
+            let neighbours = delaunay.neighbours(t);
+            (0..4usize).filter(move |&i| is_inside && is_out[neighbours[i] as usize]).map(move |i| Facet {
+                vertices: delaunay.facet(t, i),
+                tetrahedron: t,
+                opposite: i as u8,
+            })
+        })
+        .collect()
+}
+
+/// Lets tetrahedra at edges in more than two facets change sides until there is none, and few at vertices with more than one fan;
+/// returns the facets and how many tetrahedra changed.
+pub(super) fn part_pinches(cells: &Cells, umbrellas: &Umbrellas, is_out: &mut [bool]) -> (Vec<Facet>, usize) {
+    let mut changed = 0;
+    for round in 0.. {
+        let is_free = round < FREE_ROUNDS;
+        let facets = boundary(cells.delaunay, is_out);
+        let (edges, vertices) = pinches(&facets);
+        if edges.is_empty() && (vertices.is_empty() || !is_free) {
+            return (facets, changed);
+        }
+        let before = changed;
+        for (edge, facet) in edges {
+            let runs = runs_round(cells.delaunay, edge, facets[facet as usize].tetrahedron, is_out);
+            if runs.len() < 4 {
+                // an edge nearby took care of it
+                continue;
+            }
+            let may_change = |run: &&Vec<u32>| {
+                let joins = is_out[run[0] as usize];
+                run.iter().all(|&t| !cells.delaunay.is_ghost(t)) && (joins || is_free)
+            };
+            let Some(run) = runs.iter().filter(may_change).min_by_key(|run| doubt(cells, umbrellas, run)) else {
+                continue;
+            };
+            run.iter().for_each(|&t| is_out[t as usize] ^= true);
+            changed += run.len();
+        }
+        for v in vertices.into_iter().filter(|_| is_free) {
+            let parts = parts_round(cells, v, is_out);
+            let of_side = |side: bool| parts.iter().filter(|part| is_out[part[0] as usize] == side).count();
+            let spare = |part: &&Vec<u32>| {
+                let is_small = part.len() <= SMALL_PART && part.iter().all(|&t| !cells.delaunay.is_ghost(t));
+                is_small && of_side(is_out[part[0] as usize]) > 1
+            };
+            let Some(part) = parts.iter().filter(spare).min_by_key(|part| doubt(cells, umbrellas, part)) else {
+                continue;
+            };
+            part.iter().for_each(|&t| is_out[t as usize] ^= true);
+            changed += part.len();
+        }
+        if changed == before {
+            return (facets, changed);
+        }
+    }
+    unreachable!("the rounds end when no edge is left, and each round after the free ones adds to the object")
+}
+
+/// How much speaks against a change of sides: tetrahedra, and umbrellas at them.
+fn doubt(cells: &Cells, umbrellas: &Umbrellas, part: &[u32]) -> usize {
+    part.iter().map(|&t| 1 + good_vertices(cells, umbrellas, t).count()).sum()
+}
+
+/// Edges in more than two facets, each with one of its facets, and vertices with more than one fan of facets.
+fn pinches(facets: &[Facet]) -> (Vec<([u32; 2], u32)>, Vec<u32>) {
+    let mut sides: Vec<(u32, u32, u32)> = facets
+        .par_iter()
+        .enumerate()
+        .flat_map_iter(|(f, facet)| {
+            let [a, b, c] = facet.vertices;
+            [(a, b), (b, c), (c, a)].map(|(p, q)| (p.min(q), p.max(q), f as u32))
+        })
+        .collect();
+    sides.par_sort_unstable();
+    let mut fans = DisjointSets::new(3 * facets.len());
+    let corner = |f: u32, v: u32| 3 * f + facets[f as usize].vertices.iter().position(|&u| u == v).unwrap_or(0) as u32;
+    let mut edges = Vec::new();
+    for edge in sides.chunk_by(|x, y| (x.0, x.1) == (y.0, y.1)) {
+        let (a, b, first) = edge[0];
+        match edge {
+            [_, (_, _, second)] => [a, b].iter().for_each(|&v| fans.join(corner(first, v), corner(*second, v))),
+            _ => edges.push(([a, b], first)),
+        }
+    }
+    let mut roots: Vec<(u32, u32)> = Vec::with_capacity(3 * facets.len());
+    for (f, facet) in facets.iter().enumerate() {
+        roots.extend((0..3).map(|k| (facet.vertices[k], fans.find((3 * f + k) as u32))));
+    }
+    roots.par_sort_unstable();
+    roots.dedup();
+    let vertices = roots.chunk_by(|x, y| x.0 == y.0).filter(|fans| fans.len() > 1).map(|fans| fans[0].0);
+    (edges, vertices.collect())
+}
+
+/// The tetrahedra at a vertex, by parts that join through facets at it.
+fn parts_round(cells: &Cells, v: u32, is_out: &[bool]) -> Vec<Vec<u32>> {
+    let star = cells.stars.of(v);
+    let mut sets = DisjointSets::new(star.len());
+    for (k, &t) in star.iter().enumerate() {
+        let at = place_of(cells.delaunay.vertices(t), v);
+        for (j, n) in cells.delaunay.neighbours(t).into_iter().enumerate() {
+            if j != at && n < t && is_out[n as usize] == is_out[t as usize] {
+                sets.join(k as u32, star.binary_search(&n).unwrap_or(k) as u32);
+            }
+        }
+    }
+    let mut parts: BTreeMap<u32, Vec<u32>> = BTreeMap::new();
+    for (k, &t) in star.iter().enumerate() {
+        parts.entry(sets.find(k as u32)).or_default().push(t);
+    }
+    parts.into_values().collect()
+}
+
+/// The tetrahedra round an edge, by runs of one side.
+fn runs_round(delaunay: &Delaunay, [a, b]: [u32; 2], start: u32, is_out: &[bool]) -> Vec<Vec<u32>> {
+    let others = |t: u32| {
+        let v = delaunay.vertices(t);
+        v.into_iter().filter(move |&u| u != a && u != b)
+    };
+    let mut ring = vec![start];
+    let mut behind = others(start).next().unwrap_or(a);
+    loop {
+        let t = ring[ring.len() - 1];
+        let ahead = others(t).find(|&u| u != behind).unwrap_or(a);
+        let next = delaunay.neighbours(t)[place_of(delaunay.vertices(t), behind)];
+        if next == start {
+            break;
+        }
+        ring.push(next);
+        // across the facet opposite to what was behind lies a tetrahedron with what was ahead
+        behind = ahead;
+    }
+    let side = |t: &u32| is_out[*t as usize];
+    let first =
+        (0..ring.len()).find(|&k| side(&ring[k]) != side(&ring[(k + ring.len() - 1) % ring.len()])).unwrap_or(0);
+    ring.rotate_left(first);
+    ring.chunk_by(|s, t| side(s) == side(t)).map(<[u32]>::to_vec).collect()
+}
