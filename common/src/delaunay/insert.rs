@@ -196,6 +196,12 @@ impl Cells {
         Self { tetrahedra, work: Workspace { states, ..Workspace::default() }, ..Self::default() }
     }
 
+    /// Makes room for more tetrahedra.
+    pub(super) fn reserve(&mut self, more: usize) {
+        self.tetrahedra.reserve(more);
+        self.work.states.reserve(more);
+    }
+
     /// These and others, whose numbers go on where these end, with room for some more. Facets that lead beyond a cut still do.
     pub(super) fn joined_by(mut self, mut others: Self, spare: usize) -> Self {
         let offset = self.tetrahedra.len() as u32;

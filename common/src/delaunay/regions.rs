@@ -40,7 +40,7 @@ pub(super) fn triangulate(
     cutting: Cutting,
 ) -> Result<Cells, Error> {
     let mut cells = Cells::default();
-    cells.tetrahedra.reserve(sites.points.len() * 8 + 16);
+    cells.reserve(sites.points.len() * 8 + 16);
     cells.start(seeds);
     let mut start = 0;
     for &end in rounds {
@@ -101,6 +101,8 @@ fn insert_all(
         Cut::new(cells, sites, &members, depth)
     };
     let Some(Cut { mut regions, places, seams }) = cut else {
+        // at once: what vectors leave behind when they grow in a thread stays with its allocator
+        cells.reserve(members.len() * 8);
         let put_off = insert_in_order(cells, sites, members, outer, None)?;
         return Ok(Inserted { put_off, renumbered: None });
     };
