@@ -133,7 +133,7 @@ endef
 # --- Goals ------------------------------------------------------------------------------------------------------------
 
 .PHONY: help mesh surface demo cases index build env doctor test format lint documentation test-rust test-python bench-stages \
-        bench-gpu bench-convergence bench-marching-cubes \
+        bench-gpu bench-delaunay bench-convergence bench-marching-cubes \
         FORCE
 FORCE:
 
@@ -151,6 +151,7 @@ Volumes in, simulation-ready meshes out.
   make test                                    format, lints, documentation, tests
   make bench-stages                            time and memory of every stage on the torso phantom
   make bench-gpu                               the particles stage on the GPU against one CPU thread (BENCH_OPTIONS=...)
+  make bench-delaunay                          the Delaunay triangulation against CGAL's (BENCH_OPTIONS=...; needs libcgal-dev)
   make bench-convergence                       error of a known solution on the ball, from coarse to fine tetrahedra
   make bench-marching-cubes                    solvers on tetrahedra in our surfaces against those in marching cubes (COMPARED=...)
 
@@ -336,6 +337,11 @@ bench-stages: build env
 BENCH_OPTIONS ?=
 bench-gpu: build
 	@stages/particles/benches/bench_gpu.sh --bin $(BIN) --work $(OUT)/bench-gpu $(BENCH_OPTIONS)
+
+# The Delaunay triangulation against CGAL's, on the same particles; needs g++, libcgal-dev and libtbb-dev.
+bench-delaunay: build
+	@$(CARGO) build --release --locked -p isoparticles-common --example bench_delaunay
+	@common/benches/delaunay/compare.sh --bin $(BIN) --work $(OUT)/bench-delaunay $(BENCH_OPTIONS)
 
 # The error of Poisson's equation on the ball at several edge lengths, mm.
 SIZES ?= 4 2 1

@@ -2,15 +2,53 @@
 //! and join the walls of the cavity to it.
 
 use super::predicates::{in_sphere_perturbed, orientation};
-use super::{DEAD, Delaunay, FACETS, INFINITE, Tetrahedron};
+use super::{DEAD, FACETS, INFINITE, Tetrahedron};
+use crate::error::{Error, Result};
 use glam::DVec3;
 
 const UNKNOWN: u8 = 0;
 const IN_CONFLICT: u8 = 1;
 const KEPT: u8 = 2;
 
-/// A neighbour that is not known yet.
-const NOBODY: u32 = u32::MAX;
+/// In the place of a neighbour: from here on upwards, what lies beyond a cut is not there. The first cut has the largest
+/// number.
+const ELSEWHERE: u32 = u32::MAX - 255;
+
+/// The cut, counted from the first one, beyond which lies what an insertion would need.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub(super) struct Beyond(pub(super) u32);
+
+impl Beyond {
+    /// In the place of a neighbour.
+    pub(super) fn neighbour(self) -> u32 {
+        u32::MAX - self.0
+    }
+
+    #[inline]
+    pub(super) fn check(neighbour: u32) -> std::result::Result<(), Self> {
+        if neighbour < ELSEWHERE { Ok(()) } else { Err(Self(u32::MAX - neighbour)) }
+    }
+}
+
+type Reached<T> = std::result::Result<T, Beyond>;
+
+/// No facet: the place through which a walk has entered its first tetrahedron.
+const NOWHERE: usize = 4;
+
+/// Most places for tetrahedra before an insertion: numbers have 30 bits, and no cavity takes the rest.
+const MOST_TETRAHEDRA: usize = 1 << 29;
+
+/// Walls of a cavity above which shared edges are found by sorting instead of a table of all pairs of their vertices.
+const WALLS_FOR_A_TABLE: usize = 252;
+
+/// A facet between the tetrahedra in conflict and the others.
+#[derive(Clone, Copy, Debug)]
+struct Wall {
+    /// The other side of the facet, as tetrahedron and place.
+    outside: u32,
+    /// Counter-clockwise seen from there.
+    vertices: [u32; 3],
+}
 
 /// Lists that live from one insertion to the next, to spare allocations.
 #[derive(Clone, Debug, Default)]
@@ -19,9 +57,16 @@ pub(super) struct Workspace {
     states: Vec<u8>,
     conflict: Vec<u32>,
     kept: Vec<u32>,
-    /// Walls of the cavity: tetrahedron inside, and its facet.
-    walls: Vec<(u32, u8)>,
+    walls: Vec<Wall>,
     created: Vec<u32>,
+    /// Number of each vertex among those of the cavity, `numbered` being the first of this insertion; the vertex at
+    /// infinity comes first.
+    numbers: Vec<u32>,
+    numbered: u32,
+    /// For each pair of numbers, the facet over the edge from one to the other.
+    table: Vec<u32>,
+    /// The same as a list, for large cavities.
+    edges: Vec<(u32, u32, u32)>,
 }
 
 impl Workspace {
@@ -30,141 +75,267 @@ impl Workspace {
     }
 
     pub(super) fn bytes(&self) -> usize {
-        let words = self.conflict.capacity() + self.kept.capacity() + self.created.capacity();
-        self.states.capacity() + words * size_of::<u32>() + self.walls.capacity() * size_of::<(u32, u8)>()
+        let words = self.conflict.capacity()
+            + self.kept.capacity()
+            + self.created.capacity()
+            + self.numbers.capacity()
+            + self.table.capacity();
+        self.states.capacity()
+            + words * size_of::<u32>()
+            + self.walls.capacity() * size_of::<Wall>()
+            + self.edges.capacity() * size_of::<(u32, u32, u32)>()
+    }
+
+    /// Joins the created tetrahedra, each made of the new vertex and a wall, over the edges of the walls. Every edge
+    /// belongs to two walls, which run through it in opposite directions.
+    fn join(&mut self, tetrahedra: &mut [Tetrahedron], vertices: usize) {
+        if self.walls.len() > WALLS_FOR_A_TABLE {
+            return self.join_by_sorting(tetrahedra);
+        }
+        // the walls are a triangulated sphere
+        let side = self.walls.len() / 2 + 2;
+        if self.table.len() < side * side {
+            self.table.resize(side * side, 0);
+        }
+        if self.numbers.len() <= vertices || self.numbered > u32::MAX - 2 * side as u32 {
+            self.numbers.clear();
+            self.numbers.resize(vertices + vertices / 2 + 1, 0);
+            self.numbered = 1;
+        }
+        let mut next = self.numbered;
+        for (wall, &number) in self.walls.iter().zip(&self.created) {
+            let mut number_of = |v: u32| {
+                let place = &mut self.numbers[v.wrapping_add(1) as usize];
+                if *place < self.numbered {
+                    *place = next;
+                    next += 1;
+                }
+                (*place - self.numbered) as usize
+            };
+            let [p, q, r] = wall.vertices;
+            let (p, q, r) = (number_of(p), number_of(q), number_of(r));
+            self.table[q * side + r] = number << 2 | 1;
+            self.table[r * side + p] = number << 2 | 2;
+            self.table[p * side + q] = number << 2 | 3;
+        }
+        debug_assert_eq!((next - self.numbered) as usize, side);
+        for (wall, &number) in self.walls.iter().zip(&self.created) {
+            let number_of = |v: u32| (self.numbers[v.wrapping_add(1) as usize] - self.numbered) as usize;
+            let [p, q, r] = wall.vertices;
+            let (p, q, r) = (number_of(p), number_of(q), number_of(r));
+            let facets = [self.table[r * side + q], self.table[p * side + r], self.table[q * side + p]];
+            tetrahedra[number as usize].neighbours[1..].copy_from_slice(&facets);
+        }
+        self.numbered = next;
+    }
+
+    fn join_by_sorting(&mut self, tetrahedra: &mut [Tetrahedron]) {
+        self.edges.clear();
+        for (wall, &number) in self.walls.iter().zip(&self.created) {
+            let [p, q, r] = wall.vertices;
+            for (a, b, place) in [(q, r, 1), (r, p, 2), (p, q, 3)] {
+                self.edges.push((a.min(b), a.max(b), number << 2 | place));
+            }
+        }
+        self.edges.sort_unstable();
+        for pair in self.edges.chunks_exact(2) {
+            let (one, other) = (pair[0].2, pair[1].2);
+            tetrahedra[(one >> 2) as usize].neighbours[(one & 3) as usize] = other;
+            tetrahedra[(other >> 2) as usize].neighbours[(other & 3) as usize] = one;
+        }
     }
 }
 
-fn place_of(list: &[u32; 4], what: u32) -> usize {
-    // three comparisons: the caller knows that it is there
-    if list[0] == what {
-        0
-    } else if list[1] == what {
-        1
-    } else if list[2] == what {
-        2
-    } else {
-        debug_assert_eq!(list[3], what);
-        3
+fn place_of_infinity(vertices: &[u32; 4]) -> Option<usize> {
+    vertices.iter().position(|&v| v == INFINITE)
+}
+
+/// The points that are triangulated, as the tetrahedra name them.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Sites<'a> {
+    pub(super) points: &'a [DVec3],
+    /// The caller's index of each; empty when it is the same.
+    pub(super) named: &'a [u32],
+}
+
+impl Sites<'_> {
+    fn at(&self, v: u32) -> DVec3 {
+        self.points[v as usize]
+    }
+
+    /// Rank in the symbolic perturbation: the caller's indices, thoroughly mixed (an odd factor leaves them distinct), because
+    /// ranks that run along a surface or a grid make fans of long cells of cospherical points.
+    fn rank(&self, v: u32) -> u32 {
+        let index = if self.named.is_empty() { v } else { self.named[v as usize] };
+        index.wrapping_mul(0x9e37_79b9)
+    }
+
+    #[inline]
+    fn sphere_holds(&self, vertices: &[u32; 4], v: u32, point: DVec3) -> bool {
+        let [a, b, c, d] = *vertices;
+        let corners = [self.at(a), self.at(b), self.at(c), self.at(d), point];
+        in_sphere_perturbed(&corners, || [a, b, c, d, v].map(|u| self.rank(u)))
     }
 }
 
-impl Delaunay {
+/// Tetrahedra joined by their facets: all of a triangulation, or those of a region of it. There, some facets lead
+/// beyond a cut, and what would need to go through them is refused.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Cells {
+    pub(super) tetrahedra: Vec<Tetrahedron>,
+    pub(super) free: Vec<u32>,
+    /// Where the next walk starts.
+    pub(super) last: u32,
+    pub(super) work: Workspace,
+}
+
+impl Cells {
+    /// Tetrahedra of another triangulation, without gaps.
+    pub(super) fn of(tetrahedra: Vec<Tetrahedron>) -> Self {
+        let states = vec![UNKNOWN; tetrahedra.len()];
+        Self { tetrahedra, work: Workspace { states, ..Workspace::default() }, ..Self::default() }
+    }
+
+    /// Makes room for more tetrahedra.
+    pub(super) fn reserve(&mut self, more: usize) {
+        self.tetrahedra.reserve(more);
+        self.work.states.reserve(more);
+    }
+
+    /// These and others, whose numbers go on where these end, with room for some more. Facets that lead beyond a cut still do.
+    pub(super) fn joined_by(mut self, mut others: Self, spare: usize) -> Self {
+        let offset = self.tetrahedra.len() as u32;
+        others.work = Workspace::default();
+        self.tetrahedra.reserve_exact(others.tetrahedra.len() + spare);
+        self.tetrahedra.extend(others.tetrahedra.iter().map(|t| Tetrahedron {
+            vertices: t.vertices,
+            neighbours: t.neighbours.map(|n| if n < ELSEWHERE { n + (offset << 2) } else { n }),
+        }));
+        self.free.extend(others.free.iter().map(|t| t + offset));
+        self.work.states.resize(self.tetrahedra.len(), UNKNOWN);
+        self
+    }
+
+    /// Whether a number names a tetrahedron.
+    pub(super) fn is_alive(&self, t: u32) -> bool {
+        self.tetrahedra[t as usize].vertices[0] != DEAD
+    }
+
     /// The first tetrahedron and its four ghosts.
     pub(super) fn start(&mut self, simplex: [u32; 4]) {
-        self.tetrahedra.push(Tetrahedron { vertices: simplex, neighbours: [1, 2, 3, 4] });
+        // the ghost over facet i has the number i + 1 and meets it in its first place
+        self.tetrahedra.push(Tetrahedron { vertices: simplex, neighbours: [1, 2, 3, 4].map(|ghost| ghost << 2) });
         for (i, facet) in FACETS.iter().enumerate() {
             // seen from beyond the facet it turns counter-clockwise: swapped, and infinity in the first place,
             // the ghost has the orientation of a finite tetrahedron
             let [p, q, r] = *facet;
-            let ghost = |k: usize| k as u32 + 1;
+            let place = |of: usize, vertex: usize| {
+                let [p, q, r] = FACETS[of];
+                [p, r, q].iter().position(|&k| k == vertex).map_or(0, |k| k + 1)
+            };
+            // it meets the ghost over facet k in the facet without the vertex k, which lacks i there
+            let ghost = |k: usize| (k as u32 + 1) << 2 | place(k, i) as u32;
             self.tetrahedra.push(Tetrahedron {
                 vertices: [INFINITE, simplex[p], simplex[r], simplex[q]],
-                neighbours: [0, ghost(p), ghost(r), ghost(q)],
+                neighbours: [i as u32, ghost(p), ghost(r), ghost(q)],
             });
-            debug_assert_eq!(ghost(i) as usize, self.tetrahedra.len() - 1);
         }
         self.work.states.resize(self.tetrahedra.len(), UNKNOWN);
         self.last = 0;
     }
 
-    pub(super) fn note_incident(&mut self, t: u32) {
-        let vertices = self.tetrahedra[t as usize].vertices;
-        if vertices[0] != DEAD && !self.incident.is_empty() {
-            for v in vertices.into_iter().filter(|&v| v != INFINITE) {
-                self.incident[v as usize] = t;
-            }
-        }
-    }
-
-    fn corners(&self, vertices: [u32; 4]) -> [DVec3; 4] {
-        vertices.map(|v| self.points[v as usize])
-    }
-
     /// Walks to the tetrahedron that holds a point, or to a ghost whose hull triangle has it strictly beyond. The walk
-    /// ends: in a Delaunay triangulation the tetrahedra are ordered front to back as seen from any point.
-    pub(super) fn locate(&self, point: DVec3, start: u32) -> u32 {
+    /// ends: in a Delaunay triangulation the tetrahedra are ordered front to back as seen from any point. An error
+    /// where it leads beyond a cut.
+    pub(super) fn locate(&self, sites: Sites<'_>, point: DVec3, start: u32) -> Reached<u32> {
         let mut t = start;
-        let vertices = self.tetrahedra[t as usize].vertices;
-        if let Some(i) = vertices.iter().position(|&v| v == INFINITE) {
-            t = self.tetrahedra[t as usize].neighbours[i];
+        let Tetrahedron { vertices, neighbours } = &self.tetrahedra[t as usize];
+        if let Some(i) = place_of_infinity(vertices) {
+            Beyond::check(neighbours[i])?;
+            t = neighbours[i] >> 2;
         }
-        let mut from = NOBODY;
+        let mut entered = NOWHERE;
         'walk: loop {
-            let Tetrahedron { vertices, neighbours } = self.tetrahedra[t as usize];
+            let Tetrahedron { vertices, neighbours } = &self.tetrahedra[t as usize];
             if vertices.contains(&INFINITE) {
-                return t;
+                return Ok(t);
             }
-            let corners = self.corners(vertices);
+            let corners = vertices.map(|v| sites.at(v));
             for i in 0..4 {
-                if neighbours[i] == from {
+                if i == entered {
                     continue;
                 }
                 let mut moved = corners;
                 moved[i] = point;
                 let [a, b, c, d] = moved;
                 if orientation(a, b, c, d) < 0.0 {
-                    from = t;
-                    t = neighbours[i];
+                    Beyond::check(neighbours[i])?;
+                    t = neighbours[i] >> 2;
+                    entered = (neighbours[i] & 3) as usize;
                     continue 'walk;
                 }
             }
-            return t;
+            return Ok(t);
         }
-    }
-
-    fn rank(&self, v: u32) -> u32 {
-        if self.ranks.is_empty() { v } else { self.ranks[v as usize] }
     }
 
     /// Whether the sphere of a tetrahedron holds a vertex; for a ghost, whether its half-space does, the open hull plane
-    /// belonging to it where the sphere of the finite neighbour holds the vertex.
-    fn conflicts(&self, t: u32, v: u32, point: DVec3) -> bool {
-        let Tetrahedron { mut vertices, neighbours } = self.tetrahedra[t as usize];
-        if let Some(i) = vertices.iter().position(|&u| u == INFINITE) {
-            let mut corners = [point; 4];
-            for (k, corner) in corners.iter_mut().enumerate() {
-                if k != i {
-                    *corner = self.points[vertices[k] as usize];
-                }
-            }
-            let [a, b, c, d] = corners;
-            let side = orientation(a, b, c, d);
-            if side != 0.0 {
-                return side > 0.0;
-            }
-            vertices = self.tetrahedra[neighbours[i] as usize].vertices;
+    /// belonging to it where the sphere of the finite neighbour holds the vertex. An error when that one lies beyond a cut.
+    #[inline]
+    fn conflicts(&self, sites: Sites<'_>, t: u32, v: u32, point: DVec3) -> Reached<bool> {
+        let vertices = &self.tetrahedra[t as usize].vertices;
+        if vertices.contains(&INFINITE) {
+            self.ghost_conflicts(sites, t, v, point)
+        } else {
+            Ok(sites.sphere_holds(vertices, v, point))
         }
-        let [a, b, c, d] = self.corners(vertices);
-        in_sphere_perturbed(&[a, b, c, d, point], || {
-            let [a, b, c, d] = vertices.map(|u| self.rank(u));
-            [a, b, c, d, self.rank(v)]
-        })
     }
 
-    /// Inserts a vertex whose point lies in a located tetrahedron and differs from all others.
-    pub(super) fn insert_vertex(&mut self, v: u32, located: u32) {
-        let point = self.points[v as usize];
+    #[inline(never)]
+    fn ghost_conflicts(&self, sites: Sites<'_>, t: u32, v: u32, point: DVec3) -> Reached<bool> {
+        let Tetrahedron { vertices, neighbours } = &self.tetrahedra[t as usize];
+        let [a, b, c, d] = vertices.map(|u| if u == INFINITE { point } else { sites.at(u) });
+        let side = orientation(a, b, c, d);
+        if side != 0.0 {
+            return Ok(side > 0.0);
+        }
+        let finite = neighbours[place_of_infinity(vertices).unwrap_or(0)];
+        Beyond::check(finite)?;
+        Ok(sites.sphere_holds(&self.tetrahedra[(finite >> 2) as usize].vertices, v, point))
+    }
+
+    /// Whether there are numbers left for the tetrahedra of another vertex.
+    pub(super) fn check_room(&self) -> Result<()> {
+        if self.tetrahedra.len() <= MOST_TETRAHEDRA {
+            return Ok(());
+        }
+        Err(Error::input(
+            format!("more than {MOST_TETRAHEDRA} tetrahedra between the points"),
+            "tetrahedra are counted with 30 bits",
+            "thin the points",
+        ))
+    }
+
+    /// Inserts a vertex whose point lies in a located tetrahedron and differs from all others. An error, and nothing
+    /// done, when tetrahedra beyond a cut are needed.
+    pub(super) fn insert_at(&mut self, sites: Sites<'_>, v: u32, located: u32) -> Reached<()> {
         let mut work = std::mem::take(&mut self.work);
-        self.dig(v, point, located, &mut work);
-        self.fill(v, &mut work);
-        for &t in &work.kept {
+        let dug = self.dig(sites, v, located, &mut work);
+        for &t in work.kept.iter().chain(&work.conflict) {
             work.states[t as usize] = UNKNOWN;
         }
-        for &t in &work.conflict {
-            work.states[t as usize] = UNKNOWN;
-            self.tetrahedra[t as usize].vertices[0] = DEAD;
-        }
-        self.free.extend_from_slice(&work.conflict);
-        self.last = work.created[0];
-        for &t in &work.created {
-            self.note_incident(t);
+        if dug.is_ok() {
+            self.fill(v, sites.points.len(), &mut work);
+            self.last = work.created[0];
         }
         self.work = work;
+        dug
     }
 
-    /// Finds the tetrahedra in conflict with a vertex, and the walls of the cavity that they leave.
-    fn dig(&self, v: u32, point: DVec3, located: u32, work: &mut Workspace) {
+    /// Finds the tetrahedra in conflict with a vertex, and the walls of the cavity that they leave. An error when some of
+    /// them lie beyond a cut.
+    fn dig(&self, sites: Sites<'_>, v: u32, located: u32, work: &mut Workspace) -> Reached<()> {
+        let point = sites.at(v);
         work.conflict.clear();
         work.kept.clear();
         work.walls.clear();
@@ -172,39 +343,39 @@ impl Delaunay {
         work.states[located as usize] = IN_CONFLICT;
         let mut next = 0;
         while next < work.conflict.len() {
-            let t = work.conflict[next];
+            let t = &self.tetrahedra[work.conflict[next] as usize];
             next += 1;
-            for (i, &n) in self.tetrahedra[t as usize].neighbours.iter().enumerate() {
+            for (facet, &outside) in FACETS.iter().zip(&t.neighbours) {
+                Beyond::check(outside)?;
+                let n = outside >> 2;
                 let state = &mut work.states[n as usize];
                 if *state == UNKNOWN {
-                    if self.conflicts(n, v, point) {
+                    if self.conflicts(sites, n, v, point)? {
                         *state = IN_CONFLICT;
                         work.conflict.push(n);
-                    } else {
-                        *state = KEPT;
-                        work.kept.push(n);
+                        continue;
                     }
+                    *state = KEPT;
+                    work.kept.push(n);
                 }
                 if *state == KEPT {
-                    work.walls.push((t, i as u8));
+                    let [p, q, r] = *facet;
+                    work.walls.push(Wall { outside, vertices: [t.vertices[p], t.vertices[q], t.vertices[r]] });
                 }
             }
         }
+        Ok(())
     }
 
-    /// Joins the walls of the cavity to the vertex, and the new tetrahedra to each other.
-    fn fill(&mut self, v: u32, work: &mut Workspace) {
+    /// Joins the walls of the cavity to the vertex, in the places of the tetrahedra removed, and what is made to each
+    /// other.
+    fn fill(&mut self, v: u32, vertices: usize, work: &mut Workspace) {
         work.created.clear();
-        for &(t, i) in &work.walls {
-            let i = usize::from(i);
-            let old = self.tetrahedra[t as usize];
-            let outside = old.neighbours[i];
-            let mut vertices = old.vertices;
-            vertices[i] = v;
-            let mut neighbours = [NOBODY; 4];
-            neighbours[i] = outside;
-            let new = Tetrahedron { vertices, neighbours };
-            let number = match self.free.pop() {
+        let mut vacant = work.conflict.iter().copied();
+        for wall in &work.walls {
+            let [p, q, r] = wall.vertices;
+            let new = Tetrahedron { vertices: [v, p, q, r], neighbours: [wall.outside; 4] };
+            let number = match vacant.next().or_else(|| self.free.pop()) {
                 Some(number) => {
                     self.tetrahedra[number as usize] = new;
                     number
@@ -215,31 +386,13 @@ impl Delaunay {
                     (self.tetrahedra.len() - 1) as u32
                 }
             };
-            let beyond = &mut self.tetrahedra[outside as usize].neighbours;
-            beyond[place_of(beyond, t)] = number;
-            // the old tetrahedron now points at its heir, which the turns below will find
-            self.tetrahedra[t as usize].neighbours[i] = number;
+            self.tetrahedra[(wall.outside >> 2) as usize].neighbours[(wall.outside & 3) as usize] = number << 2;
             work.created.push(number);
         }
-        for (&(t, i), &number) in work.walls.iter().zip(&work.created) {
-            let i = usize::from(i);
-            for j in (0..4).filter(|&j| j != i) {
-                if self.tetrahedra[number as usize].neighbours[j] != NOBODY {
-                    continue;
-                }
-                // turn about the wall's edge that lacks the vertices at i and j, through the cavity to the next wall
-                let (mut current, mut facet, mut third) = (t, j, i);
-                let mut next = self.tetrahedra[current as usize].neighbours[facet];
-                while work.states[next as usize] == IN_CONFLICT {
-                    let ahead = &self.tetrahedra[next as usize];
-                    facet = place_of(&ahead.vertices, self.tetrahedra[current as usize].vertices[third]);
-                    third = place_of(&ahead.neighbours, current);
-                    current = next;
-                    next = ahead.neighbours[facet];
-                }
-                self.tetrahedra[number as usize].neighbours[j] = next;
-                self.tetrahedra[next as usize].neighbours[third] = number;
-            }
+        for t in vacant {
+            self.tetrahedra[t as usize].vertices[0] = DEAD;
+            self.free.push(t);
         }
+        work.join(&mut self.tetrahedra, vertices);
     }
 }

@@ -1,5 +1,5 @@
 //! Delaunay triangulation of points in space: incremental insertion (Bowyer 1981, Watson 1981) along a Hilbert curve
-//! in rounds, with exact predicates.
+//! in rounds, with exact predicates, large rounds on several threads.
 //!
 //! The convex hull is closed by *ghost* tetrahedra that join each hull triangle to a vertex at infinity
 //! ([`INFINITE`]), so every tetrahedron has four neighbours and nothing needs a case of its own at the border. Points
@@ -8,15 +8,21 @@
 //! given list of points is unique, whatever the order of insertion. Only input whose points all lie in one plane is
 //! refused, because it has no tetrahedra.
 
+mod exact;
 mod insert;
 mod order;
 pub mod predicates;
+mod regions;
 #[cfg(test)]
 mod tests;
 
 use crate::error::{Error, Result};
 use glam::DVec3;
+use insert::{Cells, Sites};
+use order::Order;
 use predicates::{collinear, orientation};
+use rayon::prelude::*;
+use regions::Cutting;
 
 /// The vertex at infinity, in the vertex list of ghost tetrahedra.
 pub const INFINITE: u32 = u32::MAX;
@@ -33,7 +39,8 @@ const SMALLEST_COORDINATE: f64 = 1e-40;
 #[derive(Clone, Copy, Debug)]
 struct Tetrahedron {
     vertices: [u32; 4],
-    /// The neighbour at `i` lies across the facet opposite to the vertex at `i`.
+    /// Across the facet opposite to the vertex at `i`: number of the neighbour times 4, plus the place that the facet has
+    /// there.
     neighbours: [u32; 4],
 }
 
@@ -64,22 +71,23 @@ pub struct Delaunay {
     /// For every point, the first one at the same place.
     first: Vec<u32>,
     vertex_count: usize,
-    tetrahedra: Vec<Tetrahedron>,
-    free: Vec<u32>,
-    /// A tetrahedron at each vertex; empty while the points are being sorted in.
+    cells: Cells,
+    /// A tetrahedron at each vertex.
     incident: Vec<u32>,
-    /// Rank of each vertex in the symbolic perturbation; empty when it is the index.
-    ranks: Vec<u32>,
-    last: u32,
-    work: insert::Workspace,
 }
 
 impl Delaunay {
-    /// Triangulates points (any unit).
+    /// Triangulates points (any unit), on all cores where there are many. The same points give the same tetrahedra with the
+    /// same numbers on any number of threads.
     ///
     /// # Errors
-    /// Fewer than four distinct points, all points in one plane, a coordinate that is not finite or larger than 1e50.
+    /// Fewer than four distinct points, all points in one plane, a coordinate that is not finite or larger than 1e50,
+    /// more than 2^29 tetrahedra on the way.
     pub fn new(points: &[DVec3]) -> Result<Self> {
+        Self::with_cutting(points, Cutting::USUAL)
+    }
+
+    fn with_cutting(points: &[DVec3], cutting: Cutting) -> Result<Self> {
         let points = points.iter().map(|&p| admissible(p)).collect::<Result<Vec<_>>>()?;
         if points.len() >= DEAD as usize {
             return Err(Error::input(
@@ -88,37 +96,20 @@ impl Delaunay {
                 "thin the points",
             ));
         }
-        let (order, first) = order::insertion_order(&points);
+        let Order { order, rounds, first } = order::insertion_order(&points);
         let seeds = first_simplex(&points, &order)?;
         // the points in the order of insertion, for locality; named by the caller's indices again at the end
         let sorted: Vec<DVec3> = order.iter().map(|&i| points[i as usize]).collect();
-        let mut built = Self {
-            points: sorted,
-            first,
-            vertex_count: order.len(),
-            tetrahedra: Vec::with_capacity(order.len() * 8 + 16),
-            free: Vec::new(),
-            incident: Vec::new(),
-            ranks: order,
-            last: 0,
-            work: insert::Workspace::default(),
-        };
-        built.start(seeds);
-        for v in 0..built.vertex_count as u32 {
-            if !seeds.contains(&v) {
-                let at = built.locate(built.points[v as usize], built.last);
-                built.insert_vertex(v, at);
-            }
-        }
-        let order = std::mem::take(&mut built.ranks);
-        for t in built.tetrahedra.iter_mut().filter(|t| t.vertices[0] != DEAD) {
+        let mut cells = regions::triangulate(Sites { points: &sorted, named: &order }, &rounds, seeds, cutting)?;
+        drop(sorted);
+        cells.tetrahedra.par_iter_mut().filter(|t| t.vertices[0] != DEAD).for_each(|t| {
             for v in t.vertices.iter_mut().filter(|v| **v != INFINITE) {
                 *v = order[*v as usize];
             }
-        }
-        built.points = points;
-        built.incident = vec![u32::MAX; built.points.len()];
-        for t in 0..built.tetrahedra.len() as u32 {
+        });
+        let incident = vec![u32::MAX; points.len()];
+        let mut built = Self { points, first, vertex_count: order.len(), cells, incident };
+        for t in 0..built.cells.tetrahedra.len() as u32 {
             built.note_incident(t);
         }
         Ok(built)
@@ -142,23 +133,23 @@ impl Delaunay {
 
     /// One more than the largest tetrahedron number in use; numbers below it may be free.
     pub fn slot_count(&self) -> usize {
-        self.tetrahedra.len()
+        self.cells.tetrahedra.len()
     }
 
     /// Whether a number names a tetrahedron (it does not when that one was removed).
     pub fn is_alive(&self, tetrahedron: u32) -> bool {
-        self.tetrahedra[tetrahedron as usize].vertices[0] != DEAD
+        self.cells.tetrahedra[tetrahedron as usize].vertices[0] != DEAD
     }
 
     /// Whether a tetrahedron joins a hull triangle to infinity.
     pub fn is_ghost(&self, tetrahedron: u32) -> bool {
-        self.tetrahedra[tetrahedron as usize].vertices.contains(&INFINITE)
+        self.cells.tetrahedra[tetrahedron as usize].vertices.contains(&INFINITE)
     }
 
     /// All tetrahedra, ghosts included (they have [`INFINITE`] among their vertices), as (number, vertices). Finite ones
     /// have positive volume; a ghost would have it with any point beyond its hull triangle in the place of infinity.
     pub fn tetrahedra(&self) -> impl Iterator<Item = (u32, [u32; 4])> + '_ {
-        let all = self.tetrahedra.iter().enumerate();
+        let all = self.cells.tetrahedra.iter().enumerate();
         all.filter(|(_, t)| t.vertices[0] != DEAD).map(|(i, t)| (i as u32, t.vertices))
     }
 
@@ -169,12 +160,12 @@ impl Delaunay {
 
     /// Vertices of a tetrahedron.
     pub fn vertices(&self, tetrahedron: u32) -> [u32; 4] {
-        self.tetrahedra[tetrahedron as usize].vertices
+        self.cells.tetrahedra[tetrahedron as usize].vertices
     }
 
     /// Neighbours of a tetrahedron; the one at `i` lies across the facet opposite to the vertex at `i`.
     pub fn neighbours(&self, tetrahedron: u32) -> [u32; 4] {
-        self.tetrahedra[tetrahedron as usize].neighbours
+        self.cells.tetrahedra[tetrahedron as usize].neighbours.map(|n| n >> 2)
     }
 
     /// The facet of a tetrahedron opposite to its vertex at `i`, counter-clockwise seen from outside the tetrahedron.
@@ -200,14 +191,14 @@ impl Delaunay {
 
     /// Bytes held, and tetrahedra.
     pub fn memory(&self) -> MemoryUse {
-        let words = self.first.capacity() + self.free.capacity() + self.incident.capacity() + self.ranks.capacity();
+        let words = self.first.capacity() + self.cells.free.capacity() + self.incident.capacity();
         MemoryUse {
             bytes: self.points.capacity() * size_of::<DVec3>()
-                + self.tetrahedra.capacity() * size_of::<Tetrahedron>()
+                + self.cells.tetrahedra.capacity() * size_of::<Tetrahedron>()
                 + words * size_of::<u32>()
-                + self.work.bytes(),
-            tetrahedra: self.tetrahedra.len() - self.free.len(),
-            slots: self.tetrahedra.len(),
+                + self.cells.work.bytes(),
+            tetrahedra: self.cells.tetrahedra.len() - self.cells.free.len(),
+            slots: self.cells.tetrahedra.len(),
         }
     }
 
@@ -215,11 +206,13 @@ impl Delaunay {
     /// The tetrahedra made are then in [`Delaunay::created`].
     ///
     /// # Errors
-    /// A coordinate that is not finite or larger than 1e50.
+    /// A coordinate that is not finite or larger than 1e50; more than 2^29 tetrahedra.
     pub fn insert(&mut self, point: DVec3, near: Option<u32>) -> Result<Insertion> {
         let point = admissible(point)?;
-        let start = near.and_then(|v| self.incident(v)).unwrap_or(self.last);
-        let at = self.locate(point, start);
+        self.cells.check_room()?;
+        let start = near.and_then(|v| self.incident(v)).unwrap_or(self.cells.last);
+        let sites = Sites { points: &self.points, named: &[] };
+        let at = self.cells.locate(sites, point, start).expect(WHOLE);
         let twin = self.vertices(at).into_iter().find(|&v| v != INFINITE && self.points[v as usize] == point);
         if let Some(v) = twin {
             return Ok(Insertion::Duplicate(v));
@@ -229,15 +222,30 @@ impl Delaunay {
         self.first.push(v);
         self.incident.push(u32::MAX);
         self.vertex_count += 1;
-        self.insert_vertex(v, at);
+        self.cells.insert_at(Sites { points: &self.points, named: &[] }, v, at).expect(WHOLE);
+        for k in 0..self.created().len() {
+            self.note_incident(self.created()[k]);
+        }
         Ok(Insertion::New(v))
+    }
+
+    fn note_incident(&mut self, t: u32) {
+        let vertices = self.cells.tetrahedra[t as usize].vertices;
+        if vertices[0] != DEAD {
+            for v in vertices.into_iter().filter(|&v| v != INFINITE) {
+                self.incident[v as usize] = t;
+            }
+        }
     }
 
     /// Tetrahedra made by the last insertion, ghosts included; they may bear the numbers of removed ones.
     pub fn created(&self) -> &[u32] {
-        self.work.created()
+        self.cells.work.created()
     }
 }
+
+/// Why nothing lies beyond a cut.
+const WHOLE: &str = "a whole triangulation has all tetrahedra";
 
 /// Facet opposite to each vertex of a positive tetrahedron, counter-clockwise seen from outside.
 const FACETS: [[usize; 3]; 4] = [[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]];

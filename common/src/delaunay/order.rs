@@ -1,9 +1,10 @@
-//! The order in which points are inserted: rounds of doubling size, each along a Hilbert curve (biased randomised
-//! insertion order of Amenta, Choi and Rote, 2003), so that a walk from the last insertion is short and no
-//! arrangement of the input is a bad one.
+//! The order in which points are inserted: rounds, each eight times as large as the one before, and each along a Hilbert
+//! curve (biased randomised insertion order of Amenta, Choi and Rote, 2003), so that a walk from the last insertion is
+//! short and no arrangement of the input is a bad one.
 
 use crate::random::bits;
 use glam::DVec3;
+use rayon::prelude::*;
 
 /// Bits of the Hilbert index along each axis.
 const LEVELS: u32 = 20;
@@ -11,23 +12,32 @@ const LEVELS: u32 = 20;
 /// Points below which there is a single round.
 const SMALLEST_ROUND: usize = 1000;
 
-/// Insertion order of the distinct points, and for every point the first one at the same place (itself as a rule).
-pub(super) fn insertion_order(points: &[DVec3]) -> (Vec<u32>, Vec<u32>) {
+/// How points are to be inserted.
+pub(super) struct Order {
+    /// The distinct points.
+    pub(super) order: Vec<u32>,
+    /// Where each round ends in that order.
+    pub(super) rounds: Vec<usize>,
+    /// For every point, the first one at the same place (itself as a rule).
+    pub(super) first: Vec<u32>,
+}
+
+/// Insertion order of points.
+pub(super) fn insertion_order(points: &[DVec3]) -> Order {
     let low = points.iter().copied().reduce(DVec3::min).unwrap_or_default();
     let high = points.iter().copied().reduce(DVec3::max).unwrap_or_default();
     let extent = (high - low).max_element();
     let cells = f64::from((1u32 << LEVELS) - 1);
     let scale = if extent > 0.0 { cells / extent } else { 0.0 };
     let mut along: Vec<(u64, u32)> = points
-        .iter()
+        .par_iter()
         .enumerate()
         .map(|(i, &p)| {
             let cell = ((p - low) * scale).to_array().map(|x| x as u32);
             (hilbert_index(cell), i as u32)
         })
         .collect();
-    let key = |&(cell, i): &(u64, u32)| (cell, i);
-    along.sort_unstable_by_key(key);
+    along.par_sort_unstable();
     let mut first: Vec<u32> = (0..points.len() as u32).collect();
     let mut distinct: Vec<u32> = Vec::with_capacity(points.len());
     // equal points share a cell; within one, bring them together by coordinates
@@ -49,10 +59,11 @@ pub(super) fn insertion_order(points: &[DVec3]) -> (Vec<u32>, Vec<u32>) {
             }
         }
     }
-    let rounds = (distinct.len() / SMALLEST_ROUND).checked_ilog2().map_or(0, |n| n + 1);
+    let rounds = (distinct.len() / SMALLEST_ROUND).checked_ilog2().map_or(0, |n| n / 3 + 1);
     let mut order = Vec::with_capacity(distinct.len());
-    // a point is in the last round with probability 1/2, in the one before with 1/4, and so on
-    let round_of = |i: u32| rounds.saturating_sub(bits(0x0b71_0d3e, 0, u64::from(i)).trailing_ones());
+    let mut ends = Vec::new();
+    // a point is in the last round with probability 7/8, in the one before with 7/64, and so on
+    let round_of = |i: u32| rounds.saturating_sub(bits(0x0b71_0d3e, 0, u64::from(i)).trailing_ones() / 3);
     for round in 0..=rounds {
         // every other round runs backwards, so that it starts where the last one ended
         let members = distinct.iter().copied().filter(|&i| round_of(i) == round);
@@ -61,8 +72,9 @@ pub(super) fn insertion_order(points: &[DVec3]) -> (Vec<u32>, Vec<u32>) {
         if round % 2 == 1 {
             order[start..].reverse();
         }
+        ends.push(order.len());
     }
-    (order, first)
+    Order { order, rounds: ends, first }
 }
 
 /// Position of a cell along the three-dimensional Hilbert curve (transposition method of Skilling, 2004).
@@ -128,7 +140,8 @@ mod tests {
     fn order_is_a_permutation_of_the_distinct_points() {
         let points: Vec<DVec3> =
             (0..5000u64).map(|n| DVec3::new((bits(1, 0, n) % 17) as f64, (bits(1, 1, n) % 13) as f64, 0.5)).collect();
-        let (order, first) = insertion_order(&points);
+        let Order { order, rounds, first } = insertion_order(&points);
+        assert!(rounds.is_sorted() && rounds.last() == Some(&order.len()));
         assert_eq!(order.len(), 17 * 13);
         for (i, &f) in first.iter().enumerate() {
             assert_eq!(points[f as usize], points[i]);

@@ -1,13 +1,15 @@
-//! Orientation and in-sphere tests that are always right: a floating-point filter first, then the exact adaptive
-//! predicates of Shewchuk (crate `robust`), and for exact in-sphere ties the symbolic perturbation of Devillers and
-//! Teillaud (2003).
+//! Orientation and in-sphere tests that are always right: a floating-point filter first, then integers (see
+//! `exact.rs`), then, where those would have too many bits, the exact adaptive predicates of Shewchuk (crate `robust`);
+//! and for exact in-sphere ties the symbolic perturbation of Devillers and Teillaud (2003).
 //!
 //! Filter bounds: a determinant is a sum of monomials, each of which passes through a known number of roundings. With
 //! differences of coordinates bounded by (mx, my, mz), the orientation has 6 monomials and at most 8 roundings on a
 //! path, hence an error of at most 6 * 8 * 2^-53 * mx my mz; the in-sphere determinant has 72 monomials and at most 16
-//! roundings, hence 72 * 16 * 2^-53 * mx my mz m^2 with m the largest of the three. The constants below are rounded up
+//! roundings, hence 72 * 16 * 2^-53 * mx my mz m^2 with m the largest of the three; a first, coarser bound puts the length
+//! of the longest difference in the place of all of them. The constants below are rounded up
 //! by more than the roundings of the bound itself can take away.
 
+use super::exact;
 use glam::DVec3;
 use robust::Coord3D;
 
@@ -31,7 +33,14 @@ pub fn orientation(a: DVec3, b: DVec3, c: DVec3, d: DVec3) -> f64 {
     if determinant.abs() > bound {
         return determinant;
     }
-    -robust::orient3d(coordinates(a), coordinates(b), coordinates(c), coordinates(d))
+    orientation_of_flat(a, b, c, d)
+}
+
+#[cold]
+#[inline(never)]
+fn orientation_of_flat(a: DVec3, b: DVec3, c: DVec3, d: DVec3) -> f64 {
+    let expansion = || -robust::orient3d(coordinates(a), coordinates(b), coordinates(c), coordinates(d));
+    exact::orientation_sign(&[a, b, c, d]).unwrap_or_else(expansion)
 }
 
 /// Number with the sign of the in-sphere determinant, exactly: positive when e lies inside the sphere through a
@@ -49,15 +58,31 @@ pub fn in_sphere(a: DVec3, b: DVec3, c: DVec3, d: DVec3, e: DVec3) -> f64 {
     let qrs = q.z * rs - r.z * qs + s.z * qr;
     let rsp = r.z * sp + s.z * pr + p.z * rs;
     let spq = s.z * pq + p.z * qs + q.z * sp;
-    let determinant =
-        (r.length_squared() * spq - s.length_squared() * pqr) + (p.length_squared() * qrs - q.length_squared() * rsp);
-    let m = p.abs().max(q.abs()).max(r.abs()).max(s.abs());
-    let largest = m.max_element();
-    let bound = IN_SPHERE_BOUND * (m.x * m.y * m.z) * (largest * largest);
-    if determinant.abs() > bound {
+    let (p2, q2, r2, s2) = (p.length_squared(), q.length_squared(), r.length_squared(), s.length_squared());
+    let determinant = (r2 * spq - s2 * pqr) + (p2 * qrs - q2 * rsp);
+    // the length of the longest difference bounds each of its coordinates
+    let longest = p2.max(q2).max(r2.max(s2));
+    if determinant.abs() > IN_SPHERE_BOUND * (longest * longest) * longest.sqrt() {
         return determinant;
     }
-    -robust::insphere(coordinates(a), coordinates(b), coordinates(c), coordinates(d), coordinates(e))
+    in_sphere_near_zero(determinant, [a, b, c, d, e])
+}
+
+/// The same where the coarse bound does not decide.
+#[cold]
+#[inline(never)]
+fn in_sphere_near_zero(determinant: f64, [a, b, c, d, e]: [DVec3; 5]) -> f64 {
+    if determinant != 0.0 {
+        let (p, q, r, s) = (a - e, b - e, c - e, d - e);
+        let m = p.abs().max(q.abs()).max(r.abs()).max(s.abs());
+        let largest = m.max_element();
+        if determinant.abs() > IN_SPHERE_BOUND * (m.x * m.y * m.z) * (largest * largest) {
+            return determinant;
+        }
+    }
+    let expansion =
+        || -robust::insphere(coordinates(a), coordinates(b), coordinates(c), coordinates(d), coordinates(e));
+    exact::in_sphere_sign(&[a, b, c, d, e]).unwrap_or_else(expansion)
 }
 
 /// Whether `points[4]` lies inside the sphere through the positively oriented `points[0..4]`, never undecided: of
@@ -74,15 +99,17 @@ pub fn in_sphere_perturbed(points: &[DVec3; 5], ranks: impl FnOnce() -> [u32; 5]
 #[cold]
 fn break_tie(points: &[DVec3; 5], ranks: [u32; 5]) -> bool {
     let [a, b, c, d, e] = *points;
-    let mut order = [0usize, 1, 2, 3, 4];
-    order.sort_unstable_by_key(|&i| std::cmp::Reverse(ranks[i]));
-    for i in order {
+    let mut largest = None;
+    for _ in 0..5 {
+        // the next rank below; as a rule, the largest decides
+        let below = (0..5).filter(|&i| largest.is_none_or(|above| ranks[i] < ranks[above]));
+        largest = below.max_by_key(|&i| ranks[i]);
         // lifting a vertex raises the plane at e by e's barycentric coordinate, so it has the sign of that
-        let sign = match i {
-            0 => orientation(e, b, c, d),
-            1 => orientation(a, e, c, d),
-            2 => orientation(a, b, e, d),
-            3 => orientation(a, b, c, e),
+        let sign = match largest {
+            Some(0) => orientation(e, b, c, d),
+            Some(1) => orientation(a, e, c, d),
+            Some(2) => orientation(a, b, e, d),
+            Some(3) => orientation(a, b, c, e),
             _ => return false,
         };
         if sign != 0.0 {

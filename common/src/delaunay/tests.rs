@@ -212,6 +212,83 @@ fn later_insertions_give_the_triangulation_of_the_whole() {
     }
 }
 
+/// Cut as often as there are a few points to insert.
+const FINELY: Cutting = Cutting { points: 40, depth: 6 };
+
+#[test]
+fn regions_give_the_triangulation_of_the_whole() {
+    let mut twice = torus(3000);
+    twice.extend_from_within(..500);
+    let line: Vec<DVec3> = (0..2000).map(|n| DVec3::new(f64::from(n), 0.0, 0.0)).chain(cube(5)).collect();
+    for (points, much) in [
+        (cube(6000), true),
+        (torus(6000), true),
+        (grid(12), true),
+        (cospherical(), false),
+        (twice, true),
+        (line, false),
+    ] {
+        let whole = Delaunay::with_cutting(&points, Cutting { points: usize::MAX, depth: 0 }).unwrap();
+        let regions = Delaunay::with_cutting(&points, FINELY).unwrap();
+        check_structure(&regions);
+        assert_eq!(cells(&whole), cells(&regions));
+        let numbers = |d: &Delaunay| d.tetrahedra().map(|(t, v)| (t, v, d.neighbours(t))).collect::<Vec<_>>();
+        assert!(!much || numbers(&whole) != numbers(&regions), "nothing was cut");
+    }
+}
+
+#[test]
+fn numbers_do_not_depend_on_the_threads() {
+    let points = torus(20_000);
+    let on = |threads: usize| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        pool.install(|| Delaunay::with_cutting(&points, FINELY).unwrap())
+    };
+    let (one, three) = (on(1), on(3));
+    assert!(one.tetrahedra().eq(three.tetrahedra()));
+    assert!(one.tetrahedra().all(|(t, _)| one.neighbours(t) == three.neighbours(t)));
+    assert_eq!(one.slot_count(), three.slot_count());
+}
+
+#[test]
+fn regions_are_open_to_later_insertions() {
+    let points = torus(2000);
+    let mut grown = Delaunay::with_cutting(&points[..1500], FINELY).unwrap();
+    for (k, &p) in points[1500..].iter().enumerate() {
+        assert_eq!(grown.insert(p, None).unwrap(), Insertion::New(1500 + k as u32));
+    }
+    check_structure(&grown);
+    assert_eq!(cells(&grown), cells(&Delaunay::new(&points).unwrap()));
+}
+
+/// A cavity with more walls than the table of its edges has room for: the centre of a sphere sees all of it.
+#[test]
+fn large_cavities() {
+    let on_sphere = |n: u64| {
+        let p = DVec3::new(uniform(11, 0, n), uniform(11, 1, n), uniform(11, 2, n)) - 0.5;
+        p.normalize()
+    };
+    let points: Vec<DVec3> = (0..800).map(on_sphere).chain([DVec3::ZERO]).collect();
+    let mut d = Delaunay::new(&points[..800]).unwrap();
+    d.insert(points[800], None).unwrap();
+    assert!(d.created().len() > 1000, "{} walls", d.created().len());
+    check_structure(&d);
+    check_spheres(&d);
+    assert_eq!(cells(&d), cells(&Delaunay::new(&points).unwrap()));
+}
+
+#[test]
+fn near_duplicates_keep_every_point() {
+    let mut points = torus(200);
+    for (n, p) in torus(200).into_iter().enumerate() {
+        let step = [1e-15, 1e-12, 1e-9][n % 3];
+        points.extend([p + DVec3::X * step, p + DVec3::new(-step, step, step)]);
+    }
+    let d = Delaunay::new(&points).unwrap();
+    check_structure(&d);
+    check_spheres(&d);
+}
+
 #[test]
 fn scales_from_tiny_to_huge() {
     for scale in [1e-30, 1e-6, 1.0, 1e12, 1e40] {
@@ -254,6 +331,9 @@ proptest! {
             Ok(d) => {
                 check_structure(&d);
                 check_spheres(&d);
+                let regions = Delaunay::with_cutting(&points, Cutting { points: 6, depth: 3 }).unwrap();
+                check_structure(&regions);
+                prop_assert_eq!(cells(&d), cells(&regions));
                 let mut places = HashMap::new();
                 for (i, p) in raw.iter().enumerate() {
                     let first = *places.entry(p).or_insert(i as u32);

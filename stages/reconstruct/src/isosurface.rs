@@ -5,6 +5,9 @@
 //! necks and gaps narrower than a voxel may differ. Where mesh and marching cubes disagree, [`Isosurface`] is therefore
 //! asked to look again at the place on a finer sampling of the spline.
 
+mod certain;
+
+use certain::CertainSigns;
 use glam::DVec3;
 use isoparticles_common::components::{self, NO_COMPONENT};
 use isoparticles_common::geometry::Geometry;
@@ -50,7 +53,8 @@ impl Isosurface {
     }
 
     /// Samples the spline between two corners (cut at the volume, grid frame), `fine` times a voxel edge, or as often as
-    /// the number of samples allows; `None` when that is less than once.
+    /// the number of samples allows; `None` when that is less than once. Where the sign is certain all around, a sample is
+    /// only that: marching cubes asks no more of it.
     fn patch(field: &CubicSpline, low: DVec3, high: DVec3, fine: usize) -> Option<Self> {
         let whole = field.geometry();
         let low = low.max(DVec3::ZERO);
@@ -64,11 +68,13 @@ impl Isosurface {
         let spacing = whole.spacing / fine;
         let size = (extent / spacing).ceil().to_array().map(|n| n as usize + 1);
         let geometry = Geometry::axis_aligned(size, spacing);
+        let certain = CertainSigns::new(field, low, low + extent);
         let mut data = vec![0.0f32; geometry.voxel_count()];
         data.par_chunks_mut(size[0]).enumerate().for_each(|(row, values)| {
             let (j, k) = ((row % size[1]) as f64, (row / size[1]) as f64);
             for (i, value) in values.iter_mut().enumerate() {
-                *value = field.value(low + geometry.index_to_grid(DVec3::new(i as f64, j, k))) as f32;
+                let p = low + geometry.index_to_grid(DVec3::new(i as f64, j, k));
+                *value = certain.at(p / whole.spacing).unwrap_or_else(|| field.value(p) as f32);
             }
         });
         let mut mesh = marching_cubes(&Image { geometry: geometry.clone(), data }, 0.0);
@@ -401,6 +407,27 @@ mod tests {
         assert_eq!((gyroid.component_count(), gyroid.sampled_component_count()), (1, 4));
         assert!(gyroid.recount_euler(&scene.field, 0));
         assert_eq!(euler(&gyroid), [-14]);
+    }
+
+    #[test]
+    fn a_patch_is_the_surface_of_all_its_samples() {
+        for scene in [scenes::gyroid(), scenes::shell(), scenes::torus()] {
+            let corner = scene.field.geometry().upper_corner();
+            for (low, high, fine) in [(DVec3::ZERO, corner, 2), (corner * 0.23, corner * 0.61, 3)] {
+                let patch = Isosurface::patch(&scene.field, low, high, fine).unwrap();
+                let geometry = patch.geometry.clone();
+                let mut data = vec![0.0f32; geometry.voxel_count()];
+                for (n, value) in data.iter_mut().enumerate() {
+                    let [nx, ny, _] = geometry.size;
+                    let index = DVec3::new((n % nx) as f64, (n / nx % ny) as f64, (n / nx / ny) as f64);
+                    *value = scene.field.value(patch.corner + geometry.index_to_grid(index)) as f32;
+                }
+                let mut mesh = marching_cubes(&Image { geometry, data }, 0.0);
+                mesh.vertices.iter_mut().for_each(|p| *p += patch.corner);
+                assert!(!mesh.triangles.is_empty());
+                assert_eq!((mesh.vertices, mesh.triangles), (patch.mesh.vertices, patch.mesh.triangles));
+            }
+        }
     }
 
     #[test]

@@ -1,0 +1,264 @@
+//! Signs of the orientation and in-sphere determinants by integers, for input on which the floating-point filters do not
+//! decide: cospherical and coplanar points.
+//!
+//! Every double is an integer times a power of two, so that the coordinates of nearby points, in units of the least bit
+//! set in any of them, have differences of few bits. Where those fit in 62 bits, and they do unless some coordinate
+//! is much nearer to zero than the points are to each other, the determinants fit in 189 and 317 bits and a
+//! few dozen multiplications give them exactly; an adaptive expansion takes a hundred times as long. The cofactors are
+//! those of the filters in [`super::predicates`].
+
+use glam::DVec3;
+
+/// Bits of a difference of coordinates, sign aside.
+const DIFFERENCE_BITS: u32 = 62;
+
+/// Bits of a difference up to which the in-sphere determinant fits in 62 bits, as on a grid.
+const SMALL_BITS: u32 = 11;
+
+type Difference = [i64; 3];
+
+/// Sign of (b - a) x (c - a) . (d - a), `None` where the differences have too many bits.
+pub(super) fn orientation_sign(points: &[DVec3; 4]) -> Option<f64> {
+    let [p, q, r] = differences::<4, 3>(points)?;
+    // relative to d in place of a, the determinant changes its sign
+    Some(sign(-i32::from(volume(p, q, r).signum())))
+}
+
+/// Sign of the in-sphere determinant of the first four points and the last, positive when it lies inside the sphere of
+/// the positively oriented others; `None` where the differences have too many bits.
+pub(super) fn in_sphere_sign(points: &[DVec3; 5]) -> Option<f64> {
+    let [p, q, r, s] = differences::<5, 4>(points)?;
+    if [p, q, r, s].as_flattened().iter().all(|x| x.unsigned_abs() >> SMALL_BITS == 0) {
+        return Some(sign(small_in_sphere(p, q, r, s).signum() as i32));
+    }
+    let mut sum = Sum::default();
+    sum.add(length_squared(r), volume(s, p, q), 1);
+    sum.add(length_squared(s), volume(p, q, r), -1);
+    sum.add(length_squared(p), volume(q, r, s), 1);
+    sum.add(length_squared(q), volume(r, s, p), -1);
+    Some(sign(sum.signum()))
+}
+
+fn sign(signum: i32) -> f64 {
+    f64::from(signum)
+}
+
+/// The points but for the last, relative to it, as integers in units of the least bit.
+fn differences<const POINTS: usize, const OTHERS: usize>(points: &[DVec3; POINTS]) -> Option<[Difference; OTHERS]> {
+    let last = points[POINTS - 1].to_array();
+    let mut rounded = [[0.0; 3]; OTHERS];
+    let mut exact = true;
+    for (point, to) in points.iter().zip(&mut rounded) {
+        for ((to, x), base) in to.iter_mut().zip(point.to_array()).zip(last) {
+            *to = x - base;
+            // the rounding error of the subtraction (Knuth 1969)
+            let taken = x - *to;
+            exact &= (x - (*to + taken)) + (taken - base) == 0.0;
+        }
+    }
+    if !exact {
+        return differences_of_integers(points);
+    }
+    let scale = scale(rounded.iter().flatten())?;
+    let mut all = [[0i64; 3]; OTHERS];
+    for (to, x) in all.iter_mut().flatten().zip(rounded.iter().flatten()) {
+        let x = x * scale;
+        if x.abs() >= (1u64 << DIFFERENCE_BITS) as f64 {
+            return None;
+        }
+        *to = x as i64;
+    }
+    Some(all)
+}
+
+/// The same where doubles do not hold the differences.
+fn differences_of_integers<const POINTS: usize, const OTHERS: usize>(
+    points: &[DVec3; POINTS],
+) -> Option<[Difference; OTHERS]> {
+    let points = points.map(|p| p.to_array());
+    let scale = scale(points.iter().flatten())?;
+    // a hundred bits hold every coordinate next to which such differences are of use
+    let whole = |x: f64| Some(x * scale).filter(|x| x.abs() < 2f64.powi(100)).map(|x| x as i128);
+    let mut base = [0i128; 3];
+    for (to, x) in base.iter_mut().zip(points[POINTS - 1]) {
+        *to = whole(x)?;
+    }
+    let mut all = [[0i64; 3]; OTHERS];
+    for (point, to) in points.iter().zip(&mut all) {
+        for ((to, &x), base) in to.iter_mut().zip(point).zip(base) {
+            let difference = whole(x)? - base;
+            if difference.unsigned_abs() >> DIFFERENCE_BITS != 0 {
+                return None;
+            }
+            *to = difference as i64;
+        }
+    }
+    Some(all)
+}
+
+/// The power of two that makes integers of all numbers.
+fn scale<'a>(numbers: impl Iterator<Item = &'a f64>) -> Option<f64> {
+    let least = numbers.filter(|&&x| x != 0.0).map(|&x| least_exponent(x)).min().unwrap_or(0);
+    u64::try_from(1023 - least).ok().filter(|&biased| biased < 2047).map(|biased| f64::from_bits(biased << 52))
+}
+
+/// Exponent of the least bit set in a normal number.
+fn least_exponent(x: f64) -> i32 {
+    let bits = x.to_bits();
+    let exponent = ((bits >> 52) & 0x7ff) as i32 - 1023;
+    exponent - 52 + ((bits | 1 << 52).trailing_zeros() as i32)
+}
+
+/// `high` * 2^64 + `low`.
+#[derive(Clone, Copy)]
+struct Wide {
+    high: i128,
+    low: u64,
+}
+
+impl Wide {
+    fn signum(self) -> i8 {
+        if self.high == 0 { i8::from(self.low != 0) } else { self.high.signum() as i8 }
+    }
+}
+
+/// p x q . r, of the sign of the filter's 3 x 3 minors.
+fn volume(p: Difference, q: Difference, r: Difference) -> Wide {
+    let minor =
+        |a: Difference, b: Difference| i128::from(a[0]) * i128::from(b[1]) - i128::from(b[0]) * i128::from(a[1]);
+    let (mut high, mut low) = (0i128, 0u128);
+    for (z, minor) in [(r[2], minor(p, q)), (p[2], minor(q, r)), (q[2], minor(r, p))] {
+        let z = i128::from(z);
+        let least = z * i128::from(minor as u64);
+        high += z * (minor >> 64) + (least >> 64);
+        low += u128::from(least as u64);
+    }
+    Wide { high: high + (low >> 64) as i128, low: low as u64 }
+}
+
+fn small_in_sphere(p: Difference, q: Difference, r: Difference, s: Difference) -> i64 {
+    let minor = |a: Difference, b: Difference| a[0] * b[1] - b[0] * a[1];
+    let volume = |p, q, r| -> i64 {
+        let [top, middle, bottom]: [Difference; 3] = [p, q, r];
+        bottom[2] * minor(p, q) + top[2] * minor(q, r) + middle[2] * minor(r, p)
+    };
+    let length_squared = |p: Difference| p.iter().map(|x| x * x).sum::<i64>();
+    length_squared(r) * volume(s, p, q) - length_squared(s) * volume(p, q, r) + length_squared(p) * volume(q, r, s)
+        - length_squared(q) * volume(r, s, p)
+}
+
+fn length_squared(p: Difference) -> u128 {
+    p.iter().map(|&x| u128::from(x.unsigned_abs()).pow(2)).sum()
+}
+
+/// A sum of products, by powers of 2^64; each entry has room for many terms before it is carried on.
+#[derive(Default)]
+struct Sum([i128; 5]);
+
+impl Sum {
+    fn add(&mut self, length: u128, volume: Wide, sign: i128) {
+        let length = [length as u64, (length >> 64) as u64].map(i128::from);
+        let volume = [i128::from(volume.low), i128::from(volume.high as u64), volume.high >> 64];
+        for (i, l) in length.into_iter().enumerate() {
+            // only the highest word of the volume has a sign; the others' products need all 128 bits
+            for (j, v) in volume[..2].iter().enumerate() {
+                let product = (l as u128) * (*v as u128);
+                self.0[i + j] += sign * i128::from(product as u64);
+                self.0[i + j + 1] += sign * (product >> 64) as i128;
+            }
+            let product = l * volume[2];
+            self.0[i + 2] += sign * i128::from(product as u64);
+            self.0[i + 3] += sign * (product >> 64);
+        }
+    }
+
+    fn signum(mut self) -> i32 {
+        let mut zero = true;
+        for k in 0..4 {
+            zero &= self.0[k] as u64 == 0;
+            self.0[k + 1] += self.0[k] >> 64;
+        }
+        if self.0[4] == 0 && !zero { 1 } else { self.0[4].signum() as i32 }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::random::{bits, uniform};
+    use robust::Coord3D;
+
+    fn shewchuk(points: &[DVec3; 5]) -> (f64, f64) {
+        let [a, b, c, d, e] = points.map(|p| Coord3D { x: p.x, y: p.y, z: p.z });
+        let sign = |x: f64| if x == 0.0 { 0.0 } else { -x.signum() };
+        (sign(robust::orient3d(a, b, c, d)), sign(robust::insphere(a, b, c, d, e)))
+    }
+
+    fn compare(points: &[DVec3; 5]) -> (Option<f64>, Option<f64>) {
+        let (side, inside) = shewchuk(points);
+        let [a, b, c, d, _] = *points;
+        let ours = (orientation_sign(&[a, b, c, d]), in_sphere_sign(points));
+        assert!(ours.0.is_none_or(|s| s == side), "{points:?}: {ours:?}, {side}");
+        assert!(ours.1.is_none_or(|s| s == inside), "{points:?}: {ours:?}, {inside}");
+        ours
+    }
+
+    #[test]
+    fn integers_agree_with_expansions_near_and_at_ties() {
+        let (mut decided, mut ties) = (0, 0);
+        for n in 0..20_000u64 {
+            let points: [DVec3; 5] = std::array::from_fn(|k| {
+                let number = 5 * n + k as u64;
+                let at = |stream| (uniform(1, stream, number) * 4.0).floor() - 1.0;
+                let off = |stream| uniform(2, stream, number) * 10f64.powi(-((n % 17) as i32));
+                let share = if n % 3 == 0 { 0.0 } else { 1.0 };
+                DVec3::new(at(0) + share * off(0), at(1) + share * off(1), at(2) + share * off(2))
+            });
+            let (_, inside) = compare(&points);
+            decided += u32::from(inside.is_some());
+            ties += u32::from(inside == Some(0.0));
+        }
+        assert!(decided > 8_000 && ties > 500, "{decided} decided, {ties} ties");
+    }
+
+    #[test]
+    fn rounded_spheres_are_decided() {
+        let mut decided = 0;
+        for n in 0..4000u64 {
+            let points: [DVec3; 5] = std::array::from_fn(|k| {
+                let coordinate = |stream| uniform(7, stream, 5 * n + k as u64) - 0.5;
+                DVec3::new(coordinate(0), coordinate(1), coordinate(2)).normalize() * 50.0 + 100.0
+            });
+            decided += u32::from(compare(&points).1.is_some());
+        }
+        assert!(decided > 3900, "{decided}");
+    }
+
+    #[test]
+    fn the_largest_differences_do_not_overflow() {
+        // all corners of the largest box, and one bit beside them
+        let edge = 2f64.powi(62);
+        for n in 0..4000u64 {
+            let points: [DVec3; 5] = std::array::from_fn(|k| {
+                let random = bits(9, k as u64, n);
+                let coordinate = |axis: u64| {
+                    let corner = if random >> axis & 1 == 0 { 0.0 } else { edge - 1024.0 };
+                    corner + (random >> (8 + 8 * axis) & 1) as f64 * 512.0
+                };
+                DVec3::new(coordinate(0), coordinate(1), coordinate(2)) * 2f64.powi((n % 200) as i32 - 160)
+            });
+            compare(&points);
+        }
+        for n in 0..4000u64 {
+            let points: [DVec3; 5] = std::array::from_fn(|k| {
+                let random = bits(10, k as u64, n);
+                let coordinate =
+                    |axis: u64| if random >> axis & 1 == 0 { 0.0 } else { 2047.0 + (random >> 9 & 1) as f64 };
+                DVec3::new(coordinate(0), coordinate(1), coordinate(2))
+            });
+            assert!(compare(&points).1.is_some());
+        }
+        let wide = [DVec3::ZERO, DVec3::X * 1e30, DVec3::Y, DVec3::Z, DVec3::splat(1e-30)];
+        assert_eq!(compare(&wide), (None, None));
+    }
+}
