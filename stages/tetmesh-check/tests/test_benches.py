@@ -67,7 +67,7 @@ def test_old_reports_and_missing_ones(
     native, resampled = (pv.read(work / f"a.{kind}.vtp") for kind in bench.KINDS[1:3])
     assert abs(resampled.n_points - 162) < abs(native.n_points - 162)
     for surface in (native, resampled):
-        assert surface.volume == pytest.approx(4.0 / 3.0 * np.pi * 2.5**3, rel=0.1)
+        assert surface.volume == pytest.approx(4.0 / 3.0 * np.pi * 2.5**3, rel=0.2)
 
     assert bench.main([str(tmp_path / "a"), "--work", str(work), "--surfaces", "marching-cubes"]) == 0
     said = capsys.readouterr()

@@ -88,7 +88,7 @@ def build_parser() -> argparse.ArgumentParser:
         default="auto",
         help="ftetwild takes long on large surfaces and may move the surface within the envelope; hxt (Gmsh) takes seconds and "
         "keeps its triangles; tetgen (AGPL, to be installed by hand) keeps them too, and knows of the size field its largest h only; auto "
-        "is ftetwild up to 10,000 vertices, hxt beyond, and ftetwild where hxt is missing or fails (default auto)",
+        "is ftetwild up to 5,000 vertices, hxt beyond, and ftetwild where hxt is missing or fails (default auto)",
     )
     method.add_argument(
         "--tet-size-factor",
