@@ -262,6 +262,12 @@ def test_multigrid_hardly_minds_the_number_of_unknowns() -> None:
     np.testing.assert_array_equal(np.random.get_state()[1], drawn)  # noqa: NPY002
 
 
+def test_a_mesh_without_points_inside() -> None:
+    context = Context(CommonArguments(), "", {})
+    assert [check.passed for check in solve_on(mesh_of(*block((1, 1, 1))), SolveSettings(), context)] == [True]
+    assert context.results["solve"]["poisson"]["unknowns"] == 0
+
+
 def test_a_block_may_have_many_points(monkeypatch: pytest.MonkeyPatch) -> None:
     # the product of two of their numbers needs more than 32 bits
     points, cells = block((2, 2, 2))

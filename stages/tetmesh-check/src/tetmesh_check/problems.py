@@ -66,7 +66,8 @@ class Solver:
             See :func:`.multigrid`.
         """
         started = time.monotonic()
-        cycle = multigrid(matrix, near_null)
+        # a mesh of one layer has no points inside
+        cycle = multigrid(matrix, near_null) if matrix.shape[0] else nothing
         set_up = time.monotonic() - started
         solved = conjugate_gradients(matrix, right_side, cycle, MAX_MULTIGRID_ITERATIONS, self.deadline)
         del cycle
