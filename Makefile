@@ -153,7 +153,7 @@ Volumes in, simulation-ready meshes out.
   make bench-gpu                               the particles stage on the GPU against one CPU thread (BENCH_OPTIONS=...)
   make bench-delaunay                          the Delaunay triangulation against CGAL's (BENCH_OPTIONS=...; needs libcgal-dev)
   make bench-convergence                       error of a known solution on the ball, from coarse to fine tetrahedra
-  make bench-marching-cubes                    solvers on tetrahedra in our surfaces against those in marching cubes (COMPARED=...)
+  make bench-marching-cubes                    tetrahedra in our surfaces against marching cubes and a remesher (COMPARED=...)
 
 Parameters of mesh, surface and CASE, with the stages' defaults where left out:
   NAME=...      name of the results [the volume's]       OUT=...       folder of the results [out]
@@ -351,11 +351,23 @@ bench-convergence: build env
 	done
 	$(TETMESH_CHECK)-convergence $(foreach size,$(SIZES),$(OUT)/bench/ball-$(size)/ball-$(size).volume.vtu)
 
-# Our surfaces against marching cubes on the same distance field, through the same tetrahedralizer.
+# Our surfaces against marching cubes and a remesher on the same distance field, through the same tetrahedralizer.
+# COMPARE_OPTIONS="--surfaces particles remesh_botsch --fill-seconds 600" and the like.
 COMPARED ?= ball mickey
-bench-marching-cubes: build env
+COMPARE_OPTIONS ?=
+# The remesher has an environment of its own, for this alone; REMESHER=no does without.
+REMESHER ?= yes
+BENCH_VENV ?= .venv-bench
+BENCH_LOCK = stages/tetmesh-check/benches/requirements.lock
+with_remesher = $(if $(filter no,$(REMESHER)),,$(BENCH_VENV)/.made)
+bench-marching-cubes: build env $(with_remesher)
 	@for part in $(COMPARED); do \
 	  $(MAKE) --no-print-directory CASE=$$part NAME=$$part OUT=$(OUT)/bench NO_BUILD=yes surface || exit $$?; \
 	done
 	$(VENV)/bin/python stages/tetmesh-check/benches/marching_cubes.py $(addprefix $(OUT)/bench/,$(COMPARED)) \
-	  --work $(OUT)/bench/marching-cubes
+	  --work $(OUT)/bench/marching-cubes $(if $(with_remesher),--remesher $(BENCH_VENV)/bin/python) $(COMPARE_OPTIONS)
+
+$(BENCH_VENV)/.made: $(BENCH_LOCK) | env
+	$(VENV)/bin/python -m venv --clear $(BENCH_VENV)
+	$(BENCH_VENV)/bin/python -m pip install --quiet --disable-pip-version-check --no-input --only-binary :all: --require-hashes -r $(BENCH_LOCK)
+	@touch $@

@@ -1,9 +1,12 @@
-"""Our surface against marching cubes on the same distance field: the same size field, tetrahedralizer and problems.
+"""Our surface against others of the same distance field: the same size field, tetrahedralizer and problems.
 
     .venv/bin/python stages/tetmesh-check/benches/marching_cubes.py out/ball out/mickey --work out/bench-marching-cubes
 
-For each folder with the results of a case (NAME.distfield.vti, NAME.sizefield.vti, NAME.surface.vtp) it fills both
-surfaces with HXT, which leaves their triangles as they are, solves on both, and prints a table in Markdown.
+For each folder with the results of a case (NAME.distfield.vti, NAME.sizefield.vti, NAME.surface.vtp) it fills these surfaces
+with HXT, which leaves their triangles as they are, solves on the tetrahedra, and prints a table in Markdown: ours; marching
+cubes; marching cubes on the field resampled so that there are as many vertices as ours has; and, with ``--remesher PYTHON``
+(an interpreter with benches/requirements.lock), what gpytoolbox's remesh_botsch makes of marching cubes, as many
+vertices, too. Whatever does not come to an end within its time is a row that says so.
 """
 
 from __future__ import annotations
@@ -12,7 +15,8 @@ import argparse
 import json
 import subprocess
 import sys
-from collections.abc import Sequence
+import time
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -25,9 +29,15 @@ from tetmesh_check.surface import read_dataset
 
 _DISTANCE = "signed_distance"
 _PROBLEMS = ("poisson", "conduction", "elasticity")
+_COLUMNS = (
+    "case", "surface", "made in, s", "vertices", "smallest radius ratio, triangles", "tetrahedra", "filled in, s", "smallest dihedral",
+    "radius ratio, smallest / mean", "checks", *(f"{name}: unknowns; multigrid / Jacobi / plain (condition)" for name in _PROBLEMS),
+    "solved in, s",
+)  # fmt: skip
+KINDS = ("particles", "marching-cubes", "marching-cubes-resampled", "remesh_botsch")
 
 
-def marching_cubes(distfield: Path, target: Path) -> None:
+def marching_cubes(distfield: Path, target: Path, step: float = 1.0) -> int:
     """Write the zero set of a distance field as marching cubes sees it (VTK's flying edges), in world coordinates.
 
     Parameters
@@ -36,19 +46,72 @@ def marching_cubes(distfield: Path, target: Path) -> None:
         Negative inside.
     target
         A ``.vtp`` file.
+    step
+        From one sample to the next, in voxels; the field between is trilinear.
+
+    Returns
+    -------
+    int
+        Number of vertices.
     """
     image = read_dataset(distfield)
     plain = pv.ImageData(dimensions=image.dimensions)
     plain[_DISTANCE] = np.asarray(image.point_data[_DISTANCE])
+    if step != 1.0:
+        counts = [max(2, round((count - 1) / step) + 1) for count in image.dimensions]
+        spacing = [(count - 1) / (new - 1) for count, new in zip(image.dimensions, counts, strict=True)]
+        plain = pv.ImageData(dimensions=counts, spacing=spacing).sample(plain)
     points, triangles = from_polydata(plain.contour([0.0], scalars=_DISTANCE, method="flying_edges"))
-    step = np.asarray(image.direction_matrix, dtype=np.float64) * np.asarray(image.spacing)
-    points = (points + np.array(image.extent[::2])) @ step.T + np.asarray(image.origin)
+    axes = np.asarray(image.direction_matrix, dtype=np.float64) * np.asarray(image.spacing)
+    points = (points + np.array(image.extent[::2])) @ axes.T + np.asarray(image.origin)
     if component_volumes(points, triangles, np.zeros(len(triangles), dtype=np.int64))[0] < 0:
         triangles = triangles[:, ::-1]
     to_polydata(points, triangles).save(target)
+    return len(points)
 
 
-def fill_and_solve(surface: Path, sizefield: Path, work: Path, name: str, seconds: float) -> dict[str, Any] | None:
+def vertices_of(surface: Path) -> int:
+    """Count the points of a surface."""
+    return int(read_dataset(surface).n_points)
+
+
+def remesh(python: Path, source: Path, vertices: int, target: Path, seconds: float) -> str | None:
+    """Remesh a surface by ``remesh.py``; returns what went wrong, if anything did.
+
+    Parameters
+    ----------
+    python
+        An interpreter that has gpytoolbox.
+    source, target
+        ``.vtp`` files.
+    vertices
+        How many are wanted.
+    seconds
+        Time limit, s.
+    """
+    job, result = target.with_suffix(".job.npz"), target.with_suffix(".npz")
+    result.unlink(missing_ok=True)
+    points, triangles = from_polydata(read_dataset(source))
+    np.savez(job, points=points, triangles=triangles, vertices=vertices)
+    script = Path(__file__).with_name("remesh.py")
+    try:
+        code = subprocess.run(
+            [str(python), str(script), str(job), str(result)], check=False, timeout=seconds
+        ).returncode
+    except subprocess.TimeoutExpired:
+        code = 0
+        if not result.is_file():
+            return f"the remesher did not finish within {seconds:g} s"
+    if code != 0 or not result.is_file():
+        return f"the remesher failed (exit code {code})"
+    with np.load(result) as made:
+        to_polydata(made["points"], made["triangles"].astype(np.int64)).save(target)
+    return None
+
+
+def fill_and_solve(
+    surface: Path, sizefield: Path, work: Path, name: str, parsed: argparse.Namespace
+) -> dict[str, Any] | None:
     """Fill one surface and solve on it; returns the report, or nothing where the run left none.
 
     Parameters
@@ -59,25 +122,18 @@ def fill_and_solve(surface: Path, sizefield: Path, work: Path, name: str, second
         Where the results go.
     name
         What they are called.
-    seconds
-        Time limit of the problems, s.
+    parsed
+        The command line of this program, for the time limits.
     """
     report = work / f"{name}.report.json"
     report.unlink(missing_ok=True)
+    volume = work / f"{name}.volume.vtu"
     subprocess.run(
         [
-            *(sys.executable, "-m", "tetmesh_check", str(surface), "--sizefield", str(sizefield)),
-            *(
-                "-o",
-                str(work / f"{name}.volume.vtu"),
-                "--method",
-                "hxt",
-                "--solve",
-                "yes",
-                "--solve-seconds",
-                str(seconds),
-            ),
-            *("--force", "--report", str(report), "-q"),
+            *(sys.executable, "-m", "tetmesh_check", str(surface), "--sizefield", str(sizefield), "-o", str(volume)),
+            *("--method", "hxt", "--max-seconds", str(parsed.fill_seconds)),
+            *("--solve", "yes", "--solve-seconds", str(parsed.solve_seconds)),
+            *("--compare-seconds", str(parsed.compare_seconds), "--force", "--report", str(report), "-q"),
         ],
         check=False,
     )
@@ -87,45 +143,115 @@ def fill_and_solve(surface: Path, sizefield: Path, work: Path, name: str, second
     return loaded
 
 
-def row(case: str, kind: str, report: dict[str, Any] | None) -> str:
+def _solves(solve: dict[str, Any]) -> list[str]:
+    cells = []
+    for problem in _PROBLEMS:
+        figures = solve.get(problem)
+        if figures is None or "multigrid" not in figures:
+            cells.append("not solved")
+            continue
+        words = []
+        for name in ("multigrid", "jacobi", "plain"):
+            run = figures[name]
+            words.append("-" if run is None else f"{'' if run['converged'] else 'stuck at '}{run['iterations']:,}")
+        condition = (figures["plain"] or {}).get("condition")
+        shown = "" if condition is None else f" ({condition:.2g})"
+        cells.append(f"{figures['unknowns']:,}; {' / '.join(words)}{shown}")
+    return cells
+
+
+def row(case: str, kind: str, seconds: float | None, report: dict[str, Any] | str | None) -> str:
     """Write one line of the table.
 
     Parameters
     ----------
     case, kind
         Its first two cells.
+    seconds
+        How long the surface took from the distance field on, s, if known.
     report
-        What ``tetmesh-check`` wrote, if anything.
+        What ``tetmesh-check`` wrote, or what went wrong before it.
     """
+    first = f"| {case} | {kind} | {'-' if seconds is None else f'{seconds:.1f}'} |"
     if report is None:
-        return f"| {case} | {kind} | ended without a report |"
+        return f"{first} ended without a report |"
+    if isinstance(report, str):
+        return f"{first} {report} |"
     if report["error"] is not None:
-        return f"| {case} | {kind} | {report['error']['what'].split(': ', 1)[-1]} |"
+        return f"{first} {report['error']['what'].split(': ', 1)[-1]} |"
     results = report["results"]
     quality = results["volume"]["quality"]
+    steps = {step["name"]: step["seconds"] for step in report["steps"]}
     cells = [
         f"{results['surface']['topology']['vertices']:,}",
         f"{results['surface']['quality']['radius_ratio']['min']:.3f}",
         f"{results['volume']['tetrahedra']:,}",
-        f"{quality['min_dihedral']['min']:.1f}",
+        f"{steps['tetrahedralize']:.1f}",
+        f"{quality['min_dihedral']['min']:.2g}"
+        if quality["min_dihedral"]["min"] < 1
+        else f"{quality['min_dihedral']['min']:.1f}",
         f"{quality['radius_ratio']['min']:.3f} / {quality['radius_ratio']['mean']:.3f}",
+        "passed" if report["exit_code"] == 0 else "failed",
+        *_solves(results["solve"]),
+        f"{steps['solve']:.0f}" if "solve" in steps else "-",
     ]
-    for problem in _PROBLEMS:
-        figures = results["solve"].get(problem)
-        if figures is None or "jacobi" not in figures:
-            cells.append("not solved")
-            continue
-        plain = figures["plain"] or {}
-        iterations, condition = plain.get("iterations"), plain.get("condition")
-        cells.append(
-            f"{'out of time' if iterations is None else f'{iterations:,}'} / {figures['jacobi']['iterations']:,} "
-            f"({'-' if condition is None else f'{condition:.2g}'})"
-        )
-    return f"| {case} | {kind} | {' | '.join(cells)} |"
+    return f"{first} {' | '.join(cells)} |"
+
+
+def made_in(folder: Path) -> float | None:
+    """Seconds that the stages took to make our surface from the distance field, if their reports are there."""
+    reports = [folder / "reports" / f"{stage}.json" for stage in ("sizefield", "seed", "particles", "reconstruct")]
+    if not all(report.is_file() for report in reports):
+        return None
+    return float(sum(json.loads(report.read_text(encoding="utf-8"))["seconds"] for report in reports))
+
+
+def surfaces(folder: Path, parsed: argparse.Namespace) -> dict[str, Callable[[Path], tuple[float | None, str | None]]]:
+    """How to make each surface of a case: a function of its file that returns seconds and what went wrong, if anything.
+
+    Parameters
+    ----------
+    folder
+        The results of the case.
+    parsed
+        The command line of this program.
+    """
+    name = folder.name
+    distfield, ours = folder / f"{name}.distfield.vti", folder / f"{name}.surface.vtp"
+    native = parsed.work / f"{name}.marching-cubes.vtp"
+
+    def by_particles(target: Path) -> tuple[float | None, str | None]:
+        target.write_bytes(ours.read_bytes())
+        return made_in(folder), None
+
+    def by_marching_cubes(target: Path) -> tuple[float | None, str | None]:
+        started = time.monotonic()
+        marching_cubes(distfield, target)
+        return time.monotonic() - started, None
+
+    def as_many(target: Path) -> tuple[float | None, str | None]:
+        wanted, step = vertices_of(ours), 1.0
+        count = marching_cubes(distfield, target, step)
+        for _ in range(3):
+            step *= float(np.sqrt(count / wanted))
+            started = time.monotonic()
+            count = marching_cubes(distfield, target, step)
+        return time.monotonic() - started, None
+
+    def by_botsch(target: Path) -> tuple[float | None, str | None]:
+        marching_cubes(distfield, native)
+        problem = remesh(parsed.remesher, native, vertices_of(ours), target, parsed.fill_seconds)
+        if problem is not None:
+            return None, problem
+        with np.load(target.with_suffix(".npz")) as made:
+            return float(made["seconds"]), None
+
+    makers = dict(zip(KINDS, (by_particles, by_marching_cubes, as_many, by_botsch), strict=True))
+    return {kind: makers[kind] for kind in KINDS if kind in parsed.surfaces and (kind != KINDS[3] or parsed.remesher)}
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Fill, solve, print; 2 where a run ended in an error, 0 else (a mesh that fails a check is a row of the table).
+    """Fill, solve, print; 2 where our own surface ended in an error, 0 else (what becomes of the others is in the table).
 
     Parameters
     ----------
@@ -135,24 +261,31 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("cases", metavar="CASE_DIR", type=Path, nargs="+", help="folders with the results of a case")
     parser.add_argument("--work", type=Path, required=True, help="where to write the meshes")
+    parser.add_argument(
+        "--remesher", metavar="PYTHON", type=Path, help="interpreter with gpytoolbox; without it no remesher"
+    )
+    parser.add_argument("--surfaces", choices=KINDS, nargs="+", default=KINDS, help="which of them (default: all)")
+    parser.add_argument("--fill-seconds", type=float, default=600.0, help="time limit of remesher and of HXT, s")
     parser.add_argument("--solve-seconds", type=float, default=600.0, help="time limit of the problems of one mesh, s")
+    parser.add_argument("--compare-seconds", type=float, default=300.0, help="of these for CG without multigrid, s")
     parsed = parser.parse_args(argv)
     failed = False
     parsed.work.mkdir(parents=True, exist_ok=True)
-    print(
-        "| case | surface | vertices | smallest radius ratio, triangles | tetrahedra | smallest dihedral | radius ratio, "
-        "smallest / mean | Poisson: CG plain / Jacobi (condition) | conduction | elasticity |\n" + "|---" * 10 + "|"
-    )
+    if parsed.remesher is None:
+        print("no remesher: skipped (--remesher PYTHON)", file=sys.stderr)
+    print(f"| {' | '.join(_COLUMNS)} |\n" + "|---" * len(_COLUMNS) + "|")
     for folder in parsed.cases:
         name = folder.name
-        other = parsed.work / f"{name}.marching-cubes.vtp"
-        marching_cubes(folder / f"{name}.distfield.vti", other)
-        sizefield = folder / f"{name}.sizefield.vti"
-        for kind, surface in (("particles", folder / f"{name}.surface.vtp"), ("marching cubes", other)):
-            label = f"{name}.{kind.replace(' ', '-')}"
-            report = fill_and_solve(surface, sizefield, parsed.work, label, parsed.solve_seconds)
-            print(row(name, kind, report), flush=True)
-            failed = failed or report is None or report["error"] is not None
+        for kind, make in surfaces(folder, parsed).items():
+            label = f"{name}.{kind}"
+            surface = parsed.work / f"{label}.vtp"
+            seconds, problem = make(surface)
+            report: dict[str, Any] | str | None = problem
+            if problem is None:
+                report = fill_and_solve(surface, folder / f"{name}.sizefield.vti", parsed.work, label, parsed)
+            print(row(name, kind.replace("-", " "), seconds, report), flush=True)
+            if kind == "particles":
+                failed = failed or not isinstance(report, dict) or report["error"] is not None
     return 2 if failed else 0
 
 

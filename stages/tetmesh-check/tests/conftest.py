@@ -13,12 +13,15 @@ import pytest
 import pyvista as pv
 
 
-def _hxt_is_there() -> bool:
-    """Whether Gmsh can be imported, tried in another process because it is never imported into this one."""
-    return subprocess.run([sys.executable, "-c", "import gmsh"], capture_output=True, check=False).returncode == 0
+def _is_there(library: str) -> bool:
+    """Whether a library can be imported, tried in another process because it is never imported into this one."""
+    return subprocess.run([sys.executable, "-c", f"import {library}"], capture_output=True, check=False).returncode == 0
 
 
-NEEDS_HXT = pytest.mark.skipif(not _hxt_is_there(), reason="Gmsh (HXT) is not installed: see setup-env.sh --help")
+NEEDS_HXT = pytest.mark.skipif(not _is_there("gmsh"), reason="Gmsh (HXT) is not installed: see setup-env.sh --help")
+NEEDS_TETGEN = pytest.mark.skipif(
+    not _is_there("tetgen"), reason="TetGen (AGPL) is not installed: see requirements-tetgen.lock"
+)
 
 Run = Callable[..., subprocess.CompletedProcess[str]]
 

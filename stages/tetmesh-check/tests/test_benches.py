@@ -11,6 +11,7 @@ from types import ModuleType
 import numpy as np
 import pytest
 import pyvista as pv
+from conftest import ball
 
 
 @pytest.fixture
@@ -35,22 +36,40 @@ def test_old_reports_and_missing_ones(
     work.mkdir()
     old = work / "a.particles.report.json"
     old.write_text("{}")
-    solved = {"jacobi": {"iterations": 30}, "plain": None}
+    run_of = {"iterations": 30, "converged": True, "condition": None}
+    solved = {"unknowns": 77, "multigrid": {**run_of, "iterations": 9}, "jacobi": run_of, "plain": None}
+    plain = {"iterations": 1234, "converged": False, "condition": 5e6}
     quality = {name: {"min": 0.5, "mean": 0.7} for name in ("radius_ratio", "min_dihedral")}
     results = {
         "surface": {"topology": {"vertices": 1}, "quality": quality},
         "volume": {"tetrahedra": 2, "quality": quality},
-        "solve": {"poisson": solved, "conduction": {**solved, "plain": {"iterations": 1234, "condition": None}}},
+        "solve": {"poisson": solved, "conduction": {**solved, "plain": plain}},
     }
+    steps = [{"name": "tetrahedralize", "seconds": 2.0}]
+    whole = {"error": None, "results": results, "exit_code": 1, "steps": steps}
 
-    def run(words: list[str], **_: object) -> None:
+    def run(words: list[str], **_: object) -> subprocess.CompletedProcess[str]:
+        if words[1].endswith("remesh.py"):
+            # somebody else's program, killed
+            return subprocess.CompletedProcess(words, -11)
         if "marching-cubes" in words[-2]:
-            Path(words[-2]).write_text(json.dumps({"error": None, "results": results}))
+            Path(words[-2]).write_text(json.dumps(whole))
+        return subprocess.CompletedProcess(words, 0)
 
     monkeypatch.setattr(subprocess, "run", run)
-    assert bench.main([str(tmp_path / "a"), "--work", str(work)]) == 2
+    ball(2.5).save(tmp_path / "a" / "a.surface.vtp")
+    assert bench.main([str(tmp_path / "a"), "--work", str(work), "--remesher", "python"]) == 2
     table = capsys.readouterr().out
-    assert "| a | particles | ended without a report |" in table
+    assert "| a | particles | - | ended without a report |" in table
+    assert "| a | remesh_botsch | - | the remesher failed (exit code -11) |" in table
     assert not old.exists()
-    assert "| out of time / 30 (-) | 1,234 / 30 (-) | not solved |" in table
-    assert pv.read(work / "a.marching-cubes.vtp").n_cells > 0
+    assert "| failed | 77; 9 / 30 / - | 77; 9 / 30 / stuck at 1,234 (5e+06) | not solved |" in table
+    native, resampled = (pv.read(work / f"a.{kind}.vtp") for kind in bench.KINDS[1:3])
+    assert abs(resampled.n_points - 162) < abs(native.n_points - 162)
+    for surface in (native, resampled):
+        assert surface.volume == pytest.approx(4.0 / 3.0 * np.pi * 2.5**3, rel=0.2)
+
+    assert bench.main([str(tmp_path / "a"), "--work", str(work), "--surfaces", "marching-cubes"]) == 0
+    said = capsys.readouterr()
+    assert said.out.count("| a |") == 1
+    assert "no remesher: skipped" in said.err

@@ -112,6 +112,7 @@ def test_the_page_is_whole_and_needs_nothing_else(case: Path, page: Path) -> Non
         "a&b",
         "Fit for simulation: all 10 checks passed",
         number(results["volume"]["tetrahedra"]),
+        number(results["solve"]["elasticity"]["multigrid"]["iterations"]),
         number(results["solve"]["elasticity"]["jacobi"]["iterations"]),
         *(check["words"] for check in results["checks"]),
         "a <strange> thing",

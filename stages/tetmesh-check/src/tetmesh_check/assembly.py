@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csr_matrix
+from scipy.sparse import bsr_matrix, csr_matrix
 from skfem import Basis, BilinearForm, ElementTetP1, ElementVector, Functional, LinearForm, MeshTet
 
 from tetmesh_check.krylov import OutOfTimeError
@@ -34,6 +34,23 @@ def _merge(parts: list[tuple[int, Any]]) -> None:
     """Put the sum of the last two in their place."""
     (blocks, matrix), (other_blocks, other) = parts.pop(), parts.pop()
     parts.append((blocks + other_blocks, other + matrix))
+
+
+def _add(parts: list[tuple[int, Any]], matrix: Any) -> None:
+    """Add the matrix of a block to a list of sums, each with its number of blocks.
+
+    Sums of equally many blocks are merged at once, so that every entry is added a few times only and few matrices are held.
+    """
+    parts.append((1, matrix))
+    while len(parts) > 1 and parts[-1][0] == parts[-2][0]:
+        _merge(parts)
+
+
+def _sum(parts: list[tuple[int, Any]]) -> Any:
+    """Merge what is left."""
+    while len(parts) > 1:
+        _merge(parts)
+    return parts[0][1]
 
 
 class Assembler:
@@ -64,35 +81,65 @@ class Assembler:
             mesh = MeshTet(np.ascontiguousarray(self.points[used].T), np.ascontiguousarray(local.reshape(-1, 4).T))
             yield used, Basis(mesh, element, intorder=order)
 
-    def matrix(
-        self, form: Callable[..., Any], vector: bool = False, coefficient: Callable[[Any], Any] | None = None
-    ) -> Any:
+    def matrix(self, form: Callable[..., Any], coefficient: Callable[[Any], Any] | None = None) -> Any:
         """Assemble a bilinear form ``form(u, v, w)`` to a sparse matrix.
 
         Parameters
         ----------
         form
             In terms of gradients only.
-        vector
-            Whether it is one of vector fields: unknown ``3 i + k`` is then component k at point i.
         coefficient
             Of positions; the form finds its values, computed once, as ``w.coefficient``.
         """
-        size = (3 if vector else 1) * len(self.points)
-        parts: list[tuple[int, Any]] = []  # how many blocks, and the sum of their matrices
-        for used, basis in self._blocks(vector, _STIFFNESS_ORDER):
+        size = len(self.points)
+        parts: list[tuple[int, Any]] = []
+        for used, basis in self._blocks(False, _STIFFNESS_ORDER):
             known = {}
             if coefficient is not None:
                 known["coefficient"] = coefficient(np.asarray(basis.global_coordinates()))
             local = BilinearForm(form).assemble(basis, **known).tocoo()
-            place = _unknowns(used) if vector else used
-            parts.append((1, csr_matrix((local.data, (place[local.row], place[local.col])), shape=(size, size))))
-            # sums of equally many blocks at once, so that every entry is added a few times only and few matrices are held
-            while len(parts) > 1 and parts[-1][0] == parts[-2][0]:
-                _merge(parts)
-        while len(parts) > 1:
-            _merge(parts)
-        return parts[0][1]
+            _add(parts, csr_matrix((local.data, (used[local.row], used[local.col])), shape=(size, size)))
+        return _sum(parts)
+
+    def elastic_stiffness(self, shear: float, lame: float) -> Any:
+        """Assemble the stiffness of isotropic linear elasticity, ``2 shear sym grad u : sym grad v + lame div u div v``.
+
+        Its blocks of 3 x 3 are made of the products of the gradients of two hat functions, which takes a tenth of the time of a
+        form of vector fields.
+
+        Parameters
+        ----------
+        shear, lame
+            Lame's parameters (mu and lambda), N/mm^2.
+
+        Returns
+        -------
+        sparse matrix
+            Shape ``(3 n, 3 n)``, in rows; unknown ``3 i + k`` is component k at point i.
+        """
+        parts: list[tuple[int, Any]] = []
+        for used, basis in self._blocks(False, _STIFFNESS_ORDER):
+            gradients = np.stack([np.asarray(function[0].grad)[:, :, 0] for function in basis.basis])
+            # d/dx_k of the j-th function times d/dx_l of the i-th, over the tetrahedron
+            products = np.einsum(
+                "jkm,ilm,m->mijkl", gradients, gradients, np.asarray(basis.dx).sum(axis=1), optimize=True
+            )
+            blocks = shear * products + lame * products.swapaxes(3, 4)
+            blocks += shear * np.trace(products, axis1=3, axis2=4)[..., None, None] * np.eye(3)
+            corners = np.asarray(basis.mesh.t, dtype=np.int64).T
+            _add(parts, self._summed(used, corners, blocks))
+        return _sum(parts).tocsr()
+
+    def _summed(self, used: Labels, corners: Cells, blocks: Values) -> Any:
+        """Add the blocks of the tetrahedra, shape ``(m, 4, 4, 3, 3)``, to a matrix; ``corners`` are numbers in ``used``."""
+        key = (corners[:, :, None] * len(used) + corners[:, None, :]).ravel()
+        order = np.argsort(key, kind="stable")
+        pairs, starts = np.unique(key[order], return_index=True)
+        data = np.add.reduceat(blocks.reshape(-1, 3, 3)[order], starts, axis=0)
+        first = np.zeros(len(self.points) + 1, dtype=np.int64)
+        np.cumsum(np.bincount(used[pairs // len(used)], minlength=len(self.points)), out=first[1:])
+        size = 3 * len(self.points)
+        return bsr_matrix((data, used[pairs % len(used)], first), shape=(size, size))
 
     def load(self, form: Callable[..., Any], vector: bool = False, order: int = DATA_ORDER) -> Values:
         """Assemble a linear form ``form(v, w)`` to a vector.
@@ -102,7 +149,7 @@ class Assembler:
         form
             The form.
         vector
-            See :meth:`matrix`.
+            Whether it is one of vector fields: entry ``3 i + k`` is then component k at point i.
         order
             Order of quadrature.
         """

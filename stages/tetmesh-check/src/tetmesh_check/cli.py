@@ -84,11 +84,11 @@ def build_parser() -> argparse.ArgumentParser:
     method = parser.add_argument_group("Method")
     method.add_argument(
         "--method",
-        choices=["auto", "ftetwild", "hxt"],
+        choices=["auto", "ftetwild", "hxt", "tetgen"],
         default="auto",
         help="ftetwild takes long on large surfaces and may move the surface within the envelope; hxt (Gmsh) takes seconds and "
-        "keeps its triangles; auto is ftetwild up to 10,000 vertices, hxt beyond, and ftetwild where hxt is missing or fails "
-        "(default auto)",
+        "keeps its triangles; tetgen (AGPL, to be installed by hand) keeps them too, and knows of the size field its largest h only; auto "
+        "is ftetwild up to 5,000 vertices, hxt beyond, and ftetwild where hxt is missing or fails (default auto)",
     )
     method.add_argument(
         "--tet-size-factor",
@@ -159,8 +159,9 @@ def build_parser() -> argparse.ArgumentParser:
 
     solve = parser.add_argument_group(
         "Solve",
-        "Problems solved on the tetrahedra with linear elements (scikit-fem) and conjugate gradients: Poisson's equation with a known "
-        "solution, the potential of a wave of excitation in tissue with fibres, and an elastic organ under its own weight.",
+        "Problems solved on the tetrahedra with linear elements (scikit-fem) and conjugate gradients with multigrid (PyAMG): Poisson's "
+        "equation with a known solution, the potential of a wave of excitation in tissue with fibres, and an elastic organ under its own "
+        "weight.",
     )
     solve.add_argument(
         "--solve",
@@ -174,6 +175,14 @@ def build_parser() -> argparse.ArgumentParser:
         type=positive,
         default=600.0,
         help="leave out what is not solved after this time, s, with a warning (default 600)",
+    )
+    solve.add_argument(
+        "--compare-seconds",
+        metavar="S",
+        type=number(0.0, math.inf),
+        default=60.0,
+        help="of these, how long conjugate gradients may go on without multigrid, s, only to tell the condition of the matrices; at least 0 "
+        "(default 60)",
     )
 
     shared = parser.add_argument_group("Shared options")
@@ -291,7 +300,7 @@ def _run(parsed: argparse.Namespace, context: Context) -> list[str]:
         max_passes=parsed.max_passes,
         max_seconds=parsed.max_seconds,
         limits=Limits(parsed.min_dihedral, parsed.min_scaled_jacobian, parsed.max_volume_change, parsed.max_distance),
-        solve=SolveSettings(SolveMode(parsed.solve), parsed.solve_seconds),
+        solve=SolveSettings(SolveMode(parsed.solve), parsed.solve_seconds, parsed.compare_seconds),
     )
     context.parameters.update(arguments.parameters())
     if arguments.output.suffix != ".vtu":

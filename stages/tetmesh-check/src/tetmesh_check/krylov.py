@@ -8,6 +8,7 @@ bounds its condition number from below, and closely so once the iteration has co
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -67,10 +68,21 @@ def _dot(a: Values, b: Values) -> float:
     return float(np.einsum("i,i->", a, b))
 
 
+def nothing(residual: Values) -> Values:
+    """Leave the residual as it is: no preconditioner."""
+    return residual
+
+
+def jacobi(matrix: Any) -> Callable[[Values], Values]:
+    """Divide the residual by the diagonal of a matrix."""
+    scale: Values = 1.0 / matrix.diagonal()
+    return lambda residual: scale * residual
+
+
 def conjugate_gradients(
     matrix: Any,
     right_side: Values,
-    jacobi: bool,
+    precondition: Callable[[Values], Values],
     max_iterations: int,
     deadline: float,
     tolerance: float = TOLERANCE,
@@ -85,8 +97,9 @@ def conjugate_gradients(
         Sparse, shape ``(n, n)``.
     right_side
         Shape ``(n,)``.
-    jacobi
-        Whether the residual is divided by the diagonal of the matrix.
+    precondition
+        From a residual to the correction that goes with it, linear, symmetric and positive: :func:`nothing`, :func:`jacobi`,
+        :func:`.multigrid`.
     max_iterations
         The iteration ends then, converged or not.
     deadline
@@ -99,12 +112,11 @@ def conjugate_gradients(
     OutOfTimeError
         When time is over.
     """
-    scale = 1.0 / matrix.diagonal() if jacobi else np.ones(len(right_side))
     norm = _dot(right_side, right_side) ** 0.5
     goal = tolerance * norm
     x = np.zeros(len(right_side))
     r = right_side.copy()
-    z = scale * r
+    z = precondition(r)
     p = z.copy()
     rz = _dot(r, z)
     steps: list[float] = []
@@ -124,7 +136,7 @@ def conjugate_gradients(
         r -= alpha * q
         steps.append(alpha)
         converged = _dot(r, r) <= goal * goal
-        z = scale * r
+        z = precondition(r)
         before, rz = rz, _dot(r, z)
         turns.append(rz / before)
         p = z + turns[-1] * p

@@ -8,16 +8,18 @@ Physiology", 2009, chapter 12) say whether a solver has an easy time with it.
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
-from skfem.helpers import ddot, div, dot, grad, mul, sym_grad
+from skfem.helpers import dot, grad, mul
 
 from tetmesh_check.assembly import Assembler, held_at_one_side
-from tetmesh_check.krylov import TOLERANCE, CgResult, OutOfTimeError, conjugate_gradients
+from tetmesh_check.krylov import TOLERANCE, CgResult, OutOfTimeError, conjugate_gradients, jacobi, nothing
+from tetmesh_check.multigrid import multigrid, rigid_motions
 from tetmesh_check.quality import Labels, Values
 
 YOUNG = 0.01
@@ -28,37 +30,66 @@ WEIGHT = 1060.0e-9 * 9.81
 CLAMPED_SHARE = 0.1
 """Share of the length of each body that is held."""
 _SIDES = tuple((axis, sign) for axis in range(3) for sign in (1.0, -1.0))
+MAX_MULTIGRID_ITERATIONS = 500
+"""Of conjugate gradients with multigrid: a good mesh takes 10 to 50."""
 CONDUCTIVITY = {"intracellular": (0.174, 0.0193), "extracellular": (0.625, 0.236)}
 """Along and across the fibres, S/m (Roth 1997, after Clerc 1976)."""
 RESTING, RISE = -80.0, 100.0
 """Transmembrane potential ahead of the wave front, and its rise behind it, mV."""
 
 
-@dataclass(frozen=True)
+@dataclass
 class Solver:
     """How the systems are solved."""
 
     max_iterations: int
-    """Of one iteration."""
+    """Of one iteration with Jacobi's preconditioner or none."""
     deadline: float
     """When time is over, by the monotonic clock, s."""
+    compare_seconds: float = float("inf")
+    """Time left for the runs that only give figures, s; it gets less as they take it."""
 
-    def solve(self, matrix: Any, right_side: Values) -> tuple[Values, dict[str, Any], bool]:
-        """Solve with Jacobi's preconditioner: solution, figures, and whether that converged.
+    def solve(
+        self, matrix: Any, right_side: Values, near_null: Values | None = None
+    ) -> tuple[Values, dict[str, Any], bool]:
+        """Solve with multigrid: solution, figures, and whether that converged and nothing else got stuck.
 
-        A run without it goes along for its figures, among them the condition of the matrix itself. It has half of the time
-        that is left, so that other problems have some, too; ``plain`` is ``None`` where that did not suffice.
+        Runs with Jacobi's preconditioner and without go along for their figures, among them the condition of the matrix itself.
+        Each has half of the time that is left, so that others have some, too; ``jacobi`` or ``plain`` is ``None`` where that
+        did not suffice.
+
+        Parameters
+        ----------
+        matrix, right_side
+            The system.
+        near_null
+            See :func:`.multigrid`.
         """
-        jacobi = conjugate_gradients(matrix, right_side, True, self.max_iterations, self.deadline)
-        now = time.monotonic()
-        half = now + 0.5 * (self.deadline - now)
-        try:
-            plain = _figures(conjugate_gradients(matrix, right_side, False, self.max_iterations, half))
-        except OutOfTimeError:
-            plain = None
+        started = time.monotonic()
+        # a mesh of one layer has no points inside
+        cycle = multigrid(matrix, near_null) if matrix.shape[0] else nothing
+        set_up = time.monotonic() - started
+        solved = conjugate_gradients(matrix, right_side, cycle, MAX_MULTIGRID_ITERATIONS, self.deadline)
+        del cycle
+        seconds = time.monotonic() - started
         figures: dict[str, Any] = {"unknowns": matrix.shape[0], "nonzeros": matrix.nnz, "tolerance": TOLERANCE}
-        figures.update(jacobi=_figures(jacobi), plain=plain)
-        return jacobi.solution, figures, jacobi.converged
+        figures["multigrid"] = {**_figures(solved), "setup_seconds": set_up, "seconds": seconds}
+        figures["jacobi"] = self._compared(matrix, right_side, jacobi(matrix))
+        figures["plain"] = self._compared(matrix, right_side, nothing)
+        stuck = figures["jacobi"] is not None and not figures["jacobi"]["converged"]
+        return solved.solution, figures, solved.converged and not stuck
+
+    def _compared(
+        self, matrix: Any, right_side: Values, precondition: Callable[[Values], Values]
+    ) -> dict[str, Any] | None:
+        started = time.monotonic()
+        deadline = started + 0.5 * min(self.compare_seconds, self.deadline - started)
+        try:
+            return _figures(conjugate_gradients(matrix, right_side, precondition, self.max_iterations, deadline))
+        except OutOfTimeError:
+            return None
+        finally:
+            self.compare_seconds -= time.monotonic() - started
 
 
 def _figures(run: CgResult) -> dict[str, Any]:
@@ -182,10 +213,7 @@ def elasticity(assembler: Assembler, volumes: Values, bodies: Labels, solver: So
     fixed = np.zeros(len(points), dtype=bool)
     fixed[tetrahedra[candidates[best]]] = True
 
-    def stiffness(u: Any, v: Any, _w: Any) -> Any:
-        return 2.0 * shear * ddot(sym_grad(u), sym_grad(v)) + lame * div(u) * div(v)
-
-    matrix = assembler.matrix(stiffness, vector=True)
+    matrix = assembler.elastic_stiffness(shear, lame)
     load = assembler.load(lambda v, _w: sign * WEIGHT * v[axis], vector=True, order=1)
     free = np.flatnonzero(np.repeat(~fixed, 3))
     figures: dict[str, Any] = {
@@ -197,7 +225,7 @@ def elasticity(assembler: Assembler, volumes: Values, bodies: Labels, solver: So
     }
     if len(free) == 0:
         return {**figures, "unknowns": 0}, True
-    inner, solved, converged = solver.solve(matrix[free][:, free], load[free])
+    inner, solved, converged = solver.solve(matrix[free][:, free], load[free], rigid_motions(points[~fixed]))
     displacement = np.zeros(matrix.shape[0])
     displacement[free] = inner
     reaction = (load - matrix @ displacement).reshape(-1, 3)[fixed].sum(axis=0)

@@ -56,7 +56,8 @@ def summary(case: Case) -> dict[str, Any]:
         volume_mm3=dig(volume, "volume_mm3"),
     )
     for problem in ("poisson", "conduction", "elasticity"):
-        line[f"{problem}_cg_jacobi"] = dig(results, "solve", problem, "jacobi", "iterations")
+        for run in ("multigrid", "jacobi"):
+            line[f"{problem}_cg_{run}"] = dig(results, "solve", problem, run, "iterations")
     line.update({f"{stage}_seconds": report["seconds"] for stage, report in case.stages.items()})
     line.update(seconds=case.seconds, peak_memory_bytes=int(case.peak_memory))
     return line
