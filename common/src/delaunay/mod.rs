@@ -20,7 +20,7 @@ use crate::error::{Error, Result};
 use glam::DVec3;
 use insert::{Cells, Sites};
 use order::Order;
-use predicates::{collinear, orientation};
+use predicates::{collinear, orientation, volume};
 use rayon::prelude::*;
 use regions::Cutting;
 
@@ -253,7 +253,7 @@ const FACETS: [[usize; 3]; 4] = [[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]];
 /// Centre of the sphere through four points; `None` when it is not finite.
 pub fn circumcentre([a, b, c, d]: [DVec3; 4]) -> Option<DVec3> {
     let (u, v, w) = (b - a, c - a, d - a);
-    let volume = orientation(a, b, c, d);
+    let volume = volume(a, b, c, d);
     let numerator = v.cross(w) * u.length_squared() + w.cross(u) * v.length_squared() + u.cross(v) * w.length_squared();
     let centre = a + numerator / (2.0 * volume);
     centre.is_finite().then_some(centre)

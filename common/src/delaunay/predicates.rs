@@ -23,7 +23,7 @@ fn coordinates(p: DVec3) -> Coord3D<f64> {
 }
 
 /// Number with the sign of (b - a) x (c - a) . (d - a), exactly: positive when b, c, d turn counter-clockwise seen from
-/// the side that a is not on, as VTK orders a tetrahedron.
+/// the side that a is not on, as VTK orders a tetrahedron. Its size means nothing: see [`volume`].
 #[inline]
 pub fn orientation(a: DVec3, b: DVec3, c: DVec3, d: DVec3) -> f64 {
     let (u, v, w) = (b - a, c - a, d - a);
@@ -36,11 +36,16 @@ pub fn orientation(a: DVec3, b: DVec3, c: DVec3, d: DVec3) -> f64 {
     orientation_of_flat(a, b, c, d)
 }
 
+/// (b - a) x (c - a) . (d - a), six times the volume of the tetrahedron, right to some digits however flat it is, and with the
+/// exact sign.
+pub fn volume(a: DVec3, b: DVec3, c: DVec3, d: DVec3) -> f64 {
+    -robust::orient3d(coordinates(a), coordinates(b), coordinates(c), coordinates(d))
+}
+
 #[cold]
 #[inline(never)]
 fn orientation_of_flat(a: DVec3, b: DVec3, c: DVec3, d: DVec3) -> f64 {
-    let expansion = || -robust::orient3d(coordinates(a), coordinates(b), coordinates(c), coordinates(d));
-    exact::orientation_sign(&[a, b, c, d]).unwrap_or_else(expansion)
+    exact::orientation_sign(&[a, b, c, d]).unwrap_or_else(|| volume(a, b, c, d))
 }
 
 /// Number with the sign of the in-sphere determinant, exactly: positive when e lies inside the sphere through a

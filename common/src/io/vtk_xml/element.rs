@@ -112,7 +112,9 @@ impl VtkFile {
     /// Reads an array of `count` numbers.
     pub(in crate::io) fn numbers(&self, array: &Element, count: usize) -> Result<Voxels> {
         let scalar = self.scalar(array)?;
-        check_memory(&self.path, count as u64 * scalar.bytes() as u64)?;
+        // a count that overflows is more than any memory holds
+        let expected = (count as u64).saturating_mul(scalar.bytes() as u64);
+        check_memory(&self.path, expected)?;
         let wrong = |error: std::io::Error| self.array_error(array, &error);
         if array.attribute("format").unwrap_or("ascii") == "ascii" {
             let mut values = Voxels::empty(scalar);
@@ -127,7 +129,6 @@ impl VtkFile {
             return Ok(values);
         }
         let mut reader = self.reader(array).map_err(wrong)?;
-        let expected = count as u64 * scalar.bytes() as u64;
         if reader.length != expected {
             let text = format!("{} bytes where {expected} are needed", reader.length);
             return Err(wrong(std::io::Error::other(text)));
