@@ -320,11 +320,11 @@ fn circumcentre_of_a_cell_flat_up_to_rounding_is_far_away_in_any_unit() {
     let mut undecided = 0;
     for k in 0..200u64 {
         let at = |n: u64| {
-            let r = |m: u64| crate::random::uniform(3, n, 2 * k + m);
+            let r = |m: u64| uniform(3, n, 2 * k + m);
             DVec3::new(0.3, 0.5, 0.7) + u * (r(0) + (n % 2) as f64) + v * (r(1) + (n / 2) as f64)
         };
         let corners = [at(0), at(1), at(2), at(3)];
-        let exact = super::predicates::volume(corners[0], corners[1], corners[2], corners[3]);
+        let exact = predicates::volume(corners[0], corners[1], corners[2], corners[3]);
         if exact == 0.0 {
             continue;
         }
