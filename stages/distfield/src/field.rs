@@ -9,7 +9,7 @@ use crate::samples::{Implicit, project, surface_samples};
 use crate::topology::Parts;
 use glam::DVec3;
 use isoparticles_common::cli::Context;
-use isoparticles_common::error::Result;
+use isoparticles_common::error::{Error, Result};
 use isoparticles_common::image::Image;
 use isoparticles_common::marching_cubes::marching_cubes;
 use isoparticles_common::mesh::TriangleMesh;
@@ -119,7 +119,7 @@ fn first_order_distance(value: f64, slope: f64) -> f64 {
 /// Re-distances a source. `clearance` gives the least |F| (mm) at each node.
 ///
 /// # Errors
-/// When no part of the object is to stay, or the run is interrupted.
+/// When the source has no zero set, no part of the object is to stay, or the run is interrupted.
 pub fn redistance(
     source: &Source,
     clearance: impl Fn(usize) -> f32 + Sync,
@@ -138,6 +138,13 @@ pub fn redistance(
         choices = junctions(&nodes);
     }
     let mesh = marching_cubes(&nodes, 0.0);
+    if mesh.triangles.is_empty() {
+        return Err(Error::input(
+            "the object has no surface on the grid",
+            "there is nothing to measure distances from",
+            "choose another iso value or other labels, or --border cap",
+        ));
+    }
     let samples = surface_samples(source, &nodes, &mesh);
     let parts_before = Parts::of(&mesh);
     drop(mesh);

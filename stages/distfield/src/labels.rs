@@ -57,7 +57,7 @@ pub struct LabelOptions {
 /// F of the union of some labels: `inside` is true at their voxels.
 ///
 /// # Errors
-/// When no voxel is inside, or with an open border all are, or when the run is interrupted.
+/// When no voxel is inside, or with an open border all are, also after tightening, or when the run is interrupted.
 pub fn from_labels(inside: &Image<bool>, options: &LabelOptions, context: &Context) -> Result<Redistanced> {
     let step = context.step("binary distance");
     let mask = padded_mask(inside, options.border, options.margin);
@@ -86,6 +86,13 @@ pub fn from_labels(inside: &Image<bool>, options: &LabelOptions, context: &Conte
         return Err(Error::input(
             format!("tightening by {} voxels leaves nothing of the object", options.tightening),
             "parts thinner than twice that radius may vanish, and all are",
+            "choose a smaller --tightening; 0 keeps every voxel",
+        ));
+    }
+    if nodes.data.par_iter().all(|f| *f < 0.0) {
+        return Err(Error::input(
+            format!("tightening by {} voxels closes every gap in the object", options.tightening),
+            "gaps thinner than twice that radius may vanish, and all do: no surface is left",
             "choose a smaller --tightening; 0 keeps every voxel",
         ));
     }
