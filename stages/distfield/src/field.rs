@@ -61,6 +61,8 @@ pub struct Redistanced {
     pub dropped: Dropped,
     /// Parts of the source that stay, by marching cubes at its nodes.
     pub parts_before: Parts,
+    /// With tightening: parts of the labels that stay, by marching cubes before the flow.
+    pub parts_untightened: Option<Parts>,
     /// Parts of F, by marching cubes.
     pub parts_after: Parts,
     /// Distance of the zero sets.
@@ -71,6 +73,13 @@ pub struct Redistanced {
     pub undecided: usize,
     /// How the zero set was pinned.
     pub fit: FitReport,
+}
+
+impl Redistanced {
+    /// Parts of the input that stay, before any tightening.
+    pub fn parts_of_input(&self) -> Parts {
+        self.parts_untightened.unwrap_or(self.parts_before)
+    }
 }
 
 impl Implicit for Source {
@@ -171,7 +180,17 @@ pub fn redistance(
     let mesh = marching_cubes(&field, 0.0);
     let parts_after = Parts::of(&mesh);
     let shift = measure_shift(source, &field, &edge_midpoints(&mesh));
-    Ok(Redistanced { field, dropped, parts_before, parts_after, shift, held_nodes, undecided, fit })
+    Ok(Redistanced {
+        field,
+        dropped,
+        parts_before,
+        parts_untightened: None,
+        parts_after,
+        shift,
+        held_nodes,
+        undecided,
+        fit,
+    })
 }
 
 /// Keeps every node at least the clearance away from zero on its side; returns how many had to be moved.

@@ -10,7 +10,9 @@
 use crate::closest::distance_to_samples;
 use crate::field::{Redistanced, Source, redistance};
 use crate::junctions::{Bound, junctions, plain_choices};
+use crate::keep::{Dropped, drop_parts};
 use crate::scalar::pad;
+use crate::topology::Parts;
 use crate::{Border, Clearance, Keep};
 use glam::DVec3;
 use isoparticles_common::cli::Context;
@@ -60,7 +62,7 @@ pub struct LabelOptions {
 /// When no voxel is inside, or with an open border all are, also after tightening, or when the run is interrupted.
 pub fn from_labels(inside: &Image<bool>, options: &LabelOptions, context: &Context) -> Result<Redistanced> {
     let step = context.step("binary distance");
-    let mask = padded_mask(inside, options.border, options.margin);
+    let mut mask = padded_mask(inside, options.border, options.margin);
     if !mask.data.contains(&true) || !mask.data.contains(&false) {
         return Err(Error::input(
             "the chosen labels cover no voxel, or every voxel with an open border",
@@ -68,8 +70,11 @@ pub fn from_labels(inside: &Image<bool>, options: &LabelOptions, context: &Conte
             "choose other labels, or --border cap",
         ));
     }
+    let tightens = options.tightening > 0.0;
+    // the flow may then lose, part and join parts: which are to stay is asked of the labels first, and of what they became once more
+    let dropped = if tightens { drop_from_mask(&mut mask, options.keep)? } else { Dropped::default() };
     let mut least = least_distances(&mask, options.clearance);
-    let mut binary = binary_distance(&mask);
+    let (mut binary, parts) = binary_distance(&mask);
     relax(&mut least, &binary, options.tightening);
     hold(&mut binary, &mask, &least);
     drop(step);
@@ -100,7 +105,24 @@ pub fn from_labels(inside: &Image<bool>, options: &LabelOptions, context: &Conte
     drop(step);
     let source = Source { nodes, spline, cap: None };
     let smallest = SMALLEST_CLEARANCE * voxel as f32;
-    redistance(&source, |n| least[n].max(smallest), options.keep, context)
+    let mut result = redistance(&source, |n| least[n].max(smallest), options.keep, context)?;
+    if tightens {
+        result.dropped.add(dropped);
+        result.parts_untightened = Some(parts);
+    }
+    Ok(result)
+}
+
+/// Takes the parts that are not to stay out of the mask.
+fn drop_from_mask(mask: &mut Image<bool>, keep: Keep) -> Result<Dropped> {
+    if keep == Keep::All {
+        return Ok(Dropped::default());
+    }
+    let mut nodes = sides(mask);
+    let choices = junctions(&nodes);
+    let dropped = drop_parts(&mut nodes, &choices, keep)?;
+    dropped.nodes.iter().for_each(|&n| mask.data[n as usize] = false);
+    Ok(dropped)
 }
 
 /// Lets nodes within the radius of the staircase (voxels) come nearer to the surface than their least distance, and leave their side: the
@@ -180,12 +202,16 @@ fn thin_nodes(mask: &Image<bool>) -> Vec<bool> {
         .collect()
 }
 
-/// Signed distance of the binary surface (mm), which runs midway between voxel centres of different sides.
-fn binary_distance(mask: &Image<bool>) -> Image<f32> {
+/// -1 inside, 1 outside.
+fn sides(mask: &Image<bool>) -> Image<f32> {
     let data = mask.data.iter().map(|&m| if m { -1.0 } else { 1.0 }).collect();
-    let binary = Image { geometry: mask.geometry.clone(), data };
-    let mesh = marching_cubes(&binary, 0.0);
-    drop(binary);
+    Image { geometry: mask.geometry.clone(), data }
+}
+
+/// Signed distance of the binary surface (mm), which runs midway between voxel centres of different sides, and its parts.
+fn binary_distance(mask: &Image<bool>) -> (Image<f32>, Parts) {
+    let mesh = marching_cubes(&sides(mask), 0.0);
+    let parts = Parts::of(&mesh);
     let mut samples = mesh.vertices.clone();
     samples.extend(mesh.triangles.iter().map(|t| t.iter().map(|&v| mesh.vertices[v as usize]).sum::<DVec3>() / 3.0));
     // room for the differences at the rim of the band; beyond, any large number will do
@@ -197,7 +223,7 @@ fn binary_distance(mask: &Image<bool>) -> Image<f32> {
             *f = -*f;
         }
     });
-    field
+    (field, parts)
 }
 
 /// Nodes in rows along x: `start[row]..start[row + 1]` are the x indices of a row's nodes.
