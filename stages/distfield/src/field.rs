@@ -61,7 +61,7 @@ pub struct Redistanced {
     pub dropped: Dropped,
     /// Parts of the source that stay, by marching cubes at its nodes.
     pub parts_before: Parts,
-    /// With tightening: parts of the labels that stay, by marching cubes before the flow.
+    /// With tightening: parts of the labels that stay, counted as without it.
     pub parts_untightened: Option<Parts>,
     /// Parts of F, by marching cubes.
     pub parts_after: Parts,

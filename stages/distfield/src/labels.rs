@@ -70,11 +70,17 @@ pub fn from_labels(inside: &Image<bool>, options: &LabelOptions, context: &Conte
             "choose other labels, or --border cap",
         ));
     }
-    let tightens = options.tightening > 0.0;
-    // the flow may then lose, part and join parts: which are to stay is asked of the labels first, and of what they became once more
-    let dropped = if tightens { drop_from_mask(&mut mask, options.keep)? } else { Dropped::default() };
     let mut least = least_distances(&mask, options.clearance);
-    let (mut binary, parts) = binary_distance(&mask);
+    let mut binary = binary_distance(&mask);
+    let mut untightened = None;
+    if options.tightening > 0.0 {
+        let (dropped, parts) = parts_untightened(&mut mask, binary.clone(), &least, options, context)?;
+        if !dropped.nodes.is_empty() {
+            least = least_distances(&mask, options.clearance);
+            binary = binary_distance(&mask);
+        }
+        untightened = Some((dropped, parts));
+    }
     relax(&mut least, &binary, options.tightening);
     hold(&mut binary, &mask, &least);
     drop(step);
@@ -106,23 +112,28 @@ pub fn from_labels(inside: &Image<bool>, options: &LabelOptions, context: &Conte
     let source = Source { nodes, spline, cap: None };
     let smallest = SMALLEST_CLEARANCE * voxel as f32;
     let mut result = redistance(&source, |n| least[n].max(smallest), options.keep, context)?;
-    if tightens {
+    if let Some((dropped, parts)) = untightened {
         result.dropped.add(dropped);
         result.parts_untightened = Some(parts);
     }
     Ok(result)
 }
 
-/// Takes the parts that are not to stay out of the mask.
-fn drop_from_mask(mask: &mut Image<bool>, keep: Keep) -> Result<Dropped> {
-    if keep == Keep::All {
-        return Ok(Dropped::default());
-    }
-    let mut nodes = sides(mask);
+/// Tightening may lose, part and join parts. So they are counted, and those that are not to stay taken out of the mask, as without it: which
+/// parts that touch along an edge are joined is for the flow to say.
+fn parts_untightened(
+    mask: &mut Image<bool>,
+    mut binary: Image<f32>,
+    least: &[f32],
+    options: &LabelOptions,
+    context: &Context,
+) -> Result<(Dropped, Parts)> {
+    hold(&mut binary, mask, least);
+    let mut nodes = smooth(binary, mask, least, &[], options.smoothing_steps, context)?;
     let choices = junctions(&nodes);
-    let dropped = drop_parts(&mut nodes, &choices, keep)?;
+    let dropped = drop_parts(&mut nodes, &choices, options.keep)?;
     dropped.nodes.iter().for_each(|&n| mask.data[n as usize] = false);
-    Ok(dropped)
+    Ok((dropped, Parts::of(&marching_cubes(&nodes, 0.0))))
 }
 
 /// Lets nodes within the radius of the staircase (voxels) come nearer to the surface than their least distance, and leave their side: the
@@ -202,16 +213,12 @@ fn thin_nodes(mask: &Image<bool>) -> Vec<bool> {
         .collect()
 }
 
-/// -1 inside, 1 outside.
-fn sides(mask: &Image<bool>) -> Image<f32> {
+/// Signed distance of the binary surface (mm), which runs midway between voxel centres of different sides.
+fn binary_distance(mask: &Image<bool>) -> Image<f32> {
     let data = mask.data.iter().map(|&m| if m { -1.0 } else { 1.0 }).collect();
-    Image { geometry: mask.geometry.clone(), data }
-}
-
-/// Signed distance of the binary surface (mm), which runs midway between voxel centres of different sides, and its parts.
-fn binary_distance(mask: &Image<bool>) -> (Image<f32>, Parts) {
-    let mesh = marching_cubes(&sides(mask), 0.0);
-    let parts = Parts::of(&mesh);
+    let binary = Image { geometry: mask.geometry.clone(), data };
+    let mesh = marching_cubes(&binary, 0.0);
+    drop(binary);
     let mut samples = mesh.vertices.clone();
     samples.extend(mesh.triangles.iter().map(|t| t.iter().map(|&v| mesh.vertices[v as usize]).sum::<DVec3>() / 3.0));
     // room for the differences at the rim of the band; beyond, any large number will do
@@ -223,7 +230,7 @@ fn binary_distance(mask: &Image<bool>) -> (Image<f32>, Parts) {
             *f = -*f;
         }
     });
-    (field, parts)
+    field
 }
 
 /// Nodes in rows along x: `start[row]..start[row + 1]` are the x indices of a row's nodes.

@@ -158,6 +158,10 @@ fn parts_that_touch_along_an_edge_are_plainly_joined_or_parted() {
     let result = extract(&mask);
     assert_eq!(result.undecided, 0);
     assert_eq!(result.parts_before.components, result.parts_after.components);
+    // with tightening the parts of the input are those of the flow without it
+    let options = LabelOptions { tightening: 0.5, ..OPTIONS };
+    let tightened = from_labels(&mask, &options, &Context::silent("distfield")).expect("a surface");
+    assert_eq!(tightened.parts_of_input().components, result.parts_before.components);
     let spline = CubicSpline::new(&result.field);
     for z in [6.0, 7.0, 8.0] {
         let f = spline.value(DVec3::new(8.5, 8.5, z) + DVec3::splat(MARGIN as f64));
