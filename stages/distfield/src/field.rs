@@ -9,7 +9,7 @@ use crate::samples::{Implicit, project, surface_samples};
 use crate::topology::Parts;
 use glam::DVec3;
 use isoparticles_common::cli::Context;
-use isoparticles_common::error::Result;
+use isoparticles_common::error::{Error, Result};
 use isoparticles_common::image::Image;
 use isoparticles_common::marching_cubes::marching_cubes;
 use isoparticles_common::mesh::TriangleMesh;
@@ -61,6 +61,8 @@ pub struct Redistanced {
     pub dropped: Dropped,
     /// Parts of the source that stay, by marching cubes at its nodes.
     pub parts_before: Parts,
+    /// With tightening: parts of the labels that stay, counted as without it.
+    pub parts_untightened: Option<Parts>,
     /// Parts of F, by marching cubes.
     pub parts_after: Parts,
     /// Distance of the zero sets.
@@ -71,6 +73,13 @@ pub struct Redistanced {
     pub undecided: usize,
     /// How the zero set was pinned.
     pub fit: FitReport,
+}
+
+impl Redistanced {
+    /// Parts of the input that stay, before any tightening.
+    pub fn parts_of_input(&self) -> Parts {
+        self.parts_untightened.unwrap_or(self.parts_before)
+    }
 }
 
 impl Implicit for Source {
@@ -119,7 +128,7 @@ fn first_order_distance(value: f64, slope: f64) -> f64 {
 /// Re-distances a source. `clearance` gives the least |F| (mm) at each node.
 ///
 /// # Errors
-/// When no part of the object is to stay, or the run is interrupted.
+/// When the source has no zero set, no part of the object is to stay, or the run is interrupted.
 pub fn redistance(
     source: &Source,
     clearance: impl Fn(usize) -> f32 + Sync,
@@ -138,6 +147,13 @@ pub fn redistance(
         choices = junctions(&nodes);
     }
     let mesh = marching_cubes(&nodes, 0.0);
+    if mesh.triangles.is_empty() {
+        return Err(Error::input(
+            "the object has no surface on the grid",
+            "there is nothing to measure distances from",
+            "choose another iso value or other labels, or --border cap",
+        ));
+    }
     let samples = surface_samples(source, &nodes, &mesh);
     let parts_before = Parts::of(&mesh);
     drop(mesh);
@@ -164,7 +180,17 @@ pub fn redistance(
     let mesh = marching_cubes(&field, 0.0);
     let parts_after = Parts::of(&mesh);
     let shift = measure_shift(source, &field, &edge_midpoints(&mesh));
-    Ok(Redistanced { field, dropped, parts_before, parts_after, shift, held_nodes, undecided, fit })
+    Ok(Redistanced {
+        field,
+        dropped,
+        parts_before,
+        parts_untightened: None,
+        parts_after,
+        shift,
+        held_nodes,
+        undecided,
+        fit,
+    })
 }
 
 /// Keeps every node at least the clearance away from zero on its side; returns how many had to be moved.

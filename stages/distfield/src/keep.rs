@@ -7,7 +7,6 @@ use crate::junctions::Junction;
 use isoparticles_common::components::DisjointSets;
 use isoparticles_common::error::{Error, Result};
 use isoparticles_common::image::Image;
-use rayon::prelude::*;
 use serde::Serialize;
 use std::str::FromStr;
 
@@ -54,7 +53,7 @@ pub struct Dropped {
     pub volume: f64,
     /// Volume of the largest of them, mm^3.
     pub largest: f64,
-    /// The nodes that were inside them.
+    /// The nodes that were inside them, in ascending order.
     #[serde(skip)]
     pub nodes: Vec<u32>,
 }
@@ -125,13 +124,13 @@ pub fn drop_parts(nodes: &mut Image<f32>, junctions: &[Junction], keep: Keep) ->
 }
 
 impl Dropped {
-    /// How many of the nodes lie in the grid without its margin.
-    pub fn nodes_within(&self, size: [usize; 3], margin: usize) -> usize {
-        let [nx, ny, nz] = size.map(|n| n + 2 * margin);
-        let is_within = |n: usize| {
-            let at = [n % nx, n / nx % ny, n / (nx * ny)];
-            at.iter().zip([nx, ny, nz]).all(|(&at, n)| at >= margin && at + margin < n)
-        };
-        self.nodes.par_iter().filter(|&&n| is_within(n as usize)).count()
+    /// Adds parts that were dropped at another time.
+    pub fn add(&mut self, other: Self) {
+        self.components += other.components;
+        self.volume += other.volume;
+        self.largest = self.largest.max(other.largest);
+        self.nodes.extend(other.nodes);
+        self.nodes.sort_unstable();
+        self.nodes.dedup();
     }
 }

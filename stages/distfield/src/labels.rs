@@ -10,7 +10,9 @@
 use crate::closest::distance_to_samples;
 use crate::field::{Redistanced, Source, redistance};
 use crate::junctions::{Bound, junctions, plain_choices};
+use crate::keep::{Dropped, drop_parts};
 use crate::scalar::pad;
+use crate::topology::Parts;
 use crate::{Border, Clearance, Keep};
 use glam::DVec3;
 use isoparticles_common::cli::Context;
@@ -57,10 +59,10 @@ pub struct LabelOptions {
 /// F of the union of some labels: `inside` is true at their voxels.
 ///
 /// # Errors
-/// When no voxel is inside, or with an open border all are, or when the run is interrupted.
+/// When no voxel is inside, or with an open border all are, also after tightening, or when the run is interrupted.
 pub fn from_labels(inside: &Image<bool>, options: &LabelOptions, context: &Context) -> Result<Redistanced> {
     let step = context.step("binary distance");
-    let mask = padded_mask(inside, options.border, options.margin);
+    let mut mask = padded_mask(inside, options.border, options.margin);
     if !mask.data.contains(&true) || !mask.data.contains(&false) {
         return Err(Error::input(
             "the chosen labels cover no voxel, or every voxel with an open border",
@@ -70,6 +72,15 @@ pub fn from_labels(inside: &Image<bool>, options: &LabelOptions, context: &Conte
     }
     let mut least = least_distances(&mask, options.clearance);
     let mut binary = binary_distance(&mask);
+    let mut untightened = None;
+    if options.tightening > 0.0 {
+        let (dropped, parts) = parts_untightened(&mut mask, binary.clone(), &least, options, context)?;
+        if !dropped.nodes.is_empty() {
+            least = least_distances(&mask, options.clearance);
+            binary = binary_distance(&mask);
+        }
+        untightened = Some((dropped, parts));
+    }
     relax(&mut least, &binary, options.tightening);
     hold(&mut binary, &mask, &least);
     drop(step);
@@ -89,11 +100,40 @@ pub fn from_labels(inside: &Image<bool>, options: &LabelOptions, context: &Conte
             "choose a smaller --tightening; 0 keeps every voxel",
         ));
     }
+    if nodes.data.par_iter().all(|f| *f < 0.0) {
+        return Err(Error::input(
+            format!("tightening by {} voxels closes every gap in the object", options.tightening),
+            "gaps thinner than twice that radius may vanish, and all do: no surface is left",
+            "choose a smaller --tightening; 0 keeps every voxel",
+        ));
+    }
     let spline = CubicSpline::new(&nodes);
     drop(step);
     let source = Source { nodes, spline, cap: None };
     let smallest = SMALLEST_CLEARANCE * voxel as f32;
-    redistance(&source, |n| least[n].max(smallest), options.keep, context)
+    let mut result = redistance(&source, |n| least[n].max(smallest), options.keep, context)?;
+    if let Some((dropped, parts)) = untightened {
+        result.dropped.add(dropped);
+        result.parts_untightened = Some(parts);
+    }
+    Ok(result)
+}
+
+/// Tightening may lose, part and join parts. So they are counted, and those that are not to stay taken out of the mask, as without it: which
+/// parts that touch along an edge are joined is for the flow to say.
+fn parts_untightened(
+    mask: &mut Image<bool>,
+    mut binary: Image<f32>,
+    least: &[f32],
+    options: &LabelOptions,
+    context: &Context,
+) -> Result<(Dropped, Parts)> {
+    hold(&mut binary, mask, least);
+    let mut nodes = smooth(binary, mask, least, &[], options.smoothing_steps, context)?;
+    let choices = junctions(&nodes);
+    let dropped = drop_parts(&mut nodes, &choices, options.keep)?;
+    dropped.nodes.iter().for_each(|&n| mask.data[n as usize] = false);
+    Ok((dropped, Parts::of(&marching_cubes(&nodes, 0.0))))
 }
 
 /// Lets nodes within the radius of the staircase (voxels) come nearer to the surface than their least distance, and leave their side: the

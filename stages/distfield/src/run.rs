@@ -159,13 +159,14 @@ pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
         Border::Open => json!([]),
     };
     meta["dropped"] = json!(result.dropped);
-    meta["components_before"] = json!(result.parts_before.components);
-    meta["cavities_before"] = json!(result.parts_before.cavities);
+    meta["components_before"] = json!(result.parts_of_input().components);
+    meta["cavities_before"] = json!(result.parts_of_input().cavities);
     meta["components"] = json!(result.parts_after.components);
     meta["cavities"] = json!(result.parts_after.cavities);
     meta["volume"] = json!(result.parts_after.volume);
     meta["zero_set_shift"] = json!(result.shift);
     describe(&result, &meta, changed, context);
+    warn_of_lost_parts(&result, args.tightening, context);
 
     let step = context.step("write");
     write_field(&args.output, FieldKind::Distance, &result.field, &meta, &context.history())?;
@@ -210,9 +211,7 @@ fn extract_labels(args: &Args, volume: Volume, labels: &[i64], context: &Context
     let geometry = &mask.geometry;
     let voxel = geometry.spacing.element_product();
     let volume_before = mask.data.iter().filter(|m| **m).count() as f64 * voxel;
-    // all that was dropped changed side on purpose
-    let changed = voxels_changed(&mask, &result.field, options.margin)
-        .saturating_sub(result.dropped.nodes_within(geometry.size, options.margin));
+    let changed = voxels_changed(&mask, &result, options.margin);
     let meta = json!({
         "source": "labels", "labels": labels, "clearance": args.clearance, "smoothing_steps": args.smoothing_steps,
         "tightening": args.tightening, "volume_before": volume_before, "voxels_changed": changed,
@@ -220,11 +219,14 @@ fn extract_labels(args: &Args, volume: Volume, labels: &[i64], context: &Context
     Ok((result, meta, Some(changed)))
 }
 
-/// Voxel centres that F puts on the other side.
-fn voxels_changed(mask: &Image<bool>, field: &Image<f32>, margin: usize) -> usize {
+/// Voxel centres that F puts on the other side; those of parts that were dropped changed side on purpose.
+fn voxels_changed(mask: &Image<bool>, result: &Redistanced, margin: usize) -> usize {
     let [nx, ny, _] = mask.geometry.size;
-    let is_inside = |n: usize| field.at(n % nx + margin, n / nx % ny + margin, n / (nx * ny) + margin) < 0.0;
-    mask.data.iter().enumerate().filter(|&(n, &m)| is_inside(n) != m).count()
+    let (field, dropped) = (&result.field, &result.dropped.nodes);
+    let node = |n: usize| field.geometry.linear(n % nx + margin, n / nx % ny + margin, n / (nx * ny) + margin);
+    let has_changed =
+        |n: usize, was_inside: bool| (field.data[n] < 0.0) != was_inside && dropped.binary_search(&(n as u32)).is_err();
+    mask.data.iter().enumerate().filter(|&(n, &m)| has_changed(node(n), m)).count()
 }
 
 /// The planes at which the object was cut, in the grid frame of the field: axis (0 to 2), side, position in mm.
@@ -268,7 +270,7 @@ fn looks_like_labels(values: &[f32]) -> bool {
 }
 
 fn describe(result: &Redistanced, meta: &Value, changed: Option<usize>, context: &Context) {
-    let (before, after) = (result.parts_before, result.parts_after);
+    let (before, after) = (result.parts_of_input(), result.parts_after);
     let dropped = &result.dropped;
     if dropped.components > 0 {
         let told = format!(
@@ -305,6 +307,19 @@ fn describe(result: &Redistanced, meta: &Value, changed: Option<usize>, context:
              folds within a voxel in many places, which no distance field on this grid can hold; smooth the input, or \
              choose another iso value",
             shift.mean, shift.p99
+        ));
+    }
+}
+
+/// Tightening may lose, part and join parts; that is what it was asked for, but to be told.
+fn warn_of_lost_parts(result: &Redistanced, tightening: f64, context: &Context) {
+    let (before, after) = (result.parts_of_input(), result.parts_after);
+    if result.parts_untightened.is_some() && (before.components, before.cavities) != (after.components, after.cavities)
+    {
+        context.warn(format!(
+            "components and cavities: {} and {} in the labels, {} and {} after tightening by {tightening} voxels, which takes away \
+             parts and gaps thinner than twice that; a smaller --tightening keeps more",
+            before.components, before.cavities, after.components, after.cavities
         ));
     }
 }

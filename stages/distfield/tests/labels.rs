@@ -6,6 +6,7 @@ use glam::DVec3;
 use isoparticles_common::cli::Context;
 use isoparticles_common::image::Image;
 use isoparticles_common::spline::CubicSpline;
+use isoparticles_distfield::field::{Source, redistance};
 use isoparticles_distfield::{Border, Clearance, Keep, LabelOptions, Redistanced, from_labels};
 use support::{directions, sampled, topology, volume};
 
@@ -157,6 +158,10 @@ fn parts_that_touch_along_an_edge_are_plainly_joined_or_parted() {
     let result = extract(&mask);
     assert_eq!(result.undecided, 0);
     assert_eq!(result.parts_before.components, result.parts_after.components);
+    // with tightening the parts of the input are those of the flow without it
+    let options = LabelOptions { tightening: 0.5, ..OPTIONS };
+    let tightened = from_labels(&mask, &options, &Context::silent("distfield")).expect("a surface");
+    assert_eq!(tightened.parts_of_input().components, result.parts_before.components);
     let spline = CubicSpline::new(&result.field);
     for z in [6.0, 7.0, 8.0] {
         let f = spline.value(DVec3::new(8.5, 8.5, z) + DVec3::splat(MARGIN as f64));
@@ -191,7 +196,7 @@ fn small_parts_are_dropped_and_told() {
         // where nothing was dropped every voxel keeps its side
         let inside = result.field.data.iter().filter(|f| **f < 0.0).count();
         assert_eq!(inside + gone as usize, mask.data.iter().filter(|m| **m).count(), "{keep}");
-        assert_eq!(result.dropped.nodes_within(mask.geometry.size, MARGIN), gone as usize);
+        assert_eq!(result.dropped.nodes.len(), gone as usize);
     }
     let options = LabelOptions { keep: Keep::Volume(5000.0), ..OPTIONS };
     let error = from_labels(&mask, &options, &Context::silent("distfield")).err().expect("nothing would be left");
@@ -248,4 +253,28 @@ fn tightening_that_leaves_nothing_is_refused() {
     let options = LabelOptions { tightening: 2.0, ..OPTIONS };
     let error = from_labels(&speck, &options, &Context::silent("distfield")).err().expect("nothing is left");
     assert!(error.next.contains("--tightening"), "{error}");
+}
+
+/// A hole of one voxel in an object that fills the volume and has an open border: the flow closes it.
+#[test]
+fn tightening_that_leaves_no_surface_is_refused() {
+    let hole = sampled([9, 9, 9], DVec3::ONE, |p| p != DVec3::splat(4.0));
+    let context = Context::silent("distfield");
+    let open = LabelOptions { border: Border::Open, ..OPTIONS };
+    let kept = from_labels(&hole, &open, &context).expect("the hole");
+    assert_eq!(kept.parts_after.cavities, 1);
+    let error =
+        from_labels(&hole, &LabelOptions { tightening: 2.0, ..open }, &context).err().expect("no surface is left");
+    assert!(error.what.contains("closes every gap") && error.next.contains("--tightening"), "{error}");
+}
+
+#[test]
+fn a_source_without_a_zero_set_is_refused() {
+    for value in [-1.0, 1.0] {
+        let nodes = sampled([6, 6, 6], DVec3::ONE, |_| value);
+        let spline = CubicSpline::new(&nodes);
+        let source = Source { nodes, spline, cap: None };
+        let error = redistance(&source, |_| 1e-3, Keep::All, &Context::silent("distfield")).err().expect("no surface");
+        assert!(error.what.contains("no surface"), "{error}");
+    }
 }

@@ -4,6 +4,9 @@
 //! is richer than a quadric, and hardly at all where the samples scatter about one, as noise of the intensities makes them. So a
 //! patch is widened as long as its residual stays where it was: the scale is chosen by the data, place by place (in the manner
 //! of Lepski 1990). Where the first widening already tells of shape the surface is left as it is.
+//!
+//! Ripple of the sampling, such as the terraces that thick slices leave on a clean surface, scatters about a quadric in the same way and is
+//! treated as noise.
 
 use crate::average_over_surface;
 use crate::patch::{Marks, Patch, Samples};

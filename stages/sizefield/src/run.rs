@@ -188,7 +188,9 @@ pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
         }
     };
     drop(step);
-    tell_noise(&features, context);
+    if let Some(told) = noise_told(&features.noise) {
+        context.info(told);
+    }
     let meta = describe(&features, &sizing, largest, context);
     if let Some(size) = args.uniform {
         warn_if_too_coarse(&features, size, context);
@@ -284,17 +286,18 @@ fn describe_extent(path: &Path, low: DVec3, high: DVec3) -> String {
     format!("the surface in {} measures {:.3} x {:.3} x {:.3} mm", path.display(), extent.x, extent.y, extent.z)
 }
 
-/// Says what part of the surface is measured under its noise, and how high that stands.
-fn tell_noise(features: &Features, context: &Context) {
-    let noise: Vec<f64> = features.noise.iter().copied().filter(|&noise| noise > 0.0).collect();
-    if noise.is_empty() {
-        return;
+/// Says on what share of the surface the features are measured under noise, and how high that stands. The patches cannot tell noise
+/// from the ripple that thick slices leave on a clean surface, so both are named.
+fn noise_told(noise: &[f64]) -> Option<String> {
+    let found: Vec<f64> = noise.iter().copied().filter(|&noise| noise > 0.0).collect();
+    if found.is_empty() {
+        return None;
     }
-    let mean = (noise.iter().map(|noise| noise * noise).sum::<f64>() / noise.len() as f64).sqrt();
-    context.info(format!(
-        "noise of {mean:.4} mm (root mean square) on {:.1} % of the surface is not taken for shape",
-        100.0 * noise.len() as f64 / features.noise.len() as f64
-    ));
+    let mean = (found.iter().map(|noise| noise * noise).sum::<f64>() / found.len() as f64).sqrt();
+    Some(format!(
+        "noise or ripple of the sampling, {mean:.4} mm high (root mean square) on {:.1} % of the surface, is not taken for shape",
+        100.0 * found.len() as f64 / noise.len() as f64
+    ))
 }
 
 /// Puts figures of the field into the report and the closing table; returns what the file carries.
@@ -341,4 +344,17 @@ fn warn_if_too_coarse(features: &Features, size: f64, context: &Context) {
         features.feature_size[worst],
         features.points[worst],
     ));
+}
+
+#[cfg(test)]
+mod tests {
+    use super::noise_told;
+
+    #[test]
+    fn what_is_not_taken_for_shape_may_be_noise_or_ripple() {
+        assert_eq!(noise_told(&[0.0; 4]), None);
+        let told = noise_told(&[0.0, 0.02, 0.02, 0.0]).expect("noise");
+        assert!(told.contains("noise or ripple of the sampling, 0.0200 mm high"), "{told}");
+        assert!(told.contains("on 50.0 % of the surface"), "{told}");
+    }
 }
