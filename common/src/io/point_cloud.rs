@@ -5,6 +5,8 @@ use super::limit::bad;
 use super::points::positions;
 use super::vtk_xml::VtkFile;
 use crate::error::{Error, Result};
+use crate::geometry::Space;
+use crate::history::History;
 use glam::DVec3;
 use std::path::Path;
 
@@ -15,6 +17,17 @@ pub struct PointCloud {
     pub positions: Vec<DVec3>,
     /// A normal for each point, of the length that the file gives it, zero where it is not a number; `None` without normals.
     pub normals: Option<Vec<DVec3>>,
+    /// What the axes mean, where the file says so.
+    pub space: Space,
+    /// How the file was made, where it says so.
+    pub history: Option<History>,
+}
+
+impl PointCloud {
+    /// A cloud of a file that says nothing of its axes and origin.
+    fn unplaced(positions: Vec<DVec3>, normals: Option<Vec<DVec3>>) -> Self {
+        Self { positions, normals, space: Space::Unnamed, history: None }
+    }
 }
 
 /// Whether the ending of a file's name is that of a point cloud.
@@ -74,6 +87,7 @@ fn finite_or_zero(normal: DVec3) -> DVec3 {
 
 fn read_xyz(path: &Path, bytes: &[u8]) -> Result<PointCloud> {
     let text = std::str::from_utf8(bytes).map_err(|_| unusable(path, "is no text"))?;
+    let text = text.strip_prefix('\u{feff}').unwrap_or(text);
     let (mut positions, mut normals, mut columns) = (Vec::new(), Vec::new(), None);
     for (number, line) in text.lines().enumerate() {
         let line = line.trim();
@@ -97,7 +111,7 @@ fn read_xyz(path: &Path, bytes: &[u8]) -> Result<PointCloud> {
             normals.push(finite_or_zero(DVec3::from_slice(&values[3..])));
         }
     }
-    Ok(PointCloud { positions, normals: (columns == Some(6)).then_some(normals) })
+    Ok(PointCloud::unplaced(positions, (columns == Some(6)).then_some(normals)))
 }
 
 fn read_vtp(path: &Path) -> Result<PointCloud> {
@@ -111,7 +125,10 @@ fn read_vtp(path: &Path) -> Result<PointCloud> {
     let normals = normals.map(|values| {
         values.to_f64().as_chunks::<3>().0.iter().map(|&n| finite_or_zero(DVec3::from_array(n))).collect()
     });
-    Ok(PointCloud { positions, normals })
+    let data_set = file.data_set("PolyData")?;
+    let space = file.text(data_set, "space")?.and_then(|text| serde_json::from_str(&text).ok());
+    let history = file.text(data_set, "history")?.and_then(|text| serde_json::from_str(&text).ok());
+    Ok(PointCloud { positions, normals, space: space.unwrap_or(Space::Unnamed), history })
 }
 
 /// How the numbers of a PLY file are written.
@@ -253,7 +270,7 @@ fn ply_points(bytes: &[u8]) -> std::result::Result<PointCloud, String> {
         positions.push(vector(&places));
         normals.extend(directions.as_ref().map(|columns| finite_or_zero(vector(columns))));
     }
-    Ok(PointCloud { positions, normals: directions.map(|_| normals) })
+    Ok(PointCloud::unplaced(positions, directions.map(|_| normals)))
 }
 
 /// The records of an element, one after the other.
@@ -325,7 +342,7 @@ mod tests {
 
     fn expected(with_normals: bool) -> PointCloud {
         let positions = vec![DVec3::new(1.0, -2.5, 3.0), DVec3::new(0.5, 0.0, -7.0)];
-        PointCloud { positions, normals: with_normals.then(|| vec![DVec3::X, DVec3::new(0.0, 0.6, -0.8)]) }
+        PointCloud::unplaced(positions, with_normals.then(|| vec![DVec3::X, DVec3::new(0.0, 0.6, -0.8)]))
     }
 
     #[test]

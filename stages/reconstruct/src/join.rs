@@ -2,6 +2,7 @@
 
 use crate::isosurface::Isosurface;
 use crate::pinched::part_sheets;
+use crate::points_alone;
 use crate::prepare::{ON_SURFACE, SurfacePoints};
 use crate::refine::{RefineOptions, RefineReport, Refinement};
 use crate::restricted::Facet;
@@ -66,6 +67,7 @@ pub(crate) fn join(
             let delaunay = refinement.restricted.delaunay();
             let normals: Vec<DVec3> = delaunay.points().par_iter().map(|&p| spline.value_gradient(p).1).collect();
             let (facets, report) = tight_cocone(delaunay, Some(&normals)).map_err(|e| about(&args.particles, e))?;
+            points_alone::warn(&report, context);
             let facets = refinement.without_border_closure(facets);
             refinement.compare(&facets);
             drop(step);

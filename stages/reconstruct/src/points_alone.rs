@@ -88,29 +88,25 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome> {
 fn read(args: &Args, context: &Context) -> Result<Input> {
     if is_point_cloud(&args.particles) {
         let cloud = read_point_cloud(&args.particles)?;
-        context.add_input(&args.particles, None)?;
+        context.add_input(&args.particles, cloud.history)?;
         let report = PrepareReport { particles: cloud.positions.len(), ..PrepareReport::default() };
         let normals = cloud.normals.unwrap_or_default();
         let points = SurfacePoints { positions: cloud.positions, sizes: Vec::new(), normals, report };
         // the cloud is in the world as it is
-        let geometry = Geometry::axis_aligned([1; 3], DVec3::ONE);
+        let mut geometry = Geometry::axis_aligned([1; 3], DVec3::ONE);
+        geometry.space = cloud.space;
         return Ok(Input { points, geometry, has_sizes: false });
     }
     let particles = read_settled(args, context)?;
-    let mut report = PrepareReport { particles: particles.positions.len(), ..PrepareReport::default() };
-    let all = particles.positions.iter().zip(&particles.normals).zip(&particles.sizes);
-    let valid: Vec<_> = all.filter(|((p, _), h)| p.is_finite() && h.is_finite() && **h > 0.0).collect();
-    report.invalid = report.particles - valid.len();
-    let points = SurfacePoints {
-        positions: valid.iter().map(|v| *v.0.0).collect(),
-        sizes: valid.iter().map(|v| *v.1).collect(),
-        normals: valid.iter().map(|v| if v.0.1.is_finite() { *v.0.1 } else { DVec3::ZERO }).collect(),
-        report,
-    };
+    // reading has refused what is not finite
+    let report = PrepareReport { particles: particles.positions.len(), ..PrepareReport::default() };
+    let points =
+        SurfacePoints { positions: particles.positions, sizes: particles.sizes, normals: particles.normals, report };
     Ok(Input { points, geometry: particles.geometry, has_sizes: true })
 }
 
-fn warn(cocone: &CoconeReport, context: &Context) {
+/// Warns of what makes the surface of Tight Cocone doubtful.
+pub(crate) fn warn(cocone: &CoconeReport, context: &Context) {
     let share = |part: usize| part as f64 / cocone.points.max(1) as f64;
     if share(cocone.with_umbrella) < MANY_UMBRELLAS {
         context.warn(format!(

@@ -155,6 +155,7 @@ impl Origin {
 /// plane or enclose nothing, on a distance field missing or in vain, and when interrupted.
 pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
     check_surface_name(&args.output)?;
+    check_offenders(args)?;
     let particles = args.particles.display();
     match (&args.distfield, args.method) {
         (None, Method::TightCocone) => points_alone::run(args, context),
@@ -249,6 +250,30 @@ fn on_field(args: &Args, distfield: &Path, context: &Context) -> Result<Outcome>
     write(args, context, &surface, &meta, offending(&mesh, &checked, spline.geometry()), failed)
 }
 
+/// Where the simplices that offend failed checks are written.
+fn offenders(args: &Args) -> PathBuf {
+    args.output.with_extension("offending.vtp")
+}
+
+/// Refuses when the file of offending simplices, which is replaced or removed, is one of the inputs.
+fn check_offenders(args: &Args) -> Result<()> {
+    let path = offenders(args);
+    let Ok(place) = path.canonicalize() else { return Ok(()) };
+    let mut inputs = [Some(&args.particles), args.distfield.as_ref(), args.sizefield.as_ref()].into_iter().flatten();
+    match inputs.find(|input| input.canonicalize().is_ok_and(|input| input == place)) {
+        None => Ok(()),
+        Some(input) => Err(Error::input(
+            format!(
+                "{}: is an input, and the name for the offending simplices of {}",
+                input.display(),
+                args.output.display()
+            ),
+            "that file is replaced when a check fails, and removed when all hold",
+            "give the output or the input another name",
+        )),
+    }
+}
+
 /// Writes the surface, and beside it what offends the failed checks.
 pub(crate) fn write(
     args: &Args,
@@ -260,7 +285,7 @@ pub(crate) fn write(
 ) -> Result<Outcome> {
     let step = context.step("write");
     write_surface(&args.output, surface, meta, &context.history())?;
-    let offenders = args.output.with_extension("offending.vtp");
+    let offenders = offenders(args);
     match offending {
         Some(simplices) if !failed.is_empty() => {
             write_simplices(&offenders, &simplices, &context.history())?;

@@ -117,6 +117,24 @@ fn particles_need_no_field_and_come_out_in_the_world() {
     assert_eq!(surface.surface.space, Space::Lps);
     assert!(surface.surface.mesh.vertices.iter().all(|p| (p.x - 85.0).abs() < 10.01));
     assert_eq!(surface.history.unwrap().inputs[0].history.as_ref().unwrap().tool, "particles");
+    // the surface is a cloud of the same space
+    assert_eq!(folder.run(&["s.vtp", "--method", "tight-cocone", "-o", "again.vtp"]).0, 0);
+    let again = read_surface(&folder.path("again.vtp")).unwrap();
+    assert_eq!(again.surface.space, Space::Lps);
+    assert_eq!(again.history.unwrap().inputs[0].history.as_ref().unwrap().tool, "reconstruct");
+}
+
+#[test]
+fn an_input_named_as_the_offending_simplices_is_kept() {
+    let folder = Folder::new();
+    // with a byte order mark, as some programs write
+    let text = format!("\u{feff}{}", lines(&icosphere(3.0, 3).vertices));
+    std::fs::write(folder.path("cloud.xyz"), text).unwrap();
+    let (code, said, _) = folder.run(&["cloud.xyz", "--method", "tight-cocone", "-o", "s.offending.vtp"]);
+    assert_eq!(code, 0, "{said}");
+    let (code, said, _) = folder.run(&["s.offending.vtp", "--method", "tight-cocone", "-o", "s.vtp"]);
+    assert!(code == 2 && said.contains("offending simplices"), "{said}");
+    assert!(folder.path("s.offending.vtp").exists() && !folder.path("s.vtp").exists());
 }
 
 #[test]

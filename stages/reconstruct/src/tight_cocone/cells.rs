@@ -78,7 +78,7 @@ struct Cell {
     is_long: bool,
     /// On the convex hull 1 where the normal points out of it and -1 where it points into it, else 0.
     hull_side: i8,
-    /// Cosine between the estimate of the normal (outward on the hull) and the normal taken.
+    /// Cosine between the estimate of the normal (outward on the hull) and the given one; 0 where none was given.
     agreement: f64,
 }
 
@@ -96,9 +96,9 @@ pub(super) struct Cells<'a> {
     pub(super) poles: Vec<[u32; 2]>,
     /// Whether each vertex passed the flatness test.
     pub(super) is_flat: Vec<bool>,
-    /// Share of the vertices whose normals, as lines, lie within pi/3 of the direction to their poles.
+    /// Share of the given normals that, as lines, lie within pi/3 of the direction to the poles; 0 where none was given.
     pub(super) normals_near_poles: f64,
-    /// Share of the vertices on the convex hull whose normals point out of it.
+    /// Share of the normals given on the convex hull that point out of it; a half, which says nothing, where none was given.
     pub(super) normals_out_of_hull: f64,
     /// For each vertex on the convex hull 1 where its normal points out of it and -1 where it points into it; 0 for all others.
     pub(super) hull_side: Vec<i8>,
@@ -132,8 +132,8 @@ impl<'a> Cells<'a> {
             normals: Vec::new(),
             poles: Vec::new(),
             is_flat: Vec::new(),
-            normals_near_poles: 1.0,
-            normals_out_of_hull: 1.0,
+            normals_near_poles: 0.0,
+            normals_out_of_hull: 0.5,
             hull_side: Vec::new(),
             meetings: Vec::new(),
             candidates: Vec::new(),
@@ -143,12 +143,12 @@ impl<'a> Cells<'a> {
         cells.normals = reckoned.iter().map(|cell| cell.normal).collect();
         cells.poles = reckoned.iter().map(|cell| cell.poles).collect();
         cells.hull_side = reckoned.iter().map(|cell| cell.hull_side).collect();
-        let share = |part: usize, of: usize| if of == 0 { 1.0 } else { part as f64 / of as f64 };
+        let share = |part: usize, of: usize, none: f64| if of == 0 { none } else { part as f64 / of as f64 };
         let present = || reckoned.iter().filter(|cell| cell.agreement != 0.0);
         let near_poles = present().filter(|cell| cell.agreement.abs() >= FLATNESS_COSINE).count();
-        cells.normals_near_poles = share(near_poles, present().count());
+        cells.normals_near_poles = share(near_poles, present().count(), 0.0);
         let hull = || present().filter(|cell| cell.hull_side != 0);
-        cells.normals_out_of_hull = share(hull().filter(|cell| cell.hull_side > 0).count(), hull().count());
+        cells.normals_out_of_hull = share(hull().filter(|cell| cell.hull_side > 0).count(), hull().count(), 0.5);
         let zones: Vec<u8> = (0..slots).into_par_iter().map(|t| cells.zones_of(t)).collect();
         cells.meetings = (0..slots).into_par_iter().map(|t| cells.meetings_of(t, &zones)).collect();
         cells.is_flat = cells.find_flat(reckoned.iter().map(|cell| cell.is_long).collect());
@@ -177,7 +177,8 @@ impl<'a> Cells<'a> {
             }
         }
         let estimate = if on_hull { hull } else { farthest.1 }.normalize_or_zero();
-        let normal = given.try_normalize().unwrap_or(estimate);
+        let given = given.try_normalize();
+        let normal = given.unwrap_or(estimate);
         let along_hull = hull.dot(normal);
         let (mut poles, mut heights) = ([NOBODY; 2], [0.0; 2]);
         for &t in star {
@@ -194,14 +195,13 @@ impl<'a> Cells<'a> {
             }
         }
         let reach = heights[0].min(heights[1]).sqrt();
-        let is_trusted = given != DVec3::ZERO;
-        let is_long = !poles.contains(&NOBODY) && (is_trusted || FLATNESS_RATIO * self.width(v, normal) <= reach);
+        let is_long = !poles.contains(&NOBODY) && (given.is_some() || FLATNESS_RATIO * self.width(v, normal) <= reach);
         Cell {
             normal,
             poles,
             is_long,
             hull_side: if on_hull { along_hull.signum() as i8 } else { 0 },
-            agreement: estimate.dot(normal),
+            agreement: given.map_or(0.0, |given| estimate.dot(given)),
         }
     }
 

@@ -47,13 +47,14 @@ pub struct CoconeReport {
     pub unused: usize,
     /// Tetrahedra that changed sides because parts of the surface touched in an edge or a vertex.
     pub changed_sides: usize,
-    /// Share of the given normals that lie within 60 degrees of the direction to the pole, as lines; `None` without normals.
+    /// Share of the given normals that lie within 60 degrees of the direction to the pole, as lines; `None` without normals, or when
+    /// all of them are zero.
     pub normals_near_poles: Option<f64>,
     /// Whether given normals took the place of the direction to the pole.
     pub normals_taken: bool,
     /// Whether given normals said which side is outside.
     pub normals_oriented: bool,
-    /// Share of the triangles that face the way of the given normals; `None` without normals.
+    /// Share of the triangles that face the way of the given normals, of those at points with normals; `None` when there are none.
     pub facing_normals: Option<f64>,
 }
 
@@ -63,6 +64,8 @@ pub struct CoconeReport {
 /// # Errors
 /// When no part of the points is sampled densely and evenly enough to be the surface of a solid.
 pub fn tight_cocone(delaunay: &Delaunay, normals: Option<&[DVec3]>) -> Result<(Vec<Facet>, CoconeReport)> {
+    let is_known = |normal: &DVec3| normal.try_normalize().is_some();
+    let normals = normals.filter(|normals| normals.iter().any(is_known));
     let mut report = CoconeReport { points: delaunay.vertex_count(), ..CoconeReport::default() };
     let mut cells = Cells::new(delaunay, normals);
     if normals.is_some() {
@@ -72,14 +75,17 @@ pub fn tight_cocone(delaunay: &Delaunay, normals: Option<&[DVec3]>) -> Result<(V
             cells = Cells::new(delaunay, None);
         }
     }
-    let outward = cells.normals_out_of_hull;
-    report.normals_oriented = report.normals_taken && !(1.0 - NORMALS_ORIENTED..NORMALS_ORIENTED).contains(&outward);
     report.flat = cells.is_flat.iter().filter(|&&flat| flat).count();
     let umbrellas = Umbrellas::new(&cells);
     report.with_umbrella = umbrellas.is_good.iter().filter(|&&good| good).count();
     if (report.with_umbrella as f64) < FEWEST_UMBRELLAS * report.points as f64 {
-        return Err(encloses_nothing(&report));
+        return Err(encloses_nothing(&format!("only {}", umbrellas_found(&report))));
     }
+    // estimates have no sense of their own, so one point without a normal leaves the sense to the walk
+    let all_known = || normals.is_some_and(|n| n.iter().zip(&umbrellas.is_good).all(|(n, good)| !good || is_known(n)));
+    let outward = cells.normals_out_of_hull;
+    let is_oriented = !(1.0 - NORMALS_ORIENTED..NORMALS_ORIENTED).contains(&outward);
+    report.normals_oriented = report.normals_taken && is_oriented && all_known();
     let mut sheets = if report.normals_oriented {
         Sheets::given(delaunay.points().len(), if outward < 0.5 { -1 } else { 1 })
     } else {
@@ -89,19 +95,23 @@ pub fn tight_cocone(delaunay: &Delaunay, normals: Option<&[DVec3]>) -> Result<(V
     let facets;
     (facets, report.changed_sides) = repair::part_pinches(&cells, &umbrellas, &mut is_out);
     if facets.is_empty() {
-        return Err(encloses_nothing(&report));
+        let found = umbrellas_found(&report);
+        return Err(encloses_nothing(&format!("{found}, but no tetrahedron lies inside of them")));
     }
     let mut used = vec![false; delaunay.points().len()];
     facets.iter().flat_map(|f| f.vertices).for_each(|v| used[v as usize] = true);
     report.unused = report.points - used.iter().filter(|&&used| used).count();
-    report.facing_normals = normals.map(|normals| peel::agreement(delaunay, &facets, normals));
+    report.facing_normals = normals.and_then(|normals| peel::agreement(delaunay, &facets, normals));
     Ok((facets, report))
 }
 
-fn encloses_nothing(report: &CoconeReport) -> Error {
-    let found = format!("{} of {} points have an umbrella of triangles", report.with_umbrella, report.points);
+fn umbrellas_found(report: &CoconeReport) -> String {
+    format!("{} of {} points have an umbrella of triangles", report.with_umbrella, report.points)
+}
+
+fn encloses_nothing(found: &str) -> Error {
     Error::input(
-        format!("the points do not enclose a solid: only {found}"),
+        format!("the points do not enclose a solid: {found}"),
         "Tight Cocone needs points that sample the surface of a solid about evenly, at a fraction of its thickness, with little noise",
         "give more points, thin or smooth noisy ones, or give their normals; where there is a volume, use --method restricted",
     )

@@ -176,13 +176,14 @@ fn drop_unsupported(delaunay: &Delaunay, marks: &[i8], is_out: &mut [bool]) {
     }
 }
 
-/// Share of the facets whose outward side agrees with given normals at their vertices.
-pub(super) fn agreement(delaunay: &Delaunay, facets: &[Facet], normals: &[DVec3]) -> f64 {
+/// Share of the facets whose outward side agrees with the normals given at their vertices, of those that have any; `None` where no
+/// facet has.
+pub(super) fn agreement(delaunay: &Delaunay, facets: &[Facet], normals: &[DVec3]) -> Option<f64> {
+    let given = |f: &Facet| f.vertices.iter().map(|&v| normals[v as usize].normalize_or_zero()).sum::<DVec3>();
     let agrees = |f: &&Facet| {
         let [a, b, c] = f.vertices.map(|v| delaunay.points()[v as usize]);
-        let given: DVec3 = f.vertices.iter().map(|&v| normals[v as usize]).sum();
-        (b - a).cross(c - a).dot(given) > 0.0
+        (b - a).cross(c - a).dot(given(f)) > 0.0
     };
-    let count = facets.par_iter().filter(agrees).count();
-    count as f64 / facets.len().max(1) as f64
+    let known = facets.par_iter().filter(|f| given(f) != DVec3::ZERO).count();
+    (known > 0).then(|| facets.par_iter().filter(agrees).count() as f64 / known as f64)
 }

@@ -78,6 +78,9 @@ fn well_sampled_scenes_have_their_topology_with_normals_and_without() {
         let senseless: Vec<DVec3> = (0..points.len() as u64)
             .map(|n| normals[n as usize] * if uniform(4, 0, n) < 0.5 { -1.0 } else { 1.0 })
             .collect();
+        let partly: Vec<DVec3> = (0..points.len() as u64)
+            .map(|n| if uniform(6, 0, n) < 0.3 { DVec3::ZERO } else { normals[n as usize] })
+            .collect();
         let random: Vec<DVec3> = (0..points.len() as u64)
             .map(|n| DVec3::new(uniform(5, 0, n), uniform(5, 1, n), uniform(5, 2, n)) - 0.5)
             .collect();
@@ -88,6 +91,8 @@ fn well_sampled_scenes_have_their_topology_with_normals_and_without() {
             ("inward", inward, true, true),
             ("of no sense", senseless, true, false),
             ("random", random, false, false),
+            ("partly zero", partly, true, false),
+            ("all zero", vec![DVec3::ZERO; points.len()], false, false),
         ] {
             let (mesh, report) = surface(&points, &normals).unwrap();
             let failed = checked(&mesh).failed_checks();
