@@ -47,6 +47,16 @@ def block(counts: tuple[int, int, int], size: float = 1.0) -> tuple[np.ndarray, 
     return points, tetrahedra
 
 
+def copies(part: tuple[np.ndarray, np.ndarray], count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Bodies of one shape in a row, 1 mm apart."""
+    points, cells = part
+    step = np.array([0.0, float(np.ptp(points[:, 1])) + 1.0, 0.0])
+    return (
+        np.concatenate([points + k * step for k in range(count)]),
+        np.concatenate([cells + k * len(points) for k in range(count)]),
+    )
+
+
 def on_boundary(points: np.ndarray, tetrahedra: np.ndarray) -> np.ndarray:
     marks = np.zeros(len(points), dtype=bool)
     marks[tetrahedron_boundary(tetrahedra).triangles] = True
@@ -212,6 +222,16 @@ def test_conduction_follows_the_membrane_where_the_fibres_are_equal(monkeypatch:
     low, high = figures["potential_range_mv"]
     # phi = -sigma_i / (sigma_i + sigma_e) V plus a constant: a quarter of the 100 mV
     assert high - low == pytest.approx(25.0, rel=0.02)
+
+
+@pytest.mark.parametrize(("size", "count"), [((2, 2, 2), 200), ((1, 1, 1), 250)])
+def test_conduction_in_many_bodies(size: tuple[int, int, int], count: int) -> None:
+    figures, converged = conduction(Assembler(*copies(block(size), count)), FOREVER)
+    assert converged
+    assert figures["parts"] == count
+    # it was stuck after 4 and 2 before every part was grounded
+    assert figures["multigrid"]["iterations"] <= 20
+    assert figures["multigrid"]["condition"] is not None
 
 
 @pytest.mark.parametrize(

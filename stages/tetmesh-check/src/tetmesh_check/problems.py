@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import diags
 from scipy.sparse.csgraph import connected_components
 from skfem.helpers import dot, grad, mul
 
@@ -50,7 +51,7 @@ class Solver:
     """Time left for the runs that only give figures, s; it gets less as they take it."""
 
     def solve(
-        self, matrix: Any, right_side: Values, near_null: Values | None = None
+        self, matrix: Any, right_side: Values, near_null: Values | None = None, grounded: Any = None
     ) -> tuple[Values, dict[str, Any], bool]:
         """Solve with multigrid: solution, figures, and whether that converged and nothing else got stuck.
 
@@ -64,10 +65,12 @@ class Solver:
             The system.
         near_null
             See :func:`.multigrid`.
+        grounded
+            Matrix that multigrid is set up with instead, where that of the system is singular.
         """
         started = time.monotonic()
         # a mesh of one layer has no points inside
-        cycle = multigrid(matrix, near_null) if matrix.shape[0] else nothing
+        cycle = multigrid(matrix if grounded is None else grounded, near_null) if matrix.shape[0] else nothing
         set_up = time.monotonic() - started
         solved = conjugate_gradients(matrix, right_side, cycle, MAX_MULTIGRID_ITERATIONS, self.deadline)
         del cycle
@@ -285,8 +288,13 @@ def conduction(assembler: Assembler, solver: Solver) -> tuple[dict[str, Any], bo
     matrix = assembler.matrix(flow, coefficient=lambda x: tensor(x, both))
     membrane = RESTING + 0.5 * RISE * (1.0 - np.tanh(position / width))
     right_side = -(assembler.matrix(flow, coefficient=lambda x: tensor(x, inner)) @ membrane)
-    potential, figures, converged = solver.solve(matrix, right_side)
     parts, part = connected_components(matrix, directed=False)
+    # the matrix is singular once for each part; on a coarse level a small part is one unknown, whose entry would be rounding
+    # errors in place of zero: for multigrid one point of each part leads to the ground
+    first = np.unique(part, return_index=True)[1]
+    leak = np.zeros(len(points))
+    leak[first] = matrix.diagonal()[first]
+    potential, figures, converged = solver.solve(matrix, right_side, grounded=(matrix + diags(leak)).tocsr())
     potential -= (np.bincount(part, potential) / np.bincount(part))[part]
     figures.update(
         conductivity_s_per_m={name: list(values) for name, values in CONDUCTIVITY.items()},
