@@ -97,6 +97,23 @@ def test_conjugate_gradients_end_where_they_must() -> None:
         conjugate_gradients(diags(np.linspace(1.0, 9.0, 50)).tocsr(), right_side, nothing, 5, time.monotonic() - 1.0)
 
 
+@pytest.mark.parametrize("entry", [-1.0, float("nan"), float("inf")])
+@pytest.mark.parametrize("good", [0, 1, 3])
+def test_conjugate_gradients_end_where_the_preconditioner_is_not_positive(entry: float, good: int) -> None:
+    calls: list[int] = []
+
+    def precondition(residual: np.ndarray) -> np.ndarray:
+        calls.append(1)
+        return residual if len(calls) <= good else entry * residual
+
+    matrix = diags(np.linspace(1.0, 9.0, 50)).tocsr()
+    run = conjugate_gradients(matrix, np.ones(50), precondition, 1000, float("inf"))
+    assert not run.converged
+    assert run.iterations == good
+    assert run.condition == float("inf")
+    assert np.isfinite([*run.solution, run.residual, run.smallest_eigenvalue, run.largest_eigenvalue]).all()
+
+
 def test_blocks_assemble_to_the_same_matrix(monkeypatch: pytest.MonkeyPatch) -> None:
     points, cells = block((4, 3, 3))
     volumes, bodies = signed_tetrahedron_volumes(points, cells), np.zeros(len(cells), dtype=np.int64)
