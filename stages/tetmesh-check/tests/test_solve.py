@@ -340,7 +340,7 @@ def which(words: tuple[object, ...]) -> str:
 
 def test_which_runs_decide(monkeypatch: pytest.MonkeyPatch) -> None:
     points, cells = block((4, 4, 4))
-    for bad, passed in (("nothing", True), ("jacobi", False), ("multigrid", False)):
+    for bad, passed in (("nothing", True), ("jacobi", False), ("multigrid", True)):
 
         def failing(*words: object, bad: str = bad) -> CgResult:
             run = conjugate_gradients(*words)
@@ -352,6 +352,8 @@ def test_which_runs_decide(monkeypatch: pytest.MonkeyPatch) -> None:
         solved = context.results["solve"]["poisson"]
         name = "plain" if bad == "nothing" else bad
         assert [key for key in ("multigrid", "jacobi", "plain") if not solved[key]["converged"]] == [name]
+        assert solved["solved_with"] == ("jacobi" if bad == "multigrid" else "multigrid")
+        assert len(context.warnings) == (3 if bad == "multigrid" else 0)
 
     def slow(*words: object) -> CgResult:
         if which(words) == "multigrid":
@@ -365,6 +367,27 @@ def test_which_runs_decide(monkeypatch: pytest.MonkeyPatch) -> None:
     assert converged
     assert figures["jacobi"] is figures["plain"] is None
     assert figures["relative_l2_error"] < 1.0
+
+
+def test_the_solution_of_jacobi_stands_in_for_that_of_multigrid(monkeypatch: pytest.MonkeyPatch) -> None:
+    points, cells = block((8, 8, 8))
+    right = poisson(Assembler(points, cells), on_boundary(points, cells), FOREVER)[0]
+    # symmetric, but not positive
+    monkeypatch.setattr(problems, "multigrid", lambda *_words: lambda residual: -residual)
+    context = Context(CommonArguments(), "", {})
+    checks = solve_on(mesh_of(points, cells), SolveSettings(), context)
+    assert [check.passed for check in checks] == [True]
+    found = context.results["solve"]["poisson"]
+    assert (found["multigrid"]["converged"], found["solved_with"]) == (False, "jacobi")
+    assert found["relative_l2_error"] == pytest.approx(right["relative_l2_error"], rel=1e-5)
+    assert "poisson: multigrid did not converge" in context.warnings[0]
+    assert "(poisson, conduction, elasticity with the latter only)" in checks[0].words
+    # with no time for Jacobi's preconditioner nothing is known about the matrix
+    context = Context(CommonArguments(), "", {})
+    checks = solve_on(mesh_of(points, cells), SolveSettings(compare_seconds=0.0), context)
+    assert [check.passed for check in checks] == [False]
+    assert "there was no time" in checks[0].words
+    assert "singular" not in checks[0].words
 
 
 def test_a_mesh_that_does_not_converge_is_not_fit(monkeypatch: pytest.MonkeyPatch) -> None:

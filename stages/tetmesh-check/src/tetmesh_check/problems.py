@@ -53,7 +53,10 @@ class Solver:
     def solve(
         self, matrix: Any, right_side: Values, near_null: Values | None = None, grounded: Any = None
     ) -> tuple[Values, dict[str, Any], bool]:
-        """Solve with multigrid: solution, figures, and whether that converged and nothing else got stuck.
+        """Solve with multigrid: solution, figures, and whether it was found.
+
+        It was not where the run with Jacobi's preconditioner had the time and did not converge. Where multigrid did not, but
+        Jacobi's preconditioner did, the solution is the latter's, and ``solved_with`` is ``jacobi`` in place of ``multigrid``.
 
         Runs with Jacobi's preconditioner and without go along for their figures, among them the condition of the matrix itself.
         Each has half of the time that is left, so that others have some, too; ``jacobi`` or ``plain`` is ``None`` where that
@@ -77,18 +80,20 @@ class Solver:
         seconds = time.monotonic() - started
         figures: dict[str, Any] = {"unknowns": matrix.shape[0], "nonzeros": matrix.nnz, "tolerance": TOLERANCE}
         figures["multigrid"] = {**_figures(solved), "setup_seconds": set_up, "seconds": seconds}
-        figures["jacobi"] = self._compared(matrix, right_side, jacobi(matrix))
-        figures["plain"] = self._compared(matrix, right_side, nothing)
-        stuck = figures["jacobi"] is not None and not figures["jacobi"]["converged"]
-        return solved.solution, figures, solved.converged and not stuck
+        other = self._compared(matrix, right_side, jacobi(matrix))
+        figures["jacobi"] = _figures(other) if other else None
+        plain = self._compared(matrix, right_side, nothing)
+        figures["plain"] = _figures(plain) if plain else None
+        figures["solved_with"] = "multigrid"
+        if other and other.converged and not solved.converged:
+            solved, figures["solved_with"] = other, "jacobi"
+        return solved.solution, figures, solved.converged and (other is None or other.converged)
 
-    def _compared(
-        self, matrix: Any, right_side: Values, precondition: Callable[[Values], Values]
-    ) -> dict[str, Any] | None:
+    def _compared(self, matrix: Any, right_side: Values, precondition: Callable[[Values], Values]) -> CgResult | None:
         started = time.monotonic()
         deadline = started + 0.5 * min(self.compare_seconds, self.deadline - started)
         try:
-            return _figures(conjugate_gradients(matrix, right_side, precondition, self.max_iterations, deadline))
+            return conjugate_gradients(matrix, right_side, precondition, self.max_iterations, deadline)
         except OutOfTimeError:
             return None
         finally:
