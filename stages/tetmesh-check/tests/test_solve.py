@@ -271,6 +271,17 @@ def test_bounds(settings: SolveSettings, reason: str, monkeypatch: pytest.Monkey
         assert "nothing was solved, and not checked" in context.warnings[0]
 
 
+def test_multigrid_is_not_set_up_when_time_is_over(monkeypatch: pytest.MonkeyPatch) -> None:
+    set_up: list[int] = []
+    monkeypatch.setattr(problems, "multigrid", lambda *_words: set_up.append(1) or nothing)
+    matrix = diags(np.linspace(1.0, 9.0, 50)).tocsr()
+    with pytest.raises(OutOfTimeError):
+        Solver(100, time.monotonic() - 1.0).solve(matrix, np.ones(50))
+    assert not set_up
+    Solver(100, time.monotonic() + 1000.0).solve(matrix, np.ones(50))
+    assert set_up
+
+
 def test_rigid_motions_cost_no_energy() -> None:
     points, cells = block((4, 3, 3))
     points = points + 0.1 * np.sin(points[:, [1, 2, 0]])

@@ -70,8 +70,15 @@ class Solver:
             See :func:`.multigrid`.
         grounded
             Matrix that multigrid is set up with instead, where that of the system is singular.
+
+        Raises
+        ------
+        OutOfTimeError
+            When time is over; a set-up of multigrid under way is finished.
         """
         started = time.monotonic()
+        if started > self.deadline:
+            raise OutOfTimeError
         # a mesh of one layer has no points inside
         cycle = multigrid(matrix if grounded is None else grounded, near_null) if matrix.shape[0] else nothing
         set_up = time.monotonic() - started
