@@ -47,6 +47,16 @@ def block(counts: tuple[int, int, int], size: float = 1.0) -> tuple[np.ndarray, 
     return points, tetrahedra
 
 
+def copies(part: tuple[np.ndarray, np.ndarray], count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Bodies of one shape in a row, 1 mm apart."""
+    points, cells = part
+    step = np.array([0.0, float(np.ptp(points[:, 1])) + 1.0, 0.0])
+    return (
+        np.concatenate([points + k * step for k in range(count)]),
+        np.concatenate([cells + k * len(points) for k in range(count)]),
+    )
+
+
 def on_boundary(points: np.ndarray, tetrahedra: np.ndarray) -> np.ndarray:
     marks = np.zeros(len(points), dtype=bool)
     marks[tetrahedron_boundary(tetrahedra).triangles] = True
@@ -85,6 +95,23 @@ def test_conjugate_gradients_end_where_they_must() -> None:
     assert conjugate_gradients(diags(np.ones(50)).tocsr(), 0.0 * right_side, nothing, 5, float("inf")).converged
     with pytest.raises(OutOfTimeError):
         conjugate_gradients(diags(np.linspace(1.0, 9.0, 50)).tocsr(), right_side, nothing, 5, time.monotonic() - 1.0)
+
+
+@pytest.mark.parametrize("entry", [-1.0, float("nan"), float("inf")])
+@pytest.mark.parametrize("good", [0, 1, 3])
+def test_conjugate_gradients_end_where_the_preconditioner_is_not_positive(entry: float, good: int) -> None:
+    calls: list[int] = []
+
+    def precondition(residual: np.ndarray) -> np.ndarray:
+        calls.append(1)
+        return residual if len(calls) <= good else entry * residual
+
+    matrix = diags(np.linspace(1.0, 9.0, 50)).tocsr()
+    run = conjugate_gradients(matrix, np.ones(50), precondition, 1000, float("inf"))
+    assert not run.converged
+    assert run.iterations == good
+    assert run.condition == float("inf")
+    assert np.isfinite([*run.solution, run.residual, run.smallest_eigenvalue, run.largest_eigenvalue]).all()
 
 
 def test_blocks_assemble_to_the_same_matrix(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -214,6 +241,16 @@ def test_conduction_follows_the_membrane_where_the_fibres_are_equal(monkeypatch:
     assert high - low == pytest.approx(25.0, rel=0.02)
 
 
+@pytest.mark.parametrize(("size", "count"), [((2, 2, 2), 200), ((1, 1, 1), 250)])
+def test_conduction_in_many_bodies(size: tuple[int, int, int], count: int) -> None:
+    figures, converged = conduction(Assembler(*copies(block(size), count)), FOREVER)
+    assert converged
+    assert figures["parts"] == count
+    # it was stuck after 4 and 2 before every part was grounded
+    assert figures["multigrid"]["iterations"] <= 20
+    assert figures["multigrid"]["condition"] is not None
+
+
 @pytest.mark.parametrize(
     ("settings", "reason"),
     [
@@ -232,6 +269,17 @@ def test_bounds(settings: SolveSettings, reason: str, monkeypatch: pytest.Monkey
     assert bool(context.warnings) == (settings.mode is SolveMode.YES)
     if settings.mode is SolveMode.YES:
         assert "nothing was solved, and not checked" in context.warnings[0]
+
+
+def test_multigrid_is_not_set_up_when_time_is_over(monkeypatch: pytest.MonkeyPatch) -> None:
+    set_up: list[int] = []
+    monkeypatch.setattr(problems, "multigrid", lambda *_words: set_up.append(1) or nothing)
+    matrix = diags(np.linspace(1.0, 9.0, 50)).tocsr()
+    with pytest.raises(OutOfTimeError):
+        Solver(100, time.monotonic() - 1.0).solve(matrix, np.ones(50))
+    assert not set_up
+    Solver(100, time.monotonic() + 1000.0).solve(matrix, np.ones(50))
+    assert set_up
 
 
 def test_rigid_motions_cost_no_energy() -> None:
@@ -303,7 +351,7 @@ def which(words: tuple[object, ...]) -> str:
 
 def test_which_runs_decide(monkeypatch: pytest.MonkeyPatch) -> None:
     points, cells = block((4, 4, 4))
-    for bad, passed in (("nothing", True), ("jacobi", False), ("multigrid", False)):
+    for bad, passed in (("nothing", True), ("jacobi", False), ("multigrid", True)):
 
         def failing(*words: object, bad: str = bad) -> CgResult:
             run = conjugate_gradients(*words)
@@ -315,6 +363,8 @@ def test_which_runs_decide(monkeypatch: pytest.MonkeyPatch) -> None:
         solved = context.results["solve"]["poisson"]
         name = "plain" if bad == "nothing" else bad
         assert [key for key in ("multigrid", "jacobi", "plain") if not solved[key]["converged"]] == [name]
+        assert solved["solved_with"] == ("jacobi" if bad == "multigrid" else "multigrid")
+        assert len(context.warnings) == (3 if bad == "multigrid" else 0)
 
     def slow(*words: object) -> CgResult:
         if which(words) == "multigrid":
@@ -328,6 +378,27 @@ def test_which_runs_decide(monkeypatch: pytest.MonkeyPatch) -> None:
     assert converged
     assert figures["jacobi"] is figures["plain"] is None
     assert figures["relative_l2_error"] < 1.0
+
+
+def test_the_solution_of_jacobi_stands_in_for_that_of_multigrid(monkeypatch: pytest.MonkeyPatch) -> None:
+    points, cells = block((8, 8, 8))
+    right = poisson(Assembler(points, cells), on_boundary(points, cells), FOREVER)[0]
+    # symmetric, but not positive
+    monkeypatch.setattr(problems, "multigrid", lambda *_words: lambda residual: -residual)
+    context = Context(CommonArguments(), "", {})
+    checks = solve_on(mesh_of(points, cells), SolveSettings(), context)
+    assert [check.passed for check in checks] == [True]
+    found = context.results["solve"]["poisson"]
+    assert (found["multigrid"]["converged"], found["solved_with"]) == (False, "jacobi")
+    assert found["relative_l2_error"] == pytest.approx(right["relative_l2_error"], rel=1e-5)
+    assert "poisson: multigrid did not converge" in context.warnings[0]
+    assert "(poisson, conduction, elasticity with the latter only)" in checks[0].words
+    # with no time for Jacobi's preconditioner nothing is known about the matrix
+    context = Context(CommonArguments(), "", {})
+    checks = solve_on(mesh_of(points, cells), SolveSettings(compare_seconds=0.0), context)
+    assert [check.passed for check in checks] == [False]
+    assert "there was no time" in checks[0].words
+    assert "singular" not in checks[0].words
 
 
 def test_a_mesh_that_does_not_converge_is_not_fit(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -174,7 +174,7 @@ def build_parser() -> argparse.ArgumentParser:
         metavar="S",
         type=positive,
         default=600.0,
-        help="leave out what is not solved after this time, s, with a warning (default 600)",
+        help="leave out what is not solved after this time, s, with a warning; a set-up of multigrid under way is finished (default 600)",
     )
     solve.add_argument(
         "--compare-seconds",

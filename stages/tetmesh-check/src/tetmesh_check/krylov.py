@@ -44,7 +44,7 @@ class CgResult:
 
     @property
     def condition(self) -> float:
-        """Condition number found, a lower bound; infinite where the matrix is not positive definite."""
+        """Condition number found, a lower bound; infinite where the matrix or the preconditioner is not positive."""
         if self.smallest_eigenvalue <= 0.0:
             return float("inf")
         return self.largest_eigenvalue / self.smallest_eigenvalue
@@ -68,6 +68,10 @@ def _dot(a: Values, b: Values) -> float:
     return float(np.einsum("i,i->", a, b))
 
 
+def _positive(product: float) -> bool:
+    return 0.0 < product < np.inf
+
+
 def nothing(residual: Values) -> Values:
     """Leave the residual as it is: no preconditioner."""
     return residual
@@ -89,7 +93,8 @@ def conjugate_gradients(
 ) -> CgResult:
     """Solve a symmetric positive system, from zero on.
 
-    A singular matrix will do where the right-hand side lies in its range.
+    A singular matrix will do where the right-hand side lies in its range. The iteration ends unconverged, and the condition is
+    infinite, where the matrix or the preconditioner turns out not to be positive.
 
     Parameters
     ----------
@@ -122,8 +127,8 @@ def conjugate_gradients(
     steps: list[float] = []
     turns: list[float] = []
     converged = goal == 0.0
-    positive = True
-    while not converged and len(steps) < max_iterations:
+    positive = converged or _positive(rz)
+    while positive and not converged and len(steps) < max_iterations:
         if time.monotonic() > deadline:
             raise OutOfTimeError
         q = matrix @ p
@@ -138,6 +143,9 @@ def conjugate_gradients(
         converged = _dot(r, r) <= goal * goal
         z = precondition(r)
         before, rz = rz, _dot(r, z)
+        if not converged and not _positive(rz):
+            positive = False
+            break
         turns.append(rz / before)
         p = z + turns[-1] * p
     low, high = _extreme_eigenvalues(steps, turns) if steps else (1.0, 1.0)

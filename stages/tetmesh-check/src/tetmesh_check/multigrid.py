@@ -53,7 +53,7 @@ def multigrid(matrix: Any, near_null: Values | None = None) -> Callable[[Values]
     Parameters
     ----------
     matrix
-        Sparse, symmetric, positive (or singular with the constants as its null space), shape ``(n, n)``; with blocks of three
+        Sparse, symmetric, positive definite, shape ``(n, n)``; with blocks of three
         unknowns where ``near_null`` is given.
     near_null
         See :func:`rigid_motions`; the constant by default.

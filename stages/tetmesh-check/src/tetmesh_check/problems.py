@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import diags
 from scipy.sparse.csgraph import connected_components
 from skfem.helpers import dot, grad, mul
 
@@ -50,9 +51,12 @@ class Solver:
     """Time left for the runs that only give figures, s; it gets less as they take it."""
 
     def solve(
-        self, matrix: Any, right_side: Values, near_null: Values | None = None
+        self, matrix: Any, right_side: Values, near_null: Values | None = None, grounded: Any = None
     ) -> tuple[Values, dict[str, Any], bool]:
-        """Solve with multigrid: solution, figures, and whether that converged and nothing else got stuck.
+        """Solve with multigrid: solution, figures, and whether it was found.
+
+        It was not where the run with Jacobi's preconditioner had the time and did not converge. Where multigrid did not, but
+        Jacobi's preconditioner did, the solution is the latter's, and ``solved_with`` is ``jacobi`` in place of ``multigrid``.
 
         Runs with Jacobi's preconditioner and without go along for their figures, among them the condition of the matrix itself.
         Each has half of the time that is left, so that others have some, too; ``jacobi`` or ``plain`` is ``None`` where that
@@ -64,28 +68,39 @@ class Solver:
             The system.
         near_null
             See :func:`.multigrid`.
+        grounded
+            Matrix that multigrid is set up with instead, where that of the system is singular.
+
+        Raises
+        ------
+        OutOfTimeError
+            When time is over; a set-up of multigrid under way is finished.
         """
         started = time.monotonic()
+        if started > self.deadline:
+            raise OutOfTimeError
         # a mesh of one layer has no points inside
-        cycle = multigrid(matrix, near_null) if matrix.shape[0] else nothing
+        cycle = multigrid(matrix if grounded is None else grounded, near_null) if matrix.shape[0] else nothing
         set_up = time.monotonic() - started
         solved = conjugate_gradients(matrix, right_side, cycle, MAX_MULTIGRID_ITERATIONS, self.deadline)
         del cycle
         seconds = time.monotonic() - started
         figures: dict[str, Any] = {"unknowns": matrix.shape[0], "nonzeros": matrix.nnz, "tolerance": TOLERANCE}
         figures["multigrid"] = {**_figures(solved), "setup_seconds": set_up, "seconds": seconds}
-        figures["jacobi"] = self._compared(matrix, right_side, jacobi(matrix))
-        figures["plain"] = self._compared(matrix, right_side, nothing)
-        stuck = figures["jacobi"] is not None and not figures["jacobi"]["converged"]
-        return solved.solution, figures, solved.converged and not stuck
+        other = self._compared(matrix, right_side, jacobi(matrix))
+        figures["jacobi"] = _figures(other) if other else None
+        plain = self._compared(matrix, right_side, nothing)
+        figures["plain"] = _figures(plain) if plain else None
+        figures["solved_with"] = "multigrid"
+        if other and other.converged and not solved.converged:
+            solved, figures["solved_with"] = other, "jacobi"
+        return solved.solution, figures, solved.converged and (other is None or other.converged)
 
-    def _compared(
-        self, matrix: Any, right_side: Values, precondition: Callable[[Values], Values]
-    ) -> dict[str, Any] | None:
+    def _compared(self, matrix: Any, right_side: Values, precondition: Callable[[Values], Values]) -> CgResult | None:
         started = time.monotonic()
         deadline = started + 0.5 * min(self.compare_seconds, self.deadline - started)
         try:
-            return _figures(conjugate_gradients(matrix, right_side, precondition, self.max_iterations, deadline))
+            return conjugate_gradients(matrix, right_side, precondition, self.max_iterations, deadline)
         except OutOfTimeError:
             return None
         finally:
@@ -285,8 +300,13 @@ def conduction(assembler: Assembler, solver: Solver) -> tuple[dict[str, Any], bo
     matrix = assembler.matrix(flow, coefficient=lambda x: tensor(x, both))
     membrane = RESTING + 0.5 * RISE * (1.0 - np.tanh(position / width))
     right_side = -(assembler.matrix(flow, coefficient=lambda x: tensor(x, inner)) @ membrane)
-    potential, figures, converged = solver.solve(matrix, right_side)
     parts, part = connected_components(matrix, directed=False)
+    # the matrix is singular once for each part; on a coarse level a small part is one unknown, whose entry would be rounding
+    # errors in place of zero: for multigrid one point of each part leads to the ground
+    first = np.unique(part, return_index=True)[1]
+    leak = np.zeros(len(points))
+    leak[first] = matrix.diagonal()[first]
+    potential, figures, converged = solver.solve(matrix, right_side, grounded=(matrix + diags(leak)).tocsr())
     potential -= (np.bincount(part, potential) / np.bincount(part))[part]
     figures.update(
         conductivity_s_per_m={name: list(values) for name, values in CONDUCTIVITY.items()},

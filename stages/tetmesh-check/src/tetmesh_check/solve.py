@@ -84,8 +84,17 @@ def _checks(done: dict[str, dict[str, Any]], stuck: list[str]) -> list[Check]:
         f"conjugate gradients solved {len(solved) - len(stuck)} of {len(solved)} problems, with multigrid and, where there was time, "
         "with Jacobi's preconditioner"
     )
-    if stuck:
-        words += f", not {', '.join(stuck)}: the matrix is close to singular"
+    stood_in = [name for name in solved if done[name]["solved_with"] == "jacobi" and name not in stuck]
+    if stood_in:
+        words += f" ({', '.join(stood_in)} with the latter only)"
+    singular = [name for name in stuck if done[name]["jacobi"] is not None]
+    if singular:
+        words += f", not {', '.join(singular)}: the matrix is close to singular"
+    unknown = [name for name in stuck if done[name]["jacobi"] is None]
+    if unknown:
+        words += (
+            f", not {', '.join(unknown)}: multigrid did not converge, and for Jacobi's preconditioner there was no time"
+        )
     return [Check("solve_converged", not stuck, True, float(len(stuck)), 0.0, words)]
 
 
@@ -137,6 +146,8 @@ def solve_on(mesh: VolumeMesh, settings: SolveSettings, context: Context) -> lis
             done[name] = {**figures, "seconds": time.monotonic() - started}
             if not converged:
                 stuck.append(name)
+            elif figures.get("solved_with") == "jacobi":
+                context.warn(f"{name}: multigrid did not converge, the solution is that with Jacobi's preconditioner")
     results.update(done=not unfinished, **done)
     if unfinished:
         reason = "; ".join(f"{name}: {why}" for name, why in unfinished.items())
