@@ -1,10 +1,10 @@
 //! Where a restricted surface is not yet that of F: edges and vertices that are not manifold, facets that join
 //! different components of the isosurface, or stray from it, and components that are missing or of the wrong genus.
 
+use crate::fans::fans;
 use crate::isosurface::{Isosurface, euler_characteristics};
 use crate::restricted::Facet;
 use isoparticles_common::components::{self, DisjointSets, NO_COMPONENT};
-use rayon::prelude::*;
 
 /// Topology of a set of facets against the isosurface.
 #[derive(Clone, Debug, Default)]
@@ -40,33 +40,12 @@ impl Defects {
     ) -> Self {
         let vertex_count = component_of.len();
         let mut defects = Self::default();
-        let mut sides: Vec<(u32, u32, u32)> = facets
-            .par_iter()
-            .enumerate()
-            .flat_map_iter(|(f, facet)| {
-                let [a, b, c] = facet.vertices;
-                [(a, b), (b, c), (c, a)].map(|(p, q)| (p.min(q), p.max(q), f as u32))
-            })
-            .collect();
-        sides.par_sort_unstable();
-        // fans: the corners of a vertex, joined across the edges that are in two facets
-        let mut fans = DisjointSets::new(3 * facets.len());
-        let corner = |f: u32, v: u32| {
-            let place = facets[f as usize].vertices.iter().position(|&u| u == v);
-            3 * f + place.unwrap_or_default() as u32
-        };
-        for edge in sides.chunk_by(|x, y| (x.0, x.1) == (y.0, y.1)) {
-            let (a, b, first) = edge[0];
-            match edge {
-                [_, (_, _, second)] => {
-                    for v in [a, b] {
-                        fans.join(corner(first, v), corner(*second, v));
-                    }
-                }
-                [_] if open_edge_allowed(a, b) => {}
-                _ => defects.edges.push(edge.iter().map(|s| s.2).collect()),
+        let mut fans = fans(facets, |[a, b], around| {
+            let around: Vec<u32> = around.collect();
+            if around.len() != 1 || !open_edge_allowed(a, b) {
+                defects.edges.push(around);
             }
-        }
+        });
         defects.find_pinched_vertices(facets, vertex_count, &mut fans);
         defects.compare(facets, component_of, isosurface);
         defects

@@ -6,6 +6,7 @@
 //! [`finish`] attaches the data; [`run`] is the program. [`tight_cocone`] is the other way to find the facets, from points alone.
 
 pub mod defects;
+pub mod fans;
 pub mod finish;
 pub mod improve;
 pub mod isosurface;

@@ -2,6 +2,7 @@
 
 use super::cells::{Cells, place_of};
 use super::umbrellas::{Umbrellas, good_vertices};
+use crate::fans::fans;
 use crate::restricted::Facet;
 use isoparticles_common::components::DisjointSets;
 use isoparticles_common::delaunay::Delaunay;
@@ -85,25 +86,8 @@ fn doubt(cells: &Cells, umbrellas: &Umbrellas, part: &[u32]) -> usize {
 
 /// Edges in more than two facets, each with one of its facets, and vertices with more than one fan of facets.
 fn pinches(facets: &[Facet]) -> (Vec<([u32; 2], u32)>, Vec<u32>) {
-    let mut sides: Vec<(u32, u32, u32)> = facets
-        .par_iter()
-        .enumerate()
-        .flat_map_iter(|(f, facet)| {
-            let [a, b, c] = facet.vertices;
-            [(a, b), (b, c), (c, a)].map(|(p, q)| (p.min(q), p.max(q), f as u32))
-        })
-        .collect();
-    sides.par_sort_unstable();
-    let mut fans = DisjointSets::new(3 * facets.len());
-    let corner = |f: u32, v: u32| 3 * f + facets[f as usize].vertices.iter().position(|&u| u == v).unwrap_or(0) as u32;
     let mut edges = Vec::new();
-    for edge in sides.chunk_by(|x, y| (x.0, x.1) == (y.0, y.1)) {
-        let (a, b, first) = edge[0];
-        match edge {
-            [_, (_, _, second)] => [a, b].iter().for_each(|&v| fans.join(corner(first, v), corner(*second, v))),
-            _ => edges.push(([a, b], first)),
-        }
-    }
+    let mut fans = fans(facets, |edge, around| edges.extend(around.next().map(|first| (edge, first))));
     let mut roots: Vec<(u32, u32)> = Vec::with_capacity(3 * facets.len());
     for (f, facet) in facets.iter().enumerate() {
         roots.extend((0..3).map(|k| (facet.vertices[k], fans.find((3 * f + k) as u32))));
