@@ -7,7 +7,7 @@
 
 CASE is NAME=VOLUME;DISTFIELD OPTIONS[;SIZEFIELD OPTIONS]; VOLUME is a file, or the words for `phantom` that make one:
     torus="torus --size 128;--iso 100;--uniform 1.2"    heart="heart.nrrd;--labels 1"
-@FILE stands for the lines of a file (phantoms.txt, volumes.txt and volumes-large.txt beside this program); $NAME for a variable of the environment.
+@FILE stands for the lines of a file but for those that start with # (phantoms.txt, volumes.txt and volumes-large.txt beside this program); $NAME for a variable of the environment.
 
 Passes are those of all levels together; runs of no more than ten on a level have no density control there. "raw" are the Delaunay triangles of the particles as they are, "full" those after reconstruct has improved them. Time is the device's
 where there is one, else that of the settling.
@@ -180,9 +180,17 @@ def plot(table: Path, picture: Path) -> None:
     figure.savefig(picture, dpi=130)
 
 
+class Parser(argparse.ArgumentParser):
+    """A parser whose files of arguments may have comments."""
+
+    def convert_arg_line_to_args(self, arg_line: str) -> list[str]:
+        """Takes a line of a file for an argument, unless it starts with #."""
+        return [] if arg_line.startswith("#") else [arg_line]
+
+
 def main() -> None:
     """Reads the command line."""
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter, fromfile_prefix_chars="@"
     )
     parser.add_argument("task", choices=["passes", "backends", "plot"])
