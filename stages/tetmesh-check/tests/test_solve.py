@@ -85,6 +85,34 @@ def test_conjugate_gradients_and_their_eigenvalues() -> None:
         assert run.condition == pytest.approx(truth[-1] / truth[0], rel=1e-6)
 
 
+@pytest.mark.parametrize("divided", [False, True])
+def test_iterations_are_counted_by_the_error_and_not_by_the_residual(divided: bool) -> None:
+    """A chain of springs from 1 to 0, the first one stiff, as in a flat tetrahedron: it fills the right-hand side."""
+    count, stiff = 200, 1e7
+    springs = np.ones(count + 1)
+    springs[0] = stiff
+    matrix = diags([-springs[1:-1], springs[:-1] + springs[1:], -springs[1:-1]], [-1, 0, 1]).tocsr()
+    right_side = np.zeros(count)
+    right_side[0] = stiff
+    truth = np.linalg.solve(matrix.toarray(), right_side)
+    energy = float(springs @ np.diff([1.0, *truth, 0.0]) ** 2)
+
+    def error(steps: int) -> float:
+        tried = conjugate_gradients(matrix, right_side, preconditioner, steps, float("inf"), 1e-300)
+        left = tried.solution - truth
+        return float(np.sqrt((left @ (matrix @ left)) / energy))
+
+    preconditioner = jacobi(matrix) if divided else nothing
+    run = conjugate_gradients(matrix, right_side, preconditioner, 10_000, float("inf"), 1e-3, energy)
+    assert run.converged
+    assert run.iterations > 100
+    assert error(run.iterations) <= 1.01e-3
+    assert error(run.iterations - 1) > 0.99e-3
+    halfway = conjugate_gradients(matrix, right_side, preconditioner, run.iterations // 2, float("inf"), 1e-3, energy)
+    assert not halfway.converged
+    assert halfway.residual < 1e-6
+
+
 def test_conjugate_gradients_end_where_they_must() -> None:
     right_side = np.ones(50)
     indefinite = conjugate_gradients(diags(np.linspace(-1.0, 2.0, 50)).tocsr(), right_side, nothing, 1000, float("inf"))
@@ -331,9 +359,9 @@ def test_a_block_may_have_many_points(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_runs_for_comparison_leave_time_for_others(monkeypatch: pytest.MonkeyPatch) -> None:
     given: list[float] = []
 
-    def noting(*words: object) -> CgResult:
+    def noting(*words: object, **options: object) -> CgResult:
         given.append(float(str(words[4])) - time.monotonic())
-        return conjugate_gradients(*words)
+        return conjugate_gradients(*words, **options)
 
     monkeypatch.setattr(problems, "conjugate_gradients", noting)
     matrix = diags(np.linspace(1.0, 9.0, 50)).tocsr()
@@ -353,8 +381,8 @@ def test_which_runs_decide(monkeypatch: pytest.MonkeyPatch) -> None:
     points, cells = block((4, 4, 4))
     for bad, passed in (("nothing", True), ("jacobi", False), ("multigrid", True)):
 
-        def failing(*words: object, bad: str = bad) -> CgResult:
-            run = conjugate_gradients(*words)
+        def failing(*words: object, bad: str = bad, **options: object) -> CgResult:
+            run = conjugate_gradients(*words, **options)
             return replace(run, converged=False) if which(words) == bad else run
 
         monkeypatch.setattr(problems, "conjugate_gradients", failing)
@@ -366,9 +394,9 @@ def test_which_runs_decide(monkeypatch: pytest.MonkeyPatch) -> None:
         assert solved["solved_with"] == ("jacobi" if bad == "multigrid" else "multigrid")
         assert len(context.warnings) == (3 if bad == "multigrid" else 0)
 
-    def slow(*words: object) -> CgResult:
+    def slow(*words: object, **options: object) -> CgResult:
         if which(words) == "multigrid":
-            return conjugate_gradients(*words)
+            return conjugate_gradients(*words, **options)
         # from now on time is over for everything that looks at the clock
         monkeypatch.setattr(assembly.time, "monotonic", lambda: float("inf"))
         raise OutOfTimeError

@@ -51,7 +51,12 @@ class Solver:
     """Time left for the runs that only give figures, s; it gets less as they take it."""
 
     def solve(
-        self, matrix: Any, right_side: Values, near_null: Values | None = None, grounded: Any = None
+        self,
+        matrix: Any,
+        right_side: Values,
+        near_null: Values | None = None,
+        grounded: Any = None,
+        energy: float | None = None,
     ) -> tuple[Values, dict[str, Any], bool]:
         """Solve with multigrid: solution, figures, and whether it was found.
 
@@ -70,6 +75,8 @@ class Solver:
             See :func:`.multigrid`.
         grounded
             Matrix that multigrid is set up with instead, where that of the system is singular.
+        energy
+            See :func:`.conjugate_gradients`.
 
         Raises
         ------
@@ -82,25 +89,27 @@ class Solver:
         # a mesh of one layer has no points inside
         cycle = multigrid(matrix if grounded is None else grounded, near_null) if matrix.shape[0] else nothing
         set_up = time.monotonic() - started
-        solved = conjugate_gradients(matrix, right_side, cycle, MAX_MULTIGRID_ITERATIONS, self.deadline)
+        solved = conjugate_gradients(matrix, right_side, cycle, MAX_MULTIGRID_ITERATIONS, self.deadline, energy=energy)
         del cycle
         seconds = time.monotonic() - started
         figures: dict[str, Any] = {"unknowns": matrix.shape[0], "nonzeros": matrix.nnz, "tolerance": TOLERANCE}
         figures["multigrid"] = {**_figures(solved), "setup_seconds": set_up, "seconds": seconds}
-        other = self._compared(matrix, right_side, jacobi(matrix))
+        other = self._compared(matrix, right_side, jacobi(matrix), energy)
         figures["jacobi"] = _figures(other) if other else None
-        plain = self._compared(matrix, right_side, nothing)
+        plain = self._compared(matrix, right_side, nothing, energy)
         figures["plain"] = _figures(plain) if plain else None
         figures["solved_with"] = "multigrid"
         if other and other.converged and not solved.converged:
             solved, figures["solved_with"] = other, "jacobi"
         return solved.solution, figures, solved.converged and (other is None or other.converged)
 
-    def _compared(self, matrix: Any, right_side: Values, precondition: Callable[[Values], Values]) -> CgResult | None:
+    def _compared(
+        self, matrix: Any, right_side: Values, precondition: Callable[[Values], Values], energy: float | None
+    ) -> CgResult | None:
         started = time.monotonic()
         deadline = started + 0.5 * min(self.compare_seconds, self.deadline - started)
         try:
-            return conjugate_gradients(matrix, right_side, precondition, self.max_iterations, deadline)
+            return conjugate_gradients(matrix, right_side, precondition, self.max_iterations, deadline, energy=energy)
         except OutOfTimeError:
             return None
         finally:
@@ -173,7 +182,8 @@ def poisson(assembler: Assembler, boundary: NDArray[np.bool_], solver: Solver) -
     free = np.flatnonzero(~boundary)
     solution = np.where(boundary, exact, 0.0)
     right_side = (load - matrix @ solution)[free]
-    inner, figures, converged = solver.solve(matrix[free][:, free], right_side)
+    energy = float(exact @ (matrix @ exact))
+    inner, figures, converged = solver.solve(matrix[free][:, free], right_side, energy=energy)
     solution[free] = inner
 
     def squares(name: str) -> tuple[Any, Any]:

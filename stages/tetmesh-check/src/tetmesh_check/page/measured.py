@@ -168,8 +168,8 @@ def solve(case: Case) -> str:
         return f"<section><h2>Solve</h2>{reason}</section>"
     columns = ("problem", "unknowns", "CG, multigrid", "CG, Jacobi", "CG, plain", "condition", "time", "result")
     return (
-        "<section><h2>Solve</h2><p>Linear elements and conjugate gradients (CG) to a residual of 1e-8: fewer iterations mean an easier "
-        f"time for any solver.</p>{table(columns, rows, (0, 7))}{reason}</section>"
+        "<section><h2>Solve</h2><p>Linear elements and conjugate gradients (CG) to an error of 1e-8 in the energy norm: fewer iterations mean "
+        f"an easier time for any solver.</p>{table(columns, rows, (0, 7))}{reason}</section>"
     )
 
 
