@@ -12,6 +12,22 @@ use rayon::prelude::*;
 /// Newton steps towards a critical point.
 const STEPS: usize = 30;
 
+/// A search starts in a cell whose gradient is shorter than what the Hessian changes over so many voxels,
+const MARGIN: f64 = 2.0;
+
+/// at the middle and in each octant of the cell, lest one of several critical points be missed.
+const STARTS: [DVec3; 9] = [
+    DVec3::splat(0.5),
+    DVec3::new(0.2, 0.2, 0.2),
+    DVec3::new(0.8, 0.2, 0.2),
+    DVec3::new(0.2, 0.8, 0.2),
+    DVec3::new(0.8, 0.8, 0.2),
+    DVec3::new(0.2, 0.2, 0.8),
+    DVec3::new(0.8, 0.2, 0.8),
+    DVec3::new(0.2, 0.8, 0.8),
+    DVec3::new(0.8, 0.8, 0.8),
+];
+
 /// A search that leaves its cell by this many voxels belongs to another.
 const REACH: f64 = 1.0;
 
@@ -43,13 +59,13 @@ pub fn critical_points(field: &CubicSpline, smallest: f64) -> Vec<CriticalPoint>
     let mut found: Vec<CriticalPoint> = (0..cells[2])
         .into_par_iter()
         .flat_map_iter(|k| (0..cells[1]).flat_map(move |j| (0..cells[0]).map(move |i| [i, j, k])))
-        .filter_map(|cell| {
+        .filter(|cell| {
             let index = DVec3::from_array(cell.map(|n| n as f64 + 0.5));
-            if signs.at(index).is_some() {
-                return None;
-            }
-            let start = geometry.index_to_grid(index);
-            let position = newton(field, start, REACH * voxel)?;
+            signs.at(index).is_none() && may_be_flat(field, geometry.index_to_grid(index), voxel)
+        })
+        .flat_map_iter(|cell| STARTS.map(|offset| DVec3::from_array(cell.map(|n| n as f64)) + offset))
+        .filter_map(|index| {
+            let position = newton(field, geometry.index_to_grid(index), REACH * voxel)?;
             describe(field, position).filter(|c| c.radius >= smallest)
         })
         .collect();
@@ -57,6 +73,13 @@ pub fn critical_points(field: &CubicSpline, smallest: f64) -> Vec<CriticalPoint>
         .sort_by(|a, b| a.position.to_array().partial_cmp(&b.position.to_array()).unwrap_or(std::cmp::Ordering::Equal));
     found.dedup_by(|a, b| a.position.distance(b.position) < SAME * voxel);
     found
+}
+
+/// Whether the gradient may vanish in the cell round a point: by the Hessian there, with a margin for its change.
+fn may_be_flat(field: &CubicSpline, p: DVec3, voxel: f64) -> bool {
+    let jet = field.jet(p);
+    let hessian = jet.hessian.to_cols_array().iter().map(|x| x * x).sum::<f64>().sqrt();
+    jet.gradient.length() < MARGIN * hessian * voxel
 }
 
 /// The critical point that Newton's iteration finds within a box of half-width `reach` (mm).
