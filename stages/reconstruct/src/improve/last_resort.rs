@@ -12,6 +12,7 @@ use super::surface::{DEAD, Surface};
 use super::worst::{Move, moves_near, perform};
 use glam::DVec3;
 use isoparticles_common::mesh::quality::radius_ratio;
+use rayon::prelude::*;
 use std::collections::BTreeSet;
 
 /// Edge lengths at the triangle that refinements aim at, over its shortest side.
@@ -61,21 +62,24 @@ enum Plan {
 
 /// Tries every triangle outside the limits, worst first, and again those round a success.
 pub(super) fn lift(surface: &mut Surface, limits: &Limits, tally: &mut Tally) {
-    let mut budget = BUDGET;
-    let mut hopeless: Vec<u32> = Vec::new();
-    while budget > 0 {
-        let unfit = |t: u32| {
-            let fitness = if surface.is_alive(t) { fitness(surface.corners(t)) } else { 1.0 };
-            (fitness < 1.0 && !hopeless.contains(&t)).then_some((fitness, t))
-        };
-        let worst = (0..surface.triangles.len() as u32).filter_map(unfit).min_by(|a, b| a.0.total_cmp(&b.0));
-        let Some((_, triangle)) = worst else { break };
-        budget -= 1;
-        match lift_one(surface, limits, triangle, tally) {
-            Some(touched) => hopeless.retain(|t| !touched.contains(t)),
-            None => hopeless.push(triangle),
+    let all: Vec<u32> = (0..surface.triangles.len() as u32).collect();
+    let mut unfit: Vec<(f64, u32)> = all.par_iter().filter_map(|&t| unfitness(surface, t)).collect();
+    for _ in 0..BUDGET {
+        let worst =
+            (0..unfit.len()).min_by(|&i, &j| unfit[i].0.total_cmp(&unfit[j].0).then(unfit[i].1.cmp(&unfit[j].1)));
+        let Some(worst) = worst else { break };
+        let (_, triangle) = unfit.swap_remove(worst);
+        if let Some(touched) = lift_one(surface, limits, triangle, tally) {
+            unfit.retain(|(_, t)| touched.binary_search(t).is_err());
+            unfit.extend(touched.iter().filter_map(|&t| unfitness(surface, t)));
         }
     }
+}
+
+/// The fitness of a triangle that is outside the limits, with its number.
+fn unfitness(surface: &Surface, triangle: u32) -> Option<(f64, u32)> {
+    let fitness = if surface.is_alive(triangle) { fitness(surface.corners(triangle)) } else { 1.0 };
+    (fitness < 1.0).then_some((fitness, triangle))
 }
 
 fn lift_one(surface: &mut Surface, limits: &Limits, triangle: u32, tally: &mut Tally) -> Option<Vec<u32>> {
