@@ -17,12 +17,12 @@ pub struct Defects {
     pub bridges: Vec<u32>,
     /// Components of the isosurface that have no facet.
     pub missing: Vec<u32>,
-    /// Components of the isosurface whose facets fall apart.
-    pub in_pieces: Vec<u32>,
+    /// Components of the isosurface whose facets fall apart, and into how many pieces.
+    pub in_pieces: Vec<(u32, usize)>,
     /// Components of the isosurface that were thought to be several, and the fewer pieces that their facets form by now.
     pub rejoined: Vec<(u32, usize)>,
-    /// Components of the isosurface whose facets have another Euler characteristic.
-    pub wrong_genus: Vec<u32>,
+    /// Components of the isosurface whose facets have another Euler characteristic, and that of the facets.
+    pub wrong_genus: Vec<(u32, i64)>,
     /// Components of the facets.
     pub component_count: usize,
     /// Component of each vertex among the facets; [`NO_COMPONENT`] for vertices of no facet.
@@ -116,11 +116,11 @@ impl Defects {
             if pieces == 0 {
                 self.missing.push(c);
             } else if pieces > isosurface.pieces(c) {
-                self.in_pieces.push(c);
+                self.in_pieces.push((c, pieces));
             } else if pieces < isosurface.pieces(c) {
                 self.rejoined.push((c, pieces));
             } else if euler[c as usize] != isosurface.euler(c) {
-                self.wrong_genus.push(c);
+                self.wrong_genus.push((c, euler[c as usize]));
             }
         }
     }

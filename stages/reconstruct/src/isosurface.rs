@@ -5,7 +5,7 @@
 //! necks and gaps narrower than a voxel may differ. Where mesh and marching cubes disagree, [`Isosurface`] is therefore
 //! asked to look again at the place on a finer sampling of the spline.
 
-mod certain;
+pub(crate) mod certain;
 
 use certain::CertainSigns;
 use glam::DVec3;
@@ -136,11 +136,16 @@ impl Isosurface {
         1 + self.parted[class as usize] as usize
     }
 
-    /// Takes back that a class has more pieces than these: points added since have closed the gap.
+    /// Notes how many components a class turned out to have: more than one where marching cubes joins them, fewer than before where
+    /// points added since have closed a gap.
     pub fn set_pieces(&mut self, class: u32, pieces: usize) {
-        let taken_back = self.pieces(class) - pieces;
-        self.parted[class as usize] -= taken_back as u32;
-        self.euler[class as usize] -= 2 * taken_back as i64;
+        self.euler[class as usize] += 2 * (pieces as i64 - self.pieces(class) as i64);
+        self.parted[class as usize] = pieces as u32 - 1;
+    }
+
+    /// Notes the Euler characteristic that a class turned out to have.
+    pub fn set_euler(&mut self, class: u32, euler: i64) {
+        self.euler[class as usize] = euler;
     }
 
     /// Class of a component or of a former class.
@@ -239,27 +244,6 @@ impl Isosurface {
             kept = self.class_of(kept);
         }
         !joined.is_empty()
-    }
-
-    /// Looks again at the Euler characteristic of a class on twice as fine a sampling, and takes that. False when the class
-    /// is too large for it.
-    pub fn recount_euler(&mut self, field: &CubicSpline, class: u32) -> bool {
-        let samples = self.samples(class);
-        let Some((low, high)) = bounds(&samples) else { return false };
-        let margin = field.geometry().spacing * MARGIN;
-        let Some(patch) = Self::patch(field, low - margin, high + margin, 3) else { return false };
-        let mut votes = vec![0usize; patch.class_bound()];
-        for &p in samples.iter().step_by(samples.len() / 200 + 1) {
-            if let Some(c) = patch.component_at(p, field.value_gradient(p).1) {
-                votes[c as usize] += 1;
-            }
-        }
-        let finer = patch.geometry.spacing.max_element() < 0.75 * self.geometry.spacing.max_element();
-        let elected = (0..votes.len()).max_by_key(|&c| votes[c]).filter(|&c| votes[c] > 0 && finer);
-        if let Some(c) = elected {
-            self.euler[class as usize] = patch.euler[c];
-        }
-        elected.is_some()
     }
 
     /// Looks again whether a piece of the mesh, given by its vertices, is a component of its own although marching cubes
@@ -405,8 +389,6 @@ mod tests {
         }
         assert_eq!(euler(&gyroid), [-14]);
         assert_eq!((gyroid.component_count(), gyroid.sampled_component_count()), (1, 4));
-        assert!(gyroid.recount_euler(&scene.field, 0));
-        assert_eq!(euler(&gyroid), [-14]);
     }
 
     #[test]

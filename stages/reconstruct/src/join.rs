@@ -69,7 +69,7 @@ pub(crate) fn join(
             let (facets, report) = tight_cocone(delaunay, Some(&normals)).map_err(|e| about(&args.particles, e))?;
             points_alone::warn(&report, context);
             let facets = refinement.without_border_closure(facets);
-            refinement.compare(&facets);
+            refinement.compare_other(&facets);
             drop(step);
             (facets, Some(report))
         }

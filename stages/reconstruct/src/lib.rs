@@ -5,6 +5,7 @@
 //! [`isosurface`]; [`refine`] adds points where it differs, until it does not; [`improve`] lifts the worst triangles;
 //! [`finish`] attaches the data; [`run`] is the program. [`tight_cocone`] is the other way to find the facets, from points alone.
 
+pub mod critical;
 pub mod defects;
 pub mod fans;
 pub mod finish;

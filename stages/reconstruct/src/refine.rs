@@ -4,8 +4,10 @@
 //! Where a facet is at fault, the point is where its Voronoi edge crosses F = 0: the centre of the facet's surface ball,
 //! the place of the isosurface nearby that is farthest from all points (Boissonnat and Oudot 2005).
 
+mod genus;
 mod looks;
 
+use crate::critical::CriticalPoint;
 use crate::defects::Defects;
 use crate::isosurface::{Isosurface, bounds, nearest_pair};
 use crate::prepare::{ON_SURFACE, SurfacePoints};
@@ -19,6 +21,7 @@ use looks::Looks;
 use rayon::prelude::*;
 use serde::Serialize;
 use std::collections::HashMap;
+use std::sync::OnceLock;
 
 /// A facet may lie this part of h away from F = 0 when no limit is given: three times what a facet of edge h has on a
 /// ball of radius 2 h (h^2 / 6 R).
@@ -36,11 +39,8 @@ const NEAREST_FOR_TOPOLOGY: f64 = 0.02;
 /// A grid node on the wrong side whose nearest point of F = 0 is nearer than this part of h to a vertex has that vertex.
 const AT_A_VERTEX: f64 = 0.15;
 
-/// Rounds spent on a genus that will not come right: below a voxel, marching cubes and the spline may differ.
+/// Rounds spent on critical points that stay on the wrong side of the mesh.
 const GENUS_ROUNDS: usize = 6;
-
-/// Most facets that a round refines on behalf of a component of the wrong genus: the fault is at a few places.
-const MOST_FOR_GENUS: usize = 50;
 
 /// How far the refinement may go.
 #[derive(Clone, Copy, Debug)]
@@ -72,7 +72,7 @@ pub struct RefineReport {
     pub inserted_bridges: usize,
     /// ... on components that had no facets.
     pub inserted_missing: usize,
-    /// ... on components of the wrong genus.
+    /// ... at critical points of F on the wrong side.
     pub inserted_genus: usize,
     /// ... at facets too far from F = 0, or turned away from it.
     pub inserted_deviation: usize,
@@ -84,7 +84,9 @@ pub struct RefineReport {
     pub unresolved_bridges: usize,
     /// Components still without facets.
     pub unresolved_missing: usize,
-    /// Components whose Euler characteristic still differs from that of marching cubes.
+    /// Critical points of F that are still on the wrong side of the mesh.
+    pub unresolved_critical: usize,
+    /// Components that are still in pieces, or of another Euler characteristic than marching cubes and not known to be right.
     pub unresolved_genus: usize,
 }
 
@@ -123,6 +125,10 @@ pub struct Refinement<'a> {
     options: RefineOptions,
     genus_rounds: usize,
     looks: Looks,
+    /// Whether the tetrahedra inside are those that the facets enclose.
+    sides_are_known: bool,
+    /// Critical points of F, once they have been asked for.
+    critical: OnceLock<Vec<CriticalPoint>>,
     /// Times that points were added on each class for want of facets.
     samplings: HashMap<u32, i32>,
 }
@@ -150,6 +156,8 @@ impl<'a> Refinement<'a> {
             options,
             genus_rounds: 0,
             looks: Looks::default(),
+            sides_are_known: true,
+            critical: OnceLock::new(),
             samplings: HashMap::new(),
         })
     }
@@ -202,18 +210,27 @@ impl<'a> Refinement<'a> {
             step(self.report.rounds, self.restricted.points().len())?;
             let facets = self.facets();
             let defects = self.compare(&facets);
-            if self.report.rounds >= self.options.max_rounds {
-                return Ok(facets);
-            }
-            let candidates = self.candidates(&facets, &defects);
+            let may_go_on = self.report.rounds < self.options.max_rounds;
+            let candidates = if may_go_on { self.candidates(&facets, &defects) } else { Vec::new() };
             if self.insert_all(candidates)? == 0 {
+                self.count_astray();
                 return Ok(facets);
             }
         }
     }
 
+    /// Compares a surface that was found by other means than the sign of F at the circumcentres.
+    pub fn compare_other(&mut self, facets: &[Facet]) {
+        self.sides_are_known = !self.options.open_border;
+        if self.sides_are_known {
+            self.restricted.take_sides(facets);
+        }
+        self.compare(facets);
+        self.count_astray();
+    }
+
     /// Defects of a set of facets, after looking again wherever the isosurface may be at fault; they go into the report.
-    pub fn compare(&mut self, facets: &[Facet]) -> Defects {
+    fn compare(&mut self, facets: &[Facet]) -> Defects {
         loop {
             let defects = self.defects(facets);
             if self.look_again(facets, &defects) {
@@ -295,7 +312,7 @@ impl<'a> Refinement<'a> {
             let balls = around.iter().filter_map(|&f| self.ball(&facets[f as usize], Reason::Manifold));
             candidates.extend(balls.max_by(|a, b| a.radius.total_cmp(&b.radius)));
         }
-        candidates.extend(defects.in_pieces.iter().flat_map(|&class| self.gaps(class, defects)));
+        candidates.extend(defects.in_pieces.iter().flat_map(|&(class, _)| self.gaps(class, defects)));
         candidates.extend(defects.bridges.iter().filter_map(|&f| self.ball(&facets[f as usize], Reason::Bridge)));
         candidates.par_extend(facets.par_iter().filter(|f| self.badness(f) > 1.0).filter_map(|f| {
             let ball = self.ball(f, Reason::Deviation)?;
@@ -303,10 +320,9 @@ impl<'a> Refinement<'a> {
         }));
         // what a genus round upsets takes rounds to come right again
         let room = 2 * self.report.rounds <= self.options.max_rounds;
-        let doubtful: Vec<u32> = defects.wrong_genus.iter().chain(&defects.in_pieces).copied().collect();
-        if candidates.is_empty() && !doubtful.is_empty() && self.genus_rounds < GENUS_ROUNDS && room {
-            self.genus_rounds += 1;
-            candidates = self.genus_candidates(facets, &doubtful);
+        if candidates.is_empty() && self.genus_rounds < GENUS_ROUNDS && room {
+            candidates = self.at_critical_points(self.genus_rounds);
+            self.genus_rounds += usize::from(!candidates.is_empty());
         }
         candidates
     }
@@ -324,6 +340,13 @@ impl<'a> Refinement<'a> {
         let agreement = (b - a).cross(c - a).normalize_or_zero().dot(gradient / slope);
         let turned = if agreement < TURNED { 1.0 + TURNED - agreement } else { 0.0 };
         (value.abs() / slope / limit).max(turned)
+    }
+
+    /// Cosine between the normal of a facet and grad F at its centroid.
+    fn agreement(&self, facet: &Facet) -> f64 {
+        let [a, b, c] = facet.vertices.map(|v| self.restricted.points()[v as usize]);
+        let (_, gradient) = self.restricted.field().value_gradient((a + b + c) / 3.0);
+        (b - a).cross(c - a).normalize_or_zero().dot(gradient.normalize_or_zero())
     }
 
     /// The surface ball of a facet: where its Voronoi edge crosses F = 0, else the projected centroid.
@@ -374,34 +397,6 @@ impl<'a> Refinement<'a> {
         kept.into_iter()
             .map(|point| Candidate { reason: Reason::Missing, point, radius: spacing, size: spacing * 1.2, near: 0 })
             .collect()
-    }
-
-    /// Facets of components of the wrong genus: those whose Voronoi edge crosses F = 0 more than once, else the worst
-    /// three in a hundred.
-    fn genus_candidates(&self, facets: &[Facet], components: &[u32]) -> Vec<Candidate> {
-        let mut ranked: Vec<(f64, &Facet)> = facets
-            .par_iter()
-            .filter(|f| f.vertices.iter().any(|&v| components.contains(&self.component_of[v as usize])))
-            .map(|f| (self.badness(f) + if self.crosses_again(f) { 10.0 } else { 0.0 }, f))
-            .collect();
-        ranked.sort_by(|a, b| b.0.total_cmp(&a.0));
-        let several = ranked.partition_point(|(badness, _)| *badness >= 10.0);
-        ranked.truncate(several.max(ranked.len() * 3 / 100).clamp(4, MOST_FOR_GENUS * components.len()));
-        ranked.iter().filter_map(|(_, f)| self.ball(f, Reason::Genus)).collect()
-    }
-
-    fn crosses_again(&self, facet: &Facet) -> bool {
-        let Some((from, to)) = self.restricted.dual_edge(facet) else { return false };
-        let field = self.restricted.field();
-        let steps = (2.0 * from.distance(to) / field.geometry().min_spacing()).ceil().clamp(1.0, 1000.0) as usize;
-        let mut crossings = 0;
-        let mut inside = true;
-        for k in 1..=steps {
-            let now = field.value(from.lerp(to, k as f64 / steps as f64)) < 0.0;
-            crossings += u32::from(now != inside);
-            inside = now;
-        }
-        crossings > 1
     }
 
     /// Inserts candidates, the most needed and the roomiest first, none too near to one inserted in the same round.

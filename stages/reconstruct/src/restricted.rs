@@ -7,10 +7,12 @@
 //! point which refines the facet (Boissonnat and Oudot 2005).
 
 use glam::DVec3;
+use isoparticles_common::delaunay::predicates::orientation;
 use isoparticles_common::delaunay::{Delaunay, INFINITE, Insertion};
 use isoparticles_common::error::Result;
 use isoparticles_common::spline::CubicSpline;
 use rayon::prelude::*;
+use std::collections::HashSet;
 
 /// Halvings of a Voronoi edge when its crossing with F = 0 is sought.
 const HALVINGS: usize = 60;
@@ -98,6 +100,45 @@ impl<'a> Restricted<'a> {
     /// Whether a tetrahedron is inside.
     pub fn is_inside(&self, tetrahedron: u32) -> bool {
         self.inside[tetrahedron as usize]
+    }
+
+    /// Takes the sides of the tetrahedra from a closed surface of facets instead of F.
+    pub fn take_sides(&mut self, facets: &[Facet]) {
+        self.inside = vec![false; self.delaunay.slot_count()];
+        let walls: HashSet<(u32, u32)> = facets
+            .iter()
+            .map(|f| (f.tetrahedron, self.delaunay.neighbours(f.tetrahedron)[usize::from(f.opposite)]))
+            .collect();
+        let mut open: Vec<u32> = facets.iter().map(|f| f.tetrahedron).collect();
+        while let Some(t) = open.pop() {
+            if !std::mem::replace(&mut self.inside[t as usize], true) {
+                let neighbours = self.delaunay.neighbours(t);
+                open.extend(neighbours.into_iter().filter(|&n| !walls.contains(&(t, n)) && !self.inside[n as usize]));
+            }
+        }
+    }
+
+    /// Whether a point lies in a tetrahedron that is inside; `near` is a vertex not far from it.
+    pub fn holds(&self, point: DVec3, near: u32) -> bool {
+        let Some(mut t) = self.delaunay.incident(near) else { return false };
+        let mut entered_from = None;
+        loop {
+            let (vertices, neighbours) = (self.delaunay.vertices(t), self.delaunay.neighbours(t));
+            let infinite = vertices.iter().position(|&v| v == INFINITE);
+            let way = match infinite {
+                // beyond the hull, unless the walk has only started
+                Some(_) if entered_from.is_some() => return false,
+                Some(i) => Some(i),
+                None => (0..4).filter(|&i| Some(neighbours[i]) != entered_from).find(|&i| {
+                    let mut corners = vertices.map(|v| self.points()[v as usize]);
+                    corners[i] = point;
+                    orientation(corners[0], corners[1], corners[2], corners[3]) < 0.0
+                }),
+            };
+            let Some(i) = way else { return self.inside[t as usize] };
+            entered_from = Some(t);
+            t = neighbours[i];
+        }
     }
 
     /// The facets between inside and outside, in the order of the tetrahedra.

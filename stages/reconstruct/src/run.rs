@@ -350,6 +350,12 @@ fn judge(
         let bridges = refined.unresolved_bridges;
         failed.push(format!("{bridges} triangles that join different components of the isosurface"));
     }
+    if refined.unresolved_critical > 0 {
+        context.warn(format!(
+            "{} critical points of F on the wrong side: necks, gaps or specks there are thinner than the particles can tell",
+            refined.unresolved_critical
+        ));
+    }
     if refined.unresolved_genus > 0 {
         context.warn(format!(
             "{} components whose Euler characteristic differs from that of marching cubes on F: their finest handles are \

@@ -116,6 +116,26 @@ pub(crate) fn gyroid() -> Scene {
     })
 }
 
+/// Torus of radii 5 and 4.8, as a smooth function: its hole is 0.4 voxel wide, and no grid node lies in its narrow part.
+pub(crate) fn pierced() -> Scene {
+    let (ring, tube) = (5.0, 4.8);
+    Scene::new([28; 3], DVec3::ONE, |p| {
+        let q = p - DVec3::new(13.43, 13.61, 13.52);
+        let square = q.length_squared() + ring * ring - tube * tube;
+        (square * square - 4.0 * ring * ring * q.truncate().length_squared()) / (8.0 * ring * ring * tube)
+    })
+}
+
+/// Two balls of radius 6 joined by a neck of about half a voxel in radius.
+pub(crate) fn hourglass() -> Scene {
+    Scene::new([34, 24, 24], DVec3::ONE, |p| {
+        let q = p - DVec3::new(16.43, 11.61, 11.52);
+        let ball = |x: f64| (q - DVec3::X * x).length() - 6.0;
+        let soft = (-2.0 * ball(-6.33)).exp() + (-2.0 * ball(6.33)).exp();
+        -0.5 * soft.ln()
+    })
+}
+
 /// A smooth union of a few balls, tori and thin plates, about 2 to 12 across.
 pub(crate) fn random(seed: u64) -> Scene {
     let u = |k: u64| uniform(78, seed, k);

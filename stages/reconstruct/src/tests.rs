@@ -112,6 +112,20 @@ fn gyroid_keeps_its_handles() {
 }
 
 #[test]
+fn a_hole_narrower_than_marching_cubes_can_see_is_kept() {
+    let scene = scenes::pierced();
+    let sampled = Isosurface::new(&scene.image);
+    assert_eq!(sampled.classes().map(|c| sampled.euler(c)).collect::<Vec<_>>(), [2], "marching cubes sees the hole");
+    let mut inserted = 0;
+    for spacing in [0.8, 1.5, 2.5, 4.0] {
+        let (_, _, report) = sound(&scene, spacing, &[0]);
+        assert_eq!((report.unresolved_critical, report.unresolved_genus), (0, 0), "{report:?}");
+        inserted += report.inserted_genus;
+    }
+    assert!(inserted > 0, "no mesh lacked the hole: it is too wide to test anything");
+}
+
+#[test]
 fn a_component_without_particles_is_found_and_sampled() {
     // two balls, one of them a voxel and a half in radius, and points on the large one alone
     let scene = Scene::new([32, 24, 24], DVec3::ONE, |p| {

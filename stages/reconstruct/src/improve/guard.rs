@@ -2,7 +2,9 @@
 //! turn or fold a triangle, leave F = 0, spoil edge lengths, make triangles cross, or carry a grid node to the other side.
 
 use super::surface::{Facts, Surface};
+use glam::DVec3;
 use isoparticles_common::mesh::intersect::corners_cross;
+use isoparticles_common::mesh::quality::radius_ratio;
 use isoparticles_common::spatial::Bounds;
 
 /// What a move must respect; where the surface was worse before, it must not get any worse.
@@ -50,12 +52,53 @@ pub(super) enum Rule {
         /// The floor.
         floor: f64,
     },
+    /// The smallest [`fitness`] of the patch does not fall, and the shortfall of its triangles below 1 shrinks.
+    Fit,
     /// Nothing is asked of the quality but that no triangle loses its area.
     Any,
 }
 
 /// Gain that counts; what is smaller may be rounding, and would never end.
 const LEAST_GAIN: f64 = 1e-5;
+
+/// Smallest radius ratio, smallest and largest angle (degrees) that finite elements are asked for.
+const FIT_RATIO: f64 = 0.5;
+const FIT_ANGLES: [f64; 2] = [25.0, 120.0];
+
+/// A triangle of a higher radius ratio keeps both: 8 sin(A/2) sin(B/2) sin(C/2) of one with A at either limit is at most 0.679.
+const SURELY_FIT: f64 = 0.68;
+
+/// How far a triangle is within those limits: 1 and more where it keeps them all, down to 0 where it has no area.
+pub(super) fn fitness(corners: [DVec3; 3]) -> f64 {
+    let [a, b, c] = corners;
+    let ratio = radius_ratio(a, b, c);
+    if ratio > SURELY_FIT {
+        return ratio / FIT_RATIO;
+    }
+    let angles =
+        [(b - a).angle_between(c - a), (c - b).angle_between(a - b), (a - c).angle_between(b - c)].map(f64::to_degrees);
+    let smallest = angles.into_iter().fold(f64::INFINITY, f64::min);
+    let largest = angles.into_iter().fold(0.0, f64::max);
+    let by_angle = (smallest / FIT_ANGLES[0]).min((180.0 - largest) / (180.0 - FIT_ANGLES[1]));
+    by_angle.min(ratio / FIT_RATIO)
+}
+
+/// What a triangle outside the limits counts for at least, beside how far outside it is.
+const UNFIT: f64 = 0.02;
+
+/// By how much the edits since the last commit bring the patch nearer to the limits of [`fitness`]; negative infinity when they lower the
+/// smallest.
+pub(super) fn gain_in_fitness(surface: &Surface) -> f64 {
+    let touched = surface.touched();
+    let score = |corners: &[[DVec3; 3]]| {
+        let fitnesses = corners.iter().map(|&c| fitness(c)).filter(|&f| f < 1.0);
+        fitnesses.fold((1.0f64, 0.0), |(smallest, shortfall), f| (smallest.min(f), shortfall + UNFIT + 1.0 - f))
+    };
+    let (smallest_before, before) = score(&surface.former_corners(&touched));
+    let now: Vec<_> = touched.iter().filter(|&&t| surface.is_alive(t)).map(|&t| surface.corners(t)).collect();
+    let (smallest, after) = score(&now);
+    if smallest < smallest_before { f64::NEG_INFINITY } else { before - after }
+}
 
 /// Smallest quality, sum, count and shortfall of some triangles.
 #[derive(Clone, Copy, Debug)]
@@ -91,6 +134,7 @@ fn is_better(surface: &Surface, touched: &[u32], rule: Rule) -> bool {
     let (before, after) = scores(surface, touched, bar);
     match rule {
         Rule::Lift { .. } => after.smallest >= before.smallest && after.shortfall < before.shortfall - LEAST_GAIN,
+        Rule::Fit => gain_in_fitness(surface) > LEAST_GAIN,
         Rule::Even => {
             let (smallest, mean) = (after.smallest - before.smallest, after.mean - before.mean);
             smallest >= 0.0 && mean >= 0.0 && smallest + mean > 1e-4
@@ -120,6 +164,13 @@ pub(super) fn commit_if_welcome(surface: &mut Surface, limits: &Limits, rule: Ru
     }
     surface.commit(&touched, &facts);
     Some(touched)
+}
+
+/// Whether the edits since the last commit keep the limits, crossing triangles and grid nodes aside.
+pub(super) fn keeps_limits(surface: &Surface, limits: &Limits) -> bool {
+    let touched = surface.touched();
+    let facts: Vec<Facts> = touched.iter().map(|&t| surface.measure(t)).collect();
+    is_sound(surface, limits, &touched, &facts)
 }
 
 fn is_sound(surface: &Surface, limits: &Limits, touched: &[u32], facts: &[Facts]) -> bool {

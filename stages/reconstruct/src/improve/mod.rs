@@ -8,6 +8,7 @@
 
 mod grid;
 mod guard;
+mod last_resort;
 mod moves;
 mod remesh;
 mod sides;
@@ -94,6 +95,10 @@ pub struct Tally {
     pub single_moves: usize,
     /// Two such moves in a row.
     pub double_moves: usize,
+    /// Moves in sequences of up to three, on behalf of triangles outside the limits after all that.
+    pub last_resort_moves: usize,
+    /// Refinements round such triangles.
+    pub refinements: usize,
 }
 
 impl Tally {
@@ -183,6 +188,8 @@ pub fn improve(
         project_all(&mut surface, tally);
         let bar = options.target.min(LAST_RESORT_BELOW);
         worst::lift(&mut surface, &limits.loosened(), bar, Effort::Double, &mut Failures::default(), tally);
+        surface.lengths = last_resort::LENGTHS;
+        last_resort::lift(&mut surface, &limits.loosened(), tally);
     }
 
     report.off_surface = (0..surface.positions.len()).filter(|&v| is_off_surface(&surface, v)).count();

@@ -155,6 +155,28 @@ fn polishing_raises_mean_and_minimum_and_no_triangle_count_changes() {
 }
 
 #[test]
+fn the_last_resort_makes_all_triangles_at_a_neck_fit() {
+    let scene = crate::scenes::hourglass();
+    let limits = Limits { agreement: 0.3, fold: 0.0, deviation: 0.15, excess: 1e-9 }.loosened();
+    let mut unfit = 0;
+    for h in [1.2, 1.6, 2.0, 2.4, 3.2] {
+        let (mesh, _, _) = crate::tests::restricted(&scene, h / 1.2);
+        let before = check(&mesh, &CheckOptions::default());
+        let size = |_: DVec3| h;
+        let mut surface = Surface::new(&mesh, &scene.field, &size, last_resort::LENGTHS);
+        let mut tally = Tally::default();
+        last_resort::lift(&mut surface, &limits, &mut tally);
+        let after = assert_sound(&surface.into_mesh(), &scene.field, &before, "hourglass");
+        let is_fit = |quality: &QualitySummary| {
+            quality.radius_ratio_min >= 0.5 && quality.angle_min >= 25.0 && quality.angle_max <= 120.0
+        };
+        unfit += usize::from(!is_fit(&before.quality));
+        assert!(is_fit(&after.quality), "h {h}: {:?} {tally:?}", after.quality);
+    }
+    assert!(unfit > 0, "there was nothing to do");
+}
+
+#[test]
 fn a_good_mesh_is_not_touched_at_all() {
     let centre = DVec3::splat(6.1);
     let image = sampled([26; 3], DVec3::splat(0.5), ball(centre, 4.0));

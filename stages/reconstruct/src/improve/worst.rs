@@ -30,7 +30,7 @@ pub(super) enum Effort {
 
 /// An elementary move.
 #[derive(Clone, Copy, Debug)]
-enum Move {
+pub(super) enum Move {
     Settle(u32),
     Flip(u32, u32),
     /// Keeps the first; the new place is this share of the way to the second.
@@ -157,7 +157,7 @@ fn saved(surface: &Surface, bar: f64) -> f64 {
 }
 
 /// Moves on the edges of some triangles and on some vertices.
-fn moves_near(triangles: &[[u32; 3]], vertices: &[u32]) -> Vec<Move> {
+pub(super) fn moves_near(triangles: &[[u32; 3]], vertices: &[u32]) -> Vec<Move> {
     let mut edges: Vec<(u32, u32)> =
         triangles.iter().flat_map(|&[a, b, c]| [(a, b), (b, c), (c, a)]).map(|(a, b)| (a.min(b), a.max(b))).collect();
     edges.sort_unstable();
@@ -211,7 +211,7 @@ fn execute(surface: &mut Surface, plan: &[Move], effort: Effort) -> bool {
 }
 
 /// Makes a move, and names the vertices that should settle afterwards.
-fn perform(surface: &mut Surface, step: Move, involved: &mut Vec<u32>) -> bool {
+pub(super) fn perform(surface: &mut Surface, step: Move, involved: &mut Vec<u32>) -> bool {
     match step {
         Move::Settle(v) => {
             involved.push(v);

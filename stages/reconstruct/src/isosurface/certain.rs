@@ -9,7 +9,7 @@ use isoparticles_common::spline::CubicSpline;
 const REACH: (usize, usize) = (2, 3);
 
 /// Signs of F by voxel cell of a box.
-pub(super) struct CertainSigns {
+pub(crate) struct CertainSigns {
     /// First cell of the box.
     first: [usize; 3],
     /// Cells.
@@ -20,7 +20,7 @@ pub(super) struct CertainSigns {
 
 impl CertainSigns {
     /// Of the cells that hold the points between two corners (grid frame).
-    pub(super) fn new(field: &CubicSpline, low: DVec3, high: DVec3) -> Self {
+    pub(crate) fn new(field: &CubicSpline, low: DVec3, high: DVec3) -> Self {
         let volume = field.geometry().size;
         let spacing = field.geometry().spacing;
         let cell = |p: DVec3, axis: usize| {
@@ -62,7 +62,7 @@ impl CertainSigns {
 
     /// A number of the sign of F at a point of the box (grid frame; `index` is that divided by the spacing) and everywhere
     /// within a voxel of it; `None` where that is not certain.
-    pub(super) fn at(&self, index: DVec3) -> Option<f32> {
+    pub(crate) fn at(&self, index: DVec3) -> Option<f32> {
         let mut number = 0;
         for axis in (0..3).rev() {
             let cell = index[axis].floor().max(0.0) as usize;

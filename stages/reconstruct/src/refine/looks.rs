@@ -18,7 +18,6 @@ const PATIENCE_IN_PIECES: usize = 5;
 pub(super) struct Looks {
     pairs: HashMap<(u32, u32), usize>,
     missing: HashSet<u32>,
-    genus: HashSet<u32>,
     /// Class, bits of the first vertex, number of vertices, look.
     pieces: HashSet<(u32, [u64; 3], usize, usize)>,
     rounds_in_pieces: HashMap<u32, usize>,
@@ -59,12 +58,10 @@ impl Refinement<'_> {
                 *looked += 1;
             }
         }
-        for &class in &defects.in_pieces {
+        for &(class, _) in &defects.in_pieces {
             learnt |= self.look_at_pieces(class, defects);
         }
-        for &class in &defects.wrong_genus {
-            learnt |= self.looks.genus.insert(class) && self.isosurface.recount_euler(field, class);
-        }
+        learnt |= self.trust_critical_points(facets, defects);
         if learnt {
             for c in self.component_of.iter_mut().filter(|c| **c != NO_COMPONENT) {
                 *c = self.isosurface.class_of(*c);

@@ -1,0 +1,278 @@
+//! The last resort for triangles that the passes over the worst leave outside the limits that finite elements ask for: places where F
+//! bends within less than h (necks, specks, rims), so that lengths near h and small folds cannot both be kept there.
+//!
+//! Such a place is refined: edges are split towards a size that grows from short ones at the triangle to h around it. Where that does not
+//! help, up to three elementary moves are tried in a row. After either the patch is tidied up by flips and settling; the
+//! outcome that brings it nearest to the limits is kept, if it passes the (loosened) guard.
+
+use super::Tally;
+use super::guard::{Limits, Rule, commit_if_welcome, fitness, gain_in_fitness, keeps_limits};
+use super::moves::{flip, settle, split};
+use super::surface::{DEAD, Surface};
+use super::worst::{Move, moves_near, perform};
+use glam::DVec3;
+use isoparticles_common::mesh::quality::radius_ratio;
+use rayon::prelude::*;
+use std::collections::BTreeSet;
+
+/// Edge lengths at the triangle that refinements aim at, over its shortest side.
+const FIRST_SIZES: [f64; 4] = [1.2, 0.9, 0.65, 0.45];
+
+/// How fast the size grows from there, mm per mm.
+const SLOPES: [f64; 3] = [0.3, 0.5, 0.8];
+
+/// An edge longer than this times its size is split.
+const LONG: f64 = 1.4;
+
+/// Rounds of splitting in a refinement.
+const SPLIT_ROUNDS: usize = 6;
+
+/// Most vertices in the patch of a refinement; more would be a remeshing.
+const LARGEST_PATCH: usize = 400;
+
+/// Rounds of flips and settling after the moves.
+const TIDY_ROUNDS: usize = 3;
+
+/// Plans, the best first, that are put before the guard.
+const PLANS_TRIED: usize = 40;
+
+/// Plans of two moves whose outcome is extended by a third where none passes.
+const PLANS_EXTENDED: usize = 6;
+
+/// Triangles that are tried, worst first: up to a second each. Where there are more, F has too much detail below h.
+const BUDGET: usize = 200;
+
+/// Range of edge lengths, over h, that the moves must stay in: short enough for what bends within a tenth of h.
+pub(super) const LENGTHS: [f64; 2] = [0.05, 2.2];
+
+/// More than any plan can gain.
+const UNSOUND: f64 = 1e6;
+
+/// A flip may turn the normals of its two triangles this far from their mean: the cosine.
+const FLIP_AGREEMENT: f64 = 0.3;
+
+/// What may be done about a triangle.
+#[derive(Clone, Debug)]
+enum Plan {
+    /// Splits towards a size (mm) at the triangle that grows by a slope.
+    Refine { triangle: u32, size: f64, slope: f64 },
+    /// Elementary moves in a row.
+    Moves(Vec<Move>),
+}
+
+/// Tries every triangle outside the limits, worst first, and again those round a success.
+pub(super) fn lift(surface: &mut Surface, limits: &Limits, tally: &mut Tally) {
+    let all: Vec<u32> = (0..surface.triangles.len() as u32).collect();
+    let mut unfit: Vec<(f64, u32)> = all.par_iter().filter_map(|&t| unfitness(surface, t)).collect();
+    for _ in 0..BUDGET {
+        let worst =
+            (0..unfit.len()).min_by(|&i, &j| unfit[i].0.total_cmp(&unfit[j].0).then(unfit[i].1.cmp(&unfit[j].1)));
+        let Some(worst) = worst else { break };
+        let (_, triangle) = unfit.swap_remove(worst);
+        if let Some(touched) = lift_one(surface, limits, triangle, tally) {
+            unfit.retain(|(_, t)| touched.binary_search(t).is_err());
+            unfit.extend(touched.iter().filter_map(|&t| unfitness(surface, t)));
+        }
+    }
+}
+
+/// The fitness of a triangle that is outside the limits, with its number.
+fn unfitness(surface: &Surface, triangle: u32) -> Option<(f64, u32)> {
+    let fitness = if surface.is_alive(triangle) { fitness(surface.corners(triangle)) } else { 1.0 };
+    (fitness < 1.0).then_some((fitness, triangle))
+}
+
+fn lift_one(surface: &mut Surface, limits: &Limits, triangle: u32, tally: &mut Tally) -> Option<Vec<u32>> {
+    let refinements = refinements(surface, triangle);
+    if let Ok(touched) = best_welcome(surface, limits, refinements, tally) {
+        return Some(touched);
+    }
+    let corners = surface.triangles[triangle as usize];
+    let mut sequences = Vec::new();
+    for first in moves_near(&[corners], &corners) {
+        extensions(surface, &[first], &mut sequences);
+    }
+    let rated = match best_welcome(surface, limits, sequences.into_iter().map(Plan::Moves).collect(), tally) {
+        Ok(touched) => return Some(touched),
+        Err(rated) => rated,
+    };
+    let mut longer = Vec::new();
+    let pairs = rated.iter().filter_map(|plan| if let Plan::Moves(moves) = plan { Some(moves) } else { None });
+    for moves in pairs.filter(|moves| moves.len() == 2).take(PLANS_EXTENDED) {
+        extensions(surface, moves, &mut longer);
+    }
+    longer.retain(|moves| moves.len() == 3);
+    best_welcome(surface, limits, longer.into_iter().map(Plan::Moves).collect(), tally).ok()
+}
+
+/// Refinements of ever shorter first edges and slower growth.
+fn refinements(surface: &Surface, triangle: u32) -> Vec<Plan> {
+    let [a, b, c] = surface.corners(triangle);
+    let shortest = a.distance(b).min(b.distance(c)).min(c.distance(a));
+    let plan = |share, slope| Plan::Refine { triangle, size: share * shortest, slope };
+    FIRST_SIZES.iter().flat_map(|&share| SLOPES.map(|slope| plan(share, slope))).collect()
+}
+
+/// A sequence of moves that can be made, and those with one move more in the patch that it leaves.
+fn extensions(surface: &mut Surface, plan: &[Move], found: &mut Vec<Vec<Move>>) {
+    let mut involved = Vec::new();
+    if plan.iter().all(|&step| perform(surface, step, &mut involved)) {
+        found.push(plan.to_vec());
+        let patch: Vec<[u32; 3]> =
+            surface.touched().into_iter().map(|t| surface.triangles[t as usize]).filter(|t| *t != DEAD).collect();
+        if !matches!(plan, [Move::Settle(_)]) {
+            found.extend(moves_near(&patch, &[]).into_iter().map(|step| [plan, &[step]].concat()));
+        }
+    }
+    surface.undo();
+}
+
+/// Commits the best of the plans that the guard lets pass. The triangles touched, or all the plans, the best first.
+fn best_welcome(
+    surface: &mut Surface,
+    limits: &Limits,
+    plans: Vec<Plan>,
+    tally: &mut Tally,
+) -> Result<Vec<u32>, Vec<Plan>> {
+    let mut rated: Vec<(f64, Plan)> = plans.into_iter().map(|plan| (outcome(surface, limits, &plan), plan)).collect();
+    // stable: the order of the plans among equals
+    rated.sort_by(|a, b| b.0.total_cmp(&a.0));
+    for (_, plan) in rated.iter().take_while(|(gain, _)| *gain > 0.0).take(PLANS_TRIED) {
+        if execute(surface, plan)
+            && let Some(touched) = commit_if_welcome(surface, limits, Rule::Fit)
+        {
+            match plan {
+                Plan::Refine { .. } => tally.refinements += 1,
+                Plan::Moves(moves) => tally.last_resort_moves += moves.len(),
+            }
+            return Ok(touched);
+        }
+        surface.undo();
+    }
+    Err(rated.into_iter().map(|(_, plan)| plan).collect())
+}
+
+/// What a plan gains: by how much the patch comes nearer to the limits; below zero where the guard would not let it pass.
+fn outcome(surface: &mut Surface, limits: &Limits, plan: &Plan) -> f64 {
+    let mut gain = f64::NEG_INFINITY;
+    if execute(surface, plan) {
+        gain = gain_in_fitness(surface);
+        if gain > 0.0 && !keeps_limits(surface, limits) {
+            // less than the gain of any that passes, and in the same order
+            gain -= UNSOUND;
+        }
+    }
+    surface.undo();
+    gain
+}
+
+/// Carries a plan out and tidies the patch up.
+fn execute(surface: &mut Surface, plan: &Plan) -> bool {
+    match *plan {
+        Plan::Refine { triangle, size, slope } => refine(surface, triangle, size, slope),
+        Plan::Moves(ref moves) => {
+            let mut involved = Vec::new();
+            let done = moves.iter().all(|&step| perform(surface, step, &mut involved));
+            if done {
+                involved.retain(|&v| surface.degree(v) > 0);
+                involved.sort_unstable();
+                involved.dedup();
+                tidy(surface, &involved, TIDY_ROUNDS);
+            }
+            done
+        }
+    }
+}
+
+/// Splits edges round a triangle until they are as short as `size` (mm) there, growing by `slope`. False when none is too long.
+fn refine(surface: &mut Surface, triangle: u32, size: f64, slope: f64) -> bool {
+    let [a, b, c] = surface.corners(triangle);
+    let centre = (a + b + c) / 3.0;
+    let corners = surface.triangles[triangle as usize];
+    let aim = |p: DVec3| size + slope * p.distance(centre);
+    let mut any = false;
+    for _ in 0..SPLIT_ROUNDS {
+        let Some(patch) = patch(surface, corners[0], |p, h| aim(p) < h) else { return false };
+        let excess = |s: &Surface, (a, b): (u32, u32)| {
+            let (p, q) = (s.positions[a as usize], s.positions[b as usize]);
+            p.distance(q) / aim(p.midpoint(q)).min(s.target_between(a, b))
+        };
+        let mut long: Vec<(f64, (u32, u32))> = edges_within(surface, &patch)
+            .into_iter()
+            .map(|edge| (excess(surface, edge), edge))
+            .filter(|(excess, _)| *excess > LONG)
+            .collect();
+        long.sort_by(|a, b| b.0.total_cmp(&a.0));
+        let mut involved = patch;
+        let before = involved.len();
+        for (_, (a, b)) in long {
+            involved.extend(split(surface, a, b));
+        }
+        if involved.len() == before {
+            break;
+        }
+        any = true;
+        tidy(surface, &involved, 1);
+    }
+    if any && let Some(patch) = patch(surface, corners[0], |p, h| aim(p) < h) {
+        tidy(surface, &patch, TIDY_ROUNDS);
+    }
+    any
+}
+
+/// The vertices connected with a first one (and itself) whose place and target length pass a test, ascending; `None` when they
+/// are too many, or some of them must not be touched.
+fn patch(surface: &Surface, first: u32, test: impl Fn(DVec3, f64) -> bool) -> Option<Vec<u32>> {
+    let mut found = BTreeSet::from([first]);
+    let mut open = vec![first];
+    while let Some(v) = open.pop() {
+        for (u, _) in surface.link(v) {
+            if test(surface.positions[u as usize], surface.target[u as usize]) && found.insert(u) {
+                open.push(u);
+            }
+        }
+        if found.len() > LARGEST_PATCH || surface.frozen[v as usize] {
+            return None;
+        }
+    }
+    Some(found.into_iter().collect())
+}
+
+/// Rounds of flips and settling among some vertices (ascending).
+fn tidy(surface: &mut Surface, vertices: &[u32], rounds: usize) {
+    for _ in 0..rounds {
+        let mut changed = flip_for_shape(surface, vertices);
+        for &v in vertices {
+            changed |= settle(surface, v);
+        }
+        if !changed {
+            break;
+        }
+    }
+}
+
+/// The edges between some vertices (ascending), lower vertex first, in order.
+fn edges_within(surface: &Surface, vertices: &[u32]) -> Vec<(u32, u32)> {
+    let mut edges: Vec<(u32, u32)> =
+        vertices.iter().flat_map(|&v| surface.link(v).map(move |(a, _)| (v.min(a), v.max(a)))).collect();
+    edges.sort_unstable();
+    edges.dedup();
+    edges.retain(|(a, b)| vertices.binary_search(a).is_ok() && vertices.binary_search(b).is_ok());
+    edges
+}
+
+/// Flips the edges between the given vertices (ascending) where that raises the smaller radius ratio of the two triangles.
+fn flip_for_shape(surface: &mut Surface, vertices: &[u32]) -> bool {
+    let mut flipped = false;
+    for (a, b) in edges_within(surface, vertices) {
+        let Some([(_, c), (_, d)]) = surface.wings(a, b) else { continue };
+        let [p, q, r, s] = [a, b, c, d].map(|v| surface.positions[v as usize]);
+        let before = radius_ratio(p, q, r).min(radius_ratio(q, p, s));
+        let after = radius_ratio(p, s, r).min(radius_ratio(s, q, r));
+        let normal = |a: DVec3, b: DVec3, c: DVec3| (b - a).cross(c - a).normalize_or_zero();
+        let mean = (normal(p, q, r) + normal(q, p, s)).normalize_or_zero();
+        let turned = normal(p, s, r).dot(mean).min(normal(s, q, r).dot(mean));
+        flipped |= after > before + 1e-6 && turned > FLIP_AGREEMENT && flip(surface, a, b);
+    }
+    flipped
+}

@@ -1,0 +1,110 @@
+//! Handles and gaps: the critical points of F that the mesh has on the wrong side get points around them. Where all are on their right
+//! sides, and mesh and marching cubes differ in genus or in the number of pieces, it is marching cubes that errs.
+
+use super::{Candidate, Reason, Refinement, TURNED};
+use crate::critical::{CriticalPoint, critical_points};
+use crate::defects::Defects;
+use crate::restricted::Facet;
+use glam::DVec3;
+use isoparticles_common::kd_tree::KdTree;
+use rayon::prelude::*;
+use std::collections::BTreeSet;
+
+/// Necks, gaps and specks of a smaller radius, in voxels, are taken as the mesh has them: they say nothing of the object, and edges that
+/// short would cost more than they tell.
+const FINEST: f64 = 0.1;
+
+/// Spheres of points round a critical point that is still on the wrong side after its nearest points of F = 0 are in the mesh, each twice
+/// as large as the one before.
+const SPHERES: i32 = 4;
+
+/// Points of such a sphere keep this part of its radius from all others.
+const APART: f64 = 0.5;
+
+impl Refinement<'_> {
+    /// The critical points that the mesh has on the wrong side, with the nearest vertex of each.
+    fn astray(&self) -> Vec<(CriticalPoint, u32)> {
+        if !self.sides_are_known {
+            return Vec::new();
+        }
+        let field = self.restricted.field();
+        let smallest = FINEST * field.geometry().mean_spacing();
+        let critical = self.critical.get_or_init(|| critical_points(field, smallest));
+        let tree = KdTree::new(self.restricted.points());
+        let wrong = |c: &CriticalPoint| {
+            let near = tree.nearest(c.position)?.0 as u32;
+            (self.restricted.holds(c.position, near) != (c.value < 0.0)).then_some((*c, near))
+        };
+        critical.par_iter().filter_map(wrong).collect()
+    }
+
+    /// Counts the critical points on the wrong side for the report.
+    pub(super) fn count_astray(&mut self) {
+        self.report.unresolved_critical = self.astray().len();
+    }
+
+    /// Takes the word of the mesh for the genus and the pieces of a class where it has every critical point on the right side, no
+    /// facet across F = 0, and no defect else. True when that tells something new of the isosurface.
+    pub(super) fn trust_critical_points(&mut self, facets: &[Facet], defects: &Defects) -> bool {
+        let doubtful = !(defects.wrong_genus.is_empty() && defects.in_pieces.is_empty());
+        if !doubtful
+            || !self.sides_are_known
+            || !defects.is_manifold()
+            || !defects.bridges.is_empty()
+            || !defects.missing.is_empty()
+        {
+            return false;
+        }
+        let mut wrong: BTreeSet<u32> = self.astray().iter().map(|(_, v)| self.component_of[*v as usize]).collect();
+        let turned: Vec<u32> = facets
+            .par_iter()
+            .filter(|f| self.agreement(f) < TURNED)
+            .flat_map_iter(|f| f.vertices.map(|v| self.component_of[v as usize]))
+            .collect();
+        wrong.extend(turned);
+        let mut learnt = false;
+        for &(class, pieces) in defects.in_pieces.iter().filter(|(class, _)| !wrong.contains(class)) {
+            self.isosurface.set_pieces(class, pieces);
+            learnt = true;
+        }
+        for &(class, euler) in defects.wrong_genus.iter().filter(|(class, _)| !wrong.contains(class)) {
+            self.isosurface.set_euler(class, euler);
+            learnt = true;
+        }
+        learnt
+    }
+
+    /// Points round the critical points on the wrong side: first where F = 0 is nearest to each in its principal directions, then on spheres
+    /// around it.
+    pub(super) fn at_critical_points(&self, attempt: usize) -> Vec<Candidate> {
+        let tree = KdTree::new(self.restricted.points());
+        let candidate = |start: DVec3, c: &CriticalPoint, size: f64, apart: f64| {
+            let point = self.on_surface(start, 2.0)?;
+            let (_, radius) = tree.nearest(point)?;
+            let reach = start.distance(c.position);
+            let fits = radius > apart && point.distance(start) < reach;
+            fits.then_some(Candidate { reason: Reason::Genus, point, radius: radius.min(reach), size, near: 0 })
+        };
+        let mut candidates = Vec::new();
+        for (c, near) in self.astray() {
+            let size = |radius: f64| self.sizes[near as usize].min(2.0 * radius);
+            if attempt == 0 {
+                let ends = c.ways.iter().filter(|way| **way != DVec3::ZERO).flat_map(|&way| [way, -way]);
+                candidates.extend(ends.filter_map(|way| candidate(c.position + way, &c, size(way.length()), 0.0)));
+                continue;
+            }
+            let radii = (0..SPHERES).map(|k| c.radius * f64::powi(2.0, k - attempt as i32 + 1));
+            for radius in radii.filter(|&r| r < 2.0 * self.sizes[near as usize]) {
+                let starts = directions().map(|d| c.position + radius * d);
+                candidates.extend(starts.filter_map(|start| candidate(start, &c, size(radius), APART * radius)));
+            }
+        }
+        candidates
+    }
+}
+
+/// The 26 directions to the neighbours in a grid.
+fn directions() -> impl Iterator<Item = DVec3> {
+    let all = (0..27).map(|n| DVec3::new(f64::from(n % 3) - 1.0, f64::from(n / 3 % 3) - 1.0, f64::from(n / 9) - 1.0));
+    all.filter(|d| *d != DVec3::ZERO).map(DVec3::normalize)
+}
