@@ -15,7 +15,6 @@ use isoparticles_common::kd_tree::KdTree;
 use isoparticles_common::marching_cubes::marching_cubes;
 use isoparticles_common::spline::{CubicSpline, Jet};
 use rayon::prelude::*;
-use std::f64::consts::PI;
 
 /// Rounds of averaging that take ripple out of the curvature: a spline through samples of a steep edge rings, and its second
 /// derivatives tell of that as much as of the shape. On a ball of radius 19 voxels whose edge is two voxels wide the largest
@@ -123,30 +122,6 @@ impl Features {
             component_area,
         }
     }
-
-    /// Integral of 2 / (sqrt(3) h^2) over the surface: the number of vertices of a mesh of equilateral triangles of
-    /// edge h. Where h varies two particles keep the distance of the smaller of their two h (Eq. 2), which over all directions is less than h by
-    /// |grad h| h / pi on average.
-    pub fn predicted_count(&self, size: impl Fn(DVec3) -> f64 + Sync) -> f64 {
-        self.triangles
-            .iter()
-            .map(|t| {
-                let corners = t.map(|v| self.points[v as usize]);
-                let centre = corners.iter().sum::<DVec3>() / 3.0;
-                let slope = slope_over_triangle(corners, corners.map(&size));
-                let edge = size(centre) * (1.0 - slope.min(1.0) / PI);
-                2.0 * area(&self.points, t) / (3f64.sqrt() * edge.powi(2))
-            })
-            .sum()
-    }
-}
-
-/// Length of the gradient of the linear function that takes these values at the corners of a triangle; 0 on a triangle without area.
-fn slope_over_triangle([a, b, c]: [DVec3; 3], [u, v, w]: [f64; 3]) -> f64 {
-    let normal = (b - a).cross(c - a);
-    let rotated = (c - b) * u + (a - c) * v + (b - a) * w;
-    // the gradient is this, turned by a right angle
-    if normal.length_squared() > 0.0 { rotated.length() / normal.length() } else { 0.0 }
 }
 
 /// Largest principal curvature (per mm) from the tensors of F, averaged along the surface; where there is noise, from those of the

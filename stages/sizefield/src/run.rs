@@ -191,7 +191,7 @@ pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
     if let Some(told) = noise_told(&features.noise) {
         context.info(told);
     }
-    let meta = describe(&features, &sizing, largest, context);
+    let meta = describe(&features, &surface, &sizing, largest, context);
     if let Some(size) = args.uniform {
         warn_if_too_coarse(&features, size, context);
     }
@@ -301,10 +301,16 @@ fn noise_told(noise: &[f64]) -> Option<String> {
 }
 
 /// Puts figures of the field into the report and the closing table; returns what the file carries.
-fn describe(features: &Features, sizing: &SizingField, largest: f64, context: &Context) -> Value {
+fn describe(
+    features: &Features,
+    surface: &CubicSpline,
+    sizing: &SizingField,
+    largest: f64,
+    context: &Context,
+) -> Value {
     let mut at_surface: Vec<f64> = features.points.iter().map(|&p| sizing.at(p)).collect();
     let mut feature_size = features.feature_size.clone();
-    let predicted = features.predicted_count(|p| sizing.at(p));
+    let predicted = sizing.predicted_count(surface);
     let meta = json!({
         "components": features.component_area.len(),
         "predicted_count": predicted.round(),
