@@ -37,13 +37,13 @@ const LEFT_OVER: f64 = 0.6;
 /// of them about equally far.
 const MOST_LEAVES: usize = 400;
 
-/// What F was made from.
+/// What small bumps of the surface are.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Source {
-    /// A scalar volume, whose noise is no shape.
-    Scalars,
-    /// Labels: every bump is there because a voxel centre is on its side, and is to be kept.
-    Labels,
+pub enum Bumps {
+    /// They may be noise of a scalar volume, which is looked for and is no shape.
+    MayBeNoise,
+    /// Shape, which is to be measured as it is: on labels each is there because a voxel centre is on its side.
+    AreShape,
 }
 
 /// Samples of F = 0 with what was found at each.
@@ -71,7 +71,7 @@ pub struct Features {
 impl Features {
     /// Samples F = 0 at the projected vertices of marching cubes and measures them. Feature sizes above `largest` (mm) are
     /// not told apart from it. Empty where there is no surface.
-    pub fn new(image: &Image<f32>, surface: &CubicSpline, largest: f64, source: Source) -> Self {
+    pub fn new(image: &Image<f32>, surface: &CubicSpline, largest: f64, bumps: Bumps) -> Self {
         let mesh = marching_cubes(image, 0.0);
         let spacing = image.geometry.mean_spacing();
         let measured: Vec<(DVec3, DVec3, DMat3)> = mesh
@@ -86,9 +86,9 @@ impl Features {
         let points: Vec<DVec3> = measured.iter().map(|m| m.0).collect();
         let normals: Vec<DVec3> = measured.iter().map(|m| m.1).collect();
         let tensors: Vec<DMat3> = measured.iter().map(|m| m.2).collect();
-        let smoothed = match source {
-            Source::Labels => Smoothed::none(points.len()),
-            Source::Scalars => {
+        let smoothed = match bumps {
+            Bumps::AreShape => Smoothed::none(points.len()),
+            Bumps::MayBeNoise => {
                 let connections = Connections::new(points.len(), &mesh.triangles);
                 let samples = Samples { points: &points, normals: &normals, connections: &connections };
                 Smoothed::new(&samples, &mesh.triangles, spacing)

@@ -4,7 +4,7 @@ use glam::DVec3;
 use isoparticles_common::geometry::Geometry;
 use isoparticles_common::image::Image;
 use isoparticles_common::spline::CubicSpline;
-use isoparticles_sizefield::feature::{Features, Source};
+use isoparticles_sizefield::feature::{Bumps, Features};
 use isoparticles_sizefield::region::Ball;
 use isoparticles_sizefield::{Parameters, size_field};
 
@@ -23,7 +23,7 @@ fn sampled(n: usize, f: impl Fn(DVec3) -> f64) -> Image<f32> {
 }
 
 fn features(image: &Image<f32>) -> Features {
-    Features::new(image, &CubicSpline::new(image), image.geometry.upper_corner().length(), Source::Scalars)
+    Features::new(image, &CubicSpline::new(image), image.geometry.upper_corner().length(), Bumps::MayBeNoise)
 }
 
 /// Largest relative error of the local feature size against `truth` (point relative to the volume's centre).
