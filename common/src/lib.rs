@@ -22,3 +22,4 @@ pub mod random;
 pub mod sizing;
 pub mod spatial;
 pub mod spline;
+pub mod surface_integral;

@@ -1,7 +1,10 @@
-//! The sizing field h: target edge length, read by trilinear interpolation.
+//! The sizing field h: target edge length, read by trilinear interpolation, and how many particles it asks for.
 
 use crate::image::Image;
+use crate::spline::CubicSpline;
+use crate::surface_integral::integrate;
 use glam::DVec3;
+use std::f64::consts::PI;
 
 /// Target edge length h over the grid frame of a distance field.
 #[derive(Clone, Debug)]
@@ -48,6 +51,22 @@ impl SizingField {
         );
         (mix(mix(e00, e10, ty), mix(e01, e11, ty), tz), gradient / self.image.geometry.spacing)
     }
+
+    /// Particles for each mm squared of a surface with this unit normal at a grid position: 2 / (sqrt(3) e^2), the density of the
+    /// hexagonal lattice of edge e.
+    ///
+    /// Two particles keep the distance of the smaller of their two h (Eq. 2). So a step up the slope of h is h long, and along a direction in
+    /// which h has the slope s, h grows by the factor 1 + s with each step: there is one to every h ln(1 + s) / s on average. With the slope
+    /// s |cos t| in the direction t, e is the mean of that over all directions, in closed form h (asin s / s) (1 - asin s / pi).
+    pub fn lattice_density(&self, grid: DVec3, normal: DVec3) -> f64 {
+        let (h, gradient) = self.value_gradient(grid);
+        2.0 / (3f64.sqrt() * (h * edge_over_size(gradient.reject_from_normalized(normal).length())).powi(2))
+    }
+
+    /// Number of particles that settle on F = 0: the integral of [`Self::lattice_density`].
+    pub fn predicted_count(&self, surface: &CubicSpline) -> f64 {
+        integrate(surface, |point, normal| self.lattice_density(point, normal))
+    }
 }
 
 /// Value of an image at a grid position, trilinear, clamped at the border of the volume.
@@ -56,6 +75,15 @@ pub fn trilinear(image: &Image<f32>, grid: DVec3) -> f64 {
     let [tx, ty, tz] = cell.fraction;
     let along_x = |y: usize, z: usize| mix(cell.value([0, y, z]), cell.value([1, y, z]), tx);
     mix(mix(along_x(0, 0), along_x(1, 0), ty), mix(along_x(0, 1), along_x(1, 1), ty), tz)
+}
+
+/// Mean edge of the lattice over h where h has this slope along the surface; slopes above 1 count as 1.
+fn edge_over_size(slope: f64) -> f64 {
+    if slope < 1e-6 {
+        return 1.0;
+    }
+    let angle = slope.min(1.0).asin();
+    angle / slope.min(1.0) * (1.0 - angle / PI)
 }
 
 fn mix(a: f64, b: f64, t: f64) -> f64 {
@@ -125,5 +153,50 @@ mod tests {
         // clamped outside
         assert_eq!(field.at(DVec3::splat(-3.0)), field.at(DVec3::ZERO));
         assert_eq!(field.at(2.0 * geometry.upper_corner()), field.at(geometry.upper_corner()));
+    }
+
+    #[test]
+    fn the_edge_is_the_mean_over_all_directions() {
+        for slope in [1e-7, 0.01, 0.2, 0.4, 0.7, 1.0] {
+            let steps = 20_000;
+            let mean = (0..steps)
+                .map(|n| slope * (std::f64::consts::FRAC_PI_2 * (f64::from(n) + 0.5) / f64::from(steps)).cos())
+                .map(|s| s.ln_1p() / s)
+                .sum::<f64>()
+                / f64::from(steps);
+            assert!(
+                (edge_over_size(slope) / mean - 1.0).abs() < 1e-6,
+                "{slope}: {}, not {mean}",
+                edge_over_size(slope)
+            );
+        }
+        assert_eq!(edge_over_size(2.0), edge_over_size(1.0));
+    }
+
+    #[test]
+    fn the_predicted_count_is_the_integral_of_the_density() {
+        let geometry = Geometry::axis_aligned([33; 3], DVec3::splat(0.8));
+        let centre = 0.5 * geometry.upper_corner();
+        let place =
+            |n: usize| geometry.index_to_grid(DVec3::new((n % 33) as f64, (n / 33 % 33) as f64, (n / 1089) as f64));
+        let sampled = |f: &dyn Fn(DVec3) -> f64| {
+            let data = (0..geometry.voxel_count()).map(|n| f(place(n) - centre) as f32).collect();
+            Image { geometry: geometry.clone(), data }
+        };
+        let radius = 10.0;
+        let surface = CubicSpline::new(&sampled(&|p| p.length() - radius));
+        let area = 4.0 * PI * radius * radius;
+        for slope in [0.0, 0.1, 0.3] {
+            let size = |x: f64| 4.0 + slope * x;
+            // rings of the ball between planes of one height have one area
+            let rings = 2000;
+            let want: f64 = (0..rings)
+                .map(|n| -1.0 + (2.0 * f64::from(n) + 1.0) / f64::from(rings))
+                .map(|t| (size(radius * t), slope * (1.0 - t * t).sqrt()))
+                .map(|(h, along)| 2.0 / (3f64.sqrt() * (h * edge_over_size(along)).powi(2)) * area / f64::from(rings))
+                .sum();
+            let count = SizingField::new(sampled(&|p| size(p.x))).predicted_count(&surface);
+            assert!((count / want - 1.0).abs() < 0.002, "slope {slope}: {count}, not {want}");
+        }
     }
 }

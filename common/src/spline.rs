@@ -226,7 +226,7 @@ fn weights(t: f64) -> Weights {
     )
 }
 
-fn mirror(i: isize, n: usize) -> usize {
+pub(crate) fn mirror(i: isize, n: usize) -> usize {
     if n == 1 {
         return 0;
     }

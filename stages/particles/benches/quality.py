@@ -3,6 +3,7 @@
 
     quality.py passes CASE ... [--passes 5 10 20 ...] [--levels 1 3]    CSV: quality after so many passes on each level
     quality.py backends CASE ... [--jobs N]                             table: CPU against GPU, default parameters
+    quality.py counts CASE ... [--jobs N]                               table: predicted count against the settled one
     quality.py plot CSV PICTURE                                         draws the CSV (needs matplotlib)
 
 CASE is NAME=VOLUME;DISTFIELD OPTIONS[;SIZEFIELD OPTIONS]; VOLUME is a file, or the words for `phantom` that make one:
@@ -146,6 +147,26 @@ def over_backends(cases: list[Case], arguments: argparse.Namespace) -> None:
             print(row.result(), flush=True)
 
 
+def counted(case: Case, backend: str) -> str:
+    """A row of the table of [`over_counts`]."""
+    case.prepare()
+    with open(case.file("sizefield.json"), encoding="utf-8") as file:
+        predicted = float(json.load(file)["results"]["fields"]["predicted_count"])
+    settled = case.settle("--backend", backend)
+    off = 100 * (predicted / settled["particles"] - 1)
+    numbers = f"{predicted:,.0f} | {settled['particles']:,} | {off:+.1f}"
+    return f"| {case.name} | {numbers} | {settled['passes']} | {100 * settled['faults']:.1f} |"
+
+
+def over_counts(cases: list[Case], arguments: argparse.Namespace) -> None:
+    """Prints a row for each case: what `sizefield` predicts, how many particles settle."""
+    print("| surface | predicted | settled | off by, % | passes | faults, % |\n" + "|---" * 6 + "|")
+    with concurrent.futures.ThreadPoolExecutor(arguments.jobs) as pool:
+        rows = [pool.submit(counted, case, arguments.backend) for case in cases]
+        for row in concurrent.futures.as_completed(rows):
+            print(row.result(), flush=True)
+
+
 def plot(table: Path, picture: Path) -> None:
     """Draws mean and smallest radius ratio over time and passes, a column for each case."""
     import matplotlib.pyplot as plt
@@ -193,7 +214,7 @@ def main() -> None:
     parser = Parser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter, fromfile_prefix_chars="@"
     )
-    parser.add_argument("task", choices=["passes", "backends", "plot"])
+    parser.add_argument("task", choices=["passes", "backends", "counts", "plot"])
     parser.add_argument("cases", nargs="+", metavar="CASE")
     parser.add_argument("--bin", type=Path, default=Path("target/release"), help="folder of the stage programs")
     parser.add_argument("--work", type=Path, default=Path("out/quality"), help="folder for the files")
@@ -213,7 +234,7 @@ def main() -> None:
         name, _, rest = text.partition("=")
         volume, distfield, sizefield = [*os.path.expandvars(rest).split(";"), ""][:3]
         cases.append(Case(name, volume, distfield.split(), sizefield.split(), arguments.bin, arguments.work))
-    {"passes": over_passes, "backends": over_backends}[arguments.task](cases, arguments)
+    {"passes": over_passes, "backends": over_backends, "counts": over_counts}[arguments.task](cases, arguments)
 
 
 if __name__ == "__main__":

@@ -27,7 +27,7 @@ pub struct Summary {
     pub components: usize,
     /// Components that got extra particles, because the sizing field asked for fewer than they need.
     pub crowded_components: usize,
-    /// Integral of 2 / (sqrt(3) h^2) over the surface.
+    /// Particles that the sizing field asks for, [`SizingField::predicted_count`].
     pub predicted_count: f64,
     /// Seeds dropped because they could not be projected onto F = 0.
     pub not_projected: usize,
@@ -52,10 +52,12 @@ pub fn seed_surface(
 ) -> (ParticleSet, Summary) {
     let mesh = marching_cubes(distance, 0.0);
     let (component, component_count) = components::of_vertices(mesh.vertices.len(), &mesh.triangles);
-    let predicted: f64 = (0..mesh.triangles.len()).map(|t| lattice_count(&mesh, t, |p| sizing.at(p))).sum();
-    let scale = count.map_or(1.0, |n| (predicted / n.max(1) as f64).sqrt());
+    let predicted_count = sizing.predicted_count(surface);
+    let scaled = count.map(|n| sizing.scaled((predicted_count / n.max(1) as f64).sqrt()));
+    let spread = scaled.as_ref().unwrap_or(sizing);
     let every: Vec<u32> = (0..mesh.triangles.len() as u32).collect();
-    let all = sample(&mesh, &every, &component, |p| scale * sizing.at(p), OVERSAMPLING, seed);
+    let density = |p, normal| OVERSAMPLING * spread.lattice_density(p, normal);
+    let all = sample(&mesh, &every, &component, density, |p| spread.at(p), seed);
     let mut chosen = eliminate(&all, seed);
     let mut counts = vec![0usize; component_count];
     for &i in &chosen {
@@ -93,13 +95,7 @@ pub fn seed_surface(
         normals,
         sizes,
     };
-    (set, Summary { components: component_count, crowded_components, predicted_count: predicted, not_projected })
-}
-
-/// Vertices of the hexagonal lattice of spacing h that fit on a triangle.
-fn lattice_count(mesh: &TriangleMesh, triangle: usize, size: impl Fn(DVec3) -> f64) -> f64 {
-    let (centre, doubled) = centre_and_normal(mesh, triangle);
-    doubled.length() / (3f64.sqrt() * size(centre).powi(2))
+    (set, Summary { components: component_count, crowded_components, predicted_count, not_projected })
 }
 
 /// Centroid, and the normal as long as twice the area.
@@ -108,13 +104,13 @@ fn centre_and_normal(mesh: &TriangleMesh, triangle: usize) -> (DVec3, DVec3) {
     ((a + b + c) / 3.0, (b - a).cross(c - a))
 }
 
-/// Random points on the triangles named by `members`, `oversampling` times as many as h asks for.
+/// Random points on the triangles named by `members`, `density(centre, unit normal)` of them to each mm squared.
 fn sample(
     mesh: &TriangleMesh,
     members: &[u32],
     component: &[u32],
+    density: impl Fn(DVec3, DVec3) -> f64 + Sync,
     size: impl Fn(DVec3) -> f64 + Sync,
-    oversampling: f64,
     seed: u64,
 ) -> Candidates {
     const CHUNK: usize = 4096;
@@ -124,11 +120,12 @@ fn sample(
             let mut part = Candidates::default();
             for &t in chunk {
                 let t = t as usize;
-                let wanted = oversampling * lattice_count(mesh, t, &size);
+                let (centre, doubled) = centre_and_normal(mesh, t);
+                let normal = doubled.normalize_or_zero();
+                let wanted = 0.5 * doubled.length() * density(centre, normal);
                 // rounded up or down at random, so that the mean is kept
                 let count = (wanted + random::uniform(seed, 0, t as u64)).floor() as u64;
                 let [a, b, c] = mesh.triangles[t].map(|v| mesh.vertices[v as usize]);
-                let normal = (b - a).cross(c - a).normalize_or_zero();
                 for n in 0..count {
                     let stream = 1 + 2 * n;
                     let (u, v) = (random::uniform(seed, stream, t as u64), random::uniform(seed, stream + 1, t as u64));
@@ -191,8 +188,16 @@ fn sample_bare_components(mesh: &TriangleMesh, component: &[u32], bare: &[bool],
     let mut found = Vec::new();
     for (c, members) in members.iter().enumerate().filter(|(_, m)| !m.is_empty()) {
         let area: f64 = members.iter().map(|&t| 0.5 * centre_and_normal(mesh, t as usize).1.length()).sum();
-        let h = (2.0 * area / (3f64.sqrt() * 2.0 * COMPONENT_MINIMUM as f64)).sqrt();
-        let candidates = sample(mesh, members, component, |_| h, 4.0 * OVERSAMPLING, seed.wrapping_add(c as u64 + 1));
+        let density = 2.0 * COMPONENT_MINIMUM as f64 / area;
+        let h = (2.0 / (3f64.sqrt() * density)).sqrt();
+        let candidates = sample(
+            mesh,
+            members,
+            component,
+            |_, _| 4.0 * OVERSAMPLING * density,
+            |_| h,
+            seed.wrapping_add(c as u64 + 1),
+        );
         for i in eliminate(&candidates, seed) {
             found.push((candidates.points[i as usize], candidates.normals[i as usize]));
         }

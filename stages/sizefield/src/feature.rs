@@ -15,7 +15,6 @@ use isoparticles_common::kd_tree::KdTree;
 use isoparticles_common::marching_cubes::marching_cubes;
 use isoparticles_common::spline::{CubicSpline, Jet};
 use rayon::prelude::*;
-use std::f64::consts::PI;
 
 /// Rounds of averaging that take ripple out of the curvature: a spline through samples of a steep edge rings, and its second
 /// derivatives tell of that as much as of the shape. On a ball of radius 19 voxels whose edge is two voxels wide the largest
@@ -38,13 +37,13 @@ const LEFT_OVER: f64 = 0.6;
 /// of them about equally far.
 const MOST_LEAVES: usize = 400;
 
-/// What F was made from.
+/// What small bumps of the surface are.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Source {
-    /// A scalar volume, whose noise is no shape.
-    Scalars,
-    /// Labels: every bump is there because a voxel centre is on its side, and is to be kept.
-    Labels,
+pub enum Bumps {
+    /// They may be noise of a scalar volume, which is looked for and is no shape.
+    MayBeNoise,
+    /// Shape, which is to be measured as it is: on labels each is there because a voxel centre is on its side.
+    AreShape,
 }
 
 /// Samples of F = 0 with what was found at each.
@@ -72,7 +71,7 @@ pub struct Features {
 impl Features {
     /// Samples F = 0 at the projected vertices of marching cubes and measures them. Feature sizes above `largest` (mm) are
     /// not told apart from it. Empty where there is no surface.
-    pub fn new(image: &Image<f32>, surface: &CubicSpline, largest: f64, source: Source) -> Self {
+    pub fn new(image: &Image<f32>, surface: &CubicSpline, largest: f64, bumps: Bumps) -> Self {
         let mesh = marching_cubes(image, 0.0);
         let spacing = image.geometry.mean_spacing();
         let measured: Vec<(DVec3, DVec3, DMat3)> = mesh
@@ -87,9 +86,9 @@ impl Features {
         let points: Vec<DVec3> = measured.iter().map(|m| m.0).collect();
         let normals: Vec<DVec3> = measured.iter().map(|m| m.1).collect();
         let tensors: Vec<DMat3> = measured.iter().map(|m| m.2).collect();
-        let smoothed = match source {
-            Source::Labels => Smoothed::none(points.len()),
-            Source::Scalars => {
+        let smoothed = match bumps {
+            Bumps::AreShape => Smoothed::none(points.len()),
+            Bumps::MayBeNoise => {
                 let connections = Connections::new(points.len(), &mesh.triangles);
                 let samples = Samples { points: &points, normals: &normals, connections: &connections };
                 Smoothed::new(&samples, &mesh.triangles, spacing)
@@ -123,30 +122,6 @@ impl Features {
             component_area,
         }
     }
-
-    /// Integral of 2 / (sqrt(3) h^2) over the surface: the number of vertices of a mesh of equilateral triangles of
-    /// edge h. Where h varies two particles keep the distance of the smaller of their two h (Eq. 2), which over all directions is less than h by
-    /// |grad h| h / pi on average.
-    pub fn predicted_count(&self, size: impl Fn(DVec3) -> f64 + Sync) -> f64 {
-        self.triangles
-            .iter()
-            .map(|t| {
-                let corners = t.map(|v| self.points[v as usize]);
-                let centre = corners.iter().sum::<DVec3>() / 3.0;
-                let slope = slope_over_triangle(corners, corners.map(&size));
-                let edge = size(centre) * (1.0 - slope.min(1.0) / PI);
-                2.0 * area(&self.points, t) / (3f64.sqrt() * edge.powi(2))
-            })
-            .sum()
-    }
-}
-
-/// Length of the gradient of the linear function that takes these values at the corners of a triangle; 0 on a triangle without area.
-fn slope_over_triangle([a, b, c]: [DVec3; 3], [u, v, w]: [f64; 3]) -> f64 {
-    let normal = (b - a).cross(c - a);
-    let rotated = (c - b) * u + (a - c) * v + (b - a) * w;
-    // the gradient is this, turned by a right angle
-    if normal.length_squared() > 0.0 { rotated.length() / normal.length() } else { 0.0 }
 }
 
 /// Largest principal curvature (per mm) from the tensors of F, averaged along the surface; where there is noise, from those of the

@@ -1,6 +1,6 @@
 //! The program around [`crate::size_field`]: options, files, defaults from the data, report.
 
-use crate::feature::{Features, Source};
+use crate::feature::{Bumps, Features};
 use crate::region::{Refinement, SizedNode};
 use crate::{Parameters, size_field, uniform_field, wanted_sizes};
 use clap::Parser;
@@ -167,8 +167,10 @@ pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
     let largest = LARGEST_FEATURE_DIAGONALS * geometry.upper_corner().length();
     // for one size it is enough to know which features are smaller
     let largest = args.uniform.map_or(largest, |size| largest.min(UNIFORM_FEATURES * size));
-    let source = if field.meta["source"] == "labels" { Source::Labels } else { Source::Scalars };
-    let features = Features::new(&field.image, &surface, largest, source);
+    // one size is asked whether it catches the surface as it is, bumps of noise included
+    let bumps =
+        if args.uniform.is_some() || field.meta["source"] == "labels" { Bumps::AreShape } else { Bumps::MayBeNoise };
+    let features = Features::new(&field.image, &surface, largest, bumps);
     drop(step);
     if features.triangles.is_empty() {
         return Err(Error::input(
@@ -188,10 +190,10 @@ pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
         }
     };
     drop(step);
-    if let Some(told) = noise_told(&features.noise) {
+    if let Some(told) = noise_told(&features.noise, geometry.spacing) {
         context.info(told);
     }
-    let meta = describe(&features, &sizing, largest, context);
+    let meta = describe(&features, &surface, &sizing, largest, context);
     if let Some(size) = args.uniform {
         warn_if_too_coarse(&features, size, context);
     }
@@ -286,25 +288,40 @@ fn describe_extent(path: &Path, low: DVec3, high: DVec3) -> String {
     format!("the surface in {} measures {:.3} x {:.3} x {:.3} mm", path.display(), extent.x, extent.y, extent.z)
 }
 
+/// Slices this much thicker than voxels are wide leave ripple on a clean surface that scatters as noise does.
+const THICK_SLICES: f64 = 1.5;
+
 /// Says on what share of the surface the features are measured under noise, and how high that stands. The patches cannot tell noise
-/// from the ripple that thick slices leave on a clean surface, so both are named.
-fn noise_told(noise: &[f64]) -> Option<String> {
+/// from the ripple that thick slices leave on a clean surface, so both are named where `spacing` (mm) tells of such.
+fn noise_told(noise: &[f64], spacing: DVec3) -> Option<String> {
     let found: Vec<f64> = noise.iter().copied().filter(|&noise| noise > 0.0).collect();
     if found.is_empty() {
         return None;
     }
     let mean = (found.iter().map(|noise| noise * noise).sum::<f64>() / found.len() as f64).sqrt();
+    let thickness = spacing.max_element() / spacing.min_element();
+    let what = if thickness < THICK_SLICES {
+        "noise".to_owned()
+    } else {
+        format!("ripple of slices {thickness:.1} times as thick as voxels are wide, or noise")
+    };
     Some(format!(
-        "noise or ripple of the sampling, {mean:.4} mm high (root mean square) on {:.1} % of the surface, is not taken for shape",
+        "{what}, {mean:.4} mm high (root mean square) on {:.1} % of the surface, is not taken for shape",
         100.0 * found.len() as f64 / noise.len() as f64
     ))
 }
 
 /// Puts figures of the field into the report and the closing table; returns what the file carries.
-fn describe(features: &Features, sizing: &SizingField, largest: f64, context: &Context) -> Value {
+fn describe(
+    features: &Features,
+    surface: &CubicSpline,
+    sizing: &SizingField,
+    largest: f64,
+    context: &Context,
+) -> Value {
     let mut at_surface: Vec<f64> = features.points.iter().map(|&p| sizing.at(p)).collect();
     let mut feature_size = features.feature_size.clone();
-    let predicted = features.predicted_count(|p| sizing.at(p));
+    let predicted = sizing.predicted_count(surface);
     let meta = json!({
         "components": features.component_area.len(),
         "predicted_count": predicted.round(),
@@ -349,12 +366,18 @@ fn warn_if_too_coarse(features: &Features, size: f64, context: &Context) {
 #[cfg(test)]
 mod tests {
     use super::noise_told;
+    use glam::DVec3;
 
     #[test]
-    fn what_is_not_taken_for_shape_may_be_noise_or_ripple() {
-        assert_eq!(noise_told(&[0.0; 4]), None);
-        let told = noise_told(&[0.0, 0.02, 0.02, 0.0]).expect("noise");
-        assert!(told.contains("noise or ripple of the sampling, 0.0200 mm high"), "{told}");
+    fn what_is_not_taken_for_shape_is_noise_or_where_slices_are_thick_may_be_ripple() {
+        assert_eq!(noise_told(&[0.0; 4], DVec3::ONE), None);
+        let told = noise_told(&[0.0, 0.02, 0.02, 0.0], DVec3::new(1.0, 1.0, 1.25)).expect("noise");
+        assert!(told.starts_with("noise, 0.0200 mm high"), "{told}");
         assert!(told.contains("on 50.0 % of the surface"), "{told}");
+        let told = noise_told(&[0.0, 0.02, 0.02, 0.0], DVec3::new(0.5, 0.5, 2.0)).expect("ripple or noise");
+        assert!(
+            told.starts_with("ripple of slices 4.0 times as thick as voxels are wide, or noise, 0.0200 mm"),
+            "{told}"
+        );
     }
 }
