@@ -124,6 +124,8 @@ pub struct Refinement<'a> {
     isosurface: Isosurface,
     options: RefineOptions,
     genus_rounds: usize,
+    /// Rounds granted at first.
+    granted: usize,
     looks: Looks,
     /// Whether the tetrahedra inside are those that the facets enclose.
     sides_are_known: bool,
@@ -155,6 +157,7 @@ impl<'a> Refinement<'a> {
             isosurface,
             options,
             genus_rounds: 0,
+            granted: options.max_rounds,
             looks: Looks::default(),
             sides_are_known: true,
             critical: OnceLock::new(),
@@ -318,13 +321,20 @@ impl<'a> Refinement<'a> {
             let ball = self.ball(f, Reason::Deviation)?;
             (ball.radius > NEAREST_FOR_SHAPE * ball.size).then_some(ball)
         }));
-        // what a genus round upsets takes rounds to come right again
-        let room = 2 * self.report.rounds <= self.options.max_rounds;
-        if candidates.is_empty() && self.genus_rounds < GENUS_ROUNDS && room {
+        if candidates.is_empty() && self.may_seek_handles() {
             candidates = self.at_critical_points(self.genus_rounds);
             self.genus_rounds += usize::from(!candidates.is_empty());
         }
         candidates
+    }
+
+    /// Whether points may go round critical points: what they upset takes rounds to come right again, half of the rounds granted. The first
+    /// time these are granted anew, so that other defects, of which noise has many, cannot use them up.
+    fn may_seek_handles(&mut self) -> bool {
+        if self.genus_rounds == 0 && self.granted > 0 {
+            self.allow_rounds(self.granted);
+        }
+        self.genus_rounds < GENUS_ROUNDS && 2 * (self.options.max_rounds - self.report.rounds) >= self.granted.max(1)
     }
 
     /// How far a facet strays, in units of what is allowed.
