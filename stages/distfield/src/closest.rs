@@ -1,6 +1,6 @@
 //! Signed distance from closest points: every node knows its nearest surface sample ([`crate::nearest`]); in a band round the surface
 //! Newton's method then finds the closest point of the zero set itself, and farther out the surface round the sample is taken to
-//! second order.
+//! second order, after a walk over the surface where the foot lies too far from the sample for that.
 
 use crate::field::Source;
 use crate::nearest::{NONE, nearest_samples};
@@ -18,9 +18,15 @@ pub fn distance_to_samples(geometry: &Geometry, samples: &[DVec3], limit: f64) -
     Image { geometry: geometry.clone(), data }
 }
 
-/// Beyond the band the distance to a sample stands where it is too large by no more than this if the surface there is flat,
-/// in voxels.
-const FAR_TOLERANCE: f64 = 0.004;
+/// Least determinant of the Hessian of half the squared distance, relative to that to a plane, for a closest point: at less the node is at a
+/// focal point of the surface, where the second order does not tell.
+const LEAST_DETERMINANT: f32 = 0.01;
+
+/// Steps from patch to patch towards the closest point, at most.
+const MOST_WALKS: usize = 8;
+
+/// Longest step of them, in voxels.
+const LONGEST_WALK: f32 = 2.0;
 
 /// How far from the sample the foot of a node may lie for the surface round the sample to be taken to second order, in voxels.
 const PATCH_REACH: f64 = 1.5;
@@ -35,7 +41,6 @@ pub fn distance_to_zero_set(source: &Source, samples: &[DVec3], band: f64) -> Im
     let nearest = nearest_samples(geometry, samples, f64::INFINITY);
     let patches: Vec<Patch> = samples.par_iter().map(|&p| Patch::new(source, p)).collect();
     let [nx, ny, _] = geometry.size;
-    let enough = (2.0 * FAR_TOLERANCE * geometry.mean_spacing()) as f32;
     let reach = (PATCH_REACH * geometry.min_spacing()) as f32;
     let mut data = nearest.squared;
     data.par_chunks_mut(nx).enumerate().for_each(|(row, values)| {
@@ -50,7 +55,7 @@ pub fn distance_to_zero_set(source: &Source, samples: &[DVec3], band: f64) -> Im
             if f64::from(*value) > band {
                 let foot = |sample: u32| {
                     let to_node = (node - samples[sample as usize]).as_vec3();
-                    patches[sample as usize].distance(to_node, enough, reach)
+                    patches[sample as usize].distance(to_node, reach)
                 };
                 let mut found = foot(sample);
                 if found.is_none() {
@@ -65,11 +70,8 @@ pub fn distance_to_zero_set(source: &Source, samples: &[DVec3], band: f64) -> Im
             let start = samples[sample as usize];
             *value = match &source.cap {
                 Some(cap) if !cap.leaves(start) => slide(source, node, start),
-                _ => refine(source, node, start).unwrap_or_else(|| {
-                    let far = f64::from(*value) > band;
-                    let to_node = node - start;
-                    if far { patches[sample as usize].flat_distance(to_node, reach) } else { to_node.length() }
-                }),
+                _ if f64::from(*value) > band => walk(source, node, start, reach),
+                _ => refine(source, node, start).unwrap_or_else(|| node.distance(start)),
             } as f32;
         }
     });
@@ -97,7 +99,7 @@ fn nearest_around(geometry: &Geometry, sample: &[u32], samples: &[DVec3], at: [u
     best.0
 }
 
-/// The surface round a sample, to second order.
+/// The surface round a point of it, to second order.
 struct Patch {
     /// Unit normal, outward.
     normal: Vec3,
@@ -118,33 +120,56 @@ impl Patch {
         Self { normal: normal.as_vec3(), shape: shape.is_finite().then_some(shape) }
     }
 
-    /// Distance of a node to the tangent plane, given the way to it from the sample; that to the sample where the foot is farther
-    /// than `reach` (mm). Where the sample is no closest point, because the surface bends round the node, the truth is smaller still.
-    fn flat_distance(&self, to_node: DVec3, reach: f32) -> f64 {
-        let height = to_node.dot(self.normal.as_dvec3());
-        let aside = (to_node.length_squared() - height * height).max(0.0).sqrt();
-        if aside <= f64::from(reach) { height.abs() } else { to_node.length() }
-    }
-
-    /// Distance of a node to the patch, given the way to it from the sample; `None` where the patch does not tell.
+    /// The way along the tangent plane to the foot of a node, given the way to it from the patch's point. `None` where the surface bends
+    /// so strongly that this point is no closest one.
     ///
-    /// With the node at height D over the sample's tangent plane and t aside of the normal, the closest point of the surface
-    /// -u.Su/2 is at u = (I + D S)^-1 t, nearer by t.u in the square. The sample will do where |t|^2 is at most `enough` |D|
-    /// (mm), the patch where |u| is at most `reach` (mm).
-    fn distance(&self, to_node: Vec3, enough: f32, reach: f32) -> Option<f32> {
+    /// With the node at height D over the tangent plane and t aside of the normal, the closest point of the surface -u.Su/2 is at
+    /// u = (I + D S)^-1 t; S maps the tangent plane to itself, so the inverse is that of a 2 x 2 matrix (Cayley-Hamilton).
+    fn foot(&self, to_node: Vec3) -> Option<Vec3> {
+        let shape = self.shape?;
         let height = to_node.dot(self.normal);
         let aside = to_node - self.normal * height;
-        if aside.length_squared() <= enough * height.abs() {
-            return Some(to_node.length());
-        }
-        let curved = Mat3::IDENTITY + self.shape? * height;
-        if !is_positive_definite(&curved.as_dmat3()) {
-            return None;
-        }
-        let foot = curved.inverse() * aside;
-        let squared = (to_node.length_squared() - aside.dot(foot)).max(0.0);
+        let [x, y, z] = [shape.x_axis, shape.y_axis, shape.z_axis];
+        let trace = height * (x.x + y.y + z.z);
+        let minors = x.x * y.y - x.y * x.y + y.y * z.z - y.z * y.z + z.z * x.x - x.z * x.z;
+        let determinant = 1.0 + trace + height * height * minors;
+        let is_minimum = 2.0 + trace > 0.0 && determinant > LEAST_DETERMINANT;
+        is_minimum.then(|| (aside * (1.0 + trace) - shape * aside * height) / determinant)
+    }
+
+    /// Distance of a node to the patch, given the way to it from the patch's point; `None` where the patch does not tell: it is to
+    /// be asked no farther away than `reach` (mm). The foot u is nearer than the patch's point by t.u in the square.
+    fn distance(&self, to_node: Vec3, reach: f32) -> Option<f32> {
+        let foot = self.foot(to_node)?;
+        let squared = (to_node.length_squared() - to_node.dot(foot)).max(0.0);
         (foot.length_squared() <= reach * reach).then(|| squared.sqrt())
     }
+}
+
+/// Distance of `node` to the surface, from a point `start` of it that is nearly the closest, but not so nearly that the surroundings of
+/// `start` tell: walks over the surface, from patch to patch, as long as that comes nearer.
+fn walk(source: &Source, node: DVec3, start: DVec3, reach: f32) -> f64 {
+    let voxel = source.spline.geometry().min_spacing();
+    let (mut p, mut nearest) = (start, node.distance(start));
+    for _ in 0..MOST_WALKS {
+        let patch = Patch::new(source, p);
+        let to_node = (node - p).as_vec3();
+        if let Some(distance) = patch.distance(to_node, reach) {
+            return nearest.min(distance.into());
+        }
+        // where the point is no closest one, any way downhill
+        let step = patch.foot(to_node).unwrap_or_else(|| to_node - patch.normal * to_node.dot(patch.normal));
+        let Some(next) = project(source, p + step.clamp_length_max(LONGEST_WALK * voxel as f32).as_dvec3(), voxel)
+        else {
+            break;
+        };
+        let distance = node.distance(next);
+        if distance >= nearest {
+            break;
+        }
+        (p, nearest) = (next, distance);
+    }
+    nearest
 }
 
 /// Distance of `node` to the surface, from a point `start` of it on the cap: slides along the tangent plane towards the foot of
