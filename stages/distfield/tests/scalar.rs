@@ -108,11 +108,13 @@ fn a_gyroid_through_the_border_keeps_its_zero_set() {
     for border in [Border::Cap, Border::Open] {
         let image = sampled([30, 30, 30], DVec3::ONE, f);
         let result = extract(&image, 0.0, border);
-        // measured 0.003 and 0.030 where cut (the rounded edges are finer than the grid), 0.0019 and 0.034 where not
+        // Measured 0.0029 and 0.030 where cut, 0.0019 and 0.034 where not. The edges of the cap are rounded by half a voxel, which no
+        // spline on this grid carries: the shift of the cut one is 0.017 before the fit, 0.0026 at best (after 110 of its steps), and 0.018 where
+        // 640 steps take F to 0.0003 at the samples, as between them new sheets appear. It all lies within a voxel of the cap.
         assert!(result.shift.mean < 0.005 && result.shift.p99 < 0.05, "{border:?}: {:?}", result.shift);
-        let inner = shift_within(&result, &image, 3.0);
-        println!("gyroid, {border:?}: {:?}, {inner:?} three voxels from the border", result.shift);
-        assert!(inner.0 < 0.002 && inner.1 < 0.01, "{border:?}: {inner:?}");
+        let inner = shift_within(&result, &image, 1.0);
+        println!("gyroid, {border:?}: {:?}, {inner:?} 1.5 voxels from the border", result.shift);
+        assert!(inner.0 < 0.001 && inner.1 < 0.004, "{border:?}: {inner:?}");
         assert_eq!(result.parts_before.components, result.parts_after.components);
         assert_eq!(topology(&result.field).is_closed_manifold(), border == Border::Cap);
     }
