@@ -228,6 +228,12 @@ impl Voxels {
         each_type!(self, values => values.iter().map(|&value| value.single()).collect())
     }
 
+    /// Writes the values from `first` on as 32-bit floating-point numbers (integers beyond 2^24 are rounded) until `to` is full.
+    pub fn copy_as_f32(&self, first: usize, to: &mut [f32]) {
+        let range = first..first + to.len();
+        each_type!(self, values => to.iter_mut().zip(&values[range]).for_each(|(to, &value)| *to = value.single()));
+    }
+
     /// The values as 64-bit floating-point numbers (integers beyond 2^53 are rounded).
     pub fn to_f64(&self) -> Vec<f64> {
         each_type!(self, values => values.iter().map(|&value| value.double()).collect())

@@ -1,26 +1,36 @@
 //! Signed distance from closest points: every node knows its nearest surface sample ([`crate::nearest`]); in a band round the surface
 //! Newton's method then finds the closest point of the zero set itself, and farther out the surface round the sample is taken to
-//! second order.
+//! second order, after a walk over the surface where the foot lies too far from the sample for that.
 
 use crate::field::Source;
-use crate::nearest::{NONE, nearest_samples};
+use crate::nearest::{NONE, Slab, nearest_samples};
 use crate::samples::{Implicit, project};
 use glam::{DMat3, DVec3, Mat3, Vec3};
 use isoparticles_common::geometry::Geometry;
 use isoparticles_common::image::Image;
 use rayon::prelude::*;
 
-/// Unsigned distance (mm) of every node to the nearest of the samples, good to a small part of the sample spacing, within
-/// `limit` mm; farther away some larger number, possibly infinite.
-pub fn distance_to_samples(geometry: &Geometry, samples: &[DVec3], limit: f64) -> Image<f32> {
-    let nearest = nearest_samples(geometry, samples, limit);
-    let data = nearest.squared.into_par_iter().map(f32::sqrt).collect();
-    Image { geometry: geometry.clone(), data }
+/// Gives every node of `field` the distance (mm) to the nearest of the samples, good to a small part of the sample spacing, within
+/// `limit` mm, and `limit` farther away; the signs stay.
+pub fn distance_to_samples(field: &mut Image<f32>, samples: &[DVec3], limit: f64) {
+    let Image { geometry, data } = field;
+    let plane = geometry.size[0] * geometry.size[1];
+    nearest_samples(geometry, samples, limit, limit, |slab| {
+        let squared = &slab.nearest.squared[(slab.own.start - slab.first) * plane..];
+        let own = &mut data[slab.own.start * plane..slab.own.end * plane];
+        own.par_iter_mut().zip(squared).for_each(|(f, squared)| *f = squared.sqrt().min(limit as f32).copysign(*f));
+    });
 }
 
-/// Beyond the band the distance to a sample stands where it is too large by no more than this if the surface there is flat,
-/// in voxels.
-const FAR_TOLERANCE: f64 = 0.004;
+/// Least determinant of the Hessian of half the squared distance, relative to that to a plane, for a closest point: at less the node is at a
+/// focal point of the surface, where the second order does not tell.
+const LEAST_DETERMINANT: f32 = 0.01;
+
+/// Steps from patch to patch towards the closest point, at most.
+const MOST_WALKS: usize = 8;
+
+/// Longest step of them, in voxels.
+const LONGEST_WALK: f32 = 2.0;
 
 /// How far from the sample the foot of a node may lie for the surface round the sample to be taken to second order, in voxels.
 const PATCH_REACH: f64 = 1.5;
@@ -28,76 +38,93 @@ const PATCH_REACH: f64 = 1.5;
 /// A step of Newton's method as short as this (voxels) is the last one: what remains is of the order of its square.
 const LAST_STEP: f64 = 1e-3;
 
-/// Unsigned distance (mm) of every node to the surface of `source`, of which `samples` is a dense sampling. Exact within
-/// `band` mm, by Newton's method for the closest point; beyond, the distance to the sample's patch.
-pub fn distance_to_zero_set(source: &Source, samples: &[DVec3], band: f64) -> Image<f32> {
-    let geometry = source.spline.geometry();
-    let nearest = nearest_samples(geometry, samples, f64::INFINITY);
+/// Gives every node of `field` its distance (mm) to the surface of `source`, of which `samples` is a dense sampling; the signs stay. Exact
+/// within `band` mm, by Newton's method for the closest point; beyond, the distance to the surface round the nearest sample.
+pub fn distance_to_zero_set(field: &mut Image<f32>, source: &Source, samples: &[DVec3], band: f64) {
+    let Image { geometry, data } = field;
     let patches: Vec<Patch> = samples.par_iter().map(|&p| Patch::new(source, p)).collect();
+    let surface = Surface { source, samples, patches, band, reach: PATCH_REACH * geometry.min_spacing() };
     let [nx, ny, _] = geometry.size;
-    let enough = (2.0 * FAR_TOLERANCE * geometry.mean_spacing()) as f32;
-    let reach = (PATCH_REACH * geometry.min_spacing()) as f32;
-    let mut data = nearest.squared;
-    data.par_chunks_mut(nx).enumerate().for_each(|(row, values)| {
-        for (i, value) in values.iter_mut().enumerate() {
-            let at = [i, row % ny, row / ny];
-            let mut sample = nearest.sample[row * nx + i];
-            *value = value.sqrt();
-            if sample == NONE {
-                continue;
+    nearest_samples(geometry, samples, f64::INFINITY, band, |slab| {
+        let own = &mut data[slab.own.start * nx * ny..slab.own.end * nx * ny];
+        own.par_chunks_mut(nx).enumerate().for_each(|(row, values)| {
+            let (j, k) = (row % ny, slab.own.start + row / ny);
+            for (i, value) in values.iter_mut().enumerate() {
+                let distance = surface.distance(geometry, slab, [i, j, k]);
+                *value = distance.copysign(*value);
             }
-            let node = geometry.index_to_grid(DVec3::from_array(at.map(|n| n as f64)));
-            if f64::from(*value) > band {
-                let foot = |sample: u32| {
-                    let to_node = (node - samples[sample as usize]).as_vec3();
-                    patches[sample as usize].distance(to_node, enough, reach)
-                };
-                let mut found = foot(sample);
-                if found.is_none() {
-                    sample = nearest_around(geometry, &nearest.sample, samples, at, node);
-                    found = foot(sample);
-                }
-                if let Some(distance) = found {
-                    *value = distance;
-                    continue;
-                }
-            }
-            let start = samples[sample as usize];
-            *value = match &source.cap {
-                Some(cap) if !cap.leaves(start) => slide(source, node, start),
-                _ => refine(source, node, start).unwrap_or_else(|| {
-                    let far = f64::from(*value) > band;
-                    let to_node = node - start;
-                    if far { patches[sample as usize].flat_distance(to_node, reach) } else { to_node.length() }
-                }),
-            } as f32;
-        }
+        });
     });
-    Image { geometry: geometry.clone(), data }
 }
 
-/// The sample nearest to a node, of its own and those of the nodes around.
-fn nearest_around(geometry: &Geometry, sample: &[u32], samples: &[DVec3], at: [usize; 3], node: DVec3) -> u32 {
-    let range = |axis: usize| at[axis].saturating_sub(1)..(at[axis] + 2).min(geometry.size[axis]);
-    let own = sample[geometry.linear(at[0], at[1], at[2])];
-    let mut best = (own, node.distance_squared(samples[own as usize]));
-    for k in range(2) {
-        for j in range(1) {
-            for i in range(0) {
-                let other = sample[geometry.linear(i, j, k)];
-                if other != NONE && other != best.0 {
-                    let squared = node.distance_squared(samples[other as usize]);
-                    if squared < best.1 {
-                        best = (other, squared);
+/// A surface and what is known of it at its samples.
+struct Surface<'a> {
+    source: &'a Source,
+    samples: &'a [DVec3],
+    patches: Vec<Patch>,
+    /// Within this distance, in mm, closest points are found by Newton's method.
+    band: f64,
+    /// How far from a sample its patch is asked, in mm.
+    reach: f64,
+}
+
+impl Surface<'_> {
+    /// Distance of a node; infinite where there is no sample.
+    fn distance(&self, geometry: &Geometry, slab: &Slab, at: [usize; 3]) -> f32 {
+        let local = geometry.linear(at[0], at[1], at[2] - slab.first);
+        let mut sample = slab.nearest.sample[local];
+        if sample == NONE {
+            return f32::INFINITY;
+        }
+        let to_sample = slab.nearest.squared[local].sqrt();
+        let is_far = f64::from(to_sample) > self.band;
+        let node = geometry.index_to_grid(DVec3::from_array(at.map(|n| n as f64)));
+        if is_far {
+            let foot = |sample: u32| {
+                let to_node = (node - self.samples[sample as usize]).as_vec3();
+                self.patches[sample as usize].distance(to_node, self.reach as f32)
+            };
+            let mut found = foot(sample);
+            if found.is_none() {
+                sample = self.nearest_around(geometry, slab, at, node);
+                found = foot(sample);
+            }
+            if let Some(distance) = found {
+                return distance;
+            }
+        }
+        let start = self.samples[sample as usize];
+        let distance = match &self.source.cap {
+            Some(cap) if !cap.leaves(start) => slide(self.source, node, start),
+            _ if is_far => walk(self.source, node, start, self.reach as f32),
+            _ => refine(self.source, node, start).unwrap_or_else(|| node.distance(start)),
+        };
+        distance as f32
+    }
+
+    /// The sample nearest to a node, of its own and those of the nodes around.
+    fn nearest_around(&self, geometry: &Geometry, slab: &Slab, at: [usize; 3], node: DVec3) -> u32 {
+        let range = |axis: usize| at[axis].saturating_sub(1)..(at[axis] + 2).min(geometry.size[axis]);
+        let own = slab.nearest.sample[geometry.linear(at[0], at[1], at[2] - slab.first)];
+        let mut best = (own, node.distance_squared(self.samples[own as usize]));
+        for k in range(2) {
+            for j in range(1) {
+                for i in range(0) {
+                    let other = slab.nearest.sample[geometry.linear(i, j, k - slab.first)];
+                    if other != NONE && other != best.0 {
+                        let squared = node.distance_squared(self.samples[other as usize]);
+                        if squared < best.1 {
+                            best = (other, squared);
+                        }
                     }
                 }
             }
         }
+        best.0
     }
-    best.0
 }
 
-/// The surface round a sample, to second order.
+/// The surface round a point of it, to second order.
 struct Patch {
     /// Unit normal, outward.
     normal: Vec3,
@@ -118,33 +145,56 @@ impl Patch {
         Self { normal: normal.as_vec3(), shape: shape.is_finite().then_some(shape) }
     }
 
-    /// Distance of a node to the tangent plane, given the way to it from the sample; that to the sample where the foot is farther
-    /// than `reach` (mm). Where the sample is no closest point, because the surface bends round the node, the truth is smaller still.
-    fn flat_distance(&self, to_node: DVec3, reach: f32) -> f64 {
-        let height = to_node.dot(self.normal.as_dvec3());
-        let aside = (to_node.length_squared() - height * height).max(0.0).sqrt();
-        if aside <= f64::from(reach) { height.abs() } else { to_node.length() }
-    }
-
-    /// Distance of a node to the patch, given the way to it from the sample; `None` where the patch does not tell.
+    /// The way along the tangent plane to the foot of a node, given the way to it from the patch's point. `None` where the surface bends
+    /// so strongly that this point is no closest one.
     ///
-    /// With the node at height D over the sample's tangent plane and t aside of the normal, the closest point of the surface
-    /// -u.Su/2 is at u = (I + D S)^-1 t, nearer by t.u in the square. The sample will do where |t|^2 is at most `enough` |D|
-    /// (mm), the patch where |u| is at most `reach` (mm).
-    fn distance(&self, to_node: Vec3, enough: f32, reach: f32) -> Option<f32> {
+    /// With the node at height D over the tangent plane and t aside of the normal, the closest point of the surface -u.Su/2 is at
+    /// u = (I + D S)^-1 t; S maps the tangent plane to itself, so the inverse is that of a 2 x 2 matrix (Cayley-Hamilton).
+    fn foot(&self, to_node: Vec3) -> Option<Vec3> {
+        let shape = self.shape?;
         let height = to_node.dot(self.normal);
         let aside = to_node - self.normal * height;
-        if aside.length_squared() <= enough * height.abs() {
-            return Some(to_node.length());
-        }
-        let curved = Mat3::IDENTITY + self.shape? * height;
-        if !is_positive_definite(&curved.as_dmat3()) {
-            return None;
-        }
-        let foot = curved.inverse() * aside;
-        let squared = (to_node.length_squared() - aside.dot(foot)).max(0.0);
+        let [x, y, z] = [shape.x_axis, shape.y_axis, shape.z_axis];
+        let trace = height * (x.x + y.y + z.z);
+        let minors = x.x * y.y - x.y * x.y + y.y * z.z - y.z * y.z + z.z * x.x - x.z * x.z;
+        let determinant = 1.0 + trace + height * height * minors;
+        let is_minimum = 2.0 + trace > 0.0 && determinant > LEAST_DETERMINANT;
+        is_minimum.then(|| (aside * (1.0 + trace) - shape * aside * height) / determinant)
+    }
+
+    /// Distance of a node to the patch, given the way to it from the patch's point; `None` where the patch does not tell: it is to
+    /// be asked no farther away than `reach` (mm). The foot u is nearer than the patch's point by t.u in the square.
+    fn distance(&self, to_node: Vec3, reach: f32) -> Option<f32> {
+        let foot = self.foot(to_node)?;
+        let squared = (to_node.length_squared() - to_node.dot(foot)).max(0.0);
         (foot.length_squared() <= reach * reach).then(|| squared.sqrt())
     }
+}
+
+/// Distance of `node` to the surface, from a point `start` of it that is nearly the closest, but not so nearly that the surroundings of
+/// `start` tell: walks over the surface, from patch to patch, as long as that comes nearer.
+fn walk(source: &Source, node: DVec3, start: DVec3, reach: f32) -> f64 {
+    let voxel = source.spline.geometry().min_spacing();
+    let (mut p, mut nearest) = (start, node.distance(start));
+    for _ in 0..MOST_WALKS {
+        let patch = Patch::new(source, p);
+        let to_node = (node - p).as_vec3();
+        if let Some(distance) = patch.distance(to_node, reach) {
+            return nearest.min(distance.into());
+        }
+        // where the point is no closest one, any way downhill
+        let step = patch.foot(to_node).unwrap_or_else(|| to_node - patch.normal * to_node.dot(patch.normal));
+        let Some(next) = project(source, p + step.clamp_length_max(LONGEST_WALK * voxel as f32).as_dvec3(), voxel)
+        else {
+            break;
+        };
+        let distance = node.distance(next);
+        if distance >= nearest {
+            break;
+        }
+        (p, nearest) = (next, distance);
+    }
+    nearest
 }
 
 /// Distance of `node` to the surface, from a point `start` of it on the cap: slides along the tangent plane towards the foot of

@@ -1,5 +1,6 @@
 //! From an implicit function to F: samples of its zero set, signed distance, and the zero set pinned.
 
+use crate::bits::Bits;
 use crate::cap::BorderBox;
 use crate::closest::distance_to_zero_set;
 use crate::fit::{FitReport, pin_zero_set};
@@ -13,7 +14,7 @@ use isoparticles_common::error::{Error, Result};
 use isoparticles_common::image::Image;
 use isoparticles_common::marching_cubes::marching_cubes;
 use isoparticles_common::mesh::TriangleMesh;
-use isoparticles_common::spline::CubicSpline;
+use isoparticles_common::spline::BrickSpline;
 use rayon::prelude::*;
 use serde::Serialize;
 
@@ -30,12 +31,10 @@ const BAND: f64 = 4.0;
 /// Points at which the result is compared with its source, at most.
 const CHECKED_POINTS: usize = 200_000;
 
-/// A source to re-distance: an implicit function with a spline, and which nodes are inside.
+/// A source to re-distance: an implicit function near its zero set.
 pub struct Source {
-    /// Values at the nodes; their signs say which nodes are inside (negative), zero being outside.
-    pub nodes: Image<f32>,
     /// The spline whose zero set is the surface (before it is cut at the border).
-    pub spline: CubicSpline,
+    pub spline: BrickSpline,
     /// The box that closes the object, if any.
     pub cap: Option<BorderBox>,
 }
@@ -92,30 +91,8 @@ impl Implicit for Source {
     }
 }
 
-impl Source {
-    /// Values at the nodes, negative inside, of the object cut at the border.
-    fn cut_nodes(&self) -> Image<f32> {
-        let mut nodes = self.nodes.clone();
-        let Some(cap) = &self.cap else {
-            return nodes;
-        };
-        let geometry = &self.nodes.geometry;
-        let [nx, ny, _] = geometry.size;
-        nodes.data.par_chunks_mut(nx).enumerate().for_each(|(row, values)| {
-            for (i, value) in values.iter_mut().enumerate() {
-                let node = geometry.index_to_grid(DVec3::new(i as f64, (row % ny) as f64, (row / ny) as f64));
-                if !cap.is_deep(node) {
-                    let slope = self.spline.value_gradient(node).1.length();
-                    *value = cap.intersect(node, first_order_distance(f64::from(*value), slope), DVec3::ZERO).0 as f32;
-                }
-            }
-        });
-        nodes
-    }
-}
-
 /// Value over slope; where there is no slope, far away on the side of the value (zero being outside).
-fn first_order_distance(value: f64, slope: f64) -> f64 {
+pub(crate) fn first_order_distance(value: f64, slope: f64) -> f64 {
     if slope > 1e-12 {
         value / slope
     } else if value < 0.0 {
@@ -125,22 +102,22 @@ fn first_order_distance(value: f64, slope: f64) -> f64 {
     }
 }
 
-/// Re-distances a source. `clearance` gives the least |F| (mm) at each node.
+/// Re-distances a source. The signs of `nodes`, which becomes F, say which nodes are inside (negative), zero being outside; its values
+/// where marching cubes starts from. `clearance` gives the least |F| (mm) at each node.
 ///
 /// # Errors
 /// When the source has no zero set, no part of the object is to stay, or the run is interrupted.
 pub fn redistance(
+    mut nodes: Image<f32>,
     source: &Source,
     clearance: impl Fn(usize) -> f32 + Sync,
     keep: Keep,
     context: &Context,
 ) -> Result<Redistanced> {
-    let geometry = source.nodes.geometry.clone();
-    let voxel = geometry.mean_spacing();
-    let band = (BAND * voxel).max(1.5 * geometry.spacing.max_element());
+    let voxel = nodes.geometry.mean_spacing();
+    let band = (BAND * voxel).max(1.5 * nodes.geometry.spacing.max_element());
 
     let step = context.step("surface samples");
-    let mut nodes = source.cut_nodes();
     let mut choices = junctions(&nodes);
     let dropped = drop_parts(&mut nodes, &choices, keep)?;
     if !dropped.nodes.is_empty() {
@@ -157,14 +134,15 @@ pub fn redistance(
     let samples = surface_samples(source, &nodes, &mesh);
     let parts_before = Parts::of(&mesh);
     drop(mesh);
-    let inside: Vec<bool> = nodes.data.par_iter().map(|&f| f < 0.0).collect();
-    drop(nodes);
+    let inside = Bits::of(nodes.data.len(), |n| nodes.data[n] < 0.0);
     drop(step);
     context.check_interrupt()?;
 
     let step = context.step("distance");
-    let mut field = distance_to_zero_set(source, &samples, band);
-    field.data.par_iter_mut().zip(&inside).for_each(|(f, &inside)| *f = f.copysign(if inside { -1.0 } else { 1.0 }));
+    let mut field = nodes;
+    // a value of -0 is outside
+    field.data.par_iter_mut().for_each(|f| *f += 0.0);
+    distance_to_zero_set(&mut field, source, &samples, band);
     drop(step);
     context.check_interrupt()?;
 
@@ -194,9 +172,9 @@ pub fn redistance(
 }
 
 /// Keeps every node at least the clearance away from zero on its side; returns how many had to be moved.
-fn hold_nodes(field: &mut Image<f32>, inside: &[bool], clearance: &(impl Fn(usize) -> f32 + Sync)) -> usize {
+fn hold_nodes(field: &mut Image<f32>, inside: &Bits, clearance: &(impl Fn(usize) -> f32 + Sync)) -> usize {
     let moved = field.data.par_iter_mut().enumerate().map(|(n, f)| {
-        let sign = if inside[n] { -1.0 } else { 1.0 };
+        let sign = if inside.holds(n) { -1.0 } else { 1.0 };
         let least = clearance(n);
         let moves = *f * sign < least;
         if moves {
@@ -215,7 +193,7 @@ fn edge_midpoints(mesh: &TriangleMesh) -> Vec<DVec3> {
 
 /// Distance of the zero set of the spline through `field` to that of the source, at projections of `points`.
 pub fn measure_shift<I: Implicit>(source: &I, field: &Image<f32>, points: &[DVec3]) -> Shift {
-    let spline = CubicSpline::new(field);
+    let spline = BrickSpline::new(field);
     let voxel = field.geometry.mean_spacing();
     let own = |p: DVec3| spline.value_gradient(p);
     let every = points.len().div_ceil(CHECKED_POINTS).max(1);

@@ -5,10 +5,11 @@
 //! sense) such that F vanishes at the samples: conjugate gradients on the normal equations (CGLS, Hestenes and
 //! Stiefel 1952) from zero change, preconditioned by their diagonal and stopped early, which regularises.
 
+use crate::bits::{Bits, Numbering};
 use glam::DVec3;
 use isoparticles_common::geometry::Geometry;
 use isoparticles_common::image::Image;
-use isoparticles_common::spline::CubicSpline;
+use isoparticles_common::spline::SlabFilter;
 use rayon::prelude::*;
 use serde::Serialize;
 
@@ -16,18 +17,26 @@ use serde::Serialize;
 /// every second task can run at the same time.
 const SLAB: usize = 6;
 
+/// Slices whose coefficients are gathered at a time.
+const GATHERED: usize = 32;
+
 /// Samples of one partial sum; fixed, so that sums do not depend on the number of threads.
 const CHUNK: usize = 4096;
 
-/// One sample: 16 rows of four neighbouring coefficients and the weights along each axis.
+/// One sample: its cell, and where in the cell it lies (0 to 1 along each axis).
 struct Row {
-    start: [u32; 16],
-    weight: [[f32; 4]; 3],
+    cell: u32,
+    place: [f32; 3],
 }
+
+/// The 16 rows of four neighbouring coefficients that the samples of a cell read.
+type Cell = [u32; 16];
 
 /// The linear map from the coefficients near the surface to F at the samples.
 struct Sampling {
+    /// The samples, cell by cell.
     rows: Vec<Row>,
+    cells: Vec<Cell>,
     /// Rows of each slab of slices, and where the coefficients start that the slab's samples touch.
     slabs: Vec<Slab>,
     unknowns: usize,
@@ -57,9 +66,7 @@ pub fn pin_zero_set(field: &mut Image<f32>, samples: &[DVec3], tolerance: f64, m
     if sampling.rows.is_empty() {
         return FitReport::default();
     }
-    let spline = CubicSpline::new(field);
-    let start = gather(&number, spline.coefficients(), sampling.unknowns);
-    drop(spline);
+    let start = gather(field, &number);
     let mut residual = vec![0.0; sampling.rows.len()];
     sampling.apply(&start, &mut residual);
     drop(start);
@@ -97,58 +104,46 @@ pub fn pin_zero_set(field: &mut Image<f32>, samples: &[DVec3], tolerance: f64, m
     FitReport { before, after, steps }
 }
 
-/// Numbers the coefficients that the samples touch (x fastest, `u32::MAX` elsewhere) and sorts the samples by cell.
-fn build(geometry: &Geometry, samples: &[DVec3]) -> (Vec<u32>, Sampling) {
+/// Numbers the coefficients that the samples touch and sorts the samples by cell.
+fn build(geometry: &Geometry, samples: &[DVec3]) -> (Numbering, Sampling) {
     let [nx, ny, nz] = geometry.size;
-    let cell = |p: DVec3| -> Option<([usize; 3], DVec3)> {
+    let cell = |p: DVec3| -> Option<(usize, DVec3)> {
         let index = geometry.grid_to_index(p);
         let base = index.floor();
         let inner = (0..3).all(|a| base[a] >= 1.0 && base[a] + 2.0 < geometry.size[a] as f64);
-        inner.then(|| ([0, 1, 2].map(|a| base[a] as usize), index - base))
+        inner.then(|| (geometry.linear(base.x as usize, base.y as usize, base.z as usize), index - base))
     };
-    let mut cells: Vec<(usize, [usize; 3], DVec3)> =
-        samples.par_iter().filter_map(|&p| cell(p).map(|(b, t)| (geometry.linear(b[0], b[1], b[2]), b, t))).collect();
-    // stable, so that the order within a cell is that of the samples
-    cells.par_sort_by_key(|&(at, ..)| at);
+    let mut order: Vec<(usize, u32)> =
+        (0..samples.len()).into_par_iter().filter_map(|n| cell(samples[n]).map(|(at, _)| (at, n as u32))).collect();
+    // within a cell in the order of the samples
+    order.par_sort_unstable();
 
-    let mut number = vec![u32::MAX; geometry.voxel_count()];
-    let mut last = usize::MAX;
-    for &(at, ..) in &cells {
-        if at == last {
-            continue;
-        }
-        last = at;
-        for row in row_starts(at, nx, ny) {
-            number[row..row + 4].fill(0);
-        }
+    let mut touched = Bits::of(geometry.voxel_count(), |_| false);
+    let mut places: Vec<usize> = order.iter().map(|&(at, _)| at).collect();
+    places.dedup();
+    for row in places.iter().flat_map(|&at| row_starts(at, nx, ny)) {
+        touched.insert(row, 4);
     }
-    let mut unknowns = 0u32;
-    let mut slice_start = Vec::with_capacity(nz + 1);
-    for slice in number.chunks_mut(nx * ny) {
-        slice_start.push(unknowns as usize);
-        for n in slice.iter_mut().filter(|n| **n == 0) {
-            *n = unknowns;
-            unknowns += 1;
-        }
-    }
-    slice_start.push(unknowns as usize);
-
+    let number = Numbering::new(touched);
+    let slices_before = |k: usize| number.number(k * nx * ny);
     let slabs = (0..nz.div_ceil(SLAB))
         .map(|s| {
             let (first, end) = (s * SLAB, ((s + 1) * SLAB).min(nz));
-            let from = cells.partition_point(|&(_, b, _)| b[2] < first);
-            let to = cells.partition_point(|&(_, b, _)| b[2] < end);
-            Slab { rows: from..to, unknowns: slice_start[first.saturating_sub(1)]..slice_start[(end + 2).min(nz)] }
+            let from = order.partition_point(|&(at, _)| at < first * nx * ny);
+            let to = order.partition_point(|&(at, _)| at < end * nx * ny);
+            Slab { rows: from..to, unknowns: slices_before(first.saturating_sub(1))..slices_before((end + 2).min(nz)) }
         })
         .collect();
-    let rows = cells
-        .par_iter()
-        .map(|&(at, _, t)| Row {
-            start: row_starts(at, nx, ny).map(|n| number[n]),
-            weight: [0, 1, 2].map(|a| weights(t[a])),
-        })
-        .collect();
-    (number, Sampling { rows, slabs, unknowns: unknowns as usize })
+    let cells = places.par_iter().map(|&at| row_starts(at, nx, ny).map(|n| number.number(n) as u32)).collect();
+    let mut rows = Vec::with_capacity(order.len());
+    let mut current = 0;
+    for (at, sample) in order {
+        current += usize::from(places[current] != at);
+        let place = cell(samples[sample as usize]).map_or(DVec3::ZERO, |(_, place)| place);
+        rows.push(Row { cell: current as u32, place: place.as_vec3().to_array() });
+    }
+    let unknowns = number.count;
+    (number, Sampling { rows, cells, slabs, unknowns })
 }
 
 /// First nodes of the 16 rows of four that the spline reads in the cell whose lowest node is `at`.
@@ -158,7 +153,9 @@ fn row_starts(at: usize, nx: usize, ny: usize) -> [usize; 16] {
 }
 
 /// Cubic B-spline weights of the four coefficients round a cell.
-fn weights(t: f64) -> [f32; 4] {
+#[inline(always)]
+fn weights(t: f32) -> [f64; 4] {
+    let t = f64::from(t);
     let u = 1.0 - t;
     [
         u * u * u / 6.0,
@@ -166,16 +163,15 @@ fn weights(t: f64) -> [f32; 4] {
         (4.0 - 6.0 * u * u + 3.0 * u * u * u) / 6.0,
         t * t * t / 6.0,
     ]
-    .map(|w| w as f32)
 }
 
 impl Sampling {
     /// F at the samples.
     fn apply(&self, coefficients: &[f64], values: &mut [f64]) {
         values.par_iter_mut().zip(&self.rows).for_each(|(value, row)| {
-            let [wx, wy, wz] = row.weight.map(|w| w.map(f64::from));
+            let [wx, wy, wz] = row.place.map(weights);
             let mut sum = 0.0;
-            for (n, &start) in row.start.iter().enumerate() {
+            for (n, &start) in self.cells[row.cell as usize].iter().enumerate() {
                 let c = &coefficients[start as usize..start as usize + 4];
                 sum += wy[n % 4] * wz[n / 4] * (wx[0] * c[0] + wx[1] * c[1] + wx[2] * c[2] + wx[3] * c[3]);
             }
@@ -199,9 +195,9 @@ impl Sampling {
             }
             tasks.into_par_iter().for_each(|(slab, mine)| {
                 for (row, value) in self.rows[slab.rows.clone()].iter().zip(&values[slab.rows.clone()]) {
-                    let entry = |w: f32| if squared { f64::from(w * w) } else { f64::from(w) };
-                    let [wx, wy, wz] = row.weight.map(|w| w.map(entry));
-                    for (n, &start) in row.start.iter().enumerate() {
+                    let entry = |w: f64| if squared { w * w } else { w };
+                    let [wx, wy, wz] = row.place.map(|t| weights(t).map(entry));
+                    for (n, &start) in self.cells[row.cell as usize].iter().enumerate() {
                         let w = value * wy[n % 4] * wz[n / 4];
                         let at = start as usize - slab.unknowns.start;
                         for (c, wx) in mine[at..at + 4].iter_mut().zip(wx) {
@@ -214,41 +210,43 @@ impl Sampling {
     }
 }
 
-fn gather(number: &[u32], coefficients: &[f32], unknowns: usize) -> Vec<f64> {
-    let mut compact = Vec::with_capacity(unknowns);
-    compact.extend(
-        number
-            .iter()
-            .zip(coefficients)
-            .filter(|(n, _)| **n != u32::MAX)
-            .map(|(_, &coefficient)| f64::from(coefficient)),
-    );
+/// The numbered coefficients of the spline through a field.
+fn gather(field: &Image<f32>, number: &Numbering) -> Vec<f64> {
+    let [nx, ny, nz] = field.geometry.size;
+    let plane = nx * ny;
+    let mut filter = SlabFilter::new(field.geometry.size, |k: usize, slice: &mut [f32]| {
+        slice.copy_from_slice(&field.data[k * plane..(k + 1) * plane]);
+    });
+    let mut compact = Vec::with_capacity(number.count);
+    for first in (0..nz).step_by(GATHERED) {
+        let coefficients = filter.coefficients(first..(first + GATHERED).min(nz));
+        for row in first * ny..(first + GATHERED).min(nz) * ny {
+            let (values, start) = (coefficients.row(row % ny, row / ny), row * nx);
+            number.each(start..start + nx, |node, _| compact.push(f64::from(values[node - start])));
+        }
+    }
     compact
 }
 
 /// Adds the values at the nodes of a change of spline coefficients.
-fn add_change(field: &mut Image<f32>, number: &[u32], change: &[f64]) {
+fn add_change(field: &mut Image<f32>, number: &Numbering, change: &[f64]) {
     let [nx, ny, nz] = field.geometry.size;
     let node_weight = |offset: isize| if offset == 0 { 4.0 / 6.0 } else { 1.0 / 6.0 };
     field.data.par_chunks_mut(nx * ny).enumerate().for_each(|(k, slice)| {
         for near_k in k.saturating_sub(1)..(k + 2).min(nz) {
             let wz = node_weight(near_k as isize - k as isize);
-            for near_j in 0..ny {
-                let row = &number[(near_k * ny + near_j) * nx..][..nx];
-                for (near_i, &n) in row.iter().enumerate() {
-                    if n == u32::MAX {
-                        continue;
-                    }
-                    let value = wz * change[n as usize];
-                    for j in near_j.saturating_sub(1)..(near_j + 2).min(ny) {
-                        let wy = node_weight(j as isize - near_j as isize);
-                        for i in near_i.saturating_sub(1)..(near_i + 2).min(nx) {
-                            let wx = node_weight(i as isize - near_i as isize);
-                            slice[j * nx + i] += (value * wy * wx) as f32;
-                        }
+            let start = near_k * nx * ny;
+            number.each(start..start + nx * ny, |node, n| {
+                let (near_i, near_j) = ((node - start) % nx, (node - start) / nx);
+                let value = wz * change[n];
+                for j in near_j.saturating_sub(1)..(near_j + 2).min(ny) {
+                    let wy = node_weight(j as isize - near_j as isize);
+                    for i in near_i.saturating_sub(1)..(near_i + 2).min(nx) {
+                        let wx = node_weight(i as isize - near_i as isize);
+                        slice[j * nx + i] += (value * wy * wx) as f32;
                     }
                 }
-            }
+            });
         }
     });
 }

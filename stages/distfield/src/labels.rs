@@ -19,7 +19,7 @@ use isoparticles_common::cli::Context;
 use isoparticles_common::error::{Error, Result};
 use isoparticles_common::image::Image;
 use isoparticles_common::marching_cubes::marching_cubes;
-use isoparticles_common::spline::CubicSpline;
+use isoparticles_common::spline::BrickSpline;
 use rayon::prelude::*;
 
 /// Half-width of the band that the flow acts in, in voxels. Beyond it the distance of the binary image stays: a band
@@ -107,11 +107,10 @@ pub fn from_labels(inside: &Image<bool>, options: &LabelOptions, context: &Conte
             "choose a smaller --tightening; 0 keeps every voxel",
         ));
     }
-    let spline = CubicSpline::new(&nodes);
+    let source = Source { spline: BrickSpline::new(&nodes), cap: None };
     drop(step);
-    let source = Source { nodes, spline, cap: None };
     let smallest = SMALLEST_CLEARANCE * voxel as f32;
-    let mut result = redistance(&source, |n| least[n].max(smallest), options.keep, context)?;
+    let mut result = redistance(nodes, &source, |n| least[n].max(smallest), options.keep, context)?;
     if let Some((dropped, parts)) = untightened {
         result.dropped.add(dropped);
         result.parts_untightened = Some(parts);
@@ -216,20 +215,14 @@ fn thin_nodes(mask: &Image<bool>) -> Vec<bool> {
 /// Signed distance of the binary surface (mm), which runs midway between voxel centres of different sides.
 fn binary_distance(mask: &Image<bool>) -> Image<f32> {
     let data = mask.data.iter().map(|&m| if m { -1.0 } else { 1.0 }).collect();
-    let binary = Image { geometry: mask.geometry.clone(), data };
-    let mesh = marching_cubes(&binary, 0.0);
-    drop(binary);
+    let mut field = Image { geometry: mask.geometry.clone(), data };
+    let mesh = marching_cubes(&field, 0.0);
     let mut samples = mesh.vertices.clone();
     samples.extend(mesh.triangles.iter().map(|t| t.iter().map(|&v| mesh.vertices[v as usize]).sum::<DVec3>() / 3.0));
+    drop(mesh);
     // room for the differences at the rim of the band; beyond, any large number will do
     let limit = BAND * mask.geometry.mean_spacing() + 3.0 * mask.geometry.spacing.max_element();
-    let mut field = distance_to_samples(&mask.geometry, &samples, limit);
-    field.data.par_iter_mut().enumerate().for_each(|(n, f)| {
-        *f = f.min(limit as f32);
-        if mask.data[n] {
-            *f = -*f;
-        }
-    });
+    distance_to_samples(&mut field, &samples, limit);
     field
 }
 

@@ -6,6 +6,7 @@
 //! zero set of the spline on it ([`fit`]), joins and parts what touches as the source does ([`junctions`]) and closes it at
 //! the border ([`cap`]); [`keep`] drops parts, [`topology`] counts what came out and [`run`] is the program.
 
+pub mod bits;
 pub mod cap;
 pub mod closest;
 pub mod field;

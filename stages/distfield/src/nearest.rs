@@ -3,7 +3,8 @@
 //!
 //! Far from the surface many samples are about equally near, each nearest to a region thinner than a voxel, and what is handed on in
 //! few steps strays. So the far field starts from a grid of every second node, on which thorough sweeps along all axes are
-//! cheap; every node is then offered the samples of the coarse nodes round it.
+//! cheap; every node is then offered the samples of the coarse nodes round it. That is done slab by slab, so that only the coarse grid
+//! is held as a whole.
 
 use glam::{DVec3, Vec3};
 use isoparticles_common::geometry::Geometry;
@@ -16,6 +17,12 @@ pub const NONE: u32 = u32::MAX;
 /// Nodes of the grid to one of the coarse grid, along each axis.
 const STRIDE: usize = 2;
 
+/// Nodes of a slab, about: a bound on the memory; smaller grids are one slab.
+const SLAB: usize = 10 << 20;
+
+/// Slices of a slab, at least.
+const LEAST_SLICES: usize = 8;
+
 /// Nearest sample of every node (x fastest), and its squared distance (mm squared).
 pub struct Nearest {
     /// Number of the sample, or [`NONE`].
@@ -24,44 +31,67 @@ pub struct Nearest {
     pub squared: Vec<f32>,
 }
 
-/// The nearest sample of every node within `limit` mm of the surface; farther away some other sample or none.
-pub fn nearest_samples(geometry: &Geometry, samples: &[DVec3], limit: f64) -> Nearest {
-    if samples.is_empty() {
-        return Nearest::none(geometry);
-    }
+/// The nearest samples of the nodes of some slices.
+pub struct Slab {
+    /// The slices of the grid that this is about.
+    pub own: Range<usize>,
+    /// The first slice that is there: the one before, or its first.
+    pub first: usize,
+    /// The nodes of the slices from `first` on, up to a few beyond its own.
+    pub nearest: Nearest,
+}
+
+/// Hands out the nearest sample of every node within `limit` mm of the surface, slab by slab from the first slice to the last; farther away
+/// some other sample or none. Where the limit is infinite, samples up to `near` mm away are the nearest ones, others nearly.
+pub fn nearest_samples(geometry: &Geometry, samples: &[DVec3], limit: f64, near: f64, mut visit: impl FnMut(&Slab)) {
     let single: Vec<Vec3> = samples.par_iter().map(|p| p.as_vec3()).collect();
-    let mut nearest = Nearest::none(geometry);
-    let fine = Transform { geometry, samples: &single, limit: (limit * limit) as f32 };
-    fine.offer_to_cells(&mut nearest);
-    if limit.is_infinite() {
-        let coarse_geometry = Geometry {
-            size: geometry.size.map(|n| (n - 1).div_ceil(STRIDE) + 1),
-            spacing: geometry.spacing * STRIDE as f64,
-            ..geometry.clone()
-        };
-        let mut coarse = Nearest::none(&coarse_geometry);
-        let transform = Transform { geometry: &coarse_geometry, ..fine };
-        transform.offer_to_cells(&mut coarse);
-        // A node may hear of its sample along one axis from a node that hears of it along another: hence the second round.
-        for diagonal in [false, true] {
-            for axis in 0..3 {
-                transform.sweep(&mut coarse, Sweep { axis, upward: true, diagonal });
-                transform.sweep(&mut coarse, Sweep { axis, upward: false, diagonal });
-            }
+    let fine = Transform { geometry, first: 0, samples: &single, limit: (limit * limit) as f32 };
+    let coarse = limit.is_infinite().then(|| fine.coarse());
+    let by_slice = fine.by_slice();
+    let [nx, ny, nz] = geometry.size;
+    // a sample is handed on from a corner of its cell, which may be a voxel farther away
+    let ahead = (limit.min(near) / geometry.spacing.z).ceil() as usize + 1;
+    let slices = (SLAB / (nx * ny)).max(LEAST_SLICES);
+    let mut slab = Slab { own: 0..0, first: 0, nearest: Nearest::none(0) };
+    while slab.own.end < nz {
+        let own = slab.own.end..(slab.own.end + slices).min(nz);
+        let first = own.start.saturating_sub(1);
+        let end = (own.end + ahead).min(nz);
+        slab.nearest.keep((first - slab.first) * nx * ny, own.start - first, nx * ny);
+        slab.nearest.extend((end - own.start) * nx * ny);
+        (slab.own, slab.first) = (own, first);
+        let part = Geometry { size: [nx, ny, end - first], ..geometry.clone() };
+        let transform = Transform { geometry: &part, first, ..fine };
+        transform.offer_to_cells(&mut slab.nearest, &by_slice);
+        if let Some((coarse_geometry, coarse)) = &coarse {
+            transform.take_from_coarse(&mut slab.nearest, coarse, coarse_geometry);
         }
-        fine.take_from_coarse(&mut nearest, &coarse, &coarse_geometry);
+        transform.within_planes(&mut slab.nearest);
+        transform.sweep(&mut slab.nearest, Sweep { axis: 2, upward: true, diagonal: true });
+        transform.sweep(&mut slab.nearest, Sweep { axis: 2, upward: false, diagonal: true });
+        transform.within_planes(&mut slab.nearest);
+        visit(&slab);
     }
-    fine.within_planes(&mut nearest);
-    fine.sweep(&mut nearest, Sweep { axis: 2, upward: true, diagonal: true });
-    fine.sweep(&mut nearest, Sweep { axis: 2, upward: false, diagonal: true });
-    fine.within_planes(&mut nearest);
-    nearest
 }
 
 impl Nearest {
-    fn none(geometry: &Geometry) -> Self {
-        let count = geometry.voxel_count();
+    fn none(count: usize) -> Self {
         Self { sample: vec![NONE; count], squared: vec![f32::INFINITY; count] }
+    }
+
+    /// Keeps `count` slices of `plane` nodes from the node `start` on.
+    fn keep(&mut self, start: usize, count: usize, plane: usize) {
+        let range = start..start + count * plane;
+        self.sample.copy_within(range.clone(), 0);
+        self.sample.truncate(range.len());
+        self.squared.copy_within(range.clone(), 0);
+        self.squared.truncate(range.len());
+    }
+
+    /// Adds nodes that have no sample yet.
+    fn extend(&mut self, count: usize) {
+        self.sample.resize(self.sample.len() + count, NONE);
+        self.squared.resize(self.squared.len() + count, f32::INFINITY);
     }
 
     /// Planes of constant z, or rows along x, `length` nodes each.
@@ -82,6 +112,8 @@ struct Sweep {
 #[derive(Clone, Copy)]
 struct Transform<'a> {
     geometry: &'a Geometry,
+    /// The slice of the whole grid that comes first.
+    first: usize,
     samples: &'a [Vec3],
     /// Squared distance (mm squared) up to which a node is asked.
     limit: f32,
@@ -89,41 +121,70 @@ struct Transform<'a> {
 
 impl Transform<'_> {
     fn node(&self, i: usize, j: usize, k: usize) -> Vec3 {
-        self.geometry.index_to_grid(DVec3::new(i as f64, j as f64, k as f64)).as_vec3()
+        self.geometry.index_to_grid(DVec3::new(i as f64, j as f64, (self.first + k) as f64)).as_vec3()
     }
 
-    /// Gives a node at `place` the sample of another where that is nearer than its own.
+    /// The nearest samples of the nodes of a coarse grid over the whole grid.
+    fn coarse(&self) -> (Geometry, Vec<u32>) {
+        let geometry = Geometry {
+            size: self.geometry.size.map(|n| (n - 1).div_ceil(STRIDE) + 1),
+            spacing: self.geometry.spacing * STRIDE as f64,
+            ..self.geometry.clone()
+        };
+        let mut coarse = Nearest::none(geometry.voxel_count());
+        let transform = Transform { geometry: &geometry, ..*self };
+        transform.offer_to_cells(&mut coarse, &transform.by_slice());
+        // A node may hear of its sample along one axis from a node that hears of it along another: hence the second round.
+        for diagonal in [false, true] {
+            for axis in 0..3 {
+                transform.sweep(&mut coarse, Sweep { axis, upward: true, diagonal });
+                transform.sweep(&mut coarse, Sweep { axis, upward: false, diagonal });
+            }
+        }
+        (geometry, coarse.sample)
+    }
+
+    /// The cell that a sample lies in: its lowest node, in the whole grid.
+    fn cell(&self, sample: Vec3) -> [usize; 3] {
+        let index = sample * self.geometry.spacing.recip().as_vec3();
+        [0, 1, 2].map(|a| index[a].max(0.0) as usize)
+    }
+
+    /// Numbers of the samples by the slice of their cell; those beyond the last slice are the last one's.
+    fn by_slice(&self) -> Vec<Vec<u32>> {
+        let nz = self.geometry.size[2];
+        let mut by_slice: Vec<Vec<u32>> = vec![Vec::new(); nz];
+        for (number, &sample) in self.samples.iter().enumerate() {
+            by_slice[self.cell(sample)[2].min(nz - 1)].push(number as u32);
+        }
+        by_slice
+    }
+
+    /// Gives a node the sample of another where that is nearer than its own. Most often it is the same one, so the node's place is asked for only
+    /// when it is not.
     #[inline(always)]
-    fn take(&self, place: Vec3, own: &mut (u32, f32), other: (u32, f32)) {
-        if other.0 == NONE || other.0 == own.0 || other.1 > self.limit {
+    fn take(&self, place: impl Fn() -> Vec3, own: &mut (u32, f32), other: (u32, f32)) {
+        if other.0 == own.0 || other.0 == NONE || other.1 > self.limit {
             return;
         }
-        let squared = place.distance_squared(self.samples[other.0 as usize]);
+        let squared = place().distance_squared(self.samples[other.0 as usize]);
         if squared < own.1 {
             *own = (other.0, squared);
         }
     }
 
     /// Offers every sample to the eight nodes of its cell.
-    fn offer_to_cells(&self, nearest: &mut Nearest) {
-        let [nx, ny, nz] = self.geometry.size;
-        let step = self.geometry.spacing.recip().as_vec3();
-        let cell = |sample: Vec3| {
-            let index = sample * step;
-            [0, 1, 2].map(|a| (index[a].max(0.0) as usize).min(self.geometry.size[a] - 1))
-        };
-        let mut by_plane: Vec<Vec<u32>> = vec![Vec::new(); nz];
-        for (number, &sample) in self.samples.iter().enumerate() {
-            by_plane[cell(sample)[2]].push(number as u32);
-        }
+    fn offer_to_cells(&self, nearest: &mut Nearest, by_slice: &[Vec<u32>]) {
+        let [nx, ny, _] = self.geometry.size;
         nearest.chunks(nx * ny).enumerate().for_each(|(k, (sample, squared))| {
-            for number in by_plane[k.saturating_sub(1)..=k].iter().flatten() {
-                let [i0, j0, _] = cell(self.samples[*number as usize]);
-                for j in j0..(j0 + 2).min(ny) {
-                    for i in i0..(i0 + 2).min(nx) {
+            let slice = self.first + k;
+            for number in by_slice[slice.saturating_sub(1)..=slice].iter().flatten() {
+                let [i0, j0, _] = self.cell(self.samples[*number as usize]);
+                for j in j0.min(ny - 1)..(j0 + 2).min(ny) {
+                    for i in i0.min(nx - 1)..(i0 + 2).min(nx) {
                         let at = j * nx + i;
                         let mut own = (sample[at], squared[at]);
-                        self.take(self.node(i, j, k), &mut own, (*number, 0.0));
+                        self.take(|| self.node(i, j, k), &mut own, (*number, 0.0));
                         (sample[at], squared[at]) = own;
                     }
                 }
@@ -132,18 +193,18 @@ impl Transform<'_> {
     }
 
     /// Every node takes the nearest of the samples of the coarse nodes round it.
-    fn take_from_coarse(&self, nearest: &mut Nearest, coarse: &Nearest, geometry: &Geometry) {
+    fn take_from_coarse(&self, nearest: &mut Nearest, coarse: &[u32], geometry: &Geometry) {
         let [nx, ny, _] = self.geometry.size;
         let around = |n: usize| [n / STRIDE, n.div_ceil(STRIDE)];
         nearest.chunks(nx).enumerate().for_each(|(row, (sample, squared))| {
             let (j, k) = (row % ny, row / ny);
-            let mut lines = around(k).map(|c| around(j).map(|b| geometry.linear(0, b, c))).concat();
+            let mut lines = around(self.first + k).map(|c| around(j).map(|b| geometry.linear(0, b, c))).concat();
             lines.dedup();
             for i in 0..nx {
-                let (place, mut own) = (self.node(i, j, k), (sample[i], squared[i]));
+                let mut own = (sample[i], squared[i]);
                 for line in &lines {
                     for a in around(i) {
-                        self.take(place, &mut own, (coarse.sample[line + a], 0.0));
+                        self.take(|| self.node(i, j, k), &mut own, (coarse[line + a], 0.0));
                     }
                 }
                 (sample[i], squared[i]) = own;
@@ -159,9 +220,9 @@ impl Transform<'_> {
             let back = (0..ny).rev().map(|j| (j, Some(j + 1).filter(|&before| before < ny)));
             for (j, before) in rows.chain(back) {
                 let mut ask = |i: usize, others: Range<usize>| {
-                    let (place, mut own) = (self.node(i, j, k), (sample[j * nx + i], squared[j * nx + i]));
+                    let mut own = (sample[j * nx + i], squared[j * nx + i]);
                     for n in others {
-                        self.take(place, &mut own, (sample[n], squared[n]));
+                        self.take(|| self.node(i, j, k), &mut own, (sample[n], squared[n]));
                     }
                     (sample[j * nx + i], squared[j * nx + i]) = own;
                 };
@@ -191,19 +252,19 @@ impl Transform<'_> {
                 let mut index = [0; 3];
                 index[axis] = to;
                 index[v] = b;
+                let start = to * stride[axis] + b * stride[v];
                 for (a, best) in row.iter_mut().enumerate() {
-                    let at = to * stride[axis] + b * stride[v] + a * stride[u];
-                    *best = (sample[at], squared[at]);
-                    index[u] = a;
-                    let [i, j, k] = index;
-                    let place = self.node(i, j, k);
-                    for near_b in b.saturating_sub(1)..(b + 2).min(size[v]) {
-                        for near_a in a.saturating_sub(1)..(a + 2).min(size[u]) {
-                            if !diagonal && near_a != a && near_b != b {
-                                continue;
-                            }
-                            let near = from * stride[axis] + near_b * stride[v] + near_a * stride[u];
-                            self.take(place, best, (sample[near], squared[near]));
+                    *best = (sample[start + a * stride[u]], squared[start + a * stride[u]]);
+                }
+                for near_b in b.saturating_sub(1)..(b + 2).min(size[v]) {
+                    let before = from * stride[axis] + near_b * stride[v];
+                    let aside = usize::from(diagonal || near_b == b);
+                    for (a, best) in row.iter_mut().enumerate() {
+                        index[u] = a;
+                        let [i, j, k] = index;
+                        for near_a in a.saturating_sub(aside)..(a + aside + 1).min(size[u]) {
+                            let near = before + near_a * stride[u];
+                            self.take(|| self.node(i, j, k), best, (sample[near], squared[near]));
                         }
                     }
                 }

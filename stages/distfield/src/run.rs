@@ -1,14 +1,14 @@
 //! The program: options, checks of the input, the run, the report.
 
 use crate::labels::{LabelOptions, from_labels};
-use crate::scalar::{ScalarOptions, from_scalar};
+use crate::scalar::{ScalarOptions, from_voxels};
 use crate::{Border, Clearance, Inside, Keep, Redistanced};
 use isoparticles_common::cli::{CommonArgs, Context, FILES, METHOD, Outcome, StageArgs};
 use isoparticles_common::error::{Error, Result};
 use isoparticles_common::geometry::Geometry;
 use isoparticles_common::image::Image;
 use isoparticles_common::io::field::{FieldKind, write_field};
-use isoparticles_common::io::volume::{Volume, read_volume};
+use isoparticles_common::io::volume::{Volume, Voxels, read_volume};
 use serde_json::{Value, json};
 use std::collections::BTreeSet;
 use std::path::PathBuf;
@@ -179,18 +179,15 @@ pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
 type Extracted = (Redistanced, Value, Option<usize>);
 
 fn extract_iso(args: &Args, volume: Volume, iso: f64, context: &Context) -> Result<Extracted> {
-    let values = volume.voxels.to_f32();
-    if looks_like_labels(&values) {
+    if looks_like_labels(&volume.voxels) {
         context.warn(format!(
             "{}: holds a few whole numbers only, like a label map; if it is one, --labels keeps every voxel centre on its side",
             args.input.display()
         ));
     }
-    drop(volume.voxels);
-    let image = Image { geometry: volume.geometry, data: values };
     let margin = usize::from(args.margin);
     let options = ScalarOptions { inside: args.inside, border: args.border, margin, keep: args.keep };
-    let result = from_scalar(image, iso, &options, context)?;
+    let result = from_voxels(volume.voxels, volume.geometry, iso, &options, context)?;
     let meta = json!({ "source": "scalar", "iso": iso, "inside": inside_name(args.inside) });
     Ok((result, meta, None))
 }
@@ -252,12 +249,15 @@ fn cap_planes(field: &Image<f32>, input: &Geometry, margin: usize) -> Value {
 }
 
 /// Whether a sample of the voxels holds only a handful of whole numbers.
-fn looks_like_labels(values: &[f32]) -> bool {
+fn looks_like_labels(voxels: &Voxels) -> bool {
     const MOST_LABELS: usize = 12;
     // an odd stride that shares no factor with common row lengths
-    let stride = values.len() / 50_021 + 1;
+    let stride = voxels.len() / 50_021 + 1;
     let mut seen = BTreeSet::new();
-    for value in values.iter().step_by(stride) {
+    for at in (0..voxels.len()).step_by(stride) {
+        let mut value = [0.0];
+        voxels.copy_as_f32(at, &mut value);
+        let [value] = value;
         if value.fract() != 0.0 {
             return false;
         }

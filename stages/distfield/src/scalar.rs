@@ -1,14 +1,17 @@
 //! Scalar volumes: the surface is the zero set of the input's own interpolating cubic B-spline minus the iso value.
 
 use crate::cap::BorderBox;
-use crate::field::{Redistanced, Source, redistance};
+use crate::field::{Redistanced, Source, first_order_distance, redistance};
 use crate::{Border, Inside, Keep};
 use glam::DVec3;
 use isoparticles_common::cli::Context;
 use isoparticles_common::error::{Error, Result};
+use isoparticles_common::geometry::Geometry;
 use isoparticles_common::image::Image;
-use isoparticles_common::spline::CubicSpline;
+use isoparticles_common::io::volume::Voxels;
+use isoparticles_common::spline::{BrickSplineBuilder, Coefficients, CubicSpline, Layer, SlabFilter};
 use rayon::prelude::*;
+use std::ops::Range;
 
 /// Least |F| at a node, in voxels: what a sample equal to the iso value is pushed outwards by.
 const CLEARANCE: f64 = 1e-3;
@@ -26,106 +29,253 @@ pub struct ScalarOptions {
     pub keep: Keep,
 }
 
-/// F of a scalar volume: zero where the spline through `image` equals `iso`, on the padded grid. The image is taken over, so that its memory
-/// is free again when the distances are made.
+/// F of a scalar volume: zero where the spline through `image` equals `iso`, on the padded grid.
 ///
 /// # Errors
 /// When the volume holds NaN or infinite voxels, is constant, or the iso value is outside its range; when no part is to stay.
 pub fn from_scalar(image: Image<f32>, iso: f64, options: &ScalarOptions, context: &Context) -> Result<Redistanced> {
-    check_values(&image)?;
-    check_iso(&image, iso)?;
+    from_voxels(Voxels::F32(image.data), image.geometry, iso, options, context)
+}
+
+/// The same of voxels of any type. They are taken over, so that their memory is free again when the distances are made.
+///
+/// # Errors
+/// As [`from_scalar`].
+pub fn from_voxels(
+    voxels: Voxels,
+    geometry: Geometry,
+    iso: f64,
+    options: &ScalarOptions,
+    context: &Context,
+) -> Result<Redistanced> {
+    let input = Input { voxels, geometry, iso, inside: options.inside };
+    input.check()?;
     let step = context.step("input spline");
-    let source = source(image, iso, options.inside, options.border, options.margin);
-    let least = (CLEARANCE * source.nodes.geometry.min_spacing()) as f32;
+    let (nodes, source) = input.source(options.border, options.margin);
+    drop(input);
+    let least = (CLEARANCE * nodes.geometry.min_spacing()) as f32;
     drop(step);
-    redistance(&source, |_| least, options.keep, context)
+    redistance(nodes, &source, |_| least, options.keep, context)
 }
 
-/// Refuses volumes with voxels that are not numbers.
-pub fn check_values(image: &Image<f32>) -> Result<()> {
-    let bad = image.data.par_iter().filter(|v| !v.is_finite()).count();
-    if bad == 0 {
-        return Ok(());
-    }
-    let first = image.data.iter().position(|v| !v.is_finite()).unwrap_or(0);
-    let [nx, ny, _] = image.geometry.size;
-    Err(Error::input(
-        format!(
-            "{bad} voxels are NaN or infinite, the first at index ({}, {}, {})",
-            first % nx,
-            first / nx % ny,
-            first / (nx * ny)
-        ),
-        "a surface cannot be interpolated through them",
-        "replace them in the input, for instance by the value of the background",
-    ))
+/// The volume and which surface of it is meant.
+struct Input {
+    voxels: Voxels,
+    geometry: Geometry,
+    iso: f64,
+    inside: Inside,
 }
 
-fn check_iso(image: &Image<f32>, iso: f64) -> Result<()> {
-    let (low, high) = image
-        .data
-        .par_iter()
-        .map(|&v| (v, v))
-        .reduce(|| (f32::INFINITY, f32::NEG_INFINITY), |a, b| (a.0.min(b.0), a.1.max(b.1)));
-    if low == high {
-        return Err(Error::input(
-            format!("every voxel has the value {low}"),
-            "a constant volume has no isosurface",
-            "check that this is the volume you meant",
-        ));
+impl Input {
+    /// Voxels of one slice.
+    fn slice_size(&self) -> usize {
+        self.geometry.size[0] * self.geometry.size[1]
     }
-    if iso.is_finite() && f64::from(low) < iso && iso < f64::from(high) {
-        return Ok(());
-    }
-    Err(Error::input(
-        format!("no voxel crosses iso value {iso}: the volume ranges from {low} to {high}"),
-        "the isosurface would be empty",
-        format!("choose --iso between {low} and {high}"),
-    ))
-}
 
-/// The implicit function of a scalar volume on the padded grid.
-fn source(mut image: Image<f32>, iso: f64, inside: Inside, border: Border, margin: usize) -> Source {
-    let sign = match inside {
-        Inside::Above => -1.0,
-        Inside::Below => 1.0,
-    };
-    image.data.par_iter_mut().for_each(|v| *v = (sign * (f64::from(*v) - iso)) as f32);
-    let signed = image;
-    let spline = CubicSpline::new(&signed);
-    let padded = signed.geometry.padded(margin);
-    // The spline's own mirror boundary gives the first coefficient beyond the border, and constant ones after it continue the
-    // surface straight: between voxel centres the padded spline is the input's to the bit.
-    let coefficients = pad(spline.coefficients(), signed.geometry.size, margin, |i, n| {
-        let last = n as isize - 1;
-        let nearest = if i < 0 {
-            1
-        } else if i > last {
-            last - 1
-        } else {
-            i
-        };
-        nearest.clamp(0, last) as usize
-    });
-    let spline = CubicSpline::from_coefficients(padded.clone(), coefficients);
-    let mut nodes = Image { geometry: padded.clone(), data: vec![0.0f32; padded.voxel_count()] };
-    let [nx, ny, nz] = signed.geometry.size;
-    let [px, py, _] = padded.size;
-    nodes.data.par_chunks_mut(px).enumerate().for_each(|(row, values)| {
-        let (j, k) = (row % py, row / py);
-        let within = (margin..margin + ny).contains(&j) && (margin..margin + nz).contains(&k);
-        if within {
-            let from = signed.geometry.linear(0, j - margin, k - margin);
-            values[margin..margin + nx].copy_from_slice(&signed.data[from..from + nx]);
+    /// Refuses volumes with voxels that are not numbers, or without an isosurface.
+    fn check(&self) -> Result<()> {
+        let plane = self.slice_size();
+        let slices: Vec<Summary> = (0..self.geometry.size[2])
+            .into_par_iter()
+            .map_init(
+                || vec![0.0; plane],
+                |values, k| {
+                    self.voxels.copy_as_f32(k * plane, values);
+                    Summary::of(values, k * plane)
+                },
+            )
+            .collect();
+        let whole = slices.into_iter().fold(Summary::default(), Summary::and);
+        self.check_finite(&whole)?;
+        self.check_iso(&whole)
+    }
+
+    fn check_finite(&self, summary: &Summary) -> Result<()> {
+        let Some(first) = summary.first_bad else { return Ok(()) };
+        let [nx, ny, _] = self.geometry.size;
+        Err(Error::input(
+            format!(
+                "{} voxels are NaN or infinite, the first at index ({}, {}, {})",
+                summary.bad,
+                first % nx,
+                first / nx % ny,
+                first / (nx * ny)
+            ),
+            "a surface cannot be interpolated through them",
+            "replace them in the input, for instance by the value of the background",
+        ))
+    }
+
+    fn check_iso(&self, &Summary { low, high, .. }: &Summary) -> Result<()> {
+        let iso = self.iso;
+        if low == high {
+            return Err(Error::input(
+                format!("every voxel has the value {low}"),
+                "a constant volume has no isosurface",
+                "check that this is the volume you meant",
+            ));
         }
-        for (i, value) in values.iter_mut().enumerate() {
-            if !within || !(margin..margin + nx).contains(&i) {
-                *value = spline.value(padded.index_to_grid(DVec3::new(i as f64, j as f64, k as f64))) as f32;
+        if iso.is_finite() && f64::from(low) < iso && iso < f64::from(high) {
+            return Ok(());
+        }
+        Err(Error::input(
+            format!("no voxel crosses iso value {iso}: the volume ranges from {low} to {high}"),
+            "the isosurface would be empty",
+            format!("choose --iso between {low} and {high}"),
+        ))
+    }
+
+    /// Voxels from `first` on, less the iso value, negative inside.
+    fn copy_signed(&self, first: usize, to: &mut [f32]) {
+        let sign = match self.inside {
+            Inside::Above => -1.0,
+            Inside::Below => 1.0,
+        };
+        self.voxels.copy_as_f32(first, to);
+        to.iter_mut().for_each(|v| *v = (sign * (f64::from(*v) - self.iso)) as f32);
+    }
+
+    /// The nodes of the object on the padded grid, cut at the border, and its implicit function.
+    fn source(&self, border: Border, margin: usize) -> (Image<f32>, Source) {
+        let plane = self.slice_size();
+        let padded = self.geometry.padded(margin);
+        let cap = (border == Border::Cap).then(|| BorderBox::new(&padded, margin));
+        let mut filter =
+            SlabFilter::new(self.geometry.size, |k: usize, slice: &mut [f32]| self.copy_signed(k * plane, slice));
+        let mut builder = BrickSplineBuilder::new(padded.clone());
+        let mut nodes = Image { data: vec![0.0; padded.voxel_count()], geometry: padded.clone() };
+        let padding = Padding { size: self.geometry.size, margin, from: straight };
+        for layer in BrickSplineBuilder::layers(&padded) {
+            let needed = padding.slices(&layer.slices);
+            let coefficients = padding.pad(filter.coefficients(needed), &layer.slices);
+            let [px, py, _] = padded.size;
+            builder.add(&layer, |j, k| &coefficients[((k - layer.slices.start) * py + j) * px..][..px]);
+            let size = [px, py, layer.slices.len()];
+            let slab = CubicSpline::from_coefficients(Geometry { size, ..padded.clone() }, coefficients);
+            self.fill_nodes(&mut nodes, &layer, &slab, margin, cap.as_ref());
+        }
+        (nodes, Source { spline: builder.finish(), cap })
+    }
+
+    /// Values at the nodes of a layer: the voxels, and beyond them those of the spline; near the border cut.
+    fn fill_nodes(
+        &self,
+        nodes: &mut Image<f32>,
+        layer: &Layer,
+        slab: &CubicSpline,
+        margin: usize,
+        cap: Option<&BorderBox>,
+    ) {
+        let Image { geometry: padded, data } = nodes;
+        let ([nx, ny, nz], [px, py, _]) = (self.geometry.size, padded.size);
+        let own = &mut data[layer.own.start * px * py..layer.own.end * px * py];
+        let below = DVec3::Z * (layer.slices.start as f64 * padded.spacing.z);
+        own.par_chunks_mut(px).enumerate().for_each(|(row, values)| {
+            let (j, k) = (row % py, layer.own.start + row / py);
+            let within = (margin..margin + ny).contains(&j) && (margin..margin + nz).contains(&k);
+            if within {
+                let first = self.geometry.linear(0, j - margin, k - margin);
+                self.copy_signed(first, &mut values[margin..margin + nx]);
+            }
+            for (i, value) in values.iter_mut().enumerate() {
+                let node = padded.index_to_grid(DVec3::new(i as f64, j as f64, k as f64));
+                if !within || !(margin..margin + nx).contains(&i) {
+                    *value = slab.value(node - below) as f32;
+                }
+                if let Some(cap) = cap.filter(|cap| !cap.is_deep(node)) {
+                    let slope = slab.value_gradient(node - below).1.length();
+                    *value = cap.intersect(node, first_order_distance(f64::from(*value), slope), DVec3::ZERO).0 as f32;
+                }
+            }
+        });
+    }
+}
+
+/// Range of the finite values, and the others.
+struct Summary {
+    low: f32,
+    high: f32,
+    bad: usize,
+    first_bad: Option<usize>,
+}
+
+impl Default for Summary {
+    fn default() -> Self {
+        Self { low: f32::INFINITY, high: f32::NEG_INFINITY, bad: 0, first_bad: None }
+    }
+}
+
+impl Summary {
+    /// Of values of which the first has the number `first`.
+    fn of(values: &[f32], first: usize) -> Self {
+        let mut summary = Self::default();
+        for (n, &value) in values.iter().enumerate() {
+            if value.is_finite() {
+                (summary.low, summary.high) = (summary.low.min(value), summary.high.max(value));
+            } else {
+                summary.bad += 1;
+                summary.first_bad = summary.first_bad.or(Some(first + n));
             }
         }
-    });
-    let cap = (border == Border::Cap).then(|| BorderBox::new(&padded, margin));
-    Source { nodes, spline, cap }
+        summary
+    }
+
+    /// Of both; `self` comes first.
+    fn and(self, other: Self) -> Self {
+        Self {
+            low: self.low.min(other.low),
+            high: self.high.max(other.high),
+            bad: self.bad + other.bad,
+            first_bad: self.first_bad.or(other.first_bad),
+        }
+    }
+}
+
+/// Where a coefficient on the padded grid comes from (index less margin, size -> index). The spline's own mirror boundary gives the first
+/// coefficient beyond the border, and constant ones after it continue the surface straight: between voxel centres the padded spline
+/// is the input's.
+fn straight(i: isize, n: usize) -> usize {
+    let last = n as isize - 1;
+    let nearest = if i < 0 {
+        1
+    } else if i > last {
+        last - 1
+    } else {
+        i
+    };
+    nearest.clamp(0, last) as usize
+}
+
+/// The way from a grid to that with more voxels on each face.
+struct Padding {
+    size: [usize; 3],
+    margin: usize,
+    from: fn(isize, usize) -> usize,
+}
+
+impl Padding {
+    fn source(&self, axis: usize, padded: usize) -> usize {
+        (self.from)(padded as isize - self.margin as isize, self.size[axis])
+    }
+
+    /// The slices that the padded slices in `range` come from.
+    fn slices(&self, range: &Range<usize>) -> Range<usize> {
+        let sources = || range.clone().map(|k| self.source(2, k));
+        sources().min().unwrap_or(0)..sources().max().unwrap_or(0) + 1
+    }
+
+    /// The padded slices in `range`, given those that they come from.
+    fn pad(&self, slices: &Coefficients, range: &Range<usize>) -> Vec<f32> {
+        let [nx, ny, _] = self.size;
+        let (px, py) = (nx + 2 * self.margin, ny + 2 * self.margin);
+        let columns: Vec<usize> = (0..px).map(|i| self.source(0, i)).collect();
+        let mut padded = vec![0.0; px * py * range.len()];
+        padded.par_chunks_mut(px).enumerate().for_each(|(row, values)| {
+            let from = slices.row(self.source(1, row % py), self.source(2, range.start + row / py));
+            values.iter_mut().zip(&columns).for_each(|(value, &i)| *value = from[i]);
+        });
+        padded
+    }
 }
 
 /// Values on the padded grid, each axis continued by `from` (padded index minus margin, size -> index).

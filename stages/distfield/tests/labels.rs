@@ -5,7 +5,7 @@ mod support;
 use glam::DVec3;
 use isoparticles_common::cli::Context;
 use isoparticles_common::image::Image;
-use isoparticles_common::spline::CubicSpline;
+use isoparticles_common::spline::{BrickSpline, CubicSpline};
 use isoparticles_distfield::field::{Source, redistance};
 use isoparticles_distfield::{Border, Clearance, Keep, LabelOptions, Redistanced, from_labels};
 use support::{directions, sampled, topology, volume};
@@ -272,9 +272,9 @@ fn tightening_that_leaves_no_surface_is_refused() {
 fn a_source_without_a_zero_set_is_refused() {
     for value in [-1.0, 1.0] {
         let nodes = sampled([6, 6, 6], DVec3::ONE, |_| value);
-        let spline = CubicSpline::new(&nodes);
-        let source = Source { nodes, spline, cap: None };
-        let error = redistance(&source, |_| 1e-3, Keep::All, &Context::silent("distfield")).err().expect("no surface");
+        let source = Source { spline: BrickSpline::new(&nodes), cap: None };
+        let silent = Context::silent("distfield");
+        let error = redistance(nodes, &source, |_| 1e-3, Keep::All, &silent).err().expect("no surface");
         assert!(error.what.contains("no surface"), "{error}");
     }
 }

@@ -38,9 +38,9 @@ fn a_ball_has_exact_distances_and_slope_one() {
     let result = extract(&image, 36.0, Border::Cap);
     let (band, all) = distance_errors(&result, |p| p.distance(centre) - 8.0);
     println!("ball: band error {band:.5}, largest {all:.3} voxel, {:?}", result.shift);
-    // far from the surface the closest sample stands for the closest point: measured 0.08
+    // measured 0.010
     assert!(band < 0.002, "band error {band}");
-    assert!(all < 0.1, "largest error {all}");
+    assert!(all < 0.02, "largest error {all}");
     assert!(result.shift.mean < 1e-3 && result.shift.p99 < 2e-3, "{:?}", result.shift);
     assert_eq!((result.parts_after.components, result.parts_after.cavities), (1, 0));
     let spline = CubicSpline::new(&result.field);
@@ -61,7 +61,7 @@ fn an_ellipsoid_and_a_torus_have_exact_distances() {
     let result = extract(&sampled([33, 26, 22], DVec3::ONE, ellipsoid), 0.0, Border::Cap);
     let (band, all) = distance_errors(&result, |p| ellipsoid_distance(p - centre, axes));
     println!("ellipsoid: band error {band:.5}, largest {all:.3} voxel");
-    assert!(band < 0.005 && all < 0.1, "ellipsoid: band error {band}, largest {all}");
+    assert!(band < 0.005 && all < 0.02, "ellipsoid: band error {band}, largest {all}");
     assert!(result.shift.p99 < 0.004, "{:?}", result.shift);
 
     let centre = DVec3::new(16.3, 16.1, 9.2);
@@ -108,11 +108,13 @@ fn a_gyroid_through_the_border_keeps_its_zero_set() {
     for border in [Border::Cap, Border::Open] {
         let image = sampled([30, 30, 30], DVec3::ONE, f);
         let result = extract(&image, 0.0, border);
-        // measured 0.003 and 0.030 where cut (the rounded edges are finer than the grid), 0.0019 and 0.034 where not
+        // Measured 0.0029 and 0.030 where cut, 0.0019 and 0.034 where not. The edges of the cap are rounded by half a voxel, which no
+        // spline on this grid carries: the shift of the cut one is 0.017 before the fit, 0.0026 at best (after 110 of its steps), and 0.018 where
+        // 640 steps take F to 0.0003 at the samples, as between them new sheets appear. It all lies within a voxel of the cap.
         assert!(result.shift.mean < 0.005 && result.shift.p99 < 0.05, "{border:?}: {:?}", result.shift);
-        let inner = shift_within(&result, &image, 3.0);
-        println!("gyroid, {border:?}: {:?}, {inner:?} three voxels from the border", result.shift);
-        assert!(inner.0 < 0.002 && inner.1 < 0.01, "{border:?}: {inner:?}");
+        let inner = shift_within(&result, &image, 1.0);
+        println!("gyroid, {border:?}: {:?}, {inner:?} 1.5 voxels from the border", result.shift);
+        assert!(inner.0 < 0.001 && inner.1 < 0.004, "{border:?}: {inner:?}");
         assert_eq!(result.parts_before.components, result.parts_after.components);
         assert_eq!(topology(&result.field).is_closed_manifold(), border == Border::Cap);
     }
@@ -225,38 +227,127 @@ fn a_part_that_is_dropped_leaves_the_distance_of_the_other() {
     assert!(band < 0.02 && all < 0.1, "band error {band}, largest {all}");
 }
 
-/// Name, signed distance, and that of the inner medial axis: the centre of a ball, the circle in the middle of a tube.
-type Shape<'a> = (&'a str, &'a dyn Fn(DVec3) -> f64, f64);
+/// A shape with its truth.
+struct Shape<'a> {
+    name: &'a str,
+    size: usize,
+    /// Signed distance, voxels; not a number where it is not known.
+    distance: &'a dyn Fn(DVec3) -> f64,
+    /// Distance to the medial axis, voxels.
+    axis: &'a dyn Fn(DVec3) -> f64,
+}
 
-/// A ball and a torus with an edge like a scanner's: distances in the band and everywhere, the slope off the medial axis.
-#[test]
-fn a_scanners_edge_has_exact_distances_and_slope_one() {
-    let centre = DVec3::splat(31.5) + DVec3::new(0.137, 0.291, -0.173);
-    let ball = |p: DVec3| p.distance(centre) - 19.2;
-    let torus = |p: DVec3| ((p - centre).truncate().length() - 17.9).hypot(p.z - centre.z) - 7.7;
-    let shapes: [Shape; 2] = [("ball", &ball, -19.2), ("torus", &torus, -7.7)];
-    for (name, distance, axis) in shapes {
-        let image = sampled([64, 64, 64], DVec3::ONE, |p| (0.5 - 0.5 * (distance(p) / 2.0).tanh()) as f32);
-        let result = extract(&image, 0.5, Border::Cap);
-        let (band, all) = distance_errors(&result, distance);
-        println!("{name} with an edge: band error {band:.4}, largest {all:.3} voxel, {:?}", result.shift);
-        assert!(band < 0.01 && all < 0.1, "{name}: band error {band}, largest {all}");
-        // measured against the truth the surface moves by 0.001 at most; against the input's spline by less
-        assert!(result.shift.mean < 0.002, "{name}: {:?}", result.shift);
-        let spline = CubicSpline::new(&result.field);
-        let geometry = &image.geometry;
-        let mut worst = 0.0f64;
-        for p in positions(geometry) {
-            // between the nodes, where the spline is least held; the torus has an outer medial axis, too. Deeper in the ball, where
-            // all the surface is nearly as near, the slope is off by 0.04 at worst
-            let p = p + DVec3::new(0.5, 0.31, 0.44);
-            let off_axis = distance(p) > (axis + 4.0).max(-8.0) && (p - centre).truncate().length() > 4.0;
-            let is_inner = (p - DVec3::splat(31.5)).abs().max_element() < 29.0;
-            if off_axis && is_inner {
-                worst = worst.max((spline.value_gradient(p + DVec3::splat(MARGIN as f64)).1.length() - 1.0).abs());
+/// An edge like a scanner's.
+fn edge(distance: f64) -> f32 {
+    (0.5 - 0.5 * (distance / 2.0).tanh()) as f32
+}
+
+/// Distances everywhere, and the slope of the spline at the nodes and between them, four voxels off the medial axis: nearer, the
+/// spline rounds the kink.
+fn check_far_field(shape: &Shape, image: &Image<f32>, iso: f64, border: Border) {
+    let Shape { name, size, distance, axis } = *shape;
+    let result = extract(image, iso, border);
+    let spline = CubicSpline::new(&result.field);
+    let margin = DVec3::splat(MARGIN as f64);
+    let (mut band, mut all, mut slope, mut checked) = (0.0f64, 0.0f64, 0.0f64, 0);
+    for node in positions(&image.geometry) {
+        // the spline is mirrored at the border of F, and so rings within three voxels of it
+        let is_inner = node.min_element() >= 0.0 && node.max_element() <= size as f64 - 2.0;
+        for p in [node, node + DVec3::new(0.5, 0.31, 0.44)] {
+            let truth = distance(p);
+            if !is_inner || truth.is_nan() || axis(p) < 4.0 {
+                continue;
             }
+            let (value, gradient) = spline.value_gradient(p + margin);
+            let error = (value - truth).abs();
+            band = if truth.abs() < 2.5 { band.max(error) } else { band };
+            all = all.max(error);
+            slope = slope.max((gradient.length() - 1.0).abs());
+            checked += 1;
         }
-        println!("{name}: slope off by {worst:.4} at most");
-        assert!(worst < 0.02, "{name}: slope off by {worst}");
     }
+    println!("{name}: band error {band:.4}, largest {all:.4} voxel, slope off by {slope:.4}, {:?}", result.shift);
+    assert!(checked > 10_000, "{name}: {checked} places");
+    // measured: 0.0043, 0.014 and 0.018 at most
+    assert!(band < 0.01 && all < 0.02, "{name}: band error {band}, largest {all}");
+    assert!(slope < 0.02, "{name}: slope off by {slope}");
+    assert!(result.shift.mean < 0.002, "{name}: {:?}", result.shift);
+}
+
+#[test]
+fn a_ball_and_a_torus_have_slope_one_off_the_medial_axis() {
+    for size in [64, 128] {
+        let scale = size as f64 / 64.0;
+        let centre = DVec3::splat(0.5 * (size as f64 - 1.0)) + DVec3::new(0.137, 0.291, -0.173);
+        let from_axis = |p: DVec3| (p - centre).truncate().length();
+        let tube = |p: DVec3| (from_axis(p) - 17.9 * scale).hypot(p.z - centre.z);
+        let shapes = [
+            Shape {
+                name: "ball",
+                size,
+                distance: &|p| p.distance(centre) - 19.2 * scale,
+                axis: &|p| p.distance(centre),
+            },
+            Shape { name: "torus", size, distance: &|p| tube(p) - 7.7 * scale, axis: &|p| tube(p).min(from_axis(p)) },
+        ];
+        for shape in shapes {
+            let image = sampled([size; 3], DVec3::ONE, |p| edge((shape.distance)(p)));
+            check_far_field(&shape, &image, 0.5, Border::Cap);
+        }
+    }
+}
+
+#[test]
+fn an_ellipsoid_has_slope_one_off_the_medial_axis() {
+    let centre = DVec3::new(31.7, 31.4, 31.6);
+    let axes = DVec3::new(27.0, 21.0, 16.0);
+    let distance = |p: DVec3| ellipsoid_distance(p - centre, axes);
+    // the inner medial axis is an ellipse in the plane of the two longer axes, as far as the focal points
+    let disc = DVec3::new(axes.x - axes.z.powi(2) / axes.x, axes.y - axes.z.powi(2) / axes.y, 1e-4);
+    let axis = |p: DVec3| ellipsoid_distance(p - centre, disc).abs();
+    let image = sampled([64; 3], DVec3::ONE, |p| edge(distance(p)));
+    check_far_field(&Shape { name: "ellipsoid", size: 64, distance: &distance, axis: &axis }, &image, 0.5, Border::Cap);
+}
+
+/// Wave number of the coarse gyroid, per voxel; its curvature is that at most.
+const WAVE: f64 = 0.05;
+
+/// A gyroid, positive inside, and its gradient.
+fn gyroid(p: DVec3) -> (f64, DVec3) {
+    let [(sx, cx), (sy, cy), (sz, cz)] = (p * WAVE).to_array().map(f64::sin_cos);
+    let gradient = DVec3::new(cx * cy - sz * sx, cy * cz - sx * sy, cz * cx - sy * sz) * WAVE;
+    (sx * cy + sy * cz + sz * cx, gradient)
+}
+
+/// The point of the gyroid near a place: Newton's method along the gradient.
+fn onto_gyroid(mut p: DVec3) -> DVec3 {
+    for _ in 0..6 {
+        let (value, gradient) = gyroid(p);
+        p -= gradient * (value / gradient.length_squared());
+    }
+    p
+}
+
+/// Signed distance to the gyroid; not a number beyond `farthest` voxels, or where the foot is not well within the volume: the input's
+/// spline is mirrored at its border, as the gyroid is not, and its zero set differs there.
+fn gyroid_distance(node: DVec3, farthest: f64) -> f64 {
+    let mut foot = onto_gyroid(node);
+    // slides along tangent planes; each step shrinks what is left at least by the height over the radius of curvature
+    for _ in 0..60 {
+        let normal = gyroid(foot).1.normalize();
+        let way = node - foot;
+        foot = onto_gyroid(foot + way - normal * way.dot(normal));
+    }
+    let distance = node.distance(foot);
+    let is_known = distance < farthest && foot.min_element() > 6.0 && foot.max_element() < 57.0;
+    if is_known { distance.copysign(-gyroid(node).0) } else { f64::NAN }
+}
+
+#[test]
+fn a_gyroid_has_slope_one_off_the_medial_axis() {
+    // up to here a foot is five voxels or more from a focal point, and the two sides of a channel are farther apart
+    let distance = |node: DVec3| gyroid_distance(node, 1.0 / WAVE - 5.0);
+    let image = sampled([64; 3], DVec3::ONE, |p| gyroid(p).0 as f32);
+    let shape = Shape { name: "gyroid", size: 64, distance: &distance, axis: &|_| f64::INFINITY };
+    check_far_field(&shape, &image, 0.0, Border::Open);
 }

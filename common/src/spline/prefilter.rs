@@ -1,0 +1,173 @@
+//! The recursive prefilter, of a whole image or slab by slab.
+
+use super::stencil::mirror;
+use rayon::prelude::*;
+use std::collections::VecDeque;
+use std::ops::Range;
+
+const POLE: f64 = -0.267_949_192_431_122_7; // sqrt(3) - 2
+
+/// Slices beyond a slab that its coefficients are made from: what lies farther away weighs less than 1e-9, beyond single precision.
+const HALO: usize = 16;
+
+/// Nodes whose coefficients are made at a time: as a bound on the memory, and so that smaller images are filtered as a whole.
+const NODES_AT_A_TIME: usize = 8 << 20;
+
+/// Prefilters an image that is given slice by slice and hands out the coefficients of some slices at a time, so that those of the whole
+/// image need not be held. They are those of [`super::CubicSpline`] to the rounding of single precision, on any number of threads.
+pub struct SlabFilter<Fill> {
+    size: [usize; 3],
+    fill: Fill,
+    /// Slices that are filtered along x and y, from `first` on.
+    slices: VecDeque<Vec<f32>>,
+    first: usize,
+    held: Coefficients,
+}
+
+/// Coefficients of some slices.
+pub struct Coefficients {
+    /// The slices.
+    slices: Range<usize>,
+    /// One plane of constant y each, x fastest, then z.
+    planes: Vec<Vec<f32>>,
+    nx: usize,
+}
+
+impl Coefficients {
+    /// Those at y index `j` and z index `k`, along x.
+    pub fn row(&self, j: usize, k: usize) -> &[f32] {
+        &self.planes[j][(k - self.slices.start) * self.nx..][..self.nx]
+    }
+}
+
+impl<Fill: Fn(usize, &mut [f32]) + Sync> SlabFilter<Fill> {
+    /// For an image of `size` of which `fill` writes the samples of one slice (x fastest).
+    pub fn new(size: [usize; 3], fill: Fill) -> Self {
+        let held = Coefficients { slices: 0..0, planes: Vec::new(), nx: size[0] };
+        Self { size, fill, slices: VecDeque::new(), first: 0, held }
+    }
+
+    /// Coefficients of the slices in `range` at least. Ranges are to be asked for in the order of their starts.
+    pub fn coefficients(&mut self, range: Range<usize>) -> &Coefficients {
+        if self.held.slices.start > range.start || self.held.slices.end < range.end {
+            let [nx, ny, nz] = self.size;
+            let end = range.end.max(range.start + NODES_AT_A_TIME / (nx * ny)).min(nz);
+            self.make(range.start..end);
+        }
+        &self.held
+    }
+
+    fn make(&mut self, range: Range<usize>) {
+        let [nx, ny, nz] = self.size;
+        self.held.planes = Vec::new();
+        let (low, high) = (range.start.saturating_sub(HALO), (range.end + HALO).min(nz));
+        assert!(low >= self.first, "slabs in ascending order");
+        let passed = (low - self.first).min(self.slices.len());
+        self.slices.drain(..passed);
+        self.first = low;
+        let fill = &self.fill;
+        let next: Vec<Vec<f32>> = (low + self.slices.len()..high)
+            .into_par_iter()
+            .map_init(
+                || vec![0.0f64; nx * ny],
+                |scratch, k| {
+                    let mut slice = vec![0.0f32; nx * ny];
+                    fill(k, &mut slice);
+                    filter_slice(&mut slice, nx, ny, scratch);
+                    slice
+                },
+            )
+            .collect();
+        self.slices.extend(next);
+        let slices: Vec<&[f32]> = self.slices.iter().map(Vec::as_slice).collect();
+        self.held.planes = filter_across(&slices, nx, range.start - low..range.end - low);
+        self.held.slices = range;
+    }
+}
+
+/// Prefilters a slice along x and along y.
+pub(super) fn filter_slice(slice: &mut [f32], nx: usize, ny: usize, scratch: &mut [f64]) {
+    for row in slice.chunks_mut(nx) {
+        filter_block(row, 1, nx, &mut scratch[..nx]);
+    }
+    filter_block(slice, nx, ny, scratch);
+}
+
+/// Prefilters across slices; gives those in `range`, as one plane of constant y each (x fastest, then z).
+pub(super) fn filter_across(slices: &[&[f32]], nx: usize, range: Range<usize>) -> Vec<Vec<f32>> {
+    let (nz, ny) = (slices.len(), slices[0].len() / nx);
+    let filter = |(plane, scratch): &mut (Vec<f32>, Vec<f64>), j: usize| {
+        plane.clear();
+        for slice in slices {
+            plane.extend_from_slice(&slice[j * nx..(j + 1) * nx]);
+        }
+        filter_block(plane, nx, nz, scratch);
+        plane[range.start * nx..range.end * nx].to_vec()
+    };
+    let room = || (Vec::with_capacity(nx * nz), vec![0.0f64; nx * nz]);
+    (0..ny).into_par_iter().map_init(room, filter).collect()
+}
+
+/// Puts planes of constant y into slices of constant z.
+pub(super) fn scatter(planes: &[Vec<f32>], nx: usize, to: &mut [f32]) {
+    to.par_chunks_mut(nx * planes.len()).enumerate().for_each(|(k, slice)| {
+        for (row, plane) in slice.chunks_mut(nx).zip(planes) {
+            row.copy_from_slice(&plane[k * nx..(k + 1) * nx]);
+        }
+    });
+}
+
+/// Prefilters `count` lines of `length` samples that lie `width` apart in a block (`width` lines side by side).
+fn filter_block(block: &mut [f32], width: usize, length: usize, scratch: &mut [f64]) {
+    if length < 2 {
+        return;
+    }
+    for (to, from) in scratch.iter_mut().zip(block.iter()) {
+        *to = 6.0 * f64::from(*from);
+    }
+    let horizon = 30.min(length);
+    // first causal value: mirrored geometric sum
+    for x in 0..width {
+        scratch[x] = causal_start(|k| scratch[k * width + x], length, horizon);
+    }
+    for k in 1..length {
+        let (before, now) = scratch.split_at_mut(k * width);
+        let before = &before[(k - 1) * width..];
+        for x in 0..width {
+            now[x] += POLE * before[x];
+        }
+    }
+    let last = (length - 1) * width;
+    for x in 0..width {
+        scratch[last + x] = POLE / (POLE * POLE - 1.0) * (scratch[last + x] + POLE * scratch[last - width + x]);
+    }
+    for k in (0..length - 1).rev() {
+        let (now, after) = scratch.split_at_mut((k + 1) * width);
+        let now = &mut now[k * width..];
+        for x in 0..width {
+            now[x] = POLE * (after[x] - now[x]);
+        }
+    }
+    for (to, from) in block.iter_mut().zip(scratch.iter()) {
+        *to = *from as f32;
+    }
+}
+
+fn causal_start(sample: impl Fn(usize) -> f64, length: usize, horizon: usize) -> f64 {
+    if horizon < length {
+        let (mut sum, mut z) = (0.0, 1.0);
+        for k in 0..horizon {
+            sum += z * sample(k);
+            z *= POLE;
+        }
+        return sum;
+    }
+    // short line: the exact mirrored sum
+    let period = 2 * (length - 1);
+    let (mut sum, mut z) = (0.0, 1.0);
+    for k in 0..period {
+        sum += z * sample(mirror(k as isize, length));
+        z *= POLE;
+    }
+    sum / (1.0 - POLE.powi(period as i32))
+}

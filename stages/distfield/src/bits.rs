@@ -1,0 +1,116 @@
+//! One bit a node, and their count up to a node.
+
+use rayon::prelude::*;
+
+/// Nodes that one task looks at; a multiple of 64.
+const CHUNK: usize = 1 << 14;
+
+/// A set of nodes.
+pub struct Bits {
+    words: Vec<u64>,
+}
+
+impl Bits {
+    /// Those of the first `count` nodes for which `holds` does.
+    pub fn of(count: usize, holds: impl Fn(usize) -> bool + Sync) -> Self {
+        let mut words = vec![0u64; count.div_ceil(64)];
+        words.par_chunks_mut(CHUNK / 64).enumerate().for_each(|(chunk, words)| {
+            for (w, word) in words.iter_mut().enumerate() {
+                let first = chunk * CHUNK + 64 * w;
+                for n in first..(first + 64).min(count) {
+                    *word |= u64::from(holds(n)) << (n % 64);
+                }
+            }
+        });
+        Self { words }
+    }
+
+    /// Whether a node is in the set.
+    #[inline(always)]
+    pub fn holds(&self, node: usize) -> bool {
+        self.words[node / 64] >> (node % 64) & 1 == 1
+    }
+
+    /// Adds `length` nodes from `first` on.
+    pub fn insert(&mut self, first: usize, length: usize) {
+        for node in first..first + length {
+            self.words[node / 64] |= 1 << (node % 64);
+        }
+    }
+}
+
+/// Numbers the nodes of a set, in ascending order.
+pub struct Numbering {
+    bits: Bits,
+    /// Nodes of the set before each word.
+    before: Vec<u32>,
+    /// Nodes of the set.
+    pub count: usize,
+}
+
+impl Numbering {
+    /// Of the nodes in `bits`.
+    pub fn new(bits: Bits) -> Self {
+        let mut count = 0;
+        let mut before = Vec::with_capacity(bits.words.len());
+        for word in &bits.words {
+            before.push(count);
+            count += word.count_ones();
+        }
+        Self { bits, before, count: count as usize }
+    }
+
+    /// Nodes of the set before `node`, which is its number if it is in the set.
+    pub fn number(&self, node: usize) -> usize {
+        if node / 64 == self.before.len() {
+            return self.count;
+        }
+        let below = self.bits.words[node / 64] & ((1 << (node % 64)) - 1);
+        self.before[node / 64] as usize + below.count_ones() as usize
+    }
+
+    /// Visits the nodes of the set in a range, in ascending order, with their numbers.
+    pub fn each(&self, range: std::ops::Range<usize>, mut visit: impl FnMut(usize, usize)) {
+        if range.is_empty() {
+            return;
+        }
+        let mut number = self.number(range.start);
+        for w in range.start / 64..=(range.end - 1) / 64 {
+            let mut word = self.bits.words[w];
+            if w == range.start / 64 {
+                word &= u64::MAX << (range.start % 64);
+            }
+            while word != 0 {
+                let node = 64 * w + word.trailing_zeros() as usize;
+                if node >= range.end {
+                    break;
+                }
+                visit(node, number);
+                number += 1;
+                word &= word - 1;
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn nodes_are_numbered_in_order() {
+        let holds = |n: usize| n % 7 == 3 || (60..70).contains(&n);
+        let numbering = Numbering::new(Bits::of(1000, holds));
+        let nodes: Vec<usize> = (0..1000).filter(|&n| holds(n)).collect();
+        assert_eq!(numbering.count, nodes.len());
+        for (number, &node) in nodes.iter().enumerate() {
+            assert_eq!(numbering.number(node), number);
+        }
+        for range in [0..1000, 61..64, 64..64, 5..700, 999..1000] {
+            let mut found = Vec::new();
+            numbering.each(range.clone(), |node, number| found.push((node, number)));
+            let truth: Vec<_> = nodes.iter().copied().enumerate().filter(|(_, n)| range.contains(n)).collect();
+            assert_eq!(found, truth.into_iter().map(|(number, node)| (node, number)).collect::<Vec<_>>());
+        }
+    }
+}
