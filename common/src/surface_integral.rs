@@ -16,8 +16,11 @@ const LINES: usize = 3;
 /// Halvings of a line within a cell after which what may still be several roots is taken for one (or for none).
 const HALVINGS: u32 = 12;
 
-/// Bisections that find a root: to a millionth of a voxel.
-const BISECTIONS: u32 = 20;
+/// Steps that find a root, at most: each halves what is left where Newton's method does not do better.
+const STEPS: usize = 30;
+
+/// How closely a root is found, as a part of a cell.
+const ACCURACY: f64 = 1e-7;
 
 /// Bézier points of the cubic spline in a cell, x innermost.
 type Patch = [[[f64; 4]; 4]; 4];
@@ -29,13 +32,32 @@ pub fn integrate(surface: &CubicSpline, density: impl Fn(DVec3, DVec3) -> f64 + 
     let layers: Vec<f64> = (0..nz)
         .into_par_iter()
         .map(|k| {
-            let rows = (0..ny).flat_map(|j| (0..nx).map(move |i| [i, j, k]));
-            rows.filter_map(|cell| Some((cell, patch(surface, cell)?)))
-                .map(|(cell, patch)| integrate_cell(surface, cell, &patch, &density))
-                .sum()
+            let cells = crossed_cells(surface, k, [nx, ny]);
+            cells.map(|cell| integrate_cell(surface, cell, &patch(surface, cell), &density)).sum()
         })
         .collect();
     layers.iter().sum()
+}
+
+/// The cells of a layer in which F changes its sign, and some more: it lies between the 64 coefficients that a cell depends on.
+fn crossed_cells(surface: &CubicSpline, k: usize, [nx, ny]: [usize; 2]) -> impl Iterator<Item = [usize; 3]> {
+    let [width, height, depth] = surface.geometry().size;
+    let sign = |value: f32| u8::from(value > 0.0) | u8::from(value < 0.0) << 1;
+    let planes = around(k, depth).map(|z| &surface.coefficients()[z * width * height..][..width * height]);
+    let column: Vec<u8> =
+        (0..width * height).map(|n| planes.iter().fold(0, |signs, plane| signs | sign(plane[n]))).collect();
+    (0..ny).flat_map(move |j| {
+        let rows = around(j, height).map(|y| &column[y * width..][..width]);
+        let square: Vec<u8> = (0..width).map(|x| rows.iter().fold(0, |signs, row| signs | row[x])).collect();
+        (0..nx)
+            .filter(move |&i| around(i, width).iter().fold(0, |signs, &x| signs | square[x]) == 3)
+            .map(move |i| [i, j, k])
+    })
+}
+
+/// Places along an axis of `size` samples of the four coefficients that a cell depends on.
+fn around(cell: usize, size: usize) -> [usize; 4] {
+    std::array::from_fn(|n| mirror((cell + n) as isize - 1, size))
 }
 
 /// The part of a cell.
@@ -52,34 +74,29 @@ fn integrate_cell(
     for axis in 0..3 {
         let (b, c) = ((axis + 1) % 3, (axis + 2) % 3);
         let between = spacing[b] * spacing[c] / (LINES * LINES) as f64;
-        for n in 0..LINES * LINES {
-            let across = [offset(n % LINES), offset(n / LINES)];
-            each_root(line(patch, axis, across), 0.0, 1.0, HALVINGS, &mut |t| {
-                let mut at = corner;
-                (at[axis], at[b], at[c]) = (at[axis] + t, at[b] + across[0], at[c] + across[1]);
-                let point = surface.geometry().index_to_grid(at);
-                let normal = surface.value_gradient(point).1.normalize_or_zero();
-                sum += between * normal[axis].abs() * density(point, normal);
-            });
+        let turned = turn(patch, axis);
+        for v in (0..LINES).map(offset) {
+            let plane = turned.each_ref().map(|points| blend(points, bernstein(v)));
+            for u in (0..LINES).map(offset) {
+                each_root(blend(&plane, bernstein(u)), 0.0, 1.0, HALVINGS, &mut |t| {
+                    let mut at = corner;
+                    (at[axis], at[b], at[c]) = (at[axis] + t, at[b] + u, at[c] + v);
+                    let point = surface.geometry().index_to_grid(at);
+                    let normal = surface.value_gradient(point).1.normalize_or_zero();
+                    sum += between * normal[axis].abs() * density(point, normal);
+                });
+            }
         }
     }
     sum
 }
 
-/// Bézier points of F in the cell whose lowest corner is a node; `None` where they show that F does not vanish there.
-fn patch(surface: &CubicSpline, cell: [usize; 3]) -> Option<Patch> {
+/// Bézier points of F in the cell whose lowest corner is a node.
+fn patch(surface: &CubicSpline, cell: [usize; 3]) -> Patch {
     let size = surface.geometry().size;
-    let at = |axis: usize, n: usize| mirror((cell[axis] + n) as isize - 1, size[axis]);
-    let mut patch: Patch = std::array::from_fn(|z| {
-        std::array::from_fn(|y| {
-            let row = (at(2, z) * size[1] + at(1, y)) * size[0];
-            std::array::from_fn(|x| f64::from(surface.coefficients()[row + at(0, x)]))
-        })
-    });
-    // F lies between the smallest and the largest coefficient, and closer between the Bézier points
-    if has_one_sign(patch.as_flattened().as_flattened()) {
-        return None;
-    }
+    let [xs, ys, zs] = [0, 1, 2].map(|axis| around(cell[axis], size[axis]));
+    let row = |y: usize, z: usize| (z * size[1] + y) * size[0];
+    let mut patch = zs.map(|z| ys.map(|y| xs.map(|x| f64::from(surface.coefficients()[row(y, z) + x]))));
     for plane in &mut patch {
         for row in plane.iter_mut() {
             *row = bezier(*row);
@@ -97,11 +114,7 @@ fn patch(surface: &CubicSpline, cell: [usize; 3]) -> Option<Patch> {
             patch.iter_mut().zip(column).for_each(|(plane, value)| plane[y][x] = value);
         }
     }
-    (!has_one_sign(patch.as_flattened().as_flattened())).then_some(patch)
-}
-
-fn has_one_sign(values: &[f64]) -> bool {
-    values.iter().all(|&v| v > 0.0) || values.iter().all(|&v| v < 0.0)
+    patch
 }
 
 /// Bézier points of a segment of a uniform cubic B-spline.
@@ -109,18 +122,19 @@ fn bezier([a, b, c, d]: [f64; 4]) -> [f64; 4] {
     [(a + 4.0 * b + c) / 6.0, (2.0 * b + c) / 3.0, (b + 2.0 * c) / 3.0, (b + 4.0 * c + d) / 6.0]
 }
 
-/// Bézier points along a line parallel to an axis; `across` is its place along the next axis and the one after.
-fn line(patch: &Patch, axis: usize, across: [f64; 2]) -> [f64; 4] {
-    let [u, v] = across.map(bernstein);
-    let mut points = [0.0; 4];
-    for (t, point) in points.iter_mut().enumerate() {
-        for (n, v) in v.iter().enumerate() {
-            for (m, u) in u.iter().enumerate() {
-                *point += u * v * [patch[n][m][t], patch[m][t][n], patch[t][n][m]][axis];
-            }
-        }
-    }
-    points
+/// The Bézier points of a patch by their places along the axis after the given one, the one after that, and the given one.
+fn turn(patch: &Patch, axis: usize) -> Patch {
+    let at = |u: usize, v: usize, t: usize| match axis {
+        0 => patch[v][u][t],
+        1 => patch[u][t][v],
+        _ => patch[t][v][u],
+    };
+    std::array::from_fn(|u| std::array::from_fn(|v| std::array::from_fn(|t| at(u, v, t))))
+}
+
+/// Sum of four points with weights.
+fn blend(points: &[[f64; 4]; 4], weights: [f64; 4]) -> [f64; 4] {
+    std::array::from_fn(|n| points.iter().zip(weights).map(|(point, weight)| weight * point[n]).sum())
 }
 
 /// The four cubic Bernstein polynomials.
@@ -151,15 +165,27 @@ fn halves([a, b, c, d]: [f64; 4]) -> [[f64; 4]; 2] {
     [[a, ab, abc, middle], [middle, bcd, cd, d]]
 }
 
-/// The root in [0, 1] of a cubic whose ends have opposite signs, by bisection.
-fn single_root(points: [f64; 4]) -> f64 {
-    let is_below = |t: f64| bernstein(t).iter().zip(points).map(|(b, p)| b * p).sum::<f64>() < 0.0;
+/// The root in [0, 1] of a cubic with Bézier points that change their sign once: Newton's method, with bisection where that would leave the
+/// interval in which the root is.
+fn single_root([a, b, c, d]: [f64; 4]) -> f64 {
+    let (c1, c2, c3) = (3.0 * (b - a), 3.0 * (a - 2.0 * b + c), d - a + 3.0 * (b - c));
     let (mut low, mut high) = (0.0, 1.0);
-    for _ in 0..BISECTIONS {
-        let t = 0.5 * (low + high);
-        if is_below(t) == (points[0] < 0.0) { low = t } else { high = t }
+    let mut t = a / (a - d);
+    for _ in 0..STEPS {
+        let value = a + t * (c1 + t * (c2 + t * c3));
+        if (value < 0.0) == (a < 0.0) {
+            low = t
+        } else {
+            high = t
+        }
+        let newton = t - value / (c1 + t * (2.0 * c2 + t * 3.0 * c3));
+        let next = if newton > low && newton < high { newton } else { 0.5 * (low + high) };
+        if (next - t).abs() < ACCURACY {
+            return next;
+        }
+        t = next;
     }
-    0.5 * (low + high)
+    t
 }
 
 #[cfg(test)]
