@@ -203,7 +203,8 @@ pub fn measure_shift<I: Implicit>(source: &I, field: &Image<f32>, points: &[DVec
         .filter_map(|&start| {
             let p = project(&own, start, field.geometry.min_spacing())?;
             let (f, g) = source.value_gradient(p);
-            Some(f.abs() / g.length().max(1e-12) / voxel)
+            let slope = g.length();
+            (slope > 0.0).then(|| f.abs() / slope / voxel)
         })
         .collect();
     shifts.par_sort_by(f64::total_cmp);

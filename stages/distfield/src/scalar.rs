@@ -48,8 +48,8 @@ pub fn from_voxels(
     options: &ScalarOptions,
     context: &Context,
 ) -> Result<Redistanced> {
-    let input = Input { voxels, geometry, iso, inside: options.inside };
-    input.check()?;
+    let mut input = Input { voxels, geometry, iso, inside: options.inside, scale: 1.0 };
+    input.scale = power_of_two_below_inverse(input.check()?);
     let step = context.step("input spline");
     let (nodes, source) = input.source(options.border, options.margin);
     drop(input);
@@ -64,6 +64,13 @@ struct Input {
     geometry: Geometry,
     iso: f64,
     inside: Inside,
+    /// By which values are multiplied, so that slopes do not depend on the unit of the voxels: a power of two, which costs no digits.
+    scale: f64,
+}
+
+/// The largest power of two that is at most 1 / `range`, within what is normal in single precision.
+fn power_of_two_below_inverse(range: f64) -> f64 {
+    2f64.powi((-range.log2()).floor().clamp(-126.0, 126.0) as i32)
 }
 
 impl Input {
@@ -72,8 +79,8 @@ impl Input {
         self.geometry.size[0] * self.geometry.size[1]
     }
 
-    /// Refuses volumes with voxels that are not numbers, or without an isosurface.
-    fn check(&self) -> Result<()> {
+    /// Refuses volumes with voxels that are not numbers, or without an isosurface; the difference of the largest and the smallest voxel.
+    fn check(&self) -> Result<f64> {
         let plane = self.slice_size();
         let slices: Vec<Summary> = (0..self.geometry.size[2])
             .into_par_iter()
@@ -87,7 +94,8 @@ impl Input {
             .collect();
         let whole = slices.into_iter().fold(Summary::default(), Summary::and);
         self.check_finite(&whole)?;
-        self.check_iso(&whole)
+        self.check_iso(&whole)?;
+        Ok(f64::from(whole.high) - f64::from(whole.low))
     }
 
     fn check_finite(&self, summary: &Summary) -> Result<()> {
@@ -132,7 +140,7 @@ impl Input {
             Inside::Below => 1.0,
         };
         self.voxels.copy_as_f32(first, to);
-        to.iter_mut().for_each(|v| *v = (sign * (f64::from(*v) - self.iso)) as f32);
+        to.iter_mut().for_each(|v| *v = (sign * self.scale * (f64::from(*v) - self.iso)) as f32);
     }
 
     /// The nodes of the object on the padded grid, cut at the border, and its implicit function.

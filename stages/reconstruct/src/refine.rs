@@ -203,7 +203,7 @@ impl<'a> Refinement<'a> {
         Defects::find(facets, &self.component_of, &self.isosurface, |a, b| open && near_border(a) && near_border(b))
     }
 
-    /// Adds points until there is no defect left, or `max_rounds` are over. `step` hears the round and the number of
+    /// Adds points until there is no defect left, or `max_rounds` are over at a stretch. `step` hears the round and the number of
     /// points and may stop the loop with an error. Returns the facets.
     ///
     /// # Errors
@@ -215,7 +215,7 @@ impl<'a> Refinement<'a> {
             let defects = self.compare(&facets);
             let may_go_on = self.report.rounds < self.options.max_rounds;
             let candidates = if may_go_on { self.candidates(&facets, &defects) } else { Vec::new() };
-            if self.insert_all(candidates)? == 0 {
+            if self.insert_all(candidates)? == 0 && self.insert_at_critical_points()? == 0 {
                 self.count_astray();
                 return Ok(facets);
             }
@@ -321,20 +321,7 @@ impl<'a> Refinement<'a> {
             let ball = self.ball(f, Reason::Deviation)?;
             (ball.radius > NEAREST_FOR_SHAPE * ball.size).then_some(ball)
         }));
-        if candidates.is_empty() && self.may_seek_handles() {
-            candidates = self.at_critical_points(self.genus_rounds);
-            self.genus_rounds += usize::from(!candidates.is_empty());
-        }
         candidates
-    }
-
-    /// Whether points may go round critical points: what they upset takes rounds to come right again, half of the rounds granted. The first
-    /// time these are granted anew, so that other defects, of which noise has many, cannot use them up.
-    fn may_seek_handles(&mut self) -> bool {
-        if self.genus_rounds == 0 && self.granted > 0 {
-            self.allow_rounds(self.granted);
-        }
-        self.genus_rounds < GENUS_ROUNDS && 2 * (self.options.max_rounds - self.report.rounds) >= self.granted.max(1)
     }
 
     /// How far a facet strays, in units of what is allowed.

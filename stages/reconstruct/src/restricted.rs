@@ -136,7 +136,8 @@ impl<'a> Restricted<'a> {
                 }),
             };
             let Some(i) = way else { return self.inside[t as usize] };
-            entered_from = Some(t);
+            // from beyond the hull the walk may turn back at once
+            entered_from = infinite.is_none().then_some(t);
             t = neighbours[i];
         }
     }

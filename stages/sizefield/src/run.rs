@@ -321,7 +321,9 @@ fn describe(
 ) -> Value {
     let mut at_surface: Vec<f64> = features.points.iter().map(|&p| sizing.at(p)).collect();
     let mut feature_size = features.feature_size.clone();
+    let step = context.step("predict the count");
     let predicted = sizing.predicted_count(surface);
+    drop(step);
     let meta = json!({
         "components": features.component_area.len(),
         "predicted_count": predicted.round(),

@@ -188,8 +188,10 @@ pub fn improve(
         project_all(&mut surface, tally);
         let bar = options.target.min(LAST_RESORT_BELOW);
         worst::lift(&mut surface, &limits.loosened(), bar, Effort::Double, &mut Failures::default(), tally);
-        surface.lengths = last_resort::LENGTHS;
-        last_resort::lift(&mut surface, &limits.loosened(), tally);
+        if options.target > 0.0 {
+            surface.lengths = last_resort::LENGTHS;
+            last_resort::lift(&mut surface, &limits.loosened(), tally);
+        }
     }
 
     report.off_surface = (0..surface.positions.len()).filter(|&v| is_off_surface(&surface, v)).count();

@@ -1,11 +1,13 @@
 //! Handles and gaps: the critical points of F that the mesh has on the wrong side get points around them. Where all are on their right
 //! sides, and mesh and marching cubes differ in genus or in the number of pieces, it is marching cubes that errs.
 
-use super::{Candidate, Reason, Refinement, TURNED};
+use super::{Candidate, GENUS_ROUNDS, Reason, Refinement, TURNED, component_at};
 use crate::critical::{CriticalPoint, critical_points};
 use crate::defects::Defects;
 use crate::restricted::Facet;
 use glam::DVec3;
+use isoparticles_common::components::NO_COMPONENT;
+use isoparticles_common::error::Result;
 use isoparticles_common::kd_tree::KdTree;
 use rayon::prelude::*;
 use std::collections::BTreeSet;
@@ -55,7 +57,16 @@ impl Refinement<'_> {
         {
             return false;
         }
-        let mut wrong: BTreeSet<u32> = self.astray().iter().map(|(_, v)| self.component_of[*v as usize]).collect();
+        let mut wrong = BTreeSet::new();
+        for (c, near) in self.astray() {
+            let ways = c.ways.iter().flat_map(|&way| [c.position + way, c.position - way]);
+            let around = ways.map(|p| component_at(p, self.restricted.field(), &self.isosurface));
+            wrong.extend(around.chain([self.component_of[near as usize]]));
+        }
+        if wrong.contains(&NO_COMPONENT) {
+            // whose it is, nobody knows
+            return false;
+        }
         let turned: Vec<u32> = facets
             .par_iter()
             .filter(|f| self.agreement(f) < TURNED)
@@ -74,9 +85,38 @@ impl Refinement<'_> {
         learnt
     }
 
+    /// Adds points round the critical points on the wrong side, as long as there are some and none fits; returns how many.
+    ///
+    /// # Errors
+    /// None as a rule; those of the triangulation.
+    pub(super) fn insert_at_critical_points(&mut self) -> Result<usize> {
+        while self.may_seek_handles() {
+            let astray = self.astray();
+            if astray.is_empty() {
+                break;
+            }
+            let candidates = self.at_critical_points(&astray, self.genus_rounds);
+            self.genus_rounds += 1;
+            let inserted = self.insert_all(candidates)?;
+            if inserted > 0 {
+                return Ok(inserted);
+            }
+        }
+        Ok(0)
+    }
+
+    /// Whether points may go round critical points: what they upset takes rounds to come right again, half of the rounds granted. The first
+    /// time these are granted anew, so that other defects, of which noise has many, cannot use them up.
+    fn may_seek_handles(&mut self) -> bool {
+        if self.genus_rounds == 0 {
+            self.allow_rounds(self.granted);
+        }
+        self.genus_rounds < GENUS_ROUNDS && 2 * (self.options.max_rounds - self.report.rounds) >= self.granted.max(1)
+    }
+
     /// Points round the critical points on the wrong side: first where F = 0 is nearest to each in its principal directions, then on spheres
     /// around it.
-    pub(super) fn at_critical_points(&self, attempt: usize) -> Vec<Candidate> {
+    fn at_critical_points(&self, astray: &[(CriticalPoint, u32)], attempt: usize) -> Vec<Candidate> {
         let tree = KdTree::new(self.restricted.points());
         let candidate = |start: DVec3, c: &CriticalPoint, size: f64, apart: f64| {
             let point = self.on_surface(start, 2.0)?;
@@ -86,7 +126,7 @@ impl Refinement<'_> {
             fits.then_some(Candidate { reason: Reason::Genus, point, radius: radius.min(reach), size, near: 0 })
         };
         let mut candidates = Vec::new();
-        for (c, near) in self.astray() {
+        for &(c, near) in astray {
             let size = |radius: f64| self.sizes[near as usize].min(2.0 * radius);
             if attempt == 0 {
                 let ends = c.ways.iter().filter(|way| **way != DVec3::ZERO).flat_map(|&way| [way, -way]);

@@ -26,6 +26,8 @@ TOLERANCE = 1e-8
 """Error of the iteration over the solution, both in the energy norm, that is asked for."""
 DELAY = 0.1
 """Share of the steps by which an error is told."""
+LEAST_DELAY = 4
+"""Least number of those steps."""
 
 
 class OutOfTimeError(Exception):
@@ -90,7 +92,7 @@ def _told(falls: list[float], goal: float) -> bool:
         Squared error in the energy norm.
     """
     # the last alone first, because a window of many steps takes its time
-    return falls[-1] <= goal and sum(falls[-max(1, int(DELAY * len(falls))) :]) <= goal
+    return falls[-1] <= goal and sum(falls[-max(LEAST_DELAY, int(DELAY * len(falls))) :]) <= goal
 
 
 def _steps_needed(falls: list[float], goal: float) -> int:
