@@ -14,6 +14,8 @@ pub(super) struct Limits {
     pub(super) agreement: f64,
     /// Smallest cosine between the normals of neighbouring triangles.
     pub(super) fold: f64,
+    /// The same where both triangles follow grad F ([`FOLLOWS`]): the fold is in F itself.
+    pub(super) fold_of_f: f64,
     /// Largest distance of a centroid from F = 0, over h.
     pub(super) deviation: f64,
     /// Largest excess of an edge length over its range ([`Facts::excess`]).
@@ -23,7 +25,7 @@ pub(super) struct Limits {
 impl Limits {
     /// For bringing a vertex onto F = 0, which comes before all else but crossing triangles.
     pub(super) const FOR_PROJECTION: Self =
-        Self { agreement: -0.2, fold: -0.8, deviation: f64::INFINITY, excess: f64::INFINITY };
+        Self { agreement: -0.2, fold: -0.8, fold_of_f: -0.8, deviation: f64::INFINITY, excess: f64::INFINITY };
 
     /// For the few triangles that nothing within the limits can help: a third of h off F = 0 in the middle of a triangle,
     /// where F has detail below h, does less harm than a needle.
@@ -31,11 +33,15 @@ impl Limits {
         Self {
             agreement: self.agreement.min(0.0),
             fold: self.fold.min(-0.3),
+            fold_of_f: self.fold_of_f.min(-0.8),
             deviation: (2.0 * self.deviation).max(0.35),
             excess: self.excess + 0.35,
         }
     }
 }
+
+/// Cosine to grad F from which on a triangle follows it.
+const FOLLOWS: f64 = 0.5;
 
 /// What counts as better.
 #[derive(Clone, Copy, Debug)]
@@ -189,18 +195,21 @@ fn is_sound(surface: &Surface, limits: &Limits, touched: &[u32], facts: &[Facts]
             && now.excess <= worst.excess.max(limits.excess)
     });
     // a patch that was turned against F somewhere may have been folded there as well
-    let fold = limits.fold.min(before_fold);
+    let limit = |a: &Facts, b: &Facts| {
+        let is_of_f = a.agreement.min(b.agreement) >= FOLLOWS;
+        if is_of_f { limits.fold_of_f } else { limits.fold }.min(before_fold)
+    };
     sound
         && touched.iter().zip(facts).all(|(&t, now)| {
             let [a, b, c] = surface.triangles[t as usize];
             now.quality.is_infinite()
                 || [(a, b), (b, c), (c, a)].iter().all(|&(from, to)| {
                     surface.wings(from, to).is_none_or(|[_, (neighbour, _)]| {
-                        let normal = match touched.binary_search(&neighbour) {
-                            Ok(at) => facts[at].normal,
-                            Err(_) => surface.facts[neighbour as usize].normal,
+                        let other = match touched.binary_search(&neighbour) {
+                            Ok(at) => &facts[at],
+                            Err(_) => &surface.facts[neighbour as usize],
                         };
-                        now.normal.dot(normal) >= fold
+                        now.normal.dot(other.normal) >= limit(now, other)
                     })
                 })
         })

@@ -166,7 +166,7 @@ pub fn improve(
     let wrong_before = surface.sides.as_ref().map(Sides::wrong_count);
     report.frozen_vertices = surface.frozen.iter().filter(|&&frozen| frozen).count();
 
-    let limits = Limits { agreement: 0.3, fold: 0.0, deviation: options.max_deviation, excess: 1e-9 };
+    let limits = Limits { agreement: 0.3, fold: 0.0, fold_of_f: 0.0, deviation: options.max_deviation, excess: 1e-9 };
     let tally = &mut report.moves;
     project_all(&mut surface, tally);
     for _ in 0..options.remesh_rounds {
