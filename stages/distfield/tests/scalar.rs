@@ -227,6 +227,19 @@ fn a_part_that_is_dropped_leaves_the_distance_of_the_other() {
     assert!(band < 0.02 && all < 0.1, "band error {band}, largest {all}");
 }
 
+/// A power of two costs no digits, so that all is the same to the last bit.
+#[test]
+fn the_unit_of_the_voxels_does_not_matter() {
+    let image = sampled([24, 24, 24], DVec3::ONE, |p| (8.0 - p.distance(DVec3::new(11.3, 11.9, 11.6))) as f32);
+    let own = extract(&image, 0.5, Border::Cap);
+    for unit in [2f32.powi(-45), 2f32.powi(100)] {
+        let other = Image { geometry: image.geometry.clone(), data: image.data.iter().map(|v| unit * v).collect() };
+        let result = extract(&other, f64::from(0.5 * unit), Border::Cap);
+        assert_eq!(own.field.data, result.field.data, "{unit}");
+        assert_eq!(own.shift.max, result.shift.max, "{unit}");
+    }
+}
+
 /// A shape with its truth.
 struct Shape<'a> {
     name: &'a str,
