@@ -26,8 +26,6 @@ TOLERANCE = 1e-8
 """Error of the iteration over the solution, both in the energy norm, that is asked for."""
 DELAY = 0.1
 """Share of the steps by which an error is told."""
-LEAST_DELAY = 4
-"""Least number of those steps."""
 
 
 class OutOfTimeError(Exception):
@@ -92,7 +90,7 @@ def _told(falls: list[float], goal: float) -> bool:
         Squared error in the energy norm.
     """
     # the last alone first, because a window of many steps takes its time
-    return falls[-1] <= goal and sum(falls[-max(LEAST_DELAY, int(DELAY * len(falls))) :]) <= goal
+    return falls[-1] <= goal and sum(falls[-max(1, int(DELAY * len(falls))) :]) <= goal
 
 
 def _steps_needed(falls: list[float], goal: float) -> int:
@@ -170,7 +168,7 @@ def conjugate_gradients(
         q = matrix @ p
         pq = _dot(p, q)
         if not pq > 0.0:
-            positive = False
+            converged = positive = _dot(r, r) <= (tolerance * norm) ** 2
             break
         alpha = rz / pq
         x += alpha * p
@@ -183,7 +181,7 @@ def conjugate_gradients(
         goal = tolerance * tolerance * (total if energy is None else energy)
         converged = _told(falls, goal)
         if not converged and not _positive(rz):
-            # nothing is left, or the preconditioner is not positive
+            # nothing is left to tell the error by, or the preconditioner is not positive
             converged = positive = _dot(r, r) <= (tolerance * norm) ** 2
             break
         turns.append(rz / before)
