@@ -177,12 +177,7 @@ mod tests {
     fn the_predicted_count_is_the_integral_of_the_density() {
         let geometry = Geometry::axis_aligned([33; 3], DVec3::splat(0.8));
         let centre = 0.5 * geometry.upper_corner();
-        let place =
-            |n: usize| geometry.index_to_grid(DVec3::new((n % 33) as f64, (n / 33 % 33) as f64, (n / 1089) as f64));
-        let sampled = |f: &dyn Fn(DVec3) -> f64| {
-            let data = (0..geometry.voxel_count()).map(|n| f(place(n) - centre) as f32).collect();
-            Image { geometry: geometry.clone(), data }
-        };
+        let sampled = |f: &dyn Fn(DVec3) -> f64| Image::sampled(geometry.clone(), |p| f(p - centre) as f32);
         let radius = 10.0;
         let surface = CubicSpline::new(&sampled(&|p| p.length() - radius));
         let area = 4.0 * PI * radius * radius;

@@ -197,17 +197,7 @@ mod tests {
     use std::f64::consts::PI;
 
     fn spline(size: [usize; 3], spacing: DVec3, f: impl Fn(DVec3) -> f64) -> CubicSpline {
-        let geometry = Geometry::axis_aligned(size, spacing);
-        let mut image = Image::filled(geometry.clone(), 0.0f32);
-        for k in 0..size[2] {
-            for j in 0..size[1] {
-                for i in 0..size[0] {
-                    let p = geometry.index_to_grid(DVec3::new(i as f64, j as f64, k as f64));
-                    image.data[geometry.linear(i, j, k)] = f(p) as f32;
-                }
-            }
-        }
-        CubicSpline::new(&image)
+        CubicSpline::new(&Image::sampled(Geometry::axis_aligned(size, spacing), |p| f(p) as f32))
     }
 
     #[test]

@@ -122,16 +122,7 @@ mod tests {
     }
 
     fn sampled(size: [usize; 3], spacing: DVec3) -> Image<f32> {
-        let geometry = Geometry::axis_aligned(size, spacing);
-        let mut data = Vec::new();
-        for k in 0..size[2] {
-            for j in 0..size[1] {
-                for i in 0..size[0] {
-                    data.push(smooth(geometry.index_to_grid(DVec3::new(i as f64, j as f64, k as f64))) as f32);
-                }
-            }
-        }
-        Image { geometry, data }
+        Image::sampled(Geometry::axis_aligned(size, spacing), |p| smooth(p) as f32)
     }
 
     #[test]

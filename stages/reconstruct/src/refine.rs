@@ -216,7 +216,6 @@ impl<'a> Refinement<'a> {
             let may_go_on = self.report.rounds < self.options.max_rounds;
             let candidates = if may_go_on { self.candidates(&facets, &defects) } else { Vec::new() };
             if self.insert_all(candidates)? == 0 && self.insert_at_critical_points()? == 0 {
-                self.count_astray();
                 return Ok(facets);
             }
         }
@@ -229,7 +228,7 @@ impl<'a> Refinement<'a> {
             self.restricted.take_sides(facets);
         }
         self.compare(facets);
-        self.count_astray();
+        self.report.unresolved_critical = self.astray().len();
     }
 
     /// Defects of a set of facets, after looking again wherever the isosurface may be at fault; they go into the report.
@@ -326,24 +325,21 @@ impl<'a> Refinement<'a> {
 
     /// How far a facet strays, in units of what is allowed.
     fn badness(&self, facet: &Facet) -> f64 {
-        let [a, b, c] = facet.vertices.map(|v| self.restricted.points()[v as usize]);
-        let field = self.restricted.field();
-        let (value, gradient) = field.value_gradient((a + b + c) / 3.0);
-        let slope = gradient.length().max(1e-6);
         let limit = self.options.max_deviation.unwrap_or_else(|| {
             let size = facet.vertices.map(|v| self.sizes[v as usize]).iter().sum::<f64>() / 3.0;
-            DEFAULT_DEVIATION * size.max(field.geometry().mean_spacing())
+            DEFAULT_DEVIATION * size.max(self.restricted.field().geometry().mean_spacing())
         });
-        let agreement = (b - a).cross(c - a).normalize_or_zero().dot(gradient / slope);
+        let (distance, agreement) = self.at_centroid(facet);
         let turned = if agreement < TURNED { 1.0 + TURNED - agreement } else { 0.0 };
-        (value.abs() / slope / limit).max(turned)
+        (distance / limit).max(turned)
     }
 
-    /// Cosine between the normal of a facet and grad F at its centroid.
-    fn agreement(&self, facet: &Facet) -> f64 {
+    /// Distance of the centroid of a facet from F = 0 to first order, mm, and the cosine between the facet's normal and grad F there.
+    fn at_centroid(&self, facet: &Facet) -> (f64, f64) {
         let [a, b, c] = facet.vertices.map(|v| self.restricted.points()[v as usize]);
-        let (_, gradient) = self.restricted.field().value_gradient((a + b + c) / 3.0);
-        (b - a).cross(c - a).normalize_or_zero().dot(gradient.normalize_or_zero())
+        let (value, gradient) = self.restricted.field().value_gradient((a + b + c) / 3.0);
+        let slope = gradient.length().max(1e-6);
+        (value.abs() / slope, (b - a).cross(c - a).normalize_or_zero().dot(gradient / slope))
     }
 
     /// The surface ball of a facet: where its Voronoi edge crosses F = 0, else the projected centroid.

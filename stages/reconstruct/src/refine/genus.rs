@@ -25,7 +25,7 @@ const APART: f64 = 0.5;
 
 impl Refinement<'_> {
     /// The critical points that the mesh has on the wrong side, with the nearest vertex of each.
-    fn astray(&self) -> Vec<(CriticalPoint, u32)> {
+    pub(super) fn astray(&self) -> Vec<(CriticalPoint, u32)> {
         if !self.sides_are_known {
             return Vec::new();
         }
@@ -38,11 +38,6 @@ impl Refinement<'_> {
             (self.restricted.holds(c.position, near) != (c.value < 0.0)).then_some((*c, near))
         };
         critical.par_iter().filter_map(wrong).collect()
-    }
-
-    /// Counts the critical points on the wrong side for the report.
-    pub(super) fn count_astray(&mut self) {
-        self.report.unresolved_critical = self.astray().len();
     }
 
     /// Takes the word of the mesh for the genus and the pieces of a class where it has every critical point on the right side, no
@@ -69,7 +64,7 @@ impl Refinement<'_> {
         }
         let turned: Vec<u32> = facets
             .par_iter()
-            .filter(|f| self.agreement(f) < TURNED)
+            .filter(|f| self.at_centroid(f).1 < TURNED)
             .flat_map_iter(|f| f.vertices.map(|v| self.component_of[v as usize]))
             .collect();
         wrong.extend(turned);
@@ -85,16 +80,20 @@ impl Refinement<'_> {
         learnt
     }
 
-    /// Adds points round the critical points on the wrong side, as long as there are some and none fits; returns how many.
+    /// Adds points round the critical points on the wrong side until some fit, and returns how many; the critical points are counted for the
+    /// report. The first time the rounds are granted anew, so that other defects, of which noise has many, cannot use them up.
     ///
     /// # Errors
     /// None as a rule; those of the triangulation.
     pub(super) fn insert_at_critical_points(&mut self) -> Result<usize> {
-        while self.may_seek_handles() {
-            let astray = self.astray();
-            if astray.is_empty() {
-                break;
-            }
+        let astray = self.astray();
+        self.report.unresolved_critical = astray.len();
+        if self.genus_rounds == 0 && !astray.is_empty() {
+            self.allow_rounds(self.granted);
+        }
+        // what the points upset takes rounds to come right again
+        let has_room = 2 * (self.options.max_rounds - self.report.rounds) >= self.granted.max(1);
+        while has_room && !astray.is_empty() && self.genus_rounds < GENUS_ROUNDS {
             let candidates = self.at_critical_points(&astray, self.genus_rounds);
             self.genus_rounds += 1;
             let inserted = self.insert_all(candidates)?;
@@ -103,15 +102,6 @@ impl Refinement<'_> {
             }
         }
         Ok(0)
-    }
-
-    /// Whether points may go round critical points: what they upset takes rounds to come right again, half of the rounds granted. The first
-    /// time these are granted anew, so that other defects, of which noise has many, cannot use them up.
-    fn may_seek_handles(&mut self) -> bool {
-        if self.genus_rounds == 0 {
-            self.allow_rounds(self.granted);
-        }
-        self.genus_rounds < GENUS_ROUNDS && 2 * (self.options.max_rounds - self.report.rounds) >= self.granted.max(1)
     }
 
     /// Points round the critical points on the wrong side: first where F = 0 is nearest to each in its principal directions, then on spheres
