@@ -48,6 +48,13 @@ pub struct CriticalPoint {
     pub radius: f64,
 }
 
+impl CriticalPoint {
+    /// Whether F = 0 is met all around: an extremum within a speck or a cavity.
+    pub fn is_enclosed(&self) -> bool {
+        self.ways.iter().all(|way| *way != DVec3::ZERO)
+    }
+}
+
 /// The critical points of F within a few voxels of F = 0 whose neck, gap or speck has at least a radius (mm).
 pub fn critical_points(field: &CubicSpline, smallest: f64) -> Vec<CriticalPoint> {
     let geometry = field.geometry();

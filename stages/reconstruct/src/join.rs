@@ -89,7 +89,7 @@ pub(crate) fn join(
         sizes: (refinement.restricted.points().to_vec(), refinement.sizes.clone()),
         report: refinement.report.clone(),
         cocone,
-        expected_components: refinement.isosurface().component_count(),
+        expected_components: refinement.component_count(),
         sampled_components,
     })
 }

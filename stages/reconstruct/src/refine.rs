@@ -78,6 +78,8 @@ pub struct RefineReport {
     pub inserted_deviation: usize,
     /// ... near grid nodes on the wrong side (label volumes).
     pub inserted_nodes: usize,
+    /// Components of F = 0 that lie between the samples, so that marching cubes has nothing there, and that the mesh has.
+    pub unsampled_components: usize,
     /// Edges and vertices that are still not manifold.
     pub unresolved_manifold: usize,
     /// Facets that still join different components.
@@ -165,6 +167,11 @@ impl<'a> Refinement<'a> {
         })
     }
 
+    /// Components that the isosurface is known to have by now.
+    pub fn component_count(&self) -> usize {
+        self.isosurface.component_count() + self.report.unsampled_components
+    }
+
     /// What is known of the isosurface by now.
     pub fn isosurface(&self) -> &Isosurface {
         &self.isosurface
@@ -216,6 +223,7 @@ impl<'a> Refinement<'a> {
             let may_go_on = self.report.rounds < self.options.max_rounds;
             let candidates = if may_go_on { self.candidates(&facets, &defects) } else { Vec::new() };
             if self.insert_all(candidates)? == 0 && self.insert_at_critical_points()? == 0 {
+                self.report.unsampled_components = self.unsampled_components(&facets, &defects);
                 return Ok(facets);
             }
         }
@@ -227,8 +235,9 @@ impl<'a> Refinement<'a> {
         if self.sides_are_known {
             self.restricted.take_sides(facets);
         }
-        self.compare(facets);
+        let defects = self.compare(facets);
         self.report.unresolved_critical = self.astray().len();
+        self.report.unsampled_components = self.unsampled_components(facets, &defects);
     }
 
     /// Defects of a set of facets, after looking again wherever the isosurface may be at fault; they go into the report.

@@ -57,6 +57,21 @@ fn sound(scene: &Scene, spacing: f64, expected: &[i64]) -> (f64, f64, RefineRepo
     (volume, area, report)
 }
 
+#[test]
+fn a_speck_between_the_samples_is_found_and_counted() {
+    // splines reproduce quadratic functions: F = 0 has a ball of radius 0.6 round the middle of a cell, whose corners are outside
+    let speck = DVec3::new(24.5, 15.5, 15.5);
+    let scene = Scene::new([32; 3], DVec3::ONE, |p| {
+        let ball = p.distance(DVec3::new(10.0, 15.7, 15.7)) - 8.0;
+        ball.min(0.3 * (p.distance_squared(speck) / 0.36 - 1.0))
+    });
+    let (mesh, defects, report, euler) = surface(&scene, 1.4);
+    assert!(defects.is_empty() && report.unresolved_critical == 0, "{report:?}");
+    assert_eq!(euler, [2], "marching cubes sees the ball alone");
+    assert_eq!((defects.component_count, report.unsampled_components), (2, 1));
+    assert!(mesh.vertices.iter().any(|p| (p.distance(speck) - 0.6).abs() < 0.05));
+}
+
 fn within(measured: f64, truth: f64, part: f64) -> bool {
     (measured - truth).abs() < part * truth
 }

@@ -29,15 +29,44 @@ impl Refinement<'_> {
         if !self.sides_are_known {
             return Vec::new();
         }
-        let field = self.restricted.field();
-        let smallest = FINEST * field.geometry().mean_spacing();
-        let critical = self.critical.get_or_init(|| critical_points(field, smallest));
         let tree = KdTree::new(self.restricted.points());
         let wrong = |c: &CriticalPoint| {
             let near = tree.nearest(c.position)?.0 as u32;
             (self.restricted.holds(c.position, near) != (c.value < 0.0)).then_some((*c, near))
         };
-        critical.par_iter().filter_map(wrong).collect()
+        self.critical_points().par_iter().filter_map(wrong).collect()
+    }
+
+    /// Pieces of the mesh that are components of F = 0 between its samples, where marching cubes has nothing: they hold an extremum of F
+    /// on its right side, and no facet of theirs lies across F = 0.
+    pub(super) fn unsampled_components(&self, facets: &[Facet], defects: &Defects) -> usize {
+        let mut unknown = vec![true; defects.component_count];
+        let piece = |v: u32| defects.piece_of_vertex[v as usize];
+        for (&component, &piece) in self.component_of.iter().zip(&defects.piece_of_vertex) {
+            if component != NO_COMPONENT && piece != NO_COMPONENT {
+                unknown[piece as usize] = false;
+            }
+        }
+        if !self.sides_are_known || !unknown.contains(&true) {
+            return 0;
+        }
+        for facet in facets.iter().filter(|f| self.at_centroid(f).1 < TURNED) {
+            unknown[piece(facet.vertices[0]) as usize] = false;
+        }
+        let tree = KdTree::new(self.restricted.points());
+        let holder = |c: &CriticalPoint| {
+            let near = tree.nearest(c.position)?.0 as u32;
+            let held = self.restricted.holds(c.position, near) == (c.value < 0.0);
+            let piece = piece(near);
+            (held && piece != NO_COMPONENT && unknown[piece as usize]).then_some(piece)
+        };
+        let extrema = self.critical_points().iter().filter(|c| c.is_enclosed());
+        extrema.filter_map(holder).collect::<BTreeSet<u32>>().len()
+    }
+
+    fn critical_points(&self) -> &[CriticalPoint] {
+        let field = self.restricted.field();
+        self.critical.get_or_init(|| critical_points(field, FINEST * field.geometry().mean_spacing()))
     }
 
     /// Takes the word of the mesh for the genus and the pieces of a class where it has every critical point on the right side, no
