@@ -1,10 +1,11 @@
 //! Where a restricted surface is not yet that of F: edges and vertices that are not manifold, facets that join
 //! different components of the isosurface, or stray from it, and components that are missing or of the wrong genus.
 
-use crate::fans::fans;
-use crate::isosurface::{Isosurface, euler_characteristics};
+use crate::incidence::Incidence;
+use crate::isosurface::Isosurface;
 use crate::restricted::Facet;
 use isoparticles_common::components::{self, DisjointSets, NO_COMPONENT};
+use rayon::prelude::*;
 
 /// Topology of a set of facets against the isosurface.
 #[derive(Clone, Debug, Default)]
@@ -40,14 +41,15 @@ impl Defects {
     ) -> Self {
         let vertex_count = component_of.len();
         let mut defects = Self::default();
-        let mut fans = fans(facets, |[a, b], around| {
-            let around: Vec<u32> = around.collect();
+        let triangles: Vec<[u32; 3]> = facets.iter().map(|f| f.vertices).collect();
+        let incidence = Incidence::new(&triangles, vertex_count);
+        let mut fans = incidence.fans(|[a, b], around| {
             if around.len() != 1 || !open_edge_allowed(a, b) {
                 defects.edges.push(around);
             }
         });
         defects.find_pinched_vertices(facets, vertex_count, &mut fans);
-        defects.compare(facets, component_of, isosurface);
+        defects.compare(&triangles, &incidence, component_of, isosurface);
         defects
     }
 
@@ -80,14 +82,19 @@ impl Defects {
         }
     }
 
-    fn compare(&mut self, facets: &[Facet], component_of: &[u32], isosurface: &Isosurface) {
+    fn compare(
+        &mut self,
+        triangles: &[[u32; 3]],
+        incidence: &Incidence,
+        component_of: &[u32],
+        isosurface: &Isosurface,
+    ) {
         let expected = isosurface.class_bound();
-        let triangles: Vec<[u32; 3]> = facets.iter().map(|f| f.vertices).collect();
-        let (own, own_count) = components::of_vertices(component_of.len(), &triangles);
+        let (own, own_count) = components::of_vertices(component_of.len(), triangles);
         self.component_count = own_count;
         // a vertex of unknown component counts for nothing; where a whole facet is unknown, its piece tells
         let mut class_of_piece = vec![NO_COMPONENT; own_count];
-        for t in &triangles {
+        for t in triangles {
             let piece = &mut class_of_piece[own[t[0] as usize] as usize];
             *piece = t.iter().map(|&v| component_of[v as usize]).fold(*piece, u32::min);
         }
@@ -97,10 +104,11 @@ impl Defects {
             let first = known.next().unwrap_or(class_of_piece[own[t[0] as usize] as usize]);
             if known.any(|c| c != first) { expected as u32 } else { first.min(expected as u32) }
         };
-        let euler = euler_characteristics(&triangles, class, expected + 1);
+        let class_of: Vec<u32> = triangles.par_iter().map(class).collect();
+        let euler = incidence.euler_characteristics(&class_of, expected + 1);
         let mut pieces: Vec<Vec<u32>> = vec![Vec::new(); expected + 1];
         for (f, t) in triangles.iter().enumerate() {
-            let class = class(t);
+            let class = class_of[f];
             if class == expected as u32 && t.iter().any(|&v| component_of[v as usize] != NO_COMPONENT) {
                 self.bridges.push(f as u32);
             }

@@ -7,6 +7,7 @@
 
 pub(crate) mod certain;
 
+use crate::incidence::Incidence;
 use certain::CertainSigns;
 use glam::DVec3;
 use isoparticles_common::components::{self, NO_COMPONENT};
@@ -84,8 +85,8 @@ impl Isosurface {
 
     fn of_mesh(mesh: TriangleMesh, geometry: Geometry, corner: DVec3) -> Self {
         let (component_of_vertex, count) = components::of_vertices(mesh.vertices.len(), &mesh.triangles);
-        let component_of = |t: &[u32; 3]| component_of_vertex[t[0] as usize];
-        let euler = euler_characteristics(&mesh.triangles, component_of, count);
+        let component_of: Vec<u32> = mesh.triangles.iter().map(|t| component_of_vertex[t[0] as usize]).collect();
+        let euler = Incidence::new(&mesh.triangles, mesh.vertices.len()).euler_characteristics(&component_of, count);
         let class = (0..count as u32).collect();
         let mut new = Self {
             mesh,
@@ -309,37 +310,6 @@ pub(crate) fn nearest_pair(few: &[DVec3], many: &[DVec3]) -> Option<(DVec3, DVec
     let tree = KdTree::new(many);
     let nearest = few.iter().filter_map(|&p| tree.nearest(p).map(|(q, d)| (d, p, many[q])));
     nearest.min_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, p, q)| (p, q))
-}
-
-/// Euler characteristic V - E + F of each class of triangles.
-pub fn euler_characteristics(
-    triangles: &[[u32; 3]],
-    class_of: impl Fn(&[u32; 3]) -> u32 + Sync,
-    classes: usize,
-) -> Vec<i64> {
-    let mut vertices: Vec<(u32, u32)> = triangles.par_iter().flat_map_iter(|t| t.map(|v| (class_of(t), v))).collect();
-    let mut edges: Vec<(u32, u32, u32)> = triangles
-        .par_iter()
-        .flat_map_iter(|t| {
-            let class = class_of(t);
-            [(t[0], t[1]), (t[1], t[2]), (t[2], t[0])].map(|(a, b)| (class, a.min(b), a.max(b)))
-        })
-        .collect();
-    vertices.par_sort_unstable();
-    vertices.dedup();
-    edges.par_sort_unstable();
-    edges.dedup();
-    let mut euler = vec![0i64; classes];
-    for (class, _) in vertices {
-        euler[class as usize] += 1;
-    }
-    for (class, _, _) in edges {
-        euler[class as usize] -= 1;
-    }
-    for t in triangles {
-        euler[class_of(t) as usize] += 1;
-    }
-    euler
 }
 
 #[cfg(test)]

@@ -17,6 +17,9 @@ use isoparticles_common::mesh::inside::nodes_on_wrong_side;
 use isoparticles_common::spline::CubicSpline;
 use rayon::prelude::*;
 
+/// Rounds of Tight Cocone on more points: each takes as long as the first.
+const COCONE_ROUNDS: usize = 5;
+
 /// A mesh joined from particles, before improvement.
 pub(crate) struct Joined {
     /// The mesh, grid frame.
@@ -55,25 +58,18 @@ pub(crate) fn join(
     let sampled_components = isosurface.sampled_component_count();
     let mut refinement = Refinement::new(points, spline, isosurface, options).map_err(|e| about(&args.particles, e))?;
     drop(step);
-    let (facets, cocone) = match args.method {
-        Method::Restricted => {
-            let step = context.step("refine");
-            let facets = refine(&mut refinement, options.max_rounds, origin, samples, context)?;
-            drop(step);
-            (facets, None)
-        }
-        Method::TightCocone => {
-            let step = context.step("cocone");
-            let delaunay = refinement.restricted.delaunay();
-            let normals: Vec<DVec3> = delaunay.points().par_iter().map(|&p| spline.value_gradient(p).1).collect();
-            let (facets, report) = tight_cocone(delaunay, Some(&normals)).map_err(|e| about(&args.particles, e))?;
-            points_alone::warn(&report, context);
-            let facets = refinement.without_border_closure(facets);
-            refinement.compare_other(&facets);
-            drop(step);
-            (facets, Some(report))
-        }
-    };
+    let step = context.step("refine");
+    let mut facets = refine(&mut refinement, options.max_rounds, origin, samples, context)?;
+    drop(step);
+    let mut cocone = None;
+    if args.method == Method::TightCocone {
+        let step = context.step("cocone");
+        let (by_cocones, report) = cocones(&mut refinement, options.max_rounds, origin, samples, context)
+            .map_err(|e| about(&args.particles, e))?;
+        points_alone::warn(&report, context);
+        (facets, cocone) = (by_cocones, Some(report));
+        drop(step);
+    }
     let (mut mesh, used) = compact(refinement.restricted.points(), &facets);
     let pinched: Vec<(u32, Vec<u32>)> = refinement.defects(&facets).vertices;
     if !pinched.is_empty() {
@@ -110,16 +106,50 @@ fn refine(
     // the nodes have rounds of their own: a stubborn handle elsewhere must not use them up
     refinement.allow_rounds(max_rounds);
     let end = refinement.report.rounds + max_rounds;
-    while origin.is_labels && !origin.is_open && refinement.report.rounds < end {
-        let (mesh, _) = compact(refinement.restricted.points(), &facets);
-        let nodes = nodes_on_wrong_side(&mesh, samples);
-        context.verbose(format!("{} grid nodes on the wrong side", nodes.len()));
-        if nodes.is_empty() || refinement.insert_near_nodes(&nodes, &facets)? == 0 {
-            break;
-        }
+    while refinement.report.rounds < end && add_at_nodes(refinement, &facets, origin, samples, context)? > 0 {
         facets = refinement.run(hear)?;
     }
     Ok(facets)
+}
+
+/// Adds points at the grid nodes of a label volume that lie on the wrong side of the facets; returns how many.
+fn add_at_nodes(
+    refinement: &mut Refinement,
+    facets: &[Facet],
+    origin: &Origin,
+    samples: &Image<f32>,
+    context: &Context,
+) -> Result<usize> {
+    if !origin.is_labels || origin.is_open {
+        return Ok(0);
+    }
+    let (mesh, _) = compact(refinement.restricted.points(), facets);
+    let nodes = nodes_on_wrong_side(&mesh, samples);
+    context.verbose(format!("{} grid nodes on the wrong side", nodes.len()));
+    if nodes.is_empty() { Ok(0) } else { refinement.insert_near_nodes(&nodes, facets) }
+}
+
+/// Tight Cocone of the points that are there by now, and of those added at the grid nodes that it leaves on the wrong side.
+fn cocones(
+    refinement: &mut Refinement,
+    max_rounds: usize,
+    origin: &Origin,
+    samples: &Image<f32>,
+    context: &Context,
+) -> Result<(Vec<Facet>, CoconeReport)> {
+    for round in 0.. {
+        let (delaunay, field) = (refinement.restricted.delaunay(), refinement.restricted.field());
+        let normals: Vec<DVec3> = delaunay.points().par_iter().map(|&p| field.value_gradient(p).1).collect();
+        let (facets, report) = tight_cocone(delaunay, Some(&normals))?;
+        let facets = refinement.without_border_closure(facets);
+        context.check_interrupt()?;
+        let may_add = round < max_rounds.min(COCONE_ROUNDS);
+        if !may_add || add_at_nodes(refinement, &facets, origin, samples, context)? == 0 {
+            refinement.compare_other(&facets);
+            return Ok((facets, report));
+        }
+    }
+    unreachable!("the rounds end")
 }
 
 /// The mesh of the facets with the vertices that they use, and the point behind each vertex.

@@ -5,11 +5,12 @@
 //! [`isosurface`]; [`refine`] adds points where it differs, until it does not; [`improve`] lifts the worst triangles;
 //! [`finish`] attaches the data; [`run`] is the program. [`tight_cocone`] is the other way to find the facets, from points alone.
 
+mod around;
 pub mod critical;
 pub mod defects;
-pub mod fans;
 pub mod finish;
 pub mod improve;
+pub mod incidence;
 pub mod isosurface;
 mod join;
 pub mod pinched;

@@ -6,6 +6,7 @@
 
 mod genus;
 mod looks;
+mod pinches;
 
 use crate::critical::CriticalPoint;
 use crate::defects::Defects;
@@ -18,6 +19,7 @@ use isoparticles_common::error::Result;
 use isoparticles_common::kd_tree::KdTree;
 use isoparticles_common::spline::CubicSpline;
 use looks::Looks;
+use pinches::Patience;
 use rayon::prelude::*;
 use serde::Serialize;
 use std::collections::HashMap;
@@ -78,6 +80,8 @@ pub struct RefineReport {
     pub inserted_deviation: usize,
     /// ... near grid nodes on the wrong side (label volumes).
     pub inserted_nodes: usize,
+    /// Edges and vertices in which sheets touched and that tetrahedra parted by changing sides.
+    pub parted_pinches: usize,
     /// Components of F = 0 that lie between the samples, so that marching cubes has nothing there, and that the mesh has.
     pub unsampled_components: usize,
     /// Edges and vertices that are still not manifold.
@@ -129,6 +133,7 @@ pub struct Refinement<'a> {
     /// Rounds granted at first.
     granted: usize,
     looks: Looks,
+    patience: Patience,
     /// Whether the tetrahedra inside are those that the facets enclose.
     sides_are_known: bool,
     /// Critical points of F, once they have been asked for.
@@ -161,6 +166,7 @@ impl<'a> Refinement<'a> {
             genus_rounds: 0,
             granted: options.max_rounds,
             looks: Looks::default(),
+            patience: Patience::default(),
             sides_are_known: true,
             critical: OnceLock::new(),
             samplings: HashMap::new(),
@@ -220,9 +226,13 @@ impl<'a> Refinement<'a> {
             step(self.report.rounds, self.restricted.points().len())?;
             let facets = self.facets();
             let defects = self.compare(&facets);
+            if self.patience.is_over(&defects) && self.part_pinches(&facets, &defects) > 0 {
+                continue;
+            }
             let may_go_on = self.report.rounds < self.options.max_rounds;
             let candidates = if may_go_on { self.candidates(&facets, &defects) } else { Vec::new() };
-            if self.insert_all(candidates)? == 0 && self.insert_at_critical_points()? == 0 {
+            let is_stuck = self.insert_all(candidates)? == 0 && self.insert_at_critical_points()? == 0;
+            if is_stuck && self.part_pinches(&facets, &defects) == 0 {
                 self.report.unsampled_components = self.unsampled_components(&facets, &defects);
                 return Ok(facets);
             }

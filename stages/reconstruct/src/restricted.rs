@@ -6,6 +6,7 @@
 //! too. The Voronoi edge dual to a facet joins the two circumcentres and crosses F = 0: that crossing is the
 //! point which refines the facet (Boissonnat and Oudot 2005).
 
+use crate::around::{parts_round, runs_round, star};
 use glam::DVec3;
 use isoparticles_common::delaunay::predicates::orientation;
 use isoparticles_common::delaunay::{Delaunay, INFINITE, Insertion};
@@ -100,6 +101,46 @@ impl<'a> Restricted<'a> {
     /// Whether a tetrahedron is inside.
     pub fn is_inside(&self, tetrahedron: u32) -> bool {
         self.inside[tetrahedron as usize]
+    }
+
+    /// Parts the sheets that touch in an edge: of the tetrahedra round it (`start` is one of them) those of one run change sides. True
+    /// when some did. See [`Restricted::part_vertex`].
+    pub fn part_edge(&mut self, edge: [u32; 2], start: u32, may_leave: bool) -> bool {
+        let runs = runs_round(&self.delaunay, edge, start, |t| self.inside[t as usize]);
+        self.change_side_of_one(runs, may_leave)
+    }
+
+    /// Parts the sheets that touch in a vertex: of the tetrahedra at it those of one part change sides, the part whose circumcentres
+    /// lie nearest to F = 0. Where the sheets of F are nearer to each other than points can tell, the mesh must decide. Unless
+    /// `may_leave`, tetrahedra only join the object. True when some changed.
+    pub fn part_vertex(&mut self, vertex: u32, may_leave: bool) -> bool {
+        let star = star(&self.delaunay, vertex);
+        let parts = parts_round(&self.delaunay, vertex, &star, |t| self.inside[t as usize]);
+        self.change_side_of_one(parts, may_leave)
+    }
+
+    fn change_side_of_one(&mut self, parts: Vec<Vec<u32>>, may_leave: bool) -> bool {
+        let is_inside = |part: &Vec<u32>| self.inside[part[0] as usize];
+        let inside = parts.iter().filter(|part| is_inside(part)).count();
+        // the last part of a side is what the others are parted from
+        let is_spare = |part: &&Vec<u32>| match is_inside(part) {
+            true => may_leave && inside > 1,
+            false => parts.len() - inside > 1,
+        };
+        let errs = |part: &Vec<u32>| part.iter().map(|&t| self.distance_of_centre(t)).fold(0.0, f64::max);
+        let spare = parts.iter().filter(is_spare).map(|part| (errs(part), part)).filter(|(err, _)| err.is_finite());
+        let Some((_, part)) = spare.min_by(|a, b| a.0.total_cmp(&b.0)) else { return false };
+        part.iter().for_each(|&t| self.inside[t as usize] ^= true);
+        true
+    }
+
+    /// Distance of a circumcentre from F = 0 to first order, mm; infinite beyond the hull and the volume.
+    fn distance_of_centre(&self, t: u32) -> f64 {
+        let centre = self.delaunay.circumcentre(t).filter(|&c| !self.delaunay.is_ghost(t) && self.in_volume(c));
+        centre.map_or(f64::INFINITY, |c| {
+            let (value, gradient) = self.field.value_gradient(c);
+            value.abs() / gradient.length().max(1e-6)
+        })
     }
 
     /// Takes the sides of the tetrahedra from a closed surface of facets instead of F.

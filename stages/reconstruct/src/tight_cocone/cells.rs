@@ -1,5 +1,6 @@
 //! Voronoi cells as the cocone sees them: corners, poles, flatness, and the facets whose dual edge meets the cocones.
 
+use crate::around::place_of;
 use glam::DVec3;
 use isoparticles_common::delaunay::{Delaunay, INFINITE};
 use rayon::prelude::*;
@@ -60,11 +61,6 @@ impl Stars {
     pub(super) fn vertex_count(&self) -> usize {
         self.starts.len() - 1
     }
-}
-
-/// Where a vertex or neighbour is in a list of four that holds it.
-pub(super) fn place_of(list: [u32; 4], what: u32) -> usize {
-    list.iter().position(|&other| other == what).unwrap_or(0)
 }
 
 /// A Voronoi cell.

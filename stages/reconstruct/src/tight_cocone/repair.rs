@@ -1,13 +1,12 @@
 //! Edges and vertices in which parts of the surface touch: a part of space there changes sides.
 
-use super::cells::{Cells, place_of};
+use super::cells::Cells;
 use super::umbrellas::{Umbrellas, good_vertices};
-use crate::fans::fans;
+use crate::around::{parts_round, runs_round};
+use crate::incidence::Incidence;
 use crate::restricted::Facet;
-use isoparticles_common::components::DisjointSets;
 use isoparticles_common::delaunay::Delaunay;
 use rayon::prelude::*;
-use std::collections::BTreeMap;
 
 /// Rounds in which parts may go either way; after them they may only join the object, so that there is an end.
 const FREE_ROUNDS: usize = 8;
@@ -38,13 +37,13 @@ pub(super) fn part_pinches(cells: &Cells, umbrellas: &Umbrellas, is_out: &mut [b
     for round in 0.. {
         let is_free = round < FREE_ROUNDS;
         let facets = boundary(cells.delaunay, is_out);
-        let (edges, vertices) = pinches(&facets);
+        let (edges, vertices) = pinches(&facets, cells.delaunay.points().len());
         if edges.is_empty() && (vertices.is_empty() || !is_free) {
             return (facets, changed);
         }
         let before = changed;
         for (edge, facet) in edges {
-            let runs = runs_round(cells.delaunay, edge, facets[facet as usize].tetrahedron, is_out);
+            let runs = runs_round(cells.delaunay, edge, facets[facet as usize].tetrahedron, |t| is_out[t as usize]);
             if runs.len() < 4 {
                 // an edge nearby took care of it
                 continue;
@@ -60,7 +59,7 @@ pub(super) fn part_pinches(cells: &Cells, umbrellas: &Umbrellas, is_out: &mut [b
             changed += run.len();
         }
         for v in vertices.into_iter().filter(|_| is_free) {
-            let parts = parts_round(cells, v, is_out);
+            let parts = parts_round(cells.delaunay, v, cells.stars.of(v), |t| is_out[t as usize]);
             let of_side = |side: bool| parts.iter().filter(|part| is_out[part[0] as usize] == side).count();
             let spare = |part: &&Vec<u32>| {
                 let is_small = part.len() <= SMALL_PART && part.iter().all(|&t| !cells.delaunay.is_ghost(t));
@@ -85,9 +84,11 @@ fn doubt(cells: &Cells, umbrellas: &Umbrellas, part: &[u32]) -> usize {
 }
 
 /// Edges in more than two facets, each with one of its facets, and vertices with more than one fan of facets.
-fn pinches(facets: &[Facet]) -> (Vec<([u32; 2], u32)>, Vec<u32>) {
+fn pinches(facets: &[Facet], vertex_count: usize) -> (Vec<([u32; 2], u32)>, Vec<u32>) {
     let mut edges = Vec::new();
-    let mut fans = fans(facets, |edge, around| edges.extend(around.next().map(|first| (edge, first))));
+    let triangles: Vec<[u32; 3]> = facets.iter().map(|f| f.vertices).collect();
+    let incidence = Incidence::new(&triangles, vertex_count);
+    let mut fans = incidence.fans(|edge, around| edges.push((edge, around[0])));
     let mut roots: Vec<(u32, u32)> = Vec::with_capacity(3 * facets.len());
     for (f, facet) in facets.iter().enumerate() {
         roots.extend((0..3).map(|k| (facet.vertices[k], fans.find((3 * f + k) as u32))));
@@ -96,49 +97,4 @@ fn pinches(facets: &[Facet]) -> (Vec<([u32; 2], u32)>, Vec<u32>) {
     roots.dedup();
     let vertices = roots.chunk_by(|x, y| x.0 == y.0).filter(|fans| fans.len() > 1).map(|fans| fans[0].0);
     (edges, vertices.collect())
-}
-
-/// The tetrahedra at a vertex, by parts that join through facets at it.
-fn parts_round(cells: &Cells, v: u32, is_out: &[bool]) -> Vec<Vec<u32>> {
-    let star = cells.stars.of(v);
-    let mut sets = DisjointSets::new(star.len());
-    for (k, &t) in star.iter().enumerate() {
-        let at = place_of(cells.delaunay.vertices(t), v);
-        for (j, n) in cells.delaunay.neighbours(t).into_iter().enumerate() {
-            if j != at && n < t && is_out[n as usize] == is_out[t as usize] {
-                sets.join(k as u32, star.binary_search(&n).unwrap_or(k) as u32);
-            }
-        }
-    }
-    let mut parts: BTreeMap<u32, Vec<u32>> = BTreeMap::new();
-    for (k, &t) in star.iter().enumerate() {
-        parts.entry(sets.find(k as u32)).or_default().push(t);
-    }
-    parts.into_values().collect()
-}
-
-/// The tetrahedra round an edge, by runs of one side.
-fn runs_round(delaunay: &Delaunay, [a, b]: [u32; 2], start: u32, is_out: &[bool]) -> Vec<Vec<u32>> {
-    let others = |t: u32| {
-        let v = delaunay.vertices(t);
-        v.into_iter().filter(move |&u| u != a && u != b)
-    };
-    let mut ring = vec![start];
-    let mut behind = others(start).next().unwrap_or(a);
-    loop {
-        let t = ring[ring.len() - 1];
-        let ahead = others(t).find(|&u| u != behind).unwrap_or(a);
-        let next = delaunay.neighbours(t)[place_of(delaunay.vertices(t), behind)];
-        if next == start {
-            break;
-        }
-        ring.push(next);
-        // across the facet opposite to what was behind lies a tetrahedron with what was ahead
-        behind = ahead;
-    }
-    let side = |t: &u32| is_out[*t as usize];
-    let first =
-        (0..ring.len()).find(|&k| side(&ring[k]) != side(&ring[(k + ring.len() - 1) % ring.len()])).unwrap_or(0);
-    ring.rotate_left(first);
-    ring.chunk_by(|s, t| side(s) == side(t)).map(<[u32]>::to_vec).collect()
 }

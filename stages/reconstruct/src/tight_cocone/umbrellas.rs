@@ -3,7 +3,8 @@
 //! The sheet of candidates next to a side is the umbrella that a walk on that side would find; triangles that part nothing (those on
 //! sharp edges, which the paper prunes one by one) have no say, whatever their number.
 
-use super::cells::{Cells, NOBODY, place_of};
+use super::cells::{Cells, NOBODY};
+use crate::around::place_of;
 use isoparticles_common::components::DisjointSets;
 use isoparticles_common::delaunay::INFINITE;
 use rayon::prelude::*;

@@ -1,0 +1,76 @@
+//! The tetrahedra round an edge or a vertex, by the side that they are on.
+
+use isoparticles_common::components::DisjointSets;
+use isoparticles_common::delaunay::Delaunay;
+use std::collections::BTreeMap;
+
+/// Where a vertex or neighbour is in a list of four that holds it.
+pub(crate) fn place_of(list: [u32; 4], what: u32) -> usize {
+    list.iter().position(|&other| other == what).unwrap_or(0)
+}
+
+/// The tetrahedra round an edge by runs of one `side`; `start` is one of them. An edge of a manifold surface parts two runs.
+pub(crate) fn runs_round(
+    delaunay: &Delaunay,
+    [a, b]: [u32; 2],
+    start: u32,
+    side: impl Fn(u32) -> bool,
+) -> Vec<Vec<u32>> {
+    let others = |t: u32| {
+        let v = delaunay.vertices(t);
+        v.into_iter().filter(move |&u| u != a && u != b)
+    };
+    let mut ring = vec![start];
+    let mut behind = others(start).next().unwrap_or(a);
+    loop {
+        let t = ring[ring.len() - 1];
+        let ahead = others(t).find(|&u| u != behind).unwrap_or(a);
+        let next = delaunay.neighbours(t)[place_of(delaunay.vertices(t), behind)];
+        if next == start {
+            break;
+        }
+        ring.push(next);
+        // across the facet opposite to what was behind lies a tetrahedron with what was ahead
+        behind = ahead;
+    }
+    let turns = |k: &usize| side(ring[*k]) != side(ring[(k + ring.len() - 1) % ring.len()]);
+    let first = (0..ring.len()).find(turns).unwrap_or(0);
+    ring.rotate_left(first);
+    ring.chunk_by(|&s, &t| side(s) == side(t)).map(<[u32]>::to_vec).collect()
+}
+
+/// The tetrahedra at a vertex, ascending.
+pub(crate) fn star(delaunay: &Delaunay, vertex: u32) -> Vec<u32> {
+    let mut star: Vec<u32> = delaunay.incident(vertex).into_iter().collect();
+    let mut next = 0;
+    while next < star.len() {
+        let (vertices, neighbours) = (delaunay.vertices(star[next]), delaunay.neighbours(star[next]));
+        for (opposite, n) in vertices.into_iter().zip(neighbours) {
+            if opposite != vertex && !star.contains(&n) {
+                star.push(n);
+            }
+        }
+        next += 1;
+    }
+    star.sort_unstable();
+    star
+}
+
+/// The tetrahedra at a vertex (its `star`, ascending) by parts of one `side` that join through facets at it. A vertex of a manifold surface
+/// has two parts.
+pub(crate) fn parts_round(delaunay: &Delaunay, vertex: u32, star: &[u32], side: impl Fn(u32) -> bool) -> Vec<Vec<u32>> {
+    let mut sets = DisjointSets::new(star.len());
+    for (k, &t) in star.iter().enumerate() {
+        let at = place_of(delaunay.vertices(t), vertex);
+        for (j, n) in delaunay.neighbours(t).into_iter().enumerate() {
+            if j != at && n < t && side(n) == side(t) {
+                sets.join(k as u32, star.binary_search(&n).unwrap_or(k) as u32);
+            }
+        }
+    }
+    let mut parts: BTreeMap<u32, Vec<u32>> = BTreeMap::new();
+    for (k, &t) in star.iter().enumerate() {
+        parts.entry(sets.find(k as u32)).or_default().push(t);
+    }
+    parts.into_values().collect()
+}

@@ -1,0 +1,145 @@
+//! The triangles at each vertex, and by them edges, fans and Euler characteristics. Found by counting, not by sorting: the refinement asks
+//! for all of them in each of its rounds.
+
+use isoparticles_common::components::DisjointSets;
+use rayon::prelude::*;
+
+/// Vertices whose edges are counted by one thread at a time.
+const CHUNK: usize = 1 << 14;
+
+/// The triangles at each vertex of a list of triangles.
+pub struct Incidence<'a> {
+    triangles: &'a [[u32; 3]],
+    /// Where the triangles of each vertex start in `at_vertex`, and one more.
+    starts: Vec<u32>,
+    at_vertex: Vec<u32>,
+}
+
+impl<'a> Incidence<'a> {
+    /// Of triangles whose vertices are below `vertex_count`.
+    pub fn new(triangles: &'a [[u32; 3]], vertex_count: usize) -> Self {
+        let mut starts = vec![0u32; vertex_count + 1];
+        triangles.iter().flatten().for_each(|&v| starts[v as usize] += 1);
+        let mut sum = 0;
+        for start in &mut starts {
+            sum += *start;
+            *start = sum;
+        }
+        // each vertex is filled from its end, so that its triangles come out in ascending order
+        let mut at_vertex = vec![0u32; sum as usize];
+        for (t, triangle) in triangles.iter().enumerate().rev() {
+            for &v in triangle {
+                starts[v as usize] -= 1;
+                at_vertex[starts[v as usize] as usize] = t as u32;
+            }
+        }
+        Self { triangles, starts, at_vertex }
+    }
+
+    /// The triangles at a vertex, in ascending order.
+    pub fn of(&self, vertex: u32) -> &[u32] {
+        let v = vertex as usize;
+        &self.at_vertex[self.starts[v] as usize..self.starts[v + 1] as usize]
+    }
+
+    fn vertex_count(&self) -> usize {
+        self.starts.len() - 1
+    }
+
+    /// Tells `hear` each edge from a vertex to one of a larger number, with its triangles, all in ascending order.
+    fn edges_from(&self, vertex: u32, ends: &mut Vec<(u32, u32)>, mut hear: impl FnMut(u32, &[(u32, u32)])) {
+        ends.clear();
+        for &t in self.of(vertex) {
+            let others = self.triangles[t as usize].into_iter().filter(|&other| other > vertex);
+            ends.extend(others.map(|other| (other, t)));
+        }
+        ends.sort_unstable();
+        ends.chunk_by(|a, b| a.0 == b.0).for_each(|edge| hear(edge[0].0, edge));
+    }
+
+    /// Joins the corners (3 t + i is corner i of triangle t) of all triangles into fans, across the edges that lie in two triangles: a vertex
+    /// of a manifold has one fan. Edges in another number of triangles join nothing and go to `other_edge`, with their triangles.
+    pub fn fans(&self, mut other_edge: impl FnMut([u32; 2], Vec<u32>)) -> DisjointSets {
+        let mut fans = DisjointSets::new(3 * self.triangles.len());
+        let corner = |t: u32, v: u32| {
+            let place = self.triangles[t as usize].iter().position(|&u| u == v);
+            3 * t + place.unwrap_or_default() as u32
+        };
+        let mut ends = Vec::new();
+        for a in 0..self.vertex_count() as u32 {
+            self.edges_from(a, &mut ends, |b, edge| match *edge {
+                [(_, first), (_, second)] => {
+                    [a, b].iter().for_each(|&v| fans.join(corner(first, v), corner(second, v)))
+                }
+                _ => other_edge([a, b], edge.iter().map(|&(_, t)| t).collect()),
+            });
+        }
+        fans
+    }
+
+    /// Euler characteristic V - E + F of each class of triangles; `class` gives that of each triangle, below `classes`.
+    pub fn euler_characteristics(&self, class: &[u32], classes: usize) -> Vec<i64> {
+        let chunks = (0..self.vertex_count()).into_par_iter().step_by(CHUNK);
+        let sums = chunks.map(|first| {
+            let mut euler = vec![0i64; classes];
+            let (mut ends, mut seen) = (Vec::new(), Vec::new());
+            let mut count = |triangles: &mut dyn Iterator<Item = u32>, sign: i64| {
+                seen.clear();
+                for class in triangles.map(|t| class[t as usize]) {
+                    if !seen.contains(&class) {
+                        seen.push(class);
+                        euler[class as usize] += sign;
+                    }
+                }
+            };
+            for v in first as u32..(first + CHUNK).min(self.vertex_count()) as u32 {
+                count(&mut self.of(v).iter().copied(), 1);
+                self.edges_from(v, &mut ends, |_, edge| count(&mut edge.iter().map(|end| end.1), -1));
+            }
+            euler
+        });
+        let mut euler = sums.reduce(
+            || vec![0; classes],
+            |mut a, b| {
+                a.iter_mut().zip(b).for_each(|(a, b)| *a += b);
+                a
+            },
+        );
+        class.iter().for_each(|&c| euler[c as usize] += 1);
+        euler
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn two_tetrahedra_that_share_an_edge() {
+        let one = [[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]];
+        let other = one.map(|t| t.map(|v: u32| v + 2));
+        let triangles = [one, other].concat();
+        let incidence = Incidence::new(&triangles, 7);
+        assert_eq!(incidence.of(1), [0, 2, 3]);
+        assert_eq!(incidence.of(2), [0, 1, 3, 5, 6, 7]);
+        assert!(incidence.of(6).is_empty());
+        let class = [0, 0, 0, 0, 2, 2, 2, 2];
+        assert_eq!(incidence.euler_characteristics(&class, 3), [2, 0, 2]);
+        // six vertices, eleven edges, eight triangles
+        assert_eq!(incidence.euler_characteristics(&[0; 8], 1), [3]);
+        let mut edges = Vec::new();
+        let mut fans = incidence.fans(|edge, around| edges.push((edge, around)));
+        assert_eq!(edges, [([2, 3], vec![0, 1, 6, 7])]);
+        let mut fans_at = |v: u32| {
+            let corners = incidence.of(v).iter().map(|&t| {
+                let place = triangles[t as usize].iter().position(|&u| u == v).unwrap();
+                3 * t + place as u32
+            });
+            let mut roots: Vec<u32> = corners.collect::<Vec<_>>().into_iter().map(|c| fans.find(c)).collect();
+            roots.sort_unstable();
+            roots.dedup();
+            roots.len()
+        };
+        assert_eq!([0, 1, 2, 3, 4, 5].map(|v| fans_at(v)), [1, 1, 2, 2, 1, 1]);
+    }
+}

@@ -1,0 +1,67 @@
+//! Edges and vertices in which sheets touch and that points do not part: tetrahedra there change sides.
+
+use super::Refinement;
+use crate::defects::Defects;
+use crate::restricted::Facet;
+
+/// Rounds that points have to lower the number of places that are not manifold.
+const ROUNDS: usize = 20;
+
+/// Times that tetrahedra may change sides; in the second half of them they may only join the object, lest they go to and fro.
+const PARTINGS: usize = 16;
+
+/// Whether points still help where the surface is not manifold.
+#[derive(Clone, Debug)]
+pub(super) struct Patience {
+    fewest: usize,
+    rounds: usize,
+    partings: usize,
+}
+
+impl Default for Patience {
+    fn default() -> Self {
+        Self { fewest: usize::MAX, rounds: 0, partings: 0 }
+    }
+}
+
+impl Patience {
+    /// Hears the defects of a round; true when the places that are not manifold have long not become fewer.
+    pub(super) fn is_over(&mut self, defects: &Defects) -> bool {
+        let places = defects.edges.len() + defects.vertices.len();
+        if places == 0 {
+            (self.fewest, self.rounds) = (usize::MAX, 0);
+        } else if places < self.fewest {
+            (self.fewest, self.rounds) = (places, 0);
+        } else {
+            self.rounds += 1;
+        }
+        self.rounds > ROUNDS
+    }
+}
+
+impl Refinement<'_> {
+    /// Parts the sheets that touch in edges, or else in vertices; returns at how many.
+    pub(super) fn part_pinches(&mut self, facets: &[Facet], defects: &Defects) -> usize {
+        if defects.is_manifold() || self.patience.partings >= PARTINGS {
+            return 0;
+        }
+        let may_leave = 2 * self.patience.partings < PARTINGS;
+        let mut parted = 0;
+        for around in defects.edges.iter().filter(|around| around.len() > 2) {
+            let facet = &facets[around[0] as usize];
+            let in_all = |v: &u32| around.iter().all(|&f| facets[f as usize].vertices.contains(v));
+            let shared: Vec<u32> = facet.vertices.into_iter().filter(in_all).collect();
+            if let [a, b] = shared[..] {
+                parted += usize::from(self.restricted.part_edge([a, b], facet.tetrahedron, may_leave));
+            }
+        }
+        if parted == 0 {
+            let vertices = defects.vertices.iter().map(|(v, _)| *v);
+            parted = vertices.filter(|&v| self.restricted.part_vertex(v, may_leave)).count();
+        }
+        let partings = self.patience.partings + 1;
+        self.patience = Patience { partings, ..Patience::default() };
+        self.report.parted_pinches += parted;
+        parted
+    }
+}
