@@ -1,5 +1,6 @@
 //! The reconstruction of analytic scenes from sparse and from dense points.
 
+use crate::critical::{CriticalPoint, critical_points};
 use crate::defects::Defects;
 use crate::isosurface::Isosurface;
 use crate::prepare::{SurfacePoints, prepare};
@@ -10,10 +11,14 @@ use isoparticles_common::mesh::TriangleMesh;
 use isoparticles_common::particle_set::ParticleSet;
 use isoparticles_common::random::uniform;
 
-fn surface(scene: &Scene, spacing: f64) -> (TriangleMesh, Defects, RefineReport, Vec<i64>) {
+fn surface_points(scene: &Scene, spacing: f64) -> SurfacePoints {
     let positions = scene.points(spacing);
     let sizes = vec![spacing * 1.2; positions.len()];
-    let mut points = SurfacePoints { positions, sizes, ..SurfacePoints::default() };
+    SurfacePoints { positions, sizes, ..SurfacePoints::default() }
+}
+
+fn surface(scene: &Scene, spacing: f64) -> (TriangleMesh, Defects, RefineReport, Vec<i64>) {
+    let mut points = surface_points(scene, spacing);
     let isosurface = Isosurface::new(&scene.image);
     let mut refinement = Refinement::new(&mut points, &scene.field, isosurface, RefineOptions::default()).unwrap();
     let facets = refinement.run(|_, _| Ok(())).unwrap();
@@ -70,6 +75,34 @@ fn a_speck_between_the_samples_is_found_and_counted() {
     assert_eq!(euler, [2], "marching cubes sees the ball alone");
     assert_eq!((defects.component_count, report.unsampled_components), (2, 1));
     assert!(mesh.vertices.iter().any(|p| (p.distance(speck) - 0.6).abs() < 0.05));
+}
+
+#[test]
+fn sheets_that_touch_in_a_saddle_of_f_are_parted() {
+    let balls = |level: f64| {
+        let [a, b] = [9.3, 21.8].map(|x| DVec3::new(x, 15.4, 15.6));
+        Scene::new([32; 3], DVec3::ONE, |p| (p.distance(a) - 6.0).min(p.distance(b) - 6.0) - level)
+    };
+    let middle = DVec3::new(15.55, 15.4, 15.6);
+    let near = |c: &CriticalPoint| c.position.distance(middle);
+    let saddles = critical_points(&balls(0.0).field, 0.0);
+    let saddle = saddles.into_iter().min_by(|a, b| near(a).total_cmp(&near(b))).unwrap();
+    // splines reproduce constants: the saddle now lies on F = 0, to the last digit of the samples
+    let scene = balls(saddle.value);
+    let parted = [1.4, 1.7, 2.0, 2.3, 2.6, 2.9].map(|spacing| {
+        let mut points = surface_points(&scene, spacing);
+        let isosurface = Isosurface::new(&scene.image);
+        // no round of points, so that the tetrahedra have to do it
+        let options = RefineOptions { max_rounds: 0, ..RefineOptions::default() };
+        let mut refinement = Refinement::new(&mut points, &scene.field, isosurface, options).unwrap();
+        let before = refinement.defects(&refinement.facets());
+        let facets = refinement.run(|_, _| Ok(())).unwrap();
+        let after = refinement.defects(&facets);
+        assert!(after.is_manifold(), "at spacing {spacing}: {:?}", refinement.report);
+        assert_eq!(refinement.report.parted_pinches > 0, !before.is_manifold());
+        refinement.report.parted_pinches
+    });
+    assert!(parted.iter().any(|&n| n > 0), "nothing touches at any spacing, so this shows nothing");
 }
 
 fn within(measured: f64, truth: f64, part: f64) -> bool {
