@@ -10,7 +10,7 @@ pub(crate) mod certain;
 use crate::incidence::Incidence;
 use certain::CertainSigns;
 use glam::DVec3;
-use isoparticles_common::components::{self, NO_COMPONENT};
+use isoparticles_common::components;
 use isoparticles_common::geometry::Geometry;
 use isoparticles_common::image::Image;
 use isoparticles_common::kd_tree::KdTree;
@@ -34,6 +34,8 @@ pub struct Isosurface {
     mesh: TriangleMesh,
     /// Component of each vertex of the mesh.
     component_of_vertex: Vec<u32>,
+    /// (component, triangle), sorted.
+    triangles: Vec<(u32, u32)>,
     /// First component of the class of each component.
     class: Vec<u32>,
     /// Euler characteristic of each class (2 for a ball, 0 for a torus).
@@ -88,9 +90,12 @@ impl Isosurface {
         let component_of: Vec<u32> = mesh.triangles.iter().map(|t| component_of_vertex[t[0] as usize]).collect();
         let euler = Incidence::new(&mesh.triangles, mesh.vertices.len()).euler_characteristics(&component_of, count);
         let class = (0..count as u32).collect();
+        let mut triangles: Vec<(u32, u32)> = (0..).zip(&component_of).map(|(t, &component)| (component, t)).collect();
+        triangles.par_sort_unstable();
         let mut new = Self {
             mesh,
             component_of_vertex,
+            triangles,
             class,
             euler,
             parted: vec![0; count],
@@ -171,13 +176,37 @@ impl Isosurface {
         }
     }
 
+    fn triangles_of(&self, component: u32) -> impl Iterator<Item = u32> + '_ {
+        let start = self.triangles.partition_point(|&(c, _)| c < component);
+        self.triangles[start..].iter().take_while(move |&&(c, _)| c == component).map(|&(_, t)| t)
+    }
+
+    /// Triangles whose centroids lie in a box.
+    fn triangles_within(&self, low: DVec3, high: DVec3) -> impl Iterator<Item = u32> + '_ {
+        let rows = [low, high].map(|p| self.geometry.grid_to_index(p - self.corner).floor().max(DVec3::NEG_ONE));
+        let [first, last] = rows.map(|index| index.as_i64vec3());
+        let rows = (first.z..=last.z).flat_map(move |z| (first.y..=last.y).map(move |y| [y, z]));
+        let in_row = rows.flat_map(move |[y, z]| {
+            let [first, last] = [first.x, last.x].map(|x| key([x, y, z]));
+            let start = self.cells.partition_point(|&(c, _)| c < first);
+            self.cells[start..].iter().take_while(move |&&(c, _)| c <= last).map(|&(_, t)| t)
+        });
+        in_row.filter(move |&t| {
+            let p = self.centroid(t);
+            p.cmpge(low).all() && p.cmple(high).all()
+        })
+    }
+
     /// The marching-cubes vertices and the centroids of the triangles of a class: a dense sample of it.
     pub fn samples(&self, class: u32) -> Vec<DVec3> {
-        let vertices = self.mesh.vertices.iter().zip(&self.component_of_vertex);
-        let triangles = 0..self.mesh.triangles.len() as u32;
-        let centroids = triangles.filter(|&t| self.class_of_triangle(t) == class).map(|t| self.centroid(t));
-        let own = |c: u32| c != NO_COMPONENT && self.class[c as usize] == class;
-        vertices.filter(|(_, c)| own(**c)).map(|(p, _)| *p).chain(centroids).collect()
+        let members = (0..).zip(&self.class).filter(|(_, of)| **of == class).map(|(component, _)| component);
+        let mut triangles: Vec<u32> = members.flat_map(|component| self.triangles_of(component)).collect();
+        triangles.sort_unstable();
+        let mut vertices: Vec<u32> = triangles.iter().flat_map(|&t| self.mesh.triangles[t as usize]).collect();
+        vertices.sort_unstable();
+        vertices.dedup();
+        let vertices = vertices.into_iter().map(|v| self.mesh.vertices[v as usize]);
+        vertices.chain(triangles.into_iter().map(|t| self.centroid(t))).collect()
     }
 
     /// The class that a point on F = 0 belongs to: that of the nearest marching-cubes triangle in its cell and the
@@ -231,9 +260,9 @@ impl Isosurface {
         let Some(patch) = Self::patch(field, low, high, FINE) else { return false };
         let at = |p: DVec3| patch.component_at(p, field.value_gradient(p).1);
         let own: Vec<u32> = samples.iter().filter_map(|&p| at(p)).collect();
-        let within = |p: &DVec3| p.cmpge(low).all() && p.cmple(high).all();
-        let mut joined: Vec<u32> = (0..self.mesh.triangles.len() as u32)
-            .filter(|&t| self.class_of_triangle(t) != class && within(&self.centroid(t)))
+        let mut joined: Vec<u32> = self
+            .triangles_within(low, high)
+            .filter(|&t| self.class_of_triangle(t) != class)
             .filter(|&t| at(self.centroid(t)).is_some_and(|c| own.contains(&c)))
             .map(|t| self.class_of_triangle(t))
             .collect();
@@ -292,10 +321,14 @@ impl Isosurface {
 
     fn cell(&self, point: DVec3, shift: [i32; 3]) -> u64 {
         let index = self.geometry.grid_to_index(point - self.corner).floor();
-        // two cells of margin on the low side keep the numbers positive
-        let at = |axis: usize| (index[axis].max(-1.0) as i64 + i64::from(shift[axis]) + 2) as u64;
-        (at(2) << 42) | (at(1) << 21) | at(0)
+        key([0, 1, 2].map(|axis| index[axis].max(-1.0) as i64 + i64::from(shift[axis])))
     }
+}
+
+/// Number of a cell; two cells of margin on the low side keep it positive.
+fn key(cell: [i64; 3]) -> u64 {
+    let [x, y, z] = cell.map(|n| (n + 2) as u64);
+    (z << 42) | (y << 21) | x
 }
 
 /// Box round points.

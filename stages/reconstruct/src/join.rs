@@ -129,7 +129,8 @@ fn add_at_nodes(
     if nodes.is_empty() { Ok(0) } else { refinement.insert_near_nodes(&nodes, facets) }
 }
 
-/// Tight Cocone of the points that are there by now, and of those added at the grid nodes that it leaves on the wrong side.
+/// Tight Cocone of the points that are there by now, and of those added where it differs in topology from the isosurface or leaves grid nodes
+/// on the wrong side.
 fn cocones(
     refinement: &mut Refinement,
     max_rounds: usize,
@@ -144,7 +145,10 @@ fn cocones(
         let facets = refinement.without_border_closure(facets);
         context.check_interrupt()?;
         let may_add = round < max_rounds.min(COCONE_ROUNDS);
-        if !may_add || add_at_nodes(refinement, &facets, origin, samples, context)? == 0 {
+        let has_added = may_add
+            && (refinement.insert_for_other(&facets)? > 0
+                || add_at_nodes(refinement, &facets, origin, samples, context)? > 0);
+        if !has_added {
             refinement.compare_other(&facets);
             return Ok((facets, report));
         }

@@ -136,6 +136,8 @@ pub struct Refinement<'a> {
     patience: Patience,
     /// Whether the tetrahedra inside are those that the facets enclose.
     sides_are_known: bool,
+    /// Whether it is the sign of F that says which they are.
+    is_by_sign: bool,
     /// Critical points of F, once they have been asked for.
     critical: OnceLock<Vec<CriticalPoint>>,
     /// Times that points were added on each class for want of facets.
@@ -168,6 +170,7 @@ impl<'a> Refinement<'a> {
             looks: Looks::default(),
             patience: Patience::default(),
             sides_are_known: true,
+            is_by_sign: true,
             critical: OnceLock::new(),
             samplings: HashMap::new(),
         })
@@ -241,6 +244,7 @@ impl<'a> Refinement<'a> {
 
     /// Compares a surface that was found by other means than the sign of F at the circumcentres.
     pub fn compare_other(&mut self, facets: &[Facet]) {
+        self.is_by_sign = false;
         self.sides_are_known = !self.options.open_border;
         if self.sides_are_known {
             self.restricted.take_sides(facets);
@@ -248,6 +252,18 @@ impl<'a> Refinement<'a> {
         let defects = self.compare(facets);
         self.report.unresolved_critical = self.astray().len();
         self.report.unsampled_components = self.unsampled_components(facets, &defects);
+    }
+
+    /// Adds points where such a surface differs in topology from the isosurface; returns how many.
+    ///
+    /// # Errors
+    /// None as a rule; those of the triangulation.
+    pub fn insert_for_other(&mut self, facets: &[Facet]) -> Result<usize> {
+        self.compare_other(facets);
+        let defects = self.defects(facets);
+        let mut candidates = self.candidates(facets, &defects);
+        candidates.retain(|c| c.reason < Reason::Deviation);
+        self.insert_all(candidates)
     }
 
     /// Defects of a set of facets, after looking again wherever the isosurface may be at fault; they go into the report.
@@ -323,10 +339,15 @@ impl<'a> Refinement<'a> {
 
     fn candidates(&mut self, facets: &[Facet], defects: &Defects) -> Vec<Candidate> {
         let mut candidates = Vec::new();
+        let mut members: HashMap<u32, Vec<u32>> = defects.missing.iter().map(|&class| (class, Vec::new())).collect();
+        if !members.is_empty() {
+            for (v, class) in (0..).zip(&self.component_of) {
+                members.entry(*class).and_modify(|members| members.push(v));
+            }
+        }
         for &class in &defects.missing {
-            let attempt = self.samplings.entry(class).and_modify(|n| *n += 1).or_insert(0);
-            let attempt = *attempt;
-            candidates.extend(self.sample_class(class, attempt));
+            let attempt = *self.samplings.entry(class).and_modify(|n| *n += 1).or_insert(0);
+            candidates.extend(self.sample_class(class, &members[&class], attempt));
         }
         let spots = defects.edges.iter().chain(defects.vertices.iter().map(|(_, around)| around));
         for around in spots {
@@ -386,16 +407,12 @@ impl<'a> Refinement<'a> {
 
     /// Points on a class that has no facets: as far apart as its particles want to be, if it has any, and nearer each
     /// time; at least a dozen, where it is large enough.
-    fn sample_class(&self, class: u32, attempt: i32) -> Vec<Candidate> {
+    fn sample_class(&self, class: u32, members: &[u32], attempt: i32) -> Vec<Candidate> {
         let voxel = self.restricted.field().geometry().mean_spacing();
         let samples: Vec<DVec3> =
             self.isosurface.samples(class).into_iter().filter_map(|p| self.on_surface(p, 1.0)).collect();
-        let members = (0..self.sizes.len()).filter(|&v| self.component_of[v] == class);
-        let (mut present, mut largest) = (Vec::new(), voxel);
-        for v in members {
-            present.push(self.restricted.points()[v]);
-            largest = self.sizes[v].max(largest);
-        }
+        let present: Vec<DVec3> = members.iter().map(|&v| self.restricted.points()[v as usize]).collect();
+        let largest = members.iter().map(|&v| self.sizes[v as usize]).fold(voxel, f64::max);
         let Some((low, high)) = bounds(&samples) else { return Vec::new() };
         let extent = (high - low).max_element();
         let mut spacing = largest.min(extent) * 0.7f64.powi(attempt);

@@ -28,7 +28,8 @@ impl Refinement<'_> {
     pub(super) fn look_again(&mut self, facets: &[Facet], defects: &Defects) -> bool {
         let field = self.restricted.field();
         let mut learnt = false;
-        for &(class, pieces) in &defects.rejoined {
+        // another surface may have lost a piece
+        for &(class, pieces) in defects.rejoined.iter().filter(|_| self.is_by_sign) {
             self.isosurface.set_pieces(class, pieces);
             learnt = true;
         }
