@@ -61,7 +61,7 @@ pub struct Args {
     /// [default: a quarter of the target edge length h, and of a voxel at least]
     #[arg(long, value_name = "MM", value_parser = positive, help_heading = METHOD)]
     pub max_deviation: Option<f64>,
-    /// Most rounds of adding points at a stretch (--method restricted), 0 to 100; a round adds at most one point a place. Points round
+    /// Most rounds of adding points at a stretch, 0 to 100; a round adds at most one point a place. Points round
     /// handles, and those at grid nodes on the wrong side, have stretches of their own
     #[arg(long, value_name = "N", default_value_t = 40, value_parser = clap::value_parser!(u16).range(0..=100), help_heading = METHOD)]
     pub max_rounds: u16,
@@ -92,7 +92,8 @@ pub struct Args {
 pub enum Method {
     /// Delaunay triangulation restricted by the sign of F, refined until it has the topology of the isosurface
     Restricted,
-    /// Tight Cocone (Dey and Goswami 2003): by the shape of the Voronoi cells, from points alone
+    /// Tight Cocone (Dey and Goswami 2003): by the shape of the Voronoi cells, from points alone; with a distance field, from more points
+    /// where these are too few
     TightCocone,
 }
 
