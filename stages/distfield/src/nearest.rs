@@ -46,7 +46,7 @@ pub struct Slab {
 pub fn nearest_samples(geometry: &Geometry, samples: &[DVec3], limit: f64, near: f64, mut visit: impl FnMut(&Slab)) {
     let single: Vec<Vec3> = samples.par_iter().map(|p| p.as_vec3()).collect();
     let fine = Transform { geometry, first: 0, samples: &single, limit: (limit * limit) as f32 };
-    let coarse = limit.is_infinite().then(|| fine.coarse());
+    let mut coarse = limit.is_infinite().then(|| fine.coarse());
     let by_slice = fine.by_slice();
     let [nx, ny, nz] = geometry.size;
     // a sample is handed on from a corner of its cell, which may be a voxel farther away
@@ -63,8 +63,9 @@ pub fn nearest_samples(geometry: &Geometry, samples: &[DVec3], limit: f64, near:
         let part = Geometry { size: [nx, ny, end - first], ..geometry.clone() };
         let transform = Transform { geometry: &part, first, ..fine };
         transform.offer_to_cells(&mut slab.nearest, &by_slice);
-        if let Some((coarse_geometry, coarse)) = &coarse {
-            transform.take_from_coarse(&mut slab.nearest, coarse, coarse_geometry);
+        if let Some(coarse) = &mut coarse {
+            transform.take_from_coarse(&mut slab.nearest, coarse);
+            coarse.forget_below(slab.own.end - 1);
         }
         transform.within_planes(&mut slab.nearest);
         transform.sweep(&mut slab.nearest, Sweep { axis: 2, upward: true, diagonal: true });
@@ -100,6 +101,34 @@ impl Nearest {
     }
 }
 
+/// The nearest samples of the nodes of the coarse grid. Slices lie from the last to the first, so that those that have been passed are at the
+/// end, where their memory can be given back.
+struct Coarse {
+    geometry: Geometry,
+    sample: Vec<u32>,
+}
+
+impl Coarse {
+    /// Those of the row at y index `j` and z index `k`, along x.
+    fn row(&self, j: usize, k: usize) -> &[u32] {
+        let [nx, ny, nz] = self.geometry.size;
+        &self.sample[((nz - 1 - k) * ny + j) * nx..][..nx]
+    }
+
+    /// Gives up the slices that no node of the whole grid from slice `k` on needs.
+    fn forget_below(&mut self, k: usize) {
+        let [nx, ny, nz] = self.geometry.size;
+        self.sample.truncate(nz.saturating_sub(k / STRIDE) * nx * ny);
+        self.sample.shrink_to_fit();
+    }
+}
+
+/// Numbers of the samples slice by slice of the grid.
+struct BySlice {
+    start: Vec<usize>,
+    numbers: Vec<u32>,
+}
+
 /// Along which axis, which way, and whether the four nodes across the corners are asked as well.
 #[derive(Clone, Copy)]
 struct Sweep {
@@ -125,7 +154,7 @@ impl Transform<'_> {
     }
 
     /// The nearest samples of the nodes of a coarse grid over the whole grid.
-    fn coarse(&self) -> (Geometry, Vec<u32>) {
+    fn coarse(&self) -> Coarse {
         let geometry = Geometry {
             size: self.geometry.size.map(|n| (n - 1).div_ceil(STRIDE) + 1),
             spacing: self.geometry.spacing * STRIDE as f64,
@@ -141,7 +170,14 @@ impl Transform<'_> {
                 transform.sweep(&mut coarse, Sweep { axis, upward: false, diagonal });
             }
         }
-        (geometry, coarse.sample)
+        let Nearest { mut sample, squared } = coarse;
+        drop(squared);
+        let [nx, ny, nz] = geometry.size;
+        for k in 0..nz / 2 {
+            let (low, high) = sample.split_at_mut((nz - 1 - k) * nx * ny);
+            low[k * nx * ny..][..nx * ny].swap_with_slice(&mut high[..nx * ny]);
+        }
+        Coarse { geometry, sample }
     }
 
     /// The cell that a sample lies in: its lowest node, in the whole grid.
@@ -150,14 +186,21 @@ impl Transform<'_> {
         [0, 1, 2].map(|a| index[a].max(0.0) as usize)
     }
 
-    /// Numbers of the samples by the slice of their cell; those beyond the last slice are the last one's.
-    fn by_slice(&self) -> Vec<Vec<u32>> {
+    /// Numbers of the samples by the slice of their cell, ascending in each; those beyond the last slice are the last one's.
+    fn by_slice(&self) -> BySlice {
         let nz = self.geometry.size[2];
-        let mut by_slice: Vec<Vec<u32>> = vec![Vec::new(); nz];
+        let slice = |sample: Vec3| self.cell(sample)[2].min(nz - 1);
+        let mut start = vec![0; nz + 1];
+        self.samples.iter().for_each(|&sample| start[slice(sample) + 1] += 1);
+        (0..nz).for_each(|k| start[k + 1] += start[k]);
+        let mut next = start.clone();
+        let mut numbers = vec![0; self.samples.len()];
         for (number, &sample) in self.samples.iter().enumerate() {
-            by_slice[self.cell(sample)[2].min(nz - 1)].push(number as u32);
+            let place = &mut next[slice(sample)];
+            numbers[*place] = number as u32;
+            *place += 1;
         }
-        by_slice
+        BySlice { start, numbers }
     }
 
     /// Gives a node the sample of another where that is nearer than its own. Most often it is the same one, so the node's place is asked for only
@@ -174,11 +217,12 @@ impl Transform<'_> {
     }
 
     /// Offers every sample to the eight nodes of its cell.
-    fn offer_to_cells(&self, nearest: &mut Nearest, by_slice: &[Vec<u32>]) {
+    fn offer_to_cells(&self, nearest: &mut Nearest, by_slice: &BySlice) {
         let [nx, ny, _] = self.geometry.size;
         nearest.chunks(nx * ny).enumerate().for_each(|(k, (sample, squared))| {
             let slice = self.first + k;
-            for number in by_slice[slice.saturating_sub(1)..=slice].iter().flatten() {
+            let numbers = by_slice.start[slice.saturating_sub(1)]..by_slice.start[slice + 1];
+            for number in &by_slice.numbers[numbers] {
                 let [i0, j0, _] = self.cell(self.samples[*number as usize]);
                 for j in j0.min(ny - 1)..(j0 + 2).min(ny) {
                     for i in i0.min(nx - 1)..(i0 + 2).min(nx) {
@@ -193,18 +237,19 @@ impl Transform<'_> {
     }
 
     /// Every node takes the nearest of the samples of the coarse nodes round it.
-    fn take_from_coarse(&self, nearest: &mut Nearest, coarse: &[u32], geometry: &Geometry) {
+    fn take_from_coarse(&self, nearest: &mut Nearest, coarse: &Coarse) {
         let [nx, ny, _] = self.geometry.size;
         let around = |n: usize| [n / STRIDE, n.div_ceil(STRIDE)];
         nearest.chunks(nx).enumerate().for_each(|(row, (sample, squared))| {
             let (j, k) = (row % ny, row / ny);
-            let mut lines = around(self.first + k).map(|c| around(j).map(|b| geometry.linear(0, b, c))).concat();
+            let mut lines = around(self.first + k).map(|c| around(j).map(|b| (b, c))).concat();
             lines.dedup();
+            let lines: Vec<&[u32]> = lines.into_iter().map(|(b, c)| coarse.row(b, c)).collect();
             for i in 0..nx {
                 let mut own = (sample[i], squared[i]);
                 for line in &lines {
                     for a in around(i) {
-                        self.take(|| self.node(i, j, k), &mut own, (coarse[line + a], 0.0));
+                        self.take(|| self.node(i, j, k), &mut own, (line[a], 0.0));
                     }
                 }
                 (sample[i], squared[i]) = own;

@@ -1,7 +1,7 @@
 //! Scalar volumes: the surface is the zero set of the input's own interpolating cubic B-spline minus the iso value.
 
 use crate::cap::BorderBox;
-use crate::field::{Redistanced, Source, first_order_distance, redistance};
+use crate::field::{LeastDistances, Redistanced, Source, first_order_distance, redistance};
 use crate::{Border, Inside, Keep};
 use glam::DVec3;
 use isoparticles_common::cli::Context;
@@ -55,7 +55,7 @@ pub fn from_voxels(
     drop(input);
     let least = (CLEARANCE * nodes.geometry.min_spacing()) as f32;
     drop(step);
-    redistance(nodes, &source, |_| least, options.keep, context)
+    redistance(nodes, &source, LeastDistances { most: least, at: |_| least }, options.keep, context)
 }
 
 /// The volume and which surface of it is meant.
@@ -284,19 +284,4 @@ impl Padding {
         });
         padded
     }
-}
-
-/// Values on the padded grid, each axis continued by `from` (padded index minus margin, size -> index).
-pub(crate) fn pad<T: Copy + Send + Sync>(
-    data: &[T],
-    size: [usize; 3],
-    margin: usize,
-    from: impl Fn(isize, usize) -> usize + Sync,
-) -> Vec<T> {
-    let [nx, ny, nz] = size;
-    let take =
-        |n: usize| -> Vec<usize> { (0..n + 2 * margin).map(|i| from(i as isize - margin as isize, n)).collect() };
-    let (xs, ys, zs) = (take(nx), take(ny), take(nz));
-    let rows: Vec<(usize, usize)> = zs.iter().flat_map(|&k| ys.iter().map(move |&j| (j, k))).collect();
-    rows.par_iter().flat_map_iter(|&(j, k)| xs.iter().map(move |&i| data[(k * ny + j) * nx + i])).collect()
 }
