@@ -12,14 +12,15 @@ use isoparticles_common::image::Image;
 use rayon::prelude::*;
 
 /// Gives every node of `field` the distance (mm) to the nearest of the samples, good to a small part of the sample spacing, within
-/// `limit` mm, and `limit` farther away; the signs stay.
-pub fn distance_to_samples(field: &mut Image<f32>, samples: &[DVec3], limit: f64) {
+/// `limit` mm, and `limit` farther away, negative at the `inside` ones.
+pub fn distance_to_samples(field: &mut Image<f32>, inside: &Bits, samples: &[DVec3], limit: f64) {
     let Image { geometry, data } = field;
     let plane = geometry.size[0] * geometry.size[1];
-    nearest_samples(geometry, samples, limit, limit, |slab| {
-        let squared = &slab.nearest.squared[(slab.own.start - slab.first) * plane..];
-        let own = &mut data[slab.own.start * plane..slab.own.end * plane];
-        own.par_iter_mut().zip(squared).for_each(|(f, squared)| *f = squared.sqrt().min(limit as f32).copysign(*f));
+    nearest_samples(geometry, samples, limit, limit, data, |slab, own| {
+        own.par_iter_mut().enumerate().for_each(|(n, f)| {
+            let sign = if inside.holds(slab.own.start * plane + n) { -1.0 } else { 1.0 };
+            *f = f.sqrt().min(limit as f32).copysign(sign);
+        });
     });
 }
 
@@ -53,13 +54,12 @@ pub fn distance_to_zero_set(
     let patches: Vec<Patch> = samples.par_iter().map(|&p| Patch::new(source, p)).collect();
     let surface = Surface { source, samples, patches, band, reach: PATCH_REACH * geometry.min_spacing() };
     let [nx, ny, _] = geometry.size;
-    nearest_samples(&geometry, samples, f64::INFINITY, band, |slab| {
-        let own = &mut data[slab.own.start * nx * ny..slab.own.end * nx * ny];
+    nearest_samples(&geometry, samples, f64::INFINITY, band, &mut data, |slab, own| {
         own.par_chunks_mut(nx).enumerate().for_each(|(row, values)| {
             let (j, k) = (row % ny, slab.own.start + row / ny);
             for (i, value) in values.iter_mut().enumerate() {
                 let sign = if inside.holds((k * ny + j) * nx + i) { -1.0 } else { 1.0 };
-                *value = surface.distance(&geometry, slab, [i, j, k]).copysign(sign);
+                *value = surface.distance(&geometry, slab, [i, j, k], *value).copysign(sign);
             }
         });
     });
@@ -78,15 +78,13 @@ struct Surface<'a> {
 }
 
 impl Surface<'_> {
-    /// Distance of a node; infinite where there is no sample.
-    fn distance(&self, geometry: &Geometry, slab: &Slab, at: [usize; 3]) -> f32 {
-        let local = geometry.linear(at[0], at[1], at[2] - slab.first);
-        let mut sample = slab.nearest.sample[local];
+    /// Distance of a node whose nearest sample is `squared` mm squared away; infinite where there is no sample.
+    fn distance(&self, geometry: &Geometry, slab: &Slab, at: [usize; 3], squared: f32) -> f32 {
+        let mut sample = slab.sample[geometry.linear(at[0], at[1], at[2] - slab.first)];
         if sample == NONE {
             return f32::INFINITY;
         }
-        let to_sample = slab.nearest.squared[local].sqrt();
-        let is_far = f64::from(to_sample) > self.band;
+        let is_far = f64::from(squared.sqrt()) > self.band;
         let node = geometry.index_to_grid(DVec3::from_array(at.map(|n| n as f64)));
         if is_far {
             let foot = |sample: u32| {
@@ -114,12 +112,12 @@ impl Surface<'_> {
     /// The sample nearest to a node, of its own and those of the nodes around.
     fn nearest_around(&self, geometry: &Geometry, slab: &Slab, at: [usize; 3], node: DVec3) -> u32 {
         let range = |axis: usize| at[axis].saturating_sub(1)..(at[axis] + 2).min(geometry.size[axis]);
-        let own = slab.nearest.sample[geometry.linear(at[0], at[1], at[2] - slab.first)];
+        let own = slab.sample[geometry.linear(at[0], at[1], at[2] - slab.first)];
         let mut best = (own, node.distance_squared(self.samples[own as usize]));
         for k in range(2) {
             for j in range(1) {
                 for i in range(0) {
-                    let other = slab.nearest.sample[geometry.linear(i, j, k - slab.first)];
+                    let other = slab.sample[geometry.linear(i, j, k - slab.first)];
                     if other != NONE && other != best.0 {
                         let squared = node.distance_squared(self.samples[other as usize]);
                         if squared < best.1 {

@@ -224,12 +224,11 @@ impl Sampling {
 fn gather(field: &Image<f32>, number: &Numbering) -> Vec<f64> {
     let [nx, ny, nz] = field.geometry.size;
     let plane = nx * ny;
-    let mut filter = SlabFilter::new(field.geometry.size, |k: usize, slice: &mut [f32]| {
-        slice.copy_from_slice(&field.data[k * plane..(k + 1) * plane]);
-    });
+    let fill = |k: usize, slice: &mut [f32]| slice.copy_from_slice(&field.data[k * plane..(k + 1) * plane]);
+    let mut filter = SlabFilter::new(field.geometry.size);
     let mut compact = Vec::with_capacity(number.count);
     for first in (0..nz).step_by(GATHERED) {
-        let coefficients = filter.coefficients(first..(first + GATHERED).min(nz));
+        let coefficients = filter.coefficients(first..(first + GATHERED).min(nz), fill);
         for row in first * ny..(first + GATHERED).min(nz) * ny {
             let (values, start) = (coefficients.row(row % ny, row / ny), row * nx);
             number.each(start..start + nx, |node, _| compact.push(f64::from(values[node - start])));

@@ -167,7 +167,7 @@ fn binary_distance(mask: &Mask, mut room: Vec<f32>) -> Image<f32> {
     drop(mesh);
     // room for the differences at the rim of the band; beyond, any large number will do
     let limit = BAND * field.geometry.mean_spacing() + 3.0 * field.geometry.spacing.max_element();
-    distance_to_samples(&mut field, &samples, limit);
+    distance_to_samples(&mut field, &mask.inside, &samples, limit);
     field
 }
 

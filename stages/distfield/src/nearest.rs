@@ -8,6 +8,7 @@
 
 use glam::{DVec3, Vec3};
 use isoparticles_common::geometry::Geometry;
+use isoparticles_common::image::reverse_slices;
 use rayon::prelude::*;
 use std::ops::Range;
 
@@ -23,78 +24,85 @@ const SLAB: usize = 10 << 20;
 /// Slices of a slab, at least.
 const LEAST_SLICES: usize = 8;
 
-/// Nearest sample of every node (x fastest), and its squared distance (mm squared).
-pub struct Nearest {
-    /// Number of the sample, or [`NONE`].
-    pub sample: Vec<u32>,
-    /// Squared distance; infinite where there is no sample.
-    pub squared: Vec<f32>,
-}
-
 /// The nearest samples of the nodes of some slices.
 pub struct Slab {
     /// The slices of the grid that this is about.
     pub own: Range<usize>,
     /// The first slice that is there: the one before, or its first.
     pub first: usize,
-    /// The nodes of the slices from `first` on, up to a few beyond its own.
-    pub nearest: Nearest,
+    /// Numbers of the samples of the nodes (x fastest), or [`NONE`], of the slices from `first` on, up to a few beyond its own.
+    pub sample: Vec<u32>,
 }
 
 /// Hands out the nearest sample of every node within `limit` mm of the surface, slab by slab from the first slice to the last; farther away
 /// some other sample or none. Where the limit is infinite, samples up to `near` mm away are the nearest ones, others nearly.
-pub fn nearest_samples(geometry: &Geometry, samples: &[DVec3], limit: f64, near: f64, mut visit: impl FnMut(&Slab)) {
+///
+/// `values` has a place for each node. `visit` is given those of the slab's own nodes, which then hold the squared distances (mm squared) to their
+/// samples, infinite where there is none; what it puts there stays.
+pub fn nearest_samples(
+    geometry: &Geometry,
+    samples: &[DVec3],
+    limit: f64,
+    near: f64,
+    values: &mut [f32],
+    mut visit: impl FnMut(&Slab, &mut [f32]),
+) {
     let single: Vec<Vec3> = samples.par_iter().map(|p| p.as_vec3()).collect();
     let fine = Transform { geometry, first: 0, samples: &single, limit: (limit * limit) as f32 };
     let mut coarse = limit.is_infinite().then(|| fine.coarse());
     let by_slice = fine.by_slice();
     let [nx, ny, nz] = geometry.size;
+    let plane = nx * ny;
     // a sample is handed on from a corner of its cell, which may be a voxel farther away
     let ahead = (limit.min(near) / geometry.spacing.z).ceil() as usize + 1;
-    let slices = (SLAB / (nx * ny)).max(LEAST_SLICES);
-    let mut slab = Slab { own: 0..0, first: 0, nearest: Nearest::none(0) };
+    let slices = (SLAB / plane).max(LEAST_SLICES);
+    let mut slab = Slab { own: 0..0, first: 0, sample: Vec::new() };
     while slab.own.end < nz {
         let own = slab.own.end..(slab.own.end + slices).min(nz);
         let first = own.start.saturating_sub(1);
         let end = (own.end + ahead).min(nz);
-        slab.nearest.keep((first - slab.first) * nx * ny, own.start - first, nx * ny);
-        slab.nearest.extend((end - own.start) * nx * ny);
-        (slab.own, slab.first) = (own, first);
+        slab.keep(first..own.start, plane);
+        slab.sample.resize((end - first) * plane, NONE);
+        slab.own = own.clone();
         let part = Geometry { size: [nx, ny, end - first], ..geometry.clone() };
         let transform = Transform { geometry: &part, first, ..fine };
-        transform.offer_to_cells(&mut slab.nearest, &by_slice);
+        let before = values[first * plane..own.start * plane].to_vec();
+        let squared = &mut values[first * plane..end * plane];
+        transform.measure(&slab.sample, squared);
+        let mut nearest = Nearest { sample: &mut slab.sample, squared };
+        transform.offer_to_cells(&mut nearest, &by_slice);
         if let Some(coarse) = &mut coarse {
-            transform.take_from_coarse(&mut slab.nearest, coarse);
-            coarse.forget_below(slab.own.end - 1);
+            transform.take_from_coarse(&mut nearest, coarse);
+            coarse.forget_below(own.end - 1);
         }
-        transform.within_planes(&mut slab.nearest);
-        transform.sweep(&mut slab.nearest, Sweep { axis: 2, upward: true, diagonal: true });
-        transform.sweep(&mut slab.nearest, Sweep { axis: 2, upward: false, diagonal: true });
-        transform.within_planes(&mut slab.nearest);
-        visit(&slab);
+        transform.within_planes(&mut nearest);
+        transform.sweep(&mut nearest, Sweep { axis: 2, upward: true, diagonal: true });
+        transform.sweep(&mut nearest, Sweep { axis: 2, upward: false, diagonal: true });
+        transform.within_planes(&mut nearest);
+        values[first * plane..own.start * plane].copy_from_slice(&before);
+        visit(&slab, &mut values[own.start * plane..own.end * plane]);
     }
 }
 
-impl Nearest {
-    fn none(count: usize) -> Self {
-        Self { sample: vec![NONE; count], squared: vec![f32::INFINITY; count] }
-    }
-
-    /// Keeps `count` slices of `plane` nodes from the node `start` on.
-    fn keep(&mut self, start: usize, count: usize, plane: usize) {
-        let range = start..start + count * plane;
+impl Slab {
+    /// Keeps the samples of `slices` alone.
+    fn keep(&mut self, slices: Range<usize>, plane: usize) {
+        let range = (slices.start - self.first) * plane..(slices.end - self.first) * plane;
         self.sample.copy_within(range.clone(), 0);
         self.sample.truncate(range.len());
-        self.squared.copy_within(range.clone(), 0);
-        self.squared.truncate(range.len());
+        self.first = slices.start;
     }
+}
 
-    /// Adds nodes that have no sample yet.
-    fn extend(&mut self, count: usize) {
-        self.sample.resize(self.sample.len() + count, NONE);
-        self.squared.resize(self.squared.len() + count, f32::INFINITY);
-    }
+/// Nearest samples of nodes (x fastest), and their squared distances.
+struct Nearest<'a> {
+    /// Number of the sample, or [`NONE`].
+    sample: &'a mut [u32],
+    /// Squared distance (mm squared); infinite where there is no sample.
+    squared: &'a mut [f32],
+}
 
+impl Nearest<'_> {
     /// Planes of constant z, or rows along x, `length` nodes each.
     fn chunks(&mut self, length: usize) -> impl IndexedParallelIterator<Item = (&mut [u32], &mut [f32])> {
         self.sample.par_chunks_mut(length).zip(self.squared.par_chunks_mut(length))
@@ -160,7 +168,9 @@ impl Transform<'_> {
             spacing: self.geometry.spacing * STRIDE as f64,
             ..self.geometry.clone()
         };
-        let mut coarse = Nearest::none(geometry.voxel_count());
+        let mut sample = vec![NONE; geometry.voxel_count()];
+        let mut squared = vec![f32::INFINITY; geometry.voxel_count()];
+        let mut coarse = Nearest { sample: &mut sample, squared: &mut squared };
         let transform = Transform { geometry: &geometry, ..*self };
         transform.offer_to_cells(&mut coarse, &transform.by_slice());
         // A node may hear of its sample along one axis from a node that hears of it along another: hence the second round.
@@ -170,13 +180,8 @@ impl Transform<'_> {
                 transform.sweep(&mut coarse, Sweep { axis, upward: false, diagonal });
             }
         }
-        let Nearest { mut sample, squared } = coarse;
         drop(squared);
-        let [nx, ny, nz] = geometry.size;
-        for k in 0..nz / 2 {
-            let (low, high) = sample.split_at_mut((nz - 1 - k) * nx * ny);
-            low[k * nx * ny..][..nx * ny].swap_with_slice(&mut high[..nx * ny]);
-        }
+        reverse_slices(&mut sample, geometry.size[0] * geometry.size[1]);
         Coarse { geometry, sample }
     }
 
@@ -214,6 +219,19 @@ impl Transform<'_> {
         if squared < own.1 {
             *own = (other.0, squared);
         }
+    }
+
+    /// The squared distances of the nodes to the samples that they have.
+    fn measure(&self, sample: &[u32], squared: &mut [f32]) {
+        let [nx, ny, _] = self.geometry.size;
+        squared.par_chunks_mut(nx).zip(sample.par_chunks(nx)).enumerate().for_each(|(row, (squared, sample))| {
+            for (i, (squared, &number)) in squared.iter_mut().zip(sample).enumerate() {
+                *squared = match number {
+                    NONE => f32::INFINITY,
+                    number => self.node(i, row % ny, row / ny).distance_squared(self.samples[number as usize]),
+                };
+            }
+        });
     }
 
     /// Offers every sample to the eight nodes of its cell.
