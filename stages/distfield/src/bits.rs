@@ -60,7 +60,7 @@ impl Bits {
 
     /// Number of nodes in the set.
     pub fn count(&self) -> usize {
-        self.words.iter().map(|word| word.count_ones() as usize).sum()
+        ones(&self.words)
     }
 
     /// Calls `change` with every word that a range touches and the bits of the range in it.
@@ -74,11 +74,19 @@ impl Bits {
     }
 }
 
+/// Bits that are set.
+fn ones(words: &[u64]) -> usize {
+    words.iter().map(|word| word.count_ones() as usize).sum()
+}
+
+/// Words between two counts of a [`Numbering`].
+const BLOCK: usize = 8;
+
 /// Numbers the nodes of a set, in ascending order.
 pub struct Numbering {
     bits: Bits,
-    /// Nodes of the set before each word.
-    before: Vec<u32>,
+    /// Nodes of the set before each block of words.
+    before: Vec<usize>,
     /// Nodes of the set.
     pub count: usize,
 }
@@ -87,21 +95,23 @@ impl Numbering {
     /// Of the nodes in `bits`.
     pub fn new(bits: Bits) -> Self {
         let mut count = 0;
-        let mut before = Vec::with_capacity(bits.words.len());
-        for word in &bits.words {
+        let mut before = Vec::with_capacity(bits.words.len().div_ceil(BLOCK));
+        for block in bits.words.chunks(BLOCK) {
             before.push(count);
-            count += word.count_ones();
+            count += ones(block);
         }
-        Self { bits, before, count: count as usize }
+        Self { bits, before, count }
     }
 
     /// Nodes of the set before `node`, which is its number if it is in the set.
     pub fn number(&self, node: usize) -> usize {
-        if node / 64 == self.before.len() {
+        let word = node / 64;
+        if word == self.bits.words.len() {
             return self.count;
         }
-        let below = self.bits.words[node / 64] & ((1 << (node % 64)) - 1);
-        self.before[node / 64] as usize + below.count_ones() as usize
+        let below = self.bits.words[word] & ((1 << (node % 64)) - 1);
+        let block = word / BLOCK;
+        self.before[block] + ones(&self.bits.words[block * BLOCK..word]) + below.count_ones() as usize
     }
 
     /// Visits the nodes of the set in a range, in ascending order, with their numbers.
