@@ -36,3 +36,28 @@ impl<T: Copy> Image<T> {
         self.data[self.geometry.linear(i, j, k)]
     }
 }
+
+/// Puts slices of `length` values into the opposite order, each as it is. What is used from the first slice on then lies from the end on, where a
+/// vector can give back what has been used.
+pub fn reverse_slices<T>(values: &mut [T], length: usize) {
+    let count = values.len() / length;
+    for n in 0..count / 2 {
+        let (low, high) = values.split_at_mut((count - 1 - n) * length);
+        low[n * length..][..length].swap_with_slice(&mut high[..length]);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::reverse_slices;
+
+    #[test]
+    fn slices_are_reversed_as_they_are() {
+        for count in 0..5 {
+            let mut values: Vec<usize> = (0..3 * count).collect();
+            reverse_slices(&mut values, 3);
+            let expected: Vec<usize> = (0..count).rev().flat_map(|n| 3 * n..3 * n + 3).collect();
+            assert_eq!(values, expected);
+        }
+    }
+}

@@ -3,6 +3,7 @@
 use super::limit::bad;
 use crate::error::{Error, Result};
 use crate::geometry::Geometry;
+use crate::image::reverse_slices;
 use std::collections::BTreeSet;
 use std::io::Read;
 use std::path::Path;
@@ -293,6 +294,19 @@ impl Voxels {
             "there would be nothing to extract for it",
             format!("choose among the labels present: {}", shown.join(", ")),
         ))
+    }
+
+    /// Puts slices of `length` values into the opposite order ([`reverse_slices`]).
+    pub fn reverse_slices(&mut self, length: usize) {
+        each_type!(self, values => reverse_slices(values, length));
+    }
+
+    /// Drops all values but the first `count`, and gives their memory back.
+    pub fn truncate(&mut self, count: usize) {
+        each_type!(self, values => {
+            values.truncate(count);
+            values.shrink_to_fit();
+        });
     }
 
     /// Reads `count` values; memory grows with what has really been read, never with what a header promised.

@@ -132,12 +132,11 @@ impl BrickSpline {
     pub fn new(image: &Image<f32>) -> Self {
         let geometry = &image.geometry;
         let plane = geometry.size[0] * geometry.size[1];
-        let mut filter = SlabFilter::new(geometry.size, |k: usize, slice: &mut [f32]| {
-            slice.copy_from_slice(&image.data[k * plane..(k + 1) * plane]);
-        });
+        let fill = |k: usize, slice: &mut [f32]| slice.copy_from_slice(&image.data[k * plane..(k + 1) * plane]);
+        let mut filter = SlabFilter::new(geometry.size);
         let mut builder = BrickSplineBuilder::new(geometry.clone());
         for layer in BrickSplineBuilder::layers(geometry) {
-            let coefficients = filter.coefficients(layer.slices.clone());
+            let coefficients = filter.coefficients(layer.slices.clone(), fill);
             builder.add(&layer, |j, k| coefficients.row(j, k));
         }
         builder.finish()

@@ -15,9 +15,8 @@ const NODES_AT_A_TIME: usize = 8 << 20;
 
 /// Prefilters an image that is given slice by slice and hands out the coefficients of some slices at a time, so that those of the whole
 /// image need not be held. They are those of [`super::CubicSpline`] to the rounding of single precision, on any number of threads.
-pub struct SlabFilter<Fill> {
+pub struct SlabFilter {
     size: [usize; 3],
-    fill: Fill,
     /// Slices that are filtered along x and y, from `first` on.
     slices: VecDeque<Vec<f32>>,
     first: usize,
@@ -40,24 +39,25 @@ impl Coefficients {
     }
 }
 
-impl<Fill: Fn(usize, &mut [f32]) + Sync> SlabFilter<Fill> {
-    /// For an image of `size` of which `fill` writes the samples of one slice (x fastest).
-    pub fn new(size: [usize; 3], fill: Fill) -> Self {
+impl SlabFilter {
+    /// For an image of `size`.
+    pub fn new(size: [usize; 3]) -> Self {
         let held = Coefficients { slices: 0..0, planes: Vec::new(), nx: size[0] };
-        Self { size, fill, slices: VecDeque::new(), first: 0, held }
+        Self { size, slices: VecDeque::new(), first: 0, held }
     }
 
-    /// Coefficients of the slices in `range` at least. Ranges are to be asked for in the order of their starts.
-    pub fn coefficients(&mut self, range: Range<usize>) -> &Coefficients {
+    /// Coefficients of the slices in `range` at least. Ranges are to be asked for in the order of their starts. `fill` writes the samples of
+    /// one slice (x fastest); each is asked for once at most, those of a call after those of the calls before.
+    pub fn coefficients(&mut self, range: Range<usize>, fill: impl Fn(usize, &mut [f32]) + Sync) -> &Coefficients {
         if self.held.slices.start > range.start || self.held.slices.end < range.end {
             let [nx, ny, nz] = self.size;
             let end = range.end.max(range.start + NODES_AT_A_TIME / (nx * ny)).min(nz);
-            self.make(range.start..end);
+            self.make(range.start..end, fill);
         }
         &self.held
     }
 
-    fn make(&mut self, range: Range<usize>) {
+    fn make(&mut self, range: Range<usize>, fill: impl Fn(usize, &mut [f32]) + Sync) {
         let [nx, ny, nz] = self.size;
         self.held.planes = Vec::new();
         let (low, high) = (range.start.saturating_sub(HALO), (range.end + HALO).min(nz));
@@ -65,7 +65,6 @@ impl<Fill: Fn(usize, &mut [f32]) + Sync> SlabFilter<Fill> {
         let passed = (low - self.first).min(self.slices.len());
         self.slices.drain(..passed);
         self.first = low;
-        let fill = &self.fill;
         let next: Vec<Vec<f32>> = (low + self.slices.len()..high)
             .into_par_iter()
             .map_init(

@@ -1,11 +1,13 @@
 //! One bit a node, and their count up to a node.
 
 use rayon::prelude::*;
+use std::ops::Range;
 
 /// Nodes that one task looks at; a multiple of 64.
 const CHUNK: usize = 1 << 14;
 
 /// A set of nodes.
+#[derive(Clone, Debug)]
 pub struct Bits {
     words: Vec<u64>,
 }
@@ -25,25 +27,66 @@ impl Bits {
         Self { words }
     }
 
+    /// None of the first `count` nodes.
+    pub fn none(count: usize) -> Self {
+        Self { words: vec![0; count.div_ceil(64)] }
+    }
+
     /// Whether a node is in the set.
     #[inline(always)]
     pub fn holds(&self, node: usize) -> bool {
         self.words[node / 64] >> (node % 64) & 1 == 1
     }
 
-    /// Adds `length` nodes from `first` on.
-    pub fn insert(&mut self, first: usize, length: usize) {
-        for node in first..first + length {
-            self.words[node / 64] |= 1 << (node % 64);
+    /// Adds the nodes of a range.
+    pub fn insert(&mut self, range: Range<usize>) {
+        self.each_word(range, |word, bits| *word |= bits);
+    }
+
+    /// Takes the nodes of a range away.
+    pub fn remove(&mut self, range: Range<usize>) {
+        self.each_word(range, |word, bits| *word &= !bits);
+    }
+
+    /// Adds the nodes of another set over the same grid.
+    pub fn unite(&mut self, other: &Self) {
+        self.words.iter_mut().zip(&other.words).for_each(|(own, other)| *own |= other);
+    }
+
+    /// Takes away the nodes of another set over the same grid.
+    pub fn subtract(&mut self, other: &Self) {
+        self.words.iter_mut().zip(&other.words).for_each(|(own, other)| *own &= !other);
+    }
+
+    /// Number of nodes in the set.
+    pub fn count(&self) -> usize {
+        ones(&self.words)
+    }
+
+    /// Calls `change` with every word that a range touches and the bits of the range in it.
+    fn each_word(&mut self, range: Range<usize>, change: impl Fn(&mut u64, u64)) {
+        let mut first = range.start;
+        while first < range.end {
+            let length = (64 - first % 64).min(range.end - first);
+            change(&mut self.words[first / 64], u64::MAX >> (64 - length) << (first % 64));
+            first += length;
         }
     }
 }
 
+/// Bits that are set.
+fn ones(words: &[u64]) -> usize {
+    words.iter().map(|word| word.count_ones() as usize).sum()
+}
+
+/// Words between two counts of a [`Numbering`].
+const BLOCK: usize = 8;
+
 /// Numbers the nodes of a set, in ascending order.
 pub struct Numbering {
     bits: Bits,
-    /// Nodes of the set before each word.
-    before: Vec<u32>,
+    /// Nodes of the set before each block of words.
+    before: Vec<usize>,
     /// Nodes of the set.
     pub count: usize,
 }
@@ -52,25 +95,27 @@ impl Numbering {
     /// Of the nodes in `bits`.
     pub fn new(bits: Bits) -> Self {
         let mut count = 0;
-        let mut before = Vec::with_capacity(bits.words.len());
-        for word in &bits.words {
+        let mut before = Vec::with_capacity(bits.words.len().div_ceil(BLOCK));
+        for block in bits.words.chunks(BLOCK) {
             before.push(count);
-            count += word.count_ones();
+            count += ones(block);
         }
-        Self { bits, before, count: count as usize }
+        Self { bits, before, count }
     }
 
     /// Nodes of the set before `node`, which is its number if it is in the set.
     pub fn number(&self, node: usize) -> usize {
-        if node / 64 == self.before.len() {
+        let word = node / 64;
+        if word == self.bits.words.len() {
             return self.count;
         }
-        let below = self.bits.words[node / 64] & ((1 << (node % 64)) - 1);
-        self.before[node / 64] as usize + below.count_ones() as usize
+        let below = self.bits.words[word] & ((1 << (node % 64)) - 1);
+        let block = word / BLOCK;
+        self.before[block] + ones(&self.bits.words[block * BLOCK..word]) + below.count_ones() as usize
     }
 
     /// Visits the nodes of the set in a range, in ascending order, with their numbers.
-    pub fn each(&self, range: std::ops::Range<usize>, mut visit: impl FnMut(usize, usize)) {
+    pub fn each(&self, range: Range<usize>, mut visit: impl FnMut(usize, usize)) {
         if range.is_empty() {
             return;
         }
@@ -96,6 +141,30 @@ impl Numbering {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn ranges_are_added_and_taken_away() {
+        let mut bits = Bits::of(300, |n| n % 3 == 0);
+        let mut truth: Vec<bool> = (0..300).map(|n| n % 3 == 0).collect();
+        for (range, add) in
+            [(0..0, true), (5..9, true), (60..200, true), (63..64, false), (64..130, false), (290..300, true)]
+        {
+            truth[range.clone()].fill(add);
+            if add {
+                bits.insert(range)
+            } else {
+                bits.remove(range)
+            }
+            assert!((0..300).all(|n| bits.holds(n) == truth[n]));
+            assert_eq!(bits.count(), truth.iter().filter(|is_in| **is_in).count());
+        }
+        let even = Bits::of(300, |n| n % 2 == 0);
+        let mut both = bits.clone();
+        both.unite(&even);
+        bits.subtract(&even);
+        assert!((0..300).all(|n| both.holds(n) == (truth[n] || n % 2 == 0)));
+        assert!((0..300).all(|n| bits.holds(n) == (truth[n] && n % 2 != 0)));
+    }
 
     #[test]
     fn nodes_are_numbered_in_order() {

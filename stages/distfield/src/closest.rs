@@ -2,6 +2,7 @@
 //! Newton's method then finds the closest point of the zero set itself, and farther out the surface round the sample is taken to
 //! second order, after a walk over the surface where the foot lies too far from the sample for that.
 
+use crate::bits::Bits;
 use crate::field::Source;
 use crate::nearest::{NONE, Slab, nearest_samples};
 use crate::samples::{Implicit, project};
@@ -11,14 +12,15 @@ use isoparticles_common::image::Image;
 use rayon::prelude::*;
 
 /// Gives every node of `field` the distance (mm) to the nearest of the samples, good to a small part of the sample spacing, within
-/// `limit` mm, and `limit` farther away; the signs stay.
-pub fn distance_to_samples(field: &mut Image<f32>, samples: &[DVec3], limit: f64) {
+/// `limit` mm, and `limit` farther away, negative at the `inside` ones.
+pub fn distance_to_samples(field: &mut Image<f32>, inside: &Bits, samples: &[DVec3], limit: f64) {
     let Image { geometry, data } = field;
     let plane = geometry.size[0] * geometry.size[1];
-    nearest_samples(geometry, samples, limit, limit, |slab| {
-        let squared = &slab.nearest.squared[(slab.own.start - slab.first) * plane..];
-        let own = &mut data[slab.own.start * plane..slab.own.end * plane];
-        own.par_iter_mut().zip(squared).for_each(|(f, squared)| *f = squared.sqrt().min(limit as f32).copysign(*f));
+    nearest_samples(geometry, samples, limit, limit, data, |slab, own| {
+        own.par_iter_mut().enumerate().for_each(|(n, f)| {
+            let sign = if inside.holds(slab.own.start * plane + n) { -1.0 } else { 1.0 };
+            *f = f.sqrt().min(limit as f32).copysign(sign);
+        });
     });
 }
 
@@ -38,23 +40,30 @@ const PATCH_REACH: f64 = 1.5;
 /// A step of Newton's method as short as this (voxels) is the last one: what remains is of the order of its square.
 const LAST_STEP: f64 = 1e-3;
 
-/// Gives every node of `field` its distance (mm) to the surface of `source`, of which `samples` is a dense sampling; the signs stay. Exact
+/// The distance (mm) of every node to the surface of `source`, of which `samples` is a dense sampling, negative at the `inside` ones. Exact
 /// within `band` mm, by Newton's method for the closest point; beyond, the distance to the surface round the nearest sample.
-pub fn distance_to_zero_set(field: &mut Image<f32>, source: &Source, samples: &[DVec3], band: f64) {
-    let Image { geometry, data } = field;
+pub fn distance_to_zero_set(
+    geometry: Geometry,
+    inside: &Bits,
+    source: &Source,
+    samples: &[DVec3],
+    band: f64,
+) -> Image<f32> {
+    // zeros take no memory until they are written over, by when the coarse grid of the nearest samples has shrunk
+    let mut data = vec![0.0; geometry.voxel_count()];
     let patches: Vec<Patch> = samples.par_iter().map(|&p| Patch::new(source, p)).collect();
     let surface = Surface { source, samples, patches, band, reach: PATCH_REACH * geometry.min_spacing() };
     let [nx, ny, _] = geometry.size;
-    nearest_samples(geometry, samples, f64::INFINITY, band, |slab| {
-        let own = &mut data[slab.own.start * nx * ny..slab.own.end * nx * ny];
+    nearest_samples(&geometry, samples, f64::INFINITY, band, &mut data, |slab, own| {
         own.par_chunks_mut(nx).enumerate().for_each(|(row, values)| {
             let (j, k) = (row % ny, slab.own.start + row / ny);
             for (i, value) in values.iter_mut().enumerate() {
-                let distance = surface.distance(geometry, slab, [i, j, k]);
-                *value = distance.copysign(*value);
+                let sign = if inside.holds((k * ny + j) * nx + i) { -1.0 } else { 1.0 };
+                *value = surface.distance(&geometry, slab, [i, j, k], *value).copysign(sign);
             }
         });
     });
+    Image { geometry, data }
 }
 
 /// A surface and what is known of it at its samples.
@@ -69,15 +78,13 @@ struct Surface<'a> {
 }
 
 impl Surface<'_> {
-    /// Distance of a node; infinite where there is no sample.
-    fn distance(&self, geometry: &Geometry, slab: &Slab, at: [usize; 3]) -> f32 {
-        let local = geometry.linear(at[0], at[1], at[2] - slab.first);
-        let mut sample = slab.nearest.sample[local];
+    /// Distance of a node whose nearest sample is `squared` mm squared away; infinite where there is no sample.
+    fn distance(&self, geometry: &Geometry, slab: &Slab, at: [usize; 3], squared: f32) -> f32 {
+        let mut sample = slab.sample[geometry.linear(at[0], at[1], at[2] - slab.first)];
         if sample == NONE {
             return f32::INFINITY;
         }
-        let to_sample = slab.nearest.squared[local].sqrt();
-        let is_far = f64::from(to_sample) > self.band;
+        let is_far = f64::from(squared.sqrt()) > self.band;
         let node = geometry.index_to_grid(DVec3::from_array(at.map(|n| n as f64)));
         if is_far {
             let foot = |sample: u32| {
@@ -105,12 +112,12 @@ impl Surface<'_> {
     /// The sample nearest to a node, of its own and those of the nodes around.
     fn nearest_around(&self, geometry: &Geometry, slab: &Slab, at: [usize; 3], node: DVec3) -> u32 {
         let range = |axis: usize| at[axis].saturating_sub(1)..(at[axis] + 2).min(geometry.size[axis]);
-        let own = slab.nearest.sample[geometry.linear(at[0], at[1], at[2] - slab.first)];
+        let own = slab.sample[geometry.linear(at[0], at[1], at[2] - slab.first)];
         let mut best = (own, node.distance_squared(self.samples[own as usize]));
         for k in range(2) {
             for j in range(1) {
                 for i in range(0) {
-                    let other = slab.nearest.sample[geometry.linear(i, j, k - slab.first)];
+                    let other = slab.sample[geometry.linear(i, j, k - slab.first)];
                     if other != NONE && other != best.0 {
                         let squared = node.distance_squared(self.samples[other as usize]);
                         if squared < best.1 {
@@ -128,21 +135,29 @@ impl Surface<'_> {
 struct Patch {
     /// Unit normal, outward.
     normal: Vec3,
-    /// Curvature tensor (Goldman 2005), per mm; none where the surface is cut at the border.
-    shape: Option<Mat3>,
+    /// Curvature tensor (Goldman 2005), per mm: its diagonal and xy, yz, zx; NaN where the surface is cut at the border.
+    shape: [f32; 6],
 }
 
 impl Patch {
     fn new(source: &Source, sample: DVec3) -> Self {
         if source.cap.as_ref().is_some_and(|cap| !cap.leaves(sample)) {
             let normal = source.value_gradient(sample).1.normalize_or_zero().as_vec3();
-            return Self { normal, shape: None };
+            return Self { normal, shape: [f32::NAN; 6] };
         }
         let jet = source.spline.jet(sample);
         let (normal, slope) = (jet.gradient.normalize_or_zero(), jet.gradient.length());
         let across = DMat3::IDENTITY - DMat3::from_cols(normal * normal.x, normal * normal.y, normal * normal.z);
         let shape = (across * jet.hessian * across * (1.0 / slope)).as_mat3();
-        Self { normal: normal.as_vec3(), shape: shape.is_finite().then_some(shape) }
+        let Mat3 { x_axis: x, y_axis: y, z_axis: z } = shape;
+        Self { normal: normal.as_vec3(), shape: [x.x, y.y, z.z, x.y, y.z, x.z] }
+    }
+
+    /// The curvature tensor, where there is one.
+    fn curvature(&self) -> Option<Mat3> {
+        let [xx, yy, zz, xy, yz, zx] = self.shape;
+        let shape = Mat3::from_cols(Vec3::new(xx, xy, zx), Vec3::new(xy, yy, yz), Vec3::new(zx, yz, zz));
+        shape.is_finite().then_some(shape)
     }
 
     /// The way along the tangent plane to the foot of a node, given the way to it from the patch's point. `None` where the surface bends
@@ -151,7 +166,7 @@ impl Patch {
     /// With the node at height D over the tangent plane and t aside of the normal, the closest point of the surface -u.Su/2 is at
     /// u = (I + D S)^-1 t; S maps the tangent plane to itself, so the inverse is that of a 2 x 2 matrix (Cayley-Hamilton).
     fn foot(&self, to_node: Vec3) -> Option<Vec3> {
-        let shape = self.shape?;
+        let shape = self.curvature()?;
         let height = to_node.dot(self.normal);
         let aside = to_node - self.normal * height;
         let [x, y, z] = [shape.x_axis, shape.y_axis, shape.z_axis];

@@ -72,6 +72,16 @@ pub struct Redistanced {
     pub undecided: usize,
     /// How the zero set was pinned.
     pub fit: FitReport,
+    /// Labels: voxel centres that F puts on the other side, those of dropped parts aside.
+    pub changed: Option<usize>,
+}
+
+/// Least |F| at the nodes, in mm.
+pub struct LeastDistances<At> {
+    /// The largest of them.
+    pub most: f32,
+    /// That of a node.
+    pub at: At,
 }
 
 impl Redistanced {
@@ -103,14 +113,14 @@ pub(crate) fn first_order_distance(value: f64, slope: f64) -> f64 {
 }
 
 /// Re-distances a source. The signs of `nodes`, which becomes F, say which nodes are inside (negative), zero being outside; its values
-/// where marching cubes starts from. `clearance` gives the least |F| (mm) at each node.
+/// where marching cubes starts from.
 ///
 /// # Errors
 /// When the source has no zero set, no part of the object is to stay, or the run is interrupted.
 pub fn redistance(
     mut nodes: Image<f32>,
     source: &Source,
-    clearance: impl Fn(usize) -> f32 + Sync,
+    least: LeastDistances<impl Fn(usize) -> f32 + Sync>,
     keep: Keep,
     context: &Context,
 ) -> Result<Redistanced> {
@@ -120,7 +130,7 @@ pub fn redistance(
     let step = context.step("surface samples");
     let mut choices = junctions(&nodes);
     let dropped = drop_parts(&mut nodes, &choices, keep)?;
-    if !dropped.nodes.is_empty() {
+    if dropped.nodes.is_some() {
         choices = junctions(&nodes);
     }
     let mesh = marching_cubes(&nodes, 0.0);
@@ -134,30 +144,32 @@ pub fn redistance(
     let samples = surface_samples(source, &nodes, &mesh);
     let parts_before = Parts::of(&mesh);
     drop(mesh);
+    // only the signs are needed from here on (a value of -0 is outside)
     let inside = Bits::of(nodes.data.len(), |n| nodes.data[n] < 0.0);
+    let geometry = nodes.geometry;
+    drop(nodes.data);
     drop(step);
     context.check_interrupt()?;
 
     let step = context.step("distance");
-    let mut field = nodes;
-    // a value of -0 is outside
-    field.data.par_iter_mut().for_each(|f| *f += 0.0);
-    distance_to_zero_set(&mut field, source, &samples, band);
+    let mut field = distance_to_zero_set(geometry, &inside, source, &samples, band);
     drop(step);
     context.check_interrupt()?;
 
     let step = context.step("zero set pinned");
-    let fit = pin_zero_set(&mut field, &samples, PINNED * voxel, MOST_PIN_STEPS);
-    drop(samples);
-    let held_nodes = hold_nodes(&mut field, &inside, &clearance);
-    let undecided = make_agree(&mut field.data, &choices, &clearance);
+    let fit = pin_zero_set(&mut field, samples, PINNED * voxel, MOST_PIN_STEPS);
+    let held_nodes = hold_nodes(&mut field, &inside, &least);
+    let undecided = make_agree(&mut field.data, &choices, &least.at);
+    drop(inside);
     drop(step);
     context.check_interrupt()?;
 
     let _step = context.step("result checked");
     let mesh = marching_cubes(&field, 0.0);
     let parts_after = Parts::of(&mesh);
-    let shift = measure_shift(source, &field, &edge_midpoints(&mesh));
+    let points = checked_points(&mesh);
+    drop(mesh);
+    let shift = measure_shift(source, &field, &points);
     Ok(Redistanced {
         field,
         dropped,
@@ -168,14 +180,18 @@ pub fn redistance(
         held_nodes,
         undecided,
         fit,
+        changed: None,
     })
 }
 
-/// Keeps every node at least the clearance away from zero on its side; returns how many had to be moved.
-fn hold_nodes(field: &mut Image<f32>, inside: &Bits, clearance: &(impl Fn(usize) -> f32 + Sync)) -> usize {
+/// Keeps every node its least distance away from zero on its side; returns how many had to be moved.
+fn hold_nodes(field: &mut Image<f32>, inside: &Bits, least: &LeastDistances<impl Fn(usize) -> f32 + Sync>) -> usize {
     let moved = field.data.par_iter_mut().enumerate().map(|(n, f)| {
         let sign = if inside.holds(n) { -1.0 } else { 1.0 };
-        let least = clearance(n);
+        if *f * sign >= least.most {
+            return 0;
+        }
+        let least = (least.at)(n);
         let moves = *f * sign < least;
         if moves {
             *f = sign * least;
@@ -185,10 +201,11 @@ fn hold_nodes(field: &mut Image<f32>, inside: &Bits, clearance: &(impl Fn(usize)
     moved.sum()
 }
 
-/// One edge midpoint of each triangle: places that the fit has not seen.
-fn edge_midpoints(mesh: &TriangleMesh) -> Vec<DVec3> {
+/// An edge midpoint of each triangle, or of every so many where there are more than enough: places that the fit has not seen.
+fn checked_points(mesh: &TriangleMesh) -> Vec<DVec3> {
     let middle = |t: &[u32; 3]| 0.5 * (mesh.vertices[t[0] as usize] + mesh.vertices[t[1] as usize]);
-    mesh.triangles.iter().map(middle).collect()
+    let every = mesh.triangles.len().div_ceil(CHECKED_POINTS).max(1);
+    mesh.triangles.iter().step_by(every).map(middle).collect()
 }
 
 /// Distance of the zero set of the spline through `field` to that of the source, at projections of `points`.
@@ -196,10 +213,8 @@ pub fn measure_shift<I: Implicit>(source: &I, field: &Image<f32>, points: &[DVec
     let spline = BrickSpline::new(field);
     let voxel = field.geometry.mean_spacing();
     let own = |p: DVec3| spline.value_gradient(p);
-    let every = points.len().div_ceil(CHECKED_POINTS).max(1);
     let mut shifts: Vec<f64> = points
         .par_iter()
-        .step_by(every)
         .filter_map(|&start| {
             let p = project(&own, start, field.geometry.min_spacing())?;
             let (f, g) = source.value_gradient(p);

@@ -60,13 +60,15 @@ pub struct FitReport {
 
 /// Changes the samples of `field` (mm, signed distance) near the surface so that the cubic spline through them vanishes at
 /// `samples`, to a root-mean-square of `tolerance` mm, in at most `most_steps` steps.
-pub fn pin_zero_set(field: &mut Image<f32>, samples: &[DVec3], tolerance: f64, most_steps: usize) -> FitReport {
-    let geometry = field.geometry.clone();
-    let (number, sampling) = build(&geometry, samples);
-    if sampling.rows.is_empty() {
+pub fn pin_zero_set(field: &mut Image<f32>, samples: Vec<DVec3>, tolerance: f64, most_steps: usize) -> FitReport {
+    let number = touched_coefficients(&field.geometry, &samples);
+    if number.count == 0 {
         return FitReport::default();
     }
+    // before the samples are sorted, since it takes slabs of the field
     let start = gather(field, &number);
+    let sampling = Sampling::new(&field.geometry, &samples, &number);
+    drop(samples);
     let mut residual = vec![0.0; sampling.rows.len()];
     sampling.apply(&start, &mut residual);
     drop(start);
@@ -104,46 +106,22 @@ pub fn pin_zero_set(field: &mut Image<f32>, samples: &[DVec3], tolerance: f64, m
     FitReport { before, after, steps }
 }
 
-/// Numbers the coefficients that the samples touch and sorts the samples by cell.
-fn build(geometry: &Geometry, samples: &[DVec3]) -> (Numbering, Sampling) {
-    let [nx, ny, nz] = geometry.size;
-    let cell = |p: DVec3| -> Option<(usize, DVec3)> {
-        let index = geometry.grid_to_index(p);
-        let base = index.floor();
-        let inner = (0..3).all(|a| base[a] >= 1.0 && base[a] + 2.0 < geometry.size[a] as f64);
-        inner.then(|| (geometry.linear(base.x as usize, base.y as usize, base.z as usize), index - base))
-    };
-    let mut order: Vec<(usize, u32)> =
-        (0..samples.len()).into_par_iter().filter_map(|n| cell(samples[n]).map(|(at, _)| (at, n as u32))).collect();
-    // within a cell in the order of the samples
-    order.par_sort_unstable();
+/// The cell that a sample lies in (its lowest node) and where in it; `None` near the rim of the grid, where a row of coefficients ends.
+fn cell(geometry: &Geometry, sample: DVec3) -> Option<(usize, DVec3)> {
+    let index = geometry.grid_to_index(sample);
+    let base = index.floor();
+    let inner = (0..3).all(|a| base[a] >= 1.0 && base[a] + 2.0 < geometry.size[a] as f64);
+    inner.then(|| (geometry.linear(base.x as usize, base.y as usize, base.z as usize), index - base))
+}
 
-    let mut touched = Bits::of(geometry.voxel_count(), |_| false);
-    let mut places: Vec<usize> = order.iter().map(|&(at, _)| at).collect();
-    places.dedup();
-    for row in places.iter().flat_map(|&at| row_starts(at, nx, ny)) {
-        touched.insert(row, 4);
+/// Numbers the coefficients that the samples touch.
+fn touched_coefficients(geometry: &Geometry, samples: &[DVec3]) -> Numbering {
+    let [nx, ny, _] = geometry.size;
+    let mut touched = Bits::none(geometry.voxel_count());
+    for (at, _) in samples.iter().filter_map(|&p| cell(geometry, p)) {
+        row_starts(at, nx, ny).into_iter().for_each(|row| touched.insert(row..row + 4));
     }
-    let number = Numbering::new(touched);
-    let slices_before = |k: usize| number.number(k * nx * ny);
-    let slabs = (0..nz.div_ceil(SLAB))
-        .map(|s| {
-            let (first, end) = (s * SLAB, ((s + 1) * SLAB).min(nz));
-            let from = order.partition_point(|&(at, _)| at < first * nx * ny);
-            let to = order.partition_point(|&(at, _)| at < end * nx * ny);
-            Slab { rows: from..to, unknowns: slices_before(first.saturating_sub(1))..slices_before((end + 2).min(nz)) }
-        })
-        .collect();
-    let cells = places.par_iter().map(|&at| row_starts(at, nx, ny).map(|n| number.number(n) as u32)).collect();
-    let mut rows = Vec::with_capacity(order.len());
-    let mut current = 0;
-    for (at, sample) in order {
-        current += usize::from(places[current] != at);
-        let place = cell(samples[sample as usize]).map_or(DVec3::ZERO, |(_, place)| place);
-        rows.push(Row { cell: current as u32, place: place.as_vec3().to_array() });
-    }
-    let unknowns = number.count;
-    (number, Sampling { rows, cells, slabs, unknowns })
+    Numbering::new(touched)
 }
 
 /// First nodes of the 16 rows of four that the spline reads in the cell whose lowest node is `at`.
@@ -166,6 +144,38 @@ fn weights(t: f32) -> [f64; 4] {
 }
 
 impl Sampling {
+    /// Sorts the samples by cell.
+    fn new(geometry: &Geometry, samples: &[DVec3], number: &Numbering) -> Self {
+        let [nx, ny, nz] = geometry.size;
+        let mut order: Vec<(usize, u32)> = (0..samples.len())
+            .into_par_iter()
+            .filter_map(|n| cell(geometry, samples[n]).map(|(at, _)| (at, n as u32)))
+            .collect();
+        // within a cell in the order of the samples
+        order.par_sort_unstable();
+        let slices_before = |k: usize| number.number(k * nx * ny);
+        let slabs = (0..nz.div_ceil(SLAB))
+            .map(|s| {
+                let (first, end) = (s * SLAB, ((s + 1) * SLAB).min(nz));
+                let from = order.partition_point(|&(at, _)| at < first * nx * ny);
+                let to = order.partition_point(|&(at, _)| at < end * nx * ny);
+                let unknowns = slices_before(first.saturating_sub(1))..slices_before((end + 2).min(nz));
+                Slab { rows: from..to, unknowns }
+            })
+            .collect();
+        let mut cells: Vec<Cell> = Vec::new();
+        let mut rows = Vec::with_capacity(order.len());
+        for same_cell in order.chunk_by(|a, b| a.0 == b.0) {
+            cells.push(row_starts(same_cell[0].0, nx, ny).map(|n| number.number(n) as u32));
+            for &(_, sample) in same_cell {
+                let place = cell(geometry, samples[sample as usize]).map_or(DVec3::ZERO, |(_, place)| place);
+                rows.push(Row { cell: cells.len() as u32 - 1, place: place.as_vec3().to_array() });
+            }
+        }
+        cells.shrink_to_fit();
+        Self { rows, cells, slabs, unknowns: number.count }
+    }
+
     /// F at the samples.
     fn apply(&self, coefficients: &[f64], values: &mut [f64]) {
         values.par_iter_mut().zip(&self.rows).for_each(|(value, row)| {
@@ -214,12 +224,11 @@ impl Sampling {
 fn gather(field: &Image<f32>, number: &Numbering) -> Vec<f64> {
     let [nx, ny, nz] = field.geometry.size;
     let plane = nx * ny;
-    let mut filter = SlabFilter::new(field.geometry.size, |k: usize, slice: &mut [f32]| {
-        slice.copy_from_slice(&field.data[k * plane..(k + 1) * plane]);
-    });
+    let fill = |k: usize, slice: &mut [f32]| slice.copy_from_slice(&field.data[k * plane..(k + 1) * plane]);
+    let mut filter = SlabFilter::new(field.geometry.size);
     let mut compact = Vec::with_capacity(number.count);
     for first in (0..nz).step_by(GATHERED) {
-        let coefficients = filter.coefficients(first..(first + GATHERED).min(nz));
+        let coefficients = filter.coefficients(first..(first + GATHERED).min(nz), fill);
         for row in first * ny..(first + GATHERED).min(nz) * ny {
             let (values, start) = (coefficients.row(row % ny, row / ny), row * nx);
             number.each(start..start + nx, |node, _| compact.push(f64::from(values[node - start])));

@@ -71,15 +71,15 @@ fn is_joined(data: &[f32], inside: [usize; 2], outside: [usize; 2]) -> bool {
 }
 
 /// Bounds that make the choice at each junction plain: the nodes of the side that is joined keep `far` (mm) from the surface, the
-/// others come as `near` to it as their own `least` distance lets them.
-pub fn plain_choices(junctions: &[Junction], least: &[f32], near: f32, far: f32) -> Vec<Bound> {
+/// others come as `near` to it as their own `least` distance (mm, of a node) lets them.
+pub fn plain_choices(junctions: &[Junction], least: impl Fn(usize) -> f32, near: f32, far: f32) -> Vec<Bound> {
     let mut bounds: Vec<Bound> = junctions
         .iter()
         .flat_map(|junction| {
             let (winners, losers) =
                 if junction.joined { (junction.inside, junction.outside) } else { (junction.outside, junction.inside) };
             let winners = winners.map(|node| Bound { node, least: far, most: f32::INFINITY });
-            let losers = losers.map(|node| Bound { node, least: least[node], most: near.max(least[node]) });
+            let losers = losers.map(|node| Bound { node, least: least(node), most: near.max(least(node)) });
             winners.into_iter().chain(losers)
         })
         .collect();

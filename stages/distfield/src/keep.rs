@@ -3,7 +3,9 @@
 //! Parts are counted as marching cubes joins them: nodes that share a grid edge, and opposite corners of a grid face that its saddle
 //! joins ([`crate::junctions`]).
 
+use crate::bits::Bits;
 use crate::junctions::Junction;
+use crate::runs::Runs;
 use isoparticles_common::components::DisjointSets;
 use isoparticles_common::error::{Error, Result};
 use isoparticles_common::image::Image;
@@ -53,74 +55,85 @@ pub struct Dropped {
     pub volume: f64,
     /// Volume of the largest of them, mm^3.
     pub largest: f64,
-    /// The nodes that were inside them, in ascending order.
+    /// The nodes that were inside them, if there are any.
     #[serde(skip)]
-    pub nodes: Vec<u32>,
+    pub nodes: Option<Bits>,
 }
 
 /// Turns the nodes (negative inside) of the parts that are not to stay to the outside.
 ///
 /// # Errors
-/// When no part is as large as asked for.
+/// When no part is as large as asked for, or the parts are too many to be told apart.
 pub fn drop_parts(nodes: &mut Image<f32>, junctions: &[Junction], keep: Keep) -> Result<Dropped> {
     if keep == Keep::All {
         return Ok(Dropped::default());
     }
-    let [nx, ny, nz] = nodes.geometry.size;
-    let mut sets = DisjointSets::new(nodes.data.len());
-    for k in 0..nz {
-        for j in 0..ny {
-            let row = (k * ny + j) * nx;
-            for i in (0..nx).filter(|i| nodes.data[row + i] < 0.0) {
-                let at = row + i;
-                for (is_there, next) in [(i + 1 < nx, at + 1), (j + 1 < ny, at + nx), (k + 1 < nz, at + nx * ny)] {
-                    if is_there && nodes.data[next] < 0.0 {
-                        sets.join(at as u32, next as u32);
-                    }
-                }
-            }
-        }
-    }
-    for junction in junctions.iter().filter(|junction| junction.joined) {
-        sets.join(junction.inside[0] as u32, junction.inside[1] as u32);
-    }
-    // nodes of each part, counted at its first one
-    let mut count = vec![0u32; nodes.data.len()];
-    let inside: Vec<u32> = (0..nodes.data.len() as u32).filter(|&n| nodes.data[n as usize] < 0.0).collect();
-    for &n in &inside {
-        count[sets.find(n) as usize] += 1;
+    let inside = Runs::of(nodes.geometry.size, |n| nodes.data[n] < 0.0);
+    let part = parts_of_runs(&inside, nodes.geometry.size, junctions)?;
+    // nodes of each part, counted at its first run
+    let mut count = vec![0usize; part.len()];
+    for (run, &part) in inside.all().iter().zip(&part) {
+        count[part as usize] += run.columns().len();
     }
     let voxel = nodes.geometry.spacing.element_product();
-    let largest = inside.iter().map(|&n| count[n as usize]).max().unwrap_or(0);
-    let first_largest = inside.iter().copied().find(|&n| count[n as usize] == largest);
+    let largest = count.iter().copied().max().unwrap_or(0);
+    let first_largest = count.iter().position(|&count| count == largest);
     let stays = |part: u32| match keep {
         Keep::All => true,
-        Keep::Largest => Some(part) == first_largest,
-        Keep::Volume(volume) => f64::from(count[part as usize]) * voxel >= volume,
+        Keep::Largest => Some(part as usize) == first_largest,
+        Keep::Volume(volume) => count[part as usize] as f64 * voxel >= volume,
     };
-    let mut dropped = Dropped::default();
-    for &n in &inside {
-        let part = sets.find(n);
-        if !stays(part) {
-            let volume = f64::from(count[part as usize]) * voxel;
-            dropped.components += usize::from(part == n);
-            dropped.volume += voxel;
-            dropped.largest = dropped.largest.max(volume);
-            dropped.nodes.push(n);
-        }
+    let (mut dropped, mut gone) = (Dropped::default(), 0);
+    for count in (0..part.len()).filter(|&n| count[n] > 0 && !stays(n as u32)).map(|n| count[n]) {
+        dropped.components += 1;
+        dropped.largest = dropped.largest.max(count as f64 * voxel);
+        gone += count;
     }
-    if !inside.is_empty() && dropped.nodes.len() == inside.len() {
+    dropped.volume = gone as f64 * voxel;
+    if gone > 0 && gone == inside.count {
         return Err(Error::input(
-            format!("--keep {keep}: the largest part of the object has {:.6} mm^3", f64::from(largest) * voxel),
+            format!("--keep {keep}: the largest part of the object has {:.6} mm^3", largest as f64 * voxel),
             "nothing would be left",
             "ask for less, or give --keep largest",
         ));
     }
-    dropped.nodes.iter().for_each(|&n| {
-        let value = &mut nodes.data[n as usize];
-        *value = value.abs().max(f32::MIN_POSITIVE);
-    });
+    if gone > 0 {
+        let mut bits = Bits::none(nodes.data.len());
+        inside.each_in_nodes(|index, range| {
+            if !stays(part[index]) {
+                nodes.data[range.clone()].iter_mut().for_each(|f| *f = f.abs().max(f32::MIN_POSITIVE));
+                bits.insert(range);
+            }
+        });
+        dropped.nodes = Some(bits);
+    }
     Ok(dropped)
+}
+
+/// The first run of the part that each run belongs to.
+fn parts_of_runs(inside: &Runs, size: [usize; 3], junctions: &[Junction]) -> Result<Vec<u32>> {
+    let [_, ny, nz] = size;
+    let Ok(count) = u32::try_from(inside.all().len()) else {
+        return Err(Error::input(
+            format!("--keep: the object consists of {} runs of nodes along x", inside.all().len()),
+            format!("parts are told apart among up to {} of them", u32::MAX),
+            "keep all parts, or give a volume that is smaller or less noisy",
+        ));
+    };
+    let mut sets = DisjointSets::new(count as usize);
+    for row in 0..ny * nz {
+        let next = [(row % ny + 1 < ny, row + 1), (row / ny + 1 < nz, row + ny)];
+        for (_, next) in next.into_iter().filter(|(is_there, _)| *is_there) {
+            inside.each_touching(row, next, |a, b| sets.join(a as u32, b as u32));
+        }
+    }
+    for junction in junctions.iter().filter(|junction| junction.joined) {
+        let [a, b] = junction.inside.map(|node| inside.find(node));
+        if let Some((a, b)) = a.zip(b) {
+            sets.join(a as u32, b as u32);
+        }
+    }
+    Ok((0..count).map(|run| sets.find(run)).collect())
 }
 
 impl Dropped {
@@ -129,8 +142,10 @@ impl Dropped {
         self.components += other.components;
         self.volume += other.volume;
         self.largest = self.largest.max(other.largest);
-        self.nodes.extend(other.nodes);
-        self.nodes.sort_unstable();
-        self.nodes.dedup();
+        match (&mut self.nodes, other.nodes) {
+            (Some(own), Some(other)) => own.unite(&other),
+            (own @ None, other) => *own = other,
+            (Some(_), None) => {}
+        }
     }
 }

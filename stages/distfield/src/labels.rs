@@ -8,10 +8,13 @@
 //! the staircase than that may change sides.
 
 use crate::closest::distance_to_samples;
-use crate::field::{Redistanced, Source, redistance};
-use crate::junctions::{Bound, junctions, plain_choices};
+use crate::field::{LeastDistances, Redistanced, Source, redistance};
+use crate::flow::{BAND, band, smooth};
+use crate::junctions::{junctions, plain_choices};
 use crate::keep::{Dropped, drop_parts};
-use crate::scalar::pad;
+use crate::mask::Mask;
+use crate::runs::Runs;
+use crate::sides::Sides;
 use crate::topology::Parts;
 use crate::{Border, Clearance, Keep};
 use glam::DVec3;
@@ -21,13 +24,6 @@ use isoparticles_common::image::Image;
 use isoparticles_common::marching_cubes::marching_cubes;
 use isoparticles_common::spline::BrickSpline;
 use rayon::prelude::*;
-
-/// Half-width of the band that the flow acts in, in voxels. Beyond it the distance of the binary image stays: a band
-/// that ends in clipped, constant values instead makes balls shrink.
-const BAND: f64 = 5.0;
-
-/// Step of the flow; above 2/144 (the largest eigenvalue of the squared seven-point Laplacian is 144) it is unstable.
-const STEP: f32 = 1.8 / 144.0;
 
 /// Distance of the surface from the voxel centres that are joined where two parts touch along an edge, in voxels.
 const JUNCTION_DISTANCE: f64 = 0.45;
@@ -61,249 +57,128 @@ pub struct LabelOptions {
 /// # Errors
 /// When no voxel is inside, or with an open border all are, also after tightening, or when the run is interrupted.
 pub fn from_labels(inside: &Image<bool>, options: &LabelOptions, context: &Context) -> Result<Redistanced> {
+    from_mask(Mask::from(inside), options, context)
+}
+
+/// The same of a mask. It is taken over, so that its memory is free again when the distances are made.
+///
+/// # Errors
+/// As [`from_labels`].
+pub fn from_mask(inside: Mask, options: &LabelOptions, context: &Context) -> Result<Redistanced> {
     let step = context.step("binary distance");
-    let mut mask = padded_mask(inside, options.border, options.margin);
-    if !mask.data.contains(&true) || !mask.data.contains(&false) {
+    let mask = inside.padded(options.border, options.margin);
+    drop(inside);
+    if !(1..mask.geometry.voxel_count()).contains(&mask.inside.count()) {
         return Err(Error::input(
             "the chosen labels cover no voxel, or every voxel with an open border",
             "there is no surface between inside and outside",
             "choose other labels, or --border cap",
         ));
     }
-    let mut least = least_distances(&mask, options.clearance);
-    let mut binary = binary_distance(&mask);
+    let mut binary = binary_distance(&mask, Vec::new());
+    let mut sides = Sides::new(mask, options.clearance);
     let mut untightened = None;
     if options.tightening > 0.0 {
-        let (dropped, parts) = parts_untightened(&mut mask, binary.clone(), &least, options, context)?;
-        if !dropped.nodes.is_empty() {
-            least = least_distances(&mask, options.clearance);
-            binary = binary_distance(&mask);
-        }
+        let (dropped, parts);
+        (binary, dropped, parts) = parts_untightened(binary, &mut sides, options, context)?;
         untightened = Some((dropped, parts));
     }
-    relax(&mut least, &binary, options.tightening);
-    hold(&mut binary, &mask, &least);
+    sides.relax(&binary, options.tightening);
+    sides.hold(&mut binary);
     drop(step);
     let step = context.step("smoothing");
-    let flowed = smooth(binary, &mask, &least, &[], options.smoothing_steps, context)?;
-    let voxel = mask.geometry.min_spacing();
+    let flowed = smooth(binary, &sides, &[], options.smoothing_steps, context)?;
+    let voxel = flowed.geometry.min_spacing();
     let (near, far) = ((options.clearance.usual * voxel) as f32, (JUNCTION_DISTANCE * voxel) as f32);
-    let bounds = plain_choices(&junctions(&flowed), &least, near, far);
-    let nodes = smooth(flowed, &mask, &least, &bounds, options.smoothing_steps.min(JUNCTION_STEPS), context)?;
-    for bound in &bounds {
-        least[bound.node] = bound.least;
+    let bounds = plain_choices(&junctions(&flowed), |n| sides.least(n), near, far);
+    let nodes = smooth(flowed, &sides, &bounds, options.smoothing_steps.min(JUNCTION_STEPS), context)?;
+    check_something_is_left(&nodes, options.tightening)?;
+    let source = Source { spline: BrickSpline::new(&nodes), cap: None };
+    drop(step);
+    let smallest = SMALLEST_CLEARANCE * voxel as f32;
+    let at = |n: usize| match bounds.binary_search_by_key(&n, |bound| bound.node) {
+        Ok(bound) => bounds[bound].least.max(smallest),
+        Err(_) => sides.least(n).max(smallest),
+    };
+    let most = bounds.iter().map(|bound| bound.least).fold(sides.most().max(smallest), f32::max);
+    let mut result = redistance(nodes, &source, LeastDistances { most, at }, options.keep, context)?;
+    if let Some((dropped, parts)) = untightened {
+        result.dropped.add(dropped);
+        result.parts_untightened = Some(parts);
     }
+    result.changed = Some(changed_nodes(&sides.mask, &result, options.margin));
+    Ok(result)
+}
+
+/// Tightening may leave no surface.
+fn check_something_is_left(nodes: &Image<f32>, tightening: f64) -> Result<()> {
     if nodes.data.par_iter().all(|f| *f >= 0.0) {
         return Err(Error::input(
-            format!("tightening by {} voxels leaves nothing of the object", options.tightening),
+            format!("tightening by {tightening} voxels leaves nothing of the object"),
             "parts thinner than twice that radius may vanish, and all are",
             "choose a smaller --tightening; 0 keeps every voxel",
         ));
     }
     if nodes.data.par_iter().all(|f| *f < 0.0) {
         return Err(Error::input(
-            format!("tightening by {} voxels closes every gap in the object", options.tightening),
+            format!("tightening by {tightening} voxels closes every gap in the object"),
             "gaps thinner than twice that radius may vanish, and all do: no surface is left",
             "choose a smaller --tightening; 0 keeps every voxel",
         ));
     }
-    let source = Source { spline: BrickSpline::new(&nodes), cap: None };
-    drop(step);
-    let smallest = SMALLEST_CLEARANCE * voxel as f32;
-    let mut result = redistance(nodes, &source, |n| least[n].max(smallest), options.keep, context)?;
-    if let Some((dropped, parts)) = untightened {
-        result.dropped.add(dropped);
-        result.parts_untightened = Some(parts);
-    }
-    Ok(result)
+    Ok(())
 }
 
 /// Tightening may lose, part and join parts. So they are counted, and those that are not to stay taken out of the mask, as without it: which
-/// parts that touch along an edge are joined is for the flow to say.
+/// parts that touch along an edge are joined is for the flow to say. Gives the binary distance of the mask back.
 fn parts_untightened(
-    mask: &mut Image<bool>,
     mut binary: Image<f32>,
-    least: &[f32],
+    sides: &mut Sides,
     options: &LabelOptions,
     context: &Context,
-) -> Result<(Dropped, Parts)> {
-    hold(&mut binary, mask, least);
-    let mut nodes = smooth(binary, mask, least, &[], options.smoothing_steps, context)?;
+) -> Result<(Image<f32>, Dropped, Parts)> {
+    // the nodes that are about to move
+    let band = band(&binary);
+    let near = Runs::of(binary.geometry.size, |n| binary.data[n].abs() < band);
+    let values = near.values(|n| binary.data[n]);
+    sides.hold(&mut binary);
+    let mut nodes = smooth(binary, sides, &[], options.smoothing_steps, context)?;
     let choices = junctions(&nodes);
     let dropped = drop_parts(&mut nodes, &choices, options.keep)?;
-    dropped.nodes.iter().for_each(|&n| mask.data[n as usize] = false);
-    Ok((dropped, Parts::of(&marching_cubes(&nodes, 0.0))))
-}
-
-/// Lets nodes within the radius of the staircase (voxels) come nearer to the surface than their least distance, and leave their side: the
-/// surface then stays within that radius of the staircase.
-fn relax(least: &mut [f32], binary: &Image<f32>, radius: f64) {
-    if radius > 0.0 {
-        let radius = (radius * binary.geometry.min_spacing()) as f32;
-        least
-            .par_iter_mut()
-            .zip(&binary.data)
-            .for_each(|(least, distance)| *least = least.min(distance.abs() - radius));
+    let parts = Parts::of(&marching_cubes(&nodes, 0.0));
+    if let Some(gone) = &dropped.nodes {
+        sides.mask.inside.subtract(gone);
+        nodes = binary_distance(&sides.mask, nodes.data);
+    } else {
+        near.scatter(&values, &mut nodes.data);
     }
+    Ok((nodes, dropped, parts))
 }
 
-/// Puts every node on its side of zero, by its least distance.
-fn hold(field: &mut Image<f32>, mask: &Image<bool>, least: &[f32]) {
-    field.data.par_iter_mut().enumerate().for_each(|(n, f)| {
-        *f = if mask.data[n] { f.min(-least[n]) } else { f.max(least[n]) };
-    });
-}
-
-fn padded_mask(inside: &Image<bool>, border: Border, margin: usize) -> Image<bool> {
-    let size = inside.geometry.size;
-    let geometry = inside.geometry.padded(margin);
-    let nearest = |i: isize, n: usize| i.clamp(0, n as isize - 1) as usize;
-    let mut data = pad(&inside.data, size, margin, nearest);
-    if border == Border::Cap {
-        let [nx, ny, _] = geometry.size;
-        data.par_chunks_mut(nx).enumerate().for_each(|(row, values)| {
-            let beyond = |i: usize, n: usize| i < margin || i >= margin + n;
-            if beyond(row % ny, size[1]) || beyond(row / ny, size[2]) {
-                values.fill(false);
-            }
-            values[..margin].fill(false);
-            values[margin + size[0]..].fill(false);
-        });
-    }
-    Image { geometry, data }
-}
-
-/// Least |F| at every node, in mm: the clearance, and more where the object or the gap is one voxel thin.
-fn least_distances(mask: &Image<bool>, clearance: Clearance) -> Vec<f32> {
-    let voxel = mask.geometry.min_spacing();
-    let (usual, thin) = ((clearance.usual * voxel) as f32, (clearance.thin * voxel) as f32);
-    thin_nodes(mask).into_par_iter().map(|is_thin| if is_thin { thin } else { usual }).collect()
-}
-
-/// Nodes that lie in no block of 2 x 2 x 2 nodes of their own side: what an opening by such a block would remove.
-fn thin_nodes(mask: &Image<bool>) -> Vec<bool> {
-    let [nx, ny, nz] = mask.geometry.size;
-    let plane = nx * ny;
-    let data = &mask.data;
-    // bit 0: the block that starts here is all inside; bit 1: all outside
-    let blocks: Vec<u8> = (0..data.len())
-        .into_par_iter()
-        .map(|n| {
-            if n % nx + 1 >= nx || n / nx % ny + 1 >= ny || n / plane + 1 >= nz {
-                return 0;
-            }
-            let corners = [0, 1, nx, nx + 1, plane, plane + 1, plane + nx, plane + nx + 1];
-            let count = corners.iter().filter(|&&c| data[n + c]).count();
-            u8::from(count == 8) | u8::from(count == 0) << 1
-        })
-        .collect();
-    (0..data.len())
-        .into_par_iter()
-        .map(|n| {
-            let (i, j, k) = (n % nx, n / nx % ny, n / plane);
-            let on_rim = i == 0 || j == 0 || k == 0 || i + 1 == nx || j + 1 == ny || k + 1 == nz;
-            if on_rim {
-                return false;
-            }
-            let own = if data[n] { 1 } else { 2 };
-            let corners = [0, 1, nx, nx + 1, plane, plane + 1, plane + nx, plane + nx + 1];
-            !corners.iter().any(|&c| blocks[n - c] & own != 0)
-        })
-        .collect()
-}
-
-/// Signed distance of the binary surface (mm), which runs midway between voxel centres of different sides.
-fn binary_distance(mask: &Image<bool>) -> Image<f32> {
-    let data = mask.data.iter().map(|&m| if m { -1.0 } else { 1.0 }).collect();
-    let mut field = Image { geometry: mask.geometry.clone(), data };
+/// Signed distance of the binary surface (mm), which runs midway between voxel centres of different sides; `room` is where it is written to.
+fn binary_distance(mask: &Mask, mut room: Vec<f32>) -> Image<f32> {
+    let geometry = mask.geometry.clone();
+    room.resize(geometry.voxel_count(), 0.0);
+    let mut field = Image { geometry, data: room };
+    field.data.par_iter_mut().enumerate().for_each(|(n, f)| *f = if mask.inside.holds(n) { -1.0 } else { 1.0 });
     let mesh = marching_cubes(&field, 0.0);
     let mut samples = mesh.vertices.clone();
     samples.extend(mesh.triangles.iter().map(|t| t.iter().map(|&v| mesh.vertices[v as usize]).sum::<DVec3>() / 3.0));
     drop(mesh);
     // room for the differences at the rim of the band; beyond, any large number will do
-    let limit = BAND * mask.geometry.mean_spacing() + 3.0 * mask.geometry.spacing.max_element();
-    distance_to_samples(&mut field, &samples, limit);
+    let limit = BAND * field.geometry.mean_spacing() + 3.0 * field.geometry.spacing.max_element();
+    distance_to_samples(&mut field, &mask.inside, &samples, limit);
     field
 }
 
-/// Nodes in rows along x: `start[row]..start[row + 1]` are the x indices of a row's nodes.
-struct Rows {
-    start: Vec<usize>,
-    columns: Vec<u32>,
-}
-
-impl Rows {
-    /// The nodes off the rim of the grid for which `keep` holds.
-    fn of(size: [usize; 3], keep: impl Fn(usize) -> bool + Sync) -> Self {
-        let [nx, ny, nz] = size;
-        let rows: Vec<Vec<u32>> = (0..ny * nz)
-            .into_par_iter()
-            .map(|row| {
-                let (j, k) = (row % ny, row / ny);
-                if j == 0 || k == 0 || j + 1 == ny || k + 1 == nz {
-                    return Vec::new();
-                }
-                (1..nx as u32 - 1).filter(|&i| keep(row * nx + i as usize)).collect()
-            })
-            .collect();
-        let mut start = vec![0];
-        for row in &rows {
-            start.push(start[start.len() - 1] + row.len());
-        }
-        Self { start, columns: rows.concat() }
-    }
-
-    /// Gives every node of the rows a new value; `new` gets its old one and its number.
-    fn update(&self, nx: usize, data: &mut [f32], new: impl Fn(f32, usize) -> f32 + Sync) {
-        data.par_chunks_mut(nx).enumerate().for_each(|(row, values)| {
-            for &i in &self.columns[self.start[row]..self.start[row + 1]] {
-                let value = &mut values[i as usize];
-                *value = new(*value, row * nx + i as usize);
-            }
-        });
-    }
-}
-
-/// The clamped bi-Laplacian flow, in a band round the binary surface; beyond the band its distance stays as it is. `bounds`
-/// hold single nodes closer than `least` does.
-///
-/// The differences are those of the grid, not of the millimetres: the staircase lives on the grid, and thick slices need the
-/// longer reach that this gives across them.
-fn smooth(
-    mut field: Image<f32>,
-    mask: &Image<bool>,
-    least: &[f32],
-    bounds: &[Bound],
-    steps: usize,
-    context: &Context,
-) -> Result<Image<f32>> {
-    let size = field.geometry.size;
-    let [nx, ny, _] = size;
-    let plane = nx * ny;
-    let band = (BAND * field.geometry.mean_spacing()) as f32;
-    let in_band = |n: usize| field.data[n].abs() < band;
-    let active = Rows::of(size, in_band);
-    let neighbours = |n: usize| [n - 1, n + 1, n - nx, n + nx, n - plane, n + plane];
-    let ring = Rows::of(size, |n| in_band(n) || neighbours(n).into_iter().any(in_band));
-    let differences = |data: &[f32], n: usize| neighbours(n).into_iter().map(|m| data[m]).sum::<f32>() - 6.0 * data[n];
-    let mut laplacian = vec![0.0f32; field.data.len()];
-    let impose = |data: &mut [f32]| {
-        for bound in bounds {
-            let value = &mut data[bound.node];
-            *value = value.abs().clamp(bound.least, bound.most).copysign(*value);
-        }
+/// Voxel centres that F puts on the other side; those of parts that were dropped changed side on purpose.
+fn changed_nodes(mask: &Mask, result: &Redistanced, margin: usize) -> usize {
+    let Redistanced { field, dropped, .. } = result;
+    let [nx, ny, nz] = field.geometry.size;
+    let has_changed = |n: usize| {
+        let was_dropped = || dropped.nodes.as_ref().is_some_and(|nodes| nodes.holds(n));
+        (field.data[n] < 0.0) != mask.inside.holds(n) && !was_dropped()
     };
-    impose(&mut field.data);
-    let progress = context.progress(Some(steps as u64), "smoothing");
-    for _ in 0..steps {
-        context.check_interrupt()?;
-        ring.update(nx, &mut laplacian, |_, n| differences(&field.data, n));
-        active.update(nx, &mut field.data, |value, n| {
-            let value = value - STEP * differences(&laplacian, n);
-            if mask.data[n] { value.min(-least[n]) } else { value.max(least[n]) }
-        });
-        impose(&mut field.data);
-        progress.add(1);
-    }
-    Ok(field)
+    let rows = (margin..nz - margin).into_par_iter().flat_map_iter(|k| (margin..ny - margin).map(move |j| k * ny + j));
+    rows.map(|row| (row * nx + margin..(row + 1) * nx - margin).filter(|&n| has_changed(n)).count()).sum()
 }

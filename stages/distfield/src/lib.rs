@@ -11,18 +11,22 @@ pub mod cap;
 pub mod closest;
 pub mod field;
 pub mod fit;
+pub mod flow;
 pub mod junctions;
 pub mod keep;
 pub mod labels;
+pub mod mask;
 pub mod nearest;
 pub mod run;
+pub mod runs;
 pub mod samples;
 pub mod scalar;
+pub mod sides;
 pub mod topology;
 
 pub use field::{Redistanced, Shift};
 pub use keep::Keep;
-pub use labels::{LabelOptions, from_labels};
+pub use labels::{LabelOptions, from_labels, from_mask};
 pub use scalar::{ScalarOptions, from_scalar};
 
 /// Which side of the iso value the object is on.

@@ -8,6 +8,7 @@
 
 use glam::{DVec3, Vec3};
 use isoparticles_common::geometry::Geometry;
+use isoparticles_common::image::reverse_slices;
 use rayon::prelude::*;
 use std::ops::Range;
 
@@ -23,81 +24,117 @@ const SLAB: usize = 10 << 20;
 /// Slices of a slab, at least.
 const LEAST_SLICES: usize = 8;
 
-/// Nearest sample of every node (x fastest), and its squared distance (mm squared).
-pub struct Nearest {
-    /// Number of the sample, or [`NONE`].
-    pub sample: Vec<u32>,
-    /// Squared distance; infinite where there is no sample.
-    pub squared: Vec<f32>,
-}
-
 /// The nearest samples of the nodes of some slices.
 pub struct Slab {
     /// The slices of the grid that this is about.
     pub own: Range<usize>,
     /// The first slice that is there: the one before, or its first.
     pub first: usize,
-    /// The nodes of the slices from `first` on, up to a few beyond its own.
-    pub nearest: Nearest,
+    /// Numbers of the samples of the nodes (x fastest), or [`NONE`], of the slices from `first` on, up to a few beyond its own.
+    pub sample: Vec<u32>,
 }
 
 /// Hands out the nearest sample of every node within `limit` mm of the surface, slab by slab from the first slice to the last; farther away
 /// some other sample or none. Where the limit is infinite, samples up to `near` mm away are the nearest ones, others nearly.
-pub fn nearest_samples(geometry: &Geometry, samples: &[DVec3], limit: f64, near: f64, mut visit: impl FnMut(&Slab)) {
+///
+/// `values` has a place for each node. `visit` is given those of the slab's own nodes, which then hold the squared distances (mm squared) to their
+/// samples, infinite where there is none; what it puts there stays.
+pub fn nearest_samples(
+    geometry: &Geometry,
+    samples: &[DVec3],
+    limit: f64,
+    near: f64,
+    values: &mut [f32],
+    mut visit: impl FnMut(&Slab, &mut [f32]),
+) {
     let single: Vec<Vec3> = samples.par_iter().map(|p| p.as_vec3()).collect();
     let fine = Transform { geometry, first: 0, samples: &single, limit: (limit * limit) as f32 };
-    let coarse = limit.is_infinite().then(|| fine.coarse());
+    let mut coarse = limit.is_infinite().then(|| fine.coarse());
     let by_slice = fine.by_slice();
     let [nx, ny, nz] = geometry.size;
+    let plane = nx * ny;
     // a sample is handed on from a corner of its cell, which may be a voxel farther away
     let ahead = (limit.min(near) / geometry.spacing.z).ceil() as usize + 1;
-    let slices = (SLAB / (nx * ny)).max(LEAST_SLICES);
-    let mut slab = Slab { own: 0..0, first: 0, nearest: Nearest::none(0) };
+    let slices = (SLAB / plane).max(LEAST_SLICES);
+    let mut slab = Slab { own: 0..0, first: 0, sample: Vec::new() };
     while slab.own.end < nz {
         let own = slab.own.end..(slab.own.end + slices).min(nz);
         let first = own.start.saturating_sub(1);
         let end = (own.end + ahead).min(nz);
-        slab.nearest.keep((first - slab.first) * nx * ny, own.start - first, nx * ny);
-        slab.nearest.extend((end - own.start) * nx * ny);
-        (slab.own, slab.first) = (own, first);
+        slab.keep(first..own.start, plane);
+        slab.sample.resize((end - first) * plane, NONE);
+        slab.own = own.clone();
         let part = Geometry { size: [nx, ny, end - first], ..geometry.clone() };
         let transform = Transform { geometry: &part, first, ..fine };
-        transform.offer_to_cells(&mut slab.nearest, &by_slice);
-        if let Some((coarse_geometry, coarse)) = &coarse {
-            transform.take_from_coarse(&mut slab.nearest, coarse, coarse_geometry);
+        let before = values[first * plane..own.start * plane].to_vec();
+        let squared = &mut values[first * plane..end * plane];
+        transform.measure(&slab.sample, squared);
+        let mut nearest = Nearest { sample: &mut slab.sample, squared };
+        transform.offer_to_cells(&mut nearest, &by_slice);
+        if let Some(coarse) = &mut coarse {
+            transform.take_from_coarse(&mut nearest, coarse);
+            coarse.forget_below(own.end - 1);
         }
-        transform.within_planes(&mut slab.nearest);
-        transform.sweep(&mut slab.nearest, Sweep { axis: 2, upward: true, diagonal: true });
-        transform.sweep(&mut slab.nearest, Sweep { axis: 2, upward: false, diagonal: true });
-        transform.within_planes(&mut slab.nearest);
-        visit(&slab);
+        transform.within_planes(&mut nearest);
+        transform.sweep(&mut nearest, Sweep { axis: 2, upward: true, diagonal: true });
+        transform.sweep(&mut nearest, Sweep { axis: 2, upward: false, diagonal: true });
+        transform.within_planes(&mut nearest);
+        values[first * plane..own.start * plane].copy_from_slice(&before);
+        visit(&slab, &mut values[own.start * plane..own.end * plane]);
     }
 }
 
-impl Nearest {
-    fn none(count: usize) -> Self {
-        Self { sample: vec![NONE; count], squared: vec![f32::INFINITY; count] }
-    }
-
-    /// Keeps `count` slices of `plane` nodes from the node `start` on.
-    fn keep(&mut self, start: usize, count: usize, plane: usize) {
-        let range = start..start + count * plane;
+impl Slab {
+    /// Keeps the samples of `slices` alone.
+    fn keep(&mut self, slices: Range<usize>, plane: usize) {
+        let range = (slices.start - self.first) * plane..(slices.end - self.first) * plane;
         self.sample.copy_within(range.clone(), 0);
         self.sample.truncate(range.len());
-        self.squared.copy_within(range.clone(), 0);
-        self.squared.truncate(range.len());
+        self.first = slices.start;
     }
+}
 
-    /// Adds nodes that have no sample yet.
-    fn extend(&mut self, count: usize) {
-        self.sample.resize(self.sample.len() + count, NONE);
-        self.squared.resize(self.squared.len() + count, f32::INFINITY);
-    }
+/// Nearest samples of nodes (x fastest), and their squared distances.
+struct Nearest<'a> {
+    /// Number of the sample, or [`NONE`].
+    sample: &'a mut [u32],
+    /// Squared distance (mm squared); infinite where there is no sample.
+    squared: &'a mut [f32],
+}
 
+impl Nearest<'_> {
     /// Planes of constant z, or rows along x, `length` nodes each.
     fn chunks(&mut self, length: usize) -> impl IndexedParallelIterator<Item = (&mut [u32], &mut [f32])> {
         self.sample.par_chunks_mut(length).zip(self.squared.par_chunks_mut(length))
     }
+}
+
+/// The nearest samples of the nodes of the coarse grid. Slices lie from the last to the first, so that those that have been passed are at the
+/// end, where their memory can be given back.
+struct Coarse {
+    geometry: Geometry,
+    sample: Vec<u32>,
+}
+
+impl Coarse {
+    /// Those of the row at y index `j` and z index `k`, along x.
+    fn row(&self, j: usize, k: usize) -> &[u32] {
+        let [nx, ny, nz] = self.geometry.size;
+        &self.sample[((nz - 1 - k) * ny + j) * nx..][..nx]
+    }
+
+    /// Gives up the slices that no node of the whole grid from slice `k` on needs.
+    fn forget_below(&mut self, k: usize) {
+        let [nx, ny, nz] = self.geometry.size;
+        self.sample.truncate(nz.saturating_sub(k / STRIDE) * nx * ny);
+        self.sample.shrink_to_fit();
+    }
+}
+
+/// Numbers of the samples slice by slice of the grid.
+struct BySlice {
+    start: Vec<usize>,
+    numbers: Vec<u32>,
 }
 
 /// Along which axis, which way, and whether the four nodes across the corners are asked as well.
@@ -125,13 +162,15 @@ impl Transform<'_> {
     }
 
     /// The nearest samples of the nodes of a coarse grid over the whole grid.
-    fn coarse(&self) -> (Geometry, Vec<u32>) {
+    fn coarse(&self) -> Coarse {
         let geometry = Geometry {
             size: self.geometry.size.map(|n| (n - 1).div_ceil(STRIDE) + 1),
             spacing: self.geometry.spacing * STRIDE as f64,
             ..self.geometry.clone()
         };
-        let mut coarse = Nearest::none(geometry.voxel_count());
+        let mut sample = vec![NONE; geometry.voxel_count()];
+        let mut squared = vec![f32::INFINITY; geometry.voxel_count()];
+        let mut coarse = Nearest { sample: &mut sample, squared: &mut squared };
         let transform = Transform { geometry: &geometry, ..*self };
         transform.offer_to_cells(&mut coarse, &transform.by_slice());
         // A node may hear of its sample along one axis from a node that hears of it along another: hence the second round.
@@ -141,7 +180,9 @@ impl Transform<'_> {
                 transform.sweep(&mut coarse, Sweep { axis, upward: false, diagonal });
             }
         }
-        (geometry, coarse.sample)
+        drop(squared);
+        reverse_slices(&mut sample, geometry.size[0] * geometry.size[1]);
+        Coarse { geometry, sample }
     }
 
     /// The cell that a sample lies in: its lowest node, in the whole grid.
@@ -150,14 +191,21 @@ impl Transform<'_> {
         [0, 1, 2].map(|a| index[a].max(0.0) as usize)
     }
 
-    /// Numbers of the samples by the slice of their cell; those beyond the last slice are the last one's.
-    fn by_slice(&self) -> Vec<Vec<u32>> {
+    /// Numbers of the samples by the slice of their cell, ascending in each; those beyond the last slice are the last one's.
+    fn by_slice(&self) -> BySlice {
         let nz = self.geometry.size[2];
-        let mut by_slice: Vec<Vec<u32>> = vec![Vec::new(); nz];
+        let slice = |sample: Vec3| self.cell(sample)[2].min(nz - 1);
+        let mut start = vec![0; nz + 1];
+        self.samples.iter().for_each(|&sample| start[slice(sample) + 1] += 1);
+        (0..nz).for_each(|k| start[k + 1] += start[k]);
+        let mut next = start.clone();
+        let mut numbers = vec![0; self.samples.len()];
         for (number, &sample) in self.samples.iter().enumerate() {
-            by_slice[self.cell(sample)[2].min(nz - 1)].push(number as u32);
+            let place = &mut next[slice(sample)];
+            numbers[*place] = number as u32;
+            *place += 1;
         }
-        by_slice
+        BySlice { start, numbers }
     }
 
     /// Gives a node the sample of another where that is nearer than its own. Most often it is the same one, so the node's place is asked for only
@@ -173,12 +221,26 @@ impl Transform<'_> {
         }
     }
 
+    /// The squared distances of the nodes to the samples that they have.
+    fn measure(&self, sample: &[u32], squared: &mut [f32]) {
+        let [nx, ny, _] = self.geometry.size;
+        squared.par_chunks_mut(nx).zip(sample.par_chunks(nx)).enumerate().for_each(|(row, (squared, sample))| {
+            for (i, (squared, &number)) in squared.iter_mut().zip(sample).enumerate() {
+                *squared = match number {
+                    NONE => f32::INFINITY,
+                    number => self.node(i, row % ny, row / ny).distance_squared(self.samples[number as usize]),
+                };
+            }
+        });
+    }
+
     /// Offers every sample to the eight nodes of its cell.
-    fn offer_to_cells(&self, nearest: &mut Nearest, by_slice: &[Vec<u32>]) {
+    fn offer_to_cells(&self, nearest: &mut Nearest, by_slice: &BySlice) {
         let [nx, ny, _] = self.geometry.size;
         nearest.chunks(nx * ny).enumerate().for_each(|(k, (sample, squared))| {
             let slice = self.first + k;
-            for number in by_slice[slice.saturating_sub(1)..=slice].iter().flatten() {
+            let numbers = by_slice.start[slice.saturating_sub(1)]..by_slice.start[slice + 1];
+            for number in &by_slice.numbers[numbers] {
                 let [i0, j0, _] = self.cell(self.samples[*number as usize]);
                 for j in j0.min(ny - 1)..(j0 + 2).min(ny) {
                     for i in i0.min(nx - 1)..(i0 + 2).min(nx) {
@@ -193,18 +255,19 @@ impl Transform<'_> {
     }
 
     /// Every node takes the nearest of the samples of the coarse nodes round it.
-    fn take_from_coarse(&self, nearest: &mut Nearest, coarse: &[u32], geometry: &Geometry) {
+    fn take_from_coarse(&self, nearest: &mut Nearest, coarse: &Coarse) {
         let [nx, ny, _] = self.geometry.size;
         let around = |n: usize| [n / STRIDE, n.div_ceil(STRIDE)];
         nearest.chunks(nx).enumerate().for_each(|(row, (sample, squared))| {
             let (j, k) = (row % ny, row / ny);
-            let mut lines = around(self.first + k).map(|c| around(j).map(|b| geometry.linear(0, b, c))).concat();
+            let mut lines = around(self.first + k).map(|c| around(j).map(|b| (b, c))).concat();
             lines.dedup();
+            let lines: Vec<&[u32]> = lines.into_iter().map(|(b, c)| coarse.row(b, c)).collect();
             for i in 0..nx {
                 let mut own = (sample[i], squared[i]);
                 for line in &lines {
                     for a in around(i) {
-                        self.take(|| self.node(i, j, k), &mut own, (coarse[line + a], 0.0));
+                        self.take(|| self.node(i, j, k), &mut own, (line[a], 0.0));
                     }
                 }
                 (sample[i], squared[i]) = own;

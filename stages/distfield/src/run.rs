@@ -1,6 +1,7 @@
 //! The program: options, checks of the input, the run, the report.
 
-use crate::labels::{LabelOptions, from_labels};
+use crate::labels::{LabelOptions, from_mask};
+use crate::mask::Mask;
 use crate::scalar::{ScalarOptions, from_voxels};
 use crate::{Border, Clearance, Inside, Keep, Redistanced};
 use isoparticles_common::cli::{CommonArgs, Context, FILES, METHOD, Outcome, StageArgs};
@@ -140,7 +141,7 @@ pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
     }
     let about_file = |error: Error| Error { what: format!("{}: {}", args.input.display(), error.what), ..error };
     let geometry = volume.geometry.clone();
-    let (result, mut meta, changed) = match (&args.labels, args.iso) {
+    let (result, mut meta) = match (&args.labels, args.iso) {
         (Some(labels), _) => extract_labels(args, volume, labels, context).map_err(about_file)?,
         (None, Some(iso)) => extract_iso(args, volume, iso, context).map_err(about_file)?,
         (None, None) => {
@@ -165,18 +166,18 @@ pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
     meta["cavities"] = json!(result.parts_after.cavities);
     meta["volume"] = json!(result.parts_after.volume);
     meta["zero_set_shift"] = json!(result.shift);
-    describe(&result, &meta, changed, context);
+    describe(&result, &meta, context);
     warn_of_lost_parts(&result, args.tightening, context);
 
     let step = context.step("write");
     write_field(&args.output, FieldKind::Distance, &result.field, &meta, &context.history())?;
     drop(step);
-    let unwanted = changed.filter(|_| args.tightening == 0.0);
-    Ok(Outcome::from_failed_checks(failed_checks(&result, changed.is_some(), unwanted, context)))
+    let unwanted = result.changed.filter(|_| args.tightening == 0.0);
+    Ok(Outcome::from_failed_checks(failed_checks(&result, unwanted, context)))
 }
 
-/// F, what to note about it, and the voxels that changed side (labels).
-type Extracted = (Redistanced, Value, Option<usize>);
+/// F and what to note about it.
+type Extracted = (Redistanced, Value);
 
 fn extract_iso(args: &Args, volume: Volume, iso: f64, context: &Context) -> Result<Extracted> {
     if looks_like_labels(&volume.voxels) {
@@ -189,13 +190,16 @@ fn extract_iso(args: &Args, volume: Volume, iso: f64, context: &Context) -> Resu
     let options = ScalarOptions { inside: args.inside, border: args.border, margin, keep: args.keep };
     let result = from_voxels(volume.voxels, volume.geometry, iso, &options, context)?;
     let meta = json!({ "source": "scalar", "iso": iso, "inside": inside_name(args.inside) });
-    Ok((result, meta, None))
+    Ok((result, meta))
 }
 
 fn extract_labels(args: &Args, volume: Volume, labels: &[i64], context: &Context) -> Result<Extracted> {
     volume.voxels.check_labels(labels)?;
-    let mask = Image { data: volume.voxels.label_mask(labels), geometry: volume.geometry };
+    let image = Image { data: volume.voxels.label_mask(labels), geometry: volume.geometry };
     drop(volume.voxels);
+    let mask = Mask::from(&image);
+    drop(image);
+    let volume_before = mask.inside.count() as f64 * mask.geometry.spacing.element_product();
     let options = LabelOptions {
         border: args.border,
         margin: usize::from(args.margin),
@@ -204,26 +208,12 @@ fn extract_labels(args: &Args, volume: Volume, labels: &[i64], context: &Context
         tightening: args.tightening,
         keep: args.keep,
     };
-    let result = from_labels(&mask, &options, context)?;
-    let geometry = &mask.geometry;
-    let voxel = geometry.spacing.element_product();
-    let volume_before = mask.data.iter().filter(|m| **m).count() as f64 * voxel;
-    let changed = voxels_changed(&mask, &result, options.margin);
+    let result = from_mask(mask, &options, context)?;
     let meta = json!({
         "source": "labels", "labels": labels, "clearance": args.clearance, "smoothing_steps": args.smoothing_steps,
-        "tightening": args.tightening, "volume_before": volume_before, "voxels_changed": changed,
+        "tightening": args.tightening, "volume_before": volume_before, "voxels_changed": result.changed,
     });
-    Ok((result, meta, Some(changed)))
-}
-
-/// Voxel centres that F puts on the other side; those of parts that were dropped changed side on purpose.
-fn voxels_changed(mask: &Image<bool>, result: &Redistanced, margin: usize) -> usize {
-    let [nx, ny, _] = mask.geometry.size;
-    let (field, dropped) = (&result.field, &result.dropped.nodes);
-    let node = |n: usize| field.geometry.linear(n % nx + margin, n / nx % ny + margin, n / (nx * ny) + margin);
-    let has_changed =
-        |n: usize, was_inside: bool| (field.data[n] < 0.0) != was_inside && dropped.binary_search(&(n as u32)).is_err();
-    mask.data.iter().enumerate().filter(|&(n, &m)| has_changed(node(n), m)).count()
+    Ok((result, meta))
 }
 
 /// The planes at which the object was cut, in the grid frame of the field: axis (0 to 2), side, position in mm.
@@ -269,7 +259,7 @@ fn looks_like_labels(voxels: &Voxels) -> bool {
     true
 }
 
-fn describe(result: &Redistanced, meta: &Value, changed: Option<usize>, context: &Context) {
+fn describe(result: &Redistanced, meta: &Value, context: &Context) {
     let (before, after) = (result.parts_of_input(), result.parts_after);
     let dropped = &result.dropped;
     if dropped.components > 0 {
@@ -289,7 +279,7 @@ fn describe(result: &Redistanced, meta: &Value, changed: Option<usize>, context:
         }
         None => context.summary("volume, mm^3", format!("{:.6e}", after.volume)),
     }
-    if let Some(changed) = changed {
+    if let Some(changed) = result.changed {
         context.summary("voxel centres that changed side", changed);
     }
     let shift = result.shift;
@@ -326,7 +316,7 @@ fn warn_of_lost_parts(result: &Redistanced, tightening: f64, context: &Context) 
 
 /// Labels are made such that these hold; `unwanted` voxel centres changed sides and should not have. A scalar volume may fold within a voxel, where the count of parts is a matter of
 /// rounding: there a difference is a warning.
-fn failed_checks(result: &Redistanced, is_labels: bool, unwanted: Option<usize>, context: &Context) -> Vec<String> {
+fn failed_checks(result: &Redistanced, unwanted: Option<usize>, context: &Context) -> Vec<String> {
     let (before, after) = (result.parts_before, result.parts_after);
     let mut failed = Vec::new();
     if (before.components, before.cavities) != (after.components, after.cavities) {
@@ -334,7 +324,7 @@ fn failed_checks(result: &Redistanced, is_labels: bool, unwanted: Option<usize>,
             "components and cavities: {} and {} in the input, {} and {} in F",
             before.components, before.cavities, after.components, after.cavities
         );
-        if is_labels {
+        if result.changed.is_some() {
             failed.push(difference);
         } else {
             context.warn(difference);

@@ -1,7 +1,7 @@
 //! Scalar volumes: the surface is the zero set of the input's own interpolating cubic B-spline minus the iso value.
 
 use crate::cap::BorderBox;
-use crate::field::{Redistanced, Source, first_order_distance, redistance};
+use crate::field::{LeastDistances, Redistanced, Source, first_order_distance, redistance};
 use crate::{Border, Inside, Keep};
 use glam::DVec3;
 use isoparticles_common::cli::Context;
@@ -51,14 +51,15 @@ pub fn from_voxels(
     let mut input = Input { voxels, geometry, iso, inside: options.inside, scale: 1.0 };
     input.scale = power_of_two_below_inverse(input.check()?);
     let step = context.step("input spline");
+    input.voxels.reverse_slices(input.slice_size());
     let (nodes, source) = input.source(options.border, options.margin);
-    drop(input);
     let least = (CLEARANCE * nodes.geometry.min_spacing()) as f32;
     drop(step);
-    redistance(nodes, &source, |_| least, options.keep, context)
+    redistance(nodes, &source, LeastDistances { most: least, at: |_| least }, options.keep, context)
 }
 
-/// The volume and which surface of it is meant.
+/// The volume and which surface of it is meant. After its check its slices lie from the last to the first, so that those that have become nodes
+/// are at the end, where their memory can be given back.
 struct Input {
     voxels: Voxels,
     geometry: Geometry,
@@ -133,8 +134,9 @@ impl Input {
         ))
     }
 
-    /// Voxels from `first` on, less the iso value, negative inside.
-    fn copy_signed(&self, first: usize, to: &mut [f32]) {
+    /// Voxels of slice `k` from the one with the number `first` in it on, less the iso value, negative inside.
+    fn copy_signed(&self, k: usize, first: usize, to: &mut [f32]) {
+        let first = (self.geometry.size[2] - 1 - k) * self.slice_size() + first;
         let sign = match self.inside {
             Inside::Above => -1.0,
             Inside::Below => 1.0,
@@ -144,23 +146,25 @@ impl Input {
     }
 
     /// The nodes of the object on the padded grid, cut at the border, and its implicit function.
-    fn source(&self, border: Border, margin: usize) -> (Image<f32>, Source) {
-        let plane = self.slice_size();
+    fn source(mut self, border: Border, margin: usize) -> (Image<f32>, Source) {
         let padded = self.geometry.padded(margin);
         let cap = (border == Border::Cap).then(|| BorderBox::new(&padded, margin));
-        let mut filter =
-            SlabFilter::new(self.geometry.size, |k: usize, slice: &mut [f32]| self.copy_signed(k * plane, slice));
+        let mut filter = SlabFilter::new(self.geometry.size);
         let mut builder = BrickSplineBuilder::new(padded.clone());
         let mut nodes = Image { data: vec![0.0; padded.voxel_count()], geometry: padded.clone() };
         let padding = Padding { size: self.geometry.size, margin, from: straight };
         for layer in BrickSplineBuilder::layers(&padded) {
             let needed = padding.slices(&layer.slices);
-            let coefficients = padding.pad(filter.coefficients(needed), &layer.slices);
+            let fill = |k: usize, slice: &mut [f32]| self.copy_signed(k, 0, slice);
+            let coefficients = padding.pad(filter.coefficients(needed, fill), &layer.slices);
             let [px, py, _] = padded.size;
             builder.add(&layer, |j, k| &coefficients[((k - layer.slices.start) * py + j) * px..][..px]);
             let size = [px, py, layer.slices.len()];
             let slab = CubicSpline::from_coefficients(Geometry { size, ..padded.clone() }, coefficients);
             self.fill_nodes(&mut nodes, &layer, &slab, margin, cap.as_ref());
+            // the filter is ahead of the nodes
+            let rest = self.geometry.size[2].saturating_sub(layer.own.end.saturating_sub(margin));
+            self.voxels.truncate(rest * self.slice_size());
         }
         (nodes, Source { spline: builder.finish(), cap })
     }
@@ -182,8 +186,7 @@ impl Input {
             let (j, k) = (row % py, layer.own.start + row / py);
             let within = (margin..margin + ny).contains(&j) && (margin..margin + nz).contains(&k);
             if within {
-                let first = self.geometry.linear(0, j - margin, k - margin);
-                self.copy_signed(first, &mut values[margin..margin + nx]);
+                self.copy_signed(k - margin, (j - margin) * nx, &mut values[margin..margin + nx]);
             }
             for (i, value) in values.iter_mut().enumerate() {
                 let node = padded.index_to_grid(DVec3::new(i as f64, j as f64, k as f64));
@@ -284,19 +287,4 @@ impl Padding {
         });
         padded
     }
-}
-
-/// Values on the padded grid, each axis continued by `from` (padded index minus margin, size -> index).
-pub(crate) fn pad<T: Copy + Send + Sync>(
-    data: &[T],
-    size: [usize; 3],
-    margin: usize,
-    from: impl Fn(isize, usize) -> usize + Sync,
-) -> Vec<T> {
-    let [nx, ny, nz] = size;
-    let take =
-        |n: usize| -> Vec<usize> { (0..n + 2 * margin).map(|i| from(i as isize - margin as isize, n)).collect() };
-    let (xs, ys, zs) = (take(nx), take(ny), take(nz));
-    let rows: Vec<(usize, usize)> = zs.iter().flat_map(|&k| ys.iter().map(move |&j| (j, k))).collect();
-    rows.par_iter().flat_map_iter(|&(j, k)| xs.iter().map(move |&i| data[(k * ny + j) * nx + i])).collect()
 }

@@ -1,0 +1,258 @@
+//! Nodes in runs along x: what lies in a band round a surface takes a few runs a row, and values at those nodes alone take the room of the
+//! band, not that of the grid.
+
+use rayon::prelude::*;
+
+/// Consecutive nodes of a row.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Run {
+    /// x index of its first node.
+    pub first: u32,
+    /// x index after its last node.
+    pub end: u32,
+    /// Number of its first node among those of all runs, in ascending order.
+    pub number: usize,
+}
+
+/// A set of nodes of a grid, as the longest runs that it consists of.
+pub struct Runs {
+    size: [usize; 3],
+    /// Where the runs of each row start, and their count.
+    start: Vec<usize>,
+    runs: Vec<Run>,
+    /// Number of nodes.
+    pub count: usize,
+}
+
+impl Run {
+    /// x indices of its nodes.
+    pub fn columns(&self) -> std::ops::Range<usize> {
+        self.first as usize..self.end as usize
+    }
+}
+
+impl Runs {
+    /// The nodes for which `keep` holds.
+    pub fn of(size: [usize; 3], keep: impl Fn(usize) -> bool + Sync) -> Self {
+        let nx = size[0];
+        Self::of_rows(size, |row, spans| {
+            let mut i = 0;
+            while i < nx {
+                if keep(row * nx + i) {
+                    let first = i;
+                    while i < nx && keep(row * nx + i) {
+                        i += 1;
+                    }
+                    spans.push([first as u32, i as u32]);
+                }
+                i += 1;
+            }
+        })
+    }
+
+    /// The nodes of these runs and their six neighbours, which must be on the grid.
+    pub fn dilated(&self) -> Self {
+        let [_, ny, nz] = self.size;
+        Self::of_rows(self.size, |row, spans| {
+            let (j, k) = (row % ny, row / ny);
+            let mut around: Vec<[u32; 2]> = self.row(row).iter().map(|run| [run.first - 1, run.end + 1]).collect();
+            let rows = [(j > 0, row.wrapping_sub(1)), (j + 1 < ny, row + 1)];
+            let slices = [(k > 0, row.wrapping_sub(ny)), (k + 1 < nz, row + ny)];
+            for (_, near) in rows.into_iter().chain(slices).filter(|(is_there, _)| *is_there) {
+                around.extend(self.row(near).iter().map(|run| [run.first, run.end]));
+            }
+            around.sort_unstable();
+            let before = spans.len();
+            for span in around {
+                match spans[before..].last_mut() {
+                    Some(last) if span[0] <= last[1] => last[1] = last[1].max(span[1]),
+                    _ => spans.push(span),
+                }
+            }
+        })
+    }
+
+    /// Of the spans (first x index, the one after the last) that `fill` adds for each row.
+    fn of_rows(size: [usize; 3], fill: impl Fn(usize, &mut Vec<[u32; 2]>) + Sync) -> Self {
+        let [_, ny, nz] = size;
+        let slice = |k: usize| {
+            let (mut spans, mut ends) = (Vec::new(), Vec::with_capacity(ny));
+            for row in k * ny..(k + 1) * ny {
+                fill(row, &mut spans);
+                ends.push(spans.len());
+            }
+            (spans, ends)
+        };
+        let slices: Vec<_> = (0..nz).into_par_iter().map(slice).collect();
+        let mut start = Vec::with_capacity(ny * nz + 1);
+        start.push(0);
+        let mut runs: Vec<Run> = Vec::with_capacity(slices.iter().map(|(spans, _)| spans.len()).sum());
+        let mut count = 0;
+        for (spans, ends) in slices {
+            let before = runs.len();
+            start.extend(ends.into_iter().map(|end| before + end));
+            for [first, end] in spans {
+                runs.push(Run { first, end, number: count });
+                count += (end - first) as usize;
+            }
+        }
+        Self { size, start, runs, count }
+    }
+
+    /// All runs, in ascending order.
+    pub fn all(&self) -> &[Run] {
+        &self.runs
+    }
+
+    /// Indices in [`Self::all`] of the runs of a row.
+    pub fn of_row(&self, row: usize) -> std::ops::Range<usize> {
+        self.start[row]..self.start[row + 1]
+    }
+
+    /// The runs of a row.
+    pub fn row(&self, row: usize) -> &[Run] {
+        &self.runs[self.of_row(row)]
+    }
+
+    /// Visits the runs in ascending order with their indices in [`Self::all`] and the ranges of their nodes.
+    pub fn each_in_nodes(&self, mut visit: impl FnMut(usize, std::ops::Range<usize>)) {
+        let [nx, ny, nz] = self.size;
+        for row in 0..ny * nz {
+            for index in self.of_row(row) {
+                let columns = self.runs[index].columns();
+                visit(index, row * nx + columns.start..row * nx + columns.end);
+            }
+        }
+    }
+
+    /// Visits the pairs of a run of one row and a run of another that have an x index in common, by their indices in [`Self::all`].
+    pub fn each_touching(&self, row: usize, other: usize, mut visit: impl FnMut(usize, usize)) {
+        let (mut own, mut near) = (self.of_row(row), self.of_row(other));
+        while !own.is_empty() && !near.is_empty() {
+            let (a, b) = (self.runs[own.start], self.runs[near.start]);
+            if a.first < b.end && b.first < a.end {
+                visit(own.start, near.start);
+            }
+            if a.end <= b.end {
+                own.start += 1;
+            } else {
+                near.start += 1;
+            }
+        }
+    }
+
+    /// Index in [`Self::all`] of the run that a node is in.
+    pub fn find(&self, node: usize) -> Option<usize> {
+        let (row, i) = (node / self.size[0], (node % self.size[0]) as u32);
+        let at = self.start[row] + self.row(row).partition_point(|run| run.end <= i);
+        (at < self.start[row + 1] && self.runs[at].first <= i).then_some(at)
+    }
+
+    /// Number of a node among those of the runs, in ascending order; `None` where it is in none.
+    pub fn number(&self, node: usize) -> Option<usize> {
+        let run = self.runs[self.find(node)?];
+        Some(run.number + node % self.size[0] - run.first as usize)
+    }
+
+    /// Cuts values at the nodes of the runs into those of each slice.
+    pub fn slices<'a, T>(&self, mut values: &'a mut [T]) -> Vec<&'a mut [T]> {
+        let [_, ny, nz] = self.size;
+        let before = |row: usize| self.runs.get(self.start[row]).map_or(self.count, |run| run.number);
+        let cut = |k: usize| {
+            let (slice, rest) = std::mem::take(&mut values).split_at_mut(before((k + 1) * ny) - before(k * ny));
+            values = rest;
+            slice
+        };
+        (0..nz).map(cut).collect()
+    }
+
+    /// Values at the nodes of the runs.
+    pub fn values<T: Copy + Default + Send>(&self, value: impl Fn(usize) -> T + Sync) -> Vec<T> {
+        let [nx, ny, _] = self.size;
+        let mut values = vec![T::default(); self.count];
+        self.slices(&mut values).into_par_iter().enumerate().for_each(|(k, slice)| {
+            let nodes = (k * ny..(k + 1) * ny)
+                .flat_map(|row| self.row(row).iter().flat_map(move |run| run.columns().map(move |i| row * nx + i)));
+            slice.iter_mut().zip(nodes).for_each(|(to, node)| *to = value(node));
+        });
+        values
+    }
+
+    /// Puts values at the nodes of the runs among those of all nodes.
+    pub fn scatter(&self, compact: &[f32], data: &mut [f32]) {
+        data.par_chunks_mut(self.size[0]).enumerate().for_each(|(row, values)| {
+            for run in self.row(row) {
+                let columns = run.columns();
+                values[columns.clone()].copy_from_slice(&compact[run.number..][..columns.len()]);
+            }
+        });
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const SIZE: [usize; 3] = [23, 9, 7];
+
+    /// Off the rim of the grid, by chance.
+    fn is_in(n: usize) -> bool {
+        let [nx, ny, nz] = SIZE;
+        let at = [n % nx, n / nx % ny, n / (nx * ny)];
+        let is_inner = (0..3).all(|a| at[a] > 0 && at[a] + 1 < [nx, ny, nz][a]);
+        is_inner && isoparticles_common::random::uniform(3, 0, n as u64) < 0.3
+    }
+
+    #[test]
+    fn runs_hold_and_number_the_nodes() {
+        let count = SIZE.iter().product();
+        let runs = Runs::of(SIZE, is_in);
+        let nodes: Vec<usize> = (0..count).filter(|&n| is_in(n)).collect();
+        assert_eq!(runs.count, nodes.len());
+        for n in 0..count {
+            assert_eq!(runs.number(n), nodes.binary_search(&n).ok());
+        }
+        let data: Vec<f32> = (0..count).map(|n| n as f32).collect();
+        let compact = runs.values(|n| data[n]);
+        assert_eq!(compact, nodes.iter().map(|&n| n as f32).collect::<Vec<_>>());
+        let mut back = vec![-1.0; count];
+        runs.scatter(&compact, &mut back);
+        assert!((0..count).all(|n| back[n] == if is_in(n) { n as f32 } else { -1.0 }));
+        let mut numbers: Vec<usize> = (0..runs.count).collect();
+        let plane = SIZE[0] * SIZE[1];
+        for (k, slice) in runs.slices(&mut numbers).into_iter().enumerate() {
+            assert!(slice.iter().all(|&number| nodes[number] / plane == k));
+            assert_eq!(slice.len(), nodes.iter().filter(|&&n| n / plane == k).count());
+        }
+    }
+
+    #[test]
+    fn touching_runs_are_those_with_a_common_column() {
+        let runs = Runs::of(SIZE, is_in);
+        for row in 0..SIZE[1] * (SIZE[2] - 1) {
+            let mut found = Vec::new();
+            runs.each_touching(row, row + SIZE[1], |a, b| found.push((a, b)));
+            let overlap = |a: usize, b: usize| runs.all()[a].columns().any(|i| runs.all()[b].columns().contains(&i));
+            let pairs = runs.of_row(row).flat_map(|a| runs.of_row(row + SIZE[1]).map(move |b| (a, b)));
+            assert_eq!(found, pairs.filter(|&(a, b)| overlap(a, b)).collect::<Vec<_>>());
+        }
+    }
+
+    #[test]
+    fn dilation_adds_the_six_neighbours() {
+        let [nx, ny, _] = SIZE;
+        let dilated = Runs::of(SIZE, is_in).dilated();
+        let count: usize = SIZE.iter().product();
+        let near = |n: usize| {
+            let steps = [1, nx, nx * ny];
+            is_in(n) || steps.iter().any(|s| n + s < count && is_in(n + s) || n >= *s && is_in(n - s))
+        };
+        for n in 0..count {
+            assert_eq!(dilated.number(n).is_some(), near(n), "node {n}");
+        }
+        // the longest runs: none ends where the next starts
+        for row in 0..SIZE[1] * SIZE[2] {
+            assert!(dilated.row(row).windows(2).all(|pair| pair[0].end < pair[1].first));
+        }
+    }
+}
