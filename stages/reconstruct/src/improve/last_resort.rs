@@ -5,12 +5,13 @@
 //! help, up to three elementary moves are tried in a row. After either the patch is tidied up by flips and settling; the
 //! outcome that brings it nearest to the limits is kept, if it passes the (loosened) guard.
 
-use super::Tally;
 use super::guard::{Limits, Rule, commit_if_welcome, fitness, gain_in_fitness, keeps_limits};
 use super::moves::{flip, settle, split};
 use super::surface::{DEAD, Surface};
 use super::worst::{Move, moves_near, perform};
+use super::{Step, Tally};
 use glam::DVec3;
+use isoparticles_common::error::Result;
 use isoparticles_common::mesh::quality::radius_ratio;
 use rayon::prelude::*;
 use std::collections::BTreeSet;
@@ -39,8 +40,11 @@ const PLANS_TRIED: usize = 40;
 /// Plans of two moves whose outcome is extended by a third where none passes.
 const PLANS_EXTENDED: usize = 6;
 
-/// Triangles that are tried, worst first: up to a second each. Where there are more, F has too much detail below h.
-const BUDGET: usize = 200;
+/// Triangles that are tried, worst first, some tenths of a second each; where so many are tried in vain, or so many in a row, F has too much
+/// detail below h.
+const TRIES: usize = 2000;
+const FAILURES: usize = 200;
+const FAILURES_IN_A_ROW: usize = 40;
 
 /// Range of edge lengths, over h, that the moves must stay in: short enough for what bends within a tenth of h.
 pub(super) const LENGTHS: [f64; 2] = [0.05, 2.2];
@@ -60,20 +64,29 @@ enum Plan {
     Moves(Vec<Move>),
 }
 
-/// Tries every triangle outside the limits, worst first, and again those round a success.
-pub(super) fn lift(surface: &mut Surface, limits: &Limits, tally: &mut Tally) {
+/// Tries every triangle outside the limits, worst first, and again those round a success. `step` is called before each and may stop it.
+///
+/// # Errors
+/// Those of `step`.
+pub(super) fn lift(surface: &mut Surface, limits: &Limits, step: Step, tally: &mut Tally) -> Result<()> {
     let all: Vec<u32> = (0..surface.triangles.len() as u32).collect();
     let mut unfit: Vec<(f64, u32)> = all.par_iter().filter_map(|&t| unfitness(surface, t)).collect();
-    for _ in 0..BUDGET {
+    let (mut failures, mut in_a_row) = (0, 0);
+    for _ in 0..TRIES {
         let worst =
             (0..unfit.len()).min_by(|&i, &j| unfit[i].0.total_cmp(&unfit[j].0).then(unfit[i].1.cmp(&unfit[j].1)));
-        let Some(worst) = worst else { break };
+        let Some(worst) = worst.filter(|_| failures < FAILURES && in_a_row < FAILURES_IN_A_ROW) else { break };
+        step()?;
         let (_, triangle) = unfit.swap_remove(worst);
         if let Some(touched) = lift_one(surface, limits, triangle, tally) {
             unfit.retain(|(_, t)| touched.binary_search(t).is_err());
             unfit.extend(touched.iter().filter_map(|&t| unfitness(surface, t)));
+            in_a_row = 0;
+        } else {
+            (failures, in_a_row) = (failures + 1, in_a_row + 1);
         }
     }
+    Ok(())
 }
 
 /// The fitness of a triangle that is outside the limits, with its number.
@@ -133,7 +146,7 @@ fn best_welcome(
     limits: &Limits,
     plans: Vec<Plan>,
     tally: &mut Tally,
-) -> Result<Vec<u32>, Vec<Plan>> {
+) -> std::result::Result<Vec<u32>, Vec<Plan>> {
     let mut rated: Vec<(f64, Plan)> = plans.into_iter().map(|plan| (outcome(surface, limits, &plan), plan)).collect();
     // stable: the order of the plans among equals
     rated.sort_by(|a, b| b.0.total_cmp(&a.0));
@@ -261,7 +274,8 @@ fn edges_within(surface: &Surface, vertices: &[u32]) -> Vec<(u32, u32)> {
     edges
 }
 
-/// Flips the edges between the given vertices (ascending) where that raises the smaller radius ratio of the two triangles.
+/// Flips the edges between the given vertices (ascending) where that raises the smaller radius ratio of the two triangles, and turns neither
+/// against F.
 fn flip_for_shape(surface: &mut Surface, vertices: &[u32]) -> bool {
     let mut flipped = false;
     for (a, b) in edges_within(surface, vertices) {
@@ -269,10 +283,18 @@ fn flip_for_shape(surface: &mut Surface, vertices: &[u32]) -> bool {
         let [p, q, r, s] = [a, b, c, d].map(|v| surface.positions[v as usize]);
         let before = radius_ratio(p, q, r).min(radius_ratio(q, p, s));
         let after = radius_ratio(p, s, r).min(radius_ratio(s, q, r));
-        let normal = |a: DVec3, b: DVec3, c: DVec3| (b - a).cross(c - a).normalize_or_zero();
-        let mean = (normal(p, q, r) + normal(q, p, s)).normalize_or_zero();
-        let turned = normal(p, s, r).dot(mean).min(normal(s, q, r).dot(mean));
-        flipped |= after > before + 1e-6 && turned > FLIP_AGREEMENT && flip(surface, a, b);
+        if after <= before + 1e-6 {
+            continue;
+        }
+        let agreement = |corners: [u32; 3]| {
+            let [a, b, c] = corners.map(|v| surface.positions[v as usize]);
+            surface.normal_of(corners).dot(surface.field.value_gradient((a + b + c) / 3.0).1.normalize_or_zero())
+        };
+        let former = agreement([a, b, c]).min(agreement([b, a, d]));
+        let latter = agreement([a, d, c]).min(agreement([d, b, c]));
+        let mean = (surface.normal_of([a, b, c]) + surface.normal_of([b, a, d])).normalize_or_zero();
+        let turned = surface.normal_of([a, d, c]).dot(mean).min(surface.normal_of([d, b, c]).dot(mean));
+        flipped |= turned > FLIP_AGREEMENT && latter > former.min(FLIP_AGREEMENT) && flip(surface, a, b);
     }
     flipped
 }
