@@ -2,7 +2,7 @@
 //! bends within less than h (necks, specks, rims), so that lengths near h and small folds cannot both be kept there.
 //!
 //! Such a place is refined: edges are split towards a size that grows from short ones at the triangle to h around it. Where that does not
-//! help, up to three elementary moves are tried in a row. After either the patch is tidied up by flips and settling; the
+//! help, two elementary moves are tried in a row, then refinements of more sizes, then three moves. After any of these the patch is tidied up by flips and settling; the
 //! outcome that brings it nearest to the limits is kept, if it passes the (loosened) guard.
 
 use super::guard::{Limits, Rule, commit_if_welcome, fitness, gain_in_fitness, keeps_limits};
@@ -16,11 +16,18 @@ use isoparticles_common::mesh::quality::radius_ratio;
 use rayon::prelude::*;
 use std::collections::BTreeSet;
 
-/// Edge lengths at the triangle that refinements aim at, over its shortest side.
-const FIRST_SIZES: [f64; 4] = [1.2, 0.9, 0.65, 0.45];
+/// A set of refinements: edge lengths at the triangle that they aim at, over its shortest side, and how fast the size grows from there, mm per
+/// mm.
+struct Gradings {
+    sizes: &'static [f64],
+    slopes: &'static [f64],
+}
 
-/// How fast the size grows from there, mm per mm.
-const SLOPES: [f64; 3] = [0.3, 0.5, 0.8];
+/// What is tried first.
+const USUAL: Gradings = Gradings { sizes: &[1.2, 0.9, 0.65, 0.45], slopes: &[0.3, 0.5, 0.8] };
+
+/// What is tried where neither that nor two moves help: finer, and in between.
+const FURTHER: Gradings = Gradings { sizes: &[1.05, 0.77, 0.54, 0.38, 0.27, 0.19], slopes: &[0.2, 0.25, 0.4, 0.65] };
 
 /// An edge longer than this times its size is split.
 const LONG: f64 = 1.4;
@@ -96,8 +103,8 @@ fn unfitness(surface: &Surface, triangle: u32) -> Option<(f64, u32)> {
 }
 
 fn lift_one(surface: &mut Surface, limits: &Limits, triangle: u32, tally: &mut Tally) -> Option<Vec<u32>> {
-    let refinements = refinements(surface, triangle);
-    if let Ok(touched) = best_welcome(surface, limits, refinements, tally) {
+    let usual = refinements(surface, triangle, &USUAL);
+    if let Ok(touched) = best_welcome(surface, limits, usual, tally) {
         return Some(touched);
     }
     let corners = surface.triangles[triangle as usize];
@@ -109,6 +116,10 @@ fn lift_one(surface: &mut Surface, limits: &Limits, triangle: u32, tally: &mut T
         Ok(touched) => return Some(touched),
         Err(rated) => rated,
     };
+    let further = refinements(surface, triangle, &FURTHER);
+    if let Ok(touched) = best_welcome(surface, limits, further, tally) {
+        return Some(touched);
+    }
     let mut longer = Vec::new();
     let pairs = rated.iter().filter_map(|plan| if let Plan::Moves(moves) = plan { Some(moves) } else { None });
     for moves in pairs.filter(|moves| moves.len() == 2).take(PLANS_EXTENDED) {
@@ -118,12 +129,12 @@ fn lift_one(surface: &mut Surface, limits: &Limits, triangle: u32, tally: &mut T
     best_welcome(surface, limits, longer.into_iter().map(Plan::Moves).collect(), tally).ok()
 }
 
-/// Refinements of ever shorter first edges and slower growth.
-fn refinements(surface: &Surface, triangle: u32) -> Vec<Plan> {
+/// Refinements of ever shorter first edges.
+fn refinements(surface: &Surface, triangle: u32, gradings: &Gradings) -> Vec<Plan> {
     let [a, b, c] = surface.corners(triangle);
     let shortest = a.distance(b).min(b.distance(c)).min(c.distance(a));
     let plan = |share, slope| Plan::Refine { triangle, size: share * shortest, slope };
-    FIRST_SIZES.iter().flat_map(|&share| SLOPES.map(|slope| plan(share, slope))).collect()
+    gradings.sizes.iter().flat_map(|&share| gradings.slopes.iter().map(move |&slope| plan(share, slope))).collect()
 }
 
 /// A sequence of moves that can be made, and those with one move more in the patch that it leaves.
