@@ -2,8 +2,8 @@
 //! bends within less than h (necks, specks, rims), so that lengths near h and small folds cannot both be kept there.
 //!
 //! Such a place is refined: edges are split towards a size that grows from short ones at the triangle to h around it. Where that does not
-//! help, two elementary moves are tried in a row, then refinements of more sizes, then three moves. After any of these the patch is tidied up by flips and settling; the
-//! outcome that brings it nearest to the limits is kept, if it passes the (loosened) guard.
+//! help, two elementary moves are tried in a row, then refinements of more sizes, then three moves. After any of these the patch is tidied
+//! up by flips and settling; the outcome that brings it nearest to the limits is kept, if it passes the (loosened) guard.
 
 use super::guard::{Limits, Rule, commit_if_welcome, fitness, gain_in_fitness, keeps_limits};
 use super::moves::{flip, settle, split};
@@ -21,13 +21,16 @@ use std::collections::BTreeSet;
 struct Gradings {
     sizes: &'static [f64],
     slopes: &'static [f64],
+    /// Whether the size is smallest at a corner, and not in the middle.
+    at_corners: bool,
 }
 
 /// What is tried first.
-const USUAL: Gradings = Gradings { sizes: &[1.2, 0.9, 0.65, 0.45], slopes: &[0.3, 0.5, 0.8] };
+const USUAL: Gradings = Gradings { sizes: &[1.2, 0.9, 0.65, 0.45], slopes: &[0.3, 0.5, 0.8], at_corners: false };
 
-/// What is tried where neither that nor two moves help: finer, and in between.
-const FURTHER: Gradings = Gradings { sizes: &[1.05, 0.77, 0.54, 0.38, 0.27, 0.19], slopes: &[0.2, 0.25, 0.4, 0.65] };
+/// What is tried where neither that nor two moves help: finer ones, round each corner.
+const FURTHER: Gradings =
+    Gradings { sizes: &[1.05, 0.77, 0.54, 0.38, 0.27, 0.19], slopes: &[0.2, 0.25, 0.4, 0.65], at_corners: true };
 
 /// An edge longer than this times its size is split.
 const LONG: f64 = 1.4;
@@ -65,8 +68,8 @@ const FLIP_AGREEMENT: f64 = 0.3;
 /// What may be done about a triangle.
 #[derive(Clone, Debug)]
 enum Plan {
-    /// Splits towards a size (mm) at the triangle that grows by a slope.
-    Refine { triangle: u32, size: f64, slope: f64 },
+    /// Splits towards a size (mm) at a place next to the triangle that grows by a slope.
+    Refine { triangle: u32, centre: DVec3, size: f64, slope: f64 },
     /// Elementary moves in a row.
     Moves(Vec<Move>),
 }
@@ -129,12 +132,19 @@ fn lift_one(surface: &mut Surface, limits: &Limits, triangle: u32, tally: &mut T
     best_welcome(surface, limits, longer.into_iter().map(Plan::Moves).collect(), tally).ok()
 }
 
-/// Refinements of ever shorter first edges.
+/// Refinements of ever shorter first edges, round the centroid or the corners.
 fn refinements(surface: &Surface, triangle: u32, gradings: &Gradings) -> Vec<Plan> {
     let [a, b, c] = surface.corners(triangle);
     let shortest = a.distance(b).min(b.distance(c)).min(c.distance(a));
-    let plan = |share, slope| Plan::Refine { triangle, size: share * shortest, slope };
-    gradings.sizes.iter().flat_map(|&share| gradings.slopes.iter().map(move |&slope| plan(share, slope))).collect()
+    let centres = if gradings.at_corners { vec![a, b, c] } else { vec![(a + b + c) / 3.0] };
+    let mut plans = Vec::new();
+    for centre in centres {
+        for &share in gradings.sizes {
+            let plan = |&slope: &f64| Plan::Refine { triangle, centre, size: share * shortest, slope };
+            plans.extend(gradings.slopes.iter().map(plan));
+        }
+    }
+    plans
 }
 
 /// A sequence of moves that can be made, and those with one move more in the patch that it leaves.
@@ -193,7 +203,7 @@ fn outcome(surface: &mut Surface, limits: &Limits, plan: &Plan) -> f64 {
 /// Carries a plan out and tidies the patch up.
 fn execute(surface: &mut Surface, plan: &Plan) -> bool {
     match *plan {
-        Plan::Refine { triangle, size, slope } => refine(surface, triangle, size, slope),
+        Plan::Refine { triangle, centre, size, slope } => refine(surface, triangle, centre, size, slope),
         Plan::Moves(ref moves) => {
             let mut involved = Vec::new();
             let done = moves.iter().all(|&step| perform(surface, step, &mut involved));
@@ -208,10 +218,8 @@ fn execute(surface: &mut Surface, plan: &Plan) -> bool {
     }
 }
 
-/// Splits edges round a triangle until they are as short as `size` (mm) there, growing by `slope`. False when none is too long.
-fn refine(surface: &mut Surface, triangle: u32, size: f64, slope: f64) -> bool {
-    let [a, b, c] = surface.corners(triangle);
-    let centre = (a + b + c) / 3.0;
+/// Splits edges round a triangle until they are as short as `size` (mm) at a centre, growing by `slope`. False when none is too long.
+fn refine(surface: &mut Surface, triangle: u32, centre: DVec3, size: f64, slope: f64) -> bool {
     let corners = surface.triangles[triangle as usize];
     let aim = |p: DVec3| size + slope * p.distance(centre);
     let mut any = false;
