@@ -219,9 +219,8 @@ fn on_field(args: &Args, distfield: &Path, context: &Context) -> Result<Outcome>
         sides: (origin.is_labels && !origin.is_open).then_some(&field.image),
         ..ImproveOptions::polish()
     };
-    let improved = improve(&mut mesh, &spline, &size, &options)?;
+    let improved = improve(&mut mesh, &spline, &size, &options, &|| context.check_interrupt())?;
     drop(step);
-    context.check_interrupt()?;
 
     let step = context.step("check");
     let options = CheckOptions {

@@ -2,24 +2,35 @@
 //! bends within less than h (necks, specks, rims), so that lengths near h and small folds cannot both be kept there.
 //!
 //! Such a place is refined: edges are split towards a size that grows from short ones at the triangle to h around it. Where that does not
-//! help, up to three elementary moves are tried in a row. After either the patch is tidied up by flips and settling; the
-//! outcome that brings it nearest to the limits is kept, if it passes the (loosened) guard.
+//! help, two elementary moves are tried in a row, then refinements of more sizes, then three moves. After any of these the patch is tidied
+//! up by flips and settling; the outcome that brings it nearest to the limits is kept, if it passes the (loosened) guard.
 
-use super::Tally;
 use super::guard::{Limits, Rule, commit_if_welcome, fitness, gain_in_fitness, keeps_limits};
 use super::moves::{flip, settle, split};
 use super::surface::{DEAD, Surface};
 use super::worst::{Move, moves_near, perform};
+use super::{Step, Tally};
 use glam::DVec3;
+use isoparticles_common::error::Result;
 use isoparticles_common::mesh::quality::radius_ratio;
 use rayon::prelude::*;
 use std::collections::BTreeSet;
 
-/// Edge lengths at the triangle that refinements aim at, over its shortest side.
-const FIRST_SIZES: [f64; 4] = [1.2, 0.9, 0.65, 0.45];
+/// A set of refinements: edge lengths at the triangle that they aim at, over its shortest side, and how fast the size grows from there, mm per
+/// mm.
+struct Gradings {
+    sizes: &'static [f64],
+    slopes: &'static [f64],
+    /// Whether the size is smallest at a corner, and not in the middle.
+    at_corners: bool,
+}
 
-/// How fast the size grows from there, mm per mm.
-const SLOPES: [f64; 3] = [0.3, 0.5, 0.8];
+/// What is tried first.
+const USUAL: Gradings = Gradings { sizes: &[1.2, 0.9, 0.65, 0.45], slopes: &[0.3, 0.5, 0.8], at_corners: false };
+
+/// What is tried where neither that nor two moves help: finer ones, round each corner.
+const FURTHER: Gradings =
+    Gradings { sizes: &[1.05, 0.77, 0.54, 0.38, 0.27, 0.19], slopes: &[0.2, 0.25, 0.4, 0.65], at_corners: true };
 
 /// An edge longer than this times its size is split.
 const LONG: f64 = 1.4;
@@ -39,8 +50,11 @@ const PLANS_TRIED: usize = 40;
 /// Plans of two moves whose outcome is extended by a third where none passes.
 const PLANS_EXTENDED: usize = 6;
 
-/// Triangles that are tried, worst first: up to a second each. Where there are more, F has too much detail below h.
-const BUDGET: usize = 200;
+/// Triangles that are tried, worst first, some tenths of a second each; where so many are tried in vain, or so many in a row, F has too much
+/// detail below h.
+const TRIES: usize = 2000;
+const FAILURES: usize = 200;
+const FAILURES_IN_A_ROW: usize = 40;
 
 /// Range of edge lengths, over h, that the moves must stay in: short enough for what bends within a tenth of h.
 pub(super) const LENGTHS: [f64; 2] = [0.05, 2.2];
@@ -54,26 +68,35 @@ const FLIP_AGREEMENT: f64 = 0.3;
 /// What may be done about a triangle.
 #[derive(Clone, Debug)]
 enum Plan {
-    /// Splits towards a size (mm) at the triangle that grows by a slope.
-    Refine { triangle: u32, size: f64, slope: f64 },
+    /// Splits towards a size (mm) at a place next to the triangle that grows by a slope.
+    Refine { triangle: u32, centre: DVec3, size: f64, slope: f64 },
     /// Elementary moves in a row.
     Moves(Vec<Move>),
 }
 
-/// Tries every triangle outside the limits, worst first, and again those round a success.
-pub(super) fn lift(surface: &mut Surface, limits: &Limits, tally: &mut Tally) {
+/// Tries every triangle outside the limits, worst first, and again those round a success. `step` is called before each and may stop it.
+///
+/// # Errors
+/// Those of `step`.
+pub(super) fn lift(surface: &mut Surface, limits: &Limits, step: Step, tally: &mut Tally) -> Result<()> {
     let all: Vec<u32> = (0..surface.triangles.len() as u32).collect();
     let mut unfit: Vec<(f64, u32)> = all.par_iter().filter_map(|&t| unfitness(surface, t)).collect();
-    for _ in 0..BUDGET {
+    let (mut failures, mut in_a_row) = (0, 0);
+    for _ in 0..TRIES {
         let worst =
             (0..unfit.len()).min_by(|&i, &j| unfit[i].0.total_cmp(&unfit[j].0).then(unfit[i].1.cmp(&unfit[j].1)));
-        let Some(worst) = worst else { break };
+        let Some(worst) = worst.filter(|_| failures < FAILURES && in_a_row < FAILURES_IN_A_ROW) else { break };
+        step()?;
         let (_, triangle) = unfit.swap_remove(worst);
         if let Some(touched) = lift_one(surface, limits, triangle, tally) {
             unfit.retain(|(_, t)| touched.binary_search(t).is_err());
             unfit.extend(touched.iter().filter_map(|&t| unfitness(surface, t)));
+            in_a_row = 0;
+        } else {
+            (failures, in_a_row) = (failures + 1, in_a_row + 1);
         }
     }
+    Ok(())
 }
 
 /// The fitness of a triangle that is outside the limits, with its number.
@@ -83,8 +106,8 @@ fn unfitness(surface: &Surface, triangle: u32) -> Option<(f64, u32)> {
 }
 
 fn lift_one(surface: &mut Surface, limits: &Limits, triangle: u32, tally: &mut Tally) -> Option<Vec<u32>> {
-    let refinements = refinements(surface, triangle);
-    if let Ok(touched) = best_welcome(surface, limits, refinements, tally) {
+    let usual = refinements(surface, triangle, &USUAL);
+    if let Ok(touched) = best_welcome(surface, limits, usual, tally) {
         return Some(touched);
     }
     let corners = surface.triangles[triangle as usize];
@@ -96,6 +119,10 @@ fn lift_one(surface: &mut Surface, limits: &Limits, triangle: u32, tally: &mut T
         Ok(touched) => return Some(touched),
         Err(rated) => rated,
     };
+    let further = refinements(surface, triangle, &FURTHER);
+    if let Ok(touched) = best_welcome(surface, limits, further, tally) {
+        return Some(touched);
+    }
     let mut longer = Vec::new();
     let pairs = rated.iter().filter_map(|plan| if let Plan::Moves(moves) = plan { Some(moves) } else { None });
     for moves in pairs.filter(|moves| moves.len() == 2).take(PLANS_EXTENDED) {
@@ -105,12 +132,19 @@ fn lift_one(surface: &mut Surface, limits: &Limits, triangle: u32, tally: &mut T
     best_welcome(surface, limits, longer.into_iter().map(Plan::Moves).collect(), tally).ok()
 }
 
-/// Refinements of ever shorter first edges and slower growth.
-fn refinements(surface: &Surface, triangle: u32) -> Vec<Plan> {
+/// Refinements of ever shorter first edges, round the centroid or the corners.
+fn refinements(surface: &Surface, triangle: u32, gradings: &Gradings) -> Vec<Plan> {
     let [a, b, c] = surface.corners(triangle);
     let shortest = a.distance(b).min(b.distance(c)).min(c.distance(a));
-    let plan = |share, slope| Plan::Refine { triangle, size: share * shortest, slope };
-    FIRST_SIZES.iter().flat_map(|&share| SLOPES.map(|slope| plan(share, slope))).collect()
+    let centres = if gradings.at_corners { vec![a, b, c] } else { vec![(a + b + c) / 3.0] };
+    let mut plans = Vec::new();
+    for centre in centres {
+        for &share in gradings.sizes {
+            let plan = |&slope: &f64| Plan::Refine { triangle, centre, size: share * shortest, slope };
+            plans.extend(gradings.slopes.iter().map(plan));
+        }
+    }
+    plans
 }
 
 /// A sequence of moves that can be made, and those with one move more in the patch that it leaves.
@@ -133,7 +167,7 @@ fn best_welcome(
     limits: &Limits,
     plans: Vec<Plan>,
     tally: &mut Tally,
-) -> Result<Vec<u32>, Vec<Plan>> {
+) -> std::result::Result<Vec<u32>, Vec<Plan>> {
     let mut rated: Vec<(f64, Plan)> = plans.into_iter().map(|plan| (outcome(surface, limits, &plan), plan)).collect();
     // stable: the order of the plans among equals
     rated.sort_by(|a, b| b.0.total_cmp(&a.0));
@@ -169,7 +203,7 @@ fn outcome(surface: &mut Surface, limits: &Limits, plan: &Plan) -> f64 {
 /// Carries a plan out and tidies the patch up.
 fn execute(surface: &mut Surface, plan: &Plan) -> bool {
     match *plan {
-        Plan::Refine { triangle, size, slope } => refine(surface, triangle, size, slope),
+        Plan::Refine { triangle, centre, size, slope } => refine(surface, triangle, centre, size, slope),
         Plan::Moves(ref moves) => {
             let mut involved = Vec::new();
             let done = moves.iter().all(|&step| perform(surface, step, &mut involved));
@@ -184,10 +218,8 @@ fn execute(surface: &mut Surface, plan: &Plan) -> bool {
     }
 }
 
-/// Splits edges round a triangle until they are as short as `size` (mm) there, growing by `slope`. False when none is too long.
-fn refine(surface: &mut Surface, triangle: u32, size: f64, slope: f64) -> bool {
-    let [a, b, c] = surface.corners(triangle);
-    let centre = (a + b + c) / 3.0;
+/// Splits edges round a triangle until they are as short as `size` (mm) at a centre, growing by `slope`. False when none is too long.
+fn refine(surface: &mut Surface, triangle: u32, centre: DVec3, size: f64, slope: f64) -> bool {
     let corners = surface.triangles[triangle as usize];
     let aim = |p: DVec3| size + slope * p.distance(centre);
     let mut any = false;
@@ -261,7 +293,8 @@ fn edges_within(surface: &Surface, vertices: &[u32]) -> Vec<(u32, u32)> {
     edges
 }
 
-/// Flips the edges between the given vertices (ascending) where that raises the smaller radius ratio of the two triangles.
+/// Flips the edges between the given vertices (ascending) where that raises the smaller radius ratio of the two triangles, and turns neither
+/// against F.
 fn flip_for_shape(surface: &mut Surface, vertices: &[u32]) -> bool {
     let mut flipped = false;
     for (a, b) in edges_within(surface, vertices) {
@@ -269,10 +302,18 @@ fn flip_for_shape(surface: &mut Surface, vertices: &[u32]) -> bool {
         let [p, q, r, s] = [a, b, c, d].map(|v| surface.positions[v as usize]);
         let before = radius_ratio(p, q, r).min(radius_ratio(q, p, s));
         let after = radius_ratio(p, s, r).min(radius_ratio(s, q, r));
-        let normal = |a: DVec3, b: DVec3, c: DVec3| (b - a).cross(c - a).normalize_or_zero();
-        let mean = (normal(p, q, r) + normal(q, p, s)).normalize_or_zero();
-        let turned = normal(p, s, r).dot(mean).min(normal(s, q, r).dot(mean));
-        flipped |= after > before + 1e-6 && turned > FLIP_AGREEMENT && flip(surface, a, b);
+        if after <= before + 1e-6 {
+            continue;
+        }
+        let agreement = |corners: [u32; 3]| {
+            let [a, b, c] = corners.map(|v| surface.positions[v as usize]);
+            surface.normal_of(corners).dot(surface.field.value_gradient((a + b + c) / 3.0).1.normalize_or_zero())
+        };
+        let former = agreement([a, b, c]).min(agreement([b, a, d]));
+        let latter = agreement([a, d, c]).min(agreement([d, b, c]));
+        let mean = (surface.normal_of([a, b, c]) + surface.normal_of([b, a, d])).normalize_or_zero();
+        let turned = surface.normal_of([a, d, c]).dot(mean).min(surface.normal_of([d, b, c]).dot(mean));
+        flipped |= turned > FLIP_AGREEMENT && latter > former.min(FLIP_AGREEMENT) && flip(surface, a, b);
     }
     flipped
 }

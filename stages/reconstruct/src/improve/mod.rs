@@ -132,15 +132,20 @@ pub struct ImproveReport {
     pub nodes_on_wrong_side: Option<[usize; 2]>,
 }
 
+/// What long loops call every so often; an error stops them.
+pub type Step<'a> = &'a dyn Fn() -> Result<()>;
+
 /// Improves a mesh in the grid frame. `size` is the target edge length h (mm) at a position.
 ///
 /// # Errors
-/// When the mesh has a coordinate that is not finite or an index that names no vertex, or `size` is not positive on it.
+/// When the mesh has a coordinate that is not finite or an index that names no vertex, or `size` is not positive on it; and those of `step`, which
+/// leave the mesh as it was.
 pub fn improve(
     mesh: &mut TriangleMesh,
     field: &CubicSpline,
     size: &(dyn Fn(DVec3) -> f64 + Sync),
     options: &ImproveOptions,
+    step: Step,
 ) -> Result<ImproveReport> {
     if !mesh.is_well_formed() {
         return Err(Error::input(
@@ -170,10 +175,12 @@ pub fn improve(
     let tally = &mut report.moves;
     project_all(&mut surface, tally);
     for _ in 0..options.remesh_rounds {
+        step()?;
         remesh::round(&mut surface, &limits, tally);
         project_all(&mut surface, tally);
     }
     for _ in 0..options.relaxation_sweeps {
+        step()?;
         remesh::equalise_degrees(&mut surface, &limits, Rule::Even, 2, tally);
         remesh::relax_all(&mut surface, &limits, Rule::Even, tally);
     }
@@ -181,16 +188,17 @@ pub fn improve(
     for round in 0..options.rounds {
         let efforts = [Effort::Single, Effort::Settled, Effort::Double];
         for &effort in &efforts[..=round.min(efforts.len() - 1)] {
-            worst::lift(&mut surface, &limits, options.target, effort, &mut failures, tally);
+            worst::lift(&mut surface, &limits, options.target, effort, &mut failures, step, tally)?;
         }
     }
     if options.rounds > 0 {
         project_all(&mut surface, tally);
         let bar = options.target.min(LAST_RESORT_BELOW);
-        worst::lift(&mut surface, &limits.loosened(), bar, Effort::Double, &mut Failures::default(), tally);
+        let failures = &mut Failures::default();
+        worst::lift(&mut surface, &limits.loosened(), bar, Effort::Double, failures, step, tally)?;
         if options.target > 0.0 {
             surface.lengths = last_resort::LENGTHS;
-            last_resort::lift(&mut surface, &limits.loosened(), tally);
+            last_resort::lift(&mut surface, &limits.loosened(), step, tally)?;
         }
     }
 

@@ -8,6 +8,9 @@ use std::f64::consts::TAU;
 
 /// Distance from F = 0 that a projected vertex may keep, in voxels.
 const PROJECTION_TOLERANCE: f64 = 1e-5;
+/// Samples on either side in the search for a crossing along a line, and halvings of the interval found.
+const LINE_STEPS: usize = 16;
+const HALVINGS: usize = 20;
 /// Directions that the search for the best place looks in at each step.
 const DIRECTIONS: usize = 8;
 /// They turn by this angle (radians) when a step is halved.
@@ -22,6 +25,45 @@ const LEAST_GAIN: f64 = 1e-6;
 /// The point of F = 0 near a position, no farther than `limit` mm.
 pub(super) fn projected(surface: &Surface, p: DVec3, limit: f64) -> Option<DVec3> {
     surface.field.project(p, limit, PROJECTION_TOLERANCE * surface.field.geometry().mean_spacing())
+}
+
+/// The same where the gradient of F points to the side of `normal` (unit length): not on the other flank of a thin wall or gap. Newton's
+/// steps along the gradient may end there; then the nearest such point on the line along `normal` is taken.
+pub(super) fn projected_facing(surface: &Surface, p: DVec3, normal: DVec3, limit: f64) -> Option<DVec3> {
+    let field = surface.field;
+    let tolerance = PROJECTION_TOLERANCE * field.geometry().mean_spacing();
+    let facing = |start: DVec3, limit: f64| {
+        field.project_with_gradient(start, limit, tolerance).filter(|(_, g)| g.dot(normal) > 0.0).map(|(q, _)| q)
+    };
+    facing(p, limit).or_else(|| {
+        let (mut below, mut above) = crossing_along(|x| field.value(p + x * normal), limit)?;
+        for _ in 0..HALVINGS {
+            let middle = 0.5 * (below + above);
+            if field.value(p + middle * normal) < 0.0 { below = middle } else { above = middle }
+        }
+        facing(p + 0.5 * (below + above) * normal, limit)
+    })
+}
+
+/// The interval nearest to 0 over which a function rises through 0, of those between -`limit` and `limit`.
+fn crossing_along(f: impl Fn(f64) -> f64, limit: f64) -> Option<(f64, f64)> {
+    let step = limit / LINE_STEPS as f64;
+    let centre = f(0.0);
+    let (mut up, mut down) = (centre, centre);
+    for k in 0..LINE_STEPS {
+        let (near, far) = (k as f64 * step, (k + 1) as f64 * step);
+        let next = f(far);
+        if up < 0.0 && next >= 0.0 {
+            return Some((near, far));
+        }
+        up = next;
+        let next = f(-far);
+        if next < 0.0 && down >= 0.0 {
+            return Some((-far, -near));
+        }
+        down = next;
+    }
+    None
 }
 
 /// Replaces the edge a, b by the other diagonal of its two triangles.
@@ -77,7 +119,8 @@ pub(super) fn split(surface: &mut Surface, a: u32, b: u32) -> Option<u32> {
         return None;
     }
     let (p, q) = (surface.positions[a as usize], surface.positions[b as usize]);
-    let middle = projected(surface, 0.5 * (p + q), 0.5 * p.distance(q))?;
+    let normals = surface.normal_of([a, b, c]) + surface.normal_of([b, a, d]);
+    let middle = projected_facing(surface, 0.5 * (p + q), normals.normalize_or_zero(), 0.5 * p.distance(q))?;
     let m = surface.add_vertex(middle);
     surface.set_triangle(left, [a, m, c]);
     surface.add_triangle([m, b, c]);
@@ -142,7 +185,7 @@ pub(super) fn settle(surface: &mut Surface, vertex: u32) -> bool {
     if best == (0.0, 0.0) {
         return false;
     }
-    match projected(surface, place(best.0, best.1), reach) {
+    match projected_facing(surface, place(best.0, best.1), normal, reach) {
         Some(p) if worth(p) > before + LEAST_GAIN => {
             surface.move_vertex(vertex, p);
             true

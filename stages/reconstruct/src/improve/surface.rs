@@ -2,6 +2,7 @@
 //! log from which any move can be undone. Nothing is final until [`Surface::commit`].
 
 use super::grid::TriangleGrid;
+use super::moves::projected_facing;
 use super::sides::Sides;
 use glam::DVec3;
 use isoparticles_common::mesh::TriangleMesh;
@@ -13,6 +14,12 @@ use rayon::prelude::*;
 /// Corners of a triangle that is not there.
 pub(super) const DEAD: [u32; 3] = [u32::MAX; 3];
 
+/// Distance from F = 0, over h, up to which the first order |F| / |grad F| is taken for it.
+const FIRST_ORDER: f64 = 0.15;
+
+/// Distance from F = 0, over h, up to which a point of F = 0 is sought.
+const MOST_DEVIATION: f64 = 1.0;
+
 /// Target edge length h (mm) at a grid position.
 pub(super) type Size<'a> = &'a (dyn Fn(DVec3) -> f64 + Sync);
 
@@ -23,7 +30,8 @@ pub(super) struct Facts {
     pub(super) quality: f64,
     /// Cosine between the normal and grad F at the centroid.
     pub(super) agreement: f64,
-    /// |F| / |grad F| at the centroid over the mean target edge length.
+    /// Distance of the centroid from F = 0 over the mean target edge length: |F| / |grad F|, or where that is large (near critical points it
+    /// says little) the distance to a point of F = 0 that faces the same way.
     pub(super) deviation: f64,
     /// Factor by which the worst side leaves the range of lengths allowed, as a logarithm; 0 within.
     pub(super) excess: f64,
@@ -139,6 +147,12 @@ impl<'a> Surface<'a> {
         self.triangles[triangle as usize] != DEAD
     }
 
+    /// Unit normal of the triangle on three vertices.
+    pub(super) fn normal_of(&self, corners: [u32; 3]) -> DVec3 {
+        let [a, b, c] = corners.map(|v| self.positions[v as usize]);
+        (b - a).cross(c - a).normalize_or_zero()
+    }
+
     /// Radius ratio of a triangle as it is now.
     pub(super) fn quality(&self, triangle: u32) -> f64 {
         let [a, b, c] = self.corners(triangle);
@@ -162,9 +176,16 @@ impl<'a> Surface<'a> {
             return Facts::NONE;
         }
         let [a, b, c] = self.corners(triangle);
-        let (value, gradient) = self.field.value_gradient((a + b + c) / 3.0);
+        let centroid = (a + b + c) / 3.0;
+        let (value, gradient) = self.field.value_gradient(centroid);
         let normal = (b - a).cross(c - a).normalize_or_zero();
         let mean_target = corners.iter().map(|&v| self.target[v as usize]).sum::<f64>() / 3.0;
+        let mut deviation = value.abs() / gradient.length().max(1e-12) / mean_target;
+        if deviation > FIRST_ORDER
+            && let Some(foot) = projected_facing(self, centroid, normal, deviation.min(MOST_DEVIATION) * mean_target)
+        {
+            deviation = foot.distance(centroid) / mean_target;
+        }
         let excess = |e: usize| {
             let length = self.relative_length(corners[e], corners[(e + 1) % 3]).max(1e-12);
             (self.lengths[0] / length).max(length / self.lengths[1]).ln().max(0.0)
@@ -172,7 +193,7 @@ impl<'a> Surface<'a> {
         Facts {
             quality: radius_ratio(a, b, c),
             agreement: normal.dot(gradient.normalize_or_zero()),
-            deviation: value.abs() / gradient.length().max(1e-12) / mean_target,
+            deviation,
             excess: excess(0).max(excess(1)).max(excess(2)),
             normal,
         }

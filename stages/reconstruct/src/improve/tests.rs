@@ -51,7 +51,7 @@ fn remesh_from_marching_cubes(image: &Image<f32>, h: f64, label: &str) -> CheckR
     let field = CubicSpline::new(image);
     let mut mesh = marching_cubes(image, 0.0);
     let before = check(&mesh, &CheckOptions::default());
-    let report = improve(&mut mesh, &field, &|_| h, &ImproveOptions::remesh()).expect(label);
+    let report = improve(&mut mesh, &field, &|_| h, &ImproveOptions::remesh(), &|| Ok(())).expect(label);
     assert_eq!(report.off_surface, 0, "{label}: {:?}", report.moves);
     assert_eq!(report.frozen_vertices, 0, "{label}");
     let after = assert_sound(&mesh, &field, &before, label);
@@ -123,7 +123,7 @@ fn lifting_the_worst_leaves_the_rest_alone() {
     assert!(before.quality.radius_ratio_min < 0.2 && before.self_intersections == 0, "{:?}", before.quality);
     let untouched: Vec<DVec3> = mesh.vertices.clone();
     let h = 0.3;
-    let report = improve(&mut mesh, &field, &|_| h, &ImproveOptions::default()).expect("a sound mesh");
+    let report = improve(&mut mesh, &field, &|_| h, &ImproveOptions::default(), &|| Ok(())).expect("a sound mesh");
     let after = assert_sound(&mesh, &field, &before, "dragged vertices");
     assert!(after.quality.radius_ratio_min >= 0.6, "{:?}", after.quality);
     assert_eq!(report.below_target, 0);
@@ -145,7 +145,7 @@ fn polishing_raises_mean_and_minimum_and_no_triangle_count_changes() {
     let before = check(&mesh, &CheckOptions::default());
     assert_eq!(before.self_intersections, 0);
     let (vertices, triangles) = (mesh.vertices.len(), mesh.triangles.len());
-    improve(&mut mesh, &field, &|_| 0.6, &ImproveOptions::polish()).expect("a sound mesh");
+    improve(&mut mesh, &field, &|_| 0.6, &ImproveOptions::polish(), &|| Ok(())).expect("a sound mesh");
     let after = assert_sound(&mesh, &field, &before, "shaken sphere");
     // measured: mean 0.871 to 0.996, minimum 0.296 to 0.943
     assert!(before.quality.radius_ratio_mean < 0.9, "{:?}", before.quality);
@@ -165,7 +165,7 @@ fn the_last_resort_makes_all_triangles_at_a_neck_fit() {
         let size = |_: DVec3| h;
         let mut surface = Surface::new(&mesh, &scene.field, &size, last_resort::LENGTHS);
         let mut tally = Tally::default();
-        last_resort::lift(&mut surface, &limits, &mut tally);
+        last_resort::lift(&mut surface, &limits, &|| Ok(()), &mut tally).expect("nothing stops it");
         let after = assert_sound(&surface.into_mesh(), &scene.field, &before, "hourglass");
         let is_fit = |quality: &QualitySummary| {
             quality.radius_ratio_min >= 0.5 && quality.angle_min >= 25.0 && quality.angle_max <= 120.0
@@ -174,6 +174,106 @@ fn the_last_resort_makes_all_triangles_at_a_neck_fit() {
         assert!(is_fit(&after.quality), "h {h}: {:?} {tally:?}", after.quality);
     }
     assert!(unfit > 0, "there was nothing to do");
+}
+
+/// A double cone: its rim of radius 8 is a fold of F, the normals on either side 140 degrees apart.
+fn double_cone() -> (Image<f32>, TriangleMesh) {
+    let (centre, radius) = (DVec3::splat(11.6), 8.0);
+    let (sine, cosine) = 20f64.to_radians().sin_cos();
+    let image = sampled([24; 3], DVec3::ONE, |p| {
+        let q = p - centre;
+        cosine * q.z.abs() + sine * (q.x.hypot(q.y) - radius)
+    });
+    let apex = radius * sine / cosine;
+    let mut mesh =
+        TriangleMesh { vertices: vec![centre + apex * DVec3::Z, centre - apex * DVec3::Z], ..Default::default() };
+    let rim = 24u32;
+    for n in 0..rim {
+        let (y, x) = (std::f64::consts::TAU * f64::from(n) / f64::from(rim)).sin_cos();
+        mesh.vertices.push(centre + radius * DVec3::new(x, y, 0.0));
+        let (a, b) = (2 + n, 2 + (n + 1) % rim);
+        mesh.triangles.extend([[0, a, b], [1, b, a]]);
+    }
+    (image, mesh)
+}
+
+#[test]
+fn neighbours_may_fold_where_f_folds_and_nowhere_else() {
+    let (image, mesh) = double_cone();
+    let strict = Limits { agreement: 0.3, fold: 0.0, fold_of_f: 0.0, deviation: f64::INFINITY, excess: f64::INFINITY };
+    let loosened = strict.loosened();
+    let moved_along_the_rim = |field: &CubicSpline, limits: &Limits| {
+        let mut surface = Surface::new(&mesh, field, &|_| 2.0, last_resort::LENGTHS);
+        surface.move_vertex(2, mesh.vertices[2].lerp(mesh.vertices[3], 0.2));
+        guard::keeps_limits(&surface, limits)
+    };
+    let cone = CubicSpline::new(&image);
+    assert!(moved_along_the_rim(&cone, &loosened));
+    assert!(!moved_along_the_rim(&cone, &Limits { fold_of_f: loosened.fold, ..loosened }), "the rim is no fold");
+    // at that vertex the triangles make 70 degrees with this gradient: they do not follow it, and the fold is theirs
+    let plane = CubicSpline::new(&sampled([24; 3], DVec3::ONE, |p| p.x - 19.6));
+    assert!(!moved_along_the_rim(&plane, &loosened));
+    assert!(moved_along_the_rim(&plane, &Limits { fold: -0.8, ..loosened }), "it was not for the fold");
+}
+
+#[test]
+fn the_middle_of_an_edge_stays_on_its_own_face_of_a_thin_wall() {
+    // the chord between two points of the outer face reaches past the middle of the wall
+    let centre = DVec3::splat(8.1);
+    let image = sampled([66; 3], DVec3::splat(0.25), |p| (p.distance(centre) - 6.0).abs() - 0.5);
+    let field = CubicSpline::new(&image);
+    let size = |_: DVec3| 1.0;
+    let surface = Surface::new(&TriangleMesh::default(), &field, &size, [0.0, 9.0]);
+    for outward in [DVec3::X, DVec3::new(0.6, 0.0, -0.8), DVec3::ONE.normalize()] {
+        for depth in [0.2, 0.6, 0.8] {
+            let middle = centre + (6.5 - depth) * outward;
+            let newton = moves::projected(&surface, middle, 2.0).expect("a point of F = 0").distance(centre);
+            assert!((newton - if depth < 0.5 { 6.5 } else { 5.5 }).abs() < 0.02, "{newton}");
+            // the normal of a triangle differs from that of F
+            let normal = (outward + 0.3 * outward.any_orthonormal_vector()).normalize();
+            let facing = moves::projected_facing(&surface, middle, normal, 2.0).expect("the outer face");
+            assert!((facing.distance(centre) - 6.5).abs() < 0.02, "{facing}");
+            let other = moves::projected_facing(&surface, middle, -normal, 2.0).expect("the inner face");
+            assert!((other.distance(centre) - 5.5).abs() < 0.02, "{other}");
+        }
+    }
+    assert_eq!(moves::projected_facing(&surface, centre, DVec3::X, 2.0), None);
+}
+
+#[test]
+fn a_triangle_across_a_neck_strays_by_the_radius_of_the_neck() {
+    // F has its saddle at the centroid, where |F| / |grad F| has no bound
+    let centre = DVec3::new(11.37, 12.21, 11.84);
+    let image = sampled([24; 3], DVec3::ONE, |p| {
+        let q = p - centre;
+        0.05 * (-0.7 * q.x * q.x + (q.y / 0.2).powi(2) + (q.z / 0.3).powi(2) - 1.0)
+    });
+    let field = CubicSpline::new(&image);
+    let (value, gradient) = field.value_gradient(centre);
+    assert!(value.abs() > 100.0 * gradient.length(), "{value} {gradient}");
+    let corners = [DVec3::new(1.0, 0.0, 0.0), DVec3::new(-0.5, 0.0, -0.8), DVec3::new(-0.5, 0.0, 0.8)];
+    let mesh = TriangleMesh { vertices: corners.map(|c| centre + c).to_vec(), triangles: vec![[0, 1, 2]] };
+    let size = |_: DVec3| 2.0;
+    let surface = Surface::new(&mesh, &field, &size, [0.0, 9.0]);
+    assert!((surface.facts[0].deviation - 0.2 / 2.0).abs() < 1e-3, "{:?}", surface.facts[0]);
+}
+
+#[test]
+fn a_stop_ends_the_improvement_and_leaves_the_mesh() {
+    use std::sync::atomic::{AtomicUsize, Ordering::Relaxed};
+    let scene = crate::scenes::hourglass();
+    let (before, _, _) = crate::tests::restricted(&scene, 2.0);
+    let stopped_after = |most: usize| {
+        let (calls, mut mesh) = (AtomicUsize::new(0), before.clone());
+        let step = || if calls.fetch_add(1, Relaxed) < most { Ok(()) } else { Err(Error::input("stopped", "", "")) };
+        let ended = improve(&mut mesh, &scene.field, &|_| 2.4, &ImproveOptions::polish(), &step);
+        (ended.is_err(), mesh == before, calls.into_inner())
+    };
+    let (stopped, unchanged, calls) = stopped_after(usize::MAX);
+    assert!(!stopped && !unchanged && calls > ImproveOptions::polish().relaxation_sweeps, "{calls}");
+    for most in [0, 1, calls - 1] {
+        assert_eq!(stopped_after(most), (true, true, most + 1));
+    }
 }
 
 #[test]
@@ -186,7 +286,7 @@ fn a_good_mesh_is_not_touched_at_all() {
         *p = field.project(*p + centre, 1.0, 1e-7).unwrap_or(*p);
     }
     let before = mesh.clone();
-    let report = improve(&mut mesh, &field, &|_| 0.6, &ImproveOptions::default()).expect("a sound mesh");
+    let report = improve(&mut mesh, &field, &|_| 0.6, &ImproveOptions::default(), &|| Ok(())).expect("a sound mesh");
     assert_eq!(mesh, before);
     assert_eq!(report.moves, Tally::default());
 }
@@ -204,7 +304,7 @@ fn guarded_nodes_stay_on_their_side() {
     assert_eq!(before.nodes_on_wrong_side, Some(0));
     let run = |options: &ImproveOptions| {
         let mut mesh = start.clone();
-        let report = improve(&mut mesh, &field, &|_| 1.8, options).expect("a sound mesh");
+        let report = improve(&mut mesh, &field, &|_| 1.8, options, &|| Ok(())).expect("a sound mesh");
         let after = check(&mesh, &CheckOptions { sides: Some(&image), ..CheckOptions::default() });
         (report, after.nodes_on_wrong_side, after.quality.radius_ratio_mean)
     };
@@ -224,7 +324,7 @@ fn a_graded_size_is_followed() {
     let mut mesh = marching_cubes(&image, 0.0);
     let before = check(&mesh, &CheckOptions::default());
     let h = |p: DVec3| 0.6 + 0.1 * (p.z - 2.9).max(0.0);
-    let report = improve(&mut mesh, &field, &h, &ImproveOptions::remesh()).expect("a sound mesh");
+    let report = improve(&mut mesh, &field, &h, &ImproveOptions::remesh(), &|| Ok(())).expect("a sound mesh");
     assert_sound(&mesh, &field, &before, "graded");
     assert!(report.after.radius_ratio_min >= 0.5, "{:?}", report.after);
     let mean_relative_length = |low: f64, high: f64| {
@@ -253,7 +353,7 @@ fn the_result_does_not_depend_on_the_number_of_threads() {
         pool.install(|| {
             let mut mesh = marching_cubes(&image, 0.0);
             let options = ImproveOptions { remesh_rounds: 2, ..ImproveOptions::remesh() };
-            improve(&mut mesh, &field, &|_| 1.2, &options).map(|_| mesh).ok()
+            improve(&mut mesh, &field, &|_| 1.2, &options, &|| Ok(())).map(|_| mesh).ok()
         })
     };
     assert_eq!(run(1), run(3));
@@ -274,18 +374,18 @@ fn what_is_not_manifold_is_left_alone_and_nonsense_is_refused() {
     mesh.triangles.push(mesh.triangles[0]);
     mesh.triangles[40].swap(0, 1);
     let kept = gone.map(|v| mesh.vertices[v as usize]);
-    let report = improve(&mut mesh, &field, &|_| 0.9, &ImproveOptions::remesh()).expect("well formed");
+    let report = improve(&mut mesh, &field, &|_| 0.9, &ImproveOptions::remesh(), &|| Ok(())).expect("well formed");
     assert!(report.frozen_vertices >= 9);
     assert!(kept.iter().all(|p| mesh.vertices.contains(p)));
 
-    assert!(improve(&mut mesh.clone(), &field, &|_| 0.0, &ImproveOptions::default()).is_err());
-    assert!(improve(&mut mesh.clone(), &field, &|_| f64::NAN, &ImproveOptions::default()).is_err());
+    assert!(improve(&mut mesh.clone(), &field, &|_| 0.0, &ImproveOptions::default(), &|| Ok(())).is_err());
+    assert!(improve(&mut mesh.clone(), &field, &|_| f64::NAN, &ImproveOptions::default(), &|| Ok(())).is_err());
     let mut broken = mesh.clone();
     broken.triangles[0][1] = u32::MAX;
-    assert!(improve(&mut broken, &field, &|_| 0.9, &ImproveOptions::default()).is_err());
+    assert!(improve(&mut broken, &field, &|_| 0.9, &ImproveOptions::default(), &|| Ok(())).is_err());
     broken = mesh;
     broken.vertices[0].x = f64::NAN;
-    assert!(improve(&mut broken, &field, &|_| 0.9, &ImproveOptions::default()).is_err());
+    assert!(improve(&mut broken, &field, &|_| 0.9, &ImproveOptions::default(), &|| Ok(())).is_err());
     let mut empty = TriangleMesh::default();
-    assert!(improve(&mut empty, &field, &|_| 0.9, &ImproveOptions::remesh()).is_ok());
+    assert!(improve(&mut empty, &field, &|_| 0.9, &ImproveOptions::remesh(), &|| Ok(())).is_ok());
 }

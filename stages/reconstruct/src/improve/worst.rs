@@ -1,10 +1,11 @@
 //! Works the worst triangles off: for each, the elementary moves on its edges and vertices, alone or two in a row, followed
 //! by a settling of the vertices round them; the move that helps most and passes the guard is kept.
 
-use super::Tally;
 use super::guard::{Limits, Rule, commit_if_welcome, scores};
 use super::moves::{collapse, flip, projected, settle, split};
 use super::surface::{DEAD, Surface};
+use super::{Step, Tally};
+use isoparticles_common::error::Result;
 use std::cmp::Reverse;
 use std::collections::{BinaryHeap, HashMap};
 
@@ -53,15 +54,20 @@ impl Failures {
     }
 }
 
-/// Tries every triangle below `bar`, worst first, and again whatever falls short next to a success.
+/// Tries every triangle below `bar`, worst first, and again whatever falls short next to a success. `step` is called before each and may
+/// stop it.
+///
+/// # Errors
+/// Those of `step`.
 pub(super) fn lift(
     surface: &mut Surface,
     limits: &Limits,
     bar: f64,
     effort: Effort,
     failures: &mut Failures,
+    step: Step,
     tally: &mut Tally,
-) {
+) -> Result<()> {
     let mut queue = BinaryHeap::new();
     for (t, facts) in surface.facts.iter().enumerate() {
         if facts.quality < bar {
@@ -82,6 +88,7 @@ pub(super) fn lift(
             break;
         }
         budget -= 1;
+        step()?;
         match lift_one(surface, limits, bar, t, effort, tally) {
             Some(touched) => {
                 for t in touched {
@@ -96,6 +103,7 @@ pub(super) fn lift(
             }
         }
     }
+    Ok(())
 }
 
 /// A plan and the shortfall that it saves before anything has settled (negative when it costs some at first).
