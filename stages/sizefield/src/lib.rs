@@ -3,6 +3,7 @@
 //! Section 3.1 of Kim, Chen and Hansen 2012 and Meyer, Kirby and Whitaker 2007: h0 = epsilon times the local feature
 //! size at the surface, bounded by curvature, then |grad h| <= delta.
 
+mod blocks;
 pub mod connections;
 pub mod feature;
 pub mod gradation;
