@@ -148,19 +148,21 @@ impl Block {
                 continue;
             }
             let stride = scheme.strides[axis];
-            if place[axis] > 1 && values.get(node - stride) > value {
-                if let Some(new) = scheme.lower(values, node - stride) {
-                    let mut next = place;
-                    next[axis] -= 1;
-                    self.lowered(next, new, messages);
-                }
+            if place[axis] > 1
+                && values.get(node - stride) > value
+                && let Some(new) = scheme.lower(values, node - stride)
+            {
+                let mut next = place;
+                next[axis] -= 1;
+                self.lowered(next, new, messages);
             }
-            if place[axis] < self.size[axis] && values.get(node + stride) > value {
-                if let Some(new) = scheme.lower(values, node + stride) {
-                    let mut next = place;
-                    next[axis] += 1;
-                    self.lowered(next, new, messages);
-                }
+            if place[axis] < self.size[axis]
+                && values.get(node + stride) > value
+                && let Some(new) = scheme.lower(values, node + stride)
+            {
+                let mut next = place;
+                next[axis] += 1;
+                self.lowered(next, new, messages);
             }
         }
     }
