@@ -91,10 +91,11 @@ impl Scheme {
     /// Lowers a node to what its neighbours allow, where that is below its value. Returns what it is set to.
     #[inline]
     pub(crate) fn lower(&self, h: &Values, at: usize) -> Option<f32> {
-        let smaller = self.strides.map(|stride| {
-            let (before, after) = (h.get(at - stride), h.get(at + stride));
+        let smaller = |axis: usize| {
+            let (before, after) = (h.get(at - self.strides[axis]), h.get(at + self.strides[axis]));
             f64::from(if before < after { before } else { after })
-        });
+        };
+        let smaller = [smaller(0), smaller(1), smaller(2)];
         // nearly always there is nothing to gain, which costs no root to see
         let worth = f64::from(h.get(at)) * (1.0 - LEAST_GAIN);
         let steepness = |axis: usize| {
