@@ -75,6 +75,7 @@ pub fn size_field(distance: &Image<f32>, features: &Features, parameters: &Param
     let largest = wanted.iter().copied().fold(0.0, f64::max);
     let graded = spread(distance, features, &wanted, parameters, largest);
     let mut smooth: Vec<f64> = features.points.par_iter().map(|&p| graded.at(p)).collect();
+    drop(graded);
     smooth_over_surface(&mut smooth, &Fans::new(features.points.len(), &features.triangles));
     spread(distance, features, &smooth, parameters, f64::INFINITY)
 }
