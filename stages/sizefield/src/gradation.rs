@@ -5,7 +5,7 @@
 //! small h to large (Sethian 1996) with a queue of buckets (Yatziv, Bartesaghi and Sapiro 2006); a node that a later
 //! one of its bucket still lowers is queued again, so the order within a bucket does not matter.
 //!
-//! The grid is marched block by block ([`crate::blocks`]), some buckets at a time.
+//! The grid is marched block by block (`blocks.rs`), some buckets at a time.
 
 use crate::blocks::Blocks;
 use isoparticles_common::image::Image;
