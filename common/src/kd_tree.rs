@@ -1,8 +1,10 @@
-//! A balanced k-d tree over points, for nearest-neighbour queries (Bentley 1975).
+//! A balanced k-d tree over points, for nearest-neighbour queries (Bentley 1975), with the smallest box round the points of every part.
 //!
 //! The points are reordered in place into an implicit median tree, so the tree costs one index a point and stands any
-//! number of equal coordinates (points on grid planes are the rule here, and some published trees refuse them).
+//! number of equal coordinates (points on grid planes are the rule here, and some published trees refuse them). The boxes leave out the
+//! space that the points of a surface do not fill: a ball that touches a surface comes near few of them.
 
+use crate::spatial::Bounds;
 use glam::DVec3;
 use std::ops::Range;
 
@@ -13,6 +15,8 @@ const LEAF: usize = 12;
 pub struct KdTree {
     points: Vec<DVec3>,
     index: Vec<u32>,
+    /// Box round each part; the halves of part n are 2 n + 1 and 2 n + 2.
+    boxes: Vec<Bounds>,
 }
 
 impl KdTree {
@@ -20,7 +24,10 @@ impl KdTree {
     pub fn new(points: &[DVec3]) -> Self {
         let mut order: Vec<u32> = (0..points.len() as u32).collect();
         split(points, &mut order);
-        Self { points: order.iter().map(|&i| points[i as usize]).collect(), index: order }
+        let mut tree =
+            Self { points: order.iter().map(|&i| points[i as usize]).collect(), index: order, boxes: Vec::new() };
+        tree.bound(0..points.len(), 0);
+        tree
     }
 
     /// Number of points.
@@ -48,13 +55,53 @@ impl KdTree {
     /// nearly as near as the nearest.
     pub fn nearest_of_leaves(&self, query: DVec3, radius: f64, leaves: usize) -> Option<(usize, f64)> {
         let mut search = Search { query, best: (u32::MAX, radius * radius), leaves };
-        self.search(&mut search, 0..self.points.len(), 0, DVec3::ZERO);
+        self.search(&mut search, 0..self.points.len(), 0);
         let (index, squared) = search.best;
         (index != u32::MAX).then(|| (index as usize, squared.sqrt()))
     }
 
-    /// Searches a part of the tree that is `offset` away from the query, by axis (Arya and Mount 1993).
-    fn search(&self, search: &mut Search, part: Range<usize>, depth: usize, offset: DVec3) {
+    /// Calls `found` with the index and place of every point closer than `radius`, in no order. False when more than so many leaves would have
+    /// to be looked at; some are then missing.
+    pub fn each_within(&self, query: DVec3, radius: f64, leaves: usize, found: &mut impl FnMut(u32, DVec3)) -> bool {
+        let mut left = leaves;
+        self.visit(query, radius * radius, &mut left, found, 0..self.points.len(), 0)
+    }
+
+    fn visit(
+        &self,
+        query: DVec3,
+        squared: f64,
+        leaves: &mut usize,
+        found: &mut impl FnMut(u32, DVec3),
+        part: Range<usize>,
+        number: usize,
+    ) -> bool {
+        if part.is_empty() || distance_squared(&self.boxes[number], query) >= squared {
+            return true;
+        }
+        let mut look = |range: Range<usize>| {
+            for at in range {
+                if self.points[at].distance_squared(query) < squared {
+                    found(self.index[at], self.points[at]);
+                }
+            }
+        };
+        if part.len() <= LEAF {
+            let is_allowed = *leaves > 0;
+            if is_allowed {
+                *leaves -= 1;
+                look(part);
+            }
+            return is_allowed;
+        }
+        let middle = middle(&part);
+        look(middle..middle + 1);
+        self.visit(query, squared, leaves, found, part.start..middle, 2 * number + 1)
+            && self.visit(query, squared, leaves, found, middle + 1..part.end, 2 * number + 2)
+    }
+
+    /// Searches a part of the tree, which has points.
+    fn search(&self, search: &mut Search, part: Range<usize>, number: usize) {
         if search.leaves == 0 {
             return;
         }
@@ -63,19 +110,45 @@ impl KdTree {
             part.for_each(|at| search.consider(self.points[at], self.index[at]));
             return;
         }
-        let middle = part.start + part.len() / 2;
-        let (point, axis) = (self.points[middle], depth % 3);
-        search.consider(point, self.index[middle]);
-        let side = search.query[axis] - point[axis];
-        let (left, right) = (part.start..middle, middle + 1..part.end);
-        let (near, far) = if side < 0.0 { (left, right) } else { (right, left) };
-        self.search(search, near, depth + 1, offset);
-        let mut offset = offset;
-        offset[axis] = side;
-        if offset.length_squared() <= search.best.1 {
-            self.search(search, far, depth + 1, offset);
+        let middle = middle(&part);
+        search.consider(self.points[middle], self.index[middle]);
+        let half =
+            |part: Range<usize>, number: usize| (distance_squared(&self.boxes[number], search.query), part, number);
+        let (left, right) = (half(part.start..middle, 2 * number + 1), half(middle + 1..part.end, 2 * number + 2));
+        let halves = if left.0 <= right.0 { [left, right] } else { [right, left] };
+        for (squared, part, number) in halves {
+            // a point as far as the best may have a lower index
+            if squared <= search.best.1 {
+                self.search(search, part, number);
+            }
         }
     }
+
+    /// Sets the boxes of a part and of its parts.
+    fn bound(&mut self, part: Range<usize>, number: usize) -> Bounds {
+        let bounds = if part.len() <= LEAF {
+            Bounds::of(&self.points[part])
+        } else {
+            let middle = middle(&part);
+            let left = self.bound(part.start..middle, 2 * number + 1);
+            let right = self.bound(middle + 1..part.end, 2 * number + 2);
+            left.merged(right).merged(Bounds::of(&self.points[middle..middle + 1]))
+        };
+        if number >= self.boxes.len() {
+            self.boxes.resize(number + 1, Bounds::EMPTY);
+        }
+        self.boxes[number] = bounds;
+        bounds
+    }
+}
+
+/// The point of a part that stands between its halves.
+fn middle(part: &Range<usize>) -> usize {
+    part.start + part.len() / 2
+}
+
+fn distance_squared(bounds: &Bounds, query: DVec3) -> f64 {
+    (bounds.low - query).max(query - bounds.high).max(DVec3::ZERO).length_squared()
 }
 
 /// A search under way.
@@ -96,19 +169,21 @@ impl Search {
     }
 }
 
+/// Orders the points of every part by the axis along which they reach the farthest, up to its middle.
 fn split(points: &[DVec3], order: &mut [u32]) {
-    fn recurse(points: &[DVec3], order: &mut [u32], depth: usize) {
-        if order.len() <= LEAF {
-            return;
-        }
-        let (middle, axis) = (order.len() / 2, depth % 3);
-        order.select_nth_unstable_by(middle, |&a, &b| {
-            points[a as usize][axis].total_cmp(&points[b as usize][axis]).then(a.cmp(&b))
-        });
-        let (left, right) = order.split_at_mut(middle);
-        rayon::join(|| recurse(points, left, depth + 1), || recurse(points, &mut right[1..], depth + 1));
+    if order.len() <= LEAF {
+        return;
     }
-    recurse(points, order, 0);
+    let bounds = order.iter().fold(Bounds::EMPTY, |bounds, &i| {
+        let p = points[i as usize];
+        bounds.merged(Bounds { low: p, high: p })
+    });
+    let (middle, axis) = (order.len() / 2, (bounds.high - bounds.low).max_position());
+    order.select_nth_unstable_by(middle, |&a, &b| {
+        points[a as usize][axis].total_cmp(&points[b as usize][axis]).then(a.cmp(&b))
+    });
+    let (left, right) = order.split_at_mut(middle);
+    rayon::join(|| split(points, left), || split(points, &mut right[1..]));
 }
 
 #[cfg(test)]
@@ -132,6 +207,15 @@ mod tests {
                 let (at, got) = tree.nearest(q).unwrap();
                 assert!((got - want).abs() < 1e-12 && (points[at].distance(q) - want).abs() < 1e-12);
                 assert!(tree.nearest_within(q, 0.5 * want).is_none());
+                let radius = 1.7 * want;
+                let mut found = Vec::new();
+                assert!(tree.each_within(q, radius, usize::MAX, &mut |n, p| {
+                    assert_eq!(p, points[n as usize]);
+                    found.push(n);
+                }));
+                found.sort_unstable();
+                let near = |n: &u32| points[*n as usize].distance_squared(q) < radius * radius;
+                assert_eq!(found, (0..count as u32).filter(near).collect::<Vec<_>>());
             }
         }
     }
@@ -150,6 +234,10 @@ mod tests {
         let (_, near) = tree.nearest_of_leaves(centre, f64::INFINITY, 20).unwrap();
         assert!(near >= exact && near < exact + 2e-3, "{near} against {exact}");
         assert!(tree.nearest_of_leaves(centre, 9.0, 20).is_none());
-        assert!(KdTree::new(&[]).nearest(DVec3::ZERO).is_none());
+        assert!(
+            !tree.each_within(centre, 10.1, 20, &mut |_, _| {}) && tree.each_within(centre, 9.0, 20, &mut |_, _| {})
+        );
+        let empty = KdTree::new(&[]);
+        assert!(empty.nearest(DVec3::ZERO).is_none() && empty.each_within(DVec3::ZERO, 1.0, 1, &mut |_, _| {}));
     }
 }

@@ -3,8 +3,8 @@
 //! Local feature size is the distance from the surface to its medial axis (Amenta and Bern 1999), the basis of the
 //! epsilon-sampling of Meyer, Kirby and Whitaker 2007 (the paper's reference 15).
 
-use crate::average_over_surface;
 use crate::connections::Connections;
+use crate::fans::Fans;
 use crate::medial::{Surface, medial_points};
 use crate::noise::Smoothed;
 use crate::patch::{Patch, Samples};
@@ -86,12 +86,13 @@ impl Features {
         let points: Vec<DVec3> = measured.iter().map(|m| m.0).collect();
         let normals: Vec<DVec3> = measured.iter().map(|m| m.1).collect();
         let tensors: Vec<DMat3> = measured.iter().map(|m| m.2).collect();
+        let fans = Fans::new(points.len(), &mesh.triangles);
         let smoothed = match bumps {
             Bumps::AreShape => Smoothed::none(points.len()),
             Bumps::MayBeNoise => {
                 let connections = Connections::new(points.len(), &mesh.triangles);
                 let samples = Samples { points: &points, normals: &normals, connections: &connections };
-                Smoothed::new(&samples, &mesh.triangles, spacing)
+                Smoothed::new(&samples, &fans, spacing)
             }
         };
         // averaged, the curvature of a tip would be that of its surroundings
@@ -104,7 +105,8 @@ impl Features {
                 None => largest_curvature(&tensors[i], normals[i]),
             })
             .collect();
-        let curvature = averaged_curvature(tensors, &normals, &smoothed.patches, &mesh.triangles);
+        let curvature = averaged_curvature(tensors, &normals, &smoothed.patches, &fans);
+        drop(fans);
         let feature_size = feature_sizes(&points, &normals, &sharp, &smoothed, image, largest);
         let (component, count) = components::of_vertices(points.len(), &mesh.triangles);
         let mut component_area = vec![0.0; count];
@@ -130,16 +132,16 @@ fn averaged_curvature(
     mut tensors: Vec<DMat3>,
     normals: &[DVec3],
     patches: &[Option<Patch>],
-    triangles: &[[u32; 3]],
+    fans: &Fans<'_>,
 ) -> Vec<f64> {
     let largest = |tensors: &[DMat3]| -> Vec<f64> {
         tensors.par_iter().zip(normals).map(|(t, &n)| largest_curvature(t, n)).collect()
     };
-    average_over_surface(&mut tensors, DMat3::ZERO, triangles, CURVATURE_ROUNDS);
+    fans.average(&mut tensors, DMat3::ZERO, CURVATURE_ROUNDS);
     let mut curvature = largest(&tensors);
     if patches.iter().any(Option::is_some) {
         tensors.iter_mut().zip(patches).for_each(|(t, patch)| *t = patch.map_or(*t, |patch| patch.curvature));
-        average_over_surface(&mut tensors, DMat3::ZERO, triangles, CURVATURE_ROUNDS);
+        fans.average(&mut tensors, DMat3::ZERO, CURVATURE_ROUNDS);
         for (i, patch) in patches.iter().enumerate() {
             if let Some(patch) = patch {
                 curvature[i] = largest_curvature(&tensors[i], patch.normal);

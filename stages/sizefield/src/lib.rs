@@ -3,7 +3,9 @@
 //! Section 3.1 of Kim, Chen and Hansen 2012 and Meyer, Kirby and Whitaker 2007: h0 = epsilon times the local feature
 //! size at the surface, bounded by curvature, then |grad h| <= delta.
 
+mod blocks;
 pub mod connections;
+mod fans;
 pub mod feature;
 pub mod gradation;
 pub mod medial;
@@ -12,12 +14,13 @@ pub mod patch;
 pub mod region;
 pub mod run;
 
+use fans::Fans;
 use feature::Features;
 use glam::DVec3;
 use isoparticles_common::image::Image;
 use isoparticles_common::sizing::SizingField;
+use rayon::prelude::*;
 use region::SizedNode;
-use std::ops::{Add, Mul};
 
 /// Rounds of averaging over the surface that smooth the graded h, and the most that h may grow by. Particles settle badly
 /// where h is rough: on a label map at voxel scale this lifts the mean radius ratio by 0.01.
@@ -71,8 +74,9 @@ pub fn size_field(distance: &Image<f32>, features: &Features, parameters: &Param
     let wanted = wanted_sizes(features, parameters);
     let largest = wanted.iter().copied().fold(0.0, f64::max);
     let graded = spread(distance, features, &wanted, parameters, largest);
-    let mut smooth: Vec<f64> = features.points.iter().map(|&p| graded.at(p)).collect();
-    smooth_over_surface(&mut smooth, &features.triangles);
+    let mut smooth: Vec<f64> = features.points.par_iter().map(|&p| graded.at(p)).collect();
+    drop(graded);
+    smooth_over_surface(&mut smooth, &Fans::new(features.points.len(), &features.triangles));
     spread(distance, features, &smooth, parameters, f64::INFINITY)
 }
 
@@ -107,35 +111,11 @@ fn spread(
 }
 
 /// Smooths the sizes along the surface, without letting any grow far.
-fn smooth_over_surface(sizes: &mut [f64], triangles: &[[u32; 3]]) {
+fn smooth_over_surface(sizes: &mut [f64], fans: &Fans<'_>) {
     let limit: Vec<f64> = sizes.iter().map(|h| SMOOTHING.1 * h).collect();
     for _ in 0..SMOOTHING.0 {
-        average_over_surface(sizes, 0.0, triangles, 1);
+        fans.average(sizes, 0.0, 1);
         sizes.iter_mut().zip(&limit).for_each(|(size, limit)| *size = size.min(*limit));
-    }
-}
-
-/// Replaces each vertex's value by the mean over the triangles at it, round by round.
-pub(crate) fn average_over_surface<T>(values: &mut [T], zero: T, triangles: &[[u32; 3]], rounds: usize)
-where
-    T: Copy + Add<Output = T> + Mul<f64, Output = T>,
-{
-    let mut sums = vec![(zero, 0u32); values.len()];
-    for _ in 0..rounds {
-        sums.fill((zero, 0));
-        for t in triangles {
-            let [a, b, c] = t.map(|v| values[v as usize]);
-            let mean = (a + b + c) * (1.0 / 3.0);
-            for &v in t {
-                let sum = &mut sums[v as usize];
-                *sum = (sum.0 + mean, sum.1 + 1);
-            }
-        }
-        for (value, sum) in values.iter_mut().zip(&sums) {
-            if sum.1 > 0 {
-                *value = sum.0 * (1.0 / f64::from(sum.1));
-            }
-        }
     }
 }
 

@@ -8,7 +8,8 @@
 //! reads 0.4 % too large). And where there is noise ([`crate::noise`]), a ball whose cap between the two points is no higher than
 //! twice the noise tells of a bump of it.
 //!
-//! The distance field tells a ball that is surely too large without any search, so that only the last steps look at samples.
+//! The distance field tells a ball that is surely too large without any search, so that only the last steps look at samples. Balls that touch the
+//! surface at one sample in one direction lie inside each other, so that one look finds the samples for all further steps.
 
 use glam::DVec3;
 use isoparticles_common::image::Image;
@@ -25,6 +26,12 @@ const PLAIN_BUMP: f64 = 2.0;
 /// Leaves of the tree of samples that one look for a sample inside a ball may take: a ball that fits the surface all round has
 /// every sample at its rim.
 const MOST_LEAVES: usize = 400;
+
+/// The same for a look for all samples inside a ball.
+const MOST_LEAVES_FOR_ALL: usize = 100;
+
+/// A ball is shrunk so many times at most.
+const MOST_STEPS: usize = 60;
 
 /// A ball is surely not empty when its radius exceeds the distance field at its centre by half the diagonal of a cell (what
 /// interpolation may take off the tip of a cone) and this share of the largest spacing (for the error of the samples).
@@ -50,29 +57,59 @@ pub fn medial_points(surface: &Surface<'_>, largest: f64) -> Vec<[Option<DVec3>;
     let tree = KdTree::new(surface.points);
     (0..surface.points.len())
         .into_par_iter()
-        .map(|i| {
+        .map_init(Vec::new, |inside, i| {
             let normal = surface.normals[i];
-            [normal, -normal].map(|direction| surface.shrink(&tree, i, direction, largest))
+            [normal, -normal].map(|direction| surface.shrink(&tree, i, direction, largest, inside))
         })
         .collect()
+}
+
+/// A sample as the balls see it that touch the surface at another one, in one direction.
+struct Seen {
+    /// Offset along that direction, mm.
+    height: f64,
+    /// Squared distance, mm squared.
+    squared: f64,
+    index: u32,
+}
+
+impl Seen {
+    /// Squared distance from the centre of the ball of a radius, less that radius squared.
+    fn beyond(&self, radius: f64) -> f64 {
+        self.squared - 2.0 * self.height * radius
+    }
+
+    /// Radius of the ball that has the sample on it.
+    fn radius(&self) -> f64 {
+        0.5 * self.squared / self.height
+    }
 }
 
 impl Surface<'_> {
     /// Centre of the largest empty ball that touches sample i and lies in `direction`, unless it is pruned or larger than
     /// `largest`.
-    fn shrink(&self, tree: &KdTree, i: usize, direction: DVec3, largest: f64) -> Option<DVec3> {
+    fn shrink(&self, tree: &KdTree, i: usize, direction: DVec3, largest: f64, inside: &mut Vec<Seen>) -> Option<DVec3> {
         let p = self.points[i];
+        let seen = |q: u32, at: DVec3| {
+            let offset = at - p;
+            Seen { height: direction.dot(offset), squared: offset.length_squared(), index: q }
+        };
         let (mut radius, mut touching) = (self.upper_bound(p, direction, largest), None);
-        for _ in 0..60 {
-            let centre = p + direction * radius;
-            let Some((q, _)) = tree.nearest_of_leaves(centre, radius - self.blur[i], MOST_LEAVES) else { break };
-            let offset = self.points[q] - p;
-            let height = direction.dot(offset);
-            if q == i || height <= 0.0 {
+        for _ in 0..MOST_STEPS {
+            let (centre, empty) = (p + direction * radius, radius - self.blur[i]);
+            let Some((q, _)) = tree.nearest_of_leaves(centre, empty, MOST_LEAVES) else { break };
+            let next = seen(q as u32, self.points[q]);
+            if next.height <= 0.0 {
                 break;
             }
-            radius = 0.5 * offset.length_squared() / height;
-            touching = Some(q);
+            (radius, touching) = (next.radius(), Some(q));
+            inside.clear();
+            let (centre, empty) = (p + direction * radius, radius - self.blur[i]);
+            if tree.each_within(centre, empty, MOST_LEAVES_FOR_ALL, &mut |q, at| inside.push(seen(q, at))) {
+                // a smaller ball lies inside this one, and so do the samples in it
+                (radius, touching) = shrink_to_fit(inside, radius, self.blur[i], touching);
+                break;
+            }
         }
         let q = touching?;
         let centre = p + direction * radius;
@@ -105,4 +142,23 @@ impl Surface<'_> {
         }
         high
     }
+}
+
+/// Shrinks a ball of which the samples inside are known until none lies deeper in it than `blur` (mm): to the one nearest to its
+/// centre, again and again. Returns its radius and the sample that it then touches, `touching` where it holds none.
+fn shrink_to_fit(inside: &[Seen], mut radius: f64, blur: f64, mut touching: Option<usize>) -> (f64, Option<usize>) {
+    for _ in 0..MOST_STEPS {
+        let nearer = |a: &Seen, b: &Seen| {
+            let (near, far) = (a.beyond(radius), b.beyond(radius));
+            near < far || (near == far && a.index < b.index)
+        };
+        let nearest = inside.iter().reduce(|best, next| if nearer(next, best) { next } else { best });
+        let Some(nearest) = nearest else { break };
+        let is_inside = nearest.beyond(radius) < blur * (blur - 2.0 * radius);
+        if !is_inside || nearest.height <= 0.0 {
+            break;
+        }
+        (radius, touching) = (nearest.radius(), Some(nearest.index as usize));
+    }
+    (radius, touching)
 }

@@ -1,0 +1,264 @@
+//! Marching in blocks of the grid, which fit the cache of a core and are marched at the same time.
+//!
+//! A front that runs over the whole grid finds nothing of it in the cache when it comes back with the next bucket. So each block has a
+//! queue of its own and takes some buckets at a time, and what it changes at its faces is handed to the blocks next to it (two-scale methods:
+//! Chacon and Vladimirsky 2012). Blocks are coloured as a chessboard: those of one colour change at the same time and see none of each other,
+//! so that the result does not depend on the number of threads.
+
+use crate::gradation::{Scheme, Values};
+use rayon::prelude::*;
+use std::collections::VecDeque;
+
+/// Nodes of a block along each axis.
+const SIDE: usize = 32;
+
+/// Width of a bucket over the least change of h from a node to the next.
+const BUCKET: f64 = 0.5;
+
+/// Buckets that a block takes at a time, before it hears from the others.
+const AT_A_TIME: u64 = 8;
+
+/// Along each axis of a block with the nodes next to it.
+const WIDE: usize = SIDE + 2;
+
+/// A node by its place in the block with the nodes next to it, and the value that it was queued with.
+type Queued = (u32, f32);
+
+/// The number of a block, and a node for its queue.
+type Message = (usize, Queued);
+
+/// The blocks of a grid.
+pub(crate) struct Blocks<'a> {
+    scheme: &'a Scheme,
+    values: &'a Values,
+    blocks: Vec<Block>,
+}
+
+/// Part of the grid, with the nodes that are to lower their neighbours in it: its own, and those next to it.
+struct Block {
+    /// Number, on the grid with its border, of the node before the first along each axis.
+    origin: usize,
+    /// Own nodes along each axis, which have the places from 1 on.
+    size: [usize; 3],
+    /// Numbers of the blocks before and after it along each axis.
+    beside: [[Option<usize>; 2]; 3],
+    /// Black or white.
+    colour: usize,
+    queue: Queue,
+}
+
+impl<'a> Blocks<'a> {
+    /// Cuts a grid of `size` into blocks; all nodes of finite value are queued.
+    pub(crate) fn new(size: [usize; 3], scheme: &'a Scheme, values: &'a Values) -> Self {
+        let count = size.map(|n| n.div_ceil(SIDE));
+        let step = [1, count[0], count[0] * count[1]];
+        let width = BUCKET * scheme.rise.iter().copied().fold(f64::INFINITY, f64::min);
+        let block = |n: usize| {
+            let place = [n % count[0], n / count[0] % count[1], n / (count[0] * count[1])];
+            let mut block = Block {
+                origin: (0..3).map(|a| SIDE * place[a] * scheme.strides[a]).sum(),
+                size: std::array::from_fn(|a| SIDE.min(size[a] - SIDE * place[a])),
+                beside: std::array::from_fn(|a| {
+                    [(place[a] > 0).then(|| n - step[a]), (place[a] + 1 < count[a]).then(|| n + step[a])]
+                }),
+                colour: place.iter().sum::<usize>() % 2,
+                queue: Queue::new(width),
+            };
+            block.queue.sources = block.sources(scheme, values);
+            block
+        };
+        let blocks = (0..count.iter().product()).into_par_iter().map(block).collect();
+        Self { scheme, values, blocks }
+    }
+
+    /// Marches until all nodes below `enough` have their values.
+    pub(crate) fn march(mut self, enough: f64) {
+        // one call into the pool of threads, not one for every turn
+        rayon::scope(|_| {
+            while let Some(first) = self.blocks.iter().filter_map(|block| block.queue.first()).min() {
+                if self.blocks[0].queue.least(first) >= enough {
+                    break;
+                }
+                for colour in 0..2 {
+                    self.turn(colour, first + AT_A_TIME, enough);
+                }
+            }
+        });
+    }
+
+    /// Marches the blocks of a colour over the buckets before `end`, as far as they are below `enough`.
+    fn turn(&mut self, colour: usize, end: u64, enough: f64) {
+        let (scheme, values) = (self.scheme, self.values);
+        let of_colour = self.blocks.par_iter_mut().filter(|block| block.colour == colour);
+        let sent: Vec<Vec<Message>> = of_colour.map(|block| block.march(scheme, values, end, enough)).collect();
+        for (block, (at, value)) in sent.into_iter().flatten() {
+            self.blocks[block].queue.push(at, value);
+        }
+    }
+}
+
+impl Block {
+    /// Number of the node at a place.
+    fn node(&self, scheme: &Scheme, [i, j, k]: [usize; 3]) -> usize {
+        self.origin + i + j * scheme.strides[1] + k * scheme.strides[2]
+    }
+
+    /// Nodes of finite value in the block and next to it, by falling values.
+    fn sources(&self, scheme: &Scheme, values: &Values) -> Vec<Queued> {
+        let around = |axis: usize| 0..self.size[axis] + 2;
+        let mut sources = Vec::new();
+        for (j, k) in around(2).flat_map(|k| around(1).map(move |j| (j, k))) {
+            let row = self.node(scheme, [0, j, k]);
+            let valued = around(0).map(|i| (index([i, j, k]), values.get(row + i)));
+            sources.extend(valued.filter(|(_, value)| value.is_finite()));
+        }
+        sources.sort_unstable_by(|a, b| b.1.total_cmp(&a.1).then(a.0.cmp(&b.0)));
+        sources
+    }
+
+    /// Marches over the buckets before `end`, as far as they are below `enough`; returns what the blocks next to it are to know.
+    fn march(&mut self, scheme: &Scheme, values: &Values, end: u64, enough: f64) -> Vec<Message> {
+        let mut messages = Vec::new();
+        while let Some(first) = self.queue.first().filter(|&first| first < end && self.queue.least(first) < enough) {
+            for (at, value) in self.queue.take(first) {
+                let place = place(at);
+                let node = self.node(scheme, place);
+                // a node that has been lowered since is queued once more
+                if values.get(node) >= value {
+                    self.lower_neighbours(scheme, values, (place, node, value), &mut messages);
+                }
+            }
+        }
+        messages
+    }
+
+    /// Lowers the own nodes among the neighbours of a node, given its place, number and value.
+    #[inline]
+    fn lower_neighbours(
+        &mut self,
+        scheme: &Scheme,
+        values: &Values,
+        (place, node, value): ([usize; 3], usize, f32),
+        messages: &mut Vec<Message>,
+    ) {
+        let is_own = |axis: usize| place[axis].wrapping_sub(1) < self.size[axis];
+        let is_own = [is_own(0), is_own(1), is_own(2)];
+        for axis in 0..3 {
+            if !is_own[(axis + 1) % 3] || !is_own[(axis + 2) % 3] {
+                continue;
+            }
+            let stride = scheme.strides[axis];
+            if place[axis] > 1
+                && values.get(node - stride) > value
+                && let Some(new) = scheme.lower(values, node - stride)
+            {
+                let mut next = place;
+                next[axis] -= 1;
+                self.lowered(next, new, messages);
+            }
+            if place[axis] < self.size[axis]
+                && values.get(node + stride) > value
+                && let Some(new) = scheme.lower(values, node + stride)
+            {
+                let mut next = place;
+                next[axis] += 1;
+                self.lowered(next, new, messages);
+            }
+        }
+    }
+
+    /// Queues a node here and in the blocks that it lies next to.
+    #[inline]
+    fn lowered(&mut self, place: [usize; 3], value: f32, messages: &mut Vec<Message>) {
+        self.queue.push(index(place), value);
+        for axis in 0..3 {
+            let [before, after] = self.beside[axis];
+            let mut there = place;
+            if let Some(before) = before.filter(|_| place[axis] == 1) {
+                there[axis] = SIDE + 1;
+                messages.push((before, (index(there), value)));
+            }
+            if let Some(after) = after.filter(|_| place[axis] == SIDE) {
+                there[axis] = 0;
+                messages.push((after, (index(there), value)));
+            }
+        }
+    }
+}
+
+/// A place in a block with the nodes next to it, as one number.
+fn index([i, j, k]: [usize; 3]) -> u32 {
+    (i + WIDE * (j + WIDE * k)) as u32
+}
+
+/// The place again.
+fn place(index: u32) -> [usize; 3] {
+    let index = index as usize;
+    [index % WIDE, index / WIDE % WIDE, index / (WIDE * WIDE)]
+}
+
+/// Nodes in buckets of their values.
+struct Queue {
+    width: f64,
+    /// One over that.
+    rate: f64,
+    /// The nodes that had a value at first, by falling values.
+    sources: Vec<Queued>,
+    /// The others: buckets from number `start` on, the first of them not empty. All lie within a few buckets, because a node is at most a
+    /// step above the one that lowered it.
+    buckets: VecDeque<Vec<Queued>>,
+    start: u64,
+}
+
+impl Queue {
+    fn new(width: f64) -> Self {
+        Self { width, rate: 1.0 / width, sources: Vec::new(), buckets: VecDeque::new(), start: 0 }
+    }
+
+    fn bucket(&self, value: f32) -> u64 {
+        (f64::from(value) * self.rate) as u64
+    }
+
+    /// Least value in a bucket.
+    fn least(&self, bucket: u64) -> f64 {
+        bucket as f64 * self.width
+    }
+
+    /// Number of the first bucket that is not empty.
+    fn first(&self) -> Option<u64> {
+        let source = self.sources.last().map(|&(_, value)| self.bucket(value));
+        let start = (!self.buckets.is_empty()).then_some(self.start);
+        source.into_iter().chain(start).min()
+    }
+
+    /// Takes the nodes of the first bucket.
+    fn take(&mut self, first: u64) -> Vec<Queued> {
+        let is_started = self.start == first && !self.buckets.is_empty();
+        let mut nodes = if is_started { std::mem::take(&mut self.buckets[0]) } else { Vec::new() };
+        while let Some(&(at, value)) = self.sources.last().filter(|&&(_, value)| self.bucket(value) <= first) {
+            self.sources.pop();
+            nodes.push((at, value));
+        }
+        while self.buckets.front().is_some_and(Vec::is_empty) {
+            self.buckets.pop_front();
+            self.start += 1;
+        }
+        nodes
+    }
+
+    fn push(&mut self, at: u32, value: f32) {
+        let bucket = self.bucket(value);
+        if self.buckets.is_empty() {
+            self.start = bucket;
+        }
+        while bucket < self.start {
+            self.buckets.push_front(Vec::new());
+            self.start -= 1;
+        }
+        let place = (bucket - self.start) as usize;
+        if place >= self.buckets.len() {
+            self.buckets.resize_with(place + 1, Vec::new);
+        }
+        self.buckets[place].push((at, value));
+    }
+}
