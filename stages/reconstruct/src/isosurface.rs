@@ -165,7 +165,7 @@ impl Isosurface {
     }
 
     /// Joins two classes by a neck: the Euler characteristic of the connected sum.
-    fn merge(&mut self, a: u32, b: u32) {
+    pub fn merge(&mut self, a: u32, b: u32) {
         // either may have been merged with a third since its caller looked
         let (a, b) = (self.class_of(a), self.class_of(b));
         let (kept, gone) = (a.min(b), a.max(b));

@@ -4,6 +4,7 @@
 use super::{Candidate, GENUS_ROUNDS, Reason, Refinement, TURNED, component_at};
 use crate::critical::{CriticalPoint, critical_points};
 use crate::defects::Defects;
+use crate::isosurface::bounds;
 use crate::restricted::Facet;
 use glam::DVec3;
 use isoparticles_common::components::NO_COMPONENT;
@@ -62,6 +63,32 @@ impl Refinement<'_> {
         };
         let extrema = self.critical_points().iter().filter(|c| c.is_enclosed());
         extrema.filter_map(holder).collect::<BTreeSet<u32>>().len()
+    }
+
+    /// Takes the word of the mesh for classes that it joins, and that no look at the spline could tell apart or together, where no critical
+    /// point near the joint is on the wrong side and no facet of it lies across F = 0. True when some are joined.
+    pub(super) fn trust_joins(&mut self, facets: &[Facet], defects: &Defects, pairs: Vec<(u32, u32)>) -> bool {
+        if pairs.is_empty() || !self.sides_are_known {
+            return false;
+        }
+        let astray = self.astray();
+        let mut learnt = false;
+        for (a, b) in pairs {
+            let of_pair = |v: u32| [a, b].contains(&self.isosurface.class_of(self.component_of[v as usize]));
+            let bridges = defects.bridges.iter().map(|&f| &facets[f as usize]);
+            let joint: Vec<&Facet> = bridges.filter(|f| f.vertices.into_iter().all(of_pair)).collect();
+            let points = joint.iter().flat_map(|f| f.vertices).map(|v| self.restricted.points()[v as usize]);
+            let Some((low, high)) = bounds(&points.collect::<Vec<DVec3>>()) else { continue };
+            let sizes = joint.iter().flat_map(|f| f.vertices).map(|v| self.sizes[v as usize]);
+            let margin = sizes.fold(0.0, f64::max);
+            let is_near = |p: DVec3| p.cmpge(low - margin).all() && p.cmple(high + margin).all();
+            let is_wrong = astray.iter().any(|(c, _)| is_near(c.position));
+            if !is_wrong && joint.iter().all(|f| self.at_centroid(f).1 >= TURNED) {
+                self.isosurface.merge(a, b);
+                learnt = true;
+            }
+        }
+        learnt
     }
 
     fn critical_points(&self) -> &[CriticalPoint] {

@@ -52,13 +52,17 @@ impl Refinement<'_> {
                 }
             }
         }
+        let mut doubtful = Vec::new();
         for (pair, (_, ends)) in pairs {
             let looked = self.looks.pairs.entry(pair).or_default();
             if *looked < LOOKS_AT_A_PAIR {
                 learnt |= self.isosurface.merge_if_joined(field, ends, [pair.0, pair.1], *looked);
                 *looked += 1;
+            } else {
+                doubtful.push(pair);
             }
         }
+        learnt |= self.trust_joins(facets, defects, doubtful);
         for &(class, _) in &defects.in_pieces {
             learnt |= self.look_at_pieces(class, defects);
         }
