@@ -1,6 +1,6 @@
 //! A balanced k-d tree over points, for nearest-neighbour queries (Bentley 1975), with the smallest box round the points of every part.
 //!
-//! The points are reordered in place into an implicit median tree, so the tree costs one index a point and stands any
+//! The points are reordered in place into an implicit median tree, so the tree costs one index and some ten bytes of boxes a point and stands any
 //! number of equal coordinates (points on grid planes are the rule here, and some published trees refuse them). The boxes leave out the
 //! space that the points of a surface do not fill: a ball that touches a surface comes near few of them.
 

@@ -49,7 +49,7 @@ pub fn distance_to_zero_set(
     samples: &[DVec3],
     band: f64,
 ) -> Image<f32> {
-    // zeros take no memory until they are written over, by when the coarse grid of the nearest samples has shrunk
+    // zeros take no memory until they are written over, slab by slab, while the coarse grid of the nearest samples shrinks
     let mut data = vec![0.0; geometry.voxel_count()];
     let patches: Vec<Patch> = samples.par_iter().map(|&p| Patch::new(source, p)).collect();
     let surface = Surface { source, samples, patches, band, reach: PATCH_REACH * geometry.min_spacing() };

@@ -113,7 +113,7 @@ pub(crate) fn first_order_distance(value: f64, slope: f64) -> f64 {
 }
 
 /// Re-distances a source. The signs of `nodes`, which becomes F, say which nodes are inside (negative), zero being outside; its values
-/// where marching cubes starts from.
+/// where marching cubes starts from. `margin` nodes on each face are none of the input's.
 ///
 /// # Errors
 /// When the source has no zero set, no part of the object is to stay, or the run is interrupted.
@@ -122,6 +122,7 @@ pub fn redistance(
     source: &Source,
     least: LeastDistances<impl Fn(usize) -> f32 + Sync>,
     keep: Keep,
+    margin: usize,
     context: &Context,
 ) -> Result<Redistanced> {
     let voxel = nodes.geometry.mean_spacing();
@@ -129,7 +130,7 @@ pub fn redistance(
 
     let step = context.step("surface samples");
     let mut choices = junctions(&nodes);
-    let dropped = drop_parts(&mut nodes, &choices, keep)?;
+    let dropped = drop_parts(&mut nodes, margin, &choices, keep)?;
     if dropped.nodes.is_some() {
         choices = junctions(&nodes);
     }

@@ -118,7 +118,12 @@ fn cell(geometry: &Geometry, sample: DVec3) -> Option<(usize, DVec3)> {
 fn touched_coefficients(geometry: &Geometry, samples: &[DVec3]) -> Numbering {
     let [nx, ny, _] = geometry.size;
     let mut touched = Bits::none(geometry.voxel_count());
+    // samples that follow each other often share a cell
+    let mut last = usize::MAX;
     for (at, _) in samples.iter().filter_map(|&p| cell(geometry, p)) {
+        if std::mem::replace(&mut last, at) == at {
+            continue;
+        }
         row_starts(at, nx, ny).into_iter().for_each(|row| touched.insert(row..row + 4));
     }
     Numbering::new(touched)

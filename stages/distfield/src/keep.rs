@@ -60,11 +60,12 @@ pub struct Dropped {
     pub nodes: Option<Bits>,
 }
 
-/// Turns the nodes (negative inside) of the parts that are not to stay to the outside.
+/// Turns the nodes (negative inside) of the parts that are not to stay to the outside. Nodes within `margin` of the grid's faces, which an open
+/// border puts there, belong to parts but are no volume of theirs.
 ///
 /// # Errors
 /// When no part is as large as asked for, or the parts are too many to be told apart.
-pub fn drop_parts(nodes: &mut Image<f32>, junctions: &[Junction], keep: Keep) -> Result<Dropped> {
+pub fn drop_parts(nodes: &mut Image<f32>, margin: usize, junctions: &[Junction], keep: Keep) -> Result<Dropped> {
     if keep == Keep::All {
         return Ok(Dropped::default());
     }
@@ -72,9 +73,16 @@ pub fn drop_parts(nodes: &mut Image<f32>, junctions: &[Junction], keep: Keep) ->
     let part = parts_of_runs(&inside, nodes.geometry.size, junctions)?;
     // nodes of each part, counted at its first run
     let mut count = vec![0usize; part.len()];
-    for (run, &part) in inside.all().iter().zip(&part) {
-        count[part as usize] += run.columns().len();
+    let [nx, ny, nz] = nodes.geometry.size;
+    let own = |n: usize, size: usize| (margin..size - margin).contains(&n);
+    for row in (0..ny * nz).filter(|row| own(row % ny, ny) && own(row / ny, nz)) {
+        for run in inside.of_row(row) {
+            let columns = inside.all()[run].columns();
+            let own = columns.end.min(nx - margin).saturating_sub(columns.start.max(margin));
+            count[part[run] as usize] += own;
+        }
     }
+    let parts: Vec<u32> = (0..).zip(&part).filter(|(run, part)| run == *part).map(|(run, _)| run).collect();
     let voxel = nodes.geometry.spacing.element_product();
     let largest = count.iter().copied().max().unwrap_or(0);
     let first_largest = count.iter().position(|&count| count == largest);
@@ -83,21 +91,21 @@ pub fn drop_parts(nodes: &mut Image<f32>, junctions: &[Junction], keep: Keep) ->
         Keep::Largest => Some(part as usize) == first_largest,
         Keep::Volume(volume) => count[part as usize] as f64 * voxel >= volume,
     };
-    let (mut dropped, mut gone) = (Dropped::default(), 0);
-    for count in (0..part.len()).filter(|&n| count[n] > 0 && !stays(n as u32)).map(|n| count[n]) {
+    let mut dropped = Dropped::default();
+    for &part in parts.iter().filter(|&&part| !stays(part)) {
+        let volume = count[part as usize] as f64 * voxel;
         dropped.components += 1;
-        dropped.largest = dropped.largest.max(count as f64 * voxel);
-        gone += count;
+        dropped.largest = dropped.largest.max(volume);
+        dropped.volume += volume;
     }
-    dropped.volume = gone as f64 * voxel;
-    if gone > 0 && gone == inside.count {
+    if dropped.components > 0 && dropped.components == parts.len() {
         return Err(Error::input(
             format!("--keep {keep}: the largest part of the object has {:.6} mm^3", largest as f64 * voxel),
             "nothing would be left",
             "ask for less, or give --keep largest",
         ));
     }
-    if gone > 0 {
+    if dropped.components > 0 {
         let mut bits = Bits::none(nodes.data.len());
         inside.each_in_nodes(|index, range| {
             if !stays(part[index]) {

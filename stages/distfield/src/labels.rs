@@ -101,7 +101,7 @@ pub fn from_mask(inside: Mask, options: &LabelOptions, context: &Context) -> Res
         Err(_) => sides.least(n).max(smallest),
     };
     let most = bounds.iter().map(|bound| bound.least).fold(sides.most().max(smallest), f32::max);
-    let mut result = redistance(nodes, &source, LeastDistances { most, at }, options.keep, context)?;
+    let mut result = redistance(nodes, &source, LeastDistances { most, at }, options.keep, options.margin, context)?;
     if let Some((dropped, parts)) = untightened {
         result.dropped.add(dropped);
         result.parts_untightened = Some(parts);
@@ -144,7 +144,7 @@ fn parts_untightened(
     sides.hold(&mut binary);
     let mut nodes = smooth(binary, sides, &[], options.smoothing_steps, context)?;
     let choices = junctions(&nodes);
-    let dropped = drop_parts(&mut nodes, &choices, options.keep)?;
+    let dropped = drop_parts(&mut nodes, options.margin, &choices, options.keep)?;
     let parts = Parts::of(&marching_cubes(&nodes, 0.0));
     if let Some(gone) = &dropped.nodes {
         sides.mask.inside.subtract(gone);

@@ -55,7 +55,7 @@ pub fn from_voxels(
     let (nodes, source) = input.source(options.border, options.margin);
     let least = (CLEARANCE * nodes.geometry.min_spacing()) as f32;
     drop(step);
-    redistance(nodes, &source, LeastDistances { most: least, at: |_| least }, options.keep, context)
+    redistance(nodes, &source, LeastDistances { most: least, at: |_| least }, options.keep, options.margin, context)
 }
 
 /// The volume and which surface of it is meant. After its check its slices lie from the last to the first, so that those that have become nodes

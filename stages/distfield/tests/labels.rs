@@ -255,6 +255,22 @@ fn tightening_that_leaves_nothing_is_refused() {
     assert!(error.next.contains("--tightening"), "{error}");
 }
 
+#[test]
+fn parts_at_an_open_border_count_their_own_voxels_alone() {
+    let block = |p: DVec3, low: [f64; 3], high: [f64; 3]| {
+        p.cmpge(DVec3::from_array(low) - 0.5).all() && p.cmplt(DVec3::from_array(high) - 0.5).all()
+    };
+    // 64 voxels, and 32 at the face z = 0, which the margin continues
+    let mask = sampled([16, 10, 14], DVec3::ONE, |p| {
+        block(p, [2.0, 3.0, 7.0], [6.0, 7.0, 11.0]) || block(p, [9.0, 3.0, 0.0], [13.0, 7.0, 2.0])
+    });
+    let options = LabelOptions { keep: Keep::Largest, border: Border::Open, ..OPTIONS };
+    let result = from_labels(&mask, &options, &Context::silent("distfield")).expect("a surface");
+    assert_eq!((result.dropped.components, result.dropped.volume), (1, 32.0));
+    let kept = result.field.data.iter().filter(|f| **f < 0.0).count();
+    assert_eq!(kept, 64);
+}
+
 /// A hole of one voxel in an object that fills the volume and has an open border: the flow closes it.
 #[test]
 fn tightening_that_leaves_no_surface_is_refused() {
@@ -275,7 +291,7 @@ fn a_source_without_a_zero_set_is_refused() {
         let source = Source { spline: BrickSpline::new(&nodes), cap: None };
         let silent = Context::silent("distfield");
         let least = LeastDistances { most: 1e-3, at: |_| 1e-3 };
-        let error = redistance(nodes, &source, least, Keep::All, &silent).err().expect("no surface");
+        let error = redistance(nodes, &source, least, Keep::All, 0, &silent).err().expect("no surface");
         assert!(error.what.contains("no surface"), "{error}");
     }
 }

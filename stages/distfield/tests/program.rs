@@ -55,6 +55,24 @@ fn a_volume_becomes_a_field_with_its_story() {
 }
 
 #[test]
+fn labels_come_to_the_same_bytes_on_any_number_of_threads() {
+    let folder = tempfile::tempdir().expect("folder");
+    let input = folder.path().join("in.nrrd");
+    // a ball with a speck beside it, on more nodes than one thread takes at a time
+    let ball = |n: [usize; 3]| n.map(|n| (n as f32 - 19.3).powi(2)).iter().sum::<f32>() < 196.0;
+    write_nrrd(&input, [40, 40, 40], |i, j, k| f32::from(u8::from(ball([i, j, k]) || [i, j, k] == [36, 36, 36])));
+    let fields = ["1", "2", "3"].map(|threads| {
+        let output = folder.path().join(format!("f{threads}.vti"));
+        let (input, path) = (input.to_str().expect("text"), output.to_str().expect("text"));
+        let options = ["--labels", "1", "--tightening", "0.8", "--keep", "largest", "--threads", threads];
+        let run = distfield(&[&[input, "-o", path][..], &options[..]].concat());
+        assert_eq!(run.status.code(), Some(0), "{}", String::from_utf8_lossy(&run.stderr));
+        read_field(&output, FieldKind::Distance).expect("a field").image.data
+    });
+    assert!(fields[0] == fields[1] && fields[0] == fields[2], "F depends on the number of threads");
+}
+
+#[test]
 fn a_cut_object_names_its_cap_planes() {
     let folder = tempfile::tempdir().expect("folder");
     let (input, output) = (folder.path().join("in.nrrd"), folder.path().join("f.vti"));

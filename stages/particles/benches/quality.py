@@ -4,6 +4,7 @@
     quality.py passes CASE ... [--passes 5 10 20 ...] [--levels 1 3]    CSV: quality after so many passes on each level
     quality.py backends CASE ... [--jobs N]                             table: CPU against GPU, default parameters
     quality.py counts CASE ... [--jobs N]                               table: predicted count against the settled one
+    quality.py surfaces CASE ... [--jobs N]                             table: what reconstruct makes of them, by both methods
     quality.py plot CSV PICTURE                                         draws the CSV (needs matplotlib)
 
 CASE is NAME=VOLUME;DISTFIELD OPTIONS[;SIZEFIELD OPTIONS]; VOLUME is a file, or the words for `phantom` that make one:
@@ -89,13 +90,16 @@ class Case:
             "hash": digest,
         }
 
-    def quality(self, *options: str) -> tuple[float, float]:
-        """Mean and smallest radius ratio of the triangles of the settled particles."""
-        report = self.run(
+    def surface(self, *options: str) -> dict[str, Any]:
+        """The report of `reconstruct` on the settled particles."""
+        return self.run(
             "reconstruct", self.file("bin"), "--distfield", self.file("distfield.vti"), "--sizefield",
             self.file("sizefield.vti"), "-o", self.file("vtp"), *options, allowed=(0, 1),
         )  # fmt: skip
-        quality = report["results"]["check"]["quality"]
+
+    def quality(self, *options: str) -> tuple[float, float]:
+        """Mean and smallest radius ratio of the triangles of the settled particles."""
+        quality = self.surface(*options)["results"]["check"]["quality"]
         return quality["radius_ratio_mean"], quality["radius_ratio_min"]
 
 
@@ -167,6 +171,44 @@ def over_counts(cases: list[Case], arguments: argparse.Namespace) -> None:
             print(row.result(), flush=True)
 
 
+def surfaces(case: Case, backend: str) -> str:
+    """Two rows of the table of [`over_surfaces`]."""
+    case.prepare()
+    case.settle("--backend", backend)
+    rows = []
+    for method in ("restricted", "tight-cocone"):
+        report = case.surface("--method", method)
+        results, refined = report["results"], report["results"]["refine"]
+        checked, quality = results["check"], results["check"]["quality"]
+        columns = [
+            case.name,
+            method,
+            str(report["exit_code"]),
+            f"{checked['vertices']:,}",
+            results["components"],
+            str(checked["euler"]),
+            f"{quality['radius_ratio_mean']:.3f} / {quality['radius_ratio_min']:.3f}",
+            f"{quality['angle_min']:.1f} to {quality['angle_max']:.1f}",
+            f"{refined['inserted']:,}, {refined['rounds']}",
+            str(checked["nodes_on_wrong_side"]) if "--labels" in case.distfield else "scalar",
+            f"{report['seconds']:.1f}",
+        ]
+        rows.append("| " + " | ".join(columns) + " |")
+    return "\n".join(rows)
+
+
+def over_surfaces(cases: list[Case], arguments: argparse.Namespace) -> None:
+    """Prints two rows for each case: what each method of `reconstruct` makes of its settled particles."""
+    print(
+        "| surface | method | exit code | vertices | components | Euler characteristic | radius ratio, mean / smallest | angles, degrees"
+        " | points added, rounds | grid nodes on the wrong side | s |\n" + "|---" * 11 + "|"
+    )
+    with concurrent.futures.ThreadPoolExecutor(arguments.jobs) as pool:
+        rows = [pool.submit(surfaces, case, arguments.backend) for case in cases]
+        for row in concurrent.futures.as_completed(rows):
+            print(row.result(), flush=True)
+
+
 def plot(table: Path, picture: Path) -> None:
     """Draws mean and smallest radius ratio over time and passes, a column for each case."""
     import matplotlib.pyplot as plt
@@ -214,7 +256,7 @@ def main() -> None:
     parser = Parser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter, fromfile_prefix_chars="@"
     )
-    parser.add_argument("task", choices=["passes", "backends", "counts", "plot"])
+    parser.add_argument("task", choices=["passes", "backends", "counts", "surfaces", "plot"])
     parser.add_argument("cases", nargs="+", metavar="CASE")
     parser.add_argument("--bin", type=Path, default=Path("target/release"), help="folder of the stage programs")
     parser.add_argument("--work", type=Path, default=Path("out/quality"), help="folder for the files")
@@ -223,6 +265,7 @@ def main() -> None:
     parser.add_argument("--levels", type=int, nargs="+", default=[1, 3])
     parser.add_argument("--adapter", help="part of the GPU's name; a software renderer must be named")
     parser.add_argument("--raw-only", action="store_true", help="leave out the improved triangles")
+    parser.add_argument("--default-sizes", action="store_true", help="leave out the size field options of the cases")
     parser.add_argument("--jobs", type=int, default=1, help="cases at once")
     arguments = parser.parse_intermixed_args()
     if arguments.task == "plot":
@@ -233,8 +276,10 @@ def main() -> None:
     for text in arguments.cases:
         name, _, rest = text.partition("=")
         volume, distfield, sizefield = [*os.path.expandvars(rest).split(";"), ""][:3]
+        sizefield = "" if arguments.default_sizes else sizefield
         cases.append(Case(name, volume, distfield.split(), sizefield.split(), arguments.bin, arguments.work))
-    {"passes": over_passes, "backends": over_backends, "counts": over_counts}[arguments.task](cases, arguments)
+    tasks = {"passes": over_passes, "backends": over_backends, "counts": over_counts, "surfaces": over_surfaces}
+    tasks[arguments.task](cases, arguments)
 
 
 if __name__ == "__main__":

@@ -2,7 +2,7 @@
 
 use isoparticles_common::components::DisjointSets;
 use isoparticles_common::delaunay::Delaunay;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, HashSet};
 
 /// Where a vertex or neighbour is in a list of four that holds it.
 pub(crate) fn place_of(list: [u32; 4], what: u32) -> usize {
@@ -42,11 +42,12 @@ pub(crate) fn runs_round(
 /// The tetrahedra at a vertex, ascending.
 pub(crate) fn star(delaunay: &Delaunay, vertex: u32) -> Vec<u32> {
     let mut star: Vec<u32> = delaunay.incident(vertex).into_iter().collect();
+    let mut seen: HashSet<u32> = star.iter().copied().collect();
     let mut next = 0;
     while next < star.len() {
         let (vertices, neighbours) = (delaunay.vertices(star[next]), delaunay.neighbours(star[next]));
         for (opposite, n) in vertices.into_iter().zip(neighbours) {
-            if opposite != vertex && !star.contains(&n) {
+            if opposite != vertex && seen.insert(n) {
                 star.push(n);
             }
         }

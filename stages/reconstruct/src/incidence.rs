@@ -140,6 +140,6 @@ mod tests {
             roots.dedup();
             roots.len()
         };
-        assert_eq!([0, 1, 2, 3, 4, 5].map(|v| fans_at(v)), [1, 1, 2, 2, 1, 1]);
+        assert_eq!([0, 1, 2, 3, 4, 5].map(&mut fans_at), [1, 1, 2, 2, 1, 1]);
     }
 }

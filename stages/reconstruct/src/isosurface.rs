@@ -288,8 +288,8 @@ impl Isosurface {
         look: usize,
     ) -> bool {
         let finer = 1 << look;
-        let near = nearest_pair(piece, others).map(|(p, q)| [p, q]);
-        let Some((low, high)) = (if look == 0 { bounds(piece) } else { near.and_then(|pair| bounds(&pair)) }) else {
+        let gap = || nearest_pair(piece, others).and_then(|(p, q)| bounds(&[p, q]));
+        let Some((low, high)) = (if look == 0 { bounds(piece) } else { gap() }) else {
             return false;
         };
         let margin = field.geometry().spacing * (MARGIN / finer as f64);
@@ -338,11 +338,12 @@ pub(crate) fn bounds(points: &[DVec3]) -> Option<(DVec3, DVec3)> {
     Some((low, high))
 }
 
-/// The two points, one of each set, that are nearest to each other; the first set is the smaller one.
+/// The two points, one of each set, that are nearest to each other; the first set is the smaller one, so the tree is its.
 pub(crate) fn nearest_pair(few: &[DVec3], many: &[DVec3]) -> Option<(DVec3, DVec3)> {
-    let tree = KdTree::new(many);
-    let nearest = few.iter().filter_map(|&p| tree.nearest(p).map(|(q, d)| (d, p, many[q])));
-    nearest.min_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, p, q)| (p, q))
+    let tree = KdTree::new(few);
+    let nearest = many.par_iter().enumerate().filter_map(|(n, &q)| tree.nearest(q).map(|(p, d)| (d, n, p)));
+    let nearest = nearest.min_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+    nearest.map(|(_, n, p)| (few[p], many[n]))
 }
 
 #[cfg(test)]

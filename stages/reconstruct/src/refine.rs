@@ -251,7 +251,10 @@ impl<'a> Refinement<'a> {
         }
         let defects = self.compare(facets);
         self.report.unresolved_critical = self.astray().len();
-        self.report.unsampled_components = self.unsampled_components(facets, &defects);
+        // what the surface by the sign of F had is there, whether this one has it or not
+        let found = self.unsampled_components(facets, &defects);
+        self.report.unsampled_components = self.report.unsampled_components.max(found);
+        self.report.parted_pinches = 0;
     }
 
     /// Adds points where such a surface differs in topology from the isosurface; returns how many.

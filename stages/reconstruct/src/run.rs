@@ -221,6 +221,7 @@ fn on_field(args: &Args, distfield: &Path, context: &Context) -> Result<Outcome>
     };
     let improved = improve(&mut mesh, &spline, &size, &options, &|| context.check_interrupt())?;
     drop(step);
+    context.check_interrupt()?;
 
     let step = context.step("check");
     let options = CheckOptions {
@@ -233,6 +234,7 @@ fn on_field(args: &Args, distfield: &Path, context: &Context) -> Result<Outcome>
     let mut checked = check(&mesh, &options);
     let failed = judge(&mut checked, &mesh, &refined, &origin, &spline, context);
     drop(step);
+    context.check_interrupt()?;
 
     context.report("prepare", json!(points.report));
     context.report("refine", json!(refined));

@@ -31,7 +31,9 @@ impl Values {
     /// Takes the values of a grid; they are moved in place, so that there is one copy of them at any time.
     fn new(mut data: Vec<f32>, [nx, ny, nz]: [usize; 3]) -> Self {
         let row_start = Self::row_start([nx, ny]);
-        data.resize((nx + 2) * (ny + 2) * (nz + 2), f32::INFINITY);
+        let total = (nx + 2) * (ny + 2) * (nz + 2);
+        data.reserve_exact(total - data.len());
+        data.resize(total, f32::INFINITY);
         let mut end = data.len();
         for row in (0..ny * nz).rev() {
             let start = row_start(row);
@@ -183,8 +185,15 @@ mod tests {
         // each pair of sweeps looks at every node, whatever the first changes
         while nodes.iter().filter(|&&n| lower(n)).count() + nodes.iter().rev().filter(|&&n| lower(n)).count() > 0 {}
         let want = swept.into_data(size);
-        limit_gradient(&mut h, 0.4, f64::INFINITY);
-        for (n, (&got, &want)) in h.data.iter().zip(&want).enumerate() {
+        let on = |threads: usize| {
+            let mut h = h.clone();
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+            pool.install(|| limit_gradient(&mut h, 0.4, f64::INFINITY));
+            h.data
+        };
+        let alone = on(1);
+        assert!(alone == on(4), "the values depend on the number of threads");
+        for (n, (&got, &want)) in alone.iter().zip(&want).enumerate() {
             // both end where no node gains a millionth
             assert!((got / want - 1.0).abs() < 2e-5, "node {n}: {got}, not {want}");
         }

@@ -50,8 +50,8 @@ const PLANS_TRIED: usize = 40;
 /// Plans of two moves whose outcome is extended by a third where none passes.
 const PLANS_EXTENDED: usize = 6;
 
-/// Triangles that are tried, worst first, some tenths of a second each; where so many are tried in vain, or so many in a row, F has too much
-/// detail below h.
+/// Triangles that are tried, worst first, some tenths of a second each; where so many are tried in vain, F has too much detail below h. After so many
+/// in a row the least bad come first, lest hopeless ones keep all others from being tried.
 const TRIES: usize = 2000;
 const FAILURES: usize = 200;
 const FAILURES_IN_A_ROW: usize = 40;
@@ -83,11 +83,12 @@ pub(super) fn lift(surface: &mut Surface, limits: &Limits, step: Step, tally: &m
     let mut unfit: Vec<(f64, u32)> = all.par_iter().filter_map(|&t| unfitness(surface, t)).collect();
     let (mut failures, mut in_a_row) = (0, 0);
     for _ in 0..TRIES {
-        let worst =
-            (0..unfit.len()).min_by(|&i, &j| unfit[i].0.total_cmp(&unfit[j].0).then(unfit[i].1.cmp(&unfit[j].1)));
-        let Some(worst) = worst.filter(|_| failures < FAILURES && in_a_row < FAILURES_IN_A_ROW) else { break };
+        let order = |i: &usize, j: &usize| unfit[*i].0.total_cmp(&unfit[*j].0).then(unfit[*i].1.cmp(&unfit[*j].1));
+        let numbers = 0..unfit.len();
+        let next = if in_a_row < FAILURES_IN_A_ROW { numbers.min_by(order) } else { numbers.max_by(order) };
+        let Some(next) = next.filter(|_| failures < FAILURES && in_a_row < 2 * FAILURES_IN_A_ROW) else { break };
         step()?;
-        let (_, triangle) = unfit.swap_remove(worst);
+        let (_, triangle) = unfit.swap_remove(next);
         if let Some(touched) = lift_one(surface, limits, triangle, tally) {
             unfit.retain(|(_, t)| touched.binary_search(t).is_err());
             unfit.extend(touched.iter().filter_map(|&t| unfitness(surface, t)));

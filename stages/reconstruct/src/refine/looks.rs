@@ -62,7 +62,7 @@ impl Refinement<'_> {
                 doubtful.push(pair);
             }
         }
-        learnt |= self.trust_joins(facets, defects, doubtful);
+        learnt |= self.is_by_sign && self.trust_joins(facets, defects, doubtful);
         for &(class, _) in &defects.in_pieces {
             learnt |= self.look_at_pieces(class, defects);
         }

@@ -59,9 +59,11 @@ impl Refinement<'_> {
             let vertices = defects.vertices.iter().map(|(v, _)| *v);
             parted = vertices.filter(|&v| self.restricted.part_vertex(v, may_leave)).count();
         }
-        let partings = self.patience.partings + 1;
-        self.patience = Patience { partings, ..Patience::default() };
-        self.report.parted_pinches += parted;
+        if parted > 0 {
+            let partings = self.patience.partings + 1;
+            self.patience = Patience { partings, ..Patience::default() };
+            self.report.parted_pinches += parted;
+        }
         parted
     }
 }
