@@ -144,12 +144,12 @@ fn cocones(
         let (facets, report) = tight_cocone(delaunay, Some(&normals))?;
         let facets = refinement.without_border_closure(facets);
         context.check_interrupt()?;
-        let may_add = round < max_rounds.min(COCONE_ROUNDS);
-        let has_added = may_add
-            && (refinement.insert_for_other(&facets)? > 0
-                || add_at_nodes(refinement, &facets, origin, samples, context)? > 0);
-        if !has_added {
+        if round >= max_rounds.min(COCONE_ROUNDS) {
             refinement.compare_other(&facets);
+            return Ok((facets, report));
+        }
+        let added = refinement.insert_for_other(&facets)?;
+        if added == 0 && add_at_nodes(refinement, &facets, origin, samples, context)? == 0 {
             return Ok((facets, report));
         }
     }

@@ -242,8 +242,8 @@ impl<'a> Refinement<'a> {
         }
     }
 
-    /// Compares a surface that was found by other means than the sign of F at the circumcentres.
-    pub fn compare_other(&mut self, facets: &[Facet]) {
+    /// Compares a surface that was found by other means than the sign of F at the circumcentres; returns its defects.
+    pub fn compare_other(&mut self, facets: &[Facet]) -> Defects {
         self.is_by_sign = false;
         self.sides_are_known = !self.options.open_border;
         if self.sides_are_known {
@@ -255,6 +255,7 @@ impl<'a> Refinement<'a> {
         let found = self.unsampled_components(facets, &defects);
         self.report.unsampled_components = self.report.unsampled_components.max(found);
         self.report.parted_pinches = 0;
+        defects
     }
 
     /// Adds points where such a surface differs in topology from the isosurface; returns how many.
@@ -262,8 +263,7 @@ impl<'a> Refinement<'a> {
     /// # Errors
     /// None as a rule; those of the triangulation.
     pub fn insert_for_other(&mut self, facets: &[Facet]) -> Result<usize> {
-        self.compare_other(facets);
-        let defects = self.defects(facets);
+        let defects = self.compare_other(facets);
         let mut candidates = self.candidates(facets, &defects);
         candidates.retain(|c| c.reason < Reason::Deviation);
         self.insert_all(candidates)
