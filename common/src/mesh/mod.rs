@@ -7,6 +7,7 @@
 use glam::DVec3;
 
 pub mod check;
+pub mod incidence;
 pub mod inside;
 pub mod intersect;
 pub mod measure;

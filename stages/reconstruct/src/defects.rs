@@ -1,10 +1,10 @@
 //! Where a restricted surface is not yet that of F: edges and vertices that are not manifold, facets that join
 //! different components of the isosurface, or stray from it, and components that are missing or of the wrong genus.
 
-use crate::incidence::Incidence;
 use crate::isosurface::Isosurface;
 use crate::restricted::Facet;
 use isoparticles_common::components::{self, DisjointSets, NO_COMPONENT};
+use isoparticles_common::mesh::incidence::Incidence;
 use rayon::prelude::*;
 
 /// Topology of a set of facets against the isosurface.

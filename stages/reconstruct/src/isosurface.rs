@@ -7,7 +7,6 @@
 
 pub(crate) mod certain;
 
-use crate::incidence::Incidence;
 use certain::CertainSigns;
 use glam::DVec3;
 use isoparticles_common::components;
@@ -16,6 +15,7 @@ use isoparticles_common::image::Image;
 use isoparticles_common::kd_tree::KdTree;
 use isoparticles_common::marching_cubes::marching_cubes;
 use isoparticles_common::mesh::TriangleMesh;
+use isoparticles_common::mesh::incidence::Incidence;
 use isoparticles_common::spline::CubicSpline;
 use rayon::prelude::*;
 

@@ -10,7 +10,6 @@ pub mod critical;
 pub mod defects;
 pub mod finish;
 pub mod improve;
-pub mod incidence;
 pub mod isosurface;
 mod join;
 pub mod pinched;

@@ -3,8 +3,8 @@
 //! Local feature size is the distance from the surface to its medial axis (Amenta and Bern 1999), the basis of the
 //! epsilon-sampling of Meyer, Kirby and Whitaker 2007 (the paper's reference 15).
 
+use crate::averages::average;
 use crate::connections::Connections;
-use crate::fans::Fans;
 use crate::medial::{Surface, medial_points};
 use crate::noise::Smoothed;
 use crate::patch::{Patch, Samples};
@@ -13,6 +13,7 @@ use isoparticles_common::components;
 use isoparticles_common::image::Image;
 use isoparticles_common::kd_tree::KdTree;
 use isoparticles_common::marching_cubes::marching_cubes;
+use isoparticles_common::mesh::incidence::Incidence;
 use isoparticles_common::spline::{CubicSpline, Jet};
 use rayon::prelude::*;
 
@@ -86,13 +87,13 @@ impl Features {
         let points: Vec<DVec3> = measured.iter().map(|m| m.0).collect();
         let normals: Vec<DVec3> = measured.iter().map(|m| m.1).collect();
         let tensors: Vec<DMat3> = measured.iter().map(|m| m.2).collect();
-        let fans = Fans::new(points.len(), &mesh.triangles);
+        let incidence = Incidence::new(&mesh.triangles, points.len());
         let smoothed = match bumps {
             Bumps::AreShape => Smoothed::none(points.len()),
             Bumps::MayBeNoise => {
                 let connections = Connections::new(points.len(), &mesh.triangles);
                 let samples = Samples { points: &points, normals: &normals, connections: &connections };
-                Smoothed::new(&samples, &fans, spacing)
+                Smoothed::new(&samples, &incidence, spacing)
             }
         };
         // averaged, the curvature of a tip would be that of its surroundings
@@ -105,8 +106,8 @@ impl Features {
                 None => largest_curvature(&tensors[i], normals[i]),
             })
             .collect();
-        let curvature = averaged_curvature(tensors, &normals, &smoothed.patches, &fans);
-        drop(fans);
+        let curvature = averaged_curvature(tensors, &normals, &smoothed.patches, &incidence);
+        drop(incidence);
         let feature_size = feature_sizes(&points, &normals, &sharp, &smoothed, image, largest);
         let (component, count) = components::of_vertices(points.len(), &mesh.triangles);
         let mut component_area = vec![0.0; count];
@@ -132,16 +133,16 @@ fn averaged_curvature(
     mut tensors: Vec<DMat3>,
     normals: &[DVec3],
     patches: &[Option<Patch>],
-    fans: &Fans<'_>,
+    incidence: &Incidence<'_>,
 ) -> Vec<f64> {
     let largest = |tensors: &[DMat3]| -> Vec<f64> {
         tensors.par_iter().zip(normals).map(|(t, &n)| largest_curvature(t, n)).collect()
     };
-    fans.average(&mut tensors, DMat3::ZERO, CURVATURE_ROUNDS);
+    average(incidence, &mut tensors, DMat3::ZERO, CURVATURE_ROUNDS);
     let mut curvature = largest(&tensors);
     if patches.iter().any(Option::is_some) {
         tensors.iter_mut().zip(patches).for_each(|(t, patch)| *t = patch.map_or(*t, |patch| patch.curvature));
-        fans.average(&mut tensors, DMat3::ZERO, CURVATURE_ROUNDS);
+        average(incidence, &mut tensors, DMat3::ZERO, CURVATURE_ROUNDS);
         for (i, patch) in patches.iter().enumerate() {
             if let Some(patch) = patch {
                 curvature[i] = largest_curvature(&tensors[i], patch.normal);

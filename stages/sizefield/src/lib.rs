@@ -3,9 +3,9 @@
 //! Section 3.1 of Kim, Chen and Hansen 2012 and Meyer, Kirby and Whitaker 2007: h0 = epsilon times the local feature
 //! size at the surface, bounded by curvature, then |grad h| <= delta.
 
+mod averages;
 mod blocks;
 pub mod connections;
-mod fans;
 pub mod feature;
 pub mod gradation;
 pub mod medial;
@@ -14,10 +14,11 @@ pub mod patch;
 pub mod region;
 pub mod run;
 
-use fans::Fans;
+use averages::average;
 use feature::Features;
 use glam::DVec3;
 use isoparticles_common::image::Image;
+use isoparticles_common::mesh::incidence::Incidence;
 use isoparticles_common::sizing::SizingField;
 use rayon::prelude::*;
 use region::SizedNode;
@@ -76,7 +77,7 @@ pub fn size_field(distance: &Image<f32>, features: &Features, parameters: &Param
     let graded = spread(distance, features, &wanted, parameters, largest);
     let mut smooth: Vec<f64> = features.points.par_iter().map(|&p| graded.at(p)).collect();
     drop(graded);
-    smooth_over_surface(&mut smooth, &Fans::new(features.points.len(), &features.triangles));
+    smooth_over_surface(&mut smooth, &Incidence::new(&features.triangles, features.points.len()));
     spread(distance, features, &smooth, parameters, f64::INFINITY)
 }
 
@@ -111,10 +112,10 @@ fn spread(
 }
 
 /// Smooths the sizes along the surface, without letting any grow far.
-fn smooth_over_surface(sizes: &mut [f64], fans: &Fans<'_>) {
+fn smooth_over_surface(sizes: &mut [f64], incidence: &Incidence<'_>) {
     let limit: Vec<f64> = sizes.iter().map(|h| SMOOTHING.1 * h).collect();
     for _ in 0..SMOOTHING.0 {
-        fans.average(sizes, 0.0, 1);
+        average(incidence, sizes, 0.0, 1);
         sizes.iter_mut().zip(&limit).for_each(|(size, limit)| *size = size.min(*limit));
     }
 }

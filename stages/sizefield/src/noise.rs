@@ -8,9 +8,10 @@
 //! Ripple of the sampling, such as the terraces that thick slices leave on a clean surface, scatters about a quadric in the same way and is
 //! treated as noise.
 
-use crate::fans::Fans;
+use crate::averages::average;
 use crate::patch::{Marks, Patch, Samples};
 use glam::{DVec2, DVec3};
+use isoparticles_common::mesh::incidence::Incidence;
 use rayon::prelude::*;
 
 /// Radius of the first patches, in voxels.
@@ -51,15 +52,15 @@ pub struct Smoothed {
 
 impl Smoothed {
     /// Looks for noise; `voxel` is the mean spacing, mm.
-    pub(crate) fn new(samples: &Samples<'_>, fans: &Fans<'_>, voxel: f64) -> Self {
-        let scale = scales(samples, fans, voxel);
+    pub(crate) fn new(samples: &Samples<'_>, incidence: &Incidence<'_>, voxel: f64) -> Self {
+        let scale = scales(samples, incidence, voxel);
         let patches = in_chunks(samples.points.len(), |i, marks| {
             let (radius, _) = *WIDER.get(scale[i].checked_sub(1)?)?;
             samples.patch(i, radius * voxel, marks)
         });
         let mut noise: Vec<f64> = patches.iter().map(|patch| patch.map_or(0.0, |patch| patch.residual)).collect();
         for _ in 0..EDGE_ROUNDS {
-            spread_largest(&mut noise, fans.triangles());
+            spread_largest(&mut noise, incidence.triangles());
         }
         Self { patches, noise }
     }
@@ -71,7 +72,7 @@ impl Smoothed {
 }
 
 /// Number of the widest patch that fits each sample as well as the first one, in [`WIDER`] from 1 on; 0 where none does.
-fn scales(samples: &Samples<'_>, fans: &Fans<'_>, voxel: f64) -> Vec<usize> {
+fn scales(samples: &Samples<'_>, incidence: &Incidence<'_>, voxel: f64) -> Vec<usize> {
     let limit = LARGEST_NOISE * voxel;
     let mut scale = vec![0; samples.points.len()];
     let mut before = residuals(samples, FIRST_RADIUS * voxel, |_| true);
@@ -83,7 +84,7 @@ fn scales(samples: &Samples<'_>, fans: &Fans<'_>, voxel: f64) -> Vec<usize> {
             _ => DVec3::ZERO,
         };
         let mut sums: Vec<DVec3> = before.iter().zip(&after).map(squares).collect();
-        fans.average(&mut sums, DVec3::ZERO, ROUNDS);
+        average(incidence, &mut sums, DVec3::ZERO, ROUNDS);
         let mut is_wider = false;
         for (scale, sum) in scale.iter_mut().zip(&sums).filter(|(scale, _)| **scale == n) {
             if sum.z > 0.0 && sum.y <= growth * growth * sum.x && sum.y <= limit * limit * sum.z {
@@ -96,14 +97,14 @@ fn scales(samples: &Samples<'_>, fans: &Fans<'_>, voxel: f64) -> Vec<usize> {
         }
         before = after;
     }
-    vote(&mut scale, fans);
+    vote(&mut scale, incidence);
     scale
 }
 
 /// Lets the surroundings decide which samples are noisy, and how much so.
-fn vote(scale: &mut [usize], fans: &Fans<'_>) {
+fn vote(scale: &mut [usize], incidence: &Incidence<'_>) {
     let mut votes: Vec<DVec2> = scale.iter().map(|&s| DVec2::new(s.min(1) as f64, s as f64)).collect();
-    fans.average(&mut votes, DVec2::ZERO, VOTE_ROUNDS);
+    average(incidence, &mut votes, DVec2::ZERO, VOTE_ROUNDS);
     for (scale, vote) in scale.iter_mut().zip(votes) {
         *scale = if vote.x > 0.5 { (vote.y / vote.x).round() as usize } else { 0 };
     }

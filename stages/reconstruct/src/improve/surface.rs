@@ -178,7 +178,7 @@ impl<'a> Surface<'a> {
         let [a, b, c] = self.corners(triangle);
         let centroid = (a + b + c) / 3.0;
         let (value, gradient) = self.field.value_gradient(centroid);
-        let normal = (b - a).cross(c - a).normalize_or_zero();
+        let normal = self.normal_of(corners);
         let mean_target = corners.iter().map(|&v| self.target[v as usize]).sum::<f64>() / 3.0;
         let mut deviation = value.abs() / gradient.length().max(1e-12) / mean_target;
         if deviation > FIRST_ORDER

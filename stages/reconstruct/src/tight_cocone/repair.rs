@@ -3,9 +3,9 @@
 use super::cells::Cells;
 use super::umbrellas::{Umbrellas, good_vertices};
 use crate::around::{parts_round, runs_round};
-use crate::incidence::Incidence;
 use crate::restricted::Facet;
 use isoparticles_common::delaunay::Delaunay;
+use isoparticles_common::mesh::incidence::Incidence;
 use rayon::prelude::*;
 
 /// Rounds in which parts may go either way; after them they may only join the object, so that there is an end.

@@ -1,7 +1,7 @@
 //! The triangles at each vertex, and by them edges, fans and Euler characteristics. Found by counting, not by sorting: the refinement asks
 //! for all of them in each of its rounds.
 
-use isoparticles_common::components::DisjointSets;
+use crate::components::DisjointSets;
 use rayon::prelude::*;
 
 /// Vertices whose edges are counted by one thread at a time.
@@ -34,6 +34,11 @@ impl<'a> Incidence<'a> {
             }
         }
         Self { triangles, starts, at_vertex }
+    }
+
+    /// The triangles.
+    pub fn triangles(&self) -> &'a [[u32; 3]] {
+        self.triangles
     }
 
     /// The triangles at a vertex, in ascending order.
