@@ -1,12 +1,35 @@
-//! The tetrahedra round an edge or a vertex, by the side that they are on.
+//! The tetrahedra round an edge or a vertex, by the side that they are on, and the facets between the sides.
 
+use crate::restricted::Facet;
 use isoparticles_common::components::DisjointSets;
 use isoparticles_common::delaunay::Delaunay;
+use rayon::prelude::*;
 use std::collections::{BTreeMap, HashSet};
 
 /// Where a vertex or neighbour is in a list of four that holds it.
 pub(crate) fn place_of(list: [u32; 4], what: u32) -> usize {
     list.iter().position(|&other| other == what).unwrap_or(0)
+}
+
+/// The facets of a tetrahedron that have it and its neighbour on two sides, each as one of the tetrahedron inside.
+pub(crate) fn walls(delaunay: &Delaunay, t: u32, is_inside: impl Fn(u32) -> bool) -> Vec<Facet> {
+    let neighbours = delaunay.neighbours(t);
+    let wall = |i: usize| {
+        let n = neighbours[i];
+        let (t, i) = if is_inside(t) { (t, i) } else { (n, place_of(delaunay.neighbours(n), t)) };
+        Facet { vertices: delaunay.facet(t, i), tetrahedron: t, opposite: i as u8 }
+    };
+    (0..4).filter(|&i| is_inside(t) != is_inside(neighbours[i])).map(wall).collect()
+}
+
+/// The facets between inside and outside, in the order of the tetrahedra.
+pub(crate) fn boundary(delaunay: &Delaunay, is_inside: impl Fn(u32) -> bool + Sync) -> Vec<Facet> {
+    let is_inside = &is_inside;
+    (0..delaunay.slot_count() as u32)
+        .into_par_iter()
+        .filter(|&t| delaunay.is_alive(t) && is_inside(t))
+        .flat_map_iter(|t| walls(delaunay, t, is_inside))
+        .collect()
 }
 
 /// The tetrahedra round an edge by runs of one `side`; `start` is one of them. An edge of a manifold surface parts two runs.

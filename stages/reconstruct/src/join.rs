@@ -18,7 +18,7 @@ use isoparticles_common::spline::CubicSpline;
 use rayon::prelude::*;
 
 /// Rounds of Tight Cocone on more points: each takes as long as the first.
-const COCONE_ROUNDS: usize = 5;
+const COCONE_ROUNDS: usize = 12;
 
 /// A mesh joined from particles, before improvement.
 pub(crate) struct Joined {
@@ -129,8 +129,8 @@ fn add_at_nodes(
     if nodes.is_empty() { Ok(0) } else { refinement.insert_near_nodes(&nodes, facets) }
 }
 
-/// Tight Cocone of the points that are there by now, and of those added where it differs in topology from the isosurface or leaves grid nodes
-/// on the wrong side.
+/// Tight Cocone of the points that are there by now, and of those added where it differs in topology from the surface by the sign of F or
+/// leaves grid nodes on the wrong side.
 fn cocones(
     refinement: &mut Refinement,
     max_rounds: usize,
@@ -141,17 +141,23 @@ fn cocones(
     for round in 0.. {
         let (delaunay, field) = (refinement.restricted.delaunay(), refinement.restricted.field());
         let normals: Vec<DVec3> = delaunay.points().par_iter().map(|&p| field.value_gradient(p).1).collect();
-        let (facets, report) = tight_cocone(delaunay, Some(&normals))?;
-        let facets = refinement.without_border_closure(facets);
+        let (closed, report) = tight_cocone(delaunay, Some(&normals))?;
         context.check_interrupt()?;
-        if round >= max_rounds.min(COCONE_ROUNDS) {
-            refinement.compare_other(&facets);
-            return Ok((facets, report));
+        let may_go_on = round < max_rounds.min(COCONE_ROUNDS);
+        let added = if may_go_on { refinement.insert_for_other(&closed)? } else { 0 };
+        context.verbose(format!("Tight Cocone, round {round}: {added} points added"));
+        if added > 0 {
+            // the surface by the sign of F stays right, so that it can be compared with
+            refinement.allow_rounds(max_rounds);
+            refine(refinement, max_rounds, origin, samples, context)?;
+            continue;
         }
-        let added = refinement.insert_for_other(&facets)?;
-        if added == 0 && add_at_nodes(refinement, &facets, origin, samples, context)? == 0 {
-            return Ok((facets, report));
+        let facets = refinement.without_border_closure(closed);
+        if may_go_on && add_at_nodes(refinement, &facets, origin, samples, context)? > 0 {
+            continue;
         }
+        refinement.compare_other(&facets);
+        return Ok((facets, report));
     }
     unreachable!("the rounds end")
 }

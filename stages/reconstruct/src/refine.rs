@@ -6,6 +6,7 @@
 
 mod genus;
 mod looks;
+mod other;
 mod pinches;
 mod samples;
 
@@ -241,33 +242,6 @@ impl<'a> Refinement<'a> {
                 return Ok(facets);
             }
         }
-    }
-
-    /// Compares a surface that was found by other means than the sign of F at the circumcentres; returns its defects.
-    pub fn compare_other(&mut self, facets: &[Facet]) -> Defects {
-        self.is_by_sign = false;
-        self.sides_are_known = !self.options.open_border;
-        if self.sides_are_known {
-            self.restricted.take_sides(facets);
-        }
-        let defects = self.compare(facets);
-        self.report.unresolved_critical = self.astray().len();
-        // what the surface by the sign of F had is there, whether this one has it or not
-        let found = self.unsampled_components(facets, &defects);
-        self.report.unsampled_components = self.report.unsampled_components.max(found);
-        self.report.parted_pinches = 0;
-        defects
-    }
-
-    /// Adds points where such a surface differs in topology from the isosurface; returns how many.
-    ///
-    /// # Errors
-    /// None as a rule; those of the triangulation.
-    pub fn insert_for_other(&mut self, facets: &[Facet]) -> Result<usize> {
-        let defects = self.compare_other(facets);
-        let mut candidates = self.candidates(facets, &defects);
-        candidates.retain(|c| c.reason < Reason::Deviation);
-        self.insert_all(candidates)
     }
 
     /// Defects of a set of facets, after looking again wherever the isosurface may be at fault; they go into the report.

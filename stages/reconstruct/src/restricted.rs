@@ -6,7 +6,7 @@
 //! too. The Voronoi edge dual to a facet joins the two circumcentres and crosses F = 0: that crossing is the
 //! point which refines the facet (Boissonnat and Oudot 2005).
 
-use crate::around::{parts_round, runs_round, star};
+use crate::around::{boundary, parts_round, runs_round, star};
 use glam::DVec3;
 use isoparticles_common::delaunay::predicates::orientation;
 use isoparticles_common::delaunay::{Delaunay, INFINITE, Insertion};
@@ -143,20 +143,26 @@ impl<'a> Restricted<'a> {
         })
     }
 
-    /// Takes the sides of the tetrahedra from a closed surface of facets instead of F.
-    pub fn take_sides(&mut self, facets: &[Facet]) {
-        self.inside = vec![false; self.delaunay.slot_count()];
+    /// The sides that a closed surface of facets gives the tetrahedra, by their numbers.
+    pub fn sides_of(&self, facets: &[Facet]) -> Vec<bool> {
+        let mut inside = vec![false; self.delaunay.slot_count()];
         let walls: HashSet<(u32, u32)> = facets
             .iter()
             .map(|f| (f.tetrahedron, self.delaunay.neighbours(f.tetrahedron)[usize::from(f.opposite)]))
             .collect();
         let mut open: Vec<u32> = facets.iter().map(|f| f.tetrahedron).collect();
         while let Some(t) = open.pop() {
-            if !std::mem::replace(&mut self.inside[t as usize], true) {
+            if !std::mem::replace(&mut inside[t as usize], true) {
                 let neighbours = self.delaunay.neighbours(t);
-                open.extend(neighbours.into_iter().filter(|&n| !walls.contains(&(t, n)) && !self.inside[n as usize]));
+                open.extend(neighbours.into_iter().filter(|&n| !walls.contains(&(t, n)) && !inside[n as usize]));
             }
         }
+        inside
+    }
+
+    /// Gives the tetrahedra sides in place of those by the sign of F.
+    pub fn set_sides(&mut self, sides: Vec<bool>) {
+        self.inside = sides;
     }
 
     /// Whether a point lies in a tetrahedron that is inside; `near` is a vertex not far from it.
@@ -185,19 +191,7 @@ impl<'a> Restricted<'a> {
 
     /// The facets between inside and outside, in the order of the tetrahedra.
     pub fn facets(&self) -> Vec<Facet> {
-        let slots: Vec<u32> = (0..self.delaunay.slot_count() as u32).collect();
-        slots
-            .par_iter()
-            .flat_map_iter(|&t| {
-                let inside = self.inside[t as usize] && self.delaunay.is_alive(t);
-                let neighbours = self.delaunay.neighbours(t);
-                (0..4usize).filter(move |&i| inside && !self.inside[neighbours[i] as usize]).map(move |i| Facet {
-                    vertices: self.delaunay.facet(t, i),
-                    tetrahedron: t,
-                    opposite: i as u8,
-                })
-            })
-            .collect()
+        boundary(&self.delaunay, |t| self.inside[t as usize])
     }
 
     /// The two ends of the Voronoi edge dual to a facet, inside first, the outer one cut at the border of the volume.

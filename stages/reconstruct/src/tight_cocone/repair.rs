@@ -2,9 +2,8 @@
 
 use super::cells::Cells;
 use super::umbrellas::{Umbrellas, good_vertices};
-use crate::around::{parts_round, runs_round};
+use crate::around::{boundary, parts_round, runs_round};
 use crate::restricted::Facet;
-use isoparticles_common::delaunay::Delaunay;
 use isoparticles_common::mesh::incidence::Incidence;
 use rayon::prelude::*;
 
@@ -14,29 +13,13 @@ const FREE_ROUNDS: usize = 8;
 /// At a vertex no more tetrahedra than these change sides; where more would have to, the vertex is doubled later.
 const SMALL_PART: usize = 12;
 
-/// The facets between inside and outside, in the order of the tetrahedra.
-pub(super) fn boundary(delaunay: &Delaunay, is_out: &[bool]) -> Vec<Facet> {
-    (0..is_out.len() as u32)
-        .into_par_iter()
-        .flat_map_iter(|t| {
-            let is_inside = !is_out[t as usize] && delaunay.is_alive(t);
-            let neighbours = delaunay.neighbours(t);
-            (0..4usize).filter(move |&i| is_inside && is_out[neighbours[i] as usize]).map(move |i| Facet {
-                vertices: delaunay.facet(t, i),
-                tetrahedron: t,
-                opposite: i as u8,
-            })
-        })
-        .collect()
-}
-
 /// Lets tetrahedra at edges in more than two facets change sides until there is none, and few at vertices with more than one fan;
 /// returns the facets and how many tetrahedra changed.
 pub(super) fn part_pinches(cells: &Cells, umbrellas: &Umbrellas, is_out: &mut [bool]) -> (Vec<Facet>, usize) {
     let mut changed = 0;
     for round in 0.. {
         let is_free = round < FREE_ROUNDS;
-        let facets = boundary(cells.delaunay, is_out);
+        let facets = boundary(cells.delaunay, |t| !is_out[t as usize]);
         let (edges, vertices) = pinches(&facets, cells.delaunay.points().len());
         if edges.is_empty() && (vertices.is_empty() || !is_free) {
             return (facets, changed);

@@ -207,14 +207,14 @@ fn the_result_does_not_depend_on_the_number_of_threads() {
     assert_eq!(with(1), with(5));
 }
 
-/// Random scenes by both methods, every other one without normals for Tight Cocone. `ISOPARTICLES_SCENES=500 cargo test --release -p
+/// Random scenes by both methods; Tight Cocone beside F, which adds points, and of the points alone, every other time without normals. `ISOPARTICLES_SCENES=500 cargo test --release -p
 /// isoparticles-reconstruct random_scenes -- --nocapture` runs more of them and tells the counts.
 #[test]
 fn random_scenes_come_out_watertight_by_both_methods() {
     let count = std::env::var("ISOPARTICLES_SCENES").ok().and_then(|text| text.parse().ok()).unwrap_or(8u64);
     let mut failures = Vec::new();
     for spacing in [0.7, 1.4] {
-        let (mut restricted, mut right, mut refused) = (0, [0, 0], [0, 0]);
+        let (mut restricted, mut beside, mut right, mut refused) = (0, 0, [0, 0], [0, 0]);
         for seed in 0..count {
             let scene = scenes::random(seed);
             let (_, euler, defects) = crate::tests::restricted(&scene, spacing);
@@ -222,6 +222,12 @@ fn random_scenes_come_out_watertight_by_both_methods() {
                 failures.push(format!("scene {seed} at {spacing}: restricted {defects:?}"));
             }
             restricted += usize::from(defects.is_empty());
+            let (mesh, expected, defects) = crate::tests::tight_cocone_beside_field(&scene, spacing);
+            let found = checked(&mesh);
+            if !found.failed_checks().is_empty() {
+                failures.push(format!("scene {seed} at {spacing}: beside F {:?}", found.failed_checks()));
+            }
+            beside += usize::from(defects.is_empty() && found.euler == expected.iter().sum::<i64>());
             let points = scene.points(spacing);
             let bare = (seed % 2) as usize;
             let normals = if bare == 1 { Vec::new() } else { normals_of(&scene, &points) };
@@ -242,11 +248,12 @@ fn random_scenes_come_out_watertight_by_both_methods() {
             right[bare] += usize::from(is_right);
         }
         println!(
-            "{count} scenes, points {spacing} apart: topology right by restricted {restricted}, by Tight Cocone {} with normals and {} \
-             without; refused {} and {}",
+            "{count} scenes, points {spacing} apart: topology right by restricted {restricted}, by Tight Cocone beside F {beside}, of the points \
+             alone {} with normals and {} without; refused {} and {}",
             right[0], right[1], refused[0], refused[1]
         );
         assert!(10 * restricted as u64 >= 9 * count, "restricted has the topology of {restricted} only");
+        assert!(10 * beside as u64 >= 9 * count, "Tight Cocone beside F has the topology of {beside} only");
         assert!(
             spacing > 1.0 || 2 * (right[0] + right[1]) as u64 >= count,
             "Tight Cocone has the topology of {right:?} only"

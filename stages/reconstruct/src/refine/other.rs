@@ -1,0 +1,217 @@
+//! A surface found by other means than the sign of F at the circumcentres (Tight Cocone's), beside the one by that sign: where the
+//! two differ for want of points, points are added.
+
+use super::{Reason, Refinement};
+use crate::around::{star, walls};
+use crate::defects::Defects;
+use crate::restricted::{Facet, Restricted};
+use glam::DVec3;
+use isoparticles_common::components::{DisjointSets, NO_COMPONENT};
+use isoparticles_common::delaunay::INFINITE;
+use isoparticles_common::error::Result;
+use rayon::prelude::*;
+use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet};
+
+/// A tetrahedron is missed where its middle lies farther from F = 0 than this part of h, and of a voxel: a thin sheet or a finger that
+/// is left out, while the flat tetrahedra in which good surfaces differ lie within h^2 / 8 R of it.
+const DEEP: f64 = 0.5;
+
+impl Refinement<'_> {
+    /// Takes over a surface that was found by other means, and compares it with the isosurface; returns its defects.
+    pub fn compare_other(&mut self, facets: &[Facet]) -> Defects {
+        self.is_by_sign = false;
+        self.sides_are_known = !self.options.open_border;
+        if self.sides_are_known {
+            self.restricted.set_sides(self.restricted.sides_of(facets));
+        }
+        let defects = self.compare(facets);
+        self.report.unresolved_critical = self.astray().len();
+        // what the surface by the sign of F had is there, whether this one has it or not
+        let found = self.unsampled_components(facets, &defects);
+        self.report.unsampled_components = self.report.unsampled_components.max(found);
+        self.report.parted_pinches = 0;
+        defects
+    }
+
+    /// Adds points where a closed surface that was found by other means differs from that by the sign of F in topology, joins
+    /// components, or lies far from F = 0: on the facets by sign that it lacks. Returns how many.
+    ///
+    /// # Errors
+    /// None as a rule; those of the triangulation.
+    pub fn insert_for_other(&mut self, facets: &[Facet]) -> Result<usize> {
+        let sides = self.restricted.sides_of(facets);
+        let wanting = |part: &Vec<u32>| {
+            let own = part.iter().flat_map(|&t| walls(self.restricted.delaunay(), t, |t| sides[t as usize]));
+            let is_bridge = |f: Facet| {
+                let mut known =
+                    f.vertices.map(|v| self.component_of[v as usize]).into_iter().filter(|&c| c != NO_COMPONENT);
+                known.next().is_some_and(|first| known.any(|c| c != first))
+            };
+            self.euler_change(part, &sides) != 0
+                || part.iter().any(|&t| self.is_deep(t))
+                || own.into_iter().any(is_bridge)
+        };
+        let parts: Vec<Vec<u32>> = differing_parts(&self.restricted, &sides).into_par_iter().filter(wanting).collect();
+        let lacking = parts.iter().flatten().flat_map(|&t| {
+            let by_sign = walls(self.restricted.delaunay(), t, |t| self.restricted.is_inside(t));
+            by_sign.into_iter().filter(|f| self.is_lacking(f, &sides))
+        });
+        let candidates = lacking.filter_map(|facet| self.ball(&facet, Reason::Manifold)).collect();
+        self.insert_all(candidates)
+    }
+
+    /// Whether the middle of a tetrahedron lies far from F = 0.
+    fn is_deep(&self, t: u32) -> bool {
+        let vertices = self.restricted.delaunay().vertices(t);
+        if vertices.contains(&INFINITE) {
+            return false;
+        }
+        let middle = vertices.map(|v| self.restricted.points()[v as usize]).into_iter().sum::<DVec3>() / 4.0;
+        let size = vertices.map(|v| self.sizes[v as usize]).into_iter().sum::<f64>() / 4.0;
+        let field = self.restricted.field();
+        let (value, gradient) = field.value_gradient(middle);
+        let limit = DEEP * size.max(field.geometry().mean_spacing());
+        value.abs() > limit * gradient.length().max(1e-6)
+    }
+
+    /// Whether a facet by the sign of F is none by other `sides`.
+    fn is_lacking(&self, facet: &Facet, sides: &[bool]) -> bool {
+        let t = facet.tetrahedron;
+        let n = self.restricted.delaunay().neighbours(t)[usize::from(facet.opposite)];
+        sides[t as usize] == sides[n as usize]
+    }
+
+    /// By how much the Euler characteristic of the surface changes when the tetrahedra of a part take their other sides.
+    fn euler_change(&self, part: &[u32], sides: &[bool]) -> i64 {
+        let delaunay = self.restricted.delaunay();
+        let own: HashSet<Simplex> = part.iter().flat_map(|&t| simplices(&delaunay.vertices(t))).collect();
+        let vertices: BTreeSet<u32> =
+            part.iter().flat_map(|&t| delaunay.vertices(t)).filter(|&v| v != INFINITE).collect();
+        let around: BTreeSet<u32> = vertices.into_iter().flat_map(|v| star(delaunay, v)).collect();
+        let euler = |is_inside: &dyn Fn(u32) -> bool| {
+            let mut surface: HashSet<Simplex> = HashSet::new();
+            for &t in &around {
+                let walls = walls(delaunay, t, is_inside);
+                surface.extend(walls.iter().flat_map(|f| simplices(&f.vertices)).filter(|s| own.contains(s)));
+            }
+            surface.iter().map(|s| if is_edge(s) { -1 } else { 1 }).sum::<i64>()
+        };
+        euler(&|t| sides[t as usize]) - euler(&|t| self.restricted.is_inside(t))
+    }
+}
+
+/// A vertex, edge or triangle: its vertices ascending, [`INFINITE`] in the places that are left.
+type Simplex = [u32; 3];
+
+fn is_edge(simplex: &Simplex) -> bool {
+    simplex[1] != INFINITE && simplex[2] == INFINITE
+}
+
+/// The finite vertices, edges and triangles of a triangle or tetrahedron.
+fn simplices(vertices: &[u32]) -> impl Iterator<Item = Simplex> + use<> {
+    let mut finite: Vec<u32> = vertices.iter().copied().filter(|&v| v != INFINITE).collect();
+    finite.sort_unstable();
+    (1u32..1 << finite.len()).filter(|chosen| chosen.count_ones() <= 3).map(move |chosen| {
+        let mut simplex = [INFINITE; 3];
+        let members = (0..finite.len()).filter(|k| chosen >> k & 1 == 1);
+        members.zip(&mut simplex).for_each(|(k, place)| *place = finite[k]);
+        simplex
+    })
+}
+
+/// The tetrahedra whose side differs from that by the sign of F, by parts that share no vertex.
+fn differing_parts(restricted: &Restricted, sides: &[bool]) -> Vec<Vec<u32>> {
+    let delaunay = restricted.delaunay();
+    let differing: Vec<u32> = (0..sides.len() as u32)
+        .filter(|&t| delaunay.is_alive(t) && sides[t as usize] != restricted.is_inside(t))
+        .collect();
+    let mut sets = DisjointSets::new(differing.len());
+    let mut first: HashMap<u32, u32> = HashMap::new();
+    for (k, &t) in (0..).zip(&differing) {
+        for v in delaunay.vertices(t) {
+            sets.join(k, *first.entry(v).or_insert(k));
+        }
+    }
+    let mut parts: BTreeMap<u32, Vec<u32>> = BTreeMap::new();
+    for (k, &t) in (0..).zip(&differing) {
+        parts.entry(sets.find(k)).or_default().push(t);
+    }
+    parts.into_values().collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::isosurface::Isosurface;
+    use crate::prepare::SurfacePoints;
+    use crate::refine::RefineOptions;
+    use crate::scenes::{self, Scene};
+
+    fn refined(scene: &Scene, spacing: f64) -> Refinement<'_> {
+        let positions = scene.points(spacing);
+        let sizes = vec![spacing * 1.2; positions.len()];
+        let mut points = SurfacePoints { positions, sizes, ..SurfacePoints::default() };
+        let isosurface = Isosurface::new(&scene.image);
+        let mut new = Refinement::new(&mut points, &scene.field, isosurface, RefineOptions::default()).unwrap();
+        new.run(|_, _| Ok(())).unwrap();
+        new
+    }
+
+    #[test]
+    fn a_lost_sheet_gets_points() {
+        for (scene, spacing) in [(scenes::two_balls(), 1.4), (scenes::shell(), 1.4)] {
+            let mut refinement = refined(&scene, spacing);
+            let facets = refinement.facets();
+            assert_eq!(refinement.insert_for_other(&facets).unwrap(), 0, "nothing differs");
+            let points = refinement.restricted.points();
+            let by_place = |f: &&Facet| {
+                let p = points[f.vertices[0] as usize];
+                // one of the balls, or the outer sheet of the shell
+                if scene.image.geometry.size[1] == 24 { p.x < 15.6 } else { p.distance(scenes::CENTRE) > 9.25 }
+            };
+            let (other, lost): (Vec<Facet>, Vec<Facet>) = facets.iter().partition(by_place);
+            let parts = differing_parts(&refinement.restricted, &refinement.restricted.sides_of(&other));
+            let changes: Vec<i64> = parts
+                .iter()
+                .map(|part| refinement.euler_change(part, &refinement.restricted.sides_of(&other)))
+                .collect();
+            assert_eq!(changes, [-2], "one sheet less");
+            let inserted = refinement.insert_for_other(&other).unwrap();
+            // a point a facet, less those too near to others
+            assert!(inserted > lost.len() / 4 && inserted <= lost.len(), "{inserted} of {}", lost.len());
+        }
+    }
+
+    #[test]
+    fn a_flat_tetrahedron_on_the_other_side_is_the_same_surface() {
+        let scene = scenes::torus();
+        let refinement = refined(&scene, 1.4);
+        let sides = refinement.restricted.sides_of(&refinement.facets());
+        let mut turned = 0;
+        for t in (0..sides.len() as u32).filter(|&t| refinement.restricted.delaunay().is_alive(t) && !sides[t as usize])
+        {
+            let own = walls(refinement.restricted.delaunay(), t, |t| sides[t as usize]);
+            if own.len() == 2 {
+                let mut other = sides.clone();
+                other[t as usize] ^= true;
+                // two facets give way to the two on the other side of the tetrahedron: an edge is turned
+                assert_eq!(refinement.euler_change(&[t], &other), 0);
+                assert!(!refinement.is_deep(t));
+                turned += 1;
+            }
+        }
+        assert!(turned > 0, "no tetrahedron has two facets on the surface");
+    }
+
+    #[test]
+    fn simplices_of_a_tetrahedron_and_of_a_ghost_are_counted() {
+        let count = |vertices: &[u32]| {
+            let all: HashSet<Simplex> = simplices(vertices).collect();
+            let edges = all.iter().filter(|s| is_edge(s)).count();
+            (all.len(), edges)
+        };
+        assert_eq!(count(&[7, 3, 9, 1]), (14, 6));
+        assert_eq!(count(&[7, INFINITE, 9, 1]), (7, 3));
+        assert_eq!(count(&[4, 2, 8]), (7, 3));
+    }
+}
