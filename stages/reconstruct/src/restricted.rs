@@ -13,7 +13,6 @@ use isoparticles_common::delaunay::{Delaunay, INFINITE, Insertion};
 use isoparticles_common::error::Result;
 use isoparticles_common::spline::CubicSpline;
 use rayon::prelude::*;
-use std::collections::HashSet;
 
 /// Halvings of a Voronoi edge when its crossing with F = 0 is sought.
 const HALVINGS: usize = 60;
@@ -146,15 +145,14 @@ impl<'a> Restricted<'a> {
     /// The sides that a closed surface of facets gives the tetrahedra, by their numbers.
     pub fn sides_of(&self, facets: &[Facet]) -> Vec<bool> {
         let mut inside = vec![false; self.delaunay.slot_count()];
-        let walls: HashSet<(u32, u32)> = facets
-            .iter()
-            .map(|f| (f.tetrahedron, self.delaunay.neighbours(f.tetrahedron)[usize::from(f.opposite)]))
-            .collect();
+        // a bit for each facet of each tetrahedron: whether it is a wall
+        let mut walls = vec![0u8; self.delaunay.slot_count()];
+        facets.iter().for_each(|f| walls[f.tetrahedron as usize] |= 1 << f.opposite);
         let mut open: Vec<u32> = facets.iter().map(|f| f.tetrahedron).collect();
         while let Some(t) = open.pop() {
             if !std::mem::replace(&mut inside[t as usize], true) {
-                let neighbours = self.delaunay.neighbours(t);
-                open.extend(neighbours.into_iter().filter(|&n| !walls.contains(&(t, n)) && !inside[n as usize]));
+                let neighbours = self.delaunay.neighbours(t).into_iter().enumerate();
+                open.extend(neighbours.filter(|(i, _)| walls[t as usize] >> i & 1 == 0).map(|(_, n)| n));
             }
         }
         inside
@@ -167,14 +165,19 @@ impl<'a> Restricted<'a> {
 
     /// Whether a point lies in a tetrahedron that is inside; `near` is a vertex not far from it.
     pub fn holds(&self, point: DVec3, near: u32) -> bool {
-        let Some(mut t) = self.delaunay.incident(near) else { return false };
+        self.locate(point, near).is_some_and(|t| self.inside[t as usize])
+    }
+
+    /// The tetrahedron that a point lies in, `None` beyond the hull; `near` is a vertex not far from it.
+    pub fn locate(&self, point: DVec3, near: u32) -> Option<u32> {
+        let mut t = self.delaunay.incident(near)?;
         let mut entered_from = None;
         loop {
             let (vertices, neighbours) = (self.delaunay.vertices(t), self.delaunay.neighbours(t));
             let infinite = vertices.iter().position(|&v| v == INFINITE);
             let way = match infinite {
                 // beyond the hull, unless the walk has only started
-                Some(_) if entered_from.is_some() => return false,
+                Some(_) if entered_from.is_some() => return None,
                 Some(i) => Some(i),
                 None => (0..4).filter(|&i| Some(neighbours[i]) != entered_from).find(|&i| {
                     let mut corners = vertices.map(|v| self.points()[v as usize]);
@@ -182,7 +185,7 @@ impl<'a> Restricted<'a> {
                     orientation(corners[0], corners[1], corners[2], corners[3]) < 0.0
                 }),
             };
-            let Some(i) = way else { return self.inside[t as usize] };
+            let Some(i) = way else { return Some(t) };
             // from beyond the hull the walk may turn back at once
             entered_from = infinite.is_none().then_some(t);
             t = neighbours[i];

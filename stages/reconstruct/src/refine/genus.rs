@@ -91,7 +91,7 @@ impl Refinement<'_> {
         learnt
     }
 
-    fn critical_points(&self) -> &[CriticalPoint] {
+    pub(super) fn critical_points(&self) -> &[CriticalPoint] {
         let field = self.restricted.field();
         self.critical.get_or_init(|| critical_points(field, FINEST * field.geometry().mean_spacing()))
     }

@@ -3,12 +3,14 @@
 
 use super::{Reason, Refinement};
 use crate::around::{star, walls};
+use crate::critical::CriticalPoint;
 use crate::defects::Defects;
 use crate::restricted::{Facet, Restricted};
 use glam::DVec3;
 use isoparticles_common::components::{DisjointSets, NO_COMPONENT};
 use isoparticles_common::delaunay::INFINITE;
 use isoparticles_common::error::Result;
+use isoparticles_common::kd_tree::KdTree;
 use rayon::prelude::*;
 use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet};
 
@@ -34,12 +36,14 @@ impl Refinement<'_> {
     }
 
     /// Adds points where a closed surface that was found by other means differs from that by the sign of F in topology, joins
-    /// components, or lies far from F = 0: on the facets by sign that it lacks. Returns how many.
+    /// components, has critical points of F on the wrong side, or lies far from F = 0: on the facets by sign that it lacks. Returns
+    /// how many.
     ///
     /// # Errors
     /// None as a rule; those of the triangulation.
     pub fn insert_for_other(&mut self, facets: &[Facet]) -> Result<usize> {
         let sides = self.restricted.sides_of(facets);
+        let wrong = self.wrong_by(&sides);
         let wanting = |part: &Vec<u32>| {
             let own = part.iter().flat_map(|&t| walls(self.restricted.delaunay(), t, |t| sides[t as usize]));
             let is_bridge = |f: Facet| {
@@ -48,7 +52,7 @@ impl Refinement<'_> {
                 known.next().is_some_and(|first| known.any(|c| c != first))
             };
             self.euler_change(part, &sides) != 0
-                || part.iter().any(|&t| self.is_deep(t))
+                || part.iter().any(|t| wrong.contains(t) || self.is_deep(*t))
                 || own.into_iter().any(is_bridge)
         };
         let parts: Vec<Vec<u32>> = differing_parts(&self.restricted, &sides).into_par_iter().filter(wanting).collect();
@@ -58,6 +62,17 @@ impl Refinement<'_> {
         });
         let candidates = lacking.filter_map(|facet| self.ball(&facet, Reason::Manifold)).collect();
         self.insert_all(candidates)
+    }
+
+    /// The tetrahedra that hold critical points of F which other `sides` have wrong and the sign of F has right.
+    fn wrong_by(&self, sides: &[bool]) -> HashSet<u32> {
+        let tree = KdTree::new(self.restricted.points());
+        let wrong = |c: &CriticalPoint| {
+            let t = self.restricted.locate(c.position, tree.nearest(c.position)?.0 as u32)?;
+            let is_inside = c.value < 0.0;
+            (self.restricted.is_inside(t) == is_inside && sides[t as usize] != is_inside).then_some(t)
+        };
+        self.critical_points().par_iter().filter_map(wrong).collect()
     }
 
     /// Whether the middle of a tetrahedron lies far from F = 0.
