@@ -17,7 +17,7 @@ use isoparticles_common::mesh::inside::nodes_on_wrong_side;
 use isoparticles_common::spline::CubicSpline;
 use rayon::prelude::*;
 
-/// Rounds of Tight Cocone on more points: each takes as long as the first.
+/// Rounds of Tight Cocone on more points, each of which takes as long as the first: two on clean volumes, six on noise.
 const COCONE_ROUNDS: usize = 12;
 
 /// A mesh joined from particles, before improvement.
@@ -129,7 +129,7 @@ fn add_at_nodes(
     if nodes.is_empty() { Ok(0) } else { refinement.insert_near_nodes(&nodes, facets) }
 }
 
-/// Tight Cocone of the points that are there by now, and of those added where it differs in topology from the surface by the sign of F or
+/// Tight Cocone of the points that are there by now, and of those added where it lacks what the surface by the sign of F has, or
 /// leaves grid nodes on the wrong side.
 fn cocones(
     refinement: &mut Refinement,

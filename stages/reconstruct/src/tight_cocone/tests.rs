@@ -8,6 +8,7 @@ use crate::scenes::{self, Scene};
 use isoparticles_common::mesh::TriangleMesh;
 use isoparticles_common::mesh::check::{CheckOptions, CheckReport, check};
 use isoparticles_common::random::uniform;
+use rayon::prelude::*;
 
 /// As the program does it.
 fn surface(positions: &[DVec3], normals: &[DVec3]) -> Result<(TriangleMesh, CoconeReport)> {
@@ -207,57 +208,83 @@ fn the_result_does_not_depend_on_the_number_of_threads() {
     assert_eq!(with(1), with(5));
 }
 
-/// Random scenes by both methods; Tight Cocone beside F, which adds points, and of the points alone, every other time without normals. `ISOPARTICLES_SCENES=500 cargo test --release -p
-/// isoparticles-reconstruct random_scenes -- --nocapture` runs more of them and tells the counts.
-#[test]
-fn random_scenes_come_out_watertight_by_both_methods() {
-    let count = std::env::var("ISOPARTICLES_SCENES").ok().and_then(|text| text.parse().ok()).unwrap_or(8u64);
+/// What became of a random scene.
+struct OfScene {
+    /// Whether the restricted surface has the topology of F.
+    restricted: bool,
+    /// Whether Tight Cocone beside F, which adds points, has it.
+    beside: bool,
+    /// Whether Tight Cocone of the points alone has it; `None` where they were refused.
+    alone: Option<bool>,
+    failures: Vec<String>,
+}
+
+/// A random scene by both methods, every other one without normals where Tight Cocone has the points alone.
+fn of_scene(seed: u64, spacing: f64) -> OfScene {
+    let scene = scenes::random(seed);
     let mut failures = Vec::new();
-    for spacing in [0.7, 1.4] {
-        let (mut restricted, mut beside, mut right, mut refused) = (0, 0, [0, 0], [0, 0]);
-        for seed in 0..count {
-            let scene = scenes::random(seed);
-            let (_, euler, defects) = crate::tests::restricted(&scene, spacing);
-            if !defects.is_manifold() {
-                failures.push(format!("scene {seed} at {spacing}: restricted {defects:?}"));
-            }
-            restricted += usize::from(defects.is_empty());
-            let (mesh, expected, defects) = crate::tests::tight_cocone_beside_field(&scene, spacing);
-            let found = checked(&mesh);
-            if !found.failed_checks().is_empty() {
-                failures.push(format!("scene {seed} at {spacing}: beside F {:?}", found.failed_checks()));
-            }
-            beside += usize::from(defects.is_empty() && found.euler == expected.iter().sum::<i64>());
-            let points = scene.points(spacing);
-            let bare = (seed % 2) as usize;
-            let normals = if bare == 1 { Vec::new() } else { normals_of(&scene, &points) };
-            let (mesh, report) = match surface(&points, &normals) {
-                Ok(made) => made,
-                Err(error) => {
-                    assert!(error.what.contains("do not enclose a solid"), "{error}");
-                    refused[bare] += 1;
-                    continue;
-                }
-            };
+    let (_, euler, defects) = crate::tests::restricted(&scene, spacing);
+    if !defects.is_manifold() {
+        failures.push(format!("scene {seed} at {spacing}: restricted {defects:?}"));
+    }
+    let restricted = defects.is_empty();
+    let (mesh, expected, defects) = crate::tests::tight_cocone_beside_field(&scene, spacing);
+    let found = checked(&mesh);
+    if !found.failed_checks().is_empty() {
+        failures.push(format!("scene {seed} at {spacing}: beside F {:?}", found.failed_checks()));
+    }
+    let beside = defects.is_empty() && found.euler == expected.iter().sum::<i64>();
+    let points = scene.points(spacing);
+    let normals = if seed % 2 == 1 { Vec::new() } else { normals_of(&scene, &points) };
+    let alone = match surface(&points, &normals) {
+        Ok((mesh, report)) => {
             let found = checked(&mesh);
             let failed = found.failed_checks();
             if !failed.is_empty() {
                 failures.push(format!("scene {seed} at {spacing}: {failed:?} {report:?}"));
             }
-            let is_right = (found.components.len(), found.euler) == (euler.len(), euler.iter().sum());
-            right[bare] += usize::from(is_right);
+            Some((found.components.len(), found.euler) == (euler.len(), euler.iter().sum()))
         }
+        Err(error) => {
+            assert!(error.what.contains("do not enclose a solid"), "{error}");
+            None
+        }
+    };
+    OfScene { restricted, beside, alone, failures }
+}
+
+/// `ISOPARTICLES_SCENES=500 cargo test --release -p isoparticles-reconstruct random_scenes -- --nocapture` takes more of them and tells the
+/// counts.
+#[test]
+fn random_scenes_come_out_watertight_by_both_methods() {
+    let count = std::env::var("ISOPARTICLES_SCENES").ok().and_then(|text| text.parse().ok()).unwrap_or(8u64);
+    for spacing in [0.7, 1.4] {
+        let found: Vec<OfScene> = (0..count).into_par_iter().map(|seed| of_scene(seed, spacing)).collect();
+        let restricted = found.iter().filter(|of| of.restricted).count() as u64;
+        let beside = found.iter().filter(|of| of.beside).count() as u64;
+        let alone =
+            |bare: usize, what: Option<bool>| found.iter().skip(bare).step_by(2).filter(|of| of.alone == what).count();
+        let right = [0, 1].map(|bare| alone(bare, Some(true)));
         println!(
-            "{count} scenes, points {spacing} apart: topology right by restricted {restricted}, by Tight Cocone beside F {beside}, of the points \
-             alone {} with normals and {} without; refused {} and {}",
-            right[0], right[1], refused[0], refused[1]
+            "{count} scenes, points {spacing} apart: topology right by restricted {restricted}, by Tight Cocone beside F {beside}, of the \
+             points alone {} with normals and {} without; refused {} and {}",
+            right[0],
+            right[1],
+            alone(0, None),
+            alone(1, None)
         );
-        assert!(10 * restricted as u64 >= 9 * count, "restricted has the topology of {restricted} only");
-        assert!(10 * beside as u64 >= 9 * count, "Tight Cocone beside F has the topology of {beside} only");
+        let wrong = |is_right: fn(&OfScene) -> bool| {
+            found.iter().enumerate().filter(move |(_, of)| !is_right(of)).map(|(seed, _)| seed)
+        };
+        println!("not by restricted: {:?}", wrong(|of| of.restricted).collect::<Vec<_>>());
+        println!("not beside F: {:?}", wrong(|of| of.beside).collect::<Vec<_>>());
+        let failures: Vec<&String> = found.iter().flat_map(|of| &of.failures).collect();
+        assert!(failures.is_empty(), "{failures:#?}");
+        assert!(10 * restricted >= 9 * count, "restricted has the topology of {restricted} only");
+        assert!(10 * beside >= 9 * count, "Tight Cocone beside F has the topology of {beside} only");
         assert!(
             spacing > 1.0 || 2 * (right[0] + right[1]) as u64 >= count,
             "Tight Cocone has the topology of {right:?} only"
         );
     }
-    assert!(failures.is_empty(), "{failures:#?}");
 }
