@@ -139,12 +139,12 @@ fn cocones(
     context: &Context,
 ) -> Result<(Vec<Facet>, CoconeReport)> {
     for round in 0.. {
-        let (delaunay, field) = (refinement.restricted.delaunay(), refinement.restricted.field());
-        let normals: Vec<DVec3> = delaunay.points().par_iter().map(|&p| field.value_gradient(p).1).collect();
-        let (closed, report) = tight_cocone(delaunay, Some(&normals))?;
+        let found = cocone_of(refinement);
         context.check_interrupt()?;
         let may_go_on = round < max_rounds.min(COCONE_ROUNDS);
-        let added = if may_go_on { refinement.insert_for_other(&closed)? } else { 0 };
+        // points that enclose nothing have no surface
+        let closed = found.as_ref().map_or(&[][..], |(facets, _)| facets);
+        let added = if may_go_on { refinement.insert_for_other(closed)? } else { 0 };
         context.verbose(format!("Tight Cocone, round {round}: {added} points added"));
         if added > 0 {
             // the surface by the sign of F stays right, so that it can be compared with
@@ -152,6 +152,7 @@ fn cocones(
             refine(refinement, max_rounds, origin, samples, context)?;
             continue;
         }
+        let (closed, report) = found?;
         let facets = refinement.without_border_closure(closed);
         if may_go_on && add_at_nodes(refinement, &facets, origin, samples, context)? > 0 {
             continue;
@@ -160,6 +161,13 @@ fn cocones(
         return Ok((facets, report));
     }
     unreachable!("the rounds end")
+}
+
+/// Tight Cocone of all points of a refinement, with grad F for normals.
+pub(crate) fn cocone_of(refinement: &Refinement) -> Result<(Vec<Facet>, CoconeReport)> {
+    let (delaunay, field) = (refinement.restricted.delaunay(), refinement.restricted.field());
+    let normals: Vec<DVec3> = delaunay.points().par_iter().map(|&p| field.value_gradient(p).1).collect();
+    tight_cocone(delaunay, Some(&normals))
 }
 
 /// The mesh of the facets with the vertices that they use, and the point behind each vertex.

@@ -3,11 +3,10 @@
 use crate::critical::{CriticalPoint, critical_points};
 use crate::defects::Defects;
 use crate::isosurface::Isosurface;
+use crate::join::{cocone_of, compact};
 use crate::prepare::{SurfacePoints, prepare};
 use crate::refine::{RefineOptions, RefineReport, Refinement};
-use crate::restricted::Facet;
 use crate::scenes::{self, Scene};
-use crate::tight_cocone::tight_cocone;
 use glam::DVec3;
 use isoparticles_common::mesh::TriangleMesh;
 use isoparticles_common::particle_set::ParticleSet;
@@ -26,7 +25,7 @@ fn surface(scene: &Scene, spacing: f64) -> (TriangleMesh, Defects, RefineReport,
     let facets = refinement.run(|_, _| Ok(())).unwrap();
     let defects = refinement.defects(&facets);
     (
-        mesh_of(&refinement, &facets),
+        compact(refinement.restricted.points(), &facets).0,
         defects,
         refinement.report.clone(),
         refinement.isosurface().classes().map(|c| refinement.isosurface().euler(c)).collect(),
@@ -46,31 +45,22 @@ pub(crate) fn tight_cocone_beside_field(scene: &Scene, spacing: f64) -> (Triangl
     let isosurface = Isosurface::new(&scene.image);
     let mut refinement = Refinement::new(&mut points, &scene.field, isosurface, RefineOptions::default()).unwrap();
     refinement.run(|_, _| Ok(())).unwrap();
-    let mut facets = cocone_facets(&refinement, scene);
     for _ in 0..12 {
-        if refinement.insert_for_other(&facets).unwrap() == 0 {
+        let found = cocone_of(&refinement);
+        if refinement.insert_for_other(found.as_ref().map_or(&[][..], |(facets, _)| facets)).unwrap() == 0 {
             break;
         }
         refinement.allow_rounds(40);
         refinement.run(|_, _| Ok(())).unwrap();
-        facets = cocone_facets(&refinement, scene);
     }
+    let (facets, _) = cocone_of(&refinement).unwrap();
     let defects = refinement.compare_other(&facets);
     let isosurface = refinement.isosurface();
-    (mesh_of(&refinement, &facets), isosurface.classes().map(|c| isosurface.euler(c)).collect(), defects)
-}
-
-fn cocone_facets(refinement: &Refinement, scene: &Scene) -> Vec<Facet> {
-    let delaunay = refinement.restricted.delaunay();
-    let normals: Vec<DVec3> = delaunay.points().iter().map(|&p| scene.gradient(p)).collect();
-    tight_cocone(delaunay, Some(&normals)).unwrap().0
-}
-
-fn mesh_of(refinement: &Refinement, facets: &[Facet]) -> TriangleMesh {
-    TriangleMesh {
-        vertices: refinement.restricted.points().to_vec(),
-        triangles: facets.iter().map(|f| f.vertices).collect(),
-    }
+    (
+        compact(refinement.restricted.points(), &facets).0,
+        isosurface.classes().map(|c| isosurface.euler(c)).collect(),
+        defects,
+    )
 }
 
 fn volume_and_area(mesh: &TriangleMesh) -> (f64, f64) {
