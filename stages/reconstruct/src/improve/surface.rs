@@ -58,7 +58,8 @@ enum Change {
 pub(super) struct Surface<'a> {
     /// The implicit function.
     pub(super) field: &'a CubicSpline,
-    size: Size<'a>,
+    /// Target edge length h (mm) at a grid position.
+    pub(super) size: Size<'a>,
     /// Allowed range of edge lengths over h.
     pub(super) lengths: [f64; 2],
     /// Positions, also of vertices no longer used.
