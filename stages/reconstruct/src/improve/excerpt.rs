@@ -44,6 +44,36 @@ impl<'a> Excerpt<'a> {
         Self { surface, vertices, triangles }
     }
 
+    /// A triangle and so many rings of triangles round it, for trying moves that are then made in the whole. The numbers keep their order.
+    pub(super) fn rings(whole: &Surface<'a>, triangle: u32, count: usize) -> Self {
+        let (mut vertices, mut triangles) = (whole.triangles[triangle as usize].to_vec(), Vec::new());
+        for _ in 0..count {
+            triangles = vertices.iter().flat_map(|&v| whole.around[v as usize].iter().copied()).collect();
+            triangles.sort_unstable();
+            triangles.dedup();
+            vertices = triangles.iter().flat_map(|&t| whole.triangles[t as usize]).collect();
+            vertices.sort_unstable();
+            vertices.dedup();
+        }
+        Self { surface: whole.part(&vertices, &triangles), vertices, triangles }
+    }
+
+    /// The number in the part of a triangle of the whole that is in it.
+    pub(super) fn local(&self, triangle: u32) -> u32 {
+        self.triangles.partition_point(|&t| t < triangle) as u32
+    }
+
+    /// The number in the whole of a triangle of the part.
+    pub(super) fn global_triangle(&self, triangle: u32) -> u32 {
+        self.triangles[triangle as usize]
+    }
+
+    /// The number in the whole of a vertex of the part, also of one that an edit adds to both.
+    pub(super) fn global(&self, whole: &Surface, vertex: u32) -> u32 {
+        let old = self.vertices.len() as u32;
+        self.vertices.get(vertex as usize).copied().unwrap_or_else(|| whole.positions.len() as u32 + vertex - old)
+    }
+
     /// Freezes the vertices whose numbers in the whole do not pass a test.
     pub(super) fn keep_free(&mut self, test: impl Fn(u32) -> bool) {
         for (frozen, &v) in self.surface.frozen.iter_mut().zip(&self.vertices) {

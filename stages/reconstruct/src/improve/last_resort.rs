@@ -5,6 +5,7 @@
 //! help, two elementary moves are tried in a row. After either the patch is tidied up by flips and settling; the outcome that brings it
 //! nearest to the limits is kept, if it passes the (loosened) guard. Where none does, the patch is remeshed ([`super::patch`]).
 
+use super::excerpt::Excerpt;
 use super::guard::{Limits, Rule, commit_if_welcome, fitness, gain_in_fitness, keeps_limits};
 use super::moves::{flip, settle, split};
 use super::patch;
@@ -26,6 +27,9 @@ const LONG: f64 = 1.4;
 
 /// Rounds of splitting in a refinement.
 const SPLIT_ROUNDS: usize = 6;
+
+/// Rings of triangles round a triangle in the part where plans are tried: as many vertices as the largest patch, and more.
+const RINGS: usize = 16;
 
 /// Most vertices in the patch of a refinement; more would be a remeshing.
 const LARGEST_PATCH: usize = 400;
@@ -58,6 +62,20 @@ enum Plan {
     Refine { triangle: u32, centre: DVec3, size: f64, slope: f64 },
     /// Elementary moves in a row.
     Moves(Vec<Move>),
+}
+
+impl Plan {
+    /// A plan in the numbers of a part in those of the whole.
+    fn in_whole(&self, part: &Excerpt, whole: &Surface) -> Self {
+        match self {
+            Self::Refine { triangle, centre, size, slope } => {
+                Self::Refine { triangle: part.global_triangle(*triangle), centre: *centre, size: *size, slope: *slope }
+            }
+            Self::Moves(moves) => {
+                Self::Moves(moves.iter().map(|step| step.renumbered(|v| part.global(whole, v))).collect())
+            }
+        }
+    }
 }
 
 /// Tries every triangle outside the limits, worst first, and again those round a success. `step` is called before each and may stop it.
@@ -99,17 +117,20 @@ fn lift_one(
     step: Step,
     tally: &mut Tally,
 ) -> Result<Option<Vec<u32>>> {
-    let refinements = refinements(surface, triangle);
-    if let Some(touched) = best_welcome(surface, limits, refinements, tally) {
+    let part = Excerpt::rings(surface, triangle, RINGS);
+    let inside = part.local(triangle);
+    let refinements = refinements(&part.surface, inside);
+    if let Some(touched) = best_welcome(surface, &part, limits, refinements, tally) {
         return Ok(Some(touched));
     }
-    let corners = surface.triangles[triangle as usize];
+    let corners = part.surface.triangles[inside as usize];
     let mut sequences = Vec::new();
+    let mut trial = part.surface.clone();
     for first in moves_near(&[corners], &corners) {
-        extensions(surface, &[first], &mut sequences);
+        extensions(&mut trial, &[first], &mut sequences);
     }
     let pairs = sequences.into_iter().map(Plan::Moves).collect();
-    if let Some(touched) = best_welcome(surface, limits, pairs, tally) {
+    if let Some(touched) = best_welcome(surface, &part, limits, pairs, tally) {
         return Ok(Some(touched));
     }
     let touched = patch::lift(surface, limits, triangle, step)?;
@@ -140,13 +161,20 @@ fn extensions(surface: &mut Surface, plan: &[Move], found: &mut Vec<Vec<Move>>) 
     surface.undo();
 }
 
-/// Commits the best of the plans that the guard lets pass: the triangles touched.
-fn best_welcome(surface: &mut Surface, limits: &Limits, plans: Vec<Plan>, tally: &mut Tally) -> Option<Vec<u32>> {
-    let mut rated: Vec<(f64, Plan)> = plans.into_iter().map(|plan| (outcome(surface, limits, &plan), plan)).collect();
+/// Tries plans, in the numbers of a part, there, and commits the best of those that the guard of the whole lets pass: the triangles touched.
+fn best_welcome(
+    surface: &mut Surface,
+    part: &Excerpt,
+    limits: &Limits,
+    plans: Vec<Plan>,
+    tally: &mut Tally,
+) -> Option<Vec<u32>> {
+    let rate = |trial: &mut Surface, plan: Plan| (outcome(trial, limits, &plan), plan);
+    let mut rated: Vec<(f64, Plan)> = plans.into_par_iter().map_init(|| part.surface.clone(), rate).collect();
     // stable: the order of the plans among equals
     rated.sort_by(|a, b| b.0.total_cmp(&a.0));
     for (_, plan) in rated.iter().take_while(|(gain, _)| *gain > 0.0).take(PLANS_TRIED) {
-        if execute(surface, plan)
+        if execute(surface, &plan.in_whole(part, surface))
             && let Some(touched) = commit_if_welcome(surface, limits, Rule::Fit)
         {
             match plan {
