@@ -14,6 +14,7 @@ const LEVELS: usize = 32;
 const CELLS: f64 = (1 << 19) as f64;
 
 /// Triangles by place and size.
+#[derive(Clone)]
 pub(super) struct TriangleGrid {
     origin: DVec3,
     finest: f64,

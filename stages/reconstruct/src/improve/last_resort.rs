@@ -2,11 +2,13 @@
 //! bends within less than h (necks, specks, rims), so that lengths near h and small folds cannot both be kept there.
 //!
 //! Such a place is refined: edges are split towards a size that grows from short ones at the triangle to h around it. Where that does not
-//! help, two elementary moves are tried in a row, then refinements of more sizes, then three moves. After any of these the patch is tidied
-//! up by flips and settling; the outcome that brings it nearest to the limits is kept, if it passes the (loosened) guard.
+//! help, two elementary moves are tried in a row. After either the patch is tidied up by flips and settling; the outcome that brings it
+//! nearest to the limits is kept, if it passes the (loosened) guard. Where none does, the patch is remeshed ([`super::patch`]).
 
+use super::excerpt::Excerpt;
 use super::guard::{Limits, Rule, commit_if_welcome, fitness, gain_in_fitness, keeps_limits};
 use super::moves::{flip, settle, split};
+use super::patch;
 use super::surface::{DEAD, Surface};
 use super::worst::{Move, moves_near, perform};
 use super::{Step, Tally};
@@ -16,27 +18,18 @@ use isoparticles_common::mesh::quality::radius_ratio;
 use rayon::prelude::*;
 use std::collections::BTreeSet;
 
-/// A set of refinements: edge lengths at the triangle that they aim at, over its shortest side, and how fast the size grows from there, mm per
-/// mm.
-struct Gradings {
-    sizes: &'static [f64],
-    slopes: &'static [f64],
-    /// Whether the size is smallest at a corner, and not in the middle.
-    at_corners: bool,
-}
-
-/// What is tried first.
-const USUAL: Gradings = Gradings { sizes: &[1.2, 0.9, 0.65, 0.45], slopes: &[0.3, 0.5, 0.8], at_corners: false };
-
-/// What is tried where neither that nor two moves help: finer ones, round each corner.
-const FURTHER: Gradings =
-    Gradings { sizes: &[1.05, 0.77, 0.54, 0.38, 0.27, 0.19], slopes: &[0.2, 0.25, 0.4, 0.65], at_corners: true };
+/// Refinements: edge lengths at the triangle that they aim at, over its shortest side, and how fast the size grows from there, mm per mm.
+const SIZES: [f64; 4] = [1.2, 0.9, 0.65, 0.45];
+const SLOPES: [f64; 3] = [0.3, 0.5, 0.8];
 
 /// An edge longer than this times its size is split.
 const LONG: f64 = 1.4;
 
 /// Rounds of splitting in a refinement.
 const SPLIT_ROUNDS: usize = 6;
+
+/// Rings of triangles round a triangle in the part where plans are tried: as many vertices as the largest patch, and more.
+const RINGS: usize = 16;
 
 /// Most vertices in the patch of a refinement; more would be a remeshing.
 const LARGEST_PATCH: usize = 400;
@@ -46,9 +39,6 @@ const TIDY_ROUNDS: usize = 3;
 
 /// Plans, the best first, that are put before the guard.
 const PLANS_TRIED: usize = 40;
-
-/// Plans of two moves whose outcome is extended by a third where none passes.
-const PLANS_EXTENDED: usize = 6;
 
 /// Triangles that are tried, worst first, some tenths of a second each; where so many are tried in vain, F has too much detail below h. After so many
 /// in a row the least bad come first, lest hopeless ones keep all others from being tried.
@@ -74,6 +64,20 @@ enum Plan {
     Moves(Vec<Move>),
 }
 
+impl Plan {
+    /// A plan in the numbers of a part in those of the whole.
+    fn in_whole(&self, part: &Excerpt, whole: &Surface) -> Self {
+        match self {
+            Self::Refine { triangle, centre, size, slope } => {
+                Self::Refine { triangle: part.global_triangle(*triangle), centre: *centre, size: *size, slope: *slope }
+            }
+            Self::Moves(moves) => {
+                Self::Moves(moves.iter().map(|step| step.renumbered(|v| part.global(whole, v))).collect())
+            }
+        }
+    }
+}
+
 /// Tries every triangle outside the limits, worst first, and again those round a success. `step` is called before each and may stop it.
 ///
 /// # Errors
@@ -89,7 +93,7 @@ pub(super) fn lift(surface: &mut Surface, limits: &Limits, step: Step, tally: &m
         let Some(next) = next.filter(|_| failures < FAILURES && in_a_row < 2 * FAILURES_IN_A_ROW) else { break };
         step()?;
         let (_, triangle) = unfit.swap_remove(next);
-        if let Some(touched) = lift_one(surface, limits, triangle, tally) {
+        if let Some(touched) = lift_one(surface, limits, triangle, step, tally)? {
             unfit.retain(|(_, t)| touched.binary_search(t).is_err());
             unfit.extend(touched.iter().filter_map(|&t| unfitness(surface, t)));
             in_a_row = 0;
@@ -106,46 +110,41 @@ fn unfitness(surface: &Surface, triangle: u32) -> Option<(f64, u32)> {
     (fitness < 1.0).then_some((fitness, triangle))
 }
 
-fn lift_one(surface: &mut Surface, limits: &Limits, triangle: u32, tally: &mut Tally) -> Option<Vec<u32>> {
-    let usual = refinements(surface, triangle, &USUAL);
-    if let Ok(touched) = best_welcome(surface, limits, usual, tally) {
-        return Some(touched);
+fn lift_one(
+    surface: &mut Surface,
+    limits: &Limits,
+    triangle: u32,
+    step: Step,
+    tally: &mut Tally,
+) -> Result<Option<Vec<u32>>> {
+    let part = Excerpt::rings(surface, triangle, RINGS);
+    let inside = part.local(triangle);
+    let refinements = refinements(&part.surface, inside);
+    if let Some(touched) = best_welcome(surface, &part, limits, refinements, tally) {
+        return Ok(Some(touched));
     }
-    let corners = surface.triangles[triangle as usize];
+    let corners = part.surface.triangles[inside as usize];
     let mut sequences = Vec::new();
+    let mut trial = part.surface.clone();
     for first in moves_near(&[corners], &corners) {
-        extensions(surface, &[first], &mut sequences);
+        extensions(&mut trial, &[first], &mut sequences);
     }
-    let rated = match best_welcome(surface, limits, sequences.into_iter().map(Plan::Moves).collect(), tally) {
-        Ok(touched) => return Some(touched),
-        Err(rated) => rated,
-    };
-    let further = refinements(surface, triangle, &FURTHER);
-    if let Ok(touched) = best_welcome(surface, limits, further, tally) {
-        return Some(touched);
+    let pairs = sequences.into_iter().map(Plan::Moves).collect();
+    if let Some(touched) = best_welcome(surface, &part, limits, pairs, tally) {
+        return Ok(Some(touched));
     }
-    let mut longer = Vec::new();
-    let pairs = rated.iter().filter_map(|plan| if let Plan::Moves(moves) = plan { Some(moves) } else { None });
-    for moves in pairs.filter(|moves| moves.len() == 2).take(PLANS_EXTENDED) {
-        extensions(surface, moves, &mut longer);
-    }
-    longer.retain(|moves| moves.len() == 3);
-    best_welcome(surface, limits, longer.into_iter().map(Plan::Moves).collect(), tally).ok()
+    let touched = patch::lift(surface, limits, triangle, step)?;
+    tally.remeshed_patches += usize::from(touched.is_some());
+    Ok(touched)
 }
 
-/// Refinements of ever shorter first edges, round the centroid or the corners.
-fn refinements(surface: &Surface, triangle: u32, gradings: &Gradings) -> Vec<Plan> {
+/// Refinements of ever shorter first edges.
+fn refinements(surface: &Surface, triangle: u32) -> Vec<Plan> {
     let [a, b, c] = surface.corners(triangle);
     let shortest = a.distance(b).min(b.distance(c)).min(c.distance(a));
-    let centres = if gradings.at_corners { vec![a, b, c] } else { vec![(a + b + c) / 3.0] };
-    let mut plans = Vec::new();
-    for centre in centres {
-        for &share in gradings.sizes {
-            let plan = |&slope: &f64| Plan::Refine { triangle, centre, size: share * shortest, slope };
-            plans.extend(gradings.slopes.iter().map(plan));
-        }
-    }
-    plans
+    let centre = (a + b + c) / 3.0;
+    let plan = |share: f64, slope: f64| Plan::Refine { triangle, centre, size: share * shortest, slope };
+    SIZES.iter().flat_map(|&share| SLOPES.map(|slope| plan(share, slope))).collect()
 }
 
 /// A sequence of moves that can be made, and those with one move more in the patch that it leaves.
@@ -162,29 +161,31 @@ fn extensions(surface: &mut Surface, plan: &[Move], found: &mut Vec<Vec<Move>>) 
     surface.undo();
 }
 
-/// Commits the best of the plans that the guard lets pass. The triangles touched, or all the plans, the best first.
+/// Tries plans, in the numbers of a part, there, and commits the best of those that the guard of the whole lets pass: the triangles touched.
 fn best_welcome(
     surface: &mut Surface,
+    part: &Excerpt,
     limits: &Limits,
     plans: Vec<Plan>,
     tally: &mut Tally,
-) -> std::result::Result<Vec<u32>, Vec<Plan>> {
-    let mut rated: Vec<(f64, Plan)> = plans.into_iter().map(|plan| (outcome(surface, limits, &plan), plan)).collect();
+) -> Option<Vec<u32>> {
+    let rate = |trial: &mut Surface, plan: Plan| (outcome(trial, limits, &plan), plan);
+    let mut rated: Vec<(f64, Plan)> = plans.into_par_iter().map_init(|| part.surface.clone(), rate).collect();
     // stable: the order of the plans among equals
     rated.sort_by(|a, b| b.0.total_cmp(&a.0));
     for (_, plan) in rated.iter().take_while(|(gain, _)| *gain > 0.0).take(PLANS_TRIED) {
-        if execute(surface, plan)
+        if execute(surface, &plan.in_whole(part, surface))
             && let Some(touched) = commit_if_welcome(surface, limits, Rule::Fit)
         {
             match plan {
                 Plan::Refine { .. } => tally.refinements += 1,
                 Plan::Moves(moves) => tally.last_resort_moves += moves.len(),
             }
-            return Ok(touched);
+            return Some(touched);
         }
         surface.undo();
     }
-    Err(rated.into_iter().map(|(_, plan)| plan).collect())
+    None
 }
 
 /// What a plan gains: by how much the patch comes nearer to the limits; below zero where the guard would not let it pass.
@@ -225,7 +226,7 @@ fn refine(surface: &mut Surface, triangle: u32, centre: DVec3, size: f64, slope:
     let aim = |p: DVec3| size + slope * p.distance(centre);
     let mut any = false;
     for _ in 0..SPLIT_ROUNDS {
-        let Some(patch) = patch(surface, corners[0], |p, h| aim(p) < h) else { return false };
+        let Some(patch) = patch_round(surface, corners[0], |p, h| aim(p) < h) else { return false };
         let excess = |s: &Surface, (a, b): (u32, u32)| {
             let (p, q) = (s.positions[a as usize], s.positions[b as usize]);
             p.distance(q) / aim(p.midpoint(q)).min(s.target_between(a, b))
@@ -247,7 +248,7 @@ fn refine(surface: &mut Surface, triangle: u32, centre: DVec3, size: f64, slope:
         any = true;
         tidy(surface, &involved, 1);
     }
-    if any && let Some(patch) = patch(surface, corners[0], |p, h| aim(p) < h) {
+    if any && let Some(patch) = patch_round(surface, corners[0], |p, h| aim(p) < h) {
         tidy(surface, &patch, TIDY_ROUNDS);
     }
     any
@@ -255,7 +256,7 @@ fn refine(surface: &mut Surface, triangle: u32, centre: DVec3, size: f64, slope:
 
 /// The vertices connected with a first one (and itself) whose place and target length pass a test, ascending; `None` when they
 /// are too many, or some of them must not be touched.
-fn patch(surface: &Surface, first: u32, test: impl Fn(DVec3, f64) -> bool) -> Option<Vec<u32>> {
+pub(super) fn patch_round(surface: &Surface, first: u32, test: impl Fn(DVec3, f64) -> bool) -> Option<Vec<u32>> {
     let mut found = BTreeSet::from([first]);
     let mut open = vec![first];
     while let Some(v) = open.pop() {

@@ -6,10 +6,12 @@
 //! node carried to the other side where that is asked for. Topology cannot change. Optionally the whole mesh is remeshed by the
 //! same moves, which makes a good mesh even of marching cubes' output. The result depends on the input only, not on threads.
 
+mod excerpt;
 mod grid;
 mod guard;
 mod last_resort;
 mod moves;
+mod patch;
 mod remesh;
 mod sides;
 mod surface;
@@ -95,10 +97,12 @@ pub struct Tally {
     pub single_moves: usize,
     /// Two such moves in a row.
     pub double_moves: usize,
-    /// Moves in sequences of up to three, on behalf of triangles outside the limits after all that.
+    /// Moves in sequences of up to two, on behalf of triangles outside the limits after all that.
     pub last_resort_moves: usize,
     /// Refinements round such triangles.
     pub refinements: usize,
+    /// Patches round such triangles that were remeshed to follow the curvature of F.
+    pub remeshed_patches: usize,
 }
 
 impl Tally {

@@ -142,10 +142,12 @@ pub(super) fn settle(surface: &mut Surface, vertex: u32) -> bool {
         return false;
     }
     let normal = jet.gradient / slope;
-    let ring: Vec<(DVec3, DVec3)> =
+    let mut ring: Vec<(DVec3, DVec3)> =
         surface.link(vertex).map(|(a, b)| (surface.positions[a as usize], surface.positions[b as usize])).collect();
     let reach = ring.iter().map(|(a, _)| a.distance(start)).sum::<f64>() / ring.len() as f64;
-    let worth = |p: DVec3| ring_worth_above(&ring, normal, p, f64::NEG_INFINITY).unwrap_or(f64::NEG_INFINITY);
+    let worth = |ring: &mut [(DVec3, DVec3)], p: DVec3| {
+        ring_worth_above(ring, normal, p, f64::NEG_INFINITY).unwrap_or(f64::NEG_INFINITY)
+    };
 
     // to second order the surface is a paraboloid over its tangent plane
     let (e1, e2) = normal.any_orthonormal_pair();
@@ -153,7 +155,7 @@ pub(super) fn settle(surface: &mut Surface, vertex: u32) -> bool {
         let t = e1 * x + e2 * y;
         start + t - normal * (0.5 * t.dot(jet.hessian * t) / slope)
     };
-    let before = worth(start);
+    let before = worth(&mut ring, start);
     let (mut best, mut best_worth) = ((0.0, 0.0), before);
     let mut step = FIRST_STEP * reach;
     let mut directions: [(f64, f64); DIRECTIONS] = std::array::from_fn(|d| {
@@ -166,7 +168,7 @@ pub(super) fn settle(surface: &mut Surface, vertex: u32) -> bool {
         for (x, y) in directions {
             let candidate = (best.0 + step * x, best.1 + step * y);
             if let Some(worth) =
-                ring_worth_above(&ring, normal, place(candidate.0, candidate.1), best_worth + LEAST_GAIN)
+                ring_worth_above(&mut ring, normal, place(candidate.0, candidate.1), best_worth + LEAST_GAIN)
             {
                 best_worth = worth;
                 next = Some(candidate);
@@ -186,7 +188,7 @@ pub(super) fn settle(surface: &mut Surface, vertex: u32) -> bool {
         return false;
     }
     match projected_facing(surface, place(best.0, best.1), normal, reach) {
-        Some(p) if worth(p) > before + LEAST_GAIN => {
+        Some(p) if worth(&mut ring, p) > before + LEAST_GAIN => {
             surface.move_vertex(vertex, p);
             true
         }
@@ -195,14 +197,16 @@ pub(super) fn settle(surface: &mut Surface, vertex: u32) -> bool {
 }
 
 /// Smallest radius ratio round a vertex at `p`, if it is above a bar; negative when a triangle is turned against the normal
-/// there.
-fn ring_worth_above(ring: &[(DVec3, DVec3)], normal: DVec3, p: DVec3, bar: f64) -> Option<f64> {
+/// there. A triangle that is not comes first in the ring afterwards: it is likely to be below the next bar as well.
+fn ring_worth_above(ring: &mut [(DVec3, DVec3)], normal: DVec3, p: DVec3, bar: f64) -> Option<f64> {
     let mut smallest = f64::INFINITY;
-    for &(a, b) in ring {
+    for n in 0..ring.len() {
+        let (a, b) = ring[n];
         let ratio = radius_ratio(p, a, b);
         let upright = (a - p).cross(b - p).dot(normal) > 0.0;
         smallest = smallest.min(if upright { ratio } else { ratio - 1.0 });
         if smallest <= bar {
+            ring.swap(0, n);
             return None;
         }
     }

@@ -10,6 +10,7 @@ use isoparticles_common::mesh::inside::{Crossing, crossings, nodes_on_wrong_side
 use std::collections::HashSet;
 
 /// The nodes, their sides, and those on the wrong one.
+#[derive(Clone)]
 pub(super) struct Sides<'a> {
     image: &'a Image<f32>,
     wrong: HashSet<usize>,

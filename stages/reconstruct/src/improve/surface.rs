@@ -55,10 +55,12 @@ enum Change {
 }
 
 /// The mesh under edit.
+#[derive(Clone)]
 pub(super) struct Surface<'a> {
     /// The implicit function.
     pub(super) field: &'a CubicSpline,
-    size: Size<'a>,
+    /// Target edge length h (mm) at a grid position.
+    pub(super) size: Size<'a>,
     /// Allowed range of edge lengths over h.
     pub(super) lengths: [f64; 2],
     /// Positions, also of vertices no longer used.
@@ -67,7 +69,7 @@ pub(super) struct Surface<'a> {
     pub(super) target: Vec<f64>,
     /// Triangles, [`DEAD`] where one was removed.
     pub(super) triangles: Vec<[u32; 3]>,
-    /// Triangles round each vertex.
+    /// Triangles round each vertex, ascending, so that nothing depends on what was tried before.
     pub(super) around: Vec<Vec<u32>>,
     /// Vertices whose triangles do not form one closed fan: nothing next to them is touched.
     pub(super) frozen: Vec<bool>,
@@ -115,6 +117,36 @@ impl<'a> Surface<'a> {
             surface.grid.insert(t, surface.bounds(t));
         }
         surface
+    }
+
+    /// A copy of some triangles (ascending) on some vertices (ascending) to try moves on, with the facts of the whole. It has no grid, so that
+    /// nothing can be committed; vertices that lack triangles of theirs are frozen.
+    pub(super) fn part(&self, vertices: &[u32], triangles: &[u32]) -> Self {
+        let local = |list: &[u32], item: u32| list.binary_search(&item).ok().map(|n| n as u32);
+        let around: Vec<Vec<u32>> = vertices
+            .iter()
+            .map(|&v| self.around[v as usize].iter().filter_map(|&t| local(triangles, t)).collect())
+            .collect();
+        let is_frozen =
+            |(&v, around): (&u32, &Vec<u32>)| self.frozen[v as usize] || around.len() < self.around[v as usize].len();
+        let positions: Vec<DVec3> = vertices.iter().map(|&v| self.positions[v as usize]).collect();
+        let corners = |&t: &u32| self.triangles[t as usize].map(|v| local(vertices, v).unwrap_or(u32::MAX));
+        Self {
+            field: self.field,
+            size: self.size,
+            lengths: self.lengths,
+            grid: TriangleGrid::new(Bounds::of(&positions), 1.0),
+            positions,
+            target: vertices.iter().map(|&v| self.target[v as usize]).collect(),
+            triangles: triangles.iter().map(corners).collect(),
+            frozen: vertices.iter().zip(&around).map(is_frozen).collect(),
+            around,
+            facts: triangles.iter().map(|&t| self.facts[t as usize]).collect(),
+            sides: None,
+            log: Vec::new(),
+            commits: 0,
+            changed_at: vec![0; triangles.len()],
+        }
     }
 
     /// The mesh without what was removed; vertices and triangles keep their order.
@@ -297,14 +329,17 @@ impl<'a> Surface<'a> {
         for v in old {
             if v != u32::MAX && !corners.contains(&v) {
                 let list = &mut self.around[v as usize];
-                if let Some(at) = list.iter().position(|&t| t == triangle) {
-                    list.swap_remove(at);
+                if let Ok(at) = list.binary_search(&triangle) {
+                    list.remove(at);
                 }
             }
         }
         for v in corners {
             if v != u32::MAX && !old.contains(&v) {
-                self.around[v as usize].push(triangle);
+                let list = &mut self.around[v as usize];
+                if let Err(at) = list.binary_search(&triangle) {
+                    list.insert(at, triangle);
+                }
             }
         }
     }

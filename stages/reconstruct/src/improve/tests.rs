@@ -1,11 +1,13 @@
 //! Meshes with bad triangles on analytic surfaces: what comes out must be better and still everything it was.
 
+use super::excerpt::Excerpt;
 use super::*;
 use isoparticles_common::geometry::Geometry;
 use isoparticles_common::marching_cubes::marching_cubes;
 use isoparticles_common::mesh::check::{CheckOptions, CheckReport, check};
 use isoparticles_common::mesh::shapes;
 use isoparticles_common::random::uniform;
+use isoparticles_common::spatial::Bounds;
 
 fn sampled(size: [usize; 3], spacing: DVec3, f: impl Fn(DVec3) -> f64) -> Image<f32> {
     let geometry = Geometry::axis_aligned(size, spacing);
@@ -174,6 +176,82 @@ fn the_last_resort_makes_all_triangles_at_a_neck_fit() {
         assert!(is_fit(&after.quality), "h {h}: {:?} {tally:?}", after.quality);
     }
     assert!(unfit > 0, "there was nothing to do");
+}
+
+#[test]
+fn a_remeshed_patch_makes_its_triangle_fit_and_leaves_the_rest_alone() {
+    let scene = crate::scenes::hourglass();
+    let limits = Limits { agreement: 0.3, fold: 0.0, fold_of_f: 0.0, deviation: 0.15, excess: 1e-9 }.loosened();
+    let mut lifted = 0;
+    for h in [1.6, 2.0, 2.4, 3.2] {
+        let (mesh, _, _) = crate::tests::restricted(&scene, h / 1.2);
+        let before = check(&mesh, &CheckOptions::default());
+        let size = |_: DVec3| h;
+        let mut surface = Surface::new(&mesh, &scene.field, &size, last_resort::LENGTHS);
+        let fitness = |s: &Surface, t: u32| guard::fitness(s.corners(t));
+        let all = 0..mesh.triangles.len() as u32;
+        let worst = all.min_by(|&a, &b| fitness(&surface, a).total_cmp(&fitness(&surface, b))).expect("triangles");
+        if fitness(&surface, worst) >= 1.0 {
+            continue;
+        }
+        let [a, b, c] = surface.corners(worst);
+        let centre = (a + b + c) / 3.0;
+        let least = fitness(&surface, worst);
+        let touched =
+            patch::lift(&mut surface, &limits, worst, &|| Ok(())).expect("nothing stops it").expect("a patch");
+        let mut alive = touched.iter().filter(|&&t| surface.is_alive(t));
+        assert!(alive.clone().count() > 4 && alive.all(|&t| fitness(&surface, t) > least), "h {h}");
+        assert!(!surface.is_alive(worst) || fitness(&surface, worst) >= 1.0, "h {h}");
+        for (p, q) in mesh.vertices.iter().zip(&surface.positions) {
+            assert!(p == q || p.distance(centre) < 2.5 * h, "h {h}: a vertex at {p} was moved");
+        }
+        assert_sound(&surface.into_mesh(), &scene.field, &before, "hourglass");
+        lifted += 1;
+    }
+    assert!(lifted > 0, "there was nothing to do");
+}
+
+#[test]
+fn what_is_done_in_an_excerpt_is_one_edit_of_the_whole() {
+    let centre = DVec3::splat(6.1);
+    let image = sampled([26; 3], DVec3::splat(0.5), ball(centre, 4.0));
+    let field = CubicSpline::new(&image);
+    let mut mesh = marching_cubes(&image, 0.0);
+    mesh.vertices.iter_mut().for_each(|p| *p = field.project(*p, 1.0, 1e-9).unwrap_or(*p));
+    let before = check(&mesh, &CheckOptions::default());
+    let (h, fine) = (|_: DVec3| 0.8, |_: DVec3| 0.4);
+    let mut surface = Surface::new(&mesh, &field, &h, [0.0, 9.0]);
+    let region = Bounds { low: centre, high: centre + 5.0 };
+    let limits = Limits { agreement: 0.3, fold: 0.0, fold_of_f: 0.0, deviation: 0.15, excess: f64::INFINITY };
+    let mut part = Excerpt::new(&surface, &region, &fine, [0.5, 1.6]);
+    part.keep_free(|v| mesh.vertices[v as usize].z > centre.z + 0.5);
+    let mut tally = Tally::default();
+    for _ in 0..4 {
+        remesh::round(&mut part.surface, &limits, &mut tally);
+    }
+    assert!(tally.splits > 10 && tally.collapses > 10 && tally.flips > 10, "{tally:?}");
+    part.edits(&surface).make(&mut surface);
+    // the rest stayed where it was, and everything comes back
+    for (p, q) in mesh.vertices.iter().zip(&surface.positions) {
+        assert!(p == q || p.z > centre.z + 0.5);
+    }
+    let touched = surface.touched();
+    let edited = surface.triangles.clone();
+    surface.undo();
+    assert_eq!((&surface.positions, &surface.triangles), (&mesh.vertices, &mesh.triangles));
+    // an excerpt without edits is none of the whole
+    Excerpt::new(&surface, &region, &fine, [0.5, 1.6]).edits(&surface).make(&mut surface);
+    assert!(surface.touched().is_empty());
+
+    let mut part = Excerpt::new(&surface, &region, &fine, [0.5, 1.6]);
+    part.keep_free(|v| mesh.vertices[v as usize].z > centre.z + 0.5);
+    for _ in 0..4 {
+        remesh::round(&mut part.surface, &limits, &mut tally);
+    }
+    part.edits(&surface).make(&mut surface);
+    assert_eq!((&surface.touched(), &surface.triangles), (&touched, &edited), "the same again");
+    assert!(commit_if_welcome(&mut surface, &limits, Rule::Keep { floor: 0.1 }).is_some());
+    assert_sound(&surface.into_mesh(), &field, &before, "a ball with a fine octant");
 }
 
 /// A double cone: its rim of radius 8 is a fold of F, the normals on either side 140 degrees apart.

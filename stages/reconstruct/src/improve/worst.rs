@@ -1,11 +1,13 @@
 //! Works the worst triangles off: for each, the elementary moves on its edges and vertices, alone or two in a row, followed
 //! by a settling of the vertices round them; the move that helps most and passes the guard is kept.
 
+use super::excerpt::Excerpt;
 use super::guard::{Limits, Rule, commit_if_welcome, scores};
 use super::moves::{collapse, flip, projected, settle, split};
 use super::surface::{DEAD, Surface};
 use super::{Step, Tally};
 use isoparticles_common::error::Result;
+use rayon::prelude::*;
 use std::cmp::Reverse;
 use std::collections::{BinaryHeap, HashMap};
 
@@ -13,6 +15,9 @@ use std::collections::{BinaryHeap, HashMap};
 const PLANS_SETTLED: usize = 60;
 /// Plans, the best first, that are put before the guard.
 const PLANS_TRIED: usize = 40;
+
+/// Rings of triangles that two moves in a row, and the settling after them, stay within.
+const RINGS: usize = 7;
 
 /// Triangles that a pass tries double plans on, worst first: some tens of milliseconds each. Where there are more of them,
 /// the surface has too much detail below h for local moves to mend.
@@ -37,6 +42,18 @@ pub(super) enum Move {
     /// Keeps the first; the new place is this share of the way to the second.
     Collapse(u32, u32, f64),
     Split(u32, u32),
+}
+
+impl Move {
+    /// The same move of vertices with other numbers.
+    pub(super) fn renumbered(self, number: impl Fn(u32) -> u32) -> Self {
+        match self {
+            Self::Settle(v) => Self::Settle(number(v)),
+            Self::Flip(a, b) => Self::Flip(number(a), number(b)),
+            Self::Collapse(keep, gone, share) => Self::Collapse(number(keep), number(gone), share),
+            Self::Split(a, b) => Self::Split(number(a), number(b)),
+        }
+    }
 }
 
 /// Remembers what was tried in vain, lest it be tried again before anything has changed there.
@@ -117,36 +134,28 @@ fn lift_one(
     effort: Effort,
     tally: &mut Tally,
 ) -> Option<Vec<u32>> {
-    let mut plans: Vec<Rated> = Vec::new();
-    let corners = surface.triangles[triangle as usize];
-    for first in moves_near(&[corners], &corners) {
-        let mut plan = vec![first];
-        let patch = rate(surface, &plan, bar, &mut plans);
-        if effort < Effort::Double || matches!(first, Move::Settle(_)) {
-            continue;
-        }
-        for second in moves_near(&patch, &[]) {
-            plan.truncate(1);
-            plan.push(second);
-            rate(surface, &plan, bar, &mut plans);
-        }
-    }
+    let part = Excerpt::rings(surface, triangle, RINGS);
+    let corners = part.surface.triangles[part.local(triangle) as usize];
+    let trial = || part.surface.clone();
+    let started: Vec<Vec<Rated>> = moves_near(&[corners], &corners)
+        .par_iter()
+        .map_init(trial, |trial, &first| plans_from(trial, first, bar, effort))
+        .collect();
+    let mut plans = started.concat();
     // stable sorts keep the order of the moves among equals
     plans.sort_by(|a, b| b.0.total_cmp(&a.0));
     if effort >= Effort::Settled {
         plans.truncate(if effort == Effort::Double { PLANS_SETTLED } else { usize::MAX });
-        for (gain, plan) in &mut plans {
-            *gain = f64::NEG_INFINITY;
-            if execute(surface, plan, effort) {
-                *gain = saved(surface, bar);
-            }
-            surface.undo();
-        }
+        plans.par_iter_mut().for_each_init(trial, |trial, (gain, plan)| {
+            *gain = if execute(trial, plan, effort) { saved(trial, bar) } else { f64::NEG_INFINITY };
+            trial.undo();
+        });
         plans.sort_by(|a, b| b.0.total_cmp(&a.0));
     }
     plans.retain(|(gain, _)| *gain > 0.0);
     plans.truncate(PLANS_TRIED);
     for (_, plan) in plans {
+        let plan: Vec<Move> = plan.iter().map(|step| step.renumbered(|v| part.global(surface, v))).collect();
         if execute(surface, &plan, effort)
             && let Some(touched) = commit_if_welcome(surface, limits, Rule::Lift { bar })
         {
@@ -156,6 +165,18 @@ fn lift_one(
         surface.undo();
     }
     None
+}
+
+/// The plans that begin with a move.
+fn plans_from(surface: &mut Surface, first: Move, bar: f64, effort: Effort) -> Vec<Rated> {
+    let mut plans = Vec::new();
+    let patch = rate(surface, &[first], bar, &mut plans);
+    if effort == Effort::Double && !matches!(first, Move::Settle(_)) {
+        for second in moves_near(&patch, &[]) {
+            rate(surface, &[first, second], bar, &mut plans);
+        }
+    }
+    plans
 }
 
 /// Shortfall that the edits since the last commit save; negative infinity when they lower the smallest radius ratio.
