@@ -7,6 +7,15 @@ use rayon::prelude::*;
 /// Vertices whose edges are counted by one thread at a time.
 const CHUNK: usize = 1 << 14;
 
+/// Memory of [`Incidence::fans_at`], to be used again for the next vertex.
+#[derive(Default)]
+pub struct FanWork {
+    /// (other end of an edge at the vertex, place of its triangle).
+    ends: Vec<(u32, u32)>,
+    /// Fan of each triangle.
+    fan: Vec<u32>,
+}
+
 /// The triangles at each vertex of a list of triangles.
 pub struct Incidence<'a> {
     triangles: &'a [[u32; 3]],
@@ -47,7 +56,8 @@ impl<'a> Incidence<'a> {
         &self.at_vertex[self.starts[v] as usize..self.starts[v + 1] as usize]
     }
 
-    fn vertex_count(&self) -> usize {
+    /// Vertices, those of no triangle included.
+    pub fn vertex_count(&self) -> usize {
         self.starts.len() - 1
     }
 
@@ -80,6 +90,40 @@ impl<'a> Incidence<'a> {
             });
         }
         fans
+    }
+
+    /// Number of fans of triangles at a vertex, joined across the edges at it that lie in two triangles: one for a vertex of a manifold, none
+    /// for a vertex of no triangle. Edges in another number of triangles join nothing and go to `other_edge`, by their other ends,
+    /// with their triangles. The same fans as those of [`Incidence::fans`], for a vertex alone.
+    pub fn fans_at(
+        &self,
+        vertex: u32,
+        work: &mut FanWork,
+        mut other_edge: impl FnMut(u32, &mut dyn Iterator<Item = u32>),
+    ) -> usize {
+        let around = self.of(vertex);
+        let FanWork { ends, fan } = work;
+        ends.clear();
+        for (k, &t) in (0..).zip(around) {
+            let others = self.triangles[t as usize].into_iter().filter(|&other| other != vertex);
+            ends.extend(others.map(|other| (other, k)));
+        }
+        ends.sort_unstable();
+        fan.clear();
+        fan.extend(0..around.len() as u32);
+        let mut count = around.len();
+        for edge in ends.chunk_by(|a, b| a.0 == b.0) {
+            if let [(_, first), (_, second)] = *edge {
+                let (kept, gone) = (fan[first as usize], fan[second as usize]);
+                if kept != gone {
+                    fan.iter_mut().filter(|f| **f == gone).for_each(|f| *f = kept);
+                    count -= 1;
+                }
+            } else {
+                other_edge(edge[0].0, &mut edge.iter().map(|&(_, k)| around[k as usize]));
+            }
+        }
+        count
     }
 
     /// Euler characteristic V - E + F of each class of triangles; `class` gives that of each triangle, below `classes`.
@@ -146,5 +190,12 @@ mod tests {
             roots.len()
         };
         assert_eq!([0, 1, 2, 3, 4, 5].map(&mut fans_at), [1, 1, 2, 2, 1, 1]);
+        let mut work = FanWork::default();
+        let mut others = Vec::new();
+        let counts = [0, 1, 2, 3, 4, 5, 6].map(|v| {
+            incidence.fans_at(v, &mut work, |end, around| others.push((v, end, around.collect::<Vec<u32>>())))
+        });
+        assert_eq!(counts, [1, 1, 2, 2, 1, 1, 0]);
+        assert_eq!(others, [(2, 3, vec![0, 1, 6, 7]), (3, 2, vec![0, 1, 6, 7])]);
     }
 }

@@ -3,9 +3,12 @@
 
 use crate::isosurface::Isosurface;
 use crate::restricted::Facet;
-use isoparticles_common::components::{self, DisjointSets, NO_COMPONENT};
-use isoparticles_common::mesh::incidence::Incidence;
+use isoparticles_common::components::{self, NO_COMPONENT};
+use isoparticles_common::mesh::incidence::{FanWork, Incidence};
 use rayon::prelude::*;
+
+/// Vertices looked at by one thread at a time.
+const CHUNK: usize = 1 << 12;
 
 /// Topology of a set of facets against the isosurface.
 #[derive(Clone, Debug, Default)]
@@ -30,70 +33,79 @@ pub struct Defects {
     pub piece_of_vertex: Vec<u32>,
 }
 
+/// Where a surface is not manifold.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Pinches {
+    /// For each edge that is not in exactly two facets, its facets (numbers in the list given).
+    pub edges: Vec<Vec<u32>>,
+    /// For each vertex with more than one fan of facets, the vertex and its facets.
+    pub vertices: Vec<(u32, Vec<u32>)>,
+}
+
+impl Pinches {
+    /// Those at the first `count` vertices; an edge counts with the first of its ends. `open_edge_allowed` tells which edges may be in one
+    /// facet only (open borders).
+    pub fn at_first(count: usize, incidence: &Incidence, open_edge_allowed: impl Fn(u32, u32) -> bool + Sync) -> Self {
+        let chunks: Vec<Self> = (0..count)
+            .into_par_iter()
+            .step_by(CHUNK)
+            .map(|first| {
+                let mut found = Self::default();
+                let mut work = FanWork::default();
+                for v in first as u32..(first + CHUNK).min(count) as u32 {
+                    let fans = incidence.fans_at(v, &mut work, |other, around| {
+                        let around: Vec<u32> = around.collect();
+                        if other > v && (around.len() != 1 || !open_edge_allowed(v, other)) {
+                            found.edges.push(around);
+                        }
+                    });
+                    if fans > 1 {
+                        found.vertices.push((v, incidence.of(v).to_vec()));
+                    }
+                }
+                found
+            })
+            .collect();
+        let mut all = Self::default();
+        for chunk in chunks {
+            all.edges.extend(chunk.edges);
+            all.vertices.extend(chunk.vertices);
+        }
+        all
+    }
+}
+
 impl Defects {
     /// Looks for defects; `component_of` gives the component of the isosurface of each vertex ([`NO_COMPONENT`] unknown).
-    /// `open_edges_allowed` tells which edges may be in one facet only (open borders).
+    /// `open_edge_allowed` tells which edges may be in one facet only (open borders).
     pub fn find(
         facets: &[Facet],
         component_of: &[u32],
         isosurface: &Isosurface,
-        open_edge_allowed: impl Fn(u32, u32) -> bool,
+        open_edge_allowed: impl Fn(u32, u32) -> bool + Sync,
     ) -> Self {
-        let vertex_count = component_of.len();
-        let mut defects = Self::default();
         let triangles: Vec<[u32; 3]> = facets.iter().map(|f| f.vertices).collect();
-        let incidence = Incidence::new(&triangles, vertex_count);
-        let mut fans = incidence.fans(|[a, b], around| {
-            if around.len() != 1 || !open_edge_allowed(a, b) {
-                defects.edges.push(around);
-            }
-        });
-        defects.find_pinched_vertices(facets, vertex_count, &mut fans);
-        defects.compare(&triangles, &incidence, component_of, isosurface);
+        let incidence = Incidence::new(&triangles, component_of.len());
+        let mut defects = Self::of_shape(&incidence, open_edge_allowed);
+        defects.compare(&incidence, component_of, isosurface);
         defects
     }
 
-    fn find_pinched_vertices(&mut self, facets: &[Facet], vertex_count: usize, fans: &mut DisjointSets) {
-        let mut fan_of = vec![u32::MAX; vertex_count];
-        let mut pinched = Vec::new();
-        for (f, facet) in facets.iter().enumerate() {
-            for (k, &v) in facet.vertices.iter().enumerate() {
-                let fan = fans.find((3 * f + k) as u32);
-                let known = &mut fan_of[v as usize];
-                if *known == u32::MAX {
-                    *known = fan;
-                } else if *known != fan {
-                    pinched.push(v);
-                }
-            }
-        }
-        pinched.sort_unstable();
-        pinched.dedup();
-        self.vertices = pinched.iter().map(|&v| (v, Vec::new())).collect();
-        if pinched.is_empty() {
-            return;
-        }
-        for (f, facet) in facets.iter().enumerate() {
-            for v in facet.vertices {
-                if let Ok(at) = pinched.binary_search(&v) {
-                    self.vertices[at].1.push(f as u32);
-                }
-            }
-        }
+    /// The defects that do not depend on the isosurface, and the components of the facets.
+    pub fn of_shape(incidence: &Incidence, open_edge_allowed: impl Fn(u32, u32) -> bool + Sync) -> Self {
+        let Pinches { edges, vertices } = Pinches::at_first(incidence.vertex_count(), incidence, open_edge_allowed);
+        let (piece_of_vertex, component_count) =
+            components::of_vertices(incidence.vertex_count(), incidence.triangles());
+        Self { edges, vertices, component_count, piece_of_vertex, ..Self::default() }
     }
 
-    fn compare(
-        &mut self,
-        triangles: &[[u32; 3]],
-        incidence: &Incidence,
-        component_of: &[u32],
-        isosurface: &Isosurface,
-    ) {
+    /// Compares the facets, of which the rest is known already, with the isosurface; what an earlier comparison found goes.
+    pub fn compare(&mut self, incidence: &Incidence, component_of: &[u32], isosurface: &Isosurface) {
+        let triangles = incidence.triangles();
         let expected = isosurface.class_bound();
-        let (own, own_count) = components::of_vertices(component_of.len(), triangles);
-        self.component_count = own_count;
+        let own = &self.piece_of_vertex;
         // a vertex of unknown component counts for nothing; where a whole facet is unknown, its piece tells
-        let mut class_of_piece = vec![NO_COMPONENT; own_count];
+        let mut class_of_piece = vec![NO_COMPONENT; self.component_count];
         for t in triangles {
             let piece = &mut class_of_piece[own[t[0] as usize] as usize];
             *piece = t.iter().map(|&v| component_of[v as usize]).fold(*piece, u32::min);
@@ -106,21 +118,18 @@ impl Defects {
         };
         let class_of: Vec<u32> = triangles.par_iter().map(class).collect();
         let euler = incidence.euler_characteristics(&class_of, expected + 1);
-        let mut pieces: Vec<Vec<u32>> = vec![Vec::new(); expected + 1];
-        for (f, t) in triangles.iter().enumerate() {
-            let class = class_of[f];
-            if class == expected as u32 && t.iter().any(|&v| component_of[v as usize] != NO_COMPONENT) {
-                self.bridges.push(f as u32);
-            }
-            let piece = own[t[0] as usize];
-            let pieces = &mut pieces[class as usize];
-            if !pieces.contains(&piece) {
-                pieces.push(piece);
-            }
-        }
-        self.piece_of_vertex = own;
+        let is_bridge = |(f, t): (usize, &[u32; 3])| {
+            let is_known = |v: &u32| component_of[*v as usize] != NO_COMPONENT;
+            (class_of[f] == expected as u32 && t.iter().any(is_known)).then_some(f as u32)
+        };
+        self.bridges = triangles.par_iter().enumerate().filter_map(is_bridge).collect();
+        let pieces = pieces_by_class(&class_of, triangles, own, expected);
+        self.missing.clear();
+        self.in_pieces.clear();
+        self.rejoined.clear();
+        self.wrong_genus.clear();
         for c in isosurface.classes() {
-            let pieces = pieces[c as usize].len();
+            let pieces = pieces[c as usize];
             if pieces == 0 {
                 self.missing.push(c);
             } else if pieces > isosurface.pieces(c) {
@@ -143,6 +152,19 @@ impl Defects {
         let same_components = self.bridges.is_empty() && self.missing.is_empty() && self.in_pieces.is_empty();
         self.is_manifold() && same_components && self.wrong_genus.is_empty()
     }
+}
+
+/// Into how many pieces the triangles of each class fall apart.
+fn pieces_by_class(class_of: &[u32], triangles: &[[u32; 3]], piece_of_vertex: &[u32], classes: usize) -> Vec<usize> {
+    let piece = |t: &[u32; 3]| piece_of_vertex[t[0] as usize];
+    let mut met: Vec<(u32, u32)> = class_of.par_iter().zip(triangles).map(|(&class, t)| (class, piece(t))).collect();
+    // most neighbours in the list are of one class and piece
+    met.dedup();
+    met.par_sort_unstable();
+    met.dedup();
+    let mut pieces = vec![0; classes + 1];
+    met.into_iter().for_each(|(class, _)| pieces[class as usize] += 1);
+    pieces
 }
 
 #[cfg(test)]

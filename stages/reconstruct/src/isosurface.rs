@@ -12,12 +12,12 @@ use glam::DVec3;
 use isoparticles_common::components;
 use isoparticles_common::geometry::Geometry;
 use isoparticles_common::image::Image;
-use isoparticles_common::kd_tree::KdTree;
 use isoparticles_common::marching_cubes::marching_cubes;
 use isoparticles_common::mesh::TriangleMesh;
 use isoparticles_common::mesh::incidence::Incidence;
 use isoparticles_common::spline::CubicSpline;
 use rayon::prelude::*;
+use std::collections::BTreeSet;
 
 /// Samples a voxel edge of a second look.
 const FINE: usize = 4;
@@ -25,8 +25,11 @@ const FINE: usize = 4;
 /// Voxels around the place of a second look.
 const MARGIN: f64 = 2.0;
 
+/// Longest edge of the box round a small component, voxels.
+const SMALL: f64 = 16.0;
+
 /// Samples that a second look may take.
-const MOST_SAMPLES: f64 = 3e7;
+const MOST_SAMPLES: f64 = 1e7;
 
 /// The isosurface F = 0 by components. Components that turn out to be one share a *class*: the number of its first.
 #[derive(Clone, Debug)]
@@ -38,6 +41,8 @@ pub struct Isosurface {
     triangles: Vec<(u32, u32)>,
     /// First component of the class of each component.
     class: Vec<u32>,
+    /// Components of each class, at the place of its first.
+    members: Vec<Vec<u32>>,
     /// Euler characteristic of each class (2 for a ball, 0 for a torus).
     euler: Vec<i64>,
     /// Components beyond the first that a finer sampling finds in each class.
@@ -90,6 +95,7 @@ impl Isosurface {
         let component_of: Vec<u32> = mesh.triangles.iter().map(|t| component_of_vertex[t[0] as usize]).collect();
         let euler = Incidence::new(&mesh.triangles, mesh.vertices.len()).euler_characteristics(&component_of, count);
         let class = (0..count as u32).collect();
+        let members = (0..count as u32).map(|c| vec![c]).collect();
         let mut triangles: Vec<(u32, u32)> = (0..).zip(&component_of).map(|(t, &component)| (component, t)).collect();
         triangles.par_sort_unstable();
         let mut new = Self {
@@ -97,6 +103,7 @@ impl Isosurface {
             component_of_vertex,
             triangles,
             class,
+            members,
             euler,
             parted: vec![0; count],
             geometry,
@@ -172,7 +179,9 @@ impl Isosurface {
         if kept != gone {
             self.euler[kept as usize] += self.euler[gone as usize] - 2;
             self.parted[kept as usize] += self.parted[gone as usize];
-            self.class.iter_mut().filter(|c| **c == gone).for_each(|c| *c = kept);
+            let joining = std::mem::take(&mut self.members[gone as usize]);
+            joining.iter().for_each(|&c| self.class[c as usize] = kept);
+            self.members[kept as usize].extend(joining);
         }
     }
 
@@ -199,14 +208,25 @@ impl Isosurface {
 
     /// The marching-cubes vertices and the centroids of the triangles of a class: a dense sample of it.
     pub fn samples(&self, class: u32) -> Vec<DVec3> {
-        let members = (0..).zip(&self.class).filter(|(_, of)| **of == class).map(|(component, _)| component);
-        let mut triangles: Vec<u32> = members.flat_map(|component| self.triangles_of(component)).collect();
+        let members = self.members[class as usize].iter();
+        let mut triangles: Vec<u32> = members.flat_map(|&component| self.triangles_of(component)).collect();
         triangles.sort_unstable();
         let mut vertices: Vec<u32> = triangles.iter().flat_map(|&t| self.mesh.triangles[t as usize]).collect();
         vertices.sort_unstable();
         vertices.dedup();
         let vertices = vertices.into_iter().map(|v| self.mesh.vertices[v as usize]);
         vertices.chain(triangles.into_iter().map(|t| self.centroid(t))).collect()
+    }
+
+    /// Samples of a small class by a finer sampling of the spline: of a needle or a flake the volume's own may show a line. As many times
+    /// finer as a second look, and each further `look` twice that; none where the class is large.
+    pub fn finer_samples(&self, field: &CubicSpline, class: u32, look: usize) -> Vec<DVec3> {
+        let samples = self.samples(class);
+        let Some((low, high)) = self.small_box(&samples, 1.0) else { return Vec::new() };
+        let Some(patch) = Self::patch(field, low, high, FINE << look) else { return Vec::new() };
+        let own = samples.iter().filter_map(|&p| patch.component_at(p, field.value_gradient(p).1));
+        let own: BTreeSet<u32> = own.collect();
+        own.into_iter().flat_map(|component| patch.samples(component)).collect()
     }
 
     /// The class that a point on F = 0 belongs to: that of the nearest marching-cubes triangle in its cell and the
@@ -232,34 +252,22 @@ impl Isosurface {
         best.map(|(_, _, t)| self.class_of_triangle(t))
     }
 
-    /// Looks again whether two points of different classes lie on one component between them; then the classes are
-    /// merged, and the answer is true. Each further `look` is twice as fine and half as wide, for necks that are thinner
-    /// still.
-    pub fn merge_if_joined(&mut self, field: &CubicSpline, points: [DVec3; 2], classes: [u32; 2], look: usize) -> bool {
-        let finer = 1 << look;
-        let margin = field.geometry().spacing * (MARGIN / finer as f64);
-        let (low, high) = (points[0].min(points[1]) - margin, points[0].max(points[1]) + margin);
-        let Some(patch) = Self::patch(field, low, high, FINE * finer) else { return false };
+    /// Looks again whether two points of different classes lie on one component between them. Each further `look` is twice as fine and half as
+    /// wide, for necks that are thinner still.
+    pub fn joins(field: &CubicSpline, points: [DVec3; 2], look: usize) -> bool {
+        let Some(bounds) = bounds(&points) else { return false };
+        let Some(patch) = Self::finer_patch(field, bounds, look) else { return false };
         let [a, b] = points.map(|p| patch.component_at(p, field.value_gradient(p).1));
-        let joined = a.is_some() && a == b;
-        if joined {
-            self.merge(classes[0], classes[1]);
-        }
-        joined
+        a.is_some() && a == b
     }
 
-    /// Looks again whether a small class is joined to others around it; then they are merged, and the answer is true.
-    pub fn merge_if_part_of_others(&mut self, field: &CubicSpline, class: u32) -> bool {
+    /// Looks again whether a small class is joined to others around it, and says to which.
+    pub fn joined_to(&self, field: &CubicSpline, class: u32) -> Vec<u32> {
         let samples = self.samples(class);
-        let Some((low, high)) = bounds(&samples) else { return false };
-        let margin = field.geometry().spacing * MARGIN;
-        let (low, high) = (low - margin, high + margin);
-        if ((high - low) / field.geometry().spacing).max_element() > 16.0 {
-            return false;
-        }
-        let Some(patch) = Self::patch(field, low, high, FINE) else { return false };
+        let Some((low, high)) = self.small_box(&samples, MARGIN) else { return Vec::new() };
+        let Some(patch) = Self::patch(field, low, high, FINE) else { return Vec::new() };
         let at = |p: DVec3| patch.component_at(p, field.value_gradient(p).1);
-        let own: Vec<u32> = samples.iter().filter_map(|&p| at(p)).collect();
+        let own: BTreeSet<u32> = samples.iter().filter_map(|&p| at(p)).collect();
         let mut joined: Vec<u32> = self
             .triangles_within(low, high)
             .filter(|&t| self.class_of_triangle(t) != class)
@@ -268,50 +276,43 @@ impl Isosurface {
             .collect();
         joined.sort_unstable();
         joined.dedup();
-        let mut kept = class;
-        for &other in &joined {
-            self.merge(kept, other);
-            kept = self.class_of(kept);
-        }
-        !joined.is_empty()
+        joined
     }
 
-    /// Looks again whether a piece of the mesh, given by its vertices, is a component of its own although marching cubes
-    /// joins it to its class; then that is counted, and the answer is true. The first `look` takes in the whole piece, each
-    /// further one a smaller box where the piece is nearest to the `others`, sampled as many times finer.
-    pub fn part_if_separate(
-        &mut self,
+    /// Looks again whether a piece of the mesh is a component of its own within a box, although marching cubes joins it to `others`: both given
+    /// by the vertices in the box and, by [`Isosurface::margin`], around it. Each further `look` samples twice as finely.
+    pub fn is_separate(
         field: &CubicSpline,
-        class: u32,
+        bounds: (DVec3, DVec3),
         piece: &[DVec3],
         others: &[DVec3],
         look: usize,
     ) -> bool {
-        let finer = 1 << look;
-        let gap = || nearest_pair(piece, others).and_then(|(p, q)| bounds(&[p, q]));
-        let Some((low, high)) = (if look == 0 { bounds(piece) } else { gap() }) else {
-            return false;
-        };
-        let margin = field.geometry().spacing * (MARGIN / finer as f64);
-        let (low, high) = (low - margin, high + margin);
-        let Some(patch) = Self::patch(field, low, high, FINE * finer) else { return false };
+        let Some(patch) = Self::finer_patch(field, bounds, look) else { return false };
         let labels = |points: &[DVec3]| {
-            let mut labels: Vec<u32> = points
-                .iter()
-                .filter(|p| p.cmpge(low).all() && p.cmple(high).all())
-                .filter_map(|&p| patch.component_at(p, field.value_gradient(p).1))
-                .collect();
-            labels.sort_unstable();
-            labels.dedup();
-            labels
+            let labels = points.iter().filter_map(|&p| patch.component_at(p, field.value_gradient(p).1));
+            labels.collect::<BTreeSet<u32>>()
         };
-        let (own, other) = (labels(piece), labels(others));
-        let separate = !own.is_empty() && own.iter().all(|c| !other.contains(c));
-        if separate {
-            self.parted[class as usize] += 1;
-            self.euler[class as usize] += 2;
-        }
-        separate
+        let own = labels(piece);
+        !own.is_empty() && own.is_disjoint(&labels(others))
+    }
+
+    /// A box with a margin (voxels) round points; `None` where it is large.
+    fn small_box(&self, points: &[DVec3], margin: f64) -> Option<(DVec3, DVec3)> {
+        let (low, high) = bounds(points)?;
+        let spacing = self.geometry.spacing;
+        let (low, high) = (low - spacing * margin, high + spacing * margin);
+        (((high - low) / spacing).max_element() <= SMALL).then_some((low, high))
+    }
+
+    /// How far beyond the box that it is asked about a look sees, mm along each axis.
+    pub fn margin(field: &CubicSpline, look: usize) -> DVec3 {
+        field.geometry().spacing * (MARGIN / (1 << look) as f64)
+    }
+
+    fn finer_patch(field: &CubicSpline, (low, high): (DVec3, DVec3), look: usize) -> Option<Self> {
+        let margin = Self::margin(field, look);
+        Self::patch(field, low - margin, high + margin, FINE << look)
     }
 
     fn centroid(&self, triangle: u32) -> DVec3 {
@@ -336,14 +337,6 @@ pub(crate) fn bounds(points: &[DVec3]) -> Option<(DVec3, DVec3)> {
     let low = points.iter().copied().reduce(DVec3::min)?;
     let high = points.iter().copied().reduce(DVec3::max)?;
     Some((low, high))
-}
-
-/// The two points, one of each set, that are nearest to each other; the first set is the smaller one, so the tree is its.
-pub(crate) fn nearest_pair(few: &[DVec3], many: &[DVec3]) -> Option<(DVec3, DVec3)> {
-    let tree = KdTree::new(few);
-    let nearest = many.par_iter().enumerate().filter_map(|(n, &q)| tree.nearest(q).map(|(p, d)| (d, n, p)));
-    let nearest = nearest.min_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
-    nearest.map(|(_, n, p)| (few[p], many[n]))
 }
 
 #[cfg(test)]
@@ -389,7 +382,9 @@ mod tests {
         let mut gyroid = Isosurface::new(&scene.image);
         assert_eq!(euler(&gyroid), [2, -14, 2, 2]);
         for class in [0, 2, 3] {
-            assert!(gyroid.merge_if_part_of_others(&scene.field, gyroid.class_of(class)) || class > 0);
+            let others = gyroid.joined_to(&scene.field, gyroid.class_of(class));
+            assert!(!others.is_empty() || class > 0);
+            others.into_iter().for_each(|other| gyroid.merge(class, other));
         }
         assert_eq!(euler(&gyroid), [-14]);
         assert_eq!((gyroid.component_count(), gyroid.sampled_component_count()), (1, 4));
@@ -430,10 +425,10 @@ mod tests {
     #[test]
     fn a_second_look_leaves_apart_what_is_apart() {
         let scene = scenes::two_balls();
-        let mut balls = Isosurface::new(&scene.image);
+        let balls = Isosurface::new(&scene.image);
         let (p, q) = (DVec3::new(14.6, 11.6, 11.6), DVec3::new(16.6, 11.6, 11.6));
-        assert!(!balls.merge_if_joined(&scene.field, [p, q], [0, 1], 0));
-        assert!(!balls.merge_if_part_of_others(&scene.field, 0));
+        assert!(!Isosurface::joins(&scene.field, [p, q], 0));
+        assert!(balls.joined_to(&scene.field, 0).is_empty());
         assert_eq!(balls.component_count(), 2);
     }
 }

@@ -144,21 +144,20 @@ fn cocones(
         let may_go_on = round < max_rounds.min(COCONE_ROUNDS);
         // points that enclose nothing have no surface
         let closed = found.as_ref().map_or(&[][..], |(facets, _)| facets);
-        let added = if may_go_on { refinement.insert_for_other(closed)? } else { 0 };
+        let mut added = if may_go_on { refinement.insert_for_other(closed)? } else { 0 };
+        let facets = refinement.without_border_closure(closed.to_vec());
+        if may_go_on && added == 0 {
+            added = add_at_nodes(refinement, &facets, origin, samples, context)?;
+        }
         context.verbose(format!("Tight Cocone, round {round}: {added} points added"));
-        if added > 0 {
-            // the surface by the sign of F stays right, so that it can be compared with
-            refinement.allow_rounds(max_rounds);
-            refine(refinement, max_rounds, origin, samples, context)?;
-            continue;
+        if added == 0 {
+            let (_, report) = found?;
+            refinement.compare_other(&facets);
+            return Ok((facets, report));
         }
-        let (closed, report) = found?;
-        let facets = refinement.without_border_closure(closed);
-        if may_go_on && add_at_nodes(refinement, &facets, origin, samples, context)? > 0 {
-            continue;
-        }
-        refinement.compare_other(&facets);
-        return Ok((facets, report));
+        // the surface by the sign of F stays right, so that it can be compared with
+        refinement.allow_rounds(max_rounds);
+        refine(refinement, max_rounds, origin, samples, context)?;
     }
     unreachable!("the rounds end")
 }

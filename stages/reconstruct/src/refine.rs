@@ -2,25 +2,33 @@
 //! and the genus of the isosurface, and no facet strays from it.
 //!
 //! Where a facet is at fault, the point is where its Voronoi edge crosses F = 0: the centre of the facet's surface ball,
-//! the place of the isosurface nearby that is farthest from all points (Boissonnat and Oudot 2005).
+//! the place of the isosurface nearby that is farthest from all points (Boissonnat and Oudot 2005). A round compares the whole surface with the
+//! isosurface, adds points, and follows them up where they changed something; the last comparison is always of the whole.
 
+mod follow_up;
 mod genus;
+mod insert;
 mod looks;
+mod near;
+mod nodes;
 mod other;
+mod pieces;
 mod pinches;
 mod samples;
 
 use crate::critical::CriticalPoint;
 use crate::defects::Defects;
-use crate::isosurface::{Isosurface, nearest_pair};
+use crate::isosurface::Isosurface;
 use crate::prepare::{ON_SURFACE, SurfacePoints};
 use crate::restricted::{Facet, Restricted};
 use glam::DVec3;
+use insert::{Candidate, Reason};
 use isoparticles_common::components::NO_COMPONENT;
 use isoparticles_common::error::Result;
-use isoparticles_common::kd_tree::KdTree;
+use isoparticles_common::mesh::incidence::Incidence;
 use isoparticles_common::spline::CubicSpline;
 use looks::Looks;
+use near::Nearest;
 use pinches::Patience;
 use rayon::prelude::*;
 use serde::Serialize;
@@ -37,19 +45,13 @@ const TURNED: f64 = 0.3;
 /// A new point keeps this part of h from all others, unless the topology asks for it.
 const NEAREST_FOR_SHAPE: f64 = 0.35;
 
-/// The same where the topology asks.
-const NEAREST_FOR_TOPOLOGY: f64 = 0.02;
-
-/// A grid node on the wrong side whose nearest point of F = 0 is nearer than this part of h to a vertex has that vertex.
-const AT_A_VERTEX: f64 = 0.15;
-
 /// Rounds spent on critical points that stay on the wrong side of the mesh.
 const GENUS_ROUNDS: usize = 6;
 
 /// How far the refinement may go.
 #[derive(Clone, Copy, Debug)]
 pub struct RefineOptions {
-    /// Most rounds.
+    /// Most rounds over the whole surface at a stretch.
     pub max_rounds: usize,
     /// Farthest that the centroid of a facet may lie from F = 0, mm; `None`: a quarter of h, at least a quarter voxel.
     pub max_deviation: Option<f64>,
@@ -66,8 +68,10 @@ impl Default for RefineOptions {
 /// What the refinement did.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct RefineReport {
-    /// Rounds of insertion.
+    /// Rounds of adding points all over the surface.
     pub rounds: usize,
+    /// Times that points were added after that where those before had changed something.
+    pub follow_ups: usize,
     /// Points inserted in all.
     pub inserted: usize,
     /// ... at edges and vertices that were not manifold.
@@ -98,27 +102,6 @@ pub struct RefineReport {
     pub unresolved_genus: usize,
 }
 
-/// Why a point is to be inserted.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-enum Reason {
-    Missing,
-    Manifold,
-    Bridge,
-    Genus,
-    Deviation,
-    Node,
-}
-
-#[derive(Clone, Copy, Debug)]
-struct Candidate {
-    reason: Reason,
-    point: DVec3,
-    /// Distance from the nearest vertices known.
-    radius: f64,
-    size: f64,
-    near: u32,
-}
-
 /// A restricted surface on its way to the topology of the isosurface.
 pub struct Refinement<'a> {
     /// The triangulation.
@@ -142,8 +125,14 @@ pub struct Refinement<'a> {
     is_by_sign: bool,
     /// Critical points of F, once they have been asked for.
     critical: OnceLock<Vec<CriticalPoint>>,
+    /// Those on the wrong side of the mesh, each with the nearest vertex, once they have been asked for since the last comparison.
+    astray: OnceLock<Vec<(CriticalPoint, u32)>>,
+    /// The points, as of the last comparison.
+    nearest: Nearest,
     /// Times that points were added on each class for want of facets.
     samplings: HashMap<u32, i32>,
+    /// Whether facets that stray were sought on the whole surface.
+    strays_are_known: bool,
 }
 
 impl<'a> Refinement<'a> {
@@ -174,7 +163,10 @@ impl<'a> Refinement<'a> {
             sides_are_known: true,
             is_by_sign: true,
             critical: OnceLock::new(),
+            astray: OnceLock::new(),
+            nearest: Nearest::default(),
             samplings: HashMap::new(),
+            strays_are_known: false,
         })
     }
 
@@ -210,15 +202,18 @@ impl<'a> Refinement<'a> {
 
     /// Defects of a set of facets.
     pub fn defects(&self, facets: &[Facet]) -> Defects {
-        let points = self.restricted.points();
+        Defects::find(facets, &self.component_of, &self.isosurface, |a, b| self.may_be_open(a, b))
+    }
+
+    /// Whether an edge may be in one facet only: at an open border.
+    fn may_be_open(&self, a: u32, b: u32) -> bool {
         let geometry = self.restricted.field().geometry();
         let upper = geometry.upper_corner();
-        let open = self.options.open_border;
         let near_border = |v: u32| {
-            let p = points[v as usize];
+            let p = self.restricted.points()[v as usize];
             p.min(upper - p).min_element() < self.sizes[v as usize] + geometry.mean_spacing()
         };
-        Defects::find(facets, &self.component_of, &self.isosurface, |a, b| open && near_border(a) && near_border(b))
+        self.options.open_border && near_border(a) && near_border(b)
     }
 
     /// Adds points until there is no defect left, or `max_rounds` are over at a stretch. `step` hears the round and the number of
@@ -228,16 +223,19 @@ impl<'a> Refinement<'a> {
     /// Those of `step`.
     pub fn run(&mut self, mut step: impl FnMut(usize, usize) -> Result<()>) -> Result<Vec<Facet>> {
         loop {
+            let follow_ups = self.follow_up()?;
             step(self.report.rounds, self.restricted.points().len())?;
             let facets = self.facets();
             let defects = self.compare(&facets);
-            if self.patience.is_over(&defects) && self.part_pinches(&facets, &defects) > 0 {
+            if self.patience.is_over(&defects, follow_ups) && self.part_pinches(&facets, &defects) > 0 {
                 continue;
             }
-            let may_go_on = self.report.rounds < self.options.max_rounds;
-            let candidates = if may_go_on { self.candidates(&facets, &defects) } else { Vec::new() };
-            let is_stuck = self.insert_all(candidates)? == 0 && self.insert_at_critical_points()? == 0;
+            let is_stuck = self.add_points(&facets, &defects)? == 0;
+            let points_helped = std::mem::replace(&mut self.looks.points_help, !is_stuck);
             if is_stuck && self.part_pinches(&facets, &defects) == 0 {
+                if points_helped && !(defects.bridges.is_empty() && defects.in_pieces.is_empty()) {
+                    continue;
+                }
                 self.report.unsampled_components = self.unsampled_components(&facets, &defects);
                 return Ok(facets);
             }
@@ -246,68 +244,23 @@ impl<'a> Refinement<'a> {
 
     /// Defects of a set of facets, after looking again wherever the isosurface may be at fault; they go into the report.
     fn compare(&mut self, facets: &[Facet]) -> Defects {
+        self.nearest.update(self.restricted.points());
+        self.astray = OnceLock::new();
+        self.looks.begin();
+        let triangles: Vec<[u32; 3]> = facets.iter().map(|f| f.vertices).collect();
+        let incidence = Incidence::new(&triangles, self.component_of.len());
+        let mut defects = Defects::of_shape(&incidence, |a, b| self.may_be_open(a, b));
         loop {
-            let defects = self.defects(facets);
-            if self.look_again(facets, &defects) {
-                continue;
-            }
-            self.report.unresolved_manifold = defects.edges.len() + defects.vertices.len();
-            self.report.unresolved_bridges = defects.bridges.len();
-            self.report.unresolved_missing = defects.missing.len();
-            self.report.unresolved_genus = defects.wrong_genus.len() + defects.in_pieces.len();
-            return defects;
-        }
-    }
-
-    /// Brings grid nodes that lie on the wrong side of the mesh to the right one: inserts the point of F = 0 nearest to
-    /// each or, where a vertex is there already, refines the facet at it that passes the node by. Returns how many.
-    ///
-    /// # Errors
-    /// None as a rule; those of the triangulation.
-    pub fn insert_near_nodes(&mut self, nodes: &[[usize; 3]], facets: &[Facet]) -> Result<usize> {
-        let geometry = self.restricted.field().geometry();
-        let tree = KdTree::new(self.restricted.points());
-        let mut at_vertex: Vec<(u32, DVec3)> = Vec::new();
-        let mut candidates = Vec::new();
-        for node in nodes {
-            let node = geometry.index_to_grid(DVec3::from_array(node.map(|n| n as f64)));
-            let Some(point) = self.on_surface(node, 2.0) else { continue };
-            let Some((near, radius)) = tree.nearest(point) else { continue };
-            let size = self.sizes[near];
-            if radius < AT_A_VERTEX * size {
-                at_vertex.push((near as u32, node));
-            } else {
-                candidates.push(Candidate { reason: Reason::Node, point, radius, size, near: near as u32 });
+            defects.compare(&incidence, &self.component_of, &self.isosurface);
+            if !self.look_again(facets, &defects) {
+                break;
             }
         }
-        at_vertex.sort_by_key(|(v, _)| *v);
-        let points = self.restricted.points();
-        for facet in facets {
-            let [a, b, c] = facet.vertices.map(|v| points[v as usize]);
-            let normal = (b - a).cross(c - a);
-            for v in facet.vertices {
-                let start = at_vertex.partition_point(|(u, _)| *u < v);
-                let nodes = at_vertex[start..].iter().take_while(|(u, _)| *u == v);
-                for (_, node) in nodes {
-                    let outside = self.restricted.field().value(*node) > 0.0;
-                    if ((*node - a).dot(normal) > 0.0) != outside {
-                        candidates.extend(self.split(facet));
-                    }
-                }
-            }
-        }
-        self.insert_all(candidates)
-    }
-
-    /// The point of F = 0 at the middle of the longest edge of a facet.
-    fn split(&self, facet: &Facet) -> Option<Candidate> {
-        let ends = |k: usize| [k, (k + 1) % 3].map(|k| self.restricted.points()[facet.vertices[k] as usize]);
-        let length = |k: &usize| ends(*k)[0].distance(ends(*k)[1]);
-        let [a, b] = ends((0..3).max_by(|i, j| length(i).total_cmp(&length(j)))?);
-        let point = self.on_surface(a.midpoint(b), 2.0)?;
-        let size = self.sizes[facet.vertices[0] as usize];
-        let radius = point.distance(a).min(point.distance(b));
-        Some(Candidate { reason: Reason::Node, point, radius, size, near: facet.vertices[0] })
+        self.report.unresolved_manifold = defects.edges.len() + defects.vertices.len();
+        self.report.unresolved_bridges = defects.bridges.len();
+        self.report.unresolved_missing = defects.missing.len();
+        self.report.unresolved_genus = defects.wrong_genus.len() + defects.in_pieces.len();
+        defects
     }
 
     fn on_surface(&self, p: DVec3, voxels: f64) -> Option<DVec3> {
@@ -315,30 +268,53 @@ impl<'a> Refinement<'a> {
         self.restricted.field().project(p, voxels * voxel, ON_SURFACE * voxel)
     }
 
-    fn candidates(&mut self, facets: &[Facet], defects: &Defects) -> Vec<Candidate> {
-        let mut candidates = Vec::new();
-        let mut members: HashMap<u32, Vec<u32>> = defects.missing.iter().map(|&class| (class, Vec::new())).collect();
-        if !members.is_empty() {
-            for (v, class) in (0..).zip(&self.component_of) {
-                members.entry(*class).and_modify(|members| members.push(v));
+    /// Adds points at the defects, if there are rounds left, else round critical points; returns how many. Facets that stray are sought all
+    /// over the surface at first and where nothing else is left to do; in between, rounds find those that they make themselves.
+    fn add_points(&mut self, facets: &[Facet], defects: &Defects) -> Result<usize> {
+        let mut inserted = 0;
+        if self.report.rounds < self.options.max_rounds {
+            let mut candidates = self.candidates(facets, defects);
+            let strays_are_known = std::mem::replace(&mut self.strays_are_known, true);
+            if !strays_are_known {
+                candidates.extend(self.at_strays(facets));
+            }
+            inserted = self.insert_all(candidates)?;
+            if inserted == 0 && strays_are_known {
+                inserted = self.insert_all(self.at_strays(facets))?;
             }
         }
-        for &class in &defects.missing {
-            let attempt = *self.samplings.entry(class).and_modify(|n| *n += 1).or_insert(0);
-            candidates.extend(self.sample_class(class, &members[&class], attempt));
-        }
-        let spots = defects.edges.iter().chain(defects.vertices.iter().map(|(_, around)| around));
-        for around in spots {
-            let balls = around.iter().filter_map(|&f| self.ball(&facets[f as usize], Reason::Manifold));
-            candidates.extend(balls.max_by(|a, b| a.radius.total_cmp(&b.radius)));
-        }
-        candidates.extend(defects.in_pieces.iter().flat_map(|&(class, _)| self.gaps(class, defects)));
+        if inserted == 0 { self.insert_at_critical_points() } else { Ok(inserted) }
+    }
+
+    /// Points at the defects of the topology.
+    fn candidates(&mut self, facets: &[Facet], defects: &Defects) -> Vec<Candidate> {
+        let mut candidates = self.on_missing(&defects.missing);
+        candidates.extend(self.at_pinches(facets, &defects.edges, &defects.vertices));
+        candidates.extend(self.in_gaps(defects));
         candidates.extend(defects.bridges.iter().filter_map(|&f| self.ball(&facets[f as usize], Reason::Bridge)));
-        candidates.par_extend(facets.par_iter().filter(|f| self.badness(f) > 1.0).filter_map(|f| {
-            let ball = self.ball(f, Reason::Deviation)?;
-            (ball.radius > NEAREST_FOR_SHAPE * ball.size).then_some(ball)
-        }));
         candidates
+    }
+
+    /// At each edge and vertex that is not manifold, the largest surface ball of the facets there.
+    fn at_pinches(&self, facets: &[Facet], edges: &[Vec<u32>], vertices: &[(u32, Vec<u32>)]) -> Vec<Candidate> {
+        let spots: Vec<&Vec<u32>> = edges.iter().chain(vertices.iter().map(|(_, around)| around)).collect();
+        let largest = |around: &&Vec<u32>| {
+            let balls = around.iter().filter_map(|&f| self.ball(&facets[f as usize], Reason::Manifold));
+            balls.max_by(|a, b| a.radius.total_cmp(&b.radius))
+        };
+        spots.par_iter().filter_map(largest).collect()
+    }
+
+    fn at_strays(&self, facets: &[Facet]) -> Vec<Candidate> {
+        facets.par_iter().filter_map(|f| self.at_stray(f)).collect()
+    }
+
+    /// The surface ball of a facet that strays from F = 0, if it is not too small.
+    fn at_stray(&self, facet: &Facet) -> Option<Candidate> {
+        if self.badness(facet) <= 1.0 {
+            return None;
+        }
+        self.ball(facet, Reason::Deviation).filter(|ball| ball.radius > NEAREST_FOR_SHAPE * ball.size)
     }
 
     /// How far a facet strays, in units of what is allowed.
@@ -369,67 +345,6 @@ impl<'a> Refinement<'a> {
         let radius = a.distance(point).min(b.distance(point)).min(c.distance(point));
         let size = facet.vertices.map(|v| self.sizes[v as usize]).iter().sum::<f64>() / 3.0;
         Some(Candidate { reason, point, radius, size, near: facet.vertices[0] })
-    }
-
-    /// Points in the gaps of a class that fell apart: between each smaller piece and the nearest vertex of the others.
-    fn gaps(&self, class: u32, defects: &Defects) -> Vec<Candidate> {
-        let pieces = self.pieces(class, defects);
-        let between = (1..pieces.len()).filter_map(|k| {
-            let (p, q) = nearest_pair(&pieces[k], &pieces[..k].concat())?;
-            let point = self.on_surface(p.midpoint(q), 2.0)?;
-            let radius = point.distance(p).min(point.distance(q));
-            Some(Candidate { reason: Reason::Genus, point, radius, size: p.distance(q), near: 0 })
-        });
-        between.collect()
-    }
-
-    /// Inserts candidates, the most needed and the roomiest first, none too near to one inserted in the same round.
-    fn insert_all(&mut self, mut candidates: Vec<Candidate>) -> Result<usize> {
-        candidates.sort_by(|a, b| {
-            a.reason.cmp(&b.reason).then(b.radius.total_cmp(&a.radius)).then_with(|| {
-                let (p, q) = (a.point.to_array(), b.point.to_array());
-                p.partial_cmp(&q).unwrap_or(std::cmp::Ordering::Equal)
-            })
-        });
-        let cell_size = candidates.iter().map(|c| c.radius).fold(0.0, f64::max).max(1e-12);
-        let mut taken: HashMap<[i64; 3], Vec<DVec3>> = HashMap::new();
-        let mut inserted = 0;
-        for candidate in candidates {
-            if candidate.radius < NEAREST_FOR_TOPOLOGY * candidate.size {
-                continue;
-            }
-            let cell = |p: DVec3| (p / cell_size).floor().to_array().map(|x| x as i64);
-            let at = cell(candidate.point);
-            let around = (0..27i64).map(|n| [at[0] + n % 3 - 1, at[1] + n / 3 % 3 - 1, at[2] + n / 9 - 1]);
-            let clearance = if candidate.reason == Reason::Missing { 0.99 } else { 0.8 } * candidate.radius;
-            let blocked =
-                around.filter_map(|key| taken.get(&key)).flatten().any(|p| p.distance(candidate.point) < clearance);
-            if blocked {
-                continue;
-            }
-            if self.restricted.insert(candidate.point, candidate.near)?.is_none() {
-                continue;
-            }
-            taken.entry(at).or_default().push(candidate.point);
-            self.sizes.push(candidate.size);
-            self.component_of.push(component_at(candidate.point, self.restricted.field(), &self.isosurface));
-            inserted += 1;
-            let report = &mut self.report;
-            *match candidate.reason {
-                Reason::Missing => &mut report.inserted_missing,
-                Reason::Manifold => &mut report.inserted_manifold,
-                Reason::Bridge => &mut report.inserted_bridges,
-                Reason::Genus => &mut report.inserted_genus,
-                Reason::Deviation => &mut report.inserted_deviation,
-                Reason::Node => &mut report.inserted_nodes,
-            } += 1;
-        }
-        if inserted > 0 {
-            self.restricted.decide_sides();
-            self.report.rounds += 1;
-            self.report.inserted += inserted;
-        }
-        Ok(inserted)
     }
 }
 

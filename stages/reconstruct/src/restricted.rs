@@ -25,6 +25,8 @@ pub struct Restricted<'a> {
     inside: Vec<bool>,
     /// Tetrahedra made since the sides were last decided.
     undecided: Vec<u32>,
+    /// Tetrahedra made since the changes were last taken.
+    changed: Vec<u32>,
 }
 
 /// A facet between inside and outside.
@@ -43,8 +45,9 @@ impl<'a> Restricted<'a> {
     pub fn new(delaunay: Delaunay, field: &'a CubicSpline) -> Self {
         let undecided = delaunay.finite_tetrahedra().map(|(t, _)| t).collect();
         let upper = field.geometry().upper_corner();
-        let mut new = Self { delaunay, field, upper, inside: Vec::new(), undecided };
+        let mut new = Self { delaunay, field, upper, inside: Vec::new(), undecided, changed: Vec::new() };
         new.decide_sides();
+        new.changed = Vec::new();
         new
     }
 
@@ -84,6 +87,16 @@ impl<'a> Restricted<'a> {
         for (&t, &side) in undecided.iter().zip(&sides) {
             self.inside[t as usize] = side;
         }
+        self.changed.append(&mut undecided);
+    }
+
+    /// The tetrahedra made by insertions since the last call, ascending.
+    pub fn take_changed(&mut self) -> Vec<u32> {
+        let mut changed = std::mem::take(&mut self.changed);
+        changed.retain(|&t| self.delaunay.is_alive(t));
+        changed.sort_unstable();
+        changed.dedup();
+        changed
     }
 
     fn is_centre_inside(&self, t: u32) -> bool {
@@ -195,6 +208,21 @@ impl<'a> Restricted<'a> {
     /// The facets between inside and outside, in the order of the tetrahedra.
     pub fn facets(&self) -> Vec<Facet> {
         boundary(&self.delaunay, |t| self.inside[t as usize])
+    }
+
+    /// The facets between inside and outside at a vertex.
+    pub fn facets_at(&self, vertex: u32) -> Vec<Facet> {
+        let mut facets = Vec::new();
+        for t in star(&self.delaunay, vertex).into_iter().filter(|&t| self.inside[t as usize]) {
+            let (vertices, neighbours) = (self.delaunay.vertices(t), self.delaunay.neighbours(t));
+            let at_vertex = (0..4usize).filter(|&i| vertices[i] != vertex && !self.inside[neighbours[i] as usize]);
+            facets.extend(at_vertex.map(|i| Facet {
+                vertices: self.delaunay.facet(t, i),
+                tetrahedron: t,
+                opposite: i as u8,
+            }));
+        }
+        facets
     }
 
     /// The two ends of the Voronoi edge dual to a facet, inside first, the outer one cut at the border of the volume.

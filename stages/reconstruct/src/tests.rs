@@ -12,7 +12,7 @@ use isoparticles_common::mesh::TriangleMesh;
 use isoparticles_common::particle_set::ParticleSet;
 use isoparticles_common::random::uniform;
 
-fn surface_points(scene: &Scene, spacing: f64) -> SurfacePoints {
+pub(crate) fn surface_points(scene: &Scene, spacing: f64) -> SurfacePoints {
     let positions = scene.points(spacing);
     let sizes = vec![spacing * 1.2; positions.len()];
     SurfacePoints { positions, sizes, ..SurfacePoints::default() }

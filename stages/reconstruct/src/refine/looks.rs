@@ -1,71 +1,63 @@
 //! Second looks: where mesh and marching cubes disagree, the spline itself is asked, on a finer sampling of the place.
 
 use super::Refinement;
+use super::pieces::LooksAtPieces;
 use crate::defects::Defects;
+use crate::isosurface::Isosurface;
 use crate::restricted::Facet;
 use glam::DVec3;
 use isoparticles_common::components::NO_COMPONENT;
+use rayon::prelude::*;
 use std::collections::{BTreeMap, HashMap, HashSet};
+use std::ops::Range;
 
 /// Looks, ever finer, at the places where the mesh joins two components or parts one.
-const LOOKS_AT_A_PAIR: usize = 5;
+pub(super) const LOOKS: usize = 5;
 
-/// Rounds that points in the gaps of a class in pieces have, before a closer look at the gap decides.
-const PATIENCE_IN_PIECES: usize = 5;
+/// The first of them are taken at once, before any points: they cost little, and points on a neck would be in vain. Points come between one
+/// of the others and the next.
+const LOOKS_AT_ONCE: usize = 3;
 
 /// Which places of the isosurface were looked at again, and how closely, so that no look is taken twice.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug)]
 pub(super) struct Looks {
     pairs: HashMap<(u32, u32), usize>,
     missing: HashSet<u32>,
-    /// Class, bits of the first vertex, number of vertices, look.
-    pieces: HashSet<(u32, [u64; 3], usize, usize)>,
-    rounds_in_pieces: HashMap<u32, usize>,
+    pub(super) at_pieces: LooksAtPieces,
+    /// Pairs whose turn it was in this comparison.
+    now: HashSet<(u32, u32)>,
+    /// Whether points can still be added; else all looks that are left are taken at once.
+    pub(super) points_help: bool,
+}
+
+impl Default for Looks {
+    fn default() -> Self {
+        let (pairs, missing, at_pieces, now) = Default::default();
+        Self { pairs, missing, at_pieces, now, points_help: true }
+    }
+}
+
+impl Looks {
+    /// To be called at the start of each comparison.
+    pub(super) fn begin(&mut self) {
+        self.now.clear();
+        self.at_pieces.begin();
+    }
 }
 
 impl Refinement<'_> {
     /// Where mesh and marching cubes disagree, asks the spline itself. True when more is known of the isosurface now.
     pub(super) fn look_again(&mut self, facets: &[Facet], defects: &Defects) -> bool {
-        let field = self.restricted.field();
         let mut learnt = false;
         // another surface may have lost a piece
         for &(class, pieces) in defects.rejoined.iter().filter(|_| self.is_by_sign) {
             self.isosurface.set_pieces(class, pieces);
             learnt = true;
         }
-        for &class in &defects.missing {
-            learnt |= self.looks.missing.insert(class) && self.isosurface.merge_if_part_of_others(field, class);
-        }
-        let points = self.restricted.points();
-        let mut pairs: BTreeMap<(u32, u32), (f64, [DVec3; 2])> = BTreeMap::new();
-        for facet in defects.bridges.iter().map(|&f| &facets[f as usize]) {
-            for (k, &v) in facet.vertices.iter().enumerate() {
-                let w = facet.vertices[(k + 1) % 3];
-                let ends = [points[v as usize], points[w as usize]];
-                let classes = [v, w].map(|u| self.isosurface.class_of(self.component_of[u as usize]));
-                let length = ends[0].distance(ends[1]);
-                if classes[0] < classes[1] && classes[1] != NO_COMPONENT {
-                    let shortest = pairs.entry((classes[0], classes[1])).or_insert((length, ends));
-                    if length < shortest.0 {
-                        *shortest = (length, ends);
-                    }
-                }
-            }
-        }
-        let mut doubtful = Vec::new();
-        for (pair, (_, ends)) in pairs {
-            let looked = self.looks.pairs.entry(pair).or_default();
-            if *looked < LOOKS_AT_A_PAIR {
-                learnt |= self.isosurface.merge_if_joined(field, ends, [pair.0, pair.1], *looked);
-                *looked += 1;
-            } else {
-                doubtful.push(pair);
-            }
-        }
+        learnt |= self.look_at_missing(defects);
+        let doubtful = self.look_at_bridges(facets, defects, &mut learnt);
         learnt |= self.is_by_sign && self.trust_joins(facets, defects, doubtful);
-        for &(class, _) in &defects.in_pieces {
-            learnt |= self.look_at_pieces(class, defects);
-        }
+        learnt |= self.look_at_pieces(defects);
         learnt |= self.trust_critical_points(facets, defects);
         if learnt {
             for c in self.component_of.iter_mut().filter(|c| **c != NO_COMPONENT) {
@@ -75,36 +67,59 @@ impl Refinement<'_> {
         learnt
     }
 
-    /// The vertices of each piece of a class that fell apart, the largest piece first.
-    pub(super) fn pieces(&self, class: u32, defects: &Defects) -> Vec<Vec<DVec3>> {
-        let points = self.restricted.points();
-        let mut pieces: BTreeMap<u32, Vec<DVec3>> = BTreeMap::new();
-        for (v, &piece) in defects.piece_of_vertex.iter().enumerate() {
-            if piece != NO_COMPONENT && self.component_of[v] == class {
-                pieces.entry(piece).or_default().push(points[v]);
-            }
+    /// Whether classes without facets are joined to others by necks that marching cubes does not see. True when some are.
+    fn look_at_missing(&mut self, defects: &Defects) -> bool {
+        let field = self.restricted.field();
+        let new: Vec<u32> = defects.missing.iter().copied().filter(|&class| self.looks.missing.insert(class)).collect();
+        let joined: Vec<Vec<u32>> = new.par_iter().map(|&class| self.isosurface.joined_to(field, class)).collect();
+        for (&class, others) in new.iter().zip(&joined) {
+            others.iter().for_each(|&other| self.isosurface.merge(class, other));
         }
-        let mut pieces: Vec<Vec<DVec3>> = pieces.into_values().collect();
-        pieces.sort_by_key(|p| std::cmp::Reverse(p.len()));
-        pieces
+        joined.iter().any(|others| !others.is_empty())
     }
 
-    /// Whether the smaller pieces of a class that fell apart are components of their own after all.
-    fn look_at_pieces(&mut self, class: u32, defects: &Defects) -> bool {
-        let pieces = self.pieces(class, defects);
-        // points in the gap come first; a closer look only where they do not close it
-        let rounds = self.looks.rounds_in_pieces.entry(class).or_default();
-        *rounds += 1;
-        let Some(look) = rounds.checked_sub(PATIENCE_IN_PIECES) else { return false };
-        let look = look.min(LOOKS_AT_A_PAIR - 1);
-        let mut learnt = false;
-        for k in (1..pieces.len()).rev() {
-            let first = pieces[k][0].to_array().map(f64::to_bits);
-            if self.looks.pieces.insert((class, first, pieces[k].len(), look)) {
-                let others = pieces[..k].concat();
-                learnt |= self.isosurface.part_if_separate(self.restricted.field(), class, &pieces[k], &others, look);
+    /// Whether classes that the mesh joins are one, by their shortest common edges. Returns the pairs that were looked at often enough.
+    fn look_at_bridges(&mut self, facets: &[Facet], defects: &Defects, learnt: &mut bool) -> Vec<(u32, u32)> {
+        let points = self.restricted.points();
+        let mut shortest: BTreeMap<(u32, u32), (f64, [DVec3; 2])> = BTreeMap::new();
+        for facet in defects.bridges.iter().map(|&f| &facets[f as usize]) {
+            for (pair, ends) in self.pairs_of(facet) {
+                let ends = ends.map(|v| points[v as usize]);
+                let length = ends[0].distance(ends[1]);
+                let known = shortest.entry(pair).or_insert((length, ends));
+                if length < known.0 {
+                    *known = (length, ends);
+                }
             }
         }
-        learnt
+        let (mut looks, mut doubtful) = (Vec::new(), Vec::new());
+        for (pair, (_, ends)) in shortest.into_iter().filter(|(pair, _)| self.looks.now.insert(*pair)) {
+            let looked = self.looks.pairs.entry(pair).or_default();
+            if *looked < LOOKS {
+                let first = *looked;
+                *looked = if self.looks.points_help { (first + 1).max(LOOKS_AT_ONCE) } else { LOOKS };
+                looks.push((pair, ends, first..*looked));
+            } else {
+                doubtful.push(pair);
+            }
+        }
+        let field = self.restricted.field();
+        let are_joined = |ends, looks: Range<usize>| looks.clone().any(|look| Isosurface::joins(field, ends, look));
+        let joined: Vec<bool> = looks.par_iter().map(|(_, ends, looks)| are_joined(*ends, looks.clone())).collect();
+        for ((pair, ..), _) in looks.into_iter().zip(joined).filter(|(_, joined)| *joined) {
+            self.isosurface.merge(pair.0, pair.1);
+            *learnt = true;
+        }
+        doubtful
+    }
+
+    /// The different classes that the edges of a facet join, the smaller first, and the ends of those edges.
+    fn pairs_of(&self, facet: &Facet) -> impl Iterator<Item = ((u32, u32), [u32; 2])> {
+        let classes = facet.vertices.map(|v| self.isosurface.class_of(self.component_of[v as usize]));
+        let edges = [0, 1, 2].map(|k| {
+            let (i, j) = if classes[k] < classes[(k + 1) % 3] { (k, (k + 1) % 3) } else { ((k + 1) % 3, k) };
+            ((classes[i], classes[j]), [facet.vertices[i], facet.vertices[j]])
+        });
+        edges.into_iter().filter(|((a, b), _)| a != b && *b != NO_COMPONENT)
     }
 }

@@ -1,7 +1,8 @@
 //! A surface found by other means than the sign of F at the circumcentres (Tight Cocone's), beside the one by that sign: where the
 //! two differ for want of points, points are added.
 
-use super::{Reason, Refinement};
+use super::Refinement;
+use super::insert::Reason;
 use crate::around::{star, walls};
 use crate::critical::CriticalPoint;
 use crate::defects::Defects;
@@ -10,7 +11,6 @@ use glam::DVec3;
 use isoparticles_common::components::{DisjointSets, NO_COMPONENT};
 use isoparticles_common::delaunay::INFINITE;
 use isoparticles_common::error::Result;
-use isoparticles_common::kd_tree::KdTree;
 use rayon::prelude::*;
 use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet};
 
@@ -66,9 +66,8 @@ impl Refinement<'_> {
 
     /// The tetrahedra that hold critical points of F which other `sides` have wrong and the sign of F has right.
     fn wrong_by(&self, sides: &[bool]) -> HashSet<u32> {
-        let tree = KdTree::new(self.restricted.points());
         let wrong = |c: &CriticalPoint| {
-            let t = self.restricted.locate(c.position, tree.nearest(c.position)?.0 as u32)?;
+            let t = self.restricted.locate(c.position, self.nearest.to(c.position)?.0)?;
             let is_inside = c.value < 0.0;
             (self.restricted.is_inside(t) == is_inside && sides[t as usize] != is_inside).then_some(t)
         };

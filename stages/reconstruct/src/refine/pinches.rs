@@ -4,7 +4,7 @@ use super::Refinement;
 use crate::defects::Defects;
 use crate::restricted::Facet;
 
-/// Rounds that points have to lower the number of places that are not manifold.
+/// Rounds, each time that one followed up its own points counted, that points have to lower the number of places that are not manifold.
 const ROUNDS: usize = 20;
 
 /// Times that tetrahedra may change sides; in the second half of them they may only join the object, lest they go to and fro.
@@ -25,15 +25,16 @@ impl Default for Patience {
 }
 
 impl Patience {
-    /// Hears the defects of a round; true when the places that are not manifold have long not become fewer.
-    pub(super) fn is_over(&mut self, defects: &Defects) -> bool {
+    /// Hears the defects after a round and how often it followed up its points; true when the places that are not manifold have long not
+    /// become fewer.
+    pub(super) fn is_over(&mut self, defects: &Defects, follow_ups: usize) -> bool {
         let places = defects.edges.len() + defects.vertices.len();
         if places == 0 {
             (self.fewest, self.rounds) = (usize::MAX, 0);
         } else if places < self.fewest {
             (self.fewest, self.rounds) = (places, 0);
         } else {
-            self.rounds += 1;
+            self.rounds += 1 + follow_ups;
         }
         self.rounds > ROUNDS
     }

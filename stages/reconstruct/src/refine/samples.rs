@@ -1,48 +1,91 @@
 //! Points on components of the isosurface that have no facets.
 
-use super::{Candidate, Reason, Refinement};
+use super::Refinement;
+use super::insert::{Candidate, Reason};
 use crate::isosurface::bounds;
 use glam::DVec3;
+use rayon::prelude::*;
 use std::collections::HashMap;
 
+/// Attempts at a class with points at the triangles of marching cubes alone, before a finer sampling gives others.
+const ATTEMPTS_BY_SAMPLES: usize = 2;
+
+/// The finest of them, as looks are counted.
+const FINEST: usize = 3;
+
 impl Refinement<'_> {
+    /// Points on classes that have no facets.
+    pub(super) fn on_missing(&mut self, missing: &[u32]) -> Vec<Candidate> {
+        let mut members: HashMap<u32, Vec<u32>> = missing.iter().map(|&class| (class, Vec::new())).collect();
+        if members.is_empty() {
+            return Vec::new();
+        }
+        for (v, class) in (0..).zip(&self.component_of) {
+            members.entry(*class).and_modify(|members| members.push(v));
+        }
+        let attempts: Vec<(u32, i32)> = missing
+            .iter()
+            .map(|&class| (class, *self.samplings.entry(class).and_modify(|n| *n += 1).or_insert(0)))
+            .collect();
+        let samples = |&(class, attempt): &(u32, i32)| self.sample_class(class, &members[&class], attempt);
+        attempts.par_iter().flat_map_iter(samples).collect()
+    }
+
     /// Points on a class that has no facets: as far apart as its particles want to be, if it has any, and nearer each
     /// time; at least a dozen, where it is large enough.
-    pub(super) fn sample_class(&self, class: u32, members: &[u32], attempt: i32) -> Vec<Candidate> {
+    fn sample_class(&self, class: u32, members: &[u32], attempt: i32) -> Vec<Candidate> {
         let voxel = self.restricted.field().geometry().mean_spacing();
-        let samples: Vec<DVec3> =
-            self.isosurface.samples(class).into_iter().filter_map(|p| self.on_surface(p, 1.0)).collect();
+        let mut samples = self.isosurface.samples(class);
+        if let Some(look) = (attempt as usize).checked_sub(ATTEMPTS_BY_SAMPLES) {
+            samples.extend(self.isosurface.finer_samples(self.restricted.field(), class, look.min(FINEST)));
+        }
+        let samples: Vec<DVec3> = samples.into_iter().filter_map(|p| self.on_surface(p, 1.0)).collect();
         let present: Vec<DVec3> = members.iter().map(|&v| self.restricted.points()[v as usize]).collect();
         let largest = members.iter().map(|&v| self.sizes[v as usize]).fold(voxel, f64::max);
         let Some((low, high)) = bounds(&samples) else { return Vec::new() };
         let extent = (high - low).max_element();
         let mut spacing = largest.min(extent) * 0.7f64.powi(attempt);
-        let fresh = |spacing: f64| thinned(&[&present[..], &samples[..]].concat(), spacing);
-        let mut kept = fresh(spacing);
-        while kept.len() < 12 && spacing > 0.1 * voxel.min(extent) {
+        let mut kept = thinned(&present, &samples, spacing);
+        // where none is new, the next attempt would be all there is to do
+        while (kept.len() < 12 || kept.iter().all(|k| k.is_present)) && spacing > 0.1 * voxel.min(extent) {
             spacing *= 0.7;
-            kept = fresh(spacing);
+            kept = thinned(&present, &samples, spacing);
         }
-        // those of the present points that were kept are in the triangulation already, and will be found there
+        let near = |point: DVec3| self.nearest.to(point).map_or(0, |(v, _)| v);
         kept.into_iter()
-            .map(|point| Candidate { reason: Reason::Missing, point, radius: spacing, size: spacing * 1.2, near: 0 })
+            .filter(|k| !k.is_present)
+            .map(|Kept { point, .. }| Candidate {
+                reason: Reason::Missing,
+                point,
+                radius: spacing,
+                size: spacing * 1.2,
+                near: near(point),
+            })
             .collect()
     }
 }
 
+/// A point kept by [`thinned`].
+#[derive(Clone, Copy)]
+struct Kept {
+    point: DVec3,
+    is_present: bool,
+}
+
 /// Points no two of which are nearer than `spacing`, first come first kept.
-fn thinned(points: &[DVec3], spacing: f64) -> Vec<DVec3> {
-    let mut kept: Vec<DVec3> = Vec::new();
+fn thinned(present: &[DVec3], samples: &[DVec3], spacing: f64) -> Vec<Kept> {
+    let mut kept: Vec<Kept> = Vec::new();
     let mut bins: HashMap<[i64; 3], Vec<DVec3>> = HashMap::new();
-    for &p in points {
-        let at = (p / spacing).floor().to_array().map(|x| x as i64);
+    let present = present.iter().map(|&point| Kept { point, is_present: true });
+    for new in present.chain(samples.iter().map(|&point| Kept { point, is_present: false })) {
+        let at = (new.point / spacing).floor().to_array().map(|x| x as i64);
         let near = (0..27i64)
             .filter_map(|n| bins.get(&[at[0] + n % 3 - 1, at[1] + n / 3 % 3 - 1, at[2] + n / 9 - 1]))
             .flatten()
-            .any(|q| q.distance(p) < spacing);
+            .any(|q| q.distance(new.point) < spacing);
         if !near {
-            bins.entry(at).or_default().push(p);
-            kept.push(p);
+            bins.entry(at).or_default().push(new.point);
+            kept.push(new);
         }
     }
     kept

@@ -1,0 +1,71 @@
+//! Further points where the last ones left defects or made new ones, without a look at the rest of the surface: on a large one all but
+//! a few places are right after a round or two.
+
+use super::Refinement;
+use super::insert::Candidate;
+use crate::defects::Pinches;
+use crate::restricted::Facet;
+use isoparticles_common::delaunay::INFINITE;
+use isoparticles_common::error::Result;
+use isoparticles_common::mesh::incidence::Incidence;
+use rayon::prelude::*;
+use std::collections::HashMap;
+
+/// Times that a round follows up its own points.
+const FOLLOW_UPS: usize = 20;
+
+impl Refinement<'_> {
+    /// Adds points where the surface has changed since the last call and is not right, until it is, none can be added, or a round has followed
+    /// up its own points often enough. Returns how often it did.
+    pub(super) fn follow_up(&mut self) -> Result<usize> {
+        for times in 0..FOLLOW_UPS {
+            let changed = self.restricted.take_changed();
+            let candidates = self.candidates_at(&changed);
+            if self.insert_those(candidates)? == 0 {
+                return Ok(times);
+            }
+            self.report.follow_ups += 1;
+        }
+        // what is left there is found when the whole surface is compared
+        self.restricted.take_changed();
+        Ok(FOLLOW_UPS)
+    }
+
+    /// Points at the defects that the facets at the vertices of new tetrahedra (ascending) show: edges and vertices that are not manifold, and new facets
+    /// that stray. Where classes are joined a look comes before points.
+    fn candidates_at(&self, tetrahedra: &[u32]) -> Vec<Candidate> {
+        let delaunay = self.restricted.delaunay();
+        let mut vertices: Vec<u32> = tetrahedra.iter().flat_map(|&t| delaunay.vertices(t)).collect();
+        vertices.retain(|&v| v != INFINITE);
+        vertices.sort_unstable();
+        vertices.dedup();
+        let mut facets: Vec<Facet> = vertices.par_iter().flat_map_iter(|&v| self.restricted.facets_at(v)).collect();
+        facets.sort_unstable_by_key(|f| (f.tetrahedron, f.opposite));
+        facets.dedup();
+        let facets = self.without_border_closure(facets);
+        let Pinches { edges, vertices: pinched } = self.pinches_at(&vertices, &facets);
+        let mut candidates = self.at_pinches(&facets, &edges, &pinched);
+        let is_new = |f: &&Facet| {
+            let across = delaunay.neighbours(f.tetrahedron)[usize::from(f.opposite)];
+            [f.tetrahedron, across].iter().any(|t| tetrahedra.binary_search(t).is_ok())
+        };
+        candidates.par_extend(facets.par_iter().filter(is_new).filter_map(|f| self.at_stray(f)));
+        candidates
+    }
+
+    /// Where the surface is not manifold at some vertices, of which all facets are given.
+    fn pinches_at(&self, vertices: &[u32], facets: &[Facet]) -> Pinches {
+        // those vertices come first, so that each edge at them is one from the smaller number to the larger
+        let mut names = vertices.to_vec();
+        let mut number: HashMap<u32, u32> = vertices.iter().copied().zip(0..).collect();
+        let mut number_of = |v: u32| {
+            *number.entry(v).or_insert_with(|| {
+                names.push(v);
+                names.len() as u32 - 1
+            })
+        };
+        let triangles: Vec<[u32; 3]> = facets.iter().map(|f| f.vertices.map(&mut number_of)).collect();
+        let incidence = Incidence::new(&triangles, names.len());
+        Pinches::at_first(vertices.len(), &incidence, |a, b| self.may_be_open(names[a as usize], names[b as usize]))
+    }
+}
