@@ -114,22 +114,38 @@ impl Refinement<'_> {
             // whose it is, nobody knows
             return false;
         }
-        let turned: Vec<u32> = facets
-            .par_iter()
-            .filter(|f| self.at_centroid(f).1 < TURNED)
-            .flat_map_iter(|f| f.vertices.map(|v| self.component_of[v as usize]))
-            .collect();
-        wrong.extend(turned);
+        let across: Vec<&Facet> = facets.par_iter().filter(|f| self.at_centroid(f).1 < TURNED).collect();
+        wrong.extend(across.iter().flat_map(|f| f.vertices).map(|v| self.component_of[v as usize]));
         let mut learnt = false;
-        for &(class, pieces) in defects.in_pieces.iter().filter(|(class, _)| !wrong.contains(class)) {
-            self.isosurface.set_pieces(class, pieces);
-            learnt = true;
+        for pieces in self.pieces(defects) {
+            // the largest piece may err elsewhere, the others must not
+            let is_right = |of: &Vec<u32>| self.is_right(of, &across);
+            let count = if wrong.contains(&pieces.class()) {
+                pieces.smaller().filter(|of| is_right(of)).count()
+            } else {
+                pieces.smaller().count()
+            };
+            if 1 + count > self.isosurface.pieces(pieces.class()) {
+                self.isosurface.set_pieces(pieces.class(), 1 + count);
+                learnt = true;
+            }
         }
         for &(class, euler) in defects.wrong_genus.iter().filter(|(class, _)| !wrong.contains(class)) {
             self.isosurface.set_euler(class, euler);
             learnt = true;
         }
         learnt
+    }
+
+    /// Whether no facet of a piece of the mesh, given by its vertices (ascending), lies across F = 0, and no critical point near it is on the
+    /// wrong side. `across` are the facets that do.
+    fn is_right(&self, piece: &[u32], across: &[&Facet]) -> bool {
+        let is_own = |f: &&Facet| f.vertices.iter().any(|v| piece.binary_search(v).is_ok());
+        let points: Vec<DVec3> = piece.iter().map(|&v| self.restricted.points()[v as usize]).collect();
+        let Some((low, high)) = bounds(&points) else { return false };
+        let margin = piece.iter().map(|&v| self.sizes[v as usize]).fold(0.0, f64::max);
+        let is_near = |p: DVec3| p.cmpge(low - margin).all() && p.cmple(high + margin).all();
+        !across.iter().any(is_own) && !self.astray().iter().any(|(c, _)| is_near(c.position))
     }
 
     /// Adds points round the critical points on the wrong side until some fit, and returns how many; the critical points are counted for the
@@ -229,5 +245,24 @@ mod tests {
         // a neck of a few thousandths of a voxel; with points 0.3 apart, one of the facets there is turned away from grad F
         let scene = scenes::touching_tips(2.0, DVec3::new(15.4, 15.7, 15.6), -1e-6);
         assert_eq!(trusted(&scene), [false, true, true]);
+    }
+
+    #[test]
+    fn a_piece_is_right_unless_it_has_a_facet_across_f_or_a_critical_point_near_it_is_on_the_wrong_side() {
+        let scene = scenes::two_balls();
+        let mut points = surface_points(&scene, 1.4);
+        let isosurface = Isosurface::new(&scene.image);
+        let mut refinement = Refinement::new(&mut points, &scene.field, isosurface, RefineOptions::default()).unwrap();
+        let facets = refinement.run(|_, _| Ok(())).unwrap();
+        let of_ball = |f: &&Facet| refinement.component_of[f.vertices[0] as usize] == 0;
+        let (own, other): (Vec<Facet>, Vec<Facet>) = facets.iter().partition(of_ball);
+        let mut piece: Vec<u32> = own.iter().flat_map(|f| f.vertices).collect();
+        piece.sort_unstable();
+        piece.dedup();
+        assert!(refinement.is_right(&piece, &[]) && refinement.is_right(&piece, &[&other[0]]));
+        assert!(!refinement.is_right(&piece, &[&other[0], &own[0]]));
+        // without the ball itself its centre is outside
+        refinement.compare_other(&other);
+        assert!(!refinement.is_right(&piece, &[]));
     }
 }

@@ -64,6 +64,18 @@ pub(super) struct Pieces {
     rank: HashMap<u32, usize>,
 }
 
+impl Pieces {
+    /// The class of the isosurface.
+    pub(super) fn class(&self) -> u32 {
+        self.class
+    }
+
+    /// The vertices of each piece but the largest, ascending.
+    pub(super) fn smaller(&self) -> impl Iterator<Item = &Vec<u32>> {
+        self.vertices.iter().skip(1)
+    }
+}
+
 impl Refinement<'_> {
     /// The pieces of all classes that fell apart.
     pub(super) fn pieces(&self, defects: &Defects) -> Vec<Pieces> {
