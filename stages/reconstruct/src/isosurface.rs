@@ -226,7 +226,9 @@ impl Isosurface {
         let Some(patch) = Self::patch(field, low, high, FINE << look) else { return Vec::new() };
         let own = samples.iter().filter_map(|&p| patch.component_at(p, field.value_gradient(p).1));
         let own: BTreeSet<u32> = own.collect();
-        own.into_iter().flat_map(|component| patch.samples(component)).collect()
+        // a coarse sample may lie next to another sheet
+        let is_own = |p: &DVec3| self.component_at(*p, field.value_gradient(*p).1) == Some(class);
+        own.into_iter().flat_map(|component| patch.samples(component)).filter(is_own).collect()
     }
 
     /// The class that a point on F = 0 belongs to: that of the nearest marching-cubes triangle in its cell and the
@@ -293,8 +295,9 @@ impl Isosurface {
             let labels = points.iter().filter_map(|&p| patch.component_at(p, field.value_gradient(p).1));
             labels.collect::<BTreeSet<u32>>()
         };
-        let own = labels(piece);
-        !own.is_empty() && own.is_disjoint(&labels(others))
+        // without any of the others the box tells nothing of the gap
+        let (own, others) = (labels(piece), labels(others));
+        !own.is_empty() && !others.is_empty() && own.is_disjoint(&others)
     }
 
     /// A box with a margin (voxels) round points; `None` where it is large.

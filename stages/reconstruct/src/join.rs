@@ -20,6 +20,9 @@ use rayon::prelude::*;
 /// Rounds of Tight Cocone on more points, each of which takes as long as the first: two on clean volumes, six on noise.
 const COCONE_ROUNDS: usize = 12;
 
+/// The same while the points enclose nothing, and each round doubles them or more.
+const COCONE_ROUNDS_IN_VAIN: usize = 2;
+
 /// A mesh joined from particles, before improvement.
 pub(crate) struct Joined {
     /// The mesh, grid frame.
@@ -141,7 +144,8 @@ fn cocones(
     for round in 0.. {
         let found = cocone_of(refinement);
         context.check_interrupt()?;
-        let may_go_on = round < max_rounds.min(COCONE_ROUNDS);
+        let limit = if found.is_ok() { COCONE_ROUNDS } else { COCONE_ROUNDS_IN_VAIN };
+        let may_go_on = round < max_rounds.min(limit);
         // points that enclose nothing have no surface
         let closed = found.as_ref().map_or(&[][..], |(facets, _)| facets);
         let mut added = if may_go_on { refinement.insert_for_other(closed)? } else { 0 };

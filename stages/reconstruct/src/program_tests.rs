@@ -133,15 +133,21 @@ fn an_open_border_leaves_the_surface_open_there_and_nowhere_else() {
     // a cylinder of radius 6 that runs through the volume along z
     let scene = Scene::new([24, 24, 20], DVec3::ONE, |p| (p.truncate() - DVec2::splat(11.6)).length() - 6.0);
     let case = Case::new(&scene, scene.image.geometry.clone(), 1.0, &json!({"source": "scalar", "border": "open"}));
-    assert_eq!(case.run("tube.vtp", &[]).unwrap(), Outcome::Passed);
-    let mesh = case.surface("tube.vtp").surface.mesh;
-    let topology = analyse(&mesh);
-    assert_eq!((topology.components.len(), topology.euler), (1, 0), "a tube");
-    let ends = |v: u32| mesh.vertices[v as usize].z.min(19.0 - mesh.vertices[v as usize].z);
-    assert!(!topology.open_edges.is_empty() && topology.open_edges.iter().flatten().all(|&v| ends(v) < 1.5));
-    // 2 pi r times the length that the particles reach
-    let area = measure(&mesh).area;
-    assert!((area / (TAU * 6.0 * 18.0) - 1.0).abs() < 0.06, "{area}");
+    for (method, name) in [("restricted", "tube.vtp"), ("tight-cocone", "cocone.vtp")] {
+        assert_eq!(case.run(name, &["--method", method]).unwrap(), Outcome::Passed);
+        let file = case.surface(name);
+        let mesh = file.surface.mesh;
+        let topology = analyse(&mesh);
+        assert_eq!((topology.components.len(), topology.euler), (1, 0), "{method}: a tube");
+        let ends = |v: u32| mesh.vertices[v as usize].z.min(19.0 - mesh.vertices[v as usize].z);
+        assert!(!topology.open_edges.is_empty() && topology.open_edges.iter().flatten().all(|&v| ends(v) < 1.5));
+        // 2 pi r times the length that the particles reach
+        let area = measure(&mesh).area;
+        assert!((area / (TAU * 6.0 * 18.0) - 1.0).abs() < 0.06, "{method}: {area}");
+        // what closes the tube where the volume ends is no surface that lacks points
+        let added = &file.meta["refine"]["inserted"];
+        assert!(added.as_u64().is_some_and(|added| added < 40), "{method}: {added} points added");
+    }
 }
 
 #[test]

@@ -222,8 +222,9 @@ impl<'a> Refinement<'a> {
     /// # Errors
     /// Those of `step`.
     pub fn run(&mut self, mut step: impl FnMut(usize, usize) -> Result<()>) -> Result<Vec<Facet>> {
+        self.looks.points_help = true;
         loop {
-            let follow_ups = self.follow_up()?;
+            let follow_ups = self.follow_up(&mut step)?;
             step(self.report.rounds, self.restricted.points().len())?;
             let facets = self.facets();
             let defects = self.compare(&facets);

@@ -40,7 +40,10 @@ const TIDY_ROUNDS: usize = 3;
 /// Plans, the best first, that are put before the guard.
 const PLANS_TRIED: usize = 40;
 
-/// Triangles that are tried, worst first, some tenths of a second each; where so many are tried in vain, F has too much detail below h. After so many
+/// Gain in fitness of a triangle below which it counts as tried in vain.
+const LEAST_GAIN: f64 = 0.01;
+
+/// Triangles that are tried, worst first, up to a second or two each; where so many are tried in vain, F has too much detail below h. After so many
 /// in a row the least bad come first, lest hopeless ones keep all others from being tried.
 const TRIES: usize = 2000;
 const FAILURES: usize = 200;
@@ -92,10 +95,15 @@ pub(super) fn lift(surface: &mut Surface, limits: &Limits, step: Step, tally: &m
         let next = if in_a_row < FAILURES_IN_A_ROW { numbers.min_by(order) } else { numbers.max_by(order) };
         let Some(next) = next.filter(|_| failures < FAILURES && in_a_row < 2 * FAILURES_IN_A_ROW) else { break };
         step()?;
-        let (_, triangle) = unfit.swap_remove(next);
-        if let Some(touched) = lift_one(surface, limits, triangle, step, tally)? {
+        let (before, triangle) = unfit.swap_remove(next);
+        let touched = lift_one(surface, limits, triangle, step, tally)?;
+        if let Some(touched) = &touched {
             unfit.retain(|(_, t)| touched.binary_search(t).is_err());
             unfit.extend(touched.iter().filter_map(|&t| unfitness(surface, t)));
+        }
+        // what helped only its neighbours, or hardly, is no success, lest it be tried without end
+        let after = unfitness(surface, triangle).map_or(1.0, |(fitness, _)| fitness);
+        if touched.is_some() && after > before + LEAST_GAIN {
             in_a_row = 0;
         } else {
             (failures, in_a_row) = (failures + 1, in_a_row + 1);

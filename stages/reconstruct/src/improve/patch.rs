@@ -54,7 +54,7 @@ const LENGTHS: [f64; 2] = [0.5, 1.6];
 /// Radius ratio that the triangles of the patch are lifted to afterwards.
 const TARGET: f64 = 0.6;
 
-/// Most triangles that a patch may come to.
+/// Most triangles that remeshing may add to a patch.
 const MOST_TRIANGLES: usize = 4000;
 
 /// A place that asks for short edges.
@@ -135,10 +135,11 @@ impl Patch {
         let region = Bounds { low: self.centre - reach, high: self.centre + reach };
         let mut part = Excerpt::new(surface, &region, &size, LENGTHS);
         part.keep_free(|v| self.vertices.binary_search(&v).is_ok());
+        let most = part.surface.triangles.len() + MOST_TRIANGLES;
         let tally = &mut Tally::default();
         for _ in 0..ROUNDS {
             remesh::round(&mut part.surface, limits, tally);
-            if part.surface.triangles.len() > MOST_TRIANGLES {
+            if part.surface.triangles.len() > most {
                 return None;
             }
         }

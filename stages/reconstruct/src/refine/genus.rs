@@ -2,6 +2,7 @@
 //! sides, and mesh and marching cubes differ in genus or in the number of pieces, it is marching cubes that errs.
 
 use super::insert::{Candidate, Reason};
+use super::pieces::Pieces;
 use super::{GENUS_ROUNDS, Refinement, TURNED, component_at};
 use crate::critical::{CriticalPoint, critical_points};
 use crate::defects::Defects;
@@ -11,7 +12,7 @@ use glam::DVec3;
 use isoparticles_common::components::NO_COMPONENT;
 use isoparticles_common::error::Result;
 use rayon::prelude::*;
-use std::collections::BTreeSet;
+use std::collections::{BTreeSet, HashSet};
 
 /// Necks, gaps and specks of a smaller radius, in voxels, are taken as the mesh has them: they say nothing of the object, and edges that
 /// short would cost more than they tell.
@@ -114,19 +115,17 @@ impl Refinement<'_> {
             // whose it is, nobody knows
             return false;
         }
-        let across: Vec<&Facet> = facets.par_iter().filter(|f| self.at_centroid(f).1 < TURNED).collect();
-        wrong.extend(across.iter().flat_map(|f| f.vertices).map(|v| self.component_of[v as usize]));
+        let across: Vec<u32> =
+            facets.par_iter().filter(|f| self.at_centroid(f).1 < TURNED).flat_map_iter(|f| f.vertices).collect();
+        wrong.extend(across.iter().map(|&v| self.component_of[v as usize]));
+        let across: HashSet<u32> = across.iter().map(|&v| defects.piece_of_vertex[v as usize]).collect();
         let mut learnt = false;
         for pieces in self.pieces(defects) {
             // the largest piece may err elsewhere, the others must not
-            let is_right = |of: &Vec<u32>| self.is_right(of, &across);
-            let count = if wrong.contains(&pieces.class()) {
-                pieces.smaller().filter(|of| is_right(of)).count()
-            } else {
-                pieces.smaller().count()
-            };
-            if 1 + count > self.isosurface.pieces(pieces.class()) {
-                self.isosurface.set_pieces(pieces.class(), 1 + count);
+            let is_right = |k: &usize| !wrong.contains(&pieces.class()) || self.is_right(&pieces, *k, defects, &across);
+            let count = 1 + (1..pieces.count()).filter(is_right).count();
+            if count > self.isosurface.pieces(pieces.class()) {
+                self.isosurface.set_pieces(pieces.class(), count);
                 learnt = true;
             }
         }
@@ -137,15 +136,25 @@ impl Refinement<'_> {
         learnt
     }
 
-    /// Whether no facet of a piece of the mesh, given by its vertices (ascending), lies across F = 0, and no critical point near it is on the
-    /// wrong side. `across` are the facets that do.
-    fn is_right(&self, piece: &[u32], across: &[&Facet]) -> bool {
-        let is_own = |f: &&Facet| f.vertices.iter().any(|v| piece.binary_search(v).is_ok());
-        let points: Vec<DVec3> = piece.iter().map(|&v| self.restricted.points()[v as usize]).collect();
-        let Some((low, high)) = bounds(&points) else { return false };
-        let margin = piece.iter().map(|&v| self.sizes[v as usize]).fold(0.0, f64::max);
+    /// Whether one of the smaller pieces of a class is a component of its own: no critical point near it, or in the gap between it and the
+    /// larger ones, is on the wrong side, and no facet of it lies across F = 0, or else it holds an extremum of F on its right side. `across` are
+    /// the components of facets that have such a facet.
+    fn is_right(&self, pieces: &Pieces, k: usize, defects: &Defects, across: &HashSet<u32>) -> bool {
+        let place = |&v: &u32| self.restricted.points()[v as usize];
+        let Some(gap) = self.gap(pieces, k, defects) else { return false };
+        let own = pieces.vertices(k);
+        let Some((low, high)) = bounds(&own.iter().chain(&gap).map(place).collect::<Vec<DVec3>>()) else {
+            return false;
+        };
+        let margin = own.iter().map(|&v| self.sizes[v as usize]).fold(0.0, f64::max);
         let is_near = |p: DVec3| p.cmpge(low - margin).all() && p.cmple(high + margin).all();
-        !across.iter().any(is_own) && !self.astray().iter().any(|(c, _)| is_near(c.position))
+        let is_held = |c: &CriticalPoint| {
+            let near = self.nearest.to(c.position).map(|(v, _)| v).filter(|v| own.binary_search(v).is_ok());
+            near.is_some_and(|near| self.restricted.holds(c.position, near) == (c.value < 0.0))
+        };
+        let mut extrema = self.critical_points().iter().filter(|c| c.is_enclosed() && is_near(c.position));
+        !self.astray().iter().any(|(c, _)| is_near(c.position))
+            && (!across.contains(&defects.piece_of_vertex[own[0] as usize]) || extrema.any(is_held))
     }
 
     /// Adds points round the critical points on the wrong side until some fit, and returns how many; the critical points are counted for the
@@ -214,6 +223,7 @@ mod tests {
     use crate::refine::looks::LOOKS;
     use crate::scenes::{self, Scene};
     use crate::tests::surface_points;
+    use std::sync::OnceLock;
 
     /// What is made of the joint of two classes that the mesh joins, at each spacing of the points at which it does so and neither marching
     /// cubes nor a look does.
@@ -248,21 +258,30 @@ mod tests {
     }
 
     #[test]
-    fn a_piece_is_right_unless_it_has_a_facet_across_f_or_a_critical_point_near_it_is_on_the_wrong_side() {
+    fn a_piece_is_right_unless_a_critical_point_near_it_is_not_or_it_has_facets_across_f_and_no_extremum() {
         let scene = scenes::two_balls();
         let mut points = surface_points(&scene, 1.4);
         let isosurface = Isosurface::new(&scene.image);
         let mut refinement = Refinement::new(&mut points, &scene.field, isosurface, RefineOptions::default()).unwrap();
         let facets = refinement.run(|_, _| Ok(())).unwrap();
-        let of_ball = |f: &&Facet| refinement.component_of[f.vertices[0] as usize] == 0;
-        let (own, other): (Vec<Facet>, Vec<Facet>) = facets.iter().partition(of_ball);
-        let mut piece: Vec<u32> = own.iter().flat_map(|f| f.vertices).collect();
-        piece.sort_unstable();
-        piece.dedup();
-        assert!(refinement.is_right(&piece, &[]) && refinement.is_right(&piece, &[&other[0]]));
-        assert!(!refinement.is_right(&piece, &[&other[0], &own[0]]));
-        // without the ball itself its centre is outside
-        refinement.compare_other(&other);
-        assert!(!refinement.is_right(&piece, &[]));
+        // the two balls as one class in two pieces
+        refinement.isosurface.merge(0, 1);
+        refinement.component_of.iter_mut().for_each(|c| *c = 0);
+        let defects = refinement.defects(&facets);
+        assert_eq!(defects.in_pieces, [(0, 2)]);
+        let pieces = &refinement.pieces(&defects)[0];
+        let smaller = defects.piece_of_vertex[pieces.vertices(1)[0] as usize];
+        let is_right = |refinement: &Refinement, across: &[u32]| {
+            refinement.is_right(pieces, 1, &defects, &across.iter().copied().collect())
+        };
+        assert!(is_right(&refinement, &[]) && is_right(&refinement, &[1 - smaller]));
+        // it holds the ball's centre
+        assert!(is_right(&refinement, &[smaller]));
+        // with the sides of the other ball alone its centre is outside
+        let other: Vec<Facet> =
+            facets.into_iter().filter(|f| defects.piece_of_vertex[f.vertices[0] as usize] != smaller).collect();
+        refinement.restricted.set_sides(refinement.restricted.sides_of(&other));
+        refinement.astray = OnceLock::new();
+        assert!(!is_right(&refinement, &[]) && !is_right(&refinement, &[smaller]));
     }
 }

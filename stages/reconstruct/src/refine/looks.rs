@@ -106,9 +106,14 @@ impl Refinement<'_> {
         let field = self.restricted.field();
         let are_joined = |ends, looks: Range<usize>| looks.clone().any(|look| Isosurface::joins(field, ends, look));
         let joined: Vec<bool> = looks.par_iter().map(|(_, ends, looks)| are_joined(*ends, looks.clone())).collect();
-        for ((pair, ..), _) in looks.into_iter().zip(joined).filter(|(_, joined)| *joined) {
-            self.isosurface.merge(pair.0, pair.1);
-            *learnt = true;
+        for ((pair, ..), joined) in looks.into_iter().zip(joined) {
+            if joined {
+                self.isosurface.merge(pair.0, pair.1);
+                *learnt = true;
+            } else if !self.looks.points_help {
+                // that was the last one
+                doubtful.push(pair);
+            }
         }
         doubtful
     }

@@ -18,6 +18,9 @@ use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet};
 /// is left out, while the flat tetrahedra in which good surfaces differ lie within h^2 / 8 R of it.
 const DEEP: f64 = 0.5;
 
+/// Slopes of F, mm per mm, below this are taken for this when distances are reckoned from F.
+const FLATTEST: f64 = 0.3;
+
 impl Refinement<'_> {
     /// Takes over a surface that was found by other means, and compares it with the isosurface; returns its defects.
     pub fn compare_other(&mut self, facets: &[Facet]) -> Defects {
@@ -51,14 +54,15 @@ impl Refinement<'_> {
                     f.vertices.map(|v| self.component_of[v as usize]).into_iter().filter(|&c| c != NO_COMPONENT);
                 known.next().is_some_and(|first| known.any(|c| c != first))
             };
-            self.euler_change(part, &sides) != 0
-                || part.iter().any(|t| wrong.contains(t) || self.is_deep(*t))
+            // the dearest test comes last
+            part.iter().any(|t| wrong.contains(t) || self.is_deep(*t))
                 || own.into_iter().any(is_bridge)
+                || self.euler_change(part, &sides) != 0
         };
         let parts: Vec<Vec<u32>> = differing_parts(&self.restricted, &sides).into_par_iter().filter(wanting).collect();
         let lacking = parts.iter().flatten().flat_map(|&t| {
             let by_sign = walls(self.restricted.delaunay(), t, |t| self.restricted.is_inside(t));
-            by_sign.into_iter().filter(|f| self.is_lacking(f, &sides))
+            by_sign.into_iter().filter(|f| self.is_lacking(f, &sides) && !self.is_closure(f))
         });
         let candidates = lacking.filter_map(|facet| self.ball(&facet, Reason::Manifold)).collect();
         self.insert_all(candidates)
@@ -85,7 +89,8 @@ impl Refinement<'_> {
         let field = self.restricted.field();
         let (value, gradient) = field.value_gradient(middle);
         let limit = DEEP * size.max(field.geometry().mean_spacing());
-        value.abs() > limit * gradient.length().max(1e-6)
+        // near critical points |F| over its slope has no bound
+        value.abs() > limit * gradient.length().max(FLATTEST)
     }
 
     /// Whether a facet by the sign of F is none by other `sides`.
@@ -93,6 +98,11 @@ impl Refinement<'_> {
         let t = facet.tetrahedron;
         let n = self.restricted.delaunay().neighbours(t)[usize::from(facet.opposite)];
         sides[t as usize] == sides[n as usize]
+    }
+
+    /// Whether a facet is only there because the volume ends, of an object that is open there.
+    fn is_closure(&self, facet: &Facet) -> bool {
+        self.options.open_border && self.restricted.is_border_closure(facet)
     }
 
     /// By how much the Euler characteristic of the surface changes when the tetrahedra of a part take their other sides.

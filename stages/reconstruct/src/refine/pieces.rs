@@ -24,6 +24,8 @@ const LEAP: usize = 64;
 pub(super) struct LooksAtPieces {
     /// Class, first vertex, number of vertices, look.
     taken: HashSet<(u32, u32, usize, usize)>,
+    /// Class, first vertex and number of vertices of pieces that a look showed to be separate.
+    separate: HashSet<(u32, u32, usize)>,
     rounds: HashMap<u32, usize>,
     /// Classes whose turn it was in this comparison.
     now: HashSet<u32>,
@@ -70,9 +72,14 @@ impl Pieces {
         self.class
     }
 
-    /// The vertices of each piece but the largest, ascending.
-    pub(super) fn smaller(&self) -> impl Iterator<Item = &Vec<u32>> {
-        self.vertices.iter().skip(1)
+    /// Number of pieces.
+    pub(super) fn count(&self) -> usize {
+        self.vertices.len()
+    }
+
+    /// The vertices of a piece, ascending; the largest piece is the first.
+    pub(super) fn vertices(&self, piece: usize) -> &[u32] {
+        &self.vertices[piece]
     }
 }
 
@@ -104,7 +111,7 @@ impl Refinement<'_> {
     }
 
     /// The vertices, one of piece `k` and one of a larger piece, that are nearest to each other.
-    fn gap(&self, pieces: &Pieces, k: usize, defects: &Defects) -> Option<[u32; 2]> {
+    pub(super) fn gap(&self, pieces: &Pieces, k: usize, defects: &Defects) -> Option<[u32; 2]> {
         let own = &pieces.vertices[k];
         let is_larger = |v: u32| self.is_of_larger(pieces, k, defects, v);
         let mut best: Option<([u32; 2], f64)> = None;
@@ -124,7 +131,7 @@ impl Refinement<'_> {
     /// Points in the gaps of classes that fell apart: between each smaller piece and the nearest vertex of the larger ones.
     pub(super) fn in_gaps(&self, defects: &Defects) -> Vec<Candidate> {
         let pieces = self.pieces(defects);
-        let gaps = pieces.par_iter().flat_map_iter(|pieces| (1..pieces.vertices.len()).map(move |k| (pieces, k)));
+        let gaps = pieces.par_iter().flat_map(|p| (1..p.vertices.len()).into_par_iter().map(move |k| (p, k)));
         let between = gaps.filter_map(|(pieces, k)| {
             let [v, w] = self.gap(pieces, k, defects)?;
             let [p, q] = [v, w].map(|v| self.restricted.points()[v as usize]);
@@ -152,11 +159,20 @@ impl Refinement<'_> {
         let is_separate = |(pieces, k, looks): &&(&Pieces, usize, Vec<usize>)| {
             looks.iter().any(|&look| self.is_separate(pieces, *k, look, defects))
         };
-        let separate: Vec<_> = looks.par_iter().filter(is_separate).map(|(pieces, ..)| pieces.class).collect();
-        for &class in &separate {
-            self.isosurface.set_pieces(class, self.isosurface.pieces(class) + 1);
+        let name = |pieces: &Pieces, k: usize| (pieces.class, pieces.vertices[k][0], pieces.vertices[k].len());
+        let separate: Vec<_> = looks.par_iter().filter(is_separate).map(|(pieces, k, _)| name(pieces, *k)).collect();
+        self.looks.at_pieces.separate.extend(separate);
+        let mut learnt = false;
+        for pieces in &pieces {
+            // a piece that several looks show counts once
+            let is_known = |k: &usize| self.looks.at_pieces.separate.contains(&name(pieces, *k));
+            let count = 1 + (1..pieces.vertices.len()).filter(is_known).count();
+            if count > self.isosurface.pieces(pieces.class) {
+                self.isosurface.set_pieces(pieces.class, count);
+                learnt = true;
+            }
         }
-        !separate.is_empty()
+        learnt
     }
 
     fn is_separate(&self, pieces: &Pieces, k: usize, look: usize, defects: &Defects) -> bool {

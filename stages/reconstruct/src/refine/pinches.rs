@@ -64,6 +64,7 @@ impl Refinement<'_> {
             let partings = self.patience.partings + 1;
             self.patience = Patience { partings, ..Patience::default() };
             self.report.parted_pinches += parted;
+            self.strays_are_known = false;
         }
         parted
     }

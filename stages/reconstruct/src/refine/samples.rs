@@ -13,6 +13,9 @@ const ATTEMPTS_BY_SAMPLES: usize = 2;
 /// The finest of them, as looks are counted.
 const FINEST: usize = 3;
 
+/// Points on a class are no closer than this part of a voxel, or of the extent of the class where that is less.
+const CLOSEST: f64 = 0.02;
+
 impl Refinement<'_> {
     /// Points on classes that have no facets.
     pub(super) fn on_missing(&mut self, missing: &[u32]) -> Vec<Candidate> {
@@ -44,7 +47,7 @@ impl Refinement<'_> {
         let largest = members.iter().map(|&v| self.sizes[v as usize]).fold(voxel, f64::max);
         let Some((low, high)) = bounds(&samples) else { return Vec::new() };
         let extent = (high - low).max_element();
-        let mut spacing = largest.min(extent) * 0.7f64.powi(attempt);
+        let mut spacing = (largest.min(extent) * 0.7f64.powi(attempt)).max(CLOSEST * voxel.min(extent));
         let mut kept = thinned(&present, &samples, spacing);
         // where none is new, the next attempt would be all there is to do
         while (kept.len() < 12 || kept.iter().all(|k| k.is_present)) && spacing > 0.1 * voxel.min(extent) {
