@@ -88,6 +88,8 @@ pub struct RefineReport {
     pub inserted_nodes: usize,
     /// Edges and vertices in which sheets touched and that tetrahedra parted by changing sides.
     pub parted_pinches: usize,
+    /// Small closed pieces of the mesh that are none of F = 0, and whose tetrahedra changed sides.
+    pub dropped_scraps: usize,
     /// Components of F = 0 that lie between the samples, so that marching cubes has nothing there, and that the mesh has.
     pub unsampled_components: usize,
     /// Edges and vertices that are still not manifold.
@@ -235,6 +237,9 @@ impl<'a> Refinement<'a> {
             let points_helped = std::mem::replace(&mut self.looks.points_help, !is_stuck);
             if is_stuck && self.part_pinches(&facets, &defects) == 0 {
                 if points_helped && !(defects.bridges.is_empty() && defects.in_pieces.is_empty()) {
+                    continue;
+                }
+                if self.drop_scraps(&facets, &defects) > 0 {
                     continue;
                 }
                 self.report.unsampled_components = self.unsampled_components(&facets, &defects);

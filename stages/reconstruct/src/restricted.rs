@@ -146,6 +146,34 @@ impl<'a> Restricted<'a> {
         true
     }
 
+    /// Lets some tetrahedra change sides.
+    pub fn change_sides(&mut self, tetrahedra: &[u32]) {
+        tetrahedra.iter().for_each(|&t| self.inside[t as usize] ^= true);
+    }
+
+    /// The tetrahedra within a closed surface of facets, which it is all around: those inside of a part of the object, or those outside in a
+    /// cavity of it. `None` where there are more than `most`, or where it is not all around them.
+    pub fn enclosed(&self, facets: &[Facet], most: usize) -> Option<Vec<u32>> {
+        let across = |f: &Facet| self.delaunay.neighbours(f.tetrahedron)[usize::from(f.opposite)];
+        let starts = [facets.first()?.tetrahedron, across(facets.first()?)];
+        starts.into_iter().find_map(|start| {
+            let side = self.inside[start as usize];
+            let (mut region, mut next, mut walls) = (vec![start], 0, 0);
+            while next < region.len() && region.len() <= most {
+                for n in self.delaunay.neighbours(region[next]) {
+                    if self.inside[n as usize] != side {
+                        walls += 1;
+                    } else if !region.contains(&n) {
+                        region.push(n);
+                    }
+                }
+                next += 1;
+            }
+            let is_all = next == region.len() && walls == facets.len();
+            (is_all && !region.iter().any(|&t| self.delaunay.is_ghost(t))).then_some(region)
+        })
+    }
+
     /// Distance of a circumcentre from F = 0 to first order, mm; infinite beyond the hull and the volume.
     fn distance_of_centre(&self, t: u32) -> f64 {
         let centre = self.delaunay.circumcentre(t).filter(|&c| !self.delaunay.is_ghost(t) && self.in_volume(c));

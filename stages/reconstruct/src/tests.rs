@@ -6,6 +6,7 @@ use crate::isosurface::Isosurface;
 use crate::join::{cocone_of, compact};
 use crate::prepare::{SurfacePoints, prepare};
 use crate::refine::{RefineOptions, RefineReport, Refinement};
+use crate::restricted::Facet;
 use crate::scenes::{self, Scene};
 use glam::DVec3;
 use isoparticles_common::mesh::TriangleMesh;
@@ -125,6 +126,28 @@ fn sheets_that_touch_in_a_saddle_of_f_are_parted() {
         refinement.report.parted_pinches
     });
     assert!(parted.iter().any(|&n| n > 0), "nothing touches at any spacing, so this shows nothing");
+}
+
+#[test]
+fn what_a_closed_surface_goes_round_is_found_and_can_change_sides() {
+    // a ball beside another, and the cavity of a shell
+    for (scene, is_cavity) in [(scenes::two_balls(), false), (scenes::shell(), true)] {
+        let mut points = surface_points(&scene, 1.4);
+        let isosurface = Isosurface::new(&scene.image);
+        let mut refinement = Refinement::new(&mut points, &scene.field, isosurface, RefineOptions::default()).unwrap();
+        let facets = refinement.run(|_, _| Ok(())).unwrap();
+        let is_one = |f: &Facet| {
+            let p = refinement.restricted.points()[f.vertices[0] as usize];
+            if is_cavity { p.distance(scenes::CENTRE) < 9.25 } else { p.x < 15.6 }
+        };
+        let (one, other): (Vec<Facet>, Vec<Facet>) = facets.iter().partition(|f| is_one(f));
+        let enclosed = refinement.restricted.enclosed(&one, 100_000).expect("it is closed");
+        assert!(enclosed.iter().all(|&t| refinement.restricted.is_inside(t) != is_cavity));
+        assert_eq!(refinement.restricted.enclosed(&one, 3), None);
+        assert_eq!(refinement.restricted.enclosed(&one[1..], 100_000), None, "it is open");
+        refinement.restricted.change_sides(&enclosed);
+        assert_eq!(refinement.facets(), other);
+    }
 }
 
 fn within(measured: f64, truth: f64, part: f64) -> bool {

@@ -25,6 +25,10 @@ const SPHERES: i32 = 4;
 /// Points of such a sphere keep this part of its radius from all others.
 const APART: f64 = 0.5;
 
+/// Vertices of a piece of the mesh that may be a scrap, and tetrahedra within it.
+const LARGEST_SCRAP: usize = 16;
+const SCRAP_TETRAHEDRA: usize = 64;
+
 impl Refinement<'_> {
     /// The critical points that the mesh had on the wrong side at the last comparison, with the nearest vertex of each.
     pub(super) fn astray(&self) -> &[(CriticalPoint, u32)] {
@@ -148,13 +152,40 @@ impl Refinement<'_> {
         };
         let margin = own.iter().map(|&v| self.sizes[v as usize]).fold(0.0, f64::max);
         let is_near = |p: DVec3| p.cmpge(low - margin).all() && p.cmple(high + margin).all();
+        !self.astray().iter().any(|(c, _)| is_near(c.position))
+            && (!across.contains(&defects.piece_of_vertex[own[0] as usize]) || self.holds_extremum(own))
+    }
+
+    /// Whether an extremum of F next to some vertices (ascending) is on its right side.
+    fn holds_extremum(&self, vertices: &[u32]) -> bool {
         let is_held = |c: &CriticalPoint| {
-            let near = self.nearest.to(c.position).map(|(v, _)| v).filter(|v| own.binary_search(v).is_ok());
+            let near = self.nearest.to(c.position).map(|(v, _)| v).filter(|v| vertices.binary_search(v).is_ok());
             near.is_some_and(|near| self.restricted.holds(c.position, near) == (c.value < 0.0))
         };
-        let mut extrema = self.critical_points().iter().filter(|c| c.is_enclosed() && is_near(c.position));
-        !self.astray().iter().any(|(c, _)| is_near(c.position))
-            && (!across.contains(&defects.piece_of_vertex[own[0] as usize]) || extrema.any(is_held))
+        self.critical_points().par_iter().any(|c| c.is_enclosed() && is_held(c))
+    }
+
+    /// Lets the tetrahedra of small pieces change sides that are none of F = 0: they have a facet across it and no extremum of F, which every
+    /// closed surface F = 0 goes round. Returns how many pieces there were.
+    pub(super) fn drop_scraps(&mut self, facets: &[Facet], defects: &Defects) -> usize {
+        if !self.sides_are_known || defects.in_pieces.is_empty() {
+            return 0;
+        }
+        let piece = |f: &Facet| defects.piece_of_vertex[f.vertices[0] as usize];
+        let across: HashSet<u32> = facets.par_iter().filter(|f| self.at_centroid(f).1 < TURNED).map(piece).collect();
+        let mut scraps = Vec::new();
+        for pieces in self.pieces(defects) {
+            for own in (1..pieces.count()).map(|k| pieces.vertices(k)).filter(|own| own.len() <= LARGEST_SCRAP) {
+                let number = defects.piece_of_vertex[own[0] as usize];
+                if across.contains(&number) && !self.holds_extremum(own) {
+                    let shell: Vec<Facet> = facets.iter().copied().filter(|f| piece(f) == number).collect();
+                    scraps.extend(self.restricted.enclosed(&shell, SCRAP_TETRAHEDRA));
+                }
+            }
+        }
+        scraps.iter().for_each(|scrap| self.restricted.change_sides(scrap));
+        self.report.dropped_scraps += scraps.len();
+        scraps.len()
     }
 
     /// Adds points round the critical points on the wrong side until some fit, and returns how many; the critical points are counted for the
