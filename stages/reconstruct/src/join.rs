@@ -17,7 +17,7 @@ use isoparticles_common::mesh::inside::nodes_on_wrong_side;
 use isoparticles_common::spline::CubicSpline;
 use rayon::prelude::*;
 
-/// Rounds of Tight Cocone on more points, each of which takes as long as the first: two on clean volumes, six on noise.
+/// Rounds of Tight Cocone on more points, each of which takes as long as the first: one or two on clean volumes, four to six on noise.
 const COCONE_ROUNDS: usize = 12;
 
 /// The same while the points enclose nothing, and each round doubles them or more.

@@ -424,14 +424,31 @@ fn a_graded_size_is_followed() {
 
 #[test]
 fn the_result_does_not_depend_on_the_number_of_threads() {
-    let image = sampled([21; 3], DVec3::ONE, ball(DVec3::splat(10.2), 6.3));
-    let field = CubicSpline::new(&image);
     let run = |threads: usize| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("a thread pool");
         pool.install(|| {
-            let mut mesh = marching_cubes(&image, 0.0);
+            let image = sampled([21; 3], DVec3::ONE, ball(DVec3::splat(10.2), 6.3));
+            let mut ball = marching_cubes(&image, 0.0);
             let options = ImproveOptions { remesh_rounds: 2, ..ImproveOptions::remesh() };
-            improve(&mut mesh, &field, &|_| 1.2, &options, &|| Ok(())).map(|_| mesh).ok()
+            improve(&mut ball, &CubicSpline::new(&image), &|_| 1.2, &options, &|| Ok(())).expect("sound");
+            // at its neck refinements, plans and patches are tried
+            let scene = crate::scenes::hourglass();
+            let limits = Limits { agreement: 0.3, fold: 0.0, fold_of_f: 0.0, deviation: 0.15, excess: 1e-9 }.loosened();
+            let mut tally = Tally::default();
+            let necks = [1.6, 2.0, 2.4, 3.2].map(|h| {
+                let (mesh, _, _) = crate::tests::restricted(&scene, h / 1.2);
+                let size = |_: DVec3| h;
+                let [mut lifted, mut patched] =
+                    [(); 2].map(|()| Surface::new(&mesh, &scene.field, &size, last_resort::LENGTHS));
+                let is_unfit = |t: &u32| guard::fitness(patched.corners(*t)) < 1.0;
+                if let Some(unfit) = (0..mesh.triangles.len() as u32).find(is_unfit) {
+                    patch::lift(&mut patched, &limits, unfit, &|| Ok(())).expect("nothing stops it");
+                }
+                last_resort::lift(&mut lifted, &limits, &|| Ok(()), &mut tally).expect("nothing stops it");
+                [lifted.into_mesh(), patched.into_mesh()]
+            });
+            assert!(tally.refinements + tally.last_resort_moves > 0, "{tally:?}");
+            (ball, necks)
         })
     };
     assert_eq!(run(1), run(3));
