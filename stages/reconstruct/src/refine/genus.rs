@@ -123,10 +123,19 @@ impl Refinement<'_> {
             facets.par_iter().filter(|f| self.at_centroid(f).1 < TURNED).flat_map_iter(|f| f.vertices).collect();
         wrong.extend(across.iter().map(|&v| self.component_of[v as usize]));
         let across: HashSet<u32> = across.iter().map(|&v| defects.piece_of_vertex[v as usize]).collect();
+        let joints = self.hidden_joints(defects);
+        if self.is_by_sign && self.astray().is_empty() && !joints.is_empty() {
+            joints.iter().for_each(|(_, [a, b])| self.isosurface.merge(*a, *b));
+            return true;
+        }
+        let shared: HashSet<u32> = joints.into_iter().map(|(piece, _)| piece).collect();
         let mut learnt = false;
         for pieces in self.pieces(defects) {
             // the largest piece may err elsewhere, the others must not
-            let is_right = |k: &usize| !wrong.contains(&pieces.class()) || self.is_right(&pieces, *k, defects, &across);
+            let is_right = |k: &usize| {
+                let is_own = !shared.contains(&defects.piece_of_vertex[pieces.vertices(*k)[0] as usize]);
+                is_own && (!wrong.contains(&pieces.class()) || self.is_right(&pieces, *k, defects, &across))
+            };
             let count = 1 + (1..pieces.count()).filter(is_right).count();
             if count > self.isosurface.pieces(pieces.class()) {
                 self.isosurface.set_pieces(pieces.class(), count);
@@ -138,6 +147,26 @@ impl Refinement<'_> {
             learnt = true;
         }
         learnt
+    }
+
+    /// Components of facets that join two classes through vertices of which no class is known, so that there is no facet to tell, and these
+    /// classes.
+    fn hidden_joints(&self, defects: &Defects) -> Vec<(u32, [u32; 2])> {
+        let mut class_of = vec![NO_COMPONENT; defects.component_count];
+        let mut joints = Vec::new();
+        for (&piece, &class) in defects.piece_of_vertex.iter().zip(&self.component_of) {
+            if piece != NO_COMPONENT && class != NO_COMPONENT {
+                let known = &mut class_of[piece as usize];
+                if *known == NO_COMPONENT {
+                    *known = class;
+                } else if *known != class {
+                    joints.push((piece, [*known, class]));
+                }
+            }
+        }
+        joints.sort_unstable();
+        joints.dedup();
+        joints
     }
 
     /// Whether one of the smaller pieces of a class is a component of its own: no critical point near it, or in the gap between it and the
@@ -295,6 +324,12 @@ mod tests {
         let isosurface = Isosurface::new(&scene.image);
         let mut refinement = Refinement::new(&mut points, &scene.field, isosurface, RefineOptions::default()).unwrap();
         let facets = refinement.run(|_, _| Ok(())).unwrap();
+        assert!(refinement.hidden_joints(&refinement.defects(&facets)).is_empty());
+        let changed = facets[0].vertices[0];
+        refinement.component_of[changed as usize] ^= 1;
+        let defects = refinement.defects(&facets);
+        let joint = (defects.piece_of_vertex[changed as usize], [1, 0]);
+        assert!([joint, (joint.0, [0, 1])].contains(&refinement.hidden_joints(&defects)[0]));
         // the two balls as one class in two pieces
         refinement.isosurface.merge(0, 1);
         refinement.component_of.iter_mut().for_each(|c| *c = 0);
