@@ -1,7 +1,6 @@
 //! The triangles at each vertex, and by them edges, fans and Euler characteristics. Found by counting, not by sorting: the refinement asks
 //! for all of them in each of its rounds.
 
-use crate::components::DisjointSets;
 use rayon::prelude::*;
 
 /// Vertices whose edges are counted by one thread at a time.
@@ -72,29 +71,9 @@ impl<'a> Incidence<'a> {
         ends.chunk_by(|a, b| a.0 == b.0).for_each(|edge| hear(edge[0].0, edge));
     }
 
-    /// Joins the corners (3 t + i is corner i of triangle t) of all triangles into fans, across the edges that lie in two triangles: a vertex
-    /// of a manifold has one fan. Edges in another number of triangles join nothing and go to `other_edge`, with their triangles.
-    pub fn fans(&self, mut other_edge: impl FnMut([u32; 2], Vec<u32>)) -> DisjointSets {
-        let mut fans = DisjointSets::new(3 * self.triangles.len());
-        let corner = |t: u32, v: u32| {
-            let place = self.triangles[t as usize].iter().position(|&u| u == v);
-            3 * t + place.unwrap_or_default() as u32
-        };
-        let mut ends = Vec::new();
-        for a in 0..self.vertex_count() as u32 {
-            self.edges_from(a, &mut ends, |b, edge| match *edge {
-                [(_, first), (_, second)] => {
-                    [a, b].iter().for_each(|&v| fans.join(corner(first, v), corner(second, v)))
-                }
-                _ => other_edge([a, b], edge.iter().map(|&(_, t)| t).collect()),
-            });
-        }
-        fans
-    }
-
     /// Number of fans of triangles at a vertex, joined across the edges at it that lie in two triangles: one for a vertex of a manifold, none
     /// for a vertex of no triangle. Edges in another number of triangles join nothing and go to `other_edge`, by their other ends,
-    /// with their triangles. The same fans as those of [`Incidence::fans`], for a vertex alone.
+    /// with their triangles.
     pub fn fans_at(
         &self,
         vertex: u32,
@@ -176,20 +155,6 @@ mod tests {
         assert_eq!(incidence.euler_characteristics(&class, 3), [2, 0, 2]);
         // six vertices, eleven edges, eight triangles
         assert_eq!(incidence.euler_characteristics(&[0; 8], 1), [3]);
-        let mut edges = Vec::new();
-        let mut fans = incidence.fans(|edge, around| edges.push((edge, around)));
-        assert_eq!(edges, [([2, 3], vec![0, 1, 6, 7])]);
-        let mut fans_at = |v: u32| {
-            let corners = incidence.of(v).iter().map(|&t| {
-                let place = triangles[t as usize].iter().position(|&u| u == v).unwrap();
-                3 * t + place as u32
-            });
-            let mut roots: Vec<u32> = corners.collect::<Vec<_>>().into_iter().map(|c| fans.find(c)).collect();
-            roots.sort_unstable();
-            roots.dedup();
-            roots.len()
-        };
-        assert_eq!([0, 1, 2, 3, 4, 5].map(&mut fans_at), [1, 1, 2, 2, 1, 1]);
         let mut work = FanWork::default();
         let mut others = Vec::new();
         let counts = [0, 1, 2, 3, 4, 5, 6].map(|v| {

@@ -75,6 +75,14 @@ impl Pinches {
     }
 }
 
+/// The edge that facets, given by their numbers in a list, have in common; `None` for fewer than two.
+pub fn edge_of(facets: &[Facet], around: &[u32]) -> Option<[u32; 2]> {
+    let in_all = |v: &u32| around.iter().all(|&f| facets[f as usize].vertices.contains(v));
+    let mut shared = facets[*around.first()? as usize].vertices.into_iter().filter(in_all);
+    let edge = [shared.next()?, shared.next()?];
+    shared.next().is_none().then_some(edge)
+}
+
 impl Defects {
     /// Looks for defects; `component_of` gives the component of the isosurface of each vertex ([`NO_COMPONENT`] unknown).
     /// `open_edge_allowed` tells which edges may be in one facet only (open borders).

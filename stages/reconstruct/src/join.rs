@@ -18,7 +18,7 @@ use isoparticles_common::spline::CubicSpline;
 use rayon::prelude::*;
 
 /// Rounds of Tight Cocone on more points, each of which takes as long as the first: one or two on clean volumes, four to six on noise.
-const COCONE_ROUNDS: usize = 12;
+pub(crate) const COCONE_ROUNDS: usize = 12;
 
 /// The same while the points enclose nothing, and each round doubles them or more.
 const COCONE_ROUNDS_IN_VAIN: usize = 2;

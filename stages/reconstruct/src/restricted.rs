@@ -6,7 +6,7 @@
 //! too. The Voronoi edge dual to a facet joins the two circumcentres and crosses F = 0: that crossing is the
 //! point which refines the facet (Boissonnat and Oudot 2005).
 
-use crate::around::{boundary, parts_round, runs_round, star};
+use crate::around::{boundary, parts_round, runs_round, star, walls};
 use glam::DVec3;
 use isoparticles_common::delaunay::predicates::orientation;
 use isoparticles_common::delaunay::{Delaunay, INFINITE, Insertion};
@@ -142,7 +142,7 @@ impl<'a> Restricted<'a> {
         let errs = |part: &Vec<u32>| part.iter().map(|&t| self.distance_of_centre(t)).fold(0.0, f64::max);
         let spare = parts.iter().filter(is_spare).map(|part| (errs(part), part)).filter(|(err, _)| err.is_finite());
         let Some((_, part)) = spare.min_by(|a, b| a.0.total_cmp(&b.0)) else { return false };
-        part.iter().for_each(|&t| self.inside[t as usize] ^= true);
+        self.change_sides(part);
         true
     }
 
@@ -240,17 +240,9 @@ impl<'a> Restricted<'a> {
 
     /// The facets between inside and outside at a vertex.
     pub fn facets_at(&self, vertex: u32) -> Vec<Facet> {
-        let mut facets = Vec::new();
-        for t in star(&self.delaunay, vertex).into_iter().filter(|&t| self.inside[t as usize]) {
-            let (vertices, neighbours) = (self.delaunay.vertices(t), self.delaunay.neighbours(t));
-            let at_vertex = (0..4usize).filter(|&i| vertices[i] != vertex && !self.inside[neighbours[i] as usize]);
-            facets.extend(at_vertex.map(|i| Facet {
-                vertices: self.delaunay.facet(t, i),
-                tetrahedron: t,
-                opposite: i as u8,
-            }));
-        }
-        facets
+        let inside = star(&self.delaunay, vertex).into_iter().filter(|&t| self.inside[t as usize]);
+        let facets = inside.flat_map(|t| walls(&self.delaunay, t, |t| self.inside[t as usize]));
+        facets.filter(|f| f.vertices.contains(&vertex)).collect()
     }
 
     /// The two ends of the Voronoi edge dual to a facet, inside first, the outer one cut at the border of the volume.

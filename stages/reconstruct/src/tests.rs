@@ -3,7 +3,7 @@
 use crate::critical::{CriticalPoint, critical_points};
 use crate::defects::Defects;
 use crate::isosurface::Isosurface;
-use crate::join::{cocone_of, compact};
+use crate::join::{COCONE_ROUNDS, cocone_of, compact};
 use crate::prepare::{SurfacePoints, prepare};
 use crate::refine::{RefineOptions, RefineReport, Refinement};
 use crate::restricted::Facet;
@@ -46,7 +46,7 @@ pub(crate) fn tight_cocone_beside_field(scene: &Scene, spacing: f64) -> (Triangl
     let isosurface = Isosurface::new(&scene.image);
     let mut refinement = Refinement::new(&mut points, &scene.field, isosurface, RefineOptions::default()).unwrap();
     refinement.run(|_, _| Ok(())).unwrap();
-    for _ in 0..12 {
+    for _ in 0..COCONE_ROUNDS {
         let found = cocone_of(&refinement);
         if refinement.insert_for_other(found.as_ref().map_or(&[][..], |(facets, _)| facets)).unwrap() == 0 {
             break;

@@ -34,10 +34,26 @@ impl Refinement<'_> {
     pub(super) fn astray(&self) -> &[(CriticalPoint, u32)] {
         let wrong = |c: &CriticalPoint| {
             let near = self.nearest.to(c.position)?.0;
-            (self.restricted.holds(c.position, near) != (c.value < 0.0)).then_some((*c, near))
+            (!self.has_right(c, near)).then_some((*c, near))
         };
         let find = || self.critical_points().par_iter().filter_map(wrong).collect();
         if self.sides_are_known { self.astray.get_or_init(find) } else { &[] }
+    }
+
+    /// Whether the mesh has a critical point on its right side; `near` is a vertex not far from it.
+    fn has_right(&self, c: &CriticalPoint, near: u32) -> bool {
+        self.restricted.holds(c.position, near) == (c.value < 0.0)
+    }
+
+    /// Whether a critical point on the wrong side lies in a box or within a margin (mm) of it.
+    fn any_astray_near(&self, (low, high): (DVec3, DVec3), margin: f64) -> bool {
+        let is_near = |p: DVec3| p.cmpge(low - margin).all() && p.cmple(high + margin).all();
+        self.astray().iter().any(|(c, _)| is_near(c.position))
+    }
+
+    /// The facets that lie across F = 0.
+    fn across<'f>(&self, facets: &'f [Facet]) -> impl ParallelIterator<Item = &'f Facet> {
+        facets.par_iter().filter(|f| self.at_centroid(f).1 < TURNED)
     }
 
     /// Pieces of the mesh that are components of F = 0 between its samples, where marching cubes has nothing: they hold an extremum of F
@@ -53,14 +69,13 @@ impl Refinement<'_> {
         if !self.sides_are_known || !unknown.contains(&true) {
             return 0;
         }
-        for facet in facets.iter().filter(|f| self.at_centroid(f).1 < TURNED) {
-            unknown[piece(facet.vertices[0]) as usize] = false;
+        for across in self.across(facets).map(|f| piece(f.vertices[0])).collect::<Vec<u32>>() {
+            unknown[across as usize] = false;
         }
         let holder = |c: &CriticalPoint| {
             let near = self.nearest.to(c.position)?.0;
-            let held = self.restricted.holds(c.position, near) == (c.value < 0.0);
             let piece = piece(near);
-            (held && piece != NO_COMPONENT && unknown[piece as usize]).then_some(piece)
+            (piece != NO_COMPONENT && unknown[piece as usize] && self.has_right(c, near)).then_some(piece)
         };
         let extrema = self.critical_points().iter().filter(|c| c.is_enclosed());
         extrema.filter_map(holder).collect::<BTreeSet<u32>>().len()
@@ -72,18 +87,15 @@ impl Refinement<'_> {
         if pairs.is_empty() || !self.sides_are_known {
             return false;
         }
-        let astray: Vec<DVec3> = self.astray().iter().map(|(c, _)| c.position).collect();
         let mut learnt = false;
         for (a, b) in pairs {
             let of_pair = |v: u32| [a, b].contains(&self.isosurface.class_of(self.component_of[v as usize]));
             let bridges = defects.bridges.iter().map(|&f| &facets[f as usize]);
             let joint: Vec<&Facet> = bridges.filter(|f| f.vertices.into_iter().all(of_pair)).collect();
             let points = joint.iter().flat_map(|f| f.vertices).map(|v| self.restricted.points()[v as usize]);
-            let Some((low, high)) = bounds(&points.collect::<Vec<DVec3>>()) else { continue };
+            let Some(bounds) = bounds(&points.collect::<Vec<DVec3>>()) else { continue };
             let sizes = joint.iter().flat_map(|f| f.vertices).map(|v| self.sizes[v as usize]);
-            let margin = sizes.fold(0.0, f64::max);
-            let is_near = |p: DVec3| p.cmpge(low - margin).all() && p.cmple(high + margin).all();
-            let is_wrong = astray.iter().any(|&p| is_near(p));
+            let is_wrong = self.any_astray_near(bounds, sizes.fold(0.0, f64::max));
             if !is_wrong && joint.iter().all(|f| self.at_centroid(f).1 >= TURNED) {
                 self.isosurface.merge(a, b);
                 learnt = true;
@@ -119,8 +131,7 @@ impl Refinement<'_> {
             // whose it is, nobody knows
             return false;
         }
-        let across: Vec<u32> =
-            facets.par_iter().filter(|f| self.at_centroid(f).1 < TURNED).flat_map_iter(|f| f.vertices).collect();
+        let across: Vec<u32> = self.across(facets).flat_map_iter(|f| f.vertices).collect();
         wrong.extend(across.iter().map(|&v| self.component_of[v as usize]));
         let across: HashSet<u32> = across.iter().map(|&v| defects.piece_of_vertex[v as usize]).collect();
         let joints = self.hidden_joints(defects);
@@ -176,12 +187,9 @@ impl Refinement<'_> {
         let place = |&v: &u32| self.restricted.points()[v as usize];
         let Some(gap) = self.gap(pieces, k, defects) else { return false };
         let own = pieces.vertices(k);
-        let Some((low, high)) = bounds(&own.iter().chain(&gap).map(place).collect::<Vec<DVec3>>()) else {
-            return false;
-        };
+        let Some(bounds) = bounds(&own.iter().chain(&gap).map(place).collect::<Vec<DVec3>>()) else { return false };
         let margin = own.iter().map(|&v| self.sizes[v as usize]).fold(0.0, f64::max);
-        let is_near = |p: DVec3| p.cmpge(low - margin).all() && p.cmple(high + margin).all();
-        !self.astray().iter().any(|(c, _)| is_near(c.position))
+        !self.any_astray_near(bounds, margin)
             && (!across.contains(&defects.piece_of_vertex[own[0] as usize]) || self.holds_extremum(own))
     }
 
@@ -189,7 +197,7 @@ impl Refinement<'_> {
     fn holds_extremum(&self, vertices: &[u32]) -> bool {
         let is_held = |c: &CriticalPoint| {
             let near = self.nearest.to(c.position).map(|(v, _)| v).filter(|v| vertices.binary_search(v).is_ok());
-            near.is_some_and(|near| self.restricted.holds(c.position, near) == (c.value < 0.0))
+            near.is_some_and(|near| self.has_right(c, near))
         };
         self.critical_points().par_iter().any(|c| c.is_enclosed() && is_held(c))
     }
@@ -201,7 +209,7 @@ impl Refinement<'_> {
             return 0;
         }
         let piece = |f: &Facet| defects.piece_of_vertex[f.vertices[0] as usize];
-        let across: HashSet<u32> = facets.par_iter().filter(|f| self.at_centroid(f).1 < TURNED).map(piece).collect();
+        let across: HashSet<u32> = self.across(facets).map(piece).collect();
         let mut scraps = Vec::new();
         for pieces in self.pieces(defects) {
             for own in (1..pieces.count()).map(|k| pieces.vertices(k)).filter(|own| own.len() <= LARGEST_SCRAP) {

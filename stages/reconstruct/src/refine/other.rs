@@ -167,14 +167,12 @@ fn differing_parts(restricted: &Restricted, sides: &[bool]) -> Vec<Vec<u32>> {
 mod tests {
     use super::*;
     use crate::isosurface::Isosurface;
-    use crate::prepare::SurfacePoints;
     use crate::refine::RefineOptions;
     use crate::scenes::{self, Scene};
+    use crate::tests::surface_points;
 
     fn refined(scene: &Scene, spacing: f64) -> Refinement<'_> {
-        let positions = scene.points(spacing);
-        let sizes = vec![spacing * 1.2; positions.len()];
-        let mut points = SurfacePoints { positions, sizes, ..SurfacePoints::default() };
+        let mut points = surface_points(scene, spacing);
         let isosurface = Isosurface::new(&scene.image);
         let mut new = Refinement::new(&mut points, &scene.field, isosurface, RefineOptions::default()).unwrap();
         new.run(|_, _| Ok(())).unwrap();

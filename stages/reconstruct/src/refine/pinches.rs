@@ -1,7 +1,7 @@
 //! Edges and vertices in which sheets touch and that points do not part: tetrahedra there change sides.
 
 use super::Refinement;
-use crate::defects::Defects;
+use crate::defects::{Defects, edge_of};
 use crate::restricted::Facet;
 
 /// Rounds, each time that one followed up its own points counted, that points have to lower the number of places that are not manifold.
@@ -48,12 +48,10 @@ impl Refinement<'_> {
         }
         let may_leave = 2 * self.patience.partings < PARTINGS;
         let mut parted = 0;
-        for around in defects.edges.iter().filter(|around| around.len() > 2) {
-            let facet = &facets[around[0] as usize];
-            let in_all = |v: &u32| around.iter().all(|&f| facets[f as usize].vertices.contains(v));
-            let shared: Vec<u32> = facet.vertices.into_iter().filter(in_all).collect();
-            if let [a, b] = shared[..] {
-                parted += usize::from(self.restricted.part_edge([a, b], facet.tetrahedron, may_leave));
+        for around in &defects.edges {
+            if let Some(edge) = edge_of(facets, around) {
+                let start = facets[around[0] as usize].tetrahedron;
+                parted += usize::from(self.restricted.part_edge(edge, start, may_leave));
             }
         }
         if parted == 0 {

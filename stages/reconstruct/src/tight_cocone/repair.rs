@@ -3,9 +3,9 @@
 use super::cells::Cells;
 use super::umbrellas::{Umbrellas, good_vertices};
 use crate::around::{boundary, parts_round, runs_round};
+use crate::defects::{Pinches, edge_of};
 use crate::restricted::Facet;
 use isoparticles_common::mesh::incidence::Incidence;
-use rayon::prelude::*;
 
 /// Rounds in which parts may go either way; after them they may only join the object, so that there is an end.
 const FREE_ROUNDS: usize = 8;
@@ -20,13 +20,16 @@ pub(super) fn part_pinches(cells: &Cells, umbrellas: &Umbrellas, is_out: &mut [b
     for round in 0.. {
         let is_free = round < FREE_ROUNDS;
         let facets = boundary(cells.delaunay, |t| !is_out[t as usize]);
-        let (edges, vertices) = pinches(&facets, cells.delaunay.points().len());
+        let triangles: Vec<[u32; 3]> = facets.iter().map(|f| f.vertices).collect();
+        let incidence = Incidence::new(&triangles, cells.delaunay.points().len());
+        let Pinches { edges, vertices } = Pinches::at_first(incidence.vertex_count(), &incidence, |_, _| false);
         if edges.is_empty() && (vertices.is_empty() || !is_free) {
             return (facets, changed);
         }
         let before = changed;
-        for (edge, facet) in edges {
-            let runs = runs_round(cells.delaunay, edge, facets[facet as usize].tetrahedron, |t| is_out[t as usize]);
+        for around in edges {
+            let Some(edge) = edge_of(&facets, &around) else { continue };
+            let runs = runs_round(cells.delaunay, edge, facets[around[0] as usize].tetrahedron, |t| is_out[t as usize]);
             if runs.len() < 4 {
                 // an edge nearby took care of it
                 continue;
@@ -41,7 +44,7 @@ pub(super) fn part_pinches(cells: &Cells, umbrellas: &Umbrellas, is_out: &mut [b
             run.iter().for_each(|&t| is_out[t as usize] ^= true);
             changed += run.len();
         }
-        for v in vertices.into_iter().filter(|_| is_free) {
+        for (v, _) in vertices.into_iter().filter(|_| is_free) {
             let parts = parts_round(cells.delaunay, v, cells.stars.of(v), |t| is_out[t as usize]);
             let of_side = |side: bool| parts.iter().filter(|part| is_out[part[0] as usize] == side).count();
             let spare = |part: &&Vec<u32>| {
@@ -64,20 +67,4 @@ pub(super) fn part_pinches(cells: &Cells, umbrellas: &Umbrellas, is_out: &mut [b
 /// How much speaks against a change of sides: tetrahedra, and umbrellas at them.
 fn doubt(cells: &Cells, umbrellas: &Umbrellas, part: &[u32]) -> usize {
     part.iter().map(|&t| 1 + good_vertices(cells, umbrellas, t).count()).sum()
-}
-
-/// Edges in more than two facets, each with one of its facets, and vertices with more than one fan of facets.
-fn pinches(facets: &[Facet], vertex_count: usize) -> (Vec<([u32; 2], u32)>, Vec<u32>) {
-    let mut edges = Vec::new();
-    let triangles: Vec<[u32; 3]> = facets.iter().map(|f| f.vertices).collect();
-    let incidence = Incidence::new(&triangles, vertex_count);
-    let mut fans = incidence.fans(|edge, around| edges.push((edge, around[0])));
-    let mut roots: Vec<(u32, u32)> = Vec::with_capacity(3 * facets.len());
-    for (f, facet) in facets.iter().enumerate() {
-        roots.extend((0..3).map(|k| (facet.vertices[k], fans.find((3 * f + k) as u32))));
-    }
-    roots.par_sort_unstable();
-    roots.dedup();
-    let vertices = roots.chunk_by(|x, y| x.0 == y.0).filter(|fans| fans.len() > 1).map(|fans| fans[0].0);
-    (edges, vertices.collect())
 }
