@@ -124,6 +124,17 @@ pub(super) struct Edits {
 }
 
 impl Edits {
+    /// Puts a mesh of its own in the place of some triangles, which must be all those at their vertices.
+    pub(super) fn replacing(whole: &Surface, triangles: &[u32], mesh: &TriangleMesh) -> Self {
+        let first = whole.positions.len() as u32;
+        Self {
+            moved: Vec::new(),
+            added: mesh.vertices.clone(),
+            retriangled: triangles.iter().map(|&t| (t, DEAD)).collect(),
+            new_triangles: mesh.triangles.iter().map(|corners| corners.map(|v| first + v)).collect(),
+        }
+    }
+
     /// Makes the changes in the surface that the part was taken from, which must be as it was then; nothing is committed.
     pub(super) fn make(self, whole: &mut Surface) {
         self.moved.into_iter().for_each(|(v, p)| whole.move_vertex(v, p));

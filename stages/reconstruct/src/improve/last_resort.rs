@@ -1,7 +1,7 @@
 //! The last resort for triangles that the passes over the worst leave outside the limits that finite elements ask for: places where F
 //! bends within less than h (necks, specks, rims), so that lengths near h and small folds cannot both be kept there.
 //!
-//! Such a place is refined: edges are split towards a size that grows from short ones at the triangle to h around it. Where that does not
+//! A speck that F encloses is made anew ([`super::speck`]). Any other such place is refined: edges are split towards a size that grows from short ones at the triangle to h around it. Where that does not
 //! help, two elementary moves are tried in a row. After either the patch is tidied up by flips and settling; the outcome that brings it
 //! nearest to the limits is kept, if it passes the (loosened) guard. Where none does, the patch is remeshed ([`super::patch`]).
 
@@ -9,6 +9,7 @@ use super::excerpt::Excerpt;
 use super::guard::{Limits, Rule, commit_if_welcome, fitness, gain_in_fitness, keeps_limits};
 use super::moves::{flip, settle, split};
 use super::patch;
+use super::speck;
 use super::surface::{DEAD, Surface};
 use super::worst::{Move, moves_near, perform};
 use super::{Step, Tally};
@@ -43,9 +44,11 @@ const PLANS_TRIED: usize = 40;
 /// Gain in fitness of a triangle below which it counts as tried in vain.
 const LEAST_GAIN: f64 = 0.01;
 
-/// Triangles that are tried, worst first, up to a second or two each; where so many are tried in vain, F has too much detail below h. After so many
-/// in a row the least bad come first, lest hopeless ones keep all others from being tried.
-const TRIES: usize = 2000;
+/// Triangles that are tried, worst first, up to a second or two each: so many, and so many more for each that is outside the limits at first. Where so
+/// many are tried in vain, F has too much detail below h. After so many in a row the least bad come first, lest hopeless ones keep all others from
+/// being tried.
+const TRIES: usize = 1000;
+const TRIES_EACH: usize = 3;
 const FAILURES: usize = 200;
 const FAILURES_IN_A_ROW: usize = 40;
 
@@ -89,7 +92,7 @@ pub(super) fn lift(surface: &mut Surface, limits: &Limits, step: Step, tally: &m
     let all: Vec<u32> = (0..surface.triangles.len() as u32).collect();
     let mut unfit: Vec<(f64, u32)> = all.par_iter().filter_map(|&t| unfitness(surface, t)).collect();
     let (mut failures, mut in_a_row) = (0, 0);
-    for _ in 0..TRIES {
+    for _ in 0..TRIES + TRIES_EACH * unfit.len() {
         let order = |i: &usize, j: &usize| unfit[*i].0.total_cmp(&unfit[*j].0).then(unfit[*i].1.cmp(&unfit[*j].1));
         let numbers = 0..unfit.len();
         let next = if in_a_row < FAILURES_IN_A_ROW { numbers.min_by(order) } else { numbers.max_by(order) };
@@ -102,8 +105,8 @@ pub(super) fn lift(surface: &mut Surface, limits: &Limits, step: Step, tally: &m
             unfit.extend(touched.iter().filter_map(|&t| unfitness(surface, t)));
         }
         // what helped only its neighbours, or hardly, is no success, lest it be tried without end
-        let after = unfitness(surface, triangle).map_or(1.0, |(fitness, _)| fitness);
-        if touched.is_some() && after > before + LEAST_GAIN {
+        let after = unfitness(surface, triangle).map(|(fitness, _)| fitness);
+        if touched.is_some() && after.is_none_or(|after| after > before + LEAST_GAIN) {
             in_a_row = 0;
         } else {
             (failures, in_a_row) = (failures + 1, in_a_row + 1);
@@ -125,6 +128,10 @@ fn lift_one(
     step: Step,
     tally: &mut Tally,
 ) -> Result<Option<Vec<u32>>> {
+    if let Some(touched) = speck::lift(surface, limits, triangle) {
+        tally.remade_specks += 1;
+        return Ok(Some(touched));
+    }
     let part = Excerpt::rings(surface, triangle, RINGS);
     let inside = part.local(triangle);
     let refinements = refinements(&part.surface, inside);
@@ -326,4 +333,60 @@ fn flip_for_shape(surface: &mut Surface, vertices: &[u32]) -> bool {
         flipped |= turned > FLIP_AGREEMENT && latter > former.min(FLIP_AGREEMENT) && flip(surface, a, b);
     }
     flipped
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use isoparticles_common::geometry::Geometry;
+    use isoparticles_common::image::Image;
+    use isoparticles_common::mesh::TriangleMesh;
+    use isoparticles_common::spline::CubicSpline;
+
+    /// Vertices along a side of the lattice, and between the displaced ones.
+    const SIDE: usize = 64;
+    const APART: usize = 6;
+
+    /// A lattice of equilateral triangles in a plane, with vertices moved along it by so much of a side.
+    fn lattice(shift: f64) -> TriangleMesh {
+        let mut mesh = TriangleMesh::default();
+        for j in 0..SIDE {
+            for i in 0..SIDE {
+                let is_moved = i % APART == APART / 2 && j % APART == APART / 2;
+                let x = i as f64 + 0.5 * (j % 2) as f64 + if is_moved { shift } else { 0.0 };
+                mesh.vertices.push(DVec3::new(2.0 + x, 2.0 + 0.75f64.sqrt() * j as f64, 3.5));
+            }
+        }
+        let vertex = |i: usize, j: usize| (j * SIDE + i) as u32;
+        for j in 0..SIDE - 1 {
+            for i in 0..SIDE - 1 {
+                let [a, b, c, d] = [vertex(i, j), vertex(i + 1, j), vertex(i, j + 1), vertex(i + 1, j + 1)];
+                mesh.triangles.extend(if j % 2 == 0 { [[a, b, c], [b, d, c]] } else { [[a, b, d], [a, d, c]] });
+            }
+        }
+        mesh
+    }
+
+    #[test]
+    fn many_triangles_just_outside_the_limits_are_all_lifted() {
+        let mut image = Image::filled(Geometry::axis_aligned([70, 62, 8], DVec3::ONE), 0.0f32);
+        for (n, value) in image.data.iter_mut().enumerate() {
+            *value = (n / (70 * 62)) as f32 - 3.5;
+        }
+        let field = CubicSpline::new(&image);
+        let smallest = |mesh: &TriangleMesh| {
+            (0..mesh.triangles.len()).map(|t| fitness(mesh.corners(t))).fold(f64::INFINITY, f64::min)
+        };
+        // so far that the worst triangles round each are outside the limits, but by less than a gain that counts
+        let shift = (1..400).map(|n| 0.002 * f64::from(n)).find(|&shift| smallest(&lattice(shift)) < 1.0).unwrap();
+        let mesh = lattice(shift);
+        assert!(smallest(&mesh) > 1.0 - LEAST_GAIN, "{}", smallest(&mesh));
+        let size = |_: DVec3| 1.0;
+        let mut surface = Surface::new(&mesh, &field, &size, LENGTHS);
+        let unfit = |s: &Surface| (0..s.triangles.len() as u32).filter(|&t| unfitness(s, t).is_some()).count();
+        assert!(unfit(&surface) > 2 * FAILURES_IN_A_ROW, "{}", unfit(&surface));
+        let limits = Limits { agreement: 0.0, fold: -0.3, fold_of_f: -0.8, deviation: 0.35, excess: 0.35 };
+        lift(&mut surface, &limits, &|| Ok(()), &mut Tally::default()).unwrap();
+        assert_eq!(unfit(&surface), 0);
+    }
 }

@@ -14,6 +14,7 @@ mod moves;
 mod patch;
 mod remesh;
 mod sides;
+mod speck;
 mod surface;
 #[cfg(test)]
 mod tests;
@@ -101,6 +102,8 @@ pub struct Tally {
     pub last_resort_moves: usize,
     /// Refinements round such triangles.
     pub refinements: usize,
+    /// Small closed pieces with such triangles that were made anew.
+    pub remade_specks: usize,
     /// Patches round such triangles that were remeshed to follow the curvature of F.
     pub remeshed_patches: usize,
 }

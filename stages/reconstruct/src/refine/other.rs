@@ -31,9 +31,10 @@ impl Refinement<'_> {
         }
         let defects = self.compare(facets);
         self.report.unresolved_critical = self.astray().len();
-        // what the surface by the sign of F had is there, whether this one has it or not
         let found = self.unsampled_components(facets, &defects);
-        self.report.unsampled_components = self.report.unsampled_components.max(found);
+        // where a critical point is wrong, what the surface by the sign of F had is there, whether this one has it or not
+        let least = if self.report.unresolved_critical == 0 { 0 } else { self.report.unsampled_components };
+        self.report.unsampled_components = found.max(least);
         self.report.parted_pinches = 0;
         defects
     }
