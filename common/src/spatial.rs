@@ -34,6 +34,11 @@ impl Bounds {
         self.low.cmple(other.high).all() && other.low.cmple(self.high).all()
     }
 
+    /// Whether a point lies within, not on the border.
+    pub fn encloses(&self, p: DVec3) -> bool {
+        self.low.cmplt(p).all() && p.cmplt(self.high).all()
+    }
+
     /// The centre.
     pub fn centre(&self) -> DVec3 {
         0.5 * (self.low + self.high)

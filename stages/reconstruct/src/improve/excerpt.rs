@@ -44,6 +44,27 @@ impl<'a> Excerpt<'a> {
         Self { surface, vertices, triangles }
     }
 
+    /// The committed triangles of a surface that meet a box, with their facts, for changes that stay within the box. The numbers keep their order.
+    pub(super) fn within(whole: &Surface<'a>, region: &Bounds) -> Self {
+        let mut triangles = Vec::new();
+        whole.grid.any(region, |t, _| {
+            triangles.push(t);
+            false
+        });
+        triangles.sort_unstable();
+        let mut vertices: Vec<u32> = triangles.iter().flat_map(|&t| whole.triangles[t as usize]).collect();
+        vertices.sort_unstable();
+        vertices.dedup();
+        let mut surface = whole.part(&vertices, &triangles);
+        surface.grid = whole.grid.emptied();
+        for t in 0..triangles.len() as u32 {
+            surface.grid.insert(t, surface.bounds(t));
+        }
+        surface.sides = whole.sides.clone();
+        surface.region = Some(*region);
+        Self { surface, vertices, triangles }
+    }
+
     /// A triangle and so many rings of triangles round it, for trying moves that are then made in the whole. The numbers keep their order.
     pub(super) fn rings(whole: &Surface<'a>, triangle: u32, count: usize) -> Self {
         let (mut vertices, mut triangles) = (whole.triangles[triangle as usize].to_vec(), Vec::new());
@@ -79,6 +100,17 @@ impl<'a> Excerpt<'a> {
         for (frozen, &v) in self.surface.frozen.iter_mut().zip(&self.vertices) {
             *frozen |= !test(v);
         }
+    }
+
+    /// What is known of the vertices of the whole, for those of the part.
+    pub(super) fn pick<T: Copy>(&self, of_whole: &[T]) -> Vec<T> {
+        self.vertices.iter().map(|&v| of_whole[v as usize]).collect()
+    }
+
+    /// The grid nodes that changed sides in the part since it was taken.
+    pub(super) fn turned_nodes(&self, whole: &Surface) -> Vec<usize> {
+        let (Some(now), Some(before)) = (&self.surface.sides, &whole.sides) else { return Vec::new() };
+        now.difference(before)
     }
 
     /// What was changed in the part since it was taken.

@@ -38,6 +38,11 @@ impl TriangleGrid {
         }
     }
 
+    /// An empty grid of the same cells.
+    pub(super) fn emptied(&self) -> Self {
+        Self { population: [0; LEVELS], cells: HashMap::default(), boxes: Vec::new(), ..*self }
+    }
+
     /// Puts a triangle in.
     pub(super) fn insert(&mut self, triangle: u32, bounds: Bounds) {
         let slot = triangle as usize;

@@ -153,7 +153,7 @@ fn is_better(surface: &Surface, touched: &[u32], rule: Rule) -> bool {
 /// Commits the edits since the last commit when they pass, takes them back otherwise. The triangles touched, when they did.
 pub(super) fn commit_if_welcome(surface: &mut Surface, limits: &Limits, rule: Rule) -> Option<Vec<u32>> {
     let touched = surface.touched();
-    if touched.is_empty() || !is_better(surface, &touched, rule) {
+    if touched.is_empty() || !surface.is_within_region(&touched) || !is_better(surface, &touched, rule) {
         surface.undo();
         return None;
     }

@@ -6,6 +6,7 @@
 //! node carried to the other side where that is asked for. Topology cannot change. Optionally the whole mesh is remeshed by the
 //! same moves, which makes a good mesh even of marching cubes' output. The result depends on the input only, not on threads.
 
+mod blocks;
 mod excerpt;
 mod grid;
 mod guard;
@@ -140,7 +141,7 @@ pub struct ImproveReport {
 }
 
 /// What long loops call every so often; an error stops them.
-pub type Step<'a> = &'a dyn Fn() -> Result<()>;
+pub type Step<'a> = &'a (dyn Fn() -> Result<()> + Sync);
 
 /// Improves a mesh in the grid frame. `size` is the target edge length h (mm) at a position.
 ///
@@ -186,10 +187,8 @@ pub fn improve(
         remesh::round(&mut surface, &limits, tally);
         project_all(&mut surface, tally);
     }
-    for _ in 0..options.relaxation_sweeps {
-        step()?;
-        remesh::equalise_degrees(&mut surface, &limits, Rule::Even, 2, tally);
-        remesh::relax_all(&mut surface, &limits, Rule::Even, tally);
+    if options.relaxation_sweeps > 0 {
+        blocks::sweep(&mut surface, &limits, options.relaxation_sweeps, step, tally)?;
     }
     let mut failures = Failures::default();
     for round in 0..options.rounds {

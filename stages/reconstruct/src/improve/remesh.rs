@@ -18,9 +18,10 @@ const FLOOR: f64 = 0.35;
 pub(super) fn round(surface: &mut Surface, limits: &Limits, tally: &mut Tally) {
     split_long(surface, limits, tally);
     collapse_short(surface, limits, tally);
-    equalise_degrees(surface, limits, Rule::Keep { floor: FLOOR }, 0, tally);
+    let all = &vec![true; surface.positions.len()];
+    equalise_degrees(surface, limits, Rule::Keep { floor: FLOOR }, 0, all, tally);
     for _ in 0..2 {
-        relax_all(surface, limits, Rule::Keep { floor: 0.6 }, tally);
+        relax_all(surface, limits, Rule::Keep { floor: 0.6 }, all, tally);
     }
 }
 
@@ -80,10 +81,23 @@ fn collapse_short(surface: &mut Surface, limits: &Limits, tally: &mut Tally) {
     }
 }
 
-/// Flips edges where that brings the degrees round them closer to six; the four vertices of a flip relax `sweeps` times
-/// before it is judged, since a flip alone seldom makes better triangles at once.
-pub(super) fn equalise_degrees(surface: &mut Surface, limits: &Limits, rule: Rule, sweeps: usize, tally: &mut Tally) {
-    for (a, b) in edges(surface) {
+/// Flips edges where that brings the degrees round them closer to six, next to at least one of the vertices in question; the four vertices of a
+/// flip relax `sweeps` times before it is judged, since a flip alone seldom makes better triangles at once.
+pub(super) fn equalise_degrees(
+    surface: &mut Surface,
+    limits: &Limits,
+    rule: Rule,
+    sweeps: usize,
+    in_question: &[bool],
+    tally: &mut Tally,
+) {
+    let next_to = |corners: &&[u32; 3]| **corners != DEAD && corners.iter().any(|&v| in_question[v as usize]);
+    let triangles = surface.triangles.iter().filter(next_to);
+    let mut edges: Vec<(u32, u32)> =
+        triangles.flat_map(|&[a, b, c]| [(a, b), (b, c), (c, a)]).map(|(a, b)| (a.min(b), a.max(b))).collect();
+    edges.sort_unstable();
+    edges.dedup();
+    for (a, b) in edges {
         let Some([(_, c), (_, d)]) = surface.wings(a, b) else { continue };
         let degree = |v: u32| surface.degree(v) as i64;
         let cost = |x: i64| (x - 6) * (x - 6);
@@ -101,9 +115,9 @@ pub(super) fn equalise_degrees(surface: &mut Surface, limits: &Limits, rule: Rul
     }
 }
 
-/// Relaxes every vertex once, in order.
-pub(super) fn relax_all(surface: &mut Surface, limits: &Limits, rule: Rule, tally: &mut Tally) {
-    for v in 0..surface.positions.len() as u32 {
+/// Relaxes every vertex in question once, in order.
+pub(super) fn relax_all(surface: &mut Surface, limits: &Limits, rule: Rule, in_question: &[bool], tally: &mut Tally) {
+    for v in (0..surface.positions.len() as u32).filter(|&v| in_question[v as usize]) {
         for share in [1.0, 0.4] {
             if relax(surface, v, share) && commit_if_welcome(surface, limits, rule).is_some() {
                 tally.relocations += 1;

@@ -54,6 +54,11 @@ impl<'a> Sides<'a> {
         nodes.iter().all(|n| self.wrong.contains(n))
     }
 
+    /// Nodes that are on the wrong side here or there, but not in both.
+    pub(super) fn difference(&self, other: &Self) -> Vec<usize> {
+        self.wrong.symmetric_difference(&other.wrong).copied().collect()
+    }
+
     /// Takes note that nodes changed sides.
     pub(super) fn turn(&mut self, nodes: &[usize]) {
         for node in nodes {

@@ -79,6 +79,8 @@ pub(super) struct Surface<'a> {
     pub(super) grid: TriangleGrid,
     /// Guard of the grid nodes, where asked for.
     pub(super) sides: Option<Sides<'a>>,
+    /// What is changed must lie within, where this is a part of another surface.
+    pub(super) region: Option<Bounds>,
     log: Vec<Change>,
     commits: u32,
     /// The number of the last commit that changed each triangle.
@@ -107,6 +109,7 @@ impl<'a> Surface<'a> {
             facts: Vec::new(),
             grid: TriangleGrid::new(whole, typical_extent(mesh)),
             sides: None,
+            region: None,
             log: Vec::new(),
             commits: 0,
             changed_at: vec![0; mesh.triangles.len()],
@@ -143,6 +146,7 @@ impl<'a> Surface<'a> {
             around,
             facts: triangles.iter().map(|&t| self.facts[t as usize]).collect(),
             sides: None,
+            region: None,
             log: Vec::new(),
             commits: 0,
             changed_at: vec![0; triangles.len()],
@@ -413,6 +417,19 @@ impl<'a> Surface<'a> {
         self.triangles[triangle as usize]
             .iter()
             .all(|&v| self.around[v as usize].iter().all(|&t| self.changed_at[t as usize] <= commits))
+    }
+
+    /// Whether what the edits since the last commit made lies in the region, if there is one.
+    pub(super) fn is_within_region(&self, touched: &[u32]) -> bool {
+        let mut corners = touched.iter().filter(|&&t| self.is_alive(t)).flat_map(|&t| self.corners(t));
+        self.region.is_none_or(|region| corners.all(|p| region.encloses(p)))
+    }
+
+    /// Makes the edits since the last commit final, which were judged elsewhere.
+    pub(super) fn commit_as_it_is(&mut self) {
+        let touched = self.touched();
+        let facts: Vec<Facts> = touched.par_iter().map(|&t| self.measure(t)).collect();
+        self.commit(&touched, &facts);
     }
 
     /// Makes the edits since the last commit final.

@@ -9,7 +9,7 @@ use isoparticles_common::mesh::shapes;
 use isoparticles_common::random::uniform;
 use isoparticles_common::spatial::Bounds;
 
-fn sampled(size: [usize; 3], spacing: DVec3, f: impl Fn(DVec3) -> f64) -> Image<f32> {
+pub(super) fn sampled(size: [usize; 3], spacing: DVec3, f: impl Fn(DVec3) -> f64) -> Image<f32> {
     let geometry = Geometry::axis_aligned(size, spacing);
     let mut image = Image::filled(geometry, 0.0f32);
     for k in 0..size[2] {
@@ -23,7 +23,7 @@ fn sampled(size: [usize; 3], spacing: DVec3, f: impl Fn(DVec3) -> f64) -> Image<
     image
 }
 
-fn ball(centre: DVec3, radius: f64) -> impl Fn(DVec3) -> f64 {
+pub(super) fn ball(centre: DVec3, radius: f64) -> impl Fn(DVec3) -> f64 {
     move |p| p.distance(centre) - radius
 }
 

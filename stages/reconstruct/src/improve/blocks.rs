@@ -1,0 +1,225 @@
+//! Sweeps over the whole mesh, block of space by block of space, on all threads.
+//!
+//! A vertex is free in a block when all triangles round it lie within; what moves and flips of free vertices touch then lies within, too, and so does
+//! what the guard compares it with. So blocks know nothing of each other, and the outcome is the same on any number of threads. What lies
+//! across the faces of the blocks has its turn in blocks shifted by half their side, and the little that is left after that in the whole mesh. A block is small
+//! enough for a processor's cache, so that blocks pay on one thread as well.
+
+use super::excerpt::Excerpt;
+use super::guard::{Limits, Rule};
+use super::surface::{DEAD, Surface};
+use super::{Step, Tally, remesh};
+use glam::DVec3;
+use isoparticles_common::error::Result;
+use isoparticles_common::spatial::Bounds;
+use rayon::prelude::*;
+use std::collections::BTreeMap;
+
+/// Side of a block over the mean length of the edges: some thousands of triangles, and an eighth of the vertices across its faces.
+const SIDE: f64 = 50.0;
+
+/// Relaxations of the four vertices of a flip before it is judged.
+const SWEEPS_OF_FLIP: usize = 2;
+
+/// Flips towards degree six and relaxes every vertex, `sweeps` times; none of it lets any triangle's neighbourhood get worse. `step` is called
+/// before each sweep of a block and may stop it.
+///
+/// # Errors
+/// Those of `step`.
+pub(super) fn sweep(
+    surface: &mut Surface,
+    limits: &Limits,
+    sweeps: usize,
+    step: Step,
+    tally: &mut Tally,
+) -> Result<()> {
+    let work = |part: &mut Surface, todo: &[bool]| {
+        let mut tally = Tally::default();
+        for _ in 0..sweeps {
+            step()?;
+            remesh::equalise_degrees(part, limits, Rule::Even, SWEEPS_OF_FLIP, todo, &mut tally);
+            remesh::relax_all(part, limits, Rule::Even, todo, &mut tally);
+        }
+        Ok(tally)
+    };
+    let mut todo = vec![true; surface.positions.len()];
+    let mut tallies = Vec::new();
+    let side = SIDE * mean_edge(surface);
+    for shift in [0.0, 0.5 * side] {
+        let blocks = blocks(surface, &todo, side, shift);
+        let in_block = |(region, free): &(Bounds, Vec<u32>)| {
+            let mut part = Excerpt::within(surface, region);
+            part.keep_free(|v| free.binary_search(&v).is_ok());
+            let todo = part.pick(&todo);
+            let tally = work(&mut part.surface, &todo)?;
+            Ok((part.turned_nodes(surface), part.edits(surface), tally))
+        };
+        let done: Vec<Result<_>> = blocks.par_iter().map(in_block).collect();
+        for outcome in done {
+            let (nodes, edits, tally) = outcome?;
+            edits.make(surface);
+            if let Some(sides) = &mut surface.sides {
+                sides.turn(&nodes);
+            }
+            tallies.push(tally);
+        }
+        surface.commit_as_it_is();
+        blocks.iter().flat_map(|(_, free)| free).for_each(|&v| todo[v as usize] = false);
+    }
+    if todo.contains(&true) {
+        tallies.push(work(surface, &todo)?);
+    }
+    tally.relocations += tallies.iter().map(|t| t.relocations).sum::<usize>();
+    tally.flips += tallies.iter().map(|t| t.flips).sum::<usize>();
+    Ok(())
+}
+
+/// The blocks that have anything to do, in order, with the vertices that are free there, ascending. A vertex that has been done may be free again.
+fn blocks(surface: &Surface, todo: &[bool], side: f64, shift: f64) -> Vec<(Bounds, Vec<u32>)> {
+    let origin = Bounds::of(&surface.positions).low - shift - 0.25 * side;
+    let key = |p: DVec3| ((p - origin) / side).as_u64vec3().to_array();
+    let region = |key: [u64; 3]| {
+        let corner = |offset: u64| origin + DVec3::from_array(key.map(|k| (k + offset) as f64)) * side;
+        Bounds { low: corner(0), high: corner(1) }
+    };
+    let home = |v: u32| {
+        let p = surface.positions[v as usize];
+        let is_used = !surface.frozen[v as usize] && !surface.around[v as usize].is_empty();
+        let region = region(key(p));
+        let is_free = is_used && surface.link(v).all(|(u, _)| region.encloses(surface.positions[u as usize]));
+        (is_free && region.encloses(p)).then(|| (key(p), v))
+    };
+    let homes: Vec<([u64; 3], u32)> = (0..surface.positions.len() as u32).into_par_iter().filter_map(home).collect();
+    let mut found: BTreeMap<[u64; 3], Vec<u32>> = BTreeMap::new();
+    homes.into_iter().for_each(|(key, v)| found.entry(key).or_default().push(v));
+    found.retain(|_, free| free.iter().any(|&v| todo[v as usize]));
+    found.into_iter().map(|(key, free)| (region(key), free)).collect()
+}
+
+/// Mean length of the sides of the triangles; 1 where there are none.
+fn mean_edge(surface: &Surface) -> f64 {
+    let alive = surface.triangles.iter().filter(|t| **t != DEAD);
+    let (mut sum, mut count) = (0.0, 0.0);
+    for &[a, b, c] in alive {
+        let [p, q, r] = [a, b, c].map(|v| surface.positions[v as usize]);
+        sum += p.distance(q) + q.distance(r) + r.distance(p);
+        count += 3.0;
+    }
+    if sum > 0.0 { sum / count } else { 1.0 }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::improve::guard::commit_if_welcome;
+    use crate::improve::moves;
+    use crate::improve::tests::{ball, sampled};
+    use isoparticles_common::mesh::TriangleMesh;
+    use isoparticles_common::mesh::check::{CheckOptions, check};
+    use isoparticles_common::mesh::quality::{radius_ratios, summarise};
+    use isoparticles_common::mesh::shapes;
+    use isoparticles_common::random::uniform;
+    use isoparticles_common::spline::CubicSpline;
+
+    const CENTRE: DVec3 = DVec3::splat(8.2);
+    const RADIUS: f64 = 6.0;
+    const LIMITS: Limits = Limits { agreement: 0.3, fold: 0.0, fold_of_f: 0.0, deviation: 0.15, excess: 1e-9 };
+
+    /// A sphere of 20,480 triangles with every vertex out of place and some edges flipped in vain, and its F.
+    fn rough_ball() -> (CubicSpline, TriangleMesh, f64) {
+        let field = CubicSpline::new(&sampled([17; 3], DVec3::ONE, ball(CENTRE, RADIUS)));
+        let mut mesh = shapes::icosphere(RADIUS, 5);
+        let h = summarise(&mesh).edge_length_mean;
+        for (v, p) in (0..).zip(&mut mesh.vertices) {
+            let shift = DVec3::new(uniform(1, 0, v), uniform(1, 1, v), uniform(1, 2, v)) - 0.5;
+            *p = field.project(CENTRE + *p + 0.5 * h * shift, h, 1e-6).expect("F = 0 is near");
+        }
+        let size = |_: DVec3| h;
+        let mut surface = Surface::new(&mesh, &field, &size, [0.3, 2.0]);
+        for (a, b) in remesh::edges(&surface).into_iter().step_by(97) {
+            if moves::flip(&mut surface, a, b) {
+                commit_if_welcome(&mut surface, &LIMITS, Rule::Any);
+            }
+        }
+        let mesh = surface.into_mesh();
+        (field, mesh, h)
+    }
+
+    #[test]
+    fn every_vertex_has_its_turn_and_no_triangle_is_worse_for_it_on_any_number_of_threads() {
+        let (field, mesh, h) = rough_ball();
+        let size = |_: DVec3| h;
+        let swept = |threads: usize| {
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("threads");
+            let mut surface = Surface::new(&mesh, &field, &size, [0.3, 2.0]);
+            let mut tally = Tally::default();
+            pool.install(|| sweep(&mut surface, &LIMITS, 3, &|| Ok(()), &mut tally)).expect("nothing stops it");
+            for t in 0..surface.triangles.len() as u32 {
+                assert_eq!(surface.facts[t as usize], surface.measure(t), "facts of triangle {t}");
+            }
+            (surface.into_mesh(), tally)
+        };
+        let (made, tally) = swept(1);
+        assert_eq!((made.clone(), tally), swept(3));
+        assert!(tally.flips > 0 && tally.relocations > made.vertices.len(), "{tally:?}");
+        let still = mesh.vertices.iter().zip(&made.vertices).filter(|(p, q)| p == q).count();
+        assert!(still < mesh.vertices.len() / 100, "{still} vertices are where they were");
+        let smallest = |mesh: &TriangleMesh| radius_ratios(mesh).into_iter().fold(f64::INFINITY, f64::min);
+        assert!(smallest(&made) >= smallest(&mesh));
+        let mean = |mesh: &TriangleMesh| summarise(mesh).radius_ratio_mean;
+        assert!(mean(&made) > mean(&mesh) + 0.02, "{} from {}", mean(&made), mean(&mesh));
+        let options = CheckOptions { field: Some(&field), max_vertex_distance: Some(1e-4), ..CheckOptions::default() };
+        assert_eq!(check(&made, &options).failed_checks(), Vec::<String>::new());
+    }
+
+    #[test]
+    fn blocks_do_not_overlap_and_leave_hardly_any_vertex_out_in_two_turns() {
+        let (field, mesh, h) = rough_ball();
+        let size = |_: DVec3| h;
+        let surface = Surface::new(&mesh, &field, &size, [0.3, 2.0]);
+        let side = 30.0 * mean_edge(&surface);
+        let mut todo = vec![true; mesh.vertices.len()];
+        for shift in [0.0, 0.5 * side] {
+            let blocks = blocks(&surface, &todo, side, shift);
+            assert!(blocks.len() > 4, "{}", blocks.len());
+            let mut free = vec![false; mesh.vertices.len()];
+            for (region, own) in &blocks {
+                for &v in own {
+                    assert!(!std::mem::replace(&mut free[v as usize], true), "vertex {v} is free twice");
+                    let round = surface.link(v).map(|(u, _)| u).chain([v]);
+                    assert!(round.map(|u| surface.positions[u as usize]).all(|p| region.encloses(p)));
+                }
+            }
+            todo.iter_mut().zip(free).for_each(|(todo, free)| *todo &= !free);
+        }
+        let left = todo.iter().filter(|&&todo| todo).count();
+        assert!(left < mesh.vertices.len() / 20, "{left}");
+    }
+
+    #[test]
+    fn nothing_leaves_its_region() {
+        let (field, mesh, h) = rough_ball();
+        let size = |_: DVec3| h;
+        let mut surface = Surface::new(&mesh, &field, &size, [0.3, 2.0]);
+        let (v, from) = (17, surface.positions[17]);
+        let round = surface.link(v).map(|(u, _)| surface.positions[u as usize]).chain([from]).collect::<Vec<_>>();
+        let to = field.project(from + 0.01 * h * DVec3::X, h, 1e-6).expect("F = 0 is near");
+        let tight = Bounds::of(&round);
+        let wide = Bounds { low: tight.low - h, high: tight.high + h };
+        for (region, is_welcome) in [(tight, false), (wide, true)] {
+            surface.region = Some(region);
+            surface.move_vertex(v, to);
+            assert_eq!(commit_if_welcome(&mut surface, &LIMITS, Rule::Any).is_some(), is_welcome);
+            assert_eq!(surface.positions[v as usize] == to, is_welcome);
+        }
+    }
+
+    #[test]
+    fn an_error_stops_the_sweeps() {
+        let (field, mesh, h) = rough_ball();
+        let size = |_: DVec3| h;
+        let mut surface = Surface::new(&mesh, &field, &size, [0.3, 2.0]);
+        let step = || Err(isoparticles_common::error::Error::input("stopped", "", ""));
+        assert!(sweep(&mut surface, &LIMITS, 3, &step, &mut Tally::default()).is_err());
+    }
+}
