@@ -4,7 +4,8 @@ use super::surface::{DEAD, Size, Surface};
 use glam::DVec3;
 use isoparticles_common::mesh::TriangleMesh;
 use isoparticles_common::spatial::Bounds;
-use std::collections::HashMap;
+use rayon::prelude::*;
+use std::collections::{HashMap, HashSet};
 
 /// The part and where it comes from.
 pub(super) struct Excerpt<'a> {
@@ -77,6 +78,22 @@ impl<'a> Excerpt<'a> {
             vertices.dedup();
         }
         Self { surface: whole.part(&vertices, &triangles), vertices, triangles }
+    }
+
+    /// Excerpts round triangles of which no two share a vertex, in the order of the triangles, and the triangles whose excerpt would share one with
+    /// those before.
+    pub(super) fn apart(whole: &Surface<'a>, triangles: &[u32], rings: usize) -> (Vec<(u32, Self)>, Vec<u32>) {
+        let parts: Vec<Self> = triangles.par_iter().map(|&t| Self::rings(whole, t, rings)).collect();
+        let (mut chosen, mut others, mut taken) = (Vec::new(), Vec::new(), HashSet::<u32>::new());
+        for (&t, part) in triangles.iter().zip(parts) {
+            if part.vertices.iter().any(|v| taken.contains(v)) {
+                others.push(t);
+            } else {
+                taken.extend(&part.vertices);
+                chosen.push((t, part));
+            }
+        }
+        (chosen, others)
     }
 
     /// The number in the part of a triangle of the whole that is in it.

@@ -41,6 +41,9 @@ const TIDY_ROUNDS: usize = 3;
 /// Plans, the best first, that are put before the guard.
 const PLANS_TRIED: usize = 40;
 
+/// Triangles that are worked on side by side where their surroundings do not meet.
+const BATCH: usize = 16;
+
 /// Gain in fitness of a triangle below which it counts as tried in vain.
 const LEAST_GAIN: f64 = 0.01;
 
@@ -84,7 +87,7 @@ impl Plan {
     }
 }
 
-/// Tries every triangle outside the limits, worst first, and again those round a success. `step` is called before each and may stop it.
+/// Tries every triangle outside the limits, worst first, and again those round a success. `step` is called before each batch and may stop it.
 ///
 /// # Errors
 /// Those of `step`.
@@ -92,25 +95,35 @@ pub(super) fn lift(surface: &mut Surface, limits: &Limits, step: Step, tally: &m
     let all: Vec<u32> = (0..surface.triangles.len() as u32).collect();
     let mut unfit: Vec<(f64, u32)> = all.par_iter().filter_map(|&t| unfitness(surface, t)).collect();
     let (mut failures, mut in_a_row) = (0, 0);
-    for _ in 0..TRIES + TRIES_EACH * unfit.len() {
-        let order = |i: &usize, j: &usize| unfit[*i].0.total_cmp(&unfit[*j].0).then(unfit[*i].1.cmp(&unfit[*j].1));
-        let numbers = 0..unfit.len();
-        let next = if in_a_row < FAILURES_IN_A_ROW { numbers.min_by(order) } else { numbers.max_by(order) };
-        let Some(next) = next.filter(|_| failures < FAILURES && in_a_row < 2 * FAILURES_IN_A_ROW) else { break };
+    let mut tries = TRIES + TRIES_EACH * unfit.len();
+    while !unfit.is_empty() && tries > 0 && failures < FAILURES && in_a_row < 2 * FAILURES_IN_A_ROW {
         step()?;
-        let (before, triangle) = unfit.swap_remove(next);
-        let touched = lift_one(surface, limits, triangle, step, tally)?;
-        if let Some(touched) = &touched {
-            unfit.retain(|(_, t)| touched.binary_search(t).is_err());
-            unfit.extend(touched.iter().filter_map(|&t| unfitness(surface, t)));
+        let worst_first = in_a_row < FAILURES_IN_A_ROW;
+        let order = |a: &(f64, u32), b: &(f64, u32)| {
+            let by_fitness = a.0.total_cmp(&b.0);
+            if worst_first { by_fitness } else { by_fitness.reverse() }.then(a.1.cmp(&b.1))
+        };
+        unfit.sort_unstable_by(order);
+        let batch: Vec<(f64, u32)> = unfit.drain(..unfit.len().min(BATCH).min(tries)).collect();
+        let numbers: Vec<u32> = batch.iter().map(|&(_, t)| t).collect();
+        let (parts, others) = Excerpt::apart(surface, &numbers, RINGS);
+        tries -= parts.len();
+        let mut again = others;
+        for (touched, (triangle, _)) in lift_apart(surface, limits, &parts, step, tally)?.into_iter().zip(&parts) {
+            // what helped only its neighbours, or hardly, is no success, lest it be tried without end
+            let before = batch.iter().find(|(_, t)| t == triangle).map_or(1.0, |(fitness, _)| *fitness);
+            let after = unfitness(surface, *triangle).map(|(fitness, _)| fitness);
+            if touched.is_some() && after.is_none_or(|after| after > before + LEAST_GAIN) {
+                in_a_row = 0;
+            } else {
+                (failures, in_a_row) = (failures + 1, in_a_row + 1);
+            }
+            again.extend(touched.unwrap_or_default());
         }
-        // what helped only its neighbours, or hardly, is no success, lest it be tried without end
-        let after = unfitness(surface, triangle).map(|(fitness, _)| fitness);
-        if touched.is_some() && after.is_none_or(|after| after > before + LEAST_GAIN) {
-            in_a_row = 0;
-        } else {
-            (failures, in_a_row) = (failures + 1, in_a_row + 1);
-        }
+        again.sort_unstable();
+        again.dedup();
+        unfit.retain(|(_, t)| again.binary_search(t).is_err());
+        unfit.extend(again.into_iter().filter_map(|t| unfitness(surface, t)));
     }
     Ok(())
 }
@@ -121,35 +134,37 @@ fn unfitness(surface: &Surface, triangle: u32) -> Option<(f64, u32)> {
     (fitness < 1.0).then_some((fitness, triangle))
 }
 
-fn lift_one(
+/// Works on triangles whose surroundings do not meet, by the means that cost least first: for each the triangles touched, `None` where nothing
+/// helped.
+fn lift_apart(
     surface: &mut Surface,
     limits: &Limits,
-    triangle: u32,
+    parts: &[(u32, Excerpt)],
     step: Step,
     tally: &mut Tally,
-) -> Result<Option<Vec<u32>>> {
-    if let Some(touched) = speck::lift(surface, limits, triangle) {
-        tally.remade_specks += 1;
-        return Ok(Some(touched));
+) -> Result<Vec<Option<Vec<u32>>>> {
+    let mut touched: Vec<Option<Vec<u32>>> = parts.iter().map(|(t, _)| speck::lift(surface, limits, *t)).collect();
+    tally.remade_specks += touched.iter().flatten().count();
+    for plans in [refinements, sequences] {
+        let rated = |(touched, (t, part)): (&Option<Vec<u32>>, &(u32, Excerpt))| match touched {
+            Some(_) => Vec::new(),
+            None => rated(part, limits, plans(&part.surface, part.local(*t))),
+        };
+        let plans: Vec<Vec<Rated>> = touched.par_iter().zip(parts).map(rated).collect();
+        for ((touched, (_, part)), plans) in touched.iter_mut().zip(parts).zip(plans) {
+            if touched.is_none() {
+                *touched = make_first_welcome(surface, part, limits, &plans, tally);
+            }
+        }
     }
-    let part = Excerpt::rings(surface, triangle, RINGS);
-    let inside = part.local(triangle);
-    let refinements = refinements(&part.surface, inside);
-    if let Some(touched) = best_welcome(surface, &part, limits, refinements, tally) {
-        return Ok(Some(touched));
+    for (touched, (t, _)) in touched.iter_mut().zip(parts) {
+        // the patch before may have reached it
+        if touched.is_some() || unfitness(surface, *t).is_none() {
+            continue;
+        }
+        *touched = patch::lift(surface, limits, *t, step)?;
+        tally.remeshed_patches += usize::from(touched.is_some());
     }
-    let corners = part.surface.triangles[inside as usize];
-    let mut sequences = Vec::new();
-    let mut trial = part.surface.clone();
-    for first in moves_near(&[corners], &corners) {
-        extensions(&mut trial, &[first], &mut sequences);
-    }
-    let pairs = sequences.into_iter().map(Plan::Moves).collect();
-    if let Some(touched) = best_welcome(surface, &part, limits, pairs, tally) {
-        return Ok(Some(touched));
-    }
-    let touched = patch::lift(surface, limits, triangle, step)?;
-    tally.remeshed_patches += usize::from(touched.is_some());
     Ok(touched)
 }
 
@@ -160,6 +175,17 @@ fn refinements(surface: &Surface, triangle: u32) -> Vec<Plan> {
     let centre = (a + b + c) / 3.0;
     let plan = |share: f64, slope: f64| Plan::Refine { triangle, centre, size: share * shortest, slope };
     SIZES.iter().flat_map(|&share| SLOPES.map(|slope| plan(share, slope))).collect()
+}
+
+/// Up to two elementary moves in a row.
+fn sequences(surface: &Surface, triangle: u32) -> Vec<Plan> {
+    let corners = surface.triangles[triangle as usize];
+    let mut found = Vec::new();
+    let mut trial = surface.clone();
+    for first in moves_near(&[corners], &corners) {
+        extensions(&mut trial, &[first], &mut found);
+    }
+    found.into_iter().map(Plan::Moves).collect()
 }
 
 /// A sequence of moves that can be made, and those with one move more in the patch that it leaves.
@@ -176,19 +202,29 @@ fn extensions(surface: &mut Surface, plan: &[Move], found: &mut Vec<Vec<Move>>) 
     surface.undo();
 }
 
-/// Tries plans, in the numbers of a part, there, and commits the best of those that the guard of the whole lets pass: the triangles touched.
-fn best_welcome(
+/// A plan in the numbers of a part, and what it gains there.
+type Rated = (f64, Plan);
+
+/// Tries plans in a part: those that gain anything, the best first.
+fn rated(part: &Excerpt, limits: &Limits, plans: Vec<Plan>) -> Vec<Rated> {
+    let rate = |trial: &mut Surface, plan: Plan| (outcome(trial, limits, &plan), plan);
+    let mut rated: Vec<Rated> = plans.into_par_iter().map_init(|| part.surface.clone(), rate).collect();
+    // stable: the order of the plans among equals
+    rated.sort_by(|a, b| b.0.total_cmp(&a.0));
+    rated.retain(|(gain, _)| *gain > 0.0);
+    rated.truncate(PLANS_TRIED);
+    rated
+}
+
+/// Commits the first of some plans that the guard of the whole lets pass: the triangles touched.
+fn make_first_welcome(
     surface: &mut Surface,
     part: &Excerpt,
     limits: &Limits,
-    plans: Vec<Plan>,
+    plans: &[Rated],
     tally: &mut Tally,
 ) -> Option<Vec<u32>> {
-    let rate = |trial: &mut Surface, plan: Plan| (outcome(trial, limits, &plan), plan);
-    let mut rated: Vec<(f64, Plan)> = plans.into_par_iter().map_init(|| part.surface.clone(), rate).collect();
-    // stable: the order of the plans among equals
-    rated.sort_by(|a, b| b.0.total_cmp(&a.0));
-    for (_, plan) in rated.iter().take_while(|(gain, _)| *gain > 0.0).take(PLANS_TRIED) {
+    for (_, plan) in plans {
         if execute(surface, &plan.in_whole(part, surface))
             && let Some(touched) = commit_if_welcome(surface, limits, Rule::Fit)
         {

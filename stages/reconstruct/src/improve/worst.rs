@@ -23,6 +23,9 @@ const RINGS: usize = 7;
 /// the surface has too much detail below h for local moves to mend.
 const DOUBLE_BUDGET: usize = 1500;
 
+/// Triangles, worst first, that are worked on side by side where their surroundings do not meet.
+const BATCH: usize = 32;
+
 /// How hard to try.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) enum Effort {
@@ -71,7 +74,7 @@ impl Failures {
     }
 }
 
-/// Tries every triangle below `bar`, worst first, and again whatever falls short next to a success. `step` is called before each and may
+/// Tries every triangle below `bar`, worst first, and again whatever falls short next to a success. `step` is called before each batch and may
 /// stop it.
 ///
 /// # Errors
@@ -96,45 +99,46 @@ pub(super) fn lift(
     if effort == Effort::Double {
         budget = budget.min(DOUBLE_BUDGET);
     }
-    while let Some(Reverse((bits, t))) = queue.pop() {
-        let current = surface.facts[t as usize].quality;
-        if current.to_bits() != bits || !surface.is_alive(t) || failures.holds(surface, t, effort) {
-            continue;
+    loop {
+        let mut batch = Vec::new();
+        while batch.len() < BATCH.min(budget)
+            && let Some(Reverse((bits, t))) = queue.pop()
+        {
+            let is_current = surface.facts[t as usize].quality.to_bits() == bits && surface.is_alive(t);
+            if is_current && !batch.contains(&t) && !failures.holds(surface, t, effort) {
+                batch.push(t);
+            }
         }
-        if budget == 0 {
-            break;
+        if batch.is_empty() {
+            return Ok(());
         }
-        budget -= 1;
         step()?;
-        match lift_one(surface, limits, bar, t, effort, tally) {
-            Some(touched) => {
-                for t in touched {
-                    let quality = surface.facts[t as usize].quality;
-                    if quality < bar {
-                        queue.push(Reverse((quality.to_bits(), t)));
-                    }
+        let (parts, others) = Excerpt::apart(surface, &batch, RINGS);
+        budget -= parts.len();
+        let plans: Vec<Vec<Rated>> = parts.par_iter().map(|(t, part)| plans(part, *t, bar, effort)).collect();
+        let mut again = others;
+        for ((t, part), plans) in parts.iter().zip(plans) {
+            match make_first_welcome(surface, part, limits, bar, plans, effort, tally) {
+                Some(touched) => again.extend(touched),
+                None => {
+                    failures.at.insert(*t, (surface.commits(), effort));
                 }
             }
-            None => {
-                failures.at.insert(t, (surface.commits(), effort));
+        }
+        for t in again {
+            let quality = surface.facts[t as usize].quality;
+            if quality < bar {
+                queue.push(Reverse((quality.to_bits(), t)));
             }
         }
     }
-    Ok(())
 }
 
 /// A plan and the shortfall that it saves before anything has settled (negative when it costs some at first).
 type Rated = (f64, Vec<Move>);
 
-fn lift_one(
-    surface: &mut Surface,
-    limits: &Limits,
-    bar: f64,
-    triangle: u32,
-    effort: Effort,
-    tally: &mut Tally,
-) -> Option<Vec<u32>> {
-    let part = Excerpt::rings(surface, triangle, RINGS);
+/// The plans for a triangle that promise anything in the part round it, the best first.
+fn plans(part: &Excerpt, triangle: u32, bar: f64, effort: Effort) -> Vec<Rated> {
     let corners = part.surface.triangles[part.local(triangle) as usize];
     let trial = || part.surface.clone();
     let started: Vec<Vec<Rated>> = moves_near(&[corners], &corners)
@@ -154,6 +158,19 @@ fn lift_one(
     }
     plans.retain(|(gain, _)| *gain > 0.0);
     plans.truncate(PLANS_TRIED);
+    plans
+}
+
+/// Commits the first of some plans that the guard lets pass: the triangles touched.
+fn make_first_welcome(
+    surface: &mut Surface,
+    part: &Excerpt,
+    limits: &Limits,
+    bar: f64,
+    plans: Vec<Rated>,
+    effort: Effort,
+    tally: &mut Tally,
+) -> Option<Vec<u32>> {
     for (_, plan) in plans {
         let plan: Vec<Move> = plan.iter().map(|step| step.renumbered(|v| part.global(surface, v))).collect();
         if execute(surface, &plan, effort)
