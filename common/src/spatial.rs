@@ -34,6 +34,11 @@ impl Bounds {
         self.low.cmple(other.high).all() && other.low.cmple(self.high).all()
     }
 
+    /// Whether a point lies within or on the border.
+    pub fn holds(&self, p: DVec3) -> bool {
+        self.low.cmple(p).all() && p.cmple(self.high).all()
+    }
+
     /// Whether a point lies within, not on the border.
     pub fn encloses(&self, p: DVec3) -> bool {
         self.low.cmplt(p).all() && p.cmplt(self.high).all()

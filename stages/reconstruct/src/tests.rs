@@ -85,19 +85,45 @@ fn sound(scene: &Scene, spacing: f64, expected: &[i64]) -> (f64, f64, RefineRepo
     (volume, area, report)
 }
 
+/// The middle of a cell.
+const SPECK: DVec3 = DVec3::new(24.5, 15.5, 15.5);
+
+/// A ball, and one of radius 0.6 round the middle of a cell, whose corners are outside: splines reproduce quadratic functions.
+fn ball_and_speck() -> Scene {
+    Scene::new([32; 3], DVec3::ONE, |p| {
+        let ball = p.distance(DVec3::new(10.0, 15.7, 15.7)) - 8.0;
+        ball.min(0.3 * (p.distance_squared(SPECK) / 0.36 - 1.0))
+    })
+}
+
 #[test]
 fn a_speck_between_the_samples_is_found_and_counted() {
-    // splines reproduce quadratic functions: F = 0 has a ball of radius 0.6 round the middle of a cell, whose corners are outside
-    let speck = DVec3::new(24.5, 15.5, 15.5);
-    let scene = Scene::new([32; 3], DVec3::ONE, |p| {
-        let ball = p.distance(DVec3::new(10.0, 15.7, 15.7)) - 8.0;
-        ball.min(0.3 * (p.distance_squared(speck) / 0.36 - 1.0))
-    });
-    let (mesh, defects, report, euler) = surface(&scene, 1.4);
+    let (mesh, defects, report, euler) = surface(&ball_and_speck(), 1.4);
     assert!(defects.is_empty() && report.unresolved_critical == 0, "{report:?}");
     assert_eq!(euler, [2], "marching cubes sees the ball alone");
     assert_eq!((defects.component_count, report.unsampled_components), (2, 1));
-    assert!(mesh.vertices.iter().any(|p| (p.distance(speck) - 0.6).abs() < 0.05));
+    assert!(mesh.vertices.iter().any(|p| (p.distance(SPECK) - 0.6).abs() < 0.05));
+}
+
+#[test]
+fn a_speck_between_the_samples_counts_for_tight_cocone_too_whether_the_border_is_open_or_not() {
+    for open_border in [false, true] {
+        let scene = ball_and_speck();
+        let mut points = surface_points(&scene, 1.4);
+        let options = RefineOptions { open_border, ..RefineOptions::default() };
+        let isosurface = Isosurface::new(&scene.image);
+        let mut refinement = Refinement::new(&mut points, &scene.field, isosurface, options).unwrap();
+        refinement.run(|_, _| Ok(())).unwrap();
+        assert_eq!((refinement.component_count(), refinement.report.unsampled_components), (2, 1));
+        let (facets, _) = cocone_of(&refinement).unwrap();
+        let defects = refinement.compare_other(&facets);
+        assert_eq!(defects.component_count, 2, "open {open_border}");
+        assert_eq!(
+            (refinement.component_count(), refinement.report.unsampled_components),
+            (2, 1),
+            "open {open_border}"
+        );
+    }
 }
 
 #[test]

@@ -45,14 +45,9 @@ impl<'a> Excerpt<'a> {
         Self { surface, vertices, triangles }
     }
 
-    /// The committed triangles of a surface that meet a box, with their facts, for changes that stay within the box. The numbers keep their order.
-    pub(super) fn within(whole: &Surface<'a>, region: &Bounds) -> Self {
-        let mut triangles = Vec::new();
-        whole.grid.any(region, |t, _| {
-            triangles.push(t);
-            false
-        });
-        triangles.sort_unstable();
+    /// The committed triangles of a surface that meet a box (ascending), with their facts, for changes that stay within the box. The numbers keep
+    /// their order.
+    pub(super) fn within(whole: &Surface<'a>, region: &Bounds, triangles: Vec<u32>) -> Self {
         let mut vertices: Vec<u32> = triangles.iter().flat_map(|&t| whole.triangles[t as usize]).collect();
         vertices.sort_unstable();
         vertices.dedup();
@@ -61,7 +56,7 @@ impl<'a> Excerpt<'a> {
         for t in 0..triangles.len() as u32 {
             surface.grid.insert(t, surface.bounds(t));
         }
-        surface.sides = whole.sides.clone();
+        surface.sides = whole.sides.as_ref().map(|sides| sides.within(region));
         surface.region = Some(*region);
         Self { surface, vertices, triangles }
     }
@@ -101,6 +96,11 @@ impl<'a> Excerpt<'a> {
         self.triangles.partition_point(|&t| t < triangle) as u32
     }
 
+    /// The numbers in the whole of its triangles, ascending.
+    pub(super) fn into_triangles(self) -> Vec<u32> {
+        self.triangles
+    }
+
     /// The number in the whole of a triangle of the part.
     pub(super) fn global_triangle(&self, triangle: u32) -> u32 {
         self.triangles[triangle as usize]
@@ -127,7 +127,8 @@ impl<'a> Excerpt<'a> {
     /// The grid nodes that changed sides in the part since it was taken.
     pub(super) fn turned_nodes(&self, whole: &Surface) -> Vec<usize> {
         let (Some(now), Some(before)) = (&self.surface.sides, &whole.sides) else { return Vec::new() };
-        now.difference(before)
+        let before = self.surface.region.map_or_else(|| before.clone(), |region| before.within(&region));
+        now.difference(&before)
     }
 
     /// What was changed in the part since it was taken.

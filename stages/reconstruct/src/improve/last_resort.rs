@@ -9,7 +9,7 @@ use super::excerpt::Excerpt;
 use super::guard::{Limits, Rule, commit_if_welcome, fitness, gain_in_fitness, keeps_limits};
 use super::moves::{flip, settle, split};
 use super::patch;
-use super::speck;
+use super::speck::Speck;
 use super::surface::{DEAD, Surface};
 use super::worst::{Move, moves_near, perform};
 use super::{Step, Tally};
@@ -17,7 +17,7 @@ use glam::DVec3;
 use isoparticles_common::error::Result;
 use isoparticles_common::mesh::quality::radius_ratio;
 use rayon::prelude::*;
-use std::collections::BTreeSet;
+use std::collections::{BTreeSet, HashSet};
 
 /// Refinements: edge lengths at the triangle that they aim at, over its shortest side, and how fast the size grows from there, mm per mm.
 const SIZES: [f64; 4] = [1.2, 0.9, 0.65, 0.45];
@@ -31,6 +31,9 @@ const SPLIT_ROUNDS: usize = 6;
 
 /// Rings of triangles round a triangle in the part where plans are tried: as many vertices as the largest patch, and more.
 const RINGS: usize = 16;
+
+/// Rings of triangles round one that is left outside the limits that are worth another try.
+const RINGS_ROUND: usize = 6;
 
 /// Most vertices in the patch of a refinement; more would be a remeshing.
 const LARGEST_PATCH: usize = 400;
@@ -47,11 +50,12 @@ const BATCH: usize = 16;
 /// Gain in fitness of a triangle below which it counts as tried in vain.
 const LEAST_GAIN: f64 = 0.01;
 
-/// Triangles that are tried, worst first, up to a second or two each: so many, and so many more for each that is outside the limits at first. Where so
+/// Triangles that are tried, worst first, up to a second or two each: so many, and so many more for each that is outside the limits at first, up to a limit. Where so
 /// many are tried in vain, F has too much detail below h. After so many in a row the least bad come first, lest hopeless ones keep all others from
 /// being tried.
 const TRIES: usize = 1000;
 const TRIES_EACH: usize = 3;
+const MOST_TRIES: usize = 10_000;
 const FAILURES: usize = 200;
 const FAILURES_IN_A_ROW: usize = 40;
 
@@ -87,15 +91,16 @@ impl Plan {
     }
 }
 
-/// Tries every triangle outside the limits, worst first, and again those round a success. `step` is called before each batch and may stop it.
+/// Tries every triangle outside the limits, worst first, and again those round a success. The triangles round those that are left, for which another
+/// try may pay once something has changed there; none after too many tries in vain. `step` is called before each batch and may stop it.
 ///
 /// # Errors
 /// Those of `step`.
-pub(super) fn lift(surface: &mut Surface, limits: &Limits, step: Step, tally: &mut Tally) -> Result<()> {
-    let all: Vec<u32> = (0..surface.triangles.len() as u32).collect();
-    let mut unfit: Vec<(f64, u32)> = all.par_iter().filter_map(|&t| unfitness(surface, t)).collect();
+pub(super) fn lift(surface: &mut Surface, limits: &Limits, step: Step, tally: &mut Tally) -> Result<Vec<u32>> {
+    let mut unfit = all_unfit(surface);
     let (mut failures, mut in_a_row) = (0, 0);
-    let mut tries = TRIES + TRIES_EACH * unfit.len();
+    let mut hopeless = HashSet::new();
+    let mut tries = (TRIES + TRIES_EACH * unfit.len()).min(MOST_TRIES);
     while !unfit.is_empty() && tries > 0 && failures < FAILURES && in_a_row < 2 * FAILURES_IN_A_ROW {
         step()?;
         let worst_first = in_a_row < FAILURES_IN_A_ROW;
@@ -109,11 +114,13 @@ pub(super) fn lift(surface: &mut Surface, limits: &Limits, step: Step, tally: &m
         let (parts, others) = Excerpt::apart(surface, &numbers, RINGS);
         tries -= parts.len();
         let mut again = others;
-        for (touched, (triangle, _)) in lift_apart(surface, limits, &parts, step, tally)?.into_iter().zip(&parts) {
+        for (touched, (triangle, _)) in
+            lift_apart(surface, limits, &parts, &mut hopeless, step, tally)?.into_iter().zip(&parts)
+        {
             // what helped only its neighbours, or hardly, is no success, lest it be tried without end
             let before = batch.iter().find(|(_, t)| t == triangle).map_or(1.0, |(fitness, _)| *fitness);
             let after = unfitness(surface, *triangle).map(|(fitness, _)| fitness);
-            if touched.is_some() && after.is_none_or(|after| after > before + LEAST_GAIN) {
+            if after.is_none_or(|after| touched.is_some() && after > before + LEAST_GAIN) {
                 in_a_row = 0;
             } else {
                 (failures, in_a_row) = (failures + 1, in_a_row + 1);
@@ -125,7 +132,18 @@ pub(super) fn lift(surface: &mut Surface, limits: &Limits, step: Step, tally: &m
         unfit.retain(|(_, t)| again.binary_search(t).is_err());
         unfit.extend(again.into_iter().filter_map(|t| unfitness(surface, t)));
     }
-    Ok(())
+    let left = if unfit.is_empty() { all_unfit(surface) } else { Vec::new() };
+    let round = |(_, t): (f64, u32)| Excerpt::rings(surface, t, RINGS_ROUND).into_triangles();
+    let mut round: Vec<u32> = left.into_iter().flat_map(round).collect();
+    round.sort_unstable();
+    round.dedup();
+    Ok(round)
+}
+
+/// The triangles outside the limits, with their fitness.
+fn all_unfit(surface: &Surface) -> Vec<(f64, u32)> {
+    let triangles = 0..surface.triangles.len() as u32;
+    triangles.into_par_iter().filter_map(|t| unfitness(surface, t)).collect()
 }
 
 /// The fitness of a triangle that is outside the limits, with its number.
@@ -140,12 +158,22 @@ fn lift_apart(
     surface: &mut Surface,
     limits: &Limits,
     parts: &[(u32, Excerpt)],
+    hopeless: &mut HashSet<Speck>,
     step: Step,
     tally: &mut Tally,
 ) -> Result<Vec<Option<Vec<u32>>>> {
-    let mut touched: Vec<Option<Vec<u32>>> = parts.iter().map(|(t, _)| speck::lift(surface, limits, *t)).collect();
+    let mut touched = Vec::with_capacity(parts.len());
+    for &(t, _) in parts {
+        let speck = Speck::round(surface, t).filter(|speck| !hopeless.contains(speck));
+        touched.push(speck.as_ref().and_then(|speck| speck.remake(surface, limits)));
+        if let (Some(speck), None) = (speck, &touched[touched.len() - 1]) {
+            step()?;
+            hopeless.insert(speck);
+        }
+    }
     tally.remade_specks += touched.iter().flatten().count();
     for plans in [refinements, sequences] {
+        step()?;
         let rated = |(touched, (t, part)): (&Option<Vec<u32>>, &(u32, Excerpt))| match touched {
             Some(_) => Vec::new(),
             None => rated(part, limits, plans(&part.surface, part.local(*t))),
@@ -418,11 +446,17 @@ mod tests {
         let mesh = lattice(shift);
         assert!(smallest(&mesh) > 1.0 - LEAST_GAIN, "{}", smallest(&mesh));
         let size = |_: DVec3| 1.0;
-        let mut surface = Surface::new(&mesh, &field, &size, LENGTHS);
-        let unfit = |s: &Surface| (0..s.triangles.len() as u32).filter(|&t| unfitness(s, t).is_some()).count();
-        assert!(unfit(&surface) > 2 * FAILURES_IN_A_ROW, "{}", unfit(&surface));
         let limits = Limits { agreement: 0.0, fold: -0.3, fold_of_f: -0.8, deviation: 0.35, excess: 0.35 };
-        lift(&mut surface, &limits, &|| Ok(()), &mut Tally::default()).unwrap();
-        assert_eq!(unfit(&surface), 0);
+        let lifted = |threads: usize| {
+            let mut surface = Surface::new(&mesh, &field, &size, LENGTHS);
+            let unfit: Vec<u32> = all_unfit(&surface).into_iter().map(|(_, t)| t).collect();
+            assert!(unfit.len() > 2 * FAILURES_IN_A_ROW, "{}", unfit.len());
+            assert!(Excerpt::apart(&surface, &unfit, RINGS).0.len() > 1, "none are worked on side by side");
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+            let left = pool.install(|| lift(&mut surface, &limits, &|| Ok(()), &mut Tally::default())).unwrap();
+            assert_eq!((left, all_unfit(&surface)), (Vec::new(), Vec::new()));
+            surface.into_mesh()
+        };
+        assert_eq!(lifted(1), lifted(3));
     }
 }

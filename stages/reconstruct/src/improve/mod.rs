@@ -200,11 +200,21 @@ pub fn improve(
     if options.rounds > 0 {
         project_all(&mut surface, tally);
         let bar = options.target.min(LAST_RESORT_BELOW);
-        let failures = &mut Failures::default();
-        worst::lift(&mut surface, &limits.loosened(), bar, Effort::Double, failures, step, tally)?;
+        let loosened = &limits.loosened();
+        worst::lift(&mut surface, loosened, bar, Effort::Double, &mut Failures::default(), step, tally)?;
         if options.target > 0.0 {
             surface.lengths = last_resort::LENGTHS;
-            last_resort::lift(&mut surface, &limits.loosened(), step, tally)?;
+            for _ in 0..LAST_RESORTS {
+                let round = last_resort::lift(&mut surface, loosened, step, tally)?;
+                if round.is_empty() {
+                    break;
+                }
+                let failures = &mut Failures::default();
+                for effort in [Effort::Single, Effort::Settled, Effort::Double] {
+                    let round = round.iter().copied();
+                    worst::lift_some(&mut surface, round, &limits, options.target, effort, failures, step, tally)?;
+                }
+            }
         }
     }
 
@@ -216,6 +226,9 @@ pub fn improve(
     report.below_target = below(mesh);
     Ok(report)
 }
+
+/// Turns of the last resort, each with moves round those triangles that it could not help, which give them another chance.
+const LAST_RESORTS: usize = 3;
 
 /// Triangles below this radius ratio are worth the loosened limits.
 const LAST_RESORT_BELOW: f64 = 0.5;

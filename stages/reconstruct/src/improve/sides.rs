@@ -7,6 +7,7 @@ use glam::DVec3;
 use isoparticles_common::image::Image;
 use isoparticles_common::mesh::TriangleMesh;
 use isoparticles_common::mesh::inside::{Crossing, crossings, nodes_on_wrong_side};
+use isoparticles_common::spatial::Bounds;
 use std::collections::HashSet;
 
 /// The nodes, their sides, and those on the wrong one.
@@ -52,6 +53,17 @@ impl<'a> Sides<'a> {
     /// Whether none of the nodes is on its right side now, so that the change can only mend.
     pub(super) fn are_wrong(&self, nodes: &[usize]) -> bool {
         nodes.iter().all(|n| self.wrong.contains(n))
+    }
+
+    /// The same for what happens in a box alone (grid frame, mm).
+    pub(super) fn within(&self, region: &Bounds) -> Self {
+        let [nx, ny, _] = self.image.geometry.size;
+        let position = |n: usize| {
+            let index = DVec3::new((n % nx) as f64, (n / nx % ny) as f64, (n / nx / ny) as f64);
+            self.image.geometry.index_to_grid(index)
+        };
+        let wrong = self.wrong.iter().copied().filter(|&n| region.holds(position(n))).collect();
+        Self { image: self.image, wrong }
     }
 
     /// Nodes that are on the wrong side here or there, but not in both.

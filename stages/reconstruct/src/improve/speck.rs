@@ -47,39 +47,55 @@ const STRAYS: f64 = 0.25;
 /// Radius ratio that the triangles are lifted to afterwards.
 const TARGET: f64 = 0.7;
 
-/// Makes the piece of the surface that a triangle belongs to anew, if it is small, simply connected and star-shaped, and the guard lets it pass: the
-/// triangles touched, `None` where it is not or does not.
-pub(super) fn lift(surface: &mut Surface, limits: &Limits, triangle: u32) -> Option<Vec<u32>> {
-    let vertices = patch_round(surface, surface.triangles[triangle as usize][0], |_, _| true)?;
-    let mut triangles: Vec<u32> = vertices.iter().flat_map(|&v| surface.around[v as usize].iter().copied()).collect();
-    triangles.sort_unstable();
-    triangles.dedup();
-    // V - F / 2, the Euler characteristic of a closed piece
-    if vertices.len() > LARGEST_SPECK || 2 * vertices.len() != triangles.len() + 4 {
-        return None;
+/// A small closed piece of the surface.
+#[derive(PartialEq, Eq, Hash)]
+pub(super) struct Speck {
+    /// Its vertices, ascending.
+    vertices: Vec<u32>,
+    /// Its triangles, ascending.
+    triangles: Vec<u32>,
+}
+
+impl Speck {
+    /// The piece that a triangle belongs to, if it is small and simply connected.
+    pub(super) fn round(surface: &Surface, triangle: u32) -> Option<Self> {
+        let vertices = patch_round(surface, surface.triangles[triangle as usize][0], |_, _| true)?;
+        let round = |&v: &u32| surface.around[v as usize].iter().copied();
+        let mut triangles: Vec<u32> = vertices.iter().flat_map(round).collect();
+        triangles.sort_unstable();
+        triangles.dedup();
+        // V - F / 2 is the Euler characteristic of a closed piece
+        let is_speck = vertices.len() <= LARGEST_SPECK && 2 * vertices.len() == triangles.len() + 4;
+        is_speck.then_some(Self { vertices, triangles })
     }
-    let ball = cast(surface, &vertices)?;
-    TRIANGLES.iter().filter(|&&count| count > FEWEST * triangles.len() as f64).find_map(|&count| {
-        let made = remeshed(surface, &ball, count, limits)?;
-        Edits::replacing(surface, &triangles, &made).make(surface);
-        commit_if_welcome(surface, limits, Rule::Fit)
-    })
+
+    /// Makes it anew, if it is star-shaped and the guard lets it pass: the triangles touched, `None` where it is not or does not.
+    pub(super) fn remake(&self, surface: &mut Surface, limits: &Limits) -> Option<Vec<u32>> {
+        let ball = cast(surface, &self.vertices)?;
+        let fewest = FEWEST * self.triangles.len() as f64;
+        TRIANGLES.iter().filter(|&&count| count > fewest).find_map(|&count| {
+            let made = remeshed(surface, &ball, count, limits)?;
+            Edits::replacing(surface, &self.triangles, &made).make(surface);
+            commit_if_welcome(surface, limits, Rule::Fit)
+        })
+    }
 }
 
 /// A sphere cast onto F = 0 from the middle of some vertices, oriented as they are; `None` where F = 0 is not met in all directions.
 fn cast(surface: &Surface, vertices: &[u32]) -> Option<TriangleMesh> {
     let sphere = shapes::icosphere(1.0, LEVELS);
     let own = || vertices.iter().map(|&v| surface.positions[v as usize]);
-    let mut middle = own().sum::<DVec3>() / vertices.len() as f64;
+    let (mut from, mut middle) = (DVec3::ZERO, own().sum::<DVec3>() / vertices.len() as f64);
     let reach = REACH * own().map(|p| p.distance(middle)).fold(0.0, f64::max);
     let mut ball = sphere.clone();
     for _ in 0..CENTRINGS {
+        from = middle;
         let hits: Option<Vec<DVec3>> =
-            sphere.vertices.iter().map(|&way| crossing(surface, middle, way * reach)).collect();
+            sphere.vertices.iter().map(|&way| crossing(surface, from, way * reach)).collect();
         ball.vertices = hits?;
         middle = ball.vertices.iter().sum::<DVec3>() / ball.vertices.len() as f64;
     }
-    if surface.field.value(middle) > 0.0 {
+    if surface.field.value(from) > 0.0 {
         ball.triangles.iter_mut().for_each(|corners| corners.swap(1, 2));
     }
     Some(ball)
@@ -192,13 +208,13 @@ mod tests {
         open.triangles.pop();
         for mesh in [open, bipyramid(&field, &many, false)] {
             let mut surface = Surface::new(&mesh, &field, &size, last_resort::LENGTHS);
-            assert!(lift(&mut surface, &LIMITS, 0).is_none());
+            assert!(Speck::round(&surface, 0).is_none());
             assert_eq!(surface.into_mesh(), mesh);
         }
         // F = 0 is not met round a piece that lies elsewhere
         let mut elsewhere = bipyramid(&field, &[0.2, 1.4, 2.9], false);
         elsewhere.vertices.iter_mut().for_each(|p| *p = DVec3::splat(0.5) + 0.1 * (*p - MIDDLE));
         let mut surface = Surface::new(&elsewhere, &field, &size, last_resort::LENGTHS);
-        assert!(lift(&mut surface, &LIMITS, 0).is_none());
+        assert!(Speck::round(&surface, 0).expect("a speck").remake(&mut surface, &LIMITS).is_none());
     }
 }

@@ -122,8 +122,8 @@ impl<'a> Surface<'a> {
         surface
     }
 
-    /// A copy of some triangles (ascending) on some vertices (ascending) to try moves on, with the facts of the whole. It has no grid, so that
-    /// nothing can be committed; vertices that lack triangles of theirs are frozen.
+    /// A copy of some triangles (ascending) on some vertices (ascending) to try moves on, with the facts of the whole. Its grid is empty and it guards no
+    /// nodes, so that nothing can be committed until it gets its own; vertices that lack triangles of theirs are frozen.
     pub(super) fn part(&self, vertices: &[u32], triangles: &[u32]) -> Self {
         let local = |list: &[u32], item: u32| list.binary_search(&item).ok().map(|n| n as u32);
         let around: Vec<Vec<u32>> = vertices

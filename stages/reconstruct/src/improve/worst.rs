@@ -88,20 +88,38 @@ pub(super) fn lift(
     step: Step,
     tally: &mut Tally,
 ) -> Result<()> {
-    let mut queue = BinaryHeap::new();
-    for (t, facts) in surface.facts.iter().enumerate() {
-        if facts.quality < bar {
-            queue.push(Reverse((facts.quality.to_bits(), t as u32)));
-        }
-    }
+    let all = 0..surface.facts.len() as u32;
+    lift_some(surface, all, limits, bar, effort, failures, step, tally)
+}
+
+/// The same for some of the triangles, and what falls short next to a success there.
+///
+/// # Errors
+/// Those of `step`.
+#[expect(clippy::too_many_arguments, reason = "those of `lift`, and which triangles")]
+pub(super) fn lift_some(
+    surface: &mut Surface,
+    triangles: impl IntoIterator<Item = u32>,
+    limits: &Limits,
+    bar: f64,
+    effort: Effort,
+    failures: &mut Failures,
+    step: Step,
+    tally: &mut Tally,
+) -> Result<()> {
+    let falls_short = |t: &u32| surface.facts[*t as usize].quality < bar;
+    let entry = |t: u32| Reverse((surface.facts[t as usize].quality.to_bits(), t));
+    let mut queue: BinaryHeap<_> = triangles.into_iter().filter(falls_short).map(entry).collect();
     // every success shrinks the shortfall by a fixed least amount; this is for the pathological rest
     let mut budget = 50 * queue.len() + 100;
     if effort == Effort::Double {
         budget = budget.min(DOUBLE_BUDGET);
     }
+    // as many excerpts as may well be apart
+    let mut width = BATCH;
     loop {
         let mut batch = Vec::new();
-        while batch.len() < BATCH.min(budget)
+        while batch.len() < width.min(budget)
             && let Some(Reverse((bits, t))) = queue.pop()
         {
             let is_current = surface.facts[t as usize].quality.to_bits() == bits && surface.is_alive(t);
@@ -115,6 +133,7 @@ pub(super) fn lift(
         step()?;
         let (parts, others) = Excerpt::apart(surface, &batch, RINGS);
         budget -= parts.len();
+        width = (2 * parts.len()).clamp(2, BATCH);
         let plans: Vec<Vec<Rated>> = parts.par_iter().map(|(t, part)| plans(part, *t, bar, effort)).collect();
         let mut again = others;
         for ((t, part), plans) in parts.iter().zip(plans) {

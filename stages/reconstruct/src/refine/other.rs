@@ -32,8 +32,9 @@ impl Refinement<'_> {
         let defects = self.compare(facets);
         self.report.unresolved_critical = self.astray().len();
         let found = self.unsampled_components(facets, &defects);
-        // where a critical point is wrong, what the surface by the sign of F had is there, whether this one has it or not
-        let least = if self.report.unresolved_critical == 0 { 0 } else { self.report.unsampled_components };
+        // unless every critical point is right, what the surface by the sign of F had is there, whether this one has it or not
+        let is_right = self.sides_are_known && self.report.unresolved_critical == 0;
+        let least = if is_right { 0 } else { self.report.unsampled_components };
         self.report.unsampled_components = found.max(least);
         self.report.parted_pinches = 0;
         defects
