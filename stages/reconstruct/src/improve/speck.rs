@@ -207,7 +207,7 @@ mod tests {
         let mut open = bipyramid(&field, &[0.2, 1.4, 2.9], false);
         open.triangles.pop();
         for mesh in [open, bipyramid(&field, &many, false)] {
-            let mut surface = Surface::new(&mesh, &field, &size, last_resort::LENGTHS);
+            let surface = Surface::new(&mesh, &field, &size, last_resort::LENGTHS);
             assert!(Speck::round(&surface, 0).is_none());
             assert_eq!(surface.into_mesh(), mesh);
         }
