@@ -73,8 +73,8 @@ const FLIP_AGREEMENT: f64 = 0.3;
 enum Plan {
     /// Splits towards a size (mm) at a place next to the triangle that grows by a slope.
     Refine { triangle: u32, centre: DVec3, size: f64, slope: f64 },
-    /// Elementary moves in a row.
-    Moves(Vec<Move>),
+    /// Elementary moves in a row; the patch is tidied up from its last vertex to its first where so asked, which may end elsewhere.
+    Moves { moves: Vec<Move>, backwards: bool },
 }
 
 impl Plan {
@@ -84,8 +84,9 @@ impl Plan {
             Self::Refine { triangle, centre, size, slope } => {
                 Self::Refine { triangle: part.global_triangle(*triangle), centre: *centre, size: *size, slope: *slope }
             }
-            Self::Moves(moves) => {
-                Self::Moves(moves.iter().map(|step| step.renumbered(|v| part.global(whole, v))).collect())
+            Self::Moves { moves, backwards } => {
+                let moves = moves.iter().map(|step| step.renumbered(|v| part.global(whole, v))).collect();
+                Self::Moves { moves, backwards: *backwards }
             }
         }
     }
@@ -172,7 +173,10 @@ fn lift_apart(
         }
     }
     tally.remade_specks += touched.iter().flatten().count();
-    for plans in [refinements, sequences] {
+    let backwards = |surface: &Surface, triangle: u32| sequences(surface, triangle, true);
+    let forwards = |surface: &Surface, triangle: u32| sequences(surface, triangle, false);
+    let means: [&(dyn Fn(&Surface, u32) -> Vec<Plan> + Sync); 3] = [&refinements, &forwards, &backwards];
+    for plans in means {
         step()?;
         let rated = |(touched, (t, part)): (&Option<Vec<u32>>, &(u32, Excerpt))| match touched {
             Some(_) => Vec::new(),
@@ -206,14 +210,14 @@ fn refinements(surface: &Surface, triangle: u32) -> Vec<Plan> {
 }
 
 /// Up to two elementary moves in a row.
-fn sequences(surface: &Surface, triangle: u32) -> Vec<Plan> {
+fn sequences(surface: &Surface, triangle: u32, backwards: bool) -> Vec<Plan> {
     let corners = surface.triangles[triangle as usize];
     let mut found = Vec::new();
     let mut trial = surface.clone();
     for first in moves_near(&[corners], &corners) {
         extensions(&mut trial, &[first], &mut found);
     }
-    found.into_iter().map(Plan::Moves).collect()
+    found.into_iter().map(|moves| Plan::Moves { moves, backwards }).collect()
 }
 
 /// A sequence of moves that can be made, and those with one move more in the patch that it leaves.
@@ -258,7 +262,7 @@ fn make_first_welcome(
         {
             match plan {
                 Plan::Refine { .. } => tally.refinements += 1,
-                Plan::Moves(moves) => tally.last_resort_moves += moves.len(),
+                Plan::Moves { moves, .. } => tally.last_resort_moves += moves.len(),
             }
             return Some(touched);
         }
@@ -285,14 +289,14 @@ fn outcome(surface: &mut Surface, limits: &Limits, plan: &Plan) -> f64 {
 fn execute(surface: &mut Surface, plan: &Plan) -> bool {
     match *plan {
         Plan::Refine { triangle, centre, size, slope } => refine(surface, triangle, centre, size, slope),
-        Plan::Moves(ref moves) => {
+        Plan::Moves { ref moves, backwards } => {
             let mut involved = Vec::new();
             let done = moves.iter().all(|&step| perform(surface, step, &mut involved));
             if done {
                 involved.retain(|&v| surface.degree(v) > 0);
                 involved.sort_unstable();
                 involved.dedup();
-                tidy(surface, &involved, TIDY_ROUNDS);
+                tidy(surface, &involved, TIDY_ROUNDS, backwards);
             }
             done
         }
@@ -325,10 +329,10 @@ fn refine(surface: &mut Surface, triangle: u32, centre: DVec3, size: f64, slope:
             break;
         }
         any = true;
-        tidy(surface, &involved, 1);
+        tidy(surface, &involved, 1, false);
     }
     if any && let Some(patch) = patch_round(surface, corners[0], |p, h| aim(p) < h) {
-        tidy(surface, &patch, TIDY_ROUNDS);
+        tidy(surface, &patch, TIDY_ROUNDS, false);
     }
     any
 }
@@ -351,12 +355,13 @@ pub(super) fn patch_round(surface: &Surface, first: u32, test: impl Fn(DVec3, f6
     Some(found.into_iter().collect())
 }
 
-/// Rounds of flips and settling among some vertices (ascending).
-fn tidy(surface: &mut Surface, vertices: &[u32], rounds: usize) {
+/// Rounds of flips and settling among some vertices (ascending), from the last to the first where so asked.
+fn tidy(surface: &mut Surface, vertices: &[u32], rounds: usize, backwards: bool) {
     for _ in 0..rounds {
-        let mut changed = flip_for_shape(surface, vertices);
-        for &v in vertices {
-            changed |= settle(surface, v);
+        let mut changed = flip_for_shape(surface, vertices, backwards);
+        for n in 0..vertices.len() {
+            let n = if backwards { vertices.len() - 1 - n } else { n };
+            changed |= settle(surface, vertices[n]);
         }
         if !changed {
             break;
@@ -376,9 +381,13 @@ fn edges_within(surface: &Surface, vertices: &[u32]) -> Vec<(u32, u32)> {
 
 /// Flips the edges between the given vertices (ascending) where that raises the smaller radius ratio of the two triangles, and turns neither
 /// against F.
-fn flip_for_shape(surface: &mut Surface, vertices: &[u32]) -> bool {
+fn flip_for_shape(surface: &mut Surface, vertices: &[u32], backwards: bool) -> bool {
     let mut flipped = false;
-    for (a, b) in edges_within(surface, vertices) {
+    let mut edges = edges_within(surface, vertices);
+    if backwards {
+        edges.reverse();
+    }
+    for (a, b) in edges {
         let Some([(_, c), (_, d)]) = surface.wings(a, b) else { continue };
         let [p, q, r, s] = [a, b, c, d].map(|v| surface.positions[v as usize]);
         let before = radius_ratio(p, q, r).min(radius_ratio(q, p, s));
