@@ -153,6 +153,9 @@ fn unfitness(surface: &Surface, triangle: u32) -> Option<(f64, u32)> {
     (fitness < 1.0).then_some((fitness, triangle))
 }
 
+/// Finds plans for a triangle of a part.
+type Planner = fn(&Surface, u32) -> Vec<Plan>;
+
 /// Works on triangles whose surroundings do not meet, by the means that cost least first: for each the triangles touched, `None` where nothing
 /// helped.
 fn lift_apart(
@@ -173,9 +176,7 @@ fn lift_apart(
         }
     }
     tally.remade_specks += touched.iter().flatten().count();
-    let backwards = |surface: &Surface, triangle: u32| sequences(surface, triangle, true);
-    let forwards = |surface: &Surface, triangle: u32| sequences(surface, triangle, false);
-    let means: [&(dyn Fn(&Surface, u32) -> Vec<Plan> + Sync); 3] = [&refinements, &forwards, &backwards];
+    let means: [Planner; 3] = [refinements, |s, t| sequences(s, t, false), |s, t| sequences(s, t, true)];
     for plans in means {
         step()?;
         let rated = |(touched, (t, part)): (&Option<Vec<u32>>, &(u32, Excerpt))| match touched {
