@@ -110,16 +110,14 @@ pub(super) fn lift(surface: &mut Surface, limits: &Limits, step: Step, tally: &m
             if worst_first { by_fitness } else { by_fitness.reverse() }.then(a.1.cmp(&b.1))
         };
         unfit.sort_unstable_by(order);
-        let batch: Vec<(f64, u32)> = unfit.drain(..unfit.len().min(BATCH).min(tries)).collect();
-        let numbers: Vec<u32> = batch.iter().map(|&(_, t)| t).collect();
-        let (parts, others) = Excerpt::apart(surface, &numbers, RINGS);
+        let batch: Vec<u32> = unfit.drain(..unfit.len().min(BATCH).min(tries)).map(|(_, t)| t).collect();
+        let (parts, others) = Excerpt::apart(surface, &batch, RINGS);
         tries -= parts.len();
         let mut again = others;
-        for (touched, (triangle, _)) in
-            lift_apart(surface, limits, &parts, &mut hopeless, step, tally)?.into_iter().zip(&parts)
-        {
+        let before: Vec<f64> = parts.iter().map(|&(t, _)| fitness(surface.corners(t))).collect();
+        let touched = lift_apart(surface, limits, &parts, &mut hopeless, step, tally)?;
+        for ((touched, before), (triangle, _)) in touched.into_iter().zip(before).zip(&parts) {
             // what helped only its neighbours, or hardly, is no success, lest it be tried without end
-            let before = batch.iter().find(|(_, t)| t == triangle).map_or(1.0, |(fitness, _)| *fitness);
             let after = unfitness(surface, *triangle).map(|(fitness, _)| fitness);
             if after.is_none_or(|after| touched.is_some() && after > before + LEAST_GAIN) {
                 in_a_row = 0;
@@ -168,12 +166,15 @@ fn lift_apart(
 ) -> Result<Vec<Option<Vec<u32>>>> {
     let mut touched = Vec::with_capacity(parts.len());
     for &(t, _) in parts {
-        let speck = Speck::round(surface, t).filter(|speck| !hopeless.contains(speck));
-        touched.push(speck.as_ref().and_then(|speck| speck.remake(surface, limits)));
-        if let (Some(speck), None) = (speck, &touched[touched.len() - 1]) {
+        let mut remade = None;
+        if let Some(speck) = Speck::round(surface, t).filter(|speck| !hopeless.contains(speck)) {
             step()?;
-            hopeless.insert(speck);
+            remade = speck.remake(surface, limits);
+            if remade.is_none() {
+                hopeless.insert(speck);
+            }
         }
+        touched.push(remade);
     }
     tally.remade_specks += touched.iter().flatten().count();
     let means: [Planner; 3] = [refinements, |s, t| sequences(s, t, false), |s, t| sequences(s, t, true)];

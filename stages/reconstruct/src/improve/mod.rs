@@ -31,7 +31,7 @@ use isoparticles_common::spline::CubicSpline;
 use serde::Serialize;
 use sides::Sides;
 use surface::Surface;
-use worst::{Effort, Failures};
+use worst::{Aim, Effort, Failures};
 
 /// How far to go. The defaults lift what is below 0.6 and leave everything else alone.
 #[derive(Clone, Copy, Debug)]
@@ -194,14 +194,16 @@ pub fn improve(
     for round in 0..options.rounds {
         let efforts = [Effort::Single, Effort::Settled, Effort::Double];
         for &effort in &efforts[..=round.min(efforts.len() - 1)] {
-            worst::lift(&mut surface, &limits, options.target, effort, &mut failures, step, tally)?;
+            let aim = Aim { limits: &limits, bar: options.target, effort };
+            worst::lift(&mut surface, None, aim, &mut failures, step, tally)?;
         }
     }
     if options.rounds > 0 {
         project_all(&mut surface, tally);
         let bar = options.target.min(LAST_RESORT_BELOW);
         let loosened = &limits.loosened();
-        worst::lift(&mut surface, loosened, bar, Effort::Double, &mut Failures::default(), step, tally)?;
+        let aim = Aim { limits: loosened, bar, effort: Effort::Double };
+        worst::lift(&mut surface, None, aim, &mut Failures::default(), step, tally)?;
         if options.target > 0.0 {
             surface.lengths = last_resort::LENGTHS;
             for _ in 0..LAST_RESORTS {
@@ -211,8 +213,8 @@ pub fn improve(
                 }
                 let failures = &mut Failures::default();
                 for effort in [Effort::Single, Effort::Settled, Effort::Double] {
-                    let round = round.iter().copied();
-                    worst::lift_some(&mut surface, round, &limits, options.target, effort, failures, step, tally)?;
+                    let aim = Aim { limits: &limits, bar: options.target, effort };
+                    worst::lift(&mut surface, Some(&round), aim, failures, step, tally)?;
                 }
             }
         }

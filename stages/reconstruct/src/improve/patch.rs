@@ -11,7 +11,7 @@ use super::guard::{Limits, Rule, commit_if_welcome};
 use super::last_resort::patch_round;
 use super::moves::projected_facing;
 use super::surface::Surface;
-use super::worst::{self, Effort, Failures};
+use super::worst::{self, Aim, Effort, Failures};
 use super::{Step, Tally, remesh};
 use glam::DVec3;
 use isoparticles_common::error::Result;
@@ -145,7 +145,8 @@ impl Patch {
         }
         for effort in [Effort::Settled, Effort::Double] {
             let never = &|| Ok(());
-            worst::lift(&mut part.surface, limits, TARGET, effort, &mut Failures::default(), never, tally).ok()?;
+            let aim = Aim { limits, bar: TARGET, effort };
+            worst::lift(&mut part.surface, None, aim, &mut Failures::default(), never, tally).ok()?;
         }
         let more = self.demands_of_outcome(&part.surface);
         Some((part.edits(surface), more))

@@ -5,7 +5,7 @@
 use super::Tally;
 use super::guard::{Limits, Rule, commit_if_welcome};
 use super::moves::{collapse, flip, projected, relax, split};
-use super::surface::{DEAD, Surface};
+use super::surface::{DEAD, Surface, edges_of};
 
 /// An edge longer than this times h is split.
 const LONG: f64 = 4.0 / 3.0;
@@ -27,15 +27,7 @@ pub(super) fn round(surface: &mut Surface, limits: &Limits, tally: &mut Tally) {
 
 /// All edges, by their vertices (lower first), in order.
 pub(super) fn edges(surface: &Surface) -> Vec<(u32, u32)> {
-    let mut edges: Vec<(u32, u32)> = surface
-        .triangles
-        .iter()
-        .filter(|t| **t != DEAD)
-        .flat_map(|&[a, b, c]| [(a, b), (b, c), (c, a)])
-        .filter(|(a, b)| a < b)
-        .collect();
-    edges.sort_unstable();
-    edges
+    edges_of(surface.triangles.iter().filter(|t| **t != DEAD))
 }
 
 fn split_long(surface: &mut Surface, limits: &Limits, tally: &mut Tally) {
@@ -92,12 +84,7 @@ pub(super) fn equalise_degrees(
     tally: &mut Tally,
 ) {
     let next_to = |corners: &&[u32; 3]| **corners != DEAD && corners.iter().any(|&v| in_question[v as usize]);
-    let triangles = surface.triangles.iter().filter(next_to);
-    let mut edges: Vec<(u32, u32)> =
-        triangles.flat_map(|&[a, b, c]| [(a, b), (b, c), (c, a)]).map(|(a, b)| (a.min(b), a.max(b))).collect();
-    edges.sort_unstable();
-    edges.dedup();
-    for (a, b) in edges {
+    for (a, b) in edges_of(surface.triangles.iter().filter(next_to)) {
         let Some([(_, c), (_, d)]) = surface.wings(a, b) else { continue };
         let degree = |v: u32| surface.degree(v) as i64;
         let cost = |x: i64| (x - 6) * (x - 6);

@@ -8,7 +8,7 @@ use super::guard::{Limits, Rule, commit_if_welcome, fitness};
 use super::last_resort::patch_round;
 use super::moves::projected;
 use super::surface::Surface;
-use super::worst::{self, Effort, Failures};
+use super::worst::{self, Aim, Effort, Failures};
 use super::{Tally, remesh};
 use glam::DVec3;
 use isoparticles_common::mesh::TriangleMesh;
@@ -129,7 +129,8 @@ fn remeshed(surface: &Surface, ball: &TriangleMesh, count: f64, limits: &Limits)
         remesh::round(&mut part, limits, tally);
     }
     for effort in [Effort::Settled, Effort::Double] {
-        worst::lift(&mut part, limits, TARGET, effort, &mut Failures::default(), &|| Ok(()), tally).ok()?;
+        let aim = Aim { limits, bar: TARGET, effort };
+        worst::lift(&mut part, None, aim, &mut Failures::default(), &|| Ok(()), tally).ok()?;
     }
     let made = part.into_mesh();
     (0..made.triangles.len()).all(|t| fitness(made.corners(t)) >= 1.0).then_some(made)

@@ -450,6 +450,15 @@ impl<'a> Surface<'a> {
     }
 }
 
+/// The edges of some triangles, lower vertex first, in order, each once.
+pub(super) fn edges_of<'t>(triangles: impl IntoIterator<Item = &'t [u32; 3]>) -> Vec<(u32, u32)> {
+    let sides = triangles.into_iter().flat_map(|&[a, b, c]| [(a, b), (b, c), (c, a)]);
+    let mut edges: Vec<(u32, u32)> = sides.map(|(a, b)| (a.min(b), a.max(b))).collect();
+    edges.sort_unstable();
+    edges.dedup();
+    edges
+}
+
 fn typical_extent(mesh: &TriangleMesh) -> f64 {
     let mut extents: Vec<f64> = (0..mesh.triangles.len())
         .map(|t| {

@@ -4,7 +4,7 @@
 use super::excerpt::Excerpt;
 use super::guard::{Limits, Rule, commit_if_welcome, scores};
 use super::moves::{collapse, flip, projected, settle, split};
-use super::surface::{DEAD, Surface};
+use super::surface::{DEAD, Surface, edges_of};
 use super::{Step, Tally};
 use isoparticles_common::error::Result;
 use rayon::prelude::*;
@@ -74,42 +74,38 @@ impl Failures {
     }
 }
 
-/// Tries every triangle below `bar`, worst first, and again whatever falls short next to a success. `step` is called before each batch and may
-/// stop it.
+/// What is asked of the triangles, and how hard to try.
+#[derive(Clone, Copy)]
+pub(super) struct Aim<'a> {
+    /// What the moves must respect.
+    pub(super) limits: &'a Limits,
+    /// Radius ratio below which a triangle is worked on.
+    pub(super) bar: f64,
+    pub(super) effort: Effort,
+}
+
+/// Tries every triangle below the bar (of `among`, or of all), worst first, and again whatever falls short next to a success. `step` is called before
+/// each batch and may stop it.
 ///
 /// # Errors
 /// Those of `step`.
 pub(super) fn lift(
     surface: &mut Surface,
-    limits: &Limits,
-    bar: f64,
-    effort: Effort,
+    among: Option<&[u32]>,
+    aim: Aim,
     failures: &mut Failures,
     step: Step,
     tally: &mut Tally,
 ) -> Result<()> {
-    let all = 0..surface.facts.len() as u32;
-    lift_some(surface, all, limits, bar, effort, failures, step, tally)
-}
-
-/// The same for some of the triangles, and what falls short next to a success there.
-///
-/// # Errors
-/// Those of `step`.
-#[expect(clippy::too_many_arguments, reason = "those of `lift`, and which triangles")]
-pub(super) fn lift_some(
-    surface: &mut Surface,
-    triangles: impl IntoIterator<Item = u32>,
-    limits: &Limits,
-    bar: f64,
-    effort: Effort,
-    failures: &mut Failures,
-    step: Step,
-    tally: &mut Tally,
-) -> Result<()> {
-    let falls_short = |t: &u32| surface.facts[*t as usize].quality < bar;
-    let entry = |t: u32| Reverse((surface.facts[t as usize].quality.to_bits(), t));
-    let mut queue: BinaryHeap<_> = triangles.into_iter().filter(falls_short).map(entry).collect();
+    let Aim { bar, effort, .. } = aim;
+    let entry = |t: u32| {
+        let quality = surface.facts[t as usize].quality;
+        (quality < bar).then(|| Reverse((quality.to_bits(), t)))
+    };
+    let mut queue: BinaryHeap<_> = match among {
+        Some(triangles) => triangles.iter().filter_map(|&t| entry(t)).collect(),
+        None => (0..surface.facts.len() as u32).filter_map(entry).collect(),
+    };
     // every success shrinks the shortfall by a fixed least amount; this is for the pathological rest
     let mut budget = 50 * queue.len() + 100;
     if effort == Effort::Double {
@@ -137,7 +133,7 @@ pub(super) fn lift_some(
         let plans: Vec<Vec<Rated>> = parts.par_iter().map(|(t, part)| plans(part, *t, bar, effort)).collect();
         let mut again = others;
         for ((t, part), plans) in parts.iter().zip(plans) {
-            match make_first_welcome(surface, part, limits, bar, plans, effort, tally) {
+            match make_first_welcome(surface, part, plans, aim, tally) {
                 Some(touched) => again.extend(touched),
                 None => {
                     failures.at.insert(*t, (surface.commits(), effort));
@@ -184,12 +180,11 @@ fn plans(part: &Excerpt, triangle: u32, bar: f64, effort: Effort) -> Vec<Rated> 
 fn make_first_welcome(
     surface: &mut Surface,
     part: &Excerpt,
-    limits: &Limits,
-    bar: f64,
     plans: Vec<Rated>,
-    effort: Effort,
+    aim: Aim,
     tally: &mut Tally,
 ) -> Option<Vec<u32>> {
+    let Aim { limits, bar, effort } = aim;
     for (_, plan) in plans {
         let plan: Vec<Move> = plan.iter().map(|step| step.renumbered(|v| part.global(surface, v))).collect();
         if execute(surface, &plan, effort)
@@ -223,12 +218,8 @@ fn saved(surface: &Surface, bar: f64) -> f64 {
 
 /// Moves on the edges of some triangles and on some vertices.
 pub(super) fn moves_near(triangles: &[[u32; 3]], vertices: &[u32]) -> Vec<Move> {
-    let mut edges: Vec<(u32, u32)> =
-        triangles.iter().flat_map(|&[a, b, c]| [(a, b), (b, c), (c, a)]).map(|(a, b)| (a.min(b), a.max(b))).collect();
-    edges.sort_unstable();
-    edges.dedup();
     let mut moves: Vec<Move> = vertices.iter().map(|&v| Move::Settle(v)).collect();
-    for (a, b) in edges {
+    for (a, b) in edges_of(triangles) {
         moves.extend([
             Move::Flip(a, b),
             Move::Collapse(a, b, 0.5),

@@ -11,6 +11,7 @@ use crate::restricted::Facet;
 use glam::DVec3;
 use isoparticles_common::components::NO_COMPONENT;
 use isoparticles_common::error::Result;
+use isoparticles_common::spatial::Bounds;
 use rayon::prelude::*;
 use std::collections::{BTreeSet, HashSet};
 
@@ -47,8 +48,8 @@ impl Refinement<'_> {
 
     /// Whether a critical point on the wrong side lies in a box or within a margin (mm) of it.
     fn any_astray_near(&self, (low, high): (DVec3, DVec3), margin: f64) -> bool {
-        let is_near = |p: DVec3| p.cmpge(low - margin).all() && p.cmple(high + margin).all();
-        self.astray().iter().any(|(c, _)| is_near(c.position))
+        let near = Bounds { low: low - margin, high: high + margin };
+        self.astray().iter().any(|(c, _)| near.holds(c.position))
     }
 
     /// The facets that lie across F = 0.
