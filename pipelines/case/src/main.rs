@@ -84,7 +84,9 @@ fn go(arguments: Arguments) -> Result<u8> {
         "clean" => clean(&settings),
         "verdict" => {
             let folder = named(&settings)?;
-            Ok(closing(&folder, &run::status_of(&folder)?))
+            // A question answered, whatever the answer.
+            print!("{}", verdict::closing(&folder, &run::status_of(&folder)?));
+            Ok(0)
         }
         "page" => {
             let folder = named(&settings)?;

@@ -29,6 +29,11 @@ pub fn stop_requested() -> bool {
     REQUESTED.load(Ordering::SeqCst)
 }
 
+/// Takes note of the wish to stop, so that what is left to do is done; a second wish ends that, too.
+pub fn note_stop() {
+    REQUESTED.store(false, Ordering::SeqCst);
+}
+
 /// How a program ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Ended {

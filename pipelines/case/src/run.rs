@@ -287,6 +287,7 @@ impl<'a> Run<'a> {
 
     /// Comes to the verdict, and has the page made.
     fn finish(&mut self, programs: &Programs) -> Result<()> {
+        program::note_stop();
         (self.status.verdict, self.status.headline) = verdict::of(&self.status);
         let folder = &self.case.folder;
         let page = folder.file(PAGE);
