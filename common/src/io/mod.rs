@@ -4,6 +4,7 @@
 //! particles and surfaces go between the stages through [`field`], [`particles`] and [`surface`]; [`output`] writes every
 //! file whole or not at all.
 
+mod data_files;
 pub mod field;
 mod limit;
 mod nifti;
@@ -16,3 +17,5 @@ pub mod surface;
 pub mod volume;
 mod vti;
 mod vtk_xml;
+
+pub use data_files::data_files;
