@@ -48,7 +48,7 @@ pub(super) fn read_nifti(path: &Path) -> Result<Volume> {
         }
     })?;
     let voxels = scaled(voxels, header.scl_slope, header.scl_inter, &mut remarks);
-    Ok(Volume { geometry, voxels, remarks })
+    Ok(Volume { remarks, ..Volume::new(geometry, voxels) })
 }
 
 fn header(path: &Path, start: &[u8]) -> Result<NiftiHeader> {

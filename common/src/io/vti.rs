@@ -119,5 +119,5 @@ pub(super) fn read_vti(path: &Path) -> Result<Volume> {
         )
     })?;
     let voxels: Voxels = file.numbers(array, geometry.voxel_count())?;
-    Ok(Volume { geometry, voxels, remarks: Vec::new() })
+    Ok(Volume::new(geometry, voxels))
 }

@@ -25,7 +25,7 @@ pub fn read_nrrd(path: &Path) -> Result<Volume> {
     let count = geometry.voxel_count();
     check_memory(path, count as u64 * header.scalar.bytes() as u64)?;
     let voxels = data::read_voxels(path, &header, count, reader)?;
-    Ok(Volume { geometry, voxels, remarks })
+    Ok(Volume { remarks, ..Volume::new(geometry, voxels) })
 }
 
 #[cfg(test)]
