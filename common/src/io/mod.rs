@@ -4,8 +4,10 @@
 //! particles and surfaces go between the stages through [`field`], [`particles`] and [`surface`]; [`output`] writes every
 //! file whole or not at all.
 
+mod dicom;
 pub mod field;
 mod limit;
+mod meta_image;
 mod nifti;
 pub mod nrrd;
 pub mod output;
@@ -15,4 +17,5 @@ pub mod points;
 pub mod surface;
 pub mod volume;
 mod vti;
+mod voxel_data;
 mod vtk_xml;
