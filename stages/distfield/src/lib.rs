@@ -9,19 +9,24 @@
 
 pub mod bits;
 pub mod cap;
+pub mod changes;
+pub mod choose;
 pub mod closest;
 pub mod field;
 pub mod fit;
 pub mod flow;
+pub mod gaussian;
 pub mod junctions;
 pub mod keep;
 pub mod labels;
 pub mod mask;
 pub mod nearest;
+pub mod occupancy;
 pub mod run;
 pub mod runs;
 pub mod samples;
 pub mod scalar;
+pub mod scale;
 pub mod sides;
 pub mod topology;
 

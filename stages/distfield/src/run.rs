@@ -1,5 +1,6 @@
 //! The program: options, checks of the input, the run, the report.
 
+use crate::choose::{Object, ScaleArgs, extract_scaled};
 use crate::labels::{LabelOptions, from_mask};
 use crate::mask::Mask;
 use crate::scalar::{ScalarOptions, from_voxels};
@@ -73,6 +74,9 @@ pub struct Args {
     /// parts and gaps thinner than twice the radius may vanish. Larger radii want more --smoothing-steps
     #[arg(long, value_name = "RADIUS", default_value_t = 0.0, value_parser = tightening_in_range, conflicts_with = "iso", help_heading = METHOD)]
     pub tightening: f64,
+    /// How much of the data is kept.
+    #[command(flatten)]
+    pub scale: ScaleArgs,
     /// The options that every stage has.
     #[command(flatten)]
     pub common: CommonArgs,
@@ -112,7 +116,7 @@ impl StageArgs for Args {
 
     fn parameters(&self) -> Value {
         let (border, keep) = (border_name(self.border), self.keep.to_string());
-        match (&self.labels, self.iso) {
+        let mut parameters = match (&self.labels, self.iso) {
             (Some(labels), _) => json!({
                 "labels": labels, "border": border, "margin": self.margin, "keep": keep,
                 "clearance": self.clearance, "smoothing_steps": self.smoothing_steps,
@@ -123,7 +127,9 @@ impl StageArgs for Args {
                     "iso": iso, "inside": inside_name(self.inside), "border": border, "margin": self.margin, "keep": keep,
                 })
             }
-        }
+        };
+        self.scale.add_to(&mut parameters);
+        parameters
     }
 }
 
@@ -141,9 +147,9 @@ pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
     }
     let about_file = |error: Error| Error { what: format!("{}: {}", args.input.display(), error.what), ..error };
     let geometry = volume.geometry.clone();
-    let (result, mut meta) = match (&args.labels, args.iso) {
-        (Some(labels), _) => extract_labels(args, volume, labels, context).map_err(about_file)?,
-        (None, Some(iso)) => extract_iso(args, volume, iso, context).map_err(about_file)?,
+    let object = match (&args.labels, args.iso) {
+        (Some(labels), _) => Object::Labels(labels),
+        (None, Some(iso)) => Object::Iso(iso, args.inside),
         (None, None) => {
             return Err(Error::input(
                 "neither --iso nor --labels was given",
@@ -153,6 +159,13 @@ pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
         }
     };
     let margin = usize::from(args.margin);
+    let grid = (args.border, margin, args.keep);
+    let scaled = extract_scaled(&args.scale, volume, &object, grid, context).map_err(about_file)?;
+    let (result, mut meta) = match (scaled, &object) {
+        (Ok(scaled), _) => scaled,
+        (Err(volume), Object::Labels(labels)) => extract_labels(args, volume, labels, context).map_err(about_file)?,
+        (Err(volume), Object::Iso(iso, _)) => extract_iso(args, volume, *iso, context).map_err(about_file)?,
+    };
     meta["border"] = json!(border_name(args.border));
     meta["margin"] = json!(margin);
     meta["cap_planes"] = match args.border {
@@ -343,7 +356,7 @@ fn border_name(border: Border) -> &'static str {
     }
 }
 
-fn inside_name(inside: Inside) -> &'static str {
+pub(crate) fn inside_name(inside: Inside) -> &'static str {
     match inside {
         Inside::Above => "above",
         Inside::Below => "below",
