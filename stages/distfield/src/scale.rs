@@ -1,4 +1,4 @@
-//! `--scale`: a surface with as much of the data as a mesh of that edge length can carry (DESIGN section 7).
+//! `--scale`: a surface with as much of the data as a coarse mesh can carry (DESIGN section 7).
 //!
 //! The share of each voxel that is inside is smoothed by a Gaussian of half the scale. Where the surface is curved or the object thin, half of the
 //! smoothed share is not where the surface was: balls shrink, small parts and thin walls vanish. So the level that is taken varies from
@@ -18,7 +18,7 @@ use std::f64::consts::PI;
 /// What is to be smoothed away.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Scale {
-    /// Edge length that the surface is for, mm; twice the standard deviation of the Gaussian.
+    /// Twice the standard deviation of the Gaussian, mm.
     pub length: f64,
     /// Whether parts are kept that are thinner than such a mesh tells apart.
     pub keep_thin: bool,
@@ -42,8 +42,13 @@ const LEAST_LEVEL: f64 = 0.3;
 /// The same where thin parts are to be kept: a wall of a fifth of the scale, a tube as thick as half of it.
 const LEAST_LEVEL_THIN: f64 = 0.08;
 
-/// Radius of the balls that are dropped, in scales: a closed mesh of that edge has 8 vertices round it.
-const CRUMB_RADIUS: f64 = 0.75;
+/// Radius of the balls that are dropped, in scales: a mesh of the edge length that the scale is for ([`SCALE_OVER_SIZE`]) has 9 vertices round it.
+const CRUMB_RADIUS: f64 = 0.5;
+
+/// The scale that a mesh wants, over its edge length. `heart_label` (1.5 mm voxels) with h = 3.5 and 1.75 mm: mean and smallest radius ratio 0.985 / 0.69 and
+/// 0.970 / 0.59 at 1, 0.989 / 0.67 and 0.981 / 0.72 at 1.4, 0.985 / 0.72 and 0.985 / 0.81 at 1.8, where 99 % of the voxels that changed side still
+/// lay at the surface.
+pub const SCALE_OVER_SIZE: f64 = 1.6;
 
 /// How far round the object shares are smoothed, in standard deviations: beyond, the mean share of a half space is 0.001.
 const REACH: f64 = 3.0;
@@ -122,9 +127,9 @@ pub fn edge_length(occupancy: &Occupancy, vertices: f64, keep_thin: bool) -> Res
         coarse = Some(coarse.as_ref().unwrap_or(occupancy).halved());
     }
     let occupancy = coarse.as_ref().unwrap_or(occupancy);
-    let mut length = 2.0 * occupancy.geometry.mean_spacing();
+    let mut length = occupancy.geometry.mean_spacing();
     for _ in 0..AREA_ROUNDS {
-        let Some(boxed) = Boxed::new(occupancy, Scale { length, keep_thin })? else { return Ok(None) };
+        let Some(boxed) = Boxed::new(occupancy, Scale { length: SCALE_OVER_SIZE * length, keep_thin })? else { return Ok(None) };
         let area = area(&boxed.level, &boxed.before.geometry);
         if area == 0.0 {
             return Ok(None);
