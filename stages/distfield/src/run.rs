@@ -1,10 +1,11 @@
 //! The program: options, checks of the input, the run, the report.
 
+use crate::choose::{Object, ScaleArgs, extract_scaled};
 use crate::input::{KindChoice, check_kind, check_room, tell};
 use crate::labels::{LabelOptions, from_mask};
 use crate::mask::Mask;
 use crate::scalar::{ScalarOptions, from_voxels};
-use crate::selection::Selection;
+use crate::selection::{Selection, noted};
 use crate::{Border, Clearance, Inside, Keep, Redistanced};
 use isoparticles_common::cli::{CommonArgs, Context, FILES, METHOD, Outcome, StageArgs};
 use isoparticles_common::error::{Error, Result};
@@ -85,6 +86,9 @@ pub struct Args {
     /// parts and gaps thinner than twice the radius may vanish. Larger radii want more --smoothing-steps
     #[arg(long, value_name = "RADIUS", default_value_t = 0.0, value_parser = tightening_in_range, conflicts_with = "iso", help_heading = METHOD)]
     pub tightening: f64,
+    /// How much of the data is kept.
+    #[command(flatten)]
+    pub scale: ScaleArgs,
     /// The options that every stage has.
     #[command(flatten)]
     pub common: CommonArgs,
@@ -140,6 +144,7 @@ impl StageArgs for Args {
         if let Some(kind) = self.kind.given() {
             parameters["kind"] = json!(kind);
         }
+        self.scale.add_to(&mut parameters);
         parameters
     }
 }
@@ -166,9 +171,9 @@ pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
     };
     check_room(args, &volume, context).map_err(about_file)?;
     let geometry = volume.geometry.clone();
-    let (result, mut meta) = match (labels, args.iso) {
-        (Some(labels), _) => extract_labels(args, volume, &labels, context).map_err(about_file)?,
-        (None, Some(iso)) => extract_iso(args, volume, iso, context).map_err(about_file)?,
+    let object = match (labels, args.iso) {
+        (Some(labels), _) => Object::Labels(labels),
+        (None, Some(iso)) => Object::Iso(iso, args.inside),
         (None, None) => {
             return Err(Error::input(
                 "neither --iso nor --labels was given",
@@ -178,6 +183,13 @@ pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
         }
     };
     let margin = usize::from(args.margin);
+    let grid = (args.border, margin, args.keep);
+    let scaled = extract_scaled(&args.scale, volume, &object, grid, context).map_err(about_file)?;
+    let (result, mut meta) = match (scaled, &object) {
+        (Ok(scaled), _) => scaled,
+        (Err(volume), Object::Labels(labels)) => extract_labels(args, volume, labels, context).map_err(about_file)?,
+        (Err(volume), Object::Iso(iso, _)) => extract_iso(args, volume, *iso, context).map_err(about_file)?,
+    };
     meta["border"] = json!(border_name(args.border));
     meta["margin"] = json!(margin);
     meta["cap_planes"] = match args.border {
@@ -213,12 +225,7 @@ fn extract_iso(args: &Args, volume: Volume, iso: f64, context: &Context) -> Resu
 }
 
 fn extract_labels(args: &Args, volume: Volume, labels: &[LayerLabel], context: &Context) -> Result<Extracted> {
-    // numbers alone say it all where there is one layer
-    let told = if volume.layer_count() == 1 {
-        json!(labels.iter().map(|at| at.label).collect::<Vec<_>>())
-    } else {
-        json!(labels)
-    };
+    let told = noted(labels, &volume);
     context.set_parameter("labels", told.clone());
     let image = Image { data: volume.label_mask(labels), geometry: volume.geometry };
     drop((volume.voxels, volume.more_layers));
@@ -347,7 +354,7 @@ fn border_name(border: Border) -> &'static str {
     }
 }
 
-fn inside_name(inside: Inside) -> &'static str {
+pub(crate) fn inside_name(inside: Inside) -> &'static str {
     match inside {
         Inside::Above => "above",
         Inside::Below => "below",

@@ -39,6 +39,16 @@ enum Item {
     Name(String),
 }
 
+/// Labels as a file notes them: numbers alone say it all where there is one layer.
+#[must_use]
+pub fn noted(labels: &[LayerLabel], volume: &Volume) -> serde_json::Value {
+    if volume.layer_count() == 1 {
+        labels.iter().map(|at| at.label).collect()
+    } else {
+        serde_json::json!(labels)
+    }
+}
+
 impl Selection {
     /// The labels, in the order in which they are named, each once.
     ///

@@ -136,6 +136,7 @@ impl StageArgs for Args {
 
 /// What the distance field says about itself.
 pub(crate) struct Origin {
+    /// Voxel centres have sides that are kept.
     pub(crate) is_labels: bool,
     pub(crate) is_open: bool,
     caps: Vec<CapPlane>,
@@ -144,11 +145,16 @@ pub(crate) struct Origin {
 impl Origin {
     fn of(field: &Field) -> Self {
         Self {
-            is_labels: field.meta["source"] == "labels",
+            is_labels: field.meta["source"] == "labels" && !is_scaled(field),
             is_open: field.meta["border"] == "open",
             caps: cap_planes(&field.meta),
         }
     }
+}
+
+/// Whether `distfield` smoothed the object, voxel centres and all.
+fn is_scaled(field: &Field) -> bool {
+    field.meta["scale"].as_f64().is_some_and(|scale| scale > 0.0)
 }
 
 /// Runs the stage.

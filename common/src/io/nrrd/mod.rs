@@ -44,10 +44,7 @@ pub fn read_nrrd(path: &Path) -> Result<Volume> {
 /// The files that hold the voxels, where the header at `path` names any (relative to its folder).
 pub(super) fn named_files(path: &Path) -> Result<Vec<String>> {
     let file = File::open(path).map_err(|error| Error::file(path, "read", &error, "check the name of the volume"))?;
-    match header::Header::read(path, &mut BufReader::new(file))?.files {
-        header::DataFiles::Attached => Ok(Vec::new()),
-        header::DataFiles::Named(names) => Ok(names),
-    }
+    Ok(header::Header::read(path, &mut BufReader::new(file))?.layout.files.into_names())
 }
 
 #[cfg(test)]
