@@ -4,8 +4,8 @@ use crate::changes::{Changes, Event, Kind};
 use crate::mask::Mask;
 use crate::occupancy::Occupancy;
 use crate::scalar::{ScalarOptions, check_scalar, from_voxels};
-use crate::selection::noted;
 use crate::scale::{SCALE_OVER_SIZE, Scale, edge_length, scaled};
+use crate::selection::noted;
 use crate::{Border, Inside, Keep, Redistanced};
 use isoparticles_common::cli::values::{not_negative, positive};
 use isoparticles_common::cli::{Context, METHOD};
@@ -111,10 +111,15 @@ impl ScaleArgs {
         let voxel = geometry.mean_spacing();
         let for_length = |length: f64, whose: String| {
             if length > FINE_ENOUGH * voxel {
-                let reason = format!("{SCALE_OVER_SIZE} times {whose} which is longer than {FINE_ENOUGH} voxel of {voxel:.4} mm");
+                let reason = format!(
+                    "{SCALE_OVER_SIZE} times {whose} which is longer than {FINE_ENOUGH} voxel of {voxel:.4} mm"
+                );
                 Choice { length: SCALE_OVER_SIZE * length, reason }
             } else {
-                Choice { length: 0.0, reason: format!("{whose} is no longer than {FINE_ENOUGH} voxel of {voxel:.4} mm") }
+                Choice {
+                    length: 0.0,
+                    reason: format!("{whose} is no longer than {FINE_ENOUGH} voxel of {voxel:.4} mm"),
+                }
             }
         };
         if let Some(size) = self.scale_for_size {
@@ -127,7 +132,10 @@ impl ScaleArgs {
         }
         if let Some(quality) = self.quality {
             let smallest = quality.smallest_size() * voxel;
-            return Ok(for_length(smallest, format!("the smallest h of quality {}, {smallest:.4} mm,", quality.name())));
+            return Ok(for_length(
+                smallest,
+                format!("the smallest h of quality {}, {smallest:.4} mm,", quality.name()),
+            ));
         }
         Ok(Choice { length: self.scale.unwrap_or(0.0), reason: "given".into() })
     }
@@ -170,7 +178,9 @@ pub fn extract_scaled(
             context.set_parameter("labels", told.clone());
             json!({ "source": "labels", "labels": told })
         }
-        Object::Iso(iso, inside) => json!({ "source": "scalar", "iso": iso, "inside": crate::run::inside_name(*inside) }),
+        Object::Iso(iso, inside) => {
+            json!({ "source": "scalar", "iso": iso, "inside": crate::run::inside_name(*inside) })
+        }
     };
     let geometry = volume.geometry;
     drop((volume.voxels, volume.more_layers));

@@ -81,7 +81,9 @@ impl Occupancy {
             for k in k..(k + 2).min(nz) {
                 for j in j..(j + 2).min(ny) {
                     let row = &self.shares[(k * ny + j) * nx..][..nx];
-                    row[i..(i + 2).min(nx)].iter().for_each(|&share| (sum, count) = (sum + u32::from(share), count + 1));
+                    row[i..(i + 2).min(nx)]
+                        .iter()
+                        .for_each(|&share| (sum, count) = (sum + u32::from(share), count + 1));
                 }
             }
             *share = (sum / count) as u8;
@@ -114,7 +116,9 @@ mod tests {
     fn a_plane_leaves_the_share_of_each_voxel_below_it() {
         let geometry = Geometry::axis_aligned([4, 4, 8], DVec3::new(1.0, 2.0, 0.5));
         let values = (0..geometry.voxel_count()).map(|n| 10.0 * (n / 16) as f32).collect();
-        for (inside, want) in [(Inside::Above, [0, 0, 0, 51, 255, 255, 255, 255]), (Inside::Below, [255, 255, 255, 204, 0, 0, 0, 0])] {
+        for (inside, want) in
+            [(Inside::Above, [0, 0, 0, 51, 255, 255, 255, 255]), (Inside::Below, [255, 255, 255, 204, 0, 0, 0, 0])]
+        {
             let occupancy = Occupancy::of_scalar(&Voxels::F32(Vec::clone(&values)), &geometry, 33.0, inside);
             let column: Vec<u8> = (0..8).map(|k| occupancy.shares[16 * k + 5]).collect();
             assert_eq!(column, want, "{inside:?}");

@@ -129,7 +129,9 @@ pub fn edge_length(occupancy: &Occupancy, vertices: f64, keep_thin: bool) -> Res
     let occupancy = coarse.as_ref().unwrap_or(occupancy);
     let mut length = occupancy.geometry.mean_spacing();
     for _ in 0..AREA_ROUNDS {
-        let Some(boxed) = Boxed::new(occupancy, Scale { length: SCALE_OVER_SIZE * length, keep_thin })? else { return Ok(None) };
+        let Some(boxed) = Boxed::new(occupancy, Scale { length: SCALE_OVER_SIZE * length, keep_thin })? else {
+            return Ok(None);
+        };
         let area = area(&boxed.level, &boxed.before.geometry);
         if area == 0.0 {
             return Ok(None);

@@ -21,6 +21,9 @@ use serde_json::{Value, json};
 use std::cell::Cell;
 use std::path::{Path, PathBuf};
 
+/// Bytes at once for each particle on the CPU, with its neighbours on all levels.
+const BYTES_PER_PARTICLE: f64 = 600.0;
+
 /// Where the particles are moved.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum Backend {
@@ -310,6 +313,12 @@ pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
     context.add_input(seeds_file, Some(seeds.history.clone()))?;
     context.add_input(distance_file, distance.history.clone())?;
     context.add_input(sizing_file, sizing.history.clone())?;
+    let count = seeds.particles.positions.len();
+    context.check_memory(
+        BYTES_PER_PARTICLE * count as f64,
+        &format!("{}: {count} particles to settle", seeds_file.display()),
+        "make fewer of them: sizefield --min-size, --scale or --quality coarse",
+    )?;
     if seeds.particles.positions.is_empty() {
         return Err(Error::input(
             format!("{}: holds no particles", seeds_file.display()),

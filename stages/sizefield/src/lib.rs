@@ -8,6 +8,7 @@ mod blocks;
 pub mod connections;
 pub mod feature;
 pub mod gradation;
+pub mod limits;
 pub mod medial;
 pub mod noise;
 pub mod patch;

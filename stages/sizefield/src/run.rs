@@ -1,6 +1,7 @@
 //! The program around [`crate::size_field`]: options, files, defaults from the data, report.
 
 use crate::feature::{Bumps, Features};
+use crate::limits::{check_count, check_size};
 use crate::region::{Refinement, SizedNode};
 use crate::vertices::{scaled_to_vertices, size_for_vertices};
 use crate::{Parameters, size_field, uniform_field, wanted_sizes};
@@ -209,6 +210,10 @@ pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
             "look at the iso value or the labels that distfield was given",
         ));
     }
+    if let Some(size) = args.uniform {
+        let largest = features.component_area.iter().copied().fold(0.0, f64::max);
+        check_size(&args.input, size, largest)?;
+    }
     let refined = refined_nodes(args, geometry, context)?;
     context.check_interrupt()?;
     let step = context.step("size and grade");
@@ -232,6 +237,7 @@ pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
         context.info(told);
     }
     let meta = describe(&features, &surface, &sizing, largest, context);
+    check_count(&args.input, meta["predicted_count"].as_f64().unwrap_or(0.0), geometry.voxel_count(), context)?;
     if let Some(size) = one_size {
         warn_if_too_coarse(&features, size, context);
     }
