@@ -172,7 +172,10 @@ def _save_with_bar(plotter: Any, path: Path, title: str, limits: tuple[float, fl
     axis = figure.add_axes((0.12, 0.66, 0.76, 0.2))
     norm = mpl.colors.Normalize(*limits)
     bar = figure.colorbar(mpl.cm.ScalarMappable(norm, _COLOURS), cax=axis, orientation="horizontal", extend="min")
-    bar.set_ticks([limits[0], 0.5 * sum(limits), limits[1]], labels=[f"{v:.3g}" for v in (limits[0], 0.5 * sum(limits), limits[1])])
+    bar.set_ticks(
+        [limits[0], 0.5 * sum(limits), limits[1]],
+        labels=[f"{v:.3g}" for v in (limits[0], 0.5 * sum(limits), limits[1])],
+    )
     bar.outline.set_visible(False)
     axis.tick_params(labelsize=25, colors=_INK, length=0, pad=4)
     axis.set_xlabel(title, fontsize=25, color=_INK, labelpad=2)

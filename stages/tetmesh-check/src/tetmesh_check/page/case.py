@@ -16,11 +16,13 @@ from typing import Any
 from tetmesh_check.errors import StageError
 
 STAGES = ("distfield", "sizefield", "seed", "particles", "reconstruct", "tetmesh-check")
-"""In the order they run."""
+"""In the order they run; where the volume is a phantom, ``phantom`` comes before them."""
 FORMAT, VERSION = "isoparticles-status", 1
 ENDED = frozenset({"done", "failed", "error", "interrupted"})
 """States of a stage whose report is of the last run."""
-_KINDS = {"passed": "pass", "warning": "warning", "failed": "fail", "error": "fail", "interrupted": "warning", "running": "neutral"}  # fmt: skip
+_KINDS = {
+    "passed": "pass", "warning": "warning", "failed": "fail", "error": "fail", "interrupted": "warning", "running": "neutral",
+}  # fmt: skip
 _PICTURES = ("surface", "closeup", "cut")
 
 
@@ -59,9 +61,6 @@ class Stage:
     name: str
     state: str
     """``done``, ``failed`` (a check did), ``error``, ``interrupted``, ``running``, ``stale`` or ``not reached``."""
-    made: bool = False
-    """Whether the last run made its results, or confirmed earlier ones."""
-    exit_code: int | None = None
     seconds: float | None = None
     command: str = ""
     outputs: tuple[str, ...] = ()
@@ -94,7 +93,7 @@ class Case:
     parameters: dict[str, str] = field(default_factory=dict)
     """As the user or the file of the case gave them."""
     stages: list[Stage] = field(default_factory=list)
-    """All six, in order."""
+    """All of them, in order."""
     page: Path | None = None
     passes: list[dict[str, float]] = field(default_factory=list)
     """What ``particles`` logged, one entry a pass."""
@@ -201,11 +200,11 @@ class Case:
 
     @property
     def input(self) -> Path | None:
-        """The volume that was meshed."""
+        """The volume that was meshed: the user's, or the phantom that was made for the case."""
         for entry in self.inputs:
             if entry.get("role") == "volume":
                 return Path(str(entry["path"]))
-        return None
+        return next(self.outputs("phantom", ".nrrd"), None)
 
     @property
     def pictures(self) -> dict[str, Path]:
@@ -279,8 +278,6 @@ def _stage(entry: dict[str, Any], folder: Path) -> Stage:
     return Stage(
         name,
         state,
-        bool(entry.get("made")),
-        entry.get("exit_code"),
         entry.get("seconds"),
         str(entry.get("command") or ""),
         tuple(entry.get("outputs") or ()),
@@ -332,7 +329,9 @@ def read_case(status: Path) -> Case:
         )
     except (KeyError, TypeError, AttributeError) as error:
         raise StageError(
-            f"{status}: lacks what a status has ({type(error).__name__} {error})", "the page is made from it alone", advice
+            f"{status}: lacks what a status has ({type(error).__name__} {error})",
+            "the page is made from it alone",
+            advice,
         ) from error
     for path in case.outputs("particles", ".passes.csv"):
         case.passes.extend(read_passes(path))

@@ -140,10 +140,8 @@ def _colour(colour: Colour, values: Values, triangles: int, add: Callable[[bytes
     """What the script must know about a measure, whose values are added to the data as whole numbers in two planes of bytes."""
     least, largest = float(values.min()), float(values.max())
     share = (values - least) / max(largest - least, 1e-300)
-    if triangles <= _WHOLE_VALUES:
-        whole = np.round(65535 * share).astype("<u2")
-    else:
-        whole = 257 * np.round(255 * share).astype("<u2")
+    steps = 65535 if triangles <= _WHOLE_VALUES else 255
+    whole = np.round(steps * share).astype("<u2") * np.uint16(65535 // steps)
     low, high = (float(v) for v in np.percentile(values, _RANGE))
     worst = {"low": WORST, "high": 100.0 - WORST}.get(colour.worst)
     return {

@@ -42,9 +42,7 @@ def document(title: str, body: str, scripts: Sequence[str] = ()) -> str:
     """
     folder = files("tetmesh_check.page")
     style = folder.joinpath("page.css").read_text(encoding="utf-8")
-    code = "".join(
-        f"<script>\n{folder.joinpath(name).read_text(encoding='utf-8')}</script>\n" for name in scripts
-    )
+    code = "".join(f"<script>\n{folder.joinpath(name).read_text(encoding='utf-8')}</script>\n" for name in scripts)
     return (
         f'<!doctype html>\n<html lang="en">\n<head><meta charset="utf-8"><title>{escape(title)}</title>\n'
         '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
@@ -132,10 +130,10 @@ def page(case: Case, folder: Path) -> str:
         except (KeyError, IndexError, TypeError, ValueError) as error:  # a report of another version
             parts.append(sections.left_out(name, error))
     body = "\n".join(part for part in parts if part)
-    scripts = [name for mark, name in (("slices-data", "slices.js"), ("view-data", "view.js")) if f'id="{mark}"' in body]
-    return document(
-        f"{case.name}: surface and tetrahedra", f"{sections.head(case)}\n{contents(body)}\n{body}", scripts
-    )
+    scripts = [
+        name for mark, name in (("slices-data", "slices.js"), ("view-data", "view.js")) if f'id="{mark}"' in body
+    ]
+    return document(f"{case.name}: surface and tetrahedra", f"{sections.head(case)}\n{contents(body)}\n{body}", scripts)
 
 
 def main(argv: Sequence[str] | None = None) -> int:

@@ -84,7 +84,7 @@ def methods(case: Case) -> str:
         graded = "edge lengths that follow the local feature size"
     text = (
         f"Meshes were made with isoparticles {version}. The volume was turned into a signed distance field of {what}; "
-        f"on its zero set particles were distributed with {graded} by a dynamic particle system (Meyer et al. 2005; Kim, Chen and Hansen 2012), "
+        f"on its zero set particles were distributed with {graded} by a dynamic particle system (Meyer et al. 2005; Kim et al. 2012), "
         f"and the restricted Delaunay triangulation of the particles gave a closed surface of {number(check['vertices'])} vertices and "
         f"{number(check['triangles'])} triangles (radius ratio {check['quality']['radius_ratio_mean']:.3f} on average, "
         f"{check['quality']['radius_ratio_min']:.3f} at least)."
@@ -96,7 +96,9 @@ def methods(case: Case) -> str:
             f"{volume['quality']['min_dihedral']['min']:.1f} and {volume['quality']['max_dihedral']['max']:.1f} degrees."
         )
     if dig(reports, "reconstruct", "parameters", "method") == "tight-cocone":
-        text = text.replace("the restricted Delaunay triangulation of the particles", "Tight Cocone (Dey and Goswami 2003)")
+        text = text.replace(
+            "the restricted Delaunay triangulation of the particles", "Tight Cocone (Dey and Goswami 2003)"
+        )
     references = (
         "M. Kim, G. Chen, C. Hansen: Dynamic particle system for mesh extraction on the GPU. GPGPU-5, 2012.",
         "M. Meyer, P. Georgel, R. Whitaker: Robust particle systems for curvature dependent sampling of implicit surfaces. SMI 2005.",

@@ -14,7 +14,7 @@ from tetmesh_check.quality import Points, Values
 
 _PLANES = ("sagittal", "coronal", "axial")
 """The plane across each axis of the body's world."""
-_BODY = ("LR", "PA", "SI")
+_BODY = (("L", "R"), ("P", "A"), ("S", "I"))
 """Letters towards the positive and the negative end of each axis of LPS, the world that meshes are written in."""
 
 

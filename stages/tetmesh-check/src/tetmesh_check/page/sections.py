@@ -17,6 +17,8 @@ from tetmesh_check.page.html import amount, duration, figure, memory, picture_da
 _VERDICTS = {"pass": "passed", "warning": "warning", "fail": "failed"}
 _STATES = {"done": "pass", "failed": "fail", "error": "fail", "interrupted": "warning"}
 _KINDS_OF_FILES = (
+    (".nrrd", "the volume"),
+    (".truth.json", "what is known of the phantom"),
     (".distfield.vti", "signed distance field"),
     (".sizefield.vti", "target edge length"),
     (".seeds.bin", "first particles"),
@@ -106,7 +108,8 @@ def checks(case: Case) -> str:
     case
         The case.
     """
-    failed, passed = [], []
+    failed: list[tuple[str, str, str]] = []
+    passed: list[tuple[str, str, str]] = []
     for check in sorted(case.checks, key=lambda check: str(check["verdict"] != "warning")):
         kind, words = check["verdict"], check["words"]
         advice = "" if kind == "pass" else advice_for(str(check.get("name", "")), words)
@@ -138,12 +141,11 @@ def stage_states(case: Case) -> str:
     for stage in case.stages:
         report = stage.report or {}
         kind = _STATES.get(stage.state, "neutral")
-        how = stage.state if stage.state not in ENDED else f"{stage.state}, {'this run' if stage.made else 'confirmed'}"
         known = stage.seconds is not None
         rows.append(
             (
                 escape(stage.name),
-                _tag("warning" if kind == "pass" and stage.warnings else kind, how),
+                _tag("warning" if kind == "pass" and stage.warnings else kind, stage.state),
                 duration(stage.seconds or 0.0) if known else "-",
                 f'<span class="bar"><i style="width:{100 * (stage.seconds or 0.0) / longest:.1f}%"></i></span>' if known else "",
                 memory(report["peak_memory_bytes"]) if report.get("peak_memory_bytes") else "-",

@@ -142,7 +142,9 @@ def path_of(chains: list[Points]) -> str:
         closed = len(chain) > 2 and bool((chain[0] == chain[-1]).all())
         whole = np.round(_TENTHS * np.array(kept)).astype(int)
         steps = np.diff(whole, axis=0)
-        words.append(f"M{whole[0][0]} {whole[0][1]}l" + " ".join(f"{x} {y}" for x, y in steps.tolist()) + ("z" if closed else ""))
+        words.append(
+            f"M{whole[0][0]} {whole[0][1]}l" + " ".join(f"{x} {y}" for x, y in steps.tolist()) + ("z" if closed else "")
+        )
     return "".join(word for word in words if not word.endswith(("l", "lz")))
 
 
@@ -231,12 +233,10 @@ def _stack(scan: Scan, plane: Plane, window: Window, mesh: tuple[Points, Cells] 
     size = tuple(max(1, round(length / pixel)) for length in extent)
     scale = [size[0] / extent[0], size[1] / extent[1]]
     columns = max(1, min(len(chosen), 8))
-    sheet = Image.new(
-        "RGB" if window.colours else "L", (columns * size[0], -(-len(chosen) // columns) * size[1])
-    )
+    sheet = Image.new("RGB" if window.colours else "L", (columns * size[0], -(-len(chosen) // columns) * size[1]))
     paths = []
     order = (right, down)
-    for number, k in enumerate(chosen):
+    for n, k in enumerate(chosen):
         cut = np.take(scan.values, k, axis=axis)  # the two other axes in their order
         if right > down:
             cut = cut.T
@@ -246,7 +246,7 @@ def _stack(scan: Scan, plane: Plane, window: Window, mesh: tuple[Points, Cells] 
         if not window.colours and max(size) > max(cut.shape):
             filtering = Image.Resampling.BILINEAR
         picture = window.image(cut).resize((size[0], size[1]), filtering)
-        sheet.paste(picture, ((number % columns) * size[0], (number // columns) * size[1]))
+        sheet.paste(picture, ((n % columns) * size[0], (n // columns) * size[1]))
         chains = []
         for chain in outline(*mesh, axis, float(k)) if mesh is not None else []:
             flat = np.empty((len(chain), 2))
@@ -272,7 +272,7 @@ def _stack(scan: Scan, plane: Plane, window: Window, mesh: tuple[Points, Cells] 
     }
 
 
-def _svg(number: int, plane: dict[str, Any]) -> str:
+def _svg(plane: dict[str, Any]) -> str:
     width, height = plane["size"]
     start = plane["first"]
     left, right, top, bottom = (escape(letter) for letter in plane["letters"])
@@ -309,11 +309,11 @@ def slices(scan: Scan, mesh: tuple[Points, Cells] | None, meshed: set[int]) -> s
     placed = None if mesh is None else (scan.to_index(mesh[0]), mesh[1])
     stacks = [_stack(scan, plane, window, placed) for plane in planes_of(scan)]
     figures = []
-    for number, plane in enumerate(stacks):
+    for place, plane in enumerate(stacks):
         count = len(plane["slices"])
         said = f"slice {plane['slices'][plane['first']] + 1}"
         figures.append(
-            f'<figure class="slices" data-plane="{number}">{_svg(number, plane)}<div class="controls">'
+            f'<figure class="slices" data-plane="{place}">{_svg(plane)}<div class="controls">'
             f'<label><span>{escape(plane["name"])}</span><input type="range" min="0" max="{count - 1}" value="{plane["first"]}" '
             f'aria-label="Slice, {escape(plane["name"], quote=True)}: {escape(plane["towards"][0])} to {escape(plane["towards"][1])}"></label>'
             f"<output>{said}</output></div></figure>"
@@ -331,8 +331,16 @@ def slices(scan: Scan, mesh: tuple[Points, Cells] | None, meshed: set[int]) -> s
         if mesh is not None
         else "No surface was made, so there is no outline."
     )
-    tilt = f" The grid of the volume is tilted by {scan.tilt:.1f} degrees; letters name the nearest direction." if scan.tilt > 0.5 else ""
-    toggle = '<label class="toggle"><input type="checkbox" id="outlines" checked> outline</label>' if mesh is not None else ""
+    tilt = (
+        f" The grid of the volume is tilted by {scan.tilt:.1f} degrees; letters name the nearest direction."
+        if scan.tilt > 0.5
+        else ""
+    )
+    toggle = (
+        '<label class="toggle"><input type="checkbox" id="outlines" checked> outline</label>'
+        if mesh is not None
+        else ""
+    )
     return section(
         "The mesh in the volume",
         f'<p>{drawn} {shades}{tilt}</p>{toggle}<div class="grid three">{"".join(figures)}</div>'
@@ -381,6 +389,8 @@ def facts(scan: Scan, name: str, meshed: set[int]) -> str:
     else:
         finite = scan.values[np.isfinite(scan.values)]
         low, high = (f"{float(value):.6g}" for value in (finite.min(), finite.max()))
-        middle = ", ".join(f"{value:.4g}" for value in np.percentile(finite[:: max(1, finite.size // 1_000_000)], [5, 50, 95]))
+        middle = ", ".join(
+            f"{value:.4g}" for value in np.percentile(finite[:: max(1, finite.size // 1_000_000)], [5, 50, 95])
+        )
         rows += [("kind", "scan"), ("range", f"{low} to {high} (5, 50, 95 %: {middle})")]
     return section("Input", table(("of the volume", "is"), rows, (0, 1), "plain") + body)

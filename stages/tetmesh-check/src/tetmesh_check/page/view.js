@@ -215,7 +215,7 @@
     const box = canvas.getBoundingClientRect(), n = under(e.clientX - box.left, e.clientY - box.top), out = pick("view-value"), m = mesh();
     if (n < 0) { out.textContent = "Point at the mesh to read its values."; return; }
     const centre = [0, 1, 2].map(k => about.centre[k] + about.half * (m.position[9 * n + k] + m.position[9 * n + 3 + k] + m.position[9 * n + 6 + k]) / 3);
-    const values = m.colours.map(c => `${c.name} ${say(c.on_triangles ? c.values[n] : (c.values[m.t[3 * n]] + c.values[m.t[3 * n + 1]] + c.values[m.t[3 * n + 2]]) / 3, c)}`);
+    const values = m.colours.map(c => `${c.name}: ${say(c.on_triangles ? c.values[n] : (c.values[m.t[3 * n]] + c.values[m.t[3 * n + 1]] + c.values[m.t[3 * n + 2]]) / 3, c)}`);
     const where = centre.map((v, k) => about.anatomical ? `${about.letters[k][v < 0 ? 1 : 0]} ${Math.abs(v).toFixed(1)}` : `${"xyz"[k]} ${v.toFixed(1)}`);
     out.textContent = `${values.join(", ")}; at ${where.join(", ")} mm`;
   };

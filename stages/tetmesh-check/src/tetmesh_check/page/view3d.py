@@ -19,6 +19,11 @@ from tetmesh_check.surface import read_dataset
 
 _YAW, _PITCH = 0.63, 0.38
 """Where the eye is at first, radians: that of the pictures."""
+_HOW = (
+    "Drag to turn, shift and drag to move. The wheel scrolls the page: click into the view first (Esc leaves it), or hold ctrl, and "
+    "it comes nearer. One finger scrolls, two turn and zoom. Keys: arrows turn, shift and arrows move, + and \u2212 zoom, 0 starts "
+    "again. The cut shows whole tetrahedra."
+)
 _MAX_WORST = 5000
 """Largest number of tetrahedra among the worst: more only hide each other."""
 
@@ -157,9 +162,7 @@ def view(meshes: list[ViewMesh], anatomical: bool) -> str:
         '<svg id="view-cube" viewBox="-50 -50 100 100" role="group" aria-label="Orientation: a cube whose sides turn the view"></svg>'
         '<div id="view-ruler" aria-hidden="true"><i></i><span></span></div></div>'
         f'<div id="view-bar" hidden>{colour_bar("", "", "")}</div><output id="view-value">Point at the mesh to read its values.</output>'
-        '<figcaption id="view-note">Drag to turn, shift and drag to move. The wheel scrolls the page: click into the view first (Esc leaves it), '
-        "or hold ctrl, and it comes nearer. One finger scrolls, two turn and zoom. Keys: arrows turn, shift and arrows move, + and \u2212 zoom, "
-        "0 starts again. The cut shows whole tetrahedra.</figcaption></figure>"
+        f'<figcaption id="view-note">{_HOW}</figcaption></figure>'
         f'<script type="application/json" id="view-about">{text}</script>'
         f'<script type="text/plain" id="view-data">{data}</script>',
     )
