@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+import json
 import os
 import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 import pyvista as pv
+
+from tetmesh_check.page import program
+from tetmesh_check.page.scan import Scan
 
 
 def _is_there(library: str) -> bool:
@@ -91,3 +96,95 @@ def run(tmp_path: Path) -> Run:
         )
 
     return call
+
+
+def write_status(folder: Path, name: str, **changes: Any) -> Path:
+    """The status of a case as make leaves it, by the reports in its folder; ``changes`` replace entries of it.
+
+    Parameters
+    ----------
+    folder, name
+        Of the case.
+    changes
+        Such as ``verdict="failed"``; ``stages`` is a mapping from names to what differs in their entries.
+    """
+    made = {
+        "distfield": ["distfield.vti"], "sizefield": ["sizefield.vti"], "seed": ["seeds.bin"],
+        "particles": ["particles.bin", "passes.csv"], "reconstruct": ["surface.vtp"],
+        "tetmesh-check": ["volume.vtu", "report.json", "tetrahedra.log"],
+    }  # fmt: skip
+    entries = []
+    differing = changes.pop("stages", {})
+    for stage, endings in made.items():
+        own = f"{name}.report.json" if stage == "tetmesh-check" else f"reports/{stage}.json"
+        report = json.loads((folder / own).read_text()) if (folder / own).is_file() else None
+        entry: dict[str, Any] = {
+            "stage": stage, "state": "done", "made": True, "exit_code": 0, "seconds": 1.5, "command": f"{stage} --some options",
+            "report": own if report else None, "outputs": [f"{name}.{ending}" for ending in endings], "kept": [],
+            "warnings": report["warnings"] if report else [], "failed_checks": report["failed_checks"] if report else [], "error": None,
+        }  # fmt: skip
+        entries.append({**entry, **differing.get(stage, {})})
+    warned = any(entry["warnings"] for entry in entries)
+    status = {
+        "format": "isoparticles-status", "version": 1, "name": name, "goal": "mesh", "verdict": "warning" if warned else "passed",
+        "headline": "as make says it", "inputs": [{"role": "volume", "path": "/data/scan <1>.nrrd", "bytes": 1234, "hash": "c0ffee"}],
+        "parameters": {"ISO": "100", "SIZE": "2.5"}, "stages": entries, "page": f"{name}.report.html", **changes,
+    }  # fmt: skip
+    path = folder / f"{name}.status.json"
+    path.write_text(json.dumps(status))
+    return path
+
+
+@pytest.fixture(scope="session")
+def case(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder as make leaves it, of a ball; its name must be escaped in HTML."""
+    folder = tmp_path_factory.mktemp("cases") / "a&b"
+    (folder / "reports").mkdir(parents=True)
+    surface = ball(subdivisions=3)
+    surface.cell_data["deviation"] = 10.0 - np.linalg.norm(surface.cell_centers().points, axis=1)
+    surface.add_field_data(['"Lps"'], "space")
+    surface.save(folder / "a&b.surface.vtp")
+    write_sizing(folder / "a&b.sizefield.vti", lambda world: np.where(world[:, 0] < 0, 1.5, 3.0))
+    words = ["a&b.surface.vtp", "--sizefield", "a&b.sizefield.vti", "-o", "a&b.volume.vtu", "--max-passes", "3"]
+    command = ["-m", "tetmesh_check", *words, "--report", "a&b.report.json", "--pictures", "pictures", "-q"]
+    subprocess.run([sys.executable, *command], cwd=folder, check=True, timeout=120)
+    report = json.loads((folder / "a&b.report.json").read_text())
+    stage = {**report, "tool": "particles", "results": {}, "warnings": ["a <strange> thing"], "failed_checks": []}
+    (folder / "reports" / "particles.json").write_text(json.dumps(stage))
+    lines = ["pass,energy,count"] + [f"{k},{1000 / k + 500},{900 + k}" for k in range(1, 20)]
+    (folder / "a&b.passes.csv").write_text("\n".join(lines) + "\n")
+    write_status(folder, "a&b")
+    return folder
+
+
+def volume_with_ball(directions: np.ndarray | None = None, labels: bool = False) -> Scan:
+    """A volume of 40 x 36 x 30 voxels in which the ball of the case lies, given by the world vectors of its grid, mm.
+
+    Parameters
+    ----------
+    directions
+        One a column; 1 mm along LPS by default.
+    labels
+        Whether the ball is label 2 within label 1, or bright within noise.
+    """
+    step = np.eye(3) if directions is None else np.asarray(directions, dtype=float)
+    shape = (40, 36, 30)
+    origin = -step @ np.array([18.0, 17.0, 14.0])
+    index = np.stack(np.meshgrid(*(np.arange(n) for n in shape), indexing="ij"), axis=-1)
+    inside = np.linalg.norm(index @ step.T + origin, axis=-1) < 10.0
+    if labels:
+        values = np.where(inside, 2, 0).astype(np.uint8)
+        values[:, :, :2] = 1
+        return Scan(values, step, origin, True, True, {2: "a <ball>"})
+    noise = np.random.default_rng(1).normal(0.0, 5.0, shape)
+    return Scan((np.where(inside, 200.0, 20.0) + noise).astype(np.int16), step, origin, True, False)
+
+
+@pytest.fixture(scope="session")
+def page(case: Path) -> Path:
+    """The page of the case, with slices of a volume."""
+    path = case / "a&b.report.html"
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(program, "read_scan", lambda *_: volume_with_ball())
+        assert program.main([str(case / "a&b.status.json"), "-o", str(path)]) == 0
+    return path

@@ -1,61 +1,30 @@
-"""The page of a case and the index: complete, self-contained, readable without eyes, and drawn by a browser."""
+"""The page of a case and the index: complete, self-contained, readable without eyes, and made from the status alone."""
 
 from __future__ import annotations
 
-import base64
 import csv
 import json
 import re
 import shutil
-import subprocess
-import sys
-import zlib
 from html.parser import HTMLParser
 from pathlib import Path
 
 import numpy as np
 import pytest
-import pyvista as pv
-from conftest import ball, tetrahedra, write_sizing
+from conftest import volume_with_ball, write_status
 
 from tetmesh_check import cli, convergence
-from tetmesh_check.cut import cut_of, cut_through_the_middle
+from tetmesh_check.errors import StageError
 from tetmesh_check.page import index, measured, program
-from tetmesh_check.page.case import read_case
-from tetmesh_check.page.charts import curve, histogram, number, ticks
-from tetmesh_check.page.payload import STEPS, ViewMesh, pack
-from tetmesh_check.polydata import from_polydata
-from tetmesh_check.quality import signed_tetrahedron_volumes, summarize, triangle_quality
+from tetmesh_check.page.advice import ADVICE, advice_for
+from tetmesh_check.page.case import Case, read_case
+from tetmesh_check.page.charts import Axis, Limit, curve, histogram, number, ticks
+from tetmesh_check.quality import summarize
 
-BROWSER = next(
-    (found for name in ("chromium", "chromium-browser", "google-chrome") if (found := shutil.which(name))), None
-)
-NEEDS_BROWSER = pytest.mark.skipif(BROWSER is None, reason="no Chromium here (Debian: apt-get install chromium)")
-
-
-@pytest.fixture(scope="module")
-def case(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder as make leaves it, of a ball; its name must be escaped in HTML."""
-    folder = tmp_path_factory.mktemp("cases") / "a&b"
-    (folder / "reports").mkdir(parents=True)
-    ball(subdivisions=3).save(folder / "a&b.surface.vtp")
-    write_sizing(folder / "a&b.sizefield.vti", lambda world: np.where(world[:, 0] < 0, 1.5, 3.0))
-    words = ["a&b.surface.vtp", "--sizefield", "a&b.sizefield.vti", "-o", "a&b.volume.vtu", "--max-passes", "3"]
-    command = ["-m", "tetmesh_check", *words, "--report", "a&b.report.json", "--pictures", "pictures", "-q"]
-    subprocess.run([sys.executable, *command], cwd=folder, check=True, timeout=120)
-    report = json.loads((folder / "a&b.report.json").read_text())
-    stage = {**report, "tool": "particles", "results": {}, "warnings": ["a <strange> thing"], "failed_checks": []}
-    (folder / "reports" / "particles.json").write_text(json.dumps(stage))
-    lines = ["pass,energy,count"] + [f"{k},{1000 / k + 500},{900 + k}" for k in range(1, 20)]
-    (folder / "a&b.passes.csv").write_text("\n".join(lines) + "\n")
-    return folder
-
-
-@pytest.fixture(scope="module")
-def page(case: Path) -> Path:
-    path = case / "a&b.report.html"
-    assert program.main([str(case / "a&b.report.json"), "-o", str(path)]) == 0
-    return path
+ERROR = {"what": "v.nrrd: is <empty>", "why": "there is nothing to mesh", "next": "give another volume"}
+NOTHING = {
+    "state": "not reached", "exit_code": None, "seconds": None, "command": None, "report": None, "outputs": [], "warnings": [],
+}  # fmt: skip
 
 
 class Elements(HTMLParser):
@@ -70,7 +39,7 @@ class Elements(HTMLParser):
 
     def handle_starttag(self, tag: str, attributes: list[tuple[str, str | None]]) -> None:
         self.found.append((tag, dict(attributes)))
-        if tag not in ("meta", "link", "img", "input", "br", "line", "rect", "polyline"):
+        if tag not in ("meta", "link", "img", "input", "br", "line", "polyline", "image", "path"):
             self.open.append(tag)
 
     def handle_startendtag(self, tag: str, attributes: list[tuple[str, str | None]]) -> None:
@@ -87,6 +56,18 @@ class Elements(HTMLParser):
         return [attributes for tag, attributes in self.found if tag in tags]
 
 
+def made(status: Path, output: Path) -> Elements:
+    """The page of a status, as the program writes it."""
+    assert program.main([str(status), "-o", str(output), "--force"]) == 0
+    return Elements(output.read_text())
+
+
+def copied(case: Path, folder: Path) -> Path:
+    """The folder of the case again, to be changed."""
+    shutil.copytree(case, folder / "a&b", ignore=shutil.ignore_patterns("*.html", "pictures"))
+    return folder / "a&b"
+
+
 def test_the_page_is_whole_and_needs_nothing_else(case: Path, page: Path) -> None:
     text = page.read_text()
     elements = Elements(text)
@@ -95,74 +76,187 @@ def test_the_page_is_whole_and_needs_nothing_else(case: Path, page: Path) -> Non
         assert str(attributes["src"]).startswith("data:image/webp;base64,")
     assert not [a for a in elements.of("script", "iframe", "link") if a.get("src")]
     assert [a["href"] for a in elements.of("link")] == ["data:,"]
-    assert not re.search(r"https?://|url\(|@import", re.sub(r'id="view-data">[^<]*', "", text))
-    for title in (
-        "In three dimensions",
-        "Checks",
-        "Quality",
-        "Solve",
-        "Particles",
-        "Time and memory",
-        "Parameters and provenance",
-    ):
-        assert title in elements.words
+    assert all(str(a["href"]).startswith("data:image/webp;base64,") for a in elements.of("image"))
+    assert not re.search(r"https?://(?!www\.w3\.org/2000/svg)|url\(|@import", re.sub(r'id="view-data">[^<]*', "", text))
+    titles = [
+        "Checks", "Input", "The mesh in the volume", "In three dimensions", "Quality", "Solve", "Particles", "Stages", "Files",
+        "How this was made",
+    ]  # fmt: skip
     results = json.loads((case / "a&b.report.json").read_text())["results"]
-    assert ("Pictures" in elements.words) == bool(set(results["pictures"]["drawn"]) - {"a&b.quality.png"})
+    if set(results["pictures"]["drawn"]) - {"a&b.quality.png"}:
+        titles.insert(4, "Pictures")
+    # the table of contents leads to each of them, in order
+    anchors = [str(a["href"]) for a in elements.of("a") if str(a["href"]).startswith("#")]
+    assert anchors == [f"#{a['id']}" for a in elements.of("section")]
+    assert [a["id"] for a in elements.of("section")] == [title.lower().replace(" ", "-") for title in titles]
     for said in (
+        *titles,
         "a&b",
-        "Fit for simulation: all 10 checks passed",
+        "Fit for simulation, 1 warning",
         number(results["volume"]["tetrahedra"]),
         number(results["solve"]["elasticity"]["multigrid"]["iterations"]),
         number(results["solve"]["elasticity"]["jacobi"]["iterations"]),
         *(check["words"] for check in results["checks"]),
         "a <strange> thing",
+        "/data/scan <1>.nrrd",
+        "c0ffee",
+        "tetmesh-check --some options",
     ):
         assert said in elements.words
+    verdict = next(a for a in elements.of("p") if str(a.get("class", "")).startswith("verdict"))
+    assert verdict["class"] == "verdict warning"
 
 
 def test_every_figure_has_words(page: Path) -> None:
     elements = Elements(page.read_text())
-    assert len(elements.of("svg")) == 8
-    for attributes in elements.of("svg", "canvas"):
+    assert len(elements.of("canvas")) == 1
+    # seven histograms, two curves, three slices
+    pictures = [a for a in elements.of("svg", "canvas") if a.get("class") != "window" and a.get("id") != "view-cube"]
+    assert len(pictures) == 1 + 7 + 2 + 3
+    for attributes in pictures:
         assert attributes["role"] == "img"
         assert len(str(attributes["aria-label"])) > 30
     for attributes in elements.of("img"):
         assert len(str(attributes["alt"])) > 20
-    assert len(elements.of("figure")) == len(elements.of("figcaption"))
+    for attributes in elements.of("input"):
+        assert attributes.get("aria-label") or attributes["type"] == "checkbox"
 
 
-def test_what_is_not_there_is_left_out(case: Path, tmp_path: Path) -> None:
-    shutil.copy(case / "a&b.report.json", tmp_path / "x.report.json")
-    assert program.main([str(tmp_path / "x.report.json"), "-o", str(tmp_path / "x.html"), "--name", "only <this>"]) == 0
-    words = Elements((tmp_path / "x.html").read_text()).words
-    assert "only <this>" in words
-    for title in ("In three dimensions", "Pictures", "Particles"):
-        assert title not in words
+def test_files_are_linked_with_their_sizes(case: Path, page: Path) -> None:
+    elements = Elements(page.read_text())
+    links = [str(a["href"]) for a in elements.of("a") if not str(a["href"]).startswith("#")]
+    assert "a%26b.volume.vtu" in links
+    assert "reports/particles.json" in links
+    assert "a%26b.distfield.vti" not in links  # listed, but not there
+    elsewhere = made(case / "a&b.status.json", case.parent / "elsewhere.html")
+    assert "a%26b/a%26b.surface.vtp" in [a["href"] for a in elsewhere.of("a")]
+    size = (case / "a&b.passes.csv").stat().st_size
+    assert f"particles{size} bytes" in elements.words
 
-    report = json.loads((tmp_path / "x.report.json").read_text())
+
+def test_a_case_that_failed_at_the_first_stage_has_a_page(tmp_path: Path) -> None:
+    stages = dict.fromkeys(("sizefield", "seed", "particles", "reconstruct", "tetmesh-check"), NOTHING)
+    first = {"state": "error", "exit_code": 2, "error": ERROR, "outputs": [], "command": "distfield v.nrrd --iso 5"}
+    status = write_status(tmp_path, "x", verdict="error", stages={"distfield": first, **stages})
+    elements = made(status, tmp_path / "x.report.html")
+    for said in (
+        "No mesh: distfield: v.nrrd: is <empty>", "What happened", *ERROR.values(), "not reached", "SIZE", "2.5",
+        "distfield v.nrrd --iso 5", "The volume is not shown",
+    ):  # fmt: skip
+        assert said in elements.words
+    for title in ("In three dimensions", "Checks", "Quality", "Methods, to cite"):
+        assert title not in elements.words
+    assert index.main([str(status), "-o", str(tmp_path / "index.html")]) == 0
+    listed = Elements((tmp_path / "index.html").read_text())
+    assert "no mesh: distfield" in listed.words
+    assert "Not fit: 1 of 1 case" in listed.words
+    assert [a["href"] for a in listed.of("a")] == ["x.report.html", "index.csv"]
+    line = next(csv.DictReader((tmp_path / "index.csv").open()))
+    assert (line["verdict"], line["stage"], line["tetrahedra"], line["distfield_seconds"]) == (
+        "error", "distfield", "", "1.5",
+    )  # fmt: skip
+
+
+def test_nothing_of_an_earlier_run_is_shown(case: Path, tmp_path: Path) -> None:
+    folder = copied(case, tmp_path)
+    stale = {**NOTHING, "state": "stale"}
+    failed = {"state": "error", "error": ERROR, "outputs": [], "report": None}
+    status = write_status(folder, "a&b", verdict="error", stages={"reconstruct": failed, "tetmesh-check": stale})
+    # the files of the run before lie there under their ordinary names
+    assert (folder / "a&b.volume.vtu").is_file()
+    elements = made(status, folder / "x.html")
+    assert "No mesh: reconstruct" in elements.words
+    for title in ("In three dimensions", "Quality", "Solve", "Checks0"):
+        assert title not in elements.words
+    assert not [a for a in elements.of("a") if "volume" in str(a["href"]) or "surface" in str(a["href"])]
+    line = index.summary(read_case(status))
+    assert line["tetrahedra"] is None
+    assert line["surface_triangles"] is None
+
+
+def verdict(folder: Path, **changes: object) -> tuple[str, str]:
+    case = read_case(write_status(folder, "x", **changes))
+    return case.kind, case.headline
+
+
+def test_headlines(tmp_path: Path) -> None:
+    assert verdict(tmp_path) == ("pass", "Fit for simulation: nothing to warn of")
+    assert verdict(tmp_path, goal="surface") == ("pass", "Made as far as surface: nothing to warn of")
+    two = {"seed": {"warnings": ["a"]}, "distfield": {"warnings": ["b"]}}
+    assert verdict(tmp_path, stages=two) == ("warning", "Fit for simulation, 2 warnings")
+    failed = {**two, "reconstruct": {"state": "failed", "failed_checks": ["one", "two"]}}
+    assert verdict(tmp_path, stages=failed, verdict="failed") == (
+        "fail", "Not fit for simulation: 2 checks failed, 2 warnings",
+    )  # fmt: skip
+    stopped = {"particles": {"state": "interrupted"}}
+    assert verdict(tmp_path, stages=stopped, verdict="interrupted")[1].startswith("Interrupted during particles")
+    assert verdict(tmp_path, stages={"seed": {"state": "running"}}, verdict="running") == (
+        "neutral", "Still running: seed",
+    )  # fmt: skip
+    assert verdict(tmp_path, verdict="error") == ("fail", "No mesh: as make says it")
+
+
+def test_what_to_do_stands_beside_a_failed_check(case: Path, tmp_path: Path) -> None:
+    folder = copied(case, tmp_path)
+    report = json.loads((folder / "a&b.report.json").read_text())
+    assert {check["name"] for check in report["results"]["checks"]} == set(ADVICE)
     report["results"]["checks"][1].update(verdict="fail", passed=False)
-    (tmp_path / "x.report.json").write_text(json.dumps(report))
-    assert read_case(tmp_path / "x.report.json").verdict() == ("fail", "Not fit for simulation: 1 of 10 checks failed")
-    report.update(error={"what": "x.vtp: is open", "why": "", "next": ""}, results={}, outcome="error")
-    (tmp_path / "x.report.json").write_text(json.dumps(report))
-    assert program.main([str(tmp_path / "x.report.json"), "-o", str(tmp_path / "x.html"), "--force"]) == 0
-    assert "No mesh: x.vtp: is open" in Elements((tmp_path / "x.html").read_text()).words
+    report.update(failed_checks=["min_dihedral"])
+    (folder / "a&b.report.json").write_text(json.dumps(report))
+    (folder / "a&b.volume.vtu").rename(folder / "a&b.volume.failed.vtu")
+    own = {"state": "failed", "outputs": [], "kept": ["a&b.volume.failed.vtu"]}
+    surface = {"state": "failed", "failed_checks": ["3 pairs of triangles that cross"]}
+    status = write_status(folder, "a&b", verdict="failed", stages={"tetmesh-check": own, "reconstruct": surface})
+    elements = made(status, folder / "x.html")
+    assert ADVICE["min_dihedral"] in elements.words
+    assert ADVICE["bodies"] not in elements.words
+    assert "reconstruct: 3 pairs of triangles that cross" + advice_for("", "triangles that cross") in elements.words
+    assert "Not fit for simulation: 2 checks failed, 1 warning" in elements.words
+    assert "kept although a check failed" in elements.words
+    assert "In three dimensions" in elements.words  # what failed is there to be looked at
+    assert elements.words.index("3 pairs") < elements.words.index("smallest dihedral angle is")
+
+
+def test_a_volume_that_cannot_be_read_does_not_stop_the_page(
+    case: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(*_: object) -> None:
+        raise StageError("v.nrrd: is cut short", "it is shown", "copy it again")
+
+    monkeypatch.setattr(program, "read_scan", refuse)
+    words = made(case / "a&b.status.json", tmp_path / "x.html").words
+    assert "The volume is not shown: v.nrrd: is cut short. copy it again." in words
+    assert "In three dimensions" in words
+
+
+def test_the_facts_of_a_label_volume(case: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    turned = np.array([[0.0, 0.0, 2.0], [-1.5, 0.0, 0.0], [0.0, 1.0, 0.0]])
+    monkeypatch.setattr(program, "read_scan", lambda *_: volume_with_ball(turned, labels=True))
+    words = made(case / "a&b.status.json", tmp_path / "x.html").words
+    for said in (
+        "40 \u00d7 36 \u00d7 30", "1.5 \u00d7 1 \u00d7 2 mm", "60 \u00d7 36 \u00d7 60 mm", "towards A, S, L",
+        "uint8", "labels: 2 beside 0", "a <ball>", "Colours are labels",
+    ):  # fmt: skip
+        assert said in words
 
 
 def test_bad_usage(case: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    report = str(case / "a&b.report.json")
+    status = str(case / "a&b.status.json")
     (tmp_path / "there.html").write_text("precious")
     (tmp_path / "other.json").write_text('{"tool": 1}')
     (tmp_path / "broken.json").write_text("{")
-    stage = str(case / "reports" / "particles.json")
+    (tmp_path / "new.json").write_text('{"format": "isoparticles-status", "version": 2}')
+    (tmp_path / "lacks.json").write_text('{"format": "isoparticles-status", "version": 1, "name": "x"}')
     for main in (program.main, index.main):
         for words, said in (
-            ([report, "-o", str(tmp_path / "x.txt")], "does not end in .html"),
-            ([report, "-o", str(tmp_path / "there.html")], "exists already"),
+            ([status, "-o", str(tmp_path / "x.txt")], "does not end in .html"),
+            ([status, "-o", str(tmp_path / "there.html")], "exists already"),
             ([str(tmp_path / "absent.json"), "-o", str(tmp_path / "x.html")], "cannot read"),
             ([str(tmp_path / "broken.json"), "-o", str(tmp_path / "x.html")], "cannot read"),
-            ([str(tmp_path / "other.json"), "-o", str(tmp_path / "x.html")], "is no report"),
-            ([stage, "-o", str(tmp_path / "x.html")], "is of particles"),
+            ([str(tmp_path / "other.json"), "-o", str(tmp_path / "x.html")], "is no status"),
+            ([str(tmp_path / "new.json"), "-o", str(tmp_path / "x.html")], "is a status of version 2"),
+            ([str(tmp_path / "lacks.json"), "-o", str(tmp_path / "x.html")], "lacks what a status has"),
+            ([str(case / "a&b.report.json"), "-o", str(tmp_path / "x.html")], "is no status"),
         ):
             assert main(words) == 2
             error = capsys.readouterr().err
@@ -173,71 +267,57 @@ def test_bad_usage(case: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str
 
 
 def test_index_and_its_numbers(case: Path, page: Path, tmp_path: Path) -> None:
-    shutil.copy(case / "a&b.report.json", tmp_path / "second.report.json")
+    good = write_status(tmp_path, "good")
     output = case.parent / "index.html"
-    reports = [str(case / "a&b.report.json"), str(tmp_path / "second.report.json")]
-    assert index.main([*reports, "-o", str(output)]) == 0
+    statuses = [str(case / "a&b.status.json"), str(good)]
+    assert index.main([*statuses, "-o", str(output)]) == 0
     elements = Elements(output.read_text())
-    assert "All 2 cases are fit for simulation" in elements.words
-    links = [a["href"] for a in elements.of("a")]
-    assert links == ["a%26b/a%26b.report.html", "index.csv"]
+    assert "2 cases, none failed, 1 warning" in elements.words
+    assert "fit, 1 warning" in elements.words
+    assert [a["href"] for a in elements.of("a")] == ["a%26b/a%26b.report.html", "index.csv"]
     assert (output.parent / "a&b" / "a&b.report.html") == page
     lines = list(csv.DictReader((case.parent / "index.csv").open()))
     results = json.loads((case / "a&b.report.json").read_text())["results"]
-    assert [line["name"] for line in lines] == ["a&b", "second"]
+    assert [(line["name"], line["verdict"], line["warnings"]) for line in lines] == [
+        ("a&b", "warning", "1"), ("good", "passed", "0"),
+    ]  # fmt: skip
     assert int(lines[0]["tetrahedra"]) == results["volume"]["tetrahedra"]
     assert float(lines[0]["min_dihedral"]) == results["volume"]["quality"]["min_dihedral"]["min"]
-    assert lines[0]["particles_seconds"] != ""
-    assert lines[1]["particles_seconds"] == ""
+    assert lines[0]["particles_seconds"] == "1.5"
+    assert lines[1]["tetrahedra"] == ""
 
-    report = json.loads((tmp_path / "second.report.json").read_text())
-    report["results"]["checks"][0]["verdict"] = "fail"
-    (tmp_path / "second.report.failed.json").write_text(json.dumps(report))
-    reports[1] = str(tmp_path / "second.report.failed.json")
-    assert index.main([*reports, "-o", str(output), "--force"]) == 0
-    assert "Not fit for simulation: 1 of 2 cases" in output.read_text()
+    bad = write_status(tmp_path, "bad", verdict="failed", stages={"seed": {"state": "failed", "failed_checks": ["x"]}})
+    assert index.main([*statuses, str(bad), "-o", str(output), "--force"]) == 0
+    assert "Not fit: 1 of 3 cases" in output.read_text()
 
 
-def test_a_foreign_report_does_not_refuse_the_index(
+def test_a_foreign_file_does_not_refuse_the_index(
     case: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    (tmp_path / "foreign.report.json").write_text('{"a": 1}')
-    reports = [str(tmp_path / "foreign.report.json"), str(case / "a&b.report.json")]
-    assert index.main([*reports, "-o", str(tmp_path / "index.html")]) == 0
+    (tmp_path / "foreign.status.json").write_text('{"a": 1}')
+    statuses = [str(tmp_path / "foreign.status.json"), str(case / "a&b.status.json")]
+    assert index.main([*statuses, "-o", str(tmp_path / "index.html")]) == 0
     assert "left out of the index" in capsys.readouterr().err
-    assert "All 1 cases are fit" in (tmp_path / "index.html").read_text()
+    assert "1 case, none failed" in (tmp_path / "index.html").read_text()
 
 
 def test_reports_that_lack_keys_are_read(case: Path, tmp_path: Path) -> None:
-    whole = json.loads((case / "a&b.report.json").read_text())
-    path = tmp_path / "x.report.json"
+    folder = copied(case, tmp_path)
+    path = folder / "a&b.report.json"
+    whole = json.loads(path.read_text())
 
-    def made() -> str:
+    def said() -> str:
         path.write_text(json.dumps(whole))
-        assert program.main([str(path), "-o", str(tmp_path / "x.html"), "--force"]) == 0
-        assert index.main([str(path), "-o", str(tmp_path / "index.html"), "--force"]) == 0
-        return Elements((tmp_path / "x.html").read_text()).words
+        status = write_status(folder, "a&b")
+        words = made(status, folder / "x.html").words
+        assert index.main([str(status), "-o", str(tmp_path / "index.html"), "--force"]) == 0
+        return words
 
     del whole["results"]["volume"]["quality"]["radius_ratio"], whole["results"]["surface"]["topology"], whole["outcome"]
-    assert "Left out: the reports lack what it is made from (KeyError 'radius_ratio')" in made()
+    assert "Left out: the reports lack what it is made from (KeyError 'radius_ratio')" in said()
     for name in list(whole["results"]):
         del whole["results"][name]
-        made()
-    assert "holds no checks" in made()
-
-
-def test_a_stage_that_failed_makes_the_case_unfit(case: Path, tmp_path: Path) -> None:
-    shutil.copy(case / "a&b.report.json", tmp_path / "x.report.json")
-    (tmp_path / "reports").mkdir()
-    stage = json.loads((case / "reports" / "particles.json").read_text())
-    for change, words in (
-        ({"error": {"what": "v.nrrd: is empty", "why": "", "next": ""}}, "particles failed: v.nrrd: is empty"),
-        ({"failed_checks": ["too few"]}, "a check of particles failed: too few"),
-    ):
-        (tmp_path / "reports" / "particles.json").write_text(json.dumps({**stage, **change}))
-        kind, said = read_case(tmp_path / "x.report.json").verdict()
-        assert kind == "fail"
-        assert words in said
+        said()
 
 
 def test_what_nobody_foresaw_does_not_look_like_a_failed_check(
@@ -250,10 +330,10 @@ def test_what_nobody_foresaw_does_not_look_like_a_failed_check(
     monkeypatch.setattr(index, "index", broken)
     monkeypatch.setattr(convergence, "_run", broken)
     monkeypatch.setattr(cli, "_run", broken)
-    report = str(case / "a&b.report.json")
+    status = str(case / "a&b.status.json")
     for main, words in (
-        (program.main, [report, "-o", str(tmp_path / "x.html")]),
-        (index.main, [report, "-o", str(tmp_path / "x.html")]),
+        (program.main, [status, "-o", str(tmp_path / "x.html")]),
+        (index.main, [status, "-o", str(tmp_path / "x.html")]),
         (convergence.main, ["a.vtu", "b.vtu"]),
         (cli.main, ["a.vtp", "-o", "b.vtu"]),
     ):
@@ -264,119 +344,48 @@ def test_what_nobody_foresaw_does_not_look_like_a_failed_check(
     assert list(tmp_path.iterdir()) == []
 
 
-def test_the_packed_meshes_are_the_meshes() -> None:
-    points, triangles = from_polydata(ball(7.0, 2).translate((100.0, 50.0, -3.0)))
-    sizes = np.linspace(1.0, 2.0, len(points))
-    quality = triangle_quality(points, triangles).radius_ratio
-    about, data = pack([ViewMesh("surface", points, triangles, quality, sizes)], 0.5, 0.3)
-    raw = zlib.decompress(base64.b64decode(data))
-    mesh = about["meshes"][0]
-
-    def whole(start: int, count: int) -> np.ndarray:
-        planes = np.frombuffer(raw[start : start + 4 * count], np.uint8).reshape(4, count).astype(np.int64)
-        zigzag = (planes << np.array([[0], [8], [16], [24]])).sum(axis=0)
-        return np.cumsum((zigzag >> 1) ^ -(zigzag & 1))
-
-    read = whole(mesh["points"], 3 * mesh["point_count"]).reshape(3, -1).T * about["step"]
-    corners = whole(mesh["triangles"], 3 * mesh["triangle_count"]).reshape(-1, 3)
-    half, centre = 0.5 * np.ptp(points, axis=0).max(), 0.5 * (points.min(axis=0) + points.max(axis=0))
-
-    def as_set(p: np.ndarray, t: np.ndarray) -> set:
-        return {tuple(map(tuple, np.round(p[c]).astype(int))) for c in t}
-
-    assert as_set(read[corners] * STEPS, range(len(corners))) == as_set(
-        ((points - centre) / half * STEPS)[triangles], range(len(triangles))
-    )
-    shown = np.frombuffer(raw[mesh["quality"] : mesh["quality"] + len(triangles)], np.uint8) / 255.0
-    np.testing.assert_allclose(np.sort(shown), np.sort(quality), atol=0.003)
-
-
-def test_the_colours_of_edge_length_are_those_of_the_cut(case: Path) -> None:
-    meshes = program.view_meshes(None, case / "a&b.volume.vtu")
-    cut = meshes[0]
-    used = np.unique(cut.triangles)
-    assert len(used) < 0.6 * len(cut.points)
-    low, high = np.percentile(cut.size[used], [1, 99])
-    assert low > 0.5
-    assert pack(meshes, 0.5, 0.3)[0]["scales"][2] == f"edge length, {low:.3g} to {high:.3g} mm"
-
-
-def test_the_cut_keeps_the_farther_half(case: Path) -> None:
-    points, cells, grid = tetrahedra(case / "a&b.volume.vtu")
-    cut = cut_of(grid)
-    # as by looking at all faces
-    everywhere = cut_through_the_middle(points, cells, np.ones(len(points), dtype=bool))
-    np.testing.assert_array_equal(cut.triangles, everywhere.triangles)
-    np.testing.assert_array_equal(cut.owners, everywhere.owners)
-    depth = points[cells].mean(axis=1) @ cut.normal
-    assert depth[cut.owners].max() < np.median(depth)
-    corners = points[cut.triangles]
-    inside = np.einsum("ij,ij->i", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])).sum() / 6.0
-    assert inside == pytest.approx(signed_tetrahedron_volumes(points, cells[depth < np.median(depth)]).sum())
-
-
 def test_charts() -> None:
     assert ticks(0.0, 1.0) == pytest.approx([0.0, 0.2, 0.4, 0.6, 0.8, 1.0])
     assert ticks(34480.0, 36400.0, 4) == pytest.approx([34500, 35000, 35500, 36000])
     assert [number(v) for v in (0.123456, 12345, 1234567.8, 2.0, 999.7, -999.7, 999.4, float("nan"))] == [
         "0.123", "12\u202f345", "1\u202f234\u202f568", "2", "1\u202f000", "-1\u202f000", "999", "-",
     ]  # fmt: skip
-    drawn = histogram([0.0, 0.5, 1.0], [1, 3], "Things", "size", {"mean": 0.7, "smallest": 0.1})
-    heights = [float(h) for h in re.findall(r'<rect [^>]*height="([0-9.]+)"', drawn)]
-    assert heights[1] == pytest.approx(3.0 * heights[0], rel=1e-3)
-    assert "mean 0.7, smallest 0.1; 4 counted" in drawn
-    assert "4 beyond; 8 counted" in histogram([0.0, 0.5, 1.0], [1, 3], "Things", "size", {"largest": 3.0}, beyond=4)
+    axis = Axis("Things", "size, mm", "things")
+    drawn = histogram([0.0, 0.5, 1.0], [1, 100], axis, {"mean": 0.7, "smallest": 0.1}, Limit(0.25))
+    bars = re.search(r'<g class="bars">(.*?)</g>', drawn)
+    assert bars is not None
+    heights = [float(h) for h in re.findall(r'height="([0-9.]+)"', bars.group(1))]
+    # powers of ten from a half up: a single thing is seen beside a hundred
+    assert heights[0] / heights[1] == pytest.approx(np.log10(2.0) / np.log10(200.0), rel=1e-3)
+    assert "mean 0.7, smallest 0.1, limit 0.25: below it the check fails; 101 counted" in drawn
+    for words in ("mean 0.7", "smallest 0.1", "limit 0.25: below it the check fails", "size, mm", "things, in powers"):
+        assert f">{words}" in drawn
+    fails = re.search(r'<rect class="fails" x="([0-9.]+)" y="[0-9.]+" width="([0-9.]+)"', drawn)
+    line = re.search(r'<line class="limit" x1="([0-9.]+)"', drawn)
+    assert fails is not None
+    assert line is not None
+    assert float(fails.group(1)) + float(fails.group(2)) == pytest.approx(float(line.group(1)), abs=0.2)
+    above = histogram([0.0, 0.5, 1.0], [1, 3], axis, {"largest": 3.0}, Limit(0.75, above=True), beyond=4)
+    assert "above it the check fails; 4 beyond; 8 counted" in above
     summary = summarize(np.array([0.5, 1.5, 2.5, 9.0, np.inf]), np.linspace(0.0, 3.0, 4))
-    assert "1 beyond; 4 counted" in measured._histogram(summary, "Things", "size", "largest")
+    assert "1 beyond; 4 counted" in measured._histogram(summary, axis, "largest")
+    jacobian = summarize(np.array([0.5, 0.7]), np.linspace(-1.0, 1.0, 21))
+    assert ">-0.5<" not in measured._histogram(jacobian, axis, "smallest")
     flat = curve([1.0, 2.0], [5.0, 5.0], "Flat", "x", "y")
     assert "nan" not in flat
     assert "from 5 to 5 after 2" in flat
 
 
-def browse(page: Path, folder: Path, *words: str) -> tuple[str, list[str]]:
-    """Open a page; the document as it stands in the end, and what was said on the console."""
-    assert BROWSER is not None
-    options = [
-        "--headless=new", "--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--hide-scrollbars",
-        "--window-size=1280,1400", "--virtual-time-budget=15000", "--enable-logging=stderr", f"--user-data-dir={folder}",
-    ]  # fmt: skip
-    done = subprocess.run(
-        [BROWSER, *options, *words, page.as_uri()], capture_output=True, text=True, timeout=55, check=False
-    )
-    said = [line for line in done.stderr.splitlines() if "CONSOLE" in line]
-    # what the driver thinks of reading pixels back, which some runs say and others do not
-    return done.stdout, [line for line in said if "GL Driver Message (OpenGL, Performance" not in line]
-
-
-@NEEDS_BROWSER
-@pytest.mark.parametrize("scheme", ["light", "dark"])
-def test_a_browser_draws_the_page(page: Path, tmp_path: Path, scheme: str) -> None:
-    dark = ["--force-dark-mode"] if scheme == "dark" else []
-    document, console = browse(page, tmp_path / "profile", "--dump-dom", *dark)
-    assert console == []
-    canvas = re.search(r"<canvas [^>]*>", document)
-    assert canvas is not None
-    assert 'data-state="drawn"' in canvas.group()
-    covered = re.search(r'data-covered="([0-9.]+)"', canvas.group())
-    assert covered is not None
-    # the ball fills the height of the view but for a margin: pi / 4 of a square, which is about half as wide as the view
-    assert 0.2 < float(covered.group(1)) < 0.6
-    browse(page, tmp_path / "profile", f"--screenshot={tmp_path / 'page.png'}", *dark)
-    image = pv.read(tmp_path / "page.png")
-    pixels = (
-        np.asarray(image.point_data.active_scalars).reshape(*image.dimensions[1::-1], -1)[::-1, :, :3].astype(float)
-    )
-    assert pixels[5, 5].mean() > 240 if scheme == "light" else pixels[5, 5].mean() < 40
-    assert pixels[400:1000, 300:1000].std() > 20
-
-
-@NEEDS_BROWSER
-def test_a_broken_view_is_noticed(page: Path, tmp_path: Path) -> None:
-    text = page.read_text()
-    start = text.index('id="view-data">') + len('id="view-data">') + 40
-    (tmp_path / "broken.html").write_text(text[:start] + "AAAA" + text[start + 4 :])
-    document, console = browse(tmp_path / "broken.html", tmp_path / "profile", "--dump-dom")
-    assert 'data-state="failed"' in document
-    assert "cannot be drawn" in document
-    assert "Drag to turn" not in document
-    assert console
+def test_histograms_have_the_limits_of_the_checks(case: Path) -> None:
+    whole = read_case(case / "a&b.status.json")
+    drawn = measured.quality(whole)
+    limits = {check["name"]: check["limit"] for check in whole.checks}
+    for name in ("min_dihedral", "min_scaled_jacobian"):
+        assert f"limit {number(limits[name])}: below it the check fails" in drawn
+    report = {"results": {"check": {"min_radius_ratio_allowed": 0.3}}}
+    stages = [
+        *(stage for stage in whole.stages if stage.name != "reconstruct"),
+        type(whole.stages[0])("reconstruct", "done", report=report),
+    ]
+    again = Case(whole.name, whole.goal, whole.verdict, "", whole.folder, stages=stages)
+    assert "limit 0.3: below it the check fails" in measured.quality(again)

@@ -227,6 +227,24 @@ def test_a_hanging_column_stretches_as_it_must(monkeypatch: pytest.MonkeyPatch) 
     exact = WEIGHT**2 * 4.0 * 17.0**3 / (3.0 * problems.YOUNG)
     assert 0.97 * exact < figures["work_of_weight_mj"] < exact
     assert figures["max_displacement_mm"] == pytest.approx(WEIGHT * 17.0**2 / (2.0 * problems.YOUNG), rel=0.05)
+    assert figures["load_share"] == 1.0
+    assert figures["displacement_share"] == pytest.approx(figures["max_displacement_mm"] / np.sqrt(4.0 + 4.0 + 400.0))
+
+
+def test_soft_tissue_hangs_by_as_much_of_its_weight_as_linear_theory_bears(monkeypatch: pytest.MonkeyPatch) -> None:
+    points, cells = block((2, 2, 20))
+    words = (signed_tetrahedron_volumes(points, cells), np.zeros(len(cells), dtype=np.int64), FOREVER)
+    stiff, _ = elasticity(Assembler(points, cells), *words)
+    monkeypatch.setattr(problems, "YOUNG", 1e-4 * problems.YOUNG)
+    soft, converged = elasticity(Assembler(points, cells), *words)
+    assert converged
+    assert stiff["load_share"] == 1.0
+    assert soft["displacement_share"] == pytest.approx(problems.LINEAR_SHARE)
+    # the solution is proportional to load over stiffness
+    assert soft["load_share"] * 1e4 * stiff["displacement_share"] == pytest.approx(problems.LINEAR_SHARE, rel=1e-5)
+    assert soft["weight_n"] == pytest.approx(stiff["weight_n"])
+    assert soft["reaction_n"] == pytest.approx(soft["load_share"] * soft["weight_n"], rel=1e-6)
+    assert soft["strain_energy_mj"] == pytest.approx(0.5 * soft["work_of_weight_mj"], rel=1e-6)
 
 
 def test_the_side_with_most_matter_is_clamped() -> None:

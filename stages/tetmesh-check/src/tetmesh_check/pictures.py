@@ -23,6 +23,12 @@ PICTURES = ("surface", "closeup", "cut", "quality")
 _RENDERED = frozenset({"surface", "closeup", "cut"})
 _DRAWING_SECONDS = 300.0
 _WINDOW = (1600, 1200)
+_BAR = 170
+"""Height of the colour bar below a coloured mesh, pixels."""
+_INK = "#7d858e"
+"""Colour of words: legible on white and on black, because what is round the mesh is transparent."""
+_SPREAD = 1.0
+"""Percentile at the lower end of the colours: the few worst do not decide what all others look like."""
 _VIEW = np.array([0.55, -0.75, 0.37])
 """From the object towards the eye."""
 _UP = (0.0, 0.0, 1.0)
@@ -113,10 +119,10 @@ def draw_pictures(job: PictureJob) -> tuple[list[str], dict[str, str]]:
     return drawn, skipped
 
 
-def _plotter() -> Any:
+def _plotter(height: int = _WINDOW[1]) -> Any:
     import pyvista as pv
 
-    plotter = pv.Plotter(off_screen=True, window_size=list(_WINDOW), lighting="three lights")
+    plotter = pv.Plotter(off_screen=True, window_size=[_WINDOW[0], height], lighting="three lights")
     plotter.set_background("white")
     plotter.enable_anti_aliasing("msaa", multi_samples=8)
     return plotter
@@ -133,13 +139,13 @@ def _look(plotter: Any, focus: Any, towards_eye: Any, height: float, up: Any = _
     plotter.reset_camera_clipping_range()
 
 
-def _height_in_view(points: Any, towards_eye: Any, up: Any = _UP) -> float:
-    """Height of the window, in mm, that shows all points with a small margin."""
+def _height_in_view(points: Any, towards_eye: Any, up: Any = _UP, height: int = _WINDOW[1]) -> float:
+    """Height of the window of so many pixels, in mm, that shows all points with a small margin."""
     direction = np.asarray(towards_eye) / np.linalg.norm(towards_eye)
     right = np.cross(up, direction)
     right /= np.linalg.norm(right)
     above = np.cross(direction, right)
-    aspect = _WINDOW[0] / _WINDOW[1]
+    aspect = _WINDOW[0] / height
     across, along = np.ptp(points @ right), np.ptp(points @ above)
     return float(1.12 * max(along, across / aspect))
 
@@ -148,22 +154,39 @@ def _centre(points: Any) -> Any:
     return 0.5 * (points.min(axis=0) + points.max(axis=0))
 
 
-def _scalar_bar(title: str) -> dict[str, Any]:
-    return {
-        "title": f"{title}\n",
-        "color": "black",
-        "vertical": False,
-        "width": 0.5,
-        "height": 0.1,
-        "position_x": 0.25,
-        "position_y": 0.015,
-        "title_font_size": 24,
-        "label_font_size": 20,
-        "fmt": "%.1f",
-        "n_labels": 6,
-        "background_color": "white",
-        "fill": True,
-    }
+def _range(values: Any) -> tuple[float, float]:
+    """Ends of the colours for a radius ratio: the first percentile, and 1, which is regular."""
+    return min(float(np.percentile(values, _SPREAD)), 0.99), 1.0
+
+
+def _save_with_bar(plotter: Any, path: Path, title: str, limits: tuple[float, float]) -> None:
+    """Write what a plotter shows, with the bar of its colours below and not over it."""
+    import matplotlib as mpl
+
+    mpl.use("Agg")
+    from matplotlib import pyplot
+    from PIL import Image
+
+    mesh = Image.fromarray(plotter.screenshot(None, transparent_background=True, return_img=True))
+    figure = pyplot.figure(figsize=(_WINDOW[0] / 100, _BAR / 100), dpi=100)
+    axis = figure.add_axes((0.12, 0.66, 0.76, 0.2))
+    norm = mpl.colors.Normalize(*limits)
+    bar = figure.colorbar(mpl.cm.ScalarMappable(norm, _COLOURS), cax=axis, orientation="horizontal", extend="min")
+    bar.set_ticks(
+        [limits[0], 0.5 * sum(limits), limits[1]],
+        labels=[f"{v:.3g}" for v in (limits[0], 0.5 * sum(limits), limits[1])],
+    )
+    bar.outline.set_visible(False)
+    axis.tick_params(labelsize=25, colors=_INK, length=0, pad=4)
+    axis.set_xlabel(title, fontsize=25, color=_INK, labelpad=2)
+    strip_path = path.with_name("bar.png")
+    figure.savefig(strip_path, transparent=True)
+    pyplot.close(figure)
+    whole = Image.new("RGBA", _WINDOW)
+    with Image.open(strip_path) as strip:
+        whole.paste(mesh, (0, 0))
+        whole.paste(strip.convert("RGBA"), (0, mesh.height))
+    whole.save(path)
 
 
 def _edge_width(shown_height: float, edge_length: float) -> float:
@@ -189,17 +212,18 @@ def _draw_surface(surface: Any, _volume: Any, path: Path) -> None:
         specular=0.05,
     )
     _look(plotter, _centre(points), _VIEW, height)
-    plotter.screenshot(path)
+    plotter.screenshot(path, transparent_background=True)
 
 
 def _draw_closeup(surface: Any, _volume: Any, path: Path) -> None:
     from tetmesh_check.polydata import from_polydata
     from tetmesh_check.quality import triangle_quality
 
-    plotter = _plotter()
+    plotter = _plotter(_WINDOW[1] - _BAR)
     points, triangles = from_polydata(surface)
     quality = triangle_quality(points, triangles)
     surface.cell_data["radius ratio"] = quality.radius_ratio
+    limits = _range(quality.radius_ratio)
     # The triangle nearest to the eye is hidden by nothing.
     direction = _VIEW / np.linalg.norm(_VIEW)
     nearest = int(np.argmax(points[triangles].mean(axis=1) @ direction))
@@ -213,18 +237,18 @@ def _draw_closeup(surface: Any, _volume: Any, path: Path) -> None:
     plotter.add_mesh(
         surface,
         scalars="radius ratio",
-        clim=(0.0, 1.0),
+        clim=limits,
         ambient=0.35,
         diffuse=0.7,
         cmap=_COLOURS,
         show_edges=True,
         edge_color=_EDGE_COLOUR,
         line_width=_edge_width(height, edge),
-        scalar_bar_args=_scalar_bar("radius ratio of the surface triangles (1 = equilateral)"),
+        show_scalar_bar=False,
     )
     up = _UP if abs(normal[2]) < 0.95 else (0.0, 1.0, 0.0)
     _look(plotter, corner.mean(axis=0), normal, height, up)
-    plotter.screenshot(path)
+    _save_with_bar(plotter, path, "radius ratio of the surface triangles", limits)
 
 
 def _edge_length(points: Any, cells: Any) -> float:
@@ -240,23 +264,25 @@ def _draw_cut(_surface: Any, volume: Any, path: Path) -> None:
     from tetmesh_check.cut import cut_of
     from tetmesh_check.polydata import to_polydata
 
-    plotter = _plotter()
+    plotter = _plotter(_WINDOW[1] - _BAR)
     points = np.asarray(volume.points, dtype=np.float64)
     cells = np.asarray(volume.cells_dict[pv.CellType.TETRA], dtype=np.int64)
     cut = cut_of(volume)
     used, local = np.unique(cut.triangles, return_inverse=True)
     kept = to_polydata(points[used], local.reshape(-1, 3))
-    kept.cell_data["radius ratio"] = np.asarray(volume.cell_data["radius_ratio"])[cut.owners]
+    ratio = np.asarray(volume.cell_data["radius_ratio"])
+    kept.cell_data["radius ratio"] = ratio[cut.owners]
+    limits = _range(ratio)
     normal, up = cut.normal, cut.up
     # Seen slightly from the side, so that the depth of the cut shows.
     towards_eye = normal + 0.28 * np.cross(up, normal) + 0.22 * up
     shown = points[used]
-    height = _height_in_view(shown, towards_eye, up)
+    height = _height_in_view(shown, towards_eye, up, _WINDOW[1] - _BAR)
     edge = _edge_length(points, cells)
     plotter.add_mesh(
         kept,
         scalars="radius ratio",
-        clim=(0.0, 1.0),
+        clim=limits,
         ambient=0.35,
         diffuse=0.7,
         cmap=_COLOURS,
@@ -264,11 +290,10 @@ def _draw_cut(_surface: Any, volume: Any, path: Path) -> None:
         edge_color=_EDGE_COLOUR,
         line_width=_edge_width(height, edge),
         edge_opacity=float(np.clip(edge / height * _WINDOW[1] / 6.0, 0.15, 1.0)),
-        scalar_bar_args=_scalar_bar("radius ratio of the tetrahedra (1 = regular)"),
+        show_scalar_bar=False,
     )
-    focus = _centre(shown) - 0.06 * height * up
-    _look(plotter, focus, towards_eye, 1.1 * height, up)
-    plotter.screenshot(path)
+    _look(plotter, _centre(shown), towards_eye, height, up)
+    _save_with_bar(plotter, path, "radius ratio of the tetrahedra", limits)
 
 
 def _draw_quality(surface: Any, volume: Any, path: Path) -> None:

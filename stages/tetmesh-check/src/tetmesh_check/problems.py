@@ -28,6 +28,9 @@ YOUNG = 0.01
 POISSON_RATIO = 0.4
 WEIGHT = 1060.0e-9 * 9.81
 """Weight of muscle, N/mm^3."""
+LINEAR_SHARE = 0.01
+"""Displacement over the diagonal of the bounding box up to which linear elasticity is trusted: rotations that it leaves out are of second
+order, 1e-4 here."""
 CLAMPED_SHARE = 0.1
 """Share of the length of each body that is held."""
 _SIDES = tuple((axis, sign) for axis in range(3) for sign in (1.0, -1.0))
@@ -215,7 +218,11 @@ def poisson(assembler: Assembler, boundary: NDArray[np.bool_], solver: Solver) -
 
 
 def elasticity(assembler: Assembler, volumes: Values, bodies: Labels, solver: Solver) -> tuple[dict[str, Any], bool]:
-    """Clamp the organ at one side and let its own weight pull it away from there.
+    """Clamp the organ at one side and let its own weight pull it away from there, as much of it as linear theory can bear.
+
+    In the body an organ is carried by what surrounds it. Held at one side alone, soft tissue would sag by more than its own size, of
+    which linear theory knows nothing. The solution is proportional to the load, hence ``load_share`` of the weight is what moves it by
+    :data:`LINEAR_SHARE` of its size (all of it, where that moves it less), and displacement, energy, work and reaction are those of this load.
 
     Parameters
     ----------
@@ -253,13 +260,19 @@ def elasticity(assembler: Assembler, volumes: Values, bodies: Labels, solver: So
     inner, solved, converged = solver.solve(matrix[free][:, free], load[free], rigid_motions(points[~fixed]))
     displacement = np.zeros(matrix.shape[0])
     displacement[free] = inner
+    size = float(np.linalg.norm(np.ptp(points[tetrahedra].reshape(-1, 3), axis=0)))
+    farthest = float(np.linalg.norm(displacement.reshape(-1, 3), axis=1).max())
+    share = min(1.0, LINEAR_SHARE * size / farthest) if farthest > 0.0 else 1.0
+    displacement, load = share * displacement, share * load
     reaction = (load - matrix @ displacement).reshape(-1, 3)[fixed].sum(axis=0)
     figures.update(
         solved,
         strain_energy_mj=0.5 * float(displacement @ (matrix @ displacement)),
         work_of_weight_mj=float(load @ displacement),
         reaction_n=float(np.linalg.norm(reaction)),
-        max_displacement_mm=float(np.linalg.norm(displacement.reshape(-1, 3), axis=1).max()),
+        load_share=share,
+        max_displacement_mm=share * farthest,
+        displacement_share=share * farthest / size,
     )
     return figures, converged
 

@@ -1,12 +1,14 @@
-"""What is known about a case: the reports of its stages, the passes of its particles, its meshes and pictures."""
+"""What is known about a case: its status, and what the status lists: reports, passes of the particles, meshes and pictures.
+
+``NAME.status.json`` says what the last run made or confirmed. Nothing is looked for beside it: a file that it does not list may be of
+an earlier run, whatever its name.
+"""
 
 from __future__ import annotations
 
-import base64
 import csv
-import io
 import json
-from collections.abc import Iterable
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -14,8 +16,14 @@ from typing import Any
 from tetmesh_check.errors import StageError
 
 STAGES = ("distfield", "sizefield", "seed", "particles", "reconstruct", "tetmesh-check")
-"""In the order they run."""
-_PICTURE_WIDTH = 1400
+"""In the order they run; where the volume is a phantom, ``phantom`` comes before them."""
+FORMAT, VERSION = "isoparticles-status", 1
+ENDED = frozenset({"done", "failed", "error", "interrupted"})
+"""States of a stage whose report is of the last run."""
+_KINDS = {
+    "passed": "pass", "warning": "warning", "failed": "fail", "error": "fail", "interrupted": "warning", "running": "neutral",
+}  # fmt: skip
+_PICTURES = ("surface", "closeup", "cut")
 
 
 def dig(data: Any, *keys: str) -> Any:
@@ -33,26 +41,72 @@ def dig(data: Any, *keys: str) -> Any:
     return data
 
 
+def count_of(number: int, word: str) -> str:
+    """Write a number of things.
+
+    Parameters
+    ----------
+    number
+        How many.
+    word
+        What one of them is called; more get an ``s``.
+    """
+    return f"{number} {word}{'' if number == 1 else 's'}"
+
+
+@dataclass(frozen=True)
+class Stage:
+    """How a stage ended, and what it left."""
+
+    name: str
+    state: str
+    """``done``, ``failed`` (a check did), ``error``, ``interrupted``, ``running``, ``stale`` or ``not reached``."""
+    seconds: float | None = None
+    command: str = ""
+    outputs: tuple[str, ...] = ()
+    """Files relative to the folder of the case."""
+    kept: tuple[str, ...] = ()
+    """Files of a stage whose check failed, under other names."""
+    warnings: tuple[str, ...] = ()
+    failed_checks: tuple[str, ...] = ()
+    error: dict[str, str] | None = None
+    """``what``, ``why`` and ``next``."""
+    report_file: str | None = None
+    report: dict[str, Any] | None = None
+    """What the stage itself wrote."""
+
+
 @dataclass(frozen=True)
 class Case:
     """One case."""
 
     name: str
-    report: dict[str, Any]
-    """What ``tetmesh-check`` wrote."""
-    stages: dict[str, dict[str, Any]] = field(default_factory=dict)
-    """Reports of all stages that are there, in order, by name."""
+    goal: str
+    """``mesh``, or the stage that it stops at."""
+    verdict: str
+    """``passed``, ``warning``, ``failed``, ``error``, ``interrupted`` or ``running``."""
+    said: str
+    """The verdict as a sentence, by who ran the stages."""
+    folder: Path
+    inputs: list[dict[str, Any]] = field(default_factory=list)
+    """Each with ``role``, ``path``, ``bytes`` and ``hash``."""
+    parameters: dict[str, str] = field(default_factory=dict)
+    """As the user or the file of the case gave them."""
+    stages: list[Stage] = field(default_factory=list)
+    """All of them, in order."""
+    page: Path | None = None
     passes: list[dict[str, float]] = field(default_factory=list)
     """What ``particles`` logged, one entry a pass."""
-    surface: Path | None = None
-    volume: Path | None = None
-    pictures: dict[str, Path] = field(default_factory=dict)
-    """By kind: ``surface``, ``closeup``, ``cut``."""
+
+    @property
+    def reports(self) -> dict[str, dict[str, Any]]:
+        """Reports of the stages that ended in the last run, or were confirmed by it, by stage."""
+        return {stage.name: stage.report for stage in self.stages if stage.report is not None}
 
     @property
     def results(self) -> dict[str, Any]:
-        """The results of ``tetmesh-check``."""
-        results: dict[str, Any] = self.report["results"]
+        """The results of ``tetmesh-check``; empty where there are none."""
+        results: dict[str, Any] = dig(self.reports, STAGES[-1], "results") or {}
         return results
 
     @property
@@ -64,35 +118,118 @@ class Case:
     @property
     def seconds(self) -> float:
         """Time of all stages together, s."""
-        return float(sum(report["seconds"] or 0.0 for report in self.stages.values()))
+        return float(sum(stage.seconds or 0.0 for stage in self.stages))
 
     @property
     def peak_memory(self) -> float:
         """Memory of the largest process of all stages, bytes."""
-        return float(max((report.get("peak_memory_bytes") or 0 for report in self.stages.values()), default=0))
+        return float(max((report.get("peak_memory_bytes") or 0 for report in self.reports.values()), default=0))
 
-    def verdict(self) -> tuple[str, str]:
-        """``pass``, ``warning`` or ``fail``, and the same in a sentence."""
-        if self.report["error"] is not None:
-            return "fail", f"No mesh: {dig(self.report, 'error', 'what')}"
-        for stage, report in self.stages.items():
-            if report["error"] is not None:
-                return "fail", f"Not up to date: {stage} failed: {dig(report, 'error', 'what')}"
-            if stage != STAGES[-1] and report.get("failed_checks"):
-                return "fail", f"Not fit for simulation: a check of {stage} failed: {report['failed_checks'][0]}"
-        failed = [check for check in self.checks if check["verdict"] == "fail"]
-        warned = [check for check in self.checks if check["verdict"] == "warning"]
-        if failed:
-            return "fail", f"Not fit for simulation: {len(failed)} of {len(self.checks)} checks failed"
-        if not self.checks:
-            return "fail", "Not known to be fit for simulation: the report holds no checks"
-        if warned:
-            passed = len(self.checks) - len(warned)
-            return (
-                "warning",
-                f"Fit for simulation: {passed} of {len(self.checks)} checks passed, the others are warnings",
-            )
-        return "pass", f"Fit for simulation: all {len(self.checks)} checks passed"
+    @property
+    def warnings(self) -> list[tuple[str, str]]:
+        """Stage and words of every warning."""
+        return [(stage.name, words) for stage in self.stages for words in stage.warnings]
+
+    @property
+    def failures(self) -> list[tuple[str, str]]:
+        """Stage and words of every check that failed."""
+        return [(stage.name, words) for stage in self.stages for words in stage.failed_checks]
+
+    @property
+    def broken(self) -> Stage | None:
+        """The stage that ended with an error."""
+        return next((stage for stage in self.stages if stage.error is not None), None)
+
+    @property
+    def kind(self) -> str:
+        """``pass``, ``warning``, ``fail`` or ``neutral``; a case that passed with warnings is a warning."""
+        kind = _KINDS.get(self.verdict, "fail")
+        return "warning" if kind == "pass" and self.warnings else kind
+
+    @property
+    def headline(self) -> str:
+        """The verdict in a sentence, with the number of warnings."""
+        warned = count_of(len(self.warnings), "warning")
+        if self.verdict == "running":
+            at = next((stage.name for stage in self.stages if stage.state == "running"), "")
+            return f"Still running{f': {at}' if at else ''}"
+        if self.verdict == "interrupted":
+            at = next((stage.name for stage in self.stages if stage.state == "interrupted"), "")
+            return f"Interrupted{f' during {at}' if at else ''}: run the same command again to go on"
+        if self.verdict == "error":
+            broken = self.broken
+            return f"No mesh: {broken.name}: {dig(broken.error, 'what')}" if broken else f"No mesh: {self.said}"
+        whole = self.goal in ("mesh", STAGES[-1])
+        if self.verdict == "failed":
+            failed = self.failures
+            words = f"{count_of(len(failed), 'check')} failed" if failed else self.said
+            tail = f", {warned}" if self.warnings else ""
+            return f"{'Not fit for simulation' if whole else 'Not as it should be'}: {words}{tail}"
+        fit = "Fit for simulation" if whole else f"Made as far as {self.goal}"
+        if self.warnings:
+            return f"{fit}, {warned}"
+        return f"{fit}: all {len(self.checks)} checks passed" if self.checks else f"{fit}: nothing to warn of"
+
+    def outputs(self, stage: str, ending: str) -> Iterator[Path]:
+        """Find files of a stage that the status lists and that are there, by the ending of their names.
+
+        Parameters
+        ----------
+        stage
+            The stage that made them.
+        ending
+            As in ``.surface.vtp``; a result that was set aside because a check failed ends in ``.surface.failed.vtp``.
+        """
+        stem, dot, suffix = ending.rpartition(".")
+        aside = f"{stem}.failed{dot}{suffix}"
+        for entry in self.stages:
+            if entry.name == stage and entry.state in ENDED:
+                for name in (*entry.outputs, *entry.kept):
+                    if name.endswith((ending, aside)) and (self.folder / name).is_file():
+                        yield self.folder / name
+
+    @property
+    def surface(self) -> Path | None:
+        """The triangles."""
+        return next(self.outputs("reconstruct", ".surface.vtp"), None)
+
+    @property
+    def volume(self) -> Path | None:
+        """The tetrahedra."""
+        return next(self.outputs(STAGES[-1], ".volume.vtu"), None)
+
+    @property
+    def input(self) -> Path | None:
+        """The volume that was meshed: the user's, or the phantom that was made for the case."""
+        for entry in self.inputs:
+            if entry.get("role") == "volume":
+                return Path(str(entry["path"]))
+        return next(self.outputs("phantom", ".nrrd"), None)
+
+    @property
+    def pictures(self) -> dict[str, Path]:
+        """Pictures by kind, ``surface``, ``closeup`` and ``cut``: those that the report says were drawn."""
+        drawn = dig(self.results, "pictures", "drawn") or []
+        listed = {
+            Path(name).name: self.folder / name
+            for entry in self.stages
+            if entry.name == STAGES[-1] and entry.state in ENDED
+            for name in entry.outputs + entry.kept
+        }
+        found = {}
+        for kind in _PICTURES:
+            for name in drawn:
+                path = listed.get(name, self.folder / "pictures" / name)
+                if name.endswith(f".{kind}.png") and path.is_file():
+                    found[kind] = path
+        return found
+
+
+def _json(path: Path, advice: str) -> Any:
+    try:
+        return json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise StageError.file(path, "read", error, advice) from error
 
 
 def read_report(path: Path) -> dict[str, Any]:
@@ -109,10 +246,7 @@ def read_report(path: Path) -> dict[str, Any]:
         If it cannot be read, or is no report.
     """
     advice = "give the report that the stage wrote (--report)"
-    try:
-        report = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise StageError.file(path, "read", error, advice) from error
+    report = _json(path, advice)
     wanted = {"tool", "seconds", "results", "command_line", "error"}
     if not isinstance(report, dict) or not wanted <= set(report) or not isinstance(report["results"], dict):
         raise StageError(f"{path}: is no report of a stage", "the page is made from it", advice)
@@ -134,81 +268,71 @@ def read_passes(path: Path) -> list[dict[str, float]]:
         raise StageError.file(path, "read", error, "give the log that particles wrote (--log)") from error
 
 
-def case_name(report: Path) -> str:
-    """Name of a case by that of its report.
-
-    Parameters
-    ----------
-    report
-        ``NAME.report.json``, or ``NAME.report.failed.json`` where a check failed.
-    """
-    return report.name.removesuffix(".json").removesuffix(".failed").removesuffix(".report")
-
-
-def read_case(report: Path, name: str | None = None) -> Case:
-    """Gather a case from the folder of its report, as the Makefile leaves it.
-
-    Parameters
-    ----------
-    report
-        ``NAME.report.json`` of ``tetmesh-check``; beside it may lie ``reports/STAGE.json``, ``NAME.passes.csv``,
-        ``NAME.surface.vtp``, ``NAME.volume.vtu`` (or ``NAME.volume.failed.vtu``) and ``pictures/``.
-    name
-        Name of the case; that of the file by default.
-    """
-    own = read_report(report)
-    if own["tool"] != "tetmesh-check":
-        raise StageError(
-            f"{report}: is of {own['tool']}", "the page is about the tetrahedra", "give that of tetmesh-check"
-        )
-    folder = report.parent
-    stem = case_name(report)
-    stages = {
-        stage: read_report(path) for stage in STAGES[:-1] if (path := folder / "reports" / f"{stage}.json").is_file()
-    }
-    stages[STAGES[-1]] = own
-
-    def first(paths: Iterable[Path]) -> Path | None:
-        return next((path for path in paths if path.is_file()), None)
-
-    passes = folder / f"{stem}.passes.csv"
-    drawn = dig(own, "results", "pictures", "drawn") or []
-    pictures = {
-        kind: path for kind in ("surface", "closeup", "cut") for word in drawn
-        if word.endswith(f".{kind}.png") and (path := folder / "pictures" / word).is_file()
-    }  # fmt: skip
-    made = own["error"] is None
-    return Case(
-        name or stem,
-        own,
-        stages,
-        read_passes(passes) if passes.is_file() else [],
-        first([folder / f"{stem}.surface.vtp"]) if made else None,
-        first(folder / f"{stem}.volume.{kind}" for kind in ("vtu", "failed.vtu")) if made else None,
-        pictures,
+def _stage(entry: dict[str, Any], folder: Path) -> Stage:
+    name, state = str(entry["stage"]), str(entry["state"])
+    report_file = entry.get("report")
+    report = None
+    if report_file and state in ENDED and (folder / report_file).is_file():
+        report = read_report(folder / report_file)
+    error = entry.get("error")
+    return Stage(
+        name,
+        state,
+        entry.get("seconds"),
+        str(entry.get("command") or ""),
+        tuple(entry.get("outputs") or ()),
+        tuple(entry.get("kept") or ()),
+        tuple(entry.get("warnings") or ()),
+        tuple(entry.get("failed_checks") or ()),
+        error if isinstance(error, dict) else None,
+        report_file,
+        report,
     )
 
 
-def picture_data(path: Path, width: int = _PICTURE_WIDTH) -> tuple[str, int, int]:
-    """Turn a picture into a data address for the page (WebP); with its width and height, pixels.
+def read_case(status: Path) -> Case:
+    """Read the status of a case, and what it lists.
 
     Parameters
     ----------
-    path
-        A picture.
-    width
-        Wider ones are made smaller.
-    """
-    from PIL import Image
+    status
+        ``NAME.status.json``, in the folder of the case.
 
+    Raises
+    ------
+    StageError
+        If it is no status, or a report that it lists cannot be read.
+    """
+    advice = "give NAME.status.json, which make writes into the folder of the case"
+    data = _json(status, advice)
+    if not isinstance(data, dict) or data.get("format") != FORMAT:
+        raise StageError(f"{status}: is no status of a case", "the page is made from it alone", advice)
+    if data.get("version") != VERSION:
+        raise StageError(
+            f"{status}: is a status of version {data.get('version')}",
+            f"this program reads version {VERSION}",
+            "run make for this case again, with programs of one version",
+        )
+    folder = status.parent
     try:
-        with Image.open(path) as opened:
-            image = opened.convert("RGB")
-    except OSError as error:
-        raise StageError.file(path, "read", error, "draw the pictures again (tetmesh-check --pictures)") from error
-    if image.width > width:
-        image = image.resize((width, round(image.height * width / image.width)), Image.Resampling.LANCZOS)
-    stream = io.BytesIO()
-    image.save(stream, "WEBP", quality=82, method=4)
-    text = base64.b64encode(stream.getvalue()).decode("ascii")
-    return f"data:image/webp;base64,{text}", image.width, image.height
+        stages = [_stage(entry, folder) for entry in data["stages"]]
+        case = Case(
+            str(data["name"]),
+            str(data.get("goal") or "mesh"),
+            str(data["verdict"]),
+            str(data.get("headline") or ""),
+            folder,
+            [entry for entry in data.get("inputs") or [] if "path" in entry],
+            {str(key): str(value) for key, value in (data.get("parameters") or {}).items()},
+            stages,
+            folder / data["page"] if data.get("page") else None,
+        )
+    except (KeyError, TypeError, AttributeError) as error:
+        raise StageError(
+            f"{status}: lacks what a status has ({type(error).__name__} {error})",
+            "the page is made from it alone",
+            advice,
+        ) from error
+    for path in case.outputs("particles", ".passes.csv"):
+        case.passes.extend(read_passes(path))
+    return case

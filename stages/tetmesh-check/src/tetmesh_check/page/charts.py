@@ -4,10 +4,35 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 from html import escape
 
-_WIDTH, _HEIGHT = 560.0, 300.0
-_LEFT, _RIGHT, _TOP, _BOTTOM = 62.0, 16.0, 36.0, 46.0
+_WIDTH, _HEIGHT = 560.0, 330.0
+_LEFT, _RIGHT, _TOP, _BOTTOM = 66.0, 16.0, 36.0, 46.0
+_ROW = 17.0
+"""Height of a row of words over a histogram."""
+
+
+@dataclass(frozen=True)
+class Limit:
+    """A limit of a check, to be drawn into a histogram."""
+
+    value: float
+    """In the unit of the measure."""
+    above: bool = False
+    """Whether what lies above it fails, rather than what lies below."""
+
+
+@dataclass(frozen=True)
+class Axis:
+    """What is measured, and of what."""
+
+    title: str
+    """Of the chart."""
+    measure: str
+    """With its unit."""
+    things: str
+    """What is counted."""
 
 
 def number(value: float, digits: int = 3) -> str:
@@ -48,9 +73,10 @@ def ticks(low: float, high: float, about: int = 5) -> list[float]:
 class _Frame:
     """Axes, and the way from values to places."""
 
-    def __init__(self, x: tuple[float, float], y: tuple[float, float]) -> None:
+    def __init__(self, x: tuple[float, float], y: tuple[float, float], top: float = _TOP) -> None:
         self._x = x if x[1] > x[0] else (x[0] - 0.5, x[0] + 0.5)
         self._y = y if y[1] > y[0] else (y[0] - 0.5, y[0] + 0.5)
+        self.top = top
 
     def x(self, value: float) -> float:
         share = (value - self._x[0]) / (self._x[1] - self._x[0])
@@ -58,15 +84,15 @@ class _Frame:
 
     def y(self, value: float) -> float:
         share = (value - self._y[0]) / (self._y[1] - self._y[0])
-        return _HEIGHT - _BOTTOM - share * (_HEIGHT - _TOP - _BOTTOM)
+        return _HEIGHT - _BOTTOM - share * (_HEIGHT - self.top - _BOTTOM)
 
-    def axes(self, title: str, x_label: str, y_label: str) -> str:
+    def axes(self, title: str, x_label: str, y_label: str, y_ticks: Sequence[tuple[float, str]] | None = None) -> str:
         middle = 0.5 * (_LEFT + _WIDTH - _RIGHT)
         parts = [f'<text class="title" x="{_LEFT}" y="20">{escape(title)}</text>']
-        for value in ticks(*self._y, 4):
+        for value, label in y_ticks or [(value, number(value, 5)) for value in ticks(*self._y, 4)]:
             y = self.y(value)
             parts.append(f'<line class="axis" x1="{_LEFT}" x2="{_WIDTH - _RIGHT}" y1="{y:.1f}" y2="{y:.1f}"/>')
-            parts.append(f'<text x="{_LEFT - 8}" y="{y + 4:.1f}" text-anchor="end">{number(value, 5)}</text>')
+            parts.append(f'<text x="{_LEFT - 8}" y="{y + 4:.1f}" text-anchor="end">{label}</text>')
         for value in ticks(*self._x):
             label = number(value, 4)
             parts.append(
@@ -75,6 +101,17 @@ class _Frame:
         parts.append(f'<text x="{middle}" y="{_HEIGHT - 8}" text-anchor="middle">{escape(x_label)}</text>')
         parts.append(f'<text x="{_WIDTH - _RIGHT}" y="20" text-anchor="end">{escape(y_label)}</text>')
         return "".join(parts)
+
+    def mark(self, kind: str, value: float, words: str, row: int) -> tuple[str, str]:
+        """A line, and its words, which stand in a row of their own over the plot and are drawn over all lines."""
+        x = self.x(min(max(value, self._x[0]), self._x[1]))
+        y = _TOP + _ROW * row
+        right = x < 0.5 * _WIDTH
+        place = f'x="{x + 6:.1f}" text-anchor="start"' if right else f'x="{x - 6:.1f}" text-anchor="end"'
+        return (
+            f'<line class="{kind}" x1="{x:.1f}" x2="{x:.1f}" y1="{y - 9:.1f}" y2="{self.y(self._y[0]):.1f}"/>',
+            f'<text class="{kind}" {place} y="{y + 1:.1f}">{escape(words)}</text>',
+        )
 
 
 def _svg(words: str, content: str) -> str:
@@ -87,13 +124,15 @@ def _svg(words: str, content: str) -> str:
 def histogram(
     edges: Sequence[float],
     counts: Sequence[int],
-    title: str,
-    label: str,
+    axis: Axis,
     marks: dict[str, float],
+    limit: Limit | None = None,
     second: bool = False,
     beyond: int = 0,
 ) -> str:
-    """Draw shares of a whole, with lines at the mean and at the worst value (at the rim, where that lies beyond it).
+    """Draw how many things have which measure, with named lines at the mean, at the worst value and at the limit of the check.
+
+    The counts go up in powers of ten: the few worst triangles are what matters, and beside the many good ones they would not be seen.
 
     Parameters
     ----------
@@ -101,36 +140,54 @@ def histogram(
         Of the bins, one more than ``counts``.
     counts
         In each bin.
-    title, label
-        What is counted, and the measure with its unit.
+    axis
+        What is measured, and of what.
     marks
-        ``mean``, and ``least``, ``smallest`` or ``largest``.
+        ``mean``, and ``smallest`` or ``largest``; drawn at the rim where it lies beyond the bins.
+    limit
+        That of the check, if there is one.
     second
         Whether the second colour is used.
     beyond
-        How many lie outside all bins; they belong to the whole, and it is said that they are not shown.
+        How many lie outside all bins; it is said that they are not shown.
     """
-    total = max(sum(counts) + beyond, 1)
-    shares = [100.0 * count / total for count in counts]
-    frame = _Frame((edges[0], edges[-1]), (0.0, max(*shares, 1e-9) * 1.08))
+    powers = max(1, math.ceil(math.log10(max(*counts, 2))))
+    rows = len(marks) + (limit is not None)
+    # half a thing stands on the ground line, so that a bin with one of them is seen
+    ground = math.log10(0.5)
+    frame = _Frame((edges[0], edges[-1]), (ground, float(powers)), _TOP + _ROW * rows)
     bars = [
-        f'<rect x="{frame.x(a) + 0.4:.2f}" y="{frame.y(s):.2f}" width="{max(frame.x(b) - frame.x(a) - 0.8, 0.6):.2f}" '
-        f'height="{frame.y(0.0) - frame.y(s):.2f}"/>'
-        for a, b, s in zip(edges[:-1], edges[1:], shares, strict=True)
-        if s > 0
+        f'<rect x="{frame.x(a) + 0.4:.2f}" y="{frame.y(math.log10(c)):.2f}" width="{max(frame.x(b) - frame.x(a) - 0.8, 0.6):.2f}" '
+        f'height="{frame.y(ground) - frame.y(math.log10(c)):.2f}"><title>{number(a)} to {number(b)}: {number(c)}</title></rect>'
+        for a, b, c in zip(edges[:-1], edges[1:], counts, strict=True)
+        if c > 0
     ]
-    lines = []
-    for name, value in marks.items():
-        x = frame.x(min(max(value, edges[0]), edges[-1]))
-        kind = "mean" if name == "mean" else "least"
-        lines.append(f'<line class="{kind}" x1="{x:.1f}" x2="{x:.1f}" y1="{_TOP}" y2="{frame.y(0.0):.1f}"/>')
+    drawn = [
+        frame.mark("mean" if name == "mean" else "least", value, f"{name} {number(value)}", row)
+        for row, (name, value) in enumerate(marks.items())
+    ]
     said = ", ".join(f"{name} {number(value)}" for name, value in marks.items())
+    fails = ""
+    if limit is not None:
+        side = "above" if limit.above else "below"
+        start, end = (limit.value, edges[-1]) if limit.above else (edges[0], limit.value)
+        left, right = (frame.x(min(max(v, edges[0]), edges[-1])) for v in (start, end))
+        fails = (
+            f'<rect class="fails" x="{left:.1f}" y="{frame.top:.1f}" width="{max(right - left, 0.0):.1f}" '
+            f'height="{frame.y(ground) - frame.top:.1f}"/>'
+        )
+        words = f"limit {number(limit.value)}: {side} it the check fails"
+        drawn.append(frame.mark("limit", limit.value, words, rows - 1))
+        said += f", {words}"
     if beyond:
         said += f"; {number(beyond)} beyond"
-    words = f"Histogram: {title}, {label}; {said}; {number(sum(counts) + beyond)} counted."
+    words = f"Histogram: {axis.title}, {axis.measure}; {said}; {number(sum(counts) + beyond)} counted."
     colour = "bars second" if second else "bars"
-    content = frame.axes(title, f"{label}  ({said})", "share, %")
-    return _svg(words, f'{content}<g class="{colour}">{"".join(bars)}</g>{"".join(lines)}')
+    decades = [(float(power), number(10.0**power)) for power in range(powers + 1)]
+    measure = axis.measure + (f" ({number(beyond)} beyond)" if beyond else "")
+    lines = "".join(line for line, _ in drawn) + "".join(text for _, text in drawn)
+    content = frame.axes(axis.title, measure, f"{axis.things}, in powers of ten", decades)
+    return _svg(words, f'{content}<g class="{colour}">{"".join(bars)}</g>{fails}{lines}')
 
 
 def curve(x: Sequence[float], y: Sequence[float], title: str, x_label: str, y_label: str, second: bool = False) -> str:

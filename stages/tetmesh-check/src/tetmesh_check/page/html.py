@@ -2,8 +2,20 @@
 
 from __future__ import annotations
 
+import base64
+import io
+import re
 from collections.abc import Iterable, Sequence
 from html import escape
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from tetmesh_check.errors import StageError
+
+if TYPE_CHECKING:
+    from PIL.Image import Image
+
+_PICTURE_WIDTH = 1400
 
 
 def table(head: Sequence[str], rows: Iterable[Sequence[str]], text: Sequence[int] = (), kind: str = "") -> str:
@@ -28,6 +40,43 @@ def table(head: Sequence[str], rows: Iterable[Sequence[str]], text: Sequence[int
     return f'<div class="wide"><table{named}><thead><tr>{top}</tr></thead><tbody>{body}</tbody></table></div>'
 
 
+def section(title: str, body: str) -> str:
+    """Write a part of the page with a title that the table of contents leads to.
+
+    Parameters
+    ----------
+    title
+        Plain text.
+    body
+        HTML.
+    """
+    return f'<section id="{anchor(title)}"><h2>{escape(title)}</h2>{body}</section>'
+
+
+def anchor(title: str) -> str:
+    """Name the place of a part in the page.
+
+    Parameters
+    ----------
+    title
+        Of the part.
+    """
+    return re.sub(r"[^a-z0-9]+", "-", title.lower()).strip("-")
+
+
+def contents(body: str) -> str:
+    """Write the table of contents of a page.
+
+    Parameters
+    ----------
+    body
+        The parts, as :func:`section` writes them.
+    """
+    titles = re.findall(r'<section id="([^"]+)"><h2>(.*?)</h2>', body)
+    items = "".join(f'<li><a href="#{place}">{title}</a></li>' for place, title in titles)
+    return f'<nav aria-label="Contents"><ul>{items}</ul></nav>' if len(titles) > 1 else ""
+
+
 def figure(content: str, caption: str) -> str:
     """Write a figure with what is to be seen in it.
 
@@ -39,6 +88,22 @@ def figure(content: str, caption: str) -> str:
         Plain text.
     """
     return f"<figure>{content}<figcaption>{escape(caption)}</figcaption></figure>"
+
+
+def colour_bar(label: str, low: str, high: str) -> str:
+    """Write the colours of a picture with what they mean, to stand beside it.
+
+    Parameters
+    ----------
+    label
+        What is shown.
+    low, high
+        At the ends.
+    """
+    return (
+        f'<div class="scale"><span>{escape(low)}</span><i></i><span>{escape(high)}</span>'
+        f'<span class="label">{escape(label)}</span></div>'
+    )
 
 
 def duration(seconds: float) -> str:
@@ -63,3 +128,54 @@ def memory(size: float) -> str:
         In bytes.
     """
     return f"{size / 2**30:.1f} GiB" if size >= 2**30 else f"{size / 2**20:.0f} MiB"
+
+
+def amount(size: float) -> str:
+    """Write the size of a file for people.
+
+    Parameters
+    ----------
+    size
+        In bytes.
+    """
+    for unit, scale in (("GB", 1e9), ("MB", 1e6), ("kB", 1e3)):
+        if size >= scale:
+            return f"{size / scale:.3g} {unit}"
+    return f"{size:.0f} bytes"
+
+
+def image_data(image: Image, lossless: bool = False) -> str:
+    """Turn an image into a data address (WebP).
+
+    Parameters
+    ----------
+    image
+        The image.
+    lossless
+        Whether every pixel is kept, as labels need.
+    """
+    stream = io.BytesIO()
+    image.save(stream, "WEBP", quality=82, method=4, lossless=lossless)
+    return f"data:image/webp;base64,{base64.b64encode(stream.getvalue()).decode('ascii')}"
+
+
+def picture_data(path: Path, width: int = _PICTURE_WIDTH) -> tuple[str, int, int]:
+    """Turn a picture into a data address for the page; with its width and height, pixels.
+
+    Parameters
+    ----------
+    path
+        A picture; what is transparent in it stays so.
+    width
+        Wider ones are made smaller.
+    """
+    from PIL import Image
+
+    try:
+        with Image.open(path) as opened:
+            image = opened.convert("RGBA")
+    except OSError as error:
+        raise StageError.file(path, "read", error, "draw the pictures again (tetmesh-check --pictures)") from error
+    if image.width > width:
+        image = image.resize((width, round(image.height * width / image.width)), Image.Resampling.LANCZOS)
+    return image_data(image), image.width, image.height

@@ -15,9 +15,9 @@ from urllib.parse import quote
 from tetmesh_check.context import guarded
 from tetmesh_check.errors import ExitCode, InterruptedRunError, StageError
 from tetmesh_check.files import refuse_existing, write_text
-from tetmesh_check.page.case import Case, case_name, dig, picture_data, read_case
+from tetmesh_check.page.case import STAGES, Case, count_of, dig, read_case
 from tetmesh_check.page.charts import number
-from tetmesh_check.page.html import duration, memory, table
+from tetmesh_check.page.html import duration, memory, picture_data, table
 from tetmesh_check.page.program import document
 from tetmesh_check.parsing import program_parser
 
@@ -34,19 +34,25 @@ def summary(case: Case) -> dict[str, Any]:
         The case.
     """
     results = case.results
+    stopped = case.broken
     line: dict[str, Any] = {
         "name": case.name,
-        "outcome": case.report.get("outcome"),
+        "verdict": case.verdict,
+        "headline": case.headline,
+        "goal": case.goal,
+        "stage": stopped.name if stopped else None,
+        "input": str(case.input) if case.input else None,
         "checks": len(case.checks),
-        "checks_failed": sum(check["verdict"] == "fail" for check in case.checks),
-        "warnings": sum(len(report.get("warnings", [])) for report in case.stages.values()),
+        "checks_failed": len(case.failures),
+        "warnings": len(case.warnings),
     }
-    surface, volume = results.get("surface"), results.get("volume")
+    check = dig(case.reports, "reconstruct", "results", "check")
+    volume = results.get("volume")
     line.update(
-        surface_vertices=dig(surface, "topology", "vertices"),
-        surface_triangles=dig(surface, "topology", "triangles"),
-        triangle_radius_ratio_min=dig(surface, "quality", "radius_ratio", "min"),
-        triangle_radius_ratio_mean=dig(surface, "quality", "radius_ratio", "mean"),
+        surface_vertices=dig(check, "vertices"),
+        surface_triangles=dig(check, "triangles"),
+        triangle_radius_ratio_min=dig(check, "quality", "radius_ratio_min"),
+        triangle_radius_ratio_mean=dig(check, "quality", "radius_ratio_mean"),
         tetrahedralizer=dig(results, "tetrahedralizer", "method"),
         tetrahedra=dig(volume, "tetrahedra"),
         radius_ratio_min=dig(volume, "quality", "radius_ratio", "min"),
@@ -58,7 +64,7 @@ def summary(case: Case) -> dict[str, Any]:
     for problem in ("poisson", "conduction", "elasticity"):
         for run in ("multigrid", "jacobi"):
             line[f"{problem}_cg_{run}"] = dig(results, "solve", problem, run, "iterations")
-    line.update({f"{stage}_seconds": report["seconds"] for stage, report in case.stages.items()})
+    line.update({f"{stage.name}_seconds": stage.seconds for stage in case.stages})
     line.update(seconds=case.seconds, peak_memory_bytes=int(case.peak_memory))
     return line
 
@@ -79,13 +85,28 @@ def as_csv(lines: Sequence[dict[str, Any]]) -> str:
     return stream.getvalue()
 
 
-def _row(case: Case, report: Path, output: Path) -> tuple[str, ...]:
+_TAGS = {
+    "passed": "fit", "warning": "fit", "failed": "not fit", "error": "no mesh", "interrupted": "interrupted", "running": "running",
+}  # fmt: skip
+
+
+def _tag(case: Case) -> str:
+    """The verdict in a word or two."""
+    words = _TAGS.get(case.verdict, "no mesh")
+    if case.goal not in ("mesh", STAGES[-1]):
+        words = {"fit": "made", "not fit": "not as it should be", "no mesh": "not made"}.get(words, words)
+    if case.verdict in ("passed", "warning") and case.warnings:
+        words += f", {count_of(len(case.warnings), 'warning')}"
+    if case.verdict == "error" and case.broken:
+        words += f": {case.broken.name}"
+    return words
+
+
+def _row(case: Case, output: Path) -> tuple[str, ...]:
     line = summary(case)
-    kind, words = case.verdict()
-    page = report.with_name(f"{case_name(report)}.report.html")
     name = escape(case.name)
-    if page.is_file():
-        name = f'<a href="{quote(Path(os.path.relpath(page, output.parent)).as_posix())}">{name}</a>'
+    if case.page is not None and case.page.is_file():
+        name = f'<a href="{quote(Path(os.path.relpath(case.page, output.parent)).as_posix())}">{name}</a>'
     picture = ""
     if "surface" in case.pictures:
         address, width, height = picture_data(case.pictures["surface"], _THUMBNAIL_WIDTH)
@@ -98,9 +119,8 @@ def _row(case: Case, report: Path, output: Path) -> tuple[str, ...]:
     solved = [known(f"{problem}_cg_jacobi") for problem in ("poisson", "conduction", "elasticity")]
     return (
         picture,
-        f'<b>{name}</b><br><span class="tag {kind}" title="{escape(words, quote=True)}">'
-        + {"pass": "fit", "warning": "fit, with warnings", "fail": "not fit"}[kind]
-        + "</span>",
+        f'<b>{name}</b><br><span class="tag {case.kind}">{escape(_tag(case))}</span>'
+        + (f"<small>{escape(case.headline)}</small>" if case.kind == "fail" else ""),
         known("surface_triangles"),
         known("triangle_radius_ratio_mean"),
         known("tetrahedra"),
@@ -112,30 +132,40 @@ def _row(case: Case, report: Path, output: Path) -> tuple[str, ...]:
     )
 
 
-def index(cases: Sequence[tuple[Path, Case]], output: Path) -> str:
+def _verdict(cases: Sequence[Case]) -> tuple[str, str]:
+    """Class and words of the verdict over all cases."""
+    unfit = sum(case.kind == "fail" for case in cases)
+    warned = sum(len(case.warnings) for case in cases)
+    open_ends = sum(case.verdict in ("interrupted", "running") for case in cases)
+    total = count_of(len(cases), "case")
+    if unfit:
+        return "fail", f"Not fit: {unfit} of {total}"
+    if open_ends:
+        return "warning", f"Not finished: {open_ends} of {total}"
+    if warned:
+        return "warning", f"{total}, none failed, {count_of(warned, 'warning')}"
+    return "pass", f"{total}, none failed, no warnings"
+
+
+def index(cases: Sequence[Case], output: Path) -> str:
     """Write the page.
 
     Parameters
     ----------
     cases
-        Each with its report, which the page of the case lies beside.
+        Those to list; each says where its page lies.
     output
         Where the page goes; it links to those of the cases.
     """
-    unfit = sum(case.verdict()[0] == "fail" for _, case in cases)
-    verdict = (
-        f"Not fit for simulation: {unfit} of {len(cases)} cases"
-        if unfit
-        else f"All {len(cases)} cases are fit for simulation"
-    )
+    kind, verdict = _verdict(cases)
     head = (
         "", "case", "triangles", "mean radius ratio", "tetrahedra", "radius ratio, smallest / mean",
         "smallest dihedral", "CG: Poisson / conduction / elasticity", "all stages", "largest process",
     )  # fmt: skip
-    rows = [_row(case, report, output) for report, case in cases]
+    rows = [_row(case, output) for case in cases]
     body = (
         '<header><p class="kicker">isoparticles: surface and tetrahedra</p><h1>Cases</h1>'
-        f'<p class="verdict {"fail" if unfit else "pass"}">{verdict}</p></header>'
+        f'<p class="verdict {kind}">{escape(verdict)}</p></header>'
         f"<section>{table(head, rows, (0, 1), 'cases')}<p class=soft>The same in numbers: "
         f'<a href="{quote(output.with_suffix(".csv").name)}">{escape(output.with_suffix(".csv").name)}</a>. CG: iterations of conjugate '
         "gradients with Jacobi's preconditioner, where problems were solved.</p></section>"
@@ -143,13 +173,13 @@ def index(cases: Sequence[tuple[Path, Case]], output: Path) -> str:
     return document("Cases: surfaces and tetrahedra", body)
 
 
-def read_cases(reports: Sequence[Path]) -> list[tuple[Path, Case]]:
-    """Read what is known about each case; a file that is no such report is left out with a warning.
+def read_cases(statuses: Sequence[Path]) -> list[Case]:
+    """Read what is known about each case; a file that is no status is left out with a warning.
 
     Parameters
     ----------
-    reports
-        Those of ``tetmesh-check``.
+    statuses
+        Those of the cases.
 
     Raises
     ------
@@ -158,9 +188,9 @@ def read_cases(reports: Sequence[Path]) -> list[tuple[Path, Case]]:
     """
     cases = []
     last: StageError | None = None
-    for report in reports:
+    for status in statuses:
         try:
-            cases.append((report, read_case(report)))
+            cases.append(read_case(Path(os.path.realpath(status))))
         except InterruptedRunError:
             raise
         except StageError as error:
@@ -181,11 +211,12 @@ def main(argv: Sequence[str] | None = None) -> int:
     """
     parser = program_parser(
         TOOL,
-        description="Writes a page over many cases, with links to theirs, and a CSV file beside it with a line a case.",
+        description="Writes a page over many cases, those that failed included, with links to theirs, and a CSV file beside it with a line a "
+        "case. It reads the status of each case, which make writes, and the reports that this lists.",
         epilog="exit codes: 0 written; 2 bad usage or input, nothing written; 130 interrupted\n\nexample:\n"
-        f"  {TOOL} out/*/*.report.json -o out/index.html",
+        f"  {TOOL} out/*/*.status.json -o out/index.html",
     )
-    parser.add_argument("reports", metavar="NAME.report.json", type=Path, nargs="+", help="reports of tetmesh-check")
+    parser.add_argument("statuses", metavar="NAME.status.json", type=Path, nargs="+", help="the status of each case")
     parser.add_argument(
         "-o",
         "--output",
@@ -202,8 +233,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         if output.suffix != ".html":
             raise StageError(f"{output}: does not end in .html", "it is a page", "name it index.html")
         refuse_existing([output, output.with_suffix(".csv")], parsed.force)
-        cases = read_cases(parsed.reports)
-        page, lines = index(cases, output), as_csv([summary(case) for _, case in cases])
+        cases = read_cases(parsed.statuses)
+        page = index(cases, Path(os.path.realpath(output)))
+        lines = as_csv([summary(case) for case in cases])
         write_text(output.with_suffix(".csv"), lines)
         write_text(output, page)
         return ExitCode.OK

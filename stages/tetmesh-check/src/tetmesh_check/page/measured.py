@@ -5,9 +5,9 @@ from __future__ import annotations
 from html import escape
 from typing import Any
 
-from tetmesh_check.page.case import Case
-from tetmesh_check.page.charts import curve, histogram, number
-from tetmesh_check.page.html import duration, figure, table
+from tetmesh_check.page.case import Case, dig
+from tetmesh_check.page.charts import Axis, Limit, curve, histogram, number
+from tetmesh_check.page.html import duration, figure, section, table
 
 _MEASURES = (
     ("radius_ratio", "radius ratio", "1 is regular"),
@@ -18,8 +18,6 @@ _MEASURES = (
     ("edge_ratio", "longest over shortest edge", "1 is regular"),
     ("edge_length", "edge length, mm", ""),
 )
-_LARGE = 0.1
-"""Displacement over the diagonal of the bounding box that linear elasticity no longer describes."""
 _PROBLEMS = {
     "poisson": "Poisson's equation, known solution",
     "conduction": "Wave front of excitation in tissue with fibres",
@@ -28,12 +26,88 @@ _PROBLEMS = {
 
 
 def _histogram(
-    summary: dict[str, Any], title: str, label: str, worst: str, second: bool = False, end: int | None = None
+    summary: dict[str, Any],
+    axis: Axis,
+    worst: str,
+    limit: Limit | None = None,
+    second: bool = False,
+    end: int | None = None,
 ) -> str:
     edges, counts = summary["histogram"]["edges"], summary["histogram"]["counts"][:end]
     beyond = summary["count"] - summary["infinite"] - sum(counts)
+    below = sum(edge < 0 for edge in edges[:-1])
+    if not any(counts[:below]):  # half of the range of a scaled Jacobian is for inverted tetrahedra
+        edges, counts = edges[below:], counts[below:]
     marks = {"mean": summary["mean"], worst: summary["max" if worst == "largest" else "min"]}
-    return histogram(edges[: len(counts) + 1], counts, title, label, marks, second, beyond)
+    return histogram(edges[: len(counts) + 1], counts, axis, marks, limit, second, beyond)
+
+
+def _limit(case: Case, name: str) -> Limit | None:
+    """The limit of a check of ``tetmesh-check``."""
+    value = next((check.get("limit") for check in case.checks if check.get("name") == name), None)
+    return None if value is None else Limit(float(value))
+
+
+def _surface_charts(case: Case, triangles: dict[str, Any]) -> list[str]:
+    allowed = dig(case.reports, "reconstruct", "results", "check", "min_radius_ratio_allowed")
+    return [
+        figure(
+            _histogram(
+                triangles["radius_ratio"],
+                Axis("Surface triangles", "radius ratio", "triangles"),
+                "smallest",
+                None if allowed is None else Limit(float(allowed)),
+            ),
+            "Twice the inradius over the circumradius, the measure of the paper's Fig. 9: 1 is equilateral.",
+        ),
+        figure(
+            _histogram(
+                triangles["min_angle"], Axis("Surface triangles", "smallest angle, degrees", "triangles"), "smallest"
+            ),
+            "The smallest angle of each triangle: 60 degrees is equilateral. No check has a limit for it.",
+        ),
+    ]
+
+
+def _tetrahedra_charts(case: Case, tetrahedra: dict[str, Any]) -> list[str]:
+    def chart(name: str, measure: str, check: str = "", end: int | None = None) -> str:
+        axis = Axis("Tetrahedra", measure, "tetrahedra")
+        return _histogram(tetrahedra[name], axis, "smallest", _limit(case, check), True, end)
+
+    return [
+        figure(
+            chart("radius_ratio", "radius ratio"),
+            "Three times the inradius over the circumradius: 1 is regular. No check has a limit for it.",
+        ),
+        figure(
+            chart("min_dihedral", "smallest dihedral angle, degrees", "min_dihedral", 24),
+            "The smallest angle between two faces of each tetrahedron: 70.5 degrees is regular.",
+        ),
+        figure(
+            chart("scaled_jacobian", "scaled Jacobian", "min_scaled_jacobian"),
+            "The Jacobian over the largest product of three edges at a vertex: 1 is regular, 0 is flat.",
+        ),
+    ]
+
+
+def _size_charts(case: Case, volume: dict[str, Any]) -> list[str]:
+    charts = []
+    if "histogram" in (sizes := case.results.get("sizing", {}).get("at_surface", {})):
+        axis = Axis("h on the surface", "target edge length, mm", "vertices")
+        charts.append(
+            figure(
+                _histogram(sizes, axis, "largest"),
+                "The edge length that the size field asks for, at the vertices of the surface.",
+            )
+        )
+    if (over := volume.get("edge_length_over_target")) is not None:
+        charts.append(
+            figure(
+                _histogram(over, Axis("Tetrahedra", "edge length over target", "tetrahedra"), "largest", None, True),
+                "Mean edge of each tetrahedron over what the size field asks for there.",
+            )
+        )
+    return charts
 
 
 def quality(case: Case) -> str:
@@ -45,42 +119,13 @@ def quality(case: Case) -> str:
         The case.
     """
     if (volume := case.results.get("volume")) is None:
-        return ""
+        return _surface_alone(case)
     triangles, tetrahedra = case.results["surface"]["quality"], volume["quality"]
     charts = [
-        figure(
-            _histogram(triangles["radius_ratio"], "Surface triangles", "radius ratio", "smallest"),
-            "Twice the inradius over the circumradius, the measure of the paper's Fig. 9: 1 is equilateral.",
-        ),
-        figure(
-            _histogram(tetrahedra["radius_ratio"], "Tetrahedra", "radius ratio", "smallest", True),
-            "Three times the inradius over the circumradius: 1 is regular.",
-        ),
-        figure(
-            _histogram(triangles["min_angle"], "Surface triangles", "smallest angle, degrees", "smallest"),
-            "The smallest angle of each triangle: 60 degrees is equilateral.",
-        ),
-        figure(
-            _histogram(
-                tetrahedra["min_dihedral"], "Tetrahedra", "smallest dihedral angle, degrees", "smallest", True, 24
-            ),
-            "The smallest angle between two faces of each tetrahedron: 70.5 degrees is regular.",
-        ),
+        *_surface_charts(case, triangles),
+        *_tetrahedra_charts(case, tetrahedra),
+        *_size_charts(case, volume),
     ]
-    if "histogram" in (sizes := case.results.get("sizing", {}).get("at_surface", {})):
-        charts.append(
-            figure(
-                _histogram(sizes, "h on the surface", "target edge length, mm", "largest"),
-                "The edge length that the size field asks for, at the vertices of the surface.",
-            )
-        )
-    if (over := volume.get("edge_length_over_target")) is not None:
-        charts.append(
-            figure(
-                _histogram(over, "Tetrahedra", "edge length over target", "largest", True),
-                "Mean edge of each tetrahedron over what the size field asks for there.",
-            )
-        )
     rows = [
         (
             escape(name) + (f' <span class="soft">({remark})</span>' if remark else ""),
@@ -96,7 +141,32 @@ def quality(case: Case) -> str:
         ("tetrahedra", "smallest", "1 %", "5 %", "median", "95 %", "99 %", "largest", "mean"), rows
     )
     shown = f'<div class="grid">{"".join(charts)}</div>'
-    return f"<section><h2>Quality</h2>{shown}{numbers}{_distances(case)}</section>"
+    return section("Quality", shown + numbers + _distances(case))
+
+
+def _surface_alone(case: Case) -> str:
+    """What ``reconstruct`` measured, where there are no tetrahedra."""
+    check = dig(case.reports, "reconstruct", "results", "check")
+    if check is None:
+        return ""
+    shape = check["quality"]
+    counts = shape["radius_ratio_histogram"]
+    edges = [k / len(counts) for k in range(len(counts) + 1)]
+    marks = {"mean": shape["radius_ratio_mean"], "smallest": shape["radius_ratio_min"]}
+    allowed = check.get("min_radius_ratio_allowed")
+    limit = None if allowed is None else Limit(float(allowed))
+    chart = figure(
+        histogram(edges, counts, Axis("Surface triangles", "radius ratio", "triangles"), marks, limit),
+        "Twice the inradius over the circumradius, the measure of the paper's Fig. 9: 1 is equilateral.",
+    )
+    rows = [
+        ("angles, degrees", number(shape["angle_min"]), "-", number(shape["angle_max"])),
+        ("edge length, mm", *(number(shape[f"edge_length_{key}"]) for key in ("min", "mean", "max"))),
+        ("radius ratio", number(shape["radius_ratio_min"]), number(shape["radius_ratio_mean"]), "-"),
+    ]
+    return section(
+        "Quality", f'<div class="grid">{chart}</div>' + table(("triangles", "smallest", "mean", "largest"), rows)
+    )
 
 
 def _distances(case: Case) -> str:
@@ -133,7 +203,6 @@ def solve(case: Case) -> str:
     results = case.results.get("solve")
     if results is None:
         return ""
-    large = _LARGE * case.results["surface"]["bounding_box_diagonal_mm"]
     rows = []
     for name, title in _PROBLEMS.items():
         if name not in results or "unknowns" not in results[name] or results[name]["unknowns"] == 0:
@@ -141,15 +210,16 @@ def solve(case: Case) -> str:
         figures = results[name]
         said = {
             "poisson": lambda f: (
-                f"error {100 * f['relative_l2_error']:.2g} % (gradient {100 * f['relative_h1_error']:.2g} %, "
+                f"error {100 * f['relative_l2_error']:.2g} % of the known solution (gradient {100 * f['relative_h1_error']:.2g} %, "
                 f"{f['best_approximation']:.2f} times the interpolation's)"
             ),
             "conduction": lambda f: (
                 f"potential {f['potential_range_mv'][0]:.1f} to {f['potential_range_mv'][1]:.1f} mV"
             ),
             "elasticity": lambda f: (
-                f"largest displacement {number(f['max_displacement_mm'])} mm, energy {number(f['strain_energy_mj'])} mJ"
-                + (", beyond the linear theory" if f["max_displacement_mm"] > large else "")
+                f"{100 * f['load_share']:.2g} % of its weight moves it by at most {100 * f['displacement_share']:.2g} % of its size "
+                f"({number(f['max_displacement_mm'])} mm); reaction and load differ by "
+                f"{100 * abs(f['reaction_n'] / (f['load_share'] * f['weight_n']) - 1):.1g} %"
             ),
         }[name](figures)
         condition = (figures["plain"] or {}).get("condition")
@@ -165,11 +235,13 @@ def solve(case: Case) -> str:
         )
     reason = "" if results["reason"] is None else f"<p>Not all was solved: {escape(results['reason'])}.</p>"
     if not rows:
-        return f"<section><h2>Solve</h2>{reason}</section>"
+        return section("Solve", reason)
     columns = ("problem", "unknowns", "CG, multigrid", "CG, Jacobi", "CG, plain", "condition", "time", "result")
-    return (
-        "<section><h2>Solve</h2><p>Linear elements and conjugate gradients (CG) to an error of 1e-8 in the energy norm: fewer iterations mean "
-        f"an easier time for any solver.</p>{table(columns, rows, (0, 7))}{reason}</section>"
+    return section(
+        "Solve",
+        "<p>Linear elements and conjugate gradients (CG) to an error of 1e-8 in the energy norm: fewer iterations mean an easier time for any "
+        "solver. Linear theory holds for small displacements alone, so the organ bears as much of its weight as moves it by 1 % of its size at "
+        f"most.</p>{table(columns, rows, (0, 7))}{reason}",
     )
 
 
@@ -187,12 +259,13 @@ def particles(case: Case) -> str:
     energy = curve(steps, [row["energy"] for row in case.passes], "Energy of the particles", "pass", "energy")
     count = curve(steps, [row["count"] for row in case.passes], "Number of particles", "pass", "particles", True)
     last = case.passes[-1]
-    return (
-        '<section><h2>Particles</h2><div class="grid">'
+    return section(
+        "Particles",
+        '<div class="grid">'
         + figure(energy, "The sum of all energies, pass by pass, until it no longer falls.")
         + figure(
             count,
             f"Particles are added where there is room and taken away where it is crowded; {number(last['count'])} at the end.",
         )
-        + "</div></section>"
+        + "</div>",
     )

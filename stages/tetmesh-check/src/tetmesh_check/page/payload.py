@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import base64
 import zlib
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from tetmesh_check.cut import Cut
 from tetmesh_check.intersections import morton_order
 from tetmesh_check.quality import Cells, Points, Values
 
@@ -17,6 +17,29 @@ STEPS = 8191
 """Steps over half of the longest side of the object: a ten-thousandth of it is well below a pixel."""
 MAX_TRIANGLES = 1_000_000
 """Larger meshes are left out of the view: a page of ribs with 579,140 triangles and 287,010 on the cut holds 5.5 MB of them."""
+
+
+_WHOLE_VALUES = 300_000
+"""Values of larger meshes are kept to 8 bits of their range instead of 16, which deflate to half as much."""
+_RANGE = (1.0, 99.0)
+"""Percentiles at the ends of the colour bar: the few best and worst do not decide what all others look like."""
+WORST = 1.0
+"""Percent of the triangles that 'worst' shows."""
+
+
+@dataclass(frozen=True)
+class Colour:
+    """A measure that a mesh can be coloured by."""
+
+    name: str
+    """As the page calls it."""
+    unit: str
+    """Empty, or with a space before it, as in ``" mm"``."""
+    values: Values
+    """One a triangle, shape ``(m,)``, or one a vertex, shape ``(n,)``."""
+    on_triangles: bool
+    worst: str = ""
+    """``low`` or ``high``: which end is bad; empty where none is."""
 
 
 @dataclass(frozen=True)
@@ -29,10 +52,10 @@ class ViewMesh:
     """Positions, mm, shape ``(n, 3)``."""
     triangles: Cells
     """Vertex indices, shape ``(m, 3)``."""
-    quality: Values
-    """Radius ratio, 0 to 1, shape ``(m,)``."""
-    size: Values
-    """Edge length, mm, shape ``(n,)``."""
+    colours: list[Colour]
+    """Of which the first one says what is worst where the chosen one does not."""
+    within: bool = False
+    """Whether it lies inside the object, and is shown within a ghost of the first mesh."""
 
 
 def _bytes_of_differences(values: Any) -> bytes:
@@ -51,7 +74,7 @@ def _in_order_of_use(triangles: Cells) -> tuple[Cells, Any]:
     return rank[local.reshape(-1, 3)], used[order]
 
 
-def pack(meshes: list[ViewMesh], yaw: float, pitch: float) -> tuple[dict[str, Any], str]:
+def pack(meshes: list[ViewMesh], yaw: float, pitch: float, anatomical: bool = True) -> tuple[dict[str, Any], str]:
     """Pack meshes for the page.
 
     Parameters
@@ -60,6 +83,8 @@ def pack(meshes: list[ViewMesh], yaw: float, pitch: float) -> tuple[dict[str, An
         Those to look at; the first one is shown first.
     yaw, pitch
         Where the eye is at first, radians.
+    anatomical
+        Whether the world is that of the body (LPS).
 
     Returns
     -------
@@ -69,8 +94,6 @@ def pack(meshes: list[ViewMesh], yaw: float, pitch: float) -> tuple[dict[str, An
     low = np.min([mesh.points[np.unique(mesh.triangles)].min(axis=0) for mesh in meshes], axis=0)
     high = np.max([mesh.points[np.unique(mesh.triangles)].max(axis=0) for mesh in meshes], axis=0)
     centre, half = 0.5 * (low + high), 0.5 * float((high - low).max()) or 1.0
-    sizes = np.concatenate([mesh.size[np.unique(mesh.triangles)] for mesh in meshes])  # other points have none
-    size_low, size_high = (float(v) for v in np.percentile(sizes, [1, 99]))
     parts: list[bytes] = []
     listed = []
 
@@ -85,27 +108,54 @@ def pack(meshes: list[ViewMesh], yaw: float, pitch: float) -> tuple[dict[str, An
         triangles, used = _in_order_of_use(mesh.triangles[order])
         centred = (mesh.points[used] - centre) / half
         reach = np.maximum(reach, _reach(centred, yaw, pitch))
-        share = (mesh.size[used] - size_low) / max(size_high - size_low, 1e-12)
         listed.append(
             {
                 "name": mesh.name,
+                "within": mesh.within,
                 "point_count": len(used),
                 "triangle_count": len(triangles),
                 "points": add(_bytes_of_differences(np.round(STEPS * centred).astype(np.int64).T.ravel())),
                 "triangles": add(_bytes_of_differences(triangles.ravel())),
-                "quality": add(np.round(255 * np.clip(mesh.quality[order], 0, 1)).astype(np.uint8).tobytes()),
-                "size": add(np.round(255 * np.clip(share, 0, 1)).astype(np.uint8).tobytes()),
+                "colours": [
+                    _colour(colour, colour.values[order if colour.on_triangles else used], len(triangles), add)
+                    for colour in mesh.colours
+                ],
             }
         )
     about = {
         "meshes": listed,
         "step": 1.0 / STEPS,
+        "half": half,
+        "centre": [float(v) for v in centre],
         "reach": [float(v) for v in 1.08 * reach],
         "yaw": yaw,
         "pitch": pitch,
-        "scales": ["", "radius ratio, 0 to 1 (best)", f"edge length, {size_low:.3g} to {size_high:.3g} mm"],
+        "letters": [["L", "R"], ["P", "A"], ["S", "I"]] if anatomical else [[f"+{a}", f"\u2212{a}"] for a in "xyz"],
+        "anatomical": anatomical,
     }
     return about, base64.b64encode(zlib.compress(b"".join(parts), 9)).decode("ascii")
+
+
+def _colour(colour: Colour, values: Values, triangles: int, add: Callable[[bytes], int]) -> dict[str, Any]:
+    """What the script must know about a measure, whose values are added to the data as whole numbers in two planes of bytes."""
+    least, largest = float(values.min()), float(values.max())
+    share = (values - least) / max(largest - least, 1e-300)
+    steps = 65535 if triangles <= _WHOLE_VALUES else 255
+    whole = np.round(steps * share).astype("<u2") * np.uint16(65535 // steps)
+    low, high = (float(v) for v in np.percentile(values, _RANGE))
+    worst = {"low": WORST, "high": 100.0 - WORST}.get(colour.worst)
+    return {
+        "name": colour.name,
+        "unit": colour.unit,
+        "on_triangles": colour.on_triangles,
+        "start": add(whole.view(np.uint8).reshape(-1, 2).T.tobytes()),
+        "least": least,
+        "largest": largest,
+        "low": low,
+        "high": high if high > low else low + max(abs(low), 1.0) * 1e-6,
+        "worst": colour.worst,
+        "threshold": None if worst is None else float(np.percentile(values, worst)),
+    }
 
 
 def _reach(points: Points, yaw: float, pitch: float) -> Any:
@@ -113,20 +163,3 @@ def _reach(points: Points, yaw: float, pitch: float) -> Any:
     across = points @ [np.cos(yaw), np.sin(yaw), 0.0]
     upwards = points @ [-np.sin(pitch) * np.sin(yaw), np.sin(pitch) * np.cos(yaw), np.cos(pitch)]
     return np.array([np.abs(across).max(), np.abs(upwards).max()])
-
-
-def view_of_cut(points: Points, radius_ratio: Values, cut: Cut, size: Values) -> ViewMesh:
-    """The half behind the cut, coloured by the quality of its tetrahedra.
-
-    Parameters
-    ----------
-    points
-        Positions, mm, shape ``(n, 3)``.
-    radius_ratio
-        Of every tetrahedron, shape ``(m,)``.
-    cut
-        The cut.
-    size
-        Edge length at every point, mm, shape ``(n,)``.
-    """
-    return ViewMesh("cut", points, cut.triangles, radius_ratio[cut.owners], size)

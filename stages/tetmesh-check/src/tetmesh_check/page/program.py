@@ -1,7 +1,8 @@
-"""``tetmesh-check-page``: one self-contained page from the reports, meshes and pictures of a case."""
+"""``tetmesh-check-page``: one self-contained page about a case, from its status and what that lists."""
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Sequence
 from html import escape
 from importlib.resources import files
@@ -12,60 +13,22 @@ import pyvista as pv
 
 from tetmesh_check import __version__
 from tetmesh_check.context import guarded
-from tetmesh_check.cut import cut_of
-from tetmesh_check.errors import ExitCode, StageError
+from tetmesh_check.errors import ExitCode, InterruptedRunError, StageError
 from tetmesh_check.files import refuse_existing, write_text
-from tetmesh_check.page import measured, sections
-from tetmesh_check.page.case import Case, read_case
-from tetmesh_check.page.payload import MAX_TRIANGLES, ViewMesh, pack, view_of_cut
+from tetmesh_check.page import measured, provenance, sections
+from tetmesh_check.page.case import Case, dig, read_case
+from tetmesh_check.page.html import contents, section
+from tetmesh_check.page.scan import read_scan
+from tetmesh_check.page.slices import facts, slices
+from tetmesh_check.page.view3d import is_anatomical, view, view_meshes
 from tetmesh_check.parsing import program_parser
 from tetmesh_check.polydata import from_polydata
-from tetmesh_check.quality import Cells, Points, Values, triangle_quality
 from tetmesh_check.surface import read_dataset
 
 TOOL = "tetmesh-check-page"
-_YAW, _PITCH = 0.63, 0.38
-"""Where the eye is at first, radians: that of the pictures."""
 
 
-def _edge_lengths(points: Points, triangles: Cells) -> Values:
-    """Mean length of the edges round each vertex, mm, shape ``(n,)``; 0 at vertices without a triangle."""
-    total, uses = np.zeros(len(points)), np.zeros(len(points))
-    for k in range(3):
-        a, b = triangles[:, k], triangles[:, (k + 1) % 3]
-        length = np.linalg.norm(points[a] - points[b], axis=1)
-        for end in (a, b):
-            total += np.bincount(end, length, len(points))
-            uses += np.bincount(end, minlength=len(points))
-    return np.divide(total, uses, out=np.zeros(len(points)), where=uses > 0)
-
-
-def view_meshes(surface: Path | None, volume: Path | None) -> list[ViewMesh]:
-    """Read what the 3-D view shows: the surface, and the half of the tetrahedra behind a cut.
-
-    Parameters
-    ----------
-    surface, volume
-        The files; meshes of more than :data:`.MAX_TRIANGLES` triangles are left out.
-    """
-    meshes = []
-    if surface is not None:
-        points, triangles = from_polydata(read_dataset(surface))
-        if len(triangles) <= MAX_TRIANGLES:
-            quality = triangle_quality(points, triangles).radius_ratio
-            meshes.append(ViewMesh("surface", points, triangles, quality, _edge_lengths(points, triangles)))
-    if volume is not None:
-        grid = read_dataset(volume)
-        if isinstance(grid, pv.UnstructuredGrid) and pv.CellType.TETRA in grid.cells_dict:
-            points = np.asarray(grid.points, dtype=np.float64)
-            cut = cut_of(grid)
-            if len(cut.triangles) <= MAX_TRIANGLES:
-                sizes = _edge_lengths(points, cut.triangles)
-                meshes.append(view_of_cut(points, np.asarray(grid.cell_data["radius_ratio"]), cut, sizes))
-    return meshes
-
-
-def document(title: str, body: str, scripts: str = "") -> str:
+def document(title: str, body: str, scripts: Sequence[str] = ()) -> str:
     """Write a page that needs nothing but itself.
 
     Parameters
@@ -75,46 +38,102 @@ def document(title: str, body: str, scripts: str = "") -> str:
     body
         What it shows.
     scripts
-        JavaScript; a note about each error goes to the ``html`` element, for tests.
+        Names of files of JavaScript beside this one.
     """
-    style = files("tetmesh_check.page").joinpath("page.css").read_text(encoding="utf-8")
-    script = f"<script>\n{scripts}</script>" if scripts else ""
+    folder = files("tetmesh_check.page")
+    style = folder.joinpath("page.css").read_text(encoding="utf-8")
+    code = "".join(f"<script>\n{folder.joinpath(name).read_text(encoding='utf-8')}</script>\n" for name in scripts)
     return (
         f'<!doctype html>\n<html lang="en">\n<head><meta charset="utf-8"><title>{escape(title)}</title>\n'
         '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
         f'<link rel="icon" href="data:,">\n<style>\n{style}</style></head>\n<body><main>\n{body}\n'
-        f"<footer>Written by tetmesh-check {escape(__version__)}. Lengths in mm, angles in degrees.</footer></main>\n{script}</body></html>\n"
+        f"<footer>Written by tetmesh-check {escape(__version__)}. Lengths in mm, angles in degrees.</footer></main>\n{code}</body></html>\n"
     )
 
 
-def page(case: Case) -> str:
+def _meshed_labels(case: Case) -> set[int]:
+    """The labels that ``distfield`` took, by its report; empty where it took an iso value, or nobody says."""
+    labels = dig(case.reports, "distfield", "parameters", "labels")
+    return {int(label) for label in labels} if isinstance(labels, list) else set()
+
+
+def _is_labels(case: Case) -> bool | None:
+    """Whether the volume holds labels, by what was done with it."""
+    if dig(case.reports, "distfield", "results", "meta", "source") is not None:
+        return bool(dig(case.reports, "distfield", "results", "meta", "source") == "labels")
+    return None
+
+
+def anatomy(case: Case, surface: pv.PolyData | None) -> str:
+    """Write what the input is, and its slices with the outline of the mesh; or why it cannot be shown.
+
+    Parameters
+    ----------
+    case
+        The case.
+    surface
+        The triangles as read.
+    """
+    if case.input is None:
+        return ""
+    try:
+        scan = read_scan(case.input, _is_labels(case))
+    except InterruptedRunError:
+        raise
+    except StageError as error:
+        return section("Input", f"<p>The volume is not shown: {escape(error.what)}. {escape(error.next_step)}.</p>")
+    meshed = _meshed_labels(case)
+    mesh = None if surface is None else from_polydata(surface)
+    return facts(scan, case.input.name, meshed) + "\n" + slices(scan, mesh, meshed)
+
+
+def _only_if_it_can_be_read(path: Path | None) -> pv.PolyData | None:
+    """The surface, unless there is none or an empty one."""
+    if path is None:
+        return None
+    surface = read_dataset(path)
+    if not isinstance(surface, pv.PolyData) or surface.n_cells == 0 or not np.isfinite(surface.points).all():
+        return None
+    return surface
+
+
+def page(case: Case, folder: Path) -> str:
     """Write the page of a case.
 
     Parameters
     ----------
     case
         The case.
+    folder
+        Where the page goes: links lead from there.
     """
-    parts: list[str] = [sections.head(case)]
-    script = ""
-    if meshes := view_meshes(case.surface, case.volume):
-        parts.append(sections.view(*pack(meshes, _YAW, _PITCH)))
-        script = files("tetmesh_check.page").joinpath("view.js").read_text(encoding="utf-8")
-    writers: list[Callable[[Case], str]] = [
-        sections.pictures,
-        sections.checks,
-        measured.quality,
-        measured.solve,
-        measured.particles,
-        sections.stages,
-        sections.provenance,
+    surface = _only_if_it_can_be_read(case.surface)
+    anatomical = surface is not None and is_anatomical(surface)
+    writers: list[tuple[str, Callable[[], str]]] = [
+        ("what went wrong", lambda: sections.trouble(case)),
+        ("checks", lambda: sections.checks(case)),
+        ("the mesh in the volume", lambda: anatomy(case, surface)),
+        ("in three dimensions", lambda: view(view_meshes(surface, case.volume), anatomical)),
+        ("pictures", lambda: sections.pictures(case)),
+        ("quality", lambda: measured.quality(case)),
+        ("solve", lambda: measured.solve(case)),
+        ("particles", lambda: measured.particles(case)),
+        ("stages", lambda: sections.stage_states(case)),
+        ("files", lambda: sections.files(case, folder)),
+        ("how this was made", lambda: provenance.provenance(case)),
+        ("methods", lambda: provenance.methods(case)),
     ]
-    for write in writers:
+    parts = []
+    for name, write in writers:
         try:
-            parts.append(write(case))
+            parts.append(write())
         except (KeyError, IndexError, TypeError, ValueError) as error:  # a report of another version
-            parts.append(sections.left_out(write.__name__, error))
-    return document(f"{case.name}: surface and tetrahedra", "\n".join(part for part in parts if part), script)
+            parts.append(sections.left_out(name, error))
+    body = "\n".join(part for part in parts if part)
+    scripts = [
+        name for mark, name in (("slices-data", "slices.js"), ("view-data", "view.js")) if f'id="{mark}"' in body
+    ]
+    return document(f"{case.name}: surface and tetrahedra", f"{sections.head(case)}\n{contents(body)}\n{body}", scripts)
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -127,15 +146,14 @@ def main(argv: Sequence[str] | None = None) -> int:
     """
     parser = program_parser(
         TOOL,
-        description="Writes one HTML page about a case, which needs no network and no other file: verdict, 3-D view, pictures, "
-        "checks, quality, solves, particles, time and memory, parameters. It finds what make leaves beside the report: "
-        "reports/STAGE.json, NAME.passes.csv, NAME.surface.vtp, NAME.volume.vtu and pictures/; what is not there is left out.",
+        description="Writes one HTML page about a case, which needs no network and no other file: verdict, what to do, the mesh in the "
+        "volume, 3-D view, pictures, checks, quality, solves, particles, stages, files, commands. It reads the status of the case, "
+        "which make writes, and the files that this lists; what is not there is left out.",
         epilog="exit codes: 0 written; 2 bad usage or input, nothing written; 130 interrupted\n\nexample:\n"
-        f"  {TOOL} out/heart/heart.report.json -o out/heart/heart.report.html",
+        f"  {TOOL} out/heart/heart.status.json -o out/heart/heart.report.html",
     )
-    parser.add_argument("report", metavar="NAME.report.json", type=Path, help="the report of tetmesh-check")
+    parser.add_argument("status", metavar="NAME.status.json", type=Path, help="the status of the case")
     parser.add_argument("-o", "--output", metavar="PAGE.html", type=Path, required=True, help="the page to write")
-    parser.add_argument("--name", metavar="NAME", help="what the case is called (default: the name of the report)")
     parser.add_argument("--force", action="store_true", help="replace the page if it exists already")
     parsed = parser.parse_args(argv)
 
@@ -143,7 +161,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         if parsed.output.suffix != ".html":
             raise StageError(f"{parsed.output}: does not end in .html", "it is a page", "name it NAME.report.html")
         refuse_existing([parsed.output], parsed.force)
-        write_text(parsed.output, page(read_case(parsed.report, parsed.name)))
+        folder = Path(os.path.realpath(parsed.output.parent))
+        write_text(parsed.output, page(read_case(Path(os.path.realpath(parsed.status))), folder))
         return ExitCode.OK
 
     return guarded(TOOL, work)

@@ -1,17 +1,36 @@
-"""The parts of the page, each from what the reports say; a part about which nothing is known is left out."""
+"""The parts of the page about the case as a whole: verdict, what went wrong, checks, files, pictures."""
 
 from __future__ import annotations
 
-import json
+import os
 from collections.abc import Callable
 from html import escape
+from pathlib import Path
 from typing import Any
+from urllib.parse import quote
 
-from tetmesh_check.page.case import Case, dig, picture_data
+from tetmesh_check.page.advice import advice_for
+from tetmesh_check.page.case import ENDED, STAGES, Case, dig
 from tetmesh_check.page.charts import number
-from tetmesh_check.page.html import duration, figure, memory, table
+from tetmesh_check.page.html import amount, duration, figure, memory, picture_data, section, table
 
 _VERDICTS = {"pass": "passed", "warning": "warning", "fail": "failed"}
+_STATES = {"done": "pass", "failed": "fail", "error": "fail", "interrupted": "warning"}
+_KINDS_OF_FILES = (
+    (".nrrd", "the volume"),
+    (".truth.json", "what is known of the phantom"),
+    (".distfield.vti", "signed distance field"),
+    (".sizefield.vti", "target edge length"),
+    (".seeds.bin", "first particles"),
+    (".particles.bin", "settled particles"),
+    (".passes.csv", "energy and number of particles by pass"),
+    (".surface.vtp", "surface: triangles in world coordinates"),
+    (".volume.vtu", "tetrahedra in world coordinates"),
+    (".report.json", "everything that was measured"),
+    (".json", "report of the stage"),
+    (".log", "what the tetrahedralizer said"),
+    (".png", "picture"),
+)
 
 
 def left_out(name: str, error: Exception) -> str:
@@ -25,7 +44,7 @@ def left_out(name: str, error: Exception) -> str:
         What is missing.
     """
     why = escape(f"{type(error).__name__} {error}")
-    return f"<section><h2>{escape(name.capitalize())}</h2><p>Left out: the reports lack what it is made from ({why}).</p></section>"
+    return section(name.capitalize(), f"<p>Left out: the reports lack what it is made from ({why}).</p>")
 
 
 def head(case: Case) -> str:
@@ -36,52 +55,140 @@ def head(case: Case) -> str:
     case
         The case.
     """
-    kind, words = case.verdict()
     facts: list[tuple[str, str]] = []
-    results = case.results
+    results, check = case.results, dig(case.reports, "reconstruct", "results", "check")
     known: tuple[tuple[Any, Callable[[float], str], str], ...] = (
-        (dig(results, "surface", "topology", "triangles"), number, "surface triangles"),
+        (dig(check, "vertices"), number, "surface vertices"),
+        (dig(check, "triangles"), number, "surface triangles"),
         (dig(results, "volume", "tetrahedra"), number, "tetrahedra"),
         (dig(results, "volume", "quality", "min_dihedral", "min"), "{:.1f}\u00b0".format, "smallest dihedral angle"),
         (dig(results, "volume", "quality", "radius_ratio", "mean"), "{:.3f}".format, "mean radius ratio"),
         (dig(results, "volume", "volume_mm3"), number, "volume, mm\u00b3"),
     )
-    if dig(results, "volume") is not None:
-        facts += [(write(value), name) for value, write, name in known if value is not None]
-    facts += [(duration(case.seconds), "all stages"), (memory(case.peak_memory), "largest process")]
+    facts += [(write(value), name) for value, write, name in known if value is not None]
+    facts.append((duration(case.seconds), "all stages"))
+    if case.peak_memory:
+        facts.append((memory(case.peak_memory), "largest process"))
     items = "".join(f"<li><b>{escape(value)}</b><span>{escape(name)}</span></li>" for value, name in facts)
     return (
         f'<header><p class="kicker">isoparticles: surface and tetrahedra</p><h1>{escape(case.name)}</h1>'
-        f'<p class="verdict {kind}">{escape(words)}</p><ul class="numbers">{items}</ul></header>'
+        f'<p class="verdict {case.kind}">{escape(case.headline)}</p><ul class="numbers">{items}</ul></header>'
     )
 
 
-def view(about: dict[str, Any], data: str) -> str:
-    """Write the 3-D view.
+def trouble(case: Case) -> str:
+    """Write the error that ended the run, in its three parts.
 
     Parameters
     ----------
-    about, data
-        Those of :func:`.pack`.
+    case
+        The case.
     """
-    options = "".join(
-        f"<option value={mesh['name']}>{mesh['name']}, {number(mesh['triangle_count'])} triangles</option>"
-        for mesh in about["meshes"]
-    )
-    text = json.dumps(about).replace("<", "\\u003c")
-    return (
-        '<section><h2>In three dimensions</h2><figure class="viewer"><div class="controls">'
-        f'<label>Show <select id="view-mesh">{options}</select></label>'
-        '<label>Colour <select id="view-colour"><option value="0">plain</option><option value="1">quality</option>'
-        '<option value="2">edge length</option></select></label>'
-        '<label><input type="checkbox" id="view-edges" checked> edges</label>'
-        '<span class="scale" id="view-bar" hidden><i></i><span id="view-scale"></span></span></div>'
-        '<canvas id="view" tabindex="0" role="img" aria-label="The mesh in three dimensions, to be turned with the mouse, a '
-        'finger or the arrow keys"></canvas><figcaption id="view-note">Drag to turn, wheel or two fingers to come nearer, shift and '
-        "drag to move; arrow keys, + and -, 0 to start again. The cut shows whole tetrahedra.</figcaption></figure>"
-        f'<script type="application/json" id="view-about">{text}</script>'
-        f'<script type="text/plain" id="view-data">{data}</script></section>'
-    )
+    parts = []
+    for stage in case.stages:
+        if stage.error is not None:
+            said = [
+                (title, escape(str(stage.error.get(key) or "-")))
+                for title, key in (("What happened", "what"), ("Why it matters", "why"), ("What to do", "next"))
+            ]
+            lines = "".join(f"<dt>{title}</dt><dd>{words}</dd>" for title, words in said)
+            parts.append(f'<div class="trouble"><h3>{escape(stage.name)}</h3><dl>{lines}</dl></div>')
+    return section("What went wrong", "".join(parts)) if parts else ""
+
+
+def _tag(kind: str, words: str) -> str:
+    return f'<span class="tag {escape(kind)}">{escape(words)}</span>'
+
+
+def checks(case: Case) -> str:
+    """Write the verdicts in words, with what to do about those that are not passes.
+
+    Parameters
+    ----------
+    case
+        The case.
+    """
+    failed: list[tuple[str, str, str]] = []
+    passed: list[tuple[str, str, str]] = []
+    for check in sorted(case.checks, key=lambda check: str(check["verdict"] != "warning")):
+        kind, words = check["verdict"], check["words"]
+        advice = "" if kind == "pass" else advice_for(str(check.get("name", "")), words)
+        row = (_tag(kind, _VERDICTS.get(kind, "unknown")), escape(words), escape(advice))
+        (failed if kind == "fail" else passed).append(row)
+    said = {check["words"] for check in case.checks}
+    # what tetmesh-check itself says of a failed check is its name
+    own = [(s, w) for s, w in case.failures if s != STAGES[-1] or not case.checks]
+    failed = [(_tag("fail", "failed"), f"{s}: {escape(w)}", escape(advice_for(w, w))) for s, w in own] + failed
+    warned = [(_tag("warning", "warning"), f"{s}: {escape(w)}", "") for s, w in case.warnings if w not in said]
+    rows = [*failed, *warned, *passed]
+    if not rows:
+        return ""
+    if not any(row[2] for row in rows):
+        return section("Checks", table(("verdict", "in words"), [row[:2] for row in rows], (0, 1), "checks"))
+    return section("Checks", table(("verdict", "in words", "what to do"), rows, (0, 1, 2), "checks"))
+
+
+def stage_states(case: Case) -> str:
+    """Write how each stage ended, its time and memory, and its steps.
+
+    Parameters
+    ----------
+    case
+        The case.
+    """
+    longest = max((stage.seconds or 0.0 for stage in case.stages), default=0.0) or 1.0
+    rows = []
+    for stage in case.stages:
+        report = stage.report or {}
+        kind = _STATES.get(stage.state, "neutral")
+        known = stage.seconds is not None
+        rows.append(
+            (
+                escape(stage.name),
+                _tag("warning" if kind == "pass" and stage.warnings else kind, stage.state),
+                duration(stage.seconds or 0.0) if known else "-",
+                f'<span class="bar"><i style="width:{100 * (stage.seconds or 0.0) / longest:.1f}%"></i></span>' if known else "",
+                memory(report["peak_memory_bytes"]) if report.get("peak_memory_bytes") else "-",
+                str(report.get("threads", "-")),
+            )
+        )  # fmt: skip
+    steps = [
+        (stage, escape(step["name"]), duration(step["seconds"]))
+        for stage, report in case.reports.items()
+        for step in report.get("steps", [])
+    ]
+    names = ("stage", "state", "time", "", "largest process", "threads")
+    detail = table(("stage", "step", "time"), steps, (1,))
+    more = f"<details><summary>The steps of every stage</summary><div>{detail}</div></details>" if steps else ""
+    return section("Stages", table(names, rows, (1, 3)) + more)
+
+
+def files(case: Case, page_folder: Path) -> str:
+    """Write links to the files of the case, with their sizes.
+
+    Parameters
+    ----------
+    case
+        The case.
+    page_folder
+        Where the page goes: links lead from there.
+    """
+    rows = []
+    for stage in case.stages:
+        if stage.state not in ENDED:
+            continue
+        names = [*stage.outputs, *stage.kept, *([stage.report_file] if stage.report_file else [])]
+        for name in dict.fromkeys(names):
+            path = case.folder / name
+            if not path.is_file():
+                continue
+            link = quote(Path(os.path.relpath(path, page_folder)).as_posix())
+            plain = name.replace(".failed.", ".")
+            kind = next((words for ending, words in _KINDS_OF_FILES if plain.endswith(ending)), "")
+            if name in stage.kept:
+                kind = f"{kind or 'output'}, kept although a check failed"
+            rows.append((f'<a href="{link}">{escape(name)}</a>', escape(kind), stage.name, amount(path.stat().st_size)))
+    return section("Files", table(("file", "what it is", "stage", "size"), rows, (0, 1, 2))) if rows else ""
 
 
 def pictures(case: Case) -> str:
@@ -95,103 +202,13 @@ def pictures(case: Case) -> str:
     triangles = number(dig(case.results, "surface", "topology", "triangles") or 0)
     words = {
         "surface": f"The surface with its {triangles} triangles.",
-        "closeup": "Close-up of the surface, coloured by the radius ratio of its triangles; yellow is equilateral.",
-        "cut": "Cut through the tetrahedra, coloured by their radius ratio; yellow is regular.",
+        "closeup": "Close-up of the surface, coloured by the radius ratio of its triangles (1 is equilateral).",
+        "cut": "Cut through the tetrahedra, coloured by their radius ratio (1 is regular).",
     }
     parts = []
     for kind, path in case.pictures.items():
         address, width, height = picture_data(path)
         alt = escape(f"{case.name}: {words[kind]}", quote=True)
-        parts.append(
-            figure(f'<img src="{address}" width="{width}" height="{height}" alt="{alt}" loading="lazy">', words[kind])
-        )
-    return f'<section><h2>Pictures</h2><div class="grid three">{"".join(parts)}</div></section>' if parts else ""
-
-
-def checks(case: Case) -> str:
-    """Write the verdicts in words.
-
-    Parameters
-    ----------
-    case
-        The case.
-    """
-    rows = [
-        (
-            f'<span class="tag {escape(check["verdict"])}">{_VERDICTS.get(check["verdict"], "unknown")}</span>',
-            escape(check["words"]),
-        )
-        for check in case.checks
-    ]
-    for stage, report in case.stages.items():
-        if report["error"] is not None:
-            rows.append(
-                ('<span class="tag fail">error</span>', f"{stage}: {escape(str(dig(report, 'error', 'what')))}")
-            )
-        if stage != "tetmesh-check":
-            rows += [
-                ('<span class="tag fail">failed</span>', f"{stage}: {escape(words)}")
-                for words in report.get("failed_checks", [])
-            ]
-        rows += [
-            ('<span class="tag warning">warning</span>', f"{stage}: {escape(words)}")
-            for words in report.get("warnings", [])
-        ]
-    return f"<section><h2>Checks</h2>{table(('verdict', 'in words'), rows, (0, 1), 'checks')}</section>" if rows else ""
-
-
-def stages(case: Case) -> str:
-    """Write time and memory by stage, and the steps of each.
-
-    Parameters
-    ----------
-    case
-        The case.
-    """
-    longest = max((report["seconds"] for report in case.stages.values()), default=0.0) or 1.0
-    rows = [
-        (
-            stage,
-            duration(report["seconds"]),
-            f'<span class="bar"><i style="width:{100 * report["seconds"] / longest:.1f}%"></i></span>',
-            memory(report.get("peak_memory_bytes") or 0),
-            str(report.get("threads", "-")),
-        )
-        for stage, report in case.stages.items()
-    ]
-    steps = [
-        (stage, escape(step["name"]), duration(step["seconds"]))
-        for stage, report in case.stages.items()
-        for step in report.get("steps", [])
-    ]
-    names = ("stage", "time", "", "largest process", "threads")
-    detail = table(("stage", "step", "time"), steps, (1,))
-    return (
-        f"<section><h2>Time and memory</h2>{table(names, rows, (2,))}"
-        f"<details><summary>The steps of every stage</summary><div>{detail}</div></details></section>"
-    )
-
-
-def provenance(case: Case) -> str:
-    """Write parameters, command lines and the hashes of the inputs.
-
-    Parameters
-    ----------
-    case
-        The case.
-    """
-    parts = []
-    for stage, report in case.stages.items():
-        parameters = [
-            (escape(name), escape(json.dumps(value))) for name, value in sorted(report.get("parameters", {}).items())
-        ]
-        inputs = [
-            (escape(entry["path"]), f"<code>{escape(entry['blake3'])}</code>") for entry in report.get("inputs", [])
-        ]
-        parts.append(
-            f"<details><summary>{stage} {escape(str(report.get('version', '')))}</summary><div><pre>{escape(report['command_line'])}</pre>"
-            + table(("parameter", "value"), parameters, (1,))
-            + table(("input", "BLAKE3"), inputs, (1,))
-            + "</div></details>"
-        )
-    return f"<section><h2>Parameters and provenance</h2>{''.join(parts)}</section>"
+        image = f'<img src="{address}" width="{width}" height="{height}" alt="{alt}" loading="lazy">'
+        parts.append(figure(image, words[kind]))
+    return section("Pictures", f'<div class="grid three">{"".join(parts)}</div>') if parts else ""

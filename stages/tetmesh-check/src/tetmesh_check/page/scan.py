@@ -1,0 +1,119 @@
+"""The input volume as the page needs it: numbers on a grid that is placed in the world, and what the world's axes are called."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tetmesh_check.errors import StageError
+from tetmesh_check.quality import Points, Values
+
+_PLANES = ("sagittal", "coronal", "axial")
+"""The plane across each axis of the body's world."""
+_BODY = (("L", "R"), ("P", "A"), ("S", "I"))
+"""Letters towards the positive and the negative end of each axis of LPS, the world that meshes are written in."""
+
+
+@dataclass(frozen=True)
+class Scan:
+    """A volume."""
+
+    values: NDArray[Any]
+    """One number a voxel, shape ``(nx, ny, nz)``."""
+    step: Points
+    """World vectors from a voxel centre to the next along each grid axis, mm; one a column."""
+    origin: Points
+    """World position of the centre of voxel (0, 0, 0), mm."""
+    anatomical: bool
+    """Whether the world is that of the body (LPS)."""
+    labels: bool
+    """Whether the numbers are names of tissues rather than a measure."""
+    names: dict[int, str] = field(default_factory=dict)
+    """Names of labels, where the file has them."""
+
+    @property
+    def spacing(self) -> Values:
+        """Between voxel centres along each grid axis, mm; shape ``(3,)``."""
+        return np.asarray(np.linalg.norm(self.step, axis=0))
+
+    @property
+    def world_axes(self) -> tuple[int, int, int]:
+        """The axis of the world that each grid axis is nearest to, each once."""
+        from scipy.optimize import linear_sum_assignment
+
+        _, columns = linear_sum_assignment(-np.abs(self.step / self.spacing).T)
+        return int(columns[0]), int(columns[1]), int(columns[2])
+
+    @property
+    def tilt(self) -> float:
+        """Largest angle between a grid axis and the axis of the world that it is nearest to, degrees."""
+        cosines = [abs(self.step[world, grid]) / self.spacing[grid] for grid, world in enumerate(self.world_axes)]
+        return float(np.degrees(np.arccos(np.clip(min(cosines), -1.0, 1.0))))
+
+    def to_index(self, world: Points) -> Points:
+        """Turn positions into fractional indices of voxels.
+
+        Parameters
+        ----------
+        world
+            Positions, mm, shape ``(n, 3)``.
+        """
+        return np.asarray(np.linalg.solve(self.step, (world - self.origin).T).T)
+
+    def letters(self, grid_axis: int) -> tuple[str, str]:
+        """Name the ends of a grid axis: at the first voxel, and at the last.
+
+        Parameters
+        ----------
+        grid_axis
+            0, 1 or 2.
+        """
+        world = self.world_axes[grid_axis]
+        forward = self.step[world, grid_axis] > 0
+        positive, negative = _BODY[world] if self.anatomical else (f"+{'xyz'[world]}", f"\u2212{'xyz'[world]}")
+        return (negative, positive) if forward else (positive, negative)
+
+    def plane(self, grid_axis: int) -> str:
+        """Name the plane across a grid axis.
+
+        Parameters
+        ----------
+        grid_axis
+            0, 1 or 2.
+        """
+        world = self.world_axes[grid_axis]
+        return _PLANES[world] if self.anatomical else f"across {'xyz'[world]}"
+
+    @property
+    def orientation(self) -> str:
+        """Where the grid axes lead, as in ``LPS``."""
+        return "".join(self.letters(axis)[1] for axis in range(3))
+
+
+def read_scan(path: Path, labels: bool | None = None) -> Scan:
+    """Read the input of a case.
+
+    Parameters
+    ----------
+    path
+        Any volume that the stages read.
+    labels
+        Whether it holds labels; ``None`` if nobody says, which takes whole numbers of few kinds for labels.
+
+    Raises
+    ------
+    StageError
+        If it cannot be read.
+    """
+    from tetmesh_check.labels import _read_image, _read_nrrd
+
+    if not path.is_file():
+        raise StageError(f"{path}: no such file", "its slices are shown", "give the volume again")
+    values, step, origin = (_read_nrrd if path.suffix in (".nrrd", ".nhdr") else _read_image)(path)
+    if labels is None:
+        labels = False
+    return Scan(values, step, origin, True, labels)
