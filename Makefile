@@ -173,8 +173,8 @@ endif
 
 # --- Checks of the project itself -------------------------------------------------------------------------------------
 
-test: format lint documentation test-rust test-python
-	@printf '%s\n' '' 'make test: everything passed'
+test:
+	@tests/run_all.sh '$(MAKE)' format lint documentation test-rust test-python
 
 format:
 	$(CARGO) fmt --check
@@ -187,7 +187,7 @@ documentation:
 
 test-rust: build env
 	@tests/lavapipe.sh $(BIN)/particles
-	$(CARGO) test --locked --workspace
+	$(CARGO) test --locked --workspace --no-fail-fast
 
 # From the stage's own folder: its pyproject.toml holds the settings of all four.
 test-python: env

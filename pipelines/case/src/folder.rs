@@ -215,12 +215,19 @@ impl CaseFolder {
         files.map(|entry| format!("{prefix}{}", entry.file_name().to_string_lossy())).collect()
     }
 
-    /// Removes what belongs to a stage, but for the files whose endings are in `keep`.
+    /// Whether a stage writes a file of this name whatever it is told.
+    fn is_usual(&self, stage: &Belongings, name: &str) -> bool {
+        let usual = std::iter::once(&stage.output).chain(stage.set_aside).chain(stage.explains);
+        usual.into_iter().any(|ending| name == self.file_name(ending) || name == self.file_name(&failed(ending)))
+    }
+
+    /// Removes what a stage made before, but for the files whose endings are in `keep`: what its usual files are called, what the
+    /// status lists, and everything of its stems if it was killed at work. What else lies there is the user's.
     ///
     /// # Errors
     /// When a file cannot be removed.
-    pub fn remove_files_of(&self, stage: &Belongings, keep: &[&str]) -> Result<()> {
-        for name in self.files_of(stage) {
+    pub fn remove_files_of(&self, stage: &Belongings, earlier: Option<&Stage>, keep: &[&str]) -> Result<()> {
+        for name in self.made_before(stage, earlier) {
             if !keep.iter().any(|ending| name == self.file_name(ending)) {
                 self.remove(&name)?;
             }
@@ -230,6 +237,16 @@ impl CaseFolder {
             let _ = std::fs::remove_dir(self.path.join(folder));
         }
         self.remove(&report_name(stage.stage))
+    }
+
+    /// The files that a stage made before, by name.
+    #[must_use]
+    pub fn made_before(&self, stage: &Belongings, earlier: Option<&Stage>) -> Vec<String> {
+        let killed = earlier.is_some_and(|stage| matches!(stage.state, State::Running | State::Interrupted));
+        let listed = |name: &String| earlier.is_some_and(|it| it.outputs.contains(name) || it.kept.contains(name));
+        let mut files = self.files_of(stage);
+        files.retain(|name| killed || listed(name) || self.is_usual(stage, name));
+        files
     }
 
     /// Removes a file, if it is there.
@@ -249,18 +266,17 @@ impl CaseFolder {
         }
     }
 
-    /// Puts what a failed stage left under names that say so; what could be taken for its result goes away.
-    /// Returns the names of what is kept.
+    /// Puts what a failed stage left under names that say so; what could be taken for its result goes away, but not the `others`,
+    /// which were there before. Returns the names of what is kept.
     ///
     /// # Errors
     /// When a file cannot be renamed or removed.
-    pub fn set_aside(&self, stage: &Belongings) -> Result<Vec<String>> {
+    pub fn set_aside(&self, stage: &Belongings, others: &[String]) -> Result<Vec<String>> {
         let mut kept = Vec::new();
-        for name in self.files_of(stage) {
+        for name in self.files_of(stage).into_iter().filter(|name| !others.contains(name)) {
             let is = |ending: &&&str| name == self.file_name(ending);
             if let Some(ending) = stage.set_aside.iter().find(is) {
-                let (stem, extension) = ending.rsplit_once('.').expect("an ending with a type");
-                let aside = self.file_name(&format!("{stem}.failed.{extension}"));
+                let aside = self.file_name(&failed(ending));
                 let (from, to) = (self.path.join(&name), self.path.join(&aside));
                 std::fs::rename(&from, &to)
                     .map_err(|error| Error::file(&from, "rename", &error, "check the folder's permissions"))?;
@@ -309,6 +325,11 @@ impl CaseFolder {
             .map_err(|error| Error::file(&self.path, "remove", &error, "check the folder's permissions"))?;
         Ok(true)
     }
+}
+
+/// The ending of a file that is kept although a check failed.
+fn failed(ending: &str) -> String {
+    ending.rsplit_once('.').map_or_else(|| format!("{ending}.failed"), |(stem, kind)| format!("{stem}.failed.{kind}"))
 }
 
 /// Name of a stage's report within the folder of the case.

@@ -57,7 +57,7 @@ pub const KEYS: [Key; 29] = [
     key("COUNT", Form::Whole(4), "the number of particles to seed"),
     key("SEED", Form::Whole(0), "the seed of the random numbers"),
     key("BACKEND", Form::OneOf(&["auto", "gpu", "cpu"]), "where the particles are moved"),
-    key("MAX_MEMORY", Form::Text, "the most memory that a stage may ask for"),
+    key("MAX_MEMORY", Form::Text, "the most memory that a stage may ask for, such as 8G"),
     key("DISTFIELD_OPTIONS", Form::Words, "more options of distfield"),
     key("SIZEFIELD_OPTIONS", Form::Words, "more options of sizefield"),
     key("PARTICLES_OPTIONS", Form::Words, "more options of particles"),
@@ -70,7 +70,7 @@ pub const KEYS: [Key; 29] = [
 ];
 
 /// Keys that change no result, and so neither rerun a stage nor stand among the parameters.
-pub const WITHOUT_EFFECT: [&str; 4] = ["CASE", "OUT", "THREADS", "VERBOSITY"];
+pub const WITHOUT_EFFECT: [&str; 5] = ["CASE", "OUT", "THREADS", "VERBOSITY", "MAX_MEMORY"];
 
 /// The key of a name, or an error with the nearest among the keys and the `other` names that the caller knows.
 ///

@@ -40,7 +40,7 @@ struct Arguments {
     /// The program tetmesh-check; those of its pages lie beside it.
     #[arg(long, value_name = "PROGRAM", default_value = ".venv/bin/tetmesh-check")]
     tetmesh_check: PathBuf,
-    /// The files that tetmesh-check is made of; another content makes the tetrahedra anew.
+    /// The files that tetmesh-check is made of, where the program itself does not hold it all; another content makes the tetrahedra anew.
     #[arg(long, value_name = "FILE", num_args = 0..)]
     tetmesh_files: Vec<PathBuf>,
     /// The files that its page is made of.
@@ -68,10 +68,14 @@ fn main() -> ExitCode {
 
 fn go(arguments: Arguments) -> Result<u8> {
     let settings = Settings::read(&arguments.set, &arguments.preset, arguments.case_file.as_deref(), &arguments.known)?;
+    let mut tetmesh_files = arguments.tetmesh_files;
+    if tetmesh_files.is_empty() {
+        tetmesh_files.push(arguments.tetmesh_check.clone());
+    }
     let programs = Programs {
         bin: arguments.bin,
         tetmesh_check: arguments.tetmesh_check,
-        tetmesh_files: arguments.tetmesh_files,
+        tetmesh_files,
         page_files: arguments.page_files,
     };
     match arguments.goal.as_str() {

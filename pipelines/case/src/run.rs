@@ -188,20 +188,21 @@ impl<'a> Run<'a> {
         });
         let checkpoint = checkpoint.is_some();
         let mut run = Self { case, plan, status, next, last };
-        run.remove_stale(checkpoint)?;
+        run.remove_stale(before.as_ref(), checkpoint)?;
         Ok(run)
     }
 
     /// Takes away what the stages from the next one on made before; the checkpoint of this very run of `particles` may stay.
-    fn remove_stale(&mut self, checkpoint: bool) -> Result<()> {
+    fn remove_stale(&mut self, before: Option<&Status>, checkpoint: bool) -> Result<()> {
         let folder = &self.case.folder;
+        let earlier = |stage: &Belongings| before.and_then(|status| status.stage(stage.stage));
         let holds = |stage: &Belongings| {
             self.status.stage(stage.stage).is_some_and(|stage| stage.state == State::Done)
                 // a volume beside the results may be the user's own
                 || (stage.stage == "phantom" && self.case.volume != Volume::Phantom)
         };
         let stale: Vec<&Belongings> = STAGES.iter().filter(|stage| !holds(stage)).collect();
-        if stale.iter().any(|stage| !folder.files_of(stage).is_empty()) || self.next <= self.last {
+        if stale.iter().any(|stage| !folder.made_before(stage, earlier(stage)).is_empty()) || self.next <= self.last {
             self.status.page = None;
             self.write()?;
             folder.remove(&folder.file_name(PAGE))?;
@@ -209,7 +210,7 @@ impl<'a> Run<'a> {
         for stage in stale {
             let keep: &[&str] =
                 if stage.stage == "particles" && checkpoint { &[CHECKPOINT, "passes.csv"] } else { &[] };
-            folder.remove_files_of(stage, keep)?;
+            folder.remove_files_of(stage, earlier(stage), keep)?;
         }
         self.write()
     }
@@ -248,6 +249,9 @@ impl<'a> Run<'a> {
         self.status.stages[position] = stage.clone();
         self.write()?;
         say(&command);
+        // What is there and stays is the user's, but for the checkpoint and its log, with which a stopped run goes on.
+        let mut others = folder.files_of(planned.belongings);
+        others.retain(|name| !planned.belongings.explains.iter().any(|ending| *name == folder.file_name(ending)));
         let started = Instant::now();
         let ended = program::run(&planned.program, &planned.arguments);
         let seconds = Some(started.elapsed().as_secs_f64());
@@ -261,12 +265,13 @@ impl<'a> Run<'a> {
             // A finished run needs no checkpoint.
             folder.remove(&folder.file_name(CHECKPOINT))?;
             stage.outputs = folder.files_of(planned.belongings);
+            stage.outputs.retain(|name| !others.contains(name));
             if planned.name() == "phantom" {
                 let path = folder.file(planned.belongings.output);
                 self.status.inputs.extend(inputs::of_volume(&path, None)?);
             }
         } else {
-            stage.kept = folder.set_aside(planned.belongings)?;
+            stage.kept = folder.set_aside(planned.belongings, &others)?;
             if let Some(error) = &stage.error
                 && report.is_none()
             {

@@ -21,7 +21,7 @@ pub struct Settings {
 }
 
 /// Two keys that say the same thing in two ways, and why they cannot both hold.
-const EXCLUSIVE: [(&str, &str, &str); 11] = [
+const EXCLUSIVE: [(&str, &str, &str); 8] = [
     ("INPUT", "PHANTOM", "a case has one volume: a file, or a phantom that is made"),
     ("ISO", "LABELS", "a volume is meshed as a scalar or as labels"),
     ("SIZE", "EPSILON", LEAVES_NOTHING),
@@ -30,14 +30,17 @@ const EXCLUSIVE: [(&str, &str, &str); 11] = [
     ("SIZE", "MAX_SIZE", LEAVES_NOTHING),
     ("SIZE", "QUALITY", LEAVES_NOTHING),
     ("SIZE", "VERTICES", "each of them alone sets the edge length"),
-    ("VERTICES", "MIN_SIZE", "a bound may make the number of vertices unreachable"),
-    ("VERTICES", "MAX_SIZE", "a bound may make the number of vertices unreachable"),
-    ("VERTICES", "QUALITY", "each of them alone sets how fine the mesh is"),
 ];
 const LEAVES_NOTHING: &str = "SIZE is one edge length everywhere and leaves nothing to grade or bound";
 
 /// What a case file says goes with another of its values that the user has replaced: (the user's key, the case's).
-const GOES_WITH: [(&str, &str); 3] = [("LABELS", "INSIDE"), ("SIZE", "SCALE"), ("VERTICES", "SCALE")];
+const GOES_WITH: [(&str, &str); 5] = [
+    ("LABELS", "INSIDE"),
+    ("SIZE", "SCALE"),
+    ("VERTICES", "SCALE"),
+    ("VERTICES", "MIN_SIZE"),
+    ("VERTICES", "MAX_SIZE"),
+];
 
 impl Settings {
     /// Reads `KEY=VALUE` assignments of the user and of the case file. What the user sets comes first: what the case file

@@ -152,13 +152,7 @@ fn options_key(stage: &str) -> &'static str {
 /// Options of a stage by the key that sets each; what is not set keeps the stage's own default.
 fn options_by_key(stage: &str) -> &'static [(&'static str, &'static str)] {
     match stage {
-        "distfield" => &[
-            ("--iso", "ISO"),
-            ("--labels", "LABELS"),
-            ("--inside", "INSIDE"),
-            ("--border", "BORDER"),
-            ("--scale", "SCALE"),
-        ],
+        "distfield" => &[("--iso", "ISO"), ("--labels", "LABELS"), ("--inside", "INSIDE"), ("--border", "BORDER")],
         "sizefield" => &[
             ("--epsilon", "EPSILON"),
             ("--delta", "DELTA"),
@@ -174,15 +168,28 @@ fn options_by_key(stage: &str) -> &'static [(&'static str, &'static str)] {
     }
 }
 
+/// What sets how much of the data a mesh shall keep (DESIGN, Scale), the first one that is set: options of `distfield` by their keys.
+const SCALE_BY_KEY: [(&str, &str); 3] =
+    [("--scale", "SCALE"), ("--scale-for-vertices", "VERTICES"), ("--quality", "QUALITY")];
+
 /// What a stage is told that may change its result.
 fn options(stage: &str, settings: &Settings) -> Vec<String> {
     let mut words = Vec::new();
-    for (option, key) in options_by_key(stage) {
-        if let Some(value) = settings.get(key) {
-            words.extend([(*option).to_owned(), value.to_owned()]);
-        }
+    let mut add = |(option, key): &(&str, &str)| {
+        let value = settings.get(key);
+        words.extend(value.into_iter().flat_map(|value| [(*option).to_owned(), value.to_owned()]));
+        value.is_some()
+    };
+    for pair in options_by_key(stage) {
+        add(pair);
     }
-    words.extend(settings.words(options_key(stage)));
+    let more = settings.words(options_key(stage));
+    // Who asks for a scale among the further options has made the choice.
+    let chosen = more.iter().any(|word| word.starts_with("--scale") || word.starts_with("--quality"));
+    if stage == "distfield" && !chosen {
+        SCALE_BY_KEY.iter().any(add);
+    }
+    words.extend(more);
     words
 }
 
@@ -230,6 +237,9 @@ fn arguments(
     words.extend(settings.words("VERBOSITY").into_iter().map(OsString::from));
     if let Some(threads) = settings.get("THREADS") {
         words.extend([word("--threads"), word(threads)]);
+    }
+    if let Some(memory) = settings.get("MAX_MEMORY").filter(|_| stage != "tetmesh-check") {
+        words.extend([word("--max-memory"), word(memory)]);
     }
     words.extend([word("--report"), folder.path.join(&report).into_os_string()]);
     (words, Some(report))

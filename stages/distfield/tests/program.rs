@@ -139,7 +139,7 @@ fn real_volume(name: &str) -> Option<PathBuf> {
     if path.exists() {
         return Some(path);
     }
-    println!("SKIP: {} is not there", path.display());
+    isoparticles_tests::skip::skip(name, &format!("{} is not there", path.display()));
     None
 }
 

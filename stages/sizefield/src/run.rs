@@ -210,7 +210,7 @@ pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
             "look at the iso value or the labels that distfield was given",
         ));
     }
-    if let Some(size) = args.uniform {
+    if let Some(size) = one_size {
         let largest = features.component_area.iter().copied().fold(0.0, f64::max);
         check_size(&args.input, size, largest)?;
     }

@@ -27,6 +27,7 @@ fn a_failed_run_leaves_no_result_of_an_earlier_one() {
     let case = Case::new();
     case.mesh(0, &[]);
     let pictures = case.out().join("ball/pictures/cut.png");
+    std::fs::write(case.file("report.of.mine.txt"), "mine").unwrap();
     assert!(case.has("volume.vtu") && case.has("volume.inp") && case.has("report.json") && pictures.exists());
     let ended = run(&mut case.command("mesh", &["ISO=100", "SIZE=500", "VERBOSITY=-q"]));
     assert_eq!(ended.code, Some(2), "{}", ended.stderr);
@@ -35,13 +36,17 @@ fn a_failed_run_leaves_no_result_of_an_earlier_one() {
         assert!(!case.has(ending), "{ending} is left: {left:?}");
     }
     assert!(!pictures.exists());
+    assert!(case.has("report.of.mine.txt"), "a file of the user's: {left:?}");
     let status = case.status();
     assert_eq!(status["verdict"], "error", "{status}");
     assert_eq!(case.states()["tetmesh-check"], "stale");
     assert!(case.text("report.html").contains("\"verdict\": \"error\""));
     // Every file that is there is one that the status lists.
     let listed = status.to_string();
-    for name in left.iter().filter(|name| !["ball.status.json", ".lock", "reports"].contains(&name.as_str())) {
+    for name in left
+        .iter()
+        .filter(|name| !["ball.status.json", ".lock", "reports", "ball.report.of.mine.txt"].contains(&name.as_str()))
+    {
         assert!(listed.contains(&format!("\"{name}\"")), "{name} is not in the status: {listed}");
     }
     // The next run goes on as if nothing had been.

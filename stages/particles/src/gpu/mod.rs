@@ -6,6 +6,7 @@
 
 mod adapter;
 mod commands;
+pub mod display;
 mod engine;
 mod kernels;
 mod levels;
