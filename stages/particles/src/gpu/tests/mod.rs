@@ -6,7 +6,6 @@ mod fields;
 mod lists;
 mod passes;
 mod scans;
-mod scenes;
 mod shaders;
 
 use super::adapter::{Choice, Gpu, adapters};
