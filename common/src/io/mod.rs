@@ -16,6 +16,6 @@ pub mod point_cloud;
 pub mod points;
 pub mod surface;
 pub mod volume;
-mod vti;
 mod voxel_data;
+mod vti;
 mod vtk_xml;
