@@ -12,7 +12,7 @@ use isoparticles_common::error::{Error, Result};
 use isoparticles_common::geometry::Geometry;
 use isoparticles_common::image::Image;
 use isoparticles_common::io::field::{FieldKind, write_field};
-use isoparticles_common::io::volume::{LayerLabel, Volume, read_volume};
+use isoparticles_common::io::volume::{LayerLabel, ReadOptions, Volume, read_volume_with, write_volume};
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
 
@@ -29,12 +29,20 @@ use std::path::{Path, PathBuf};
     after_help = "Example: the tooth of a CT, integer iso values being fine\n  distfield tooth_ct.nrrd -o tooth.distfield.vti --iso 600\nExample: both lungs of a label map as one object\n  distfield lungs_label.nrrd -o lungs.distfield.vti --labels 2,3\nExample: what the volume is, and what a mesh of it would cost\n  distfield lungs_label.nrrd --info"
 )]
 pub struct Args {
-    /// Volume to read: NRRD (.nrrd, .nhdr), NIfTI (.nii, .nii.gz) or VTK image (.vti)
+    /// Volume to read: NRRD (.nrrd, .nhdr, .seg.nrrd), NIfTI (.nii, .nii.gz), MetaImage (.mha, .mhd), VTK image (.vti), or a folder of
+    /// DICOM slices
     #[arg(value_name = "IN.nrrd", help_heading = FILES)]
     pub input: PathBuf,
+    /// Series to read of a folder with several: its description, number or UID
+    #[arg(long, value_name = "NAME", help_heading = FILES)]
+    pub series: Option<String>,
     /// Distance field to write, a VTK image file; lengths in mm
-    #[arg(short, long, value_name = "F.vti", required_unless_present = "info", help_heading = FILES)]
+    #[arg(short, long, value_name = "F.vti", required_unless_present_any = ["info", "write_volume"], help_heading = FILES)]
     pub output: Option<PathBuf>,
+    /// Write the volume as it was read in place of making a field: a VTK image file in its own type, placed in the world of the meshes,
+    /// with the names of its labels
+    #[arg(long, value_name = "V.vti", conflicts_with_all = ["output", "info", "iso", "labels"], help_heading = FILES)]
+    pub write_volume: Option<PathBuf>,
     /// Say what the volume is in place of making a field: size, orientation, scan or labels, values, labels with their volumes, iso values
     /// worth trying, and what a mesh would cost; of the object of --iso or --labels, where they are given
     #[arg(long, conflicts_with = "output", help_heading = FILES)]
@@ -47,7 +55,7 @@ pub struct Args {
         long,
         value_name = "V",
         allow_negative_numbers = true,
-        required_unless_present_any = ["labels", "info"],
+        required_unless_present_any = ["labels", "info", "write_volume"],
         conflicts_with = "labels",
         help_heading = METHOD
     )]
@@ -130,12 +138,13 @@ impl StageArgs for Args {
 
     fn outputs(&self) -> Vec<PathBuf> {
         let json = self.json.iter().filter(|path| *path != Path::new("-"));
-        self.output.iter().chain(json).cloned().collect()
+        self.output.iter().chain(&self.write_volume).chain(json).cloned().collect()
     }
 
     fn parameters(&self) -> Value {
         let (border, keep) = (border_name(self.border), self.keep.to_string());
         let mut parameters = match (&self.labels, self.iso) {
+            _ if self.write_volume.is_some() => json!({}),
             (Some(labels), _) => json!({
                 "labels": labels.to_string(), "border": border, "margin": self.margin, "keep": keep,
                 "clearance": self.clearance, "smoothing_steps": self.smoothing_steps,
@@ -151,6 +160,9 @@ impl StageArgs for Args {
             parameters["kind"] = json!(kind);
         }
         self.scale.add_to(&mut parameters);
+        if let Some(series) = &self.series {
+            parameters["series"] = json!(series);
+        }
         parameters
     }
 }
@@ -161,11 +173,16 @@ impl StageArgs for Args {
 /// On input that holds no such surface, on files that cannot be read or written, and when interrupted.
 pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
     let step = context.step("read");
-    let volume = read_volume(&args.input)?;
+    let volume = read_volume_with(&args.input, &ReadOptions { series: args.series.as_deref() })?;
     context.add_input(&args.input, None)?;
     drop(step);
     for remark in &volume.remarks {
         context.warn(remark);
+    }
+    if let Some(path) = &args.write_volume {
+        let _step = context.step("write");
+        write_volume(path, &volume, &context.history())?;
+        return Ok(Outcome::Passed);
     }
     let about_file = |error: Error| Error { what: format!("{}: {}", args.input.display(), error.what), ..error };
     if !args.info {

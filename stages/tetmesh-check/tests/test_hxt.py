@@ -11,7 +11,7 @@ from conftest import NEEDS_HXT, Run, ball, fake_library, merged, reversed_windin
 
 from tetmesh_check import cli, fill
 from tetmesh_check.quality import signed_tetrahedron_volumes, tetrahedron_quality
-from tetmesh_check.surface import read_surface
+from tetmesh_check.surface import history_of, read_surface
 from tetmesh_check.topology import changed_triangles, tetrahedron_boundary
 
 MISSING = "raise ImportError('libGLU.so.1: cannot open shared object file')\n"

@@ -19,6 +19,7 @@ from conftest import NEEDS_HXT, Run, ball, fake_library, tetrahedra, write_sizin
 from tetmesh_check import cli, pipeline
 from tetmesh_check.context import canonical_command_line
 from tetmesh_check.quality import signed_tetrahedron_volumes
+from tetmesh_check.surface import history_of
 
 METHODS = ["ftetwild", pytest.param("hxt", marks=NEEDS_HXT)]
 

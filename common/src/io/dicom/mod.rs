@@ -10,7 +10,7 @@ mod stack;
 use super::limit::{bad, check_memory};
 use super::volume::{Volume, Voxels};
 use crate::error::{Error, Result};
-use slice::Slice;
+use slice::{Found, Slice};
 use std::io::Read;
 use std::path::{Path, PathBuf};
 
@@ -25,11 +25,22 @@ pub(super) fn is_dicom(start: &[u8]) -> bool {
 /// Reads the series of a folder that `wanted` names, or the only one.
 pub(super) fn read_folder(folder: &Path, wanted: Option<&str>) -> Result<Volume> {
     let files = dicom_files(folder)?;
-    let mut slices = Vec::new();
+    let (mut slices, mut no_images) = (Vec::new(), Vec::new());
     for path in &files {
-        slices.extend(Slice::read(path)?);
+        match Slice::read(path)? {
+            Found::Image(slice) => slices.push(slice),
+            Found::NoImage { path, class } => no_images.push((path, class)),
+        }
     }
     let (series, others) = choose::choose(folder, slices, wanted)?;
+    if let Some((path, _)) = no_images.iter().find(|(_, class)| series.iter().any(|slice| slice.class == *class)) {
+        return Err(bad(
+            path,
+            "is of the kind of the slices, but its header ends before the image",
+            "it is cut short, and the volume would lack a slice",
+            "copy or export the file again",
+        ));
+    }
     let stack = stack::Stack::new(folder, series)?;
     let scalar = stack.scalar_type();
     check_memory(folder, (stack.geometry.voxel_count() as u64).saturating_mul(scalar.bytes() as u64))?;

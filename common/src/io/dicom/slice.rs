@@ -13,6 +13,8 @@ use std::path::{Path, PathBuf};
 #[derive(Clone, Debug)]
 pub(super) struct Slice {
     pub(super) path: PathBuf,
+    /// What kind of DICOM object it is (SOP class).
+    pub(super) class: String,
     pub(super) series: SeriesName,
     pub(super) columns: usize,
     pub(super) rows: usize,
@@ -23,6 +25,14 @@ pub(super) struct Slice {
     /// World position of the centre of the first pixel, mm.
     pub(super) position: DVec3,
     pub(super) pixels: Pixels,
+}
+
+/// What a DICOM file turned out to be.
+pub(super) enum Found {
+    /// A slice.
+    Image(Slice),
+    /// A report, a directory, contours; or a slice whose header is cut short.
+    NoImage { path: PathBuf, class: String },
 }
 
 /// What a series is called.
@@ -45,15 +55,16 @@ pub(super) struct Pixels {
 }
 
 impl Slice {
-    /// Reads the header of a DICOM file; `None` for files without an image (reports, directories, contours).
-    pub(super) fn read(path: &Path) -> Result<Option<Self>> {
+    /// Reads the header of a DICOM file.
+    pub(super) fn read(path: &Path) -> Result<Found> {
         let object = OpenFileOptions::new()
             .read_until(tags::PIXEL_DATA)
             .open_file(path)
             .map_err(|error| damaged(path, &error))?;
         let header = Header { path, object: &object };
+        let class = object.meta().media_storage_sop_class_uid().trim_end_matches(['\0', ' ']).to_owned();
         let (Some(rows), Some(columns)) = (header.whole(tags::ROWS)?, header.whole(tags::COLUMNS)?) else {
-            return Ok(None);
+            return Ok(Found::NoImage { path: path.to_path_buf(), class });
         };
         header.check_plain()?;
         let orientation = header.numbers::<6>(tags::IMAGE_ORIENTATION_PATIENT, "ImageOrientationPatient")?;
@@ -61,7 +72,7 @@ impl Slice {
         // the first number is the distance of the rows, the second that of the columns
         let spacing = header.numbers::<2>(tags::PIXEL_SPACING, "PixelSpacing")?;
         let (row, column) = (DVec3::from_slice(&orientation[..3]), DVec3::from_slice(&orientation[3..]));
-        // twelve decimals of a direction are a quarter of what its text holds at most
+        // directions are decimal text, which some programs round to four digits
         let is_unit = |v: DVec3| (v.length() - 1.0).abs() < 1e-3;
         if !is_unit(row) || !is_unit(column) || row.dot(column).abs() > 1e-3 {
             return Err(header.meaningless("ImageOrientationPatient", &format!("{orientation:?}")));
@@ -72,8 +83,9 @@ impl Slice {
             description: header.text(tags::SERIES_DESCRIPTION),
             modality: header.text(tags::MODALITY),
         };
-        Ok(Some(Self {
+        Ok(Found::Image(Self {
             path: path.to_path_buf(),
+            class,
             series,
             columns,
             rows,

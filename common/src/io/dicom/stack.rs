@@ -119,9 +119,11 @@ fn check_gaps(slices: &[Slice], places: &[f64]) -> Result<()> {
     }
     let mut sorted = gaps.clone();
     sorted.sort_by(f64::total_cmp);
-    let usual = sorted[sorted.len() / 2];
+    let usual = sorted[(sorted.len() - 1) / 2];
     let Some(n) = gaps.iter().position(|gap| (gap - usual).abs() > LARGEST_SHIFT * usual) else { return Ok(()) };
-    let (missing, folder) = ((gaps[n] / usual).round() - 1.0, slices[n].path.parent().unwrap_or(Path::new("")));
+    let (times, folder) = (gaps[n] / usual, slices[n].path.parent().unwrap_or(Path::new("")));
+    let missing = times.round() - 1.0;
+    let is_multiple = missing >= 1.0 && (times - times.round()).abs() <= 2.0 * LARGEST_SHIFT;
     let between = format!(
         "between {} and {} ({:.3} and {:.3} mm along the normal)",
         name(n),
@@ -131,7 +133,7 @@ fn check_gaps(slices: &[Slice], places: &[f64]) -> Result<()> {
     );
     Err(bad(
         folder,
-        match missing >= 1.0 {
+        match is_multiple {
             true => format!(
                 "lacks {missing} of its slices {between}: the gap is {:.3} mm, the others {usual:.3} mm",
                 gaps[n]
