@@ -13,6 +13,8 @@ CARGO ?= cargo
 CARGO_TARGET_DIR ?= target
 # Where the stage programs are, and whether to build them first (tests of this file bring their own).
 BIN ?= $(CARGO_TARGET_DIR)/release
+# Where tetmesh-check finds distfield, which reads every volume.
+export ISOPARTICLES_BIN := $(abspath $(BIN))
 NO_BUILD ?=
 # The Python environment of tetmesh-check.
 VENV ?= .venv
@@ -316,7 +318,7 @@ test-rust: build env
 	$(CARGO) test --locked --workspace
 
 # From the stage's own folder: its pyproject.toml holds the settings of all four.
-test-python: env
+test-python: build env
 	cd stages/tetmesh-check && $(abspath $(VENV))/bin/ruff check . && $(abspath $(VENV))/bin/ruff format --check . \
 	  && $(abspath $(VENV))/bin/mypy && $(abspath $(VENV))/bin/pytest -q
 

@@ -40,8 +40,11 @@ impl Input {
     }
 }
 
-/// BLAKE3 hash of a file's bytes, in hexadecimal.
+/// BLAKE3 hash of a file's bytes, in hexadecimal; of a folder (a DICOM series), that of the names and hashes of the files in it, by name.
 pub fn hash_file(path: &Path) -> Result<String> {
+    if path.is_dir() {
+        return hash_folder(path);
+    }
     let hash = || -> std::io::Result<blake3::Hash> {
         let mut hasher = blake3::Hasher::new();
         hasher.update_reader(std::fs::File::open(path)?)?;
@@ -50,6 +53,21 @@ pub fn hash_file(path: &Path) -> Result<String> {
     hash()
         .map(|hash| hash.to_hex().to_string())
         .map_err(|error| Error::file(path, "read", &error, "check that the file is there and readable"))
+}
+
+fn hash_folder(folder: &Path) -> Result<String> {
+    let cannot =
+        |error: std::io::Error| Error::file(folder, "read", &error, "check that the folder is there and readable");
+    let entries = std::fs::read_dir(folder).map_err(cannot)?;
+    let mut files: Vec<PathBuf> =
+        entries.map(|entry| entry.map(|entry| entry.path())).collect::<std::io::Result<_>>().map_err(cannot)?;
+    files.retain(|path| path.is_file());
+    files.sort();
+    let mut hasher = blake3::Hasher::new();
+    for file in files {
+        hasher.update(format!("{}\0{}\n", file_name(&file), hash_file(&file)?).as_bytes());
+    }
+    Ok(hasher.finalize().to_hex().to_string())
 }
 
 /// The last part of a path.
@@ -71,7 +89,7 @@ pub fn canonical_command_line(tool: &str, arguments: impl Iterator<Item = String
         match name {
             "--verbose" | "--quiet" | "--force" => {}
             _ if short_flags => {}
-            "--threads" | "--report" | "--progress" => {
+            "--threads" | "--max-memory" | "--report" | "--progress" => {
                 if value.is_none() {
                     arguments.next();
                 }
@@ -105,8 +123,10 @@ mod tests {
         let line = |words: &[&str], output: &str| {
             canonical_command_line("seed", words.iter().map(|word| (*word).to_owned()), &[PathBuf::from(output)])
         };
-        let first =
-            line(&["/a/in.vti", "-o", "/a/out.bin", "--seed", "3", "-vv", "--threads=4", "--force"], "/a/out.bin");
+        let first = line(
+            &["/a/in.vti", "-o", "/a/out.bin", "--seed", "3", "-vv", "--threads=4", "--max-memory", "8G", "--force"],
+            "/a/out.bin",
+        );
         let second = line(&["b/in.vti", "-o", "other.bin", "--seed", "3", "--report", "r.json"], "other.bin");
         assert_eq!(first, "seed in.vti -o OUTPUT --seed 3");
         assert_eq!(first, second);

@@ -4,8 +4,10 @@
 //! particles and surfaces go between the stages through [`field`], [`particles`] and [`surface`]; [`output`] writes every
 //! file whole or not at all.
 
+mod dicom;
 pub mod field;
 mod limit;
+mod meta_image;
 mod nifti;
 pub mod nrrd;
 pub mod output;
@@ -14,5 +16,6 @@ pub mod point_cloud;
 pub mod points;
 pub mod surface;
 pub mod volume;
+mod voxel_data;
 mod vti;
 mod vtk_xml;

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import subprocess
 import sys
 from collections.abc import Callable
@@ -28,6 +29,14 @@ NEEDS_TETGEN = pytest.mark.skipif(
     not _is_there("tetgen"), reason="TetGen (AGPL) is not installed: see requirements-tetgen.lock"
 )
 
+_BUILT = Path(__file__).parents[3] / "target" / "release"
+# volumes are read by distfield; `make test-python` builds it first
+os.environ.setdefault("ISOPARTICLES_BIN", str(_BUILT))
+NEEDS_DISTFIELD = pytest.mark.skipif(
+    shutil.which("distfield", path=os.environ["ISOPARTICLES_BIN"]) is None,
+    reason="distfield is not built: cargo build --release, or name its folder in ISOPARTICLES_BIN",
+)
+
 Run = Callable[..., subprocess.CompletedProcess[str]]
 
 
@@ -46,6 +55,15 @@ def write_sizing(path: Path, h: Callable[[np.ndarray], np.ndarray], half_width: 
     grid["sizing"] = np.asarray(h(np.asarray(grid.points, dtype=float)), dtype=np.float32)
     grid.add_field_data(['{"tool": "sizefield", "version": "0"}'], "history")
     grid.save(path)
+    return path
+
+
+def write_nrrd(path: Path, values: np.ndarray, **fields: str) -> Path:
+    """Write a volume as raw NRRD with these header fields; ``_`` in their names stands for a blank."""
+    kind = {"float64": "double", "float32": "float"}.get(values.dtype.name, values.dtype.name)
+    lines = ["NRRD0004", f"type: {kind}", f"dimension: {values.ndim}", f"sizes: {' '.join(map(str, values.shape))}"]
+    lines += ["encoding: raw", "endian: little", *(f"{key.replace('_', ' ')}: {text}" for key, text in fields.items())]
+    path.write_bytes("\n".join([*lines, "", ""]).encode() + values.astype(values.dtype.newbyteorder("<")).tobytes("F"))
     return path
 
 

@@ -11,7 +11,7 @@ from conftest import NEEDS_HXT, Run, ball, fake_library, merged, reversed_windin
 
 from tetmesh_check import cli, fill
 from tetmesh_check.quality import signed_tetrahedron_volumes, tetrahedron_quality
-from tetmesh_check.surface import read_surface
+from tetmesh_check.surface import history_of, read_surface
 from tetmesh_check.topology import changed_triangles, tetrahedron_boundary
 
 MISSING = "raise ImportError('libGLU.so.1: cannot open shared object file')\n"
@@ -39,7 +39,7 @@ def test_ball_with_graded_sizing(tmp_path: Path, run: Run) -> None:
     assert changed_triangles((surface.points, surface.triangles), (points, outside.triangles)) == (0, 0)
     # the vertices of the surface come first, in their order
     np.testing.assert_array_equal(points[: len(surface.points)], surface.points)
-    assert json.loads(grid.field_data["history"][0])["parameters"]["method"] == "hxt"
+    assert history_of(grid)["parameters"]["method"] == "hxt"
 
     results = json.loads((tmp_path / "first.json").read_text())["results"]
     assert results["tetrahedralizer"]["method"] == "hxt"

@@ -19,6 +19,7 @@ from conftest import NEEDS_HXT, Run, ball, fake_library, tetrahedra, write_sizin
 from tetmesh_check import cli, pipeline
 from tetmesh_check.context import canonical_command_line
 from tetmesh_check.quality import signed_tetrahedron_volumes
+from tetmesh_check.surface import history_of
 
 METHODS = ["ftetwild", pytest.param("hxt", marks=NEEDS_HXT)]
 
@@ -44,7 +45,7 @@ def test_ball_with_graded_sizing(tmp_path: Path, run: Run) -> None:
     assert left.sum() > 2.0 * (~left).sum()
 
     assert set(grid.cell_data.keys()) == {"radius_ratio", "scaled_jacobian", "min_dihedral", "region"}
-    history = json.loads(grid.field_data["history"][0])
+    history = history_of(grid)
     assert history["tool"] == "tetmesh-check"
     assert history["inputs"][1]["history"]["tool"] == "sizefield"
     assert history["inputs"][0]["blake3"] == blake3.blake3((tmp_path / "ball.surface.vtp").read_bytes()).hexdigest()

@@ -8,17 +8,16 @@ import sys
 from pathlib import Path
 
 import meshio
-import nrrd
 import numpy as np
 import pytest
 import pyvista as pv
-from conftest import NEEDS_HXT, Run, ball
+from conftest import NEEDS_DISTFIELD, NEEDS_HXT, Run, ball, write_nrrd
 from test_solve import block
 from vtkmodules.vtkIOXdmf2 import vtkXdmfReader
 
 from tetmesh_check.errors import StageError
 from tetmesh_check.export import MarkedMesh, export, export_path
-from tetmesh_check.labels import LabelVolume, read_label_volume
+from tetmesh_check.labels import read_label_volume
 from tetmesh_check.parsing import FORMATS
 from tetmesh_check.quality import signed_tetrahedron_volumes
 from tetmesh_check.regions import (
@@ -34,17 +33,26 @@ from tetmesh_check.surface import Surface, read_surface
 from tetmesh_check.topology import tetrahedron_boundary
 
 
-def halves(path: Path, header: dict | None = None) -> Path:
+def vector(numbers: np.ndarray | list[float]) -> str:
+    """A vector as NRRD has it."""
+    return f"({','.join(repr(float(number)) for number in numbers)})"
+
+
+def placed(space: str, steps: np.ndarray, origin: list[float]) -> dict[str, str]:
+    """Header fields of a grid; ``steps`` has one axis a row."""
+    return {"space": space, "space_directions": " ".join(map(vector, steps)), "space_origin": vector(origin)}
+
+
+def halves(path: Path, header: dict[str, str] | None = None) -> Path:
     """Labels 3 (x < 0) and 7 in a box of 25 mm round the origin, 0 and a stray 9 outside a ball of 9 mm."""
     x, y, z = np.meshgrid(*3 * [np.arange(-12, 13)], indexing="ij")
     values = np.where(x < 0, 3, 7).astype(np.uint8)
     values[x**2 + y**2 + z**2 > 81] = 0
     values[(values == 0) & (z > 0)] = 9
-    given = {"space": "left-posterior-superior", "space directions": np.eye(3), "space origin": [-12.0] * 3}
-    nrrd.write(str(path), values, header or given)
-    return path
+    return write_nrrd(path, values, **(header or placed("left-posterior-superior", np.eye(3), [-12.0] * 3)))
 
 
+@NEEDS_DISTFIELD
 def test_labels_are_sampled_in_the_world(tmp_path: Path) -> None:
     plain = read_label_volume(halves(tmp_path / "l.nrrd"))
     centres = np.array([[-3.0, 1, 1], [4.0, 2, -2], [-9.9, 0, 0], [2.0, 0, 9.7]])
@@ -54,7 +62,7 @@ def test_labels_are_sampled_in_the_world(tmp_path: Path) -> None:
 
     # the same voxels in another world: right-anterior-superior, first axis along -y
     steps = np.array([[0.0, -2.0, 0.0], [2.0, 0.0, 0.0], [0.0, 0.0, 2.0]])
-    header = {"space": "RAS", "space directions": steps, "space origin": [1.0, 2.0, 3.0]}
+    header = placed("RAS", steps, [1.0, 2.0, 3.0])
     turned = read_label_volume(halves(tmp_path / "r.nrrd", header))
     index = np.array([[9.0, 13, 13], [16.0, 14, 10]])
     ras = index @ steps + [1.0, 2.0, 3.0]
@@ -67,6 +75,7 @@ def test_labels_are_sampled_in_the_world(tmp_path: Path) -> None:
     np.testing.assert_array_equal(regions_of(centres, read_label_volume(tmp_path / "l.vti"), [3, 7]), [3, 7, 3, 7])
 
 
+@NEEDS_DISTFIELD
 def test_bad_label_volumes_are_refused(tmp_path: Path) -> None:
     volume = read_label_volume(halves(tmp_path / "l.nrrd"))
     with pytest.raises(StageError, match="outside the label volume"):
@@ -74,16 +83,18 @@ def test_bad_label_volumes_are_refused(tmp_path: Path) -> None:
     with pytest.raises(StageError, match="not in the label volume"):
         check_labels(np.zeros((5, 3)), volume, [4])
     check_labels(np.zeros((5, 3)), volume, None)
-    nrrd.write(str(tmp_path / "flat.nrrd"), np.ones((4, 4), dtype=np.uint8))
-    nrrd.write(str(tmp_path / "real.nrrd"), np.full((4, 4, 4), 0.5))
-    nrrd.write(str(tmp_path / "none.nrrd"), np.zeros((4, 4, 4), dtype=np.uint8))
+    write_nrrd(tmp_path / "flat.nrrd", np.ones((4, 4), dtype=np.uint8))
+    write_nrrd(tmp_path / "real.nrrd", np.full((4, 4, 4), 0.5))
+    write_nrrd(tmp_path / "none.nrrd", np.zeros((4, 4, 4), dtype=np.uint8))
+    write_nrrd(tmp_path / "large.nrrd", np.full((4, 4, 4), 1 << 40))
     (tmp_path / "broken.nrrd").write_bytes((tmp_path / "l.nrrd").read_bytes()[:150])
     for name, words in (
-        ("flat", "2 axes"),
+        ("flat", "2 spatial axes"),
+        ("large", "32 bits"),
         ("real", "no whole numbers"),
         ("none", "no label but 0"),
-        ("broken", "cannot read"),
-        ("absent", "no such file"),
+        ("broken", "cut short|header"),
+        ("absent", "cannot read"),
     ):
         with pytest.raises(StageError, match=words):
             read_label_volume(tmp_path / f"{name}.nrrd")
@@ -93,6 +104,7 @@ TURN = np.array([[0.8, 0.6, 0.0], [-0.48, 0.64, 0.6], [0.36, -0.48, 0.8]])
 """A rotation."""
 
 
+@NEEDS_DISTFIELD
 @pytest.mark.parametrize(
     "steps", [2.0 * TURN, np.diag([-1.0, 1.0, 2.0]), np.array([[1.0, 0.2, 0], [0, 1, 0.3], [0, 0, 3]])]
 )
@@ -101,8 +113,7 @@ TURN = np.array([[0.8, 0.6, 0.0], [-0.48, 0.64, 0.6], [0.36, -0.48, 0.8]])
     [("left-posterior-superior", [1, 1, 1]), ("RAS", [-1, -1, 1]), ("Left-Anterior-Superior", [1, -1, 1]), ("scanner-xyz", [1, 1, 1])],
 )  # fmt: skip
 def test_oblique_and_left_handed_grids(tmp_path: Path, steps: np.ndarray, space: str, signs: list[int]) -> None:
-    header = {"space": space, "space directions": steps, "space origin": [4.0, -5.0, 6.0]}
-    volume = read_label_volume(halves(tmp_path / "l.nrrd", header))
+    volume = read_label_volume(halves(tmp_path / "l.nrrd", placed(space, steps, [4.0, -5.0, 6.0])))
     index = np.argwhere(np.isin(volume.values, (3, 7)))[::7]
     world = signs * (index @ steps + [4.0, -5.0, 6.0])
     np.testing.assert_array_equal(regions_of(world, volume, None), volume.values[tuple(index.T)])
@@ -110,6 +121,7 @@ def test_oblique_and_left_handed_grids(tmp_path: Path, steps: np.ndarray, space:
     assert share_outside(world, volume) == 0.0
 
 
+@NEEDS_DISTFIELD
 def test_a_vti_with_direction(tmp_path: Path) -> None:
     values = read_label_volume(halves(tmp_path / "l.nrrd")).values
     image = pv.ImageData(dimensions=(25,) * 3, spacing=(1.0, 2.0, 3.0), origin=(5.0, 6.0, 7.0))
@@ -120,39 +132,6 @@ def test_a_vti_with_direction(tmp_path: Path) -> None:
     world = (index * [1.0, 2.0, 3.0]) @ TURN.T + [5.0, 6.0, 7.0]
     found = regions_of(world, read_label_volume(tmp_path / "l.vti"), None)
     np.testing.assert_array_equal(found, values[tuple(index.T)])
-
-
-def test_headers_are_taken_as_in_the_other_stages(tmp_path: Path) -> None:
-    values = np.ones((4, 5, 6), dtype=np.uint8)
-
-    def read(given: np.ndarray, **header: object) -> LabelVolume:
-        nrrd.write(str(tmp_path / "h.nrrd"), given, {name.replace("_", " "): value for name, value in header.items()})
-        return read_label_volume(tmp_path / "h.nrrd")
-
-    limits = {"axis_mins": [0.0, 10.0, 20.0], "axis_maxs": [8.0, 20.0, 38.0]}
-    cells = read(values, **limits)
-    np.testing.assert_allclose(np.diag(cells.step), [2.0, 2.0, 3.0])
-    np.testing.assert_allclose(cells.origin, [1.0, 11.0, 21.5])
-    nodes = read(values, **limits, centers="node node cell")
-    np.testing.assert_allclose(np.diag(nodes.step), [8 / 3, 2.5, 3.0])
-    np.testing.assert_allclose(nodes.origin, [0.0, 10.0, 21.5])
-    # time as a fourth component, and axes of one sample
-    timed = read(values, space="RAST", space_directions=np.eye(3, 4) * 2, space_origin=[1.0, 2, 3, 4])
-    np.testing.assert_allclose(timed.origin, [-1.0, -2.0, 3.0])
-    np.testing.assert_allclose(timed.step, np.diag([-2.0, -2.0, 2.0]))
-    listed = np.vstack([np.full(3, np.nan), np.eye(3)])
-    single = read(values[None], space="LPS", space_directions=listed, space_origin=[1.0, 2, 3])
-    assert single.values.shape == (4, 5, 6)
-    for given, header, words in (
-        (values, {"space": "left-inferior-right", "space_directions": np.eye(3)}, "not known"),
-        (values, {"space_dimension": 2, "space_directions": np.eye(3, 2)}, "2 dimensions"),
-        (values, {"spacings": [1.0, 0.0, 1.0]}, "its spacing is 1, 0, 1"),
-        (values, {"space": "LPS", "space_directions": np.ones((3, 3))}, "span no volume"),
-        (np.stack([values] * 2), {"space": "LPS", "space_directions": listed}, "has 4 axes"),
-        (values.astype(np.int64) << 40, {}, "32 bits"),
-    ):
-        with pytest.raises(StageError, match=words):
-            read(given, **header)
 
 
 def test_meshed_labels_come_from_the_history() -> None:
@@ -206,6 +185,11 @@ def test_exported_files_are_read_back(tmp_path: Path) -> None:
     np.testing.assert_array_equal(xdmf.cell_data["region"], mesh.regions)
     np.testing.assert_array_equal(xdmf.point_data["boundary"], mesh.point_marks())
 
+    for read in (meshio.read, pv.read_meshio):
+        again = read(tmp_path / "b.volume.xdmf")
+        np.testing.assert_array_equal(again.points, mesh.points)
+        np.testing.assert_array_equal(again.cells_dict["tetra" if read is meshio.read else 10], mesh.tetrahedra)
+
     surface = pv.read(tmp_path / "b.boundary.vtp")
     assert surface.is_manifold
     assert (np.asarray(surface.cell_data["mark"]) == SURFACE).sum() == len(mesh.boundary) - 16
@@ -254,10 +238,10 @@ def test_gmsh_opens_its_file(tmp_path: Path) -> None:
     assert done.stdout.strip() == "['surface', 'cap', 'region_2', 'region_5']"
 
 
+@NEEDS_DISTFIELD
 def test_a_wrong_label_volume_is_refused_before_anything_is_filled(tmp_path: Path, run: Run) -> None:
     ball(9.0, 3).save(tmp_path / "ball.vtp")
-    elsewhere = {"space": "LPS", "space directions": np.eye(3), "space origin": [100.0] * 3}
-    halves(tmp_path / "l.nrrd", elsewhere)
+    halves(tmp_path / "l.nrrd", placed("LPS", np.eye(3), [100.0] * 3))
     done = run("ball.vtp", "-o", "ball.vtu", "--labels-volume", "l.nrrd", "-q")
     assert done.returncode == 2
     assert "outside the label volume" in done.stderr
@@ -265,15 +249,16 @@ def test_a_wrong_label_volume_is_refused_before_anything_is_filled(tmp_path: Pat
     assert sorted(path.name for path in tmp_path.iterdir()) == ["ball.vtp", "l.nrrd"]
 
 
+@NEEDS_DISTFIELD
 def test_tetrahedra_outside_the_label_volume_are_told(tmp_path: Path, run: Run) -> None:
     ball(9.0).save(tmp_path / "ball.vtp")
-    shifted = {"space": "LPS", "space directions": np.eye(3), "space origin": [-5.0, -12.0, -12.0]}
-    halves(tmp_path / "l.nrrd", shifted)
+    halves(tmp_path / "l.nrrd", placed("LPS", np.eye(3), [-5.0, -12.0, -12.0]))
     done = run("ball.vtp", "-o", "ball.vtu", "--labels-volume", "l.nrrd", "--max-passes", 3, "--solve", "no", "-q")
     assert done.returncode == 0, done.stderr
     assert "% of the tetrahedra lie outside the label volume" in done.stderr
 
 
+@NEEDS_DISTFIELD
 @NEEDS_HXT
 def test_regions_and_exports_from_the_command_line(tmp_path: Path, run: Run) -> None:
     surface = ball(9.0, 3)

@@ -64,7 +64,8 @@ def build_parser() -> argparse.ArgumentParser:
         "--labels-volume",
         metavar="L.nrrd",
         type=Path,
-        help="label volume (.nrrd .nhdr .vti): each tetrahedron gets the label at its centre as its region, of those that were meshed",
+        help="label volume, of any kind that distfield reads: each tetrahedron gets the label at its centre as its region, of those that "
+        "were meshed",
     )
     files.add_argument(
         "--export",

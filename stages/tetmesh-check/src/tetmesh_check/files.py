@@ -14,12 +14,12 @@ _CHUNK_BYTES = 1 << 20
 
 
 def blake3_of_file(path: Path) -> str:
-    """Hash a file the way every stage does.
+    """Hash a file the way every stage does; of a folder, the names and hashes of the files in it.
 
     Parameters
     ----------
     path
-        The file.
+        The file, or the folder of a DICOM series.
 
     Returns
     -------
@@ -28,6 +28,10 @@ def blake3_of_file(path: Path) -> str:
     """
     hasher = blake3.blake3()
     try:
+        if path.is_dir():
+            for file in sorted(file for file in path.iterdir() if file.is_file()):
+                hasher.update(f"{file.name}\0{blake3_of_file(file)}\n".encode())
+            return hasher.hexdigest()
         with path.open("rb") as stream:
             while chunk := stream.read(_CHUNK_BYTES):
                 hasher.update(chunk)

@@ -20,7 +20,7 @@ SURFACE, CAP = 1, 2
 """Marks of the boundary: the object's own surface, and where the border of the volume cut it."""
 _TIE = 0.01
 """Two distances of a triangle that differ by less than this share of its longest edge are alike."""
-_ADVICE = "give the label volume that the case was made from (.nrrd, .nhdr or .vti)"
+_ADVICE = "give the label volume that the case was made from"
 
 
 def _histories(history: Any) -> Iterator[Any]:
