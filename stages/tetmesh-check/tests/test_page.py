@@ -11,7 +11,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import volume_with_ball, write_status
+from conftest import NEEDS_DISTFIELD, volume_with_ball, write_nrrd, write_status
+from PIL import Image
 
 from tetmesh_check import cli, convergence
 from tetmesh_check.errors import StageError
@@ -227,6 +228,51 @@ def test_a_volume_that_cannot_be_read_does_not_stop_the_page(
     words = made(case / "a&b.status.json", tmp_path / "x.html").words
     assert "The volume is not shown: v.nrrd: is cut short. copy it again." in words
     assert "In three dimensions" in words
+
+
+@NEEDS_DISTFIELD
+@pytest.mark.parametrize("labels", [False, True])
+def test_the_input_is_read_as_the_stages_read_it(case: Path, tmp_path: Path, labels: bool) -> None:
+    scan = volume_with_ball(labels=labels)
+    path = write_nrrd(
+        tmp_path / "v.nrrd", scan.values, space="right-anterior-superior",
+        space_directions="(-1,0,0) (0,-1,0) (0,0,1)", space_origin="(18,17,-14)",
+    )  # fmt: skip
+    folder = copied(case, tmp_path)
+    report = {
+        "tool": "distfield",
+        "seconds": 1.0,
+        "command_line": "",
+        "error": None,
+        "warnings": [],
+        "failed_checks": [],
+    }
+    report["results"] = {"meta": {"source": "labels" if labels else "scalar"}}
+    report["parameters"] = {"labels": [2]} if labels else {"iso": 110.0}
+    (folder / "reports" / "distfield.json").write_text(json.dumps(report))
+    inputs = [{"role": "volume", "path": str(path), "bytes": 1, "hash": "c0ffee"}]
+    elements = made(write_status(folder, "a&b", inputs=inputs), tmp_path / "x.html")
+    assert "The mesh in the volume" in elements.words
+    assert "towards L, P, S" in elements.words
+    assert ("labels: 2 beside 0" in elements.words) == labels
+    outlines = [str(a["d"]) for a in elements.of("path") if a.get("class") == "over"]
+    assert len(outlines) == 3
+    assert all(len(line) > 200 for line in outlines)
+
+
+def test_pictures_are_transparent_round_the_mesh(case: Path) -> None:
+    """So that they fit a dark page; the bar of the colours is below the mesh."""
+    drawn = read_case(case / "a&b.status.json").pictures
+    if not drawn:
+        pytest.skip("nothing draws here: see the reason in the report")
+    for kind, path in drawn.items():
+        with Image.open(path) as image:
+            assert image.size == (1600, 1200)
+            alpha = np.asarray(image.convert("RGBA"))[:, :, 3]
+        assert alpha.max() == 255
+        assert alpha[-4:, :4].max() == 0
+        if kind != "surface":
+            assert 0.01 < alpha[-170:].mean() / 255.0 < 0.3
 
 
 def test_the_facts_of_a_label_volume(case: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -208,21 +208,9 @@ class Case:
 
     @property
     def pictures(self) -> dict[str, Path]:
-        """Pictures by kind, ``surface``, ``closeup`` and ``cut``: those that the report says were drawn."""
-        drawn = dig(self.results, "pictures", "drawn") or []
-        listed = {
-            Path(name).name: self.folder / name
-            for entry in self.stages
-            if entry.name == STAGES[-1] and entry.state in ENDED
-            for name in entry.outputs + entry.kept
-        }
-        found = {}
-        for kind in _PICTURES:
-            for name in drawn:
-                path = listed.get(name, self.folder / "pictures" / name)
-                if name.endswith(f".{kind}.png") and path.is_file():
-                    found[kind] = path
-        return found
+        """Pictures by kind, ``surface``, ``closeup`` and ``cut``."""
+        found = {kind: next(self.outputs(STAGES[-1], f".{kind}.png"), None) for kind in _PICTURES}
+        return {kind: path for kind, path in found.items() if path is not None}
 
 
 def _json(path: Path, advice: str) -> Any:

@@ -52,16 +52,21 @@ def document(title: str, body: str, scripts: Sequence[str] = ()) -> str:
 
 
 def _meshed_labels(case: Case) -> set[int]:
-    """The labels that ``distfield`` took, by its report; empty where it took an iso value, or nobody says."""
+    """The labels of the first layer that ``distfield`` took, by its report; empty where it took an iso value, or nobody says."""
     labels = dig(case.reports, "distfield", "parameters", "labels")
-    return {int(label) for label in labels} if isinstance(labels, list) else set()
+    found = set()
+    for entry in labels if isinstance(labels, list) else []:
+        if isinstance(entry, int):
+            found.add(entry)
+        elif isinstance(entry, dict) and entry.get("layer") == 0:
+            found.add(int(entry["label"]))
+    return found
 
 
-def _is_labels(case: Case) -> bool | None:
-    """Whether the volume holds labels, by what was done with it."""
-    if dig(case.reports, "distfield", "results", "meta", "source") is not None:
-        return bool(dig(case.reports, "distfield", "results", "meta", "source") == "labels")
-    return None
+def _is_labels(case: Case) -> bool:
+    """Whether the volume holds labels, by what was done with it, or was to be."""
+    source = dig(case.reports, "distfield", "results", "meta", "source")
+    return bool(source == "labels") if source else "LABELS" in case.parameters
 
 
 def anatomy(case: Case, surface: pv.PolyData | None) -> str:
@@ -77,7 +82,7 @@ def anatomy(case: Case, surface: pv.PolyData | None) -> str:
     if case.input is None:
         return ""
     try:
-        scan = read_scan(case.input, _is_labels(case))
+        scan = read_scan(case.input, _is_labels(case), dig(case.reports, "distfield", "parameters", "series"))
     except InterruptedRunError:
         raise
     except StageError as error:

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tetmesh_check.errors import StageError
 from tetmesh_check.quality import Points, Values
+from tetmesh_check.volumes import read_volume
 
 _PLANES = ("sagittal", "coronal", "axial")
 """The plane across each axis of the body's world."""
@@ -34,6 +34,8 @@ class Scan:
     """Whether the numbers are names of tissues rather than a measure."""
     names: dict[int, str] = field(default_factory=dict)
     """Names of labels, where the file has them."""
+    layers: int = 1
+    """Of which the first one is shown."""
 
     @property
     def spacing(self) -> Values:
@@ -94,7 +96,7 @@ class Scan:
         return "".join(self.letters(axis)[1] for axis in range(3))
 
 
-def read_scan(path: Path, labels: bool | None = None) -> Scan:
+def read_scan(path: Path, labels: bool, series: str | None = None) -> Scan:
     """Read the input of a case.
 
     Parameters
@@ -102,18 +104,14 @@ def read_scan(path: Path, labels: bool | None = None) -> Scan:
     path
         Any volume that the stages read.
     labels
-        Whether it holds labels; ``None`` if nobody says, which takes whole numbers of few kinds for labels.
+        Whether it holds labels.
+    series
+        Series of a folder of DICOM slices that holds several.
 
     Raises
     ------
     StageError
         If it cannot be read.
     """
-    from tetmesh_check.labels import _read_image, _read_nrrd
-
-    if not path.is_file():
-        raise StageError(f"{path}: no such file", "its slices are shown", "give the volume again")
-    values, step, origin = (_read_nrrd if path.suffix in (".nrrd", ".nhdr") else _read_image)(path)
-    if labels is None:
-        labels = False
-    return Scan(values, step, origin, True, labels)
+    volume = read_volume(path, series)
+    return Scan(volume.values, volume.step, volume.origin, volume.anatomical, labels, volume.names, volume.layers)

@@ -342,7 +342,7 @@ def slices(scan: Scan, mesh: tuple[Points, Cells] | None, meshed: set[int]) -> s
         else ""
     )
     return section(
-        "The mesh in the volume",
+        "Slices of the volume" if mesh is None else "The mesh in the volume",
         f'<p>{drawn} {shades}{tilt}</p>{toggle}<div class="grid three">{"".join(figures)}</div>'
         f'<script type="text/plain" id="slices-data">{data}</script>',
     )
@@ -371,6 +371,8 @@ def facts(scan: Scan, name: str, meshed: set[int]) -> str:
         ("grid axes run", world + ", ".join(escape(scan.letters(axis)[1]) for axis in range(3)) + tilt),
         ("stored as", escape(str(scan.values.dtype))),
     ]
+    if scan.layers > 1:
+        rows.append(("layers", f"{scan.layers}, of which the first one is shown"))
     body = ""
     if scan.labels:
         found, counts = np.unique(scan.values, return_counts=True)

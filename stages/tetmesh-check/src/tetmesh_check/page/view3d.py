@@ -10,6 +10,7 @@ import numpy as np
 import pyvista as pv
 
 from tetmesh_check.cut import cut_of
+from tetmesh_check.field_data import text_of
 from tetmesh_check.page.charts import number
 from tetmesh_check.page.html import colour_bar, section
 from tetmesh_check.page.payload import MAX_TRIANGLES, WORST, Colour, ViewMesh, pack
@@ -52,9 +53,7 @@ def is_anatomical(dataset: pv.DataSet) -> bool:
     dataset
         The file as read.
     """
-    if "space" not in dataset.field_data:
-        return False
-    return str(np.asarray(dataset.field_data["space"]).ravel()[0]).strip('"').lower() == "lps"
+    return (text_of(dataset, "space") or "").strip('"').lower() == "lps"
 
 
 def view_of_surface(surface: pv.PolyData) -> ViewMesh:
