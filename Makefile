@@ -214,8 +214,8 @@ bench-gpu: build
 
 # The Delaunay triangulation against CGAL's, on the same particles; needs g++, libcgal-dev and libtbb-dev.
 bench-delaunay: build
-	@$(CARGO) build --release --locked -p isoparticles-common --example bench_delaunay
-	@common/benches/delaunay/compare.sh --bin $(BIN) --work $(OUT)/bench-delaunay $(BENCH_OPTIONS)
+	@$(CARGO) build --release --locked -p isoparticles-delaunay --example bench_delaunay
+	@common/delaunay/benches/compare.sh --bin $(BIN) --work $(OUT)/bench-delaunay $(BENCH_OPTIONS)
 
 # The error of Poisson's equation on the ball at several edge lengths, mm.
 SIZES ?= 4 2 1

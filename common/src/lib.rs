@@ -6,7 +6,6 @@
 
 pub mod cli;
 pub mod components;
-pub mod delaunay;
 pub mod energy;
 pub mod error;
 pub mod geometry;

@@ -2,7 +2,7 @@
 
 use crate::restricted::Facet;
 use isoparticles_common::components::DisjointSets;
-use isoparticles_common::delaunay::Delaunay;
+use isoparticles_delaunay::Delaunay;
 use rayon::prelude::*;
 use std::collections::{BTreeMap, HashSet};
 

@@ -1,10 +1,10 @@
 //! From particles to triangulated points: on F = 0 to the tolerance of the mesh, inside the volume, and no two on one spot.
 
 use glam::DVec3;
-use isoparticles_common::delaunay::{Delaunay, INFINITE};
 use isoparticles_common::error::{Error, Result};
 use isoparticles_common::particle_set::ParticleSet;
 use isoparticles_common::spline::CubicSpline;
+use isoparticles_delaunay::{Delaunay, INFINITE};
 use rayon::prelude::*;
 use serde::Serialize;
 use std::collections::BTreeSet;
@@ -31,15 +31,31 @@ pub struct SurfacePoints {
     pub report: PrepareReport,
 }
 
+/// What a user can do about points that cannot be triangulated.
+pub fn not_triangulated(error: isoparticles_delaunay::Error) -> Error {
+    use isoparticles_delaunay::Error as Cause;
+    let (why, next) = match error {
+        Cause::Coordinate(_) => {
+            ("the exact predicates hold up to 1e50", "check the program or file that the points come from")
+        }
+        Cause::TooFew(_) | Cause::Collinear(_) | Cause::Coplanar(_) => (
+            "a triangulation of space needs four points that are not in one plane",
+            "check that the points sample a closed surface and that no axis was flattened",
+        ),
+        Cause::TooManyPoints(_) | Cause::TooManyTetrahedra(_) => ("they are counted with 32 bits", "thin the points"),
+    };
+    Error::input(error.to_string(), why, next)
+}
+
 impl SurfacePoints {
     /// Triangulates the points, and leaves out those that lie on the spot of another, or nearly. A point and its nearest
     /// neighbour always share an edge of the triangulation, so its edges are the only pairs to look at.
     ///
     /// # Errors
-    /// Those of [`Delaunay::new`].
+    /// Those of [`Delaunay::new`], in three parts.
     pub fn triangulate(&mut self) -> Result<Delaunay> {
         loop {
-            let delaunay = Delaunay::new(&self.positions)?;
+            let delaunay = Delaunay::new(&self.positions).map_err(not_triangulated)?;
             if self.sizes.is_empty() {
                 self.sizes = spacings(&delaunay);
             }

@@ -7,11 +7,12 @@
 //! point which refines the facet (Boissonnat and Oudot 2005).
 
 use crate::around::{boundary, parts_round, runs_round, star, walls};
+use crate::prepare::not_triangulated;
 use glam::DVec3;
-use isoparticles_common::delaunay::predicates::orientation;
-use isoparticles_common::delaunay::{Delaunay, INFINITE, Insertion};
 use isoparticles_common::error::Result;
 use isoparticles_common::spline::CubicSpline;
+use isoparticles_delaunay::predicates::orientation;
+use isoparticles_delaunay::{Delaunay, INFINITE, Insertion};
 use rayon::prelude::*;
 
 /// Halvings of a Voronoi edge when its crossing with F = 0 is sought.
@@ -68,7 +69,7 @@ impl<'a> Restricted<'a> {
 
     /// Adds a point; [`Restricted::decide_sides`] must follow the last of a round. `None` when it was there already.
     pub fn insert(&mut self, point: DVec3, near: u32) -> Result<Option<u32>> {
-        match self.delaunay.insert(point, Some(near))? {
+        match self.delaunay.insert(point, Some(near)).map_err(not_triangulated)? {
             Insertion::Duplicate(_) => Ok(None),
             Insertion::New(v) => {
                 self.undecided.extend_from_slice(self.delaunay.created());

@@ -9,8 +9,8 @@ use crate::defects::Defects;
 use crate::restricted::{Facet, Restricted};
 use glam::DVec3;
 use isoparticles_common::components::{DisjointSets, NO_COMPONENT};
-use isoparticles_common::delaunay::INFINITE;
 use isoparticles_common::error::Result;
+use isoparticles_delaunay::INFINITE;
 use rayon::prelude::*;
 use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet};
 

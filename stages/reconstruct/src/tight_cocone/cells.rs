@@ -2,7 +2,7 @@
 
 use crate::around::place_of;
 use glam::DVec3;
-use isoparticles_common::delaunay::{Delaunay, INFINITE};
+use isoparticles_delaunay::{Delaunay, INFINITE};
 use rayon::prelude::*;
 
 /// Sine of the cocone's half angle, pi/8 from the tangent plane.

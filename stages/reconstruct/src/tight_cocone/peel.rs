@@ -5,7 +5,7 @@ use super::umbrellas::Umbrellas;
 use super::walk::Sheets;
 use crate::restricted::Facet;
 use glam::DVec3;
-use isoparticles_common::delaunay::Delaunay;
+use isoparticles_delaunay::Delaunay;
 use rayon::prelude::*;
 use std::collections::BTreeMap;
 

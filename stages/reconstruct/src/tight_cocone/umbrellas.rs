@@ -6,7 +6,7 @@
 use super::cells::{Cells, NOBODY};
 use crate::around::place_of;
 use isoparticles_common::components::DisjointSets;
-use isoparticles_common::delaunay::INFINITE;
+use isoparticles_delaunay::INFINITE;
 use rayon::prelude::*;
 
 /// Sides at the vertices that have an umbrella.

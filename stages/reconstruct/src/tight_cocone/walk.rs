@@ -2,7 +2,7 @@
 
 use super::cells::Cells;
 use super::umbrellas::Umbrellas;
-use isoparticles_common::delaunay::INFINITE;
+use isoparticles_delaunay::INFINITE;
 use rayon::prelude::*;
 
 /// What the walk found: sheets of vertices, and the sense of each normal in its sheet.

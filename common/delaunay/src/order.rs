@@ -2,7 +2,6 @@
 //! curve (biased randomised insertion order of Amenta, Choi and Rote, 2003), so that a walk from the last insertion is
 //! short and no arrangement of the input is a bad one.
 
-use crate::random::bits;
 use glam::DVec3;
 use rayon::prelude::*;
 
@@ -63,7 +62,7 @@ pub(super) fn insertion_order(points: &[DVec3]) -> Order {
     let mut order = Vec::with_capacity(distinct.len());
     let mut ends = Vec::new();
     // a point is in the last round with probability 7/8, in the one before with 7/64, and so on
-    let round_of = |i: u32| rounds.saturating_sub(bits(0x0b71_0d3e, 0, u64::from(i)).trailing_ones() / 3);
+    let round_of = |i: u32| rounds.saturating_sub(well_mixed(i).trailing_ones() / 3);
     for round in 0..=rounds {
         // every other round runs backwards, so that it starts where the last one ended
         let members = distinct.iter().copied().filter(|&i| round_of(i) == round);
@@ -75,6 +74,15 @@ pub(super) fn insertion_order(points: &[DVec3]) -> Order {
         ends.push(order.len());
     }
     Order { order, rounds: ends, first }
+}
+
+/// 64 bits that look random but depend on the index alone (the finaliser of SplitMix64, Steele, Lea and Flood 2014).
+fn well_mixed(index: u32) -> u64 {
+    // any start will do; this one keeps the numbers of the tetrahedra what they were
+    let x = 0x134a_bdb5_a05c_6011_u64.wrapping_add(u64::from(index));
+    let x = (x ^ (x >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+    let x = (x ^ (x >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+    x ^ (x >> 31)
 }
 
 /// Position of a cell along the three-dimensional Hilbert curve (transposition method of Skilling, 2004).
@@ -117,6 +125,7 @@ fn hilbert_index(mut x: [u32; 3]) -> u64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use isoparticles_common::random::bits;
 
     #[test]
     fn hilbert_curve_steps_to_a_neighbour() {

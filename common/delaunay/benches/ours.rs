@@ -1,4 +1,4 @@
-//! Delaunay triangulation of a file of points by `common::delaunay`, timed, and the points themselves: the program that
+//! Delaunay triangulation of a file of points by this crate, timed, and the points themselves: the program that
 //! `compare.sh` runs beside `cgal.cpp`.
 //!
 //! ```text
@@ -14,9 +14,9 @@
 //! the growth of the peak memory meanwhile, bytes.
 
 use glam::DVec3;
-use isoparticles_common::delaunay::Delaunay;
 use isoparticles_common::io::particles::{ParticleKind, read_particles};
 use isoparticles_common::random::uniform;
+use isoparticles_delaunay::Delaunay;
 use std::path::Path;
 use std::process::ExitCode;
 

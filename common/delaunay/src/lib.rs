@@ -7,7 +7,31 @@
 //! a symbolic perturbation (see [`predicates`]) that depends on the index of the points alone, so the triangulation of a
 //! given list of points is unique, whatever the order of insertion. Only input whose points all lie in one plane is
 //! refused, because it has no tetrahedra.
+//!
+//! The same points give the same tetrahedra with the same numbers on any number of threads. Half a million points of a
+//! surface take about as long as CGAL's triangulation does (`make bench-delaunay` puts both in one table).
+//!
+//! ```
+//! use glam::DVec3;
+//! use isoparticles_delaunay::{Delaunay, Insertion};
+//!
+//! let corners: Vec<DVec3> = (0..8u8).map(|n| DVec3::new(f64::from(n & 1), f64::from(n >> 1 & 1), f64::from(n >> 2))).collect();
+//! let mut cube = Delaunay::new(&corners)?;
+//! let volume = |d: &Delaunay| -> f64 {
+//!     let at = |v: u32| d.points()[v as usize];
+//!     let six = |[a, b, c, e]: [u32; 4]| (at(b) - at(a)).cross(at(c) - at(a)).dot(at(e) - at(a));
+//!     d.finite_tetrahedra().map(|(_, vertices)| six(vertices) / 6.0).sum()
+//! };
+//! assert!((volume(&cube) - 1.0).abs() < 1e-12);
+//!
+//! // A further point, and the tetrahedra that its insertion made.
+//! assert_eq!(cube.insert(DVec3::splat(0.5), None)?, Insertion::New(8));
+//! assert!(cube.created().iter().all(|&t| cube.vertices(t).contains(&8)));
+//! assert!((volume(&cube) - 1.0).abs() < 1e-12);
+//! # Ok::<(), isoparticles_delaunay::Error>(())
+//! ```
 
+mod error;
 mod exact;
 mod insert;
 mod order;
@@ -16,7 +40,8 @@ mod regions;
 #[cfg(test)]
 mod tests;
 
-use crate::error::{Error, Result};
+pub use error::{Error, Result};
+
 use glam::DVec3;
 use insert::{Cells, Sites};
 use order::Order;
@@ -90,11 +115,7 @@ impl Delaunay {
     fn with_cutting(points: &[DVec3], cutting: Cutting) -> Result<Self> {
         let points = points.iter().map(|&p| admissible(p)).collect::<Result<Vec<_>>>()?;
         if points.len() >= DEAD as usize {
-            return Err(Error::input(
-                format!("{} points to triangulate", points.len()),
-                "vertices are counted with 32 bits",
-                "thin the points",
-            ));
+            return Err(Error::TooManyPoints(points.len()));
         }
         let Order { order, rounds, first } = order::insertion_order(&points);
         let seeds = first_simplex(&points, &order)?;
@@ -261,11 +282,7 @@ pub fn circumcentre([a, b, c, d]: [DVec3; 4]) -> Option<DVec3> {
 
 fn admissible(p: DVec3) -> Result<DVec3> {
     if !p.is_finite() || p.abs().max_element() > LARGEST_COORDINATE {
-        return Err(Error::input(
-            format!("point {p} cannot be triangulated"),
-            "coordinates must be finite and no larger than 1e50 for the exact tests to hold",
-            "check the program or file that the points come from",
-        ));
+        return Err(Error::Coordinate(p));
     }
     // also turns -0 into 0
     Ok(DVec3::from_array(p.to_array().map(|x| if x.abs() < SMALLEST_COORDINATE { 0.0 } else { x })))
@@ -274,20 +291,13 @@ fn admissible(p: DVec3) -> Result<DVec3> {
 /// Places in the order of four points that do not lie in one plane.
 fn first_simplex(points: &[DVec3], order: &[u32]) -> Result<[u32; 4]> {
     let at = |place: usize| points[order[place] as usize];
-    let refused = |what: String| {
-        Error::input(
-            what,
-            "a triangulation of space needs four points that are not in one plane",
-            "check that the points sample a closed surface and that no axis was flattened",
-        )
-    };
     if order.len() < 4 {
-        return Err(refused(format!("only {} distinct points to triangulate", order.len())));
+        return Err(Error::TooFew(order.len()));
     }
     let third = (2..order.len()).find(|&i| !collinear(at(0), at(1), at(i)));
-    let third = third.ok_or_else(|| refused(format!("all {} points lie on one line", points.len())))?;
+    let third = third.ok_or(Error::Collinear(points.len()))?;
     let fourth = (2..order.len()).find(|&i| orientation(at(0), at(1), at(third), at(i)) != 0.0);
-    let fourth = fourth.ok_or_else(|| refused(format!("all {} points lie in one plane", points.len())))?;
+    let fourth = fourth.ok_or(Error::Coplanar(points.len()))?;
     let simplex = [0, 1, third as u32, fourth as u32];
     Ok(if orientation(at(0), at(1), at(third), at(fourth)) > 0.0 {
         simplex

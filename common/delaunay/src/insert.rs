@@ -309,11 +309,7 @@ impl Cells {
         if self.tetrahedra.len() <= MOST_TETRAHEDRA {
             return Ok(());
         }
-        Err(Error::input(
-            format!("more than {MOST_TETRAHEDRA} tetrahedra between the points"),
-            "tetrahedra are counted with 30 bits",
-            "thin the points",
-        ))
+        Err(Error::TooManyTetrahedra(MOST_TETRAHEDRA))
     }
 
     /// Inserts a vertex whose point lies in a located tetrahedron and differs from all others. An error, and nothing

@@ -1,9 +1,9 @@
-//! Time and memory a point of the Delaunay triangulation, one thread: `cargo run --release -p isoparticles-common
-//! --example delaunay_speed [points]`. Prints one line a point set; nothing is asserted.
+//! Time and memory a point of the Delaunay triangulation, one thread: `cargo run --release -p isoparticles-delaunay
+//! --example speed [points]`. Prints one line a point set; nothing is asserted.
 
 use glam::DVec3;
-use isoparticles_common::delaunay::Delaunay;
 use isoparticles_common::random::uniform;
+use isoparticles_delaunay::Delaunay;
 use std::f64::consts::TAU;
 use std::time::Instant;
 

@@ -1,0 +1,29 @@
+//! Why points cannot be triangulated.
+
+use glam::DVec3;
+
+/// Why points cannot be triangulated.
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+pub enum Error {
+    /// A coordinate is NaN, infinite or larger than 1e50, where the exact predicates would overflow.
+    #[error("point {0} has a coordinate that is not finite or larger than 1e50")]
+    Coordinate(DVec3),
+    /// Fewer than four distinct points.
+    #[error("only {0} distinct points to triangulate")]
+    TooFew(usize),
+    /// All points, this many, lie on one line.
+    #[error("all {0} points lie on one line")]
+    Collinear(usize),
+    /// All points, this many, lie in one plane.
+    #[error("all {0} points lie in one plane")]
+    Coplanar(usize),
+    /// More points than 32 bits number.
+    #[error("{0} points to triangulate, more than 32 bits number")]
+    TooManyPoints(usize),
+    /// More tetrahedra than 30 bits number.
+    #[error("more than {0} tetrahedra between the points")]
+    TooManyTetrahedra(usize),
+}
+
+/// Result of anything that triangulates.
+pub type Result<T> = std::result::Result<T, Error>;
