@@ -71,7 +71,7 @@ pub fn canonical_command_line(tool: &str, arguments: impl Iterator<Item = String
         match name {
             "--verbose" | "--quiet" | "--force" => {}
             _ if short_flags => {}
-            "--threads" | "--report" | "--progress" => {
+            "--threads" | "--max-memory" | "--report" | "--progress" => {
                 if value.is_none() {
                     arguments.next();
                 }
@@ -106,7 +106,7 @@ mod tests {
             canonical_command_line("seed", words.iter().map(|word| (*word).to_owned()), &[PathBuf::from(output)])
         };
         let first =
-            line(&["/a/in.vti", "-o", "/a/out.bin", "--seed", "3", "-vv", "--threads=4", "--force"], "/a/out.bin");
+            line(&["/a/in.vti", "-o", "/a/out.bin", "--seed", "3", "-vv", "--threads=4", "--max-memory", "8G", "--force"], "/a/out.bin");
         let second = line(&["b/in.vti", "-o", "other.bin", "--seed", "3", "--report", "r.json"], "other.bin");
         assert_eq!(first, "seed in.vti -o OUTPUT --seed 3");
         assert_eq!(first, second);

@@ -94,14 +94,17 @@ fn check_bytes(name: &str, write: impl Fn(&Path)) {
     assert!(same, "{name}: other bytes than before; if the format was meant to change, raise its version");
 }
 
+/// Version 1 had VTK's strings.
 #[test]
-fn field_version_1() {
+fn field_versions_1_and_2() {
     let meta = json!({"unit": "mm"});
-    check_bytes("field_v1.sizefield.vti", |path| {
+    check_bytes("field_v2.sizefield.vti", |path| {
         write_field(path, FieldKind::Sizing, &sizing(), &meta, &history()).expect("written");
     });
-    let field = read_field(&data("golden/field_v1.sizefield.vti"), FieldKind::Sizing).expect("read");
-    assert_eq!((field.image, field.meta, field.history), (sizing(), meta, Some(history())));
+    for name in ["golden/field_v1.sizefield.vti", "golden/field_v2.sizefield.vti"] {
+        let field = read_field(&data(name), FieldKind::Sizing).expect("read");
+        assert_eq!((field.image, field.meta, field.history), (sizing(), meta.clone(), Some(history())), "{name}");
+    }
 }
 
 #[test]
@@ -116,14 +119,17 @@ fn particles_version_1() {
     assert_eq!(file.extra, b"state");
 }
 
+/// Version 1 of `.vtp` had VTK's strings.
 #[test]
-fn surface_version_1() {
+fn surface_versions_1_and_2() {
     let meta = json!({"genus": 0});
-    for name in ["surface_v1.vtp", "surface_v1.ply", "surface_v1.stl", "surface_v1.obj"] {
+    for name in ["surface_v2.vtp", "surface_v1.ply", "surface_v1.stl", "surface_v1.obj"] {
         check_bytes(name, |path| write_surface(path, &surface(), &meta, &history()).expect("written"));
     }
-    let file = read_surface(&data("golden/surface_v1.vtp")).expect("read");
-    assert_eq!((file.surface, file.meta, file.history), (surface(), meta, Some(history())));
+    for name in ["golden/surface_v1.vtp", "golden/surface_v2.vtp"] {
+        let file = read_surface(&data(name)).expect("read");
+        assert_eq!((file.surface, file.meta, file.history), (surface(), meta.clone(), Some(history())), "{name}");
+    }
 }
 
 /// The size field, doubled in pyvista and saved in several ways (see `tests/data/make_fixtures.py`).

@@ -1,5 +1,7 @@
 //! Memory: how much a header may promise, and how much a run has used. Linux tells; elsewhere nothing is known.
 
+use super::Context;
+use crate::error::{Error, Result};
 use std::fs::read_to_string;
 
 /// Most memory this process has held at once, in bytes.
@@ -20,6 +22,36 @@ pub fn available_memory() -> Option<u64> {
     }
 }
 
+impl Context {
+    /// Refuses work that is expected to take more memory than `--max-memory`, or than the machine has free.
+    ///
+    /// # Errors
+    /// When `needed` bytes are more than that; `what` says of what (a file and a figure), `next` how to need less.
+    pub fn check_memory(&self, needed: f64, what: &str, next: &str) -> Result<()> {
+        let (limit, whose) = match (self.common.max_memory, available_memory()) {
+            (Some(limit), _) => (limit, "--max-memory allows"),
+            (None, Some(limit)) => (limit, "this machine has free"),
+            (None, None) => return Ok(()),
+        };
+        self.verbose(format!("memory expected: {} of {}", in_words(needed), in_words(limit as f64)));
+        if needed <= limit as f64 {
+            return Ok(());
+        }
+        Err(Error::input(
+            format!("{what}: that takes about {} of memory", in_words(needed)),
+            format!("{whose} {}; the run would be killed, or take hours on a swapping disk", in_words(limit as f64)),
+            format!("{next}; or --max-memory {:.0}G if the memory is there all the same", (needed / GIB).ceil()),
+        ))
+    }
+}
+
+const GIB: f64 = (1u64 << 30) as f64;
+
+/// Bytes as a person reads them.
+fn in_words(bytes: f64) -> String {
+    if bytes >= GIB { format!("{:.1} GiB", bytes / GIB) } else { format!("{:.0} MiB", bytes / (1u64 << 20) as f64) }
+}
+
 /// The number of kibibytes on the line of a `/proc` file that starts with `key`, in bytes.
 fn kibibytes_of(path: &str, key: &str) -> Option<u64> {
     let text = read_to_string(path).ok()?;
@@ -29,6 +61,21 @@ fn kibibytes_of(path: &str, key: &str) -> Option<u64> {
 
 #[cfg(test)]
 mod tests {
+    use super::super::Context;
+
+    #[test]
+    fn what_takes_more_than_allowed_is_refused_with_the_figure() {
+        let mut context = Context::silent("seed");
+        context.common.max_memory = Some(3 << 29);
+        assert!(context.check_memory(1e9, "a.vti: 7 particles", "use a larger h").is_ok());
+        let error = context.check_memory(3e9, "a.vti: 7 particles", "use a larger h").expect_err("too much");
+        assert_eq!(error.what, "a.vti: 7 particles: that takes about 2.8 GiB of memory");
+        assert!(error.why.starts_with("--max-memory allows 1.5 GiB"), "{error}");
+        assert!(error.next.contains("use a larger h; or --max-memory 3G"), "{error}");
+        context.common.max_memory = None;
+        assert_eq!(context.check_memory(1e18, "", "").is_err(), super::available_memory().is_some());
+    }
+
     #[test]
     #[cfg(target_os = "linux")]
     fn linux_tells_both() {

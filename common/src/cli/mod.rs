@@ -58,6 +58,10 @@ pub struct CommonArgs {
     /// CPU threads to use, 0 for all cores; the result does not depend on it
     #[arg(long, value_name = "N", default_value_t = 0, help_heading = SHARED_OPTIONS)]
     pub threads: usize,
+    /// Most memory that the run may take, such as 8G or 500M: when more is expected it is refused before it starts, with
+    /// the figure [default: what the machine has free]
+    #[arg(long, value_name = "BYTES", value_parser = values::bytes, help_heading = SHARED_OPTIONS)]
+    pub max_memory: Option<u64>,
     /// Seed of the random numbers, any whole number from 0; the same seed gives the same bytes
     #[arg(long, value_name = "N", default_value_t = 1, help_heading = SHARED_OPTIONS)]
     pub seed: u64,

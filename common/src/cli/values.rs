@@ -20,6 +20,26 @@ pub fn above_one(text: &str) -> Result<f64, String> {
     number(text, |x| x > 1.0, "must be finite and above 1")
 }
 
+/// A number of bytes above 0, with K, M, G or T for powers of 1024: `8G`, `500M`, `1.5GiB`.
+pub fn bytes(text: &str) -> Result<u64, String> {
+    let must = "must be a number of bytes above 0, such as 8G or 500M";
+    let lower = text.trim().to_ascii_lowercase();
+    let unit = lower.trim_end_matches("ib").trim_end_matches('b');
+    let digits = unit.trim_end_matches(['k', 'm', 'g', 't']);
+    let power = match &unit[digits.len()..] {
+        "" => 0,
+        "k" => 1,
+        "m" => 2,
+        "g" => 3,
+        "t" => 4,
+        _ => return Err(must.into()),
+    };
+    match digits.trim().parse::<f64>() {
+        Ok(x) if x.is_finite() && x * 1024f64.powi(power) >= 1.0 => Ok((x * 1024f64.powi(power)) as u64),
+        _ => Err(must.into()),
+    }
+}
+
 fn number(text: &str, fits: impl Fn(f64) -> bool, must: &str) -> Result<f64, String> {
     match text.parse::<f64>() {
         Ok(x) if x.is_finite() && fits(x) => Ok(x),
@@ -42,5 +62,9 @@ mod tests {
             assert!(wrong.unwrap_err().starts_with("must be"));
         }
         assert!(positive("one").is_err());
+        assert_eq!(["8G", "500 mb", "1.5KiB", "12"].map(bytes), [8 << 30, 500 << 20, 1536, 12].map(Ok));
+        for wrong in ["", "G", "0", "-1G", "8GG", "inf", "8X"] {
+            assert!(bytes(wrong).is_err(), "{wrong}");
+        }
     }
 }

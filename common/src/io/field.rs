@@ -15,8 +15,10 @@ use crate::image::Image;
 use serde_json::Value;
 use std::path::Path;
 
-/// Version of the field files that is written.
-const VERSION: u32 = 1;
+/// Version of the field files that is written. Version 1 had VTK's strings where there are bytes now.
+const VERSION: u32 = 2;
+/// Versions that are read.
+const READ_VERSIONS: [u32; 2] = [1, VERSION];
 
 /// Which field a file holds.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -80,10 +82,10 @@ pub fn read_field(path: &Path, expected: FieldKind) -> Result<Field> {
     }
     if let Some(array) = image.child("FieldData").and_then(|field| field.array("isoparticles_format")) {
         let version = file.all_numbers(array)?.to_f64();
-        if version != [f64::from(VERSION)] {
+        if !matches!(version[..], [version] if READ_VERSIONS.map(f64::from).contains(&version)) {
             return Err(bad(
                 path,
-                format!("has format version {version:?}; this program reads version {VERSION}"),
+                format!("has format version {version:?}; this program reads versions {READ_VERSIONS:?}"),
                 "its contents may mean something else",
                 format!("run {} again to make it anew", expected.name()),
             ));

@@ -5,8 +5,10 @@
 //! file whole or not at all.
 
 mod data_files;
+mod dicom;
 pub mod field;
 mod limit;
+mod meta_image;
 mod nifti;
 pub mod nrrd;
 pub mod output;
@@ -16,6 +18,7 @@ pub mod points;
 pub mod surface;
 pub mod volume;
 mod vti;
+mod voxel_data;
 mod vtk_xml;
 
 pub use data_files::data_files;

@@ -21,6 +21,16 @@ pub(super) fn is_nifti(start: &[u8]) -> bool {
     matches!(start.get(..4), Some([0x5c, 1, 0, 0] | [0, 0, 1, 0x5c] | [0x1c, 2, 0, 0] | [0, 0, 2, 0x1c]))
 }
 
+/// Whether a file, of which the first bytes are given, holds a NIfTI header behind gzip.
+pub(super) fn is_compressed_nifti(path: &Path, start: &[u8]) -> bool {
+    let first = || -> io::Result<[u8; 4]> {
+        let mut first = [0; 4];
+        flate2::bufread::MultiGzDecoder::new(BufReader::new(File::open(path)?)).read_exact(&mut first)?;
+        Ok(first)
+    };
+    start.starts_with(&[0x1f, 0x8b]) && first().is_ok_and(|first| is_nifti(&first))
+}
+
 /// Reads a NIfTI-1 volume with one number a voxel.
 pub(super) fn read_nifti(path: &Path) -> Result<Volume> {
     let cannot = |error: io::Error| Error::file(path, "read", &error, "copy or download the file again");
@@ -48,7 +58,7 @@ pub(super) fn read_nifti(path: &Path) -> Result<Volume> {
         }
     })?;
     let voxels = scaled(voxels, header.scl_slope, header.scl_inter, &mut remarks);
-    Ok(Volume { geometry, voxels, remarks })
+    Ok(Volume { remarks, ..Volume::new(geometry, voxels) })
 }
 
 fn header(path: &Path, start: &[u8]) -> Result<NiftiHeader> {

@@ -1,22 +1,38 @@
 //! Volumes as they come from a file: voxels of their own type on a grid with its geometry.
 
-use super::limit::bad;
+mod read;
+mod segments;
+
+pub use super::vti::write_volume;
+pub use read::{ReadOptions, read_volume, read_volume_with};
+pub use segments::{LayerLabel, Segment};
+
 use crate::error::{Error, Result};
 use crate::geometry::Geometry;
 use crate::image::reverse_slices;
 use std::collections::BTreeSet;
 use std::io::Read;
-use std::path::Path;
 
 /// A volume as read: x fastest, with the way to the world.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Volume {
     /// Where the voxels are.
     pub geometry: Geometry,
-    /// Their values.
+    /// Their values; the first layer where there are several.
     pub voxels: Voxels,
+    /// The layers behind the first one, each on the same grid: where segments may overlap. Empty but for 3D Slicer's `.seg.nrrd`.
+    pub more_layers: Vec<Voxels>,
+    /// Labels that the file gives a name, in the file's order.
+    pub segments: Vec<Segment>,
     /// What the reader had to assume, in words for the user.
     pub remarks: Vec<String>,
+}
+
+impl Volume {
+    /// A volume of one layer without names and remarks; `voxels` has one value a voxel of `geometry`.
+    pub fn new(geometry: Geometry, voxels: Voxels) -> Self {
+        Self { geometry, voxels, more_layers: Vec::new(), segments: Vec::new(), remarks: Vec::new() }
+    }
 }
 
 /// Type of a voxel.
@@ -146,6 +162,7 @@ trait Number: Copy {
     fn to_label(self) -> Option<i64>;
     fn single(self) -> f32;
     fn double(self) -> f64;
+    fn rounded(value: f64) -> Self;
 }
 
 macro_rules! integer_number {
@@ -158,6 +175,9 @@ macro_rules! integer_number {
         }
         fn double(self) -> f64 {
             self as f64
+        }
+        fn rounded(value: f64) -> Self {
+            value as Self
         }
     })*};
 }
@@ -178,6 +198,9 @@ impl Number for f32 {
     fn double(self) -> f64 {
         self.into()
     }
+    fn rounded(value: f64) -> Self {
+        value as Self
+    }
 }
 
 impl Number for f64 {
@@ -189,6 +212,9 @@ impl Number for f64 {
     }
     fn double(self) -> f64 {
         self
+    }
+    fn rounded(value: f64) -> Self {
+        value
     }
 }
 
@@ -360,6 +386,28 @@ impl Voxels {
         arms!(I8, U8, I16, U16, I32, U32, I64, U64, F32, F64);
     }
 
+    /// Adds numbers, rounded to what the type holds.
+    pub(super) fn extend_from_f64(&mut self, numbers: Vec<f64>) {
+        each_type!(self, values => numbers.into_iter().for_each(|number| values.push(Number::rounded(number))));
+    }
+
+    /// Parts values that go round among `layers` layers, `run` values of each at a time.
+    pub(super) fn part(self, run: usize, layers: usize) -> Vec<Self> {
+        macro_rules! arms {
+            ($($variant:ident),*) => {
+                match self {
+                    $(Self::$variant(values) => (0..layers)
+                        .map(|layer| {
+                            let runs = values.chunks(run).skip(layer).step_by(layers);
+                            Self::$variant(runs.flatten().copied().collect())
+                        })
+                        .collect(),)*
+                }
+            };
+        }
+        arms!(I8, U8, I16, U16, I32, U32, I64, U64, F32, F64)
+    }
+
     /// Adds a value written as text; false if it is no value of this type. Whole numbers may be written as `3.0`.
     pub(super) fn push_text(&mut self, text: &str) -> bool {
         each_type!(self, values => {
@@ -413,41 +461,6 @@ fn distinct<T: Number + PartialEq + std::fmt::Display>(values: &[T]) -> std::res
         }
     }
     Ok(labels.into_iter().collect())
-}
-
-/// Reads a volume; the format is told by the file's first bytes, or by its name.
-pub fn read_volume(path: &Path) -> Result<Volume> {
-    let mut start = Vec::new();
-    std::fs::File::open(path)
-        .and_then(|file| file.take(512).read_to_end(&mut start))
-        .map_err(|error| Error::file(path, "read", &error, "check the name of the volume"))?;
-    let name = path.to_string_lossy().to_lowercase();
-    if start.is_empty() {
-        return Err(bad(path, "is empty", "there is no volume in it", "check how it was written"));
-    }
-    if start.starts_with(b"NRRD") {
-        return super::nrrd::read_nrrd(path);
-    }
-    if name.ends_with(".vti") || start.windows(8).any(|window| window == b"<VTKFile") {
-        return super::vti::read_vti(path);
-    }
-    if name.ends_with(".nii") || name.ends_with(".nii.gz") || super::nifti::is_nifti(&start) {
-        return super::nifti::read_nifti(path);
-    }
-    if name.ends_with(".nrrd") || name.ends_with(".nhdr") {
-        return Err(bad(
-            path,
-            "does not start with the letters NRRD",
-            "it is not an NRRD file, whatever its name says",
-            "check how it was written or downloaded",
-        ));
-    }
-    Err(bad(
-        path,
-        "is of no format that this program knows",
-        "volumes are read from NRRD (.nrrd, .nhdr), NIfTI (.nii, .nii.gz) and VTK image files (.vti)",
-        "convert it, for example with 3D Slicer, ITK-SNAP or SimpleITK",
-    ))
 }
 
 #[cfg(test)]

@@ -1,10 +1,12 @@
 //! VTK image files (`.vti`): a regular grid with its place in the world.
 
 use super::limit::{bad, geometry_from_steps, voxel_count};
-use super::volume::{Volume, Voxels};
-use super::vtk_xml::{Document, Element, VtkFile};
+use super::output::write_atomically;
+use super::volume::{Segment, Volume, Voxels};
+use super::vtk_xml::{Document, Element, Payload, VtkFile, ascii_json};
 use crate::error::Result;
 use crate::geometry::{Geometry, Space};
+use crate::history::History;
 use glam::DVec3;
 use std::path::Path;
 
@@ -98,12 +100,40 @@ pub(super) fn same_grid(a: &Geometry, b: &Geometry) -> bool {
         && (0..3).all(|axis| axis_end(a, axis).abs_diff_eq(axis_end(b, axis), tolerance))
 }
 
-/// Reads an image with one number a voxel as a volume: its active scalars, or its only array.
+/// Kind of the files that [`write_volume`] writes.
+const KIND: &str = "volume";
+/// Version of their layout.
+const VERSION: u32 = 1;
+
+/// Name of the point array of a layer.
+fn layer_name(layer: usize) -> String {
+    if layer == 0 { "values".to_owned() } else { format!("values_of_layer_{layer}") }
+}
+
+/// Writes a volume as it is, in its own type, with the names of its segments.
+///
+/// # Errors
+/// When the file cannot be written.
+pub fn write_volume(path: &Path, volume: &Volume, history: &History) -> Result<()> {
+    let mut document = Document::new("ImageData");
+    open_image(&mut document, &volume.geometry);
+    let texts = [("geometry", ascii_json(&volume.geometry)), ("segments", ascii_json(&volume.segments))];
+    document.identity(KIND, VERSION, &texts, history);
+    document.open("Piece", &[("Extent", piece_extent(&volume.geometry))]);
+    document.open("PointData", &[("Scalars", layer_name(0))]);
+    for (layer, voxels) in volume.layers().enumerate() {
+        document.array(&layer_name(layer), 1, Payload::Voxels(voxels));
+    }
+    write_atomically(path, |file| document.write(file))
+}
+
+/// Reads an image with one number a voxel as a volume: its active scalars, or its only array; and the layers and names that
+/// [`write_volume`] wrote.
 pub(super) fn read_vti(path: &Path) -> Result<Volume> {
     let file = VtkFile::open(path)?;
     let geometry = geometry(path, &file)?;
-    let piece = file.piece("ImageData")?;
-    let arrays = piece.child("PointData");
+    let image = file.data_set("ImageData")?;
+    let arrays = file.piece("ImageData")?.child("PointData");
     let active = arrays.and_then(|arrays| arrays.array(arrays.attribute("Scalars")?));
     let single: Vec<&Element> =
         arrays.iter().flat_map(|arrays| &arrays.children).filter(|array| VtkFile::components(array) == 1).collect();
@@ -118,6 +148,46 @@ pub(super) fn read_vti(path: &Path) -> Result<Volume> {
             "save it with one scalar point array, or make that array the active one",
         )
     })?;
-    let voxels: Voxels = file.numbers(array, geometry.voxel_count())?;
-    Ok(Volume { geometry, voxels, remarks: Vec::new() })
+    let count = geometry.voxel_count();
+    let voxels: Voxels = file.numbers(array, count)?;
+    let mut volume = Volume::new(geometry, voxels);
+    if file.text(image, "isoparticles_kind")?.as_deref() == Some(KIND) {
+        while let Some(layer) = arrays.and_then(|arrays| arrays.array(&layer_name(volume.layer_count()))) {
+            volume.more_layers.push(file.numbers(layer, count)?);
+        }
+        let segments = file.text(image, "segments")?;
+        let segments: Vec<Segment> = segments.and_then(|text| serde_json::from_str(&text).ok()).unwrap_or_default();
+        volume.segments = segments.into_iter().filter(|segment| segment.at.layer < volume.layer_count()).collect();
+    }
+    Ok(volume)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::io::volume::{LayerLabel, read_volume};
+
+    #[test]
+    fn a_volume_comes_back_as_it_is() {
+        let folder = tempfile::tempdir().expect("folder");
+        let path = folder.path().join("v.vti");
+        let mut geometry = Geometry::axis_aligned([2, 3, 2], DVec3::new(0.1, 1.0 / 3.0, 2.0));
+        geometry.directions = glam::DMat3::from_axis_angle(DVec3::new(0.6, 0.0, 0.8), 1.0);
+        geometry.space = Space::Lps;
+        let segment = |name: &str, layer, label| Segment { name: name.to_owned(), at: LayerLabel { layer, label } };
+        let volume = Volume {
+            more_layers: vec![Voxels::I16(vec![1; 12]), Voxels::I16(vec![2; 12])],
+            segments: vec![segment("größer", 0, -3), segment("left \"lung\"", 2, 2)],
+            ..Volume::new(geometry, Voxels::I16((-6..6).collect()))
+        };
+        let history = History {
+            tool: "distfield".to_owned(),
+            version: "0.1.0".to_owned(),
+            command_line: String::new(),
+            parameters: serde_json::Value::Null,
+            inputs: Vec::new(),
+        };
+        write_volume(&path, &volume, &history).expect("written");
+        assert_eq!(read_volume(&path).expect("read"), volume);
+    }
 }

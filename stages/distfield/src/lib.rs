@@ -6,6 +6,7 @@
 //! [`runs`]), [`field`] turns it into distances ([`samples`], [`nearest`], [`closest`]), pins the
 //! zero set of the spline on it ([`fit`]), joins and parts what touches as the source does ([`junctions`]) and closes it at
 //! the border ([`cap`]); [`keep`] drops parts, [`topology`] counts what came out and [`run`] is the program.
+//! [`info`] says what a volume is, by which [`input`] refuses what cannot be meant; [`selection`] reads the user's choice of labels.
 
 pub mod bits;
 pub mod cap;
@@ -13,6 +14,8 @@ pub mod closest;
 pub mod field;
 pub mod fit;
 pub mod flow;
+pub mod info;
+pub mod input;
 pub mod junctions;
 pub mod keep;
 pub mod labels;
@@ -22,6 +25,7 @@ pub mod run;
 pub mod runs;
 pub mod samples;
 pub mod scalar;
+pub mod selection;
 pub mod sides;
 pub mod topology;
 

@@ -1,18 +1,19 @@
 //! The program: options, checks of the input, the run, the report.
 
+use crate::input::{KindChoice, check_kind, check_room, tell};
 use crate::labels::{LabelOptions, from_mask};
 use crate::mask::Mask;
 use crate::scalar::{ScalarOptions, from_voxels};
+use crate::selection::Selection;
 use crate::{Border, Clearance, Inside, Keep, Redistanced};
 use isoparticles_common::cli::{CommonArgs, Context, FILES, METHOD, Outcome, StageArgs};
 use isoparticles_common::error::{Error, Result};
 use isoparticles_common::geometry::Geometry;
 use isoparticles_common::image::Image;
 use isoparticles_common::io::field::{FieldKind, write_field};
-use isoparticles_common::io::volume::{Volume, Voxels, read_volume};
+use isoparticles_common::io::volume::{LayerLabel, Volume, read_volume};
 use serde_json::{Value, json};
-use std::collections::BTreeSet;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 /// A volume and an iso value, or labels, become the signed distance field F
 ///
@@ -24,21 +25,28 @@ use std::path::PathBuf;
 #[command(
     name = "distfield",
     version,
-    after_help = "Example: the tooth of a CT, integer iso values being fine\n  distfield tooth_ct.nrrd -o tooth.distfield.vti --iso 600\nExample: both lungs of a label map as one object\n  distfield lungs_label.nrrd -o lungs.distfield.vti --labels 2,3"
+    after_help = "Example: the tooth of a CT, integer iso values being fine\n  distfield tooth_ct.nrrd -o tooth.distfield.vti --iso 600\nExample: both lungs of a label map as one object\n  distfield lungs_label.nrrd -o lungs.distfield.vti --labels 2,3\nExample: what the volume is, and what a mesh of it would cost\n  distfield lungs_label.nrrd --info"
 )]
 pub struct Args {
     /// Volume to read: NRRD (.nrrd, .nhdr), NIfTI (.nii, .nii.gz) or VTK image (.vti)
     #[arg(value_name = "IN.nrrd", help_heading = FILES)]
     pub input: PathBuf,
     /// Distance field to write, a VTK image file; lengths in mm
-    #[arg(short, long, value_name = "F.vti", help_heading = FILES)]
-    pub output: PathBuf,
+    #[arg(short, long, value_name = "F.vti", required_unless_present = "info", help_heading = FILES)]
+    pub output: Option<PathBuf>,
+    /// Say what the volume is in place of making a field: size, orientation, scan or labels, values, labels with their volumes, iso values
+    /// worth trying, and what a mesh would cost; of the object of --iso or --labels, where they are given
+    #[arg(long, conflicts_with = "output", help_heading = FILES)]
+    pub info: bool,
+    /// Write what --info says to this file; `-` for stdout, in place of the text
+    #[arg(long, value_name = "FILE.json|-", requires = "info", help_heading = FILES)]
+    pub json: Option<PathBuf>,
     /// Iso value of a scalar volume, in its own unit; between its smallest and largest value
     #[arg(
         long,
         value_name = "V",
         allow_negative_numbers = true,
-        required_unless_present = "labels",
+        required_unless_present_any = ["labels", "info"],
         conflicts_with = "labels",
         help_heading = METHOD
     )]
@@ -46,9 +54,13 @@ pub struct Args {
     /// Side of the iso value that the object is on: lungs in a CT are the low side, --inside below
     #[arg(long, value_enum, value_name = "SIDE", default_value_t = Inside::Above, help_heading = METHOD)]
     pub inside: Inside,
-    /// Labels whose union is the object, whole numbers separated by commas
-    #[arg(long, value_name = "A,B", value_delimiter = ',', allow_negative_numbers = true, help_heading = METHOD)]
-    pub labels: Option<Vec<i64>>,
+    /// Labels whose union is the object, separated by commas or blanks: whole numbers, ranges such as 2..5 (those of them that occur),
+    /// all (but 0), or the names that the file gives its labels
+    #[arg(long, value_name = "A,B", allow_hyphen_values = true, help_heading = METHOD)]
+    pub labels: Option<Selection>,
+    /// What the values are: scan or labels, where auto is mistaken. Labels of a scan and an iso value of labels are refused
+    #[arg(long, value_enum, value_name = "KIND", default_value_t = KindChoice::Auto, help_heading = METHOD)]
+    pub kind: KindChoice,
     /// What happens where the object meets the border of the volume: cap closes it half a voxel beyond the outermost voxel
     /// centres, with edges rounded by half a voxel; open lets the surface run on straight and leave the volume
     #[arg(long, value_enum, value_name = "HOW", default_value_t = Border::Cap, help_heading = METHOD)]
@@ -107,14 +119,15 @@ impl StageArgs for Args {
     }
 
     fn outputs(&self) -> Vec<PathBuf> {
-        vec![self.output.clone()]
+        let json = self.json.iter().filter(|path| *path != Path::new("-"));
+        self.output.iter().chain(json).cloned().collect()
     }
 
     fn parameters(&self) -> Value {
         let (border, keep) = (border_name(self.border), self.keep.to_string());
-        match (&self.labels, self.iso) {
+        let mut parameters = match (&self.labels, self.iso) {
             (Some(labels), _) => json!({
-                "labels": labels, "border": border, "margin": self.margin, "keep": keep,
+                "labels": labels.to_string(), "border": border, "margin": self.margin, "keep": keep,
                 "clearance": self.clearance, "smoothing_steps": self.smoothing_steps,
                 "tightening": self.tightening,
             }),
@@ -123,7 +136,11 @@ impl StageArgs for Args {
                     "iso": iso, "inside": inside_name(self.inside), "border": border, "margin": self.margin, "keep": keep,
                 })
             }
+        };
+        if let Some(kind) = self.kind.given() {
+            parameters["kind"] = json!(kind);
         }
+        parameters
     }
 }
 
@@ -140,9 +157,17 @@ pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
         context.warn(remark);
     }
     let about_file = |error: Error| Error { what: format!("{}: {}", args.input.display(), error.what), ..error };
+    if !args.info {
+        check_kind(args, &volume, context).map_err(about_file)?;
+    }
+    let labels = args.labels.as_ref().map(|labels| labels.resolve(&volume)).transpose().map_err(about_file)?;
+    let Some(output) = &args.output else {
+        return tell(args, &volume, labels, context);
+    };
+    check_room(args, &volume, context).map_err(about_file)?;
     let geometry = volume.geometry.clone();
-    let (result, mut meta) = match (&args.labels, args.iso) {
-        (Some(labels), _) => extract_labels(args, volume, labels, context).map_err(about_file)?,
+    let (result, mut meta) = match (labels, args.iso) {
+        (Some(labels), _) => extract_labels(args, volume, &labels, context).map_err(about_file)?,
         (None, Some(iso)) => extract_iso(args, volume, iso, context).map_err(about_file)?,
         (None, None) => {
             return Err(Error::input(
@@ -170,7 +195,7 @@ pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
     warn_of_lost_parts(&result, args.tightening, context);
 
     let step = context.step("write");
-    write_field(&args.output, FieldKind::Distance, &result.field, &meta, &context.history())?;
+    write_field(output, FieldKind::Distance, &result.field, &meta, &context.history())?;
     drop(step);
     let unwanted = result.changed.filter(|_| args.tightening == 0.0);
     Ok(Outcome::from_failed_checks(failed_checks(&result, unwanted, context)))
@@ -180,12 +205,6 @@ pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
 type Extracted = (Redistanced, Value);
 
 fn extract_iso(args: &Args, volume: Volume, iso: f64, context: &Context) -> Result<Extracted> {
-    if looks_like_labels(&volume.voxels) {
-        context.warn(format!(
-            "{}: holds a few whole numbers only, like a label map; if it is one, --labels keeps every voxel centre on its side",
-            args.input.display()
-        ));
-    }
     let margin = usize::from(args.margin);
     let options = ScalarOptions { inside: args.inside, border: args.border, margin, keep: args.keep };
     let result = from_voxels(volume.voxels, volume.geometry, iso, &options, context)?;
@@ -193,10 +212,16 @@ fn extract_iso(args: &Args, volume: Volume, iso: f64, context: &Context) -> Resu
     Ok((result, meta))
 }
 
-fn extract_labels(args: &Args, volume: Volume, labels: &[i64], context: &Context) -> Result<Extracted> {
-    volume.voxels.check_labels(labels)?;
-    let image = Image { data: volume.voxels.label_mask(labels), geometry: volume.geometry };
-    drop(volume.voxels);
+fn extract_labels(args: &Args, volume: Volume, labels: &[LayerLabel], context: &Context) -> Result<Extracted> {
+    // numbers alone say it all where there is one layer
+    let told = if volume.layer_count() == 1 {
+        json!(labels.iter().map(|at| at.label).collect::<Vec<_>>())
+    } else {
+        json!(labels)
+    };
+    context.set_parameter("labels", told.clone());
+    let image = Image { data: volume.label_mask(labels), geometry: volume.geometry };
+    drop((volume.voxels, volume.more_layers));
     let mask = Mask::from(&image);
     drop(image);
     let volume_before = mask.inside.count() as f64 * mask.geometry.spacing.element_product();
@@ -210,7 +235,7 @@ fn extract_labels(args: &Args, volume: Volume, labels: &[i64], context: &Context
     };
     let result = from_mask(mask, &options, context)?;
     let meta = json!({
-        "source": "labels", "labels": labels, "clearance": args.clearance, "smoothing_steps": args.smoothing_steps,
+        "source": "labels", "labels": told, "clearance": args.clearance, "smoothing_steps": args.smoothing_steps,
         "tightening": args.tightening, "volume_before": volume_before, "voxels_changed": result.changed,
     });
     Ok((result, meta))
@@ -236,27 +261,6 @@ fn cap_planes(field: &Image<f32>, input: &Geometry, margin: usize) -> Value {
         }
     }
     Value::Array(planes)
-}
-
-/// Whether a sample of the voxels holds only a handful of whole numbers.
-fn looks_like_labels(voxels: &Voxels) -> bool {
-    const MOST_LABELS: usize = 12;
-    // an odd stride that shares no factor with common row lengths
-    let stride = voxels.len() / 50_021 + 1;
-    let mut seen = BTreeSet::new();
-    for at in (0..voxels.len()).step_by(stride) {
-        let mut value = [0.0];
-        voxels.copy_as_f32(at, &mut value);
-        let [value] = value;
-        if value.fract() != 0.0 {
-            return false;
-        }
-        seen.insert(value.to_bits());
-        if seen.len() > MOST_LABELS {
-            return false;
-        }
-    }
-    true
 }
 
 fn describe(result: &Redistanced, meta: &Value, context: &Context) {

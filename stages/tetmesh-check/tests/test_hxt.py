@@ -39,7 +39,7 @@ def test_ball_with_graded_sizing(tmp_path: Path, run: Run) -> None:
     assert changed_triangles((surface.points, surface.triangles), (points, outside.triangles)) == (0, 0)
     # the vertices of the surface come first, in their order
     np.testing.assert_array_equal(points[: len(surface.points)], surface.points)
-    assert json.loads(grid.field_data["history"][0])["parameters"]["method"] == "hxt"
+    assert history_of(grid)["parameters"]["method"] == "hxt"
 
     results = json.loads((tmp_path / "first.json").read_text())["results"]
     assert results["tetrahedralizer"]["method"] == "hxt"

@@ -44,7 +44,7 @@ def test_ball_with_graded_sizing(tmp_path: Path, run: Run) -> None:
     assert left.sum() > 2.0 * (~left).sum()
 
     assert set(grid.cell_data.keys()) == {"radius_ratio", "scaled_jacobian", "min_dihedral", "region"}
-    history = json.loads(grid.field_data["history"][0])
+    history = history_of(grid)
     assert history["tool"] == "tetmesh-check"
     assert history["inputs"][1]["history"]["tool"] == "sizefield"
     assert history["inputs"][0]["blake3"] == blake3.blake3((tmp_path / "ball.surface.vtp").read_bytes()).hexdigest()

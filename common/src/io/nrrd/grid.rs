@@ -8,12 +8,22 @@ use crate::io::limit::{bad, geometry_from_steps, voxel_count};
 use glam::DVec3;
 use std::path::Path;
 
-/// Geometry of the volume, and remarks on what had to be assumed.
-pub(super) fn geometry(path: &Path, header: &Header) -> Result<(Geometry, Vec<String>)> {
+/// What the axes of a header say.
+pub(super) struct Grid {
+    pub(super) geometry: Geometry,
+    /// What had to be assumed.
+    pub(super) remarks: Vec<String>,
+    /// The axis that counts the layers of a segmentation, if it has more than one.
+    pub(super) layer_axis: Option<usize>,
+}
+
+/// Reads the axes. A segmentation may have an axis of layers.
+pub(super) fn grid(path: &Path, header: &Header, is_segmentation: bool) -> Result<Grid> {
     let kinds = header.words(path, "kinds")?;
     let (space, to_lps, has_time) = world(path, header)?;
     let vectors = header.field("space directions").map(|text| vectors(path, header, text)).transpose()?;
-    let axes = spatial_axes(path, header, kinds.as_deref(), vectors.as_deref(), has_time)?;
+    let (axes, layer_axis) =
+        spatial_axes(path, header, is_segmentation, (kinds.as_deref(), vectors.as_deref(), has_time))?;
     let size = axes.map(|axis| header.sizes[axis]);
     voxel_count(path, size)?;
     if size.contains(&1) {
@@ -35,12 +45,14 @@ pub(super) fn geometry(path: &Path, header: &Header) -> Result<(Geometry, Vec<St
                 .ok_or_else(|| field_error(path, "space directions", header.field("space directions").unwrap_or("")))
         };
         let steps = [step(axes[0])?, step(axes[1])?, step(axes[2])?];
-        return Ok((geometry_from_steps(path, size, steps, origin * to_lps, space)?, Vec::new()));
+        let geometry = geometry_from_steps(path, size, steps, origin * to_lps, space)?;
+        return Ok(Grid { geometry, remarks: Vec::new(), layer_axis });
     }
     let mut remarks = Vec::new();
     let (spacing, origin) = plain_spacing(path, header, axes, &mut remarks)?;
     let steps = [DVec3::X * spacing.x, DVec3::Y * spacing.y, DVec3::Z * spacing.z];
-    Ok((geometry_from_steps(path, size, steps.map(|step| step * to_lps), origin * to_lps, space)?, remarks))
+    let geometry = geometry_from_steps(path, size, steps.map(|step| step * to_lps), origin * to_lps, space)?;
+    Ok(Grid { geometry, remarks, layer_axis })
 }
 
 /// The world's name, the signs that turn it into LPS, and whether its vectors have a fourth component for time.
@@ -103,21 +115,24 @@ fn vector(word: &str) -> Option<Option<DVec3>> {
     }
 }
 
-/// The three axes that span the volume. Other axes may be there if they have one sample.
+/// What a header says of its axes: their kinds, their vectors, and whether these have a component for time.
+type Axes<'a> = (Option<&'a [&'a str]>, Option<&'a [Option<DVec3>]>, bool);
+
+/// The three axes that span the volume, and that of the layers of a segmentation. Other axes may be there if they have one sample.
 fn spatial_axes(
     path: &Path,
     header: &Header,
-    kinds: Option<&[&str]>,
-    vectors: Option<&[Option<DVec3>]>,
-    has_time: bool,
-) -> Result<[usize; 3]> {
+    is_segmentation: bool,
+    (kinds, vectors, has_time): Axes<'_>,
+) -> Result<([usize; 3], Option<usize>)> {
     let kind = |axis: usize| kinds.map_or("unknown", |kinds| kinds[axis]).to_lowercase();
     let is_spatial = |axis: usize| match vectors {
         Some(vectors) => vectors[axis].is_some_and(|vector| !(has_time && vector == DVec3::ZERO)),
         None => matches!(kind(axis).as_str(), "domain" | "space" | "none" | "???" | "unknown"),
     };
     let (mut spatial, others): (Vec<usize>, Vec<usize>) = (0..header.sizes.len()).partition(|&axis| is_spatial(axis));
-    if let Some(&axis) = others.iter().find(|&&axis| header.sizes[axis] != 1) {
+    let layer_axis = others.iter().copied().find(|&axis| is_segmentation && kind(axis) == "list" && header.sizes[axis] != 1);
+    if let Some(&axis) = others.iter().find(|&&axis| header.sizes[axis] != 1 && Some(axis) != layer_axis) {
         let (size, kind) = (header.sizes[axis], kind(axis));
         let (what, next) = if kind == "time" {
             ("a sequence of volumes", "write one of the volumes to a file of its own")
@@ -137,14 +152,15 @@ fn spatial_axes(
             None => break,
         }
     }
-    <[usize; 3]>::try_from(spatial).map_err(|spatial| {
+    let axes = <[usize; 3]>::try_from(spatial).map_err(|spatial| {
         bad(
             path,
             format!("has {} spatial axes (sizes {:?})", spatial.len(), header.sizes),
             "a surface is extracted from a volume with three",
             "give a 3-D volume",
         )
-    })
+    })?;
+    Ok((axes, layer_axis))
 }
 
 /// Spacing and origin of a header without `space directions`: from `spacings`, `axis mins` and `axis maxs`.

@@ -1,9 +1,10 @@
-//! The text at the top of an NRRD file, line by line; what the lines mean together is for [`super::grid`] and
-//! [`super::data`].
+//! The text at the top of an NRRD file, line by line; what the lines mean together is for [`super::grid`], [`super::segments`] and
+//! [`crate::io::voxel_data`].
 
 use crate::error::{Error, Result};
 use crate::io::limit::bad;
 use crate::io::volume::{Endian, ScalarType};
+use crate::io::voxel_data::{Coding, DataFiles, Layout, numbered_names};
 use std::collections::BTreeMap;
 use std::io::{BufRead, Read};
 use std::path::Path;
@@ -13,43 +14,21 @@ const MOST_HEADER_BYTES: u64 = 16 << 20;
 /// Most axes that NRRD allows.
 const MOST_AXES: usize = 16;
 
-/// How the voxels are put into bytes.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Coding {
-    Raw,
-    Text,
-    Hex,
-    Gzip,
-    Bzip2,
-}
-
-/// Where the voxels are.
-#[derive(Clone, Debug, PartialEq)]
-pub(super) enum DataFiles {
-    /// After the header, in the same file.
-    Attached,
-    /// In these files, one after the other, named relative to the header.
-    Named(Vec<String>),
-}
-
 /// What a header says.
 #[derive(Clone, Debug)]
 pub(super) struct Header {
-    pub(super) scalar: ScalarType,
     pub(super) sizes: Vec<usize>,
-    pub(super) coding: Coding,
-    pub(super) endian: Option<Endian>,
-    pub(super) line_skip: u64,
-    pub(super) byte_skip: i64,
-    pub(super) files: DataFiles,
-    /// The other fields, as they stand, by lower-case name.
+    pub(super) layout: Layout,
+    /// All fields, as they stand, by lower-case name.
     pub(super) fields: BTreeMap<String, String>,
+    /// The key/value pairs.
+    pub(super) pairs: BTreeMap<String, String>,
 }
 
 impl Header {
     /// Reads the header and leaves the reader at the first byte after its blank line.
     pub(super) fn read(path: &Path, reader: &mut impl BufRead) -> Result<Self> {
-        let (fields, list) = read_fields(path, reader)?;
+        let Fields { fields, pairs, list } = read_fields(path, reader)?;
         let get = |name: &str| fields.get(name).map(String::as_str);
         let need = |name: &str| {
             get(name).ok_or_else(|| {
@@ -90,7 +69,8 @@ impl Header {
         let line_skip = get("line skip").map_or(Ok(0), |word| number(path, "line skip", word))?;
         let byte_skip = get("byte skip").map_or(Ok(0), |word| number(path, "byte skip", word))?;
         let files = data_files(path, get("data file"), list, &sizes)?;
-        Ok(Self { scalar, sizes, coding, endian, line_skip, byte_skip, files, fields })
+        let layout = Layout { scalar, coding, endian, line_skip, byte_skip, files };
+        Ok(Self { sizes, layout, fields, pairs })
     }
 
     /// A field as it stands in the header.
@@ -111,8 +91,16 @@ impl Header {
     }
 }
 
-/// The fields by lower-case name, and the names of a `data file: LIST`.
-type Fields = (BTreeMap<String, String>, Vec<String>);
+/// The lines of a header.
+#[derive(Default)]
+struct Fields {
+    /// By lower-case name.
+    fields: BTreeMap<String, String>,
+    /// Pairs of `key:=value`.
+    pairs: BTreeMap<String, String>,
+    /// The names of a `data file: LIST`.
+    list: Vec<String>,
+}
 
 fn read_fields(path: &Path, reader: &mut impl BufRead) -> Result<Fields> {
     let mut reader = Read::take(reader, MOST_HEADER_BYTES);
@@ -128,8 +116,7 @@ fn read_fields(path: &Path, reader: &mut impl BufRead) -> Result<Fields> {
             ));
         }
     }
-    let mut fields = BTreeMap::new();
-    let mut list = Vec::new();
+    let Fields { mut fields, mut pairs, mut list } = Fields::default();
     let mut in_list = false;
     while let Some(line) = read_line(path, &mut reader)? {
         if in_list {
@@ -141,8 +128,11 @@ fn read_fields(path: &Path, reader: &mut impl BufRead) -> Result<Fields> {
         if line.is_empty() {
             break;
         }
-        // Comments and key/value pairs say nothing about the grid.
-        if line.starts_with('#') || line.split_once(":=").is_some_and(|(key, _)| !key.contains(": ")) {
+        if line.starts_with('#') {
+            continue;
+        }
+        if let Some((key, value)) = line.split_once(":=").filter(|(key, _)| !key.contains(": ")) {
+            pairs.insert(key.to_owned(), value.to_owned());
             continue;
         }
         let Some((name, value)) = line.split_once(':') else {
@@ -166,7 +156,7 @@ fn read_fields(path: &Path, reader: &mut impl BufRead) -> Result<Fields> {
         }
         fields.insert(name, value);
     }
-    Ok((fields, list))
+    Ok(Fields { fields, pairs, list })
 }
 
 /// One line without its end; `None` at the end of the file.
@@ -246,7 +236,8 @@ fn data_files(path: &Path, field: Option<&str>, list: Vec<String>, sizes: &[usiz
         [format, low, high, step, rest @ ..] if format.contains('%') && rest.len() <= 1 => {
             let range = [low, high, step].map(|word| number::<i64>(path, "data file", word));
             let [low, high, step] = range;
-            let names = numbered_names(path, format, low?, high?, step?, field)?;
+            let names = numbered_names(format, low?, high?, step?);
+            let names = names.ok_or_else(|| field_error(path, "data file", field))?;
             (names, rest.first().map(|word| number(path, "data file", word)).transpose()?)
         }
         [] => return Err(field_error(path, "data file", field)),
@@ -275,28 +266,6 @@ fn data_files(path: &Path, field: Option<&str>, list: Vec<String>, sizes: &[usiz
     ))
 }
 
-/// The names that a `printf` pattern with one integer gives.
-fn numbered_names(path: &Path, format: &str, low: i64, high: i64, step: i64, field: &str) -> Result<Vec<String>> {
-    let fail = || field_error(path, "data file", field);
-    let (prefix, rest) = format.split_once('%').ok_or_else(fail)?;
-    let end = rest.find(|c: char| !c.is_ascii_digit()).ok_or_else(fail)?;
-    let (width, suffix) = rest.split_at(end);
-    let suffix = suffix.strip_prefix(['d', 'i', 'u']).filter(|suffix| !suffix.contains('%')).ok_or_else(fail)?;
-    let zero = width.starts_with('0');
-    let width: usize = if width.is_empty() { 0 } else { width.parse().map_err(|_| fail())? };
-    let count = high.checked_sub(low).ok_or_else(fail)?.checked_div(step).ok_or_else(fail)?;
-    if !(0..1_000_000).contains(&count) || width > 100 {
-        return Err(fail());
-    }
-    Ok((0..=count)
-        .map(|index| {
-            let value = low + index * step;
-            let digits = if zero { format!("{value:0width$}") } else { format!("{value:width$}") };
-            format!("{prefix}{digits}{suffix}")
-        })
-        .collect())
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -313,7 +282,7 @@ mod tests {
                     sizes:2 3 4\r\nEncoding: GZip\r\n\r\ndata";
         let mut bytes = text.as_bytes();
         let header = Header::read(Path::new("test.nrrd"), &mut bytes).expect("header");
-        assert_eq!((header.scalar, header.coding), (ScalarType::U8, Coding::Gzip));
+        assert_eq!((header.layout.scalar, header.layout.coding), (ScalarType::U8, Coding::Gzip));
         assert_eq!(header.sizes, [2, 3, 4]);
         assert_eq!(bytes, b"data");
         assert!(!header.fields.contains_key("key"));
@@ -321,7 +290,7 @@ mod tests {
 
     #[test]
     fn data_files_are_resolved() {
-        let files = |line: &str| read(&format!("{START}{line}")).map(|header| header.files);
+        let files = |line: &str| read(&format!("{START}{line}")).map(|header| header.layout.files);
         let named = |names: &[&str]| DataFiles::Named(names.iter().map(|name| (*name).to_owned()).collect());
         assert_eq!(files("").expect("attached"), DataFiles::Attached);
         assert_eq!(files("data file: LOCAL\n").expect("attached"), DataFiles::Attached);

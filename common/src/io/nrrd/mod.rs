@@ -2,39 +2,48 @@
 //!
 //! Follows Teem's description of the format, versions 1 to 5. Anatomical spaces are converted to LPS here, once.
 
-mod data;
 mod grid;
 mod header;
+mod segments;
 mod write;
 
 pub use write::{Encoding, write_nrrd};
 
-use super::limit::check_memory;
+use super::limit::{bad, check_memory};
 use super::volume::Volume;
+use super::voxel_data::{DataFiles, read_voxels};
 use crate::error::{Error, Result};
 use std::fs::File;
-use std::io::BufReader;
+use std::io::{BufRead, BufReader};
 use std::path::Path;
 
-/// Reads an NRRD volume with three spatial axes and one number a voxel.
+/// Reads an NRRD volume with three spatial axes and one number a voxel, or a segmentation of 3D Slicer with its layers.
 pub fn read_nrrd(path: &Path) -> Result<Volume> {
     let file = File::open(path).map_err(|error| Error::file(path, "read", &error, "check the name of the volume"))?;
     let mut reader = BufReader::new(file);
     let header = header::Header::read(path, &mut reader)?;
-    let (geometry, remarks) = grid::geometry(path, &header)?;
-    let count = geometry.voxel_count();
-    check_memory(path, count as u64 * header.scalar.bytes() as u64)?;
-    let voxels = data::read_voxels(path, &header, count, reader)?;
-    Ok(Volume { geometry, voxels, remarks })
+    let is_segmentation = segments::is_segmentation(&header);
+    let grid::Grid { geometry, remarks, layer_axis } = grid::grid(path, &header, is_segmentation)?;
+    let layers = layer_axis.map_or(1, |axis| header.sizes[axis]);
+    let segments = segments::segments(path, &header, layers)?;
+    let voxels = geometry.voxel_count();
+    let count = voxels.checked_mul(layers).filter(|&count| count > 0);
+    let count = count.ok_or_else(|| {
+        bad(path, format!("promises {layers} layers"), "no computer can hold them", "the header is damaged: write the file again")
+    })?;
+    // parted into layers, the voxels are there twice for a moment
+    let copies = if layers > 1 { 2 } else { 1 };
+    check_memory(path, (count as u64).saturating_mul(copies * header.layout.scalar.bytes() as u64))?;
+    let all = read_voxels(path, &header.layout, count, reader)?;
+    let Some(axis) = layer_axis else { return Ok(Volume { remarks, segments, ..Volume::new(geometry, all) }) };
+    let mut more_layers = all.part(header.sizes[..axis].iter().product(), layers);
+    let first = more_layers.remove(0);
+    Ok(Volume { remarks, segments, more_layers, ..Volume::new(geometry, first) })
 }
 
-/// The files that hold the voxels, where the header at `path` names any (relative to its folder).
-pub(super) fn named_files(path: &Path) -> Result<Vec<String>> {
-    let file = File::open(path).map_err(|error| Error::file(path, "read", &error, "check the name of the volume"))?;
-    match header::Header::read(path, &mut BufReader::new(file))?.files {
-        header::DataFiles::Attached => Ok(Vec::new()),
-        header::DataFiles::Named(names) => Ok(names),
-    }
+/// Where the header says that the voxels are.
+pub(super) fn data_files(path: &Path, reader: &mut impl BufRead) -> Result<DataFiles> {
+    Ok(header::Header::read(path, reader)?.layout.files)
 }
 
 #[cfg(test)]

@@ -14,8 +14,8 @@ use serde_json::Value;
 use std::path::Path;
 
 const KIND: &str = "surface";
-/// Version of the surface files that is written.
-const VERSION: u32 = 1;
+/// Version of the surface files that is written. Version 1 had VTK's strings where there are bytes now; both are read.
+const VERSION: u32 = 2;
 
 /// Cells of one sort: the indices of all, and how many each has.
 struct Cells<'a> {

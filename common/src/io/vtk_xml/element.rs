@@ -146,10 +146,10 @@ impl VtkFile {
         self.numbers(array, usize::try_from(length / scalar.bytes() as u64).unwrap_or(usize::MAX))
     }
 
-    /// The string in a field-data array, if it is there.
+    /// The text in a field-data array, if it is there: its bytes as numbers, or, in files of format version 1, a string.
     pub(in crate::io) fn text(&self, data_set: &Element, name: &str) -> Result<Option<String>> {
         let Some(array) = data_set.child("FieldData").and_then(|field| field.array(name)) else { return Ok(None) };
-        if array.attribute("type") != Some("String") {
+        if !matches!(array.attribute("type"), Some("UInt8" | "String")) {
             return Ok(None);
         }
         let wrong = |error: std::io::Error| self.array_error(array, &error);

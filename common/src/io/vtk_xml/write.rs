@@ -2,7 +2,7 @@
 
 use super::vtk_name;
 use crate::history::History;
-use crate::io::volume::{Endian, Voxels};
+use crate::io::volume::{Endian, ScalarType, Voxels};
 use std::fmt::Write as _;
 use std::io::{self, Write};
 
@@ -12,7 +12,9 @@ pub(in crate::io) enum Payload<'a> {
     F32(&'a [f32]),
     /// Numbers of any type.
     Values(Voxels),
-    /// One string.
+    /// Numbers of any type that the caller keeps.
+    Voxels(&'a Voxels),
+    /// A text, written as its bytes: strings of VTK's own type are not read everywhere (meshio stops at them).
     Text(String),
 }
 
@@ -21,7 +23,8 @@ impl Payload<'_> {
         match self {
             Self::F32(_) => "Float32",
             Self::Values(values) => vtk_name(values.scalar_type()),
-            Self::Text(_) => "String",
+            Self::Voxels(values) => vtk_name(values.scalar_type()),
+            Self::Text(_) => vtk_name(ScalarType::U8),
         }
     }
 
@@ -29,7 +32,8 @@ impl Payload<'_> {
         match self {
             Self::F32(values) => values.len(),
             Self::Values(values) => values.len(),
-            Self::Text(_) => 1,
+            Self::Voxels(values) => values.len(),
+            Self::Text(text) => text.len(),
         }
     }
 
@@ -37,7 +41,8 @@ impl Payload<'_> {
         match self {
             Self::F32(values) => 4 * values.len(),
             Self::Values(values) => values.len() * values.scalar_type().bytes(),
-            Self::Text(text) => text.len() + 1,
+            Self::Voxels(values) => values.len() * values.scalar_type().bytes(),
+            Self::Text(text) => text.len(),
         }
     }
 
@@ -54,10 +59,8 @@ impl Payload<'_> {
                 Ok(())
             }
             Self::Values(values) => values.write_to(file, Endian::Little),
-            Self::Text(text) => {
-                file.write_all(text.as_bytes())?;
-                file.write_all(&[0])
-            }
+            Self::Voxels(values) => values.write_to(file, Endian::Little),
+            Self::Text(text) => file.write_all(text.as_bytes()),
         }
     }
 }

@@ -14,6 +14,7 @@ from vtkmodules.vtkCommonCore import vtkObject
 
 from tetmesh_check.components import Components, component_volumes, measure_components
 from tetmesh_check.errors import StageError
+from tetmesh_check.field_data import text_of
 from tetmesh_check.intersections import self_intersections
 from tetmesh_check.polydata import from_polydata
 from tetmesh_check.quality import Cells, Points
@@ -79,11 +80,10 @@ def history_of(dataset: pv.DataSet) -> Any:
     dataset
         The file as read.
     """
-    if "history" not in dataset.field_data:
-        return None
+    text = text_of(dataset, "history")
     try:
-        return json.loads(str(np.asarray(dataset.field_data["history"]).ravel()[0]))
-    except (ValueError, IndexError):
+        return None if text is None else json.loads(text)
+    except ValueError:
         return None
 
 

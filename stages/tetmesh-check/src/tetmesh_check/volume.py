@@ -10,12 +10,13 @@ import numpy as np
 import pyvista as pv
 
 from tetmesh_check.export import MarkedMesh
+from tetmesh_check.field_data import add_text
 from tetmesh_check.files import write_atomically
 from tetmesh_check.quality import Cells, Points, TetrahedronQuality, signed_tetrahedron_volumes
 
 KIND = "volume"
 """Kind of the file, in the field data ``isoparticles_kind``."""
-FORMAT = 1
+FORMAT = 2
 """Version of the file's layout, in the field data ``isoparticles_format``."""
 
 
@@ -62,7 +63,7 @@ def write_volume(path: Path, mesh: MarkedMesh, quality: TetrahedronQuality, hist
     grid.cell_data["min_dihedral"] = quality.min_dihedral
     grid.cell_data["region"] = mesh.regions.astype(np.int32)
     grid.point_data["boundary"] = mesh.point_marks().astype(np.uint8)
-    grid.add_field_data([KIND], "isoparticles_kind")
+    add_text(grid, "isoparticles_kind", KIND)
     grid.add_field_data(np.array([FORMAT], dtype=np.uint32), "isoparticles_format")
-    grid.add_field_data([json.dumps(history)], "history")
+    add_text(grid, "history", json.dumps(history))
     write_atomically(path, lambda temporary: grid.save(temporary, binary=True))

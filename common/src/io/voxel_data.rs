@@ -1,33 +1,64 @@
-//! The voxels of an NRRD file: attached or in one or more data files, in one of five encodings.
+//! The voxels behind a text header, as NRRD and MetaImage have them: attached or in one or more data files, in one of six encodings.
 
-use super::header::{Coding, DataFiles, Header};
+use super::limit::bad;
+use super::volume::{Endian, ScalarType, Voxels};
 use crate::error::{Error, Result};
-use crate::io::limit::bad;
-use crate::io::volume::{Endian, ScalarType, Voxels};
 use std::fs::File;
 use std::io::{self, BufRead, BufReader, ErrorKind, Read, Seek, SeekFrom};
 use std::path::Path;
 
-/// Reads `count` voxels; `attached` stands right after the header.
-pub(super) fn read_voxels(path: &Path, header: &Header, count: usize, attached: BufReader<File>) -> Result<Voxels> {
-    if header.endian.is_none() && header.scalar.bytes() > 1 && header.coding != Coding::Text {
+/// How the voxels are put into bytes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Coding {
+    Raw,
+    Text,
+    Hex,
+    Gzip,
+    Bzip2,
+    Zlib,
+}
+
+/// Where the voxels are.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) enum DataFiles {
+    /// After the header, in the same file.
+    Attached,
+    /// In these files, one after the other, named relative to the layout.
+    Named(Vec<String>),
+}
+
+/// What a header says of the voxels' bytes.
+#[derive(Clone, Debug)]
+pub(super) struct Layout {
+    pub(super) scalar: ScalarType,
+    pub(super) coding: Coding,
+    pub(super) endian: Option<Endian>,
+    pub(super) line_skip: u64,
+    /// Bytes before the first voxel; a negative number counts from the end of raw data ([`place_raw`]).
+    pub(super) byte_skip: i64,
+    pub(super) files: DataFiles,
+}
+
+/// Reads `count` voxels; `attached` stands right after the layout.
+pub(super) fn read_voxels(path: &Path, layout: &Layout, count: usize, attached: BufReader<File>) -> Result<Voxels> {
+    if layout.endian.is_none() && layout.scalar.bytes() > 1 && layout.coding != Coding::Text {
         return Err(bad(
             path,
-            format!("does not say the byte order of its {} voxels", header.scalar.name()),
+            format!("does not say the byte order of its {} voxels", layout.scalar.name()),
             "read in the wrong order they would be noise",
-            "add the line 'endian: little' (or big) to the header",
+            "add the byte order to the header ('endian: little' or big in NRRD)",
         ));
     }
-    if header.byte_skip < 0 && header.coding != Coding::Raw {
+    if layout.byte_skip < 0 && layout.coding != Coding::Raw {
         return Err(bad(
             path,
-            format!("has 'byte skip: {}' with an encoding other than raw", header.byte_skip),
+            format!("skips {} bytes of data that is not raw", layout.byte_skip),
             "skipping from the end needs a known size",
             "correct the header",
         ));
     }
-    match &header.files {
-        DataFiles::Attached => read_part(path, header, count, attached),
+    match &layout.files {
+        DataFiles::Attached => read_part(path, layout, count, attached),
         DataFiles::Named(names) => {
             let folder = path.parent().unwrap_or(Path::new(""));
             if names.is_empty() || !count.is_multiple_of(names.len()) {
@@ -35,7 +66,7 @@ pub(super) fn read_voxels(path: &Path, header: &Header, count: usize, attached: 
                     path,
                     format!("names {} data files for {count} voxels", names.len()),
                     "every file holds the same number of voxels",
-                    "correct 'data file' in the header",
+                    "correct the data files in the header",
                 ));
             }
             let mut whole: Option<Voxels> = None;
@@ -44,7 +75,7 @@ pub(super) fn read_voxels(path: &Path, header: &Header, count: usize, attached: 
                 let file = File::open(&part_path).map_err(|error| {
                     Error::file(&part_path, "read", &error, format!("{} names it: put it in its place", path.display()))
                 })?;
-                let part = read_part(&part_path, header, count / names.len(), BufReader::new(file))?;
+                let part = read_part(&part_path, layout, count / names.len(), BufReader::new(file))?;
                 match &mut whole {
                     None => whole = Some(part),
                     Some(whole) => whole.append(part),
@@ -56,37 +87,41 @@ pub(super) fn read_voxels(path: &Path, header: &Header, count: usize, attached: 
 }
 
 /// Reads the voxels of one file from where the reader stands, and checks that nothing follows them.
-fn read_part(path: &Path, header: &Header, count: usize, mut reader: BufReader<File>) -> Result<Voxels> {
+fn read_part(path: &Path, layout: &Layout, count: usize, mut reader: BufReader<File>) -> Result<Voxels> {
     let read = |reader: &mut BufReader<File>| -> io::Result<Voxels> {
-        skip_lines(reader, header.line_skip)?;
-        let endian = header.endian.unwrap_or(Endian::Little);
-        let expected = count as u64 * header.scalar.bytes() as u64;
-        match header.coding {
+        skip_lines(reader, layout.line_skip)?;
+        let endian = layout.endian.unwrap_or(Endian::Little);
+        let expected = count as u64 * layout.scalar.bytes() as u64;
+        match layout.coding {
             Coding::Raw => {
-                place_raw(reader, header.byte_skip, expected)?;
-                Voxels::read_from(reader, header.scalar, endian, count)
+                place_raw(reader, layout.byte_skip, expected)?;
+                Voxels::read_from(reader, layout.scalar, endian, count)
             }
             Coding::Gzip => {
                 let mut decoder = flate2::bufread::MultiGzDecoder::new(reader);
-                read_stream(&mut decoder, header, endian, count)
+                read_stream(&mut decoder, layout, endian, count)
             }
             Coding::Bzip2 => {
                 let mut decoder = bzip2::bufread::MultiBzDecoder::new(reader);
-                read_stream(&mut decoder, header, endian, count)
+                read_stream(&mut decoder, layout, endian, count)
             }
-            Coding::Hex => read_stream(&mut HexReader { inner: reader }, header, endian, count),
+            Coding::Zlib => {
+                let mut decoder = flate2::bufread::ZlibDecoder::new(reader);
+                read_stream(&mut decoder, layout, endian, count)
+            }
+            Coding::Hex => read_stream(&mut HexReader { inner: reader }, layout, endian, count),
             Coding::Text => {
-                skip_bytes(reader, header.byte_skip.unsigned_abs())?;
-                read_text(reader, header.scalar, count)
+                skip_bytes(reader, layout.byte_skip.unsigned_abs())?;
+                read_text(reader, layout.scalar, count)
             }
         }
     };
-    read(&mut reader).map_err(|error| data_error(path, header, count, &error))
+    read(&mut reader).map_err(|error| data_error(path, layout, count, &error))
 }
 
 /// What is wrong with the data, in words.
-fn data_error(path: &Path, header: &Header, count: usize, error: &io::Error) -> Error {
-    let promised = format!("the header promises {count} voxels of type {} in this file", header.scalar.name());
+fn data_error(path: &Path, layout: &Layout, count: usize, error: &io::Error) -> Error {
+    let promised = format!("the header promises {count} voxels of type {} in this file", layout.scalar.name());
     match error.kind() {
         ErrorKind::UnexpectedEof => bad(
             path,
@@ -144,10 +179,10 @@ fn place_raw(reader: &mut BufReader<File>, skip: i64, expected: u64) -> io::Resu
 }
 
 /// Reads a stream to its end: skipped bytes, voxels, nothing else.
-fn read_stream(reader: &mut dyn Read, header: &Header, endian: Endian, count: usize) -> io::Result<Voxels> {
+fn read_stream(reader: &mut dyn Read, layout: &Layout, endian: Endian, count: usize) -> io::Result<Voxels> {
     let mut reader = reader;
-    skip_bytes(&mut reader, header.byte_skip.unsigned_abs())?;
-    let voxels = Voxels::read_from(reader, header.scalar, endian, count)?;
+    skip_bytes(&mut reader, layout.byte_skip.unsigned_abs())?;
+    let voxels = Voxels::read_from(reader, layout.scalar, endian, count)?;
     if reader.read(&mut [0])? > 0 { Err(trailing("more data")) } else { Ok(voxels) }
 }
 
@@ -229,4 +264,24 @@ fn read_text(reader: &mut impl BufRead, scalar: ScalarType, count: usize) -> io:
 
 fn is_separator(byte: u8) -> bool {
     byte.is_ascii_whitespace() || byte == b','
+}
+
+/// The names that a `printf` pattern with one integer gives, from `low` to `high`; `None` where the pattern or the range has no meaning.
+pub(super) fn numbered_names(format: &str, low: i64, high: i64, step: i64) -> Option<Vec<String>> {
+    let (prefix, rest) = format.split_once('%')?;
+    let end = rest.find(|c: char| !c.is_ascii_digit())?;
+    let (width, suffix) = rest.split_at(end);
+    let suffix = suffix.strip_prefix(['d', 'i', 'u']).filter(|suffix| !suffix.contains('%'))?;
+    let zero = width.starts_with('0');
+    let width: usize = if width.is_empty() { 0 } else { width.parse().ok()? };
+    let count = high.checked_sub(low)?.checked_div(step)?;
+    if !(0..1_000_000).contains(&count) || width > 100 {
+        return None;
+    }
+    let name = |index: i64| {
+        let value = low + index * step;
+        let digits = if zero { format!("{value:0width$}") } else { format!("{value:width$}") };
+        format!("{prefix}{digits}{suffix}")
+    };
+    Some((0..=count).map(name).collect())
 }

@@ -1,0 +1,286 @@
+//! The surface of objects as the voxels have it: its area, and the shape of a sample of places on it.
+//!
+//! A *face* lies between two neighbouring voxels of different class. Lines along the grid's axes cross a surface of area A and unit normal n
+//! |n_a| A / s times, s being the area between neighbouring lines; over all directions the mean of |n_x| + |n_y| + |n_z| is 3/2
+//! (Cauchy and Crofton), so that 2/3 of the area of all faces is that of the surface.
+//!
+//! At sampled faces the share of a ball that lies inside tells the mean curvature (the integral invariant of Pottmann et al. 2007, share =
+//! 1/2 - 3/16 r H), the centre of mass of that part the normal, and a walk along the normal the thickness of the object or the gap.
+
+use super::classes::{Classes, OUTSIDE};
+use glam::DVec3;
+use isoparticles_common::geometry::Geometry;
+use isoparticles_common::random::uniform;
+use rayon::prelude::*;
+
+/// Radius of the ball, in mean voxels: the smallest one that says more about the shape than about the staircase of voxels.
+pub const BALL: f64 = 2.0;
+
+/// Length of a step along the normal, and of the whole walk, in mean voxels.
+const STEP: f64 = 0.5;
+const REACH: f64 = 30.0;
+
+/// Seed of the draw of faces; any number will do.
+const SEED: u64 = 1;
+
+/// Faces of one class.
+#[derive(Clone, Debug, Default)]
+pub struct Boundary {
+    /// Faces across each axis; the border of the volume counts.
+    pub faces: [usize; 3],
+    /// Some of them.
+    pub sample: Vec<Place>,
+    /// Each of the sampled faces stands for this many.
+    pub weight: f64,
+}
+
+/// A sampled face.
+#[derive(Clone, Copy, Debug)]
+pub struct Place {
+    /// Axis that it lies across.
+    pub axis: usize,
+    /// Position in the grid frame, mm.
+    pub position: DVec3,
+    /// How far the inside share of the ball is from one half.
+    pub imbalance: f64,
+    /// Way along the normal to the other side of the object or of the gap, whichever is nearer, in mean voxels; infinite beyond [`REACH`].
+    pub thickness: f64,
+}
+
+/// A face, by its voxel inside.
+struct Face {
+    class: u16,
+    inside: [usize; 3],
+    axis: usize,
+    is_up: bool,
+}
+
+impl Boundary {
+    /// Area of the surface, mm^2.
+    pub fn area(&self, geometry: &Geometry) -> f64 {
+        (0..3).map(|axis| self.faces[axis] as f64 * face_area(geometry, axis)).sum::<f64>() / 1.5
+    }
+
+    /// Area of the surface that a sampled face stands for, mm^2.
+    pub fn area_of(&self, place: &Place, geometry: &Geometry) -> f64 {
+        self.weight * face_area(geometry, place.axis) / 1.5
+    }
+
+    /// Diagonal of the box round the sampled faces, mm.
+    pub fn diagonal(&self) -> f64 {
+        let low = self.sample.iter().fold(DVec3::INFINITY, |low, place| low.min(place.position));
+        let high = self.sample.iter().fold(DVec3::NEG_INFINITY, |high, place| high.max(place.position));
+        (high - low).max(DVec3::ZERO).length()
+    }
+}
+
+/// Area of a face across an axis, mm^2.
+fn face_area(geometry: &Geometry, axis: usize) -> f64 {
+    geometry.spacing.element_product() / geometry.spacing[axis]
+}
+
+/// The boundary of every class (in the order of the classes, from 1 on), with about `wanted` sampled faces each.
+pub fn boundaries(classes: &Classes<'_>, wanted: usize) -> Vec<Boundary> {
+    let geometry = classes.geometry;
+    let nz = geometry.size[2];
+    let count = |k: usize| {
+        let mut faces = vec![[0usize; 3]; classes.count + 1];
+        each_face(classes, k, |face| faces[usize::from(face.class)][face.axis] += 1);
+        faces
+    };
+    let add = |mut a: Vec<[usize; 3]>, b: Vec<[usize; 3]>| {
+        a.iter_mut().zip(b).for_each(|(a, b)| a.iter_mut().zip(b).for_each(|(a, b)| *a += b));
+        a
+    };
+    let faces = (0..nz).into_par_iter().map(count).reduce(|| vec![[0; 3]; classes.count + 1], add);
+    let share: Vec<f64> = faces.iter().map(|faces| wanted as f64 / faces.iter().sum::<usize>().max(1) as f64).collect();
+    let shapes = Shapes::new(geometry);
+    let draw = |k: usize| {
+        let mut drawn: Vec<(u16, Place)> = Vec::new();
+        each_face(classes, k, |face| {
+            let [i, j, k] = face.inside;
+            let counter = 6 * geometry.linear(i, j, k) + 2 * face.axis + usize::from(face.is_up);
+            if uniform(SEED, 0, counter as u64) < share[usize::from(face.class)] {
+                drawn.push((face.class, shapes.place(classes, &face)));
+            }
+        });
+        drawn
+    };
+    let slices: Vec<Vec<(u16, Place)>> = (0..nz).into_par_iter().map(draw).collect();
+    let mut found: Vec<Boundary> = faces.iter().map(|&faces| Boundary { faces, ..Boundary::default() }).collect();
+    for (class, place) in slices.into_iter().flatten() {
+        found[usize::from(class)].sample.push(place);
+    }
+    for boundary in &mut found {
+        boundary.weight = boundary.faces.iter().sum::<usize>() as f64 / boundary.sample.len().max(1) as f64;
+    }
+    found.split_off(1)
+}
+
+/// Calls `found` with the faces of the voxels of slice `k`: those to the next voxel along each axis, and those at the border.
+fn each_face(classes: &Classes<'_>, k: usize, mut found: impl FnMut(Face)) {
+    let [nx, ny, nz] = classes.geometry.size;
+    let row = |j: usize, k: usize| {
+        let mut row = vec![OUTSIDE; nx];
+        if j < ny && k < nz {
+            classes.copy_row(j, k, &mut row);
+        }
+        row
+    };
+    let beyond = vec![OUTSIDE; nx];
+    let mut own = row(0, k);
+    for j in 0..ny {
+        let next = row(j + 1, k);
+        let above = row(j, k + 1);
+        let mut pair = |low: u16, high: u16, [i, j, k]: [usize; 3], axis: usize| {
+            if low != OUTSIDE {
+                found(Face { class: low, inside: [i, j, k], axis, is_up: true });
+            }
+            if high != OUTSIDE {
+                let mut inside = [i, j, k];
+                inside[axis] += 1;
+                found(Face { class: high, inside, axis, is_up: false });
+            }
+        };
+        for i in 0..nx {
+            let right = if i + 1 < nx { own[i + 1] } else { OUTSIDE };
+            if own[i] != right {
+                pair(own[i], right, [i, j, k], 0);
+            }
+        }
+        for (other, axis) in [(&next, 1), (&above, 2)] {
+            if own != *other {
+                for i in (0..nx).filter(|&i| own[i] != other[i]) {
+                    pair(own[i], other[i], [i, j, k], axis);
+                }
+            }
+        }
+        // the lower border along each axis
+        let mut border = |i: usize, class: u16, axis: usize| {
+            if class != OUTSIDE {
+                found(Face { class, inside: [i, j, k], axis, is_up: false });
+            }
+        };
+        border(0, own[0], 0);
+        for (is_border, axis) in [(j == 0, 1), (k == 0, 2)] {
+            if is_border && own != beyond {
+                own.iter().enumerate().for_each(|(i, &class)| border(i, class, axis));
+            }
+        }
+        own = next;
+    }
+}
+
+/// The voxels within the ball round a face, for each axis and side.
+struct Shapes {
+    balls: [[Vec<[isize; 3]>; 2]; 3],
+}
+
+impl Shapes {
+    fn new(geometry: &Geometry) -> Self {
+        let radius = BALL * geometry.mean_spacing();
+        let reach = geometry.spacing.to_array().map(|s| (radius / s).ceil() as isize + 1);
+        let ball = |axis: usize, is_up: bool| {
+            let mut centre = DVec3::ZERO;
+            centre[axis] = if is_up { 0.5 } else { -0.5 };
+            let mut offsets = Vec::new();
+            for z in -reach[2]..=reach[2] {
+                for y in -reach[1]..=reach[1] {
+                    for x in -reach[0]..=reach[0] {
+                        let offset = DVec3::new(x as f64, y as f64, z as f64);
+                        if ((offset - centre) * geometry.spacing).length() <= radius {
+                            offsets.push([x, y, z]);
+                        }
+                    }
+                }
+            }
+            offsets
+        };
+        Self { balls: [0, 1, 2].map(|axis| [false, true].map(|is_up| ball(axis, is_up))) }
+    }
+
+    fn place(&self, classes: &Classes<'_>, face: &Face) -> Place {
+        let geometry = classes.geometry;
+        let size = geometry.size;
+        let is_own = |index: [isize; 3]| {
+            let within = |a: usize| usize::try_from(index[a]).ok().filter(|n| *n < size[a]);
+            within(0)
+                .zip(within(1))
+                .zip(within(2))
+                .is_some_and(|((i, j), k)| classes.at([i, j, k]) == face.class)
+        };
+        let inside = face.inside.map(|n| n as isize);
+        let mut centre = DVec3::from_array(face.inside.map(|n| n as f64));
+        centre[face.axis] += if face.is_up { 0.5 } else { -0.5 };
+        let ball = &self.balls[face.axis][usize::from(face.is_up)];
+        let (mut own, mut mass) = (0usize, DVec3::ZERO);
+        for offset in ball {
+            let index = [0, 1, 2].map(|a| inside[a] + offset[a]);
+            if is_own(index) {
+                own += 1;
+                mass += DVec3::from_array(index.map(|n| n as f64)) - centre;
+            }
+        }
+        let position = geometry.index_to_grid(centre);
+        let imbalance = if ball.is_empty() { 0.0 } else { (own as f64 / ball.len() as f64 - 0.5).abs() };
+        let outward = -(mass * geometry.spacing).normalize_or_zero();
+        let voxel = geometry.mean_spacing();
+        let walk = |direction: DVec3, from_inside: bool| {
+            let steps = (REACH / STEP) as usize;
+            // half a step first, to be off the face
+            let ways = (1..=steps).map(|n| (n as f64 + 0.5) * STEP);
+            let ends = |way: &f64| {
+                let index = geometry.grid_to_index(position + direction * (way * voxel));
+                is_own(index.to_array().map(|n| n.round() as isize)) != from_inside
+            };
+            if direction == DVec3::ZERO { f64::INFINITY } else { ways.into_iter().find(ends).unwrap_or(f64::INFINITY) }
+        };
+        let thickness = walk(-outward, true).min(walk(outward, false));
+        Place { axis: face.axis, position, imbalance, thickness }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::classes::Rule;
+    use super::*;
+    use isoparticles_common::image::Image;
+    use isoparticles_common::io::volume::Voxels;
+    use std::f64::consts::PI;
+
+    fn boundary(geometry: &Geometry, inside: impl Fn(DVec3) -> bool, wanted: usize) -> Boundary {
+        let image = Image::sampled(geometry.clone(), |p| u8::from(inside(p)));
+        let voxels = Voxels::U8(image.data);
+        boundaries(&Classes::new(geometry, vec![(&voxels, Rule::any_of(&[1]))], 1), wanted).remove(0)
+    }
+
+    #[test]
+    fn the_area_and_the_curvature_of_a_ball_are_its_own() {
+        let geometry = Geometry::axis_aligned([60, 60, 30], DVec3::new(0.5, 0.5, 1.0));
+        let centre = 0.5 * geometry.upper_corner();
+        let radius = 11.3;
+        let ball = boundary(&geometry, |p| p.distance(centre) < radius, 3000);
+        let area = ball.area(&geometry);
+        assert!((area / (4.0 * PI * radius * radius) - 1.0).abs() < 0.03, "{area}");
+        assert!((2500..3500).contains(&ball.sample.len()), "{}", ball.sample.len());
+        let sampled: f64 = ball.sample.iter().map(|place| ball.area_of(place, &geometry)).sum();
+        assert!((sampled / area - 1.0).abs() < 0.05, "{sampled}, not {area}");
+        assert!((ball.diagonal() - 2.0 * 3f64.sqrt() * radius).abs() < 1.5, "{}", ball.diagonal());
+        // the other side of the ball is 2 r away, 35 voxels: out of reach
+        assert!(ball.sample.iter().all(|place| place.thickness > 15.0), "a walk along the normal ends early");
+    }
+
+    #[test]
+    fn plates_have_their_thickness_and_the_border_counts() {
+        let geometry = Geometry::axis_aligned([20, 20, 24], DVec3::ONE);
+        let plate = boundary(&geometry, |p| (10.0..14.0).contains(&p.z), usize::MAX);
+        assert_eq!(plate.faces, [2 * 20 * 4, 2 * 20 * 4, 2 * 20 * 20]);
+        let is_inner = |place: &&Place| (5.0..15.0).contains(&place.position.x) && (5.0..15.0).contains(&place.position.y);
+        for place in plate.sample.iter().filter(|place| place.axis == 2).filter(is_inner) {
+            assert!((place.thickness - 4.0).abs() <= 0.5, "{place:?}");
+            assert!(place.imbalance < 1e-9, "{place:?}");
+        }
+        let cut = boundary(&geometry, |p| p.x > 15.5, usize::MAX);
+        assert_eq!(cut.faces, [2 * 20 * 24, 2 * 4 * 24, 2 * 4 * 20]);
+    }
+}

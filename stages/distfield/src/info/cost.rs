@@ -1,0 +1,153 @@
+//! What a mesh of an object would cost: vertices, time and memory, from the voxels alone.
+//!
+//! The size field asks for edges by local feature size and curvature, graded (`sizefield --help`). From a sampled face the mean curvature and
+//! the thickness are known roughly ([`super::boundary`]), so that h there is as well; what gradation and the other features of
+//! the surface add is a factor that was fitted to the shared volumes. Every constant here is a measurement, its command beside it.
+
+use super::boundary::{BALL, Boundary, Place};
+use super::kind::Kind;
+use isoparticles_common::geometry::Geometry;
+use serde::Serialize;
+
+/// Edge length over the radius of mean curvature, and over the thickness. Fitted together with the two factors below to
+/// the vertices that `docs/performance.md` gives for fourteen surfaces (`stages/distfield/benches/predicted.py` fits and compares).
+const EDGE_OVER_RADIUS: f64 = 0.30;
+const EDGE_OVER_THICKNESS: f64 = 0.20;
+
+/// Imbalance of the ball that the staircase of voxels leaves on a plane surface, root mean square; from the same fit.
+const STAIRCASE: f64 = 0.06;
+
+/// Bounds of h by default: of the mean voxel spacing, and of the object's diagonal (`sizefield --quality medium`).
+const SMALLEST_VOXELS: f64 = 0.75;
+const LARGEST_DIAGONALS: f64 = 0.1;
+
+/// Vertices for each that the edge length at the sampled faces asks for: gradation, which spreads small h to its surroundings. Scans have more, because
+/// their surface is not smoothed and crosses cells between the voxels, too.
+const GRADATION_LABELS: f64 = 1.82;
+const GRADATION_SCAN: f64 = 2.22;
+
+/// How far off a prediction may be: a factor of this, either way. Thirteen of the fourteen surfaces lie within it.
+pub const UNCERTAINTY: f64 = 1.4;
+
+/// Fewest particles that a part is given (`sizefield`): so many vertices a speck has at least.
+const SPECK_VERTICES: f64 = 32.0;
+
+/// What stages take: seconds of processor time and bytes for each voxel of the padded grid, face between voxels and vertex.
+struct Rates {
+    stage: &'static str,
+    /// Seconds for a million of each.
+    seconds: [f64; 3],
+    /// Bytes at once: for the program itself, for a voxel, for a face and for a vertex.
+    bytes: [f64; 4],
+}
+
+const RATES: [Rates; 4] = [
+    Rates { stage: "fields", seconds: [0.8, 20.0, 0.0], bytes: [3e7, 12.0, 400.0, 0.0] },
+    Rates { stage: "particles", seconds: [0.0, 0.0, 100.0], bytes: [3e7, 16.0, 0.0, 700.0] },
+    Rates { stage: "triangles", seconds: [0.1, 0.0, 60.0], bytes: [3e7, 12.0, 0.0, 1403.0] },
+    Rates { stage: "tetrahedra", seconds: [0.0, 0.0, 150.0], bytes: [6e8, 0.0, 0.0, 5000.0] },
+];
+
+/// Bytes a node that distfield takes above its input's own: 5.98 for labels, 5.16 for scalars of 512^3 (`docs/performance.md`, memory of distfield).
+const DISTFIELD_BYTES: f64 = 6.0;
+
+/// Edge lengths besides the default that are told, in mean voxels.
+const SIZES: [f64; 4] = [1.0, 2.0, 4.0, 8.0];
+
+/// What a mesh of an object would cost.
+#[derive(Clone, Debug, Serialize)]
+pub struct Cost {
+    /// Area of the object's surface, mm^2.
+    pub area: f64,
+    /// Vertices with the default sizes.
+    pub vertices: usize,
+    /// Between what they will be, as far as is known.
+    pub vertices_range: [usize; 2],
+    /// Vertices with one edge length everywhere.
+    pub uniform: Vec<Uniform>,
+    /// What the stages take with the default sizes.
+    pub stages: Vec<StageCost>,
+}
+
+/// One edge length everywhere.
+#[derive(Clone, Copy, Debug, Serialize)]
+pub struct Uniform {
+    /// The edge length, mm.
+    pub size: f64,
+    /// Vertices.
+    pub vertices: usize,
+}
+
+/// Time and memory of some stages.
+#[derive(Clone, Copy, Debug, Serialize)]
+pub struct StageCost {
+    /// The stages: `fields` are distfield, sizefield and seed, `triangles` reconstruct, `tetrahedra` tetmesh-check.
+    pub stage: &'static str,
+    /// Processor time, seconds; the stages share it among all threads.
+    pub seconds: f64,
+    /// Most memory at once, bytes.
+    pub bytes: f64,
+}
+
+/// The cost of an object of some parts with this boundary.
+pub fn cost(boundary: &Boundary, parts: Option<usize>, geometry: &Geometry, kind: Kind) -> Cost {
+    let area = boundary.area(geometry);
+    let at_least = SPECK_VERTICES * parts.unwrap_or(1) as f64;
+    let vertices = default_vertices(boundary, geometry, kind).max(at_least);
+    let faces: usize = boundary.faces.iter().sum();
+    let counts = [geometry.padded(5).voxel_count() as f64, faces as f64, vertices];
+    let stages = RATES.iter().map(|rates| StageCost {
+        stage: rates.stage,
+        seconds: rates.seconds.iter().zip(counts).map(|(rate, count)| 1e-6 * rate * count).sum(),
+        bytes: rates.bytes[0] + rates.bytes[1..].iter().zip(counts).map(|(rate, count)| rate * count).sum::<f64>(),
+    });
+    let voxel = geometry.mean_spacing();
+    let uniform = SIZES.map(|size| Uniform {
+        size: two_digits(size * voxel),
+        vertices: (area * lattice_density(two_digits(size * voxel))).max(at_least.min(12.0)).round() as usize,
+    });
+    Cost {
+        area,
+        vertices: two_digits(vertices) as usize,
+        vertices_range: [two_digits(vertices / UNCERTAINTY) as usize, two_digits(vertices * UNCERTAINTY) as usize],
+        uniform: uniform.to_vec(),
+        stages: stages.collect(),
+    }
+}
+
+/// Vertices with the default sizes.
+pub fn default_vertices(boundary: &Boundary, geometry: &Geometry, kind: Kind) -> f64 {
+    let voxel = geometry.mean_spacing();
+    let smallest = SMALLEST_VOXELS * voxel;
+    let largest = (LARGEST_DIAGONALS * boundary.diagonal()).max(smallest);
+    let gradation = match kind {
+        Kind::Labels => GRADATION_LABELS,
+        Kind::Scan => GRADATION_SCAN,
+    };
+    let count = |place: &Place| {
+        let Place { imbalance, thickness, .. } = *place;
+        let curvature = (imbalance * imbalance - STAIRCASE * STAIRCASE).max(0.0).sqrt() * 16.0 / (3.0 * BALL);
+        let wanted = (EDGE_OVER_RADIUS / curvature.max(1e-9)).min(EDGE_OVER_THICKNESS * thickness);
+        boundary.area_of(place, geometry) * lattice_density((wanted * voxel).clamp(smallest, largest))
+    };
+    gradation * boundary.sample.iter().map(count).sum::<f64>()
+}
+
+/// Vertices for each mm^2 of a lattice of equilateral triangles of edge h.
+fn lattice_density(size: f64) -> f64 {
+    2.0 / (3f64.sqrt() * size * size)
+}
+
+/// Rounded to two significant digits: more are not known.
+pub fn two_digits(value: f64) -> f64 {
+    if value <= 0.0 {
+        return 0.0;
+    }
+    let unit = 10f64.powf(value.log10().floor() - 1.0);
+    (value / unit).round() * unit
+}
+
+/// Bytes that distfield holds at once beside its input, for a padded grid of so many nodes.
+pub fn distfield_bytes(nodes: usize) -> f64 {
+    DISTFIELD_BYTES * nodes as f64
+}

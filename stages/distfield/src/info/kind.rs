@@ -1,0 +1,188 @@
+//! Whether a volume is a scan or holds labels.
+//!
+//! Labels come in pieces of one value each, so that along an axis a change of value rarely follows on another one. A scan's values
+//! change from voxel to voxel, by noise or across the edges of what it shows, also where much of it is saturated or padded.
+//! Whether values are few tells less: a scan of 8 bits has 256, a parcellation may have more.
+
+use super::survey::Survey;
+use serde::Serialize;
+
+/// What the values of a volume mean.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Kind {
+    /// Measured values, between which it makes sense to interpolate.
+    Scan,
+    /// Numbers of materials.
+    Labels,
+}
+
+impl std::fmt::Display for Kind {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(match self {
+            Self::Scan => "scan",
+            Self::Labels => "labels",
+        })
+    }
+}
+
+/// What a volume is taken for.
+#[derive(Clone, Debug, Serialize)]
+pub struct Judgement {
+    /// Scan or labels.
+    pub kind: Kind,
+    /// Whether that is clear enough to refuse what belongs to the other kind.
+    pub certain: bool,
+    /// Why, in words.
+    pub reason: String,
+}
+
+/// Share of changes of value that follow on another change, above which a volume is a scan. The label maps of the shared volumes have at most 0.23
+/// (`brain_parcellation`: 0.28 along one axis, 0.30 `frog_tissue_labels`), the scans at least 0.90 (`thorax_ct_native_u8`); the middle
+/// between is taken. `distfield VOLUME --info --json -` shows both counts.
+const SCAN_ABOVE: f64 = 0.6;
+
+/// Between these shares the kind is a guess: half way from [`SCAN_ABOVE`] to what the shared volumes have.
+const UNCLEAR: std::ops::Range<f64> = 0.45..0.75;
+
+/// Labels that one volume may well hold; the finest atlases of the brain have some hundreds. More in large pieces may also be a scan that was
+/// enlarged by repeating voxels.
+const MANY_LABELS: usize = 1000;
+
+/// Changes of value below which nothing is clear: a share of fewer is a matter of chance.
+const FEW_JUMPS: usize = 100;
+
+/// What the volume is taken for; `named` labels have a name in the file.
+pub fn judge(survey: &Survey, named: usize) -> Judgement {
+    let is = |kind, certain, reason: String| Judgement { kind, certain, reason };
+    if named > 0 {
+        return is(Kind::Labels, true, format!("the file names {named} of its values"));
+    }
+    if survey.fractions > 0 {
+        return is(Kind::Scan, true, format!("{} voxels hold values that are not whole numbers", survey.fractions));
+    }
+    if survey.non_finite > 0 {
+        return is(Kind::Scan, true, format!("{} voxels are NaN or infinite", survey.non_finite));
+    }
+    match survey.distinct() {
+        Some(1) => return is(Kind::Labels, false, "every voxel has the same value".into()),
+        Some(2) => return is(Kind::Labels, true, "it is a mask: its voxels have one of two values".into()),
+        _ => {}
+    }
+    let share = survey.double_share();
+    let values = match survey.distinct() {
+        Some(distinct) => format!("{distinct} distinct whole numbers"),
+        None => "very many distinct whole numbers".to_owned(),
+    };
+    let percent = 100.0 * share;
+    let is_enough = survey.jumps >= FEW_JUMPS && !UNCLEAR.contains(&share);
+    if share > SCAN_ABOVE {
+        let reason = format!(
+            "{values} that change from voxel to voxel: {percent:.0} % of the changes along an axis follow on another one"
+        );
+        is(Kind::Scan, is_enough, reason)
+    } else {
+        let reason = format!(
+            "{values} in pieces of one value each: only {percent:.0} % of the changes along an axis follow on another one"
+        );
+        is(Kind::Labels, is_enough && survey.distinct().is_some_and(|distinct| distinct <= MANY_LABELS), reason)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use glam::DVec3;
+    use isoparticles_common::geometry::Geometry;
+    use isoparticles_common::image::Image;
+    use isoparticles_common::io::volume::Voxels;
+    use isoparticles_common::random::uniform;
+
+    const SIZE: [usize; 3] = [48, 44, 40];
+
+    fn judged(value: impl Fn(DVec3, u64) -> i16) -> Judgement {
+        let geometry = Geometry::axis_aligned(SIZE, DVec3::ONE);
+        let counter = std::cell::Cell::new(0);
+        let image = Image::sampled(geometry.clone(), |p| {
+            counter.set(counter.get() + 1);
+            value(p, counter.get())
+        });
+        judge(&Survey::of(&Voxels::I16(image.data), &geometry), 0)
+    }
+
+    /// Distance from the middle, and a number with the spread of a noise of 1.
+    fn radius(p: DVec3) -> f64 {
+        p.distance(DVec3::new(23.3, 21.6, 19.8))
+    }
+
+    fn noise(n: u64) -> f64 {
+        (0..4).map(|stream| uniform(3, stream, n) - 0.5).sum::<f64>() * 3f64.sqrt()
+    }
+
+    #[test]
+    fn scans_are_scans() {
+        let edge = |p: DVec3| 1.0 / (1.0 + ((radius(p) - 14.0) / 0.9).exp());
+        let scans: [(&str, Judgement); 6] = [
+            ("noise everywhere", judged(|p, n| (400.0 * edge(p) + 20.0 * noise(n)) as i16)),
+            ("smooth and saturated at 0 and 200", judged(|p, _| (200.0 * edge(p)).round() as i16)),
+            ("eight bits, dark", judged(|p, n| (6.0 * edge(p) + noise(n)).round().clamp(0.0, 255.0) as i16)),
+            (
+                "padded with -1024 outside a cylinder",
+                judged(|p, n| {
+                    let is_padding = (p.x - 23.3).hypot(p.y - 21.6) > 19.0;
+                    if is_padding { -1024 } else { (-900.0 + 950.0 * edge(p) + 15.0 * noise(n)) as i16 }
+                }),
+            ),
+            ("clipped at 0, half of it", judged(|p, n| (30.0 * noise(n) + 300.0 * (edge(p) - 0.1)).max(0.0) as i16)),
+            ("a ramp", judged(|p, _| (3.0 * p.x + 2.0 * p.y + p.z) as i16)),
+        ];
+        for (name, judgement) in scans {
+            assert_eq!((judgement.kind, judgement.certain), (Kind::Scan, true), "{name}: {judgement:?}");
+        }
+    }
+
+    #[test]
+    fn labels_are_labels() {
+        let labels: [(&str, Judgement); 6] = [
+            ("a mask of 0 and 255", judged(|p, _| if radius(p) < 14.0 { 255 } else { 0 })),
+            ("a mask of noise", judged(|_, n| i16::from(noise(n) > 0.0))),
+            ("shells", judged(|p, _| (radius(p) / 3.0) as i16)),
+            ("two hundred blocks", judged(|p, _| {
+                let [x, y, z] = (p / 7.0).to_array().map(|n| n as i16);
+                (37 * (x + 7 * (y + 7 * z))) % 211
+            })),
+            ("one voxel thin here and there", judged(|p, _| {
+                let sheet = p.x as i16 % 6 == 3;
+                if sheet { 9 } else { (p.y / 5.0) as i16 }
+            })),
+            ("with specks", judged(|p, n| if uniform(5, 0, n) < 0.01 { 17 } else { 2 * i16::from(radius(p) < 14.0) })),
+        ];
+        for (name, judgement) in labels {
+            assert_eq!(judgement.kind, Kind::Labels, "{name}: {judgement:?}");
+            // sheets and specks of one voxel may leave a doubt, but no wrong answer
+            assert!(judgement.certain || name.contains("thin") || name.contains("specks"), "{name}: {judgement:?}");
+        }
+    }
+
+    #[test]
+    fn what_the_file_says_and_values_that_are_not_whole_decide() {
+        let geometry = Geometry::axis_aligned([8, 8, 8], DVec3::ONE);
+        let of = |values: Vec<f32>| Survey::of(&Voxels::F32(values), &geometry);
+        let ramp = of((0..512).map(|n| n as f32).collect());
+        assert_eq!(judge(&ramp, 0).kind, Kind::Scan);
+        assert_eq!(judge(&ramp, 3).kind, Kind::Labels);
+        let mut mask: Vec<f32> = (0..512).map(|n| f32::from(n > 200)).collect();
+        assert_eq!(judge(&of(mask.clone()), 0).kind, Kind::Labels);
+        // a mask that was blurred holds shares of a voxel
+        mask[200] = 0.25;
+        assert_eq!(judge(&of(mask), 0).kind, Kind::Scan);
+        assert!(!judge(&of(vec![7.0; 512]), 0).certain);
+    }
+
+    /// Between labels that were enlarged by interpolation the values of none of them stand; there is no more than a guess then.
+    #[test]
+    fn blurred_labels_are_not_certainly_anything_else() {
+        let blurred = judged(|p, _| (12.0 * (1.0 - ((radius(p) - 13.0) / 1.5).clamp(0.0, 1.0))).round() as i16);
+        assert!(blurred.kind == Kind::Labels || !blurred.certain, "{blurred:?}");
+    }
+}

@@ -1,0 +1,249 @@
+//! What a volume is: size, orientation, kind, values, labels, and what a mesh of it would cost. `distfield --info` prints it.
+//!
+//! [`survey`] looks at the values once, [`kind`] judges by it, [`classes`] gives the voxels of objects, of which [`boundary`] measures the
+//! surface, [`parts`] counts the parts and [`cost`] says what a mesh takes; [`thresholds`] proposes iso values, [`orientation`] finds words
+//! for the axes, [`text`] puts it all into lines.
+
+pub mod boundary;
+pub mod classes;
+pub mod cost;
+pub mod kind;
+pub mod orientation;
+pub mod parts;
+pub mod survey;
+pub mod text;
+pub mod thresholds;
+
+use crate::Inside;
+use boundary::{Boundary, boundaries};
+use classes::{Classes, MOST_CLASSES, Rule};
+use cost::{Cost, cost, default_vertices};
+use isoparticles_common::cli::Context;
+use isoparticles_common::error::Result;
+use isoparticles_common::geometry::{Geometry, Space};
+use isoparticles_common::io::volume::{LayerLabel, Volume};
+use kind::{Judgement, Kind, judge};
+use orientation::Orientation;
+use parts::{Parts, parts};
+use serde::Serialize;
+use survey::Survey;
+use thresholds::{IsoValue, is_hounsfield, iso_values};
+
+/// Sampled faces of an object whose cost is told; their scatter leaves 2 % of the count.
+const SAMPLE: usize = 6000;
+
+/// Sampled faces of all labels of a table together, and of one of them at least and at most.
+const TABLE_SAMPLE: usize = 200_000;
+const LABEL_SAMPLE: std::ops::RangeInclusive<usize> = 100..=2000;
+
+/// What the user has said about the volume.
+#[derive(Clone, Debug, Default)]
+pub struct Wishes {
+    /// The labels meant.
+    pub labels: Option<Vec<LayerLabel>>,
+    /// The iso value meant, and the side of it.
+    pub iso: Option<(f64, Inside)>,
+    /// The kind that the volume has, whatever it looks like.
+    pub kind: Option<Kind>,
+}
+
+/// What a volume is.
+#[derive(Clone, Debug, Serialize)]
+pub struct VolumeInfo {
+    /// Name of these data, `isoparticles-volume-info`.
+    pub format: &'static str,
+    /// Version of these data.
+    pub version: u32,
+    /// Voxels along each axis.
+    pub size: [usize; 3],
+    /// Distance of voxel centres along each axis, mm.
+    pub spacing: [f64; 3],
+    /// Edges of the box of all voxels, mm.
+    pub extent: [f64; 3],
+    /// World position of the first voxel's centre, mm.
+    pub origin: [f64; 3],
+    /// The frame of the world.
+    pub space: Space,
+    /// Where the axes point.
+    pub orientation: Orientation,
+    /// Type of the voxels.
+    pub scalar_type: &'static str,
+    /// Layers of labels, which may overlap.
+    pub layers: usize,
+    /// Scan or labels.
+    #[serde(flatten)]
+    pub judgement: Judgement,
+    /// Whether the values look like Hounsfield units.
+    pub hounsfield: bool,
+    /// The values.
+    pub values: Survey,
+    /// Distinct values, where they could be counted.
+    pub distinct: Option<usize>,
+    /// The labels but 0, of a volume of labels.
+    pub labels: Vec<LabelInfo>,
+    /// Objects that could be meshed: those meant, or else those worth trying.
+    pub objects: Vec<Object>,
+    /// What the reader had to assume.
+    pub remarks: Vec<String>,
+}
+
+/// A label.
+#[derive(Clone, Debug, Serialize)]
+pub struct LabelInfo {
+    /// Where it lies.
+    #[serde(flatten)]
+    pub at: LayerLabel,
+    /// Its name, where the file gives one.
+    pub name: Option<String>,
+    /// Its voxels.
+    pub voxels: usize,
+    /// Their volume, mm^3.
+    pub volume: f64,
+    /// Its parts, where they could be counted.
+    pub parts: Option<Parts>,
+    /// Vertices that a mesh of it alone would have.
+    pub vertices: usize,
+}
+
+/// An object that could be meshed.
+#[derive(Clone, Debug, Serialize)]
+pub struct Object {
+    /// What it is, in words.
+    pub what: String,
+    /// The options of `make` that give it.
+    pub options: String,
+    /// Why it is worth trying.
+    pub why: String,
+    /// Voxels inside.
+    pub voxels: usize,
+    /// Their volume, mm^3.
+    pub volume: f64,
+    /// Its parts, where they could be counted.
+    pub parts: Option<Parts>,
+    /// What a mesh would cost; `None` where nothing or everything is inside.
+    pub cost: Option<Cost>,
+}
+
+/// Looks at a volume.
+///
+/// # Errors
+/// When interrupted, and when labels are asked for that are no whole numbers.
+pub fn examine(volume: &Volume, wishes: &Wishes, context: &Context) -> Result<VolumeInfo> {
+    let geometry = &volume.geometry;
+    let step = context.step("survey");
+    let values = Survey::of(&volume.voxels, geometry);
+    let mut judgement = judge(&values, volume.segments.len());
+    if let Some(kind) = wishes.kind {
+        judgement = Judgement { kind, certain: true, reason: format!("--kind {kind} was given") };
+    }
+    drop(step);
+    context.check_interrupt()?;
+    let step = context.step("labels");
+    let labels = if judgement.kind == Kind::Labels { label_table(volume)? } else { Vec::new() };
+    drop(step);
+    let mut objects = Vec::new();
+    for (what, options, why, layers) in candidates(volume, wishes, &values, judgement.kind, &labels) {
+        context.check_interrupt()?;
+        let _step = context.step("objects");
+        let classes = Classes::new(geometry, layers, 1);
+        let voxels = classes.counts()[1];
+        let parts = parts(&classes).map(|parts| parts[0]);
+        let boundary = boundaries(&classes, SAMPLE).remove(0);
+        let is_something = boundary.faces.iter().sum::<usize>() > 0;
+        let count = parts.map(|parts| parts.count);
+        let cost = is_something.then(|| cost(&boundary, count, geometry, judgement.kind));
+        objects.push(Object { what, options, why, voxels, volume: volume_of(voxels, geometry), parts, cost });
+    }
+    Ok(VolumeInfo {
+        format: "isoparticles-volume-info",
+        version: 1,
+        size: geometry.size,
+        spacing: geometry.spacing.to_array(),
+        extent: [0, 1, 2].map(|a| geometry.size[a] as f64 * geometry.spacing[a]),
+        origin: geometry.origin.to_array(),
+        space: geometry.space,
+        orientation: Orientation::of(geometry),
+        scalar_type: volume.voxels.type_name(),
+        layers: volume.layer_count(),
+        hounsfield: judgement.kind == Kind::Scan && is_hounsfield(&values),
+        judgement,
+        distinct: values.distinct(),
+        values,
+        labels,
+        objects,
+        remarks: volume.remarks.clone(),
+    })
+}
+
+fn volume_of(voxels: usize, geometry: &Geometry) -> f64 {
+    voxels as f64 * geometry.spacing.element_product()
+}
+
+/// The labels but 0, layer by layer.
+fn label_table(volume: &Volume) -> Result<Vec<LabelInfo>> {
+    let geometry = &volume.geometry;
+    let mut table = Vec::new();
+    for (layer, voxels) in volume.layers().enumerate() {
+        let mut present = voxels.label_set()?;
+        present.retain(|label| *label != 0);
+        present.truncate(MOST_CLASSES);
+        let sample = (TABLE_SAMPLE / present.len().max(1)).clamp(*LABEL_SAMPLE.start(), *LABEL_SAMPLE.end());
+        let classes = Classes::new(geometry, vec![(voxels, Rule::each_of(&present))], present.len());
+        let counts = classes.counts();
+        let parts = parts(&classes);
+        let surfaces: Vec<Boundary> = boundaries(&classes, sample);
+        for (n, &label) in present.iter().enumerate() {
+            let at = LayerLabel { layer, label };
+            table.push(LabelInfo {
+                at,
+                name: volume.name_of(at).map(str::to_owned),
+                voxels: counts[n + 1],
+                volume: volume_of(counts[n + 1], geometry),
+                parts: parts.as_ref().map(|parts| parts[n]),
+                vertices: cost::two_digits(default_vertices(&surfaces[n], geometry, Kind::Labels)) as usize,
+            });
+        }
+    }
+    Ok(table)
+}
+
+/// What an object is, the options that give it, why it is proposed, and its voxels.
+type Candidate<'a> = (String, String, String, Vec<(&'a isoparticles_common::io::volume::Voxels, Rule)>);
+
+/// The object meant, or those worth trying.
+fn candidates<'a>(
+    volume: &'a Volume,
+    wishes: &Wishes,
+    values: &Survey,
+    kind: Kind,
+    labels: &[LabelInfo],
+) -> Vec<Candidate<'a>> {
+    let of_labels = |chosen: &[LayerLabel], what: String, options: String, why: &str| {
+        let rule = |layer: usize| {
+            let own: Vec<i64> = chosen.iter().filter(|at| at.layer == layer).map(|at| at.label).collect();
+            (!own.is_empty()).then(|| Rule::any_of(&own))
+        };
+        let layers = volume.layers().enumerate().filter_map(|(n, voxels)| Some((voxels, rule(n)?)));
+        (what, options, why.to_owned(), layers.collect())
+    };
+    let of_iso = |IsoValue { iso, inside, why }: IsoValue| {
+        let (what, options, rule) = match inside {
+            Inside::Above => (format!("above {iso}"), format!("ISO={iso}"), Rule::Above(iso)),
+            Inside::Below => (format!("below {iso}"), format!("ISO={iso} INSIDE=below"), Rule::Below(iso)),
+        };
+        (what, options, why, vec![(&volume.voxels, rule)])
+    };
+    match (&wishes.labels, wishes.iso, kind) {
+        (Some(chosen), _, _) => {
+            let list = chosen.iter().map(|at| at.label.to_string()).collect::<Vec<_>>().join(",");
+            vec![of_labels(chosen, format!("labels {list}"), format!("LABELS={list}"), "asked for")]
+        }
+        (None, Some((iso, inside)), _) => vec![of_iso(IsoValue { iso, inside, why: "asked for".into() })],
+        (None, None, Kind::Scan) => iso_values(values).into_iter().map(of_iso).collect(),
+        (None, None, Kind::Labels) if labels.is_empty() => Vec::new(),
+        (None, None, Kind::Labels) => {
+            let all: Vec<LayerLabel> = labels.iter().map(|label| label.at).collect();
+            vec![of_labels(&all, "all labels but 0 together".into(), "LABELS=all".into(), "one object of them all")]
+        }
+    }
+}

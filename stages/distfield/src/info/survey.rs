@@ -1,0 +1,296 @@
+//! One look at all voxels of a volume: their range, how many there are of each value, and how the values change along the axes.
+
+use isoparticles_common::geometry::Geometry;
+use isoparticles_common::io::volume::Voxels;
+use rayon::prelude::*;
+use serde::Serialize;
+use std::collections::HashMap;
+
+/// Distinct whole numbers that are counted one by one; a volume with more of them has a histogram alone.
+const MOST_DISTINCT: usize = 1 << 16;
+
+/// Bins of the histogram, at most.
+const BINS: usize = 256;
+
+/// Voxels that one task counts.
+const CHUNK: usize = 1 << 20;
+
+/// What the voxels hold.
+#[derive(Clone, Debug, Serialize)]
+pub struct Survey {
+    /// Smallest and largest finite value; `None` where no value is finite.
+    pub range: Option<[f64; 2]>,
+    /// NaN and infinite values.
+    pub non_finite: usize,
+    /// Values that are not whole numbers.
+    pub fractions: usize,
+    /// Every value with the number of its voxels, in increasing order; `None` where some are not whole or there are too many.
+    #[serde(skip)]
+    pub values: Option<Vec<(i64, usize)>>,
+    /// How often neighbours along an axis differ (the last two of three voxels in a row).
+    pub jumps: usize,
+    /// How often the first two of those three differ as well.
+    pub double_jumps: usize,
+    /// Voxels by value.
+    pub histogram: Histogram,
+}
+
+/// Voxels by value, in bins of one width.
+#[derive(Clone, Debug, Default, Serialize)]
+pub struct Histogram {
+    /// Lower bound of the first bin.
+    pub low: f64,
+    /// Width of a bin; whole numbers of a narrow range have a bin each.
+    pub width: f64,
+    /// Voxels in each bin.
+    pub counts: Vec<usize>,
+}
+
+impl Survey {
+    /// Looks at the voxels of a volume.
+    pub fn of(voxels: &Voxels, geometry: &Geometry) -> Self {
+        macro_rules! each {
+            ($($variant:ident),*) => { match voxels { $(Voxels::$variant(values) => survey(values, geometry.size),)* } };
+        }
+        each!(I8, U8, I16, U16, I32, U32, I64, U64, F32, F64)
+    }
+
+    /// Number of distinct values, where they were counted.
+    pub fn distinct(&self) -> Option<usize> {
+        self.values.as_ref().map(Vec::len)
+    }
+
+    /// The share of jumps that follow another one: near 1 where every voxel differs from its neighbours, near 0 where values come in pieces.
+    pub fn double_share(&self) -> f64 {
+        self.double_jumps as f64 / self.jumps.max(1) as f64
+    }
+}
+
+/// A value of a voxel.
+trait Cell: Copy + PartialEq + Send + Sync {
+    /// Rounded, for integers beyond 2^53.
+    fn double(self) -> f64;
+    /// As a whole number, if it is one that fits.
+    fn whole(self) -> Option<i64>;
+}
+
+macro_rules! whole_cell {
+    ($($type:ty),*) => {$(impl Cell for $type {
+        fn double(self) -> f64 {
+            self as f64
+        }
+        fn whole(self) -> Option<i64> {
+            i64::try_from(self).ok()
+        }
+    })*};
+}
+whole_cell!(i8, u8, i16, u16, i32, u32, i64, u64);
+
+macro_rules! float_cell {
+    ($($type:ty),*) => {$(impl Cell for $type {
+        fn double(self) -> f64 {
+            self.into()
+        }
+        fn whole(self) -> Option<i64> {
+            let value = f64::from(self);
+            // beyond 2^53 not every whole number is a float any more
+            (value.fract() == 0.0 && value.abs() <= 9_007_199_254_740_992.0).then_some(value as i64)
+        }
+    })*};
+}
+float_cell!(f32, f64);
+
+/// What is found out slice by slice.
+#[derive(Clone, Copy)]
+struct Slice {
+    low: f64,
+    high: f64,
+    non_finite: usize,
+    fractions: usize,
+    jumps: usize,
+    double_jumps: usize,
+}
+
+impl Slice {
+    const NOTHING: Self =
+        Self { low: f64::INFINITY, high: f64::NEG_INFINITY, non_finite: 0, fractions: 0, jumps: 0, double_jumps: 0 };
+
+    fn and(self, other: Self) -> Self {
+        Self {
+            low: self.low.min(other.low),
+            high: self.high.max(other.high),
+            non_finite: self.non_finite + other.non_finite,
+            fractions: self.fractions + other.fractions,
+            jumps: self.jumps + other.jumps,
+            double_jumps: self.double_jumps + other.double_jumps,
+        }
+    }
+
+    fn count_values<T: Cell>(&mut self, values: &[T]) {
+        for &value in values {
+            let double = value.double();
+            if double.is_finite() {
+                self.low = self.low.min(double);
+                self.high = self.high.max(double);
+                self.fractions += usize::from(double.fract() != 0.0);
+            } else {
+                self.non_finite += 1;
+            }
+        }
+    }
+
+    fn count_jumps<T: Cell>(&mut self, a: &[T], b: &[T], c: &[T]) {
+        let (mut jumps, mut doubles) = (0u32, 0u32);
+        for ((a, b), c) in a.iter().zip(b).zip(c) {
+            let (first, second) = (u32::from(a != b), u32::from(b != c));
+            jumps += second;
+            doubles += first & second;
+        }
+        self.jumps += jumps as usize;
+        self.double_jumps += doubles as usize;
+    }
+}
+
+fn survey<T: Cell>(values: &[T], [nx, ny, nz]: [usize; 3]) -> Survey {
+    let whole = (0..nz)
+        .into_par_iter()
+        .map(|k| {
+            let row = |j: usize, k: usize| &values[(k * ny + j) * nx..][..nx];
+            let mut slice = Slice::NOTHING;
+            for j in 0..ny {
+                let own = row(j, k);
+                slice.count_values(own);
+                if nx > 2 {
+                    slice.count_jumps(own, &own[1..], &own[2..]);
+                }
+                if j > 1 {
+                    slice.count_jumps(row(j - 2, k), row(j - 1, k), own);
+                }
+                if k > 1 {
+                    slice.count_jumps(row(j, k - 2), row(j, k - 1), own);
+                }
+            }
+            slice
+        })
+        .reduce(|| Slice::NOTHING, Slice::and);
+    let range = (whole.low <= whole.high).then_some([whole.low, whole.high]);
+    let is_whole = whole.fractions == 0 && whole.non_finite == 0;
+    let counted = range.filter(|_| is_whole).and_then(|range| count_whole(values, range));
+    Survey {
+        range,
+        non_finite: whole.non_finite,
+        fractions: whole.fractions,
+        jumps: whole.jumps,
+        double_jumps: whole.double_jumps,
+        histogram: range.map_or_else(Histogram::default, |range| histogram(values, range, counted.as_deref())),
+        values: counted,
+    }
+}
+
+/// Voxels of each value, all of which are whole.
+fn count_whole<T: Cell>(values: &[T], [low, high]: [f64; 2]) -> Option<Vec<(i64, usize)>> {
+    if high - low < MOST_DISTINCT as f64 {
+        let first = low as i64;
+        let size = (high - low) as usize + 1;
+        let count = |chunk: &[T]| {
+            let mut counts = vec![0usize; size];
+            chunk.iter().filter_map(|value| value.whole()).for_each(|value| counts[(value - first) as usize] += 1);
+            counts
+        };
+        let add = |mut a: Vec<usize>, b: Vec<usize>| {
+            a.iter_mut().zip(b).for_each(|(a, b)| *a += b);
+            a
+        };
+        let counts = values.par_chunks(CHUNK).map(count).reduce(|| vec![0; size], add);
+        let found = (first..).zip(counts).filter(|(_, count)| *count > 0);
+        return Some(found.collect());
+    }
+    let few = |counts: HashMap<i64, usize>| (counts.len() <= MOST_DISTINCT).then_some(counts);
+    let count = |chunk: &[T]| {
+        let mut counts = HashMap::new();
+        for value in chunk {
+            *counts.entry(value.whole()?).or_insert(0) += 1;
+            if counts.len() > MOST_DISTINCT {
+                return None;
+            }
+        }
+        few(counts)
+    };
+    let add = |mut a: HashMap<i64, usize>, b: HashMap<i64, usize>| {
+        b.into_iter().for_each(|(value, count)| *a.entry(value).or_insert(0) += count);
+        few(a)
+    };
+    let counts = values.par_chunks(CHUNK).map(count).try_reduce_with(add).flatten()?;
+    let mut sorted: Vec<(i64, usize)> = counts.into_iter().collect();
+    sorted.sort_unstable();
+    Some(sorted)
+}
+
+fn histogram<T: Cell>(values: &[T], [low, high]: [f64; 2], counted: Option<&[(i64, usize)]>) -> Histogram {
+    let narrow = counted.is_some() && high - low < BINS as f64;
+    let bins = if narrow { (high - low) as usize + 1 } else { BINS };
+    // a bin of one value reaches up to the next
+    let width = if narrow { 1.0 } else { ((high - low) / bins as f64).max(f64::MIN_POSITIVE) };
+    let bin = |value: f64| (((value - low) / width) as usize).min(bins - 1);
+    let counts = match counted {
+        Some(counted) => {
+            let mut counts = vec![0; bins];
+            counted.iter().for_each(|&(value, count)| counts[bin(value as f64)] += count);
+            counts
+        }
+        None => {
+            let count = |chunk: &[T]| {
+                let mut counts = vec![0usize; bins];
+                let finite = chunk.iter().map(|value| value.double()).filter(|value| value.is_finite());
+                finite.for_each(|value| counts[bin(value)] += 1);
+                counts
+            };
+            values.par_chunks(CHUNK).map(count).reduce(
+                || vec![0; bins],
+                |mut a, b| {
+                    a.iter_mut().zip(b).for_each(|(a, b)| *a += b);
+                    a
+                },
+            )
+        }
+    };
+    Histogram { low, width, counts }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use glam::DVec3;
+
+    #[test]
+    fn values_are_counted_whatever_their_type() {
+        let geometry = Geometry::axis_aligned([4, 3, 2], DVec3::ONE);
+        let numbers: Vec<i64> = (0..24).map(|n| [7, -3, 7, 1_000_000][n % 4]).collect();
+        for voxels in [
+            Voxels::I64(numbers.clone()),
+            Voxels::I32(numbers.iter().map(|&n| n as i32).collect()),
+            Voxels::F64(numbers.iter().map(|&n| n as f64).collect()),
+        ] {
+            let survey = Survey::of(&voxels, &geometry);
+            assert_eq!(survey.range, Some([-3.0, 1e6]));
+            assert_eq!(survey.values, Some(vec![(-3, 6), (7, 12), (1_000_000, 6)]));
+            assert_eq!(survey.histogram.counts.iter().sum::<usize>(), 24);
+            // along x all four differ from the next, two of three in a row; along y and z nothing changes
+            assert_eq!((survey.jumps, survey.double_jumps), (12, 12));
+        }
+        let narrow = Survey::of(&Voxels::I8(numbers.iter().map(|&n| n.min(9) as i8).collect()), &geometry);
+        assert_eq!(narrow.histogram.counts.len(), 13);
+        assert_eq!(narrow.histogram.counts[10], 12, "{:?}", narrow.histogram);
+    }
+
+    #[test]
+    fn what_is_no_whole_number_is_counted_but_not_listed() {
+        let geometry = Geometry::axis_aligned([2, 2, 2], DVec3::ONE);
+        let survey = Survey::of(&Voxels::F32(vec![0.5, 1.0, 2.0, f32::NAN, 1.0, 1.0, f32::INFINITY, 3.5]), &geometry);
+        assert_eq!((survey.fractions, survey.non_finite, survey.distinct()), (2, 2, None));
+        assert_eq!(survey.range, Some([0.5, 3.5]));
+        assert_eq!(survey.histogram.counts.iter().sum::<usize>(), 6);
+        let none = Survey::of(&Voxels::F32(vec![f32::NAN; 8]), &geometry);
+        assert_eq!((none.range, none.non_finite), (None, 8));
+    }
+}

@@ -1,0 +1,207 @@
+//! The lines that `--info` prints.
+
+use super::boundary::BALL;
+use super::cost::{Cost, UNCERTAINTY};
+use super::kind::Kind;
+use super::{LabelInfo, Object, VolumeInfo};
+use isoparticles_common::geometry::Space;
+use std::fmt::Write;
+
+/// Rows of the histogram.
+const ROWS: usize = 16;
+
+/// Length of the longest bar, characters.
+const BAR: f64 = 40.0;
+
+/// Labels that are listed, the largest ones.
+const MOST_LABELS: usize = 40;
+
+impl VolumeInfo {
+    /// What is known of the volume called `name`, in lines.
+    pub fn text(&self, name: &str) -> String {
+        // writing into a String cannot fail
+        let mut out = String::new();
+        let _ = self.write(name, &mut out);
+        out
+    }
+
+    fn write(&self, name: &str, out: &mut String) -> std::fmt::Result {
+        let [nx, ny, nz] = self.size;
+        let [sx, sy, sz] = self.spacing.map(short);
+        let [ex, ey, ez] = self.extent.map(short);
+        let voxels = grouped(self.size.iter().product());
+        writeln!(out, "{name}")?;
+        writeln!(out, "  size         {nx} x {ny} x {nz} = {voxels} voxels of {}", self.scalar_type)?;
+        writeln!(out, "  spacing      {sx} x {sy} x {sz} mm, the whole {ex} x {ey} x {ez} mm")?;
+        self.write_orientation(out)?;
+        let doubt = if self.judgement.certain { "" } else { " (a guess)" };
+        writeln!(out, "  kind         {}{doubt}: {}", self.judgement.kind, self.judgement.reason)?;
+        self.write_values(out)?;
+        for remark in &self.remarks {
+            writeln!(out, "  remark       {remark}")?;
+        }
+        if self.judgement.kind == Kind::Scan {
+            self.write_histogram(out)?;
+        } else {
+            self.write_labels(out)?;
+        }
+        self.write_objects(out)
+    }
+
+    fn write_orientation(&self, out: &mut String) -> std::fmt::Result {
+        let [x, y, z] = &self.orientation.axes;
+        let letters = self.orientation.letters.as_ref().map_or_else(String::new, |letters| format!(" ({letters})"));
+        let unnamed = if self.space == Space::Unnamed { "; the file names no anatomical space" } else { "" };
+        let handed = if self.orientation.left_handed { "left-handed" } else { "right-handed" };
+        let oblique = match self.orientation.oblique_degrees {
+            angle if angle < 0.05 => "along the axes of the world".to_owned(),
+            angle => format!("oblique by {angle:.1} degrees"),
+        };
+        let sheared = if self.orientation.sheared { ", axes not at right angles" } else { "" };
+        writeln!(out, "  orientation  x {x}, y {y}, z {z}{letters}; {oblique}, {handed}{sheared}{unnamed}")
+    }
+
+    fn write_values(&self, out: &mut String) -> std::fmt::Result {
+        let range = match self.values.range {
+            Some([low, high]) => format!("{} to {}", short(low), short(high)),
+            None => "no number at all".to_owned(),
+        };
+        let distinct = match self.distinct {
+            Some(distinct) => format!(", {distinct} distinct"),
+            None => String::new(),
+        };
+        let bad = match self.values.non_finite {
+            0 => String::new(),
+            count => format!(", {} voxels NaN or infinite", grouped(count)),
+        };
+        let unit = if self.hounsfield { ", Hounsfield units by the look of it" } else { "" };
+        writeln!(out, "  values       {range}{distinct}{unit}{bad}")
+    }
+
+    fn write_histogram(&self, out: &mut String) -> std::fmt::Result {
+        let histogram = &self.values.histogram;
+        let total: usize = histogram.counts.iter().sum();
+        let bins = histogram.counts.len().div_ceil(ROWS).max(1);
+        let rows: Vec<usize> = histogram.counts.chunks(bins).map(|bins| bins.iter().sum()).collect();
+        let most = rows.iter().copied().max().unwrap_or(0).max(1);
+        writeln!(out, "\n  from             share  (bars: square root of the share)")?;
+        for (n, &count) in rows.iter().enumerate() {
+            let low = histogram.low + (n * bins) as f64 * histogram.width;
+            let share = 100.0 * count as f64 / total.max(1) as f64;
+            let bar = "#".repeat((BAR * (count as f64 / most as f64).sqrt()).round() as usize);
+            writeln!(out, "{}", format!("  {:>12}  {share:7.3} %  {bar}", short(low)).trim_end())?;
+        }
+        Ok(())
+    }
+
+    fn write_labels(&self, out: &mut String) -> std::fmt::Result {
+        let mut labels: Vec<&LabelInfo> = self.labels.iter().collect();
+        let left_out = labels.len().saturating_sub(MOST_LABELS);
+        if left_out > 0 {
+            labels.sort_by_key(|label| std::cmp::Reverse(label.voxels));
+            labels.truncate(MOST_LABELS);
+        }
+        let layer = if self.layers > 1 { "  layer" } else { "" };
+        writeln!(out, "\n    label{layer}        voxels          mm^3    parts    vertices  name")?;
+        for label in labels {
+            let layer = if self.layers > 1 { format!("  {:>5}", label.at.layer) } else { String::new() };
+            let parts = label.parts.map_or_else(|| "many".to_owned(), |parts| grouped(parts.count));
+            let line = format!(
+                "  {:>7}{layer}  {:>12}  {:>12}  {parts:>7}  {:>10}  {}",
+                label.at.label,
+                grouped(label.voxels),
+                short(label.volume),
+                grouped(label.vertices),
+                label.name.as_deref().unwrap_or(""),
+            );
+            writeln!(out, "{}", line.trim_end())?;
+        }
+        if left_out > 0 {
+            writeln!(out, "  and {left_out} smaller ones (--json FILE has all)")?;
+        }
+        Ok(())
+    }
+
+    fn write_objects(&self, out: &mut String) -> std::fmt::Result {
+        if self.objects.is_empty() {
+            return Ok(());
+        }
+        writeln!(out, "\n  what a mesh would cost (vertices within a factor of {UNCERTAINTY})")?;
+        for object in &self.objects {
+            write_object(object, out)?;
+        }
+        writeln!(
+            out,
+            "  Vertices are predicted from balls of {BALL} voxels round sampled faces; the time is processor time of all threads together,\n  \
+             measured on one core of the machine that docs/tuning.md names."
+        )
+    }
+}
+
+fn write_object(object: &Object, out: &mut String) -> std::fmt::Result {
+    let parts = match object.parts {
+        Some(parts) => format!("{} parts", grouped(parts.count)),
+        None => "very many parts".to_owned(),
+    };
+    writeln!(out, "\n  {}  ({})", object.options, object.why)?;
+    writeln!(
+        out,
+        "    {}: {} voxels, {} mm^3, {parts}",
+        object.what,
+        grouped(object.voxels),
+        short(object.volume)
+    )?;
+    let Some(Cost { area, vertices, vertices_range: [low, high], uniform, stages }) = &object.cost else {
+        return writeln!(out, "    no surface");
+    };
+    let sizes: Vec<String> =
+        uniform.iter().map(|one| format!("SIZE={} {}", short(one.size), grouped(one.vertices))).collect();
+    writeln!(out, "    area {} mm^2", short(*area))?;
+    writeln!(out, "    vertices {} ({} to {}); {}", grouped(*vertices), grouped(*low), grouped(*high), sizes.join(", "))?;
+    let told: Vec<String> = stages
+        .iter()
+        .map(|stage| format!("{} {} s, {} MiB", stage.stage, short(two(stage.seconds)), grouped((stage.bytes / 1048576.0) as usize)))
+        .collect();
+    writeln!(out, "    {}", told.join("; "))
+}
+
+fn two(value: f64) -> f64 {
+    super::cost::two_digits(value)
+}
+
+/// A number with up to six significant digits and no zeros at its end.
+fn short(value: f64) -> String {
+    if value == 0.0 || !value.is_finite() {
+        return format!("{value}");
+    }
+    let digits = (5 - value.abs().log10().floor() as i32).clamp(0, 9) as usize;
+    let text = format!("{value:.digits$}");
+    if text.contains('.') { text.trim_end_matches('0').trim_end_matches('.').to_owned() } else { text }
+}
+
+/// A whole number with commas.
+fn grouped(value: usize) -> String {
+    let digits = value.to_string();
+    let mut out = String::new();
+    for (n, digit) in digits.chars().enumerate() {
+        if n > 0 && (digits.len() - n).is_multiple_of(3) {
+            out.push(',');
+        }
+        out.push(digit);
+    }
+    out
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn numbers_read_well() {
+        assert_eq!(["0", "999", "1,000", "1,234,567"], [0, 999, 1000, 1_234_567].map(grouped).each_ref().map(String::as_str));
+        assert_eq!(
+            ["0", "1.5", "0.0195", "-1024", "1234567", "0.521484"],
+            [0.0, 1.5, 0.0195, -1024.0, 1_234_567.0, 0.521_484].map(short).each_ref().map(String::as_str)
+        );
+    }
+}

@@ -1,0 +1,190 @@
+//! Iso values worth trying: those that part the histogram best, and what Hounsfield units are known for.
+
+use super::survey::{Histogram, Survey};
+use crate::Inside;
+use serde::Serialize;
+
+/// An iso value, and why it may be the one that is wanted.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct IsoValue {
+    /// The value.
+    pub iso: f64,
+    /// The side that the object is on.
+    #[serde(serialize_with = "side")]
+    pub inside: Inside,
+    /// Why, in words.
+    pub why: String,
+}
+
+fn side<S: serde::Serializer>(inside: &Inside, serializer: S) -> Result<S::Ok, S::Error> {
+    serializer.serialize_str(match inside {
+        Inside::Above => "above",
+        Inside::Below => "below",
+    })
+}
+
+/// A volume is taken to be in Hounsfield units when its values reach from air to bone and, as nearly all of them, lie within what
+/// scanners give: -1024 for air, paddings down to -3024 (GE: -2000, 3-D Slicer: -3024), 3071 for metal at 12 bits.
+const AIR_BELOW: f64 = -800.0;
+const BONE_ABOVE: f64 = 200.0;
+const SCANNER: [f64; 2] = [-3100.0, 3100.0];
+const SHARE_WITHIN: f64 = 0.99;
+
+/// Levels of the CT: text-book values, half way between the tissues that they part.
+const LEVELS: [(f64, Inside, &str); 4] = [
+    (200.0, Inside::Above, "Hounsfield: bone, and blood with contrast agent"),
+    (-300.0, Inside::Above, "Hounsfield: the body, to its skin"),
+    (-500.0, Inside::Below, "Hounsfield: lungs, and all other air"),
+    (700.0, Inside::Above, "Hounsfield: compact bone and teeth"),
+];
+
+/// Share of one value above which it is taken for padding or saturation, which has no part in the thresholds: a scan's own values
+/// hold a few per cent each.
+const PADDING_SHARE: f64 = 0.25;
+
+/// Whether the values look like Hounsfield units.
+pub fn is_hounsfield(survey: &Survey) -> bool {
+    let Some([low, high]) = survey.range else { return false };
+    let Histogram { counts, .. } = &survey.histogram;
+    let total: usize = counts.iter().sum();
+    let within: usize = (0..counts.len())
+        .filter(|&n| (SCANNER[0]..=SCANNER[1]).contains(&survey.histogram.middle(n)))
+        .map(|n| counts[n])
+        .sum();
+    low < AIR_BELOW && high > BONE_ABOVE && low >= SCANNER[0] && within as f64 >= SHARE_WITHIN * total as f64
+}
+
+/// Iso values worth trying in a scan, at most one of them for a value (within a hundredth of the range).
+pub fn iso_values(survey: &Survey) -> Vec<IsoValue> {
+    let Some([low, high]) = survey.range.filter(|[low, high]| low < high) else { return Vec::new() };
+    let mut found: Vec<IsoValue> = Vec::new();
+    let mut add = |iso: f64, inside: Inside, why: String| {
+        let is_new = found.iter().all(|other: &IsoValue| (other.iso - iso).abs() > 0.01 * (high - low));
+        if low < iso && iso < high && is_new {
+            found.push(IsoValue { iso, inside, why });
+        }
+    };
+    if is_hounsfield(survey) {
+        LEVELS.iter().for_each(|&(iso, inside, why)| add(iso, inside, why.to_owned()));
+    }
+    let (histogram, padding) = survey.histogram.without_padding();
+    let but = padding.map_or_else(String::new, |value| format!(", but for the padding near {value:.6}"));
+    if let Some(one) = otsu(&histogram) {
+        add(histogram.round(one), Inside::Above, format!("Otsu: parts the values best into two classes{but}"));
+    }
+    if let Some(two) = otsu_two(&histogram) {
+        for (iso, which) in two.into_iter().zip(["lower", "upper"]) {
+            let why = format!("Otsu: {which} of the two that part the values best into three classes{but}");
+            add(histogram.round(iso), Inside::Above, why);
+        }
+    }
+    found
+}
+
+impl Histogram {
+    /// Middle of a bin.
+    pub fn middle(&self, bin: usize) -> f64 {
+        self.low + (bin as f64 + 0.5) * self.width
+    }
+
+    /// The border below a bin, with no more digits than the width of a bin warrants.
+    fn round(&self, bin: usize) -> f64 {
+        let unit = 10f64.powf(self.width.log10().floor());
+        ((self.low + bin as f64 * self.width) / unit).round() * unit
+    }
+
+    /// The same without the bin that holds a padding, and where that is.
+    fn without_padding(&self) -> (Self, Option<f64>) {
+        let total: usize = self.counts.iter().sum();
+        let padding = (0..self.counts.len())
+            .max_by_key(|&n| self.counts[n])
+            .filter(|&n| self.counts[n] as f64 > PADDING_SHARE * total as f64);
+        let mut rest = self.clone();
+        if let Some(bin) = padding {
+            rest.counts[bin] = 0;
+        }
+        (rest, padding.map(|bin| self.low + bin as f64 * self.width))
+    }
+
+    /// Count and sum of the values in all bins below each bin.
+    fn sums(&self) -> Vec<[f64; 2]> {
+        let mut sums = vec![[0.0, 0.0]];
+        for (n, &count) in self.counts.iter().enumerate() {
+            let [all, sum] = sums[n];
+            sums.push([all + count as f64, sum + count as f64 * n as f64]);
+        }
+        sums
+    }
+}
+
+/// Square of the sum over the count of the bins from `a` to below `b`: what the variance between classes is made of (Otsu 1979).
+fn weight(sums: &[[f64; 2]], a: usize, b: usize) -> f64 {
+    let (count, sum) = (sums[b][0] - sums[a][0], sums[b][1] - sums[a][1]);
+    if count > 0.0 { sum * sum / count } else { f64::NEG_INFINITY }
+}
+
+/// The bin from which on values belong to the upper of two classes; in the middle of empty bins between the two.
+fn otsu(histogram: &Histogram) -> Option<usize> {
+    let sums = histogram.sums();
+    let end = histogram.counts.len();
+    let of = |bin: usize| weight(&sums, 0, bin) + weight(&sums, bin, end);
+    best((1..end).map(|bin| (bin, of(bin))))
+}
+
+/// The same for the two borders of three classes.
+fn otsu_two(histogram: &Histogram) -> Option<[usize; 2]> {
+    let sums = histogram.sums();
+    let end = histogram.counts.len();
+    let of = |a: usize, b: usize| weight(&sums, 0, a) + weight(&sums, a, b) + weight(&sums, b, end);
+    let upper = |a: usize| best((a + 1..end).map(|b| (b, of(a, b))));
+    let lower = best((1..end).filter_map(|a| upper(a).map(|b| (a, of(a, b)))))?;
+    Some([lower, upper(lower)?])
+}
+
+/// The middle one of the places of the greatest value, which is flat where bins are empty.
+fn best(values: impl Iterator<Item = (usize, f64)>) -> Option<usize> {
+    let mut found: Option<(usize, usize, f64)> = None;
+    for (place, value) in values.filter(|(_, value)| value.is_finite()) {
+        found = match found {
+            Some((first, _, most)) if value == most => Some((first, place, most)),
+            Some((first, last, most)) if value < most => Some((first, last, most)),
+            _ => Some((place, place, value)),
+        };
+    }
+    found.map(|(first, last, _)| (first + last) / 2)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use glam::DVec3;
+    use isoparticles_common::geometry::Geometry;
+    use isoparticles_common::io::volume::Voxels;
+
+    fn surveyed(values: Vec<i16>) -> Survey {
+        let geometry = Geometry::axis_aligned([values.len() / 4, 2, 2], DVec3::ONE);
+        Survey::of(&Voxels::I16(values), &geometry)
+    }
+
+    #[test]
+    fn modes_are_parted_and_padding_is_left_out() {
+        // padding, and modes round 40, 120 and 200
+        let values: Vec<i16> = (0..4000)
+            .map(|n| if n % 2 == 0 { 0 } else { [40, 120, 200][n / 2 % 3] + (n as i16 / 6 * 7) % 11 - 5 })
+            .collect();
+        let found = iso_values(&surveyed(values));
+        let near = |low: f64, high: f64| found.iter().any(|value| (low..high).contains(&value.iso));
+        assert!(near(60.0, 100.0) && near(140.0, 180.0), "{found:?}");
+        assert!(found.iter().all(|value| value.why.contains("padding near 0")), "{found:?}");
+    }
+
+    #[test]
+    fn hounsfield_units_are_known_by_their_range() {
+        let ct = |first: i16| (0..4000).map(|n| first + (n % 1500)).collect::<Vec<i16>>();
+        let found = iso_values(&surveyed(ct(-1000)));
+        assert_eq!((found[0].iso, found[2].iso, found[2].inside), (200.0, -500.0, Inside::Below), "{found:?}");
+        assert!(!is_hounsfield(&surveyed(ct(0))));
+        assert!(!is_hounsfield(&surveyed(ct(-9000))));
+        assert!(iso_values(&surveyed(vec![7; 400])).is_empty());
+    }
+}
