@@ -105,8 +105,10 @@ mod tests {
         let line = |words: &[&str], output: &str| {
             canonical_command_line("seed", words.iter().map(|word| (*word).to_owned()), &[PathBuf::from(output)])
         };
-        let first =
-            line(&["/a/in.vti", "-o", "/a/out.bin", "--seed", "3", "-vv", "--threads=4", "--max-memory", "8G", "--force"], "/a/out.bin");
+        let first = line(
+            &["/a/in.vti", "-o", "/a/out.bin", "--seed", "3", "-vv", "--threads=4", "--max-memory", "8G", "--force"],
+            "/a/out.bin",
+        );
         let second = line(&["b/in.vti", "-o", "other.bin", "--seed", "3", "--report", "r.json"], "other.bin");
         assert_eq!(first, "seed in.vti -o OUTPUT --seed 3");
         assert_eq!(first, second);

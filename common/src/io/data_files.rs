@@ -40,7 +40,8 @@ mod tests {
             let path = folder.path().join(name);
             std::fs::write(&path, text).expect("written");
             let names = data_files(&path).expect("read");
-            let names = names.iter().map(|path| path.strip_prefix(folder.path()).expect("beside the header").to_owned());
+            let names =
+                names.iter().map(|path| path.strip_prefix(folder.path()).expect("beside the header").to_owned());
             names.map(|path| path.to_string_lossy().into_owned()).collect::<Vec<_>>()
         };
         let nrrd = "NRRD0004\ntype: uchar\ndimension: 3\nsizes: 2 2 2\nencoding: raw\n";

@@ -202,7 +202,8 @@ impl<'a> Header<'a> {
         let order = self.first_of(&["BinaryDataByteOrderMSB", "ElementByteOrderMSB"]);
         let is_big = order.map_or(Ok(false), |(name, _)| self.is(name))?;
         // as in NRRD, -1 says that the voxels end with the file
-        let byte_skip = self.field("HeaderSize").map_or(Ok(0), |text| text.parse().map_err(|_| self.error("HeaderSize")))?;
+        let byte_skip =
+            self.field("HeaderSize").map_or(Ok(0), |text| text.parse().map_err(|_| self.error("HeaderSize")))?;
         if byte_skip < -1 {
             return Err(self.error("HeaderSize"));
         }
@@ -306,7 +307,8 @@ mod tests {
         for pattern in ["s%02d.raw 8", "s%02d.raw 8 11", "s%02d.raw 8 11 1"] {
             assert_eq!(files(pattern).expect(pattern), named(&four));
         }
-        for wrong in ["", "LIST\na\nb\n", "LIST 1\na\n", "s%d.raw 1 2 1", "s%d.raw x", "s%d.raw 1 4 0", "s%s.raw 1 4 1"] {
+        for wrong in ["", "LIST\na\nb\n", "LIST 1\na\n", "s%d.raw 1 2 1", "s%d.raw x", "s%d.raw 1 4 0", "s%s.raw 1 4 1"]
+        {
             assert!(files(wrong).is_err(), "{wrong}");
         }
     }

@@ -17,8 +17,8 @@ pub mod point_cloud;
 pub mod points;
 pub mod surface;
 pub mod volume;
-mod vti;
 mod voxel_data;
+mod vti;
 mod vtk_xml;
 
 pub use data_files::data_files;

@@ -13,7 +13,8 @@ pub(super) fn choose(folder: &Path, slices: Vec<Slice>, wanted: Option<&str>) ->
     for slice in slices {
         all.entry(slice.series.uid.clone()).or_default().push(slice);
     }
-    let found: Vec<&String> = all.iter().filter(|(_, slices)| is_meant(&slices[0].series, wanted)).map(|(uid, _)| uid).collect();
+    let found: Vec<&String> =
+        all.iter().filter(|(_, slices)| is_meant(&slices[0].series, wanted)).map(|(uid, _)| uid).collect();
     let uid = match found.as_slice() {
         [uid] => (*uid).clone(),
         found => return Err(refuse(folder, &all, wanted, found.len())),

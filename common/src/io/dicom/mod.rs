@@ -70,7 +70,10 @@ fn dicom_files(folder: &Path) -> Result<Vec<PathBuf>> {
         "a folder is read as the slices of one DICOM series",
         match names.is_empty() {
             true => "give the volume's file, or the folder that the slices lie in".to_owned(),
-            false => format!("give the volume's file, or the folder that the slices lie in; folders in it: {}", names.join(", ")),
+            false => format!(
+                "give the volume's file, or the folder that the slices lie in; folders in it: {}",
+                names.join(", ")
+            ),
         },
     ))
 }

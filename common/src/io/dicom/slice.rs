@@ -47,7 +47,10 @@ pub(super) struct Pixels {
 impl Slice {
     /// Reads the header of a DICOM file; `None` for files without an image (reports, directories, contours).
     pub(super) fn read(path: &Path) -> Result<Option<Self>> {
-        let object = OpenFileOptions::new().read_until(tags::PIXEL_DATA).open_file(path).map_err(|error| damaged(path, &error))?;
+        let object = OpenFileOptions::new()
+            .read_until(tags::PIXEL_DATA)
+            .open_file(path)
+            .map_err(|error| damaged(path, &error))?;
         let header = Header { path, object: &object };
         let (Some(rows), Some(columns)) = (header.whole(tags::ROWS)?, header.whole(tags::COLUMNS)?) else {
             return Ok(None);

@@ -73,7 +73,10 @@ impl Stack {
         let first = self.slices[0].pixels;
         match self.slices.iter().all(|slice| slice.pixels == first) {
             true => first.remark(),
-            false => Some("the values are the stored ones times a slope plus an intercept that differ from slice to slice".to_owned()),
+            false => Some(
+                "the values are the stored ones times a slope plus an intercept that differ from slice to slice"
+                    .to_owned(),
+            ),
         }
     }
 }
@@ -119,11 +122,20 @@ fn check_gaps(slices: &[Slice], places: &[f64]) -> Result<()> {
     let usual = sorted[sorted.len() / 2];
     let Some(n) = gaps.iter().position(|gap| (gap - usual).abs() > LARGEST_SHIFT * usual) else { return Ok(()) };
     let (missing, folder) = ((gaps[n] / usual).round() - 1.0, slices[n].path.parent().unwrap_or(Path::new("")));
-    let between = format!("between {} and {} ({:.3} and {:.3} mm along the normal)", name(n), name(n + 1), places[n], places[n + 1]);
+    let between = format!(
+        "between {} and {} ({:.3} and {:.3} mm along the normal)",
+        name(n),
+        name(n + 1),
+        places[n],
+        places[n + 1]
+    );
     Err(bad(
         folder,
         match missing >= 1.0 {
-            true => format!("lacks {missing} of its slices {between}: the gap is {:.3} mm, the others {usual:.3} mm", gaps[n]),
+            true => format!(
+                "lacks {missing} of its slices {between}: the gap is {:.3} mm, the others {usual:.3} mm",
+                gaps[n]
+            ),
             false => format!("is unevenly spaced {between}: the gap is {:.3} mm, the others {usual:.3} mm", gaps[n]),
         },
         "the voxels of a volume lie on one regular grid; what is missing cannot be meshed",

@@ -131,7 +131,8 @@ fn spatial_axes(
         None => matches!(kind(axis).as_str(), "domain" | "space" | "none" | "???" | "unknown"),
     };
     let (mut spatial, others): (Vec<usize>, Vec<usize>) = (0..header.sizes.len()).partition(|&axis| is_spatial(axis));
-    let layer_axis = others.iter().copied().find(|&axis| is_segmentation && kind(axis) == "list" && header.sizes[axis] != 1);
+    let layer_axis =
+        others.iter().copied().find(|&axis| is_segmentation && kind(axis) == "list" && header.sizes[axis] != 1);
     if let Some(&axis) = others.iter().find(|&&axis| header.sizes[axis] != 1 && Some(axis) != layer_axis) {
         let (size, kind) = (header.sizes[axis], kind(axis));
         let (what, next) = if kind == "time" {

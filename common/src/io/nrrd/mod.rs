@@ -29,7 +29,12 @@ pub fn read_nrrd(path: &Path) -> Result<Volume> {
     let voxels = geometry.voxel_count();
     let count = voxels.checked_mul(layers).filter(|&count| count > 0);
     let count = count.ok_or_else(|| {
-        bad(path, format!("promises {layers} layers"), "no computer can hold them", "the header is damaged: write the file again")
+        bad(
+            path,
+            format!("promises {layers} layers"),
+            "no computer can hold them",
+            "the header is damaged: write the file again",
+        )
     })?;
     // parted into layers, the voxels are there twice for a moment
     let copies = if layers > 1 { 2 } else { 1 };

@@ -153,12 +153,18 @@ fn no_volume(start: &[u8], ends: &impl Fn(&[&str]) -> bool) -> Option<(&'static 
         return Some(("a surface or point cloud (PLY)", SURFACE));
     }
     if start.starts_with(b"solid ") || ends(&[".stl"]) {
-        return Some(("a surface (STL)", "save it as .vtp: tetmesh-check fills a closed surface with tetrahedra; for distfield, give the \
-                                         volume that the surface was made from"));
+        return Some((
+            "a surface (STL)",
+            "save it as .vtp: tetmesh-check fills a closed surface with tetrahedra; for distfield, give the \
+                                         volume that the surface was made from",
+        ));
     }
     if ends(&[".obj"]) {
-        return Some(("a surface (OBJ)", "save it as .vtp: tetmesh-check fills a closed surface with tetrahedra; for distfield, give the \
-                                         volume that the surface was made from"));
+        return Some((
+            "a surface (OBJ)",
+            "save it as .vtp: tetmesh-check fills a closed surface with tetrahedra; for distfield, give the \
+                                         volume that the surface was made from",
+        ));
     }
     None
 }
