@@ -41,10 +41,9 @@ pub(super) fn read_meta_image(path: &Path) -> Result<Volume> {
     Ok(Volume { remarks, ..Volume::new(geometry, voxels) })
 }
 
-/// Names of the files that hold the voxels of a header, relative to its folder; none where they follow it.
-pub(super) fn named_files(path: &Path) -> Result<Vec<String>> {
-    let file = File::open(path).map_err(|error| Error::file(path, "read", &error, "check the name of the volume"))?;
-    Ok(Header::read(path, &mut BufReader::new(file))?.files()?.into_names())
+/// Where the header says that the voxels are.
+pub(super) fn data_files(path: &Path, reader: &mut impl BufRead) -> Result<DataFiles> {
+    Header::read(path, reader)?.files()
 }
 
 /// The lines of a header.

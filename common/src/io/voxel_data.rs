@@ -27,16 +27,6 @@ pub(super) enum DataFiles {
     Named(Vec<String>),
 }
 
-impl DataFiles {
-    /// The names; none where the voxels follow the header.
-    pub(super) fn into_names(self) -> Vec<String> {
-        match self {
-            Self::Attached => Vec::new(),
-            Self::Named(names) => names,
-        }
-    }
-}
-
 /// What a header says of the voxels' bytes.
 #[derive(Clone, Debug)]
 pub(super) struct Layout {

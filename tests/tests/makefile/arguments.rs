@@ -106,6 +106,15 @@ fn single_stages_are_goals() {
 }
 
 #[test]
+fn info_says_what_a_volume_is_and_makes_nothing() {
+    let case = Case::new();
+    let told = run(&mut case.command("info", &[])).expect_success("make info").stdout;
+    assert!(told.contains("24 x 24 x 24"), "{told}");
+    assert!(!case.out().exists());
+    run(&mut case.bare("info", &["CASE=demo"])).expect_error(2, &["phantom", "make distfield"]);
+}
+
+#[test]
 fn clean_removes_one_case_and_nothing_else() {
     let case = Case::new();
     let keep = case.out().join("mine");

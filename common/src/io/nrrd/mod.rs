@@ -11,10 +11,10 @@ pub use write::{Encoding, write_nrrd};
 
 use super::limit::{bad, check_memory};
 use super::volume::Volume;
-use super::voxel_data::read_voxels;
+use super::voxel_data::{DataFiles, read_voxels};
 use crate::error::{Error, Result};
 use std::fs::File;
-use std::io::BufReader;
+use std::io::{BufRead, BufReader};
 use std::path::Path;
 
 /// Reads an NRRD volume with three spatial axes and one number a voxel, or a segmentation of 3D Slicer with its layers.
@@ -46,10 +46,9 @@ pub fn read_nrrd(path: &Path) -> Result<Volume> {
     Ok(Volume { remarks, segments, more_layers, ..Volume::new(geometry, first) })
 }
 
-/// The files that hold the voxels, where the header at `path` names any (relative to its folder).
-pub(super) fn named_files(path: &Path) -> Result<Vec<String>> {
-    let file = File::open(path).map_err(|error| Error::file(path, "read", &error, "check the name of the volume"))?;
-    Ok(header::Header::read(path, &mut BufReader::new(file))?.layout.files.into_names())
+/// Where the header says that the voxels are.
+pub(super) fn data_files(path: &Path, reader: &mut impl BufRead) -> Result<DataFiles> {
+    Ok(header::Header::read(path, reader)?.layout.files)
 }
 
 #[cfg(test)]
