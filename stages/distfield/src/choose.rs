@@ -4,7 +4,7 @@ use crate::changes::{Changes, Event, Kind};
 use crate::mask::Mask;
 use crate::occupancy::Occupancy;
 use crate::scalar::{ScalarOptions, check_scalar, from_voxels};
-use crate::scale::{Scale, edge_length, scaled};
+use crate::scale::{SCALE_OVER_SIZE, Scale, edge_length, scaled};
 use crate::{Border, Inside, Keep, Redistanced};
 use isoparticles_common::cli::values::{not_negative, positive};
 use isoparticles_common::cli::{Context, METHOD};
@@ -17,17 +17,20 @@ use serde_json::{Value, json};
 /// How much of the data the surface keeps.
 #[derive(Clone, Debug, Default, clap::Args)]
 pub struct ScaleArgs {
-    /// Smooth away what a mesh of this edge length cannot carry, mm: a Gaussian of half of it, and the volume of each place kept. 0 keeps every voxel
+    /// Smooth away what is smaller than this, mm: a Gaussian of half of it, and the volume of each place kept. 0 keeps every voxel
     /// centre of labels on its side, and a scalar volume's own isosurface. What that changed is reported [default: 0]
     #[arg(long, value_name = "MM", value_parser = not_negative, help_heading = METHOD)]
     pub scale: Option<f64>,
-    /// Choose the scale for a mesh of one edge length, mm: that length where voxel steps would show, else 0
+    /// Choose the scale for a mesh of this edge length, mm: 1.6 times as long where voxel steps would show, else 0
     #[arg(long, value_name = "MM", value_parser = positive, conflicts_with = "scale", help_heading = METHOD)]
     pub scale_for_size: Option<f64>,
     /// Choose the scale for a mesh of this number of vertices
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(4..), conflicts_with_all = ["scale", "scale_for_size"],
         help_heading = METHOD)]
     pub scale_for_vertices: Option<u64>,
+    /// Choose the scale for the smallest h of `sizefield --quality`: coarse is above the voxel steps, the others are not
+    #[arg(long, value_enum, value_name = "HOW", conflicts_with_all = ["scale", "scale_for_size", "scale_for_vertices"], help_heading = METHOD)]
+    pub quality: Option<Quality>,
     /// Keep parts and gaps that are thinner than a mesh of the scale's edge length tells apart; they want a smaller h there
     #[arg(long, help_heading = METHOD)]
     pub keep_thin: bool,
@@ -35,6 +38,36 @@ pub struct ScaleArgs {
 
 /// Edge lengths up to this many voxels (mean spacing) show no steps.
 const FINE_ENOUGH: f64 = 1.0;
+
+/// The qualities of `sizefield`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+pub enum Quality {
+    /// A first look.
+    Coarse,
+    /// What the data can carry.
+    Medium,
+    /// Smoother than the data.
+    Fine,
+}
+
+impl Quality {
+    /// Smallest h over the mean voxel spacing, as in `sizefield`.
+    fn smallest_size(self) -> f64 {
+        match self {
+            Self::Coarse => 1.5,
+            Self::Medium => 0.75,
+            Self::Fine => 0.5,
+        }
+    }
+
+    fn name(self) -> &'static str {
+        match self {
+            Self::Coarse => "coarse",
+            Self::Medium => "medium",
+            Self::Fine => "fine",
+        }
+    }
+}
 
 /// A scale and why it is that.
 struct Choice {
@@ -57,6 +90,7 @@ impl ScaleArgs {
             ("scale", self.scale.map(Value::from)),
             ("scale_for_size", self.scale_for_size.map(Value::from)),
             ("scale_for_vertices", self.scale_for_vertices.map(Value::from)),
+            ("quality", self.quality.map(|quality| Value::from(quality.name()))),
             ("keep_thin", self.keep_thin.then_some(Value::Bool(true))),
         ];
         for (name, value) in given {
@@ -68,16 +102,18 @@ impl ScaleArgs {
 
     /// Whether any scale above 0 may come of them.
     fn is_given(&self) -> bool {
-        self.scale.is_some_and(|scale| scale > 0.0) || self.scale_for_size.is_some() || self.scale_for_vertices.is_some()
+        let chosen = self.scale_for_size.is_some() || self.scale_for_vertices.is_some() || self.quality.is_some();
+        self.scale.is_some_and(|scale| scale > 0.0) || chosen
     }
 
     fn choose(&self, geometry: &Geometry, occupancy: &Occupancy) -> Result<Choice> {
         let voxel = geometry.mean_spacing();
         let for_length = |length: f64, whose: String| {
             if length > FINE_ENOUGH * voxel {
-                Choice { length, reason: format!("{whose} is longer than a voxel, {voxel:.4} mm") }
+                let reason = format!("{SCALE_OVER_SIZE} times {whose} which is longer than {FINE_ENOUGH} voxel of {voxel:.4} mm");
+                Choice { length: SCALE_OVER_SIZE * length, reason }
             } else {
-                Choice { length: 0.0, reason: format!("{whose} is no longer than a voxel, {voxel:.4} mm") }
+                Choice { length: 0.0, reason: format!("{whose} is no longer than {FINE_ENOUGH} voxel of {voxel:.4} mm") }
             }
         };
         if let Some(size) = self.scale_for_size {
@@ -87,6 +123,10 @@ impl ScaleArgs {
             let length = edge_length(occupancy, vertices as f64, self.keep_thin)?
                 .ok_or_else(|| nothing_left(format!("a mesh of {vertices} vertices"), "ask for more vertices"))?;
             return Ok(for_length(length, format!("the edge length of {vertices} vertices, {length:.4} mm,")));
+        }
+        if let Some(quality) = self.quality {
+            let smallest = quality.smallest_size() * voxel;
+            return Ok(for_length(smallest, format!("the smallest h of quality {}, {smallest:.4} mm,", quality.name())));
         }
         Ok(Choice { length: self.scale.unwrap_or(0.0), reason: "given".into() })
     }

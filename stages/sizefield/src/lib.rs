@@ -13,6 +13,7 @@ pub mod noise;
 pub mod patch;
 pub mod region;
 pub mod run;
+pub mod vertices;
 
 use averages::average;
 use feature::Features;
