@@ -12,6 +12,8 @@ use glam::DVec3;
 use isoparticles_common::error::Result;
 use isoparticles_common::geometry::Geometry;
 use isoparticles_common::image::Image;
+use isoparticles_common::marching_cubes::marching_cubes;
+use isoparticles_common::mesh::measure::measure;
 use rayon::prelude::*;
 use std::f64::consts::PI;
 
@@ -110,8 +112,11 @@ pub fn scaled(occupancy: Occupancy, scale: Scale) -> Result<Option<Scaled>> {
     Ok(Some(Scaled { level: whole, changes }))
 }
 
-/// Voxels of the grid that edge lengths are looked for on, at most; a finer one is made coarser for that.
-const MOST_VOXELS: usize = 4_000_000;
+/// Standard deviation of the smoothing, in voxels, down to which areas are measured on a coarser grid.
+const COARSE_SIGMA: f64 = 1.5;
+
+/// Voxels of the coarsest grid, at least.
+const FEWEST_VOXELS: usize = 10_000;
 
 /// Rounds of scale and area that find an edge length: each comes nearer by the share of h that the area depends on it.
 const AREA_ROUNDS: usize = 4;
@@ -122,40 +127,24 @@ const AREA_ROUNDS: usize = 4;
 /// # Errors
 /// When its parts are too many to be told apart.
 pub fn edge_length(occupancy: &Occupancy, vertices: f64, keep_thin: bool) -> Result<Option<f64>> {
-    let mut coarse = None;
-    while coarse.as_ref().unwrap_or(occupancy).shares.len() > MOST_VOXELS {
-        coarse = Some(coarse.as_ref().unwrap_or(occupancy).halved());
+    let mut coarser: Vec<Occupancy> = Vec::new();
+    while coarser.last().unwrap_or(occupancy).shares.len() > 8 * FEWEST_VOXELS {
+        coarser.push(coarser.last().unwrap_or(occupancy).halved());
     }
-    let occupancy = coarse.as_ref().unwrap_or(occupancy);
-    let mut length = occupancy.geometry.mean_spacing();
+    let mut length = 4.0 * coarser.last().unwrap_or(occupancy).geometry.mean_spacing();
     for _ in 0..AREA_ROUNDS {
-        let Some(boxed) = Boxed::new(occupancy, Scale { length: SCALE_OVER_SIZE * length, keep_thin })? else {
-            return Ok(None);
-        };
-        let area = area(&boxed.level, &boxed.before.geometry);
+        let scale = Scale { length: SCALE_OVER_SIZE * length, keep_thin };
+        let coarse_enough = |grid: &&Occupancy| 0.5 * scale.length >= COARSE_SIGMA * grid.geometry.mean_spacing();
+        let grid = coarser.iter().rev().find(coarse_enough).unwrap_or(occupancy);
+        let Some(Boxed { before, level, .. }) = Boxed::new(grid, scale)? else { return Ok(None) };
+        let mesh = marching_cubes(&Image { geometry: before.geometry, data: level }, 0.0);
+        let area = measure(&mesh).area;
         if area == 0.0 {
             return Ok(None);
         }
         length = (2.0 * area / (3f64.sqrt() * vertices)).sqrt();
     }
     Ok(Some(length))
-}
-
-/// Area of the surface where `level` is zero, mm^2: the integral of its slope where it changes its sign within a voxel, over the change across a voxel.
-fn area(level: &[f32], geometry: &Geometry) -> f64 {
-    let size = geometry.size;
-    let slices = level.par_chunks(size[0] * size[1]).enumerate().map(|(k, slice)| {
-        let first = k * size[0] * size[1];
-        let near = |n: usize| {
-            let slopes = slopes(level, size, n);
-            let width = slopes.iter().sum::<f32>().max(1e-6);
-            let is_near = (0.0..1.0).contains(&(0.5 + level[n] / width));
-            let slope = DVec3::from_array(slopes.map(f64::from)) / geometry.spacing;
-            if is_near { slope.length() / f64::from(width) } else { 0.0 }
-        };
-        (first..first + slice.len()).map(near).sum::<f64>()
-    });
-    slices.collect::<Vec<_>>().iter().sum::<f64>() * geometry.spacing.element_product()
 }
 
 /// Values in a box of a grid.
@@ -204,16 +193,13 @@ fn level_set(occupancy: &Occupancy, sigma: DVec3, keep_thin: bool) -> Vec<f32> {
 
 /// By how much values differ across a voxel: the sum of the slopes along the axes.
 fn change_across(values: &[f32], size: [usize; 3], n: usize) -> f32 {
-    slopes(values, size, n).iter().sum()
-}
-
-/// By how much values differ across a voxel along each axis.
-fn slopes(values: &[f32], size: [usize; 3], n: usize) -> [f32; 3] {
     let at = [n % size[0], n / size[0] % size[1], n / (size[0] * size[1])];
     let stride = [1, size[0], size[0] * size[1]];
-    std::array::from_fn(|axis| {
-        let low = values[n - stride[axis] * usize::from(at[axis] > 0)];
-        let high = values[n + stride[axis] * usize::from(at[axis] + 1 < size[axis])];
-        0.5 * (high - low).abs()
-    })
+    (0..3)
+        .map(|axis| {
+            let low = values[n - stride[axis] * usize::from(at[axis] > 0)];
+            let high = values[n + stride[axis] * usize::from(at[axis] + 1 < size[axis])];
+            0.5 * (high - low).abs()
+        })
+        .sum()
 }

@@ -76,6 +76,10 @@ pub(crate) const STAGNATION_WINDOW: usize = 5;
 /// Passes over which the test by lattice defects averages.
 pub const DEFECT_WINDOW: usize = 10;
 
+/// Passes over which the counts are averaged that tell whether density control adds and deletes in balance: where h does not suit the surface (coarse
+/// against its curvature, or on voxel steps) the same places fill and empty for ever.
+const BALANCE_WINDOW: usize = 20;
+
 /// Density control is at rest when it adds and deletes no more than this share of the particles a pass.
 const CHURN: f64 = 2e-3;
 
@@ -332,8 +336,24 @@ fn closing_since(records: &[PassRecord], parameters: &Parameters) -> Option<u64>
         // what a coarse level adds and deletes is nearly all settled anew on the next
         let allowed = if new.scale > 1.0 { COARSE_CHURN } else { CHURN };
         let rest = churn as f64 <= allowed * window as f64 * new.count as f64;
-        (settled && rest).then_some(new.pass)
+        ((settled && rest) || is_balanced(&records[..=last], parameters)).then_some(new.pass)
     })
+}
+
+/// Whether density control has come to add as many as it deletes while lattice defects get no fewer: by the same tolerances, but of the means of
+/// [`BALANCE_WINDOW`] passes and those before.
+fn is_balanced(records: &[PassRecord], parameters: &Parameters) -> bool {
+    let window = BALANCE_WINDOW;
+    let Some(before) = records.len().checked_sub(2 * window) else { return false };
+    let defects = |records: &[PassRecord]| {
+        let share = |r: &PassRecord| r.lattice_defects as f64 / (r.count + r.deleted - r.inserted).max(1) as f64;
+        records.iter().map(share).sum::<f64>() / window as f64
+    };
+    let (old, new) = (&records[before..before + window], &records[before + window..]);
+    let falls = (defects(old) - defects(new)) / defects(new).max(f64::MIN_POSITIVE) / window as f64;
+    let growth = new.iter().map(|r| r.inserted as f64 - r.deleted as f64).sum::<f64>();
+    let is_at_rest = growth.abs() <= CHURN * window as f64 * new[window - 1].count as f64;
+    parameters.energy_tolerance.is_none() && falls < parameters.defect_tolerance && is_at_rest
 }
 
 /// Puts every particle onto F = 0 to the last useful digit and removes those that cannot be; says how many.
@@ -384,6 +404,22 @@ mod tests {
             scale,
         };
         (1..=40).map(record).collect()
+    }
+
+    #[test]
+    fn additions_and_deletions_in_balance_end_the_run() {
+        let parameters = Parameters::default();
+        // 1 % come and as many go each pass, five times what rest allows
+        let in_balance = |defects: &dyn Fn(u64) -> usize, growth: usize| -> Vec<PassRecord> {
+            let balanced = |r: PassRecord| PassRecord { deleted: r.inserted - growth, count: 1000 + growth * r.pass as usize, ..r };
+            records(defects, 10, 1.0).into_iter().map(balanced).collect()
+        };
+        assert_eq!(closing_since(&in_balance(&|_| 100, 0), &parameters), Some(2 * BALANCE_WINDOW as u64));
+        // defects still fall by 1 % a pass, or the count still grows by 0.5 %
+        assert_eq!(closing_since(&in_balance(&|pass| (1000.0 * 0.99f64.powi(pass as i32)) as usize, 0), &parameters), None);
+        assert_eq!(closing_since(&in_balance(&|_| 100, 5), &parameters), None);
+        let paper = Parameters { energy_tolerance: Some(0.0), ..Parameters::default() };
+        assert_eq!(closing_since(&in_balance(&|_| 100, 0), &paper), None);
     }
 
     #[test]
