@@ -1,5 +1,6 @@
 # The demo: a heart-like phantom at half the resolution of the paper's volume (`make demo`). Also the list of every key
-# that a case may set; whatever is left out keeps the stage's default, and the command line comes before the file.
+# that a case may set; whatever is left out keeps the stage's default, and the command line comes before the file: SIZE=3 there leaves
+# MIN_SIZE here out.
 
 # The volume. Either INPUT (a file: .nrrd .nhdr .nii .nii.gz .vti; $(DATA) is the folder of the real volumes, set by DATA=...)
 #   INPUT := $(DATA)/heart_label.nrrd
@@ -23,15 +24,23 @@ INSIDE := above
 #   DELTA := 0.4
 MIN_SIZE := 2
 #   MAX_SIZE := 10
-# ... or one length everywhere (mm).
+# ... or one length everywhere (mm) ...
 #   SIZE := 2
+# ... or a number of vertices ...
+#   VERTICES := 20000
+# ... or coarse, medium or fine.
+#   QUALITY := medium
+
+# SCALE = features smaller than this (mm) are left out; 0 keeps all.
+#   SCALE := 0
 
 # COUNT = number of particles to seed (by default what h asks for). SEED = seed of the random numbers.
 #   COUNT := 20000
 #   SEED := 1
 
-# BACKEND = auto, gpu or cpu.
+# BACKEND = auto, gpu or cpu. MAX_MEMORY = the most memory that a stage may ask for.
 #   BACKEND := auto
+#   MAX_MEMORY := 8G
 
 # Anything else that a stage's --help offers; RECONSTRUCT_OPTIONS := --method tight-cocone joins the particles the paper's way.
 #   DISTFIELD_OPTIONS :=

@@ -4,13 +4,13 @@
 @group(0) @binding(3) var<storage, read_write> bin_of: array<u32>;
 @group(0) @binding(4) var<storage, read_write> bin_counts: array<atomic<u32>>;
 
-@compute @workgroup_size(64)
+@compute @workgroup_size(NARROW)
 fn bin_count(
     @builtin(workgroup_id) group: vec3<u32>,
     @builtin(num_workgroups) groups: vec3<u32>,
     @builtin(local_invocation_index) lane: u32,
 ) {
-    let i = flat_group(group, groups) * 64u + lane;
+    let i = flat_group(group, groups) * NARROW + lane;
     if i >= now.count {
         return;
     }

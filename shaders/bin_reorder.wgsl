@@ -11,13 +11,13 @@
 @group(0) @binding(12) var<storage, read_write> place_at_listing: array<vec4<f32>>;
 @group(0) @binding(13) var<storage, read_write> outcome: array<u32>;
 
-@compute @workgroup_size(64)
+@compute @workgroup_size(NARROW)
 fn bin_reorder(
     @builtin(workgroup_id) group: vec3<u32>,
     @builtin(num_workgroups) groups: vec3<u32>,
     @builtin(local_invocation_index) lane: u32,
 ) {
-    let slot = flat_group(group, groups) * 64u + lane;
+    let slot = flat_group(group, groups) * NARROW + lane;
     if slot >= now.count {
         return;
     }

@@ -7,7 +7,7 @@
 var<workgroup> here: array<atomic<u32>, CLASSES>;
 var<workgroup> first: array<u32, CLASSES>;
 
-@compute @workgroup_size(256)
+@compute @workgroup_size(WIDE)
 fn class_scatter(
     @builtin(workgroup_id) group: vec3<u32>,
     @builtin(num_workgroups) groups: vec3<u32>,
@@ -17,7 +17,7 @@ fn class_scatter(
         atomicStore(&here[lane], 0u);
     }
     workgroupBarrier();
-    let i = flat_group(group, groups) * 256u + lane;
+    let i = flat_group(group, groups) * WIDE + lane;
     var own = UNCLASSED;
     var rank = 0u;
     if i < now.count {

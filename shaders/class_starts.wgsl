@@ -4,9 +4,6 @@
 @group(0) @binding(5) var<storage, read_write> class_starts: array<u32>;
 @group(0) @binding(6) var<storage, read_write> class_arguments: array<u32>;
 
-// Workgroups along x; the rest goes along y (a dispatch has at most 65,535 along an axis).
-const ROW: u32 = 32768u;
-
 @compute @workgroup_size(1)
 fn class_starts_kernel() {
     var start = 0u;
@@ -17,6 +14,7 @@ fn class_starts_kernel() {
         class_counts[c] = start;
         start += count;
         let workgroups = (count + TEAMS - 1u) / TEAMS;
+        // at most ROW along x; the rest goes along y
         class_arguments[3u * c] = min(workgroups, ROW);
         class_arguments[3u * c + 1u] = (workgroups + ROW - 1u) / ROW;
         class_arguments[3u * c + 2u] = 1u;

@@ -12,13 +12,13 @@
 @group(0) @binding(10) var<storage, read> list_starts: array<u32>;
 @group(0) @binding(15) var<storage, read_write> words: array<u32>;
 
-@compute @workgroup_size(64)
+@compute @workgroup_size(NARROW)
 fn compact(
     @builtin(workgroup_id) group: vec3<u32>,
     @builtin(num_workgroups) groups: vec3<u32>,
     @builtin(local_invocation_index) lane: u32,
 ) {
-    let i = flat_group(group, groups) * 64u + lane;
+    let i = flat_group(group, groups) * NARROW + lane;
     let kept = destinations[now.count];
     let total = destinations[2u * now.count];
     if i >= now.count || list_starts[now.count] > parameters.list_capacity || (kept == now.count && total == now.count) {
@@ -33,7 +33,7 @@ fn compact(
         listed_normal[destinations[now.count + i]] = newcomer_normal[i];
     }
     if i == 0u {
-        words[5] = total;
-        words[6] = kept;
+        words[WORD_COUNT] = total;
+        words[WORD_KEPT] = kept;
     }
 }

@@ -1,5 +1,7 @@
-// Density control, a round of deletion: of crowded particles that see each other the most crowded goes. (The CPU takes them one
-// by one, the most crowded first; rounds with the energies relieved in between come to the same.)
+// Density control, a round of deletion: of particles where the surface is oversampled and that see each other the one of highest
+// energy goes. (The CPU takes them one by one, that of the highest energy first; rounds with the energies relieved in between come to the same.)
+//
+// Twin: `delete` in stages/particles/src/density.rs
 
 @group(0) @binding(8) var<storage, read> place: array<vec4<f32>>;
 @group(0) @binding(12) var<storage, read> energies: array<f32>;
@@ -12,14 +14,14 @@ fn was_there(j: u32) -> bool {
     return mark == 0u || mark == round.number;
 }
 
-@compute @workgroup_size(64)
+@compute @workgroup_size(NARROW)
 fn density_delete(
     @builtin(workgroup_id) group: vec3<u32>,
     @builtin(num_workgroups) groups: vec3<u32>,
     @builtin(local_invocation_index) lane: u32,
 ) {
-    let i = flat_group(group, groups) * 64u + lane;
-    if i >= now.count || !was_there(i) || !is_crowded(energies[i], i) {
+    let i = flat_group(group, groups) * NARROW + lane;
+    if i >= now.count || !was_there(i) || !is_oversampled(energies[i], i) {
         return;
     }
     let own = place[i];
@@ -27,7 +29,7 @@ fn density_delete(
     for (var k = range.x; k < range.y; k++) {
         let j = lists[k];
         let worse = energies[j] > energies[i] || (energies[j] == energies[i] && j < i);
-        if worse && was_there(j) && is_crowded(energies[j], j) {
+        if worse && was_there(j) && is_oversampled(energies[j], j) {
             let other = place[j];
             if distance(own.xyz, other.xyz) < SUPPORT * min(own.w, other.w) {
                 return;

@@ -1,4 +1,6 @@
-// The energy of every particle (Eq. 1), whether the lattice has a fault there, and a clean slate for density control.
+// The energy of every particle (Eq. 1), whether it is a lattice defect, and a clean slate for density control.
+//
+// Twin: `update_energies`, `lattice_defects` in stages/particles/src/state.rs
 
 @group(0) @binding(8) var<storage, read> place: array<vec4<f32>>;
 @group(0) @binding(12) var<storage, read_write> energies: array<f32>;
@@ -7,19 +9,16 @@
 // The last round in which a neighbour was deleted.
 @group(0) @binding(14) var<storage, read_write> touched: array<u32>;
 
-// Steps tried; the top bit says that one was taken, the next that the particle has not six neighbours in the first ring.
+// Steps tried, with STEP_TAKEN and LATTICE_DEFECT.
 @group(0) @binding(15) var<storage, read_write> outcome: array<u32>;
 
-// Between the first ring of the lattice and the second, in h.
-const FIRST_RING: f32 = 1.3160740;
-
-@compute @workgroup_size(64)
+@compute @workgroup_size(NARROW)
 fn energies_kernel(
     @builtin(workgroup_id) group: vec3<u32>,
     @builtin(num_workgroups) groups: vec3<u32>,
     @builtin(local_invocation_index) lane: u32,
 ) {
-    let i = flat_group(group, groups) * 64u + lane;
+    let i = flat_group(group, groups) * NARROW + lane;
     if i >= now.count {
         return;
     }
@@ -35,7 +34,7 @@ fn energies_kernel(
         ring += select(0u, 1u, dot(offset, offset) < reach * reach);
     }
     energies[i] = sum;
-    outcome[i] = (outcome[i] & 0xbfffffffu) | select(0u, 0x40000000u, ring != 6u);
+    outcome[i] = (outcome[i] & ~LATTICE_DEFECT) | select(0u, LATTICE_DEFECT, ring != LATTICE_NEIGHBOURS);
     marks[i] = 0u;
     touched[i] = 0u;
 }

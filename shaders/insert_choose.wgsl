@@ -1,14 +1,15 @@
-// Density control, who is kept and who comes: one newcomer a neighbourhood and pass, the proposer of highest priority first, and
-// none too near another's newcomer. Writes the flags whose prefix sum gives everybody's next place: first the old ones, then the
-// newcomers.
+// Density control, who is kept and who comes: of newcomers whose parents are neighbours one a pass, and of newcomers nearer than
+// NEWCOMER_DISTANCE h to each other; the one whose parent draws the highest number. Writes the flags whose prefix sum gives everybody's
+// next place: first the old ones, then the newcomers.
+//
+// Twin: `insert` in stages/particles/src/density.rs
 
+@group(0) @binding(5) var<storage, read> bin_starts: array<u32>;
 @group(0) @binding(13) var<storage, read> marks: array<u32>;
 @group(0) @binding(14) var<storage, read> proposals: array<u32>;
 @group(0) @binding(15) var<storage, read> newcomer_place: array<vec4<f32>>;
+@group(0) @binding(16) var<storage, read> newcomer_normal: array<vec4<f32>>;
 @group(0) @binding(17) var<storage, read_write> keep: array<u32>;
-
-// Two newcomers keep this share of h from each other.
-const APART: f32 = 0.7;
 
 fn beats(j: u32, i: u32) -> bool {
     let other = random_bits(stream_of(2u), j);
@@ -16,38 +17,56 @@ fn beats(j: u32, i: u32) -> bool {
     return other > own || (other == own && j < i);
 }
 
+// Whether the newcomer of i is too near to one that beats it. Parents lie in the bins of where they were when the lists were made: since then
+// they have moved by REBUILD_MOVE and FARTHEST_MOVE of their h at most, and the projection leaves a newcomer within 2 h of its parent.
+fn is_too_near(i: u32) -> bool {
+    let own = newcomer_place[i];
+    let facing = newcomer_normal[i].xyz;
+    for (var level = 0u; level < parameters.level_count; level++) {
+        let radius = NEWCOMER_DISTANCE * own.w + (2.0 + REBUILD_MOVE + FARTHEST_MOVE) * parameters.levels[level].largest;
+        let low = bin_coordinate(own.xyz - radius, level);
+        let high = bin_coordinate(own.xyz + radius, level);
+        for (var z = low.z; z <= high.z; z++) {
+            for (var y = low.y; y <= high.y; y++) {
+                let first = bin_starts[bin_number(vec3(low.x, y, z), level)];
+                let end = bin_starts[bin_number(vec3(high.x, y, z), level) + 1u];
+                for (var j = first; j < end; j++) {
+                    if j == i || proposals[j] == 0u || !beats(j, i) {
+                        continue;
+                    }
+                    let other = newcomer_place[j];
+                    let near = distance(own.xyz, other.xyz) < NEWCOMER_DISTANCE * min(own.w, other.w);
+                    if near && dot(facing, newcomer_normal[j].xyz) > parameters.normal_agreement {
+                        return true;
+                    }
+                }
+            }
+        }
+    }
+    return false;
+}
+
 fn is_chosen(i: u32) -> bool {
     if proposals[i] == 0u {
         return false;
     }
-    let own = newcomer_place[i];
     let range = list_of(i);
     for (var k = range.x; k < range.y; k++) {
         let j = lists[k];
         if proposals[j] != 0u && beats(j, i) {
             return false;
         }
-        let second = list_of(j);
-        for (var m = second.x; m < second.y; m++) {
-            let far = lists[m];
-            if far != i && proposals[far] != 0u && beats(far, i) {
-                let other = newcomer_place[far];
-                if distance(own.xyz, other.xyz) < APART * min(own.w, other.w) {
-                    return false;
-                }
-            }
-        }
     }
-    return true;
+    return !is_too_near(i);
 }
 
-@compute @workgroup_size(64)
+@compute @workgroup_size(NARROW)
 fn insert_choose(
     @builtin(workgroup_id) group: vec3<u32>,
     @builtin(num_workgroups) groups: vec3<u32>,
     @builtin(local_invocation_index) lane: u32,
 ) {
-    let i = flat_group(group, groups) * 64u + lane;
+    let i = flat_group(group, groups) * NARROW + lane;
     if i >= now.count {
         return;
     }

@@ -1,5 +1,7 @@
-// Density control, insertion: a lonely particle proposes a newcomer at distance h in the middle of its widest gap, on the surface,
+// Density control, insertion: a particle where the surface is undersampled proposes a newcomer at distance h in the middle of its widest gap, on the surface,
 // where it has room.
+//
+// Twin: `propose`, `place_in_widest_gap` in stages/particles/src/density.rs
 
 @group(0) @binding(8) var<storage, read> place: array<vec4<f32>>;
 @group(0) @binding(9) var<storage, read> normal: array<vec4<f32>>;
@@ -9,21 +11,17 @@
 @group(0) @binding(15) var<storage, read_write> newcomer_place: array<vec4<f32>>;
 @group(0) @binding(16) var<storage, read_write> newcomer_normal: array<vec4<f32>>;
 
-// A newcomer keeps this share of h from everybody.
-const CLOSEST: f32 = 0.45;
-const TURN: f32 = 6.2831853;
-
 // The angle under which particle i sees neighbour j in the tangent plane; beyond a turn when j does not count.
 fn angle_of(own: vec4<f32>, plane: Plane, j: u32) -> f32 {
     let offset = place[j].xyz - own.xyz;
     if marks[j] != 0u || dot(offset, offset) >= SUPPORT * SUPPORT * own.w * own.w {
-        return 2.0 * TURN;
+        return 2.0 * TAU;
     }
     return atan2(dot(plane.v, offset), dot(plane.u, offset));
 }
 
 fn widest_gap(own: vec4<f32>, plane: Plane, range: vec2<u32>) -> f32 {
-    var lowest = TURN;
+    var lowest = TAU;
     for (var k = range.x; k < range.y; k++) {
         lowest = min(lowest, angle_of(own, plane, lists[k]));
     }
@@ -31,11 +29,11 @@ fn widest_gap(own: vec4<f32>, plane: Plane, range: vec2<u32>) -> f32 {
     var direction = 0.0;
     for (var k = range.x; k < range.y; k++) {
         let angle = angle_of(own, plane, lists[k]);
-        if angle > TURN {
+        if angle > TAU {
             continue;
         }
         // the next one round; of equal angles the later in the list is the next
-        var next = lowest + TURN;
+        var next = lowest + TAU;
         for (var m = range.x; m < range.y; m++) {
             let other = angle_of(own, plane, lists[m]);
             if other < next && (other > angle || (other == angle && m > k)) {
@@ -50,18 +48,18 @@ fn widest_gap(own: vec4<f32>, plane: Plane, range: vec2<u32>) -> f32 {
     return direction;
 }
 
-@compute @workgroup_size(64)
+@compute @workgroup_size(NARROW)
 fn insert_propose(
     @builtin(workgroup_id) group: vec3<u32>,
     @builtin(num_workgroups) groups: vec3<u32>,
     @builtin(local_invocation_index) lane: u32,
 ) {
-    let i = flat_group(group, groups) * 64u + lane;
+    let i = flat_group(group, groups) * NARROW + lane;
     if i >= now.count {
         return;
     }
     proposals[i] = 0u;
-    if now.allow_insert == 0u || marks[i] != 0u || !is_lonely(energies[i], i) {
+    if now.allow_insert == 0u || marks[i] != 0u || !is_undersampled(energies[i], i) {
         return;
     }
     let own = place[i];
@@ -69,14 +67,14 @@ fn insert_propose(
     let plane = tangent_plane(facing);
     let range = list_of(i);
     let direction = widest_gap(own, plane, range);
-    let there = project(own.xyz + own.w * (plane.u * cos(direction) + plane.v * sin(direction)), own.w);
+    let there = project(own.xyz + own.w * (plane.u * cos(direction) + plane.v * sin(direction)), own.w, lane);
     if !there.found || dot(there.normal, facing) <= parameters.normal_agreement
-        || distance(there.position, own.xyz) <= 0.6 * min(own.w, there.size) {
+        || distance(there.position, own.xyz) <= PARENT_DISTANCE * min(own.w, there.size) {
         return;
     }
     for (var k = range.x; k < range.y; k++) {
         let other = place[lists[k]];
-        if marks[lists[k]] == 0u && distance(there.position, other.xyz) <= CLOSEST * min(there.size, other.w) {
+        if marks[lists[k]] == 0u && distance(there.position, other.xyz) <= NEWCOMER_DISTANCE * min(there.size, other.w) {
             return;
         }
     }

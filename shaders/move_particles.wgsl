@@ -1,22 +1,17 @@
-// One pass of movement for one class of particles: sections 3.2.1 and 3.2.2 and Algorithm 1 of the paper, the twin of
-// stages/particles/src/movement.rs.
+// One pass of movement for one class of particles: sections 3.2.1 and 3.2.2 and Algorithm 1 of the paper.
 //
 // A team of lanes works for one particle: damped Newton step in the tangent plane, projection onto F = 0 (Eq. 5), the energy
 // test; lambda grows tenfold until a step is good. No conflict: a particle reads itself and its listed neighbours and writes
 // itself. Members of one class are in no list of each other, so within a dispatch nobody reads what another writes.
+//
+// Twin: `step` in stages/particles/src/movement.rs
 
 @group(0) @binding(5) var<storage, read> class_starts: array<u32>;
 @group(0) @binding(6) var<storage, read> class_members: array<u32>;
 @group(0) @binding(8) var<storage, read_write> place: array<vec4<f32>>;
 @group(0) @binding(9) var<storage, read_write> normal: array<vec4<f32>>;
-// Steps tried; the top bit says that one was taken (the next is for `energies`).
+// Steps tried, with STEP_TAKEN.
 @group(0) @binding(12) var<storage, read_write> outcome: array<u32>;
-
-const LEAST_LAMBDA: f32 = 1e-3;
-const MOST_LAMBDA: f32 = 1e4;
-const LONGEST_STEP: f32 = 0.25;
-// A particle rests when the step promises to lower its energy by less than this share: f32 could not tell.
-const REST: f32 = 1e-6;
 
 @compute @workgroup_size(TEAM * TEAMS)
 fn move_particles(
@@ -41,7 +36,7 @@ fn move_particles(
     if jet.energy > 0.0 {
         let curvature = positive_definite(jet.hessian);
         var lambda = facing.w;
-        while lambda < MOST_LAMBDA {
+        while lambda < LARGEST_LAMBDA {
             let step = damped_newton(curvature, jet.gradient, lambda);
             if !(-0.5 * dot(step, jet.gradient) > REST * jet.energy) {
                 break;
@@ -50,23 +45,23 @@ fn move_particles(
             var motion = plane.u * step.x + plane.v * step.y;
             let stretch = length(motion);
             motion *= select(1.0, LONGEST_STEP * own.w / stretch, stretch > LONGEST_STEP * own.w);
-            let there = team_project(own.xyz + motion, length(motion) + 0.5 * own.w, lane);
-            if there.found && dot(there.normal, facing.xyz) > 0.0 && distance(there.position, own.xyz) < 2.0 * LONGEST_STEP * own.w {
+            let there = project(own.xyz + motion, length(motion) + PROJECTION_REACH * own.w, lane);
+            if there.found && dot(there.normal, facing.xyz) > 0.0 && distance(there.position, own.xyz) < FARTHEST_MOVE * own.w {
                 let candidate = vec4(there.position, there.size);
                 if team_energy(candidate, range, nearest, lane) < jet.energy {
                     moved = true;
                     if lane == 0u {
                         place[i] = candidate;
                         // the first try was good: less damping the next time
-                        normal[i] = vec4(there.normal, select(lambda, max(0.1 * lambda, LEAST_LAMBDA), tries == 1u));
+                        normal[i] = vec4(there.normal, select(lambda, max(LAMBDA_FALL * lambda, LEAST_LAMBDA), tries == 1u));
                     }
                     break;
                 }
             }
-            lambda *= 10.0;
+            lambda *= LAMBDA_GROWTH;
         }
     }
     if lane == 0u {
-        outcome[i] = tries | select(0u, 0x80000000u, moved);
+        outcome[i] = tries | select(0u, STEP_TAKEN, moved);
     }
 }

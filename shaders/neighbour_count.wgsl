@@ -4,13 +4,13 @@
 
 fn found(n: u32, j: u32) {}
 
-@compute @workgroup_size(64)
+@compute @workgroup_size(NARROW)
 fn neighbour_count(
     @builtin(workgroup_id) group: vec3<u32>,
     @builtin(num_workgroups) groups: vec3<u32>,
     @builtin(local_invocation_index) lane: u32,
 ) {
-    let i = flat_group(group, groups) * 64u + lane;
+    let i = flat_group(group, groups) * NARROW + lane;
     if i < now.count {
         neighbour_counts[i] = walk_neighbours(i);
     }

@@ -1,31 +1,19 @@
-// Exclusive prefix sums, first of three kernels: within blocks of 2048 numbers. The last number of the result is the total.
+// Exclusive prefix sums, first of three kernels: within blocks of BLOCK numbers. The last number of the result is the total.
 
-struct Scan {
-    // Numbers to add up; the result has one more.
-    length: u32,
-    blocks: u32,
-    unused_1: u32,
-    unused_2: u32,
-}
-
-@group(0) @binding(1) var<uniform> scan: Scan;
 @group(0) @binding(2) var<storage, read> scan_input: array<u32>;
 @group(0) @binding(3) var<storage, read_write> scan_output: array<u32>;
 @group(0) @binding(4) var<storage, read_write> scan_sums: array<u32>;
 
-const LANES: u32 = 256u;
-const EACH: u32 = 8u;
+var<workgroup> partial: array<u32, WIDE>;
 
-var<workgroup> partial: array<u32, LANES>;
-
-@compute @workgroup_size(256)
+@compute @workgroup_size(WIDE)
 fn scan_blocks(
     @builtin(workgroup_id) group: vec3<u32>,
     @builtin(num_workgroups) groups: vec3<u32>,
     @builtin(local_invocation_index) lane: u32,
 ) {
     let block = group.y * groups.x + group.x;
-    let first = (block * LANES + lane) * EACH;
+    let first = (block * WIDE + lane) * EACH;
     var values: array<u32, EACH>;
     var sum = 0u;
     for (var k = 0u; k < EACH; k++) {
@@ -36,7 +24,7 @@ fn scan_blocks(
     }
     partial[lane] = sum;
     workgroupBarrier();
-    for (var step = 1u; step < LANES; step <<= 1u) {
+    for (var step = 1u; step < WIDE; step <<= 1u) {
         var before = 0u;
         if lane >= step {
             before = partial[lane - step];
@@ -51,7 +39,7 @@ fn scan_blocks(
             scan_output[first + k] = start + values[k];
         }
     }
-    if lane == LANES - 1u && block < scan.blocks {
+    if lane == WIDE - 1u && block < scan.blocks {
         scan_sums[block] = partial[lane];
     }
 }

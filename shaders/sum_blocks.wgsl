@@ -1,4 +1,4 @@
-// Totals of a pass, first step: by blocks of 2048 particles.
+// Totals of a pass, first step: by blocks of BLOCK particles.
 
 @group(0) @binding(3) var<storage, read> energies: array<f32>;
 @group(0) @binding(4) var<storage, read> outcome: array<u32>;
@@ -6,7 +6,7 @@
 @group(0) @binding(6) var<storage, read_write> block_totals: array<Totals>;
 @group(0) @binding(8) var<storage, read> place: array<vec4<f32>>;
 
-@compute @workgroup_size(256)
+@compute @workgroup_size(WIDE)
 fn sum_blocks(
     @builtin(workgroup_id) group: vec3<u32>,
     @builtin(num_workgroups) groups: vec3<u32>,
@@ -14,17 +14,23 @@ fn sum_blocks(
 ) {
     let block = flat_group(group, groups);
     var own = Totals();
-    for (var k = 0u; k < 8u; k++) {
-        let i = (block * 8u + k) * 256u + lane;
+    for (var k = 0u; k < EACH; k++) {
+        let i = (block * EACH + k) * WIDE + lane;
         if i < now.count {
             let particle = place[i];
             let way = distance(particle.xyz, place_at_listing[i].xyz) / particle.w;
             let bits = outcome[i];
-            own = add_totals(own, Totals(energies[i], way, bits >> 31u, bits & 0x3fffffffu, (bits >> 30u) & 1u));
+            own = add_totals(own, Totals(
+                energies[i],
+                way,
+                select(0u, 1u, (bits & STEP_TAKEN) != 0u),
+                bits & ~(STEP_TAKEN | LATTICE_DEFECT),
+                select(0u, 1u, (bits & LATTICE_DEFECT) != 0u),
+            ));
         }
     }
     let total = total_of_group(own, lane);
-    if lane == 0u && block * 2048u < now.count {
+    if lane == 0u && block * BLOCK < now.count {
         block_totals[block] = total;
     }
 }

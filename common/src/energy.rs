@@ -11,6 +11,9 @@ use std::f64::consts::{FRAC_PI_2, PI};
 /// 2 cos(pi/6): interactions reach this many target edge lengths (Eq. 2).
 pub const SUPPORT: f64 = 1.732_050_807_568_877_2;
 
+/// Two particles nearer than this share of their support count as this far apart, so that energy and forces are finite.
+pub const LEAST_SCALED_DISTANCE: f64 = 1e-6;
+
 /// The printed ideal energy of section 3.3; six times the ideal *distance*, not the energy of Eq. 1.
 pub const PRINTED_IDEAL_ENERGY: f64 = 3.462;
 
@@ -51,7 +54,7 @@ pub fn pair_energy_derivatives(d: f64) -> (f64, f64, f64) {
 pub fn pair_jet(offset: DVec3, size_i: f64, size_j: f64) -> (f64, DVec3, DMat3) {
     let reach = SUPPORT * size_i.min(size_j);
     // Two particles on one spot still need a direction to part along: any will do, the damping bounds the step.
-    let distance = offset.length().max(1e-6 * reach);
+    let distance = offset.length().max(LEAST_SCALED_DISTANCE * reach);
     if distance >= reach {
         return (0.0, DVec3::ZERO, DMat3::ZERO);
     }

@@ -1,7 +1,6 @@
 // Classes of particles that may move together: no two members are neighbours.
-
-const CLASSES: u32 = 32u;
-const UNCLASSED: u32 = 0xffffffffu;
+//
+// Twin: `independent_classes` in common/src/neighbours.rs
 
 // Which of two particles that want the same class gets it.
 fn class_priority(i: u32, round: u32) -> u32 {

@@ -1,13 +1,14 @@
-// Who is too crowded and who is lonely: section 3.3 of the paper with Witkin and Heckbert's bias, the twin of
-// stages/particles/src/density.rs.
+// Where the surface is oversampled and where undersampled: section 3.3 of the paper with Witkin and Heckbert's bias.
+//
+// Twin: `delete`, `insert` in stages/particles/src/density.rs
 
-fn is_crowded(energy: f32, i: u32) -> bool {
+fn is_oversampled(energy: f32, i: u32) -> bool {
     let excess = energy / parameters.ideal_energy - 1.0;
     return excess > parameters.delete_above - 1.0
         && random_uniform(stream_of(0u), i) * excess > parameters.delete_above - 1.0;
 }
 
-fn is_lonely(energy: f32, i: u32) -> bool {
+fn is_undersampled(energy: f32, i: u32) -> bool {
     let lack = 1.0 - energy / parameters.ideal_energy;
     return lack > 1.0 - parameters.add_below && random_uniform(stream_of(1u), i) * lack > 1.0 - parameters.add_below;
 }

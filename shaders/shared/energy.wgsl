@@ -1,9 +1,9 @@
-// The inter-particle energy, Eq. 1, 2 and 4: the twin of common/src/energy.rs.
+// The inter-particle energy, Eq. 1, 2 and 4.
 //
 // With x = d pi/2 and c = cot x the energy is c + x - pi/2, the first derivative -(pi/2) c^2, the second (pi^2/2) c (1 + c^2).
 // Sine and cosine are polynomials of our own: WGSL promises 11 bits for its functions, and other bits on each adapter.
-
-const HALF_PI: f32 = 1.5707963;
+//
+// Twin: `pair_energy`, `scaled_distance` in common/src/energy.rs
 
 // sin x for 0 <= x <= pi/2, relative error below 1e-7.
 fn sine(x: f32) -> f32 {
@@ -13,7 +13,7 @@ fn sine(x: f32) -> f32 {
 
 // cot(d pi/2) for 0 < d <= 1.
 fn cotangent(d: f32) -> f32 {
-    return sine(HALF_PI * (1.0 - d)) / sine(HALF_PI * d);
+    return sine(FRAC_PI_2 * (1.0 - d)) / sine(FRAC_PI_2 * d);
 }
 
 // Eq. 1; 0 from d = 1 on.
@@ -21,8 +21,8 @@ fn pair_energy(d: f32) -> f32 {
     if d >= 1.0 {
         return 0.0;
     }
-    let safe = max(d, 1e-6);
-    return max(cotangent(safe) - HALF_PI * (1.0 - safe), 0.0);
+    let safe = max(d, LEAST_SCALED_DISTANCE);
+    return max(cotangent(safe) - FRAC_PI_2 * (1.0 - safe), 0.0);
 }
 
 // Energy of two particles `offset` apart, of sizes h and other.

@@ -1,5 +1,6 @@
-// The damped Newton step in the tangent plane (Eq. 3): the twin of the functions of the same names in
-// stages/particles/src/movement.rs.
+// The damped Newton step in the tangent plane (Eq. 3).
+//
+// Twin: `positive_definite`, `damped_newton` in stages/particles/src/movement.rs
 
 // Replaces the eigenvalues of a symmetric 2 x 2 matrix (entries uu, uv, vv) by their magnitudes, bounded away from zero.
 fn positive_definite(m: vec3<f32>) -> vec3<f32> {
@@ -8,10 +9,10 @@ fn positive_definite(m: vec3<f32>) -> vec3<f32> {
     let half = sqrt(half_gap * half_gap + m.y * m.y);
     let low = abs(middle_of - half);
     let high = abs(middle_of + half);
-    let bound = 0.05 * max(low, high);
+    let bound = EIGENVALUE_FLOOR * max(low, high);
     let l = max(low, bound);
     let h = max(high, bound);
-    if half <= 1e-6 * abs(middle_of) {
+    if half <= EQUAL_EIGENVALUES * abs(middle_of) {
         return vec3(l, 0.0, l);
     }
     let middle = 0.5 * (l + h);

@@ -1,12 +1,6 @@
 // What every kernel knows of the run: grid, levels of bins, limits. Made by stages/particles/src/gpu/parameters.rs, whose
 // tests compare this layout with naga's.
 
-// 2 cos(pi/6), Eq. 2: interactions reach this many target edge lengths.
-const SUPPORT: f32 = 1.7320508;
-// Neighbour lists reach this much farther than the support (stages/particles/src/state.rs).
-const SKIN: f32 = 0.3;
-const MOST_LEVELS: u32 = 12u;
-
 // Bins of the particles of one octave of h.
 struct Level {
     edge: f32,

@@ -1,4 +1,6 @@
-// Two orthonormal directions that span the tangent plane: the twin of TangentPlane in stages/particles/src/movement.rs.
+// Two orthonormal directions that span the tangent plane.
+//
+// Twin: `TangentPlane` in stages/particles/src/movement.rs
 
 struct Plane {
     u: vec3<f32>,

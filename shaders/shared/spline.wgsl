@@ -1,5 +1,6 @@
-// The implicit function F: cubic B-spline with its gradient in full f32 (no hardware filter), mirrored at the border, and the
-// projection onto F = 0 of Eq. 5 with its sign mended: the twin of common/src/spline.rs.
+// The implicit function F: cubic B-spline with its gradient in full f32 (no hardware filter), mirrored at the border.
+//
+// Twin: `Stencil`, `mirror` in common/src/spline/stencil.rs
 
 // Weight (x) and its derivative (y) of tap 0 to 3 at fraction t of a cell.
 fn tap_weight(tap: u32, t: f32) -> vec2<f32> {
@@ -38,28 +39,4 @@ fn two_taps(cell: Cell, plane: u32, z: u32) -> vec4<f32> {
 // Taps (x, y, 0) to (x, y, 3).
 fn four_taps(cell: Cell, plane: u32) -> vec4<f32> {
     return two_taps(cell, plane, 0u) + two_taps(cell, plane, 2u);
-}
-
-struct Projected {
-    position: vec3<f32>,
-    found: bool,
-    normal: vec3<f32>,
-    size: f32,
-}
-
-const MOST_PROJECTION_STEPS: u32 = 25u;
-
-// What a step of the projection says: 0 go on, 1 arrived, 2 lost. `field` is gradient per mm and value.
-fn projection_state(field: vec4<f32>) -> u32 {
-    let squared = dot(field.xyz, field.xyz);
-    if !(squared > 1e-8) {
-        return 2u;
-    }
-    return select(0u, 1u, abs(field.w) <= parameters.tolerance * min(sqrt(squared), 1.0));
-}
-
-fn projection_motion(field: vec4<f32>) -> vec3<f32> {
-    let motion = field.xyz * (-field.w / dot(field.xyz, field.xyz));
-    let distance = length(motion);
-    return motion * select(1.0, parameters.projection_step / distance, distance > parameters.projection_step);
 }

@@ -1,5 +1,8 @@
-// Energy of a particle with its derivatives, by a team whose lanes share out the neighbours: the twin of energy_jet and energy_at
-// in stages/particles/src.
+// Energy of a particle with its derivatives, by a team whose lanes share out the neighbours.
+//
+// Twin: `energy_jet` in stages/particles/src/movement.rs
+// Twin: `energy_at` in stages/particles/src/state.rs
+// Twin: `pair_jet`, `pair_size_derivative` in common/src/energy.rs
 
 struct Jet {
     energy: f32,
@@ -42,20 +45,20 @@ struct Terms {
 fn add_pair(sum: Terms, own: vec4<f32>, plane: Plane, other: vec4<f32>) -> Terms {
     let offset = own.xyz - other.xyz;
     let reach = SUPPORT * min(own.w, other.w);
-    let distance = max(length(offset), 1e-6 * reach);
+    let distance = max(length(offset), LEAST_SCALED_DISTANCE * reach);
     if distance >= reach {
         return sum;
     }
     let d = distance / reach;
     let c = cotangent(d);
-    let first = -HALF_PI * c * c;
-    let second = 2.0 * HALF_PI * HALF_PI * c * (1.0 + c * c);
+    let first = -FRAC_PI_2 * c * c;
+    let second = 2.0 * FRAC_PI_2 * FRAC_PI_2 * c * (1.0 + c * c);
     let direction = vec2(dot(offset, plane.u), dot(offset, plane.v)) / distance;
     let along = second / (reach * reach);
     let across = first / (reach * distance);
     let by_size = select(0.0, -first * d / own.w, own.w <= other.w);
     return Terms(
-        sum.first + vec4(max(c - HALF_PI * (1.0 - d), 0.0), first / reach * direction, by_size),
+        sum.first + vec4(max(c - FRAC_PI_2 * (1.0 - d), 0.0), first / reach * direction, by_size),
         sum.second + vec4(
             (along - across) * direction.x * direction.x + across,
             (along - across) * direction.x * direction.y,

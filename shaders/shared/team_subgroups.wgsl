@@ -1,7 +1,5 @@
-// A team of lanes of one subgroup works for one particle; a workgroup is 128 lanes. Sums go by butterfly, in which each
-// step adds the same two numbers in both lanes, so that every lane ends with the same bits. TEAM, a power of two, is set when the text is put together.
-
-const TEAMS: u32 = 128u / TEAM;
+// A team of lanes of one subgroup works for one particle; a workgroup is TEAMS of them. Sums go by butterfly, in which each
+// step adds the same two numbers in both lanes, so that every lane ends with the same bits. TEAM is a power of two.
 
 // The sum over the team's lanes, the same bits in each.
 fn team_sum(value: vec4<f32>, lane: u32) -> vec4<f32> {

@@ -6,20 +6,20 @@ struct Totals {
     longest: f32,
     moved: u32,
     tries: u32,
-    faults: u32,
+    defects: u32,
 }
 
-var<workgroup> partial: array<Totals, 256>;
+var<workgroup> partial: array<Totals, WIDE>;
 
 fn add_totals(a: Totals, b: Totals) -> Totals {
-    return Totals(a.energy + b.energy, max(a.longest, b.longest), a.moved + b.moved, a.tries + b.tries, a.faults + b.faults);
+    return Totals(a.energy + b.energy, max(a.longest, b.longest), a.moved + b.moved, a.tries + b.tries, a.defects + b.defects);
 }
 
-// The sum over a workgroup of 256, in lane 0.
+// The sum over a workgroup of WIDE, in lane 0.
 fn total_of_group(own: Totals, lane: u32) -> Totals {
     partial[lane] = own;
     workgroupBarrier();
-    for (var step = 128u; step > 0u; step >>= 1u) {
+    for (var step = WIDE / 2u; step > 0u; step >>= 1u) {
         if lane < step {
             partial[lane] = add_totals(partial[lane], partial[lane + step]);
         }

@@ -21,7 +21,7 @@ fn probe_jets(
     let nearest = nearest_neighbours(range, lane);
     let jet = team_jet(own, plane, range, nearest, lane);
     let energy = team_energy(own, range, nearest, lane);
-    let surface = team_surface_at(own.xyz, lane);
+    let surface = surface_at(own.xyz, lane);
     if lane == 0u {
         probed[3u * i] = vec4(plane.u * jet.gradient.x + plane.v * jet.gradient.y, jet.energy);
         probed[3u * i + 1u] = vec4(jet.hessian, energy);

@@ -8,6 +8,7 @@
 pub mod nrrd;
 pub mod scene;
 pub mod shapes;
+pub mod skip;
 pub mod topology;
 pub mod torso;
 pub mod volume;

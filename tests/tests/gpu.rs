@@ -97,3 +97,18 @@ fn an_adapter_that_is_not_there_ends_with_three() {
     stage("particles", command).expect_error(3, &["--adapter no such adapter", "--backend cpu"]);
     assert_eq!(listing(folder.path()), before);
 }
+
+/// Mesa's layer that asks a display for an order of the adapters complains where there is none, which is no user's concern.
+#[test]
+#[cfg(target_os = "linux")]
+fn nothing_is_said_of_a_display_that_nobody_needs() {
+    let Some(_) = adapter("adapters without a display") else { return };
+    let mut command = std::process::Command::new(support::binaries().join("particles"));
+    command.args(["--list-adapters", "--quiet"]);
+    for variable in ["XDG_RUNTIME_DIR", "WAYLAND_DISPLAY", "NODEVICE_SELECT", "MESA_VK_DEVICE_SELECT"] {
+        command.env_remove(variable);
+    }
+    let ended = support::run(&mut command).expect_success("--list-adapters");
+    assert!(!ended.stdout.is_empty());
+    assert_eq!(ended.stderr, "");
+}

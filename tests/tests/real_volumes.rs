@@ -1,13 +1,12 @@
 //! Real volumes, where they are found (`../shared/data` from the repository's root, or `ISOPARTICLES_DATA`): the surface
-//! is closed, outward, complete and made of good triangles. The small ones always, the rest with `ISOPARTICLES_REAL=all`,
-//! because they take minutes.
+//! is closed, outward, complete and made of good triangles.
 
 mod support;
 
 use isoparticles_common::io::surface::read_surface;
 use std::path::Path;
 use support::examine::examine;
-use support::{binaries, real_volumes, root, run, skip};
+use support::{binaries, real_volumes, root, run};
 
 /// Meshes a case of `pipelines/` through the Makefile and examines it.
 fn mesh(test: &str, case: &str, components: Option<usize>) {
@@ -34,15 +33,6 @@ fn mesh(test: &str, case: &str, components: Option<usize>) {
     }
 }
 
-/// A case that takes minutes.
-fn mesh_on_request(test: &str, case: &str, components: Option<usize>) {
-    if std::env::var_os("ISOPARTICLES_REAL").is_some_and(|value| value == "all") {
-        mesh(test, case, components);
-    } else {
-        skip(test, "takes minutes; ISOPARTICLES_REAL=all runs it");
-    }
-}
-
 #[test]
 fn mickey() {
     // A hollow ball: an outer and an inner surface.
@@ -51,20 +41,20 @@ fn mickey() {
 
 #[test]
 fn heart() {
-    mesh_on_request("heart", "heart", Some(1));
+    mesh("heart", "heart", Some(1));
 }
 
 #[test]
 fn tooth() {
-    mesh_on_request("tooth", "tooth", None);
+    mesh("tooth", "tooth", None);
 }
 
 #[test]
 fn lungs() {
-    mesh_on_request("lungs", "lungs", None);
+    mesh("lungs", "lungs", None);
 }
 
 #[test]
 fn ribs() {
-    mesh_on_request("ribs", "ribs", None);
+    mesh("ribs", "ribs", None);
 }

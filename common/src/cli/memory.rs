@@ -45,6 +45,12 @@ impl Context {
     }
 }
 
+/// Most memory that the stages hold for so many particles on a grid of so many nodes, bytes: `reconstruct` needs most, up to 1,403 bytes a particle
+/// (`docs/performance.md`, real volumes), with F, its coefficients and h in single precision.
+pub fn particles_bytes(particles: f64, nodes: usize) -> f64 {
+    1403.0 * particles + 12.0 * nodes as f64
+}
+
 const GIB: f64 = (1u64 << 30) as f64;
 
 /// Bytes as a person reads them.

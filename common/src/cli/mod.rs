@@ -11,7 +11,7 @@ mod report;
 pub mod values;
 
 pub use context::{Context, Step};
-pub use memory::{available_memory, peak_memory};
+pub use memory::{available_memory, particles_bytes, peak_memory};
 pub use progress::Progress;
 
 use crate::error::{Error, Kind, Result};

@@ -41,6 +41,11 @@ pub(super) fn read_meta_image(path: &Path) -> Result<Volume> {
     Ok(Volume { remarks, ..Volume::new(geometry, voxels) })
 }
 
+/// Where the header says that the voxels are.
+pub(super) fn data_files(path: &Path, reader: &mut impl BufRead) -> Result<DataFiles> {
+    Header::read(path, reader)?.files()
+}
+
 /// The lines of a header.
 struct Header<'a> {
     path: &'a Path,

@@ -4,6 +4,7 @@
 //! particles and surfaces go between the stages through [`field`], [`particles`] and [`surface`]; [`output`] writes every
 //! file whole or not at all.
 
+mod data_files;
 mod dicom;
 pub mod field;
 mod limit;
@@ -19,3 +20,5 @@ pub mod volume;
 mod voxel_data;
 mod vti;
 mod vtk_xml;
+
+pub use data_files::data_files;

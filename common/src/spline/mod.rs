@@ -19,6 +19,12 @@ pub use bricks::{BrickSpline, BrickSplineBuilder, Layer};
 pub use prefilter::{Coefficients, SlabFilter};
 pub(crate) use stencil::mirror;
 
+/// Newton steps that a projection onto F = 0 may take.
+pub const PROJECTION_STEPS: usize = 25;
+
+/// A projection gives up where the square of the gradient is no larger than this (F is a distance: 1 nearly everywhere).
+pub const LEAST_SQUARED_GRADIENT: f64 = 1e-8;
+
 /// Interpolating cubic B-spline over a grid; positions in the grid frame, derivatives per mm.
 #[derive(Clone, Debug)]
 pub struct CubicSpline {
@@ -84,8 +90,8 @@ impl CubicSpline {
     }
 
     /// Moves a point onto F = 0 by Newton steps along the gradient (Eq. 5 with its sign mended). `limit` is the
-    /// longest total move (mm); `None` when the point runs away, or the gradient vanishes, or 25 steps are not enough
-    /// to reach |F| <= `tolerance` (mm).
+    /// longest total move (mm); `None` when the point runs away, or the gradient vanishes, or [`PROJECTION_STEPS`] are not
+    /// enough to reach |F| <= `tolerance` (mm).
     pub fn project(&self, start: DVec3, limit: f64, tolerance: f64) -> Option<DVec3> {
         self.project_with_gradient(start, limit, tolerance).map(|(p, _)| p)
     }
@@ -94,11 +100,11 @@ impl CubicSpline {
     pub fn project_with_gradient(&self, start: DVec3, limit: f64, tolerance: f64) -> Option<(DVec3, DVec3)> {
         let longest = 0.5 * self.geometry.mean_spacing();
         let mut p = start;
-        for _ in 0..25 {
+        for _ in 0..PROJECTION_STEPS {
             let (f, g) = self.value_gradient(p);
             let g2 = g.length_squared();
             // also refuses a gradient that is not a number
-            if g2.partial_cmp(&1e-8) != Some(std::cmp::Ordering::Greater) {
+            if g2.partial_cmp(&LEAST_SQUARED_GRADIENT) != Some(std::cmp::Ordering::Greater) {
                 return None;
             }
             if f.abs() <= tolerance * g2.sqrt().min(1.0) {

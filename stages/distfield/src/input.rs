@@ -107,7 +107,11 @@ pub fn tell(args: &Args, volume: &Volume, labels: Option<Vec<LayerLabel>>, conte
     let info = examine(volume, &wishes, context)?;
     let json = || {
         serde_json::to_string_pretty(&info).map_err(|error| {
-            Error::input(format!("what was found cannot be put into JSON: {error}"), "--json asks for it", "report this bug")
+            Error::input(
+                format!("what was found cannot be put into JSON: {error}"),
+                "--json asks for it",
+                "report this bug",
+            )
         })
     };
     let print = |text: &str| {

@@ -119,13 +119,13 @@ pub fn drop_parts(nodes: &mut Image<f32>, margin: usize, junctions: &[Junction],
 }
 
 /// The first run of the part that each run belongs to.
-fn parts_of_runs(inside: &Runs, size: [usize; 3], junctions: &[Junction]) -> Result<Vec<u32>> {
+pub(crate) fn parts_of_runs(inside: &Runs, size: [usize; 3], junctions: &[Junction]) -> Result<Vec<u32>> {
     let [_, ny, nz] = size;
     let Ok(count) = u32::try_from(inside.all().len()) else {
         return Err(Error::input(
-            format!("--keep: the object consists of {} runs of nodes along x", inside.all().len()),
+            format!("the object consists of {} runs of nodes along x", inside.all().len()),
             format!("parts are told apart among up to {} of them", u32::MAX),
-            "keep all parts, or give a volume that is smaller or less noisy",
+            "do without --keep and --scale, or give a volume that is smaller or less noisy",
         ));
     };
     let mut sets = DisjointSets::new(count as usize);

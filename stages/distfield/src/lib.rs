@@ -10,10 +10,13 @@
 
 pub mod bits;
 pub mod cap;
+pub mod changes;
+pub mod choose;
 pub mod closest;
 pub mod field;
 pub mod fit;
 pub mod flow;
+pub mod gaussian;
 pub mod info;
 pub mod input;
 pub mod junctions;
@@ -21,10 +24,12 @@ pub mod keep;
 pub mod labels;
 pub mod mask;
 pub mod nearest;
+pub mod occupancy;
 pub mod run;
 pub mod runs;
 pub mod samples;
 pub mod scalar;
+pub mod scale;
 pub mod selection;
 pub mod sides;
 pub mod topology;

@@ -8,7 +8,7 @@ use isoparticles_common::cli::Context;
 use isoparticles_common::error::{Error, Result};
 use isoparticles_common::geometry::Geometry;
 use isoparticles_common::image::Image;
-use isoparticles_common::io::volume::Voxels;
+use isoparticles_common::io::volume::{Volume, Voxels};
 use isoparticles_common::spline::{BrickSplineBuilder, Coefficients, CubicSpline, Layer, SlabFilter};
 use rayon::prelude::*;
 use std::ops::Range;
@@ -56,6 +56,16 @@ pub fn from_voxels(
     let least = (CLEARANCE * nodes.geometry.min_spacing()) as f32;
     drop(step);
     redistance(nodes, &source, LeastDistances { most: least, at: |_| least }, options.keep, options.margin, context)
+}
+
+/// Fails where [`from_voxels`] would, because of the voxels or the iso value; gives the volume back.
+///
+/// # Errors
+/// As [`from_scalar`].
+pub fn check_scalar(volume: Volume, iso: f64, inside: Inside) -> Result<Volume> {
+    let input = Input { voxels: volume.voxels, geometry: volume.geometry, iso, inside, scale: 1.0 };
+    input.check()?;
+    Ok(Volume { voxels: input.voxels, geometry: input.geometry, ..volume })
 }
 
 /// The volume and which surface of it is meant. After its check its slices lie from the last to the first, so that those that have become nodes

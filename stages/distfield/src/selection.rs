@@ -39,6 +39,12 @@ enum Item {
     Name(String),
 }
 
+/// Labels as a file notes them: numbers alone say it all where there is one layer.
+#[must_use]
+pub fn noted(labels: &[LayerLabel], volume: &Volume) -> serde_json::Value {
+    if volume.layer_count() == 1 { labels.iter().map(|at| at.label).collect() } else { serde_json::json!(labels) }
+}
+
 impl Selection {
     /// The labels, in the order in which they are named, each once.
     ///
@@ -79,7 +85,8 @@ impl Selection {
         for piece in self.text.split(',').map(str::trim).filter(|piece| !piece.is_empty()) {
             let words: Vec<Item> = piece.split_whitespace().map(item).collect();
             let is_plain = words.iter().all(|word| !matches!(word, Item::Name(_)));
-            let are_names = || piece.split_whitespace().all(|word| is_name(word) || !matches!(item(word), Item::Name(_)));
+            let are_names =
+                || piece.split_whitespace().all(|word| is_name(word) || !matches!(item(word), Item::Name(_)));
             if is_name(piece) {
                 items.push(Item::Name(piece.to_owned()));
             } else if is_plain || are_names() {
@@ -100,7 +107,8 @@ fn item(word: &str) -> Item {
     if let Ok(label) = word.parse() {
         return Item::Number(label);
     }
-    let ends = word.split_once("..").map(|(first, last)| (first.trim().parse(), last.trim_start_matches('=').trim().parse()));
+    let ends =
+        word.split_once("..").map(|(first, last)| (first.trim().parse(), last.trim_start_matches('=').trim().parse()));
     match ends {
         Some((Ok(first), Ok(last))) => Item::Range(first, last),
         _ => Item::Name(word.to_owned()),

@@ -71,7 +71,7 @@ class Case:
         self.run("seed", self.file("distfield.vti"), self.file("sizefield.vti"), "-o", self.file("seeds.bin"))
 
     def settle(self, *options: str) -> dict[str, Any]:
-        """Settles the seeds; returns particles, passes, seconds, faults and a hash of the file."""
+        """Settles the seeds; returns particles, passes, seconds, share of lattice defects and a hash of the file."""
         report = self.run(
             "particles", self.file("seeds.bin"), "--distfield", self.file("distfield.vti"), "--sizefield",
             self.file("sizefield.vti"), "-o", self.file("bin"), "--log", self.file("csv"), *options,
@@ -86,7 +86,7 @@ class Case:
             "particles": int(last["count"]),
             "passes": int(last["pass"]),
             "seconds": results.get("device", {}).get("device_seconds", settling),
-            "faults": int(last["faults"]) / int(last["count"]),
+            "defects": int(last["lattice_defects"]) / int(last["count"]),
             "hash": digest,
         }
 
@@ -106,7 +106,7 @@ class Case:
 def over_passes(cases: list[Case], arguments: argparse.Namespace) -> None:
     """Prints a line for each case, number of levels and of passes."""
     writer = csv.writer(sys.stdout, lineterminator="\n")
-    writer.writerow(["case", "levels", "passes", "particles", "seconds", "faults", "mean", "smallest"])
+    writer.writerow(["case", "levels", "passes", "particles", "seconds", "lattice defects", "mean", "smallest"])
     for case in cases:
         case.prepare()
         for levels in arguments.levels:
@@ -115,7 +115,7 @@ def over_passes(cases: list[Case], arguments: argparse.Namespace) -> None:
                 settled = case.settle("--backend", arguments.backend, "--levels", str(levels), *options)
                 mean, smallest = case.quality(*RAW)
                 passes = f"{settled['passes']}{'' if options else ' (stop test)'}"
-                numbers = [f"{x:.4f}" for x in (settled["seconds"], settled["faults"], mean, smallest)]
+                numbers = [f"{x:.4f}" for x in (settled["seconds"], settled["defects"], mean, smallest)]
                 writer.writerow([case.name, levels, passes, settled["particles"], *numbers])
                 sys.stdout.flush()
 
@@ -123,19 +123,19 @@ def over_passes(cases: list[Case], arguments: argparse.Namespace) -> None:
 def compare(case: Case, backends: list[str], adapter: str | None, raw_only: bool) -> str:
     """A row of the table of [`over_backends`]."""
     case.prepare()
-    counts, passes, faults, raw, full, notes = [], [], [], [], [], []
+    counts, passes, defects, raw, full, notes = [], [], [], [], [], []
     for backend in backends:
         device = ["--adapter", adapter] if adapter and backend == "gpu" else []
         settled = case.settle("--backend", backend, *device)
         counts.append(f"{settled['particles']:,}")
         passes.append(str(settled["passes"]))
-        faults.append(f"{100 * settled['faults']:.1f}")
+        defects.append(f"{100 * settled['defects']:.1f}")
         raw.append("{:.3f} / {:.2f}".format(*case.quality(*RAW)))
         full.append("-" if raw_only else "{:.3f} / {:.2f}".format(*case.quality()))
         if backend == "gpu":
             again = case.settle("--backend", backend, *device)
             notes.append("same bytes" if again["hash"] == settled["hash"] else "DIFFERENT BYTES")
-    columns = [", ".join(column) for column in (counts, passes, faults, raw, full)]
+    columns = [", ".join(column) for column in (counts, passes, defects, raw, full)]
     return f"| {case.name} | " + " | ".join([*columns, *notes]) + " |"
 
 
@@ -143,7 +143,7 @@ def over_backends(cases: list[Case], arguments: argparse.Namespace) -> None:
     """Prints a row for each case, CPU and GPU side by side."""
     backends = ["cpu"] if arguments.backend == "cpu" else ["cpu", "gpu"]
     again = " two GPU runs |" if "gpu" in backends else ""
-    print(f"| surface | particles, {', '.join(backends)} | passes | faults, % | raw, mean / smallest | full |{again}")
+    print(f"| surface | particles, {', '.join(backends)} | passes | lattice defects, % | raw, mean / smallest | full |{again}")
     print("|---" * (7 if again else 6) + "|")
     with concurrent.futures.ThreadPoolExecutor(arguments.jobs) as pool:
         rows = [pool.submit(compare, case, backends, arguments.adapter, arguments.raw_only) for case in cases]
@@ -159,12 +159,12 @@ def counted(case: Case, backend: str) -> str:
     settled = case.settle("--backend", backend)
     off = 100 * (predicted / settled["particles"] - 1)
     numbers = f"{predicted:,.0f} | {settled['particles']:,} | {off:+.1f}"
-    return f"| {case.name} | {numbers} | {settled['passes']} | {100 * settled['faults']:.1f} |"
+    return f"| {case.name} | {numbers} | {settled['passes']} | {100 * settled['defects']:.1f} |"
 
 
 def over_counts(cases: list[Case], arguments: argparse.Namespace) -> None:
     """Prints a row for each case: what `sizefield` predicts, how many particles settle."""
-    print("| surface | predicted | settled | off by, % | passes | faults, % |\n" + "|---" * 6 + "|")
+    print("| surface | predicted | settled | off by, % | passes | lattice defects, % |\n" + "|---" * 6 + "|")
     with concurrent.futures.ThreadPoolExecutor(arguments.jobs) as pool:
         rows = [pool.submit(counted, case, arguments.backend) for case in cases]
         for row in concurrent.futures.as_completed(rows):

@@ -2,9 +2,9 @@
 //!
 //! Where lattices that grew from different places meet, lines of vertices of degree five and seven remain, and passes mend
 //! them slowly. A coarse lattice has few such places, its passes cost a fraction, and splitting its edges keeps its
-//! orientation: the fine lattice starts with few faults and needs few passes.
+//! orientation: the fine lattice starts with few defects and needs few passes.
 
-use crate::INITIAL_LAMBDA;
+use crate::constants::INITIAL_LAMBDA;
 use crate::gpu::DeviceReport;
 use crate::settle::{Engine, Level, Parameters, PassRecord, Summary, settle_level};
 use crate::state::Fields;
@@ -27,7 +27,7 @@ const ROOM_ON_LATTICE: f64 = 0.6;
 /// The same for seeds that are to fill what the lattice left bare.
 const ROOM_FOR_MORE: f64 = 0.9;
 
-/// Edges of a lattice of edge h are shorter than this many h: longer than the first ring, since edges round a fault are stretched, and
+/// Edges of a lattice of edge h are shorter than this many h: longer than the first ring, since edges round a lattice defect are stretched, and
 /// those that cross another are sorted out.
 const EDGE: f64 = 1.45;
 
@@ -259,7 +259,7 @@ mod tests {
 
     /// Share of the particles that have six neighbours.
     fn regular(set: &ParticleSet) -> f64 {
-        let near = NeighbourLists::new(&set.positions, &set.sizes, crate::state::FIRST_RING, |_, _| true);
+        let near = NeighbourLists::new(&set.positions, &set.sizes, crate::constants::FIRST_RING, |_, _| true);
         (0..near.len()).filter(|&i| near.of(i).len() == 6).count() as f64 / near.len() as f64
     }
 
@@ -279,7 +279,7 @@ mod tests {
     }
 
     #[test]
-    fn split_edges_make_a_lattice_of_half_the_edge_with_fewer_faults() {
+    fn split_edges_make_a_lattice_of_half_the_edge_with_fewer_defects() {
         let (surface, sizing, seeds) = ball();
         let fields = Fields { surface: &surface, sizing: &sizing };
         let (at_once, records) = run(1, &seeds, &fields, None);

@@ -1,14 +1,18 @@
 //! Density control: section 3.3 of the paper.
 //!
-//! Where the energy says that particles crowd, one goes; where it says that there is room, one is added, in the widest
-//! gap between the neighbours. The random bias of Witkin and Heckbert keeps neighbours from acting all at once; on top of
+//! Where the energy says that the surface is oversampled a particle goes; where it says that it is undersampled one is added, in the
+//! widest gap between the neighbours. The random bias of Witkin and Heckbert keeps neighbours from acting all at once; on top of
 //! it the energies are kept up to date while the pass goes on, so that the first deletion relieves the others (without
 //! that, a dense seeding loses far too many particles in one pass).
 
+use crate::constants::{INITIAL_LAMBDA, NEWCOMER_DISTANCE, PARENT_DISTANCE, PASS_TOLERANCE};
 use crate::movement::TangentPlane;
 use crate::state::{Fields, State};
+use glam::DVec3;
 use isoparticles_common::energy::{self, SUPPORT};
+use isoparticles_common::neighbours::NeighbourLists;
 use isoparticles_common::random::uniform;
+use rayon::prelude::*;
 
 /// When to add and delete, as shares of the ideal energy.
 #[derive(Clone, Copy, Debug)]
@@ -17,9 +21,6 @@ pub(crate) struct Limits {
     pub add_below: f64,
     pub delete_above: f64,
 }
-
-/// A newcomer keeps this share of h from everybody; the lattice makes room for it in the next passes.
-const CLOSEST: f64 = 0.45;
 
 /// What a pass of density control did.
 #[derive(Clone, Copy, Debug, Default)]
@@ -39,7 +40,7 @@ pub(crate) fn control(
 ) -> Changes {
     let mut energies = state.set.energies.clone();
     let deleted = delete(state, &mut energies, limits, seed, pass);
-    let inserted = if allow_insert { insert(state, fields, &mut energies, &deleted, limits, seed, pass) } else { 0 };
+    let inserted = if allow_insert { insert(state, fields, &energies, &deleted, limits, seed, pass) } else { 0 };
     let gone = deleted.iter().filter(|&&d| d).count();
     if gone > 0 {
         let kept: Vec<u32> =
@@ -52,14 +53,14 @@ pub(crate) fn control(
     Changes { inserted, deleted: gone }
 }
 
-/// Marks particles for deletion, the most crowded first.
+/// Marks particles for deletion, those of the highest energy first.
 fn delete(state: &State, energies: &mut [f64], limits: &Limits, seed: u64, pass: u64) -> Vec<bool> {
     let set = &state.set;
     let mut deleted = vec![false; state.len()];
     let bar = limits.delete_above * limits.ideal_energy;
-    let mut crowded: Vec<u32> = (0..state.len() as u32).filter(|&i| energies[i as usize] > bar).collect();
-    crowded.sort_by(|&a, &b| energies[b as usize].total_cmp(&energies[a as usize]).then(a.cmp(&b)));
-    for i in crowded {
+    let mut oversampled: Vec<u32> = (0..state.len() as u32).filter(|&i| energies[i as usize] > bar).collect();
+    oversampled.sort_by(|&a, &b| energies[b as usize].total_cmp(&energies[a as usize]).then(a.cmp(&b)));
+    for i in oversampled {
         let i = i as usize;
         // Witkin and Heckbert's bias: the excess, times a random number, must exceed the threshold's
         let excess = energies[i] / limits.ideal_energy - 1.0;
@@ -76,60 +77,81 @@ fn delete(state: &State, energies: &mut [f64], limits: &Limits, seed: u64, pass:
     deleted
 }
 
+/// A particle that may be added.
+pub(crate) struct Newcomer {
+    /// Who proposes it.
+    parent: usize,
+    pub position: DVec3,
+    normal: DVec3,
+    pub size: f64,
+}
+
 /// Adds particles (at the end of the set) where the energy is low and a gap has room; says how many.
+///
+/// Of newcomers whose parents are neighbours one comes in a pass, and of newcomers nearer than [`NEWCOMER_DISTANCE`] h to each other on the
+/// same sheet; here the one whose parent has the smallest index, on the GPU the one whose parent draws the highest number.
 fn insert(
     state: &mut State,
     fields: &Fields,
-    energies: &mut [f64],
+    energies: &[f64],
     deleted: &[bool],
     limits: &Limits,
     seed: u64,
     pass: u64,
 ) -> usize {
     let before = state.len();
-    let bar = limits.add_below * limits.ideal_energy;
-    let mut busy = vec![false; before];
-    for i in 0..before {
-        if deleted[i] || busy[i] || energies[i] >= bar {
+    let settled: &State = state;
+    let newcomers: Vec<Newcomer> = (0..before)
+        .into_par_iter()
+        .filter(|&i| {
+            // Witkin and Heckbert's bias once more
+            let lack = 1.0 - energies[i] / limits.ideal_energy;
+            let bar = 1.0 - limits.add_below;
+            !deleted[i] && lack > bar && uniform(seed, 2 * pass + 1, i as u64) * lack > bar
+        })
+        .filter_map(|i| propose(settled, fields, deleted, i))
+        .collect();
+    let positions: Vec<DVec3> = newcomers.iter().map(|n| n.position).collect();
+    let sizes: Vec<f64> = newcomers.iter().map(|n| n.size).collect();
+    let near = NeighbourLists::new(&positions, &sizes, NEWCOMER_DISTANCE, |a, b| {
+        newcomers[a].normal.dot(newcomers[b].normal) > state.normal_agreement
+    });
+    let mut spoken_for = vec![false; before];
+    let mut chosen = vec![false; newcomers.len()];
+    for (n, newcomer) in newcomers.iter().enumerate() {
+        if spoken_for[newcomer.parent] || near.of(n).iter().any(|&other| chosen[other as usize]) {
             continue;
         }
-        let lack = 1.0 - energies[i] / limits.ideal_energy;
-        if uniform(seed, 2 * pass + 1, i as u64) * lack <= 1.0 - limits.add_below {
-            continue;
-        }
-        let Some((position, normal, size)) = place_in_widest_gap(state, fields, deleted, i) else { continue };
-        let mut energy = 0.0;
-        let mut room = true;
-        for j in state.neighbours.of(i).iter().map(|&j| j as usize).chain([i]).filter(|&j| !deleted[j]) {
-            let distance = position.distance(state.set.positions[j]);
-            let smaller = size.min(state.set.sizes[j]);
-            room &= distance > CLOSEST * smaller;
-            energy += energy::pair_energy(energy::scaled_distance(distance, smaller, smaller));
-        }
-        if !room {
-            continue;
-        }
-        // one newcomer a neighbourhood and pass
-        for &j in state.neighbours.of(i) {
-            busy[j as usize] = true;
+        chosen[n] = true;
+        for &j in state.neighbours.of(newcomer.parent) {
+            spoken_for[j as usize] = true;
         }
         let set = &mut state.set;
-        set.positions.push(position);
-        set.normals.push(normal);
-        set.sizes.push(size);
-        set.energies.push(energy);
-        set.lambdas.push(crate::INITIAL_LAMBDA);
+        set.positions.push(newcomer.position);
+        set.normals.push(newcomer.normal);
+        set.sizes.push(newcomer.size);
+        set.energies.push(0.0);
+        set.lambdas.push(INITIAL_LAMBDA);
     }
     state.len() - before
 }
 
+/// The newcomer in the widest gap of particle i, if it is on the surface there and keeps [`NEWCOMER_DISTANCE`] h from everybody.
+pub(crate) fn propose(state: &State, fields: &Fields, deleted: &[bool], i: usize) -> Option<Newcomer> {
+    let (position, normal, size) = place_in_widest_gap(state, fields, deleted, i)?;
+    let set = &state.set;
+    let has_room = state
+        .neighbours
+        .of(i)
+        .iter()
+        .map(|&j| j as usize)
+        .filter(|&j| !deleted[j])
+        .all(|j| position.distance(set.positions[j]) > NEWCOMER_DISTANCE * size.min(set.sizes[j]));
+    has_room.then_some(Newcomer { parent: i, position, normal, size })
+}
+
 /// The point at distance h from particle i in the middle of its widest gap, on the surface.
-pub(crate) fn place_in_widest_gap(
-    state: &State,
-    fields: &Fields,
-    deleted: &[bool],
-    i: usize,
-) -> Option<(glam::DVec3, glam::DVec3, f64)> {
+fn place_in_widest_gap(state: &State, fields: &Fields, deleted: &[bool], i: usize) -> Option<(DVec3, DVec3, f64)> {
     let set = &state.set;
     let (p, h) = (set.positions[i], set.sizes[i]);
     let plane = TangentPlane::new(set.normals[i]);
@@ -157,8 +179,49 @@ pub(crate) fn place_in_widest_gap(
         }
     }
     let start = p + plane.out_of_plane([h * direction.cos(), h * direction.sin()]);
-    let tolerance = 1e-5 * fields.surface.geometry().min_spacing();
+    let tolerance = PASS_TOLERANCE * fields.surface.geometry().min_spacing();
     let (position, normal, size) = fields.project(start, h, tolerance)?;
-    (normal.dot(set.normals[i]) > state.normal_agreement && position.distance(p) > 0.6 * h.min(size))
+    (normal.dot(set.normals[i]) > state.normal_agreement && position.distance(p) > PARENT_DISTANCE * h.min(size))
         .then_some((position, normal, size))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scenes::Scene;
+    use crate::settle::Parameters;
+
+    /// A pass of density control over scattered particles: the sets before and after.
+    fn controlled(scene: &Scene, pass: u64) -> (usize, State) {
+        let parameters = Parameters::default();
+        let mut state = State::new(scene.seeds.clone(), parameters.normal_agreement);
+        state.update_energies();
+        // what is deleted makes room for others, and the test could not tell who was there
+        let limits =
+            Limits { ideal_energy: parameters.ideal_energy, add_below: parameters.add_below, delete_above: 1e9 };
+        let before = state.len();
+        control(&mut state, &scene.fields(), &limits, 0, pass, true);
+        (before, state)
+    }
+
+    #[test]
+    fn newcomers_keep_their_distance_from_everybody_on_their_sheet() {
+        let tori = (120..420).step_by(100).map(Scene::bumpy_torus);
+        let balls = (40..400).step_by(60).map(|n| Scene::ball(n, 1.6));
+        let mut came = 0;
+        for scene in tori.chain(balls).chain([Scene::meeting_newcomers()]) {
+            for pass in 1..4 {
+                let (before, state) = controlled(&scene, pass);
+                let set = &state.set;
+                for i in before..state.len() {
+                    came += 1;
+                    for j in (0..i).filter(|&j| set.normals[i].dot(set.normals[j]) > state.normal_agreement) {
+                        let apart = set.positions[i].distance(set.positions[j]) / set.sizes[i].min(set.sizes[j]);
+                        assert!(apart >= NEWCOMER_DISTANCE, "{i} of {before}: {apart} h from {j}");
+                    }
+                }
+            }
+        }
+        assert!(came > 500, "{came} newcomers: too few for a test");
+    }
 }

@@ -4,18 +4,19 @@
 //! test. Same seeds, fields and parameters give the same bytes for any number of threads on the CPU, and on one GPU adapter.
 
 mod coarse;
+mod constants;
 mod density;
 pub mod gpu;
 mod log;
 mod movement;
 pub mod run;
+#[cfg(test)]
+mod scenes;
 mod settle;
 mod state;
 
+pub use constants::INITIAL_LAMBDA;
 pub use settle::{
-    Engine, FAULT_WINDOW, Parameters, PassOutcome, PassRecord, REORDER_INTERVAL, Summary, settle, settle_with,
+    DEFECT_WINDOW, Engine, Parameters, PassOutcome, PassRecord, REORDER_INTERVAL, Summary, settle, settle_with,
 };
 pub use state::Fields;
-
-/// Levenberg-Marquardt damping of a particle that has not moved yet.
-pub const INITIAL_LAMBDA: f64 = 0.1;

@@ -20,7 +20,7 @@ impl Log {
         let mut log = Self { path: path.into(), file, json_lines: path.extension().is_some_and(|e| e == "jsonl") };
         if !log.json_lines {
             log.line(
-                "pass,energy,count,inserted,deleted,escaped,moved,tries_per_particle,neighbours,faults,seconds,scale",
+                "pass,energy,count,inserted,deleted,escaped,moved,tries_per_particle,neighbours,lattice_defects,seconds,scale",
             )?;
         }
         records.iter().try_for_each(|record| log.write(record))?;
@@ -43,7 +43,7 @@ impl Log {
                 r.moved,
                 r.tries_per_particle,
                 r.neighbours,
-                r.faults,
+                r.lattice_defects,
                 r.seconds,
                 r.scale
             )

@@ -3,5 +3,6 @@
 use std::process::ExitCode;
 
 fn main() -> ExitCode {
+    isoparticles_particles::gpu::display::leave_alone();
     isoparticles_common::cli::run_stage("particles", isoparticles_particles::run::run)
 }

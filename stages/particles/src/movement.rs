@@ -5,17 +5,14 @@
 //! independent class move at the same time: none of them sees another, so the pass is the Gauss-Seidel sweep of the
 //! paper in an order of our own, with the same result for any number of threads.
 
+use crate::constants::{
+    EIGENVALUE_FLOOR, FARTHEST_MOVE, LAMBDA_FALL, LAMBDA_GROWTH, LARGEST_LAMBDA, LEAST_LAMBDA, LONGEST_STEP,
+    PASS_TOLERANCE, PROJECTION_REACH,
+};
 use crate::state::{Fields, State};
 use glam::{DMat3, DVec3};
 use isoparticles_common::energy::{pair_jet, pair_size_derivative};
 use rayon::prelude::*;
-
-/// Smallest and largest damping; a particle whose lambda reaches the largest stays where it is in this pass.
-const LAMBDA_RANGE: (f64, f64) = (1e-3, 1e4);
-/// Longest step in one pass, as a share of h (the paper's bound is h; neighbour lists allow for this one).
-const LONGEST_STEP: f64 = 0.25;
-/// |F| after a step, as a share of the voxel spacing; the particles are put onto F = 0 to more digits at the end.
-const PASS_TOLERANCE: f64 = 1e-5;
 
 /// What a pass of movement did.
 #[derive(Clone, Copy, Debug, Default)]
@@ -77,19 +74,19 @@ pub(crate) fn step(state: &State, fields: &Fields, i: usize) -> Step {
     let curvature = positive_definite(plane.restrict(&hessian));
     let tolerance = PASS_TOLERANCE * fields.surface.geometry().min_spacing();
     let mut lambda = set.lambdas[i];
-    while lambda < LAMBDA_RANGE.1 {
+    while lambda < LARGEST_LAMBDA {
         result.tries += 1;
         let motion = plane.out_of_plane(damped_newton(&curvature, force, lambda)).clamp_length_max(LONGEST_STEP * size);
-        let limit = motion.length() + 0.5 * size;
+        let limit = motion.length() + PROJECTION_REACH * size;
         if let Some((p, n, h)) = fields.project(position + motion, limit, tolerance)
             && n.dot(normal) > 0.0
-            && p.distance_squared(position) < (2.0 * LONGEST_STEP * size).powi(2)
+            && p.distance_squared(position) < (FARTHEST_MOVE * size).powi(2)
             && state.energy_at(i, p, h) < energy
         {
-            let lambda = if result.tries == 1 { (0.1 * lambda).max(LAMBDA_RANGE.0) } else { lambda };
+            let lambda = if result.tries == 1 { (LAMBDA_FALL * lambda).max(LEAST_LAMBDA) } else { lambda };
             return Step { position: p, normal: n, size: h, lambda, moved: true, ..result };
         }
-        lambda *= 10.0;
+        lambda *= LAMBDA_GROWTH;
     }
     // Algorithm 1: lambda goes back to what it was
     result
@@ -147,7 +144,7 @@ fn positive_definite(m: [f64; 3]) -> [f64; 3] {
     let [a, b, c] = m;
     let (mean, half) = (0.5 * (a + c), (0.5 * (a - c)).hypot(b));
     let (low, high) = (mean - half, mean + half);
-    let floor = 0.05 * low.abs().max(high.abs());
+    let floor = EIGENVALUE_FLOOR * low.abs().max(high.abs());
     let (l, h) = (low.abs().max(floor), high.abs().max(floor));
     if half <= 1e-12 * mean.abs() {
         return [l, 0.0, l];
@@ -168,6 +165,33 @@ fn damped_newton(h: &[f64; 3], g: [f64; 2], lambda: f64) -> [f64; 2] {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::constants::UNSEEN_DISTANCE;
+    use crate::scenes::Scene;
+
+    #[test]
+    fn particles_that_do_not_see_each_other_stay_beyond_the_first_ring() {
+        // twice as many as the lattice has, at random places: the longest steps that there are
+        let scene = Scene::ball(1600, 1.6);
+        let fields = scene.fields();
+        let mut state = State::new(scene.seeds.clone(), 0.0);
+        let (mut farthest, mut nearest) = (0.0f64, f64::INFINITY);
+        for _ in 0..12 {
+            state.rebuild_if_moved();
+            let before = state.set.positions.clone();
+            pass(&mut state, &fields);
+            let set = &state.set;
+            for (i, was) in before.iter().enumerate() {
+                farthest = farthest.max(was.distance(set.positions[i]) / set.sizes[i]);
+                let seen = state.neighbours.of(i);
+                for j in (0..i).filter(|&j| set.normals[i].dot(set.normals[j]) > 0.1 && !seen.contains(&(j as u32))) {
+                    nearest = nearest.min(set.positions[i].distance(set.positions[j]) / set.sizes[i].min(set.sizes[j]));
+                }
+            }
+        }
+        println!("moves up to {farthest} h, unseen pairs from {nearest} h");
+        assert!(farthest > 0.2 && farthest < FARTHEST_MOVE, "moves up to {farthest} h");
+        assert!(nearest > UNSEEN_DISTANCE, "{nearest} h apart and not in each other's lists");
+    }
 
     #[test]
     fn newton_step_solves_the_damped_system() {

@@ -21,6 +21,9 @@ use serde_json::{Value, json};
 use std::cell::Cell;
 use std::path::{Path, PathBuf};
 
+/// Bytes at once for each particle on the CPU, with its neighbours on all levels.
+const BYTES_PER_PARTICLE: f64 = 600.0;
+
 /// Where the particles are moved.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum Backend {
@@ -57,7 +60,7 @@ pub struct Args {
     /// Particle file to write
     #[arg(short, long, value_name = "P.bin", help_heading = FILES, required_unless_present = "list_adapters")]
     output: Option<PathBuf>,
-    /// One line a pass: energy, count, inserted, deleted, faults of the lattice, time, level and more; CSV, or JSON lines when it ends in .jsonl
+    /// One line a pass: energy, count, inserted, deleted, lattice defects, time, level and more; CSV, or JSON lines when it ends in .jsonl
     #[arg(long, value_name = "FILE", help_heading = FILES)]
     log: Option<PathBuf>,
     /// Keep the particles in this file every --checkpoint-interval passes
@@ -102,14 +105,14 @@ pub struct Args {
     #[arg(long, value_name = "N", default_value_t = Parameters::default().coarse_passes, help_heading = METHOD,
         value_parser = clap::value_parser!(u64).range(1..))]
     coarse_passes: u64,
-    /// Stop when the faults of the lattice (particles without exactly six neighbours) get fewer by less than this share a
-    /// pass and density control is nearly at rest, 0 to 1
-    #[arg(long, value_name = "SHARE", default_value_t = Parameters::default().fault_tolerance, value_parser = share,
-        help_heading = METHOD)]
-    fault_tolerance: f64,
+    /// Stop when lattice defects (particles without exactly six neighbours) get fewer by less than this share a pass and
+    /// density control is nearly at rest, 0 to 1
+    #[arg(long, value_name = "SHARE", default_value_t = Parameters::default().defect_tolerance, value_parser = share,
+        help_heading = METHOD, alias = "fault-tolerance")]
+    defect_tolerance: f64,
     /// Stop by the paper's test instead: when the mean energy changes by less than this share a pass, 0 to 1 (its E_min:
     /// 0.0015; 0 runs all passes)
-    #[arg(long, value_name = "SHARE", value_parser = share, help_heading = METHOD, conflicts_with = "fault_tolerance")]
+    #[arg(long, value_name = "SHARE", value_parser = share, help_heading = METHOD, conflicts_with = "defect_tolerance")]
     energy_tolerance: Option<f64>,
     /// Energy that density control aims at, above 0 [default: that of the hexagonal lattice by Eq. 1, 0.7108]
     #[arg(long, value_name = "E", value_parser = positive, help_heading = METHOD)]
@@ -142,7 +145,7 @@ impl Args {
     fn settling(&self) -> Parameters {
         Parameters {
             max_passes: self.max_passes,
-            fault_tolerance: self.fault_tolerance,
+            defect_tolerance: self.defect_tolerance,
             energy_tolerance: self.energy_tolerance,
             ideal_energy: self.ideal_energy.unwrap_or_else(energy::ideal_energy),
             add_below: self.add_below,
@@ -310,6 +313,12 @@ pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
     context.add_input(seeds_file, Some(seeds.history.clone()))?;
     context.add_input(distance_file, distance.history.clone())?;
     context.add_input(sizing_file, sizing.history.clone())?;
+    let count = seeds.particles.positions.len();
+    context.check_memory(
+        BYTES_PER_PARTICLE * count as f64,
+        &format!("{}: {count} particles to settle", seeds_file.display()),
+        "make fewer of them: sizefield --min-size, --scale or --quality coarse",
+    )?;
     if seeds.particles.positions.is_empty() {
         return Err(Error::input(
             format!("{}: holds no particles", seeds_file.display()),

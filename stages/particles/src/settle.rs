@@ -17,9 +17,9 @@ use std::time::Instant;
 pub struct Parameters {
     /// Most passes on the last level, that of h (the only one where `levels` is 1).
     pub max_passes: u64,
-    /// Stop when the share of [`PassRecord::faults`] falls by less than this share of itself a pass, on average over
-    /// [`FAULT_WINDOW`] passes, and density control is nearly at rest.
-    pub fault_tolerance: f64,
+    /// Stop when the share of [`PassRecord::lattice_defects`] falls by less than this share of itself a pass, on average over
+    /// [`DEFECT_WINDOW`] passes, and density control is nearly at rest.
+    pub defect_tolerance: f64,
     /// If given, stop by the paper's test instead (E_min): when the mean relative change of the energy per particle over
     /// five passes is below this and density control is nearly at rest.
     pub energy_tolerance: Option<f64>,
@@ -47,7 +47,7 @@ impl Default for Parameters {
     fn default() -> Self {
         Self {
             max_passes: 150,
-            fault_tolerance: 5e-3,
+            defect_tolerance: 5e-3,
             energy_tolerance: None,
             ideal_energy: energy::ideal_energy(),
             add_below: 0.8,
@@ -73,8 +73,8 @@ impl Parameters {
 /// Passes over which the paper's stagnation test averages.
 pub(crate) const STAGNATION_WINDOW: usize = 5;
 
-/// Passes over which the test by faults averages.
-pub const FAULT_WINDOW: usize = 10;
+/// Passes over which the test by lattice defects averages.
+pub const DEFECT_WINDOW: usize = 10;
 
 /// Density control is at rest when it adds and deletes no more than this share of the particles a pass.
 const CHURN: f64 = 2e-3;
@@ -108,7 +108,7 @@ pub struct PassRecord {
     /// Mean number of listed neighbours.
     pub neighbours: f64,
     /// Particles that do not have exactly six neighbours in the first ring, after the movement.
-    pub faults: usize,
+    pub lattice_defects: usize,
     /// Seconds since the first pass of this run.
     pub seconds: f64,
     /// Edge length of the level that the pass was on, in units of h.
@@ -146,7 +146,7 @@ pub struct PassOutcome {
     /// Mean number of listed neighbours.
     pub neighbours: f64,
     /// Particles that do not have exactly six neighbours in the first ring, after the movement.
-    pub faults: usize,
+    pub lattice_defects: usize,
 }
 
 /// What moves the particles: the CPU or a GPU. A pass starts afresh from the particles every [`REORDER_INTERVAL`] passes, so that a
@@ -239,7 +239,7 @@ pub(crate) fn settle_level(
             moved: outcome.moved,
             tries_per_particle: outcome.tries_per_particle,
             neighbours: outcome.neighbours,
-            faults: outcome.faults,
+            lattice_defects: outcome.lattice_defects,
             seconds: start.elapsed().as_secs_f64(),
             scale: level.scale,
         };
@@ -284,7 +284,7 @@ impl Engine for CpuEngine<'_> {
         }
         let moves = movement::pass(state, self.fields);
         let energy = state.update_energies();
-        let faults = state.faults();
+        let lattice_defects = state.lattice_defects();
         let movable = state.len();
         let limits = Limits {
             ideal_energy: parameters.ideal_energy,
@@ -304,7 +304,7 @@ impl Engine for CpuEngine<'_> {
             moved: moves.moved,
             tries_per_particle: moves.tries as f64 / movable.max(1) as f64,
             neighbours: state.neighbours.mean_count(),
-            faults,
+            lattice_defects,
         })
     }
 
@@ -315,7 +315,7 @@ impl Engine for CpuEngine<'_> {
 
 /// The pass after which nothing more was found to improve (density control rests from then on), if any.
 fn closing_since(records: &[PassRecord], parameters: &Parameters) -> Option<u64> {
-    let window = if parameters.energy_tolerance.is_some() { STAGNATION_WINDOW } else { FAULT_WINDOW };
+    let window = if parameters.energy_tolerance.is_some() { STAGNATION_WINDOW } else { DEFECT_WINDOW };
     (window..records.len()).find_map(|last| {
         let (old, new) = (&records[last - window], &records[last]);
         // per particle: a falling count must not pass for an improvement, nor mask a change for the worse
@@ -326,7 +326,7 @@ fn closing_since(records: &[PassRecord], parameters: &Parameters) -> Option<u64>
         };
         let settled = match parameters.energy_tolerance {
             Some(tolerance) => change(&|r| r.energy).abs() < tolerance,
-            None => new.faults == 0 || change(&|r| r.faults as f64) < parameters.fault_tolerance,
+            None => new.lattice_defects == 0 || change(&|r| r.lattice_defects as f64) < parameters.defect_tolerance,
         };
         let churn = records[last + 1 - window..=last].iter().map(|r| r.inserted + r.deleted).sum::<usize>();
         // what a coarse level adds and deletes is nearly all settled anew on the next
@@ -367,8 +367,8 @@ fn finish(state: &mut State, fields: &Fields) -> usize {
 mod tests {
     use super::*;
 
-    /// Records of 1000 particles of which `faults` are faults, with `churn` particles added a pass.
-    fn records(faults: impl Fn(u64) -> usize, churn: usize, scale: f64) -> Vec<PassRecord> {
+    /// Records of 1000 particles with so many lattice defects, and `churn` particles added a pass.
+    fn records(defects: impl Fn(u64) -> usize, churn: usize, scale: f64) -> Vec<PassRecord> {
         let record = |pass| PassRecord {
             pass,
             energy: 700.0,
@@ -379,7 +379,7 @@ mod tests {
             moved: 1000,
             tries_per_particle: 1.0,
             neighbours: 20.0,
-            faults: faults(pass),
+            lattice_defects: defects(pass),
             seconds: 0.0,
             scale,
         };
@@ -387,7 +387,7 @@ mod tests {
     }
 
     #[test]
-    fn passes_go_on_while_faults_get_fewer_and_density_control_is_at_work() {
+    fn passes_go_on_while_defects_get_fewer_and_density_control_is_at_work() {
         let parameters = Parameters::default();
         let closing = |records: &[PassRecord]| closing_since(records, &parameters);
         // 1 % a pass, then nothing from pass 20 on: the window of ten passes still sees 0.5 % at pass 24

@@ -1,5 +1,6 @@
 //! The particles while they move: positions with what depends on them, and who interacts with whom.
 
+use crate::constants::{FIRST_RING, LATTICE_NEIGHBOURS, REBUILD_MOVE, SKIN};
 use glam::DVec3;
 use isoparticles_common::energy::{self, SUPPORT};
 use isoparticles_common::neighbours::NeighbourLists;
@@ -7,15 +8,6 @@ use isoparticles_common::particle_set::ParticleSet;
 use isoparticles_common::sizing::SizingField;
 use isoparticles_common::spline::CubicSpline;
 use rayon::prelude::*;
-
-/// Neighbour lists reach this much farther than the support, so that they stay good while particles move.
-pub(crate) const SKIN: f64 = 0.3;
-/// Lists are made anew once a particle has moved by this share of its h since they were made.
-pub(crate) const REBUILD_MOVE: f64 = 0.1;
-
-/// Neighbours on the hexagonal lattice of edge h are nearer than this many h, and the next ring is farther: the geometric mean of
-/// the two radii, 1 and sqrt(3).
-pub(crate) const FIRST_RING: f64 = 1.316_074_012_952_492_5;
 
 /// The implicit function and the sizing field that the particles live on.
 pub struct Fields<'a> {
@@ -151,8 +143,8 @@ impl State {
         total
     }
 
-    /// Number of particles that do not have exactly six neighbours in the first ring: faults of the lattice.
-    pub(crate) fn faults(&self) -> usize {
+    /// Number of particles that do not have exactly six neighbours in the first ring.
+    pub(crate) fn lattice_defects(&self) -> usize {
         let (positions, sizes) = (&self.set.positions, &self.set.sizes);
         let in_ring = |i: usize, j: usize| {
             let reach = FIRST_RING * sizes[i].min(sizes[j]);
@@ -160,7 +152,9 @@ impl State {
         };
         (0..self.len())
             .into_par_iter()
-            .filter(|&i| self.neighbours.of(i).iter().filter(|&&j| in_ring(i, j as usize)).count() != 6)
+            .filter(|&i| {
+                self.neighbours.of(i).iter().filter(|&&j| in_ring(i, j as usize)).count() as u32 != LATTICE_NEIGHBOURS
+            })
             .count()
     }
 }

@@ -9,7 +9,7 @@ use crate::prepare::{SurfacePoints, prepare};
 use crate::refine::RefineReport;
 use glam::DVec3;
 use isoparticles_common::cli::values::share;
-use isoparticles_common::cli::{CHECKS, CommonArgs, Context, FILES, METHOD, Outcome, StageArgs};
+use isoparticles_common::cli::{CHECKS, CommonArgs, Context, FILES, METHOD, Outcome, StageArgs, particles_bytes};
 use isoparticles_common::error::{Error, Result};
 use isoparticles_common::image::Image;
 use isoparticles_common::io::field::{Field, FieldKind, check_same_grid, read_field};
@@ -136,6 +136,7 @@ impl StageArgs for Args {
 
 /// What the distance field says about itself.
 pub(crate) struct Origin {
+    /// Voxel centres have sides that are kept.
     pub(crate) is_labels: bool,
     pub(crate) is_open: bool,
     caps: Vec<CapPlane>,
@@ -144,11 +145,16 @@ pub(crate) struct Origin {
 impl Origin {
     fn of(field: &Field) -> Self {
         Self {
-            is_labels: field.meta["source"] == "labels",
+            is_labels: field.meta["source"] == "labels" && !is_scaled(field),
             is_open: field.meta["border"] == "open",
             caps: cap_planes(&field.meta),
         }
     }
+}
+
+/// Whether `distfield` smoothed the object, voxel centres and all.
+fn is_scaled(field: &Field) -> bool {
+    field.meta["scale"].as_f64().is_some_and(|scale| scale > 0.0)
 }
 
 /// Runs the stage.
@@ -193,6 +199,12 @@ fn on_field(args: &Args, distfield: &Path, context: &Context) -> Result<Outcome>
     let particles = read_settled(args, context)?;
     let field = read_field(distfield, FieldKind::Distance)?;
     check_same_grid((&args.particles, &particles.geometry), (distfield, &field.image.geometry))?;
+    let count = particles.positions.len();
+    context.check_memory(
+        particles_bytes(count as f64, field.image.geometry.voxel_count()),
+        &format!("{}: {count} particles", args.particles.display()),
+        "make fewer of them: sizefield --min-size, --scale or --quality coarse",
+    )?;
     context.add_input(distfield, field.history.clone())?;
     let sizing =
         args.sizefield.as_deref().map(|path| read_sizing(path, (distfield, &field.image), context)).transpose()?;

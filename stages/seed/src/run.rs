@@ -1,6 +1,6 @@
 //! The program around [`crate::sampling`]: options, files, report.
 
-use crate::sampling::seed_surface;
+use crate::sampling::{BYTES_PER_PARTICLE, COMPONENT_MINIMUM, seed_surface};
 use clap::Parser;
 use isoparticles_common::cli::{CommonArgs, Context, FILES, METHOD, Outcome, StageArgs};
 use isoparticles_common::error::{Error, Result};
@@ -61,10 +61,14 @@ pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
     let surface = CubicSpline::new(&distance.image);
     drop(step);
     context.check_interrupt()?;
-    let step = context.step("sample");
+    let step = context.step("predict the count");
     let sizing = SizingField::new(sizing.image);
+    let predicted = sizing.predicted_count(&surface);
+    check_prediction(args, predicted, context)?;
+    drop(step);
+    let step = context.step("sample");
     let count = args.count.map(|n| n as usize);
-    let (particles, summary) = seed_surface(&distance.image, &surface, &sizing, count, context.seed());
+    let (particles, summary) = seed_surface(&distance.image, &surface, &sizing, predicted, count, context.seed());
     drop(step);
     if particles.positions.is_empty() {
         return Err(Error::input(
@@ -90,4 +94,25 @@ pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
     let _step = context.step("write");
     write_particles(&args.output, ParticleKind::Seeds, &particles, &meta, &context.history())?;
     Ok(Outcome::Passed)
+}
+
+/// Refuses sizes that are larger than the object, or ask for more particles than memory holds.
+fn check_prediction(args: &Args, predicted: f64, context: &Context) -> Result<()> {
+    let sizes = args.sizefield.display();
+    // no surface at all has an error of its own
+    if predicted > 0.0 && predicted < COMPONENT_MINIMUM as f64 && args.count.is_none() {
+        return Err(Error::input(
+            format!(
+                "{sizes}: the sizes ask for {predicted:.1} particles on the whole surface: h is larger than the object"
+            ),
+            format!("fewer than {COMPONENT_MINIMUM} do not make a closed surface"),
+            "run sizefield again with a smaller size; its defaults go by the object",
+        ));
+    }
+    let count = args.count.map_or(predicted, |count| count as f64);
+    context.check_memory(
+        BYTES_PER_PARTICLE * count,
+        &format!("{sizes}: {count:.0} particles to seed"),
+        "run sizefield again with larger triangles (--uniform, --min-size, --scale)",
+    )
 }

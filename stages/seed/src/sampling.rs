@@ -14,11 +14,14 @@ use rayon::prelude::*;
 
 /// Candidates for each particle that the sizing field asks for.
 const OVERSAMPLING: f64 = 8.0;
+/// Bytes at once for each particle that is seeded: its candidates, with their order and bins. Measured as the growth of the peak memory from 8,514 to
+/// 99,084 particles on one grid (`make bench-stages`, table in `docs/performance.md`): 660; doubled, because vectors grow by doubling.
+pub const BYTES_PER_PARTICLE: f64 = 1300.0;
 /// Disk radius over h at which this sampling has the density of the hexagonal lattice of spacing h (random disks jam at a
 /// covered share of 0.55 where the lattice covers 0.91; measured at this oversampling).
 const DISK_RADIUS: f64 = 0.71;
 /// Fewest particles a component is seeded with.
-const COMPONENT_MINIMUM: usize = 12;
+pub const COMPONENT_MINIMUM: usize = 12;
 
 /// What the seeding did.
 #[derive(Clone, Copy, Debug, Default, serde::Serialize)]
@@ -41,18 +44,18 @@ struct Candidates {
     component: Vec<u32>,
 }
 
-/// Seeds the surface F = 0. With `count` the spacing is scaled to give about that many particles (the paper's Table 3);
+/// Seeds the surface F = 0, for which `sizing` predicts a count ([`SizingField::predicted_count`]). With `count` the spacing is scaled to give about that many particles (the paper's Table 3);
 /// the particles keep the sizes of the field. The result depends on the arguments alone.
 pub fn seed_surface(
     distance: &Image<f32>,
     surface: &CubicSpline,
     sizing: &SizingField,
+    predicted_count: f64,
     count: Option<usize>,
     seed: u64,
 ) -> (ParticleSet, Summary) {
     let mesh = marching_cubes(distance, 0.0);
     let (component, component_count) = components::of_vertices(mesh.vertices.len(), &mesh.triangles);
-    let predicted_count = sizing.predicted_count(surface);
     let scaled = count.map(|n| sizing.scaled((predicted_count / n.max(1) as f64).sqrt()));
     let spread = scaled.as_ref().unwrap_or(sizing);
     let every: Vec<u32> = (0..mesh.triangles.len() as u32).collect();

@@ -8,11 +8,13 @@ mod blocks;
 pub mod connections;
 pub mod feature;
 pub mod gradation;
+pub mod limits;
 pub mod medial;
 pub mod noise;
 pub mod patch;
 pub mod region;
 pub mod run;
+pub mod vertices;
 
 use averages::average;
 use feature::Features;

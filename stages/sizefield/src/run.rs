@@ -1,7 +1,9 @@
 //! The program around [`crate::size_field`]: options, files, defaults from the data, report.
 
 use crate::feature::{Bumps, Features};
+use crate::limits::{check_count, check_size};
 use crate::region::{Refinement, SizedNode};
+use crate::vertices::{scaled_to_vertices, size_for_vertices};
 use crate::{Parameters, size_field, uniform_field, wanted_sizes};
 use clap::Parser;
 use glam::DVec3;
@@ -9,6 +11,7 @@ use isoparticles_common::cli::values::{not_negative, positive};
 use isoparticles_common::cli::{CommonArgs, Context, FILES, METHOD, Outcome, StageArgs};
 use isoparticles_common::error::{Error, Result};
 use isoparticles_common::geometry::Geometry;
+use isoparticles_common::image::Image;
 use isoparticles_common::io::field::{Field, FieldKind, read_field, write_field};
 use isoparticles_common::sizing::SizingField;
 use isoparticles_common::spline::CubicSpline;
@@ -101,8 +104,9 @@ pub struct Args {
     output: PathBuf,
     /// Sets the defaults of the five options below: coarse has about a quarter of the triangles, fine about three times as many;
     /// medium is what the data can carry
-    #[arg(long, value_enum, value_name = "HOW", default_value_t = Quality::Medium, help_heading = METHOD)]
-    quality: Quality,
+    /// [default: medium]
+    #[arg(long, value_enum, value_name = "HOW", help_heading = METHOD)]
+    quality: Option<Quality>,
     /// Edge length over local feature size, above 0 (the paper's epsilon); smaller is finer
     /// [default: 0.5; coarse 1, fine 0.25]
     #[arg(long, value_name = "RATIO", value_parser = positive, help_heading = METHOD)]
@@ -128,6 +132,10 @@ pub struct Args {
     #[arg(long, value_name = "MM", value_parser = positive, help_heading = METHOD,
         conflicts_with_all = ["quality", "epsilon", "delta", "min_size", "max_size", "max_deviation", "scale"])]
     uniform: Option<f64>,
+    /// Choose h so that the settled surface has about this number of vertices (within 5 %): one h everywhere, or, with any of the options above, what
+    /// they ask for times one factor. With small parts or grading there may be more
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(4..), conflicts_with_all = ["uniform", "scale"], help_heading = METHOD)]
+    vertices: Option<u64>,
     /// Make h no larger than H (mm) within RADIUS of a place, or where the voxels of a mask volume (of any geometry) are not zero, or
     /// no larger than the point array `h` at the points of a .vtp or .vtu file. All in world coordinates, mm; h grows
     /// from there by delta. May be given several times, and goes below --min-size
@@ -147,10 +155,32 @@ impl StageArgs for Args {
     }
 
     fn parameters(&self) -> Value {
-        match self.uniform {
+        let mut parameters = match self.uniform {
             Some(size) => json!({ "uniform": size }),
-            None => json!({ "quality": self.quality.name(), "scale": self.scale, "refine": self.refine }),
+            None => json!({ "quality": self.quality().name(), "scale": self.scale, "refine": self.refine }),
+        };
+        if let Some(vertices) = self.vertices {
+            parameters["vertices"] = json!(vertices);
         }
+        parameters
+    }
+}
+
+impl Args {
+    fn quality(&self) -> Quality {
+        self.quality.unwrap_or(Quality::Medium)
+    }
+
+    /// Whether anything is asked for that makes h differ from place to place.
+    fn is_graded(&self) -> bool {
+        let lengths = [self.epsilon, self.delta, self.min_size, self.max_size, self.max_deviation];
+        self.quality.is_some() || lengths.iter().any(Option::is_some) || !self.refine.is_empty()
+    }
+
+    /// The one edge length everywhere, if that is what is asked for.
+    fn one_size(&self, distance: &Image<f32>, surface: &CubicSpline) -> Option<f64> {
+        let for_vertices = |vertices: u64| size_for_vertices(distance, surface, vertices as f64);
+        self.uniform.or_else(|| self.vertices.filter(|_| !self.is_graded()).map(for_vertices))
     }
 }
 
@@ -165,11 +195,12 @@ pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
     let step = context.step("measure features");
     let geometry = &field.image.geometry;
     let largest = LARGEST_FEATURE_DIAGONALS * geometry.upper_corner().length();
+    let one_size = args.one_size(&field.image, &surface);
     // for one size it is enough to know which features are smaller
-    let largest = args.uniform.map_or(largest, |size| largest.min(UNIFORM_FEATURES * size));
+    let largest = one_size.map_or(largest, |size| largest.min(UNIFORM_FEATURES * size));
     // one size is asked whether it catches the surface as it is, bumps of noise included
-    let bumps =
-        if args.uniform.is_some() || field.meta["source"] == "labels" { Bumps::AreShape } else { Bumps::MayBeNoise };
+    let is_smooth = field.meta["source"] == "labels" || field.meta["scale"].as_f64().is_some_and(|scale| scale > 0.0);
+    let bumps = if one_size.is_some() || is_smooth { Bumps::AreShape } else { Bumps::MayBeNoise };
     let features = Features::new(&field.image, &surface, largest, bumps);
     drop(step);
     if features.triangles.is_empty() {
@@ -179,22 +210,35 @@ pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
             "look at the iso value or the labels that distfield was given",
         ));
     }
+    if let Some(size) = one_size {
+        let largest = features.component_area.iter().copied().fold(0.0, f64::max);
+        check_size(&args.input, size, largest)?;
+    }
     let refined = refined_nodes(args, geometry, context)?;
     context.check_interrupt()?;
     let step = context.step("size and grade");
-    let sizing = match args.uniform {
+    let sizing = match one_size {
         Some(size) => uniform_field(&field.image, size),
         None => {
             let parameters = resolve(args, &field, &features, refined, context)?;
-            size_field(&field.image, &features, &parameters)
+            let sizing = size_field(&field.image, &features, &parameters);
+            match args.vertices {
+                Some(vertices) => scaled_to_vertices(sizing, &surface, vertices as f64),
+                None => sizing,
+            }
         }
     };
+    if let (Some(size), Some(vertices)) = (one_size, args.vertices) {
+        context.info(format!("h: {size:.4} mm ({vertices} vertices)"));
+        context.set_parameter("uniform", size);
+    }
     drop(step);
     if let Some(told) = noise_told(&features.noise, geometry.spacing) {
         context.info(told);
     }
     let meta = describe(&features, &surface, &sizing, largest, context);
-    if let Some(size) = args.uniform {
+    check_count(&args.input, meta["predicted_count"].as_f64().unwrap_or(0.0), geometry.voxel_count(), context)?;
+    if let Some(size) = one_size {
         warn_if_too_coarse(&features, size, context);
     }
     context.check_interrupt()?;
@@ -228,7 +272,7 @@ fn resolve(
     let voxel = field.image.geometry.mean_spacing();
     let low = features.points.iter().copied().fold(DVec3::INFINITY, DVec3::min);
     let high = features.points.iter().copied().fold(DVec3::NEG_INFINITY, DVec3::max);
-    let defaults = args.quality.defaults();
+    let defaults = args.quality().defaults();
     let diagonal = (high - low).length();
     let min_size = args.min_size.unwrap_or(defaults.min_size_voxels * voxel);
     let max_size = args.max_size.unwrap_or((defaults.max_size_diagonals * diagonal).max(min_size));
@@ -253,7 +297,7 @@ fn resolve(
             ),
         ));
     }
-    let quality = args.quality.name();
+    let quality = args.quality().name();
     let of_voxel = |share: f64| format!("{share} of the voxel spacing {voxel:.4} mm, quality {quality}");
     let of_diagonal =
         format!("{} of the object's diagonal {diagonal:.4} mm, quality {quality}", defaults.max_size_diagonals);

@@ -8,6 +8,7 @@ pub mod examine;
 use isoparticles_common::geometry::Geometry;
 use isoparticles_tests::nrrd::{self, FileSpace, Voxels};
 use isoparticles_tests::scene::{self, Options, Shape, Truth};
+pub use isoparticles_tests::skip::skip;
 use isoparticles_tests::volume;
 use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
@@ -145,11 +146,4 @@ pub fn real_volumes(test: &str) -> Option<PathBuf> {
     }
     skip(test, &format!("{} is not there", folder.display()));
     None
-}
-
-/// Says on the terminal, past the capture of the test's output, that a test did not run.
-pub fn skip(test: &str, reason: &str) {
-    use std::io::Write;
-    // A closed stderr is no reason to fail.
-    let _ = writeln!(std::io::stderr(), "SKIP {test}: {reason}");
 }

@@ -11,10 +11,10 @@ pub use write::{Encoding, write_nrrd};
 
 use super::limit::{bad, check_memory};
 use super::volume::Volume;
-use super::voxel_data::read_voxels;
+use super::voxel_data::{DataFiles, read_voxels};
 use crate::error::{Error, Result};
 use std::fs::File;
-use std::io::BufReader;
+use std::io::{BufRead, BufReader};
 use std::path::Path;
 
 /// Reads an NRRD volume with three spatial axes and one number a voxel, or a segmentation of 3D Slicer with its layers.
@@ -44,6 +44,11 @@ pub fn read_nrrd(path: &Path) -> Result<Volume> {
     let mut more_layers = all.part(header.sizes[..axis].iter().product(), layers);
     let first = more_layers.remove(0);
     Ok(Volume { remarks, segments, more_layers, ..Volume::new(geometry, first) })
+}
+
+/// Where the header says that the voxels are.
+pub(super) fn data_files(path: &Path, reader: &mut impl BufRead) -> Result<DataFiles> {
+    Ok(header::Header::read(path, reader)?.layout.files)
 }
 
 #[cfg(test)]

@@ -204,10 +204,7 @@ impl Shapes {
         let size = geometry.size;
         let is_own = |index: [isize; 3]| {
             let within = |a: usize| usize::try_from(index[a]).ok().filter(|n| *n < size[a]);
-            within(0)
-                .zip(within(1))
-                .zip(within(2))
-                .is_some_and(|((i, j), k)| classes.at([i, j, k]) == face.class)
+            within(0).zip(within(1)).zip(within(2)).is_some_and(|((i, j), k)| classes.at([i, j, k]) == face.class)
         };
         let inside = face.inside.map(|n| n as isize);
         let mut centre = DVec3::from_array(face.inside.map(|n| n as f64));
@@ -275,7 +272,8 @@ mod tests {
         let geometry = Geometry::axis_aligned([20, 20, 24], DVec3::ONE);
         let plate = boundary(&geometry, |p| (10.0..14.0).contains(&p.z), usize::MAX);
         assert_eq!(plate.faces, [2 * 20 * 4, 2 * 20 * 4, 2 * 20 * 20]);
-        let is_inner = |place: &&Place| (5.0..15.0).contains(&place.position.x) && (5.0..15.0).contains(&place.position.y);
+        let is_inner =
+            |place: &&Place| (5.0..15.0).contains(&place.position.x) && (5.0..15.0).contains(&place.position.y);
         for place in plate.sample.iter().filter(|place| place.axis == 2).filter(is_inner) {
             assert!((place.thickness - 4.0).abs() <= 0.5, "{place:?}");
             assert!(place.imbalance < 1e-9, "{place:?}");

@@ -74,22 +74,35 @@ impl Rule {
 pub struct Classes<'a> {
     /// Where the voxels are.
     pub geometry: &'a Geometry,
-    layers: Vec<(&'a Voxels, Rule)>,
+    layers: Vec<Layer<'a>>,
     /// Number of classes beside [`OUTSIDE`].
     pub count: usize,
+}
+
+/// Voxels, and what their values mean.
+#[derive(Clone, Debug)]
+struct Layer<'a> {
+    voxels: &'a Voxels,
+    rule: Rule,
+    /// The class of each byte, for voxels of 8 bits, which large label maps are made of.
+    of_byte: [u16; 256],
 }
 
 impl<'a> Classes<'a> {
     /// Classes 1 to `count` of the voxels of some layers.
     pub fn new(geometry: &'a Geometry, layers: Vec<(&'a Voxels, Rule)>, count: usize) -> Self {
-        Self { geometry, layers, count }
+        let layer = |(voxels, rule): (&'a Voxels, Rule)| {
+            let of_byte = std::array::from_fn(|byte| rule.of_label(byte as i64));
+            Layer { voxels, rule, of_byte }
+        };
+        Self { geometry, layers: layers.into_iter().map(layer).collect(), count }
     }
 
     /// Writes the classes of the row (j, k).
     pub fn copy_row(&self, j: usize, k: usize, row: &mut [u16]) {
         row.fill(OUTSIDE);
         let first = self.geometry.linear(0, j, k);
-        for (voxels, rule) in &self.layers {
+        for Layer { voxels, rule, of_byte } in &self.layers {
             macro_rules! whole {
                 ($values:expr) => {
                     put(&$values[first..][..row.len()], row, |value| rule.of_label(value as i64))
@@ -102,7 +115,7 @@ impl<'a> Classes<'a> {
             }
             match voxels {
                 Voxels::I8(values) => whole!(values),
-                Voxels::U8(values) => whole!(values),
+                Voxels::U8(values) => put(&values[first..][..row.len()], row, |value| of_byte[usize::from(value)]),
                 Voxels::I16(values) => whole!(values),
                 Voxels::U16(values) => whole!(values),
                 Voxels::I32(values) => whole!(values),
@@ -118,9 +131,9 @@ impl<'a> Classes<'a> {
     /// The class of a voxel.
     pub fn at(&self, [i, j, k]: [usize; 3]) -> u16 {
         let n = self.geometry.linear(i, j, k);
-        let of = |voxels: &Voxels, rule: &Rule| match voxels {
+        let of = |Layer { voxels, rule, of_byte }: &Layer<'_>| match voxels {
             Voxels::I8(values) => rule.of_label(values[n].into()),
-            Voxels::U8(values) => rule.of_label(values[n].into()),
+            Voxels::U8(values) => of_byte[usize::from(values[n])],
             Voxels::I16(values) => rule.of_label(values[n].into()),
             Voxels::U16(values) => rule.of_label(values[n].into()),
             Voxels::I32(values) => rule.of_label(values[n].into()),
@@ -130,7 +143,7 @@ impl<'a> Classes<'a> {
             Voxels::F32(values) => rule.of_number(values[n].into()),
             Voxels::F64(values) => rule.of_number(values[n]),
         };
-        let mut found = self.layers.iter().rev().map(|(voxels, rule)| of(voxels, rule));
+        let mut found = self.layers.iter().rev().map(of);
         found.find(|class| *class != OUTSIDE).unwrap_or(OUTSIDE)
     }
 
@@ -157,10 +170,8 @@ impl<'a> Classes<'a> {
 
 fn put<T: Copy>(values: &[T], row: &mut [u16], class: impl Fn(T) -> u16) {
     for (row, &value) in row.iter_mut().zip(values) {
-        match class(value) {
-            OUTSIDE => {}
-            found => *row = found,
-        }
+        let found = class(value);
+        *row = if found == OUTSIDE { *row } else { found };
     }
 }
 

@@ -147,14 +147,20 @@ mod tests {
             ("a mask of 0 and 255", judged(|p, _| if radius(p) < 14.0 { 255 } else { 0 })),
             ("a mask of noise", judged(|_, n| i16::from(noise(n) > 0.0))),
             ("shells", judged(|p, _| (radius(p) / 3.0) as i16)),
-            ("two hundred blocks", judged(|p, _| {
-                let [x, y, z] = (p / 7.0).to_array().map(|n| n as i16);
-                (37 * (x + 7 * (y + 7 * z))) % 211
-            })),
-            ("one voxel thin here and there", judged(|p, _| {
-                let sheet = p.x as i16 % 6 == 3;
-                if sheet { 9 } else { (p.y / 5.0) as i16 }
-            })),
+            (
+                "two hundred blocks",
+                judged(|p, _| {
+                    let [x, y, z] = (p / 7.0).to_array().map(|n| n as i16);
+                    (37 * (x + 7 * (y + 7 * z))) % 211
+                }),
+            ),
+            (
+                "one voxel thin here and there",
+                judged(|p, _| {
+                    let sheet = p.x as i16 % 6 == 3;
+                    if sheet { 9 } else { (p.y / 5.0) as i16 }
+                }),
+            ),
             ("with specks", judged(|p, n| if uniform(5, 0, n) < 0.01 { 17 } else { 2 * i16::from(radius(p) < 14.0) })),
         ];
         for (name, judgement) in labels {

@@ -69,8 +69,7 @@ mod tests {
 
         // RAS, turned by 20 degrees about the body's axis, slices from the head down
         let (sine, cosine) = 20f64.to_radians().sin_cos();
-        let directions =
-            DMat3::from_cols(DVec3::new(-cosine, -sine, 0.0), DVec3::new(sine, -cosine, 0.0), -DVec3::Z);
+        let directions = DMat3::from_cols(DVec3::new(-cosine, -sine, 0.0), DVec3::new(sine, -cosine, 0.0), -DVec3::Z);
         let turned = Orientation::of(&Geometry { directions, ..geometry.clone() });
         assert_eq!(turned.letters.as_deref(), Some("RAI"));
         assert_eq!(turned.axes[2], "superior to inferior");

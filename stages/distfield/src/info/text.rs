@@ -140,27 +140,36 @@ impl VolumeInfo {
 
 fn write_object(object: &Object, out: &mut String) -> std::fmt::Result {
     let parts = match object.parts {
+        Some(parts) if parts.count == 1 => "1 part".to_owned(),
         Some(parts) => format!("{} parts", grouped(parts.count)),
         None => "very many parts".to_owned(),
     };
     writeln!(out, "\n  {}  ({})", object.options, object.why)?;
-    writeln!(
-        out,
-        "    {}: {} voxels, {} mm^3, {parts}",
-        object.what,
-        grouped(object.voxels),
-        short(object.volume)
-    )?;
+    writeln!(out, "    {}: {} voxels, {} mm^3, {parts}", object.what, grouped(object.voxels), short(object.volume))?;
     let Some(Cost { area, vertices, vertices_range: [low, high], uniform, stages }) = &object.cost else {
         return writeln!(out, "    no surface");
     };
     let sizes: Vec<String> =
         uniform.iter().map(|one| format!("SIZE={} {}", short(one.size), grouped(one.vertices))).collect();
     writeln!(out, "    area {} mm^2", short(*area))?;
-    writeln!(out, "    vertices {} ({} to {}); {}", grouped(*vertices), grouped(*low), grouped(*high), sizes.join(", "))?;
+    writeln!(
+        out,
+        "    vertices {} ({} to {}); {}",
+        grouped(*vertices),
+        grouped(*low),
+        grouped(*high),
+        sizes.join(", ")
+    )?;
     let told: Vec<String> = stages
         .iter()
-        .map(|stage| format!("{} {} s, {} MiB", stage.stage, short(two(stage.seconds)), grouped((stage.bytes / 1048576.0) as usize)))
+        .map(|stage| {
+            format!(
+                "{} {} s, {} MiB",
+                stage.stage,
+                short(two(stage.seconds)),
+                grouped((stage.bytes / 1048576.0) as usize)
+            )
+        })
         .collect();
     writeln!(out, "    {}", told.join("; "))
 }
@@ -198,7 +207,10 @@ mod tests {
 
     #[test]
     fn numbers_read_well() {
-        assert_eq!(["0", "999", "1,000", "1,234,567"], [0, 999, 1000, 1_234_567].map(grouped).each_ref().map(String::as_str));
+        assert_eq!(
+            ["0", "999", "1,000", "1,234,567"],
+            [0, 999, 1000, 1_234_567].map(grouped).each_ref().map(String::as_str)
+        );
         assert_eq!(
             ["0", "1.5", "0.0195", "-1024", "1234567", "0.521484"],
             [0.0, 1.5, 0.0195, -1024.0, 1_234_567.0, 0.521_484].map(short).each_ref().map(String::as_str)

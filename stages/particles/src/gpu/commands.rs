@@ -7,8 +7,8 @@ use super::memory::{read_staging, staging};
 use isoparticles_common::error::Result;
 use std::collections::BTreeMap;
 
-/// Workgroups along one axis of a dispatch; the rest goes along the second.
-const ROW: u32 = 65_535;
+/// Workgroups along the first axis of a dispatch, the most that every adapter takes; the rest goes along the second.
+pub(crate) const ROW: u32 = 65_535;
 
 /// One step on the device.
 pub(crate) enum Command<'a> {

@@ -6,14 +6,19 @@
 
 use super::adapter::Gpu;
 use super::commands::{Command, Encoded, Profile, encode, submit};
-use super::kernels::{Kernels, ROUND_STRIDE, ROUNDS};
+use super::constants::{
+    BLOCK, CLASSES, WORD_COUNT, WORD_DEFECTS, WORD_ENERGY, WORD_KEPT, WORD_LISTED, WORD_LONGEST, WORD_MOVED,
+    WORD_TRIES, WORDS,
+};
+use super::kernels::{Kernels, ROUND_STRIDE};
 use super::levels::Levels;
 use super::memory::{Memory, download, read_staging, staging, upload};
 use super::parameters::{device_origin, pass_block, run_block, scan_block, scan_blocks};
 use super::report::{DeviceReport, KernelTime};
 use super::schedule::{Step, steps};
+use crate::constants::REBUILD_MOVE;
 use crate::settle::{Engine, Parameters, PassOutcome, REORDER_INTERVAL};
-use crate::state::{Fields, REBUILD_MOVE};
+use crate::state::Fields;
 use isoparticles_common::error::{Error, Result};
 use isoparticles_common::geometry::Geometry;
 use isoparticles_common::particle_set::ParticleSet;
@@ -42,9 +47,6 @@ struct Plan {
     /// Control the density.
     density: bool,
 }
-
-/// Words that the host reads after a pass (see `shaders/sum_total.wgsl`).
-const WORDS: usize = 8;
 
 /// Moves the particles on a GPU.
 pub struct GpuEngine<'a> {
@@ -94,8 +96,8 @@ impl<'a> GpuEngine<'a> {
         for name in ["now", "scan_bins", "scan_lists", "scan_keep"] {
             memory.make(gpu, name, 16, uniform)?;
         }
-        memory.make(gpu, "round", u64::from(ROUNDS) * ROUND_STRIDE, uniform)?;
-        let numbers: Vec<u32> = (0..ROUNDS).flat_map(|n| std::iter::once(n).chain([0; 63])).collect();
+        memory.make(gpu, "round", u64::from(CLASSES) * ROUND_STRIDE, uniform)?;
+        let numbers: Vec<u32> = (0..CLASSES).flat_map(|n| std::iter::once(n).chain([0; 63])).collect();
         upload(gpu, memory.get("round"), &numbers)?;
         for (name, values) in
             [("surface", fields.surface.coefficients()), ("sizing", fields.sizing.image().data.as_slice())]
@@ -111,9 +113,9 @@ impl<'a> GpuEngine<'a> {
         let bins = u64::from(levels.bin_total());
         memory.make(gpu, "bin_counts", 4 * bins, wgpu::BufferUsages::empty())?;
         memory.make(gpu, "bin_starts", 4 * (bins + 1), wgpu::BufferUsages::empty())?;
-        memory.make(gpu, "class_counts", 128, wgpu::BufferUsages::empty())?;
-        memory.make(gpu, "class_starts", 132, wgpu::BufferUsages::empty())?;
-        memory.make(gpu, "class_arguments", 384, wgpu::BufferUsages::INDIRECT)?;
+        memory.make(gpu, "class_counts", 4 * u64::from(CLASSES), wgpu::BufferUsages::empty())?;
+        memory.make(gpu, "class_starts", 4 * u64::from(CLASSES + 1), wgpu::BufferUsages::empty())?;
+        memory.make(gpu, "class_arguments", 12 * u64::from(CLASSES), wgpu::BufferUsages::INDIRECT)?;
         memory.make(gpu, "words", 64, wgpu::BufferUsages::empty())?;
         let mut engine = Self {
             gpu,
@@ -203,7 +205,7 @@ impl<'a> GpuEngine<'a> {
         for name in ["keep", "destinations"] {
             self.memory.make(self.gpu, name, 8 * u64::from(capacity) + 4, none)?;
         }
-        self.memory.make(self.gpu, "block_totals", 20 * u64::from(capacity.div_ceil(2048)), none)?;
+        self.memory.make(self.gpu, "block_totals", 20 * u64::from(capacity.div_ceil(BLOCK)), none)?;
         let blocks = scan_blocks(self.levels.bin_total()).max(scan_blocks(2 * capacity));
         self.memory.make(self.gpu, "scan_sums", 4 * u64::from(blocks), none)?;
         self.capacity = capacity;
@@ -364,7 +366,7 @@ impl Engine for GpuEngine<'_> {
         let words = loop {
             let words = self.run_pass(pass, Plan { sort, bring: sort && !self.listed, density })?;
             // the lists need room for so many members; what the pass has done is cast away
-            let needed = u64::from(words[4]);
+            let needed = u64::from(words[WORD_LISTED]);
             if needed <= u64::from(self.list_capacity) {
                 break words;
             }
@@ -372,22 +374,22 @@ impl Engine for GpuEngine<'_> {
             self.make_lists(needed + needed / 2)?;
         };
         let before = self.count;
-        let (after, kept) = (words[5], words[6]);
+        let (after, kept) = (words[WORD_COUNT], words[WORD_KEPT]);
         self.listed = after != before || kept != before;
-        self.stale = f64::from(f32::from_bits(words[3])) > REBUILD_MOVE;
+        self.stale = f64::from(f32::from_bits(words[WORD_LONGEST])) > REBUILD_MOVE;
         self.count = after;
         if u64::from(after) * 2 > u64::from(self.capacity) {
             self.grow()?;
         }
         Ok(PassOutcome {
-            energy: f64::from(f32::from_bits(words[0])),
+            energy: f64::from(f32::from_bits(words[WORD_ENERGY])),
             count: after as usize,
             inserted: (after - kept) as usize,
             deleted: (before - kept) as usize,
-            moved: words[1] as usize,
-            tries_per_particle: f64::from(words[2]) / f64::from(before.max(1)),
-            neighbours: f64::from(words[4]) / f64::from(before.max(1)),
-            faults: words[7] as usize,
+            moved: words[WORD_MOVED] as usize,
+            tries_per_particle: f64::from(words[WORD_TRIES]) / f64::from(before.max(1)),
+            neighbours: f64::from(words[WORD_LISTED]) / f64::from(before.max(1)),
+            lattice_defects: words[WORD_DEFECTS] as usize,
         })
     }
 

@@ -10,8 +10,6 @@ use std::num::NonZeroU64;
 
 /// Bytes between the numbers in the buffer `round`: uniform offsets are multiples of this on every adapter.
 pub(crate) const ROUND_STRIDE: u64 = 256;
-/// Rounds and classes that the buffer `round` has numbers for.
-pub(crate) const ROUNDS: u32 = 32;
 
 /// A pipeline and what it binds.
 pub(crate) struct Kernel {

@@ -6,7 +6,8 @@
 //! paper's global bin edge.
 
 use super::parameters::{MOST_LEVELS, device_origin};
-use crate::state::{Fields, SKIN};
+use crate::constants::SKIN;
+use crate::state::Fields;
 use glam::{DVec3, UVec3, Vec3};
 use isoparticles_common::energy::SUPPORT;
 use rayon::prelude::*;

@@ -1,11 +1,13 @@
 //! The GPU backend: sections 4 and 5 of the paper with wgpu and the WGSL kernels of `/shaders`.
 //!
 //! The particles stay on the device from the first pass to the last; the host reads a few words a pass. Each kernel is named
-//! as its file and has its twin in the CPU code: bins and lists in `common/src/neighbours.rs`, energy in
-//! `common/src/energy.rs`, fields in `common/src/{spline,sizing}.rs`, movement and density control beside this folder.
+//! as its file and has its twin in the CPU code: bins and lists in `isoparticles_common::neighbours`, energy in `energy`,
+//! fields in `spline` and `sizing` there, movement and density control beside this folder. The constants are those of the CPU code.
 
 mod adapter;
 mod commands;
+mod constants;
+pub mod display;
 mod engine;
 mod kernels;
 mod levels;

@@ -1,7 +1,9 @@
 //! What the kernels know of the run, as the bytes of `shaders/shared/parameters.wgsl`: a list of named words in the order of
 //! the WGSL struct, whose layout the tests compare with naga's.
 
+use super::constants::BLOCK;
 use super::levels::Levels;
+use crate::constants::{INITIAL_LAMBDA, PASS_TOLERANCE};
 use crate::settle::Parameters;
 use glam::{DVec3, UVec3};
 use isoparticles_common::geometry::Geometry;
@@ -48,7 +50,7 @@ pub(crate) fn device_origin(geometry: &Geometry) -> DVec3 {
 /// |F| that counts as zero on the device, mm: the tolerance of the CPU's passes, or what f32 positions can tell.
 pub(crate) fn tolerance(geometry: &Geometry) -> f64 {
     let resolution = geometry.upper_corner().max_element() * f64::from(f32::EPSILON);
-    (1e-5 * geometry.min_spacing()).max(2.0 * resolution)
+    (PASS_TOLERANCE * geometry.min_spacing()).max(2.0 * resolution)
 }
 
 /// What stays the same for a whole run.
@@ -80,7 +82,7 @@ pub(crate) fn run_block(
         .whole("bin_total", [levels.bin_total()])
         .whole("list_capacity", [list_capacity])
         .whole("seed", [seed])
-        .real("initial_lambda", [crate::INITIAL_LAMBDA as f32]);
+        .real("initial_lambda", [INITIAL_LAMBDA as f32]);
     let mut words = Vec::new();
     for k in 0..MOST_LEVELS {
         let Some(level) = levels.levels.get(k) else {
@@ -104,7 +106,7 @@ pub(crate) fn pass_block(number: u64, count: u32, allow_insert: bool) -> Block {
         .whole("unused", [0])
 }
 
-/// Numbers that a prefix sum adds up, and the blocks of [`SCAN_BLOCK`] that it works in.
+/// Numbers that a prefix sum adds up, and the blocks that it works in.
 pub(crate) fn scan_block(length: u32) -> Block {
     Block::default()
         .whole("length", [length])
@@ -113,10 +115,7 @@ pub(crate) fn scan_block(length: u32) -> Block {
         .whole("unused_2", [0])
 }
 
-/// Numbers in a block of a prefix sum.
-pub(crate) const SCAN_BLOCK: u32 = 2048;
-
 /// Blocks of a prefix sum of so many numbers: the result has one more.
 pub(crate) fn scan_blocks(length: u32) -> u32 {
-    (length + 1).div_ceil(SCAN_BLOCK)
+    (length + 1).div_ceil(BLOCK)
 }

@@ -1,6 +1,6 @@
 //! Which kernels a pass runs, over how many workgroups, and in which order.
 
-use super::kernels::ROUNDS;
+use super::constants::{BLOCK, CLASSES, NARROW, WIDE};
 use super::parameters::scan_blocks;
 
 /// Rounds in which classes are given out.
@@ -29,8 +29,8 @@ impl Step {
 /// The dispatches of a pass, in order.
 pub(crate) fn steps(count: u32, bins: u32, sort: bool, density: bool) -> Vec<Step> {
     let mut steps = Vec::with_capacity(80);
-    let each = count.div_ceil(64);
-    let wide = count.div_ceil(256);
+    let each = count.div_ceil(NARROW);
+    let wide = count.div_ceil(WIDE);
     if sort {
         steps.push(Step::over("bin_count", 0, each));
         scan(&mut steps, "bins", bins);
@@ -47,11 +47,11 @@ pub(crate) fn steps(count: u32, bins: u32, sort: bool, density: bool) -> Vec<Ste
         steps.push(Step::over("class_starts", 0, 1));
         steps.push(Step::over("class_scatter", 0, wide));
     }
-    for class in 0..ROUNDS {
+    for class in 0..CLASSES {
         steps.push(Step { workgroups: None, ..Step::over("move_particles", class, 0) });
     }
     steps.push(Step::over("energies", 0, each));
-    steps.push(Step::over("sum_blocks", 0, count.div_ceil(2048)));
+    steps.push(Step::over("sum_blocks", 0, count.div_ceil(BLOCK)));
     steps.push(Step::over("sum_total", 0, 1));
     if density {
         for round in 1..=DELETION_ROUNDS {

@@ -1,4 +1,6 @@
-//! The texts of the kernels: each is its own file after the shared pieces that it uses, joined end to end.
+//! The texts of the kernels: the constants, which stand in Rust, the shared pieces that the kernel uses, and its own file, end to end.
+
+use super::constants::declarations;
 
 /// How a kernel is made up.
 pub(crate) struct Source {
@@ -28,6 +30,14 @@ pub(crate) struct Variant {
     pub subgroup_team: Option<u32>,
 }
 
+impl Variant {
+    /// Lanes of a team and teams of a workgroup.
+    pub(crate) fn team(self) -> (u32, u32) {
+        // a team that sums through workgroup memory has a workgroup of its own; others share one of 128 lanes
+        self.subgroup_team.map_or((32, 1), |lanes| (lanes, 128 / lanes))
+    }
+}
+
 const PARAMETERS: Piece = Piece::Text(include_str!("../../../../shaders/shared/parameters.wgsl"));
 const ENERGY: Piece = Piece::Text(include_str!("../../../../shaders/shared/energy.wgsl"));
 const PLANE: Piece = Piece::Text(include_str!("../../../../shaders/shared/plane.wgsl"));
@@ -35,7 +45,8 @@ const RANDOM: Piece = Piece::Text(include_str!("../../../../shaders/shared/rando
 const GRID: Piece = Piece::Text(include_str!("../../../../shaders/shared/grid.wgsl"));
 const SPLINE: Piece = Piece::Text(include_str!("../../../../shaders/shared/spline.wgsl"));
 const PROJECT: Piece = Piece::Text(include_str!("../../../../shaders/shared/project.wgsl"));
-const TEAM_PROJECT: Piece = Piece::Text(include_str!("../../../../shaders/shared/team_project.wgsl"));
+const SURFACE: Piece = Piece::Text(include_str!("../../../../shaders/shared/surface.wgsl"));
+const TEAM_SURFACE: Piece = Piece::Text(include_str!("../../../../shaders/shared/team_surface.wgsl"));
 const LEVELS: Piece = Piece::Text(include_str!("../../../../shaders/shared/levels.wgsl"));
 const LISTS: Piece = Piece::Text(include_str!("../../../../shaders/shared/lists.wgsl"));
 const WALK: Piece = Piece::Text(include_str!("../../../../shaders/shared/neighbour_walk.wgsl"));
@@ -44,6 +55,7 @@ const NEWTON: Piece = Piece::Text(include_str!("../../../../shaders/shared/newto
 const TEAM_ENERGY: Piece = Piece::Text(include_str!("../../../../shaders/shared/team_energy.wgsl"));
 const DENSITY: Piece = Piece::Text(include_str!("../../../../shaders/shared/density.wgsl"));
 const TOTALS: Piece = Piece::Text(include_str!("../../../../shaders/shared/totals.wgsl"));
+const SCAN: Piece = Piece::Text(include_str!("../../../../shaders/shared/scan.wgsl"));
 const ROUND: Piece = Piece::Text(include_str!("../../../../shaders/shared/round.wgsl"));
 
 macro_rules! source {
@@ -54,9 +66,9 @@ macro_rules! source {
 
 /// Every kernel.
 const SOURCES: &[Source] = &[
-    source!("scan_blocks", &[]),
-    source!("scan_sums", &[]),
-    source!("scan_add", &[]),
+    source!("scan_blocks", &[SCAN]),
+    source!("scan_sums", &[SCAN]),
+    source!("scan_add", &[SCAN]),
     source!("bin_count", &[PARAMETERS, LEVELS]),
     source!("bin_scatter", &[PARAMETERS]),
     source!("bin_reorder", &[PARAMETERS]),
@@ -65,7 +77,7 @@ const SOURCES: &[Source] = &[
     source!("class_propose", &[PARAMETERS, RANDOM, LISTS, ROUND, CLASSES]),
     source!("class_settle", &[PARAMETERS, RANDOM, LISTS, ROUND, CLASSES]),
     source!("class_count", &[PARAMETERS, RANDOM, CLASSES]),
-    source!("class_starts", &[PARAMETERS, RANDOM, CLASSES, Piece::Team]),
+    source!("class_starts", &[PARAMETERS, RANDOM, CLASSES]),
     source!("class_scatter", &[PARAMETERS, RANDOM, CLASSES]),
     source!(
         "move_particles",
@@ -75,7 +87,8 @@ const SOURCES: &[Source] = &[
             GRID,
             SPLINE,
             Piece::Team,
-            TEAM_PROJECT,
+            TEAM_SURFACE,
+            PROJECT,
             ENERGY,
             PLANE,
             LISTS,
@@ -89,18 +102,21 @@ const SOURCES: &[Source] = &[
     source!("sum_total", &[PARAMETERS, TOTALS]),
     source!("density_delete", &[PARAMETERS, RANDOM, DENSITY, LISTS, ROUND]),
     source!("density_relieve", &[PARAMETERS, ENERGY, LISTS, ROUND]),
-    source!("insert_propose", &[PARAMETERS, Piece::Fields, GRID, SPLINE, PROJECT, PLANE, RANDOM, DENSITY, LISTS]),
-    source!("insert_choose", &[PARAMETERS, RANDOM, LISTS]),
+    source!(
+        "insert_propose",
+        &[PARAMETERS, Piece::Fields, GRID, SPLINE, SURFACE, PROJECT, PLANE, RANDOM, DENSITY, LISTS]
+    ),
+    source!("insert_choose", &[PARAMETERS, RANDOM, LEVELS, LISTS]),
     source!("compact", &[PARAMETERS]),
 ];
 
 /// Kernels that only the tests run: they show what the shared pieces compute.
 #[cfg(test)]
 pub(crate) const PROBES: &[Source] = &[
-    source!("tests/probe_fields", &[PARAMETERS, Piece::Fields, GRID, SPLINE, PROJECT]),
+    source!("tests/probe_fields", &[PARAMETERS, Piece::Fields, GRID, SPLINE, SURFACE]),
     source!(
         "tests/probe_jets",
-        &[PARAMETERS, Piece::Fields, GRID, SPLINE, Piece::Team, TEAM_PROJECT, ENERGY, PLANE, LISTS, TEAM_ENERGY]
+        &[PARAMETERS, Piece::Fields, GRID, SPLINE, Piece::Team, TEAM_SURFACE, ENERGY, PLANE, LISTS, TEAM_ENERGY]
     ),
 ];
 #[cfg(not(test))]
@@ -114,17 +130,14 @@ pub(crate) fn sources() -> impl Iterator<Item = &'static Source> {
 impl Source {
     /// The whole text for an adapter.
     pub(crate) fn compose(&self, variant: Variant) -> String {
-        let mut text = String::new();
+        let mut text = declarations(variant);
         for piece in self.pieces {
             let piece = match piece {
                 Piece::Text(text) => text,
                 Piece::Fields if variant.slabs => include_str!("../../../../shaders/shared/fields_4.wgsl"),
                 Piece::Fields => include_str!("../../../../shaders/shared/fields_1.wgsl"),
                 Piece::Team => match variant.subgroup_team {
-                    Some(lanes) => {
-                        text.push_str(&format!("const TEAM: u32 = {lanes}u;\n"));
-                        include_str!("../../../../shaders/shared/team_subgroups.wgsl")
-                    }
+                    Some(_) => include_str!("../../../../shaders/shared/team_subgroups.wgsl"),
                     None => include_str!("../../../../shaders/shared/team_memory.wgsl"),
                 },
             };

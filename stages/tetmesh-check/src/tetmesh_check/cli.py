@@ -12,6 +12,7 @@ from tetmesh_check import __version__
 from tetmesh_check.context import TOOL, CommonArguments, Context, Interruptible, canonical_command_line
 from tetmesh_check.errors import StageError, unexpected
 from tetmesh_check.files import check_report, refuse_existing, same_file
+from tetmesh_check.memory import number_of_bytes
 from tetmesh_check.parsing import Parser, formats, number, whole
 
 _DESCRIPTION = """\
@@ -199,6 +200,13 @@ def build_parser() -> argparse.ArgumentParser:
         "--threads", metavar="N", type=whole(0), default=0, help="CPU threads to use, 0 for all cores (default 0)"
     )
     shared.add_argument(
+        "--max-memory",
+        metavar="BYTES",
+        type=number_of_bytes,
+        help="most memory that the run may take, such as 8G or 500M: when more is expected it is refused before it starts, with the "
+        "figure (default: what the machine has free)",
+    )
+    shared.add_argument(
         "--seed",
         metavar="N",
         type=whole(0),
@@ -255,7 +263,14 @@ def main(argv: Sequence[str] | None = None) -> int:
             # not even to tell of the error may a file be replaced that is no report
             error, report = problem, None
     common = CommonArguments(
-        parsed.verbose, parsed.quiet, parsed.force, parsed.threads, parsed.seed, report, parsed.progress
+        parsed.verbose,
+        parsed.quiet,
+        parsed.force,
+        parsed.threads,
+        parsed.seed,
+        report,
+        parsed.progress,
+        parsed.max_memory,
     )
     context = Context(common, canonical_command_line(words, [parsed.output]), {})
     with Interruptible(TOOL) as stopped:

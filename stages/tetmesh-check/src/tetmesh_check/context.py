@@ -35,6 +35,8 @@ class CommonArguments:
     seed: int = 1
     report: Path | None = None
     progress: str = "auto"
+    max_memory: int | None = None
+    """Most memory that the run may take, bytes; what the machine has free by default."""
 
     @property
     def thread_count(self) -> int:
@@ -247,7 +249,7 @@ class Context:
 
 _SILENT_FLAGS = frozenset({"--verbose", "--quiet", "--force"})
 _SILENT_VALUES = frozenset(
-    {"--threads", "--report", "--progress", "--pictures", "--export", "--max-seconds", "--solve-seconds"}
+    {"--threads", "--max-memory", "--report", "--progress", "--pictures", "--export", "--max-seconds", "--solve-seconds"}
 )
 
 

@@ -16,6 +16,7 @@ from tetmesh_check.errors import StageError
 from tetmesh_check.export import MarkedMesh, export, export_path
 from tetmesh_check.fill import Filled, Method, Task, fill
 from tetmesh_check.labels import LabelVolume, read_label_volume
+from tetmesh_check.memory import check_memory
 from tetmesh_check.pictures import PictureJob, draw_pictures
 from tetmesh_check.quality import Values, centres_of, summarize, summarize_all, tetrahedron_quality, triangle_quality
 from tetmesh_check.regions import (
@@ -248,6 +249,7 @@ def run(arguments: Arguments, context: Context) -> list[str]:
     with context.step("read"):
         surface = read_surface(arguments.surface)
         context.add_input(arguments.surface, surface.history)
+        check_memory(len(surface.points), arguments.surface, context.common.max_memory)
         sizing = None
         if arguments.sizefield is not None:
             sizing = read_sizing_field(arguments.sizefield)

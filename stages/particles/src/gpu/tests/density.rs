@@ -2,14 +2,18 @@
 
 use super::any_gpu;
 use super::fields::sorted;
-use super::scenes::Scene;
-use crate::density::place_in_widest_gap;
+use crate::constants::{FARTHEST_MOVE, NEWCOMER_DISTANCE};
+use crate::density::{Newcomer, propose};
 use crate::gpu::adapter::{Choice, Gpu};
+use crate::gpu::constants::{
+    BLOCK, NARROW, WORD_COUNT, WORD_DEFECTS, WORD_ENERGY, WORD_KEPT, WORD_LONGEST, WORD_MOVED, WORD_TRIES,
+};
 use crate::gpu::engine::{Binning, GpuEngine};
 use crate::gpu::memory::download;
 use crate::gpu::parameters::device_origin;
 use crate::gpu::schedule::{Step, scan};
 use crate::movement;
+use crate::scenes::Scene;
 use crate::settle::{Engine, Parameters};
 use crate::state::State;
 use glam::{DVec3, Vec3};
@@ -64,7 +68,7 @@ impl<'a> Rig<'a> {
     }
 
     fn run(&mut self, kernel: &'static str, round: u32) {
-        let each = self.engine.count.div_ceil(64);
+        let each = self.engine.count.div_ceil(NARROW);
         self.engine.run_steps(u64::from(PASS), &[Step::over(kernel, round, each)], false).unwrap();
     }
 
@@ -96,14 +100,14 @@ fn both(a: Option<bool>, b: Option<bool>) -> Option<bool> {
     if a == Some(false) || b == Some(false) { Some(false) } else { a.and(b) }
 }
 
-fn crowded(energy: f32, i: usize) -> Option<bool> {
+fn oversampled(energy: f32, i: usize) -> Option<bool> {
     let parameters = Parameters::default();
     let excess = f64::from(energy) / parameters.ideal_energy - 1.0;
     let bar = parameters.delete_above - 1.0;
     both(beyond(excess, bar), beyond(random_uniform(0, i) * excess, bar))
 }
 
-fn lonely(energy: f32, i: usize) -> Option<bool> {
+fn undersampled(energy: f32, i: usize) -> Option<bool> {
     let parameters = Parameters::default();
     let lack = 1.0 - f64::from(energy) / parameters.ideal_energy;
     let bar = 1.0 - parameters.add_below;
@@ -111,14 +115,14 @@ fn lonely(energy: f32, i: usize) -> Option<bool> {
 }
 
 /// Random points on a torus whose h is graded: more than a lattice has.
-fn crowd() -> Scene {
+fn too_many() -> Scene {
     Scene::bumpy_torus(2100)
 }
 
 #[test]
 fn one_class_moves_as_on_the_cpu_and_nobody_else_does() {
     let Some(gpu) = any_gpu("movement of a class", Choice::default()) else { return };
-    let scene = crowd();
+    let scene = too_many();
     let mut rig = Rig::new(&gpu, &scene);
     let (state, fields) = (rig.state(), scene.fields());
     let classes: Vec<u32> = rig.take("classes", rig.count());
@@ -136,6 +140,7 @@ fn one_class_moves_as_on_the_cpu_and_nobody_else_does() {
         let wanted = movement::step(&state, &fields, i);
         let found = origin + Vec3::from_slice(&after[i]).as_dvec3();
         let h = state.set.sizes[i];
+        assert!(found.distance(state.set.positions[i]) <= (FARTHEST_MOVE + 1e-5) * h, "{i} went too far");
         members += 1;
         moved += usize::from(wanted.moved);
         alike += usize::from(found.distance(wanted.position) < 1e-3 * h);
@@ -151,7 +156,7 @@ fn one_class_moves_as_on_the_cpu_and_nobody_else_does() {
 #[test]
 fn rounds_of_deletion_are_those_of_the_twin() {
     let Some(gpu) = any_gpu("deletion", Choice::default()) else { return };
-    let mut rig = Rig::new(&gpu, &crowd());
+    let mut rig = Rig::new(&gpu, &too_many());
     let count = rig.count();
     let mut gone = [0; 4];
     for round in 1..=3 {
@@ -165,11 +170,11 @@ fn rounds_of_deletion_are_those_of_the_twin() {
                 assert_eq!(marks[i], was[i], "{i} was deleted before");
                 continue;
             }
-            // goes if it is crowded and none that is crowded, worse and within reach is there
-            let mut wanted = crowded(energies[i], i);
+            // goes if the surface is oversampled there, and it is not for one of higher energy within reach
+            let mut wanted = oversampled(energies[i], i);
             for j in rig.list(i).filter(|&j| was[j] == 0) {
                 let worse = energies[j] > energies[i] || (energies[j] == energies[i] && j < i);
-                let beaten = both(both(Some(worse), crowded(energies[j], j)), beyond(1.0, rig.apart(i, j)));
+                let beaten = both(both(Some(worse), oversampled(energies[j], j)), beyond(1.0, rig.apart(i, j)));
                 wanted = both(wanted, beaten.map(|b| !b));
             }
             assert!(
@@ -198,7 +203,8 @@ fn newcomers_are_those_of_the_twin_and_everybody_finds_a_place() {
     // far fewer than a lattice has: newcomers come near each other
     let tori = (120..420).step_by(60).map(Scene::bumpy_torus);
     let balls = (40..400).step_by(20).map(|n| Scene::ball(n, 1.6));
-    let by_distance: usize = tori.chain(balls).map(|scene| insertion(&gpu, &scene)).sum();
+    let by_distance: usize =
+        tori.chain(balls).chain([Scene::meeting_newcomers()]).map(|scene| insertion(&gpu, &scene)).sum();
     assert!(by_distance >= 3, "{by_distance} newcomers gave way to another's over a distance: too few for a test");
 }
 
@@ -220,15 +226,11 @@ fn insertion(gpu: &Gpu, scene: &Scene) -> usize {
     let deleted: Vec<bool> = marks.iter().map(|&mark| mark != 0).collect();
     let (mut made, mut differ) = (0, 0);
     for i in 0..count {
-        let Some(is_lonely) = lonely(energies[i], i) else { continue };
-        let wanted = (is_lonely && !deleted[i]).then(|| place_in_widest_gap(&state, &fields, &deleted, i)).flatten();
-        let wanted = wanted.filter(|(p, _, h)| {
-            let room = |j: usize| p.distance(state.set.positions[j]) > 0.45 * h.min(state.set.sizes[j]);
-            rig.list(i).filter(|&j| !deleted[j]).all(room)
-        });
+        let Some(is_undersampled) = undersampled(energies[i], i) else { continue };
+        let wanted = (is_undersampled && !deleted[i]).then(|| propose(&state, &fields, &deleted, i)).flatten();
         made += usize::from(proposals[i] != 0);
         let alike = match wanted {
-            Some((p, _, h)) => {
+            Some(Newcomer { position: p, size: h, .. }) => {
                 let found = origin + Vec3::from_slice(&newcomers[i]).as_dvec3();
                 proposals[i] == 1 && found.distance(p) < 1e-3 * h && (f64::from(newcomers[i][3]) - h).abs() < 1e-3 * h
             }
@@ -242,7 +244,15 @@ fn insertion(gpu: &Gpu, scene: &Scene) -> usize {
 
     rig.run("insert_choose", 0);
     let keep: Vec<u32> = rig.take("keep", 2 * count);
+    let facing: Vec<[f32; 4]> = rig.take("newcomer_normal", count);
     let at = |i: usize| Vec3::from_slice(&newcomers[i]).as_dvec3();
+    let proposed: Vec<usize> = (0..count).filter(|&i| proposals[i] != 0).collect();
+    // every pair, however far apart the parents are
+    let too_near = |i: usize, j: usize| {
+        let least = NEWCOMER_DISTANCE * f64::from(newcomers[i][3].min(newcomers[j][3]));
+        let same_sheet = Vec3::from_slice(&facing[i]).dot(Vec3::from_slice(&facing[j])) > 0.0;
+        i != j && same_sheet && DVec3::distance(at(i), at(j)) < least
+    };
     let beats = |j: usize, i: usize| {
         let priority = |i: usize| random_bits(4 * PASS + 2, i as u32);
         priority(j) > priority(i) || (priority(j) == priority(i) && j < i)
@@ -251,23 +261,27 @@ fn insertion(gpu: &Gpu, scene: &Scene) -> usize {
     for i in 0..count {
         assert_eq!(keep[i] == 1, !deleted[i], "{i}");
         let beaten_by_neighbour = rig.list(i).any(|j| proposals[j] != 0 && beats(j, i));
-        let crowded_out = rig.list(i).flat_map(|j| rig.list(j)).any(|far| {
-            let near = 0.7 * f64::from(newcomers[i][3].min(newcomers[far][3]));
-            far != i && proposals[far] != 0 && beats(far, i) && DVec3::distance(at(i), at(far)) < near
-        });
-        let wanted = proposals[i] != 0 && !beaten_by_neighbour && !crowded_out;
-        by_distance += usize::from(proposals[i] != 0 && !beaten_by_neighbour && crowded_out);
+        let beaten_by_distance = proposals[i] != 0 && proposed.iter().any(|&j| beats(j, i) && too_near(i, j));
+        let wanted = proposals[i] != 0 && !beaten_by_neighbour && !beaten_by_distance;
+        by_distance += usize::from(proposals[i] != 0 && !beaten_by_neighbour && beaten_by_distance);
         assert_eq!(keep[count + i] == 1, wanted, "newcomer of {i}");
+    }
+    let chosen: Vec<usize> = proposed.into_iter().filter(|&i| keep[count + i] == 1).collect();
+    for &i in &chosen {
+        assert!(!chosen.iter().any(|&j| too_near(i, j)), "the newcomer of {i} is too near another");
     }
 
     let mut last = Vec::new();
     scan(&mut last, "keep", 2 * count as u32);
-    last.push(Step::over("compact", 0, rig.engine.count.div_ceil(64)));
+    last.push(Step::over("compact", 0, rig.engine.count.div_ceil(NARROW)));
     let words = rig.engine.run_steps(u64::from(PASS), &last, false).unwrap();
     let stay = (0..count).filter(|&i| keep[i] == 1).map(|i| rig.places[i]);
     let come = (0..count).filter(|&i| keep[count + i] == 1).map(|i| newcomers[i]);
     let wanted: Vec<[f32; 4]> = stay.chain(come).collect();
-    assert_eq!([words[5], words[6]].map(|w| w as usize), [wanted.len(), keep[..count].iter().sum::<u32>() as usize]);
+    assert_eq!(
+        [words[WORD_COUNT], words[WORD_KEPT]].map(|w| w as usize),
+        [wanted.len(), keep[..count].iter().sum::<u32>() as usize]
+    );
     assert!(rig.take::<[f32; 4]>("listed_place", wanted.len()) == wanted, "places after compaction");
     by_distance
 }
@@ -279,15 +293,20 @@ fn totals_are_those_of_the_particles() {
     for count in [1, 2048, 4500] {
         let mut rig = Rig::new(&gpu, &Scene::ball(count, 0.9));
         let energies: Vec<f32> = rig.take("energies", rig.count());
-        let blocks = rig.engine.count.div_ceil(2048);
+        let blocks = rig.engine.count.div_ceil(BLOCK);
         let steps = [Step::over("sum_blocks", 0, blocks), Step::over("sum_total", 0, 1)];
         let words = rig.engine.run_steps(u64::from(PASS), &steps, false).unwrap();
         let energy: f64 = energies.iter().map(|&e| f64::from(e)).sum();
-        assert!((f64::from(f32::from_bits(words[0])) - energy).abs() <= 1e-5 * energy, "{count}: {energy}");
-        assert_eq!([words[1], words[2], words[3]], [0; 3], "nobody has moved");
+        assert!((f64::from(f32::from_bits(words[WORD_ENERGY])) - energy).abs() <= 1e-5 * energy, "{count}: {energy}");
+        assert_eq!([words[WORD_MOVED], words[WORD_TRIES], words[WORD_LONGEST]], [0; 3], "nobody has moved");
         let state = rig.state();
         let unsure = (0..state.len()).filter(|&i| on_the_edge(&state, i)).count();
-        assert!((words[7] as usize).abs_diff(state.faults()) <= unsure, "{} faults, not {}", words[7], state.faults());
+        assert!(
+            (words[WORD_DEFECTS] as usize).abs_diff(state.lattice_defects()) <= unsure,
+            "{} lattice defects, not {}",
+            words[WORD_DEFECTS],
+            state.lattice_defects()
+        );
         assert!(unsure * 100 <= rig.count(), "{unsure} of {count} are close calls");
     }
 }
@@ -297,6 +316,6 @@ fn on_the_edge(state: &State, i: usize) -> bool {
     let set = &state.set;
     state.neighbours.of(i).iter().any(|&j| {
         let ratio = set.positions[i].distance(set.positions[j as usize]) / set.sizes[i].min(set.sizes[j as usize]);
-        (ratio / crate::state::FIRST_RING - 1.0).abs() < EDGE || (ratio / SUPPORT - 1.0).abs() < EDGE
+        (ratio / crate::constants::FIRST_RING - 1.0).abs() < EDGE || (ratio / SUPPORT - 1.0).abs() < EDGE
     })
 }

@@ -1,13 +1,14 @@
 //! F, h, energies and their derivatives against the CPU's.
 
 use super::any_gpu;
-use super::scenes::Scene;
 use crate::gpu::adapter::{Choice, Gpu};
+use crate::gpu::constants::{NARROW, WORD_LISTED};
 use crate::gpu::engine::{Binning, GpuEngine};
 use crate::gpu::memory::download;
 use crate::gpu::parameters::device_origin;
 use crate::gpu::schedule::{Step, steps};
 use crate::movement::{TangentPlane, energy_jet};
+use crate::scenes::Scene;
 use crate::settle::Engine;
 use crate::state::State;
 use glam::{DVec3, Vec3};
@@ -19,8 +20,8 @@ pub(super) fn sorted<'a>(gpu: &'a Gpu, scene: &Scene, binning: Binning) -> GpuEn
     let mut all = steps(engine.count, engine.levels.bin_total(), true, false);
     all.retain(|s| s.kernel != "move_particles");
     let words = engine.run_steps(1, &all, true).unwrap();
-    if words[4] > engine.list_capacity {
-        engine.make_lists(u64::from(words[4])).unwrap();
+    if words[WORD_LISTED] > engine.list_capacity {
+        engine.make_lists(u64::from(words[WORD_LISTED])).unwrap();
         engine.run_steps(1, &all, true).unwrap();
     }
     let bytes = 48 * u64::from(engine.count);
@@ -53,7 +54,7 @@ fn fields_are_those_of_the_cpu_also_outside_and_in_slabs() {
         scene.seeds.positions[100] = corner;
         scene.seeds.positions[101] = DVec3::ZERO;
         let mut engine = sorted(&gpu, &scene, Binning::Graded);
-        let each = engine.count.div_ceil(64);
+        let each = engine.count.div_ceil(NARROW);
         engine.run_steps(1, &[Step::over("tests/probe_fields", 0, each)], false).unwrap();
         let probed: Vec<[f32; 4]> = download(&gpu, engine.memory.get("probed"), 2 * engine.count as usize).unwrap();
         for (p, found) in on_device(&gpu, &engine).into_iter().zip(probed.chunks(2)) {

@@ -2,10 +2,11 @@
 
 use super::any_gpu;
 use super::fields::sorted;
-use super::scenes::Scene;
 use crate::gpu::adapter::Choice;
+use crate::gpu::constants::{CLASSES, UNCLASSED};
 use crate::gpu::engine::Binning;
 use crate::gpu::memory::download;
+use crate::scenes::Scene;
 use crate::settle::Engine;
 use crate::state::State;
 
@@ -27,7 +28,7 @@ fn lists_are_those_of_the_cpu_and_no_two_neighbours_share_a_class() {
         let starts: Vec<u32> = download(&gpu, engine.memory.get("list_starts"), count + 1).unwrap();
         let members: Vec<u32> = download(&gpu, engine.memory.get("lists"), starts[count] as usize).unwrap();
         let list = |i: usize| &members[starts[i] as usize..starts[i + 1] as usize];
-        let reach = isoparticles_common::energy::SUPPORT * (1.0 + crate::state::SKIN);
+        let reach = isoparticles_common::energy::SUPPORT * (1.0 + crate::constants::SKIN);
         for i in 0..count {
             let mut found = list(i).to_vec();
             found.sort_unstable();
@@ -46,18 +47,18 @@ fn lists_are_those_of_the_cpu_and_no_two_neighbours_share_a_class() {
         }
         let classes: Vec<u32> = download(&gpu, engine.memory.get("classes"), count).unwrap();
         for i in 0..count {
-            assert!(classes[i] == u32::MAX || list(i).iter().all(|&j| classes[j as usize] != classes[i]), "{i}");
+            assert!(classes[i] == UNCLASSED || list(i).iter().all(|&j| classes[j as usize] != classes[i]), "{i}");
         }
-        let given = classes.iter().filter(|&&c| c != u32::MAX).count();
+        let given = classes.iter().filter(|&&c| c != UNCLASSED).count();
         // those left out of a crowd rest until the next sort
         assert!(
             given as f64 >= if count < 1000 { 0.995 } else { 0.8 } * count as f64,
             "{given} of {count} particles got a class"
         );
-        let class_starts: Vec<u32> = download(&gpu, engine.memory.get("class_starts"), 33).unwrap();
+        let class_starts: Vec<u32> = download(&gpu, engine.memory.get("class_starts"), CLASSES as usize + 1).unwrap();
         let ordered: Vec<u32> = download(&gpu, engine.memory.get("class_members"), given).unwrap();
-        assert_eq!(class_starts[32] as usize, given);
-        for c in 0..32 {
+        assert_eq!(class_starts[CLASSES as usize] as usize, given);
+        for c in 0..CLASSES as usize {
             let range = class_starts[c] as usize..class_starts[c + 1] as usize;
             assert!(ordered[range].iter().all(|&i| classes[i as usize] == c as u32));
         }

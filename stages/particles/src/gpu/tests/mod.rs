@@ -6,7 +6,6 @@ mod fields;
 mod lists;
 mod passes;
 mod scans;
-mod scenes;
 mod shaders;
 
 use super::adapter::{Choice, Gpu, adapters};
@@ -14,7 +13,7 @@ use super::adapter::{Choice, Gpu, adapters};
 /// The first adapter, or `None` with a line that says what is skipped.
 fn any_gpu(what: &str, choice: Choice) -> Option<Gpu> {
     let Some(first) = adapters().into_iter().next() else {
-        println!("skipped: {what}: no Vulkan, Metal or DX12 adapter (Mesa's lavapipe would do)");
+        isoparticles_tests::skip::skip(what, "no Vulkan, Metal or DX12 adapter (Mesa's lavapipe would do)");
         return None;
     };
     Some(Gpu::open(&Choice { name: Some(first.name), ..choice }).unwrap())

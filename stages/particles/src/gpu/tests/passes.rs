@@ -1,10 +1,10 @@
 //! The whole backend: same lattice as the CPU's, same bytes on every run, whether broken off or not.
 
 use super::any_gpu;
-use super::scenes::Scene;
 use crate::gpu::adapter::{Choice, Gpu};
 use crate::gpu::engine::{Binning, GpuEngine};
 use crate::gpu::memory::Memory;
+use crate::scenes::Scene;
 use crate::settle::{Engine, Parameters, PassRecord, Summary, settle, settle_with};
 use isoparticles_common::particle_set::ParticleSet;
 

@@ -3,6 +3,7 @@
 use super::any_gpu;
 use crate::gpu::adapter::{Choice, Gpu};
 use crate::gpu::commands::{Command, Profile, encode, submit};
+use crate::gpu::constants::{BLOCK, NARROW};
 use crate::gpu::kernels::Kernels;
 use crate::gpu::levels::Levels;
 use crate::gpu::memory::{Memory, download, upload};
@@ -56,7 +57,7 @@ fn prefix_sums_are_exact() {
         let numbers: Vec<u32> = (0..count as u64).map(|n| (bits(3, 0, n) % 9) as u32).collect();
         rig.put("neighbour_counts", &numbers);
         rig.put("list_starts", &vec![77u32; count + 1]);
-        rig.put("scan_sums", &vec![77u32; count / 2048 + 2]);
+        rig.put("scan_sums", &vec![77u32; count / BLOCK as usize + 2]);
         rig.put("scan_lists", bytemuck::cast_slice::<u8, u32>(scan_block(count as u32).bytes()));
         let mut steps = Vec::new();
         scan(&mut steps, "lists", count as u32);
@@ -98,9 +99,9 @@ fn check_sort(rig: &mut Rig, count: usize, largest: f32, contrast: f64, levels: 
     let bins = levels.bin_total();
     rig.put("bin_counts", &vec![0u32; bins as usize]);
     rig.put("bin_starts", &vec![0u32; bins as usize + 1]);
-    rig.put("scan_sums", &vec![0u32; bins as usize / 2048 + 2]);
+    rig.put("scan_sums", &vec![0u32; bins as usize / BLOCK as usize + 2]);
     rig.put("scan_bins", &words(scan_block(bins)));
-    let each = count.div_ceil(64) as u32;
+    let each = count.div_ceil(NARROW as usize) as u32;
     let mut steps = vec![Step::over("bin_count", 0, each)];
     scan(&mut steps, "bins", bins);
     steps.push(Step::over("bin_scatter", 0, each));
@@ -171,10 +172,10 @@ fn energies_and_totals_of_more_than_65535_workgroups() {
     for name in ["energies", "marks", "touched"] {
         rig.put(name, &vec![7u32; count as usize]);
     }
-    let blocks = count.div_ceil(2048);
+    let blocks = count.div_ceil(BLOCK);
     rig.put("block_totals", &vec![0u32; 5 * blocks as usize]);
     rig.put("words", &[0u32; 16]);
-    let each = Step::over("energies", 0, count.div_ceil(64));
+    let each = Step::over("energies", 0, count.div_ceil(NARROW));
     rig.run(&[each, Step::over("sum_blocks", 0, blocks), Step::over("sum_total", 0, 1)]);
     let energies = rig.take("energies", count as usize);
     let pair = |pair: u32| pair_energy(scaled_distance(f64::from(distance(pair)), 0.5, 0.5));

@@ -1,11 +1,14 @@
 //! What needs no adapter: every text is valid WGSL, and the layouts shared with Rust are naga's.
 
+use crate::gpu::constants::{Value, constants};
 use crate::gpu::levels::Levels;
 use crate::gpu::parameters::{Block, pass_block, run_block, scan_block};
 use crate::gpu::shaders::{Access, Variant, bindings, sources};
 use glam::{DVec3, Vec3};
 use isoparticles_common::geometry::Geometry;
 use naga::valid::{Capabilities, ValidationFlags, Validator};
+use std::fs;
+use std::path::Path;
 
 const VARIANTS: [Variant; 5] = [
     Variant { slabs: false, subgroup_team: None },
@@ -92,4 +95,62 @@ fn layouts_are_those_of_naga() {
     same_layout("scan_blocks", "Scan", &scan_block(5));
     same_layout("scan_sums", "Scan", &scan_block(5));
     same_layout("scan_add", "Scan", &scan_block(5));
+}
+
+/// The constants of a module by name, as naga evaluates them.
+fn constants_of(module: &naga::Module) -> Vec<(String, Value)> {
+    let value = |constant: &naga::Constant| match module.global_expressions[constant.init] {
+        naga::Expression::Literal(naga::Literal::F32(value)) => Value::Real(value),
+        naga::Expression::Literal(naga::Literal::U32(value)) => Value::Whole(value),
+        ref other => panic!("{:?} is {other:?}", constant.name),
+    };
+    module.constants.iter().map(|(_, constant)| (constant.name.clone().unwrap(), value(constant))).collect()
+}
+
+#[test]
+fn the_constants_of_every_kernel_are_those_of_rust_and_there_are_no_others() {
+    for variant in VARIANTS {
+        let wanted: Vec<_> = constants(variant).into_iter().map(|(name, value)| (name.to_owned(), value)).collect();
+        for source in sources() {
+            let text = source.compose(variant);
+            assert_eq!(constants_of(&module(&text, source.name)), wanted, "{}", source.name);
+            let again = text + "const SKIN: f32 = 0.3;";
+            assert!(naga::front::wgsl::parse_str(&again).is_err(), "{}: a second copy was taken", source.name);
+        }
+    }
+}
+
+#[test]
+fn every_twin_that_a_shader_names_is_there() {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
+    let mut twins = 0;
+    for folder in ["shaders", "shaders/shared", "shaders/tests"] {
+        for entry in fs::read_dir(root.join(folder)).unwrap() {
+            let shader = entry.unwrap().path();
+            if shader.extension().is_none_or(|extension| extension != "wgsl") {
+                continue;
+            }
+            let text = fs::read_to_string(&shader).unwrap();
+            // `name`, `name` in path/of/file.rs
+            for line in text.lines().filter_map(|line| line.strip_prefix("// Twin: ")) {
+                let (names, file) = line.rsplit_once(" in ").unwrap_or_else(|| panic!("{}: {line}", shader.display()));
+                let rust =
+                    fs::read_to_string(root.join(file)).unwrap_or_else(|e| panic!("{}: {file}: {e}", shader.display()));
+                for name in names.split(", ").map(|name| name.trim_matches('`')) {
+                    let defined = ["fn", "struct"].iter().any(|kind| {
+                        let words = format!("{kind} {name}");
+                        rust.match_indices(&words)
+                            .any(|(at, _)| !rust[at + words.len()..].starts_with(is_part_of_a_name))
+                    });
+                    assert!(defined, "{}: {file} has no {name}", shader.display());
+                    twins += 1;
+                }
+            }
+        }
+    }
+    assert!(twins > 20, "{twins} twins were found");
+}
+
+fn is_part_of_a_name(c: char) -> bool {
+    c.is_alphanumeric() || c == '_'
 }

@@ -10,19 +10,19 @@ use isoparticles_common::sizing::SizingField;
 use isoparticles_common::spline::CubicSpline;
 
 /// A surface with its size field and seeds.
-pub(super) struct Scene {
+pub(crate) struct Scene {
     pub surface: CubicSpline,
     pub sizing: SizingField,
     pub seeds: ParticleSet,
 }
 
 impl Scene {
-    pub(super) fn fields(&self) -> Fields<'_> {
+    pub(crate) fn fields(&self) -> Fields<'_> {
         Fields { surface: &self.surface, sizing: &self.sizing }
     }
 
     /// Samples F and h (of the position from the centre), and scatters `count` points over F = 0 from random starts.
-    pub(super) fn new(
+    pub(crate) fn new(
         size: [usize; 3],
         spacing: DVec3,
         f: impl Fn(DVec3) -> f64,
@@ -64,12 +64,33 @@ impl Scene {
     }
 
     /// A ball of radius 12 with the same h everywhere.
-    pub(super) fn ball(count: u64, h: f64) -> Self {
+    pub(crate) fn ball(count: u64, h: f64) -> Self {
         Self::new([34; 3], DVec3::ONE, |p| p.length() - 12.0, |_| h, count, |d| 12.0 * d)
     }
 
+    /// Four particles on each of eight meridians of a ball, spaced h, 2.35 h, h: the inner two are not in each other's lists and send their
+    /// newcomers, of h, towards each other.
+    pub(crate) fn meeting_newcomers() -> Self {
+        let mut scene = Self::ball(0, 1.6);
+        let centre = 0.5 * scene.surface.geometry().upper_corner();
+        for meridian in 0..8 {
+            let turn = f64::from(meridian) * std::f64::consts::FRAC_PI_4;
+            for arc in [-2.175, -1.175, 1.175, 2.175] {
+                let latitude: f64 = arc * 1.6 / 12.0;
+                let out = DVec3::new(latitude.cos() * turn.cos(), latitude.cos() * turn.sin(), latitude.sin());
+                let (p, g) = scene.surface.project_with_gradient(centre + 12.0 * out, 1.0, 1e-6).unwrap();
+                scene.seeds.positions.push(p);
+                scene.seeds.normals.push(g.normalize());
+                scene.seeds.sizes.push(1.6);
+                scene.seeds.energies.push(0.0);
+                scene.seeds.lambdas.push(crate::INITIAL_LAMBDA);
+            }
+        }
+        scene
+    }
+
     /// A torus with a wavy tube, anisotropic voxels, and h from 0.8 to 3.2 across it.
-    pub(super) fn bumpy_torus(count: u64) -> Self {
+    pub(crate) fn bumpy_torus(count: u64) -> Self {
         let f = |p: DVec3| {
             let around = p.y.atan2(p.x);
             (p.truncate().length() - 13.0).hypot(p.z) - 4.5 - 0.6 * (5.0 * around).sin()

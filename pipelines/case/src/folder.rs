@@ -1,0 +1,352 @@
+//! The folder of a case: which files belong to which stage, taking them away, keeping them aside, and the lock that
+//! lets one run at a time work in it.
+
+use crate::status::{Identity, Stage, State, Status, Verdict};
+use isoparticles_common::error::{Error, Result};
+use std::fs::File;
+use std::path::{Path, PathBuf};
+
+/// A folder that holds the results of one case.
+#[derive(Debug)]
+pub struct CaseFolder {
+    /// OUT/NAME.
+    pub path: PathBuf,
+    /// NAME.
+    pub name: String,
+}
+
+/// What belongs to a stage in the folder of a case, and what is kept of it when it fails.
+#[derive(Clone, Copy, Debug)]
+pub struct Belongings {
+    /// Name of the stage.
+    pub stage: &'static str,
+    /// Its output is NAME with this ending.
+    pub output: &'static str,
+    /// Files named NAME.STEM and NAME.STEM.* belong to it.
+    pub stems: &'static [&'static str],
+    /// Folders within the case's that belong to it.
+    pub folders: &'static [&'static str],
+    /// Results that are kept under a name with `.failed` when a check fails, by their endings.
+    pub set_aside: &'static [&'static str],
+    /// Files that tell what went wrong, which keep their names, by their endings.
+    pub explains: &'static [&'static str],
+}
+
+/// All stages in order. The page has a name of its own and belongs to none.
+pub const STAGES: [Belongings; 7] = [
+    Belongings {
+        stage: "phantom",
+        output: "nrrd",
+        stems: &["nrrd", "truth"],
+        folders: &[],
+        set_aside: &[],
+        explains: &[],
+    },
+    Belongings {
+        stage: "distfield",
+        output: "distfield.vti",
+        stems: &["distfield"],
+        folders: &[],
+        set_aside: &["distfield.vti"],
+        explains: &[],
+    },
+    Belongings {
+        stage: "sizefield",
+        output: "sizefield.vti",
+        stems: &["sizefield"],
+        folders: &[],
+        set_aside: &["sizefield.vti"],
+        explains: &[],
+    },
+    Belongings {
+        stage: "seed",
+        output: "seeds.bin",
+        stems: &["seeds"],
+        folders: &[],
+        set_aside: &["seeds.bin"],
+        explains: &[],
+    },
+    Belongings {
+        stage: "particles",
+        output: "particles.bin",
+        stems: &["particles", "passes", "checkpoint"],
+        folders: &[],
+        set_aside: &["particles.bin"],
+        explains: &["passes.csv", CHECKPOINT],
+    },
+    Belongings {
+        stage: "reconstruct",
+        output: "surface.vtp",
+        stems: &["surface"],
+        folders: &[],
+        set_aside: &["surface.vtp"],
+        explains: &["surface.offending.vtp"],
+    },
+    Belongings {
+        stage: "tetmesh-check",
+        output: "volume.vtu",
+        stems: &["volume", "boundary", "tetrahedra", "report"],
+        folders: &["pictures"],
+        set_aside: &["volume.vtu", REPORT],
+        explains: &["tetrahedra.log"],
+    },
+];
+
+/// Ending of the checkpoint of `particles`, from which a stopped run goes on.
+pub const CHECKPOINT: &str = "checkpoint.bin";
+/// Ending of the report of `tetmesh-check`, which is a result.
+pub const REPORT: &str = "report.json";
+/// Ending of the page about the case.
+pub const PAGE: &str = "report.html";
+/// Folder of the stages' reports.
+pub const REPORTS: &str = "reports";
+const LOCK: &str = ".lock";
+
+/// What belongs to a stage.
+///
+/// # Panics
+/// When there is no such stage.
+#[must_use]
+pub fn belongings(stage: &str) -> &'static Belongings {
+    STAGES.iter().find(|known| known.stage == stage).expect("a stage of the table")
+}
+
+/// Held as long as a run works in a folder; the system lets go of it when the process ends, however it ends.
+#[derive(Debug)]
+pub struct Lock {
+    _file: File,
+}
+
+impl CaseFolder {
+    /// The folder of a case; nothing is made yet.
+    #[must_use]
+    pub fn new(out: &Path, name: &str) -> Self {
+        Self { path: out.join(name), name: name.to_owned() }
+    }
+
+    /// Name of a file of the case, by its ending.
+    #[must_use]
+    pub fn file_name(&self, ending: &str) -> String {
+        format!("{}.{ending}", self.name)
+    }
+
+    /// Path of a file of the case, by its ending.
+    #[must_use]
+    pub fn file(&self, ending: &str) -> PathBuf {
+        self.path.join(self.file_name(ending))
+    }
+
+    /// Where the status is.
+    #[must_use]
+    pub fn status_path(&self) -> PathBuf {
+        self.file("status.json")
+    }
+
+    /// Makes the folder and takes the lock.
+    ///
+    /// # Errors
+    /// When the folder cannot be made, or another run works in it.
+    pub fn lock(&self) -> Result<Lock> {
+        std::fs::create_dir_all(self.path.join(REPORTS)).map_err(|error| {
+            Error::file(&self.path, "make the folder", &error, "check OUT, its permissions and the space on the disk")
+        })?;
+        self.try_lock()?.ok_or_else(|| {
+            Error::input(
+                format!("{}: another run works on this case", self.path.display()),
+                "two runs would overwrite each other's files",
+                "wait until it is done, stop it, or give this one a NAME of its own",
+            )
+        })
+    }
+
+    /// Takes the lock of a folder that is there; `None` when another run has it.
+    fn try_lock(&self) -> Result<Option<Lock>> {
+        let path = self.path.join(LOCK);
+        let file = File::options().create(true).truncate(false).write(true).open(&path);
+        let file = file.map_err(|error| Error::file(&path, "write", &error, "check the folder's permissions"))?;
+        match file.try_lock() {
+            Ok(()) => Ok(Some(Lock { _file: file })),
+            Err(std::fs::TryLockError::WouldBlock) => Ok(None),
+            // A file system without locks cannot tell; most runs are alone.
+            Err(std::fs::TryLockError::Error(_)) => Ok(Some(Lock { _file: file })),
+        }
+    }
+
+    /// The status, with a run that was killed told as such; `None` when there is none that can be read. A status of a run that is
+    /// under way is left as it is.
+    ///
+    /// # Errors
+    /// When the corrected status cannot be written.
+    pub fn settle(&self) -> Result<Option<Status>> {
+        let path = self.status_path();
+        let Some(status) = Status::read(&path) else { return Ok(None) };
+        if status.verdict != Verdict::Running {
+            return Ok(Some(status));
+        }
+        let Some(_lock) = self.try_lock()? else { return Ok(Some(status)) };
+        let status = interrupted(status);
+        status.write(&path)?;
+        Ok(Some(status))
+    }
+
+    /// The files in the folder that belong to a stage, by name, sorted: also those of its own folders, and its report.
+    #[must_use]
+    pub fn files_of(&self, stage: &Belongings) -> Vec<String> {
+        let mut files: Vec<String> = self.listing("").into_iter().filter(|name| self.owns(stage, name)).collect();
+        for folder in stage.folders {
+            files.extend(self.listing(folder));
+        }
+        files.sort();
+        files
+    }
+
+    /// Whether a file by that name is a stage's.
+    fn owns(&self, stage: &Belongings, name: &str) -> bool {
+        let Some(rest) = name.strip_prefix(&self.name).and_then(|rest| rest.strip_prefix('.')) else { return false };
+        let starts = |stem: &str| rest.strip_prefix(stem).is_some_and(|rest| rest.is_empty() || rest.starts_with('.'));
+        rest != PAGE && stage.stems.iter().any(|stem| starts(stem))
+    }
+
+    /// Names of the files in a folder of the case's, relative to the latter.
+    fn listing(&self, folder: &str) -> Vec<String> {
+        let Ok(entries) = std::fs::read_dir(self.path.join(folder)) else { return Vec::new() };
+        let prefix = if folder.is_empty() { String::new() } else { format!("{folder}/") };
+        let files = entries.flatten().filter(|entry| !entry.path().is_dir());
+        files.map(|entry| format!("{prefix}{}", entry.file_name().to_string_lossy())).collect()
+    }
+
+    /// Whether a stage writes a file of this name whatever it is told.
+    fn is_usual(&self, stage: &Belongings, name: &str) -> bool {
+        let usual = std::iter::once(&stage.output).chain(stage.set_aside).chain(stage.explains);
+        usual.into_iter().any(|ending| name == self.file_name(ending) || name == self.file_name(&failed(ending)))
+    }
+
+    /// Removes what a stage made before, but for the files whose endings are in `keep`: what its usual files are called, what the
+    /// status lists, and everything of its stems if it was killed at work. What else lies there is the user's.
+    ///
+    /// # Errors
+    /// When a file cannot be removed.
+    pub fn remove_files_of(&self, stage: &Belongings, earlier: Option<&Stage>, keep: &[&str]) -> Result<()> {
+        for name in self.made_before(stage, earlier) {
+            if !keep.iter().any(|ending| name == self.file_name(ending)) {
+                self.remove(&name)?;
+            }
+        }
+        for folder in stage.folders {
+            // Fails where something else lies in it, which then stays.
+            let _ = std::fs::remove_dir(self.path.join(folder));
+        }
+        self.remove(&report_name(stage.stage))
+    }
+
+    /// The files that a stage made before, by name.
+    #[must_use]
+    pub fn made_before(&self, stage: &Belongings, earlier: Option<&Stage>) -> Vec<String> {
+        let killed = earlier.is_some_and(|stage| matches!(stage.state, State::Running | State::Interrupted));
+        let listed = |name: &String| earlier.is_some_and(|it| it.outputs.contains(name) || it.kept.contains(name));
+        let mut files = self.files_of(stage);
+        files.retain(|name| killed || listed(name) || self.is_usual(stage, name));
+        files
+    }
+
+    /// Removes a file, if it is there.
+    ///
+    /// # Errors
+    /// When it is there and cannot be removed.
+    pub fn remove(&self, name: &str) -> Result<()> {
+        let path = self.path.join(name);
+        match std::fs::remove_file(&path) {
+            Err(error) if error.kind() != std::io::ErrorKind::NotFound => Err(Error::file(
+                &path,
+                "remove",
+                &error,
+                "it is no longer true: remove it yourself, or correct the folder's permissions",
+            )),
+            _ => Ok(()),
+        }
+    }
+
+    /// Puts what a failed stage left under names that say so; what could be taken for its result goes away, but not the `others`,
+    /// which were there before. Returns the names of what is kept.
+    ///
+    /// # Errors
+    /// When a file cannot be renamed or removed.
+    pub fn set_aside(&self, stage: &Belongings, others: &[String]) -> Result<Vec<String>> {
+        let mut kept = Vec::new();
+        for name in self.files_of(stage).into_iter().filter(|name| !others.contains(name)) {
+            let is = |ending: &&&str| name == self.file_name(ending);
+            if let Some(ending) = stage.set_aside.iter().find(is) {
+                let aside = self.file_name(&failed(ending));
+                let (from, to) = (self.path.join(&name), self.path.join(&aside));
+                std::fs::rename(&from, &to)
+                    .map_err(|error| Error::file(&from, "rename", &error, "check the folder's permissions"))?;
+                kept.push(aside);
+            } else if name.contains('/') || stage.explains.iter().any(|ending| is(&ending)) {
+                kept.push(name);
+            } else {
+                self.remove(&name)?;
+            }
+        }
+        kept.sort();
+        Ok(kept)
+    }
+
+    /// What tells whether these files are still the same, by name.
+    #[must_use]
+    pub fn identities(&self, names: &[String]) -> std::collections::BTreeMap<String, Identity> {
+        names.iter().filter_map(|name| Some((name.clone(), Identity::of(&self.path.join(name))?))).collect()
+    }
+
+    /// Whether everything that a stage made is there as it was made.
+    #[must_use]
+    pub fn is_intact(&self, stage: &Stage) -> bool {
+        let same = |(name, identity): (&String, &Identity)| Identity::of(&self.path.join(name)) == Some(*identity);
+        stage.identities.len() == stage.outputs.len() && stage.identities.iter().all(same)
+    }
+
+    /// Removes the whole folder.
+    ///
+    /// # Errors
+    /// When it is no case's folder, another run works in it, or it cannot be removed.
+    pub fn clean(&self) -> Result<bool> {
+        if !self.path.exists() {
+            return Ok(false);
+        }
+        let known = STAGES.iter().any(|stage| !self.files_of(stage).is_empty());
+        if !known && !self.status_path().exists() && !self.path.join(LOCK).exists() {
+            return Err(Error::input(
+                format!("{}: holds no results of this project", self.path.display()),
+                "clean removes the whole folder of a case, and nothing else",
+                "check NAME and OUT, or remove the folder yourself",
+            ));
+        }
+        let _lock = self.lock()?;
+        std::fs::remove_dir_all(&self.path)
+            .map_err(|error| Error::file(&self.path, "remove", &error, "check the folder's permissions"))?;
+        Ok(true)
+    }
+}
+
+/// The ending of a file that is kept although a check failed.
+fn failed(ending: &str) -> String {
+    ending.rsplit_once('.').map_or_else(|| format!("{ending}.failed"), |(stem, kind)| format!("{stem}.failed.{kind}"))
+}
+
+/// Name of a stage's report within the folder of the case.
+#[must_use]
+pub fn report_name(stage: &str) -> String {
+    format!("{REPORTS}/{stage}.json")
+}
+
+/// A status whose run was killed, as it should have been left.
+fn interrupted(mut status: Status) -> Status {
+    let mut at = String::from("before its first stage");
+    for stage in status.stages.iter_mut().filter(|stage| stage.state == State::Running) {
+        stage.state = State::Interrupted;
+        at = format!("in {}", stage.stage);
+    }
+    status.verdict = Verdict::Interrupted;
+    status.headline = format!("The run was killed {at}; make it again.");
+    status.page = None;
+    status
+}

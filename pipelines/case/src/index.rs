@@ -1,0 +1,51 @@
+//! The index over all cases of a folder, from their status files.
+
+use crate::folder::CaseFolder;
+use crate::program::{self, Ended};
+use crate::stages::Programs;
+use isoparticles_common::error::{Error, Result};
+use std::ffi::OsString;
+use std::path::{Path, PathBuf};
+
+/// The status files of the cases in a folder, by name; runs that were killed are told as such.
+///
+/// # Errors
+/// When there is none, or one cannot be corrected.
+pub fn status_files(out: &Path) -> Result<Vec<PathBuf>> {
+    let entries = std::fs::read_dir(out).into_iter().flatten().flatten();
+    let mut names: Vec<String> = entries.map(|entry| entry.file_name().to_string_lossy().into_owned()).collect();
+    names.sort();
+    let mut files = Vec::new();
+    for name in names {
+        let folder = CaseFolder::new(out, &name);
+        if folder.settle()?.is_some() {
+            files.push(folder.status_path());
+        }
+    }
+    if files.is_empty() {
+        return Err(Error::input(
+            format!("{}: no cases", out.display()),
+            "the index is made from OUT/NAME/NAME.status.json",
+            "make a case first (make CASE=demo), or say where they are (OUT=...)",
+        ));
+    }
+    Ok(files)
+}
+
+/// Writes `index.html` (and `index.csv` beside it) over the cases in a folder.
+///
+/// # Errors
+/// When there are no cases, or the program fails.
+pub fn write(out: &Path, programs: &Programs) -> Result<PathBuf> {
+    let index = out.join("index.html");
+    let mut arguments: Vec<OsString> = status_files(out)?.into_iter().map(PathBuf::into_os_string).collect();
+    arguments.extend(["-o".into(), index.clone().into_os_string(), "--force".into()]);
+    match program::run(&programs.index(), &arguments)? {
+        Ended::Code(0) => Ok(index),
+        ended => Err(Error::input(
+            format!("{}: ended with {ended:?}", programs.index().display()),
+            "the index was not written",
+            "read what it said above",
+        )),
+    }
+}

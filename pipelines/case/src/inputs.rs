@@ -1,0 +1,198 @@
+//! The files that a case depends on: its volume, the data files of that, and every file that an option names.
+
+use crate::settings::Settings;
+use crate::status::{Identity, Input, Status};
+use isoparticles_common::error::{Error, Result};
+use isoparticles_common::io::data_files;
+use std::io::Read;
+use std::path::{Path, PathBuf};
+
+/// Role of the volume itself.
+pub const VOLUME: &str = "volume";
+/// Role of the files that a detached header names.
+const VOLUME_DATA: &str = "data of the volume";
+
+/// Options of a stage whose value is a file that it writes.
+const WRITTEN: [&str; 9] =
+    ["-o", "--output", "--report", "--log", "--checkpoint", "--pictures", "--json", "--write-volume", "--truth"];
+
+/// The volume with its data files, as they are now. What an earlier status knows of an unchanged file is not computed anew.
+///
+/// # Errors
+/// When a file cannot be read.
+pub fn of_volume(volume: &Path, before: Option<&Status>) -> Result<Vec<Input>> {
+    let mut inputs = vec![input(VOLUME, volume, before)?];
+    if volume.is_file() {
+        // A header that cannot be read is the stage's to explain.
+        for path in data_files(volume).unwrap_or_default().iter().filter(|path| path.is_file()) {
+            inputs.push(input(VOLUME_DATA, path, before)?);
+        }
+    }
+    Ok(inputs)
+}
+
+/// The files that the options under a key name, such as `DISTFIELD_OPTIONS`, with their data files.
+///
+/// # Errors
+/// When a file cannot be read.
+pub fn named_in(settings: &Settings, key: &str, before: Option<&Status>) -> Result<Vec<Input>> {
+    let role = format!("named in {key}");
+    let mut inputs = Vec::new();
+    for path in files_in_words(&settings.words(key)) {
+        inputs.push(input(&role, &path, before)?);
+        for data in data_files(&path).unwrap_or_default().iter().filter(|path| path.is_file()) {
+            inputs.push(input(&role, data, before)?);
+        }
+    }
+    Ok(inputs)
+}
+
+/// Every existing file or folder that a word names, as a whole or between `=`, `:` and `,`.
+fn files_in_words(words: &[String]) -> Vec<PathBuf> {
+    let mut found: Vec<PathBuf> = Vec::new();
+    let mut option = "";
+    for word in words {
+        let (name, value) = match word.split_once('=') {
+            Some((name, value)) if name.starts_with('-') => (name, value),
+            _ if word.starts_with('-') => (word.as_str(), ""),
+            _ => (option, word.as_str()),
+        };
+        option = if word.starts_with('-') { word } else { "" };
+        if WRITTEN.contains(&name) {
+            continue;
+        }
+        for path in parts(value).map(PathBuf::from) {
+            // A folder counts where an option takes a volume, which may be a folder of slices.
+            let counts = path.is_file() || (name.ends_with("-volume") && path.is_dir());
+            if counts && !found.contains(&path) {
+                found.push(path);
+            }
+        }
+    }
+    found
+}
+
+/// A word and all its parts from one separator to another.
+fn parts(word: &str) -> impl Iterator<Item = &str> {
+    let cut = |c: char| matches!(c, '=' | ':' | ',');
+    let starts = std::iter::once(0).chain(word.match_indices(cut).map(|(at, separator)| at + separator.len()));
+    let starts: Vec<usize> = starts.collect();
+    let ends: Vec<usize> = word.match_indices(cut).map(|(at, _)| at).chain(std::iter::once(word.len())).collect();
+    let pairs = starts
+        .into_iter()
+        .flat_map(move |start| ends.clone().into_iter().filter(move |end| *end > start).map(move |end| (start, end)));
+    pairs.map(|(start, end)| &word[start..end])
+}
+
+/// What is known of a file or folder now.
+fn input(role: &str, path: &Path, before: Option<&Status>) -> Result<Input> {
+    let unreadable = |error: &std::io::Error| Error::file(path, "read", error, "check its name and permissions");
+    let path = path.canonicalize().map_err(|error| unreadable(&error))?;
+    let role = role.to_owned();
+    if path.is_dir() {
+        let (bytes, hash) = hash_folder(&path).map_err(|error| unreadable(&error))?;
+        return Ok(Input { role, path, bytes, hash, modified: 0 });
+    }
+    let identity = Identity::of(&path).ok_or_else(|| {
+        Error::input(
+            format!("{}: is no ordinary file", path.display()),
+            "whether it changes between two runs cannot be seen",
+            "copy it into a file first",
+        )
+    })?;
+    let Identity { bytes, modified } = identity;
+    let known = before.and_then(|status| {
+        status.inputs.iter().find(|old| old.path == path && old.bytes == bytes && old.modified == modified)
+    });
+    let hash = match known {
+        Some(old) => old.hash.clone(),
+        None => hash_file(&path).map_err(|error| unreadable(&error))?,
+    };
+    Ok(Input { role, path, bytes, hash, modified })
+}
+
+/// BLAKE3 hash of a file's bytes, in hexadecimal.
+pub(crate) fn hash_file(path: &Path) -> std::io::Result<String> {
+    let mut hasher = blake3::Hasher::new();
+    hasher.update_reader(std::fs::File::open(path)?)?;
+    Ok(hasher.finalize().to_hex().to_string())
+}
+
+/// Bytes in all files under a folder, and the hash of their names and contents.
+fn hash_folder(folder: &Path) -> std::io::Result<(u64, String)> {
+    let (mut hasher, mut bytes) = (blake3::Hasher::new(), 0);
+    let mut folders = vec![folder.to_path_buf()];
+    let mut files = Vec::new();
+    while let Some(next) = folders.pop() {
+        for entry in std::fs::read_dir(next)? {
+            let path = entry?.path();
+            // a link to a folder may lead round in a circle
+            if path.is_dir() && !path.is_symlink() {
+                folders.push(path);
+            } else if path.is_file() {
+                files.push(path);
+            }
+        }
+    }
+    files.sort();
+    for file in files {
+        bytes += file.metadata()?.len();
+        hasher.update(file.strip_prefix(folder).unwrap_or(&file).as_os_str().as_encoded_bytes());
+        hasher.update(&[0]);
+        hasher.update(hash_file(&file)?.as_bytes());
+    }
+    Ok((bytes, hasher.finalize().to_hex().to_string()))
+}
+
+/// Hash of the files that are a program, in hexadecimal; a program that is not there counts as nothing.
+pub(crate) fn hash_program(files: &[PathBuf]) -> String {
+    let mut hasher = blake3::Hasher::new();
+    for file in files {
+        let mut content = Vec::new();
+        // What cannot be read cannot be run either, which is told when it is started.
+        let _ = std::fs::File::open(file).and_then(|mut file| file.read_to_end(&mut content));
+        hasher.update(&content.len().to_le_bytes()).update(&content);
+    }
+    hasher.finalize().to_hex().to_string()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn files_are_found_wherever_an_option_names_them() {
+        let folder = tempfile::tempdir().expect("folder");
+        let file = |name: &str| {
+            let path = folder.path().join(name);
+            std::fs::write(&path, name).expect("written");
+            path
+        };
+        let (mask, points, log) = (file("a mask.nrrd"), file("x,y=1.vtp"), file("log.csv"));
+        let words = [
+            "--refine".to_owned(),
+            format!("mask:{}=1.5", mask.display()),
+            format!("--refine=points:{}", points.display()),
+            "--log".to_owned(),
+            log.display().to_string(),
+            format!("--report={}", log.display()),
+            "--quality".to_owned(),
+            "fine".to_owned(),
+            folder.path().display().to_string(),
+        ];
+        assert_eq!(files_in_words(&words), [mask, points]);
+        let labels = ["--labels-volume".to_owned(), folder.path().display().to_string()];
+        assert_eq!(files_in_words(&labels), [folder.path()]);
+    }
+
+    #[test]
+    fn a_folder_counts_by_its_files() {
+        let folder = tempfile::tempdir().expect("folder");
+        std::fs::write(folder.path().join("1.dcm"), "one").expect("written");
+        let first = of_volume(folder.path(), None).expect("hashed");
+        std::fs::write(folder.path().join("2.dcm"), "two").expect("written");
+        let second = of_volume(folder.path(), None).expect("hashed");
+        assert_eq!((first[0].bytes, second[0].bytes), (3, 6));
+        assert_ne!(first[0].hash, second[0].hash);
+    }
+}

@@ -1,0 +1,192 @@
+//! What a user or a case file may set: every key with what it is and how its value is checked before any work.
+
+use isoparticles_common::error::{Error, Result};
+
+/// How a value is checked.
+#[derive(Clone, Copy, Debug)]
+pub enum Form {
+    /// Any text; the stage that takes it knows its grammar.
+    Text,
+    /// Words as a shell would split them: options of a program.
+    Words,
+    /// A finite number.
+    Number,
+    /// A finite number above 0.
+    Positive,
+    /// A finite number, 0 or above.
+    NotNegative,
+    /// A whole number from this one on.
+    Whole(u64),
+    /// One of these words.
+    OneOf(&'static [&'static str]),
+}
+
+/// One key.
+#[derive(Clone, Copy, Debug)]
+pub struct Key {
+    /// Name, as on the command line and in a case file.
+    pub name: &'static str,
+    /// How its value is checked.
+    pub form: Form,
+    /// What it is, in a few words, with its unit.
+    pub what: &'static str,
+}
+
+const fn key(name: &'static str, form: Form, what: &'static str) -> Key {
+    Key { name, form, what }
+}
+
+/// All keys, in the order in which they are told.
+pub const KEYS: [Key; 29] = [
+    key("CASE", Form::Text, "a file of pipelines/"),
+    key("NAME", Form::Text, "the name of the results"),
+    key("INPUT", Form::Text, "the volume to mesh"),
+    key("PHANTOM", Form::Words, "shape and options of the phantom program"),
+    key("ISO", Form::Number, "the iso value"),
+    key("LABELS", Form::Text, "the labels to mesh"),
+    key("INSIDE", Form::OneOf(&["above", "below"]), "the side of ISO that is the object"),
+    key("BORDER", Form::OneOf(&["cap", "open"]), "what happens where the volume cuts the object"),
+    key("SCALE", Form::NotNegative, "the size of the features to leave out, mm"),
+    key("EPSILON", Form::Positive, "edge length over local feature size"),
+    key("DELTA", Form::Positive, "the largest gradient of the edge length"),
+    key("SIZE", Form::Positive, "one edge length everywhere, mm"),
+    key("MIN_SIZE", Form::Positive, "the smallest edge length, mm"),
+    key("MAX_SIZE", Form::Positive, "the largest edge length, mm"),
+    key("VERTICES", Form::Whole(4), "the number of vertices of the surface"),
+    key("QUALITY", Form::OneOf(&["coarse", "medium", "fine"]), "how fine the mesh is"),
+    key("COUNT", Form::Whole(4), "the number of particles to seed"),
+    key("SEED", Form::Whole(0), "the seed of the random numbers"),
+    key("BACKEND", Form::OneOf(&["auto", "gpu", "cpu"]), "where the particles are moved"),
+    key("MAX_MEMORY", Form::Text, "the most memory that a stage may ask for, such as 8G"),
+    key("DISTFIELD_OPTIONS", Form::Words, "more options of distfield"),
+    key("SIZEFIELD_OPTIONS", Form::Words, "more options of sizefield"),
+    key("PARTICLES_OPTIONS", Form::Words, "more options of particles"),
+    key("RECONSTRUCT_OPTIONS", Form::Words, "more options of reconstruct"),
+    key("TETMESH_OPTIONS", Form::Words, "more options of tetmesh-check"),
+    key("OUT", Form::Text, "the folder of the results"),
+    key("THREADS", Form::Whole(0), "CPU threads, 0 for all cores"),
+    key("VERBOSITY", Form::Words, "-q, -v or -vv"),
+    key("HXT", Form::OneOf(&["yes", "no"]), "whether Gmsh may fill large surfaces"),
+];
+
+/// Keys that change no result, and so neither rerun a stage nor stand among the parameters.
+pub const WITHOUT_EFFECT: [&str; 5] = ["CASE", "OUT", "THREADS", "VERBOSITY", "MAX_MEMORY"];
+
+/// The key of a name, or an error with the nearest among the keys and the `other` names that the caller knows.
+///
+/// # Errors
+/// When there is no such key.
+pub fn find(name: &str, other: &[String], set_by: &str) -> Result<&'static Key> {
+    if let Some(key) = KEYS.iter().find(|key| key.name == name) {
+        return Ok(key);
+    }
+    let known = KEYS.iter().map(|key| key.name).chain(other.iter().map(String::as_str));
+    let nearest = nearest(name, known).map_or(String::new(), |near| format!("did you mean {near}? "));
+    Err(Error::input(
+        format!("{name}: no such variable ({set_by})"),
+        "it would be ignored, and the result would not be what was asked for",
+        format!("{nearest}`make help` lists them"),
+    ))
+}
+
+/// The candidate with the fewest edits from `name`, if it is near enough to be a slip of the keys.
+pub fn nearest<'a>(name: &str, candidates: impl Iterator<Item = &'a str>) -> Option<&'a str> {
+    let name = name.to_uppercase();
+    let distance = |candidate: &str| strsim::damerau_levenshtein(&name, candidate);
+    // Every third letter may be wrong, one in short names.
+    let most = (name.chars().count() / 3).max(1);
+    candidates.map(|candidate| (distance(candidate), candidate)).min().filter(|(d, _)| *d <= most).map(|(_, c)| c)
+}
+
+/// Checks a value.
+///
+/// # Errors
+/// When it does not have the key's form.
+pub fn check(key: &Key, value: &str, set_by: &str) -> Result<()> {
+    let must = match key.form {
+        Form::Text => None,
+        Form::Words => shlex::split(value).is_none().then(|| "options with every quote closed".to_owned()),
+        Form::Number => wrong_number(value, |_| true).then(|| "a number, such as 300 or -500.5".to_owned()),
+        Form::Positive => wrong_number(value, |x| x > 0.0).then(|| "a number above 0, such as 2.5".to_owned()),
+        Form::NotNegative => wrong_number(value, |x| x >= 0.0).then(|| "a number from 0 on, such as 2.5".to_owned()),
+        Form::Whole(least) => {
+            value.parse::<u64>().map_or(true, |n| n < least).then(|| format!("a whole number from {least} on"))
+        }
+        Form::OneOf(words) => (!words.contains(&value)).then(|| {
+            let near = nearest_word(value, words).map_or(String::new(), |near| format!(" (did you mean {near}?)"));
+            format!("one of {}{near}", words.join(", "))
+        }),
+    };
+    match must {
+        None => Ok(()),
+        Some(must) => Err(Error::input(
+            format!("{}={value} ({set_by}): not {}", key.name, form_in_words(key.form)),
+            format!("{} is {}", key.name, key.what),
+            format!("give {must}"),
+        )),
+    }
+}
+
+fn nearest_word<'a>(value: &str, words: &[&'a str]) -> Option<&'a str> {
+    let value = value.to_lowercase();
+    words.iter().copied().find(|word| strsim::damerau_levenshtein(&value, word) <= 2)
+}
+
+fn form_in_words(form: Form) -> &'static str {
+    match form {
+        Form::Text => "a text",
+        Form::Words => "a list of options",
+        Form::Number => "a number",
+        Form::Positive => "a number above 0",
+        Form::NotNegative => "a number from 0 on",
+        Form::Whole(_) => "a whole number in range",
+        Form::OneOf(_) => "a word that it takes",
+    }
+}
+
+fn wrong_number(value: &str, fits: impl Fn(f64) -> bool) -> bool {
+    !value.parse::<f64>().is_ok_and(|x| x.is_finite() && fits(x))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_slip_is_met_with_the_nearest_name() {
+        let other = ["BENCH_OPTIONS".to_owned()];
+        for (slip, meant) in [
+            ("SZIE", "SIZE"),
+            ("size", "SIZE"),
+            ("MINSIZE", "MIN_SIZE"),
+            ("LABEL", "LABELS"),
+            ("BENCH_OPTION", "BENCH_OPTIONS"),
+        ] {
+            let error = find(slip, &other, "on the command line").expect_err(slip);
+            assert!(error.next.contains(&format!("did you mean {meant}?")), "{slip}: {error}");
+        }
+        let error = find("ELEPHANTS", &other, "on the command line").expect_err("far from all");
+        assert!(!error.next.contains("did you mean"), "{error}");
+    }
+
+    #[test]
+    fn values_are_checked_by_their_form() {
+        let attempts = [
+            ("SIZE", "2.5", "-1"),
+            ("SIZE", "1e1", "abc"),
+            ("ISO", "-500", "abc"),
+            ("ISO", "0", "inf"),
+            ("SCALE", "0", "-0.1"),
+            ("THREADS", "0", "two"),
+            ("VERTICES", "20000", "3"),
+            ("BORDER", "open", "opened"),
+            ("TETMESH_OPTIONS", "--export 'inp,msh'", "--export 'inp"),
+        ];
+        for (name, good, bad) in attempts {
+            let key = find(name, &[], "here").expect(name);
+            check(key, good, "on the command line").expect(good);
+            let error = check(key, bad, "on the command line").expect_err(bad);
+            assert!(error.what.contains(&format!("{name}={bad}")) && error.next.starts_with("give "), "{error}");
+        }
+    }
+}

@@ -1,0 +1,170 @@
+//! The `isoparticles-case` program: what the Makefile does with one case.
+
+use clap::Parser;
+use isoparticles_case::folder::CaseFolder;
+use isoparticles_case::run::{self, Case, make, out, stage_of_goal};
+use isoparticles_case::settings::Settings;
+use isoparticles_case::stages::{Programs, Volume};
+use isoparticles_case::status::Status;
+use isoparticles_case::{index, name, program, verdict};
+use isoparticles_common::error::{Error, Result};
+use std::path::PathBuf;
+use std::process::ExitCode;
+
+/// Make a case: run the stages whose results are missing or no longer true, and keep the truth in OUT/NAME/NAME.status.json.
+///
+/// Goals: distfield, sizefield, seed, particles, surface, mesh (as far as that), page, verdict, info, clean, index.
+/// Exit codes: 0 made and every check passed; 1 made, but a check failed; 2 bad usage or input; 3 no usable GPU; 130 interrupted.
+///
+/// Example: isoparticles-case mesh INPUT=heart.nrrd LABELS=1 SIZE=2.5
+#[derive(Debug, Parser)]
+#[command(name = "isoparticles-case", version)]
+struct Arguments {
+    /// What to make.
+    goal: String,
+    /// What the user sets.
+    #[arg(value_name = "KEY=VALUE")]
+    set: Vec<String>,
+    /// Name of the case file that `--preset` comes from.
+    #[arg(long, value_name = "NAME")]
+    case_file: Option<String>,
+    /// What the case file sets, which gives way to the user.
+    #[arg(long, value_name = "KEY=VALUE", allow_hyphen_values = true)]
+    preset: Vec<String>,
+    /// Names that the caller knows besides the keys, for "did you mean".
+    #[arg(long, value_name = "NAME", num_args = 0.., value_delimiter = ' ')]
+    known: Vec<String>,
+    /// Folder of the stage programs.
+    #[arg(long, value_name = "DIR", default_value = "target/release")]
+    bin: PathBuf,
+    /// The program tetmesh-check; those of its pages lie beside it.
+    #[arg(long, value_name = "PROGRAM", default_value = ".venv/bin/tetmesh-check")]
+    tetmesh_check: PathBuf,
+    /// The files that tetmesh-check is made of, where the program itself does not hold it all; another content makes the tetrahedra anew.
+    #[arg(long, value_name = "FILE", num_args = 0..)]
+    tetmesh_files: Vec<PathBuf>,
+    /// The files that its page is made of.
+    #[arg(long, value_name = "FILE", num_args = 0..)]
+    page_files: Vec<PathBuf>,
+}
+
+fn main() -> ExitCode {
+    let arguments = match Arguments::try_parse() {
+        Ok(arguments) => arguments,
+        Err(error) => {
+            // clap sends help to stdout and usage errors to stderr; a closed pipe is no failure of ours.
+            let _ = error.print();
+            return ExitCode::from(if error.use_stderr() { 2 } else { 0 });
+        }
+    };
+    match go(arguments) {
+        Ok(code) => ExitCode::from(code),
+        Err(error) => {
+            eprintln!("error: {error}");
+            ExitCode::from(2)
+        }
+    }
+}
+
+fn go(arguments: Arguments) -> Result<u8> {
+    let settings = Settings::read(&arguments.set, &arguments.preset, arguments.case_file.as_deref(), &arguments.known)?;
+    let mut tetmesh_files = arguments.tetmesh_files;
+    if tetmesh_files.is_empty() {
+        tetmesh_files.push(arguments.tetmesh_check.clone());
+    }
+    let programs = Programs {
+        bin: arguments.bin,
+        tetmesh_check: arguments.tetmesh_check,
+        tetmesh_files,
+        page_files: arguments.page_files,
+    };
+    match arguments.goal.as_str() {
+        "index" => {
+            let index = index::write(&out(&settings), &programs)?;
+            println!("index       {}", index.display());
+            Ok(0)
+        }
+        "info" => info(settings, &programs),
+        "clean" => clean(&settings),
+        "verdict" => {
+            let folder = named(&settings)?;
+            // A question answered, whatever the answer.
+            print!("{}", verdict::closing(&folder, &run::status_of(&folder)?));
+            Ok(0)
+        }
+        "page" => {
+            let folder = named(&settings)?;
+            let status = run::page(&folder, &programs)?;
+            Ok(closing(&folder, &status))
+        }
+        goal => {
+            let stage = stage_of_goal(goal).ok_or_else(|| {
+                Error::input(
+                    format!("{goal}: no such goal"),
+                    "a case is made as far as one of its stages",
+                    "choose distfield, sizefield, seed, particles, surface, mesh, page, verdict, info, clean or index",
+                )
+            })?;
+            let case = Case::new(settings)?;
+            let status = make(&case, stage, &programs)?;
+            Ok(closing(&case.folder, &status))
+        }
+    }
+}
+
+/// The folder of a case that is told by name, or as for making it.
+fn named(settings: &Settings) -> Result<CaseFolder> {
+    match settings.get("NAME").or(settings.case_file()) {
+        Some(name) => {
+            name::check(name)?;
+            Ok(CaseFolder::new(&out(settings), name))
+        }
+        None => Ok(Case::new(settings.clone())?.folder),
+    }
+}
+
+/// The last lines on the terminal, and the exit code.
+fn closing(folder: &CaseFolder, status: &Status) -> u8 {
+    let code = verdict::exit_code(status);
+    let text = verdict::closing(folder, status);
+    if code == 0 {
+        print!("{text}")
+    } else {
+        eprint!("{text}")
+    }
+    code
+}
+
+fn clean(settings: &Settings) -> Result<u8> {
+    if settings.get("NAME").or(settings.case_file()).is_none() {
+        return Err(Error::input(
+            "neither CASE nor NAME is set",
+            "clean removes the folder of one case, and has to know which",
+            "make clean CASE=name, or make clean NAME=name",
+        ));
+    }
+    let folder = named(settings)?;
+    let word = if folder.clean()? { "removed" } else { "nothing in" };
+    println!("{word}     {}", folder.path.display());
+    Ok(0)
+}
+
+/// What the volume is, by `distfield --info`.
+fn info(settings: Settings, programs: &Programs) -> Result<u8> {
+    let case = Case::new(settings)?;
+    let volume = match &case.volume {
+        Volume::At(path) => path.clone(),
+        Volume::Phantom => run::output_of(&case.folder, "phantom"),
+    };
+    if case.volume == Volume::Phantom && !volume.exists() {
+        return Err(Error::input(
+            format!("{}: not made yet", volume.display()),
+            "the volume of this case is a phantom, which is made with the case",
+            "make distfield CASE=... first",
+        ));
+    }
+    match program::run(&programs.bin.join("distfield"), &[volume.into_os_string(), "--info".into()])? {
+        program::Ended::Code(code) => Ok(u8::try_from(code).unwrap_or(2)),
+        program::Ended::Signal(_) => Ok(130),
+    }
+}

@@ -1,0 +1,60 @@
+//! The name of a case, from that of its volume.
+
+use isoparticles_common::error::{Error, Result};
+use std::path::Path;
+
+/// Endings that say what a file is and so are no part of its name, longer ones first.
+const ENDINGS: [&str; 9] = [".seg.nrrd", ".nii.gz", ".nrrd", ".nhdr", ".nii", ".mha", ".mhd", ".vti", ".dcm"];
+
+/// The name of the results of a volume: that of its file or folder without an ending that is known.
+///
+/// # Errors
+/// When nothing is left that could name a folder.
+pub fn of_volume(path: &Path) -> Result<String> {
+    // `..` and `.` have a name only once they are resolved
+    let path = if path.file_name().is_some() { path.to_path_buf() } else { path.canonicalize().unwrap_or_default() };
+    let file = path.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
+    let lower = file.to_ascii_lowercase();
+    let ending = ENDINGS.iter().find(|ending| lower.ends_with(*ending) && lower.len() > ending.len());
+    let name = &file[..file.len() - ending.map_or(0, |ending| ending.len())];
+    check(name)?;
+    Ok(name.to_owned())
+}
+
+/// Checks that a name can be that of a folder within the results' folder.
+///
+/// # Errors
+/// When it is empty, hidden, or leads elsewhere.
+pub fn check(name: &str) -> Result<()> {
+    if name.is_empty() || name.starts_with(['.', '-']) || name.contains(['/', '\\', '\n']) {
+        return Err(Error::input(
+            format!("NAME={name}: cannot name the results"),
+            "they go to a folder of that name in OUT, and no further",
+            "give NAME=... with letters, digits, dots, blanks, - and _, and a letter or digit first",
+        ));
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_known_endings_are_taken_off() {
+        for (path, name) in [
+            ("a/patient.001.nrrd", "patient.001"),
+            ("patient.002.nii.gz", "patient.002"),
+            ("left lung.seg.nrrd", "left lung"),
+            ("CT.NRRD", "CT"),
+            ("series/", "series"),
+            ("v1.2", "v1.2"),
+            (".nrrd", ""),
+        ] {
+            match of_volume(Path::new(path)) {
+                Ok(found) => assert_eq!(found, name, "{path}"),
+                Err(error) => assert!(name.is_empty() && error.what.contains("NAME="), "{path}: {error}"),
+            }
+        }
+    }
+}

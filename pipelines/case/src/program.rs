@@ -1,0 +1,103 @@
+//! Running one program to its end, and passing on the signals that end a run.
+
+use isoparticles_common::error::{Error, Result};
+use std::ffi::OsString;
+use std::path::Path;
+use std::process::{Command, ExitStatus};
+use std::sync::Once;
+use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
+
+/// Process id of the program that runs now, 0 when none does.
+static RUNNING: AtomicU32 = AtomicU32::new(0);
+static REQUESTED: AtomicBool = AtomicBool::new(false);
+static INSTALL: Once = Once::new();
+
+/// Starts to listen for SIGINT, SIGTERM and SIGHUP, which from now on end the program that runs, and then this one.
+pub fn listen() {
+    INSTALL.call_once(|| {
+        // Without a handler this program ends at once, and the next run says that it was killed.
+        let _ = ctrlc::set_handler(|| {
+            REQUESTED.store(true, Ordering::SeqCst);
+            interrupt(RUNNING.load(Ordering::SeqCst));
+        });
+    });
+}
+
+/// Whether the user has asked to stop.
+#[must_use]
+pub fn stop_requested() -> bool {
+    REQUESTED.load(Ordering::SeqCst)
+}
+
+/// Takes note of the wish to stop, so that what is left to do is done; a second wish ends that, too.
+pub fn note_stop() {
+    REQUESTED.store(false, Ordering::SeqCst);
+}
+
+/// How a program ended.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Ended {
+    /// With an exit code.
+    Code(i32),
+    /// By a signal (its number; 0 where the system does not tell).
+    Signal(i32),
+}
+
+/// Runs a program to its end; it writes to this one's terminal.
+///
+/// # Errors
+/// When it cannot be started.
+pub fn run(program: &Path, arguments: &[OsString]) -> Result<Ended> {
+    let mut command = Command::new(program);
+    command.args(arguments).stdin(std::process::Stdio::null());
+    #[cfg(unix)]
+    {
+        // A group of its own: Ctrl-C reaches it through us, once. A second signal would end it without its last checkpoint.
+        use std::os::unix::process::CommandExt;
+        command.process_group(0);
+    }
+    let mut child = command.spawn().map_err(|error| {
+        Error::input(
+            format!("{}: cannot be started: {error}", program.display()),
+            "it makes the next result of the case",
+            "build it (make build env), or say where it is (BIN=..., TETMESH_CHECK=...)",
+        )
+    })?;
+    RUNNING.store(child.id(), Ordering::SeqCst);
+    if stop_requested() {
+        interrupt(child.id());
+    }
+    let status = child.wait();
+    RUNNING.store(0, Ordering::SeqCst);
+    let status = status.map_err(|error| {
+        Error::input(
+            format!("{}: cannot be waited for: {error}", program.display()),
+            "how it ended is not known",
+            "make the case again",
+        )
+    })?;
+    Ok(ended(status))
+}
+
+#[cfg(unix)]
+fn ended(status: ExitStatus) -> Ended {
+    use std::os::unix::process::ExitStatusExt;
+    status.code().map_or_else(|| Ended::Signal(status.signal().unwrap_or(0)), Ended::Code)
+}
+
+#[cfg(not(unix))]
+fn ended(status: ExitStatus) -> Ended {
+    status.code().map_or(Ended::Signal(0), Ended::Code)
+}
+
+#[cfg(unix)]
+fn interrupt(process: u32) {
+    use nix::sys::signal::{Signal, kill};
+    if let Some(process) = i32::try_from(process).ok().filter(|process| *process > 0) {
+        // Whatever has ended already needs no signal.
+        let _ = kill(nix::unistd::Pid::from_raw(process), Signal::SIGINT);
+    }
+}
+
+#[cfg(not(unix))]
+fn interrupt(_process: u32) {}

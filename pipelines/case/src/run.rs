@@ -1,0 +1,470 @@
+//! Making a case: which stages have to run, taking away what is no longer true, running them, and keeping the status.
+
+use crate::folder::{Belongings, CHECKPOINT, CaseFolder, PAGE, STAGES, belongings, report_name};
+use crate::inputs::{self, VOLUME, hash_program};
+use crate::program::{self, Ended};
+use crate::settings::Settings;
+use crate::stages::{Plan, Planned, Programs, Volume, plan};
+use crate::status::{FORMAT, Input, Problem, Stage, State, Status, VERSION, Verdict};
+use crate::{name, verdict};
+use isoparticles_common::error::{Error, Result};
+use std::io::Write;
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+/// One case, as far as it is known before any file is looked at.
+#[derive(Debug)]
+pub struct Case {
+    /// Where the results go.
+    pub folder: CaseFolder,
+    /// What is meshed.
+    pub volume: Volume,
+    /// What is set.
+    pub settings: Settings,
+}
+
+impl Case {
+    /// The case that the settings describe.
+    ///
+    /// # Errors
+    /// When there is no volume, or nothing that could name the results.
+    pub fn new(settings: Settings) -> Result<Self> {
+        let volume = match (settings.get("PHANTOM"), settings.get("INPUT")) {
+            (Some(_), _) => Volume::Phantom,
+            (None, Some(path)) => Volume::At(PathBuf::from(path)),
+            (None, None) => {
+                return Err(Error::input(
+                    "INPUT is not set",
+                    "it is the volume to mesh",
+                    "make mesh INPUT=v.nrrd ISO=300, or make CASE=name",
+                ));
+            }
+        };
+        let name = match (settings.get("NAME"), settings.case_file(), &volume) {
+            (Some(name), _, _) | (None, Some(name), _) => name.to_owned(),
+            (None, None, Volume::At(path)) => name::of_volume(path)?,
+            (None, None, Volume::Phantom) => "phantom".to_owned(),
+        };
+        name::check(&name)?;
+        let folder = CaseFolder::new(&out(&settings), &name);
+        Ok(Self { folder, volume, settings })
+    }
+
+    /// Checks what can be checked before any work.
+    fn check(&self) -> Result<()> {
+        if let Volume::At(path) = &self.volume
+            && !path.exists()
+        {
+            return Err(Error::input(
+                format!("{}: not found", path.display()),
+                "it is the volume to mesh",
+                "check INPUT; a case of pipelines/ looks for real volumes in DATA",
+            ));
+        }
+        let what = [self.settings.get("ISO"), self.settings.get("LABELS")];
+        if what == [None, None] {
+            return Err(Error::input(
+                "neither ISO nor LABELS is set",
+                "one of them says what in the volume is to be meshed",
+                "add ISO=value or LABELS=1,2 (make info INPUT=... says what there is)",
+            ));
+        }
+        if self.settings.get("LABELS").is_some() && self.settings.get("INSIDE").is_some() {
+            return Err(Error::input(
+                "INSIDE and LABELS are both set",
+                "INSIDE is the side of an iso value, and labels have none",
+                "keep INSIDE with ISO, or LABELS alone",
+            ));
+        }
+        Ok(())
+    }
+}
+
+/// The folder of the results.
+#[must_use]
+pub fn out(settings: &Settings) -> PathBuf {
+    PathBuf::from(settings.get("OUT").unwrap_or("out"))
+}
+
+/// Makes a case as far as `goal`, the name of a stage. The status tells how it went, also when a stage failed.
+///
+/// # Errors
+/// When nothing could be begun: nothing of an earlier run has been touched then.
+pub fn make(case: &Case, goal: &str, programs: &Programs) -> Result<Status> {
+    case.check()?;
+    let folder = &case.folder;
+    let _lock = if folder.path.is_dir() { Some(folder.lock()?) } else { None };
+    let before = Status::read(&folder.status_path());
+    let plan = plan(folder, &case.settings, &case.volume, programs, before.as_ref())?;
+    if let Some(before) = &before {
+        refuse_another_volume(case, before, &plan)?;
+    }
+    let _lock = match _lock {
+        Some(lock) => lock,
+        None => folder.lock()?,
+    };
+    program::listen();
+    let mut run = Run::begin(case, goal, plan, before)?;
+    run.go()?;
+    run.finish(programs)?;
+    Ok(run.status)
+}
+
+/// Refuses to put the results of one volume in place of those of another.
+fn refuse_another_volume(case: &Case, before: &Status, plan: &Plan) -> Result<()> {
+    let described = |input: Option<&Input>| input.map_or("a phantom".to_owned(), |it| it.path.display().to_string());
+    let then = before.volume().filter(|_| before.stage("phantom").is_none());
+    let now = plan.inputs.iter().find(|input| input.role == VOLUME);
+    let same = match (then, now) {
+        (Some(then), Some(now)) => then.path == now.path || then.hash == now.hash,
+        (then, now) => then.is_some() == now.is_some(),
+    };
+    if same {
+        return Ok(());
+    }
+    let name = &case.folder.name;
+    Err(Error::input(
+        format!(
+            "{}: holds the results of {}, and this run is over {}",
+            case.folder.path.display(),
+            described(then),
+            described(now),
+        ),
+        format!("both are called {name}, and one would replace the other"),
+        format!("give this run a name of its own (NAME=...), or remove the other's results (make clean NAME='{name}')"),
+    ))
+}
+
+/// A run under way.
+struct Run<'a> {
+    case: &'a Case,
+    plan: Plan,
+    status: Status,
+    /// The first stage to run, by position; behind the last where all is made.
+    next: usize,
+    /// Position of the stage to come to.
+    last: usize,
+}
+
+impl<'a> Run<'a> {
+    /// Finds out what still holds, marks the rest stale and takes it away.
+    fn begin(case: &'a Case, goal: &str, plan: Plan, before: Option<Status>) -> Result<Self> {
+        let folder = &case.folder;
+        let earlier = |planned: &Planned| before.as_ref().and_then(|status| status.stage(planned.name()));
+        let holds = |planned: &Planned| {
+            earlier(planned)
+                .is_some_and(|stage| stage.state == State::Done && stage.key == planned.key && folder.is_intact(stage))
+        };
+        let next = plan.stages.iter().position(|planned| !holds(planned)).unwrap_or(plan.stages.len());
+        let last = plan.stages.iter().position(|planned| planned.name() == goal).unwrap_or(plan.stages.len() - 1);
+        let mut stages = Vec::new();
+        for (position, planned) in plan.stages.iter().enumerate() {
+            stages.push(match earlier(planned) {
+                Some(stage) if position < next => Stage { made: false, ..stage.clone() },
+                Some(stage) if stage.state != State::NotReached => Stage::nothing(planned.name(), State::Stale),
+                _ => Stage::nothing(planned.name(), State::NotReached),
+            });
+        }
+        let mut inputs = plan.inputs.clone();
+        if next > 0 && case.volume == Volume::Phantom {
+            inputs.extend(before.as_ref().and_then(Status::volume).cloned());
+        }
+        let (page, page_key) = before.as_ref().map_or_else(Default::default, |b| (b.page.clone(), b.page_key.clone()));
+        let status = Status {
+            format: FORMAT.to_owned(),
+            version: VERSION,
+            name: folder.name.clone(),
+            goal: goal_of_stage(goal).to_owned(),
+            verdict: Verdict::Running,
+            headline: "A run is under way.".to_owned(),
+            inputs,
+            parameters: case.settings.parameters(),
+            stages,
+            page,
+            page_key,
+        };
+        let checkpoint = plan.stages.get(next).filter(|planned| {
+            planned.name() == "particles" && earlier(planned).is_some_and(|stage| stage.key == planned.key)
+        });
+        let checkpoint = checkpoint.is_some();
+        let mut run = Self { case, plan, status, next, last };
+        run.remove_stale(before.as_ref(), checkpoint)?;
+        Ok(run)
+    }
+
+    /// Takes away what the stages from the next one on made before; the checkpoint of this very run of `particles` may stay.
+    fn remove_stale(&mut self, before: Option<&Status>, checkpoint: bool) -> Result<()> {
+        let folder = &self.case.folder;
+        let earlier = |stage: &Belongings| before.and_then(|status| status.stage(stage.stage));
+        let holds = |stage: &Belongings| {
+            self.status.stage(stage.stage).is_some_and(|stage| stage.state == State::Done)
+                // a volume beside the results may be the user's own
+                || (stage.stage == "phantom" && self.case.volume != Volume::Phantom)
+        };
+        let stale: Vec<&Belongings> = STAGES.iter().filter(|stage| !holds(stage)).collect();
+        if stale.iter().any(|stage| !folder.made_before(stage, earlier(stage)).is_empty()) || self.next <= self.last {
+            self.status.page = None;
+            self.write()?;
+            folder.remove(&folder.file_name(PAGE))?;
+        }
+        for stage in stale {
+            let keep: &[&str] =
+                if stage.stage == "particles" && checkpoint { &[CHECKPOINT, "passes.csv"] } else { &[] };
+            folder.remove_files_of(stage, earlier(stage), keep)?;
+        }
+        self.write()
+    }
+
+    fn write(&self) -> Result<()> {
+        self.status.write(&self.case.folder.status_path())
+    }
+
+    /// Runs the stages that have to run, until one fails.
+    fn go(&mut self) -> Result<()> {
+        let confirmed: Vec<&str> = self.plan.stages[..self.next].iter().map(Planned::name).collect();
+        if !confirmed.is_empty() {
+            say(&format!("up to date: {}", confirmed.join(", ")));
+        }
+        for position in self.next..=self.last {
+            if program::stop_requested() {
+                self.status.stages[position].state = State::Interrupted;
+                break;
+            }
+            self.run_stage(position)?;
+            self.write()?;
+            if self.status.stages[position].state != State::Done {
+                break;
+            }
+        }
+        Ok(())
+    }
+
+    /// Runs one stage and notes how it went.
+    fn run_stage(&mut self, position: usize) -> Result<()> {
+        let (folder, planned) = (&self.case.folder, &self.plan.stages[position]);
+        let command = planned.command_line();
+        let key = planned.key.clone();
+        let stage =
+            Stage { made: true, command: Some(command.clone()), key, ..Stage::nothing(planned.name(), State::Running) };
+        self.status.stages[position] = stage.clone();
+        self.write()?;
+        say(&command);
+        // What is there and stays is the user's, but for the checkpoint and its log, with which a stopped run goes on.
+        let mut others = folder.files_of(planned.belongings);
+        others.retain(|name| !planned.belongings.explains.iter().any(|ending| *name == folder.file_name(ending)));
+        let started = Instant::now();
+        let ended = program::run(&planned.program, &planned.arguments);
+        let seconds = Some(started.elapsed().as_secs_f64());
+        let mut stage = Stage { seconds, ..stage };
+        let report = planned.report.as_deref().and_then(|name| Report::read(&folder.path.join(name)));
+        match ended {
+            Ok(ended) => judge(&mut stage, ended, report.as_ref(), &folder.file(planned.belongings.output)),
+            Err(error) => (stage.state, stage.error) = (State::Error, Some(problem(&error))),
+        }
+        if stage.state == State::Done {
+            // A finished run needs no checkpoint.
+            folder.remove(&folder.file_name(CHECKPOINT))?;
+            stage.outputs = folder.files_of(planned.belongings);
+            stage.outputs.retain(|name| !others.contains(name));
+            if planned.name() == "phantom" {
+                let path = folder.file(planned.belongings.output);
+                self.status.inputs.extend(inputs::of_volume(&path, None)?);
+            }
+        } else {
+            stage.kept = folder.set_aside(planned.belongings, &others)?;
+            if let Some(error) = &stage.error
+                && report.is_none()
+            {
+                complain(&format!(
+                    "error: {}\n  why it matters: {}\n  what to do: {}",
+                    error.what, error.why, error.next
+                ));
+            }
+            for kept in stage.kept.iter().filter(|name| name.contains(".failed.")) {
+                complain(&format!("{}: its output is kept as {}", stage.stage, folder.path.join(kept).display()));
+            }
+        }
+        stage.report = report_left(folder, planned, &stage);
+        stage.identities = folder.identities(&stage.outputs);
+        self.status.stages[position] = stage;
+        Ok(())
+    }
+
+    /// Comes to the verdict, and has the page made.
+    fn finish(&mut self, programs: &Programs) -> Result<()> {
+        program::note_stop();
+        (self.status.verdict, self.status.headline) = verdict::of(&self.status);
+        let folder = &self.case.folder;
+        let page = folder.file(PAGE);
+        let told = (&self.status.verdict, &self.status.stages, &self.status.parameters, &self.status.inputs);
+        let told = serde_json::to_string(&told).unwrap_or_default() + &hash_program(&programs.page_files);
+        // Which run made a result and which confirmed it makes no other page.
+        let told = told.replace("\"made\":true", "\"made\":false");
+        let key = blake3::hash(told.as_bytes()).to_hex().to_string();
+        if key == self.status.page_key && self.status.page.is_some() && page.exists() {
+            return self.write();
+        }
+        self.status.page_key = key;
+        make_page(folder, &mut self.status, programs)
+    }
+}
+
+/// Has the page of a status made, where its program is there, and writes the status with it.
+///
+/// # Errors
+/// When the status cannot be written, or an old page cannot be removed.
+pub fn make_page(folder: &CaseFolder, status: &mut Status, programs: &Programs) -> Result<()> {
+    let (program, page) = (programs.page(), folder.file_name(PAGE));
+    folder.remove(&page)?;
+    if !program.exists() {
+        status.page = None;
+        say(&format!("no page: {} is not there (make env)", program.display()));
+        return status.write(&folder.status_path());
+    }
+    status.page = Some(page.clone());
+    status.write(&folder.status_path())?;
+    let (from, to) = (folder.status_path().into_os_string(), folder.file(PAGE).into_os_string());
+    let ended = program::run(&program, &[from, "-o".into(), to, "--force".into()]);
+    if !matches!(ended, Ok(Ended::Code(0))) || !folder.file(PAGE).exists() {
+        complain(&format!("warning: {}: the page was not made", program.display()));
+        status.page = None;
+        folder.remove(&page)?;
+        status.write(&folder.status_path())?;
+    }
+    Ok(())
+}
+
+/// Name of the report that a stage left; that of `tetmesh-check` is a result, with a copy beside the other reports.
+fn report_left(folder: &CaseFolder, planned: &Planned, stage: &Stage) -> Option<String> {
+    let name = planned.report.clone()?;
+    let common = report_name(planned.name());
+    if name == common {
+        return folder.path.join(&name).is_file().then_some(name);
+    }
+    let left = stage.outputs.iter().chain(&stage.kept).find(|file| file.ends_with(".json"))?;
+    // The reports of all stages stand side by side for programs that compare them; the result is there without.
+    let _ = std::fs::copy(folder.path.join(left), folder.path.join(common));
+    Some(left.clone())
+}
+
+/// What a stage's report says of how it went.
+struct Report(serde_json::Value);
+
+impl Report {
+    fn read(path: &Path) -> Option<Self> {
+        Some(Self(serde_json::from_slice(&std::fs::read(path).ok()?).ok()?))
+    }
+
+    fn texts(&self, key: &str) -> Vec<String> {
+        let texts = self.0[key].as_array().map(Vec::as_slice).unwrap_or_default();
+        texts.iter().filter_map(|text| text.as_str().map(str::to_owned)).collect()
+    }
+
+    fn error(&self) -> Option<Problem> {
+        serde_json::from_value(self.0.get("error")?.clone()).ok()
+    }
+}
+
+/// Notes how a stage ended.
+fn judge(stage: &mut Stage, ended: Ended, report: Option<&Report>, output: &Path) {
+    if let Some(report) = report {
+        stage.warnings = report.texts("warnings");
+        stage.failed_checks = report.texts("failed_checks");
+        stage.error = report.error();
+    }
+    let name = &stage.stage;
+    let unexplained = |what: String, next: &str| {
+        let why = "its result is missing, and the stages after it need that".to_owned();
+        Some(Problem { what, why, next: next.to_owned() })
+    };
+    stage.exit_code = if let Ended::Code(code) = ended { Some(code) } else { None };
+    stage.state = match ended {
+        Ended::Code(0) if output.is_file() => State::Done,
+        Ended::Code(1) => State::Failed,
+        Ended::Code(130) => State::Interrupted,
+        Ended::Signal(_) if program::stop_requested() => State::Interrupted,
+        _ => State::Error,
+    };
+    if stage.state != State::Error || stage.error.is_some() {
+        return;
+    }
+    stage.error = match ended {
+        Ended::Code(0) => unexplained(
+            format!("{name}: ended well, but {} is not there", output.display()),
+            "make the case again; if it happens again, report this bug",
+        ),
+        Ended::Code(code) => unexplained(
+            format!("{name}: ended with exit code {code} and wrote no report"),
+            "read what it said above; it usually is an option that it does not know",
+        ),
+        Ended::Signal(signal) => unexplained(
+            format!("{name}: was ended by signal {signal}"),
+            "9 is sent when memory runs out: use a coarser mesh or a larger machine; else report this bug",
+        ),
+    };
+}
+
+fn problem(error: &Error) -> Problem {
+    Problem { what: error.what.clone(), why: error.why.clone(), next: error.next.clone() }
+}
+
+/// Prints a line on stdout.
+fn say(text: &str) {
+    // A closed pipe must not end the run.
+    let _ = writeln!(std::io::stdout(), "{text}");
+}
+
+/// Prints a line on stderr.
+fn complain(text: &str) {
+    let _ = writeln!(std::io::stderr(), "{text}");
+}
+
+/// The stage that a goal ends with.
+#[must_use]
+pub fn stage_of_goal(goal: &str) -> Option<&'static str> {
+    match goal {
+        "mesh" => Some("tetmesh-check"),
+        "surface" => Some("reconstruct"),
+        _ => STAGES.iter().map(|stage| stage.stage).find(|stage| *stage == goal && goal != "phantom"),
+    }
+}
+
+/// The goal that ends with a stage, by the name that is told.
+fn goal_of_stage(stage: &str) -> &str {
+    match stage {
+        "tetmesh-check" => "mesh",
+        "reconstruct" => "surface",
+        stage => stage,
+    }
+}
+
+/// The page of a case from its status as it stands.
+///
+/// # Errors
+/// When there is no status, or a run is under way.
+pub fn page(folder: &CaseFolder, programs: &Programs) -> Result<Status> {
+    let mut status = status_of(folder)?;
+    let _lock = folder.lock()?;
+    make_page(folder, &mut status, programs)?;
+    Ok(status)
+}
+
+/// The status of a case that was made before.
+///
+/// # Errors
+/// When there is none.
+pub fn status_of(folder: &CaseFolder) -> Result<Status> {
+    folder.settle()?.ok_or_else(|| {
+        Error::input(
+            format!("{}: not found", folder.status_path().display()),
+            "it is the truth about the case, and is written when the case is made",
+            "make the case first, or say which and where (CASE=..., NAME=..., OUT=...)",
+        )
+    })
+}
+
+/// Where the output of a stage is in the folder of a case.
+#[must_use]
+pub fn output_of(folder: &CaseFolder, stage: &str) -> PathBuf {
+    folder.file(belongings(stage).output)
+}

@@ -1,0 +1,170 @@
+//! What is set for a case, by whom, and what gives way to what.
+
+use crate::keys::{self, KEYS};
+use isoparticles_common::error::{Error, Result};
+use std::collections::BTreeMap;
+
+/// Who set a key.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum By {
+    /// The user, on the command line.
+    User,
+    /// The case file, or the Makefile's own default.
+    Case,
+}
+
+/// The keys that are set and what they are set to.
+#[derive(Clone, Debug, Default)]
+pub struct Settings {
+    values: BTreeMap<&'static str, (String, By)>,
+    case_file: Option<String>,
+}
+
+/// Two keys that say the same thing in two ways, and why they cannot both hold.
+const EXCLUSIVE: [(&str, &str, &str); 8] = [
+    ("INPUT", "PHANTOM", "a case has one volume: a file, or a phantom that is made"),
+    ("ISO", "LABELS", "a volume is meshed as a scalar or as labels"),
+    ("SIZE", "EPSILON", LEAVES_NOTHING),
+    ("SIZE", "DELTA", LEAVES_NOTHING),
+    ("SIZE", "MIN_SIZE", LEAVES_NOTHING),
+    ("SIZE", "MAX_SIZE", LEAVES_NOTHING),
+    ("SIZE", "QUALITY", LEAVES_NOTHING),
+    ("SIZE", "VERTICES", "each of them alone sets the edge length"),
+];
+const LEAVES_NOTHING: &str = "SIZE is one edge length everywhere and leaves nothing to grade or bound";
+
+/// What a case file says goes with another of its values that the user has replaced: (the user's key, the case's).
+const GOES_WITH: [(&str, &str); 5] = [
+    ("LABELS", "INSIDE"),
+    ("SIZE", "SCALE"),
+    ("VERTICES", "SCALE"),
+    ("VERTICES", "MIN_SIZE"),
+    ("VERTICES", "MAX_SIZE"),
+];
+
+impl Settings {
+    /// Reads `KEY=VALUE` assignments of the user and of the case file. What the user sets comes first: what the case file
+    /// says on the same matter is dropped. An empty value unsets a key.
+    ///
+    /// # Errors
+    /// An unknown key (with the nearest of the keys and `known`), a value of the wrong form, two keys of one hand that
+    /// exclude each other.
+    pub fn read(user: &[String], case: &[String], case_file: Option<&str>, known: &[String]) -> Result<Self> {
+        let mut settings = Self { case_file: case_file.map(str::to_owned), ..Self::default() };
+        for (assignments, by) in [(case, By::Case), (user, By::User)] {
+            for assignment in assignments {
+                let set_by = settings.hand(by);
+                let (name, value) = assignment.split_once('=').ok_or_else(|| {
+                    Error::input(
+                        format!("{assignment}: not a variable with a value ({set_by})"),
+                        "a case is told by variables",
+                        "write KEY=VALUE, such as SIZE=2.5",
+                    )
+                })?;
+                let (key, value) = (keys::find(name, known, &set_by)?, value.trim());
+                settings.values.remove(key.name);
+                if !value.is_empty() {
+                    keys::check(key, value, &set_by)?;
+                    settings.values.insert(key.name, (value.to_owned(), by));
+                }
+            }
+        }
+        settings.give_way()?;
+        Ok(settings)
+    }
+
+    /// The value of a key, if it is set and has not given way.
+    pub fn get(&self, key: &str) -> Option<&str> {
+        self.values.get(key).map(|(value, _)| value.as_str())
+    }
+
+    /// The words of a value that is a list of options.
+    pub fn words(&self, key: &str) -> Vec<String> {
+        // the form was checked on reading
+        self.get(key).and_then(shlex::split).unwrap_or_default()
+    }
+
+    /// The case file, as the user knows it.
+    pub fn case_file(&self) -> Option<&str> {
+        self.case_file.as_deref()
+    }
+
+    /// What is set and may change a result, for the status.
+    pub fn parameters(&self) -> BTreeMap<String, String> {
+        let told = KEYS.iter().filter(|key| !keys::WITHOUT_EFFECT.contains(&key.name));
+        told.filter_map(|key| Some((key.name.to_owned(), self.get(key.name)?.to_owned()))).collect()
+    }
+
+    fn by(&self, key: &str) -> Option<By> {
+        self.values.get(key).map(|(_, by)| *by)
+    }
+
+    /// Who set something, in words.
+    fn hand(&self, by: By) -> String {
+        match (by, &self.case_file) {
+            (By::User, _) => "on the command line".to_owned(),
+            (By::Case, Some(file)) => format!("in pipelines/{file}.mk"),
+            (By::Case, None) => "by default".to_owned(),
+        }
+    }
+
+    fn give_way(&mut self) -> Result<()> {
+        for (mine, other) in GOES_WITH {
+            if self.by(mine) == Some(By::User) && self.by(other) == Some(By::Case) {
+                self.values.remove(other);
+            }
+        }
+        for (one, two, why) in EXCLUSIVE {
+            match (self.by(one), self.by(two)) {
+                (Some(By::User), Some(By::Case)) => drop(self.values.remove(two)),
+                (Some(By::Case), Some(By::User)) => drop(self.values.remove(one)),
+                (Some(by), Some(_)) => {
+                    let value = |key| self.get(key).unwrap_or_default().to_owned();
+                    return Err(Error::input(
+                        format!("{one}={} and {two}={} are both set ({})", value(one), value(two), self.hand(by)),
+                        why,
+                        format!("keep {one} or {two}"),
+                    ));
+                }
+                _ => {}
+            }
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn read(user: &[&str], case: &[&str]) -> Result<Settings> {
+        let strings = |words: &[&str]| words.iter().map(|word| (*word).to_owned()).collect::<Vec<_>>();
+        Settings::read(&strings(user), &strings(case), Some("demo"), &[])
+    }
+
+    #[test]
+    fn a_case_file_gives_way_to_the_user() {
+        let case = ["ISO=170", "INSIDE=above", "MIN_SIZE=2", "SCALE=3", "SEED=4"];
+        let settings = read(&["SIZE=3"], &case).expect("SIZE against the case's MIN_SIZE");
+        assert_eq!((settings.get("SIZE"), settings.get("MIN_SIZE"), settings.get("SCALE")), (Some("3"), None, None));
+        assert_eq!((settings.get("ISO"), settings.get("SEED")), (Some("170"), Some("4")));
+        let settings = read(&["LABELS=left lung,2..5"], &case).expect("LABELS against the case's ISO");
+        assert_eq!((settings.get("ISO"), settings.get("INSIDE")), (None, None));
+        assert_eq!(settings.get("LABELS"), Some("left lung,2..5"));
+        let settings = read(&["MAX_SIZE=9"], &["SIZE=2"]).expect("MAX_SIZE against the case's SIZE");
+        assert_eq!(settings.get("SIZE"), None);
+        let settings = read(&["ISO="], &case).expect("an empty value unsets the case's");
+        assert_eq!(settings.get("ISO"), None);
+        assert_eq!(read(&["SEED=5"], &case).expect("the same key").get("SEED"), Some("5"));
+    }
+
+    #[test]
+    fn two_values_of_one_hand_that_exclude_each_other_are_refused() {
+        let error = read(&["SIZE=3", "MIN_SIZE=1"], &[]).expect_err("both by the user");
+        assert!(error.what.contains("SIZE=3 and MIN_SIZE=1") && error.what.contains("command line"), "{error}");
+        let error = read(&[], &["ISO=3", "LABELS=1"]).expect_err("both by the case");
+        assert!(error.what.contains("pipelines/demo.mk"), "{error}");
+        let error = read(&[], &["MIN_SZIE=3"]).expect_err("a slip in the case file");
+        assert!(error.what.contains("pipelines/demo.mk") && error.next.contains("MIN_SIZE"), "{error}");
+    }
+}

@@ -1,0 +1,263 @@
+//! The commands of a case's stages, and the hash that tells when one has to run again.
+
+use crate::folder::{Belongings, CHECKPOINT, CaseFolder, REPORT, STAGES, report_name};
+use crate::inputs::{self, hash_program};
+use crate::settings::Settings;
+use crate::status::{Input, Status};
+use isoparticles_common::error::{Error, Result};
+use std::ffi::OsString;
+use std::path::PathBuf;
+
+/// Where the programs of the stages are.
+#[derive(Clone, Debug)]
+pub struct Programs {
+    /// Folder of the Rust stages and of `phantom`.
+    pub bin: PathBuf,
+    /// `tetmesh-check`; its page and index programs lie beside it.
+    pub tetmesh_check: PathBuf,
+    /// The files that are `tetmesh-check`: another content makes other tetrahedra.
+    pub tetmesh_files: Vec<PathBuf>,
+    /// The files that are its page.
+    pub page_files: Vec<PathBuf>,
+}
+
+impl Programs {
+    /// The program that makes a page.
+    #[must_use]
+    pub fn page(&self) -> PathBuf {
+        self.beside("-page")
+    }
+
+    /// The program that makes the index.
+    #[must_use]
+    pub fn index(&self) -> PathBuf {
+        self.beside("-index")
+    }
+
+    fn beside(&self, ending: &str) -> PathBuf {
+        let mut name = self.tetmesh_check.clone().into_os_string();
+        name.push(ending);
+        PathBuf::from(name)
+    }
+}
+
+/// The volume of a case.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Volume {
+    /// A file or a folder.
+    At(PathBuf),
+    /// Made by the program `phantom`.
+    Phantom,
+}
+
+/// One stage, ready to run.
+#[derive(Debug)]
+pub struct Planned {
+    /// What belongs to it.
+    pub belongings: &'static Belongings,
+    /// The program.
+    pub program: PathBuf,
+    /// Its arguments.
+    pub arguments: Vec<OsString>,
+    /// Name of its report within the folder; none of the phantom.
+    pub report: Option<String>,
+    /// Hash of everything that its result depends on, earlier stages included.
+    pub key: String,
+}
+
+impl Planned {
+    /// Name of the stage.
+    #[must_use]
+    pub fn name(&self) -> &'static str {
+        self.belongings.stage
+    }
+
+    /// The command as it could be typed.
+    #[must_use]
+    pub fn command_line(&self) -> String {
+        let words = std::iter::once(self.program.as_os_str()).chain(self.arguments.iter().map(OsString::as_os_str));
+        let quoted = words.map(|word| {
+            let word = word.to_string_lossy();
+            shlex::try_quote(&word).map_or_else(|_| word.to_string(), |quoted| quoted.into_owned())
+        });
+        quoted.collect::<Vec<_>>().join(" ")
+    }
+}
+
+/// All stages of a case in order, and the files that they depend on.
+#[derive(Debug)]
+pub struct Plan {
+    /// The stages; `phantom` first where the volume is made.
+    pub stages: Vec<Planned>,
+    /// The volume and every file that an option names.
+    pub inputs: Vec<Input>,
+}
+
+/// Plans a case.
+///
+/// # Errors
+/// When a file that it depends on cannot be read, or is one of its own results.
+pub fn plan(
+    folder: &CaseFolder,
+    settings: &Settings,
+    volume: &Volume,
+    programs: &Programs,
+    before: Option<&Status>,
+) -> Result<Plan> {
+    let mut plan = Plan { stages: Vec::new(), inputs: Vec::new() };
+    let mut earlier = String::new();
+    for belongings in &STAGES {
+        let name = belongings.stage;
+        if name == "phantom" && *volume != Volume::Phantom {
+            continue;
+        }
+        let mut inputs = match (name, volume) {
+            ("distfield", Volume::At(path)) => inputs::of_volume(path, before)?,
+            _ => Vec::new(),
+        };
+        inputs.extend(inputs::named_in(settings, options_key(name), before)?);
+        let options = options(name, settings);
+        // Without Gmsh other tetrahedra come out of the same options.
+        let hxt = (name == "tetmesh-check").then(|| settings.get("HXT")).flatten();
+        let (program, files) = match name {
+            "tetmesh-check" => (programs.tetmesh_check.clone(), programs.tetmesh_files.clone()),
+            _ => (programs.bin.join(name), vec![programs.bin.join(name)]),
+        };
+        // A file counts by what it holds and how it is read, not by where it lies.
+        let contents: Vec<_> = inputs.iter().map(|input| (&input.hash, input.path.extension())).collect();
+        let text = format!("{name}\n{options:?}\n{hxt:?}\n{contents:?}\n{}\n{earlier}", hash_program(&files));
+        let key = blake3::hash(text.as_bytes()).to_hex().to_string();
+        earlier.clone_from(&key);
+        plan.inputs.extend(inputs);
+        let (arguments, report) = arguments(name, folder, volume, options, settings);
+        plan.stages.push(Planned { belongings, program, arguments, report, key });
+    }
+    refuse_own_results(folder, &plan.inputs)?;
+    Ok(plan)
+}
+
+/// The key of a stage's further options.
+fn options_key(stage: &str) -> &'static str {
+    match stage {
+        "phantom" => "PHANTOM",
+        "distfield" => "DISTFIELD_OPTIONS",
+        "sizefield" => "SIZEFIELD_OPTIONS",
+        "particles" => "PARTICLES_OPTIONS",
+        "reconstruct" => "RECONSTRUCT_OPTIONS",
+        "tetmesh-check" => "TETMESH_OPTIONS",
+        _ => "",
+    }
+}
+
+/// Options of a stage by the key that sets each; what is not set keeps the stage's own default.
+fn options_by_key(stage: &str) -> &'static [(&'static str, &'static str)] {
+    match stage {
+        "distfield" => &[("--iso", "ISO"), ("--labels", "LABELS"), ("--inside", "INSIDE"), ("--border", "BORDER")],
+        "sizefield" => &[
+            ("--epsilon", "EPSILON"),
+            ("--delta", "DELTA"),
+            ("--uniform", "SIZE"),
+            ("--min-size", "MIN_SIZE"),
+            ("--max-size", "MAX_SIZE"),
+            ("--vertices", "VERTICES"),
+            ("--quality", "QUALITY"),
+        ],
+        "seed" => &[("--count", "COUNT"), ("--seed", "SEED")],
+        "particles" => &[("--backend", "BACKEND"), ("--seed", "SEED")],
+        _ => &[],
+    }
+}
+
+/// What sets how much of the data a mesh shall keep (DESIGN, Scale), the first one that is set: options of `distfield` by their keys.
+const SCALE_BY_KEY: [(&str, &str); 3] =
+    [("--scale", "SCALE"), ("--scale-for-vertices", "VERTICES"), ("--quality", "QUALITY")];
+
+/// What a stage is told that may change its result.
+fn options(stage: &str, settings: &Settings) -> Vec<String> {
+    let mut words = Vec::new();
+    let mut add = |(option, key): &(&str, &str)| {
+        let value = settings.get(key);
+        words.extend(value.into_iter().flat_map(|value| [(*option).to_owned(), value.to_owned()]));
+        value.is_some()
+    };
+    for pair in options_by_key(stage) {
+        add(pair);
+    }
+    let more = settings.words(options_key(stage));
+    // Who asks for a scale among the further options has made the choice.
+    let chosen = more.iter().any(|word| word.starts_with("--scale") || word.starts_with("--quality"));
+    if stage == "distfield" && !chosen {
+        SCALE_BY_KEY.iter().any(add);
+    }
+    words.extend(more);
+    words
+}
+
+/// The whole command line of a stage, and the name of its report.
+fn arguments(
+    stage: &str,
+    folder: &CaseFolder,
+    volume: &Volume,
+    options: Vec<String>,
+    settings: &Settings,
+) -> (Vec<OsString>, Option<String>) {
+    let file = |ending: &str| folder.file(ending).into_os_string();
+    let word = OsString::from;
+    let (distfield, sizefield) = (file("distfield.vti"), file("sizefield.vti"));
+    let fields = [word("--distfield"), distfield.clone(), word("--sizefield"), sizefield.clone()];
+    let mut words: Vec<OsString> = match stage {
+        "phantom" => vec![word("--truth"), file("truth.json")],
+        "distfield" => match volume {
+            Volume::At(path) => vec![path.clone().into_os_string()],
+            Volume::Phantom => vec![file("nrrd")],
+        },
+        "sizefield" => vec![distfield],
+        "seed" => vec![distfield, sizefield],
+        "particles" => [file("seeds.bin")].into_iter().chain(fields).collect(),
+        "reconstruct" => [file("particles.bin")].into_iter().chain(fields).collect(),
+        _ => vec![file("surface.vtp"), word("--sizefield"), sizefield],
+    };
+    words.extend([word("-o"), file(crate::folder::belongings(stage).output)]);
+    if stage == "particles" {
+        // A run that was stopped goes on from its checkpoint.
+        let checkpoint = file(CHECKPOINT);
+        words.extend([word("--log"), file("passes.csv"), word("--checkpoint"), checkpoint, word("--resume")]);
+    }
+    words.extend(options.into_iter().map(OsString::from));
+    words.push(word("--force"));
+    if stage == "phantom" {
+        return (words, None);
+    }
+    let report = if stage == "tetmesh-check" {
+        words.extend([word("--pictures"), folder.path.join("pictures").into_os_string()]);
+        folder.file_name(REPORT)
+    } else {
+        report_name(stage)
+    };
+    words.extend(settings.words("VERBOSITY").into_iter().map(OsString::from));
+    if let Some(threads) = settings.get("THREADS") {
+        words.extend([word("--threads"), word(threads)]);
+    }
+    if let Some(memory) = settings.get("MAX_MEMORY").filter(|_| stage != "tetmesh-check") {
+        words.extend([word("--max-memory"), word(memory)]);
+    }
+    words.extend([word("--report"), folder.path.join(&report).into_os_string()]);
+    (words, Some(report))
+}
+
+/// Refuses inputs that this very case makes, and so would remove before it reads them.
+fn refuse_own_results(folder: &CaseFolder, inputs: &[Input]) -> Result<()> {
+    let Ok(path) = folder.path.canonicalize() else { return Ok(()) };
+    let own = |input: &&Input| {
+        let name = input.path.strip_prefix(&path).ok().map(|name| name.to_string_lossy().into_owned());
+        name.is_some_and(|name| STAGES.iter().any(|stage| folder.files_of(stage).contains(&name)))
+    };
+    match inputs.iter().find(own) {
+        None => Ok(()),
+        Some(input) => Err(Error::input(
+            format!("{}: is a result of the case {} itself", input.path.display(), folder.name),
+            "results that are no longer true are removed before a stage starts",
+            "copy the file elsewhere, or give this run a NAME of its own",
+        )),
+    }
+}

@@ -1,0 +1,109 @@
+//! What a status comes to: the verdict, its sentence, and the last lines on the terminal.
+
+use crate::folder::CaseFolder;
+use crate::status::{Stage, State, Status, Verdict};
+use std::fmt::Write;
+
+/// The verdict over the stages of a status, and the same in one sentence.
+#[must_use]
+pub fn of(status: &Status) -> (Verdict, String) {
+    let stages = &status.stages;
+    let at = |state: State| stages.iter().find(|stage| stage.state == state);
+    if let Some(stage) = at(State::Error) {
+        let what = stage.error.as_ref().map_or("no word of why", |error| error.what.as_str());
+        return (Verdict::Error, format!("{} could not do its work: {what}", stage.stage));
+    }
+    if let Some(stage) = at(State::Failed) {
+        return (Verdict::Failed, failed(stage));
+    }
+    if let Some(stage) = at(State::Interrupted) {
+        return (
+            Verdict::Interrupted,
+            format!("Stopped in {}; make it again, and it goes on from there.", stage.stage),
+        );
+    }
+    let made = stages.iter().rev().find(|stage| stage.state == State::Done);
+    let Some(made) = made else { return (Verdict::Interrupted, "Stopped before its first stage.".to_owned()) };
+    let result = match made.stage.as_str() {
+        "tetmesh-check" => "The surface and its tetrahedra are made",
+        "reconstruct" => "The surface is made",
+        "distfield" => "The distance field is made",
+        "sizefield" => "The size field is made",
+        "seed" => "The first particles are made",
+        "particles" => "The particles are settled",
+        _ => "The volume is made",
+    };
+    match stages.iter().map(|stage| stage.warnings.len()).sum() {
+        0 => (Verdict::Passed, format!("{result}; every check passed.")),
+        1 => (Verdict::Warning, format!("{result}; every check passed, with a warning.")),
+        count => (Verdict::Warning, format!("{result}; every check passed, with {count} warnings.")),
+    }
+}
+
+fn failed(stage: &Stage) -> String {
+    match stage.failed_checks.as_slice() {
+        [] => format!("{}: a check failed.", stage.stage),
+        [check] => format!("{}: a check failed: {check}", stage.stage),
+        [first, others @ ..] => format!("{}: {} checks failed: {first}; ...", stage.stage, others.len() + 1),
+    }
+}
+
+/// The last lines on the terminal: what came out, the warnings, the page.
+#[must_use]
+pub fn closing(folder: &CaseFolder, status: &Status) -> String {
+    let word = match status.verdict {
+        Verdict::Passed => "passed",
+        Verdict::Warning => "passed with warnings",
+        Verdict::Failed => "NOT FIT: a check failed",
+        Verdict::Error => "ERROR",
+        Verdict::Interrupted => "INTERRUPTED",
+        Verdict::Running => "still running",
+    };
+    let mut text = format!("\n{}: {word}\n  {}\n", status.name, status.headline);
+    let mut line = |label: &str, value: &dyn std::fmt::Display| {
+        // writing to a string cannot fail
+        let _ = writeln!(text, "  {label:<11} {value}");
+    };
+    let path = |name: &str| folder.path.join(name);
+    for (label, stage) in [("surface", "reconstruct"), ("tetrahedra", "tetmesh-check")] {
+        let done = status.stage(stage).filter(|stage| stage.state == State::Done);
+        if done.is_some() {
+            line(label, &folder.file(crate::folder::belongings(stage).output).display());
+        }
+    }
+    for stage in &status.stages {
+        for check in &stage.failed_checks {
+            line("failed", &format!("{}: {check}", stage.stage));
+        }
+        if let Some(error) = &stage.error {
+            line("what to do", &error.next);
+        }
+        for name in stage.kept.iter().filter(|name| !name.contains('/')) {
+            line("kept", &path(name).display());
+        }
+    }
+    for stage in &status.stages {
+        for warning in &stage.warnings {
+            line("warning", &format!("{}: {warning}", stage.stage));
+        }
+    }
+    line("status", &folder.status_path().display());
+    if let Some(page) = &status.page {
+        line("page", &path(page).display());
+    }
+    text
+}
+
+/// Exit code of a run that came to this verdict.
+#[must_use]
+pub fn exit_code(status: &Status) -> u8 {
+    match status.verdict {
+        Verdict::Passed | Verdict::Warning => 0,
+        Verdict::Failed => 1,
+        Verdict::Error => {
+            let gpu = status.stages.iter().any(|stage| stage.state == State::Error && stage.exit_code == Some(3));
+            if gpu { 3 } else { 2 }
+        }
+        Verdict::Interrupted | Verdict::Running => 130,
+    }
+}

@@ -1,0 +1,97 @@
+"""Processor time and memory of the stages on phantoms, from which the rates of src/info/cost.rs come.
+
+    python stages/distfield/benches/costs.py [--bin target/release]
+
+One line a case and group of stages: nodes of the padded grid, faces between voxels, vertices, processor seconds (user and system), peak memory.
+Then the rates, by least squares of relative errors over the cases: seconds for a million nodes, faces and vertices, bytes for each.
+Needs numpy; run it where nothing else runs.
+"""
+
+import argparse
+import json
+import os
+import subprocess
+import tempfile
+from pathlib import Path
+
+import numpy as np
+
+PHANTOMS = [
+    ("torso --part heart", "--iso=100", ""),
+    ("torso --part lungs", "--iso=-380", ""),
+    ("torso --part ribs", "--iso=370", ""),
+    ("torso --part ribs --kind label", "--labels=all", ""),
+    ("ball --size 96 --kind label", "--labels=1", ""),
+    ("ball --size 256", "--iso=100", ""),
+    ("ball --size 128", "--iso=100", "--uniform=1"),
+    ("gyroid --size 128 --kind label", "--labels=1", ""),
+    ("gyroid --size 160", "--iso=100", ""),
+    ("torus --size 160 --noise 40", "--iso=100", ""),
+]
+GROUPS = {"fields": (1, 1, 0), "particles": (0, 0, 1), "triangles": (1, 0, 1)}
+
+
+def measured(command: list[str]) -> tuple[float, int]:
+    """Processor seconds and peak memory in bytes of a program; exit code 1 (a check failed) is no failure here."""
+    with subprocess.Popen([str(word) for word in command], stdout=subprocess.DEVNULL) as process:
+        _, status, usage = os.wait4(process.pid, 0)
+        process.returncode = os.waitstatus_to_exitcode(status)
+    if process.returncode not in (0, 1):
+        raise SystemExit(f"{command}: exit code {process.returncode}")
+    return usage.ru_utime + usage.ru_stime, usage.ru_maxrss * 1024
+
+
+def run(binaries: Path, folder: Path, phantom: str, option: str, sizes: str) -> dict[str, list[float]]:
+    volume, f, s, seeds, p, mesh = (folder / name for name in ("v.nrrd", "f.vti", "s.vti", "seeds.bin", "p.bin", "m.vtp"))
+    report = folder / "r.json"
+    subprocess.run([binaries / "phantom", *phantom.split(), "-o", volume, "--force"], check=True)
+    told = subprocess.run([binaries / "distfield", volume, "--info", "--json", "-", "-q", option], check=True, capture_output=True)
+    info = json.loads(told.stdout)
+    area = info["objects"][0]["cost"]["area"]
+    spacing = np.array(info["spacing"])
+    nodes = float(np.prod(np.array(info["size"]) + 10))
+    faces = 1.5 * area / np.prod(spacing) ** (2 / 3)
+    ends = ["--force", "-q"]
+    steps = {
+        "fields": [
+            [binaries / "distfield", volume, "-o", f, option, *ends],
+            [binaries / "sizefield", f, "-o", s, *sizes.split(), *ends],
+            [binaries / "seed", f, s, "-o", seeds, *ends],
+        ],
+        "particles": [[binaries / "particles", seeds, "--distfield", f, "--sizefield", s, "-o", p, "--backend", "cpu", *ends]],
+        "triangles": [[binaries / "reconstruct", p, "--distfield", f, "--sizefield", s, "-o", mesh, "--report", report, *ends]],
+    }
+    found = {}
+    for group, commands in steps.items():
+        results = [measured(command) for command in commands]
+        found[group] = [sum(seconds for seconds, _ in results), max(memory for _, memory in results)]
+    vertices = json.loads(report.read_text())["results"]["check"]["vertices"]
+    return {group: [nodes, faces, vertices, *values] for group, values in found.items()}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--bin", type=Path, default=Path("target/release"))
+    binaries = parser.parse_args().bin
+    rows: dict[str, list[list[float]]] = {group: [] for group in GROUPS}
+    with tempfile.TemporaryDirectory() as folder:
+        for phantom, option, sizes in PHANTOMS:
+            for group, values in run(binaries, Path(folder), phantom, option, sizes).items():
+                rows[group].append(values)
+                nodes, faces, vertices, seconds, memory = values
+                print(f"{phantom:34} {group:10} {nodes:11,.0f} {faces:11,.0f} {vertices:9,.0f} {seconds:8.2f} s {memory / 2**20:7.0f} MiB", flush=True)
+    for group, used in GROUPS.items():
+        table = np.array(rows[group])
+        counts = table[:, :3] * np.array(used)
+        seconds, memory = table[:, 3], table[:, 4]
+        columns = [n for n in range(3) if used[n]]
+        time = np.linalg.lstsq(counts[:, columns] / seconds[:, None], np.ones(len(seconds)), rcond=None)[0]
+        with_base = np.column_stack([np.ones(len(memory)), counts[:, columns]])
+        space = np.linalg.lstsq(with_base / memory[:, None], np.ones(len(memory)), rcond=None)[0]
+        off = counts[:, columns] @ time / seconds, with_base @ space / memory
+        print(f"{group}: seconds a million {np.round(1e6 * time, 2)}, bytes {np.round(space, 1)}")
+        print(f"  predicted over measured: time {np.round(off[0], 2)}, memory {np.round(off[1], 2)}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,330 @@
+//! What `--scale` changed: the volume, the voxel centres that changed side and how deep they lay, and the parts that went, came apart or were joined,
+//! each with its place.
+
+use crate::bits::Bits;
+use crate::keep::parts_of_runs;
+use crate::occupancy::Occupancy;
+use crate::runs::Runs;
+use glam::DVec3;
+use isoparticles_common::error::Result;
+use isoparticles_common::geometry::Geometry;
+use rayon::prelude::*;
+use serde::Serialize;
+use std::collections::{BTreeMap, BTreeSet};
+
+/// Events that the report lists, of each kind; all are counted.
+const LISTED: usize = 20;
+
+/// Level of what is taken away, at most.
+const CLEARLY_OUTSIDE: f32 = 0.05;
+
+/// What happened to a part of the object.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Kind {
+    /// A part is in several pieces.
+    Broken,
+    /// A part is gone.
+    Gone,
+    /// Several parts are one.
+    Joined,
+    /// What reached further out of a part than the scale is gone.
+    Shortened,
+    /// A gap deeper than the scale is filled.
+    Filled,
+}
+
+/// Something that happened, and where.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Event {
+    /// What.
+    pub kind: Kind,
+    /// Volume of what is gone or filled, of the part that is broken, or of the parts that are joined, by the count of voxels, mm^3.
+    pub volume: f64,
+    /// Where: the mean of its voxel centres in the world, mm.
+    pub place: [f64; 3],
+    /// Pieces of what is broken, parts of what is joined, else 1.
+    pub pieces: usize,
+}
+
+/// Depth below the surface of the voxels (their faces), mm.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+pub struct Depth {
+    /// Mean.
+    pub mean: f64,
+    /// 99th percentile.
+    pub p99: f64,
+    /// Largest.
+    pub max: f64,
+}
+
+/// All that changed.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Changes {
+    /// Volume before, mm^3.
+    pub volume_before: f64,
+    /// Voxel centres that changed side.
+    pub voxels_changed: usize,
+    /// How deep those lay.
+    pub depth: Depth,
+    /// Parts before and after, by voxels with a face in common.
+    pub components: [usize; 2],
+    /// Euler characteristic of the solid (components less handles, and cavities) before and after, of voxels with a face in common.
+    pub euler: [i64; 2],
+    /// How many events of each kind.
+    pub counts: BTreeMap<Kind, usize>,
+    /// The events of the largest volumes, by kind.
+    pub events: Vec<Event>,
+}
+
+/// Takes away the parts where `level` is above zero whose volume (count of voxels, mm^3) is less than `smallest`, unless all are.
+///
+/// # Errors
+/// When the parts are too many to be told apart.
+pub fn remove_crumbs(level: &mut [f32], geometry: &Geometry, smallest: f64) -> Result<()> {
+    let inside = Runs::of(geometry.size, |n| level[n] > 0.0);
+    let part = parts_of_runs(&inside, geometry.size, &[])?;
+    let voxel = geometry.spacing.element_product();
+    let mut volume = vec![0.0; part.len()];
+    for (run, &part) in inside.all().iter().zip(&part) {
+        volume[part as usize] += run.columns().len() as f64 * voxel;
+    }
+    if volume.iter().all(|&volume| volume < smallest) {
+        return Ok(());
+    }
+    inside.each_in_nodes(|run, nodes| {
+        if volume[part[run] as usize] < smallest {
+            level[nodes].iter_mut().for_each(|value| *value = -CLEARLY_OUTSIDE - *value);
+        }
+    });
+    Ok(())
+}
+
+impl Changes {
+    /// What is different where `level` is above zero; `None` if it is so nowhere. `volume` is that of the whole object before, mm^3.
+    ///
+    /// # Errors
+    /// When the parts are too many to be told apart.
+    pub fn between(before: &Occupancy, level: &[f32], volume: f64, scale: f64) -> Result<Option<Self>> {
+        let geometry = &before.geometry;
+        let count = level.len();
+        let old = Bits::of(count, |n| before.is_inside(n));
+        let new = Bits::of(count, |n| level[n] > 0.0);
+        if new.count() == 0 {
+            return Ok(None);
+        }
+        let changed: Vec<usize> = (0..count).into_par_iter().filter(|&n| old.holds(n) != new.holds(n)).collect();
+        let mut depths: Vec<f64> = changed.par_iter().map(|&n| depth(&old, geometry, n)).collect();
+        depths.par_sort_by(f64::total_cmp);
+        let (mut events, components) = compare_parts(&old, &new, geometry)?;
+        events.extend(reaching_out(&old, &new, geometry, scale, Kind::Shortened)?);
+        events.extend(reaching_out(&new, &old, geometry, scale, Kind::Filled)?);
+        events.sort_by(|a, b| a.kind.cmp(&b.kind).then(b.volume.total_cmp(&a.volume)));
+        let mut counts = BTreeMap::new();
+        events.retain(|event| {
+            let number = counts.entry(event.kind).or_insert(0);
+            *number += 1;
+            *number <= LISTED
+        });
+        Ok(Some(Self {
+            volume_before: volume,
+            voxels_changed: changed.len(),
+            depth: Depth {
+                mean: depths.iter().sum::<f64>() / depths.len().max(1) as f64,
+                p99: depths.get(depths.len().saturating_sub(1) * 99 / 100).copied().unwrap_or(0.0),
+                max: depths.last().copied().unwrap_or(0.0),
+            },
+            components,
+            euler: [euler(&old, geometry.size), euler(&new, geometry.size)],
+            counts,
+            events,
+        }))
+    }
+}
+
+/// x, y and z index of a voxel.
+fn index(size: [usize; 3], n: usize) -> [usize; 3] {
+    [n % size[0], n / size[0] % size[1], n / (size[0] * size[1])]
+}
+
+/// Distance (mm) of a voxel's centre to the nearest voxel on the other side.
+fn depth(old: &Bits, geometry: &Geometry, n: usize) -> f64 {
+    let (size, spacing) = (geometry.size, geometry.spacing);
+    let (at, side) = (index(size, n), old.holds(n));
+    let mut best = f64::INFINITY;
+    let mut reach = 1;
+    while (reach as f64 - 0.5) * spacing.min_element() < best && reach < size.into_iter().max().unwrap_or(0) {
+        let span = |axis: usize| at[axis].saturating_sub(reach)..=(at[axis] + reach).min(size[axis] - 1);
+        for k in span(2) {
+            for j in span(1) {
+                let is_shell = k.abs_diff(at[2]) == reach || j.abs_diff(at[1]) == reach;
+                let step = if is_shell { 1 } else { 2 * reach };
+                // within the shell's inner rows its two ends alone are new
+                let first = if is_shell { *span(0).start() as isize } else { at[0] as isize - reach as isize };
+                for i in (first..=*span(0).end() as isize).step_by(step).filter(|&i| i >= 0) {
+                    let near = [i as usize, j, k];
+                    if old.holds((k * size[1] + j) * size[0] + near[0]) != side {
+                        let gap = |axis: usize| (near[axis].abs_diff(at[axis]) as f64 - 0.5).max(0.0) * spacing[axis];
+                        best = best.min(DVec3::new(gap(0), gap(1), gap(2)).length());
+                    }
+                }
+            }
+        }
+        reach += 1;
+    }
+    best
+}
+
+/// Voxels of a part, added up.
+#[derive(Clone, Copy, Default)]
+struct Sum {
+    voxels: usize,
+    place: DVec3,
+}
+
+impl Sum {
+    fn add(&mut self, row: [usize; 2], columns: std::ops::Range<usize>) {
+        let (count, ends) = (columns.len(), columns.start + columns.end);
+        let middle = 0.5 * (ends as f64 - 1.0);
+        self.voxels += count;
+        self.place += count as f64 * DVec3::new(middle, row[0] as f64, row[1] as f64);
+    }
+
+    fn event(&self, kind: Kind, pieces: usize, geometry: &Geometry) -> Event {
+        let centre = geometry.index_to_grid(self.place / self.voxels.max(1) as f64);
+        Event {
+            kind,
+            volume: self.voxels as f64 * geometry.spacing.element_product(),
+            place: geometry.grid_to_world(centre).to_array(),
+            pieces,
+        }
+    }
+}
+
+/// Parts of a set, by their first runs, with what they sum up to.
+struct Parts {
+    runs: Runs,
+    part: Vec<u32>,
+    sums: BTreeMap<u32, Sum>,
+}
+
+impl Parts {
+    fn of(bits: &Bits, size: [usize; 3]) -> Result<Self> {
+        let runs = Runs::of(size, |n| bits.holds(n));
+        let part = parts_of_runs(&runs, size, &[])?;
+        let mut sums: BTreeMap<u32, Sum> = BTreeMap::new();
+        runs.each_in_nodes(|run, nodes| {
+            let row = nodes.start / size[0];
+            sums.entry(part[run]).or_default().add([row % size[1], row / size[1]], runs.all()[run].columns());
+        });
+        Ok(Self { runs, part, sums })
+    }
+}
+
+/// Parts that are gone, in pieces or joined, and how many there were and are.
+fn compare_parts(old: &Bits, new: &Bits, geometry: &Geometry) -> Result<(Vec<Event>, [usize; 2])> {
+    let [_, ny, nz] = geometry.size;
+    let (before, after) = (Parts::of(old, geometry.size)?, Parts::of(new, geometry.size)?);
+    let both = Runs::of(geometry.size, |n| old.holds(n) && new.holds(n));
+    let mut became: BTreeMap<u32, BTreeSet<u32>> = BTreeMap::new();
+    let mut came_from: BTreeMap<u32, BTreeSet<u32>> = BTreeMap::new();
+    for row in 0..ny * nz {
+        for run in both.row(row) {
+            let node = row * geometry.size[0] + run.first as usize;
+            let Some((a, b)) = before.runs.find(node).zip(after.runs.find(node)) else { continue };
+            let (a, b) = (before.part[a], after.part[b]);
+            became.entry(a).or_default().insert(b);
+            came_from.entry(b).or_default().insert(a);
+        }
+    }
+    let mut events = Vec::new();
+    for (part, sum) in &before.sums {
+        match became.get(part).map_or(0, BTreeSet::len) {
+            0 => events.push(sum.event(Kind::Gone, 1, geometry)),
+            1 => {}
+            pieces => events.push(sum.event(Kind::Broken, pieces, geometry)),
+        }
+    }
+    for (part, from) in came_from.iter().filter(|(_, from)| from.len() > 1) {
+        events.push(after.sums[part].event(Kind::Joined, from.len(), geometry));
+    }
+    Ok((events, [before.sums.len(), after.sums.len()]))
+}
+
+/// Regions of voxels that are in `from` and not in `kept`, and further than the scale (mm) from the latter, step by step through them; parts of
+/// which nothing is kept are left out.
+fn reaching_out(from: &Bits, kept: &Bits, geometry: &Geometry, scale: f64, kind: Kind) -> Result<Vec<Event>> {
+    let size = geometry.size;
+    let gone = Runs::of(size, |n| from.holds(n) && !kept.holds(n));
+    let part = parts_of_runs(&gone, size, &[])?;
+    let neighbours = |n: usize| {
+        let at = index(size, n);
+        let stride = [1, size[0], size[0] * size[1]];
+        (0..3).flat_map(move |axis| {
+            let low = (at[axis] > 0).then(|| n - stride[axis]);
+            let high = (at[axis] + 1 < size[axis]).then(|| n + stride[axis]);
+            [low, high].into_iter().flatten()
+        })
+    };
+    let mut steps = vec![u32::MAX; gone.count];
+    let mut front = Vec::new();
+    gone.each_in_nodes(|_, nodes| {
+        for n in nodes.filter(|&n| neighbours(n).any(|near| kept.holds(near))) {
+            if let Some(number) = gone.number(n) {
+                steps[number] = 1;
+                front.push(n);
+            }
+        }
+    });
+    let most = scale / geometry.mean_spacing();
+    let mut far: BTreeMap<u32, (Sum, bool)> = BTreeMap::new();
+    let mut step = 1;
+    while !front.is_empty() {
+        let mut next = Vec::new();
+        for n in std::mem::take(&mut front) {
+            for near in neighbours(n) {
+                let Some(number) = gone.number(near).filter(|&number| steps[number] == u32::MAX) else { continue };
+                steps[number] = step + 1;
+                next.push(near);
+            }
+        }
+        step += 1;
+        front = next;
+    }
+    gone.each_in_nodes(|run, nodes| {
+        let row = nodes.start / size[0];
+        for n in nodes {
+            let steps = gone.number(n).map_or(u32::MAX, |number| steps[number]);
+            if steps < u32::MAX && 2.0 * f64::from(steps) > most {
+                let (sum, reaches) = far.entry(part[run]).or_default();
+                sum.add([row % size[1], row / size[1]], n % size[0]..n % size[0] + 1);
+                *reaches |= f64::from(steps) > most;
+            }
+        }
+    });
+    Ok(far.values().filter(|(_, reaches)| *reaches).map(|(sum, _)| sum.event(kind, 1, geometry)).collect())
+}
+
+/// Euler characteristic of the complex of the voxel centres inside: vertices less edges between neighbours, plus squares, less cubes.
+fn euler(inside: &Bits, size: [usize; 3]) -> i64 {
+    let [nx, ny, nz] = size;
+    let slices = (0..nz).into_par_iter().map(|k| {
+        let mut sum = 0i64;
+        for n in k * nx * ny..(k + 1) * nx * ny {
+            if !inside.holds(n) {
+                continue;
+            }
+            let at = index(size, n);
+            let holds = |x: usize, y: usize, z: usize| {
+                at[0] + x < nx && at[1] + y < ny && at[2] + z < nz && inside.holds(n + (z * ny + y) * nx + x)
+            };
+            let (x, y, z) = (holds(1, 0, 0), holds(0, 1, 0), holds(0, 0, 1));
+            let (xy, xz, yz) = (x && y && holds(1, 1, 0), x && z && holds(1, 0, 1), y && z && holds(0, 1, 1));
+            let cube = xy && xz && yz && holds(1, 1, 1);
+            let count = |cells: [bool; 3]| cells.into_iter().filter(|&cell| cell).count() as i64;
+            sum += 1 - count([x, y, z]) + count([xy, xz, yz]) - i64::from(cube);
+        }
+        sum
+    });
+    slices.sum()
+}

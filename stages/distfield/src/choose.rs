@@ -1,0 +1,264 @@
+//! How much of the data is kept: the options `--scale` and those that choose it, and what is told about it.
+
+use crate::changes::{Changes, Event, Kind};
+use crate::mask::Mask;
+use crate::occupancy::Occupancy;
+use crate::scalar::{ScalarOptions, check_scalar, from_voxels};
+use crate::scale::{SCALE_OVER_SIZE, Scale, edge_length, scaled};
+use crate::selection::noted;
+use crate::{Border, Inside, Keep, Redistanced};
+use isoparticles_common::cli::values::{not_negative, positive};
+use isoparticles_common::cli::{Context, METHOD};
+use isoparticles_common::error::{Error, Result};
+use isoparticles_common::geometry::Geometry;
+use isoparticles_common::image::Image;
+use isoparticles_common::io::volume::{LayerLabel, Volume, Voxels};
+use serde_json::{Value, json};
+
+/// How much of the data the surface keeps.
+#[derive(Clone, Debug, Default, clap::Args)]
+pub struct ScaleArgs {
+    /// Smooth away what is smaller than this, mm: a Gaussian of half of it, and the volume of each place kept. 0 keeps every voxel
+    /// centre of labels on its side, and a scalar volume's own isosurface. What that changed is reported [default: 0]
+    #[arg(long, value_name = "MM", value_parser = not_negative, help_heading = METHOD)]
+    pub scale: Option<f64>,
+    /// Choose the scale for a mesh of this edge length, mm: 1.6 times as long where voxel steps would show, else 0
+    #[arg(long, value_name = "MM", value_parser = positive, conflicts_with = "scale", help_heading = METHOD)]
+    pub scale_for_size: Option<f64>,
+    /// Choose the scale for a mesh of this number of vertices
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(4..), conflicts_with_all = ["scale", "scale_for_size"],
+        help_heading = METHOD)]
+    pub scale_for_vertices: Option<u64>,
+    /// Choose the scale for the smallest h of `sizefield --quality`: coarse is above the voxel steps, the others are not
+    #[arg(long, value_enum, value_name = "HOW", conflicts_with_all = ["scale", "scale_for_size", "scale_for_vertices"], help_heading = METHOD)]
+    pub quality: Option<Quality>,
+    /// Keep parts and gaps that are thinner than a mesh of the scale's edge length tells apart; they want a smaller h there
+    #[arg(long, help_heading = METHOD)]
+    pub keep_thin: bool,
+}
+
+/// Edge lengths up to this many voxels (mean spacing) show no steps.
+const FINE_ENOUGH: f64 = 1.0;
+
+/// The qualities of `sizefield`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+pub enum Quality {
+    /// A first look.
+    Coarse,
+    /// What the data can carry.
+    Medium,
+    /// Smoother than the data.
+    Fine,
+}
+
+impl Quality {
+    /// Smallest h over the mean voxel spacing, as in `sizefield`.
+    fn smallest_size(self) -> f64 {
+        match self {
+            Self::Coarse => 1.5,
+            Self::Medium => 0.75,
+            Self::Fine => 0.5,
+        }
+    }
+
+    fn name(self) -> &'static str {
+        match self {
+            Self::Coarse => "coarse",
+            Self::Medium => "medium",
+            Self::Fine => "fine",
+        }
+    }
+}
+
+/// A scale and why it is that.
+struct Choice {
+    length: f64,
+    reason: String,
+}
+
+/// Which object of a volume is meant.
+pub enum Object {
+    /// The union of labels.
+    Labels(Vec<LayerLabel>),
+    /// One side of an iso value.
+    Iso(f64, Inside),
+}
+
+impl ScaleArgs {
+    /// What of them belongs to the parameters of a run; nothing of a run without any.
+    pub fn add_to(&self, parameters: &mut Value) {
+        let given = [
+            ("scale", self.scale.map(Value::from)),
+            ("scale_for_size", self.scale_for_size.map(Value::from)),
+            ("scale_for_vertices", self.scale_for_vertices.map(Value::from)),
+            ("quality", self.quality.map(|quality| Value::from(quality.name()))),
+            ("keep_thin", self.keep_thin.then_some(Value::Bool(true))),
+        ];
+        for (name, value) in given {
+            if let Some(value) = value {
+                parameters[name] = value;
+            }
+        }
+    }
+
+    /// Whether any scale above 0 may come of them.
+    fn is_given(&self) -> bool {
+        let chosen = self.scale_for_size.is_some() || self.scale_for_vertices.is_some() || self.quality.is_some();
+        self.scale.is_some_and(|scale| scale > 0.0) || chosen
+    }
+
+    fn choose(&self, geometry: &Geometry, occupancy: &Occupancy) -> Result<Choice> {
+        let voxel = geometry.mean_spacing();
+        let for_length = |length: f64, whose: String| {
+            if length > FINE_ENOUGH * voxel {
+                let reason = format!(
+                    "{SCALE_OVER_SIZE} times {whose} which is longer than {FINE_ENOUGH} voxel of {voxel:.4} mm"
+                );
+                Choice { length: SCALE_OVER_SIZE * length, reason }
+            } else {
+                Choice {
+                    length: 0.0,
+                    reason: format!("{whose} is no longer than {FINE_ENOUGH} voxel of {voxel:.4} mm"),
+                }
+            }
+        };
+        if let Some(size) = self.scale_for_size {
+            return Ok(for_length(size, format!("the edge length asked for, {size} mm,")));
+        }
+        if let Some(vertices) = self.scale_for_vertices {
+            let length = edge_length(occupancy, vertices as f64, self.keep_thin)?
+                .ok_or_else(|| nothing_left(format!("a mesh of {vertices} vertices"), "ask for more vertices"))?;
+            return Ok(for_length(length, format!("the edge length of {vertices} vertices, {length:.4} mm,")));
+        }
+        if let Some(quality) = self.quality {
+            let smallest = quality.smallest_size() * voxel;
+            return Ok(for_length(
+                smallest,
+                format!("the smallest h of quality {}, {smallest:.4} mm,", quality.name()),
+            ));
+        }
+        Ok(Choice { length: self.scale.unwrap_or(0.0), reason: "given".into() })
+    }
+}
+
+fn nothing_left(by: String, next: &str) -> Error {
+    Error::input(
+        format!("{by} can carry nothing of the object"),
+        "parts smaller than the edge length are smoothed away, and all are",
+        format!("{next}, choose a smaller --scale, or give --keep-thin"),
+    )
+}
+
+/// F of the smoothed object, and what to note about it; the volume back where the scale is 0.
+///
+/// # Errors
+/// Where [`from_voxels`] and the check of labels fail, and when nothing is left.
+pub fn extract_scaled(
+    args: &ScaleArgs,
+    volume: Volume,
+    object: &Object,
+    (border, margin, keep): (Border, usize, Keep),
+    context: &Context,
+) -> Result<std::result::Result<(Redistanced, Value), Volume>> {
+    if !args.is_given() {
+        return Ok(Err(volume));
+    }
+    let step = context.step("scale");
+    let (volume, occupancy) = occupancy(volume, object)?;
+    let Choice { length, reason } = args.choose(&volume.geometry, &occupancy)?;
+    context.summary("scale, mm", format!("{length:.4} ({reason})"));
+    context.set_parameter("scale", length);
+    context.set_parameter("scale_reason", reason.clone());
+    if length == 0.0 {
+        return Ok(Err(volume));
+    }
+    let mut meta = match object {
+        Object::Labels(labels) => {
+            let told = noted(labels, &volume);
+            context.set_parameter("labels", told.clone());
+            json!({ "source": "labels", "labels": told })
+        }
+        Object::Iso(iso, inside) => {
+            json!({ "source": "scalar", "iso": iso, "inside": crate::run::inside_name(*inside) })
+        }
+    };
+    let geometry = volume.geometry;
+    drop((volume.voxels, volume.more_layers));
+    let keep_thin = args.keep_thin;
+    let smoothed = scaled(occupancy, Scale { length, keep_thin })?
+        .ok_or_else(|| nothing_left(format!("a mesh of edge length {length:.4} mm"), "ask for a finer mesh"))?;
+    drop(step);
+    tell(&smoothed.changes, length, context);
+    meta["scale"] = json!(length);
+    meta["scale_reason"] = json!(reason);
+    meta["keep_thin"] = json!(keep_thin);
+    meta["volume_before"] = json!(smoothed.changes.volume_before);
+    meta["scale_changes"] = json!(smoothed.changes);
+    let options = ScalarOptions { inside: Inside::Above, border, margin, keep };
+    let result = from_voxels(Voxels::F32(smoothed.level.data), geometry, 0.0, &options, context)?;
+    Ok(Ok((result, meta)))
+}
+
+fn occupancy(volume: Volume, object: &Object) -> Result<(Volume, Occupancy)> {
+    match object {
+        Object::Labels(labels) => {
+            let image = Image { data: volume.label_mask(labels), geometry: volume.geometry.clone() };
+            Ok((volume, Occupancy::of_mask(&Mask::from(&image))))
+        }
+        Object::Iso(iso, inside) => {
+            let volume = check_scalar(volume, *iso, *inside)?;
+            let occupancy = Occupancy::of_scalar(&volume.voxels, &volume.geometry, *iso, *inside);
+            Ok((volume, occupancy))
+        }
+    }
+}
+
+/// Events of a kind that are named on the terminal.
+const NAMED: usize = 3;
+
+/// Says what the scale changed.
+fn tell(changes: &Changes, length: f64, context: &Context) {
+    let depth = changes.depth;
+    context.summary(
+        "voxel centres that changed side",
+        format!(
+            "{}, {:.3} mm deep on average, 99 % within {:.3} mm, the deepest {:.3} mm",
+            changes.voxels_changed, depth.mean, depth.p99, depth.max
+        ),
+    );
+    let ([before, after], [euler_before, euler_after]) = (changes.components, changes.euler);
+    context.summary("components of the data", format!("{before} -> {after}"));
+    context.summary("Euler characteristic of the data (solid)", format!("{euler_before} -> {euler_after}"));
+    for (&kind, &count) in &changes.counts {
+        let events: Vec<&Event> = changes.events.iter().filter(|event| event.kind == kind).take(NAMED).collect();
+        let named: Vec<String> = events.iter().map(|event| event_told(event)).collect();
+        let more = if count > named.len() { format!(", and {} more", count - named.len()) } else { String::new() };
+        let what = match kind {
+            Kind::Broken => "parts come in pieces",
+            Kind::Gone => "parts are gone",
+            Kind::Joined => "parts are joined to others",
+            Kind::Shortened => "thin ends are gone",
+            Kind::Filled => "narrow gaps are filled",
+        };
+        let said = format!("at a scale of {length:.4} mm {what} ({count}): {}{more}", named.join("; "));
+        let voxel_small = events.iter().all(|event| event.volume < length.powi(3) * SMALL);
+        if voxel_small && matches!(kind, Kind::Gone) {
+            context.info(said);
+        } else {
+            context.warn(format!("{said}; a smaller --scale or --keep-thin keeps more"));
+        }
+    }
+}
+
+/// Volume of what may go without a warning, in cubes of the scale: specks.
+const SMALL: f64 = 0.1;
+
+fn event_told(event: &Event) -> String {
+    let [x, y, z] = event.place;
+    let pieces = match event.kind {
+        Kind::Broken => format!(" in {} pieces", event.pieces),
+        Kind::Joined => format!(" of {} parts", event.pieces),
+        _ => String::new(),
+    };
+    format!("{:.4} mm^3{pieces} round ({x:.1}, {y:.1}, {z:.1})", event.volume)
+}

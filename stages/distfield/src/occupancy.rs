@@ -1,0 +1,130 @@
+//! What share of each voxel is inside the object: all or nothing for labels, to first order for a scalar volume. That, and not the intensity, is
+//! what is smoothed: the surface of a scale of nothing is then the isosurface whatever lies far above or below the iso value (metal, air), and
+//! labels and scalars go one way.
+
+use crate::Inside;
+use crate::mask::Mask;
+use isoparticles_common::geometry::Geometry;
+use isoparticles_common::io::volume::Voxels;
+use rayon::prelude::*;
+
+/// The share of a voxel that is inside as a whole.
+pub const WHOLE: u8 = u8::MAX;
+
+/// Smallest share of a voxel whose centre is inside.
+const CENTRE_INSIDE: u8 = WHOLE / 2 + 1;
+
+/// Shares of the voxels of a grid that are inside.
+pub struct Occupancy {
+    /// The grid.
+    pub geometry: Geometry,
+    /// The shares, 0 to [`WHOLE`].
+    pub shares: Vec<u8>,
+}
+
+impl Occupancy {
+    /// Of the union of labels.
+    pub fn of_mask(mask: &Mask) -> Self {
+        let mut shares = vec![0; mask.geometry.voxel_count()];
+        shares.par_iter_mut().enumerate().for_each(|(n, share)| *share = if mask.inside.holds(n) { WHOLE } else { 0 });
+        Self { geometry: mask.geometry.clone(), shares }
+    }
+
+    /// Of one side of an iso value: where the value changes by w across a voxel, v of it above the iso value at its centre, 1/2 + v / w of the voxel is
+    /// above.
+    pub fn of_scalar(voxels: &Voxels, geometry: &Geometry, iso: f64, inside: Inside) -> Self {
+        let [nx, ny, nz] = geometry.size;
+        let plane = nx * ny;
+        let sign = if inside == Inside::Above { 1.0 } else { -1.0 };
+        let mut shares = vec![0; geometry.voxel_count()];
+        shares.par_chunks_mut(plane).enumerate().for_each(|(k, own)| {
+            let slice = |k: usize| {
+                let mut values = vec![0.0; plane];
+                voxels.copy_as_f32(k * plane, &mut values);
+                values
+            };
+            let (below, here, above) = (slice(k.saturating_sub(1)), slice(k), slice((k + 1).min(nz - 1)));
+            for (n, share) in own.iter_mut().enumerate() {
+                let (i, j) = (n % nx, n / nx);
+                let across = |low: f32, high: f32| 0.5 * (f64::from(high) - f64::from(low)).abs();
+                let width = across(here[n - usize::from(i > 0)], here[n + usize::from(i + 1 < nx)])
+                    + across(here[n - nx * usize::from(j > 0)], here[n + nx * usize::from(j + 1 < ny)])
+                    + across(below[n], above[n]);
+                let value = sign * (f64::from(here[n]) - iso);
+                let part = (0.5 + value / width.max(f64::MIN_POSITIVE)).clamp(0.0, 1.0);
+                let whole = (part * f64::from(WHOLE)).round() as u8;
+                *share = if value > 0.0 { whole.max(CENTRE_INSIDE) } else { whole.min(CENTRE_INSIDE - 1) };
+            }
+        });
+        Self { geometry: geometry.clone(), shares }
+    }
+
+    /// Whether the centre of a voxel is inside.
+    pub fn is_inside(&self, voxel: usize) -> bool {
+        self.shares[voxel] >= CENTRE_INSIDE
+    }
+
+    /// Volume inside, mm^3.
+    pub fn volume(&self) -> f64 {
+        let sum: u64 = self.shares.par_iter().map(|&share| u64::from(share)).sum();
+        sum as f64 / f64::from(WHOLE) * self.geometry.spacing.element_product()
+    }
+
+    /// The same on voxels twice as long along each axis; those at the upper faces may reach beyond the grid.
+    pub fn halved(&self) -> Self {
+        let [nx, ny, nz] = self.geometry.size;
+        let size = self.geometry.size.map(|n| n.div_ceil(2));
+        let mut shares = vec![0; size.iter().product()];
+        shares.par_iter_mut().enumerate().for_each(|(n, share)| {
+            let (i, j, k) = (2 * (n % size[0]), 2 * (n / size[0] % size[1]), 2 * (n / (size[0] * size[1])));
+            let (mut sum, mut count) = (0u32, 0);
+            for k in k..(k + 2).min(nz) {
+                for j in j..(j + 2).min(ny) {
+                    let row = &self.shares[(k * ny + j) * nx..][..nx];
+                    row[i..(i + 2).min(nx)]
+                        .iter()
+                        .for_each(|&share| (sum, count) = (sum + u32::from(share), count + 1));
+                }
+            }
+            *share = (sum / count) as u8;
+        });
+        Self { geometry: Geometry { size, spacing: 2.0 * self.geometry.spacing, ..self.geometry.clone() }, shares }
+    }
+
+    /// First and last voxel along each axis of the box that holds all that is inside, if anything is.
+    pub fn extent(&self) -> Option<([usize; 3], [usize; 3])> {
+        let [nx, ny, _] = self.geometry.size;
+        let slices = self.shares.par_chunks(nx * ny).enumerate().filter_map(|(k, slice)| {
+            let inside = slice.iter().enumerate().filter(|(_, share)| **share > 0).map(|(n, _)| [n % nx, n / nx, k]);
+            inside.map(|at| (at, at)).reduce(around)
+        });
+        slices.reduce_with(around)
+    }
+}
+
+/// The box round two boxes.
+fn around(a: ([usize; 3], [usize; 3]), b: ([usize; 3], [usize; 3])) -> ([usize; 3], [usize; 3]) {
+    (std::array::from_fn(|axis| a.0[axis].min(b.0[axis])), std::array::from_fn(|axis| a.1[axis].max(b.1[axis])))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use glam::DVec3;
+
+    #[test]
+    fn a_plane_leaves_the_share_of_each_voxel_below_it() {
+        let geometry = Geometry::axis_aligned([4, 4, 8], DVec3::new(1.0, 2.0, 0.5));
+        let values = (0..geometry.voxel_count()).map(|n| 10.0 * (n / 16) as f32).collect();
+        for (inside, want) in
+            [(Inside::Above, [0, 0, 0, 51, 255, 255, 255, 255]), (Inside::Below, [255, 255, 255, 204, 0, 0, 0, 0])]
+        {
+            let occupancy = Occupancy::of_scalar(&Voxels::F32(Vec::clone(&values)), &geometry, 33.0, inside);
+            let column: Vec<u8> = (0..8).map(|k| occupancy.shares[16 * k + 5]).collect();
+            assert_eq!(column, want, "{inside:?}");
+            assert_eq!(occupancy.is_inside(16 * 3 + 5), inside == Inside::Below);
+            let depth = if inside == Inside::Above { 4.2 } else { 3.8 };
+            assert!((occupancy.volume() / (16.0 * depth) - 1.0).abs() < 1e-9);
+        }
+    }
+}

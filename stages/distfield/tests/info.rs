@@ -1,0 +1,222 @@
+//! `--info`, and what is refused by the same judgement: labels of a scan, an iso value of labels, more memory than allowed.
+
+use isoparticles_common::io::field::{Field, FieldKind, read_field};
+use serde_json::Value;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+
+fn distfield(arguments: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_distfield")).args(arguments).output().expect("the program runs")
+}
+
+/// A raw NRRD file of 16-bit numbers in LPS, spacing 1 x 1 x 2 mm.
+fn write_nrrd(path: &Path, size: [usize; 3], value: impl Fn(f64, usize) -> i16) {
+    let [nx, ny, nz] = size;
+    let header = format!(
+        "NRRD0004\ntype: short\ndimension: 3\nspace: left-posterior-superior\nsizes: {nx} {ny} {nz}\n\
+         space directions: (1,0,0) (0,1,0) (0,0,2)\nspace origin: (0,0,0)\nendian: little\nencoding: raw\n\n"
+    );
+    let mut bytes = header.into_bytes();
+    let middle = [0.5 * (nx as f64 - 1.0), 0.5 * (ny as f64 - 1.0), nz as f64 - 1.0];
+    for n in 0..nx * ny * nz {
+        let at = [(n % nx) as f64, (n / nx % ny) as f64, 2.0 * (n / (nx * ny)) as f64];
+        let radius = (0..3).map(|a| (at[a] - middle[a]).powi(2)).sum::<f64>().sqrt();
+        bytes.extend(value(radius, n).to_le_bytes());
+    }
+    std::fs::write(path, bytes).expect("written");
+}
+
+/// A scan: a ball of 12 mm at 100, its edge as wide as a scanner's, and noise.
+fn scan(radius: f64, n: usize) -> i16 {
+    let noise = ((n * 7919) % 31) as f64 - 15.0;
+    (200.0 / (1.0 + ((radius - 12.0) / 0.9).exp()) + noise) as i16
+}
+
+/// Labels: a ball of 3 in a shell of 2, and a speck of 9.
+fn labels(radius: f64, n: usize) -> i16 {
+    match radius {
+        _ if n == 0 => 9,
+        r if r < 8.0 => 3,
+        r if r < 12.0 => 2,
+        _ => 0,
+    }
+}
+
+struct Case {
+    folder: tempfile::TempDir,
+    input: PathBuf,
+}
+
+impl Case {
+    fn new(value: impl Fn(f64, usize) -> i16) -> Self {
+        let folder = tempfile::tempdir().expect("folder");
+        let input = folder.path().join("in.nrrd");
+        write_nrrd(&input, [36, 34, 18], value);
+        Self { folder, input }
+    }
+
+    fn run(&self, options: &[&str]) -> Output {
+        let output = self.folder.path().join("f.vti");
+        let files = [self.input.to_str().expect("text"), "-o", output.to_str().expect("text"), "--force"];
+        distfield(&[&files[..], options].concat())
+    }
+
+    /// Runs it, to a field.
+    #[track_caller]
+    fn field(&self, options: &[&str]) {
+        let run = self.run(options);
+        assert_eq!(run.status.code(), Some(0), "{options:?}: {}", String::from_utf8_lossy(&run.stderr));
+    }
+
+    /// Runs it, and checks that it is refused with these words, and nothing made.
+    #[track_caller]
+    fn refused(&self, options: &[&str], words: &[&str]) {
+        let run = self.run(options);
+        let told = String::from_utf8_lossy(&run.stderr);
+        assert_eq!(run.status.code(), Some(2), "{options:?}: {told}");
+        for word in ["error: ", "why it matters: ", "what to do: "].iter().chain(words) {
+            assert!(told.contains(word), "{options:?} should say '{word}': {told}");
+        }
+        assert!(!self.folder.path().join("f.vti").exists(), "{options:?} left an output behind");
+    }
+
+    fn info(&self, options: &[&str]) -> Value {
+        let arguments = [&[self.input.to_str().expect("text"), "--info", "--json", "-", "-q"][..], options].concat();
+        let run = distfield(&arguments);
+        assert_eq!(run.status.code(), Some(0), "{}", String::from_utf8_lossy(&run.stderr));
+        serde_json::from_slice(&run.stdout).expect("JSON on stdout")
+    }
+}
+
+#[test]
+fn info_tells_what_a_label_map_is() {
+    let case = Case::new(labels);
+    let info = case.info(&[]);
+    assert_eq!(info["kind"], "labels");
+    assert_eq!(info["certain"], true);
+    assert_eq!(info["orientation"]["letters"], "LPS");
+    assert_eq!(info["spacing"], serde_json::json!([1.0, 1.0, 2.0]));
+    let table = info["labels"].as_array().expect("labels");
+    assert_eq!(table.iter().map(|label| label["label"].as_i64()).collect::<Vec<_>>(), [Some(2), Some(3), Some(9)]);
+    let volume = table[1]["volume"].as_f64().expect("a volume");
+    assert!((volume / (4.0 / 3.0 * std::f64::consts::PI * 512.0) - 1.0).abs() < 0.05, "{volume}");
+    assert_eq!(table[2]["parts"], serde_json::json!({ "count": 1, "largest": 1 }));
+
+    // the object that is asked for, by any kind of name
+    let ball = &case.info(&["--labels", "3"])["objects"][0];
+    let area = ball["cost"]["area"].as_f64().expect("an area");
+    assert!((area / (4.0 * std::f64::consts::PI * 64.0) - 1.0).abs() < 0.1, "{area}");
+    assert_eq!(case.info(&["--labels", "2..5"])["objects"][0]["options"], "LABELS=2,3");
+
+    // the text, and the JSON beside it in a file
+    let json = case.folder.path().join("info.json");
+    let input = case.input.to_str().expect("text");
+    let run = distfield(&[input, "--info", "--json", json.to_str().expect("text")]);
+    let text = String::from_utf8_lossy(&run.stdout);
+    for part in ["36 x 34 x 18", "x right to left", "kind         labels", "LABELS=all", "right-handed", "vertices"] {
+        assert!(text.contains(part), "'{part}' is missing: {text}");
+    }
+    let file: Value = serde_json::from_slice(&std::fs::read(&json).expect("a file")).expect("JSON");
+    assert_eq!(file, info);
+}
+
+#[test]
+fn info_tells_what_a_scan_is_and_which_iso_values_to_try() {
+    let info = Case::new(scan).info(&[]);
+    assert_eq!(info["kind"], "scan");
+    let isos: Vec<f64> = info["objects"]
+        .as_array()
+        .expect("objects")
+        .iter()
+        .map(|object| object["options"].as_str().expect("text").trim_start_matches("ISO=").parse().expect("a number"))
+        .collect();
+    assert!(isos.iter().any(|iso| (60.0..140.0).contains(iso)), "{isos:?}");
+    assert!(info["labels"].as_array().is_some_and(Vec::is_empty));
+    let cost = &info["objects"][0]["cost"];
+    assert!(cost["vertices"].as_u64() > Some(500) && cost["stages"].as_array().is_some_and(|s| s.len() == 4), "{cost}");
+}
+
+#[test]
+fn labels_of_a_scan_are_refused_unless_it_is_insisted() {
+    let case = Case::new(scan);
+    case.refused(&["--labels", "200"], &["--labels 200: the volume is a scan", "--iso VALUE", "--kind labels"]);
+    case.refused(&["--labels", "all"], &["the volume is a scan"]);
+    let insisted = case.run(&["--labels", "180..220", "--kind", "labels"]);
+    assert!(matches!(insisted.status.code(), Some(0 | 1)), "{}", String::from_utf8_lossy(&insisted.stderr));
+}
+
+#[test]
+fn an_iso_value_of_labels_is_refused_unless_it_is_insisted_and_of_a_mask_warned_of() {
+    let case = Case::new(labels);
+    case.refused(&["--iso", "2"], &["--iso 2: the volume is a label map", "--labels", "--kind scan"]);
+    case.field(&["--iso", "1", "--kind", "scan"]);
+    let mask = Case::new(|radius, _| if radius < 10.0 { 255 } else { 0 });
+    let run = mask.run(&["--iso", "127.5"]);
+    let told = String::from_utf8_lossy(&run.stderr);
+    assert_eq!(run.status.code(), Some(0), "{told}");
+    assert!(told.contains("warning: ") && told.contains("is a mask of two values"), "{told}");
+}
+
+#[test]
+fn labels_named_in_any_way_are_the_same_object() {
+    let case = Case::new(labels);
+    case.refused(&["--labels", "7"], &["no voxel has the label 7", "0, 2, 3, 9"]);
+    case.refused(&["--labels", "heart"], &["no segment is called 'heart'"]);
+    case.field(&["--labels", "2,3"]);
+    let read = || read_field(&case.folder.path().join("f.vti"), FieldKind::Distance).expect("a field");
+    let plain = read();
+    assert_eq!(plain.history.as_ref().expect("history").parameters["labels"], serde_json::json!([2, 3]));
+    for named in ["2..5", "2 3", "2, 2..3"] {
+        case.field(&["--labels", named]);
+        let field = read();
+        assert!(field.image == plain.image && field.meta == plain.meta, "{named}");
+        let parameters = |field: &Field| field.history.as_ref().map(|history| history.parameters.clone());
+        assert_eq!(parameters(&field), parameters(&plain), "{named}");
+    }
+}
+
+#[test]
+fn a_volume_that_is_mostly_lost_is_a_failed_check() {
+    // rods of one voxel
+    let rods = Case::new(|radius, n| i16::from(radius < 12.0 && n % 5 == 0 && n / 36 % 4 == 0));
+    let run = rods.run(&["--labels", "1"]);
+    let told = String::from_utf8_lossy(&run.stderr);
+    assert_eq!(run.status.code(), Some(1), "{told}");
+    assert!(told.contains("check failed: the volume changed by -"), "{told}");
+}
+
+#[test]
+fn a_field_that_takes_more_memory_than_allowed_is_refused_with_the_figure() {
+    let case = Case::new(scan);
+    case.refused(&["--iso", "100", "--max-memory", "10K"], &["46 x 44 x 28 nodes", "MiB of memory", "--max-memory"]);
+    case.field(&["--iso", "100", "--max-memory", "1G"]);
+}
+
+#[test]
+fn every_shared_volume_is_taken_for_what_it_is() {
+    let beside = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data");
+    let folder = std::env::var_os("ISOPARTICLES_DATA").map_or(beside, PathBuf::from);
+    // lungs_label_big is left out: 165 million voxels
+    for (name, kind) in [
+        ("brain_parcellation", "labels"),
+        ("frog_tissue_labels", "labels"),
+        ("heart_ct", "scan"),
+        ("heart_label", "labels"),
+        ("mickey_labels", "labels"),
+        ("thorax_ct", "scan"),
+        ("thorax_ct_native_u8", "scan"),
+        ("thorax_labels", "labels"),
+        ("tooth_ct", "scan"),
+        ("trabecular_bone", "scan"),
+    ] {
+        let path = folder.join(format!("{name}.nrrd"));
+        if !path.exists() {
+            println!("SKIP: {} is not there", path.display());
+            continue;
+        }
+        let volume = isoparticles_common::io::volume::read_volume(&path).expect("a volume");
+        let survey = isoparticles_distfield::info::survey::Survey::of(&volume.voxels, &volume.geometry);
+        let judged = isoparticles_distfield::info::kind::judge(&survey, volume.segments.len());
+        assert!(judged.certain && judged.kind.to_string() == kind, "{name}: {judged:?}");
+    }
+}

@@ -1,0 +1,135 @@
+//! Constants of the kernels. They stand once, in Rust: every kernel's text begins with a declaration of each under its Rust name, made
+//! here from its value. A second copy in a `.wgsl` file would be a redefinition, which naga refuses.
+
+use super::commands::ROW;
+use super::parameters::MOST_LEVELS;
+use super::shaders::Variant;
+use crate::constants::{
+    EIGENVALUE_FLOOR, FARTHEST_MOVE, FIRST_RING, LAMBDA_FALL, LAMBDA_GROWTH, LARGEST_LAMBDA, LATTICE_NEIGHBOURS,
+    LEAST_LAMBDA, LONGEST_STEP, NEWCOMER_DISTANCE, PARENT_DISTANCE, PROJECTION_REACH, REBUILD_MOVE, SKIN,
+};
+use isoparticles_common::energy::{LEAST_SCALED_DISTANCE, SUPPORT};
+use isoparticles_common::spline::{LEAST_SQUARED_GRADIENT, PROJECTION_STEPS};
+use std::f64::consts::{FRAC_PI_2, TAU};
+
+/// Invocations in a workgroup of a kernel that looks at neighbours, one a particle.
+pub(crate) const NARROW: u32 = 64;
+/// Invocations in a workgroup of a kernel that shares a sum.
+pub(crate) const WIDE: u32 = 256;
+/// Numbers that an invocation of a prefix sum or of the totals takes.
+pub(crate) const EACH: u32 = 8;
+/// Numbers that a workgroup of these takes.
+pub(crate) const BLOCK: u32 = WIDE * EACH;
+
+/// Classes of particles that may move together: the bits of a word.
+pub(crate) const CLASSES: u32 = 32;
+/// The class of a particle that has none.
+pub(crate) const UNCLASSED: u32 = u32::MAX;
+
+/// In the word `outcome` of a particle, beside the number of steps tried: that one was taken.
+const STEP_TAKEN: u32 = 1 << 31;
+/// In the same word: that the particle is a lattice defect.
+const LATTICE_DEFECT: u32 = 1 << 30;
+
+/// A particle rests when its step promises to lower its energy by less than this share: f32 could not tell.
+const REST: f64 = 1e-6;
+/// Gap between the eigenvalues of a Hessian below which they count as equal, as a share of their mean: f32 has no direction for it.
+const EQUAL_EIGENVALUES: f64 = 1e-6;
+
+/// The words that the host reads after a pass: energy, bits of an f32.
+pub(crate) const WORD_ENERGY: usize = 0;
+/// Particles that took a step.
+pub(crate) const WORD_MOVED: usize = 1;
+/// Steps tried.
+pub(crate) const WORD_TRIES: usize = 2;
+/// Longest way since the lists were made over h, bits of an f32.
+pub(crate) const WORD_LONGEST: usize = 3;
+/// Members of all lists.
+pub(crate) const WORD_LISTED: usize = 4;
+/// Particles after density control.
+pub(crate) const WORD_COUNT: usize = 5;
+/// Particles kept of the old ones.
+pub(crate) const WORD_KEPT: usize = 6;
+/// Lattice defects.
+pub(crate) const WORD_DEFECTS: usize = 7;
+/// How many words there are.
+pub(crate) const WORDS: usize = 8;
+
+/// Value of a constant, of the type that it has in WGSL.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) enum Value {
+    Real(f32),
+    Whole(u32),
+}
+
+macro_rules! reals {
+    ($($name:ident),* $(,)?) => { [$((stringify!($name), Value::Real($name as f32))),*] };
+}
+
+macro_rules! wholes {
+    ($($name:ident),* $(,)?) => { [$((stringify!($name), Value::Whole($name as u32))),*] };
+}
+
+/// Name and value of every constant.
+pub(crate) fn constants(variant: Variant) -> Vec<(&'static str, Value)> {
+    let mut all = Vec::new();
+    all.extend(reals![
+        SUPPORT,
+        LEAST_SCALED_DISTANCE,
+        FRAC_PI_2,
+        TAU,
+        SKIN,
+        REBUILD_MOVE,
+        FARTHEST_MOVE,
+        LONGEST_STEP,
+        FIRST_RING,
+        LEAST_LAMBDA,
+        LARGEST_LAMBDA,
+        LAMBDA_GROWTH,
+        LAMBDA_FALL,
+        EIGENVALUE_FLOOR,
+        EQUAL_EIGENVALUES,
+        REST,
+        PROJECTION_REACH,
+        LEAST_SQUARED_GRADIENT,
+        NEWCOMER_DISTANCE,
+        PARENT_DISTANCE,
+    ]);
+    all.extend(wholes![
+        PROJECTION_STEPS,
+        LATTICE_NEIGHBOURS,
+        MOST_LEVELS,
+        NARROW,
+        WIDE,
+        EACH,
+        BLOCK,
+        ROW,
+        CLASSES,
+        UNCLASSED,
+        STEP_TAKEN,
+        LATTICE_DEFECT,
+        WORD_ENERGY,
+        WORD_MOVED,
+        WORD_TRIES,
+        WORD_LONGEST,
+        WORD_LISTED,
+        WORD_COUNT,
+        WORD_KEPT,
+        WORD_DEFECTS,
+    ]);
+    let (lanes, teams) = variant.team();
+    all.extend([("TEAM", Value::Whole(lanes)), ("TEAMS", Value::Whole(teams))]);
+    all
+}
+
+/// Their declarations in WGSL, one a line.
+pub(crate) fn declarations(variant: Variant) -> String {
+    constants(variant)
+        .iter()
+        .map(|(name, value)| match value {
+            // the shortest digits that give the same f32
+            Value::Real(value) => format!("const {name}: f32 = {value:?};\n"),
+            Value::Whole(value) => format!("const {name}: u32 = {value}u;\n"),
+        })
+        .collect()
+}

@@ -1,0 +1,77 @@
+//! What the stages refuse before they work: a size above the object, and more memory than is allowed; with the figure, and nothing left behind.
+
+mod support;
+
+use glam::DVec3;
+use isoparticles_common::geometry::Geometry;
+use isoparticles_common::image::Image;
+use isoparticles_common::io::field::{FieldKind, read_field, write_field};
+use isoparticles_common::sizing::SizingField;
+use isoparticles_tests::scene::Shape;
+use std::ffi::OsString;
+use std::path::Path;
+use support::chain::{Files, Wishes, surface};
+use support::{Kind, listing, stage, write_phantom};
+
+/// A ball in a folder of its own, up to its triangles.
+fn ball() -> (tempfile::TempDir, Files) {
+    let folder = tempfile::tempdir().expect("folder");
+    let volume = folder.path().join("ball.nrrd");
+    write_phantom(&volume, Shape::Ball, &Geometry::axis_aligned([24; 3], DVec3::ONE), Kind::Scalar);
+    let files = surface(&volume, folder.path(), &Wishes::scalar(Some(2.0)));
+    (folder, files)
+}
+
+/// Runs a stage to a new output, and checks that it is refused with these words and leaves nothing behind.
+#[track_caller]
+fn refused(folder: &Path, name: &str, arguments: Vec<OsString>, output: &str, words: &[&str]) {
+    let before = listing(folder);
+    let output = folder.join(output);
+    let ended = stage(name, [arguments, arguments!["-o", output]].concat());
+    ended.expect_error(2, words);
+    assert_eq!(listing(folder), before, "{name} left something behind");
+}
+
+#[test]
+fn a_size_above_the_object_is_refused_and_one_that_would_do_is_named() {
+    let (folder, files) = ball();
+    let too_large = arguments![&files.distfield, "--uniform", "500"];
+    refused(folder.path(), "sizefield", too_large, "new.vti", &["h = 500 mm is too large", "gives about 100 vertices"]);
+
+    // an edited field of sizes reaches seed
+    let field = read_field(&files.sizefield, FieldKind::Sizing).expect("a size field");
+    let large = folder.path().join("large.vti");
+    let image = Image::filled(field.image.geometry.clone(), 500.0);
+    write_field(
+        &large,
+        FieldKind::Sizing,
+        SizingField::new(image).image(),
+        &field.meta,
+        &field.history.expect("history"),
+    )
+    .expect("written");
+    let seeding = arguments![&files.distfield, &large];
+    refused(folder.path(), "seed", seeding, "new.bin", &["particles on the whole surface", "run sizefield again"]);
+}
+
+#[test]
+fn what_takes_more_memory_than_allowed_is_refused_by_every_stage() {
+    let (folder, files) = ball();
+    let fields = arguments!["--distfield", &files.distfield, "--sizefield", &files.sizefield];
+    let too_fine = arguments![&files.distfield, "--uniform", "0.01", "--max-memory", "1G"];
+    refused(
+        folder.path(),
+        "sizefield",
+        too_fine,
+        "new.vti",
+        &["the sizes ask for", "GiB of memory", "larger triangles"],
+    );
+    for (name, mut arguments, output) in [
+        ("seed", arguments![&files.distfield, &files.sizefield], "new.bin"),
+        ("particles", [arguments![&files.seeds], fields.clone()].concat(), "new.bin"),
+        ("reconstruct", [arguments![&files.particles], fields].concat(), "new.vtp"),
+    ] {
+        arguments.extend(arguments!["--max-memory", "10K"]);
+        refused(folder.path(), name, arguments, output, &["of memory", "--max-memory allows 0 MiB", "particles"]);
+    }
+}

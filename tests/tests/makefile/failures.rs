@@ -1,0 +1,185 @@
+//! What is left after a failure: the status tells it, the page and the index are made from that, and no file of an earlier run
+//! could be taken for a result of this one.
+
+use super::support::{listing, run};
+use super::{Case, PARAMETERS, executable};
+
+#[test]
+fn a_failing_first_stage_has_a_page_and_stands_in_the_index() {
+    let case = Case::new();
+    let ended = case.surface(&["ISO=100000"]);
+    assert_eq!(ended.code, Some(2), "{}", ended.stderr);
+    assert!(ended.stderr.contains("100000") && ended.stderr.contains("what to do"), "{}", ended.stderr);
+    assert!(!case.has("distfield.vti"));
+    let status = case.status();
+    assert_eq!((&status["verdict"], &status["stages"][0]["state"]), (&"error".into(), &"error".into()), "{status}");
+    assert!(status["stages"][0]["error"]["what"].as_str().unwrap().contains("100000"), "{status}");
+    assert_eq!(status["stages"][4]["state"], "not reached");
+    assert!(case.text("report.html").contains("\"verdict\": \"error\""), "the page is made from the status");
+    run(&mut case.bare("index", &[])).expect_success("make index");
+    let index = std::fs::read_to_string(case.out().join("index.html")).expect("index.html");
+    assert!(index.contains("\"verdict\": \"error\""), "{index}");
+}
+
+/// Issue 17, the first thing seen: a good mesh, then the same name with a size that fails.
+#[test]
+fn a_failed_run_leaves_no_result_of_an_earlier_one() {
+    let case = Case::new();
+    case.mesh(0, &[]);
+    let pictures = case.out().join("ball/pictures/cut.png");
+    std::fs::write(case.file("report.of.mine.txt"), "mine").unwrap();
+    assert!(case.has("volume.vtu") && case.has("volume.inp") && case.has("report.json") && pictures.exists());
+    let ended = run(&mut case.command("mesh", &["ISO=100", "SIZE=500", "VERBOSITY=-q"]));
+    assert_eq!(ended.code, Some(2), "{}", ended.stderr);
+    let left = listing(&case.out().join("ball"));
+    for ending in ["surface.vtp", "volume.vtu", "volume.inp", "report.json"] {
+        assert!(!case.has(ending), "{ending} is left: {left:?}");
+    }
+    assert!(!pictures.exists());
+    assert!(case.has("report.of.mine.txt"), "a file of the user's: {left:?}");
+    let status = case.status();
+    assert_eq!(status["verdict"], "error", "{status}");
+    assert_eq!(case.states()["tetmesh-check"], "stale");
+    assert!(case.text("report.html").contains("\"verdict\": \"error\""));
+    // Every file that is there is one that the status lists.
+    let listed = status.to_string();
+    for name in left
+        .iter()
+        .filter(|name| !["ball.status.json", ".lock", "reports", "ball.report.of.mine.txt"].contains(&name.as_str()))
+    {
+        assert!(listed.contains(&format!("\"{name}\"")), "{name} is not in the status: {listed}");
+    }
+    // The next run goes on as if nothing had been.
+    case.mesh(0, &[]);
+    assert_eq!(case.status()["verdict"], "passed");
+    assert!(case.has("surface.vtp") && case.has("volume.vtu") && pictures.exists());
+}
+
+/// Issue 17: another surface under the same name left the tetrahedra and the page of the first.
+#[test]
+fn a_surface_of_something_else_takes_away_the_tetrahedra() {
+    let case = Case::new();
+    case.mesh(0, &[]);
+    // Over the same surface they stay.
+    case.surface(&PARAMETERS).expect_success("make surface");
+    assert!(case.has("volume.vtu") && case.has("report.html"));
+    assert_eq!(case.status()["goal"], "surface");
+    case.surface(&["ISO=120", "SIZE=2.5", "VERBOSITY=-q"]).expect_success("make surface");
+    assert!(!case.has("volume.vtu") && !case.has("report.json"), "{:?}", listing(&case.out().join("ball")));
+    assert_eq!(case.states()["tetmesh-check"], "stale");
+    assert!(case.text("report.html").contains("\"ISO\": \"120\""), "the page is that of the new surface");
+}
+
+/// A stage that made its output but failed a check: make fails, the output is kept under another name.
+#[test]
+#[cfg(unix)]
+fn the_output_of_a_failed_check_is_kept_aside() {
+    let case = Case::new();
+    let programs = case.linked_programs();
+    // A stand-in for sizefield that writes its output and says that a check failed.
+    executable(&programs.join("sizefield"), "echo made > \"$3\"\nexit 1\n");
+    let bin = format!("BIN={}", programs.display());
+    let ended = case.surface(&["ISO=100", "VERBOSITY=-q", &bin]);
+    assert_eq!(ended.code, Some(2), "{}", ended.stderr);
+    assert!(ended.stderr.contains("sizefield.failed.vti"), "{}", ended.stderr);
+    assert!(!case.has("sizefield.vti") && !case.has("seeds.bin"));
+    assert_eq!(case.text("sizefield.failed.vti"), "made\n");
+    assert_eq!(case.status()["verdict"], "failed");
+    assert_eq!(case.status()["stages"][1]["kept"][0], "ball.sizefield.failed.vti");
+    // With the real program the case goes on from there, and the failed output goes away.
+    case.surface(&PARAMETERS).expect_success("make surface");
+    assert!(!case.has("sizefield.failed.vti"));
+}
+
+/// A program that ends without a word, by a signal, or is not there.
+#[test]
+#[cfg(unix)]
+fn a_program_that_crashes_is_told_in_three_parts() {
+    let case = Case::new();
+    let programs = case.linked_programs();
+    let bin = format!("BIN={}", programs.display());
+    let seed = programs.join("seed");
+    for (script, words) in [("kill -9 $$\n", "signal 9"), ("exit 2\n", "exit code 2"), ("exit 0\n", "is not there")] {
+        executable(&seed, script);
+        let ended = case.surface(&["ISO=100", "SIZE=2.5", "VERBOSITY=-q", &bin]);
+        ended.expect_error(2, &["seed", words]);
+        assert_eq!(case.states()["seed"], "error");
+    }
+    std::fs::remove_file(&seed).unwrap();
+    case.surface(&["ISO=100", "SIZE=2.5", "VERBOSITY=-q", &bin]).expect_error(2, &["seed", "cannot be started"]);
+}
+
+/// However the last stage ends, nothing of an earlier run is left that could be taken for its result.
+#[test]
+fn no_stale_mesh_or_page_is_left() {
+    let case = Case::new();
+    case.mesh(0, &["TETMESH_OPTIONS=-a"]);
+    assert_eq!(case.text("volume.vtu"), "0\n");
+    assert!(case.text("report.html").contains("\"verdict\": \"passed\""), "{}", case.text("report.html"));
+    assert!(case.mesh(1, &["TETMESH_OPTIONS=-b"]).stderr.contains("ball.volume.failed.vtu"));
+    assert_eq!(case.text("volume.failed.vtu"), "1\n");
+    assert!(case.text("report.html").contains("too flat"), "{}", case.text("report.html"));
+    assert!(!case.has("volume.vtu") && !case.has("report.json") && !case.has("volume.inp"));
+    case.mesh(0, &["TETMESH_OPTIONS=-c"]);
+    assert!(!case.has("volume.failed.vtu") && !case.has("report.failed.json"));
+    case.mesh(2, &["TETMESH_OPTIONS=-d"]);
+    assert!(!case.has("volume.vtu") && !case.has("volume.failed.vtu"));
+    assert!(case.text("report.html").contains("\"verdict\": \"error\""), "the page says that there is no mesh");
+    // A failed run is tried again, and is not taken for done because nothing changed.
+    case.mesh(2, &["TETMESH_OPTIONS=-d"]);
+    case.mesh(0, &["TETMESH_OPTIONS=-d"]);
+    assert_eq!(case.status()["verdict"], "passed");
+}
+
+/// The verdict, the warnings and the page are the last that is said, and a later question gets the same answer.
+#[test]
+fn the_last_lines_are_the_verdict() {
+    let case = Case::new();
+    let ended = case.mesh(0, &[]);
+    let page = case.file("report.html").display().to_string();
+    let last: Vec<&str> = ended.stdout.lines().rev().take(6).collect();
+    assert!(last[0].contains("page") && last[0].contains(&page), "{}", ended.stdout);
+    assert!(last.iter().any(|line| line.starts_with("ball: passed")), "{}", ended.stdout);
+    let asked = run(&mut case.bare("verdict", &["NAME=ball"])).expect_success("make verdict");
+    assert!(ended.stdout.ends_with(&asked.stdout), "{}\n{}", ended.stdout, asked.stdout);
+    let ended = case.mesh(1, &["TETMESH_OPTIONS=-b"]);
+    let verdict = ended.stderr.split("ball: NOT FIT").nth(1).expect("the verdict");
+    assert!(
+        verdict.contains("too flat") && verdict.contains("volume.failed.vtu") && verdict.contains(&page),
+        "{verdict}"
+    );
+}
+
+/// A run that was killed left "running" behind; whoever asks next learns that it was interrupted.
+#[test]
+fn a_killed_run_is_told() {
+    let case = Case::new();
+    case.mesh(0, &[]);
+    let mut status = case.status();
+    status["verdict"] = "running".into();
+    status["stages"][5]["state"] = "running".into();
+    std::fs::write(case.file("status.json"), status.to_string()).unwrap();
+    let asked = run(&mut case.bare("verdict", &["NAME=ball"])).expect_success("make verdict");
+    assert!(
+        asked.stdout.contains("INTERRUPTED") && asked.stdout.contains("killed in tetmesh-check"),
+        "{}",
+        asked.stdout
+    );
+    assert_eq!(case.states()["tetmesh-check"], "interrupted");
+    case.mesh(0, &[]);
+    assert_eq!(case.status()["verdict"], "passed");
+}
+
+/// Two runs over one case: the second is refused, and does not disturb the first.
+#[test]
+fn two_runs_on_one_name_do_not_meet() {
+    let case = Case::new();
+    case.surface(&PARAMETERS).expect_success("make surface");
+    let lock = std::fs::File::options().write(true).open(case.out().join("ball/.lock")).expect("the lock");
+    lock.lock().expect("taken");
+    let before = case.text("status.json");
+    case.surface(&["ISO=120", "VERBOSITY=-q"]).expect_error(2, &["another run works on this case", "NAME"]);
+    assert_eq!(before, case.text("status.json"));
+    drop(lock);
+    case.surface(&PARAMETERS).expect_success("make surface");
+}

@@ -1,0 +1,193 @@
+//! The Makefile from end to end: what reruns when something changes, what is left after a failure, arguments, several cases.
+
+#[path = "../support/mod.rs"]
+mod support;
+
+mod arguments;
+mod cases;
+mod failures;
+mod names;
+mod reruns;
+
+use glam::DVec3;
+use isoparticles_common::geometry::Geometry;
+use isoparticles_tests::scene::Shape;
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+use std::time::SystemTime;
+use support::{Ended, Kind, binaries, root, run, write_phantom};
+
+/// Stages in order, with the output of each.
+const STAGES: [(&str, &str); 5] = [
+    ("distfield", "distfield.vti"),
+    ("sizefield", "sizefield.vti"),
+    ("seed", "seeds.bin"),
+    ("particles", "particles.bin"),
+    ("reconstruct", "surface.vtp"),
+];
+
+/// What makes the quickest surface of the ball.
+const PARAMETERS: [&str; 3] = ["ISO=100", "SIZE=2.5", "VERBOSITY=-q"];
+
+/// A ball in a folder of its own, and stand-ins for the programs of the Python stage.
+struct Case {
+    folder: tempfile::TempDir,
+    volume: PathBuf,
+    stand_in: StandIn,
+}
+
+impl Case {
+    fn new() -> Self {
+        let folder = tempfile::tempdir().expect("folder");
+        let volume = folder.path().join("ball.nrrd");
+        ball(&volume);
+        Self { folder, volume, stand_in: StandIn::new() }
+    }
+
+    fn out(&self) -> PathBuf {
+        self.folder.path().join("out")
+    }
+
+    /// A goal over the ball.
+    fn command(&self, goal: &str, variables: &[&str]) -> Command {
+        let mut command = self.bare(goal, &[&format!("INPUT={}", self.volume.display())]);
+        command.args(variables);
+        command
+    }
+
+    /// A goal over whatever the variables say.
+    fn bare(&self, goal: &str, variables: &[&str]) -> Command {
+        let mut command = make();
+        command.arg(goal).arg(format!("OUT={}", self.out().display())).arg(self.stand_in.variable()).args(variables);
+        command
+    }
+
+    fn surface(&self, variables: &[&str]) -> Ended {
+        run(&mut self.command("surface", variables))
+    }
+
+    /// Makes the tetrahedra, with a stand-in that ends with `code`.
+    #[track_caller]
+    fn mesh(&self, code: i32, variables: &[&str]) -> Ended {
+        self.stand_in.end_with(code);
+        let ended = run(self.command("mesh", &PARAMETERS).args(variables));
+        assert_eq!(ended.code, Some(if code == 0 { 0 } else { 2 }), "{}{}", ended.stdout, ended.stderr);
+        ended
+    }
+
+    fn file(&self, ending: &str) -> PathBuf {
+        self.out().join("ball").join(format!("ball.{ending}"))
+    }
+
+    fn has(&self, ending: &str) -> bool {
+        self.file(ending).exists()
+    }
+
+    fn text(&self, ending: &str) -> String {
+        std::fs::read_to_string(self.file(ending)).unwrap_or_default()
+    }
+
+    fn status(&self) -> serde_json::Value {
+        serde_json::from_str(&self.text("status.json")).expect("the status is JSON")
+    }
+
+    /// State of each stage by the status.
+    fn states(&self) -> BTreeMap<String, String> {
+        let status = self.status();
+        let text = |value: &serde_json::Value| value.as_str().unwrap_or_default().to_owned();
+        let stages = status["stages"].as_array().expect("stages");
+        stages.iter().map(|stage| (text(&stage["stage"]), text(&stage["state"]))).collect()
+    }
+
+    /// When each stage's output was written.
+    fn times(&self) -> BTreeMap<&'static str, SystemTime> {
+        let time = |ending| std::fs::metadata(self.file(ending)).and_then(|m| m.modified());
+        STAGES.iter().map(|(name, ending)| (*name, time(ending).expect(name))).collect()
+    }
+
+    /// Makes the surface with other variables and tells which stages ran.
+    #[track_caller]
+    fn reran(&self, variables: &[&str]) -> Vec<&'static str> {
+        let before = self.times();
+        self.surface(variables).expect_success("make surface");
+        let after = self.times();
+        STAGES.iter().map(|(name, _)| *name).filter(|name| before[name] != after[name]).collect()
+    }
+
+    /// A folder with links to the programs, of which some can be replaced.
+    #[cfg(unix)]
+    fn linked_programs(&self) -> PathBuf {
+        let programs = self.folder.path().join("bin");
+        std::fs::create_dir(&programs).unwrap();
+        for name in STAGES.map(|(name, _)| name).into_iter().chain(["isoparticles-case", "phantom"]) {
+            std::os::unix::fs::symlink(binaries().join(name), programs.join(name)).unwrap();
+        }
+        programs
+    }
+}
+
+/// A ball of radius 9 mm in 24 voxels of 1 mm a side, iso value 100.
+fn ball(path: &Path) {
+    write_phantom(path, Shape::Ball, &Geometry::axis_aligned([24; 3], DVec3::ONE), Kind::Scalar);
+}
+
+/// GNU make on the Makefile, with the programs that are built already.
+fn make() -> Command {
+    let mut command = Command::new("make");
+    command.current_dir(root()).arg("NO_BUILD=yes").arg(format!("BIN={}", binaries().display()));
+    // What the make that runs these tests was told is none of this one's business.
+    for variable in ["MAKEFLAGS", "MFLAGS", "MAKELEVEL", "MAKEOVERRIDES"] {
+        command.env_remove(variable);
+    }
+    command
+}
+
+/// Stand-ins for tetmesh-check, which ends with the exit code that `end_with` sets, and for its pages, which hold the status files
+/// that they are made from.
+struct StandIn {
+    folder: tempfile::TempDir,
+}
+
+impl StandIn {
+    fn new() -> Self {
+        let folder = tempfile::tempdir().expect("folder");
+        let outputs = "for word; do case $before in -o) out=$word;; --report) report=$word;; --pictures) pictures=$word;; esac; \
+                       before=$word; done\n";
+        let programs = [
+            (
+                "",
+                "code=$(cat \"$0.code\" 2>/dev/null || echo 0)\n[ $code = 2 ] || echo $code > \"$out\"\n\
+                 mkdir -p \"$pictures\"; echo drawn > \"$pictures/cut.png\"; echo mesh > \"${out%.vtu}.inp\"\n\
+                 [ $code = 1 ] && checks='\"too flat\"'\n\
+                 echo \"{\\\"failed_checks\\\": [$checks], \\\"warnings\\\": []}\" > \"$report\"; exit $code\n",
+            ),
+            ("-page", "cat \"$1\" > \"$out\"\n"),
+            ("-index", "for word; do case $word in *.status.json) cat \"$word\";; esac; done > \"$out\"\n"),
+        ];
+        for (ending, does) in programs {
+            executable(&folder.path().join(format!("tetmesh-check{ending}")), &format!("{outputs}{does}"));
+        }
+        Self { folder }
+    }
+
+    fn end_with(&self, code: i32) {
+        std::fs::write(self.folder.path().join("tetmesh-check.code"), code.to_string()).unwrap();
+    }
+
+    fn variable(&self) -> String {
+        format!("TETMESH_CHECK={}/tetmesh-check", self.folder.path().display())
+    }
+}
+
+/// Writes a shell script that can be run.
+fn executable(path: &Path, script: &str) {
+    // a link must not be written through
+    let _ = std::fs::remove_file(path);
+    std::fs::write(path, format!("#!/bin/sh\n{script}")).unwrap();
+    #[cfg(unix)]
+    {
+        use std::os::unix::fs::PermissionsExt;
+        std::fs::set_permissions(path, std::fs::Permissions::from_mode(0o755)).unwrap();
+    }
+}

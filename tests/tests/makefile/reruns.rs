@@ -1,0 +1,189 @@
+//! What runs again, and what does not.
+
+use super::support::{binaries, listing, run};
+use super::{Case, PARAMETERS, STAGES};
+use std::path::Path;
+use std::process::{Command, Stdio};
+use std::time::SystemTime;
+
+const ALL: [&str; 5] = ["distfield", "sizefield", "seed", "particles", "reconstruct"];
+
+#[test]
+fn one_parameter_reruns_exactly_the_stages_that_depend_on_it() {
+    let case = Case::new();
+    case.surface(&PARAMETERS).expect_success("make surface");
+    assert_eq!(case.reran(&PARAMETERS), [] as [&str; 0], "nothing changed");
+    assert_eq!(
+        case.reran(&["ISO=100", "SIZE=2.5", "VERBOSITY=-v", "THREADS=1"]),
+        [] as [&str; 0],
+        "how loud and how many"
+    );
+    assert_eq!(case.reran(&["ISO=100", "SIZE=2.5", "BACKEND=cpu"]), ["particles", "reconstruct"]);
+    let reseeded = ["ISO=100", "SIZE=2.5", "BACKEND=cpu", "SEED=3"];
+    assert_eq!(case.reran(&reseeded), ["seed", "particles", "reconstruct"]);
+    let resized = ["ISO=100", "SIZE=2.4", "BACKEND=cpu", "SEED=3"];
+    assert_eq!(case.reran(&resized), ["sizefield", "seed", "particles", "reconstruct"]);
+    let graded = ["ISO=100", "EPSILON=0.4", "MAX_SIZE=3", "BACKEND=cpu", "SEED=3"];
+    assert_eq!(case.reran(&graded), ["sizefield", "seed", "particles", "reconstruct"]);
+    let another = ["ISO=120", "EPSILON=0.4", "MAX_SIZE=3", "BACKEND=cpu", "SEED=3"];
+    assert_eq!(case.reran(&another), ALL);
+    // A lost output is made again, with what comes after it.
+    std::fs::remove_file(case.file("particles.bin")).unwrap();
+    case.surface(&another).expect_success("make surface");
+    assert_eq!(case.status()["stages"][3]["made"], true);
+    assert_eq!(case.status()["stages"][2]["made"], false);
+    assert_eq!(case.status()["stages"][4]["made"], true);
+}
+
+/// The content decides, not the clock: a copy or a checkout that touches a file changes no result.
+#[test]
+fn a_touched_input_reruns_nothing_and_a_changed_one_everything() {
+    let case = Case::new();
+    case.surface(&PARAMETERS).expect_success("make surface");
+    std::fs::File::options().append(true).open(&case.volume).unwrap().set_modified(SystemTime::now()).unwrap();
+    assert_eq!(case.reran(&PARAMETERS), [] as [&str; 0]);
+    super::support::write_phantom(
+        &case.volume,
+        isoparticles_tests::scene::Shape::Ellipsoid,
+        &isoparticles_common::geometry::Geometry::axis_aligned([24; 3], glam::DVec3::ONE),
+        super::Kind::Scalar,
+    );
+    assert_eq!(case.reran(&PARAMETERS), ALL);
+}
+
+#[test]
+fn a_file_that_an_option_names_is_a_prerequisite() {
+    let case = Case::new();
+    let mask = case.folder.path().join("the mask.nrrd");
+    super::ball(&mask);
+    let options = format!("SIZEFIELD_OPTIONS=--refine 'mask:{}=1.5'", mask.display());
+    let variables = ["ISO=100", "MIN_SIZE=2", "VERBOSITY=-q", &options];
+    case.surface(&variables).expect_success("make surface");
+    assert_eq!(case.reran(&variables), [] as [&str; 0]);
+    super::support::write_phantom(
+        &mask,
+        isoparticles_tests::scene::Shape::Ellipsoid,
+        &isoparticles_common::geometry::Geometry::axis_aligned([24; 3], glam::DVec3::ONE),
+        super::Kind::Scalar,
+    );
+    assert_eq!(case.reran(&variables), ["sizefield", "seed", "particles", "reconstruct"]);
+    let status = case.status();
+    let roles: Vec<_> = status["inputs"].as_array().unwrap().iter().map(|input| input["role"].clone()).collect();
+    assert_eq!(roles, ["volume", "named in SIZEFIELD_OPTIONS"]);
+    // The tetrahedra depend on the volume that their labels come from.
+    let labels = format!("TETMESH_OPTIONS=--labels-volume='{}'", mask.display());
+    case.mesh(0, &[&labels]);
+    let made = |case: &Case| case.status()["stages"][5]["made"].clone();
+    case.mesh(0, &[&labels]);
+    assert_eq!(made(&case), false);
+    super::ball(&mask);
+    case.mesh(0, &[&labels]);
+    assert_eq!(made(&case), true);
+}
+
+#[test]
+fn the_data_file_of_a_detached_header_is_a_prerequisite() {
+    let mut case = Case::new();
+    let voxels = |radius: f32| {
+        let mut bytes = Vec::new();
+        for index in 0..16 * 16 * 16 {
+            let at = [index % 16, index / 16 % 16, index / 256].map(|i| i as f32 - 7.5);
+            let distance = at.iter().map(|x| x * x).sum::<f32>().sqrt();
+            bytes.extend_from_slice(&(radius - distance).to_le_bytes());
+        }
+        bytes
+    };
+    let data = case.folder.path().join("voxels.raw");
+    std::fs::write(&data, voxels(5.0)).unwrap();
+    case.volume = case.folder.path().join("ball.nhdr");
+    let header =
+        "NRRD0004\ntype: float\ndimension: 3\nsizes: 16 16 16\nspacings: 1 1 1\nendian: little\nencoding: raw\n";
+    std::fs::write(&case.volume, format!("{header}data file: voxels.raw\n")).unwrap();
+    let variables = ["ISO=0", "SIZE=2", "VERBOSITY=-q"];
+    case.surface(&variables).expect_success("make surface");
+    assert_eq!(case.reran(&variables), [] as [&str; 0]);
+    std::fs::write(&data, voxels(6.0)).unwrap();
+    assert_eq!(case.reran(&variables), ALL);
+}
+
+#[test]
+fn a_program_built_anew_to_the_same_bytes_reruns_nothing() {
+    let case = Case::new();
+    let programs = case.folder.path().join("bin");
+    std::fs::create_dir(&programs).unwrap();
+    let copy = || {
+        for name in STAGES.map(|(name, _)| name).into_iter().chain(["isoparticles-case"]) {
+            std::fs::copy(binaries().join(name), programs.join(name)).unwrap();
+        }
+    };
+    copy();
+    let bin = format!("BIN={}", programs.display());
+    let variables = ["ISO=100", "SIZE=2.5", "VERBOSITY=-q", &bin];
+    case.surface(&variables).expect_success("make surface");
+    copy();
+    assert_eq!(case.reran(&variables), [] as [&str; 0]);
+    // One more byte at the end changes the program, not what it does.
+    use std::io::Write;
+    std::fs::File::options().append(true).open(programs.join("particles")).unwrap().write_all(&[0]).unwrap();
+    assert_eq!(case.reran(&variables), ["particles", "reconstruct"]);
+}
+
+/// The program of the order of convergence lies beside tetmesh-check; a change to it must not make tetrahedra anew.
+#[test]
+fn the_files_of_the_tetrahedra_leave_out_other_programs() {
+    let planned =
+        run(Case::new().command("mesh", &["ISO=100", "-n"]).arg("HXT=no")).expect_success("make -n mesh").stdout;
+    let (_, rest) = planned.split_once("--tetmesh-files").expect("the files of the tetrahedra");
+    let (files, _) = rest.split_once("--page-files").expect("the files of the page");
+    assert!(
+        files.contains("requirements.lock") && files.contains("pipeline.py") && files.contains("fill.py"),
+        "{files}"
+    );
+    assert!(!files.contains("convergence.py") && !files.contains("page/"), "{files}");
+}
+
+/// Stopping make in the middle of `particles` leaves no particle file, and the next run finishes the case with the same
+/// bytes as one that was never stopped.
+#[test]
+#[cfg(unix)]
+fn a_stopped_run_is_finished_by_the_next() {
+    use std::os::unix::process::CommandExt;
+    let (stopped, unbroken) = (Case::new(), Case::new());
+    let options = "PARTICLES_OPTIONS=--max-passes 300 --energy-tolerance 0";
+    let variables = ["ISO=100", "SIZE=1.2", "VERBOSITY=-q", options];
+    let mut command = stopped.command("surface", &variables);
+    // a process group of its own: the signal must reach make and what it runs alike, as Ctrl-C does in a terminal
+    command.process_group(0);
+    let mut child = command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null()).spawn().expect("make");
+    let checkpoint = stopped.file("checkpoint.bin");
+    let mut waited = 0;
+    while !checkpoint.exists() {
+        assert!(child.try_wait().unwrap().is_none() && waited < 6000, "no checkpoint after {waited} x 10 ms");
+        std::thread::sleep(std::time::Duration::from_millis(10));
+        waited += 1;
+    }
+    let killed = Command::new("sh").args(["-c", &format!("kill -s INT -- -{}", child.id())]).status().expect("sh");
+    assert!(killed.success());
+    assert!(!child.wait().expect("make ends").success(), "make must not call a stopped run a success");
+    // make does not wait for a child that it has passed the signal on to
+    while !stopped.has("report.html") {
+        assert!(waited < 12000, "a stopped case has its page, too: {}", stopped.status());
+        std::thread::sleep(std::time::Duration::from_millis(10));
+        waited += 1;
+    }
+    let status = stopped.status();
+    assert_eq!(status["verdict"], "interrupted", "{status}");
+    assert_eq!(status["stages"][3]["kept"].as_array().unwrap().len(), 2, "the checkpoint and its log: {status}");
+    assert!(!stopped.has("particles.bin"), "{:?}", listing(&stopped.out().join("ball")));
+
+    stopped.surface(&variables).expect_success("the second run");
+    unbroken.surface(&variables).expect_success("the unbroken run");
+    assert!(!checkpoint.exists(), "a finished run needs no checkpoint");
+    // Histories hold the paths of the inputs, which differ between the two folders: compare the particles themselves.
+    let particles = |file: &Path| {
+        use isoparticles_common::io::particles::{ParticleKind, read_particles};
+        read_particles(file, &[ParticleKind::Particles]).expect("particles").particles
+    };
+    let [one, other] = [&stopped, &unbroken].map(|case| particles(&case.file("particles.bin")));
+    assert!(one == other, "the resumed run differs from the unbroken one");
+}
