@@ -142,7 +142,8 @@ def write_status(folder: Path, name: str, **changes: Any) -> Path:
             "warnings": report["warnings"] if report else [], "failed_checks": report["failed_checks"] if report else [], "error": None,
         }  # fmt: skip
         entries.append({**entry, **differing.get(stage, {})})
-    entries[-1]["outputs"] += [f"pictures/{path.name}" for path in sorted(folder.glob("pictures/*.png"))]
+    drawn = [f"pictures/{path.name}" for path in sorted(folder.glob("pictures/*.png"))]
+    entries[-1]["outputs"] = [*entries[-1]["outputs"], *drawn]
     warned = any(entry["warnings"] for entry in entries)
     status = {
         "format": "isoparticles-status", "version": 1, "name": name, "goal": "mesh", "verdict": "warning" if warned else "passed",

@@ -249,7 +249,16 @@ class Context:
 
 _SILENT_FLAGS = frozenset({"--verbose", "--quiet", "--force"})
 _SILENT_VALUES = frozenset(
-    {"--threads", "--max-memory", "--report", "--progress", "--pictures", "--export", "--max-seconds", "--solve-seconds"}
+    {
+        "--threads",
+        "--max-memory",
+        "--report",
+        "--progress",
+        "--pictures",
+        "--export",
+        "--max-seconds",
+        "--solve-seconds",
+    }
 )
 
 
