@@ -1,6 +1,6 @@
 //! One slice: what its header says of its place and its numbers, and its pixels.
 
-use super::rle;
+use super::{lengths, rle};
 use crate::error::{Error, Result};
 use crate::io::limit::bad;
 use crate::io::volume::ScalarType;
@@ -65,6 +65,16 @@ pub(super) struct Pixels {
 impl Slice {
     /// Reads the header of a DICOM file.
     pub(super) fn read(path: &Path) -> Result<Found> {
+        let is_whole = lengths::lie_within(path)
+            .map_err(|error| Error::file(path, "read", &error, "copy or export the file again"))?;
+        if !is_whole {
+            return Err(bad(
+                path,
+                "has an element that is longer than the file",
+                "it is cut short or damaged",
+                "copy or export the file again, or move it to another folder if it is no slice",
+            ));
+        }
         let object = OpenFileOptions::new()
             .read_until(tags::PIXEL_DATA)
             .open_file(path)
@@ -127,7 +137,7 @@ impl Slice {
         bad(
             &self.path,
             format!("its pixels cannot be decoded (transfer syntax {syntax}): {why}"),
-            "uncompressed, deflated, RLE and JPEG (baseline and lossless) pixels are read; the file may be damaged, too",
+            "uncompressed, RLE and JPEG (baseline and lossless) pixels are read; the file may be damaged, too",
             "write the series uncompressed, for example with gdcmconv --raw or dcmdjpeg, or convert it to NRRD with 3D Slicer",
         )
     }
