@@ -11,7 +11,7 @@ use std::sync::LazyLock;
 
 static FIXTURES: LazyLock<Vec<(String, Vec<u8>)>> = LazyLock::new(|| {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data");
-    let mut paths: Vec<PathBuf> = ["nrrd", "nifti", "vti", "golden", "edited"]
+    let mut paths: Vec<PathBuf> = ["nrrd", "nifti", "vti", "meta", "segmentation", "golden", "edited"]
         .iter()
         .flat_map(|folder| std::fs::read_dir(root.join(folder)).expect("fixtures"))
         .map(|entry| entry.expect("entry").path())
@@ -37,6 +37,24 @@ fn read_all(name: &str, bytes: &[u8]) {
     }
 }
 
+/// Bytes cut short, grown and overwritten in some places.
+fn changed(bytes: &[u8], changes: Vec<(prop::sample::Index, u8, u8)>) -> Vec<u8> {
+    let mut bytes = bytes.to_vec();
+    for (at, byte, how) in changes {
+        let at = at.index(bytes.len().max(1)).min(bytes.len());
+        match how {
+            0 => bytes.truncate(at),
+            1 => bytes.insert(at, byte),
+            _ => {
+                if let Some(place) = bytes.get_mut(at) {
+                    *place = byte;
+                }
+            }
+        }
+    }
+    bytes
+}
+
 /// A line that may stand in an NRRD header, right or wrong.
 fn header_line() -> impl Strategy<Value = String> {
     let fields = [
@@ -57,6 +75,8 @@ fn header_line() -> impl Strategy<Value = String> {
         "byte skip",
         "data file",
         "space dimension",
+        "Segment0_Name:=x\nSegment0_Layer:=",
+        "Segment1_Name:=y\nSegment1_LabelValue:=",
     ];
     let values = [
         "short",
@@ -66,6 +86,7 @@ fn header_line() -> impl Strategy<Value = String> {
         "4",
         "1 2 2 2",
         "raw",
+        "list domain domain domain",
         "gzip",
         "hex",
         "ascii",
@@ -106,20 +127,7 @@ proptest! {
         changes in prop::collection::vec((any::<prop::sample::Index>(), any::<u8>(), 0..4u8), 1..6),
     ) {
         let (name, bytes) = which.get(&FIXTURES[..]);
-        let mut bytes = bytes.clone();
-        for (at, byte, how) in changes {
-            let at = at.index(bytes.len().max(1)).min(bytes.len());
-            match how {
-                0 => bytes.truncate(at),
-                1 => bytes.insert(at, byte),
-                _ => {
-                    if let Some(place) = bytes.get_mut(at) {
-                        *place = byte;
-                    }
-                }
-            }
-        }
-        read_all(name, &bytes);
+        read_all(name, &changed(bytes, changes));
     }
 
     #[test]
@@ -129,9 +137,31 @@ proptest! {
     }
 
     #[test]
-    fn any_bytes_are_read_or_refused(bytes: Vec<u8>, which in 0..6usize) {
-        let names = ["a.nrrd", "a.nii", "a.nii.gz", "a.vti", "a.vtp", "a.bin"];
-        let starts: [&[u8]; 6] = [b"NRRD0005\n", &[0x5c, 1, 0, 0], &[0x1f, 0x8b, 8], b"<VTKFile", b"<VTKFile ", b"ISOPART\n"];
+    fn any_bytes_are_read_or_refused(bytes: Vec<u8>, which in 0..8usize) {
+        let names = ["a.nrrd", "a.nii", "a.nii.gz", "a.vti", "a.vtp", "a.bin", "a.mha", "a.dcm"];
+        let slice = [&[0; 128][..], b"DICM"].concat();
+        let starts: [&[u8]; 8] =
+            [b"NRRD0005\n", &[0x5c, 1, 0, 0], &[0x1f, 0x8b, 8], b"<VTKFile", b"<VTKFile ", b"ISOPART\n", b"NDims = 3\n", &slice];
         read_all(names[which], &[starts[which], &bytes].concat());
+    }
+}
+
+// each case writes and reads two files
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 400, failure_persistence: None, ..ProptestConfig::default() })]
+
+    #[test]
+    fn a_series_with_a_changed_slice_is_read_or_refused(
+        series in prop::sample::select(vec!["oblique", "rle"]),
+        changes in prop::collection::vec((any::<prop::sample::Index>(), any::<u8>(), 0..4u8), 1..6),
+    ) {
+        let from = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/dicom").join(series);
+        let folder = tempfile::tempdir().expect("folder");
+        std::fs::copy(from.join("a.dcm"), folder.path().join("a.dcm")).expect("copied");
+        let bytes = std::fs::read(from.join("b.dcm")).expect("fixture");
+        std::fs::write(folder.path().join("b.dcm"), changed(&bytes, changes)).expect("written");
+        if let Err(error) = read_volume(folder.path()) {
+            assert!(!error.what.is_empty() && !error.why.is_empty() && !error.next.is_empty(), "{error}");
+        }
     }
 }

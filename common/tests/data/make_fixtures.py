@@ -1,7 +1,9 @@
 """Makes the fixtures of the format tests with other programs, and asks those programs where the voxels are.
 
-    pip install numpy pynrrd SimpleITK nibabel pyvista
-    UNU=/usr/bin/teem-unu python make_fixtures.py
+    pip install numpy pydicom pynrrd SimpleITK nibabel pyvista
+    UNU=/usr/bin/teem-unu python make_fixtures.py [nrrd] [nifti] [vti] [meta] [segmentation] [dicom] [edited]
+
+Without names all are made; with names, those, and the others stay.
 
 Every file holds 3 x 4 x 2 voxels whose values tell their place. `expected.json` says for each file what another reader
 (SimpleITK, nibabel, VTK or Teem's unu) makes of it: the type, the values, and the world positions (LPS where the file
@@ -14,11 +16,13 @@ import json
 import os
 import struct
 import subprocess
+import sys
 from pathlib import Path
 
 import nibabel
 import nrrd
 import numpy as np
+import pydicom
 import pyvista
 import SimpleITK as sitk
 import vtk
@@ -284,6 +288,114 @@ def make_vti():
                     told(file, name)
 
 
+def make_meta():
+    """MetaImage: by SimpleITK, and by hand what it does not write but reads."""
+    folder = HERE / "meta"
+    folder.mkdir(exist_ok=True)
+    for name in NAMES:
+        image = sitk.GetImageFromArray(voxels(name).transpose(2, 1, 0))
+        image.SetSpacing([0.5, 1.25, 3.0])
+        image.SetOrigin([10.5, -20.25, 30.0])
+        image.SetDirection((TURN.T * ([1, 1, -1] if name == "int8" else 1)).flatten())
+        file = f"meta/itk_{name}.{'mhd' if name == 'uint16' else 'mha'}"
+        sitk.WriteImage(image, str(HERE / file), name in ("int16", "uint16", "float64"))
+        by_itk(file, name)
+    data = voxels("int16")
+    little, big = (data.astype(order).tobytes(order="F") for order in ("<i2", ">i2"))
+    grid = "ObjectType = Image\nNDims = 3\nDimSize = 3 4 2\nElementSpacing = 0.5 1.25 3\nOffset = 1 2 3\n"
+    kind = "ElementType = MET_SHORT\n"
+    (folder / "slice_08.raw").write_bytes(little[:24])
+    (folder / "slice_09.raw").write_bytes(little[24:])
+    (folder / "behind.raw").write_bytes(b"anything" + little)
+    text = " ".join(map(str, data.flatten(order="F")))
+    for name, content in {
+        "list.mhd": grid + kind + "ElementDataFile = LIST\nslice_08.raw\nslice_09.raw\n",
+        "pattern.mhd": grid + kind + "ElementDataFile = slice_%02d.raw 8 9 1\n",
+        "from_end.mhd": grid + "HeaderSize = -1\n" + kind + "ElementDataFile = behind.raw\n",
+        "big.mha": (grid + "BinaryData = True\nBinaryDataByteOrderMSB = True\n" + kind + "ElementDataFile = LOCAL\n").encode() + big,
+        "text.mha": grid + "BinaryData = False\n" + kind + f"ElementDataFile = LOCAL\n{text}\n",
+        "orientation.mha": (grid + "AnatomicalOrientation = LPI\nCenterOfRotation = 7 8 9\n" + kind
+                            + "ElementDataFile = LOCAL\n").encode() + little,
+    }.items():
+        (folder / name).write_bytes(content if isinstance(content, bytes) else content.encode())
+        by_itk(f"meta/{name}", "int16")
+    refused = {
+        "colour.mha": (grid + "ElementNumberOfChannels = 3\n" + kind, little * 3, "3 numbers a voxel"),
+        "short.mha": (grid + kind, little[:-1], "cut short"),
+        "trailing.mha": (grid + kind, little + b"x", "behind the last voxel"),
+        "flat.mha": ("NDims = 2\nDimSize = 3 4\n" + kind, little[:24], "2 dimensions"),
+        "huge.mha": (grid.replace("3 4 2", "300000 300000 300000") + kind, little, "MiB of voxels"),
+        "overflow.mha": (grid.replace("3 4 2", "9999999999 9999999999 9999999999") + kind, little, "promises"),
+        "no_zlib.mha": (grid + "CompressedData = True\n" + kind, little, "not as the header says"),
+        "array.mha": (grid + "ElementType = MET_SHORT_ARRAY\n", little, "MET_SHORT_ARRAY"),
+        "zero_spacing.mha": (grid.replace("1.25", "0") + kind, little, "spacing"),
+    }
+    for name, (header, body, word) in refused.items():
+        (folder / name).write_bytes((header + "ElementDataFile = LOCAL\n").encode() + body)
+        expected["refused"][f"meta/{name}"] = word
+
+
+def make_segmentation():
+    """Segmentations as 3D Slicer writes them: one layer, and two that overlap."""
+    folder = HERE / "segmentation"
+    folder.mkdir(exist_ok=True)
+    labels = (np.arange(24) % 3).astype(np.uint8).reshape(SIZE, order="F")
+    more = np.roll(labels, 5)
+    lps = {"space": "left-posterior-superior", "space origin": [10.5, -20.25, 30.0], "encoding": "gzip"}
+    segments = {
+        "Segment0_ID": "Segment_1", "Segment0_Name": "left lung", "Segment0_LabelValue": "1", "Segment0_Layer": "0",
+        "Segment1_ID": "Segment_2", "Segment1_Name": "heart (right)", "Segment1_LabelValue": "2", "Segment1_Layer": "0",
+        "Segmentation_MasterRepresentation": "Binary labelmap",
+    }
+    nrrd.write(str(folder / "one_layer.seg.nrrd"), labels,
+               {**lps, "space directions": OBLIQUE, "kinds": ["domain"] * 3, **segments})
+    by_itk("segmentation/one_layer.seg.nrrd", check_values=False)
+    vessel = {"Segment2_ID": "Segment_3", "Segment2_Name": "vessel", "Segment2_LabelValue": "1", "Segment2_Layer": "1"}
+    nrrd.write(str(folder / "two_layers.seg.nrrd"), np.stack([labels, more]),
+               {**lps, "space directions": np.vstack([[np.nan] * 3, OBLIQUE]), "kinds": ["list"] + ["domain"] * 3, **segments, **vessel})
+    both = nrrd.read(str(folder / "two_layers.seg.nrrd"))[0]
+    expect("segmentation/two_layers.seg.nrrd", both[0], affine_positions(OBLIQUE, lps["space origin"]), "pynrrd")
+    nrrd.write(str(folder / "no_layer.seg.nrrd"), np.stack([labels, more]),
+               {**lps, "space directions": np.vstack([[np.nan] * 3, OBLIQUE]), "kinds": ["list"] + ["domain"] * 3, **segments,
+                **vessel, "Segment2_Layer": "7"})
+    expected["refused"]["segmentation/no_layer.seg.nrrd"] = "layer 7 of 2"
+
+
+def make_dicom():
+    """Oblique series of two slices, the second first by name: not compressed, and in RLE."""
+    for folder, compressed in [("dicom/oblique", False), ("dicom/rle", True)]:
+        (HERE / folder).mkdir(parents=True, exist_ok=True)
+        for n in range(2):
+            ds = pydicom.Dataset()
+            ds.file_meta = pydicom.dataset.FileMetaDataset()
+            ds.file_meta.TransferSyntaxUID = pydicom.uid.ExplicitVRLittleEndian
+            ds.SOPClassUID = ds.file_meta.MediaStorageSOPClassUID = pydicom.uid.CTImageStorage
+            ds.SOPInstanceUID = ds.file_meta.MediaStorageSOPInstanceUID = f"1.2.826.0.1.3680043.8.498.1.{n + 1}"
+            ds.StudyInstanceUID, ds.SeriesInstanceUID = "1.2.826.0.1.3680043.8.498.2", "1.2.826.0.1.3680043.8.498.3"
+            ds.Modality, ds.SeriesDescription, ds.SeriesNumber, ds.InstanceNumber = "CT", "oblique", 3, n + 1
+            ds.ImageOrientationPatient = [*TURN[0].tolist(), *TURN[1].tolist()]
+            ds.ImagePositionPatient = (np.array([10.5, -20.25, 30.0]) + n * OBLIQUE[2]).round(10).tolist()
+            ds.PixelSpacing = [1.25, 0.5]
+            ds.SliceThickness = 3.0
+            ds.RescaleSlope, ds.RescaleIntercept = 1, -1024
+            slices = (np.arange(24) * 7 + 900).astype(np.uint16).reshape(SIZE, order="F")
+            ds.SamplesPerPixel, ds.PhotometricInterpretation, ds.PixelRepresentation = 1, "MONOCHROME2", 0
+            ds.Rows, ds.Columns, ds.BitsAllocated, ds.BitsStored, ds.HighBit = SIZE[1], SIZE[0], 16, 12, 11
+            ds.PixelData = np.ascontiguousarray(slices[:, :, n].T).tobytes()
+            if compressed:
+                ds.compress(pydicom.uid.RLELossless)
+            ds.save_as(HERE / folder / f"{'ba'[n]}.dcm", enforce_file_format=True)
+        if compressed:  # which SimpleITK does not decode when it is so small
+            told = [pydicom.dcmread(HERE / folder / f"{name}.dcm").pixel_array.T.astype(np.int16) - 1024 for name in "ba"]
+            expect(folder, np.stack(told, axis=-1), affine_positions(OBLIQUE, [10.5, -20.25, 30.0]), "pydicom")
+            continue
+        names = sitk.ImageSeriesReader.GetGDCMSeriesFileNames(str(HERE / folder))
+        image = sitk.ReadImage(names)
+        array = sitk.GetArrayFromImage(image).transpose(2, 1, 0).astype(np.int16)
+        assert array[0, 0, 0] == 900 - 1024, array
+        expect(folder, array, [image.TransformIndexToPhysicalPoint(c) for c in CORNERS], "SimpleITK")
+
+
 def make_edited():
     """The golden size field, opened, checked, doubled and saved by pyvista; the golden surfaces, opened by VTK."""
     folder = HERE / "edited"
@@ -305,6 +417,11 @@ def make_edited():
 
     opened().save(str(folder / "edited.vti"))
     opened().save(str(folder / "edited_ascii.vti"), binary=False)
+    # version 2 has bytes in place of strings
+    image = pyvista.read(str(HERE / "golden" / "field_v2.sizefield.vti"))
+    image.point_data["sizing"] = image.point_data["sizing"] * np.float32(2)
+    image.save(str(folder / "edited_v2.vti"))
+    image.save(str(folder / "edited_v2_ascii.vti"), binary=False)
     bare = opened()
     bare.field_data.clear()
     bare.save(str(folder / "edited_without_field_data.vti"))
@@ -326,10 +443,16 @@ def make_edited():
     assert json.loads(mesh.field_data["history"][0])["tool"] == "sizefield"
 
 
-make_nrrd()
-make_nifti()
-make_vti()
-make_edited()
+MAKERS = {"nrrd": make_nrrd, "nifti": make_nifti, "vti": make_vti, "meta": make_meta, "segmentation": make_segmentation,
+          "dicom": make_dicom, "edited": make_edited}
+wanted = sys.argv[1:] or list(MAKERS)
+if sys.argv[1:]:
+    expected = json.loads((HERE / "expected.json").read_text())
+    for told in expected.values():
+        for file in [file for file in told if file.split("/")[0] in wanted]:
+            del told[file]
+for name in wanted:
+    MAKERS[name]()
 (HERE / "expected.json").write_text(json.dumps(expected, indent=1) + "\n")
 print(len(expected["volumes"]), "volumes,", len(expected["refused"]), "to be refused,",
       sum(f.stat().st_size for f in HERE.rglob("*") if f.is_file()), "bytes in all")

@@ -4,6 +4,8 @@
 //! how far apart ([`stack`]), in which type of number ([`Pixels`](slice::Pixels)).
 
 mod choose;
+mod lengths;
+mod rle;
 mod slice;
 mod stack;
 

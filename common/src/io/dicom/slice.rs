@@ -1,13 +1,17 @@
 //! One slice: what its header says of its place and its numbers, and its pixels.
 
+use super::{lengths, rle};
 use crate::error::{Error, Result};
 use crate::io::limit::bad;
 use crate::io::volume::ScalarType;
 use dicom_dictionary_std::tags;
 use dicom_object::{DefaultDicomObject, OpenFileOptions, Tag};
-use dicom_pixeldata::{PixelDecoder, PixelRepresentation};
+use dicom_pixeldata::PixelDecoder;
 use glam::DVec3;
 use std::path::{Path, PathBuf};
+
+/// Transfer syntax of pixels in [`rle`].
+const RLE_LOSSLESS: &str = "1.2.840.10008.1.2.5";
 
 /// The header of a file that holds an image.
 #[derive(Clone, Debug)]
@@ -47,8 +51,12 @@ pub(super) struct SeriesName {
 /// How stored pixels become values: their width and sign, and the slope and intercept of the modality (Hounsfield units in a CT).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Pixels {
+    /// Bytes that a pixel is stored in: 1, 2 or 4.
+    bytes: usize,
     /// Bits that count, of those that are stored.
     bits: u32,
+    /// The highest of them; bits above it may hold overlays.
+    high_bit: u32,
     is_signed: bool,
     slope: f64,
     intercept: f64,
@@ -57,6 +65,16 @@ pub(super) struct Pixels {
 impl Slice {
     /// Reads the header of a DICOM file.
     pub(super) fn read(path: &Path) -> Result<Found> {
+        let is_whole = lengths::lie_within(path)
+            .map_err(|error| Error::file(path, "read", &error, "copy or export the file again"))?;
+        if !is_whole {
+            return Err(bad(
+                path,
+                "has an element that is longer than the file",
+                "it is cut short or damaged",
+                "copy or export the file again, or move it to another folder if it is no slice",
+            ));
+        }
         let object = OpenFileOptions::new()
             .read_until(tags::PIXEL_DATA)
             .open_file(path)
@@ -100,46 +118,56 @@ impl Slice {
     pub(super) fn values(&self) -> Result<Vec<f64>> {
         let path = &self.path;
         let object = dicom_object::open_file(path).map_err(|error| damaged(path, &error))?;
-        let decoded = object.decode_pixel_data().map_err(|error| {
-            let syntax = object.meta().transfer_syntax().to_owned();
-            bad(
-                path,
-                format!("its pixels cannot be decoded (transfer syntax {}): {}", syntax.trim_end_matches('\0'), reason(&error)),
-                "uncompressed, deflated, RLE and JPEG (baseline and lossless) pixels are read; the file may be damaged, too",
-                "write the series uncompressed, for example with gdcmconv --raw or dcmdjpeg, or convert it to NRRD with 3D Slicer",
-            )
-        })?;
-        let count = self.rows * self.columns;
-        let bytes = decoded.data();
-        let width = usize::from(decoded.bits_allocated().div_ceil(8));
+        let syntax = object.meta().transfer_syntax().trim_end_matches('\0').to_owned();
+        let stored = if syntax == RLE_LOSSLESS {
+            let fragments = object.get(tags::PIXEL_DATA).and_then(|element| element.fragments());
+            let frame = fragments.and_then(|fragments| if let [frame] = fragments { Some(frame) } else { None });
+            let count = self.rows * self.columns;
+            frame
+                .and_then(|frame| rle::decode(frame, count, self.pixels.bytes))
+                .ok_or_else(|| self.undecoded(&syntax, "damaged"))?
+        } else {
+            let decoded = object.decode_pixel_data().map_err(|error| self.undecoded(&syntax, &reason(&error)))?;
+            self.numbers(decoded.data())?
+        };
+        Ok(stored.into_iter().map(|stored| self.pixels.value(stored)).collect())
+    }
+
+    fn undecoded(&self, syntax: &str, why: &str) -> Error {
+        bad(
+            &self.path,
+            format!("its pixels cannot be decoded (transfer syntax {syntax}): {why}"),
+            "uncompressed, RLE and JPEG (baseline and lossless) pixels are read; the file may be damaged, too",
+            "write the series uncompressed, for example with gdcmconv --raw or dcmdjpeg, or convert it to NRRD with 3D Slicer",
+        )
+    }
+
+    /// The stored numbers in decoded bytes, which are in the order of this machine.
+    fn numbers(&self, bytes: &[u8]) -> Result<Vec<u64>> {
+        let (count, width) = (self.rows * self.columns, self.pixels.bytes);
         // an odd number of bytes is padded to an even one
         if !(bytes.len() == count * width || bytes.len() == (count * width).next_multiple_of(2)) {
             return Err(bad(
-                path,
+                &self.path,
                 format!("has {} bytes of pixels where {} are needed", bytes.len(), count * width),
                 format!("its header promises {} x {} pixels", self.columns, self.rows),
                 "copy or export the file again",
             ));
         }
-        let stored = |group: &[u8]| -> u64 {
-            match *group {
-                [a] => a.into(),
-                [a, b] => u16::from_ne_bytes([a, b]).into(),
-                [a, b, c, d] => u32::from_ne_bytes([a, b, c, d]).into(),
-                _ => 0,
-            }
+        let number = |group: &[u8]| match *group {
+            [a] => a.into(),
+            [a, b] => u16::from_ne_bytes([a, b]).into(),
+            [a, b, c, d] => u32::from_ne_bytes([a, b, c, d]).into(),
+            _ => 0,
         };
-        let high_bit = u32::from(decoded.high_bit());
-        let is_signed = decoded.pixel_representation() == PixelRepresentation::Signed;
-        let pixels = Pixels { is_signed, ..self.pixels };
-        Ok(bytes[..count * width].chunks_exact(width).map(|group| pixels.value(stored(group), high_bit)).collect())
+        Ok(bytes[..count * width].chunks_exact(width).map(number).collect())
     }
 }
 
 impl Pixels {
-    /// The value of a stored number whose highest bit that counts is `high_bit`; bits above it may hold overlays.
-    fn value(&self, stored: u64, high_bit: u32) -> f64 {
-        let shifted = stored >> (high_bit + 1).saturating_sub(self.bits);
+    /// The value of a stored number.
+    fn value(&self, stored: u64) -> f64 {
+        let shifted = stored >> (self.high_bit + 1 - self.bits);
         let whole = if self.is_signed {
             ((shifted << (64 - self.bits)) as i64) >> (64 - self.bits)
         } else {
@@ -276,11 +304,15 @@ impl Header<'_> {
             self.number_or(tags::RESCALE_SLOPE, "RescaleSlope", 1.0)?,
             self.number_or(tags::RESCALE_INTERCEPT, "RescaleIntercept", 0.0)?,
         );
+        let high_bit = self.whole(tags::HIGH_BIT)?.unwrap_or(bits - 1);
+        if !(bits - 1..allocated).contains(&high_bit) {
+            return Err(self.meaningless("HighBit", &high_bit.to_string()));
+        }
         if slope == 0.0 {
             return Err(self.meaningless("RescaleSlope", "0"));
         }
         let is_signed = self.whole(tags::PIXEL_REPRESENTATION)? == Some(1);
-        Ok(Pixels { bits: bits as u32, is_signed, slope, intercept })
+        Ok(Pixels { bytes: allocated / 8, bits: bits as u32, high_bit: high_bit as u32, is_signed, slope, intercept })
     }
 }
 

@@ -1,0 +1,66 @@
+//! DICOM's run-length encoding (PS3.5, annex G): the bytes of the pixels in planes, highest first, each packed as in TIFF's PackBits.
+//!
+//! Decoded here, because the decoder of dicom-rs 0.10 panics on damaged data.
+
+/// Bytes of the header: the number of planes and room for the offsets of fifteen.
+const HEADER_BYTES: usize = 64;
+
+/// Decodes one frame of `pixels` pixels of `width` bytes into numbers; `None` where the data is damaged.
+pub(super) fn decode(frame: &[u8], pixels: usize, width: usize) -> Option<Vec<u64>> {
+    let number = |at: usize| Some(u32::from_le_bytes(frame.get(4 * at..4 * at + 4)?.try_into().ok()?) as usize);
+    if number(0)? != width || frame.len() < HEADER_BYTES {
+        return None;
+    }
+    let mut values = vec![0u64; pixels];
+    for plane in 0..width {
+        let start = number(1 + plane)?;
+        let end = if plane + 1 < width { number(2 + plane)? } else { frame.len() };
+        let bytes = unpack(frame.get(start..end)?, pixels)?;
+        values.iter_mut().zip(bytes).for_each(|(value, byte)| *value = *value << 8 | u64::from(byte));
+    }
+    Some(values)
+}
+
+/// Unpacks `count` bytes: a control byte up to 127 is followed by one more literal bytes than it says, one from 129 on by a byte that is
+/// repeated 257 minus it times.
+fn unpack(mut packed: &[u8], count: usize) -> Option<Vec<u8>> {
+    // a run packs at most 128 bytes into two
+    if packed.len().saturating_mul(64) < count {
+        return None;
+    }
+    let mut bytes = Vec::with_capacity(count);
+    while bytes.len() < count {
+        let (&control, rest) = packed.split_first()?;
+        packed = match control {
+            0..=127 => {
+                let (literal, rest) = rest.split_at_checked(usize::from(control) + 1)?;
+                bytes.extend_from_slice(literal);
+                rest
+            }
+            128 => rest,
+            129..=255 => {
+                let (&repeated, rest) = rest.split_first()?;
+                bytes.resize(bytes.len() + 257 - usize::from(control), repeated);
+                rest
+            }
+        };
+    }
+    bytes.truncate(count);
+    Some(bytes)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_example_of_tiff_is_unpacked() {
+        let packed = [0xfe, 0xaa, 0x02, 0x80, 0x00, 0x2a, 0xfd, 0xaa, 0x03, 0x80, 0x00, 0x2a, 0x22, 0x80, 0xf7, 0xaa];
+        let mut expected = vec![0xaa, 0xaa, 0xaa, 0x80, 0x00, 0x2a, 0xaa, 0xaa, 0xaa, 0xaa, 0x80, 0x00, 0x2a, 0x22];
+        expected.extend([0xaa; 10]);
+        assert_eq!(unpack(&packed, 24), Some(expected));
+        assert_eq!(unpack(&packed, 25), None);
+        assert_eq!(unpack(&packed[..3], 24), None);
+        assert_eq!(unpack(&packed, usize::MAX), None);
+    }
+}
