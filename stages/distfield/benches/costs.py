@@ -25,7 +25,7 @@ PHANTOMS = [
     ("gyroid --size 112 --kind label", "--labels=1", ""),
     ("torus --size 96 --noise 40", "--iso=100", ""),
 ]
-GROUPS = {"fields": (1, 1, 0), "particles": (0, 0, 1), "triangles": (1, 0, 1)}
+GROUPS = {"fields": (1, 1, 0), "particles": (1, 0, 1), "triangles": (1, 0, 1)}
 
 
 def measured(command: list[str]) -> tuple[float, int]:

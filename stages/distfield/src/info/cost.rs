@@ -45,14 +45,14 @@ struct Rates {
     bytes: [f64; 4],
 }
 
-/// From the torso phantoms, `python stages/distfield/benches/costs.py` (its heart, lungs and ribs; two cores of an EPYC, shared with much other work), which
-/// they meet within a tenth but for the particles (140 s a million vertices: 156, 111 and 141). `triangles`: bytes a vertex of
+/// `python stages/distfield/benches/costs.py`, seven phantoms on two cores of an EPYC, shared with much other work. Memory is met within a fifth; time within a
+/// third, but for the particles of noise (11.3 s where these rates give 4.3: they run all passes) and those of a coarse ball. `triangles`: bytes a vertex of
 /// `thorax_ct_native_u8`. `tetrahedra`: seconds elapsed of the torso's lungs and ribs, 11.7 for 36,514 vertices and 19.5 for 99,084, and 896 and 2,050 MiB
 /// for 55,626 and 292,825 vertices of `heart` and `ribs` (all three of `docs/performance.md`).
 const RATES: [Rates; 4] = [
-    Rates { stage: "fields", seconds: [0.0, 0.73, 46.0, 0.0], bytes: [5e6, 17.5, 320.0, 0.0] },
-    Rates { stage: "particles", seconds: [0.0, 0.0, 0.0, 140.0], bytes: [5e6, 16.0, 0.0, 175.0] },
-    Rates { stage: "triangles", seconds: [0.0, 0.13, 0.0, 50.0], bytes: [5e6, 15.5, 0.0, 1034.0] },
+    Rates { stage: "fields", seconds: [0.0, 0.8, 46.0, 0.0], bytes: [1.9e7, 15.5, 400.0, 0.0] },
+    Rates { stage: "particles", seconds: [0.0, 0.0, 0.0, 130.0], bytes: [1.5e7, 14.5, 0.0, 350.0] },
+    Rates { stage: "triangles", seconds: [0.0, 0.12, 0.0, 52.0], bytes: [1.3e7, 14.5, 0.0, 1034.0] },
     Rates { stage: "tetrahedra", seconds: [7.0, 0.0, 0.0, 125.0], bytes: [6.3e8, 0.0, 0.0, 5100.0] },
 ];
 
