@@ -153,7 +153,17 @@ fn exit_codes_and_files() {
     assert_eq!(help.status.code(), Some(0));
     let help = String::from_utf8_lossy(&help.stdout).into_owned();
     assert!(help.starts_with("Tries the frame of a stage"), "{help}");
-    for option in ["--verbose", "--quiet", "--force", "--threads", "--seed", "--report", "--progress", "--version"] {
+    for option in [
+        "--verbose",
+        "--quiet",
+        "--force",
+        "--threads",
+        "--max-memory",
+        "--seed",
+        "--report",
+        "--progress",
+        "--version",
+    ] {
         assert!(help.contains(option), "{option}");
     }
     assert_eq!(start(&["--version"], folder.path()).status.code(), Some(0));

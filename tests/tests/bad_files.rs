@@ -189,8 +189,17 @@ fn existing_outputs_are_kept_by_every_stage() {
 fn every_stage_has_help_version_and_the_shared_options() {
     for name in ["distfield", "sizefield", "seed", "particles", "reconstruct"] {
         let help = stage(name, ["--help"]).expect_success(name).stdout;
-        for option in ["--verbose", "--quiet", "--force", "--threads", "--seed", "--report", "--progress", "--version"]
-        {
+        for option in [
+            "--verbose",
+            "--quiet",
+            "--force",
+            "--threads",
+            "--max-memory",
+            "--seed",
+            "--report",
+            "--progress",
+            "--version",
+        ] {
             assert!(help.contains(option), "{name} --help lacks {option}");
         }
         assert!(help.to_lowercase().contains("example"), "{name} --help lacks an example");

@@ -18,17 +18,14 @@ import numpy as np
 
 PHANTOMS = [
     ("torso --part heart", "--iso=100", ""),
-    ("torso --part lungs", "--iso=-380", ""),
     ("torso --part ribs", "--iso=370", ""),
-    ("torso --part ribs --kind label", "--labels=all", ""),
-    ("ball --size 96 --kind label", "--labels=1", ""),
-    ("ball --size 256", "--iso=100", ""),
-    ("ball --size 128", "--iso=100", "--uniform=1"),
-    ("gyroid --size 128 --kind label", "--labels=1", ""),
-    ("gyroid --size 160", "--iso=100", ""),
-    ("torus --size 160 --noise 40", "--iso=100", ""),
+    ("torso --part lungs --kind label", "--labels=all", ""),
+    ("ball --size 192", "--iso=100", ""),
+    ("ball --size 96 --kind label", "--labels=1", "--uniform=0.7"),
+    ("gyroid --size 112 --kind label", "--labels=1", ""),
+    ("torus --size 96 --noise 40", "--iso=100", ""),
 ]
-GROUPS = {"fields": (1, 1, 0), "particles": (0, 0, 1), "triangles": (1, 0, 1)}
+GROUPS = {"fields": (1, 1, 0), "particles": (1, 0, 1), "triangles": (1, 0, 1)}
 
 
 def measured(command: list[str]) -> tuple[float, int]:

@@ -305,6 +305,7 @@ def test_help_and_version(run: Run) -> None:
         "--sizefield",
         "--force",
         "--threads",
+        "--max-memory",
         "--seed",
         "--report",
         "--progress",

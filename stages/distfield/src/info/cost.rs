@@ -9,12 +9,13 @@ use super::kind::Kind;
 use isoparticles_common::geometry::Geometry;
 use serde::Serialize;
 
-/// Edge length over the radius of mean curvature, and over the thickness. Fitted together with the two factors below to
-/// the vertices that `docs/performance.md` gives for fourteen surfaces (`stages/distfield/benches/predicted.py` fits and compares).
+/// Edge length over the radius of mean curvature, and over the thickness. Of a grid of values for these two, [`STAIRCASE`] and the radius [`BALL`], those
+/// that leave the least scatter (a factor of 1.3) between predicted and made vertices of the fourteen surfaces that `docs/performance.md` lists;
+/// `stages/distfield/benches/predicted.py` compares, and tells the factors of gradation.
 const EDGE_OVER_RADIUS: f64 = 0.30;
 const EDGE_OVER_THICKNESS: f64 = 0.20;
 
-/// Imbalance of the ball that the staircase of voxels leaves on a plane surface, root mean square; from the same fit.
+/// Imbalance of the ball that the staircase of voxels leaves on a plane surface, root mean square; from the same search.
 const STAIRCASE: f64 = 0.06;
 
 /// Bounds of h by default: of the mean voxel spacing, and of the object's diagonal (`sizefield --quality medium`).
@@ -26,26 +27,33 @@ const LARGEST_DIAGONALS: f64 = 0.1;
 const GRADATION_LABELS: f64 = 1.82;
 const GRADATION_SCAN: f64 = 2.22;
 
-/// How far off a prediction may be: a factor of this, either way. Thirteen of the fourteen surfaces lie within it.
-pub const UNCERTAINTY: f64 = 1.4;
+/// How far off a prediction may be: a factor of this, either way. All but the smallest of the fourteen surfaces lie within it, by 1.43 at most.
+pub const UNCERTAINTY: f64 = 1.5;
 
 /// Fewest particles that a part is given (`sizefield`): so many vertices a speck has at least.
 const SPECK_VERTICES: f64 = 32.0;
 
-/// What stages take: seconds of processor time and bytes for each voxel of the padded grid, face between voxels and vertex.
+/// Fewest particles that a part is seeded with, whatever the size (`seed`).
+const FEWEST_VERTICES: f64 = 12.0;
+
+/// What stages take: by itself, and for each node of the padded grid, face between voxels and vertex.
 struct Rates {
     stage: &'static str,
-    /// Seconds for a million of each.
-    seconds: [f64; 3],
-    /// Bytes at once: for the program itself, for a voxel, for a face and for a vertex.
+    /// Processor seconds: by itself, then for a million of each.
+    seconds: [f64; 4],
+    /// Bytes at once.
     bytes: [f64; 4],
 }
 
+/// `python stages/distfield/benches/costs.py`, seven phantoms on two cores of an EPYC, shared with much other work. Memory is met within a fifth; time within a
+/// third, but for the particles of noise (11.3 s where these rates give 4.3: they run all passes) and those of a coarse ball. `triangles`: bytes a vertex of
+/// `thorax_ct_native_u8`. `tetrahedra`: seconds elapsed of the torso's lungs and ribs, 11.7 for 36,514 vertices and 19.5 for 99,084, and 896 and 2,050 MiB
+/// for 55,626 and 292,825 vertices of `heart` and `ribs` (all three of `docs/performance.md`).
 const RATES: [Rates; 4] = [
-    Rates { stage: "fields", seconds: [0.8, 20.0, 0.0], bytes: [3e7, 12.0, 400.0, 0.0] },
-    Rates { stage: "particles", seconds: [0.0, 0.0, 100.0], bytes: [3e7, 16.0, 0.0, 700.0] },
-    Rates { stage: "triangles", seconds: [0.1, 0.0, 60.0], bytes: [3e7, 12.0, 0.0, 1403.0] },
-    Rates { stage: "tetrahedra", seconds: [0.0, 0.0, 150.0], bytes: [6e8, 0.0, 0.0, 5000.0] },
+    Rates { stage: "fields", seconds: [0.0, 0.8, 46.0, 0.0], bytes: [1.9e7, 15.5, 400.0, 0.0] },
+    Rates { stage: "particles", seconds: [0.0, 0.0, 0.0, 130.0], bytes: [1.5e7, 14.5, 0.0, 350.0] },
+    Rates { stage: "triangles", seconds: [0.0, 0.12, 0.0, 52.0], bytes: [1.3e7, 14.5, 0.0, 1034.0] },
+    Rates { stage: "tetrahedra", seconds: [7.0, 0.0, 0.0, 125.0], bytes: [6.3e8, 0.0, 0.0, 5100.0] },
 ];
 
 /// Bytes a node that distfield takes above its input's own: 5.98 for labels, 5.16 for scalars of 512^3 (`docs/performance.md`, memory of distfield).
@@ -83,7 +91,7 @@ pub struct Uniform {
 pub struct StageCost {
     /// The stages: `fields` are distfield, sizefield and seed, `triangles` reconstruct, `tetrahedra` tetmesh-check.
     pub stage: &'static str,
-    /// Processor time, seconds; the stages share it among all threads.
+    /// Processor time, seconds, which the stages share among all threads; of `tetrahedra`, which use one, elapsed.
     pub seconds: f64,
     /// Most memory at once, bytes.
     pub bytes: f64,
@@ -92,19 +100,22 @@ pub struct StageCost {
 /// The cost of an object of some parts with this boundary.
 pub fn cost(boundary: &Boundary, parts: Option<usize>, geometry: &Geometry, kind: Kind) -> Cost {
     let area = boundary.area(geometry);
-    let at_least = SPECK_VERTICES * parts.unwrap_or(1) as f64;
-    let vertices = default_vertices(boundary, geometry, kind).max(at_least);
+    let parts = parts.unwrap_or(1) as f64;
+    let vertices = default_vertices(boundary, geometry, kind).max(SPECK_VERTICES * parts);
     let faces: usize = boundary.faces.iter().sum();
     let counts = [geometry.padded(5).voxel_count() as f64, faces as f64, vertices];
-    let stages = RATES.iter().map(|rates| StageCost {
-        stage: rates.stage,
-        seconds: rates.seconds.iter().zip(counts).map(|(rate, count)| 1e-6 * rate * count).sum(),
-        bytes: rates.bytes[0] + rates.bytes[1..].iter().zip(counts).map(|(rate, count)| rate * count).sum::<f64>(),
+    let total =
+        |rates: &[f64; 4]| rates[0] + rates[1..].iter().zip(counts).map(|(rate, count)| rate * count).sum::<f64>();
+    let stages = RATES.iter().map(|rates| {
+        let [by_itself, each @ ..] = rates.seconds;
+        let [node, face, vertex] = each.map(|seconds| 1e-6 * seconds);
+        StageCost { stage: rates.stage, seconds: total(&[by_itself, node, face, vertex]), bytes: total(&rates.bytes) }
     });
     let voxel = geometry.mean_spacing();
-    let uniform = SIZES.map(|size| Uniform {
-        size: two_digits(size * voxel),
-        vertices: (area * lattice_density(two_digits(size * voxel))).max(at_least.min(12.0)).round() as usize,
+    let uniform = SIZES.map(|voxels| {
+        let size = two_digits(voxels * voxel);
+        let vertices = (area * lattice_density(size)).max(FEWEST_VERTICES * parts);
+        Uniform { size, vertices: two_digits(vertices) as usize }
     });
     Cost {
         area,

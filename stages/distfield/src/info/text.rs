@@ -132,8 +132,8 @@ impl VolumeInfo {
         }
         writeln!(
             out,
-            "  Vertices are predicted from balls of {BALL} voxels round sampled faces; the time is processor time of all threads together,\n  \
-             measured on one core of the machine that docs/tuning.md names."
+            "  Vertices are predicted from balls of {BALL} voxels round sampled faces; time is processor time of all threads\n  \
+             together, at the rates that docs/tuning.md gives with their machine."
         )
     }
 }
