@@ -46,11 +46,16 @@ impl Occupancy {
             let (below, here, above) = (slice(k.saturating_sub(1)), slice(k), slice((k + 1).min(nz - 1)));
             for (n, share) in own.iter_mut().enumerate() {
                 let (i, j) = (n % nx, n / nx);
-                let across = |low: f32, high: f32| 0.5 * (f64::from(high) - f64::from(low)).abs();
-                let width = across(here[n - usize::from(i > 0)], here[n + usize::from(i + 1 < nx)])
-                    + across(here[n - nx * usize::from(j > 0)], here[n + nx * usize::from(j + 1 < ny)])
-                    + across(below[n], above[n]);
-                let value = sign * (f64::from(here[n]) - iso);
+                let own = f64::from(here[n]);
+                let (x, y) = (usize::from(i > 0), nx * usize::from(j > 0));
+                let neighbours = [
+                    [here[n - x], here[n + usize::from(i + 1 < nx)]],
+                    [here[n - y], here[n + nx * usize::from(j + 1 < ny)]],
+                    [below[n], above[n]],
+                ];
+                let neighbours = neighbours.map(|pair| pair.map(|near| f64::from(near) - iso));
+                let width = change_across(own - iso, &neighbours);
+                let value = sign * (own - iso);
                 let part = (0.5 + value / width.max(f64::MIN_POSITIVE)).clamp(0.0, 1.0);
                 let whole = (part * f64::from(WHOLE)).round() as u8;
                 *share = if value > 0.0 { whole.max(CENTRE_INSIDE) } else { whole.min(CENTRE_INSIDE - 1) };
@@ -81,7 +86,9 @@ impl Occupancy {
             for k in k..(k + 2).min(nz) {
                 for j in j..(j + 2).min(ny) {
                     let row = &self.shares[(k * ny + j) * nx..][..nx];
-                    row[i..(i + 2).min(nx)].iter().for_each(|&share| (sum, count) = (sum + u32::from(share), count + 1));
+                    row[i..(i + 2).min(nx)]
+                        .iter()
+                        .for_each(|&share| (sum, count) = (sum + u32::from(share), count + 1));
                 }
             }
             *share = (sum / count) as u8;
@@ -100,6 +107,20 @@ impl Occupancy {
     }
 }
 
+/// How much a value changes across its voxel, given those of the neighbours along each axis (all less the iso value): to those beyond the surface, and no more than
+/// that along the other axes, so that metal or air farther off has no say; 0 where no neighbour is beyond the surface.
+fn change_across(own: f64, neighbours: &[[f64; 2]; 3]) -> f64 {
+    let beyond = |pair: &[f64; 2]| {
+        pair.iter().filter(|&&near| near * own <= 0.0).map(|near| (near - own).abs()).fold(0.0, f64::max)
+    };
+    let largest = neighbours.iter().map(beyond).fold(0.0, f64::max);
+    let along = |pair: &[f64; 2]| {
+        let least = pair.iter().map(|near| (near - own).abs()).fold(f64::INFINITY, f64::min);
+        if beyond(pair) > 0.0 { beyond(pair) } else { least.min(largest) }
+    };
+    neighbours.iter().map(along).sum()
+}
+
 /// The box round two boxes.
 fn around(a: ([usize; 3], [usize; 3]), b: ([usize; 3], [usize; 3])) -> ([usize; 3], [usize; 3]) {
     (std::array::from_fn(|axis| a.0[axis].min(b.0[axis])), std::array::from_fn(|axis| a.1[axis].max(b.1[axis])))
@@ -114,7 +135,9 @@ mod tests {
     fn a_plane_leaves_the_share_of_each_voxel_below_it() {
         let geometry = Geometry::axis_aligned([4, 4, 8], DVec3::new(1.0, 2.0, 0.5));
         let values = (0..geometry.voxel_count()).map(|n| 10.0 * (n / 16) as f32).collect();
-        for (inside, want) in [(Inside::Above, [0, 0, 0, 51, 255, 255, 255, 255]), (Inside::Below, [255, 255, 255, 204, 0, 0, 0, 0])] {
+        for (inside, want) in
+            [(Inside::Above, [0, 0, 0, 51, 255, 255, 255, 255]), (Inside::Below, [255, 255, 255, 204, 0, 0, 0, 0])]
+        {
             let occupancy = Occupancy::of_scalar(&Voxels::F32(Vec::clone(&values)), &geometry, 33.0, inside);
             let column: Vec<u8> = (0..8).map(|k| occupancy.shares[16 * k + 5]).collect();
             assert_eq!(column, want, "{inside:?}");

@@ -411,12 +411,19 @@ mod tests {
         let parameters = Parameters::default();
         // 1 % come and as many go each pass, five times what rest allows
         let in_balance = |faults: &dyn Fn(u64) -> usize, growth: usize| -> Vec<PassRecord> {
-            let balanced = |r: PassRecord| PassRecord { deleted: r.inserted - growth, count: 1000 + growth * r.pass as usize, ..r };
+            let balanced = |r: PassRecord| PassRecord {
+                deleted: r.inserted - growth,
+                count: 1000 + growth * r.pass as usize,
+                ..r
+            };
             records(faults, 10, 1.0).into_iter().map(balanced).collect()
         };
         assert_eq!(closing_since(&in_balance(&|_| 100, 0), &parameters), Some(2 * BALANCE_WINDOW as u64));
         // faults still fall by 1 % a pass, or the count still grows by 0.5 %
-        assert_eq!(closing_since(&in_balance(&|pass| (1000.0 * 0.99f64.powi(pass as i32)) as usize, 0), &parameters), None);
+        assert_eq!(
+            closing_since(&in_balance(&|pass| (1000.0 * 0.99f64.powi(pass as i32)) as usize, 0), &parameters),
+            None
+        );
         assert_eq!(closing_since(&in_balance(&|_| 100, 5), &parameters), None);
         let paper = Parameters { energy_tolerance: Some(0.0), ..Parameters::default() };
         assert_eq!(closing_since(&in_balance(&|_| 100, 0), &paper), None);
