@@ -1,14 +1,15 @@
-#!/usr/bin/env python3
 """Meshes of a few sizes from one volume: what `--scale-for-vertices` and `--vertices` make of it.
 
     scale.py @solid.txt @thin.txt [--vertices 1000 5000 20000 75000]
 
-CASE is NAME=VOLUME;DISTFIELD OPTIONS[;SIZEFIELD OPTIONS]; @FILE stands for the lines of a file but for those that start with # (solid.txt and thin.txt
-beside this program); $NAME for a variable of the environment (DATA: the folder of the real volumes). Run it with the Python of `make env`.
+CASE is NAME=VOLUME;DISTFIELD OPTIONS[;SIZEFIELD OPTIONS]; @FILE stands for the lines of a file but for those that start with #
+(solid.txt and thin.txt beside this program); $NAME for a variable of the environment (DATA: the folder of the real volumes). Run
+it with the Python of `make env`.
 
-Each row is one run from the volume to the checked surface. The distance is that of the vertices and centroids of the mesh from the surface at scale 0, which keeps
-every voxel centre on its side: mean, 99th percentile and largest, in mm. "Lost" is how far that surface lies from the smoothed one, the 99th percentile and
-largest: what is gone is far from what is left. Volume is that of the mesh against that of the voxels (labels) or of the isosurface.
+Each row is one run from the volume to the checked surface. The distance is that of the vertices and centroids of the mesh from
+the surface at scale 0, which keeps every voxel centre on its side: mean, 99th percentile and largest, in mm. "Lost" is how far
+that surface lies from the smoothed one, the 99th percentile and largest: what is gone is far from what is left. Volume is that of
+the mesh against that of the voxels.
 """
 
 from __future__ import annotations
@@ -17,7 +18,6 @@ import argparse
 import json
 import os
 import subprocess
-import sys
 import time
 from dataclasses import dataclass
 from pathlib import Path
@@ -26,6 +26,10 @@ from typing import Any
 import numpy as np
 import pyvista as pv
 from scipy.ndimage import map_coordinates
+
+
+class RefusedError(Exception):
+    """A stage made nothing, and said why."""
 
 
 @dataclass
@@ -45,7 +49,7 @@ class Case:
         command = [str(self.programs / program), *arguments, "--force", "-q", "--report", str(report)]
         done = subprocess.run(command, check=False, stderr=subprocess.PIPE, text=True)
         if done.returncode not in (0, 1):
-            sys.exit(f"{' '.join(command)}: exit code {done.returncode}\n{done.stderr}")
+            raise RefusedError(f"{program}: {done.stderr.strip().splitlines()[0]}")
         return done.returncode, json.loads(report.read_text(encoding="utf-8"))
 
     def file(self, key: str, ending: str) -> str:
@@ -84,7 +88,19 @@ def row(case: Case, vertices: int) -> str:
         case.run(key, "distfield", case.volume, *case.distfield, "--scale-for-vertices", key, "-o", distfield),
         case.run(key, "sizefield", distfield, "--vertices", key, *case.sizefield, "-o", sizefield),
         case.run(key, "seed", distfield, sizefield, "-o", seeds),
-        case.run(key, "particles", seeds, "--distfield", distfield, "--sizefield", sizefield, "-o", particles, "--backend", "cpu"),
+        case.run(
+            key,
+            "particles",
+            seeds,
+            "--distfield",
+            distfield,
+            "--sizefield",
+            sizefield,
+            "-o",
+            particles,
+            "--backend",
+            "cpu",
+        ),
         case.run(key, "reconstruct", particles, "--distfield", distfield, "--sizefield", sizefield, "-o", surface),
     ]
     seconds = time.monotonic() - start
@@ -142,9 +158,13 @@ def main() -> None:
     for text in arguments.cases:
         name, _, rest = text.partition("=")
         volume, distfield, sizefield = [*os.path.expandvars(rest).split(";"), ""][:3]
+        name = name.replace(" ", "-")
         case = Case(name, volume, distfield.split(), sizefield.split(), arguments.bin, arguments.work)
         for vertices in arguments.vertices:
-            print(row(case, vertices), flush=True)
+            try:
+                print(row(case, vertices), flush=True)
+            except RefusedError as reason:
+                print(f"| {case.name} | {vertices:,} | {reason} |" + " |" * 9, flush=True)
 
 
 if __name__ == "__main__":

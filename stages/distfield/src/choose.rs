@@ -37,8 +37,9 @@ pub struct ScaleArgs {
     pub keep_thin: bool,
 }
 
-/// Edge lengths up to this many voxels (mean spacing) show no steps.
-const FINE_ENOUGH: f64 = 1.0;
+/// Edge lengths up to this many voxels (mean spacing) follow the steps of voxels, longer ones are spoilt by them. Mean and smallest radius ratio on `heart_label` at
+/// 0.65 voxel 0.984 / 0.69 without scale and 0.984 / 0.63 with, at 1.25 voxels 0.955 / 0.55 and 0.984 / 0.71; with on `tooth_ct` at 0.8 voxel 0.988 / 0.83.
+const FINE_ENOUGH: f64 = 0.75;
 
 /// The qualities of `sizefield`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
@@ -112,13 +113,13 @@ impl ScaleArgs {
         let for_length = |length: f64, whose: String| {
             if length > FINE_ENOUGH * voxel {
                 let reason = format!(
-                    "{SCALE_OVER_SIZE} times {whose} which is longer than {FINE_ENOUGH} voxel of {voxel:.4} mm"
+                    "{SCALE_OVER_SIZE} times {whose} which is longer than {FINE_ENOUGH} of a voxel of {voxel:.4} mm"
                 );
                 Choice { length: SCALE_OVER_SIZE * length, reason }
             } else {
                 Choice {
                     length: 0.0,
-                    reason: format!("{whose} is no longer than {FINE_ENOUGH} voxel of {voxel:.4} mm"),
+                    reason: format!("{whose} is no longer than {FINE_ENOUGH} of a voxel of {voxel:.4} mm"),
                 }
             }
         };

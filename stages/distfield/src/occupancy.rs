@@ -46,11 +46,16 @@ impl Occupancy {
             let (below, here, above) = (slice(k.saturating_sub(1)), slice(k), slice((k + 1).min(nz - 1)));
             for (n, share) in own.iter_mut().enumerate() {
                 let (i, j) = (n % nx, n / nx);
-                let across = |low: f32, high: f32| 0.5 * (f64::from(high) - f64::from(low)).abs();
-                let width = across(here[n - usize::from(i > 0)], here[n + usize::from(i + 1 < nx)])
-                    + across(here[n - nx * usize::from(j > 0)], here[n + nx * usize::from(j + 1 < ny)])
-                    + across(below[n], above[n]);
-                let value = sign * (f64::from(here[n]) - iso);
+                let own = f64::from(here[n]);
+                let (x, y) = (usize::from(i > 0), nx * usize::from(j > 0));
+                let neighbours = [
+                    [here[n - x], here[n + usize::from(i + 1 < nx)]],
+                    [here[n - y], here[n + nx * usize::from(j + 1 < ny)]],
+                    [below[n], above[n]],
+                ];
+                let neighbours = neighbours.map(|pair| pair.map(|near| f64::from(near) - iso));
+                let width = change_across(own - iso, &neighbours);
+                let value = sign * (own - iso);
                 let part = (0.5 + value / width.max(f64::MIN_POSITIVE)).clamp(0.0, 1.0);
                 let whole = (part * f64::from(WHOLE)).round() as u8;
                 *share = if value > 0.0 { whole.max(CENTRE_INSIDE) } else { whole.min(CENTRE_INSIDE - 1) };
@@ -100,6 +105,20 @@ impl Occupancy {
         });
         slices.reduce_with(around)
     }
+}
+
+/// How much a value changes across its voxel, given those of the neighbours along each axis (all less the iso value): to those beyond the surface, and no more than
+/// that along the other axes, so that metal or air farther off has no say; 0 where no neighbour is beyond the surface.
+fn change_across(own: f64, neighbours: &[[f64; 2]; 3]) -> f64 {
+    let beyond = |pair: &[f64; 2]| {
+        pair.iter().filter(|&&near| near * own <= 0.0).map(|near| (near - own).abs()).fold(0.0, f64::max)
+    };
+    let largest = neighbours.iter().map(beyond).fold(0.0, f64::max);
+    let along = |pair: &[f64; 2]| {
+        let least = pair.iter().map(|near| (near - own).abs()).fold(f64::INFINITY, f64::min);
+        if beyond(pair) > 0.0 { beyond(pair) } else { least.min(largest) }
+    };
+    neighbours.iter().map(along).sum()
 }
 
 /// The box round two boxes.

@@ -29,6 +29,9 @@ pub struct Scale {
 /// Width of the window in which the volume is kept, in standard deviations of the smoothing: what bends within it may be rounded.
 const WINDOW: f64 = 2.0;
 
+/// Least width of the window, voxels: in a smaller one the steps of labels are what is kept.
+const LEAST_WINDOW: f64 = 2.0;
+
 /// Rounds that find the level. After six the volumes of heart and lungs are kept to 0.1 %.
 const ROUNDS: usize = 6;
 
@@ -38,11 +41,12 @@ const LONGEST_STEP: f64 = 0.15;
 /// Share of a level surface's density that is added to it, so that the level stays where no surface is near. That of a plane is 0.5.
 const REGULAR: f64 = 0.02;
 
-/// Least distance of the level from that of nothing and that of everything.
+/// Least distance of the level from that of nothing and that of everything. What shows less is thinner than the mesh can carry: a ball of 1.2, a tube of 0.8
+/// standard deviations, round which there is room for twelve vertices and for four.
 const LEAST_LEVEL: f64 = 0.3;
 
-/// The same where thin parts are to be kept: a wall of a fifth of the scale, a tube as thick as half of it.
-const LEAST_LEVEL_THIN: f64 = 0.08;
+/// The same where thin parts are to be kept: tubes of a quarter of a standard deviation, walls of a tenth.
+const LEAST_LEVEL_THIN: f64 = 0.03;
 
 /// Radius of the balls that are dropped, in scales: a mesh of the edge length that the scale is for ([`SCALE_OVER_SIZE`]) has 9 vertices round it.
 const CRUMB_RADIUS: f64 = 0.5;
@@ -118,8 +122,11 @@ const COARSE_SIGMA: f64 = 1.5;
 /// Voxels of the coarsest grid, at least.
 const FEWEST_VOXELS: usize = 10_000;
 
-/// Rounds of scale and area that find an edge length: each comes nearer by the share of h that the area depends on it.
-const AREA_ROUNDS: usize = 4;
+/// Rounds of scale and area that find an edge length, at most, and how near to each other two of them end the search.
+const AREA_ROUNDS: (usize, f64) = (10, 0.01);
+
+/// Edge lengths below this many voxels are not looked for: there is no object.
+const SMALLEST_SHARE: f64 = 0.02;
 
 /// The edge length (mm) of which a mesh of the object smoothed for it has about so many vertices. `None` if there is no object, or nothing
 /// left of it.
@@ -131,20 +138,26 @@ pub fn edge_length(occupancy: &Occupancy, vertices: f64, keep_thin: bool) -> Res
     while coarser.last().unwrap_or(occupancy).shares.len() > 8 * FEWEST_VOXELS {
         coarser.push(coarser.last().unwrap_or(occupancy).halved());
     }
-    let mut length = 4.0 * coarser.last().unwrap_or(occupancy).geometry.mean_spacing();
-    for _ in 0..AREA_ROUNDS {
+    let mut length = coarser.last().unwrap_or(occupancy).geometry.mean_spacing();
+    for _ in 0..AREA_ROUNDS.0 {
         let scale = Scale { length: SCALE_OVER_SIZE * length, keep_thin };
         let coarse_enough = |grid: &&Occupancy| 0.5 * scale.length >= COARSE_SIGMA * grid.geometry.mean_spacing();
         let grid = coarser.iter().rev().find(coarse_enough).unwrap_or(occupancy);
-        let Some(Boxed { before, level, .. }) = Boxed::new(grid, scale)? else { return Ok(None) };
-        let mesh = marching_cubes(&Image { geometry: before.geometry, data: level }, 0.0);
-        let area = measure(&mesh).area;
-        if area == 0.0 {
-            return Ok(None);
+        let area = Boxed::new(grid, scale)?.map_or(0.0, |boxed| {
+            measure(&marching_cubes(&Image { geometry: boxed.before.geometry, data: boxed.level }, 0.0)).area
+        });
+        let found = (2.0 * area / (3f64.sqrt() * vertices)).sqrt();
+        if (found / length - 1.0).abs() < AREA_ROUNDS.1 {
+            return Ok(Some(found));
         }
-        length = (2.0 * area / (3f64.sqrt() * vertices)).sqrt();
+        // the area falls with the scale, all of it where that is above the thickness of everything: not too far at a time
+        let is_near = (0.5..2.0).contains(&(found / length));
+        length = if is_near { found } else { length * (found / length).clamp(0.25, 4.0).sqrt() };
+        if length < SMALLEST_SHARE * occupancy.geometry.mean_spacing() {
+            break;
+        }
     }
-    Ok(Some(length))
+    Ok((length >= SMALLEST_SHARE * occupancy.geometry.mean_spacing()).then_some(length))
 }
 
 /// Values in a box of a grid.
@@ -167,7 +180,7 @@ fn level_set(occupancy: &Occupancy, sigma: DVec3, keep_thin: bool) -> Vec<f32> {
     let share = |n: usize| f32::from(occupancy.shares[n]) / f32::from(WHOLE);
     let mut smoothed: Vec<f32> = (0..occupancy.shares.len()).into_par_iter().map(share).collect();
     smooth(&mut smoothed, size, sigma.to_array());
-    let window = (WINDOW * sigma).to_array();
+    let window = sigma.to_array().map(|sigma| (WINDOW * sigma).max(LEAST_WINDOW));
     let least = if keep_thin { LEAST_LEVEL_THIN } else { LEAST_LEVEL };
     let mut level = vec![0.5f32; smoothed.len()];
     for _ in 0..ROUNDS {

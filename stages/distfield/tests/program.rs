@@ -73,6 +73,54 @@ fn labels_come_to_the_same_bytes_on_any_number_of_threads() {
 }
 
 #[test]
+fn a_scale_of_nothing_changes_nothing_and_a_chosen_one_says_why() {
+    let folder = tempfile::tempdir().expect("folder");
+    let input = folder.path().join("in.nrrd");
+    write_nrrd(&input, [40, 40, 40], |i, j, k| if [i, j, k].iter().all(|n| (9..30).contains(n)) { 1.0 } else { 0.0 });
+    let run = |options: &[&str]| {
+        let output = folder.path().join("f.vti");
+        let (input, path) = (input.to_str().expect("text"), output.to_str().expect("text"));
+        let run = distfield(&[&[input, "-o", path, "--force", "--labels", "1"][..], options].concat());
+        assert_eq!(run.status.code(), Some(0), "{options:?}: {}", String::from_utf8_lossy(&run.stderr));
+        (read_field(&output, FieldKind::Distance).expect("a field"), String::from_utf8_lossy(&run.stderr).into_owned())
+    };
+    let (plain, _) = run(&[]);
+    for zero in [&["--scale", "0"][..], &["--scale-for-size", "0.7"], &["--quality", "medium"]] {
+        let (field, _) = run(zero);
+        assert!(field.image.data == plain.image.data, "{zero:?} changed F");
+        assert_eq!(field.meta, plain.meta, "{zero:?}");
+    }
+    for (options, low, high) in [
+        (&["--scale", "5"][..], 5.0, 5.0),
+        (&["--scale-for-size", "4"], 6.4, 6.4),
+        (&["--quality", "coarse"], 2.4, 2.4),
+        // six faces of 21 x 21, with rounded edges
+        (&["--scale-for-vertices", "200"], 5.5, 6.3),
+    ] {
+        let (field, said) = run(options);
+        let scale = field.meta["scale"].as_f64().expect("a number");
+        assert!((low - 1e-9..high + 1e-9).contains(&scale), "{options:?}: {scale}");
+        assert!(said.contains("scale, mm") && field.meta["scale_reason"].is_string(), "{said}");
+        let changes = &field.meta["scale_changes"];
+        assert_eq!(changes["components"], serde_json::json!([1, 1]));
+        assert!(changes["voxels_changed"].as_u64().is_some_and(|n| n > 0), "the corners are rounded");
+        let kept = field.meta["volume"].as_f64().expect("a number") / 21f64.powi(3);
+        assert!((kept - 1.0).abs() < 0.02, "{options:?}: {kept} of the volume");
+    }
+    for wrong in [&["--scale", "-1"][..], &["--scale", "2", "--scale-for-size", "2"], &["--scale-for-vertices", "2"]] {
+        let arguments = [&["in.nrrd", "-o", "x.vti", "--labels", "1"][..], wrong].concat();
+        assert_eq!(distfield(&arguments).status.code(), Some(2), "{wrong:?}");
+    }
+    let output = folder.path().join("gone.vti");
+    let arguments =
+        [input.to_str().expect("text"), "-o", output.to_str().expect("text"), "--labels", "1", "--scale", "90"];
+    let gone = distfield(&arguments);
+    let said = String::from_utf8_lossy(&gone.stderr);
+    assert_eq!(gone.status.code(), Some(2), "{said}");
+    assert!(said.contains("why it matters:") && said.contains("what to do:") && !output.exists(), "{said}");
+}
+
+#[test]
 fn a_cut_object_names_its_cap_planes() {
     let folder = tempfile::tempdir().expect("folder");
     let (input, output) = (folder.path().join("in.nrrd"), folder.path().join("f.vti"));
