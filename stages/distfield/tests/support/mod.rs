@@ -1,4 +1,5 @@
 //! Analytic volumes and measurements that the tests share.
+#![allow(dead_code, reason = "each test binary uses its own part of these helpers")]
 
 use glam::DVec3;
 use isoparticles_common::geometry::Geometry;
