@@ -8,9 +8,12 @@ use std::path::Path;
 const START: i64 = 132;
 /// A length that is not given: the element ends with a delimiter.
 const UNDEFINED: u32 = u32::MAX;
-/// Kinds of values whose length has four bytes behind two that are reserved.
-const LONG: [&[u8; 2]; 13] =
-    [b"OB", b"OD", b"OF", b"OL", b"OV", b"OW", b"SQ", b"SV", b"UC", b"UN", b"UR", b"UT", b"UV"];
+/// Kinds of values whose length has two bytes. That of all others has four, behind two that are reserved; dicom-rs takes kinds that it does
+/// not know in the same way.
+const SHORT: [&[u8; 2]; 21] = [
+    b"AE", b"AS", b"AT", b"CS", b"DA", b"DS", b"DT", b"FD", b"FL", b"IS", b"LO", b"LT", b"PN", b"SH", b"SL", b"SS",
+    b"ST", b"TM", b"UI", b"UL", b"US",
+];
 
 /// How the elements behind the file's own group are written, by the transfer syntax.
 #[derive(Clone, Copy, PartialEq)]
@@ -66,7 +69,9 @@ pub(super) fn lie_within(path: &Path) -> io::Result<bool> {
         let is_delimiter = tag.0 == 0xfffe;
         let length = if is_delimiter || !form.is_explicit {
             form.long([e, f, g, h])
-        } else if LONG.contains(&&kind) {
+        } else if SHORT.contains(&&kind) {
+            form.short([g, h]).into()
+        } else {
             let mut length = [0; 4];
             if left < 4 {
                 return Ok(true);
@@ -74,14 +79,12 @@ pub(super) fn lie_within(path: &Path) -> io::Result<bool> {
             reader.read_exact(&mut length)?;
             left -= 4;
             form.long(length)
-        } else {
-            form.short([g, h]).into()
         };
         let is_pixels = tag == (0x7fe0, 0x0010);
         in_pixels |= is_pixels;
         if length == UNDEFINED {
             // what is in an element of unknown kind is written in another form
-            if form.is_explicit && &kind == b"UN" && !is_delimiter {
+            if form.is_explicit && !is_delimiter && !is_pixels && &kind != b"SQ" {
                 return Ok(true);
             }
             continue;

@@ -30,7 +30,7 @@ pub(super) fn read_folder(folder: &Path, wanted: Option<&str>) -> Result<Volume>
     let (mut slices, mut no_images) = (Vec::new(), Vec::new());
     for path in &files {
         match Slice::read(path)? {
-            Found::Image(slice) => slices.push(slice),
+            Found::Image(slice) => slices.push(*slice),
             Found::NoImage { path, class } => no_images.push((path, class)),
         }
     }

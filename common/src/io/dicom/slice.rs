@@ -34,7 +34,7 @@ pub(super) struct Slice {
 /// What a DICOM file turned out to be.
 pub(super) enum Found {
     /// A slice.
-    Image(Slice),
+    Image(Box<Slice>),
     /// A report, a directory, contours; or a slice whose header is cut short.
     NoImage { path: PathBuf, class: String },
 }
@@ -101,7 +101,7 @@ impl Slice {
             description: header.text(tags::SERIES_DESCRIPTION),
             modality: header.text(tags::MODALITY),
         };
-        Ok(Found::Image(Self {
+        Ok(Found::Image(Box::new(Self {
             path: path.to_path_buf(),
             class,
             series,
@@ -111,7 +111,7 @@ impl Slice {
             along_column: column.normalize() * spacing[0],
             position: DVec3::from_array(position),
             pixels: header.pixels()?,
-        }))
+        })))
     }
 
     /// Reads and decodes the pixels, and turns them into values, row by row.
