@@ -37,9 +37,9 @@ pub struct Judgement {
     pub reason: String,
 }
 
-/// Share of changes of value that follow on another change, above which a volume is a scan. The label maps of the shared volumes have at most 0.23
-/// (`brain_parcellation`: 0.28 along one axis, 0.30 `frog_tissue_labels`), the scans at least 0.90 (`thorax_ct_native_u8`); the middle
-/// between is taken. `distfield VOLUME --info --json -` shows both counts.
+/// Share of changes of value that follow on another change, above which a volume is a scan. The label maps of the shared volumes have at most 0.28
+/// (`brain_parcellation`), the scans at least 0.91 (`thorax_ct_native_u8`); the middle between is taken. `double_jumps` over `jumps` of
+/// `distfield VOLUME --info --json -`.
 const SCAN_ABOVE: f64 = 0.6;
 
 /// Between these shares the kind is a guess: half way from [`SCAN_ABOVE`] to what the shared volumes have.
