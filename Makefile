@@ -32,7 +32,7 @@ THREADS ?=
 
 # What a case may set (pipelines/case/src/keys.rs says what each is). The command line comes before the case's file; the
 # environment has no say, because names as plain as NAME or SIZE may mean something else there.
-KEYS := NAME INPUT PHANTOM ISO LABELS INSIDE BORDER SCALE EPSILON DELTA SIZE MIN_SIZE MAX_SIZE VERTICES QUALITY COUNT SEED \
+KEYS := NAME INPUT PHANTOM SERIES ISO LABELS INSIDE BORDER SCALE EPSILON DELTA SIZE MIN_SIZE MAX_SIZE VERTICES QUALITY COUNT SEED \
         BACKEND MAX_MEMORY DISTFIELD_OPTIONS SIZEFIELD_OPTIONS PARTICLES_OPTIONS RECONSTRUCT_OPTIONS TETMESH_OPTIONS
 $(foreach key,$(KEYS) CASE CASES,$(if $(filter environment,$(origin $(key))),$(eval undefine $(key))))
 # What this file knows besides.
@@ -120,6 +120,7 @@ Parameters of a case, with the stages' defaults where left out; they come before
   VERTICES=...  that many vertices, in place of a size   QUALITY=...   coarse, medium or fine
   SCALE=...     leave out features below it, mm          BORDER=...    cap or open
   SEED=...      of the random numbers                    BACKEND=...   auto, gpu or cpu
+  SERIES=...    of a folder of DICOM files, where it holds several
   THREADS=...   CPU threads [all]                        MAX_MEMORY=.. the most a stage may ask for
   HXT=no        without Gmsh: large surfaces take hours
 Results: OUT/NAME/NAME.{distfield.vti,sizefield.vti,seeds.bin,particles.bin,surface.vtp,volume.vtu,report.json,report.html},
@@ -223,7 +224,7 @@ bench-delaunay: build
 SIZES ?= 4 2 1
 bench-convergence: build env
 	@for size in $(SIZES); do \
-	  $(MAKE) --no-print-directory CASE=ball NAME=ball-$$size SIZE=$$size OUT=$(OUT)/bench NO_BUILD=yes VERBOSITY=-q mesh || exit $$?; \
+	  $(MAKE) --no-print-directory CASE=ball NAME=ball-$$size SIZE=$$size SCALE=0 OUT=$(OUT)/bench NO_BUILD=yes VERBOSITY=-q mesh || exit $$?; \
 	done
 	$(TETMESH_CHECK)-convergence $(foreach size,$(SIZES),$(OUT)/bench/ball-$(size)/ball-$(size).volume.vtu)
 

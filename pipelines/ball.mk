@@ -4,3 +4,5 @@ PHANTOM := ball --size 32
 ISO := 100
 # One edge length everywhere, mm.
 SIZE := 2.5
+# It is the measure of others: nothing is smoothed away.
+SCALE := 0

@@ -4,3 +4,5 @@ PHANTOM := two-balls --size 32
 ISO := 100
 # One edge length everywhere, mm.
 SIZE := 2
+# The gap is what the case is about: nothing is smoothed away.
+SCALE := 0

@@ -37,11 +37,12 @@ const fn key(name: &'static str, form: Form, what: &'static str) -> Key {
 }
 
 /// All keys, in the order in which they are told.
-pub const KEYS: [Key; 29] = [
+pub const KEYS: [Key; 30] = [
     key("CASE", Form::Text, "a file of pipelines/"),
     key("NAME", Form::Text, "the name of the results"),
     key("INPUT", Form::Text, "the volume to mesh"),
     key("PHANTOM", Form::Words, "shape and options of the phantom program"),
+    key("SERIES", Form::Text, "the series of a folder of DICOM files, by description, number or UID"),
     key("ISO", Form::Number, "the iso value"),
     key("LABELS", Form::Text, "the labels to mesh"),
     key("INSIDE", Form::OneOf(&["above", "below"]), "the side of ISO that is the object"),

@@ -152,7 +152,13 @@ fn options_key(stage: &str) -> &'static str {
 /// Options of a stage by the key that sets each; what is not set keeps the stage's own default.
 fn options_by_key(stage: &str) -> &'static [(&'static str, &'static str)] {
     match stage {
-        "distfield" => &[("--iso", "ISO"), ("--labels", "LABELS"), ("--inside", "INSIDE"), ("--border", "BORDER")],
+        "distfield" => &[
+            ("--series", "SERIES"),
+            ("--iso", "ISO"),
+            ("--labels", "LABELS"),
+            ("--inside", "INSIDE"),
+            ("--border", "BORDER"),
+        ],
         "sizefield" => &[
             ("--epsilon", "EPSILON"),
             ("--delta", "DELTA"),
@@ -169,8 +175,12 @@ fn options_by_key(stage: &str) -> &'static [(&'static str, &'static str)] {
 }
 
 /// What sets how much of the data a mesh shall keep (DESIGN, Scale), the first one that is set: options of `distfield` by their keys.
-const SCALE_BY_KEY: [(&str, &str); 3] =
-    [("--scale", "SCALE"), ("--scale-for-vertices", "VERTICES"), ("--quality", "QUALITY")];
+const SCALE_BY_KEY: [(&str, &str); 4] = [
+    ("--scale", "SCALE"),
+    ("--scale-for-size", "SIZE"),
+    ("--scale-for-vertices", "VERTICES"),
+    ("--quality", "QUALITY"),
+];
 
 /// What a stage is told that may change its result.
 fn options(stage: &str, settings: &Settings) -> Vec<String> {

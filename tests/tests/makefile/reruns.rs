@@ -22,9 +22,12 @@ fn one_parameter_reruns_exactly_the_stages_that_depend_on_it() {
     let reseeded = ["ISO=100", "SIZE=2.5", "BACKEND=cpu", "SEED=3"];
     assert_eq!(case.reran(&reseeded), ["seed", "particles", "reconstruct"]);
     let resized = ["ISO=100", "SIZE=2.4", "BACKEND=cpu", "SEED=3"];
-    assert_eq!(case.reran(&resized), ["sizefield", "seed", "particles", "reconstruct"]);
-    let graded = ["ISO=100", "EPSILON=0.4", "MAX_SIZE=3", "BACKEND=cpu", "SEED=3"];
-    assert_eq!(case.reran(&graded), ["sizefield", "seed", "particles", "reconstruct"]);
+    // the scale follows an edge length coarser than the voxels
+    assert_eq!(case.reran(&resized), ["distfield", "sizefield", "seed", "particles", "reconstruct"]);
+    let graded = ["ISO=100", "SCALE=0", "EPSILON=0.4", "MAX_SIZE=3", "BACKEND=cpu", "SEED=3"];
+    assert_eq!(case.reran(&graded).first(), Some(&"distfield"));
+    let finer = ["ISO=100", "SCALE=0", "EPSILON=0.3", "MAX_SIZE=3", "BACKEND=cpu", "SEED=3"];
+    assert_eq!(case.reran(&finer), ["sizefield", "seed", "particles", "reconstruct"]);
     let another = ["ISO=120", "EPSILON=0.4", "MAX_SIZE=3", "BACKEND=cpu", "SEED=3"];
     assert_eq!(case.reran(&another), ALL);
     // A lost output is made again, with what comes after it.
