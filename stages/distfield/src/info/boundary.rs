@@ -43,7 +43,7 @@ pub struct Place {
     pub position: DVec3,
     /// How far the inside share of the ball is from one half.
     pub imbalance: f64,
-    /// Way along the normal to the other side of the object or of the gap, whichever is nearer, in mean voxels; infinite beyond [`REACH`].
+    /// Way along the normal to the other side of the object or of the gap, whichever is nearer, in mean voxels; infinite beyond `REACH`.
     pub thickness: f64,
 }
 

@@ -1,7 +1,7 @@
 //! What a volume is: size, orientation, kind, values, labels, and what a mesh of it would cost. `distfield --info` prints it.
 //!
 //! [`survey`] looks at the values once, [`kind`] judges by it, [`classes`] gives the voxels of objects, of which [`boundary`] measures the
-//! surface, [`parts`] counts the parts and [`cost`] says what a mesh takes; [`thresholds`] proposes iso values, [`orientation`] finds words
+//! surface, [`mod@parts`] counts the parts and [`mod@cost`] says what a mesh takes; [`thresholds`] proposes iso values, [`orientation`] finds words
 //! for the axes, [`text`] puts it all into lines.
 
 pub mod boundary;
