@@ -1,10 +1,10 @@
 """Meshes of a few sizes from one volume: what `--scale-for-vertices` and `--vertices` make of it.
 
-    scale.py @solid.txt @thin.txt [--vertices 1000 5000 20000 75000]
+    scale.py @solid.txt @thin.txt [--vertices 1000 5000 20000 75000] [--backend gpu] [--no-distances]
 
 CASE is NAME=VOLUME;DISTFIELD OPTIONS[;SIZEFIELD OPTIONS]; @FILE stands for the lines of a file but for those that start with #
 (solid.txt and thin.txt beside this program); $NAME for a variable of the environment (DATA: the folder of the real volumes). Run
-it with the Python of `make env`.
+it with the Python of `make env`; without distances any Python 3.11 does.
 
 Each row is one run from the volume to the checked surface. The distance is that of the vertices and centroids of the mesh from
 the surface at scale 0, which keeps every voxel centre on its side: mean, 99th percentile and largest, in mm. "Lost" is how far
@@ -21,11 +21,11 @@ import subprocess
 import time
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import numpy as np
-import pyvista as pv
-from scipy.ndimage import map_coordinates
+if TYPE_CHECKING:
+    import numpy as np
+    import pyvista as pv
 
 
 class RefusedError(Exception):
@@ -42,6 +42,8 @@ class Case:
     sizefield: list[str]
     programs: Path
     work: Path
+    backend: str
+    distances: bool
 
     def run(self, key: str, program: str, *arguments: str) -> tuple[int, dict[str, Any]]:
         """Runs a stage; returns its exit code and report."""
@@ -61,11 +63,16 @@ class Case:
         path = self.file("exact", "distfield.vti")
         if not Path(path).exists():
             self.run("exact", "distfield", self.volume, *self.distfield, "-o", path)
+        import pyvista as pv
+
         return pv.read(path)
 
 
 def sample(field: pv.ImageData, points: np.ndarray) -> np.ndarray:
     """Trilinear values of a distance field at points in the world."""
+    import numpy as np
+    from scipy.ndimage import map_coordinates
+
     directions = np.array(field.direction_matrix)
     index = (points - np.array(field.origin)) @ np.linalg.inv(directions).T / np.array(field.spacing)
     values = np.asarray(field["signed_distance"]).reshape(field.dimensions[::-1])
@@ -74,8 +81,23 @@ def sample(field: pv.ImageData, points: np.ndarray) -> np.ndarray:
 
 def exact_surface(field: pv.ImageData) -> np.ndarray:
     """Vertices of the zero set of a distance field, in the world."""
+    import numpy as np
+
     contour = field.contour([0.0], scalars="signed_distance")
     return np.asarray(contour.points)
+
+
+def distances(case: Case, surface: str, distfield: str) -> tuple[str, str]:
+    """How far a mesh lies from the surface at scale 0, and that from the smoothed one, mm."""
+    import numpy as np
+    import pyvista as pv
+
+    exact, mesh = case.exact(), pv.read(surface)
+    points = np.concatenate([np.asarray(mesh.points), np.asarray(mesh.cell_centers().points)])
+    away = np.abs(sample(exact, points))
+    lost = np.abs(sample(pv.read(distfield), exact_surface(exact)))
+    told = f"{np.mean(away):.2f}, {np.quantile(away, 0.99):.2f}, {np.max(away):.2f}"
+    return told, f"{np.quantile(lost, 0.99):.2f}, {np.max(lost):.2f}"
 
 
 def row(case: Case, vertices: int) -> str:
@@ -99,7 +121,7 @@ def row(case: Case, vertices: int) -> str:
             "-o",
             particles,
             "--backend",
-            "cpu",
+            case.backend,
         ),
         case.run(key, "reconstruct", particles, "--distfield", distfield, "--sizefield", sizefield, "-o", surface),
     ]
@@ -108,10 +130,7 @@ def row(case: Case, vertices: int) -> str:
     meta = reports[0][1]["results"]["meta"]
     results = reports[4][1]["results"]
     checked, quality = results["check"], results["check"]["quality"]
-    exact, mesh = case.exact(), pv.read(surface)
-    centres = mesh.cell_centers().points
-    distances = np.abs(np.concatenate([sample(exact, np.asarray(mesh.points)), sample(exact, np.asarray(centres))]))
-    lost = np.abs(sample(pv.read(distfield), exact_surface(exact)))
+    away, lost = distances(case, surface, distfield) if case.distances else ("-", "-")
     changes = meta.get("scale_changes", {})
     told = ", ".join(f"{count} {kind}" for kind, count in changes.get("counts", {}).items()) or "-"
     before = meta.get("volume_before", meta["volume"])
@@ -123,8 +142,8 @@ def row(case: Case, vertices: int) -> str:
         str(code),
         f"{quality['radius_ratio_mean']:.3f} / {quality['radius_ratio_min']:.2f}",
         f"{quality['angle_min']:.0f} to {quality['angle_max']:.0f}",
-        f"{np.mean(distances):.2f}, {np.quantile(distances, 0.99):.2f}, {np.max(distances):.2f}",
-        f"{np.quantile(lost, 0.99):.2f}, {np.max(lost):.2f}",
+        away,
+        lost,
         f"{100 * (checked['volume'] / before - 1):+.2f}",
         " -> ".join(str(n) for n in changes.get("components", ["-"])) + f"; {told}",
         f"{seconds:.0f}",
@@ -149,6 +168,8 @@ def main() -> None:
     parser.add_argument("--vertices", type=int, nargs="+", default=[1000, 5000, 20_000, 75_000])
     parser.add_argument("--bin", type=Path, default=Path("target/release"), help="folder of the stage programs")
     parser.add_argument("--work", type=Path, default=Path("out/scale"), help="folder for the files")
+    parser.add_argument("--backend", default="cpu", help="of particles: cpu, gpu or auto")
+    parser.add_argument("--no-distances", action="store_true", help="without pyvista and the field at scale 0")
     arguments = parser.parse_intermixed_args()
     arguments.work.mkdir(parents=True, exist_ok=True)
     print(
@@ -159,7 +180,16 @@ def main() -> None:
         name, _, rest = text.partition("=")
         volume, distfield, sizefield = [*os.path.expandvars(rest).split(";"), ""][:3]
         name = name.replace(" ", "-")
-        case = Case(name, volume, distfield.split(), sizefield.split(), arguments.bin, arguments.work)
+        case = Case(
+            name,
+            volume,
+            distfield.split(),
+            sizefield.split(),
+            arguments.bin,
+            arguments.work,
+            arguments.backend,
+            not arguments.no_distances,
+        )
         for vertices in arguments.vertices:
             try:
                 print(row(case, vertices), flush=True)
