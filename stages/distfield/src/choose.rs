@@ -14,6 +14,7 @@ use isoparticles_common::geometry::Geometry;
 use isoparticles_common::image::Image;
 use isoparticles_common::io::volume::{LayerLabel, Volume, Voxels};
 use serde_json::{Value, json};
+use std::f64::consts::PI;
 
 /// How much of the data the surface keeps.
 #[derive(Clone, Debug, Default, clap::Args)]
@@ -128,7 +129,7 @@ impl ScaleArgs {
         }
         if let Some(vertices) = self.scale_for_vertices {
             let length = edge_length(occupancy, vertices as f64, self.keep_thin)?
-                .ok_or_else(|| nothing_left(format!("a mesh of {vertices} vertices"), "ask for more vertices"))?;
+                .ok_or_else(|| nothing_left(&format!("a mesh of {vertices} vertices"), occupancy.volume()))?;
             return Ok(for_length(length, format!("the edge length of {vertices} vertices, {length:.4} mm,")));
         }
         if let Some(quality) = self.quality {
@@ -142,11 +143,15 @@ impl ScaleArgs {
     }
 }
 
-fn nothing_left(by: String, next: &str) -> Error {
+/// What to say where a scale leaves nothing of an object of that volume, mm^3.
+fn nothing_left(by: &str, volume: f64) -> Error {
+    // of a ball of that volume
+    let area = (36.0 * PI * volume * volume).cbrt();
+    let size = (2.0 * area / (3f64.sqrt() * 100.0)).sqrt();
     Error::input(
-        format!("{by} can carry nothing of the object"),
-        "parts smaller than the edge length are smoothed away, and all are",
-        format!("{next}, choose a smaller --scale, or give --keep-thin"),
+        format!("{by}: nothing is left of the object of {volume:.4} mm^3"),
+        "parts smaller than the scale are smoothed away, and all are",
+        format!("ask for edges of {size:.3} mm, which give about 100 vertices, or shorter ones; or give --keep-thin"),
     )
 }
 
@@ -186,8 +191,9 @@ pub fn extract_scaled(
     let geometry = volume.geometry;
     drop((volume.voxels, volume.more_layers));
     let keep_thin = args.keep_thin;
+    let volume_before = occupancy.volume();
     let smoothed = scaled(occupancy, Scale { length, keep_thin })?
-        .ok_or_else(|| nothing_left(format!("a mesh of edge length {length:.4} mm"), "ask for a finer mesh"))?;
+        .ok_or_else(|| nothing_left(&format!("a scale of {length:.4} mm ({reason})"), volume_before))?;
     drop(step);
     tell(&smoothed.changes, length, context);
     meta["scale"] = json!(length);
