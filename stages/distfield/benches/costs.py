@@ -1,8 +1,8 @@
 """Processor time and memory of the stages on phantoms, from which the rates of src/info/cost.rs come.
 
-    python stages/distfield/benches/costs.py [--bin target/release]
+    python stages/distfield/benches/costs.py [--bin target/release] [--volumes VOLUME;OPTION ...]
 
-One line a case and group of stages: nodes of the padded grid, faces between voxels, vertices, processor seconds (user and system), peak memory.
+With volumes: a row of a table for each, what `distfield --info` predicts and, in brackets, what was measured. Without: one line a case and group of stages: nodes of the padded grid, faces between voxels, vertices, processor seconds (user and system), peak memory.
 Then the rates, by least squares of relative errors over the cases: seconds for a million nodes, faces and vertices, bytes for each.
 Needs numpy; run it where nothing else runs.
 """
@@ -38,12 +38,19 @@ def measured(command: list[str]) -> tuple[float, int]:
     return usage.ru_utime + usage.ru_stime, usage.ru_maxrss * 1024
 
 
-def run(binaries: Path, folder: Path, phantom: str, option: str, sizes: str) -> dict[str, list[float]]:
-    volume, f, s, seeds, p, mesh = (folder / name for name in ("v.nrrd", "f.vti", "s.vti", "seeds.bin", "p.bin", "m.vtp"))
+def predicted(binaries: Path, volume: Path, option: str) -> dict:
+    """What `distfield --info` says of a volume and one object in it."""
+    told = subprocess.run(
+        [binaries / "distfield", volume, "--info", "--json", "-", "-q", option], check=True, capture_output=True
+    )
+    return json.loads(told.stdout)
+
+
+def run(binaries: Path, folder: Path, volume: Path, option: str, sizes: str) -> tuple[dict, dict[str, list[float]]]:
+    """What is predicted, and by group: nodes, faces, vertices, processor seconds and peak memory."""
+    f, s, seeds, p, mesh = (folder / name for name in ("f.vti", "s.vti", "seeds.bin", "p.bin", "m.vtp"))
     report = folder / "r.json"
-    subprocess.run([binaries / "phantom", *phantom.split(), "-o", volume, "--force"], check=True)
-    told = subprocess.run([binaries / "distfield", volume, "--info", "--json", "-", "-q", option], check=True, capture_output=True)
-    info = json.loads(told.stdout)
+    info = predicted(binaries, volume, option)
     area = info["objects"][0]["cost"]["area"]
     spacing = np.array(info["spacing"])
     nodes = float(np.prod(np.array(info["size"]) + 10))
@@ -55,28 +62,59 @@ def run(binaries: Path, folder: Path, phantom: str, option: str, sizes: str) -> 
             [binaries / "sizefield", f, "-o", s, *sizes.split(), *ends],
             [binaries / "seed", f, s, "-o", seeds, *ends],
         ],
-        "particles": [[binaries / "particles", seeds, "--distfield", f, "--sizefield", s, "-o", p, "--backend", "cpu", *ends]],
-        "triangles": [[binaries / "reconstruct", p, "--distfield", f, "--sizefield", s, "-o", mesh, "--report", report, *ends]],
+        "particles": [
+            [binaries / "particles", seeds, "--distfield", f, "--sizefield", s, "-o", p, "--backend", "cpu", *ends]
+        ],
+        "triangles": [
+            [binaries / "reconstruct", p, "--distfield", f, "--sizefield", s, "-o", mesh, "--report", report, *ends]
+        ],
     }
     found = {}
     for group, commands in steps.items():
         results = [measured(command) for command in commands]
         found[group] = [sum(seconds for seconds, _ in results), max(memory for _, memory in results)]
     vertices = json.loads(report.read_text())["results"]["check"]["vertices"]
-    return {group: [nodes, faces, vertices, *values] for group, values in found.items()}
+    return info, {group: [nodes, faces, vertices, *values] for group, values in found.items()}
+
+
+def row(binaries: Path, volume: Path, option: str) -> str:
+    """Predicted beside measured, for one object of a volume."""
+    with tempfile.TemporaryDirectory() as folder:
+        info, found = run(binaries, Path(folder), volume, option, "")
+    cost = info["objects"][0]["cost"]
+    columns = [f"{cost['vertices']:,} ({found['fields'][2]:,.0f})"]
+    for stage in cost["stages"]:
+        if stage["stage"] in found:
+            *_, seconds, memory = found[stage["stage"]]
+            columns += [
+                f"{stage['seconds']:.1f} ({seconds:.1f})",
+                f"{stage['bytes'] / 2**20:,.0f} ({memory / 2**20:,.0f})",
+            ]
+    return f"| `{volume.name.partition('.')[0]}` | `{option}` | " + " | ".join(columns) + " |"
 
 
 def main() -> None:
     parser = argparse.ArgumentParser()
     parser.add_argument("--bin", type=Path, default=Path("target/release"))
-    binaries = parser.parse_args().bin
+    parser.add_argument("--volumes", nargs="*", default=[], metavar="VOLUME;OPTION")
+    arguments = parser.parse_args()
+    binaries = arguments.bin
+    for volume, _, option in (text.partition(";") for text in arguments.volumes):
+        print(row(binaries, Path(volume), option), flush=True)
+    if arguments.volumes:
+        return
     rows: dict[str, list[list[float]]] = {group: [] for group in GROUPS}
     with tempfile.TemporaryDirectory() as folder:
         for phantom, option, sizes in PHANTOMS:
-            for group, values in run(binaries, Path(folder), phantom, option, sizes).items():
+            volume = Path(folder) / "v.nrrd"
+            subprocess.run([binaries / "phantom", *phantom.split(), "-o", volume, "--force"], check=True)
+            for group, values in run(binaries, Path(folder), volume, option, sizes)[1].items():
                 rows[group].append(values)
                 nodes, faces, vertices, seconds, memory = values
-                print(f"{phantom:34} {group:10} {nodes:11,.0f} {faces:11,.0f} {vertices:9,.0f} {seconds:8.2f} s {memory / 2**20:7.0f} MiB", flush=True)
+                print(
+                    f"{phantom:34} {group:10} {nodes:11,.0f} {faces:11,.0f} {vertices:9,.0f} {seconds:8.2f} s {memory / 2**20:7.0f} MiB",
+                    flush=True,
+                )
     for group, used in GROUPS.items():
         table = np.array(rows[group])
         counts = table[:, :3] * np.array(used)

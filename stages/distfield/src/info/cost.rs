@@ -41,19 +41,25 @@ struct Rates {
     stage: &'static str,
     /// Processor seconds: by itself, then for a million of each.
     seconds: [f64; 4],
-    /// Bytes at once.
-    bytes: [f64; 4],
+    /// Bytes at once, of each program that may need the most.
+    bytes: &'static [[f64; 4]],
 }
 
 /// `python stages/distfield/benches/costs.py`, seven phantoms on two cores of an EPYC, shared with much other work. Memory is met within a fifth; time within a
-/// third, but for the particles of noise (11.3 s where these rates give 4.3: they run all passes) and those of a coarse ball. `triangles`: bytes a vertex of
+/// third, but for the particles of noise (11.3 s where these rates give 4.3: they run all passes) and those of a coarse ball. The fields take most in distfield, by
+/// nodes, or in sizefield, by vertices: 12 bytes a node for F, its coefficients and h, and 820 to 1,160 a vertex on eight shared volumes (`costs.py --volumes`;
+/// 551 on `heart_ct`). `triangles`: bytes a vertex of
 /// `thorax_ct_native_u8`. `tetrahedra`: seconds elapsed of the torso's lungs and ribs, 11.7 for 36,514 vertices and 19.5 for 99,084, and 896 and 2,050 MiB
 /// for 55,626 and 292,825 vertices of `heart` and `ribs` (all three of `docs/performance.md`).
 const RATES: [Rates; 4] = [
-    Rates { stage: "fields", seconds: [0.0, 0.8, 46.0, 0.0], bytes: [1.9e7, 15.5, 400.0, 0.0] },
-    Rates { stage: "particles", seconds: [0.0, 0.0, 0.0, 130.0], bytes: [1.5e7, 14.5, 0.0, 350.0] },
-    Rates { stage: "triangles", seconds: [0.0, 0.12, 0.0, 52.0], bytes: [1.3e7, 14.5, 0.0, 1034.0] },
-    Rates { stage: "tetrahedra", seconds: [7.0, 0.0, 0.0, 125.0], bytes: [6.3e8, 0.0, 0.0, 5100.0] },
+    Rates {
+        stage: "fields",
+        seconds: [0.0, 0.8, 46.0, 0.0],
+        bytes: &[[1.9e7, 15.5, 0.0, 0.0], [0.0, 12.0, 0.0, 950.0]],
+    },
+    Rates { stage: "particles", seconds: [0.0, 0.0, 0.0, 130.0], bytes: &[[1.5e7, 14.5, 0.0, 350.0]] },
+    Rates { stage: "triangles", seconds: [0.0, 0.12, 0.0, 52.0], bytes: &[[1.3e7, 14.5, 0.0, 1034.0]] },
+    Rates { stage: "tetrahedra", seconds: [7.0, 0.0, 0.0, 125.0], bytes: &[[6.3e8, 0.0, 0.0, 5100.0]] },
 ];
 
 /// Bytes a node that distfield takes above its input's own: 5.98 for labels, 5.16 for scalars of 512^3 (`docs/performance.md`, memory of distfield).
@@ -109,7 +115,8 @@ pub fn cost(boundary: &Boundary, parts: Option<usize>, geometry: &Geometry, kind
     let stages = RATES.iter().map(|rates| {
         let [by_itself, each @ ..] = rates.seconds;
         let [node, face, vertex] = each.map(|seconds| 1e-6 * seconds);
-        StageCost { stage: rates.stage, seconds: total(&[by_itself, node, face, vertex]), bytes: total(&rates.bytes) }
+        let bytes = rates.bytes.iter().map(total).fold(0.0, f64::max);
+        StageCost { stage: rates.stage, seconds: total(&[by_itself, node, face, vertex]), bytes }
     });
     let voxel = geometry.mean_spacing();
     let uniform = SIZES.map(|voxels| {
