@@ -17,6 +17,7 @@ pub mod marching_cubes;
 pub mod mesh;
 pub mod neighbours;
 pub mod particle_set;
+pub mod quality;
 pub mod random;
 pub mod sizing;
 pub mod spatial;

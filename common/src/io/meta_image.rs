@@ -5,7 +5,7 @@
 
 use super::limit::{bad, check_memory, geometry_from_steps, voxel_count};
 use super::volume::{Endian, ScalarType, Volume};
-use super::voxel_data::{Coding, DataFiles, Layout, numbered_names, read_voxels};
+use super::voxel_data::{Coding, DataFiles, Layout, numbered_names, read_line, read_voxels};
 use crate::error::{Error, Result};
 use crate::geometry::{Geometry, Space};
 use glam::DVec3;
@@ -61,6 +61,7 @@ impl<'a> Header<'a> {
         let mut header = Self { path, fields: BTreeMap::new(), list: Vec::new() };
         let mut reader = Read::take(reader, MOST_HEADER_BYTES);
         while let Some(line) = read_line(path, &mut reader)? {
+            let line = line.trim();
             if line.is_empty() {
                 continue;
             }
@@ -78,7 +79,7 @@ impl<'a> Header<'a> {
             if is_last {
                 if value.split_whitespace().next() == Some("LIST") {
                     while let Some(line) = read_line(path, &mut reader)? {
-                        header.list.extend((!line.is_empty()).then_some(line));
+                        header.list.extend(Some(line.trim()).filter(|line| !line.is_empty()).map(str::to_owned));
                     }
                 }
                 return Ok(header);
@@ -246,18 +247,6 @@ impl<'a> Header<'a> {
             "correct 'ElementDataFile' in the header, or add the missing files",
         ))
     }
-}
-
-/// One line without its end; `None` at the end of the file.
-fn read_line(path: &Path, reader: &mut impl BufRead) -> Result<Option<String>> {
-    let mut line = Vec::new();
-    reader
-        .read_until(b'\n', &mut line)
-        .map_err(|error| Error::file(path, "read", &error, "check the disk the file is on"))?;
-    if line.is_empty() {
-        return Ok(None);
-    }
-    Ok(Some(String::from_utf8_lossy(&line).trim().to_owned()))
 }
 
 /// MetaIO's names; its `LONG` has 32 bits on every machine.

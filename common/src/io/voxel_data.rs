@@ -27,6 +27,21 @@ pub(super) enum DataFiles {
     Named(Vec<String>),
 }
 
+/// One line of a header without its end; `None` at the end of the file.
+pub(super) fn read_line(path: &Path, reader: &mut impl BufRead) -> Result<Option<String>> {
+    let mut line = Vec::new();
+    reader
+        .read_until(b'\n', &mut line)
+        .map_err(|error| Error::file(path, "read", &error, "check the disk the file is on"))?;
+    if line.is_empty() {
+        return Ok(None);
+    }
+    while line.last().is_some_and(|&byte| byte == b'\n' || byte == b'\r') {
+        line.pop();
+    }
+    Ok(Some(String::from_utf8_lossy(&line).into_owned()))
+}
+
 /// What a header says of the voxels' bytes.
 #[derive(Clone, Debug)]
 pub(super) struct Layout {

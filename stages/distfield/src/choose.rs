@@ -13,6 +13,7 @@ use isoparticles_common::error::{Error, Result};
 use isoparticles_common::geometry::Geometry;
 use isoparticles_common::image::Image;
 use isoparticles_common::io::volume::{LayerLabel, Volume, Voxels};
+use isoparticles_common::quality::Quality;
 use serde_json::{Value, json};
 use std::f64::consts::PI;
 
@@ -41,36 +42,6 @@ pub struct ScaleArgs {
 /// Edge lengths up to this many voxels (mean spacing) follow the steps of voxels, longer ones are spoilt by them. Mean and smallest radius ratio on `heart_label` at
 /// 0.65 voxel 0.984 / 0.69 without scale and 0.984 / 0.63 with, at 1.25 voxels 0.955 / 0.55 and 0.984 / 0.71; with on `tooth_ct` at 0.8 voxel 0.988 / 0.83.
 const FINE_ENOUGH: f64 = 0.75;
-
-/// The qualities of `sizefield`.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
-pub enum Quality {
-    /// A first look.
-    Coarse,
-    /// What the data can carry.
-    Medium,
-    /// Smoother than the data.
-    Fine,
-}
-
-impl Quality {
-    /// Smallest h over the mean voxel spacing, as in `sizefield`.
-    fn smallest_size(self) -> f64 {
-        match self {
-            Self::Coarse => 1.5,
-            Self::Medium => 0.75,
-            Self::Fine => 0.5,
-        }
-    }
-
-    fn name(self) -> &'static str {
-        match self {
-            Self::Coarse => "coarse",
-            Self::Medium => "medium",
-            Self::Fine => "fine",
-        }
-    }
-}
 
 /// A scale and why it is that.
 struct Choice {
@@ -133,7 +104,7 @@ impl ScaleArgs {
             return Ok(for_length(length, format!("the edge length of {vertices} vertices, {length:.4} mm,")));
         }
         if let Some(quality) = self.quality {
-            let smallest = quality.smallest_size() * voxel;
+            let smallest = quality.smallest_size_voxels() * voxel;
             return Ok(for_length(
                 smallest,
                 format!("the smallest h of quality {}, {smallest:.4} mm,", quality.name()),

@@ -13,27 +13,17 @@ use isoparticles_common::error::{Error, Result};
 use isoparticles_common::geometry::Geometry;
 use isoparticles_common::image::Image;
 use isoparticles_common::io::field::{Field, FieldKind, read_field, write_field};
+use isoparticles_common::quality::Quality;
 use isoparticles_common::sizing::SizingField;
 use isoparticles_common::spline::CubicSpline;
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
 
-/// What the defaults come from.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
-enum Quality {
-    /// About a quarter of the triangles: a first look.
-    Coarse,
-    /// What the data can carry.
-    Medium,
-    /// About three times the triangles: smoother than the data.
-    Fine,
-}
-
 /// The defaults of one quality.
 struct Defaults {
     epsilon: f64,
     delta: f64,
-    /// Smallest h over the mean voxel spacing: finer triangles than 0.75 of it say nothing about the data.
+    /// Smallest h over the mean voxel spacing.
     min_size_voxels: f64,
     /// Largest h over the diagonal of the object's bounding box.
     max_size_diagonals: f64,
@@ -42,40 +32,22 @@ struct Defaults {
     deviation_voxels: f64,
 }
 
-impl Quality {
-    fn name(self) -> &'static str {
-        match self {
-            Self::Coarse => "coarse",
-            Self::Medium => "medium",
-            Self::Fine => "fine",
-        }
-    }
-
-    fn defaults(self) -> Defaults {
-        let medium = Defaults {
+impl Defaults {
+    fn of(quality: Quality) -> Self {
+        let medium = Self {
             epsilon: 0.5,
             delta: 0.4,
-            min_size_voxels: 0.75,
+            min_size_voxels: quality.smallest_size_voxels(),
             max_size_diagonals: 0.1,
             deviation_voxels: 0.1,
         };
-        match self {
+        match quality {
             // the deviation goes with the square of h
-            Self::Coarse => Defaults {
-                epsilon: 1.0,
-                min_size_voxels: 1.5,
-                max_size_diagonals: 0.2,
-                deviation_voxels: 0.4,
-                ..medium
-            },
-            Self::Medium => medium,
-            Self::Fine => Defaults {
-                epsilon: 0.25,
-                delta: 0.3,
-                min_size_voxels: 0.5,
-                max_size_diagonals: 0.05,
-                deviation_voxels: 0.04,
-            },
+            Quality::Coarse => Self { epsilon: 1.0, max_size_diagonals: 0.2, deviation_voxels: 0.4, ..medium },
+            Quality::Medium => medium,
+            Quality::Fine => {
+                Self { epsilon: 0.25, delta: 0.3, max_size_diagonals: 0.05, deviation_voxels: 0.04, ..medium }
+            }
         }
     }
 }
@@ -272,7 +244,7 @@ fn resolve(
     let voxel = field.image.geometry.mean_spacing();
     let low = features.points.iter().copied().fold(DVec3::INFINITY, DVec3::min);
     let high = features.points.iter().copied().fold(DVec3::NEG_INFINITY, DVec3::max);
-    let defaults = args.quality().defaults();
+    let defaults = Defaults::of(args.quality());
     let diagonal = (high - low).length();
     let min_size = args.min_size.unwrap_or(defaults.min_size_voxels * voxel);
     let max_size = args.max_size.unwrap_or((defaults.max_size_diagonals * diagonal).max(min_size));

@@ -4,7 +4,7 @@
 use crate::error::{Error, Result};
 use crate::io::limit::bad;
 use crate::io::volume::{Endian, ScalarType};
-use crate::io::voxel_data::{Coding, DataFiles, Layout, numbered_names};
+use crate::io::voxel_data::{Coding, DataFiles, Layout, numbered_names, read_line};
 use std::collections::BTreeMap;
 use std::io::{BufRead, Read};
 use std::path::Path;
@@ -157,21 +157,6 @@ fn read_fields(path: &Path, reader: &mut impl BufRead) -> Result<Fields> {
         fields.insert(name, value);
     }
     Ok(Fields { fields, pairs, list })
-}
-
-/// One line without its end; `None` at the end of the file.
-fn read_line(path: &Path, reader: &mut impl BufRead) -> Result<Option<String>> {
-    let mut line = Vec::new();
-    reader
-        .read_until(b'\n', &mut line)
-        .map_err(|error| Error::file(path, "read", &error, "check the disk the file is on"))?;
-    if line.is_empty() {
-        return Ok(None);
-    }
-    while line.last().is_some_and(|&byte| byte == b'\n' || byte == b'\r') {
-        line.pop();
-    }
-    Ok(Some(String::from_utf8_lossy(&line).into_owned()))
 }
 
 /// The field names that may be written in two ways.
