@@ -37,7 +37,7 @@ KEYS := NAME INPUT PHANTOM SERIES ISO LABELS INSIDE BORDER SCALE EPSILON DELTA S
 $(foreach key,$(KEYS) CASE CASES,$(if $(filter environment,$(origin $(key))),$(eval undefine $(key))))
 # What this file knows besides.
 OTHERS := CASE CASES LIST TIME_LIMIT BIN NO_BUILD CARGO CARGO_TARGET_DIR VENV TETMESH_CHECK HXT DATA OUT VERBOSITY THREADS PARTS GOAL SIZES \
-          BENCH_OPTIONS COMPARED COMPARE_OPTIONS REMESHER BENCH_VENV
+          BENCH_OPTIONS FUZZ_SECONDS FUZZ_TARGETS COMPARED COMPARE_OPTIONS REMESHER BENCH_VENV
 # Goals over one case.
 CASE_GOALS := distfield sizefield seed particles reconstruct surface mesh page verdict info clean
 
@@ -88,7 +88,7 @@ case = $(call quote,$(BIN)/isoparticles-case) $(1) $(foreach key,$(KEYS) OUT VER
 
 # --- Goals ------------------------------------------------------------------------------------------------------------
 
-.PHONY: help $(CASE_GOALS) demo cases batch index build env doctor test format lint documentation test-rust test-python bench-stages \
+.PHONY: help $(CASE_GOALS) demo cases batch index build env doctor test format lint documentation test-rust test-python fuzz deny bench-stages \
         bench-gpu bench-delaunay bench-convergence bench-marching-cubes
 
 define HELP
@@ -109,6 +109,8 @@ Volumes in, simulation-ready meshes out.
   make index                                   a page over all cases in OUT (make cases does it at its end)
   make clean CASE=heart                        remove its folder of results (or NAME=...)
   make test                                    format, lints, documentation, tests
+  make fuzz                                    every reader of files, FUZZ_SECONDS=60 each (nightly Rust, cargo-fuzz)
+  make deny                                    licences and advisories of what is linked (cargo-deny)
   make bench-stages                            time and memory of every stage on the torso phantom
   make bench-gpu                               the particles stage on the GPU against one CPU thread (BENCH_OPTIONS=...)
   make bench-delaunay                          the Delaunay triangulation against CGAL's (BENCH_OPTIONS=...; needs libcgal-dev)
@@ -207,6 +209,15 @@ test-python: build env
 
 doctor:
 	@sh tests/doctor.sh
+
+# Every reader with a fuzz target of its own, FUZZ_SECONDS each; nightly Rust and cargo-fuzz.
+FUZZ_SECONDS ?= 60
+fuzz:
+	@tests/fuzz/run.sh --seconds $(FUZZ_SECONDS) $(FUZZ_TARGETS)
+
+# Licences, advisories and sources of what is linked (deny.toml); cargo-deny and the network.
+deny:
+	$(CARGO) deny --locked check
 
 # Every stage on the torso phantom of the paper's size, from nothing; GOAL=surface leaves out the tetrahedra.
 PARTS ?= heart lungs ribs

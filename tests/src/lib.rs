@@ -6,6 +6,7 @@
 //! any geometry, by code of its own, so that the reader under test is checked against an independent writer.
 
 pub mod nrrd;
+pub mod readers;
 pub mod scene;
 pub mod shapes;
 pub mod skip;

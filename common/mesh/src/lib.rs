@@ -19,6 +19,7 @@ pub mod shapes;
 pub mod spatial;
 pub mod surface;
 pub mod topology;
+mod vtk_legacy;
 
 /// Indexed triangles, counter-clockwise seen from outside.
 #[derive(Clone, Debug, Default, PartialEq)]

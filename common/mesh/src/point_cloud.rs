@@ -1,7 +1,8 @@
-//! Point clouds from elsewhere: PLY (ASCII or binary), text of `x y z [nx ny nz]` lines (`.xyz`), and the points of VTK's polygon files
-//! (`.vtp`), with normals where the file has them.
+//! Point clouds from elsewhere: PLY (ASCII or binary), text of `x y z [nx ny nz]` lines (`.xyz`), and the points of VTK's files, of
+//! polygons (`.vtp`) or legacy (`.vtk`), with normals where the file has them.
 
 use crate::points::positions;
+use crate::vtk_legacy;
 use glam::DVec3;
 use isoparticles_file::error::{Error, Result};
 use isoparticles_file::history::History;
@@ -45,6 +46,7 @@ pub fn read_point_cloud(path: &Path) -> Result<PointCloud> {
         Some(Format::Ply) => read_ply(path, &bytes()?),
         Some(Format::Xyz) => read_xyz(path, &bytes()?),
         Some(Format::Vtp) => read_vtp(path),
+        Some(Format::Vtk) => read_vtk(path, &bytes()?),
         None => Err(unusable(path, "has no ending of a point cloud")),
     }?;
     if cloud.positions.is_empty() {
@@ -61,6 +63,7 @@ enum Format {
     Ply,
     Xyz,
     Vtp,
+    Vtk,
 }
 
 fn format(path: &Path) -> Option<Format> {
@@ -68,6 +71,7 @@ fn format(path: &Path) -> Option<Format> {
         "ply" => Some(Format::Ply),
         "xyz" => Some(Format::Xyz),
         "vtp" => Some(Format::Vtp),
+        "vtk" => Some(Format::Vtk),
         _ => None,
     }
 }
@@ -77,7 +81,7 @@ fn unusable(path: &Path, what: &str) -> Error {
         path,
         what,
         "a cloud of points with finite coordinates is needed",
-        "give a .ply file, a .xyz file with lines 'x y z' or 'x y z nx ny nz', or a .vtp file",
+        "give a .ply file, a .xyz file with lines 'x y z' or 'x y z nx ny nz', or a .vtp or .vtk file",
     )
 }
 
@@ -112,6 +116,12 @@ fn read_xyz(path: &Path, bytes: &[u8]) -> Result<PointCloud> {
         }
     }
     Ok(PointCloud::unplaced(positions, (columns == Some(6)).then_some(normals)))
+}
+
+fn read_vtk(path: &Path, bytes: &[u8]) -> Result<PointCloud> {
+    let (positions, normals) = vtk_legacy::read_points(bytes).map_err(|what| unusable(path, &what))?;
+    let normals = normals.map(|normals| normals.into_iter().map(finite_or_zero).collect());
+    Ok(PointCloud::unplaced(positions, normals))
 }
 
 fn read_vtp(path: &Path) -> Result<PointCloud> {
@@ -400,6 +410,19 @@ mod tests {
     }
 
     #[test]
+    fn points_of_legacy_vtk_files_come_with_their_normals() {
+        let polygons =
+            "# vtk DataFile Version 3.0\nby hand\nASCII\nDATASET POLYDATA\nPOINTS 2 double\n1 -2.5 3 0.5 0 -7\n";
+        let normals = "POINT_DATA 2\nNORMALS normals double\n1 0 0 0 0.6 -0.8\n";
+        assert_eq!(read("a.vtk", polygons.as_bytes()).expect("points"), expected(false));
+        assert_eq!(read("a.vtk", format!("{polygons}{normals}").as_bytes()).expect("points"), expected(true));
+        let field = "POINT_DATA 2\nFIELD FieldData 1\nNormals 3 2 double\n1 0 0 0 0.6 -0.8\n";
+        assert_eq!(read("a.vtk", format!("{polygons}{field}").as_bytes()).expect("points"), expected(true));
+        let grid = polygons.replace("POLYDATA", "UNSTRUCTURED_GRID") + "CELLS 0 0\n\nCELL_TYPES 0\n";
+        assert_eq!(read("a.vtk", grid.as_bytes()).expect("points"), expected(false));
+    }
+
+    #[test]
     fn what_is_no_cloud_is_refused_with_the_reason() {
         let ply = |body: &str| format!("ply\nformat ascii 1.0\n{body}").into_bytes();
         let xyz = "property float x\nproperty float y\nproperty float z\n";
@@ -423,6 +446,9 @@ mod tests {
             ("a.ply", ply(&format!("element vertex 1\n{xyz}end_header\n1 2 inf\n")), "point 1 is"),
             ("a.ply", ply(&format!("element vertex 1\nproperty list uchar int i\n{xyz}end_header\n1\n")), "lists"),
             ("a.ply", little[..little.len() - 40].to_vec(), "cut short"),
+            ("a.vtk", b"solid stl\n".to_vec(), "legacy VTK"),
+            ("a.vtk", b"# vtk DataFile Version 3.0\nx\nASCII\nDATASET POLYDATA\nPOINTS 2 float\n1 2 3 nan 1 2\n".to_vec(), "legacy VTK"),
+            ("a.vtk", b"# vtk DataFile Version 3.0\nx\nASCII\nDATASET STRUCTURED_POINTS\nDIMENSIONS 1 1 1\nORIGIN 0 0 0\nSPACING 1 1 1\n".to_vec(), "neither"),
             ("a.vtp", b"<VTKFile type=\"ImageData\"><ImageData/></VTKFile>".to_vec(), "PolyData"),
         ];
         for (name, bytes, says) in cases {

@@ -101,7 +101,7 @@ fn oblique_left_handed_torus_lands_in_the_world_facing_outward() {
     assert!(numbers(&surface.cell_data, "radius_ratio").iter().all(|&q| q >= 0.3));
     assert_eq!(file.history.unwrap().inputs.len(), 2);
     assert!(!case.path("torus.offending.vtp").exists());
-    for other in ["t.ply", "t.stl", "t.obj"] {
+    for other in ["t.ply", "t.stl", "t.obj", "t.vtk"] {
         assert_eq!(case.run(other, &[]).unwrap(), Outcome::Passed);
         assert!(case.path(other).metadata().unwrap().len() > 1000);
     }

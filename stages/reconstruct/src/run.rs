@@ -51,7 +51,7 @@ pub struct Args {
     /// Size field h of the same grid, edge lengths in mm [default: the h that each particle carries]
     #[arg(long, value_name = "S.vti", requires = "distfield", help_heading = FILES)]
     pub sizefield: Option<PathBuf>,
-    /// Surface to write: .vtp with all data, or .ply, .stl, .obj
+    /// Surface to write: .vtp with all data, or .ply, .stl, .obj, .vtk
     #[arg(short, long, value_name = "SURFACE", help_heading = FILES)]
     pub output: PathBuf,
     /// How the particles are joined

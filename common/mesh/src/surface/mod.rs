@@ -1,5 +1,5 @@
-//! Surfaces out of the pipeline: `.vtp` (everything, read back bit for bit), and `.ply`, `.stl` and `.obj` for other
-//! programs.
+//! Surfaces out of the pipeline: `.vtp` (everything, read back bit for bit), and `.ply`, `.stl`, `.obj` and legacy
+//! `.vtk` for other programs.
 //!
 //! What is written here is in *world* coordinates, with the windings as they are given. The caller maps the mesh from the
 //! grid frame and turns the triangles round where the volume is left-handed: [`Surface::from_grid`] does both.
@@ -10,6 +10,7 @@ mod vtp;
 pub use vtp::read_surface;
 
 use crate::TriangleMesh;
+use crate::vtk_legacy;
 use glam::DVec3;
 use isoparticles_file::error::{Error, Result};
 use isoparticles_file::history::History;
@@ -111,6 +112,7 @@ enum Format {
     Ply,
     Stl,
     Obj,
+    Vtk,
 }
 
 /// Fails unless the ending of the name is one that [`write_surface`] knows; to be asked before the work starts.
@@ -124,11 +126,12 @@ fn format(path: &Path) -> Result<Format> {
         Some("ply") => Ok(Format::Ply),
         Some("stl") => Ok(Format::Stl),
         Some("obj") => Ok(Format::Obj),
+        Some("vtk") => Ok(Format::Vtk),
         _ => Err(bad(
             path,
             "has no ending that tells a surface format",
             "the format of the output is told by its name",
-            "end the name in .vtp (everything), .ply, .stl or .obj",
+            "end the name in .vtp (everything), .ply, .stl, .obj or .vtk",
         )),
     }
 }
@@ -145,6 +148,7 @@ pub fn write_surface(path: &Path, surface: &Surface, meta: &Value, history: &His
         Format::Ply => write_atomically(path, |file| interchange::write_ply(file, surface, history)),
         Format::Stl => write_atomically(path, |file| interchange::write_stl(file, surface, history)),
         Format::Obj => write_atomically(path, |file| interchange::write_obj(file, surface, history)),
+        Format::Vtk => write_atomically(path, |file| vtk_legacy::write(file, surface, history)),
     }
 }
 
@@ -266,6 +270,22 @@ mod tests {
         assert!(obj.contains(&format!("\nf {a} {b} {c}\n")));
         assert!(obj.lines().all(|line| line.len() < 256));
         assert_eq!(write("a.stl").len(), 84 + 4 * 50);
+        let vtk = vtkio::Vtk::parse_legacy_be(&write("a.vtk")[..]).expect("a legacy VTK file");
+        let vtkio::model::DataSet::PolyData { pieces, .. } = vtk.data else { panic!("polygons") };
+        let [vtkio::model::Piece::Inline(piece)] = &pieces[..] else { panic!("one piece") };
+        assert_eq!(piece.points, vtkio::IOBuffer::F64(expected.clone()));
+        let polygons = piece.polys.clone().expect("triangles").into_xml().0;
+        assert!(
+            polygons.iter().eq(surface()
+                .mesh
+                .triangles
+                .as_flattened()
+                .iter()
+                .map(|&v| u64::from(v))
+                .collect::<Vec<_>>()
+                .iter())
+        );
+        assert_eq!((piece.data.point.len(), piece.data.cell.len()), (2, 1));
         let ply = write("a.ply");
         let end = ply.windows(11).position(|window| window == b"end_header\n").expect("header") + 11;
         assert_eq!(ply.len() - end, 4 * 7 * 8 + 4 * (1 + 12 + 8));

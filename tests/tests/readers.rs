@@ -1,20 +1,17 @@
-//! Whatever the bytes, a reader gives a value or an error in three parts; it never panics and never takes memory that the
-//! file does not fill.
+//! A short run over every reader with changed and invented files; `make fuzz` looks longer, led by what the code does with them.
 
-use isoparticles_mesh::surface::read_surface;
-use isoparticles_stage::field_file::{FieldKind, read_field};
-use isoparticles_stage::particle_file::{ParticleKind, read_particles};
+use isoparticles_tests::readers::{READERS, Reader};
 use isoparticles_volume::read_volume;
 use proptest::prelude::*;
 use std::path::{Path, PathBuf};
 use std::sync::LazyLock;
 
 static FIXTURES: LazyLock<Vec<(String, Vec<u8>)>> = LazyLock::new(|| {
-    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../common");
     let mut paths: Vec<PathBuf> = ["nrrd", "nifti", "vti", "meta", "segmentation"]
-        .map(|folder| format!("../volume/tests/data/{folder}"))
+        .map(|folder| format!("volume/tests/data/{folder}"))
         .into_iter()
-        .chain(["golden", "edited"].map(|folder| format!("tests/data/{folder}")))
+        .chain(["golden", "edited"].map(|folder| format!("stage/tests/data/{folder}")))
         .flat_map(|folder| std::fs::read_dir(root.join(folder)).expect("fixtures"))
         .map(|entry| entry.expect("entry").path())
         .collect();
@@ -23,19 +20,10 @@ static FIXTURES: LazyLock<Vec<(String, Vec<u8>)>> = LazyLock::new(|| {
     paths.iter().map(|path| (name(path), std::fs::read(path).expect("fixture"))).collect()
 });
 
-/// Reads bytes under a name with every reader.
+/// Feeds bytes under a name to every reader.
 fn read_all(name: &str, bytes: &[u8]) {
-    let folder = tempfile::tempdir().expect("folder");
-    let path = folder.path().join(name);
-    std::fs::write(&path, bytes).expect("written");
-    let errors = [
-        read_volume(&path).err(),
-        read_field(&path, FieldKind::Sizing).err(),
-        read_particles(&path, &[ParticleKind::Seeds, ParticleKind::Checkpoint]).err(),
-        read_surface(&path).err(),
-    ];
-    for error in errors.into_iter().flatten() {
-        assert!(!error.what.is_empty() && !error.why.is_empty() && !error.next.is_empty(), "{error}");
+    for reader in READERS {
+        reader.feed_file(name, bytes);
     }
 }
 
@@ -121,7 +109,7 @@ fn header_line() -> impl Strategy<Value = String> {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig { cases: 1500, failure_persistence: None, ..ProptestConfig::default() })]
+    #![proptest_config(ProptestConfig { cases: 600, failure_persistence: None, ..ProptestConfig::default() })]
 
     #[test]
     fn changed_fixtures_are_read_or_refused(
@@ -157,7 +145,7 @@ proptest! {
         series in prop::sample::select(vec!["oblique", "rle"]),
         changes in prop::collection::vec((any::<prop::sample::Index>(), any::<u8>(), 0..4u8), 1..6),
     ) {
-        let from = Path::new(env!("CARGO_MANIFEST_DIR")).join("../volume/tests/data/dicom").join(series);
+        let from = Path::new(env!("CARGO_MANIFEST_DIR")).join("../common/volume/tests/data/dicom").join(series);
         let folder = tempfile::tempdir().expect("folder");
         std::fs::copy(from.join("a.dcm"), folder.path().join("a.dcm")).expect("copied");
         let bytes = std::fs::read(from.join("b.dcm")).expect("fixture");
@@ -165,5 +153,36 @@ proptest! {
         if let Err(error) = read_volume(folder.path()) {
             assert!(!error.what.is_empty() && !error.why.is_empty() && !error.next.is_empty(), "{error}");
         }
+    }
+}
+
+/// Files that a fuzz target found a fault with, one a fault, as `tests/data/found/NUMBER.READER`.
+#[test]
+fn what_was_found_stays_found() {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("data/found");
+    for entry in std::fs::read_dir(folder).expect("the folder of finds") {
+        let path = entry.expect("entry").path();
+        let name = path.extension().and_then(|name| name.to_str()).unwrap_or_default();
+        if name != "md" {
+            Reader::named(name).feed(&std::fs::read(&path).expect("a find"));
+        }
+    }
+}
+
+/// Every reader has a fuzz target of its name, and every target a reader.
+#[test]
+fn every_reader_has_a_fuzz_target() {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("fuzz/targets");
+    let entries = std::fs::read_dir(folder).expect("the targets");
+    let mut targets: Vec<_> = entries
+        .map(|entry| entry.expect("entry").path().file_stem().expect("a name").to_string_lossy().into_owned())
+        .collect();
+    targets.sort();
+    let mut readers = READERS.map(|reader| reader.name).to_vec();
+    readers.sort();
+    assert_eq!(targets, readers);
+    let manifest = include_str!("../fuzz/Cargo.toml");
+    for name in readers {
+        assert!(manifest.contains(&format!("name = \"{name}\"")), "{name} is not in tests/fuzz/Cargo.toml");
     }
 }
