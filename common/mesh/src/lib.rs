@@ -7,6 +7,7 @@
 use glam::DVec3;
 
 pub mod components;
+mod error;
 pub mod incidence;
 pub mod inside;
 pub mod intersect;
@@ -19,6 +20,8 @@ pub mod shapes;
 pub mod spatial;
 pub mod surface;
 pub mod topology;
+
+pub use error::{Error, Result};
 
 /// Indexed triangles, counter-clockwise seen from outside.
 #[derive(Clone, Debug, Default, PartialEq)]

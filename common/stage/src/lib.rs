@@ -4,8 +4,10 @@
 //! reads; [`field_file`] and [`particle_file`] the files that go from stage to stage.
 
 pub mod cli;
+pub mod error;
 pub mod field_file;
+pub mod output;
 pub mod particle_file;
 pub mod quality;
 
-pub use isoparticles_file::{error, history, output};
+pub use isoparticles_file::history;

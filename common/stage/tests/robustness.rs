@@ -2,6 +2,7 @@
 //! file does not fill.
 
 use isoparticles_mesh::surface::read_surface;
+use isoparticles_stage::error::Error;
 use isoparticles_stage::field_file::{FieldKind, read_field};
 use isoparticles_stage::particle_file::{ParticleKind, read_particles};
 use isoparticles_volume::read_volume;
@@ -29,10 +30,10 @@ fn read_all(name: &str, bytes: &[u8]) {
     let path = folder.path().join(name);
     std::fs::write(&path, bytes).expect("written");
     let errors = [
-        read_volume(&path).err(),
+        read_volume(&path).map_err(Error::from).err(),
         read_field(&path, FieldKind::Sizing).err(),
         read_particles(&path, &[ParticleKind::Seeds, ParticleKind::Checkpoint]).err(),
-        read_surface(&path).err(),
+        read_surface(&path).map_err(Error::from).err(),
     ];
     for error in errors.into_iter().flatten() {
         assert!(!error.what.is_empty() && !error.why.is_empty() && !error.next.is_empty(), "{error}");
@@ -162,7 +163,7 @@ proptest! {
         std::fs::copy(from.join("a.dcm"), folder.path().join("a.dcm")).expect("copied");
         let bytes = std::fs::read(from.join("b.dcm")).expect("fixture");
         std::fs::write(folder.path().join("b.dcm"), changed(&bytes, changes)).expect("written");
-        if let Err(error) = read_volume(folder.path()) {
+        if let Err(error) = read_volume(folder.path()).map_err(Error::from) {
             assert!(!error.what.is_empty() && !error.why.is_empty() && !error.next.is_empty(), "{error}");
         }
     }

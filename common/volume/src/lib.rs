@@ -9,6 +9,7 @@
 
 mod data_files;
 mod dicom;
+mod error;
 mod geometry;
 mod image;
 mod limit;
@@ -24,6 +25,7 @@ pub mod vti;
 pub mod vtk_xml;
 
 pub use data_files::data_files;
+pub use error::{Content, Error, Result};
 pub use geometry::{Geometry, Space};
 pub use image::{Image, reverse_slices};
 pub use read::{ReadOptions, read_volume, read_volume_with};

@@ -2,8 +2,8 @@
 
 use super::report::Report;
 use super::{CommonArgs, Outcome, Progress, ProgressMode, interrupt};
+use crate::error::{Error, Result};
 use indicatif::MultiProgress;
-use isoparticles_file::error::{Error, Result};
 use isoparticles_file::history::{History, Input};
 use serde_json::Value;
 use std::io::{IsTerminal, Write};

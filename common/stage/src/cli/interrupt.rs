@@ -1,6 +1,6 @@
 //! SIGINT, SIGTERM and SIGHUP ask the run to stop. Long loops look at the flag; the second signal ends the program at once.
 
-use isoparticles_file::error::{Error, Result};
+use crate::error::{Error, Result};
 use isoparticles_file::output;
 use std::sync::Once;
 
