@@ -6,6 +6,7 @@
 pub mod cli;
 pub mod error;
 pub mod field_file;
+pub mod meta;
 pub mod output;
 pub mod particle_file;
 pub mod quality;
