@@ -66,6 +66,12 @@ impl Error {
     }
 }
 
+impl From<isoparticles_file::monitor::Interrupted> for Error {
+    fn from(interrupted: isoparticles_file::monitor::Interrupted) -> Self {
+        Self::interrupted(interrupted.to_string())
+    }
+}
+
 impl From<isoparticles_file::error::Error> for Error {
     fn from(error: isoparticles_file::error::Error) -> Self {
         use isoparticles_file::error::Error as File;

@@ -56,8 +56,7 @@ pub fn attributes(
         .into_par_iter()
         .map(|t| {
             let [a, b, c] = mesh.corners(t);
-            let (value, gradient) = field.value_gradient((a + b + c) / 3.0);
-            value / gradient.length().max(1e-12)
+            field.distance_estimate((a + b + c) / 3.0)
         })
         .collect();
     let cap = (0..mesh.triangles.len()).map(|t| i64::from(on_cap(mesh.corners(t), caps, geometry))).collect();

@@ -7,6 +7,7 @@ mod command_line;
 mod context;
 pub mod interrupt;
 mod memory;
+mod monitor;
 mod progress;
 mod report;
 pub mod values;
