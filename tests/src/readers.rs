@@ -21,13 +21,13 @@ pub struct Reader {
 
 fn volume(path: &Path) -> Option<Error> {
     // what `make` asks before the volume is read
-    data_files(path).err();
-    read_volume(path).err()
+    drop(data_files(path));
+    read_volume(path).err().map(Error::from)
 }
 
 /// A folder of one slice.
 fn series(path: &Path) -> Option<Error> {
-    read_volume(path.parent()?).err()
+    read_volume(path.parent()?).err().map(Error::from)
 }
 
 fn field(path: &Path) -> Option<Error> {
@@ -39,11 +39,11 @@ fn particles(path: &Path) -> Option<Error> {
 }
 
 fn surface(path: &Path) -> Option<Error> {
-    read_surface(path).err()
+    read_surface(path).err().map(Error::from)
 }
 
 fn cloud(path: &Path) -> Option<Error> {
-    read_point_cloud(path).err()
+    read_point_cloud(path).err().map(Error::from)
 }
 
 const fn reader(name: &'static str, ending: &'static str, read: fn(&Path) -> Option<Error>) -> Reader {
@@ -94,7 +94,11 @@ impl Reader {
         let path = folder.path().join(name);
         std::fs::write(&path, bytes).expect("a file to read");
         if let Some(error) = (self.read)(&path) {
-            assert!(!error.what.is_empty() && !error.why.is_empty() && !error.next.is_empty(), "{}: {error}", self.name);
+            assert!(
+                !error.what.is_empty() && !error.why.is_empty() && !error.next.is_empty(),
+                "{}: {error}",
+                self.name
+            );
         }
     }
 }

@@ -1,5 +1,6 @@
 //! A short run over every reader with changed and invented files; `make fuzz` looks longer, led by what the code does with them.
 
+use isoparticles_stage::error::Error;
 use isoparticles_tests::readers::{READERS, Reader};
 use isoparticles_volume::read_volume;
 use proptest::prelude::*;
@@ -150,7 +151,7 @@ proptest! {
         std::fs::copy(from.join("a.dcm"), folder.path().join("a.dcm")).expect("copied");
         let bytes = std::fs::read(from.join("b.dcm")).expect("fixture");
         std::fs::write(folder.path().join("b.dcm"), changed(&bytes, changes)).expect("written");
-        if let Err(error) = read_volume(folder.path()) {
+        if let Err(error) = read_volume(folder.path()).map_err(Error::from) {
             assert!(!error.what.is_empty() && !error.why.is_empty() && !error.next.is_empty(), "{error}");
         }
     }

@@ -2,7 +2,22 @@
 //!
 //! [`spline`] is F itself: the cubic B-spline through samples of a signed distance, negative inside, with its analytic derivatives.
 //! [`sizing`] holds the target edge length h, [`energy`] the particles' energy (Eq. 1 to 4 of Kim, Chen and Hansen 2012) and
-//! [`neighbours`] who is near whom; [`marching_cubes`] makes a mesh of F = 0.
+//! [`neighbours`] who is near whom; [`marching_cubes`] makes a mesh of F = 0, and [`random`] counts its random numbers, so that
+//! nothing depends on the order of evaluation.
+//!
+//! ```
+//! use glam::DVec3;
+//! use isoparticles_field::{marching_cubes::marching_cubes, spline::CubicSpline};
+//! use isoparticles_volume::{Geometry, Image};
+//!
+//! let centre = DVec3::splat(8.0);
+//! let distance = Image::sampled(Geometry::axis_aligned([17; 3], DVec3::ONE), |p| (p.distance(centre) - 5.0) as f32);
+//! let f = CubicSpline::new(&distance);
+//! let on_surface = f.project(DVec3::new(12.0, 9.0, 8.0), 2.0, 1e-6).expect("it is near");
+//! assert!((on_surface.distance(centre) - 5.0).abs() < 0.01);
+//! assert!((f.distance_estimate(DVec3::new(14.0, 8.0, 8.0)) - 1.0).abs() < 0.01);
+//! assert!(!marching_cubes(&distance, 0.0).triangles.is_empty());
+//! ```
 
 pub mod energy;
 pub mod marching_cubes;

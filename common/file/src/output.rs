@@ -13,23 +13,15 @@ static TEMPORARIES: Mutex<Vec<PathBuf>> = Mutex::new(Vec::new());
 /// Refuses an output that exists (without `force`) or whose folder cannot be written to.
 pub fn check_output(path: &Path, force: bool) -> Result<()> {
     if path.is_dir() {
-        return Err(Error::input(
-            format!("{}: is a folder", path.display()),
-            "the output is a file",
-            "give the name of a file",
-        ));
+        return Err(Error::Folder { path: path.to_path_buf() });
     }
     if path.exists() && !is_special(path) && !force {
-        return Err(Error::input(
-            format!("{}: exists already", path.display()),
-            "an existing output is kept",
-            "give another name, or --force to replace it",
-        ));
+        return Err(Error::Exists { path: path.to_path_buf() });
     }
     if is_special(path) {
         return Ok(());
     }
-    temporary_beside(path).map(drop).map_err(|error| cannot_write(path, &error))
+    temporary_beside(path).map(drop).map_err(|source| Error::Write { path: path.to_path_buf(), source })
 }
 
 /// Writes a file so that it appears under its name only when it is complete; nothing is left after an error, an
@@ -38,9 +30,9 @@ pub fn write_atomically(path: &Path, write: impl FnOnce(&mut dyn Write) -> io::R
     let attempt = if is_special(path) { write_through(path, write) } else { write_and_rename(path, write) };
     attempt.map_err(|error| {
         if error.get_ref().is_some_and(|source| source.is::<Stopped>()) {
-            Error::interrupted(format!("{}: interrupted while writing", path.display()))
+            Error::Interrupted { path: path.to_path_buf() }
         } else {
-            cannot_write(path, &error)
+            Error::Write { path: path.to_path_buf(), source: error }
         }
     })
 }
@@ -99,19 +91,6 @@ fn is_special(path: &Path) -> bool {
     std::fs::metadata(path).is_ok_and(|metadata| !metadata.is_file() && !metadata.is_dir())
 }
 
-fn cannot_write(path: &Path, error: &io::Error) -> Error {
-    let next = match error.kind() {
-        io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded => "make room on the disk, or write to another one",
-        io::ErrorKind::NotFound => "make the folder first, or correct the name",
-        _ => "check the folder's permissions, or write somewhere else",
-    };
-    Error::input(
-        format!("{}: cannot write: {error}", path.display()),
-        "without it the result of the run is lost; nothing half written is left",
-        next,
-    )
-}
-
 fn temporaries() -> std::sync::MutexGuard<'static, Vec<PathBuf>> {
     TEMPORARIES.lock().unwrap_or_else(PoisonError::into_inner)
 }
@@ -163,7 +142,7 @@ mod tests {
             Err(io::Error::from(io::ErrorKind::StorageFull))
         })
         .expect_err("full");
-        assert!(error.next.contains("make room"), "{error}");
+        assert!(error.remedy().contains("make room"), "{error}");
         assert_eq!(std::fs::read(&path).expect("kept"), b"first");
         assert_eq!(names(folder.path()), ["out.bin"]);
     }
@@ -175,11 +154,11 @@ mod tests {
         check_output(&path, false).expect("free");
         assert!(names(folder.path()).is_empty());
         std::fs::write(&path, b"x").expect("written");
-        assert!(check_output(&path, false).expect_err("exists").next.contains("--force"));
+        assert!(check_output(&path, false).expect_err("exists").to_string().contains("exists already"));
         check_output(&path, true).expect("forced");
         assert!(check_output(folder.path(), true).is_err());
         let absent = folder.path().join("absent/out.bin");
-        assert!(check_output(&absent, false).expect_err("no folder").next.contains("make the folder"));
+        assert!(check_output(&absent, false).expect_err("no folder").remedy().contains("make the folder"));
     }
 
     #[test]
@@ -188,6 +167,6 @@ mod tests {
         let path = Path::new("/dev/full");
         check_output(path, false).expect("a device is never replaced");
         let error = write_atomically(path, |file| file.write_all(&[1; 4096])).expect_err("full");
-        assert!(error.what.contains("/dev/full") && error.next.contains("make room"), "{error}");
+        assert!(error.to_string().contains("/dev/full") && error.remedy().contains("make room"), "{error}");
     }
 }

@@ -2,11 +2,22 @@
 //!
 //! [`quality`] and [`measure`] give the figures of the paper's Table 1 (radius ratio 2r/R, angles, areas);
 //! [`topology`], [`intersect`] and [`inside`] say exactly, by exact predicates, whether a mesh is what a simulation
-//! may be run on. [`surface`] and [`point_cloud`] read and write the files.
+//! may be run on. [`spatial`] and [`kd_tree`] find what is near, [`components`] what hangs together; [`surface`] and [`point_cloud`] read
+//! and write the files.
+//!
+//! ```
+//! use isoparticles_mesh::{measure::measure, quality::radius_ratios, shapes::icosphere, topology::analyse};
+//!
+//! let ball = icosphere(10.0, 3);
+//! assert_eq!(analyse(&ball).components.len(), 1);
+//! assert!((measure(&ball).area / (4.0 * std::f64::consts::PI * 100.0) - 1.0).abs() < 0.02);
+//! assert!(radius_ratios(&ball).into_iter().all(|ratio| ratio > 0.9));
+//! ```
 
 use glam::DVec3;
 
 pub mod components;
+mod error;
 pub mod incidence;
 pub mod inside;
 pub mod intersect;
@@ -20,6 +31,8 @@ pub mod spatial;
 pub mod surface;
 pub mod topology;
 mod vtk_legacy;
+
+pub use error::{Error, Result};
 
 /// Indexed triangles, counter-clockwise seen from outside.
 #[derive(Clone, Debug, Default, PartialEq)]

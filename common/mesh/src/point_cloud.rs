@@ -1,12 +1,12 @@
 //! Point clouds from elsewhere: PLY (ASCII or binary), text of `x y z [nx ny nz]` lines (`.xyz`), and the points of VTK's files, of
 //! polygons (`.vtp`) or legacy (`.vtk`), with normals where the file has them.
 
+use crate::error::bad;
+use crate::error::{Error, Result};
 use crate::points::positions;
 use crate::vtk_legacy;
 use glam::DVec3;
-use isoparticles_file::error::{Error, Result};
 use isoparticles_file::history::History;
-use isoparticles_file::limit::bad;
 use isoparticles_volume::Space;
 use isoparticles_volume::vtk_xml::VtkFile;
 use std::path::Path;
@@ -41,7 +41,10 @@ pub fn is_point_cloud(path: &Path) -> bool {
 /// # Errors
 /// When the ending is another, the file cannot be read, is damaged, has no points, or a coordinate is not a finite number.
 pub fn read_point_cloud(path: &Path) -> Result<PointCloud> {
-    let bytes = || std::fs::read(path).map_err(|error| Error::file(path, "read", &error, "check the name of the file"));
+    let bytes = || {
+        std::fs::read(path)
+            .map_err(|error| isoparticles_file::error::Error::system(path, "read", error, "check the name of the file"))
+    };
     let cloud = match format(path) {
         Some(Format::Ply) => read_ply(path, &bytes()?),
         Some(Format::Xyz) => read_xyz(path, &bytes()?),
@@ -453,9 +456,9 @@ mod tests {
         ];
         for (name, bytes, says) in cases {
             let error = read(name, bytes).expect_err(says);
-            assert!(error.what.contains(says) && error.what.contains(name), "{error}");
+            assert!(error.to_string().contains(says) && error.to_string().contains(name), "{error}");
         }
         let absent = read_point_cloud(Path::new("/nowhere/a.ply")).expect_err("absent");
-        assert!(absent.what.contains("cannot read"), "{absent}");
+        assert!(absent.to_string().contains("cannot read"), "{absent}");
     }
 }

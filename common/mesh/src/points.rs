@@ -1,8 +1,8 @@
 //! Points with a number each, out of VTK's polygon (`.vtp`) and unstructured (`.vtu`) files; their cells do not matter.
 
+use crate::error::bad;
+use crate::error::{Error, Result};
 use glam::DVec3;
-use isoparticles_file::error::{Error, Result};
-use isoparticles_file::limit::bad;
 use isoparticles_volume::vtk_xml::{Element, VtkFile};
 use std::path::Path;
 
@@ -83,7 +83,7 @@ mod tests {
         ] {
             let (_folder, path) = file(&body);
             let error = read_sized_points(&path, "h").expect_err(says);
-            assert!(error.what.contains(says), "{error}");
+            assert!(error.to_string().contains(says), "{error}");
         }
     }
 }

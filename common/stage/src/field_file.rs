@@ -4,12 +4,12 @@
 //! belongs; its field data carries the exact geometry, a note of what was measured, and the history. A file that was edited
 //! and saved again by pyvista is read as well, whatever is left of that.
 
-use isoparticles_file::error::{Error, Result};
+use crate::error::{Error, Result};
+use crate::output::write_atomically;
 use isoparticles_file::history::History;
-use isoparticles_file::limit::bad;
-use isoparticles_file::output::write_atomically;
 use isoparticles_volume::vtk_xml::{Document, Payload, VtkFile, ascii_json};
 use isoparticles_volume::{Geometry, Image, vti};
+use serde::Serialize;
 use serde_json::Value;
 use std::path::Path;
 
@@ -59,10 +59,18 @@ pub struct Field {
 }
 
 /// Writes a field; values must be finite. Fails if the file cannot be written.
-pub fn write_field(path: &Path, kind: FieldKind, image: &Image<f32>, meta: &Value, history: &History) -> Result<()> {
+pub fn write_field(
+    path: &Path,
+    kind: FieldKind,
+    image: &Image<f32>,
+    meta: &impl Serialize,
+    history: &History,
+) -> Result<()> {
     let mut document = Document::new("ImageData");
     vti::open_image(&mut document, &image.geometry);
-    let texts = [("geometry", ascii_json(&image.geometry)), ("meta", ascii_json(meta))];
+    // keys in order, whatever the order of the fields
+    let meta = serde_json::to_value(meta).unwrap_or(Value::Null);
+    let texts = [("geometry", ascii_json(&image.geometry)), ("meta", ascii_json(&meta))];
     document.identity(kind.name(), VERSION, &texts, history);
     document.open("Piece", &[("Extent", vti::piece_extent(&image.geometry))]);
     document.open("PointData", &[("Scalars", kind.array_name().to_owned())]);
@@ -81,7 +89,7 @@ pub fn read_field(path: &Path, expected: FieldKind) -> Result<Field> {
     if let Some(array) = image.child("FieldData").and_then(|field| field.array("isoparticles_format")) {
         let version = file.all_numbers(array)?.to_f64();
         if !matches!(version[..], [version] if READ_VERSIONS.map(f64::from).contains(&version)) {
-            return Err(bad(
+            return Err(Error::of_file(
                 path,
                 format!("has format version {version:?}; this program reads versions {READ_VERSIONS:?}"),
                 "its contents may mean something else",
@@ -129,7 +137,7 @@ pub fn check_same_grid(first: (&Path, &Geometry), second: (&Path, &Geometry)) ->
 }
 
 fn wrong_kind(path: &Path, expected: FieldKind, what: &str) -> Error {
-    bad(
+    Error::of_file(
         path,
         what,
         format!("this stage needs the {} field that {} writes", expected.array_name(), expected.name()),
@@ -146,7 +154,7 @@ fn check_values(path: &Path, kind: FieldKind, data: &[f32]) -> Result<()> {
         FieldKind::Distance => "distances are finite numbers",
         FieldKind::Sizing => "target edge lengths are finite and greater than zero",
     };
-    Err(bad(
+    Err(Error::of_file(
         path,
         format!("{count} values of '{}' are not usable, such as {first}", kind.array_name()),
         why,

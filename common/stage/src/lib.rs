@@ -1,11 +1,48 @@
 //! What makes a program a stage of isoparticles.
 //!
 //! [`cli`] has the options that every stage has, its exit codes, progress and report; [`error`] the error in three parts that a user
-//! reads; [`field_file`] and [`particle_file`] the files that go from stage to stage.
+//! reads; [`field_file`] and [`particle_file`] the files that go from stage to stage, and [`meta`] what these say beside their values.
+//!
+//! ```no_run
+//! use isoparticles_stage::cli::{CommonArgs, Context, Outcome, StageArgs, run_stage};
+//! use isoparticles_stage::error::Result;
+//! use std::path::PathBuf;
+//!
+//! #[derive(clap::Parser)]
+//! struct Args {
+//!     input: PathBuf,
+//!     #[command(flatten)]
+//!     common: CommonArgs,
+//! }
+//!
+//! impl StageArgs for Args {
+//!     fn common(&self) -> &CommonArgs {
+//!         &self.common
+//!     }
+//!     fn outputs(&self) -> Vec<PathBuf> {
+//!         Vec::new()
+//!     }
+//!     fn parameters(&self) -> serde_json::Value {
+//!         serde_json::json!({})
+//!     }
+//! }
+//!
+//! fn run(args: &Args, context: &Context) -> Result<Outcome> {
+//!     context.add_input(&args.input, None)?;
+//!     Ok(Outcome::Passed)
+//! }
+//!
+//! fn main() -> std::process::ExitCode {
+//!     run_stage::<Args>("trial", run)
+//! }
+//! ```
 
 pub mod cli;
+pub mod error;
 pub mod field_file;
+pub mod meta;
+pub mod output;
 pub mod particle_file;
 pub mod quality;
 
-pub use isoparticles_file::{error, history, output};
+pub use isoparticles_file::{history, monitor};

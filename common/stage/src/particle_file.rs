@@ -4,11 +4,11 @@
 //! of the payload (32 bytes), payload. Payload: bincode (fixed-width little-endian integers) of the particle set, the JSON
 //! texts of meta and history, and bytes that belong to the checkpoint alone.
 
+use crate::error::{Error, Result};
+use crate::output::write_atomically;
 use isoparticles_field::particle_set::ParticleSet;
-use isoparticles_file::error::{Error, Result};
 use isoparticles_file::history::History;
-use isoparticles_file::limit::{bad, check_memory};
-use isoparticles_file::output::write_atomically;
+use isoparticles_file::limit::check_memory;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use std::io::Read;
@@ -115,7 +115,8 @@ pub fn write_particles_with(
     history: &History,
     extra: &[u8],
 ) -> Result<()> {
-    let unencodable = |error: String| bad(path, error, "the particles cannot be put into bytes", "report this bug");
+    let unencodable =
+        |error: String| Error::of_file(path, error, "the particles cannot be put into bytes", "report this bug");
     let json = |value: serde_json::Result<String>| value.map_err(|error| unencodable(error.to_string()));
     let payload = PayloadOut {
         particles,
@@ -144,7 +145,8 @@ pub fn read_particles(path: &Path, accepted: &[ParticleKind]) -> Result<Particle
     Read::take(&mut file, HEADER_BYTES as u64).read_to_end(&mut header).map_err(cannot)?;
     let wanted: Vec<&str> = accepted.iter().map(|kind| kind.name()).collect();
     let stage = accepted.first().map_or("seed", |kind| kind.stage());
-    let refuse = |what: String, why: String| bad(path, what, why, format!("run {stage} again to make it anew"));
+    let refuse =
+        |what: String, why: String| Error::of_file(path, what, why, format!("run {stage} again to make it anew"));
     if !header.starts_with(&MAGIC) {
         return Err(refuse(
             "is not a particle file of this program".to_owned(),

@@ -4,10 +4,10 @@
 
 use glam::{DMat3, DVec3};
 use isoparticles_field::particle_set::ParticleSet;
-use isoparticles_file::history::{History, Input};
 use isoparticles_mesh::TriangleMesh;
 use isoparticles_mesh::surface::{DataArray, Surface, read_surface, write_surface};
 use isoparticles_stage::field_file::{FieldKind, check_same_grid, read_field, write_field};
+use isoparticles_stage::history::{History, Input};
 use isoparticles_stage::particle_file::{ParticleKind, read_particles, write_particles_with};
 use isoparticles_volume::{Geometry, Image, Space};
 use serde_json::{Value, json};

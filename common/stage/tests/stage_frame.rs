@@ -3,9 +3,9 @@
 //!
 //! This test has no harness, so that it can start itself as that program.
 
-use isoparticles_file::error::{Error, Result};
-use isoparticles_file::output::write_atomically;
 use isoparticles_stage::cli::{CommonArgs, Context, Outcome, StageArgs, run_stage};
+use isoparticles_stage::error::{Error, Result};
+use isoparticles_stage::output::write_atomically;
 use std::path::{Path, PathBuf};
 use std::process::{Command, ExitCode, Output, Stdio};
 use std::time::Duration;

@@ -1,8 +1,8 @@
 //! Which other files a volume's header names, so that a change of one of them is a change of the volume.
 
+use crate::error::{Error, Result};
 use crate::voxel_data::DataFiles;
 use crate::{meta_image, nrrd};
-use isoparticles_file::error::{Error, Result};
 use std::fs::File;
 use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
@@ -12,7 +12,7 @@ use std::path::{Path, PathBuf};
 /// # Errors
 /// When the header cannot be read.
 pub fn data_files(path: &Path) -> Result<Vec<PathBuf>> {
-    let unreadable = |error: std::io::Error| Error::file(path, "read", &error, "check the name of the volume");
+    let unreadable = |error: std::io::Error| Error::file(path, "read", error, "check the name of the volume");
     let mut reader = BufReader::new(File::open(path).map_err(unreadable)?);
     let start = reader.fill_buf().map_err(unreadable)?;
     let files = if start.starts_with(b"NRRD000") {

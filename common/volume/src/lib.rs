@@ -6,9 +6,24 @@
 //!
 //! [`vtk_xml`] reads and writes VTK's XML files of any kind, and [`vti`] the images among them: other crates put their own files together
 //! from these.
+//!
+//! ```
+//! use glam::DVec3;
+//! use isoparticles_volume::{Geometry, Voxels, nrrd, read_volume};
+//!
+//! let path = std::env::temp_dir().join(format!("isoparticles-example-{}.nrrd", std::process::id()));
+//! let geometry = Geometry::axis_aligned([2, 2, 2], DVec3::new(0.5, 0.5, 1.5));
+//! nrrd::write_nrrd(&path, &geometry, &Voxels::I16((0..8).collect()), nrrd::Encoding::Gzip)?;
+//! let volume = read_volume(&path)?;
+//! assert_eq!(volume.voxels.range(), Some((0.0, 7.0)));
+//! assert_eq!(volume.geometry.grid_to_world(DVec3::new(0.0, 0.0, 1.5)), DVec3::new(0.0, 0.0, 1.5));
+//! # std::fs::remove_file(&path).ok();
+//! # Ok::<(), isoparticles_volume::Error>(())
+//! ```
 
 mod data_files;
 mod dicom;
+mod error;
 mod geometry;
 mod image;
 mod limit;
@@ -24,6 +39,7 @@ pub mod vti;
 pub mod vtk_xml;
 
 pub use data_files::data_files;
+pub use error::{Content, Error, Result};
 pub use geometry::{Geometry, Space};
 pub use image::{Image, reverse_slices};
 pub use read::{ReadOptions, read_volume, read_volume_with};

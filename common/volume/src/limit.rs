@@ -1,9 +1,9 @@
 //! Checks the size and the geometry that a file claims.
 
+use crate::error::Result;
+use crate::error::bad;
 use crate::geometry::{Geometry, Space};
 use glam::{DMat3, DVec3};
-use isoparticles_file::error::Result;
-use isoparticles_file::limit::bad;
 use std::path::Path;
 
 /// Number of voxels for sizes from a header: three axes, none of them zero, no overflow.

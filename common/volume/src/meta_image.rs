@@ -3,14 +3,15 @@
 //! Read as ITK reads it: `TransformMatrix` holds the direction of one axis after the other, `Offset` the centre of the first voxel;
 //! `AnatomicalOrientation` says again what they say, and `CenterOfRotation` nothing about the grid.
 
+use crate::error::bad;
+use crate::error::{Error, Result};
 use crate::geometry::{Geometry, Space};
 use crate::limit::{geometry_from_steps, voxel_count};
 use crate::volume::Volume;
 use crate::voxel_data::{Coding, DataFiles, Layout, numbered_names, read_line, read_voxels};
 use crate::voxels::{Endian, ScalarType};
 use glam::DVec3;
-use isoparticles_file::error::{Error, Result};
-use isoparticles_file::limit::{bad, check_memory};
+use isoparticles_file::limit::check_memory;
 use std::collections::BTreeMap;
 use std::fs::File;
 use std::io::{BufRead, BufReader, Read};
@@ -32,7 +33,7 @@ pub(crate) fn is_meta_image(start: &[u8]) -> bool {
 
 /// Reads a MetaImage volume with one number a voxel.
 pub(crate) fn read_meta_image(path: &Path) -> Result<Volume> {
-    let file = File::open(path).map_err(|error| Error::file(path, "read", &error, "check the name of the volume"))?;
+    let file = File::open(path).map_err(|error| Error::file(path, "read", error, "check the name of the volume"))?;
     let mut reader = BufReader::new(file);
     let header = Header::read(path, &mut reader)?;
     let (geometry, remarks) = header.geometry()?;
@@ -327,7 +328,10 @@ mod tests {
         ] {
             let result = header(&text).and_then(|header| header.geometry().and_then(|_| header.layout().map(drop)));
             let error = result.expect_err(&text);
-            assert!(error.what.contains("test.mhd") && !error.why.is_empty() && !error.next.is_empty(), "{error}");
+            assert!(
+                error.to_string().contains("test.mhd") && !error.reason().is_empty() && !error.remedy().is_empty(),
+                "{error}"
+            );
         }
     }
 }

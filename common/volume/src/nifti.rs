@@ -2,13 +2,14 @@
 //!
 //! The `nifti` crate reads the header; the voxels are read here, so that memory grows with what is really there.
 
+use crate::error::bad;
+use crate::error::{Error, Result};
 use crate::geometry::{Geometry, Space};
 use crate::limit::{geometry_from_steps, voxel_count};
 use crate::volume::Volume;
 use crate::voxels::{Endian, ScalarType, Voxels};
 use glam::{DMat3, DQuat, DVec3};
-use isoparticles_file::error::{Error, Result};
-use isoparticles_file::limit::{bad, check_memory};
+use isoparticles_file::limit::check_memory;
 use nifti::NiftiHeader;
 use std::fs::File;
 use std::io::{self, BufRead, BufReader, Read};
@@ -35,7 +36,7 @@ pub(crate) fn is_compressed_nifti(path: &Path, start: &[u8]) -> bool {
 
 /// Reads a NIfTI-1 volume with one number a voxel.
 pub(crate) fn read_nifti(path: &Path) -> Result<Volume> {
-    let cannot = |error: io::Error| Error::file(path, "read", &error, "copy or download the file again");
+    let cannot = |error: io::Error| Error::file(path, "read", error, "copy or download the file again");
     let mut file = BufReader::with_capacity(1 << 17, File::open(path).map_err(cannot)?);
     let compressed = file.fill_buf().map_err(cannot)?.starts_with(&[0x1f, 0x8b]);
     let mut reader: Box<dyn Read> =

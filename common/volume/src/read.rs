@@ -1,10 +1,10 @@
 //! The one way into the program for volumes: which reader a file wants is told by its first bytes, and by its name only where the bytes
 //! do not say.
 
+use crate::error::bad;
+use crate::error::{Content, Error, Result};
 use crate::volume::Volume;
 use crate::{dicom, meta_image, nifti, nrrd, vti};
-use isoparticles_file::error::{Error, Result};
-use isoparticles_file::limit::bad;
 use std::io::Read;
 use std::path::Path;
 
@@ -65,7 +65,7 @@ fn start(path: &Path) -> Result<Vec<u8>> {
     let mut start = Vec::new();
     std::fs::File::open(path)
         .and_then(|file| file.take(START_BYTES).read_to_end(&mut start))
-        .map_err(|error| Error::file(path, "read", &error, "check the name of the volume"))?;
+        .map_err(|error| Error::file(path, "read", error, "check the name of the volume"))?;
     if start.is_empty() {
         return Err(bad(path, "is empty", "there is no volume in it", "check how it was written"));
     }
@@ -83,21 +83,8 @@ fn format(path: &Path, start: &[u8]) -> Result<Format> {
     if nifti::is_nifti(start) || nifti::is_compressed_nifti(path, start) {
         return Ok(Format::Nifti);
     }
-    if dicom::is_dicom(start) {
-        return Err(bad(
-            path,
-            "is one DICOM file",
-            "a volume is the whole series, with one slice in each file",
-            "give the folder that the files of the series lie in",
-        ));
-    }
-    if let Some(what) = no_volume(start, &ends) {
-        return Err(bad(
-            path,
-            format!("is {}", what.0),
-            "this stage makes a distance field from a volume: a scan or a label map",
-            what.1,
-        ));
+    if let Some(content) = no_volume(start, &ends) {
+        return Err(Error::NotAVolume { path: path.to_path_buf(), content });
     }
     if meta_image::is_meta_image(start) || ends(&[".mha", ".mhd"]) {
         return Ok(Format::MetaImage);
@@ -125,46 +112,34 @@ fn format(path: &Path, start: &[u8]) -> Result<Format> {
     ))
 }
 
-/// What a file is that looks like one but holds no volume, and where it belongs.
-fn no_volume(start: &[u8], ends: &impl Fn(&[&str]) -> bool) -> Option<(&'static str, &'static str)> {
-    const SURFACE: &str = "tetmesh-check fills a closed .vtp surface with tetrahedra, and 'reconstruct --method tight-cocone' takes the \
-                           points of .vtp and .ply files; for distfield, give the volume that the surface was made from";
+/// What a file is that looks like one but holds no volume.
+fn no_volume(start: &[u8], ends: &impl Fn(&[&str]) -> bool) -> Option<Content> {
     let has = |word: &[u8]| start.windows(word.len()).any(|window| window == word);
+    if dicom::is_dicom(start) {
+        return Some(Content::DicomSlice);
+    }
     if has(b"<VTKFile") {
         return match () {
-            () if has(b"\"PolyData\"") => Some(("a surface (VTK polygons)", SURFACE)),
-            () if has(b"\"UnstructuredGrid\"") => {
-                Some(("a mesh of tetrahedra (VTK unstructured grid)", "give the volume that it was made from"))
-            }
+            () if has(b"\"PolyData\"") => Some(Content::SurfaceVtk),
+            () if has(b"\"UnstructuredGrid\"") => Some(Content::TetrahedraVtk),
             () => None,
         };
     }
     if let Some(rest) = start.strip_prefix(b"ISOPART\n") {
         return Some(match rest.first() {
-            Some(1) => ("a file of seeds", "particles takes it; for distfield, give the volume that it was made from"),
-            Some(3) => ("a checkpoint of particles", "'particles --resume' takes it"),
-            _ => ("a file of particles", "reconstruct takes it; for distfield, give the volume that it was made from"),
+            Some(1) => Content::Seeds,
+            Some(3) => Content::Checkpoint,
+            _ => Content::Particles,
         });
     }
     if start.starts_with(b"# vtk DataFile") {
-        return Some(("a legacy VTK file", "open it in ParaView or pyvista and save the image as .vti"));
+        return Some(Content::LegacyVtk);
     }
     if start.starts_with(b"ply\n") || start.starts_with(b"ply\r\n") {
-        return Some(("a surface or point cloud (PLY)", SURFACE));
+        return Some(Content::SurfacePly);
     }
     if start.starts_with(b"solid ") || ends(&[".stl"]) {
-        return Some((
-            "a surface (STL)",
-            "save it as .vtp: tetmesh-check fills a closed surface with tetrahedra; for distfield, give the \
-                                         volume that the surface was made from",
-        ));
+        return Some(Content::SurfaceStl);
     }
-    if ends(&[".obj"]) {
-        return Some((
-            "a surface (OBJ)",
-            "save it as .vtp: tetmesh-check fills a closed surface with tetrahedra; for distfield, give the \
-                                         volume that the surface was made from",
-        ));
-    }
-    None
+    ends(&[".obj"]).then_some(Content::SurfaceObj)
 }

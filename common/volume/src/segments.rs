@@ -3,9 +3,9 @@
 //! 3D Slicer writes segments that overlap into several layers: one label volume each, on the same grid. A label then means something
 //! within its layer alone; [`LayerLabel`] says both. A volume with one layer is the ordinary case and costs nothing more.
 
+use crate::error::{Error, Result};
 use crate::volume::Volume;
 use crate::voxels::Voxels;
-use isoparticles_file::error::{Error, Result};
 use serde::{Deserialize, Serialize};
 
 /// Most names that an error message lists.
@@ -69,20 +69,12 @@ impl Volume {
         };
         match found.as_slice() {
             [one] => Ok(one.at),
-            [] => Err(Error::input(
-                format!("no segment is called '{name}'"),
-                "there would be nothing to extract for it",
-                if self.segments.is_empty() {
-                    "the file gives its labels no names: choose them by number".to_owned()
-                } else {
-                    format!("choose among the segments: {}", self.listed(&self.segments))
-                },
-            )),
-            several => Err(Error::input(
-                format!("{} segments are called '{name}'", several.len()),
-                "it is not clear which one is meant",
-                format!("give them names of their own, or choose by number: {}", self.listed(several.iter().copied())),
-            )),
+            [] => Err(Error::SegmentMissing { name: name.to_owned(), present: self.listed(&self.segments) }),
+            several => Err(Error::SegmentAmbiguous {
+                name: name.to_owned(),
+                count: several.len(),
+                present: self.listed(several.iter().copied()),
+            }),
         }
     }
 
@@ -102,11 +94,12 @@ impl Volume {
             _ => {
                 let segments: Vec<&Segment> =
                     self.segments.iter().filter(|segment| segment.at.label == label).collect();
-                Err(Error::input(
-                    format!("{} of the {} layers hold the label {label}", found.len(), self.layer_count()),
-                    "segments of different layers may overlap, so that the number does not say which one is meant",
-                    format!("choose by name: {}", self.listed(segments)),
-                ))
+                Err(Error::LabelAmbiguous {
+                    label,
+                    found: found.len(),
+                    layers: self.layer_count(),
+                    present: self.listed(segments),
+                })
             }
         }
     }
@@ -173,11 +166,11 @@ mod tests {
         assert_eq!(volume.segment_named("lung").expect("in other case"), LayerLabel { layer: 0, label: 1 });
         assert_eq!(volume.label_numbered(2).expect("in one layer"), LayerLabel { layer: 0, label: 2 });
         let error = volume.label_numbered(1).expect_err("in two layers");
-        assert!(error.next.contains("'Lung' (1 of layer 0), 'vessel' (1 of layer 1)"), "{error}");
+        assert!(error.remedy().contains("'Lung' (1 of layer 0), 'vessel' (1 of layer 1)"), "{error}");
         let error = volume.segment_named("liver").expect_err("not there");
-        assert!(error.next.contains("'heart'"), "{error}");
+        assert!(error.remedy().contains("'heart'"), "{error}");
         let missing = volume.label_numbered(9).expect("nowhere");
-        assert!(volume.check_labels(&[missing]).expect_err("missing").next.contains("0, 1, 2"));
+        assert!(volume.check_labels(&[missing]).expect_err("missing").remedy().contains("0, 1, 2"));
         let twice = Volume { segments: [volume.segments.clone(), volume.segments.clone()].concat(), ..volume };
         assert!(twice.segment_named("heart").is_err());
     }

@@ -1,8 +1,8 @@
 //! The voxels behind a text header, as NRRD and MetaImage have them: attached or in one or more data files, in one of six encodings.
 
+use crate::error::bad;
+use crate::error::{Error, Result};
 use crate::voxels::{Endian, ScalarType, Voxels};
-use isoparticles_file::error::{Error, Result};
-use isoparticles_file::limit::bad;
 use std::fs::File;
 use std::io::{self, BufRead, BufReader, ErrorKind, Read, Seek, SeekFrom};
 use std::path::Path;
@@ -32,7 +32,7 @@ pub(crate) fn read_line(path: &Path, reader: &mut impl BufRead) -> Result<Option
     let mut line = Vec::new();
     reader
         .read_until(b'\n', &mut line)
-        .map_err(|error| Error::file(path, "read", &error, "check the disk the file is on"))?;
+        .map_err(|error| Error::file(path, "read", error, "check the disk the file is on"))?;
     if line.is_empty() {
         return Ok(None);
     }
@@ -88,7 +88,7 @@ pub(crate) fn read_voxels(path: &Path, layout: &Layout, count: usize, attached: 
             for name in names {
                 let part_path = folder.join(name);
                 let file = File::open(&part_path).map_err(|error| {
-                    Error::file(&part_path, "read", &error, format!("{} names it: put it in its place", path.display()))
+                    Error::file(&part_path, "read", error, format!("{} names it: put it in its place", path.display()))
                 })?;
                 let part = read_part(&part_path, layout, count / names.len(), BufReader::new(file))?;
                 match &mut whole {
@@ -131,11 +131,11 @@ fn read_part(path: &Path, layout: &Layout, count: usize, mut reader: BufReader<F
             }
         }
     };
-    read(&mut reader).map_err(|error| data_error(path, layout, count, &error))
+    read(&mut reader).map_err(|error| data_error(path, layout, count, error))
 }
 
 /// What is wrong with the data, in words.
-fn data_error(path: &Path, layout: &Layout, count: usize, error: &io::Error) -> Error {
+fn data_error(path: &Path, layout: &Layout, count: usize, error: io::Error) -> Error {
     let promised = format!("the header promises {count} voxels of type {} in this file", layout.scalar.name());
     match error.kind() {
         ErrorKind::UnexpectedEof => bad(

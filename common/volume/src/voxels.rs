@@ -1,7 +1,7 @@
 //! Values of one of the ten scalar types that volumes are made of, and their bytes.
 
+use crate::error::{Error, Result};
 use crate::image::reverse_slices;
-use isoparticles_file::error::{Error, Result};
 use std::collections::BTreeSet;
 use std::io::Read;
 
@@ -257,13 +257,7 @@ impl Voxels {
 
     /// The distinct values in increasing order. Fails when a value is not a whole number.
     pub fn label_set(&self) -> Result<Vec<i64>> {
-        each_type!(self, values => distinct(values)).map_err(|value| {
-            Error::input(
-                format!("the volume holds the value {value}, which is no label"),
-                "labels are whole numbers",
-                "give a label volume, or extract an iso value instead of labels",
-            )
-        })
+        each_type!(self, values => distinct(values)).map_err(|value| Error::NotALabel { value })
     }
 
     /// Which voxels carry one of the labels.
@@ -281,15 +275,7 @@ impl Voxels {
         if missing.is_empty() {
             return Ok(());
         }
-        let mut shown: Vec<String> = present.iter().take(40).map(i64::to_string).collect();
-        if present.len() > shown.len() {
-            shown.push(format!("... ({} in all)", present.len()));
-        }
-        Err(Error::input(
-            format!("no voxel has the label {}", missing.iter().map(i64::to_string).collect::<Vec<_>>().join(", ")),
-            "there would be nothing to extract for it",
-            format!("choose among the labels present: {}", shown.join(", ")),
-        ))
+        Err(Error::LabelsMissing { missing, present })
     }
 
     /// Puts slices of `length` values into the opposite order ([`reverse_slices`]).

@@ -1,5 +1,7 @@
 //! VTK image files (`.vti`): a regular grid with its place in the world.
 
+use crate::error::Result;
+use crate::error::bad;
 use crate::geometry::{Geometry, Space};
 use crate::limit::{geometry_from_steps, voxel_count};
 use crate::segments::Segment;
@@ -7,9 +9,7 @@ use crate::volume::Volume;
 use crate::voxels::Voxels;
 use crate::vtk_xml::{Document, Element, Payload, VtkFile, ascii_json};
 use glam::DVec3;
-use isoparticles_file::error::Result;
 use isoparticles_file::history::History;
-use isoparticles_file::limit::bad;
 use isoparticles_file::output::write_atomically;
 use std::path::Path;
 
@@ -127,7 +127,7 @@ pub fn write_volume(path: &Path, volume: &Volume, history: &History) -> Result<(
     for (layer, voxels) in volume.layers().enumerate() {
         document.array(&layer_name(layer), 1, Payload::Voxels(voxels));
     }
-    write_atomically(path, |file| document.write(file))
+    Ok(write_atomically(path, |file| document.write(file))?)
 }
 
 /// Reads an image with one number a voxel as a volume: its active scalars, or its only array; and the layers and names that

@@ -12,8 +12,8 @@ use glam::DVec3;
 use isoparticles_field::marching_cubes::marching_cubes;
 use isoparticles_field::spline::BrickSpline;
 use isoparticles_mesh::TriangleMesh;
-use isoparticles_stage::cli::Context;
 use isoparticles_stage::error::{Error, Result};
+use isoparticles_stage::monitor::Monitor;
 use isoparticles_volume::Image;
 use rayon::prelude::*;
 use serde::Serialize;
@@ -123,12 +123,12 @@ pub fn redistance(
     least: LeastDistances<impl Fn(usize) -> f32 + Sync>,
     keep: Keep,
     margin: usize,
-    context: &Context,
+    monitor: &dyn Monitor,
 ) -> Result<Redistanced> {
     let voxel = nodes.geometry.mean_spacing();
     let band = (BAND * voxel).max(1.5 * nodes.geometry.spacing.max_element());
 
-    let step = context.step("surface samples");
+    let step = monitor.phase("surface samples");
     let mut choices = junctions(&nodes);
     let dropped = drop_parts(&mut nodes, margin, &choices, keep)?;
     if dropped.nodes.is_some() {
@@ -150,22 +150,22 @@ pub fn redistance(
     let geometry = nodes.geometry;
     drop(nodes.data);
     drop(step);
-    context.check_interrupt()?;
+    monitor.check()?;
 
-    let step = context.step("distance");
+    let step = monitor.phase("distance");
     let mut field = distance_to_zero_set(geometry, &inside, source, &samples, band);
     drop(step);
-    context.check_interrupt()?;
+    monitor.check()?;
 
-    let step = context.step("zero set pinned");
+    let step = monitor.phase("zero set pinned");
     let fit = pin_zero_set(&mut field, samples, PINNED * voxel, MOST_PIN_STEPS);
     let held_nodes = hold_nodes(&mut field, &inside, &least);
     let undecided = make_agree(&mut field.data, &choices, &least.at);
     drop(inside);
     drop(step);
-    context.check_interrupt()?;
+    monitor.check()?;
 
-    let _step = context.step("result checked");
+    let _step = monitor.phase("result checked");
     let mesh = marching_cubes(&field, 0.0);
     let parts_after = Parts::of(&mesh);
     let points = checked_points(&mesh);

@@ -5,9 +5,9 @@
 
 use crate::junctions::Bound;
 use crate::runs::Runs;
-use crate::sides::Sides;
-use isoparticles_stage::cli::Context;
+use crate::sides::NodeSides;
 use isoparticles_stage::error::Result;
+use isoparticles_stage::monitor::Monitor;
 use isoparticles_volume::Image;
 use rayon::prelude::*;
 
@@ -33,10 +33,10 @@ pub fn band(field: &Image<f32>) -> f32 {
 /// When the run is interrupted.
 pub fn smooth(
     mut field: Image<f32>,
-    sides: &Sides,
+    sides: &NodeSides,
     bounds: &[Bound],
     steps: usize,
-    context: &Context,
+    monitor: &dyn Monitor,
 ) -> Result<Image<f32>> {
     let impose = |data: &mut [f32]| {
         for bound in bounds {
@@ -46,9 +46,9 @@ pub fn smooth(
     };
     let mut flow = Flow::new(&field, sides);
     impose(&mut field.data);
-    let progress = context.progress(Some(steps as u64), "smoothing");
+    let progress = monitor.counter("smoothing", Some(steps as u64));
     for _ in 0..steps {
-        context.check_interrupt()?;
+        monitor.check()?;
         flow.step(&mut field.data);
         impose(&mut field.data);
         progress.add(1);
@@ -81,7 +81,7 @@ fn differences(middle: f32, neighbours: [f32; 6]) -> f32 {
 }
 
 impl Flow {
-    fn new(field: &Image<f32>, sides: &Sides) -> Self {
+    fn new(field: &Image<f32>, sides: &NodeSides) -> Self {
         let size = field.geometry.size;
         let [nx, ny, nz] = size;
         let band = band(field);
@@ -168,7 +168,7 @@ mod tests {
     use isoparticles_volume::Geometry;
 
     /// The flow as it is defined, over the whole grid.
-    fn whole_grid(data: &mut [f32], size: [usize; 3], band: f32, sides: &Sides, steps: usize) {
+    fn whole_grid(data: &mut [f32], size: [usize; 3], band: f32, sides: &NodeSides, steps: usize) {
         let [nx, ny, nz] = size;
         let inner: Vec<usize> = (0..data.len())
             .filter(|n| {
@@ -200,7 +200,7 @@ mod tests {
             let distance = Image::sampled(geometry, |p| ((p - centre).length() - 8.3) as f32);
             let inside =
                 Image { geometry: distance.geometry.clone(), data: distance.data.iter().map(|f| *f < 0.0).collect() };
-            let sides = Sides::new(Mask::from(&inside).padded(Border::Cap, 0), clearance);
+            let sides = NodeSides::new(Mask::from(&inside).padded(Border::Cap, 0), clearance);
             let mut held = distance;
             // steps of a voxel, so that there is something to smooth
             held.data.iter_mut().for_each(|f| *f = f.round() + 0.5);
@@ -212,7 +212,7 @@ mod tests {
             let mut whole = held.data.clone();
             whole_grid(&mut whole, held.geometry.size, band(&held), &sides, 9);
             assert!(whole != held.data);
-            let smoothed = smooth(held, &sides, &[], 9, &Context::silent("distfield")).expect("not interrupted");
+            let smoothed = smooth(held, &sides, &[], 9, &isoparticles_stage::monitor::Silent).expect("not interrupted");
             assert!(smoothed.data == whole);
         }
     }

@@ -14,14 +14,14 @@ use crate::junctions::{junctions, plain_choices};
 use crate::keep::{Dropped, drop_parts};
 use crate::mask::Mask;
 use crate::runs::Runs;
-use crate::sides::Sides;
+use crate::sides::NodeSides;
 use crate::topology::Parts;
 use crate::{Border, Clearance, Keep};
 use glam::DVec3;
 use isoparticles_field::marching_cubes::marching_cubes;
 use isoparticles_field::spline::BrickSpline;
-use isoparticles_stage::cli::Context;
 use isoparticles_stage::error::{Error, Result};
+use isoparticles_stage::monitor::Monitor;
 use isoparticles_volume::Image;
 use rayon::prelude::*;
 
@@ -56,16 +56,16 @@ pub struct LabelOptions {
 ///
 /// # Errors
 /// When no voxel is inside, or with an open border all are, also after tightening, or when the run is interrupted.
-pub fn from_labels(inside: &Image<bool>, options: &LabelOptions, context: &Context) -> Result<Redistanced> {
-    from_mask(Mask::from(inside), options, context)
+pub fn from_labels(inside: &Image<bool>, options: &LabelOptions, monitor: &dyn Monitor) -> Result<Redistanced> {
+    from_mask(Mask::from(inside), options, monitor)
 }
 
 /// The same of a mask. It is taken over, so that its memory is free again when the distances are made.
 ///
 /// # Errors
 /// As [`from_labels`].
-pub fn from_mask(inside: Mask, options: &LabelOptions, context: &Context) -> Result<Redistanced> {
-    let step = context.step("binary distance");
+pub fn from_mask(inside: Mask, options: &LabelOptions, monitor: &dyn Monitor) -> Result<Redistanced> {
+    let step = monitor.phase("binary distance");
     let mask = inside.padded(options.border, options.margin);
     drop(inside);
     if !(1..mask.geometry.voxel_count()).contains(&mask.inside.count()) {
@@ -76,22 +76,22 @@ pub fn from_mask(inside: Mask, options: &LabelOptions, context: &Context) -> Res
         ));
     }
     let mut binary = binary_distance(&mask, Vec::new());
-    let mut sides = Sides::new(mask, options.clearance);
+    let mut sides = NodeSides::new(mask, options.clearance);
     let mut untightened = None;
     if options.tightening > 0.0 {
         let (dropped, parts);
-        (binary, dropped, parts) = parts_untightened(binary, &mut sides, options, context)?;
+        (binary, dropped, parts) = parts_untightened(binary, &mut sides, options, monitor)?;
         untightened = Some((dropped, parts));
     }
     sides.relax(&binary, options.tightening);
     sides.hold(&mut binary);
     drop(step);
-    let step = context.step("smoothing");
-    let flowed = smooth(binary, &sides, &[], options.smoothing_steps, context)?;
+    let step = monitor.phase("smoothing");
+    let flowed = smooth(binary, &sides, &[], options.smoothing_steps, monitor)?;
     let voxel = flowed.geometry.min_spacing();
     let (near, far) = ((options.clearance.usual * voxel) as f32, (JUNCTION_DISTANCE * voxel) as f32);
     let bounds = plain_choices(&junctions(&flowed), |n| sides.least(n), near, far);
-    let nodes = smooth(flowed, &sides, &bounds, options.smoothing_steps.min(JUNCTION_STEPS), context)?;
+    let nodes = smooth(flowed, &sides, &bounds, options.smoothing_steps.min(JUNCTION_STEPS), monitor)?;
     check_something_is_left(&nodes, options.tightening)?;
     let source = Source { spline: BrickSpline::new(&nodes), cap: None };
     drop(step);
@@ -101,7 +101,7 @@ pub fn from_mask(inside: Mask, options: &LabelOptions, context: &Context) -> Res
         Err(_) => sides.least(n).max(smallest),
     };
     let most = bounds.iter().map(|bound| bound.least).fold(sides.most().max(smallest), f32::max);
-    let mut result = redistance(nodes, &source, LeastDistances { most, at }, options.keep, options.margin, context)?;
+    let mut result = redistance(nodes, &source, LeastDistances { most, at }, options.keep, options.margin, monitor)?;
     if let Some((dropped, parts)) = untightened {
         result.dropped.add(dropped);
         result.parts_untightened = Some(parts);
@@ -133,16 +133,16 @@ fn check_something_is_left(nodes: &Image<f32>, tightening: f64) -> Result<()> {
 /// parts that touch along an edge are joined is for the flow to say. Gives the binary distance of the mask back.
 fn parts_untightened(
     mut binary: Image<f32>,
-    sides: &mut Sides,
+    sides: &mut NodeSides,
     options: &LabelOptions,
-    context: &Context,
+    monitor: &dyn Monitor,
 ) -> Result<(Image<f32>, Dropped, Parts)> {
     // the nodes that are about to move
     let band = band(&binary);
     let near = Runs::of(binary.geometry.size, |n| binary.data[n].abs() < band);
     let values = near.values(|n| binary.data[n]);
     sides.hold(&mut binary);
-    let mut nodes = smooth(binary, sides, &[], options.smoothing_steps, context)?;
+    let mut nodes = smooth(binary, sides, &[], options.smoothing_steps, monitor)?;
     let choices = junctions(&nodes);
     let dropped = drop_parts(&mut nodes, options.margin, &choices, options.keep)?;
     let parts = Parts::of(&marching_cubes(&nodes, 0.0));

@@ -10,8 +10,9 @@ use crate::{Border, Clearance, Inside, Keep, Redistanced};
 use isoparticles_stage::cli::{CommonArgs, Context, FILES, METHOD, Outcome, StageArgs};
 use isoparticles_stage::error::{Error, Result};
 use isoparticles_stage::field_file::{FieldKind, write_field};
+use isoparticles_stage::meta::{self, CapPlane, DistanceMeta, Side, Source};
 use isoparticles_volume::{Geometry, Image, LayerLabel, ReadOptions, Volume, read_volume_with, write_volume};
-use serde_json::{Value, json};
+use serde_json::{Map, Value, json};
 use std::path::{Path, PathBuf};
 
 /// A volume and an iso value, or labels, become the signed distance field F
@@ -215,12 +216,11 @@ pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
         (Err(volume), Object::Labels(labels)) => extract_labels(args, volume, labels, context).map_err(about_file)?,
         (Err(volume), Object::Iso(iso, _)) => extract_iso(args, volume, *iso, context).map_err(about_file)?,
     };
-    meta["border"] = json!(border_name(args.border));
-    meta["margin"] = json!(margin);
-    meta["cap_planes"] = match args.border {
+    let cap_planes = match args.border {
         Border::Cap => cap_planes(&result.field, &geometry, margin),
-        Border::Open => json!([]),
+        Border::Open => Vec::new(),
     };
+    meta["margin"] = json!(margin);
     meta["dropped"] = json!(result.dropped);
     meta["components_before"] = json!(result.parts_of_input().components);
     meta["cavities_before"] = json!(result.parts_of_input().cavities);
@@ -228,6 +228,7 @@ pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
     meta["cavities"] = json!(result.parts_after.cavities);
     meta["volume"] = json!(result.parts_after.volume);
     meta["zero_set_shift"] = json!(result.shift);
+    let meta = distance_meta(&object, args.border, cap_planes, meta);
     describe(&result, &meta, context);
     warn_of_lost_parts(&result, args.tightening, context);
 
@@ -237,7 +238,7 @@ pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
     let unwanted = result.changed.filter(|_| args.tightening == 0.0);
     let mut failed = failed_checks(&result, unwanted, context);
     if let Some(change) = volume_change(&result, &meta) {
-        let is_scaled = meta["scale"].is_number();
+        let is_scaled = meta.is_scaled();
         let (limits, reason) = if is_scaled {
             (
                 SCALED_VOLUME_LIMITS,
@@ -254,6 +255,31 @@ pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
         }
     }
     Ok(Outcome::from_failed_checks(failed))
+}
+
+/// What the next stages are told, with the notes that are for people.
+fn distance_meta(object: &Object, border: Border, cap_planes: Vec<CapPlane>, notes: Value) -> DistanceMeta {
+    let mut notes = match notes {
+        Value::Object(notes) => notes,
+        _ => Map::new(),
+    };
+    notes.remove("source");
+    let mut number = |key: &str| notes.remove(key).and_then(|value| value.as_f64());
+    DistanceMeta {
+        version: meta::VERSION,
+        source: Some(match object {
+            Object::Labels(_) => Source::Labels,
+            Object::Iso(..) => Source::Scalar,
+        }),
+        border: Some(match border {
+            Border::Cap => meta::Border::Cap,
+            Border::Open => meta::Border::Open,
+        }),
+        cap_planes,
+        scale: number("scale"),
+        volume_before: number("volume_before"),
+        notes,
+    }
 }
 
 /// F and what to note about it.
@@ -292,10 +318,10 @@ fn extract_labels(args: &Args, volume: Volume, labels: &[LayerLabel], context: &
 }
 
 /// The planes at which the object was cut, in the grid frame of the field: axis (0 to 2), side, position in mm.
-fn cap_planes(field: &Image<f32>, input: &Geometry, margin: usize) -> Value {
+fn cap_planes(field: &Image<f32>, input: &Geometry, margin: usize) -> Vec<CapPlane> {
     let mut planes = Vec::new();
     for axis in 0..3 {
-        for (side, layer) in [("low", margin), ("high", margin + input.size[axis] - 1)] {
+        for (side, layer) in [(Side::Low, margin), (Side::High, margin + input.size[axis] - 1)] {
             let (u, v) = ((axis + 1) % 3, (axis + 2) % 3);
             let is_inside = |a: usize, b: usize| {
                 let mut index = [0; 3];
@@ -304,22 +330,22 @@ fn cap_planes(field: &Image<f32>, input: &Geometry, margin: usize) -> Value {
             };
             let size = field.geometry.size;
             if (0..size[v]).any(|b| (0..size[u]).any(|a| is_inside(a, b))) {
-                let beyond = if side == "low" { -0.5 } else { 0.5 };
+                let beyond = if side == Side::Low { -0.5 } else { 0.5 };
                 let position = (layer as f64 + beyond) * field.geometry.spacing[axis];
-                planes.push(json!({ "axis": axis, "side": side, "position": position }));
+                planes.push(CapPlane { axis, side, position });
             }
         }
     }
-    Value::Array(planes)
+    planes
 }
 
 /// How much larger the volume within F = 0 is than that of the labels' voxels that were kept, as a share.
-fn volume_change(result: &Redistanced, meta: &Value) -> Option<f64> {
-    let voxels = meta["volume_before"].as_f64()? - result.dropped.volume;
+fn volume_change(result: &Redistanced, meta: &DistanceMeta) -> Option<f64> {
+    let voxels = meta.volume_before? - result.dropped.volume;
     Some(result.parts_after.volume / voxels - 1.0)
 }
 
-fn describe(result: &Redistanced, meta: &Value, context: &Context) {
+fn describe(result: &Redistanced, meta: &DistanceMeta, context: &Context) {
     let (before, after) = (result.parts_of_input(), result.parts_after);
     let dropped = &result.dropped;
     if dropped.components > 0 {
@@ -349,7 +375,7 @@ fn describe(result: &Redistanced, meta: &Value, context: &Context) {
     context.report("held_nodes", result.held_nodes);
     context.report("undecided_junctions", result.undecided);
     context.report("zero_set_fit", json!(result.fit));
-    context.report("meta", meta.clone());
+    context.report("meta", json!(meta));
     if shift.mean > SHIFT_LIMITS.0 || shift.p99 > SHIFT_LIMITS.1 {
         context.warn(format!(
             "the zero set of F is {:.3} voxel from that of the input on average and {:.3} at the 99th percentile: the surface \

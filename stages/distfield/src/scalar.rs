@@ -5,8 +5,8 @@ use crate::field::{LeastDistances, Redistanced, Source, first_order_distance, re
 use crate::{Border, Inside, Keep};
 use glam::DVec3;
 use isoparticles_field::spline::{BrickSplineBuilder, Coefficients, CubicSpline, Layer, SlabFilter};
-use isoparticles_stage::cli::Context;
 use isoparticles_stage::error::{Error, Result};
+use isoparticles_stage::monitor::Monitor;
 use isoparticles_volume::{Geometry, Image, Volume, Voxels};
 use rayon::prelude::*;
 use std::ops::Range;
@@ -31,8 +31,8 @@ pub struct ScalarOptions {
 ///
 /// # Errors
 /// When the volume holds NaN or infinite voxels, is constant, or the iso value is outside its range; when no part is to stay.
-pub fn from_scalar(image: Image<f32>, iso: f64, options: &ScalarOptions, context: &Context) -> Result<Redistanced> {
-    from_voxels(Voxels::F32(image.data), image.geometry, iso, options, context)
+pub fn from_scalar(image: Image<f32>, iso: f64, options: &ScalarOptions, monitor: &dyn Monitor) -> Result<Redistanced> {
+    from_voxels(Voxels::F32(image.data), image.geometry, iso, options, monitor)
 }
 
 /// The same of voxels of any type. They are taken over, so that their memory is free again when the distances are made.
@@ -44,16 +44,16 @@ pub fn from_voxels(
     geometry: Geometry,
     iso: f64,
     options: &ScalarOptions,
-    context: &Context,
+    monitor: &dyn Monitor,
 ) -> Result<Redistanced> {
     let mut input = Input { voxels, geometry, iso, inside: options.inside, scale: 1.0 };
     input.scale = power_of_two_below_inverse(input.check()?);
-    let step = context.step("input spline");
+    let step = monitor.phase("input spline");
     input.voxels.reverse_slices(input.slice_size());
     let (nodes, source) = input.source(options.border, options.margin);
     let least = (CLEARANCE * nodes.geometry.min_spacing()) as f32;
     drop(step);
-    redistance(nodes, &source, LeastDistances { most: least, at: |_| least }, options.keep, options.margin, context)
+    redistance(nodes, &source, LeastDistances { most: least, at: |_| least }, options.keep, options.margin, monitor)
 }
 
 /// Fails where [`from_voxels`] would, because of the voxels or the iso value; gives the volume back.

@@ -116,8 +116,10 @@ fn item(word: &str) -> Item {
 }
 
 fn named(name: &str, volume: &Volume, present: &[LayerLabel]) -> Result<LayerLabel> {
-    let known = volume.segment_named(name);
-    let Err(error) = known else { return known };
+    let error = match volume.segment_named(name) {
+        Ok(at) => return Ok(at),
+        Err(error) => Error::from(error),
+    };
     let nearest = volume
         .segments
         .iter()

@@ -6,9 +6,9 @@ use crate::runs::Runs;
 use isoparticles_volume::Image;
 use rayon::prelude::*;
 
-/// Sides and least distances of the nodes. The least distance is a constant but at nodes where the object or a gap is thin, which the mask
+/// NodeSides and least distances of the nodes. The least distance is a constant but at nodes where the object or a gap is thin, which the mask
 /// tells, and within the tightening radius of the staircase.
-pub struct Sides {
+pub struct NodeSides {
     /// The nodes inside.
     pub mask: Mask,
     /// Least distance, mm.
@@ -19,7 +19,7 @@ pub struct Sides {
     relaxed: Option<(Runs, Vec<f32>)>,
 }
 
-impl Sides {
+impl NodeSides {
     /// Every node keeps its side by its clearance.
     pub fn new(mask: Mask, clearance: Clearance) -> Self {
         let voxel = mask.geometry.min_spacing();

@@ -2,7 +2,7 @@
 //! triangles without area, complete, on F = 0, well shaped; with the offending simplices.
 
 use glam::DVec3;
-use isoparticles_field::spline::CubicSpline;
+use isoparticles_field::spline::{CubicSpline, distance_estimate};
 use isoparticles_mesh::TriangleMesh;
 use isoparticles_mesh::inside::nodes_on_wrong_side;
 use isoparticles_mesh::intersect::self_intersections;
@@ -281,7 +281,7 @@ fn distances(mesh: &TriangleMesh, field: &CubicSpline) -> (Vec<f64>, Vec<(f64, f
     let voxel = field.geometry().mean_spacing();
     let at = |p: DVec3| {
         let (value, gradient) = field.value_gradient(p);
-        (value.abs() / gradient.length().max(1e-12) / voxel, gradient.normalize_or_zero())
+        (distance_estimate(value, gradient).abs() / voxel, gradient.normalize_or_zero())
     };
     let vertices = mesh.vertices.par_iter().map(|&p| at(p).0).collect();
     let centroids = (0..mesh.triangles.len())

@@ -9,27 +9,9 @@ use isoparticles_mesh::TriangleMesh;
 use isoparticles_mesh::quality::radius_ratios;
 use isoparticles_mesh::surface::{DataArray, Simplices, Surface};
 use isoparticles_mesh::topology::analyse;
+use isoparticles_stage::meta::CapPlane;
 use isoparticles_volume::Geometry;
 use rayon::prelude::*;
-use serde_json::Value;
-
-/// A plane at which the object was cut where it meets the border of the volume.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct CapPlane {
-    /// Axis of the grid frame that it is orthogonal to, 0 to 2.
-    pub axis: usize,
-    /// Where it cuts that axis, grid frame, mm.
-    pub position: f64,
-}
-
-/// The planes that the distance field's notes name; none when they name none.
-pub fn cap_planes(meta: &Value) -> Vec<CapPlane> {
-    let plane = |value: &Value| {
-        let axis = usize::try_from(value["axis"].as_u64()?).ok().filter(|a| *a < 3)?;
-        Some(CapPlane { axis, position: value["position"].as_f64()? })
-    };
-    meta["cap_planes"].as_array().into_iter().flatten().filter_map(plane).collect()
-}
 
 /// Triangles whose corners are this near (voxels) to a capping plane lie on it.
 const ON_CAP: f64 = 0.1;
@@ -74,8 +56,7 @@ pub fn attributes(
         .into_par_iter()
         .map(|t| {
             let [a, b, c] = mesh.corners(t);
-            let (value, gradient) = field.value_gradient((a + b + c) / 3.0);
-            value / gradient.length().max(1e-12)
+            field.distance_estimate((a + b + c) / 3.0)
         })
         .collect();
     let cap = (0..mesh.triangles.len()).map(|t| i64::from(on_cap(mesh.corners(t), caps, geometry))).collect();
@@ -177,7 +158,7 @@ mod tests {
     use crate::check::{CheckOptions, check};
     use crate::scenes;
     use isoparticles_mesh::shapes::icosphere;
-    use serde_json::json;
+    use isoparticles_stage::meta::Side;
 
     fn ball() -> TriangleMesh {
         let mut mesh = icosphere(10.0, 3);
@@ -211,13 +192,10 @@ mod tests {
 
     #[test]
     fn cap_triangles_are_those_on_the_plane() {
-        let meta = json!({"cap_planes": [{"axis": 2, "side": "low", "position": 4.5}, {"axis": 9}]});
-        let caps = cap_planes(&meta);
-        assert_eq!(caps, [CapPlane { axis: 2, position: 4.5 }]);
+        let caps = [CapPlane { axis: 2, side: Side::Low, position: 4.5 }];
         let geometry = Geometry::axis_aligned([9; 3], DVec3::ONE);
         let triangle = |z: f64| [DVec3::new(1.0, 1.0, 4.5), DVec3::new(2.0, 1.0, 4.52), DVec3::new(1.0, 2.0, z)];
         assert!(on_cap(triangle(4.55), &caps, &geometry) && !on_cap(triangle(4.9), &caps, &geometry));
-        assert!(cap_planes(&Value::Null).is_empty());
     }
 
     #[test]

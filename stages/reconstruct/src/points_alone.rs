@@ -16,6 +16,7 @@ use isoparticles_mesh::surface::{DataArray, Surface};
 use isoparticles_mesh::{TriangleMesh, components};
 use isoparticles_stage::cli::{Context, Outcome};
 use isoparticles_stage::error::Result;
+use isoparticles_stage::meta::{self, Source, SurfaceMeta};
 use isoparticles_volume::Geometry;
 use serde_json::json;
 
@@ -80,7 +81,13 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome> {
         sizes.extend(more);
     }
     let surface = attributes(&mesh, &geometry, has_sizes.then_some(sizes));
-    let meta = json!({"source": "points", "failed_checks": failed, "components": checked.components.len()});
+    let meta = SurfaceMeta {
+        version: meta::VERSION,
+        source: Some(Source::Points),
+        failed_checks: failed.clone(),
+        components: checked.components.len(),
+        ..SurfaceMeta::default()
+    };
     write(args, context, &surface, &meta, offending(&mesh, &checked, &geometry), failed)
 }
 

@@ -1,7 +1,7 @@
 //! The program: options, reading, the steps in order, the checks, writing.
 
 use crate::check::{CheckOptions, CheckReport, check};
-use crate::finish::{CapPlane, attributes, cap_planes, offending};
+use crate::finish::{attributes, offending};
 use crate::improve::{ImproveOptions, improve};
 use crate::isosurface::Isosurface;
 use crate::join::{Joined, join};
@@ -19,7 +19,8 @@ use isoparticles_mesh::surface::{Simplices, Surface, check_surface_name, write_s
 use isoparticles_stage::cli::values::share;
 use isoparticles_stage::cli::{CHECKS, CommonArgs, Context, FILES, METHOD, Outcome, StageArgs, particles_bytes};
 use isoparticles_stage::error::{Error, Result};
-use isoparticles_stage::field_file::{Field, FieldKind, check_same_grid, read_field};
+use isoparticles_stage::field_file::{FieldKind, check_same_grid, read_field};
+use isoparticles_stage::meta::{self, Border, CapPlane, DistanceMeta, SurfaceMeta};
 use isoparticles_stage::particle_file::{ParticleKind, read_particles};
 use isoparticles_volume::Image;
 use serde_json::{Value, json};
@@ -143,18 +144,13 @@ pub(crate) struct Origin {
 }
 
 impl Origin {
-    fn of(field: &Field) -> Self {
+    fn of(meta: &DistanceMeta) -> Self {
         Self {
-            is_labels: field.meta["source"] == "labels" && !is_scaled(field),
-            is_open: field.meta["border"] == "open",
-            caps: cap_planes(&field.meta),
+            is_labels: meta.keeps_voxels(),
+            is_open: meta.border == Some(Border::Open),
+            caps: meta.cap_planes.clone(),
         }
     }
-}
-
-/// Whether `distfield` smoothed the object, voxel centres and all.
-fn is_scaled(field: &Field) -> bool {
-    field.meta["scale"].as_f64().is_some_and(|scale| scale > 0.0)
 }
 
 /// Runs the stage.
@@ -208,7 +204,8 @@ fn on_field(args: &Args, distfield: &Path, context: &Context) -> Result<Outcome>
     context.add_input(distfield, field.history.clone())?;
     let sizing =
         args.sizefield.as_deref().map(|path| read_sizing(path, (distfield, &field.image), context)).transpose()?;
-    let origin = Origin::of(&field);
+    let told: DistanceMeta = meta::typed(distfield, &field.meta, "distfield")?;
+    let origin = Origin::of(&told);
     let spline = CubicSpline::new(&field.image);
     drop(step);
 
@@ -259,10 +256,14 @@ fn on_field(args: &Args, distfield: &Path, context: &Context) -> Result<Outcome>
     describe(&checked, &points, &refined, expected_components, context);
 
     let surface = attributes(&mesh, &spline, &size, &origin.caps);
-    let meta = json!({
-        "source": field.meta["source"], "border": field.meta["border"], "failed_checks": failed,
-        "components": expected_components, "refine": refined,
-    });
+    let meta = SurfaceMeta {
+        version: meta::VERSION,
+        source: told.source,
+        border: told.border,
+        failed_checks: failed.clone(),
+        components: expected_components,
+        notes: std::iter::once(("refine".to_owned(), json!(refined))).collect(),
+    };
     write(args, context, &surface, &meta, offending(&mesh, &checked, spline.geometry()), failed)
 }
 
@@ -295,12 +296,12 @@ pub(crate) fn write(
     args: &Args,
     context: &Context,
     surface: &Surface,
-    meta: &Value,
+    meta: &SurfaceMeta,
     offending: Option<Simplices>,
     failed: Vec<String>,
 ) -> Result<Outcome> {
     let step = context.step("write");
-    write_surface(&args.output, surface, meta, &context.history())?;
+    write_surface(&args.output, surface, &json!(meta), &context.history())?;
     let offenders = offenders(args);
     match offending {
         Some(simplices) if !failed.is_empty() => {

@@ -13,6 +13,7 @@ use isoparticles_stage::cli::values::{not_negative, positive};
 use isoparticles_stage::cli::{CommonArgs, Context, FILES, METHOD, Outcome, StageArgs};
 use isoparticles_stage::error::{Error, Result};
 use isoparticles_stage::field_file::{Field, FieldKind, read_field, write_field};
+use isoparticles_stage::meta::{self, DistanceMeta, SizeMeta, Source};
 use isoparticles_stage::quality::Quality;
 use isoparticles_volume::{Geometry, Image};
 use serde_json::{Value, json};
@@ -170,7 +171,8 @@ pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
     // for one size it is enough to know which features are smaller
     let largest = one_size.map_or(largest, |size| largest.min(UNIFORM_FEATURES * size));
     // one size is asked whether it catches the surface as it is, bumps of noise included
-    let is_smooth = field.meta["source"] == "labels" || field.meta["scale"].as_f64().is_some_and(|scale| scale > 0.0);
+    let origin: DistanceMeta = meta::typed(&args.input, &field.meta, "distfield")?;
+    let is_smooth = origin.source == Some(Source::Labels) || origin.is_scaled();
     let bumps = if one_size.is_some() || is_smooth { Bumps::AreShape } else { Bumps::MayBeNoise };
     let features = Features::new(&field.image, &surface, largest, bumps);
     drop(step);
@@ -208,7 +210,7 @@ pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
         context.info(told);
     }
     let meta = describe(&features, &surface, &sizing, largest, context);
-    check_count(&args.input, meta["predicted_count"].as_f64().unwrap_or(0.0), geometry.voxel_count(), context)?;
+    check_count(&args.input, meta.predicted_count, geometry.voxel_count(), context)?;
     if let Some(size) = one_size {
         warn_if_too_coarse(&features, size, context);
     }
@@ -333,25 +335,29 @@ fn describe(
     sizing: &SizingField,
     largest: f64,
     context: &Context,
-) -> Value {
+) -> SizeMeta {
     let mut at_surface: Vec<f64> = features.points.iter().map(|&p| sizing.at(p)).collect();
     let mut feature_size = features.feature_size.clone();
     let step = context.step("predict the count");
     let predicted = sizing.predicted_count(surface);
     drop(step);
-    let meta = json!({
-        "components": features.component_area.len(),
-        "predicted_count": predicted.round(),
-        "size_at_surface": percentiles(&mut at_surface),
-        "local_feature_size": percentiles(&mut feature_size),
-        "noise": percentiles(&mut features.noise.clone()),
-        "largest_feature_looked_for": largest,
-    });
+    let notes = [
+        ("size_at_surface", percentiles(&mut at_surface)),
+        ("local_feature_size", percentiles(&mut feature_size)),
+        ("noise", percentiles(&mut features.noise.clone())),
+        ("largest_feature_looked_for", json!(largest)),
+    ];
+    let meta = SizeMeta {
+        version: meta::VERSION,
+        components: features.component_area.len(),
+        predicted_count: predicted.round(),
+        notes: notes.into_iter().map(|(key, value)| (key.to_owned(), value)).collect(),
+    };
     context.summary("components", features.component_area.len());
     context.summary("predicted particles", predicted.round());
     context
         .summary("h at the surface (mm)", format!("{:.4} to {:.4}", at_surface[0], at_surface[at_surface.len() - 1]));
-    context.report("fields", meta.clone());
+    context.report("fields", json!(meta));
     meta
 }
 

@@ -83,6 +83,12 @@ impl CubicSpline {
         Stencil::new(&self.geometry, grid).value_gradient(&self.coefficients, self.geometry.spacing)
     }
 
+    /// First-order distance from F = 0, mm, negative inside: F / |grad F| ([`distance_estimate`]).
+    pub fn distance_estimate(&self, grid: DVec3) -> f64 {
+        let (value, gradient) = self.value_gradient(grid);
+        distance_estimate(value, gradient)
+    }
+
     /// F, gradient and Hessian at a grid position (clamped to the volume).
     pub fn jet(&self, grid: DVec3) -> Jet {
         Stencil::new(&self.geometry, grid).jet(&self.coefficients, self.geometry.spacing)
@@ -116,6 +122,15 @@ impl CubicSpline {
         }
         None
     }
+}
+
+/// Slope below which a gradient says nothing about a distance: where F is flat the estimate is large, but a number.
+const FLATTEST: f64 = 1e-12;
+
+/// First-order distance from F = 0, mm, of a point with this value and gradient of F, negative inside: F / |grad F| (Taubin 1994). Exact
+/// where F is linear or a distance; elsewhere its error is of second order in the distance.
+pub fn distance_estimate(value: f64, gradient: DVec3) -> f64 {
+    value / gradient.length().max(FLATTEST)
 }
 
 #[cfg(test)]

@@ -10,11 +10,11 @@ mod vtp;
 pub use vtp::read_surface;
 
 use crate::TriangleMesh;
+use crate::error::bad;
+use crate::error::{Error, Result};
 use crate::vtk_legacy;
 use glam::DVec3;
-use isoparticles_file::error::{Error, Result};
 use isoparticles_file::history::History;
-use isoparticles_file::limit::bad;
 use isoparticles_file::output::write_atomically;
 use isoparticles_volume::{Geometry, Space, Voxels};
 use serde_json::Value;
@@ -145,10 +145,10 @@ pub fn write_surface(path: &Path, surface: &Surface, meta: &Value, history: &His
     check_indices(path, surface.mesh.triangles.as_flattened(), counts.0)?;
     match format {
         Format::Vtp => vtp::write(path, surface, meta, history),
-        Format::Ply => write_atomically(path, |file| interchange::write_ply(file, surface, history)),
-        Format::Stl => write_atomically(path, |file| interchange::write_stl(file, surface, history)),
-        Format::Obj => write_atomically(path, |file| interchange::write_obj(file, surface, history)),
-        Format::Vtk => write_atomically(path, |file| vtk_legacy::write(file, surface, history)),
+        Format::Ply => Ok(write_atomically(path, |file| interchange::write_ply(file, surface, history))?),
+        Format::Stl => Ok(write_atomically(path, |file| interchange::write_stl(file, surface, history))?),
+        Format::Obj => Ok(write_atomically(path, |file| interchange::write_obj(file, surface, history))?),
+        Format::Vtk => Ok(write_atomically(path, |file| vtk_legacy::write(file, surface, history))?),
     }
 }
 
@@ -304,7 +304,7 @@ mod tests {
             cell_data: vec![DataArray::integers("reason", vec![1, 2, 3])],
         };
         write_simplices(&path, &simplices, &history()).expect("written");
-        assert!(read_surface(&path).expect_err("no surface").what.contains("simplices"));
+        assert!(read_surface(&path).expect_err("no surface").to_string().contains("simplices"));
         assert!(check_surface_name(Path::new("mesh.off")).is_err());
         let mut surface = surface();
         surface.cell_data[0] = DataArray::scalars("quality", vec![0.5]);

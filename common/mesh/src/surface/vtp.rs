@@ -2,10 +2,10 @@
 
 use super::{DataArray, Simplices, Surface, SurfaceFile, check_indices};
 use crate::TriangleMesh;
+use crate::error::bad;
+use crate::error::{Error, Result};
 use glam::DVec3;
-use isoparticles_file::error::{Error, Result};
 use isoparticles_file::history::History;
-use isoparticles_file::limit::bad;
 use isoparticles_file::output::write_atomically;
 use isoparticles_volume::vtk_xml::{Document, Element, Payload, VtkFile, ascii_json};
 use isoparticles_volume::{Space, Voxels};
@@ -82,7 +82,7 @@ fn write_poly_data(
         document.array("offsets", 1, Payload::Values(Voxels::I64(ends)));
         document.close();
     }
-    write_atomically(path, |file| document.write(file))
+    Ok(write_atomically(path, |file| document.write(file))?)
 }
 
 /// Reads a `.vtp` surface of triangles.
@@ -168,10 +168,5 @@ fn read_arrays(file: &VtkFile, section: Option<&Element>, tuples: usize) -> Resu
 }
 
 fn unusable(path: &Path, what: &str) -> Error {
-    bad(
-        path,
-        what,
-        "a surface of triangles is needed",
-        "give the .vtp file that reconstruct wrote, or run reconstruct again",
-    )
+    bad(path, what, "a surface of triangles is needed", "write the triangles to a .vtp file again")
 }

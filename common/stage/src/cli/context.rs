@@ -2,9 +2,10 @@
 
 use super::report::Report;
 use super::{CommonArgs, Outcome, Progress, ProgressMode, interrupt};
+use crate::error::{Error, Result};
 use indicatif::MultiProgress;
-use isoparticles_file::error::{Error, Result};
 use isoparticles_file::history::{History, Input};
+use isoparticles_file::monitor::Monitor;
 use serde_json::Value;
 use std::io::{IsTerminal, Write};
 use std::path::{Path, PathBuf};
@@ -132,7 +133,7 @@ impl Context {
 
     /// Fails (exit code 130) when the user has asked to stop; long loops call it every so often.
     pub fn check_interrupt(&self) -> Result<()> {
-        interrupt::check(self.tool)
+        Ok(Monitor::check(self)?)
     }
 
     /// Puts a result into the report, under `results`.

@@ -1,7 +1,7 @@
 //! Memory: work that is expected to take more than there is, or more than is allowed, is refused before it starts.
 
 use super::Context;
-use isoparticles_file::error::{Error, Result};
+use crate::error::{Error, Result};
 use isoparticles_file::memory::available_memory;
 
 impl Context {

@@ -3,9 +3,11 @@
 //! A stage derives `clap::Parser` for its own options, flattens [`CommonArgs`] into them, implements [`StageArgs`]
 //! and hands its work to [`run_stage`].
 
+mod command_line;
 mod context;
 pub mod interrupt;
 mod memory;
+mod monitor;
 mod progress;
 mod report;
 pub mod values;
@@ -14,8 +16,8 @@ pub use context::{Context, Step};
 pub use memory::particles_bytes;
 pub use progress::Progress;
 
-use isoparticles_file::error::{Error, Kind, Result};
-use isoparticles_file::output;
+use crate::error::{Error, Kind, Result};
+use crate::output;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
@@ -131,7 +133,7 @@ pub fn run_stage<A: clap::Parser + StageArgs>(
         }
     };
     let outputs = args.outputs();
-    let command_line = isoparticles_file::history::canonical_command_line(tool, std::env::args().skip(1), &outputs);
+    let command_line = command_line::canonical_command_line(tool, std::env::args().skip(1), &outputs);
     let mut common = args.common().clone();
     let report = check_report(common.report.as_deref(), &outputs);
     if report.is_err() {

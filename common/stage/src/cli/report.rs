@@ -1,9 +1,9 @@
 //! The JSON file that `--report` writes.
 
 use super::{Outcome, exit_code};
-use isoparticles_file::error::{Error, Kind, Result};
+use crate::error::{Error, Kind, Result};
+use crate::output::write_atomically;
 use isoparticles_file::history::History;
-use isoparticles_file::output::write_atomically;
 use serde_json::{Map, Value, json};
 use std::path::Path;
 

@@ -1,8 +1,8 @@
 //! Which series of a folder is meant.
 
 use super::slice::{SeriesName, Slice};
-use isoparticles_file::error::{Error, Result};
-use isoparticles_file::limit::bad;
+use crate::error::bad;
+use crate::error::{Error, Result};
 use std::collections::BTreeMap;
 use std::path::Path;
 
@@ -45,15 +45,5 @@ fn refuse(folder: &Path, all: &BTreeMap<String, Vec<Slice>>, wanted: Option<&str
             format!("'{description}' ({modality}, number {number}, {} slices, UID {uid})", slices.len())
         })
         .collect();
-    let what = match wanted {
-        None => format!("holds {found} series"),
-        Some(wanted) if found == 0 => format!("holds no series '{wanted}'"),
-        Some(wanted) => format!("holds {found} series '{wanted}'"),
-    };
-    bad(
-        folder,
-        what,
-        "a volume is made from the slices of one series",
-        format!("choose one with --series (its description, number or UID): {}", listed.join("; ")),
-    )
+    Error::Series { path: folder.to_path_buf(), wanted: wanted.map(str::to_owned), matching: found, present: listed }
 }

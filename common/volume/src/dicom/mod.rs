@@ -9,10 +9,11 @@ mod rle;
 mod slice;
 mod stack;
 
+use crate::error::bad;
+use crate::error::{Error, Result};
 use crate::volume::Volume;
 use crate::voxels::Voxels;
-use isoparticles_file::error::{Error, Result};
-use isoparticles_file::limit::{bad, check_memory};
+use isoparticles_file::limit::check_memory;
 use slice::{Found, Slice};
 use std::io::Read;
 use std::path::{Path, PathBuf};
@@ -61,7 +62,7 @@ pub(crate) fn read_folder(folder: &Path, wanted: Option<&str>) -> Result<Volume>
 
 /// The DICOM files of a folder, sorted by name; not those of the folders in it.
 fn dicom_files(folder: &Path) -> Result<Vec<PathBuf>> {
-    let cannot = |error: std::io::Error| Error::file(folder, "read", &error, "check the name of the folder");
+    let cannot = |error: std::io::Error| Error::file(folder, "read", error, "check the name of the folder");
     let mut files = Vec::new();
     let mut folders = Vec::new();
     for entry in std::fs::read_dir(folder).map_err(cannot)? {

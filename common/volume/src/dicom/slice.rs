@@ -1,13 +1,13 @@
 //! One slice: what its header says of its place and its numbers, and its pixels.
 
 use super::{lengths, rle};
+use crate::error::bad;
+use crate::error::{Error, Result};
 use crate::voxels::ScalarType;
 use dicom_dictionary_std::tags;
 use dicom_object::{DefaultDicomObject, OpenFileOptions, Tag};
 use dicom_pixeldata::PixelDecoder;
 use glam::DVec3;
-use isoparticles_file::error::{Error, Result};
-use isoparticles_file::limit::bad;
 use std::path::{Path, PathBuf};
 
 /// Transfer syntax of pixels in [`rle`].
@@ -66,7 +66,7 @@ impl Slice {
     /// Reads the header of a DICOM file.
     pub(super) fn read(path: &Path) -> Result<Found> {
         let is_whole = lengths::lie_within(path)
-            .map_err(|error| Error::file(path, "read", &error, "copy or export the file again"))?;
+            .map_err(|error| Error::file(path, "read", error, "copy or export the file again"))?;
         if !is_whole {
             return Err(bad(
                 path,

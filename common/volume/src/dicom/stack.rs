@@ -1,12 +1,12 @@
 //! Slices in their order: the grid that they make, if they make one.
 
 use super::slice::{Pixels, Slice};
+use crate::error::Result;
+use crate::error::bad;
 use crate::geometry::{Geometry, Space};
 use crate::limit::{geometry_from_steps, voxel_count};
 use crate::voxels::ScalarType;
 use glam::DVec3;
-use isoparticles_file::error::Result;
-use isoparticles_file::limit::bad;
 use std::path::Path;
 
 /// How far, as a part of the distance of the slices, a slice may lie from its place in an even stack. Positions in files are often rounded

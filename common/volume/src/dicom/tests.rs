@@ -142,7 +142,8 @@ fn one_of_several_series_is_chosen_by_name_number_or_uid() {
     let folder = folder_of(&slices);
     let error = read_volume(folder.path()).expect_err("two series");
     assert!(
-        error.what.contains("2 series") && error.next.contains("'Lung, sharp' (CT, number 8, 3 slices, UID 1.2.9)"),
+        error.to_string().contains("2 series")
+            && error.remedy().contains("'Lung, sharp' (CT, number 8, 3 slices, UID 1.2.9)"),
         "{error}"
     );
     let choose = |series: &str| read_volume_with(folder.path(), &ReadOptions { series: Some(series) });
@@ -152,7 +153,7 @@ fn one_of_several_series_is_chosen_by_name_number_or_uid() {
         assert!(volume.remarks[0].contains("1 other series"));
     }
     let error = choose("abdomen").expect_err("not there");
-    assert!(error.what.contains("no series 'abdomen'") && error.next.contains("Thorax 1.0"), "{error}");
+    assert!(error.to_string().contains("no series 'abdomen'") && error.remedy().contains("Thorax 1.0"), "{error}");
 }
 
 /// A change of a sound stack, and what the error about it says.
@@ -193,8 +194,8 @@ fn what_is_no_stack_is_refused_with_the_place() {
         let mut slices = stack();
         fault(&mut slices);
         let error = read_volume(folder_of(&slices).path()).expect_err(says);
-        assert!(error.what.contains(says), "'{says}' is not in: {error}");
-        assert!(!error.why.is_empty() && !error.next.is_empty());
+        assert!(error.to_string().contains(says), "'{says}' is not in: {error}");
+        assert!(!error.reason().is_empty() && !error.remedy().is_empty());
     }
 }
 
@@ -207,7 +208,7 @@ fn a_file_cut_short_anywhere_is_an_error() {
     for length in MAGIC.end..whole.len() {
         std::fs::write(&path, &whole[..length]).expect("cut");
         let error = read_volume(folder.path()).expect_err("cut short");
-        assert!(!error.why.is_empty() && !error.next.is_empty(), "cut to {length} bytes: {error}");
+        assert!(!error.reason().is_empty() && !error.remedy().is_empty(), "cut to {length} bytes: {error}");
     }
 }
 
@@ -215,9 +216,9 @@ fn a_file_cut_short_anywhere_is_an_error() {
 fn folders_and_single_files_say_what_to_give() {
     let folder = folder_of(&stack());
     let error = read_volume(&folder.path().join("slice0.dcm")).expect_err("one file");
-    assert!(error.next.contains("folder"), "{error}");
+    assert!(error.remedy().contains("folder"), "{error}");
     let outer = tempfile::tempdir().expect("folder");
     std::fs::create_dir(outer.path().join("series7")).expect("made");
     let error = read_volume(outer.path()).expect_err("no slices");
-    assert!(error.next.contains("series7"), "{error}");
+    assert!(error.remedy().contains("series7"), "{error}");
 }

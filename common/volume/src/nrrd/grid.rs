@@ -2,11 +2,11 @@
 //! samples are, where they point in the world.
 
 use super::header::{Header, field_error};
+use crate::error::Result;
+use crate::error::bad;
 use crate::geometry::{Geometry, Space};
 use crate::limit::{geometry_from_steps, voxel_count};
 use glam::DVec3;
-use isoparticles_file::error::Result;
-use isoparticles_file::limit::bad;
 use std::path::Path;
 
 /// What the axes of a header say.

@@ -1,10 +1,10 @@
 //! The text at the top of an NRRD file, line by line; what the lines mean together is for [`super::grid`], [`super::segments`] and
 //! [`crate::voxel_data`].
 
+use crate::error::bad;
+use crate::error::{Error, Result};
 use crate::voxel_data::{Coding, DataFiles, Layout, numbered_names, read_line};
 use crate::voxels::{Endian, ScalarType};
-use isoparticles_file::error::{Error, Result};
-use isoparticles_file::limit::bad;
 use std::collections::BTreeMap;
 use std::io::{BufRead, Read};
 use std::path::Path;

@@ -9,17 +9,18 @@ mod write;
 
 pub use write::{Encoding, write_nrrd};
 
+use crate::error::bad;
+use crate::error::{Error, Result};
 use crate::volume::Volume;
 use crate::voxel_data::{DataFiles, read_voxels};
-use isoparticles_file::error::{Error, Result};
-use isoparticles_file::limit::{bad, check_memory};
+use isoparticles_file::limit::check_memory;
 use std::fs::File;
 use std::io::{BufRead, BufReader};
 use std::path::Path;
 
 /// Reads an NRRD volume with three spatial axes and one number a voxel, or a segmentation of 3D Slicer with its layers.
 pub fn read_nrrd(path: &Path) -> Result<Volume> {
-    let file = File::open(path).map_err(|error| Error::file(path, "read", &error, "check the name of the volume"))?;
+    let file = File::open(path).map_err(|error| Error::file(path, "read", error, "check the name of the volume"))?;
     let mut reader = BufReader::new(file);
     let header = header::Header::read(path, &mut reader)?;
     let is_segmentation = segments::is_segmentation(&header);

@@ -1,9 +1,9 @@
 //! The segments of 3D Slicer's `.seg.nrrd`, which stand in key/value pairs: `Segment0_Name`, `Segment0_LabelValue`, `Segment0_Layer`.
 
 use super::header::{Header, field_error};
+use crate::error::Result;
+use crate::error::bad;
 use crate::segments::{LayerLabel, Segment};
-use isoparticles_file::error::Result;
-use isoparticles_file::limit::bad;
 use std::path::Path;
 
 /// Whether the header names segments.

@@ -1,8 +1,8 @@
 //! Writes NRRD volumes with attached headers.
 
+use crate::error::Result;
 use crate::geometry::{Geometry, Space};
 use crate::voxels::{Endian, Voxels};
-use isoparticles_file::error::Result;
 use isoparticles_file::output::write_atomically;
 use std::path::Path;
 
@@ -19,7 +19,7 @@ pub enum Encoding {
 /// Writes a volume as NRRD with an attached header; `voxels` has one value a voxel of `geometry`.
 pub fn write_nrrd(path: &Path, geometry: &Geometry, voxels: &Voxels, encoding: Encoding) -> Result<()> {
     let header = header(geometry, voxels, encoding);
-    write_atomically(path, |mut file| {
+    Ok(write_atomically(path, |mut file| {
         file.write_all(header.as_bytes())?;
         match encoding {
             Encoding::Raw => voxels.write_to(file, Endian::Little),
@@ -29,7 +29,7 @@ pub fn write_nrrd(path: &Path, geometry: &Geometry, voxels: &Voxels, encoding: E
                 encoder.finish().map(drop)
             }
         }
-    })
+    })?)
 }
 
 fn header(geometry: &Geometry, voxels: &Voxels, encoding: Encoding) -> String {

@@ -2,9 +2,10 @@
 
 use super::decode::{ArrayReader, Layout};
 use super::scalar_of;
+use crate::error::bad;
+use crate::error::{Error, Result};
 use crate::voxels::{Endian, ScalarType, Voxels};
-use isoparticles_file::error::{Error, Result};
-use isoparticles_file::limit::{bad, check_memory};
+use isoparticles_file::limit::check_memory;
 use quick_xml::events::{BytesStart, Event};
 use std::collections::BTreeMap;
 use std::fs::File;
@@ -56,7 +57,7 @@ pub struct VtkFile {
 impl VtkFile {
     /// Opens a file and reads its XML, not yet its arrays.
     pub fn open(path: &Path) -> Result<Self> {
-        let file = File::open(path).map_err(|error| Error::file(path, "read", &error, "check the name of the file"))?;
+        let file = File::open(path).map_err(|error| Error::file(path, "read", error, "check the name of the file"))?;
         let (head, appended) = read_head(path, &mut BufReader::with_capacity(1 << 16, file))?;
         let root = parse(path, &head)?;
         let layout = Layout {
@@ -214,7 +215,7 @@ fn read_head(path: &Path, reader: &mut impl BufRead) -> Result<(Vec<u8>, Appende
     let mut searched = 0usize;
     loop {
         let chunk =
-            reader.fill_buf().map_err(|error| Error::file(path, "read", &error, "check the disk the file is on"))?;
+            reader.fill_buf().map_err(|error| Error::file(path, "read", error, "check the disk the file is on"))?;
         if chunk.is_empty() {
             return Ok((head, None));
         }

@@ -18,8 +18,8 @@ use crate::Inside;
 use boundary::{Boundary, boundaries};
 use classes::{Classes, MOST_CLASSES, Rule};
 use cost::{Cost, cost, default_vertices};
-use isoparticles_stage::cli::Context;
 use isoparticles_stage::error::Result;
+use isoparticles_stage::monitor::Monitor;
 use isoparticles_volume::{Geometry, LayerLabel, Space, Volume};
 use kind::{Judgement, Kind, judge};
 use orientation::Orientation;
@@ -127,23 +127,23 @@ pub struct Object {
 ///
 /// # Errors
 /// When interrupted, and when labels are asked for that are no whole numbers.
-pub fn examine(volume: &Volume, wishes: &Wishes, context: &Context) -> Result<VolumeInfo> {
+pub fn examine(volume: &Volume, wishes: &Wishes, monitor: &dyn Monitor) -> Result<VolumeInfo> {
     let geometry = &volume.geometry;
-    let step = context.step("survey");
+    let step = monitor.phase("survey");
     let values = Survey::of(&volume.voxels, geometry);
     let mut judgement = judge(&values, volume.segments.len());
     if let Some(kind) = wishes.kind {
         judgement = Judgement { kind, certain: true, reason: format!("--kind {kind} was given") };
     }
     drop(step);
-    context.check_interrupt()?;
-    let step = context.step("labels");
+    monitor.check()?;
+    let step = monitor.phase("labels");
     let labels = if judgement.kind == Kind::Labels { label_table(volume)? } else { Vec::new() };
     drop(step);
     let mut objects = Vec::new();
     for (what, options, why, layers) in candidates(volume, wishes, &values, judgement.kind, &labels) {
-        context.check_interrupt()?;
-        let _step = context.step("objects");
+        monitor.check()?;
+        let _step = monitor.phase("objects");
         let classes = Classes::new(geometry, layers, 1);
         let voxels = classes.counts()[1];
         let parts = parts(&classes).map(|parts| parts[0]);

@@ -39,7 +39,7 @@ pub(super) fn sweep(
             remesh::equalise_degrees(part, limits, Rule::Even, SWEEPS_OF_FLIP, todo, &mut tally);
             remesh::relax_all(part, limits, Rule::Even, todo, &mut tally);
         }
-        Ok(tally)
+        Ok::<_, isoparticles_stage::error::Error>(tally)
     };
     let mut todo = vec![true; surface.positions.len()];
     let mut tallies = Vec::new();

@@ -1,0 +1,26 @@
+//! A running stage as the monitor of its algorithms: times on the closing table, progress on the terminal, signals.
+
+use super::{Context, Progress, Step, interrupt};
+use isoparticles_file::monitor::{Counter, Interrupted, Monitor, Phase};
+
+impl Monitor for Context {
+    fn check(&self) -> Result<(), Interrupted> {
+        if interrupt::requested() { Err(Interrupted { by: self.tool.to_owned() }) } else { Ok(()) }
+    }
+
+    fn phase<'a>(&'a self, name: &str) -> Box<dyn Phase + 'a> {
+        Box::new(self.step(name))
+    }
+
+    fn counter<'a>(&'a self, label: &str, total: Option<u64>) -> Box<dyn Counter + 'a> {
+        Box::new(self.progress(total, label))
+    }
+}
+
+impl Phase for Step<'_> {}
+
+impl Counter for Progress {
+    fn add(&self, amount: u64) {
+        Self::add(self, amount);
+    }
+}
