@@ -195,7 +195,7 @@ mod tests {
     fn controlled(scene: &Scene, pass: u64) -> (usize, State) {
         let parameters = Parameters::default();
         let mut state = State::new(scene.seeds.clone(), parameters.normal_agreement);
-        state.update_energies();
+        state.measure();
         // what is deleted makes room for others, and the test could not tell who was there
         let limits =
             Limits { ideal_energy: parameters.ideal_energy, add_below: parameters.add_below, delete_above: 1e9 };

@@ -9,9 +9,10 @@ use crate::constants::{
     EIGENVALUE_FLOOR, FARTHEST_MOVE, LAMBDA_FALL, LAMBDA_GROWTH, LARGEST_LAMBDA, LEAST_LAMBDA, LONGEST_STEP,
     PASS_TOLERANCE, PROJECTION_REACH,
 };
-use crate::state::{Fields, State};
-use glam::{DMat3, DVec3};
-use isoparticles_common::energy::{pair_jet, pair_size_derivative};
+use crate::neighbourhood::{Neighbourhood, Record};
+use crate::state::{CHUNK, Fields, State};
+use fearless_simd::{Level, Simd, dispatch};
+use glam::DVec3;
 use rayon::prelude::*;
 
 /// What a pass of movement did.
@@ -24,6 +25,7 @@ pub(crate) struct Moves {
 }
 
 /// The next place of a particle.
+#[derive(Clone, Copy, Default)]
 pub(crate) struct Step {
     pub position: DVec3,
     normal: DVec3,
@@ -40,7 +42,13 @@ pub(crate) fn pass(state: &mut State, fields: &Fields) -> Moves {
     let classes = std::mem::take(&mut state.classes);
     for class in &classes {
         let settled: &State = state;
-        class.par_iter().with_min_len(64).map(|&i| step(settled, fields, i as usize)).collect_into_vec(&mut steps);
+        steps.resize(class.len(), Step::default());
+        steps.par_chunks_mut(CHUNK).zip(class.par_chunks(CHUNK)).for_each_init(
+            Neighbourhood::default,
+            |near, (to, members)| {
+                step_each(settled, fields, near, members, to);
+            },
+        );
         for (&i, step) in class.iter().zip(&steps) {
             let (i, set) = (i as usize, &mut state.set);
             set.lambdas[i] = step.lambda;
@@ -50,6 +58,7 @@ pub(crate) fn pass(state: &mut State, fields: &Fields) -> Moves {
                 set.positions[i] = step.position;
                 set.normals[i] = step.normal;
                 set.sizes[i] = step.size;
+                state.records[i] = Record::new(step.position, step.size);
             }
         }
     }
@@ -57,21 +66,42 @@ pub(crate) fn pass(state: &mut State, fields: &Fields) -> Moves {
     moves
 }
 
+/// Finds the next places of some particles by the best instructions that the processor has.
+fn step_each(state: &State, fields: &Fields, near: &mut Neighbourhood, members: &[u32], to: &mut [Step]) {
+    dispatch!(Level::new(), simd => {
+        for (&i, to) in members.iter().zip(to) {
+            *to = step(simd, state, fields, near, i as usize);
+        }
+    });
+}
+
+/// The next place of one particle.
+#[cfg(test)]
+pub(crate) fn step_alone(state: &State, fields: &Fields, i: usize) -> Step {
+    let mut to = [Step::default()];
+    step_each(state, fields, &mut Neighbourhood::default(), &[i as u32], &mut to);
+    to[0]
+}
+
 /// Finds the next place of particle i (Algorithm 1).
-pub(crate) fn step(state: &State, fields: &Fields, i: usize) -> Step {
+#[inline(always)]
+fn step<S: Simd>(simd: S, state: &State, fields: &Fields, near: &mut Neighbourhood, i: usize) -> Step {
     let set = &state.set;
     let (position, normal, size) = (set.positions[i], set.normals[i], set.sizes[i]);
     let mut result = Step { position, normal, size, lambda: set.lambdas[i], tries: 0, moved: false };
-    let (energy, gradient, hessian) = energy_jet(state, fields, i);
-    if energy == 0.0 {
-        return result;
-    }
     let plane = TangentPlane::new(normal);
-    let force = plane.coordinates(gradient);
-    if force[0].hypot(force[1]) * size < 1e-12 * energy {
+    near.gather(&state.records, state.neighbours.of(i), position);
+    let jet = near.jet(simd, &plane, size);
+    if jet.energy == 0.0 {
         return result;
     }
-    let curvature = positive_definite(plane.restrict(&hessian));
+    // Eq. 4, and the part of the particle's own h, which changes with its place; the Hessian holds h fixed
+    let along_size = plane.coordinates(fields.sizing.value_gradient(position).1);
+    let force = [0, 1].map(|a| jet.gradient[a] + jet.by_size * along_size[a]);
+    if (force[0] * force[0] + force[1] * force[1]).sqrt() * size < 1e-12 * jet.energy {
+        return result;
+    }
+    let curvature = positive_definite(jet.hessian);
     let tolerance = PASS_TOLERANCE * fields.surface.geometry().min_spacing();
     let mut lambda = set.lambdas[i];
     while lambda < LARGEST_LAMBDA {
@@ -81,7 +111,7 @@ pub(crate) fn step(state: &State, fields: &Fields, i: usize) -> Step {
         if let Some((p, n, h)) = fields.project(position + motion, limit, tolerance)
             && n.dot(normal) > 0.0
             && p.distance_squared(position) < (FARTHEST_MOVE * size).powi(2)
-            && state.energy_at(i, p, h) < energy
+            && near.energy(simd, p - position, h) < jet.energy
         {
             let lambda = if result.tries == 1 { (LAMBDA_FALL * lambda).max(LEAST_LAMBDA) } else { lambda };
             return Step { position: p, normal: n, size: h, lambda, moved: true, ..result };
@@ -92,25 +122,6 @@ pub(crate) fn step(state: &State, fields: &Fields, i: usize) -> Step {
     result
 }
 
-/// Energy, gradient and Hessian of particle i at its place. The gradient has the part of the particle's own h, which
-/// changes with its place; the Hessian holds h fixed.
-pub(crate) fn energy_jet(state: &State, fields: &Fields, i: usize) -> (f64, DVec3, DMat3) {
-    let set = &state.set;
-    let (position, size) = (set.positions[i], set.sizes[i]);
-    let mut sum = (0.0, DVec3::ZERO, DMat3::ZERO);
-    let mut by_size = 0.0;
-    for &j in state.neighbours.of(i) {
-        let j = j as usize;
-        let offset = position - set.positions[j];
-        let (energy, gradient, hessian) = pair_jet(offset, size, set.sizes[j]);
-        if energy > 0.0 {
-            sum = (sum.0 + energy, sum.1 + gradient, sum.2 + hessian);
-            by_size += pair_size_derivative(offset.length(), size, set.sizes[j]);
-        }
-    }
-    (sum.0, sum.1 + fields.sizing.value_gradient(position).1 * by_size, sum.2)
-}
-
 /// Two orthonormal directions that span the tangent plane of F.
 pub(crate) struct TangentPlane {
     pub u: DVec3,
@@ -118,21 +129,25 @@ pub(crate) struct TangentPlane {
 }
 
 impl TangentPlane {
+    #[inline(always)]
     pub(crate) fn new(normal: DVec3) -> Self {
         let u = normal.any_orthonormal_vector();
         Self { u, v: normal.cross(u) }
     }
 
+    #[inline(always)]
     pub(crate) fn coordinates(&self, x: DVec3) -> [f64; 2] {
         [self.u.dot(x), self.v.dot(x)]
     }
 
+    #[inline(always)]
     pub(crate) fn out_of_plane(&self, x: [f64; 2]) -> DVec3 {
         self.u * x[0] + self.v * x[1]
     }
 
     /// Symmetric 2 x 2 restriction of a 3 x 3 matrix: entries uu, uv, vv.
-    pub(crate) fn restrict(&self, m: &DMat3) -> [f64; 3] {
+    #[cfg(test)]
+    pub(crate) fn restrict(&self, m: &glam::DMat3) -> [f64; 3] {
         let (mu, mv) = (*m * self.u, *m * self.v);
         [self.u.dot(mu), self.u.dot(mv), self.v.dot(mv)]
     }
@@ -140,9 +155,10 @@ impl TangentPlane {
 
 /// Replaces the eigenvalues of a symmetric 2 x 2 matrix by their magnitudes (bounded away from zero), so that the Newton
 /// step always leads downhill.
+#[inline(always)]
 fn positive_definite(m: [f64; 3]) -> [f64; 3] {
     let [a, b, c] = m;
-    let (mean, half) = (0.5 * (a + c), (0.5 * (a - c)).hypot(b));
+    let (mean, half) = (0.5 * (a + c), (0.25 * (a - c) * (a - c) + b * b).sqrt());
     let (low, high) = (mean - half, mean + half);
     let floor = EIGENVALUE_FLOOR * low.abs().max(high.abs());
     let (l, h) = (low.abs().max(floor), high.abs().max(floor));
@@ -156,6 +172,7 @@ fn positive_definite(m: [f64; 3]) -> [f64; 3] {
 }
 
 /// Solves (H + lambda diag H) x = -g (Eq. 3; the single H holds the sum over the neighbours).
+#[inline(always)]
 fn damped_newton(h: &[f64; 3], g: [f64; 2], lambda: f64) -> [f64; 2] {
     let (a, b, c) = (h[0] * (1.0 + lambda), h[1], h[2] * (1.0 + lambda));
     let determinant = a * c - b * b;
