@@ -266,6 +266,10 @@ impl Candidates {
     }
 }
 
+/// Points of a block of [`NeighbourLists::independent_blocks`]: what a pass reads of so many and those around them stays in the first caches of a
+/// core, and a few thousand points make enough blocks for all cores.
+pub const BLOCK: usize = 128;
+
 /// Neighbours of every point, as rows of one contiguous array.
 #[derive(Clone, Debug, Default)]
 pub struct NeighbourLists {
@@ -317,27 +321,41 @@ impl NeighbourLists {
         self.members.len() as f64 / self.len().max(1) as f64
     }
 
-    /// Splits the points into classes in which no two are neighbours (greedy colouring in index order, the smallest
-    /// free colour). Members of one class can be moved at the same time without one seeing the other move, whatever
-    /// the contrast of h: the particle-wise form of the paper's rule (section 4) that no overlapping neighbourhoods run
-    /// together.
-    pub fn independent_classes(&self) -> Vec<Vec<u32>> {
-        let mut colour = vec![u32::MAX; self.len()];
+    /// Cuts the points into blocks of [`BLOCK`] consecutive ones, and the blocks into classes: no point of a block has a neighbour in another block
+    /// of its class (greedy colouring, the smallest free colour). So the blocks of one class can be worked on at the same time, the points of
+    /// a block one after the other, without one seeing the other move, whatever the contrast of h: the paper's rule (section 4) that no overlapping
+    /// neighbourhoods run together. The points should be in order of place ([`space_order`]).
+    pub fn independent_blocks(&self) -> Vec<Vec<u32>> {
+        let blocks = self.len().div_ceil(BLOCK);
+        let seen: Vec<Vec<u32>> = (0..blocks)
+            .into_par_iter()
+            .map(|block| {
+                let members =
+                    self.starts[block * BLOCK] as usize..self.starts[self.len().min((block + 1) * BLOCK)] as usize;
+                let (mut seen, mut last) = (Vec::new(), block as u32);
+                for j in &self.members[members] {
+                    let other = j / BLOCK as u32;
+                    // the blocks after this one have no colour yet
+                    if other != last && (other as usize) < block {
+                        seen.push(other);
+                    }
+                    last = other;
+                }
+                seen.sort_unstable();
+                seen.dedup();
+                seen
+            })
+            .collect();
+        let mut colour = Vec::with_capacity(blocks);
         let mut classes: Vec<Vec<u32>> = Vec::new();
-        for i in 0..self.len() {
-            let colours = self.of(i).iter().map(|&j| colour[j as usize]);
-            let free = if colours.len() < 64 {
-                // some colour below 64 is free, and the others need no mark
-                (!colours.fold(0, |taken: u64, c| taken | 1u64.checked_shl(c).unwrap_or(0))).trailing_zeros() as usize
-            } else {
-                let taken: BTreeSet<u32> = colours.collect();
-                (0..).find(|c| !taken.contains(c)).map_or(0, |c| c as usize)
-            };
+        for (block, seen) in seen.iter().enumerate() {
+            let taken: BTreeSet<usize> = seen.iter().map(|&other| colour[other as usize]).collect();
+            let free = (0..classes.len()).find(|c| !taken.contains(c)).unwrap_or(classes.len());
             if free == classes.len() {
                 classes.push(Vec::new());
             }
-            colour[i] = free as u32;
-            classes[free].push(i as u32);
+            classes[free].push(block as u32);
+            colour.push(free);
         }
         classes
     }
@@ -405,14 +423,28 @@ mod tests {
     }
 
     #[test]
-    fn no_two_neighbours_share_a_class() {
-        let (points, sizes) = scene(1500, 9.0);
-        let lists = NeighbourLists::new(&points, &sizes, 2.0, |_, _| true);
-        let classes = lists.independent_classes();
-        assert_eq!(classes.iter().map(Vec::len).sum::<usize>(), points.len());
-        for class in &classes {
-            for &i in class {
-                assert!(lists.of(i as usize).iter().all(|j| !class.contains(j)));
+    fn no_two_neighbours_are_in_two_blocks_of_a_class() {
+        for (count, contrast) in [(0, 1.0), (1, 1.0), (BLOCK as u64, 1.0), (5000, 1.0), (5000, 9.0)] {
+            let (points, sizes) = scene(count, contrast);
+            let order = space_order(&points, &sizes, 2.0);
+            let mut once = order.clone();
+            once.sort_unstable();
+            assert!(once.iter().copied().eq(0..count as u32));
+            let points: Vec<DVec3> = order.iter().map(|&i| points[i as usize]).collect();
+            let sizes: Vec<f64> = order.iter().map(|&i| sizes[i as usize]).collect();
+            let lists = NeighbourLists::new(&points, &sizes, 2.0, |_, _| true);
+            let classes = lists.independent_blocks();
+            assert_eq!(classes.iter().map(Vec::len).sum::<usize>(), points.len().div_ceil(BLOCK));
+            println!("{} blocks in {} classes", points.len().div_ceil(BLOCK), classes.len());
+            let mut class_of = vec![usize::MAX; points.len().div_ceil(BLOCK)];
+            for (c, class) in classes.iter().enumerate() {
+                class.iter().for_each(|&block| class_of[block as usize] = c);
+            }
+            for i in 0..points.len() {
+                for &j in lists.of(i) {
+                    let (a, b) = (i / BLOCK, j as usize / BLOCK);
+                    assert!(a == b || class_of[a] != class_of[b], "{i} and {j}");
+                }
             }
         }
     }

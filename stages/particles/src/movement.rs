@@ -1,19 +1,21 @@
 //! One pass of movement: sections 3.2.1 and 3.2.2 and Algorithm 1 of the paper.
 //!
 //! A particle takes the damped Newton step of its energy in the tangent plane of F, is projected back onto F = 0
-//! (Eq. 5) and stays there if its energy has fallen; otherwise lambda grows tenfold and it tries again. Particles of one
-//! independent class move at the same time: none of them sees another, so the pass is the Gauss-Seidel sweep of the
-//! paper in an order of our own, with the same result for any number of threads.
+//! (Eq. 5) and stays there if its energy has fallen; otherwise lambda grows tenfold and it tries again. The particles of a
+//! block move one after the other, the blocks of an independent class at the same time: none of them sees another, so the pass is the
+//! Gauss-Seidel sweep of the paper in an order of our own, with the same result for any number of threads.
 
 use crate::constants::{
     EIGENVALUE_FLOOR, FARTHEST_MOVE, LAMBDA_FALL, LAMBDA_GROWTH, LARGEST_LAMBDA, LEAST_LAMBDA, LONGEST_STEP,
     PASS_TOLERANCE, PROJECTION_REACH,
 };
 use crate::neighbourhood::{Neighbourhood, Record};
-use crate::state::{CHUNK, Fields, State};
+use crate::state::{Fields, State};
 use fearless_simd::{Level, Simd, dispatch};
 use glam::DVec3;
+use isoparticles_common::neighbours::BLOCK;
 use rayon::prelude::*;
+use std::ops::Range;
 
 /// What a pass of movement did.
 #[derive(Clone, Copy, Debug, Default)]
@@ -25,7 +27,7 @@ pub(crate) struct Moves {
 }
 
 /// The next place of a particle.
-#[derive(Clone, Copy, Default)]
+#[derive(Clone, Copy)]
 pub(crate) struct Step {
     pub position: DVec3,
     normal: DVec3,
@@ -38,23 +40,22 @@ pub(crate) struct Step {
 /// Moves every particle once.
 pub(crate) fn pass(state: &mut State, fields: &Fields) -> Moves {
     let mut moves = Moves::default();
-    let mut steps: Vec<Step> = Vec::new();
     let classes = std::mem::take(&mut state.classes);
     for class in &classes {
         let settled: &State = state;
-        steps.resize(class.len(), Step::default());
-        steps.par_chunks_mut(CHUNK).zip(class.par_chunks(CHUNK)).for_each_init(
-            Neighbourhood::default,
-            |near, (to, members)| {
-                step_each(settled, fields, near, members, to);
-            },
-        );
-        for (&i, step) in class.iter().zip(&steps) {
-            let (i, set) = (i as usize, &mut state.set);
-            set.lambdas[i] = step.lambda;
-            moves.tries += step.tries as usize;
-            if step.moved {
-                moves.moved += 1;
+        let steps: Vec<Vec<Step>> = class
+            .par_iter()
+            .map_init(Neighbourhood::default, |near, &block| {
+                let first = block as usize * BLOCK;
+                block_steps(settled, fields, near, first..settled.len().min(first + BLOCK))
+            })
+            .collect();
+        let set = &mut state.set;
+        for (&block, steps) in class.iter().zip(&steps) {
+            for (i, step) in (block as usize * BLOCK..).zip(steps) {
+                set.lambdas[i] = step.lambda;
+                moves.tries += step.tries as usize;
+                moves.moved += usize::from(step.moved);
                 set.positions[i] = step.position;
                 set.normals[i] = step.normal;
                 set.sizes[i] = step.size;
@@ -66,31 +67,39 @@ pub(crate) fn pass(state: &mut State, fields: &Fields) -> Moves {
     moves
 }
 
-/// Finds the next places of some particles by the best instructions that the processor has.
-fn step_each(state: &State, fields: &Fields, near: &mut Neighbourhood, members: &[u32], to: &mut [Step]) {
+/// Moves some particles one after the other, by the best instructions that the processor has.
+fn block_steps(state: &State, fields: &Fields, near: &mut Neighbourhood, members: Range<usize>) -> Vec<Step> {
+    let mut steps = Vec::with_capacity(members.len());
+    // the block's own particles as they move; the others stand still meanwhile
+    let mut own = state.records[members.clone()].to_vec();
+    let first = members.start;
     dispatch!(Level::new(), simd => {
-        for (&i, to) in members.iter().zip(to) {
-            *to = step(simd, state, fields, near, i as usize);
+        for i in members {
+            let record_of = |j: usize| own.get(j.wrapping_sub(first)).copied().unwrap_or_else(|| state.records[j]);
+            near.gather(record_of, state.neighbours.of(i), state.set.positions[i]);
+            let step = step(simd, state, fields, near, i);
+            if step.moved {
+                own[i - first] = Record::new(step.position, step.size);
+            }
+            steps.push(step);
         }
     });
+    steps
 }
 
 /// The next place of one particle.
 #[cfg(test)]
 pub(crate) fn step_alone(state: &State, fields: &Fields, i: usize) -> Step {
-    let mut to = [Step::default()];
-    step_each(state, fields, &mut Neighbourhood::default(), &[i as u32], &mut to);
-    to[0]
+    block_steps(state, fields, &mut Neighbourhood::default(), i..i + 1)[0]
 }
 
-/// Finds the next place of particle i (Algorithm 1).
+/// Finds the next place of particle i among the neighbours gathered (Algorithm 1).
 #[inline(always)]
-fn step<S: Simd>(simd: S, state: &State, fields: &Fields, near: &mut Neighbourhood, i: usize) -> Step {
+fn step<S: Simd>(simd: S, state: &State, fields: &Fields, near: &Neighbourhood, i: usize) -> Step {
     let set = &state.set;
     let (position, normal, size) = (set.positions[i], set.normals[i], set.sizes[i]);
     let mut result = Step { position, normal, size, lambda: set.lambdas[i], tries: 0, moved: false };
     let plane = TangentPlane::new(normal);
-    near.gather(&state.records, state.neighbours.of(i), position);
     let jet = near.jet(simd, &plane, size);
     if jet.energy == 0.0 {
         return result;

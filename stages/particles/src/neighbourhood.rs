@@ -53,14 +53,14 @@ pub(crate) struct PlaneJet {
 }
 
 impl Neighbourhood {
-    /// Looks at the neighbours in `list` from a place.
+    /// Looks at the neighbours in `list` from a place, given what is known of each.
     #[inline(always)]
-    pub(crate) fn gather(&mut self, records: &[Record], list: &[u32], place: DVec3) {
+    pub(crate) fn gather(&mut self, record_of: impl Fn(usize) -> Record, list: &[u32], place: DVec3) {
         self.blocks.clear();
         for members in list.chunks(LANES) {
             let mut block = NOBODY;
             let mut set = |lane: usize, j: u32| {
-                let record = &records[j as usize];
+                let record = record_of(j as usize);
                 let offset = record.position - place;
                 for axis in 0..3 {
                     block.offset[axis][lane] = offset[axis];
@@ -189,7 +189,7 @@ mod tests {
                 let (p, h) = (set.positions[i], set.sizes[i]);
                 let (energy, gradient, hessian) = reference::energy_jet(&state, &fields, i);
                 let plane = TangentPlane::new(set.normals[i]);
-                near.gather(&state.records, state.neighbours.of(i), p);
+                near.gather(|j| state.records[j], state.neighbours.of(i), p);
                 let jet = dispatch!(Level::new(), simd => near.jet(simd, &plane, h));
                 assert!((jet.energy - energy).abs() < 1e-11 * (1.0 + energy), "{i}: {energy} {jet:?}");
                 // the parts of a force cancel: relative to the Hessian times h

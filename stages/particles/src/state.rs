@@ -14,8 +14,8 @@ use rayon::prelude::*;
 /// Neighbours are listed within this many times the smaller h.
 const LISTED: f64 = SUPPORT * (1.0 + SKIN);
 
-/// Particles that one thread works on at a time.
-pub(crate) const CHUNK: usize = 64;
+/// Particles that one thread measures at a time.
+const CHUNK: usize = 256;
 
 /// The implicit function and the sizing field that the particles live on.
 pub struct Fields<'a> {
@@ -42,6 +42,7 @@ pub(crate) struct State {
     pub neighbours: NeighbourLists,
     /// Position and h of every particle, as the sums over neighbours read them; as old as the lists, but for what moves.
     pub records: Vec<Record>,
+    /// Classes of blocks of particles ([`NeighbourLists::independent_blocks`]).
     pub classes: Vec<Vec<u32>>,
     /// Positions at which the lists were made.
     listed: Vec<DVec3>,
@@ -87,7 +88,7 @@ impl State {
     /// Makes lists and classes anew.
     pub(crate) fn rebuild(&mut self) {
         self.rebuild_lists();
-        self.classes = self.neighbours.independent_classes();
+        self.classes = self.neighbours.independent_blocks();
         self.listed.clone_from(&self.set.positions);
     }
 
@@ -130,7 +131,7 @@ impl State {
                 dispatch!(Level::new(), simd => {
                     let mut defects = 0;
                     for (i, to) in (chunk * CHUNK..).zip(energies) {
-                        near.gather(&self.records, self.neighbours.of(i), positions[i]);
+                        near.gather(|j| self.records[j], self.neighbours.of(i), positions[i]);
                         let (energy, ring) = near.energy_and_ring(simd, sizes[i]);
                         *to = energy;
                         defects += usize::from(ring != LATTICE_NEIGHBOURS);
