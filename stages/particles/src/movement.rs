@@ -13,7 +13,7 @@ use crate::neighbourhood::{Neighbourhood, Record};
 use crate::state::{Fields, State};
 use fearless_simd::{Level, Simd, dispatch};
 use glam::DVec3;
-use isoparticles_common::neighbours::BLOCK;
+use isoparticles_field::neighbours::BLOCK;
 use rayon::prelude::*;
 use std::ops::Range;
 

@@ -6,7 +6,7 @@ use crate::constants::FIRST_RING;
 use crate::movement::TangentPlane;
 use fearless_simd::{Simd, f64x8, prelude::*};
 use glam::DVec3;
-use isoparticles_common::energy::{Pairs, SUPPORT, sum};
+use isoparticles_field::energy::{Pairs, SUPPORT, sum};
 
 /// Pairs that one lane operation works on, by any instruction set: so sums have one order.
 const LANES: usize = 8;
@@ -174,8 +174,8 @@ mod tests {
     use crate::scenes::Scene;
     use crate::state::State;
     use fearless_simd::{Level, dispatch};
-    use isoparticles_common::energy::scaled_distance;
-    use isoparticles_common::random::uniform;
+    use isoparticles_field::energy::scaled_distance;
+    use isoparticles_field::random::uniform;
 
     #[test]
     fn sums_over_lanes_are_those_over_pairs() {

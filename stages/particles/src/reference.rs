@@ -2,7 +2,7 @@
 
 use crate::state::{Fields, State};
 use glam::{DMat3, DVec3};
-use isoparticles_common::energy::{pair_energy, pair_jet, pair_size_derivative, scaled_distance};
+use isoparticles_field::energy::{pair_energy, pair_jet, pair_size_derivative, scaled_distance};
 
 /// Energy, gradient and Hessian of particle i at its place. The gradient has the part of the particle's own h, which
 /// changes with its place; the Hessian holds h fixed.

@@ -4,11 +4,11 @@ use crate::constants::{LATTICE_NEIGHBOURS, REBUILD_MOVE, SKIN};
 use crate::neighbourhood::{Neighbourhood, Record};
 use fearless_simd::{Level, dispatch};
 use glam::DVec3;
-use isoparticles_common::energy::SUPPORT;
-use isoparticles_common::neighbours::{NeighbourLists, space_order};
-use isoparticles_common::particle_set::ParticleSet;
-use isoparticles_common::sizing::SizingField;
-use isoparticles_common::spline::CubicSpline;
+use isoparticles_field::energy::SUPPORT;
+use isoparticles_field::neighbours::{NeighbourLists, space_order};
+use isoparticles_field::particle_set::ParticleSet;
+use isoparticles_field::sizing::SizingField;
+use isoparticles_field::spline::CubicSpline;
 use rayon::prelude::*;
 
 /// Neighbours are listed within this many times the smaller h.

@@ -2,8 +2,8 @@
 
 use super::surface::{DEAD, Size, Surface};
 use glam::DVec3;
-use isoparticles_common::mesh::TriangleMesh;
-use isoparticles_common::spatial::Bounds;
+use isoparticles_mesh::TriangleMesh;
+use isoparticles_mesh::spatial::Bounds;
 use rayon::prelude::*;
 use std::collections::{HashMap, HashSet};
 

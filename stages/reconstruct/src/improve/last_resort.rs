@@ -14,8 +14,8 @@ use super::surface::{DEAD, Surface};
 use super::worst::{Move, moves_near, perform};
 use super::{Step, Tally};
 use glam::DVec3;
-use isoparticles_common::error::Result;
-use isoparticles_common::mesh::quality::radius_ratio;
+use isoparticles_mesh::quality::radius_ratio;
+use isoparticles_stage::error::Result;
 use rayon::prelude::*;
 use std::collections::{BTreeSet, HashSet};
 
@@ -413,10 +413,9 @@ fn flip_for_shape(surface: &mut Surface, vertices: &[u32], backwards: bool) -> b
 #[cfg(test)]
 mod tests {
     use super::*;
-    use isoparticles_common::geometry::Geometry;
-    use isoparticles_common::image::Image;
-    use isoparticles_common::mesh::TriangleMesh;
-    use isoparticles_common::spline::CubicSpline;
+    use isoparticles_field::spline::CubicSpline;
+    use isoparticles_mesh::TriangleMesh;
+    use isoparticles_volume::{Geometry, Image};
 
     /// Vertices along a side of the lattice, and between the displaced ones.
     const SIDE: usize = 64;

@@ -3,7 +3,7 @@
 
 use super::surface::{DEAD, Surface};
 use glam::DVec3;
-use isoparticles_common::mesh::quality::radius_ratio;
+use isoparticles_mesh::quality::radius_ratio;
 use std::f64::consts::TAU;
 
 /// Distance from F = 0 that a projected vertex may keep, in voxels.

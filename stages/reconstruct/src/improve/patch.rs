@@ -14,8 +14,8 @@ use super::surface::Surface;
 use super::worst::{self, Aim, Effort, Failures};
 use super::{Step, Tally, remesh};
 use glam::DVec3;
-use isoparticles_common::error::Result;
-use isoparticles_common::spatial::Bounds;
+use isoparticles_mesh::spatial::Bounds;
+use isoparticles_stage::error::Result;
 use rayon::prelude::*;
 
 /// Growths of the edges with the distance, mm per mm, in the order tried.

@@ -11,9 +11,8 @@ use super::surface::Surface;
 use super::worst::{self, Aim, Effort, Failures};
 use super::{Tally, remesh};
 use glam::DVec3;
-use isoparticles_common::mesh::TriangleMesh;
-use isoparticles_common::mesh::quality::area;
-use isoparticles_common::mesh::shapes;
+use isoparticles_mesh::quality::area;
+use isoparticles_mesh::{TriangleMesh, shapes};
 
 /// Most vertices of a piece that counts as a speck.
 const LARGEST_SPECK: usize = 60;
@@ -139,12 +138,11 @@ fn remeshed(surface: &Surface, ball: &TriangleMesh, count: f64, limits: &Limits)
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::check::{CheckOptions, check};
     use crate::improve::last_resort;
-    use isoparticles_common::geometry::Geometry;
-    use isoparticles_common::image::Image;
-    use isoparticles_common::mesh::check::{CheckOptions, check};
-    use isoparticles_common::mesh::quality::summarise;
-    use isoparticles_common::spline::CubicSpline;
+    use isoparticles_field::spline::CubicSpline;
+    use isoparticles_mesh::quality::summarise;
+    use isoparticles_volume::{Geometry, Image};
 
     const MIDDLE: DVec3 = DVec3::new(6.2, 5.9, 6.1);
     const HALF_AXES: DVec3 = DVec3::new(2.4, 1.5, 1.2);

@@ -6,7 +6,7 @@ use super::guard::{Limits, Rule, commit_if_welcome, scores};
 use super::moves::{collapse, flip, projected, settle, split};
 use super::surface::{DEAD, Surface, edges_of};
 use super::{Step, Tally};
-use isoparticles_common::error::Result;
+use isoparticles_stage::error::Result;
 use rayon::prelude::*;
 use std::cmp::Reverse;
 use std::collections::{BinaryHeap, HashMap};
