@@ -36,7 +36,7 @@ KEYS := NAME INPUT PHANTOM SERIES ISO LABELS INSIDE BORDER SCALE EPSILON DELTA S
         BACKEND MAX_MEMORY DISTFIELD_OPTIONS SIZEFIELD_OPTIONS PARTICLES_OPTIONS RECONSTRUCT_OPTIONS TETMESH_OPTIONS
 $(foreach key,$(KEYS) CASE CASES,$(if $(filter environment,$(origin $(key))),$(eval undefine $(key))))
 # What this file knows besides.
-OTHERS := CASE CASES BIN NO_BUILD CARGO CARGO_TARGET_DIR VENV TETMESH_CHECK HXT DATA OUT VERBOSITY THREADS PARTS GOAL SIZES \
+OTHERS := CASE CASES LIST TIME_LIMIT BIN NO_BUILD CARGO CARGO_TARGET_DIR VENV TETMESH_CHECK HXT DATA OUT VERBOSITY THREADS PARTS GOAL SIZES \
           BENCH_OPTIONS COMPARED COMPARE_OPTIONS REMESHER BENCH_VENV
 # Goals over one case.
 CASE_GOALS := distfield sizefield seed particles reconstruct surface mesh page verdict info clean
@@ -65,7 +65,7 @@ endif
 by_user = $(filter command,$(firstword $(origin $(1))))
 unknown := $(strip $(foreach name,$(.VARIABLES),$(if $(call by_user,$(name)),$(filter-out $(KEYS) $(OTHERS),$(name)))))
 ifneq ($(unknown),)
-  ifeq ($(filter $(CASE_GOALS) demo cases index,$(or $(MAKECMDGOALS),$(.DEFAULT_GOAL))),)
+  ifeq ($(filter $(CASE_GOALS) demo cases batch index,$(or $(MAKECMDGOALS),$(.DEFAULT_GOAL))),)
     $(call stop,$(unknown): no such variable,it would be ignored,choose among $(KEYS) $(OTHERS))
   endif
 endif
@@ -88,7 +88,7 @@ case = $(call quote,$(BIN)/isoparticles-case) $(1) $(foreach key,$(KEYS) OUT VER
 
 # --- Goals ------------------------------------------------------------------------------------------------------------
 
-.PHONY: help $(CASE_GOALS) demo cases index build env doctor test format lint documentation test-rust test-python bench-stages \
+.PHONY: help $(CASE_GOALS) demo cases batch index build env doctor test format lint documentation test-rust test-python bench-stages \
         bench-gpu bench-delaunay bench-convergence bench-marching-cubes
 
 define HELP
@@ -101,6 +101,8 @@ Volumes in, simulation-ready meshes out.
   make mesh INPUT=v.nrrd LABELS=1,2            mesh the union of labels 1 and 2
   make CASE=heart                              mesh the case of pipelines/heart.mk
   make -j2 CASES="heart mickey" cases          several cases at once
+  make batch LIST=cases.csv                    every row of a list: a column a parameter, a row a case; goes on past failures, and
+                                               where it was stopped (TIME_LIMIT=2h a case; GOAL=surface)
   make surface ...                             stop at the triangles; distfield, sizefield, seed, particles stop earlier
   make verdict CASE=heart                      how it went: verdict, warnings, the page
   make page CASE=heart                         its page once more
@@ -145,6 +147,12 @@ cases: build env
 	@status=0; $(MAKE) --no-print-directory -k NO_BUILD=yes $(addprefix case-,$(CASES)) || status=$$?; \
 	  $(call case,index) || { code=$$?; if [ $$status = 0 ]; then status=$$code; fi; }; \
 	  for name in $(CASES); do $(MAKE) --no-print-directory CASE=$$name CASES= NO_BUILD=yes verdict || true; done; exit $$status
+
+# Every row of a list, then a summary and the index.
+LIST ?=
+TIME_LIMIT ?=
+batch: build env
+	@$(call case,batch) $(if $(LIST),--list $(call quote,$(LIST))) $(if $(TIME_LIMIT),--time-limit $(call quote,$(TIME_LIMIT))) --as-far-as $(GOAL)
 
 # Over all cases in OUT, also those that failed.
 index: build env

@@ -32,13 +32,17 @@ pub fn status_files(out: &Path) -> Result<Vec<PathBuf>> {
     Ok(files)
 }
 
-/// Writes `index.html` (and `index.csv` beside it) over the cases in a folder.
+/// Writes `index.html` (and `index.csv` beside it) over the cases in a folder and those of `more` status files.
 ///
 /// # Errors
 /// When there are no cases, or the program fails.
-pub fn write(out: &Path, programs: &Programs) -> Result<PathBuf> {
+pub fn write(out: &Path, more: Vec<PathBuf>, programs: &Programs) -> Result<PathBuf> {
     let index = out.join("index.html");
-    let mut arguments: Vec<OsString> = status_files(out)?.into_iter().map(PathBuf::into_os_string).collect();
+    let cases = match status_files(out) {
+        Err(_) if !more.is_empty() => more,
+        cases => [cases?, more].concat(),
+    };
+    let mut arguments: Vec<OsString> = cases.into_iter().map(PathBuf::into_os_string).collect();
     arguments.extend(["-o".into(), index.clone().into_os_string(), "--force".into()]);
     match program::run(&programs.index(), &arguments)? {
         Ended::Code(0) => Ok(index),

@@ -5,6 +5,7 @@
 //! takes away what no longer holds, runs the stages from there on, and keeps [`status::Status`] in step with the folder: a file
 //! of the case that the last run neither made nor confirmed is not there. The Makefile calls the program of this crate.
 
+pub mod batch;
 pub mod folder;
 pub mod index;
 pub mod inputs;

@@ -1,20 +1,22 @@
 //! The `isoparticles-case` program: what the Makefile does with one case.
 
 use clap::Parser;
+use isoparticles_case::batch::Batch;
 use isoparticles_case::folder::CaseFolder;
 use isoparticles_case::run::{self, Case, make, out, stage_of_goal};
 use isoparticles_case::settings::Settings;
 use isoparticles_case::stages::{Programs, Volume};
 use isoparticles_case::status::Status;
-use isoparticles_case::{index, name, program, verdict};
+use isoparticles_case::{batch, index, name, program, verdict};
 use isoparticles_stage::error::{Error, Result};
 use std::path::PathBuf;
 use std::process::ExitCode;
 
 /// Make a case: run the stages whose results are missing or no longer true, and keep the truth in OUT/NAME/NAME.status.json.
 ///
-/// Goals: distfield, sizefield, seed, particles, surface, mesh (as far as that), page, verdict, info, clean, index.
-/// Exit codes: 0 made and every check passed; 1 made, but a check failed; 2 bad usage or input; 3 no usable GPU; 130 interrupted.
+/// Goals: distfield, sizefield, seed, particles, surface, mesh (as far as that), page, verdict, info, clean, index, and batch: every
+/// row of a list. Exit codes: 0 made and every check passed; 1 made, but a check failed; 2 bad usage or input; 3 no usable GPU;
+/// 130 interrupted. Of a batch: 1 where any row did not end with 0.
 ///
 /// Example: isoparticles-case mesh INPUT=heart.nrrd LABELS=1 SIZE=2.5
 #[derive(Debug, Parser)]
@@ -34,6 +36,16 @@ struct Arguments {
     /// Names that the caller knows besides the keys, for "did you mean".
     #[arg(long, value_name = "NAME", num_args = 0.., value_delimiter = ' ')]
     known: Vec<String>,
+    /// The list of a batch: a CSV file with a column a key, INPUT from the list's own folder. What is set beside it holds for the rows
+    /// that say nothing else.
+    #[arg(long, value_name = "FILE.csv")]
+    list: Option<PathBuf>,
+    /// How far a batch makes each case.
+    #[arg(long, value_name = "GOAL", default_value = "mesh")]
+    as_far_as: String,
+    /// How long a case of a batch may take, such as 90s, 30m or 2h; then it is stopped, and goes on from there the next time.
+    #[arg(long, value_name = "TIME")]
+    time_limit: Option<String>,
     /// Folder of the stage programs.
     #[arg(long, value_name = "DIR", default_value = "target/release")]
     bin: PathBuf,
@@ -67,7 +79,6 @@ fn main() -> ExitCode {
 }
 
 fn go(arguments: Arguments) -> Result<u8> {
-    let settings = Settings::read(&arguments.set, &arguments.preset, arguments.case_file.as_deref(), &arguments.known)?;
     let mut tetmesh_files = arguments.tetmesh_files;
     if tetmesh_files.is_empty() {
         tetmesh_files.push(arguments.tetmesh_check.clone());
@@ -78,9 +89,24 @@ fn go(arguments: Arguments) -> Result<u8> {
         tetmesh_files,
         page_files: arguments.page_files,
     };
+    if arguments.goal == "batch" {
+        let Some(list) = &arguments.list else {
+            return Err(Error::input(
+                "LIST is not set",
+                "it is the list of cases to make",
+                format!("LIST=cases.csv, with a header of some of {}", batch::columns().collect::<Vec<_>>().join(",")),
+            ));
+        };
+        let common: Vec<String> = arguments.preset.into_iter().chain(arguments.set).collect();
+        let (known, goal) = (&arguments.known, arguments.as_far_as.as_str());
+        stage_named(goal)?;
+        let limit = arguments.time_limit.as_deref().map(batch::time_limit).transpose()?;
+        return make_batch(&Batch { list, common: &common, known, goal, limit }, &programs);
+    }
+    let settings = Settings::read(&arguments.set, &arguments.preset, arguments.case_file.as_deref(), &arguments.known)?;
     match arguments.goal.as_str() {
         "index" => {
-            let index = index::write(&out(&settings), &programs)?;
+            let index = index::write(&out(&settings), Vec::new(), &programs)?;
             println!("index       {}", index.display());
             Ok(0)
         }
@@ -98,18 +124,37 @@ fn go(arguments: Arguments) -> Result<u8> {
             Ok(closing(&folder, &status))
         }
         goal => {
-            let stage = stage_of_goal(goal).ok_or_else(|| {
-                Error::input(
-                    format!("{goal}: no such goal"),
-                    "a case is made as far as one of its stages",
-                    "choose distfield, sizefield, seed, particles, surface, mesh, page, verdict, info, clean or index",
-                )
-            })?;
+            let stage = stage_named(goal)?;
             let case = Case::new(settings)?;
             let status = make(&case, stage, &programs)?;
             Ok(closing(&case.folder, &status))
         }
     }
+}
+
+/// The stage that a goal goes as far as.
+fn stage_named(goal: &str) -> Result<&'static str> {
+    stage_of_goal(goal).ok_or_else(|| {
+        Error::input(
+            format!("{goal}: no such goal"),
+            "a case is made as far as one of its stages",
+            "choose distfield, sizefield, seed, particles, surface, mesh, page, verdict, info, clean, index or batch",
+        )
+    })
+}
+
+/// Makes a list of cases, and the index over them.
+fn make_batch(batch: &Batch<'_>, programs: &Programs) -> Result<u8> {
+    let endings = batch.make(programs)?;
+    let code = batch::exit_code(&endings);
+    program::note_stop();
+    print!("{}", batch::closing(&endings));
+    if programs.index().exists() {
+        println!("index       {}", batch.index(programs)?.display());
+    } else {
+        println!("no index: {} is not there (make env)", programs.index().display());
+    }
+    Ok(code)
 }
 
 /// The folder of a case that is told by name, or as for making it.

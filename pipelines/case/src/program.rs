@@ -2,10 +2,17 @@
 
 use isoparticles_stage::error::{Error, Result};
 use std::ffi::OsString;
+use std::fs::File;
 use std::path::Path;
-use std::process::{Command, ExitStatus};
+use std::process::{Child, Command, ExitStatus};
 use std::sync::Once;
 use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
+use std::time::{Duration, Instant};
+
+/// How long a program that was asked to stop has for its last checkpoint: that of a million particles takes seconds.
+const GRACE: Duration = Duration::from_secs(60);
+/// How often a program with a time limit is looked at.
+const POLL: Duration = Duration::from_millis(50);
 
 /// Process id of the program that runs now, 0 when none does.
 static RUNNING: AtomicU32 = AtomicU32::new(0);
@@ -49,7 +56,26 @@ pub enum Ended {
 /// When it cannot be started.
 pub fn run(program: &Path, arguments: &[OsString]) -> Result<Ended> {
     let mut command = Command::new(program);
-    command.args(arguments).stdin(std::process::Stdio::null());
+    command.args(arguments);
+    Ok(run_command(command, None)?.0)
+}
+
+/// Runs a program to its end, with what it says going to a file, and tells whether it was stopped because the time was over.
+/// It is stopped as by the user, then once more, then it is killed.
+///
+/// # Errors
+/// When it cannot be started.
+pub fn run_logged(program: &Path, arguments: &[OsString], log: File, limit: Option<Duration>) -> Result<(Ended, bool)> {
+    let mut command = Command::new(program);
+    let errors = log.try_clone().map_err(|error| {
+        Error::input(format!("the log of {}: {error}", program.display()), "it tells what went wrong", "try again")
+    })?;
+    command.args(arguments).stdout(log).stderr(errors);
+    run_command(command, limit)
+}
+
+fn run_command(mut command: Command, limit: Option<Duration>) -> Result<(Ended, bool)> {
+    command.stdin(std::process::Stdio::null());
     #[cfg(unix)]
     {
         // A group of its own: Ctrl-C reaches it through us, once. A second signal would end it without its last checkpoint.
@@ -58,7 +84,7 @@ pub fn run(program: &Path, arguments: &[OsString]) -> Result<Ended> {
     }
     let mut child = command.spawn().map_err(|error| {
         Error::input(
-            format!("{}: cannot be started: {error}", program.display()),
+            format!("{}: cannot be started: {error}", command.get_program().display()),
             "it makes the next result of the case",
             "build it (make build env), or say where it is (BIN=..., TETMESH_CHECK=...)",
         )
@@ -67,16 +93,36 @@ pub fn run(program: &Path, arguments: &[OsString]) -> Result<Ended> {
     if stop_requested() {
         interrupt(child.id());
     }
-    let status = child.wait();
+    let status = wait(&mut child, limit);
     RUNNING.store(0, Ordering::SeqCst);
-    let status = status.map_err(|error| {
+    let (status, out_of_time) = status.map_err(|error| {
         Error::input(
-            format!("{}: cannot be waited for: {error}", program.display()),
+            format!("{}: cannot be waited for: {error}", command.get_program().display()),
             "how it ended is not known",
             "make the case again",
         )
     })?;
-    Ok(ended(status))
+    Ok((ended(status), out_of_time))
+}
+
+/// Waits for the end, and brings it about when the time is over; whether it was over comes with it.
+fn wait(child: &mut Child, limit: Option<Duration>) -> std::io::Result<(ExitStatus, bool)> {
+    let Some(limit) = limit else { return Ok((child.wait()?, false)) };
+    let started = Instant::now();
+    let mut asked = 0;
+    loop {
+        if let Some(status) = child.try_wait()? {
+            return Ok((status, asked > 0));
+        }
+        if started.elapsed() >= limit + asked * GRACE {
+            match asked {
+                0 | 1 => interrupt(child.id()),
+                _ => child.kill()?,
+            }
+            asked += 1;
+        }
+        std::thread::sleep(POLL);
+    }
 }
 
 #[cfg(unix)]

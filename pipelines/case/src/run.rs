@@ -404,7 +404,7 @@ fn judge(stage: &mut Stage, ended: Ended, report: Option<&Report>, output: &Path
     };
 }
 
-fn problem(error: &Error) -> Problem {
+pub(crate) fn problem(error: &Error) -> Problem {
     Problem { what: error.what.clone(), why: error.why.clone(), next: error.next.clone() }
 }
 

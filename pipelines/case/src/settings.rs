@@ -18,6 +18,8 @@ pub enum By {
 pub struct Settings {
     values: BTreeMap<&'static str, (String, By)>,
     case_file: Option<String>,
+    /// Where the user set what the user set, in words.
+    by_user: String,
 }
 
 /// Two keys that say the same thing in two ways, and why they cannot both hold.
@@ -50,7 +52,20 @@ impl Settings {
     /// An unknown key (with the nearest of the keys and `known`), a value of the wrong form, two keys of one hand that
     /// exclude each other.
     pub fn read(user: &[String], case: &[String], case_file: Option<&str>, known: &[String]) -> Result<Self> {
-        let mut settings = Self { case_file: case_file.map(str::to_owned), ..Self::default() };
+        let by_user = "on the command line".to_owned();
+        Self { case_file: case_file.map(str::to_owned), by_user, ..Self::default() }.filled(user, case, known)
+    }
+
+    /// The same where the user's assignments stand in a row of a list, and what holds for all rows gives way to them.
+    ///
+    /// # Errors
+    /// As [`Settings::read`].
+    pub fn read_row(row: &[String], line: u64, common: &[String], known: &[String]) -> Result<Self> {
+        Self { by_user: format!("line {line} of the list"), ..Self::default() }.filled(row, common, known)
+    }
+
+    fn filled(mut self, user: &[String], case: &[String], known: &[String]) -> Result<Self> {
+        let settings = &mut self;
         for (assignments, by) in [(case, By::Case), (user, By::User)] {
             for assignment in assignments {
                 let set_by = settings.hand(by);
@@ -70,7 +85,7 @@ impl Settings {
             }
         }
         settings.give_way()?;
-        Ok(settings)
+        Ok(self)
     }
 
     /// The value of a key, if it is set and has not given way.
@@ -102,7 +117,7 @@ impl Settings {
     /// Who set something, in words.
     fn hand(&self, by: By) -> String {
         match (by, &self.case_file) {
-            (By::User, _) => "on the command line".to_owned(),
+            (By::User, _) => self.by_user.clone(),
             (By::Case, Some(file)) => format!("in pipelines/{file}.mk"),
             (By::Case, None) => "by default".to_owned(),
         }

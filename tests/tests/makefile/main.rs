@@ -4,6 +4,7 @@
 mod support;
 
 mod arguments;
+mod batch;
 mod cases;
 mod failures;
 mod names;

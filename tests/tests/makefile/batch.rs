@@ -1,0 +1,149 @@
+//! A list of cases: what fails is told and stops nothing, and a second run does what is left.
+
+use super::support::{Ended, run};
+use super::{Case, executable, make};
+use std::collections::BTreeMap;
+use std::path::Path;
+use std::process::Command;
+
+/// `make batch` over a list in the folder of the case, as far as the surface.
+fn batch(case: &Case, list: &str, variables: &[&str]) -> Command {
+    let path = case.folder.path().join("cases.csv");
+    std::fs::write(&path, list).unwrap();
+    let mut command = make();
+    command.args(["batch", "GOAL=surface"]).arg(format!("LIST={}", path.display()));
+    command.arg(format!("OUT={}", case.out().display())).arg(case.stand_in.variable()).args(variables);
+    command
+}
+
+/// Verdict and headline of each case by the summary.
+fn summary(case: &Case) -> BTreeMap<String, (String, String)> {
+    let mut reader = csv::Reader::from_path(case.out().join("batch.csv")).expect("batch.csv");
+    let columns = reader.headers().expect("a header").clone();
+    let cell = |row: &csv::StringRecord, name: &str| {
+        row[columns.iter().position(|column| column == name).expect("a column")].to_owned()
+    };
+    let rows: Vec<_> = reader.records().map(|row| row.expect("a row")).collect();
+    rows.iter().map(|row| (cell(row, "name"), (cell(row, "verdict"), cell(row, "headline")))).collect()
+}
+
+fn verdicts(case: &Case) -> BTreeMap<String, String> {
+    summary(case).into_iter().map(|(name, (verdict, _))| (name, verdict)).collect()
+}
+
+fn expected<const N: usize>(verdicts: [(&str, &str); N]) -> BTreeMap<String, String> {
+    verdicts.map(|(name, verdict)| (name.to_owned(), verdict.to_owned())).into()
+}
+
+const LIST: &str = "NAME;INPUT;ISO;SIZE\n\
+                    # a comment, and an empty line\n\n\
+                    coarse;ball.nrrd;100;4\n\
+                    missing;nowhere.nrrd;100;4\n\
+                    \"wrong size\";ball.nrrd;100;-1\n\
+                    \"no volume\";text.nrrd;100;4\n\
+                    ;ball.nrrd;100;\n\
+                    empty;ball.nrrd;100000;\n";
+
+#[test]
+fn what_fails_is_told_and_the_rest_is_made() {
+    let case = Case::new();
+    std::fs::write(case.folder.path().join("text.nrrd"), "no volume").unwrap();
+    let ended = run(&mut batch(&case, LIST, &["SIZE=2.5"]));
+    // make turns a 1 into a 2
+    assert_eq!(ended.code, Some(2), "{}{}", ended.stdout, ended.stderr);
+    let error = "error";
+    let all = [
+        ("coarse", "passed"),
+        ("missing", error),
+        ("wrong size", error),
+        ("no volume", error),
+        ("ball", "passed"),
+        ("empty", error),
+    ];
+    assert_eq!(verdicts(&case), expected(all), "{}", ended.stdout);
+    let told = summary(&case);
+    for (name, words) in [
+        ("missing", "not found"),
+        ("wrong size", "SIZE=-1 (line 6 of the list)"),
+        ("no volume", "text.nrrd"),
+        ("empty", "100000"),
+    ] {
+        assert!(told[name].1.contains(words), "{name}: {:?}", told[name]);
+        assert!(ended.stdout.contains(&format!("{name}: error: ")), "{}", ended.stdout);
+    }
+    assert!(ended.stdout.contains("2 of 6 cases are fit") && ended.stdout.contains("line 5 "), "{}", ended.stdout);
+    let log = std::fs::read_to_string(case.out().join(".batch/coarse.log")).expect("the log of a row");
+    assert!(log.contains("distfield"), "{log}");
+    let index = std::fs::read_to_string(case.out().join("index.html")).expect("the index");
+    for name in all.map(|(name, _)| name) {
+        assert!(index.contains(&format!("\"name\": \"{name}\"")), "{name} is not in the index: {index}");
+    }
+    // SIZE beside the list holds for the row that says nothing else.
+    assert!(case.text("status.json").contains("\"SIZE\": \"2.5\""), "{}", case.text("status.json"));
+
+    let before = case.times();
+    let mended = LIST
+        .replace("nowhere", "ball")
+        .replace(";-1", ";3")
+        .replace("100000", "90")
+        .replace("\"no volume\";text.nrrd;100;4\n", "");
+    run(&mut batch(&case, &mended, &["SIZE=2.5"])).expect_success("the list, mended");
+    let all = [
+        ("coarse", "passed"),
+        ("missing", "passed"),
+        ("wrong size", "passed"),
+        ("ball", "passed"),
+        ("empty", "passed"),
+    ];
+    assert_eq!(verdicts(&case), expected(all));
+    assert_eq!(case.times(), before, "what was made holds");
+}
+
+#[test]
+fn a_list_that_cannot_be_meant_is_refused_before_any_work() {
+    let case = Case::new();
+    let refused = |list: &str, words: &[&str]| {
+        run(&mut batch(&case, list, &[])).expect_error(2, words);
+        assert!(!case.out().exists(), "{list}");
+    };
+    refused("INPUT,LABLES\nball.nrrd,1\n", &["LABLES", "a column of", "did you mean LABELS?"]);
+    refused("INPUT,ISO\nball.nrrd,1\nball.nrrd,2\n", &["line 2 and 3", "both called ball", "NAME"]);
+    refused("INPUT,ISO,ISO\nball.nrrd,1,2\n", &["two columns", "ISO"]);
+    refused("INPUT,ISO\nball.nrrd,1,2\n", &["line: 2", "header"]);
+    refused("INPUT,OUT\nball.nrrd,x\n", &["OUT is a column"]);
+    refused("INPUT,ISO\n", &["no rows"]);
+    let nothing = |variables: &[&str], words: &[&str]| {
+        let mut command = make();
+        command.args(["batch", &format!("OUT={}", case.out().display())]).args(variables);
+        run(&mut command).expect_error(2, words);
+    };
+    nothing(&[], &["LIST is not set", "INPUT"]);
+    nothing(&["LIST=nowhere.csv"], &["nowhere.csv", "LIST"]);
+    nothing(&["LIST=nowhere.csv", "TIME_LIMIT=soon"], &["TIME_LIMIT=soon", "2h"]);
+}
+
+/// A case that takes too long is stopped, and the others are made.
+#[cfg(unix)]
+#[test]
+fn a_case_that_takes_too_long_is_stopped() {
+    let case = Case::new();
+    let programs = case.linked_programs();
+    let real = |name: &str| super::support::binaries().join(name).display().to_string();
+    let slow = |seconds: u32| {
+        let script =
+            format!("case \"$*\" in *slow*) exec sleep {seconds};; *) exec '{}' \"$@\";; esac\n", real("sizefield"));
+        executable(&programs.join("sizefield"), &script);
+    };
+    slow(600);
+    let list = "NAME,INPUT,ISO,SIZE\nslow,ball.nrrd,100,4\nquick,ball.nrrd,100,4\n";
+    let go = |limit: &str| -> Ended {
+        let bin = format!("BIN={}", Path::new(&programs).display());
+        run(&mut batch(&case, list, &[&bin, limit]))
+    };
+    let ended = go("TIME_LIMIT=20s");
+    assert_eq!(ended.code, Some(2), "{}{}", ended.stdout, ended.stderr);
+    assert_eq!(verdicts(&case), expected([("slow", "out of time"), ("quick", "passed")]), "{}", ended.stdout);
+    executable(&programs.join("sizefield"), &format!("exec '{}' \"$@\"\n", real("sizefield")));
+    go("TIME_LIMIT=").expect_success("the rest");
+    assert_eq!(verdicts(&case), expected([("slow", "passed"), ("quick", "passed")]));
+}
