@@ -67,6 +67,7 @@ impl Neighbourhood {
                 }
                 block.inverse_size[lane] = record.inverse_size;
             };
+            // a loop of known length is unrolled, and the loads go out side by side
             if let Ok(members) = <&[u32; LANES]>::try_from(members) {
                 for (lane, &j) in members.iter().enumerate() {
                     set(lane, j);
