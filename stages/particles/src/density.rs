@@ -48,8 +48,8 @@ pub(crate) fn control(
         // each newcomer next to its parent: so the order stays one of place
         let mut order = Vec::with_capacity(deleted.len() + inserted);
         let mut newcomers = newcomers.iter().zip(deleted.len() as u32..).peekable();
-        for i in 0..deleted.len() {
-            if !deleted[i] {
+        for (i, &is_deleted) in deleted.iter().enumerate() {
+            if !is_deleted {
                 order.push(i as u32);
             }
             while let Some((_, number)) = newcomers.next_if(|(newcomer, _)| newcomer.parent == i) {
