@@ -89,7 +89,7 @@ case = $(call quote,$(BIN)/isoparticles-case) $(1) $(foreach key,$(KEYS) OUT VER
 # --- Goals ------------------------------------------------------------------------------------------------------------
 
 .PHONY: help $(CASE_GOALS) demo cases batch index build env doctor test format lint documentation test-rust test-python fuzz deny bench-stages \
-        bench-gpu bench-delaunay bench-convergence bench-marching-cubes
+        bench-particles bench-gpu bench-delaunay bench-convergence bench-marching-cubes
 
 define HELP
 Volumes in, simulation-ready meshes out.
@@ -112,6 +112,7 @@ Volumes in, simulation-ready meshes out.
   make fuzz                                    every reader of files, FUZZ_SECONDS=60 each (nightly Rust, cargo-fuzz)
   make deny                                    licences and advisories of what is linked (cargo-deny)
   make bench-stages                            time and memory of every stage on the torso phantom
+  make bench-particles                         the particles stage on the CPU, by contrast of h and threads (BENCH_OPTIONS=...)
   make bench-gpu                               the particles stage on the GPU against one CPU thread (BENCH_OPTIONS=...)
   make bench-delaunay                          the Delaunay triangulation against CGAL's (BENCH_OPTIONS=...; needs libcgal-dev)
   make bench-convergence                       error of a known solution on the ball, from coarse to fine tetrahedra
@@ -233,6 +234,10 @@ bench-stages: build env
 BENCH_OPTIONS ?=
 bench-gpu: build
 	@stages/particles/benches/bench_gpu.sh --bin $(BIN) --work $(OUT)/bench-gpu $(BENCH_OPTIONS)
+
+# The particles stage on the CPU; BENCH_OPTIONS="--beside OLDER/particles" runs another build in turn with it.
+bench-particles: build
+	@stages/particles/benches/bench_cpu.sh --bin $(BIN) --work $(OUT)/bench-gpu $(BENCH_OPTIONS)
 
 # The Delaunay triangulation against CGAL's, on the same particles; needs g++, libcgal-dev and libtbb-dev.
 bench-delaunay: build

@@ -1,6 +1,6 @@
 // The energy of every particle (Eq. 1), whether it is a lattice defect, and a clean slate for density control.
 //
-// Twin: `update_energies`, `lattice_defects` in stages/particles/src/state.rs
+// Twin: `measure` in stages/particles/src/state.rs
 
 @group(0) @binding(8) var<storage, read> place: array<vec4<f32>>;
 @group(0) @binding(12) var<storage, read_write> energies: array<f32>;

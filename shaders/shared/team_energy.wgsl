@@ -1,7 +1,7 @@
 // Energy of a particle with its derivatives, by a team whose lanes share out the neighbours.
 //
-// Twin: `energy_jet` in stages/particles/src/movement.rs
-// Twin: `energy_at` in stages/particles/src/state.rs
+// Twin: `jet` in stages/particles/src/neighbourhood.rs
+// Twin: `energy` in stages/particles/src/neighbourhood.rs
 // Twin: `pair_jet`, `pair_size_derivative` in common/field/src/energy.rs
 
 struct Jet {

@@ -5,8 +5,9 @@
 //! Eq. 2 prints 2 cos(pi/2), which is zero; the factor is 2 cos(pi/6) = sqrt(3), which puts the second ring of the
 //! hexagonal lattice of spacing h exactly at the cut-off d = 1.
 
+use fearless_simd::{Simd, f64x8, prelude::*};
 use glam::{DMat3, DVec3};
-use std::f64::consts::{FRAC_PI_2, PI};
+use std::f64::consts::{FRAC_2_PI, FRAC_PI_2, PI};
 
 /// 2 cos(pi/6): interactions reach this many target edge lengths (Eq. 2).
 pub const SUPPORT: f64 = 1.732_050_807_568_877_2;
@@ -75,10 +76,81 @@ pub fn pair_size_derivative(distance: f64, size_i: f64, size_j: f64) -> f64 {
     if size_i > size_j || d >= 1.0 { 0.0 } else { -pair_energy_derivatives(d).1 * d / size_i }
 }
 
+/// Eight pairs at once, as the passes sum them: the same Eq. 1 and 4 with a polynomial in place of the tangent.
+///
+/// With s = d^2, x cot x is an even function of x that vanishes with 1 - s, so `cot x = (1 - s) Q(s) / x`. Q has its nearest pole at s = 4, so a
+/// polynomial over 0 to 1 gains more than a digit a degree: of degree 10 it is within 4e-13 of Q (`x cot x / (1 - s)` fitted at Chebyshev's points in 40
+/// digits). Energies are within 4e-13 of 1 + E, the first derivative within 8e-13 and the second, a cubic in the cotangent, within 1.2e-12 of themselves (tests).
+/// No operation is fused, so the lanes give the same bits by any instruction set.
+#[derive(Clone, Copy, Debug)]
+pub struct Pairs<S: Simd> {
+    /// Scaled distance d (Eq. 2), between [`LEAST_SCALED_DISTANCE`] and 1. At 1 the energy and both derivatives are exactly zero, as they are beyond.
+    pub scaled: f64x8<S>,
+    /// 1 / d.
+    pub reciprocal: f64x8<S>,
+    cotangent: f64x8<S>,
+}
+
+/// Q(s) of [`Pairs`], from the lowest power to the highest.
+const COTANGENT: [f64; 11] = [
+    1.000_000_000_000_348_4,
+    0.177_532_966_491_658_26,
+    0.042_242_565_713_562_37,
+    0.010_450_539_899_922_473,
+    0.002_606_645_289_519_327_7,
+    0.000_649_307_573_296_813_2,
+    0.000_168_016_919_214_456_34,
+    3.132_806_900_649_637e-5,
+    2.064_152_164_622_130_3e-5,
+    -4.384_031_548_544_181e-6,
+    2.922_689_078_988_322e-6,
+];
+
+impl<S: Simd> Pairs<S> {
+    /// The pairs whose squared scaled distances these are.
+    #[inline(always)]
+    pub fn new(squared: f64x8<S>) -> Self {
+        let s = squared.max(LEAST_SCALED_DISTANCE * LEAST_SCALED_DISTANCE).min(1.0);
+        let t = s * s;
+        // even and odd powers side by side: half the wait
+        let [mut even, mut odd] = [COTANGENT[10], COTANGENT[9]].map(|c| f64x8::splat(s.token(), c));
+        for power in [8, 6, 4, 2] {
+            even = even * t + COTANGENT[power];
+            odd = odd * t + COTANGENT[power - 1];
+        }
+        let q = even * t + COTANGENT[0] + odd * s;
+        let scaled = s.sqrt();
+        let reciprocal = f64x8::splat(s.token(), 1.0) / scaled;
+        let cotangent = (f64x8::splat(s.token(), FRAC_2_PI) - s * FRAC_2_PI) * q * reciprocal;
+        Self { scaled, reciprocal, cotangent }
+    }
+
+    /// E (Eq. 1).
+    #[inline(always)]
+    pub fn energy(&self) -> f64x8<S> {
+        self.cotangent + (self.scaled - 1.0) * FRAC_PI_2
+    }
+
+    /// First and second derivative in d (Eq. 4).
+    #[inline(always)]
+    pub fn derivatives(&self) -> (f64x8<S>, f64x8<S>) {
+        let square = self.cotangent * self.cotangent;
+        (square * -FRAC_PI_2, self.cotangent * (square + 1.0) * (0.5 * PI * PI))
+    }
+}
+
+/// Sum of eight lanes, in one order by any instruction set.
+#[inline(always)]
+pub fn sum<S: Simd>(lanes: f64x8<S>) -> f64 {
+    let [a, b, c, d, e, f, g, h] = *lanes;
+    ((a + e) + (c + g)) + ((b + f) + (d + h))
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::random::uniform;
+    use fearless_simd::{Level, dispatch};
 
     /// Energy of an infinite hexagonal lattice of the given spacing (in units of h), every ring summed.
     fn lattice_energy(spacing: f64) -> f64 {
@@ -144,5 +216,48 @@ mod tests {
                 assert!((pair_size_derivative(offset.length(), hi, hj) - want).abs() < 1e-5 * (1.0 + want.abs()));
             }
         }
+    }
+
+    /// Energies and derivatives by lanes at squared scaled distances.
+    fn by_lanes(level: Level, squared: [f64; 8]) -> [[f64; 8]; 3] {
+        #[inline(always)]
+        fn jets<S: Simd>(simd: S, squared: [f64; 8]) -> [[f64; 8]; 3] {
+            let pairs = Pairs::new(f64x8::simd_from(simd, squared));
+            let (first, second) = pairs.derivatives();
+            [*pairs.energy(), *first, *second]
+        }
+        dispatch!(level, simd => jets(simd, squared))
+    }
+
+    #[test]
+    fn lanes_equal_the_exact_functions_by_the_best_and_the_least_instructions() {
+        let levels = [Level::new(), Level::baseline()];
+        let mut worst = [0.0f64; 3];
+        for n in 0..20_000 {
+            let d: [f64; 8] = std::array::from_fn(|lane| {
+                let part = (f64::from(n) + lane as f64 / 8.0) / 20_000.0;
+                // evenly, and close to both ends
+                [part, 1e-6f64.powf(part), 1.0 - 1e-6f64.powf(part)][n as usize % 3].max(LEAST_SCALED_DISTANCE)
+            });
+            let found = by_lanes(levels[0], d.map(|d| d * d));
+            assert_eq!(found, by_lanes(levels[1], d.map(|d| d * d)));
+            for (lane, &d) in d.iter().enumerate() {
+                let (energy, first, second) = pair_energy_derivatives(d);
+                worst[0] = worst[0].max((found[0][lane] - energy).abs() / (1.0 + energy));
+                for (a, want) in [(1, first), (2, second)] {
+                    // d is the root of a rounded square: 1 - d has an error of 1e-16, the cotangent one of 1e-16 / (1 - d)
+                    let rounding = 1e-15 / (1.0 - d).max(1e-15);
+                    worst[a] = worst[a]
+                        .max((found[a][lane] / want.abs().max(f64::MIN_POSITIVE) - want.signum()).abs() - rounding);
+                }
+            }
+        }
+        println!("{worst:?}");
+        assert!(worst[0] < 4e-13 && worst[1] < 8e-13 && worst[2] < 1.2e-12, "{worst:?}");
+        for squared in [1.0, 1.5, 1e200, f64::INFINITY] {
+            assert_eq!(by_lanes(levels[0], [squared; 8]), [[0.0; 8]; 3]);
+        }
+        let least = by_lanes(levels[0], [0.0; 8]);
+        assert!(least[0][0].is_finite() && least[1][0].is_finite() && least[2][0].is_finite());
     }
 }

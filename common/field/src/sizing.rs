@@ -30,12 +30,14 @@ impl SizingField {
     }
 
     /// Edge length (mm) at a grid position, trilinear, clamped at the border of the volume.
+    #[inline(always)]
     pub fn at(&self, grid: DVec3) -> f64 {
-        self.value_gradient(grid).0
+        trilinear(&self.image, grid)
     }
 
     /// Edge length (mm) and its gradient (dimensionless) at a grid position. The gradient is that of the trilinear cell,
     /// so it jumps from cell to cell.
+    #[inline(always)]
     pub fn value_gradient(&self, grid: DVec3) -> (f64, DVec3) {
         let cell = Cell::around(&self.image, grid);
         let value = |x: usize, y: usize, z: usize| cell.value([x, y, z]);
@@ -70,6 +72,7 @@ impl SizingField {
 }
 
 /// Value of an image at a grid position, trilinear, clamped at the border of the volume.
+#[inline(always)]
 pub fn trilinear(image: &Image<f32>, grid: DVec3) -> f64 {
     let cell = Cell::around(image, grid);
     let [tx, ty, tz] = cell.fraction;
@@ -86,20 +89,21 @@ fn edge_over_size(slope: f64) -> f64 {
     angle / slope.min(1.0) * (1.0 - angle / PI)
 }
 
+#[inline(always)]
 fn mix(a: f64, b: f64, t: f64) -> f64 {
     a + (b - a) * t
 }
 
 /// The eight voxels round a position.
-struct Cell<'a> {
-    data: &'a [f32],
-    start: usize,
-    step: [usize; 3],
+struct Cell {
+    /// Their values: at x and x + 1 in each of the four rows along x, y fastest.
+    rows: [[f64; 2]; 4],
     fraction: [f64; 3],
 }
 
-impl<'a> Cell<'a> {
-    fn around(image: &'a Image<f32>, grid: DVec3) -> Self {
+impl Cell {
+    #[inline(always)]
+    fn around(image: &Image<f32>, grid: DVec3) -> Self {
         let g = &image.geometry;
         let index = g.grid_to_index(grid);
         let mut base = [0usize; 3];
@@ -109,17 +113,24 @@ impl<'a> Cell<'a> {
         for axis in 0..3 {
             let last = (g.size[axis] - 1) as f64;
             let x = index[axis].clamp(0.0, last);
-            base[axis] = (x.floor() as usize).min(g.size[axis].saturating_sub(2));
+            // positive: the cast rounds down
+            base[axis] = (x as usize).min(g.size[axis].saturating_sub(2));
             fraction[axis] = x - base[axis] as f64;
             // an axis of one voxel has no neighbour to blend with
             step[axis] = if g.size[axis] > 1 { stride[axis] } else { 0 };
         }
-        Self { data: &image.data, start: g.linear(base[0], base[1], base[2]), step, fraction }
+        let start = g.linear(base[0], base[1], base[2]);
+        let row = |at: usize| {
+            let row = &image.data[at..=at + step[0]];
+            [f64::from(row[0]), f64::from(row[step[0]])]
+        };
+        let rows = [row(start), row(start + step[1]), row(start + step[2]), row(start + step[1] + step[2])];
+        Self { rows, fraction }
     }
 
-    fn value(&self, corner: [usize; 3]) -> f64 {
-        let at: usize = (0..3).map(|axis| corner[axis] * self.step[axis]).sum();
-        f64::from(self.data[self.start + at])
+    #[inline(always)]
+    fn value(&self, [x, y, z]: [usize; 3]) -> f64 {
+        self.rows[2 * z + y][x]
     }
 }
 

@@ -3,8 +3,8 @@
 //!
 //! # What the lists miss
 //!
-//! A particle interacts with those in its list, and the classes that may move together are made from the lists: no two members of a class
-//! are in each other's list, so none reads what another writes, *whatever the steps are*. What the length of the steps decides is how
+//! A particle interacts with those in its list, and the classes that may move together (of particles on the GPU, of blocks of particles on the CPU) are made from
+//! the lists: no two members of a class are in each other's list, so none reads what another writes, *whatever the steps are*. What the length of the steps decides is how
 //! near two particles can come while neither is in the other's list. Lists reach `SUPPORT (1 + SKIN)` times the smaller h; they are
 //! made anew before a pass once a particle has moved by more than [`REBUILD_MOVE`] h; in a pass none moves by more than [`FARTHEST_MOVE`] h.
 //! So at the end of any pass two that do not see each other are no nearer than

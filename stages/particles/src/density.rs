@@ -40,14 +40,23 @@ pub(crate) fn control(
 ) -> Changes {
     let mut energies = state.set.energies.clone();
     let deleted = delete(state, &mut energies, limits, seed, pass);
-    let inserted = if allow_insert { insert(state, fields, &energies, &deleted, limits, seed, pass) } else { 0 };
+    let newcomers =
+        if allow_insert { insert(state, fields, &energies, &deleted, limits, seed, pass) } else { Vec::new() };
     let gone = deleted.iter().filter(|&&d| d).count();
-    if gone > 0 {
-        let kept: Vec<u32> =
-            (0..state.len() as u32).filter(|&i| deleted.get(i as usize).is_none_or(|gone| !gone)).collect();
-        state.take(&kept);
-    }
+    let inserted = newcomers.len();
     if gone + inserted > 0 {
+        // each newcomer next to its parent: so the order stays one of place
+        let mut order = Vec::with_capacity(deleted.len() + inserted);
+        let mut newcomers = newcomers.iter().zip(deleted.len() as u32..).peekable();
+        for (i, &is_deleted) in deleted.iter().enumerate() {
+            if !is_deleted {
+                order.push(i as u32);
+            }
+            while let Some((_, number)) = newcomers.next_if(|(newcomer, _)| newcomer.parent == i) {
+                order.push(number);
+            }
+        }
+        state.take(&order);
         state.rebuild();
     }
     Changes { inserted, deleted: gone }
@@ -86,7 +95,7 @@ pub(crate) struct Newcomer {
     pub size: f64,
 }
 
-/// Adds particles (at the end of the set) where the energy is low and a gap has room; says how many.
+/// Adds particles (at the end of the set) where the energy is low and a gap has room; says which, in the order of their parents.
 ///
 /// Of newcomers whose parents are neighbours one comes in a pass, and of newcomers nearer than [`NEWCOMER_DISTANCE`] h to each other on the
 /// same sheet; here the one whose parent has the smallest index, on the GPU the one whose parent draws the highest number.
@@ -98,7 +107,7 @@ fn insert(
     limits: &Limits,
     seed: u64,
     pass: u64,
-) -> usize {
+) -> Vec<Newcomer> {
     let before = state.len();
     let settled: &State = state;
     let newcomers: Vec<Newcomer> = (0..before)
@@ -133,7 +142,8 @@ fn insert(
         set.energies.push(0.0);
         set.lambdas.push(INITIAL_LAMBDA);
     }
-    state.len() - before
+    let mut chosen = chosen.into_iter();
+    newcomers.into_iter().filter(|_| chosen.next() == Some(true)).collect()
 }
 
 /// The newcomer in the widest gap of particle i, if it is on the surface there and keeps [`NEWCOMER_DISTANCE`] h from everybody.
@@ -190,18 +200,22 @@ mod tests {
     use super::*;
     use crate::scenes::Scene;
     use crate::settle::Parameters;
+    use std::collections::HashSet;
 
-    /// A pass of density control over scattered particles: the sets before and after.
-    fn controlled(scene: &Scene, pass: u64) -> (usize, State) {
+    /// A pass of density control over scattered particles: the newcomers and all particles after.
+    fn controlled(scene: &Scene, pass: u64) -> (Vec<usize>, State) {
         let parameters = Parameters::default();
         let mut state = State::new(scene.seeds.clone(), parameters.normal_agreement);
-        state.update_energies();
+        state.measure();
         // what is deleted makes room for others, and the test could not tell who was there
         let limits =
             Limits { ideal_energy: parameters.ideal_energy, add_below: parameters.add_below, delete_above: 1e9 };
-        let before = state.len();
-        control(&mut state, &scene.fields(), &limits, 0, pass, true);
-        (before, state)
+        let before: HashSet<_> = state.set.positions.iter().map(|p| p.to_array().map(f64::to_bits)).collect();
+        let changes = control(&mut state, &scene.fields(), &limits, 0, pass, true);
+        let is_new = |i: &usize| !before.contains(&state.set.positions[*i].to_array().map(f64::to_bits));
+        let newcomers: Vec<usize> = (0..state.len()).filter(is_new).collect();
+        assert_eq!(newcomers.len(), changes.inserted);
+        (newcomers, state)
     }
 
     #[test]
@@ -211,13 +225,15 @@ mod tests {
         let mut came = 0;
         for scene in tori.chain(balls).chain([Scene::meeting_newcomers()]) {
             for pass in 1..4 {
-                let (before, state) = controlled(&scene, pass);
+                let (newcomers, state) = controlled(&scene, pass);
                 let set = &state.set;
-                for i in before..state.len() {
+                for i in newcomers {
                     came += 1;
-                    for j in (0..i).filter(|&j| set.normals[i].dot(set.normals[j]) > state.normal_agreement) {
+                    for j in (0..state.len())
+                        .filter(|&j| j != i && set.normals[i].dot(set.normals[j]) > state.normal_agreement)
+                    {
                         let apart = set.positions[i].distance(set.positions[j]) / set.sizes[i].min(set.sizes[j]);
-                        assert!(apart >= NEWCOMER_DISTANCE, "{i} of {before}: {apart} h from {j}");
+                        assert!(apart >= NEWCOMER_DISTANCE, "{i}: {apart} h from {j}");
                     }
                 }
             }

@@ -9,6 +9,9 @@ mod density;
 pub mod gpu;
 mod log;
 mod movement;
+mod neighbourhood;
+#[cfg(test)]
+mod reference;
 pub mod run;
 #[cfg(test)]
 mod scenes;

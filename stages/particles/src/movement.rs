@@ -1,18 +1,21 @@
 //! One pass of movement: sections 3.2.1 and 3.2.2 and Algorithm 1 of the paper.
 //!
 //! A particle takes the damped Newton step of its energy in the tangent plane of F, is projected back onto F = 0
-//! (Eq. 5) and stays there if its energy has fallen; otherwise lambda grows tenfold and it tries again. Particles of one
-//! independent class move at the same time: none of them sees another, so the pass is the Gauss-Seidel sweep of the
-//! paper in an order of our own, with the same result for any number of threads.
+//! (Eq. 5) and stays there if its energy has fallen; otherwise lambda grows tenfold and it tries again. The particles of a
+//! block move one after the other, the blocks of an independent class at the same time: none of them sees another, so the pass is the
+//! Gauss-Seidel sweep of the paper in an order of our own, with the same result for any number of threads.
 
 use crate::constants::{
     EIGENVALUE_FLOOR, FARTHEST_MOVE, LAMBDA_FALL, LAMBDA_GROWTH, LARGEST_LAMBDA, LEAST_LAMBDA, LONGEST_STEP,
     PASS_TOLERANCE, PROJECTION_REACH,
 };
+use crate::neighbourhood::{Neighbourhood, Record};
 use crate::state::{Fields, State};
-use glam::{DMat3, DVec3};
-use isoparticles_field::energy::{pair_jet, pair_size_derivative};
+use fearless_simd::{Level, Simd, dispatch};
+use glam::DVec3;
+use isoparticles_field::neighbours::BLOCK;
 use rayon::prelude::*;
+use std::ops::Range;
 
 /// What a pass of movement did.
 #[derive(Clone, Copy, Debug, Default)]
@@ -24,6 +27,7 @@ pub(crate) struct Moves {
 }
 
 /// The next place of a particle.
+#[derive(Clone, Copy)]
 pub(crate) struct Step {
     pub position: DVec3,
     normal: DVec3,
@@ -36,20 +40,26 @@ pub(crate) struct Step {
 /// Moves every particle once.
 pub(crate) fn pass(state: &mut State, fields: &Fields) -> Moves {
     let mut moves = Moves::default();
-    let mut steps: Vec<Step> = Vec::new();
     let classes = std::mem::take(&mut state.classes);
     for class in &classes {
         let settled: &State = state;
-        class.par_iter().with_min_len(64).map(|&i| step(settled, fields, i as usize)).collect_into_vec(&mut steps);
-        for (&i, step) in class.iter().zip(&steps) {
-            let (i, set) = (i as usize, &mut state.set);
-            set.lambdas[i] = step.lambda;
-            moves.tries += step.tries as usize;
-            if step.moved {
-                moves.moved += 1;
+        let steps: Vec<Vec<Step>> = class
+            .par_iter()
+            .map_init(Neighbourhood::default, |near, &block| {
+                let first = block as usize * BLOCK;
+                block_steps(settled, fields, near, first..settled.len().min(first + BLOCK))
+            })
+            .collect();
+        let set = &mut state.set;
+        for (&block, steps) in class.iter().zip(&steps) {
+            for (i, step) in (block as usize * BLOCK..).zip(steps) {
+                set.lambdas[i] = step.lambda;
+                moves.tries += step.tries as usize;
+                moves.moved += usize::from(step.moved);
                 set.positions[i] = step.position;
                 set.normals[i] = step.normal;
                 set.sizes[i] = step.size;
+                state.records[i] = Record::new(step.position, step.size);
             }
         }
     }
@@ -57,21 +67,50 @@ pub(crate) fn pass(state: &mut State, fields: &Fields) -> Moves {
     moves
 }
 
-/// Finds the next place of particle i (Algorithm 1).
-pub(crate) fn step(state: &State, fields: &Fields, i: usize) -> Step {
+/// Moves some particles one after the other, by the best instructions that the processor has.
+fn block_steps(state: &State, fields: &Fields, near: &mut Neighbourhood, members: Range<usize>) -> Vec<Step> {
+    let mut steps = Vec::with_capacity(members.len());
+    // the block's own particles as they move; the others stand still meanwhile
+    let mut own = state.records[members.clone()].to_vec();
+    let first = members.start;
+    dispatch!(Level::new(), simd => {
+        for i in members {
+            let record_of = |j: usize| own.get(j.wrapping_sub(first)).copied().unwrap_or_else(|| state.records[j]);
+            near.gather(record_of, state.neighbours.of(i), state.set.positions[i]);
+            let step = step(simd, state, fields, near, i);
+            if step.moved {
+                own[i - first] = Record::new(step.position, step.size);
+            }
+            steps.push(step);
+        }
+    });
+    steps
+}
+
+/// The next place of one particle.
+#[cfg(test)]
+pub(crate) fn step_alone(state: &State, fields: &Fields, i: usize) -> Step {
+    block_steps(state, fields, &mut Neighbourhood::default(), i..i + 1)[0]
+}
+
+/// Finds the next place of particle i among the neighbours gathered (Algorithm 1).
+#[inline(always)]
+fn step<S: Simd>(simd: S, state: &State, fields: &Fields, near: &Neighbourhood, i: usize) -> Step {
     let set = &state.set;
     let (position, normal, size) = (set.positions[i], set.normals[i], set.sizes[i]);
     let mut result = Step { position, normal, size, lambda: set.lambdas[i], tries: 0, moved: false };
-    let (energy, gradient, hessian) = energy_jet(state, fields, i);
-    if energy == 0.0 {
-        return result;
-    }
     let plane = TangentPlane::new(normal);
-    let force = plane.coordinates(gradient);
-    if force[0].hypot(force[1]) * size < 1e-12 * energy {
+    let jet = near.jet(simd, &plane, size);
+    if jet.energy == 0.0 {
         return result;
     }
-    let curvature = positive_definite(plane.restrict(&hessian));
+    // Eq. 4, and the part of the particle's own h, which changes with its place; the Hessian holds h fixed
+    let along_size = plane.coordinates(fields.sizing.value_gradient(position).1);
+    let force = [0, 1].map(|a| jet.gradient[a] + jet.by_size * along_size[a]);
+    if (force[0] * force[0] + force[1] * force[1]).sqrt() * size < 1e-12 * jet.energy {
+        return result;
+    }
+    let curvature = positive_definite(jet.hessian);
     let tolerance = PASS_TOLERANCE * fields.surface.geometry().min_spacing();
     let mut lambda = set.lambdas[i];
     while lambda < LARGEST_LAMBDA {
@@ -81,7 +120,7 @@ pub(crate) fn step(state: &State, fields: &Fields, i: usize) -> Step {
         if let Some((p, n, h)) = fields.project(position + motion, limit, tolerance)
             && n.dot(normal) > 0.0
             && p.distance_squared(position) < (FARTHEST_MOVE * size).powi(2)
-            && state.energy_at(i, p, h) < energy
+            && near.energy(simd, p - position, h) < jet.energy
         {
             let lambda = if result.tries == 1 { (LAMBDA_FALL * lambda).max(LEAST_LAMBDA) } else { lambda };
             return Step { position: p, normal: n, size: h, lambda, moved: true, ..result };
@@ -92,25 +131,6 @@ pub(crate) fn step(state: &State, fields: &Fields, i: usize) -> Step {
     result
 }
 
-/// Energy, gradient and Hessian of particle i at its place. The gradient has the part of the particle's own h, which
-/// changes with its place; the Hessian holds h fixed.
-pub(crate) fn energy_jet(state: &State, fields: &Fields, i: usize) -> (f64, DVec3, DMat3) {
-    let set = &state.set;
-    let (position, size) = (set.positions[i], set.sizes[i]);
-    let mut sum = (0.0, DVec3::ZERO, DMat3::ZERO);
-    let mut by_size = 0.0;
-    for &j in state.neighbours.of(i) {
-        let j = j as usize;
-        let offset = position - set.positions[j];
-        let (energy, gradient, hessian) = pair_jet(offset, size, set.sizes[j]);
-        if energy > 0.0 {
-            sum = (sum.0 + energy, sum.1 + gradient, sum.2 + hessian);
-            by_size += pair_size_derivative(offset.length(), size, set.sizes[j]);
-        }
-    }
-    (sum.0, sum.1 + fields.sizing.value_gradient(position).1 * by_size, sum.2)
-}
-
 /// Two orthonormal directions that span the tangent plane of F.
 pub(crate) struct TangentPlane {
     pub u: DVec3,
@@ -118,21 +138,25 @@ pub(crate) struct TangentPlane {
 }
 
 impl TangentPlane {
+    #[inline(always)]
     pub(crate) fn new(normal: DVec3) -> Self {
         let u = normal.any_orthonormal_vector();
         Self { u, v: normal.cross(u) }
     }
 
+    #[inline(always)]
     pub(crate) fn coordinates(&self, x: DVec3) -> [f64; 2] {
         [self.u.dot(x), self.v.dot(x)]
     }
 
+    #[inline(always)]
     pub(crate) fn out_of_plane(&self, x: [f64; 2]) -> DVec3 {
         self.u * x[0] + self.v * x[1]
     }
 
     /// Symmetric 2 x 2 restriction of a 3 x 3 matrix: entries uu, uv, vv.
-    pub(crate) fn restrict(&self, m: &DMat3) -> [f64; 3] {
+    #[cfg(test)]
+    pub(crate) fn restrict(&self, m: &glam::DMat3) -> [f64; 3] {
         let (mu, mv) = (*m * self.u, *m * self.v);
         [self.u.dot(mu), self.u.dot(mv), self.v.dot(mv)]
     }
@@ -140,9 +164,10 @@ impl TangentPlane {
 
 /// Replaces the eigenvalues of a symmetric 2 x 2 matrix by their magnitudes (bounded away from zero), so that the Newton
 /// step always leads downhill.
+#[inline(always)]
 fn positive_definite(m: [f64; 3]) -> [f64; 3] {
     let [a, b, c] = m;
-    let (mean, half) = (0.5 * (a + c), (0.5 * (a - c)).hypot(b));
+    let (mean, half) = (0.5 * (a + c), (0.25 * (a - c) * (a - c) + b * b).sqrt());
     let (low, high) = (mean - half, mean + half);
     let floor = EIGENVALUE_FLOOR * low.abs().max(high.abs());
     let (l, h) = (low.abs().max(floor), high.abs().max(floor));
@@ -156,6 +181,7 @@ fn positive_definite(m: [f64; 3]) -> [f64; 3] {
 }
 
 /// Solves (H + lambda diag H) x = -g (Eq. 3; the single H holds the sum over the neighbours).
+#[inline(always)]
 fn damped_newton(h: &[f64; 3], g: [f64; 2], lambda: f64) -> [f64; 2] {
     let (a, b, c) = (h[0] * (1.0 + lambda), h[1], h[2] * (1.0 + lambda));
     let determinant = a * c - b * b;

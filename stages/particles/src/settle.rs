@@ -4,7 +4,7 @@ use crate::coarse::{MakeEngine, settle_levels};
 use crate::density::{self, Limits};
 use crate::gpu::DeviceReport;
 use crate::movement;
-use crate::state::{Fields, State};
+use crate::state::{Fields, Measures, State};
 use isoparticles_field::energy;
 use isoparticles_field::particle_set::ParticleSet;
 use isoparticles_stage::error::Result;
@@ -253,7 +253,7 @@ pub(crate) fn settle_level(
     }
     let mut state = State::unlisted(engine.particles()?, parameters.normal_agreement);
     let escaped = finish(&mut state, fields);
-    let energy = state.update_energies();
+    let energy = state.measure().energy;
     let summary = Summary {
         passes: pass,
         settled: closing.is_some(),
@@ -287,8 +287,7 @@ impl Engine for CpuEngine<'_> {
             state.rebuild_if_moved();
         }
         let moves = movement::pass(state, self.fields);
-        let energy = state.update_energies();
-        let lattice_defects = state.lattice_defects();
+        let Measures { energy, lattice_defects } = state.measure();
         let movable = state.len();
         let limits = Limits {
             ideal_energy: parameters.ideal_energy,

@@ -79,6 +79,7 @@ impl CubicSpline {
     }
 
     /// F and its gradient at a grid position (clamped to the volume).
+    #[inline(always)]
     pub fn value_gradient(&self, grid: DVec3) -> (f64, DVec3) {
         Stencil::new(&self.geometry, grid).value_gradient(&self.coefficients, self.geometry.spacing)
     }
@@ -102,6 +103,7 @@ impl CubicSpline {
     }
 
     /// As [`Self::project`], with the gradient of F at the point reached.
+    #[inline(always)]
     pub fn project_with_gradient(&self, start: DVec3, limit: f64, tolerance: f64) -> Option<(DVec3, DVec3)> {
         let longest = 0.5 * self.geometry.mean_spacing();
         let mut p = start;

@@ -22,13 +22,14 @@ pub(super) struct Stencil {
 
 impl Stencil {
     /// The stencil at a grid position (clamped to the volume).
-    #[inline]
+    #[inline(always)]
     pub(super) fn new(g: &Geometry, grid: DVec3) -> Self {
         let index = g.grid_to_index(grid);
         let axis = |a: usize| {
             let n = g.size[a];
             let x = index[a].clamp(0.0, (n - 1) as f64);
-            let base = (x.floor() as usize).min(n.saturating_sub(2));
+            // positive: the cast rounds down
+            let base = (x as usize).min(n.saturating_sub(2));
             let t = x - base as f64;
             let at: [usize; 4] = std::array::from_fn(|k| mirror(base as isize + k as isize - 1, n));
             (base, weights(t), at)
@@ -56,72 +57,106 @@ impl Stencil {
     }
 
     /// Value.
-    #[inline]
+    #[inline(always)]
     pub(super) fn value(&self, coefficients: &[f32]) -> f64 {
-        let mut sum = 0.0;
-        self.each_row(|wy, wz, base| sum += wy.0 * wz.0 * dot(&self.x.0, &coefficients[base..], &self.ix));
-        sum
+        let mut value = [0.0; 4];
+        for c in 0..4 {
+            let mut plane = [0.0; 4];
+            for b in 0..4 {
+                add(&mut plane, self.y.0[b], &self.row(coefficients, b, c));
+            }
+            add(&mut value, self.z.0[c], &plane);
+        }
+        dot(&self.x.0, &value)
     }
 
-    /// Value and gradient.
-    #[inline]
+    /// Value and gradient: sums over y, then z, of four coefficients along x at a time, and over x at the end. Inlined, so that it is compiled
+    /// for the instructions that the caller has; no operation is fused, so that the bits are the same by any.
+    #[inline(always)]
     pub(super) fn value_gradient(&self, coefficients: &[f32], spacing: DVec3) -> (f64, DVec3) {
-        let (mut value, mut gradient) = (0.0, DVec3::ZERO);
-        self.each_row(|wy, wz, base| {
-            let row = &coefficients[base..];
-            let c0 = dot(&self.x.0, row, &self.ix);
-            let c1 = dot(&self.x.1, row, &self.ix);
-            value += wy.0 * wz.0 * c0;
-            gradient += DVec3::new(wy.0 * wz.0 * c1, wy.1 * wz.0 * c0, wy.0 * wz.1 * c0);
-        });
-        (value, gradient / spacing)
+        let (mut value, mut by_y, mut by_z) = ([0.0; 4], [0.0; 4], [0.0; 4]);
+        for c in 0..4 {
+            let (mut plane, mut slope) = ([0.0; 4], [0.0; 4]);
+            for b in 0..4 {
+                let row = self.row(coefficients, b, c);
+                add(&mut plane, self.y.0[b], &row);
+                add(&mut slope, self.y.1[b], &row);
+            }
+            add(&mut value, self.z.0[c], &plane);
+            add(&mut by_y, self.z.0[c], &slope);
+            add(&mut by_z, self.z.1[c], &plane);
+        }
+        let gradient = DVec3::new(dot(&self.x.1, &value), dot(&self.x.0, &by_y), dot(&self.x.0, &by_z));
+        (dot(&self.x.0, &value), gradient / spacing)
     }
 
     /// Value, gradient and Hessian.
     #[inline]
     pub(super) fn jet(&self, coefficients: &[f32], s: DVec3) -> Jet {
-        let (mut value, mut gradient) = (0.0, DVec3::ZERO);
-        let (mut diagonal, mut mixed) = (DVec3::ZERO, DVec3::ZERO);
-        self.each_row(|wy, wz, base| {
-            let row = &coefficients[base..];
-            let c0 = dot(&self.x.0, row, &self.ix);
-            let c1 = dot(&self.x.1, row, &self.ix);
-            let c2 = dot(&self.x.2, row, &self.ix);
-            value += wy.0 * wz.0 * c0;
-            gradient += DVec3::new(wy.0 * wz.0 * c1, wy.1 * wz.0 * c0, wy.0 * wz.1 * c0);
-            diagonal += DVec3::new(wy.0 * wz.0 * c2, wy.2 * wz.0 * c0, wy.0 * wz.2 * c0);
-            // mixed: yz, xz, xy
-            mixed += DVec3::new(wy.1 * wz.1 * c0, wy.0 * wz.1 * c1, wy.1 * wz.0 * c1);
-        });
-        let (yz, xz, xy) = (mixed.x / (s.y * s.z), mixed.y / (s.x * s.z), mixed.z / (s.x * s.y));
-        let d = diagonal / (s * s);
+        let (x, y, z) = (&self.x, &self.y, &self.z);
+        // derivatives by y and z that are still to be summed over x: none, y, z, yy, zz, yz
+        let mut sums = [[0.0; 4]; 6];
+        for c in 0..4 {
+            let (mut plane, mut slope, mut bend) = ([0.0; 4], [0.0; 4], [0.0; 4]);
+            for b in 0..4 {
+                let row = self.row(coefficients, b, c);
+                add(&mut plane, y.0[b], &row);
+                add(&mut slope, y.1[b], &row);
+                add(&mut bend, y.2[b], &row);
+            }
+            let parts = [
+                (z.0[c], &plane),
+                (z.0[c], &slope),
+                (z.1[c], &plane),
+                (z.0[c], &bend),
+                (z.2[c], &plane),
+                (z.1[c], &slope),
+            ];
+            for (sum, (weight, part)) in sums.iter_mut().zip(parts) {
+                add(sum, weight, part);
+            }
+        }
+        let [value, by_y, by_z, by_yy, by_zz, by_yz] = &sums;
+        let gradient = DVec3::new(dot(&x.1, value), dot(&x.0, by_y), dot(&x.0, by_z));
+        let d = DVec3::new(dot(&x.2, value), dot(&x.0, by_yy), dot(&x.0, by_zz)) / (s * s);
+        let yz = dot(&x.0, by_yz) / (s.y * s.z);
+        let xz = dot(&x.1, by_z) / (s.x * s.z);
+        let xy = dot(&x.1, by_y) / (s.x * s.y);
         Jet {
-            value,
+            value: dot(&x.0, value),
             gradient: gradient / s,
             hessian: DMat3::from_cols(DVec3::new(d.x, xy, xz), DVec3::new(xy, d.y, yz), DVec3::new(xz, yz, d.z)),
         }
     }
 
+    /// The four coefficients along x at y index `b` and z index `c` of the stencil.
     #[inline(always)]
-    fn each_row(&self, mut row: impl FnMut((f64, f64, f64), (f64, f64, f64), usize)) {
-        for c in 0..4 {
-            let wz = (self.z.0[c], self.z.1[c], self.z.2[c]);
-            for b in 0..4 {
-                let wy = (self.y.0[b], self.y.1[b], self.y.2[b]);
-                row(wy, wz, (self.iz[c] * self.ny + self.iy[b]) * self.nx);
-            }
+    fn row(&self, coefficients: &[f32], b: usize, c: usize) -> [f64; 4] {
+        let row = &coefficients[(self.iz[c] * self.ny + self.iy[b]) * self.nx..];
+        let [i, .., last] = self.ix;
+        if last == i + 3
+            && let Some(&four) = row.get(i..).and_then(|row| row.first_chunk::<4>())
+        {
+            return four.map(f64::from);
         }
+        self.ix.map(|i| f64::from(row[i]))
+    }
+}
+
+/// Adds a multiple of four numbers.
+#[inline(always)]
+fn add(sum: &mut [f64; 4], weight: f64, row: &[f64; 4]) {
+    for (sum, x) in sum.iter_mut().zip(row) {
+        *sum += weight * x;
     }
 }
 
 #[inline(always)]
-fn dot(w: &[f64; 4], row: &[f32], at: &[usize; 4]) -> f64 {
-    w[0] * f64::from(row[at[0]])
-        + w[1] * f64::from(row[at[1]])
-        + w[2] * f64::from(row[at[2]])
-        + w[3] * f64::from(row[at[3]])
+fn dot(w: &[f64; 4], row: &[f64; 4]) -> f64 {
+    (w[0] * row[0] + w[1] * row[1]) + (w[2] * row[2] + w[3] * row[3])
 }
 
+#[inline(always)]
 fn weights(t: f64) -> Weights {
     let u = 1.0 - t;
     (
@@ -136,7 +171,15 @@ fn weights(t: f64) -> Weights {
     )
 }
 
+#[inline(always)]
 pub(crate) fn mirror(i: isize, n: usize) -> usize {
+    if (i as usize) < n {
+        return i as usize;
+    }
+    reflected(i, n)
+}
+
+fn reflected(i: isize, n: usize) -> usize {
     if n == 1 {
         return 0;
     }

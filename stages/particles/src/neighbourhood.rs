@@ -1,0 +1,226 @@
+//! The neighbours of one particle, laid out for eight pairs at a time, and the sums of Eq. 1 to 4 over them.
+//!
+//! Pair by pair and with the tangent as printed, the same sums are in `reference.rs`, for the tests.
+
+use crate::constants::FIRST_RING;
+use crate::movement::TangentPlane;
+use fearless_simd::{Simd, f64x8, prelude::*};
+use glam::DVec3;
+use isoparticles_field::energy::{Pairs, SUPPORT, sum};
+
+/// Pairs that one lane operation works on, by any instruction set: so sums have one order.
+const LANES: usize = 8;
+
+/// What others read of a particle, in half a cache line: position, and the reciprocal of h.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Record {
+    position: DVec3,
+    inverse_size: f64,
+}
+
+impl Record {
+    pub(crate) fn new(position: DVec3, size: f64) -> Self {
+        Self { position, inverse_size: 1.0 / size }
+    }
+}
+
+/// Eight neighbours: how far they are from the particle along x, y and z, and the reciprocals of their h.
+#[derive(Clone, Copy)]
+struct Block {
+    offset: [[f64; LANES]; 3],
+    inverse_size: [f64; LANES],
+}
+
+/// What fills up a block: farther than any support.
+const NOBODY: Block = Block { offset: [[1e100; LANES]; 3], inverse_size: [1.0; LANES] };
+
+/// The neighbours of one particle.
+#[derive(Default)]
+pub(crate) struct Neighbourhood {
+    blocks: Vec<Block>,
+}
+
+/// Energy of a particle in its tangent plane.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct PlaneJet {
+    pub energy: f64,
+    /// Derivatives along u and v, h held fixed.
+    pub gradient: [f64; 2],
+    /// Second derivatives uu, uv and vv, h held fixed.
+    pub hessian: [f64; 3],
+    /// Derivative by the particle's own h.
+    pub by_size: f64,
+}
+
+impl Neighbourhood {
+    /// Looks at the neighbours in `list` from a place, given what is known of each.
+    #[inline(always)]
+    pub(crate) fn gather(&mut self, record_of: impl Fn(usize) -> Record, list: &[u32], place: DVec3) {
+        self.blocks.clear();
+        for members in list.chunks(LANES) {
+            let mut block = NOBODY;
+            let mut set = |lane: usize, j: u32| {
+                let record = record_of(j as usize);
+                let offset = record.position - place;
+                for axis in 0..3 {
+                    block.offset[axis][lane] = offset[axis];
+                }
+                block.inverse_size[lane] = record.inverse_size;
+            };
+            // a loop of known length is unrolled, and the loads go out side by side
+            if let Ok(members) = <&[u32; LANES]>::try_from(members) {
+                for (lane, &j) in members.iter().enumerate() {
+                    set(lane, j);
+                }
+            } else {
+                for (lane, &j) in members.iter().enumerate() {
+                    set(lane, j);
+                }
+            }
+            self.blocks.push(block);
+        }
+    }
+
+    /// Squared scaled distances (Eq. 2) of a block from a particle of this reciprocal h, with the offsets and the reciprocals of the reaches.
+    #[inline(always)]
+    fn distances<S: Simd>(simd: S, block: &Block, moved: DVec3, inverse_size: f64) -> Distances<S> {
+        let along = |axis: usize| f64x8::simd_from(simd, block.offset[axis]) - moved[axis];
+        let offset = [along(0), along(1), along(2)];
+        let theirs = f64x8::simd_from(simd, block.inverse_size);
+        let inverse_reach = theirs.max(inverse_size) * (1.0 / SUPPORT);
+        let [x, y, z] = offset;
+        let squared = (x * x + y * y + z * z) * (inverse_reach * inverse_reach);
+        Distances { offset, theirs, inverse_reach, squared }
+    }
+
+    /// Energy (Eq. 1) of the particle, `moved` by so much and then of size h.
+    #[inline(always)]
+    pub(crate) fn energy<S: Simd>(&self, simd: S, moved: DVec3, size: f64) -> f64 {
+        let mut energy = f64x8::splat(simd, 0.0);
+        for block in &self.blocks {
+            energy += Pairs::new(Self::distances(simd, block, moved, 1.0 / size).squared).energy();
+        }
+        sum(energy)
+    }
+
+    /// Energy of the particle, of size h, and the number of its neighbours in the first ring.
+    #[inline(always)]
+    pub(crate) fn energy_and_ring<S: Simd>(&self, simd: S, size: f64) -> (f64, u32) {
+        const RING: f64 = (FIRST_RING / SUPPORT) * (FIRST_RING / SUPPORT);
+        let (mut energy, mut ring) = (f64x8::splat(simd, 0.0), 0);
+        for block in &self.blocks {
+            let squared = Self::distances(simd, block, DVec3::ZERO, 1.0 / size).squared;
+            energy += Pairs::new(squared).energy();
+            ring += squared.simd_lt(RING).to_bitmask().count_ones();
+        }
+        (sum(energy), ring)
+    }
+
+    /// Energy of the particle, of size h, with its derivatives in its tangent plane.
+    ///
+    /// The second derivative along a pair is that of Eq. 4, the one across it the first derivative over the distance: with the offset o and the distance r,
+    /// the Hessian is `across I + (along - across) o o^T / r^2`, of which the plane sees the components of o along u and v.
+    #[inline(always)]
+    pub(crate) fn jet<S: Simd>(&self, simd: S, plane: &TangentPlane, size: f64) -> PlaneJet {
+        let zero = f64x8::splat(simd, 0.0);
+        let (mut energy, mut by_size) = (zero, zero);
+        let (mut gu, mut gv) = (zero, zero);
+        let (mut uu, mut uv, mut vv, mut isotropic) = (zero, zero, zero, zero);
+        for block in &self.blocks {
+            let Distances { offset: [x, y, z], theirs, inverse_reach, squared } =
+                Self::distances(simd, block, DVec3::ZERO, 1.0 / size);
+            let (u, v) = (x * plane.u.x + y * plane.u.y + z * plane.u.z, x * plane.v.x + y * plane.v.y + z * plane.v.z);
+            let pairs = Pairs::new(squared);
+            let (first, second) = pairs.derivatives();
+            let per_area = inverse_reach * inverse_reach;
+            let across = first * pairs.reciprocal * per_area;
+            // over r^2 = d^2 / per_area
+            let stretch = (second * per_area - across) * (pairs.reciprocal * pairs.reciprocal * per_area);
+            energy += pairs.energy();
+            // offsets lead to the neighbour: away from it is the other way
+            gu -= across * u;
+            gv -= across * v;
+            let (su, sv) = (stretch * u, stretch * v);
+            uu += su * u;
+            uv += su * v;
+            vv += sv * v;
+            isotropic += across;
+            // d falls as the smaller h grows: it is the particle's own unless the neighbour's is smaller
+            let own = theirs.simd_le(1.0 / size);
+            by_size -= own.select(first * pairs.scaled, zero);
+        }
+        let isotropic = sum(isotropic);
+        PlaneJet {
+            energy: sum(energy),
+            gradient: [sum(gu), sum(gv)],
+            hessian: [sum(uu) + isotropic, sum(uv), sum(vv) + isotropic],
+            by_size: sum(by_size) / size,
+        }
+    }
+}
+
+/// How far a block of neighbours is.
+struct Distances<S: Simd> {
+    offset: [f64x8<S>; 3],
+    /// Reciprocals of the neighbours' h.
+    theirs: f64x8<S>,
+    inverse_reach: f64x8<S>,
+    squared: f64x8<S>,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::reference;
+    use crate::scenes::Scene;
+    use crate::state::State;
+    use fearless_simd::{Level, dispatch};
+    use isoparticles_field::energy::scaled_distance;
+    use isoparticles_field::random::uniform;
+
+    #[test]
+    fn sums_over_lanes_are_those_over_pairs() {
+        for scene in [Scene::ball(900, 1.6), Scene::ball(60, 1.6), Scene::bumpy_torus(1500)] {
+            let mut state = State::new(scene.seeds.clone(), 0.0);
+            let fields = scene.fields();
+            let mut near = Neighbourhood::default();
+            let (mut defects, mut total) = (0, 0.0);
+            for i in 0..state.len() {
+                let set = &state.set;
+                let (p, h) = (set.positions[i], set.sizes[i]);
+                let (energy, gradient, hessian) = reference::energy_jet(&state, &fields, i);
+                let plane = TangentPlane::new(set.normals[i]);
+                near.gather(|j| state.records[j], state.neighbours.of(i), p);
+                let jet = dispatch!(Level::new(), simd => near.jet(simd, &plane, h));
+                assert!((jet.energy - energy).abs() < 1e-11 * (1.0 + energy), "{i}: {energy} {jet:?}");
+                // the parts of a force cancel: relative to the Hessian times h
+                let scale = 1.0 + jet.hessian[0].abs().max(jet.hessian[2].abs()) * h;
+                let along_size = plane.coordinates(fields.sizing.value_gradient(p).1);
+                for (a, want) in plane.coordinates(gradient).into_iter().enumerate() {
+                    let found = jet.gradient[a] + jet.by_size * along_size[a];
+                    assert!((found - want).abs() < 1e-10 * scale, "{i}: {gradient} {jet:?}");
+                }
+                for (found, want) in jet.hessian.iter().zip(plane.restrict(&hessian)) {
+                    assert!((found - want).abs() < 1e-10 * scale / h, "{i}: {hessian} {jet:?}");
+                }
+                // elsewhere, and of another size
+                let random = |stream| uniform(9, stream, i as u64) - 0.5;
+                let moved = 0.4 * h * DVec3::new(random(0), random(1), random(2));
+                let size = h * (1.0 + 0.2 * random(3));
+                let want = reference::energy_at(&state, i, p + moved, size);
+                let found = dispatch!(Level::new(), simd => near.energy(simd, moved, size));
+                assert!((found - want).abs() < 1e-11 * (1.0 + want), "{i}: {found}, not {want}");
+                assert_eq!(found, dispatch!(Level::baseline(), simd => near.energy(simd, moved, size)));
+                let ring = |&&j: &&u32| {
+                    let j = j as usize;
+                    scaled_distance(p.distance(set.positions[j]), h, set.sizes[j]) * SUPPORT < FIRST_RING
+                };
+                defects += usize::from(state.neighbours.of(i).iter().filter(ring).count() != 6);
+                total += energy;
+            }
+            let measured = state.measure();
+            assert_eq!(measured.lattice_defects, defects);
+            assert!((measured.energy / total - 1.0).abs() < 1e-11);
+        }
+    }
+}

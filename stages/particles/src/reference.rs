@@ -1,0 +1,29 @@
+//! Energies and forces pair by pair, by the exact functions: what the sums over lanes and the kernels of the GPU are compared with.
+
+use crate::state::{Fields, State};
+use glam::{DMat3, DVec3};
+use isoparticles_field::energy::{pair_energy, pair_jet, pair_size_derivative, scaled_distance};
+
+/// Energy, gradient and Hessian of particle i at its place. The gradient has the part of the particle's own h, which
+/// changes with its place; the Hessian holds h fixed.
+pub(crate) fn energy_jet(state: &State, fields: &Fields, i: usize) -> (f64, DVec3, DMat3) {
+    let set = &state.set;
+    let (position, size) = (set.positions[i], set.sizes[i]);
+    let mut sum = (0.0, DVec3::ZERO, DMat3::ZERO);
+    let mut by_size = 0.0;
+    for &j in state.neighbours.of(i) {
+        let j = j as usize;
+        let offset = position - set.positions[j];
+        let (energy, gradient, hessian) = pair_jet(offset, size, set.sizes[j]);
+        sum = (sum.0 + energy, sum.1 + gradient, sum.2 + hessian);
+        by_size += pair_size_derivative(offset.length(), size, set.sizes[j]);
+    }
+    (sum.0, sum.1 + fields.sizing.value_gradient(position).1 * by_size, sum.2)
+}
+
+/// Energy (Eq. 1) of a particle of size h at `position`, among the neighbours listed for particle i.
+pub(crate) fn energy_at(state: &State, i: usize, position: DVec3, h: f64) -> f64 {
+    let set = &state.set;
+    let pair = |j: usize| pair_energy(scaled_distance(position.distance(set.positions[j]), h, set.sizes[j]));
+    state.neighbours.of(i).iter().map(|&j| pair(j as usize)).sum()
+}
