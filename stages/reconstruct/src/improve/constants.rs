@@ -22,7 +22,8 @@ pub(super) const FOLD: f64 = 0.0;
 /// Cosine to grad F from which on a triangle follows it: a fold between two such triangles is one of F.
 pub(super) const FOLLOWS: f64 = 0.5;
 /// The same limits for a triangle below [`FIT`]: turned by up to a right angle, folds of F up to 143 degrees. A third of h off F = 0 in the
-/// middle of a triangle, where F has detail below h, does less harm than a needle.
+/// middle of a triangle, where F has detail below h, does less harm than a needle. Moves within them leave 34 of 229 patches of the torso CT
+/// at 200 to be remeshed (restricted).
 pub(super) const LOOSE_AGREEMENT: f64 = 0.0;
 pub(super) const LOOSE_FOLD: f64 = -0.3;
 pub(super) const LOOSE_FOLD_OF_F: f64 = -0.8;
@@ -86,7 +87,8 @@ pub(super) const MOST_IN_VAIN: usize = 200;
 pub(super) const RINGS_OF_LENGTH: usize = 6;
 /// Radius of the patch over the length at its rim: enough for edges to grow from the shortest to that.
 pub(super) const REACH: f64 = 2.5;
-/// Lengths grow by so much with the distance, mm per mm, in the order tried.
+/// Lengths grow by so much with the distance, mm per mm, in the order tried. With the first alone 3 triangles of 1.8 million on noise (the torso
+/// CT at 200, both methods) stay below [`FIT`], with all three none.
 pub(super) const GRADATIONS: [f64; 3] = [0.45, 0.3, 0.6];
 /// Times that a patch is remeshed with each, the next with what the outcome of the one before asks for.
 pub(super) const ATTEMPTS: usize = 4;

@@ -1,10 +1,11 @@
-//! Local moves that lift the worst triangles of a closed mesh on F = 0 without touching the rest.
+//! One optimiser that lifts the worst triangles of a closed mesh on F = 0 without touching the rest.
 //!
-//! Edge flips, collapses (under the link condition), splits, and vertices that settle where the smallest radius ratio round
-//! them is largest, always projected back onto F = 0 (Eq. 5). A move is kept only when it helps and passes the guard: no
-//! triangle turned or folded, none crossing another (exact predicates), none farther from F = 0 than the bound, no grid
-//! node carried to the other side where that is asked for. Topology cannot change. Optionally the whole mesh is remeshed by the
-//! same moves, which makes a good mesh even of marching cubes' output. The result depends on the input only, not on threads.
+//! A change is a transaction on a patch, made of edge flips, collapses and splits and of relocations to where the smallest quality round a vertex
+//! is largest, always projected back onto F = 0 (Eq. 5). The guard commits it when the quality rises, and rolls it back when a triangle is turned
+//! or folded, crosses another (exact predicates), strays from F = 0 by more than the bound, or carries a grid node to the other side where
+//! that is asked for. Topology cannot change. [`sweep`] goes over the whole mesh, [`optimise`] through a queue of the bad triangles, and
+//! [`target_length`] remeshes a patch at a smaller length where F bends within h. Optionally the whole mesh is remeshed by the same moves,
+//! which makes a good mesh even of marching cubes' output. The result depends on the input only, not on threads.
 
 mod constants;
 mod grid;
@@ -87,7 +88,7 @@ impl ImproveOptions<'_> {
 pub struct Tally {
     /// Vertices brought onto F = 0 at the start.
     pub projections: usize,
-    /// Vertices relaxed or settled.
+    /// Vertices relaxed.
     pub relocations: usize,
     /// Edges flipped by the global passes.
     pub flips: usize,
