@@ -75,7 +75,7 @@ pub struct Args {
     /// by it, 0 to 20
     #[arg(long, value_name = "N", default_value_t = 3, value_parser = clap::value_parser!(u16).range(0..=20), help_heading = METHOD)]
     pub relaxation_sweeps: u16,
-    /// Passes over the worst triangles, of growing effort, 0 to 20
+    /// Passes over the worst triangles, each as long as something helps, 0 to 20
     #[arg(long, value_name = "N", default_value_t = 3, value_parser = clap::value_parser!(u16).range(0..=20), help_heading = METHOD)]
     pub improve_rounds: u16,
     /// Smallest radius ratio that passes, 0 to 1 [default: 0.3 with a distance field; without it any passes]

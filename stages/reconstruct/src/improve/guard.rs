@@ -1,6 +1,10 @@
-//! Says whether the edits since the last commit are welcome: they must raise the quality by the rule at hand, and must not
+//! The guard: whether a transaction, the edits since the last commit, is kept. It must raise the quality by the rule at hand, and must not
 //! turn or fold a triangle, leave F = 0, spoil edge lengths, make triangles cross, or carry a grid node to the other side.
 
+use super::constants::{
+    AGREEMENT, BELOW, FIT, FIT_ANGLES, FOLD, FOLLOWS, LEAST_GAIN, LEAST_GAIN_OF_SWEEP, LOOSE_AGREEMENT,
+    LOOSE_DEVIATION, LOOSE_FOLD, LOOSE_FOLD_OF_F, LOOSE_LENGTHS, PROJECTION_AGREEMENT, SURELY_FIT,
+};
 use super::surface::{Facts, Surface};
 use glam::DVec3;
 use isoparticles_mesh::intersect::corners_cross;
@@ -18,100 +22,77 @@ pub(super) struct Limits {
     pub(super) fold_of_f: f64,
     /// Largest distance of a centroid from F = 0, over h.
     pub(super) deviation: f64,
-    /// Largest excess of an edge length over its range ([`Facts::excess`]).
-    pub(super) excess: f64,
+    /// Range of edge lengths, over h.
+    pub(super) lengths: [f64; 2],
 }
 
 impl Limits {
     /// For bringing a vertex onto F = 0, which comes before all else but crossing triangles.
-    pub(super) const FOR_PROJECTION: Self =
-        Self { agreement: -0.2, fold: -0.8, fold_of_f: -0.8, deviation: f64::INFINITY, excess: f64::INFINITY };
+    pub(super) const FOR_PROJECTION: Self = Self {
+        agreement: PROJECTION_AGREEMENT,
+        fold: LOOSE_FOLD_OF_F,
+        fold_of_f: LOOSE_FOLD_OF_F,
+        deviation: f64::INFINITY,
+        lengths: [0.0, f64::INFINITY],
+    };
 
-    /// For the few triangles that nothing within the limits can help: a third of h off F = 0 in the middle of a triangle,
-    /// where F has detail below h, does less harm than a needle.
+    /// The ordinary limits with a largest deviation and a range of edge lengths.
+    pub(super) const fn new(deviation: f64, lengths: [f64; 2]) -> Self {
+        Self { agreement: AGREEMENT, fold: FOLD, fold_of_f: FOLD, deviation, lengths }
+    }
+
+    /// For the few triangles that are not fit for finite elements, which nothing within the limits can help.
     pub(super) fn loosened(&self) -> Self {
         Self {
-            agreement: self.agreement.min(0.0),
-            fold: self.fold.min(-0.3),
-            fold_of_f: self.fold_of_f.min(-0.8),
-            deviation: (2.0 * self.deviation).max(0.35),
-            excess: self.excess + 0.35,
+            agreement: self.agreement.min(LOOSE_AGREEMENT),
+            fold: self.fold.min(LOOSE_FOLD),
+            fold_of_f: self.fold_of_f.min(LOOSE_FOLD_OF_F),
+            deviation: (2.0 * self.deviation).max(LOOSE_DEVIATION),
+            lengths: [self.lengths[0].min(LOOSE_LENGTHS[0]), self.lengths[1].max(LOOSE_LENGTHS[1])],
         }
     }
 }
 
-/// Cosine to grad F from which on a triangle follows it.
-const FOLLOWS: f64 = 0.5;
-
 /// What counts as better.
 #[derive(Clone, Copy, Debug)]
 pub(super) enum Rule {
-    /// The smallest radius ratio of the patch does not fall, and the shortfall of its triangles below `bar` shrinks.
+    /// The smallest quality of the patch does not fall, and the shortfall of its triangles below `bar` shrinks.
     Lift {
-        /// Radius ratio below which a triangle falls short.
+        /// Quality below which a triangle falls short.
         bar: f64,
     },
-    /// Neither the smallest nor the mean radius ratio falls, and one of them rises.
+    /// Neither the smallest nor the mean quality falls, and one of them rises.
     Even,
-    /// The smallest radius ratio does not fall below `floor`, or not at all where it was lower.
+    /// The smallest quality does not fall below `floor`, or not at all where it was lower.
     Keep {
         /// The floor.
         floor: f64,
     },
-    /// The smallest [`fitness`] of the patch does not fall, and the shortfall of its triangles below 1 shrinks.
-    Fit,
     /// Nothing is asked of the quality but that no triangle loses its area.
     Any,
 }
 
-/// Gain that counts; what is smaller may be rounding, and would never end.
-const LEAST_GAIN: f64 = 1e-5;
-
-/// Smallest radius ratio, smallest and largest angle (degrees) that finite elements are asked for.
-const FIT_RATIO: f64 = 0.5;
-const FIT_ANGLES: [f64; 2] = [25.0, 120.0];
-
-/// A triangle of a higher radius ratio keeps both: 8 sin(A/2) sin(B/2) sin(C/2) of one with A at either limit is at most 0.679.
-const SURELY_FIT: f64 = 0.68;
-
-/// How far a triangle is within those limits: 1 and more where it keeps them all, down to 0 where it has no area.
-pub(super) fn fitness(corners: [DVec3; 3]) -> f64 {
-    let [a, b, c] = corners;
+/// Quality of a triangle: its radius ratio, or less where its smallest or largest angle is nearer to what finite elements are asked for; 0.5 at
+/// the limit of the worst of the three, 0 without area.
+pub(super) fn quality_of(a: DVec3, b: DVec3, c: DVec3) -> f64 {
     let ratio = radius_ratio(a, b, c);
     if ratio > SURELY_FIT {
-        return ratio / FIT_RATIO;
+        return ratio;
     }
     let angles =
         [(b - a).angle_between(c - a), (c - b).angle_between(a - b), (a - c).angle_between(b - c)].map(f64::to_degrees);
     let smallest = angles.into_iter().fold(f64::INFINITY, f64::min);
     let largest = angles.into_iter().fold(0.0, f64::max);
     let by_angle = (smallest / FIT_ANGLES[0]).min((180.0 - largest) / (180.0 - FIT_ANGLES[1]));
-    by_angle.min(ratio / FIT_RATIO)
+    ratio.min(FIT * by_angle)
 }
 
-/// What a triangle outside the limits counts for at least, beside how far outside it is.
-const UNFIT: f64 = 0.02;
-
-/// By how much the edits since the last commit bring the patch nearer to the limits of [`fitness`]; negative infinity when they lower the
-/// smallest.
-pub(super) fn gain_in_fitness(surface: &Surface) -> f64 {
-    let touched = surface.touched();
-    let score = |corners: &[[DVec3; 3]]| {
-        let fitnesses = corners.iter().map(|&c| fitness(c)).filter(|&f| f < 1.0);
-        fitnesses.fold((1.0f64, 0.0), |(smallest, shortfall), f| (smallest.min(f), shortfall + UNFIT + 1.0 - f))
-    };
-    let (smallest_before, before) = score(&surface.former_corners(&touched));
-    let now: Vec<_> = touched.iter().filter(|&&t| surface.is_alive(t)).map(|&t| surface.corners(t)).collect();
-    let (smallest, after) = score(&now);
-    if smallest < smallest_before { f64::NEG_INFINITY } else { before - after }
-}
-
-/// Smallest quality, sum, count and shortfall of some triangles.
+/// Smallest and mean quality of some triangles, and what they lack to a bar: the sum of the squares, and [`BELOW`] for each.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Score {
-    pub(super) smallest: f64,
-    pub(super) mean: f64,
-    pub(super) shortfall: f64,
+struct Score {
+    smallest: f64,
+    mean: f64,
+    shortfall: f64,
 }
 
 impl Score {
@@ -121,17 +102,25 @@ impl Score {
             smallest = smallest.min(quality);
             sum += quality;
             count += 1;
-            shortfall += (bar - quality).max(0.0).powi(2);
+            if quality < bar {
+                shortfall += BELOW + (bar - quality).powi(2);
+            }
         }
         Self { smallest, mean: sum / count.max(1) as f64, shortfall }
     }
 }
 
 /// Scores of the touched triangles as last committed and as they are now.
-pub(super) fn scores(surface: &Surface, touched: &[u32], bar: f64) -> (Score, Score) {
+fn scores(surface: &Surface, touched: &[u32], bar: f64) -> (Score, Score) {
     let before = Score::of(touched.iter().map(|&t| surface.facts[t as usize].quality), bar);
     let now = touched.iter().filter(|&&t| surface.is_alive(t)).map(|&t| surface.quality(t));
     (before, Score::of(now, bar))
+}
+
+/// By how much the edits since the last commit bring the patch nearer to a bar; negative infinity when they lower the smallest quality.
+pub(super) fn gain(surface: &Surface, bar: f64) -> f64 {
+    let (before, after) = scores(surface, &surface.touched(), bar);
+    if after.smallest < before.smallest { f64::NEG_INFINITY } else { before.shortfall - after.shortfall }
 }
 
 /// Whether the quality has improved by a rule.
@@ -140,10 +129,9 @@ fn is_better(surface: &Surface, touched: &[u32], rule: Rule) -> bool {
     let (before, after) = scores(surface, touched, bar);
     match rule {
         Rule::Lift { .. } => after.smallest >= before.smallest && after.shortfall < before.shortfall - LEAST_GAIN,
-        Rule::Fit => gain_in_fitness(surface) > LEAST_GAIN,
         Rule::Even => {
             let (smallest, mean) = (after.smallest - before.smallest, after.mean - before.mean);
-            smallest >= 0.0 && mean >= 0.0 && smallest + mean > 1e-4
+            smallest >= 0.0 && mean >= 0.0 && smallest + mean > LEAST_GAIN_OF_SWEEP
         }
         Rule::Keep { floor } => after.smallest >= before.smallest.min(floor) && after.smallest > 0.0,
         Rule::Any => after.smallest > 0.0,
@@ -151,17 +139,17 @@ fn is_better(surface: &Surface, touched: &[u32], rule: Rule) -> bool {
 }
 
 /// Commits the edits since the last commit when they pass, takes them back otherwise. The triangles touched, when they did.
-pub(super) fn commit_if_welcome(surface: &mut Surface, limits: &Limits, rule: Rule) -> Option<Vec<u32>> {
+pub(super) fn commit_or_rollback(surface: &mut Surface, limits: &Limits, rule: Rule) -> Option<Vec<u32>> {
     let touched = surface.touched();
     if touched.is_empty() || !surface.is_within_region(&touched) || !is_better(surface, &touched, rule) {
-        surface.undo();
+        surface.rollback();
         return None;
     }
     let facts: Vec<Facts> = touched.iter().map(|&t| surface.measure(t)).collect();
     let changed = match changed_nodes(surface, &touched) {
         Some(changed) if is_sound(surface, limits, &touched, &facts) && !crosses(surface, &touched) => changed,
         _ => {
-            surface.undo();
+            surface.rollback();
             return None;
         }
     };
@@ -173,6 +161,7 @@ pub(super) fn commit_if_welcome(surface: &mut Surface, limits: &Limits, rule: Ru
 }
 
 /// Whether the edits since the last commit keep the limits, crossing triangles and grid nodes aside.
+#[cfg(test)]
 pub(super) fn keeps_limits(surface: &Surface, limits: &Limits) -> bool {
     let touched = surface.touched();
     let facts: Vec<Facts> = touched.iter().map(|&t| surface.measure(t)).collect();
@@ -186,13 +175,14 @@ fn is_sound(surface: &Surface, limits: &Limits, touched: &[u32], facts: &[Facts]
         let before = &surface.facts[t as usize];
         worst.agreement = worst.agreement.min(before.agreement);
         worst.deviation = worst.deviation.max(before.deviation);
-        worst.excess = worst.excess.max(before.excess);
+        worst.lengths = [worst.lengths[0].min(before.lengths[0]), worst.lengths[1].max(before.lengths[1])];
         before_fold = before_fold.min(before.agreement);
     }
     let sound = facts.iter().all(|now| {
         now.agreement >= worst.agreement.min(limits.agreement)
             && now.deviation <= worst.deviation.max(limits.deviation)
-            && now.excess <= worst.excess.max(limits.excess)
+            && now.lengths[0] >= worst.lengths[0].min(limits.lengths[0])
+            && now.lengths[1] <= worst.lengths[1].max(limits.lengths[1])
     });
     // a patch that was turned against F somewhere may have been folded there as well
     let limit = |a: &Facts, b: &Facts| {
@@ -204,7 +194,7 @@ fn is_sound(surface: &Surface, limits: &Limits, touched: &[u32], facts: &[Facts]
             let [a, b, c] = surface.triangles[t as usize];
             now.quality.is_infinite()
                 || [(a, b), (b, c), (c, a)].iter().all(|&(from, to)| {
-                    surface.wings(from, to).is_none_or(|[_, (neighbour, _)]| {
+                    surface.edge_triangles(from, to).is_none_or(|[_, (neighbour, _)]| {
                         let other = match touched.binary_search(&neighbour) {
                             Ok(at) => &facts[at],
                             Err(_) => &surface.facts[neighbour as usize],

@@ -1,44 +1,46 @@
-//! Local moves that lift the worst triangles of a closed mesh on F = 0 without touching the rest.
+//! One optimiser that lifts the worst triangles of a closed mesh on F = 0 without touching the rest.
 //!
-//! Edge flips, collapses (under the link condition), splits, and vertices that settle where the smallest radius ratio round
-//! them is largest, always projected back onto F = 0 (Eq. 5). A move is kept only when it helps and passes the guard: no
-//! triangle turned or folded, none crossing another (exact predicates), none farther from F = 0 than the bound, no grid
-//! node carried to the other side where that is asked for. Topology cannot change. Optionally the whole mesh is remeshed by the
-//! same moves, which makes a good mesh even of marching cubes' output. The result depends on the input only, not on threads.
+//! A change is a transaction on a patch, made of edge flips, collapses and splits and of relocations to where the smallest quality round a vertex
+//! is largest, always projected back onto F = 0 (Eq. 5). The guard commits it when the quality rises, and rolls it back when a triangle is turned
+//! or folded, crosses another (exact predicates), strays from F = 0 by more than the bound, or carries a grid node to the other side where
+//! that is asked for. Topology cannot change. [`sweep`] goes over the whole mesh, [`optimise`] through a queue of the bad triangles, and
+//! [`target_length`] remeshes a patch at a smaller length where F bends within h. Optionally the whole mesh is remeshed by the same moves,
+//! which makes a good mesh even of marching cubes' output. The result depends on the input only, not on threads.
 
-mod blocks;
-mod excerpt;
+mod constants;
 mod grid;
 mod guard;
-mod last_resort;
 mod moves;
+mod nodes;
+mod optimise;
 mod patch;
 mod remesh;
-mod sides;
-mod speck;
 mod surface;
+mod sweep;
+mod target_length;
 #[cfg(test)]
 mod tests;
-mod worst;
+#[cfg(test)]
+mod tests_of_patches;
 
+use constants::ON_SURFACE;
 use glam::DVec3;
-use guard::{Limits, Rule, commit_if_welcome};
+use guard::{Limits, Rule, commit_or_rollback};
 use isoparticles_field::spline::CubicSpline;
 use isoparticles_mesh::TriangleMesh;
 use isoparticles_mesh::quality::{QualitySummary, summarise};
 use isoparticles_stage::error::{Error, Result};
 use isoparticles_volume::Image;
+use nodes::NodeSides;
 use serde::Serialize;
-use sides::Sides;
 use surface::Surface;
-use worst::{Aim, Effort, Failures};
 
 /// How far to go. The defaults lift what is below 0.6 and leave everything else alone.
 #[derive(Clone, Copy, Debug)]
 pub struct ImproveOptions<'a> {
     /// Radius ratio below which a triangle is worked on.
     pub target: f64,
-    /// Passes over the worst triangles, of growing effort: single moves, moves with settling, two moves in a row; 0 for none.
+    /// Passes over the worst triangles, each as long as something helps; 0 for none.
     pub rounds: usize,
     /// Rounds of global remeshing towards h before that; 0 for none.
     pub remesh_rounds: usize,
@@ -46,10 +48,9 @@ pub struct ImproveOptions<'a> {
     /// neighbourhood get worse; 0 for none.
     pub relaxation_sweeps: usize,
     /// Largest distance of a triangle's centroid from F = 0 that a move may bring about, over h; twice that (at least
-    /// 0.35) for the sake of a triangle below 0.5 that nothing else can help.
+    /// 0.35) for the sake of a triangle below a radius ratio of 0.5, or outside of 25 to 120 degrees, that nothing else can help.
     pub max_deviation: f64,
-    /// Range of edge lengths, over h, that a move must stay in where the edges round it are within (wider by a factor of
-    /// 1.4 for such a triangle).
+    /// Range of edge lengths, over h, that a move must stay in where the edges round it are within (0.05 to 3 for such a triangle).
     pub length_range: [f64; 2],
     /// Samples of F at whose nodes the mesh must not change sides (label volumes).
     pub sides: Option<&'a Image<f32>>,
@@ -87,7 +88,7 @@ impl ImproveOptions<'_> {
 pub struct Tally {
     /// Vertices brought onto F = 0 at the start.
     pub projections: usize,
-    /// Vertices relaxed or settled.
+    /// Vertices relaxed.
     pub relocations: usize,
     /// Edges flipped by the global passes.
     pub flips: usize,
@@ -95,28 +96,10 @@ pub struct Tally {
     pub collapses: usize,
     /// Edges split by the global passes.
     pub splits: usize,
-    /// Single flips, collapses and splits on behalf of a bad triangle.
+    /// Single moves on behalf of a bad triangle, with the relocations after them.
     pub single_moves: usize,
-    /// Two such moves in a row.
-    pub double_moves: usize,
-    /// Moves in sequences of up to two, on behalf of triangles outside the limits after all that.
-    pub last_resort_moves: usize,
-    /// Refinements round such triangles.
-    pub refinements: usize,
-    /// Small closed pieces with such triangles that were made anew.
-    pub remade_specks: usize,
-    /// Patches round such triangles that were remeshed to follow the curvature of F.
+    /// Patches round triangles below the limits that were remeshed to follow the curvature of F.
     pub remeshed_patches: usize,
-}
-
-impl Tally {
-    fn count(&mut self, moves: usize, is_relocation: bool) {
-        match (moves, is_relocation) {
-            (_, true) => self.relocations += 1,
-            (1, false) => self.single_moves += 1,
-            _ => self.double_moves += 1,
-        }
-    }
 }
 
 /// What came of it.
@@ -174,12 +157,12 @@ pub fn improve(
     };
     let mut report =
         ImproveReport { before: summarise(mesh), below_target_before: below(mesh), ..ImproveReport::default() };
-    let mut surface = Surface::new(mesh, field, size, options.length_range);
-    surface.sides = options.sides.map(|image| Sides::new(mesh, image));
-    let wrong_before = surface.sides.as_ref().map(Sides::wrong_count);
+    let mut surface = Surface::new(mesh, field, size);
+    surface.sides = options.sides.map(|image| NodeSides::new(mesh, image));
+    let wrong_before = surface.sides.as_ref().map(NodeSides::wrong_count);
     report.frozen_vertices = surface.frozen.iter().filter(|&&frozen| frozen).count();
 
-    let limits = Limits { agreement: 0.3, fold: 0.0, fold_of_f: 0.0, deviation: options.max_deviation, excess: 1e-9 };
+    let limits = Limits::new(options.max_deviation, options.length_range);
     let tally = &mut report.moves;
     project_all(&mut surface, tally);
     for _ in 0..options.remesh_rounds {
@@ -188,55 +171,21 @@ pub fn improve(
         project_all(&mut surface, tally);
     }
     if options.relaxation_sweeps > 0 {
-        blocks::sweep(&mut surface, &limits, options.relaxation_sweeps, step, tally)?;
-    }
-    let mut failures = Failures::default();
-    for round in 0..options.rounds {
-        let efforts = [Effort::Single, Effort::Settled, Effort::Double];
-        for &effort in &efforts[..=round.min(efforts.len() - 1)] {
-            let aim = Aim { limits: &limits, bar: options.target, effort };
-            worst::lift(&mut surface, None, aim, &mut failures, step, tally)?;
-        }
+        sweep::sweep(&mut surface, &limits, options.relaxation_sweeps, step, tally)?;
     }
     if options.rounds > 0 {
+        optimise::optimise(&mut surface, &limits, options.target, options.rounds, step, tally)?;
         project_all(&mut surface, tally);
-        let bar = options.target.min(LAST_RESORT_BELOW);
-        let loosened = &limits.loosened();
-        let aim = Aim { limits: loosened, bar, effort: Effort::Double };
-        worst::lift(&mut surface, None, aim, &mut Failures::default(), step, tally)?;
-        if options.target > 0.0 {
-            surface.lengths = last_resort::LENGTHS;
-            for _ in 0..LAST_RESORTS {
-                let round = last_resort::lift(&mut surface, loosened, step, tally)?;
-                if round.is_empty() {
-                    break;
-                }
-                let failures = &mut Failures::default();
-                for effort in [Effort::Single, Effort::Settled, Effort::Double] {
-                    let aim = Aim { limits: &limits, bar: options.target, effort };
-                    worst::lift(&mut surface, Some(&round), aim, failures, step, tally)?;
-                }
-            }
-        }
     }
 
     report.off_surface = (0..surface.positions.len()).filter(|&v| is_off_surface(&surface, v)).count();
     report.nodes_on_wrong_side =
-        wrong_before.zip(surface.sides.as_ref().map(Sides::wrong_count)).map(|(before, after)| [before, after]);
+        wrong_before.zip(surface.sides.as_ref().map(NodeSides::wrong_count)).map(|(before, after)| [before, after]);
     *mesh = surface.into_mesh();
     report.after = summarise(mesh);
     report.below_target = below(mesh);
     Ok(report)
 }
-
-/// Turns of the last resort, each with moves round those triangles that it could not help, which give them another chance.
-const LAST_RESORTS: usize = 3;
-
-/// Triangles below this radius ratio are worth the loosened limits.
-const LAST_RESORT_BELOW: f64 = 0.5;
-
-/// Distance from F = 0, in voxels, beyond which a vertex does not lie on it.
-const ON_SURFACE: f64 = 5e-5;
 
 fn is_off_surface(surface: &Surface, v: usize) -> bool {
     let (value, gradient) = surface.field.value_gradient(surface.positions[v]);
@@ -261,7 +210,7 @@ fn project_all(surface: &mut Surface, tally: &mut Tally) {
             let to = moves::projected(surface, start, reach);
             to.is_some_and(|to| {
                 surface.move_vertex(v, to);
-                commit_if_welcome(surface, limits, Rule::Any).is_some()
+                commit_or_rollback(surface, limits, Rule::Any).is_some()
             })
         });
         if moved {
@@ -271,11 +220,11 @@ fn project_all(surface: &mut Surface, tally: &mut Tally) {
         for u in neighbours {
             let at = surface.positions[u as usize];
             let keeps = !is_off_surface(surface, u as usize) && moves::collapse(surface, u, v, at);
-            if keeps && commit_if_welcome(surface, limits, Rule::Keep { floor: 0.2 }).is_some() {
+            if keeps && commit_or_rollback(surface, limits, Rule::Keep { floor: 0.2 }).is_some() {
                 tally.collapses += 1;
                 break;
             }
-            surface.undo();
+            surface.rollback();
         }
     }
 }

@@ -1,26 +1,13 @@
 //! The elementary moves: flip, collapse and split of an edge, and the best place of a vertex among its neighbours. They keep
-//! the mesh a manifold of the same topology (link condition); whether the outcome is welcome is for the guard to say.
+//! the mesh a manifold of the same topology (link condition); whether the outcome is kept is for the guard to say.
 
-use super::surface::{DEAD, Surface};
+use super::constants::{
+    DIRECTIONS, FIRST_STEP, HALVINGS, LAST_STEP, LEAST_GAIN, LINE_STEPS, PROJECTION_TOLERANCE, RELOCATIONS, TURN,
+};
+use super::guard::quality_of;
+use super::surface::{DEAD, Surface, edges_of};
 use glam::DVec3;
-use isoparticles_mesh::quality::radius_ratio;
 use std::f64::consts::TAU;
-
-/// Distance from F = 0 that a projected vertex may keep, in voxels.
-const PROJECTION_TOLERANCE: f64 = 1e-5;
-/// Samples on either side in the search for a crossing along a line, and halvings of the interval found.
-const LINE_STEPS: usize = 16;
-const HALVINGS: usize = 20;
-/// Directions that the search for the best place looks in at each step.
-const DIRECTIONS: usize = 8;
-/// They turn by this angle (radians) when a step is halved.
-const TURN: f64 = 0.3;
-/// The search starts with steps of this share of the mean distance to the neighbours.
-const FIRST_STEP: f64 = 0.25;
-/// It ends with steps of this share.
-const LAST_STEP: f64 = 0.01;
-/// A place is better when the smallest radius ratio rises by this much.
-const LEAST_GAIN: f64 = 1e-6;
 
 /// The point of F = 0 near a position, no farther than `limit` mm.
 pub(super) fn projected(surface: &Surface, p: DVec3, limit: f64) -> Option<DVec3> {
@@ -68,7 +55,7 @@ fn crossing_along(f: impl Fn(f64) -> f64, limit: f64) -> Option<(f64, f64)> {
 
 /// Replaces the edge a, b by the other diagonal of its two triangles.
 pub(super) fn flip(surface: &mut Surface, a: u32, b: u32) -> bool {
-    let Some([(left, c), (right, d)]) = surface.wings(a, b) else { return false };
+    let Some([(left, c), (right, d)]) = surface.edge_triangles(a, b) else { return false };
     if [a, b, c, d].iter().any(|&v| surface.frozen[v as usize])
         || c == d
         || surface.degree(a) < 4
@@ -84,7 +71,7 @@ pub(super) fn flip(surface: &mut Surface, a: u32, b: u32) -> bool {
 
 /// Merges `gone` into `keep`, which moves to `at`.
 pub(super) fn collapse(surface: &mut Surface, keep: u32, gone: u32, at: DVec3) -> bool {
-    let Some([(left, c), (right, d)]) = surface.wings(keep, gone) else { return false };
+    let Some([(left, c), (right, d)]) = surface.edge_triangles(keep, gone) else { return false };
     if [keep, gone].iter().any(|&v| surface.frozen[v as usize])
         || c == d
         || surface.degree(c) < 4
@@ -114,7 +101,7 @@ pub(super) fn collapse(surface: &mut Surface, keep: u32, gone: u32, at: DVec3) -
 
 /// Cuts the edge a, b at a new vertex on F = 0 next to its middle.
 pub(super) fn split(surface: &mut Surface, a: u32, b: u32) -> Option<u32> {
-    let [(left, c), (right, d)] = surface.wings(a, b)?;
+    let [(left, c), (right, d)] = surface.edge_triangles(a, b)?;
     if [a, b, c, d].iter().any(|&v| surface.frozen[v as usize]) || c == d {
         return None;
     }
@@ -129,8 +116,8 @@ pub(super) fn split(surface: &mut Surface, a: u32, b: u32) -> Option<u32> {
     Some(m)
 }
 
-/// Moves a vertex along the surface to where the smallest radius ratio of its triangles is largest.
-pub(super) fn settle(surface: &mut Surface, vertex: u32) -> bool {
+/// Moves a vertex along the surface to where the smallest quality of its triangles is largest.
+pub(super) fn relocate(surface: &mut Surface, vertex: u32) -> bool {
     let v = vertex as usize;
     if surface.frozen[v] || surface.around[v].is_empty() {
         return false;
@@ -196,15 +183,15 @@ pub(super) fn settle(surface: &mut Surface, vertex: u32) -> bool {
     }
 }
 
-/// Smallest radius ratio round a vertex at `p`, if it is above a bar; negative when a triangle is turned against the normal
+/// Smallest quality round a vertex at `p`, if it is above a bar; negative when a triangle is turned against the normal
 /// there. A triangle that is not comes first in the ring afterwards: it is likely to be below the next bar as well.
 fn ring_worth_above(ring: &mut [(DVec3, DVec3)], normal: DVec3, p: DVec3, bar: f64) -> Option<f64> {
     let mut smallest = f64::INFINITY;
     for n in 0..ring.len() {
         let (a, b) = ring[n];
-        let ratio = radius_ratio(p, a, b);
+        let quality = quality_of(p, a, b);
         let upright = (a - p).cross(b - p).dot(normal) > 0.0;
-        smallest = smallest.min(if upright { ratio } else { ratio - 1.0 });
+        smallest = smallest.min(if upright { quality } else { quality - 1.0 });
         if smallest <= bar {
             ring.swap(0, n);
             return None;
@@ -244,5 +231,67 @@ pub(super) fn relax(surface: &mut Surface, vertex: u32, share: f64) -> bool {
             true
         }
         None => false,
+    }
+}
+
+/// A move on behalf of a bad triangle.
+#[derive(Clone, Copy, Debug)]
+pub(super) enum Move {
+    /// Of a vertex to its best place.
+    Relocate(u32),
+    /// Of an edge.
+    Flip(u32, u32),
+    /// Keeps the first vertex; the new place is this share of the way to the second.
+    Collapse(u32, u32, f64),
+    /// Of an edge.
+    Split(u32, u32),
+}
+
+impl Move {
+    /// Makes the move, and names the vertices that gain by relocation afterwards; `None` where it cannot be made.
+    pub(super) fn make(self, surface: &mut Surface) -> Option<Vec<u32>> {
+        let with_neighbours = |surface: &Surface, v: u32| surface.link(v).map(|(a, _)| a).chain([v]).collect();
+        match self {
+            Self::Relocate(v) => relocate(surface, v).then(|| with_neighbours(surface, v)),
+            Self::Flip(a, b) => {
+                let [(_, c), (_, d)] = surface.edge_triangles(a, b)?;
+                flip(surface, a, b).then(|| vec![a, b, c, d])
+            }
+            Self::Collapse(keep, gone, share) => {
+                let (p, q) = (surface.positions[keep as usize], surface.positions[gone as usize]);
+                let at = if share == 0.0 { p } else { projected(surface, p.lerp(q, share), p.distance(q))? };
+                collapse(surface, keep, gone, at).then(|| with_neighbours(surface, keep))
+            }
+            Self::Split(a, b) => split(surface, a, b).map(|middle| with_neighbours(surface, middle)),
+        }
+    }
+}
+
+/// The moves on the vertices and edges of a triangle.
+pub(super) fn moves_near(corners: [u32; 3]) -> Vec<Move> {
+    let mut moves: Vec<Move> = corners.iter().map(|&v| Move::Relocate(v)).collect();
+    for (a, b) in edges_of([&corners]) {
+        moves.extend([
+            Move::Flip(a, b),
+            Move::Collapse(a, b, 0.5),
+            Move::Collapse(a, b, 0.0),
+            Move::Collapse(b, a, 0.0),
+            Move::Split(a, b),
+        ]);
+    }
+    moves
+}
+
+/// Relocates some vertices in turn, and again while any of them moves.
+pub(super) fn relocate_all(surface: &mut Surface, mut vertices: Vec<u32>) {
+    vertices.sort_unstable();
+    for _ in 0..RELOCATIONS {
+        let mut moved = false;
+        for &v in &vertices {
+            moved |= relocate(surface, v);
+        }
+        if !moved {
+            break;
+        }
     }
 }

@@ -1,208 +1,161 @@
-//! Remeshes the patch round a triangle so that its edges follow the curvature of F, where h is too long for it.
-//!
-//! On a piece of surface whose edges are short beside its radii of curvature, triangles near to equilateral stray and fold little; that is
-//! what sampling by the local feature size ensures (Amenta and Bern 1999). So edges are aimed at a share of the radius of curvature, growing
-//! with the distance until they meet h at the rim of the patch, by the moves of [`remesh::round`] in an [`Excerpt`]. What curvature at the
-//! samples did not tell, the outcome does: where it strays or is turned against F, edges half as long are asked for, and the patch is
-//! remeshed again from the start. The guard of the whole surface decides.
+//! A part of the surface as a surface of its own: what is done there, in however many commits, is one transaction of the whole, or none.
 
-use super::excerpt::{Edits, Excerpt};
-use super::guard::{Limits, Rule, commit_if_welcome};
-use super::last_resort::patch_round;
-use super::moves::projected_facing;
-use super::surface::Surface;
-use super::worst::{self, Aim, Effort, Failures};
-use super::{Step, Tally, remesh};
+use super::surface::{DEAD, Size, Surface};
 use glam::DVec3;
 use isoparticles_mesh::spatial::Bounds;
-use isoparticles_stage::error::Result;
 use rayon::prelude::*;
 
-/// Growths of the edges with the distance, mm per mm, in the order tried.
-const SLOPES: [f64; 3] = [0.45, 0.3, 0.6];
-
-/// Radius of the patch, over h: enough for edges to grow from the shortest to h.
-const REACH: f64 = 2.5;
-
-/// Edges are aimed at this share of the radius of curvature, ...
-const CHORD: f64 = 1.0;
-
-/// ... but at no less than this share of h, ...
-const FINEST: f64 = 0.08;
-
-/// ... and at the rim at no less than this one.
-const RIM: f64 = 0.8;
-
-/// Times that a patch is remeshed in one way, each with what the outcome before it asks for.
-const ATTEMPTS: usize = 4;
-
-/// A triangle asks for shorter edges when its centroid is farther from F = 0 than this share of its mean side, ...
-const STRAYS: f64 = 0.2;
-
-/// ... or the cosine between its normal and grad F is below this; ...
-const TURNED: f64 = 0.6;
-
-/// ... and then for this share of its mean side.
-const SHORTER: f64 = 0.5;
-
-/// Rounds of splits, collapses, flips and relaxation.
-const ROUNDS: usize = 5;
-
-/// Range of edge lengths over their aims, where they are within.
-const LENGTHS: [f64; 2] = [0.5, 1.6];
-
-/// Radius ratio that the triangles of the patch are lifted to afterwards.
-const TARGET: f64 = 0.6;
-
-/// Most triangles that remeshing may add to a patch.
-const MOST_TRIANGLES: usize = 4000;
-
-/// A place that asks for short edges.
-#[derive(Clone, Copy, Debug)]
-struct Demand {
-    /// Where, grid frame, mm.
-    at: DVec3,
-    /// How short, mm.
-    size: f64,
+/// Triangles round a triangle, and their vertices, both ascending.
+pub(super) struct Rings {
+    pub(super) vertices: Vec<u32>,
+    pub(super) triangles: Vec<u32>,
 }
 
-/// The part of the surface to remesh.
-struct Patch {
-    centre: DVec3,
-    /// Mean target edge length at the triangle, mm.
-    h: f64,
-    /// Vertices that may move, ascending.
+impl Rings {
+    /// The box round them.
+    pub(super) fn bounds(&self, surface: &Surface) -> Bounds {
+        let positions: Vec<DVec3> = self.vertices.iter().map(|&v| surface.positions[v as usize]).collect();
+        Bounds::of(&positions)
+    }
+}
+
+/// The part and where it comes from. The numbers keep their order.
+pub(super) struct Patch<'a> {
+    /// The part. Vertices on its rim are frozen, since their triangles do not close round them.
+    pub(super) surface: Surface<'a>,
+    /// The number in the whole of each of its vertices, as long as it is not a new one.
     vertices: Vec<u32>,
-    /// Growth of the edges, mm per mm.
-    slope: f64,
+    /// The same of each of its triangles.
+    triangles: Vec<u32>,
 }
 
-impl Patch {
-    fn new(surface: &Surface, triangle: u32, slope: f64) -> Option<Self> {
-        let corners = surface.triangles[triangle as usize];
-        let [a, b, c] = surface.corners(triangle);
-        let centre = (a + b + c) / 3.0;
-        let h = corners.iter().map(|&v| surface.target[v as usize]).sum::<f64>() / 3.0;
-        let vertices = patch_round(surface, corners[0], |p, _| p.distance(centre) < REACH * h)?;
-        Some(Self { centre, h, vertices, slope })
-    }
-
-    /// A demand, as far as it lets edges grow to the length at the rim.
-    fn demand(&self, at: DVec3, size: f64) -> Demand {
-        let at_rim = RIM * self.h - self.slope * (REACH * self.h - at.distance(self.centre));
-        Demand { at, size: size.max(FINEST * self.h).max(at_rim) }
-    }
-
-    /// Demands by the curvature of F at corners, sides and centroids of the triangles.
-    fn demands_of_curvature(&self, surface: &Surface) -> Vec<Demand> {
-        let mut triangles: Vec<u32> = self.vertices.iter().flat_map(|&v| surface.around[v as usize].clone()).collect();
-        triangles.sort_unstable();
-        triangles.dedup();
-        let samples = triangles.into_iter().flat_map(|t| {
-            let [a, b, c] = surface.corners(t);
-            let normal = surface.normal_of(surface.triangles[t as usize]);
-            let places = [a, b, c, a.midpoint(b), b.midpoint(c), c.midpoint(a), (a + b + c) / 3.0];
-            places.into_iter().filter_map(move |p| projected_facing(surface, p, normal, self.h))
+impl<'a> Patch<'a> {
+    /// What of a surface meets a box, for changes that stay within the box.
+    pub(super) fn within(whole: &Surface<'a>, region: &Bounds) -> Self {
+        let mut triangles = Vec::new();
+        whole.grid.any(region, |t, _| {
+            triangles.push(t);
+            false
         });
-        let demands = samples.map(|p| self.demand(p, CHORD / curvature(surface, p)));
-        demands.filter(|demand| demand.size < self.h).collect()
+        // not in the order of the grid's cells
+        triangles.sort_unstable();
+        Self::of(whole, region, triangles)
     }
 
-    /// Demands of the triangles that still stray or are turned.
-    fn demands_of_outcome(&self, part: &Surface) -> Vec<Demand> {
-        let mut demands = Vec::new();
-        for t in (0..part.triangles.len() as u32).filter(|&t| part.is_alive(t)) {
-            let corners = part.triangles[t as usize];
-            if corners.iter().any(|&v| part.frozen[v as usize]) {
-                continue;
-            }
-            let [a, b, c] = part.corners(t);
-            let side = (a.distance(b) + b.distance(c) + c.distance(a)) / 3.0;
-            let target = corners.iter().map(|&v| part.target[v as usize]).sum::<f64>() / 3.0;
-            let facts = &part.facts[t as usize];
-            if facts.agreement < TURNED || facts.deviation * target > STRAYS * side {
-                demands.push(self.demand((a + b + c) / 3.0, SHORTER * side.min(target)));
-            }
+    /// The same where the triangles (ascending) are known.
+    pub(super) fn of(whole: &Surface<'a>, region: &Bounds, triangles: Vec<u32>) -> Self {
+        let mut vertices: Vec<u32> = triangles.iter().flat_map(|&t| whole.triangles[t as usize]).collect();
+        vertices.sort_unstable();
+        vertices.dedup();
+        let mut surface = whole.part(&vertices, &triangles);
+        surface.grid = whole.grid.emptied();
+        for t in 0..triangles.len() as u32 {
+            surface.grid.insert(t, surface.bounds(t));
         }
-        demands
+        surface.sides = whole.sides.as_ref().map(|sides| sides.within(region));
+        surface.region = Some(*region);
+        Self { surface, vertices, triangles }
     }
 
-    /// The patch remeshed to meet the demands, and what the outcome asks for; `None` where it gets too large.
-    fn remeshed(&self, surface: &Surface, limits: &Limits, demands: &[Demand]) -> Option<(Edits, Vec<Demand>)> {
-        let h = surface.size;
-        let size = |p: DVec3| demands.iter().fold(h(p), |size, d| size.min(d.size + self.slope * p.distance(d.at)));
-        let reach = REACH * self.h;
-        let region = Bounds { low: self.centre - reach, high: self.centre + reach };
-        let mut part = Excerpt::new(surface, &region, &size, LENGTHS);
-        part.keep_free(|v| self.vertices.binary_search(&v).is_ok());
-        let most = part.surface.triangles.len() + MOST_TRIANGLES;
-        let tally = &mut Tally::default();
-        for _ in 0..ROUNDS {
-            remesh::round(&mut part.surface, limits, tally);
-            if part.surface.triangles.len() > most {
-                return None;
+    /// All of a surface, with another target edge length (mm).
+    pub(super) fn with_target(whole: &Surface<'a>, size: Size<'a>) -> Self {
+        let mut surface = whole.clone();
+        surface.size = size;
+        surface.target = surface.positions.par_iter().map(|&p| size(p)).collect();
+        surface.facts = (0..surface.triangles.len() as u32).into_par_iter().map(|t| surface.measure(t)).collect();
+        let numbers = |count: usize| (0..count as u32).collect();
+        Self { vertices: numbers(surface.positions.len()), triangles: numbers(surface.triangles.len()), surface }
+    }
+
+    /// The number in the part of a triangle of the whole that is in it.
+    pub(super) fn local(&self, triangle: u32) -> u32 {
+        self.triangles.partition_point(|&t| t < triangle) as u32
+    }
+
+    /// Freezes the vertices whose numbers in the whole do not pass a test.
+    pub(super) fn keep_free(&mut self, test: impl Fn(u32) -> bool) {
+        for (frozen, &v) in self.surface.frozen.iter_mut().zip(&self.vertices) {
+            *frozen |= !test(v);
+        }
+    }
+
+    /// What is known of the vertices of the whole, for those of the part.
+    pub(super) fn pick<T: Copy>(&self, of_whole: &[T]) -> Vec<T> {
+        self.vertices.iter().map(|&v| of_whole[v as usize]).collect()
+    }
+
+    /// The grid nodes that changed sides in the part since it was taken.
+    pub(super) fn turned_nodes(&self, whole: &Surface) -> Vec<usize> {
+        let (Some(now), Some(before)) = (&self.surface.sides, &whole.sides) else { return Vec::new() };
+        let before = self.surface.region.map_or_else(|| before.clone(), |region| before.within(&region));
+        now.difference(&before)
+    }
+
+    /// What was changed in the part since it was taken.
+    pub(super) fn edits(self, whole: &Surface) -> Edits {
+        let part = self.surface;
+        let old = self.vertices.iter().zip(&part.positions);
+        let moved = old.filter(|&(&v, &p)| whole.positions[v as usize] != p).map(|(&v, &p)| (v, p)).collect();
+        let mut number = self.vertices;
+        let first_added = whole.positions.len() as u32;
+        let mut added = Vec::new();
+        for v in number.len()..part.positions.len() {
+            // one that is gone again has no triangle to name it
+            number.push(first_added + added.len() as u32);
+            if !part.around[v].is_empty() {
+                added.push(part.positions[v]);
             }
         }
-        for effort in [Effort::Settled, Effort::Double] {
-            let never = &|| Ok(());
-            let aim = Aim { limits, bar: TARGET, effort };
-            worst::lift(&mut part.surface, None, aim, &mut Failures::default(), never, tally).ok()?;
+        let mut edits = Edits { first_added, moved, added, retriangled: Vec::new(), new_triangles: Vec::new() };
+        for (t, corners) in part.triangles.iter().enumerate() {
+            let corners = if *corners == DEAD { DEAD } else { corners.map(|v| number[v as usize]) };
+            match self.triangles.get(t) {
+                Some(&global) if whole.triangles[global as usize] != corners => {
+                    edits.retriangled.push((global, corners));
+                }
+                None if corners != DEAD => edits.new_triangles.push(corners),
+                _ => {}
+            }
         }
-        let more = self.demands_of_outcome(&part.surface);
-        Some((part.edits(surface), more))
+        edits
     }
 }
 
-/// A way to remesh the patch, and what was asked for so far.
-struct Variant<'a> {
-    patch: Patch,
-    /// Limits of the moves on the way.
-    limits: &'a Limits,
-    demands: Vec<Demand>,
+/// Changes of a surface, in its own numbers.
+pub(super) struct Edits {
+    /// The number of the first added vertex: of vertices in the surface when the changes were found.
+    first_added: u32,
+    /// Vertices and where they go.
+    moved: Vec<(u32, DVec3)>,
+    /// Places of vertices that follow the last one of the surface.
+    added: Vec<DVec3>,
+    /// Triangles and their new corners, [`DEAD`] where they go.
+    retriangled: Vec<(u32, [u32; 3])>,
+    /// Corners of triangles that come.
+    new_triangles: Vec<[u32; 3]>,
 }
 
-/// Remeshes the patch round a triangle and commits the first outcome that the guard lets pass: the triangles touched, `None` where none did.
-/// `step` is called now and then.
-///
-/// # Errors
-/// Those of `step`.
-pub(super) fn lift(surface: &mut Surface, limits: &Limits, triangle: u32, step: Step) -> Result<Option<Vec<u32>>> {
-    // on the way only the lengths aimed at are short, so that deviation over them may pass any bound
-    let free = Limits { deviation: f64::INFINITY, ..*limits };
-    let mut variants = Vec::new();
-    for slope in SLOPES {
-        for limits in [limits, &free] {
-            let Some(patch) = Patch::new(surface, triangle, slope) else { return Ok(None) };
-            let demands = patch.demands_of_curvature(surface);
-            variants.push(Variant { patch, limits, demands });
+impl Edits {
+    /// Makes the changes in the surface that the part was taken from, which must be as it was then where the part was; nothing is committed.
+    pub(super) fn make(self, whole: &mut Surface) {
+        let shift = whole.positions.len() as u32 - self.first_added;
+        let number = |v: u32| if v >= self.first_added && v != u32::MAX { v + shift } else { v };
+        self.moved.into_iter().for_each(|(v, p)| whole.move_vertex(v, p));
+        for p in self.added {
+            whole.add_vertex(p);
+        }
+        self.retriangled.into_iter().for_each(|(t, corners)| whole.set_triangle(t, corners.map(number)));
+        for corners in self.new_triangles {
+            whole.add_triangle(corners.map(number));
         }
     }
-    for _ in 0..ATTEMPTS {
-        step()?;
-        let remeshed = |v: &Variant| v.patch.remeshed(surface, v.limits, &v.demands);
-        let outcomes: Vec<Option<(Edits, Vec<Demand>)>> = variants.par_iter().map(remeshed).collect();
-        let mut going_on = Vec::new();
-        for (mut variant, outcome) in variants.into_iter().zip(outcomes) {
-            let Some((edits, more)) = outcome else { continue };
-            edits.make(surface);
-            if let Some(touched) = commit_if_welcome(surface, limits, Rule::Fit) {
-                return Ok(Some(touched));
-            }
-            if !more.is_empty() {
-                variant.demands.extend(more);
-                going_on.push(variant);
-            }
-        }
-        variants = going_on;
-    }
-    Ok(None)
-}
 
-/// Root of the sum of the squares of the principal curvatures of F at a point, per mm.
-fn curvature(surface: &Surface, p: DVec3) -> f64 {
-    let jet = surface.field.jet(p);
-    let slope = jet.gradient.length().max(1e-12);
-    let (x, y) = (jet.gradient / slope).any_orthonormal_pair();
-    let (xx, xy, yy) = (x.dot(jet.hessian * x), x.dot(jet.hessian * y), y.dot(jet.hessian * y));
-    (xx * xx + 2.0 * xy * xy + yy * yy).sqrt() / slope
+    /// Makes and commits changes that were judged in the part; the triangles touched. `nodes` are the grid nodes that they carry to the other side.
+    pub(super) fn commit(self, whole: &mut Surface, nodes: &[usize]) -> Vec<u32> {
+        self.make(whole);
+        if let Some(sides) = &mut whole.sides {
+            sides.turn(nodes);
+        }
+        whole.commit_as_it_is()
+    }
 }

@@ -3,16 +3,10 @@
 //! on F = 0.
 
 use super::Tally;
-use super::guard::{Limits, Rule, commit_if_welcome};
+use super::constants::{FLOOR, FLOOR_OF_RELAXATION, LONG, SHORT};
+use super::guard::{Limits, Rule, commit_or_rollback};
 use super::moves::{collapse, flip, projected, relax, split};
 use super::surface::{DEAD, Surface, edges_of};
-
-/// An edge longer than this times h is split.
-const LONG: f64 = 4.0 / 3.0;
-/// An edge shorter than this times h is collapsed.
-const SHORT: f64 = 4.0 / 5.0;
-/// What a split, collapse or flip may leave behind where it was better: the relaxation comes after.
-const FLOOR: f64 = 0.35;
 
 /// One round of everything.
 pub(super) fn round(surface: &mut Surface, limits: &Limits, tally: &mut Tally) {
@@ -21,7 +15,7 @@ pub(super) fn round(surface: &mut Surface, limits: &Limits, tally: &mut Tally) {
     let all = &vec![true; surface.positions.len()];
     equalise_degrees(surface, limits, Rule::Keep { floor: FLOOR }, 0, all, tally);
     for _ in 0..2 {
-        relax_all(surface, limits, Rule::Keep { floor: 0.6 }, all, tally);
+        relax_all(surface, limits, Rule::Keep { floor: FLOOR_OF_RELAXATION }, all, tally);
     }
 }
 
@@ -38,10 +32,11 @@ fn split_long(surface: &mut Surface, limits: &Limits, tally: &mut Tally) {
         .collect();
     long.sort_by(|a, b| b.0.total_cmp(&a.0));
     for (_, a, b) in long {
-        if split(surface, a, b).is_some() && commit_if_welcome(surface, limits, Rule::Keep { floor: FLOOR }).is_some() {
+        if split(surface, a, b).is_some() && commit_or_rollback(surface, limits, Rule::Keep { floor: FLOOR }).is_some()
+        {
             tally.splits += 1;
         }
-        surface.undo();
+        surface.rollback();
     }
 }
 
@@ -53,7 +48,7 @@ fn collapse_short(surface: &mut Surface, limits: &Limits, tally: &mut Tally) {
         .collect();
     short.sort_by(|a, b| a.0.total_cmp(&b.0));
     for (_, a, b) in short {
-        if surface.wings(a, b).is_none() || surface.relative_length(a, b) >= SHORT {
+        if surface.edge_triangles(a, b).is_none() || surface.relative_length(a, b) >= SHORT {
             continue;
         }
         let (p, q) = (surface.positions[a as usize], surface.positions[b as usize]);
@@ -63,12 +58,12 @@ fn collapse_short(surface: &mut Surface, limits: &Limits, tally: &mut Tally) {
             let too_long = |s: &Surface| s.link(keep).any(|(v, _)| s.relative_length(keep, v) > LONG);
             if collapse(surface, keep, gone, at)
                 && !too_long(surface)
-                && commit_if_welcome(surface, limits, Rule::Keep { floor: FLOOR }).is_some()
+                && commit_or_rollback(surface, limits, Rule::Keep { floor: FLOOR }).is_some()
             {
                 tally.collapses += 1;
                 break;
             }
-            surface.undo();
+            surface.rollback();
         }
     }
 }
@@ -85,7 +80,7 @@ pub(super) fn equalise_degrees(
 ) {
     let next_to = |corners: &&[u32; 3]| **corners != DEAD && corners.iter().any(|&v| in_question[v as usize]);
     for (a, b) in edges_of(surface.triangles.iter().filter(next_to)) {
-        let Some([(_, c), (_, d)]) = surface.wings(a, b) else { continue };
+        let Some([(_, c), (_, d)]) = surface.edge_triangles(a, b) else { continue };
         let degree = |v: u32| surface.degree(v) as i64;
         let cost = |x: i64| (x - 6) * (x - 6);
         let before = cost(degree(a)) + cost(degree(b)) + cost(degree(c)) + cost(degree(d));
@@ -96,9 +91,9 @@ pub(super) fn equalise_degrees(
                     relax(surface, v, 1.0);
                 }
             }
-            tally.flips += usize::from(commit_if_welcome(surface, limits, rule).is_some());
+            tally.flips += usize::from(commit_or_rollback(surface, limits, rule).is_some());
         }
-        surface.undo();
+        surface.rollback();
     }
 }
 
@@ -106,11 +101,11 @@ pub(super) fn equalise_degrees(
 pub(super) fn relax_all(surface: &mut Surface, limits: &Limits, rule: Rule, in_question: &[bool], tally: &mut Tally) {
     for v in (0..surface.positions.len() as u32).filter(|&v| in_question[v as usize]) {
         for share in [1.0, 0.4] {
-            if relax(surface, v, share) && commit_if_welcome(surface, limits, rule).is_some() {
+            if relax(surface, v, share) && commit_or_rollback(surface, limits, rule).is_some() {
                 tally.relocations += 1;
                 break;
             }
-            surface.undo();
+            surface.rollback();
         }
     }
 }

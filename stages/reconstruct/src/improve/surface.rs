@@ -1,24 +1,20 @@
 //! A closed triangle mesh that can be edited and taken back: positions, triangles, the triangles round each vertex, and a
 //! log from which any move can be undone. Nothing is final until [`Surface::commit`].
 
+use super::constants::{FIRST_ORDER, MOST_DEVIATION};
 use super::grid::TriangleGrid;
+use super::guard::quality_of;
 use super::moves::projected_facing;
-use super::sides::Sides;
+use super::nodes::NodeSides;
+use super::patch::Rings;
 use glam::DVec3;
 use isoparticles_field::spline::CubicSpline;
 use isoparticles_mesh::TriangleMesh;
-use isoparticles_mesh::quality::radius_ratio;
 use isoparticles_mesh::spatial::Bounds;
 use rayon::prelude::*;
 
 /// Corners of a triangle that is not there.
 pub(super) const DEAD: [u32; 3] = [u32::MAX; 3];
-
-/// Distance from F = 0, over h, up to which the first order |F| / |grad F| is taken for it.
-const FIRST_ORDER: f64 = 0.15;
-
-/// Distance from F = 0, over h, up to which a point of F = 0 is sought.
-const MOST_DEVIATION: f64 = 1.0;
 
 /// Target edge length h (mm) at a grid position.
 pub(super) type Size<'a> = &'a (dyn Fn(DVec3) -> f64 + Sync);
@@ -26,23 +22,28 @@ pub(super) type Size<'a> = &'a (dyn Fn(DVec3) -> f64 + Sync);
 /// What is known of a triangle as it was last committed.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Facts {
-    /// Radius ratio.
+    /// Radius ratio, or less where its angles are worse ([`quality_of`]).
     pub(super) quality: f64,
     /// Cosine between the normal and grad F at the centroid.
     pub(super) agreement: f64,
     /// Distance of the centroid from F = 0 over the mean target edge length: |F| / |grad F|, or where that is large (near critical points it
     /// says little) the distance to a point of F = 0 that faces the same way.
     pub(super) deviation: f64,
-    /// Factor by which the worst side leaves the range of lengths allowed, as a logarithm; 0 within.
-    pub(super) excess: f64,
+    /// Shortest and longest side over the target edge length.
+    pub(super) lengths: [f64; 2],
     /// Unit normal.
     pub(super) normal: DVec3,
 }
 
 impl Facts {
     /// Of a triangle that is not there: the best of everything.
-    pub(super) const NONE: Self =
-        Self { quality: f64::INFINITY, agreement: 1.0, deviation: 0.0, excess: 0.0, normal: DVec3::ZERO };
+    pub(super) const NONE: Self = Self {
+        quality: f64::INFINITY,
+        agreement: 1.0,
+        deviation: 0.0,
+        lengths: [f64::INFINITY, 0.0],
+        normal: DVec3::ZERO,
+    };
 }
 
 /// One step of the log.
@@ -61,8 +62,6 @@ pub(super) struct Surface<'a> {
     pub(super) field: &'a CubicSpline,
     /// Target edge length h (mm) at a grid position.
     pub(super) size: Size<'a>,
-    /// Allowed range of edge lengths over h.
-    pub(super) lengths: [f64; 2],
     /// Positions, also of vertices no longer used.
     pub(super) positions: Vec<DVec3>,
     /// Target edge length at each vertex, mm.
@@ -78,7 +77,7 @@ pub(super) struct Surface<'a> {
     /// Committed triangles by place.
     pub(super) grid: TriangleGrid,
     /// Guard of the grid nodes, where asked for.
-    pub(super) sides: Option<Sides<'a>>,
+    pub(super) sides: Option<NodeSides<'a>>,
     /// What is changed must lie within, where this is a part of another surface.
     pub(super) region: Option<Bounds>,
     log: Vec<Change>,
@@ -89,7 +88,7 @@ pub(super) struct Surface<'a> {
 
 impl<'a> Surface<'a> {
     /// Takes a well-formed mesh over.
-    pub(super) fn new(mesh: &TriangleMesh, field: &'a CubicSpline, size: Size<'a>, lengths: [f64; 2]) -> Self {
+    pub(super) fn new(mesh: &TriangleMesh, field: &'a CubicSpline, size: Size<'a>) -> Self {
         let mut around = vec![Vec::new(); mesh.vertices.len()];
         for (t, corners) in mesh.triangles.iter().enumerate() {
             for &v in corners {
@@ -100,7 +99,6 @@ impl<'a> Surface<'a> {
         let mut surface = Self {
             field,
             size,
-            lengths,
             positions: mesh.vertices.clone(),
             target: mesh.vertices.par_iter().map(|&p| size(p)).collect(),
             triangles: mesh.triangles.clone(),
@@ -137,7 +135,6 @@ impl<'a> Surface<'a> {
         Self {
             field: self.field,
             size: self.size,
-            lengths: self.lengths,
             grid: TriangleGrid::new(Bounds::of(&positions), 1.0),
             positions,
             target: vertices.iter().map(|&v| self.target[v as usize]).collect(),
@@ -189,10 +186,29 @@ impl<'a> Surface<'a> {
         (b - a).cross(c - a).normalize_or_zero()
     }
 
-    /// Radius ratio of a triangle as it is now.
+    /// Quality of a triangle as it is now.
     pub(super) fn quality(&self, triangle: u32) -> f64 {
         let [a, b, c] = self.corners(triangle);
-        radius_ratio(a, b, c)
+        quality_of(a, b, c)
+    }
+
+    /// Length of an edge, mm.
+    pub(super) fn length(&self, a: u32, b: u32) -> f64 {
+        self.positions[a as usize].distance(self.positions[b as usize])
+    }
+
+    /// A triangle and so many rings of triangles round it.
+    pub(super) fn rings(&self, triangle: u32, count: usize) -> Rings {
+        let mut rings = Rings { vertices: self.triangles[triangle as usize].to_vec(), triangles: Vec::new() };
+        for _ in 0..count {
+            rings.triangles = rings.vertices.iter().flat_map(|&v| self.around[v as usize].iter().copied()).collect();
+            rings.triangles.sort_unstable();
+            rings.triangles.dedup();
+            rings.vertices = rings.triangles.iter().flat_map(|&t| self.triangles[t as usize]).collect();
+            rings.vertices.sort_unstable();
+            rings.vertices.dedup();
+        }
+        rings
     }
 
     /// Target length of an edge, mm.
@@ -202,7 +218,7 @@ impl<'a> Surface<'a> {
 
     /// Length of an edge over its target.
     pub(super) fn relative_length(&self, a: u32, b: u32) -> f64 {
-        self.positions[a as usize].distance(self.positions[b as usize]) / self.target_between(a, b)
+        self.length(a, b) / self.target_between(a, b)
     }
 
     /// Everything about a triangle as it is now.
@@ -222,15 +238,12 @@ impl<'a> Surface<'a> {
         {
             deviation = foot.distance(centroid) / mean_target;
         }
-        let excess = |e: usize| {
-            let length = self.relative_length(corners[e], corners[(e + 1) % 3]).max(1e-12);
-            (self.lengths[0] / length).max(length / self.lengths[1]).ln().max(0.0)
-        };
+        let lengths = [0, 1, 2].map(|e| self.relative_length(corners[e], corners[(e + 1) % 3]));
         Facts {
-            quality: radius_ratio(a, b, c),
+            quality: quality_of(a, b, c),
             agreement: normal.dot(gradient.normalize_or_zero()),
             deviation,
-            excess: excess(0).max(excess(1)).max(excess(2)),
+            lengths: [lengths[0].min(lengths[1]).min(lengths[2]), lengths[0].max(lengths[1]).max(lengths[2])],
             normal,
         }
     }
@@ -245,7 +258,7 @@ impl<'a> Surface<'a> {
     }
 
     /// The two triangles of an edge with their third corners: first the one that runs from `a` to `b`.
-    pub(super) fn wings(&self, a: u32, b: u32) -> Option<[(u32, u32); 2]> {
+    pub(super) fn edge_triangles(&self, a: u32, b: u32) -> Option<[(u32, u32); 2]> {
         let (mut left, mut right) = (None, None);
         for &t in &self.around[a as usize] {
             let c = self.triangles[t as usize];
@@ -349,7 +362,7 @@ impl<'a> Surface<'a> {
     }
 
     /// Takes back everything since the last commit.
-    pub(super) fn undo(&mut self) {
+    pub(super) fn rollback(&mut self) {
         while let Some(change) = self.log.pop() {
             match change {
                 Change::Moved { vertex, from, target } => {
@@ -425,11 +438,12 @@ impl<'a> Surface<'a> {
         self.region.is_none_or(|region| corners.all(|p| region.encloses(p)))
     }
 
-    /// Makes the edits since the last commit final, which were judged elsewhere.
-    pub(super) fn commit_as_it_is(&mut self) {
+    /// Makes the edits since the last commit final, which were judged elsewhere; the triangles touched.
+    pub(super) fn commit_as_it_is(&mut self) -> Vec<u32> {
         let touched = self.touched();
         let facts: Vec<Facts> = touched.par_iter().map(|&t| self.measure(t)).collect();
         self.commit(&touched, &facts);
+        touched
     }
 
     /// Makes the edits since the last commit final.

@@ -1,8 +1,9 @@
 //! Meshes with bad triangles on analytic surfaces: what comes out must be better and still everything it was.
 
-use super::excerpt::Excerpt;
+use super::patch::Patch;
 use super::*;
 use crate::check::{CheckOptions, CheckReport, check};
+use constants::FIT;
 use isoparticles_field::marching_cubes::marching_cubes;
 use isoparticles_field::random::uniform;
 use isoparticles_mesh::shapes;
@@ -157,17 +158,17 @@ fn polishing_raises_mean_and_minimum_and_no_triangle_count_changes() {
 }
 
 #[test]
-fn the_last_resort_makes_all_triangles_at_a_neck_fit() {
+fn all_triangles_at_a_neck_become_fit() {
     let scene = crate::scenes::hourglass();
-    let limits = Limits { agreement: 0.3, fold: 0.0, fold_of_f: 0.0, deviation: 0.15, excess: 1e-9 }.loosened();
+    let limits = Limits::new(0.15, [0.5, 1.6]);
     let mut unfit = 0;
     for h in [1.2, 1.6, 2.0, 2.4, 3.2] {
         let (mesh, _, _) = crate::tests::restricted(&scene, h / 1.2);
         let before = check(&mesh, &CheckOptions::default());
         let size = |_: DVec3| h;
-        let mut surface = Surface::new(&mesh, &scene.field, &size, last_resort::LENGTHS);
+        let mut surface = Surface::new(&mesh, &scene.field, &size);
         let mut tally = Tally::default();
-        last_resort::lift(&mut surface, &limits, &|| Ok(()), &mut tally).expect("nothing stops it");
+        optimise::optimise(&mut surface, &limits, FIT, 3, &|| Ok(()), &mut tally).expect("nothing stops it");
         let after = assert_sound(&surface.into_mesh(), &scene.field, &before, "hourglass");
         let is_fit = |quality: &QualitySummary| {
             quality.radius_ratio_min >= 0.5 && quality.angle_min >= 25.0 && quality.angle_max <= 120.0
@@ -181,27 +182,26 @@ fn the_last_resort_makes_all_triangles_at_a_neck_fit() {
 #[test]
 fn a_remeshed_patch_makes_its_triangle_fit_and_leaves_the_rest_alone() {
     let scene = crate::scenes::hourglass();
-    let limits = Limits { agreement: 0.3, fold: 0.0, fold_of_f: 0.0, deviation: 0.15, excess: 1e-9 }.loosened();
+    let limits = Limits::new(0.15, [0.5, 1.6]).loosened();
     let mut lifted = 0;
     for h in [1.6, 2.0, 2.4, 3.2] {
         let (mesh, _, _) = crate::tests::restricted(&scene, h / 1.2);
         let before = check(&mesh, &CheckOptions::default());
         let size = |_: DVec3| h;
-        let mut surface = Surface::new(&mesh, &scene.field, &size, last_resort::LENGTHS);
-        let fitness = |s: &Surface, t: u32| guard::fitness(s.corners(t));
+        let mut surface = Surface::new(&mesh, &scene.field, &size);
         let all = 0..mesh.triangles.len() as u32;
-        let worst = all.min_by(|&a, &b| fitness(&surface, a).total_cmp(&fitness(&surface, b))).expect("triangles");
-        if fitness(&surface, worst) >= 1.0 {
+        let worst = all.min_by(|&a, &b| surface.quality(a).total_cmp(&surface.quality(b))).expect("triangles");
+        let least = surface.quality(worst);
+        if least >= FIT {
             continue;
         }
         let [a, b, c] = surface.corners(worst);
         let centre = (a + b + c) / 3.0;
-        let least = fitness(&surface, worst);
-        let touched =
-            patch::lift(&mut surface, &limits, worst, &|| Ok(())).expect("nothing stops it").expect("a patch");
-        let mut alive = touched.iter().filter(|&&t| surface.is_alive(t));
-        assert!(alive.clone().count() > 4 && alive.all(|&t| fitness(&surface, t) > least), "h {h}");
-        assert!(!surface.is_alive(worst) || fitness(&surface, worst) >= 1.0, "h {h}");
+        assert!(target_length::remesh(&mut surface, worst, &limits, FIT), "h {h}");
+        let alive = || (0..surface.triangles.len() as u32).filter(|&t| surface.is_alive(t));
+        let near = |t: &u32| surface.corners(*t).iter().any(|p| p.distance(centre) < h);
+        assert!(alive().filter(near).all(|t| surface.quality(t) > least), "h {h}");
+        assert!(!surface.is_alive(worst) || surface.quality(worst) >= FIT, "h {h}");
         for (p, q) in mesh.vertices.iter().zip(&surface.positions) {
             assert!(p == q || p.distance(centre) < 2.5 * h, "h {h}: a vertex at {p} was moved");
         }
@@ -211,47 +211,83 @@ fn a_remeshed_patch_makes_its_triangle_fit_and_leaves_the_rest_alone() {
     assert!(lifted > 0, "there was nothing to do");
 }
 
-#[test]
-fn what_is_done_in_an_excerpt_is_one_edit_of_the_whole() {
-    let centre = DVec3::splat(6.1);
+/// Marching cubes' mesh of a ball, on F = 0.
+fn rough_sphere(centre: DVec3) -> (CubicSpline, TriangleMesh) {
     let image = sampled([26; 3], DVec3::splat(0.5), ball(centre, 4.0));
     let field = CubicSpline::new(&image);
     let mut mesh = marching_cubes(&image, 0.0);
     mesh.vertices.iter_mut().for_each(|p| *p = field.project(*p, 1.0, 1e-9).unwrap_or(*p));
+    (field, mesh)
+}
+
+#[test]
+fn what_is_done_in_a_patch_is_one_transaction_of_the_whole() {
+    let centre = DVec3::splat(6.1);
+    let (field, mesh) = rough_sphere(centre);
     let before = check(&mesh, &CheckOptions::default());
     let (h, fine) = (|_: DVec3| 0.8, |_: DVec3| 0.4);
-    let mut surface = Surface::new(&mesh, &field, &h, [0.0, 9.0]);
+    let mut surface = Surface::new(&mesh, &field, &h);
     let region = Bounds { low: centre, high: centre + 5.0 };
-    let limits = Limits { agreement: 0.3, fold: 0.0, fold_of_f: 0.0, deviation: 0.15, excess: f64::INFINITY };
-    let mut part = Excerpt::new(&surface, &region, &fine, [0.5, 1.6]);
-    part.keep_free(|v| mesh.vertices[v as usize].z > centre.z + 0.5);
+    let limits = Limits::new(0.15, [0.0, f64::INFINITY]);
     let mut tally = Tally::default();
-    for _ in 0..4 {
-        remesh::round(&mut part.surface, &limits, &mut tally);
-    }
-    assert!(tally.splits > 10 && tally.collapses > 10 && tally.flips > 10, "{tally:?}");
-    part.edits(&surface).make(&mut surface);
+    let mut remeshed = |surface: &Surface| {
+        let whole = Patch::within(surface, &region);
+        let mut part = Patch::with_target(&whole.surface, &fine);
+        let is_free: Vec<bool> = part.surface.positions.iter().map(|p| p.z > centre.z + 0.5).collect();
+        part.keep_free(|v| is_free[v as usize]);
+        for _ in 0..4 {
+            remesh::round(&mut part.surface, &limits, &mut tally);
+        }
+        let mut whole = whole;
+        part.edits(&whole.surface).make(&mut whole.surface);
+        whole.edits(surface)
+    };
+    remeshed(&surface).make(&mut surface);
     // the rest stayed where it was, and everything comes back
     for (p, q) in mesh.vertices.iter().zip(&surface.positions) {
         assert!(p == q || p.z > centre.z + 0.5);
     }
     let touched = surface.touched();
     let edited = surface.triangles.clone();
-    surface.undo();
+    surface.rollback();
     assert_eq!((&surface.positions, &surface.triangles), (&mesh.vertices, &mesh.triangles));
-    // an excerpt without edits is none of the whole
-    Excerpt::new(&surface, &region, &fine, [0.5, 1.6]).edits(&surface).make(&mut surface);
+    // a patch without edits is none of the whole
+    Patch::within(&surface, &region).edits(&surface).make(&mut surface);
     assert!(surface.touched().is_empty());
 
-    let mut part = Excerpt::new(&surface, &region, &fine, [0.5, 1.6]);
-    part.keep_free(|v| mesh.vertices[v as usize].z > centre.z + 0.5);
-    for _ in 0..4 {
-        remesh::round(&mut part.surface, &limits, &mut tally);
-    }
-    part.edits(&surface).make(&mut surface);
+    remeshed(&surface).make(&mut surface);
     assert_eq!((&surface.touched(), &surface.triangles), (&touched, &edited), "the same again");
-    assert!(commit_if_welcome(&mut surface, &limits, Rule::Keep { floor: 0.1 }).is_some());
+    assert!(commit_or_rollback(&mut surface, &limits, Rule::Keep { floor: 0.1 }).is_some());
+    assert!(tally.splits > 10 && tally.collapses > 10 && tally.flips > 10, "{tally:?}");
     assert_sound(&surface.into_mesh(), &field, &before, "a ball with a fine octant");
+}
+
+#[test]
+fn patches_that_do_not_meet_add_their_vertices_side_by_side() {
+    let centre = DVec3::splat(6.1);
+    let (field, mesh) = rough_sphere(centre);
+    let before = check(&mesh, &CheckOptions::default());
+    let mut surface = Surface::new(&mesh, &field, &|_| 0.6);
+    let edits: Vec<_> = [DVec3::X, DVec3::NEG_X, DVec3::Y]
+        .map(|side| {
+            let middle = centre + 4.0 * side;
+            let mut patch = Patch::within(&surface, &Bounds { low: middle - 1.5, high: middle + 1.5 });
+            let near = |v: &usize| patch.surface.positions[*v].distance(middle);
+            let v = (0..patch.surface.positions.len()).min_by(|a, b| near(a).total_cmp(&near(b))).expect("vertices");
+            let (u, _) = patch.surface.link(v as u32).next().expect("neighbours");
+            moves::split(&mut patch.surface, v as u32, u).expect("an edge");
+            patch.edits(&surface)
+        })
+        .into();
+    for edits in edits {
+        assert!(edits.commit(&mut surface, &[]).len() >= 4);
+    }
+    for t in 0..surface.triangles.len() as u32 {
+        assert_eq!(surface.facts[t as usize], surface.measure(t), "facts of triangle {t}");
+    }
+    let made = surface.into_mesh();
+    assert_eq!(made.vertices.len(), mesh.vertices.len() + 3);
+    assert_sound(&made, &field, &before, "three splits");
 }
 
 /// A double cone: its rim of radius 8 is a fold of F, the normals on either side 140 degrees apart.
@@ -278,10 +314,10 @@ fn double_cone() -> (Image<f32>, TriangleMesh) {
 #[test]
 fn neighbours_may_fold_where_f_folds_and_nowhere_else() {
     let (image, mesh) = double_cone();
-    let strict = Limits { agreement: 0.3, fold: 0.0, fold_of_f: 0.0, deviation: f64::INFINITY, excess: f64::INFINITY };
+    let strict = Limits::new(f64::INFINITY, [0.0, f64::INFINITY]);
     let loosened = strict.loosened();
     let moved_along_the_rim = |field: &CubicSpline, limits: &Limits| {
-        let mut surface = Surface::new(&mesh, field, &|_| 2.0, last_resort::LENGTHS);
+        let mut surface = Surface::new(&mesh, field, &|_| 2.0);
         surface.move_vertex(2, mesh.vertices[2].lerp(mesh.vertices[3], 0.2));
         guard::keeps_limits(&surface, limits)
     };
@@ -301,7 +337,7 @@ fn the_middle_of_an_edge_stays_on_its_own_face_of_a_thin_wall() {
     let image = sampled([66; 3], DVec3::splat(0.25), |p| (p.distance(centre) - 6.0).abs() - 0.5);
     let field = CubicSpline::new(&image);
     let size = |_: DVec3| 1.0;
-    let surface = Surface::new(&TriangleMesh::default(), &field, &size, [0.0, 9.0]);
+    let surface = Surface::new(&TriangleMesh::default(), &field, &size);
     for outward in [DVec3::X, DVec3::new(0.6, 0.0, -0.8), DVec3::ONE.normalize()] {
         for depth in [0.2, 0.6, 0.8] {
             let middle = centre + (6.5 - depth) * outward;
@@ -332,7 +368,7 @@ fn a_triangle_across_a_neck_strays_by_the_radius_of_the_neck() {
     let corners = [DVec3::new(1.0, 0.0, 0.0), DVec3::new(-0.5, 0.0, -0.8), DVec3::new(-0.5, 0.0, 0.8)];
     let mesh = TriangleMesh { vertices: corners.map(|c| centre + c).to_vec(), triangles: vec![[0, 1, 2]] };
     let size = |_: DVec3| 2.0;
-    let surface = Surface::new(&mesh, &field, &size, [0.0, 9.0]);
+    let surface = Surface::new(&mesh, &field, &size);
     assert!((surface.facts[0].deviation - 0.2 / 2.0).abs() < 1e-3, "{:?}", surface.facts[0]);
 }
 
@@ -431,23 +467,22 @@ fn the_result_does_not_depend_on_the_number_of_threads() {
             let mut ball = marching_cubes(&image, 0.0);
             let options = ImproveOptions { remesh_rounds: 2, ..ImproveOptions::remesh() };
             improve(&mut ball, &CubicSpline::new(&image), &|_| 1.2, &options, &|| Ok(())).expect("sound");
-            // at its neck refinements, plans and patches are tried
+            // at its neck patches are remeshed
             let scene = crate::scenes::hourglass();
-            let limits = Limits { agreement: 0.3, fold: 0.0, fold_of_f: 0.0, deviation: 0.15, excess: 1e-9 }.loosened();
+            let limits = Limits::new(0.15, [0.5, 1.6]);
             let mut tally = Tally::default();
             let necks = [1.6, 2.0, 2.4, 3.2].map(|h| {
                 let (mesh, _, _) = crate::tests::restricted(&scene, h / 1.2);
                 let size = |_: DVec3| h;
-                let [mut lifted, mut patched] =
-                    [(); 2].map(|()| Surface::new(&mesh, &scene.field, &size, last_resort::LENGTHS));
-                let is_unfit = |t: &u32| guard::fitness(patched.corners(*t)) < 1.0;
+                let [mut lifted, mut patched] = [(); 2].map(|()| Surface::new(&mesh, &scene.field, &size));
+                let is_unfit = |t: &u32| patched.quality(*t) < FIT;
                 if let Some(unfit) = (0..mesh.triangles.len() as u32).find(is_unfit) {
-                    patch::lift(&mut patched, &limits, unfit, &|| Ok(())).expect("nothing stops it");
+                    target_length::remesh(&mut patched, unfit, &limits.loosened(), FIT);
                 }
-                last_resort::lift(&mut lifted, &limits, &|| Ok(()), &mut tally).expect("nothing stops it");
+                optimise::optimise(&mut lifted, &limits, 0.7, 3, &|| Ok(()), &mut tally).expect("nothing stops it");
                 [lifted.into_mesh(), patched.into_mesh()]
             });
-            assert!(tally.refinements + tally.last_resort_moves > 0, "{tally:?}");
+            assert!(tally.single_moves > 0, "{tally:?}");
             (ball, necks)
         })
     };

@@ -5,20 +5,15 @@
 //! across the faces of the blocks has its turn in blocks shifted by half their side, and what is left after that (0.4 % of the
 //! vertices of the torso; more where the mesh is strongly graded) in the whole mesh, on one thread.
 
-use super::excerpt::Excerpt;
+use super::constants::{BLOCK, SWEEPS_OF_FLIP};
 use super::guard::{Limits, Rule};
+use super::patch::Patch;
 use super::surface::{DEAD, Surface};
 use super::{Step, Tally, remesh};
 use glam::DVec3;
 use isoparticles_mesh::spatial::Bounds;
 use isoparticles_stage::error::Result;
 use rayon::prelude::*;
-
-/// Side of a block over the mean length of the edges: some thousands of triangles, and an eighth of the vertices across its faces.
-const SIDE: f64 = 50.0;
-
-/// Relaxations of the four vertices of a flip before it is judged.
-const SWEEPS_OF_FLIP: usize = 2;
 
 /// Flips towards degree six and relaxes every vertex, `sweeps` times; none of it lets any triangle's neighbourhood get worse. `step` is called
 /// before each sweep of a block and may stop it.
@@ -43,12 +38,12 @@ pub(super) fn sweep(
     };
     let mut todo = vec![true; surface.positions.len()];
     let mut tallies = Vec::new();
-    let side = SIDE * mean_edge(surface);
+    let side = BLOCK * mean_edge(surface);
     for shift in [0.0, 0.5 * side] {
         let blocks = blocks(surface, &todo, side, shift);
         let in_block = |block: &Block| {
             step()?;
-            let mut part = Excerpt::within(surface, &block.region, block.triangles.clone());
+            let mut part = Patch::of(surface, &block.region, block.triangles.clone());
             part.keep_free(|v| block.free.binary_search(&v).is_ok());
             let todo = part.pick(&todo);
             let tally = work(&mut part.surface, &todo)?;
@@ -56,11 +51,7 @@ pub(super) fn sweep(
         };
         let done: Vec<_> = blocks.par_iter().map(in_block).collect::<Result<_>>()?;
         for (nodes, edits, tally) in done {
-            edits.make(surface);
-            surface.commit_as_it_is();
-            if let Some(sides) = &mut surface.sides {
-                sides.turn(&nodes);
-            }
+            edits.commit(surface, &nodes);
             tallies.push(tally);
         }
         blocks.iter().flat_map(|block| &block.free).for_each(|&v| todo[v as usize] = false);
@@ -142,9 +133,9 @@ fn mean_edge(surface: &Surface) -> f64 {
 mod tests {
     use super::*;
     use crate::check::{CheckOptions, check};
-    use crate::improve::guard::commit_if_welcome;
+    use crate::improve::guard::commit_or_rollback;
     use crate::improve::moves;
-    use crate::improve::sides::Sides;
+    use crate::improve::nodes::NodeSides;
     use crate::improve::tests::{ball, sampled};
     use isoparticles_field::random::uniform;
     use isoparticles_field::spline::CubicSpline;
@@ -153,7 +144,7 @@ mod tests {
 
     const CENTRE: DVec3 = DVec3::splat(8.2);
     const RADIUS: f64 = 6.0;
-    const LIMITS: Limits = Limits { agreement: 0.3, fold: 0.0, fold_of_f: 0.0, deviation: 0.15, excess: 1e-9 };
+    const LIMITS: Limits = Limits::new(0.15, [0.3, 2.0]);
 
     /// A sphere of 20,480 triangles with every vertex out of place and some edges flipped in vain, and its F.
     fn rough_ball() -> (CubicSpline, TriangleMesh, f64) {
@@ -165,10 +156,10 @@ mod tests {
             *p = field.project(CENTRE + *p + 0.5 * h * shift, h, 1e-6).expect("F = 0 is near");
         }
         let size = |_: DVec3| h;
-        let mut surface = Surface::new(&mesh, &field, &size, [0.3, 2.0]);
+        let mut surface = Surface::new(&mesh, &field, &size);
         for (a, b) in remesh::edges(&surface).into_iter().step_by(97) {
             if moves::flip(&mut surface, a, b) {
-                commit_if_welcome(&mut surface, &LIMITS, Rule::Any);
+                commit_or_rollback(&mut surface, &LIMITS, Rule::Any);
             }
         }
         let mesh = surface.into_mesh();
@@ -181,7 +172,7 @@ mod tests {
         let size = |_: DVec3| h;
         let swept = |threads: usize| {
             let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("threads");
-            let mut surface = Surface::new(&mesh, &field, &size, [0.3, 2.0]);
+            let mut surface = Surface::new(&mesh, &field, &size);
             let mut tally = Tally::default();
             pool.install(|| sweep(&mut surface, &LIMITS, 3, &|| Ok(()), &mut tally)).expect("nothing stops it");
             for t in 0..surface.triangles.len() as u32 {
@@ -210,12 +201,12 @@ mod tests {
         // so fine a grid that facets cut off some of its nodes
         let image = sampled([166; 3], DVec3::splat(0.1), ball(CENTRE, RADIUS));
         let size = |_: DVec3| h;
-        let mut surface = Surface::new(&mesh, &field, &size, [0.3, 2.0]);
-        surface.sides = Some(Sides::new(&mesh, &image));
-        let before = Sides::new(&mesh, &image);
+        let mut surface = Surface::new(&mesh, &field, &size);
+        surface.sides = Some(NodeSides::new(&mesh, &image));
+        let before = NodeSides::new(&mesh, &image);
         sweep(&mut surface, &LIMITS, 3, &|| Ok(()), &mut Tally::default()).expect("nothing stops it");
         let after = surface.sides.take().expect("they are still guarded");
-        assert_eq!(after.difference(&Sides::new(&surface.into_mesh(), &image)), [0; 0]);
+        assert_eq!(after.difference(&NodeSides::new(&surface.into_mesh(), &image)), [0; 0]);
         assert!(after.wrong_count() < before.wrong_count() - 5, "{} of {}", after.wrong_count(), before.wrong_count());
         assert_eq!(
             before.wrong_count() - after.wrong_count(),
@@ -228,7 +219,7 @@ mod tests {
     fn blocks_do_not_overlap_and_leave_hardly_any_vertex_out_in_two_turns() {
         let (field, mesh, h) = rough_ball();
         let size = |_: DVec3| h;
-        let surface = Surface::new(&mesh, &field, &size, [0.3, 2.0]);
+        let surface = Surface::new(&mesh, &field, &size);
         let side = 30.0 * mean_edge(&surface);
         let mut todo = vec![true; mesh.vertices.len()];
         for shift in [0.0, 0.5 * side] {
@@ -252,17 +243,17 @@ mod tests {
     fn nothing_leaves_its_region() {
         let (field, mesh, h) = rough_ball();
         let size = |_: DVec3| h;
-        let mut surface = Surface::new(&mesh, &field, &size, [0.3, 2.0]);
+        let mut surface = Surface::new(&mesh, &field, &size);
         let (v, from) = (17, surface.positions[17]);
         let round = surface.link(v).map(|(u, _)| surface.positions[u as usize]).chain([from]).collect::<Vec<_>>();
         let to = field.project(from + 0.01 * h * DVec3::X, h, 1e-6).expect("F = 0 is near");
         let tight = Bounds::of(&round);
         let wide = Bounds { low: tight.low - h, high: tight.high + h };
-        for (region, is_welcome) in [(tight, false), (wide, true)] {
+        for (region, is_kept) in [(tight, false), (wide, true)] {
             surface.region = Some(region);
             surface.move_vertex(v, to);
-            assert_eq!(commit_if_welcome(&mut surface, &LIMITS, Rule::Any).is_some(), is_welcome);
-            assert_eq!(surface.positions[v as usize] == to, is_welcome);
+            assert_eq!(commit_or_rollback(&mut surface, &LIMITS, Rule::Any).is_some(), is_kept);
+            assert_eq!(surface.positions[v as usize] == to, is_kept);
         }
     }
 
@@ -270,7 +261,7 @@ mod tests {
     fn an_error_stops_the_sweeps() {
         let (field, mesh, h) = rough_ball();
         let size = |_: DVec3| h;
-        let mut surface = Surface::new(&mesh, &field, &size, [0.3, 2.0]);
+        let mut surface = Surface::new(&mesh, &field, &size);
         let step = || Err(isoparticles_stage::error::Error::input("stopped", "", ""));
         assert!(sweep(&mut surface, &LIMITS, 3, &step, &mut Tally::default()).is_err());
     }

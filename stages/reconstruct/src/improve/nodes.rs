@@ -12,12 +12,12 @@ use std::collections::HashSet;
 
 /// The nodes, their sides, and those on the wrong one.
 #[derive(Clone)]
-pub(super) struct Sides<'a> {
+pub(super) struct NodeSides<'a> {
     image: &'a Image<f32>,
     wrong: HashSet<usize>,
 }
 
-impl<'a> Sides<'a> {
+impl<'a> NodeSides<'a> {
     /// Finds the nodes that a mesh has on the wrong side to begin with.
     pub(super) fn new(mesh: &TriangleMesh, image: &'a Image<f32>) -> Self {
         let geometry = &image.geometry;

@@ -1,0 +1,200 @@
+//! Remeshes the patch round a triangle at a smaller target length, where h is too long for the bends of F.
+//!
+//! On a piece of surface whose edges are short beside its radii of curvature, triangles near to equilateral stray and fold little; that is
+//! what sampling by the local feature size ensures (Amenta and Bern 1999). So the target length is a share of the radius of curvature, and
+//! grows with the distance until it meets the length of the mesh at the rim. What curvature at the samples did not tell, the outcome does:
+//! where it strays or is turned against F, edges half as long are asked for, and the patch is remeshed again from the start. A small closed
+//! component is a patch without a rim.
+
+use super::constants::{
+    ATTEMPTS, CHORD, FINEST, GRADATIONS, MOST_TRIANGLES, PATCH_LENGTHS, REACH, RIM, RINGS_OF_LENGTH, ROUNDS, SHORTER,
+    STRAYS, TARGET, TURNED,
+};
+use super::guard::{Limits, Rule, commit_or_rollback};
+use super::moves::projected_facing;
+use super::optimise::lift;
+use super::patch::Patch;
+use super::surface::{DEAD, Surface, edges_of};
+use super::{Tally, remesh};
+use glam::DVec3;
+use isoparticles_mesh::spatial::Bounds;
+
+/// A place that asks for short edges.
+#[derive(Clone, Copy, Debug)]
+struct Demand {
+    /// Where, grid frame, mm.
+    at: DVec3,
+    /// How short, mm.
+    length: f64,
+}
+
+/// Where a triangle is, and how long the edges of the mesh are round it, mm.
+#[derive(Clone, Copy)]
+struct Place {
+    centre: DVec3,
+    length: f64,
+}
+
+impl Place {
+    fn of(surface: &Surface, triangle: u32) -> Self {
+        let corners = surface.triangles[triangle as usize];
+        let [a, b, c] = surface.corners(triangle);
+        let h = corners.iter().map(|&v| surface.target[v as usize]).sum::<f64>() / 3.0;
+        let round = surface.rings(triangle, RINGS_OF_LENGTH);
+        let edges = edges_of(round.triangles.iter().map(|&t| &surface.triangles[t as usize]));
+        let sum: f64 = edges.iter().map(|&(a, b)| surface.length(a, b)).sum();
+        Self { centre: (a + b + c) / 3.0, length: h.min(sum / edges.len() as f64) }
+    }
+
+    fn reach(&self) -> f64 {
+        REACH * self.length
+    }
+
+    /// The shortest length at a position that lets edges grow to those at the rim.
+    fn least(&self, p: DVec3, gradation: f64) -> f64 {
+        let at_rim = RIM * self.length - gradation * (self.reach() - p.distance(self.centre));
+        at_rim.max(FINEST * self.length)
+    }
+}
+
+/// The box that the remeshing of the patch round a triangle stays in.
+pub(super) fn region(surface: &Surface, triangle: u32) -> Bounds {
+    let place = Place::of(surface, triangle);
+    // the triangles across the rim reach out of the ball
+    let half = place.reach() + 2.0 * place.length;
+    Bounds { low: place.centre - half, high: place.centre + half }
+}
+
+/// Remeshes the patch round a triangle and commits the first outcome that the guard lets pass; false where none did.
+pub(super) fn remesh(surface: &mut Surface, triangle: u32, limits: &Limits, bar: f64) -> bool {
+    let place = Place::of(surface, triangle);
+    let Some(free) = free_vertices(surface, triangle, &place) else { return false };
+    let by_curvature = demands_of_curvature(surface, &free, &place);
+    let mut demands = GRADATIONS.map(|_| Some(by_curvature.clone()));
+    for _ in 0..ATTEMPTS {
+        for (gradation, demands) in GRADATIONS.into_iter().zip(&mut demands) {
+            let Some(asked) = demands else { continue };
+            let h = surface.size;
+            let target = |p: DVec3| {
+                let asked =
+                    asked.iter().fold(place.length, |least, d| least.min(d.length + gradation * p.distance(d.at)));
+                h(p).min(asked.max(place.least(p, gradation)))
+            };
+            let more = match remeshed(surface, &free, &target, limits) {
+                Some(patch) => {
+                    let more = demands_of_outcome(&patch.surface);
+                    patch.edits(surface).make(surface);
+                    if commit_or_rollback(surface, limits, Rule::Lift { bar }).is_some() {
+                        return true;
+                    }
+                    more
+                }
+                None => Vec::new(),
+            };
+            // the same again would end the same
+            if more.is_empty() {
+                *demands = None;
+            } else {
+                asked.extend(more);
+            }
+        }
+    }
+    false
+}
+
+/// The vertices in reach that may move, ascending: those connected with the triangle in a ball whose triangles lie in the region.
+fn free_vertices(surface: &Surface, triangle: u32, place: &Place) -> Option<Vec<u32>> {
+    let is_free = |v: u32| {
+        let p = surface.positions[v as usize];
+        let is_inside = |u: u32| surface.region.is_none_or(|region| region.encloses(surface.positions[u as usize]));
+        p.distance(place.centre) < place.reach()
+            && !surface.frozen[v as usize]
+            && surface.link(v).all(|(u, _)| is_inside(u))
+    };
+    let mut open: Vec<u32> = surface.triangles[triangle as usize].into_iter().filter(|&v| is_free(v)).collect();
+    let mut found = open.clone();
+    while let Some(v) = open.pop() {
+        for (u, _) in surface.link(v) {
+            if !found.contains(&u) && is_free(u) {
+                found.push(u);
+                open.push(u);
+            }
+        }
+    }
+    found.sort_unstable();
+    (!found.is_empty()).then_some(found)
+}
+
+/// A copy of the surface with the patch remeshed to a target length; `None` where it gets too large.
+fn remeshed<'a>(
+    surface: &Surface<'a>,
+    free: &[u32],
+    target: &'a (dyn Fn(DVec3) -> f64 + Sync),
+    limits: &Limits,
+) -> Option<Patch<'a>> {
+    // on the way only the target lengths are short, so that deviation over them may pass any bound
+    let limits = &Limits { deviation: f64::INFINITY, lengths: PATCH_LENGTHS, ..*limits };
+    let mut patch = Patch::with_target(surface, target);
+    patch.keep_free(|v| free.binary_search(&v).is_ok());
+    let part = &mut patch.surface;
+    for _ in 0..ROUNDS {
+        remesh::round(part, limits, &mut Tally::default());
+        if part.triangles.iter().filter(|t| **t != DEAD).count() > MOST_TRIANGLES {
+            return None;
+        }
+    }
+    for _ in 0..ROUNDS {
+        let quality = |part: &Surface, t: u32| part.facts[t as usize].quality;
+        let all = 0..part.triangles.len() as u32;
+        let mut bad: Vec<u32> = all.filter(|&t| part.is_alive(t) && quality(part, t) < TARGET).collect();
+        bad.sort_by(|&a, &b| quality(part, a).total_cmp(&quality(part, b)));
+        bad.retain(|&t| part.is_alive(t) && quality(part, t) < TARGET && lift(part, t, limits, TARGET));
+        if bad.is_empty() {
+            break;
+        }
+    }
+    Some(patch)
+}
+
+/// Demands by the curvature of F at corners, sides and centroids of the triangles at some vertices.
+fn demands_of_curvature(surface: &Surface, vertices: &[u32], place: &Place) -> Vec<Demand> {
+    let mut triangles: Vec<u32> = vertices.iter().flat_map(|&v| surface.around[v as usize].iter().copied()).collect();
+    triangles.sort_unstable();
+    triangles.dedup();
+    let samples = triangles.into_iter().flat_map(|t| {
+        let [a, b, c] = surface.corners(t);
+        let normal = surface.normal_of(surface.triangles[t as usize]);
+        let places = [a, b, c, a.midpoint(b), b.midpoint(c), c.midpoint(a), (a + b + c) / 3.0];
+        places.into_iter().filter_map(move |p| projected_facing(surface, p, normal, place.length))
+    });
+    let demands = samples.map(|p| Demand { at: p, length: CHORD / curvature(surface, p) });
+    demands.filter(|demand| demand.length < place.length).collect()
+}
+
+/// Demands of the triangles that still stray or are turned.
+fn demands_of_outcome(part: &Surface) -> Vec<Demand> {
+    let mut demands = Vec::new();
+    for t in (0..part.triangles.len() as u32).filter(|&t| part.is_alive(t)) {
+        let corners = part.triangles[t as usize];
+        if corners.iter().any(|&v| part.frozen[v as usize]) {
+            continue;
+        }
+        let [a, b, c] = part.corners(t);
+        let side = (a.distance(b) + b.distance(c) + c.distance(a)) / 3.0;
+        let target = corners.iter().map(|&v| part.target[v as usize]).sum::<f64>() / 3.0;
+        let facts = &part.facts[t as usize];
+        if facts.agreement < TURNED || facts.deviation * target > STRAYS * side {
+            demands.push(Demand { at: (a + b + c) / 3.0, length: SHORTER * side.min(target) });
+        }
+    }
+    demands
+}
+
+/// Root of the sum of the squares of the principal curvatures of F at a point, per mm.
+fn curvature(surface: &Surface, p: DVec3) -> f64 {
+    let jet = surface.field.jet(p);
+    let slope = jet.gradient.length().max(1e-12);
+    let (x, y) = (jet.gradient / slope).any_orthonormal_pair();
+    let (xx, xy, yy) = (x.dot(jet.hessian * x), x.dot(jet.hessian * y), y.dot(jet.hessian * y));
+    (xx * xx + 2.0 * xy * xy + yy * yy).sqrt() / slope
+}
