@@ -37,7 +37,7 @@ KEYS := NAME INPUT PHANTOM SERIES ISO LABELS INSIDE BORDER SCALE EPSILON DELTA S
 $(foreach key,$(KEYS) CASE CASES,$(if $(filter environment,$(origin $(key))),$(eval undefine $(key))))
 # What this file knows besides.
 OTHERS := CASE CASES BIN NO_BUILD CARGO CARGO_TARGET_DIR VENV TETMESH_CHECK HXT DATA OUT VERBOSITY THREADS PARTS GOAL SIZES \
-          BENCH_OPTIONS COMPARED COMPARE_OPTIONS REMESHER BENCH_VENV
+          BENCH_OPTIONS COMPARED COMPARE_OPTIONS REMESHER BENCH_VENV SCALE_CASES SCALE_VERTICES
 # Goals over one case.
 CASE_GOALS := distfield sizefield seed particles reconstruct surface mesh page verdict info clean
 
@@ -89,7 +89,7 @@ case = $(call quote,$(BIN)/isoparticles-case) $(1) $(foreach key,$(KEYS) OUT VER
 # --- Goals ------------------------------------------------------------------------------------------------------------
 
 .PHONY: help $(CASE_GOALS) demo cases index build env doctor test format lint documentation test-rust test-python bench-stages \
-        bench-gpu bench-delaunay bench-convergence bench-marching-cubes
+        bench-gpu bench-delaunay bench-convergence bench-marching-cubes bench-scale
 
 define HELP
 Volumes in, simulation-ready meshes out.
@@ -112,6 +112,7 @@ Volumes in, simulation-ready meshes out.
   make bench-delaunay                          the Delaunay triangulation against CGAL's (BENCH_OPTIONS=...; needs libcgal-dev)
   make bench-convergence                       error of a known solution on the ball, from coarse to fine tetrahedra
   make bench-marching-cubes                    tetrahedra in our surfaces against marching cubes and a remesher (COMPARED=...)
+  make bench-scale                             coarse meshes of real volumes against two remeshers (SCALE_CASES=... SCALE_VERTICES=...)
 
 Parameters of a case, with the stages' defaults where left out; they come before what a case's file says:
   NAME=...      name of the results [the volume's]       OUT=...       folder of the results [out]
@@ -247,4 +248,20 @@ bench-marching-cubes: build env $(with_remesher)
 $(BENCH_VENV)/.made: $(BENCH_LOCK) | env
 	$(VENV)/bin/python -m venv --clear $(BENCH_VENV)
 	$(BENCH_VENV)/bin/python -m pip install --quiet --disable-pip-version-check --no-input --only-binary :all: --require-hashes -r $(BENCH_LOCK)
+	@touch $@
+
+# Coarse meshes of the real volumes in DATA, and what gpytoolbox and CGAL make of the same smoothed fields (REMESHER=no: ours alone; then, with
+# BENCH_OPTIONS=--no-distances, any Python does). BENCH_OPTIONS="--tetrahedra .venv/bin/tetmesh-check --backend gpu" and the like.
+SCALE_BENCH = stages/distfield/benches
+SCALE_CASES ?= @$(SCALE_BENCH)/solid.txt @$(SCALE_BENCH)/thin.txt
+SCALE_VERTICES ?= 1000 5000 20000 75000
+SCALE_PEERS = $(if $(filter no,$(REMESHER)),,$(BENCH_VENV)-scale/.made)
+SCALE_PYTHON = $(or $(wildcard $(VENV)/bin/python),python3)
+bench-scale: build $(SCALE_PEERS)
+	DATA=$(DATA) $(SCALE_PYTHON) $(SCALE_BENCH)/scale.py $(SCALE_CASES) --vertices $(SCALE_VERTICES) --bin $(BIN) --work $(OUT)/bench-scale \
+	  $(if $(SCALE_PEERS),--peers $(BENCH_VENV)-scale/bin/python) $(BENCH_OPTIONS)
+
+$(BENCH_VENV)-scale/.made: $(SCALE_BENCH)/peers.txt | env
+	$(VENV)/bin/python -m venv --clear $(BENCH_VENV)-scale
+	$(BENCH_VENV)-scale/bin/python -m pip install --quiet --disable-pip-version-check --no-input --only-binary :all: -r $(SCALE_BENCH)/peers.txt
 	@touch $@

@@ -1,12 +1,20 @@
 """Meshes of a few sizes from one volume: what `--scale-for-vertices` and `--vertices` make of it.
 
     scale.py @solid.txt @thin.txt [--vertices 1000 5000 20000 75000] [--backend gpu] [--no-distances]
+        [--tetrahedra .venv/bin/tetmesh-check] [--peers .venv-bench/bin/python]
 
 CASE is NAME=VOLUME;DISTFIELD OPTIONS[;SIZEFIELD OPTIONS]; @FILE stands for the lines of a file but for those that start with #
 (solid.txt and thin.txt beside this program); $NAME for a variable of the environment (DATA: the folder of the real volumes). Run
 it with the Python of `make env`; without distances any Python 3.11 does.
 
-Each row is one run from the volume to the checked surface. The distance is that of the vertices and centroids of the mesh from
+A row of ours is one run from the volume to the checked surface; "components" are those of the mesh, with what happened to those of
+the data; "s" is from the volume on and, in brackets, from the smoothed field on. With --tetrahedra the surface goes through
+tetmesh-check with all its default checks: number of tetrahedra and exit code. With --peers PYTHON (an interpreter with
+peers.txt: `make bench-scale` makes it) rows of gpytoolbox's remesh_botsch and of CGAL's isotropic remeshing stand below ours: each on
+marching cubes of the same smoothed field, to as many vertices as ours within 3 %; their seconds are marching cubes and the last
+try. Their angles, ratios and volumes are computed here, ours are those of the report.
+
+The distance is that of the vertices and centroids of the mesh from
 the surface at scale 0, which keeps every voxel centre on its side: mean, 99th percentile and largest, in mm. "Lost" is how far
 that surface lies from the smoothed one, the 99th percentile and largest: what is gone is far from what is left. Volume is that of
 the mesh against that of the voxels.
@@ -44,11 +52,15 @@ class Case:
     work: Path
     backend: str
     distances: bool
+    tetmesh_check: Path | None
+    peers: Path | None
 
-    def run(self, key: str, program: str, *arguments: str) -> tuple[int, dict[str, Any]]:
+    def run(
+        self, key: str, program: str, *arguments: str, program_file: Path | None = None
+    ) -> tuple[int, dict[str, Any]]:
         """Runs a stage; returns its exit code and report."""
         report = self.work / f"{self.name}.{key}.{program}.json"
-        command = [str(self.programs / program), *arguments, "--force", "-q", "--report", str(report)]
+        command = [str(program_file or self.programs / program), *arguments, "--force", "-q", "--report", str(report)]
         done = subprocess.run(command, check=False, stderr=subprocess.PIPE, text=True)
         if done.returncode not in (0, 1):
             raise RefusedError(f"{program}: {done.stderr.strip().splitlines()[0]}")
@@ -100,55 +112,153 @@ def distances(case: Case, surface: str, distfield: str) -> tuple[str, str]:
     return told, f"{np.quantile(lost, 0.99):.2f}, {np.max(lost):.2f}"
 
 
-def row(case: Case, vertices: int) -> str:
+@dataclass
+class Mesh:
+    """What a row says of a mesh."""
+
+    vertices: int
+    ratio_mean: float
+    ratio_least: float
+    angle_least: float
+    angle_largest: float
+    volume: float
+    components: int
+
+
+def measured(points: np.ndarray, triangles: np.ndarray) -> Mesh:
+    """Measures a mesh of another program; the radius ratio is twice that of the inscribed circle to the other."""
+    import numpy as np
+    from scipy.sparse import coo_matrix
+    from scipy.sparse.csgraph import connected_components
+
+    points = points - points.mean(axis=0)
+    corners = points[triangles]
+    sides = np.linalg.norm(corners[:, [1, 2, 0]] - corners[:, [2, 0, 1]], axis=2)
+    a, b, c = sides.T
+    ratio = (b + c - a) * (c + a - b) * (a + b - c) / np.maximum(a * b * c, 1e-300)
+    cosines = (b**2 + c**2 - a**2) / (2 * b * c), (c**2 + a**2 - b**2) / (2 * c * a), (a**2 + b**2 - c**2) / (2 * a * b)
+    angles = np.degrees(np.arccos(np.clip(cosines, -1.0, 1.0)))
+    volume = np.einsum("ij,ij->", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])) / 6.0
+    used = np.unique(triangles)
+    pairs = (triangles[:, [0, 1]].ravel(), triangles[:, [1, 2]].ravel())
+    graph = coo_matrix((np.ones(len(pairs[0])), pairs), shape=(len(points), len(points)))
+    _, labels = connected_components(graph, directed=False)
+    return Mesh(
+        len(points), ratio.mean(), ratio.min(), angles.min(), angles.max(), abs(volume), len(np.unique(labels[used]))
+    )
+
+
+def line(case: Case, vertices: int, program: str, mesh: Mesh, before: float, cells: dict[str, str]) -> str:
     """One row of the table."""
+    columns = [
+        case.name,
+        f"{vertices:,}",
+        program,
+        cells["scale"],
+        f"{mesh.vertices:,} ({100 * (mesh.vertices / vertices - 1):+.1f} %)",
+        cells["code"],
+        f"{mesh.ratio_mean:.3f} / {mesh.ratio_least:.2f}",
+        f"{mesh.angle_least:.0f} to {mesh.angle_largest:.0f}",
+        cells["away"],
+        cells["lost"],
+        f"{100 * (mesh.volume / before - 1):+.2f}",
+        f"{mesh.components}{cells['told']}",
+        cells["tetrahedra"],
+        cells["seconds"],
+    ]
+    return "| " + " | ".join(columns) + " |"
+
+
+def row(case: Case, vertices: int) -> tuple[str, float, int]:
+    """Our row; with it the volume of the voxels and the vertices of our mesh."""
     key = str(vertices)
     distfield, sizefield, seeds = (case.file(key, f"{e}") for e in ("distfield.vti", "sizefield.vti", "seeds.bin"))
     particles, surface = case.file(key, "particles.bin"), case.file(key, "surface.vtp")
+    fields = ["--distfield", distfield, "--sizefield", sizefield]
     start = time.monotonic()
-    reports = [
-        case.run(key, "distfield", case.volume, *case.distfield, "--scale-for-vertices", key, "-o", distfield),
+    reports = [case.run(key, "distfield", case.volume, *case.distfield, "--scale-for-vertices", key, "-o", distfield)]
+    smoothed = time.monotonic()
+    reports += [
         case.run(key, "sizefield", distfield, "--vertices", key, *case.sizefield, "-o", sizefield),
         case.run(key, "seed", distfield, sizefield, "-o", seeds),
-        case.run(
-            key,
-            "particles",
-            seeds,
-            "--distfield",
-            distfield,
-            "--sizefield",
-            sizefield,
-            "-o",
-            particles,
-            "--backend",
-            case.backend,
-        ),
-        case.run(key, "reconstruct", particles, "--distfield", distfield, "--sizefield", sizefield, "-o", surface),
+        case.run(key, "particles", seeds, *fields, "-o", particles, "--backend", case.backend),
+        case.run(key, "reconstruct", particles, *fields, "-o", surface),
     ]
-    seconds = time.monotonic() - start
-    code = max(code for code, _ in reports)
+    end = time.monotonic()
     meta = reports[0][1]["results"]["meta"]
-    results = reports[4][1]["results"]
-    checked, quality = results["check"], results["check"]["quality"]
+    checked = reports[4][1]["results"]["check"]
+    quality = checked["quality"]
     away, lost = distances(case, surface, distfield) if case.distances else ("-", "-")
     changes = meta.get("scale_changes", {})
     told = ", ".join(f"{count} {kind}" for kind, count in changes.get("counts", {}).items()) or "-"
     before = meta.get("volume_before", meta["volume"])
-    columns = [
-        case.name,
-        f"{vertices:,}",
-        f"{meta.get('scale', 0.0):.2f}",
-        f"{checked['vertices']:,} ({100 * (checked['vertices'] / vertices - 1):+.1f} %)",
-        str(code),
-        f"{quality['radius_ratio_mean']:.3f} / {quality['radius_ratio_min']:.2f}",
-        f"{quality['angle_min']:.0f} to {quality['angle_max']:.0f}",
-        away,
-        lost,
-        f"{100 * (checked['volume'] / before - 1):+.2f}",
-        " -> ".join(str(n) for n in changes.get("components", ["-"])) + f"; {told}",
-        f"{seconds:.0f}",
-    ]
-    return "| " + " | ".join(columns) + " |"
+    mesh = Mesh(
+        checked["vertices"],
+        quality["radius_ratio_mean"],
+        quality["radius_ratio_min"],
+        quality["angle_min"],
+        quality["angle_max"],
+        checked["volume"],
+        len(checked["components"]),
+    )
+    scale, smallest = meta.get("scale", 0.0), meta.get("scale_smallest", 0.0)
+    cells = {
+        "scale": f"{scale:.2f}" if smallest in (0.0, scale) else f"{scale:.2f}, thin {smallest:.2f}",
+        "code": str(max(code for code, _ in reports)),
+        "away": away,
+        "lost": lost,
+        "told": f" ({' -> '.join(str(n) for n in changes['components'])} in voxels; {told})" if changes else "",
+        "tetrahedra": tetrahedra(case, key, surface, sizefield),
+        "seconds": f"{end - start:.0f} ({end - smoothed:.1f})",
+    }
+    return line(case, vertices, "isoparticles", mesh, before, cells), before, mesh.vertices
+
+
+def tetrahedra(case: Case, key: str, surface: str, sizefield: str) -> str:
+    """Fills a surface with tetrahedra and checks them: how many, and the exit code."""
+    if case.tetmesh_check is None:
+        return "-"
+    volume = case.file(key, "volume.vtu")
+    code, report = case.run(
+        key, "tetmesh-check", surface, "--sizefield", sizefield, "-o", volume, program_file=case.tetmesh_check
+    )
+    return f"{report['results']['volume']['tetrahedra']:,}, exit code {code}"
+
+
+def peer_row(case: Case, vertices: int, ours: int, before: float, program: str) -> str:
+    """Row of another remesher on the smoothed field of our row, to as many vertices as ours."""
+    import numpy as np
+    import pyvista as pv
+
+    key = str(vertices)
+    start = time.monotonic()
+    contour = pv.read(case.file(key, "distfield.vti")).contour([0.0], scalars="signed_distance", method="flying_edges")
+    seconds = time.monotonic() - start
+    job, result = case.file(key, "job.npz"), Path(case.file(key, f"{program}.npz"))
+    np.savez(job, points=contour.points, triangles=contour.regular_faces, vertices=ours)
+    result.unlink(missing_ok=True)
+    script = Path(__file__).with_name("remesh_peers.py")
+    done = subprocess.run([str(case.peers), str(script), program, job, str(result)], check=False, capture_output=True)
+    if not result.is_file():
+        return f"| {case.name} | {vertices:,} | {program} | failed with exit code {done.returncode} |" + " |" * 10
+    with np.load(result) as made:
+        points, triangles, seconds = made["points"], made["triangles"].astype(np.int64), seconds + float(made["seconds"])
+    surface = case.file(key, f"{program}.vtp")
+    pv.PolyData.from_regular_faces(points, triangles).save(surface)
+    away, lost = distances(case, surface, case.file(key, "distfield.vti")) if case.distances else ("-", "-")
+    cells = {
+        "scale": "as above",
+        "code": str(done.returncode),
+        "away": away,
+        "lost": lost,
+        "told": "",
+        "tetrahedra": "-",
+        "seconds": f"({seconds:.1f})",
+    }
+    return line(case, vertices, PEERS[program], measured(points, triangles), before, cells)
+
+
+PEERS = {"botsch": "gpytoolbox remesh_botsch", "cgal": "CGAL isotropic remeshing"}
 
 
 class Parser(argparse.ArgumentParser):
@@ -170,18 +280,19 @@ def main() -> None:
     parser.add_argument("--work", type=Path, default=Path("out/scale"), help="folder for the files")
     parser.add_argument("--backend", default="cpu", help="of particles: cpu, gpu or auto")
     parser.add_argument("--no-distances", action="store_true", help="without pyvista and the field at scale 0")
+    parser.add_argument("--tetrahedra", type=Path, metavar="TETMESH_CHECK", help="fill the surfaces by this program, too")
+    parser.add_argument("--peers", type=Path, metavar="PYTHON", help="rows of other remeshers, by this interpreter")
     arguments = parser.parse_intermixed_args()
     arguments.work.mkdir(parents=True, exist_ok=True)
     print(
-        "| object | asked for | scale, mm | vertices | exit code | radius ratio, mean / smallest | angles, degrees | distance, mm | lost, mm"
-        " | volume, % | components of the data; what happened | s |\n" + "|---" * 12 + "|"
+        "| object | asked for | program | scale, mm | vertices | exit code | radius ratio, mean / smallest | angles, degrees | distance, mm"
+        " | lost, mm | volume, % | components | tetrahedra | s |\n" + "|---" * 14 + "|"
     )
     for text in arguments.cases:
         name, _, rest = text.partition("=")
         volume, distfield, sizefield = [*os.path.expandvars(rest).split(";"), ""][:3]
-        name = name.replace(" ", "-")
         case = Case(
-            name,
+            name.replace(" ", "-"),
             volume,
             distfield.split(),
             sizefield.split(),
@@ -189,12 +300,18 @@ def main() -> None:
             arguments.work,
             arguments.backend,
             not arguments.no_distances,
+            arguments.tetrahedra,
+            arguments.peers,
         )
         for vertices in arguments.vertices:
             try:
-                print(row(case, vertices), flush=True)
+                told, before, ours = row(case, vertices)
             except RefusedError as reason:
-                print(f"| {case.name} | {vertices:,} | {reason} |" + " |" * 9, flush=True)
+                print(f"| {case.name} | {vertices:,} | isoparticles | {reason} |" + " |" * 10, flush=True)
+                continue
+            print(told, flush=True)
+            for program in PEERS if case.peers else ():
+                print(peer_row(case, vertices, ours, before, program), flush=True)
 
 
 if __name__ == "__main__":

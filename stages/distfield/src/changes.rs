@@ -11,12 +11,13 @@ use isoparticles_common::geometry::Geometry;
 use rayon::prelude::*;
 use serde::Serialize;
 use std::collections::{BTreeMap, BTreeSet};
+use std::f64::consts::PI;
 
 /// Events that the report lists, of each kind; all are counted.
 const LISTED: usize = 20;
 
-/// Level of what is taken away, at most.
-const CLEARLY_OUTSIDE: f32 = 0.05;
+/// Level of what is taken away, at most, in scales.
+const CLEARLY_OUTSIDE: f64 = 0.05;
 
 /// What happened to a part of the object.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
@@ -77,24 +78,31 @@ pub struct Changes {
     pub events: Vec<Event>,
 }
 
-/// Takes away the parts where `level` is above zero whose volume (count of voxels, mm^3) is less than `smallest`, unless all are.
+/// Takes away the parts where `level` is above zero that are smaller (count of voxels) than a ball of `radius` scales, by the mean of the scale (mm) at
+/// their voxels, unless all are.
 ///
 /// # Errors
 /// When the parts are too many to be told apart.
-pub fn remove_crumbs(level: &mut [f32], geometry: &Geometry, smallest: f64) -> Result<()> {
+pub fn remove_crumbs(level: &mut [f32], geometry: &Geometry, scale: impl Fn(usize) -> f64, radius: f64) -> Result<()> {
     let inside = Runs::of(geometry.size, |n| level[n] > 0.0);
     let part = parts_of_runs(&inside, geometry.size, &[])?;
-    let voxel = geometry.spacing.element_product();
-    let mut volume = vec![0.0; part.len()];
-    for (run, &part) in inside.all().iter().zip(&part) {
-        volume[part as usize] += run.columns().len() as f64 * voxel;
-    }
-    if volume.iter().all(|&volume| volume < smallest) {
+    let mut sums = vec![(0usize, 0.0); part.len()];
+    inside.each_in_nodes(|run, nodes| {
+        let sum = &mut sums[part[run] as usize];
+        *sum = (sum.0 + nodes.len(), sum.1 + nodes.map(&scale).sum::<f64>());
+    });
+    let is_crumb = |&(count, scales): &(usize, f64)| {
+        let (voxels, scale) = (count as f64, scales / count.max(1) as f64);
+        voxels * geometry.spacing.element_product() < 4.0 / 3.0 * PI * (radius * scale).powi(3)
+    };
+    if sums.iter().filter(|sum| sum.0 > 0).all(is_crumb) {
         return Ok(());
     }
     inside.each_in_nodes(|run, nodes| {
-        if volume[part[run] as usize] < smallest {
-            level[nodes].iter_mut().for_each(|value| *value = -CLEARLY_OUTSIDE - *value);
+        let sum = &sums[part[run] as usize];
+        if is_crumb(sum) {
+            let outside = (CLEARLY_OUTSIDE * sum.1 / sum.0 as f64) as f32;
+            level[nodes].iter_mut().for_each(|value| *value = -outside - *value);
         }
     });
     Ok(())

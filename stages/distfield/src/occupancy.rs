@@ -91,9 +91,13 @@ impl Occupancy {
                         .for_each(|&share| (sum, count) = (sum + u32::from(share), count + 1));
                 }
             }
-            *share = (sum / count) as u8;
+            *share = ((sum + count / 2) / count) as u8;
         });
-        Self { geometry: Geometry { size, spacing: 2.0 * self.geometry.spacing, ..self.geometry.clone() }, shares }
+        let origin = self.geometry.grid_to_world(0.5 * self.geometry.spacing);
+        Self {
+            geometry: Geometry { size, spacing: 2.0 * self.geometry.spacing, origin, ..self.geometry.clone() },
+            shares,
+        }
     }
 
     /// First and last voxel along each axis of the box that holds all that is inside, if anything is.

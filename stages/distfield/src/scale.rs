@@ -2,51 +2,59 @@
 //!
 //! The share of each voxel that is inside is smoothed by a Gaussian of half the scale. Where the surface is curved or the object thin, half of the
 //! smoothed share is not where the surface was: balls shrink, small parts and thin walls vanish. So the level that is taken varies from
-//! place to place such that the volume within a window of the scale is kept: parts keep their volume one by one, tubes and walls their thickness, as
-//! far as the smoothed share still shows them. What it does not show is gone, and [`crate::changes`] tells what and where.
+//! place to place such that the volume within a window of the scale is kept ([`crate::levels`]): parts keep their volume one by one, tubes and walls their
+//! thickness, as far as the smoothed share still shows them.
+//!
+//! Where it does not show them the scale may shrink, down to a smallest one: a few Gaussians are taken, each narrower than the one before, and blended
+//! by the scale of each place ([`crate::places`]). What the narrowest does not show is gone, and [`crate::changes`] tells what and where.
 
 use crate::changes::{Changes, remove_crumbs};
-use crate::gaussian::smooth;
-use crate::occupancy::{Occupancy, WHOLE};
+use crate::levels::{level_set, smoothed_share};
+use crate::occupancy::Occupancy;
+use crate::places::{Sight, sights, spread};
+use crate::pyramid::Pyramid;
 use glam::DVec3;
 use isoparticles_common::error::Result;
 use isoparticles_common::geometry::Geometry;
 use isoparticles_common::image::Image;
 use isoparticles_common::marching_cubes::marching_cubes;
-use isoparticles_common::mesh::measure::measure;
 use rayon::prelude::*;
-use std::f64::consts::PI;
+use std::f64::consts::TAU;
 
 /// What is to be smoothed away.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Scale {
     /// Twice the standard deviation of the Gaussian, mm.
     pub length: f64,
-    /// Whether parts are kept that are thinner than such a mesh tells apart.
-    pub keep_thin: bool,
+    /// The same where the object, or a gap, is thinner than shows under that Gaussian; no larger than `length`.
+    pub smallest: f64,
 }
 
-/// Width of the window in which the volume is kept, in standard deviations of the smoothing: what bends within it may be rounded.
-const WINDOW: f64 = 2.0;
+impl Scale {
+    /// The same everywhere.
+    pub fn everywhere(length: f64) -> Self {
+        Self { length, smallest: length }
+    }
 
-/// Least width of the window, voxels: in a smaller one the steps of labels are what is kept.
-const LEAST_WINDOW: f64 = 2.0;
+    /// With smaller ones where the object is thin: `shrink` times less, but not so small that voxels (mm) show as steps.
+    pub fn shrinking(length: f64, shrink: f64, voxel: f64) -> Self {
+        Self { length, smallest: (length / shrink).max(FINEST * voxel).min(length) }
+    }
 
-/// Rounds that find the level. After six the volumes of heart and lungs are kept to 0.1 %.
-const ROUNDS: usize = 6;
+    /// The scales of the Gaussians that are blended, from the largest on.
+    fn ladder(self) -> Vec<f64> {
+        let steps = (self.length / self.smallest).ln() / RUNG.ln();
+        let steps = (steps - 1e-9).ceil().max(0.0);
+        let rung = |n: f64| self.length * (self.smallest / self.length).powf(n / steps.max(1.0));
+        (0..=steps as usize).map(|n| rung(n as f64)).collect()
+    }
+}
 
-/// Furthest that the level moves in a round.
-const LONGEST_STEP: f64 = 0.15;
+/// The smallest scale where the object is thin, in voxels: that of edges which follow the steps of voxels ([`crate::choose`]).
+const FINEST: f64 = 0.75 * SCALE_OVER_SIZE;
 
-/// Share of a level surface's density that is added to it, so that the level stays where no surface is near. That of a plane is 0.5.
-const REGULAR: f64 = 0.02;
-
-/// Least distance of the level from that of nothing and that of everything. What shows less is thinner than the mesh can carry: a ball of 1.2, a tube of 0.8
-/// standard deviations, round which there is room for twelve vertices and for four.
-const LEAST_LEVEL: f64 = 0.3;
-
-/// The same where thin parts are to be kept: tubes of a quarter of a standard deviation, walls of a tenth.
-const LEAST_LEVEL_THIN: f64 = 0.03;
+/// From one Gaussian to the next, at most: between them surfaces are blended.
+const RUNG: f64 = std::f64::consts::SQRT_2;
 
 /// Radius of the balls that are dropped, in scales: a mesh of the edge length that the scale is for ([`SCALE_OVER_SIZE`]) has 9 vertices round it.
 const CRUMB_RADIUS: f64 = 0.5;
@@ -59,26 +67,52 @@ pub const SCALE_OVER_SIZE: f64 = 1.6;
 /// How far round the object shares are smoothed, in standard deviations: beyond, the mean share of a half space is 0.001.
 const REACH: f64 = 3.0;
 
+/// Least standard deviation of a Gaussian, in voxels of the grid that it is taken on.
+const SIGMA_IN_VOXELS: f64 = 2.0;
+
+/// Grids that are looked for, at most.
+const GRIDS: usize = 6;
+
 /// The smoothed object.
 pub struct Scaled {
-    /// Zero on its surface, positive inside.
+    /// Zero on its surface, positive inside; about the distance next to it, mm.
     pub level: Image<f32>,
     /// What is not as it was.
     pub changes: Changes,
+    /// The smallest scale that is anywhere on the surface, mm.
+    pub smallest: f64,
+}
+
+impl Scaled {
+    /// Volume inside, mm^3, by voxels of which a share is inside that goes with the level.
+    pub fn volume(&self) -> f64 {
+        let geometry = &self.level.geometry;
+        let width = geometry.mean_spacing();
+        let share = |&level: &f32| (0.5 + f64::from(level) / width).clamp(0.0, 1.0);
+        let slices: Vec<f64> = self
+            .level
+            .data
+            .par_chunks(geometry.size[0] * geometry.size[1])
+            .map(|slice| slice.iter().map(share).sum())
+            .collect();
+        slices.iter().sum::<f64>() * geometry.spacing.element_product()
+    }
 }
 
 /// The box round an object, smoothed.
-struct Boxed {
+pub(crate) struct Boxed {
     /// Its first voxel in the volume.
     first: [usize; 3],
     before: Occupancy,
     /// Zero on the surface, positive inside.
     level: Vec<f32>,
+    /// The scale of each place, where it is not the same everywhere.
+    scale: Option<Vec<f32>>,
 }
 
 impl Boxed {
     /// `None` if there is no object.
-    fn new(occupancy: &Occupancy, scale: Scale) -> Result<Option<Self>> {
+    pub(crate) fn new(occupancy: &Occupancy, scale: Scale) -> Result<Option<Self>> {
         let Some((low, high)) = occupancy.extent() else { return Ok(None) };
         let geometry = &occupancy.geometry;
         let sigma = 0.5 * scale.length / geometry.spacing;
@@ -91,12 +125,27 @@ impl Boxed {
             geometry: Geometry { size, origin: geometry.grid_to_world(corner), ..geometry.clone() },
             shares: crop(&occupancy.shares, geometry.size, first, size),
         };
-        let mut level = level_set(&before, sigma, scale.keep_thin);
-        if !scale.keep_thin {
-            let smallest = 4.0 / 3.0 * PI * (CRUMB_RADIUS * scale.length).powi(3);
-            remove_crumbs(&mut level, &before.geometry, smallest)?;
-        }
-        Ok(Some(Self { first, before, level }))
+        let pyramid = Pyramid::new(before, GRIDS);
+        let (mut level, places) = blended(&pyramid, scale);
+        let before = pyramid.into_finest();
+        let at = |n: usize| places.as_ref().map_or(scale.length, |places| f64::from(places[n]));
+        remove_crumbs(&mut level, &before.geometry, at, CRUMB_RADIUS)?;
+        Ok(Some(Self { first, before, level, scale: places }))
+    }
+
+    /// The surface, in the frame of the volume, and the scale at a place in it.
+    pub(crate) fn surface(self, scale: Scale) -> (isoparticles_common::mesh::TriangleMesh, impl Fn(DVec3) -> f64) {
+        let geometry = self.before.geometry;
+        let mesh = marching_cubes(&Image { geometry: geometry.clone(), data: self.level }, 0.0);
+        let places = self.scale;
+        let at = move |place: DVec3| {
+            let Some(places) = &places else { return scale.length };
+            let index = geometry.grid_to_index(place).round();
+            let index: [usize; 3] =
+                std::array::from_fn(|axis| (index[axis].max(0.0) as usize).min(geometry.size[axis] - 1));
+            f64::from(places[geometry.linear(index[0], index[1], index[2])])
+        };
+        (mesh, at)
     }
 }
 
@@ -104,60 +153,116 @@ impl Boxed {
 ///
 /// # Errors
 /// When its parts are too many to be told apart.
-pub fn scaled(occupancy: Occupancy, scale: Scale) -> Result<Option<Scaled>> {
+pub fn scaled(occupancy: &Occupancy, scale: Scale) -> Result<Option<Scaled>> {
     let (geometry, volume) = (occupancy.geometry.clone(), occupancy.volume());
-    let Some(Boxed { first, before, level }) = Boxed::new(&occupancy, scale)? else { return Ok(None) };
-    drop(occupancy);
+    let Some(Boxed { first, before, level, scale: places }) = Boxed::new(occupancy, scale)? else { return Ok(None) };
+    let smallest =
+        places.map_or(scale.length, |places| f64::from(places.into_par_iter().reduce(|| f32::INFINITY, f32::min)));
     let Some(changes) = Changes::between(&before, &level, volume, scale.length)? else { return Ok(None) };
     let size = before.geometry.size;
     drop(before);
-    let mut whole = Image::filled(geometry, -0.5f32);
+    let nothing = (-0.5 * distance_over_share(0.5 * scale.length)) as f32;
+    let mut whole = Image::filled(geometry, nothing);
     paste(&level, size, &mut whole.data, whole.geometry.size, first);
-    Ok(Some(Scaled { level: whole, changes }))
+    Ok(Some(Scaled { level: whole, changes, smallest }))
 }
 
-/// Standard deviation of the smoothing, in voxels, down to which areas are measured on a coarser grid.
-const COARSE_SIGMA: f64 = 1.5;
+/// A Gaussian's level set.
+struct Rung {
+    /// Its scale, mm.
+    length: f64,
+    /// The grid of the pyramid that it is on.
+    grid: usize,
+    /// About the distance from the surface, next to it, mm.
+    level: Vec<f32>,
+}
 
-/// Voxels of the coarsest grid, at least.
-const FEWEST_VOXELS: usize = 10_000;
-
-/// Rounds of scale and area that find an edge length, at most, and how near to each other two of them end the search.
-const AREA_ROUNDS: (usize, f64) = (10, 0.01);
-
-/// Edge lengths below this many voxels are not looked for: there is no object.
-const SMALLEST_SHARE: f64 = 0.02;
-
-/// The edge length (mm) of which a mesh of the object smoothed for it has about so many vertices. `None` if there is no object, or nothing
-/// left of it.
-///
-/// # Errors
-/// When its parts are too many to be told apart.
-pub fn edge_length(occupancy: &Occupancy, vertices: f64, keep_thin: bool) -> Result<Option<f64>> {
-    let mut coarser: Vec<Occupancy> = Vec::new();
-    while coarser.last().unwrap_or(occupancy).shares.len() > 8 * FEWEST_VOXELS {
-        coarser.push(coarser.last().unwrap_or(occupancy).halved());
-    }
-    let mut length = coarser.last().unwrap_or(occupancy).geometry.mean_spacing();
-    for _ in 0..AREA_ROUNDS.0 {
-        let scale = Scale { length: SCALE_OVER_SIZE * length, keep_thin };
-        let coarse_enough = |grid: &&Occupancy| 0.5 * scale.length >= COARSE_SIGMA * grid.geometry.mean_spacing();
-        let grid = coarser.iter().rev().find(coarse_enough).unwrap_or(occupancy);
-        let area = Boxed::new(grid, scale)?.map_or(0.0, |boxed| {
-            measure(&marching_cubes(&Image { geometry: boxed.before.geometry, data: boxed.level }, 0.0)).area
-        });
-        let found = (2.0 * area / (3f64.sqrt() * vertices)).sqrt();
-        if (found / length - 1.0).abs() < AREA_ROUNDS.1 {
-            return Ok(Some(found));
+/// The level sets of the Gaussians, blended by the scale of each place, and that scale if it is not the same everywhere.
+fn blended(pyramid: &Pyramid, scale: Scale) -> (Vec<f32>, Option<Vec<f32>>) {
+    let ladder = scale.ladder();
+    let mut rungs: Vec<Rung> = Vec::new();
+    let mut allowed: Option<Allowed> = None;
+    for (number, &length) in ladder.iter().enumerate() {
+        let grid = pyramid.coarsest_below(0.5 * length / SIGMA_IN_VOXELS);
+        let occupancy = pyramid.grid(grid);
+        let sigma = 0.5 * length / occupancy.geometry.spacing;
+        let smoothed = smoothed_share(occupancy, sigma);
+        if ladder.len() > 1 {
+            let next = ladder.get(number + 1).copied();
+            let sights = sights(occupancy, &smoothed, 0.5 * length, next.is_none());
+            allowed = Some(Allowed::after(allowed, pyramid, grid, &sights, length, next));
         }
-        // the area falls with the scale, all of it where that is above the thickness of everything: not too far at a time
-        let is_near = (0.5..2.0).contains(&(found / length));
-        length = if is_near { found } else { length * (found / length).clamp(0.25, 4.0).sqrt() };
-        if length < SMALLEST_SHARE * occupancy.geometry.mean_spacing() {
+        let mut level = level_set(smoothed, occupancy, sigma);
+        let factor = distance_over_share(0.5 * length) as f32;
+        level.par_iter_mut().for_each(|value| *value *= factor);
+        rungs.push(Rung { length, grid, level });
+        if allowed.as_ref().is_none_or(|allowed| !allowed.is_open) {
             break;
         }
     }
-    Ok((length >= SMALLEST_SHARE * occupancy.geometry.mean_spacing()).then_some(length))
+    let mut rungs = rungs.into_iter();
+    let Some(Rung { length: mut upper, grid, level }) = rungs.next() else { return (Vec::new(), None) };
+    let mut level = pyramid.refined(level, grid, 0);
+    let Some(allowed) = allowed.filter(|_| rungs.len() > 0) else { return (level, None) };
+    let geometry = &pyramid.grid(allowed.grid).geometry;
+    let places = spread(allowed.scales, geometry.size, geometry.spacing, scale.smallest, scale.length);
+    let places = pyramid.refined(places, allowed.grid, 0);
+    for rung in rungs {
+        let finer = pyramid.refined(rung.level, rung.grid, 0);
+        level.par_iter_mut().zip(&finer).zip(&places).for_each(|((level, finer), &place)| {
+            let share = ((f64::from(place) - rung.length) / (upper - rung.length)).clamp(0.0, 1.0) as f32;
+            *level = share * *level + (1.0 - share) * finer;
+        });
+        upper = rung.length;
+    }
+    (level, Some(places))
+}
+
+/// The scales that surface voxels allow, after some of the Gaussians.
+struct Allowed {
+    /// The grid of the pyramid.
+    grid: usize,
+    /// Largest scale, mm; infinite where nothing is asked for.
+    scales: Vec<f32>,
+    /// Whether some of them wait for the next Gaussian.
+    is_open: bool,
+}
+
+impl Allowed {
+    /// What places allow that all Gaussians hid so far is the scale of the next: it stays that where that shows them, and is that of the one after it where
+    /// not. What even the last hides asks for nothing: it goes.
+    fn after(
+        before: Option<Self>,
+        pyramid: &Pyramid,
+        grid: usize,
+        sights: &[Sight],
+        length: f64,
+        next: Option<f64>,
+    ) -> Self {
+        let [nx, ny, _] = pyramid.grid(grid).geometry.size;
+        let so_far = |n: usize| {
+            let Some(before) = &before else { return length as f32 };
+            let (size, shift) = (pyramid.grid(before.grid).geometry.size, before.grid - grid);
+            let [i, j, k] = [n % nx, n / nx % ny, n / (nx * ny)].map(|index| index >> shift);
+            before.scales[(k * size[1] + j) * size[0] + i]
+        };
+        let is_first = before.is_none();
+        let scale = |(n, &sight): (usize, &Sight)| match sight {
+            Sight::NoSurface => f32::INFINITY,
+            _ if so_far(n) > length as f32 => so_far(n),
+            Sight::Shown if is_first => f32::INFINITY,
+            Sight::Shown => length as f32,
+            Sight::Hidden => next.map_or(f32::INFINITY, |next| next as f32),
+        };
+        let scales: Vec<f32> = sights.par_iter().enumerate().map(scale).collect();
+        let is_open = scales.par_iter().any(|&scale| scale < length as f32);
+        Self { grid, scales, is_open }
+    }
+}
+
+/// Millimetres for a share of one, next to a plane smoothed by a Gaussian of a standard deviation.
+fn distance_over_share(sigma: f64) -> f64 {
+    sigma * TAU.sqrt()
 }
 
 /// Values in a box of a grid.
@@ -172,47 +277,4 @@ fn paste(from: &[f32], size: [usize; 3], to: &mut [f32], whole: [usize; 3], firs
         let (j, k) = (row % size[1] + first[1], row / size[1] + first[2]);
         to[(k * whole[1] + j) * whole[0] + first[0]..][..size[0]].copy_from_slice(values);
     }
-}
-
-/// The smoothed share less the level that keeps the volume of each place.
-fn level_set(occupancy: &Occupancy, sigma: DVec3, keep_thin: bool) -> Vec<f32> {
-    let size = occupancy.geometry.size;
-    let share = |n: usize| f32::from(occupancy.shares[n]) / f32::from(WHOLE);
-    let mut smoothed: Vec<f32> = (0..occupancy.shares.len()).into_par_iter().map(share).collect();
-    smooth(&mut smoothed, size, sigma.to_array());
-    let window = sigma.to_array().map(|sigma| (WINDOW * sigma).max(LEAST_WINDOW));
-    let least = if keep_thin { LEAST_LEVEL_THIN } else { LEAST_LEVEL };
-    let mut level = vec![0.5f32; smoothed.len()];
-    for _ in 0..ROUNDS {
-        let mut excess = vec![0.0f32; smoothed.len()];
-        let mut density = vec![0.0f32; smoothed.len()];
-        excess.par_iter_mut().zip(&mut density).enumerate().for_each(|(n, (excess, density))| {
-            let width = change_across(&smoothed, size, n).max(1e-4);
-            let part = 0.5 + (smoothed[n] - level[n]) / width;
-            *excess = part.clamp(0.0, 1.0) - share(n);
-            *density = if (0.0..1.0).contains(&part) { 1.0 / width } else { 0.0 };
-        });
-        smooth(&mut excess, size, window);
-        smooth(&mut density, size, window);
-        level.par_iter_mut().zip(&excess).zip(&density).for_each(|((level, excess), density)| {
-            let step = f64::from(*excess) / (f64::from(*density) + REGULAR);
-            let moved = f64::from(*level) + step.clamp(-LONGEST_STEP, LONGEST_STEP);
-            *level = moved.clamp(least, 1.0 - least) as f32;
-        });
-    }
-    smoothed.par_iter_mut().zip(&level).for_each(|(smoothed, level)| *smoothed -= level);
-    smoothed
-}
-
-/// By how much values differ across a voxel: the sum of the slopes along the axes.
-fn change_across(values: &[f32], size: [usize; 3], n: usize) -> f32 {
-    let at = [n % size[0], n / size[0] % size[1], n / (size[0] * size[1])];
-    let stride = [1, size[0], size[0] * size[1]];
-    (0..3)
-        .map(|axis| {
-            let low = values[n - stride[axis] * usize::from(at[axis] > 0)];
-            let high = values[n + stride[axis] * usize::from(at[axis] + 1 < size[axis])];
-            0.5 * (high - low).abs()
-        })
-        .sum()
 }

@@ -3,7 +3,7 @@
 use crate::feature::{Bumps, Features};
 use crate::limits::{check_count, check_size};
 use crate::region::{Refinement, SizedNode};
-use crate::vertices::{scaled_to_vertices, size_for_vertices};
+use crate::vertices::{scaled_to_vertices, size_for_vertices, thin_for_vertices};
 use crate::{Parameters, size_field, uniform_field, wanted_sizes};
 use clap::Parser;
 use glam::DVec3;
@@ -11,7 +11,6 @@ use isoparticles_common::cli::values::{not_negative, positive};
 use isoparticles_common::cli::{CommonArgs, Context, FILES, METHOD, Outcome, StageArgs};
 use isoparticles_common::error::{Error, Result};
 use isoparticles_common::geometry::Geometry;
-use isoparticles_common::image::Image;
 use isoparticles_common::io::field::{Field, FieldKind, read_field, write_field};
 use isoparticles_common::quality::Quality;
 use isoparticles_common::sizing::SizingField;
@@ -150,10 +149,20 @@ impl Args {
     }
 
     /// The one edge length everywhere, if that is what is asked for.
-    fn one_size(&self, distance: &Image<f32>, surface: &CubicSpline) -> Option<f64> {
-        let for_vertices = |vertices: u64| size_for_vertices(distance, surface, vertices as f64);
-        self.uniform.or_else(|| self.vertices.filter(|_| !self.is_graded()).map(for_vertices))
+    fn one_size(&self, field: &Field, surface: &CubicSpline) -> Option<f64> {
+        let for_vertices = |vertices: u64| size_for_vertices(&field.image, surface, vertices as f64);
+        let wants_one = self.vertices.filter(|_| !self.is_graded() && shrinking(field).is_none());
+        self.uniform.or_else(|| wants_one.map(for_vertices))
     }
+}
+
+/// The scale of a field over its edge length, as distfield chooses it.
+const SCALE_OVER_SIZE: f64 = 1.6;
+
+/// The largest h that the scale of a field is made for, and how much smaller it may be, where the field was made with a scale that shrinks at thin places.
+fn shrinking(field: &Field) -> Option<(f64, f64)> {
+    let (scale, smallest) = (field.meta["scale"].as_f64()?, field.meta["scale_smallest"].as_f64()?);
+    (smallest < 0.99 * scale).then(|| (scale / SCALE_OVER_SIZE, scale / smallest))
 }
 
 /// Makes the sizing field.
@@ -167,9 +176,10 @@ pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
     let step = context.step("measure features");
     let geometry = &field.image.geometry;
     let largest = LARGEST_FEATURE_DIAGONALS * geometry.upper_corner().length();
-    let one_size = args.one_size(&field.image, &surface);
+    let one_size = args.one_size(&field, &surface);
     // for one size it is enough to know which features are smaller
-    let largest = one_size.map_or(largest, |size| largest.min(UNIFORM_FEATURES * size));
+    let enough = one_size.or_else(|| shrinking(&field).filter(|_| !args.is_graded()).map(|(size, _)| size));
+    let largest = enough.map_or(largest, |size| largest.min(UNIFORM_FEATURES * size));
     // one size is asked whether it catches the surface as it is, bumps of noise included
     let is_smooth = field.meta["source"] == "labels" || field.meta["scale"].as_f64().is_some_and(|scale| scale > 0.0);
     let bumps = if one_size.is_some() || is_smooth { Bumps::AreShape } else { Bumps::MayBeNoise };
@@ -182,6 +192,13 @@ pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
             "look at the iso value or the labels that distfield was given",
         ));
     }
+    let one_size = match (one_size, args.vertices) {
+        (Some(size), Some(vertices)) => {
+            let sizing = scaled_to_vertices(uniform_field(&field.image, size), &features, &surface, vertices as f64);
+            Some(sizing.at(features.points[0]))
+        }
+        (one_size, _) => one_size,
+    };
     if let Some(size) = one_size {
         let largest = features.component_area.iter().copied().fold(0.0, f64::max);
         check_size(&args.input, size, largest)?;
@@ -189,13 +206,15 @@ pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
     let refined = refined_nodes(args, geometry, context)?;
     context.check_interrupt()?;
     let step = context.step("size and grade");
-    let sizing = match one_size {
-        Some(size) => uniform_field(&field.image, size),
-        None => {
+    let thin = shrinking(&field).filter(|_| !args.is_graded());
+    let sizing = match (one_size, thin.zip(args.vertices)) {
+        (Some(size), _) => uniform_field(&field.image, size),
+        (None, Some((sizes, vertices))) => thin_for_vertices(&field.image, &features, &surface, sizes, vertices as f64),
+        (None, None) => {
             let parameters = resolve(args, &field, &features, refined, context)?;
             let sizing = size_field(&field.image, &features, &parameters);
             match args.vertices {
-                Some(vertices) => scaled_to_vertices(sizing, &surface, vertices as f64),
+                Some(vertices) => scaled_to_vertices(sizing, &features, &surface, vertices as f64),
                 None => sizing,
             }
         }
