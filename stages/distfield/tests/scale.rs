@@ -152,7 +152,8 @@ fn the_edge_length_is_that_of_the_area() {
 fn kept(inside: &Image<bool>, found: &Scaled, part: impl Fn(DVec3) -> bool) -> f64 {
     let geometry = &inside.geometry;
     let [nx, ny, _] = geometry.size;
-    let at = |n: usize| geometry.index_to_grid(DVec3::new((n % nx) as f64, (n / nx % ny) as f64, (n / (nx * ny)) as f64));
+    let at =
+        |n: usize| geometry.index_to_grid(DVec3::new((n % nx) as f64, (n / nx % ny) as f64, (n / (nx * ny)) as f64));
     let of_part: Vec<usize> = (0..inside.data.len()).filter(|&n| inside.data[n] && part(at(n))).collect();
     of_part.iter().filter(|&&n| found.level.data[n] > 0.0).count() as f64 / of_part.len() as f64
 }
@@ -171,14 +172,7 @@ fn the_scale_shrinks_at_a_plate_and_at_a_bar_and_not_at_a_ball() {
     let shares = [ball, plate, bar].map(|part| kept(&inside, &shrunk, part));
     println!("kept of ball, plate and bar: {shares:?}");
     assert!(shares[0] > 0.95 && shares[1] > 0.85 && shares[2] > 0.8, "{shares:?}");
+    // of 4.3 standard deviations; one of 2.6 is on the verge
     let alone = sampled([76, 60, 60], DVec3::ONE, ball);
-    assert_eq!(smoothed(&alone, 10.0, true).smallest, 10.0);
-}
-
-#[test]
-fn a_gap_between_two_balls_stays_open() {
-    let (a, b) = (DVec3::new(16.0, 18.0, 18.0), DVec3::new(41.0, 18.0, 18.0));
-    let inside = sampled([58, 36, 36], DVec3::ONE, |p| (p - a).length() < 11.0 || (p - b).length() < 11.0);
-    assert_eq!(smoothed(&inside, 14.0, false).changes.components, [2, 1]);
-    assert_eq!(smoothed(&inside, 14.0, true).changes.components, [2, 2]);
+    assert_eq!(smoothed(&alone, 6.0, true).smallest, 6.0);
 }
