@@ -23,3 +23,4 @@ pub mod sizing;
 pub mod spatial;
 pub mod spline;
 pub mod surface_integral;
+pub mod topology;

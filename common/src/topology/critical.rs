@@ -4,9 +4,10 @@
 //! each of them on the side where F has it has none too many handles there and none too few; Boissonnat, Cohen-Steiner and Vegter
 //! (2004) mesh implicit surfaces by that rule. A point on the wrong side says where the mesh lacks points.
 
-use crate::isosurface::certain::CertainSigns;
+use super::bernstein::Bernstein;
+use super::certain::CertainSigns;
+use crate::spline::CubicSpline;
 use glam::{DMat3, DVec3};
-use isoparticles_common::spline::CubicSpline;
 use rayon::prelude::*;
 
 /// Newton steps towards a critical point.
@@ -68,7 +69,9 @@ pub fn critical_points(field: &CubicSpline, smallest: f64) -> Vec<CriticalPoint>
         .flat_map_iter(|k| (0..cells[1]).flat_map(move |j| (0..cells[0]).map(move |i| [i, j, k])))
         .filter(|cell| {
             let index = DVec3::from_array(cell.map(|n| n as f64 + 0.5));
-            signs.at(index).is_none() && may_be_flat(field, geometry.index_to_grid(index), voxel)
+            signs.at(index).is_none()
+                && may_be_flat(field, geometry.index_to_grid(index), voxel)
+                && Bernstein::of_cell(field, *cell).may_be_critical()
         })
         .flat_map_iter(|cell| STARTS.map(|offset| DVec3::from_array(cell.map(|n| n as f64)) + offset))
         .filter_map(|index| {
@@ -157,8 +160,8 @@ fn eigen(matrix: DMat3) -> [(f64, DVec3); 3] {
 
 #[cfg(test)]
 mod tests {
+    use super::super::tests::{self as scenes, Scene};
     use super::*;
-    use crate::scenes::{self, Scene};
 
     #[test]
     fn the_neck_of_a_quadric_is_where_it_is() {

@@ -2,14 +2,14 @@
 //! (the convex hull property of B-splines), so that coefficients of one sign leave F no other. Most of a box round a
 //! surface is like that, and a finer sampling of the box need not be taken there.
 
+use crate::spline::CubicSpline;
 use glam::DVec3;
-use isoparticles_common::spline::CubicSpline;
 
 /// Coefficients before and behind a cell that reach into it or into a cell next to it.
 const REACH: (usize, usize) = (2, 3);
 
 /// Signs of F by voxel cell of a box.
-pub(crate) struct CertainSigns {
+pub(super) struct CertainSigns {
     /// First cell of the box.
     first: [usize; 3],
     /// Cells.
@@ -20,7 +20,7 @@ pub(crate) struct CertainSigns {
 
 impl CertainSigns {
     /// Of the cells that hold the points between two corners (grid frame).
-    pub(crate) fn new(field: &CubicSpline, low: DVec3, high: DVec3) -> Self {
+    pub(super) fn new(field: &CubicSpline, low: DVec3, high: DVec3) -> Self {
         let volume = field.geometry().size;
         let spacing = field.geometry().spacing;
         let cell = |p: DVec3, axis: usize| {
@@ -62,7 +62,7 @@ impl CertainSigns {
 
     /// A number of the sign of F at a point of the box (grid frame; `index` is that divided by the spacing) and everywhere
     /// within a voxel of it; `None` where that is not certain.
-    pub(crate) fn at(&self, index: DVec3) -> Option<f32> {
+    pub(super) fn at(&self, index: DVec3) -> Option<f32> {
         let mut number = 0;
         for axis in (0..3).rev() {
             let cell = index[axis].floor().max(0.0) as usize;
@@ -75,8 +75,8 @@ impl CertainSigns {
 
 #[cfg(test)]
 mod tests {
+    use super::super::tests as scenes;
     use super::*;
-    use crate::scenes;
 
     #[test]
     fn signs_are_those_of_the_spline() {

@@ -1,0 +1,310 @@
+//! The cells of the volume, halved where F = 0 is not certain in them, until it is or they are as small as they get.
+
+use super::bernstein::Bernstein;
+use crate::spline::CubicSpline;
+use glam::DVec3;
+use rayon::prelude::*;
+
+/// Halvings of a voxel. A neck, gap or speck of radius r at a critical point is certain in cells of edge e once e < r / sqrt 3, where F and
+/// its second-order part differ little: a sixteenth of a voxel does for all but the finest that are to be told.
+pub(super) const DEPTH: u8 = 4;
+
+/// Finest cells along the edge of a voxel.
+pub(super) const FINE: u64 = 1 << DEPTH;
+
+/// What is known of F in a cell.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum State {
+    /// One sign all over it.
+    Clear,
+    /// F = 0 is a graph in it, if it is there at all.
+    Graph,
+    /// Too small to be halved, and neither.
+    Undecided,
+    /// Halved: the number of its halves.
+    Halved(u32),
+}
+
+/// A [`State`] in half the memory.
+#[derive(Clone, Copy)]
+struct Packed(u32);
+
+/// States that are no numbers of halves.
+const PLAIN: [State; 3] = [State::Clear, State::Graph, State::Undecided];
+
+impl From<State> for Packed {
+    fn from(state: State) -> Self {
+        match state {
+            State::Clear => Self(0),
+            State::Graph => Self(1),
+            State::Undecided => Self(2),
+            State::Halved(n) => Self(n + PLAIN.len() as u32),
+        }
+    }
+}
+
+impl From<Packed> for State {
+    fn from(Packed(n): Packed) -> Self {
+        PLAIN.get(n as usize).copied().unwrap_or(Self::Halved(n.wrapping_sub(PLAIN.len() as u32)))
+    }
+}
+
+/// A cell: its edge is a voxel's halved `level` times, and `at` counts such edges along each axis.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub(super) struct Cell {
+    pub(super) level: u8,
+    pub(super) at: [u32; 3],
+}
+
+impl Cell {
+    /// One of its halves.
+    pub(super) fn half(self, octant: usize) -> Self {
+        let bit = |axis: usize| (octant >> axis & 1) as u32;
+        Self { level: self.level + 1, at: [0, 1, 2].map(|axis| 2 * self.at[axis] + bit(axis)) }
+    }
+
+    /// The cell of a lower level that holds it.
+    pub(super) fn within(self, level: u8) -> Self {
+        Self { level, at: self.at.map(|n| n >> (self.level - level)) }
+    }
+
+    /// Which half of the next larger cell it is.
+    fn octant(self) -> usize {
+        (0..3).map(|axis| (self.at[axis] as usize & 1) << axis).sum()
+    }
+
+    /// Its edge, in finest cells.
+    pub(super) fn edge(self) -> u64 {
+        FINE >> self.level
+    }
+
+    /// Its lowest corner, in finest cells.
+    pub(super) fn corner(self) -> [u64; 3] {
+        self.at.map(|n| u64::from(n) * self.edge())
+    }
+}
+
+/// The cells of a volume.
+pub(super) struct Cells {
+    /// Voxel cells along each axis.
+    size: [usize; 3],
+    /// The state of each voxel cell, x fastest.
+    voxels: Vec<Packed>,
+    /// The states of the halves of halved cells.
+    halves: Vec<[Packed; 8]>,
+    /// The voxel cells that are halved, ascending.
+    halved: Vec<[u32; 3]>,
+}
+
+impl Cells {
+    /// Halves cells where F = 0 is not certain, and next to much smaller ones, so that no cell that F = 0 may pass through shares an edge with
+    /// one of less than half its size: the balance that the surface of the cells' corner signs needs to be F = 0 but for an isotopy.
+    pub(super) fn new(field: &CubicSpline) -> Self {
+        let size = field.geometry().size.map(|n| n.saturating_sub(1));
+        let slices: Vec<(Vec<State>, Vec<[State; 8]>)> =
+            (0..size[2]).into_par_iter().map(|k| states_of_slice(field, size, k)).collect();
+        let mut new = Self { size, voxels: Vec::new(), halves: Vec::new(), halved: Vec::new() };
+        for (voxels, halves) in slices {
+            let shift = new.halves.len() as u32;
+            let shifted =
+                |state| Packed::from(if let State::Halved(n) = state { State::Halved(n + shift) } else { state });
+            new.voxels.extend(voxels.into_iter().map(shifted));
+            new.halves.extend(halves.into_iter().map(|own| own.map(shifted)));
+        }
+        new.halved = (0..new.voxels.len())
+            .filter(|&n| matches!(new.voxels[n].into(), State::Halved(_)))
+            .map(|n| [n % size[0], n / size[0] % size[1], n / size[0] / size[1]].map(|n| n as u32))
+            .collect();
+        new.balance(field);
+        new
+    }
+
+    /// Voxel cells along each axis.
+    pub(super) fn size(&self) -> [usize; 3] {
+        self.size
+    }
+
+    /// The cell itself or, where that is larger, the one it lies in that is not halved; `None` beyond the volume.
+    pub(super) fn find(&self, cell: Cell) -> Option<(Cell, State)> {
+        let voxel = cell.within(0).at.map(|n| n as usize);
+        if (0..3).any(|axis| voxel[axis] >= self.size[axis]) {
+            return None;
+        }
+        let mut state: State = self.voxels[(voxel[2] * self.size[1] + voxel[1]) * self.size[0] + voxel[0]].into();
+        let mut level = 0;
+        while let State::Halved(n) = state
+            && level < cell.level
+        {
+            level += 1;
+            state = self.halves[n as usize][cell.within(level).octant()].into();
+        }
+        Some((cell.within(level), state))
+    }
+
+    /// The finest cell that a point (grid frame, mm) lies in, or next to beyond the volume.
+    pub(super) fn finest_at(&self, field: &CubicSpline, point: DVec3) -> Cell {
+        let fine = (point / field.geometry().spacing * FINE as f64).floor();
+        let last = self.size.map(|n| (n as u64 * FINE) as f64 - 1.0);
+        Cell { level: DEPTH, at: [0, 1, 2].map(|axis| fine[axis].min(last[axis]).max(0.0) as u32) }
+    }
+
+    /// Whether a cell, some edges of its own away, is halved.
+    pub(super) fn is_halved(&self, cell: Cell, away: [i64; 3]) -> bool {
+        let found = moved(cell, away).and_then(|cell| self.find(cell).filter(|(found, _)| *found == cell));
+        matches!(found, Some((_, State::Halved(_))))
+    }
+
+    /// Whether one of the 27 voxel cells round one of them is halved.
+    pub(super) fn any_halved_round(&self, voxel: Cell) -> bool {
+        let near = |axis: usize| {
+            let at = voxel.at[axis] as usize;
+            at.saturating_sub(1)..(at + 2).min(self.size[axis])
+        };
+        near(2).any(|k| {
+            near(1).any(|j| {
+                let row = (k * self.size[1] + j) * self.size[0];
+                self.voxels[row + near(0).start..row + near(0).end]
+                    .iter()
+                    .any(|&s| matches!(s.into(), State::Halved(_)))
+            })
+        })
+    }
+
+    /// The cells of a slice of voxels that F = 0 may pass through, in the order of the voxels.
+    pub(super) fn crossed_in_slice(&self, k: u32) -> Vec<(Cell, State)> {
+        let mut found = Vec::new();
+        for (j, i) in (0..self.size[1] as u32).flat_map(|j| (0..self.size[0] as u32).map(move |i| (j, i))) {
+            self.crossed_in(Cell { level: 0, at: [i, j, k] }, &mut found);
+        }
+        found
+    }
+
+    /// The same within one voxel cell.
+    pub(super) fn crossed_in(&self, voxel: Cell, found: &mut Vec<(Cell, State)>) {
+        let mut open = vec![voxel];
+        while let Some(cell) = open.pop() {
+            match self.find(cell) {
+                Some((_, State::Halved(_))) => open.extend((0..8).rev().map(|octant| cell.half(octant))),
+                Some((_, state)) if state != State::Clear => found.push((cell, state)),
+                _ => {}
+            }
+        }
+    }
+
+    fn balance(&mut self, field: &CubicSpline) {
+        for level in (2..=DEPTH).rev() {
+            loop {
+                let too_large = |voxel: &[u32; 3]| {
+                    let mut found = Vec::new();
+                    self.crossed_in(Cell { level: 0, at: *voxel }, &mut found);
+                    let small = found.into_iter().filter(|(cell, _)| cell.level == level);
+                    let beside = small.flat_map(|(cell, _)| around().filter_map(move |away| moved(cell, away)));
+                    let large = beside
+                        .filter_map(|cell| self.find(cell))
+                        .filter(|(found, state)| *state == State::Graph && found.level + 1 < level);
+                    let mut large: Vec<Cell> = large.map(|(cell, _)| cell).collect();
+                    large.sort_unstable();
+                    large.dedup();
+                    large
+                };
+                let mut large: Vec<Cell> = self.halved.par_iter().flat_map_iter(too_large).collect();
+                large.par_sort_unstable();
+                large.dedup();
+                if large.is_empty() {
+                    break;
+                }
+                let halves: Vec<[State; 8]> = large.par_iter().map(|&cell| halves_of_graph(field, cell)).collect();
+                for (cell, halves) in large.into_iter().zip(halves) {
+                    self.halve(cell, halves);
+                }
+                self.halved.par_sort_unstable();
+            }
+        }
+    }
+
+    fn halve(&mut self, cell: Cell, halves: [State; 8]) {
+        let new = Packed::from(State::Halved(self.halves.len() as u32));
+        self.halves.push(halves.map(Packed::from));
+        if cell.level == 0 {
+            let [i, j, k] = cell.at.map(|n| n as usize);
+            self.voxels[(k * self.size[1] + j) * self.size[0] + i] = new;
+            self.halved.push(cell.at);
+        } else if let Some((_, State::Halved(n))) = self.find(cell.within(cell.level - 1)) {
+            self.halves[n as usize][cell.octant()] = new;
+        }
+    }
+}
+
+/// A cell as many edges of its own away as said, unless that is below zero.
+pub(super) fn moved(cell: Cell, away: [i64; 3]) -> Option<Cell> {
+    let mut at = [0; 3];
+    for axis in 0..3 {
+        at[axis] = u32::try_from(i64::from(cell.at[axis]) + away[axis]).ok()?;
+    }
+    Some(Cell { at, ..cell })
+}
+
+/// The ways to a cell itself and to the 26 around it.
+pub(super) fn around() -> impl Iterator<Item = [i64; 3]> {
+    (0..27).map(|n| [n % 3 - 1, n / 3 % 3 - 1, n / 9 - 1])
+}
+
+fn halves_of_graph(field: &CubicSpline, cell: Cell) -> [State; 8] {
+    let mut own = Bernstein::of_cell(field, cell.within(0).at.map(|n| n as usize));
+    for level in 1..=cell.level {
+        own = own.octant(cell.within(level).octant());
+    }
+    // a part of a graph is one
+    std::array::from_fn(|octant| if own.octant(octant).is_clear() { State::Clear } else { State::Graph })
+}
+
+/// The states of the voxel cells of a slice, and of the halves of those that are halved.
+fn states_of_slice(field: &CubicSpline, size: [usize; 3], k: usize) -> (Vec<State>, Vec<[State; 8]>) {
+    let may_change = sign_changes(field, size, k);
+    let mut halves = Vec::new();
+    let state = |(n, may_change): (usize, bool)| match may_change {
+        true => state_of(&Bernstein::of_cell(field, [n % size[0], n / size[0], k]), 0, &mut halves),
+        false => State::Clear,
+    };
+    let states = may_change.into_iter().enumerate().map(state).collect();
+    (states, halves)
+}
+
+fn state_of(own: &Bernstein, level: u8, halves: &mut Vec<[State; 8]>) -> State {
+    if own.is_clear() {
+        State::Clear
+    } else if own.is_graph() {
+        State::Graph
+    } else if level == DEPTH {
+        State::Undecided
+    } else {
+        let number = halves.len();
+        halves.push([State::Clear; 8]);
+        for octant in 0..8 {
+            halves[number][octant] = state_of(&own.octant(octant), level + 1, halves);
+        }
+        State::Halved(number as u32)
+    }
+}
+
+/// Whether the 64 spline coefficients that each voxel cell of a slice reads have both signs: the cheapest test first.
+fn sign_changes(field: &CubicSpline, size: [usize; 3], k: usize) -> Vec<bool> {
+    let [nx, ny, nz] = field.geometry().size;
+    let signs = |c: f32| u8::from(c > 0.0) | u8::from(c < 0.0) << 1;
+    // the coefficients that mirroring at the border adds are among the others
+    let reach = |cell: usize, n: usize| cell.saturating_sub(1)..(cell + 3).min(n);
+    let mut along_z = vec![3u8; nx * ny];
+    for slice in reach(k, nz).map(|k| &field.coefficients()[k * nx * ny..][..nx * ny]) {
+        along_z.iter_mut().zip(slice).for_each(|(all, &c)| *all &= signs(c));
+    }
+    let mut changes = Vec::with_capacity(size[0] * size[1]);
+    let mut row = vec![3u8; nx];
+    for j in 0..size[1] {
+        row.fill(3);
+        for other in reach(j, ny) {
+            row.iter_mut().zip(&along_z[other * nx..]).for_each(|(all, &own)| *all &= own);
+        }
+        changes.extend((0..size[0]).map(|i| row[reach(i, nx)].iter().fold(3, |all, &own| all & own) == 0));
+    }
+    changes
+}
