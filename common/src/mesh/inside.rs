@@ -57,6 +57,40 @@ pub fn count_nodes_inside(mesh: &TriangleMesh, geometry: &Geometry) -> usize {
         .sum()
 }
 
+/// Which of some points (in the frame of the mesh) the closed mesh has inside.
+pub fn are_inside(mesh: &TriangleMesh, points: &[DVec3]) -> Vec<bool> {
+    let mut by_z: Vec<u32> = (0..points.len() as u32).collect();
+    by_z.sort_by(|&a, &b| points[a as usize].z.total_cmp(&points[b as usize].z));
+    let passed: Vec<u32> = (0..mesh.triangles.len())
+        .into_par_iter()
+        .flat_map_iter(|t| {
+            let corners = mesh.corners(t);
+            let low = corners[0].min(corners[1]).min(corners[2]);
+            let high = corners[0].max(corners[1]).max(corners[2]);
+            let start = by_z.partition_point(|&n| points[n as usize].z < low.z);
+            let near = by_z[start..].iter().take_while(move |&&n| points[n as usize].z <= high.z);
+            near.copied().filter(move |&n| {
+                let p = points[n as usize];
+                (low.y..=high.y).contains(&p.y) && is_beyond(corners, p)
+            })
+        })
+        .collect();
+    let mut inside = vec![false; points.len()];
+    passed.into_iter().for_each(|n| inside[n as usize] ^= true);
+    inside
+}
+
+/// Whether the line in x to a point from below passes through a triangle.
+fn is_beyond(corners: [DVec3; 3], p: DVec3) -> bool {
+    let shadow = corners.map(|p| Coord { x: p.y, y: p.z });
+    let at = Coord { x: p.y, y: p.z };
+    let side = moved_turn(shadow[0], shadow[1], at);
+    side != 0
+        && side == moved_turn(shadow[1], shadow[2], at)
+        && side == moved_turn(shadow[2], shadow[0], at)
+        && orientation(corners[0], corners[1], corners[2], p) * side > 0
+}
+
 /// Where a triangle crosses a grid line: all nodes of row `row` (k * ny + j) from index `first` on change sides.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Crossing {
@@ -204,6 +238,22 @@ mod tests {
         // and a field that knows nothing of the mesh is wrong exactly inside
         let outside = Image::filled(truth.geometry.clone(), 1.0f32);
         assert_eq!(nodes_on_wrong_side(&mesh, &outside).len(), inside);
+    }
+
+    #[test]
+    fn points_anywhere_are_told_like_nodes() {
+        let parts = [
+            moved(shapes::icosphere(5.0, 2), DVec3::new(6.0, 5.0, 7.0)),
+            moved(shapes::cuboid(DVec3::ONE), DVec3::splat(12.0)),
+        ];
+        let mesh = shapes::union(&parts);
+        let image = image([15; 3], DVec3::ONE, |_| 1.0);
+        let nodes: Vec<[usize; 3]> = (0..15 * 15 * 15).map(|n| [n % 15, n / 15 % 15, n / 225]).collect();
+        let points: Vec<DVec3> = nodes.iter().map(|n| DVec3::from_array(n.map(|x| x as f64))).collect();
+        let found = are_inside(&mesh, &points);
+        let inside: Vec<[usize; 3]> = nodes.into_iter().zip(found).filter(|(_, own)| *own).map(|(n, _)| n).collect();
+        assert_eq!(inside, nodes_on_wrong_side(&mesh, &image));
+        assert!(inside.len() > 100);
     }
 
     #[test]

@@ -29,35 +29,46 @@ impl Bernstein {
             let (i, j, k) = (x[n % ORDER], y[n / ORDER % ORDER], z[n / ORDER / ORDER]);
             f64::from(coefficients[(k * size[1] + j) * size[0] + i])
         }));
-        for axis in 0..3 {
-            new.each_line(axis, |[a, b, c, d]| {
-                let (low, high) = ((2.0 * b + c) / 3.0, (b + 2.0 * c) / 3.0);
-                [(a + 4.0 * b + c) / 6.0, low, high, (b + 4.0 * c + d) / 6.0]
-            });
-        }
+        let change = |[a, b, c, d]: [f64; ORDER]| {
+            let (low, high) = ((2.0 * b + c) / 3.0, (b + 2.0 * c) / 3.0);
+            [(a + 4.0 * b + c) / 6.0, low, high, (b + 4.0 * c + d) / 6.0]
+        };
+        new.each_line::<1>(change);
+        new.each_line::<ORDER>(change);
+        new.each_line::<{ ORDER * ORDER }>(change);
         new
     }
 
     /// In one of the eight halves; bit `a` of `octant` says which along axis `a`.
     pub(super) fn octant(&self, octant: usize) -> Self {
         let mut new = self.clone();
-        for axis in 0..3 {
-            // de Casteljau at the middle
-            new.each_line(axis, |[a, b, c, d]| {
-                let middle = (a + 3.0 * (b + c) + d) / 8.0;
-                match octant >> axis & 1 {
-                    0 => [a, (a + b) / 2.0, (a + 2.0 * b + c) / 4.0, middle],
-                    _ => [middle, (b + 2.0 * c + d) / 4.0, (c + d) / 2.0, d],
-                }
-            });
-        }
+        new.halve::<1>(octant & 1 == 1);
+        new.halve::<ORDER>(octant >> 1 & 1 == 1);
+        new.halve::<{ ORDER * ORDER }>(octant >> 2 & 1 == 1);
         new
     }
 
-    fn each_line(&mut self, axis: usize, change: impl Fn([f64; ORDER]) -> [f64; ORDER]) {
-        for [a, b, c, d] in lines(axis) {
-            let [w, x, y, z] = change([self.0[a], self.0[b], self.0[c], self.0[d]]);
-            (self.0[a], self.0[b], self.0[c], self.0[d]) = (w, x, y, z);
+    /// Takes one half along an axis: de Casteljau at the middle.
+    fn halve<const STRIDE: usize>(&mut self, is_upper: bool) {
+        if is_upper {
+            self.each_line::<STRIDE>(|[a, b, c, d]| {
+                [(a + 3.0 * (b + c) + d) / 8.0, (b + 2.0 * c + d) / 4.0, (c + d) / 2.0, d]
+            });
+        } else {
+            self.each_line::<STRIDE>(|[a, b, c, d]| {
+                [a, (a + b) / 2.0, (a + 2.0 * b + c) / 4.0, (a + 3.0 * (b + c) + d) / 8.0]
+            });
+        }
+    }
+
+    /// Changes the lines along the axis whose neighbours are so many places apart: known when compiling, so that the loops unroll.
+    fn each_line<const STRIDE: usize>(&mut self, change: impl Fn([f64; ORDER]) -> [f64; ORDER]) {
+        for outer in (0..ORDER * ORDER * ORDER).step_by(ORDER * STRIDE) {
+            for first in outer..outer + STRIDE {
+                let place = |k: usize| first + k * STRIDE;
+                let line = change([0, 1, 2, 3].map(|k| self.0[place(k)]));
+                (0..ORDER).for_each(|k| self.0[place(k)] = line[k]);
+            }
         }
     }
 
@@ -65,12 +76,20 @@ impl Bernstein {
     /// included.
     fn slopes(&self) -> [(f64, f64); 3] {
         let slack = self.0.iter().fold(0.0f64, |largest, b| largest.max(b.abs())) * ROUNDING;
-        [0, 1, 2].map(|axis| {
-            let line =
-                |[a, b, c, d]: [usize; ORDER]| [self.0[b] - self.0[a], self.0[c] - self.0[b], self.0[d] - self.0[c]];
-            let (low, high) = range(lines(axis).flat_map(line));
-            (low - slack, high + slack)
-        })
+        let slopes = [self.differences::<1>(), self.differences::<ORDER>(), self.differences::<{ ORDER * ORDER }>()];
+        slopes.map(|(low, high)| (low - slack, high + slack))
+    }
+
+    /// The range of the differences of neighbours along an axis.
+    fn differences<const STRIDE: usize>(&self) -> (f64, f64) {
+        let mut found = (f64::INFINITY, f64::NEG_INFINITY);
+        for outer in (0..ORDER * ORDER * ORDER).step_by(ORDER * STRIDE) {
+            for low in outer..outer + (ORDER - 1) * STRIDE {
+                let difference = self.0[low + STRIDE] - self.0[low];
+                found = (found.0.min(difference), found.1.max(difference));
+            }
+        }
+        found
     }
 
     /// Whether the gradient may vanish in the cell.
@@ -100,14 +119,6 @@ impl Bernstein {
         });
         least.iter().sum::<f64>() > 0.0
     }
-}
-
-/// The coefficients by lines along an axis.
-fn lines(axis: usize) -> impl Iterator<Item = [usize; ORDER]> {
-    // so that no index is divided
-    let stride = [1, ORDER, ORDER * ORDER][axis];
-    let firsts = (0..ORDER * ORDER * ORDER).step_by(ORDER * stride).flat_map(move |outer| outer..outer + stride);
-    firsts.map(move |first| [first, first + stride, first + 2 * stride, first + 3 * stride])
 }
 
 fn range(values: impl Iterator<Item = f64>) -> (f64, f64) {

@@ -1,7 +1,7 @@
 //! All polygons of the surface that the cells tell of, put together: components, their Euler characteristics and sizes, and which
 //! crossings each cell has.
 
-use super::cells::{Cell, Cells, DEPTH, State};
+use super::cells::{BASE, Cell, Cells, DEPTH, State, around, moved};
 use super::surface::{Crossing, Polygons, Reader};
 use super::{Bounds, Component};
 use crate::components::DisjointSets;
@@ -24,31 +24,53 @@ pub(super) struct Surface {
     cells: Vec<(u64, u32)>,
     /// Crossings of the polygons in each cell.
     corners: Vec<u32>,
+    /// The voxels with polygons, ascending, each with the component of all of them, [`SEVERAL`] where there is more than one.
+    voxels: Vec<(u64, u32)>,
     /// The cells that are neither certain nor halved, ascending.
     pub(super) undecided: Vec<Cell>,
 }
 
-/// What the cells of a slice of voxels have.
-struct Slice {
-    polygons: Vec<Polygons>,
-    undecided: Vec<Cell>,
-}
+/// In place of a component's number.
+const SEVERAL: u32 = u32::MAX;
 
 impl Surface {
-    pub(super) fn new(field: &CubicSpline, cells: &Cells) -> Self {
-        let slices: Vec<Slice> = (0..cells.size()[2] as u32)
-            .into_par_iter()
-            .map(|k| {
-                let mut reader = Reader::new(field, cells);
-                let crossed = cells.crossed_in_slice(k);
-                let undecided =
-                    crossed.iter().filter(|(_, state)| *state == State::Undecided).map(|(c, _)| *c).collect();
-                let polygons = crossed.into_iter().map(|(cell, _)| reader.polygons(cell));
-                Slice { polygons: polygons.filter(|p| !p.corners.is_empty()).collect(), undecided }
-            })
-            .collect();
-        let polygons = || slices.iter().flat_map(|slice| &slice.polygons);
-        let mut crossings: Vec<Crossing> = polygons().flat_map(|p| p.corners.iter().flatten().copied()).collect();
+    /// Reads the surface, and halves cells on the way that have several polygons. One of these may be a loop round a corner of smaller cells beside:
+    /// whether it closes there, or opens into another of them, shows when it is halved.
+    pub(super) fn new(field: &CubicSpline, cells: &mut Cells) -> Self {
+        let slices: Vec<Vec<(Cell, State)>> =
+            (0..cells.size()[2] as u32).into_par_iter().map(|k| cells.crossed_in_slice(k)).collect();
+        let crossed = slices.iter().flatten();
+        let undecided: Vec<Cell> =
+            crossed.filter(|(_, state)| *state == State::Undecided).map(|(cell, _)| *cell).collect();
+        let mut polygons: Vec<Polygons> = slices.par_iter().flat_map_iter(|slice| read(field, cells, slice)).collect();
+        drop(slices);
+        loop {
+            let several = |p: &&Polygons| p.corners.len() > 1 && p.cell.level < BASE;
+            let mut several: Vec<Cell> = polygons.par_iter().filter(several).map(|p| p.cell).collect();
+            if several.is_empty() {
+                break;
+            }
+            several.par_sort_unstable();
+            let changed = cells.refine(field, &several);
+            let beside = |&at: &[u32; 3]| around().filter_map(move |away| moved(Cell { level: 0, at }, away));
+            let mut again: Vec<Cell> = changed.par_iter().flat_map_iter(beside).collect();
+            again.par_sort_unstable();
+            again.dedup();
+            polygons.retain(|p| again.binary_search(&p.cell.within(0)).is_err());
+            let read_again = |voxels: &[Cell]| {
+                let mut crossed = Vec::new();
+                voxels.iter().for_each(|&voxel| cells.crossed_in(voxel, &mut crossed));
+                read(field, cells, &crossed)
+            };
+            polygons.par_extend(again.par_chunks(CHUNK).flat_map_iter(read_again));
+        }
+        polygons.par_sort_unstable_by_key(|p| order(cells, p.cell));
+        Self::of(field, cells, &polygons, undecided)
+    }
+
+    /// Puts polygons together, which are in the order of their cells.
+    fn of(field: &CubicSpline, cells: &Cells, all: &[Polygons], undecided: Vec<Cell>) -> Self {
+        let mut crossings: Vec<Crossing> = all.iter().flat_map(|p| p.corners.iter().flatten().copied()).collect();
         crossings.par_sort_unstable();
         crossings.dedup();
         let index = |crossing: &Crossing| crossings.partition_point(|c| c < crossing) as u32;
@@ -59,11 +81,8 @@ impl Surface {
                 chunk.iter().map(|&crossing| reader.position(crossing)).collect::<Vec<_>>()
             })
             .collect();
-        let ways: Vec<Vec<Vec<u32>>> = slices
-            .par_iter()
-            .flat_map_iter(|slice| &slice.polygons)
-            .map(|p| p.corners.iter().map(|way| way.iter().map(index).collect()).collect())
-            .collect();
+        let ways: Vec<Vec<Vec<u32>>> =
+            all.par_iter().map(|p| p.corners.iter().map(|way| way.iter().map(index).collect()).collect()).collect();
         let mut sets = DisjointSets::new(crossings.len());
         for way in ways.iter().flatten() {
             way.windows(2).for_each(|pair| sets.join(pair[0], pair[1]));
@@ -76,18 +95,52 @@ impl Surface {
             component_of[crossing as usize] = if first == crossing { count } else { component_of[first as usize] };
             count += u32::from(first == crossing);
         }
-        let at_border: Vec<u32> = polygons().flat_map(|p| &p.at_border).map(index).collect();
+        let at_border: Vec<u32> = all.iter().flat_map(|p| &p.at_border).map(index).collect();
         let components = components(&positions, &component_of, count as usize, &ways, &at_border);
         let mut corners = Vec::new();
         let mut ends = Vec::with_capacity(ways.len());
-        for (p, ways) in polygons().zip(&ways) {
+        for (p, ways) in all.iter().zip(&ways) {
             corners.extend(ways.iter().flatten());
             ends.push((order(cells, p.cell), corners.len() as u32));
         }
-        let undecided = slices.iter().flat_map(|slice| slice.undecided.iter().copied()).collect();
-        let mut new = Self { positions, component_of, components, cells: ends, corners, undecided };
+        let mut voxels: Vec<(u64, u32)> = Vec::new();
+        let mut first = 0;
+        for &(place, end) in &ends {
+            let voxel = place >> (3 * DEPTH);
+            for &corner in &corners[first as usize..end as usize] {
+                let component = component_of[corner as usize];
+                match voxels.last_mut() {
+                    Some((last, only)) if *last == voxel => {
+                        *only = if *only == component { component } else { SEVERAL }
+                    }
+                    _ => voxels.push((voxel, component)),
+                }
+            }
+            first = end;
+        }
+        let mut new = Self { positions, component_of, components, cells: ends, corners, voxels, undecided };
         new.undecided.sort_unstable();
         new
+    }
+
+    /// The component of all polygons in each of some voxels of a row, ascending, that have any; `None` where there are several.
+    pub(super) fn components_of_voxels(
+        &self,
+        cells: &Cells,
+        row: impl Iterator<Item = Cell>,
+    ) -> impl Iterator<Item = Option<u32>> {
+        let size = cells.size().map(|n| n as u64);
+        let inside =
+            row.map(|voxel| voxel.at.map(u64::from)).filter(move |at| (0..3).all(|axis| at[axis] < size[axis]));
+        let mut rest = &self.voxels[..];
+        inside.filter_map(move |[i, j, k]| {
+            let number = (k * size[1] + j) * size[0] + i;
+            // those of a row follow each other closely
+            let near = rest.partition_point(|(own, _)| *own < number);
+            rest = &rest[near..];
+            let found = rest.first().filter(|(own, _)| *own == number)?;
+            Some(Some(found.1).filter(|&component| component != SEVERAL))
+        })
     }
 
     /// The crossings of the polygons in a cell.
@@ -100,6 +153,12 @@ impl Surface {
         let first = if n == 0 { 0 } else { self.cells[n - 1].1 };
         &self.corners[first as usize..self.cells[n].1 as usize]
     }
+}
+
+/// The polygons in some cells.
+fn read(field: &CubicSpline, cells: &Cells, crossed: &[(Cell, State)]) -> Vec<Polygons> {
+    let mut reader = Reader::new(field, cells);
+    crossed.iter().map(|(cell, _)| reader.polygons(*cell)).filter(|p| !p.corners.is_empty()).collect()
 }
 
 /// The place of a cell that is not halved in the order of all: by voxel, x fastest, and within it as the halves follow each other.
@@ -119,15 +178,7 @@ fn components(
     ways: &[Vec<Vec<u32>>],
     at_border: &[u32],
 ) -> Vec<Component> {
-    let new = Component {
-        group: 0,
-        is_certain: true,
-        euler: 0,
-        place: DVec3::ZERO,
-        bounds: Bounds::EMPTY,
-        area: 0.0,
-        volume: 0.0,
-    };
+    let new = Component { euler: 0, place: DVec3::ZERO, bounds: Bounds::EMPTY, area: 0.0, volume: 0.0 };
     let mut components = vec![new; count];
     let mut sides = vec![0i64; count];
     for (&p, &component) in positions.iter().zip(component_of) {

@@ -4,12 +4,16 @@
 //! An edge is as short as the smallest cell at it, and a face as small as the smaller of the two cells at it, so that all cells see
 //! the same crossings and the polygons form a closed surface (but for the border of the volume).
 
-use super::cells::{Cell, Cells, DEPTH, FINE};
+use super::cells::{Cell, Cells, DEPTH, FINE, around};
 use crate::spline::CubicSpline;
 use glam::DVec3;
 
 /// Values of F that are remembered, at most; a power of two.
 const REMEMBERED: usize = 1 << 14;
+
+/// 2^64 over the golden ratio: its products spread numbers over the upper bits (Knuth's multiplicative hashing), of which these are kept.
+const SPREAD: u64 = 0x9e37_79b9_7f4a_7c15;
+const SHIFT: u32 = 64 - REMEMBERED.trailing_zeros();
 
 /// A crossing keeps this part of an edge from its ends.
 const CLEARANCE: f64 = 1e-3;
@@ -33,7 +37,7 @@ pub(super) struct Reader<'a> {
     /// Corners of finest cells along each axis.
     corners: [u64; 3],
     remembered: Vec<(u64, f64)>,
-    /// Whether no cell near the present one is halved.
+    /// Whether no cell of its size next to the present one is halved.
     is_even: bool,
 }
 
@@ -45,7 +49,14 @@ impl<'a> Reader<'a> {
 
     /// The polygons in a cell, one for each closed way of the surface over its faces.
     pub(super) fn polygons(&mut self, cell: Cell) -> Polygons {
-        self.is_even = cell.level == 0 && !self.cells.any_halved_round(cell);
+        self.is_even = match cell.level {
+            0 => !self.cells.any_halved_round(cell),
+            _ => around().all(|away| !self.cells.is_halved(cell, away)),
+        };
+        // no edge of it is cut up
+        if self.is_even && self.has_one_sign(cell) {
+            return Polygons { cell, corners: Vec::new(), at_border: Vec::new() };
+        }
         let mut sides: Vec<[Crossing; 2]> = Vec::new();
         let mut at_border = Vec::new();
         for (axis, far) in (0..3).flat_map(|axis| [(axis, 0), (axis, 1)]) {
@@ -62,6 +73,16 @@ impl<'a> Reader<'a> {
             }
         }
         Polygons { cell, corners: closed_ways(sides), at_border }
+    }
+
+    fn has_one_sign(&mut self, cell: Cell) -> bool {
+        let low = cell.corner();
+        let mut is_inside = |n: u64| {
+            let far = [n & 1, n >> 1 & 1, n >> 2];
+            self.value([0, 1, 2].map(|axis| low[axis] + far[axis] * cell.edge())) < 0.0
+        };
+        let first = is_inside(0);
+        (1..8).all(|n| is_inside(n) == first)
     }
 
     /// The sides of polygons on a face of cells, which is across an axis, with the object on the left seen from below along that axis; `face`
@@ -151,7 +172,7 @@ impl<'a> Reader<'a> {
     /// F at a corner: a function of the corner alone, so that all cells agree on its sign.
     fn value(&mut self, corner: [u64; 3]) -> f64 {
         let number = self.number(corner);
-        let slot = number as usize % REMEMBERED;
+        let slot = (number.wrapping_mul(SPREAD) >> SHIFT) as usize;
         if self.remembered[slot].0 != number {
             let value = self.field.value(self.place(DVec3::from_array(corner.map(|n| n as f64))));
             self.remembered[slot] = (number, value);

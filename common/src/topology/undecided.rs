@@ -1,39 +1,194 @@
-//! Places where the topology of F = 0 cannot be told, and the components that they may join or part.
+//! Places where the topology of F = 0 is not told, or finer than is asked of a mesh, and what it may be with them.
 
-use super::cells::{Cell, Cells, FINE, around, moved};
+use super::cells::{BASE, Cell, Cells, around, moved};
 use super::critical::CriticalPoint;
 use super::polygons::Surface;
-use super::{Bounds, Component, Group, RESOLUTION};
+use super::{Bounds, Component, RESOLUTION};
 use crate::components::DisjointSets;
 use crate::spline::CubicSpline;
 use glam::DVec3;
 use rayon::prelude::*;
 use serde::Serialize;
 use std::collections::BTreeMap;
+use std::ops::RangeInclusive;
 
-/// Smallest cells that share a face, an edge or a corner, in which F = 0 is not certain or finer than [`RESOLUTION`].
+/// A place where a mesh may have another topology than F.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Undecided {
-    /// Middle of the place, grid frame, mm.
+    /// The critical point of F there, or the middle of the place; grid frame, mm.
     pub place: [f64; 3],
-    /// Its longest extent along an axis of the grid, mm.
+    /// Twice the radius of the neck, gap or speck, or the longest extent along an axis of the grid, mm.
     pub size: f64,
-    /// |F| in its middle, mm.
+    /// F there, mm.
     pub value: f64,
-    /// Critical points of F in it whose neck, gap or speck is finer than [`RESOLUTION`], one at least: each may change the number of components by one, and the Euler characteristic by two.
-    pub critical_points: usize,
-    /// The group that it touches.
-    pub group: u32,
-    /// A box round it and the smallest cells beside it, grid frame, mm.
-    #[serde(skip)]
-    pub bounds: Bounds,
-    /// Components that it touches.
+    /// What is there.
+    pub kind: UndecidedKind,
+    /// Components that it touches, ascending.
     #[serde(skip)]
     pub components: Vec<u32>,
+    /// A box round it, grid frame, mm.
+    #[serde(skip)]
+    pub bounds: Bounds,
 }
 
-/// The undecided places, in the order of their lowest cells: cells in which F = 0 is not certain, and all from critical points too near to F = 0
-/// to where they meet it.
+/// What is at an undecided place. All but the last are critical points of F whose value tells what F has there; on the other side of F = 0
+/// they would change it in one way.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum UndecidedKind {
+    /// Two sheets, which may be joined.
+    Gap,
+    /// A neck of the object or of what surrounds it, which may be cut.
+    Neck,
+    /// An extremum of F within a speck or a cavity, which may be missing.
+    Speck,
+    /// Cells in which F = 0 is not certain, with this many critical points, one at least.
+    Uncertain(usize),
+}
+
+/// How a mesh has an undecided place.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Choice {
+    /// As F has it.
+    AsField,
+    /// The other way.
+    Other,
+    /// It is not known.
+    Unknown,
+}
+
+/// Components that undecided places may join, given how these are had, or one by itself.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Group {
+    /// Its components, ascending; none where all that it may be is a speck.
+    pub components: Vec<u32>,
+    /// How many components it may be.
+    pub component_count: RangeInclusive<usize>,
+    /// Euler characteristics that it may have.
+    pub euler: RangeInclusive<i64>,
+    /// The undecided places in it that are not had as F has them, ascending.
+    pub undecided: Vec<u32>,
+}
+
+/// All groups.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Groups {
+    all: Vec<Group>,
+    group_of: Vec<u32>,
+    may_vanish: Vec<bool>,
+}
+
+impl Groups {
+    /// The groups.
+    pub fn all(&self) -> &[Group] {
+        &self.all
+    }
+
+    /// The group of a component; `None` of a number that is no component's.
+    pub fn of(&self, component: u32) -> Option<u32> {
+        self.group_of.get(component as usize).copied()
+    }
+
+    /// Whether a component may be missing.
+    pub fn may_vanish(&self, component: u32) -> bool {
+        self.may_vanish[component as usize]
+    }
+
+    /// How components and places group, given how a mesh has each of the places.
+    pub(super) fn new(components: &[Component], places: &[Undecided], choices: &[Choice]) -> Self {
+        let mut sets = DisjointSets::new(components.len());
+        // joined for certain
+        let mut joined = DisjointSets::new(components.len());
+        let mut may_vanish = vec![false; components.len()];
+        let open = |&(place, choice): &(&Undecided, &Choice)| {
+            matches!(place.kind, UndecidedKind::Uncertain(_)) || *choice != Choice::AsField
+        };
+        for (place, choice) in places.iter().zip(choices).filter(open) {
+            for pair in place.components.windows(2) {
+                sets.join(pair[0], pair[1]);
+                if (place.kind, *choice) == (UndecidedKind::Gap, Choice::Other) {
+                    joined.join(pair[0], pair[1]);
+                }
+            }
+            for &c in &place.components {
+                let bounds = &components[c as usize].bounds;
+                may_vanish[c as usize] |= match place.kind {
+                    UndecidedKind::Speck => true,
+                    UndecidedKind::Uncertain(_) => place.bounds.holds(bounds.low) && place.bounds.holds(bounds.high),
+                    _ => false,
+                };
+            }
+        }
+        let mut new = Self { all: Vec::new(), group_of: vec![0; components.len()], may_vanish };
+        let mut ranges: Vec<Ranges> = Vec::new();
+        for n in 0..components.len() {
+            let first = sets.find(n as u32) as usize;
+            let group = if first == n { new.add(&mut ranges) } else { new.group_of[first] };
+            new.group_of[n] = group;
+            new.all[group as usize].components.push(n as u32);
+            let own = &mut ranges[group as usize];
+            own.add(usize::from(joined.find(n as u32) as usize == n) as i64, components[n].euler);
+        }
+        for (n, (place, choice)) in (0..).zip(places.iter().zip(choices)).filter(|(_, both)| open(both)) {
+            let group = match place.components.first() {
+                Some(&c) => new.group_of[c as usize],
+                None => new.add(&mut ranges),
+            };
+            new.all[group as usize].undecided.push(n);
+            ranges[group as usize].widen(place.kind, *choice);
+        }
+        for (group, range) in new.all.iter_mut().zip(ranges) {
+            let least = i64::from(group.components.iter().any(|&c| !new.may_vanish[c as usize]));
+            let [low, high] = range.count.map(|n| n.max(least) as usize);
+            group.component_count = low..=high;
+            group.euler = range.euler[0]..=range.euler[1];
+        }
+        new
+    }
+
+    fn add(&mut self, ranges: &mut Vec<Ranges>) -> u32 {
+        self.all.push(Group { components: Vec::new(), component_count: 0..=0, euler: 0..=0, undecided: Vec::new() });
+        ranges.push(Ranges::default());
+        self.all.len() as u32 - 1
+    }
+}
+
+/// Least and most of what a group may be.
+#[derive(Clone, Default)]
+struct Ranges {
+    count: [i64; 2],
+    euler: [i64; 2],
+}
+
+impl Ranges {
+    fn add(&mut self, count: i64, euler: i64) {
+        self.count = self.count.map(|n| n + count);
+        self.euler = self.euler.map(|n| n + euler);
+    }
+
+    /// Takes in a place. A tube in place of two disks has an Euler characteristic lower by two, and joins two components or is a handle.
+    fn widen(&mut self, kind: UndecidedKind, choice: Choice) {
+        let is_certain = choice == Choice::Other;
+        let (count, change) = match kind {
+            // what it joins is known
+            UndecidedKind::Gap => ([if is_certain { 0 } else { -1 }, 0], -2),
+            UndecidedKind::Neck => ([0, 1], 2),
+            UndecidedKind::Speck => ([-1, 0], -2),
+            UndecidedKind::Uncertain(critical_points) => {
+                let n = critical_points as i64;
+                self.count = [self.count[0] - n, self.count[1] + n];
+                self.euler = [self.euler[0] - 2 * n, self.euler[1] + 2 * n];
+                return;
+            }
+        };
+        self.count = [self.count[0] + count[0], self.count[1] + count[1]];
+        let euler = if is_certain { [change; 2] } else { [change.min(0), change.max(0)] };
+        self.euler = [self.euler[0] + euler[0], self.euler[1] + euler[1]];
+    }
+}
+
+/// The undecided places: clusters of cells in which F = 0 is not certain, in the order of their lowest cells, and then all critical points
+/// elsewhere whose neck, gap or speck is finer than [`RESOLUTION`], in their order.
 pub(super) fn places(
     field: &CubicSpline,
     cells: &Cells,
@@ -41,9 +196,7 @@ pub(super) fn places(
     critical: &[CriticalPoint],
 ) -> Vec<Undecided> {
     let resolution = RESOLUTION * field.geometry().mean_spacing();
-    let fine: Vec<&CriticalPoint> = critical.iter().filter(|c| c.radius < resolution).collect();
-    let mut own = surface.undecided.clone();
-    own.extend(fine.iter().flat_map(|c| cells_round(field, cells, c)));
+    let mut own: Vec<Cell> = surface.undecided.iter().map(|cell| cell.within(BASE)).collect();
     own.sort_unstable();
     own.dedup();
     let mut sets = DisjointSets::new(own.len());
@@ -54,87 +207,73 @@ pub(super) fn places(
             }
         }
     }
-    let mut places: BTreeMap<u32, (Vec<Cell>, usize)> = BTreeMap::new();
+    let mut clusters: BTreeMap<u32, (Vec<Cell>, usize)> = BTreeMap::new();
     for (n, &cell) in (0..).zip(&own) {
-        places.entry(sets.find(n)).or_default().0.push(cell);
+        clusters.entry(sets.find(n)).or_default().0.push(cell);
     }
-    for c in fine {
-        if let Ok(n) = own.binary_search(&cells.finest_at(field, c.position)) {
-            places.entry(sets.find(n as u32)).or_default().1 += 1;
+    let mut fine: Vec<&CriticalPoint> = Vec::new();
+    for c in critical.iter().filter(|c| c.radius < resolution) {
+        match own.binary_search(&cells.finest_at(field, c.position).within(BASE)) {
+            Ok(n) => clusters.entry(sets.find(n as u32)).or_default().1 += 1,
+            Err(_) => fine.push(c),
         }
     }
-    let places: Vec<(Vec<Cell>, usize)> = places.into_values().collect();
-    places.par_iter().map(|(own, critical)| place(field, cells, surface, own, (*critical).max(1))).collect()
+    let clusters: Vec<(Vec<Cell>, usize)> = clusters.into_values().collect();
+    let mut places: Vec<Undecided> =
+        clusters.par_iter().map(|(own, critical)| uncertain(field, cells, surface, own, (*critical).max(1))).collect();
+    places.par_extend(fine.par_iter().map(|c| at_critical_point(field, cells, surface, c)));
+    places
 }
 
-/// The finest cells from a critical point to where F = 0 is met by the second-order expansion, no farther than [`RESOLUTION`].
-fn cells_round(field: &CubicSpline, cells: &Cells, c: &CriticalPoint) -> Vec<Cell> {
-    let reach = RESOLUTION * field.geometry().mean_spacing();
-    let steps = 2 * (RESOLUTION * FINE as f64).ceil() as i32;
-    let ways = c.ways.iter().map(|way| way.clamp_length_max(reach));
-    let along = ways.flat_map(|way| (-steps..=steps).map(move |n| way * (f64::from(n) / f64::from(steps))));
-    along.map(|step| cells.finest_at(field, c.position + step)).collect()
+/// The place at a critical point.
+fn at_critical_point(field: &CubicSpline, cells: &Cells, surface: &Surface, c: &CriticalPoint) -> Undecided {
+    let ways: Vec<DVec3> = c.ways.into_iter().filter(|way| *way != DVec3::ZERO).collect();
+    let component = |way: DVec3| {
+        let limit = way.length();
+        let (p, normal) = field.project_with_gradient(c.position + way, limit, 1e-6 * limit)?;
+        surface.component_at(field, cells, p, normal)
+    };
+    let ends: Vec<Option<u32>> = ways.iter().flat_map(|&way| [way, -way]).map(component).collect();
+    let kind = match ways.len() {
+        _ if ends.iter().any(Option::is_none) => UndecidedKind::Uncertain(1),
+        1 => UndecidedKind::Gap,
+        2 => UndecidedKind::Neck,
+        _ => UndecidedKind::Speck,
+    };
+    let reach = DVec3::splat(c.radius);
+    Undecided {
+        place: c.position.to_array(),
+        size: 2.0 * c.radius,
+        value: c.value,
+        kind,
+        components: sorted(ends.into_iter().flatten().collect()),
+        bounds: Bounds { low: c.position - reach, high: c.position + reach },
+    }
 }
 
-fn place(field: &CubicSpline, cells: &Cells, surface: &Surface, own: &[Cell], critical_points: usize) -> Undecided {
-    let edge = field.geometry().spacing / FINE as f64;
+/// A cluster of cells in which F = 0 is not certain.
+fn uncertain(field: &CubicSpline, cells: &Cells, surface: &Surface, own: &[Cell], critical_points: usize) -> Undecided {
+    let edge = field.geometry().spacing / f64::from(1u32 << BASE);
     let low = |cell: &Cell| DVec3::from_array(cell.at.map(f64::from)) * edge;
     let corners: Vec<DVec3> = own.iter().flat_map(|cell| [low(cell), low(cell) + edge]).collect();
     let bounds = Bounds::of(&corners);
-    let beside = own.iter().flat_map(|&cell| around().filter_map(move |away| moved(cell, away)));
-    let mut beside: Vec<Cell> = beside.filter_map(|cell| cells.find(cell)).map(|(cell, _)| cell).collect();
-    beside.sort_unstable();
-    beside.dedup();
-    let crossings = beside.iter().flat_map(|&cell| surface.crossings_in(cells, cell));
-    let mut components: Vec<u32> = crossings.map(|&crossing| surface.component_of[crossing as usize]).collect();
-    components.sort_unstable();
-    components.dedup();
+    let mut beside = Vec::new();
+    for cell in own.iter().flat_map(|&cell| around().filter_map(move |away| moved(cell, away))) {
+        cells.crossed_in(cell, &mut beside);
+    }
+    let crossings = beside.iter().flat_map(|&(cell, _)| surface.crossings_in(cells, cell));
     Undecided {
         place: bounds.centre().to_array(),
         size: (bounds.high - bounds.low).max_element(),
-        value: field.value(bounds.centre()).abs(),
-        critical_points,
-        group: 0,
+        value: field.value(bounds.centre()),
+        kind: UndecidedKind::Uncertain(critical_points),
+        components: sorted(crossings.map(|&crossing| surface.component_of[crossing as usize]).collect()),
         bounds: Bounds { low: bounds.low - edge, high: bounds.high + edge },
-        components,
     }
 }
 
-/// Puts components that the same places touch into one group; places that touch none are groups of their own, after the others.
-pub(super) fn groups(components: &mut [Component], mut undecided: Vec<Undecided>) -> (Vec<Group>, Vec<Undecided>) {
-    let mut sets = DisjointSets::new(components.len());
-    for place in &undecided {
-        place.components.windows(2).for_each(|pair| sets.join(pair[0], pair[1]));
-    }
-    let mut groups: Vec<Group> = Vec::new();
-    let new = || Group { components: Vec::new(), component_count: 0..=0, euler: 0..=0, undecided: Vec::new() };
-    for n in 0..components.len() {
-        let first = sets.find(n as u32) as usize;
-        if first == n {
-            components[n].group = groups.len() as u32;
-            groups.push(new());
-        }
-        components[n].group = components[first].group;
-        groups[components[n].group as usize].components.push(n as u32);
-    }
-    for (n, place) in (0..).zip(&mut undecided) {
-        place.group = place.components.first().map_or(groups.len() as u32, |&c| components[c as usize].group);
-        if place.components.is_empty() {
-            groups.push(new());
-        }
-        groups[place.group as usize].undecided.push(n);
-        for &c in &place.components {
-            let own = &mut components[c as usize];
-            own.is_certain &= !(place.bounds.holds(own.bounds.low) && place.bounds.holds(own.bounds.high));
-        }
-    }
-    for group in &mut groups {
-        let euler: i64 = group.components.iter().map(|&c| components[c as usize].euler).sum();
-        let changes: usize = group.undecided.iter().map(|&n| undecided[n as usize].critical_points).sum();
-        let count = group.components.len();
-        let is_certain = group.components.iter().any(|&c| components[c as usize].is_certain);
-        group.component_count = count.saturating_sub(changes).max(usize::from(is_certain))..=count + changes;
-        group.euler = euler - 2 * changes as i64..=euler + 2 * changes as i64;
-    }
-    (groups, undecided)
+fn sorted(mut components: Vec<u32>) -> Vec<u32> {
+    components.sort_unstable();
+    components.dedup();
+    components
 }

@@ -4,7 +4,7 @@
 use crate::restricted::Facet;
 use isoparticles_common::components::{self, NO_COMPONENT};
 use isoparticles_common::mesh::incidence::{FanWork, Incidence};
-use isoparticles_common::topology::{FieldTopology, Group};
+use isoparticles_common::topology::{FieldTopology, Group, Groups};
 use rayon::prelude::*;
 use serde::Serialize;
 
@@ -26,8 +26,6 @@ pub struct Defects {
     pub in_pieces: Vec<Found>,
     /// Groups whose facets form fewer, or have another Euler characteristic than these can account for.
     pub wrong_genus: Vec<Found>,
-    /// Groups whose facets are otherwise than the signs of F have undecided places, but as these may be.
-    pub undecided: Vec<Found>,
     /// Euler characteristic of all facets.
     pub euler: i64,
     /// Components of the facets that lie near no component of F = 0.
@@ -53,12 +51,6 @@ impl Found {
     /// Whether that is one of the topologies that F may have there.
     pub fn fits(&self, group: &Group) -> bool {
         group.component_count.contains(&self.components) && group.euler.contains(&self.euler)
-    }
-
-    /// Whether that is what the signs of F at the corners of the finest cells tell.
-    fn is_as_by_sign(&self, group: &Group, topology: &FieldTopology) -> bool {
-        let euler: i64 = group.components.iter().map(|&c| topology.components()[c as usize].euler).sum();
-        (self.components, self.euler) == (group.components.len(), euler)
     }
 }
 
@@ -113,17 +105,18 @@ pub fn edge_of(facets: &[Facet], around: &[u32]) -> Option<[u32; 2]> {
 }
 
 impl Defects {
-    /// Looks for defects; `component_of` gives the component of F = 0 of each vertex ([`NO_COMPONENT`] unknown).
+    /// Looks for defects; `component_of` gives the component of F = 0 of each vertex ([`NO_COMPONENT`] unknown), and `groups` what they may be.
     /// `open_edge_allowed` tells which edges may be in one facet only (open borders).
     pub fn find(
         triangles: &[[u32; 3]],
         component_of: &[u32],
         topology: &FieldTopology,
+        groups: &Groups,
         open_edge_allowed: impl Fn(u32, u32) -> bool + Sync,
     ) -> Self {
         let incidence = Incidence::new(triangles, component_of.len());
         let mut defects = Self::of_shape(&incidence, open_edge_allowed);
-        defects.compare(&incidence, component_of, topology);
+        defects.compare(&incidence, component_of, topology, groups);
         defects
     }
 
@@ -136,12 +129,11 @@ impl Defects {
     }
 
     /// Compares the facets, of which the rest is known already, with the topology of F.
-    fn compare(&mut self, incidence: &Incidence, component_of: &[u32], topology: &FieldTopology) {
+    fn compare(&mut self, incidence: &Incidence, component_of: &[u32], topology: &FieldTopology, all: &Groups) {
         let triangles = incidence.triangles();
-        let groups = topology.groups().len() as u32;
+        let groups = all.all().len() as u32;
         let own = &self.piece_of_vertex;
-        let group_of: Vec<u32> =
-            component_of.par_iter().map(|&c| topology.group_of(c).unwrap_or(NO_COMPONENT)).collect();
+        let group_of: Vec<u32> = component_of.par_iter().map(|&c| all.of(c).unwrap_or(NO_COMPONENT)).collect();
         // a vertex of unknown component counts for nothing; where a whole facet is unknown, its piece tells
         let mut group_of_piece = vec![NO_COMPONENT; self.component_count];
         let mut is_present = vec![false; topology.components().len()];
@@ -168,17 +160,14 @@ impl Defects {
         self.bridges = triangles.par_iter().enumerate().filter_map(is_bridge).collect();
         self.strangers = group_of_piece.iter().filter(|&&group| group == NO_COMPONENT).count();
         let pieces = pieces_by_group(&group_of_facet, triangles, own, groups as usize);
-        for (g, group) in (0..).zip(topology.groups()) {
+        for (g, group) in (0..).zip(all.all()) {
             let missing: Vec<u32> = group.components.iter().copied().filter(|&c| !is_present[c as usize]).collect();
             let found = Found { group: g, components: pieces[g as usize], euler: euler[g as usize] };
-            let certain: Vec<u32> =
-                missing.into_iter().filter(|&c| topology.components()[c as usize].is_certain).collect();
+            let certain: Vec<u32> = missing.into_iter().filter(|&c| !all.may_vanish(c)).collect();
             if found.components > *group.component_count.end() {
                 self.in_pieces.push(found);
-            } else if certain.is_empty() && found.components > 0 && !found.fits(group) {
+            } else if certain.is_empty() && !found.fits(group) {
                 self.wrong_genus.push(found);
-            } else if found.fits(group) && !found.is_as_by_sign(group, topology) {
-                self.undecided.push(found);
             }
             self.missing.extend(certain);
         }
@@ -219,7 +208,9 @@ mod tests {
     #[test]
     fn a_pinch_at_a_vertex_and_at_an_edge_are_found() {
         let one = FieldTopology::new(&scenes::sphere().field);
-        let find = |triangles: &[[u32; 3]], n: usize| Defects::find(triangles, &vec![0; n], &one, |_, _| false);
+        let find = |triangles: &[[u32; 3]], n: usize| {
+            Defects::find(triangles, &vec![0; n], &one, &one.groups(&[]), |_, _| false)
+        };
         assert!(find(&TETRAHEDRON, 4).is_empty());
         // a second tetrahedron that shares vertex 3
         let touching = TETRAHEDRON.map(|t| t.map(|v| v + 3));
@@ -239,9 +230,9 @@ mod tests {
     #[test]
     fn bridges_and_missing_components_are_found() {
         let two = FieldTopology::new(&scenes::two_balls().field);
-        let lost = Defects::find(&TETRAHEDRON, &[0; 4], &two, |_, _| false);
+        let lost = Defects::find(&TETRAHEDRON, &[0; 4], &two, &two.groups(&[]), |_, _| false);
         assert_eq!(lost.missing, [1]);
-        let merged = Defects::find(&TETRAHEDRON, &[0, 0, 0, 1], &two, |_, _| false);
+        let merged = Defects::find(&TETRAHEDRON, &[0, 0, 0, 1], &two, &two.groups(&[]), |_, _| false);
         assert_eq!(merged.bridges.len(), 3);
     }
 }

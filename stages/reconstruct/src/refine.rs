@@ -23,7 +23,7 @@ use insert::{Candidate, Reason};
 use isoparticles_common::components::NO_COMPONENT;
 use isoparticles_common::error::Result;
 use isoparticles_common::spline::CubicSpline;
-use isoparticles_common::topology::{CriticalPoint, FieldTopology};
+use isoparticles_common::topology::{Choice, CriticalPoint, FieldTopology, Groups, Undecided, UndecidedKind};
 use near::Nearest;
 use pinches::Patience;
 use rayon::prelude::*;
@@ -109,6 +109,8 @@ pub struct Refinement<'a> {
     /// What was done so far.
     pub report: RefineReport,
     topology: &'a FieldTopology,
+    /// What the components may be where the undecided places are as the mesh had them at the last comparison.
+    groups: Groups,
     options: RefineOptions,
     genus_rounds: usize,
     /// Rounds granted at first.
@@ -145,6 +147,7 @@ impl<'a> Refinement<'a> {
             component_of,
             report: RefineReport::default(),
             topology,
+            groups: topology.groups(&vec![Choice::Unknown; topology.undecided().len()]),
             options,
             genus_rounds: 0,
             granted: options.max_rounds,
@@ -180,7 +183,7 @@ impl<'a> Refinement<'a> {
     /// Defects of a set of facets.
     pub fn defects(&self, facets: &[Facet]) -> Defects {
         let triangles: Vec<[u32; 3]> = facets.iter().map(|f| f.vertices).collect();
-        Defects::find(&triangles, &self.component_of, self.topology, |a, b| self.may_be_open(a, b))
+        Defects::find(&triangles, &self.component_of, self.topology, &self.groups, |a, b| self.may_be_open(a, b))
     }
 
     /// Whether an edge may be in one facet only: at an open border.
@@ -219,12 +222,26 @@ impl<'a> Refinement<'a> {
     fn compare(&mut self, facets: &[Facet]) -> Defects {
         self.nearest.update(self.restricted.points());
         self.astray = OnceLock::new();
+        let choices: Vec<Choice> = self.topology.undecided().par_iter().map(|place| self.choice_at(place)).collect();
+        self.groups = self.topology.groups(&choices);
         let defects = self.defects(facets);
         self.report.unresolved_manifold = defects.edges.len() + defects.vertices.len();
         self.report.unresolved_bridges = defects.bridges.len();
         self.report.unresolved_missing = defects.missing.len();
         self.report.unresolved_genus = defects.wrong_genus.len() + defects.in_pieces.len();
         defects
+    }
+
+    /// How the mesh has an undecided place.
+    fn choice_at(&self, place: &Undecided) -> Choice {
+        let position = DVec3::from_array(place.place);
+        match self.nearest.to(position) {
+            Some((near, _)) if self.sides_are_known && !matches!(place.kind, UndecidedKind::Uncertain(_)) => {
+                let is_inside = self.restricted.holds(position, near);
+                if is_inside == (place.value < 0.0) { Choice::AsField } else { Choice::Other }
+            }
+            _ => Choice::Unknown,
+        }
     }
 
     fn on_surface(&self, p: DVec3, voxels: f64) -> Option<DVec3> {

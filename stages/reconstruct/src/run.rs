@@ -245,7 +245,7 @@ fn on_field(args: &Args, distfield: &Path, context: &Context) -> Result<Outcome>
         max_vertex_distance: Some(args.max_vertex_distance),
     };
     let mut checked = check(&mesh, &options);
-    let found = TopologyReport::new(&mesh, &spline, &topology);
+    let found = TopologyReport::new(&mesh, &spline, &topology, origin.is_open);
     let failed = judge(&mut checked, &found, &mesh, &refined, &origin, &spline, context);
     drop(step);
     context.check_interrupt()?;

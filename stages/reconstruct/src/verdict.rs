@@ -1,10 +1,13 @@
-//! The finished mesh against the topology of F, which no mesh has had a say in: what differs, and whether undecided places account for it.
+//! The finished mesh against the topology of F, which no mesh has had a say in. At a critical point finer than what is asked of it a mesh may have
+//! either topology, and which one it has is told by the side of it that the point is on; elsewhere mesh and F must be the same.
 
 use crate::defects::{Defects, Found};
+use glam::DVec3;
 use isoparticles_common::components::NO_COMPONENT;
 use isoparticles_common::mesh::TriangleMesh;
+use isoparticles_common::mesh::inside::are_inside;
 use isoparticles_common::spline::CubicSpline;
-use isoparticles_common::topology::{FieldTopology, TopologySummary};
+use isoparticles_common::topology::{Choice, FieldTopology, Groups, TopologySummary, Undecided, UndecidedKind};
 use rayon::prelude::*;
 use serde::Serialize;
 
@@ -25,8 +28,10 @@ pub struct TopologyReport {
     pub superfluous: usize,
     /// Groups of components of which the mesh has more, fewer or of another Euler characteristic than F can have.
     pub wrong: Vec<Difference>,
-    /// Groups whose undecided places the mesh has otherwise than the signs of F at the corners of the finest cells.
-    pub undecided: Vec<Difference>,
+    /// Undecided places that the mesh has otherwise than F: numbers in the list of those of F.
+    pub otherwise: Vec<u32>,
+    /// Undecided places of which it is not known how the mesh has them, likewise.
+    pub unknown: Vec<u32>,
 }
 
 /// A group of components that mesh and F have in different ways.
@@ -36,7 +41,7 @@ pub struct Difference {
     pub place: [f64; 3],
     /// What the mesh has there.
     pub mesh: Found,
-    /// Components of F = 0 there, undecided places taken as the signs of F have them, and as they may be at least and at most.
+    /// Components of F = 0 there, and how many they may be at least and at most with the undecided places as the mesh has them.
     pub components: [usize; 3],
     /// The Euler characteristic of F = 0 there in the same way.
     pub euler: [i64; 3],
@@ -45,17 +50,18 @@ pub struct Difference {
 }
 
 impl TopologyReport {
-    /// Compares a mesh in the grid frame, its vertices on F = 0.
-    pub fn new(mesh: &TriangleMesh, field: &CubicSpline, topology: &FieldTopology) -> Self {
+    /// Compares a mesh in the grid frame, its vertices on F = 0; with an open border no point is inside it.
+    pub fn new(mesh: &TriangleMesh, field: &CubicSpline, topology: &FieldTopology, is_open: bool) -> Self {
         let component = |&p| topology.component_at(field, p, field.value_gradient(p).1).unwrap_or(NO_COMPONENT);
         let component_of: Vec<u32> = mesh.vertices.par_iter().map(component).collect();
+        let choices = choices(mesh, topology.undecided(), is_open);
+        let groups = topology.groups(&choices);
         // what is no manifold is told elsewhere
-        let defects = Defects::find(&mesh.triangles, &component_of, topology, |_, _| true);
-        let difference = |found: &Found| Difference::new(*found, topology);
-        let wrong = defects.in_pieces.iter().chain(&defects.wrong_genus).map(difference).collect();
-        let undecided = defects.undecided.iter().map(difference).collect();
-        let specks = topology.groups().iter().filter(|group| group.components.is_empty());
+        let defects = Defects::find(&mesh.triangles, &component_of, topology, &groups, |_, _| true);
+        let difference = |found: &Found| Difference::new(*found, topology, &groups);
+        let specks = groups.all().iter().filter(|group| group.components.is_empty());
         let specks: usize = specks.map(|group| *group.component_count.end()).sum();
+        let places = |wanted| (0..).zip(&choices).filter(move |(_, c)| **c == wanted).map(|(n, _)| n).collect();
         Self {
             field: topology.summary(),
             components: defects.component_count,
@@ -63,12 +69,13 @@ impl TopologyReport {
             joining_triangles: defects.bridges.len(),
             missing: defects.missing.iter().map(|&c| topology.components()[c as usize].place.to_array()).collect(),
             superfluous: defects.strangers.saturating_sub(specks),
-            wrong,
-            undecided,
+            wrong: defects.in_pieces.iter().chain(&defects.wrong_genus).map(difference).collect(),
+            otherwise: places(Choice::Other),
+            unknown: places(Choice::Unknown),
         }
     }
 
-    /// The differences in words: those that fail, and those that undecided places account for. With an open border, where the mesh may end
+    /// The differences in words: those that fail, and those that do not. With an open border, where the mesh may end
     /// a little before or behind that of the volume, other Euler characteristics do not fail.
     pub fn differences(&self, is_open: bool) -> (Vec<String>, Vec<String>) {
         let mut failed = Vec::new();
@@ -85,24 +92,45 @@ impl TopologyReport {
         let (wrong, open): (Vec<_>, Vec<_>) =
             self.wrong.iter().partition(|d| !is_open || d.mesh.components > d.components[2]);
         failed.extend(wrong.into_iter().map(Difference::told));
-        (failed, open.into_iter().chain(&self.undecided).map(Difference::told).collect())
+        let mut doubtful: Vec<String> = open.into_iter().map(Difference::told).collect();
+        let places = self.field.undecided.len();
+        if let Some(&first) = self.otherwise.first() {
+            let Undecided { place: [x, y, z], size, .. } = &self.field.undecided[first as usize];
+            doubtful.push(format!(
+                "{} of {places} necks, gaps and specks of F finer than is asked of a mesh are otherwise in this one, the first, {size:.4} mm wide, at {x:.3} {y:.3} {z:.3} mm",
+                self.otherwise.len()
+            ));
+        }
+        (failed, doubtful)
     }
 
     /// How many components F has, for the closing table.
     pub fn expected(&self) -> String {
-        let [least, most] = self.field.components_between;
         let count = self.field.components;
         match self.field.undecided.len() {
             0 => format!(" of {count}"),
-            places if least == most => format!(" of {count}; {places} undecided places"),
-            places => format!(" of {count} ({least} to {most}; {places} undecided places)"),
+            places => format!(" of {count}; of {places} undecided places {} otherwise", self.otherwise.len()),
         }
     }
 }
 
+/// How a mesh has the undecided places of F.
+fn choices(mesh: &TriangleMesh, places: &[Undecided], is_open: bool) -> Vec<Choice> {
+    if is_open {
+        return vec![Choice::Unknown; places.len()];
+    }
+    let points: Vec<DVec3> = places.iter().map(|place| DVec3::from_array(place.place)).collect();
+    let choice = |(place, is_inside): (&Undecided, bool)| match place.kind {
+        UndecidedKind::Uncertain(_) => Choice::Unknown,
+        _ if is_inside == (place.value < 0.0) => Choice::AsField,
+        _ => Choice::Other,
+    };
+    places.iter().zip(are_inside(mesh, &points)).map(choice).collect()
+}
+
 impl Difference {
-    fn new(mesh: Found, topology: &FieldTopology) -> Self {
-        let group = &topology.groups()[mesh.group as usize];
+    fn new(mesh: Found, topology: &FieldTopology, groups: &Groups) -> Self {
+        let group = &groups.all()[mesh.group as usize];
         let components = || group.components.iter().map(|&c| &topology.components()[c as usize]);
         let euler = components().map(|c| c.euler).sum();
         let place = components().next().map(|c| c.place.to_array());
@@ -139,12 +167,11 @@ impl Difference {
 mod tests {
     use super::*;
     use crate::scenes::{self, Scene};
-    use glam::DVec3;
     use isoparticles_common::marching_cubes::marching_cubes;
     use isoparticles_common::topology::critical_points;
 
     fn report(mesh: &TriangleMesh, scene: &Scene) -> TopologyReport {
-        TopologyReport::new(mesh, &scene.field, &FieldTopology::new(&scene.field))
+        TopologyReport::new(mesh, &scene.field, &FieldTopology::new(&scene.field), false)
     }
 
     #[test]
@@ -209,10 +236,19 @@ mod tests {
         for found in [&apart, &together] {
             assert_eq!(found.differences(false).0, Vec::<String>::new());
             assert_eq!(found.field.components_between, [1, 2]);
-            assert!(found.expected().contains("1 to 2; 1 undecided places"), "{}", found.expected());
+            assert_eq!(found.unknown, [0]);
+            assert!(found.expected().ends_with("of 1 undecided places 0 otherwise"), "{}", found.expected());
         }
-        // one of them is not as the signs of F have it
-        let told = [apart.differences(false).1, together.differences(false).1].concat();
-        assert!(told.len() == 1 && told[0].contains("by 1 undecided places"), "{told:?}");
+        // a value that says which, but too small for a mesh
+        let scene = balls(saddle.value - 3e-4);
+        let [apart, together] = [-0.2f32, 0.2].map(|iso| report(&marching_cubes(&scene.image, iso), &scene));
+        assert_eq!(([apart.components, together.components], [apart.euler, together.euler]), ([2, 1], [4, 2]));
+        for found in [&apart, &together] {
+            assert_eq!((found.field.components, found.field.undecided.len()), (2, 1));
+            assert_eq!(found.differences(false).0, Vec::<String>::new());
+        }
+        assert_eq!((apart.otherwise.len(), together.otherwise.len()), (0, 1));
+        let told = together.differences(false).1;
+        assert!(told.len() == 1 && told[0].contains("1 of 1 necks, gaps and specks"), "{told:?}");
     }
 }

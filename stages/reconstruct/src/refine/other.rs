@@ -46,8 +46,7 @@ impl Refinement<'_> {
         let wanting = |part: &Vec<u32>| {
             let own = part.iter().flat_map(|&t| walls(self.restricted.delaunay(), t, |t| sides[t as usize]));
             let is_bridge = |f: Facet| {
-                let mut known =
-                    f.vertices.into_iter().filter_map(|v| self.topology.group_of(self.component_of[v as usize]));
+                let mut known = f.vertices.into_iter().filter_map(|v| self.groups.of(self.component_of[v as usize]));
                 known.next().is_some_and(|first| known.any(|c| c != first))
             };
             // the dearest test comes last

@@ -43,7 +43,7 @@ impl Refinement<'_> {
         let mut number_of: HashMap<(u32, u32), usize> = HashMap::new();
         let mut found: Vec<((u32, u32), Vec<u32>)> = Vec::new();
         for (v, (&component, &piece)) in (0..).zip(self.component_of.iter().zip(&defects.piece_of_vertex)) {
-            let group = self.topology.group_of(component).filter(|group| fell_apart.contains(group));
+            let group = self.groups.of(component).filter(|group| fell_apart.contains(group));
             if let Some(group) = group.filter(|_| piece != NO_COMPONENT) {
                 let number = *number_of.entry((group, piece)).or_insert_with(|| {
                     found.push(((group, piece), Vec::new()));
@@ -76,8 +76,7 @@ impl Refinement<'_> {
 
     fn is_of_larger(&self, pieces: &Pieces, k: usize, defects: &Defects, v: u32) -> bool {
         let rank = || pieces.rank.get(&defects.piece_of_vertex[v as usize]);
-        self.topology.group_of(self.component_of[v as usize]) == Some(pieces.group)
-            && rank().is_some_and(|&rank| rank < k)
+        self.groups.of(self.component_of[v as usize]) == Some(pieces.group) && rank().is_some_and(|&rank| rank < k)
     }
 
     /// Points in the gaps of groups that fell apart: between each smaller piece and the nearest vertex of the larger ones.
