@@ -77,9 +77,13 @@ pub struct TopologySummary {
 impl FieldTopology {
     /// Of the spline through the samples of a volume.
     pub fn new(field: &CubicSpline) -> Self {
-        let mut cells = Cells::new(field);
-        let surface = Surface::new(field, &mut cells);
-        let critical_points = critical_points(field, 0.0);
+        let read = || {
+            let mut cells = Cells::new(field);
+            let surface = Surface::new(field, &mut cells);
+            (cells, surface)
+        };
+        // putting the surface together keeps one thread busy only
+        let ((cells, surface), critical_points) = rayon::join(read, || critical_points(field, 0.0));
         let undecided = undecided::places(field, &cells, &surface, &critical_points);
         Self { cells, surface, undecided, critical_points }
     }

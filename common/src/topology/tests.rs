@@ -1,5 +1,6 @@
 //! The topology of analytic scenes.
 
+use super::cells::{around, moved};
 use super::*;
 use crate::geometry::Geometry;
 use crate::image::Image;
@@ -208,7 +209,8 @@ fn what_touches_is_undecided_and_what_nearly_touches_is_not() {
         let place = &topology.undecided()[0];
         assert!(DVec3::from_array(place.place).distance(DVec3::new(15.55, 15.4, 15.6)) < 0.2, "{place:?}");
         assert!(place.size <= 0.5 && place.kind == UndecidedKind::Uncertain(1), "{place:?}");
-        assert_eq!(summary.euler_between[0] + 2, *[2, 4].iter().min().unwrap(), "{summary:?}");
+        let [low, high] = summary.euler_between;
+        assert!(low <= 2 && high == 4 && high - low <= 4, "{summary:?}");
     }
     // a neck and a gap of about a third of a voxel
     assert_eq!(euler(&touching(-0.01).topology()), [2]);

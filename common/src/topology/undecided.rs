@@ -42,7 +42,7 @@ pub enum UndecidedKind {
     Neck,
     /// An extremum of F within a speck or a cavity, which may be missing.
     Speck,
-    /// Cells in which F = 0 is not certain, with this many critical points, one at least.
+    /// Cells in which F = 0 is not certain, with this many critical points: two where none were found, as when two are about to cancel.
     Uncertain(usize),
 }
 
@@ -135,7 +135,7 @@ impl Groups {
                 None => new.add(&mut ranges),
             };
             new.all[group as usize].undecided.push(n);
-            ranges[group as usize].widen(place.kind, *choice);
+            ranges[group as usize].widen(place.kind, *choice, place.components.len());
         }
         for (group, range) in new.all.iter_mut().zip(ranges) {
             let least = i64::from(group.components.iter().any(|&c| !new.may_vanish[c as usize]));
@@ -166,14 +166,16 @@ impl Ranges {
         self.euler = self.euler.map(|n| n + euler);
     }
 
-    /// Takes in a place. A tube in place of two disks has an Euler characteristic lower by two, and joins two components or is a handle.
-    fn widen(&mut self, kind: UndecidedKind, choice: Choice) {
+    /// Takes in a place that touches some components. A tube in place of two disks has an Euler characteristic lower by two, and joins two components or is a handle.
+    fn widen(&mut self, kind: UndecidedKind, choice: Choice, touched: usize) {
         let is_certain = choice == Choice::Other;
         let (count, change) = match kind {
             // what it joins is known
             UndecidedKind::Gap => ([if is_certain { 0 } else { -1 }, 0], -2),
             UndecidedKind::Neck => ([0, 1], 2),
             UndecidedKind::Speck => ([-1, 0], -2),
+            // one critical point can do no more than join two
+            UndecidedKind::Uncertain(1) if touched > 1 => ([-1, 0], -2),
             UndecidedKind::Uncertain(critical_points) => {
                 let n = critical_points as i64;
                 self.count = [self.count[0] - n, self.count[1] + n];
@@ -220,7 +222,7 @@ pub(super) fn places(
     }
     let clusters: Vec<(Vec<Cell>, usize)> = clusters.into_values().collect();
     let mut places: Vec<Undecided> =
-        clusters.par_iter().map(|(own, critical)| uncertain(field, cells, surface, own, (*critical).max(1))).collect();
+        clusters.par_iter().map(|(own, critical)| uncertain(field, cells, surface, own, *critical)).collect();
     places.par_extend(fine.par_iter().map(|c| at_critical_point(field, cells, surface, c)));
     places
 }
@@ -266,7 +268,7 @@ fn uncertain(field: &CubicSpline, cells: &Cells, surface: &Surface, own: &[Cell]
         place: bounds.centre().to_array(),
         size: (bounds.high - bounds.low).max_element(),
         value: field.value(bounds.centre()),
-        kind: UndecidedKind::Uncertain(critical_points),
+        kind: UndecidedKind::Uncertain(if critical_points == 0 { 2 } else { critical_points }),
         components: sorted(crossings.map(|&crossing| surface.component_of[crossing as usize]).collect()),
         bounds: Bounds { low: bounds.low - edge, high: bounds.high + edge },
     }
