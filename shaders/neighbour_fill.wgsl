@@ -1,6 +1,6 @@
 // Writes the neighbour lists.
 //
-// Twin: `NeighbourLists` in common/src/neighbours.rs
+// Twin: `NeighbourLists` in common/field/src/neighbours.rs
 
 @group(0) @binding(10) var<storage, read> list_starts: array<u32>;
 @group(0) @binding(11) var<storage, read_write> lists: array<u32>;

@@ -1,6 +1,6 @@
 // Classes of particles that may move together: no two members are neighbours.
 //
-// Twin: `independent_classes` in common/src/neighbours.rs
+// Twin: `independent_classes` in common/field/src/neighbours.rs
 
 // Which of two particles that want the same class gets it.
 fn class_priority(i: u32, round: u32) -> u32 {

@@ -3,7 +3,7 @@
 // With x = d pi/2 and c = cot x the energy is c + x - pi/2, the first derivative -(pi/2) c^2, the second (pi^2/2) c (1 + c^2).
 // Sine and cosine are polynomials of our own: WGSL promises 11 bits for its functions, and other bits on each adapter.
 //
-// Twin: `pair_energy`, `scaled_distance` in common/src/energy.rs
+// Twin: `pair_energy`, `scaled_distance` in common/field/src/energy.rs
 
 // sin x for 0 <= x <= pi/2, relative error below 1e-7.
 fn sine(x: f32) -> f32 {

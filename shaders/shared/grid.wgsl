@@ -1,7 +1,7 @@
 // Where a position lies in the voxel grid, and the sizing field h by trilinear interpolation. Device positions are in mm from the
 // centre of voxel parameters.centre, a whole voxel, so that the fraction within a cell loses nothing to the voxel's number.
 //
-// Twin: `SizingField`, `value_gradient` in common/src/sizing.rs
+// Twin: `SizingField`, `value_gradient` in common/field/src/sizing.rs
 
 struct Cell {
     base: vec3<i32>,

@@ -1,6 +1,6 @@
 // The projection onto F = 0 (Eq. 5 with its sign mended), by one invocation or by a team, as `surface_at` goes.
 //
-// Twin: `project_with_gradient` in common/src/spline/mod.rs
+// Twin: `project_with_gradient` in common/field/src/spline/mod.rs
 
 struct Projected {
     position: vec3<f32>,

@@ -1,4 +1,4 @@
-// Counter-based random numbers: a pure function of seed, stream and counter (the 32-bit sibling of common/src/random.rs; the
+// Counter-based random numbers: a pure function of seed, stream and counter (the 32-bit sibling of common/field/src/random.rs; the
 // mixer is the PCG hash of Jarzynski and Olano 2020).
 
 fn mix_bits(x: u32) -> u32 {

@@ -1,6 +1,6 @@
 // The implicit function F: cubic B-spline with its gradient in full f32 (no hardware filter), mirrored at the border.
 //
-// Twin: `Stencil`, `mirror` in common/src/spline/stencil.rs
+// Twin: `Stencil`, `mirror` in common/field/src/spline/stencil.rs
 
 // Weight (x) and its derivative (y) of tap 0 to 3 at fraction t of a cell.
 fn tap_weight(tap: u32, t: f32) -> vec2<f32> {

@@ -2,7 +2,7 @@
 //
 // Twin: `energy_jet` in stages/particles/src/movement.rs
 // Twin: `energy_at` in stages/particles/src/state.rs
-// Twin: `pair_jet`, `pair_size_derivative` in common/src/energy.rs
+// Twin: `pair_jet`, `pair_size_derivative` in common/field/src/energy.rs
 
 struct Jet {
     energy: f32,

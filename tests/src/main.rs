@@ -2,11 +2,11 @@
 
 use clap::Parser;
 use glam::{DMat3, DVec3};
-use isoparticles_common::error::{Error, Result};
-use isoparticles_common::geometry::{Geometry, Space};
+use isoparticles_stage::error::{Error, Result};
 use isoparticles_tests::nrrd::{self, FileSpace, Voxels};
 use isoparticles_tests::scene::{self, Options, Scene, Shape, Truth};
 use isoparticles_tests::{torso, volume};
+use isoparticles_volume::{Geometry, Space};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 

@@ -3,8 +3,8 @@
 
 use flate2::{Compression, write::GzEncoder};
 use glam::DVec3;
-use isoparticles_common::error::{Error, Result};
-use isoparticles_common::geometry::Geometry;
+use isoparticles_stage::error::{Error, Result};
+use isoparticles_volume::Geometry;
 use std::io::Write;
 use std::path::Path;
 

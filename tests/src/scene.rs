@@ -2,7 +2,7 @@
 
 use crate::{shapes, torso};
 use glam::DVec3;
-use isoparticles_common::geometry::Geometry;
+use isoparticles_volume::Geometry;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 

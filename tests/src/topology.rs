@@ -4,7 +4,7 @@
 //! For a solid with `b0` components, `b2` cavities and `b1` handles, `euler = b0 - b1 + b2`; the genera of all
 //! its surfaces (in number `b0 + b2`) sum to `b1`.
 
-use isoparticles_common::image::Image;
+use isoparticles_volume::Image;
 
 /// Topology of the union of the closed voxels (neighbours across faces, edges and corners belong together).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -123,7 +123,7 @@ mod tests {
     use crate::scene::{Options, Shape, build};
     use crate::volume;
     use glam::DVec3;
-    use isoparticles_common::geometry::Geometry;
+    use isoparticles_volume::Geometry;
 
     #[test]
     fn solids_have_the_topology_their_truth_states() {

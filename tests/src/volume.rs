@@ -2,9 +2,8 @@
 
 use crate::scene::Scene;
 use glam::DVec3;
-use isoparticles_common::geometry::Geometry;
-use isoparticles_common::image::Image;
-use isoparticles_common::random;
+use isoparticles_field::random;
+use isoparticles_volume::{Geometry, Image};
 use rayon::prelude::*;
 
 /// Width of the edge profile in mean voxels: the 10 to 90 % rise takes 2.2 of these.

@@ -3,13 +3,13 @@
 mod support;
 
 use glam::DVec3;
-use isoparticles_common::geometry::Geometry;
-use isoparticles_common::io::field::{FieldKind, read_field};
-use isoparticles_common::io::surface::read_surface;
-use isoparticles_common::sizing::SizingField;
+use isoparticles_field::sizing::SizingField;
+use isoparticles_mesh::surface::read_surface;
+use isoparticles_stage::field_file::{FieldKind, read_field};
 use isoparticles_tests::nrrd::{self, FileSpace, Voxels};
 use isoparticles_tests::scene::{self, Options, Shape, Truth};
 use isoparticles_tests::volume;
+use isoparticles_volume::Geometry;
 use support::chain::{self, Wishes};
 use support::examine::{Examination, examine};
 use support::{Kind, write_phantom};

@@ -4,9 +4,9 @@
 mod support;
 
 use glam::DVec3;
-use isoparticles_common::geometry::Geometry;
-use isoparticles_common::io::particles::{ParticleKind, read_particles};
+use isoparticles_stage::particle_file::{ParticleKind, read_particles};
 use isoparticles_tests::scene::Shape;
+use isoparticles_volume::Geometry;
 use std::ffi::OsString;
 use std::path::Path;
 use std::process::{Command, Stdio};

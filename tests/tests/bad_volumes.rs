@@ -4,9 +4,9 @@
 mod support;
 
 use glam::DVec3;
-use isoparticles_common::geometry::Geometry;
 use isoparticles_tests::nrrd::{self, FileSpace, Voxels};
 use isoparticles_tests::scene::Shape;
+use isoparticles_volume::Geometry;
 use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 use support::{Kind, listing, stage, write_phantom};

@@ -4,11 +4,11 @@
 mod support;
 
 use glam::DVec3;
-use isoparticles_common::geometry::Geometry;
-use isoparticles_common::io::particles::{ParticleKind, read_particles};
-use isoparticles_common::io::surface::read_surface;
-use isoparticles_common::particle_set::ParticleSet;
+use isoparticles_field::particle_set::ParticleSet;
+use isoparticles_mesh::surface::read_surface;
+use isoparticles_stage::particle_file::{ParticleKind, read_particles};
 use isoparticles_tests::scene::Shape;
+use isoparticles_volume::Geometry;
 use std::ffi::OsString;
 use std::path::Path;
 use support::chain::{self, Files, Wishes};

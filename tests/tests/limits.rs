@@ -3,11 +3,10 @@
 mod support;
 
 use glam::DVec3;
-use isoparticles_common::geometry::Geometry;
-use isoparticles_common::image::Image;
-use isoparticles_common::io::field::{FieldKind, read_field, write_field};
-use isoparticles_common::sizing::SizingField;
+use isoparticles_field::sizing::SizingField;
+use isoparticles_stage::field_file::{FieldKind, read_field, write_field};
 use isoparticles_tests::scene::Shape;
+use isoparticles_volume::{Geometry, Image};
 use std::ffi::OsString;
 use std::path::Path;
 use support::chain::{Files, Wishes, surface};

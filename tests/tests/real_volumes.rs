@@ -3,7 +3,7 @@
 
 mod support;
 
-use isoparticles_common::io::surface::read_surface;
+use isoparticles_mesh::surface::read_surface;
 use std::path::Path;
 use support::examine::examine;
 use support::{binaries, real_volumes, root, run};

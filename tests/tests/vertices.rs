@@ -3,9 +3,9 @@
 mod support;
 
 use glam::DVec3;
-use isoparticles_common::geometry::Geometry;
-use isoparticles_common::io::surface::read_surface;
+use isoparticles_mesh::surface::read_surface;
 use isoparticles_tests::scene::Shape;
+use isoparticles_volume::Geometry;
 use support::chain::{self, Wishes};
 use support::examine::{Examination, examine};
 use support::{Kind, write_phantom};

@@ -3,10 +3,10 @@
 mod support;
 
 use glam::{DMat3, DVec3};
-use isoparticles_common::geometry::{Geometry, Space};
-use isoparticles_common::io::surface::read_surface;
+use isoparticles_mesh::surface::read_surface;
 use isoparticles_tests::nrrd::FileSpace;
 use isoparticles_tests::scene::{self, Options, Shape};
+use isoparticles_volume::{Geometry, Space};
 use support::chain::{self, Wishes};
 use support::examine::examine;
 use support::{Kind, write_phantom_with};

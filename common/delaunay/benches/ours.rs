@@ -14,9 +14,9 @@
 //! the growth of the peak memory meanwhile, bytes.
 
 use glam::DVec3;
-use isoparticles_common::io::particles::{ParticleKind, read_particles};
-use isoparticles_common::random::uniform;
 use isoparticles_delaunay::Delaunay;
+use isoparticles_field::random::uniform;
+use isoparticles_stage::particle_file::{ParticleKind, read_particles};
 use std::path::Path;
 use std::process::ExitCode;
 

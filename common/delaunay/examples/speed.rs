@@ -2,8 +2,8 @@
 //! --example speed [points]`. Prints one line a point set; nothing is asserted.
 
 use glam::DVec3;
-use isoparticles_common::random::uniform;
 use isoparticles_delaunay::Delaunay;
+use isoparticles_field::random::uniform;
 use std::f64::consts::TAU;
 use std::time::Instant;
 

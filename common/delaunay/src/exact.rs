@@ -185,7 +185,7 @@ impl Sum {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use isoparticles_common::random::{bits, uniform};
+    use isoparticles_field::random::{bits, uniform};
     use robust::Coord3D;
 
     fn shewchuk(points: &[DVec3; 5]) -> (f64, f64) {

@@ -125,7 +125,7 @@ fn hilbert_index(mut x: [u32; 3]) -> u64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use isoparticles_common::random::bits;
+    use isoparticles_field::random::bits;
 
     #[test]
     fn hilbert_curve_steps_to_a_neighbour() {

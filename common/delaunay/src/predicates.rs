@@ -136,7 +136,7 @@ pub fn collinear(a: DVec3, b: DVec3, c: DVec3) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use isoparticles_common::random::uniform;
+    use isoparticles_field::random::uniform;
 
     fn point(seed: u64, n: u64) -> DVec3 {
         DVec3::new(uniform(seed, 0, n), uniform(seed, 1, n), uniform(seed, 2, n))

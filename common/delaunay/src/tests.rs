@@ -1,7 +1,7 @@
 //! The triangulation against brute force and against what topology demands, on input of every degenerate kind.
 
 use super::*;
-use isoparticles_common::random::uniform;
+use isoparticles_field::random::uniform;
 use proptest::prelude::*;
 use std::collections::{BTreeSet, HashMap, HashSet};
 

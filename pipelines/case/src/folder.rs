@@ -2,7 +2,7 @@
 //! lets one run at a time work in it.
 
 use crate::status::{Identity, Stage, State, Status, Verdict};
-use isoparticles_common::error::{Error, Result};
+use isoparticles_stage::error::{Error, Result};
 use std::fs::File;
 use std::path::{Path, PathBuf};
 

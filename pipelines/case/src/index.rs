@@ -3,7 +3,7 @@
 use crate::folder::CaseFolder;
 use crate::program::{self, Ended};
 use crate::stages::Programs;
-use isoparticles_common::error::{Error, Result};
+use isoparticles_stage::error::{Error, Result};
 use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 

@@ -2,8 +2,8 @@
 
 use crate::settings::Settings;
 use crate::status::{Identity, Input, Status};
-use isoparticles_common::error::{Error, Result};
-use isoparticles_common::io::data_files;
+use isoparticles_stage::error::{Error, Result};
+use isoparticles_volume::data_files;
 use std::io::Read;
 use std::path::{Path, PathBuf};
 

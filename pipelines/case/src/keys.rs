@@ -1,6 +1,6 @@
 //! What a user or a case file may set: every key with what it is and how its value is checked before any work.
 
-use isoparticles_common::error::{Error, Result};
+use isoparticles_stage::error::{Error, Result};
 
 /// How a value is checked.
 #[derive(Clone, Copy, Debug)]

@@ -7,7 +7,7 @@ use isoparticles_case::settings::Settings;
 use isoparticles_case::stages::{Programs, Volume};
 use isoparticles_case::status::Status;
 use isoparticles_case::{index, name, program, verdict};
-use isoparticles_common::error::{Error, Result};
+use isoparticles_stage::error::{Error, Result};
 use std::path::PathBuf;
 use std::process::ExitCode;
 

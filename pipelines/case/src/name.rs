@@ -1,6 +1,6 @@
 //! The name of a case, from that of its volume.
 
-use isoparticles_common::error::{Error, Result};
+use isoparticles_stage::error::{Error, Result};
 use std::path::Path;
 
 /// Endings that say what a file is and so are no part of its name, longer ones first.

@@ -1,6 +1,6 @@
 //! Running one program to its end, and passing on the signals that end a run.
 
-use isoparticles_common::error::{Error, Result};
+use isoparticles_stage::error::{Error, Result};
 use std::ffi::OsString;
 use std::path::Path;
 use std::process::{Command, ExitStatus};

@@ -7,7 +7,7 @@ use crate::settings::Settings;
 use crate::stages::{Plan, Planned, Programs, Volume, plan};
 use crate::status::{FORMAT, Input, Problem, Stage, State, Status, VERSION, Verdict};
 use crate::{name, verdict};
-use isoparticles_common::error::{Error, Result};
+use isoparticles_stage::error::{Error, Result};
 use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::time::Instant;

@@ -1,7 +1,7 @@
 //! What is set for a case, by whom, and what gives way to what.
 
 use crate::keys::{self, KEYS};
-use isoparticles_common::error::{Error, Result};
+use isoparticles_stage::error::{Error, Result};
 use std::collections::BTreeMap;
 
 /// Who set a key.

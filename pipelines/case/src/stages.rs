@@ -4,7 +4,7 @@ use crate::folder::{Belongings, CHECKPOINT, CaseFolder, REPORT, STAGES, report_n
 use crate::inputs::{self, hash_program};
 use crate::settings::Settings;
 use crate::status::{Input, Status};
-use isoparticles_common::error::{Error, Result};
+use isoparticles_stage::error::{Error, Result};
 use std::ffi::OsString;
 use std::path::PathBuf;
 

@@ -1,7 +1,7 @@
 //! `NAME.status.json`: the truth about a case, from which its page and the index are made (docs/formats.md).
 
-use isoparticles_common::error::{Error, Result};
-use isoparticles_common::io::output::write_atomically;
+use isoparticles_stage::error::{Error, Result};
+use isoparticles_stage::output::write_atomically;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};

@@ -4,7 +4,7 @@
 //! surface between voxel centres stays as it was.
 
 use glam::DVec3;
-use isoparticles_common::geometry::Geometry;
+use isoparticles_volume::Geometry;
 
 /// The box of the voxels of the input, in the frame of the padded grid.
 #[derive(Clone, Debug)]

@@ -7,13 +7,11 @@ use crate::scalar::{ScalarOptions, check_scalar, from_voxels};
 use crate::scale::{SCALE_OVER_SIZE, Scale, edge_length, scaled};
 use crate::selection::noted;
 use crate::{Border, Inside, Keep, Redistanced};
-use isoparticles_common::cli::values::{not_negative, positive};
-use isoparticles_common::cli::{Context, METHOD};
-use isoparticles_common::error::{Error, Result};
-use isoparticles_common::geometry::Geometry;
-use isoparticles_common::image::Image;
-use isoparticles_common::io::volume::{LayerLabel, Volume, Voxels};
-use isoparticles_common::quality::Quality;
+use isoparticles_stage::cli::values::{not_negative, positive};
+use isoparticles_stage::cli::{Context, METHOD};
+use isoparticles_stage::error::{Error, Result};
+use isoparticles_stage::quality::Quality;
+use isoparticles_volume::{Geometry, Image, LayerLabel, Volume, Voxels};
 use serde_json::{Value, json};
 use std::f64::consts::PI;
 

@@ -7,8 +7,7 @@ use crate::field::Source;
 use crate::nearest::{NONE, Slab, nearest_samples};
 use crate::samples::{Implicit, project};
 use glam::{DMat3, DVec3, Mat3, Vec3};
-use isoparticles_common::geometry::Geometry;
-use isoparticles_common::image::Image;
+use isoparticles_volume::{Geometry, Image};
 use rayon::prelude::*;
 
 /// Gives every node of `field` the distance (mm) to the nearest of the samples, good to a small part of the sample spacing, within

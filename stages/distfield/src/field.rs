@@ -9,12 +9,12 @@ use crate::keep::{Dropped, Keep, drop_parts};
 use crate::samples::{Implicit, project, surface_samples};
 use crate::topology::Parts;
 use glam::DVec3;
-use isoparticles_common::cli::Context;
-use isoparticles_common::error::{Error, Result};
-use isoparticles_common::image::Image;
-use isoparticles_common::marching_cubes::marching_cubes;
-use isoparticles_common::mesh::TriangleMesh;
-use isoparticles_common::spline::BrickSpline;
+use isoparticles_field::marching_cubes::marching_cubes;
+use isoparticles_field::spline::BrickSpline;
+use isoparticles_mesh::TriangleMesh;
+use isoparticles_stage::cli::Context;
+use isoparticles_stage::error::{Error, Result};
+use isoparticles_volume::Image;
 use rayon::prelude::*;
 use serde::Serialize;
 

@@ -7,9 +7,8 @@
 
 use crate::bits::{Bits, Numbering};
 use glam::DVec3;
-use isoparticles_common::geometry::Geometry;
-use isoparticles_common::image::Image;
-use isoparticles_common::spline::SlabFilter;
+use isoparticles_field::spline::SlabFilter;
+use isoparticles_volume::{Geometry, Image};
 use rayon::prelude::*;
 use serde::Serialize;
 

@@ -6,9 +6,9 @@
 use crate::junctions::Bound;
 use crate::runs::Runs;
 use crate::sides::Sides;
-use isoparticles_common::cli::Context;
-use isoparticles_common::error::Result;
-use isoparticles_common::image::Image;
+use isoparticles_stage::cli::Context;
+use isoparticles_stage::error::Result;
+use isoparticles_volume::Image;
 use rayon::prelude::*;
 
 /// Half-width of the band that the flow acts in, in voxels. Beyond it the distance of the binary image stays: a band
@@ -165,7 +165,7 @@ mod tests {
     use crate::mask::Mask;
     use crate::{Border, Clearance};
     use glam::DVec3;
-    use isoparticles_common::geometry::Geometry;
+    use isoparticles_volume::Geometry;
 
     /// The flow as it is defined, over the whole grid.
     fn whole_grid(data: &mut [f32], size: [usize; 3], band: f32, sides: &Sides, steps: usize) {

@@ -5,10 +5,10 @@ use crate::info::kind::{Kind, judge};
 use crate::info::survey::Survey;
 use crate::info::{Wishes, examine};
 use crate::run::Args;
-use isoparticles_common::cli::{Context, Outcome};
-use isoparticles_common::error::{Error, Result};
-use isoparticles_common::io::output::write_atomically;
-use isoparticles_common::io::volume::{LayerLabel, Volume};
+use isoparticles_stage::cli::{Context, Outcome};
+use isoparticles_stage::error::{Error, Result};
+use isoparticles_stage::output::write_atomically;
+use isoparticles_volume::{LayerLabel, Volume};
 use std::io::Write;
 use std::path::Path;
 

@@ -5,8 +5,8 @@
 //! labels the answer is made plain, since the flow tends to leave F near zero at the saddle, which would be a neck or a gap far
 //! below the voxel; for every source, F is made to give the source's answer.
 
-use isoparticles_common::image::Image;
-use isoparticles_common::marching_cubes::inside_corners_are_joined;
+use isoparticles_field::marching_cubes::inside_corners_are_joined;
+use isoparticles_volume::Image;
 use rayon::prelude::*;
 
 /// Four nodes of a grid face, opposite ones on the same side.

@@ -6,9 +6,9 @@
 use crate::bits::Bits;
 use crate::junctions::Junction;
 use crate::runs::Runs;
-use isoparticles_common::components::DisjointSets;
-use isoparticles_common::error::{Error, Result};
-use isoparticles_common::image::Image;
+use isoparticles_mesh::components::DisjointSets;
+use isoparticles_stage::error::{Error, Result};
+use isoparticles_volume::Image;
 use serde::Serialize;
 use std::str::FromStr;
 

@@ -18,11 +18,11 @@ use crate::sides::Sides;
 use crate::topology::Parts;
 use crate::{Border, Clearance, Keep};
 use glam::DVec3;
-use isoparticles_common::cli::Context;
-use isoparticles_common::error::{Error, Result};
-use isoparticles_common::image::Image;
-use isoparticles_common::marching_cubes::marching_cubes;
-use isoparticles_common::spline::BrickSpline;
+use isoparticles_field::marching_cubes::marching_cubes;
+use isoparticles_field::spline::BrickSpline;
+use isoparticles_stage::cli::Context;
+use isoparticles_stage::error::{Error, Result};
+use isoparticles_volume::Image;
 use rayon::prelude::*;
 
 /// Distance of the surface from the voxel centres that are joined where two parts touch along an edge, in voxels.

@@ -3,8 +3,7 @@
 use crate::Border;
 use crate::bits::Bits;
 use crate::runs::Runs;
-use isoparticles_common::geometry::Geometry;
-use isoparticles_common::image::Image;
+use isoparticles_volume::{Geometry, Image};
 
 /// The inside nodes of a grid.
 pub struct Mask {
@@ -66,7 +65,7 @@ impl Mask {
 mod tests {
     use super::*;
     use glam::DVec3;
-    use isoparticles_common::random::uniform;
+    use isoparticles_field::random::uniform;
 
     #[test]
     fn beyond_the_border_the_mask_is_empty_or_goes_on() {

@@ -7,8 +7,7 @@
 //! is held as a whole.
 
 use glam::{DVec3, Vec3};
-use isoparticles_common::geometry::Geometry;
-use isoparticles_common::image::reverse_slices;
+use isoparticles_volume::{Geometry, reverse_slices};
 use rayon::prelude::*;
 use std::ops::Range;
 

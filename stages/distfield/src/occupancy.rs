@@ -4,8 +4,7 @@
 
 use crate::Inside;
 use crate::mask::Mask;
-use isoparticles_common::geometry::Geometry;
-use isoparticles_common::io::volume::Voxels;
+use isoparticles_volume::{Geometry, Voxels};
 use rayon::prelude::*;
 
 /// The share of a voxel that is inside as a whole.

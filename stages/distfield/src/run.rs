@@ -7,12 +7,10 @@ use crate::mask::Mask;
 use crate::scalar::{ScalarOptions, from_voxels};
 use crate::selection::{Selection, noted};
 use crate::{Border, Clearance, Inside, Keep, Redistanced};
-use isoparticles_common::cli::{CommonArgs, Context, FILES, METHOD, Outcome, StageArgs};
-use isoparticles_common::error::{Error, Result};
-use isoparticles_common::geometry::Geometry;
-use isoparticles_common::image::Image;
-use isoparticles_common::io::field::{FieldKind, write_field};
-use isoparticles_common::io::volume::{LayerLabel, ReadOptions, Volume, read_volume_with, write_volume};
+use isoparticles_stage::cli::{CommonArgs, Context, FILES, METHOD, Outcome, StageArgs};
+use isoparticles_stage::error::{Error, Result};
+use isoparticles_stage::field_file::{FieldKind, write_field};
+use isoparticles_volume::{Geometry, Image, LayerLabel, ReadOptions, Volume, read_volume_with, write_volume};
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
 

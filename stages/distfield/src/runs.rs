@@ -200,7 +200,7 @@ mod tests {
         let [nx, ny, nz] = SIZE;
         let at = [n % nx, n / nx % ny, n / (nx * ny)];
         let is_inner = (0..3).all(|a| at[a] > 0 && at[a] + 1 < [nx, ny, nz][a]);
-        is_inner && isoparticles_common::random::uniform(3, 0, n as u64) < 0.3
+        is_inner && isoparticles_field::random::uniform(3, 0, n as u64) < 0.3
     }
 
     #[test]

@@ -3,8 +3,8 @@
 //! [`crate::fit`] pins the zero set of F on them.
 
 use glam::DVec3;
-use isoparticles_common::image::Image;
-use isoparticles_common::mesh::TriangleMesh;
+use isoparticles_mesh::TriangleMesh;
+use isoparticles_volume::Image;
 use rayon::prelude::*;
 
 /// An implicit function, negative inside: value and gradient (per mm) at a grid position.

@@ -4,12 +4,10 @@ use crate::cap::BorderBox;
 use crate::field::{LeastDistances, Redistanced, Source, first_order_distance, redistance};
 use crate::{Border, Inside, Keep};
 use glam::DVec3;
-use isoparticles_common::cli::Context;
-use isoparticles_common::error::{Error, Result};
-use isoparticles_common::geometry::Geometry;
-use isoparticles_common::image::Image;
-use isoparticles_common::io::volume::{Volume, Voxels};
-use isoparticles_common::spline::{BrickSplineBuilder, Coefficients, CubicSpline, Layer, SlabFilter};
+use isoparticles_field::spline::{BrickSplineBuilder, Coefficients, CubicSpline, Layer, SlabFilter};
+use isoparticles_stage::cli::Context;
+use isoparticles_stage::error::{Error, Result};
+use isoparticles_volume::{Geometry, Image, Volume, Voxels};
 use rayon::prelude::*;
 use std::ops::Range;
 

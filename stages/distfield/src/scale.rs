@@ -9,11 +9,10 @@ use crate::changes::{Changes, remove_crumbs};
 use crate::gaussian::smooth;
 use crate::occupancy::{Occupancy, WHOLE};
 use glam::DVec3;
-use isoparticles_common::error::Result;
-use isoparticles_common::geometry::Geometry;
-use isoparticles_common::image::Image;
-use isoparticles_common::marching_cubes::marching_cubes;
-use isoparticles_common::mesh::measure::measure;
+use isoparticles_field::marching_cubes::marching_cubes;
+use isoparticles_mesh::measure::measure;
+use isoparticles_stage::error::Result;
+use isoparticles_volume::{Geometry, Image};
 use rayon::prelude::*;
 use std::f64::consts::PI;
 

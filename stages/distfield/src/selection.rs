@@ -1,7 +1,7 @@
 //! Labels as a user names them: `1,2`, `2..5`, `all`, or by the names that the file gives them.
 
-use isoparticles_common::error::{Error, Result};
-use isoparticles_common::io::volume::{LayerLabel, Volume};
+use isoparticles_stage::error::{Error, Result};
+use isoparticles_volume::{LayerLabel, Volume};
 use std::str::FromStr;
 
 /// Labels that an error message lists, at most.
@@ -185,8 +185,7 @@ fn distance(a: &str, b: &str) -> usize {
 mod tests {
     use super::*;
     use glam::DVec3;
-    use isoparticles_common::geometry::Geometry;
-    use isoparticles_common::io::volume::{Segment, Voxels};
+    use isoparticles_volume::{Geometry, Segment, Voxels};
 
     fn volume() -> Volume {
         let segment = |name: &str, label| Segment { name: name.to_owned(), at: LayerLabel { layer: 0, label } };

@@ -3,7 +3,7 @@
 use crate::Clearance;
 use crate::mask::Mask;
 use crate::runs::Runs;
-use isoparticles_common::image::Image;
+use isoparticles_volume::Image;
 use rayon::prelude::*;
 
 /// Sides and least distances of the nodes. The least distance is a constant but at nodes where the object or a gap is thin, which the mask

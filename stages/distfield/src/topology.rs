@@ -1,7 +1,6 @@
 //! What the surface is made of: parts and cavities, and the volume they enclose.
 
-use isoparticles_common::components;
-use isoparticles_common::mesh::TriangleMesh;
+use isoparticles_mesh::{TriangleMesh, components};
 use serde::Serialize;
 
 /// Parts of a closed surface.

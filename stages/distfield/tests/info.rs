@@ -1,6 +1,6 @@
 //! `--info`, and what is refused by the same judgement: labels of a scan, an iso value of labels, more memory than allowed.
 
-use isoparticles_common::io::field::{Field, FieldKind, read_field};
+use isoparticles_stage::field_file::{Field, FieldKind, read_field};
 use serde_json::Value;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
@@ -214,7 +214,7 @@ fn every_shared_volume_is_taken_for_what_it_is() {
             println!("SKIP: {} is not there", path.display());
             continue;
         }
-        let volume = isoparticles_common::io::volume::read_volume(&path).expect("a volume");
+        let volume = isoparticles_volume::read_volume(&path).expect("a volume");
         let survey = isoparticles_distfield::info::survey::Survey::of(&volume.voxels, &volume.geometry);
         let judged = isoparticles_distfield::info::kind::judge(&survey, volume.segments.len());
         assert!(judged.certain && judged.kind.to_string() == kind, "{name}: {judged:?}");

@@ -4,11 +4,10 @@ use dicom_core::{DataElement, PrimitiveValue, VR};
 use dicom_dictionary_std::tags;
 use dicom_object::{FileMetaTableBuilder, InMemDicomObject};
 use glam::{DMat3, DVec3};
-use isoparticles_common::geometry::{Geometry, Space};
-use isoparticles_common::io::field::{FieldKind, read_field};
-use isoparticles_common::io::nrrd::{Encoding, write_nrrd};
-use isoparticles_common::io::volume::{Voxels, read_volume};
-use isoparticles_common::marching_cubes::marching_cubes;
+use isoparticles_field::marching_cubes::marching_cubes;
+use isoparticles_stage::field_file::{FieldKind, read_field};
+use isoparticles_volume::nrrd::{Encoding, write_nrrd};
+use isoparticles_volume::{Geometry, Space, Voxels, read_volume};
 use std::path::{Path, PathBuf};
 use std::process::Command;
 

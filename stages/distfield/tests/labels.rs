@@ -3,11 +3,11 @@
 mod support;
 
 use glam::DVec3;
-use isoparticles_common::cli::Context;
-use isoparticles_common::image::Image;
-use isoparticles_common::spline::{BrickSpline, CubicSpline};
 use isoparticles_distfield::field::{LeastDistances, Source, redistance};
 use isoparticles_distfield::{Border, Clearance, Keep, LabelOptions, Redistanced, from_labels};
+use isoparticles_field::spline::{BrickSpline, CubicSpline};
+use isoparticles_stage::cli::Context;
+use isoparticles_volume::Image;
 use support::{directions, sampled, topology, volume};
 
 const MARGIN: usize = 4;

@@ -1,6 +1,6 @@
 //! The program: files in and out, exit codes, bad input, real volumes where they are found.
 
-use isoparticles_common::io::field::{FieldKind, read_field};
+use isoparticles_stage::field_file::{FieldKind, read_field};
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 

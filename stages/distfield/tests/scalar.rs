@@ -3,11 +3,11 @@
 mod support;
 
 use glam::DVec3;
-use isoparticles_common::cli::Context;
-use isoparticles_common::image::Image;
-use isoparticles_common::marching_cubes::marching_cubes;
-use isoparticles_common::spline::CubicSpline;
 use isoparticles_distfield::{Border, Inside, Keep, Redistanced, ScalarOptions, from_scalar};
+use isoparticles_field::marching_cubes::marching_cubes;
+use isoparticles_field::spline::CubicSpline;
+use isoparticles_stage::cli::Context;
+use isoparticles_volume::Image;
 use support::{directions, positions, sampled, topology, volume};
 
 const MARGIN: usize = 4;
@@ -146,8 +146,7 @@ fn shift_within(result: &Redistanced, image: &Image<f32>, inset: f64) -> (f64, f
 fn noise_leaves_the_zero_set_where_it_was() {
     let noisy = |p: DVec3| {
         let counter = (p.x + 100.0 * p.y + 10_000.0 * p.z) as u64;
-        (9.0 - p.distance(DVec3::splat(15.2)) + 1.5 * (isoparticles_common::random::uniform(3, 0, counter) - 0.5))
-            as f32
+        (9.0 - p.distance(DVec3::splat(15.2)) + 1.5 * (isoparticles_field::random::uniform(3, 0, counter) - 0.5)) as f32
     };
     let result = extract(&sampled([31, 31, 31], DVec3::ONE, noisy), 0.0, Border::Cap);
     assert!(result.shift.mean < 0.01 && result.shift.p99 < 0.05, "{:?}", result.shift);

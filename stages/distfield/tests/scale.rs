@@ -3,14 +3,13 @@
 mod support;
 
 use glam::DVec3;
-use isoparticles_common::image::Image;
-use isoparticles_common::io::volume::Voxels;
-use isoparticles_common::sizing::trilinear;
 use isoparticles_distfield::Inside;
 use isoparticles_distfield::changes::Kind;
 use isoparticles_distfield::mask::Mask;
 use isoparticles_distfield::occupancy::Occupancy;
 use isoparticles_distfield::scale::{Scale, Scaled, edge_length, scaled};
+use isoparticles_field::sizing::trilinear;
+use isoparticles_volume::{Image, Voxels};
 use support::{directions, sampled, topology, volume};
 
 fn smoothed(inside: &Image<bool>, length: f64, keep_thin: bool) -> Scaled {

@@ -9,11 +9,11 @@ use crate::gpu::DeviceReport;
 use crate::settle::{Engine, Level, Parameters, PassRecord, Summary, settle_level};
 use crate::state::Fields;
 use glam::DVec3;
-use isoparticles_common::error::Result;
-use isoparticles_common::geometry::Geometry;
-use isoparticles_common::neighbours::NeighbourLists;
-use isoparticles_common::particle_set::ParticleSet;
-use isoparticles_common::random::bits;
+use isoparticles_field::neighbours::NeighbourLists;
+use isoparticles_field::particle_set::ParticleSet;
+use isoparticles_field::random::bits;
+use isoparticles_stage::error::Result;
+use isoparticles_volume::Geometry;
 use rayon::prelude::*;
 
 /// Seeds nearer than this many edge lengths to one that was taken before are passed over when they are thinned: as many are left
@@ -209,10 +209,10 @@ fn pick(from: &ParticleSet, sizes: &[f64], chosen: &[u32]) -> ParticleSet {
 mod tests {
     use super::*;
     use crate::settle::OnCpu;
-    use isoparticles_common::image::Image;
-    use isoparticles_common::random::uniform;
-    use isoparticles_common::sizing::SizingField;
-    use isoparticles_common::spline::CubicSpline;
+    use isoparticles_field::random::uniform;
+    use isoparticles_field::sizing::SizingField;
+    use isoparticles_field::spline::CubicSpline;
+    use isoparticles_volume::Image;
 
     const CENTRE: DVec3 = DVec3::splat(19.5);
 

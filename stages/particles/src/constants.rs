@@ -20,7 +20,7 @@
 //! at most 0.2 % of a particle's. Where h changes by g a mm, the larger of two may move by its own h: `SUPPORT (1 + SKIN) (1 - 0.6 g) - 1.2` times the smaller
 //! h, 0.65 at g = 0.3.
 
-use isoparticles_common::energy::SUPPORT;
+use isoparticles_field::energy::SUPPORT;
 
 /// Neighbour lists reach this much farther than the support, as a share of it, so that they stay good while particles move: at the start
 /// of a pass they are complete, since `SUPPORT SKIN` = 0.52 h is more than the 2 [`REBUILD_MOVE`] by which two may have come nearer.

@@ -9,9 +9,9 @@ use crate::constants::{INITIAL_LAMBDA, NEWCOMER_DISTANCE, PARENT_DISTANCE, PASS_
 use crate::movement::TangentPlane;
 use crate::state::{Fields, State};
 use glam::DVec3;
-use isoparticles_common::energy::{self, SUPPORT};
-use isoparticles_common::neighbours::NeighbourLists;
-use isoparticles_common::random::uniform;
+use isoparticles_field::energy::{self, SUPPORT};
+use isoparticles_field::neighbours::NeighbourLists;
+use isoparticles_field::random::uniform;
 use rayon::prelude::*;
 
 /// When to add and delete, as shares of the ideal energy.

@@ -1,7 +1,7 @@
 //! The log of the run: one line a pass, as CSV or as JSON lines.
 
 use crate::settle::PassRecord;
-use isoparticles_common::error::{Error, Result};
+use isoparticles_stage::error::{Error, Result};
 use std::fs::File;
 use std::io::Write;
 use std::path::{Path, PathBuf};

@@ -4,5 +4,5 @@ use std::process::ExitCode;
 
 fn main() -> ExitCode {
     isoparticles_particles::gpu::display::leave_alone();
-    isoparticles_common::cli::run_stage("particles", isoparticles_particles::run::run)
+    isoparticles_stage::cli::run_stage("particles", isoparticles_particles::run::run)
 }

@@ -11,7 +11,7 @@ use crate::constants::{
 };
 use crate::state::{Fields, State};
 use glam::{DMat3, DVec3};
-use isoparticles_common::energy::{pair_jet, pair_size_derivative};
+use isoparticles_field::energy::{pair_jet, pair_size_derivative};
 use rayon::prelude::*;
 
 /// What a pass of movement did.

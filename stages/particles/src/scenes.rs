@@ -2,12 +2,11 @@
 
 use crate::state::Fields;
 use glam::DVec3;
-use isoparticles_common::geometry::Geometry;
-use isoparticles_common::image::Image;
-use isoparticles_common::particle_set::ParticleSet;
-use isoparticles_common::random::uniform;
-use isoparticles_common::sizing::SizingField;
-use isoparticles_common::spline::CubicSpline;
+use isoparticles_field::particle_set::ParticleSet;
+use isoparticles_field::random::uniform;
+use isoparticles_field::sizing::SizingField;
+use isoparticles_field::spline::CubicSpline;
+use isoparticles_volume::{Geometry, Image};
 
 /// A surface with its size field and seeds.
 pub(crate) struct Scene {

@@ -2,11 +2,11 @@
 
 use crate::constants::{FIRST_RING, LATTICE_NEIGHBOURS, REBUILD_MOVE, SKIN};
 use glam::DVec3;
-use isoparticles_common::energy::{self, SUPPORT};
-use isoparticles_common::neighbours::NeighbourLists;
-use isoparticles_common::particle_set::ParticleSet;
-use isoparticles_common::sizing::SizingField;
-use isoparticles_common::spline::CubicSpline;
+use isoparticles_field::energy::{self, SUPPORT};
+use isoparticles_field::neighbours::NeighbourLists;
+use isoparticles_field::particle_set::ParticleSet;
+use isoparticles_field::sizing::SizingField;
+use isoparticles_field::spline::CubicSpline;
 use rayon::prelude::*;
 
 /// The implicit function and the sizing field that the particles live on.

@@ -1,14 +1,13 @@
 //! Settling on analytic surfaces: density, evenness, sheets that must not see each other, repeatability, resuming.
 
 use glam::DVec3;
-use isoparticles_common::energy::{SUPPORT, ideal_energy};
-use isoparticles_common::geometry::Geometry;
-use isoparticles_common::image::Image;
-use isoparticles_common::particle_set::ParticleSet;
-use isoparticles_common::random::uniform;
-use isoparticles_common::sizing::SizingField;
-use isoparticles_common::spline::CubicSpline;
+use isoparticles_field::energy::{SUPPORT, ideal_energy};
+use isoparticles_field::particle_set::ParticleSet;
+use isoparticles_field::random::uniform;
+use isoparticles_field::sizing::SizingField;
+use isoparticles_field::spline::CubicSpline;
 use isoparticles_particles::{Fields, INITIAL_LAMBDA, Parameters, PassRecord, settle};
+use isoparticles_volume::{Geometry, Image};
 
 const SIZE: usize = 40;
 
@@ -100,7 +99,7 @@ fn a_ball_gets_the_lattice_of_spacing_h_from_too_few_and_too_many_seeds() {
             .filter(|&j| j != i)
             .map(|j| {
                 let d = set.positions[i].distance(set.positions[j]) / (SUPPORT * set.sizes[i].min(set.sizes[j]));
-                isoparticles_common::energy::pair_energy(d)
+                isoparticles_field::energy::pair_energy(d)
             })
             .sum();
         assert!((energy - set.energies[i]).abs() < 1e-9);

@@ -1,8 +1,8 @@
 //! The tetrahedra round an edge or a vertex, by the side that they are on, and the facets between the sides.
 
 use crate::restricted::Facet;
-use isoparticles_common::components::DisjointSets;
 use isoparticles_delaunay::Delaunay;
+use isoparticles_mesh::components::DisjointSets;
 use rayon::prelude::*;
 use std::collections::{BTreeMap, HashSet};
 

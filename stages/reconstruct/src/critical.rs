@@ -6,7 +6,7 @@
 
 use crate::isosurface::certain::CertainSigns;
 use glam::{DMat3, DVec3};
-use isoparticles_common::spline::CubicSpline;
+use isoparticles_field::spline::CubicSpline;
 use rayon::prelude::*;
 
 /// Newton steps towards a critical point.

@@ -3,8 +3,8 @@
 
 use crate::isosurface::Isosurface;
 use crate::restricted::Facet;
-use isoparticles_common::components::{self, NO_COMPONENT};
-use isoparticles_common::mesh::incidence::{FanWork, Incidence};
+use isoparticles_mesh::components::{self, NO_COMPONENT};
+use isoparticles_mesh::incidence::{FanWork, Incidence};
 use rayon::prelude::*;
 
 /// Vertices looked at by one thread at a time.

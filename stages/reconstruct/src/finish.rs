@@ -1,15 +1,15 @@
 //! The finished mesh with its data, in the world, and the places where a check failed.
 
+use crate::check::CheckReport;
 use glam::{DMat3, DVec3};
-use isoparticles_common::energy::{SUPPORT, pair_energy, scaled_distance};
-use isoparticles_common::geometry::Geometry;
-use isoparticles_common::io::surface::{DataArray, Simplices, Surface};
-use isoparticles_common::mesh::TriangleMesh;
-use isoparticles_common::mesh::check::CheckReport;
-use isoparticles_common::mesh::quality::radius_ratios;
-use isoparticles_common::mesh::topology::analyse;
-use isoparticles_common::neighbours::NeighbourLists;
-use isoparticles_common::spline::CubicSpline;
+use isoparticles_field::energy::{SUPPORT, pair_energy, scaled_distance};
+use isoparticles_field::neighbours::NeighbourLists;
+use isoparticles_field::spline::CubicSpline;
+use isoparticles_mesh::TriangleMesh;
+use isoparticles_mesh::quality::radius_ratios;
+use isoparticles_mesh::surface::{DataArray, Simplices, Surface};
+use isoparticles_mesh::topology::analyse;
+use isoparticles_volume::Geometry;
 use rayon::prelude::*;
 use serde_json::Value;
 
@@ -174,9 +174,9 @@ fn keep_used_points(mut simplices: Simplices) -> Simplices {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::check::{CheckOptions, check};
     use crate::scenes;
-    use isoparticles_common::mesh::check::{CheckOptions, check};
-    use isoparticles_common::mesh::shapes::icosphere;
+    use isoparticles_mesh::shapes::icosphere;
     use serde_json::json;
 
     fn ball() -> TriangleMesh {
@@ -187,7 +187,7 @@ mod tests {
 
     fn values<'a>(arrays: &'a [DataArray], name: &str) -> &'a [f64] {
         match arrays.iter().find(|a| a.name == name).map(|a| &a.values) {
-            Some(isoparticles_common::io::volume::Voxels::F64(values)) => values,
+            Some(isoparticles_volume::Voxels::F64(values)) => values,
             other => panic!("{name}: {other:?}"),
         }
     }

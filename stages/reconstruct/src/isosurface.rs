@@ -9,13 +9,11 @@ pub(crate) mod certain;
 
 use certain::CertainSigns;
 use glam::DVec3;
-use isoparticles_common::components;
-use isoparticles_common::geometry::Geometry;
-use isoparticles_common::image::Image;
-use isoparticles_common::marching_cubes::marching_cubes;
-use isoparticles_common::mesh::TriangleMesh;
-use isoparticles_common::mesh::incidence::Incidence;
-use isoparticles_common::spline::CubicSpline;
+use isoparticles_field::marching_cubes::marching_cubes;
+use isoparticles_field::spline::CubicSpline;
+use isoparticles_mesh::incidence::Incidence;
+use isoparticles_mesh::{TriangleMesh, components};
+use isoparticles_volume::{Geometry, Image};
 use rayon::prelude::*;
 use std::collections::BTreeSet;
 

@@ -9,12 +9,12 @@ use crate::restricted::Facet;
 use crate::run::{Args, Method, Origin, about};
 use crate::tight_cocone::{CoconeReport, tight_cocone};
 use glam::DVec3;
-use isoparticles_common::cli::Context;
-use isoparticles_common::error::Result;
-use isoparticles_common::image::Image;
-use isoparticles_common::mesh::TriangleMesh;
-use isoparticles_common::mesh::inside::nodes_on_wrong_side;
-use isoparticles_common::spline::CubicSpline;
+use isoparticles_field::spline::CubicSpline;
+use isoparticles_mesh::TriangleMesh;
+use isoparticles_mesh::inside::nodes_on_wrong_side;
+use isoparticles_stage::cli::Context;
+use isoparticles_stage::error::Result;
+use isoparticles_volume::Image;
 use rayon::prelude::*;
 
 /// Rounds of Tight Cocone on more points, each of which takes as long as the first: one or two on clean volumes, four to six on noise.

@@ -6,6 +6,7 @@
 //! [`finish`] attaches the data; [`run`] is the program. [`tight_cocone`] is the other way to find the facets, from points alone.
 
 mod around;
+pub mod check;
 pub mod critical;
 pub mod defects;
 pub mod finish;

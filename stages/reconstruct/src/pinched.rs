@@ -3,9 +3,9 @@
 //! each sheet gets a vertex of its own, drawn back a little into that sheet.
 
 use glam::DVec3;
-use isoparticles_common::components::DisjointSets;
-use isoparticles_common::mesh::TriangleMesh;
-use isoparticles_common::mesh::topology::analyse;
+use isoparticles_mesh::TriangleMesh;
+use isoparticles_mesh::components::DisjointSets;
+use isoparticles_mesh::topology::analyse;
 use std::collections::BTreeMap;
 
 /// How far a vertex is drawn back, as a share of the way to the middle of its neighbours.

@@ -1,6 +1,7 @@
 //! Tight Cocone on points alone: particles without their fields, or a point cloud of another program. Nothing is projected on F = 0,
 //! improved or compared with an isosurface, because there is none; the report says so.
 
+use crate::check::{CheckOptions, check};
 use crate::finish::offending;
 use crate::join::compact;
 use crate::pinched::{part_sheets, pinched_vertices};
@@ -8,16 +9,14 @@ use crate::prepare::{PrepareReport, SurfacePoints};
 use crate::run::{Args, about, describe_mesh, read_settled, write};
 use crate::tight_cocone::{CoconeReport, tight_cocone};
 use glam::DVec3;
-use isoparticles_common::cli::{Context, Outcome};
-use isoparticles_common::components;
-use isoparticles_common::error::Result;
-use isoparticles_common::geometry::Geometry;
-use isoparticles_common::io::point_cloud::{is_point_cloud, read_point_cloud};
-use isoparticles_common::io::surface::{DataArray, Surface};
-use isoparticles_common::kd_tree::KdTree;
-use isoparticles_common::mesh::TriangleMesh;
-use isoparticles_common::mesh::check::{CheckOptions, check};
-use isoparticles_common::mesh::quality::radius_ratios;
+use isoparticles_mesh::kd_tree::KdTree;
+use isoparticles_mesh::point_cloud::{is_point_cloud, read_point_cloud};
+use isoparticles_mesh::quality::radius_ratios;
+use isoparticles_mesh::surface::{DataArray, Surface};
+use isoparticles_mesh::{TriangleMesh, components};
+use isoparticles_stage::cli::{Context, Outcome};
+use isoparticles_stage::error::Result;
+use isoparticles_volume::Geometry;
 use serde_json::json;
 
 /// Where fewer of the points than this have an umbrella, most of the surface is guesswork.

@@ -1,10 +1,10 @@
 //! From particles to triangulated points: on F = 0 to the tolerance of the mesh, inside the volume, and no two on one spot.
 
 use glam::DVec3;
-use isoparticles_common::error::{Error, Result};
-use isoparticles_common::particle_set::ParticleSet;
-use isoparticles_common::spline::CubicSpline;
 use isoparticles_delaunay::{Delaunay, INFINITE};
+use isoparticles_field::particle_set::ParticleSet;
+use isoparticles_field::spline::CubicSpline;
+use isoparticles_stage::error::{Error, Result};
 use rayon::prelude::*;
 use serde::Serialize;
 use std::collections::BTreeSet;

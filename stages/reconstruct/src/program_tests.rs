@@ -4,16 +4,15 @@ use crate::run::{Args, run};
 use crate::scenes::{self, Scene};
 use clap::Parser;
 use glam::{DMat3, DVec2, DVec3};
-use isoparticles_common::cli::{Context, Outcome};
-use isoparticles_common::geometry::{Geometry, Space};
-use isoparticles_common::history::History;
-use isoparticles_common::io::field::{FieldKind, write_field};
-use isoparticles_common::io::particles::{ParticleKind, write_particles};
-use isoparticles_common::io::surface::{DataArray, SurfaceFile, read_surface};
-use isoparticles_common::io::volume::Voxels;
-use isoparticles_common::mesh::measure::measure;
-use isoparticles_common::mesh::topology::analyse;
-use isoparticles_common::particle_set::ParticleSet;
+use isoparticles_field::particle_set::ParticleSet;
+use isoparticles_mesh::measure::measure;
+use isoparticles_mesh::surface::{DataArray, SurfaceFile, read_surface};
+use isoparticles_mesh::topology::analyse;
+use isoparticles_stage::cli::{Context, Outcome};
+use isoparticles_stage::field_file::{FieldKind, write_field};
+use isoparticles_stage::history::History;
+use isoparticles_stage::particle_file::{ParticleKind, write_particles};
+use isoparticles_volume::{Geometry, Space, Voxels};
 use serde_json::{Value, json};
 use std::f64::consts::TAU;
 use std::path::PathBuf;
@@ -56,7 +55,7 @@ impl Case {
         self.folder.path().join(name)
     }
 
-    fn run(&self, output: &str, more: &[&str]) -> isoparticles_common::error::Result<Outcome> {
+    fn run(&self, output: &str, more: &[&str]) -> isoparticles_stage::error::Result<Outcome> {
         let files = ["reconstruct", "p.bin", "--distfield", "f.vti", "-o", output];
         let files =
             files.map(|word| if word.contains('.') { self.path(word).display().to_string() } else { word.into() });
@@ -161,7 +160,7 @@ fn tight_cocone_on_fields_is_improved_compared_and_checked_as_well() {
     assert_eq!(case.run("full.vtp", &raw[..2]).unwrap(), Outcome::Passed);
     let [raw, full] = ["raw.vtp", "full.vtp"].map(|name| case.surface(name).surface.mesh);
     assert_eq!((analyse(&raw).euler, analyse(&full).euler), (0, 0));
-    let mean = |mesh| isoparticles_common::mesh::quality::summarise(mesh).radius_ratio_mean;
+    let mean = |mesh| isoparticles_mesh::quality::summarise(mesh).radius_ratio_mean;
     assert!(mean(&full) > mean(&raw) + 0.01);
 }
 

@@ -9,10 +9,10 @@
 use crate::around::{boundary, parts_round, runs_round, star, walls};
 use crate::prepare::not_triangulated;
 use glam::DVec3;
-use isoparticles_common::error::Result;
-use isoparticles_common::spline::CubicSpline;
 use isoparticles_delaunay::predicates::orientation;
 use isoparticles_delaunay::{Delaunay, INFINITE, Insertion};
+use isoparticles_field::spline::CubicSpline;
+use isoparticles_stage::error::Result;
 use rayon::prelude::*;
 
 /// Halvings of a Voronoi edge when its crossing with F = 0 is sought.

@@ -1,5 +1,6 @@
 //! The program: options, reading, the steps in order, the checks, writing.
 
+use crate::check::{CheckOptions, CheckReport, check};
 use crate::finish::{CapPlane, attributes, cap_planes, offending};
 use crate::improve::{ImproveOptions, improve};
 use crate::isosurface::Isosurface;
@@ -8,20 +9,19 @@ use crate::points_alone;
 use crate::prepare::{SurfacePoints, prepare};
 use crate::refine::RefineReport;
 use glam::DVec3;
-use isoparticles_common::cli::values::share;
-use isoparticles_common::cli::{CHECKS, CommonArgs, Context, FILES, METHOD, Outcome, StageArgs, particles_bytes};
-use isoparticles_common::error::{Error, Result};
-use isoparticles_common::image::Image;
-use isoparticles_common::io::field::{Field, FieldKind, check_same_grid, read_field};
-use isoparticles_common::io::particles::{ParticleKind, read_particles};
-use isoparticles_common::io::point_cloud::is_point_cloud;
-use isoparticles_common::io::surface::{Simplices, Surface, check_surface_name, write_simplices, write_surface};
-use isoparticles_common::kd_tree::KdTree;
-use isoparticles_common::mesh::TriangleMesh;
-use isoparticles_common::mesh::check::{CheckOptions, CheckReport, check};
-use isoparticles_common::particle_set::ParticleSet;
-use isoparticles_common::sizing::SizingField;
-use isoparticles_common::spline::CubicSpline;
+use isoparticles_field::particle_set::ParticleSet;
+use isoparticles_field::sizing::SizingField;
+use isoparticles_field::spline::CubicSpline;
+use isoparticles_mesh::TriangleMesh;
+use isoparticles_mesh::kd_tree::KdTree;
+use isoparticles_mesh::point_cloud::is_point_cloud;
+use isoparticles_mesh::surface::{Simplices, Surface, check_surface_name, write_simplices, write_surface};
+use isoparticles_stage::cli::values::share;
+use isoparticles_stage::cli::{CHECKS, CommonArgs, Context, FILES, METHOD, Outcome, StageArgs, particles_bytes};
+use isoparticles_stage::error::{Error, Result};
+use isoparticles_stage::field_file::{Field, FieldKind, check_same_grid, read_field};
+use isoparticles_stage::particle_file::{ParticleKind, read_particles};
+use isoparticles_volume::Image;
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
 

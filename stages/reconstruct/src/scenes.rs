@@ -2,11 +2,10 @@
 
 use crate::critical::{CriticalPoint, critical_points};
 use glam::DVec3;
-use isoparticles_common::geometry::Geometry;
-use isoparticles_common::image::Image;
-use isoparticles_common::marching_cubes::marching_cubes;
-use isoparticles_common::random::uniform;
-use isoparticles_common::spline::CubicSpline;
+use isoparticles_field::marching_cubes::marching_cubes;
+use isoparticles_field::random::uniform;
+use isoparticles_field::spline::CubicSpline;
+use isoparticles_volume::{Geometry, Image};
 
 /// A signed distance (or like) function on a grid.
 pub(crate) struct Scene {

@@ -9,9 +9,9 @@ use crate::refine::{RefineOptions, RefineReport, Refinement};
 use crate::restricted::Facet;
 use crate::scenes::{self, Scene};
 use glam::DVec3;
-use isoparticles_common::mesh::TriangleMesh;
-use isoparticles_common::particle_set::ParticleSet;
-use isoparticles_common::random::uniform;
+use isoparticles_field::particle_set::ParticleSet;
+use isoparticles_field::random::uniform;
+use isoparticles_mesh::TriangleMesh;
 
 pub(crate) fn surface_points(scene: &Scene, spacing: f64) -> SurfacePoints {
     let positions = scene.points(spacing);

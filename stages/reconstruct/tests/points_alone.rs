@@ -1,13 +1,13 @@
 //! The program on points alone: `--method tight-cocone` without fields, its files, reports and exit codes.
 
 use glam::DVec3;
-use isoparticles_common::geometry::{Geometry, Space};
-use isoparticles_common::history::History;
-use isoparticles_common::io::particles::{ParticleKind, write_particles};
-use isoparticles_common::io::surface::read_surface;
-use isoparticles_common::mesh::check::{CheckOptions, check};
-use isoparticles_common::mesh::shapes::{icosphere, torus};
-use isoparticles_common::particle_set::ParticleSet;
+use isoparticles_field::particle_set::ParticleSet;
+use isoparticles_mesh::shapes::{icosphere, torus};
+use isoparticles_mesh::surface::read_surface;
+use isoparticles_reconstruct::check::{CheckOptions, check};
+use isoparticles_stage::history::History;
+use isoparticles_stage::particle_file::{ParticleKind, write_particles};
+use isoparticles_volume::{Geometry, Space};
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
 use std::process::Command;

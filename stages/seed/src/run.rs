@@ -2,12 +2,12 @@
 
 use crate::sampling::{BYTES_PER_PARTICLE, COMPONENT_MINIMUM, seed_surface};
 use clap::Parser;
-use isoparticles_common::cli::{CommonArgs, Context, FILES, METHOD, Outcome, StageArgs};
-use isoparticles_common::error::{Error, Result};
-use isoparticles_common::io::field::{FieldKind, check_same_grid, read_field};
-use isoparticles_common::io::particles::{ParticleKind, write_particles};
-use isoparticles_common::sizing::SizingField;
-use isoparticles_common::spline::CubicSpline;
+use isoparticles_field::sizing::SizingField;
+use isoparticles_field::spline::CubicSpline;
+use isoparticles_stage::cli::{CommonArgs, Context, FILES, METHOD, Outcome, StageArgs};
+use isoparticles_stage::error::{Error, Result};
+use isoparticles_stage::field_file::{FieldKind, check_same_grid, read_field};
+use isoparticles_stage::particle_file::{ParticleKind, write_particles};
 use serde_json::{Value, json};
 use std::path::PathBuf;
 

@@ -1,15 +1,14 @@
 //! Poisson-disk sampling of the isosurface at the spacing that the sizing field asks for.
 
 use glam::DVec3;
-use isoparticles_common::components;
-use isoparticles_common::image::Image;
-use isoparticles_common::marching_cubes::marching_cubes;
-use isoparticles_common::mesh::TriangleMesh;
-use isoparticles_common::neighbours::LevelBins;
-use isoparticles_common::particle_set::ParticleSet;
-use isoparticles_common::random;
-use isoparticles_common::sizing::SizingField;
-use isoparticles_common::spline::CubicSpline;
+use isoparticles_field::marching_cubes::marching_cubes;
+use isoparticles_field::neighbours::LevelBins;
+use isoparticles_field::particle_set::ParticleSet;
+use isoparticles_field::random;
+use isoparticles_field::sizing::SizingField;
+use isoparticles_field::spline::CubicSpline;
+use isoparticles_mesh::{TriangleMesh, components};
+use isoparticles_volume::Image;
 use rayon::prelude::*;
 
 /// Candidates for each particle that the sizing field asks for.

@@ -1,6 +1,6 @@
 //! Averages along the surface, from triangle to triangle.
 
-use isoparticles_common::mesh::incidence::Incidence;
+use isoparticles_mesh::incidence::Incidence;
 use rayon::prelude::*;
 use std::ops::{Add, Mul};
 

@@ -9,12 +9,12 @@ use crate::medial::{Surface, medial_points};
 use crate::noise::Smoothed;
 use crate::patch::{Patch, Samples};
 use glam::{DMat3, DVec3};
-use isoparticles_common::components;
-use isoparticles_common::image::Image;
-use isoparticles_common::kd_tree::KdTree;
-use isoparticles_common::marching_cubes::marching_cubes;
-use isoparticles_common::mesh::incidence::Incidence;
-use isoparticles_common::spline::{CubicSpline, Jet};
+use isoparticles_field::marching_cubes::marching_cubes;
+use isoparticles_field::spline::{CubicSpline, Jet};
+use isoparticles_mesh::components;
+use isoparticles_mesh::incidence::Incidence;
+use isoparticles_mesh::kd_tree::KdTree;
+use isoparticles_volume::Image;
 use rayon::prelude::*;
 
 /// Rounds of averaging that take ripple out of the curvature: a spline through samples of a steep edge rings, and its second

@@ -8,7 +8,7 @@
 //! The grid is marched block by block (`blocks.rs`), some buckets at a time.
 
 use crate::blocks::Blocks;
-use isoparticles_common::image::Image;
+use isoparticles_volume::Image;
 use std::sync::atomic::{AtomicU32, Ordering::Relaxed};
 
 /// A node is lowered when it gains more than this share.
@@ -140,8 +140,8 @@ impl Scheme {
 mod tests {
     use super::*;
     use glam::DVec3;
-    use isoparticles_common::geometry::Geometry;
-    use isoparticles_common::random::uniform;
+    use isoparticles_field::random::uniform;
+    use isoparticles_volume::Geometry;
 
     #[test]
     fn steady_state_is_a_cone_of_slope_delta() {

@@ -19,9 +19,9 @@ pub mod vertices;
 use averages::average;
 use feature::Features;
 use glam::DVec3;
-use isoparticles_common::image::Image;
-use isoparticles_common::mesh::incidence::Incidence;
-use isoparticles_common::sizing::SizingField;
+use isoparticles_field::sizing::SizingField;
+use isoparticles_mesh::incidence::Incidence;
+use isoparticles_volume::Image;
 use rayon::prelude::*;
 use region::SizedNode;
 

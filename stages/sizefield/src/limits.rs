@@ -1,7 +1,7 @@
 //! What is refused before the later stages start: an edge longer than the object, and more particles than memory holds.
 
-use isoparticles_common::cli::{Context, particles_bytes};
-use isoparticles_common::error::{Error, Result};
+use isoparticles_stage::cli::{Context, particles_bytes};
+use isoparticles_stage::error::{Error, Result};
 use std::path::Path;
 
 /// Particles that the largest part must be given by one edge length: `seed` gives a closed part at least so many (a lattice of twelve

@@ -3,5 +3,5 @@
 use std::process::ExitCode;
 
 fn main() -> ExitCode {
-    isoparticles_common::cli::run_stage("sizefield", isoparticles_sizefield::run::run)
+    isoparticles_stage::cli::run_stage("sizefield", isoparticles_sizefield::run::run)
 }

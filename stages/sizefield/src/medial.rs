@@ -12,9 +12,9 @@
 //! surface at one sample in one direction lie inside each other, so that one look finds the samples for all further steps.
 
 use glam::DVec3;
-use isoparticles_common::image::Image;
-use isoparticles_common::kd_tree::KdTree;
-use isoparticles_common::sizing::trilinear;
+use isoparticles_field::sizing::trilinear;
+use isoparticles_mesh::kd_tree::KdTree;
+use isoparticles_volume::Image;
 use rayon::prelude::*;
 
 /// Balls whose two touching points are seen from the centre under less than this (radians) are pruned.

@@ -11,7 +11,7 @@
 use crate::averages::average;
 use crate::patch::{Marks, Patch, Samples};
 use glam::{DVec2, DVec3};
-use isoparticles_common::mesh::incidence::Incidence;
+use isoparticles_mesh::incidence::Incidence;
 use rayon::prelude::*;
 
 /// Radius of the first patches, in voxels.

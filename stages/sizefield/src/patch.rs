@@ -160,7 +160,7 @@ fn solve(mut rows: [[f64; UNKNOWNS + 1]; UNKNOWNS]) -> Option<[f64; UNKNOWNS]> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use isoparticles_common::random::uniform;
+    use isoparticles_field::random::uniform;
 
     /// Points of a grid over the plane lifted onto a surface with its normals, and a patch at the middle one.
     fn patch_of(

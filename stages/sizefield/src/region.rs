@@ -2,10 +2,9 @@
 //! a mask volume, or points with a size each; h grows from there at the rate delta.
 
 use glam::DVec3;
-use isoparticles_common::error::{Error, Result};
-use isoparticles_common::geometry::Geometry;
-use isoparticles_common::io::points::read_sized_points;
-use isoparticles_common::io::volume::read_volume;
+use isoparticles_mesh::points::read_sized_points;
+use isoparticles_stage::error::{Error, Result};
+use isoparticles_volume::{Geometry, read_volume};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
@@ -178,9 +177,9 @@ impl Ball {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use isoparticles_common::history::History;
-    use isoparticles_common::image::Image;
-    use isoparticles_common::io::field::{FieldKind, write_field};
+    use isoparticles_stage::field_file::{FieldKind, write_field};
+    use isoparticles_stage::history::History;
+    use isoparticles_volume::Image;
 
     #[test]
     fn text_is_read_or_refused_with_the_form() {

@@ -1,9 +1,9 @@
 //! `--vertices`: an edge length, or a factor on a graded field, of which the finished surface has a given number of vertices.
 
 use crate::uniform_field;
-use isoparticles_common::image::Image;
-use isoparticles_common::sizing::SizingField;
-use isoparticles_common::spline::CubicSpline;
+use isoparticles_field::sizing::SizingField;
+use isoparticles_field::spline::CubicSpline;
+use isoparticles_volume::Image;
 
 /// Vertices of the finished surface over what the size field predicts: 0.964, 0.962 and 0.948 on `heart_label` smoothed for 1,000, 5,000 and 24,000 vertices.
 const FINISHED_OVER_PREDICTED: f64 = 0.955;

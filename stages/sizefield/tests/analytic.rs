@@ -1,12 +1,11 @@
 //! Local feature size and gradation against analytic truth.
 
 use glam::DVec3;
-use isoparticles_common::geometry::Geometry;
-use isoparticles_common::image::Image;
-use isoparticles_common::spline::CubicSpline;
+use isoparticles_field::spline::CubicSpline;
 use isoparticles_sizefield::feature::{Bumps, Features};
 use isoparticles_sizefield::region::Ball;
 use isoparticles_sizefield::{Parameters, size_field};
+use isoparticles_volume::{Geometry, Image};
 
 fn sampled(n: usize, f: impl Fn(DVec3) -> f64) -> Image<f32> {
     let geometry = Geometry::axis_aligned([n; 3], DVec3::splat(0.8));
@@ -205,7 +204,7 @@ fn h_is_set_wherever_it_is_read_at_the_surface() {
         for n in 0..geometry.voxel_count() {
             let at = DVec3::new((n % 30) as f64, (n / 30 % 28) as f64, (n / 840) as f64);
             // rough, so that samples leave the cell of their triangle when they are moved onto F = 0
-            let bump = 1.5 * spacing.min_element() * (isoparticles_common::random::uniform(7, 0, n as u64) - 0.5);
+            let bump = 1.5 * spacing.min_element() * (isoparticles_field::random::uniform(7, 0, n as u64) - 0.5);
             data.push((geometry.index_to_grid(at).distance(centre) - radius + bump) as f32);
         }
         let image = Image { geometry, data };

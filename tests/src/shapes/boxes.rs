@@ -2,7 +2,7 @@
 
 use crate::scene::{Scene, Truth};
 use glam::DVec3;
-use isoparticles_common::geometry::Geometry;
+use isoparticles_volume::Geometry;
 use std::collections::BTreeMap;
 
 /// A union of boxes whose faces lie half-way between voxel centres.

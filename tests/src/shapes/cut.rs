@@ -2,7 +2,7 @@
 
 use crate::scene::{Scene, Truth, off_lattice_centre, shortest_extent};
 use glam::DVec3;
-use isoparticles_common::geometry::Geometry;
+use isoparticles_volume::Geometry;
 use std::collections::BTreeMap;
 use std::f64::consts::PI;
 

@@ -3,7 +3,7 @@
 use crate::scene::{Scene, Truth, off_lattice_centre, shortest_extent};
 use crate::shapes::integrate;
 use glam::DVec3;
-use isoparticles_common::geometry::Geometry;
+use isoparticles_volume::Geometry;
 use std::collections::BTreeMap;
 use std::f64::consts::PI;
 

@@ -11,7 +11,7 @@ mod ribs;
 
 use crate::scene::{Scene, Truth, edge_profile};
 use glam::DVec3;
-use isoparticles_common::geometry::Geometry;
+use isoparticles_volume::Geometry;
 use std::collections::BTreeMap;
 
 /// Voxels of the paper's volume.
@@ -157,8 +157,7 @@ impl Scene for Torso {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::topology;
-    use crate::volume;
+    use crate::{topology, volume};
 
     fn paper_grid() -> Geometry {
         Geometry::axis_aligned(PAPER_SIZE, DVec3::splat(PAPER_SPACING))

@@ -53,7 +53,7 @@ fn two_cases_at_once() {
     run(&mut case("two", "ellipsoid", &alone)).expect_success("the case alone");
     let surface = |out: &Path| {
         let path = out.join("two/two.surface.vtp");
-        isoparticles_common::io::surface::read_surface(&path).expect("surface").surface
+        isoparticles_mesh::surface::read_surface(&path).expect("surface").surface
     };
     assert_eq!(surface(&together), surface(&alone));
 }

@@ -10,8 +10,8 @@ mod names;
 mod reruns;
 
 use glam::DVec3;
-use isoparticles_common::geometry::Geometry;
 use isoparticles_tests::scene::Shape;
+use isoparticles_volume::Geometry;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::process::Command;

@@ -26,7 +26,7 @@ fn two_volumes_of_one_name_do_not_replace_each_other() {
         let folder = case.folder.path().join(folder);
         std::fs::create_dir(&folder).unwrap();
         let path = folder.join("heart.nrrd");
-        let geometry = isoparticles_common::geometry::Geometry::axis_aligned([size; 3], glam::DVec3::ONE);
+        let geometry = isoparticles_volume::Geometry::axis_aligned([size; 3], glam::DVec3::ONE);
         super::write_phantom(&path, isoparticles_tests::scene::Shape::Ball, &geometry, super::Kind::Scalar);
         path
     };

@@ -48,7 +48,7 @@ fn a_touched_input_reruns_nothing_and_a_changed_one_everything() {
     super::support::write_phantom(
         &case.volume,
         isoparticles_tests::scene::Shape::Ellipsoid,
-        &isoparticles_common::geometry::Geometry::axis_aligned([24; 3], glam::DVec3::ONE),
+        &isoparticles_volume::Geometry::axis_aligned([24; 3], glam::DVec3::ONE),
         super::Kind::Scalar,
     );
     assert_eq!(case.reran(&PARAMETERS), ALL);
@@ -66,7 +66,7 @@ fn a_file_that_an_option_names_is_a_prerequisite() {
     super::support::write_phantom(
         &mask,
         isoparticles_tests::scene::Shape::Ellipsoid,
-        &isoparticles_common::geometry::Geometry::axis_aligned([24; 3], glam::DVec3::ONE),
+        &isoparticles_volume::Geometry::axis_aligned([24; 3], glam::DVec3::ONE),
         super::Kind::Scalar,
     );
     assert_eq!(case.reran(&variables), ["sizefield", "seed", "particles", "reconstruct"]);
@@ -184,7 +184,7 @@ fn a_stopped_run_is_finished_by_the_next() {
     assert!(!checkpoint.exists(), "a finished run needs no checkpoint");
     // Histories hold the paths of the inputs, which differ between the two folders: compare the particles themselves.
     let particles = |file: &Path| {
-        use isoparticles_common::io::particles::{ParticleKind, read_particles};
+        use isoparticles_stage::particle_file::{ParticleKind, read_particles};
         read_particles(file, &[ParticleKind::Particles]).expect("particles").particles
     };
     let [one, other] = [&stopped, &unbroken].map(|case| particles(&case.file("particles.bin")));

@@ -5,11 +5,11 @@
 pub mod chain;
 pub mod examine;
 
-use isoparticles_common::geometry::Geometry;
 use isoparticles_tests::nrrd::{self, FileSpace, Voxels};
 use isoparticles_tests::scene::{self, Options, Shape, Truth};
 pub use isoparticles_tests::skip::skip;
 use isoparticles_tests::volume;
+use isoparticles_volume::Geometry;
 use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};

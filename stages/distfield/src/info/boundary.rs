@@ -9,8 +9,8 @@
 
 use super::classes::{Classes, OUTSIDE};
 use glam::DVec3;
-use isoparticles_common::geometry::Geometry;
-use isoparticles_common::random::uniform;
+use isoparticles_field::random::uniform;
+use isoparticles_volume::Geometry;
 use rayon::prelude::*;
 
 /// Radius of the ball, in mean voxels: the smallest one that says more about the shape than about the staircase of voxels.
@@ -241,8 +241,7 @@ impl Shapes {
 mod tests {
     use super::super::classes::Rule;
     use super::*;
-    use isoparticles_common::image::Image;
-    use isoparticles_common::io::volume::Voxels;
+    use isoparticles_volume::{Image, Voxels};
     use std::f64::consts::PI;
 
     fn boundary(geometry: &Geometry, inside: impl Fn(DVec3) -> bool, wanted: usize) -> Boundary {

@@ -1,7 +1,6 @@
 //! A volume as classes: one for each label, or one for the inside of an object, row by row, so that no second volume is held.
 
-use isoparticles_common::geometry::Geometry;
-use isoparticles_common::io::volume::Voxels;
+use isoparticles_volume::{Geometry, Voxels};
 use rayon::prelude::*;
 use std::collections::HashMap;
 

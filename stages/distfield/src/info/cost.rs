@@ -6,7 +6,7 @@
 
 use super::boundary::{BALL, Boundary, Place};
 use super::kind::Kind;
-use isoparticles_common::geometry::Geometry;
+use isoparticles_volume::Geometry;
 use serde::Serialize;
 
 /// Edge length over the radius of mean curvature, and over the thickness. Of a grid of values for these two, [`STAIRCASE`] and the radius [`BALL`], those

@@ -93,10 +93,8 @@ pub fn judge(survey: &Survey, named: usize) -> Judgement {
 mod tests {
     use super::*;
     use glam::DVec3;
-    use isoparticles_common::geometry::Geometry;
-    use isoparticles_common::image::Image;
-    use isoparticles_common::io::volume::Voxels;
-    use isoparticles_common::random::uniform;
+    use isoparticles_field::random::uniform;
+    use isoparticles_volume::{Geometry, Image, Voxels};
 
     const SIZE: [usize; 3] = [48, 44, 40];
 

@@ -18,10 +18,9 @@ use crate::Inside;
 use boundary::{Boundary, boundaries};
 use classes::{Classes, MOST_CLASSES, Rule};
 use cost::{Cost, cost, default_vertices};
-use isoparticles_common::cli::Context;
-use isoparticles_common::error::Result;
-use isoparticles_common::geometry::{Geometry, Space};
-use isoparticles_common::io::volume::{LayerLabel, Volume};
+use isoparticles_stage::cli::Context;
+use isoparticles_stage::error::Result;
+use isoparticles_volume::{Geometry, LayerLabel, Space, Volume};
 use kind::{Judgement, Kind, judge};
 use orientation::Orientation;
 use parts::{Parts, parts};
@@ -208,7 +207,7 @@ fn label_table(volume: &Volume) -> Result<Vec<LabelInfo>> {
 }
 
 /// What an object is, the options that give it, why it is proposed, and its voxels.
-type Candidate<'a> = (String, String, String, Vec<(&'a isoparticles_common::io::volume::Voxels, Rule)>);
+type Candidate<'a> = (String, String, String, Vec<(&'a isoparticles_volume::Voxels, Rule)>);
 
 /// The object meant, or those worth trying.
 fn candidates<'a>(

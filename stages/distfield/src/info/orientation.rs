@@ -1,7 +1,7 @@
 //! Where the axes of a volume point, in words.
 
 use glam::DVec3;
-use isoparticles_common::geometry::{Geometry, Space};
+use isoparticles_volume::{Geometry, Space};
 use serde::Serialize;
 
 /// How the grid lies in the world.

@@ -1,7 +1,7 @@
 //! Connected parts of every class, told apart through faces of voxels.
 
 use super::classes::{Classes, OUTSIDE};
-use isoparticles_common::components::DisjointSets;
+use isoparticles_mesh::components::DisjointSets;
 use serde::Serialize;
 
 /// Most runs of voxels along x that are joined, at 18 bytes each: more are noise, and their parts specks.
@@ -97,10 +97,8 @@ mod tests {
     use super::super::classes::Rule;
     use super::*;
     use glam::DVec3;
-    use isoparticles_common::geometry::Geometry;
-    use isoparticles_common::image::Image;
-    use isoparticles_common::io::volume::Voxels;
-    use isoparticles_common::random::uniform;
+    use isoparticles_field::random::uniform;
+    use isoparticles_volume::{Geometry, Image, Voxels};
 
     /// The parts by flooding from voxel to voxel.
     fn flooded(image: &Image<u8>, label: u8) -> Parts {

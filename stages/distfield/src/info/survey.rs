@@ -1,7 +1,6 @@
 //! One look at all voxels of a volume: their range, how many there are of each value, and how the values change along the axes.
 
-use isoparticles_common::geometry::Geometry;
-use isoparticles_common::io::volume::Voxels;
+use isoparticles_volume::{Geometry, Voxels};
 use rayon::prelude::*;
 use serde::Serialize;
 use std::collections::HashMap;

@@ -4,7 +4,7 @@ use super::boundary::BALL;
 use super::cost::{Cost, UNCERTAINTY};
 use super::kind::Kind;
 use super::{LabelInfo, Object, VolumeInfo};
-use isoparticles_common::geometry::Space;
+use isoparticles_volume::Space;
 use std::fmt::Write;
 
 /// Rows of the histogram.

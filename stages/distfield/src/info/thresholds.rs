@@ -158,8 +158,7 @@ fn best(values: impl Iterator<Item = (usize, f64)>) -> Option<usize> {
 mod tests {
     use super::*;
     use glam::DVec3;
-    use isoparticles_common::geometry::Geometry;
-    use isoparticles_common::io::volume::Voxels;
+    use isoparticles_volume::{Geometry, Voxels};
 
     fn surveyed(values: Vec<i16>) -> Survey {
         let geometry = Geometry::axis_aligned([values.len() / 4, 2, 2], DVec3::ONE);

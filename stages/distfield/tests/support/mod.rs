@@ -2,10 +2,9 @@
 #![allow(dead_code, reason = "each test binary uses its own part of these helpers")]
 
 use glam::DVec3;
-use isoparticles_common::geometry::Geometry;
-use isoparticles_common::image::Image;
-use isoparticles_common::marching_cubes::marching_cubes;
-use isoparticles_common::mesh::topology::{Topology, analyse};
+use isoparticles_field::marching_cubes::marching_cubes;
+use isoparticles_mesh::topology::{Topology, analyse};
+use isoparticles_volume::{Geometry, Image};
 
 /// Samples of a function of the grid position.
 pub(crate) fn sampled<T: Copy>(size: [usize; 3], spacing: DVec3, f: impl Fn(DVec3) -> T) -> Image<T> {
@@ -38,5 +37,5 @@ pub(crate) fn topology(field: &Image<f32>) -> Topology {
 /// Volume of the zero set's marching-cubes mesh.
 pub(crate) fn volume(field: &Image<f32>) -> f64 {
     let mesh = marching_cubes(field, 0.0);
-    isoparticles_common::mesh::measure::measure(&mesh).volume
+    isoparticles_mesh::measure::measure(&mesh).volume
 }

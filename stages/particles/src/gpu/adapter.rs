@@ -1,7 +1,7 @@
 //! Which adapters there are, choosing one, and opening it with the limits that it has (not wgpu's defaults).
 
 use super::kernels::Kernels;
-use isoparticles_common::error::{Error, Result};
+use isoparticles_stage::error::{Error, Result};
 use std::fmt;
 use std::sync::{Arc, Mutex, PoisonError};
 

@@ -4,7 +4,7 @@
 use super::adapter::Gpu;
 use super::kernels::Kernels;
 use super::memory::{read_staging, staging};
-use isoparticles_common::error::Result;
+use isoparticles_stage::error::Result;
 use std::collections::BTreeMap;
 
 /// Workgroups along the first axis of a dispatch, the most that every adapter takes; the rest goes along the second.

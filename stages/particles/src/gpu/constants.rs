@@ -8,8 +8,8 @@ use crate::constants::{
     EIGENVALUE_FLOOR, FARTHEST_MOVE, FIRST_RING, LAMBDA_FALL, LAMBDA_GROWTH, LARGEST_LAMBDA, LATTICE_NEIGHBOURS,
     LEAST_LAMBDA, LONGEST_STEP, NEWCOMER_DISTANCE, PARENT_DISTANCE, PROJECTION_REACH, REBUILD_MOVE, SKIN,
 };
-use isoparticles_common::energy::{LEAST_SCALED_DISTANCE, SUPPORT};
-use isoparticles_common::spline::{LEAST_SQUARED_GRADIENT, PROJECTION_STEPS};
+use isoparticles_field::energy::{LEAST_SCALED_DISTANCE, SUPPORT};
+use isoparticles_field::spline::{LEAST_SQUARED_GRADIENT, PROJECTION_STEPS};
 use std::f64::consts::{FRAC_PI_2, TAU};
 
 /// Invocations in a workgroup of a kernel that looks at neighbours, one a particle.

@@ -3,7 +3,7 @@
 use super::adapter::Gpu;
 use super::memory::Memory;
 use super::shaders::{Access, Binding, Variant, bindings, sources};
-use isoparticles_common::error::Result;
+use isoparticles_stage::error::Result;
 use rayon::prelude::*;
 use std::collections::HashMap;
 use std::num::NonZeroU64;

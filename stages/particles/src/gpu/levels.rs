@@ -9,7 +9,7 @@ use super::parameters::{MOST_LEVELS, device_origin};
 use crate::constants::SKIN;
 use crate::state::Fields;
 use glam::{DVec3, UVec3, Vec3};
-use isoparticles_common::energy::SUPPORT;
+use isoparticles_field::energy::SUPPORT;
 use rayon::prelude::*;
 
 /// Most bins in a level; wider bins are right as well.

@@ -1,7 +1,7 @@
 //! Buffers by name, what they take, and the way of their contents to and from the host.
 
 use super::adapter::Gpu;
-use isoparticles_common::error::{Error, Result};
+use isoparticles_stage::error::{Error, Result};
 use rayon::prelude::*;
 use std::collections::BTreeMap;
 

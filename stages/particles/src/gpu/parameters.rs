@@ -6,7 +6,7 @@ use super::levels::Levels;
 use crate::constants::{INITIAL_LAMBDA, PASS_TOLERANCE};
 use crate::settle::Parameters;
 use glam::{DVec3, UVec3};
-use isoparticles_common::geometry::Geometry;
+use isoparticles_volume::Geometry;
 
 /// Levels that the shaders have room for.
 pub(crate) const MOST_LEVELS: usize = 12;

@@ -4,7 +4,7 @@
 //! than a uniform one. A triangle lies in the one cell that holds the centre of its box.
 
 use glam::DVec3;
-use isoparticles_common::spatial::Bounds;
+use isoparticles_mesh::spatial::Bounds;
 use std::collections::HashMap;
 use std::hash::{BuildHasherDefault, Hasher};
 
@@ -139,7 +139,7 @@ impl Hasher for KeyHasher {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use isoparticles_common::random::uniform;
+    use isoparticles_field::random::uniform;
 
     #[test]
     fn finds_what_a_scan_finds_through_insertions_and_removals() {

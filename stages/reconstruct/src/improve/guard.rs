@@ -7,9 +7,9 @@ use super::constants::{
 };
 use super::surface::{Facts, Surface};
 use glam::DVec3;
-use isoparticles_common::mesh::intersect::corners_cross;
-use isoparticles_common::mesh::quality::radius_ratio;
-use isoparticles_common::spatial::Bounds;
+use isoparticles_mesh::intersect::corners_cross;
+use isoparticles_mesh::quality::radius_ratio;
+use isoparticles_mesh::spatial::Bounds;
 
 /// What a move must respect; where the surface was worse before, it must not get any worse.
 #[derive(Clone, Copy, Debug)]

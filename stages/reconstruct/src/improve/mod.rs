@@ -26,11 +26,11 @@ mod tests_of_patches;
 use constants::ON_SURFACE;
 use glam::DVec3;
 use guard::{Limits, Rule, commit_or_rollback};
-use isoparticles_common::error::{Error, Result};
-use isoparticles_common::image::Image;
-use isoparticles_common::mesh::TriangleMesh;
-use isoparticles_common::mesh::quality::{QualitySummary, summarise};
-use isoparticles_common::spline::CubicSpline;
+use isoparticles_field::spline::CubicSpline;
+use isoparticles_mesh::TriangleMesh;
+use isoparticles_mesh::quality::{QualitySummary, summarise};
+use isoparticles_stage::error::{Error, Result};
+use isoparticles_volume::Image;
 use nodes::NodeSides;
 use serde::Serialize;
 use surface::Surface;
@@ -153,7 +153,7 @@ pub fn improve(
         ));
     }
     let below = |mesh: &TriangleMesh| {
-        isoparticles_common::mesh::quality::radius_ratios(mesh).iter().filter(|&&q| q < options.target).count()
+        isoparticles_mesh::quality::radius_ratios(mesh).iter().filter(|&&q| q < options.target).count()
     };
     let mut report =
         ImproveReport { before: summarise(mesh), below_target_before: below(mesh), ..ImproveReport::default() };

@@ -1,13 +1,13 @@
 //! Keeps every grid node on the side of the mesh where F has it (label volumes: no voxel may change sides).
 //!
 //! What a move takes away and what it puts there bound a closed region; the nodes in it change sides. They are found as in
-//! [`isoparticles_common::mesh::inside`], by exact parity along grid lines.
+//! [`isoparticles_mesh::inside`], by exact parity along grid lines.
 
 use glam::DVec3;
-use isoparticles_common::image::Image;
-use isoparticles_common::mesh::TriangleMesh;
-use isoparticles_common::mesh::inside::{Crossing, crossings, nodes_on_wrong_side};
-use isoparticles_common::spatial::Bounds;
+use isoparticles_mesh::TriangleMesh;
+use isoparticles_mesh::inside::{Crossing, crossings, nodes_on_wrong_side};
+use isoparticles_mesh::spatial::Bounds;
+use isoparticles_volume::Image;
 use std::collections::HashSet;
 
 /// The nodes, their sides, and those on the wrong one.

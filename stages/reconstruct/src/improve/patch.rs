@@ -2,7 +2,7 @@
 
 use super::surface::{DEAD, Size, Surface};
 use glam::DVec3;
-use isoparticles_common::spatial::Bounds;
+use isoparticles_mesh::spatial::Bounds;
 use rayon::prelude::*;
 
 /// Triangles round a triangle, and their vertices, both ascending.

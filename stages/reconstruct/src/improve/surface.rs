@@ -8,9 +8,9 @@ use super::moves::projected_facing;
 use super::nodes::NodeSides;
 use super::patch::Rings;
 use glam::DVec3;
-use isoparticles_common::mesh::TriangleMesh;
-use isoparticles_common::spatial::Bounds;
-use isoparticles_common::spline::CubicSpline;
+use isoparticles_field::spline::CubicSpline;
+use isoparticles_mesh::TriangleMesh;
+use isoparticles_mesh::spatial::Bounds;
 use rayon::prelude::*;
 
 /// Corners of a triangle that is not there.

@@ -11,8 +11,8 @@ use super::patch::Patch;
 use super::surface::{DEAD, Surface};
 use super::{Step, Tally, remesh};
 use glam::DVec3;
-use isoparticles_common::error::Result;
-use isoparticles_common::spatial::Bounds;
+use isoparticles_mesh::spatial::Bounds;
+use isoparticles_stage::error::Result;
 use rayon::prelude::*;
 
 /// Flips towards degree six and relaxes every vertex, `sweeps` times; none of it lets any triangle's neighbourhood get worse. `step` is called
@@ -132,16 +132,15 @@ fn mean_edge(surface: &Surface) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::check::{CheckOptions, check};
     use crate::improve::guard::commit_or_rollback;
     use crate::improve::moves;
     use crate::improve::nodes::NodeSides;
     use crate::improve::tests::{ball, sampled};
-    use isoparticles_common::mesh::TriangleMesh;
-    use isoparticles_common::mesh::check::{CheckOptions, check};
-    use isoparticles_common::mesh::quality::{radius_ratios, summarise};
-    use isoparticles_common::mesh::shapes;
-    use isoparticles_common::random::uniform;
-    use isoparticles_common::spline::CubicSpline;
+    use isoparticles_field::random::uniform;
+    use isoparticles_field::spline::CubicSpline;
+    use isoparticles_mesh::quality::{radius_ratios, summarise};
+    use isoparticles_mesh::{TriangleMesh, shapes};
 
     const CENTRE: DVec3 = DVec3::splat(8.2);
     const RADIUS: f64 = 6.0;
@@ -263,7 +262,7 @@ mod tests {
         let (field, mesh, h) = rough_ball();
         let size = |_: DVec3| h;
         let mut surface = Surface::new(&mesh, &field, &size);
-        let step = || Err(isoparticles_common::error::Error::input("stopped", "", ""));
+        let step = || Err(isoparticles_stage::error::Error::input("stopped", "", ""));
         assert!(sweep(&mut surface, &LIMITS, 3, &step, &mut Tally::default()).is_err());
     }
 }

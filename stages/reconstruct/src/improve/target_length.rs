@@ -17,7 +17,7 @@ use super::patch::Patch;
 use super::surface::{DEAD, Surface, edges_of};
 use super::{Tally, remesh};
 use glam::DVec3;
-use isoparticles_common::spatial::Bounds;
+use isoparticles_mesh::spatial::Bounds;
 
 /// A place that asks for short edges.
 #[derive(Clone, Copy, Debug)]

@@ -2,13 +2,13 @@
 
 use super::patch::Patch;
 use super::*;
+use crate::check::{CheckOptions, CheckReport, check};
 use constants::FIT;
-use isoparticles_common::geometry::Geometry;
-use isoparticles_common::marching_cubes::marching_cubes;
-use isoparticles_common::mesh::check::{CheckOptions, CheckReport, check};
-use isoparticles_common::mesh::shapes;
-use isoparticles_common::random::uniform;
-use isoparticles_common::spatial::Bounds;
+use isoparticles_field::marching_cubes::marching_cubes;
+use isoparticles_field::random::uniform;
+use isoparticles_mesh::shapes;
+use isoparticles_mesh::spatial::Bounds;
+use isoparticles_volume::Geometry;
 
 pub(super) fn sampled(size: [usize; 3], spacing: DVec3, f: impl Fn(DVec3) -> f64) -> Image<f32> {
     let geometry = Geometry::axis_aligned(size, spacing);

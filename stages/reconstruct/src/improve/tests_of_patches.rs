@@ -1,9 +1,9 @@
 //! Lattices, necks and small components whose triangles are outside of what finite elements are asked for.
 
 use super::*;
+use crate::check::{CheckOptions, check};
 use constants::FIT;
-use isoparticles_common::geometry::Geometry;
-use isoparticles_common::mesh::check::{CheckOptions, check};
+use isoparticles_volume::Geometry;
 
 /// Vertices along a side of the lattice, and between the displaced ones.
 const SIDE: usize = 64;

@@ -3,7 +3,7 @@
 //! surface is like that, and a finer sampling of the box need not be taken there.
 
 use glam::DVec3;
-use isoparticles_common::spline::CubicSpline;
+use isoparticles_field::spline::CubicSpline;
 
 /// Coefficients before and behind a cell that reach into it or into a cell next to it.
 const REACH: (usize, usize) = (2, 3);

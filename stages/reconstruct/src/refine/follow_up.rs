@@ -5,9 +5,9 @@ use super::Refinement;
 use super::insert::Candidate;
 use crate::defects::Pinches;
 use crate::restricted::Facet;
-use isoparticles_common::error::Result;
-use isoparticles_common::mesh::incidence::Incidence;
 use isoparticles_delaunay::INFINITE;
+use isoparticles_mesh::incidence::Incidence;
+use isoparticles_stage::error::Result;
 use rayon::prelude::*;
 use std::collections::HashMap;
 

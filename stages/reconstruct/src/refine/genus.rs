@@ -9,9 +9,9 @@ use crate::defects::Defects;
 use crate::isosurface::bounds;
 use crate::restricted::Facet;
 use glam::DVec3;
-use isoparticles_common::components::NO_COMPONENT;
-use isoparticles_common::error::Result;
-use isoparticles_common::spatial::Bounds;
+use isoparticles_mesh::components::NO_COMPONENT;
+use isoparticles_mesh::spatial::Bounds;
+use isoparticles_stage::error::Result;
 use rayon::prelude::*;
 use std::collections::{BTreeSet, HashSet};
 

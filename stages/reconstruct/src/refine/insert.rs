@@ -2,7 +2,7 @@
 
 use super::{Refinement, component_at};
 use glam::DVec3;
-use isoparticles_common::error::Result;
+use isoparticles_stage::error::Result;
 use std::collections::HashMap;
 
 /// A new point keeps this part of h from all others where the topology asks for it.
@@ -134,7 +134,7 @@ fn cell(p: DVec3, level: i32) -> [i64; 3] {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use isoparticles_common::random::uniform;
+    use isoparticles_field::random::uniform;
 
     #[test]
     fn points_within_a_radius_are_those_of_a_plain_search() {

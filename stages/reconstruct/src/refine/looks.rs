@@ -6,7 +6,7 @@ use crate::defects::Defects;
 use crate::isosurface::Isosurface;
 use crate::restricted::Facet;
 use glam::DVec3;
-use isoparticles_common::components::NO_COMPONENT;
+use isoparticles_mesh::components::NO_COMPONENT;
 use rayon::prelude::*;
 use std::collections::{BTreeMap, HashMap, HashSet};
 use std::ops::Range;

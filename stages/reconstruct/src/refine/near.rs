@@ -1,7 +1,7 @@
 //! The vertex nearest to a place, while points are being added.
 
 use glam::DVec3;
-use isoparticles_common::kd_tree::KdTree;
+use isoparticles_mesh::kd_tree::KdTree;
 
 /// The tree of all points is built anew when this many for each of its own have been added, one in eight.
 const OUTGROWN: usize = 8;
@@ -55,7 +55,7 @@ impl Nearest {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use isoparticles_common::random::uniform;
+    use isoparticles_field::random::uniform;
 
     #[test]
     fn points_added_are_found_like_the_first_ones() {

@@ -4,7 +4,7 @@ use super::Refinement;
 use super::insert::{Candidate, Reason};
 use crate::restricted::Facet;
 use glam::DVec3;
-use isoparticles_common::error::Result;
+use isoparticles_stage::error::Result;
 
 /// A grid node on the wrong side whose nearest point of F = 0 is nearer than this part of h to a vertex has that vertex.
 const AT_A_VERTEX: f64 = 0.15;

@@ -8,9 +8,9 @@ use crate::critical::CriticalPoint;
 use crate::defects::Defects;
 use crate::restricted::{Facet, Restricted};
 use glam::DVec3;
-use isoparticles_common::components::{DisjointSets, NO_COMPONENT};
-use isoparticles_common::error::Result;
 use isoparticles_delaunay::INFINITE;
+use isoparticles_mesh::components::{DisjointSets, NO_COMPONENT};
+use isoparticles_stage::error::Result;
 use rayon::prelude::*;
 use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet};
 

@@ -6,7 +6,7 @@ use super::looks::LOOKS;
 use crate::defects::Defects;
 use crate::isosurface::{Isosurface, bounds};
 use glam::DVec3;
-use isoparticles_common::components::NO_COMPONENT;
+use isoparticles_mesh::components::NO_COMPONENT;
 use rayon::prelude::*;
 use std::cmp::Reverse;
 use std::collections::{HashMap, HashSet};

@@ -5,7 +5,7 @@ use super::umbrellas::{Umbrellas, good_vertices};
 use crate::around::{boundary, parts_round, runs_round};
 use crate::defects::{Pinches, edge_of};
 use crate::restricted::Facet;
-use isoparticles_common::mesh::incidence::Incidence;
+use isoparticles_mesh::incidence::Incidence;
 
 /// Rounds in which parts may go either way; after them they may only join the object, so that there is an end.
 const FREE_ROUNDS: usize = 8;

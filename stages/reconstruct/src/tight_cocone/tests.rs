@@ -1,13 +1,13 @@
 //! Tight Cocone on analytic scenes, and on clouds with faults.
 
 use super::*;
+use crate::check::{CheckOptions, CheckReport, check};
 use crate::join::compact;
 use crate::pinched::{part_sheets, pinched_vertices};
 use crate::prepare::SurfacePoints;
 use crate::scenes::{self, Scene};
-use isoparticles_common::mesh::TriangleMesh;
-use isoparticles_common::mesh::check::{CheckOptions, CheckReport, check};
-use isoparticles_common::random::uniform;
+use isoparticles_field::random::uniform;
+use isoparticles_mesh::TriangleMesh;
 use rayon::prelude::*;
 
 /// As the program does it.

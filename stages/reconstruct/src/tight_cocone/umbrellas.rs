@@ -5,8 +5,8 @@
 
 use super::cells::{Cells, NOBODY};
 use crate::around::place_of;
-use isoparticles_common::components::DisjointSets;
 use isoparticles_delaunay::INFINITE;
+use isoparticles_mesh::components::DisjointSets;
 use rayon::prelude::*;
 
 /// Sides at the vertices that have an umbrella.

@@ -17,7 +17,7 @@ use crate::scenes::Scene;
 use crate::settle::{Engine, Parameters};
 use crate::state::State;
 use glam::{DVec3, Vec3};
-use isoparticles_common::energy::{SUPPORT, pair_energy, scaled_distance};
+use isoparticles_field::energy::{SUPPORT, pair_energy, scaled_distance};
 
 /// The pass that the random numbers are those of.
 const PASS: u32 = 7;

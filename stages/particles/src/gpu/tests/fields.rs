@@ -48,7 +48,7 @@ fn fields_are_those_of_the_cpu_also_outside_and_in_slabs() {
         // anywhere, beyond the border as well
         let corner = scene.surface.geometry().upper_corner();
         for (n, p) in scene.seeds.positions.iter_mut().enumerate().skip(100) {
-            let at = |axis| 1.4 * isoparticles_common::random::uniform(2, axis, n as u64) - 0.2;
+            let at = |axis| 1.4 * isoparticles_field::random::uniform(2, axis, n as u64) - 0.2;
             *p = corner * DVec3::new(at(0), at(1), at(2));
         }
         scene.seeds.positions[100] = corner;

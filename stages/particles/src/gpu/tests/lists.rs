@@ -28,7 +28,7 @@ fn lists_are_those_of_the_cpu_and_no_two_neighbours_share_a_class() {
         let starts: Vec<u32> = download(&gpu, engine.memory.get("list_starts"), count + 1).unwrap();
         let members: Vec<u32> = download(&gpu, engine.memory.get("lists"), starts[count] as usize).unwrap();
         let list = |i: usize| &members[starts[i] as usize..starts[i + 1] as usize];
-        let reach = isoparticles_common::energy::SUPPORT * (1.0 + crate::constants::SKIN);
+        let reach = isoparticles_field::energy::SUPPORT * (1.0 + crate::constants::SKIN);
         for i in 0..count {
             let mut found = list(i).to_vec();
             found.sort_unstable();

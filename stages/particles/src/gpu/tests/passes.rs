@@ -6,7 +6,7 @@ use crate::gpu::engine::{Binning, GpuEngine};
 use crate::gpu::memory::Memory;
 use crate::scenes::Scene;
 use crate::settle::{Engine, Parameters, PassRecord, Summary, settle, settle_with};
-use isoparticles_common::particle_set::ParticleSet;
+use isoparticles_field::particle_set::ParticleSet;
 
 fn settled(gpu: &Gpu, scene: &Scene, parameters: &Parameters, binning: Binning) -> (ParticleSet, Summary) {
     let fields = scene.fields();
@@ -133,7 +133,7 @@ fn no_particle_and_one_are_no_different() {
 fn an_adapter_that_is_not_there_ends_with_exit_code_3() {
     let choice = Choice { name: Some("no such adapter".to_owned()), ..Choice::default() };
     let Err(error) = Gpu::open(&choice) else { panic!("it was opened") };
-    assert_eq!(error.kind, isoparticles_common::error::Kind::Gpu);
+    assert_eq!(error.kind, isoparticles_stage::error::Kind::Gpu);
 }
 
 #[test]
@@ -156,7 +156,7 @@ fn a_lost_device_is_an_error_with_exit_code_3_and_the_run_goes_on_elsewhere() {
         Ok(())
     });
     let Err(error) = lost else { panic!("it was not noticed") };
-    assert_eq!(error.kind, isoparticles_common::error::Kind::Gpu, "{error}");
+    assert_eq!(error.kind, isoparticles_stage::error::Kind::Gpu, "{error}");
     assert!(error.next.contains("--resume"), "{error}");
     assert_eq!(records.len(), 12, "no pass after the loss counts");
     // from the last checkpoint, on a device opened anew
@@ -173,7 +173,7 @@ fn a_buffer_beyond_the_limits_is_refused() {
     let mut memory = Memory::default();
     let most = gpu.limits.max_buffer_size.min(gpu.limits.max_storage_buffer_binding_size);
     let error = memory.make(&gpu, "lists", most + 16, wgpu::BufferUsages::empty()).unwrap_err();
-    assert_eq!(error.kind, isoparticles_common::error::Kind::Gpu);
+    assert_eq!(error.kind, isoparticles_stage::error::Kind::Gpu);
     assert!(error.what.contains("lists") && error.what.contains(&most.to_string()), "{error}");
     assert_eq!(memory.peak(), 0, "nothing was taken");
 }
@@ -185,5 +185,5 @@ fn a_field_beyond_the_limits_is_refused() {
     let scene = Scene::ball(10, 1.6);
     let engine = GpuEngine::new(&gpu, &scene.fields(), &scene.seeds, &Parameters::default(), Binning::Graded);
     let Err(error) = engine else { panic!("it was taken") };
-    assert_eq!(error.kind, isoparticles_common::error::Kind::Gpu);
+    assert_eq!(error.kind, isoparticles_stage::error::Kind::Gpu);
 }

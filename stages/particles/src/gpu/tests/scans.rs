@@ -10,9 +10,9 @@ use crate::gpu::memory::{Memory, download, upload};
 use crate::gpu::parameters::{pass_block, run_block, scan_block};
 use crate::gpu::schedule::{Step, scan};
 use glam::{DVec3, Vec3};
-use isoparticles_common::energy::{pair_energy, scaled_distance};
-use isoparticles_common::geometry::Geometry;
-use isoparticles_common::random::{bits, uniform};
+use isoparticles_field::energy::{pair_energy, scaled_distance};
+use isoparticles_field::random::{bits, uniform};
+use isoparticles_volume::Geometry;
 
 /// Buffers made by hand and single steps over them.
 struct Rig {

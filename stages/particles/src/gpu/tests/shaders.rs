@@ -5,7 +5,7 @@ use crate::gpu::levels::Levels;
 use crate::gpu::parameters::{Block, pass_block, run_block, scan_block};
 use crate::gpu::shaders::{Access, Variant, bindings, sources};
 use glam::{DVec3, Vec3};
-use isoparticles_common::geometry::Geometry;
+use isoparticles_volume::Geometry;
 use naga::valid::{Capabilities, ValidationFlags, Validator};
 use std::fs;
 use std::path::Path;

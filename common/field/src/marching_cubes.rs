@@ -1,0 +1,372 @@
+//! Marching cubes (Lorensen and Cline 1987): a closed, manifold first triangulation of F = iso, from which the stages
+//! take seeds, components and dense samples of the surface.
+//!
+//! The case table is not typed in but derived. Where only two opposite corners of a cell face are inside, the sign of
+//! the bilinear interpolant at its saddle decides whether they are joined across the face (Nielson and Hamann 1991), so that two
+//! cells that share a face always draw the same segments on it; the segments link up into loops, and a loop is cut into
+//! triangles without any diagonal on a cell face. Hence every edge lies in exactly two triangles.
+
+use glam::DVec3;
+use isoparticles_mesh::TriangleMesh;
+use isoparticles_volume::Image;
+use rayon::prelude::*;
+use std::sync::OnceLock;
+
+/// Vertices keep this distance (in edge lengths) from the grid nodes, so that no triangle collapses where a
+/// sample equals the iso value.
+const CLEARANCE: f64 = 1e-3;
+
+/// Slices that one task triangulates.
+const SLICES_PER_TASK: usize = 8;
+
+const NONE: u32 = u32::MAX;
+
+/// The surface between the samples below `iso` (inside) and the others, in the grid frame (mm).
+///
+/// Triangles are counter-clockwise seen from the larger values. Values equal to `iso` count as outside, and so do
+/// NaNs. The mesh is closed unless inside samples lie on the border of the image, and then ends there; its edges and
+/// vertices are manifold. The order of vertices and triangles does not depend on the number of threads.
+pub fn marching_cubes(image: &Image<f32>, iso: f32) -> TriangleMesh {
+    let [nx, ny, nz] = image.geometry.size;
+    if nx < 2 || ny < 2 || nz < 2 {
+        return TriangleMesh::default();
+    }
+    let grid = Grid { image, iso };
+    let slices: Vec<Vec<DVec3>> = (0..nz).into_par_iter().map(|k| grid.slice_vertices(k)).collect();
+    let mut offsets = Vec::with_capacity(nz);
+    let mut total = 0u32;
+    for slice in &slices {
+        offsets.push(total);
+        total += slice.len() as u32;
+    }
+    let mut vertices = slices.concat();
+    drop(slices);
+
+    let cells: Vec<usize> = (0..nz - 1).collect();
+    let parts: Vec<Part> =
+        cells.par_chunks(SLICES_PER_TASK).map(|chunk| grid.triangulate(chunk, &offsets, total, &vertices)).collect();
+    let mut triangles = Vec::with_capacity(parts.iter().map(|part| part.triangles.len()).sum());
+    for part in parts {
+        let shift = vertices.len() as u32 - total;
+        let shifted = |v: u32| if v < total { v } else { v + shift };
+        triangles.extend(part.triangles.into_iter().map(|t| t.map(shifted)));
+        vertices.extend(part.centres);
+    }
+    TriangleMesh { vertices, triangles }
+}
+
+struct Grid<'a> {
+    image: &'a Image<f32>,
+    iso: f32,
+}
+
+/// Triangles of some slices of cells; indices from the number of edge vertices on count `centres`.
+#[derive(Default)]
+struct Part {
+    triangles: Vec<[u32; 3]>,
+    centres: Vec<DVec3>,
+}
+
+/// Vertex numbers on the three grid edges that leave each node of a slice upwards, x fastest.
+struct SliceNumbers {
+    on_edge: Vec<[u32; 3]>,
+}
+
+impl Grid<'_> {
+    /// Visits the crossed grid edges that start in slice `k`, in the order of the vertex numbers.
+    fn each_crossing(&self, k: usize, mut visit: impl FnMut(usize, usize, usize, f32, f32)) {
+        let [nx, ny, nz] = self.image.geometry.size;
+        let data = &self.image.data;
+        for j in 0..ny {
+            let row = (k * ny + j) * nx;
+            for i in 0..nx {
+                let a = data[row + i];
+                let inside = a < self.iso;
+                let mut edge = |axis: usize, end: usize| {
+                    let b = data[end];
+                    if (b < self.iso) != inside {
+                        visit(i, j, axis, a, b);
+                    }
+                };
+                if i + 1 < nx {
+                    edge(0, row + i + 1);
+                }
+                if j + 1 < ny {
+                    edge(1, row + i + nx);
+                }
+                if k + 1 < nz {
+                    edge(2, row + i + nx * ny);
+                }
+            }
+        }
+    }
+
+    fn slice_vertices(&self, k: usize) -> Vec<DVec3> {
+        let mut vertices = Vec::new();
+        self.each_crossing(k, |i, j, axis, a, b| {
+            let t = (f64::from(self.iso) - f64::from(a)) / (f64::from(b) - f64::from(a));
+            let t = if t.is_finite() { t.clamp(CLEARANCE, 1.0 - CLEARANCE) } else { 0.5 };
+            let index = DVec3::new(i as f64, j as f64, k as f64) + DVec3::AXES[axis] * t;
+            vertices.push(self.image.geometry.index_to_grid(index));
+        });
+        vertices
+    }
+
+    fn slice_numbers(&self, k: usize, offset: u32) -> SliceNumbers {
+        let [nx, ny, _] = self.image.geometry.size;
+        let mut on_edge = vec![[NONE; 3]; nx * ny];
+        let mut next = offset;
+        self.each_crossing(k, |i, j, axis, _, _| {
+            on_edge[j * nx + i][axis] = next;
+            next += 1;
+        });
+        SliceNumbers { on_edge }
+    }
+
+    fn triangulate(&self, slices: &[usize], offsets: &[u32], total: u32, vertices: &[DVec3]) -> Part {
+        let [nx, ny, _] = self.image.geometry.size;
+        let table = table();
+        let mut part = Part::default();
+        let mut lower = self.slice_numbers(slices[0], offsets[slices[0]]);
+        for &k in slices {
+            let upper = self.slice_numbers(k + 1, offsets[k + 1]);
+            for j in 0..ny - 1 {
+                let mut case = self.column(0, j, k) << 4;
+                for i in 0..nx - 1 {
+                    case = case >> 4 | self.column(i + 1, j, k) << 4;
+                    if case == 0 || case == 255 {
+                        continue;
+                    }
+                    let number = |e: u8| {
+                        let edge = EDGES[usize::from(e)];
+                        let [di, dj, dk] = offset(edge.corner);
+                        let slice = if dk == 0 { &lower } else { &upper };
+                        slice.on_edge[(j + dj) * nx + i + di][edge.axis]
+                    };
+                    let case = &table[usize::from(case)];
+                    let variant = self.joined_faces(&case.ambiguous, (k * ny + j) * nx + i);
+                    for piece in &case.variants[variant] {
+                        match piece {
+                            Piece::Triangles(list) => {
+                                part.triangles.extend(list.iter().map(|t| t.map(number)));
+                            }
+                            Piece::Fan(cycle) => {
+                                let centre = total + part.centres.len() as u32;
+                                let sum: DVec3 = cycle.iter().map(|&e| vertices[number(e) as usize]).sum();
+                                part.centres.push(sum / cycle.len() as f64);
+                                for (n, &e) in cycle.iter().enumerate() {
+                                    let next = cycle[(n + 1) % cycle.len()];
+                                    part.triangles.push([centre, number(e), number(next)]);
+                                }
+                            }
+                        }
+                    }
+                }
+            }
+            lower = upper;
+        }
+        part
+    }
+
+    /// One bit for each ambiguous face of the cell at `base`: whether its inside corners are joined.
+    fn joined_faces(&self, ambiguous: &[[u8; 4]], base: usize) -> usize {
+        let [nx, ny, _] = self.image.geometry.size;
+        let value = |corner: u8| {
+            let [di, dj, dk] = offset(corner);
+            f64::from(self.image.data[base + (dk * ny + dj) * nx + di]) - f64::from(self.iso)
+        };
+        let joined = ambiguous.iter().enumerate().map(|(n, &face)| {
+            let [a, b, c, d] = face.map(value);
+            usize::from(inside_corners_are_joined([a, c], [b, d])) << n
+        });
+        joined.sum()
+    }
+
+    /// Inside bits of the four nodes at (i, j..j+2, k..k+2), y fastest.
+    fn column(&self, i: usize, j: usize, k: usize) -> u8 {
+        let [nx, ny, _] = self.image.geometry.size;
+        let at = (k * ny + j) * nx + i;
+        let bit = |n: usize| u8::from(self.image.data[n] < self.iso);
+        bit(at) | bit(at + nx) << 1 | bit(at + nx * ny) << 2 | bit(at + nx * ny + nx) << 3
+    }
+}
+
+/// Whether the two opposite `inside` corners of a cell face, the other two being `outside`, are joined across it: whether the
+/// bilinear interpolant of the four values (relative to the iso value) is inside at its saddle. A tie keeps them apart.
+pub fn inside_corners_are_joined(inside: [f64; 2], outside: [f64; 2]) -> bool {
+    inside[0] * inside[1] > outside[0] * outside[1]
+}
+
+// ---- the case table -------------------------------------------------------------------------------------------
+
+/// Bit of a corner number that holds its offset along x, y and z: columns of fixed x are four neighbouring bits.
+const AXIS_BIT: [u8; 3] = [4, 1, 2];
+
+/// Offsets of a corner of the cell.
+fn offset(corner: u8) -> [usize; 3] {
+    AXIS_BIT.map(|bit| usize::from(corner & bit != 0))
+}
+
+/// An edge of the cell: its lower corner and its direction.
+#[derive(Clone, Copy)]
+struct Edge {
+    corner: u8,
+    axis: usize,
+}
+
+const EDGES: [Edge; 12] = edges();
+
+const fn edges() -> [Edge; 12] {
+    let mut list = [Edge { corner: 0, axis: 0 }; 12];
+    let (mut axis, mut n) = (0, 0);
+    while axis < 3 {
+        let mut corner = 0;
+        while corner < 8 {
+            if corner & AXIS_BIT[axis] == 0 {
+                list[n] = Edge { corner, axis };
+                n += 1;
+            }
+            corner += 1;
+        }
+        axis += 1;
+    }
+    list
+}
+
+/// One loop of the contour in a cell, as edges of the cell.
+enum Piece {
+    Triangles(Vec<[u8; 3]>),
+    /// No diagonals exist that avoid the cell faces: triangles round an extra vertex at the mean of the loop.
+    Fan(Vec<u8>),
+}
+
+/// What to draw for one pattern of inside corners.
+struct Case {
+    /// Faces whose inside corners (the first and third) lie opposite each other, in the order of the bits of a variant.
+    ambiguous: Vec<[u8; 4]>,
+    /// The contour for each choice of joined ambiguous faces.
+    variants: Vec<Vec<Piece>>,
+}
+
+fn table() -> &'static [Case] {
+    static TABLE: OnceLock<Vec<Case>> = OnceLock::new();
+    TABLE.get_or_init(|| {
+        let case = |case: u8| {
+            let ambiguous = ambiguous_faces(case);
+            let contour = |variant| loops(case, variant).into_iter().map(cut).collect();
+            Case { variants: (0..1usize << ambiguous.len()).map(contour).collect(), ambiguous }
+        };
+        (0..=255).map(case).collect()
+    })
+}
+
+/// Faces with two opposite corners inside, turned so that these are the first and the third.
+fn ambiguous_faces(case: u8) -> Vec<[u8; 4]> {
+    let pattern = |face: [u8; 4]| face.map(|corner| case >> corner & 1 == 1);
+    faces()
+        .filter_map(|face| match pattern(face) {
+            [true, false, true, false] => Some(face),
+            [false, true, false, true] => Some([face[1], face[2], face[3], face[0]]),
+            _ => None,
+        })
+        .collect()
+}
+
+/// The edge of the cell between two neighbouring corners.
+fn edge_between(a: u8, b: u8) -> u8 {
+    let low = a & b;
+    let found = EDGES.iter().position(|e| e.corner == low && AXIS_BIT[e.axis] == a ^ b);
+    found.expect("neighbouring corners of a face share an edge") as u8
+}
+
+/// The four corners of each face of the cell, counter-clockwise seen from outside the cell.
+fn faces() -> impl Iterator<Item = [u8; 4]> {
+    (0..3usize).flat_map(|axis| {
+        let (b, c) = (AXIS_BIT[(axis + 1) % 3], AXIS_BIT[(axis + 2) % 3]);
+        let far = AXIS_BIT[axis];
+        [[far, far | b, far | b | c, far | c], [0, c, b | c, b]]
+    })
+}
+
+/// Closed loops of the contour on the surface of the cell, the inside on a fixed hand. The bits of `variant` say which of the
+/// ambiguous faces join their inside corners.
+fn loops(case: u8, variant: usize) -> Vec<Vec<u8>> {
+    let inside = |corner: u8| case >> corner & 1 == 1;
+    let mut next = [None; 12];
+    let mut ambiguous = 0;
+    for face in faces() {
+        let is_ambiguous = inside(face[0]) == inside(face[2])
+            && inside(face[1]) != inside(face[0])
+            && inside(face[1]) == inside(face[3]);
+        let joined = is_ambiguous && variant >> ambiguous & 1 == 1;
+        ambiguous += usize::from(is_ambiguous);
+        for start in 0..4 {
+            if !inside(face[start]) || inside(face[(start + 3) % 4]) {
+                continue;
+            }
+            // a run of inside corners from `start` to `end`: one segment cuts it off from the rest ...
+            let mut end = start;
+            while inside(face[(end + 1) % 4]) {
+                end = (end + 1) % 4;
+            }
+            if joined {
+                // ... or runs on to where the opposite run ends, cutting off the outside corner before it
+                end = (end + 2) % 4;
+            }
+            let entering = edge_between(face[(start + 3) % 4], face[start]);
+            let leaving = edge_between(face[end], face[(end + 1) % 4]);
+            next[usize::from(entering)] = Some(leaving);
+        }
+    }
+    let mut loops = Vec::new();
+    for start in 0..12u8 {
+        let mut cycle = Vec::new();
+        let mut edge = start;
+        while let Some(to) = next[usize::from(edge)].take() {
+            cycle.push(edge);
+            edge = to;
+        }
+        if !cycle.is_empty() {
+            loops.push(cycle);
+        }
+    }
+    loops
+}
+
+fn cut(cycle: Vec<u8>) -> Piece {
+    let mut triangles = Vec::new();
+    if cut_without_face_diagonals(&cycle, &mut triangles) { Piece::Triangles(triangles) } else { Piece::Fan(cycle) }
+}
+
+/// Cuts off ears until a triangle is left, going back where only diagonals on a cell face remain.
+fn cut_without_face_diagonals(cycle: &[u8], triangles: &mut Vec<[u8; 3]>) -> bool {
+    if let &[a, b, c] = cycle {
+        triangles.push([a, b, c]);
+        return true;
+    }
+    let n = cycle.len();
+    for ear in 0..n {
+        let (before, after) = (cycle[(ear + n - 1) % n], cycle[(ear + 1) % n]);
+        if share_a_face(before, after) {
+            continue;
+        }
+        triangles.push([before, cycle[ear], after]);
+        let rest: Vec<u8> = cycle.iter().copied().filter(|&e| e != cycle[ear]).collect();
+        if cut_without_face_diagonals(&rest, triangles) {
+            return true;
+        }
+        triangles.pop();
+    }
+    false
+}
+
+fn share_a_face(a: u8, b: u8) -> bool {
+    let ends = |e: u8| {
+        let edge = EDGES[usize::from(e)];
+        [edge.corner, edge.corner | AXIS_BIT[edge.axis]]
+    };
+    faces().any(|face| [ends(a), ends(b)].iter().flatten().all(|corner| face.contains(corner)))
+}
+
+#[cfg(test)]
+mod tests;

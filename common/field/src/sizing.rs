@@ -1,0 +1,197 @@
+//! The sizing field h: target edge length, read by trilinear interpolation, and how many particles it asks for.
+
+use crate::spline::CubicSpline;
+use crate::surface_integral::integrate;
+use glam::DVec3;
+use isoparticles_volume::Image;
+use std::f64::consts::PI;
+
+/// Target edge length h over the grid frame of a distance field.
+#[derive(Clone, Debug)]
+pub struct SizingField {
+    image: Image<f32>,
+}
+
+impl SizingField {
+    /// Wraps an image of edge lengths (mm) whose geometry is that of the distance field.
+    pub fn new(image: Image<f32>) -> Self {
+        Self { image }
+    }
+
+    /// The field whose edge lengths are `factor` times as long.
+    pub fn scaled(&self, factor: f64) -> Self {
+        let data = self.image.data.iter().map(|&h| (factor * f64::from(h)) as f32).collect();
+        Self { image: Image { geometry: self.image.geometry.clone(), data } }
+    }
+
+    /// The image of edge lengths.
+    pub fn image(&self) -> &Image<f32> {
+        &self.image
+    }
+
+    /// Edge length (mm) at a grid position, trilinear, clamped at the border of the volume.
+    pub fn at(&self, grid: DVec3) -> f64 {
+        self.value_gradient(grid).0
+    }
+
+    /// Edge length (mm) and its gradient (dimensionless) at a grid position. The gradient is that of the trilinear cell,
+    /// so it jumps from cell to cell.
+    pub fn value_gradient(&self, grid: DVec3) -> (f64, DVec3) {
+        let cell = Cell::around(&self.image, grid);
+        let value = |x: usize, y: usize, z: usize| cell.value([x, y, z]);
+        let [tx, ty, tz] = cell.fraction;
+        // along x first: the four edges of the cell
+        let (e00, e10) = (mix(value(0, 0, 0), value(1, 0, 0), tx), mix(value(0, 1, 0), value(1, 1, 0), tx));
+        let (e01, e11) = (mix(value(0, 0, 1), value(1, 0, 1), tx), mix(value(0, 1, 1), value(1, 1, 1), tx));
+        let slope = |y: usize, z: usize| value(1, y, z) - value(0, y, z);
+        let gradient = DVec3::new(
+            mix(mix(slope(0, 0), slope(1, 0), ty), mix(slope(0, 1), slope(1, 1), ty), tz),
+            mix(e10 - e00, e11 - e01, tz),
+            mix(e01, e11, ty) - mix(e00, e10, ty),
+        );
+        (mix(mix(e00, e10, ty), mix(e01, e11, ty), tz), gradient / self.image.geometry.spacing)
+    }
+
+    /// Particles for each mm squared of a surface with this unit normal at a grid position: 2 / (sqrt(3) e^2), the density of the
+    /// hexagonal lattice of edge e.
+    ///
+    /// Two particles keep the distance of the smaller of their two h (Eq. 2). So a step up the slope of h is h long, and along a direction in
+    /// which h has the slope s, h grows by the factor 1 + s with each step: there is one to every h ln(1 + s) / s on average. With the slope
+    /// s |cos t| in the direction t, e is the mean of that over all directions, in closed form h (asin s / s) (1 - asin s / pi).
+    pub fn lattice_density(&self, grid: DVec3, normal: DVec3) -> f64 {
+        let (h, gradient) = self.value_gradient(grid);
+        2.0 / (3f64.sqrt() * (h * edge_over_size(gradient.reject_from_normalized(normal).length())).powi(2))
+    }
+
+    /// Number of particles that settle on F = 0: the integral of [`Self::lattice_density`].
+    pub fn predicted_count(&self, surface: &CubicSpline) -> f64 {
+        integrate(surface, |point, normal| self.lattice_density(point, normal))
+    }
+}
+
+/// Value of an image at a grid position, trilinear, clamped at the border of the volume.
+pub fn trilinear(image: &Image<f32>, grid: DVec3) -> f64 {
+    let cell = Cell::around(image, grid);
+    let [tx, ty, tz] = cell.fraction;
+    let along_x = |y: usize, z: usize| mix(cell.value([0, y, z]), cell.value([1, y, z]), tx);
+    mix(mix(along_x(0, 0), along_x(1, 0), ty), mix(along_x(0, 1), along_x(1, 1), ty), tz)
+}
+
+/// Mean edge of the lattice over h where h has this slope along the surface; slopes above 1 count as 1.
+fn edge_over_size(slope: f64) -> f64 {
+    if slope < 1e-6 {
+        return 1.0;
+    }
+    let angle = slope.min(1.0).asin();
+    angle / slope.min(1.0) * (1.0 - angle / PI)
+}
+
+fn mix(a: f64, b: f64, t: f64) -> f64 {
+    a + (b - a) * t
+}
+
+/// The eight voxels round a position.
+struct Cell<'a> {
+    data: &'a [f32],
+    start: usize,
+    step: [usize; 3],
+    fraction: [f64; 3],
+}
+
+impl<'a> Cell<'a> {
+    fn around(image: &'a Image<f32>, grid: DVec3) -> Self {
+        let g = &image.geometry;
+        let index = g.grid_to_index(grid);
+        let mut base = [0usize; 3];
+        let mut fraction = [0.0f64; 3];
+        let mut step = [0usize; 3];
+        let stride = [1, g.size[0], g.size[0] * g.size[1]];
+        for axis in 0..3 {
+            let last = (g.size[axis] - 1) as f64;
+            let x = index[axis].clamp(0.0, last);
+            base[axis] = (x.floor() as usize).min(g.size[axis].saturating_sub(2));
+            fraction[axis] = x - base[axis] as f64;
+            // an axis of one voxel has no neighbour to blend with
+            step[axis] = if g.size[axis] > 1 { stride[axis] } else { 0 };
+        }
+        Self { data: &image.data, start: g.linear(base[0], base[1], base[2]), step, fraction }
+    }
+
+    fn value(&self, corner: [usize; 3]) -> f64 {
+        let at: usize = (0..3).map(|axis| corner[axis] * self.step[axis]).sum();
+        f64::from(self.data[self.start + at])
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::random::uniform;
+    use isoparticles_volume::Geometry;
+
+    #[test]
+    fn trilinear_functions_are_met_exactly_with_their_gradient() {
+        let geometry = Geometry::axis_aligned([5, 4, 6], DVec3::new(0.5, 2.0, 1.25));
+        let h = |p: DVec3| 3.0 + 0.5 * p.x - 0.2 * p.y + 0.1 * p.z + 0.25 * p.x * p.y - 0.125 * p.x * p.y * p.z;
+        let mut image = Image::filled(geometry.clone(), 0.0f32);
+        for n in 0..image.data.len() {
+            let (i, j, k) = (n % 5, n / 5 % 4, n / 20);
+            image.data[n] = h(geometry.index_to_grid(DVec3::new(i as f64, j as f64, k as f64))) as f32;
+        }
+        let field = SizingField::new(image);
+        for n in 0..200 {
+            let p = geometry.upper_corner() * DVec3::new(uniform(1, 0, n), uniform(1, 1, n), uniform(1, 2, n));
+            let (value, gradient) = field.value_gradient(p);
+            assert!((value - h(p)).abs() < 1e-5, "{p}");
+            let want = DVec3::new(
+                0.5 + 0.25 * p.y - 0.125 * p.y * p.z,
+                -0.2 + 0.25 * p.x - 0.125 * p.x * p.z,
+                0.1 - 0.125 * p.x * p.y,
+            );
+            assert!((gradient - want).length() < 2e-5, "{p}: {gradient}, not {want}");
+        }
+        // clamped outside
+        assert_eq!(field.at(DVec3::splat(-3.0)), field.at(DVec3::ZERO));
+        assert_eq!(field.at(2.0 * geometry.upper_corner()), field.at(geometry.upper_corner()));
+    }
+
+    #[test]
+    fn the_edge_is_the_mean_over_all_directions() {
+        for slope in [1e-7, 0.01, 0.2, 0.4, 0.7, 1.0] {
+            let steps = 20_000;
+            let mean = (0..steps)
+                .map(|n| slope * (std::f64::consts::FRAC_PI_2 * (f64::from(n) + 0.5) / f64::from(steps)).cos())
+                .map(|s| s.ln_1p() / s)
+                .sum::<f64>()
+                / f64::from(steps);
+            assert!(
+                (edge_over_size(slope) / mean - 1.0).abs() < 1e-6,
+                "{slope}: {}, not {mean}",
+                edge_over_size(slope)
+            );
+        }
+        assert_eq!(edge_over_size(2.0), edge_over_size(1.0));
+    }
+
+    #[test]
+    fn the_predicted_count_is_the_integral_of_the_density() {
+        let geometry = Geometry::axis_aligned([33; 3], DVec3::splat(0.8));
+        let centre = 0.5 * geometry.upper_corner();
+        let sampled = |f: &dyn Fn(DVec3) -> f64| Image::sampled(geometry.clone(), |p| f(p - centre) as f32);
+        let radius = 10.0;
+        let surface = CubicSpline::new(&sampled(&|p| p.length() - radius));
+        let area = 4.0 * PI * radius * radius;
+        for slope in [0.0, 0.1, 0.3] {
+            let size = |x: f64| 4.0 + slope * x;
+            // rings of the ball between planes of one height have one area
+            let rings = 2000;
+            let want: f64 = (0..rings)
+                .map(|n| -1.0 + (2.0 * f64::from(n) + 1.0) / f64::from(rings))
+                .map(|t| (size(radius * t), slope * (1.0 - t * t).sqrt()))
+                .map(|(h, along)| 2.0 / (3f64.sqrt() * (h * edge_over_size(along)).powi(2)) * area / f64::from(rings))
+                .sum();
+            let count = SizingField::new(sampled(&|p| size(p.x))).predicted_count(&surface);
+            assert!((count / want - 1.0).abs() < 0.002, "slope {slope}: {count}, not {want}");
+        }
+    }
+}

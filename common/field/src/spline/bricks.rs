@@ -1,0 +1,216 @@
+//! The spline near its zero set alone: coefficients in bricks, so that a large image costs no more memory than its surface.
+
+use super::Jet;
+use super::prefilter::SlabFilter;
+use super::stencil::Stencil;
+use glam::{DMat3, DVec3};
+use isoparticles_volume::{Geometry, Image};
+use rayon::prelude::*;
+use std::ops::Range;
+
+/// Cells of a brick along each axis.
+const CELLS: usize = 16;
+
+/// Coefficients that the cells of a brick read, along each axis.
+const SIDE: usize = CELLS + 3;
+
+/// Every brick that comes this near to the zero set is held, in voxels.
+const REACH: usize = 3;
+
+/// In place of the number of a brick that is not held: the spline is negative, or positive, all over it.
+const NEGATIVE: u32 = u32::MAX;
+const POSITIVE: u32 = u32::MAX - 1;
+
+/// An interpolating cubic B-spline that is held only within a few voxels of its zero set; positions in the grid frame, derivatives per mm.
+///
+/// A spline lies within the range of the coefficients that it reads, so a brick of cells with coefficients of one sign holds no zero.
+/// There the spline counts as 1 or -1, without slope.
+#[derive(Clone, Debug)]
+pub struct BrickSpline {
+    geometry: Geometry,
+    /// Number of each brick, x fastest, or [`NEGATIVE`] or [`POSITIVE`].
+    number: Vec<u32>,
+    /// The coefficients of the bricks, one brick after the other.
+    coefficients: Vec<f32>,
+}
+
+/// One layer of bricks.
+#[derive(Clone, Debug)]
+pub struct Layer {
+    /// Slices whose coefficients the layer is made from.
+    pub slices: Range<usize>,
+    /// The slices of its own; every slice is some layer's.
+    pub own: Range<usize>,
+}
+
+/// Makes a [`BrickSpline`] layer by layer.
+pub struct BrickSplineBuilder {
+    spline: BrickSpline,
+}
+
+impl BrickSplineBuilder {
+    /// For a spline on a grid.
+    pub fn new(geometry: Geometry) -> Self {
+        Self { spline: BrickSpline { geometry, number: Vec::new(), coefficients: Vec::new() } }
+    }
+
+    /// The layers, from the first slice of the grid to the last.
+    pub fn layers(geometry: &Geometry) -> impl Iterator<Item = Layer> + use<> {
+        let nz = geometry.size[2];
+        let count = bricks_along(nz);
+        (0..count).map(move |layer| {
+            let first = layer * CELLS;
+            let end = if layer + 1 == count { nz } else { first + CELLS };
+            Layer { slices: first.saturating_sub(1 + REACH)..(first + CELLS + 2 + REACH).min(nz), own: first..end }
+        })
+    }
+
+    /// Adds the next layer, given the coefficients of its slices: those at a y and a z index, along x.
+    pub fn add<'a>(&mut self, layer: &Layer, row: impl Fn(usize, usize) -> &'a [f32] + Sync) {
+        let size = self.spline.geometry.size;
+        let [nx, ny, _] = size;
+        let (columns, rows) = (bricks_along(nx), bricks_along(ny));
+        let k = layer.own.start;
+        let bricks: Vec<Result<Vec<f32>, u32>> = (0..columns * rows)
+            .into_par_iter()
+            .map(|n| brick(size, [n % columns * CELLS, n / columns * CELLS, k], &row))
+            .collect();
+        for brick in bricks {
+            let number = brick.map(|coefficients| {
+                let number = self.spline.coefficients.len() / (SIDE * SIDE * SIDE);
+                self.spline.coefficients.extend_from_slice(&coefficients);
+                number as u32
+            });
+            self.spline.number.push(number.unwrap_or_else(|sign| sign));
+        }
+    }
+
+    /// The spline, when all layers are there.
+    pub fn finish(mut self) -> BrickSpline {
+        self.spline.coefficients.shrink_to_fit();
+        self.spline
+    }
+}
+
+fn bricks_along(nodes: usize) -> usize {
+    nodes.saturating_sub(1).div_ceil(CELLS).max(1)
+}
+
+/// The coefficients of the brick whose lowest cell is `first`, on a grid of `size`; its sign where it is far from the zero set.
+fn brick<'a>(size: [usize; 3], first: [usize; 3], row: &impl Fn(usize, usize) -> &'a [f32]) -> Result<Vec<f32>, u32> {
+    let around = [0, 1, 2].map(|a| first[a].saturating_sub(1 + REACH)..(first[a] + CELLS + 2 + REACH).min(size[a]));
+    let (mut low, mut high) = (f32::INFINITY, f32::NEG_INFINITY);
+    for k in around[2].clone() {
+        for j in around[1].clone() {
+            for &c in &row(j, k)[around[0].clone()] {
+                (low, high) = (low.min(c), high.max(c));
+            }
+        }
+    }
+    if low > 0.0 {
+        return Err(POSITIVE);
+    }
+    if high < 0.0 {
+        return Err(NEGATIVE);
+    }
+    // beyond the grid nothing is read
+    let mut brick = vec![0.0; SIDE * SIDE * SIDE];
+    let held = [0, 1, 2].map(|a| first[a].saturating_sub(1)..(first[a] + CELLS + 2).min(size[a]));
+    for k in held[2].clone() {
+        for j in held[1].clone() {
+            let [i, j_to, k_to] = [held[0].start + 1 - first[0], j + 1 - first[1], k + 1 - first[2]];
+            let row = &row(j, k)[held[0].clone()];
+            brick[(k_to * SIDE + j_to) * SIDE + i..][..row.len()].copy_from_slice(row);
+        }
+    }
+    Ok(brick)
+}
+
+impl BrickSpline {
+    /// The spline through the samples of an image.
+    pub fn new(image: &Image<f32>) -> Self {
+        let geometry = &image.geometry;
+        let plane = geometry.size[0] * geometry.size[1];
+        let fill = |k: usize, slice: &mut [f32]| slice.copy_from_slice(&image.data[k * plane..(k + 1) * plane]);
+        let mut filter = SlabFilter::new(geometry.size);
+        let mut builder = BrickSplineBuilder::new(geometry.clone());
+        for layer in BrickSplineBuilder::layers(geometry) {
+            let coefficients = filter.coefficients(layer.slices.clone(), fill);
+            builder.add(&layer, |j, k| coefficients.row(j, k));
+        }
+        builder.finish()
+    }
+
+    /// The grid.
+    pub fn geometry(&self) -> &Geometry {
+        &self.geometry
+    }
+
+    /// F and its gradient at a grid position (clamped to the volume).
+    #[inline]
+    pub fn value_gradient(&self, grid: DVec3) -> (f64, DVec3) {
+        match self.brick(grid) {
+            Ok((stencil, brick)) => stencil.value_gradient(brick, self.geometry.spacing),
+            Err(sign) => (sign, DVec3::ZERO),
+        }
+    }
+
+    /// F, gradient and Hessian at a grid position (clamped to the volume).
+    #[inline]
+    pub fn jet(&self, grid: DVec3) -> Jet {
+        match self.brick(grid) {
+            Ok((stencil, brick)) => stencil.jet(brick, self.geometry.spacing),
+            Err(sign) => Jet { value: sign, gradient: DVec3::ZERO, hessian: DMat3::ZERO },
+        }
+    }
+
+    /// The stencil of a place and the coefficients of its brick, or the sign of the spline.
+    #[inline]
+    fn brick(&self, grid: DVec3) -> Result<(Stencil, &[f32]), f64> {
+        let stencil = Stencil::new(&self.geometry, grid);
+        let at = stencil.cell().map(|n| n / CELLS);
+        let [nx, ny, _] = self.geometry.size.map(bricks_along);
+        match self.number[(at[2] * ny + at[1]) * nx + at[0]] {
+            NEGATIVE => Err(-1.0),
+            POSITIVE => Err(1.0),
+            number => {
+                let volume = SIDE * SIDE * SIDE;
+                let brick = &self.coefficients[number as usize * volume..][..volume];
+                Ok((stencil.within_block(at.map(|n| n * CELLS), SIDE), brick))
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::CubicSpline;
+    use super::*;
+
+    #[test]
+    fn near_the_zero_set_the_bricks_are_the_spline() {
+        for size in [[70, 43, 61], [18, 17, 16], [4, 5, 3]] {
+            let geometry = Geometry::axis_aligned(size, DVec3::new(0.7, 1.1, 0.9));
+            let centre = 0.5 * geometry.upper_corner();
+            let radius = 0.3 * centre.max_element();
+            let node = |n: usize| {
+                DVec3::new((n % size[0]) as f64, (n / size[0] % size[1]) as f64, (n / (size[0] * size[1])) as f64)
+            };
+            let value = |n: usize| ((geometry.index_to_grid(node(n)) - centre).length() - radius) as f32;
+            let image = Image { data: (0..geometry.voxel_count()).map(value).collect(), geometry: geometry.clone() };
+            let (whole, bricks) = (CubicSpline::new(&image), BrickSpline::new(&image));
+            for n in 0..4000 {
+                let place = |a: u64| crate::random::uniform(5, a, n);
+                let p = DVec3::new(place(0), place(1), place(2)) * geometry.upper_corner();
+                let (jet, found) = (whole.jet(p), bricks.jet(p));
+                if jet.value.abs() < REACH as f64 * 0.7 {
+                    assert!((found.value - jet.value).abs() < 1e-5, "{size:?}: {found:?} {jet:?}");
+                    assert!((found.gradient - jet.gradient).length() < 1e-5);
+                    assert!((found.hessian - jet.hessian).to_cols_array().iter().all(|h| h.abs() < 1e-4));
+                }
+                assert_eq!(found.value < 0.0, jet.value < 0.0, "{size:?} at {p}");
+                assert_eq!(found.value, bricks.value_gradient(p).0);
+            }
+        }
+    }
+}

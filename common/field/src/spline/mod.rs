@@ -1,0 +1,172 @@
+//! The implicit function F: the interpolating cubic B-spline through samples on a grid, with analytic gradient and
+//! Hessian.
+//!
+//! The coefficients come from the exact recursive prefilter (Unser, Aldroubi and Eden 1993; pole sqrt(3) - 2,
+//! mirror boundary), so that F takes the sample values at the samples; without it a ball shrinks by 1/(3R) voxel.
+
+use glam::{DMat3, DVec3};
+use isoparticles_volume::{Geometry, Image};
+use prefilter::{filter_across, filter_slice, scatter};
+use rayon::prelude::*;
+use stencil::Stencil;
+
+mod bricks;
+mod prefilter;
+mod stencil;
+
+pub use bricks::{BrickSpline, BrickSplineBuilder, Layer};
+pub use prefilter::{Coefficients, SlabFilter};
+pub(crate) use stencil::mirror;
+
+/// Newton steps that a projection onto F = 0 may take.
+pub const PROJECTION_STEPS: usize = 25;
+
+/// A projection gives up where the square of the gradient is no larger than this (F is a distance: 1 nearly everywhere).
+pub const LEAST_SQUARED_GRADIENT: f64 = 1e-8;
+
+/// Interpolating cubic B-spline over a grid; positions in the grid frame, derivatives per mm.
+#[derive(Clone, Debug)]
+pub struct CubicSpline {
+    geometry: Geometry,
+    coefficients: Vec<f32>,
+}
+
+/// Value, gradient and Hessian of F at one point.
+#[derive(Clone, Copy, Debug)]
+pub struct Jet {
+    /// F.
+    pub value: f64,
+    /// Gradient, per mm.
+    pub gradient: DVec3,
+    /// Hessian (symmetric), per mm squared.
+    pub hessian: DMat3,
+}
+
+impl CubicSpline {
+    /// Prefilters the samples of an image.
+    pub fn new(image: &Image<f32>) -> Self {
+        let mut coefficients = image.data.clone();
+        let [nx, ny, nz] = image.geometry.size;
+        coefficients
+            .par_chunks_mut(nx * ny)
+            .for_each_init(|| vec![0.0f64; nx * ny], |scratch, slice| filter_slice(slice, nx, ny, scratch));
+        if nz > 1 {
+            let planes = filter_across(&coefficients.chunks(nx * ny).collect::<Vec<_>>(), nx, 0..nz);
+            scatter(&planes, nx, &mut coefficients);
+        }
+        Self { geometry: image.geometry.clone(), coefficients }
+    }
+
+    /// Takes coefficients as they are (already prefiltered).
+    pub fn from_coefficients(geometry: Geometry, coefficients: Vec<f32>) -> Self {
+        assert_eq!(geometry.voxel_count(), coefficients.len(), "one coefficient a voxel");
+        Self { geometry, coefficients }
+    }
+
+    /// The grid.
+    pub fn geometry(&self) -> &Geometry {
+        &self.geometry
+    }
+
+    /// The spline coefficients, x fastest.
+    pub fn coefficients(&self) -> &[f32] {
+        &self.coefficients
+    }
+
+    /// F at a grid position (clamped to the volume).
+    pub fn value(&self, grid: DVec3) -> f64 {
+        Stencil::new(&self.geometry, grid).value(&self.coefficients)
+    }
+
+    /// F and its gradient at a grid position (clamped to the volume).
+    pub fn value_gradient(&self, grid: DVec3) -> (f64, DVec3) {
+        Stencil::new(&self.geometry, grid).value_gradient(&self.coefficients, self.geometry.spacing)
+    }
+
+    /// F, gradient and Hessian at a grid position (clamped to the volume).
+    pub fn jet(&self, grid: DVec3) -> Jet {
+        Stencil::new(&self.geometry, grid).jet(&self.coefficients, self.geometry.spacing)
+    }
+
+    /// Moves a point onto F = 0 by Newton steps along the gradient (Eq. 5 with its sign mended). `limit` is the
+    /// longest total move (mm); `None` when the point runs away, or the gradient vanishes, or [`PROJECTION_STEPS`] are not
+    /// enough to reach |F| <= `tolerance` (mm).
+    pub fn project(&self, start: DVec3, limit: f64, tolerance: f64) -> Option<DVec3> {
+        self.project_with_gradient(start, limit, tolerance).map(|(p, _)| p)
+    }
+
+    /// As [`Self::project`], with the gradient of F at the point reached.
+    pub fn project_with_gradient(&self, start: DVec3, limit: f64, tolerance: f64) -> Option<(DVec3, DVec3)> {
+        let longest = 0.5 * self.geometry.mean_spacing();
+        let mut p = start;
+        for _ in 0..PROJECTION_STEPS {
+            let (f, g) = self.value_gradient(p);
+            let g2 = g.length_squared();
+            // also refuses a gradient that is not a number
+            if g2.partial_cmp(&LEAST_SQUARED_GRADIENT) != Some(std::cmp::Ordering::Greater) {
+                return None;
+            }
+            if f.abs() <= tolerance * g2.sqrt().min(1.0) {
+                return Some((p, g));
+            }
+            p += (-g * (f / g2)).clamp_length_max(longest);
+            if p.distance_squared(start) > limit * limit {
+                return None;
+            }
+        }
+        None
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn smooth(p: DVec3) -> f64 {
+        (0.3 * p.x).sin() * (0.2 * p.y + 0.4).cos() + 0.1 * p.z * p.z * 0.1 + 0.05 * p.x * p.z
+    }
+
+    fn sampled(size: [usize; 3], spacing: DVec3) -> Image<f32> {
+        Image::sampled(Geometry::axis_aligned(size, spacing), |p| smooth(p) as f32)
+    }
+
+    #[test]
+    fn interpolates_the_samples() {
+        for size in [[12, 9, 11], [40, 37, 33], [2, 3, 5]] {
+            let image = sampled(size, DVec3::new(0.7, 1.1, 0.9));
+            let spline = CubicSpline::new(&image);
+            for k in 0..size[2] {
+                for j in 0..size[1] {
+                    for i in 0..size[0] {
+                        let p = image.geometry.index_to_grid(DVec3::new(i as f64, j as f64, k as f64));
+                        let difference = (spline.value(p) - f64::from(image.at(i, j, k))).abs();
+                        assert!(difference < 1e-7 * 40.0, "{size:?} at {i} {j} {k}: off by {difference}");
+                    }
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn derivatives_equal_differences_of_the_value() {
+        let image = sampled([20, 18, 16], DVec3::new(0.7, 1.1, 0.9));
+        let spline = CubicSpline::new(&image);
+        let e = 1e-4;
+        for n in 0..200u64 {
+            let p = DVec3::from_array(std::array::from_fn(|a| {
+                (2.0 + 11.0 * crate::random::uniform(7, a as u64, n)) * image.geometry.spacing[a]
+            }));
+            let jet = spline.jet(p);
+            let (value, gradient) = spline.value_gradient(p);
+            assert!((jet.value - value).abs() < 1e-12 && (jet.value - spline.value(p)).abs() < 1e-12);
+            assert!((jet.gradient - gradient).length() < 1e-12);
+            for a in 0..3 {
+                let step = DVec3::AXES[a] * e;
+                let (up, gu) = spline.value_gradient(p + step);
+                let (down, gd) = spline.value_gradient(p - step);
+                assert!(((up - down) / (2.0 * e) - gradient[a]).abs() < 1e-6);
+                assert!(((gu - gd) / (2.0 * e) - jet.hessian.col(a)).length() < 1e-4);
+            }
+        }
+    }
+}

@@ -1,0 +1,266 @@
+//! Integrals over F = 0 from its crossings with straight lines (Cauchy and Crofton).
+//!
+//! Lines along an axis a, one to every area s, cross a piece of surface of area A and unit normal n on average A |n_a| / s times. So the sum of
+//! s |n_a| over the crossings with lines along all three axes has the mean A (n_x^2 + n_y^2 + n_z^2) = A. The spline is a cubic along a
+//! line within a cell, whose roots are found exactly. So sheets, folds and specks that lie between the nodes count, which the triangles of
+//! marching cubes pass over: on a noisy volume those have a tenth less area than F = 0.
+
+use crate::spline::{CubicSpline, mirror};
+use glam::DVec3;
+use rayon::prelude::*;
+
+/// Lines along each axis through a cell, in each of the two directions across. With two the area of a staircase of labels came out a hundredth too
+/// large, with three as with five.
+const LINES: usize = 3;
+
+/// Halvings of a line within a cell after which what may still be several roots is taken for one (or for none).
+const HALVINGS: u32 = 12;
+
+/// Steps that find a root, at most: each halves what is left where Newton's method does not do better.
+const STEPS: usize = 30;
+
+/// How closely a root is found, as a part of a cell.
+const ACCURACY: f64 = 1e-7;
+
+/// Bézier points of the cubic spline in a cell, x innermost.
+type Patch = [[[f64; 4]; 4]; 4];
+
+/// Integral of `density(point, unit normal)` over F = 0, within the volume; points in the grid frame (mm). The result does not depend on the
+/// number of threads.
+pub fn integrate(surface: &CubicSpline, density: impl Fn(DVec3, DVec3) -> f64 + Sync) -> f64 {
+    let [nx, ny, nz] = surface.geometry().size.map(|n| n.saturating_sub(1));
+    let layers: Vec<f64> = (0..nz)
+        .into_par_iter()
+        .map(|k| {
+            let cells = crossed_cells(surface, k, [nx, ny]);
+            cells.map(|cell| integrate_cell(surface, cell, &patch(surface, cell), &density)).sum()
+        })
+        .collect();
+    layers.iter().sum()
+}
+
+/// The cells of a layer in which F changes its sign, and some more: it lies between the 64 coefficients that a cell depends on.
+fn crossed_cells(surface: &CubicSpline, k: usize, [nx, ny]: [usize; 2]) -> impl Iterator<Item = [usize; 3]> {
+    let [width, height, depth] = surface.geometry().size;
+    let sign = |value: f32| u8::from(value > 0.0) | u8::from(value < 0.0) << 1;
+    let planes = around(k, depth).map(|z| &surface.coefficients()[z * width * height..][..width * height]);
+    let column: Vec<u8> =
+        (0..width * height).map(|n| planes.iter().fold(0, |signs, plane| signs | sign(plane[n]))).collect();
+    (0..ny).flat_map(move |j| {
+        let rows = around(j, height).map(|y| &column[y * width..][..width]);
+        let square: Vec<u8> = (0..width).map(|x| rows.iter().fold(0, |signs, row| signs | row[x])).collect();
+        (0..nx)
+            .filter(move |&i| around(i, width).iter().fold(0, |signs, &x| signs | square[x]) == 3)
+            .map(move |i| [i, j, k])
+    })
+}
+
+/// Places along an axis of `size` samples of the four coefficients that a cell depends on.
+fn around(cell: usize, size: usize) -> [usize; 4] {
+    std::array::from_fn(|n| mirror((cell + n) as isize - 1, size))
+}
+
+/// The part of a cell.
+fn integrate_cell(
+    surface: &CubicSpline,
+    cell: [usize; 3],
+    patch: &Patch,
+    density: &impl Fn(DVec3, DVec3) -> f64,
+) -> f64 {
+    let spacing = surface.geometry().spacing;
+    let corner = DVec3::from_array(cell.map(|n| n as f64));
+    let offset = |n: usize| (n as f64 + 0.5) / LINES as f64;
+    let mut sum = 0.0;
+    for axis in 0..3 {
+        let (b, c) = ((axis + 1) % 3, (axis + 2) % 3);
+        let between = spacing[b] * spacing[c] / (LINES * LINES) as f64;
+        let turned = turn(patch, axis);
+        for v in (0..LINES).map(offset) {
+            let plane = turned.each_ref().map(|points| blend(points, bernstein(v)));
+            for u in (0..LINES).map(offset) {
+                each_root(blend(&plane, bernstein(u)), 0.0, 1.0, HALVINGS, &mut |t| {
+                    let mut at = corner;
+                    (at[axis], at[b], at[c]) = (at[axis] + t, at[b] + u, at[c] + v);
+                    let point = surface.geometry().index_to_grid(at);
+                    let normal = surface.value_gradient(point).1.normalize_or_zero();
+                    sum += between * normal[axis].abs() * density(point, normal);
+                });
+            }
+        }
+    }
+    sum
+}
+
+/// Bézier points of F in the cell whose lowest corner is a node.
+fn patch(surface: &CubicSpline, cell: [usize; 3]) -> Patch {
+    let size = surface.geometry().size;
+    let [xs, ys, zs] = [0, 1, 2].map(|axis| around(cell[axis], size[axis]));
+    let row = |y: usize, z: usize| (z * size[1] + y) * size[0];
+    let mut patch = zs.map(|z| ys.map(|y| xs.map(|x| f64::from(surface.coefficients()[row(y, z) + x]))));
+    for plane in &mut patch {
+        for row in plane.iter_mut() {
+            *row = bezier(*row);
+        }
+        let rows = *plane;
+        for x in 0..4 {
+            let column = bezier(rows.map(|row| row[x]));
+            plane.iter_mut().zip(column).for_each(|(row, value)| row[x] = value);
+        }
+    }
+    let planes = patch;
+    for y in 0..4 {
+        for x in 0..4 {
+            let column = bezier(planes.map(|plane| plane[y][x]));
+            patch.iter_mut().zip(column).for_each(|(plane, value)| plane[y][x] = value);
+        }
+    }
+    patch
+}
+
+/// Bézier points of a segment of a uniform cubic B-spline.
+fn bezier([a, b, c, d]: [f64; 4]) -> [f64; 4] {
+    [(a + 4.0 * b + c) / 6.0, (2.0 * b + c) / 3.0, (b + 2.0 * c) / 3.0, (b + 4.0 * c + d) / 6.0]
+}
+
+/// The Bézier points of a patch by their places along the axis after the given one, the one after that, and the given one.
+fn turn(patch: &Patch, axis: usize) -> Patch {
+    let at = |u: usize, v: usize, t: usize| match axis {
+        0 => patch[v][u][t],
+        1 => patch[u][t][v],
+        _ => patch[t][v][u],
+    };
+    std::array::from_fn(|u| std::array::from_fn(|v| std::array::from_fn(|t| at(u, v, t))))
+}
+
+/// Sum of four points with weights.
+fn blend(points: &[[f64; 4]; 4], weights: [f64; 4]) -> [f64; 4] {
+    std::array::from_fn(|n| points.iter().zip(weights).map(|(point, weight)| weight * point[n]).sum())
+}
+
+/// The four cubic Bernstein polynomials.
+fn bernstein(t: f64) -> [f64; 4] {
+    let s = 1.0 - t;
+    [s * s * s, 3.0 * s * s * t, 3.0 * s * t * t, t * t * t]
+}
+
+/// Calls `found` with every root of a cubic between `low` and `high`, whose Bézier points are given there: halved until the points
+/// change their sign once at most.
+fn each_root(points: [f64; 4], low: f64, high: f64, halvings: u32, found: &mut impl FnMut(f64)) {
+    let changes = points.windows(2).filter(|pair| (pair[0] < 0.0) != (pair[1] < 0.0)).count();
+    if changes == 1 || (halvings == 0 && changes % 2 == 1) {
+        found(low + (high - low) * single_root(points));
+    } else if changes > 0 && halvings > 0 {
+        let [left, right] = halves(points);
+        let middle = 0.5 * (low + high);
+        each_root(left, low, middle, halvings - 1, found);
+        each_root(right, middle, high, halvings - 1, found);
+    }
+}
+
+/// De Casteljau's subdivision at the middle.
+fn halves([a, b, c, d]: [f64; 4]) -> [[f64; 4]; 2] {
+    let (ab, bc, cd) = (0.5 * (a + b), 0.5 * (b + c), 0.5 * (c + d));
+    let (abc, bcd) = (0.5 * (ab + bc), 0.5 * (bc + cd));
+    let middle = 0.5 * (abc + bcd);
+    [[a, ab, abc, middle], [middle, bcd, cd, d]]
+}
+
+/// The root in [0, 1] of a cubic with Bézier points that change their sign once: Newton's method, with bisection where that would leave the
+/// interval in which the root is.
+fn single_root([a, b, c, d]: [f64; 4]) -> f64 {
+    let (c1, c2, c3) = (3.0 * (b - a), 3.0 * (a - 2.0 * b + c), d - a + 3.0 * (b - c));
+    let (mut low, mut high) = (0.0, 1.0);
+    let mut t = a / (a - d);
+    for _ in 0..STEPS {
+        let value = a + t * (c1 + t * (c2 + t * c3));
+        if (value < 0.0) == (a < 0.0) {
+            low = t
+        } else {
+            high = t
+        }
+        let newton = t - value / (c1 + t * (2.0 * c2 + t * 3.0 * c3));
+        let next = if newton > low && newton < high { newton } else { 0.5 * (low + high) };
+        if (next - t).abs() < ACCURACY {
+            return next;
+        }
+        t = next;
+    }
+    t
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::random::uniform;
+    use isoparticles_volume::{Geometry, Image};
+    use std::f64::consts::PI;
+
+    fn spline(size: [usize; 3], spacing: DVec3, f: impl Fn(DVec3) -> f64) -> CubicSpline {
+        CubicSpline::new(&Image::sampled(Geometry::axis_aligned(size, spacing), |p| f(p) as f32))
+    }
+
+    #[test]
+    fn the_area_of_balls_is_theirs() {
+        for n in 0..12 {
+            let centre = DVec3::splat(8.0) + DVec3::new(uniform(1, 0, n), uniform(1, 1, n), uniform(1, 2, n));
+            let r = 3.0 + 0.4 * n as f64;
+            let surface = spline([20, 40, 20], DVec3::new(1.0, 0.5, 1.0), |p| p.distance(centre) - r);
+            let area = integrate(&surface, |_, _| 1.0) / (4.0 * PI * r * r);
+            // the flux of the place through the surface is three times the volume
+            let flux = integrate(&surface, |p, normal| (p - centre).dot(normal)) / (4.0 * PI * r.powi(3));
+            println!("radius {r}: area {area}, flux {flux}");
+            assert!((area - 1.0).abs() < 0.005 && (flux - 1.0).abs() < 0.005, "radius {r}: area {area}, flux {flux}");
+        }
+    }
+
+    #[test]
+    fn planes_count_up_to_the_border_whatever_their_direction() {
+        // z = 6 + a x + b y over [0, 11]^2
+        for (a, b) in [(0.0, 0.0), (0.3, -0.2), (0.4, 0.05), (-0.2, -0.25)] {
+            let surface = spline([12; 3], DVec3::ONE, |p| p.z - 6.0 - a * p.x - b * p.y + 0.01);
+            let want = 121.0 * DVec3::new(a, b, 1.0).length();
+            let area = integrate(&surface, |_, _| 1.0);
+            assert!((area / want - 1.0).abs() < 0.01, "{a} {b}: {area}, not {want}");
+        }
+        assert_eq!(integrate(&spline([12; 3], DVec3::ONE, |p| p.z + 1.0), |_, _| 1.0), 0.0);
+    }
+
+    /// Sheets less than a voxel apart, between the nodes: marching cubes sees none of them.
+    #[test]
+    fn what_lies_between_the_nodes_counts() {
+        let mut image = Image::filled(Geometry::axis_aligned([9, 9, 10], DVec3::ONE), 1.0f32);
+        // along z the spline dips below zero between the two middle ones
+        for (n, value) in image.data.iter_mut().enumerate() {
+            *value = [20.0, 10.0, 5.0, 2.0, 0.1, 0.1, 2.0, 5.0, 10.0, 20.0][n / 81];
+        }
+        assert!(crate::marching_cubes::marching_cubes(&image, 0.0).triangles.is_empty());
+        let surface = CubicSpline::new(&image);
+        assert!(surface.value(DVec3::new(4.3, 4.2, 4.5)) < -0.05);
+        let area = integrate(&surface, |_, _| 1.0);
+        assert!((area / 128.0 - 1.0).abs() < 1e-6, "{area}, not two sheets of 8 x 8");
+    }
+
+    #[test]
+    fn all_roots_of_a_cubic_are_found() {
+        for n in 0..300 {
+            let mut roots: Vec<f64> = (0..3).map(|k| 1.4 * uniform(2, k, n) - 0.2).collect();
+            roots.sort_by(f64::total_cmp);
+            let apart = roots.windows(2).map(|pair| pair[1] - pair[0]).fold(1.0, f64::min);
+            if apart < 1e-3 || roots.iter().any(|r| r.abs().min((r - 1.0).abs()) < 1e-6) {
+                continue;
+            }
+            let [a, b, c] = [roots[0], roots[1], roots[2]];
+            // polar form of (t - a)(t - b)(t - c)
+            let blossom = |t: [f64; 3]| {
+                let orders = [[0, 1, 2], [0, 2, 1], [1, 0, 2], [1, 2, 0], [2, 0, 1], [2, 1, 0]];
+                orders.iter().map(|o| (t[o[0]] - a) * (t[o[1]] - b) * (t[o[2]] - c)).sum::<f64>() / 6.0
+            };
+            let points = [[0.0; 3], [0.0, 0.0, 1.0], [0.0, 1.0, 1.0], [1.0; 3]].map(blossom);
+            let mut found = Vec::new();
+            each_root(points, 0.0, 1.0, HALVINGS, &mut |t| found.push(t));
+            let want: Vec<f64> = roots.into_iter().filter(|r| (0.0..1.0).contains(r)).collect();
+            assert_eq!(found.len(), want.len(), "{found:?}, not {want:?}");
+            assert!(found.iter().zip(&want).all(|(f, w)| (f - w).abs() < 1e-6), "{found:?}, not {want:?}");
+        }
+    }
+}

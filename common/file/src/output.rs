@@ -1,0 +1,193 @@
+//! Outputs: checked before the work starts, written to a temporary name beside the target, and renamed when complete.
+
+use crate::error::{Error, Result};
+use crate::interrupt;
+use std::fs::File;
+use std::io::{self, BufWriter, Write};
+use std::path::{Path, PathBuf};
+use std::sync::{Mutex, PoisonError};
+
+/// Temporary files that exist now, so that the second interrupt can remove them.
+static TEMPORARIES: Mutex<Vec<PathBuf>> = Mutex::new(Vec::new());
+
+/// Refuses an output that exists (without `force`) or whose folder cannot be written to.
+pub fn check_output(path: &Path, force: bool) -> Result<()> {
+    if path.is_dir() {
+        return Err(Error::input(
+            format!("{}: is a folder", path.display()),
+            "the output is a file",
+            "give the name of a file",
+        ));
+    }
+    if path.exists() && !is_special(path) && !force {
+        return Err(Error::input(
+            format!("{}: exists already", path.display()),
+            "an existing output is kept",
+            "give another name, or --force to replace it",
+        ));
+    }
+    if is_special(path) {
+        return Ok(());
+    }
+    temporary_beside(path).map(drop).map_err(|error| cannot_write(path, &error))
+}
+
+/// Writes a file so that it appears under its name only when it is complete; nothing is left after an error, an
+/// interrupt or a full disk.
+pub fn write_atomically(path: &Path, write: impl FnOnce(&mut dyn Write) -> io::Result<()>) -> Result<()> {
+    let attempt = if is_special(path) { write_through(path, write) } else { write_and_rename(path, write) };
+    attempt.map_err(|error| {
+        if error.get_ref().is_some_and(|source| source.is::<Stopped>()) {
+            Error::interrupted(format!("{}: interrupted while writing", path.display()))
+        } else {
+            cannot_write(path, &error)
+        }
+    })
+}
+
+/// Removes the temporary files of this process; for the way out after a second interrupt.
+pub fn remove_temporaries() {
+    for path in temporaries().drain(..) {
+        // Whatever is gone already needs no removing.
+        let _ = std::fs::remove_file(path);
+    }
+}
+
+fn write_and_rename(path: &Path, write: impl FnOnce(&mut dyn Write) -> io::Result<()>) -> io::Result<()> {
+    // A link stays a link; what it points to is replaced.
+    let target = path.canonicalize().unwrap_or_else(|_| path.to_path_buf());
+    let path = target.as_path();
+    let temporary = temporary_beside(path)?;
+    let name = temporary.path().to_path_buf();
+    temporaries().push(name.clone());
+    let result = fill(temporary.as_file(), write).and_then(|()| {
+        temporary.as_file().sync_all()?;
+        temporary.persist(path).map_err(|error| error.error).map(drop)
+    });
+    temporaries().retain(|other| *other != name);
+    result
+}
+
+/// Devices and pipes cannot be renamed to; they are written straight through.
+fn write_through(path: &Path, write: impl FnOnce(&mut dyn Write) -> io::Result<()>) -> io::Result<()> {
+    fill(&File::options().write(true).open(path)?, write)
+}
+
+fn fill(file: &File, write: impl FnOnce(&mut dyn Write) -> io::Result<()>) -> io::Result<()> {
+    let mut writer = BufWriter::with_capacity(1 << 18, Stoppable { file, stopped_before: interrupt::requested() });
+    write(&mut writer)?;
+    writer.flush()
+}
+
+fn temporary_beside(path: &Path) -> io::Result<tempfile::NamedTempFile> {
+    let folder = match path.parent() {
+        Some(folder) if !folder.as_os_str().is_empty() => folder,
+        _ => Path::new("."),
+    };
+    let mut builder = tempfile::Builder::new();
+    builder.prefix(".isoparticles-").suffix(".partial");
+    #[cfg(unix)]
+    {
+        // Like any other new file: readable as the user's umask says, not by the owner alone.
+        use std::os::unix::fs::PermissionsExt;
+        builder.permissions(std::fs::Permissions::from_mode(0o666));
+    }
+    builder.tempfile_in(folder)
+}
+
+fn is_special(path: &Path) -> bool {
+    std::fs::metadata(path).is_ok_and(|metadata| !metadata.is_file() && !metadata.is_dir())
+}
+
+fn cannot_write(path: &Path, error: &io::Error) -> Error {
+    let next = match error.kind() {
+        io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded => "make room on the disk, or write to another one",
+        io::ErrorKind::NotFound => "make the folder first, or correct the name",
+        _ => "check the folder's permissions, or write somewhere else",
+    };
+    Error::input(
+        format!("{}: cannot write: {error}", path.display()),
+        "without it the result of the run is lost; nothing half written is left",
+        next,
+    )
+}
+
+fn temporaries() -> std::sync::MutexGuard<'static, Vec<PathBuf>> {
+    TEMPORARIES.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// A file that stops taking data when the user interrupts. Reports and last checkpoints, whose writing starts after the
+/// interrupt, are let through.
+struct Stoppable<'a> {
+    file: &'a File,
+    stopped_before: bool,
+}
+
+#[derive(Debug, thiserror::Error)]
+#[error("interrupted")]
+struct Stopped;
+
+impl Write for Stoppable<'_> {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        if !self.stopped_before && interrupt::requested() {
+            return Err(io::Error::other(Stopped));
+        }
+        self.file.write(bytes)
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        self.file.flush()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn names(folder: &Path) -> Vec<String> {
+        let mut names: Vec<String> = std::fs::read_dir(folder)
+            .expect("folder")
+            .map(|entry| entry.expect("entry").file_name().to_string_lossy().into_owned())
+            .collect();
+        names.sort();
+        names
+    }
+
+    #[test]
+    fn an_error_leaves_the_old_file_and_nothing_else() {
+        let folder = tempfile::tempdir().expect("folder");
+        let path = folder.path().join("out.bin");
+        write_atomically(&path, |file| file.write_all(b"first")).expect("written");
+        let error = write_atomically(&path, |file| {
+            file.write_all(&[0; 1 << 20])?;
+            Err(io::Error::from(io::ErrorKind::StorageFull))
+        })
+        .expect_err("full");
+        assert!(error.next.contains("make room"), "{error}");
+        assert_eq!(std::fs::read(&path).expect("kept"), b"first");
+        assert_eq!(names(folder.path()), ["out.bin"]);
+    }
+
+    #[test]
+    fn outputs_are_checked_before_the_work() {
+        let folder = tempfile::tempdir().expect("folder");
+        let path = folder.path().join("out.bin");
+        check_output(&path, false).expect("free");
+        assert!(names(folder.path()).is_empty());
+        std::fs::write(&path, b"x").expect("written");
+        assert!(check_output(&path, false).expect_err("exists").next.contains("--force"));
+        check_output(&path, true).expect("forced");
+        assert!(check_output(folder.path(), true).is_err());
+        let absent = folder.path().join("absent/out.bin");
+        assert!(check_output(&absent, false).expect_err("no folder").next.contains("make the folder"));
+    }
+
+    #[test]
+    #[cfg(target_os = "linux")]
+    fn a_full_device_is_an_error() {
+        let path = Path::new("/dev/full");
+        check_output(path, false).expect("a device is never replaced");
+        let error = write_atomically(path, |file| file.write_all(&[1; 4096])).expect_err("full");
+        assert!(error.what.contains("/dev/full") && error.next.contains("make room"), "{error}");
+    }
+}

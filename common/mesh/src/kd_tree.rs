@@ -1,0 +1,260 @@
+//! A balanced k-d tree over points, for nearest-neighbour queries (Bentley 1975), with the smallest box round the points of every part.
+//!
+//! The points are reordered in place into an implicit median tree, so the tree costs one index and some ten bytes of boxes a point and stands any
+//! number of equal coordinates (points on grid planes are the rule here, and some published trees refuse them). The boxes leave out the
+//! space that the points of a surface do not fill: a ball that touches a surface comes near few of them.
+
+use crate::spatial::Bounds;
+use glam::DVec3;
+use std::ops::Range;
+
+const LEAF: usize = 12;
+
+/// Static tree over a set of points.
+#[derive(Clone, Debug, Default)]
+pub struct KdTree {
+    points: Vec<DVec3>,
+    index: Vec<u32>,
+    /// Box round each part; the halves of part n are 2 n + 1 and 2 n + 2.
+    boxes: Vec<Bounds>,
+}
+
+impl KdTree {
+    /// Builds the tree; answers name points by their index in `points`.
+    pub fn new(points: &[DVec3]) -> Self {
+        let mut order: Vec<u32> = (0..points.len() as u32).collect();
+        split(points, &mut order);
+        let mut tree =
+            Self { points: order.iter().map(|&i| points[i as usize]).collect(), index: order, boxes: Vec::new() };
+        tree.bound(0..points.len(), 0);
+        tree
+    }
+
+    /// Number of points.
+    pub fn len(&self) -> usize {
+        self.points.len()
+    }
+
+    /// Whether there is no point.
+    pub fn is_empty(&self) -> bool {
+        self.points.is_empty()
+    }
+
+    /// Index and distance of the nearest point; `None` for an empty tree. The lowest index wins a tie.
+    pub fn nearest(&self, query: DVec3) -> Option<(usize, f64)> {
+        self.nearest_within(query, f64::INFINITY)
+    }
+
+    /// Index and distance of the nearest point closer than `radius`.
+    pub fn nearest_within(&self, query: DVec3, radius: f64) -> Option<(usize, f64)> {
+        self.nearest_of_leaves(query, radius, usize::MAX)
+    }
+
+    /// As [`KdTree::nearest_within`], but no more than so many leaves are looked at, the likeliest first: where all points are
+    /// about equally far, as at the centre of a ball, an exact search would look at every one. The answer is then a point
+    /// nearly as near as the nearest.
+    pub fn nearest_of_leaves(&self, query: DVec3, radius: f64, leaves: usize) -> Option<(usize, f64)> {
+        self.answer(Search { query, best: (u32::MAX, radius * radius), leaves, accept: |_| true })
+    }
+
+    /// Index and distance of the nearest point closer than `radius` among those that `accept` takes by their index. The others are
+    /// passed over one by one, so the points near `query` should not all be refused unless `radius` is small.
+    pub fn nearest_accepted(&self, query: DVec3, radius: f64, accept: impl Fn(u32) -> bool) -> Option<(usize, f64)> {
+        self.answer(Search { query, best: (u32::MAX, radius * radius), leaves: usize::MAX, accept })
+    }
+
+    fn answer<A: Fn(u32) -> bool>(&self, mut search: Search<A>) -> Option<(usize, f64)> {
+        self.search(&mut search, 0..self.points.len(), 0);
+        let (index, squared) = search.best;
+        (index != u32::MAX).then(|| (index as usize, squared.sqrt()))
+    }
+
+    /// Calls `found` with the index and place of every point closer than `radius`, in no order. False when more than so many leaves would have
+    /// to be looked at; some are then missing.
+    pub fn each_within(&self, query: DVec3, radius: f64, leaves: usize, found: &mut impl FnMut(u32, DVec3)) -> bool {
+        let mut left = leaves;
+        self.visit(query, radius * radius, &mut left, found, 0..self.points.len(), 0)
+    }
+
+    fn visit(
+        &self,
+        query: DVec3,
+        squared: f64,
+        leaves: &mut usize,
+        found: &mut impl FnMut(u32, DVec3),
+        part: Range<usize>,
+        number: usize,
+    ) -> bool {
+        if part.is_empty() || distance_squared(&self.boxes[number], query) >= squared {
+            return true;
+        }
+        let mut look = |range: Range<usize>| {
+            for at in range {
+                if self.points[at].distance_squared(query) < squared {
+                    found(self.index[at], self.points[at]);
+                }
+            }
+        };
+        if part.len() <= LEAF {
+            let is_allowed = *leaves > 0;
+            if is_allowed {
+                *leaves -= 1;
+                look(part);
+            }
+            return is_allowed;
+        }
+        let middle = middle(&part);
+        look(middle..middle + 1);
+        self.visit(query, squared, leaves, found, part.start..middle, 2 * number + 1)
+            && self.visit(query, squared, leaves, found, middle + 1..part.end, 2 * number + 2)
+    }
+
+    /// Searches a part of the tree, which has points.
+    fn search<A: Fn(u32) -> bool>(&self, search: &mut Search<A>, part: Range<usize>, number: usize) {
+        if search.leaves == 0 {
+            return;
+        }
+        if part.len() <= LEAF {
+            search.leaves -= 1;
+            part.for_each(|at| search.consider(self.points[at], self.index[at]));
+            return;
+        }
+        let middle = middle(&part);
+        search.consider(self.points[middle], self.index[middle]);
+        let half =
+            |part: Range<usize>, number: usize| (distance_squared(&self.boxes[number], search.query), part, number);
+        let (left, right) = (half(part.start..middle, 2 * number + 1), half(middle + 1..part.end, 2 * number + 2));
+        let halves = if left.0 <= right.0 { [left, right] } else { [right, left] };
+        for (squared, part, number) in halves {
+            // a point as far as the best may have a lower index
+            if squared <= search.best.1 {
+                self.search(search, part, number);
+            }
+        }
+    }
+
+    /// Sets the boxes of a part and of its parts.
+    fn bound(&mut self, part: Range<usize>, number: usize) -> Bounds {
+        let bounds = if part.len() <= LEAF {
+            Bounds::of(&self.points[part])
+        } else {
+            let middle = middle(&part);
+            let left = self.bound(part.start..middle, 2 * number + 1);
+            let right = self.bound(middle + 1..part.end, 2 * number + 2);
+            left.merged(right).merged(Bounds::of(&self.points[middle..middle + 1]))
+        };
+        if number >= self.boxes.len() {
+            self.boxes.resize(number + 1, Bounds::EMPTY);
+        }
+        self.boxes[number] = bounds;
+        bounds
+    }
+}
+
+/// The point of a part that stands between its halves.
+fn middle(part: &Range<usize>) -> usize {
+    part.start + part.len() / 2
+}
+
+fn distance_squared(bounds: &Bounds, query: DVec3) -> f64 {
+    (bounds.low - query).max(query - bounds.high).max(DVec3::ZERO).length_squared()
+}
+
+/// A search under way.
+struct Search<A> {
+    query: DVec3,
+    /// Index and squared distance of the nearest point so far.
+    best: (u32, f64),
+    /// Leaves that may still be looked at.
+    leaves: usize,
+    /// Which points count.
+    accept: A,
+}
+
+impl<A: Fn(u32) -> bool> Search<A> {
+    fn consider(&mut self, point: DVec3, index: u32) {
+        let d = point.distance_squared(self.query);
+        let is_nearer = d < self.best.1 || (d == self.best.1 && index < self.best.0 && self.best.0 != u32::MAX);
+        if is_nearer && (self.accept)(index) {
+            self.best = (index, d);
+        }
+    }
+}
+
+/// Orders the points of every part by the axis along which they reach the farthest, up to its middle.
+fn split(points: &[DVec3], order: &mut [u32]) {
+    if order.len() <= LEAF {
+        return;
+    }
+    let bounds = order.iter().fold(Bounds::EMPTY, |bounds, &i| {
+        let p = points[i as usize];
+        bounds.merged(Bounds { low: p, high: p })
+    });
+    let (middle, axis) = (order.len() / 2, (bounds.high - bounds.low).max_position());
+    order.select_nth_unstable_by(middle, |&a, &b| {
+        points[a as usize][axis].total_cmp(&points[b as usize][axis]).then(a.cmp(&b))
+    });
+    let (left, right) = order.split_at_mut(middle);
+    rayon::join(|| split(points, left), || split(points, &mut right[1..]));
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use isoparticles_field::random::uniform;
+
+    #[test]
+    fn nearest_equals_brute_force_also_on_grid_planes() {
+        for (count, snap) in [(1, 0.0), (5, 0.0), (700, 0.0), (900, 4.0)] {
+            let random = |stream, n| {
+                let x = uniform(11, stream, n);
+                if snap > 0.0 { (x * snap).floor() } else { x }
+            };
+            let points: Vec<DVec3> = (0..count).map(|n| DVec3::new(random(0, n), random(1, n), random(2, n))).collect();
+            let tree = KdTree::new(&points);
+            for n in 0..300 {
+                let q = DVec3::new(uniform(5, 0, n), uniform(5, 1, n), uniform(5, 2, n))
+                    * if snap > 0.0 { snap } else { 1.0 };
+                let want = points.iter().map(|p| p.distance(q)).fold(f64::INFINITY, f64::min);
+                let (at, got) = tree.nearest(q).unwrap();
+                assert!((got - want).abs() < 1e-12 && (points[at].distance(q) - want).abs() < 1e-12);
+                assert!(tree.nearest_within(q, 0.5 * want).is_none());
+                let third = |n: u32| n % 3 == 1;
+                let thirds = points.iter().skip(1).step_by(3).map(|p| p.distance(q));
+                let (want_third, got) =
+                    (thirds.fold(f64::INFINITY, f64::min), tree.nearest_accepted(q, f64::INFINITY, third));
+                assert!(got.map_or(count < 2, |(n, d)| third(n as u32) && (d - want_third).abs() < 1e-12));
+                let radius = 1.7 * want;
+                let mut found = Vec::new();
+                assert!(tree.each_within(q, radius, usize::MAX, &mut |n, p| {
+                    assert_eq!(p, points[n as usize]);
+                    found.push(n);
+                }));
+                found.sort_unstable();
+                let near = |n: &u32| points[*n as usize].distance_squared(q) < radius * radius;
+                assert_eq!(found, (0..count as u32).filter(near).collect::<Vec<_>>());
+            }
+        }
+    }
+
+    #[test]
+    fn a_search_of_few_leaves_ends_soon_and_near_the_truth() {
+        let points: Vec<DVec3> = (0..20_000)
+            .map(|n| {
+                let (z, turn) = (2.0 * uniform(3, 0, n) - 1.0, std::f64::consts::TAU * uniform(3, 1, n));
+                DVec3::new((1.0 - z * z).sqrt() * turn.cos(), (1.0 - z * z).sqrt() * turn.sin(), z) * 10.0
+            })
+            .collect();
+        let tree = KdTree::new(&points);
+        let centre = DVec3::new(1e-3, 0.0, 0.0);
+        let (_, exact) = tree.nearest(centre).unwrap();
+        let (_, near) = tree.nearest_of_leaves(centre, f64::INFINITY, 20).unwrap();
+        assert!(near >= exact && near < exact + 2e-3, "{near} against {exact}");
+        assert!(tree.nearest_of_leaves(centre, 9.0, 20).is_none());
+        assert!(
+            !tree.each_within(centre, 10.1, 20, &mut |_, _| {}) && tree.each_within(centre, 9.0, 20, &mut |_, _| {})
+        );
+        let empty = KdTree::new(&[]);
+        assert!(empty.nearest(DVec3::ZERO).is_none() && empty.each_within(DVec3::ZERO, 1.0, 1, &mut |_, _| {}));
+    }
+}

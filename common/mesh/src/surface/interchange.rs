@@ -1,0 +1,115 @@
+//! Surfaces for other programs: PLY (binary, 64-bit positions and data), STL (binary, 32-bit positions by its nature) and
+//! OBJ (text, positions to the last digit).
+
+use super::{DataArray, Surface};
+use isoparticles_file::history::History;
+use isoparticles_volume::Space;
+use isoparticles_volume::vtk_xml::ascii_json;
+use std::io::{self, Write};
+
+/// Longest piece of history on one comment line; some readers have short line buffers.
+const COMMENT_WIDTH: usize = 200;
+
+/// What the comments say.
+fn comments(surface: &Surface, history: &History) -> Vec<String> {
+    let frame = match surface.space {
+        Space::Lps => "LPS",
+        Space::Unnamed => "of the input",
+    };
+    let mut lines = vec![format!("isoparticles {} {}; world frame {frame}, mm", history.tool, history.version)];
+    // ASCII, so that it may be cut anywhere.
+    let text = ascii_json(history);
+    lines
+        .extend(text.as_bytes().chunks(COMMENT_WIDTH).map(|part| format!("history {}", String::from_utf8_lossy(part))));
+    lines
+}
+
+/// A property name without spaces, one for each component.
+fn property_names(array: &DataArray) -> Vec<String> {
+    let name: String = array.name.chars().map(|c| if c.is_ascii_alphanumeric() { c } else { '_' }).collect();
+    match array.components {
+        1 => vec![name],
+        3 if name.eq_ignore_ascii_case("normals") => ["nx", "ny", "nz"].map(str::to_owned).to_vec(),
+        components => (0..components).map(|component| format!("{name}_{component}")).collect(),
+    }
+}
+
+pub(super) fn write_ply(file: &mut dyn Write, surface: &Surface, history: &History) -> io::Result<()> {
+    writeln!(file, "ply\nformat binary_little_endian 1.0")?;
+    for line in comments(surface, history) {
+        writeln!(file, "comment {line}")?;
+    }
+    let properties = |file: &mut dyn Write, arrays: &[DataArray]| -> io::Result<()> {
+        arrays.iter().flat_map(property_names).try_for_each(|name| writeln!(file, "property double {name}"))
+    };
+    writeln!(file, "element vertex {}", surface.mesh.vertices.len())?;
+    writeln!(file, "property double x\nproperty double y\nproperty double z")?;
+    properties(file, &surface.point_data)?;
+    writeln!(file, "element face {}\nproperty list uchar int vertex_indices", surface.mesh.triangles.len())?;
+    properties(file, &surface.cell_data)?;
+    writeln!(file, "end_header")?;
+    let doubles = |arrays: &[DataArray]| -> Vec<(usize, Vec<f64>)> {
+        arrays.iter().map(|array| (array.components, array.values.to_f64())).collect()
+    };
+    let write_row = |file: &mut dyn Write, arrays: &[(usize, Vec<f64>)], row: usize| -> io::Result<()> {
+        for (components, values) in arrays {
+            for value in &values[row * components..(row + 1) * components] {
+                file.write_all(&value.to_le_bytes())?;
+            }
+        }
+        Ok(())
+    };
+    let data = doubles(&surface.point_data);
+    for (row, vertex) in surface.mesh.vertices.iter().enumerate() {
+        for coordinate in vertex.to_array() {
+            file.write_all(&coordinate.to_le_bytes())?;
+        }
+        write_row(file, &data, row)?;
+    }
+    let data = doubles(&surface.cell_data);
+    for (row, triangle) in surface.mesh.triangles.iter().enumerate() {
+        file.write_all(&[3])?;
+        for index in triangle {
+            file.write_all(&index.to_le_bytes())?;
+        }
+        write_row(file, &data, row)?;
+    }
+    Ok(())
+}
+
+pub(super) fn write_stl(file: &mut dyn Write, surface: &Surface, history: &History) -> io::Result<()> {
+    // Not "solid", by which readers know the text form.
+    let mut header = [b' '; 80];
+    let text = comments(surface, history).swap_remove(0);
+    let length = text.len().min(80);
+    header[..length].copy_from_slice(&text.as_bytes()[..length]);
+    file.write_all(&header)?;
+    let count =
+        u32::try_from(surface.mesh.triangles.len()).map_err(|_| io::Error::other("STL counts to 2^32 triangles"))?;
+    file.write_all(&count.to_le_bytes())?;
+    for triangle in 0..surface.mesh.triangles.len() {
+        let [a, b, c] = surface.mesh.corners(triangle);
+        let normal = (b - a).cross(c - a).normalize_or_zero();
+        for vector in [normal, a, b, c] {
+            for coordinate in vector.to_array() {
+                file.write_all(&(coordinate as f32).to_le_bytes())?;
+            }
+        }
+        file.write_all(&[0; 2])?;
+    }
+    Ok(())
+}
+
+pub(super) fn write_obj(file: &mut dyn Write, surface: &Surface, history: &History) -> io::Result<()> {
+    for line in comments(surface, history) {
+        writeln!(file, "# {line}")?;
+    }
+    for vertex in &surface.mesh.vertices {
+        // Rust prints the shortest text that is read back as the same number.
+        writeln!(file, "v {:?} {:?} {:?}", vertex.x, vertex.y, vertex.z)?;
+    }
+    for [a, b, c] in &surface.mesh.triangles {
+        writeln!(file, "f {} {} {}", u64::from(*a) + 1, u64::from(*b) + 1, u64::from(*c) + 1)?;
+    }
+    Ok(())
+}

@@ -1,0 +1,293 @@
+//! Surfaces out of the pipeline: `.vtp` (everything, read back bit for bit), and `.ply`, `.stl` and `.obj` for other
+//! programs.
+//!
+//! What is written here is in *world* coordinates, with the windings as they are given. The caller maps the mesh from the
+//! grid frame and turns the triangles round where the volume is left-handed: [`Surface::from_grid`] does both.
+
+mod interchange;
+mod vtp;
+
+pub use vtp::read_surface;
+
+use crate::TriangleMesh;
+use glam::DVec3;
+use isoparticles_file::error::{Error, Result};
+use isoparticles_file::history::History;
+use isoparticles_file::limit::bad;
+use isoparticles_file::output::write_atomically;
+use isoparticles_volume::{Geometry, Space, Voxels};
+use serde_json::Value;
+use std::path::Path;
+
+/// Values on the vertices or triangles of a surface.
+#[derive(Clone, Debug, PartialEq)]
+pub struct DataArray {
+    /// Name, as pyvista and ParaView show it.
+    pub name: String,
+    /// Numbers a vertex or triangle.
+    pub components: usize,
+    /// All numbers, those of one vertex or triangle side by side.
+    pub values: Voxels,
+}
+
+impl DataArray {
+    /// One number each.
+    pub fn scalars(name: &str, values: Vec<f64>) -> Self {
+        Self { name: name.to_owned(), components: 1, values: Voxels::F64(values) }
+    }
+
+    /// One whole number each.
+    pub fn integers(name: &str, values: Vec<i64>) -> Self {
+        Self { name: name.to_owned(), components: 1, values: Voxels::I64(values) }
+    }
+
+    /// One vector each.
+    pub fn vectors(name: &str, vectors: &[DVec3]) -> Self {
+        let values = vectors.iter().flat_map(|vector| vector.to_array()).collect();
+        Self { name: name.to_owned(), components: 3, values: Voxels::F64(values) }
+    }
+
+    /// How many vertices or triangles it has values for.
+    pub fn tuples(&self) -> usize {
+        self.values.len() / self.components.max(1)
+    }
+}
+
+/// A surface in the world, with what is known at its vertices and triangles.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Surface {
+    /// Vertices in world coordinates (mm); triangles counter-clockwise seen from outside.
+    pub mesh: TriangleMesh,
+    /// Values on the vertices.
+    pub point_data: Vec<DataArray>,
+    /// Values on the triangles.
+    pub cell_data: Vec<DataArray>,
+    /// The world frame that the vertices are in.
+    pub space: Space,
+}
+
+impl Surface {
+    /// Takes a mesh from the grid frame to the world, with the triangles turned round if the volume is left-handed, so
+    /// that they stay counter-clockwise seen from outside.
+    pub fn from_grid(mesh: &TriangleMesh, geometry: &Geometry) -> Self {
+        let turn = geometry.is_left_handed();
+        let triangles = mesh.triangles.iter().map(|&[a, b, c]| if turn { [a, c, b] } else { [a, b, c] }).collect();
+        let vertices = mesh.vertices.iter().map(|&vertex| geometry.grid_to_world(vertex)).collect();
+        let mesh = TriangleMesh { vertices, triangles };
+        Self { mesh, point_data: Vec::new(), cell_data: Vec::new(), space: geometry.space }
+    }
+}
+
+/// Points, segments and triangles to look at, such as the places where a check failed. World coordinates.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Simplices {
+    /// Positions.
+    pub points: Vec<DVec3>,
+    /// Points to show, as indices.
+    pub vertices: Vec<u32>,
+    /// Segments, as indices.
+    pub edges: Vec<[u32; 2]>,
+    /// Triangles, as indices.
+    pub triangles: Vec<[u32; 3]>,
+    /// Values on all of these, vertices first, then edges, then triangles: the reason, for example.
+    pub cell_data: Vec<DataArray>,
+}
+
+/// A surface file as read.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SurfaceFile {
+    /// The surface.
+    pub surface: Surface,
+    /// What the stage that made it noted.
+    pub meta: Value,
+    /// Its history, if it carries one.
+    pub history: Option<History>,
+}
+
+/// The formats, by the ending of the file's name.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Format {
+    Vtp,
+    Ply,
+    Stl,
+    Obj,
+}
+
+/// Fails unless the ending of the name is one that [`write_surface`] knows; to be asked before the work starts.
+pub fn check_surface_name(path: &Path) -> Result<()> {
+    format(path).map(drop)
+}
+
+fn format(path: &Path) -> Result<Format> {
+    match path.extension().map(|extension| extension.to_string_lossy().to_lowercase()).as_deref() {
+        Some("vtp") => Ok(Format::Vtp),
+        Some("ply") => Ok(Format::Ply),
+        Some("stl") => Ok(Format::Stl),
+        Some("obj") => Ok(Format::Obj),
+        _ => Err(bad(
+            path,
+            "has no ending that tells a surface format",
+            "the format of the output is told by its name",
+            "end the name in .vtp (everything), .ply, .stl or .obj",
+        )),
+    }
+}
+
+/// Writes a surface in the format that its name tells. Only `.vtp` keeps all the data; `.stl` keeps 32-bit positions.
+pub fn write_surface(path: &Path, surface: &Surface, meta: &Value, history: &History) -> Result<()> {
+    let format = format(path)?;
+    let counts = (surface.mesh.vertices.len(), surface.mesh.triangles.len());
+    check_arrays(path, &surface.point_data, counts.0)?;
+    check_arrays(path, &surface.cell_data, counts.1)?;
+    check_indices(path, surface.mesh.triangles.as_flattened(), counts.0)?;
+    match format {
+        Format::Vtp => vtp::write(path, surface, meta, history),
+        Format::Ply => write_atomically(path, |file| interchange::write_ply(file, surface, history)),
+        Format::Stl => write_atomically(path, |file| interchange::write_stl(file, surface, history)),
+        Format::Obj => write_atomically(path, |file| interchange::write_obj(file, surface, history)),
+    }
+}
+
+/// Writes points, segments and triangles as a `.vtp` file.
+pub fn write_simplices(path: &Path, simplices: &Simplices, history: &History) -> Result<()> {
+    let cells = simplices.vertices.len() + simplices.edges.len() + simplices.triangles.len();
+    check_arrays(path, &simplices.cell_data, cells)?;
+    let indices = [&simplices.vertices[..], simplices.edges.as_flattened(), simplices.triangles.as_flattened()];
+    for indices in indices {
+        check_indices(path, indices, simplices.points.len())?;
+    }
+    vtp::write_simplices(path, simplices, history)
+}
+
+/// Arrays must have a value for every vertex or triangle.
+fn check_arrays(path: &Path, arrays: &[DataArray], count: usize) -> Result<()> {
+    match arrays.iter().find(|array| array.values.len() != count * array.components) {
+        None => Ok(()),
+        Some(array) => {
+            Err(our_fault(path, &format!("the array '{}' has {} of {count} values", array.name, array.tuples())))
+        }
+    }
+}
+
+fn check_indices(path: &Path, indices: &[u32], count: usize) -> Result<()> {
+    match indices.iter().find(|&&index| index as usize >= count) {
+        None => Ok(()),
+        Some(index) => Err(our_fault(path, &format!("the index {index} is out of range ({count} vertices)"))),
+    }
+}
+
+fn our_fault(path: &Path, what: &str) -> Error {
+    bad(path, what, "the file would be unreadable", "this is a bug of the program: report it")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use glam::DMat3;
+
+    fn history() -> History {
+        History {
+            tool: "reconstruct".to_owned(),
+            version: "0.1.0".to_owned(),
+            command_line: "reconstruct -i größe.bin".to_owned(),
+            parameters: serde_json::json!({"note": "x".repeat(500)}),
+            inputs: Vec::new(),
+        }
+    }
+
+    /// A tetrahedron, outward in the grid frame.
+    fn tetrahedron() -> TriangleMesh {
+        TriangleMesh {
+            vertices: vec![DVec3::ZERO, DVec3::X, DVec3::Y, DVec3::Z * (1.0 / 3.0)],
+            triangles: vec![[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]],
+        }
+    }
+
+    fn volume(mesh: &TriangleMesh) -> f64 {
+        (0..mesh.triangles.len())
+            .map(|triangle| {
+                let [a, b, c] = mesh.corners(triangle);
+                a.dot(b.cross(c)) / 6.0
+            })
+            .sum()
+    }
+
+    fn surface() -> Surface {
+        let mut geometry = Geometry::axis_aligned([4, 4, 4], DVec3::ONE);
+        geometry.directions = DMat3::from_axis_angle(DVec3::Y, 0.3) * DMat3::from_diagonal(DVec3::new(1.0, -1.0, 1.0));
+        geometry.origin = DVec3::new(10.1, -20.2, 30.3);
+        geometry.space = Space::Lps;
+        let mut surface = Surface::from_grid(&tetrahedron(), &geometry);
+        surface.point_data = vec![
+            DataArray::scalars("sizing", vec![0.1, 0.2, 0.3, 0.4]),
+            DataArray::vectors("normals", &[DVec3::X, DVec3::Y, DVec3::Z, DVec3::NEG_X]),
+        ];
+        surface.cell_data = vec![DataArray::integers("component", vec![0, 0, 1, i64::MAX])];
+        surface
+    }
+
+    #[test]
+    fn a_left_handed_volume_keeps_its_normals_outward() {
+        let expected = volume(&tetrahedron());
+        assert!(expected > 0.0);
+        assert!((volume(&surface().mesh) - expected).abs() < 1e-12);
+    }
+
+    #[test]
+    fn a_vtp_surface_comes_back_bit_for_bit() {
+        let folder = tempfile::tempdir().expect("folder");
+        let path = folder.path().join("case.surface.vtp");
+        let meta = serde_json::json!({"genus": 0});
+        write_surface(&path, &surface(), &meta, &history()).expect("written");
+        let read = read_surface(&path).expect("read");
+        assert_eq!((read.surface, read.meta, read.history), (surface(), meta, Some(history())));
+        let empty = Surface { point_data: vec![], cell_data: vec![], mesh: TriangleMesh::default(), ..surface() };
+        write_surface(&path, &empty, &Value::Null, &history()).expect("written");
+        assert_eq!(read_surface(&path).expect("read").surface, empty);
+    }
+
+    #[test]
+    fn the_other_formats_hold_the_same_triangles() {
+        let folder = tempfile::tempdir().expect("folder");
+        let write = |name: &str| {
+            let path = folder.path().join(name);
+            write_surface(&path, &surface(), &Value::Null, &history()).expect("written");
+            std::fs::read(&path).expect("bytes")
+        };
+        let obj = String::from_utf8(write("a.obj")).expect("text");
+        let positions: Vec<f64> = obj
+            .lines()
+            .filter_map(|line| line.strip_prefix("v "))
+            .flat_map(|line| line.split(' ').map(|word| word.parse().expect("a number")))
+            .collect();
+        let expected: Vec<f64> = surface().mesh.vertices.iter().flat_map(|vertex| vertex.to_array()).collect();
+        assert_eq!(positions, expected);
+        let [a, b, c] = surface().mesh.triangles[0].map(|index| index + 1);
+        assert!(obj.contains(&format!("\nf {a} {b} {c}\n")));
+        assert!(obj.lines().all(|line| line.len() < 256));
+        assert_eq!(write("a.stl").len(), 84 + 4 * 50);
+        let ply = write("a.ply");
+        let end = ply.windows(11).position(|window| window == b"end_header\n").expect("header") + 11;
+        assert_eq!(ply.len() - end, 4 * 7 * 8 + 4 * (1 + 12 + 8));
+        assert_eq!(ply[end..end + 8], expected[0].to_le_bytes());
+    }
+
+    #[test]
+    fn simplices_and_bad_names_and_arrays() {
+        let folder = tempfile::tempdir().expect("folder");
+        let path = folder.path().join("bad.vtp");
+        let simplices = Simplices {
+            points: vec![DVec3::ZERO, DVec3::X, DVec3::Y],
+            vertices: vec![2],
+            edges: vec![[0, 1]],
+            triangles: vec![[0, 1, 2]],
+            cell_data: vec![DataArray::integers("reason", vec![1, 2, 3])],
+        };
+        write_simplices(&path, &simplices, &history()).expect("written");
+        assert!(read_surface(&path).expect_err("no surface").what.contains("simplices"));
+        assert!(check_surface_name(Path::new("mesh.off")).is_err());
+        let mut surface = surface();
+        surface.cell_data[0] = DataArray::scalars("quality", vec![0.5]);
+        assert!(write_surface(&path, &surface, &Value::Null, &history()).is_err());
+    }
+}

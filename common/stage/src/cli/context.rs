@@ -1,0 +1,301 @@
+//! What a running stage says, times, counts and reports.
+
+use super::report::Report;
+use super::{CommonArgs, Outcome, Progress, ProgressMode, interrupt};
+use indicatif::MultiProgress;
+use isoparticles_file::error::{Error, Result};
+use isoparticles_file::history::{History, Input};
+use serde_json::Value;
+use std::io::{IsTerminal, Write};
+use std::path::{Path, PathBuf};
+use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::time::Instant;
+
+/// Version of every stage (they are released together).
+const VERSION: &str = env!("CARGO_PKG_VERSION");
+
+/// Handed to a stage for the length of one run.
+pub struct Context {
+    /// Name of the stage.
+    pub tool: &'static str,
+    /// The shared options.
+    pub common: CommonArgs,
+    command_line: String,
+    outputs: Vec<PathBuf>,
+    started: Instant,
+    bars: MultiProgress,
+    state: Mutex<State>,
+}
+
+/// What is gathered during a run.
+#[derive(Default)]
+struct State {
+    parameters: serde_json::Map<String, Value>,
+    inputs: Vec<Input>,
+    steps: Vec<(String, f64)>,
+    warnings: Vec<String>,
+    results: serde_json::Map<String, Value>,
+    closing: Vec<(String, String)>,
+}
+
+/// Measures one step of the work until it is dropped.
+#[must_use = "the step ends when this is dropped"]
+pub struct Step<'a> {
+    context: &'a Context,
+    name: String,
+    started: Instant,
+}
+
+impl Context {
+    /// A context for one run; `parameters` should be a JSON object.
+    pub fn new(tool: &'static str, command_line: String, common: CommonArgs, parameters: Value) -> Self {
+        let mut map = match parameters {
+            Value::Object(map) => map,
+            Value::Null => serde_json::Map::new(),
+            other => std::iter::once(("value".to_owned(), other)).collect(),
+        };
+        map.entry("seed").or_insert_with(|| common.seed.into());
+        let state = State { parameters: map, ..State::default() };
+        Self {
+            tool,
+            common,
+            command_line,
+            outputs: Vec::new(),
+            started: Instant::now(),
+            bars: MultiProgress::new(),
+            state: Mutex::new(state),
+        }
+    }
+
+    /// The same, with the files that the run will write, none of which may be an input.
+    pub(super) fn with_outputs(mut self, outputs: Vec<PathBuf>) -> Self {
+        self.outputs = outputs;
+        self
+    }
+
+    /// A context that prints nothing, for use as a library and in tests.
+    pub fn silent(tool: &'static str) -> Self {
+        let common = CommonArgs { quiet: true, seed: 1, ..CommonArgs::default() };
+        Self::new(tool, tool.to_owned(), common, Value::Null)
+    }
+
+    /// Seed of the random numbers.
+    pub fn seed(&self) -> u64 {
+        self.common.seed
+    }
+
+    /// Prints a line on stderr, unless `--quiet`.
+    pub fn info(&self, message: impl AsRef<str>) {
+        if !self.common.quiet {
+            self.print(message.as_ref());
+        }
+    }
+
+    /// Prints a line on stderr with `--verbose`.
+    pub fn verbose(&self, message: impl AsRef<str>) {
+        if self.common.verbose > 0 {
+            self.print(message.as_ref());
+        }
+    }
+
+    /// Prints a warning on stderr, also under `--quiet`, and keeps it for the report.
+    pub fn warn(&self, message: impl Into<String>) {
+        let message = message.into();
+        self.print(&format!("warning: {message}"));
+        self.state().warnings.push(message);
+    }
+
+    /// Starts the clock of a step; it stops when the returned value is dropped. Steps of one name add up.
+    pub fn step(&self, name: impl Into<String>) -> Step<'_> {
+        Step { context: self, name: name.into(), started: Instant::now() }
+    }
+
+    /// Shows progress of a piece of work, with a percentage when `total` is known.
+    pub fn progress(&self, total: Option<u64>, label: &str) -> Progress {
+        if self.common.quiet {
+            return Progress::nothing(label, total);
+        }
+        let terminal = || std::io::stderr().is_terminal() && std::env::var_os("TERM").is_none_or(|term| term != "dumb");
+        match self.common.progress {
+            ProgressMode::None => Progress::nothing(label, total),
+            ProgressMode::Lines => Progress::lines(label, total),
+            ProgressMode::Bar => Progress::bar(&self.bars, label, total),
+            ProgressMode::Auto if terminal() => Progress::bar(&self.bars, label, total),
+            ProgressMode::Auto => Progress::lines(label, total),
+        }
+    }
+
+    /// Whether the user has asked to stop.
+    pub fn interrupted(&self) -> bool {
+        interrupt::requested()
+    }
+
+    /// Fails (exit code 130) when the user has asked to stop; long loops call it every so often.
+    pub fn check_interrupt(&self) -> Result<()> {
+        interrupt::check(self.tool)
+    }
+
+    /// Puts a result into the report, under `results`.
+    pub fn report(&self, key: impl Into<String>, value: impl Into<Value>) {
+        self.state().results.insert(key.into(), value.into());
+    }
+
+    /// Puts a line into the closing table and into the report: the adapter used, the number of particles and the like.
+    pub fn summary(&self, key: impl Into<String>, value: impl ToString) {
+        let (key, value) = (key.into(), value.to_string());
+        self.state().results.insert(key.clone(), Value::String(value.clone()));
+        self.state().closing.push((key, value));
+    }
+
+    /// Sets a parameter that was resolved during the run, for the history and the report.
+    pub fn set_parameter(&self, key: impl Into<String>, value: impl Into<Value>) {
+        self.state().parameters.insert(key.into(), value.into());
+    }
+
+    /// Hashes an input file and notes it, with the history that it carries, for the history and the report. Fails if the
+    /// file cannot be read, or is to be replaced by an output of this run.
+    pub fn add_input(&self, path: &Path, history: Option<History>) -> Result<()> {
+        if self.outputs.iter().any(|output| super::same_file(output, path)) {
+            return Err(Error::input(
+                format!("{}: is both an input and an output", path.display()),
+                "the input would be replaced",
+                "give the output another name",
+            ));
+        }
+        let input = Input::of_file(path, history)?;
+        self.state().inputs.push(input);
+        Ok(())
+    }
+
+    /// The history of what this run writes. Call it after the parameters and inputs are known.
+    pub fn history(&self) -> History {
+        let state = self.state();
+        History {
+            tool: self.tool.to_owned(),
+            version: VERSION.to_owned(),
+            command_line: self.command_line.clone(),
+            parameters: Value::Object(state.parameters.clone()),
+            inputs: state.inputs.clone(),
+        }
+    }
+
+    /// Prints the closing table and the error, and writes the report. A report that cannot be written turns a run that
+    /// went well into an error.
+    pub(super) fn close(&self, result: Result<Outcome>) -> Result<Outcome> {
+        if result.is_ok() {
+            self.info(self.closing_table());
+        }
+        let written = match &self.common.report {
+            Some(path) => self.write_report(path, &result),
+            None => Ok(()),
+        };
+        if let Ok(Outcome::ChecksFailed(checks)) = &result {
+            for check in checks {
+                self.print(&format!("check failed: {check}"));
+            }
+        }
+        let result = match written {
+            Ok(()) => result,
+            Err(error) => result.and(Err(error)),
+        };
+        if let Err(error) = &result {
+            self.print(&format!("error: {error}"));
+        }
+        result
+    }
+
+    fn write_report(&self, path: &Path, result: &Result<Outcome>) -> Result<()> {
+        let history = self.history();
+        let state = self.state();
+        let report = Report {
+            history: &history,
+            threads: rayon::current_num_threads(),
+            seconds: self.started.elapsed().as_secs_f64(),
+            steps: &state.steps,
+            warnings: &state.warnings,
+            results: &state.results,
+            result,
+        };
+        report.write(path)
+    }
+
+    fn closing_table(&self) -> String {
+        let state = self.state();
+        let mut rows: Vec<(String, String)> =
+            state.steps.iter().map(|(name, seconds)| (name.clone(), format!("{seconds:.2} s"))).collect();
+        rows.push(("total".to_owned(), format!("{:.2} s", self.started.elapsed().as_secs_f64())));
+        if let Some(bytes) = isoparticles_file::memory::peak_memory() {
+            rows.push(("peak memory".to_owned(), format!("{:.0} MiB", bytes as f64 / (1024.0 * 1024.0))));
+        }
+        rows.push(("threads".to_owned(), rayon::current_num_threads().to_string()));
+        rows.extend(state.closing.iter().cloned());
+        let width = rows.iter().map(|(name, _)| name.chars().count()).max().unwrap_or(0);
+        let lines: Vec<String> = rows.iter().map(|(name, value)| format!("  {name:width$}  {value}")).collect();
+        format!("{}:\n{}", self.tool, lines.join("\n"))
+    }
+
+    fn print(&self, text: &str) {
+        // A closed stderr must not end the run.
+        self.bars.suspend(|| {
+            let _ = writeln!(std::io::stderr(), "{text}");
+        });
+    }
+
+    fn state(&self) -> MutexGuard<'_, State> {
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl Drop for Step<'_> {
+    fn drop(&mut self) {
+        let seconds = self.started.elapsed().as_secs_f64();
+        self.context.verbose(format!("{}: {seconds:.2} s", self.name));
+        let mut state = self.context.state();
+        match state.steps.iter_mut().find(|(name, _)| *name == self.name) {
+            Some((_, total)) => *total += seconds,
+            None => state.steps.push((self.name.clone(), seconds)),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn steps_add_up_and_the_history_holds_the_seed() {
+        let context = Context::silent("seed");
+        drop(context.step("march"));
+        drop(context.step("project"));
+        drop(context.step("march"));
+        context.set_parameter("epsilon", 0.5);
+        let table = context.closing_table();
+        assert_eq!(table.matches("march").count(), 1, "{table}");
+        let history = context.history();
+        assert_eq!(history.parameters, serde_json::json!({"seed": 1, "epsilon": 0.5}));
+    }
+
+    #[test]
+    fn the_report_is_written_for_every_outcome() {
+        let folder = tempfile::tempdir().expect("folder");
+        let path = folder.path().join("report.json");
+        let outcomes = [
+            (Ok(Outcome::Passed), "passed", 0),
+            (Ok(Outcome::ChecksFailed(vec!["two holes".into()])), "checks_failed", 1),
+            (Err(Error::input("a.nrrd: is empty", "b", "c")), "error", 2),
+            (Err(Error::gpu("no adapter", "b", "c")), "error", 3),
+            (Err(Error::interrupted("seed: interrupted")), "interrupted", 130),
+        ];
+        for (result, name, code) in outcomes {
+            let mut context = Context::silent("seed");
+            context.common.report = Some(path.clone());
+            context.report("particles", 12);
+            let result = context.close(result);
+            assert_eq!(super::super::exit_code(&result), code);
+            let report: Value = serde_json::from_slice(&std::fs::read(&path).expect("report")).expect("JSON");
+            assert_eq!(report["outcome"], name);
+            assert_eq!(report["exit_code"], code);
+            assert_eq!(report["results"]["particles"], 12);
+        }
+    }
+}

@@ -1,0 +1,59 @@
+//! Memory: work that is expected to take more than there is, or more than is allowed, is refused before it starts.
+
+use super::Context;
+use isoparticles_file::error::{Error, Result};
+use isoparticles_file::memory::available_memory;
+
+impl Context {
+    /// Refuses work that is expected to take more memory than `--max-memory`, or than the machine has free.
+    ///
+    /// # Errors
+    /// When `needed` bytes are more than that; `what` says of what (a file and a figure), `next` how to need less.
+    pub fn check_memory(&self, needed: f64, what: &str, next: &str) -> Result<()> {
+        let (limit, whose) = match (self.common.max_memory, available_memory()) {
+            (Some(limit), _) => (limit, "--max-memory allows"),
+            (None, Some(limit)) => (limit, "this machine has free"),
+            (None, None) => return Ok(()),
+        };
+        self.verbose(format!("memory expected: {} of {}", in_words(needed), in_words(limit as f64)));
+        if needed <= limit as f64 {
+            return Ok(());
+        }
+        Err(Error::input(
+            format!("{what}: that takes about {} of memory", in_words(needed)),
+            format!("{whose} {}; the run would be killed, or take hours on a swapping disk", in_words(limit as f64)),
+            format!("{next}; or --max-memory {:.0}G if the memory is there all the same", (needed / GIB).ceil()),
+        ))
+    }
+}
+
+/// Most memory that the stages hold for so many particles on a grid of so many nodes, bytes: `reconstruct` needs most, up to 1,403 bytes a particle
+/// (`docs/performance.md`, real volumes), and 15.5 a node (`stages/distfield/benches/costs.py`).
+pub fn particles_bytes(particles: f64, nodes: usize) -> f64 {
+    1403.0 * particles + 15.5 * nodes as f64
+}
+
+const GIB: f64 = (1u64 << 30) as f64;
+
+/// Bytes as a person reads them.
+fn in_words(bytes: f64) -> String {
+    if bytes >= GIB { format!("{:.1} GiB", bytes / GIB) } else { format!("{:.0} MiB", bytes / (1u64 << 20) as f64) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::Context;
+
+    #[test]
+    fn what_takes_more_than_allowed_is_refused_with_the_figure() {
+        let mut context = Context::silent("seed");
+        context.common.max_memory = Some(3 << 29);
+        assert!(context.check_memory(1e9, "a.vti: 7 particles", "use a larger h").is_ok());
+        let error = context.check_memory(3e9, "a.vti: 7 particles", "use a larger h").expect_err("too much");
+        assert_eq!(error.what, "a.vti: 7 particles: that takes about 2.8 GiB of memory");
+        assert!(error.why.starts_with("--max-memory allows 1.5 GiB"), "{error}");
+        assert!(error.next.contains("use a larger h; or --max-memory 3G"), "{error}");
+        context.common.max_memory = None;
+        assert_eq!(context.check_memory(1e18, "", "").is_err(), super::available_memory().is_some());
+    }
+}

@@ -1,0 +1,232 @@
+//! The fields between the stages: signed distance and target edge length, as VTK image files.
+//!
+//! The file places the grid in the world (Origin, Spacing and Direction), so that ParaView and pyvista show it where it
+//! belongs; its field data carries the exact geometry, a note of what was measured, and the history. A file that was edited
+//! and saved again by pyvista is read as well, whatever is left of that.
+
+use isoparticles_file::error::{Error, Result};
+use isoparticles_file::history::History;
+use isoparticles_file::limit::bad;
+use isoparticles_file::output::write_atomically;
+use isoparticles_volume::vtk_xml::{Document, Payload, VtkFile, ascii_json};
+use isoparticles_volume::{Geometry, Image, vti};
+use serde_json::Value;
+use std::path::Path;
+
+/// Version of the field files that is written. Version 1 had VTK's strings where there are bytes now.
+const VERSION: u32 = 2;
+/// Versions that are read.
+const READ_VERSIONS: [u32; 2] = [1, VERSION];
+
+/// Which field a file holds.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum FieldKind {
+    /// Signed distance to the surface in mm, negative inside: made by `distfield`.
+    Distance,
+    /// Target edge length h in mm: made by `sizefield`.
+    Sizing,
+}
+
+impl FieldKind {
+    /// Name of the file kind, which is the stage that makes it.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Distance => "distfield",
+            Self::Sizing => "sizefield",
+        }
+    }
+
+    /// Name of the point array.
+    pub fn array_name(self) -> &'static str {
+        match self {
+            Self::Distance => "signed_distance",
+            Self::Sizing => "sizing",
+        }
+    }
+}
+
+/// A field as read.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Field {
+    /// Its values and geometry.
+    pub image: Image<f32>,
+    /// What the stage that made it noted; null in a file that another program wrote.
+    pub meta: Value,
+    /// Its history, if it carries one.
+    pub history: Option<History>,
+    /// Which field it is.
+    pub kind: FieldKind,
+}
+
+/// Writes a field; values must be finite. Fails if the file cannot be written.
+pub fn write_field(path: &Path, kind: FieldKind, image: &Image<f32>, meta: &Value, history: &History) -> Result<()> {
+    let mut document = Document::new("ImageData");
+    vti::open_image(&mut document, &image.geometry);
+    let texts = [("geometry", ascii_json(&image.geometry)), ("meta", ascii_json(meta))];
+    document.identity(kind.name(), VERSION, &texts, history);
+    document.open("Piece", &[("Extent", vti::piece_extent(&image.geometry))]);
+    document.open("PointData", &[("Scalars", kind.array_name().to_owned())]);
+    document.array(kind.array_name(), 1, Payload::F32(&image.data));
+    write_atomically(path, |file| document.write(file))
+}
+
+/// Reads a field of the expected kind.
+pub fn read_field(path: &Path, expected: FieldKind) -> Result<Field> {
+    let file = VtkFile::open(path)?;
+    let image = file.data_set("ImageData")?;
+    let found = file.text(image, "isoparticles_kind")?;
+    if let Some(found) = found.filter(|found| found != expected.name()) {
+        return Err(wrong_kind(path, expected, &format!("is a {found} file")));
+    }
+    if let Some(array) = image.child("FieldData").and_then(|field| field.array("isoparticles_format")) {
+        let version = file.all_numbers(array)?.to_f64();
+        if !matches!(version[..], [version] if READ_VERSIONS.map(f64::from).contains(&version)) {
+            return Err(bad(
+                path,
+                format!("has format version {version:?}; this program reads versions {READ_VERSIONS:?}"),
+                "its contents may mean something else",
+                format!("run {} again to make it anew", expected.name()),
+            ));
+        }
+    }
+    let geometry = vti::geometry(path, &file)?;
+    let array = file.piece("ImageData")?.child("PointData").and_then(|arrays| arrays.array(expected.array_name()));
+    let array = array
+        .ok_or_else(|| wrong_kind(path, expected, &format!("has no point array named '{}'", expected.array_name())))?;
+    if VtkFile::components(array) != 1 {
+        return Err(wrong_kind(path, expected, "has more than one number a voxel"));
+    }
+    let data = match file.numbers(array, geometry.voxel_count())? {
+        isoparticles_volume::Voxels::F32(data) => data,
+        other => other.to_f32(),
+    };
+    check_values(path, expected, &data)?;
+    let meta = file.text(image, "meta")?.and_then(|text| serde_json::from_str(&text).ok()).unwrap_or(Value::Null);
+    let history = file.text(image, "history")?.and_then(|text| serde_json::from_str(&text).ok());
+    Ok(Field { image: Image { geometry, data }, meta, history, kind: expected })
+}
+
+/// Fails unless two fields live on the same grid, but for the rounding of files that went through another program.
+pub fn check_same_grid(first: (&Path, &Geometry), second: (&Path, &Geometry)) -> Result<()> {
+    if vti::same_grid(first.1, second.1) {
+        return Ok(());
+    }
+    Err(Error::input(
+        format!(
+            "{} and {} do not lie on the same grid (sizes {:?} and {:?}, spacings {} and {}, origins {} and {})",
+            first.0.display(),
+            second.0.display(),
+            first.1.size,
+            second.1.size,
+            first.1.spacing,
+            second.1.spacing,
+            first.1.origin,
+            second.1.origin,
+        ),
+        "their voxels cannot be matched",
+        "give files made from one and the same distance field",
+    ))
+}
+
+fn wrong_kind(path: &Path, expected: FieldKind, what: &str) -> Error {
+    bad(
+        path,
+        what,
+        format!("this stage needs the {} field that {} writes", expected.array_name(), expected.name()),
+        format!("give that file, or run {} to make it", expected.name()),
+    )
+}
+
+/// Distances must be finite, edge lengths positive as well.
+fn check_values(path: &Path, kind: FieldKind, data: &[f32]) -> Result<()> {
+    let is_bad = |value: &&f32| !value.is_finite() || (kind == FieldKind::Sizing && **value <= 0.0);
+    let count = data.iter().filter(is_bad).count();
+    let Some(first) = data.iter().find(is_bad) else { return Ok(()) };
+    let why = match kind {
+        FieldKind::Distance => "distances are finite numbers",
+        FieldKind::Sizing => "target edge lengths are finite and greater than zero",
+    };
+    Err(bad(
+        path,
+        format!("{count} values of '{}' are not usable, such as {first}", kind.array_name()),
+        why,
+        format!("correct them, or run {} again", kind.name()),
+    ))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use glam::{DMat3, DVec3};
+    use isoparticles_volume::Space;
+
+    fn oblique() -> Geometry {
+        let turn = DMat3::from_axis_angle(DVec3::new(1.0, 2.0, -0.5).normalize(), 0.7);
+        Geometry {
+            size: [4, 3, 2],
+            spacing: DVec3::new(0.1, 1.0 / 3.0, 2.5),
+            directions: turn * DMat3::from_diagonal(DVec3::new(1.0, 1.0, -1.0)),
+            origin: DVec3::new(-101.7, 0.1 + 0.2, 1e-7),
+            space: Space::Lps,
+        }
+    }
+
+    fn history() -> History {
+        History {
+            tool: "distfield".to_owned(),
+            version: "0.1.0".to_owned(),
+            command_line: "distfield Größe.nrrd <1> & \"2\"".to_owned(),
+            parameters: serde_json::json!({"iso": 0.5, "seed": 1}),
+            inputs: Vec::new(),
+        }
+    }
+
+    #[test]
+    fn a_field_comes_back_bit_for_bit() {
+        let folder = tempfile::tempdir().expect("folder");
+        let path = folder.path().join("case.distfield.vti");
+        let geometry = oblique();
+        let mut data: Vec<f32> = (0..24).map(|i| (i as f32 - 11.3) / 7.0).collect();
+        data[3] = -0.0;
+        data[4] = f32::MIN_POSITIVE / 4.0;
+        let image = Image { geometry, data };
+        let meta = serde_json::json!({"zero crossings": 12, "unit": "µm"});
+        write_field(&path, FieldKind::Distance, &image, &meta, &history()).expect("written");
+        let field = read_field(&path, FieldKind::Distance).expect("read");
+        assert_eq!(field.image.geometry, image.geometry);
+        let bits = |data: &[f32]| data.iter().map(|value| value.to_bits()).collect::<Vec<_>>();
+        assert_eq!(bits(&field.image.data), bits(&image.data));
+        assert_eq!(field.meta, meta);
+        assert_eq!(field.history, Some(history()));
+        let volume = isoparticles_volume::read_volume(&path).expect("also a volume");
+        assert_eq!(volume.voxels, isoparticles_volume::Voxels::F32(image.data));
+    }
+
+    #[test]
+    fn the_wrong_field_names_the_stage_to_run() {
+        let folder = tempfile::tempdir().expect("folder");
+        let path = folder.path().join("case.distfield.vti");
+        let mut image = Image::filled(oblique(), 1.0f32);
+        write_field(&path, FieldKind::Distance, &image, &Value::Null, &history()).expect("written");
+        let error = read_field(&path, FieldKind::Sizing).expect_err("wrong kind");
+        assert!(error.what.contains("distfield") && error.next.contains("sizefield"), "{error}");
+        image.data[5] = 0.0;
+        write_field(&path, FieldKind::Sizing, &image, &Value::Null, &history()).expect("written");
+        let error = read_field(&path, FieldKind::Sizing).expect_err("h of zero");
+        assert!(error.what.contains("1 values"), "{error}");
+    }
+
+    #[test]
+    fn every_truncation_is_an_error() {
+        let folder = tempfile::tempdir().expect("folder");
+        let path = folder.path().join("case.distfield.vti");
+        let image = Image::filled(oblique(), 1.0f32);
+        write_field(&path, FieldKind::Distance, &image, &Value::Null, &history()).expect("written");
+        let whole = std::fs::read(&path).expect("bytes");
+        let footer = b"\n  </AppendedData>\n</VTKFile>\n".len();
+        for length in 0..whole.len() - footer {
+            std::fs::write(&path, &whole[..length]).expect("cut");
+            assert!(read_field(&path, FieldKind::Distance).is_err(), "cut to {length} bytes");
+        }
+    }
+}

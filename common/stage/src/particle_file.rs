@@ -1,0 +1,289 @@
+//! Particles between the stages: bincode inside a container that tells its kind, version, length and checksum.
+//!
+//! Container: 8 bytes magic, then little endian: kind (u32), format version (u32), length of the payload (u64), BLAKE3 hash
+//! of the payload (32 bytes), payload. Payload: bincode (fixed-width little-endian integers) of the particle set, the JSON
+//! texts of meta and history, and bytes that belong to the checkpoint alone.
+
+use isoparticles_field::particle_set::ParticleSet;
+use isoparticles_file::error::{Error, Result};
+use isoparticles_file::history::History;
+use isoparticles_file::limit::{bad, check_memory};
+use isoparticles_file::output::write_atomically;
+use serde::{Deserialize, Serialize};
+use serde_json::Value;
+use std::io::Read;
+use std::path::Path;
+
+const MAGIC: [u8; 8] = *b"ISOPART\n";
+/// Version of the container that is written.
+const VERSION: u32 = 1;
+/// Bytes in front of the payload.
+const HEADER_BYTES: usize = 56;
+
+/// What the particles in a file are.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ParticleKind {
+    /// First particles, made by `seed`.
+    Seeds,
+    /// Settled particles, made by `particles`.
+    Particles,
+    /// Half-settled particles with the state to go on from, made by `particles`.
+    Checkpoint,
+}
+
+impl ParticleKind {
+    const ALL: [Self; 3] = [Self::Seeds, Self::Particles, Self::Checkpoint];
+
+    /// Name of the file kind.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Seeds => "seeds",
+            Self::Particles => "particles",
+            Self::Checkpoint => "checkpoint",
+        }
+    }
+
+    /// The stage that makes it.
+    pub fn stage(self) -> &'static str {
+        match self {
+            Self::Seeds => "seed",
+            Self::Particles | Self::Checkpoint => "particles",
+        }
+    }
+
+    fn number(self) -> u32 {
+        match self {
+            Self::Seeds => 1,
+            Self::Particles => 2,
+            Self::Checkpoint => 3,
+        }
+    }
+}
+
+/// A particle file as read.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ParticleFile {
+    /// What the particles are.
+    pub kind: ParticleKind,
+    /// The particles.
+    pub particles: ParticleSet,
+    /// What the stage that made it noted.
+    pub meta: Value,
+    /// Its history.
+    pub history: History,
+    /// Bytes that only the stage that wrote them understands; empty but in checkpoints.
+    pub extra: Vec<u8>,
+}
+
+#[derive(Serialize)]
+struct PayloadOut<'a> {
+    particles: &'a ParticleSet,
+    meta: String,
+    history: String,
+    extra: &'a [u8],
+}
+
+#[derive(Deserialize)]
+struct PayloadIn {
+    particles: ParticleSet,
+    meta: String,
+    history: String,
+    extra: Vec<u8>,
+}
+
+fn configuration() -> impl bincode::config::Config {
+    bincode::config::standard().with_fixed_int_encoding().with_little_endian()
+}
+
+/// Writes particles.
+pub fn write_particles(
+    path: &Path,
+    kind: ParticleKind,
+    particles: &ParticleSet,
+    meta: &Value,
+    history: &History,
+) -> Result<()> {
+    write_particles_with(path, kind, particles, meta, history, &[])
+}
+
+/// Writes particles with bytes that belong to the checkpoint alone.
+pub fn write_particles_with(
+    path: &Path,
+    kind: ParticleKind,
+    particles: &ParticleSet,
+    meta: &Value,
+    history: &History,
+    extra: &[u8],
+) -> Result<()> {
+    let unencodable = |error: String| bad(path, error, "the particles cannot be put into bytes", "report this bug");
+    let json = |value: serde_json::Result<String>| value.map_err(|error| unencodable(error.to_string()));
+    let payload = PayloadOut {
+        particles,
+        meta: json(serde_json::to_string(meta))?,
+        history: json(serde_json::to_string(history))?,
+        extra,
+    };
+    let payload =
+        bincode::serde::encode_to_vec(&payload, configuration()).map_err(|error| unencodable(error.to_string()))?;
+    write_atomically(path, |file| {
+        file.write_all(&MAGIC)?;
+        file.write_all(&kind.number().to_le_bytes())?;
+        file.write_all(&VERSION.to_le_bytes())?;
+        file.write_all(&(payload.len() as u64).to_le_bytes())?;
+        file.write_all(blake3::hash(&payload).as_bytes())?;
+        file.write_all(&payload)
+    })
+}
+
+/// Reads particles of one of the accepted kinds.
+pub fn read_particles(path: &Path, accepted: &[ParticleKind]) -> Result<ParticleFile> {
+    let cannot = |error: std::io::Error| Error::file(path, "read", &error, "check the name of the particle file");
+    let mut file = std::fs::File::open(path).map_err(cannot)?;
+    let length = file.metadata().map_err(cannot)?.len();
+    let mut header = Vec::new();
+    Read::take(&mut file, HEADER_BYTES as u64).read_to_end(&mut header).map_err(cannot)?;
+    let wanted: Vec<&str> = accepted.iter().map(|kind| kind.name()).collect();
+    let stage = accepted.first().map_or("seed", |kind| kind.stage());
+    let refuse = |what: String, why: String| bad(path, what, why, format!("run {stage} again to make it anew"));
+    if !header.starts_with(&MAGIC) {
+        return Err(refuse(
+            "is not a particle file of this program".to_owned(),
+            format!("this stage reads {}", wanted.join(" or ")),
+        ));
+    }
+    let cut_short = || refuse("is cut short".to_owned(), "some of its particles are missing".to_owned());
+    let header: [u8; HEADER_BYTES] = header.try_into().map_err(|_| cut_short())?;
+    let word = |at: usize| u32::from_le_bytes([header[at], header[at + 1], header[at + 2], header[at + 3]]);
+    let (number, version) = (word(8), word(12));
+    if version != VERSION {
+        return Err(refuse(
+            format!("has format version {version}; this program reads version {VERSION}"),
+            "its bytes mean something else".to_owned(),
+        ));
+    }
+    let kind = ParticleKind::ALL.into_iter().find(|kind| kind.number() == number);
+    let kind = kind.filter(|kind| accepted.contains(kind)).ok_or_else(|| {
+        let found = kind.map_or(format!("particles of the unknown kind {number}"), |kind| kind.name().to_owned());
+        refuse(format!("holds {found}"), format!("this stage reads {}", wanted.join(" or ")))
+    })?;
+    let promised = u64::from(word(16)) | u64::from(word(20)) << 32;
+    let found = length.saturating_sub(HEADER_BYTES as u64);
+    if found < promised {
+        return Err(cut_short());
+    }
+    if found > promised {
+        return Err(refuse(
+            format!("has {} bytes behind its end", found - promised),
+            "something else was written to it".to_owned(),
+        ));
+    }
+    check_memory(path, promised.saturating_mul(2))?;
+    let mut payload = Vec::new();
+    file.read_to_end(&mut payload).map_err(cannot)?;
+    let damaged = |what: &str| refuse(what.to_owned(), "the file is damaged".to_owned());
+    if blake3::hash(&payload).as_bytes() != &header[24..] {
+        return Err(damaged("does not match its checksum"));
+    }
+    let (decoded, used): (PayloadIn, usize) = bincode::serde::decode_from_slice(&payload, configuration())
+        .map_err(|error| damaged(&format!("cannot be decoded: {error}")))?;
+    if used != payload.len() {
+        return Err(damaged("has bytes behind its last particle"));
+    }
+    check_particles(&decoded.particles).map_err(damaged)?;
+    let meta = serde_json::from_str(&decoded.meta).map_err(|_| damaged("its note cannot be read"))?;
+    let history = serde_json::from_str(&decoded.history).map_err(|_| damaged("its history cannot be read"))?;
+    Ok(ParticleFile { kind, particles: decoded.particles, meta, history, extra: decoded.extra })
+}
+
+/// What every stage may rely on: as many of each as there are particles, all of them finite, sizes positive.
+fn check_particles(set: &ParticleSet) -> std::result::Result<(), &'static str> {
+    let count = set.positions.len();
+    let lengths = [set.normals.len(), set.sizes.len(), set.energies.len(), set.lambdas.len()];
+    if lengths.iter().any(|&length| length != count) {
+        return Err("has arrays of different lengths");
+    }
+    let finite = set.positions.iter().all(|p| p.is_finite())
+        && set.normals.iter().all(|n| n.is_finite())
+        && set.energies.iter().chain(&set.lambdas).all(|x| x.is_finite());
+    if !finite {
+        return Err("holds a particle that is not finite");
+    }
+    if set.sizes.iter().any(|&size| !(size > 0.0 && size.is_finite())) {
+        return Err("holds a particle whose target edge length is not positive");
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use glam::DVec3;
+    use isoparticles_volume::Geometry;
+
+    fn set() -> ParticleSet {
+        ParticleSet {
+            geometry: Geometry::axis_aligned([5, 6, 7], DVec3::new(0.5, 1.0, 1.5)),
+            positions: vec![DVec3::new(1.0, 2.0, 3.0), DVec3::new(0.1, 0.2, 0.3)],
+            normals: vec![DVec3::X, DVec3::NEG_Z],
+            sizes: vec![0.7, 1.3],
+            energies: vec![0.0, 0.71],
+            lambdas: vec![0.1, 1e-5],
+        }
+    }
+
+    fn history() -> History {
+        History {
+            tool: "seed".to_owned(),
+            version: "0.1.0".to_owned(),
+            command_line: "seed case.distfield.vti".to_owned(),
+            parameters: serde_json::json!({"seed": 7}),
+            inputs: Vec::new(),
+        }
+    }
+
+    #[test]
+    fn particles_come_back_bit_for_bit() {
+        let folder = tempfile::tempdir().expect("folder");
+        let path = folder.path().join("case.seeds.bin");
+        let meta = serde_json::json!({"components": 2});
+        write_particles_with(&path, ParticleKind::Checkpoint, &set(), &meta, &history(), &[1, 2, 3]).expect("written");
+        let read = read_particles(&path, &[ParticleKind::Seeds, ParticleKind::Checkpoint]).expect("read");
+        assert_eq!(read.kind, ParticleKind::Checkpoint);
+        assert_eq!((read.particles, read.meta, read.history, read.extra), (set(), meta, history(), vec![1, 2, 3]));
+    }
+
+    #[test]
+    fn the_wrong_kind_names_the_stage_to_run() {
+        let folder = tempfile::tempdir().expect("folder");
+        let path = folder.path().join("case.seeds.bin");
+        write_particles(&path, ParticleKind::Seeds, &set(), &Value::Null, &history()).expect("written");
+        let error = read_particles(&path, &[ParticleKind::Particles]).expect_err("seeds");
+        assert!(error.what.contains("seeds") && error.next.contains("run particles again"), "{error}");
+        let mut bytes = std::fs::read(&path).expect("bytes");
+        bytes[12] = 9;
+        std::fs::write(&path, &bytes).expect("written");
+        let error = read_particles(&path, &[ParticleKind::Seeds]).expect_err("version 9");
+        assert!(error.what.contains("version 9") && error.next.contains("run seed again"), "{error}");
+    }
+
+    #[test]
+    fn every_truncation_every_trailing_byte_and_every_flipped_bit_is_an_error() {
+        let folder = tempfile::tempdir().expect("folder");
+        let path = folder.path().join("case.seeds.bin");
+        write_particles(&path, ParticleKind::Seeds, &set(), &Value::Null, &history()).expect("written");
+        let whole = std::fs::read(&path).expect("bytes");
+        let refused = |bytes: &[u8]| {
+            std::fs::write(&path, bytes).expect("written");
+            read_particles(&path, &[ParticleKind::Seeds]).is_err()
+        };
+        for length in 0..whole.len() {
+            assert!(refused(&whole[..length]), "cut to {length} bytes");
+        }
+        assert!(refused(&[&whole[..], &[0]].concat()));
+        for at in 0..whole.len() {
+            let mut bytes = whole.clone();
+            bytes[at] ^= 1;
+            assert!(refused(&bytes), "byte {at} changed");
+        }
+    }
+}

@@ -1,0 +1,169 @@
+//! Whatever the bytes, a reader gives a value or an error in three parts; it never panics and never takes memory that the
+//! file does not fill.
+
+use isoparticles_mesh::surface::read_surface;
+use isoparticles_stage::field_file::{FieldKind, read_field};
+use isoparticles_stage::particle_file::{ParticleKind, read_particles};
+use isoparticles_volume::read_volume;
+use proptest::prelude::*;
+use std::path::{Path, PathBuf};
+use std::sync::LazyLock;
+
+static FIXTURES: LazyLock<Vec<(String, Vec<u8>)>> = LazyLock::new(|| {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let mut paths: Vec<PathBuf> = ["nrrd", "nifti", "vti", "meta", "segmentation"]
+        .map(|folder| format!("../volume/tests/data/{folder}"))
+        .into_iter()
+        .chain(["golden", "edited"].map(|folder| format!("tests/data/{folder}")))
+        .flat_map(|folder| std::fs::read_dir(root.join(folder)).expect("fixtures"))
+        .map(|entry| entry.expect("entry").path())
+        .collect();
+    paths.sort();
+    let name = |path: &Path| path.file_name().expect("a name").to_string_lossy().into_owned();
+    paths.iter().map(|path| (name(path), std::fs::read(path).expect("fixture"))).collect()
+});
+
+/// Reads bytes under a name with every reader.
+fn read_all(name: &str, bytes: &[u8]) {
+    let folder = tempfile::tempdir().expect("folder");
+    let path = folder.path().join(name);
+    std::fs::write(&path, bytes).expect("written");
+    let errors = [
+        read_volume(&path).err(),
+        read_field(&path, FieldKind::Sizing).err(),
+        read_particles(&path, &[ParticleKind::Seeds, ParticleKind::Checkpoint]).err(),
+        read_surface(&path).err(),
+    ];
+    for error in errors.into_iter().flatten() {
+        assert!(!error.what.is_empty() && !error.why.is_empty() && !error.next.is_empty(), "{error}");
+    }
+}
+
+/// Bytes cut short, grown and overwritten in some places.
+fn changed(bytes: &[u8], changes: Vec<(prop::sample::Index, u8, u8)>) -> Vec<u8> {
+    let mut bytes = bytes.to_vec();
+    for (at, byte, how) in changes {
+        let at = at.index(bytes.len().max(1)).min(bytes.len());
+        match how {
+            0 => bytes.truncate(at),
+            1 => bytes.insert(at, byte),
+            _ => {
+                if let Some(place) = bytes.get_mut(at) {
+                    *place = byte;
+                }
+            }
+        }
+    }
+    bytes
+}
+
+/// A line that may stand in an NRRD header, right or wrong.
+fn header_line() -> impl Strategy<Value = String> {
+    let fields = [
+        "type",
+        "dimension",
+        "sizes",
+        "encoding",
+        "endian",
+        "space",
+        "space directions",
+        "space origin",
+        "kinds",
+        "spacings",
+        "axis mins",
+        "axis maxs",
+        "centers",
+        "line skip",
+        "byte skip",
+        "data file",
+        "space dimension",
+        "Segment0_Name:=x\nSegment0_Layer:=",
+        "Segment1_Name:=y\nSegment1_LabelValue:=",
+    ];
+    let values = [
+        "short",
+        "double",
+        "3",
+        "2 2 2",
+        "4",
+        "1 2 2 2",
+        "raw",
+        "list domain domain domain",
+        "gzip",
+        "hex",
+        "ascii",
+        "bzip2",
+        "little",
+        "big",
+        "LPS",
+        "RAST",
+        "none (1,0,0) (0,1,0) (0,0,1)",
+        "(1,0,0) (0,1,0) (0,0,1)",
+        "(nan,0,0) (0,inf,0) (0,0,-0)",
+        "(((",
+        "(1,2",
+        "nan nan nan",
+        "1e308 1e308 1e308",
+        "-1",
+        "99999999999999999999",
+        "x%d.raw 1 3 1",
+        "%99999d 1 2 1",
+        "LIST",
+        "LIST 0",
+        "LIST 9",
+        "domain domain domain",
+        "",
+        "é",
+        "\u{0}",
+    ];
+    (prop::sample::select(fields.to_vec()), prop::sample::select(values.to_vec()))
+        .prop_map(|(f, v)| format!("{f}: {v}\n"))
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 1500, failure_persistence: None, ..ProptestConfig::default() })]
+
+    #[test]
+    fn changed_fixtures_are_read_or_refused(
+        which in any::<prop::sample::Index>(),
+        changes in prop::collection::vec((any::<prop::sample::Index>(), any::<u8>(), 0..4u8), 1..6),
+    ) {
+        let (name, bytes) = which.get(&FIXTURES[..]);
+        read_all(name, &changed(bytes, changes));
+    }
+
+    #[test]
+    fn any_header_is_read_or_refused(lines in prop::collection::vec(header_line(), 0..14), tail: Vec<u8>) {
+        let text = format!("NRRD0004\n{}\n", lines.concat());
+        read_all("any.nrrd", &[text.as_bytes(), &tail].concat());
+    }
+
+    #[test]
+    fn any_bytes_are_read_or_refused(bytes: Vec<u8>, which in 0..8usize) {
+        let names = ["a.nrrd", "a.nii", "a.nii.gz", "a.vti", "a.vtp", "a.bin", "a.mha", "a.dcm"];
+        let slice = [&[0; 128][..], b"DICM"].concat();
+        let starts: [&[u8]; 8] =
+            [b"NRRD0005\n", &[0x5c, 1, 0, 0], &[0x1f, 0x8b, 8], b"<VTKFile", b"<VTKFile ", b"ISOPART\n", b"NDims = 3\n", &slice];
+        read_all(names[which], &[starts[which], &bytes].concat());
+    }
+}
+
+// each case writes and reads two files
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 400, failure_persistence: None, ..ProptestConfig::default() })]
+
+    #[test]
+    fn a_series_with_a_changed_slice_is_read_or_refused(
+        series in prop::sample::select(vec!["oblique", "rle"]),
+        changes in prop::collection::vec((any::<prop::sample::Index>(), any::<u8>(), 0..4u8), 1..6),
+    ) {
+        let from = Path::new(env!("CARGO_MANIFEST_DIR")).join("../volume/tests/data/dicom").join(series);
+        let folder = tempfile::tempdir().expect("folder");
+        std::fs::copy(from.join("a.dcm"), folder.path().join("a.dcm")).expect("copied");
+        let bytes = std::fs::read(from.join("b.dcm")).expect("fixture");
+        std::fs::write(folder.path().join("b.dcm"), changed(&bytes, changes)).expect("written");
+        if let Err(error) = read_volume(folder.path()) {
+            assert!(!error.what.is_empty() && !error.why.is_empty() && !error.next.is_empty(), "{error}");
+        }
+    }
+}

@@ -1,0 +1,103 @@
+//! A folder of DICOM files: the slices of one series become a volume. The world is LPS.
+//!
+//! Headers and pixels are decoded by dicom-rs. What the slices mean together is decided here: which series ([`choose`]), in which order and
+//! how far apart ([`stack`]), in which type of number ([`Pixels`](slice::Pixels)).
+
+mod choose;
+mod lengths;
+mod rle;
+mod slice;
+mod stack;
+
+use crate::volume::Volume;
+use crate::voxels::Voxels;
+use isoparticles_file::error::{Error, Result};
+use isoparticles_file::limit::{bad, check_memory};
+use slice::{Found, Slice};
+use std::io::Read;
+use std::path::{Path, PathBuf};
+
+/// Where a DICOM file says what it is, behind a preamble that may hold anything.
+const MAGIC: std::ops::Range<usize> = 128..132;
+
+/// Whether the first bytes of a file are those of a DICOM file.
+pub(crate) fn is_dicom(start: &[u8]) -> bool {
+    start.get(MAGIC) == Some(b"DICM")
+}
+
+/// Reads the series of a folder that `wanted` names, or the only one.
+pub(crate) fn read_folder(folder: &Path, wanted: Option<&str>) -> Result<Volume> {
+    let files = dicom_files(folder)?;
+    let (mut slices, mut no_images) = (Vec::new(), Vec::new());
+    for path in &files {
+        match Slice::read(path)? {
+            Found::Image(slice) => slices.push(*slice),
+            Found::NoImage { path, class } => no_images.push((path, class)),
+        }
+    }
+    let (series, others) = choose::choose(folder, slices, wanted)?;
+    if let Some((path, _)) = no_images.iter().find(|(_, class)| series.iter().any(|slice| slice.class == *class)) {
+        return Err(bad(
+            path,
+            "is of the kind of the slices, but its header ends before the image",
+            "it is cut short, and the volume would lack a slice",
+            "copy or export the file again",
+        ));
+    }
+    let stack = stack::Stack::new(folder, series)?;
+    let scalar = stack.scalar_type();
+    check_memory(folder, (stack.geometry.voxel_count() as u64).saturating_mul(scalar.bytes() as u64))?;
+    let mut voxels = Voxels::empty(scalar);
+    for slice in &stack.slices {
+        voxels.extend_from_f64(slice.values()?);
+    }
+    let mut remarks = Vec::new();
+    if others > 0 {
+        remarks.push(format!("{others} other series in the folder were left out"));
+    }
+    remarks.extend(stack.remark());
+    Ok(Volume { remarks, ..Volume::new(stack.geometry, voxels) })
+}
+
+/// The DICOM files of a folder, sorted by name; not those of the folders in it.
+fn dicom_files(folder: &Path) -> Result<Vec<PathBuf>> {
+    let cannot = |error: std::io::Error| Error::file(folder, "read", &error, "check the name of the folder");
+    let mut files = Vec::new();
+    let mut folders = Vec::new();
+    for entry in std::fs::read_dir(folder).map_err(cannot)? {
+        let path = entry.map_err(cannot)?.path();
+        if path.is_dir() {
+            folders.push(path);
+        } else if is_dicom_file(&path) {
+            files.push(path);
+        }
+    }
+    files.sort();
+    if !files.is_empty() {
+        return Ok(files);
+    }
+    folders.sort();
+    let names: Vec<String> = folders.iter().take(10).map(|folder| folder.display().to_string()).collect();
+    Err(bad(
+        folder,
+        "is a folder without DICOM files",
+        "a folder is read as the slices of one DICOM series",
+        match names.is_empty() {
+            true => "give the volume's file, or the folder that the slices lie in".to_owned(),
+            false => format!(
+                "give the volume's file, or the folder that the slices lie in; folders in it: {}",
+                names.join(", ")
+            ),
+        },
+    ))
+}
+
+/// Whether a file starts as DICOM files do. A file that cannot be read is none; if a slice is lost by that, the stack has a gap.
+fn is_dicom_file(path: &Path) -> bool {
+    let mut start = Vec::new();
+    let read = std::fs::File::open(path).and_then(|file| file.take(MAGIC.end as u64).read_to_end(&mut start));
+    read.is_ok() && is_dicom(&start)
+}
+
+#[cfg(test)]
+mod tests;

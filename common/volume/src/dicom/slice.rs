@@ -1,0 +1,337 @@
+//! One slice: what its header says of its place and its numbers, and its pixels.
+
+use super::{lengths, rle};
+use crate::voxels::ScalarType;
+use dicom_dictionary_std::tags;
+use dicom_object::{DefaultDicomObject, OpenFileOptions, Tag};
+use dicom_pixeldata::PixelDecoder;
+use glam::DVec3;
+use isoparticles_file::error::{Error, Result};
+use isoparticles_file::limit::bad;
+use std::path::{Path, PathBuf};
+
+/// Transfer syntax of pixels in [`rle`].
+const RLE_LOSSLESS: &str = "1.2.840.10008.1.2.5";
+
+/// The header of a file that holds an image.
+#[derive(Clone, Debug)]
+pub(super) struct Slice {
+    pub(super) path: PathBuf,
+    /// What kind of DICOM object it is (SOP class).
+    pub(super) class: String,
+    pub(super) series: SeriesName,
+    pub(super) columns: usize,
+    pub(super) rows: usize,
+    /// World vector from a pixel to the next one in its row, mm.
+    pub(super) along_row: DVec3,
+    /// World vector from a pixel to the next one in its column, mm.
+    pub(super) along_column: DVec3,
+    /// World position of the centre of the first pixel, mm.
+    pub(super) position: DVec3,
+    pub(super) pixels: Pixels,
+}
+
+/// What a DICOM file turned out to be.
+pub(super) enum Found {
+    /// A slice.
+    Image(Box<Slice>),
+    /// A report, a directory, contours; or a slice whose header is cut short.
+    NoImage { path: PathBuf, class: String },
+}
+
+/// What a series is called.
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub(super) struct SeriesName {
+    pub(super) uid: String,
+    pub(super) number: String,
+    pub(super) description: String,
+    pub(super) modality: String,
+}
+
+/// How stored pixels become values: their width and sign, and the slope and intercept of the modality (Hounsfield units in a CT).
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Pixels {
+    /// Bytes that a pixel is stored in: 1, 2 or 4.
+    bytes: usize,
+    /// Bits that count, of those that are stored.
+    bits: u32,
+    /// The highest of them; bits above it may hold overlays.
+    high_bit: u32,
+    is_signed: bool,
+    slope: f64,
+    intercept: f64,
+}
+
+impl Slice {
+    /// Reads the header of a DICOM file.
+    pub(super) fn read(path: &Path) -> Result<Found> {
+        let is_whole = lengths::lie_within(path)
+            .map_err(|error| Error::file(path, "read", &error, "copy or export the file again"))?;
+        if !is_whole {
+            return Err(bad(
+                path,
+                "has an element that is longer than the file",
+                "it is cut short or damaged",
+                "copy or export the file again, or move it to another folder if it is no slice",
+            ));
+        }
+        let object = OpenFileOptions::new()
+            .read_until(tags::PIXEL_DATA)
+            .open_file(path)
+            .map_err(|error| damaged(path, &error))?;
+        let header = Header { path, object: &object };
+        let class = object.meta().media_storage_sop_class_uid().trim_end_matches(['\0', ' ']).to_owned();
+        let (Some(rows), Some(columns)) = (header.whole(tags::ROWS)?, header.whole(tags::COLUMNS)?) else {
+            return Ok(Found::NoImage { path: path.to_path_buf(), class });
+        };
+        header.check_plain()?;
+        let orientation = header.numbers::<6>(tags::IMAGE_ORIENTATION_PATIENT, "ImageOrientationPatient")?;
+        let position = header.numbers::<3>(tags::IMAGE_POSITION_PATIENT, "ImagePositionPatient")?;
+        // the first number is the distance of the rows, the second that of the columns
+        let spacing = header.numbers::<2>(tags::PIXEL_SPACING, "PixelSpacing")?;
+        let (row, column) = (DVec3::from_slice(&orientation[..3]), DVec3::from_slice(&orientation[3..]));
+        // directions are decimal text, which some programs round to four digits
+        let is_unit = |v: DVec3| (v.length() - 1.0).abs() < 1e-3;
+        if !is_unit(row) || !is_unit(column) || row.dot(column).abs() > 1e-3 {
+            return Err(header.meaningless("ImageOrientationPatient", &format!("{orientation:?}")));
+        }
+        let series = SeriesName {
+            uid: header.text(tags::SERIES_INSTANCE_UID),
+            number: header.text(tags::SERIES_NUMBER),
+            description: header.text(tags::SERIES_DESCRIPTION),
+            modality: header.text(tags::MODALITY),
+        };
+        Ok(Found::Image(Box::new(Self {
+            path: path.to_path_buf(),
+            class,
+            series,
+            columns,
+            rows,
+            along_row: row.normalize() * spacing[1],
+            along_column: column.normalize() * spacing[0],
+            position: DVec3::from_array(position),
+            pixels: header.pixels()?,
+        })))
+    }
+
+    /// Reads and decodes the pixels, and turns them into values, row by row.
+    pub(super) fn values(&self) -> Result<Vec<f64>> {
+        let path = &self.path;
+        let object = dicom_object::open_file(path).map_err(|error| damaged(path, &error))?;
+        let syntax = object.meta().transfer_syntax().trim_end_matches('\0').to_owned();
+        let stored = if syntax == RLE_LOSSLESS {
+            let fragments = object.get(tags::PIXEL_DATA).and_then(|element| element.fragments());
+            let frame = fragments.and_then(|fragments| if let [frame] = fragments { Some(frame) } else { None });
+            let count = self.rows * self.columns;
+            frame
+                .and_then(|frame| rle::decode(frame, count, self.pixels.bytes))
+                .ok_or_else(|| self.undecoded(&syntax, "damaged"))?
+        } else {
+            let decoded = object.decode_pixel_data().map_err(|error| self.undecoded(&syntax, &reason(&error)))?;
+            self.numbers(decoded.data())?
+        };
+        Ok(stored.into_iter().map(|stored| self.pixels.value(stored)).collect())
+    }
+
+    fn undecoded(&self, syntax: &str, why: &str) -> Error {
+        bad(
+            &self.path,
+            format!("its pixels cannot be decoded (transfer syntax {syntax}): {why}"),
+            "uncompressed, RLE and JPEG (baseline and lossless) pixels are read; the file may be damaged, too",
+            "write the series uncompressed, for example with gdcmconv --raw or dcmdjpeg, or convert it to NRRD with 3D Slicer",
+        )
+    }
+
+    /// The stored numbers in decoded bytes, which are in the order of this machine.
+    fn numbers(&self, bytes: &[u8]) -> Result<Vec<u64>> {
+        let (count, width) = (self.rows * self.columns, self.pixels.bytes);
+        // an odd number of bytes is padded to an even one
+        if !(bytes.len() == count * width || bytes.len() == (count * width).next_multiple_of(2)) {
+            return Err(bad(
+                &self.path,
+                format!("has {} bytes of pixels where {} are needed", bytes.len(), count * width),
+                format!("its header promises {} x {} pixels", self.columns, self.rows),
+                "copy or export the file again",
+            ));
+        }
+        let number = |group: &[u8]| match *group {
+            [a] => a.into(),
+            [a, b] => u16::from_ne_bytes([a, b]).into(),
+            [a, b, c, d] => u32::from_ne_bytes([a, b, c, d]).into(),
+            _ => 0,
+        };
+        Ok(bytes[..count * width].chunks_exact(width).map(number).collect())
+    }
+}
+
+impl Pixels {
+    /// The value of a stored number.
+    fn value(&self, stored: u64) -> f64 {
+        let shifted = stored >> (self.high_bit + 1 - self.bits);
+        let whole = if self.is_signed {
+            ((shifted << (64 - self.bits)) as i64) >> (64 - self.bits)
+        } else {
+            (shifted & (u64::MAX >> (64 - self.bits))) as i64
+        };
+        whole as f64 * self.slope + self.intercept
+    }
+
+    /// Smallest and largest value that there can be.
+    fn range(&self) -> (f64, f64) {
+        let (low, high) = match self.is_signed {
+            true => (-(2f64.powi(self.bits as i32 - 1)), 2f64.powi(self.bits as i32 - 1) - 1.0),
+            false => (0.0, 2f64.powi(self.bits as i32) - 1.0),
+        };
+        let (a, b) = (low * self.slope + self.intercept, high * self.slope + self.intercept);
+        (a.min(b), a.max(b))
+    }
+
+    fn is_whole(&self) -> bool {
+        self.slope.fract() == 0.0 && self.intercept.fract() == 0.0
+    }
+
+    /// The smallest type that holds every value of all slices without rounding, or single precision where values are no whole numbers.
+    pub(super) fn common_type(all: impl Iterator<Item = Self> + Clone) -> ScalarType {
+        if !all.clone().all(|pixels| pixels.is_whole()) {
+            return ScalarType::F32;
+        }
+        let (low, high) = all
+            .map(|pixels| pixels.range())
+            .fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), (a, b)| (low.min(a), high.max(b)));
+        let fits = |least: f64, most: f64| least <= low && high <= most;
+        match () {
+            () if fits(0.0, u8::MAX.into()) => ScalarType::U8,
+            () if fits(i16::MIN.into(), i16::MAX.into()) => ScalarType::I16,
+            () if fits(0.0, u16::MAX.into()) => ScalarType::U16,
+            () if fits(i32::MIN.into(), i32::MAX.into()) => ScalarType::I32,
+            () => ScalarType::F64,
+        }
+    }
+
+    /// What is done to the stored numbers, in words, if anything is.
+    pub(super) fn remark(&self) -> Option<String> {
+        (self.slope != 1.0 || self.intercept != 0.0).then(|| {
+            format!("the values are the stored ones times {} plus {}, as the slices say", self.slope, self.intercept)
+        })
+    }
+}
+
+/// A header with the file it came from.
+struct Header<'a> {
+    path: &'a Path,
+    object: &'a DefaultDicomObject,
+}
+
+impl Header<'_> {
+    /// Text of an element, empty where it is not there.
+    fn text(&self, tag: Tag) -> String {
+        let text = self.object.get(tag).and_then(|element| element.to_str().ok());
+        text.map_or_else(String::new, |text| text.trim_matches([' ', '\0']).to_owned())
+    }
+
+    /// A whole number from 0 that is not greater than 16 bits hold; `None` where it is not there.
+    fn whole(&self, tag: Tag) -> Result<Option<usize>> {
+        let Some(element) = self.object.get(tag) else { return Ok(None) };
+        match element.to_int::<u16>() {
+            Ok(number) => Ok(Some(number.into())),
+            Err(error) => Err(self.meaningless(&tag.to_string(), &error.to_string())),
+        }
+    }
+
+    /// `COUNT` finite numbers of an element that must be there.
+    fn numbers<const COUNT: usize>(&self, tag: Tag, name: &str) -> Result<[f64; COUNT]> {
+        let Some(element) = self.object.get(tag) else {
+            return Err(bad(
+                self.path,
+                format!("has no {name}"),
+                "without it the slice has no place in the world",
+                "export the series again from a program that keeps it, or move files that are no slices to another folder",
+            ));
+        };
+        let numbers = element.to_multi_float64().ok().and_then(|numbers| <[f64; COUNT]>::try_from(numbers).ok());
+        numbers
+            .filter(|numbers| numbers.iter().all(|number| number.is_finite()))
+            .ok_or_else(|| self.meaningless(name, &self.text(tag)))
+    }
+
+    /// One number, or what stands for it where it is not there.
+    fn number_or(&self, tag: Tag, name: &str, default: f64) -> Result<f64> {
+        match self.object.get(tag) {
+            None => Ok(default),
+            Some(_) => self.numbers::<1>(tag, name).map(|[number]| number),
+        }
+    }
+
+    fn meaningless(&self, name: &str, value: &str) -> Error {
+        let shown: String = value.chars().take(80).collect();
+        bad(
+            self.path,
+            format!("has {name} '{shown}' in its header"),
+            "that value has no meaning in this place",
+            "the file is damaged: copy or export it again",
+        )
+    }
+
+    /// Fails unless the file is one slice with one number a pixel.
+    fn check_plain(&self) -> Result<()> {
+        let frames = self.text(tags::NUMBER_OF_FRAMES);
+        if !matches!(frames.as_str(), "" | "1") {
+            return Err(bad(
+                self.path,
+                format!("holds {frames} frames in one file"),
+                "slices in files of their own are read",
+                "convert it to NIfTI with dcm2niix or to NRRD with 3D Slicer",
+            ));
+        }
+        if let Some(samples) = self.whole(tags::SAMPLES_PER_PIXEL)?.filter(|&samples| samples != 1) {
+            return Err(bad(
+                self.path,
+                format!("has {samples} numbers a pixel ({})", self.text(tags::PHOTOMETRIC_INTERPRETATION)),
+                "a surface is extracted from one number a voxel",
+                "move colour pictures (screenshots, reports) to another folder, or choose another series",
+            ));
+        }
+        Ok(())
+    }
+
+    fn pixels(&self) -> Result<Pixels> {
+        let allocated = self.whole(tags::BITS_ALLOCATED)?.unwrap_or(16);
+        let bits = self.whole(tags::BITS_STORED)?.unwrap_or(allocated);
+        if !matches!(allocated, 8 | 16 | 32) || !(1..=allocated).contains(&bits) {
+            return Err(self.meaningless("BitsAllocated and BitsStored", &format!("{allocated} and {bits}")));
+        }
+        let (slope, intercept) = (
+            self.number_or(tags::RESCALE_SLOPE, "RescaleSlope", 1.0)?,
+            self.number_or(tags::RESCALE_INTERCEPT, "RescaleIntercept", 0.0)?,
+        );
+        let high_bit = self.whole(tags::HIGH_BIT)?.unwrap_or(bits - 1);
+        if !(bits - 1..allocated).contains(&high_bit) {
+            return Err(self.meaningless("HighBit", &high_bit.to_string()));
+        }
+        if slope == 0.0 {
+            return Err(self.meaningless("RescaleSlope", "0"));
+        }
+        let is_signed = self.whole(tags::PIXEL_REPRESENTATION)? == Some(1);
+        Ok(Pixels { bytes: allocated / 8, bits: bits as u32, high_bit: high_bit as u32, is_signed, slope, intercept })
+    }
+}
+
+fn damaged(path: &Path, error: &impl std::error::Error) -> Error {
+    bad(
+        path,
+        format!("cannot be read as DICOM: {}", reason(error)),
+        "it is cut short or damaged",
+        "copy or export the file again, or move it to another folder if it is no slice",
+    )
+}
+
+/// The causes of an error, one after the other.
+fn reason(error: &dyn std::error::Error) -> String {
+    let mut text = error.to_string();
+    let mut source = error.source();
+    while let Some(cause) = source {
+        text = format!("{text}: {cause}");
+        source = cause.source();
+    }
+    text
+}

@@ -1,0 +1,147 @@
+//! Slices in their order: the grid that they make, if they make one.
+
+use super::slice::{Pixels, Slice};
+use crate::geometry::{Geometry, Space};
+use crate::limit::{geometry_from_steps, voxel_count};
+use crate::voxels::ScalarType;
+use glam::DVec3;
+use isoparticles_file::error::Result;
+use isoparticles_file::limit::bad;
+use std::path::Path;
+
+/// How far, as a part of the distance of the slices, a slice may lie from its place in an even stack. Positions in files are often rounded
+/// to a hundredth of a mm, 1 % of a thin slice; a missing slice is off by 50 % and more.
+const LARGEST_SHIFT: f64 = 0.05;
+
+/// Positions closer than this part of the mean distance are one and the same place.
+const SAME_PLACE: f64 = 0.01;
+
+/// Largest difference of the pixel vectors of two slices, as a part of their length: rounding in the text of the headers.
+const LARGEST_TURN: f64 = 1e-3;
+
+/// The slices of a volume from the first to the last, and its grid.
+pub(super) struct Stack {
+    pub(super) slices: Vec<Slice>,
+    pub(super) geometry: Geometry,
+}
+
+impl Stack {
+    /// Sorts slices by their position along the normal of their planes, and checks that they are evenly spaced.
+    pub(super) fn new(folder: &Path, mut slices: Vec<Slice>) -> Result<Self> {
+        let Some(first) = slices.first().cloned() else {
+            return Err(bad(folder, "holds no slice", "a volume is made of slices", "give another folder"));
+        };
+        check_alike(&first, &slices)?;
+        let size = [first.columns, first.rows, slices.len()];
+        voxel_count(folder, size)?;
+        if size.contains(&1) {
+            return Err(bad(
+                folder,
+                format!("holds a flat image of {} x {} pixels in {} slices", size[0], size[1], size[2]),
+                "a surface is extracted from a volume with at least two voxels along each axis",
+                "give the folder of the whole series",
+            ));
+        }
+        let normal = first.along_row.cross(first.along_column).normalize_or_zero();
+        slices.sort_by(|a, b| a.position.dot(normal).total_cmp(&b.position.dot(normal)));
+        let places: Vec<f64> = slices.iter().map(|slice| slice.position.dot(normal)).collect();
+        check_gaps(&slices, &places)?;
+        let start = slices[0].position;
+        let step = (slices[slices.len() - 1].position - start) / (slices.len() - 1) as f64;
+        for (n, slice) in slices.iter().enumerate() {
+            let shift = slice.position - (start + step * n as f64);
+            if shift.length() > LARGEST_SHIFT * step.length() {
+                return Err(bad(
+                    &slice.path,
+                    format!("lies {:.3} mm beside its place in the stack", shift.length()),
+                    "the voxels of a volume lie on one regular grid",
+                    "resample the series, for example in 3D Slicer, which knows stacks that are not regular",
+                ));
+            }
+        }
+        let steps = [first.along_row, first.along_column, step];
+        let geometry = geometry_from_steps(folder, size, steps, start, Space::Lps)?;
+        Ok(Self { slices, geometry })
+    }
+
+    /// How stored pixels become values in the slices.
+    pub(super) fn scalar_type(&self) -> ScalarType {
+        Pixels::common_type(self.slices.iter().map(|slice| slice.pixels))
+    }
+
+    /// What is done to the stored numbers, in words.
+    pub(super) fn remark(&self) -> Option<String> {
+        let first = self.slices[0].pixels;
+        match self.slices.iter().all(|slice| slice.pixels == first) {
+            true => first.remark(),
+            false => Some(
+                "the values are the stored ones times a slope plus an intercept that differ from slice to slice"
+                    .to_owned(),
+            ),
+        }
+    }
+}
+
+/// Fails unless all slices have the same size, pixels and orientation.
+fn check_alike(first: &Slice, slices: &[Slice]) -> Result<()> {
+    let differs = |a: DVec3, b: DVec3| (a - b).length() > LARGEST_TURN * a.length();
+    for slice in slices {
+        let what = match () {
+            () if (slice.columns, slice.rows) != (first.columns, first.rows) => {
+                format!("has {} x {} pixels, others {} x {}", slice.columns, slice.rows, first.columns, first.rows)
+            }
+            () if differs(first.along_row, slice.along_row) || differs(first.along_column, slice.along_column) => {
+                "has another orientation or pixel spacing than the other slices of its series".to_owned()
+            }
+            () => continue,
+        };
+        return Err(bad(
+            &slice.path,
+            what,
+            "the voxels of a volume lie on one regular grid",
+            "move localizers and single views of the series to another folder",
+        ));
+    }
+    Ok(())
+}
+
+/// Fails where a slice is missing or there twice.
+fn check_gaps(slices: &[Slice], places: &[f64]) -> Result<()> {
+    let gaps: Vec<f64> = places.windows(2).map(|pair| pair[1] - pair[0]).collect();
+    let mean = (places[places.len() - 1] - places[0]) / gaps.len() as f64;
+    let name = |n: usize| slices[n].path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+    if let Some(n) = gaps.iter().position(|&gap| gap <= SAME_PLACE * mean) {
+        return Err(bad(
+            &slices[n + 1].path,
+            format!("lies in the same place as {}, {:.3} mm along the normal", name(n), places[n]),
+            "the series holds more than one volume (points in time, echoes), or a slice twice",
+            "put the slices of one volume into a folder of their own",
+        ));
+    }
+    let mut sorted = gaps.clone();
+    sorted.sort_by(f64::total_cmp);
+    let usual = sorted[(sorted.len() - 1) / 2];
+    let Some(n) = gaps.iter().position(|gap| (gap - usual).abs() > LARGEST_SHIFT * usual) else { return Ok(()) };
+    let (times, folder) = (gaps[n] / usual, slices[n].path.parent().unwrap_or(Path::new("")));
+    let missing = times.round() - 1.0;
+    let is_multiple = missing >= 1.0 && (times - times.round()).abs() <= 2.0 * LARGEST_SHIFT;
+    let between = format!(
+        "between {} and {} ({:.3} and {:.3} mm along the normal)",
+        name(n),
+        name(n + 1),
+        places[n],
+        places[n + 1]
+    );
+    Err(bad(
+        folder,
+        match is_multiple {
+            true => format!(
+                "lacks {missing} of its slices {between}: the gap is {:.3} mm, the others {usual:.3} mm",
+                gaps[n]
+            ),
+            false => format!("is unevenly spaced {between}: the gap is {:.3} mm, the others {usual:.3} mm", gaps[n]),
+        },
+        "the voxels of a volume lie on one regular grid; what is missing cannot be meshed",
+        "add the missing files, or resample the series on an even grid, for example in 3D Slicer",
+    ))
+}

@@ -1,0 +1,33 @@
+//! Medical volumes: voxels of their own type on a grid with its place in the world.
+//!
+//! [`read_volume`] reads NRRD, 3D Slicer's segmentations, NIfTI, MetaImage, VTK images and folders of DICOM slices. Lengths are in the
+//! volume's physical units (mm) and positions in the *grid frame* (index times spacing, axis aligned, right-handed) unless a name says
+//! otherwise; [`Geometry`] is the one place that knows the way from there to the world.
+//!
+//! [`vtk_xml`] reads and writes VTK's XML files of any kind, and [`vti`] the images among them: other crates put their own files together
+//! from these.
+
+mod data_files;
+mod dicom;
+mod geometry;
+mod image;
+mod limit;
+mod meta_image;
+mod nifti;
+pub mod nrrd;
+mod read;
+mod segments;
+mod volume;
+mod voxel_data;
+mod voxels;
+pub mod vti;
+pub mod vtk_xml;
+
+pub use data_files::data_files;
+pub use geometry::{Geometry, Space};
+pub use image::{Image, reverse_slices};
+pub use read::{ReadOptions, read_volume, read_volume_with};
+pub use segments::{LayerLabel, Segment};
+pub use volume::Volume;
+pub use voxels::{Endian, ScalarType, Voxels};
+pub use vti::write_volume;

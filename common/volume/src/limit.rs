@@ -1,0 +1,63 @@
+//! Checks the size and the geometry that a file claims.
+
+use crate::geometry::{Geometry, Space};
+use glam::{DMat3, DVec3};
+use isoparticles_file::error::Result;
+use isoparticles_file::limit::bad;
+use std::path::Path;
+
+/// Number of voxels for sizes from a header: three axes, none of them zero, no overflow.
+pub(crate) fn voxel_count(path: &Path, size: [usize; 3]) -> Result<usize> {
+    if size.contains(&0) {
+        return Err(bad(path, format!("a size is zero: {size:?}"), "there are no voxels", "check how it was written"));
+    }
+    size.iter().try_fold(1usize, |count, &n| count.checked_mul(n)).ok_or_else(|| {
+        let what = format!("its header promises {} x {} x {} voxels", size[0], size[1], size[2]);
+        bad(path, what, "no computer can hold them", "the header is damaged: write the file again")
+    })
+}
+
+/// A geometry from the vectors between neighbouring voxels along the three axes, in the world.
+pub(crate) fn geometry_from_steps(
+    path: &Path,
+    size: [usize; 3],
+    steps: [DVec3; 3],
+    origin: DVec3,
+    space: Space,
+) -> Result<Geometry> {
+    let spacing = DVec3::from_array(steps.map(|step| step.length()));
+    if let Some(axis) = (0..3).find(|&axis| !(spacing[axis] > 0.0 && spacing[axis].is_finite())) {
+        return Err(bad(
+            path,
+            format!("the spacing of axis {axis} is {}", spacing[axis]),
+            "lengths are measured with it, so it must be a finite positive number",
+            "correct the spacing in the file's header",
+        ));
+    }
+    if let Some(axis) = (0..3).find(|&axis| spacing[axis] > 1e6 || spacing[axis] < 1e-9) {
+        return Err(bad(
+            path,
+            format!("the spacing of axis {axis} is {:e}", spacing[axis]),
+            "that is no length of a voxel in mm, and rounding would spoil what is computed from it",
+            "correct the spacing in the file's header",
+        ));
+    }
+    if !origin.is_finite() || origin.abs().max_element() > 1e9 {
+        return Err(bad(
+            path,
+            format!("the origin is {origin}"),
+            "positions in the world start from it",
+            "correct the origin in the file's header",
+        ));
+    }
+    let directions = DMat3::from_cols(steps[0] / spacing.x, steps[1] / spacing.y, steps[2] / spacing.z);
+    if directions.determinant().abs() < 1e-3 {
+        return Err(bad(
+            path,
+            format!("the axes {}, {} and {} lie (nearly) in one plane", steps[0], steps[1], steps[2]),
+            "the volume would be flat",
+            "correct the directions in the file's header",
+        ));
+    }
+    Ok(Geometry { size, spacing, directions, origin, space })
+}

@@ -1,0 +1,221 @@
+//! NIfTI-1 volumes (`.nii`, `.nii.gz`), the format of neuroimaging: right, anterior, superior, turned into LPS here.
+//!
+//! The `nifti` crate reads the header; the voxels are read here, so that memory grows with what is really there.
+
+use crate::geometry::{Geometry, Space};
+use crate::limit::{geometry_from_steps, voxel_count};
+use crate::volume::Volume;
+use crate::voxels::{Endian, ScalarType, Voxels};
+use glam::{DMat3, DQuat, DVec3};
+use isoparticles_file::error::{Error, Result};
+use isoparticles_file::limit::{bad, check_memory};
+use nifti::NiftiHeader;
+use std::fs::File;
+use std::io::{self, BufRead, BufReader, Read};
+use std::path::Path;
+
+/// Bytes of a NIfTI-1 header.
+const HEADER_BYTES: u64 = 348;
+
+/// Whether the first bytes of a file, not compressed, are those of a NIfTI header.
+pub(crate) fn is_nifti(start: &[u8]) -> bool {
+    // The header says its own length, in the byte order of the file.
+    matches!(start.get(..4), Some([0x5c, 1, 0, 0] | [0, 0, 1, 0x5c] | [0x1c, 2, 0, 0] | [0, 0, 2, 0x1c]))
+}
+
+/// Whether a file, of which the first bytes are given, holds a NIfTI header behind gzip.
+pub(crate) fn is_compressed_nifti(path: &Path, start: &[u8]) -> bool {
+    let first = || -> io::Result<[u8; 4]> {
+        let mut first = [0; 4];
+        flate2::bufread::MultiGzDecoder::new(BufReader::new(File::open(path)?)).read_exact(&mut first)?;
+        Ok(first)
+    };
+    start.starts_with(&[0x1f, 0x8b]) && first().is_ok_and(|first| is_nifti(&first))
+}
+
+/// Reads a NIfTI-1 volume with one number a voxel.
+pub(crate) fn read_nifti(path: &Path) -> Result<Volume> {
+    let cannot = |error: io::Error| Error::file(path, "read", &error, "copy or download the file again");
+    let mut file = BufReader::with_capacity(1 << 17, File::open(path).map_err(cannot)?);
+    let compressed = file.fill_buf().map_err(cannot)?.starts_with(&[0x1f, 0x8b]);
+    let mut reader: Box<dyn Read> =
+        if compressed { Box::new(flate2::bufread::MultiGzDecoder::new(file)) } else { Box::new(file) };
+    let mut start = Vec::new();
+    Read::take(&mut reader, HEADER_BYTES).read_to_end(&mut start).map_err(cannot)?;
+    let header = header(path, &start)?;
+    let (geometry, mut remarks) = geometry(path, &header)?;
+    let scalar = scalar_type(path, &header)?;
+    let count = geometry.voxel_count();
+    check_memory(path, count as u64 * scalar.bytes() as u64)?;
+    let endian = if header.endianness == nifti::Endianness::Little { Endian::Little } else { Endian::Big };
+    let skip = f64::from(header.vox_offset) - HEADER_BYTES as f64;
+    let voxels = read_voxels(&mut reader, skip, scalar, endian, count).map_err(|error| {
+        let next = "copy or download the file again";
+        match error.kind() {
+            io::ErrorKind::UnexpectedEof | io::ErrorKind::InvalidData => {
+                let promised = format!("its header promises {count} voxels of type {}", scalar.name());
+                bad(path, format!("the data is not as the header says: {error}"), promised, next)
+            }
+            _ => cannot(error),
+        }
+    })?;
+    let voxels = scaled(voxels, header.scl_slope, header.scl_inter, &mut remarks);
+    Ok(Volume { remarks, ..Volume::new(geometry, voxels) })
+}
+
+fn header(path: &Path, start: &[u8]) -> Result<NiftiHeader> {
+    let next = "convert it to a single NIfTI-1 file (.nii or .nii.gz) or to NRRD";
+    if start.len() >= 4 && is_nifti(start) && (start[0] == 0x1c || start[3] == 0x1c) {
+        return Err(bad(path, "is a NIfTI-2 file", "NIfTI-1 is read", next));
+    }
+    let header = NiftiHeader::from_reader(start).map_err(|error| {
+        bad(path, format!("has no NIfTI-1 header: {error}"), "it is damaged or something else", next)
+    })?;
+    if &header.magic != b"n+1\0" {
+        return Err(bad(path, "has its voxels in another file (.hdr and .img)", "single NIfTI-1 files are read", next));
+    }
+    Ok(header)
+}
+
+fn scalar_type(path: &Path, header: &NiftiHeader) -> Result<ScalarType> {
+    Ok(match header.datatype {
+        2 => ScalarType::U8,
+        4 => ScalarType::I16,
+        8 => ScalarType::I32,
+        16 => ScalarType::F32,
+        64 => ScalarType::F64,
+        256 => ScalarType::I8,
+        512 => ScalarType::U16,
+        768 => ScalarType::U32,
+        1024 => ScalarType::I64,
+        1280 => ScalarType::U64,
+        other => {
+            let name = match other {
+                32 | 1792 | 2048 => "complex numbers",
+                128 | 2304 => "colours",
+                _ => "values",
+            };
+            return Err(bad(
+                path,
+                format!("holds {name} (NIfTI type {other})"),
+                "a surface is extracted from one plain number a voxel",
+                "write one component to a file of its own",
+            ));
+        }
+    })
+}
+
+/// Geometry in LPS and mm: from the sform where there is one, else from the qform, else from the plain spacings.
+fn geometry(path: &Path, header: &NiftiHeader) -> Result<(Geometry, Vec<String>)> {
+    let dimension = usize::from(header.dim[0]);
+    if !(1..=7).contains(&dimension) {
+        return Err(bad(path, format!("has dimension {dimension}"), "1 to 7 are possible", "write the file again"));
+    }
+    let sizes: Vec<usize> = header.dim[1..=dimension].iter().map(|&n| usize::from(n)).collect();
+    if let Some(axis) = (3..dimension).find(|&axis| sizes[axis] > 1) {
+        return Err(bad(
+            path,
+            format!("has {} samples along axis {axis} (sizes {sizes:?})", sizes[axis]),
+            "a surface is extracted from one volume with one number a voxel",
+            "write one volume or component to a file of its own",
+        ));
+    }
+    if dimension < 3 || sizes[..3].contains(&1) {
+        return Err(bad(
+            path,
+            format!("is a flat image (sizes {sizes:?})"),
+            "a surface is extracted from a volume with at least two voxels along each axis",
+            "give a 3-D volume",
+        ));
+    }
+    let size = [sizes[0], sizes[1], sizes[2]];
+    voxel_count(path, size)?;
+    let mut remarks = Vec::new();
+    let millimetres = match header.xyzt_units & 7 {
+        1 => 1000.0,
+        3 => 0.001,
+        _ => 1.0,
+    };
+    let (steps, origin, space) = if header.sform_code > 0 {
+        sform(header)
+    } else if header.qform_code > 0 {
+        qform(header)
+    } else {
+        remarks.push(
+            "the header says nothing of the orientation; axis-aligned voxels at the origin are assumed".to_owned(),
+        );
+        let spacing = pixel_spacing(header);
+        (DMat3::from_diagonal(spacing), DVec3::ZERO, Space::Unnamed)
+    };
+    let to_lps = match space {
+        Space::Lps => DVec3::new(-1.0, -1.0, 1.0),
+        Space::Unnamed => DVec3::ONE,
+    };
+    let steps = [0, 1, 2].map(|axis| steps.col(axis) * to_lps * millimetres);
+    Ok((geometry_from_steps(path, size, steps, origin * to_lps * millimetres, space)?, remarks))
+}
+
+fn pixel_spacing(header: &NiftiHeader) -> DVec3 {
+    DVec3::new(header.pixdim[1].into(), header.pixdim[2].into(), header.pixdim[3].into())
+}
+
+/// Steps between voxels and origin from the three rows of the sform.
+fn sform(header: &NiftiHeader) -> (DMat3, DVec3, Space) {
+    let row = |row: [f32; 4]| row.map(f64::from);
+    let (x, y, z) = (row(header.srow_x), row(header.srow_y), row(header.srow_z));
+    let column = |axis: usize| DVec3::new(x[axis], y[axis], z[axis]);
+    (DMat3::from_cols(column(0), column(1), column(2)), column(3), Space::Lps)
+}
+
+/// The same from the quaternion of the qform.
+fn qform(header: &NiftiHeader) -> (DMat3, DVec3, Space) {
+    let vector = DVec3::new(header.quatern_b.into(), header.quatern_c.into(), header.quatern_d.into());
+    // The first component is not stored; rounding may leave the other three slightly longer than one.
+    let quaternion = DQuat::from_xyzw(vector.x, vector.y, vector.z, (1.0 - vector.length_squared()).max(0.0).sqrt());
+    let rotation = DMat3::from_quat(quaternion.normalize());
+    let mut spacing = pixel_spacing(header);
+    if header.pixdim[0] < 0.0 {
+        spacing.z = -spacing.z;
+    }
+    let origin = DVec3::new(header.quatern_x.into(), header.quatern_y.into(), header.quatern_z.into());
+    (rotation * DMat3::from_diagonal(spacing), origin, Space::Lps)
+}
+
+fn read_voxels(
+    reader: &mut dyn Read,
+    skip: f64,
+    scalar: ScalarType,
+    endian: Endian,
+    count: usize,
+) -> io::Result<Voxels> {
+    let mut reader = reader;
+    if !(0.0..1e9).contains(&skip) {
+        return Err(io::Error::new(io::ErrorKind::InvalidData, "the voxels start within the header"));
+    }
+    let skip = skip as u64;
+    if io::copy(&mut Read::take(&mut reader, skip), &mut io::sink())? < skip {
+        return Err(io::ErrorKind::UnexpectedEof.into());
+    }
+    let voxels = Voxels::read_from(reader, scalar, endian, count)?;
+    if reader.read(&mut [0])? > 0 {
+        return Err(io::Error::new(io::ErrorKind::InvalidData, "more data behind the last voxel"));
+    }
+    Ok(voxels)
+}
+
+/// Applies the header's slope and intercept, if they change anything.
+fn scaled(voxels: Voxels, slope: f32, intercept: f32, remarks: &mut Vec<String>) -> Voxels {
+    let plain = slope == 0.0 || !slope.is_finite() || !intercept.is_finite() || (slope == 1.0 && intercept == 0.0);
+    if plain {
+        return voxels;
+    }
+    remarks.push(format!("the values are the stored ones times {slope} plus {intercept}, as the header says"));
+    let (slope, intercept) = (f64::from(slope), f64::from(intercept));
+    match voxels.scalar_type() {
+        // Half the memory, where no digit is lost that was there.
+        ScalarType::I8 | ScalarType::U8 | ScalarType::I16 | ScalarType::U16 | ScalarType::F32 => {
+            Voxels::F32(voxels.to_f32().into_iter().map(|x| (f64::from(x) * slope + intercept) as f32).collect())
+        }
+        _ => Voxels::F64(voxels.to_f64().into_iter().map(|x| x * slope + intercept).collect()),
+    }
+}

@@ -1,0 +1,209 @@
+//! From the axes of an NRRD header to the one geometry of this program: which axes are spatial, how far apart their
+//! samples are, where they point in the world.
+
+use super::header::{Header, field_error};
+use crate::geometry::{Geometry, Space};
+use crate::limit::{geometry_from_steps, voxel_count};
+use glam::DVec3;
+use isoparticles_file::error::Result;
+use isoparticles_file::limit::bad;
+use std::path::Path;
+
+/// What the axes of a header say.
+pub(super) struct Grid {
+    pub(super) geometry: Geometry,
+    /// What had to be assumed.
+    pub(super) remarks: Vec<String>,
+    /// The axis that counts the layers of a segmentation, if it has more than one.
+    pub(super) layer_axis: Option<usize>,
+}
+
+/// Reads the axes. A segmentation may have an axis of layers.
+pub(super) fn grid(path: &Path, header: &Header, is_segmentation: bool) -> Result<Grid> {
+    let kinds = header.words(path, "kinds")?;
+    let (space, to_lps, has_time) = world(path, header)?;
+    let vectors = header.field("space directions").map(|text| vectors(path, header, text)).transpose()?;
+    let (axes, layer_axis) =
+        spatial_axes(path, header, is_segmentation, (kinds.as_deref(), vectors.as_deref(), has_time))?;
+    let size = axes.map(|axis| header.sizes[axis]);
+    voxel_count(path, size)?;
+    if size.contains(&1) {
+        return Err(bad(
+            path,
+            format!("is a flat image of {} x {} x {} voxels", size[0], size[1], size[2]),
+            "a surface is extracted from a volume with at least two voxels along each axis",
+            "give a 3-D volume",
+        ));
+    }
+    if let Some(vectors) = vectors {
+        let origin = match header.field("space origin") {
+            Some(text) => vector(text).and_then(|v| v).ok_or_else(|| field_error(path, "space origin", text))?,
+            None => DVec3::ZERO,
+        };
+        let step = |axis: usize| {
+            vectors[axis]
+                .map(|vector| vector * to_lps)
+                .ok_or_else(|| field_error(path, "space directions", header.field("space directions").unwrap_or("")))
+        };
+        let steps = [step(axes[0])?, step(axes[1])?, step(axes[2])?];
+        let geometry = geometry_from_steps(path, size, steps, origin * to_lps, space)?;
+        return Ok(Grid { geometry, remarks: Vec::new(), layer_axis });
+    }
+    let mut remarks = Vec::new();
+    let (spacing, origin) = plain_spacing(path, header, axes, &mut remarks)?;
+    let steps = [DVec3::X * spacing.x, DVec3::Y * spacing.y, DVec3::Z * spacing.z];
+    let geometry = geometry_from_steps(path, size, steps.map(|step| step * to_lps), origin * to_lps, space)?;
+    Ok(Grid { geometry, remarks, layer_axis })
+}
+
+/// The world's name, the signs that turn it into LPS, and whether its vectors have a fourth component for time.
+fn world(path: &Path, header: &Header) -> Result<(Space, DVec3, bool)> {
+    if let Some(text) = header.field("space dimension") {
+        return if text == "3" {
+            Ok((Space::Unnamed, DVec3::ONE, false))
+        } else {
+            Err(field_error(path, "space dimension", text))
+        };
+    }
+    let Some(name) = header.field("space") else { return Ok((Space::Unnamed, DVec3::ONE, false)) };
+    let lower = name.to_lowercase();
+    let (base, has_time) = match lower.strip_suffix("-time") {
+        Some(base) => (base, true),
+        None => (lower.as_str(), false),
+    };
+    Ok(match (base, has_time) {
+        ("left-posterior-superior", _) => (Space::Lps, DVec3::ONE, has_time),
+        ("lps", _) => (Space::Lps, DVec3::ONE, false),
+        ("lpst", _) => (Space::Lps, DVec3::ONE, true),
+        ("right-anterior-superior", _) => (Space::Lps, DVec3::new(-1.0, -1.0, 1.0), has_time),
+        ("ras", _) => (Space::Lps, DVec3::new(-1.0, -1.0, 1.0), false),
+        ("rast", _) => (Space::Lps, DVec3::new(-1.0, -1.0, 1.0), true),
+        ("left-anterior-superior", _) => (Space::Lps, DVec3::new(1.0, -1.0, 1.0), has_time),
+        ("las", _) => (Space::Lps, DVec3::new(1.0, -1.0, 1.0), false),
+        ("last", _) => (Space::Lps, DVec3::new(1.0, -1.0, 1.0), true),
+        ("scanner-xyz" | "3d-right-handed" | "3d-left-handed", _) => (Space::Unnamed, DVec3::ONE, has_time),
+        _ => return Err(field_error(path, "space", name)),
+    })
+}
+
+/// The vectors of `space directions`; `None` for an axis that is not spatial.
+fn vectors(path: &Path, header: &Header, text: &str) -> Result<Vec<Option<DVec3>>> {
+    let mut rest = text.trim();
+    let mut vectors = Vec::new();
+    while !rest.is_empty() {
+        let end = if rest.starts_with('(') { rest.find(')').map(|end| end + 1) } else { rest.find([' ', '\t', '(']) };
+        let (word, tail) = rest.split_at(end.unwrap_or(rest.len()));
+        vectors.push(vector(word).ok_or_else(|| field_error(path, "space directions", text))?);
+        rest = tail.trim_start();
+    }
+    if vectors.len() == header.sizes.len() { Ok(vectors) } else { Err(field_error(path, "space directions", text)) }
+}
+
+/// `(x,y,z)` or `(x,y,z,t)`, of which time is left out; `Some(None)` for `none` and for vectors of NaN.
+fn vector(word: &str) -> Option<Option<DVec3>> {
+    if word.eq_ignore_ascii_case("none") {
+        return Some(None);
+    }
+    let inner = word.trim().strip_prefix('(')?.strip_suffix(')')?;
+    let parts: Vec<f64> = inner.split(',').map(|part| part.trim().parse().ok()).collect::<Option<_>>()?;
+    match parts.as_slice() {
+        [x, y, z] | [x, y, z, _] => {
+            let vector = DVec3::new(*x, *y, *z);
+            let absent = x.is_nan() && y.is_nan() && z.is_nan();
+            Some((!absent).then_some(vector))
+        }
+        _ => None,
+    }
+}
+
+/// What a header says of its axes: their kinds, their vectors, and whether these have a component for time.
+type Axes<'a> = (Option<&'a [&'a str]>, Option<&'a [Option<DVec3>]>, bool);
+
+/// The three axes that span the volume, and that of the layers of a segmentation. Other axes may be there if they have one sample.
+fn spatial_axes(
+    path: &Path,
+    header: &Header,
+    is_segmentation: bool,
+    (kinds, vectors, has_time): Axes<'_>,
+) -> Result<([usize; 3], Option<usize>)> {
+    let kind = |axis: usize| kinds.map_or("unknown", |kinds| kinds[axis]).to_lowercase();
+    let is_spatial = |axis: usize| match vectors {
+        Some(vectors) => vectors[axis].is_some_and(|vector| !(has_time && vector == DVec3::ZERO)),
+        None => matches!(kind(axis).as_str(), "domain" | "space" | "none" | "???" | "unknown"),
+    };
+    let (mut spatial, others): (Vec<usize>, Vec<usize>) = (0..header.sizes.len()).partition(|&axis| is_spatial(axis));
+    let layer_axis =
+        others.iter().copied().find(|&axis| is_segmentation && kind(axis) == "list" && header.sizes[axis] != 1);
+    if let Some(&axis) = others.iter().find(|&&axis| header.sizes[axis] != 1 && Some(axis) != layer_axis) {
+        let (size, kind) = (header.sizes[axis], kind(axis));
+        let (what, next) = if kind == "time" {
+            ("a sequence of volumes", "write one of the volumes to a file of its own")
+        } else {
+            ("a volume with more than one number a voxel", "write one component to a file of its own")
+        };
+        return Err(bad(
+            path,
+            format!("is {what}: axis {axis} (kind {kind}) has {size} samples"),
+            "a surface is extracted from one number a voxel",
+            next,
+        ));
+    }
+    while spatial.len() > 3 {
+        match spatial.iter().rposition(|&axis| header.sizes[axis] == 1) {
+            Some(position) => drop(spatial.remove(position)),
+            None => break,
+        }
+    }
+    let axes = <[usize; 3]>::try_from(spatial).map_err(|spatial| {
+        bad(
+            path,
+            format!("has {} spatial axes (sizes {:?})", spatial.len(), header.sizes),
+            "a surface is extracted from a volume with three",
+            "give a 3-D volume",
+        )
+    })?;
+    Ok((axes, layer_axis))
+}
+
+/// Spacing and origin of a header without `space directions`: from `spacings`, `axis mins` and `axis maxs`.
+fn plain_spacing(path: &Path, header: &Header, axes: [usize; 3], remarks: &mut Vec<String>) -> Result<(DVec3, DVec3)> {
+    let pick = |numbers: Option<Vec<f64>>| {
+        let all = numbers.map_or([f64::NAN; 3], |numbers| axes.map(|axis| numbers[axis]));
+        DVec3::from_array(all)
+    };
+    let mut spacing = pick(header.numbers(path, "spacings")?);
+    let low = pick(header.numbers(path, "axis mins")?);
+    let high = pick(header.numbers(path, "axis maxs")?);
+    let centers = header.words(path, "centers")?;
+    let is_cell = |axis: usize| {
+        // Teem takes samples as centres of cells unless the header says nodes.
+        centers.as_ref().is_none_or(|words| !words[axes[axis]].eq_ignore_ascii_case("node"))
+    };
+    for axis in 0..3 {
+        if spacing[axis].is_nan() && low[axis].is_finite() && high[axis].is_finite() {
+            let gaps = header.sizes[axes[axis]] - usize::from(!is_cell(axis));
+            spacing[axis] = (high[axis] - low[axis]) / gaps as f64;
+        }
+    }
+    if spacing.is_nan_mask().all() {
+        remarks.push("the header has no spacing; 1 mm is assumed".to_owned());
+        spacing = DVec3::ONE;
+    }
+    if let Some(axis) = (0..3).find(|&axis| !(spacing[axis] > 0.0 && spacing[axis].is_finite())) {
+        return Err(bad(
+            path,
+            format!("the spacing of axis {} is {}", axes[axis], spacing[axis]),
+            "lengths are measured with it, so it must be a finite positive number",
+            "correct 'spacings' in the file's header",
+        ));
+    }
+    let mut origin = DVec3::ZERO;
+    if let Some(text) = header.field("space origin") {
+        origin = vector(text).and_then(|v| v).ok_or_else(|| field_error(path, "space origin", text))?;
+    } else if low.is_finite() {
+        for axis in 0..3 {
+            origin[axis] = low[axis] + if is_cell(axis) { 0.5 * spacing[axis] } else { 0.0 };
+        }
+    }
+    Ok((spacing, origin))
+}

@@ -1,0 +1,51 @@
+//! The segments of 3D Slicer's `.seg.nrrd`, which stand in key/value pairs: `Segment0_Name`, `Segment0_LabelValue`, `Segment0_Layer`.
+
+use super::header::{Header, field_error};
+use crate::segments::{LayerLabel, Segment};
+use isoparticles_file::error::Result;
+use isoparticles_file::limit::bad;
+use std::path::Path;
+
+/// Whether the header names segments.
+pub(super) fn is_segmentation(header: &Header) -> bool {
+    header.pairs.keys().any(|key| number_of(key).is_some())
+}
+
+/// The number in a key such as `Segment12_Name`.
+fn number_of(key: &str) -> Option<u64> {
+    key.strip_prefix("Segment")?.strip_suffix("_Name")?.parse().ok()
+}
+
+/// The segments in the order of their numbers, for a file of so many layers. Before Slicer 4.11 each segment had a layer of its own and
+/// the label 1, and the header said neither.
+pub(super) fn segments(path: &Path, header: &Header, layers: usize) -> Result<Vec<Segment>> {
+    let mut numbers: Vec<u64> = header.pairs.keys().filter_map(|key| number_of(key)).collect();
+    numbers.sort_unstable();
+    let mut segments = Vec::new();
+    for (position, number) in numbers.into_iter().enumerate() {
+        let value = |key: &str| {
+            let key = format!("Segment{number}_{key}");
+            header.pairs.get(&key).map(|text| (key, text.trim()))
+        };
+        let label = match value("LabelValue") {
+            Some((key, text)) => text.parse().map_err(|_| field_error(path, &key, text))?,
+            None => 1,
+        };
+        let layer = match value("Layer") {
+            Some((key, text)) => text.parse().map_err(|_| field_error(path, &key, text))?,
+            None if layers == 1 => 0,
+            None => position,
+        };
+        let name = value("Name").map_or("", |(_, name)| name).to_owned();
+        if layer >= layers {
+            return Err(bad(
+                path,
+                format!("puts the segment '{name}' into layer {layer} of {layers}"),
+                "that layer is not there",
+                "write the segmentation again",
+            ));
+        }
+        segments.push(Segment { name, at: LayerLabel { layer, label } });
+    }
+    Ok(segments)
+}

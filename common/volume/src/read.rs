@@ -1,0 +1,170 @@
+//! The one way into the program for volumes: which reader a file wants is told by its first bytes, and by its name only where the bytes
+//! do not say.
+
+use crate::volume::Volume;
+use crate::{dicom, meta_image, nifti, nrrd, vti};
+use isoparticles_file::error::{Error, Result};
+use isoparticles_file::limit::bad;
+use std::io::Read;
+use std::path::Path;
+
+/// Bytes that are looked at: behind the 128 bytes at the start of a DICOM file, and far enough into an XML file.
+const START_BYTES: u64 = 512;
+
+/// What the user says beside the name of the file.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct ReadOptions<'a> {
+    /// Which series of a folder of DICOM files: its description, its number or its UID. Not needed where there is one.
+    pub series: Option<&'a str>,
+}
+
+/// Formats of volumes, as told by the first bytes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Format {
+    Nrrd,
+    MetaImage,
+    Nifti,
+    VtkImage,
+}
+
+/// Reads a volume: NRRD, 3D Slicer's segmentation, MetaImage, NIfTI, VTK image, or a folder of DICOM slices.
+///
+/// # Errors
+/// When the file cannot be read, is no volume with one number a voxel, is damaged or cut short, or does not fit in memory.
+pub fn read_volume(path: &Path) -> Result<Volume> {
+    read_volume_with(path, &ReadOptions::default())
+}
+
+/// The same with options.
+///
+/// # Errors
+/// As [`read_volume`], and when a series is asked for that is not there, or of a file that has no series.
+pub fn read_volume_with(path: &Path, options: &ReadOptions<'_>) -> Result<Volume> {
+    if path.is_dir() {
+        return dicom::read_folder(path, options.series);
+    }
+    let start = start(path)?;
+    let read = match format(path, &start)? {
+        Format::Nrrd => nrrd::read_nrrd,
+        Format::MetaImage => meta_image::read_meta_image,
+        Format::Nifti => nifti::read_nifti,
+        Format::VtkImage => vti::read_vti,
+    };
+    match options.series {
+        Some(series) => Err(bad(
+            path,
+            format!("has no series to choose '{series}' from"),
+            "only a folder of DICOM files has series",
+            "leave the series out, or give the folder",
+        )),
+        None => read(path),
+    }
+}
+
+fn start(path: &Path) -> Result<Vec<u8>> {
+    let mut start = Vec::new();
+    std::fs::File::open(path)
+        .and_then(|file| file.take(START_BYTES).read_to_end(&mut start))
+        .map_err(|error| Error::file(path, "read", &error, "check the name of the volume"))?;
+    if start.is_empty() {
+        return Err(bad(path, "is empty", "there is no volume in it", "check how it was written"));
+    }
+    Ok(start)
+}
+
+/// Which format a file has; an error for everything that is no volume.
+fn format(path: &Path, start: &[u8]) -> Result<Format> {
+    let name = path.to_string_lossy().to_lowercase();
+    let ends = |endings: &[&str]| endings.iter().any(|ending| name.ends_with(ending));
+    let has = |word: &[u8]| start.windows(word.len()).any(|window| window == word);
+    if start.starts_with(b"NRRD") {
+        return Ok(Format::Nrrd);
+    }
+    if nifti::is_nifti(start) || nifti::is_compressed_nifti(path, start) {
+        return Ok(Format::Nifti);
+    }
+    if dicom::is_dicom(start) {
+        return Err(bad(
+            path,
+            "is one DICOM file",
+            "a volume is the whole series, with one slice in each file",
+            "give the folder that the files of the series lie in",
+        ));
+    }
+    if let Some(what) = no_volume(start, &ends) {
+        return Err(bad(
+            path,
+            format!("is {}", what.0),
+            "this stage makes a distance field from a volume: a scan or a label map",
+            what.1,
+        ));
+    }
+    if meta_image::is_meta_image(start) || ends(&[".mha", ".mhd"]) {
+        return Ok(Format::MetaImage);
+    }
+    if has(b"<VTKFile") || ends(&[".vti"]) {
+        return Ok(Format::VtkImage);
+    }
+    if ends(&[".nii", ".nii.gz"]) {
+        return Ok(Format::Nifti);
+    }
+    if ends(&[".nrrd", ".nhdr"]) {
+        return Err(bad(
+            path,
+            "does not start with the letters NRRD",
+            "it is not an NRRD file, whatever its name says",
+            "check how it was written or downloaded",
+        ));
+    }
+    Err(bad(
+        path,
+        "is of no format that this program knows",
+        "volumes are read from NRRD (.nrrd, .nhdr, .seg.nrrd), NIfTI (.nii, .nii.gz), MetaImage (.mha, .mhd), VTK image files (.vti) and \
+         folders of DICOM slices",
+        "convert it, for example with 3D Slicer, ITK-SNAP or SimpleITK",
+    ))
+}
+
+/// What a file is that looks like one but holds no volume, and where it belongs.
+fn no_volume(start: &[u8], ends: &impl Fn(&[&str]) -> bool) -> Option<(&'static str, &'static str)> {
+    const SURFACE: &str = "tetmesh-check fills a closed .vtp surface with tetrahedra, and 'reconstruct --method tight-cocone' takes the \
+                           points of .vtp and .ply files; for distfield, give the volume that the surface was made from";
+    let has = |word: &[u8]| start.windows(word.len()).any(|window| window == word);
+    if has(b"<VTKFile") {
+        return match () {
+            () if has(b"\"PolyData\"") => Some(("a surface (VTK polygons)", SURFACE)),
+            () if has(b"\"UnstructuredGrid\"") => {
+                Some(("a mesh of tetrahedra (VTK unstructured grid)", "give the volume that it was made from"))
+            }
+            () => None,
+        };
+    }
+    if let Some(rest) = start.strip_prefix(b"ISOPART\n") {
+        return Some(match rest.first() {
+            Some(1) => ("a file of seeds", "particles takes it; for distfield, give the volume that it was made from"),
+            Some(3) => ("a checkpoint of particles", "'particles --resume' takes it"),
+            _ => ("a file of particles", "reconstruct takes it; for distfield, give the volume that it was made from"),
+        });
+    }
+    if start.starts_with(b"# vtk DataFile") {
+        return Some(("a legacy VTK file", "open it in ParaView or pyvista and save the image as .vti"));
+    }
+    if start.starts_with(b"ply\n") || start.starts_with(b"ply\r\n") {
+        return Some(("a surface or point cloud (PLY)", SURFACE));
+    }
+    if start.starts_with(b"solid ") || ends(&[".stl"]) {
+        return Some((
+            "a surface (STL)",
+            "save it as .vtp: tetmesh-check fills a closed surface with tetrahedra; for distfield, give the \
+                                         volume that the surface was made from",
+        ));
+    }
+    if ends(&[".obj"]) {
+        return Some((
+            "a surface (OBJ)",
+            "save it as .vtp: tetmesh-check fills a closed surface with tetrahedra; for distfield, give the \
+                                         volume that the surface was made from",
+        ));
+    }
+    None
+}

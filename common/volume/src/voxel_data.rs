@@ -1,0 +1,302 @@
+//! The voxels behind a text header, as NRRD and MetaImage have them: attached or in one or more data files, in one of six encodings.
+
+use crate::voxels::{Endian, ScalarType, Voxels};
+use isoparticles_file::error::{Error, Result};
+use isoparticles_file::limit::bad;
+use std::fs::File;
+use std::io::{self, BufRead, BufReader, ErrorKind, Read, Seek, SeekFrom};
+use std::path::Path;
+
+/// How the voxels are put into bytes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Coding {
+    Raw,
+    Text,
+    Hex,
+    Gzip,
+    Bzip2,
+    Zlib,
+}
+
+/// Where the voxels are.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) enum DataFiles {
+    /// After the header, in the same file.
+    Attached,
+    /// In these files, one after the other, named relative to the layout.
+    Named(Vec<String>),
+}
+
+/// One line of a header without its end; `None` at the end of the file.
+pub(crate) fn read_line(path: &Path, reader: &mut impl BufRead) -> Result<Option<String>> {
+    let mut line = Vec::new();
+    reader
+        .read_until(b'\n', &mut line)
+        .map_err(|error| Error::file(path, "read", &error, "check the disk the file is on"))?;
+    if line.is_empty() {
+        return Ok(None);
+    }
+    while line.last().is_some_and(|&byte| byte == b'\n' || byte == b'\r') {
+        line.pop();
+    }
+    Ok(Some(String::from_utf8_lossy(&line).into_owned()))
+}
+
+/// What a header says of the voxels' bytes.
+#[derive(Clone, Debug)]
+pub(crate) struct Layout {
+    pub(crate) scalar: ScalarType,
+    pub(crate) coding: Coding,
+    pub(crate) endian: Option<Endian>,
+    pub(crate) line_skip: u64,
+    /// Bytes before the first voxel; a negative number counts from the end of raw data ([`place_raw`]).
+    pub(crate) byte_skip: i64,
+    pub(crate) files: DataFiles,
+}
+
+/// Reads `count` voxels; `attached` stands right after the layout.
+pub(crate) fn read_voxels(path: &Path, layout: &Layout, count: usize, attached: BufReader<File>) -> Result<Voxels> {
+    if layout.endian.is_none() && layout.scalar.bytes() > 1 && layout.coding != Coding::Text {
+        return Err(bad(
+            path,
+            format!("does not say the byte order of its {} voxels", layout.scalar.name()),
+            "read in the wrong order they would be noise",
+            "add the byte order to the header ('endian: little' or big in NRRD)",
+        ));
+    }
+    if layout.byte_skip < 0 && layout.coding != Coding::Raw {
+        return Err(bad(
+            path,
+            format!("skips {} bytes of data that is not raw", layout.byte_skip),
+            "skipping from the end needs a known size",
+            "correct the header",
+        ));
+    }
+    match &layout.files {
+        DataFiles::Attached => read_part(path, layout, count, attached),
+        DataFiles::Named(names) => {
+            let folder = path.parent().unwrap_or(Path::new(""));
+            if names.is_empty() || !count.is_multiple_of(names.len()) {
+                return Err(bad(
+                    path,
+                    format!("names {} data files for {count} voxels", names.len()),
+                    "every file holds the same number of voxels",
+                    "correct the data files in the header",
+                ));
+            }
+            let mut whole: Option<Voxels> = None;
+            for name in names {
+                let part_path = folder.join(name);
+                let file = File::open(&part_path).map_err(|error| {
+                    Error::file(&part_path, "read", &error, format!("{} names it: put it in its place", path.display()))
+                })?;
+                let part = read_part(&part_path, layout, count / names.len(), BufReader::new(file))?;
+                match &mut whole {
+                    None => whole = Some(part),
+                    Some(whole) => whole.append(part),
+                }
+            }
+            whole.ok_or_else(|| bad(path, "names no data file", "there are no voxels", "correct the header"))
+        }
+    }
+}
+
+/// Reads the voxels of one file from where the reader stands, and checks that nothing follows them.
+fn read_part(path: &Path, layout: &Layout, count: usize, mut reader: BufReader<File>) -> Result<Voxels> {
+    let read = |reader: &mut BufReader<File>| -> io::Result<Voxels> {
+        skip_lines(reader, layout.line_skip)?;
+        let endian = layout.endian.unwrap_or(Endian::Little);
+        let expected = count as u64 * layout.scalar.bytes() as u64;
+        match layout.coding {
+            Coding::Raw => {
+                place_raw(reader, layout.byte_skip, expected)?;
+                Voxels::read_from(reader, layout.scalar, endian, count)
+            }
+            Coding::Gzip => {
+                let mut decoder = flate2::bufread::MultiGzDecoder::new(reader);
+                read_stream(&mut decoder, layout, endian, count)
+            }
+            Coding::Bzip2 => {
+                let mut decoder = bzip2::bufread::MultiBzDecoder::new(reader);
+                read_stream(&mut decoder, layout, endian, count)
+            }
+            Coding::Zlib => {
+                let mut decoder = flate2::bufread::ZlibDecoder::new(reader);
+                read_stream(&mut decoder, layout, endian, count)
+            }
+            Coding::Hex => read_stream(&mut HexReader { inner: reader }, layout, endian, count),
+            Coding::Text => {
+                skip_bytes(reader, layout.byte_skip.unsigned_abs())?;
+                read_text(reader, layout.scalar, count)
+            }
+        }
+    };
+    read(&mut reader).map_err(|error| data_error(path, layout, count, &error))
+}
+
+/// What is wrong with the data, in words.
+fn data_error(path: &Path, layout: &Layout, count: usize, error: &io::Error) -> Error {
+    let promised = format!("the header promises {count} voxels of type {} in this file", layout.scalar.name());
+    match error.kind() {
+        ErrorKind::UnexpectedEof => bad(
+            path,
+            format!("the data is cut short ({error})"),
+            promised,
+            "copy or download the file again, or correct the sizes in the header",
+        ),
+        ErrorKind::InvalidData | ErrorKind::InvalidInput => {
+            bad(path, format!("the data is not as the header says: {error}"), promised, "write the file again")
+        }
+        _ => Error::file(path, "read the voxels", error, "copy or download the file again"),
+    }
+}
+
+fn skip_lines(reader: &mut impl BufRead, lines: u64) -> io::Result<()> {
+    for _ in 0..lines {
+        if reader.skip_until(b'\n')? == 0 {
+            return Err(io::Error::new(ErrorKind::UnexpectedEof, "it ends within the lines to skip"));
+        }
+    }
+    Ok(())
+}
+
+fn skip_bytes(reader: &mut impl Read, bytes: u64) -> io::Result<()> {
+    if io::copy(&mut Read::take(reader, bytes), &mut io::sink())? == bytes {
+        return Ok(());
+    }
+    Err(io::Error::new(ErrorKind::UnexpectedEof, "it ends within the bytes to skip"))
+}
+
+/// Moves to the first voxel of raw data. The rest of the file must be the voxels and nothing more, except that a negative
+/// skip counts from the end: -1 for voxels that end with the file, -n for n - 1 bytes behind them.
+fn place_raw(reader: &mut BufReader<File>, skip: i64, expected: u64) -> io::Result<()> {
+    let here = reader.stream_position()?;
+    let length = reader.get_ref().metadata()?.len();
+    let short =
+        |found: u64| io::Error::new(ErrorKind::UnexpectedEof, format!("{found} bytes where {expected} are needed"));
+    if skip < 0 {
+        let behind = skip.unsigned_abs() - 1;
+        let from_here = length.saturating_sub(here).saturating_sub(behind);
+        let start = length.checked_sub(behind).and_then(|end| end.checked_sub(expected)).filter(|&start| start >= here);
+        let start = start.ok_or_else(|| short(from_here))?;
+        reader.seek(SeekFrom::Start(start))?;
+        return Ok(());
+    }
+    let found = length.saturating_sub(here).saturating_sub(skip.unsigned_abs());
+    if found < expected {
+        return Err(short(found));
+    }
+    if found > expected {
+        return Err(trailing(&format!("{} bytes", found - expected)));
+    }
+    reader.seek(SeekFrom::Start(here + skip.unsigned_abs()))?;
+    Ok(())
+}
+
+/// Reads a stream to its end: skipped bytes, voxels, nothing else.
+fn read_stream(reader: &mut dyn Read, layout: &Layout, endian: Endian, count: usize) -> io::Result<Voxels> {
+    let mut reader = reader;
+    skip_bytes(&mut reader, layout.byte_skip.unsigned_abs())?;
+    let voxels = Voxels::read_from(reader, layout.scalar, endian, count)?;
+    if reader.read(&mut [0])? > 0 { Err(trailing("more data")) } else { Ok(voxels) }
+}
+
+fn trailing(what: &str) -> io::Error {
+    io::Error::new(ErrorKind::InvalidData, format!("{what} behind the last voxel"))
+}
+
+/// Turns pairs of hexadecimal digits into bytes.
+struct HexReader<R> {
+    inner: R,
+}
+
+impl<R: BufRead> HexReader<R> {
+    /// The next digit, white space left out; `None` at the end.
+    fn digit(&mut self) -> io::Result<Option<u8>> {
+        loop {
+            let Some(&byte) = self.inner.fill_buf()?.first() else { return Ok(None) };
+            self.inner.consume(1);
+            if byte.is_ascii_whitespace() {
+                continue;
+            }
+            let value = char::from(byte).to_digit(16);
+            let value = value.ok_or_else(|| io::Error::new(ErrorKind::InvalidData, "not a hexadecimal digit"))?;
+            return Ok(Some(value as u8));
+        }
+    }
+}
+
+impl<R: BufRead> Read for HexReader<R> {
+    fn read(&mut self, bytes: &mut [u8]) -> io::Result<usize> {
+        for (position, byte) in bytes.iter_mut().enumerate() {
+            let Some(high) = self.digit()? else { return Ok(position) };
+            let low = self.digit()?;
+            let low = low.ok_or_else(|| io::Error::new(ErrorKind::UnexpectedEof, "it ends within a byte"))?;
+            *byte = 16 * high + low;
+        }
+        Ok(bytes.len())
+    }
+}
+
+/// Reads numbers in text, parted by white space or commas.
+fn read_text(reader: &mut impl BufRead, scalar: ScalarType, count: usize) -> io::Result<Voxels> {
+    let mut voxels = Voxels::empty(scalar);
+    let mut line = Vec::new();
+    loop {
+        line.clear();
+        // A line without end is read in pieces; a number is never cut, because a piece goes on to the next separator.
+        Read::take(&mut *reader, 1 << 16).read_until(b'\n', &mut line)?;
+        if line.len() == 1 << 16 {
+            while let Some(&byte) = reader.fill_buf()?.first() {
+                if is_separator(byte) || line.len() > 1 << 17 {
+                    break;
+                }
+                line.push(byte);
+                reader.consume(1);
+            }
+        }
+        if line.is_empty() {
+            break;
+        }
+        for word in line.split(|&byte| is_separator(byte)).filter(|word| !word.is_empty()) {
+            let text = std::str::from_utf8(word).ok();
+            if voxels.len() == count {
+                return Err(trailing("more numbers"));
+            }
+            if text.is_none_or(|text| !voxels.push_text(text)) {
+                let shown: String = String::from_utf8_lossy(word).chars().take(40).collect();
+                let text = format!("'{shown}' is no {}", scalar.name());
+                return Err(io::Error::new(ErrorKind::InvalidData, text));
+            }
+        }
+    }
+    if voxels.len() < count {
+        let text = format!("{} numbers where {count} are needed", voxels.len());
+        return Err(io::Error::new(ErrorKind::UnexpectedEof, text));
+    }
+    Ok(voxels)
+}
+
+fn is_separator(byte: u8) -> bool {
+    byte.is_ascii_whitespace() || byte == b','
+}
+
+/// The names that a `printf` pattern with one integer gives, from `low` to `high`; `None` where the pattern or the range has no meaning.
+pub(crate) fn numbered_names(format: &str, low: i64, high: i64, step: i64) -> Option<Vec<String>> {
+    let (prefix, rest) = format.split_once('%')?;
+    let end = rest.find(|c: char| !c.is_ascii_digit())?;
+    let (width, suffix) = rest.split_at(end);
+    let suffix = suffix.strip_prefix(['d', 'i', 'u']).filter(|suffix| !suffix.contains('%'))?;
+    let zero = width.starts_with('0');
+    let width: usize = if width.is_empty() { 0 } else { width.parse().ok()? };
+    let count = high.checked_sub(low)?.checked_div(step)?;
+    if !(0..1_000_000).contains(&count) || width > 100 {
+        return None;
+    }
+    let name = |index: i64| {
+        let value = low + index * step;
+        let digits = if zero { format!("{value:0width$}") } else { format!("{value:width$}") };
+        format!("{prefix}{digits}{suffix}")
+    };
+    Some((0..=count).map(name).collect())
+}

@@ -1,0 +1,432 @@
+//! Values of one of the ten scalar types that volumes are made of, and their bytes.
+
+use crate::image::reverse_slices;
+use isoparticles_file::error::{Error, Result};
+use std::collections::BTreeSet;
+use std::io::Read;
+
+/// Type of a voxel.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ScalarType {
+    /// Signed 8-bit integer.
+    I8,
+    /// Unsigned 8-bit integer.
+    U8,
+    /// Signed 16-bit integer.
+    I16,
+    /// Unsigned 16-bit integer.
+    U16,
+    /// Signed 32-bit integer.
+    I32,
+    /// Unsigned 32-bit integer.
+    U32,
+    /// Signed 64-bit integer.
+    I64,
+    /// Unsigned 64-bit integer.
+    U64,
+    /// 32-bit floating-point number.
+    F32,
+    /// 64-bit floating-point number.
+    F64,
+}
+
+/// Order of the bytes of a number.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Endian {
+    /// Least significant byte first.
+    Little,
+    /// Most significant byte first.
+    Big,
+}
+
+/// Values of one of the ten scalar types.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Voxels {
+    /// Signed 8-bit integers.
+    I8(Vec<i8>),
+    /// Unsigned 8-bit integers.
+    U8(Vec<u8>),
+    /// Signed 16-bit integers.
+    I16(Vec<i16>),
+    /// Unsigned 16-bit integers.
+    U16(Vec<u16>),
+    /// Signed 32-bit integers.
+    I32(Vec<i32>),
+    /// Unsigned 32-bit integers.
+    U32(Vec<u32>),
+    /// Signed 64-bit integers.
+    I64(Vec<i64>),
+    /// Unsigned 64-bit integers.
+    U64(Vec<u64>),
+    /// 32-bit floating-point numbers.
+    F32(Vec<f32>),
+    /// 64-bit floating-point numbers.
+    F64(Vec<f64>),
+}
+
+/// Runs the same expression on the vector inside, whatever its type.
+macro_rules! each_type {
+    ($voxels:expr, $values:ident => $body:expr) => {
+        match $voxels {
+            Voxels::I8($values) => $body,
+            Voxels::U8($values) => $body,
+            Voxels::I16($values) => $body,
+            Voxels::U16($values) => $body,
+            Voxels::I32($values) => $body,
+            Voxels::U32($values) => $body,
+            Voxels::I64($values) => $body,
+            Voxels::U64($values) => $body,
+            Voxels::F32($values) => $body,
+            Voxels::F64($values) => $body,
+        }
+    };
+}
+
+/// Runs the same expression with the named type and variant.
+macro_rules! with_type {
+    ($scalar:expr, $type:ident, $variant:ident => $body:expr) => {
+        with_type!(@arms $scalar, $type, $variant, $body;
+            I8 i8, U8 u8, I16 i16, U16 u16, I32 i32, U32 u32, I64 i64, U64 u64, F32 f32, F64 f64)
+    };
+    (@arms $scalar:expr, $type:ident, $variant:ident, $body:expr; $($name:ident $rust:ty),*) => {
+        match $scalar {
+            $(ScalarType::$name => {
+                type $type = $rust;
+                let $variant = Voxels::$name;
+                $body
+            })*
+        }
+    };
+}
+
+impl ScalarType {
+    /// Bytes of one value.
+    pub fn bytes(self) -> usize {
+        match self {
+            Self::I8 | Self::U8 => 1,
+            Self::I16 | Self::U16 => 2,
+            Self::I32 | Self::U32 | Self::F32 => 4,
+            Self::I64 | Self::U64 | Self::F64 => 8,
+        }
+    }
+
+    /// Name of the type, such as `int16`, as NRRD and numpy have it.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::I8 => "int8",
+            Self::U8 => "uint8",
+            Self::I16 => "int16",
+            Self::U16 => "uint16",
+            Self::I32 => "int32",
+            Self::U32 => "uint32",
+            Self::I64 => "int64",
+            Self::U64 => "uint64",
+            Self::F32 => "float32",
+            Self::F64 => "float64",
+        }
+    }
+}
+
+/// A Rust number that [`Voxels`] can hold.
+trait Number: Copy {
+    fn to_label(self) -> Option<i64>;
+    fn single(self) -> f32;
+    fn double(self) -> f64;
+    fn rounded(value: f64) -> Self;
+}
+
+macro_rules! integer_number {
+    ($($type:ty),*) => {$(impl Number for $type {
+        fn to_label(self) -> Option<i64> {
+            i64::try_from(self).ok()
+        }
+        fn single(self) -> f32 {
+            self as f32
+        }
+        fn double(self) -> f64 {
+            self as f64
+        }
+        fn rounded(value: f64) -> Self {
+            value as Self
+        }
+    })*};
+}
+integer_number!(i8, u8, i16, u16, i32, u32, i64, u64);
+
+/// Whole numbers up to 2^53; beyond it not every whole number is a float any more, so none of them is a label.
+fn float_label(value: f64) -> Option<i64> {
+    (value.fract() == 0.0 && value.abs() <= 9_007_199_254_740_992.0).then_some(value as i64)
+}
+
+impl Number for f32 {
+    fn to_label(self) -> Option<i64> {
+        float_label(self.into())
+    }
+    fn single(self) -> f32 {
+        self
+    }
+    fn double(self) -> f64 {
+        self.into()
+    }
+    fn rounded(value: f64) -> Self {
+        value as Self
+    }
+}
+
+impl Number for f64 {
+    fn to_label(self) -> Option<i64> {
+        float_label(self)
+    }
+    fn single(self) -> f32 {
+        self as f32
+    }
+    fn double(self) -> f64 {
+        self
+    }
+    fn rounded(value: f64) -> Self {
+        value
+    }
+}
+
+impl Voxels {
+    /// Type of the values.
+    pub fn scalar_type(&self) -> ScalarType {
+        match self {
+            Self::I8(_) => ScalarType::I8,
+            Self::U8(_) => ScalarType::U8,
+            Self::I16(_) => ScalarType::I16,
+            Self::U16(_) => ScalarType::U16,
+            Self::I32(_) => ScalarType::I32,
+            Self::U32(_) => ScalarType::U32,
+            Self::I64(_) => ScalarType::I64,
+            Self::U64(_) => ScalarType::U64,
+            Self::F32(_) => ScalarType::F32,
+            Self::F64(_) => ScalarType::F64,
+        }
+    }
+
+    /// Name of the type, such as `int16`.
+    pub fn type_name(&self) -> &'static str {
+        self.scalar_type().name()
+    }
+
+    /// Number of values.
+    pub fn len(&self) -> usize {
+        each_type!(self, values => values.len())
+    }
+
+    /// Whether there are no values.
+    pub fn is_empty(&self) -> bool {
+        self.len() == 0
+    }
+
+    /// The values as 32-bit floating-point numbers (integers beyond 2^24 are rounded).
+    pub fn to_f32(&self) -> Vec<f32> {
+        each_type!(self, values => values.iter().map(|&value| value.single()).collect())
+    }
+
+    /// Writes the values from `first` on as 32-bit floating-point numbers (integers beyond 2^24 are rounded) until `to` is full.
+    pub fn copy_as_f32(&self, first: usize, to: &mut [f32]) {
+        let range = first..first + to.len();
+        each_type!(self, values => to.iter_mut().zip(&values[range]).for_each(|(to, &value)| *to = value.single()));
+    }
+
+    /// The values as 64-bit floating-point numbers (integers beyond 2^53 are rounded).
+    pub fn to_f64(&self) -> Vec<f64> {
+        each_type!(self, values => values.iter().map(|&value| value.double()).collect())
+    }
+
+    /// Smallest and largest finite value; `None` where no value is finite.
+    pub fn range(&self) -> Option<(f64, f64)> {
+        let (low, high) = each_type!(self, values => values
+            .iter()
+            .map(|&value| value.double())
+            .filter(|value| value.is_finite())
+            .fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), value| (low.min(value), high.max(value))));
+        (low <= high).then_some((low, high))
+    }
+
+    /// Number of NaN and infinite values.
+    pub fn non_finite_count(&self) -> usize {
+        match self {
+            Self::F32(values) => values.iter().filter(|value| !value.is_finite()).count(),
+            Self::F64(values) => values.iter().filter(|value| !value.is_finite()).count(),
+            _ => 0,
+        }
+    }
+
+    /// The distinct values in increasing order. Fails when a value is not a whole number.
+    pub fn label_set(&self) -> Result<Vec<i64>> {
+        each_type!(self, values => distinct(values)).map_err(|value| {
+            Error::input(
+                format!("the volume holds the value {value}, which is no label"),
+                "labels are whole numbers",
+                "give a label volume, or extract an iso value instead of labels",
+            )
+        })
+    }
+
+    /// Which voxels carry one of the labels.
+    pub fn label_mask(&self, labels: &[i64]) -> Vec<bool> {
+        each_type!(self, values => values
+            .iter()
+            .map(|&value| Number::to_label(value).is_some_and(|label| labels.contains(&label)))
+            .collect())
+    }
+
+    /// Fails when one of the labels does not occur, and says which ones do.
+    pub fn check_labels(&self, labels: &[i64]) -> Result<()> {
+        let present = self.label_set()?;
+        let missing: Vec<i64> = labels.iter().copied().filter(|label| present.binary_search(label).is_err()).collect();
+        if missing.is_empty() {
+            return Ok(());
+        }
+        let mut shown: Vec<String> = present.iter().take(40).map(i64::to_string).collect();
+        if present.len() > shown.len() {
+            shown.push(format!("... ({} in all)", present.len()));
+        }
+        Err(Error::input(
+            format!("no voxel has the label {}", missing.iter().map(i64::to_string).collect::<Vec<_>>().join(", ")),
+            "there would be nothing to extract for it",
+            format!("choose among the labels present: {}", shown.join(", ")),
+        ))
+    }
+
+    /// Puts slices of `length` values into the opposite order ([`reverse_slices`]).
+    pub fn reverse_slices(&mut self, length: usize) {
+        each_type!(self, values => reverse_slices(values, length));
+    }
+
+    /// Drops all values but the first `count`, and gives their memory back.
+    pub fn truncate(&mut self, count: usize) {
+        each_type!(self, values => {
+            values.truncate(count);
+            values.shrink_to_fit();
+        });
+    }
+
+    /// Reads `count` values; memory grows with what has really been read, never with what a header promised.
+    pub fn read_from(reader: &mut dyn Read, scalar: ScalarType, endian: Endian, count: usize) -> std::io::Result<Self> {
+        const CHUNK: usize = 1 << 17;
+        let mut buffer = vec![0u8; CHUNK.min(count.max(1)) * scalar.bytes()];
+        with_type!(scalar, Value, variant => {
+            const WIDTH: usize = size_of::<Value>();
+            let mut values: Vec<Value> = Vec::new();
+            while values.len() < count {
+                let take = CHUNK.min(count - values.len());
+                let bytes = &mut buffer[..take * WIDTH];
+                let got = fill(reader, bytes)?;
+                if got < bytes.len() {
+                    let found = values.len() + got / WIDTH;
+                    return Err(std::io::Error::new(
+                        std::io::ErrorKind::UnexpectedEof,
+                        format!("it ends after {found} of {count} values"),
+                    ));
+                }
+                let (groups, _) = bytes.as_chunks::<WIDTH>();
+                match endian {
+                    Endian::Little => values.extend(groups.iter().map(|group| Value::from_le_bytes(*group))),
+                    Endian::Big => values.extend(groups.iter().map(|group| Value::from_be_bytes(*group))),
+                }
+            }
+            Ok(variant(values))
+        })
+    }
+
+    /// No values of a type.
+    pub fn empty(scalar: ScalarType) -> Self {
+        with_type!(scalar, Value, variant => variant(Vec::<Value>::new()))
+    }
+
+    /// Adds the values of another vector of the same type; values of another type are left out.
+    pub fn append(&mut self, other: Self) {
+        macro_rules! arms {
+            ($($variant:ident),*) => {
+                match (self, other) {
+                    $((Self::$variant(values), Self::$variant(mut more)) => values.append(&mut more),)*
+                    _ => {}
+                }
+            };
+        }
+        arms!(I8, U8, I16, U16, I32, U32, I64, U64, F32, F64);
+    }
+
+    /// Adds numbers, rounded to what the type holds.
+    pub fn extend_from_f64(&mut self, numbers: Vec<f64>) {
+        each_type!(self, values => numbers.into_iter().for_each(|number| values.push(Number::rounded(number))));
+    }
+
+    /// Parts values that go round among `layers` layers, `run` values of each at a time.
+    pub fn part(self, run: usize, layers: usize) -> Vec<Self> {
+        macro_rules! arms {
+            ($($variant:ident),*) => {
+                match self {
+                    $(Self::$variant(values) => (0..layers)
+                        .map(|layer| {
+                            let runs = values.chunks(run).skip(layer).step_by(layers);
+                            Self::$variant(runs.flatten().copied().collect())
+                        })
+                        .collect(),)*
+                }
+            };
+        }
+        arms!(I8, U8, I16, U16, I32, U32, I64, U64, F32, F64)
+    }
+
+    /// Adds a value written as text; false if it is no value of this type. Whole numbers may be written as `3.0`.
+    pub fn push_text(&mut self, text: &str) -> bool {
+        each_type!(self, values => {
+            let parsed = text.parse().ok().or_else(|| text.parse::<f64>().ok()?.to_label()?.to_string().parse().ok());
+            parsed.map(|value| values.push(value)).is_some()
+        })
+    }
+
+    /// Writes the values as bytes.
+    pub fn write_to(&self, writer: &mut dyn std::io::Write, endian: Endian) -> std::io::Result<()> {
+        each_type!(self, values => {
+            let mut buffer = Vec::with_capacity(1 << 16);
+            for chunk in values.chunks(1 << 13) {
+                buffer.clear();
+                for value in chunk {
+                    match endian {
+                        Endian::Little => buffer.extend_from_slice(&value.to_le_bytes()),
+                        Endian::Big => buffer.extend_from_slice(&value.to_be_bytes()),
+                    }
+                }
+                writer.write_all(&buffer)?;
+            }
+        });
+        Ok(())
+    }
+}
+
+/// Reads until `bytes` is full or the data ends; returns how many bytes there were.
+fn fill(reader: &mut dyn Read, bytes: &mut [u8]) -> std::io::Result<usize> {
+    let mut got = 0;
+    while got < bytes.len() {
+        match reader.read(&mut bytes[got..]) {
+            Ok(0) => break,
+            Ok(more) => got += more,
+            Err(error) if error.kind() == std::io::ErrorKind::Interrupted => {}
+            Err(error) => return Err(error),
+        }
+    }
+    Ok(got)
+}
+
+/// Distinct values as labels, or the first value that is none.
+fn distinct<T: Number + PartialEq + std::fmt::Display>(values: &[T]) -> std::result::Result<Vec<i64>, String> {
+    let mut labels = BTreeSet::new();
+    let mut last = None;
+    for &value in values {
+        // Labels come in long runs.
+        if last != Some(value) {
+            labels.insert(value.to_label().ok_or_else(|| value.to_string())?);
+            last = Some(value);
+        }
+    }
+    Ok(labels.into_iter().collect())
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,197 @@
+//! VTK image files (`.vti`): a regular grid with its place in the world.
+
+use crate::geometry::{Geometry, Space};
+use crate::limit::{geometry_from_steps, voxel_count};
+use crate::segments::Segment;
+use crate::volume::Volume;
+use crate::voxels::Voxels;
+use crate::vtk_xml::{Document, Element, Payload, VtkFile, ascii_json};
+use glam::DVec3;
+use isoparticles_file::error::Result;
+use isoparticles_file::history::History;
+use isoparticles_file::limit::bad;
+use isoparticles_file::output::write_atomically;
+use std::path::Path;
+
+/// Opens the elements of an image at a geometry.
+pub fn open_image(document: &mut Document<'_>, geometry: &Geometry) {
+    let [nx, ny, nz] = geometry.size.map(|n| n.saturating_sub(1));
+    let extent = format!("0 {nx} 0 {ny} 0 {nz}");
+    let three = |v: DVec3| format!("{} {} {}", v.x, v.y, v.z);
+    let rows = geometry.directions.transpose();
+    let direction = [rows.x_axis, rows.y_axis, rows.z_axis].map(three).join(" ");
+    let attributes = [
+        ("WholeExtent", extent),
+        ("Origin", three(geometry.origin)),
+        ("Spacing", three(geometry.spacing)),
+        ("Direction", direction),
+    ];
+    document.open("ImageData", &attributes);
+}
+
+/// The extent of the one piece of an image, as an attribute of it.
+pub fn piece_extent(geometry: &Geometry) -> String {
+    let [nx, ny, nz] = geometry.size.map(|n| n.saturating_sub(1));
+    format!("0 {nx} 0 {ny} 0 {nz}")
+}
+
+/// Geometry of an image. The exact one in its field data holds as long as it agrees with what VTK knows of it.
+pub fn geometry(path: &Path, file: &VtkFile) -> Result<Geometry> {
+    let image = file.data_set("ImageData")?;
+    let numbers = |name: &str, default: &[f64]| -> Result<Vec<f64>> {
+        let Some(text) = image.attribute(name) else { return Ok(default.to_vec()) };
+        let numbers: Option<Vec<f64>> = text.split_whitespace().map(|word| word.parse().ok()).collect();
+        numbers.filter(|numbers| numbers.len() == default.len()).ok_or_else(|| {
+            bad(path, format!("has {name}=\"{text}\""), "the image has no place", "write the file again")
+        })
+    };
+    let extent = numbers("WholeExtent", &[0.0, -1.0, 0.0, -1.0, 0.0, -1.0])?;
+    let piece = file.piece("ImageData")?;
+    if let Some(text) = piece.attribute("Extent") {
+        let words: Vec<Option<f64>> = text.split_whitespace().map(|word| word.parse().ok()).collect();
+        if words != extent.iter().map(|&number| Some(number)).collect::<Vec<_>>() {
+            return Err(bad(
+                path,
+                "holds only a part of its image",
+                "the rest of the voxels is in other files",
+                "save the whole image in one file",
+            ));
+        }
+    }
+    let size = [0, 1, 2].map(|axis| {
+        let samples = extent[2 * axis + 1] - extent[2 * axis] + 1.0;
+        // Saturates at the ends; NaN gives zero.
+        samples as usize
+    });
+    voxel_count(path, size)?;
+    if size.contains(&1) {
+        return Err(bad(
+            path,
+            format!("is a flat image of {} x {} x {} voxels", size[0], size[1], size[2]),
+            "a surface is extracted from a volume with at least two voxels along each axis",
+            "give a 3-D volume",
+        ));
+    }
+    let origin = DVec3::from_slice(&numbers("Origin", &[0.0; 3])?);
+    let spacing = DVec3::from_slice(&numbers("Spacing", &[1.0; 3])?);
+    let direction = numbers("Direction", &[1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0])?;
+    let steps =
+        [0, 1, 2].map(|axis| DVec3::new(direction[axis], direction[3 + axis], direction[6 + axis]) * spacing[axis]);
+    let first = DVec3::new(extent[0], extent[2], extent[4]);
+    let origin = origin + steps[0] * first.x + steps[1] * first.y + steps[2] * first.z;
+    let plain = geometry_from_steps(path, size, steps, origin, Space::Unnamed)?;
+    let exact = file.text(image, "geometry")?.and_then(|text| serde_json::from_str::<Geometry>(&text).ok());
+    Ok(match exact {
+        Some(exact) if same_grid(&exact, &plain) => exact,
+        Some(other) => Geometry { space: other.space, ..plain },
+        None => plain,
+    })
+}
+
+/// Whether two geometries put the same voxels in the same places, but for rounding.
+pub fn same_grid(a: &Geometry, b: &Geometry) -> bool {
+    let tolerance = 1e-4 * a.min_spacing();
+    let corner = |g: &Geometry| g.grid_to_world(g.upper_corner());
+    let axis_end = |g: &Geometry, axis: usize| {
+        let mut end = DVec3::ZERO;
+        end[axis] = g.upper_corner()[axis];
+        g.grid_to_world(end)
+    };
+    a.size == b.size
+        && a.origin.abs_diff_eq(b.origin, tolerance)
+        && corner(a).abs_diff_eq(corner(b), tolerance)
+        && (0..3).all(|axis| axis_end(a, axis).abs_diff_eq(axis_end(b, axis), tolerance))
+}
+
+/// Kind of the files that [`write_volume`] writes.
+const KIND: &str = "volume";
+/// Version of their layout.
+const VERSION: u32 = 1;
+
+/// Name of the point array of a layer.
+fn layer_name(layer: usize) -> String {
+    if layer == 0 { "values".to_owned() } else { format!("values_of_layer_{layer}") }
+}
+
+/// Writes a volume as it is, in its own type, with the names of its segments.
+///
+/// # Errors
+/// When the file cannot be written.
+pub fn write_volume(path: &Path, volume: &Volume, history: &History) -> Result<()> {
+    let mut document = Document::new("ImageData");
+    open_image(&mut document, &volume.geometry);
+    let texts = [("geometry", ascii_json(&volume.geometry)), ("segments", ascii_json(&volume.segments))];
+    document.identity(KIND, VERSION, &texts, history);
+    document.open("Piece", &[("Extent", piece_extent(&volume.geometry))]);
+    document.open("PointData", &[("Scalars", layer_name(0))]);
+    for (layer, voxels) in volume.layers().enumerate() {
+        document.array(&layer_name(layer), 1, Payload::Voxels(voxels));
+    }
+    write_atomically(path, |file| document.write(file))
+}
+
+/// Reads an image with one number a voxel as a volume: its active scalars, or its only array; and the layers and names that
+/// [`write_volume`] wrote.
+pub(crate) fn read_vti(path: &Path) -> Result<Volume> {
+    let file = VtkFile::open(path)?;
+    let geometry = geometry(path, &file)?;
+    let image = file.data_set("ImageData")?;
+    let arrays = file.piece("ImageData")?.child("PointData");
+    let active = arrays.and_then(|arrays| arrays.array(arrays.attribute("Scalars")?));
+    let single: Vec<&Element> =
+        arrays.iter().flat_map(|arrays| &arrays.children).filter(|array| VtkFile::components(array) == 1).collect();
+    let array = active.or(if let [only] = single.as_slice() { Some(*only) } else { None });
+    let array = array.filter(|array| VtkFile::components(array) == 1).ok_or_else(|| {
+        let names: Vec<&str> =
+            arrays.iter().flat_map(|arrays| &arrays.children).filter_map(|array| array.attribute("Name")).collect();
+        bad(
+            path,
+            format!("has no single scalar array on its points (arrays: {})", names.join(", ")),
+            "a surface is extracted from one number a voxel",
+            "save it with one scalar point array, or make that array the active one",
+        )
+    })?;
+    let count = geometry.voxel_count();
+    let voxels: Voxels = file.numbers(array, count)?;
+    let mut volume = Volume::new(geometry, voxels);
+    if file.text(image, "isoparticles_kind")?.as_deref() == Some(KIND) {
+        while let Some(layer) = arrays.and_then(|arrays| arrays.array(&layer_name(volume.layer_count()))) {
+            volume.more_layers.push(file.numbers(layer, count)?);
+        }
+        let segments = file.text(image, "segments")?;
+        let segments: Vec<Segment> = segments.and_then(|text| serde_json::from_str(&text).ok()).unwrap_or_default();
+        volume.segments = segments.into_iter().filter(|segment| segment.at.layer < volume.layer_count()).collect();
+    }
+    Ok(volume)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::read::read_volume;
+    use crate::segments::LayerLabel;
+
+    #[test]
+    fn a_volume_comes_back_as_it_is() {
+        let folder = tempfile::tempdir().expect("folder");
+        let path = folder.path().join("v.vti");
+        let mut geometry = Geometry::axis_aligned([2, 3, 2], DVec3::new(0.1, 1.0 / 3.0, 2.0));
+        geometry.directions = glam::DMat3::from_axis_angle(DVec3::new(0.6, 0.0, 0.8), 1.0);
+        geometry.space = Space::Lps;
+        let segment = |name: &str, layer, label| Segment { name: name.to_owned(), at: LayerLabel { layer, label } };
+        let volume = Volume {
+            more_layers: vec![Voxels::I16(vec![1; 12]), Voxels::I16(vec![2; 12])],
+            segments: vec![segment("größer", 0, -3), segment("left \"lung\"", 2, 2)],
+            ..Volume::new(geometry, Voxels::I16((-6..6).collect()))
+        };
+        let history = History {
+            tool: "distfield".to_owned(),
+            version: "0.1.0".to_owned(),
+            command_line: String::new(),
+            parameters: serde_json::Value::Null,
+            inputs: Vec::new(),
+        };
+        write_volume(&path, &volume, &history).expect("written");
+        assert_eq!(read_volume(&path).expect("read"), volume);
+    }
+}

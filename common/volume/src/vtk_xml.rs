@@ -1,0 +1,35 @@
+//! VTK's XML files, as far as this program needs them: one piece, point and cell arrays, field data.
+//!
+//! Written with raw appended data, which VTK, ParaView and pyvista read and which keeps every bit. Read in all the ways
+//! that these programs write: ASCII, base64 and raw, plain or zlib-compressed, both byte orders, 32- and 64-bit headers.
+
+mod decode;
+mod element;
+mod write;
+
+pub use element::{Element, VtkFile};
+pub use write::{Document, Payload, ascii_json};
+
+use crate::voxels::ScalarType;
+
+/// VTK's name of a scalar type.
+fn vtk_name(scalar: ScalarType) -> &'static str {
+    match scalar {
+        ScalarType::I8 => "Int8",
+        ScalarType::U8 => "UInt8",
+        ScalarType::I16 => "Int16",
+        ScalarType::U16 => "UInt16",
+        ScalarType::I32 => "Int32",
+        ScalarType::U32 => "UInt32",
+        ScalarType::I64 => "Int64",
+        ScalarType::U64 => "UInt64",
+        ScalarType::F32 => "Float32",
+        ScalarType::F64 => "Float64",
+    }
+}
+
+/// The scalar type of VTK's name.
+fn scalar_of(name: &str) -> Option<ScalarType> {
+    use ScalarType::{F32, F64, I8, I16, I32, I64, U8, U16, U32, U64};
+    [I8, U8, I16, U16, I32, U32, I64, U64, F32, F64].into_iter().find(|&scalar| vtk_name(scalar) == name)
+}

@@ -1,0 +1,174 @@
+//! Writes a VTK XML document with raw appended data.
+
+use super::vtk_name;
+use crate::voxels::{Endian, ScalarType, Voxels};
+use isoparticles_file::history::History;
+use std::fmt::Write as _;
+use std::io::{self, Write};
+
+/// What an array holds.
+pub enum Payload<'a> {
+    /// 32-bit numbers that the caller keeps.
+    F32(&'a [f32]),
+    /// Numbers of any type.
+    Values(Voxels),
+    /// Numbers of any type that the caller keeps.
+    Voxels(&'a Voxels),
+    /// A text, written as its bytes: strings of VTK's own type are not read everywhere (meshio stops at them).
+    Text(String),
+}
+
+impl Payload<'_> {
+    fn type_name(&self) -> &'static str {
+        match self {
+            Self::F32(_) => "Float32",
+            Self::Values(values) => vtk_name(values.scalar_type()),
+            Self::Voxels(values) => vtk_name(values.scalar_type()),
+            Self::Text(_) => vtk_name(ScalarType::U8),
+        }
+    }
+
+    fn count(&self) -> usize {
+        match self {
+            Self::F32(values) => values.len(),
+            Self::Values(values) => values.len(),
+            Self::Voxels(values) => values.len(),
+            Self::Text(text) => text.len(),
+        }
+    }
+
+    fn bytes(&self) -> usize {
+        match self {
+            Self::F32(values) => 4 * values.len(),
+            Self::Values(values) => values.len() * values.scalar_type().bytes(),
+            Self::Voxels(values) => values.len() * values.scalar_type().bytes(),
+            Self::Text(text) => text.len(),
+        }
+    }
+
+    fn write(&self, file: &mut dyn Write) -> io::Result<()> {
+        file.write_all(&(self.bytes() as u64).to_le_bytes())?;
+        match self {
+            Self::F32(values) => {
+                let mut buffer = Vec::with_capacity(1 << 16);
+                for chunk in values.chunks(1 << 14) {
+                    buffer.clear();
+                    buffer.extend(chunk.iter().flat_map(|value| value.to_le_bytes()));
+                    file.write_all(&buffer)?;
+                }
+                Ok(())
+            }
+            Self::Values(values) => values.write_to(file, Endian::Little),
+            Self::Voxels(values) => values.write_to(file, Endian::Little),
+            Self::Text(text) => file.write_all(text.as_bytes()),
+        }
+    }
+}
+
+/// A document under construction: the XML so far and the data that will follow it.
+pub struct Document<'a> {
+    text: String,
+    open: Vec<&'static str>,
+    payloads: Vec<Payload<'a>>,
+    offset: usize,
+}
+
+impl<'a> Document<'a> {
+    /// Starts a document of a data-set type such as `ImageData`.
+    pub fn new(data_set: &str) -> Self {
+        let text = format!(
+            "<?xml version=\"1.0\"?>\n<VTKFile type=\"{data_set}\" version=\"1.0\" byte_order=\"LittleEndian\" \
+             header_type=\"UInt64\">\n"
+        );
+        Self { text, open: Vec::new(), payloads: Vec::new(), offset: 0 }
+    }
+
+    /// Opens an element.
+    pub fn open(&mut self, name: &'static str, attributes: &[(&str, String)]) {
+        self.indent();
+        self.text.push('<');
+        self.text.push_str(name);
+        for (key, value) in attributes {
+            // Writing to a string does not fail.
+            let _ = write!(self.text, " {key}=\"{}\"", escape(value));
+        }
+        self.text.push_str(">\n");
+        self.open.push(name);
+    }
+
+    /// Closes the innermost element.
+    pub fn close(&mut self) {
+        if let Some(name) = self.open.pop() {
+            self.indent();
+            let _ = writeln!(self.text, "</{name}>");
+        }
+    }
+
+    /// Adds an array with a number of components a tuple.
+    pub fn array(&mut self, name: &str, components: usize, payload: Payload<'a>) {
+        self.indent();
+        let _ = write!(self.text, "<DataArray type=\"{}\" Name=\"{}\"", payload.type_name(), escape(name));
+        if self.open.last() == Some(&"FieldData") {
+            let _ = write!(self.text, " NumberOfTuples=\"{}\"", payload.count() / components.max(1));
+        }
+        if components > 1 {
+            let _ = write!(self.text, " NumberOfComponents=\"{components}\"");
+        }
+        let _ = writeln!(self.text, " format=\"appended\" offset=\"{}\"/>", self.offset);
+        self.offset += 8 + payload.bytes();
+        self.payloads.push(payload);
+    }
+
+    /// Adds the field data that every file of this program carries.
+    pub fn identity(&mut self, kind: &str, version: u32, texts: &[(&str, String)], history: &History) {
+        self.open("FieldData", &[]);
+        self.array("isoparticles_kind", 1, Payload::Text(kind.to_owned()));
+        self.array("isoparticles_format", 1, Payload::Values(Voxels::U32(vec![version])));
+        for (name, text) in texts {
+            self.array(name, 1, Payload::Text(text.clone()));
+        }
+        self.array("history", 1, Payload::Text(ascii_json(history)));
+        self.close();
+    }
+
+    /// Writes the document.
+    pub fn write(mut self, file: &mut dyn Write) -> io::Result<()> {
+        while !self.open.is_empty() {
+            self.close();
+        }
+        file.write_all(self.text.as_bytes())?;
+        file.write_all(b"  <AppendedData encoding=\"raw\">\n   _")?;
+        for payload in &self.payloads {
+            payload.write(file)?;
+        }
+        file.write_all(b"\n  </AppendedData>\n</VTKFile>\n")
+    }
+
+    fn indent(&mut self) {
+        for _ in 0..=self.open.len() {
+            self.text.push_str("  ");
+        }
+    }
+}
+
+/// JSON in plain ASCII, which every reader of VTK strings understands.
+pub fn ascii_json(value: &impl serde::Serialize) -> String {
+    // Values of this program have string keys and finite or null numbers, so that this cannot fail.
+    let json = serde_json::to_string(value).unwrap_or_else(|_| "null".to_owned());
+    let mut text = String::with_capacity(json.len());
+    for c in json.chars() {
+        if c.is_ascii() {
+            text.push(c);
+        } else {
+            // Outside ASCII there are only the contents of JSON strings.
+            for unit in c.encode_utf16(&mut [0; 2]) {
+                let _ = write!(text, "\\u{unit:04x}");
+            }
+        }
+    }
+    text
+}
+
+fn escape(text: &str) -> String {
+    text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
+}

@@ -1,0 +1,459 @@
+"""Makes the fixtures of the format tests with other programs, and asks those programs where the voxels are.
+
+    pip install numpy pydicom pynrrd SimpleITK nibabel pyvista
+    UNU=/usr/bin/teem-unu python make_fixtures.py [nrrd] [nifti] [vti] [meta] [segmentation] [dicom] [edited]
+
+Without names all are made; with names, those, and the others stay.
+
+Every file holds 3 x 4 x 2 voxels whose values tell their place. `expected.json` says for each file what another reader
+(SimpleITK, nibabel, VTK or Teem's unu) makes of it: the type, the values, and the world positions (LPS where the file
+names an anatomical space) of the first voxel and of the last one along each axis. Files that must be refused are listed
+with a word that the error has to contain.
+"""
+
+import gzip
+import json
+import os
+import struct
+import subprocess
+import sys
+from pathlib import Path
+
+import nibabel
+import nrrd
+import numpy as np
+import pydicom
+import pyvista
+import SimpleITK as sitk
+import vtk
+
+HERE = Path(__file__).parent
+STAGE = HERE.parents[2] / "stage" / "tests" / "data"
+UNU = os.environ.get("UNU", "teem-unu")
+SIZE = (3, 4, 2)
+CORNERS = [(0, 0, 0), (2, 0, 0), (0, 3, 0), (0, 0, 1)]
+NAMES = ["int8", "uint8", "int16", "uint16", "int32", "uint32", "int64", "uint64", "float32", "float64"]
+expected = {"volumes": {}, "refused": {}}
+
+
+def voxels(name):
+    """Values by place, x fastest, as an array indexed [x, y, z]."""
+    index = np.arange(24)
+    values = {
+        "int8": index - 12, "uint8": index + 200, "int16": (index - 12) * 1000, "uint16": index + 65000,
+        "int32": (index - 12) * 10**8, "uint32": index + 4 * 10**9, "int64": (index - 12) * 2**40,
+        "uint64": index.astype(np.uint64) + np.uint64(2**63), "float32": index / 4 - 3, "float64": index / 7 - 1e10,
+    }[name]
+    return values.astype(name).reshape(SIZE, order="F")
+
+
+def expect(file, array, positions, teller):
+    expected["volumes"][file] = {
+        "type": str(array.dtype), "values": [str(v) for v in array.flatten(order="F").tolist()],
+        "positions": [[float(x) for x in p] for p in positions], "told_by": teller,
+    }
+
+
+def by_itk(file, name=None, check_values=True):
+    """What SimpleITK makes of a file."""
+    image = sitk.ReadImage(str(HERE / file))
+    if image.GetDimension() == 4:
+        image = image[:, :, :, 0]
+    array = sitk.GetArrayFromImage(image).transpose(2, 1, 0)
+    if check_values:
+        assert np.array_equal(array, voxels(name)), file
+    expect(file, array, [image.TransformIndexToPhysicalPoint(c) for c in CORNERS], "SimpleITK")
+
+
+def by_unu(file, name, positions):
+    """What Teem makes of a file; positions are given by hand, because unu prints none."""
+    out = subprocess.run([UNU, "save", "-f", "nrrd", "-e", "raw", "-en", "little", "-i", file, "-o", "-"],
+                         cwd=HERE, check=True, capture_output=True).stdout
+    array = np.frombuffer(out.split(b"\n\n", 1)[1], dtype=name).reshape(SIZE, order="F")
+    assert np.array_equal(array, voxels(name)), file
+    expect(file, array, positions, "unu")
+
+
+def affine_positions(steps, origin):
+    return [np.array(origin) + np.array(steps).T @ np.array(c) for c in CORNERS]
+
+
+UNIT = affine_positions(np.eye(3), [0, 0, 0])
+TURN = np.array([[0.36, 0.48, -0.8], [-0.8, 0.6, 0.0], [0.48, 0.64, 0.6]])  # rows are orthonormal
+OBLIQUE = TURN * np.array([[0.5], [1.25], [3.0]])
+
+
+def make_nrrd():
+    folder = HERE / "nrrd"
+    folder.mkdir(exist_ok=True)
+    lps = {"space": "left-posterior-superior", "space origin": [10.5, -20.25, 30.0], "kinds": ["domain"] * 3}
+    for number, name in enumerate(NAMES):
+        encoding = ["raw", "gzip", "bzip2"][number % 3]
+        file = f"nrrd/type_{name}.nrrd"
+        nrrd.write(str(HERE / file), voxels(name), {**lps, "space directions": OBLIQUE, "encoding": encoding})
+        by_itk(file, name) if encoding != "bzip2" else expect(
+            file, nrrd.read(str(HERE / file))[0], affine_positions(OBLIQUE, lps["space origin"]), "pynrrd")
+    spaces = {"ras": "right-anterior-superior", "las": "LAS", "lps_left_handed": "LPS", "unnamed": None}
+    for label, space in spaces.items():
+        steps = OBLIQUE.copy()
+        if label == "lps_left_handed":
+            steps[2] *= -1
+        header = {**lps, "space": space, "space directions": steps, "encoding": "gzip"}
+        if space is None:
+            del header["space"]
+            header["space dimension"] = 3
+        nrrd.write(str(folder / f"space_{label}.nrrd"), voxels("int16"), header)
+        by_itk(f"nrrd/space_{label}.nrrd", "int16")
+    image = sitk.GetImageFromArray(voxels("float32").transpose(2, 1, 0))
+    image.SetSpacing([0.7, 0.7, 2.2])
+    image.SetOrigin([-1.0, 2.0, 1e3])
+    image.SetDirection(TURN.T.flatten())
+    sitk.WriteImage(image, str(folder / "itk.nrrd"), True)
+    by_itk("nrrd/itk.nrrd", "float32")
+
+    plain = folder / "plain.nrrd"
+    nrrd.write(str(plain), voxels("int16"), {"encoding": "raw"})
+    for encoding, suffix in [("raw", "raw"), ("gzip", "raw.gz"), ("bzip2", "raw.bz2"), ("hex", "hex"), ("ascii", "txt")]:
+        for order in ["big", "little"] if encoding in ("raw", "gzip", "hex") else ["little"]:
+            name = f"unu_{encoding}_{order}.nrrd"
+            subprocess.run([UNU, "save", "-f", "nrrd", "-e", encoding, "-en", order, "-i", "plain.nrrd", "-o", name],
+                           cwd=folder, check=True)
+            by_unu(f"nrrd/{name}", "int16", UNIT)
+        name = f"unu_detached_{encoding}.nhdr"
+        # Teem 1.12 writes text with swapped bytes when asked for the other byte order.
+        order = "little" if encoding == "ascii" else "big"
+        subprocess.run([UNU, "save", "-f", "nrrd", "-e", encoding, "-en", order, "-i", "plain.nrrd", "-o", name],
+                       cwd=folder, check=True)
+        by_unu(f"nrrd/{name}", "int16", UNIT)
+    expect("nrrd/plain.nrrd", voxels("int16"), UNIT, "pynrrd")
+
+    data = voxels("int16").astype("<i2").tobytes(order="F")
+    start = "NRRD0005\n# by hand\ntype: short\ndimension: 3\nsizes: 3 4 2\nendian: little\nencoding: raw\n"
+    keys = "kinds: domain domain domain\nsample:=of a key: with = signs\n"
+
+    def by_hand(name, header, body=b"", positions=UNIT):
+        (folder / name).write_bytes(header.encode() + body)
+        by_unu(f"nrrd/{name}", "int16", positions)
+
+    (folder / "slice_08.raw").write_bytes(data[:24])
+    (folder / "slice_09.raw").write_bytes(data[24:])
+    (folder / "lines.dat").write_bytes(b"first line\nsecond line\nXYZ" + data)
+    by_hand("list.nhdr", start + keys + "data file: LIST\nslice_08.raw\nslice_09.raw\n")
+    by_hand("list_slabs.nhdr", start + "data file: LIST 3\nslice_08.raw\nslice_09.raw\n")
+    by_hand("pattern.nhdr", start + "data file: slice_%02d.raw 8 9 1\n")
+    by_hand("skips.nhdr", start + "line skip: 2\nbyte skip: 3\ndata file: lines.dat\n")
+    by_hand("from_end.nhdr", start + "byte skip: -1\ndata file: lines.dat\n")
+    by_hand("attached_skip.nrrd", start + keys + "byteskip: 5\n\n", b"12345" + data)
+    by_hand("crlf.nrrd", start.replace("\n", "\r\n") + "\r\n", data)
+    stepped = affine_positions(np.diag([0.5, 0.5, 2.0]), [0, 0, 0])
+    by_hand("spacings.nrrd", start + "spacings: 0.5 0.5 2\n\n", data, stepped)
+    by_hand("spacings_nan.nrrd", start + "spacings: nan nan nan\n\n", data)
+    cell = affine_positions(np.diag([0.5, 0.5, 2.0]), [1.25, -1.75, 11.0])
+    by_hand("mins_cell.nrrd", start + "spacings: 0.5 0.5 2\naxis mins: 1 -2 10\ncenters: cell cell cell\n\n", data, cell)
+    node = affine_positions(np.diag([0.5, 0.5, 2.0]), [1.0, -2.0, 10.0])
+    by_hand("mins_node.nrrd", start + "spacings: 0.5 0.5 2\naxis mins: 1 -2 10\ncenterings: node node node\n\n", data, node)
+    for name in ["spacings.nrrd", "spacings_nan.nrrd", "mins_cell.nrrd", "mins_node.nrrd"]:
+        by_hand_positions = expected["volumes"][f"nrrd/{name}"]["positions"]
+        by_itk(f"nrrd/{name}", "int16")
+        assert np.allclose(by_hand_positions, expected["volumes"][f"nrrd/{name}"]["positions"]), name
+    four = "NRRD0005\ntype: short\ndimension: 4\nsizes: {}\nendian: little\nencoding: raw\nspace: LPS\n"
+    directions = "space directions: {} (0.5,0,0) (0,0.5,0) (0,0,2)\nspace origin: (0,0,0)\n"
+    by_hand("none_axis.nrrd", four.format("1 3 4 2") + "kinds: list domain domain domain\n" + directions.format("none")
+            + "\n", data, stepped)
+    refuse(folder, "colour.nrrd", four.format("2 3 4 1") + "kinds: vector domain domain domain\n"
+           + directions.format("none") + "\n", data, "more than one number")
+    refuse(folder, "time.nrrd", four.format("3 2 2 2").replace("space: LPS\n", "")
+           + "kinds: domain domain domain time\n\n", data, "sequence")
+    refuse(folder, "flat.nrrd", start.replace("3 4 2", "6 4 1") + "\n", data, "flat")
+    refuse(folder, "two_axes.nrrd", start.replace("3 4 2", "6 4").replace("dimension: 3", "dimension: 2") + "\n", data,
+           "2 spatial axes")
+    refuse(folder, "short.nrrd", start + "\n", data[:-1], "cut short")
+    refuse(folder, "trailing.nrrd", start + "\n", data + b"x", "behind the last voxel")
+    refuse(folder, "zero_spacing.nrrd", start + "spacings: 0.5 0 2\n\n", data, "spacing of axis 1 is 0")
+    refuse(folder, "negative_spacing.nrrd", start + "spacings: 0.5 -1 2\n\n", data, "spacing of axis 1 is -1")
+    refuse(folder, "nan_spacing.nrrd", start + "spacings: 0.5 nan 2\n\n", data, "spacing of axis 1 is NaN")
+    refuse(folder, "huge_spacing.nrrd", start + "spacings: 0.5 1e30 2\n\n", data, "spacing of axis 1")
+    refuse(folder, "flat_directions.nrrd", start + "space: LPS\nspace directions: (1,0,0) (0,1,0) (1,1,0)\n\n", data,
+           "one plane")
+    refuse(folder, "huge.nrrd", start.replace("3 4 2", "300000 300000 300000") + "\n", data, "promises")
+    refuse(folder, "overflow.nrrd", start.replace("3 4 2", "9000000000 9000000000 9000000000") + "\n", data, "promises")
+    refuse(folder, "zero_size.nrrd", start.replace("3 4 2", "3 0 2") + "\n", data, "zero")
+    refuse(folder, "no_endian.nrrd", start.replace("endian: little\n", "") + "\n", data, "byte order")
+
+
+def refuse(folder, name, header, body, word):
+    (folder / name).write_bytes(header.encode() + body)
+    expected["refused"][f"{folder.name}/{name}"] = word
+
+
+def make_nifti():
+    folder = HERE / "nifti"
+    folder.mkdir(exist_ok=True)
+    affine = np.eye(4)
+    affine[:3, :3] = OBLIQUE.T
+    affine[:3, 3] = [10.5, -20.25, 30.0]
+    left = affine.copy()
+    left[:3, 2] *= -1
+
+    def save(file, name, affine, sform, qform, change=None, **options):
+        data = options.get("data", voxels(name))
+        image = nibabel.Nifti1Image(data, affine, dtype=name)
+        image.set_sform(affine, code=sform)
+        image.set_qform(affine, code=qform)
+        if change:
+            change(image)
+        nibabel.save(image, str(folder / file))
+        loaded = nibabel.load(str(folder / file))
+        values = np.asarray(loaded.dataobj).reshape(SIZE, order="F")
+        unit = {1: 1000.0, 3: 0.001}.get(int(loaded.header["xyzt_units"]) & 7, 1.0)
+        to_lps = np.array([-1, -1, 1]) * unit
+        positions = [(loaded.affine @ np.array([*c, 1]))[:3] * to_lps for c in CORNERS]
+        expect(f"nifti/{file}", values, positions, "nibabel")
+        image = sitk.ReadImage(str(folder / file))
+        if image.GetDimension() == 3:
+            itk = [image.TransformIndexToPhysicalPoint(c) for c in CORNERS]
+            assert np.allclose(itk, positions, atol=1e-4), (file, itk, positions)
+
+    save("sform.nii", "int16", affine, 1, 0)
+    save("sform_left_handed.nii.gz", "float32", left, 2, 2)
+    save("qform.nii.gz", "uint8", affine, 0, 1)
+    save("qform_left_handed.nii", "int32", left, 0, 1)
+    save("four_axes.nii.gz", "float64", affine, 1, 1, data=voxels("float64").reshape(*SIZE, 1))
+    save("micrometres.nii", "uint16", affine, 1, 0, lambda image: image.header.set_xyzt_units("micron"))
+    big = nibabel.Nifti1Image(voxels("int16"), affine, nibabel.Nifti1Header(endianness=">"), dtype="int16")
+    nibabel.save(big, str(folder / "big_endian.nii"))
+    by_itk("nifti/big_endian.nii", "int16")
+    scaled = bytearray((folder / "sform.nii").read_bytes())
+    scaled[112:120] = struct.pack("<ff", 0.5, -2.0)
+    (folder / "scaled.nii.gz").write_bytes(gzip.compress(bytes(scaled), mtime=0))
+    by_itk("nifti/scaled.nii.gz", check_values=False)
+    # SimpleITK gives doubles; here the values that fit are kept as 32-bit numbers.
+    entry = expected["volumes"]["nifti/scaled.nii.gz"]
+    assert entry["values"] == [str(float(v)) for v in (voxels("int16") * 0.5 - 2.0).flatten(order="F")]
+    entry["type"] = "float32"
+    image = nibabel.Nifti1Image(np.zeros((3, 4, 2, 5), "int16"), affine)
+    nibabel.save(image, str(folder / "time.nii.gz"))
+    expected["refused"]["nifti/time.nii.gz"] = "5 samples along axis 3"
+    nibabel.save(nibabel.Nifti2Image(voxels("int16"), affine), str(folder / "nifti2.nii"))
+    expected["refused"]["nifti/nifti2.nii"] = "NIfTI-2"
+    rgb = np.zeros(SIZE, dtype=[("R", "u1"), ("G", "u1"), ("B", "u1")])
+    nibabel.save(nibabel.Nifti1Image(rgb, affine), str(folder / "colour.nii"))
+    expected["refused"]["nifti/colour.nii"] = "colours"
+    whole = (folder / "sform.nii").read_bytes()
+    (folder / "short.nii").write_bytes(whole[:-1])
+    expected["refused"]["nifti/short.nii"] = "ends after"
+
+
+def make_vti():
+    folder = HERE / "vti"
+    folder.mkdir(exist_ok=True)
+
+    def grid(name):
+        image = pyvista.ImageData(dimensions=SIZE, spacing=(0.5, 1.25, 3.0), origin=(10.5, -20.25, 30.0))
+        image.direction_matrix = TURN.T
+        image.point_data[name] = voxels(name).flatten(order="F")
+        image.set_active_scalars(name)
+        return image
+
+    def told(file, name):
+        image = pyvista.read(str(folder / file))
+        values = image.point_data[name]
+        expect(f"vti/{file}", values.reshape(SIZE, order="F"), [image.points[image.FindPoint(
+            image.points[c[0] + 3 * c[1] + 12 * c[2]])] for c in CORNERS], "VTK")
+
+    grid("float32").save(str(folder / "pyvista.vti"))
+    told("pyvista.vti", "float32")
+    grid("int16").save(str(folder / "pyvista_ascii.vti"), binary=False)
+    told("pyvista_ascii.vti", "int16")
+    for mode in ["Ascii", "Binary", "Appended"]:
+        for compressed in [False, True] if mode != "Ascii" else [False]:
+            for order in ["Little", "Big"]:
+                for raw in [False, True] if mode == "Appended" else [False]:
+                    writer = vtk.vtkXMLImageDataWriter()
+                    name = {"Ascii": "float64", "Binary": "uint16", "Appended": "int32"}[mode]
+                    words = [mode.lower(), "zlib" if compressed else "plain", order.lower(), "raw" if raw else "text"]
+                    file = "vtk_" + "_".join(words) + ".vti"
+                    writer.SetFileName(str(folder / file))
+                    writer.SetInputData(grid(name))
+                    getattr(writer, f"SetDataModeTo{mode}")()
+                    writer.SetCompressorTypeToZLib() if compressed else writer.SetCompressorTypeToNone()
+                    getattr(writer, f"SetByteOrderTo{order}Endian")()
+                    writer.SetEncodeAppendedData(not raw)
+                    if order == "Big":
+                        writer.SetHeaderTypeToUInt64()
+                    else:
+                        writer.SetHeaderTypeToUInt32()
+                    # Several blocks, the last one shorter.
+                    writer.SetBlockSize(40)
+                    writer.Write()
+                    told(file, name)
+
+
+def make_meta():
+    """MetaImage: by SimpleITK, and by hand what it does not write but reads."""
+    folder = HERE / "meta"
+    folder.mkdir(exist_ok=True)
+    for name in NAMES:
+        image = sitk.GetImageFromArray(voxels(name).transpose(2, 1, 0))
+        image.SetSpacing([0.5, 1.25, 3.0])
+        image.SetOrigin([10.5, -20.25, 30.0])
+        image.SetDirection((TURN.T * ([1, 1, -1] if name == "int8" else 1)).flatten())
+        file = f"meta/itk_{name}.{'mhd' if name == 'uint16' else 'mha'}"
+        sitk.WriteImage(image, str(HERE / file), name in ("int16", "uint16", "float64"))
+        by_itk(file, name)
+    data = voxels("int16")
+    little, big = (data.astype(order).tobytes(order="F") for order in ("<i2", ">i2"))
+    grid = "ObjectType = Image\nNDims = 3\nDimSize = 3 4 2\nElementSpacing = 0.5 1.25 3\nOffset = 1 2 3\n"
+    kind = "ElementType = MET_SHORT\n"
+    (folder / "slice_08.raw").write_bytes(little[:24])
+    (folder / "slice_09.raw").write_bytes(little[24:])
+    (folder / "behind.raw").write_bytes(b"anything" + little)
+    text = " ".join(map(str, data.flatten(order="F")))
+    for name, content in {
+        "list.mhd": grid + kind + "ElementDataFile = LIST\nslice_08.raw\nslice_09.raw\n",
+        "pattern.mhd": grid + kind + "ElementDataFile = slice_%02d.raw 8 9 1\n",
+        "from_end.mhd": grid + "HeaderSize = -1\n" + kind + "ElementDataFile = behind.raw\n",
+        "big.mha": (grid + "BinaryData = True\nBinaryDataByteOrderMSB = True\n" + kind + "ElementDataFile = LOCAL\n").encode() + big,
+        "text.mha": grid + "BinaryData = False\n" + kind + f"ElementDataFile = LOCAL\n{text}\n",
+        "orientation.mha": (grid + "AnatomicalOrientation = LPI\nCenterOfRotation = 7 8 9\n" + kind
+                            + "ElementDataFile = LOCAL\n").encode() + little,
+    }.items():
+        (folder / name).write_bytes(content if isinstance(content, bytes) else content.encode())
+        by_itk(f"meta/{name}", "int16")
+    refused = {
+        "colour.mha": (grid + "ElementNumberOfChannels = 3\n" + kind, little * 3, "3 numbers a voxel"),
+        "short.mha": (grid + kind, little[:-1], "cut short"),
+        "trailing.mha": (grid + kind, little + b"x", "behind the last voxel"),
+        "flat.mha": ("NDims = 2\nDimSize = 3 4\n" + kind, little[:24], "2 dimensions"),
+        "huge.mha": (grid.replace("3 4 2", "300000 300000 300000") + kind, little, "MiB of voxels"),
+        "overflow.mha": (grid.replace("3 4 2", "9999999999 9999999999 9999999999") + kind, little, "promises"),
+        "no_zlib.mha": (grid + "CompressedData = True\n" + kind, little, "not as the header says"),
+        "array.mha": (grid + "ElementType = MET_SHORT_ARRAY\n", little, "MET_SHORT_ARRAY"),
+        "zero_spacing.mha": (grid.replace("1.25", "0") + kind, little, "spacing"),
+    }
+    for name, (header, body, word) in refused.items():
+        (folder / name).write_bytes((header + "ElementDataFile = LOCAL\n").encode() + body)
+        expected["refused"][f"meta/{name}"] = word
+
+
+def make_segmentation():
+    """Segmentations as 3D Slicer writes them: one layer, and two that overlap."""
+    folder = HERE / "segmentation"
+    folder.mkdir(exist_ok=True)
+    labels = (np.arange(24) % 3).astype(np.uint8).reshape(SIZE, order="F")
+    more = np.roll(labels, 5)
+    lps = {"space": "left-posterior-superior", "space origin": [10.5, -20.25, 30.0], "encoding": "gzip"}
+    segments = {
+        "Segment0_ID": "Segment_1", "Segment0_Name": "left lung", "Segment0_LabelValue": "1", "Segment0_Layer": "0",
+        "Segment1_ID": "Segment_2", "Segment1_Name": "heart (right)", "Segment1_LabelValue": "2", "Segment1_Layer": "0",
+        "Segmentation_MasterRepresentation": "Binary labelmap",
+    }
+    nrrd.write(str(folder / "one_layer.seg.nrrd"), labels,
+               {**lps, "space directions": OBLIQUE, "kinds": ["domain"] * 3, **segments})
+    by_itk("segmentation/one_layer.seg.nrrd", check_values=False)
+    vessel = {"Segment2_ID": "Segment_3", "Segment2_Name": "vessel", "Segment2_LabelValue": "1", "Segment2_Layer": "1"}
+    nrrd.write(str(folder / "two_layers.seg.nrrd"), np.stack([labels, more]),
+               {**lps, "space directions": np.vstack([[np.nan] * 3, OBLIQUE]), "kinds": ["list"] + ["domain"] * 3, **segments, **vessel})
+    both = nrrd.read(str(folder / "two_layers.seg.nrrd"))[0]
+    expect("segmentation/two_layers.seg.nrrd", both[0], affine_positions(OBLIQUE, lps["space origin"]), "pynrrd")
+    nrrd.write(str(folder / "no_layer.seg.nrrd"), np.stack([labels, more]),
+               {**lps, "space directions": np.vstack([[np.nan] * 3, OBLIQUE]), "kinds": ["list"] + ["domain"] * 3, **segments,
+                **vessel, "Segment2_Layer": "7"})
+    expected["refused"]["segmentation/no_layer.seg.nrrd"] = "layer 7 of 2"
+
+
+def make_dicom():
+    """Oblique series of two slices, the second first by name: not compressed, and in RLE."""
+    for folder, compressed in [("dicom/oblique", False), ("dicom/rle", True)]:
+        (HERE / folder).mkdir(parents=True, exist_ok=True)
+        for n in range(2):
+            ds = pydicom.Dataset()
+            ds.file_meta = pydicom.dataset.FileMetaDataset()
+            ds.file_meta.TransferSyntaxUID = pydicom.uid.ExplicitVRLittleEndian
+            ds.SOPClassUID = ds.file_meta.MediaStorageSOPClassUID = pydicom.uid.CTImageStorage
+            ds.SOPInstanceUID = ds.file_meta.MediaStorageSOPInstanceUID = f"1.2.826.0.1.3680043.8.498.1.{n + 1}"
+            ds.StudyInstanceUID, ds.SeriesInstanceUID = "1.2.826.0.1.3680043.8.498.2", "1.2.826.0.1.3680043.8.498.3"
+            ds.Modality, ds.SeriesDescription, ds.SeriesNumber, ds.InstanceNumber = "CT", "oblique", 3, n + 1
+            ds.ImageOrientationPatient = [*TURN[0].tolist(), *TURN[1].tolist()]
+            ds.ImagePositionPatient = (np.array([10.5, -20.25, 30.0]) + n * OBLIQUE[2]).round(10).tolist()
+            ds.PixelSpacing = [1.25, 0.5]
+            ds.SliceThickness = 3.0
+            ds.RescaleSlope, ds.RescaleIntercept = 1, -1024
+            slices = (np.arange(24) * 7 + 900).astype(np.uint16).reshape(SIZE, order="F")
+            ds.SamplesPerPixel, ds.PhotometricInterpretation, ds.PixelRepresentation = 1, "MONOCHROME2", 0
+            ds.Rows, ds.Columns, ds.BitsAllocated, ds.BitsStored, ds.HighBit = SIZE[1], SIZE[0], 16, 12, 11
+            ds.PixelData = np.ascontiguousarray(slices[:, :, n].T).tobytes()
+            if compressed:
+                ds.compress(pydicom.uid.RLELossless)
+            ds.save_as(HERE / folder / f"{'ba'[n]}.dcm", enforce_file_format=True)
+        if compressed:  # which SimpleITK does not decode when it is so small
+            told = [pydicom.dcmread(HERE / folder / f"{name}.dcm").pixel_array.T.astype(np.int16) - 1024 for name in "ba"]
+            expect(folder, np.stack(told, axis=-1), affine_positions(OBLIQUE, [10.5, -20.25, 30.0]), "pydicom")
+            continue
+        names = sitk.ImageSeriesReader.GetGDCMSeriesFileNames(str(HERE / folder))
+        image = sitk.ReadImage(names)
+        array = sitk.GetArrayFromImage(image).transpose(2, 1, 0).astype(np.int16)
+        assert array[0, 0, 0] == 900 - 1024, array
+        expect(folder, array, [image.TransformIndexToPhysicalPoint(c) for c in CORNERS], "SimpleITK")
+
+
+def make_edited():
+    """The golden size field, opened, checked, doubled and saved by pyvista; the golden surfaces, opened by VTK."""
+    folder = STAGE / "edited"
+    folder.mkdir(exist_ok=True)
+    steps = np.array([[0.36, 0.48, -0.8], [-0.8, 0.6, 0.0], [-0.48, -0.64, -0.6]]) * np.array([[0.5], [1.25], [3.0]])
+    origin = [10.5, -20.25, 1 / 3]
+
+    def opened():
+        image = pyvista.read(str(STAGE / "golden" / "field_v1.sizefield.vti"))
+        assert image.dimensions == SIZE and image.point_data["sizing"].dtype == np.float32
+        values = (0.25 + np.arange(24, dtype=np.float32) / np.float32(7)).astype(np.float32)
+        assert np.array_equal(image.point_data["sizing"], values)
+        places = [image.points[c[0] + 3 * c[1] + 12 * c[2]] for c in CORNERS]
+        assert np.allclose(places, affine_positions(steps, origin), atol=1e-6), places
+        assert json.loads(image.field_data["geometry"][0])["space"] == "Lps"
+        assert json.loads(image.field_data["history"][0])["parameters"]["note"] == "größer"
+        image.point_data["sizing"] = image.point_data["sizing"] * np.float32(2)
+        return image
+
+    opened().save(str(folder / "edited.vti"))
+    opened().save(str(folder / "edited_ascii.vti"), binary=False)
+    # version 2 has bytes in place of strings
+    image = pyvista.read(str(STAGE / "golden" / "field_v2.sizefield.vti"))
+    image.point_data["sizing"] = image.point_data["sizing"] * np.float32(2)
+    image.save(str(folder / "edited_v2.vti"))
+    image.save(str(folder / "edited_v2_ascii.vti"), binary=False)
+    bare = opened()
+    bare.field_data.clear()
+    bare.save(str(folder / "edited_without_field_data.vti"))
+    opened().extract_subset((0, 1, 0, 1, 0, 1)).save(str(folder / "resampled.vti"))
+    for suffix, tolerance in [("vtp", 0), ("ply", 1e-6), ("stl", 1e-6), ("obj", 1e-6)]:
+        mesh = pyvista.read(str(STAGE / "golden" / f"surface_v1.{suffix}"))
+        corners = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1 / 3]])
+        world = np.array(origin) + corners @ np.array([s / np.linalg.norm(s) for s in steps])
+        assert mesh.n_cells == 4 and mesh.is_all_triangles, suffix
+        for point in world:
+            assert np.abs(mesh.points - point).max(axis=1).min() <= max(tolerance, 1e-14) * 30, (suffix, point)
+        # Outward normals, although the volume is left-handed.
+        assert np.isclose(mesh.volume, 1 / 18, atol=1e-6), (suffix, mesh.volume)
+        normals = mesh.compute_normals(consistent_normals=False, auto_orient_normals=False, point_normals=False)
+        out = normals.cell_centers().points - mesh.points.mean(axis=0)
+        assert (np.einsum("ij,ij->i", normals.cell_data["Normals"], out) > 0).all(), suffix
+    mesh = pyvista.read(str(STAGE / "golden" / "surface_v1.vtp"))
+    assert mesh.points.dtype == np.float64 and mesh.cell_data["component"].tolist() == [0, 0, 1, 1]
+    assert json.loads(mesh.field_data["history"][0])["tool"] == "sizefield"
+
+
+MAKERS = {"nrrd": make_nrrd, "nifti": make_nifti, "vti": make_vti, "meta": make_meta, "segmentation": make_segmentation,
+          "dicom": make_dicom, "edited": make_edited}
+wanted = sys.argv[1:] or list(MAKERS)
+if sys.argv[1:]:
+    expected = json.loads((HERE / "expected.json").read_text())
+    for told in expected.values():
+        for file in [file for file in told if file.split("/")[0] in wanted]:
+            del told[file]
+for name in wanted:
+    MAKERS[name]()
+(HERE / "expected.json").write_text(json.dumps(expected, indent=1) + "\n")
+print(len(expected["volumes"]), "volumes,", len(expected["refused"]), "to be refused,",
+      sum(f.stat().st_size for f in HERE.rglob("*") if f.is_file()), "bytes in all")

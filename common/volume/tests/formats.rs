@@ -1,0 +1,134 @@
+//! The readers against other programs: every fixture in `tests/data` was made, and told, by pynrrd, SimpleITK, Teem's unu,
+//! nibabel, pydicom or VTK (see `tests/data/make_fixtures.py`).
+
+use glam::DVec3;
+use isoparticles_volume::{LayerLabel, Volume, Voxels, read_volume};
+use serde_json::Value;
+use std::path::{Path, PathBuf};
+
+fn data() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data")
+}
+
+fn expected() -> Value {
+    serde_json::from_slice(&std::fs::read(data().join("expected.json")).expect("expected.json")).expect("JSON")
+}
+
+/// World positions of the first voxel and of the last one along each axis.
+fn positions(volume: &Volume) -> [DVec3; 4] {
+    let geometry = &volume.geometry;
+    let end = geometry.upper_corner();
+    [DVec3::ZERO, DVec3::X * end.x, DVec3::Y * end.y, DVec3::Z * end.z].map(|grid| geometry.grid_to_world(grid))
+}
+
+/// Whether the values are those of the texts, exactly.
+fn same_values(voxels: &Voxels, texts: &[String]) -> bool {
+    fn whole<T: ToString>(values: &[T], texts: &[String]) -> bool {
+        values.iter().map(T::to_string).eq(texts.iter().cloned())
+    }
+    let numbers = || texts.iter().map(|text| text.parse::<f64>().expect("a number"));
+    match voxels {
+        Voxels::I8(values) => whole(values, texts),
+        Voxels::U8(values) => whole(values, texts),
+        Voxels::I16(values) => whole(values, texts),
+        Voxels::U16(values) => whole(values, texts),
+        Voxels::I32(values) => whole(values, texts),
+        Voxels::U32(values) => whole(values, texts),
+        Voxels::I64(values) => whole(values, texts),
+        Voxels::U64(values) => whole(values, texts),
+        Voxels::F32(values) => values.iter().map(|&value| f64::from(value)).eq(numbers()),
+        Voxels::F64(values) => values.iter().copied().eq(numbers()),
+    }
+}
+
+#[test]
+fn other_programs_see_the_same_voxels_in_the_same_places() {
+    let expected = expected();
+    let volumes = expected["volumes"].as_object().expect("volumes");
+    assert!(volumes.len() >= 85);
+    for (file, told) in volumes {
+        let volume = read_volume(&data().join(file)).unwrap_or_else(|error| panic!("{error}"));
+        assert_eq!(volume.voxels.type_name(), told["type"], "{file}");
+        let texts: Vec<String> = serde_json::from_value(told["values"].clone()).expect("texts");
+        assert!(same_values(&volume.voxels, &texts), "{file}: {:?}", volume.voxels);
+        let places: [[f64; 3]; 4] = serde_json::from_value(told["positions"].clone()).expect("positions");
+        // NIfTI keeps its geometry in 32-bit numbers, and VTK its origin in about as many digits.
+        let tolerance = if file.starts_with("nrrd") { 1e-10 } else { 1e-5 };
+        for (ours, theirs) in positions(&volume).iter().zip(places) {
+            let theirs = DVec3::from_array(theirs);
+            assert!(ours.abs_diff_eq(theirs, tolerance), "{file}: {ours} is not {theirs} ({})", told["told_by"]);
+        }
+    }
+}
+
+#[test]
+fn segments_have_names_and_layers() {
+    let read =
+        |name: &str| read_volume(&data().join("segmentation").join(name)).unwrap_or_else(|error| panic!("{error}"));
+    let one = read("one_layer.seg.nrrd");
+    assert_eq!(one.layer_count(), 1);
+    assert_eq!(one.segment_named("left lung").expect("there"), LayerLabel { layer: 0, label: 1 });
+    let two = read("two_layers.seg.nrrd");
+    assert_eq!((two.layer_count(), two.segments.len()), (2, 3));
+    assert_eq!(two.segment_named("vessel").expect("there"), LayerLabel { layer: 1, label: 1 });
+    // the second layer is the first one, five voxels on in the order of numpy: z fastest
+    let in_numpy =
+        |mask: Vec<bool>| -> Vec<bool> { (0..24).map(|n| mask[(n % 2) * 12 + (n / 2 % 4) * 3 + n / 8]).collect() };
+    let lung = in_numpy(one.label_mask(&[LayerLabel { layer: 0, label: 1 }]));
+    let mut vessel = in_numpy(two.label_mask(&[LayerLabel { layer: 1, label: 1 }]));
+    vessel.rotate_left(5);
+    assert_eq!(vessel, lung);
+    assert!(two.label_numbered(1).is_err() && two.label_numbered(2).is_err());
+}
+
+/// A mesh or a file of particles says where it belongs.
+#[test]
+fn what_is_no_volume_names_the_stage_that_takes_it() {
+    let folder = tempfile::tempdir().expect("folder");
+    let write = |name: &str, bytes: &[u8]| {
+        let path = folder.path().join(name);
+        std::fs::write(&path, bytes).expect("written");
+        path
+    };
+    let golden = |name: &str| data().join("../../../stage/tests/data/golden").join(name);
+    for (path, stage) in [
+        (golden("surface_v2.vtp"), "tetmesh-check"),
+        (golden("surface_v1.ply"), "tight-cocone"),
+        (golden("surface_v1.stl"), "tetmesh-check"),
+        (golden("surface_v1.obj"), "tetmesh-check"),
+        (golden("particles_v1.checkpoint.bin"), "particles --resume"),
+        (write("seeds", b"ISOPART\n\x01\0\0\0"), "particles"),
+        (write("settled", b"ISOPART\n\x02\0\0\0"), "reconstruct"),
+        (write("mesh", b"<VTKFile type=\"UnstructuredGrid\">"), "volume that it was made from"),
+        (write("old.vtk", b"# vtk DataFile Version 3.0"), ".vti"),
+        (write("slice", &[&[0; 128][..], b"DICM"].concat()), "folder"),
+        (write("text.txt", b"hello"), "convert"),
+    ] {
+        let error = read_volume(&path).expect_err("no volume");
+        assert!(error.next.contains(stage), "{stage} is not in: {error}");
+    }
+}
+
+#[test]
+fn the_first_bytes_tell_the_format_whatever_the_name() {
+    let folder = tempfile::tempdir().expect("folder");
+    for file in ["nrrd/plain.nrrd", "nifti/sform.nii", "nifti/qform.nii.gz", "meta/itk_int16.mha", "vti/pyvista.vti"] {
+        let path = folder.path().join("volume.dat");
+        let Ok(bytes) = std::fs::read(data().join(file)) else { panic!("{file} is not there") };
+        std::fs::write(&path, bytes).expect("written");
+        let volume = read_volume(&path).unwrap_or_else(|error| panic!("{error}"));
+        assert_eq!(volume, read_volume(&data().join(file)).expect("read"), "{file}");
+    }
+}
+
+#[test]
+fn what_cannot_be_meshed_is_refused_with_the_reason() {
+    let expected = expected();
+    for (file, word) in expected["refused"].as_object().expect("refused") {
+        let error = read_volume(&data().join(file)).expect_err(file);
+        let word = word.as_str().expect("a word");
+        assert!(error.what.contains(word), "{file}: '{word}' is not in '{error}'");
+        assert!(error.what.contains(file.rsplit('/').next().expect("a name")), "{file}: not named in '{error}'");
+        assert!(!error.why.is_empty() && !error.next.is_empty(), "{file}");
+    }
+}
