@@ -3,8 +3,8 @@
 //! A change is a transaction on a patch, made of edge flips, collapses and splits and of relocations to where the smallest quality round a vertex
 //! is largest, always projected back onto F = 0 (Eq. 5). The guard commits it when the quality rises, and rolls it back when a triangle is turned
 //! or folded, crosses another (exact predicates), strays from F = 0 by more than the bound, or carries a grid node to the other side where
-//! that is asked for. Topology cannot change. [`sweep`] goes over the whole mesh, [`optimise`] through a queue of the bad triangles, and
-//! [`target_length`] remeshes a patch at a smaller length where F bends within h. Optionally the whole mesh is remeshed by the same moves,
+//! that is asked for. Topology cannot change. `sweep` goes over the whole mesh, `optimise` through a queue of the bad triangles, and
+//! `target_length` remeshes a patch at a smaller length where F bends within h. Optionally the whole mesh is remeshed by the same moves,
 //! which makes a good mesh even of marching cubes' output. The result depends on the input only, not on threads.
 
 mod constants;
