@@ -50,7 +50,8 @@ fn the_mesh_is_as_good_as_that_of_the_cpu() {
     let files = torus(folder.path(), 0.9);
     let report = folder.path().join("particles.json");
     let output = folder.path().join("gpu.bin");
-    let found = settle(&files, &adapter, &output, &["--report", &report.to_string_lossy()]);
+    // on the levels of the CPU's default: one level alone ends with 2 % more particles on a surface as small as this
+    let found = settle(&files, &adapter, &output, &["--levels", "3", "--report", &report.to_string_lossy()]);
     let on_cpu = read_particles(&files.particles, &[ParticleKind::Particles]).expect("particles").particles;
     let ratio = found.positions.len() as f64 / on_cpu.positions.len() as f64;
     assert!((ratio - 1.0).abs() < 0.01, "{} particles, {} on the CPU", found.positions.len(), on_cpu.positions.len());

@@ -85,8 +85,9 @@ pub(super) const MOST_IN_VAIN: usize = 200;
 
 /// Rings round a triangle whose mean edge is the length of the mesh there, where that is below h.
 pub(super) const RINGS_OF_LENGTH: usize = 6;
-/// Radius of the patch over the length at its rim: enough for edges to grow from the shortest to that.
-pub(super) const REACH: f64 = 2.5;
+/// Radii of the patch over the length at its rim, in the order tried: the first is enough for edges to grow from the shortest to that. The others are for
+/// triangles that it leaves, whose rim lies badly.
+pub(super) const REACHES: [f64; 4] = [2.5, 4.0, 1.6, 6.0];
 /// Lengths grow by so much with the distance, mm per mm, in the order tried. With the first alone 3 triangles of 1.8 million on noise (the torso
 /// CT at 200, both methods) stay below [`FIT`], with all three none.
 pub(super) const GRADATIONS: [f64; 3] = [0.45, 0.3, 0.6];

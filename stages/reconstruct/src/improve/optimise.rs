@@ -1,7 +1,7 @@
 //! One queue of bad triangles, worst first. For each, a transaction on a patch round it: a single move with relocations, or the patch remeshed
 //! at a smaller target length. Patches that do not meet are worked on side by side; what a patch commits is one commit of the whole.
 
-use super::constants::{BATCH, FIT, LEAST_GAIN, MOST_IN_VAIN, RINGS};
+use super::constants::{BATCH, FIT, LEAST_GAIN, MOST_IN_VAIN, REACHES, RINGS};
 use super::guard::{Limits, Rule, commit_or_rollback, gain};
 use super::moves::{Move, moves_near, relocate_all};
 use super::patch::Patch;
@@ -15,12 +15,12 @@ use std::cmp::Reverse;
 use std::collections::{BinaryHeap, HashMap};
 
 /// What is tried on bad triangles.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 enum Means {
     /// A flip, collapse, split or relocation.
     Move,
-    /// Remeshing of a patch with a smaller target length.
-    Remesh,
+    /// Remeshing of a patch of so many lengths' radius with a smaller target length.
+    Remesh { reach: f64 },
 }
 
 /// One way through the queue.
@@ -51,9 +51,10 @@ pub(super) fn optimise(
     let passes = [
         Pass { means: Means::Move, limits: *limits, bar: target },
         Pass { means: Means::Move, limits: loosened, bar: unfit },
-        Pass { means: Means::Remesh, limits: loosened, bar: unfit },
     ];
-    let mut failures = [(); 3].map(|()| Failures::new());
+    let remeshing = REACHES.map(|reach| Pass { means: Means::Remesh { reach }, limits: loosened, bar: unfit });
+    let passes: Vec<Pass> = passes.into_iter().chain(remeshing).collect();
+    let mut failures: Vec<Failures> = passes.iter().map(|_| Failures::new()).collect();
     for _ in 0..rounds {
         let commits = surface.commits();
         for (pass, failures) in passes.iter().zip(&mut failures) {
@@ -99,7 +100,7 @@ fn drain(surface: &mut Surface, pass: &Pass, failures: &mut Failures, step: Step
             let local = patch.local(t);
             let is_better = match pass.means {
                 Means::Move => lift(&mut patch.surface, local, &pass.limits, pass.bar),
-                Means::Remesh => remesh(&mut patch.surface, local, &pass.limits, pass.bar),
+                Means::Remesh { reach } => remesh(&mut patch.surface, local, reach, &pass.limits, pass.bar),
             };
             is_better.then(|| (patch.turned_nodes(surface), patch.edits(surface)))
         };
@@ -112,7 +113,7 @@ fn drain(surface: &mut Surface, pass: &Pass, failures: &mut Failures, step: Step
                     queue.extend(touched.into_iter().filter_map(|t| entry(surface, t)));
                     match pass.means {
                         Means::Move => tally.single_moves += 1,
-                        Means::Remesh => tally.remeshed_patches += 1,
+                        Means::Remesh { .. } => tally.remeshed_patches += 1,
                     }
                 }
                 None => {
@@ -129,7 +130,7 @@ fn drain(surface: &mut Surface, pass: &Pass, failures: &mut Failures, step: Step
 fn apart(surface: &Surface, triangles: &[u32], means: Means) -> (Vec<(u32, Bounds)>, Vec<u32>) {
     let region = |&t: &u32| match means {
         Means::Move => surface.rings(t, RINGS).bounds(surface),
-        Means::Remesh => super::target_length::region(surface, t),
+        Means::Remesh { reach } => super::target_length::region(surface, t, reach),
     };
     let regions: Vec<Bounds> = triangles.par_iter().map(region).collect();
     let (mut chosen, mut others) = (Vec::<(u32, Bounds)>::new(), Vec::new());

@@ -7,8 +7,8 @@
 //! component is a patch without a rim.
 
 use super::constants::{
-    ATTEMPTS, CHORD, FINEST, GRADATIONS, MOST_TRIANGLES, PATCH_LENGTHS, REACH, RIM, RINGS_OF_LENGTH, ROUNDS, SHORTER,
-    STRAYS, TARGET, TURNED,
+    ATTEMPTS, CHORD, FINEST, GRADATIONS, MOST_TRIANGLES, PATCH_LENGTHS, RIM, RINGS_OF_LENGTH, ROUNDS, SHORTER, STRAYS,
+    TARGET, TURNED,
 };
 use super::guard::{Limits, Rule, commit_or_rollback};
 use super::moves::projected_facing;
@@ -28,46 +28,45 @@ struct Demand {
     length: f64,
 }
 
-/// Where a triangle is, and how long the edges of the mesh are round it, mm.
+/// Where a triangle is, how long the edges of the mesh are round it, and how far the patch goes, mm. `reach` is over that length.
 #[derive(Clone, Copy)]
 struct Place {
     centre: DVec3,
     length: f64,
+    /// Radius of the patch, mm.
+    reach: f64,
 }
 
 impl Place {
-    fn of(surface: &Surface, triangle: u32) -> Self {
+    fn of(surface: &Surface, triangle: u32, reach: f64) -> Self {
         let corners = surface.triangles[triangle as usize];
         let [a, b, c] = surface.corners(triangle);
         let h = corners.iter().map(|&v| surface.target[v as usize]).sum::<f64>() / 3.0;
         let round = surface.rings(triangle, RINGS_OF_LENGTH);
         let edges = edges_of(round.triangles.iter().map(|&t| &surface.triangles[t as usize]));
         let sum: f64 = edges.iter().map(|&(a, b)| surface.length(a, b)).sum();
-        Self { centre: (a + b + c) / 3.0, length: h.min(sum / edges.len() as f64) }
-    }
-
-    fn reach(&self) -> f64 {
-        REACH * self.length
+        let length = h.min(sum / edges.len() as f64);
+        Self { centre: (a + b + c) / 3.0, length, reach: reach * length }
     }
 
     /// The shortest length at a position that lets edges grow to those at the rim.
     fn least(&self, p: DVec3, gradation: f64) -> f64 {
-        let at_rim = RIM * self.length - gradation * (self.reach() - p.distance(self.centre));
+        let at_rim = RIM * self.length - gradation * (self.reach - p.distance(self.centre));
         at_rim.max(FINEST * self.length)
     }
 }
 
 /// The box that the remeshing of the patch round a triangle stays in.
-pub(super) fn region(surface: &Surface, triangle: u32) -> Bounds {
-    let place = Place::of(surface, triangle);
+pub(super) fn region(surface: &Surface, triangle: u32, reach: f64) -> Bounds {
+    let place = Place::of(surface, triangle, reach);
     // the triangles across the rim reach out of the ball
-    let half = place.reach() + 2.0 * place.length;
+    let half = place.reach + 2.0 * place.length;
     Bounds { low: place.centre - half, high: place.centre + half }
 }
 
 /// Remeshes the patch round a triangle and commits the first outcome that the guard lets pass; false where none did.
-pub(super) fn remesh(surface: &mut Surface, triangle: u32, limits: &Limits, bar: f64) -> bool {
-    let place = Place::of(surface, triangle);
+pub(super) fn remesh(surface: &mut Surface, triangle: u32, reach: f64, limits: &Limits, bar: f64) -> bool {
+    let place = Place::of(surface, triangle, reach);
     let Some(free) = free_vertices(surface, triangle, &place) else { return false };
     let by_curvature = demands_of_curvature(surface, &free, &place);
     let mut demands = GRADATIONS.map(|_| Some(by_curvature.clone()));
@@ -107,7 +106,7 @@ fn free_vertices(surface: &Surface, triangle: u32, place: &Place) -> Option<Vec<
     let is_free = |v: u32| {
         let p = surface.positions[v as usize];
         let is_inside = |u: u32| surface.region.is_none_or(|region| region.encloses(surface.positions[u as usize]));
-        p.distance(place.centre) < place.reach()
+        p.distance(place.centre) < place.reach
             && !surface.frozen[v as usize]
             && surface.link(v).all(|(u, _)| is_inside(u))
     };
