@@ -239,6 +239,7 @@ impl Batch<'_> {
                 let this = std::env::current_exe().map_err(|error| {
                     Error::input(format!("{error}"), "each case is a run of this program", "call it by its path")
                 })?;
+                ending.log = log.display().to_string();
                 let (ended, out_of_time) =
                     program::run_logged(&this, &self.arguments(row, programs), file, self.limit)?;
                 ending.seconds = started.elapsed().as_secs_f64();

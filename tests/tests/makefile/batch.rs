@@ -72,6 +72,8 @@ fn what_fails_is_told_and_the_rest_is_made() {
         assert!(ended.stdout.contains(&format!("{name}: error: ")), "{}", ended.stdout);
     }
     assert!(ended.stdout.contains("2 of 6 cases are fit") && ended.stdout.contains("line 5 "), "{}", ended.stdout);
+    assert!(ended.stdout.contains(".batch/missing.log"), "a run's log is told: {}", ended.stdout);
+    assert!(!ended.stdout.contains("wrong size.log"), "there was no run: {}", ended.stdout);
     let log = std::fs::read_to_string(case.out().join(".batch/coarse.log")).expect("the log of a row");
     assert!(log.contains("distfield"), "{log}");
     let index = std::fs::read_to_string(case.out().join("index.html")).expect("the index");
