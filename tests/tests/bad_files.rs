@@ -334,4 +334,11 @@ fn a_resumed_run_gives_the_particles_of_an_unbroken_one() {
     ended.expect_success("the resumed run");
     let particles = |path: &Path| read_particles(path, &[ParticleKind::Particles]).expect("particles").particles;
     assert!(particles(&unbroken) == particles(&resumed), "the resumed run differs");
+    // The same from the checkpoint of the last pass, with nothing left to do but the end.
+    let last = folder.path().join("last.bin").to_string_lossy().into_owned();
+    let (ended, _) = run("whole.bin", "20", &["--checkpoint", &last]);
+    ended.expect_success("the run with checkpoints");
+    let (ended, resumed) = run("ended.bin", "20", &["--checkpoint", &last, "--resume"]);
+    ended.expect_success("the run resumed at its end");
+    assert!(particles(&unbroken) == particles(&resumed), "the run resumed at its end differs");
 }

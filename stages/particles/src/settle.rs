@@ -355,8 +355,10 @@ fn is_balanced(records: &[PassRecord], parameters: &Parameters) -> bool {
     parameters.energy_tolerance.is_none() && falls < parameters.defect_tolerance && is_at_rest
 }
 
-/// Puts every particle onto F = 0 to the last useful digit and removes those that cannot be; says how many.
+/// Puts every particle onto F = 0 to the last useful digit and removes those that cannot be; says how many. They are put in order of place first, as a
+/// run that is resumed after its last pass has them.
 fn finish(state: &mut State, fields: &Fields) -> usize {
+    state.sort_by_place();
     let spacing = fields.surface.geometry().min_spacing();
     let projected: Vec<_> = state
         .set
