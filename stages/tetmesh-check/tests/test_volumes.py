@@ -23,7 +23,7 @@ from tetmesh_check.surface import history_of
 from tetmesh_check.volume import write_volume
 from tetmesh_check.volumes import find_program, read_volume
 
-_FIXTURES = Path(__file__).parents[3] / "common" / "tests" / "data"
+_FIXTURES = Path(__file__).parents[3] / "common" / "volume" / "tests" / "data"
 _TOLD = json.loads((_FIXTURES / "expected.json").read_text())["volumes"]
 """What the programs say that made the fixtures."""
 
