@@ -23,7 +23,9 @@ from tetmesh_check.surface import history_of
 from tetmesh_check.volume import write_volume
 from tetmesh_check.volumes import find_program, read_volume
 
-_FIXTURES = Path(__file__).parents[3] / "common" / "volume" / "tests" / "data"
+_COMMON = Path(__file__).parents[3] / "common"
+_FIXTURES = _COMMON / "volume" / "tests" / "data"
+_GOLDEN = _COMMON / "stage" / "tests" / "data" / "golden"
 _TOLD = json.loads((_FIXTURES / "expected.json").read_text())["volumes"]
 """What the programs say that made the fixtures."""
 
@@ -108,7 +110,7 @@ def test_files_of_the_first_version_had_strings(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("ending", ["vtp", "ply", "stl", "obj"])
 def test_surfaces_of_reconstruct_open_elsewhere(ending: str) -> None:
-    path = _FIXTURES / "golden" / f"surface_{'v2' if ending == 'vtp' else 'v1'}.{ending}"
+    path = _GOLDEN / f"surface_{'v2' if ending == 'vtp' else 'v1'}.{ending}"
     surface = pv.read(path)
     points, triangles = from_polydata(surface)
     assert len(triangles) == 4
@@ -127,7 +129,7 @@ def test_surfaces_of_reconstruct_open_elsewhere(ending: str) -> None:
 
 
 def test_fields_open_in_pyvista() -> None:
-    field = pv.read(_FIXTURES / "golden" / "field_v2.sizefield.vti")
+    field = pv.read(_GOLDEN / "field_v2.sizefield.vti")
     assert field.dimensions == (3, 4, 2)
     assert text_of(field, "isoparticles_kind") == "sizefield"
     assert json.loads(text_of(field, "geometry") or "")["space"] == "Lps"
