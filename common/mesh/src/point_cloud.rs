@@ -88,6 +88,11 @@ fn unusable(path: &Path, what: &str) -> Error {
     )
 }
 
+/// Whether an array of point data has the name of normals.
+pub(crate) fn is_normals(name: &str) -> bool {
+    name.eq_ignore_ascii_case("normals") || name.eq_ignore_ascii_case("normal")
+}
+
 fn finite_or_zero(normal: DVec3) -> DVec3 {
     if normal.is_finite() { normal } else { DVec3::ZERO }
 }
@@ -132,7 +137,6 @@ fn read_vtp(path: &Path) -> Result<PointCloud> {
     let piece = file.piece("PolyData")?;
     let positions = positions(&file, piece, |what| unusable(path, what))?;
     let arrays = piece.child("PointData").map_or(&[][..], |section| &section.children);
-    let is_normals = |name: &str| name.eq_ignore_ascii_case("normals") || name.eq_ignore_ascii_case("normal");
     let array = arrays.iter().find(|a| a.attribute("Name").is_some_and(is_normals) && VtkFile::components(a) == 3);
     let normals = array.map(|array| file.numbers(array, 3 * positions.len())).transpose()?;
     let normals = normals.map(|values| {

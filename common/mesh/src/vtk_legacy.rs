@@ -2,10 +2,11 @@
 //!
 //! What vtkio is not used for, and why, is told in docs/formats.md.
 
-use crate::surface::{DataArray, Surface};
+use crate::point_cloud::is_normals;
+use crate::surface::{DataArray, Surface, provenance};
 use glam::DVec3;
 use isoparticles_file::history::History;
-use isoparticles_volume::{Space, Voxels};
+use isoparticles_volume::Voxels;
 use std::io::{self, Write};
 use vtkio::model::{
     Attribute, Attributes, ByteOrder, DataSet, IOBuffer, Piece, PolyDataPiece, UnstructuredGridPiece, Version,
@@ -47,7 +48,6 @@ fn vectors(buffer: &IOBuffer) -> Option<Vec<DVec3>> {
 }
 
 fn normals(attribute: &Attribute, count: usize) -> Option<Vec<DVec3>> {
-    let is_normals = |name: &str| name.eq_ignore_ascii_case("normals") || name.eq_ignore_ascii_case("normal");
     let buffer = match attribute {
         Attribute::DataArray(array) => is_normals(&array.name).then_some(&array.data),
         Attribute::Field { data_array, .. } => {
@@ -59,10 +59,6 @@ fn normals(attribute: &Attribute, count: usize) -> Option<Vec<DVec3>> {
 
 /// Writes a surface as binary `POLYDATA` with its data; the format has no room for the history.
 pub(crate) fn write(file: &mut dyn Write, surface: &Surface, history: &History) -> io::Result<()> {
-    let frame = match surface.space {
-        Space::Lps => "LPS",
-        Space::Unnamed => "of the input",
-    };
     let triangles = &surface.mesh.triangles;
     let piece = PolyDataPiece {
         points: IOBuffer::F64(surface.mesh.vertices.iter().flat_map(|vertex| vertex.to_array()).collect()),
@@ -78,7 +74,7 @@ pub(crate) fn write(file: &mut dyn Write, surface: &Surface, history: &History) 
     };
     let file_of_vtk = Vtk {
         version: Version::new_legacy(3, 0),
-        title: format!("isoparticles {} {}; world frame {frame}, mm", history.tool, history.version),
+        title: provenance(surface, history),
         byte_order: ByteOrder::BigEndian,
         data: DataSet::inline(piece),
         file_path: None,

@@ -10,13 +10,18 @@ use std::io::{self, Write};
 /// Longest piece of history on one comment line; some readers have short line buffers.
 const COMMENT_WIDTH: usize = 200;
 
-/// What the comments say.
-fn comments(surface: &Surface, history: &History) -> Vec<String> {
+/// The program that wrote a surface, and the frame and unit of its positions, in a line.
+pub(crate) fn provenance(surface: &Surface, history: &History) -> String {
     let frame = match surface.space {
         Space::Lps => "LPS",
         Space::Unnamed => "of the input",
     };
-    let mut lines = vec![format!("isoparticles {} {}; world frame {frame}, mm", history.tool, history.version)];
+    format!("isoparticles {} {}; world frame {frame}, mm", history.tool, history.version)
+}
+
+/// What the comments say.
+fn comments(surface: &Surface, history: &History) -> Vec<String> {
+    let mut lines = vec![provenance(surface, history)];
     // ASCII, so that it may be cut anywhere.
     let text = ascii_json(history);
     lines

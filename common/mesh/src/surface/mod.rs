@@ -7,6 +7,7 @@
 mod interchange;
 mod vtp;
 
+pub(crate) use interchange::provenance;
 pub use vtp::read_surface;
 
 use crate::TriangleMesh;
