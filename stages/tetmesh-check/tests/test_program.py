@@ -160,7 +160,8 @@ def test_no_renderer_is_a_warning(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     grid.cell_data["radius_ratio"] = [0.5]
     grid.cell_data["min_dihedral"] = [50.0]
     grid.save(tmp_path / "b.vtu")
-    drawn, skipped = pictures.draw_pictures(pictures.PictureJob(tmp_path / "b.vtp", tmp_path / "b.vtu", tmp_path, "b"))
+    with pictures.Drawing(pictures.PictureJob(tmp_path / "b.vtp", tmp_path / "b.vtu", tmp_path, "b")) as drawing:
+        drawn, skipped = drawing.finish()
     assert drawn == ["b.quality.png"]
     assert set(skipped) == {"surface", "closeup", "cut"}
     assert "libosmesa6" in skipped["cut"]

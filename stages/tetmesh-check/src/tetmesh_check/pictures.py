@@ -1,6 +1,7 @@
-"""Pictures of the result: ``python -m tetmesh_check.pictures JOB.json`` draws, :func:`draw_pictures` has it drawn.
+"""Pictures of the result: ``python -m tetmesh_check.pictures JOB.json`` draws, :class:`Drawing` has it drawn.
 
-Drawing happens in a process of its own because VTK may end it where it finds no renderer (see :mod:`.rendering`).
+Drawing happens in processes of its own because VTK may end them where it finds no renderer (see :mod:`.rendering`), and so that the rest
+of the work goes on beside it.
 """
 
 from __future__ import annotations
@@ -9,10 +10,11 @@ import json
 import subprocess
 import sys
 import tempfile
+import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
@@ -21,6 +23,8 @@ from tetmesh_check.rendering import rendering_environment
 PICTURES = ("surface", "closeup", "cut", "quality")
 """The pictures, in the order they are drawn."""
 _RENDERED = frozenset({"surface", "closeup", "cut"})
+_SHARES = (("surface", "quality"), ("closeup", "cut"))
+"""What each of the processes draws, about the same work each."""
 _DRAWING_SECONDS = 300.0
 _WINDOW = (1600, 1200)
 _BAR = 170
@@ -57,66 +61,98 @@ class PictureJob:
         return self.folder / f"{self.name}.{picture}.png"
 
 
-def draw_pictures(job: PictureJob) -> tuple[list[str], dict[str, str]]:
-    """Have the pictures drawn by another process.
+class Drawing:
+    """Pictures while they are drawn, by processes beside this one; leaving the context ends those that are still at it.
 
     Parameters
     ----------
     job
-        What is to be drawn.
-
-    Returns
-    -------
-    tuple
-        The file names of the pictures that are there, and for each that is not, by its name, the reason.
+        What is to be drawn; its files must be there.
     """
-    environment = rendering_environment()
-    wanted = [picture for picture in PICTURES if environment is not None or picture not in _RENDERED]
-    skipped = {
-        picture: "no off-screen renderer on this machine (Debian, Ubuntu: apt-get install libosmesa6, or libegl1 libgl1-mesa-dri)"
-        for picture in PICTURES
-        if picture not in wanted
-    }
-    with tempfile.TemporaryDirectory(prefix="tetmesh-check-") as folder:
-        description = Path(folder) / "job.json"
-        description.write_text(
-            json.dumps(
-                {
-                    "surface": str(job.surface.absolute()),
-                    "volume": str(job.volume.absolute()),
-                    "folder": str(Path(folder)),
-                    "name": job.name,
-                    "pictures": wanted,
-                }
-            ),
-            encoding="utf-8",
-        )
-        reason = ""
-        try:
-            process = subprocess.run(
+
+    def __init__(self, job: PictureJob) -> None:
+        environment = rendering_environment()
+        self._job = job
+        self._skipped = {
+            picture: "no off-screen renderer on this machine (Debian, Ubuntu: apt-get install libosmesa6, or libegl1 libgl1-mesa-dri)"
+            for picture in PICTURES
+            if environment is None and picture in _RENDERED
+        }
+        self._folder = tempfile.TemporaryDirectory(prefix="tetmesh-check-")
+        self._started = time.monotonic()
+        self._processes: list[tuple[tuple[str, ...], subprocess.Popen[bytes]]] = []
+        for number, share in enumerate(_SHARES):
+            wanted = tuple(picture for picture in share if picture not in self._skipped)
+            if wanted:
+                self._processes.append((wanted, self._start(number, wanted, environment)))
+
+    def _start(
+        self, number: int, wanted: tuple[str, ...], environment: dict[str, str] | None
+    ) -> subprocess.Popen[bytes]:
+        description = Path(self._folder.name) / f"{number}.json"
+        job = {
+            "surface": str(self._job.surface.absolute()),
+            "volume": str(self._job.volume.absolute()),
+            "folder": self._folder.name,
+            "name": self._job.name,
+            "pictures": wanted,
+        }
+        description.write_text(json.dumps(job), encoding="utf-8")
+        with description.with_suffix(".err").open("wb") as words:
+            return subprocess.Popen(
                 [sys.executable, "-m", "tetmesh_check.pictures", str(description)],
                 env=environment,
-                capture_output=True,
-                timeout=_DRAWING_SECONDS,
-                check=False,
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.DEVNULL,
+                stderr=words,
             )
-            words = process.stderr.decode("utf-8", errors="replace").strip().splitlines()
-            if process.returncode != 0:
-                reason = f"the drawing process ended with code {process.returncode}: {words[-1] if words else ''}"
+
+    def finish(self) -> tuple[list[str], dict[str, str]]:
+        """Wait for the pictures and put them where they belong.
+
+        Returns
+        -------
+        tuple
+            The file names of the pictures that are there, and for each that is not, by its name, the reason.
+        """
+        drawn = set()
+        for wanted, process in self._processes:
+            reason = self._wait(process)
+            for picture in wanted:
+                fresh = Path(self._folder.name) / f"{self._job.name}.{picture}.png"
+                if fresh.is_file():
+                    target = self._job.path(picture)
+                    temporary = target.with_name(f".{target.name}.part")
+                    temporary.write_bytes(fresh.read_bytes())
+                    temporary.replace(target)
+                    drawn.add(picture)
+                else:
+                    self._skipped[picture] = reason or "the drawing process wrote no file"
+        return [self._job.path(picture).name for picture in PICTURES if picture in drawn], self._skipped
+
+    def _wait(self, process: subprocess.Popen[bytes]) -> str:
+        """Wait for a process; what became of it where it failed."""
+        try:
+            code = process.wait(max(0.0, self._started + _DRAWING_SECONDS - time.monotonic()))
         except subprocess.TimeoutExpired:
-            reason = f"the drawing process was ended after {_DRAWING_SECONDS:g} s"
-        drawn = []
-        for picture in wanted:
-            fresh = Path(folder) / f"{job.name}.{picture}.png"
-            if fresh.is_file():
-                target = job.path(picture)
-                temporary = target.with_name(f".{target.name}.part")
-                temporary.write_bytes(fresh.read_bytes())
-                temporary.replace(target)
-                drawn.append(target.name)
-            else:
-                skipped[picture] = reason or "the drawing process wrote no file"
-    return drawn, skipped
+            process.kill()
+            process.wait()
+            return f"the drawing process was ended after {_DRAWING_SECONDS:g} s"
+        if code == 0:
+            return ""
+        description = Path(process.args[-1])  # type: ignore[index, arg-type]
+        words = description.with_suffix(".err").read_text(encoding="utf-8", errors="replace").strip().splitlines()
+        return f"the drawing process ended with code {code}: {words[-1] if words else ''}"
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for _wanted, process in self._processes:
+            if process.poll() is None:
+                process.kill()
+                process.wait()
+        self._folder.cleanup()
 
 
 def _plotter(height: int = _WINDOW[1]) -> Any:

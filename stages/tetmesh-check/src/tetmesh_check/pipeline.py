@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -17,7 +19,7 @@ from tetmesh_check.export import MarkedMesh, export, export_path
 from tetmesh_check.fill import Filled, Method, Task, fill
 from tetmesh_check.labels import LabelVolume, read_label_volume
 from tetmesh_check.memory import check_memory
-from tetmesh_check.pictures import PictureJob, draw_pictures
+from tetmesh_check.pictures import Drawing, PictureJob
 from tetmesh_check.quality import Values, centres_of, summarize, summarize_all, tetrahedron_quality, triangle_quality
 from tetmesh_check.regions import (
     CAP,
@@ -213,13 +215,27 @@ def _mark(surface: Surface, mesh: VolumeMesh, labels: LabelVolume | None, contex
     return MarkedMesh(mesh.points, mesh.tetrahedra, regions, outside, mesh.boundary.owners, marks)
 
 
-def _draw(job: PictureJob, context: Context) -> None:
-    with context.step("pictures"):
-        try:
-            job.folder.mkdir(parents=True, exist_ok=True)
-            drawn, skipped = draw_pictures(job)
-        except OSError as error:
-            drawn, skipped = [], {"all": str(error)}
+@contextmanager
+def _drawing(job: PictureJob | None, context: Context) -> Iterator[None]:
+    """Have the pictures drawn beside the work of the block."""
+    if job is None:
+        yield
+        return
+    drawn: list[str] = []
+    try:
+        job.folder.mkdir(parents=True, exist_ok=True)
+        drawing = Drawing(job)
+    except OSError as error:
+        skipped = {"all": str(error)}
+        yield
+    else:
+        with drawing:
+            yield
+            with context.step("pictures"):
+                try:
+                    drawn, skipped = drawing.finish()
+                except OSError as error:
+                    skipped = {"all": str(error)}
     context.results["pictures"] = {"drawn": drawn, "skipped": skipped}
     for reason in sorted(set(skipped.values())):
         names = ", ".join(name for name, why in skipped.items() if why == reason)
@@ -304,9 +320,8 @@ def run(arguments: Arguments, context: Context) -> list[str]:
         with context.step(f"export {kind}"):
             export(marked, path, kind)
     context.results["exports"] = [path.name for path in arguments.export_paths().values()]
-    checks = run_checks(measured, arguments.limits) + solve_on(mesh, arguments.solve, context)
-    if (job := arguments.picture_job) is not None:
-        _draw(job, context)
+    with _drawing(arguments.picture_job, context):
+        checks = run_checks(measured, arguments.limits) + solve_on(mesh, arguments.solve, context)
 
     context.results["checks"] = [check.as_dict() for check in checks]
     quality = measured.quality
