@@ -88,7 +88,7 @@ case = $(call quote,$(BIN)/isoparticles-case) $(1) $(foreach key,$(KEYS) OUT VER
 
 # --- Goals ------------------------------------------------------------------------------------------------------------
 
-.PHONY: help $(CASE_GOALS) demo cases batch index build env doctor test format lint documentation test-rust test-python fuzz deny bench-stages \
+.PHONY: help $(CASE_GOALS) demo cases batch index build env wheel doctor test format lint documentation test-rust test-python fuzz deny bench-stages \
         bench-particles bench-gpu bench-delaunay bench-convergence bench-marching-cubes bench-scale
 
 define HELP
@@ -108,6 +108,7 @@ Volumes in, simulation-ready meshes out.
   make page CASE=heart                         its page once more
   make index                                   a page over all cases in OUT (make cases does it at its end)
   make clean CASE=heart                        remove its folder of results (or NAME=...)
+  make wheel                                   target/wheel/isoparticles-*.whl: pip install it, then `isoparticles help`
   make test                                    format, lints, documentation, tests
   make fuzz                                    every reader of files, FUZZ_SECONDS=60 each (nightly Rust, cargo-fuzz)
   make deny                                    licences and advisories of what is linked (cargo-deny)
@@ -186,6 +187,22 @@ ifeq ($(NO_BUILD),)
 	@stages/tetmesh-check/setup-env.sh --venv $(VENV) $(without_hxt)
 endif
 
+# One wheel with all of it, for `pip install`: target/wheel/isoparticles-*.whl. ISOPARTICLES_BIN of hatch_build.py are the programs without
+# their debug information; auditwheel names the oldest Linux that they run on.
+WHEEL = $(CARGO_TARGET_DIR)/wheel
+WHEEL_PROGRAMS = distfield sizefield seed particles reconstruct phantom isoparticles-case
+wheel: build env $(WHEEL)/venv/.made
+	@rm -rf $(WHEEL)/bin $(WHEEL)/raw $(WHEEL)/*.whl && mkdir -p $(WHEEL)/bin
+	@for name in $(WHEEL_PROGRAMS); do strip -o $(WHEEL)/bin/$$name $(BIN)/$$name || exit $$?; done
+	@ISOPARTICLES_BIN=$(abspath $(WHEEL)/bin) $(WHEEL)/venv/bin/python -m pip wheel --quiet --no-deps --no-build-isolation -w $(WHEEL)/raw pipelines/wheel
+	@PATH=$(abspath $(WHEEL)/venv/bin):$$PATH auditwheel repair -w $(WHEEL) $(WHEEL)/raw/*.whl
+	@ls $(WHEEL)/*.whl
+
+$(WHEEL)/venv/.made: pipelines/wheel/requirements.lock | env
+	@$(VENV)/bin/python -m venv --clear $(WHEEL)/venv
+	@$(WHEEL)/venv/bin/python -m pip install --quiet --disable-pip-version-check --no-input --require-hashes -r pipelines/wheel/requirements.lock
+	@touch $@
+
 # --- Checks of the project itself -------------------------------------------------------------------------------------
 
 test:
@@ -205,9 +222,13 @@ test-rust: build env
 	$(CARGO) test --locked --workspace --no-fail-fast
 
 # From the stage's own folder: its pyproject.toml holds the settings of all four.
-test-python: build env
+test-python: build env wheel
 	cd stages/tetmesh-check && $(abspath $(VENV))/bin/ruff check . && $(abspath $(VENV))/bin/ruff format --check . \
 	  && $(abspath $(VENV))/bin/mypy && $(abspath $(VENV))/bin/pytest -q
+	cd pipelines/wheel && settings=../../stages/tetmesh-check/pyproject.toml && $(abspath $(VENV))/bin/ruff check --config $$settings . \
+	  && $(abspath $(VENV))/bin/ruff format --config $$settings --check . \
+	  && $(abspath $(VENV))/bin/mypy --strict --python-version 3.11 src/isoparticles \
+	  && WHEEL=$(abspath $(WHEEL)) $(abspath $(VENV))/bin/pytest -q -c pytest.ini
 
 doctor:
 	@sh tests/doctor.sh
@@ -285,7 +306,7 @@ bench-scale: build $(SCALE_PEERS)
 	DATA=$(DATA) $(SCALE_PYTHON) $(SCALE_BENCH)/scale.py $(SCALE_CASES) --vertices $(SCALE_VERTICES) --bin $(BIN) --work $(OUT)/bench-scale \
 	  $(if $(SCALE_PEERS),--peers $(BENCH_VENV)-scale/bin/python) $(BENCH_OPTIONS)
 
-$(BENCH_VENV)-scale/.made: $(SCALE_BENCH)/peers.txt | env
+$(BENCH_VENV)-scale/.made: $(SCALE_BENCH)/peers.lock | env
 	$(VENV)/bin/python -m venv --clear $(BENCH_VENV)-scale
-	$(BENCH_VENV)-scale/bin/python -m pip install --quiet --disable-pip-version-check --no-input --only-binary :all: -r $(SCALE_BENCH)/peers.txt
+	$(BENCH_VENV)-scale/bin/python -m pip install --quiet --disable-pip-version-check --no-input --only-binary :all: --require-hashes -r $(SCALE_BENCH)/peers.lock
 	@touch $@

@@ -26,7 +26,7 @@ pub fn status_files(out: &Path) -> Result<Vec<PathBuf>> {
         return Err(Error::input(
             format!("{}: no cases", out.display()),
             "the index is made from OUT/NAME/NAME.status.json",
-            "make a case first (make CASE=demo), or say where they are (OUT=...)",
+            format!("make a case first ({} demo), or say where they are (OUT=...)", program::front()),
         ));
     }
     Ok(files)

@@ -86,7 +86,7 @@ pub fn find(name: &str, other: &[String], set_by: &str) -> Result<&'static Key> 
     Err(Error::input(
         format!("{name}: no such variable ({set_by})"),
         "it would be ignored, and the result would not be what was asked for",
-        format!("{nearest}`make help` lists them"),
+        format!("{nearest}`{} help` lists them", crate::program::front()),
     ))
 }
 

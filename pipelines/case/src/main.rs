@@ -7,15 +7,15 @@ use isoparticles_case::run::{self, Case, make, out, stage_of_goal};
 use isoparticles_case::settings::Settings;
 use isoparticles_case::stages::{Programs, Volume};
 use isoparticles_case::status::Status;
-use isoparticles_case::{batch, index, name, program, verdict};
+use isoparticles_case::{batch, index, keys, name, program, verdict};
 use isoparticles_stage::error::{Error, Result};
 use std::path::PathBuf;
 use std::process::ExitCode;
 
 /// Make a case: run the stages whose results are missing or no longer true, and keep the truth in OUT/NAME/NAME.status.json.
 ///
-/// Goals: distfield, sizefield, seed, particles, surface, mesh (as far as that), page, verdict, info, clean, index, and batch: every
-/// row of a list. Exit codes: 0 made and every check passed; 1 made, but a check failed; 2 bad usage or input; 3 no usable GPU;
+/// Goals: distfield, sizefield, seed, particles, surface, mesh (as far as that), page, verdict, info, clean, index, keys (what may be set,
+/// a line each), and batch: every row of a list. Exit codes: 0 made and every check passed; 1 made, but a check failed; 2 bad usage or input; 3 no usable GPU;
 /// 130 interrupted. Of a batch: 1 where any row did not end with 0.
 ///
 /// Example: isoparticles-case mesh INPUT=heart.nrrd LABELS=1 SIZE=2.5
@@ -111,6 +111,12 @@ fn go(arguments: Arguments) -> Result<u8> {
             Ok(0)
         }
         "info" => info(settings, &programs),
+        "keys" => {
+            for key in keys::KEYS {
+                println!("{}\t{}", key.name, key.what);
+            }
+            Ok(0)
+        }
         "clean" => clean(&settings),
         "verdict" => {
             let folder = named(&settings)?;
@@ -138,7 +144,7 @@ fn stage_named(goal: &str) -> Result<&'static str> {
         Error::input(
             format!("{goal}: no such goal"),
             "a case is made as far as one of its stages",
-            "choose distfield, sizefield, seed, particles, surface, mesh, page, verdict, info, clean, index or batch",
+            "choose distfield, sizefield, seed, particles, surface, mesh, page, verdict, info, clean, index, keys or batch",
         )
     })
 }
@@ -185,7 +191,7 @@ fn clean(settings: &Settings) -> Result<u8> {
         return Err(Error::input(
             "neither CASE nor NAME is set",
             "clean removes the folder of one case, and has to know which",
-            "make clean CASE=name, or make clean NAME=name",
+            format!("{} clean NAME=name", program::front()),
         ));
     }
     let folder = named(settings)?;

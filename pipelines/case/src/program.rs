@@ -9,6 +9,12 @@ use std::sync::Once;
 use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 use std::time::{Duration, Instant};
 
+/// The command that takes a goal: `make`, or what the front command that called this program says of itself in ISOPARTICLES_FRONT.
+#[must_use]
+pub fn front() -> String {
+    std::env::var("ISOPARTICLES_FRONT").unwrap_or_else(|_| "make".to_owned())
+}
+
 /// How long a program that was asked to stop has for its last checkpoint: that of a million particles takes seconds.
 const GRACE: Duration = Duration::from_secs(60);
 /// How often a program with a time limit is looked at.

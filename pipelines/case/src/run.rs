@@ -36,7 +36,7 @@ impl Case {
                 return Err(Error::input(
                     "INPUT is not set",
                     "it is the volume to mesh",
-                    "make mesh INPUT=v.nrrd ISO=300, or make CASE=name",
+                    format!("{} mesh INPUT=v.nrrd ISO=300", program::front()),
                 ));
             }
         };
@@ -66,7 +66,7 @@ impl Case {
             return Err(Error::input(
                 "neither ISO nor LABELS is set",
                 "one of them says what in the volume is to be meshed",
-                "add ISO=value or LABELS=1,2 (make info INPUT=... says what there is)",
+                format!("add ISO=value or LABELS=1,2 ({} info INPUT=... says what there is)", program::front()),
             ));
         }
         if self.settings.get("LABELS").is_some() && self.settings.get("INSIDE").is_some() {
@@ -131,7 +131,10 @@ fn refuse_another_volume(case: &Case, before: &Status, plan: &Plan) -> Result<()
             described(now),
         ),
         format!("both are called {name}, and one would replace the other"),
-        format!("give this run a name of its own (NAME=...), or remove the other's results (make clean NAME='{name}')"),
+        format!(
+            "give this run a name of its own (NAME=...), or remove the other's results ({} clean NAME='{name}')",
+            program::front()
+        ),
     ))
 }
 

@@ -1,6 +1,6 @@
 """Remesh a surface by another program to a number of vertices: gpytoolbox's remesh_botsch or CGAL's isotropic remeshing.
 
-    python remesh_peers.py botsch|cgal JOB.npz RESULT.npz    # an interpreter with peers.txt; scale.py calls it
+    python remesh_peers.py botsch|cgal JOB.npz RESULT.npz    # an interpreter with peers.lock; scale.py calls it
 
 JOB: ``points, triangles, vertices``; RESULT: ``points, triangles, edge_length, seconds`` (of the last try). One edge length
 everywhere, found by trying until the vertices are within 3 % of those wanted; ten iterations each, the default of both.

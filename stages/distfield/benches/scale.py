@@ -10,7 +10,7 @@ it with the Python of `make env`; without distances any Python 3.11 does.
 A row of ours is one run from the volume to the checked surface; "components" are those of the mesh, with what happened to those of
 the data; "s" is from the volume on and, in brackets, from the smoothed field on. With --tetrahedra the surface goes through
 tetmesh-check with all its default checks: number of tetrahedra and exit code. With --peers PYTHON (an interpreter with
-peers.txt: `make bench-scale` makes it) rows of gpytoolbox's remesh_botsch and of CGAL's isotropic remeshing stand below ours: each on
+peers.lock: `make bench-scale` makes it) rows of gpytoolbox's remesh_botsch and of CGAL's isotropic remeshing stand below ours: each on
 marching cubes of the same smoothed field, to as many vertices as ours within 3 %; their seconds are marching cubes and the last
 try. Their angles, ratios and volumes are computed here, ours are those of the report.
 

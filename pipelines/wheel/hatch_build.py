@@ -1,0 +1,55 @@
+"""What the wheel holds besides its own files: the programs, tetmesh-check, the demo's case."""
+
+from __future__ import annotations
+
+import os
+import sysconfig
+import tomllib
+from pathlib import Path
+from typing import Any
+
+from hatchling.builders.hooks.plugin.interface import BuildHookInterface
+from hatchling.metadata.plugin.interface import MetadataHookInterface
+
+ROOT = Path(__file__).resolve().parents[2]
+TETMESH_CHECK = ROOT / "stages" / "tetmesh-check"
+PROGRAMS = ("distfield", "sizefield", "seed", "particles", "reconstruct", "phantom", "isoparticles-case")
+
+
+class Metadata(MetadataHookInterface):
+    """What the wheel needs is what tetmesh-check needs; so is its version."""
+
+    def update(self, metadata: dict[str, Any]) -> None:
+        """Fill in the dynamic fields."""
+        with (TETMESH_CHECK / "pyproject.toml").open("rb") as file:
+            stage = tomllib.load(file)["project"]
+        metadata["version"] = stage["version"]
+        metadata["dependencies"] = stage["dependencies"]
+        extras = {name: needs for name, needs in stage["optional-dependencies"].items() if name != "dev"}
+        metadata["optional-dependencies"] = extras
+        metadata["scripts"] = {"isoparticles": "isoparticles.command:main", **stage["scripts"]}
+
+
+class Programs(BuildHookInterface[Any]):
+    """Puts programs and tetmesh-check into the wheel, and gives it the tag of this machine."""
+
+    def initialize(self, version: str, build_data: dict[str, Any]) -> None:
+        """Name the files; ISOPARTICLES_BIN is the folder of the programs."""
+        del version  # "standard" or "editable", which makes no difference
+        folder = Path(os.environ.get("ISOPARTICLES_BIN", ROOT / "target" / "release"))
+        ending = sysconfig.get_config_var("EXE") or ""
+        included: dict[str, str] = build_data["force_include"]
+        for name in PROGRAMS:
+            program = folder / f"{name}{ending}"
+            if not program.is_file():
+                raise FileNotFoundError(f"{program}: not built (cargo build --release)")
+            included[str(program)] = f"isoparticles/bin/{program.name}"
+        source = TETMESH_CHECK / "src"
+        for file in sorted(source.rglob("*")):
+            if file.is_file() and "__pycache__" not in file.parts and not file.parts[-2].endswith(".egg-info"):
+                included[str(file)] = str(file.relative_to(source))
+        included[str(ROOT / "pipelines" / "demo.mk")] = "isoparticles/cases/demo.mk"
+        for licence in ("LICENSE-MIT", "LICENSE-APACHE"):
+            included[str(ROOT / licence)] = f"isoparticles/{licence}"
+        build_data["pure_python"] = False
+        build_data["tag"] = f"py3-none-{sysconfig.get_platform().replace('-', '_').replace('.', '_')}"

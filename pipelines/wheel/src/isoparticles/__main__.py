@@ -1,0 +1,5 @@
+"""``python -m isoparticles`` is the command ``isoparticles``."""
+
+from isoparticles.command import main
+
+main()

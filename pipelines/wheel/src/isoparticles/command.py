@@ -1,0 +1,222 @@
+"""``isoparticles GOAL ...`` makes a case as the project's Makefile does, ``isoparticles STAGE ...`` runs one stage.
+
+Nothing is decided here: goals go to the program ``isoparticles-case``, ``--min-size 2`` becomes its ``MIN_SIZE=2``, and stages get their
+arguments as they are.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+from collections.abc import Sequence
+from importlib.metadata import version
+from pathlib import Path
+from typing import NoReturn
+
+import tetmesh_check
+
+HERE = Path(__file__).resolve().parent
+STAGES = ("distfield", "sizefield", "seed", "particles", "reconstruct", "tetmesh-check")
+VOLUME_GOALS = {
+    "info": "what the volume is, and what to ask for",
+    "mesh": "from the volume to tetrahedra and the page about them",
+    "surface": "as far as the triangles",
+}
+"""Goals whose first argument is the volume; the stages' names with a volume go through the stages."""
+NAME_GOALS = {
+    "verdict": "how it went",
+    "page": "the page once more",
+    "clean": "remove the folder of results",
+}
+"""Goals whose first argument is the name of the results."""
+SHORT = {"-o": "OUT", "--output": "OUT"}
+VERBOSITY = frozenset({"-q", "-v", "-vv"})
+BATCH = {"--time-limit": "--time-limit", "--goal": "--as-far-as"}
+"""Options of a batch that are none of a case."""
+
+
+class UsageError(Exception):
+    """A command line that cannot be meant: what, why it matters, what to do."""
+
+    def __init__(self, what: str, why: str, what_next: str) -> None:
+        super().__init__(f"error: {what}\n  why it matters: {why}\n  what to do: {what_next}")
+
+
+def program(name: str) -> str:
+    """Path of one of the programs in the wheel."""
+    ending = ".exe" if os.name == "nt" else ""
+    return str(HERE / "bin" / f"{name}{ending}")
+
+
+def scripts() -> Path:
+    """The folder of the commands that came with this one."""
+    name = f"tetmesh-check{'.exe' if os.name == 'nt' else ''}"
+    for folder in (Path(sys.argv[0]).resolve().parent, Path(sys.executable).parent):
+        if (folder / name).is_file():
+            return folder
+    found = shutil.which("tetmesh-check")
+    if found is None:
+        raise UsageError(
+            "tetmesh-check: not found beside isoparticles, nor in PATH",
+            "it makes the tetrahedra",
+            "install the wheel anew, and run the isoparticles that comes with it",
+        )
+    return Path(found).parent
+
+
+def case_arguments(goal: str, settings: Sequence[str], options: Sequence[str] = ()) -> list[str]:
+    """Command line of ``isoparticles-case``."""
+    package = Path(tetmesh_check.__file__).parent
+    tetrahedra = sorted(str(file) for file in package.glob("*.py") if file.name != "convergence.py")
+    pages = sorted(str(file) for file in (package / "page").glob("*.*"))
+    return [
+        program("isoparticles-case"),
+        goal,
+        *settings,
+        *options,
+        "--bin",
+        str(HERE / "bin"),
+        "--tetmesh-check",
+        str(scripts() / "tetmesh-check"),
+        "--tetmesh-files",
+        *tetrahedra,
+        "--page-files",
+        *pages,
+    ]
+
+
+def settings_of(words: Sequence[str], first: str, known: dict[str, str]) -> tuple[list[str], list[str]]:
+    """Turn options into settings.
+
+    Parameters
+    ----------
+    words
+        What follows the goal: ``--min-size 2``, ``--min-size=2`` and ``MIN_SIZE=2`` are the same.
+    first
+        The key that a bare word sets.
+    known
+        Options that are passed on, under the names they have there.
+
+    Returns
+    -------
+    tuple
+        Settings ``KEY=VALUE``, and the options that are passed on.
+    """
+    settings: list[str] = []
+    options: list[str] = []
+    rest = list(words)
+    has_first = False
+    while rest:
+        word = rest.pop(0)
+        if word in VERBOSITY:
+            settings.append(f"VERBOSITY={word}")
+        elif word.startswith("-"):
+            name, equals, value = word.partition("=")
+            if not equals:
+                if not rest:
+                    raise UsageError(f"{name}: has no value", "every option takes one", "isoparticles help lists them")
+                value = rest.pop(0)
+            if name in known:
+                options += [known[name], value]
+            else:
+                settings.append(f"{SHORT.get(name, name.lstrip('-').replace('-', '_').upper())}={value}")
+        elif "=" in word and word.partition("=")[0].replace("_", "").isupper():
+            settings.append(word)
+        elif has_first:
+            raise UsageError(
+                f"{word}: a second {first}",
+                "a run is over one case",
+                "isoparticles batch makes many; put quotes round names with blanks",
+            )
+        else:
+            has_first = True
+            settings.append(f"{first}={word}")
+    return settings, options
+
+
+def preset_of(case_file: Path) -> list[str]:
+    """Options of ``isoparticles-case`` for a case file: its lines ``KEY := VALUE``."""
+    lines = case_file.read_text(encoding="utf-8").splitlines()
+    pairs = [line.split(":=", 1) for line in lines if ":=" in line and not line.startswith("#")]
+    presets = [word for key, value in pairs for word in ("--preset", f"{key.strip()}={value.strip()}")]
+    return [*presets, "--case-file", case_file.stem]
+
+
+def help_text() -> str:
+    """What there is."""
+    keys = subprocess.run([program("isoparticles-case"), "keys"], capture_output=True, text=True, check=True)
+    lines = [line.split("\t", 1) for line in keys.stdout.splitlines()]
+    options = "\n".join(
+        f"  --{key.lower().replace('_', '-'):<22}{what}" for key, what in lines if key not in ("CASE", "INPUT")
+    )
+    goals = "\n".join(f"  {goal + ' VOLUME ...':<24}{what}" for goal, what in VOLUME_GOALS.items())
+    named = "\n".join(f"  {goal + ' NAME':<24}{what}" for goal, what in NAME_GOALS.items())
+    return f"""\
+Volumes in, simulation-ready meshes out.
+
+  isoparticles mesh ct.nii.gz --labels 1 -o out
+
+{goals}
+{named}
+  batch LIST.csv          every row of a list (--goal surface, --time-limit 2h a case)
+  index                   a page over all cases in --out
+  demo                    mesh a phantom
+  {", ".join(STAGES)}
+                          one stage by itself; --help tells its options
+
+Options of mesh and surface (also as KEY=VALUE):
+{options}
+"""
+
+
+def command_of(arguments: Sequence[str]) -> list[str]:
+    """Program and arguments for what was asked; raises :class:`UsageError`."""
+    goal, rest = arguments[0], arguments[1:]
+    if goal == "tetmesh-check":
+        return [sys.executable, "-m", "tetmesh_check", *rest]
+    if goal in STAGES:
+        return [program(goal), *rest]
+    if goal == "demo":
+        settings, _ = settings_of(rest, "NAME", {})
+        return case_arguments("mesh", settings, preset_of(HERE / "cases" / "demo.mk"))
+    if goal == "batch":
+        settings, options = settings_of(rest, "LIST", BATCH)
+        lists = [word.partition("=")[2] for word in settings if word.startswith("LIST=")]
+        others = [word for word in settings if not word.startswith("LIST=")]
+        return case_arguments("batch", others, [*options, *(word for name in lists for word in ("--list", name))])
+    if goal in NAME_GOALS or goal == "index":
+        return case_arguments(goal, settings_of(rest, "NAME", {})[0])
+    if goal in VOLUME_GOALS:
+        return case_arguments(goal, settings_of(rest, "INPUT", {})[0])
+    raise UsageError(
+        f"{goal}: no such goal or stage",
+        "the first word says what to do",
+        f"choose one of {', '.join((*VOLUME_GOALS, *NAME_GOALS, 'batch', 'index', 'demo', *STAGES))}",
+    )
+
+
+def main() -> NoReturn:
+    """Run what the command line says; this process becomes that program, so signals and exit codes are its own."""
+    arguments = sys.argv[1:]
+    if not arguments or arguments[0] in ("help", "-h", "--help") or (len(arguments) > 1 and is_help(arguments)):
+        print(help_text(), end="")
+        raise SystemExit(0 if arguments else 2)
+    if arguments[0] == "--version":
+        print(f"isoparticles {version('isoparticles')}")
+        raise SystemExit(0)
+    try:
+        command = command_of(arguments)
+    except UsageError as error:
+        print(error, file=sys.stderr)
+        raise SystemExit(2) from None
+    environment = {**os.environ, "ISOPARTICLES_BIN": str(HERE / "bin"), "ISOPARTICLES_FRONT": "isoparticles"}
+    if os.name == "posix":
+        os.execve(command[0], command, environment)
+    raise SystemExit(subprocess.run(command, env=environment, check=False).returncode)
+
+
+def is_help(arguments: Sequence[str]) -> bool:
+    """Whether a goal, which has no help of its own, is asked for help."""
+    return arguments[0] not in STAGES and arguments[1] in ("-h", "--help")

@@ -1,0 +1,114 @@
+"""The command ``isoparticles`` as the wheel holds it: installed without what it needs, which the environment of the tests has."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+Run = Callable[..., subprocess.CompletedProcess[str]]
+
+
+@pytest.fixture(scope="session")
+def wheel() -> Path:
+    (made,) = Path(os.environ["WHEEL"]).glob("*.whl")
+    return made
+
+
+@pytest.fixture(scope="session")
+def site(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("site")
+    pip = [sys.executable, "-m", "pip", "install", "--quiet", "--disable-pip-version-check", "--no-deps", "--no-index"]
+    subprocess.run([*pip, "--target", str(folder), str(wheel)], check=True)
+    return folder
+
+
+@pytest.fixture
+def run(site: Path, tmp_path: Path) -> Run:
+    environment = {name: value for name, value in os.environ.items() if not name.startswith("ISOPARTICLES")}
+    environment["PYTHONPATH"] = str(site)
+
+    def run(*words: str) -> subprocess.CompletedProcess[str]:
+        command = [str(site / "bin" / "isoparticles"), *words]
+        return subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
+
+    return run
+
+
+def test_the_wheel_names_its_platform_and_holds_everything(wheel: Path) -> None:
+    assert "-py3-none-" in wheel.name
+    with zipfile.ZipFile(wheel) as file:
+        names = set(file.namelist())
+    for program in ("distfield", "sizefield", "seed", "particles", "reconstruct", "phantom", "isoparticles-case"):
+        assert f"isoparticles/bin/{program}" in names
+    assert {
+        "tetmesh_check/cli.py",
+        "tetmesh_check/py.typed",
+        "isoparticles/cases/demo.mk",
+        "isoparticles/LICENSE-MIT",
+    } <= names
+    assert any(name.startswith("tetmesh_check/page/") and name.endswith(".css") for name in names)
+    assert not [name for name in names if "__pycache__" in name or "test_" in name]
+
+
+def test_stages_run_by_themselves(run: Run, tmp_path: Path) -> None:
+    assert (
+        run("surface", "--phantom", "ball --size 24", "--iso", "0", "--name", "ball", "-o", "here", "-q").returncode
+        == 0
+    )
+    done = run("reconstruct", "--help")
+    assert done.returncode == 0
+    assert "Usage: reconstruct" in done.stdout
+    field = tmp_path / "here" / "ball" / "ball.distfield.vti"
+    assert run("sizefield", str(field), "-o", "coarse.vti", "--uniform", "3", "-q").returncode == 0
+    assert (tmp_path / "coarse.vti").is_file()
+    assert run("tetmesh-check", "--version").stdout.startswith("tetmesh-check ")
+
+
+def test_the_demo_runs_without_the_project(run: Run, tmp_path: Path) -> None:
+    done = run("demo", "--min-size", "6", "NAME=small", "-o", "here", "-q")
+    assert done.returncode == 0, done.stderr
+    made = {file.name for file in (tmp_path / "here" / "small").iterdir()}
+    assert {"small.surface.vtp", "small.volume.vtu", "small.report.html", "small.status.json"} <= made
+    told = run("verdict", "small", "--out", "here")
+    assert "small: passed" in told.stdout
+    again = run("demo", "--min-size=6", "--name", "small", "OUT=here", "-q")
+    assert again.returncode == 0
+    assert (
+        "up to date: phantom, distfield, sizefield, seed, particles, reconstruct, tetmesh-check"
+        in again.stdout + again.stderr
+    )
+    assert run("clean", "small", "-o", "here").returncode == 0
+    assert not (tmp_path / "here" / "small").exists()
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (("mesh",), "isoparticles mesh INPUT="),
+        (("mesh", "none.nrrd", "--iso", "1"), "none.nrrd: not found"),
+        (("mesh", "a.nrrd", "b.nrrd"), "a second INPUT"),
+        (("mesh", "a.nrrd", "--lables", "1"), "did you mean LABELS? `isoparticles help` lists them"),
+        (("mesh", "a.nrrd", "--labels"), "--labels: has no value"),
+        (("mehs", "a.nrrd"), "mehs: no such goal or stage"),
+        (("batch",), "LIST is not set"),
+    ],
+)
+def test_what_cannot_be_meant_is_said(run: Run, words: tuple[str, ...], told: str) -> None:
+    done = run(*words)
+    assert done.returncode == 2
+    assert told in done.stderr
+    assert "what to do: " in done.stderr
+
+
+def test_help_names_every_option(run: Run) -> None:
+    done = run("help")
+    assert done.returncode == 0
+    assert done.stdout == run("mesh", "--help").stdout
+    for option in ("--labels", "--vertices", "--max-memory", "batch LIST.csv", "sizefield"):
+        assert option in done.stdout
