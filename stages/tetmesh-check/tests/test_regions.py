@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import json
+import shutil
 import subprocess
 import sys
 from pathlib import Path
+from xml.etree import ElementTree
 
 import meshio
 import numpy as np
@@ -16,7 +18,7 @@ from test_solve import block
 from vtkmodules.vtkIOXdmf2 import vtkXdmfReader
 
 from tetmesh_check.errors import StageError
-from tetmesh_check.export import MarkedMesh, export, export_path
+from tetmesh_check.export import MarkedMesh, export
 from tetmesh_check.labels import read_label_volume
 from tetmesh_check.parsing import FORMATS
 from tetmesh_check.quality import signed_tetrahedron_volumes
@@ -158,9 +160,10 @@ def test_exported_files_are_read_back(tmp_path: Path) -> None:
     cap_points = np.flatnonzero(mesh.points[:, 0] == 0.0)
     assert (mesh.marks == CAP).sum() == 16
     for kind in FORMATS:
-        export(mesh, export_path(tmp_path / "b.volume.vtu", "b", kind), kind)
+        export(mesh, tmp_path / "b.volume.vtu", "b", kind)
     assert sorted(path.name for path in tmp_path.iterdir()) == [
-        "b.boundary.vtp", "b.volume.inp", "b.volume.msh", "b.volume.xdmf",
+        "b.boundary.vtp", "b.elem", "b.lon", "b.mesh-complete.exterior.vtp", "b.mesh-complete.mesh.vtu", "b.pts", "b.volume.feb",
+        "b.volume.inp", "b.volume.msh", "b.volume.vtk", "b.volume.xdmf",
     ]  # fmt: skip
 
     abaqus = meshio.read(tmp_path / "b.volume.inp")
@@ -201,6 +204,94 @@ def test_exported_files_are_read_back(tmp_path: Path) -> None:
     np.testing.assert_array_equal(surface.cell_data["region"], mesh.regions[owners])
 
 
+def test_cardiac_and_vascular_solvers_find_their_files(tmp_path: Path) -> None:
+    mesh = marked_block()
+    for kind in ("carp", "simvascular", "vtk", "feb"):
+        export(mesh, tmp_path / "b.volume.vtu", "b", kind, unit="m")
+    lines = (tmp_path / "b.pts").read_text().splitlines()
+    assert int(lines[0]) == len(mesh.points)
+    np.testing.assert_allclose(np.loadtxt(lines[1:]), 1000.0 * mesh.points)
+    lines = (tmp_path / "b.elem").read_text().splitlines()
+    assert int(lines[0]) == len(mesh.tetrahedra)
+    assert all(line.startswith("Tt ") for line in lines[1:])
+    numbers = np.loadtxt([line[3:] for line in lines[1:]], dtype=int)
+    np.testing.assert_array_equal(numbers, np.column_stack([mesh.tetrahedra, mesh.regions]))
+    fibres = np.loadtxt((tmp_path / "b.lon").read_text().splitlines()[1:])
+    assert fibres.shape == (len(mesh.tetrahedra), 3)
+    np.testing.assert_allclose(np.linalg.norm(fibres, axis=1), 1.0)
+
+    volume, faces = (pv.read(tmp_path / f"b.mesh-complete.{end}") for end in ("mesh.vtu", "exterior.vtp"))
+    np.testing.assert_allclose(volume.points, 0.001 * mesh.points)
+    np.testing.assert_array_equal(volume.cell_data["ModelRegionID"], mesh.regions)
+    at = np.asarray(faces.point_data["GlobalNodeID"])[np.asarray(faces.regular_faces)] - 1
+    np.testing.assert_array_equal(at, mesh.boundary)
+    np.testing.assert_array_equal(faces.cell_data["ModelFaceID"], mesh.marks)
+    np.testing.assert_array_equal(np.asarray(faces.cell_data["GlobalElementID"]) - 1, mesh.owners)
+
+    legacy = pv.read(tmp_path / "b.volume.vtk")
+    np.testing.assert_allclose(legacy.points, 0.001 * mesh.points)
+    np.testing.assert_array_equal(legacy.cell_data["region"], mesh.regions)
+    np.testing.assert_array_equal(meshio.read(tmp_path / "b.volume.vtk").cells_dict["tetra"], mesh.tetrahedra)
+
+    febio = ElementTree.parse(tmp_path / "b.volume.feb").getroot()
+    nodes = np.array([[float(x) for x in (node.text or "").split(",")] for node in febio.iterfind("Mesh/Nodes/node")])
+    np.testing.assert_allclose(nodes, 0.001 * mesh.points)
+    cells, names = [], []
+    for elements in febio.iterfind("Mesh/Elements"):
+        names.append(elements.get("name"))
+        cells += [[int(n) for n in (element.text or "").split(",")] for element in elements]
+    order = np.argsort(mesh.regions, kind="stable")
+    np.testing.assert_array_equal(np.array(cells) - 1, mesh.tetrahedra[order])
+    assert names == ["region_2", "region_5"]
+    assert [domain.get("mat") for domain in febio.iterfind("MeshDomains/SolidDomain")] == names
+    counts = {surface.get("name"): len(surface) for surface in febio.iterfind("Mesh/Surface")}
+    assert counts == {"surface": len(mesh.boundary) - 16, "cap": 16}
+
+
+CCX = shutil.which("ccx")
+
+
+@pytest.mark.skipif(CCX is None, reason="no CalculiX (Debian, Ubuntu: apt-get install calculix-ccx)")
+def test_calculix_solves_a_pressure_on_the_exported_surface(tmp_path: Path) -> None:
+    # a block under the same pressure on all sides shrinks by p / 3K, which linear elements have exactly
+    mesh = marked_block()
+    export(mesh, tmp_path / "b.volume.vtu", "b", "inp")
+    modulus, ratio, pressure = 1000.0, 0.3, 10.0
+    origin, on_x, on_y = (
+        int(np.flatnonzero((mesh.points == corner).all(axis=1))[0]) + 1
+        for corner in ([0.0, 0, 0], [3.0, 0, 0], [0.0, 2, 0])
+    )
+    (tmp_path / "job.inp").write_text(
+        f"""*INCLUDE, INPUT=b.volume.inp
+*MATERIAL, NAME=TISSUE
+*ELASTIC
+{modulus}, {ratio}
+*SOLID SECTION, ELSET=REGION_2, MATERIAL=TISSUE
+*SOLID SECTION, ELSET=REGION_5, MATERIAL=TISSUE
+*BOUNDARY
+{origin}, 1, 3
+{on_x}, 2, 3
+{on_y}, 3, 3
+*STEP
+*STATIC
+*DSLOAD
+SURFACE, P, {pressure}
+CAP, P, {pressure}
+*NODE PRINT, NSET=SURFACE
+U
+*END STEP
+"""
+    )
+    done = subprocess.run([str(CCX), "job"], cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout[-2000:]
+    rows = [line.split() for line in (tmp_path / "job.dat").read_text().splitlines()]
+    moved = np.array([[float(x) for x in row] for row in rows if len(row) == 4 and row[0].isdigit()])
+    points = mesh.points[moved[:, 0].astype(int) - 1]
+    assert len(moved) == len(np.unique(mesh.boundary[mesh.marks == SURFACE]))
+    strain = -pressure * (1.0 - 2.0 * ratio) / modulus
+    np.testing.assert_allclose(moved[:, 1:], strain * points, atol=1e-7)
+
+
 def test_points_on_the_rim_of_a_cap_belong_to_the_surface() -> None:
     mesh = marked_block()
     inner = (mesh.points[:, 0] == 0) & (mesh.points[:, 1] == 1) & (mesh.points[:, 2] > 0) & (mesh.points[:, 2] < 4)
@@ -229,10 +320,10 @@ def test_normals_settle_ties() -> None:
 
 @NEEDS_HXT
 def test_gmsh_opens_its_file(tmp_path: Path) -> None:
-    export(marked_block(), tmp_path / "b.msh", "msh")
+    export(marked_block(), tmp_path / "b.vtu", "b", "msh")
     code = (
         "import gmsh; gmsh.initialize(interruptible=False); gmsh.option.setNumber('General.Terminal', 0); "
-        "gmsh.open('b.msh'); print([gmsh.model.getPhysicalName(*g) for g in gmsh.model.getPhysicalGroups()])"
+        "gmsh.open('b.volume.msh'); print([gmsh.model.getPhysicalName(*g) for g in gmsh.model.getPhysicalGroups()])"
     )
     done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "['surface', 'cap', 'region_2', 'region_5']"

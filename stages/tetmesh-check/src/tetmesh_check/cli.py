@@ -73,8 +73,14 @@ def build_parser() -> argparse.ArgumentParser:
         metavar="LIST",
         type=formats,
         default=(),
-        help="write the mesh in other formats, too: a list with commas of inp (Abaqus), msh (Gmsh), xdmf, and vtp (the boundary), with "
-        "regions and the parts of the boundary as sets or groups",
+        help="write the mesh in other formats, too: a list with commas of inp (Abaqus, CalculiX), msh (Gmsh), xdmf, vtk (legacy), feb (FEBio), "
+        "carp (openCARP), simvascular, and vtp (the boundary), with regions and the parts of the boundary as sets or groups",
+    )
+    files.add_argument(
+        "--unit",
+        choices=["mm", "m", "um"],
+        default="mm",
+        help="unit of the coordinates in the files of --export (default: %(default)s); carp is in micrometres, as openCARP reads it",
     )
     files.add_argument(
         "--pictures",
@@ -309,6 +315,7 @@ def _run(parsed: argparse.Namespace, context: Context) -> list[str]:
         pictures=parsed.pictures,
         labels_volume=parsed.labels_volume,
         exports=parsed.export,
+        unit=parsed.unit,
         tet_size_factor=parsed.tet_size_factor,
         method=Method(parsed.method),
         envelope=parsed.envelope,
@@ -325,7 +332,7 @@ def _run(parsed: argparse.Namespace, context: Context) -> list[str]:
             "the volume mesh is written in VTK's format for unstructured grids",
             "name the output NAME.volume.vtu",
         )
-    outputs = [arguments.output, *arguments.export_paths().values()]
+    outputs = [arguments.output, *arguments.export_paths()]
     for source in (arguments.surface, arguments.sizefield, arguments.labels_volume):
         if source is not None and any(same_file(source, output) for output in outputs):
             raise StageError(

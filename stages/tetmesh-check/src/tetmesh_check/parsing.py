@@ -11,7 +11,7 @@ from typing import NoReturn
 from tetmesh_check import __version__
 from tetmesh_check.errors import ExitCode, StageError
 
-FORMATS = ("inp", "msh", "xdmf", "vtp")
+FORMATS = ("inp", "msh", "xdmf", "vtp", "vtk", "feb", "carp", "simvascular")
 """What ``--export`` takes."""
 
 

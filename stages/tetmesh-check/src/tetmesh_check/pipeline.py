@@ -15,7 +15,7 @@ from tetmesh_check.components import Components
 from tetmesh_check.context import Context
 from tetmesh_check.distance import distances_both_ways, summarize_distances
 from tetmesh_check.errors import StageError
-from tetmesh_check.export import MarkedMesh, export, export_path
+from tetmesh_check.export import MarkedMesh, export, export_paths
 from tetmesh_check.fill import Filled, Method, Task, fill
 from tetmesh_check.labels import LabelVolume, read_label_volume
 from tetmesh_check.memory import check_memory
@@ -52,6 +52,8 @@ class Arguments:
     labels_volume: Path | None = None
     exports: tuple[str, ...] = ()
     """What of :data:`.FORMATS` is written, too."""
+    unit: str = "mm"
+    """Unit of the coordinates there."""
     tet_size_factor: float = 1.0
     """Tetrahedron edge length over h."""
     method: Method = Method.AUTO
@@ -75,9 +77,9 @@ class Arguments:
         """Where the tetrahedralizer's log goes."""
         return self.output.with_name(f"{self.name}.tetrahedra.log")
 
-    def export_paths(self) -> dict[str, Path]:
-        """The file of each format that is written, too."""
-        return {kind: export_path(self.output, self.name, kind) for kind in self.exports}
+    def export_paths(self) -> list[Path]:
+        """The files of other formats that are written, too."""
+        return [path for kind in self.exports for path in export_paths(self.output, self.name, kind)]
 
     @property
     def picture_job(self) -> PictureJob | None:
@@ -316,10 +318,10 @@ def run(arguments: Arguments, context: Context) -> list[str]:
     marked = _mark(surface, mesh, labels, context)
     with context.step("write"):
         write_volume(arguments.output, marked, measured.quality, context.history())
-    for kind, path in arguments.export_paths().items():
+    for kind in arguments.exports:
         with context.step(f"export {kind}"):
-            export(marked, path, kind)
-    context.results["exports"] = [path.name for path in arguments.export_paths().values()]
+            export(marked, arguments.output, arguments.name, kind, arguments.unit)
+    context.results["exports"] = [path.name for path in arguments.export_paths()]
     with _drawing(arguments.picture_job, context):
         checks = run_checks(measured, arguments.limits) + solve_on(mesh, arguments.solve, context)
 
