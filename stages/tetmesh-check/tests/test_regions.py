@@ -162,8 +162,9 @@ def test_exported_files_are_read_back(tmp_path: Path) -> None:
     for kind in FORMATS:
         export(mesh, tmp_path / "b.volume.vtu", "b", kind)
     assert sorted(path.name for path in tmp_path.iterdir()) == [
-        "b.boundary.vtp", "b.elem", "b.lon", "b.mesh-complete.exterior.vtp", "b.mesh-complete.mesh.vtu", "b.pts", "b.volume.feb",
-        "b.volume.inp", "b.volume.msh", "b.volume.vtk", "b.volume.xdmf",
+        "b.boundary.vtp", "b.volume.elem", "b.volume.feb",
+        "b.volume.inp", "b.volume.lon", "b.volume.mesh-complete.exterior.vtp", "b.volume.mesh-complete.mesh.vtu", "b.volume.msh",
+        "b.volume.pts", "b.volume.vtk", "b.volume.xdmf",
     ]  # fmt: skip
 
     abaqus = meshio.read(tmp_path / "b.volume.inp")
@@ -208,19 +209,19 @@ def test_cardiac_and_vascular_solvers_find_their_files(tmp_path: Path) -> None:
     mesh = marked_block()
     for kind in ("carp", "simvascular", "vtk", "feb"):
         export(mesh, tmp_path / "b.volume.vtu", "b", kind, unit="m")
-    lines = (tmp_path / "b.pts").read_text().splitlines()
+    lines = (tmp_path / "b.volume.pts").read_text().splitlines()
     assert int(lines[0]) == len(mesh.points)
     np.testing.assert_allclose(np.loadtxt(lines[1:]), 1000.0 * mesh.points)
-    lines = (tmp_path / "b.elem").read_text().splitlines()
+    lines = (tmp_path / "b.volume.elem").read_text().splitlines()
     assert int(lines[0]) == len(mesh.tetrahedra)
     assert all(line.startswith("Tt ") for line in lines[1:])
     numbers = np.loadtxt([line[3:] for line in lines[1:]], dtype=int)
     np.testing.assert_array_equal(numbers, np.column_stack([mesh.tetrahedra, mesh.regions]))
-    fibres = np.loadtxt((tmp_path / "b.lon").read_text().splitlines()[1:])
+    fibres = np.loadtxt((tmp_path / "b.volume.lon").read_text().splitlines()[1:])
     assert fibres.shape == (len(mesh.tetrahedra), 3)
     np.testing.assert_allclose(np.linalg.norm(fibres, axis=1), 1.0)
 
-    volume, faces = (pv.read(tmp_path / f"b.mesh-complete.{end}") for end in ("mesh.vtu", "exterior.vtp"))
+    volume, faces = (pv.read(tmp_path / f"b.volume.mesh-complete.{end}") for end in ("mesh.vtu", "exterior.vtp"))
     np.testing.assert_allclose(volume.points, 0.001 * mesh.points)
     np.testing.assert_array_equal(volume.cell_data["ModelRegionID"], mesh.regions)
     at = np.asarray(faces.point_data["GlobalNodeID"])[np.asarray(faces.regular_faces)] - 1

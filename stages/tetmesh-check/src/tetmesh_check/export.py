@@ -251,10 +251,14 @@ _WRITE: dict[str, dict[str, Callable[[MarkedMesh, Path], None]]] = {
     "vtp": {"boundary.vtp": _triangles},
     "vtk": {"volume.vtk": _vtk},
     "feb": {"volume.feb": _febio},
-    "carp": {"pts": _carp_points, "elem": _carp_elements, "lon": _carp_fibres},
-    "simvascular": {"mesh-complete.mesh.vtu": _simvascular_volume, "mesh-complete.exterior.vtp": _simvascular_boundary},
+    "carp": {"volume.pts": _carp_points, "volume.elem": _carp_elements, "volume.lon": _carp_fibres},
+    "simvascular": {
+        "volume.mesh-complete.mesh.vtu": _simvascular_volume,
+        "volume.mesh-complete.exterior.vtp": _simvascular_boundary,
+    },
 }
-"""The files of each format, ``NAME.`` before each, and what writes them."""
+"""The files of each format, ``NAME.`` before each, and what writes them. All but the boundary begin with ``volume``, by which the rest of the
+project knows them as results of this stage."""
 
 _PER_MM = {"mm": 1.0, "m": 1e-3, "um": 1e3}
 
