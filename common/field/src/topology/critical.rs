@@ -1,0 +1,195 @@
+//! Critical points of F next to F = 0: where necks, gaps, handles and specks of the isosurface open and close.
+//!
+//! By Morse theory the topology of F = 0 is settled by the critical points of F and the sides that they lie on. A mesh near F = 0 with
+//! each of them on the side where F has it has none too many handles there and none too few; Boissonnat, Cohen-Steiner and Vegter
+//! (2004) mesh implicit surfaces by that rule. A point on the wrong side says where the mesh lacks points.
+
+use super::bernstein::Bernstein;
+use super::cells::sign_changes;
+use crate::spline::CubicSpline;
+use glam::{DMat3, DVec3};
+use rayon::prelude::*;
+
+/// Newton steps towards a critical point.
+const STEPS: usize = 30;
+
+/// A search starts in a cell whose gradient is shorter than what the Hessian changes over so many voxels,
+const MARGIN: f64 = 2.0;
+
+/// at the middle and in each octant of the cell, lest one of several critical points be missed.
+const STARTS: [DVec3; 9] = [
+    DVec3::splat(0.5),
+    DVec3::new(0.2, 0.2, 0.2),
+    DVec3::new(0.8, 0.2, 0.2),
+    DVec3::new(0.2, 0.8, 0.2),
+    DVec3::new(0.8, 0.8, 0.2),
+    DVec3::new(0.2, 0.2, 0.8),
+    DVec3::new(0.8, 0.2, 0.8),
+    DVec3::new(0.2, 0.8, 0.8),
+    DVec3::new(0.8, 0.8, 0.8),
+];
+
+/// A search that leaves its cell by this many voxels belongs to another.
+const REACH: f64 = 1.0;
+
+/// Critical points this near to each other, in voxels, are one.
+const SAME: f64 = 1e-3;
+
+/// A critical point of F.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct CriticalPoint {
+    /// Place, grid frame, mm.
+    pub position: DVec3,
+    /// F there, mm.
+    pub value: f64,
+    /// The eigenvectors of the Hessian along which F = 0 is met, times the distance to it by the second-order
+    /// expansion (mm); zero in the other directions.
+    pub ways: [DVec3; 3],
+    /// The shortest of these distances: about the radius of the neck, gap or speck, mm.
+    pub radius: f64,
+}
+
+impl CriticalPoint {
+    /// Whether F = 0 is met all around: an extremum within a speck or a cavity.
+    pub fn is_enclosed(&self) -> bool {
+        self.ways.iter().all(|way| *way != DVec3::ZERO)
+    }
+}
+
+/// The critical points of F within a few voxels of F = 0 whose neck, gap or speck has at least a radius (mm).
+pub fn critical_points(field: &CubicSpline, smallest: f64) -> Vec<CriticalPoint> {
+    let geometry = field.geometry();
+    let size = geometry.size;
+    let voxel = geometry.mean_spacing();
+    let cells = [0, 1, 2].map(|axis| size[axis].saturating_sub(1));
+    let mut places: Vec<DVec3> = (0..cells[2])
+        .into_par_iter()
+        .flat_map_iter(|k| {
+            let may_change = sign_changes(field, cells, k, 1).into_iter().enumerate();
+            may_change.filter(|(_, change)| *change).map(move |(n, _)| [n % cells[0], n / cells[0], k])
+        })
+        .filter(|cell| {
+            let index = DVec3::from_array(cell.map(|n| n as f64 + 0.5));
+            may_be_flat(field, geometry.index_to_grid(index), voxel)
+                && Bernstein::of_cell(field, *cell).may_be_critical()
+        })
+        .flat_map_iter(|cell| STARTS.map(|offset| DVec3::from_array(cell.map(|n| n as f64)) + offset))
+        .filter_map(|index| newton(field, geometry.index_to_grid(index), REACH * voxel))
+        .collect();
+    places.par_sort_by(|a, b| a.to_array().partial_cmp(&b.to_array()).unwrap_or(std::cmp::Ordering::Equal));
+    places.dedup_by(|a, b| a.distance(*b) < SAME * voxel);
+    places.into_par_iter().filter_map(|p| describe(field, p)).filter(|c| c.radius >= smallest).collect()
+}
+
+/// Whether the gradient may vanish in the cell round a point: by the Hessian there, with a margin for its change.
+fn may_be_flat(field: &CubicSpline, p: DVec3, voxel: f64) -> bool {
+    let jet = field.jet(p);
+    let hessian = jet.hessian.to_cols_array().iter().map(|x| x * x).sum::<f64>().sqrt();
+    jet.gradient.length() < MARGIN * hessian * voxel
+}
+
+/// The critical point that Newton's iteration finds within a box of half-width `reach` (mm).
+fn newton(field: &CubicSpline, start: DVec3, reach: f64) -> Option<DVec3> {
+    let upper = field.geometry().upper_corner();
+    let mut p = start;
+    for _ in 0..STEPS {
+        let jet = field.jet(p);
+        let step = jet.hessian.inverse() * jet.gradient;
+        if !step.is_finite() {
+            return None;
+        }
+        p -= step;
+        let inside = p.cmpge(DVec3::ZERO).all() && p.cmple(upper).all();
+        if !inside || (p - start).abs().max_element() > reach {
+            return None;
+        }
+        if step.length() < 1e-9 * reach {
+            return Some(p);
+        }
+    }
+    None
+}
+
+/// How F = 0 lies round a critical point.
+fn describe(field: &CubicSpline, position: DVec3) -> Option<CriticalPoint> {
+    let jet = field.jet(position);
+    let mut radius = f64::INFINITY;
+    let ways = eigen(jet.hessian).map(|(curvature, direction)| {
+        // F + curvature s^2 / 2 = 0
+        let squared = -2.0 * jet.value / curvature;
+        if squared > 0.0 {
+            radius = radius.min(squared.sqrt());
+            direction * squared.sqrt()
+        } else {
+            DVec3::ZERO
+        }
+    });
+    radius.is_finite().then_some(CriticalPoint { position, value: jet.value, ways, radius })
+}
+
+/// Eigenvalues and unit eigenvectors of a symmetric matrix, by Jacobi's rotations.
+fn eigen(matrix: DMat3) -> [(f64, DVec3); 3] {
+    let mut a = matrix.to_cols_array_2d();
+    let mut v = DMat3::IDENTITY.to_cols_array_2d();
+    for _ in 0..32 {
+        for (p, q) in [(0, 1), (0, 2), (1, 2)] {
+            if a[p][q] == 0.0 {
+                continue;
+            }
+            let angle = 0.5 * (2.0 * a[p][q]).atan2(a[q][q] - a[p][p]);
+            let (s, c) = angle.sin_cos();
+            for row in &mut a {
+                (row[p], row[q]) = (c * row[p] - s * row[q], s * row[p] + c * row[q]);
+            }
+            (a[p], a[q]) = (
+                std::array::from_fn(|k| c * a[p][k] - s * a[q][k]),
+                std::array::from_fn(|k| s * a[p][k] + c * a[q][k]),
+            );
+            (v[p], v[q]) = (
+                std::array::from_fn(|k| c * v[p][k] - s * v[q][k]),
+                std::array::from_fn(|k| s * v[p][k] + c * v[q][k]),
+            );
+        }
+    }
+    [0, 1, 2].map(|k| (a[k][k], DVec3::from_array(v[k])))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::tests::{self as scenes, Scene};
+    use super::*;
+
+    #[test]
+    fn the_neck_of_a_quadric_is_where_it_is() {
+        // splines reproduce quadratic functions; what the border of the grid adds has died away in its middle
+        let (centre, radii) = (DVec3::new(11.37, 12.21, 11.84), [0.2, 0.3]);
+        let turn = DMat3::from_rotation_z(0.4);
+        let scene = Scene::new([24; 3], DVec3::ONE, |p| {
+            let q = turn * (p - centre);
+            0.05 * (-0.7 * q.x * q.x + (q.y / radii[0]).powi(2) + (q.z / radii[1]).powi(2) - 1.0)
+        });
+        let found = critical_points(&scene.field, 0.0);
+        let neck = found.iter().find(|c| c.position.distance(centre) < 0.01).expect("the neck");
+        assert!((neck.value + 0.05).abs() < 1e-5, "{neck:?}");
+        assert!((neck.radius - radii[0]).abs() < 1e-3, "{neck:?}");
+        let mut lengths = neck.ways.map(DVec3::length);
+        lengths.sort_by(f64::total_cmp);
+        assert!(lengths[0] == 0.0 && (lengths[2] - radii[1]).abs() < 1e-3, "{neck:?}");
+        let along_y = neck.ways.iter().find(|w| (w.length() - radii[0]).abs() < 1e-3).expect("a way");
+        assert!((turn * *along_y).normalize().y.abs() > 0.9999, "{along_y}");
+        // both ends of a way lie on F = 0
+        for way in neck.ways.iter().filter(|w| **w != DVec3::ZERO) {
+            assert!(scene.field.value(neck.position + *way).abs() < 1e-3, "{way}");
+        }
+        assert!(critical_points(&scene.field, 0.25).iter().all(|c| c.position.distance(centre) > 0.01));
+    }
+
+    #[test]
+    fn a_wall_between_balls_has_its_saddle_in_the_middle() {
+        let scene = scenes::two_balls();
+        let middle = DVec3::new(15.6, 11.6, 11.6);
+        let found = critical_points(&scene.field, 0.0);
+        let saddle = found.iter().find(|c| c.position.distance(middle) < 0.3).expect("the saddle in the gap");
+        assert!((0.5..1.2).contains(&saddle.value) && saddle.radius > 0.3, "{saddle:?}");
+    }
+}
