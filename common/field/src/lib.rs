@@ -27,3 +27,4 @@ pub mod random;
 pub mod sizing;
 pub mod spline;
 pub mod surface_integral;
+pub mod topology;

@@ -1,36 +1,57 @@
-//! Where a restricted surface is not yet that of F: edges and vertices that are not manifold, facets that join
-//! different components of the isosurface, or stray from it, and components that are missing or of the wrong genus.
+//! Where a surface is not that of F: edges and vertices that are not manifold, facets that join different components of F = 0,
+//! and components that are missing, in pieces or of another genus.
 
-use crate::isosurface::Isosurface;
 use crate::restricted::Facet;
+use isoparticles_field::topology::{FieldTopology, Group};
 use isoparticles_mesh::components::{self, NO_COMPONENT};
 use isoparticles_mesh::incidence::{FanWork, Incidence};
 use rayon::prelude::*;
+use serde::Serialize;
 
 /// Vertices looked at by one thread at a time.
 const CHUNK: usize = 1 << 12;
 
-/// Topology of a set of facets against the isosurface.
+/// Topology of a set of facets against that of F.
 #[derive(Clone, Debug, Default)]
 pub struct Defects {
     /// For each edge that is not in exactly two facets, its facets (numbers in the list given).
     pub edges: Vec<Vec<u32>>,
     /// For each vertex with more than one fan of facets, the vertex and its facets.
     pub vertices: Vec<(u32, Vec<u32>)>,
-    /// Facets whose vertices lie on different components of the isosurface.
+    /// Facets whose vertices lie on different components of F = 0 that no undecided place can join.
     pub bridges: Vec<u32>,
-    /// Components of the isosurface that have no facet.
+    /// Components of F = 0 that have no facet.
     pub missing: Vec<u32>,
-    /// Components of the isosurface whose facets fall apart, and into how many pieces.
-    pub in_pieces: Vec<(u32, usize)>,
-    /// Components of the isosurface that were thought to be several, and the fewer pieces that their facets form by now.
-    pub rejoined: Vec<(u32, usize)>,
-    /// Components of the isosurface whose facets have another Euler characteristic, and that of the facets.
-    pub wrong_genus: Vec<(u32, i64)>,
+    /// Groups whose facets form more components than undecided places can account for.
+    pub in_pieces: Vec<Found>,
+    /// Groups whose facets form fewer, or have another Euler characteristic than these can account for.
+    pub wrong_genus: Vec<Found>,
+    /// Euler characteristic of all facets.
+    pub euler: i64,
+    /// Components of the facets that lie near no component of F = 0.
+    pub strangers: usize,
     /// Components of the facets.
     pub component_count: usize,
     /// Component of each vertex among the facets; [`NO_COMPONENT`] for vertices of no facet.
     pub piece_of_vertex: Vec<u32>,
+}
+
+/// What the facets have of a group of components.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+pub struct Found {
+    /// Number of the group.
+    pub group: u32,
+    /// Components of the facets.
+    pub components: usize,
+    /// Their Euler characteristic.
+    pub euler: i64,
+}
+
+impl Found {
+    /// Whether that is one of the topologies that F may have there.
+    pub fn fits(&self, group: &Group) -> bool {
+        group.component_count.contains(&self.components) && group.euler.contains(&self.euler)
+    }
 }
 
 /// Where a surface is not manifold.
@@ -84,18 +105,17 @@ pub fn edge_of(facets: &[Facet], around: &[u32]) -> Option<[u32; 2]> {
 }
 
 impl Defects {
-    /// Looks for defects; `component_of` gives the component of the isosurface of each vertex ([`NO_COMPONENT`] unknown).
+    /// Looks for defects; `component_of` gives the component of F = 0 of each vertex ([`NO_COMPONENT`] unknown).
     /// `open_edge_allowed` tells which edges may be in one facet only (open borders).
     pub fn find(
-        facets: &[Facet],
+        triangles: &[[u32; 3]],
         component_of: &[u32],
-        isosurface: &Isosurface,
+        topology: &FieldTopology,
         open_edge_allowed: impl Fn(u32, u32) -> bool + Sync,
     ) -> Self {
-        let triangles: Vec<[u32; 3]> = facets.iter().map(|f| f.vertices).collect();
-        let incidence = Incidence::new(&triangles, component_of.len());
+        let incidence = Incidence::new(triangles, component_of.len());
         let mut defects = Self::of_shape(&incidence, open_edge_allowed);
-        defects.compare(&incidence, component_of, isosurface);
+        defects.compare(&incidence, component_of, topology);
         defects
     }
 
@@ -107,46 +127,49 @@ impl Defects {
         Self { edges, vertices, component_count, piece_of_vertex, ..Self::default() }
     }
 
-    /// Compares the facets, of which the rest is known already, with the isosurface; what an earlier comparison found goes.
-    pub fn compare(&mut self, incidence: &Incidence, component_of: &[u32], isosurface: &Isosurface) {
+    /// Compares the facets, of which the rest is known already, with the topology of F.
+    fn compare(&mut self, incidence: &Incidence, component_of: &[u32], topology: &FieldTopology) {
+        let all = topology.groups();
         let triangles = incidence.triangles();
-        let expected = isosurface.class_bound();
+        let groups = all.all().len() as u32;
         let own = &self.piece_of_vertex;
+        let group_of: Vec<u32> = component_of.par_iter().map(|&c| all.of(c).unwrap_or(NO_COMPONENT)).collect();
         // a vertex of unknown component counts for nothing; where a whole facet is unknown, its piece tells
-        let mut class_of_piece = vec![NO_COMPONENT; self.component_count];
+        let mut group_of_piece = vec![NO_COMPONENT; self.component_count];
+        let mut is_present = vec![false; topology.components().len()];
         for t in triangles {
-            let piece = &mut class_of_piece[own[t[0] as usize] as usize];
-            *piece = t.iter().map(|&v| component_of[v as usize]).fold(*piece, u32::min);
-        }
-        // the class of a facet, or one past the last for bridges and strangers
-        let class = |t: &[u32; 3]| {
-            let mut known = t.iter().map(|&v| component_of[v as usize]).filter(|&c| c != NO_COMPONENT);
-            let first = known.next().unwrap_or(class_of_piece[own[t[0] as usize] as usize]);
-            if known.any(|c| c != first) { expected as u32 } else { first.min(expected as u32) }
-        };
-        let class_of: Vec<u32> = triangles.par_iter().map(class).collect();
-        let euler = incidence.euler_characteristics(&class_of, expected + 1);
-        let is_bridge = |(f, t): (usize, &[u32; 3])| {
-            let is_known = |v: &u32| component_of[*v as usize] != NO_COMPONENT;
-            (class_of[f] == expected as u32 && t.iter().any(is_known)).then_some(f as u32)
-        };
-        self.bridges = triangles.par_iter().enumerate().filter_map(is_bridge).collect();
-        let pieces = pieces_by_class(&class_of, triangles, own, expected);
-        self.missing.clear();
-        self.in_pieces.clear();
-        self.rejoined.clear();
-        self.wrong_genus.clear();
-        for c in isosurface.classes() {
-            let pieces = pieces[c as usize];
-            if pieces == 0 {
-                self.missing.push(c);
-            } else if pieces > isosurface.pieces(c) {
-                self.in_pieces.push((c, pieces));
-            } else if pieces < isosurface.pieces(c) {
-                self.rejoined.push((c, pieces));
-            } else if euler[c as usize] != isosurface.euler(c) {
-                self.wrong_genus.push((c, euler[c as usize]));
+            let piece = &mut group_of_piece[own[t[0] as usize] as usize];
+            *piece = t.iter().map(|&v| group_of[v as usize]).fold(*piece, u32::min);
+            for &v in t {
+                is_present.get_mut(component_of[v as usize] as usize).into_iter().for_each(|present| *present = true);
             }
+        }
+        // the group of a facet, or one past the last for bridges and strangers
+        let group = |t: &[u32; 3]| {
+            let mut known = t.iter().map(|&v| group_of[v as usize]).filter(|&g| g != NO_COMPONENT);
+            let first = known.next().unwrap_or(group_of_piece[own[t[0] as usize] as usize]);
+            if known.any(|g| g != first) { groups } else { first.min(groups) }
+        };
+        let group_of_facet: Vec<u32> = triangles.par_iter().map(group).collect();
+        let euler = incidence.euler_characteristics(&group_of_facet, groups as usize + 1);
+        let is_bridge = |(f, t): (usize, &[u32; 3])| {
+            let is_known = |v: &u32| group_of[*v as usize] != NO_COMPONENT;
+            (group_of_facet[f] == groups && t.iter().any(is_known)).then_some(f as u32)
+        };
+        self.euler = incidence.euler_characteristics(&vec![0; triangles.len()], 1)[0];
+        self.bridges = triangles.par_iter().enumerate().filter_map(is_bridge).collect();
+        self.strangers = group_of_piece.iter().filter(|&&group| group == NO_COMPONENT).count();
+        let pieces = pieces_by_group(&group_of_facet, triangles, own, groups as usize);
+        for (g, group) in (0..).zip(all.all()) {
+            let missing: Vec<u32> = group.components.iter().copied().filter(|&c| !is_present[c as usize]).collect();
+            let found = Found { group: g, components: pieces[g as usize], euler: euler[g as usize] };
+            let certain: Vec<u32> = missing.into_iter().filter(|&c| !all.may_vanish(c)).collect();
+            if found.components > *group.component_count.end() {
+                self.in_pieces.push(found);
+            } else if certain.is_empty() && !found.fits(group) {
+                self.wrong_genus.push(found);
+            }
+            self.missing.extend(certain);
         }
     }
 
@@ -155,23 +178,23 @@ impl Defects {
         self.edges.is_empty() && self.vertices.is_empty()
     }
 
-    /// Whether the surface is a closed manifold with the topology of the isosurface.
+    /// Whether the surface is a closed manifold with the topology of F.
     pub fn is_empty(&self) -> bool {
         let same_components = self.bridges.is_empty() && self.missing.is_empty() && self.in_pieces.is_empty();
         self.is_manifold() && same_components && self.wrong_genus.is_empty()
     }
 }
 
-/// Into how many pieces the triangles of each class fall apart.
-fn pieces_by_class(class_of: &[u32], triangles: &[[u32; 3]], piece_of_vertex: &[u32], classes: usize) -> Vec<usize> {
+/// Into how many pieces the triangles of each group fall apart.
+fn pieces_by_group(group_of: &[u32], triangles: &[[u32; 3]], piece_of_vertex: &[u32], groups: usize) -> Vec<usize> {
     let piece = |t: &[u32; 3]| piece_of_vertex[t[0] as usize];
-    let mut met: Vec<(u32, u32)> = class_of.par_iter().zip(triangles).map(|(&class, t)| (class, piece(t))).collect();
-    // most neighbours in the list are of one class and piece
+    let mut met: Vec<(u32, u32)> = group_of.par_iter().zip(triangles).map(|(&group, t)| (group, piece(t))).collect();
+    // most neighbours in the list are of one group and piece
     met.dedup();
     met.par_sort_unstable();
     met.dedup();
-    let mut pieces = vec![0; classes + 1];
-    met.into_iter().for_each(|(class, _)| pieces[class as usize] += 1);
+    let mut pieces = vec![0; groups + 1];
+    met.into_iter().for_each(|(group, _)| pieces[group as usize] += 1);
     pieces
 }
 
@@ -180,17 +203,12 @@ mod tests {
     use super::*;
     use crate::scenes;
 
-    fn facets(triangles: &[[u32; 3]]) -> Vec<Facet> {
-        triangles.iter().map(|&vertices| Facet { vertices, tetrahedron: 0, opposite: 0 }).collect()
-    }
-
     const TETRAHEDRON: [[u32; 3]; 4] = [[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]];
 
     #[test]
     fn a_pinch_at_a_vertex_and_at_an_edge_are_found() {
-        let one = Isosurface::new(&scenes::sphere().image);
-        let find =
-            |triangles: &[[u32; 3]], n: usize| Defects::find(&facets(triangles), &vec![0; n], &one, |_, _| false);
+        let one = FieldTopology::new(&scenes::sphere().field);
+        let find = |triangles: &[[u32; 3]], n: usize| Defects::find(triangles, &vec![0; n], &one, |_, _| false);
         assert!(find(&TETRAHEDRON, 4).is_empty());
         // a second tetrahedron that shares vertex 3
         let touching = TETRAHEDRON.map(|t| t.map(|v| v + 3));
@@ -209,10 +227,10 @@ mod tests {
 
     #[test]
     fn bridges_and_missing_components_are_found() {
-        let two = Isosurface::new(&scenes::two_balls().image);
-        let lost = Defects::find(&facets(&TETRAHEDRON), &[0; 4], &two, |_, _| false);
+        let two = FieldTopology::new(&scenes::two_balls().field);
+        let lost = Defects::find(&TETRAHEDRON, &[0; 4], &two, |_, _| false);
         assert_eq!(lost.missing, [1]);
-        let merged = Defects::find(&facets(&TETRAHEDRON), &[0, 0, 0, 1], &two, |_, _| false);
+        let merged = Defects::find(&TETRAHEDRON, &[0, 0, 0, 1], &two, |_, _| false);
         assert_eq!(merged.bridges.len(), 3);
     }
 }

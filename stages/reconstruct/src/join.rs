@@ -1,6 +1,5 @@
-//! From particles on F = 0 to a mesh: the triangulation, the facets by either method, and the comparison with the isosurface.
+//! From particles on F = 0 to a mesh: the triangulation, and the facets by either method.
 
-use crate::isosurface::Isosurface;
 use crate::pinched::part_sheets;
 use crate::points_alone;
 use crate::prepare::{ON_SURFACE, SurfacePoints};
@@ -10,6 +9,7 @@ use crate::run::{Args, Method, Origin, about};
 use crate::tight_cocone::{CoconeReport, tight_cocone};
 use glam::DVec3;
 use isoparticles_field::spline::CubicSpline;
+use isoparticles_field::topology::FieldTopology;
 use isoparticles_mesh::TriangleMesh;
 use isoparticles_mesh::inside::nodes_on_wrong_side;
 use isoparticles_stage::cli::Context;
@@ -33,10 +33,6 @@ pub(crate) struct Joined {
     pub(crate) report: RefineReport,
     /// What Tight Cocone found, where that was the method.
     pub(crate) cocone: Option<CoconeReport>,
-    /// Components of the isosurface.
-    pub(crate) expected_components: usize,
-    /// Components of the isosurface by marching cubes on the samples.
-    pub(crate) sampled_components: usize,
 }
 
 /// Joins particles on F = 0 by the method asked for.
@@ -48,7 +44,7 @@ pub(crate) fn join(
     context: &Context,
     points: &mut SurfacePoints,
     spline: &CubicSpline,
-    isosurface: Isosurface,
+    topology: &FieldTopology,
     samples: &Image<f32>,
     origin: &Origin,
 ) -> Result<Joined> {
@@ -58,8 +54,7 @@ pub(crate) fn join(
         max_deviation: args.max_deviation,
         open_border: origin.is_open,
     };
-    let sampled_components = isosurface.sampled_component_count();
-    let mut refinement = Refinement::new(points, spline, isosurface, options).map_err(|e| about(&args.particles, e))?;
+    let mut refinement = Refinement::new(points, spline, topology, options).map_err(|e| about(&args.particles, e))?;
     drop(step);
     let step = context.step("refine");
     let mut facets = refine(&mut refinement, options.max_rounds, origin, samples, context)?;
@@ -88,8 +83,6 @@ pub(crate) fn join(
         sizes: (refinement.restricted.points().to_vec(), refinement.sizes.clone()),
         report: refinement.report.clone(),
         cocone,
-        expected_components: refinement.component_count(),
-        sampled_components,
     })
 }
 

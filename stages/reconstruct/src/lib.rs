@@ -2,16 +2,14 @@
 //!
 //! The steps: [`prepare`] puts the particles on F = 0; [`restricted`] triangulates them (Delaunay) and takes the facets
 //! between tetrahedra whose circumcentres are inside and outside; [`defects`] compares that surface with the
-//! [`isosurface`]; [`refine`] adds points where it differs, until it does not; [`improve`] lifts the worst triangles;
+//! [topology of F](isoparticles_field::topology); [`refine`] adds points where it differs, until it does not; [`improve`] lifts the worst triangles;
 //! [`finish`] attaches the data; [`run`] is the program. [`tight_cocone`] is the other way to find the facets, from points alone.
 
 mod around;
 pub mod check;
-pub mod critical;
 pub mod defects;
 pub mod finish;
 pub mod improve;
-pub mod isosurface;
 mod join;
 pub mod pinched;
 mod points_alone;
@@ -26,3 +24,4 @@ mod scenes;
 #[cfg(test)]
 mod tests;
 pub mod tight_cocone;
+pub mod verdict;

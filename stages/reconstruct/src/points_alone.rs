@@ -62,14 +62,14 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome> {
     drop(step);
     warn(&cocone, context);
     let skipped = "skipped: there is no distance field";
-    for key in ["refine", "improve", "isosurface_components"] {
+    for key in ["refine", "improve", "topology"] {
         context.report(key, skipped);
     }
     context.report("prepare", json!(points.report));
     context.report("cocone", json!(cocone));
     context.report("parted_vertices", parted);
     context.report("check", json!(checked));
-    describe_mesh(&checked, None, &points, context);
+    describe_mesh(&checked, "", &points, context);
     context.summary("improvement, comparison with F", skipped);
 
     let mut sizes: Vec<f64> = used.iter().map(|&v| points.sizes[v as usize]).collect();

@@ -1,14 +1,13 @@
 //! The refinement loop: points are added on F = 0 until the restricted surface is a closed manifold with the components
-//! and the genus of the isosurface, and no facet strays from it.
+//! and the genus of F = 0, and no facet strays from it.
 //!
 //! Where a facet is at fault, the point is where its Voronoi edge crosses F = 0: the centre of the facet's surface ball,
-//! the place of the isosurface nearby that is farthest from all points (Boissonnat and Oudot 2005). A round compares the whole surface with the
-//! isosurface, adds points, and follows them up where they changed something; the last comparison is always of the whole.
+//! the place of F = 0 nearby that is farthest from all points (Boissonnat and Oudot 2005). A round compares the whole surface with the
+//! topology of F, which is known before and does not change, adds points, and follows them up where they changed something; the last comparison is always of the whole.
 
 mod follow_up;
 mod genus;
 mod insert;
-mod looks;
 mod near;
 mod nodes;
 mod other;
@@ -16,18 +15,15 @@ mod pieces;
 mod pinches;
 mod samples;
 
-use crate::critical::CriticalPoint;
 use crate::defects::Defects;
-use crate::isosurface::Isosurface;
 use crate::prepare::{ON_SURFACE, SurfacePoints};
 use crate::restricted::{Facet, Restricted};
 use glam::DVec3;
 use insert::{Candidate, Reason};
 use isoparticles_field::spline::CubicSpline;
+use isoparticles_field::topology::{CriticalPoint, FieldTopology};
 use isoparticles_mesh::components::NO_COMPONENT;
-use isoparticles_mesh::incidence::Incidence;
 use isoparticles_stage::error::Result;
-use looks::Looks;
 use near::Nearest;
 use pinches::Patience;
 use rayon::prelude::*;
@@ -89,9 +85,7 @@ pub struct RefineReport {
     /// Edges and vertices in which sheets touched and that tetrahedra parted by changing sides.
     pub parted_pinches: usize,
     /// Small closed pieces of the mesh that are none of F = 0, and whose tetrahedra changed sides.
-    pub dropped_scraps: usize,
-    /// Components of F = 0 that lie between the samples, so that marching cubes has nothing there, and that the mesh has.
-    pub unsampled_components: usize,
+    pub dropped_pieces: usize,
     /// Edges and vertices that are still not manifold.
     pub unresolved_manifold: usize,
     /// Facets that still join different components.
@@ -100,33 +94,28 @@ pub struct RefineReport {
     pub unresolved_missing: usize,
     /// Critical points of F that are still on the wrong side of the mesh.
     pub unresolved_critical: usize,
-    /// Components that are still in pieces, or of another Euler characteristic than marching cubes and not known to be right.
+    /// Components that are still in pieces, or of an Euler characteristic that F does not have there.
     pub unresolved_genus: usize,
 }
 
-/// A restricted surface on its way to the topology of the isosurface.
+/// A restricted surface on its way to the topology of F.
 pub struct Refinement<'a> {
     /// The triangulation.
     pub restricted: Restricted<'a>,
     /// Target edge length at each point, mm.
     pub sizes: Vec<f64>,
-    /// Component of the isosurface of each point, [`NO_COMPONENT`] where there is none near.
+    /// Component of F = 0 of each point, [`NO_COMPONENT`] where there is none near.
     pub component_of: Vec<u32>,
     /// What was done so far.
     pub report: RefineReport,
-    isosurface: Isosurface,
+    topology: &'a FieldTopology,
     options: RefineOptions,
     genus_rounds: usize,
     /// Rounds granted at first.
     granted: usize,
-    looks: Looks,
     patience: Patience,
     /// Whether the tetrahedra inside are those that the facets enclose.
     sides_are_known: bool,
-    /// Whether it is the sign of F that says which they are.
-    is_by_sign: bool,
-    /// Critical points of F, once they have been asked for.
-    critical: OnceLock<Vec<CriticalPoint>>,
     /// Those on the wrong side of the mesh, each with the nearest vertex, once they have been asked for since the last comparison.
     astray: OnceLock<Vec<(CriticalPoint, u32)>>,
     /// The points, as of the last comparison.
@@ -145,41 +134,27 @@ impl<'a> Refinement<'a> {
     pub fn new(
         points: &mut SurfacePoints,
         field: &'a CubicSpline,
-        isosurface: Isosurface,
+        topology: &'a FieldTopology,
         options: RefineOptions,
     ) -> Result<Self> {
         let restricted = Restricted::new(points.triangulate()?, field);
-        let component_of =
-            points.positions.par_iter().map(|&p| component_at(p, field, &isosurface)).collect::<Vec<u32>>();
+        let component_of = points.positions.par_iter().map(|&p| component_at(p, field, topology)).collect::<Vec<u32>>();
         Ok(Self {
             restricted,
             sizes: points.sizes.clone(),
             component_of,
             report: RefineReport::default(),
-            isosurface,
+            topology,
             options,
             genus_rounds: 0,
             granted: options.max_rounds,
-            looks: Looks::default(),
             patience: Patience::default(),
             sides_are_known: true,
-            is_by_sign: true,
-            critical: OnceLock::new(),
             astray: OnceLock::new(),
             nearest: Nearest::default(),
             samplings: HashMap::new(),
             strays_are_known: false,
         })
-    }
-
-    /// Components that the isosurface is known to have by now.
-    pub fn component_count(&self) -> usize {
-        self.isosurface.component_count() + self.report.unsampled_components
-    }
-
-    /// What is known of the isosurface by now.
-    pub fn isosurface(&self) -> &Isosurface {
-        &self.isosurface
     }
 
     /// Lets the refinement go on for so many rounds from now.
@@ -204,7 +179,8 @@ impl<'a> Refinement<'a> {
 
     /// Defects of a set of facets.
     pub fn defects(&self, facets: &[Facet]) -> Defects {
-        Defects::find(facets, &self.component_of, &self.isosurface, |a, b| self.may_be_open(a, b))
+        let triangles: Vec<[u32; 3]> = facets.iter().map(|f| f.vertices).collect();
+        Defects::find(&triangles, &self.component_of, self.topology, |a, b| self.may_be_open(a, b))
     }
 
     /// Whether an edge may be in one facet only: at an open border.
@@ -224,7 +200,6 @@ impl<'a> Refinement<'a> {
     /// # Errors
     /// Those of `step`.
     pub fn run(&mut self, mut step: impl FnMut(usize, usize) -> Result<()>) -> Result<Vec<Facet>> {
-        self.looks.points_help = true;
         loop {
             let follow_ups = self.follow_up(&mut step)?;
             step(self.report.rounds, self.restricted.points().len())?;
@@ -234,34 +209,17 @@ impl<'a> Refinement<'a> {
                 continue;
             }
             let is_stuck = self.add_points(&facets, &defects)? == 0;
-            let points_helped = std::mem::replace(&mut self.looks.points_help, !is_stuck);
-            if is_stuck && self.part_pinches(&facets, &defects) == 0 {
-                if points_helped && !(defects.bridges.is_empty() && defects.in_pieces.is_empty()) {
-                    continue;
-                }
-                if self.drop_scraps(&facets, &defects) > 0 {
-                    continue;
-                }
-                self.report.unsampled_components = self.unsampled_components(&facets, &defects);
+            if is_stuck && self.part_pinches(&facets, &defects) == 0 && self.drop_pieces(&facets, &defects) == 0 {
                 return Ok(facets);
             }
         }
     }
 
-    /// Defects of a set of facets, after looking again wherever the isosurface may be at fault; they go into the report.
+    /// Defects of a set of facets; they go into the report.
     fn compare(&mut self, facets: &[Facet]) -> Defects {
         self.nearest.update(self.restricted.points());
         self.astray = OnceLock::new();
-        self.looks.begin();
-        let triangles: Vec<[u32; 3]> = facets.iter().map(|f| f.vertices).collect();
-        let incidence = Incidence::new(&triangles, self.component_of.len());
-        let mut defects = Defects::of_shape(&incidence, |a, b| self.may_be_open(a, b));
-        loop {
-            defects.compare(&incidence, &self.component_of, &self.isosurface);
-            if !self.look_again(facets, &defects) {
-                break;
-            }
-        }
+        let defects = self.defects(facets);
         self.report.unresolved_manifold = defects.edges.len() + defects.vertices.len();
         self.report.unresolved_bridges = defects.bridges.len();
         self.report.unresolved_missing = defects.missing.len();
@@ -354,6 +312,6 @@ impl<'a> Refinement<'a> {
     }
 }
 
-fn component_at(p: DVec3, field: &CubicSpline, isosurface: &Isosurface) -> u32 {
-    isosurface.component_at(p, field.value_gradient(p).1).unwrap_or(NO_COMPONENT)
+fn component_at(p: DVec3, field: &CubicSpline, topology: &FieldTopology) -> u32 {
+    topology.component_at(field, p, field.value_gradient(p).1).unwrap_or(NO_COMPONENT)
 }

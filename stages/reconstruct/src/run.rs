@@ -3,15 +3,16 @@
 use crate::check::{CheckOptions, CheckReport, check};
 use crate::finish::{attributes, offending};
 use crate::improve::{ImproveOptions, improve};
-use crate::isosurface::Isosurface;
 use crate::join::{Joined, join};
 use crate::points_alone;
 use crate::prepare::{SurfacePoints, prepare};
 use crate::refine::RefineReport;
+use crate::verdict::TopologyReport;
 use glam::DVec3;
 use isoparticles_field::particle_set::ParticleSet;
 use isoparticles_field::sizing::SizingField;
 use isoparticles_field::spline::CubicSpline;
+use isoparticles_field::topology::FieldTopology;
 use isoparticles_mesh::TriangleMesh;
 use isoparticles_mesh::kd_tree::KdTree;
 use isoparticles_mesh::point_cloud::is_point_cloud;
@@ -209,14 +210,14 @@ fn on_field(args: &Args, distfield: &Path, context: &Context) -> Result<Outcome>
     let spline = CubicSpline::new(&field.image);
     drop(step);
 
-    let step = context.step("isosurface");
-    let isosurface = Isosurface::new(&field.image);
+    let step = context.step("topology");
+    let topology = FieldTopology::new(&spline);
     drop(step);
     let step = context.step("project");
     let mut points = prepare(&particles, &spline).map_err(|e| about(&args.particles, e))?;
     drop(step);
-    let made = join(args, context, &mut points, &spline, isosurface, &field.image, &origin)?;
-    let Joined { mut mesh, sizes, report: refined, cocone, expected_components, sampled_components } = made;
+    let made = join(args, context, &mut points, &spline, &topology, &field.image, &origin)?;
+    let Joined { mut mesh, sizes, report: refined, cocone } = made;
 
     let step = context.step("improve");
     let tree = KdTree::new(&sizes.0);
@@ -237,12 +238,12 @@ fn on_field(args: &Args, distfield: &Path, context: &Context) -> Result<Outcome>
     let options = CheckOptions {
         field: Some(&spline),
         sides: (!origin.is_open).then_some(&field.image),
-        expected_components: Some(expected_components),
         min_radius_ratio: args.radius_ratio_bar(),
         max_vertex_distance: Some(args.max_vertex_distance),
     };
     let mut checked = check(&mesh, &options);
-    let failed = judge(&mut checked, &mesh, &refined, &origin, &spline, context);
+    let found = TopologyReport::new(&mesh, &spline, &topology);
+    let failed = judge(&mut checked, &found, &mesh, &refined, &origin, &spline, context);
     drop(step);
     context.check_interrupt()?;
 
@@ -251,9 +252,8 @@ fn on_field(args: &Args, distfield: &Path, context: &Context) -> Result<Outcome>
     context.report("cocone", json!(cocone));
     context.report("improve", json!(improved));
     context.report("check", json!(checked));
-    context.report("isosurface_components", expected_components);
-    context.report("marching_cubes_components", sampled_components);
-    describe(&checked, &points, &refined, expected_components, context);
+    context.report("topology", json!(found));
+    describe(&checked, &found, &points, &refined, context);
 
     let surface = attributes(&mesh, &spline, &size, &origin.caps);
     let meta = SurfaceMeta {
@@ -261,8 +261,8 @@ fn on_field(args: &Args, distfield: &Path, context: &Context) -> Result<Outcome>
         source: told.source,
         border: told.border,
         failed_checks: failed.clone(),
-        components: expected_components,
-        notes: std::iter::once(("refine".to_owned(), json!(refined))).collect(),
+        components: topology.components().len(),
+        notes: [("topology".to_owned(), json!(found)), ("refine".to_owned(), json!(refined))].into_iter().collect(),
     };
     write(args, context, &surface, &meta, offending(&mesh, &checked, spline.geometry()), failed)
 }
@@ -339,6 +339,7 @@ fn remove_stale(path: &Path, context: &Context) {
 /// labels only, since for a scalar volume a chord may cut off a node next to the surface.
 fn judge(
     checked: &mut CheckReport,
+    found: &TopologyReport,
     mesh: &TriangleMesh,
     refined: &RefineReport,
     origin: &Origin,
@@ -363,28 +364,26 @@ fn judge(
     }
     let mut failed = checked.failed_checks();
     checked.nodes_on_wrong_side = nodes;
-    if refined.unresolved_bridges > 0 {
-        let bridges = refined.unresolved_bridges;
-        failed.push(format!("{bridges} triangles that join different components of the isosurface"));
-    }
+    let (wrong, doubtful) = found.differences(origin.is_open);
+    failed.extend(wrong);
+    doubtful.into_iter().for_each(|difference| context.warn(difference));
     if refined.unresolved_critical > 0 {
         context.warn(format!(
             "{} critical points of F on the wrong side: necks, gaps or specks there are thinner than the particles can tell",
             refined.unresolved_critical
         ));
     }
-    if refined.unresolved_genus > 0 {
-        context.warn(format!(
-            "{} components whose Euler characteristic differs from that of marching cubes on F: their finest handles are \
-             narrower than a voxel, or than the particles can tell",
-            refined.unresolved_genus
-        ));
-    }
     failed
 }
 
-fn describe(checked: &CheckReport, points: &SurfacePoints, refined: &RefineReport, expected: usize, context: &Context) {
-    describe_mesh(checked, Some(expected), points, context);
+fn describe(
+    checked: &CheckReport,
+    found: &TopologyReport,
+    points: &SurfacePoints,
+    refined: &RefineReport,
+    context: &Context,
+) {
+    describe_mesh(checked, &found.expected(), points, context);
     context.summary("points added", format!("{} in {} rounds", refined.inserted, refined.rounds));
     if let (Some(v), Some(c)) = (checked.vertex_distance, checked.centroid_distance) {
         context.summary(
@@ -398,11 +397,10 @@ fn describe(checked: &CheckReport, points: &SurfacePoints, refined: &RefineRepor
 }
 
 /// What the closing table says of any mesh.
-pub(crate) fn describe_mesh(checked: &CheckReport, expected: Option<usize>, points: &SurfacePoints, context: &Context) {
+pub(crate) fn describe_mesh(checked: &CheckReport, expected: &str, points: &SurfacePoints, context: &Context) {
     let quality = &checked.quality;
     context.summary("vertices, triangles", format!("{}, {}", checked.vertices, checked.triangles));
-    let of = expected.map_or(String::new(), |expected| format!(" of {expected}"));
-    context.summary("components", format!("{}{of}", checked.components.len()));
+    context.summary("components", format!("{}{expected}", checked.components.len()));
     context.summary("Euler characteristic", checked.euler);
     let dropped = points.report.invalid + points.report.astray + points.report.crowded;
     context.summary("particles taken, not taken", format!("{}, {dropped}", points.positions.len()));

@@ -1,6 +1,5 @@
 //! Analytic scenes for the tests: F sampled on small grids, and well-spaced points on F = 0.
 
-use crate::critical::{CriticalPoint, critical_points};
 use glam::DVec3;
 use isoparticles_field::marching_cubes::marching_cubes;
 use isoparticles_field::random::uniform;
@@ -98,22 +97,6 @@ pub(crate) fn two_balls() -> Scene {
         let centre = |x: f64| DVec3::new(x, 11.6, 11.6);
         (p.distance(centre(9.6)) - 5.0).min(p.distance(centre(21.6)) - 5.0)
     })
-}
-
-/// Two ellipsoids of half-width `width` tip to tip at a place: the saddle of F where they touch has that value (mm).
-pub(crate) fn touching_tips(width: f64, place: DVec3, value: f64) -> Scene {
-    let tips = |level: f64| {
-        let ellipsoid = |q: DVec3| width * ((q / DVec3::new(6.0, width, width)).length() - 1.0);
-        Scene::new([32; 3], DVec3::ONE, |p| {
-            let q = p - place;
-            ellipsoid(q - DVec3::X * 6.0).min(ellipsoid(q + DVec3::X * 6.0)) - level
-        })
-    };
-    let far = |c: &CriticalPoint| c.position.distance(place);
-    let saddles = critical_points(&tips(0.0).field, 0.0);
-    let saddle = saddles.into_iter().min_by(|a, b| far(a).total_cmp(&far(b))).expect("a saddle between the tips");
-    // splines reproduce constants
-    tips(saddle.value - value)
 }
 
 /// Spherical shell between the radii 8 and 10.5.

@@ -60,7 +60,7 @@ fn a_text_cloud_becomes_a_watertight_surface() {
     assert_eq!(results["cocone"]["points"], points.len());
     assert_eq!(results["cocone"]["unused"], 0);
     assert_eq!(results["check"]["open_edges"], 0);
-    for key in ["improve", "refine", "isosurface_components"] {
+    for key in ["improve", "refine", "topology"] {
         assert!(results[key].as_str().unwrap().starts_with("skipped"), "{key}: {}", results[key]);
     }
     // an output is kept without --force; a ratio that is asked for is checked

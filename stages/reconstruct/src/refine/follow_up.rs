@@ -37,7 +37,7 @@ impl Refinement<'_> {
     }
 
     /// Points at the defects that the facets at the vertices of new tetrahedra (ascending) show: edges and vertices that are not manifold, and new facets
-    /// that stray. Where classes are joined a look comes before points.
+    /// that stray.
     fn candidates_at(&self, tetrahedra: &[u32]) -> Vec<Candidate> {
         let delaunay = self.restricted.delaunay();
         let mut vertices: Vec<u32> = tetrahedra.iter().flat_map(|&t| delaunay.vertices(t)).collect();
@@ -77,11 +77,11 @@ impl Refinement<'_> {
 
 #[cfg(test)]
 mod tests {
-    use crate::isosurface::Isosurface;
     use crate::refine::{RefineOptions, Refinement};
     use crate::restricted::Facet;
     use crate::scenes::{self, Scene};
     use crate::tests::surface_points;
+    use isoparticles_field::topology::FieldTopology;
 
     #[test]
     fn pinches_at_vertices_are_those_of_the_whole_surface_there() {
@@ -94,8 +94,8 @@ mod tests {
     /// Compares the pinches of a scene found in parts with those of the whole surface; returns at how many edges and vertices there are any.
     fn compare(scene: &Scene, spacing: f64) -> [usize; 2] {
         let mut points = surface_points(scene, spacing);
-        let isosurface = Isosurface::new(&scene.image);
-        let refinement = Refinement::new(&mut points, &scene.field, isosurface, RefineOptions::default()).unwrap();
+        let topology = FieldTopology::new(&scene.field);
+        let refinement = Refinement::new(&mut points, &scene.field, &topology, RefineOptions::default()).unwrap();
         let facets = refinement.facets();
         let all: Vec<u32> = (0..refinement.restricted.points().len() as u32).collect();
         let whole = refinement.defects(&facets);

@@ -68,7 +68,7 @@ impl Refinement<'_> {
             }
             taken.add(candidate.point);
             self.sizes.push(candidate.size);
-            self.component_of.push(component_at(candidate.point, self.restricted.field(), &self.isosurface));
+            self.component_of.push(component_at(candidate.point, self.restricted.field(), self.topology));
             inserted += 1;
             let report = &mut self.report;
             *match candidate.reason {

@@ -38,18 +38,6 @@ impl Nearest {
         let added = added.map(|(v, distance)| (v + offset, distance));
         added.or(first).map(|(v, distance)| (v as u32, distance))
     }
-
-    /// Tells `found` every point in a box, in no order.
-    pub(super) fn each_in_box(&self, low: DVec3, high: DVec3, mut found: impl FnMut(u32, DVec3)) {
-        let (middle, radius) = (low.midpoint(high), 0.5 * low.distance(high) * (1.0 + 1e-12));
-        for (tree, offset) in [(&self.first, 0), (&self.added, self.first.len() as u32)] {
-            tree.each_within(middle, radius, usize::MAX, &mut |v, p| {
-                if p.cmpge(low).all() && p.cmple(high).all() {
-                    found(v + offset, p);
-                }
-            });
-        }
-    }
 }
 
 #[cfg(test)]
@@ -73,15 +61,6 @@ mod tests {
                 assert_eq!(nearest.to(place).map(|(v, _)| v), brute(&|_| true));
                 let even = nearest.accepted(place, f64::INFINITY, |v| v % 2 == 0);
                 assert_eq!(even.map(|(v, _)| v), brute(&|v| v % 2 == 0));
-                let (low, high) = (place - 0.1, place + DVec3::new(0.1, 0.2, 0.05));
-                let mut found = Vec::new();
-                nearest.each_in_box(low, high, |v, p| {
-                    assert_eq!(p, points[v as usize]);
-                    found.push(v);
-                });
-                found.sort_unstable();
-                let inside = |v: &u32| points[*v as usize].cmpge(low).all() && points[*v as usize].cmple(high).all();
-                assert_eq!(found, (0..count as u32).filter(inside).collect::<Vec<_>>());
             }
         }
     }

@@ -4,12 +4,12 @@
 use super::Refinement;
 use super::insert::Reason;
 use crate::around::{star, walls};
-use crate::critical::CriticalPoint;
 use crate::defects::Defects;
 use crate::restricted::{Facet, Restricted};
 use glam::DVec3;
 use isoparticles_delaunay::INFINITE;
-use isoparticles_mesh::components::{DisjointSets, NO_COMPONENT};
+use isoparticles_field::topology::CriticalPoint;
+use isoparticles_mesh::components::DisjointSets;
 use isoparticles_stage::error::Result;
 use rayon::prelude::*;
 use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet};
@@ -22,20 +22,14 @@ const DEEP: f64 = 0.5;
 const FLATTEST: f64 = 0.3;
 
 impl Refinement<'_> {
-    /// Takes over a surface that was found by other means, and compares it with the isosurface; returns its defects.
+    /// Takes over a surface that was found by other means, and compares it with F; returns its defects.
     pub fn compare_other(&mut self, facets: &[Facet]) -> Defects {
-        self.is_by_sign = false;
         self.sides_are_known = !self.options.open_border;
         if self.sides_are_known {
             self.restricted.set_sides(self.restricted.sides_of(facets));
         }
         let defects = self.compare(facets);
         self.report.unresolved_critical = self.astray().len();
-        let found = self.unsampled_components(facets, &defects);
-        // unless every critical point is right, what the surface by the sign of F had is there, whether this one has it or not
-        let is_right = self.sides_are_known && self.report.unresolved_critical == 0;
-        let least = if is_right { 0 } else { self.report.unsampled_components };
-        self.report.unsampled_components = found.max(least);
         self.report.parted_pinches = 0;
         defects
     }
@@ -53,7 +47,7 @@ impl Refinement<'_> {
             let own = part.iter().flat_map(|&t| walls(self.restricted.delaunay(), t, |t| sides[t as usize]));
             let is_bridge = |f: Facet| {
                 let mut known =
-                    f.vertices.map(|v| self.component_of[v as usize]).into_iter().filter(|&c| c != NO_COMPONENT);
+                    f.vertices.into_iter().filter_map(|v| self.topology.groups().of(self.component_of[v as usize]));
                 known.next().is_some_and(|first| known.any(|c| c != first))
             };
             // the dearest test comes last
@@ -77,7 +71,7 @@ impl Refinement<'_> {
             let is_inside = c.value < 0.0;
             (self.restricted.is_inside(t) == is_inside && sides[t as usize] != is_inside).then_some(t)
         };
-        self.critical_points().par_iter().filter_map(wrong).collect()
+        self.critical_points().filter_map(wrong).collect()
     }
 
     /// Whether the middle of a tetrahedron lies far from F = 0.
@@ -168,15 +162,14 @@ fn differing_parts(restricted: &Restricted, sides: &[bool]) -> Vec<Vec<u32>> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::isosurface::Isosurface;
     use crate::refine::RefineOptions;
     use crate::scenes::{self, Scene};
     use crate::tests::surface_points;
+    use isoparticles_field::topology::FieldTopology;
 
-    fn refined(scene: &Scene, spacing: f64) -> Refinement<'_> {
+    fn refined<'a>(scene: &'a Scene, topology: &'a FieldTopology, spacing: f64) -> Refinement<'a> {
         let mut points = surface_points(scene, spacing);
-        let isosurface = Isosurface::new(&scene.image);
-        let mut new = Refinement::new(&mut points, &scene.field, isosurface, RefineOptions::default()).unwrap();
+        let mut new = Refinement::new(&mut points, &scene.field, topology, RefineOptions::default()).unwrap();
         new.run(|_, _| Ok(())).unwrap();
         new
     }
@@ -184,7 +177,8 @@ mod tests {
     #[test]
     fn a_lost_sheet_gets_points() {
         for (scene, spacing) in [(scenes::two_balls(), 1.4), (scenes::shell(), 1.4)] {
-            let mut refinement = refined(&scene, spacing);
+            let topology = FieldTopology::new(&scene.field);
+            let mut refinement = refined(&scene, &topology, spacing);
             let facets = refinement.facets();
             assert_eq!(refinement.insert_for_other(&facets).unwrap(), 0, "nothing differs");
             let points = refinement.restricted.points();
@@ -209,7 +203,8 @@ mod tests {
     #[test]
     fn a_flat_tetrahedron_on_the_other_side_is_the_same_surface() {
         let scene = scenes::torus();
-        let refinement = refined(&scene, 1.4);
+        let topology = FieldTopology::new(&scene.field);
+        let refinement = refined(&scene, &topology, 1.4);
         let sides = refinement.restricted.sides_of(&refinement.facets());
         let mut turned = 0;
         for t in (0..sides.len() as u32).filter(|&t| refinement.restricted.delaunay().is_alive(t) && !sides[t as usize])

@@ -1,52 +1,47 @@
-//! Points on components of the isosurface that have no facets.
+//! Points on components of F = 0 that have no facets.
 
 use super::Refinement;
 use super::insert::{Candidate, Reason};
-use crate::isosurface::bounds;
 use glam::DVec3;
+use isoparticles_mesh::spatial::Bounds;
 use rayon::prelude::*;
 use std::collections::HashMap;
 
-/// Attempts at a class with points at the triangles of marching cubes alone, before a finer sampling gives others.
-const ATTEMPTS_BY_SAMPLES: usize = 2;
-
-/// The finest of them, as looks are counted.
-const FINEST: usize = 3;
-
-/// Points on a class are no closer than this part of a voxel, or of the extent of the class where that is less.
+/// Points on a component are no closer than this part of a voxel, or of the extent of the component where that is less.
 const CLOSEST: f64 = 0.02;
 
 impl Refinement<'_> {
-    /// Points on classes that have no facets.
+    /// Points on components that have no facets.
     pub(super) fn on_missing(&mut self, missing: &[u32]) -> Vec<Candidate> {
-        let mut members: HashMap<u32, Vec<u32>> = missing.iter().map(|&class| (class, Vec::new())).collect();
+        let mut members: HashMap<u32, Vec<u32>> = missing.iter().map(|&component| (component, Vec::new())).collect();
         if members.is_empty() {
             return Vec::new();
         }
-        for (v, class) in (0..).zip(&self.component_of) {
-            members.entry(*class).and_modify(|members| members.push(v));
+        for (v, component) in (0..).zip(&self.component_of) {
+            members.entry(*component).and_modify(|members| members.push(v));
         }
         let attempts: Vec<(u32, i32)> = missing
             .iter()
-            .map(|&class| (class, *self.samplings.entry(class).and_modify(|n| *n += 1).or_insert(0)))
+            .map(|&component| (component, *self.samplings.entry(component).and_modify(|n| *n += 1).or_insert(0)))
             .collect();
-        let samples = |&(class, attempt): &(u32, i32)| self.sample_class(class, &members[&class], attempt);
+        let samples =
+            |&(component, attempt): &(u32, i32)| self.sample_component(component, &members[&component], attempt);
         attempts.par_iter().flat_map_iter(samples).collect()
     }
 
-    /// Points on a class that has no facets: as far apart as its particles want to be, if it has any, and nearer each
+    /// Points on a component that has no facets: as far apart as its particles want to be, if it has any, and nearer each
     /// time; at least a dozen, where it is large enough.
-    fn sample_class(&self, class: u32, members: &[u32], attempt: i32) -> Vec<Candidate> {
+    fn sample_component(&self, component: u32, members: &[u32], attempt: i32) -> Vec<Candidate> {
         let voxel = self.restricted.field().geometry().mean_spacing();
-        let mut samples = self.isosurface.samples(class);
-        if let Some(look) = (attempt as usize).checked_sub(ATTEMPTS_BY_SAMPLES) {
-            samples.extend(self.isosurface.finer_samples(self.restricted.field(), class, look.min(FINEST)));
-        }
+        let samples = self.topology.samples(component);
         let samples: Vec<DVec3> = samples.into_iter().filter_map(|p| self.on_surface(p, 1.0)).collect();
+        if samples.is_empty() {
+            return Vec::new();
+        }
         let present: Vec<DVec3> = members.iter().map(|&v| self.restricted.points()[v as usize]).collect();
         let largest = members.iter().map(|&v| self.sizes[v as usize]).fold(voxel, f64::max);
-        let Some((low, high)) = bounds(&samples) else { return Vec::new() };
-        let extent = (high - low).max_element();
+        let bounds = Bounds::of(&samples);
+        let extent = (bounds.high - bounds.low).max_element();
         let mut spacing = (largest.min(extent) * 0.7f64.powi(attempt)).max(CLOSEST * voxel.min(extent));
         let mut kept = thinned(&present, &samples, spacing);
         // where none is new, the next attempt would be all there is to do

@@ -4,9 +4,10 @@
 //! each of them on the side where F has it has none too many handles there and none too few; Boissonnat, Cohen-Steiner and Vegter
 //! (2004) mesh implicit surfaces by that rule. A point on the wrong side says where the mesh lacks points.
 
-use crate::isosurface::certain::CertainSigns;
+use super::bernstein::Bernstein;
+use super::cells::sign_changes;
+use crate::spline::CubicSpline;
 use glam::{DMat3, DVec3};
-use isoparticles_field::spline::CubicSpline;
 use rayon::prelude::*;
 
 /// Newton steps towards a critical point.
@@ -59,27 +60,25 @@ impl CriticalPoint {
 pub fn critical_points(field: &CubicSpline, smallest: f64) -> Vec<CriticalPoint> {
     let geometry = field.geometry();
     let size = geometry.size;
-    let upper = geometry.upper_corner();
-    let signs = CertainSigns::new(field, DVec3::ZERO, upper);
     let voxel = geometry.mean_spacing();
     let cells = [0, 1, 2].map(|axis| size[axis].saturating_sub(1));
-    let mut found: Vec<CriticalPoint> = (0..cells[2])
+    let mut places: Vec<DVec3> = (0..cells[2])
         .into_par_iter()
-        .flat_map_iter(|k| (0..cells[1]).flat_map(move |j| (0..cells[0]).map(move |i| [i, j, k])))
+        .flat_map_iter(|k| {
+            let may_change = sign_changes(field, cells, k, 1).into_iter().enumerate();
+            may_change.filter(|(_, change)| *change).map(move |(n, _)| [n % cells[0], n / cells[0], k])
+        })
         .filter(|cell| {
             let index = DVec3::from_array(cell.map(|n| n as f64 + 0.5));
-            signs.at(index).is_none() && may_be_flat(field, geometry.index_to_grid(index), voxel)
+            may_be_flat(field, geometry.index_to_grid(index), voxel)
+                && Bernstein::of_cell(field, *cell).may_be_critical()
         })
         .flat_map_iter(|cell| STARTS.map(|offset| DVec3::from_array(cell.map(|n| n as f64)) + offset))
-        .filter_map(|index| {
-            let position = newton(field, geometry.index_to_grid(index), REACH * voxel)?;
-            describe(field, position).filter(|c| c.radius >= smallest)
-        })
+        .filter_map(|index| newton(field, geometry.index_to_grid(index), REACH * voxel))
         .collect();
-    found
-        .sort_by(|a, b| a.position.to_array().partial_cmp(&b.position.to_array()).unwrap_or(std::cmp::Ordering::Equal));
-    found.dedup_by(|a, b| a.position.distance(b.position) < SAME * voxel);
-    found
+    places.par_sort_by(|a, b| a.to_array().partial_cmp(&b.to_array()).unwrap_or(std::cmp::Ordering::Equal));
+    places.dedup_by(|a, b| a.distance(*b) < SAME * voxel);
+    places.into_par_iter().filter_map(|p| describe(field, p)).filter(|c| c.radius >= smallest).collect()
 }
 
 /// Whether the gradient may vanish in the cell round a point: by the Hessian there, with a margin for its change.
@@ -157,8 +156,8 @@ fn eigen(matrix: DMat3) -> [(f64, DVec3); 3] {
 
 #[cfg(test)]
 mod tests {
+    use super::super::tests::{self as scenes, Scene};
     use super::*;
-    use crate::scenes::{self, Scene};
 
     #[test]
     fn the_neck_of_a_quadric_is_where_it_is() {

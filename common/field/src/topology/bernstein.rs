@@ -1,0 +1,182 @@
+//! The spline within one cell in Bernstein form: what is certain of F there from the range of a few numbers.
+//!
+//! A polynomial lies within the range of its Bernstein coefficients (the convex hull property), and so do its derivatives within
+//! that of their differences. Halving a cell halves the coefficients' distance from the polynomial twice, so that whatever is not
+//! degenerate becomes certain in the end.
+
+use crate::spline::{CubicSpline, mirror};
+
+/// Coefficients along each axis.
+const ORDER: usize = 4;
+
+/// Rounding in the conversion and the halvings, as a part of the largest coefficient: a sum of some hundred products.
+const ROUNDING: f64 = 256.0 * f64::EPSILON;
+
+/// The Bernstein coefficients of F in a cell, x fastest.
+#[derive(Clone)]
+pub(super) struct Bernstein([f64; ORDER * ORDER * ORDER]);
+
+impl Bernstein {
+    /// In the cell between eight neighbouring samples, given by the lowest.
+    pub(super) fn of_cell(field: &CubicSpline, cell: [usize; 3]) -> Self {
+        let size = field.geometry().size;
+        let at = |axis: usize| -> [usize; ORDER] {
+            std::array::from_fn(|k| mirror(cell[axis] as isize + k as isize - 1, size[axis]))
+        };
+        let [x, y, z] = [at(0), at(1), at(2)];
+        let coefficients = field.coefficients();
+        let mut new = Self(std::array::from_fn(|n| {
+            let (i, j, k) = (x[n % ORDER], y[n / ORDER % ORDER], z[n / ORDER / ORDER]);
+            f64::from(coefficients[(k * size[1] + j) * size[0] + i])
+        }));
+        let change = |[a, b, c, d]: [f64; ORDER]| {
+            let (low, high) = ((2.0 * b + c) / 3.0, (b + 2.0 * c) / 3.0);
+            [(a + 4.0 * b + c) / 6.0, low, high, (b + 4.0 * c + d) / 6.0]
+        };
+        new.each_line::<1>(change);
+        new.each_line::<ORDER>(change);
+        new.each_line::<{ ORDER * ORDER }>(change);
+        new
+    }
+
+    /// In one of the eight halves; bit `a` of `octant` says which along axis `a`.
+    pub(super) fn octant(&self, octant: usize) -> Self {
+        let mut new = self.clone();
+        new.halve::<1>(octant & 1 == 1);
+        new.halve::<ORDER>(octant >> 1 & 1 == 1);
+        new.halve::<{ ORDER * ORDER }>(octant >> 2 & 1 == 1);
+        new
+    }
+
+    /// Takes one half along an axis: de Casteljau at the middle.
+    fn halve<const STRIDE: usize>(&mut self, is_upper: bool) {
+        if is_upper {
+            self.each_line::<STRIDE>(|[a, b, c, d]| {
+                [(a + 3.0 * (b + c) + d) / 8.0, (b + 2.0 * c + d) / 4.0, (c + d) / 2.0, d]
+            });
+        } else {
+            self.each_line::<STRIDE>(|[a, b, c, d]| {
+                [a, (a + b) / 2.0, (a + 2.0 * b + c) / 4.0, (a + 3.0 * (b + c) + d) / 8.0]
+            });
+        }
+    }
+
+    /// Changes the lines along the axis whose neighbours are so many places apart: known when compiling, so that the loops unroll.
+    fn each_line<const STRIDE: usize>(&mut self, change: impl Fn([f64; ORDER]) -> [f64; ORDER]) {
+        for outer in (0..ORDER * ORDER * ORDER).step_by(ORDER * STRIDE) {
+            for first in outer..outer + STRIDE {
+                let place = |k: usize| first + k * STRIDE;
+                let line = change([0, 1, 2, 3].map(|k| self.0[place(k)]));
+                (0..ORDER).for_each(|k| self.0[place(k)] = line[k]);
+            }
+        }
+    }
+
+    /// The range of the derivative of F along each axis (in units that differ from axis to axis by nothing but the voxel's edges), rounding
+    /// included.
+    fn slopes(&self) -> [(f64, f64); 3] {
+        let slack = self.0.iter().fold(0.0f64, |largest, b| largest.max(b.abs())) * ROUNDING;
+        let slopes = [self.differences::<1>(), self.differences::<ORDER>(), self.differences::<{ ORDER * ORDER }>()];
+        slopes.map(|(low, high)| (low - slack, high + slack))
+    }
+
+    /// The range of the differences of neighbours along an axis.
+    fn differences<const STRIDE: usize>(&self) -> (f64, f64) {
+        let mut found = (f64::INFINITY, f64::NEG_INFINITY);
+        for outer in (0..ORDER * ORDER * ORDER).step_by(ORDER * STRIDE) {
+            for low in outer..outer + (ORDER - 1) * STRIDE {
+                let difference = self.0[low + STRIDE] - self.0[low];
+                found = (found.0.min(difference), found.1.max(difference));
+            }
+        }
+        found
+    }
+
+    /// Whether the gradient may vanish in the cell.
+    pub(super) fn may_be_critical(&self) -> bool {
+        self.slopes().iter().all(|&(low, high)| low <= 0.0 && high >= 0.0)
+    }
+
+    /// Whether F has one sign all over the cell, its border included.
+    pub(super) fn is_clear(&self) -> bool {
+        let (low, high) = range(self.0.iter().copied());
+        let slack = ROUNDING * low.abs().max(high.abs());
+        low > slack || high < -slack
+    }
+
+    /// Whether the gradients (per index) at any two places of the cell differ by less than a right angle: condition C1 of Plantinga and
+    /// Vegter. F = 0 is a graph in such a cell, over the plane across any of the gradients.
+    pub(super) fn is_graph(&self) -> bool {
+        let least = self.slopes().map(|(low, high)| {
+            // the least product of two numbers between them
+            if low > 0.0 {
+                low * low
+            } else if high < 0.0 {
+                high * high
+            } else {
+                low * high
+            }
+        });
+        least.iter().sum::<f64>() > 0.0
+    }
+}
+
+fn range(values: impl Iterator<Item = f64>) -> (f64, f64) {
+    values.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), x| (low.min(x), high.max(x)))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::random::uniform;
+    use glam::DVec3;
+    use isoparticles_volume::Geometry;
+    use isoparticles_volume::Image;
+
+    /// Noise on a small grid.
+    fn noise(seed: u64) -> CubicSpline {
+        let geometry = Geometry::axis_aligned([5, 4, 6], DVec3::new(0.7, 1.1, 0.9));
+        CubicSpline::new(&Image::sampled(geometry, |p| {
+            uniform(seed, 0, (p.x * 1e3 + p.y * 1e5 + p.z * 1e7) as u64) as f32 - 0.3
+        }))
+    }
+
+    #[test]
+    fn corners_are_the_values_of_f_and_all_values_are_between_the_coefficients() {
+        let (mut clear, mut graphs) = (0, 0);
+        for seed in 0..20 {
+            let field = noise(seed);
+            let spacing = field.geometry().spacing;
+            for cell in [[0, 0, 0], [1, 2, 3], [3, 1, 2], [3, 2, 4]] {
+                let whole = Bernstein::of_cell(&field, cell);
+                let first = DVec3::from_array(cell.map(|n| n as f64));
+                let octant = (seed % 8) as usize;
+                let half = DVec3::new((octant & 1) as f64, (octant >> 1 & 1) as f64, (octant >> 2) as f64) * 0.5;
+                for (own, low, edge) in [(whole.clone(), first, 1.0), (whole.octant(octant), first + half, 0.5)] {
+                    for corner in 0..8 {
+                        let bits = [corner & 1, corner >> 1 & 1, corner >> 2];
+                        let p = (low + DVec3::from_array(bits.map(|b| b as f64)) * edge) * spacing;
+                        let value = own.0[bits[0] * 3 + bits[1] * 12 + bits[2] * 48];
+                        assert!((value - field.value(p)).abs() < 1e-12, "{cell:?} {corner}");
+                    }
+                    let (low_value, high_value) = range(own.0.iter().copied());
+                    let inner: Vec<(f64, DVec3)> = (0..60)
+                        .map(|n| DVec3::new(uniform(seed, 1, n), uniform(seed, 2, n), uniform(seed, 3, n)))
+                        .map(|share| field.value_gradient((low + share * edge) * spacing))
+                        .collect();
+                    assert!(inner.iter().all(|(f, _)| (low_value..=high_value).contains(f)));
+                    if own.is_clear() {
+                        clear += 1;
+                        assert!(inner.iter().all(|(f, _)| f.signum() == inner[0].0.signum()));
+                    }
+                    if own.is_graph() {
+                        graphs += 1;
+                        let per_index = |k: usize| inner[k].1 * spacing;
+                        assert!((0..60).all(|i| (0..60).all(|j| per_index(i).dot(per_index(j)) > 0.0)));
+                    }
+                }
+            }
+        }
+        assert!(clear > 10 && graphs > 5, "{clear} and {graphs}: this shows nothing");
+    }
+}

@@ -1,0 +1,418 @@
+//! The cells of the volume, halved where F = 0 is not certain in them, until it is or they are as small as they get.
+
+use super::bernstein::Bernstein;
+use crate::spline::CubicSpline;
+use glam::DVec3;
+use rayon::prelude::*;
+use std::cmp::Reverse;
+
+/// Halvings of any voxel. A neck, gap or speck of radius r at a critical point is certain in cells of edge e once e < r / sqrt 3, where F and
+/// its second-order part differ little: a sixteenth of a voxel does for all but the finest that are to be told.
+pub(super) const BASE: u8 = 4;
+
+/// Most halvings of a voxel: those finest ones are told as well, unless they are finer than a fiftieth of a voxel.
+pub(super) const DEPTH: u8 = 7;
+
+/// Cells are halved more than [`BASE`] times while no more than so many of a voxel are uncertain. Where F = 0 meets itself in a point that
+/// number stays the same from level to level (9,237 cells at 662 such places of a noisy scan at [`BASE`], 14 a place); it doubles along a curve and
+/// grows fourfold over a sheet, where halving leads nowhere.
+const UNCERTAIN: usize = 64;
+
+/// Finest cells along the edge of a voxel.
+pub(super) const FINE: u64 = 1 << DEPTH;
+
+/// What is known of F in a cell.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum State {
+    /// One sign all over it.
+    Clear,
+    /// F = 0 is a graph in it, if it is there at all.
+    Graph,
+    /// Too small to be halved, and neither.
+    Undecided,
+    /// Halved: the number of its halves.
+    Halved(u32),
+}
+
+/// A [`State`] in half the memory.
+#[derive(Clone, Copy)]
+struct Packed(u32);
+
+/// States that are no numbers of halves.
+const PLAIN: [State; 3] = [State::Clear, State::Graph, State::Undecided];
+
+impl Packed {
+    /// The number of the halves, of a halved cell.
+    fn halves(self) -> Option<usize> {
+        (self.0 as usize).checked_sub(PLAIN.len())
+    }
+}
+
+impl From<State> for Packed {
+    fn from(state: State) -> Self {
+        match state {
+            State::Clear => Self(0),
+            State::Graph => Self(1),
+            State::Undecided => Self(2),
+            State::Halved(n) => Self(n + PLAIN.len() as u32),
+        }
+    }
+}
+
+impl From<Packed> for State {
+    fn from(packed: Packed) -> Self {
+        packed.halves().map_or_else(|| PLAIN[packed.0 as usize], |n| Self::Halved(n as u32))
+    }
+}
+
+/// A cell: its edge is a voxel's halved `level` times, and `at` counts such edges along each axis.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub(super) struct Cell {
+    pub(super) level: u8,
+    pub(super) at: [u32; 3],
+}
+
+impl Cell {
+    /// One of its halves.
+    pub(super) fn half(self, octant: usize) -> Self {
+        let bit = |axis: usize| (octant >> axis & 1) as u32;
+        Self { level: self.level + 1, at: [0, 1, 2].map(|axis| 2 * self.at[axis] + bit(axis)) }
+    }
+
+    /// The cell of a lower level that holds it.
+    pub(super) fn within(self, level: u8) -> Self {
+        Self { level, at: self.at.map(|n| n >> (self.level - level)) }
+    }
+
+    /// Which half of the next larger cell it is.
+    fn octant(self) -> usize {
+        (0..3).map(|axis| (self.at[axis] as usize & 1) << axis).sum()
+    }
+
+    /// Its edge, in finest cells.
+    pub(super) fn edge(self) -> u64 {
+        FINE >> self.level
+    }
+
+    /// Its lowest corner, in finest cells.
+    pub(super) fn corner(self) -> [u64; 3] {
+        self.at.map(|n| u64::from(n) * self.edge())
+    }
+}
+
+/// The cells of a volume.
+pub(super) struct Cells {
+    /// Voxel cells along each axis.
+    size: [usize; 3],
+    /// The state of each voxel cell, x fastest.
+    voxels: Vec<Packed>,
+    /// The states of the halves of halved cells.
+    halves: Vec<[Packed; 8]>,
+}
+
+impl Cells {
+    /// Halves cells where F = 0 is not certain, and next to much smaller ones, so that no cell that F = 0 may pass through shares an edge with
+    /// one of less than half its size: the balance that the surface of the cells' corner signs needs to be F = 0 but for an isotopy.
+    pub(super) fn new(field: &CubicSpline) -> Self {
+        let size = field.geometry().size.map(|n| n.saturating_sub(1));
+        let slices: Vec<(Vec<State>, Vec<[State; 8]>)> =
+            (0..size[2]).into_par_iter().map(|k| states_of_slice(field, size, k)).collect();
+        let mut new = Self { size, voxels: Vec::new(), halves: Vec::new() };
+        for (voxels, halves) in slices {
+            let shift = new.halves.len() as u32;
+            let shifted =
+                |state| Packed::from(if let State::Halved(n) = state { State::Halved(n + shift) } else { state });
+            new.voxels.extend(voxels.into_iter().map(shifted));
+            new.halves.extend(halves.into_iter().map(|own| own.map(shifted)));
+        }
+        let halved = (0..new.voxels.len()).into_par_iter().filter_map(|n| match new.voxels[n].into() {
+            State::Halved(first) => {
+                let at = [n % size[0], n / size[0] % size[1], n / size[0] / size[1]].map(|n| n as u32);
+                Some((at, new.finest_in(first)))
+            }
+            _ => None,
+        });
+        let mut halved = halved.collect();
+        new.balance(field, &mut halved);
+        new
+    }
+
+    /// Voxel cells along each axis.
+    pub(super) fn size(&self) -> [usize; 3] {
+        self.size
+    }
+
+    /// The cell itself or, where that is larger, the one it lies in that is not halved; `None` beyond the volume.
+    pub(super) fn find(&self, cell: Cell) -> Option<(Cell, State)> {
+        let voxel = cell.within(0).at.map(|n| n as usize);
+        if (0..3).any(|axis| voxel[axis] >= self.size[axis]) {
+            return None;
+        }
+        let mut state = self.voxels[(voxel[2] * self.size[1] + voxel[1]) * self.size[0] + voxel[0]];
+        let mut level = 0;
+        while let Some(halves) = state.halves()
+            && level < cell.level
+        {
+            level += 1;
+            state = self.halves[halves][cell.within(level).octant()];
+        }
+        Some((cell.within(level), state.into()))
+    }
+
+    /// The finest cell that a point (grid frame, mm) lies in, or next to beyond the volume.
+    pub(super) fn finest_at(&self, field: &CubicSpline, point: DVec3) -> Cell {
+        let fine = (point / field.geometry().spacing * FINE as f64).floor();
+        let last = self.size.map(|n| (n as u64 * FINE) as f64 - 1.0);
+        Cell { level: DEPTH, at: [0, 1, 2].map(|axis| fine[axis].min(last[axis]).max(0.0) as u32) }
+    }
+
+    /// Whether a cell, some edges of its own away, is halved.
+    pub(super) fn is_halved(&self, cell: Cell, away: [i64; 3]) -> bool {
+        self.halves(cell, away).is_some()
+    }
+
+    /// The number of the halves of a cell some edges of its own away, if it is halved.
+    pub(super) fn halves(&self, cell: Cell, away: [i64; 3]) -> Option<u32> {
+        let cell = moved(cell, away)?;
+        match self.find(cell)? {
+            (found, State::Halved(halves)) if found == cell => Some(halves),
+            _ => None,
+        }
+    }
+
+    /// Whether one of some halves is halved.
+    pub(super) fn is_half_halved(&self, halves: u32, octant: usize) -> bool {
+        self.halves[halves as usize][octant].halves().is_some()
+    }
+
+    /// Whether one of the 27 voxel cells round one of them is halved.
+    pub(super) fn any_halved_round(&self, voxel: Cell) -> bool {
+        let near = |axis: usize| {
+            let at = voxel.at[axis] as usize;
+            at.saturating_sub(1)..(at + 2).min(self.size[axis])
+        };
+        near(2).any(|k| {
+            near(1).any(|j| {
+                let row = (k * self.size[1] + j) * self.size[0];
+                self.voxels[row + near(0).start..row + near(0).end].iter().any(|s| s.halves().is_some())
+            })
+        })
+    }
+
+    /// The cells of a slice of voxels that F = 0 may pass through, in the order of the voxels.
+    pub(super) fn crossed_in_slice(&self, k: u32) -> Vec<(Cell, State)> {
+        let mut found = Vec::new();
+        for (j, i) in (0..self.size[1] as u32).flat_map(|j| (0..self.size[0] as u32).map(move |i| (j, i))) {
+            let state = self.voxels[(k as usize * self.size[1] + j as usize) * self.size[0] + i as usize].into();
+            let voxel = Cell { level: 0, at: [i, j, k] };
+            match state {
+                State::Clear => {}
+                State::Halved(_) => self.crossed_in(voxel, &mut found),
+                _ => found.push((voxel, state)),
+            }
+        }
+        found
+    }
+
+    /// The same within one cell, which may be halved or a part of one that is not.
+    pub(super) fn crossed_in(&self, voxel: Cell, found: &mut Vec<(Cell, State)>) {
+        let mut open = vec![voxel];
+        while let Some(cell) = open.pop() {
+            match self.find(cell) {
+                Some((_, State::Halved(_))) => open.extend((0..8).rev().map(|octant| cell.half(octant))),
+                Some((own, state)) if state != State::Clear => found.push((own, state)),
+                _ => {}
+            }
+        }
+    }
+
+    /// The level of the finest cells among some halves of a voxel, and theirs.
+    fn finest_in(&self, halves: u32) -> u8 {
+        let below = self.halves[halves as usize].iter().map(|&half| match half.into() {
+            State::Halved(n) => self.finest_in(n),
+            _ => 0,
+        });
+        1 + below.max().unwrap_or(0)
+    }
+
+    /// Halves cells in which F = 0 is a graph, and what keeps the balance; returns the voxels that have changed, ascending.
+    pub(super) fn refine(&mut self, field: &CubicSpline, cells: &[Cell]) -> Vec<[u32; 3]> {
+        let mut changed = self.halve_all(field, cells);
+        self.balance(field, &mut changed);
+        changed.into_iter().map(|(at, _)| at).collect()
+    }
+
+    /// Keeps the balance round some voxels (ascending, each with the level of its finest cells); those that change come among them.
+    fn balance(&mut self, field: &CubicSpline, active: &mut Vec<([u32; 3], u8)>) {
+        for level in (2..=DEPTH).rev() {
+            loop {
+                let too_large = |(voxel, _): &([u32; 3], u8)| {
+                    let mut found = Vec::new();
+                    self.crossed_in(Cell { level: 0, at: *voxel }, &mut found);
+                    found.retain(|(cell, _)| cell.level == level);
+                    let beside = found.chunk_by(|(a, _), (b, _)| a.within(level - 1) == b.within(level - 1));
+                    let large = beside
+                        .flat_map(cells_beside)
+                        .filter_map(|cell| self.find(cell))
+                        .filter(|(found, state)| *state == State::Graph && found.level + 1 < level);
+                    let mut large: Vec<Cell> = large.map(|(cell, _)| cell).collect();
+                    large.sort_unstable();
+                    large.dedup();
+                    large
+                };
+                let fine = active.par_iter().filter(|(_, finest)| *finest >= level);
+                let mut large: Vec<Cell> = fine.flat_map_iter(too_large).collect();
+                large.par_sort_unstable();
+                large.dedup();
+                if large.is_empty() {
+                    break;
+                }
+                active.extend(self.halve_all(field, &large));
+                active.par_sort_unstable_by_key(|&(at, finest)| (at, Reverse(finest)));
+                active.dedup_by_key(|(at, _)| *at);
+            }
+        }
+    }
+
+    /// Halves cells in which F = 0 is a graph; returns their voxels, ascending, each with the level of its new cells.
+    fn halve_all(&mut self, field: &CubicSpline, cells: &[Cell]) -> Vec<([u32; 3], u8)> {
+        let halves: Vec<[State; 8]> = cells.par_iter().map(|&cell| halves_of_graph(field, cell)).collect();
+        cells.iter().zip(halves).for_each(|(&cell, halves)| self.halve(cell, halves));
+        let mut changed: Vec<([u32; 3], u8)> = cells.iter().map(|cell| (cell.within(0).at, cell.level + 1)).collect();
+        changed.par_sort_unstable_by_key(|&(at, finest)| (at, Reverse(finest)));
+        changed.dedup_by_key(|(at, _)| *at);
+        changed
+    }
+
+    fn halve(&mut self, cell: Cell, halves: [State; 8]) {
+        let new = Packed::from(State::Halved(self.halves.len() as u32));
+        self.halves.push(halves.map(Packed::from));
+        if cell.level == 0 {
+            let [i, j, k] = cell.at.map(|n| n as usize);
+            self.voxels[(k * self.size[1] + j) * self.size[0] + i] = new;
+        } else if let Some((_, State::Halved(n))) = self.find(cell.within(cell.level - 1)) {
+            self.halves[n as usize][cell.octant()] = new;
+        }
+    }
+}
+
+/// A cell as many edges of its own away as said, unless that is below zero.
+pub(super) fn moved(cell: Cell, away: [i64; 3]) -> Option<Cell> {
+    let mut at = [0; 3];
+    for axis in 0..3 {
+        at[axis] = u32::try_from(i64::from(cell.at[axis]) + away[axis]).ok()?;
+    }
+    Some(Cell { at, ..cell })
+}
+
+/// The ways to a cell itself and to the 26 around it.
+pub(super) fn around() -> impl Iterator<Item = [i64; 3]> {
+    (0..27).map(|n| [n % 3 - 1, n / 3 % 3 - 1, n / 9 - 1])
+}
+
+/// The cells next to some halves of one cell, which is none of them, and of its size.
+fn cells_beside(halves: &[(Cell, State)]) -> impl Iterator<Item = Cell> {
+    let whole = halves[0].0.within(halves[0].0.level - 1);
+    let touches = |half: Cell, away: [i64; 3]| {
+        (0..3).all(|axis| away[axis] == 0 || (away[axis] == 1) == (half.octant() >> axis & 1 == 1))
+    };
+    let ways = around().filter(|away| *away != [0; 3]);
+    ways.filter(move |&away| halves.iter().any(|&(half, _)| touches(half, away)))
+        .filter_map(move |away| moved(whole, away))
+}
+
+fn halves_of_graph(field: &CubicSpline, cell: Cell) -> [State; 8] {
+    let mut own = Bernstein::of_cell(field, cell.within(0).at.map(|n| n as usize));
+    for level in 1..=cell.level {
+        own = own.octant(cell.within(level).octant());
+    }
+    // a part of a graph is one
+    std::array::from_fn(|octant| if own.octant(octant).is_clear() { State::Clear } else { State::Graph })
+}
+
+/// The states of the voxel cells of a slice, and of the halves of those that are halved.
+fn states_of_slice(field: &CubicSpline, size: [usize; 3], k: usize) -> (Vec<State>, Vec<[State; 8]>) {
+    let may_change = sign_changes(field, size, k, 0);
+    let mut halving = Halving::default();
+    let state = |(n, may_change): (usize, bool)| match may_change {
+        true => halving.voxel(&Bernstein::of_cell(field, [n % size[0], n / size[0], k])),
+        false => State::Clear,
+    };
+    let states = may_change.into_iter().enumerate().map(state).collect();
+    (states, halving.halves)
+}
+
+/// Halves cells.
+#[derive(Default)]
+struct Halving {
+    halves: Vec<[State; 8]>,
+    /// The finest cells of the present voxel that are uncertain: which half of which cell each is, and F in it.
+    uncertain: Vec<(usize, usize, Bernstein)>,
+}
+
+impl Halving {
+    /// The state of a whole voxel cell, F in which is given.
+    fn voxel(&mut self, whole: &Bernstein) -> State {
+        let state = self.state(whole, 0);
+        for level in BASE + 1..=DEPTH {
+            if self.uncertain.len() > UNCERTAIN {
+                break;
+            }
+            for (number, octant, own) in std::mem::take(&mut self.uncertain) {
+                self.halves[number][octant] = self.halved(&own, level);
+            }
+        }
+        self.uncertain.clear();
+        state
+    }
+
+    fn state(&mut self, own: &Bernstein, level: u8) -> State {
+        if own.is_clear() {
+            State::Clear
+        } else if own.is_graph() {
+            State::Graph
+        } else if level >= BASE {
+            State::Undecided
+        } else {
+            self.halved(own, level + 1)
+        }
+    }
+
+    /// Halves a cell into cells of a level.
+    fn halved(&mut self, own: &Bernstein, level: u8) -> State {
+        let number = self.halves.len();
+        self.halves.push([State::Clear; 8]);
+        for octant in 0..8 {
+            let half = own.octant(octant);
+            let state = self.state(&half, level);
+            self.halves[number][octant] = state;
+            if state == State::Undecided {
+                self.uncertain.push((number, octant, half));
+            }
+        }
+        State::Halved(number as u32)
+    }
+}
+
+/// Whether the spline coefficients that the voxel cells of a slice, and those around each as many as said, read have both signs: where they have one,
+/// F has no other there, which is a mean of them (convex hull property). The cheapest test comes first.
+pub(super) fn sign_changes(field: &CubicSpline, size: [usize; 3], k: usize, around: usize) -> Vec<bool> {
+    let [nx, ny, nz] = field.geometry().size;
+    let signs = |c: f32| u8::from(c > 0.0) | u8::from(c < 0.0) << 1;
+    // the coefficients that mirroring at the border adds are among the others
+    let reach = |cell: usize, n: usize| cell.saturating_sub(1 + around)..(cell + 3 + around).min(n);
+    let mut along_z = vec![3u8; nx * ny];
+    for slice in reach(k, nz).map(|k| &field.coefficients()[k * nx * ny..][..nx * ny]) {
+        along_z.iter_mut().zip(slice).for_each(|(all, &c)| *all &= signs(c));
+    }
+    let mut changes = Vec::with_capacity(size[0] * size[1]);
+    let mut row = vec![3u8; nx];
+    for j in 0..size[1] {
+        row.fill(3);
+        for other in reach(j, ny) {
+            row.iter_mut().zip(&along_z[other * nx..]).for_each(|(all, &own)| *all &= own);
+        }
+        changes.extend((0..size[0]).map(|i| row[reach(i, nx)].iter().fold(3, |all, &own| all & own) == 0));
+    }
+    changes
+}

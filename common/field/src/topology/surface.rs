@@ -1,0 +1,279 @@
+//! The surface that the signs of F at the corners of the cells tell of, as polygons: where it crosses the edges of the cells, and how it
+//! passes through them. No triangle is made; components and Euler characteristics need none.
+//!
+//! An edge is as short as the smallest cell at it, and a face as small as the smaller of the two cells at it, so that all cells see
+//! the same crossings and the polygons form a closed surface (but for the border of the volume).
+
+use super::cells::{Cell, Cells, DEPTH, FINE, around};
+use crate::spline::CubicSpline;
+use glam::DVec3;
+
+/// Values of F that are remembered, at most; a power of two.
+const REMEMBERED: usize = 1 << 14;
+
+/// 2^64 over the golden ratio: its products spread numbers over the upper bits (Knuth's multiplicative hashing), of which these are kept.
+const SPREAD: u64 = 0x9e37_79b9_7f4a_7c15;
+const SHIFT: u32 = 64 - REMEMBERED.trailing_zeros();
+
+/// A crossing keeps this part of an edge from its ends.
+const CLEARANCE: f64 = 1e-3;
+
+/// Where the surface crosses an edge of the cells: a number for the edge, ascending with its lower end, x fastest.
+pub(super) type Crossing = u64;
+
+/// The polygons of the surface in a cell.
+pub(super) struct Polygons {
+    pub(super) cell: Cell,
+    /// The crossings of each, counter-clockwise seen from outside the object.
+    pub(super) corners: Vec<Vec<Crossing>>,
+    /// Sides that lie on the border of the volume, by their first crossing.
+    pub(super) at_border: Vec<Crossing>,
+}
+
+/// Reads the surface cell by cell.
+pub(super) struct Reader<'a> {
+    field: &'a CubicSpline,
+    cells: &'a Cells,
+    /// Corners of finest cells along each axis.
+    corners: [u64; 3],
+    remembered: Vec<(u64, f64)>,
+    /// The cell whose polygons are read.
+    present: Cell,
+    /// Which of its corners are inside, bit by bit, x fastest.
+    inside: u8,
+    /// Whether the cells of its size around it, and it itself, are halved; in the order of [`around`].
+    halved: [bool; 27],
+    /// Whether none of them is.
+    is_even: bool,
+    /// The cell that the last one was a half of, and the halves of the cells around that.
+    larger: Option<(Cell, [Option<u32>; 27])>,
+    /// Crossings round a face.
+    crossings: Vec<(Crossing, bool)>,
+}
+
+impl<'a> Reader<'a> {
+    pub(super) fn new(field: &'a CubicSpline, cells: &'a Cells) -> Self {
+        let corners = cells.size().map(|n| n as u64 * FINE + 1);
+        let present = Cell { level: 0, at: [0; 3] };
+        let remembered = vec![(u64::MAX, 0.0); REMEMBERED];
+        Self {
+            field,
+            cells,
+            corners,
+            remembered,
+            present,
+            inside: 0,
+            halved: [false; 27],
+            is_even: true,
+            larger: None,
+            crossings: Vec::new(),
+        }
+    }
+
+    /// The polygons in a cell, one for each closed way of the surface over its faces.
+    pub(super) fn polygons(&mut self, cell: Cell) -> Polygons {
+        self.present = cell;
+        self.halved = self.halved_around(cell);
+        self.is_even = self.halved == [false; 27];
+        self.inside = self.corners_inside(cell);
+        // no edge of it is cut up
+        if self.is_even && (self.inside == 0 || self.inside == u8::MAX) {
+            return Polygons { cell, corners: Vec::new(), at_border: Vec::new() };
+        }
+        let mut sides: Vec<[Crossing; 2]> = Vec::new();
+        let mut at_border = Vec::new();
+        for (axis, far) in (0..3).flat_map(|axis| [(axis, 0), (axis, 1)]) {
+            let mut at = cell.at;
+            at[axis] += far;
+            let first = sides.len();
+            self.face(Cell { level: cell.level, at }, axis, &mut sides);
+            if far == 0 {
+                sides[first..].iter_mut().for_each(|side| side.reverse());
+            }
+            let last = (self.cells.size()[axis] as u32) << cell.level;
+            if at[axis] == 0 || at[axis] == last {
+                at_border.extend(sides[first..].iter().map(|side| side[0]));
+            }
+        }
+        Polygons { cell, corners: closed_ways(sides), at_border }
+    }
+
+    /// Whether the cells around one, and it itself, are halved; in the order of [`around`].
+    fn halved_around(&mut self, cell: Cell) -> [bool; 27] {
+        let mut halved = [false; 27];
+        if cell.level == 0 {
+            if self.cells.any_halved_round(cell) {
+                halved.iter_mut().zip(around()).for_each(|(own, away)| *own = self.cells.is_halved(cell, away));
+            }
+            return halved;
+        }
+        let whole = cell.within(cell.level - 1);
+        let halves = match self.larger {
+            Some((known, halves)) if known == whole => halves,
+            _ => {
+                let mut halves = [None; 27];
+                halves.iter_mut().zip(around()).for_each(|(own, away)| *own = self.cells.halves(whole, away));
+                self.larger = Some((whole, halves));
+                halves
+            }
+        };
+        for (own, away) in halved.iter_mut().zip(around()) {
+            let at = [0, 1, 2].map(|axis| i64::from(cell.at[axis]) + away[axis]);
+            let octant = (0..3).map(|axis| (at[axis] as usize & 1) << axis).sum();
+            let number = number_around(whole, at.map(|n| n >> 1));
+            *own = halves[number].is_some_and(|halves| self.cells.is_half_halved(halves, octant));
+        }
+        halved
+    }
+
+    fn corners_inside(&mut self, cell: Cell) -> u8 {
+        let low = cell.corner();
+        let is_inside = |n: u64| {
+            let far = [n & 1, n >> 1 & 1, n >> 2];
+            self.value([0, 1, 2].map(|axis| low[axis] + far[axis] * cell.edge())) < 0.0
+        };
+        (0..8).map(is_inside).enumerate().map(|(n, is_inside)| u8::from(is_inside) << n).sum()
+    }
+
+    /// The sides of polygons on a face of cells, which is across an axis, with the object on the left seen from below along that axis; `face`
+    /// is the cell behind it.
+    fn face(&mut self, face: Cell, axis: usize, sides: &mut Vec<[Crossing; 2]>) {
+        let (u, v) = ((axis + 1) % 3, (axis + 2) % 3);
+        let mut before = [0; 3];
+        before[axis] = -1;
+        if self.is_halved(face, [0; 3]) || self.is_halved(face, before) {
+            for quarter in 0..4 {
+                self.face(face.half((quarter & 1) << u | (quarter >> 1) << v), axis, sides);
+            }
+            return;
+        }
+        // round the face, with whether each crossing enters the object
+        let mut crossings = std::mem::take(&mut self.crossings);
+        crossings.clear();
+        let shifted = |axis: usize| {
+            let mut at = face.at;
+            at[axis] += 1;
+            Cell { level: face.level, at }
+        };
+        self.edge(face, u, true, &mut crossings);
+        self.edge(shifted(u), v, true, &mut crossings);
+        self.edge(shifted(v), u, false, &mut crossings);
+        self.edge(face, v, false, &mut crossings);
+        let count = crossings.len();
+        // of several ways to join the crossings, that which has the middle of the face on its side
+        let cuts_off_object = count > 2 && {
+            let mut middle = face.corner().map(|n| n as f64);
+            middle[u] += face.edge() as f64 / 2.0;
+            middle[v] += face.edge() as f64 / 2.0;
+            self.field.value(self.place(DVec3::from_array(middle))) >= 0.0
+        };
+        let first = usize::from(crossings.first().is_some_and(|(_, enters)| *enters != cuts_off_object));
+        for n in (first..count).step_by(2) {
+            let ends = [crossings[n].0, crossings[(n + 1) % count].0];
+            sides.push(if cuts_off_object { ends } else { [ends[1], ends[0]] });
+        }
+        self.crossings = crossings;
+    }
+
+    /// The crossings on an edge of cells, which is along an axis and starts at the lowest corner of `edge`, in the order asked for.
+    fn edge(&mut self, edge: Cell, axis: usize, forward: bool, crossings: &mut Vec<(Crossing, bool)>) {
+        let (u, v) = ((axis + 1) % 3, (axis + 2) % 3);
+        let is_halved = (0..4).any(|n| {
+            let mut away = [0; 3];
+            (away[u], away[v]) = (-(n & 1), -(n >> 1));
+            self.is_halved(edge, away)
+        });
+        if is_halved {
+            let halves = [edge.half(0), edge.half(1 << axis)];
+            let [first, second] = if forward { halves } else { [halves[1], halves[0]] };
+            self.edge(first, axis, forward, crossings);
+            self.edge(second, axis, forward, crossings);
+            return;
+        }
+        let [from, to] = if edge.level == self.present.level {
+            let first: u32 = (0..3).map(|k| (edge.at[k] - self.present.at[k]) << k).sum();
+            [first, first + (1 << axis)].map(|corner| self.inside >> corner & 1 == 1)
+        } else {
+            self.ends(edge, axis).map(|end| self.value(end) < 0.0)
+        };
+        if from != to {
+            let number =
+                (self.number(edge.corner()) * 3 + axis as u64) * (u64::from(DEPTH) + 1) + u64::from(edge.level);
+            crossings.push((number, to == forward));
+        }
+    }
+
+    fn is_halved(&self, cell: Cell, away: [i64; 3]) -> bool {
+        if self.is_even || cell.level == DEPTH {
+            return false;
+        }
+        // of the present cell's size, or within one of that size around it
+        let finer = cell.level - self.present.level;
+        let number = number_around(self.present, [0, 1, 2].map(|k| (i64::from(cell.at[k]) + away[k]) >> finer));
+        self.halved[number] && (finer == 0 || self.cells.is_halved(cell, away))
+    }
+
+    fn ends(&self, edge: Cell, axis: usize) -> [[u64; 3]; 2] {
+        let from = edge.corner();
+        let mut to = from;
+        to[axis] += edge.edge();
+        [from, to]
+    }
+
+    fn number(&self, corner: [u64; 3]) -> u64 {
+        (corner[2] * self.corners[1] + corner[1]) * self.corners[0] + corner[0]
+    }
+
+    fn place(&self, fine: DVec3) -> DVec3 {
+        self.field.geometry().index_to_grid(fine / FINE as f64)
+    }
+
+    /// F at a corner: a function of the corner alone, so that all cells agree on its sign.
+    fn value(&mut self, corner: [u64; 3]) -> f64 {
+        let number = self.number(corner);
+        let slot = (number.wrapping_mul(SPREAD) >> SHIFT) as usize;
+        if self.remembered[slot].0 != number {
+            let value = self.field.value(self.place(DVec3::from_array(corner.map(|n| n as f64))));
+            self.remembered[slot] = (number, value);
+        }
+        self.remembered[slot].1
+    }
+
+    /// Where F = 0 crosses an edge, to first order; grid frame, mm.
+    pub(super) fn position(&mut self, crossing: Crossing) -> DVec3 {
+        let levels = u64::from(DEPTH) + 1;
+        let (level, axis, number) =
+            ((crossing % levels) as u8, (crossing / levels % 3) as usize, crossing / levels / 3);
+        let corner = [
+            number % self.corners[0],
+            number / self.corners[0] % self.corners[1],
+            number / self.corners[0] / self.corners[1],
+        ];
+        let edge = Cell { level, at: corner.map(|n| (n / (FINE >> level)) as u32) };
+        let ends = self.ends(edge, axis);
+        let [a, b] = ends.map(|end| self.value(end));
+        let share = (a / (a - b)).clamp(CLEARANCE, 1.0 - CLEARANCE);
+        let [from, to] = ends.map(|end| DVec3::from_array(end.map(|n| n as f64)));
+        self.place(from.lerp(to, share))
+    }
+}
+
+/// The number in the order of [`around`] of the cell at a place next to one of its size.
+fn number_around(cell: Cell, at: [i64; 3]) -> usize {
+    let way = |axis: usize| (at[axis] - i64::from(cell.at[axis]) + 1) as usize;
+    (way(2) * 3 + way(1)) * 3 + way(0)
+}
+
+/// The closed ways that sides form, each crossing being the start of one of them and the end of another.
+fn closed_ways(mut sides: Vec<[Crossing; 2]>) -> Vec<Vec<Crossing>> {
+    let mut ways = Vec::new();
+    while let Some([start, mut end]) = sides.pop() {
+        let mut way = vec![start];
+        while let Some(next) = sides.iter().position(|side| side[0] == end) {
+            way.push(end);
+            end = sides.swap_remove(next)[1];
+        }
+        ways.push(way);
+    }
+    ways
+}

@@ -1,0 +1,279 @@
+//! The topology of analytic scenes.
+
+use super::cells::{around, moved};
+use super::*;
+use crate::marching_cubes::marching_cubes;
+use crate::random::uniform;
+use isoparticles_mesh::topology::analyse;
+use isoparticles_volume::Geometry;
+use isoparticles_volume::Image;
+use std::collections::BTreeMap;
+
+/// The spline through the samples of a function.
+pub(super) struct Scene {
+    pub(super) field: CubicSpline,
+}
+
+impl Scene {
+    pub(super) fn new(size: [usize; 3], spacing: DVec3, function: impl Fn(DVec3) -> f64) -> Self {
+        let image = Image::sampled(Geometry::axis_aligned(size, spacing), |p| function(p) as f32);
+        Self { field: CubicSpline::new(&image) }
+    }
+
+    /// The Euler characteristics of the components of a triangulation from samples that are `fine` times as dense, ascending.
+    fn by_samples(&self, fine: usize) -> Vec<i64> {
+        let own = self.field.geometry();
+        let size = own.size.map(|n| (n - 1) * fine + 1);
+        let geometry = Geometry::axis_aligned(size, own.spacing / fine as f64);
+        let mesh = marching_cubes(&Image::sampled(geometry, |p| self.field.value(p) as f32), 0.0);
+        sorted(analyse(&mesh).components.iter().map(|c| c.euler))
+    }
+
+    fn topology(&self) -> FieldTopology {
+        FieldTopology::new(&self.field)
+    }
+}
+
+fn sorted(euler: impl Iterator<Item = i64>) -> Vec<i64> {
+    let mut euler: Vec<i64> = euler.collect();
+    euler.sort_unstable();
+    euler
+}
+
+fn euler(topology: &FieldTopology) -> Vec<i64> {
+    sorted(topology.components().iter().map(|c| c.euler))
+}
+
+const CENTRE: DVec3 = DVec3::splat(15.7);
+
+/// Torus of radii 9 and 4.
+pub(super) fn torus() -> Scene {
+    Scene::new([32; 3], DVec3::ONE, |p| {
+        let q = p - CENTRE;
+        (q.truncate().length() - 9.0).hypot(q.z) - 4.0
+    })
+}
+
+/// Two balls of radius 5 with a gap of 2.
+pub(super) fn two_balls() -> Scene {
+    Scene::new([32, 24, 24], DVec3::ONE, |p| {
+        let centre = |x: f64| DVec3::new(x, 11.6, 11.6);
+        (p.distance(centre(9.6)) - 5.0).min(p.distance(centre(21.6)) - 5.0)
+    })
+}
+
+/// Spherical shell between the radii 8 and 10.5.
+pub(super) fn shell() -> Scene {
+    Scene::new([32; 3], DVec3::ONE, |p| (p.distance(CENTRE) - 9.25).abs() - 1.25)
+}
+
+/// Gyroid inside a ball of radius 13; single nodes off its rim hang on to it by necks thinner than a voxel.
+pub(super) fn gyroid() -> Scene {
+    Scene::new([36; 3], DVec3::ONE, |p| {
+        let q = (p - DVec3::splat(17.6)) * 0.45;
+        let g = q.x.sin() * q.y.cos() + q.y.sin() * q.z.cos() + q.z.sin() * q.x.cos();
+        let (g, ball) = (g / 0.7, (p - DVec3::splat(17.6)).length() - 13.0);
+        (g + ball + (g - ball).hypot(1.0)) / 2.0
+    })
+}
+
+/// Torus of radii 5 and 4.8, its hole 0.4 voxel wide and off the nodes.
+fn pierced() -> Scene {
+    let (ring, tube) = (5.0, 4.8);
+    Scene::new([28; 3], DVec3::ONE, |p| {
+        let q = p - DVec3::new(13.43, 13.61, 13.52);
+        let square = q.length_squared() + ring * ring - tube * tube;
+        (square * square - 4.0 * ring * ring * q.truncate().length_squared()) / (8.0 * ring * ring * tube)
+    })
+}
+
+/// Two balls whose saddle has a value of F, mm.
+fn touching(value: f64) -> Scene {
+    let balls = |level: f64| {
+        let [a, b] = [9.3, 21.8].map(|x| DVec3::new(x, 15.4, 15.6));
+        Scene::new([32; 3], DVec3::ONE, |p| (p.distance(a) - 6.0).min(p.distance(b) - 6.0) - level)
+    };
+    let middle = DVec3::new(15.55, 15.4, 15.6);
+    let far = |c: &CriticalPoint| c.position.distance(middle);
+    let saddles = critical_points(&balls(0.0).field, 0.0);
+    let saddle = saddles.into_iter().min_by(|a, b| far(a).total_cmp(&far(b))).expect("a saddle between the balls");
+    // splines reproduce constants
+    balls(saddle.value - value)
+}
+
+#[test]
+fn known_shapes_have_their_components_and_euler_characteristics() {
+    for (scene, expected) in [
+        (torus(), vec![0]),
+        (two_balls(), vec![2, 2]),
+        (shell(), vec![2, 2]),
+        (gyroid(), vec![-14]),
+        (pierced(), vec![0]),
+    ] {
+        let topology = scene.topology();
+        assert_eq!(euler(&topology), expected);
+        assert_eq!(topology.undecided(), []);
+        let summary = topology.summary();
+        assert_eq!(summary.components_between, [expected.len(); 2]);
+        assert_eq!(summary.euler_between, [expected.iter().sum::<i64>(); 2]);
+    }
+    // the samples alone have neither the hole nor the necks
+    assert_eq!(pierced().by_samples(1), [2]);
+    assert_eq!(gyroid().by_samples(1).len(), 4);
+}
+
+#[test]
+fn sizes_are_those_of_the_shapes() {
+    let within = |measured: f64, truth: f64, part: f64| (measured - truth).abs() < part * truth.abs();
+    let topology = torus().topology();
+    let torus = &topology.components()[0];
+    // chords of a voxel on a tube of radius 4 lose 1/96 of its section twice
+    assert!(within(torus.volume, 2842.4, 0.03), "{torus:?}");
+    assert!(within(torus.area, 1421.2, 0.03), "{torus:?}");
+    assert!((torus.bounds.high - torus.bounds.low - DVec3::new(26.0, 26.0, 8.0)).abs().max_element() < 0.1);
+    let topology = shell().topology();
+    let volumes = sorted(topology.components().iter().map(|c| c.volume.round() as i64));
+    assert!(volumes[0] < 0 && within(volumes[0] as f64, -2144.7, 0.03), "{volumes:?}");
+    assert!(within(volumes[1] as f64, 4849.0, 0.03), "{volumes:?}");
+}
+
+#[test]
+fn points_belong_to_the_sheet_that_they_lie_on() {
+    for scene in [two_balls(), shell(), gyroid()] {
+        let topology = scene.topology();
+        for component in 0..topology.components().len() as u32 {
+            let samples = topology.samples(component);
+            assert!(samples.len() > 100);
+            for p in samples.into_iter().filter_map(|p| scene.field.project(p, 1.0, 1e-9)) {
+                let normal = scene.field.value_gradient(p).1;
+                assert_eq!(topology.component_at(&scene.field, p, normal), Some(component), "at {p}");
+            }
+        }
+        assert_eq!(topology.component_at(&scene.field, DVec3::ZERO, DVec3::X), None);
+    }
+}
+
+/// A smooth union of a few balls, tori and thin plates, some with samples of noise.
+fn random(seed: u64) -> Scene {
+    let u = |k: u64| uniform(78, seed, k);
+    let parts: Vec<(DVec3, f64, f64)> = (0..4u64)
+        .map(|k| {
+            let at = |n: u64| u(10 * (k + 1) + n);
+            (DVec3::new(at(0), at(1), at(2)) * 7.0 + DVec3::splat(6.5), 1.6 + 2.0 * at(3), at(4))
+        })
+        .collect();
+    let noise = if seed.is_multiple_of(2) { 0.0 } else { 0.9 };
+    Scene::new([20; 3], DVec3::new(1.0, 0.8, 1.3), |p| {
+        let q = p / DVec3::new(1.0, 0.8, 1.3);
+        let distance = |&(centre, radius, kind): &(DVec3, f64, f64)| {
+            let d = q - centre;
+            if kind < 0.5 { d.length() - radius } else { (d.truncate().length() - radius - 1.0).hypot(d.z) - 0.8 }
+        };
+        let soft = -0.4 * parts.iter().map(|part| (-2.5 * distance(part)).exp()).sum::<f64>().ln();
+        // positive at the border, so that the surface is closed
+        let border = 1.5 - q.min(DVec3::splat(19.0) - q).min_element();
+        (soft + noise * (uniform(seed, 5, (q.x * 1e2 + q.y * 1e4 + q.z * 1e6).round() as u64) - 0.5)).max(border)
+    })
+}
+
+#[test]
+fn random_scenes_have_the_topology_of_much_denser_samples() {
+    let (mut certain, mut handles) = (0, 0);
+    for seed in 0..12 {
+        let scene = random(seed);
+        let topology = scene.topology();
+        // five samples a voxel may miss what is finer than that, the cells may not
+        let (summary, dense) = (topology.summary(), scene.by_samples(5));
+        let [least, most] = summary.components_between;
+        assert!((least..=most).contains(&dense.len()), "scene {seed}: {summary:?} and {}", dense.len());
+        let [low, high] = summary.euler_between;
+        let sum: i64 = dense.iter().sum();
+        assert!((low..=high).contains(&sum), "scene {seed}: {summary:?} and {sum}");
+        if topology.undecided().is_empty() {
+            assert_eq!(euler(&topology), dense, "scene {seed}");
+            certain += 1;
+            handles += dense.iter().filter(|&&euler| euler <= 0).count();
+        }
+    }
+    assert!(certain >= 6 && handles >= 3, "{certain} scenes and {handles} components with handles show little");
+}
+
+#[test]
+fn what_touches_is_undecided_and_what_nearly_touches_is_not() {
+    for value in [-1e-7, 0.0, 1e-7] {
+        let topology = touching(value).topology();
+        let summary = topology.summary();
+        assert_eq!((summary.components_between, topology.groups().all().len()), ([1, 2], 1), "{summary:?}");
+        assert_eq!(topology.undecided().len(), 1, "{summary:?}");
+        let place = &topology.undecided()[0];
+        assert!(DVec3::from_array(place.place).distance(DVec3::new(15.55, 15.4, 15.6)) < 0.2, "{place:?}");
+        assert!(place.size <= 0.5 && place.kind == UndecidedKind::Uncertain(1), "{place:?}");
+        let [low, high] = summary.euler_between;
+        assert!(low <= 2 && high == 4 && high - low <= 4, "{summary:?}");
+    }
+    // a neck and a gap of about a third of a voxel
+    assert_eq!(euler(&touching(-0.01).topology()), [2]);
+    assert_eq!(euler(&touching(0.05).topology()), [2, 2]);
+    assert!(touching(-0.01).topology().undecided().is_empty() && touching(0.05).topology().undecided().is_empty());
+}
+
+#[test]
+fn a_speck_between_the_samples_is_a_component() {
+    // F is above 0 at all samples, and below it in the middle of a cell
+    let scene = Scene::new([12; 3], DVec3::ONE, |p| 0.4 * (p.distance_squared(DVec3::new(5.5, 5.45, 5.52)) - 0.3));
+    assert_eq!(scene.by_samples(1), Vec::<i64>::new());
+    let topology = scene.topology();
+    assert_eq!(euler(&topology), [2]);
+    assert!(topology.components()[0].place.distance(DVec3::splat(5.5)) < 0.8);
+}
+
+#[test]
+fn a_surface_that_ends_at_the_border_is_counted_as_it_is_there() {
+    // a disk, an annulus along x and a hemisphere
+    let plane = Scene::new([9, 10, 11], DVec3::ONE, |p| p.x - 4.4);
+    let tube = Scene::new([12; 3], DVec3::ONE, |p| DVec3::new(0.0, p.y - 5.3, p.z - 5.6).length() - 3.2);
+    let dome = Scene::new([12; 3], DVec3::ONE, |p| p.distance(DVec3::new(5.3, 5.6, 0.0)) - 3.2);
+    assert_eq!([plane, tube, dome].map(|scene| euler(&scene.topology())), [[1], [0], [1]]);
+    let nothing = Scene::new([4; 3], DVec3::ONE, |_| 1.0);
+    assert_eq!(euler(&nothing.topology()), Vec::<i64>::new());
+    let flat = Scene::new([5, 1, 5], DVec3::ONE, |p| p.x - 2.2);
+    assert_eq!(euler(&flat.topology()), Vec::<i64>::new());
+}
+
+#[test]
+fn neighbours_that_f_may_pass_through_differ_by_one_level_at_most() {
+    let scene = random(3);
+    let cells = Cells::new(&scene.field);
+    let mut by_level: BTreeMap<u8, usize> = BTreeMap::new();
+    for k in 0..cells.size()[2] as u32 {
+        for (cell, _) in cells.crossed_in_slice(k) {
+            *by_level.entry(cell.level).or_default() += 1;
+            for (other, state) in around().filter_map(|away| moved(cell, away)).filter_map(|cell| cells.find(cell)) {
+                assert!(state == cells::State::Clear || other.level + 1 >= cell.level, "{cell:?} {other:?}");
+            }
+        }
+    }
+    assert!(by_level.len() >= 4, "{by_level:?}: this shows little");
+}
+
+#[test]
+fn a_sheet_that_bulges_through_a_face_of_a_large_cell_into_smaller_ones_stays_in_one_piece() {
+    // a dome whose top is 0.05 above the middle of a face; grad F turns in the cell above, which is halved, and not in that below. The middle
+    // of the face is a corner of the smaller cells alone, and the larger one sees a loop round it beside the foot of the dome.
+    let top = DVec3::new(7.5, 7.5, 7.0);
+    let scene = Scene::new([16; 3], DVec3::ONE, |p| {
+        let d = p - top;
+        d.z - d.z * d.z / 1.6 + 0.3 * d.truncate().length_squared() - 0.05
+    });
+    let mut cells = Cells::new(&scene.field);
+    let beside = [[7, 7, 6], [7, 7, 7]].map(|at| cells.find(cells::Cell { level: 0, at }).map(|(_, state)| state));
+    assert_eq!(beside[0], Some(cells::State::Graph));
+    assert!(matches!(beside[1], Some(cells::State::Halved(_))), "{beside:?}");
+    // closed by a lid in the larger cell, the dome would be a component by itself
+    let (polygons, undecided) = polygons::read_all(&scene.field, &cells);
+    let with_lid = Surface::of(&scene.field, &cells, &polygons, undecided);
+    assert_eq!(sorted(with_lid.components.iter().map(|c| c.euler)), [1, 1, 2]);
+    let settled = Surface::new(&scene.field, &mut cells);
+    assert_eq!(sorted(settled.components.iter().map(|c| c.euler)), [1, 1]);
+    assert_eq!((euler(&scene.topology()), scene.by_samples(5)), (vec![1, 1], vec![1, 1]));
+}

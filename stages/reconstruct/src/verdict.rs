@@ -1,0 +1,217 @@
+//! The finished mesh against the topology of F, which no mesh has had a say in, up to the undecided places of F: there a mesh may have either of
+//! two topologies, which is listed and fails no check; elsewhere mesh and F must be the same.
+
+use crate::defects::{Defects, Found};
+use isoparticles_field::spline::CubicSpline;
+use isoparticles_field::topology::{FieldTopology, TopologySummary};
+use isoparticles_mesh::TriangleMesh;
+use isoparticles_mesh::components::NO_COMPONENT;
+use rayon::prelude::*;
+use serde::Serialize;
+
+/// What F has, what the mesh has, and where they differ.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct TopologyReport {
+    /// What F has.
+    pub field: TopologySummary,
+    /// Components of the mesh.
+    pub components: usize,
+    /// Its Euler characteristic.
+    pub euler: i64,
+    /// Triangles whose corners lie on different components of F = 0 that no undecided place can join.
+    pub joining_triangles: usize,
+    /// Components of F = 0 that the mesh lacks, each by a place next to it, grid frame, mm.
+    pub missing: Vec<[f64; 3]>,
+    /// Components of the mesh that lie near none of F = 0, beyond those that undecided places may be.
+    pub superfluous: usize,
+    /// Groups of components of which the mesh has more, fewer or of another Euler characteristic than F can have.
+    pub wrong: Vec<Difference>,
+}
+
+/// A group of components that mesh and F have in different ways.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Difference {
+    /// A place next to its first component, grid frame, mm.
+    pub place: [f64; 3],
+    /// What the mesh has there.
+    pub mesh: Found,
+    /// Components of F = 0 there, and how many they may be at least and at most up to the undecided places.
+    pub components: [usize; 3],
+    /// The Euler characteristic of F = 0 there in the same way.
+    pub euler: [i64; 3],
+    /// The undecided places there: numbers in the list of those of F.
+    pub undecided: Vec<u32>,
+}
+
+impl TopologyReport {
+    /// Compares a mesh in the grid frame, its vertices on F = 0.
+    pub fn new(mesh: &TriangleMesh, field: &CubicSpline, topology: &FieldTopology) -> Self {
+        let component = |&p| topology.component_at(field, p, field.value_gradient(p).1).unwrap_or(NO_COMPONENT);
+        let component_of: Vec<u32> = mesh.vertices.par_iter().map(component).collect();
+        // what is no manifold is told elsewhere
+        let defects = Defects::find(&mesh.triangles, &component_of, topology, |_, _| true);
+        let difference = |found: &Found| Difference::new(*found, topology);
+        let specks = topology.groups().all().iter().filter(|group| group.components.is_empty());
+        let specks: usize = specks.map(|group| *group.component_count.end()).sum();
+        Self {
+            field: topology.summary(),
+            components: defects.component_count,
+            euler: defects.euler,
+            joining_triangles: defects.bridges.len(),
+            missing: defects.missing.iter().map(|&c| topology.components()[c as usize].place.to_array()).collect(),
+            superfluous: defects.strangers.saturating_sub(specks),
+            wrong: defects.in_pieces.iter().chain(&defects.wrong_genus).map(difference).collect(),
+        }
+    }
+
+    /// The differences in words: those that fail, and those that do not. With an open border, where the mesh may end
+    /// a little before or behind that of the volume, other Euler characteristics do not fail.
+    pub fn differences(&self, is_open: bool) -> (Vec<String>, Vec<String>) {
+        let mut failed = Vec::new();
+        if self.joining_triangles > 0 {
+            failed.push(format!("{} triangles that join different components of F = 0", self.joining_triangles));
+        }
+        if let Some([x, y, z]) = self.missing.first() {
+            let count = self.missing.len();
+            failed.push(format!("{count} components of F = 0 are missing, the first at {x:.3} {y:.3} {z:.3} mm"));
+        }
+        if self.superfluous > 0 {
+            failed.push(format!("{} components that F = 0 does not have", self.superfluous));
+        }
+        let (wrong, open): (Vec<_>, Vec<_>) =
+            self.wrong.iter().partition(|d| !is_open || d.mesh.components > d.components[2]);
+        failed.extend(wrong.into_iter().map(Difference::told));
+        (failed, open.into_iter().map(Difference::told).collect())
+    }
+
+    /// How many components F has, for the closing table.
+    pub fn expected(&self) -> String {
+        let count = self.field.components;
+        match self.field.undecided.len() {
+            0 => format!(" of {count}"),
+            places => format!(" of {count}, {places} undecided"),
+        }
+    }
+}
+
+impl Difference {
+    fn new(mesh: Found, topology: &FieldTopology) -> Self {
+        let group = &topology.groups().all()[mesh.group as usize];
+        let components = || group.components.iter().map(|&c| &topology.components()[c as usize]);
+        let euler = components().map(|c| c.euler).sum();
+        let place = components().next().map(|c| c.place.to_array());
+        let speck = || group.undecided.first().map(|&n| topology.undecided()[n as usize].place);
+        Self {
+            place: place.or_else(speck).unwrap_or_default(),
+            mesh,
+            components: [group.components.len(), *group.component_count.start(), *group.component_count.end()],
+            euler: [euler, *group.euler.start(), *group.euler.end()],
+            undecided: group.undecided.clone(),
+        }
+    }
+
+    fn told(&self) -> String {
+        let [x, y, z] = self.place;
+        let range = |[own, least, most]: [i64; 3]| {
+            if least == most { own.to_string() } else { format!("{own} ({least} to {most})") }
+        };
+        let by = match self.undecided.len() {
+            0 => String::new(),
+            count => format!(", by {count} undecided places"),
+        };
+        format!(
+            "at {x:.3} {y:.3} {z:.3} mm: {} components with Euler characteristic {} where F = 0 has {} with {}{by}",
+            self.mesh.components,
+            self.mesh.euler,
+            range(self.components.map(|n| n as i64)),
+            range(self.euler),
+        )
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scenes::{self, Scene};
+    use glam::DVec3;
+    use isoparticles_field::marching_cubes::marching_cubes;
+    use isoparticles_field::topology::critical_points;
+
+    fn report(mesh: &TriangleMesh, scene: &Scene) -> TopologyReport {
+        TopologyReport::new(mesh, &scene.field, &FieldTopology::new(&scene.field))
+    }
+
+    #[test]
+    fn a_right_mesh_has_no_differences_and_a_wrong_one_is_told_apart() {
+        let scene = scenes::two_balls();
+        let good = marching_cubes(&scene.image, 0.0);
+        let right = report(&good, &scene);
+        assert_eq!((right.components, right.euler, right.expected()), (2, 4, " of 2".to_owned()));
+        assert_eq!(right.differences(false), (vec![], vec![]));
+
+        let is_first = |mesh: &TriangleMesh, t: &[u32; 3]| mesh.vertices[t[0] as usize].x < 15.6;
+        let mut lost = good.clone();
+        lost.triangles.retain(|t| is_first(&good, t));
+        let (failed, doubtful) = report(&lost, &scene).differences(false);
+        assert!(failed.len() == 1 && failed[0].contains("1 components of F = 0 are missing"), "{failed:?}");
+        assert!(doubtful.is_empty());
+
+        // a tube from ball to ball in place of a triangle of each
+        let mut joined = good.clone();
+        let facing = |first: bool| {
+            let own = (0..good.triangles.len()).filter(|&t| is_first(&good, &good.triangles[t]) == first);
+            let gap = |&t: &usize| (good.corners(t)[0].x - 15.6).abs();
+            own.min_by(|a, b| gap(a).total_cmp(&gap(b))).expect("a triangle")
+        };
+        let [a, b] = [facing(true), facing(false)];
+        let ([p, q, r], [u, v, w]) = (good.triangles[a], good.triangles[b]);
+        joined.triangles.extend([[p, q, u], [q, w, u], [q, r, w], [r, v, w], [r, p, v], [p, u, v]]);
+        joined.triangles.retain(|t| *t != good.triangles[a] && *t != good.triangles[b]);
+        let (failed, _) = report(&joined, &scene).differences(false);
+        assert!(failed[0].contains("6 triangles that join different components"), "{failed:?}");
+
+        // a third ball beside them
+        let mut more = good.clone();
+        let count = more.vertices.len() as u32;
+        let beside = good.vertices.iter().map(|&p| 0.1 * p + DVec3::new(0.0, 0.0, 0.5)).collect::<Vec<_>>();
+        more.vertices.extend(beside);
+        more.triangles.extend(lost.triangles.iter().map(|t| t.map(|v| v + count)));
+        let (failed, _) = report(&more, &scene).differences(false);
+        assert_eq!(failed, ["1 components that F = 0 does not have"]);
+
+        let holed = report(&marching_cubes(&scenes::pierced().image, 0.0), &scenes::pierced());
+        let (failed, _) = holed.differences(false);
+        assert!(
+            failed.len() == 1 && failed[0].contains("Euler characteristic 2 where F = 0 has 1 with 0"),
+            "{failed:?}"
+        );
+        assert_eq!(holed.differences(true).0, Vec::<String>::new());
+    }
+
+    #[test]
+    fn what_undecided_places_account_for_is_told_but_does_not_fail() {
+        let balls = |level: f64| {
+            let [a, b] = [9.3, 21.8].map(|x| DVec3::new(x, 15.4, 15.6));
+            Scene::new([32; 3], DVec3::ONE, |p| (p.distance(a) - 6.0).min(p.distance(b) - 6.0) - level)
+        };
+        let saddles = critical_points(&balls(0.0).field, 0.0);
+        let far = |p: DVec3| p.distance(DVec3::new(15.55, 15.4, 15.6));
+        let saddle = saddles.into_iter().min_by(|a, b| far(a.position).total_cmp(&far(b.position))).expect("a saddle");
+        let scene = balls(saddle.value);
+        let [apart, together] = [-0.2f32, 0.2].map(|iso| report(&marching_cubes(&scene.image, iso), &scene));
+        assert_eq!(([apart.components, together.components], [apart.euler, together.euler]), ([2, 1], [4, 2]));
+        for found in [&apart, &together] {
+            assert_eq!(found.differences(false).0, Vec::<String>::new());
+            assert_eq!(found.field.components_between, [1, 2]);
+            assert!(found.expected().ends_with(", 1 undecided"), "{}", found.expected());
+        }
+        // a value that says which, but too small for a mesh
+        let scene = balls(saddle.value - 3e-4);
+        let [apart, together] = [-0.2f32, 0.2].map(|iso| report(&marching_cubes(&scene.image, iso), &scene));
+        assert_eq!(([apart.components, together.components], [apart.euler, together.euler]), ([2, 1], [4, 2]));
+        for found in [&apart, &together] {
+            assert_eq!((found.field.components, found.field.undecided.len()), (2, 1));
+            assert_eq!(found.differences(false).0, Vec::<String>::new());
+        }
+    }
+}
