@@ -19,6 +19,9 @@ pub trait Monitor: Sync {
     /// A part of the work begins, such as "triangulate"; it ends when the value is dropped.
     fn phase<'a>(&'a self, name: &str) -> Box<dyn Phase + 'a>;
 
+    /// A detail for those who want to hear everything; made only where they do.
+    fn note(&self, _detail: &dyn Fn() -> String) {}
+
     /// Something is counted, with a percentage where the total is known; it ends when the value is dropped.
     fn counter<'a>(&'a self, label: &str, total: Option<u64>) -> Box<dyn Counter + 'a>;
 }

@@ -16,14 +16,9 @@ use rayon::prelude::*;
 /// Triangles whose corners are this near (voxels) to a capping plane lie on it.
 const ON_CAP: f64 = 0.1;
 
-/// Takes a mesh from the grid frame to the world, with what is known at its vertices (h, energy, normal, curvature,
+/// Takes a mesh from the grid frame to the world, with what is known at its vertices (h, given as `sizes`, energy, normal, curvature,
 /// component) and triangles (radius ratio, deviation, cap).
-pub fn attributes(
-    mesh: &TriangleMesh,
-    field: &CubicSpline,
-    size: &(dyn Fn(DVec3) -> f64 + Sync),
-    caps: &[CapPlane],
-) -> Surface {
+pub fn attributes(mesh: &TriangleMesh, field: &CubicSpline, sizes: &[f64], caps: &[CapPlane]) -> Surface {
     let geometry = field.geometry();
     let jets: Vec<(DVec3, f64)> = mesh
         .vertices
@@ -33,9 +28,8 @@ pub fn attributes(
             (jet.gradient, mean_curvature(jet.gradient, jet.hessian))
         })
         .collect();
-    let sizes: Vec<f64> = mesh.vertices.par_iter().map(|&p| size(p)).collect();
     let normals: Vec<DVec3> = jets.iter().map(|(g, _)| geometry.normal_to_world(*g)).collect();
-    let near = NeighbourLists::new(&mesh.vertices, &sizes, SUPPORT, |i, j| jets[i].0.dot(jets[j].0) > 0.0);
+    let near = NeighbourLists::new(&mesh.vertices, sizes, SUPPORT, |i, j| jets[i].0.dot(jets[j].0) > 0.0);
     let energies: Vec<f64> = (0..mesh.vertices.len())
         .into_par_iter()
         .map(|i| {
@@ -62,7 +56,7 @@ pub fn attributes(
     let cap = (0..mesh.triangles.len()).map(|t| i64::from(on_cap(mesh.corners(t), caps, geometry))).collect();
     let mut surface = Surface::from_grid(mesh, geometry);
     surface.point_data = vec![
-        DataArray::scalars("h", sizes),
+        DataArray::scalars("h", sizes.to_vec()),
         DataArray::scalars("energy", energies),
         DataArray::vectors("normal", &normals),
         DataArray::scalars("curvature", jets.iter().map(|(_, k)| *k).collect()),
@@ -176,7 +170,7 @@ mod tests {
     #[test]
     fn data_of_a_ball_is_that_of_a_ball() {
         let scene = scenes::sphere();
-        let surface = attributes(&ball(), &scene.field, &|_| 1.5, &[]);
+        let surface = attributes(&ball(), &scene.field, &vec![1.5; ball().vertices.len()], &[]);
         for &k in values(&surface.point_data, "curvature") {
             assert!((k - 0.1).abs() < 2e-3, "curvature {k}");
         }

@@ -1,19 +1,18 @@
 //! From particles on F = 0 to a mesh: the triangulation, and the facets by either method.
 
 use crate::pinched::part_sheets;
-use crate::points_alone;
 use crate::prepare::{ON_SURFACE, SurfacePoints};
+use crate::reconstruct::{Method, Options};
 use crate::refine::{RefineOptions, RefineReport, Refinement};
 use crate::restricted::Facet;
-use crate::run::{Args, Method, Origin, about};
 use crate::tight_cocone::{CoconeReport, tight_cocone};
 use glam::DVec3;
 use isoparticles_field::spline::CubicSpline;
 use isoparticles_field::topology::FieldTopology;
 use isoparticles_mesh::TriangleMesh;
 use isoparticles_mesh::inside::nodes_on_wrong_side;
-use isoparticles_stage::cli::Context;
 use isoparticles_stage::error::Result;
+use isoparticles_stage::monitor::Monitor;
 use isoparticles_volume::Image;
 use rayon::prelude::*;
 
@@ -33,6 +32,8 @@ pub(crate) struct Joined {
     pub(crate) report: RefineReport,
     /// What Tight Cocone found, where that was the method.
     pub(crate) cocone: Option<CoconeReport>,
+    /// Vertices added where sheets touch in a point.
+    pub(crate) parted: usize,
 }
 
 /// Joins particles on F = 0 by the method asked for.
@@ -40,123 +41,111 @@ pub(crate) struct Joined {
 /// # Errors
 /// When the points cannot be triangulated or enclose nothing, and when interrupted.
 pub(crate) fn join(
-    args: &Args,
-    context: &Context,
     points: &mut SurfacePoints,
     spline: &CubicSpline,
     topology: &FieldTopology,
     samples: &Image<f32>,
-    origin: &Origin,
+    options: &Options,
+    monitor: &dyn Monitor,
 ) -> Result<Joined> {
-    let step = context.step("triangulate");
-    let options = RefineOptions {
-        max_rounds: usize::from(args.max_rounds),
-        max_deviation: args.max_deviation,
-        open_border: origin.is_open,
+    let phase = monitor.phase("triangulate");
+    let limits = RefineOptions {
+        max_rounds: options.max_rounds,
+        max_deviation: options.max_deviation,
+        open_border: options.open_border,
     };
-    let mut refinement = Refinement::new(points, spline, topology, options).map_err(|e| about(&args.particles, e))?;
-    drop(step);
-    let step = context.step("refine");
-    let mut facets = refine(&mut refinement, options.max_rounds, origin, samples, context)?;
-    drop(step);
+    let mut refinement = Refinement::new(points, spline, topology, limits)?;
+    drop(phase);
+    let nodes = (options.keeps_voxels && !options.open_border).then_some(samples);
+    let work = Work { max_rounds: options.max_rounds, nodes, monitor };
+    let phase = monitor.phase("refine");
+    let mut facets = work.refine(&mut refinement)?;
+    drop(phase);
     let mut cocone = None;
-    if args.method == Method::TightCocone {
-        let step = context.step("cocone");
-        let (by_cocones, report) = cocones(&mut refinement, options.max_rounds, origin, samples, context)
-            .map_err(|e| about(&args.particles, e))?;
-        points_alone::warn(&report, context);
+    if options.method == Method::TightCocone {
+        let _phase = monitor.phase("cocone");
+        let (by_cocones, report) = work.cocones(&mut refinement)?;
         (facets, cocone) = (by_cocones, Some(report));
-        drop(step);
     }
     let (mut mesh, used) = compact(refinement.restricted.points(), &facets);
     let pinched: Vec<(u32, Vec<u32>)> = refinement.defects(&facets).vertices;
+    let mut parted = 0;
     if !pinched.is_empty() {
         let number = |v: u32| used.binary_search(&v).expect("a vertex of a facet is in the mesh") as u32;
         let pinched: Vec<_> = pinched.into_iter().map(|(v, around)| (number(v), around)).collect();
         let voxel = spline.geometry().mean_spacing();
-        let parted = part_sheets(&mut mesh, &pinched, |p| spline.project(p, voxel, ON_SURFACE * voxel));
-        context.verbose(format!("{parted} vertices added where sheets touch in a point"));
-        context.report("parted_vertices", parted);
+        parted = part_sheets(&mut mesh, &pinched, |p| spline.project(p, voxel, ON_SURFACE * voxel));
     }
     Ok(Joined {
         mesh,
         sizes: (refinement.restricted.points().to_vec(), refinement.sizes.clone()),
         report: refinement.report.clone(),
         cocone,
+        parted,
     })
 }
 
-/// Adds points until the restricted surface is that of F, and no grid node of a label volume lies on its wrong side.
-fn refine(
-    refinement: &mut Refinement,
+/// How far the refinement goes, and who watches.
+struct Work<'a> {
     max_rounds: usize,
-    origin: &Origin,
-    samples: &Image<f32>,
-    context: &Context,
-) -> Result<Vec<Facet>> {
-    let hear = |round: usize, count: usize| {
-        context.verbose(format!("round {round}: {count} points"));
-        context.check_interrupt()
-    };
-    let mut facets = refinement.run(hear)?;
-    // the nodes have rounds of their own: a stubborn handle elsewhere must not use them up
-    refinement.allow_rounds(max_rounds);
-    let end = refinement.report.rounds + max_rounds;
-    while refinement.report.rounds < end && add_at_nodes(refinement, &facets, origin, samples, context)? > 0 {
-        facets = refinement.run(hear)?;
-    }
-    Ok(facets)
+    /// Samples of F whose nodes must lie on their side, if any.
+    nodes: Option<&'a Image<f32>>,
+    monitor: &'a dyn Monitor,
 }
 
-/// Adds points at the grid nodes of a label volume that lie on the wrong side of the facets; returns how many.
-fn add_at_nodes(
-    refinement: &mut Refinement,
-    facets: &[Facet],
-    origin: &Origin,
-    samples: &Image<f32>,
-    context: &Context,
-) -> Result<usize> {
-    if !origin.is_labels || origin.is_open {
-        return Ok(0);
+impl Work<'_> {
+    /// Adds points until the restricted surface is that of F, and no grid node of a label volume lies on its wrong side.
+    fn refine(&self, refinement: &mut Refinement) -> Result<Vec<Facet>> {
+        let hear = |round: usize, count: usize| {
+            self.monitor.note(&|| format!("round {round}: {count} points"));
+            Ok(self.monitor.check()?)
+        };
+        let mut facets = refinement.run(hear)?;
+        // the nodes have rounds of their own: a stubborn handle elsewhere must not use them up
+        refinement.allow_rounds(self.max_rounds);
+        let end = refinement.report.rounds + self.max_rounds;
+        while refinement.report.rounds < end && self.add_at_nodes(refinement, &facets)? > 0 {
+            facets = refinement.run(hear)?;
+        }
+        Ok(facets)
     }
-    let (mesh, _) = compact(refinement.restricted.points(), facets);
-    let nodes = nodes_on_wrong_side(&mesh, samples);
-    context.verbose(format!("{} grid nodes on the wrong side", nodes.len()));
-    if nodes.is_empty() { Ok(0) } else { refinement.insert_near_nodes(&nodes, facets) }
-}
 
-/// Tight Cocone of the points that are there by now, and of those added where it lacks what the surface by the sign of F has, or
-/// leaves grid nodes on the wrong side.
-fn cocones(
-    refinement: &mut Refinement,
-    max_rounds: usize,
-    origin: &Origin,
-    samples: &Image<f32>,
-    context: &Context,
-) -> Result<(Vec<Facet>, CoconeReport)> {
-    for round in 0.. {
-        let found = cocone_of(refinement);
-        context.check_interrupt()?;
-        let limit = if found.is_ok() { COCONE_ROUNDS } else { COCONE_ROUNDS_IN_VAIN };
-        let may_go_on = round < max_rounds.min(limit);
-        // points that enclose nothing have no surface
-        let closed = found.as_ref().map_or(&[][..], |(facets, _)| facets);
-        let mut added = if may_go_on { refinement.insert_for_other(closed)? } else { 0 };
-        let facets = refinement.without_border_closure(closed.to_vec());
-        if may_go_on && added == 0 {
-            added = add_at_nodes(refinement, &facets, origin, samples, context)?;
-        }
-        context.verbose(format!("Tight Cocone, round {round}: {added} points added"));
-        if added == 0 {
-            let (_, report) = found?;
-            refinement.compare_other(&facets);
-            return Ok((facets, report));
-        }
-        // the surface by the sign of F stays right, so that it can be compared with
-        refinement.allow_rounds(max_rounds);
-        refine(refinement, max_rounds, origin, samples, context)?;
+    /// Adds points at the grid nodes that lie on the wrong side of the facets; returns how many.
+    fn add_at_nodes(&self, refinement: &mut Refinement, facets: &[Facet]) -> Result<usize> {
+        let Some(samples) = self.nodes else { return Ok(0) };
+        let (mesh, _) = compact(refinement.restricted.points(), facets);
+        let nodes = nodes_on_wrong_side(&mesh, samples);
+        self.monitor.note(&|| format!("{} grid nodes on the wrong side", nodes.len()));
+        if nodes.is_empty() { Ok(0) } else { refinement.insert_near_nodes(&nodes, facets) }
     }
-    unreachable!("the rounds end")
+
+    /// Tight Cocone of the points that are there by now, and of those added where it lacks what the surface by the sign of F has, or
+    /// leaves grid nodes on the wrong side.
+    fn cocones(&self, refinement: &mut Refinement) -> Result<(Vec<Facet>, CoconeReport)> {
+        for round in 0.. {
+            let found = cocone_of(refinement);
+            self.monitor.check()?;
+            let limit = if found.is_ok() { COCONE_ROUNDS } else { COCONE_ROUNDS_IN_VAIN };
+            let may_go_on = round < self.max_rounds.min(limit);
+            // points that enclose nothing have no surface
+            let closed = found.as_ref().map_or(&[][..], |(facets, _)| facets);
+            let mut added = if may_go_on { refinement.insert_for_other(closed)? } else { 0 };
+            let facets = refinement.without_border_closure(closed.to_vec());
+            if may_go_on && added == 0 {
+                added = self.add_at_nodes(refinement, &facets)?;
+            }
+            self.monitor.note(&|| format!("Tight Cocone, round {round}: {added} points added"));
+            if added == 0 {
+                let (_, report) = found?;
+                refinement.compare_other(&facets);
+                return Ok((facets, report));
+            }
+            // the surface by the sign of F stays right, so that it can be compared with
+            refinement.allow_rounds(self.max_rounds);
+            self.refine(refinement)?;
+        }
+        unreachable!("the rounds end")
+    }
 }
 
 /// Tight Cocone of all points of a refinement, with grad F for normals.

@@ -1,9 +1,16 @@
 //! Particles on the isosurface, joined into a watertight triangle mesh with its topology.
 //!
-//! The steps: [`prepare`] puts the particles on F = 0; [`restricted`] triangulates them (Delaunay) and takes the facets
-//! between tetrahedra whose circumcentres are inside and outside; [`defects`] compares that surface with the
-//! [topology of F](isoparticles_field::topology); [`refine`] adds points where it differs, until it does not; [`improve`] lifts the worst triangles;
-//! [`finish`] attaches the data; [`run`] is the program. [`tight_cocone`] is the other way to find the facets, from points alone.
+//! [`reconstruct()`] is all of it, in ten sentences and one call; [`run`] is the program round it.
+//!
+//! | step | module |
+//! |---|---|
+//! | the particles on F = 0, triangulated | [`prepare`] |
+//! | tetrahedra inside and outside, and the facets between them | [`restricted`], [`tight_cocone`] |
+//! | where the facets violate the topology of F | [`defects`] |
+//! | points added there | [`refine`] |
+//! | the worst triangles lifted | [`improve`] |
+//! | the mesh checked, beside the topology of F | [`check`], [`verdict`] |
+//! | data attached, and what offends shown | [`finish`] |
 
 mod around;
 pub mod check;
@@ -16,6 +23,7 @@ mod points_alone;
 pub mod prepare;
 #[cfg(test)]
 mod program_tests;
+pub mod reconstruct;
 pub mod refine;
 pub mod restricted;
 pub mod run;
@@ -25,3 +33,5 @@ mod scenes;
 mod tests;
 pub mod tight_cocone;
 pub mod verdict;
+
+pub use reconstruct::{Method, Options, Reconstruction, reconstruct};

@@ -69,7 +69,7 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome> {
     context.report("cocone", json!(cocone));
     context.report("parted_vertices", parted);
     context.report("check", json!(checked));
-    describe_mesh(&checked, "", &points, context);
+    describe_mesh(&checked, "", (&points.report, points.positions.len()), context);
     context.summary("improvement, comparison with F", skipped);
 
     let mut sizes: Vec<f64> = used.iter().map(|&v| points.sizes[v as usize]).collect();

@@ -1,27 +1,19 @@
 //! The program: options, reading, the steps in order, the checks, writing.
 
-use crate::check::{CheckOptions, CheckReport, check};
+use crate::check::CheckReport;
 use crate::finish::{attributes, offending};
-use crate::improve::{ImproveOptions, improve};
-use crate::join::{Joined, join};
 use crate::points_alone;
-use crate::prepare::{SurfacePoints, prepare};
-use crate::refine::RefineReport;
-use crate::verdict::TopologyReport;
-use glam::DVec3;
+use crate::prepare::PrepareReport;
+use crate::reconstruct::{Method, Options, Reconstruction, reconstruct};
 use isoparticles_field::particle_set::ParticleSet;
 use isoparticles_field::sizing::SizingField;
-use isoparticles_field::spline::CubicSpline;
-use isoparticles_field::topology::FieldTopology;
-use isoparticles_mesh::TriangleMesh;
-use isoparticles_mesh::kd_tree::KdTree;
 use isoparticles_mesh::point_cloud::is_point_cloud;
 use isoparticles_mesh::surface::{Simplices, Surface, check_surface_name, write_simplices, write_surface};
 use isoparticles_stage::cli::values::share;
 use isoparticles_stage::cli::{CHECKS, CommonArgs, Context, FILES, METHOD, Outcome, StageArgs, particles_bytes};
-use isoparticles_stage::error::{Error, Result};
+use isoparticles_stage::error::{Error, Kind, Result};
 use isoparticles_stage::field_file::{FieldKind, check_same_grid, read_field};
-use isoparticles_stage::meta::{self, Border, CapPlane, DistanceMeta, SurfaceMeta};
+use isoparticles_stage::meta::{self, Border, DistanceMeta, SurfaceMeta};
 use isoparticles_stage::particle_file::{ParticleKind, read_particles};
 use isoparticles_volume::Image;
 use serde_json::{Value, json};
@@ -90,17 +82,23 @@ pub struct Args {
     pub common: CommonArgs,
 }
 
-/// How particles are joined.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
-pub enum Method {
-    /// Delaunay triangulation restricted by the sign of F, refined until it has the topology of the isosurface
-    Restricted,
-    /// Tight Cocone (Dey and Goswami 2003): by the shape of the Voronoi cells, from points alone; with a distance field, from more points
-    /// where these are too few
-    TightCocone,
-}
-
 impl Args {
+    /// How to reconstruct from a field that says this of itself.
+    fn options(&self, told: &DistanceMeta) -> Options {
+        Options {
+            method: self.method,
+            max_deviation: self.max_deviation,
+            max_rounds: usize::from(self.max_rounds),
+            improve_below: self.improve_below,
+            relaxation_sweeps: usize::from(self.relaxation_sweeps),
+            improve_rounds: usize::from(self.improve_rounds),
+            keeps_voxels: told.keeps_voxels(),
+            open_border: told.border == Some(Border::Open),
+            min_radius_ratio: self.radius_ratio_bar(),
+            max_vertex_distance: self.max_vertex_distance,
+        }
+    }
+
     /// The bar for the smallest radius ratio.
     pub(crate) fn radius_ratio_bar(&self) -> Option<f64> {
         self.min_radius_ratio.or(self.distfield.as_ref().map(|_| 0.3))
@@ -133,24 +131,6 @@ impl StageArgs for Args {
             "improve_below": self.improve_below, "relaxation_sweeps": self.relaxation_sweeps, "improve_rounds": self.improve_rounds,
             "min_radius_ratio": self.radius_ratio_bar(), "max_vertex_distance": self.max_vertex_distance,
         })
-    }
-}
-
-/// What the distance field says about itself.
-pub(crate) struct Origin {
-    /// Voxel centres have sides that are kept.
-    pub(crate) is_labels: bool,
-    pub(crate) is_open: bool,
-    caps: Vec<CapPlane>,
-}
-
-impl Origin {
-    fn of(meta: &DistanceMeta) -> Self {
-        Self {
-            is_labels: meta.keeps_voxels(),
-            is_open: meta.border == Some(Border::Open),
-            caps: meta.cap_planes.clone(),
-        }
     }
 }
 
@@ -206,65 +186,24 @@ fn on_field(args: &Args, distfield: &Path, context: &Context) -> Result<Outcome>
     let sizing =
         args.sizefield.as_deref().map(|path| read_sizing(path, (distfield, &field.image), context)).transpose()?;
     let told: DistanceMeta = meta::typed(distfield, &field.meta, "distfield")?;
-    let origin = Origin::of(&told);
-    let spline = CubicSpline::new(&field.image);
     drop(step);
-
-    let step = context.step("topology");
-    let topology = FieldTopology::new(&spline);
-    drop(step);
-    let step = context.step("project");
-    let mut points = prepare(&particles, &spline).map_err(|e| about(&args.particles, e))?;
-    drop(step);
-    let made = join(args, context, &mut points, &spline, &topology, &field.image, &origin)?;
-    let Joined { mut mesh, sizes, report: refined, cocone } = made;
-
-    let step = context.step("improve");
-    let tree = KdTree::new(&sizes.0);
-    let size_near = |p: DVec3| tree.nearest(p).map_or(spline.geometry().mean_spacing(), |(v, _)| sizes.1[v]);
-    let size = |p: DVec3| sizing.as_ref().map_or_else(|| size_near(p), |h| h.at(p));
-    let options = ImproveOptions {
-        target: args.improve_below,
-        rounds: usize::from(args.improve_rounds),
-        relaxation_sweeps: usize::from(args.relaxation_sweeps),
-        sides: (origin.is_labels && !origin.is_open).then_some(&field.image),
-        ..ImproveOptions::polish()
-    };
-    let improved = improve(&mut mesh, &spline, &size, &options, &|| context.check_interrupt())?;
-    drop(step);
+    let options = args.options(&told);
+    let made = reconstruct(&particles, &field.image, sizing.as_ref(), &options, context)
+        .map_err(|error| about(&args.particles, error))?;
     context.check_interrupt()?;
+    tell(&made, context);
 
-    let step = context.step("check");
-    let options = CheckOptions {
-        field: Some(&spline),
-        sides: (!origin.is_open).then_some(&field.image),
-        min_radius_ratio: args.radius_ratio_bar(),
-        max_vertex_distance: Some(args.max_vertex_distance),
-    };
-    let mut checked = check(&mesh, &options);
-    let found = TopologyReport::new(&mesh, &spline, &topology);
-    let failed = judge(&mut checked, &found, &mesh, &refined, &origin, &spline, context);
-    drop(step);
-    context.check_interrupt()?;
-
-    context.report("prepare", json!(points.report));
-    context.report("refine", json!(refined));
-    context.report("cocone", json!(cocone));
-    context.report("improve", json!(improved));
-    context.report("check", json!(checked));
-    context.report("topology", json!(found));
-    describe(&checked, &found, &points, &refined, context);
-
-    let surface = attributes(&mesh, &spline, &size, &origin.caps);
+    let surface = attributes(&made.mesh, &made.field, &made.sizes, &told.cap_planes);
+    let notes = [("topology", json!(made.topology)), ("refine", json!(made.refined))];
     let meta = SurfaceMeta {
         version: meta::VERSION,
         source: told.source,
         border: told.border,
-        failed_checks: failed.clone(),
-        components: topology.components().len(),
-        notes: [("topology".to_owned(), json!(found)), ("refine".to_owned(), json!(refined))].into_iter().collect(),
+        failed_checks: made.failed.clone(),
+        components: made.topology.field.components,
+        notes: notes.into_iter().map(|(name, note)| (name.to_owned(), note)).collect(),
     };
-    write(args, context, &surface, &meta, offending(&mesh, &checked, spline.geometry()), failed)
+    write(args, context, &surface, &meta, offending(&made.mesh, &made.checked, made.field.geometry()), made.failed)
 }
 
 /// Where the simplices that offend failed checks are written.
@@ -322,8 +261,11 @@ fn read_sizing(path: &Path, distance: (&Path, &Image<f32>), context: &Context) -
     Ok(SizingField::new(field.image))
 }
 
-/// An error about a file.
+/// An error about a file, unless the run was interrupted.
 pub(crate) fn about(path: &Path, error: Error) -> Error {
+    if error.kind == Kind::Interrupted {
+        return error;
+    }
     Error { what: format!("{}: {}", path.display(), error.what), ..error }
 }
 
@@ -335,55 +277,22 @@ fn remove_stale(path: &Path, context: &Context) {
     }
 }
 
-/// The checks that failed, in words. What an open border entails is no failure; nodes on the wrong side are one for
-/// labels only, since for a scalar volume a chord may cut off a node next to the surface.
-fn judge(
-    checked: &mut CheckReport,
-    found: &TopologyReport,
-    mesh: &TriangleMesh,
-    refined: &RefineReport,
-    origin: &Origin,
-    spline: &CubicSpline,
-    context: &Context,
-) -> Vec<String> {
-    if origin.is_open {
-        let geometry = spline.geometry();
-        let upper = geometry.upper_corner();
-        let longest = |[a, b]: &[u32; 2]| mesh.vertices[*a as usize].distance(mesh.vertices[*b as usize]);
-        let margin = |v: u32, edge: &[u32; 2]| {
-            let p = mesh.vertices[v as usize];
-            p.min(upper - p).min_element() < 2.0 * longest(edge) + geometry.mean_spacing()
-        };
-        checked.offenders.open_edges.retain(|edge| !edge.iter().all(|&v| margin(v, edge)));
-        context.report("border_edges", checked.open_edges - checked.offenders.open_edges.len());
-        checked.open_edges = checked.offenders.open_edges.len();
+/// Puts what was made into the report and the closing table, and warns of what is doubtful.
+fn tell(made: &Reconstruction, context: &Context) {
+    let Reconstruction { checked, topology, refined, .. } = made;
+    context.report("prepare", json!(made.prepared));
+    context.report("refine", json!(refined));
+    context.report("cocone", json!(made.cocone));
+    context.report("parted_vertices", made.parted);
+    context.report("improve", json!(made.improved));
+    context.report("check", json!(checked));
+    context.report("border_edges", made.border_edges);
+    context.report("topology", json!(topology));
+    if let Some(cocone) = &made.cocone {
+        points_alone::warn(cocone, context);
     }
-    let nodes = checked.nodes_on_wrong_side;
-    if !origin.is_labels {
-        checked.nodes_on_wrong_side = None;
-    }
-    let mut failed = checked.failed_checks();
-    checked.nodes_on_wrong_side = nodes;
-    let (wrong, doubtful) = found.differences(origin.is_open);
-    failed.extend(wrong);
-    doubtful.into_iter().for_each(|difference| context.warn(difference));
-    if refined.unresolved_critical > 0 {
-        context.warn(format!(
-            "{} critical points of F on the wrong side: necks, gaps or specks there are thinner than the particles can tell",
-            refined.unresolved_critical
-        ));
-    }
-    failed
-}
-
-fn describe(
-    checked: &CheckReport,
-    found: &TopologyReport,
-    points: &SurfacePoints,
-    refined: &RefineReport,
-    context: &Context,
-) {
-    describe_mesh(checked, &found.expected(), points, context);
+    made.doubtful.iter().for_each(|doubt| context.warn(doubt));
+    describe_mesh(checked, &topology.expected(), (&made.prepared, made.taken), context);
     context.summary("points added", format!("{} in {} rounds", refined.inserted, refined.rounds));
     if let (Some(v), Some(c)) = (checked.vertex_distance, checked.centroid_distance) {
         context.summary(
@@ -397,13 +306,18 @@ fn describe(
 }
 
 /// What the closing table says of any mesh.
-pub(crate) fn describe_mesh(checked: &CheckReport, expected: &str, points: &SurfacePoints, context: &Context) {
+pub(crate) fn describe_mesh(
+    checked: &CheckReport,
+    expected: &str,
+    (prepared, taken): (&PrepareReport, usize),
+    context: &Context,
+) {
     let quality = &checked.quality;
     context.summary("vertices, triangles", format!("{}, {}", checked.vertices, checked.triangles));
     context.summary("components", format!("{}{expected}", checked.components.len()));
     context.summary("Euler characteristic", checked.euler);
-    let dropped = points.report.invalid + points.report.astray + points.report.crowded;
-    context.summary("particles taken, not taken", format!("{}, {dropped}", points.positions.len()));
+    let dropped = prepared.invalid + prepared.astray + prepared.crowded;
+    context.summary("particles taken, not taken", format!("{taken}, {dropped}"));
     context.summary(
         "radius ratio",
         format!("mean {:.4}, smallest {:.4}", quality.radius_ratio_mean, quality.radius_ratio_min),

@@ -12,6 +12,12 @@ impl Monitor for Context {
         Box::new(self.step(name))
     }
 
+    fn note(&self, detail: &dyn Fn() -> String) {
+        if self.common.verbose > 0 {
+            self.verbose(detail());
+        }
+    }
+
     fn counter<'a>(&'a self, label: &str, total: Option<u64>) -> Box<dyn Counter + 'a> {
         Box::new(self.progress(total, label))
     }

@@ -1,0 +1,221 @@
+//! The stage as one call: particles on F = 0 become a watertight triangle mesh of F = 0, checked.
+//!
+//! Its topology is that of F, computed from F alone before there is any mesh. The particles are put onto F = 0 and triangulated (Delaunay in
+//! space). Tetrahedra are labelled inside or outside: by the sign of F at their circumcentres, or by the shape of the Voronoi cells (Tight
+//! Cocone). The facets between them are the surface, closed by construction. Criteria compare it with F: is it a manifold, has it the
+//! components and the Euler characteristics of F, does a facet stray from F = 0 or turn away from it, does a voxel centre lie on its
+//! wrong side. Where one is violated, a point is added at the centre of the facet's surface ball, until none is. The facets are extracted,
+//! and sheets that touch in a point are parted. The worst triangles are lifted by local moves that break no criterion. At last
+//! everything a simulation counts on is checked anew, on the mesh as it is and against F as it was.
+
+use crate::check::{CheckOptions, CheckReport, check};
+use crate::improve::{ImproveOptions, ImproveReport, improve};
+use crate::join::{Joined, join};
+use crate::prepare::{PrepareReport, prepare};
+use crate::refine::RefineReport;
+use crate::tight_cocone::CoconeReport;
+use crate::verdict::TopologyReport;
+use glam::DVec3;
+use isoparticles_field::particle_set::ParticleSet;
+use isoparticles_field::sizing::SizingField;
+use isoparticles_field::spline::CubicSpline;
+use isoparticles_field::topology::FieldTopology;
+use isoparticles_mesh::TriangleMesh;
+use isoparticles_mesh::kd_tree::KdTree;
+use isoparticles_stage::error::Result;
+use isoparticles_stage::monitor::Monitor;
+use isoparticles_volume::{Geometry, Image};
+use rayon::prelude::*;
+
+/// How particles are joined.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+pub enum Method {
+    /// Delaunay triangulation restricted by the sign of F, refined until it has the topology of the isosurface
+    Restricted,
+    /// Tight Cocone (Dey and Goswami 2003): by the shape of the Voronoi cells, from points alone; with a distance field, from more points
+    /// where these are too few
+    TightCocone,
+}
+
+/// How to reconstruct; the defaults are those of the program.
+#[derive(Clone, Debug)]
+pub struct Options {
+    /// How particles are joined.
+    pub method: Method,
+    /// Farthest that the centroid of a facet may lie from F = 0 before points are added there, mm; a quarter of h, and of a voxel at least, where
+    /// there is none.
+    pub max_deviation: Option<f64>,
+    /// Most rounds of adding points at a stretch.
+    pub max_rounds: usize,
+    /// Radius ratio below which triangles are worked on by local moves; 0 leaves the triangulation as it is.
+    pub improve_below: f64,
+    /// Sweeps over the whole mesh before that.
+    pub relaxation_sweeps: usize,
+    /// Passes over the worst triangles.
+    pub improve_rounds: usize,
+    /// Whether voxel centres have sides that are kept (labels at scale 0).
+    pub keeps_voxels: bool,
+    /// Whether the surface ends where the volume does.
+    pub open_border: bool,
+    /// Smallest radius ratio that passes; `None`: any.
+    pub min_radius_ratio: Option<f64>,
+    /// Farthest from F = 0 that a vertex may lie, voxels (geometric mean spacing).
+    pub max_vertex_distance: f64,
+}
+
+impl Default for Options {
+    fn default() -> Self {
+        Self {
+            method: Method::Restricted,
+            max_deviation: None,
+            max_rounds: 40,
+            improve_below: 0.7,
+            relaxation_sweeps: 3,
+            improve_rounds: 3,
+            keeps_voxels: false,
+            open_border: false,
+            min_radius_ratio: Some(0.3),
+            max_vertex_distance: 1e-4,
+        }
+    }
+}
+
+/// A mesh with what is known of it.
+#[derive(Clone, Debug)]
+pub struct Reconstruction {
+    /// F.
+    pub field: CubicSpline,
+    /// The mesh, grid frame, triangles counter-clockwise seen from outside.
+    pub mesh: TriangleMesh,
+    /// Target edge length at each vertex, mm.
+    pub sizes: Vec<f64>,
+    /// Particles taken and not.
+    pub prepared: PrepareReport,
+    /// Points that were triangulated at first.
+    pub taken: usize,
+    /// What refinement did.
+    pub refined: RefineReport,
+    /// What Tight Cocone found, where that was the method.
+    pub cocone: Option<CoconeReport>,
+    /// Vertices added where sheets touch in a point.
+    pub parted: usize,
+    /// What improvement did.
+    pub improved: ImproveReport,
+    /// What was checked.
+    pub checked: CheckReport,
+    /// The mesh beside the topology of F.
+    pub topology: TopologyReport,
+    /// Edges of one triangle at an open border, which are no failure.
+    pub border_edges: usize,
+    /// Checks that failed, in words.
+    pub failed: Vec<String>,
+    /// What deserves a warning but fails no check, in words.
+    pub doubtful: Vec<String>,
+}
+
+/// Joins particles, in the grid frame of the samples `field` of F, into a mesh of F = 0. Without `sizing`, h at a vertex is that of the nearest
+/// particle. The result is the same on any number of threads.
+///
+/// # Errors
+/// On particles that are not on F = 0, all in one plane or that enclose nothing, and when interrupted. A mesh that fails a check is
+/// no error ([`Reconstruction::failed`]).
+pub fn reconstruct(
+    particles: &ParticleSet,
+    field: &Image<f32>,
+    sizing: Option<&SizingField>,
+    options: &Options,
+    monitor: &dyn Monitor,
+) -> Result<Reconstruction> {
+    let phase = monitor.phase("topology");
+    let spline = CubicSpline::new(field);
+    let topology = FieldTopology::new(&spline);
+    drop(phase);
+    let phase = monitor.phase("project");
+    let mut points = prepare(particles, &spline)?;
+    drop(phase);
+    let Joined { mut mesh, sizes, report: refined, cocone, parted } =
+        join(&mut points, &spline, &topology, field, options, monitor)?;
+
+    let phase = monitor.phase("improve");
+    let tree = KdTree::new(&sizes.0);
+    let size_near = |p: DVec3| tree.nearest(p).map_or(spline.geometry().mean_spacing(), |(v, _)| sizes.1[v]);
+    let size = |p: DVec3| sizing.map_or_else(|| size_near(p), |h| h.at(p));
+    let how = ImproveOptions {
+        target: options.improve_below,
+        rounds: options.improve_rounds,
+        relaxation_sweeps: options.relaxation_sweeps,
+        sides: (options.keeps_voxels && !options.open_border).then_some(field),
+        ..ImproveOptions::polish()
+    };
+    let improved = improve(&mut mesh, &spline, &size, &how, &|| Ok(monitor.check()?))?;
+    drop(phase);
+    monitor.check()?;
+
+    let phase = monitor.phase("check");
+    let how = CheckOptions {
+        field: Some(&spline),
+        sides: (!options.open_border).then_some(field),
+        min_radius_ratio: options.min_radius_ratio,
+        max_vertex_distance: Some(options.max_vertex_distance),
+    };
+    let mut checked = check(&mesh, &how);
+    let border_edges = if options.open_border { forgive_border(&mut checked, &mesh, spline.geometry()) } else { 0 };
+    let found = TopologyReport::new(&mesh, &spline, &topology);
+    let (failed, doubtful) = judge(&checked, &found, &refined, options);
+    let sizes = mesh.vertices.par_iter().map(|&p| size(p)).collect();
+    drop(phase);
+    Ok(Reconstruction {
+        field: spline,
+        mesh,
+        sizes,
+        prepared: points.report,
+        taken: points.positions.len(),
+        refined,
+        cocone,
+        parted,
+        improved,
+        checked,
+        topology: found,
+        border_edges,
+        failed,
+        doubtful,
+    })
+}
+
+/// Takes out of the open edges those where the volume ends; returns how many.
+fn forgive_border(checked: &mut CheckReport, mesh: &TriangleMesh, geometry: &Geometry) -> usize {
+    let upper = geometry.upper_corner();
+    let longest = |[a, b]: &[u32; 2]| mesh.vertices[*a as usize].distance(mesh.vertices[*b as usize]);
+    let is_near = |v: u32, edge: &[u32; 2]| {
+        let p = mesh.vertices[v as usize];
+        p.min(upper - p).min_element() < 2.0 * longest(edge) + geometry.mean_spacing()
+    };
+    let before = checked.open_edges;
+    checked.offenders.open_edges.retain(|edge| !edge.iter().all(|&v| is_near(v, edge)));
+    checked.open_edges = checked.offenders.open_edges.len();
+    before - checked.open_edges
+}
+
+/// The checks that failed, and what is only doubtful, in words. Nodes on the wrong side fail for labels only, since for a scalar volume a chord
+/// may cut off a node next to the surface.
+fn judge(
+    checked: &CheckReport,
+    found: &TopologyReport,
+    refined: &RefineReport,
+    options: &Options,
+) -> (Vec<String>, Vec<String>) {
+    let counted = CheckReport {
+        nodes_on_wrong_side: checked.nodes_on_wrong_side.filter(|_| options.keeps_voxels),
+        ..checked.clone()
+    };
+    let mut failed = counted.failed_checks();
+    let (wrong, mut doubtful) = found.differences(options.open_border);
+    failed.extend(wrong);
+    if refined.unresolved_critical > 0 {
+        doubtful.push(format!(
+            "{} critical points of F on the wrong side: necks, gaps or specks there are thinner than the particles can tell",
+            refined.unresolved_critical
+        ));
+    }
+    (failed, doubtful)
+}
