@@ -402,7 +402,7 @@ pub(crate) fn describe_mesh(checked: &CheckReport, expected: &str, points: &Surf
     context.summary("vertices, triangles", format!("{}, {}", checked.vertices, checked.triangles));
     context.summary("components", format!("{}{expected}", checked.components.len()));
     context.summary("Euler characteristic", checked.euler);
-    let dropped = points.report.invalid + points.report.astray + points.report.crowded;
+    let dropped = points.report.invalid + points.report.not_projected + points.report.crowded;
     context.summary("particles taken, not taken", format!("{}, {dropped}", points.positions.len()));
     context.summary(
         "radius ratio",
