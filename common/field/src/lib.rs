@@ -2,8 +2,8 @@
 //!
 //! [`spline`] is F itself: the cubic B-spline through samples of a signed distance, negative inside, with its analytic derivatives.
 //! [`sizing`] holds the target edge length h, [`energy`] the particles' energy (Eq. 1 to 4 of Kim, Chen and Hansen 2012) and
-//! [`neighbours`] who is near whom; [`marching_cubes`] makes a mesh of F = 0, and [`random`] counts its random numbers, so that
-//! nothing depends on the order of evaluation.
+//! [`neighbours`] who is near whom; [`topology`] tells the components, Euler characteristics and critical points of F, [`marching_cubes`] makes a
+//! mesh of F = 0, and [`random`] counts its random numbers, so that nothing depends on the order of evaluation.
 //!
 //! ```
 //! use glam::DVec3;

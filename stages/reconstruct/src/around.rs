@@ -12,14 +12,14 @@ pub(crate) fn place_of(list: [u32; 4], what: u32) -> usize {
 }
 
 /// The facets of a tetrahedron that have it and its neighbour on two sides, each as one of the tetrahedron inside.
-pub(crate) fn walls(delaunay: &Delaunay, t: u32, is_inside: impl Fn(u32) -> bool) -> Vec<Facet> {
+pub(crate) fn boundary_facets_of(delaunay: &Delaunay, t: u32, is_inside: impl Fn(u32) -> bool) -> Vec<Facet> {
     let neighbours = delaunay.neighbours(t);
-    let wall = |i: usize| {
+    let facet = |i: usize| {
         let n = neighbours[i];
         let (t, i) = if is_inside(t) { (t, i) } else { (n, place_of(delaunay.neighbours(n), t)) };
         Facet { vertices: delaunay.facet(t, i), tetrahedron: t, opposite: i as u8 }
     };
-    (0..4).filter(|&i| is_inside(t) != is_inside(neighbours[i])).map(wall).collect()
+    (0..4).filter(|&i| is_inside(t) != is_inside(neighbours[i])).map(facet).collect()
 }
 
 /// The facets between inside and outside, in the order of the tetrahedra.
@@ -28,7 +28,7 @@ pub(crate) fn boundary(delaunay: &Delaunay, is_inside: impl Fn(u32) -> bool + Sy
     (0..delaunay.slot_count() as u32)
         .into_par_iter()
         .filter(|&t| delaunay.is_alive(t) && is_inside(t))
-        .flat_map_iter(|t| walls(delaunay, t, is_inside))
+        .flat_map_iter(|t| boundary_facets_of(delaunay, t, is_inside))
         .collect()
 }
 

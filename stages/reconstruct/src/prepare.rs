@@ -129,7 +129,7 @@ pub struct PrepareReport {
     /// Not a number, or a target edge length that is not positive.
     pub invalid: usize,
     /// Outside the volume, or too far from F = 0 to be projected.
-    pub astray: usize,
+    pub not_projected: usize,
     /// On the same spot as an earlier one, or nearly.
     pub crowded: usize,
 }
@@ -167,7 +167,7 @@ pub fn prepare(particles: &ParticleSet, field: &CubicSpline) -> Result<SurfacePo
         })
         .collect();
     let (positions, sizes): (Vec<DVec3>, Vec<f64>) = projected.into_iter().flatten().unzip();
-    report.astray = valid.len() - positions.len();
+    report.not_projected = valid.len() - positions.len();
     if positions.len() < 4 || positions.len() * 2 < count {
         return Err(Error::input(
             format!("only {} of {count} particles lie within {LONGEST_MOVE} voxel of F = 0", positions.len()),

@@ -35,7 +35,7 @@ use std::sync::OnceLock;
 /// ball of radius 2 h (h^2 / 6 R).
 const DEFAULT_DEVIATION: f64 = 0.25;
 
-/// Cosine between a facet's normal and grad F at its centroid below which the facet counts as astray.
+/// Cosine between a facet's normal and grad F at its centroid below which the facet counts as turned away from F = 0.
 const TURNED: f64 = 0.3;
 
 /// A new point keeps this part of h from all others, unless the topology asks for it.
@@ -116,8 +116,8 @@ pub struct Refinement<'a> {
     patience: Patience,
     /// Whether the tetrahedra inside are those that the facets enclose.
     sides_are_known: bool,
-    /// Those on the wrong side of the mesh, each with the nearest vertex, once they have been asked for since the last comparison.
-    astray: OnceLock<Vec<(CriticalPoint, u32)>>,
+    /// Critical points on the wrong side of the mesh, each with the nearest vertex, once they have been asked for since the last comparison.
+    wrong_sided: OnceLock<Vec<(CriticalPoint, u32)>>,
     /// The points, as of the last comparison.
     nearest: Nearest,
     /// Times that points were added on each class for want of facets.
@@ -150,7 +150,7 @@ impl<'a> Refinement<'a> {
             granted: options.max_rounds,
             patience: Patience::default(),
             sides_are_known: true,
-            astray: OnceLock::new(),
+            wrong_sided: OnceLock::new(),
             nearest: Nearest::default(),
             samplings: HashMap::new(),
             strays_are_known: false,
@@ -218,7 +218,7 @@ impl<'a> Refinement<'a> {
     /// Defects of a set of facets; they go into the report.
     fn compare(&mut self, facets: &[Facet]) -> Defects {
         self.nearest.update(self.restricted.points());
-        self.astray = OnceLock::new();
+        self.wrong_sided = OnceLock::new();
         let defects = self.defects(facets);
         self.report.unresolved_manifold = defects.edges.len() + defects.vertices.len();
         self.report.unresolved_bridges = defects.bridges.len();

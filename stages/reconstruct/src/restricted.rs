@@ -6,7 +6,7 @@
 //! too. The Voronoi edge dual to a facet joins the two circumcentres and crosses F = 0: that crossing is the
 //! point which refines the facet (Boissonnat and Oudot 2005).
 
-use crate::around::{boundary, parts_round, runs_round, star, walls};
+use crate::around::{boundary, boundary_facets_of, parts_round, runs_round, star};
 use crate::prepare::not_triangulated;
 use glam::DVec3;
 use isoparticles_delaunay::predicates::orientation;
@@ -159,18 +159,18 @@ impl<'a> Restricted<'a> {
         let starts = [facets.first()?.tetrahedron, across(facets.first()?)];
         starts.into_iter().find_map(|start| {
             let side = self.inside[start as usize];
-            let (mut region, mut next, mut walls) = (vec![start], 0, 0);
+            let (mut region, mut next, mut met) = (vec![start], 0, 0);
             while next < region.len() && region.len() <= most {
                 for n in self.delaunay.neighbours(region[next]) {
                     if self.inside[n as usize] != side {
-                        walls += 1;
+                        met += 1;
                     } else if !region.contains(&n) {
                         region.push(n);
                     }
                 }
                 next += 1;
             }
-            let is_all = next == region.len() && walls == facets.len();
+            let is_all = next == region.len() && met == facets.len();
             (is_all && !region.iter().any(|&t| self.delaunay.is_ghost(t))).then_some(region)
         })
     }
@@ -187,14 +187,14 @@ impl<'a> Restricted<'a> {
     /// The sides that a closed surface of facets gives the tetrahedra, by their numbers.
     pub fn sides_of(&self, facets: &[Facet]) -> Vec<bool> {
         let mut inside = vec![false; self.delaunay.slot_count()];
-        // a bit for each facet of each tetrahedron: whether it is a wall
-        let mut walls = vec![0u8; self.delaunay.slot_count()];
-        facets.iter().for_each(|f| walls[f.tetrahedron as usize] |= 1 << f.opposite);
+        // a bit for each facet of each tetrahedron: whether it is on the surface
+        let mut on_surface = vec![0u8; self.delaunay.slot_count()];
+        facets.iter().for_each(|f| on_surface[f.tetrahedron as usize] |= 1 << f.opposite);
         let mut open: Vec<u32> = facets.iter().map(|f| f.tetrahedron).collect();
         while let Some(t) = open.pop() {
             if !std::mem::replace(&mut inside[t as usize], true) {
                 let neighbours = self.delaunay.neighbours(t).into_iter().enumerate();
-                open.extend(neighbours.filter(|(i, _)| walls[t as usize] >> i & 1 == 0).map(|(_, n)| n));
+                open.extend(neighbours.filter(|(i, _)| on_surface[t as usize] >> i & 1 == 0).map(|(_, n)| n));
             }
         }
         inside
@@ -242,7 +242,7 @@ impl<'a> Restricted<'a> {
     /// The facets between inside and outside at a vertex.
     pub fn facets_at(&self, vertex: u32) -> Vec<Facet> {
         let inside = star(&self.delaunay, vertex).into_iter().filter(|&t| self.inside[t as usize]);
-        let facets = inside.flat_map(|t| walls(&self.delaunay, t, |t| self.inside[t as usize]));
+        let facets = inside.flat_map(|t| boundary_facets_of(&self.delaunay, t, |t| self.inside[t as usize]));
         facets.filter(|f| f.vertices.contains(&vertex)).collect()
     }
 

@@ -316,7 +316,7 @@ pub(crate) fn describe_mesh(
     context.summary("vertices, triangles", format!("{}, {}", checked.vertices, checked.triangles));
     context.summary("components", format!("{}{expected}", checked.components.len()));
     context.summary("Euler characteristic", checked.euler);
-    let dropped = prepared.invalid + prepared.astray + prepared.crowded;
+    let dropped = prepared.invalid + prepared.not_projected + prepared.crowded;
     context.summary("particles taken, not taken", format!("{taken}, {dropped}"));
     context.summary(
         "radius ratio",

@@ -313,7 +313,7 @@ fn particles_that_cannot_be_used_are_counted_or_refused() {
         set.sizes.push(h);
     }
     let points = prepare(&set, &scene.field).unwrap();
-    assert_eq!((points.report.invalid, points.report.astray), (2, 2));
+    assert_eq!((points.report.invalid, points.report.not_projected), (2, 2));
     assert_eq!(points.positions.len(), good);
 
     set.sizes.pop();

@@ -215,13 +215,20 @@ impl Cells {
     }
 
     /// The same within one cell, which may be halved or a part of one that is not.
-    pub(super) fn crossed_in(&self, voxel: Cell, found: &mut Vec<(Cell, State)>) {
-        let mut open = vec![voxel];
-        while let Some(cell) = open.pop() {
-            match self.find(cell) {
-                Some((_, State::Halved(_))) => open.extend((0..8).rev().map(|octant| cell.half(octant))),
-                Some((own, state)) if state != State::Clear => found.push((own, state)),
-                _ => {}
+    pub(super) fn crossed_in(&self, cell: Cell, found: &mut Vec<(Cell, State)>) {
+        match self.find(cell) {
+            Some((_, State::Halved(halves))) => self.crossed_in_halves(cell, halves, found),
+            Some((own, state)) if state != State::Clear => found.push((own, state)),
+            _ => {}
+        }
+    }
+
+    fn crossed_in_halves(&self, cell: Cell, halves: u32, found: &mut Vec<(Cell, State)>) {
+        for (octant, &half) in self.halves[halves as usize].iter().enumerate() {
+            match half.into() {
+                State::Clear => {}
+                State::Halved(halves) => self.crossed_in_halves(cell.half(octant), halves, found),
+                state => found.push((cell.half(octant), state)),
             }
         }
     }

@@ -154,11 +154,19 @@ impl Surface {
 
 /// The polygons in all cells as they are, in the order of the cells, and the cells that are undecided.
 pub(super) fn read_all(field: &CubicSpline, cells: &Cells) -> (Vec<(u64, Polygons)>, Vec<Cell>) {
-    let slices: Vec<Vec<(Cell, State)>> =
-        (0..cells.size()[2] as u32).into_par_iter().map(|k| cells.crossed_in_slice(k)).collect();
-    let undecided = slices.iter().flatten().filter(|(_, state)| *state == State::Undecided);
-    let undecided = undecided.map(|(cell, _)| *cell).collect();
-    (slices.par_iter().flat_map_iter(|slice| read(field, cells, slice)).collect(), undecided)
+    let slice = |k: u32| {
+        let crossed = cells.crossed_in_slice(k);
+        let undecided = crossed.iter().filter(|(_, state)| *state == State::Undecided);
+        (read(field, cells, &crossed), undecided.map(|(cell, _)| *cell).collect::<Vec<Cell>>())
+    };
+    let slices: Vec<_> = (0..cells.size()[2] as u32).into_par_iter().map(slice).collect();
+    let mut all = Vec::with_capacity(slices.iter().map(|(polygons, _)| polygons.len()).sum());
+    let mut undecided = Vec::new();
+    for (polygons, own) in slices {
+        all.extend(polygons);
+        undecided.extend(own);
+    }
+    (all, undecided)
 }
 
 /// The polygons in some cells, each with the place of its cell in the order of all.

@@ -178,11 +178,13 @@ impl<'a> Reader<'a> {
     /// The crossings on an edge of cells, which is along an axis and starts at the lowest corner of `edge`, in the order asked for.
     fn edge(&mut self, edge: Cell, axis: usize, forward: bool, crossings: &mut Vec<(Crossing, bool)>) {
         let (u, v) = ((axis + 1) % 3, (axis + 2) % 3);
-        let is_halved = (0..4).any(|n| {
+        let is_own = edge.level == self.present.level;
+        let is_halved = |n: i64| {
             let mut away = [0; 3];
             (away[u], away[v]) = (-(n & 1), -(n >> 1));
             self.is_halved(edge, away)
-        });
+        };
+        let is_halved = if is_own { self.is_own_edge_halved(edge, [u, v]) } else { (0..4).any(is_halved) };
         if is_halved {
             let halves = [edge.half(0), edge.half(1 << axis)];
             let [first, second] = if forward { halves } else { [halves[1], halves[0]] };
@@ -190,7 +192,7 @@ impl<'a> Reader<'a> {
             self.edge(second, axis, forward, crossings);
             return;
         }
-        let [from, to] = if edge.level == self.present.level {
+        let [from, to] = if is_own {
             let first: u32 = (0..3).map(|k| (edge.at[k] - self.present.at[k]) << k).sum();
             [first, first + (1 << axis)].map(|corner| self.inside >> corner & 1 == 1)
         } else {
@@ -201,6 +203,13 @@ impl<'a> Reader<'a> {
                 (self.number(edge.corner()) * 3 + axis as u64) * (u64::from(DEPTH) + 1) + u64::from(edge.level);
             crossings.push((number, to == forward));
         }
+    }
+
+    /// Whether one of the four cells at an edge of the present cell is halved; the edge is across two axes.
+    fn is_own_edge_halved(&self, edge: Cell, across: [usize; 2]) -> bool {
+        let number = number_around(self.present, edge.at.map(i64::from));
+        let [u, v] = across.map(|axis| [1, 3, 9][axis]);
+        !self.is_even && [number, number - u, number - v, number - u - v].iter().any(|&n| self.halved[n])
     }
 
     fn is_halved(&self, cell: Cell, away: [i64; 3]) -> bool {

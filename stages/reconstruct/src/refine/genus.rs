@@ -24,13 +24,13 @@ const DROPPED_TETRAHEDRA: usize = 64;
 
 impl Refinement<'_> {
     /// The critical points that the mesh had on the wrong side at the last comparison, with the nearest vertex of each.
-    pub(super) fn astray(&self) -> &[(CriticalPoint, u32)] {
+    pub(super) fn wrong_sided(&self) -> &[(CriticalPoint, u32)] {
         let wrong = |c: &CriticalPoint| {
             let near = self.nearest.to(c.position)?.0;
             (!self.has_right(c, near)).then_some((*c, near))
         };
         let find = || self.critical_points().filter_map(wrong).collect();
-        if self.sides_are_known { self.astray.get_or_init(find) } else { &[] }
+        if self.sides_are_known { self.wrong_sided.get_or_init(find) } else { &[] }
     }
 
     /// Whether the mesh has a critical point on its right side; `near` is a vertex not far from it.
@@ -101,15 +101,15 @@ impl Refinement<'_> {
     /// # Errors
     /// None as a rule; those of the triangulation.
     pub(super) fn insert_at_critical_points(&mut self) -> Result<usize> {
-        let astray = self.astray().to_vec();
-        self.report.unresolved_critical = astray.len();
-        if self.genus_rounds == 0 && !astray.is_empty() {
+        let wrong_sided = self.wrong_sided().to_vec();
+        self.report.unresolved_critical = wrong_sided.len();
+        if self.genus_rounds == 0 && !wrong_sided.is_empty() {
             self.allow_rounds(self.granted);
         }
         // what the points upset takes rounds to come right again
         let has_room = 2 * (self.options.max_rounds - self.report.rounds) >= self.granted.max(1);
-        while has_room && !astray.is_empty() && self.genus_rounds < GENUS_ROUNDS {
-            let candidates = self.at_critical_points(&astray, self.genus_rounds);
+        while has_room && !wrong_sided.is_empty() && self.genus_rounds < GENUS_ROUNDS {
+            let candidates = self.at_critical_points(&wrong_sided, self.genus_rounds);
             self.genus_rounds += 1;
             let inserted = self.insert_all(candidates)?;
             if inserted > 0 {
@@ -121,7 +121,7 @@ impl Refinement<'_> {
 
     /// Points round the critical points on the wrong side: first where F = 0 is nearest to each in its principal directions, then on spheres
     /// around it.
-    fn at_critical_points(&self, astray: &[(CriticalPoint, u32)], attempt: usize) -> Vec<Candidate> {
+    fn at_critical_points(&self, wrong_sided: &[(CriticalPoint, u32)], attempt: usize) -> Vec<Candidate> {
         let candidate = |start: DVec3, c: &CriticalPoint, size: f64, apart: f64| {
             let point = self.on_surface(start, 2.0)?;
             let (near, radius) = self.nearest.to(point)?;
@@ -130,7 +130,7 @@ impl Refinement<'_> {
             fits.then_some(Candidate { reason: Reason::Genus, point, radius: radius.min(reach), size, near })
         };
         let mut candidates = Vec::new();
-        for &(c, near) in astray {
+        for &(c, near) in wrong_sided {
             let size = |radius: f64| self.sizes[near as usize].min(2.0 * radius);
             if attempt == 0 {
                 let ends = c.ways.iter().filter(|way| **way != DVec3::ZERO).flat_map(|&way| [way, -way]);

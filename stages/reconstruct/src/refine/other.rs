@@ -3,7 +3,7 @@
 
 use super::Refinement;
 use super::insert::Reason;
-use crate::around::{star, walls};
+use crate::around::{boundary_facets_of, star};
 use crate::defects::Defects;
 use crate::restricted::{Facet, Restricted};
 use glam::DVec3;
@@ -29,7 +29,7 @@ impl Refinement<'_> {
             self.restricted.set_sides(self.restricted.sides_of(facets));
         }
         let defects = self.compare(facets);
-        self.report.unresolved_critical = self.astray().len();
+        self.report.unresolved_critical = self.wrong_sided().len();
         self.report.parted_pinches = 0;
         defects
     }
@@ -44,7 +44,8 @@ impl Refinement<'_> {
         let sides = self.restricted.sides_of(facets);
         let wrong = self.wrong_by(&sides);
         let wanting = |part: &Vec<u32>| {
-            let own = part.iter().flat_map(|&t| walls(self.restricted.delaunay(), t, |t| sides[t as usize]));
+            let own =
+                part.iter().flat_map(|&t| boundary_facets_of(self.restricted.delaunay(), t, |t| sides[t as usize]));
             let is_bridge = |f: Facet| {
                 let mut known =
                     f.vertices.into_iter().filter_map(|v| self.topology.groups().of(self.component_of[v as usize]));
@@ -57,7 +58,7 @@ impl Refinement<'_> {
         };
         let parts: Vec<Vec<u32>> = differing_parts(&self.restricted, &sides).into_par_iter().filter(wanting).collect();
         let lacking = parts.iter().flatten().flat_map(|&t| {
-            let by_sign = walls(self.restricted.delaunay(), t, |t| self.restricted.is_inside(t));
+            let by_sign = boundary_facets_of(self.restricted.delaunay(), t, |t| self.restricted.is_inside(t));
             by_sign.into_iter().filter(|f| self.is_lacking(f, &sides) && !self.is_closure(f))
         });
         let candidates = lacking.filter_map(|facet| self.ball(&facet, Reason::Manifold)).collect();
@@ -111,8 +112,8 @@ impl Refinement<'_> {
         let euler = |is_inside: &dyn Fn(u32) -> bool| {
             let mut surface: HashSet<Simplex> = HashSet::new();
             for &t in &around {
-                let walls = walls(delaunay, t, is_inside);
-                surface.extend(walls.iter().flat_map(|f| simplices(&f.vertices)).filter(|s| own.contains(s)));
+                let facets = boundary_facets_of(delaunay, t, is_inside);
+                surface.extend(facets.iter().flat_map(|f| simplices(&f.vertices)).filter(|s| own.contains(s)));
             }
             surface.iter().map(|s| if is_edge(s) { -1 } else { 1 }).sum::<i64>()
         };
@@ -209,7 +210,7 @@ mod tests {
         let mut turned = 0;
         for t in (0..sides.len() as u32).filter(|&t| refinement.restricted.delaunay().is_alive(t) && !sides[t as usize])
         {
-            let own = walls(refinement.restricted.delaunay(), t, |t| sides[t as usize]);
+            let own = boundary_facets_of(refinement.restricted.delaunay(), t, |t| sides[t as usize]);
             if own.len() == 2 {
                 let mut other = sides.clone();
                 other[t as usize] ^= true;

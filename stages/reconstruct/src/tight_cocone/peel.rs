@@ -149,7 +149,7 @@ fn orient(
     !met.is_empty()
 }
 
-/// Parts of the object without a tetrahedron that all four vertices have inside are no parts: scraps between sheets.
+/// Parts of the object without a tetrahedron that all four vertices have inside are no parts: a few tetrahedra between sheets.
 fn drop_unsupported(delaunay: &Delaunay, marks: &[i8], is_out: &mut [bool]) {
     let mut is_seen = is_out.to_vec();
     let mut part = Vec::new();
