@@ -1,4 +1,4 @@
-//! From particles on F = 0 to a mesh: the triangulation, and the facets by either method.
+//! From triangulated points on F = 0 to a mesh: the facets by either method.
 
 use crate::pinched::part_sheets;
 use crate::prepare::{ON_SURFACE, SurfacePoints};
@@ -7,6 +7,7 @@ use crate::refine::{RefineOptions, RefineReport, Refinement};
 use crate::restricted::Facet;
 use crate::tight_cocone::{CoconeReport, tight_cocone};
 use glam::DVec3;
+use isoparticles_delaunay::Delaunay;
 use isoparticles_field::spline::CubicSpline;
 use isoparticles_field::topology::FieldTopology;
 use isoparticles_mesh::TriangleMesh;
@@ -36,26 +37,25 @@ pub(crate) struct Joined {
     pub(crate) parted: usize,
 }
 
-/// Joins particles on F = 0 by the method asked for.
+/// Joins triangulated points on F = 0 by the method asked for.
 ///
 /// # Errors
-/// When the points cannot be triangulated or enclose nothing, and when interrupted.
+/// When the points enclose nothing, and when interrupted.
 pub(crate) fn join(
-    points: &mut SurfacePoints,
+    delaunay: Delaunay,
+    points: &SurfacePoints,
     spline: &CubicSpline,
     topology: &FieldTopology,
     samples: &Image<f32>,
     options: &Options,
     monitor: &dyn Monitor,
 ) -> Result<Joined> {
-    let phase = monitor.phase("triangulate");
     let limits = RefineOptions {
         max_rounds: options.max_rounds,
         max_deviation: options.max_deviation,
         open_border: options.open_border,
     };
-    let mut refinement = Refinement::new(points, spline, topology, limits)?;
-    drop(phase);
+    let mut refinement = Refinement::of(delaunay, points, spline, topology, limits);
     let nodes = (options.keeps_voxels && !options.open_border).then_some(samples);
     let work = Work { max_rounds: options.max_rounds, nodes, monitor };
     let phase = monitor.phase("refine");

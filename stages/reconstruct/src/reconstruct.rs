@@ -126,15 +126,18 @@ pub fn reconstruct(
     options: &Options,
     monitor: &dyn Monitor,
 ) -> Result<Reconstruction> {
-    let phase = monitor.phase("topology");
-    let spline = CubicSpline::new(field);
-    let topology = FieldTopology::new(&spline);
-    drop(phase);
     let phase = monitor.phase("project");
+    let spline = CubicSpline::new(field);
     let mut points = prepare(particles, &spline)?;
     drop(phase);
+    // the triangulation keeps one thread busy, and neither knows of the other
+    let phase = monitor.phase("triangulate, topology");
+    let (delaunay, topology) = rayon::join(|| points.triangulate(), || FieldTopology::new(&spline));
+    let delaunay = delaunay?;
+    drop(phase);
+    monitor.check()?;
     let Joined { mut mesh, sizes, report: refined, cocone, parted } =
-        join(&mut points, &spline, &topology, field, options, monitor)?;
+        join(delaunay, &points, &spline, &topology, field, options, monitor)?;
 
     let phase = monitor.phase("improve");
     let tree = KdTree::new(&sizes.0);

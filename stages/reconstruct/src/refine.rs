@@ -20,6 +20,7 @@ use crate::prepare::{ON_SURFACE, SurfacePoints};
 use crate::restricted::{Facet, Restricted};
 use glam::DVec3;
 use insert::{Candidate, Reason};
+use isoparticles_delaunay::Delaunay;
 use isoparticles_field::spline::CubicSpline;
 use isoparticles_field::topology::{CriticalPoint, FieldTopology};
 use isoparticles_mesh::components::NO_COMPONENT;
@@ -137,9 +138,21 @@ impl<'a> Refinement<'a> {
         topology: &'a FieldTopology,
         options: RefineOptions,
     ) -> Result<Self> {
-        let restricted = Restricted::new(points.triangulate()?, field);
+        let delaunay = points.triangulate()?;
+        Ok(Self::of(delaunay, points, field, topology, options))
+    }
+
+    /// Begins with the triangulation of points on F = 0.
+    pub fn of(
+        delaunay: Delaunay,
+        points: &SurfacePoints,
+        field: &'a CubicSpline,
+        topology: &'a FieldTopology,
+        options: RefineOptions,
+    ) -> Self {
+        let restricted = Restricted::new(delaunay, field);
         let component_of = points.positions.par_iter().map(|&p| component_at(p, field, topology)).collect::<Vec<u32>>();
-        Ok(Self {
+        Self {
             restricted,
             sizes: points.sizes.clone(),
             component_of,
@@ -154,7 +167,7 @@ impl<'a> Refinement<'a> {
             nearest: Nearest::default(),
             samplings: HashMap::new(),
             strays_are_known: false,
-        })
+        }
     }
 
     /// Lets the refinement go on for so many rounds from now.
