@@ -2,8 +2,9 @@
 //! turn or fold a triangle, leave F = 0, spoil edge lengths, make triangles cross, or carry a grid node to the other side.
 
 use super::constants::{
-    AGREEMENT, BELOW, FIT, FIT_ANGLES, FOLD, FOLLOWS, LEAST_GAIN, LEAST_GAIN_OF_SWEEP, LOOSE_AGREEMENT,
-    LOOSE_DEVIATION, LOOSE_FOLD, LOOSE_FOLD_OF_F, LOOSE_LENGTHS, PROJECTION_AGREEMENT, SURELY_FIT,
+    AGREEMENT, AIM, AIM_ANGLES, BELOW, FIT, FIT_ANGLES, FOLD, FOLLOWS, LEAST_GAIN, LEAST_GAIN_OF_SWEEP,
+    LOOSE_AGREEMENT, LOOSE_DEVIATION, LOOSE_FOLD, LOOSE_FOLD_OF_F, LOOSE_LENGTHS, NODE, PROJECTION_AGREEMENT,
+    SURELY_WIDE,
 };
 use super::surface::{Facts, Surface};
 use glam::DVec3;
@@ -56,7 +57,8 @@ impl Limits {
 /// What counts as better.
 #[derive(Clone, Copy, Debug)]
 pub(super) enum Rule {
-    /// The smallest quality of the patch does not fall, and the shortfall of its triangles below `bar` shrinks.
+    /// The smallest quality of the patch does not fall, and the shortfall of its triangles below `bar` shrinks; or fewer grid nodes are on the
+    /// wrong side, and the smallest quality does not fall below [`FIT`].
     Lift {
         /// Quality below which a triangle falls short.
         bar: f64,
@@ -72,19 +74,25 @@ pub(super) enum Rule {
     Any,
 }
 
-/// Quality of a triangle: its radius ratio, or less where its smallest or largest angle is nearer to what finite elements are asked for; 0.5 at
-/// the limit of the worst of the three, 0 without area.
+/// Quality of a triangle: its radius ratio, or less where its smallest or largest angle is worse than that: [`FIT`] and [`AIM`] at the limits of
+/// each of the three, linear between and beyond, 0 without area.
 pub(super) fn quality_of(a: DVec3, b: DVec3, c: DVec3) -> f64 {
     let ratio = radius_ratio(a, b, c);
-    if ratio > SURELY_FIT {
+    if ratio > SURELY_WIDE {
         return ratio;
     }
     let angles =
         [(b - a).angle_between(c - a), (c - b).angle_between(a - b), (a - c).angle_between(b - c)].map(f64::to_degrees);
     let smallest = angles.into_iter().fold(f64::INFINITY, f64::min);
     let largest = angles.into_iter().fold(0.0, f64::max);
-    let by_angle = (smallest / FIT_ANGLES[0]).min((180.0 - largest) / (180.0 - FIT_ANGLES[1]));
-    ratio.min(FIT * by_angle)
+    let by_angle = |angle: f64, fit: f64, aim: f64| {
+        if angle < fit { FIT * angle / fit } else { FIT + (AIM - FIT) * (angle - fit) / (aim - fit) }
+    };
+    ratio.min(by_angle(smallest, FIT_ANGLES[0], AIM_ANGLES[0])).min(by_angle(
+        180.0 - largest,
+        180.0 - FIT_ANGLES[1],
+        180.0 - AIM_ANGLES[1],
+    ))
 }
 
 /// Smallest and mean quality of some triangles, and what they lack to a bar: the sum of the squares, and [`BELOW`] for each.
@@ -117,18 +125,33 @@ fn scores(surface: &Surface, touched: &[u32], bar: f64) -> (Score, Score) {
     (before, Score::of(now, bar))
 }
 
-/// By how much the edits since the last commit bring the patch nearer to a bar; negative infinity when they lower the smallest quality.
+/// By how much the edits since the last commit bring the patch nearer to a bar and grid nodes to their right sides; negative infinity when
+/// they lower the smallest quality, or for the sake of a node lower it below [`FIT`].
 pub(super) fn gain(surface: &Surface, bar: f64) -> f64 {
+    let touched = surface.touched();
+    let mended =
+        if surface.has_wrong_nodes() { changed_nodes(surface, &touched).map(|(_, mended)| mended) } else { Some(0) };
+    mended.map_or(f64::NEG_INFINITY, |mended| gain_of(scores(surface, &touched, bar), mended))
+}
+
+/// By how much the shortfall below a bar shrinks, whatever becomes of the smallest quality: for the first of two moves.
+pub(super) fn progress(surface: &Surface, bar: f64) -> f64 {
     let (before, after) = scores(surface, &surface.touched(), bar);
-    if after.smallest < before.smallest { f64::NEG_INFINITY } else { before.shortfall - after.shortfall }
+    before.shortfall - after.shortfall
+}
+
+fn gain_of((before, after): (Score, Score), mended: usize) -> f64 {
+    let floor = if mended > 0 { before.smallest.min(FIT) } else { before.smallest };
+    let gain = before.shortfall - after.shortfall + NODE * mended as f64;
+    if after.smallest < floor { f64::NEG_INFINITY } else { gain }
 }
 
 /// Whether the quality has improved by a rule.
-fn is_better(surface: &Surface, touched: &[u32], rule: Rule) -> bool {
+fn is_better(surface: &Surface, touched: &[u32], rule: Rule, mended: usize) -> bool {
     let bar = if let Rule::Lift { bar } = rule { bar } else { 0.0 };
     let (before, after) = scores(surface, touched, bar);
     match rule {
-        Rule::Lift { .. } => after.smallest >= before.smallest && after.shortfall < before.shortfall - LEAST_GAIN,
+        Rule::Lift { .. } => gain_of((before, after), mended) > LEAST_GAIN,
         Rule::Even => {
             let (smallest, mean) = (after.smallest - before.smallest, after.mean - before.mean);
             smallest >= 0.0 && mean >= 0.0 && smallest + mean > LEAST_GAIN_OF_SWEEP
@@ -141,23 +164,31 @@ fn is_better(surface: &Surface, touched: &[u32], rule: Rule) -> bool {
 /// Commits the edits since the last commit when they pass, takes them back otherwise. The triangles touched, when they did.
 pub(super) fn commit_or_rollback(surface: &mut Surface, limits: &Limits, rule: Rule) -> Option<Vec<u32>> {
     let touched = surface.touched();
-    if touched.is_empty() || !surface.is_within_region(&touched) || !is_better(surface, &touched, rule) {
+    let Some((facts, changed)) = judged(surface, limits, rule, &touched) else {
         surface.rollback();
         return None;
-    }
-    let facts: Vec<Facts> = touched.iter().map(|&t| surface.measure(t)).collect();
-    let changed = match changed_nodes(surface, &touched) {
-        Some(changed) if is_sound(surface, limits, &touched, &facts) && !crosses(surface, &touched) => changed,
-        _ => {
-            surface.rollback();
-            return None;
-        }
     };
     if let Some(sides) = &mut surface.sides {
         sides.turn(&changed);
     }
     surface.commit(&touched, &facts);
     Some(touched)
+}
+
+/// Facts of the touched triangles and the grid nodes that change sides, when the edits since the last commit pass.
+fn judged(surface: &Surface, limits: &Limits, rule: Rule, touched: &[u32]) -> Option<(Vec<Facts>, Vec<usize>)> {
+    if touched.is_empty() || !surface.is_within_region(touched) {
+        return None;
+    }
+    // what is quick to find comes first: where all nodes are on their right sides, none can be mended
+    let mends = surface.has_wrong_nodes();
+    let early = if mends { changed_nodes(surface, touched)? } else { (Vec::new(), 0) };
+    if !is_better(surface, touched, rule, early.1) {
+        return None;
+    }
+    let facts: Vec<Facts> = touched.iter().map(|&t| surface.measure(t)).collect();
+    let (changed, _) = if mends { early } else { changed_nodes(surface, touched)? };
+    (is_sound(surface, limits, touched, &facts) && !crosses(surface, touched)).then_some((facts, changed))
 }
 
 /// Whether the edits since the last commit keep the limits, crossing triangles and grid nodes aside.
@@ -227,10 +258,11 @@ fn crosses(surface: &Surface, touched: &[u32]) -> bool {
             .any(&whole, |other, bounds| touched.binary_search(&other).is_err() && crosses_own(other, bounds, &own))
 }
 
-/// Grid nodes that changed sides; `None` when one left its right side.
-fn changed_nodes(surface: &Surface, touched: &[u32]) -> Option<Vec<usize>> {
-    let Some(sides) = &surface.sides else { return Some(Vec::new()) };
+/// Grid nodes that change sides, and by how many fewer are on the wrong one; `None` when one leaves its right side and the count does not fall.
+fn changed_nodes(surface: &Surface, touched: &[u32]) -> Option<(Vec<usize>, usize)> {
+    let Some(sides) = &surface.sides else { return Some((Vec::new(), 0)) };
     let now: Vec<_> = touched.iter().filter(|&&t| surface.is_alive(t)).map(|&t| surface.corners(t)).collect();
     let changed = sides.changed(&surface.former_corners(touched), &now);
-    sides.are_wrong(&changed).then_some(changed)
+    let mended = sides.mended_by(&changed)?;
+    Some((changed, mended))
 }

@@ -10,6 +10,7 @@
 mod constants;
 mod grid;
 mod guard;
+mod lift;
 mod moves;
 mod nodes;
 mod optimise;
@@ -20,6 +21,8 @@ mod sweep;
 mod target_length;
 #[cfg(test)]
 mod tests;
+#[cfg(test)]
+mod tests_of_lift;
 #[cfg(test)]
 mod tests_of_patches;
 
@@ -48,7 +51,7 @@ pub struct ImproveOptions<'a> {
     /// neighbourhood get worse; 0 for none.
     pub relaxation_sweeps: usize,
     /// Largest distance of a triangle's centroid from F = 0 that a move may bring about, over h; twice that (at least
-    /// 0.35) for the sake of a triangle below a radius ratio of 0.5, or outside of 25 to 120 degrees, that nothing else can help.
+    /// 0.35) for the sake of a triangle below a radius ratio of 0.65, or outside of 28 to 105 degrees, that nothing else can help.
     pub max_deviation: f64,
     /// Range of edge lengths, over h, that a move must stay in where the edges round it are within (0.05 to 3 for such a triangle).
     pub length_range: [f64; 2],
@@ -98,6 +101,8 @@ pub struct Tally {
     pub splits: usize,
     /// Single moves on behalf of a bad triangle, with the relocations after them.
     pub single_moves: usize,
+    /// Pairs of moves in a row, likewise.
+    pub double_moves: usize,
     /// Patches round triangles below the limits that were remeshed to follow the curvature of F.
     pub remeshed_patches: usize,
 }

@@ -2,7 +2,8 @@
 //! the mesh a manifold of the same topology (link condition); whether the outcome is kept is for the guard to say.
 
 use super::constants::{
-    DIRECTIONS, FIRST_STEP, HALVINGS, LAST_STEP, LEAST_GAIN, LINE_STEPS, PROJECTION_TOLERANCE, RELOCATIONS, TURN,
+    DIRECTIONS, FIRST_STEP, HALVINGS, LAST_STEP, LEAST_GAIN, LINE_STEPS, PROJECTION_TOLERANCE, RELOCATIONS, SHARES,
+    TURN,
 };
 use super::guard::quality_of;
 use super::surface::{DEAD, Surface, edges_of};
@@ -237,8 +238,8 @@ pub(super) fn relax(surface: &mut Surface, vertex: u32, share: f64) -> bool {
 /// A move on behalf of a bad triangle.
 #[derive(Clone, Copy, Debug)]
 pub(super) enum Move {
-    /// Of a vertex to its best place.
-    Relocate(u32),
+    /// Of a vertex, this share of the way to its best place.
+    Relocate(u32, f64),
     /// Of an edge.
     Flip(u32, u32),
     /// Keeps the first vertex; the new place is this share of the way to the second.
@@ -248,11 +249,27 @@ pub(super) enum Move {
 }
 
 impl Move {
+    /// Whether it is a relocation that stops short of the best place.
+    pub(super) fn is_partial(self) -> bool {
+        matches!(self, Self::Relocate(_, share) if share < 1.0)
+    }
+
     /// Makes the move, and names the vertices that gain by relocation afterwards; `None` where it cannot be made.
     pub(super) fn make(self, surface: &mut Surface) -> Option<Vec<u32>> {
         let with_neighbours = |surface: &Surface, v: u32| surface.link(v).map(|(a, _)| a).chain([v]).collect();
         match self {
-            Self::Relocate(v) => relocate(surface, v).then(|| with_neighbours(surface, v)),
+            Self::Relocate(v, share) => {
+                let from = surface.positions[v as usize];
+                if !relocate(surface, v) {
+                    return None;
+                }
+                if share < 1.0 {
+                    let way = surface.positions[v as usize] - from;
+                    let to = projected(surface, from + share * way, way.length())?;
+                    surface.move_vertex(v, to);
+                }
+                Some(with_neighbours(surface, v))
+            }
             Self::Flip(a, b) => {
                 let [(_, c), (_, d)] = surface.edge_triangles(a, b)?;
                 flip(surface, a, b).then(|| vec![a, b, c, d])
@@ -267,10 +284,20 @@ impl Move {
     }
 }
 
-/// The moves on the vertices and edges of a triangle.
-pub(super) fn moves_near(corners: [u32; 3]) -> Vec<Move> {
-    let mut moves: Vec<Move> = corners.iter().map(|&v| Move::Relocate(v)).collect();
-    for (a, b) in edges_of([&corners]) {
+/// The moves on the vertices and edges of some triangles.
+pub(super) fn moves_near(triangles: impl IntoIterator<Item = [u32; 3]>) -> Vec<Move> {
+    let triangles: Vec<[u32; 3]> = triangles.into_iter().collect();
+    let mut vertices: Vec<u32> = Vec::new();
+    for &v in triangles.iter().flatten() {
+        if !vertices.contains(&v) {
+            vertices.push(v);
+        }
+    }
+    let mut moves: Vec<Move> = Vec::new();
+    for v in vertices {
+        moves.extend(SHARES.map(|share| Move::Relocate(v, share)));
+    }
+    for (a, b) in edges_of(&triangles) {
         moves.extend([
             Move::Flip(a, b),
             Move::Collapse(a, b, 0.5),

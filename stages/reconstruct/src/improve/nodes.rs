@@ -3,11 +3,13 @@
 //! What a move takes away and what it puts there bound a closed region; the nodes in it change sides. They are found as in
 //! [`isoparticles_mesh::inside`], by exact parity along grid lines.
 
+use super::surface::Surface;
 use glam::DVec3;
 use isoparticles_mesh::TriangleMesh;
 use isoparticles_mesh::inside::{Crossing, crossings, nodes_on_wrong_side};
 use isoparticles_mesh::spatial::Bounds;
 use isoparticles_volume::Image;
+use rayon::prelude::*;
 use std::collections::HashSet;
 
 /// The nodes, their sides, and those on the wrong one.
@@ -50,19 +52,29 @@ impl<'a> NodeSides<'a> {
         changed
     }
 
-    /// Whether none of the nodes is on its right side now, so that the change can only mend.
-    pub(super) fn are_wrong(&self, nodes: &[usize]) -> bool {
-        nodes.iter().all(|n| self.wrong.contains(n))
+    /// By how many fewer nodes are on the wrong side when some change sides; `None` when a node leaves its right side and the count does not fall.
+    pub(super) fn mended_by(&self, changed: &[usize]) -> Option<usize> {
+        let mended = changed.iter().filter(|n| self.wrong.contains(n)).count();
+        let spoilt = changed.len() - mended;
+        (spoilt == 0 || mended > spoilt).then(|| mended - spoilt)
+    }
+
+    /// Places of the nodes on the wrong side (grid frame, mm), in the order of the grid.
+    pub(super) fn wrong_places(&self) -> Vec<DVec3> {
+        let mut wrong: Vec<usize> = self.wrong.iter().copied().collect();
+        wrong.sort_unstable();
+        wrong.into_iter().map(|n| self.place(n)).collect()
+    }
+
+    fn place(&self, node: usize) -> DVec3 {
+        let [nx, ny, _] = self.image.geometry.size;
+        let index = DVec3::new((node % nx) as f64, (node / nx % ny) as f64, (node / nx / ny) as f64);
+        self.image.geometry.index_to_grid(index)
     }
 
     /// The same for what happens in a box alone (grid frame, mm).
     pub(super) fn within(&self, region: &Bounds) -> Self {
-        let [nx, ny, _] = self.image.geometry.size;
-        let position = |n: usize| {
-            let index = DVec3::new((n % nx) as f64, (n / nx % ny) as f64, (n / nx / ny) as f64);
-            self.image.geometry.index_to_grid(index)
-        };
-        let wrong = self.wrong.iter().copied().filter(|&n| region.holds(position(n))).collect();
+        let wrong = self.wrong.iter().copied().filter(|&n| region.holds(self.place(n))).collect();
         Self { image: self.image, wrong }
     }
 
@@ -78,5 +90,74 @@ impl<'a> NodeSides<'a> {
                 self.wrong.insert(*node);
             }
         }
+    }
+}
+
+impl Surface<'_> {
+    /// Whether grid nodes are guarded of which some are on the wrong side.
+    pub(super) fn has_wrong_nodes(&self) -> bool {
+        self.sides.as_ref().is_some_and(|sides| sides.wrong_count() > 0)
+    }
+
+    /// The triangles nearest to the grid nodes on the wrong side, ascending.
+    pub(super) fn triangles_at_wrong_nodes(&self) -> Vec<u32> {
+        let places = self.sides.as_ref().map_or_else(Vec::new, NodeSides::wrong_places);
+        let mut nearest: Vec<u32> = places.into_par_iter().filter_map(|p| self.nearest_triangle(p)).collect();
+        nearest.sort_unstable();
+        nearest.dedup();
+        nearest
+    }
+
+    /// The triangle nearest to a point, the first of several.
+    fn nearest_triangle(&self, p: DVec3) -> Option<u32> {
+        let furthest = self.positions.iter().map(|q| q.distance(p)).fold(0.0, f64::max);
+        let mut reach = self.field.geometry().mean_spacing();
+        loop {
+            let mut best: Option<(f64, u32)> = None;
+            self.grid.any(&Bounds { low: p - reach, high: p + reach }, |t, _| {
+                let rated = (distance_to_triangle(p, self.corners(t)), t);
+                if rated.0 <= reach && best.is_none_or(|best| rated < best) {
+                    best = Some(rated);
+                }
+                false
+            });
+            if best.is_some() || reach > furthest {
+                return best.map(|(_, t)| t);
+            }
+            reach *= 2.0;
+        }
+    }
+}
+
+fn distance_to_triangle(p: DVec3, [a, b, c]: [DVec3; 3]) -> f64 {
+    let normal = (b - a).cross(c - a).normalize_or_zero();
+    let sides = [(a, b), (b, c), (c, a)];
+    if normal != DVec3::ZERO && sides.iter().all(|&(from, to)| (to - from).cross(p - from).dot(normal) >= 0.0) {
+        return (p - a).dot(normal).abs();
+    }
+    let to_side = |(from, to): (DVec3, DVec3)| {
+        let share = (p - from).dot(to - from) / (to - from).length_squared().max(f64::MIN_POSITIVE);
+        p.distance(from.lerp(to, share.clamp(0.0, 1.0)))
+    };
+    sides.map(to_side).into_iter().fold(f64::INFINITY, f64::min)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use isoparticles_volume::Geometry;
+
+    #[test]
+    fn nodes_may_leave_their_right_side_only_for_the_sake_of_more_others() {
+        let image = Image::filled(Geometry::axis_aligned([4; 3], DVec3::ONE), 1.0f32);
+        let mut sides = NodeSides { image: &image, wrong: HashSet::from([21, 37]) };
+        assert_eq!(sides.wrong_places(), [DVec3::new(1.0, 1.0, 1.0), DVec3::new(1.0, 1.0, 2.0)]);
+        for (changed, mended) in
+            [(&[][..], Some(0)), (&[21], Some(1)), (&[5], None), (&[5, 21], None), (&[5, 21, 37], Some(1))]
+        {
+            assert_eq!(sides.mended_by(changed), mended, "{changed:?}");
+        }
+        sides.turn(&[5, 21, 37]);
+        assert_eq!(sides.wrong_places(), [DVec3::new(1.0, 1.0, 0.0)]);
     }
 }

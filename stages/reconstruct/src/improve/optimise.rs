@@ -1,9 +1,10 @@
-//! One queue of bad triangles, worst first. For each, a transaction on a patch round it: a single move with relocations, or the patch remeshed
-//! at a smaller target length. Patches that do not meet are worked on side by side; what a patch commits is one commit of the whole.
+//! One queue of bad triangles, worst first; a triangle nearest to a grid node on the wrong side comes before all. For each, a transaction on a
+//! patch round it: a single move with relocations, two moves in a row, or the patch remeshed at a smaller target length. Patches that do not
+//! meet are worked on side by side; what a patch commits is one commit of the whole.
 
-use super::constants::{BATCH, FIT, LEAST_GAIN, MOST_IN_VAIN, REACHES, RINGS};
-use super::guard::{Limits, Rule, commit_or_rollback, gain};
-use super::moves::{Move, moves_near, relocate_all};
+use super::constants::{AIM, BATCH, FIT, MOST_IN_VAIN, MOST_IN_VAIN_FOR_AIM, REACHES, RINGS};
+use super::guard::Limits;
+use super::lift::{lift, lift_by_two};
 use super::patch::Patch;
 use super::surface::Surface;
 use super::target_length::remesh;
@@ -19,6 +20,8 @@ use std::collections::{BinaryHeap, HashMap};
 enum Means {
     /// A flip, collapse, split or relocation.
     Move,
+    /// Two of them in a row.
+    TwoMoves,
     /// Remeshing of a patch of so many lengths' radius with a smaller target length.
     Remesh { reach: f64 },
 }
@@ -29,13 +32,16 @@ struct Pass {
     limits: Limits,
     /// Quality below which a triangle is in the queue.
     bar: f64,
+    /// Triangles tried in vain after which the rest is left as it is.
+    most_in_vain: usize,
 }
 
 /// What was tried in vain, by triangle: the number of commits at the time, lest it be tried again before anything has changed there.
 type Failures = HashMap<u32, u32>;
 
-/// Lifts the triangles below a quality, `rounds` times at most: by moves within the limits; those not fit for finite elements by moves within
-/// the loosened limits, and by remeshing. `step` is called before each batch and may stop it.
+/// Lifts the triangles below a quality, `rounds` times at most: by moves within the limits; those not fit for finite elements by moves within the
+/// loosened limits, by remeshing and by two moves in a row; and what is below [`AIM`] then by two moves, too, in so far as a few failures allow.
+/// `step` is called before each batch and may stop it.
 ///
 /// # Errors
 /// Those of `step`.
@@ -48,12 +54,21 @@ pub(super) fn optimise(
     tally: &mut Tally,
 ) -> Result<()> {
     let (loosened, unfit) = (limits.loosened(), target.min(FIT));
+    let pass = |means, limits, bar, most_in_vain| Pass { means, limits, bar, most_in_vain };
+    let remesh = |reach| pass(Means::Remesh { reach }, *limits, unfit, MOST_IN_VAIN);
+    let [smallest, small, large, largest] = REACHES;
+    let aim = |limits| pass(Means::TwoMoves, limits, target.min(AIM), MOST_IN_VAIN_FOR_AIM);
     let passes = [
-        Pass { means: Means::Move, limits: *limits, bar: target },
-        Pass { means: Means::Move, limits: loosened, bar: unfit },
+        pass(Means::Move, *limits, target, usize::MAX),
+        pass(Means::Move, loosened, unfit, usize::MAX),
+        remesh(smallest),
+        remesh(small),
+        pass(Means::TwoMoves, loosened, unfit, MOST_IN_VAIN),
+        remesh(large),
+        remesh(largest),
+        aim(Limits { deviation: limits.deviation, ..loosened }),
+        aim(loosened),
     ];
-    let remeshing = REACHES.map(|reach| Pass { means: Means::Remesh { reach }, limits: loosened, bar: unfit });
-    let passes: Vec<Pass> = passes.into_iter().chain(remeshing).collect();
     let mut failures: Vec<Failures> = passes.iter().map(|_| Failures::new()).collect();
     for _ in 0..rounds {
         let commits = surface.commits();
@@ -69,21 +84,26 @@ pub(super) fn optimise(
 
 /// Tries every triangle below the bar, worst first, and again whatever falls short next to a success.
 fn drain(surface: &mut Surface, pass: &Pass, failures: &mut Failures, step: Step, tally: &mut Tally) -> Result<()> {
-    let entry = |surface: &Surface, t: u32| {
-        let quality = surface.facts[t as usize].quality;
-        (quality < pass.bar).then(|| Reverse((quality.to_bits(), t)))
+    let mut at_nodes = if pass.bar > 0.0 { surface.triangles_at_wrong_nodes() } else { Vec::new() };
+    // no triangle has less than 0
+    let rank = |surface: &Surface, at_nodes: &[u32], t: u32| {
+        let is_at_node = surface.is_alive(t) && at_nodes.binary_search(&t).is_ok();
+        if is_at_node { 0 } else { surface.facts[t as usize].quality.to_bits() }
+    };
+    let entry = |surface: &Surface, at_nodes: &[u32], t: u32| {
+        let rank = rank(surface, at_nodes, t);
+        (rank < pass.bar.to_bits()).then_some(Reverse((rank, t)))
     };
     let all = 0..surface.triangles.len() as u32;
-    let mut queue: BinaryHeap<_> = all.filter_map(|t| entry(surface, t)).collect();
-    let mut in_vain = 0;
+    let mut queue: BinaryHeap<_> = all.filter_map(|t| entry(surface, &at_nodes, t)).collect();
     // as many as may well be apart
     let mut width = BATCH;
-    while pass.means == Means::Move || in_vain < MOST_IN_VAIN {
+    while failures.len() < pass.most_in_vain {
         let mut batch = Vec::new();
         while batch.len() < width
             && let Some(Reverse((bits, t))) = queue.pop()
         {
-            let is_current = surface.facts[t as usize].quality.to_bits() == bits && surface.is_alive(t);
+            let is_current = surface.is_alive(t) && rank(surface, &at_nodes, t) == bits;
             let is_hopeless = || failures.get(&t).is_some_and(|&commits| surface.is_unchanged_since(t, commits));
             if is_current && !batch.contains(&t) && !is_hopeless() {
                 batch.push(t);
@@ -100,25 +120,30 @@ fn drain(surface: &mut Surface, pass: &Pass, failures: &mut Failures, step: Step
             let local = patch.local(t);
             let is_better = match pass.means {
                 Means::Move => lift(&mut patch.surface, local, &pass.limits, pass.bar),
+                Means::TwoMoves => lift_by_two(&mut patch.surface, local, &pass.limits, pass.bar),
                 Means::Remesh { reach } => remesh(&mut patch.surface, local, reach, &pass.limits, pass.bar),
             };
             is_better.then(|| (patch.turned_nodes(surface), patch.edits(surface)))
         };
         let done: Vec<_> = chosen.par_iter().map(work).collect();
-        queue.extend(others.into_iter().filter_map(|t| entry(surface, t)));
+        queue.extend(others.into_iter().filter_map(|t| entry(surface, &at_nodes, t)));
         for ((t, _), outcome) in chosen.into_iter().zip(done) {
             match outcome {
                 Some((nodes, edits)) => {
                     let touched = edits.commit(surface, &nodes);
-                    queue.extend(touched.into_iter().filter_map(|t| entry(surface, t)));
+                    if touched.iter().any(|t| at_nodes.binary_search(t).is_ok()) {
+                        at_nodes = surface.triangles_at_wrong_nodes();
+                        queue.extend(at_nodes.iter().filter_map(|&t| entry(surface, &at_nodes, t)));
+                    }
+                    queue.extend(touched.into_iter().filter_map(|t| entry(surface, &at_nodes, t)));
                     match pass.means {
                         Means::Move => tally.single_moves += 1,
+                        Means::TwoMoves => tally.double_moves += 1,
                         Means::Remesh { .. } => tally.remeshed_patches += 1,
                     }
                 }
                 None => {
                     failures.insert(t, surface.commits());
-                    in_vain += 1;
                 }
             }
         }
@@ -129,7 +154,7 @@ fn drain(surface: &mut Surface, pass: &Pass, failures: &mut Failures, step: Step
 /// The triangles, in order, whose regions do not meet those before, with their regions; and the others.
 fn apart(surface: &Surface, triangles: &[u32], means: Means) -> (Vec<(u32, Bounds)>, Vec<u32>) {
     let region = |&t: &u32| match means {
-        Means::Move => surface.rings(t, RINGS).bounds(surface),
+        Means::Move | Means::TwoMoves => surface.rings(t, RINGS).bounds(surface),
         Means::Remesh { reach } => super::target_length::region(surface, t, reach),
     };
     let regions: Vec<Bounds> = triangles.par_iter().map(region).collect();
@@ -142,40 +167,4 @@ fn apart(surface: &Surface, triangles: &[u32], means: Means) -> (Vec<(u32, Bound
         }
     }
     (chosen, others)
-}
-
-/// Commits the single move on a triangle that gains most, of those that the guard lets pass; with relocations round it where none does alone.
-pub(super) fn lift(surface: &mut Surface, triangle: u32, limits: &Limits, bar: f64) -> bool {
-    let corners = surface.triangles[triangle as usize];
-    let candidates = moves_near(corners);
-    for relocates in [false, true] {
-        let mut rated: Vec<(f64, Move)> = Vec::new();
-        for &candidate in &candidates {
-            if make(surface, candidate, relocates) {
-                let gain = gain(surface, bar);
-                if gain > LEAST_GAIN {
-                    rated.push((gain, candidate));
-                }
-            }
-            surface.rollback();
-        }
-        // stable: the order of the moves among equals
-        rated.sort_by(|a, b| b.0.total_cmp(&a.0));
-        for (_, candidate) in rated {
-            if make(surface, candidate, relocates) && commit_or_rollback(surface, limits, Rule::Lift { bar }).is_some()
-            {
-                return true;
-            }
-            surface.rollback();
-        }
-    }
-    false
-}
-
-fn make(surface: &mut Surface, candidate: Move, relocates: bool) -> bool {
-    let Some(involved) = candidate.make(surface) else { return false };
-    if relocates {
-        relocate_all(surface, involved);
-    }
-    true
 }

@@ -211,6 +211,13 @@ impl<'a> Surface<'a> {
         rings
     }
 
+    /// Corners of a triangle and of the triangles across its sides.
+    pub(super) fn with_neighbours(&self, triangle: u32) -> Vec<[u32; 3]> {
+        let corners @ [a, b, c] = self.triangles[triangle as usize];
+        let across = |(from, to)| self.edge_triangles(from, to).map(|[_, (t, _)]| self.triangles[t as usize]);
+        std::iter::once(corners).chain([(a, b), (b, c), (c, a)].into_iter().filter_map(across)).collect()
+    }
+
     /// Target length of an edge, mm.
     pub(super) fn target_between(&self, a: u32, b: u32) -> f64 {
         0.5 * (self.target[a as usize] + self.target[b as usize])
@@ -361,9 +368,21 @@ impl<'a> Surface<'a> {
         }
     }
 
+    /// How far the edits since the last commit have come, for [`Self::rollback_to`].
+    pub(super) fn mark(&self) -> usize {
+        self.log.len()
+    }
+
     /// Takes back everything since the last commit.
     pub(super) fn rollback(&mut self) {
-        while let Some(change) = self.log.pop() {
+        self.rollback_to(0);
+    }
+
+    /// Takes back everything since a mark.
+    pub(super) fn rollback_to(&mut self, mark: usize) {
+        while self.log.len() > mark
+            && let Some(change) = self.log.pop()
+        {
             match change {
                 Change::Moved { vertex, from, target } => {
                     self.positions[vertex as usize] = from;

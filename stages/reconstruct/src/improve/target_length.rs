@@ -7,12 +7,14 @@
 //! component is a patch without a rim.
 
 use super::constants::{
-    ATTEMPTS, CHORD, FINEST, GRADATIONS, MOST_TRIANGLES, PATCH_LENGTHS, RIM, RINGS_OF_LENGTH, ROUNDS, SHORTER, STRAYS,
-    TARGET, TURNED,
+    ATTEMPTS, CHORD, FINEST, GRADATIONS, LONG, MOST_TRIANGLES, PATCH_LENGTHS, RIM, RINGS_OF_LENGTH, ROUNDS, SHORT,
+    SHORTER, STRAYS, TARGET, TURNED,
 };
 use super::guard::{Limits, Rule, commit_or_rollback};
+use super::lift::{lift, make};
+use super::moves::Move;
 use super::moves::projected_facing;
-use super::optimise::lift;
+use super::nodes::NodeSides;
 use super::patch::Patch;
 use super::surface::{DEAD, Surface, edges_of};
 use super::{Tally, remesh};
@@ -64,12 +66,14 @@ pub(super) fn region(surface: &Surface, triangle: u32, reach: f64) -> Bounds {
     Bounds { low: place.centre - half, high: place.centre + half }
 }
 
-/// Remeshes the patch round a triangle and commits the first outcome that the guard lets pass; false where none did.
+/// Remeshes the patch round a triangle and commits the first outcome that the guard lets pass by the loosened limits, less the vertices that it can do
+/// without; false where none did.
 pub(super) fn remesh(surface: &mut Surface, triangle: u32, reach: f64, limits: &Limits, bar: f64) -> bool {
-    let place = Place::of(surface, triangle, reach);
+    let (place, loosened) = (Place::of(surface, triangle, reach), &limits.loosened());
     let Some(free) = free_vertices(surface, triangle, &place) else { return false };
-    let by_curvature = demands_of_curvature(surface, &free, &place);
-    let mut demands = GRADATIONS.map(|_| Some(by_curvature.clone()));
+    let mut demands = demands_of_curvature(surface, &free, &place);
+    demands.extend(demands_of_nodes(surface, &place));
+    let mut demands = GRADATIONS.map(|_| Some(demands.clone()));
     for _ in 0..ATTEMPTS {
         for (gradation, demands) in GRADATIONS.into_iter().zip(&mut demands) {
             let Some(asked) = demands else { continue };
@@ -79,11 +83,13 @@ pub(super) fn remesh(surface: &mut Surface, triangle: u32, reach: f64, limits: &
                     asked.iter().fold(place.length, |least, d| least.min(d.length + gradation * p.distance(d.at)));
                 h(p).min(asked.max(place.least(p, gradation)))
             };
-            let more = match remeshed(surface, &free, &target, limits) {
+            let more = match remeshed(surface, &free, &target, loosened) {
                 Some(patch) => {
-                    let more = demands_of_outcome(&patch.surface);
+                    let mut more = demands_of_outcome(&patch.surface);
+                    more.extend(demands_of_nodes(&patch.surface, &place));
                     patch.edits(surface).make(surface);
-                    if commit_or_rollback(surface, limits, Rule::Lift { bar }).is_some() {
+                    if let Some(touched) = commit_or_rollback(surface, loosened, Rule::Lift { bar }) {
+                        coarsen(surface, touched, place.length, limits);
                         return true;
                     }
                     more
@@ -122,6 +128,33 @@ fn free_vertices(surface: &Surface, triangle: u32, place: &Place) -> Option<Vec<
     }
     found.sort_unstable();
     (!found.is_empty()).then_some(found)
+}
+
+/// Collapses the edges of some triangles that are shorter than the mesh was there, shortest first, where what is left stays as good as a patch is
+/// made: remeshing also refines where nothing asked for it.
+pub(super) fn coarsen(surface: &mut Surface, mut triangles: Vec<u32>, length: f64, limits: &Limits) {
+    let mut collapsed = true;
+    while collapsed {
+        collapsed = false;
+        triangles.retain(|&t| surface.is_alive(t));
+        let edges = edges_of(triangles.iter().map(|&t| &surface.triangles[t as usize]));
+        let rated = edges.into_iter().map(|(a, b)| (surface.length(a, b), a, b));
+        let mut short: Vec<(f64, u32, u32)> = rated.filter(|edge| edge.0 < SHORT * length).collect();
+        short.sort_by(|a, b| a.0.total_cmp(&b.0));
+        for (_, a, b) in short {
+            for (keep, gone, share) in [(a, b, 0.5), (a, b, 0.0), (b, a, 0.0)] {
+                let too_long = |s: &Surface| s.link(keep).any(|(v, _)| s.length(keep, v) > LONG * length);
+                if make(surface, Move::Collapse(keep, gone, share), true)
+                    && !too_long(surface)
+                    && commit_or_rollback(surface, limits, Rule::Keep { floor: TARGET }).is_some()
+                {
+                    collapsed = true;
+                    break;
+                }
+                surface.rollback();
+            }
+        }
+    }
 }
 
 /// A copy of the surface with the patch remeshed to a target length; `None` where it gets too large.
@@ -187,6 +220,13 @@ fn demands_of_outcome(part: &Surface) -> Vec<Demand> {
         }
     }
     demands
+}
+
+/// Demands of the grid nodes in reach that are on the wrong side.
+fn demands_of_nodes(part: &Surface, place: &Place) -> Vec<Demand> {
+    let places = part.sides.as_ref().map_or_else(Vec::new, NodeSides::wrong_places);
+    let in_reach = places.into_iter().filter(|p| p.distance(place.centre) < place.reach);
+    in_reach.map(|at| Demand { at, length: SHORTER * (part.size)(at).min(place.length) }).collect()
 }
 
 /// Root of the sum of the squares of the principal curvatures of F at a point, per mm.

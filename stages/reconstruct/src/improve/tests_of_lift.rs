@@ -1,0 +1,74 @@
+//! What single moves do not reach: grid nodes on the wrong side, superfluous vertices; and the measure that tells how far they are from it.
+
+use super::constants::{AIM, FIT, TARGET};
+use super::tests::{ball, sampled};
+use super::*;
+use crate::check::{CheckOptions, check};
+use isoparticles_field::marching_cubes::marching_cubes;
+use isoparticles_mesh::shapes;
+
+const LIMITS: Limits = Limits::new(0.15, [0.5, 1.6]);
+
+#[test]
+fn grid_nodes_on_the_wrong_side_are_brought_back_and_every_triangle_stays_fit() {
+    // nodes close to the surface on both sides, of which a mesh made without a guard has some on the wrong one
+    let image = sampled([22; 3], DVec3::ONE, |p| {
+        let f = p.distance(DVec3::splat(10.3)) - 7.4;
+        if f.abs() < 0.08 { 0.08 * f.signum() } else { f }
+    });
+    let field = CubicSpline::new(&image);
+    let mut mesh = marching_cubes(&image, 0.0);
+    improve(&mut mesh, &field, &|_| 1.8, &ImproveOptions::remesh(), &|| Ok(())).expect("a sound mesh");
+    let options = ImproveOptions { sides: Some(&image), ..ImproveOptions::polish() };
+    let report = improve(&mut mesh, &field, &|_| 1.8, &options, &|| Ok(())).expect("a sound mesh");
+    let [before, after] = report.nodes_on_wrong_side.expect("nodes are guarded");
+    assert!(before > 0, "there was nothing to do");
+    assert_eq!(after, 0, "{before} before, {:?}", report.moves);
+    let checked = check(&mesh, &CheckOptions { sides: Some(&image), ..CheckOptions::default() });
+    assert_eq!(checked.nodes_on_wrong_side, Some(0));
+    assert!(checked.quality.radius_ratio_min >= FIT, "{:?}", checked.quality);
+}
+
+#[test]
+fn superfluous_vertices_are_collapsed_and_the_others_kept() {
+    let centre = DVec3::splat(6.1);
+    let field = CubicSpline::new(&sampled([26; 3], DVec3::splat(0.5), ball(centre, 4.0)));
+    let mut mesh = shapes::icosphere(4.0, 3);
+    for p in &mut mesh.vertices {
+        *p = field.project(*p + centre, 1.0, 1e-7).expect("F = 0 is near");
+    }
+    let h = summarise(&mesh).edge_length_mean;
+    let size = |_: DVec3| h;
+    let mut surface = Surface::new(&mesh, &field, &size);
+    let all = |surface: &Surface| (0..surface.triangles.len() as u32).collect::<Vec<_>>();
+    let triangles = all(&surface);
+    target_length::coarsen(&mut surface, triangles, h, &LIMITS);
+    let count = surface.clone().into_mesh().vertices.len();
+    assert!(count > mesh.vertices.len() * 4 / 5, "{count} of {}", mesh.vertices.len());
+    for (a, b) in remesh::edges(&surface).into_iter().filter(|&(a, _)| a < 40) {
+        if moves::split(&mut surface, a, b).is_some() {
+            commit_or_rollback(&mut surface, &LIMITS, Rule::Keep { floor: 0.3 });
+        }
+        surface.rollback();
+    }
+    let split = surface.clone().into_mesh().vertices.len();
+    assert!(split > count + 50, "{split} of {count}");
+    let triangles = all(&surface);
+    target_length::coarsen(&mut surface, triangles, h, &LIMITS);
+    let made = surface.into_mesh();
+    assert!(made.vertices.len() < count + (split - count) / 4, "{} of {split}, {count} before", made.vertices.len());
+    assert!(summarise(&made).radius_ratio_min >= TARGET.min(FIT), "{:?}", summarise(&made));
+}
+
+#[test]
+fn quality_is_what_is_asked_for_at_the_limits_of_the_angles() {
+    // the apex of an isosceles triangle, degrees
+    let quality = |apex: f64| {
+        let (x, y) = (0.5 * apex.to_radians()).sin_cos();
+        guard::quality_of(DVec3::ZERO, DVec3::new(x, y, 0.0), DVec3::new(-x, y, 0.0))
+    };
+    for (apex, expected) in [(12.5, 0.5 * FIT), (25.0, FIT), (28.0, AIM), (60.0, 1.0), (105.0, AIM)] {
+        assert!((quality(apex) - expected).abs() < 1e-9, "{apex} degrees: {}", quality(apex));
+    }
+    assert!(quality(120.0) < FIT && quality(27.9) < AIM && quality(105.1) < AIM);
+}
