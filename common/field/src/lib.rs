@@ -3,7 +3,7 @@
 //! [`spline`] is F itself: the cubic B-spline through samples of a signed distance, negative inside, with its analytic derivatives.
 //! [`sizing`] holds the target edge length h, [`energy`] the particles' energy (Eq. 1 to 4 of Kim, Chen and Hansen 2012) and
 //! [`neighbours`] who is near whom; [`marching_cubes`] makes a mesh of F = 0, and [`random`] counts its random numbers, so that
-//! nothing depends on the order of evaluation.
+//! nothing depends on the order of evaluation. [`materials`] holds one such function for each of many materials.
 //!
 //! ```
 //! use glam::DVec3;
@@ -21,6 +21,7 @@
 
 pub mod energy;
 pub mod marching_cubes;
+pub mod materials;
 pub mod neighbours;
 pub mod particle_set;
 pub mod random;
