@@ -4,7 +4,7 @@ use crate::bits::Bits;
 use crate::cap::BorderBox;
 use crate::closest::distance_to_zero_set;
 use crate::fit::{FitReport, pin_zero_set};
-use crate::junctions::{junctions, make_agree};
+use crate::junctions::{Junction, junctions, make_agree};
 use crate::keep::{Dropped, Keep, drop_parts};
 use crate::samples::{Implicit, project, surface_samples};
 use crate::topology::Parts;
@@ -76,6 +76,22 @@ pub struct Redistanced {
     pub changed: Option<usize>,
 }
 
+/// What is asked of F beside its surface.
+#[derive(Clone, Copy)]
+pub struct Demands<'a> {
+    /// Makes other choices at junctions than the source's own saddles.
+    pub choose: &'a (dyn Fn(&mut [Junction]) + Sync),
+    /// Distance beyond which that will do, in voxels (mean spacing); no less than the band with exact distances.
+    pub limit: f64,
+}
+
+impl Default for Demands<'_> {
+    /// The source's own choices, and distances everywhere.
+    fn default() -> Self {
+        Self { choose: &|_| {}, limit: f64::INFINITY }
+    }
+}
+
 /// Least |F| at the nodes, in mm.
 pub struct LeastDistances<At> {
     /// The largest of them.
@@ -118,21 +134,41 @@ pub(crate) fn first_order_distance(value: f64, slope: f64) -> f64 {
 /// # Errors
 /// When the source has no zero set, no part of the object is to stay, or the run is interrupted.
 pub fn redistance(
-    mut nodes: Image<f32>,
+    nodes: Image<f32>,
     source: &Source,
     least: LeastDistances<impl Fn(usize) -> f32 + Sync>,
     keep: Keep,
     margin: usize,
     monitor: &dyn Monitor,
 ) -> Result<Redistanced> {
+    redistance_with(nodes, source, least, (keep, margin), &Demands::default(), monitor)
+}
+
+/// The same with demands of its own.
+///
+/// # Errors
+/// As [`redistance`].
+pub fn redistance_with(
+    mut nodes: Image<f32>,
+    source: &Source,
+    least: LeastDistances<impl Fn(usize) -> f32 + Sync>,
+    (keep, margin): (Keep, usize),
+    demands: &Demands,
+    monitor: &dyn Monitor,
+) -> Result<Redistanced> {
     let voxel = nodes.geometry.mean_spacing();
     let band = (BAND * voxel).max(1.5 * nodes.geometry.spacing.max_element());
 
     let step = monitor.phase("surface samples");
-    let mut choices = junctions(&nodes);
+    let chosen = |nodes: &Image<f32>| {
+        let mut choices = junctions(nodes);
+        (demands.choose)(&mut choices);
+        choices
+    };
+    let mut choices = chosen(&nodes);
     let dropped = drop_parts(&mut nodes, margin, &choices, keep)?;
     if dropped.nodes.is_some() {
-        choices = junctions(&nodes);
+        choices = chosen(&nodes);
     }
     let mesh = marching_cubes(&nodes, 0.0);
     if mesh.triangles.is_empty() {
@@ -153,7 +189,7 @@ pub fn redistance(
     monitor.check()?;
 
     let step = monitor.phase("distance");
-    let mut field = distance_to_zero_set(geometry, &inside, source, &samples, band);
+    let mut field = distance_to_zero_set(geometry, &inside, source, &samples, band, band.max(demands.limit * voxel));
     drop(step);
     monitor.check()?;
 
