@@ -76,19 +76,24 @@ pub struct Redistanced {
     pub changed: Option<usize>,
 }
 
+/// Makes other choices at junctions.
+pub type Choose<'a> = &'a (dyn Fn(&mut [Junction]) + Sync);
+
 /// What is asked of F beside its surface.
 #[derive(Clone, Copy)]
 pub struct Demands<'a> {
     /// Makes other choices at junctions than the source's own saddles.
-    pub choose: &'a (dyn Fn(&mut [Junction]) + Sync),
+    pub choose: Option<Choose<'a>>,
     /// Distance beyond which that will do, in voxels (mean spacing); no less than the band with exact distances.
     pub limit: f64,
+    /// Conjugate-gradient steps that pin the zero set, at most.
+    pub pin_steps: usize,
 }
 
 impl Default for Demands<'_> {
     /// The source's own choices, and distances everywhere.
     fn default() -> Self {
-        Self { choose: &|_| {}, limit: f64::INFINITY }
+        Self { choose: None, limit: f64::INFINITY, pin_steps: MOST_PIN_STEPS }
     }
 }
 
@@ -162,7 +167,9 @@ pub fn redistance_with(
     let step = monitor.phase("surface samples");
     let chosen = |nodes: &Image<f32>| {
         let mut choices = junctions(nodes);
-        (demands.choose)(&mut choices);
+        if let Some(choose) = demands.choose {
+            choose(&mut choices);
+        }
         choices
     };
     let mut choices = chosen(&nodes);
@@ -194,7 +201,7 @@ pub fn redistance_with(
     monitor.check()?;
 
     let step = monitor.phase("zero set pinned");
-    let fit = pin_zero_set(&mut field, samples, PINNED * voxel, MOST_PIN_STEPS);
+    let fit = pin_zero_set(&mut field, samples, PINNED * voxel, demands.pin_steps);
     let held_nodes = hold_nodes(&mut field, &inside, &least);
     let undecided = make_agree(&mut field.data, &choices, &least.at);
     drop(inside);
