@@ -129,7 +129,7 @@ fn describe(materials: &Materials, tallies: &[Tally], found: &Survey, context: &
     let name = |id: usize| materials.table()[id].name.as_str();
     let mut order: Vec<usize> = (1..tallies.len()).collect();
     order.sort_by_key(|&id| (std::cmp::Reverse(tallies[id].voxels), id));
-    context.summary("materials", format!("{} and the outside", order.len()));
+    context.summary("number of materials", format!("{} and the outside", order.len()));
     for &id in order.iter().take(SHOWN) {
         let (tally, before) = (&tallies[id], tallies[id].voxels as f64 * voxel);
         let told = format!(
