@@ -123,7 +123,7 @@ impl Indicator {
         }
     }
 
-    /// Puts together what [`Self::parts`] gave, for a grid of `size`.
+    /// Puts together an indicator of a grid of `size` from what its methods gave of it.
     ///
     /// # Errors
     /// When the parts do not belong together.

@@ -2,7 +2,7 @@
 //!
 //! After Meyer, Whitaker, Kirby, Ledergerber and Pfister (Particle-based Sampling and Meshing of Surfaces in Multimaterial Volumes, IEEE TVCG 14(6),
 //! 2008), with signed distances (mm, negative inside) for indicators: the material at a place is the one with the smallest, so that there are neither
-//! gaps nor overlaps. Where the two smallest are equal is a *sheet*, where three are a *junction curve*, where four are a *junction point* ([`strata`]).
+//! gaps nor overlaps. Where the two smallest are equal is a *sheet*, where three are a *junction curve*, where four are a *junction point*.
 //!
 //! [`Indicators`] is what the algorithms ask, [`Materials`] answers from samples on a grid, [`Analytic`] from functions.
 
