@@ -35,7 +35,7 @@ fixtures() {
     meta_image) ls $volume/meta/*.mha ;;
     vtk_image) ls $volume/vti/*.vti ;;
     dicom) ls $volume/dicom/*/*.dcm ;;
-    field) ls $golden/*.vti ;;
+    field | materials) ls $golden/*.vti ;;
     particles) ls $golden/*.bin ;;
     surface | cloud_of_polygons) ls $golden/*.vtp ;;
     cloud_of_ply) ls $golden/*.ply ;;

@@ -5,6 +5,7 @@ use isoparticles_mesh::point_cloud::read_point_cloud;
 use isoparticles_mesh::surface::read_surface;
 use isoparticles_stage::error::Error;
 use isoparticles_stage::field_file::{FieldKind, read_field};
+use isoparticles_stage::materials_file::read_materials;
 use isoparticles_stage::particle_file::{ParticleKind, read_particles};
 use isoparticles_volume::{data_files, read_volume};
 use std::path::Path;
@@ -34,6 +35,10 @@ fn field(path: &Path) -> Option<Error> {
     read_field(path, FieldKind::Sizing).err()
 }
 
+fn materials(path: &Path) -> Option<Error> {
+    read_materials(path).err()
+}
+
 fn particles(path: &Path) -> Option<Error> {
     read_particles(path, &[ParticleKind::Seeds, ParticleKind::Checkpoint]).err()
 }
@@ -51,7 +56,7 @@ const fn reader(name: &'static str, ending: &'static str, read: fn(&Path) -> Opt
 }
 
 /// All of them.
-pub const READERS: [Reader; 14] = [
+pub const READERS: [Reader; 15] = [
     reader("nrrd", "nrrd", volume),
     reader("nifti", "nii", volume),
     reader("compressed_nifti", "nii.gz", volume),
@@ -59,6 +64,7 @@ pub const READERS: [Reader; 14] = [
     reader("vtk_image", "vti", volume),
     reader("dicom", "dcm", series),
     reader("field", "vti", field),
+    reader("materials", "vti", materials),
     reader("particles", "bin", particles),
     reader("surface", "vtp", surface),
     reader("cloud_of_ply", "ply", cloud),

@@ -4,6 +4,7 @@
 //! [`sizing`] holds the target edge length h, [`energy`] the particles' energy (Eq. 1 to 4 of Kim, Chen and Hansen 2012) and
 //! [`neighbours`] who is near whom; [`topology`] tells the components, Euler characteristics and critical points of F, [`marching_cubes`] makes a
 //! mesh of F = 0, and [`random`] counts its random numbers, so that nothing depends on the order of evaluation.
+//! [`materials`] holds one such function for each of many materials.
 //!
 //! ```
 //! use glam::DVec3;
@@ -21,6 +22,7 @@
 
 pub mod energy;
 pub mod marching_cubes;
+pub mod materials;
 pub mod neighbours;
 pub mod particle_set;
 pub mod random;

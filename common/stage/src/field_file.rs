@@ -5,6 +5,7 @@
 //! and saved again by pyvista is read as well, whatever is left of that.
 
 use crate::error::{Error, Result};
+use crate::materials_file;
 use crate::output::write_atomically;
 use isoparticles_file::history::History;
 use isoparticles_volume::vtk_xml::{Document, Payload, VtkFile, ascii_json};
@@ -83,6 +84,9 @@ pub fn read_field(path: &Path, expected: FieldKind) -> Result<Field> {
     let file = VtkFile::open(path)?;
     let image = file.data_set("ImageData")?;
     let found = file.text(image, "isoparticles_kind")?;
+    if found.as_deref() == Some(materials_file::KIND) {
+        return Err(materials_file::not_yet_taken(path, expected));
+    }
     if let Some(found) = found.filter(|found| found != expected.name()) {
         return Err(wrong_kind(path, expected, &format!("is a {found} file")));
     }

@@ -1,7 +1,7 @@
 //! What makes a program a stage of isoparticles.
 //!
 //! [`cli`] has the options that every stage has, its exit codes, progress and report; [`error`] the error in three parts that a user
-//! reads; [`field_file`] and [`particle_file`] the files that go from stage to stage, and [`meta`] what these say beside their values.
+//! reads; [`field_file`], [`materials_file`] and [`particle_file`] the files that go from stage to stage, and [`meta`] what these say beside their values.
 //!
 //! ```no_run
 //! use isoparticles_stage::cli::{CommonArgs, Context, Outcome, StageArgs, run_stage};
@@ -40,6 +40,7 @@
 pub mod cli;
 pub mod error;
 pub mod field_file;
+pub mod materials_file;
 pub mod meta;
 pub mod output;
 pub mod particle_file;

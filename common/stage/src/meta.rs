@@ -93,6 +93,26 @@ impl DistanceMeta {
     }
 }
 
+/// What `distfield` tells of the indicators of many materials, beside what they are made of.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default)]
+pub struct MaterialsMeta {
+    /// Version of this struct.
+    pub version: u32,
+    /// What was done at the border.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub border: Option<Border>,
+    /// Nodes on each face of the grid that are none of the volume's.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub margin: Option<usize>,
+    /// Distance (mm) at which `interface_distance` ends.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub distance_limit: Option<f64>,
+    /// For people: the table of materials, pairs that touch, junctions.
+    #[serde(flatten)]
+    pub notes: Map<String, Value>,
+}
+
 /// What `sizefield` tells of h.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default)]
@@ -183,6 +203,8 @@ mod tests {
         let size: SizeMeta =
             read(&json!({"components": 2, "predicted_count": 812.0, "noise": {"min": 0.0}})).expect("h");
         assert_eq!((size.components, size.predicted_count, size.notes.len()), (2, 812.0, 1));
+        let materials: MaterialsMeta = read(&json!({"version": 1, "border": "open", "margin": 5})).expect("materials");
+        assert_eq!((materials.border, materials.margin, materials.notes.len()), (Some(Border::Open), Some(5), 0));
         let surface: SurfaceMeta =
             read(&json!({"source": "points", "failed_checks": [], "components": 1})).expect("surface");
         assert_eq!((surface.source, surface.components), (Some(Source::Points), 1));

@@ -3,13 +3,15 @@
 //! `UPDATE_GOLDEN=1 cargo test -p isoparticles-stage --test golden` writes the files of the present versions anew.
 
 use glam::{DMat3, DVec3};
+use isoparticles_field::materials::{Indicator, Material, Materials};
 use isoparticles_field::particle_set::ParticleSet;
 use isoparticles_mesh::TriangleMesh;
 use isoparticles_mesh::surface::{DataArray, Surface, read_surface, write_surface};
 use isoparticles_stage::field_file::{FieldKind, check_same_grid, read_field, write_field};
 use isoparticles_stage::history::{History, Input};
+use isoparticles_stage::materials_file::{Shown, read_materials, write_materials};
 use isoparticles_stage::particle_file::{ParticleKind, read_particles, write_particles_with};
-use isoparticles_volume::{Geometry, Image, Space};
+use isoparticles_volume::{Geometry, Image, LayerLabel, Space};
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
 
@@ -104,6 +106,50 @@ fn field_versions_1_and_2() {
         let field = read_field(&data(name), FieldKind::Sizing).expect("read");
         assert_eq!((field.image, field.meta, field.history), (sizing(), meta.clone(), Some(history())), "{name}");
     }
+}
+
+/// A block of two materials in the outside; one of the boxes is not the whole grid.
+fn materials() -> Materials {
+    let size = [17, 8, 9];
+    let geometry = Geometry { size, ..geometry() };
+    let box_of = |first: [usize; 3], size: [usize; 3], distance: fn([f32; 3]) -> f32| {
+        let node = |n: usize| [n % size[0], n / size[0] % size[1], n / (size[0] * size[1])];
+        let at = |n: usize| std::array::from_fn(|a| (first[a] + node(n)[a]) as f32);
+        let data = (0..size.iter().product()).map(|n| distance(at(n))).collect();
+        Image { geometry: Geometry { size, ..geometry.clone() }, data }
+    };
+    let outside = box_of([0; 3], size, |at| -(2.25 - at[0]).max(at[0] - 9.5).max(at[1] - 4.5));
+    let low = box_of([0; 3], [17, 8, 7], |[x, y, z]| (2.25 - x).max(x - 9.5).max(y - 4.5).max(z - 3.75));
+    let high = box_of([0, 0, 1], [13, 8, 8], |[x, y, z]| (2.25 - x).max(x - 9.5).max(y - 4.5).max(3.75 - z));
+    let made = [
+        ("outside", vec![0, 7], Indicator::new(&outside, [0; 3], size, true)),
+        ("größer", vec![-3], Indicator::new(&low, [0; 3], size, false)),
+        ("left \"lung\"", vec![1, 2], Indicator::new(&high, [0, 0, 1], size, false)),
+    ];
+    let materials = made.map(|(name, labels, (indicator, negative))| {
+        let labels = labels.into_iter().map(|label| LayerLabel { layer: 0, label }).collect();
+        (Material { name: name.to_owned(), labels }, indicator, negative)
+    });
+    Materials::new(geometry, materials.into()).expect("parts of one grid")
+}
+
+#[test]
+fn materials_version_1() {
+    let (meta, materials) = (json!({"border": "cap", "version": 1}), materials());
+    let count = materials.geometry().voxel_count();
+    let material: Vec<u16> = (0..count).map(|n| (n % 3) as u16).collect();
+    let interface_distance: Vec<f32> = (0..count).map(|n| n as f32 / 8.0).collect();
+    check_bytes("materials_v1.distfield.vti", |path| {
+        let shown = Shown { material: &material, interface_distance: &interface_distance };
+        write_materials(path, &materials, shown, &meta, &history()).expect("written");
+    });
+    let file = read_materials(&data("golden/materials_v1.distfield.vti")).expect("read");
+    assert_eq!((file.materials, file.meta, file.history), (materials, meta, Some(history())));
+    let error =
+        read_field(&data("golden/materials_v1.distfield.vti"), FieldKind::Distance).expect_err("not one object");
+    assert!(error.what.contains("many materials") && error.next.contains("--labels A,B"), "{error}");
+    let error = read_materials(&data("golden/field_v2.sizefield.vti")).expect_err("one field");
+    assert!(error.what.contains("is a sizefield file") && error.next.contains("--material"), "{error}");
 }
 
 #[test]

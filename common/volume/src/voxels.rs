@@ -268,6 +268,11 @@ impl Voxels {
             .collect())
     }
 
+    /// Visits the label of each value in order; `None` where a value is not a whole number.
+    pub fn each_label(&self, mut visit: impl FnMut(Option<i64>)) {
+        each_type!(self, values => values.iter().for_each(|&value| visit(Number::to_label(value))));
+    }
+
     /// Fails when one of the labels does not occur, and says which ones do.
     pub fn check_labels(&self, labels: &[i64]) -> Result<()> {
         let present = self.label_set()?;

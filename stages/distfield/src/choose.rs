@@ -73,7 +73,7 @@ impl ScaleArgs {
     }
 
     /// Whether any scale above 0 may come of them.
-    fn is_given(&self) -> bool {
+    pub(crate) fn is_given(&self) -> bool {
         let chosen = self.scale_for_size.is_some() || self.scale_for_vertices.is_some() || self.quality.is_some();
         self.scale.is_some_and(|scale| scale > 0.0) || chosen
     }

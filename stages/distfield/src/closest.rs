@@ -40,25 +40,28 @@ const PATCH_REACH: f64 = 1.5;
 const LAST_STEP: f64 = 1e-3;
 
 /// The distance (mm) of every node to the surface of `source`, of which `samples` is a dense sampling, negative at the `inside` ones. Exact
-/// within `band` mm, by Newton's method for the closest point; beyond, the distance to the surface round the nearest sample.
+/// within `band` mm, by Newton's method for the closest point; beyond, the distance to the surface round the nearest sample, and from `limit` mm on, which
+/// may be infinite and is no less than `band`, that.
 pub fn distance_to_zero_set(
     geometry: Geometry,
     inside: &Bits,
     source: &Source,
     samples: &[DVec3],
     band: f64,
+    limit: f64,
 ) -> Image<f32> {
     // zeros take no memory until they are written over, slab by slab, while the coarse grid of the nearest samples shrinks
     let mut data = vec![0.0; geometry.voxel_count()];
     let patches: Vec<Patch> = samples.par_iter().map(|&p| Patch::new(source, p)).collect();
     let surface = Surface { source, samples, patches, band, reach: PATCH_REACH * geometry.min_spacing() };
     let [nx, ny, _] = geometry.size;
-    nearest_samples(&geometry, samples, f64::INFINITY, band, &mut data, |slab, own| {
+    nearest_samples(&geometry, samples, limit, band, &mut data, |slab, own| {
         own.par_chunks_mut(nx).enumerate().for_each(|(row, values)| {
             let (j, k) = (row % ny, slab.own.start + row / ny);
             for (i, value) in values.iter_mut().enumerate() {
                 let sign = if inside.holds((k * ny + j) * nx + i) { -1.0 } else { 1.0 };
-                *value = surface.distance(&geometry, slab, [i, j, k], *value).copysign(sign);
+                let distance = surface.distance(&geometry, slab, [i, j, k], *value);
+                *value = distance.min(limit as f32).copysign(sign);
             }
         });
     });

@@ -4,7 +4,7 @@ use crate::bits::Bits;
 use crate::cap::BorderBox;
 use crate::closest::distance_to_zero_set;
 use crate::fit::{FitReport, pin_zero_set};
-use crate::junctions::{junctions, make_agree};
+use crate::junctions::{Junction, junctions, make_agree};
 use crate::keep::{Dropped, Keep, drop_parts};
 use crate::samples::{Implicit, project, surface_samples};
 use crate::topology::Parts;
@@ -76,6 +76,27 @@ pub struct Redistanced {
     pub changed: Option<usize>,
 }
 
+/// Makes other choices at junctions.
+pub type Choose<'a> = &'a (dyn Fn(&mut [Junction]) + Sync);
+
+/// What is asked of F beside its surface.
+#[derive(Clone, Copy)]
+pub struct Demands<'a> {
+    /// Makes other choices at junctions than the source's own saddles.
+    pub choose: Option<Choose<'a>>,
+    /// Distance beyond which that will do, in voxels (mean spacing); no less than the band with exact distances.
+    pub limit: f64,
+    /// Conjugate-gradient steps that pin the zero set, at most.
+    pub pin_steps: usize,
+}
+
+impl Default for Demands<'_> {
+    /// The source's own choices, and distances everywhere.
+    fn default() -> Self {
+        Self { choose: None, limit: f64::INFINITY, pin_steps: MOST_PIN_STEPS }
+    }
+}
+
 /// Least |F| at the nodes, in mm.
 pub struct LeastDistances<At> {
     /// The largest of them.
@@ -118,21 +139,43 @@ pub(crate) fn first_order_distance(value: f64, slope: f64) -> f64 {
 /// # Errors
 /// When the source has no zero set, no part of the object is to stay, or the run is interrupted.
 pub fn redistance(
-    mut nodes: Image<f32>,
+    nodes: Image<f32>,
     source: &Source,
     least: LeastDistances<impl Fn(usize) -> f32 + Sync>,
     keep: Keep,
     margin: usize,
     monitor: &dyn Monitor,
 ) -> Result<Redistanced> {
+    redistance_with(nodes, source, least, (keep, margin), &Demands::default(), monitor)
+}
+
+/// The same with demands of its own.
+///
+/// # Errors
+/// As [`redistance`].
+pub fn redistance_with(
+    mut nodes: Image<f32>,
+    source: &Source,
+    least: LeastDistances<impl Fn(usize) -> f32 + Sync>,
+    (keep, margin): (Keep, usize),
+    demands: &Demands,
+    monitor: &dyn Monitor,
+) -> Result<Redistanced> {
     let voxel = nodes.geometry.mean_spacing();
     let band = (BAND * voxel).max(1.5 * nodes.geometry.spacing.max_element());
 
     let step = monitor.phase("surface samples");
-    let mut choices = junctions(&nodes);
+    let chosen = |nodes: &Image<f32>| {
+        let mut choices = junctions(nodes);
+        if let Some(choose) = demands.choose {
+            choose(&mut choices);
+        }
+        choices
+    };
+    let mut choices = chosen(&nodes);
     let dropped = drop_parts(&mut nodes, margin, &choices, keep)?;
     if dropped.nodes.is_some() {
-        choices = junctions(&nodes);
+        choices = chosen(&nodes);
     }
     let mesh = marching_cubes(&nodes, 0.0);
     if mesh.triangles.is_empty() {
@@ -153,12 +196,12 @@ pub fn redistance(
     monitor.check()?;
 
     let step = monitor.phase("distance");
-    let mut field = distance_to_zero_set(geometry, &inside, source, &samples, band);
+    let mut field = distance_to_zero_set(geometry, &inside, source, &samples, band, band.max(demands.limit * voxel));
     drop(step);
     monitor.check()?;
 
     let step = monitor.phase("zero set pinned");
-    let fit = pin_zero_set(&mut field, samples, PINNED * voxel, MOST_PIN_STEPS);
+    let fit = pin_zero_set(&mut field, samples, PINNED * voxel, demands.pin_steps);
     let held_nodes = hold_nodes(&mut field, &inside, &least);
     let undecided = make_agree(&mut field.data, &choices, &least.at);
     drop(inside);

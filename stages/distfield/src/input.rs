@@ -48,9 +48,11 @@ pub fn check_kind(args: &Args, volume: &Volume, context: &Context) -> Result<()>
     let judged = judge(&survey, volume.segments.len());
     drop(step);
     let (input, reason) = (args.input.display(), &judged.reason);
-    match (&args.labels, args.iso, judged.kind) {
+    let materials = args.material.first().map(|choice| format!("--material {choice}"));
+    let labels = args.labels.as_ref().map(|labels| format!("--labels {labels}")).or(materials);
+    match (labels, args.iso, judged.kind) {
         (Some(labels), _, Kind::Scan) if judged.certain => Err(Error::input(
-            format!("--labels {labels}: the volume is a scan, not a label map: {reason}"),
+            format!("{labels}: the volume is a scan, not a label map: {reason}"),
             "a label is a number that stands for a material; in a scan the voxels of one value are specks here and there",
             format!(
                 "give --iso VALUE (distfield {input} --info proposes some), or --kind labels if these are labels all the same"

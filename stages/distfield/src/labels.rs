@@ -8,9 +8,9 @@
 //! the staircase than that may change sides.
 
 use crate::closest::distance_to_samples;
-use crate::field::{LeastDistances, Redistanced, Source, redistance};
+use crate::field::{Demands, LeastDistances, Redistanced, Source, redistance_with};
 use crate::flow::{BAND, band, smooth};
-use crate::junctions::{junctions, plain_choices};
+use crate::junctions::{junctions, make_agree, plain_choices};
 use crate::keep::{Dropped, drop_parts};
 use crate::mask::Mask;
 use crate::runs::Runs;
@@ -65,6 +65,19 @@ pub fn from_labels(inside: &Image<bool>, options: &LabelOptions, monitor: &dyn M
 /// # Errors
 /// As [`from_labels`].
 pub fn from_mask(inside: Mask, options: &LabelOptions, monitor: &dyn Monitor) -> Result<Redistanced> {
+    from_mask_with(inside, options, &Demands::default(), monitor)
+}
+
+/// The same with demands of its own.
+///
+/// # Errors
+/// As [`from_labels`].
+pub fn from_mask_with(
+    inside: Mask,
+    options: &LabelOptions,
+    demands: &Demands,
+    monitor: &dyn Monitor,
+) -> Result<Redistanced> {
     let step = monitor.phase("binary distance");
     let mask = inside.padded(options.border, options.margin);
     drop(inside);
@@ -90,18 +103,28 @@ pub fn from_mask(inside: Mask, options: &LabelOptions, monitor: &dyn Monitor) ->
     let flowed = smooth(binary, &sides, &[], options.smoothing_steps, monitor)?;
     let voxel = flowed.geometry.min_spacing();
     let (near, far) = ((options.clearance.usual * voxel) as f32, (JUNCTION_DISTANCE * voxel) as f32);
-    let bounds = plain_choices(&junctions(&flowed), |n| sides.least(n), near, far);
-    let nodes = smooth(flowed, &sides, &bounds, options.smoothing_steps.min(JUNCTION_STEPS), monitor)?;
+    let mut choices = junctions(&flowed);
+    if let Some(choose) = demands.choose {
+        choose(&mut choices);
+    }
+    let bounds = plain_choices(&choices, |n| sides.least(n), near, far);
+    let mut nodes = smooth(flowed, &sides, &bounds, options.smoothing_steps.min(JUNCTION_STEPS), monitor)?;
     check_something_is_left(&nodes, options.tightening)?;
-    let source = Source { spline: BrickSpline::new(&nodes), cap: None };
-    drop(step);
     let smallest = SMALLEST_CLEARANCE * voxel as f32;
     let at = |n: usize| match bounds.binary_search_by_key(&n, |bound| bound.node) {
         Ok(bound) => bounds[bound].least.max(smallest),
         Err(_) => sides.least(n).max(smallest),
     };
+    if demands.choose.is_some() {
+        // choices that are not the flow's own; those that even so remain are told of F
+        make_agree(&mut nodes.data, &choices, &at);
+    }
+    drop(choices);
+    let source = Source { spline: BrickSpline::new(&nodes), cap: None };
+    drop(step);
     let most = bounds.iter().map(|bound| bound.least).fold(sides.most().max(smallest), f32::max);
-    let mut result = redistance(nodes, &source, LeastDistances { most, at }, options.keep, options.margin, monitor)?;
+    let least = LeastDistances { most, at };
+    let mut result = redistance_with(nodes, &source, least, (options.keep, options.margin), demands, monitor)?;
     if let Some((dropped, parts)) = untightened {
         result.dropped.add(dropped);
         result.parts_untightened = Some(parts);

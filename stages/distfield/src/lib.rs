@@ -6,6 +6,7 @@
 //! [`runs`]), [`field`] turns it into distances ([`samples`], [`nearest`], [`closest`]), pins the
 //! zero set of the spline on it ([`fit`]), joins and parts what touches as the source does ([`junctions`]) and closes it at
 //! the border ([`cap`]); [`keep`] drops parts, [`topology`] counts what came out and [`run`] is the program.
+//! [`materials`] makes a field for each of many materials.
 //! [`info`] says what a volume is, by which [`input`] refuses what cannot be meant; [`selection`] reads the user's choice of labels.
 
 pub mod bits;
@@ -23,6 +24,7 @@ pub mod junctions;
 pub mod keep;
 pub mod labels;
 pub mod mask;
+pub mod materials;
 pub mod nearest;
 pub mod occupancy;
 pub mod run;

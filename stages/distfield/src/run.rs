@@ -4,6 +4,7 @@ use crate::choose::{Object, ScaleArgs, extract_scaled};
 use crate::input::{KindChoice, check_kind, check_room, tell};
 use crate::labels::{LabelOptions, from_mask};
 use crate::mask::Mask;
+use crate::materials::{self, Choice};
 use crate::scalar::{ScalarOptions, from_voxels};
 use crate::selection::{Selection, noted};
 use crate::{Border, Clearance, Inside, Keep, Redistanced};
@@ -25,7 +26,7 @@ use std::path::{Path, PathBuf};
 #[command(
     name = "distfield",
     version,
-    after_help = "Example: the tooth of a CT, integer iso values being fine\n  distfield tooth_ct.nrrd -o tooth.distfield.vti --iso 600\nExample: both lungs of a label map as one object\n  distfield lungs_label.nrrd -o lungs.distfield.vti --labels 2,3\nExample: what the volume is, and what a mesh of it would cost\n  distfield lungs_label.nrrd --info"
+    after_help = "Example: the tooth of a CT, integer iso values being fine\n  distfield tooth_ct.nrrd -o tooth.distfield.vti --iso 600\nExample: both lungs of a label map as one object\n  distfield lungs_label.nrrd -o lungs.distfield.vti --labels 2,3\nExample: every label of a volume as a material of its own\n  distfield brain_parcellation.nrrd -o brain.materials.vti --material all\nExample: what the volume is, and what a mesh of it would cost\n  distfield lungs_label.nrrd --info"
 )]
 pub struct Args {
     /// Volume to read: NRRD (.nrrd, .nhdr, .seg.nrrd), NIfTI (.nii, .nii.gz), MetaImage (.mha, .mhd), VTK image (.vti), or a folder of
@@ -54,7 +55,7 @@ pub struct Args {
         long,
         value_name = "V",
         allow_negative_numbers = true,
-        required_unless_present_any = ["labels", "info", "write_volume"],
+        required_unless_present_any = ["labels", "material", "info", "write_volume"],
         conflicts_with = "labels",
         help_heading = METHOD
     )]
@@ -66,6 +67,16 @@ pub struct Args {
     /// all (but 0), or the names that the file gives its labels
     #[arg(long, value_name = "A,B", allow_hyphen_values = true, help_heading = METHOD)]
     pub labels: Option<Selection>,
+    /// A material of its own, made of these labels; once for each material. NAME alone where the file has that name, all for one material of each label but 0
+    /// that no other names. What has no name is the material outside. The output holds a field for each, for which there is no further stage yet
+    #[arg(
+        long,
+        value_name = "NAME=A+B",
+        allow_hyphen_values = true,
+        conflicts_with_all = ["labels", "iso", "info", "write_volume"],
+        help_heading = METHOD
+    )]
+    pub material: Vec<Choice>,
     /// What the values are: scan or labels, where auto is mistaken. Labels of a scan and an iso value of labels are refused
     #[arg(long, value_enum, value_name = "KIND", default_value_t = KindChoice::Auto, help_heading = METHOD)]
     pub kind: KindChoice,
@@ -119,7 +130,7 @@ fn tightening_in_range(text: &str) -> std::result::Result<f64, String> {
 const LARGEST_TIGHTENING: f64 = 3.0;
 
 /// Clearance at voxels where the object or a gap is one voxel thin.
-const THIN_CLEARANCE: f64 = 0.3;
+pub(crate) const THIN_CLEARANCE: f64 = 0.3;
 
 /// Shift of the zero set (voxels; mean and 99th percentile) above which the user is warned.
 const SHIFT_LIMITS: (f64, f64) = (0.03, 0.15);
@@ -128,7 +139,7 @@ const SHIFT_LIMITS: (f64, f64) = (0.03, 0.15);
 /// diameter and rods of four change by 17 and 25 %, plates of any thickness by up to 40 %, balls and rods of two voxels by 56 to 75 %, a single
 /// voxel by 95 % (`distfield --labels 1` of such masks): beyond the first the object is mostly thinner than the smoothing can hold, beyond the
 /// second most of it is gone.
-const VOLUME_LIMITS: (f64, f64) = (0.25, 0.5);
+pub(crate) const VOLUME_LIMITS: (f64, f64) = (0.25, 0.5);
 
 /// The same for a scale, which is made to keep the volume: meshes of solid organs with 1,000 vertices change by up to 2.5 %; what changes
 /// by 10 % (ribs and trabecular bone at a few thousand vertices: 20 to 42 %, docs/scale.md) is no mesh of the object.
@@ -148,6 +159,10 @@ impl StageArgs for Args {
         let (border, keep) = (border_name(self.border), self.keep.to_string());
         let mut parameters = match (&self.labels, self.iso) {
             _ if self.write_volume.is_some() => json!({}),
+            _ if !self.material.is_empty() => json!({
+                "material": self.material.iter().map(Choice::to_string).collect::<Vec<_>>(), "border": border,
+                "margin": self.margin, "clearance": self.clearance, "smoothing_steps": self.smoothing_steps,
+            }),
             (Some(labels), _) => json!({
                 "labels": labels.to_string(), "border": border, "margin": self.margin, "keep": keep,
                 "clearance": self.clearance, "smoothing_steps": self.smoothing_steps,
@@ -196,6 +211,9 @@ pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
         return tell(args, &volume, labels, context);
     };
     check_room(args, &volume, context).map_err(about_file)?;
+    if !args.material.is_empty() {
+        return materials::program::run(args, volume, output, context).map_err(about_file);
+    }
     let geometry = volume.geometry.clone();
     let object = match (labels, args.iso) {
         (Some(labels), _) => Object::Labels(labels),

@@ -152,7 +152,7 @@ fn missing_error(missing: &[Item], volume: &Volume, present: &[LayerLabel]) -> E
 }
 
 /// Labels with their names.
-fn listed(volume: &Volume, present: &[LayerLabel]) -> String {
+pub(crate) fn listed(volume: &Volume, present: &[LayerLabel]) -> String {
     let of = |at: &LayerLabel| {
         let layer = if volume.layer_count() > 1 { format!(" of layer {}", at.layer) } else { String::new() };
         match volume.name_of(*at) {

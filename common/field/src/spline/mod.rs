@@ -8,7 +8,6 @@ use glam::{DMat3, DVec3};
 use isoparticles_volume::{Geometry, Image};
 use prefilter::{filter_across, filter_slice, scatter};
 use rayon::prelude::*;
-use stencil::Stencil;
 
 mod bricks;
 mod prefilter;
@@ -16,7 +15,7 @@ mod stencil;
 
 pub use bricks::{BrickSpline, BrickSplineBuilder, Layer};
 pub use prefilter::{Coefficients, SlabFilter};
-pub(crate) use stencil::mirror;
+pub(crate) use stencil::{Stencil, mirror};
 
 /// Newton steps that a projection onto F = 0 may take.
 pub const PROJECTION_STEPS: usize = 25;

@@ -7,7 +7,8 @@ use isoparticles_volume::Geometry;
 /// B-spline weights and their first and second derivatives (per index) for the four samples around a cell.
 type Weights = ([f64; 4], [f64; 4], [f64; 4]);
 
-pub(super) struct Stencil {
+#[derive(Clone)]
+pub(crate) struct Stencil {
     /// The cell that the place lies in: its lowest node.
     cell: [usize; 3],
     x: Weights,
@@ -23,7 +24,7 @@ pub(super) struct Stencil {
 impl Stencil {
     /// The stencil at a grid position (clamped to the volume).
     #[inline(always)]
-    pub(super) fn new(g: &Geometry, grid: DVec3) -> Self {
+    pub(crate) fn new(g: &Geometry, grid: DVec3) -> Self {
         let index = g.grid_to_index(grid);
         let axis = |a: usize| {
             let n = g.size[a];
@@ -42,7 +43,7 @@ impl Stencil {
 
     /// The cell that the place lies in: its lowest node.
     #[inline]
-    pub(super) fn cell(&self) -> [usize; 3] {
+    pub(crate) fn cell(&self) -> [usize; 3] {
         self.cell
     }
 
@@ -56,9 +57,23 @@ impl Stencil {
         self
     }
 
+    /// The nodes whose coefficients it reads, along each axis.
+    #[inline]
+    pub(crate) fn indices(&self) -> [[usize; 4]; 3] {
+        [self.ix, self.iy, self.iz]
+    }
+
+    /// The same, for the 64 coefficients that it reads put side by side, x fastest.
+    #[inline]
+    pub(crate) fn gathered(mut self) -> Self {
+        (self.ix, self.iy, self.iz) = ([0, 1, 2, 3], [0, 1, 2, 3], [0, 1, 2, 3]);
+        (self.nx, self.ny) = (4, 4);
+        self
+    }
+
     /// Value.
     #[inline(always)]
-    pub(super) fn value(&self, coefficients: &[f32]) -> f64 {
+    pub(crate) fn value(&self, coefficients: &[f32]) -> f64 {
         let mut value = [0.0; 4];
         for c in 0..4 {
             let mut plane = [0.0; 4];
@@ -73,7 +88,7 @@ impl Stencil {
     /// Value and gradient: sums over y, then z, of four coefficients along x at a time, and over x at the end. Inlined, so that it is compiled
     /// for the instructions that the caller has; no operation is fused, so that the bits are the same by any.
     #[inline(always)]
-    pub(super) fn value_gradient(&self, coefficients: &[f32], spacing: DVec3) -> (f64, DVec3) {
+    pub(crate) fn value_gradient(&self, coefficients: &[f32], spacing: DVec3) -> (f64, DVec3) {
         let (mut value, mut by_y, mut by_z) = ([0.0; 4], [0.0; 4], [0.0; 4]);
         for c in 0..4 {
             let (mut plane, mut slope) = ([0.0; 4], [0.0; 4]);
@@ -92,7 +107,7 @@ impl Stencil {
 
     /// Value, gradient and Hessian.
     #[inline]
-    pub(super) fn jet(&self, coefficients: &[f32], s: DVec3) -> Jet {
+    pub(crate) fn jet(&self, coefficients: &[f32], s: DVec3) -> Jet {
         let (x, y, z) = (&self.x, &self.y, &self.z);
         // derivatives by y and z that are still to be summed over x: none, y, z, yy, zz, yz
         let mut sums = [[0.0; 4]; 6];

@@ -10,6 +10,8 @@ use std::io::{self, Write};
 pub enum Payload<'a> {
     /// 32-bit numbers that the caller keeps.
     F32(&'a [f32]),
+    /// The same in several pieces, one behind the other.
+    F32Pieces(Vec<&'a [f32]>),
     /// Numbers of any type.
     Values(Voxels),
     /// Numbers of any type that the caller keeps.
@@ -21,7 +23,7 @@ pub enum Payload<'a> {
 impl Payload<'_> {
     fn type_name(&self) -> &'static str {
         match self {
-            Self::F32(_) => "Float32",
+            Self::F32(_) | Self::F32Pieces(_) => "Float32",
             Self::Values(values) => vtk_name(values.scalar_type()),
             Self::Voxels(values) => vtk_name(values.scalar_type()),
             Self::Text(_) => vtk_name(ScalarType::U8),
@@ -31,6 +33,7 @@ impl Payload<'_> {
     fn count(&self) -> usize {
         match self {
             Self::F32(values) => values.len(),
+            Self::F32Pieces(pieces) => pieces.iter().map(|piece| piece.len()).sum(),
             Self::Values(values) => values.len(),
             Self::Voxels(values) => values.len(),
             Self::Text(text) => text.len(),
@@ -39,7 +42,7 @@ impl Payload<'_> {
 
     fn bytes(&self) -> usize {
         match self {
-            Self::F32(values) => 4 * values.len(),
+            Self::F32(_) | Self::F32Pieces(_) => 4 * self.count(),
             Self::Values(values) => values.len() * values.scalar_type().bytes(),
             Self::Voxels(values) => values.len() * values.scalar_type().bytes(),
             Self::Text(text) => text.len(),
@@ -49,20 +52,23 @@ impl Payload<'_> {
     fn write(&self, file: &mut dyn Write) -> io::Result<()> {
         file.write_all(&(self.bytes() as u64).to_le_bytes())?;
         match self {
-            Self::F32(values) => {
-                let mut buffer = Vec::with_capacity(1 << 16);
-                for chunk in values.chunks(1 << 14) {
-                    buffer.clear();
-                    buffer.extend(chunk.iter().flat_map(|value| value.to_le_bytes()));
-                    file.write_all(&buffer)?;
-                }
-                Ok(())
-            }
+            Self::F32(values) => write_f32(values, file),
+            Self::F32Pieces(pieces) => pieces.iter().try_for_each(|piece| write_f32(piece, file)),
             Self::Values(values) => values.write_to(file, Endian::Little),
             Self::Voxels(values) => values.write_to(file, Endian::Little),
             Self::Text(text) => file.write_all(text.as_bytes()),
         }
     }
+}
+
+fn write_f32(values: &[f32], file: &mut dyn Write) -> io::Result<()> {
+    let mut buffer = Vec::with_capacity(1 << 16);
+    for chunk in values.chunks(1 << 14) {
+        buffer.clear();
+        buffer.extend(chunk.iter().flat_map(|value| value.to_le_bytes()));
+        file.write_all(&buffer)?;
+    }
+    Ok(())
 }
 
 /// A document under construction: the XML so far and the data that will follow it.
@@ -121,11 +127,26 @@ impl<'a> Document<'a> {
 
     /// Adds the field data that every file of this program carries.
     pub fn identity(&mut self, kind: &str, version: u32, texts: &[(&str, String)], history: &History) {
+        self.identity_with(kind, version, texts, Vec::new(), history);
+    }
+
+    /// The same, with arrays of its own.
+    pub fn identity_with(
+        &mut self,
+        kind: &str,
+        version: u32,
+        texts: &[(&str, String)],
+        arrays: Vec<(&str, Payload<'a>)>,
+        history: &History,
+    ) {
         self.open("FieldData", &[]);
         self.array("isoparticles_kind", 1, Payload::Text(kind.to_owned()));
         self.array("isoparticles_format", 1, Payload::Values(Voxels::U32(vec![version])));
         for (name, text) in texts {
             self.array(name, 1, Payload::Text(text.clone()));
+        }
+        for (name, payload) in arrays {
+            self.array(name, 1, payload);
         }
         self.array("history", 1, Payload::Text(ascii_json(history)));
         self.close();

@@ -1,0 +1,84 @@
+//! Indicators that are functions: balls, half spaces, and what maxima and minima make of them. For tests, and for the same algorithms on shapes that are known.
+
+use super::{Indicators, MaterialId, Near};
+use crate::spline::Jet;
+use glam::{DMat3, DVec3};
+
+/// A function with its derivatives at a grid position, mm.
+type Function = Box<dyn Fn(DVec3) -> Jet + Send + Sync>;
+
+/// Indicators given as functions, one a material.
+pub struct Analytic {
+    functions: Vec<Function>,
+    voxel: f64,
+}
+
+impl Analytic {
+    /// Of functions that change over lengths of a `voxel` (mm).
+    pub fn new(functions: Vec<Function>, voxel: f64) -> Self {
+        Self { functions, voxel }
+    }
+
+    /// The numbers of the materials.
+    pub fn ids(&self) -> impl Iterator<Item = MaterialId> + use<> {
+        (0..self.functions.len() as u16).map(MaterialId)
+    }
+}
+
+impl Indicators for Analytic {
+    fn near(&self, grid: DVec3) -> Near {
+        let mut near = Near::default();
+        self.ids().for_each(|id| near.insert(id, self.jet(id, grid).value));
+        near
+    }
+
+    fn value_gradient(&self, id: MaterialId, grid: DVec3) -> (f64, DVec3) {
+        let jet = self.jet(id, grid);
+        (jet.value, jet.gradient)
+    }
+
+    fn jet(&self, id: MaterialId, grid: DVec3) -> Jet {
+        self.functions[id.index()](grid)
+    }
+
+    fn voxel(&self) -> f64 {
+        self.voxel
+    }
+}
+
+/// Signed distance of a ball.
+pub fn ball(centre: DVec3, radius: f64) -> Function {
+    Box::new(move |p| {
+        let (away, length) = (p - centre, p.distance(centre));
+        let normal = away.normalize_or_zero();
+        let outer = DMat3::from_cols(normal * normal.x, normal * normal.y, normal * normal.z);
+        let hessian = if length > 0.0 { (DMat3::IDENTITY - outer) * (1.0 / length) } else { DMat3::ZERO };
+        Jet { value: length - radius, gradient: normal, hessian }
+    })
+}
+
+/// Signed distance of what lies below a plane through a point, by its unit normal.
+pub fn half_space(point: DVec3, normal: DVec3) -> Function {
+    Box::new(move |p| Jet { value: (p - point).dot(normal), gradient: normal, hessian: DMat3::ZERO })
+}
+
+/// The larger of two functions: the intersection of what they are negative in.
+pub fn maximum(a: Function, b: Function) -> Function {
+    Box::new(move |p| {
+        let (a, b) = (a(p), b(p));
+        if a.value >= b.value { a } else { b }
+    })
+}
+
+/// The smaller of two functions: the union of what they are negative in.
+pub fn minimum(a: Function, b: Function) -> Function {
+    negative(maximum(negative(a), negative(b)))
+}
+
+/// The negative of a function: the complement of what it is negative in.
+pub fn negative(a: Function) -> Function {
+    Box::new(move |p| {
+        let Jet { value, gradient, hessian } = a(p);
+        Jet { value: -value, gradient: -gradient, hessian: hessian * -1.0 }
+    })
+}

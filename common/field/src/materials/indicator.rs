@@ -1,0 +1,294 @@
+//! The indicator of one material near its border: coefficients of a cubic B-spline in blocks, on a box of the grid that all materials share.
+//!
+//! [`crate::spline::BrickSpline`] holds every coefficient in each brick that reads it, 1.7 times on average, and lies on a grid of its own. Here each is
+//! held once, and the blocks of all materials lie on one lattice, so that one index tells which materials are known at a place.
+
+use super::error::Error;
+use crate::spline::{CubicSpline, Stencil};
+use isoparticles_volume::Image;
+use rayon::prelude::*;
+
+/// Cells of a brick along each axis, and coefficients of a block. Small ones follow the border closely: 14 coefficients deep on average, where
+/// bricks of 16 cells hold 37 (22 cells, each coefficient 1.7 times).
+pub(super) const CELLS: usize = 4;
+
+/// Coefficients of a block.
+pub(super) const BLOCK: usize = CELLS * CELLS * CELLS;
+
+/// How near to its own zero set an indicator is known at least, in voxels: a brick is known where a coefficient of it, or of the two cells beyond what its
+/// cells read, has another sign.
+pub const KNOWN_VOXELS: usize = 2;
+
+/// Bricks along each axis of a grid.
+pub(super) fn bricks_along(size: [usize; 3]) -> [usize; 3] {
+    size.map(|n| n.saturating_sub(1).div_ceil(CELLS).max(1))
+}
+
+/// The blocks that the cells of a brick read, in x fastest order. Block c holds the coefficients of the nodes 4 c - 1 to 4 c + 2 along each axis, so that a
+/// cell of brick b reads blocks b and b + 1.
+fn blocks_of(brick: u32, bricks: [usize; 3]) -> [u32; 8] {
+    let [bx, by, _] = bricks;
+    let n = brick as usize;
+    let at = [n % bx, n / bx % by, n / (bx * by)];
+    std::array::from_fn(|c| {
+        let [x, y, z] = [at[0] + (c & 1), at[1] + (c >> 1 & 1), at[2] + (c >> 2)];
+        ((z * (by + 1) + y) * (bx + 1) + x) as u32
+    })
+}
+
+/// The indicator of one material: its own signed distance, mm, negative inside, known within a few voxels of its zero set.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Indicator {
+    /// First node of its box in the shared grid.
+    first: [usize; 3],
+    /// Nodes of its box.
+    size: [usize; 3],
+    /// Whether what lies beyond the box is inside.
+    surrounds: bool,
+    /// Numbers of the bricks that are known, ascending.
+    bricks: Vec<u32>,
+    /// The blocks that each brick reads.
+    blocks: Vec<[u32; 8]>,
+    /// Coefficients, block by block in ascending order of their places.
+    coefficients: Vec<f32>,
+}
+
+/// What an [`Indicator`] is made of, as files hold it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct IndicatorParts {
+    /// First node of its box in the shared grid.
+    pub first: [usize; 3],
+    /// Nodes of its box.
+    pub size: [usize; 3],
+    /// Whether what lies beyond the box is inside.
+    pub surrounds: bool,
+    /// Numbers of the bricks that are known, x fastest, ascending.
+    pub bricks: Vec<u32>,
+    /// Coefficients, 64 a block.
+    pub coefficients: Vec<f32>,
+}
+
+impl Indicator {
+    /// Of the signed distance (mm, negative inside) at the nodes of a box of the grid of `size`, whose first node is `first`; `surrounds` says whether what
+    /// lies beyond the box is inside. Gives the bricks all over which it is negative as well.
+    ///
+    /// # Panics
+    /// When the box does not lie within the grid.
+    pub fn new(samples: &Image<f32>, first: [usize; 3], size: [usize; 3], surrounds: bool) -> (Self, Vec<u32>) {
+        let own = samples.geometry.size;
+        assert!((0..3).all(|a| first[a] + own[a] <= size[a]), "a box of the grid");
+        let spline = CubicSpline::new(samples);
+        let signs = BrickSigns::new(&spline, first, size);
+        let bricks = bricks_along(size);
+        let (mut known, mut negative) = (Vec::new(), Vec::new());
+        for n in 0..bricks.iter().product::<usize>() {
+            let at = [n % bricks[0], n / bricks[0] % bricks[1], n / (bricks[0] * bricks[1])];
+            match signs.around(at) {
+                Some((true, true)) => known.push(n as u32),
+                Some((true, false)) => negative.push(n as u32),
+                Some((false, _)) => {}
+                None if surrounds => negative.push(n as u32),
+                None => {}
+            }
+        }
+        let places = places(&known, bricks);
+        let mut coefficients = vec![0.0; places.len() * BLOCK];
+        coefficients.par_chunks_mut(BLOCK).zip(&places).for_each(|(block, &place)| {
+            let n = place as usize;
+            let at =
+                [n % (bricks[0] + 1), n / (bricks[0] + 1) % (bricks[1] + 1), n / ((bricks[0] + 1) * (bricks[1] + 1))];
+            for (c, to) in block.iter_mut().enumerate() {
+                let within = [c % CELLS, c / CELLS % CELLS, c / (CELLS * CELLS)];
+                let node: [Option<usize>; 3] = std::array::from_fn(|a| {
+                    (CELLS * at[a] + within[a]).checked_sub(1 + first[a]).filter(|&i| i < own[a])
+                });
+                if let [Some(i), Some(j), Some(k)] = node {
+                    *to = spline.coefficients()[(k * own[1] + j) * own[0] + i];
+                }
+            }
+        });
+        let blocks = numbered(&known, &places, bricks);
+        (Self { first, size: own, surrounds, bricks: known, blocks, coefficients }, negative)
+    }
+
+    /// An indicator that is positive, or negative, everywhere: of a material without border.
+    pub fn constant(inside: bool) -> Self {
+        Self {
+            first: [0; 3],
+            size: [0; 3],
+            surrounds: inside,
+            bricks: Vec::new(),
+            blocks: Vec::new(),
+            coefficients: Vec::new(),
+        }
+    }
+
+    /// Puts together an indicator of a grid of `size` from what its methods gave of it.
+    ///
+    /// # Errors
+    /// When the parts do not belong together.
+    pub fn from_parts(parts: IndicatorParts, size: [usize; 3]) -> Result<Self, Error> {
+        let bricks = bricks_along(size);
+        let count = bricks.iter().product::<usize>();
+        let fits = (0..3).all(|a| parts.first[a].checked_add(parts.size[a]).is_some_and(|end| end <= size[a]));
+        if !fits {
+            return Err(Error::Box { first: parts.first, size: parts.size, grid: size });
+        }
+        if !parts.bricks.is_sorted_by(|a, b| a < b) || parts.bricks.last().is_some_and(|&last| last as usize >= count) {
+            return Err(Error::Bricks { count });
+        }
+        let places = places(&parts.bricks, bricks);
+        if Some(parts.coefficients.len()) != places.len().checked_mul(BLOCK) {
+            return Err(Error::Coefficients { found: parts.coefficients.len(), expected: places.len() * BLOCK });
+        }
+        if let Some(bad) = parts.coefficients.iter().find(|c| !c.is_finite()) {
+            return Err(Error::NotFinite { value: *bad });
+        }
+        let blocks = numbered(&parts.bricks, &places, bricks);
+        let IndicatorParts { first, size, surrounds, bricks, coefficients } = parts;
+        Ok(Self { first, size, surrounds, bricks, blocks, coefficients })
+    }
+
+    /// First node of its box in the shared grid, and the nodes of that.
+    pub fn extent(&self) -> ([usize; 3], [usize; 3]) {
+        (self.first, self.size)
+    }
+
+    /// Whether what lies beyond the box is inside.
+    pub fn surrounds(&self) -> bool {
+        self.surrounds
+    }
+
+    /// Numbers of the bricks that are known, x fastest, ascending.
+    pub fn bricks(&self) -> &[u32] {
+        &self.bricks
+    }
+
+    /// The coefficients, 64 a block.
+    pub fn coefficients(&self) -> &[f32] {
+        &self.coefficients
+    }
+
+    /// Memory that it takes, bytes.
+    pub fn bytes(&self) -> usize {
+        size_of_val(self.bricks.as_slice())
+            + size_of_val(self.blocks.as_slice())
+            + size_of_val(self.coefficients.as_slice())
+    }
+
+    /// The 64 coefficients that a stencil of the shared grid of `size` reads in the known brick of that number, x fastest; `None` where it reaches
+    /// beyond the box.
+    #[inline]
+    pub(super) fn gather(&self, brick: u32, stencil: &Stencil, size: [usize; 3]) -> Option<[f32; 64]> {
+        let cell = stencil.cell();
+        let is_within = (0..3).all(|a| {
+            let (first, end) = (self.first[a], self.first[a] + self.size[a]);
+            (cell[a] > first || first == 0) && cell[a] >= first && (cell[a] + 2 < end || end == size[a])
+        });
+        if !is_within {
+            return None;
+        }
+        let blocks = &self.blocks[brick as usize];
+        // block and place within it along each axis
+        let split = |axis: usize| {
+            let start = cell[axis] / CELLS * CELLS;
+            stencil.indices()[axis].map(|n| {
+                let offset = n + 1 - start;
+                (offset / CELLS, offset % CELLS)
+            })
+        };
+        let (x, y, z) = (split(0), split(1), split(2));
+        let mut gathered = [0.0; 64];
+        for (c, (kb, k)) in z.into_iter().enumerate() {
+            for (b, (jb, j)) in y.into_iter().enumerate() {
+                let row = &mut gathered[16 * c + 4 * b..][..4];
+                let inner = (k * CELLS + j) * CELLS;
+                for (to, (ib, i)) in row.iter_mut().zip(x) {
+                    *to = self.coefficients[blocks[4 * kb + 2 * jb + ib] as usize * BLOCK + inner + i];
+                }
+            }
+        }
+        Some(gathered)
+    }
+}
+
+/// Places of the blocks that some bricks read, ascending.
+fn places(known: &[u32], bricks: [usize; 3]) -> Vec<u32> {
+    let mut places: Vec<u32> = known.iter().flat_map(|&brick| blocks_of(brick, bricks)).collect();
+    places.sort_unstable();
+    places.dedup();
+    places
+}
+
+/// The numbers of the blocks that each brick reads.
+fn numbered(known: &[u32], places: &[u32], bricks: [usize; 3]) -> Vec<[u32; 8]> {
+    let number = |place: u32| places.partition_point(|&other| other < place) as u32;
+    known.iter().map(|&brick| blocks_of(brick, bricks).map(number)).collect()
+}
+
+/// Which signs the coefficients have, in cubes of [`CELLS`] nodes of the shared grid.
+struct BrickSigns {
+    /// First cube of those that the box meets, and their number, along each axis.
+    first: [usize; 3],
+    count: [usize; 3],
+    /// Whether any coefficient of each is at most zero, and whether any is at least zero.
+    signs: Vec<(bool, bool)>,
+    /// First and last node of the box.
+    low: [usize; 3],
+    high: [usize; 3],
+    bricks: [usize; 3],
+}
+
+impl BrickSigns {
+    fn new(spline: &CubicSpline, low: [usize; 3], size: [usize; 3]) -> Self {
+        let own = spline.geometry().size;
+        let high: [usize; 3] = std::array::from_fn(|a| low[a] + own[a] - 1);
+        let first = low.map(|n| n / CELLS);
+        let count: [usize; 3] = std::array::from_fn(|a| high[a] / CELLS + 1 - first[a]);
+        let signs = (0..count.iter().product::<usize>()).into_par_iter().map(|n| {
+            let at = [n % count[0], n / count[0] % count[1], n / (count[0] * count[1])];
+            let span = |a: usize| {
+                let start = (first[a] + at[a]) * CELLS;
+                start.max(low[a]) - low[a]..(start + CELLS).min(high[a] + 1) - low[a]
+            };
+            let mut found = (false, false);
+            for k in span(2) {
+                for j in span(1) {
+                    let row = &spline.coefficients()[(k * own[1] + j) * own[0]..][..own[0]];
+                    for &c in &row[span(0)] {
+                        found = (found.0 || c <= 0.0, found.1 || c >= 0.0);
+                    }
+                }
+            }
+            found
+        });
+        Self { first, count, signs: signs.collect(), low, high, bricks: bricks_along(size) }
+    }
+
+    /// The signs in the cubes of a brick and all around it; `None` where no cell of the brick lies in the box.
+    fn around(&self, brick: [usize; 3]) -> Option<(bool, bool)> {
+        let has_cell = (0..3).all(|a| {
+            let (start, end) = (brick[a] * CELLS, (brick[a] + 1) * CELLS);
+            // a grid of one node has one brick, without cells
+            start <= self.high[a].saturating_sub(1) && (end > self.low[a] || self.bricks[a] == 1)
+        });
+        if !has_cell {
+            return None;
+        }
+        let span = |a: usize| {
+            let last = self.first[a] + self.count[a] - 1;
+            brick[a].saturating_sub(1).clamp(self.first[a], last)..=(brick[a] + 1).clamp(self.first[a], last)
+        };
+        let mut found = (false, false);
+        for k in span(2) {
+            for j in span(1) {
+                for i in span(0) {
+                    let at = [i - self.first[0], j - self.first[1], k - self.first[2]];
+                    let (a, b) = self.signs[(at[2] * self.count[1] + at[1]) * self.count[0] + at[0]];
+                    found = (found.0 || a, found.1 || b);
+                }
+            }
+        }
+        Some(found)
+    }
+}

@@ -1,0 +1,103 @@
+//! Strata: sheets, junction curves and junction points, as zero sets of the differences G_ij = (F_i - F_j) / 2, and the steps towards them.
+
+use super::{Indicators, MaterialId};
+use crate::spline::{Jet, LEAST_SQUARED_GRADIENT, PROJECTION_STEPS};
+use glam::{DMat3, DVec3};
+
+/// Least squared sine of the angle between two sheets, and between a curve and a third sheet, at which they are taken to cross: 0.6 degrees, at which a step of
+/// a hundredth of a voxel across goes a voxel along.
+pub const LEAST_SQUARED_SINE: f64 = 1e-4;
+
+/// The difference G_ij = (F_i - F_j) / 2 of two indicators, as a function of its own: mm, negative where i is nearer; zero on the sheet of the two, as far as
+/// no third material is nearer.
+#[derive(Debug)]
+pub struct Sheet<'a, I: ?Sized> {
+    pub(super) indicators: &'a I,
+    /// The material on the negative side.
+    pub i: MaterialId,
+    /// That on the positive side.
+    pub j: MaterialId,
+}
+
+impl<I: Indicators + ?Sized> Sheet<'_, I> {
+    /// G_ij and its gradient at a grid position.
+    pub fn value_gradient(&self, grid: DVec3) -> (f64, DVec3) {
+        self.indicators.difference_gradient(self.i, self.j, grid)
+    }
+
+    /// G_ij, gradient and Hessian at a grid position.
+    pub fn jet(&self, grid: DVec3) -> Jet {
+        self.indicators.difference(self.i, self.j, grid)
+    }
+
+    /// The point of the sheet near `start` ([`Indicators::project_onto_sheet`]).
+    pub fn project(&self, start: DVec3, limit: f64, tolerance: f64) -> Option<DVec3> {
+        self.indicators.project_onto_sheet([self.i, self.j], start, limit, tolerance)
+    }
+
+    /// How real the sheet is at a place ([`Indicators::clearance`]).
+    pub fn clearance(&self, grid: DVec3) -> f64 {
+        self.indicators.clearance(grid, &[self.i, self.j])
+    }
+}
+
+/// Half the difference of two values with gradients.
+pub(super) fn half_difference(a: (f64, DVec3), b: (f64, DVec3)) -> (f64, DVec3) {
+    (0.5 * (a.0 - b.0), 0.5 * (a.1 - b.1))
+}
+
+/// Follows steps until one is no longer than `tolerance`, or for too long or too far.
+pub(super) fn project(
+    voxel: f64,
+    start: DVec3,
+    limit: f64,
+    tolerance: f64,
+    step: impl Fn(DVec3) -> Option<DVec3>,
+) -> Option<DVec3> {
+    let mut p = start;
+    for _ in 0..PROJECTION_STEPS {
+        let step = step(p)?;
+        if step.length_squared() <= tolerance * tolerance {
+            return Some(p);
+        }
+        p += step.clamp_length_max(0.5 * voxel);
+        // also refuses what is not a number
+        if p.distance_squared(start).partial_cmp(&(limit * limit)) != Some(std::cmp::Ordering::Less) {
+            return None;
+        }
+    }
+    None
+}
+
+/// Whether a squared slope is steep enough, and a number.
+fn is_steep(squared: f64) -> bool {
+    squared > LEAST_SQUARED_GRADIENT && squared.is_finite()
+}
+
+/// The Newton step onto G = 0 along its gradient.
+pub(super) fn sheet_step(value: f64, gradient: DVec3) -> Option<DVec3> {
+    let squared = gradient.length_squared();
+    (is_steep(squared) && value.is_finite()).then(|| gradient * (-value / squared))
+}
+
+/// The shortest step onto the crossing of the tangent planes of two functions: -J^T (J J^T)^-1 G.
+pub(super) fn curve_step([(u, a), (v, b)]: [(f64, DVec3); 2]) -> Option<DVec3> {
+    let (aa, bb, ab) = (a.length_squared(), b.length_squared(), a.dot(b));
+    let determinant = aa * bb - ab * ab;
+    let crosses = is_steep(aa) && is_steep(bb) && determinant > LEAST_SQUARED_SINE * aa * bb;
+    let both = u.is_finite() && v.is_finite();
+    (crosses && both).then(|| (a * (v * ab - u * bb) + b * (u * ab - v * aa)) / determinant)
+}
+
+/// The Newton step onto the crossing of the tangent planes of three functions.
+pub(super) fn point_step(rows: [(f64, DVec3); 3]) -> Option<DVec3> {
+    let [a, b, c] = rows.map(|(_, gradient)| gradient);
+    let squares = [a, b, c].map(DVec3::length_squared);
+    let jacobian = DMat3::from_cols(a, b, c).transpose();
+    let determinant = jacobian.determinant();
+    // the volume of the unit normals' box is the product of two sines
+    let least = LEAST_SQUARED_SINE * squares.iter().product::<f64>();
+    let crosses = squares.into_iter().all(is_steep) && determinant * determinant > least;
+    let values = DVec3::from_array(rows.map(|(value, _)| value));
+    (crosses && values.is_finite()).then(|| -(jacobian.inverse() * values))
+}

@@ -1,0 +1,197 @@
+//! The indicators of many materials between the stages, as a VTK image file.
+//!
+//! ParaView and pyvista show the material of each node and its distance from the next interface; the field data holds the indicators themselves: bricks and
+//! coefficients of each material, one behind the other in the order of the table, and what fills the bricks. They are read back bit for bit.
+
+use crate::error::{Error, Result};
+use crate::field_file::FieldKind;
+use crate::output::write_atomically;
+use isoparticles_field::materials::{Indicator, IndicatorParts, Material, Materials};
+use isoparticles_file::history::History;
+use isoparticles_volume::vtk_xml::{Document, Element, Payload, VtkFile, ascii_json};
+use isoparticles_volume::{Voxels, vti};
+use serde::{Deserialize, Serialize};
+use serde_json::Value;
+use std::path::Path;
+
+/// Name of the file kind.
+pub const KIND: &str = "materials";
+
+/// Version of the layout.
+const VERSION: u32 = 1;
+
+/// What each node is shown with, x fastest.
+#[derive(Clone, Copy, Debug)]
+pub struct Shown<'a> {
+    /// Number of the material.
+    pub material: &'a [u16],
+    /// Half the difference of the two smallest indicators, mm.
+    pub interface_distance: &'a [f32],
+}
+
+/// Materials as read.
+#[derive(Clone, Debug, PartialEq)]
+pub struct MaterialsFile {
+    /// The indicators with names and labels.
+    pub materials: Materials,
+    /// What the stage that made them noted.
+    pub meta: Value,
+    /// Their history, if the file carries one.
+    pub history: Option<History>,
+}
+
+/// A material in the file's table.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+struct Row {
+    #[serde(flatten)]
+    material: Material,
+    /// First node of its box.
+    first: [usize; 3],
+    /// Nodes of its box.
+    size: [usize; 3],
+    /// Whether what lies beyond the box is inside.
+    surrounds: bool,
+    /// How many bricks and coefficients are its own.
+    bricks: usize,
+    coefficients: usize,
+}
+
+/// Writes materials. Fails if the file cannot be written.
+///
+/// # Panics
+/// When there is not one number a node to show.
+pub fn write_materials(
+    path: &Path,
+    materials: &Materials,
+    shown: Shown<'_>,
+    meta: &impl Serialize,
+    history: &History,
+) -> Result<()> {
+    let geometry = materials.geometry();
+    let lengths = [shown.material.len(), shown.interface_distance.len()];
+    assert_eq!(lengths, [geometry.voxel_count(); 2], "one number a node");
+    let rows: Vec<Row> = materials
+        .table()
+        .iter()
+        .zip(materials.indicators())
+        .map(|(material, own)| {
+            let (first, size) = own.extent();
+            let (bricks, coefficients) = (own.bricks().len(), own.coefficients().len());
+            Row { material: material.clone(), first, size, surrounds: own.surrounds(), bricks, coefficients }
+        })
+        .collect();
+    let meta = serde_json::to_value(meta).unwrap_or(Value::Null);
+    let texts = [("geometry", ascii_json(geometry)), ("meta", ascii_json(&meta)), ("materials", ascii_json(&rows))];
+    let indicators = materials.indicators();
+    let bricks = indicators.iter().flat_map(|own| own.bricks().iter().copied()).collect();
+    let arrays = vec![
+        ("brick_fill", Payload::Values(Voxels::U16(materials.fill().to_vec()))),
+        ("indicator_bricks", Payload::Values(Voxels::U32(bricks))),
+        ("indicator_coefficients", Payload::F32Pieces(indicators.iter().map(Indicator::coefficients).collect())),
+    ];
+    let numbers = if rows.len() <= usize::from(u8::MAX) + 1 {
+        Voxels::U8(shown.material.iter().map(|&number| number as u8).collect())
+    } else {
+        Voxels::U16(shown.material.to_vec())
+    };
+    let mut document = Document::new("ImageData");
+    vti::open_image(&mut document, geometry);
+    document.identity_with(KIND, VERSION, &texts, arrays, history);
+    document.open("Piece", &[("Extent", vti::piece_extent(geometry))]);
+    document.open("PointData", &[("Scalars", "material".to_owned())]);
+    document.array("material", 1, Payload::Values(numbers));
+    document.array("interface_distance", 1, Payload::F32(shown.interface_distance));
+    write_atomically(path, |file| document.write(file))
+}
+
+/// Reads materials; what is shown of the nodes is left.
+///
+/// # Errors
+/// When the file is of another kind or version, is damaged, or does not fit in memory.
+pub fn read_materials(path: &Path) -> Result<MaterialsFile> {
+    let file = VtkFile::open(path)?;
+    let image = file.data_set("ImageData")?;
+    let found = file.text(image, "isoparticles_kind")?;
+    if found.as_deref() != Some(KIND) {
+        let what = found.map_or("is no file of this program".to_owned(), |found| format!("is a {found} file"));
+        return Err(Error::of_file(
+            path,
+            what,
+            "the indicators of many materials are needed",
+            "give the file that distfield --material writes",
+        ));
+    }
+    let array = |name: &str| -> Result<&Element> {
+        let array = image.child("FieldData").and_then(|field| field.array(name));
+        array.ok_or_else(|| damaged(path, &format!("has no array '{name}' in its field data")))
+    };
+    let version = file.all_numbers(array("isoparticles_format")?)?.to_f64();
+    if version != [f64::from(VERSION)] {
+        return Err(Error::of_file(
+            path,
+            format!("has format version {version:?}; this program reads version {VERSION}"),
+            "its contents may mean something else",
+            "run distfield again to make it anew",
+        ));
+    }
+    let geometry = vti::geometry(path, &file)?;
+    let table = file.text(image, "materials")?.unwrap_or_default();
+    let rows: Vec<Row> = serde_json::from_str(&table)
+        .map_err(|error| damaged(path, &format!("has a table of materials that cannot be read: {error}")))?;
+    let wrong_type = |name: &str| damaged(path, &format!("has the array '{name}' in another type"));
+    let Voxels::U16(fill) = file.all_numbers(array("brick_fill")?)? else { return Err(wrong_type("brick_fill")) };
+    let Voxels::U32(bricks) = file.all_numbers(array("indicator_bricks")?)? else {
+        return Err(wrong_type("indicator_bricks"));
+    };
+    let Voxels::F32(coefficients) = file.all_numbers(array("indicator_coefficients")?)? else {
+        return Err(wrong_type("indicator_coefficients"));
+    };
+    let (mut bricks, mut coefficients) = (bricks.as_slice(), coefficients.as_slice());
+    let mut materials = Vec::with_capacity(rows.len());
+    for row in rows {
+        let short = || damaged(path, &format!("has too few bricks or coefficients for '{}'", row.material.name));
+        let (own_bricks, more_bricks) = bricks.split_at_checked(row.bricks).ok_or_else(short)?;
+        let (own, more) = coefficients.split_at_checked(row.coefficients).ok_or_else(short)?;
+        (bricks, coefficients) = (more_bricks, more);
+        let parts = IndicatorParts {
+            first: row.first,
+            size: row.size,
+            surrounds: row.surrounds,
+            bricks: own_bricks.to_vec(),
+            coefficients: own.to_vec(),
+        };
+        let indicator = Indicator::from_parts(parts, geometry.size)
+            .map_err(|error| damaged(path, &format!("has a damaged indicator of '{}': {error}", row.material.name)))?;
+        materials.push((row.material, indicator));
+    }
+    if !bricks.is_empty() || !coefficients.is_empty() {
+        return Err(damaged(path, "has more bricks or coefficients than its materials"));
+    }
+    let materials = Materials::from_parts(geometry, materials, fill)
+        .map_err(|error| damaged(path, &format!("has indicators that do not fit together: {error}")))?;
+    let meta = file.text(image, "meta")?.and_then(|text| serde_json::from_str(&text).ok()).unwrap_or(Value::Null);
+    let history = file.text(image, "history")?.and_then(|text| serde_json::from_str(&text).ok());
+    Ok(MaterialsFile { materials, meta, history })
+}
+
+fn damaged(path: &Path, what: &str) -> Error {
+    Error::of_file(
+        path,
+        what,
+        "the file is damaged or was written by another program",
+        "run distfield again to make it anew",
+    )
+}
+
+/// What a stage says that takes one object only.
+pub(crate) fn not_yet_taken(path: &Path, expected: FieldKind) -> Error {
+    Error::of_file(
+        path,
+        "holds the indicators of many materials",
+        format!(
+            "this stage needs the field '{}' of one object; of all stages distfield alone knows materials yet",
+            expected.array_name()
+        ),
+        "give the field of one object: distfield --labels A,B makes one of the union of some labels",
+    )
+}

@@ -1,0 +1,249 @@
+//! Materials as a user names them: `lung=2+3`, `heart` where the file has that name, or `all`.
+
+use crate::selection::{Selection, listed};
+use isoparticles_field::materials::{MOST_MATERIALS, Material, MaterialId};
+use isoparticles_stage::error::{Error, Result};
+use isoparticles_volume::{LayerLabel, Volume};
+use std::collections::BTreeMap;
+use std::str::FromStr;
+
+/// Name of what no other material has.
+pub const OUTSIDE: &str = "outside";
+
+/// Materials that an error message lists, at most.
+const MOST_LISTED: usize = 40;
+
+/// One `--material`, to be resolved once the volume is known.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Choice {
+    /// One material for each label but 0 that no other choice names.
+    All,
+    /// The label of that name in the file.
+    Named(String),
+    /// A material of that name, of these labels.
+    Labels(String, Vec<Selection>),
+}
+
+impl FromStr for Choice {
+    type Err = String;
+
+    fn from_str(text: &str) -> std::result::Result<Self, String> {
+        let text = text.trim();
+        let choice = match text.split_once('=') {
+            _ if text.eq_ignore_ascii_case("all") => return Ok(Self::All),
+            None => Self::Named(text.to_owned()),
+            Some((name, labels)) => {
+                let labels: std::result::Result<Vec<Selection>, String> = labels.split('+').map(str::parse).collect();
+                Self::Labels(name.trim().to_owned(), labels?)
+            }
+        };
+        match &choice {
+            Self::Named(name) | Self::Labels(name, _) if name.is_empty() => {
+                Err("has no name: give NAME=LABEL, NAME=LABEL+LABEL, a name of the file, or all".into())
+            }
+            Self::Named(name) | Self::Labels(name, _) if name.eq_ignore_ascii_case(OUTSIDE) => {
+                Err(format!("'{OUTSIDE}' is the name of what no material has; choose another"))
+            }
+            _ => Ok(choice),
+        }
+    }
+}
+
+impl std::fmt::Display for Choice {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Self::All => f.write_str("all"),
+            Self::Named(name) => f.write_str(name),
+            Self::Labels(name, labels) => {
+                let labels: Vec<String> = labels.iter().map(Selection::to_string).collect();
+                write!(f, "{name}={}", labels.join("+"))
+            }
+        }
+    }
+}
+
+/// The materials of a volume, the outside first.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Chosen {
+    /// Names and labels, by their numbers.
+    pub table: Vec<Material>,
+    number: BTreeMap<LayerLabel, u16>,
+}
+
+impl Chosen {
+    /// The number of the material of a label; 0 where it is of none.
+    pub fn number(&self, label: LayerLabel) -> u16 {
+        self.number.get(&label).copied().unwrap_or(MaterialId::OUTSIDE.0)
+    }
+}
+
+/// The materials that the choices make of a volume.
+///
+/// # Errors
+/// When a label or name is not there, a name is given twice, or a label is in two materials.
+pub fn resolve(choices: &[Choice], volume: &Volume) -> Result<Chosen> {
+    let present = volume.label_set()?;
+    let mut named: Vec<Material> = Vec::new();
+    let mut number: BTreeMap<LayerLabel, u16> = BTreeMap::new();
+    for choice in choices {
+        let (name, labels) = match choice {
+            Choice::All => continue,
+            Choice::Named(name) => (name, vec![of_name(name, volume, &present)?]),
+            Choice::Labels(name, selections) => {
+                let mut labels = Vec::new();
+                for selection in selections {
+                    labels.extend(selection.resolve(volume)?);
+                }
+                (name, labels)
+            }
+        };
+        if named.iter().any(|other| other.name == *name) {
+            return Err(wrong(
+                format!("--material {choice}: the name '{name}' was given before"),
+                "later stages call a material by its name",
+                "give each material one name, once; several labels of one are joined by +",
+                &named,
+            ));
+        }
+        let id = named.len() + 1;
+        let mut own: Vec<LayerLabel> = Vec::new();
+        for label in labels {
+            match number.insert(label, id as u16) {
+                Some(other) if usize::from(other) != id => {
+                    let other = &named[usize::from(other) - 1].name;
+                    return Err(wrong(
+                        format!("--material {choice}: label {} is of the material '{other}' already", label.label),
+                        "a place is of one material",
+                        "name each label once",
+                        &named,
+                    ));
+                }
+                Some(_) => {}
+                None => own.push(label),
+            }
+        }
+        named.push(Material { name: name.clone(), labels: own });
+    }
+    if choices.contains(&Choice::All) {
+        for &label in present.iter().filter(|at| at.label != 0) {
+            if number.contains_key(&label) {
+                continue;
+            }
+            let name = unused_name(label, volume, &named);
+            named.push(Material { name, labels: vec![label] });
+            number.insert(label, u16::try_from(named.len()).unwrap_or(u16::MAX));
+        }
+    }
+    if named.is_empty() || named.len() >= MOST_MATERIALS {
+        return Err(Error::input(
+            format!("{} materials", named.len()),
+            format!("there must be one beside the outside, and no more than {}", MOST_MATERIALS - 1),
+            format!("choose among the labels present: {}", listed(volume, &present)),
+        ));
+    }
+    let rest = present.iter().copied().filter(|label| !number.contains_key(label)).collect();
+    let outside = Material { name: OUTSIDE.to_owned(), labels: rest };
+    Ok(Chosen { table: std::iter::once(outside).chain(named).collect(), number })
+}
+
+/// The label of a name that the file gives, where voxels have it.
+fn of_name(name: &str, volume: &Volume, present: &[LayerLabel]) -> Result<LayerLabel> {
+    let found = volume.segment_named(name);
+    match found {
+        Ok(at) if present.contains(&at) => Ok(at),
+        Ok(at) => Err(Error::input(
+            format!("--material {name}: no voxel has its label {}", at.label),
+            "a material without voxels has no border",
+            format!("choose among the labels present: {}", listed(volume, present)),
+        )),
+        Err(error) => Err(Error {
+            what: format!("--material {name}: the file has no label of that name"),
+            next: format!("give {name}=LABEL; labels present: {}", listed(volume, present)),
+            ..Error::from(error)
+        }),
+    }
+}
+
+/// The file's own name of a label, or `label_N`; with its number behind it where another material has that name.
+fn unused_name(at: LayerLabel, volume: &Volume, named: &[Material]) -> String {
+    let is_free = |name: &str| name != OUTSIDE && named.iter().all(|other| other.name != name);
+    let number = if volume.layer_count() > 1 { format!("{}_{}", at.layer, at.label) } else { at.label.to_string() };
+    let own = volume.name_of(at).map(str::trim).filter(|name| !name.is_empty());
+    let first = own.map_or_else(|| format!("label_{number}"), str::to_owned);
+    let candidates = (0..).map(|n| match n {
+        0 => first.clone(),
+        1 => format!("{first}_{number}"),
+        n => format!("{first}_{number}_{n}"),
+    });
+    candidates.into_iter().find(|name| is_free(name)).unwrap_or_default()
+}
+
+fn wrong(what: String, why: &str, next: &str, named: &[Material]) -> Error {
+    let told: Vec<String> = named
+        .iter()
+        .take(MOST_LISTED)
+        .map(|material| {
+            let labels: Vec<String> = material.labels.iter().map(|at| at.label.to_string()).collect();
+            format!("{}={}", material.name, labels.join("+"))
+        })
+        .collect();
+    Error::input(what, why, format!("{next}; given before: {}", told.join(", ")))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use glam::DVec3;
+    use isoparticles_volume::{Geometry, Segment, Voxels};
+
+    fn volume() -> Volume {
+        let segment = |name: &str, label| Segment { name: name.to_owned(), at: LayerLabel { layer: 0, label } };
+        Volume {
+            segments: vec![segment("left lung", 2), segment("heart", 3), segment("heart", 5), segment("lost", 9)],
+            ..Volume::new(Geometry::axis_aligned([2, 2, 2], DVec3::ONE), Voxels::I16(vec![0, 1, 2, 3, 5, 5, -4, 7]))
+        }
+    }
+
+    fn table(choices: &[&str]) -> Result<Vec<(String, Vec<i64>)>> {
+        let choices: Vec<Choice> = choices.iter().map(|text| text.parse().expect(text)).collect();
+        let chosen = resolve(&choices, &volume())?;
+        let labels = |material: &Material| material.labels.iter().map(|at| at.label).collect();
+        Ok(chosen.table.iter().map(|material| (material.name.clone(), labels(material))).collect())
+    }
+
+    fn row(name: &str, labels: &[i64]) -> (String, Vec<i64>) {
+        (name.to_owned(), labels.to_vec())
+    }
+
+    #[test]
+    fn names_labels_and_all() {
+        let found = table(&["lungs=1+2", "wall = 5..7"]).expect("two");
+        assert_eq!(found, [row("outside", &[-4, 0, 3]), row("lungs", &[1, 2]), row("wall", &[5, 7])]);
+        assert_eq!(table(&["left lung"]).expect("by name")[1], row("left lung", &[2]));
+        let found = table(&["all"]).expect("each label");
+        let names: Vec<&str> = found.iter().map(|(name, _)| name.as_str()).collect();
+        assert_eq!(names, ["outside", "label_-4", "label_1", "left lung", "heart", "heart_5", "label_7"]);
+        assert_eq!(found[0].1, [0]);
+        let found = table(&["all", "rest=1+2+3"]).expect("the others");
+        assert_eq!(found[1..3], [row("rest", &[1, 2, 3]), row("label_-4", &[-4])]);
+    }
+
+    #[test]
+    fn what_is_wrong_is_told_with_what_is_there() {
+        for (choices, what, next) in [
+            (&["a=8"][..], "no voxel has the label 8", "2 'left lung'"),
+            (&["a=1", "a=2"], "the name 'a' was given before", "a=1"),
+            (&["a=1", "b=2+1"], "label 1 is of the material 'a' already", "a=1"),
+            (&["spleen"], "no label of that name", "2 'left lung'"),
+            (&["lost"], "no voxel has its label 9", "2 'left lung'"),
+            (&["a=left lnug"], "no segment is called 'left lnug'", "did you mean 'left lung'?"),
+        ] {
+            let error = table(choices).expect_err(choices[0]);
+            assert!(error.what.contains(what) && error.next.contains(next), "{choices:?}: {error}");
+        }
+        for text in ["", "=3", "outside=3", "a=", "a=1++2"] {
+            assert!(text.parse::<Choice>().is_err(), "{text}");
+        }
+        assert_eq!("a= 1 + 2".parse::<Choice>().expect("a choice").to_string(), "a=1+2");
+    }
+}

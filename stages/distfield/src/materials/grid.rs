@@ -1,0 +1,144 @@
+//! The material of every voxel, and of the nodes beyond the border.
+
+use super::choice::Chosen;
+use crate::mask::Mask;
+use crate::{Border, bits::Bits};
+use isoparticles_field::materials::MaterialId;
+use isoparticles_stage::error::{Error, Result};
+use isoparticles_volume::{Geometry, LayerLabel, Volume};
+use std::collections::BTreeMap;
+
+/// The material of every voxel of a volume, and of the nodes of the padded grid round it.
+pub struct LabelGrid {
+    /// The volume's grid.
+    pub geometry: Geometry,
+    /// Number of the material of each voxel, x fastest.
+    pub numbers: Vec<u16>,
+    /// What the nodes beyond the border are: outside, or what the nearest voxel is.
+    pub border: Border,
+    /// Nodes added on each face.
+    pub margin: usize,
+}
+
+/// The box of the voxels of a material, and their number.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Extent {
+    /// First voxel along each axis.
+    pub low: [usize; 3],
+    /// Last voxel along each axis.
+    pub high: [usize; 3],
+    /// Voxels of the material.
+    pub count: usize,
+}
+
+impl Extent {
+    const NONE: Self = Self { low: [usize::MAX; 3], high: [0; 3], count: 0 };
+
+    fn add(&mut self, columns: std::ops::Range<usize>, j: usize, k: usize) {
+        let (low, high) = ([columns.start, j, k], [columns.end - 1, j, k]);
+        for axis in 0..3 {
+            self.low[axis] = self.low[axis].min(low[axis]);
+            self.high[axis] = self.high[axis].max(high[axis]);
+        }
+        self.count += columns.len();
+    }
+
+    /// The box round two.
+    pub fn joined(self, other: Self) -> Self {
+        Self {
+            low: std::array::from_fn(|a| self.low[a].min(other.low[a])),
+            high: std::array::from_fn(|a| self.high[a].max(other.high[a])),
+            count: self.count + other.count,
+        }
+    }
+}
+
+impl LabelGrid {
+    /// The materials that were chosen, of the voxels of a volume, which is used up.
+    ///
+    /// # Errors
+    /// When layers that overlap give one voxel to two materials.
+    pub fn new(volume: Volume, chosen: &Chosen, border: Border, margin: usize) -> Result<Self> {
+        let mut numbers = vec![0u16; volume.voxels.len()];
+        let mut overlaps: BTreeMap<(u16, u16), usize> = BTreeMap::new();
+        for (layer, voxels) in volume.layers().enumerate() {
+            let mut last = (None, 0);
+            let mut voxel = 0;
+            voxels.each_label(|label| {
+                if label != last.0 {
+                    last = (label, label.map_or(0, |label| chosen.number(LayerLabel { layer, label })));
+                }
+                if last.1 != 0 {
+                    match numbers[voxel] {
+                        0 => numbers[voxel] = last.1,
+                        other if other == last.1 => {}
+                        other => *overlaps.entry((other, last.1)).or_default() += 1,
+                    }
+                }
+                voxel += 1;
+            });
+        }
+        let name = |id: u16| &chosen.table[usize::from(id)].name;
+        if let Some(((a, b), count)) = overlaps.first_key_value() {
+            return Err(Error::input(
+                format!(
+                    "{count} voxels are of two materials, '{}' and '{}' ({} pairs overlap)",
+                    name(*a),
+                    name(*b),
+                    overlaps.len()
+                ),
+                "the layers of the file overlap there, and a place is of one material",
+                "take one of the two out, or join them to one material: NAME=LABEL+LABEL",
+            ));
+        }
+        Ok(Self { geometry: volume.geometry, numbers, border, margin })
+    }
+
+    /// The padded grid.
+    pub fn padded(&self) -> Geometry {
+        self.geometry.padded(self.margin)
+    }
+
+    /// The material of a node of the padded grid, by its index.
+    #[inline]
+    pub fn at(&self, node: [usize; 3]) -> MaterialId {
+        let size = self.geometry.size;
+        let mut voxel = [0; 3];
+        for axis in 0..3 {
+            let inner = node[axis].wrapping_sub(self.margin);
+            voxel[axis] = match self.border {
+                _ if inner < size[axis] => inner,
+                Border::Cap => return MaterialId::OUTSIDE,
+                Border::Open => node[axis].saturating_sub(self.margin).min(size[axis] - 1),
+            };
+        }
+        MaterialId(self.numbers[self.geometry.linear(voxel[0], voxel[1], voxel[2])])
+    }
+
+    /// The boxes of the materials, by their numbers.
+    pub fn extents(&self, materials: usize) -> Vec<Extent> {
+        let [nx, ny, _] = self.geometry.size;
+        let mut extents = vec![Extent::NONE; materials];
+        for (row, numbers) in self.numbers.chunks(nx).enumerate() {
+            let mut first = 0;
+            for run in numbers.chunk_by(|a, b| a == b) {
+                extents[usize::from(run[0])].add(first..first + run.len(), row % ny, row / ny);
+                first += run.len();
+            }
+        }
+        extents
+    }
+
+    /// The voxels of a box for which `holds` is true of their material's number.
+    pub fn mask(&self, low: [usize; 3], high: [usize; 3], holds: impl Fn(u16) -> bool + Sync) -> Mask {
+        let size: [usize; 3] = std::array::from_fn(|a| high[a] + 1 - low[a]);
+        let corner = self.geometry.index_to_grid(glam::DVec3::from_array(low.map(|n| n as f64)));
+        let geometry = Geometry { size, origin: self.geometry.grid_to_world(corner), ..self.geometry.clone() };
+        let voxel = |n: usize| {
+            let [i, j, k] = [n % size[0], n / size[0] % size[1], n / (size[0] * size[1])];
+            self.geometry.linear(low[0] + i, low[1] + j, low[2] + k)
+        };
+        let inside = Bits::of(geometry.voxel_count(), |n| holds(self.numbers[voxel(n)]));
+        Mask { geometry, inside }
+    }
+}

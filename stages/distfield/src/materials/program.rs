@@ -1,0 +1,204 @@
+//! What `distfield --material` does: from the volume to the file, the report and the checks.
+
+use super::choice::resolve;
+use super::extract::{Extracted, MaterialOptions, Tally, extract};
+use super::grid::LabelGrid;
+use super::survey::{Survey, distance_limit, survey};
+use crate::run::{Args, THIN_CLEARANCE, VOLUME_LIMITS};
+use crate::{Border, Clearance, Keep};
+use isoparticles_field::materials::{MaterialId, Materials};
+use isoparticles_stage::cli::{Context, Outcome};
+use isoparticles_stage::error::{Error, Result};
+use isoparticles_stage::materials_file::{Shown, write_materials};
+use isoparticles_stage::meta::{self, MaterialsMeta};
+use isoparticles_volume::Volume;
+use serde_json::{Map, Value, json};
+use std::path::Path;
+
+/// Materials and pairs that the closing table shows; the report has all.
+const SHOWN: usize = 12;
+
+/// Names that a warning or a failed check lists.
+const NAMED: usize = 3;
+
+/// Makes the indicators of the materials that were asked for, and writes them.
+///
+/// # Errors
+/// On choices that the volume does not have, options that materials do not take yet, files that cannot be written, and when interrupted.
+pub fn run(args: &Args, volume: Volume, output: &Path, context: &Context) -> Result<Outcome> {
+    check_options(args)?;
+    let step = context.step("materials read");
+    let chosen = resolve(&args.material, &volume)?;
+    context.set_parameter("materials", json!(chosen.table));
+    let grid = LabelGrid::new(volume, &chosen, args.border, args.margin.into())?;
+    drop(step);
+    let options = MaterialOptions {
+        clearance: Clearance { usual: args.clearance, thin: THIN_CLEARANCE },
+        smoothing_steps: args.smoothing_steps.into(),
+    };
+    let Extracted { materials, tallies } = extract(&grid, &chosen, &options, context)?;
+    let geometry = materials.geometry();
+    let step = context.step("materials checked");
+    let found = survey(&materials, geometry, &grid, tallies.len(), context)?;
+    drop(step);
+    drop(grid);
+    let notes = notes(&materials, &tallies, &found);
+    context.report("materials", notes["table"].clone());
+    context.report("interfaces", notes["interfaces"].clone());
+    context.report("junctions", notes["junctions"].clone());
+    let changed: usize = found.changed.iter().sum();
+    context.report("voxels_changed", changed);
+    context.report("state_bytes", materials.bytes());
+    describe(&materials, &tallies, &found, context);
+
+    let step = context.step("write");
+    let meta = MaterialsMeta {
+        version: meta::VERSION,
+        border: Some(match args.border {
+            Border::Cap => meta::Border::Cap,
+            Border::Open => meta::Border::Open,
+        }),
+        margin: Some(args.margin.into()),
+        distance_limit: Some(distance_limit(geometry)),
+        notes,
+    };
+    let shown = Shown { material: &found.material, interface_distance: &found.interface_distance };
+    write_materials(output, &materials, shown, &meta, &context.history())?;
+    drop(step);
+    Ok(Outcome::from_failed_checks(failed_checks(&materials, &tallies, &found)))
+}
+
+/// Options that many materials do not take yet.
+fn check_options(args: &Args) -> Result<()> {
+    let refused = |option: &str, why: &str| {
+        Err(Error::input(
+            format!("{option} with --material"),
+            format!("many materials do not take it yet: {why}"),
+            format!("leave {option} out, or make one object of some labels with --labels"),
+        ))
+    };
+    if args.scale.is_given() {
+        return refused(
+            "--scale",
+            "shares of all materials would have to be smoothed together, such that they sum to one at every place",
+        );
+    }
+    if args.tightening > 0.0 {
+        return refused("--tightening", "what one material gives up no other would take");
+    }
+    if args.keep != Keep::All {
+        return refused("--keep", "it is not said which material would take the place of a part that is dropped");
+    }
+    Ok(())
+}
+
+/// What the file and the report say of the materials.
+fn notes(materials: &Materials, tallies: &[Tally], found: &Survey) -> Map<String, Value> {
+    let voxel = materials.geometry().spacing.element_product();
+    let row = |(id, tally): (usize, &Tally)| {
+        let [before, after] = tally.parts;
+        let mut row = json!({
+            "number": id,
+            "name": materials.table()[id].name,
+            "labels": materials.table()[id].labels,
+            "voxels": tally.voxels,
+            "volume_before": tally.voxels as f64 * voxel,
+            "volume": found.volumes[id],
+            "voxels_changed": found.changed[id],
+            "undecided_junctions": tally.undecided,
+            "state_bytes": materials.indicators()[id].bytes(),
+        });
+        // those of the outside are of all others together
+        if id != MaterialId::OUTSIDE.index() {
+            row["components_before"] = json!(before.components);
+            row["components"] = json!(after.components);
+            row["cavities_before"] = json!(before.cavities);
+            row["cavities"] = json!(after.cavities);
+        }
+        row
+    };
+    let table: Vec<Value> = tallies.iter().enumerate().map(row).collect();
+    [("table", json!(table)), ("interfaces", json!(found.interfaces)), ("junctions", json!(found.junctions))]
+        .map(|(key, value)| (key.to_owned(), value))
+        .into_iter()
+        .collect()
+}
+
+fn describe(materials: &Materials, tallies: &[Tally], found: &Survey, context: &Context) {
+    let voxel = materials.geometry().spacing.element_product();
+    let name = |id: usize| materials.table()[id].name.as_str();
+    let mut order: Vec<usize> = (1..tallies.len()).collect();
+    order.sort_by_key(|&id| (std::cmp::Reverse(tallies[id].voxels), id));
+    context.summary("number of materials", format!("{} and the outside", order.len()));
+    for &id in order.iter().take(SHOWN) {
+        let (tally, before) = (&tallies[id], tallies[id].voxels as f64 * voxel);
+        let told = format!(
+            "{} voxels, {before:.6e} -> {:.6e} mm^3 ({:+.2} %), {} -> {} components",
+            tally.voxels,
+            found.volumes[id],
+            100.0 * (found.volumes[id] / before - 1.0),
+            tally.parts[0].components,
+            tally.parts[1].components,
+        );
+        context.summary(format!("  {}", name(id)), told);
+    }
+    let mut pairs: Vec<_> = found.interfaces.iter().collect();
+    pairs.sort_by(|a, b| b.area.total_cmp(&a.area));
+    context.summary("pairs that touch", pairs.len());
+    for pair in pairs.into_iter().take(SHOWN) {
+        let [a, b] = pair.materials.map(|id| name(id.index()));
+        context.summary(format!("  {a} | {b}"), format!("{:.6e} mm^2", pair.area));
+    }
+    let junctions = found.junctions;
+    let told = format!("{} of three, {} of four materials", junctions.edges_of_three, junctions.edges_of_four);
+    context.summary("junction edges", told);
+    context.summary("cells with four or more", junctions.corners);
+    context.summary("voxel centres that changed", found.changed.iter().sum::<usize>());
+    let nodes = materials.geometry().voxel_count() as f64;
+    let state = materials.bytes() as f64;
+    context.summary("indicators", format!("{:.1} MiB, {:.2} bytes a node", state / 1048576.0, state / nodes));
+    let lost: Vec<String> = order
+        .iter()
+        .map(|&id| (id, found.volumes[id] / (tallies[id].voxels as f64 * voxel) - 1.0))
+        .filter(|(_, change)| change.abs() > VOLUME_LIMITS.0)
+        .map(|(id, change)| format!("'{}' {:+.0} %", name(id), 100.0 * change))
+        .collect();
+    if !lost.is_empty() {
+        context.warn(format!(
+            "the volumes of {} materials changed by more than {:.0} %: they are mostly one to four voxels thin, or specks ({})",
+            lost.len(),
+            100.0 * VOLUME_LIMITS.0,
+            listed(&lost),
+        ));
+    }
+}
+
+fn listed(names: &[String]) -> String {
+    let more = if names.len() > NAMED { ", ..." } else { "" };
+    format!("{}{more}", names[..names.len().min(NAMED)].join(", "))
+}
+
+/// Materials are made such that these hold.
+fn failed_checks(materials: &Materials, tallies: &[Tally], found: &Survey) -> Vec<String> {
+    let mut failed = Vec::new();
+    let of = |is_bad: &dyn Fn(usize) -> bool| -> Vec<String> {
+        (0..tallies.len()).filter(|&id| is_bad(id)).map(|id| format!("'{}'", materials.table()[id].name)).collect()
+    };
+    let changed = of(&|id| found.changed[id] > 0);
+    if !changed.is_empty() {
+        let count: usize = found.changed.iter().sum();
+        failed.push(format!("{count} voxel centres changed material, of {}", listed(&changed)));
+    }
+    let sides = of(&|id| tallies[id].changed > 0);
+    if !sides.is_empty() {
+        failed.push(format!("indicators have another sign than their voxel centres: {}", listed(&sides)));
+    }
+    let parts = of(&|id| {
+        let [before, after] = tallies[id].parts;
+        (before.components, before.cavities) != (after.components, after.cavities)
+    });
+    if !parts.is_empty() {
+        failed.push(format!("indicators have more or fewer parts than their voxels: {}", listed(&parts)));
+    }
+    failed
+}

@@ -1,0 +1,394 @@
+//! Many materials: every voxel centre keeps its own, whatever touches; choices along edges fit each other; areas and volumes; the file and the program.
+
+mod support;
+
+use glam::DVec3;
+use isoparticles_distfield::materials::choice::resolve;
+use isoparticles_distfield::materials::survey::{Survey, survey};
+use isoparticles_distfield::materials::{Choice, Extracted, LabelGrid, MaterialOptions, extract};
+use isoparticles_distfield::{Border, Clearance};
+use isoparticles_field::marching_cubes::inside_corners_are_joined;
+use isoparticles_field::materials::{Analytic, Indicators, MaterialId, ball, maximum, negative};
+use isoparticles_field::random::uniform;
+use isoparticles_stage::field_file::{FieldKind, read_field};
+use isoparticles_stage::materials_file::read_materials;
+use isoparticles_stage::monitor::Silent;
+use isoparticles_volume::{Geometry, Volume, Voxels, read_volume};
+use serde_json::json;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+
+const MARGIN: usize = 5;
+const OPTIONS: MaterialOptions =
+    MaterialOptions { clearance: Clearance { usual: 0.1, thin: 0.3 }, smoothing_steps: 100 };
+
+struct Made {
+    grid: LabelGrid,
+    extracted: Extracted,
+    survey: Survey,
+}
+
+fn make(volume: Volume, border: Border) -> Made {
+    let chosen = resolve(&[Choice::All], &volume).expect("labels");
+    let grid = LabelGrid::new(volume, &chosen, border, MARGIN).expect("one material a voxel");
+    let extracted = extract(&grid, &chosen, &OPTIONS, &Silent).expect("indicators");
+    let materials = &extracted.materials;
+    let survey = survey(materials, materials.geometry(), &grid, chosen.table.len(), &Silent).expect("surveyed");
+    Made { grid, extracted, survey }
+}
+
+fn volume(size: [usize; 3], label: impl Fn([usize; 3]) -> u8) -> Volume {
+    let geometry = Geometry::axis_aligned(size, DVec3::new(1.0, 0.8, 1.3));
+    let at = |n: usize| [n % size[0], n / size[0] % size[1], n / (size[0] * size[1])];
+    let labels = (0..geometry.voxel_count()).map(|n| label(at(n))).collect();
+    Volume::new(geometry, Voxels::U8(labels))
+}
+
+impl Made {
+    /// Every indicator known at a node is negative where the node is its own and nowhere else, by the clearance; the survey says the same.
+    fn keeps_every_voxel(&self, what: &str) {
+        let materials = &self.extracted.materials;
+        let geometry = materials.geometry();
+        let [nx, ny, _] = geometry.size;
+        let least = 0.0999 * geometry.min_spacing();
+        for n in 0..geometry.voxel_count() {
+            let node = [n % nx, n / nx % ny, n / (nx * ny)];
+            let own = self.grid.at(node);
+            let near = materials.near(geometry.index_to_grid(DVec3::from_array(node.map(|n| n as f64))));
+            assert_eq!(near.first(), Some(own), "{what} at {node:?}: {near:?}");
+            for &(id, value) in near.entries() {
+                assert_eq!(value < 0.0, id == own, "{what} at {node:?}: {near:?}");
+                assert!(value.abs() >= least, "{what} at {node:?}: {near:?}");
+            }
+            assert_eq!(self.survey.material[n], own.0);
+        }
+        assert!(self.survey.changed.iter().all(|&count| count == 0), "{what}");
+        for (tally, material) in self.extracted.tallies.iter().zip(materials.table()) {
+            assert_eq!(tally.changed, 0, "{what}: {material:?}");
+            // where every cell is ambiguous, parts are a matter of rounding
+            if ["checkerboard", "noise", "brain"].iter().any(|hard| what.contains(hard)) {
+                continue;
+            }
+            let [before, after] = tally.parts;
+            assert_eq!(
+                (before.components, before.cavities),
+                (after.components, after.cavities),
+                "{what}: {material:?}"
+            );
+        }
+    }
+
+    /// At grid faces where two materials alternate, just one of them is joined, but for those that the indicators count as undecided.
+    fn choices_fit(&self) -> usize {
+        let materials = &self.extracted.materials;
+        let geometry = materials.geometry();
+        let [nx, ny, nz] = geometry.size;
+        let (mut alternating, mut misfits) = (0, 0);
+        for n in 0..geometry.voxel_count() {
+            let at = [n % nx, n / nx % ny, n / (nx * ny)];
+            for axis in 0..3 {
+                let plus = |u: usize, v: usize| -> [usize; 3] {
+                    std::array::from_fn(|a| {
+                        at[a] + u * usize::from(a == (axis + 1) % 3) + v * usize::from(a == (axis + 2) % 3)
+                    })
+                };
+                let corners = [at, plus(1, 1), plus(1, 0), plus(0, 1)];
+                if corners.iter().any(|node| node[0] >= nx || node[1] >= ny || node[2] >= nz) {
+                    continue;
+                }
+                let [a, b, c, d] = corners.map(|node| self.grid.at(node));
+                if a != b || c != d || a == c {
+                    continue;
+                }
+                alternating += 1;
+                let values = |id: MaterialId| {
+                    corners.map(|node| {
+                        let p = geometry.index_to_grid(DVec3::from_array(node.map(|n| n as f64)));
+                        materials.value_gradient(id, p).0
+                    })
+                };
+                let [p, q, r, s] = values(a);
+                let first = inside_corners_are_joined([p, q], [r, s]);
+                // corners that are all held at the clearance tie, to the rounding of the spline
+                let is_tie = |p: f64, q: f64, r: f64, s: f64| (p * q - r * s).abs() < 1e-5 * p * q;
+                let mut tie = is_tie(p, q, r, s);
+                let [p, q, r, s] = values(c);
+                tie |= is_tie(p, q, r, s);
+                let second = inside_corners_are_joined([r, s], [p, q]);
+                misfits += usize::from(first == second && !tie);
+            }
+        }
+        let undecided: usize = self.extracted.tallies.iter().map(|tally| tally.undecided).sum();
+        assert!(misfits <= undecided, "{misfits} of {alternating}, {undecided} undecided");
+        alternating
+    }
+}
+
+#[test]
+fn every_voxel_centre_keeps_its_material_whatever_touches() {
+    let within = |at: [usize; 3], low: usize, high: usize| at.iter().all(|n| (low..high).contains(n));
+    type Labels = Box<dyn Fn([usize; 3]) -> u8>;
+    let cases: [(&str, Labels); 7] = [
+        (
+            "an edge only",
+            Box::new(move |[i, j, k]| match (i < 6, j < 6) {
+                _ if !within([i, j, k], 2, 10) => 0,
+                (true, true) => 1,
+                (false, false) => 2,
+                _ => 0,
+            }),
+        ),
+        (
+            "a corner only",
+            Box::new(move |[i, j, k]| match [i < 6, j < 6, k < 6] {
+                _ if !within([i, j, k], 2, 10) => 0,
+                [true, true, true] => 1,
+                [false, false, false] => 2,
+                _ => 0,
+            }),
+        ),
+        (
+            "two that alternate",
+            Box::new(move |[i, j, k]| match (i < 6) == (j < 6) {
+                _ if !within([i, j, k], 2, 10) => 0,
+                true => 1,
+                false => 2,
+            }),
+        ),
+        (
+            "eight in a block",
+            Box::new(move |[i, j, k]| {
+                let octant = u8::from(i < 6) + 2 * u8::from(j < 6) + 4 * u8::from(k < 6);
+                if within([i, j, k], 2, 10) { 1 + octant } else { 0 }
+            }),
+        ),
+        (
+            "a layer of one voxel and an island of one",
+            Box::new(|[i, j, k]| match (i, j, k) {
+                (3, 4, 9) => 4,
+                (_, _, 5) => 2,
+                (_, _, 0..5) => 1,
+                _ => 3,
+            }),
+        ),
+        ("a checkerboard", Box::new(|[i, j, k]| 1 + ((i / 2 + j / 2 + k / 2) % 2) as u8)),
+        ("noise", Box::new(|[i, j, k]| (4.0 * uniform(3, 0, (i + 12 * (j + 12 * k)) as u64)) as u8)),
+    ];
+    for (what, label) in cases {
+        for border in [Border::Cap, Border::Open] {
+            let made = make(volume([12; 3], &label), border);
+            made.keeps_every_voxel(&format!("{what}, {border:?}"));
+            let alternating = made.choices_fit();
+            if what == "two that alternate" {
+                assert!(alternating >= 8 && made.survey.junctions.edges_of_three > 0);
+            }
+            if what == "eight in a block" {
+                assert!(made.survey.junctions.edges_of_four >= 24 && made.survey.junctions.corners >= 7);
+            }
+            // what one gives another takes
+            let voxel = made.grid.geometry.spacing.element_product();
+            let sum: f64 = made.survey.volumes.iter().sum();
+            assert!((sum / (1728.0 * voxel) - 1.0).abs() < 1e-9, "{what}: {sum}");
+        }
+    }
+}
+
+#[test]
+fn a_thin_layer_stays() {
+    let layer = |[_, _, k]: [usize; 3]| match k {
+        7 => 2,
+        0..7 => 1,
+        _ => 3,
+    };
+    let made = make(volume([14; 3], layer), Border::Open);
+    // 0.6 voxel thick at least, over the whole layer
+    let thin = 14.0 * 14.0 * 1.0 * 0.8 * 0.6 * 1.3;
+    assert!(made.survey.volumes[2] > thin, "{} of {thin}", made.survey.volumes[2]);
+    let pairs: Vec<_> = made.survey.interfaces.iter().map(|pair| pair.materials.map(|id| id.0)).collect();
+    assert_eq!(pairs, [[1, 2], [2, 3]]);
+    for pair in &made.survey.interfaces {
+        assert!((pair.area / (13.0 * 13.0 * 0.8) - 1.0).abs() < 0.16, "{pair:?}");
+    }
+}
+
+/// The error of areas and volumes of two nested balls at a spacing, as shares.
+fn nested_errors(spacing: f64) -> (f64, f64) {
+    let nodes = (24.0 / spacing) as usize + 1;
+    let geometry = Geometry::axis_aligned([nodes; 3], DVec3::splat(spacing));
+    let centre = DVec3::new(12.1, 11.8, 12.3);
+    let shell = maximum(ball(centre, 9.0), negative(ball(centre, 5.0)));
+    let balls = Analytic::new(vec![negative(ball(centre, 9.0)), shell, ball(centre, 5.0)], spacing);
+    let place = |n: usize| DVec3::new((n % nodes) as f64, (n / nodes % nodes) as f64, (n / (nodes * nodes)) as f64);
+    let numbers = (0..nodes.pow(3)).map(|n| balls.material_at(spacing * place(n)).0).collect();
+    let grid = LabelGrid { geometry: geometry.clone(), numbers, border: Border::Cap, margin: 0 };
+    let found = survey(&balls, &geometry, &grid, 3, &Silent).expect("surveyed");
+    let area = |pair: usize, radius: f64| {
+        (found.interfaces[pair].area / (4.0 * std::f64::consts::PI * radius * radius) - 1.0).abs()
+    };
+    let volume = found.volumes[2] / (4.0 / 3.0 * std::f64::consts::PI * 125.0) - 1.0;
+    (area(0, 9.0).max(area(1, 5.0)), volume.abs())
+}
+
+#[test]
+fn areas_and_volumes_converge() {
+    let (coarse, fine) = (nested_errors(1.0), nested_errors(0.25));
+    assert!(coarse.0 < 0.02 && fine.0 < 0.002, "areas {coarse:?} {fine:?}");
+    assert!(coarse.1 < 0.02 && fine.1 < 0.001, "volumes {coarse:?} {fine:?}");
+}
+
+/// The folder of the real volumes, or a note that the test skips.
+fn real_volume(name: &str) -> Option<PathBuf> {
+    let beside = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data");
+    let folder = std::env::var_os("ISOPARTICLES_DATA").map_or(beside, PathBuf::from);
+    let path = folder.join(name);
+    if path.exists() {
+        return Some(path);
+    }
+    isoparticles_tests::skip::skip(name, &format!("{} is not there", path.display()));
+    None
+}
+
+#[test]
+fn pieces_of_real_volumes_keep_every_voxel() {
+    // where many labels meet; the whole volumes take minutes
+    for (name, first, least) in
+        [("thorax_labels.nrrd", [110, 90, 80], 3), ("brain_parcellation.nrrd", [70, 110, 110], 12)]
+    {
+        let Some(path) = real_volume(name) else { continue };
+        let whole = read_volume(&path).expect("read");
+        let (labels, grid) = (whole.voxels.to_f32(), whole.geometry);
+        let piece = volume([36; 3], |[i, j, k]| labels[grid.linear(first[0] + i, first[1] + j, first[2] + k)] as u8);
+        let made = make(piece, Border::Cap);
+        made.keeps_every_voxel(name);
+        made.choices_fit();
+        assert!(made.survey.volumes.len() >= least, "{name}: {} materials", made.survey.volumes.len());
+        assert!(made.survey.junctions.edges_of_three > 100, "{name}: {:?}", made.survey.junctions);
+    }
+}
+
+fn distfield(arguments: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_distfield")).args(arguments).output().expect("the program runs")
+}
+
+/// A ball of two halves, 1 and 2, in a block of 3.
+fn write_halves(path: &Path) {
+    let size = 16;
+    let at = |n: usize| [n % size, n / size % size, n / (size * size)];
+    let label = |[i, j, k]: [usize; 3]| {
+        let is_ball = [i, j, k].map(|n| (n as f64 - 7.6).powi(2)).iter().sum::<f64>() < 25.0;
+        if is_ball { 1 + u8::from(i > 7) } else { 3 * u8::from([i, j, k].iter().all(|n| (1..15).contains(n))) }
+    };
+    let mut bytes =
+        format!("NRRD0004\ntype: uchar\ndimension: 3\nsizes: {size} {size} {size}\nspacings: 1 1 1\nencoding: raw\n\n")
+            .into_bytes();
+    bytes.extend((0..size * size * size).map(|n| label(at(n))));
+    std::fs::write(path, bytes).expect("written");
+}
+
+#[test]
+fn the_program_writes_a_file_that_is_read_back_on_any_number_of_threads() {
+    let folder = tempfile::tempdir().expect("folder");
+    let at = |name: &str| folder.path().join(name).to_str().expect("text").to_owned();
+    let (input, output, report) = (at("in.nrrd"), at("case.materials.vti"), at("report.json"));
+    write_halves(Path::new(&input));
+    let materials = ["--material", "left=1", "--material", "right=2", "--material", "rest=3", "--report", &report];
+    let run = |output: &str, threads: &str| {
+        let fixed = [&input, "-o", output, "--threads", threads, "--force"];
+        let run = distfield(&[&fixed[..], &materials[..]].concat());
+        assert_eq!(run.status.code(), Some(0), "{}", String::from_utf8_lossy(&run.stderr));
+        std::fs::read(output).expect("bytes")
+    };
+    let first = run(&output, "1");
+    assert!(first == run(&output, "2"), "the bytes depend on the number of threads");
+    let told: serde_json::Value = serde_json::from_slice(&std::fs::read(&report).expect("report")).expect("JSON");
+    let told = &told["results"];
+    let row = &told["materials"][2];
+    assert_eq!((&row["name"], &row["components"], &row["voxels_changed"]), (&json!("right"), &json!(1), &json!(0)));
+    assert!(row["voxels"].as_u64().is_some_and(|count| count > 200), "{row}");
+    assert_eq!(told["interfaces"].as_array().map(Vec::len), Some(4), "{told}");
+    assert!(told["junctions"]["edges_of_three"].as_u64().is_some_and(|count| count > 10), "{told}");
+    assert_eq!(told["voxels_changed"], 0);
+    assert!(told["state_bytes"].as_u64().is_some_and(|bytes| bytes > 1000), "{told}");
+
+    let file = read_materials(Path::new(&output)).expect("materials");
+    let names: Vec<&str> = file.materials.table().iter().map(|material| material.name.as_str()).collect();
+    assert_eq!(names, ["outside", "left", "right", "rest"]);
+    assert_eq!((&file.meta["version"], &file.meta["border"]), (&json!(1), &json!("cap")));
+    assert_eq!(file.history.expect("history").inputs.len(), 1);
+    // what the nodes are shown with is what the indicators say
+    let shown = read_volume(Path::new(&output)).expect("the active scalars");
+    let numbers = shown.voxels.to_f32();
+    let [nx, ny, _] = shown.geometry.size;
+    for (n, number) in numbers.iter().enumerate() {
+        let node = DVec3::new((n % nx) as f64, (n / nx % ny) as f64, (n / (nx * ny)) as f64);
+        assert_eq!(f32::from(file.materials.material_at(node).0), *number);
+    }
+    // the halves and the rest meet on a circle
+    let own = [1, 2, 3].map(MaterialId);
+    let start = DVec3::new(12.5, 12.6, 17.3);
+    let p = file.materials.project_onto_curve(own, start, 2.0, 1e-6).expect("a point of the curve");
+    assert!(file.materials.clearance(p, &own) > 0.0);
+    assert!((p.x - 12.5).abs() < 0.3 && (p.distance(DVec3::splat(12.6)) - 5.0).abs() < 0.5, "{p}");
+
+    // a stage that takes one object
+    let error = read_field(Path::new(&output), FieldKind::Distance).expect_err("many materials");
+    assert!(error.what.contains("many materials") && error.next.contains("--labels"), "{error}");
+
+    // damaged at any place, it is refused or read, without a panic
+    let whole = std::fs::read(&output).expect("bytes");
+    let damaged = PathBuf::from(at("damaged.vti"));
+    for n in 0..120u64 {
+        let mut bytes = whole.clone();
+        if n % 3 == 0 {
+            bytes.truncate((uniform(7, 0, n) * whole.len() as f64) as usize);
+        } else {
+            // the head says most
+            let reach = if n % 3 == 1 { whole.len().min(12_000) } else { whole.len() };
+            let at = (uniform(7, 1, n) * reach as f64) as usize;
+            bytes[at] = (uniform(7, 2, n) * 256.0) as u8;
+        }
+        std::fs::write(&damaged, bytes).expect("written");
+        let _ = read_materials(&damaged);
+    }
+}
+
+#[test]
+fn what_cannot_be_meant_is_refused() {
+    let folder = tempfile::tempdir().expect("folder");
+    let at = |name: &str| folder.path().join(name).to_str().expect("text").to_owned();
+    let (input, output) = (at("in.nrrd"), at("out.vti"));
+    write_halves(Path::new(&input));
+    for (options, said) in [
+        (&["--material", "a=9"][..], "no voxel has the label 9"),
+        (&["--material", "a=1", "--material", "b=1"], "is of the material 'a' already"),
+        (&["--material", "a=1", "--material", "a=2"], "was given before"),
+        (&["--material", "heart"], "no label of that name"),
+        (&["--material", "outside=1"], "is the name of what no material has"),
+        (&["--material", "all", "--labels", "1"], "cannot be used with"),
+        (&["--material", "all", "--iso", "1"], "cannot be used with"),
+        (&["--material", "all", "--scale", "3"], "do not take it yet"),
+        (&["--material", "all", "--tightening", "1"], "do not take it yet"),
+        (&["--material", "all", "--keep", "largest"], "do not take it yet"),
+    ] {
+        let run = distfield(&[&[&input, "-o", &output][..], options].concat());
+        let error = String::from_utf8_lossy(&run.stderr);
+        assert_eq!(run.status.code(), Some(2), "{options:?}: {error}");
+        assert!(error.contains(said), "{options:?}: {error}");
+        assert!(!Path::new(&output).exists());
+    }
+}
+
+#[test]
+fn mickey() {
+    let Some(path) = real_volume("mickey_labels.nrrd") else { return };
+    let made = make(read_volume(&path).expect("read"), Border::Cap);
+    made.keeps_every_voxel("mickey");
+    made.choices_fit();
+    let pairs: Vec<_> = made.survey.interfaces.iter().map(|pair| pair.materials.map(|id| id.0)).collect();
+    assert_eq!(pairs, [[0, 1], [1, 2], [1, 3], [1, 4], [2, 3], [2, 4], [2, 5]]);
+    // two balls of radius 5.8 rest on a hollow one
+    let area = |pair: usize| made.survey.interfaces[pair].area;
+    assert!((area(2) / area(3) - 1.0).abs() < 0.01 && (area(4) / area(5) - 1.0).abs() < 0.01);
+    assert_eq!((made.survey.junctions.edges_of_four, made.survey.junctions.corners), (0, 0));
+    assert!(made.survey.junctions.edges_of_three > 50);
+}
