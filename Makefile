@@ -36,7 +36,7 @@ KEYS := NAME INPUT PHANTOM SERIES ISO LABELS INSIDE BORDER SCALE EPSILON DELTA S
         BACKEND MAX_MEMORY DISTFIELD_OPTIONS SIZEFIELD_OPTIONS PARTICLES_OPTIONS RECONSTRUCT_OPTIONS TETMESH_OPTIONS
 $(foreach key,$(KEYS) CASE CASES,$(if $(filter environment,$(origin $(key))),$(eval undefine $(key))))
 # What this file knows besides.
-OTHERS := CASE CASES LIST TIME_LIMIT BIN NO_BUILD CARGO CARGO_TARGET_DIR VENV TETMESH_CHECK HXT DATA OUT VERBOSITY THREADS PARTS GOAL SIZES \
+OTHERS := CASE CASES LIST TIME_LIMIT PROFILE CLUSTER_OPTIONS SNAKEMAKE SNAKEMAKE_VENV BIN NO_BUILD CARGO CARGO_TARGET_DIR VENV TETMESH_CHECK HXT DATA OUT VERBOSITY THREADS PARTS GOAL SIZES \
           BENCH_OPTIONS FUZZ_SECONDS FUZZ_TARGETS COMPARED COMPARE_OPTIONS REMESHER BENCH_VENV SCALE_CASES SCALE_VERTICES
 # Goals over one case.
 CASE_GOALS := distfield sizefield seed particles reconstruct surface mesh page verdict info clean
@@ -65,7 +65,7 @@ endif
 by_user = $(filter command,$(firstword $(origin $(1))))
 unknown := $(strip $(foreach name,$(.VARIABLES),$(if $(call by_user,$(name)),$(filter-out $(KEYS) $(OTHERS),$(name)))))
 ifneq ($(unknown),)
-  ifeq ($(filter $(CASE_GOALS) demo cases batch index,$(or $(MAKECMDGOALS),$(.DEFAULT_GOAL))),)
+  ifeq ($(filter $(CASE_GOALS) demo cases batch cluster index,$(or $(MAKECMDGOALS),$(.DEFAULT_GOAL))),)
     $(call stop,$(unknown): no such variable,it would be ignored,choose among $(KEYS) $(OTHERS))
   endif
 endif
@@ -88,7 +88,7 @@ case = $(call quote,$(BIN)/isoparticles-case) $(1) $(foreach key,$(KEYS) OUT VER
 
 # --- Goals ------------------------------------------------------------------------------------------------------------
 
-.PHONY: help $(CASE_GOALS) demo cases batch index build env wheel doctor test format lint documentation test-rust test-python fuzz deny bench-stages \
+.PHONY: help $(CASE_GOALS) demo cases batch cluster index build env snakemake-env wheel doctor test format lint documentation test-rust test-python fuzz deny bench-stages \
         bench-particles bench-gpu bench-delaunay bench-convergence bench-marching-cubes bench-scale
 
 define HELP
@@ -103,6 +103,7 @@ Volumes in, simulation-ready meshes out.
   make -j2 CASES="heart mickey" cases          several cases at once
   make batch LIST=cases.csv                    every row of a list: a column a parameter, a row a case; goes on past failures, and
                                                where it was stopped (TIME_LIMIT=2h a case; GOAL=surface)
+  make cluster LIST=cases.csv PROFILE=slurm    the same list, each stage a job of Slurm's; PROFILE=local: several at once on this machine
   make surface ...                             stop at the triangles; distfield, sizefield, seed, particles stop earlier
   make verdict CASE=heart                      how it went: verdict, warnings, the page
   make page CASE=heart                         its page once more
@@ -158,6 +159,34 @@ LIST ?=
 TIME_LIMIT ?=
 batch: build env
 	@$(call case,batch) $(if $(LIST),--list $(call quote,$(LIST))) $(if $(TIME_LIMIT),--time-limit $(call quote,$(TIME_LIMIT))) --as-far-as $(GOAL)
+
+# The same list by Snakemake: PROFILE is local, slurm or a folder with a config.yaml; CLUSTER_OPTIONS are Snakemake's. The list is read, and refused,
+# before anything is begun; the summary and the index are made however the jobs ended.
+PROFILE ?= local
+CLUSTER_OPTIONS ?=
+SNAKEMAKE_VENV ?= .venv-snakemake
+SNAKEMAKE ?= $(SNAKEMAKE_VENV)/bin/snakemake
+CLUSTER_DIR = $(OUT)/.cluster
+over_list = $(call case,$(1)) $(if $(LIST),--list $(call quote,$(LIST))) --as-far-as $(GOAL)
+# Nine tenths of the memory of this machine, MiB.
+all_memory = $(shell awk '/MemTotal/ { print int($$2 / 1024 * 0.9) }' /proc/meminfo)
+cluster: build env $(if $(NO_BUILD),,snakemake-env)
+	@mkdir -p $(call quote,$(CLUSTER_DIR)) && $(call over_list,rows) > $(call quote,$(CLUSTER_DIR)/rows.new) \
+	  && mv $(call quote,$(CLUSTER_DIR)/rows.new) $(call quote,$(CLUSTER_DIR)/rows.jsonl)
+	@rm -rf $(call quote,$(CLUSTER_DIR)/logs)
+	@made=0; $(SNAKEMAKE) --snakefile pipelines/Snakefile --directory $(call quote,$(OUT)) \
+	  --profile $(call quote,$(if $(wildcard pipelines/profiles/$(PROFILE)/config.yaml),pipelines/profiles/)$(PROFILE)) \
+	  $(if $(filter local,$(PROFILE)),--resources gpu=1 mem_mb=$(all_memory)) $(CLUSTER_OPTIONS) || made=$$?; \
+	  $(call over_list,summary) || made=$$?; exit $$made
+
+snakemake-env: $(SNAKEMAKE_VENV)/.made
+
+# One of its packages is to be had as source alone.
+$(SNAKEMAKE_VENV)/.made: pipelines/snakemake.lock | env
+	@$(VENV)/bin/python -m venv --clear $(SNAKEMAKE_VENV)
+	@$(SNAKEMAKE_VENV)/bin/python -m pip install --quiet --disable-pip-version-check --no-input --only-binary :all: --no-binary connection-pool \
+	  --require-hashes -r pipelines/snakemake.lock
+	@touch $@
 
 # Over all cases in OUT, also those that failed.
 index: build env
@@ -225,6 +254,7 @@ test-rust: build env
 test-python: build env wheel
 	cd stages/tetmesh-check && $(abspath $(VENV))/bin/ruff check . && $(abspath $(VENV))/bin/ruff format --check . \
 	  && $(abspath $(VENV))/bin/mypy && $(abspath $(VENV))/bin/pytest -q
+	for verb in check 'format --check'; do $(VENV)/bin/ruff $$verb --config stages/tetmesh-check/pyproject.toml pipelines/call.py || exit $$?; done
 	cd pipelines/wheel && settings=../../stages/tetmesh-check/pyproject.toml && $(abspath $(VENV))/bin/ruff check --config $$settings . \
 	  && $(abspath $(VENV))/bin/ruff format --config $$settings --check . \
 	  && $(abspath $(VENV))/bin/mypy --strict --python-version 3.11 src/isoparticles \

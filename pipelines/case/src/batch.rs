@@ -20,7 +20,7 @@ use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 /// Folder within OUT for the logs of the rows; no case can have its name ([`crate::name::check`]).
-const LOGS: &str = ".batch";
+pub(crate) const LOGS: &str = ".batch";
 
 /// Keys that hold for the whole batch, and so cannot be columns.
 const FOR_ALL: [&str; 3] = ["CASE", "OUT", "VERBOSITY"];
@@ -56,17 +56,25 @@ pub fn time_limit(text: &str) -> Result<Duration> {
 
 /// A row of the list.
 #[derive(Debug)]
-struct Row {
+pub(crate) struct Row {
     /// Its line in the file, from 1.
-    line: u64,
+    pub line: u64,
     /// `KEY=VALUE` of the cells that are not empty.
-    cells: Vec<String>,
+    pub cells: Vec<String>,
     /// The name of its results; the line where it has none.
-    name: String,
+    pub name: String,
+    /// The case, or why it cannot be made, where that is known before any work.
+    pub case: Result<Case>,
+}
+
+impl Row {
     /// The volume, as far as it is known.
-    input: Option<PathBuf>,
-    /// Why it cannot be made, where that is known before any work.
-    error: Option<Error>,
+    pub(crate) fn input(&self) -> Option<&Path> {
+        match &self.case {
+            Ok(Case { volume: Volume::At(path), .. }) => Some(path),
+            _ => None,
+        }
+    }
 }
 
 /// How a row ended.
@@ -93,6 +101,21 @@ pub struct Ending {
 }
 
 impl Ending {
+    /// That of a row of which nothing has been made.
+    pub(crate) fn of_nothing(row: &Row) -> Self {
+        Self {
+            name: row.name.clone(),
+            line: row.line,
+            verdict: word(Verdict::Error),
+            exit_code: None,
+            seconds: 0.0,
+            headline: String::new(),
+            next: String::new(),
+            input: row.input().map_or_else(String::new, |path| path.display().to_string()),
+            log: String::new(),
+        }
+    }
+
     /// Whether the case is made and every check passed.
     #[must_use]
     pub fn is_fit(&self) -> bool {
@@ -142,7 +165,8 @@ impl Batch<'_> {
         index::write(&out, refused, programs)
     }
 
-    fn read(&self) -> Result<Vec<Row>> {
+    /// The rows of the list.
+    pub(crate) fn read(&self) -> Result<Vec<Row>> {
         let bad = |what: String, next: &str| {
             Error::input(format!("{}: {what}", self.list.display()), "it says which cases to make", next)
         };
@@ -203,14 +227,8 @@ impl Batch<'_> {
         let named = cells.iter().find_map(|cell| cell.strip_prefix("NAME=")).map(str::to_owned);
         let unnamed = || named.unwrap_or_else(|| format!("line {line}"));
         match settings.and_then(Case::new) {
-            Ok(case) => {
-                let input = match case.volume {
-                    Volume::At(path) => Some(path),
-                    Volume::Phantom => None,
-                };
-                Row { line, cells, name: case.folder.name, input, error: None }
-            }
-            Err(error) => Row { line, cells, name: unnamed(), input: None, error: Some(error) },
+            Ok(case) => Row { line, cells, name: case.folder.name.clone(), case: Ok(case) },
+            Err(error) => Row { line, cells, name: unnamed(), case: Err(error) },
         }
     }
 
@@ -218,20 +236,10 @@ impl Batch<'_> {
         let started = Instant::now();
         let log = logs.join(format!("{}.log", row.name));
         let folder = CaseFolder::new(out, &row.name);
-        let mut ending = Ending {
-            name: row.name.clone(),
-            line: row.line,
-            verdict: word(Verdict::Error),
-            exit_code: None,
-            seconds: 0.0,
-            headline: String::new(),
-            next: String::new(),
-            input: row.input.as_ref().map_or_else(String::new, |path| path.display().to_string()),
-            log: String::new(),
-        };
-        let refused = match &row.error {
-            Some(error) => Some(problem(error)),
-            None => {
+        let mut ending = Ending::of_nothing(row);
+        let refused = match &row.case {
+            Err(error) => Some(problem(error)),
+            Ok(_) => {
                 let before = std::fs::read(folder.status_path()).ok();
                 let file = std::fs::File::create(&log).map_err(|error| {
                     Error::file(&log, "write", &error, "choose another folder for the results (OUT=...)")
@@ -241,7 +249,7 @@ impl Batch<'_> {
                 })?;
                 ending.log = log.display().to_string();
                 let (ended, out_of_time) =
-                    program::run_logged(&this, &self.arguments(row, programs), file, self.limit)?;
+                    program::run_logged(&this, &self.arguments(self.goal, row, programs), file, self.limit)?;
                 ending.seconds = started.elapsed().as_secs_f64();
                 let code = match ended {
                     Ended::Code(code) => Some(code),
@@ -277,8 +285,9 @@ impl Batch<'_> {
         Ok(ending)
     }
 
-    fn arguments(&self, row: &Row, programs: &Programs) -> Vec<OsString> {
-        let mut arguments: Vec<OsString> = vec![self.goal.into()];
+    /// What this program is told for a goal over a row.
+    pub(crate) fn arguments(&self, goal: &str, row: &Row, programs: &Programs) -> Vec<OsString> {
+        let mut arguments: Vec<OsString> = vec![goal.into()];
         arguments.extend(row.cells.iter().map(OsString::from));
         for setting in self.common {
             arguments.extend(["--preset".into(), setting.into()]);
@@ -332,13 +341,13 @@ fn tell(ending: &Ending, position: usize, total: usize) {
 }
 
 /// A verdict as the status file says it.
-fn word(verdict: Verdict) -> String {
+pub(crate) fn word(verdict: Verdict) -> String {
     let value = serde_json::to_value(verdict).unwrap_or_default();
     value.as_str().unwrap_or_default().to_owned()
 }
 
 /// The status of a row that could not be begun, for the index.
-fn refused_status(row: &Row, error: &Problem) -> Status {
+pub(crate) fn refused_status(row: &Row, error: &Problem) -> Status {
     let stage = Stage { error: Some(error.clone()), ..Stage::nothing("distfield", State::Error) };
     Status {
         format: FORMAT.to_owned(),
@@ -361,7 +370,7 @@ fn refused_status(row: &Row, error: &Problem) -> Status {
 }
 
 /// The last error in three parts that a log holds.
-fn last_error(log: &Path) -> Problem {
+pub(crate) fn last_error(log: &Path) -> Problem {
     let text = std::fs::read_to_string(log).unwrap_or_default();
     let lines: Vec<&str> = text.lines().collect();
     let Some(at) = lines.iter().rposition(|line| line.starts_with("error: ")) else {
@@ -377,7 +386,8 @@ fn last_error(log: &Path) -> Problem {
     Problem { what: part("error: "), why: part("why it matters: "), next: part("what to do: ") }
 }
 
-fn write_summary(path: &Path, endings: &[Ending]) -> Result<()> {
+/// Writes a line a row.
+pub(crate) fn write_summary(path: &Path, endings: &[Ending]) -> Result<()> {
     write_atomically(path, |file| {
         let mut writer = csv::Writer::from_writer(file);
         endings.iter().try_for_each(|ending| writer.serialize(ending)).map_err(std::io::Error::other)?;

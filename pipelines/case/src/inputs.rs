@@ -47,6 +47,22 @@ pub fn named_in(settings: &Settings, key: &str, before: Option<&Status>) -> Resu
     Ok(inputs)
 }
 
+/// The volume and its data files, without a look into them; nothing of a volume that is not there.
+#[must_use]
+pub fn paths_of_volume(volume: &Path) -> Vec<PathBuf> {
+    if !volume.exists() {
+        return Vec::new();
+    }
+    let data = if volume.is_file() { data_files(volume).unwrap_or_default() } else { Vec::new() };
+    std::iter::once(volume.to_path_buf()).chain(data.into_iter().filter(|path| path.is_file())).collect()
+}
+
+/// The files that the options under a key name, with their data files, without a look into them.
+#[must_use]
+pub fn paths_named_in(settings: &Settings, key: &str) -> Vec<PathBuf> {
+    files_in_words(&settings.words(key)).iter().flat_map(|path| paths_of_volume(path)).collect()
+}
+
 /// Every existing file or folder that a word names, as a whole or between `=`, `:` and `,`.
 fn files_in_words(words: &[String]) -> Vec<PathBuf> {
     let mut found: Vec<PathBuf> = Vec::new();

@@ -1,13 +1,13 @@
 //! The `isoparticles-case` program: what the Makefile does with one case.
 
 use clap::Parser;
-use isoparticles_case::batch::Batch;
+use isoparticles_case::batch::{Batch, Ending};
 use isoparticles_case::folder::CaseFolder;
 use isoparticles_case::run::{self, Case, make, out, stage_of_goal};
 use isoparticles_case::settings::Settings;
 use isoparticles_case::stages::{Programs, Volume};
 use isoparticles_case::status::Status;
-use isoparticles_case::{batch, index, keys, name, program, verdict};
+use isoparticles_case::{batch, cluster, index, keys, name, program, verdict};
 use isoparticles_stage::error::{Error, Result};
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -15,7 +15,8 @@ use std::process::ExitCode;
 /// Make a case: run the stages whose results are missing or no longer true, and keep the truth in OUT/NAME/NAME.status.json.
 ///
 /// Goals: distfield, sizefield, seed, particles, surface, mesh (as far as that), page, verdict, info, clean, index, keys (what may be set,
-/// a line each), and batch: every row of a list. Exit codes: 0 made and every check passed; 1 made, but a check failed; 2 bad usage or input; 3 no usable GPU;
+/// a line each), and batch: every row of a list. For a scheduler that makes a list in its own order: rows (what there is to be called, a line of JSON
+/// each) and summary (how it went, and the index). Exit codes: 0 made and every check passed; 1 made, but a check failed; 2 bad usage or input; 3 no usable GPU;
 /// 130 interrupted. Of a batch: 1 where any row did not end with 0.
 ///
 /// Example: isoparticles-case mesh INPUT=heart.nrrd LABELS=1 SIZE=2.5
@@ -49,6 +50,9 @@ struct Arguments {
     /// Folder of the stage programs.
     #[arg(long, value_name = "DIR", default_value = "target/release")]
     bin: PathBuf,
+    /// This is another attempt: a stage whose checks failed would fail again, and is not run.
+    #[arg(long)]
+    retry: bool,
     /// The program tetmesh-check; those of its pages lie beside it.
     #[arg(long, value_name = "PROGRAM", default_value = ".venv/bin/tetmesh-check")]
     tetmesh_check: PathBuf,
@@ -89,7 +93,7 @@ fn go(arguments: Arguments) -> Result<u8> {
         tetmesh_files,
         page_files: arguments.page_files,
     };
-    if arguments.goal == "batch" {
+    if ["batch", "rows", "summary"].contains(&arguments.goal.as_str()) {
         let Some(list) = &arguments.list else {
             return Err(Error::input(
                 "LIST is not set",
@@ -101,7 +105,17 @@ fn go(arguments: Arguments) -> Result<u8> {
         let (known, goal) = (&arguments.known, arguments.as_far_as.as_str());
         stage_named(goal)?;
         let limit = arguments.time_limit.as_deref().map(batch::time_limit).transpose()?;
-        return make_batch(&Batch { list, common: &common, known, goal, limit }, &programs);
+        let batch = Batch { list, common: &common, known, goal, limit };
+        return match arguments.goal.as_str() {
+            "rows" => {
+                for row in cluster::rows(&batch, &programs)? {
+                    println!("{row}");
+                }
+                Ok(0)
+            }
+            "summary" => close_batch(&batch, &cluster::summary(&batch)?, &programs),
+            _ => close_batch(&batch, &batch.make(&programs)?, &programs),
+        };
     }
     let settings = Settings::read(&arguments.set, &arguments.preset, arguments.case_file.as_deref(), &arguments.known)?;
     match arguments.goal.as_str() {
@@ -132,6 +146,11 @@ fn go(arguments: Arguments) -> Result<u8> {
         goal => {
             let stage = stage_named(goal)?;
             let case = Case::new(settings)?;
+            if arguments.retry
+                && let Some(status) = cluster::failed_before(&case, stage)?
+            {
+                return Ok(closing(&case.folder, &status));
+            }
             let status = make(&case, stage, &programs)?;
             Ok(closing(&case.folder, &status))
         }
@@ -144,17 +163,16 @@ fn stage_named(goal: &str) -> Result<&'static str> {
         Error::input(
             format!("{goal}: no such goal"),
             "a case is made as far as one of its stages",
-            "choose distfield, sizefield, seed, particles, surface, mesh, page, verdict, info, clean, index, keys or batch",
+            "choose distfield, sizefield, seed, particles, surface, mesh, page, verdict, info, clean, index, keys, batch, rows or summary",
         )
     })
 }
 
-/// Makes a list of cases, and the index over them.
-fn make_batch(batch: &Batch<'_>, programs: &Programs) -> Result<u8> {
-    let endings = batch.make(programs)?;
-    let code = batch::exit_code(&endings);
+/// Tells how the cases of a list went, and makes the index over them.
+fn close_batch(batch: &Batch<'_>, endings: &[Ending], programs: &Programs) -> Result<u8> {
+    let code = batch::exit_code(endings);
     program::note_stop();
-    print!("{}", batch::closing(&endings));
+    print!("{}", batch::closing(endings));
     if programs.index().exists() {
         println!("index       {}", batch.index(programs)?.display());
     } else {

@@ -51,7 +51,10 @@ impl Case {
     }
 
     /// Checks what can be checked before any work.
-    fn check(&self) -> Result<()> {
+    ///
+    /// # Errors
+    /// When the volume is not there, or what in it is to be meshed is not said, or said twice.
+    pub fn check(&self) -> Result<()> {
         if let Volume::At(path) = &self.volume
             && !path.exists()
         {
@@ -433,7 +436,7 @@ pub fn stage_of_goal(goal: &str) -> Option<&'static str> {
 }
 
 /// The goal that ends with a stage, by the name that is told.
-fn goal_of_stage(stage: &str) -> &str {
+pub(crate) fn goal_of_stage(stage: &str) -> &str {
     match stage {
         "tetmesh-check" => "mesh",
         "reconstruct" => "surface",

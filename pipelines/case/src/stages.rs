@@ -117,12 +117,8 @@ pub fn plan(
         };
         inputs.extend(inputs::named_in(settings, options_key(name), before)?);
         let options = options(name, settings);
-        // Without Gmsh other tetrahedra come out of the same options.
-        let hxt = (name == "tetmesh-check").then(|| settings.get("HXT")).flatten();
-        let (program, files) = match name {
-            "tetmesh-check" => (programs.tetmesh_check.clone(), programs.tetmesh_files.clone()),
-            _ => (programs.bin.join(name), vec![programs.bin.join(name)]),
-        };
+        let hxt = hxt(name, settings);
+        let (program, files) = program_of(name, programs);
         // A file counts by what it holds and how it is read, not by where it lies.
         let contents: Vec<_> = inputs.iter().map(|input| (&input.hash, input.path.extension())).collect();
         let text = format!("{name}\n{options:?}\n{hxt:?}\n{contents:?}\n{}\n{earlier}", hash_program(&files));
@@ -136,8 +132,31 @@ pub fn plan(
     Ok(plan)
 }
 
+/// What is set that may change the result of a stage itself, besides its files and the stages before; a phantom is part of `distfield`.
+#[must_use]
+pub fn depends_on(stage: &str, settings: &Settings) -> Vec<String> {
+    let mut words = if stage == "distfield" { settings.words("PHANTOM") } else { Vec::new() };
+    words.extend(options(stage, settings));
+    words.extend(hxt(stage, settings).map(str::to_owned));
+    words
+}
+
+/// Without Gmsh other tetrahedra come out of the same options.
+fn hxt<'a>(stage: &str, settings: &'a Settings) -> Option<&'a str> {
+    settings.get("HXT").filter(|_| stage == "tetmesh-check")
+}
+
+/// The program of a stage, and the files that it is made of.
+#[must_use]
+pub fn program_of(stage: &str, programs: &Programs) -> (PathBuf, Vec<PathBuf>) {
+    match stage {
+        "tetmesh-check" => (programs.tetmesh_check.clone(), programs.tetmesh_files.clone()),
+        _ => (programs.bin.join(stage), vec![programs.bin.join(stage)]),
+    }
+}
+
 /// The key of a stage's further options.
-fn options_key(stage: &str) -> &'static str {
+pub(crate) fn options_key(stage: &str) -> &'static str {
     match stage {
         "phantom" => "PHANTOM",
         "distfield" => "DISTFIELD_OPTIONS",

@@ -27,11 +27,11 @@ fn summary(case: &Case) -> BTreeMap<String, (String, String)> {
     rows.iter().map(|row| (cell(row, "name"), (cell(row, "verdict"), cell(row, "headline")))).collect()
 }
 
-fn verdicts(case: &Case) -> BTreeMap<String, String> {
+pub(super) fn verdicts(case: &Case) -> BTreeMap<String, String> {
     summary(case).into_iter().map(|(name, (verdict, _))| (name, verdict)).collect()
 }
 
-fn expected<const N: usize>(verdicts: [(&str, &str); N]) -> BTreeMap<String, String> {
+pub(super) fn expected<const N: usize>(verdicts: [(&str, &str); N]) -> BTreeMap<String, String> {
     verdicts.map(|(name, verdict)| (name.to_owned(), verdict.to_owned())).into()
 }
 

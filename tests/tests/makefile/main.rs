@@ -6,6 +6,7 @@ mod support;
 mod arguments;
 mod batch;
 mod cases;
+mod cluster;
 mod failures;
 mod names;
 mod reruns;
