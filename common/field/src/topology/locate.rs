@@ -81,7 +81,7 @@ impl Surface {
     }
 
     /// The crossings of the polygons in a cell and in those of its size around it, ascending.
-    fn crossings_round(&self, cells: &Cells, cell: Cell) -> Vec<u32> {
+    pub(super) fn crossings_round(&self, cells: &Cells, cell: Cell) -> Vec<u32> {
         let mut near = Vec::new();
         around().filter_map(|away| moved(cell, away)).for_each(|cell| cells.crossed_in(cell, &mut near));
         let mut crossings: Vec<u32> =

@@ -165,7 +165,7 @@ impl Ranges {
 }
 
 /// The undecided places: clusters of cells in which F = 0 is not certain, in the order of their lowest cells, and then all critical points
-/// elsewhere whose neck, gap or speck is finer than [`RESOLUTION`], in their order.
+/// elsewhere whose neck, gap or speck is finer than [`RESOLUTION`], in their order, and components as fine.
 pub(super) fn places(
     field: &CubicSpline,
     cells: &Cells,
@@ -199,7 +199,32 @@ pub(super) fn places(
     let mut places: Vec<Undecided> =
         clusters.par_iter().map(|(own, critical)| uncertain(field, cells, surface, own, *critical)).collect();
     places.par_extend(fine.par_iter().map(|c| at_critical_point(field, cells, surface, c)));
+    let is_told = |n: u32| places.iter().any(|place| place.kind == UndecidedKind::Speck && place.components == [n]);
+    let is_fine = |own: &Component| (own.bounds.high - own.bounds.low).max_element() < 2.0 * resolution;
+    let fine = (0..).zip(&surface.components).filter(|&(n, own)| is_fine(own) && !is_told(n));
+    let fine: Vec<Undecided> = fine.map(|(n, own)| at_fine_component(field, cells, surface, n, own)).collect();
+    places.extend(fine);
     places
+}
+
+/// The place of a component finer than [`RESOLUTION`] whose critical point does not tell so, because F is nearly flat there. A mesh that has its
+/// points beside it may have it, lack it, or join it to the nearest.
+fn at_fine_component(field: &CubicSpline, cells: &Cells, surface: &Surface, n: u32, own: &Component) -> Undecided {
+    let around = surface.crossings_round(cells, cells.finest_at(field, own.place).within(0));
+    let others = around.into_iter().filter(|&crossing| surface.component_of[crossing as usize] != n);
+    let away = |crossing: &u32| surface.positions[*crossing as usize].distance_squared(own.place);
+    let nearest = others.min_by(|a, b| away(a).total_cmp(&away(b)));
+    let Bounds { low, high } = own.bounds;
+    Undecided {
+        place: own.place.to_array(),
+        size: (high - low).max_element(),
+        value: field.value(own.bounds.centre()),
+        kind: UndecidedKind::Uncertain(1),
+        components: sorted(
+            nearest.map(|crossing| surface.component_of[crossing as usize]).into_iter().chain([n]).collect(),
+        ),
+        bounds: own.bounds,
+    }
 }
 
 /// The place at a critical point.
