@@ -13,12 +13,21 @@ def main() -> None:
     """Becomes the command."""
     rows, name, what, *more = sys.argv[1:]
     told = (json.loads(line) for line in Path(rows).read_text().splitlines())
-    row = next(row for row in told if row["name"] == name)
+    row = next((row for row in told if row["name"] == name), None)
+    if row is None:
+        sys.exit(
+            f"error: {name}: no row of that name in {rows}\n  why it matters: the list has changed since this job was made\n"
+            "  what to do: make the list again"
+        )
     stages = {it["stage"]: it["command"] for it in row["stages"]}
     program, goal, *words = stages[what] if what in stages else row[what]
     os.chdir(row["folder"])
-    # Assignments come before the options of the command, some of which take any number of words.
-    os.execv(program, [program, goal, *more, *words])
+    # Assignments come before the options of the command, some of which take any number of words; of two to one key the last counts, and
+    # that is what the job was given.
+    at = next((n for n, word in enumerate(words) if word.startswith("-")), len(words))
+    set_here = [word for word in more if not word.startswith("-")]
+    options = [word for word in more if word.startswith("-")]
+    os.execv(program, [program, goal, *words[:at], *set_here, *options, *words[at:]])
 
 
 main()

@@ -193,7 +193,7 @@ fn options_by_key(stage: &str) -> &'static [(&'static str, &'static str)] {
     }
 }
 
-/// What sets how much of the data a mesh shall keep (DESIGN, Scale), the first one that is set: options of `distfield` by their keys.
+/// What sets how much of the data a mesh shall keep, the first one that is set: options of `distfield` by their keys.
 const SCALE_BY_KEY: [(&str, &str); 4] = [
     ("--scale", "SCALE"),
     ("--scale-for-size", "SIZE"),

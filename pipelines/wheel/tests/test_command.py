@@ -109,6 +109,6 @@ def test_what_cannot_be_meant_is_said(run: Run, words: tuple[str, ...], told: st
 def test_help_names_every_option(run: Run) -> None:
     done = run("help")
     assert done.returncode == 0
-    assert done.stdout == run("mesh", "--help").stdout
+    assert done.stdout == run("mesh", "--help").stdout == run("mesh", "a.nrrd", "--help").stdout
     for option in ("--labels", "--vertices", "--max-memory", "batch LIST.csv", "sizefield"):
         assert option in done.stdout

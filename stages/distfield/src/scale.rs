@@ -1,4 +1,4 @@
-//! `--scale`: a surface with as much of the data as a coarse mesh can carry (DESIGN section 7).
+//! `--scale`: a surface with as much of the data as a coarse mesh can carry.
 //!
 //! The share of each voxel that is inside is smoothed by a Gaussian of half the scale. Where the surface is curved or the object thin, half of the
 //! smoothed share is not where the surface was: balls shrink, small parts and thin walls vanish. So the level that is taken varies from

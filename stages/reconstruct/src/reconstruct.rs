@@ -4,7 +4,8 @@
 //! space). Tetrahedra are labelled inside or outside: by the sign of F at their circumcentres, or by the shape of the Voronoi cells (Tight
 //! Cocone). The facets between them are the surface, closed by construction. Criteria compare it with F: is it a manifold, has it the
 //! components and the Euler characteristics of F, does a facet stray from F = 0 or turn away from it, does a voxel centre lie on its
-//! wrong side. Where one is violated, a point is added at the centre of the facet's surface ball, until none is. The facets are extracted,
+//! wrong side. Where one is violated, a point is added at the centre of the facet's surface ball, until none is or the rounds are over. The facets are
+//! extracted,
 //! and sheets that touch in a point are parted. The worst triangles are lifted by local moves that break no criterion. At last
 //! everything a simulation counts on is checked anew, on the mesh as it is and against F as it was.
 
@@ -42,12 +43,12 @@ pub enum Method {
 pub struct Options {
     /// How particles are joined.
     pub method: Method,
-    /// Farthest that the centroid of a facet may lie from F = 0 before points are added there, mm; a quarter of h, and of a voxel at least, where
-    /// there is none.
+    /// Farthest that the centroid of a facet may lie from F = 0 before points are added there, mm; where there is none, a quarter of h or of a
+    /// voxel, whichever is larger.
     pub max_deviation: Option<f64>,
     /// Most rounds of adding points at a stretch.
     pub max_rounds: usize,
-    /// Radius ratio below which triangles are worked on by local moves; 0 leaves the triangulation as it is.
+    /// Radius ratio below which triangles are worked on by local moves; 0, with no sweeps, leaves the triangulation as it is.
     pub improve_below: f64,
     /// Sweeps over the whole mesh before that.
     pub relaxation_sweeps: usize,

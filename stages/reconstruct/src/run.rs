@@ -60,8 +60,8 @@ pub struct Args {
     /// the wrong side, have stretches of their own
     #[arg(long, value_name = "N", default_value_t = 40, value_parser = clap::value_parser!(u16).range(0..=100), help_heading = METHOD)]
     pub max_rounds: u16,
-    /// Radius ratio (2r/R, 1 for an equilateral triangle) below which triangles are worked on by local moves, 0 to 1; 0 leaves
-    /// the triangulation as it is
+    /// Radius ratio (2r/R, 1 for an equilateral triangle) below which triangles are worked on by local moves, 0 to 1; 0 with
+    /// --relaxation-sweeps 0 leaves the triangulation as it is
     #[arg(long, value_name = "RATIO", default_value_t = 0.7, value_parser = share, help_heading = METHOD)]
     pub improve_below: f64,
     /// Sweeps over the whole mesh before that, which move vertices along F = 0 and flip edges wherever the triangles gain

@@ -6,9 +6,10 @@
 //! surface but for an isotopy (Plantinga and Vegter, *Isotopic approximation of implicit curves and surfaces*, 2004). Components and
 //! Euler characteristics are counted on the polygons of that surface.
 //!
-//! Two kinds of places are *undecided*. Cells that stay uncertain at the finest level, which is near critical points of F with a value next to
+//! Three kinds of places are *undecided*. Cells that stay uncertain at the finest level, which is near critical points of F with a value next to
 //! zero: the numbers follow the signs at their corners. And critical points whose neck, gap or speck is finer than [`RESOLUTION`]: what F has there is
 //! known, but not asked of a mesh: which side of the surface such a point lies on is no topology at a mesh's resolution.
+//! And components as fine whose critical point does not tell so, because F is flat there.
 //! [`FieldTopology::groups`] tells what the whole may be, whatever it is at each of them.
 
 mod bernstein;

@@ -42,7 +42,8 @@ pub enum UndecidedKind {
     Neck,
     /// An extremum of F within a speck or a cavity, which may be missing.
     Speck,
-    /// Cells in which F = 0 is not certain, with this many critical points: two where none were found, as when two are about to cancel.
+    /// Cells in which F = 0 is not certain, with this many critical points: two where none were found, as when two are about to cancel. Also a
+    /// component finer than [`RESOLUTION`] in a flat F, which counts as one.
     Uncertain(usize),
 }
 

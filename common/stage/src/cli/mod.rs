@@ -105,7 +105,7 @@ impl Outcome {
     }
 }
 
-/// Exit code of a run (DESIGN section 3).
+/// Exit code of a run; what each number means is in docs/architecture.md.
 pub fn exit_code(result: &Result<Outcome>) -> u8 {
     match result {
         Ok(Outcome::Passed) => 0,

@@ -219,4 +219,4 @@ def main() -> NoReturn:
 
 def is_help(arguments: Sequence[str]) -> bool:
     """Whether a goal, which has no help of its own, is asked for help."""
-    return arguments[0] not in STAGES and arguments[1] in ("-h", "--help")
+    return arguments[0] not in STAGES and any(word in ("-h", "--help") for word in arguments[1:])

@@ -157,7 +157,12 @@ fn of_name(name: &str, volume: &Volume, present: &[LayerLabel]) -> Result<LayerL
             format!("choose among the labels present: {}", listed(volume, present)),
         )),
         Err(error) => Err(Error {
-            what: format!("--material {name}: the file has no label of that name"),
+            what: match error {
+                isoparticles_volume::Error::SegmentAmbiguous { .. } => {
+                    format!("--material {name}: several segments of the file have that name")
+                }
+                _ => format!("--material {name}: the file has no label of that name"),
+            },
             next: format!("give {name}=LABEL; labels present: {}", listed(volume, present)),
             ..Error::from(error)
         }),
