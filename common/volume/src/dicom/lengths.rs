@@ -15,6 +15,10 @@ const SHORT: [&[u8; 2]; 21] = [
     b"ST", b"TM", b"UI", b"UL", b"US",
 ];
 
+/// Known kinds of values whose length has four bytes, but sequences and the unknown (UN). Where their length is not given, dicom-rs looks for
+/// items in them, and for elements in those.
+const LONG: [&[u8; 2]; 11] = [b"OB", b"OD", b"OF", b"OL", b"OV", b"OW", b"SV", b"UC", b"UR", b"UT", b"UV"];
+
 /// How the elements behind the file's own group are written, by the transfer syntax.
 #[derive(Clone, Copy, PartialEq)]
 struct Form {
@@ -84,7 +88,8 @@ pub(super) fn lie_within(path: &Path) -> io::Result<bool> {
         in_pixels |= is_pixels;
         if length == UNDEFINED {
             // what is in an element of unknown kind is written in another form
-            if form.is_explicit && !is_delimiter && !is_pixels && &kind != b"SQ" {
+            let is_known = &kind == b"SQ" || LONG.contains(&&kind);
+            if form.is_explicit && !is_delimiter && !is_pixels && !is_known {
                 return Ok(true);
             }
             continue;
@@ -109,5 +114,28 @@ pub(super) fn lie_within(path: &Path) -> io::Result<bool> {
         }
         reader.seek_relative(length)?;
         left -= length;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Fuzzing, 1: bytes of no given length under another tag than that of pixels, in whose items dicom-rs reads elements.
+    #[test]
+    fn elements_in_items_of_bytes_lie_within_as_well() {
+        let folder = tempfile::tempdir().expect("folder");
+        let path = folder.path().join("slice.dcm");
+        let says = |length: u32| {
+            let mut bytes = [vec![0; 128], b"DICM".to_vec()].concat();
+            bytes.extend(b"\x02\x00\x10\x00UI\x14\x001.2.840.10008.1.2.1\x00");
+            bytes.extend(b"\x30\x20\x10\x00OB\x00\x00\xff\xff\xff\xff\xfe\xff\x00\xe0\x0c\x00\x00\x00");
+            bytes.extend(b"\x00\x00\x00\x00\xfe\xff\x00\xe0");
+            bytes.extend(length.to_le_bytes());
+            bytes.extend([0; 8]);
+            std::fs::write(&path, &bytes).expect("written");
+            lie_within(&path).expect("read")
+        };
+        assert!(!says(0xff00_0058) && says(8));
     }
 }
