@@ -1,6 +1,7 @@
 //! `--info`, and what is refused by the same judgement: labels of a scan, an iso value of labels, more memory than allowed.
 
 use isoparticles_stage::field_file::{Field, FieldKind, read_field};
+use isoparticles_tests::skip::real_volume;
 use serde_json::Value;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
@@ -194,8 +195,6 @@ fn a_field_that_takes_more_memory_than_allowed_is_refused_with_the_figure() {
 
 #[test]
 fn every_shared_volume_is_taken_for_what_it_is() {
-    let beside = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data");
-    let folder = std::env::var_os("ISOPARTICLES_DATA").map_or(beside, PathBuf::from);
     // lungs_label_big is left out: 165 million voxels
     for (name, kind) in [
         ("brain_parcellation", "labels"),
@@ -209,11 +208,7 @@ fn every_shared_volume_is_taken_for_what_it_is() {
         ("tooth_ct", "scan"),
         ("trabecular_bone", "scan"),
     ] {
-        let path = folder.join(format!("{name}.nrrd"));
-        if !path.exists() {
-            println!("SKIP: {} is not there", path.display());
-            continue;
-        }
+        let Some(path) = real_volume(&format!("{name}.nrrd")) else { continue };
         let volume = isoparticles_volume::read_volume(&path).expect("a volume");
         let survey = isoparticles_distfield::info::survey::Survey::of(&volume.voxels, &volume.geometry);
         let judged = isoparticles_distfield::info::kind::judge(&survey, volume.segments.len());

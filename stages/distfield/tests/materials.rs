@@ -13,6 +13,7 @@ use isoparticles_field::random::uniform;
 use isoparticles_stage::field_file::{FieldKind, read_field};
 use isoparticles_stage::materials_file::read_materials;
 use isoparticles_stage::monitor::Silent;
+use isoparticles_tests::skip::real_volume;
 use isoparticles_volume::{Geometry, Volume, Voxels, read_volume};
 use serde_json::json;
 use std::path::{Path, PathBuf};
@@ -234,18 +235,6 @@ fn areas_and_volumes_converge() {
     let (coarse, fine) = (nested_errors(1.0), nested_errors(0.25));
     assert!(coarse.0 < 0.02 && fine.0 < 0.002, "areas {coarse:?} {fine:?}");
     assert!(coarse.1 < 0.02 && fine.1 < 0.001, "volumes {coarse:?} {fine:?}");
-}
-
-/// The folder of the real volumes, or a note that the test skips.
-fn real_volume(name: &str) -> Option<PathBuf> {
-    let beside = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data");
-    let folder = std::env::var_os("ISOPARTICLES_DATA").map_or(beside, PathBuf::from);
-    let path = folder.join(name);
-    if path.exists() {
-        return Some(path);
-    }
-    isoparticles_tests::skip::skip(name, &format!("{} is not there", path.display()));
-    None
 }
 
 #[test]

@@ -1,7 +1,8 @@
 //! The program: files in and out, exit codes, bad input, real volumes where they are found.
 
 use isoparticles_stage::field_file::{FieldKind, read_field};
-use std::path::{Path, PathBuf};
+use isoparticles_tests::skip::real_volume;
+use std::path::Path;
 use std::process::{Command, Output};
 
 fn distfield(arguments: &[&str]) -> Output {
@@ -177,18 +178,6 @@ fn bad_input_ends_with_code_2_a_message_in_three_parts_and_no_output() {
     let both = distfield(&["in.nrrd", "-o", "x.vti", "--iso", "1", "--labels", "1"]);
     assert_eq!(both.status.code(), Some(2));
     assert_eq!(distfield(&["in.nrrd", "-o", "x.vti"]).status.code(), Some(2));
-}
-
-/// The folder of the real volumes, or a note that the test skips.
-fn real_volume(name: &str) -> Option<PathBuf> {
-    let beside = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data");
-    let folder = std::env::var_os("ISOPARTICLES_DATA").map_or(beside, PathBuf::from);
-    let path = folder.join(name);
-    if path.exists() {
-        return Some(path);
-    }
-    isoparticles_tests::skip::skip(name, &format!("{} is not there", path.display()));
-    None
 }
 
 #[test]

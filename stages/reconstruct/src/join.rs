@@ -56,8 +56,7 @@ pub(crate) fn join(
         open_border: options.open_border,
     };
     let mut refinement = Refinement::of(delaunay, points, spline, topology, limits);
-    let nodes = (options.keeps_voxels && !options.open_border).then_some(samples);
-    let work = Work { max_rounds: options.max_rounds, nodes, monitor };
+    let work = Work { max_rounds: options.max_rounds, nodes: options.guarded(samples), monitor };
     let phase = monitor.phase("refine");
     let mut facets = work.refine(&mut refinement)?;
     drop(phase);

@@ -81,6 +81,13 @@ impl Default for Options {
     }
 }
 
+impl Options {
+    /// The samples of F whose nodes must stay on their side: those of labels, unless the surface ends where the volume does.
+    pub(crate) fn guarded<'a>(&self, samples: &'a Image<f32>) -> Option<&'a Image<f32>> {
+        (self.keeps_voxels && !self.open_border).then_some(samples)
+    }
+}
+
 /// A mesh with what is known of it.
 #[derive(Clone, Debug)]
 pub struct Reconstruction {
@@ -148,7 +155,7 @@ pub fn reconstruct(
         target: options.improve_below,
         rounds: options.improve_rounds,
         relaxation_sweeps: options.relaxation_sweeps,
-        sides: (options.keeps_voxels && !options.open_border).then_some(field),
+        sides: options.guarded(field),
         ..ImproveOptions::polish()
     };
     let improved = improve(&mut mesh, &spline, &size, &how, &|| Ok(monitor.check()?))?;
@@ -165,7 +172,7 @@ pub fn reconstruct(
     let mut checked = check(&mesh, &how);
     let border_edges = if options.open_border { forgive_border(&mut checked, &mesh, spline.geometry()) } else { 0 };
     let found = TopologyReport::new(&mesh, &spline, &topology);
-    let (failed, doubtful) = judge(&checked, &found, &refined, options);
+    let (failed, doubtful) = judge(&mut checked, &found, &refined, options);
     let sizes = mesh.vertices.par_iter().map(|&p| size(p)).collect();
     drop(phase);
     Ok(Reconstruction {
@@ -203,16 +210,15 @@ fn forgive_border(checked: &mut CheckReport, mesh: &TriangleMesh, geometry: &Geo
 /// The checks that failed, and what is only doubtful, in words. Nodes on the wrong side fail for labels only, since for a scalar volume a chord
 /// may cut off a node next to the surface.
 fn judge(
-    checked: &CheckReport,
+    checked: &mut CheckReport,
     found: &TopologyReport,
     refined: &RefineReport,
     options: &Options,
 ) -> (Vec<String>, Vec<String>) {
-    let counted = CheckReport {
-        nodes_on_wrong_side: checked.nodes_on_wrong_side.filter(|_| options.keeps_voxels),
-        ..checked.clone()
-    };
-    let mut failed = counted.failed_checks();
+    let nodes = checked.nodes_on_wrong_side;
+    checked.nodes_on_wrong_side = nodes.filter(|_| options.keeps_voxels);
+    let mut failed = checked.failed_checks();
+    checked.nodes_on_wrong_side = nodes;
     let (wrong, mut doubtful) = found.differences(options.open_border);
     failed.extend(wrong);
     if refined.unresolved_critical > 0 {

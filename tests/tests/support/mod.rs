@@ -140,7 +140,7 @@ pub fn listing(folder: &Path) -> Vec<String> {
 
 /// Folder of the real volumes, or nothing (with a visible word) when it is not there.
 pub fn real_volumes(test: &str) -> Option<PathBuf> {
-    let folder = std::env::var_os("ISOPARTICLES_DATA").map_or_else(|| root().join("../shared/data"), PathBuf::from);
+    let folder = isoparticles_tests::skip::real_volumes_folder();
     if folder.is_dir() {
         return Some(folder);
     }
