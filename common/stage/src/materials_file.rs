@@ -104,6 +104,15 @@ pub fn write_materials(
     write_atomically(path, |file| document.write(file))
 }
 
+/// Whether a file holds the indicators of many materials; a file that cannot be read as a VTK image holds none.
+pub fn is_materials(path: &Path) -> bool {
+    let kind = || {
+        let file = VtkFile::open(path).ok()?;
+        file.text(file.data_set("ImageData").ok()?, "isoparticles_kind").ok()?
+    };
+    kind().as_deref() == Some(KIND)
+}
+
 /// Reads materials; what is shown of the nodes is left.
 ///
 /// # Errors

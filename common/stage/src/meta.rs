@@ -5,6 +5,7 @@
 //! came later: all of them may be missing.
 
 use crate::error::{Error, Result};
+use isoparticles_field::materials::Material;
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value};
@@ -144,6 +145,9 @@ pub struct SurfaceMeta {
     pub failed_checks: Vec<String>,
     /// Components that it should have.
     pub components: usize,
+    /// The materials by their numbers, where they are many: `material_inside` and `material_outside` of the triangles name them.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub materials: Vec<Material>,
     /// For people.
     #[serde(flatten)]
     pub notes: Map<String, Value>,

@@ -2,11 +2,12 @@
 //!
 //! Container: 8 bytes magic, then little endian: kind (u32), format version (u32), length of the payload (u64), BLAKE3 hash
 //! of the payload (32 bytes), payload. Payload: bincode (fixed-width little-endian integers) of the particle set, the JSON
-//! texts of meta and history, and bytes that belong to the checkpoint alone.
+//! texts of meta and history, and bytes that belong to the checkpoint alone; in version 2, that of many materials, their strata behind all this.
 
 use crate::error::{Error, Result};
 use crate::output::write_atomically;
-use isoparticles_field::particle_set::ParticleSet;
+use isoparticles_field::materials::Stratum;
+use isoparticles_field::particle_set::{ParticleSet, Strata};
 use isoparticles_file::history::History;
 use isoparticles_file::limit::check_memory;
 use serde::{Deserialize, Serialize};
@@ -15,8 +16,10 @@ use std::io::Read;
 use std::path::Path;
 
 const MAGIC: [u8; 8] = *b"ISOPART\n";
-/// Version of the container that is written.
+/// Version of the container that is written for one object.
 const VERSION: u32 = 1;
+/// Version of the container that is written for many materials.
+const VERSION_OF_STRATA: u32 = 2;
 /// Bytes in front of the payload.
 const HEADER_BYTES: usize = 56;
 
@@ -67,6 +70,8 @@ pub struct ParticleFile {
     pub kind: ParticleKind,
     /// The particles.
     pub particles: ParticleSet,
+    /// The strata that they live on, where they are of many materials.
+    pub strata: Option<Strata>,
     /// What the stage that made it noted.
     pub meta: Value,
     /// Its history.
@@ -115,6 +120,29 @@ pub fn write_particles_with(
     history: &History,
     extra: &[u8],
 ) -> Result<()> {
+    write(path, kind, (particles, None), meta, history, extra)
+}
+
+/// Writes particles of many materials.
+pub fn write_material_particles(
+    path: &Path,
+    kind: ParticleKind,
+    particles: &ParticleSet,
+    strata: &Strata,
+    meta: &Value,
+    history: &History,
+) -> Result<()> {
+    write(path, kind, (particles, Some(strata)), meta, history, &[])
+}
+
+fn write(
+    path: &Path,
+    kind: ParticleKind,
+    (particles, strata): (&ParticleSet, Option<&Strata>),
+    meta: &Value,
+    history: &History,
+    extra: &[u8],
+) -> Result<()> {
     let unencodable =
         |error: String| Error::of_file(path, error, "the particles cannot be put into bytes", "report this bug");
     let json = |value: serde_json::Result<String>| value.map_err(|error| unencodable(error.to_string()));
@@ -124,12 +152,16 @@ pub fn write_particles_with(
         history: json(serde_json::to_string(history))?,
         extra,
     };
-    let payload =
-        bincode::serde::encode_to_vec(&payload, configuration()).map_err(|error| unencodable(error.to_string()))?;
+    let encoded = |error: bincode::error::EncodeError| unencodable(error.to_string());
+    let mut payload = bincode::serde::encode_to_vec(&payload, configuration()).map_err(encoded)?;
+    if let Some(strata) = strata {
+        payload.extend(bincode::serde::encode_to_vec(strata, configuration()).map_err(encoded)?);
+    }
+    let version = if strata.is_some() { VERSION_OF_STRATA } else { VERSION };
     write_atomically(path, |file| {
         file.write_all(&MAGIC)?;
         file.write_all(&kind.number().to_le_bytes())?;
-        file.write_all(&VERSION.to_le_bytes())?;
+        file.write_all(&version.to_le_bytes())?;
         file.write_all(&(payload.len() as u64).to_le_bytes())?;
         file.write_all(blake3::hash(&payload).as_bytes())?;
         file.write_all(&payload)
@@ -157,9 +189,9 @@ pub fn read_particles(path: &Path, accepted: &[ParticleKind]) -> Result<Particle
     let header: [u8; HEADER_BYTES] = header.try_into().map_err(|_| cut_short())?;
     let word = |at: usize| u32::from_le_bytes([header[at], header[at + 1], header[at + 2], header[at + 3]]);
     let (number, version) = (word(8), word(12));
-    if version != VERSION {
+    if ![VERSION, VERSION_OF_STRATA].contains(&version) {
         return Err(refuse(
-            format!("has format version {version}; this program reads version {VERSION}"),
+            format!("has format version {version}; this program reads versions {VERSION} and {VERSION_OF_STRATA}"),
             "its bytes mean something else".to_owned(),
         ));
     }
@@ -186,15 +218,26 @@ pub fn read_particles(path: &Path, accepted: &[ParticleKind]) -> Result<Particle
     if blake3::hash(&payload).as_bytes() != &header[24..] {
         return Err(damaged("does not match its checksum"));
     }
-    let (decoded, used): (PayloadIn, usize) = bincode::serde::decode_from_slice(&payload, configuration())
-        .map_err(|error| damaged(&format!("cannot be decoded: {error}")))?;
+    let undecodable = |error: bincode::error::DecodeError| damaged(&format!("cannot be decoded: {error}"));
+    let (decoded, mut used): (PayloadIn, usize) =
+        bincode::serde::decode_from_slice(&payload, configuration()).map_err(undecodable)?;
+    let mut strata = None;
+    if version == VERSION_OF_STRATA {
+        let (own, more): (Strata, usize) =
+            bincode::serde::decode_from_slice(&payload[used..], configuration()).map_err(undecodable)?;
+        strata = Some(own);
+        used += more;
+    }
     if used != payload.len() {
         return Err(damaged("has bytes behind its last particle"));
     }
     check_particles(&decoded.particles).map_err(damaged)?;
+    if let Some(strata) = &strata {
+        check_strata(strata, decoded.particles.positions.len()).map_err(damaged)?;
+    }
     let meta = serde_json::from_str(&decoded.meta).map_err(|_| damaged("its note cannot be read"))?;
     let history = serde_json::from_str(&decoded.history).map_err(|_| damaged("its history cannot be read"))?;
-    Ok(ParticleFile { kind, particles: decoded.particles, meta, history, extra: decoded.extra })
+    Ok(ParticleFile { kind, particles: decoded.particles, strata, meta, history, extra: decoded.extra })
 }
 
 /// What every stage may rely on: as many of each as there are particles, all of them finite, sizes positive.
@@ -216,10 +259,29 @@ fn check_particles(set: &ParticleSet) -> std::result::Result<(), &'static str> {
     Ok(())
 }
 
+/// What every stage may rely on: a stratum for each particle, the lower ones first, and segments between particles on junction curves.
+fn check_strata(strata: &Strata, count: usize) -> std::result::Result<(), &'static str> {
+    if strata.of.len() != count {
+        return Err("has strata of other particles than its own");
+    }
+    if !strata.of.iter().all(Stratum::is_valid) {
+        return Err("has a stratum of other than two to four different materials");
+    }
+    if !strata.of.is_sorted_by_key(Stratum::dimension) {
+        return Err("has particles of higher strata before those of lower ones");
+    }
+    let is_below_sheets = |&end: &u32| strata.of.get(end as usize).is_some_and(|stratum| stratum.dimension() < 2);
+    if !strata.segments.as_flattened().iter().all(is_below_sheets) {
+        return Err("has a segment of a junction curve that ends on none");
+    }
+    Ok(())
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
     use glam::DVec3;
+    use isoparticles_field::materials::MaterialId;
     use isoparticles_volume::Geometry;
 
     fn set() -> ParticleSet {
@@ -252,6 +314,35 @@ mod tests {
         let read = read_particles(&path, &[ParticleKind::Seeds, ParticleKind::Checkpoint]).expect("read");
         assert_eq!(read.kind, ParticleKind::Checkpoint);
         assert_eq!((read.particles, read.meta, read.history, read.extra), (set(), meta, history(), vec![1, 2, 3]));
+    }
+
+    fn stratum(ids: &[u16]) -> Stratum {
+        Stratum::new(&ids.iter().map(|&id| MaterialId(id)).collect::<Vec<_>>()).expect("valid")
+    }
+
+    #[test]
+    fn strata_come_back_and_those_that_do_not_fit_are_refused() {
+        let folder = tempfile::tempdir().expect("folder");
+        let path = folder.path().join("case.seeds.bin");
+        let back = |strata: &Strata| {
+            write_material_particles(&path, ParticleKind::Seeds, &set(), strata, &Value::Null, &history())
+                .expect("written");
+            read_particles(&path, &[ParticleKind::Seeds])
+        };
+        let (point, curve, sheet) = (stratum(&[0, 1, 2, 3]), stratum(&[0, 1, 2]), stratum(&[1, 2]));
+        let good = Strata { of: vec![point, curve], segments: vec![[0, 1]] };
+        assert_eq!(back(&good).expect("read").strata, Some(good));
+        write_particles(&path, ParticleKind::Seeds, &set(), &Value::Null, &history()).expect("written");
+        assert_eq!(read_particles(&path, &[ParticleKind::Seeds]).expect("read").strata, None);
+        for (wrong, said) in [
+            (Strata { of: vec![point], segments: Vec::new() }, "strata of other particles"),
+            (Strata { of: vec![sheet, curve], segments: Vec::new() }, "higher strata before"),
+            (Strata { of: vec![curve, sheet], segments: vec![[0, 1]] }, "segment"),
+            (Strata { of: vec![curve, curve], segments: vec![[0, 2]] }, "segment"),
+        ] {
+            let error = back(&wrong).expect_err(said);
+            assert!(error.what.contains(said), "{error}");
+        }
     }
 
     #[test]

@@ -201,6 +201,7 @@ fn on_field(args: &Args, distfield: &Path, context: &Context) -> Result<Outcome>
         border: told.border,
         failed_checks: made.failed.clone(),
         components: made.topology.field.components,
+        materials: Vec::new(),
         notes: notes.into_iter().map(|(name, note)| (name.to_owned(), note)).collect(),
     };
     write(args, context, &surface, &meta, offending(&made.mesh, &made.checked, made.field.geometry()), made.failed)

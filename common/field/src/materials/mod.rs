@@ -11,6 +11,7 @@ mod error;
 mod index;
 mod indicator;
 mod strata;
+mod stratum;
 #[cfg(test)]
 mod tests;
 
@@ -19,6 +20,7 @@ pub use error::Error;
 pub use index::Materials;
 pub use indicator::{Indicator, IndicatorParts, KNOWN_VOXELS};
 pub use strata::{LEAST_SQUARED_SINE, Sheet};
+pub use stratum::Stratum;
 
 use crate::spline::Jet;
 use glam::{DMat3, DVec3};

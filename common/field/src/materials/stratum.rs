@@ -1,0 +1,95 @@
+//! Which materials meet at a place: the name of a sheet, a junction curve or a junction point.
+
+use super::MaterialId;
+use serde::{Deserialize, Serialize};
+
+/// The materials that meet on a stratum, two on a sheet, three on a junction curve, four at a junction point; ascending.
+///
+/// A junction point of more than four (labels at a corner of many voxels) is named by four of them.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+pub struct Stratum {
+    /// Ascending; [`NONE`] behind the last.
+    ids: [MaterialId; 4],
+}
+
+/// In the places of a stratum that has fewer than four materials; no material has this number.
+const NONE: MaterialId = MaterialId(u16::MAX);
+
+impl Stratum {
+    /// The stratum of some materials in any order; `None` unless they are two to four different ones.
+    pub fn new(materials: &[MaterialId]) -> Option<Self> {
+        let mut ids = [NONE; 4];
+        ids.get_mut(..materials.len())?.copy_from_slice(materials);
+        ids.sort_unstable();
+        Self { ids }.is_valid().then_some(Self { ids })
+    }
+
+    /// The sheet between two different materials.
+    ///
+    /// # Panics
+    /// When they are the same.
+    pub fn sheet(a: MaterialId, b: MaterialId) -> Self {
+        assert_ne!(a, b, "a material has no sheet with itself");
+        Self { ids: [a.min(b), a.max(b), NONE, NONE] }
+    }
+
+    /// Whether the numbers are of two to four materials, ascending: what a reader of files checks.
+    pub fn is_valid(&self) -> bool {
+        let count = self.count();
+        (2..=4).contains(&count) && self.ids[..count].is_sorted_by(|a, b| a < b)
+    }
+
+    /// The materials, ascending.
+    pub fn materials(&self) -> &[MaterialId] {
+        &self.ids[..self.count()]
+    }
+
+    /// How many meet: 2, 3 or 4.
+    pub fn count(&self) -> usize {
+        self.ids.iter().position(|&id| id == NONE).unwrap_or(4)
+    }
+
+    /// 2 of a sheet, 1 of a junction curve, 0 of a junction point.
+    pub fn dimension(&self) -> usize {
+        4 - self.count()
+    }
+
+    /// Whether a material is one of them.
+    pub fn has(&self, id: MaterialId) -> bool {
+        self.materials().contains(&id)
+    }
+
+    /// Whether this stratum may lie on the border of `other`, or is the same: all materials of that meet here.
+    pub fn is_on(&self, other: &Self) -> bool {
+        other.materials().iter().all(|&id| self.has(id))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn stratum(ids: &[u16]) -> Option<Stratum> {
+        Stratum::new(&ids.iter().map(|&id| MaterialId(id)).collect::<Vec<_>>())
+    }
+
+    #[test]
+    fn strata_are_named_by_two_to_four_different_materials_in_any_order() {
+        let curve = stratum(&[7, 0, 3]).expect("three");
+        assert_eq!(Some(curve), stratum(&[3, 7, 0]));
+        assert_eq!((curve.count(), curve.dimension()), (3, 1));
+        assert_eq!(curve.materials(), [MaterialId(0), MaterialId(3), MaterialId(7)]);
+        for wrong in [&[1][..], &[1, 1], &[1, 2, 2], &[1, 2, 3, 4, 5], &[1, u16::MAX]] {
+            assert_eq!(stratum(wrong), None);
+        }
+    }
+
+    #[test]
+    fn lower_strata_lie_on_those_whose_materials_they_have() {
+        let (sheet, curve, point) = (stratum(&[0, 3]), stratum(&[0, 3, 7]), stratum(&[0, 2, 3, 9]));
+        let [sheet, curve, point] = [sheet, curve, point].map(|stratum| stratum.expect("valid"));
+        assert_eq!(sheet, Stratum::sheet(MaterialId(3), MaterialId(0)));
+        assert!(curve.is_on(&sheet) && point.is_on(&sheet) && sheet.is_on(&sheet));
+        assert!(!sheet.is_on(&curve) && !point.is_on(&curve));
+    }
+}
