@@ -2,7 +2,7 @@
 
 use super::seed_strata;
 use crate::run::{Args, check_prediction};
-use isoparticles_field::materials::complex::{Complex, Wanted};
+use isoparticles_field::materials::complex::Complex;
 use isoparticles_field::sizing::SizingField;
 use isoparticles_stage::cli::{Context, Outcome};
 use isoparticles_stage::error::{Error, Result};
@@ -23,7 +23,7 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome> {
     drop(step);
     context.check_interrupt()?;
     let step = context.step("trace the strata");
-    let complex = Complex::new(materials, Wanted::All);
+    let complex = Complex::new(materials);
     let sizing = SizingField::new(sizing.image);
     let predicted = complex.predicted_count(&sizing);
     drop(step);

@@ -2,7 +2,7 @@
 
 use crate::limits::check_count;
 use crate::run::Args;
-use isoparticles_field::materials::complex::{Complex, Wanted};
+use isoparticles_field::materials::complex::Complex;
 use isoparticles_field::sizing::SizingField;
 use isoparticles_stage::cli::{Context, Outcome};
 use isoparticles_stage::error::{Error, Result};
@@ -21,7 +21,7 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome> {
     drop(step);
     context.check_interrupt()?;
     let step = context.step("trace the strata");
-    let complex = Complex::new(materials, Wanted::All);
+    let complex = Complex::new(materials);
     drop(step);
     if complex.triangles.is_empty() {
         return Err(Error::input(

@@ -1,42 +1,50 @@
-//! The lattice whose cells are cut into Kuhn's six tetrahedra each, and the names of its edges, faces and tetrahedra, the same from every cell that they
-//! belong to.
+//! The tetrahedra between the nodes of a grid, and what the materials at their corners say.
 
 use crate::materials::MaterialId;
 use glam::DVec3;
 use isoparticles_volume::Geometry;
 
-/// Bits of a name that tell the direction of an element; those above are the number of its first node.
-const DIRECTION_BITS: u32 = 9;
+/// Steps from a node of the grid to the next: edges are halved no farther than to one step along an axis.
+pub(super) const UNIT: u32 = 8;
 
-/// Nodes between those of a grid, `fineness` steps to a cell along each axis.
+/// A place in steps.
+pub(super) type Place = [u32; 3];
+
+/// The lattice of a grid.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Lattice<'a> {
     pub(super) geometry: &'a Geometry,
-    pub(super) fineness: usize,
 }
 
 impl Lattice<'_> {
-    /// Cells along each axis.
-    pub(super) fn cells(&self) -> [usize; 3] {
-        self.geometry.size.map(|n| n.saturating_sub(1) * self.fineness)
-    }
-
-    /// Where a node lies, grid frame, mm.
-    pub(super) fn position(&self, node: [usize; 3]) -> DVec3 {
-        self.geometry.index_to_grid(DVec3::from_array(node.map(|n| n as f64 / self.fineness as f64)))
-    }
-
-    /// Name of the element whose corners have these offsets (bits of x, y, z) from the lowest node of a cell; ascending, each within the next.
-    pub(super) fn name(&self, cell: [usize; 3], offsets: &[u8]) -> u64 {
-        let first = offsets[0];
-        let [nx, ny, _] = self.cells().map(|n| n + 1);
-        let [i, j, k]: [usize; 3] = std::array::from_fn(|a| cell[a] + usize::from(first >> a & 1));
-        let directions = offsets[1..].iter().fold(0u64, |bits, offset| bits << 3 | u64::from(offset ^ first));
-        (((k * ny + j) * nx + i) as u64) << DIRECTION_BITS | directions
+    /// Where a place lies, grid frame, mm.
+    pub(super) fn position(&self, place: Place) -> DVec3 {
+        self.geometry.index_to_grid(DVec3::from_array(place.map(f64::from)) / f64::from(UNIT))
     }
 }
 
-/// Offsets of the corners of Kuhn's tetrahedra (Kuhn 1960): the ways from the lowest node of a cell to the highest along three of its edges.
+/// A place as one number; of places one of which is nowhere beyond the other, that has the smaller number.
+pub(super) fn number(place: Place) -> u128 {
+    let [x, y, z] = place.map(u128::from);
+    z << 64 | y << 32 | x
+}
+
+/// The place half-way between two, if it has whole steps.
+pub(super) fn half_way(a: Place, b: Place) -> Option<Place> {
+    let is_even = (0..3).all(|axis| a[axis].abs_diff(b[axis]) % 2 == 0);
+    is_even.then(|| std::array::from_fn(|axis| a[axis].midpoint(b[axis])))
+}
+
+/// Squared length in steps, and the ends: of edges that are to be halved, the one that is halved first has the largest of these. An order of all edges, so
+/// that a face is cut alike from both sides.
+pub(super) fn rank(a: Place, b: Place) -> (u32, [u128; 2]) {
+    let squared = (0..3).map(|axis| a[axis].abs_diff(b[axis]).pow(2)).sum();
+    let (a, b) = (number(a), number(b));
+    (squared, [a.min(b), a.max(b)])
+}
+
+/// Offsets (bits of x, y, z) of the corners of Kuhn's tetrahedra: the ways from the lowest node of a cell to the highest along three of its edges. Those
+/// of neighbouring cells fit.
 pub(super) const TETRAHEDRA: [[u8; 4]; 6] =
     [[0, 1, 3, 7], [0, 1, 5, 7], [0, 2, 3, 7], [0, 2, 6, 7], [0, 4, 5, 7], [0, 4, 6, 7]];
 

@@ -15,21 +15,12 @@ pub use cells::{Triangle, Vertex};
 pub use chains::{Chain, End, Junction};
 
 use super::{Indicators, Materials, Stratum};
-use cells::{Part, Segment, part};
+use cells::{Name, Part, Segment, part};
 use isoparticles_mesh::components::DisjointSets;
 use isoparticles_volume::Geometry;
 use lattice::Lattice;
 use rayon::prelude::*;
 use serde::Serialize;
-
-/// Which parts of the complex are wanted.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Wanted {
-    /// All of it.
-    All,
-    /// Junction curves and points, without the sheets.
-    Junctions,
-}
 
 /// What became of the vertices on the way from the lattice to the strata.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
@@ -73,8 +64,8 @@ pub struct Complex {
 
 impl Complex {
     /// Of the indicators of a volume. The same on any number of threads.
-    pub fn new(materials: &Materials, wanted: Wanted) -> Self {
-        Self::of_bricks(materials, materials.geometry(), &materials.bricks_of_many(), 1, wanted)
+    pub fn new(materials: &Materials) -> Self {
+        Self::of_bricks(materials, materials.geometry(), &materials.bricks_of_many())
     }
 
     /// The same of indicators on a grid, within some boxes of its cells (first cell, and cells along each axis) that hold all strata.
@@ -82,13 +73,10 @@ impl Complex {
         indicators: &I,
         geometry: &Geometry,
         bricks: &[([usize; 3], [usize; 3])],
-        fineness: usize,
-        wanted: Wanted,
     ) -> Self {
-        let lattice = Lattice { geometry, fineness };
-        let sheets = wanted == Wanted::All;
+        let lattice = Lattice { geometry };
         let parts: Vec<Part> =
-            bricks.par_iter().map(|&(first, count)| part(lattice, indicators, first, count, sheets)).collect();
+            bricks.par_iter().map(|&(first, count)| part(lattice, indicators, first, count)).collect();
         let (vertices, triangles, segments) = joined(parts);
         let mut complex = Self { vertices, triangles, ..Self::default() };
         chains::trace(&mut complex, &segments, indicators);
@@ -126,7 +114,7 @@ impl Complex {
 /// The parts as one, each vertex once.
 fn joined(parts: Vec<Part>) -> (Vec<Vertex>, Vec<Triangle>, Vec<Segment>) {
     let named = parts.iter().flat_map(|part| part.names.iter().copied().zip(part.vertices.iter().copied()));
-    let mut all: Vec<(u64, Vertex)> = named.collect();
+    let mut all: Vec<(Name, Vertex)> = named.collect();
     all.par_sort_unstable_by_key(|(name, _)| *name);
     all.dedup_by_key(|(name, _)| *name);
     let numbered = |part: &Part| -> Vec<u32> {
