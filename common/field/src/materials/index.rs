@@ -120,6 +120,18 @@ impl Materials {
         self.table.iter().position(|material| material.name == name).map(|n| MaterialId(n as u16))
     }
 
+    /// The bricks in which more than one material is known, so that all strata lie in them: first cell, and cells along each axis.
+    pub fn bricks_of_many(&self) -> Vec<([usize; 3], [usize; 3])> {
+        let [bx, by, _] = bricks_along(self.geometry.size);
+        let many = (0..self.fill.len()).filter(|&brick| self.known(brick).len() > 1);
+        let extent = |brick: usize| {
+            let first = [brick % bx, brick / bx % by, brick / (bx * by)].map(|n| n * CELLS);
+            let count = |axis: usize| CELLS.min(self.geometry.size[axis].saturating_sub(1).saturating_sub(first[axis]));
+            (first, std::array::from_fn(count))
+        };
+        many.map(extent).collect()
+    }
+
     /// Memory that it takes, bytes.
     pub fn bytes(&self) -> usize {
         let index = size_of_val(self.start.as_slice())

@@ -7,6 +7,7 @@
 //! [`Indicators`] is what the algorithms ask, [`Materials`] answers from samples on a grid, [`Analytic`] from functions.
 
 mod analytic;
+pub mod complex;
 mod error;
 mod index;
 mod indicator;
