@@ -190,6 +190,42 @@ impl Indicators for Materials {
         }
     }
 
+    #[inline(always)]
+    fn pair_gradient(&self, own: [MaterialId; 2], grid: DVec3) -> [(f64, DVec3); 2] {
+        let stencil = Stencil::new(&self.geometry, grid);
+        let brick = self.brick(&stencil);
+        let side_by_side = stencil.clone().gathered();
+        own.map(|id| {
+            let inside = match self.known(brick).iter().find(|entry| entry.material == id.0) {
+                Some(&entry) => match self.gathered(entry, &stencil) {
+                    Ok(read) => return side_by_side.value_gradient(&read, self.geometry.spacing),
+                    Err(inside) => inside,
+                },
+                None => self.fill[brick] == id.0,
+            };
+            (far(inside).value, DVec3::ZERO)
+        })
+    }
+
+    #[inline(always)]
+    fn smallest_other(&self, own: [MaterialId; 2], grid: DVec3) -> f64 {
+        let stencil = Stencil::new(&self.geometry, grid);
+        let brick = self.brick(&stencil);
+        let is_other = |material: u16| own.iter().all(|id| id.0 != material);
+        if self.fill[brick] != NONE && is_other(self.fill[brick]) {
+            return f64::NEG_INFINITY;
+        }
+        let mut smallest = f64::INFINITY;
+        for &entry in self.known(brick).iter().filter(|entry| is_other(entry.material)) {
+            match self.gathered(entry, &stencil) {
+                Ok(read) => smallest = smallest.min(stencil.clone().gathered().value(&read)),
+                Err(true) => return f64::NEG_INFINITY,
+                Err(false) => {}
+            }
+        }
+        smallest
+    }
+
     fn jet(&self, id: MaterialId, grid: DVec3) -> Jet {
         match self.of(id, grid) {
             Ok((stencil, read)) => stencil.jet(&read, self.geometry.spacing),

@@ -151,8 +151,21 @@ pub trait Indicators: Sync {
 
     /// G_ij and its gradient.
     fn difference_gradient(&self, i: MaterialId, j: MaterialId, grid: DVec3) -> (f64, DVec3) {
-        let (a, b) = (self.value_gradient(i, grid), self.value_gradient(j, grid));
-        (0.5 * (a.0 - b.0), 0.5 * (a.1 - b.1))
+        let [a, b] = self.pair_gradient([i, j], grid);
+        strata::half_difference(a, b)
+    }
+
+    /// Two indicators with their gradients, as [`Self::value_gradient`] gives each.
+    #[inline(always)]
+    fn pair_gradient(&self, own: [MaterialId; 2], grid: DVec3) -> [(f64, DVec3); 2] {
+        own.map(|id| self.value_gradient(id, grid))
+    }
+
+    /// The smallest indicator of all materials but two, mm; infinite where no other is known.
+    fn smallest_other(&self, own: [MaterialId; 2], grid: DVec3) -> f64 {
+        let near = self.near(grid);
+        let others = near.entries().iter().filter(|(id, _)| !own.contains(id));
+        others.map(|(_, value)| *value).fold(f64::INFINITY, f64::min)
     }
 
     /// How real a stratum of the materials `own` is at a place, mm: the smallest indicator of all others less the largest of their own. Positive where these are the
@@ -170,10 +183,23 @@ pub trait Indicators: Sync {
     /// point runs away, the gradient vanishes or an indicator is not known, or when [`crate::spline::PROJECTION_STEPS`] do not bring the sheet, to first
     /// order, nearer than `tolerance` (mm). Whether the two are the smallest there, [`Self::clearance`] tells.
     fn project_onto_sheet(&self, own: [MaterialId; 2], start: DVec3, limit: f64, tolerance: f64) -> Option<DVec3> {
-        strata::project(self.voxel(), start, limit, tolerance, |p| {
+        let place = strata::project(self.voxel(), start, limit, tolerance, |p| {
             let (value, gradient) = self.difference_gradient(own[0], own[1], p);
-            strata::sheet_step(value, gradient)
-        })
+            strata::sheet_step(value, gradient).map(|step| (step, ()))
+        });
+        place.map(|(p, ())| p)
+    }
+
+    /// As [`Self::project_onto_sheet`], with the gradient of G_ij at the place reached; `None` too where the sheet is not real, because another material is as
+    /// near there as the two ([`Self::clearance`] is not positive). One look at all indicators serves value, gradient and clearance.
+    #[inline(always)]
+    fn place_on_sheet(&self, own: [MaterialId; 2], start: DVec3, limit: f64, tolerance: f64) -> Option<(DVec3, DVec3)> {
+        let (p, (gradient, largest)) = strata::project(self.voxel(), start, limit, tolerance, |p| {
+            let [a, b] = self.pair_gradient(own, p);
+            let (value, gradient) = strata::half_difference(a, b);
+            strata::sheet_step(value, gradient).map(|step| (step, (gradient, a.0.max(b.0))))
+        })?;
+        (self.smallest_other(own, p) > largest).then_some((p, gradient))
     }
 
     /// The point of the junction curve of three materials near `start`: Gauss-Newton on G_ij = G_ik = 0, by steps of the least length. Limit and tolerance as for
@@ -181,8 +207,10 @@ pub trait Indicators: Sync {
     fn project_onto_curve(&self, own: [MaterialId; 3], start: DVec3, limit: f64, tolerance: f64) -> Option<DVec3> {
         strata::project(self.voxel(), start, limit, tolerance, |p| {
             let [first, second, third] = own.map(|id| self.value_gradient(id, p));
-            strata::curve_step([strata::half_difference(first, second), strata::half_difference(first, third)])
+            let differences = [strata::half_difference(first, second), strata::half_difference(first, third)];
+            strata::curve_step(differences).map(|step| (step, ()))
         })
+        .map(|(p, ())| p)
     }
 
     /// The junction point of four materials near `start`: Newton's method on G_ij = G_ik = G_il = 0. Limit and tolerance as for
@@ -190,7 +218,8 @@ pub trait Indicators: Sync {
     fn project_onto_point(&self, own: [MaterialId; 4], start: DVec3, limit: f64, tolerance: f64) -> Option<DVec3> {
         strata::project(self.voxel(), start, limit, tolerance, |p| {
             let [first, others @ ..] = own.map(|id| self.value_gradient(id, p));
-            strata::point_step(others.map(|other| strata::half_difference(first, other)))
+            strata::point_step(others.map(|other| strata::half_difference(first, other))).map(|step| (step, ()))
         })
+        .map(|(p, ())| p)
     }
 }
