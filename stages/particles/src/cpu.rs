@@ -10,6 +10,11 @@ use isoparticles_field::materials::{Indicators, Stratum};
 use isoparticles_field::particle_set::{ParticleSet, Strata};
 use isoparticles_stage::error::Result;
 
+#[cfg(test)]
+mod scenes;
+#[cfg(test)]
+mod tests;
+
 /// Settles particles on the CPU, on the threads of the current pool. `resumed` holds the particles after the passes already
 /// run, and the records of those; `observe` sees each new record, can ask for the particles, and may end the run with an error.
 pub fn settle(

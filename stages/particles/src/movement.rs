@@ -100,7 +100,7 @@ fn block_steps<S: Implicit>(
 
 /// The next place of one particle.
 #[cfg(test)]
-pub(crate) fn step_alone(state: &State, fields: &Fields, i: usize) -> Step {
+pub(crate) fn step_alone<S: Implicit>(state: &State, fields: &Fields<S>, i: usize) -> Step {
     block_steps(state, fields, &mut Neighbourhood::default(), i..i + 1)[0]
 }
 
