@@ -150,22 +150,15 @@ pub trait Indicators: Sync {
     }
 
     /// G_ij and its gradient.
-    fn difference_gradient(&self, i: MaterialId, j: MaterialId, grid: DVec3) -> (f64, DVec3) {
-        let [a, b] = self.pair_gradient([i, j], grid);
-        strata::half_difference(a, b)
-    }
-
-    /// Two indicators with their gradients, as [`Self::value_gradient`] gives each.
     #[inline(always)]
-    fn pair_gradient(&self, own: [MaterialId; 2], grid: DVec3) -> [(f64, DVec3); 2] {
-        own.map(|id| self.value_gradient(id, grid))
+    fn difference_gradient(&self, i: MaterialId, j: MaterialId, grid: DVec3) -> (f64, DVec3) {
+        strata::half_difference(self.value_gradient(i, grid), self.value_gradient(j, grid))
     }
 
-    /// The smallest indicator of all materials but two, mm; infinite where no other is known.
-    fn smallest_other(&self, own: [MaterialId; 2], grid: DVec3) -> f64 {
-        let near = self.near(grid);
-        let others = near.entries().iter().filter(|(id, _)| !own.contains(id));
-        others.map(|(_, value)| *value).fold(f64::INFINITY, f64::min)
+    /// Whether the sheet of two materials, both known there, is real at a place: its [`Self::clearance`] is positive.
+    #[inline(always)]
+    fn is_real_sheet(&self, own: [MaterialId; 2], grid: DVec3) -> bool {
+        self.clearance(grid, &own) > 0.0
     }
 
     /// How real a stratum of the materials `own` is at a place, mm: the smallest indicator of all others less the largest of their own. Positive where these are the
@@ -183,23 +176,22 @@ pub trait Indicators: Sync {
     /// point runs away, the gradient vanishes or an indicator is not known, or when [`crate::spline::PROJECTION_STEPS`] do not bring the sheet, to first
     /// order, nearer than `tolerance` (mm). Whether the two are the smallest there, [`Self::clearance`] tells.
     fn project_onto_sheet(&self, own: [MaterialId; 2], start: DVec3, limit: f64, tolerance: f64) -> Option<DVec3> {
-        let place = strata::project(self.voxel(), start, limit, tolerance, |p| {
+        strata::project(self.voxel(), start, limit, tolerance, |p| {
             let (value, gradient) = self.difference_gradient(own[0], own[1], p);
             strata::sheet_step(value, gradient).map(|step| (step, ()))
-        });
-        place.map(|(p, ())| p)
+        })
+        .map(|(p, ())| p)
     }
 
     /// As [`Self::project_onto_sheet`], with the gradient of G_ij at the place reached; `None` too where the sheet is not real, because another material is as
-    /// near there as the two ([`Self::clearance`] is not positive). One look at all indicators serves value, gradient and clearance.
+    /// near there as the two ([`Self::is_real_sheet`]).
     #[inline(always)]
     fn place_on_sheet(&self, own: [MaterialId; 2], start: DVec3, limit: f64, tolerance: f64) -> Option<(DVec3, DVec3)> {
-        let (p, (gradient, largest)) = strata::project(self.voxel(), start, limit, tolerance, |p| {
-            let [a, b] = self.pair_gradient(own, p);
-            let (value, gradient) = strata::half_difference(a, b);
-            strata::sheet_step(value, gradient).map(|step| (step, (gradient, a.0.max(b.0))))
-        })?;
-        (self.smallest_other(own, p) > largest).then_some((p, gradient))
+        let place = strata::project(self.voxel(), start, limit, tolerance, |p| {
+            let (value, gradient) = self.difference_gradient(own[0], own[1], p);
+            strata::sheet_step(value, gradient).map(|step| (step, gradient))
+        });
+        place.filter(|&(p, _)| self.is_real_sheet(own, p))
     }
 
     /// The point of the junction curve of three materials near `start`: Gauss-Newton on G_ij = G_ik = 0, by steps of the least length. Limit and tolerance as for
