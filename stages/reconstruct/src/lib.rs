@@ -18,7 +18,9 @@ pub mod defects;
 pub mod finish;
 pub mod improve;
 mod join;
+pub mod labelled;
 pub mod pinched;
+pub mod materials;
 mod points_alone;
 pub mod prepare;
 #[cfg(test)]

@@ -1,0 +1,19 @@
+//! Many materials: particles on strata become one conforming complex of triangles between materials.
+//!
+//! | step | module |
+//! |---|---|
+//! | the particles on their strata, triangulated; segments of junction curves | [`prepare`], [`segments`] |
+//! | tetrahedra of materials, and what is violated there | [`complex`], [`nodes`] |
+//! | points added, most needed first | [`refine`] |
+//! | tetrahedra given to another material where points do not help | [`relabel`] |
+
+pub mod complex;
+pub mod nodes;
+pub mod prepare;
+pub mod refine;
+mod relabel;
+#[cfg(test)]
+mod scenes;
+pub mod segments;
+#[cfg(test)]
+mod tests;
