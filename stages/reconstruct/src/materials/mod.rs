@@ -7,11 +7,17 @@
 //! | points added, most needed first | [`refine`] |
 //! | tetrahedra given to another material where points do not help | [`relabel`] |
 
+pub mod check;
 pub mod complex;
+pub mod improve;
+pub mod interfaces;
 pub mod nodes;
+pub mod pieces;
 pub mod prepare;
+pub mod reconstruct;
 pub mod refine;
 mod relabel;
+pub mod run;
 #[cfg(test)]
 mod scenes;
 pub mod segments;

@@ -39,13 +39,18 @@ impl Scene {
         Geometry::axis_aligned([(self.extent / spacing).round() as usize + 1; 3], DVec3::splat(spacing))
     }
 
+    /// Names of the materials.
+    pub(super) fn table(&self) -> Vec<Material> {
+        self.analytic.ids().map(|id| Material { name: format!("m{}", id.0), labels: Vec::new() }).collect()
+    }
+
     /// The same from samples.
     pub(super) fn sampled(&self, spacing: f64) -> Materials {
         let geometry = self.geometry(spacing);
         let of = |id: MaterialId| {
             let image = Image::sampled(geometry.clone(), |p| self.analytic.jet(id, p).value as f32);
             let (indicator, negative) = Indicator::new(&image, [0; 3], geometry.size, false);
-            (Material { name: format!("m{}", id.0), labels: Vec::new() }, indicator, negative)
+            (self.table()[id.index()].clone(), indicator, negative)
         };
         Materials::new(geometry.clone(), self.analytic.ids().map(of).collect()).expect("parts of one grid")
     }
