@@ -146,7 +146,9 @@ impl<L: Copy + Default + Ord + Send + Sync> Labelled<L> {
     /// The facets between different labels at a vertex.
     pub fn facets_at(&self, vertex: u32) -> Vec<Facet> {
         let star = star(&self.delaunay, vertex);
-        let own = |t: u32| boundary_facets_of(&self.delaunay, t, |t| self.of(t)).into_iter().filter(move |f| f.tetrahedron == t);
+        let own = |t: u32| {
+            boundary_facets_of(&self.delaunay, t, |t| self.of(t)).into_iter().filter(move |f| f.tetrahedron == t)
+        };
         star.into_iter().flat_map(own).filter(|f| f.vertices.contains(&vertex)).collect()
     }
 

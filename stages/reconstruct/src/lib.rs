@@ -19,8 +19,8 @@ pub mod finish;
 pub mod improve;
 mod join;
 pub mod labelled;
-pub mod pinched;
 pub mod materials;
+pub mod pinched;
 mod points_alone;
 pub mod prepare;
 #[cfg(test)]

@@ -128,7 +128,8 @@ impl<'a> Restricted<'a> {
 
     /// Distance of a circumcentre from F = 0 to first order, mm; infinite beyond the hull and the volume.
     fn distance_of_centre(&self, t: u32) -> f64 {
-        let centre = self.delaunay().circumcentre(t).filter(|&c| !self.delaunay().is_ghost(t) && self.sides.in_volume(c));
+        let centre =
+            self.delaunay().circumcentre(t).filter(|&c| !self.delaunay().is_ghost(t) && self.sides.in_volume(c));
         centre.map_or(f64::INFINITY, |c| {
             let (value, gradient) = self.field.value_gradient(c);
             value.abs() / gradient.length().max(1e-6)

@@ -199,8 +199,11 @@ fn on_field(args: &Args, distfield: &Path, context: &Context) -> Result<Outcome>
         "make fewer of them: sizefield --min-size, --scale or --quality coarse",
     )?;
     context.add_input(distfield, field.history.clone())?;
-    let sizing =
-        args.sizefield.as_deref().map(|path| read_sizing(path, (distfield, &field.image.geometry), context)).transpose()?;
+    let sizing = args
+        .sizefield
+        .as_deref()
+        .map(|path| read_sizing(path, (distfield, &field.image.geometry), context))
+        .transpose()?;
     let told: DistanceMeta = meta::typed(distfield, &field.meta, "distfield")?;
     drop(step);
     let options = args.options(&told);

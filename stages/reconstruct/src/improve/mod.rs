@@ -146,7 +146,13 @@ pub fn improve(
     step: Step,
 ) -> Result<ImproveReport> {
     let (of_triangle, fixed) = (vec![0; mesh.triangles.len()], vec![false; mesh.vertices.len()]);
-    improve_sheets(mesh, &mut SheetsOf { field, of_triangle, fixed, wrong_nodes: None, numbers: Vec::new() }, size, options, step)
+    improve_sheets(
+        mesh,
+        &mut SheetsOf { field, of_triangle, fixed, wrong_nodes: None, numbers: Vec::new() },
+        size,
+        options,
+        step,
+    )
 }
 
 /// The sheets of a mesh.

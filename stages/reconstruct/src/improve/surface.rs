@@ -272,7 +272,8 @@ impl<'a> Surface<'a> {
         let mean_target = corners.iter().map(|&v| self.target[v as usize]).sum::<f64>() / 3.0;
         let mut deviation = value.abs() / gradient.length().max(1e-12) / mean_target;
         if deviation > FIRST_ORDER
-            && let Some(foot) = projected_facing(self, sheet, centroid, normal, deviation.min(MOST_DEVIATION) * mean_target)
+            && let Some(foot) =
+                projected_facing(self, sheet, centroid, normal, deviation.min(MOST_DEVIATION) * mean_target)
         {
             deviation = foot.distance(centroid) / mean_target;
         }

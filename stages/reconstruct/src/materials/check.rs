@@ -220,7 +220,8 @@ fn look_at_materials(
         let measured = measure(&mesh);
         let name = options.table.get(id.index()).map_or_else(|| id.0.to_string(), |m| m.name.clone());
         let surfaces = topology.components.len();
-        let own = MaterialReport { name, volume: measured.volume, area: measured.area, surfaces, pieces: Pieces::default() };
+        let own =
+            MaterialReport { name, volume: measured.volume, area: measured.area, surfaces, pieces: Pieces::default() };
         let edges = [topology.open_edges, topology.non_manifold_edges, topology.badly_oriented_edges].concat();
         let edges: Vec<[u32; 2]> = edges.into_iter().map(|edge| edge.map(|v| vertices[v as usize])).collect();
         let pinched: Vec<u32> = topology.non_manifold_vertices.iter().map(|&v| vertices[v as usize]).collect();
@@ -275,7 +276,12 @@ fn look_at_distances(
     report.centroid_distance = DistanceSummary::of(&centroids);
 }
 
-fn look_at_nodes(interfaces: &Interfaces, options: &CheckOptions, report: &mut ComplexReport, offenders: &mut Offenders) {
+fn look_at_nodes(
+    interfaces: &Interfaces,
+    options: &CheckOptions,
+    report: &mut ComplexReport,
+    offenders: &mut Offenders,
+) {
     let found = options.nodes.by_walls(&walls(interfaces));
     let truth = options.nodes.materials();
     offenders.nodes = (0..truth.len()).into_par_iter().filter(|&n| truth[n] != found[n]).collect();
@@ -313,8 +319,11 @@ fn failed(report: &ComplexReport, offenders: &Offenders, options: &CheckOptions)
         failed.push(format!("{count} triangles with a radius ratio below {limit} (smallest {smallest:.4})"));
     }
     if !offenders.distant.is_empty() {
-        let (count, limit, farthest) = (offenders.distant.len(), options.max_vertex_distance, report.vertex_distance.max);
-        failed.push(format!("{count} vertices farther than {limit} voxel from a sheet of theirs (farthest {farthest:.6})"));
+        let (count, limit, farthest) =
+            (offenders.distant.len(), options.max_vertex_distance, report.vertex_distance.max);
+        failed.push(format!(
+            "{count} vertices farther than {limit} voxel from a sheet of theirs (farthest {farthest:.6})"
+        ));
     }
     failed
 }

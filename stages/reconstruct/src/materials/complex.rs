@@ -3,7 +3,7 @@
 
 use super::prepare::{Prepared, REAL};
 use super::segments::{Segment, Segments, segment};
-use crate::around::{boundary_facets_of, parts_round, place_of, runs_round, star};
+use crate::around::{boundary_facets_of, parts_round, runs_round, star};
 use crate::labelled::{Facet, Labelled};
 use crate::refine::{DEFAULT_DEVIATION, TURNED};
 use glam::DVec3;
@@ -190,7 +190,8 @@ impl<'a> Complex<'a> {
             let own = boundary_facets_of(delaunay, t, |t| self.material(t));
             own.into_iter().filter(move |f| edge.iter().all(|v| f.vertices.contains(v)))
         };
-        let mut facets: Vec<Facet> = runs.iter().flat_map(|run| facet(run[0]).chain(facet(run[run.len() - 1]))).collect();
+        let mut facets: Vec<Facet> =
+            runs.iter().flat_map(|run| facet(run[0]).chain(facet(run[run.len() - 1]))).collect();
         facets.sort_unstable_by_key(|f| (f.tetrahedron, f.opposite));
         facets.dedup();
         facets
@@ -270,7 +271,8 @@ impl<'a> Complex<'a> {
         let simplex = Simplex::Edge(pair);
         let Some(start) = self.at_edge(pair) else { return Some(self.by_split(Reason::Segment, simplex, pair)) };
         let runs = runs_round(self.labelled.delaunay(), pair, start, |t| self.material(t));
-        let is_right = runs.len() == curve.count() && curve.materials().iter().all(|&id| runs.iter().any(|run| self.material(run[0]) == id));
+        let is_right = runs.len() == curve.count()
+            && curve.materials().iter().all(|&id| runs.iter().any(|run| self.material(run[0]) == id));
         if is_right {
             return None;
         }
@@ -327,9 +329,9 @@ impl<'a> Complex<'a> {
 
     /// How far a facet strays, in units of what is allowed.
     fn badness(&self, facet: &Facet) -> f64 {
-        let limit = self.max_deviation.unwrap_or_else(|| {
-            DEFAULT_DEVIATION * self.size_of(&facet.vertices).max(self.indicators.voxel())
-        });
+        let limit = self
+            .max_deviation
+            .unwrap_or_else(|| DEFAULT_DEVIATION * self.size_of(&facet.vertices).max(self.indicators.voxel()));
         let corners = facet.vertices.map(|v| self.points()[v as usize]);
         let (distance, agreement) = straying(self.indicators, self.sheet(facet), corners);
         let turned = if agreement < TURNED { 1.0 + TURNED - agreement } else { 0.0 };
@@ -349,7 +351,8 @@ impl<'a> Complex<'a> {
     /// What is violated at the vertices, edges and facets of some tetrahedra, and at the segments of their vertices.
     pub fn at_tetrahedra(&self, tetrahedra: &[u32]) -> Vec<Violation> {
         let delaunay = self.labelled.delaunay();
-        let mut vertices: Vec<u32> = tetrahedra.iter().flat_map(|&t| delaunay.vertices(t)).filter(|&v| v != INFINITE).collect();
+        let mut vertices: Vec<u32> =
+            tetrahedra.iter().flat_map(|&t| delaunay.vertices(t)).filter(|&v| v != INFINITE).collect();
         vertices.sort_unstable();
         vertices.dedup();
         let mut edges: Vec<([u32; 2], u32)> = Vec::new();
@@ -376,12 +379,6 @@ impl<'a> Complex<'a> {
         found.extend(vertices.into_iter().filter_map(|v| self.at_vertex(v)));
         found.extend(facets.iter().filter_map(|f| self.at_facet(f)));
         found
-    }
-
-    /// The tetrahedron on the other side of the one opposite to a vertex.
-    pub fn beyond(&self, tetrahedron: u32, vertex: u32) -> u32 {
-        let delaunay = self.labelled.delaunay();
-        delaunay.neighbours(tetrahedron)[place_of(delaunay.vertices(tetrahedron), vertex)]
     }
 }
 

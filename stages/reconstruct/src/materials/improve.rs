@@ -69,7 +69,8 @@ pub fn improve(
     let number = |pair: &[MaterialId; 2]| pairs.partition_point(|other| other < pair) as u32;
     let of_triangle: Vec<u32> = interfaces.between.iter().map(number).collect();
     let meets = interfaces.materials_at_vertices();
-    let mut fixed: Vec<bool> = meets.iter().zip(dimensions).map(|(ids, dimension)| ids.len() > 2 || *dimension < 2).collect();
+    let mut fixed: Vec<bool> =
+        meets.iter().zip(dimensions).map(|(ids, dimension)| ids.len() > 2 || *dimension < 2).collect();
     for (edge, triangles) in interfaces.edges() {
         if triangles.len() != 2 {
             edge.iter().for_each(|&v| fixed[v as usize] = true);

@@ -80,7 +80,8 @@ impl Interfaces {
 
     /// The closed surface of a material, outward, and the number of each of its vertices and triangles in the whole.
     pub fn surface_of(&self, id: MaterialId) -> (TriangleMesh, Vec<u32>, Vec<u32>) {
-        let own: Vec<u32> = (0..self.between.len() as u32).filter(|&t| self.between[t as usize].contains(&id)).collect();
+        let own: Vec<u32> =
+            (0..self.between.len() as u32).filter(|&t| self.between[t as usize].contains(&id)).collect();
         let mut vertices: Vec<u32> = own.iter().flat_map(|&t| self.mesh.triangles[t as usize]).collect();
         vertices.sort_unstable();
         vertices.dedup();

@@ -14,6 +14,8 @@ pub mod interfaces;
 pub mod nodes;
 pub mod pieces;
 pub mod prepare;
+#[cfg(test)]
+mod program_tests;
 pub mod reconstruct;
 pub mod refine;
 mod relabel;

@@ -5,6 +5,7 @@ use super::prepare::onto;
 use super::segments::segment;
 use crate::labelled::Facet;
 use glam::DVec3;
+use isoparticles_delaunay::predicates::orientation;
 use isoparticles_field::materials::{Indicators, MaterialId, Stratum};
 use isoparticles_mesh::inside::crossings;
 use isoparticles_volume::Geometry;
@@ -101,6 +102,35 @@ impl Nodes {
         self.wrong_by_walls(&facets.par_iter().map(wall).collect::<Vec<_>>())
     }
 
+    /// Whether a node lies in a tetrahedron whose material is its own.
+    pub(super) fn holds_own(&self, complex: &Complex, tetrahedron: u32) -> bool {
+        let corners = complex.labelled.delaunay().vertices(tetrahedron).map(|v| complex.points()[v as usize]);
+        let (spacing, size) = (self.geometry.spacing, self.geometry.size);
+        let (low, high) = corners.iter().fold((corners[0], corners[0]), |(low, high), p| (low.min(*p), high.max(*p)));
+        let range = |axis: usize| {
+            let last = size[axis] as f64 - 1.0;
+            let from = (low[axis] / spacing[axis]).ceil().clamp(0.0, last);
+            let to = (high[axis] / spacing[axis]).floor().clamp(0.0, last);
+            from as usize..=to as usize
+        };
+        let own = complex.material(tetrahedron).0;
+        let is_in = |p: DVec3| {
+            (0..4).all(|i| {
+                let mut with = corners;
+                with[i] = p;
+                orientation(with[0], with[1], with[2], with[3]) >= 0.0
+            })
+        };
+        range(2).any(|k| {
+            range(1).any(|j| {
+                range(0).any(|i| {
+                    let node = self.geometry.linear(i, j, k);
+                    self.material[node] == own && is_in(self.place(node))
+                })
+            })
+        })
+    }
+
     /// The violation at a node in another material; `near` is a vertex not far from it.
     pub(super) fn violation(&self, complex: &Complex, node: usize, near: u32) -> Option<Violation> {
         let place = self.place(node);
@@ -117,15 +147,19 @@ impl Nodes {
             Some((onto(complex.indicators, stratum, place, limit)?, stratum))
         };
         let target = nearest.and_then(on).or_else(|| on(found));
-        let of = |remedy, radius, size, near| Violation { reason: Reason::Node, simplex: Simplex::Node(node), remedy, radius, size, near };
+        let of = |remedy, radius, size, near| Violation {
+            reason: Reason::Node,
+            simplex: Simplex::Node(node),
+            remedy,
+            radius,
+            size,
+            near,
+        };
         let size = complex.sizes[near as usize];
         let Some((foot, stratum)) = target else { return Some(of(Remedy::None, 0.0, size, near)) };
         let around = complex.labelled.locate(foot, near).map_or([near; 4], |t| complex.labelled.delaunay().vertices(t));
         let distance = |v: u32| complex.points().get(v as usize).map_or(f64::INFINITY, |p| p.distance(foot));
-        let (vertex, radius) = around
-            .into_iter()
-            .map(|v| (v, distance(v)))
-            .min_by(|a, b| a.1.total_cmp(&b.1))?;
+        let (vertex, radius) = around.into_iter().map(|v| (v, distance(v))).min_by(|a, b| a.1.total_cmp(&b.1))?;
         if radius >= AT_A_VERTEX * size {
             return Some(of(Remedy::Point { place: foot, stratum }, radius, size, near));
         }
@@ -157,6 +191,13 @@ impl Nodes {
             let stratum = Stratum::sheet(i, j);
             Remedy::Point { place: onto(complex.indicators, stratum, a.midpoint(b), 0.5 * length)?, stratum }
         };
-        Some(Violation { reason: Reason::Node, simplex: Simplex::Node(node), remedy, radius: 0.5 * length, size, near: vertex })
+        Some(Violation {
+            reason: Reason::Node,
+            simplex: Simplex::Node(node),
+            remedy,
+            radius: 0.5 * length,
+            size,
+            near: vertex,
+        })
     }
 }

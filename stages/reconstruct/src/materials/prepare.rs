@@ -91,7 +91,11 @@ pub fn prepare(particles: &ParticleSet, strata: &Strata, indicators: &dyn Indica
     let count = particles.positions.len();
     if particles.sizes.len() != count || strata.of.len() != count {
         return Err(Error::input(
-            format!("{count} particles with {} target edge lengths and {} strata", particles.sizes.len(), strata.of.len()),
+            format!(
+                "{count} particles with {} target edge lengths and {} strata",
+                particles.sizes.len(),
+                strata.of.len()
+            ),
             "each particle needs its own",
             "rerun the stages `seed` and `particles`",
         ));
@@ -179,11 +183,7 @@ fn closed_way(indicators: &dyn Indicators, point: &Point) -> Option<Vec<DVec3>> 
 }
 
 /// Particles that were taken, and the pairs with those bridged that were not.
-fn without_the_lost(
-    points: &[Option<Point>],
-    pairs: Vec<Segment>,
-    report: &mut Taken,
-) -> (Vec<Point>, Vec<Segment>) {
+fn without_the_lost(points: &[Option<Point>], pairs: Vec<Segment>, report: &mut Taken) -> (Vec<Point>, Vec<Segment>) {
     let is_kept: Vec<bool> = points.iter().map(Option::is_some).collect();
     let (pairs, bridged) = bridged(&is_kept, pairs);
     report.bridged += bridged;
@@ -269,7 +269,12 @@ fn with_curves(pairs: &[Segment], points: &[Point], indicators: &dyn Indicators)
     pairs.iter().filter_map(|pair| Some((*pair, curve(pair)?))).collect()
 }
 
-fn triangulated(points: Vec<Point>, pairs: Vec<Segment>, indicators: &dyn Indicators, mut report: Taken) -> Result<Prepared> {
+fn triangulated(
+    points: Vec<Point>,
+    pairs: Vec<Segment>,
+    indicators: &dyn Indicators,
+    mut report: Taken,
+) -> Result<Prepared> {
     let mut surface = SurfacePoints {
         positions: points.iter().map(|p| p.place).collect(),
         sizes: points.iter().map(|p| p.size).collect(),

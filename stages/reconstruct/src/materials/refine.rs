@@ -67,7 +67,13 @@ impl Ord for Entry {
         let places = a.total_cmp(&d).then(b.total_cmp(&e)).then(c.total_cmp(&f));
         let by_room = self.0.radius.total_cmp(&other.0.radius);
         // the heap gives the greatest first
-        other.0.reason.cmp(&self.0.reason).then(by_room).then(places).then(Reverse(self.0.simplex).cmp(&Reverse(other.0.simplex)))
+        other
+            .0
+            .reason
+            .cmp(&self.0.reason)
+            .then(by_room)
+            .then(places)
+            .then(Reverse(self.0.simplex).cmp(&Reverse(other.0.simplex)))
     }
 }
 
@@ -133,7 +139,7 @@ impl<'a> Refinement<'a> {
                 break;
             }
         }
-        self.report.relabelled += self.relabel()?;
+        self.report.relabelled += self.relabel(nodes);
         let facets = self.complex.labelled.facets();
         self.report.unresolved = BTreeMap::new();
         for violation in self.unresolved(&facets) {
@@ -181,7 +187,8 @@ impl<'a> Refinement<'a> {
 
     /// Inserts the point that mends a violation, or splits the segment on which it encroaches.
     fn mend(&mut self, violation: &Violation) -> Result<Outcome> {
-        let least = violation.size * if violation.reason == Reason::Deviation { NEAREST_FOR_SHAPE } else { NEAREST_FOR_TOPOLOGY };
+        let least = violation.size
+            * if violation.reason == Reason::Deviation { NEAREST_FOR_SHAPE } else { NEAREST_FOR_TOPOLOGY };
         if violation.radius < least {
             return Ok(Outcome::NoRoom);
         }

@@ -2,10 +2,10 @@
 //! points can tell.
 
 use super::complex::{Complex, Simplex, Violation};
+use super::nodes::Nodes;
 use super::refine::{Refinement, all_violations};
 use crate::around::{parts_round, runs_round, star};
 use isoparticles_field::materials::MaterialId;
-use isoparticles_stage::error::Result;
 
 /// Most tetrahedra that change their material at a time.
 const MOST: usize = 12;
@@ -14,11 +14,8 @@ const MOST: usize = 12;
 const ROUNDS: usize = 4;
 
 impl Refinement<'_> {
-    /// Lets tetrahedra at violations of the topology change their material where that leaves fewer; returns how often.
-    ///
-    /// # Errors
-    /// None as a rule.
-    pub(super) fn relabel(&mut self) -> Result<usize> {
+    /// Lets tetrahedra at violations of the topology change their material where that leaves fewer and takes no grid node along; returns how often.
+    pub(super) fn relabel(&mut self, nodes: Option<&Nodes>) -> usize {
         let mut count = 0;
         for _ in 0..ROUNDS {
             let facets = self.complex.labelled.facets();
@@ -28,23 +25,26 @@ impl Refinement<'_> {
             let before = count;
             for violation in left {
                 if self.complex.at_simplex(violation.simplex).is_some_and(|v| v.reason.is_topology()) {
-                    count += usize::from(relabel_at(&mut self.complex, violation.simplex));
+                    count += usize::from(relabel_at(&mut self.complex, violation.simplex, nodes));
                 }
             }
             if count == before {
                 break;
             }
         }
-        Ok(count)
+        count
     }
 }
 
 /// Gives some tetrahedra at a simplex to a material beside them, if that leaves fewer violations of the topology at all vertices that they have; true when some
 /// were.
-fn relabel_at(complex: &mut Complex, simplex: Simplex) -> bool {
+fn relabel_at(complex: &mut Complex, simplex: Simplex, nodes: Option<&Nodes>) -> bool {
     let mut candidates: Vec<(Vec<u32>, MaterialId)> = Vec::new();
     for set in sets_at(complex, simplex) {
-        if set.len() > MOST || set.iter().any(|&t| complex.labelled.delaunay().is_ghost(t)) {
+        let is_held = |&t: &u32| {
+            complex.labelled.delaunay().is_ghost(t) || nodes.is_some_and(|nodes| nodes.holds_own(complex, t))
+        };
+        if set.len() > MOST || set.iter().any(is_held) {
             continue;
         }
         let own = complex.material(set[0]);
@@ -59,9 +59,8 @@ fn relabel_at(complex: &mut Complex, simplex: Simplex) -> bool {
         let mut region: Vec<u32> = vertices.iter().flat_map(|&v| star(complex.labelled.delaunay(), v)).collect();
         region.sort_unstable();
         region.dedup();
-        let count = |complex: &Complex| {
-            complex.at_tetrahedra(&region).iter().filter(|v| v.reason.is_topology()).count()
-        };
+        let count =
+            |complex: &Complex| complex.at_tetrahedra(&region).iter().filter(|v| v.reason.is_topology()).count();
         let before = count(complex);
         let old: Vec<MaterialId> = set.iter().map(|&t| complex.material(t)).collect();
         set.iter().for_each(|&t| complex.labelled.set(t, *id));

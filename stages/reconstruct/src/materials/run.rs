@@ -80,7 +80,10 @@ pub fn run(args: &Args, path: &Path, context: &Context) -> Result<Outcome> {
     let surface = attributes(&made, &geometry);
     let mut notes = Map::new();
     notes.insert("refine".to_owned(), json!(made.refined));
-    notes.insert("interfaces".to_owned(), json!(made.checked.pairs.iter().map(|pair| &pair.between).collect::<Vec<_>>()));
+    notes.insert(
+        "interfaces".to_owned(),
+        json!(made.checked.pairs.iter().map(|pair| &pair.between).collect::<Vec<_>>()),
+    );
     let meta = SurfaceMeta {
         version: meta::VERSION,
         source: Some(Source::Labels),
@@ -91,7 +94,10 @@ pub fn run(args: &Args, path: &Path, context: &Context) -> Result<Outcome> {
         notes,
     };
     if args.output.extension().is_none_or(|ending| !ending.eq_ignore_ascii_case("vtp")) {
-        context.warn(format!("{}: the names of the materials are written to .vtp alone, and .stl keeps no numbers of triangles either", args.output.display()));
+        context.warn(format!(
+            "{}: the names of the materials are written to .vtp alone, and .stl keeps no numbers of triangles either",
+            args.output.display()
+        ));
     }
     if let Some(folder) = &args.each {
         write_each(folder, args, &made, table, &geometry, context)?;
@@ -164,7 +170,8 @@ fn write_each(
 
 /// The name of a material as that of a file, unlike all before: what is neither letter nor digit becomes a line, and its number tells two apart.
 fn file_name(name: &str, id: MaterialId, taken: &mut BTreeSet<String>) -> String {
-    let plain: String = name.chars().map(|c| if c.is_alphanumeric() || c == '-' || c == '.' { c } else { '_' }).collect();
+    let plain: String =
+        name.chars().map(|c| if c.is_alphanumeric() || c == '-' || c == '.' { c } else { '_' }).collect();
     let plain = if plain.trim_matches(['.', '_']).is_empty() { format!("material_{}", id.0) } else { plain };
     // file systems that do not tell capitals apart
     if taken.insert(plain.to_lowercase()) {
@@ -237,7 +244,8 @@ fn tell(made: &Reconstruction, context: &Context) {
         format!("{}, of these {} on junction curves", refined.inserted.values().sum::<usize>(), refined.on_curves),
     );
     if !refined.unresolved.is_empty() {
-        let left: Vec<String> = refined.unresolved.iter().map(|(reason, n)| format!("{n} of {}", json!(reason))).collect();
+        let left: Vec<String> =
+            refined.unresolved.iter().map(|(reason, n)| format!("{n} of {}", json!(reason))).collect();
         context.warn(format!("refinement ended at its smallest radius with violations left: {}", left.join(", ")));
     }
 }
@@ -250,7 +258,10 @@ fn describe(checked: &ComplexReport, context: &Context) {
     context.summary("materials, pairs that touch", format!("{materials}, {pairs}"));
     context.summary(
         "junction edges, points",
-        format!("{}, {}; {} of {} segments missing", checked.junction_edges, checked.junction_points, checked.missing_segments, checked.segments),
+        format!(
+            "{}, {}; {} of {} segments missing",
+            checked.junction_edges, checked.junction_points, checked.missing_segments, checked.segments
+        ),
     );
     context.summary(
         "components missing, specks missing",

@@ -2,7 +2,7 @@
 
 use glam::DVec3;
 use isoparticles_field::materials::{
-    Analytic, Indicators, Indicator, Material, MaterialId, Materials, Stratum, ball, half_space, maximum, negative,
+    Analytic, Indicator, Indicators, Material, MaterialId, Materials, Stratum, ball, half_space, maximum, negative,
 };
 use isoparticles_field::particle_set::{ParticleSet, Strata};
 use isoparticles_field::random::uniform;
@@ -13,7 +13,7 @@ use std::f64::consts::TAU;
 /// A curve: its materials, places along it one after the other, and whether it closes.
 pub(super) struct Curve {
     pub(super) ids: [u16; 3],
-    pub(super) way: Box<dyn Fn(f64) -> DVec3>,
+    pub(super) way: Box<dyn Fn(f64) -> DVec3 + Sync>,
     /// mm.
     pub(super) length: f64,
     pub(super) closed: bool,

@@ -93,7 +93,8 @@ impl Segments {
             let radius = 0.5 * a.distance(b);
             (a.midpoint(b).distance(place) / radius, pair)
         };
-        let deepest = near.map(depth).filter(|(depth, _)| *depth < 1.0).min_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+        let deepest =
+            near.map(depth).filter(|(depth, _)| *depth < 1.0).min_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
         deepest.map(|(_, pair)| pair)
     }
 }
