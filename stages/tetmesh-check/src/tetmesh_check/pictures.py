@@ -11,14 +11,18 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
 from tetmesh_check.rendering import rendering_environment
+
+if TYPE_CHECKING:
+    from tetmesh_check.context import Context
 
 PICTURES = ("surface", "closeup", "cut", "quality")
 """The pictures, in the order they are drawn."""
@@ -153,6 +157,41 @@ class Drawing:
                 process.kill()
                 process.wait()
         self._folder.cleanup()
+
+
+@contextmanager
+def drawing(job: PictureJob | None, context: Context) -> Iterator[None]:
+    """Have the pictures drawn beside the work of the block.
+
+    Parameters
+    ----------
+    job
+        What is to be drawn, if anything.
+    context
+        For times, warnings, and ``pictures`` in the results.
+    """
+    if job is None:
+        yield
+        return
+    drawn: list[str] = []
+    try:
+        job.folder.mkdir(parents=True, exist_ok=True)
+        drawing = Drawing(job)
+    except OSError as error:
+        skipped = {"all": str(error)}
+        yield
+    else:
+        with drawing:
+            yield
+            with context.step("pictures"):
+                try:
+                    drawn, skipped = drawing.finish()
+                except OSError as error:
+                    skipped = {"all": str(error)}
+    context.results["pictures"] = {"drawn": drawn, "skipped": skipped}
+    for reason in sorted(set(skipped.values())):
+        names = ", ".join(name for name, why in skipped.items() if why == reason)
+        context.warn(f"pictures skipped ({names}): {reason}")
 
 
 def _plotter(height: int = _WINDOW[1]) -> Any:

@@ -208,8 +208,14 @@ def _equal_faces(faces: Cells) -> tuple[Labels, NDArray[np.bool_]]:
     return order, (np.diff(pair[order]) == 0) & (np.diff(high[order]) == 0)
 
 
-def _number_rows(rows: Points | Cells) -> Labels:
-    """Give equal rows of an array equal numbers, shape ``(n,)``."""
+def number_rows(rows: Points | Cells) -> Labels:
+    """Give equal rows of an array equal numbers, from 0 on in their order, shape ``(n,)``.
+
+    Parameters
+    ----------
+    rows
+        Positions or vertex indices, shape ``(n, k)``.
+    """
     order = np.lexsort(rows.T)
     new = (rows[order[1:]] != rows[order[:-1]]).any(axis=1)
     number = np.zeros(len(rows), dtype=np.int64)
@@ -235,9 +241,9 @@ def changed_triangles(before: tuple[Points, Cells], after: tuple[Points, Cells])
         triangles = np.concatenate([before[1], after[1]])
     else:
         corners = np.concatenate([mesh[0][mesh[1]].reshape(-1, 3) for mesh in (before, after)])
-        triangles = _number_rows(corners).reshape(-1, 3)
+        triangles = number_rows(corners).reshape(-1, 3)
     # every triangle from its smallest corner on
     turn = (np.argmin(triangles, axis=1)[:, None] + np.arange(3)) % 3
-    number = _number_rows(np.take_along_axis(triangles, turn, axis=1))
+    number = number_rows(np.take_along_axis(triangles, turn, axis=1))
     first, second = np.split(number, [len(before[1])])
     return len(np.setdiff1d(first, second)), len(np.setdiff1d(second, first))
