@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from tetmesh_check.materials import NOTHING, Sides
-from tetmesh_check.quality import OUTWARD_FACES, Cells, Labels
-from tetmesh_check.topology import connected_components, number_rows
+from tetmesh_check.quality import Cells, Labels
+from tetmesh_check.topology import connected_components, faces_of, number_faces
 
 NOBODY = -1
 """In place of a tetrahedron that is not there."""
@@ -46,8 +46,8 @@ class Conformity:
 
 
 def _odd(faces: Cells) -> Labels:
-    """Whether each row is an odd permutation of its sorted one, shape ``(n,)``, 0 or 1."""
-    a, b, c = faces.T
+    """Whether each column is an odd permutation of its sorted one, shape ``(n,)``, 0 or 1."""
+    a, b, c = faces
     odd: Labels = ((a > b).astype(np.int64) + (b > c) + (a > c)) % 2
     return odd
 
@@ -66,8 +66,8 @@ def conform(tetrahedra: Cells, triangles: Cells, sides: Sides) -> Conformity:
     """
     size, count = len(tetrahedra), len(triangles)
     # face number f belongs to tetrahedron f modulo their number
-    faces = np.concatenate([tetrahedra[:, face] for face in OUTWARD_FACES])
-    number = number_rows(np.sort(np.concatenate([faces, triangles]), axis=1))
+    faces = faces_of(tetrahedra)
+    number = number_faces(np.concatenate([faces, triangles.T], axis=1))
     total = int(number.max(initial=-1)) + 1
     of_face, of_triangle = number[: 4 * size], number[4 * size :]
     uses = np.bincount(of_face, minlength=total)
@@ -82,7 +82,7 @@ def conform(tetrahedra: Cells, triangles: Cells, sides: Sides) -> Conformity:
     at = np.flatnonzero(triangle_of[of_face] != NOBODY)
     triangle, tetrahedron = triangle_of[of_face[at]], at % size
     # the outward face of a tetrahedron behind a triangle is wound like it
-    is_behind = _odd(faces[at]) == _odd(triangles)[triangle]
+    is_behind = _odd(faces[:, at]) == _odd(triangles.T)[triangle]
     behind, before = np.full(count, NOBODY, dtype=np.int64), np.full(count, NOBODY, dtype=np.int64)
     behind[triangle[is_behind]] = tetrahedron[is_behind]
     before[triangle[~is_behind]] = tetrahedron[~is_behind]

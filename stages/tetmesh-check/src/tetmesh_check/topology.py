@@ -149,7 +149,7 @@ def tetrahedron_boundary(tetrahedra: Cells) -> Boundary:
         Vertex indices in VTK order, shape ``(m, 4)``.
     """
     size = len(tetrahedra)
-    faces = _faces(tetrahedra)
+    faces = faces_of(tetrahedra)
     order, same = _equal_faces(faces)
     alone = np.sort(order[np.concatenate([[True], ~same]) & np.concatenate([~same, [True]])])
     # face number f belongs to tetrahedron f modulo their number
@@ -179,17 +179,37 @@ def outside_of_part(tetrahedra: Cells, part: Labels, on_boundary: NDArray[np.boo
     others[part] = False
     candidate = on_boundary.copy()
     candidate[tetrahedra[others]] = True
-    faces = _faces(tetrahedra[part])
+    faces = faces_of(tetrahedra[part])
     near = np.flatnonzero(candidate[faces[0]] & candidate[faces[1]] & candidate[faces[2]])
     order, same = _equal_faces(faces[:, near])
     alone = near[np.sort(order[np.concatenate([[True], ~same]) & np.concatenate([~same, [True]])])]
     return faces[:, alone].T, part[alone % len(part)]
 
 
-def _faces(tetrahedra: Cells) -> Cells:
-    """Outward faces by rows, shape ``(3, 4 m)``: the first of every tetrahedron, then the second, and so on."""
+def faces_of(tetrahedra: Cells) -> Cells:
+    """Outward faces by rows, shape ``(3, 4 m)``: the first of every tetrahedron, then the second, and so on.
+
+    Parameters
+    ----------
+    tetrahedra
+        Vertex indices in VTK order, shape ``(m, 4)``.
+    """
     corners = np.ascontiguousarray(tetrahedra.T)
     return np.stack([np.concatenate([corners[face[k]] for face in OUTWARD_FACES]) for k in range(3)])
+
+
+def number_faces(faces: Cells) -> Labels:
+    """Give faces with the same vertices, in any order, equal numbers, from 0 on; shape ``(n,)``.
+
+    Parameters
+    ----------
+    faces
+        Vertex indices by rows, shape ``(3, n)``.
+    """
+    order, same = _equal_faces(faces)
+    number = np.zeros(len(order), dtype=np.int64)
+    number[order[1:]] = np.cumsum(~same)
+    return number
 
 
 def _equal_faces(faces: Cells) -> tuple[Labels, NDArray[np.bool_]]:
@@ -208,14 +228,8 @@ def _equal_faces(faces: Cells) -> tuple[Labels, NDArray[np.bool_]]:
     return order, (np.diff(pair[order]) == 0) & (np.diff(high[order]) == 0)
 
 
-def number_rows(rows: Points | Cells) -> Labels:
-    """Give equal rows of an array equal numbers, from 0 on in their order, shape ``(n,)``.
-
-    Parameters
-    ----------
-    rows
-        Positions or vertex indices, shape ``(n, k)``.
-    """
+def _number_rows(rows: Points | Cells) -> Labels:
+    """Give equal rows of an array equal numbers, shape ``(n,)``."""
     order = np.lexsort(rows.T)
     new = (rows[order[1:]] != rows[order[:-1]]).any(axis=1)
     number = np.zeros(len(rows), dtype=np.int64)
@@ -241,9 +255,9 @@ def changed_triangles(before: tuple[Points, Cells], after: tuple[Points, Cells])
         triangles = np.concatenate([before[1], after[1]])
     else:
         corners = np.concatenate([mesh[0][mesh[1]].reshape(-1, 3) for mesh in (before, after)])
-        triangles = number_rows(corners).reshape(-1, 3)
+        triangles = _number_rows(corners).reshape(-1, 3)
     # every triangle from its smallest corner on
     turn = (np.argmin(triangles, axis=1)[:, None] + np.arange(3)) % 3
-    number = number_rows(np.take_along_axis(triangles, turn, axis=1))
+    number = _number_rows(np.take_along_axis(triangles, turn, axis=1))
     first, second = np.split(number, [len(before[1])])
     return len(np.setdiff1d(first, second)), len(np.setdiff1d(second, first))
