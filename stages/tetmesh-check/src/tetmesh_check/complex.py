@@ -190,6 +190,7 @@ def _materials(checked: Complex) -> list[dict[str, Any]]:
                 "volume_mm3": float(shells.sizes[own].sum()) if number != NOTHING else None,
                 "components": int(own.sum()) if number != NOTHING else None,
                 "area_mm2": float(checked.quality.area[behind | before].sum()),
+                "smallest_wedge_degrees": shells.narrowest.get(number),
                 "topology": topology.as_dict(),
             }
         )
@@ -209,8 +210,9 @@ def describe_complex(checked: Complex) -> dict[str, Any]:
     dict
         ``vertices, triangles, area_mm2``; ``junction_edges`` (edges with other than two triangles), ``junction_vertices`` (where
         junction edges end, or more than two of them meet), ``edges_by_triangles``, ``vertices_by_materials``; ``quality`` of all triangles;
-        ``rms_turn_degrees`` between the normals of neighbouring triangles of one sheet; ``materials``, each with volume, parts and the
-        topology of its own closed surface; ``interfaces``, each pair with area, connected pieces, quality and turn.
+        ``rms_turn_degrees`` between the normals of neighbouring triangles of one sheet; ``materials``, each with volume, parts, the
+        smallest angle between two of its facets and the topology of its own closed surface; ``interfaces``, each pair with area,
+        connected pieces, quality and turn.
     """
     surface, sides, edges = checked.surface, checked.sides, checked.edges
     pairs, which = sides.pairs()

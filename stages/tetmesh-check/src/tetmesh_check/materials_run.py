@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import fields
+from dataclasses import fields, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -10,13 +10,13 @@ import numpy as np
 from tetmesh_check.checks import Check, Limits, shape_checks, verdict
 from tetmesh_check.complex import Complex, check_complex, describe_complex
 from tetmesh_check.context import Context
+from tetmesh_check.drawing import drawing
 from tetmesh_check.errors import StageError
 from tetmesh_check.export import MarkedMesh, Materials, export, export_paths, plain_names
 from tetmesh_check.files import refuse_existing
 from tetmesh_check.forward import Forward, RegionMesh, Source, resolve_source
 from tetmesh_check.materials import NOTHING, Sides
 from tetmesh_check.materials_fill import ComplexTask, FilledComplex, fill_complex, refuse_method
-from tetmesh_check.pictures import drawing
 from tetmesh_check.quality import TetrahedronQuality, centres_of, summarize, summarize_all, triangle_quality
 from tetmesh_check.sizing import SizingField
 from tetmesh_check.solve import VolumeMesh, solve_on
@@ -233,6 +233,12 @@ def run_materials(
         f"{len(checked.sides.present)} materials, {len(counts['interfaces'])} interfaces, {counts['junction_edges']} junction edges, "
         f"{len(checked.shells.materials)} volumes"
     )
+    narrow = min(checked.shells.narrowest, key=lambda number: checked.shells.narrowest[number])
+    if (angle := checked.shells.narrowest[narrow]) < arguments.limits.min_dihedral:
+        context.warn(
+            f"two facets of {checked.sides.names[narrow]} meet at {angle:.3g} degrees: no tetrahedron between them can have a smallest "
+            f"dihedral angle of {arguments.limits.min_dihedral:g} degrees (--min-dihedral)"
+        )
     task = ComplexTask(
         checked=checked,
         field=sizing[0],
@@ -258,7 +264,8 @@ def run_materials(
         with context.step(f"export {kind}"):
             export(marked, arguments.output, arguments.name, kind, arguments.unit)
     context.results["exports"] = [path.name for path in exported]
-    with drawing(arguments.picture_job, context):
+    job = arguments.picture_job
+    with drawing(None if job is None else replace(job, many=True), context):
         checks = complex_checks(context.results["volume"], filled.quality, arguments.limits)
         checks += solve_on(mesh, arguments.solve, context, _forward(source, checked, filled))
     context.results["checks"] = [check.as_dict() for check in checks]

@@ -12,6 +12,7 @@ from tetmesh_check.checks import Limits, Measurements, run_checks
 from tetmesh_check.components import Components
 from tetmesh_check.context import Context
 from tetmesh_check.distance import distances_both_ways, summarize_distances
+from tetmesh_check.drawing import drawing
 from tetmesh_check.errors import StageError
 from tetmesh_check.export import MarkedMesh, export, export_paths
 from tetmesh_check.fill import Filled, Method, Task, fill
@@ -19,7 +20,7 @@ from tetmesh_check.forward import ForwardArguments, resolve_source
 from tetmesh_check.labels import LabelVolume, read_label_volume
 from tetmesh_check.materials_run import run_materials
 from tetmesh_check.memory import check_memory
-from tetmesh_check.pictures import PictureJob, drawing
+from tetmesh_check.pictures import PictureJob
 from tetmesh_check.quality import Values, centres_of, summarize, summarize_all, tetrahedron_quality, triangle_quality
 from tetmesh_check.regions import (
     CAP,

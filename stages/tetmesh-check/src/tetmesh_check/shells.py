@@ -75,26 +75,46 @@ def unbalanced_edges(edges: Edges, sides: Sides) -> dict[int, int]:
     return dict(zip(wrong.tolist(), number.tolist(), strict=True))
 
 
-def _angles(points: Points, triangles: Cells, edges: Edges, which: Labels) -> Values:
-    """Angle round its edge of the triangle of each of some half-edges, radians; by the right hand from the lower to the higher vertex."""
-    edge = edges.of[which]
-    start = points[edges.low[edge]]
-    axis = points[edges.high[edge]] - start
+def _angles(points: Points, triangles: Cells, edges: Edges) -> Values:
+    """Angle round its edge of the triangle of each half-edge, radians; by the right hand from the lower to the higher vertex."""
+    start = points[edges.low]
+    axis = points[edges.high] - start
     axis /= np.linalg.norm(axis, axis=1, keepdims=True)
-    out = points[triangles[which // 3, (which + 2) % 3]] - start
     # any direction across the axis will do for zero, if it is the same for all triangles of an edge
-    least = np.argmin(np.abs(axis), axis=1)
-    first = np.cross(axis, np.eye(3)[least])
+    first = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis), axis=1)])
     second = np.cross(axis, first)
-    angles: Values = np.arctan2(np.einsum("ij,ij->i", out, second), np.einsum("ij,ij->i", out, first))
+    out = points[np.roll(triangles, -2, axis=1).ravel()] - start[edges.of]
+    angles: Values = np.arctan2(
+        np.einsum("ij,ij->i", out, second[edges.of]), np.einsum("ij,ij->i", out, first[edges.of])
+    )
     return angles
 
 
-def _wedges(points: Points, triangles: Cells, edges: Edges) -> Cells:
-    """Pairs of sides that a wedge joins, shape ``(3 m, 2)``; side ``2 t`` of triangle t is its inside, ``2 t + 1`` its outside."""
-    angle = np.zeros(len(edges.of))
-    several = np.flatnonzero(edges.uses[edges.of] > 2)
-    angle[several] = _angles(points, triangles, edges, several)
+@dataclass(frozen=True)
+class Wedges:
+    """What lies between triangles that follow each other round an edge, one for each half-edge."""
+
+    ahead: Labels
+    """Side of the triangle before the wedge, shape ``(3 m,)``; side ``2 t`` of triangle t is its inside, ``2 t + 1`` its outside."""
+    behind: Labels
+    """Side of the triangle after it."""
+    angle: Values
+    """How wide it is, degrees, above 0 and up to 360."""
+
+
+def wedges_of(points: Points, triangles: Cells, edges: Edges) -> Wedges:
+    """Find the wedges round all edges.
+
+    Parameters
+    ----------
+    points
+        Positions, mm, shape ``(n, 3)``.
+    triangles
+        Vertex indices, shape ``(m, 3)``.
+    edges
+        Those of the triangles.
+    """
+    angle = _angles(points, triangles, edges)
     order = np.lexsort((angle, edges.of))
     # the one after each half-edge round its edge
     ends = np.cumsum(edges.uses)
@@ -104,7 +124,8 @@ def _wedges(points: Points, triangles: Cells, edges: Edges) -> Cells:
     # a triangle that goes along the edge has its outside ahead of it, at the larger angles
     ahead = 2 * (order // 3) + edges.forward[order]
     behind = 2 * (after // 3) + ~edges.forward[after]
-    return np.stack([ahead, behind], 1)
+    width = np.degrees(angle[after] - angle[order])
+    return Wedges(ahead, behind, np.where(width <= 0.0, width + 360.0, width))
 
 
 @dataclass(frozen=True)
@@ -121,6 +142,8 @@ class Shells:
     """Volume before it, shape ``(m,)``; -1 where there is no material."""
     mixed: int
     """Wedges between sides of different materials: at such an edge the order of the triangles contradicts their materials."""
+    narrowest: dict[int, float]
+    """Smallest wedge of each material but the outside, degrees: no tetrahedron there has a wider smallest dihedral angle."""
     inside_out: int
     """Shells that bound a cavity which lies in no volume of its material: turned the wrong way round."""
 
@@ -145,9 +168,12 @@ def measure_shells(points: Points, triangles: Cells, sides: Sides, edges: Edges)
         Those of the triangles.
     """
     material_of_side = np.stack([sides.inside, sides.outside], 1).ravel()
-    wedges = _wedges(points, triangles, edges)
-    mixed = int((material_of_side[wedges[:, 0]] != material_of_side[wedges[:, 1]]).sum())
-    shell = connected_components(2 * len(triangles), wedges)
+    wedges = wedges_of(points, triangles, edges)
+    of_wedge = material_of_side[wedges.ahead]
+    mixed = int((of_wedge != material_of_side[wedges.behind]).sum())
+    narrowest = np.full(len(sides.table), np.inf)
+    np.minimum.at(narrowest, of_wedge, wedges.angle)
+    shell = connected_components(2 * len(triangles), np.stack([wedges.ahead, wedges.behind], 1))
     count = int(shell.max(initial=-1)) + 1
     material = np.zeros(count, dtype=np.int64)
     material[shell] = material_of_side
@@ -166,7 +192,15 @@ def measure_shells(points: Points, triangles: Cells, sides: Sides, edges: Edges)
     known = volume >= 0
     total: Values = np.bincount(volume[known], weights=size[known], minlength=len(outer)).astype(np.float64)
     lost = int((volume[cavities] < 0).sum())
-    return Shells(material[outer], total, volume[shell[0::2]], volume[shell[1::2]], mixed, lost)
+    return Shells(
+        materials=material[outer],
+        sizes=total,
+        of_inside=volume[shell[0::2]],
+        of_outside=volume[shell[1::2]],
+        mixed=mixed,
+        narrowest={number: float(narrowest[number]) for number in sides.present},
+        inside_out=lost,
+    )
 
 
 def _parents(points: Points, facets: Cells, shell: Labels, material: Labels, size: Values, cavities: Labels) -> Labels:
