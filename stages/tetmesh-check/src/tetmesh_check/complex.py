@@ -14,7 +14,7 @@ from tetmesh_check.materials import NOTHING, Sides
 from tetmesh_check.quality import Cells, Labels, Points, TriangleQuality, Values, summarize_all, triangle_quality
 from tetmesh_check.shells import Edges, Shells, edges_of, measure_shells, unbalanced_edges
 from tetmesh_check.surface import Surface
-from tetmesh_check.topology import connected_components, measure_topology
+from tetmesh_check.topology import connected_components, measure_topology, members_of
 
 FLAT = 1e-12
 """Area of a triangle over the mean, up to which it has none."""
@@ -175,8 +175,10 @@ def _materials(checked: Complex) -> list[dict[str, Any]]:
     """Each material's own closed surface."""
     surface, sides, shells = checked.surface, checked.sides, checked.shells
     listed = []
+    count = len(sides.table)
+    behind_of, before_of = members_of(sides.inside, count), members_of(sides.outside, count)
     for number in [NOTHING, *sides.present]:
-        behind, before = sides.inside == number, sides.outside == number
+        behind, before = behind_of[number], before_of[number]
         facets = np.concatenate([surface.triangles[behind], surface.triangles[before][:, [0, 2, 1]]])
         if not len(facets):
             continue
@@ -189,7 +191,7 @@ def _materials(checked: Complex) -> list[dict[str, Any]]:
                 "name": sides.names[number],
                 "volume_mm3": float(shells.sizes[own].sum()) if number != NOTHING else None,
                 "components": int(own.sum()) if number != NOTHING else None,
-                "area_mm2": float(checked.quality.area[behind | before].sum()),
+                "area_mm2": float(checked.quality.area[np.concatenate([behind, before])].sum()),
                 "smallest_wedge_degrees": shells.narrowest.get(number),
                 "topology": topology.as_dict(),
             }
@@ -219,8 +221,9 @@ def describe_complex(checked: Complex) -> dict[str, Any]:
     turns, pair_of_turn = _turns(surface, edges, which)
     pieces = _pieces(edges, which, len(surface.triangles))
     interfaces = []
+    triangles_of, turns_of = members_of(which, len(pairs)), members_of(pair_of_turn, len(pairs))
     for k, (inside, outside) in enumerate(pairs.tolist()):
-        own = which == k
+        own = triangles_of[k]
         part = TriangleQuality(
             **{name: getattr(checked.quality, name)[own] for name in TriangleQuality.__dataclass_fields__}
         )
@@ -229,10 +232,10 @@ def describe_complex(checked: Complex) -> dict[str, Any]:
                 "inside": inside,
                 "outside": outside,
                 "name": sides.pair_name((inside, outside)),
-                "triangles": int(own.sum()),
+                "triangles": len(own),
                 "area_mm2": float(part.area.sum()),
                 "pieces": len(np.unique(pieces[own])),
-                "rms_turn_degrees": _rms(turns[pair_of_turn == k]),
+                "rms_turn_degrees": _rms(turns[turns_of[k]]),
                 "quality": summarize_all(part),
             }
         )

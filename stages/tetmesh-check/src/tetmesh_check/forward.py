@@ -20,9 +20,10 @@ from skfem.helpers import dot, grad
 
 from tetmesh_check.assembly import Assembler
 from tetmesh_check.errors import StageError
-from tetmesh_check.materials import Sides
+from tetmesh_check.materials import NOTHING, Sides
 from tetmesh_check.problems import Solver
 from tetmesh_check.quality import OUTWARD_FACES, Cells, Labels, Points, Values
+from tetmesh_check.topology import members_of
 
 DEFAULT_CONDUCTIVITY = 1.0
 """Of a material that the user does not name, S/m."""
@@ -193,15 +194,17 @@ def _balance(points: Points, tetrahedra: Cells, current: Values, mesh: RegionMes
     """Currents through the closed surface of each material, by the equations of the vertices on it."""
     gradients, _volumes = _hat_gradients(points, tetrahedra)
     share = np.einsum("ikj,ij->ik", gradients, current)
+    count = len(mesh.names)
+    sides = [np.where(owner < 0, NOTHING, mesh.regions[owner]) for owner in (mesh.behind, mesh.before)]
+    behind_of, before_of = (members_of(side, count) for side in sides)
     balances = []
-    for number in np.unique(mesh.regions).tolist():
-        own = mesh.regions == number
-        out = np.bincount(tetrahedra[own].ravel(), weights=share[own].ravel(), minlength=len(points))
-        around = ((mesh.behind >= 0) & (mesh.regions[mesh.behind] == number)) | (
-            (mesh.before >= 0) & (mesh.regions[mesh.before] == number)
-        )
-        on_surface = np.zeros(len(points), dtype=bool)
-        on_surface[mesh.triangles[around]] = True
+    for number, own in enumerate(members_of(mesh.regions, count)):
+        if not len(own):
+            continue
+        used, local = np.unique(tetrahedra[own], return_inverse=True)
+        out = np.bincount(local.ravel(), weights=share[own].ravel())
+        around = np.unique(mesh.triangles[np.concatenate([behind_of[number], before_of[number]])])
+        on_surface = np.isin(used, around, assume_unique=True)
         passing = float(np.abs(out[on_surface]).sum())
         net = float(out[on_surface].sum())
         balances.append({"number": number, "passing_ua": passing, "net_ua": net})
@@ -216,13 +219,14 @@ def _interfaces(points: Points, current: Values, mesh: RegionMesh) -> list[dict[
     outermost = mesh.before < 0
     from_before = np.where(outermost, 0.0, np.einsum("ij,ij->i", areas, current[mesh.before]))
     listed = []
-    for k, name in enumerate(mesh.pair_names):
-        own = mesh.pair == k
+    inner, through = ~outermost, 0.5 * (from_behind + from_before)
+    for name, own in zip(mesh.pair_names, members_of(mesh.pair, len(mesh.pair_names)), strict=True):
+        passed = through[own[inner[own]]]
         listed.append(
             {
                 "name": name,
-                "net_ua": float((0.5 * (from_behind + from_before))[own & ~outermost].sum()),
-                "passing_ua": float(np.abs(0.5 * (from_behind + from_before))[own & ~outermost].sum()),
+                "net_ua": float(passed.sum()),
+                "passing_ua": float(np.abs(passed).sum()),
                 "jump_ua": float(np.abs(from_behind - from_before)[own].sum()),
             }
         )

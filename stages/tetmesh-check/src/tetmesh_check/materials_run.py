@@ -21,7 +21,7 @@ from tetmesh_check.quality import TetrahedronQuality, centres_of, summarize, sum
 from tetmesh_check.sizing import SizingField
 from tetmesh_check.solve import VolumeMesh, solve_on
 from tetmesh_check.surface import Surface
-from tetmesh_check.topology import tetrahedron_boundary
+from tetmesh_check.topology import members_of, tetrahedron_boundary
 from tetmesh_check.volume import write_volume
 
 if TYPE_CHECKING:
@@ -35,19 +35,20 @@ def _part(quality: TetrahedronQuality, own: Any) -> TetrahedronQuality:
 def _regions(checked: Complex, filled: FilledComplex) -> list[dict[str, Any]]:
     """Measure each region: its volume against that of the surface, its parts, its tetrahedra."""
     listed = []
+    members = members_of(filled.conformity.regions, len(checked.sides.table))
     for number in checked.sides.present:
-        own = filled.conformity.regions == number
+        own = members[number]
         wanted = checked.shells.materials == number
         entry: dict[str, Any] = {
             "number": number,
             "name": checked.sides.names[number],
-            "tetrahedra": int(own.sum()),
+            "tetrahedra": len(own),
             "parts": len(np.unique(filled.conformity.parts[own])),
             "surface_parts": int(wanted.sum()),
             "volume_mm3": float(filled.quality.volume[own].sum()),
             "surface_volume_mm3": float(checked.shells.sizes[wanted].sum()),
         }
-        if own.any():
+        if len(own):
             entry["quality"] = summarize_all(_part(filled.quality, own))
         listed.append(entry)
     return listed

@@ -31,6 +31,20 @@ def connected_components(count: int, links: Cells) -> Labels:
     return labels
 
 
+def members_of(labels: Labels, count: int) -> list[Labels]:
+    """Indices of the members of each group, ascending; one array a group.
+
+    Parameters
+    ----------
+    labels
+        Group of each, from 0 on.
+    count
+        Number of groups.
+    """
+    order = np.argsort(labels, kind="stable")
+    return np.split(order, np.searchsorted(labels[order], np.arange(1, count)))
+
+
 _MAX_COUNT_IN_ONE_KEY = 1 << 21
 """Vertices so few that three of their numbers fit one number of 64 bits."""
 
