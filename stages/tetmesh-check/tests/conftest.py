@@ -94,7 +94,7 @@ def fake_library(folder: Path, monkeypatch: pytest.MonkeyPatch, name: str, code:
     """Let processes started from now on import this code under the name of a library."""
     (folder / "fake").mkdir(exist_ok=True)
     (folder / "fake" / f"{name}.py").write_text(code)
-    monkeypatch.setenv("PYTHONPATH", str(folder / "fake"))
+    monkeypatch.setenv("PYTHONPATH", str(folder / "fake"), prepend=os.pathsep)
     monkeypatch.setenv("PYTHONDONTWRITEBYTECODE", "1")
 
 

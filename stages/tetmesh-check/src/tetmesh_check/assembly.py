@@ -81,7 +81,12 @@ class Assembler:
             mesh = MeshTet(np.ascontiguousarray(self.points[used].T), np.ascontiguousarray(local.reshape(-1, 4).T))
             yield used, Basis(mesh, element, intorder=order)
 
-    def matrix(self, form: Callable[..., Any], coefficient: Callable[[Any], Any] | None = None) -> Any:
+    def matrix(
+        self,
+        form: Callable[..., Any],
+        coefficient: Callable[[Any], Any] | None = None,
+        weights: Values | None = None,
+    ) -> Any:
         """Assemble a bilinear form ``form(u, v, w)`` to a sparse matrix.
 
         Parameters
@@ -90,11 +95,16 @@ class Assembler:
             In terms of gradients only.
         coefficient
             Of positions; the form finds its values, computed once, as ``w.coefficient``.
+        weights
+            One number a tetrahedron, shape ``(m,)``; the form finds them as ``w.weight``.
         """
         size = len(self.points)
         parts: list[tuple[int, Any]] = []
-        for used, basis in self._blocks(False, _STIFFNESS_ORDER):
+        for number, (used, basis) in enumerate(self._blocks(False, _STIFFNESS_ORDER)):
             known = {}
+            if weights is not None:
+                own = weights[number * BLOCK : (number + 1) * BLOCK, None]
+                known["weight"] = np.broadcast_to(own, np.asarray(basis.dx).shape)
             if coefficient is not None:
                 known["coefficient"] = coefficient(np.asarray(basis.global_coordinates()))
             local = BilinearForm(form).assemble(basis, **known).tocoo()

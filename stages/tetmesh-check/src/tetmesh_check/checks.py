@@ -86,6 +86,53 @@ def well_shaped(quality: TetrahedronQuality, limits: Limits) -> bool:
     )
 
 
+def verdict(name: str, passed: bool, value: float, limit: float, words: str, required: bool = True) -> Check:
+    """Make a check; the arguments are its fields."""
+    return Check(name, bool(passed), required, float(value), float(limit), words)
+
+
+def shape_checks(quality: TetrahedronQuality, limits: Limits) -> list[Check]:
+    """Judge the shape of the tetrahedra.
+
+    Parameters
+    ----------
+    quality
+        The measures.
+    limits
+        What is demanded.
+    """
+    not_positive = int((quality.volume <= 0).sum())
+    dihedral = float(quality.min_dihedral.min())
+    jacobian = float(quality.scaled_jacobian.min())
+    sharp = int((quality.min_dihedral < limits.min_dihedral).sum())
+    flat = int((quality.scaled_jacobian < limits.min_scaled_jacobian).sum())
+    return [
+        verdict(
+            "positive_volumes",
+            not_positive == 0,
+            not_positive,
+            0,
+            f"{not_positive} of {quality.volume.size} tetrahedra are inverted or flat",
+        ),
+        verdict(
+            "min_dihedral",
+            dihedral >= limits.min_dihedral,
+            dihedral,
+            limits.min_dihedral,
+            f"the smallest dihedral angle is {dihedral:.3g} degrees; {sharp} tetrahedra are below the limit of "
+            f"{limits.min_dihedral:g}",
+        ),
+        verdict(
+            "min_scaled_jacobian",
+            jacobian >= limits.min_scaled_jacobian,
+            jacobian,
+            limits.min_scaled_jacobian,
+            f"the smallest scaled Jacobian is {jacobian:.3g}; {flat} tetrahedra are below the limit of "
+            f"{limits.min_scaled_jacobian:g}",
+        ),
+    ]
+
+
 def run_checks(measured: Measurements, limits: Limits) -> list[Check]:
     """Judge a volume mesh.
 
@@ -97,48 +144,17 @@ def run_checks(measured: Measurements, limits: Limits) -> list[Check]:
         What is demanded of it.
     """
     quality = measured.quality
-    not_positive = int((quality.volume <= 0).sum())
-    dihedral = float(quality.min_dihedral.min())
-    jacobian = float(quality.scaled_jacobian.min())
     volume = float(quality.volume.sum())
     change = 100.0 * (volume / measured.surface_volume - 1.0)
     max_distance = limits.max_distance if limits.max_distance is not None else 2.0 * measured.envelope
-    sharp = int((quality.min_dihedral < limits.min_dihedral).sum())
-    flat = int((quality.scaled_jacobian < limits.min_scaled_jacobian).sum())
-    total = quality.volume.size
     boundary = measured.boundary_topology
     loose = (
         boundary.open_edges + boundary.nonmanifold_edges + boundary.badly_oriented_edges + boundary.nonmanifold_vertices
     )
 
-    def check(name: str, passed: bool, value: float, limit: float, words: str, required: bool = True) -> Check:
-        return Check(name, bool(passed), required, float(value), float(limit), words)
-
     return [
-        check(
-            "positive_volumes",
-            not_positive == 0,
-            not_positive,
-            0,
-            f"{not_positive} of {total} tetrahedra are inverted or flat",
-        ),
-        check(
-            "min_dihedral",
-            dihedral >= limits.min_dihedral,
-            dihedral,
-            limits.min_dihedral,
-            f"the smallest dihedral angle is {dihedral:.3g} degrees; {sharp} tetrahedra are below the limit of "
-            f"{limits.min_dihedral:g}",
-        ),
-        check(
-            "min_scaled_jacobian",
-            jacobian >= limits.min_scaled_jacobian,
-            jacobian,
-            limits.min_scaled_jacobian,
-            f"the smallest scaled Jacobian is {jacobian:.3g}; {flat} tetrahedra are below the limit of "
-            f"{limits.min_scaled_jacobian:g}",
-        ),
-        check(
+        *shape_checks(quality, limits),
+        verdict(
             "volume_change",
             np.abs(change) <= limits.max_volume_change,
             change,
@@ -146,28 +162,28 @@ def run_checks(measured: Measurements, limits: Limits) -> list[Check]:
             f"the tetrahedra fill {volume:.6g} mm^3, the surface bounds {measured.surface_volume:.6g} mm^3: {change:+.3g} % "
             f"(limit {limits.max_volume_change:g} %)",
         ),
-        check(
+        verdict(
             "bodies",
             measured.bodies == measured.surface_bodies,
             measured.bodies,
             measured.surface_bodies,
             f"separate bodies: {measured.bodies} of tetrahedra, {measured.surface_bodies} within the surface",
         ),
-        check(
+        verdict(
             "boundary_distance",
             measured.boundary_distance <= max_distance,
             measured.boundary_distance,
             max_distance,
             f"the boundary strays up to {measured.boundary_distance:.3g} mm from the surface (limit {max_distance:.3g} mm)",
         ),
-        check(
+        verdict(
             "surface_distance",
             measured.surface_distance <= max_distance,
             measured.surface_distance,
             max_distance,
             f"the surface lies up to {measured.surface_distance:.3g} mm from the boundary (limit {max_distance:.3g} mm)",
         ),
-        check(
+        verdict(
             "boundary_manifold",
             loose == 0,
             loose,
@@ -175,7 +191,7 @@ def run_checks(measured: Measurements, limits: Limits) -> list[Check]:
             f"{loose} edges or vertices of the boundary are not manifold (sheets that touch there); most solvers accept that",
             required=False,
         ),
-        check(
+        verdict(
             "euler_characteristic",
             boundary.euler_characteristic == measured.surface_topology.euler_characteristic,
             boundary.euler_characteristic,

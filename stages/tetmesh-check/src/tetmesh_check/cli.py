@@ -13,7 +13,7 @@ from tetmesh_check.context import TOOL, CommonArguments, Context, Interruptible,
 from tetmesh_check.errors import StageError, unexpected
 from tetmesh_check.files import check_report, refuse_existing, same_file
 from tetmesh_check.memory import number_of_bytes
-from tetmesh_check.parsing import Parser, formats, number, whole
+from tetmesh_check.parsing import Parser, formats, named_number, number, source_of_current, whole
 
 _DESCRIPTION = """\
 Fills a closed triangle surface with tetrahedra (fTetWild, or HXT of Gmsh where that is installed), graded by the size field h of
@@ -193,6 +193,27 @@ def build_parser() -> argparse.ArgumentParser:
         "(default 60)",
     )
 
+    many = parser.add_argument_group(
+        "Many materials",
+        "For a surface of many materials: all are filled at once (by Gmsh) and share the triangles between them. With a source, the potential "
+        "of its current in all of them is solved for, too, and every material's current balance is checked.",
+    )
+    many.add_argument(
+        "--source",
+        metavar="NAME[=X,Y,Z]",
+        type=source_of_current,
+        default=None,
+        help="the material in which a current of this density arises, uA/mm^2 along the world's axes (default 1,0,0)",
+    )
+    many.add_argument(
+        "--conductivity",
+        metavar="NAME=S",
+        type=named_number,
+        action="append",
+        default=[],
+        help="conductivity of a material, S/m, above 0; may be repeated (default 1 for those not named)",
+    )
+
     shared = parser.add_argument_group("Shared options")
     loudness = shared.add_mutually_exclusive_group()
     loudness.add_argument("-v", "--verbose", action="count", default=0, help="say more on stderr")
@@ -304,6 +325,7 @@ def _run(parsed: argparse.Namespace, context: Context) -> list[str]:
     # pyvista takes a second to load; --help and usage errors need not wait for it
     from tetmesh_check.checks import Limits
     from tetmesh_check.fill import Method
+    from tetmesh_check.forward import ForwardArguments
     from tetmesh_check.pictures import PICTURES
     from tetmesh_check.pipeline import Arguments, run
     from tetmesh_check.solve import SolveMode, SolveSettings
@@ -324,6 +346,9 @@ def _run(parsed: argparse.Namespace, context: Context) -> list[str]:
         max_seconds=parsed.max_seconds,
         limits=Limits(parsed.min_dihedral, parsed.min_scaled_jacobian, parsed.max_volume_change, parsed.max_distance),
         solve=SolveSettings(SolveMode(parsed.solve), parsed.solve_seconds, parsed.compare_seconds),
+        forward=ForwardArguments(dict(parsed.conductivity))
+        if parsed.source is None
+        else ForwardArguments(dict(parsed.conductivity), *parsed.source),
     )
     context.parameters.update(arguments.parameters())
     if arguments.output.suffix != ".vtu":

@@ -59,13 +59,13 @@ def component_volumes(points: Points, triangles: Cells, labels: Labels) -> Value
     return volumes
 
 
-def _generic_rotation() -> Points:
+def generic_rotation() -> Points:
     """Build a rotation without any relation to the axes, so that rays do not run along rows of vertices."""
     rotation, _ = np.linalg.qr(np.array([[0.36, 0.48, -0.8], [-0.81, 0.57, 0.13], [0.52, 0.64, 0.57]]))
     return np.asarray(rotation)
 
 
-def _ray_crossings(starts: Points, corners: Points) -> tuple[Labels, Labels, Labels]:
+def ray_crossings(starts: Points, corners: Points) -> tuple[Labels, Labels, Labels]:
     """Crossings of the rays from some points along +x with triangles, shape ``(m, 3, 3)``.
 
     Returns
@@ -122,9 +122,9 @@ def measure_components(points: Points, triangles: Cells) -> Components:
     depths = np.zeros(count, dtype=np.int64)
     parents = np.full(count, -1, dtype=np.int64)
     if count > 1:
-        turned = points @ _generic_rotation().T
+        turned = points @ generic_rotation().T
         first_triangle = np.unique(labels, return_index=True)[1]
-        rays, hit, sides = _ray_crossings(turned[triangles[first_triangle, 0]], turned[triangles])
+        rays, hit, sides = ray_crossings(turned[triangles[first_triangle, 0]], turned[triangles])
         # a ray that starts outside a component leaves it as often as it enters
         pairs, which = np.unique(rays * count + labels[hit], return_inverse=True)
         inner, outer = np.divmod(pairs[np.bincount(which.ravel(), weights=sides) != 0], count)

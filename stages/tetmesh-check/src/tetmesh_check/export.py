@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 import io
+import json
+import re
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import meshio
 import numpy as np
+from numpy.typing import NDArray
 
+from tetmesh_check.field_data import add_text
 from tetmesh_check.files import write_atomically
+from tetmesh_check.materials import NOTHING
 from tetmesh_check.polydata import to_polydata
 from tetmesh_check.quality import Cells, Labels, Points
 from tetmesh_check.regions import CAP, SURFACE
@@ -24,6 +29,41 @@ NAMES = {SURFACE: "surface", CAP: "cap"}
 
 
 @dataclass(frozen=True)
+class Materials:
+    """What a mesh of many materials has beside one of one object."""
+
+    table: list[dict[str, Any]]
+    """What each number stands for, as the surface has it."""
+    regions: dict[int, str]
+    """Names of the regions by number, such as every format takes: letters, digits and underscores."""
+    pairs: dict[int, str]
+    """Names of the interfaces by mark, both regions' with ``_to_`` between them."""
+    before: Labels
+    """Tetrahedron before each triangle of the interfaces, shape ``(k,)``; -1 where the outside is."""
+
+
+def plain_names(names: list[str]) -> list[str]:
+    """Write names with letters, digits and underscores alone, no two the same but for the case of letters.
+
+    Parameters
+    ----------
+    names
+        Any names.
+    """
+    plain: list[str] = []
+    for name in names:
+        word = re.sub(r"[^A-Za-z0-9_]+", "_", name).strip("_") or "material"
+        word = word if word[0].isalpha() else f"m_{word}"
+        used = {other.lower() for other in plain}
+        number = 2
+        unique = word
+        while unique.lower() in used:
+            unique, number = f"{word}_{number}", number + 1
+        plain.append(unique)
+    return plain
+
+
+@dataclass(frozen=True)
 class MarkedMesh:
     """Tetrahedra and their boundary, each with its mark."""
 
@@ -32,17 +72,40 @@ class MarkedMesh:
     tetrahedra: Cells
     """Vertex indices in VTK order, shape ``(m, 4)``."""
     regions: Labels
-    """Label of each tetrahedron, shape ``(m,)``; all 1 where no label volume is given."""
+    """Label of each tetrahedron, shape ``(m,)``; all 1 where no label volume is given. Of many materials the number of its own."""
     boundary: Cells
-    """Triangles of the boundary, outward, shape ``(k, 3)``."""
+    """Triangles of the boundary, outward, shape ``(k, 3)``. Of many materials those of all interfaces."""
     owners: Labels
     """Tetrahedron behind each of them, shape ``(k,)``."""
     marks: Labels
-    """:data:`.SURFACE` or :data:`.CAP`, shape ``(k,)``."""
+    """:data:`.SURFACE` or :data:`.CAP`, shape ``(k,)``. Of many materials the number of the pair, from 1 on."""
+    materials: Materials | None = None
+    """What is known of many materials; ``None`` for one object."""
+
+    def region_name(self, label: int) -> str:
+        """What a region is called in sets and groups."""
+        return f"region_{label}" if self.materials is None else self.materials.regions[label]
+
+    def mark_name(self, mark: int) -> str:
+        """What a part of the boundary, or an interface, is called in sets and groups."""
+        return NAMES[mark] if self.materials is None else self.materials.pairs[mark]
+
+    def outermost(self) -> NDArray[np.bool_]:
+        """Which triangles lie on the boundary of the whole, shape ``(k,)``."""
+        if self.materials is None:
+            return np.ones(len(self.boundary), dtype=bool)
+        alone: NDArray[np.bool_] = self.materials.before < 0
+        return alone
 
     def point_marks(self) -> Labels:
-        """Mark of each point, shape ``(n,)``: 0 inside, else that of its triangles, :data:`.CAP` only where all are."""
+        """Mark of each point, shape ``(n,)``: 0 inside, else that of its triangles, :data:`.CAP` only where all are.
+
+        Of many materials it is :data:`.SURFACE` on the boundary of the whole.
+        """
         marks = np.zeros(len(self.points), dtype=np.int64)
+        if self.materials is not None:
+            marks[self.boundary[self.outermost()]] = SURFACE
+            return marks
         marks[self.boundary[self.marks == CAP]] = CAP
         marks[self.boundary[self.marks == SURFACE]] = SURFACE
         return marks
@@ -72,19 +135,23 @@ _ABAQUS_FACE = np.array([3, 4, 2, 1])
 
 
 def _abaqus(mesh: MarkedMesh, path: Path) -> None:
-    """C3D4 elements; ELSET REGION_n; NSET and SURFACE of each part of the boundary (a point on its rim is in both sets)."""
+    """C3D4 elements; ELSET of each region; NSET and SURFACE of each part of the boundary (a point on its rim is in both sets).
+
+    The surface of an interface consists of faces of the elements behind it.
+    """
     parts = [f"*HEADING\nisoparticles\n*NODE\n{_abaqus_nodes(mesh.points)}*ELEMENT, TYPE=C3D4, ELSET=VOLUME\n"]
     parts.append(_numbered(1, mesh.tetrahedra + 1))
     for label in np.unique(mesh.regions).tolist():
-        parts.append(f"*ELSET, ELSET=REGION_{label}\n{_list(np.flatnonzero(mesh.regions == label) + 1)}")
+        parts.append(
+            f"*ELSET, ELSET={mesh.region_name(label).upper()}\n{_list(np.flatnonzero(mesh.regions == label) + 1)}"
+        )
     away = (mesh.tetrahedra[mesh.owners][:, :, None] != mesh.boundary[:, None, :]).all(axis=2)
     faces = _ABAQUS_FACE[away.argmax(axis=1)]
-    for mark in (SURFACE, CAP):
-        if mark in mesh.marks:
-            own, name = mesh.marks == mark, NAMES[mark].upper()
-            parts.append(f"*NSET, NSET={name}\n{_list(np.unique(mesh.boundary[own]) + 1)}")
-            pairs = np.column_stack([mesh.owners[own] + 1, faces[own]])
-            parts.append(f"*SURFACE, NAME={name}, TYPE=ELEMENT\n{_rows(pairs, '%d, S%d')}")
+    for mark in np.unique(mesh.marks).tolist():
+        own, name = mesh.marks == mark, mesh.mark_name(mark).upper()
+        parts.append(f"*NSET, NSET={name}\n{_list(np.unique(mesh.boundary[own]) + 1)}")
+        pairs = np.column_stack([mesh.owners[own] + 1, faces[own]])
+        parts.append(f"*SURFACE, NAME={name}, TYPE=ELEMENT\n{_rows(pairs, '%d, S%d')}")
     path.write_text("".join(parts), encoding="ascii")
 
 
@@ -103,19 +170,22 @@ def _febio(mesh: MarkedMesh, path: Path) -> None:
     labels = np.unique(mesh.regions).tolist()
     nodes = np.column_stack([np.arange(1, len(mesh.points) + 1), mesh.points])
     materials = "".join(
-        f'<material id="{number}" name="region_{label}" type="neo-Hookean">'
+        f'<material id="{number}" name="{mesh.region_name(label)}" type="neo-Hookean">'
         "<density>1</density><E>1</E><v>0.3</v></material>\n"
         for number, label in enumerate(labels, 1)
     )
     parts, first = [], 1
     for label in labels:
         own = mesh.tetrahedra[mesh.regions == label]
-        parts.append(f'<Elements type="tet4" name="region_{label}">\n{elements("elem", first, own)}</Elements>\n')
+        parts.append(
+            f'<Elements type="tet4" name="{mesh.region_name(label)}">\n{elements("elem", first, own)}</Elements>\n'
+        )
         first += len(own)
     for mark in np.unique(mesh.marks).tolist():
         own = mesh.boundary[mesh.marks == mark]
-        parts.append(f'<Surface name="{NAMES[mark]}">\n{elements("tri3", 1, own)}</Surface>\n')
-    domains = "".join(f'<SolidDomain name="region_{label}" mat="region_{label}"/>\n' for label in labels)
+        parts.append(f'<Surface name="{mesh.mark_name(mark)}">\n{elements("tri3", 1, own)}</Surface>\n')
+    names = map(mesh.region_name, labels)
+    domains = "".join(f'<SolidDomain name="{name}" mat="{name}"/>\n' for name in names)
     path.write_text(
         f"""<?xml version="1.0" encoding="ISO-8859-1"?>
 <febio_spec version="4.0"><Module type="solid"/>
@@ -182,18 +252,19 @@ def _simvascular_volume(mesh: MarkedMesh, path: Path) -> None:
 
 def _simvascular_boundary(mesh: MarkedMesh, path: Path) -> None:
     """SimVascular's mesh-complete.exterior.vtp: faces by their part of the boundary, and the element behind each."""
-    used, local = np.unique(mesh.boundary, return_inverse=True)
+    shown = mesh.outermost()
+    used, local = np.unique(mesh.boundary[shown], return_inverse=True)
     surface = to_polydata(mesh.points[used], local.reshape(-1, 3))
     surface.point_data["GlobalNodeID"] = (used + 1).astype(np.int32)
-    surface.cell_data["GlobalElementID"] = (mesh.owners + 1).astype(np.int32)
-    surface.cell_data["ModelFaceID"] = mesh.marks.astype(np.int32)
+    surface.cell_data["GlobalElementID"] = (mesh.owners[shown] + 1).astype(np.int32)
+    surface.cell_data["ModelFaceID"] = mesh.marks[shown].astype(np.int32)
     surface.save(path)
 
 
 def _gmsh(mesh: MarkedMesh, path: Path) -> None:
-    """Version 2.2, binary: physical groups of dimension 3 (``region_n``, tag n) and 2 (``surface``, ``cap``)."""
-    groups = {f"region_{label}": np.array([label, 3]) for label in np.unique(mesh.regions)}
-    groups.update({NAMES[mark]: np.array([mark, 2]) for mark in np.unique(mesh.marks).tolist()})
+    """Version 2.2, binary: physical groups of dimension 3 (regions) and 2 (parts of the boundary, or interfaces)."""
+    groups = {mesh.region_name(label): np.array([label, 3]) for label in np.unique(mesh.regions).tolist()}
+    groups.update({mesh.mark_name(mark): np.array([mark, 2]) for mark in np.unique(mesh.marks).tolist()})
     tags = [mesh.regions.astype(np.int32), mesh.marks.astype(np.int32)]
     meshio.write(
         path,
@@ -213,6 +284,19 @@ def _xdmf(mesh: MarkedMesh, path: Path) -> None:
 
     By hand, because meshio's writer wants HDF5 for any XDMF.
     """
+    data = {("region", "Cell"): mesh.regions, ("boundary", "Node"): mesh.point_marks()}
+    _write_xdmf(path, "volume", mesh.points, ("Tetrahedron", mesh.tetrahedra), data)
+
+
+def _xdmf_interfaces(mesh: MarkedMesh, path: Path) -> None:
+    """The triangles of the interfaces with their ``pair``, on the same points: what FEniCS takes as tags of facets."""
+    _write_xdmf(path, "interfaces", mesh.points, ("Triangle", mesh.boundary), {("pair", "Cell"): mesh.marks})
+
+
+def _write_xdmf(
+    path: Path, name: str, points: Points, cells: tuple[str, Cells], data: dict[tuple[str, str], Labels]
+) -> None:
+    """One uniform grid; ``data`` by name and place (``Cell`` or ``Node``)."""
 
     def item(values: Points | Cells | Labels) -> str:
         kind = 'NumberType="Float" Precision="8"' if values.dtype == np.float64 else 'NumberType="Int" Precision="8"'
@@ -220,26 +304,36 @@ def _xdmf(mesh: MarkedMesh, path: Path) -> None:
         rows = _rows(values, "%.17g" if values.dtype == np.float64 else "%d")
         return f'<DataItem Format="XML" {kind} Dimensions="{size}">\n{rows}</DataItem>\n'
 
+    attributes = "".join(
+        f'<Attribute Name="{what}" AttributeType="Scalar" Center="{place}">{item(values)}</Attribute>\n'
+        for (what, place), values in data.items()
+    )
+    kind, members = cells
     path.write_text(
         f'''<?xml version="1.0"?>
-<Xdmf Version="3.0"><Domain><Grid Name="volume" GridType="Uniform">
-<Geometry GeometryType="XYZ">{item(mesh.points)}</Geometry>
-<Topology TopologyType="Tetrahedron" NumberOfElements="{len(mesh.tetrahedra)}">{item(mesh.tetrahedra)}</Topology>
-<Attribute Name="region" AttributeType="Scalar" Center="Cell">{item(mesh.regions)}</Attribute>
-<Attribute Name="boundary" AttributeType="Scalar" Center="Node">{item(mesh.point_marks())}</Attribute>
-</Grid></Domain></Xdmf>
+<Xdmf Version="3.0"><Domain><Grid Name="{name}" GridType="Uniform">
+<Geometry GeometryType="XYZ">{item(points)}</Geometry>
+<Topology TopologyType="{kind}" NumberOfElements="{len(members)}">{item(members)}</Topology>
+{attributes}</Grid></Domain></Xdmf>
 ''',
         encoding="utf-8",
     )
 
 
 def _triangles(mesh: MarkedMesh, path: Path) -> None:
-    """The boundary with ``mark``, ``tetrahedron`` (its owner), ``region`` of that, and ``point`` in the volume mesh."""
+    """The boundary with ``mark``, ``tetrahedron`` (its owner), ``region`` of that, and ``point`` in the volume mesh.
+
+    Of many materials all interfaces: ``region`` is that behind the triangle, ``region_before`` the other.
+    """
     used, local = np.unique(mesh.boundary, return_inverse=True)
     surface = to_polydata(mesh.points[used], local.reshape(-1, 3))
     surface.cell_data["mark"] = mesh.marks
     surface.cell_data["tetrahedron"] = mesh.owners
     surface.cell_data["region"] = mesh.regions[mesh.owners]
+    if mesh.materials is not None:
+        before = mesh.materials.before
+        surface.cell_data["region_before"] = np.where(before < 0, NOTHING, mesh.regions[before])
+        add_text(surface, "materials", json.dumps(mesh.materials.table))
     surface.point_data["point"] = used
     surface.save(path)
 
@@ -260,10 +354,15 @@ _WRITE: dict[str, dict[str, Callable[[MarkedMesh, Path], None]]] = {
 """The files of each format, ``NAME.`` before each, and what writes them. All but the boundary begin with ``volume``, by which the rest of the
 project knows them as results of this stage."""
 
+_WRITE_INTERFACES: dict[str, dict[str, Callable[[MarkedMesh, Path], None]]] = {
+    "xdmf": {"volume.interfaces.xdmf": _xdmf_interfaces},
+}
+"""What is written beside that for many materials."""
+
 _PER_MM = {"mm": 1.0, "m": 1e-3, "um": 1e3}
 
 
-def export_paths(output: Path, name: str, kind: str) -> list[Path]:
+def export_paths(output: Path, name: str, kind: str, many: bool = False) -> list[Path]:
     """Files of one format, beside the volume mesh.
 
     Parameters
@@ -274,8 +373,14 @@ def export_paths(output: Path, name: str, kind: str) -> list[Path]:
         Name of the case.
     kind
         One of :data:`.FORMATS`.
+    many
+        Whether there are many materials.
     """
-    return [output.with_name(f"{name}.{ending}") for ending in _WRITE[kind]]
+    return [output.with_name(f"{name}.{ending}") for ending in _files(kind, many)]
+
+
+def _files(kind: str, many: bool) -> dict[str, Callable[[MarkedMesh, Path], None]]:
+    return {**_WRITE[kind], **(_WRITE_INTERFACES.get(kind, {}) if many else {})}
 
 
 def export(mesh: MarkedMesh, output: Path, name: str, kind: str, unit: str = "mm") -> None:
@@ -296,7 +401,8 @@ def export(mesh: MarkedMesh, output: Path, name: str, kind: str, unit: str = "mm
     """
     scale = _PER_MM["um" if kind == "carp" else unit]
     scaled = mesh if scale == 1.0 else replace(mesh, points=mesh.points * scale)
-    for path, write in zip(export_paths(output, name, kind), _WRITE[kind].values(), strict=True):
+    many = mesh.materials is not None
+    for path, write in zip(export_paths(output, name, kind, many), _files(kind, many).values(), strict=True):
 
         def into(temporary: Path, write: Callable[[MarkedMesh, Path], None] = write) -> None:
             write(scaled, temporary)

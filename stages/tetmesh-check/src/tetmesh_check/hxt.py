@@ -8,13 +8,15 @@ is imported in the worker's process only.
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from tetmesh_check.components import Components
 from tetmesh_check.context import Context
+from tetmesh_check.shells import Shells
 from tetmesh_check.sizing import WorldGrid
 from tetmesh_check.surface import Surface
 from tetmesh_check.worker import TimeLimit, Worker, WorkerResult, run_worker
@@ -42,6 +44,9 @@ _WORKER = Worker(
     "libraries it lacks, or use --method ftetwild",
 )
 
+_NAMES = {"hxt": "HXT", "delaunay": "Gmsh's Delaunay"}
+_COMPLEX_FAILS = "try a larger or smaller --tet-size-factor, or mesh fewer materials"
+
 
 @dataclass(frozen=True)
 class HxtSettings:
@@ -49,6 +54,8 @@ class HxtSettings:
 
     optimize_threshold: float = OPTIMIZE_THRESHOLD
     """See :data:`OPTIMIZE_THRESHOLD`."""
+    algorithm: str = "hxt"
+    """Or ``delaunay``, Gmsh's older one, for complexes: slower, and it takes some that HXT does not."""
 
 
 def fill_by_hxt(
@@ -75,16 +82,56 @@ def fill_by_hxt(
     log, limit, context
         See :func:`.run_worker`, also for the errors.
     """
+    arrays = {"labels": components.labels, "bodies": components.bodies()}
+    return _fill(_WORKER, arrays, surface, grid, settings, log, limit, context)
+
+
+def fill_complex_by_gmsh(
+    surface: Surface,
+    shells: Shells,
+    grid: WorldGrid,
+    settings: HxtSettings,
+    log: Path,
+    limit: TimeLimit,
+    context: Context,
+) -> WorkerResult:
+    """Fill all volumes of a surface of many materials with tetrahedra that share its triangles.
+
+    Parameters
+    ----------
+    surface
+        A checked complex.
+    shells
+        Its volumes.
+    grid, settings, log, limit, context
+        As for :func:`fill_by_hxt`.
+    """
+    bounds, sheet = shells.sheets()
+    worker = replace(
+        _WORKER, name=_NAMES[settings.algorithm], when_it_fails=_COMPLEX_FAILS, when_it_is_empty=_COMPLEX_FAILS
+    )
+    return _fill(worker, {"sheet": sheet, "bounds": bounds}, surface, grid, settings, log, limit, context)
+
+
+def _fill(
+    worker: Worker,
+    about: dict[str, Any],
+    surface: Surface,
+    grid: WorldGrid,
+    settings: HxtSettings,
+    log: Path,
+    limit: TimeLimit,
+    context: Context,
+) -> WorkerResult:
     arrays = {
         "points": surface.points,
         "triangles": surface.triangles,
-        "labels": components.labels,
-        "bodies": components.bodies(),
+        **about,
         "sizing": LENGTH_FACTOR * grid.values,
         "sizing_origin": grid.origin,
         "sizing_spacing": np.array(grid.spacing),
     }
-    result = run_worker(_WORKER, arrays, settings, log, limit, context)
+    result = run_worker(worker, arrays, settings, log, limit, context)
     result.summary.update(
         optimize_threshold=settings.optimize_threshold, length_factor=LENGTH_FACTOR, sizing_nodes=grid.values.size
     )

@@ -9,8 +9,8 @@ import numpy as np
 
 from tetmesh_check.worker import serve
 
-_HXT = 10
-"""HXT's number in Gmsh's option ``Mesh.Algorithm3D``."""
+_ALGORITHMS = {"hxt": 10, "delaunay": 1}
+"""Numbers of Gmsh's option ``Mesh.Algorithm3D``."""
 _TRIANGLE, _TETRAHEDRON = 2, 4
 """Gmsh's numbers of the kinds of cells."""
 
@@ -41,7 +41,7 @@ def _set_options(gmsh: Any, settings: dict[str, Any]) -> None:
         # One thread gives the same bytes however many the machine has. With more, the result depends on their number even
         # with Mesh.Reproducible, and Gmsh failed to read the background field on a surface of several bodies.
         "General.NumThreads": 1,
-        "Mesh.Algorithm3D": _HXT,
+        "Mesh.Algorithm3D": _ALGORITHMS[settings["algorithm"]],
         "Mesh.OptimizeThreshold": settings["optimize_threshold"],
         # the background field alone says how large the tetrahedra are
         "Mesh.MeshSizeExtendFromBoundary": 0,
@@ -74,6 +74,34 @@ def _add_volumes(gmsh: Any, arrays: dict[str, Any]) -> list[int]:
     return volumes
 
 
+def _add_regions(gmsh: Any, arrays: dict[str, Any]) -> list[int]:
+    """Hand over a complex, one discrete surface a sheet, and one volume for those round it; returns their tags.
+
+    Sheets share the vertices on their rims: each is handed over once, by the first sheet that has it. Two volumes never have the
+    same sheets, by which Gmsh knows what lies in which.
+    """
+    points, triangles, sheet, bounds = arrays["points"], arrays["triangles"], arrays["sheet"], arrays["bounds"]
+    order = np.argsort(sheet, kind="stable")
+    parts = np.split(order, np.cumsum(np.bincount(sheet))[:-1])
+    surfaces = [gmsh.model.addDiscreteEntity(2) for _ in parts]
+    new = np.ones(len(points), dtype=bool)
+    for surface, part in zip(surfaces, parts, strict=True):
+        used = np.unique(triangles[part])
+        used = used[new[used]]
+        new[used] = False
+        if len(used):
+            gmsh.model.mesh.addNodes(2, surface, used + 1, points[used].ravel())
+    for surface, part in zip(surfaces, parts, strict=True):
+        gmsh.model.mesh.addElementsByType(surface, _TRIANGLE, [], (triangles[part] + 1).ravel())
+    volumes = []
+    for volume in range(int(bounds.max()) + 1):
+        around = np.flatnonzero((bounds == volume).any(axis=1))
+        loop = gmsh.model.geo.addSurfaceLoop([surfaces[k] for k in around])
+        volumes.append(gmsh.model.geo.addVolume([loop]))
+    gmsh.model.geo.synchronize()
+    return volumes
+
+
 def fill(gmsh: Any, arrays: dict[str, Any], settings: dict[str, Any]) -> tuple[Any, Any]:
     """Fill the surface.
 
@@ -83,7 +111,8 @@ def fill(gmsh: Any, arrays: dict[str, Any], settings: dict[str, Any]) -> tuple[A
         The library.
     arrays
         ``points, triangles``; ``labels`` (component of each triangle); ``bodies`` (for each component the number of the
-        one round its body); ``sizing, sizing_origin, sizing_spacing`` (edge lengths on a grid).
+        one round its body), or for a complex ``sheet`` (that of each triangle) and ``bounds`` (the two volumes of each sheet, -1 for
+        none); ``sizing, sizing_origin, sizing_spacing`` (edge lengths on a grid).
     settings
         Those of :class:`.HxtSettings`.
 
@@ -94,7 +123,7 @@ def fill(gmsh: Any, arrays: dict[str, Any], settings: dict[str, Any]) -> tuple[A
     """
     gmsh.initialize(readConfigFiles=False, interruptible=False)
     _set_options(gmsh, settings)
-    volumes = _add_volumes(gmsh, arrays)
+    volumes = (_add_regions if "sheet" in arrays else _add_volumes)(gmsh, arrays)
 
     file = Path("sizing.bin").absolute()
     write_structured_field(file, arrays["sizing"], arrays["sizing_origin"], float(arrays["sizing_spacing"]))

@@ -101,3 +101,37 @@ def formats(text: str) -> tuple[str, ...]:
         if word not in FORMATS:
             raise argparse.ArgumentTypeError(f"'{word}' is none of {', '.join(FORMATS)}")
     return words
+
+
+def named_number(text: str) -> tuple[str, float]:
+    """Parse ``NAME=VALUE`` with a value above 0; the name may hold equals signs.
+
+    Parameters
+    ----------
+    text
+        What the user gave.
+    """
+    name, equals, value = text.rpartition("=")
+    if not name or not equals:
+        raise argparse.ArgumentTypeError(f"'{text}' is not NAME=VALUE")
+    return name, number(0.0, math.inf, low_allowed=False)(value)
+
+
+def source_of_current(text: str) -> tuple[str, tuple[float, float, float]]:
+    """Parse ``NAME`` or ``NAME=X,Y,Z``, a vector that is not zero.
+
+    Parameters
+    ----------
+    text
+        What the user gave.
+    """
+    name, equals, value = text.rpartition("=")
+    if not equals:
+        return text, (1.0, 0.0, 0.0)
+    try:
+        x, y, z = (float(word) for word in value.split(","))
+    except ValueError:
+        x = y = z = 0.0
+    if not name or not math.isfinite(x + y + z) or x == y == z == 0.0:
+        raise argparse.ArgumentTypeError(f"'{text}' is not NAME or NAME=X,Y,Z with three numbers that are not all 0")
+    return name, (x, y, z)

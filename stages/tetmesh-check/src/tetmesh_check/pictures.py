@@ -20,10 +20,10 @@ import numpy as np
 
 from tetmesh_check.rendering import rendering_environment
 
-PICTURES = ("surface", "closeup", "cut", "quality")
-"""The pictures, in the order they are drawn."""
-_RENDERED = frozenset({"surface", "closeup", "cut"})
-_SHARES = (("surface", "quality"), ("closeup", "cut"))
+PICTURES = ("surface", "closeup", "cut", "regions", "quality")
+"""The pictures, in the order they are drawn; ``regions`` of many materials only."""
+_RENDERED = frozenset({"surface", "closeup", "cut", "regions"})
+_SHARES = (("surface", "quality"), ("closeup", "cut", "regions"))
 """What each of the processes draws, about the same work each."""
 _DRAWING_SECONDS = 300.0
 _WINDOW = (1600, 1200)
@@ -41,6 +41,10 @@ _EDGE_COLOUR = "#2b2b2b"
 _CLOSEUP_EDGES = 22.0
 """Height of the close-up in local edge lengths."""
 _COLOURS = "viridis"
+_LEGEND = 11
+"""Materials that the legend names at most."""
+_LETTERS = 22
+"""Letters of a name there."""
 
 
 @dataclass(frozen=True)
@@ -55,6 +59,8 @@ class PictureJob:
     """Where the pictures go."""
     name: str
     """Name of the case; a picture is called ``NAME.PICTURE.png``."""
+    many: bool = False
+    """Whether the volume mesh is of many materials."""
 
     def path(self, picture: str) -> Path:
         """File of one of :data:`PICTURES`."""
@@ -76,13 +82,13 @@ class Drawing:
         self._skipped = {
             picture: "no off-screen renderer on this machine (Debian, Ubuntu: apt-get install libosmesa6, or libegl1 libgl1-mesa-dri)"
             for picture in PICTURES
-            if environment is None and picture in _RENDERED
+            if environment is None and picture in _RENDERED and (job.many or picture != "regions")
         }
         self._folder = tempfile.TemporaryDirectory(prefix="tetmesh-check-")
         self._started = time.monotonic()
         self._processes: list[tuple[tuple[str, ...], subprocess.Popen[bytes]]] = []
         for number, share in enumerate(_SHARES):
-            wanted = tuple(picture for picture in share if picture not in self._skipped)
+            wanted = tuple(p for p in share if p not in self._skipped and (job.many or p != "regions"))
             if wanted:
                 self._processes.append((wanted, self._start(number, wanted, environment)))
 
@@ -201,9 +207,7 @@ def _save_with_bar(plotter: Any, path: Path, title: str, limits: tuple[float, fl
 
     mpl.use("Agg")
     from matplotlib import pyplot
-    from PIL import Image
 
-    mesh = Image.fromarray(plotter.screenshot(None, transparent_background=True, return_img=True))
     figure = pyplot.figure(figsize=(_WINDOW[0] / 100, _BAR / 100), dpi=100)
     axis = figure.add_axes((0.12, 0.66, 0.76, 0.2))
     norm = mpl.colors.Normalize(*limits)
@@ -215,7 +219,16 @@ def _save_with_bar(plotter: Any, path: Path, title: str, limits: tuple[float, fl
     bar.outline.set_visible(False)
     axis.tick_params(labelsize=25, colors=_INK, length=0, pad=4)
     axis.set_xlabel(title, fontsize=25, color=_INK, labelpad=2)
-    strip_path = path.with_name("bar.png")
+    _save_above(plotter, path, figure)
+
+
+def _save_above(plotter: Any, path: Path, figure: Any) -> None:
+    """Write what a plotter shows, with a strip of matplotlib's below and not over it."""
+    from matplotlib import pyplot
+    from PIL import Image
+
+    mesh = Image.fromarray(plotter.screenshot(None, transparent_background=True, return_img=True))
+    strip_path = path.with_name(f"{path.stem}.strip.png")
     figure.savefig(strip_path, transparent=True)
     pyplot.close(figure)
     whole = Image.new("RGBA", _WINDOW)
@@ -294,42 +307,81 @@ def _edge_length(points: Any, cells: Any) -> float:
     return float((2.0**0.5 * 6.0 * signed_tetrahedron_volumes(points, cells).mean()) ** (1.0 / 3.0))
 
 
-def _draw_cut(_surface: Any, volume: Any, path: Path) -> None:
+def _cut_of(volume: Any) -> tuple[Any, Any, Any]:
+    """Triangles on the outside of the farther half, the cut itself, and the edge length of the tetrahedra, mm."""
     import pyvista as pv
 
     from tetmesh_check.cut import cut_of
     from tetmesh_check.polydata import to_polydata
 
-    plotter = _plotter(_WINDOW[1] - _BAR)
     points = np.asarray(volume.points, dtype=np.float64)
     cells = np.asarray(volume.cells_dict[pv.CellType.TETRA], dtype=np.int64)
     cut = cut_of(volume)
     used, local = np.unique(cut.triangles, return_inverse=True)
-    kept = to_polydata(points[used], local.reshape(-1, 3))
-    ratio = np.asarray(volume.cell_data["radius_ratio"])
-    kept.cell_data["radius ratio"] = ratio[cut.owners]
-    limits = _range(ratio)
-    normal, up = cut.normal, cut.up
-    # Seen slightly from the side, so that the depth of the cut shows.
-    towards_eye = normal + 0.28 * np.cross(up, normal) + 0.22 * up
-    shown = points[used]
-    height = _height_in_view(shown, towards_eye, up, _WINDOW[1] - _BAR)
-    edge = _edge_length(points, cells)
+    return to_polydata(points[used], local.reshape(-1, 3)), cut, _edge_length(points, cells)
+
+
+def _show_cut(plotter: Any, kept: Any, cut: Any, edge: float, **colours: Any) -> None:
+    """Show the farther half slightly from the side, so that the depth of the cut shows."""
+    towards_eye = cut.normal + 0.28 * np.cross(cut.up, cut.normal) + 0.22 * cut.up
+    shown = np.asarray(kept.points)
+    height = _height_in_view(shown, towards_eye, cut.up, _WINDOW[1] - _BAR)
     plotter.add_mesh(
         kept,
-        scalars="radius ratio",
-        clim=limits,
         ambient=0.35,
         diffuse=0.7,
-        cmap=_COLOURS,
         show_edges=True,
         edge_color=_EDGE_COLOUR,
         line_width=_edge_width(height, edge),
         edge_opacity=float(np.clip(edge / height * _WINDOW[1] / 6.0, 0.15, 1.0)),
         show_scalar_bar=False,
+        **colours,
     )
-    _look(plotter, _centre(shown), towards_eye, height, up)
+    _look(plotter, _centre(shown), towards_eye, height, cut.up)
+
+
+def _draw_cut(_surface: Any, volume: Any, path: Path) -> None:
+    plotter = _plotter(_WINDOW[1] - _BAR)
+    kept, cut, edge = _cut_of(volume)
+    ratio = np.asarray(volume.cell_data["radius_ratio"])
+    kept.cell_data["radius ratio"] = ratio[cut.owners]
+    limits = _range(ratio)
+    _show_cut(plotter, kept, cut, edge, scalars="radius ratio", clim=limits, cmap=_COLOURS)
     _save_with_bar(plotter, path, "radius ratio of the tetrahedra", limits)
+
+
+def _draw_regions(_surface: Any, volume: Any, path: Path) -> None:
+    from tetmesh_check.colours import region_colours
+    from tetmesh_check.field_data import text_of
+
+    plotter = _plotter(_WINDOW[1] - _BAR)
+    kept, cut, edge = _cut_of(volume)
+    region = np.asarray(volume.cell_data["region"])[cut.owners]
+    names = [entry["name"] for entry in json.loads(text_of(volume, "materials") or "[]")]
+    colours = region_colours(len(names))
+    kept.cell_data["colour"] = colours[region]
+    _show_cut(plotter, kept, cut, edge, scalars="colour", rgb=True)
+    # the largest on the cut first, as many as there is room for
+    numbers, areas = np.unique(region, return_counts=True)
+    shown = numbers[np.argsort(-areas, kind="stable")]
+    _save_with_legend(plotter, path, [(names[k], colours[k]) for k in shown])
+
+
+def _save_with_legend(plotter: Any, path: Path, entries: list[tuple[str, Any]]) -> None:
+    """Write what a plotter shows, with names and their colours below it."""
+    import matplotlib as mpl
+
+    mpl.use("Agg")
+    from matplotlib import pyplot
+    from matplotlib.patches import Patch
+
+    figure = pyplot.figure(figsize=(_WINDOW[0] / 100, _BAR / 100), dpi=100)
+    shown = entries[:_LEGEND]
+    patches = [Patch(color=np.asarray(colour) / 255.0, label=name[:_LETTERS]) for name, colour in shown]
+    if len(entries) > len(shown):
+        patches.append(Patch(color="none", label=f"and {len(entries) - len(shown)} more"))
+    figure.legend(handles=patches, loc="center", ncols=4, fontsize=20, labelcolor=_INK, frameon=False)
+    _save_above(plotter, path, figure)
 
 
 def _draw_quality(surface: Any, volume: Any, path: Path) -> None:
@@ -381,6 +433,7 @@ _DRAW: dict[str, Callable[[Any, Any, Path], None]] = {
     "surface": _draw_surface,
     "closeup": _draw_closeup,
     "cut": _draw_cut,
+    "regions": _draw_regions,
     "quality": _draw_quality,
 }
 

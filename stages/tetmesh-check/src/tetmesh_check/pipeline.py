@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -14,12 +12,15 @@ from tetmesh_check.checks import Limits, Measurements, run_checks
 from tetmesh_check.components import Components
 from tetmesh_check.context import Context
 from tetmesh_check.distance import distances_both_ways, summarize_distances
+from tetmesh_check.drawing import drawing
 from tetmesh_check.errors import StageError
 from tetmesh_check.export import MarkedMesh, export, export_paths
 from tetmesh_check.fill import Filled, Method, Task, fill
+from tetmesh_check.forward import ForwardArguments, resolve_source
 from tetmesh_check.labels import LabelVolume, read_label_volume
+from tetmesh_check.materials_run import run_materials
 from tetmesh_check.memory import check_memory
-from tetmesh_check.pictures import Drawing, PictureJob
+from tetmesh_check.pictures import PictureJob
 from tetmesh_check.quality import Values, centres_of, summarize, summarize_all, tetrahedron_quality, triangle_quality
 from tetmesh_check.regions import (
     CAP,
@@ -66,6 +67,8 @@ class Arguments:
     max_seconds: float = 3600.0
     limits: Limits = field(default_factory=Limits)
     solve: SolveSettings = field(default_factory=SolveSettings)
+    forward: ForwardArguments = field(default_factory=ForwardArguments)
+    """For many materials: what conducts how well, and where a current arises."""
 
     @property
     def name(self) -> str:
@@ -99,6 +102,7 @@ class Arguments:
             "max_volume_change": self.limits.max_volume_change,
             "max_distance": self.limits.max_distance,
             "solve": self.solve.mode,
+            **({} if self.forward.source is None else {"forward": asdict(self.forward)}),
         }
 
 
@@ -217,33 +221,6 @@ def _mark(surface: Surface, mesh: VolumeMesh, labels: LabelVolume | None, contex
     return MarkedMesh(mesh.points, mesh.tetrahedra, regions, outside, mesh.boundary.owners, marks)
 
 
-@contextmanager
-def _drawing(job: PictureJob | None, context: Context) -> Iterator[None]:
-    """Have the pictures drawn beside the work of the block."""
-    if job is None:
-        yield
-        return
-    drawn: list[str] = []
-    try:
-        job.folder.mkdir(parents=True, exist_ok=True)
-        drawing = Drawing(job)
-    except OSError as error:
-        skipped = {"all": str(error)}
-        yield
-    else:
-        with drawing:
-            yield
-            with context.step("pictures"):
-                try:
-                    drawn, skipped = drawing.finish()
-                except OSError as error:
-                    skipped = {"all": str(error)}
-    context.results["pictures"] = {"drawn": drawn, "skipped": skipped}
-    for reason in sorted(set(skipped.values())):
-        names = ", ".join(name for name, why in skipped.items() if why == reason)
-        context.warn(f"pictures skipped ({names}): {reason}")
-
-
 def run(arguments: Arguments, context: Context) -> list[str]:
     """Do the work of the stage.
 
@@ -278,6 +255,9 @@ def run(arguments: Arguments, context: Context) -> list[str]:
             context.add_input(arguments.labels_volume, None)
     context.verbose(f"{arguments.surface}: {len(surface.points)} vertices, {len(surface.triangles)} triangles")
 
+    if surface.sides is not None:
+        return run_materials(arguments, surface, (_size(surface, sizing, context)[0], sizing), context)
+    resolve_source(arguments.forward, None)
     with context.step("check surface"):
         topology, components = check_surface(arguments.surface, surface)
         context.results["surface"] = _surface_results(surface, topology)
@@ -322,7 +302,7 @@ def run(arguments: Arguments, context: Context) -> list[str]:
         with context.step(f"export {kind}"):
             export(marked, arguments.output, arguments.name, kind, arguments.unit)
     context.results["exports"] = [path.name for path in arguments.export_paths()]
-    with _drawing(arguments.picture_job, context):
+    with drawing(arguments.picture_job, context):
         checks = run_checks(measured, arguments.limits) + solve_on(mesh, arguments.solve, context)
 
     context.results["checks"] = [check.as_dict() for check in checks]

@@ -11,8 +11,9 @@ from typing import Any
 import numpy as np
 
 from tetmesh_check.assembly import Assembler
-from tetmesh_check.checks import Check
+from tetmesh_check.checks import Check, verdict
 from tetmesh_check.context import Context
+from tetmesh_check.forward import MAX_IMBALANCE, Forward, forward
 from tetmesh_check.krylov import OutOfTimeError
 from tetmesh_check.problems import Solver, conduction, elasticity, poisson
 from tetmesh_check.quality import Cells, Points, Values
@@ -98,7 +99,17 @@ def _checks(done: dict[str, dict[str, Any]], stuck: list[str]) -> list[Check]:
     return [Check("solve_converged", not stuck, True, float(len(stuck)), 0.0, words)]
 
 
-def solve_on(mesh: VolumeMesh, settings: SolveSettings, context: Context) -> list[Check]:
+def _conserved(done: dict[str, dict[str, Any]]) -> list[Check]:
+    if "forward" not in done:
+        return []
+    imbalance = done["forward"]["imbalance"]
+    words = f"of the current through the surface of a material a share of up to {imbalance:.2g} is lost or gained (limit {MAX_IMBALANCE:g})"
+    return [verdict("current_conserved", imbalance <= MAX_IMBALANCE, imbalance, MAX_IMBALANCE, words)]
+
+
+def solve_on(
+    mesh: VolumeMesh, settings: SolveSettings, context: Context, currents: Forward | None = None
+) -> list[Check]:
     """Solve the problems of :mod:`.problems` on a mesh.
 
     Parameters
@@ -109,6 +120,8 @@ def solve_on(mesh: VolumeMesh, settings: SolveSettings, context: Context) -> lis
         What the user asked for.
     context
         For messages, times, and ``solve`` in the results.
+    currents
+        Solved, too, where it is given.
 
     Returns
     -------
@@ -129,6 +142,8 @@ def solve_on(mesh: VolumeMesh, settings: SolveSettings, context: Context) -> lis
         "conduction": lambda: conduction(assembler, solver),
         "elasticity": lambda: elasticity(assembler, mesh.volumes, mesh.boundary.bodies, solver),
     }
+    if currents is not None:
+        problems["forward"] = lambda: forward(assembler, currents, solver)
     done: dict[str, dict[str, Any]] = {}
     stuck: list[str] = []
     unfinished: dict[str, str] = {}
@@ -159,4 +174,4 @@ def solve_on(mesh: VolumeMesh, settings: SolveSettings, context: Context) -> lis
         f"{name} {figures['multigrid']['iterations']}" for name, figures in done.items() if "multigrid" in figures
     ]
     context.closing.append(("CG iterations, multigrid", ", ".join(iterations) or "none"))
-    return _checks(done, stuck)
+    return _checks(done, stuck) + _conserved(done)

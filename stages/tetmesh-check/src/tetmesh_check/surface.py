@@ -16,6 +16,7 @@ from tetmesh_check.components import Components, component_volumes, measure_comp
 from tetmesh_check.errors import StageError
 from tetmesh_check.field_data import text_of
 from tetmesh_check.intersections import self_intersections
+from tetmesh_check.materials import Sides, read_sides
 from tetmesh_check.polydata import from_polydata
 from tetmesh_check.quality import Cells, Points
 from tetmesh_check.topology import Topology, measure_topology
@@ -37,6 +38,8 @@ class Surface:
     """Vertices that lay exactly on another one and were joined to it."""
     cap: NDArray[np.bool_] | None = None
     """Whether each triangle lies where the border of the volume cut the object, shape ``(m,)``; ``None`` if nobody says."""
+    sides: Sides | None = None
+    """The materials on both sides of each triangle; ``None`` for the surface of one object."""
 
     @property
     def bounding_box_diagonal(self) -> float:
@@ -128,8 +131,9 @@ def read_surface(path: Path) -> Surface:
             "such a vertex lies nowhere",
             "find out which stage wrote it; the volume may hold NaN voxels",
         )
-    # some formats (STL) and programs write a vertex once a triangle
     cap = np.asarray(dataset.cell_data["cap"]).ravel() != 0 if "cap" in dataset.cell_data else None
+    sides = read_sides(path, dataset)
+    # some formats (STL) and programs write a vertex once a triangle
     unique, inverse = np.unique(points, axis=0, return_inverse=True)
     merged = len(points) - len(unique)
     if merged:
@@ -137,7 +141,8 @@ def read_surface(path: Path) -> Surface:
         distinct = (triangles != np.roll(triangles, 1, axis=1)).all(axis=1)
         triangles = triangles[distinct]
         cap = None if cap is None else cap[distinct]
-    return Surface(points, triangles, history_of(dataset), merged, cap)
+        sides = None if sides is None else sides.of(distinct)
+    return Surface(points, triangles, history_of(dataset), merged, cap, sides)
 
 
 def check_surface(path: Path, surface: Surface) -> tuple[Topology, Components]:

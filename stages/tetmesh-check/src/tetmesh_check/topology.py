@@ -31,6 +31,20 @@ def connected_components(count: int, links: Cells) -> Labels:
     return labels
 
 
+def members_of(labels: Labels, count: int) -> list[Labels]:
+    """Indices of the members of each group, ascending; one array a group.
+
+    Parameters
+    ----------
+    labels
+        Group of each, from 0 on.
+    count
+        Number of groups.
+    """
+    order = np.argsort(labels, kind="stable")
+    return np.split(order, np.searchsorted(labels[order], np.arange(1, count)))
+
+
 _MAX_COUNT_IN_ONE_KEY = 1 << 21
 """Vertices so few that three of their numbers fit one number of 64 bits."""
 
@@ -149,7 +163,7 @@ def tetrahedron_boundary(tetrahedra: Cells) -> Boundary:
         Vertex indices in VTK order, shape ``(m, 4)``.
     """
     size = len(tetrahedra)
-    faces = _faces(tetrahedra)
+    faces = faces_of(tetrahedra)
     order, same = _equal_faces(faces)
     alone = np.sort(order[np.concatenate([[True], ~same]) & np.concatenate([~same, [True]])])
     # face number f belongs to tetrahedron f modulo their number
@@ -179,17 +193,37 @@ def outside_of_part(tetrahedra: Cells, part: Labels, on_boundary: NDArray[np.boo
     others[part] = False
     candidate = on_boundary.copy()
     candidate[tetrahedra[others]] = True
-    faces = _faces(tetrahedra[part])
+    faces = faces_of(tetrahedra[part])
     near = np.flatnonzero(candidate[faces[0]] & candidate[faces[1]] & candidate[faces[2]])
     order, same = _equal_faces(faces[:, near])
     alone = near[np.sort(order[np.concatenate([[True], ~same]) & np.concatenate([~same, [True]])])]
     return faces[:, alone].T, part[alone % len(part)]
 
 
-def _faces(tetrahedra: Cells) -> Cells:
-    """Outward faces by rows, shape ``(3, 4 m)``: the first of every tetrahedron, then the second, and so on."""
+def faces_of(tetrahedra: Cells) -> Cells:
+    """Outward faces by rows, shape ``(3, 4 m)``: the first of every tetrahedron, then the second, and so on.
+
+    Parameters
+    ----------
+    tetrahedra
+        Vertex indices in VTK order, shape ``(m, 4)``.
+    """
     corners = np.ascontiguousarray(tetrahedra.T)
     return np.stack([np.concatenate([corners[face[k]] for face in OUTWARD_FACES]) for k in range(3)])
+
+
+def number_faces(faces: Cells) -> Labels:
+    """Give faces with the same vertices, in any order, equal numbers, from 0 on; shape ``(n,)``.
+
+    Parameters
+    ----------
+    faces
+        Vertex indices by rows, shape ``(3, n)``.
+    """
+    order, same = _equal_faces(faces)
+    number = np.zeros(len(order), dtype=np.int64)
+    number[order[1:]] = np.cumsum(~same)
+    return number
 
 
 def _equal_faces(faces: Cells) -> tuple[Labels, NDArray[np.bool_]]:

@@ -51,7 +51,8 @@ def write_volume(path: Path, mesh: MarkedMesh, quality: TetrahedronQuality, hist
     path
         A ``.vtu`` file.
     mesh
-        Its points are written in double precision, the regions of its tetrahedra and the marks of its points as data.
+        Its points are written in double precision, the regions of its tetrahedra and the marks of its points as data; the table of
+        many materials as a text, ``materials``.
     quality
         Its radius ratio, scaled Jacobian and smallest dihedral angle (degrees) go along as cell data.
     history
@@ -65,5 +66,7 @@ def write_volume(path: Path, mesh: MarkedMesh, quality: TetrahedronQuality, hist
     grid.point_data["boundary"] = mesh.point_marks().astype(np.uint8)
     add_text(grid, "isoparticles_kind", KIND)
     grid.add_field_data(np.array([FORMAT], dtype=np.uint32), "isoparticles_format")
+    if mesh.materials is not None:
+        add_text(grid, "materials", json.dumps(mesh.materials.table))
     add_text(grid, "history", json.dumps(history))
     write_atomically(path, lambda temporary: grid.save(temporary, binary=True))

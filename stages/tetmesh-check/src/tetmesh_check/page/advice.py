@@ -14,6 +14,10 @@ ADVICE: dict[str, str] = {
     "surface_distance": _DISTANCE,
     "boundary_manifold": "most solvers accept it; where yours does not, smaller edges part the sheets (MIN_SIZE)",
     "euler_characteristic": "compare surface and boundary there; '--method hxt' keeps the surface's triangles and with them its handles",
+    "interfaces_kept": "the tetrahedralizer's log says which triangles it lost; smaller edges there (MIN_SIZE), or another --tet-size-factor",
+    "conforming": "the tetrahedralizer's log says more; smaller edges (SIZE, MIN_SIZE), or another --tet-size-factor",
+    "region_parts": "parts of a material were joined or lost: smaller edges where they are thin (MIN_SIZE)",
+    "current_conserved": "the solver ended too early: look at the smallest dihedral angles above",
     "solve_converged": "look at the smallest dihedral angles above: flat tetrahedra are what solvers stumble over",
 }
 """By the name of the check in the report of ``tetmesh-check``."""

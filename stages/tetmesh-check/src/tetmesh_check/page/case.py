@@ -23,7 +23,7 @@ ENDED = frozenset({"done", "failed", "error", "interrupted"})
 _KINDS = {
     "passed": "pass", "warning": "warning", "failed": "fail", "error": "fail", "interrupted": "warning", "running": "neutral",
 }  # fmt: skip
-_PICTURES = ("surface", "closeup", "cut")
+_PICTURES = ("surface", "closeup", "cut", "regions")
 
 
 def dig(data: Any, *keys: str) -> Any:
@@ -208,7 +208,7 @@ class Case:
 
     @property
     def pictures(self) -> dict[str, Path]:
-        """Pictures by kind, ``surface``, ``closeup`` and ``cut``."""
+        """Pictures by kind, ``surface``, ``closeup``, ``cut`` and ``regions``."""
         found = {kind: next(self.outputs(STAGES[-1], f".{kind}.png"), None) for kind in _PICTURES}
         return {kind: path for kind, path in found.items() if path is not None}
 

@@ -22,6 +22,7 @@ _PROBLEMS = {
     "poisson": "Poisson's equation, known solution",
     "conduction": "Wave front of excitation in tissue with fibres",
     "elasticity": "Soft organ under its own weight",
+    "forward": "Current in one of many materials",
 }
 
 
@@ -120,7 +121,8 @@ def quality(case: Case) -> str:
     """
     if (volume := case.results.get("volume")) is None:
         return _surface_alone(case)
-    triangles, tetrahedra = case.results["surface"]["quality"], volume["quality"]
+    many = case.results.get("complex")
+    triangles, tetrahedra = (many or case.results["surface"])["quality"], volume["quality"]
     charts = [
         *_surface_charts(case, triangles),
         *_tetrahedra_charts(case, tetrahedra),
@@ -141,7 +143,7 @@ def quality(case: Case) -> str:
         ("tetrahedra", "smallest", "1 %", "5 %", "median", "95 %", "99 %", "largest", "mean"), rows
     )
     shown = f'<div class="grid">{"".join(charts)}</div>'
-    return section("Quality", shown + numbers + _distances(case))
+    return section("Quality", shown + numbers + (_distances(case) if many is None else _kept(volume)))
 
 
 def _surface_alone(case: Case) -> str:
@@ -167,6 +169,17 @@ def _surface_alone(case: Case) -> str:
     return section(
         "Quality", f'<div class="grid">{chart}</div>' + table(("triangles", "smallest", "mean", "largest"), rows)
     )
+
+
+def _kept(volume: dict[str, Any]) -> str:
+    """What became of the triangles between materials."""
+    triangles = volume["interface_triangles"]
+    words = (
+        "Every triangle between two materials is a face of a tetrahedron of each, bit for bit, and no other face lies between two."
+        if volume["interfaces_kept"]
+        else f"{number(triangles['missing'])} triangles between materials are no face between tetrahedra of these two."
+    )
+    return f"<h3>Tetrahedra against the surface</h3><p>{words}</p>"
 
 
 def _distances(case: Case) -> str:
@@ -221,6 +234,7 @@ def solve(case: Case) -> str:
                 f"({number(f['max_displacement_mm'])} mm); reaction and load differ by "
                 f"{100 * abs(f['reaction_n'] / (f['load_share'] * f['weight_n']) - 1):.1g} %"
             ),
+            "forward": lambda f: f"potential {f['potential_range_mv'][0]:.1f} to {f['potential_range_mv'][1]:.1f} mV",
         }[name](figures)
         condition = (figures["plain"] or {}).get("condition")
         rows.append(

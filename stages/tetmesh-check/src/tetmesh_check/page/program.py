@@ -15,7 +15,7 @@ from tetmesh_check import __version__
 from tetmesh_check.context import guarded
 from tetmesh_check.errors import ExitCode, InterruptedRunError, StageError
 from tetmesh_check.files import refuse_existing, write_text
-from tetmesh_check.page import measured, provenance, sections
+from tetmesh_check.page import measured, provenance, regions, sections
 from tetmesh_check.page.case import Case, dig, read_case
 from tetmesh_check.page.html import contents, section
 from tetmesh_check.page.scan import read_scan
@@ -120,6 +120,7 @@ def page(case: Case, folder: Path) -> str:
         ("the mesh in the volume", lambda: anatomy(case, surface)),
         ("in three dimensions", lambda: view(view_meshes(surface, case.volume), anatomical)),
         ("pictures", lambda: sections.pictures(case)),
+        ("materials", lambda: regions.materials(case)),
         ("quality", lambda: measured.quality(case)),
         ("solve", lambda: measured.solve(case)),
         ("particles", lambda: measured.particles(case)),

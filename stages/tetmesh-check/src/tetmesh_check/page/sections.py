@@ -199,11 +199,13 @@ def pictures(case: Case) -> str:
     case
         The case.
     """
-    triangles = number(dig(case.results, "surface", "topology", "triangles") or 0)
+    count = dig(case.results, "complex", "triangles") or dig(case.results, "surface", "topology", "triangles")
+    triangles = number(count or 0)
     words = {
         "surface": f"The surface with its {triangles} triangles.",
         "closeup": "Close-up of the surface, coloured by the radius ratio of its triangles (1 is equilateral).",
         "cut": "Cut through the tetrahedra, coloured by their radius ratio (1 is regular).",
+        "regions": "Cut through the tetrahedra, coloured by their materials.",
     }
     parts = []
     for kind, path in case.pictures.items():

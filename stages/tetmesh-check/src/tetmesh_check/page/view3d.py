@@ -15,8 +15,9 @@ from tetmesh_check.page.charts import number
 from tetmesh_check.page.html import colour_bar, section
 from tetmesh_check.page.payload import MAX_TRIANGLES, WORST, Colour, ViewMesh, pack
 from tetmesh_check.polydata import from_polydata
-from tetmesh_check.quality import Cells, Points, Values, triangle_quality
+from tetmesh_check.quality import Cells, Labels, Points, Values, triangle_quality
 from tetmesh_check.surface import read_dataset
+from tetmesh_check.topology import tetrahedron_boundary
 
 _YAW, _PITCH = 0.63, 0.38
 """Where the eye is at first, radians: that of the pictures."""
@@ -27,6 +28,8 @@ _HOW = (
 )
 _MAX_WORST = 5000
 """Largest number of tetrahedra among the worst: more only hide each other."""
+_MAX_REGIONS = 12
+"""Materials that can be looked at one by one, the largest first: the page grows with each."""
 
 
 def _edge_lengths(points: Points, triangles: Cells) -> Values:
@@ -96,14 +99,34 @@ def views_of_volume(grid: pv.UnstructuredGrid) -> list[ViewMesh]:
         ]
 
     cut = cut_of(grid)
+    on_cut = [*colours(cut.owners), _edge_length(points, cut.triangles)]
+    if (text := text_of(grid, "materials")) is not None:
+        region = np.asarray(grid.cell_data["region"], dtype=np.int64)
+        on_cut.append(Colour("number of the material", "", region[cut.owners].astype(np.float64), True))
+        names = [str(entry["name"]) for entry in json.loads(text)]
+        singly = _views_of_regions(points, cells, region, names)
+    else:
+        singly = []
     count = min(max(1, round(len(cells) * WORST / 100.0)), _MAX_WORST)
     worst = np.sort(np.argpartition(ratio, count - 1)[:count])
     # the faces of a tetrahedron, outward
     faces = cells[worst][:, [[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]]].reshape(-1, 3)
     return [
-        ViewMesh("cut", points, cut.triangles, [*colours(cut.owners), _edge_length(points, cut.triangles)]),
+        ViewMesh("cut", points, cut.triangles, on_cut),
         ViewMesh("worst tetrahedra", points, faces, colours(np.repeat(worst, 4)), within=True),
+        *singly,
     ]
+
+
+def _views_of_regions(points: Points, cells: Cells, region: Labels, names: list[str]) -> list[ViewMesh]:
+    """Each material by itself within a ghost of the whole, those of most tetrahedra first."""
+    numbers, counts = np.unique(region, return_counts=True)
+    views = []
+    for number_ in numbers[np.argsort(-counts, kind="stable")][:_MAX_REGIONS].tolist():
+        triangles = tetrahedron_boundary(cells[region == number_]).triangles
+        shape = Colour("radius ratio", "", triangle_quality(points, triangles).radius_ratio, True, "low")
+        views.append(ViewMesh(f"only {names[number_]}", points, triangles, [shape], within=True))
+    return views
 
 
 def view_meshes(surface: pv.PolyData | None, volume: Path | None) -> list[ViewMesh]:

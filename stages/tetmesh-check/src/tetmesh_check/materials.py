@@ -1,0 +1,138 @@
+"""The materials of a surface of many: which lies on either side of each triangle, and what they are called.
+
+Such a surface is a complex: triangles, each between two materials, that meet along junction edges and share their vertices. Material 0 is the
+outside. The triangle is counter-clockwise seen from the material of the lower number; the higher one is called its inside.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyvista as pv
+from numpy.typing import NDArray
+
+from tetmesh_check.errors import StageError
+from tetmesh_check.field_data import text_of
+from tetmesh_check.quality import Cells, Labels
+
+INSIDE, OUTSIDE = "material_inside", "material_outside"
+"""Cell arrays of a surface of many materials."""
+NOTHING = 0
+"""Number of the material outside of all others."""
+_ADVICE = "give the surface that reconstruct wrote for many materials"
+
+
+@dataclass(frozen=True)
+class Sides:
+    """The two materials that each triangle of a surface lies between."""
+
+    inside: Labels
+    """Number of the one behind it, the higher of the two, shape ``(m,)``."""
+    outside: Labels
+    """Number of the one before it, shape ``(m,)``; 0 where there is none."""
+    table: list[dict[str, Any]]
+    """What each number stands for: ``name`` and, from the pipeline, ``labels``."""
+
+    @property
+    def names(self) -> list[str]:
+        """Names by number, ``outside`` first."""
+        return [str(entry["name"]) for entry in self.table]
+
+    @property
+    def present(self) -> list[int]:
+        """Numbers of the materials that have a triangle, but the outside, ascending."""
+        found: list[int] = np.unique(self.inside).tolist()
+        return sorted(set(found) | (set(np.unique(self.outside).tolist()) - {NOTHING}))
+
+    def pairs(self) -> tuple[Cells, Labels]:
+        """Pairs of materials that touch, ``(inside, outside)`` ascending, shape ``(k, 2)``, and the pair of each triangle, shape ``(m,)``."""
+        pairs, which = np.unique(np.stack([self.inside, self.outside], 1), axis=0, return_inverse=True)
+        return pairs, which.ravel().astype(np.int64)
+
+    def pair_name(self, pair: tuple[int, int]) -> str:
+        """What an interface is called: both names, the inside first.
+
+        Parameters
+        ----------
+        pair
+            Numbers of the inside and of the outside.
+        """
+        return f"{self.names[pair[0]]}/{self.names[pair[1]]}"
+
+    def of(self, kept: NDArray[np.bool_]) -> Sides:
+        """Those of some of the triangles.
+
+        Parameters
+        ----------
+        kept
+            Which, shape ``(m,)``.
+        """
+        return Sides(self.inside[kept], self.outside[kept], self.table)
+
+
+def _whole(path: Path, surface: pv.PolyData, name: str) -> Labels:
+    values = np.asarray(surface.cell_data[name])
+    if values.ndim != 1 or not np.issubdtype(values.dtype, np.integer) or (values < 0).any():
+        raise StageError(
+            f"{path}: the cell array '{name}' is not one whole number from 0 a triangle",
+            "it is the number of a material",
+            _ADVICE,
+        )
+    return values.astype(np.int64)
+
+
+def read_sides(path: Path, surface: pv.PolyData) -> Sides | None:
+    """Find the materials of a surface; ``None`` where it is that of one object.
+
+    Parameters
+    ----------
+    path
+        Its file, for the messages.
+    surface
+        The file as read.
+
+    Raises
+    ------
+    StageError
+        If the arrays or the table of materials (field data ``meta``, ``materials``) are incomplete or do not fit together.
+    """
+    there = [name for name in (INSIDE, OUTSIDE) if name in surface.cell_data]
+    if not there:
+        return None
+    if len(there) == 1:
+        raise StageError(
+            f"{path}: has the cell array '{there[0]}' alone of '{INSIDE}' and '{OUTSIDE}'",
+            "a triangle lies between two materials",
+            _ADVICE,
+        )
+    inside, outside = (_whole(path, surface, name) for name in (INSIDE, OUTSIDE))
+    try:
+        table = json.loads(text_of(surface, "meta") or "{}")["materials"]
+        named = isinstance(table, list) and all(isinstance(entry["name"], str) for entry in table)
+    except (ValueError, KeyError, TypeError):
+        named = False
+    if not named or len({entry["name"] for entry in table}) < len(table):
+        raise StageError(
+            f"{path}: has no table of materials ('materials' of the text 'meta' in its field data), or two of one name",
+            "it says what the numbers of the materials stand for",
+            _ADVICE,
+        )
+    if inside.max(initial=0) >= len(table):
+        raise StageError(
+            f"{path}: has a triangle of material {int(inside.max())}; the table knows 0 to {len(table) - 1}",
+            "it says what the numbers of the materials stand for",
+            _ADVICE,
+        )
+    wrong = np.flatnonzero(inside <= outside)
+    if len(wrong):
+        raise StageError(
+            f"{path}: the inside of {len(wrong)} triangles is not the higher of their two materials, "
+            f"the first is number {int(wrong[0])}",
+            "which side of a triangle is which would be unclear",
+            _ADVICE,
+        )
+    return Sides(inside, outside, table)

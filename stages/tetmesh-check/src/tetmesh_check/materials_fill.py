@@ -1,0 +1,174 @@
+"""The tetrahedra of many materials: Gmsh fills all volumes at once, and the triangles between them stay as they are."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tetmesh_check.checks import Limits, well_shaped
+from tetmesh_check.complex import Complex
+from tetmesh_check.conform import Conformity, conform
+from tetmesh_check.context import Context
+from tetmesh_check.errors import ExitCode, StageError
+from tetmesh_check.fill import Method
+from tetmesh_check.hxt import HxtSettings, fill_complex_by_gmsh
+from tetmesh_check.quality import Cells, Points, TetrahedronQuality, tetrahedron_quality
+from tetmesh_check.sizing import SizingField, world_grid
+from tetmesh_check.volume import orient_positive
+from tetmesh_check.worker import TimeLimit, TimeLimitError, UnavailableError, WorkerResult
+
+ALGORITHMS = ("hxt", "delaunay")
+"""Of Gmsh, in the order they are tried: the second where the first fails, moves an interface or misses a limit of shape."""
+
+
+@dataclass(frozen=True)
+class ComplexTask:
+    """What is to be filled, and how."""
+
+    checked: Complex
+    field: SizingField
+    """Edge lengths, without the factor."""
+    tet_size_factor: float
+    method: Method
+    max_seconds: float
+    limits: Limits
+    log: Path
+
+
+@dataclass(frozen=True)
+class FilledComplex:
+    """The tetrahedra, and how they fit the interfaces."""
+
+    points: Points
+    """Positions, mm, shape ``(n, 3)``; the vertices of the surface come first, in their order."""
+    tetrahedra: Cells
+    """Vertex indices in VTK order, shape ``(m, 4)``."""
+    quality: TetrahedronQuality
+    conformity: Conformity
+
+    @property
+    def rank(self) -> tuple[int, float]:
+        """The larger, the better."""
+        return -self.conformity.faults, float(self.quality.scaled_jacobian.min())
+
+
+def refuse_method(method: Method) -> None:
+    """Refuse tetrahedralizers that do not keep the triangles between materials.
+
+    Parameters
+    ----------
+    method
+        What the user asked for.
+
+    Raises
+    ------
+    StageError
+        If it is not ``auto`` or ``hxt``.
+    """
+    if method not in (Method.AUTO, Method.HXT):
+        raise StageError(
+            f"--method {method} takes one object, and the surface is of many materials",
+            "the triangles between two materials must stay as they are, and be shared by both",
+            "leave --method out, or give --method hxt",
+        )
+
+
+def _judge(task: ComplexTask, raw: WorkerResult) -> FilledComplex:
+    surface = task.checked.surface
+    count = len(surface.points)
+    if not np.array_equal(raw.points[:count], surface.points):
+        raise StageError(
+            "the tetrahedralizer did not keep the vertices of the surface",
+            "neighbouring materials share them",
+            "try another --tet-size-factor",
+        )
+    tetrahedra, _turned = orient_positive(raw.points, raw.tetrahedra)
+    found = conform(tetrahedra, surface.triangles, task.checked.sides)
+    return FilledComplex(raw.points, tetrahedra, tetrahedron_quality(raw.points, tetrahedra), found)
+
+
+def fill_complex(task: ComplexTask, context: Context) -> FilledComplex:
+    """Fill every volume of a complex.
+
+    Parameters
+    ----------
+    task
+        What is to be filled, and how.
+    context
+        For messages, times, and ``tetrahedralizer`` in the results.
+
+    Raises
+    ------
+    StageError
+        If no tetrahedralizer fills it so that each tetrahedron has a material.
+    """
+    attempts: list[dict[str, Any]] = []
+    results: dict[str, Any] = {
+        "method": Method.HXT,
+        "reason": "the surface is of many materials, whose triangles Gmsh keeps",
+        "log": task.log.name,
+        "attempts": attempts,
+    }
+    context.results["tetrahedralizer"] = results
+    context.parameters["method"] = Method.HXT
+    task.log.unlink(missing_ok=True)
+    limit = TimeLimit.start(task.max_seconds)
+    with context.step("background sizing"):
+        grid = world_grid(task.field, task.checked.surface, task.tet_size_factor)
+    best: FilledComplex | None = None
+    failure: StageError | None = None
+    for algorithm in ALGORITHMS if task.method is Method.AUTO else ALGORITHMS[:1]:
+        try:
+            with context.step("tetrahedralize"):
+                raw = fill_complex_by_gmsh(
+                    task.checked.surface,
+                    task.checked.shells,
+                    grid,
+                    HxtSettings(algorithm=algorithm),
+                    task.log,
+                    limit,
+                    context,
+                )
+            with context.step("find regions"):
+                filled = _judge(task, raw)
+        except StageError as error:
+            final = error.code == ExitCode.INTERRUPTED or isinstance(error, (TimeLimitError, UnavailableError))
+            if final and best is None:
+                raise
+            attempts.append({"algorithm": algorithm, "error": error.what})
+            failure = error
+            if final:
+                break
+            continue
+        smallest = float(filled.quality.min_dihedral.min())
+        attempts.append(
+            {
+                **raw.summary,
+                "algorithm": algorithm,
+                "faults": filled.conformity.faults,
+                "min_dihedral": smallest,
+                "min_scaled_jacobian": filled.rank[1],
+            }
+        )
+        if best is None or filled.rank > best.rank:
+            best = filled
+            results["algorithm"] = algorithm
+        if filled.conformity.faults == 0 and well_shaped(filled.quality, task.limits):
+            break
+        context.verbose(
+            f"{algorithm}: {filled.conformity.faults} faults at the interfaces, smallest dihedral angle {smallest:.3g} degrees"
+        )
+    if best is None:
+        assert failure is not None, "an attempt is made or fails"
+        raise failure
+    if best.conformity.undecided:
+        raise StageError(
+            f"the material of {best.conformity.undecided} tetrahedra cannot be told: the tetrahedralizer lost "
+            f"{best.conformity.missing} triangles of the interfaces",
+            "without them the regions run into each other; nothing was written",
+            f"its log is {task.log}; try another --tet-size-factor",
+        )
+    return best

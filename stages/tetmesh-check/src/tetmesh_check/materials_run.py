@@ -1,0 +1,283 @@
+"""The run of the stage for a surface of many materials: check the complex, fill its volumes, measure, judge, write."""
+
+from __future__ import annotations
+
+from dataclasses import fields, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from tetmesh_check.checks import Check, Limits, shape_checks, verdict
+from tetmesh_check.complex import Complex, check_complex, describe_complex
+from tetmesh_check.context import Context
+from tetmesh_check.drawing import drawing
+from tetmesh_check.errors import StageError
+from tetmesh_check.export import MarkedMesh, Materials, export, export_paths, plain_names
+from tetmesh_check.files import refuse_existing
+from tetmesh_check.forward import Forward, RegionMesh, Source, resolve_source
+from tetmesh_check.materials import NOTHING, Sides
+from tetmesh_check.materials_fill import ComplexTask, FilledComplex, fill_complex, refuse_method
+from tetmesh_check.quality import TetrahedronQuality, centres_of, summarize, summarize_all, triangle_quality
+from tetmesh_check.sizing import SizingField
+from tetmesh_check.solve import VolumeMesh, solve_on
+from tetmesh_check.surface import Surface
+from tetmesh_check.topology import members_of, tetrahedron_boundary
+from tetmesh_check.volume import write_volume
+
+if TYPE_CHECKING:
+    from tetmesh_check.pipeline import Arguments
+
+
+def _part(quality: TetrahedronQuality, own: Any) -> TetrahedronQuality:
+    return TetrahedronQuality(**{field.name: getattr(quality, field.name)[own] for field in fields(quality)})
+
+
+def _regions(checked: Complex, filled: FilledComplex) -> list[dict[str, Any]]:
+    """Measure each region: its volume against that of the surface, its parts, its tetrahedra."""
+    listed = []
+    members = members_of(filled.conformity.regions, len(checked.sides.table))
+    for number in checked.sides.present:
+        own = members[number]
+        wanted = checked.shells.materials == number
+        entry: dict[str, Any] = {
+            "number": number,
+            "name": checked.sides.names[number],
+            "tetrahedra": len(own),
+            "parts": len(np.unique(filled.conformity.parts[own])),
+            "surface_parts": int(wanted.sum()),
+            "volume_mm3": float(filled.quality.volume[own].sum()),
+            "surface_volume_mm3": float(checked.shells.sizes[wanted].sum()),
+        }
+        if len(own):
+            entry["quality"] = summarize_all(_part(filled.quality, own))
+        listed.append(entry)
+    return listed
+
+
+def _measure(
+    checked: Complex, filled: FilledComplex, sizing: SizingField | None, factor: float, context: Context
+) -> VolumeMesh:
+    points, tetrahedra, quality = filled.points, filled.tetrahedra, filled.quality
+    outside = tetrahedron_boundary(tetrahedra)
+    found = filled.conformity
+    context.results["volume"] = {
+        "points": len(points),
+        "tetrahedra": len(tetrahedra),
+        "bodies": int(outside.bodies.max()) + 1,
+        "volume_mm3": float(quality.volume.sum()),
+        "quality": summarize_all(quality),
+        "boundary_quality": summarize_all(triangle_quality(points, outside.triangles)),
+        "interfaces_kept": found.missing == found.added == 0,
+        "interface_triangles": {"missing": found.missing, "added": found.added},
+        "crowded_faces": found.crowded,
+        "undecided_tetrahedra": found.undecided,
+        "regions": _regions(checked, filled),
+    }
+    if sizing is not None:
+        wanted = factor * sizing.at(centres_of(points, tetrahedra))
+        context.results["volume"]["edge_length_over_target"] = summarize(
+            quality.edge_length / wanted, np.linspace(0.0, 3.0, 61)
+        )
+    return VolumeMesh(points, tetrahedra, quality.volume, outside)
+
+
+def mark_materials(sides: Sides, surface: Surface, filled: FilledComplex) -> MarkedMesh:
+    """Name the regions and the interfaces of a mesh for export.
+
+    Parameters
+    ----------
+    sides
+        The materials of the triangles.
+    surface
+        Whose vertices come first among those of the mesh.
+    filled
+        The tetrahedra.
+    """
+    names = plain_names(sides.names)
+    pairs, which = sides.pairs()
+    materials = Materials(
+        table=sides.table,
+        regions={number: names[number] for number in sides.present},
+        pairs={k: f"{names[a]}_to_{names[b]}" for k, (a, b) in enumerate(pairs.tolist(), 1)},
+        before=filled.conformity.before,
+    )
+    return MarkedMesh(
+        filled.points,
+        filled.tetrahedra,
+        filled.conformity.regions,
+        surface.triangles,
+        filled.conformity.behind,
+        which + 1,
+        materials,
+    )
+
+
+def _forward(source: Source | None, checked: Complex, filled: FilledComplex) -> Forward | None:
+    """The problem of currents on this mesh, where it is asked for."""
+    found = filled.conformity
+    if source is None or found.faults:
+        return None
+    pairs, which = checked.sides.pairs()
+    names = [checked.sides.pair_name((a, b)) for a, b in pairs.tolist()]
+    mesh = RegionMesh(
+        found.regions, checked.sides.names, checked.surface.triangles, found.behind, found.before, which, names
+    )
+    return Forward(source, mesh)
+
+
+def complex_checks(results: dict[str, Any], quality: TetrahedronQuality, limits: Limits) -> list[Check]:
+    """Judge a mesh of many materials.
+
+    Parameters
+    ----------
+    results
+        What was measured, as in the report under ``volume``.
+    quality
+        Of its tetrahedra.
+    limits
+        What is demanded of it.
+    """
+    regions = results["regions"]
+    changes = {entry["name"]: 100.0 * (entry["volume_mm3"] / entry["surface_volume_mm3"] - 1.0) for entry in regions}
+    worst = max(changes, key=lambda name: abs(changes[name]))
+    apart = [entry for entry in regions if entry["parts"] != entry["surface_parts"]]
+    triangles = results["interface_triangles"]
+    return [
+        *shape_checks(quality, limits),
+        verdict(
+            "interfaces_kept",
+            results["interfaces_kept"],
+            triangles["missing"] + triangles["added"],
+            0,
+            f"of the triangles between materials {triangles['missing']} are no face between tetrahedra of these two, and "
+            f"{triangles['added']} faces at the border are no such triangle",
+        ),
+        verdict(
+            "conforming",
+            results["crowded_faces"] == results["undecided_tetrahedra"] == 0,
+            results["crowded_faces"] + results["undecided_tetrahedra"],
+            0,
+            f"{results['crowded_faces']} faces have more than two tetrahedra, {results['undecided_tetrahedra']} tetrahedra belong "
+            "to no material",
+        ),
+        verdict(
+            "region_parts",
+            not apart,
+            len(apart),
+            0,
+            f"{len(apart)} of {len(regions)} regions have not as many separate parts as their surface"
+            + "".join(
+                f"; {entry['name']} {entry['parts']} in place of {entry['surface_parts']}" for entry in apart[:3]
+            ),
+        ),
+        verdict(
+            "volume_change",
+            abs(changes[worst]) <= limits.max_volume_change,
+            changes[worst],
+            limits.max_volume_change,
+            f"the tetrahedra of {worst} fill {changes[worst]:+.3g} % of what its surface bounds, more or less than any other region "
+            f"(limit {limits.max_volume_change:g} %)",
+        ),
+    ]
+
+
+def refuse_arguments(arguments: Arguments) -> None:
+    """Refuse what is for one object only, by name.
+
+    Parameters
+    ----------
+    arguments
+        What the user asked for.
+    """
+    refuse_method(arguments.method)
+    if arguments.labels_volume is not None:
+        raise StageError(
+            "--labels-volume is for the surface of one object, and this one is of many materials",
+            "the triangles themselves say which region is which",
+            "leave it out",
+        )
+
+
+def run_materials(
+    arguments: Arguments, surface: Surface, sizing: tuple[SizingField, SizingField | None], context: Context
+) -> list[str]:
+    """Do the work of the stage for a surface of many materials.
+
+    Parameters
+    ----------
+    arguments
+        What the user asked for.
+    surface
+        As read, with its ``sides``.
+    sizing
+        Edge lengths everywhere, and the size field where there is one.
+    context
+        The frame of the run.
+
+    Returns
+    -------
+    list of str
+        The checks that failed, in words; empty when the mesh is fit.
+    """
+    assert surface.sides is not None, "the caller looked"
+    refuse_arguments(arguments)
+    source: Source | None = resolve_source(arguments.forward, surface.sides)
+    exported = [
+        path for kind in arguments.exports for path in export_paths(arguments.output, arguments.name, kind, many=True)
+    ]
+    refuse_existing(exported, context.common.force)
+    with context.step("check surface"):
+        checked = check_complex(arguments.surface, surface)
+        context.results["complex"] = describe_complex(checked)
+    counts = context.results["complex"]
+    context.verbose(
+        f"{len(checked.sides.present)} materials, {len(counts['interfaces'])} interfaces, {counts['junction_edges']} junction edges, "
+        f"{len(checked.shells.materials)} volumes"
+    )
+    narrow = min(checked.shells.narrowest, key=lambda number: checked.shells.narrowest[number])
+    if (angle := checked.shells.narrowest[narrow]) < arguments.limits.min_dihedral:
+        context.warn(
+            f"two facets of {checked.sides.names[narrow]} meet at {angle:.3g} degrees: no tetrahedron between them can have a smallest "
+            f"dihedral angle of {arguments.limits.min_dihedral:g} degrees (--min-dihedral)"
+        )
+    task = ComplexTask(
+        checked=checked,
+        field=sizing[0],
+        tet_size_factor=arguments.tet_size_factor,
+        method=arguments.method,
+        max_seconds=arguments.max_seconds,
+        limits=arguments.limits,
+        log=arguments.log,
+    )
+    filled = fill_complex(task, context)
+    with context.step("measure quality"):
+        mesh = _measure(checked, filled, sizing[1], arguments.tet_size_factor, context)
+    marked = mark_materials(checked.sides, checked.surface, filled)
+    context.results["boundary"] = {
+        "surface": {
+            "triangles": int((checked.sides.outside == NOTHING).sum()),
+            "area_mm2": float(checked.quality.area[checked.sides.outside == NOTHING].sum()),
+        }
+    }
+    with context.step("write"):
+        write_volume(arguments.output, marked, filled.quality, context.history())
+    for kind in arguments.exports:
+        with context.step(f"export {kind}"):
+            export(marked, arguments.output, arguments.name, kind, arguments.unit)
+    context.results["exports"] = [path.name for path in exported]
+    job = arguments.picture_job
+    with drawing(None if job is None else replace(job, many=True), context):
+        checks = complex_checks(context.results["volume"], filled.quality, arguments.limits)
+        checks += solve_on(mesh, arguments.solve, context, _forward(source, checked, filled))
+    context.results["checks"] = [check.as_dict() for check in checks]
+    quality = filled.quality
+    context.closing += [
+        ("materials", f"{len(checked.sides.present)}, {len(counts['interfaces'])} interfaces"),
+        ("tetrahedra", f"{len(filled.tetrahedra):,}"),
+        ("radius ratio", f"mean {quality.radius_ratio.mean():.3f}, smallest {quality.radius_ratio.min():.3f}"),
+        ("dihedral angle", f"{quality.min_dihedral.min():.1f} to {quality.max_dihedral.max():.1f} degrees"),
+    ]
+    for check in checks:
+        if not check.passed and not check.required:
+            context.warn(check.words)
+    return [check.words for check in checks if check.required and not check.passed]

@@ -1,0 +1,130 @@
+"""The part of the page about many materials: what each is made of, and what lies between them."""
+
+from __future__ import annotations
+
+from html import escape
+from typing import Any
+
+from tetmesh_check.colours import region_colours
+from tetmesh_check.page.case import Case, dig
+from tetmesh_check.page.charts import number
+from tetmesh_check.page.html import section, table
+
+_MANY = 24
+"""Rows that are shown at once; the rest is there to be opened."""
+
+
+def _swatch(colour: Any, name: str) -> str:
+    red, green, blue = (int(part) for part in colour)
+    style = f"display:inline-block;width:.8em;height:.8em;margin-right:.4em;background:rgb({red},{green},{blue})"
+    return f'<i style="{style}"></i>{escape(name)}'
+
+
+def _long_table(head: tuple[str, ...], rows: list[tuple[str, ...]], words: str) -> str:
+    shown = table(head, rows[:_MANY], (0,))
+    if len(rows) <= _MANY:
+        return shown
+    rest = table(head, rows[_MANY:], (0,))
+    return f"{shown}<details><summary>{len(rows) - _MANY} more {words}</summary><div>{rest}</div></details>"
+
+
+def _region_rows(case: Case) -> list[tuple[str, ...]]:
+    counted = case.results["complex"]["materials"]
+    colours = region_colours(1 + max(entry["number"] for entry in counted))
+    by_number = {entry["number"]: entry for entry in dig(case.results, "volume", "regions") or []}
+    rows: list[tuple[str, ...]] = []
+    for material in sorted(counted, key=lambda entry: -(entry["volume_mm3"] or 0.0)):
+        if material["volume_mm3"] is None:  # the outside
+            continue
+        region = by_number.get(material["number"], {})
+        quality = region.get("quality")
+        shape: tuple[str, ...] = ("-",) * 4
+        if quality is not None:
+            shape = (
+                number(quality["min_dihedral"]["min"]),
+                number(quality["max_dihedral"]["max"]),
+                number(quality["radius_ratio"]["min"]),
+                number(quality["radius_ratio"]["mean"]),
+            )
+        rows.append(
+            (
+                _swatch(colours[material["number"]], material["name"]),
+                number(material["volume_mm3"]),
+                str(material["components"]),
+                number(region["tetrahedra"]) if region else "-",
+                *shape,
+            )
+        )
+    return rows
+
+
+def _interface_rows(case: Case) -> list[tuple[str, ...]]:
+    rows: list[tuple[str, ...]] = []
+    for pair in sorted(case.results["complex"]["interfaces"], key=lambda entry: -entry["area_mm2"]):
+        quality = pair["quality"]
+        turn = pair["rms_turn_degrees"]
+        rows.append(
+            (
+                escape(pair["name"].replace("/", " / ")),
+                number(pair["area_mm2"]),
+                str(pair["pieces"]),
+                number(pair["triangles"]),
+                number(quality["radius_ratio"]["min"]),
+                number(quality["radius_ratio"]["mean"]),
+                number(quality["min_angle"]["min"]),
+                number(quality["max_angle"]["max"]),
+                "-" if turn is None else number(turn),
+            )
+        )
+    return rows
+
+
+def _currents(case: Case) -> str:
+    figures = dig(case.results, "solve", "forward")
+    if figures is None:
+        return ""
+    rows = [
+        (
+            escape(entry["name"]),
+            number(entry["conductivity_s_per_m"]),
+            *(number(entry["potential_mv"][key]) for key in ("min", "mean", "max")),
+            number(entry["passing_ua"]),
+            f"{entry['net_ua']:.1e}",
+        )
+        for entry in figures["regions"]
+    ]
+    head = ("material", "conductivity, S/m", "lowest, mV", "mean", "highest", "current in and out, \u00b5A", "net")
+    return (
+        f"<h3>Potential of a current in {escape(figures['source'])}</h3>{table(head, rows, (0,))}"
+        f"<p>What leaves a material enters its neighbours: a share of {figures['imbalance']:.1e} of the current is lost or gained.</p>"
+    )
+
+
+def materials(case: Case) -> str:
+    """Write a row a material and a row an interface; nothing for one object.
+
+    Parameters
+    ----------
+    case
+        The case.
+    """
+    counted = case.results.get("complex")
+    if counted is None:
+        return ""
+    regions = _long_table(
+        ("material", "volume, mm\u00b3", "parts", "tetrahedra", "smallest dihedral angle", "largest", "radius ratio, smallest", "mean"),
+        _region_rows(case),
+        "materials",
+    )  # fmt: skip
+    interfaces = _long_table(
+        ("interface", "area, mm\u00b2", "pieces", "triangles", "radius ratio, smallest", "mean", "smallest angle", "largest", "turn"),
+        _interface_rows(case),
+        "interfaces",
+    )  # fmt: skip
+    turn = counted["rms_turn_degrees"]
+    words = (
+        f"<p>{number(counted['junction_edges'])} edges are junctions of three and more sheets, which end or meet in "
+        f"{number(counted['junction_vertices'])} points. The turn is that of the normal from a triangle to its neighbour on the same sheet, "
+        f"root mean square, degrees{'' if turn is None else f'; {number(turn)} over all'}.</p>"
+    )
+    return section("Materials", f"{regions}<h3>Interfaces</h3>{interfaces}{words}{_currents(case)}")

@@ -1,0 +1,132 @@
+"""Currents through materials of different conductivity: against the closed form in nested balls, and against their conservation."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from complexes import nested_balls
+from conftest import NEEDS_HXT, Run, tetrahedra, write_sizing
+from test_solve import FOREVER, block
+
+from tetmesh_check.assembly import Assembler
+from tetmesh_check.forward import Source, potential_of
+from tetmesh_check.quality import tetrahedron_quality
+
+RADII = (10.0, 6.0, 4.0)
+CONDUCTIVITY = (0.2, 0.05, 0.5)
+"""Of the layers, S/m, the outermost first."""
+
+
+def exact(points: np.ndarray, density: float) -> np.ndarray:
+    """Potential of a uniform current along x in the innermost of some nested balls, mV; insulated outside.
+
+    In layer i it is (A_i r + B_i / r^2) cos(theta); B of the innermost is 0, u and the radial current are continuous, and the latter is
+    zero at the outermost radius.
+    """
+    count = len(RADII)
+    matrix, right = np.zeros((2 * count, 2 * count)), np.zeros(2 * count)
+    matrix[0, :2] = 1.0, -2.0 / RADII[0] ** 3
+    matrix[1, 2 * count - 1] = 1.0
+    for k in range(1, count):
+        r = RADII[k]
+        outer, inner = 2 * (k - 1), 2 * k
+        matrix[2 * k, outer : outer + 2] = r, r**-2
+        matrix[2 * k, inner : inner + 2] = -r, -(r**-2)
+        matrix[2 * k + 1, outer : outer + 2] = CONDUCTIVITY[k - 1], -2.0 * CONDUCTIVITY[k - 1] / r**3
+        matrix[2 * k + 1, inner : inner + 2] = -CONDUCTIVITY[k], 2.0 * CONDUCTIVITY[k] / r**3
+        # the impressed current, in the innermost alone, comes on top of what is conducted
+        right[2 * k + 1] = -density if k == count - 1 else 0.0
+    factors = np.linalg.solve(matrix, right).reshape(count, 2)
+    r = np.linalg.norm(points, axis=1)
+    layer = np.clip((r[:, None] < np.array(RADII)).sum(axis=1) - 1, 0, count - 1)
+    a, b = factors[layer].T
+    return (a + b / np.maximum(r, 1e-9) ** 3) * points[:, 0]
+
+
+def solved(folder: Path, run: Run, subdivisions: tuple[int, ...], h: float) -> tuple[float, dict, np.ndarray]:
+    """Mean error of the potential over its mean size, and the report of the forward problem."""
+    nested_balls(RADII, subdivisions, ("body", "lung", "heart")).save(folder / "c.vtp")
+    write_sizing(folder / "h.vti", lambda world: np.full(len(world), h))
+    words = [
+        "c.vtp",
+        "--sizefield",
+        "h.vti",
+        "-o",
+        "c.vtu",
+        "--force",
+        "--report",
+        "r.json",
+        "-q",
+        "--source",
+        "heart=2,0,0",
+    ]
+    given = [
+        f"--conductivity={name}={value}" for name, value in zip(("body", "lung", "heart"), CONDUCTIVITY, strict=True)
+    ]
+    done = run(*words, *given, "--compare-seconds", 0)
+    assert done.returncode == 0, done.stderr
+    points, cells, grid = tetrahedra(folder / "c.vtu")
+    results = json.loads((folder / "r.json").read_text())["results"]
+    regions = np.asarray(grid.cell_data["region"]).astype(np.int64)
+    source = Source(3, np.array([2.0, 0.0, 0.0]), np.array([1.0, *CONDUCTIVITY]))
+    potential, _current, _figures, converged = potential_of(Assembler(points, cells), regions, source, FOREVER)
+    assert converged
+    truth = exact(points, 2.0)
+    weight = np.bincount(cells.ravel(), np.repeat(tetrahedron_quality(points, cells).volume, 4))
+    error = np.sqrt(weight @ (potential - truth) ** 2 / (weight @ truth**2))
+    return float(error), results, potential
+
+
+def test_the_closed_form_is_one() -> None:
+    """The exact potential itself, by differences: continuous currents at the interfaces, none through the outside."""
+    step = 1e-6
+    slopes = []
+    for r in (RADII[0] - 2 * step, *(RADII[k] + s * step for k in (1, 2) for s in (2, -2))):
+        at = np.array([[r - step, 0.0, 0.0], [r + step, 0.0, 0.0]])
+        slopes.append(float(np.diff(exact(at, 2.0))[0] / (2 * step)))
+    body, lung, heart = CONDUCTIVITY
+    assert slopes[0] == pytest.approx(0.0, abs=1e-4)
+    assert body * slopes[1] == pytest.approx(lung * slopes[2], rel=1e-4)
+    assert lung * slopes[3] == pytest.approx(heart * slopes[4] - 2.0, rel=1e-4)
+
+
+@NEEDS_HXT
+def test_nested_balls_of_different_conductivity(tmp_path: Path, run: Run) -> None:
+    coarse, _, _ = solved(tmp_path, run, (2, 2, 2), 2.0)
+    fine, results, potential = solved(tmp_path, run, (3, 3, 3), 1.0)
+    assert fine < 0.05
+    # linear elements: the error of the values falls with the square of h
+    assert 3.0 < coarse / fine < 5.5
+    figures = results["solve"]["forward"]
+    assert figures["source"] == "heart"
+    assert figures["imbalance"] < 1e-6
+    checks = {check["name"]: check for check in results["checks"]}
+    assert checks["current_conserved"]["verdict"] == "pass"
+    assert checks["current_conserved"]["value"] == figures["imbalance"]
+    regions = {entry["name"]: entry for entry in figures["regions"]}
+    assert [regions[name]["conductivity_s_per_m"] for name in ("body", "lung", "heart")] == list(CONDUCTIVITY)
+    # x = 10 is a vertex of no icosphere: the largest potentials lie at the innermost interface
+    assert regions["heart"]["potential_mv"]["max"] == pytest.approx(potential.max(), rel=1e-6)
+    assert regions["heart"]["potential_mv"]["max"] == pytest.approx(exact(np.array([[4.0, 0, 0]]), 2.0)[0], rel=0.05)
+    assert regions["body"]["potential_mv"]["max"] == pytest.approx(exact(np.array([[6.0, 0, 0]]), 2.0)[0], rel=0.05)
+    # what enters the lung leaves it
+    through = {entry["name"]: entry for entry in figures["interfaces"]}
+    assert abs(through["lung/body"]["net_ua"]) < 0.01 * through["lung/body"]["passing_ua"]
+    assert through["body/outside"]["net_ua"] == 0.0
+
+
+def test_a_bar_of_two_materials() -> None:
+    """A uniform current along a bar, in one half only: exact with linear elements, u falls where it is conducted back."""
+    points, cells = block((4, 2, 2))
+    regions = np.where(points[cells].mean(axis=1)[:, 0] < 2.0, 1, 2)
+    source = Source(1, np.array([3.0, 0.0, 0.0]), np.array([1.0, 0.5, 0.1]))
+    potential, current, figures, converged = potential_of(Assembler(points, cells), regions, source, FOREVER)
+    assert converged
+    assert figures["parts"] == 1
+    # no current can leave the bar: in the source the field cancels what is impressed, elsewhere there is none
+    np.testing.assert_allclose(current, 0.0, atol=1e-6)
+    truth = np.minimum(points[:, 0], 2.0) * 3.0 / 0.5
+    np.testing.assert_allclose(potential - potential[0], truth - truth[0], atol=1e-5)

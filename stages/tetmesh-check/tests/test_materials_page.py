@@ -1,0 +1,111 @@
+"""The page and the pictures of many materials."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import pyvista as pv
+from complexes import nested_balls
+from conftest import NEEDS_HXT, write_status
+
+from tetmesh_check.colours import region_colours
+from tetmesh_check.page import program
+from tetmesh_check.page.advice import ADVICE
+from tetmesh_check.page.view3d import view_meshes
+from tetmesh_check.polydata import from_polydata
+from tetmesh_check.topology import measure_topology
+
+
+@pytest.fixture(scope="module")
+def case(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder as make leaves it, of three nested balls; one name must be escaped in HTML."""
+    folder = tmp_path_factory.mktemp("many")
+    (folder / "reports").mkdir()
+    nested_balls((10.0, 7.0, 4.0), (3, 3, 2), ("body <skin>", "lung", "heart")).save(folder / "c.surface.vtp")
+    words = [
+        "c.surface.vtp",
+        "-o",
+        "c.volume.vtu",
+        "--report",
+        "c.report.json",
+        "--pictures",
+        "pictures",
+        "--source",
+        "heart",
+    ]
+    subprocess.run([sys.executable, "-m", "tetmesh_check", *words, "-q"], cwd=folder, check=True, timeout=120)
+    write_status(folder, "c")
+    return folder
+
+
+@NEEDS_HXT
+def test_the_page_tells_of_regions_and_interfaces(case: Path) -> None:
+    assert program.main([str(case / "c.status.json"), "-o", str(case / "c.report.html")]) == 0
+    text = (case / "c.report.html").read_text()
+    assert "Left out: the reports lack" not in text
+    assert "body &lt;skin&gt;" in text
+    assert "<skin>" not in text
+    for words in (
+        "Interfaces",
+        "lung / body &lt;skin&gt;",
+        "heart / lung",
+        "Potential of a current in heart",
+        "Every triangle between two",
+    ):
+        assert words in text
+    results = json.loads((case / "c.report.json").read_text())["results"]
+    assert {check["name"] for check in results["checks"]} <= set(ADVICE)
+    assert {"interfaces_kept", "conforming", "region_parts", "current_conserved"} <= set(ADVICE)
+    for entry in results["volume"]["regions"]:
+        assert f"{entry['tetrahedra']:,}".replace(",", "\u202f") in text
+    assert "only heart" in text
+    assert "only body &lt;skin&gt;" in text
+
+
+@NEEDS_HXT
+def test_a_material_can_be_looked_at_by_itself(case: Path) -> None:
+    surface = pv.read(case / "c.surface.vtp")
+    meshes = {mesh.name: mesh for mesh in view_meshes(surface, case / "c.volume.vtu")}
+    assert list(meshes) == ["surface", "cut", "worst tetrahedra", "only body <skin>", "only lung", "only heart"]
+    points, triangles = from_polydata(surface)
+    inside, outside = (np.asarray(surface.cell_data[f"material_{side}"]) for side in ("inside", "outside"))
+    for number, name in enumerate(("body <skin>", "lung", "heart"), 1):
+        mesh = meshes[f"only {name}"]
+        own = np.concatenate([triangles[inside == number], triangles[outside == number][:, ::-1]])
+        # the closed surface of the material, outward
+        assert measure_topology(mesh.points, mesh.triangles).is_closed_manifold
+        np.testing.assert_array_equal(
+            np.unique(np.sort(mesh.triangles, axis=1), axis=0), np.unique(np.sort(own, axis=1), axis=0)
+        )
+        np.testing.assert_array_equal(mesh.points[: len(points)], points)
+    on_cut = meshes["cut"].colours[-1]
+    assert on_cut.name == "number of the material"
+    assert set(on_cut.values) == {1.0, 2.0, 3.0}
+
+
+@NEEDS_HXT
+def test_a_cut_is_coloured_by_material(case: Path) -> None:
+    if not (case / "pictures" / "c.surface.png").is_file():
+        pytest.skip("no off-screen renderer on this machine")
+    from PIL import Image
+
+    with Image.open(case / "pictures" / "c.regions.png") as image:
+        pixels = np.asarray(image.convert("RGB")).astype(float)
+    # shades of the colour of each material cover a good part of the picture: compared by hue alone
+    shown = pixels[np.ptp(pixels, axis=2) > 40]
+    shown /= np.linalg.norm(shown, axis=1, keepdims=True)
+    for colour in region_colours(4)[1:].astype(float):
+        near = (shown @ (colour / np.linalg.norm(colour)) > 0.995).sum()
+        assert near > 0.01 * pixels.shape[0] * pixels.shape[1]
+
+
+def test_colours_differ() -> None:
+    colours = region_colours(16).astype(int)
+    apart = np.abs(colours[:, None] - colours[None]).sum(axis=2) + 1000 * np.eye(16, dtype=int)
+    assert apart.min() > 20
+    np.testing.assert_array_equal(region_colours(5), region_colours(16)[:5])
