@@ -69,8 +69,8 @@ pub fn run(args: &Args, path: &Path, context: &Context) -> Result<Outcome> {
     context.add_input(path, given.history.clone())?;
     let sizing = args.sizefield.as_deref().map(|size| read_sizing(size, (path, &geometry), context)).transpose()?;
     drop(step);
-    // with a scale of 0, which is all that there is, voxel centres keep their materials
-    let options = crate::reconstruct::Options { keeps_voxels: true, ..args.general_options() };
+    // without a scale voxel centres keep their materials
+    let options = crate::reconstruct::Options { keeps_voxels: told.scale.is_none(), ..args.general_options() };
     let table = given.materials.table();
     let made = reconstruct((&file.particles, &strata), &given.materials, table, sizing.as_ref(), &options, context)
         .map_err(|error| crate::run::about(&args.particles, error))?;
