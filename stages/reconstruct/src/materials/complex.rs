@@ -12,8 +12,9 @@ use isoparticles_field::materials::{Indicators, MaterialId, Stratum};
 use serde::Serialize;
 use std::collections::BTreeMap;
 
-/// Halvings of a Voronoi edge when the interface that it crosses is sought.
+/// Most halvings of a Voronoi edge when the interface that it crosses is sought, and how long a piece is enough, voxels: the crossing is projected after that.
 const HALVINGS: usize = 60;
+const CROSSING: f64 = 1e-3;
 
 /// A segment that lacks a material round it is cut where the surface balls there are smaller than this part of it: they tell no more.
 const SMALL_BALL: f64 = 0.5;
@@ -228,7 +229,7 @@ impl<'a> Complex<'a> {
         if at(low) != inside || at(high) == inside {
             return None;
         }
-        let tolerance = 1e-9 * self.indicators.voxel();
+        let tolerance = CROSSING * self.indicators.voxel();
         for _ in 0..HALVINGS {
             if low.distance_squared(high) < tolerance * tolerance {
                 break;

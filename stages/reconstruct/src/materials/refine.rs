@@ -11,12 +11,13 @@ use super::segments::Segment;
 use crate::labelled::Facet;
 use crate::refine::NEAREST_FOR_SHAPE;
 use glam::DVec3;
+use isoparticles_field::materials::Stratum;
 use isoparticles_mesh::kd_tree::KdTree;
 use isoparticles_stage::error::Result;
 use rayon::prelude::*;
 use serde::Serialize;
 use std::cmp::{Ordering, Reverse};
-use std::collections::{BTreeMap, BTreeSet, BinaryHeap};
+use std::collections::{BTreeMap, BinaryHeap, HashSet};
 
 /// A new point keeps this part of h from all others where the topology or a grid node asks for it.
 const NEAREST_FOR_TOPOLOGY: f64 = 0.05;
@@ -83,14 +84,6 @@ impl PartialOrd for Entry {
     }
 }
 
-/// What came of a violation.
-enum Outcome {
-    /// A point was inserted; the violation may be there still.
-    Inserted,
-    /// There is no room for one.
-    NoRoom,
-}
-
 /// A complex on the way to that of the indicators.
 pub struct Refinement<'a> {
     /// The complex.
@@ -98,8 +91,8 @@ pub struct Refinement<'a> {
     /// What was done.
     pub report: RefineReport,
     queue: BinaryHeap<Entry>,
-    /// What there was no room for.
-    without_room: BTreeSet<Simplex>,
+    /// What is in the queue.
+    queued: HashSet<Simplex>,
 }
 
 impl<'a> Refinement<'a> {
@@ -109,7 +102,18 @@ impl<'a> Refinement<'a> {
         let found = all_violations(&complex, &facets);
         let mut report = RefineReport::default();
         found.iter().for_each(|v| *report.violations.entry(v.reason).or_default() += 1);
-        Self { complex, report, queue: found.into_iter().map(Entry).collect(), without_room: BTreeSet::new() }
+        let mut new = Self { complex, report, queue: BinaryHeap::new(), queued: HashSet::new() };
+        new.enqueue(found);
+        new
+    }
+
+    /// Puts violations into the queue, those of simplices that are in it left out: what they are is found anew when their turn comes.
+    fn enqueue(&mut self, found: impl IntoIterator<Item = Violation>) {
+        for violation in found {
+            if self.queued.insert(violation.simplex) {
+                self.queue.push(Entry(violation));
+            }
+        }
     }
 
     /// Adds points until nothing is violated, or there is no room. `nodes` are those of the grid, where they shall keep their materials; `step` hears the
@@ -131,7 +135,8 @@ impl<'a> Refinement<'a> {
                 if let Some(nodes) = nodes
                     && let Some((near, _)) = tree.nearest(nodes.place(node))
                 {
-                    self.queue.extend(nodes.violation(&self.complex, node, near as u32).map(Entry));
+                    let found = nodes.violation(&self.complex, node, near as u32);
+                    self.enqueue(found);
                 }
             }
             self.drain(nodes, &mut step)?;
@@ -161,39 +166,36 @@ impl<'a> Refinement<'a> {
                 step(self.complex.points().len())?;
             }
             count += 1;
+            self.queued.remove(&old.simplex);
             let now = match old.simplex {
                 Simplex::Node(node) => nodes.and_then(|nodes| nodes.violation(&self.complex, node, old.near)),
                 simplex => self.complex.at_simplex(simplex),
             };
             let Some(violation) = now else { continue };
             if violation.reason > old.reason {
-                self.queue.push(Entry(violation));
+                self.enqueue([violation]);
                 continue;
             }
-            match self.mend(&violation)? {
-                Outcome::Inserted => {
-                    *self.report.inserted.entry(violation.reason).or_default() += 1;
-                    let changed = self.complex.labelled.take_changed();
-                    self.queue.extend(self.complex.at_tetrahedra(&changed).into_iter().map(Entry));
-                    self.queue.push(Entry(violation));
-                }
-                Outcome::NoRoom => {
-                    self.without_room.insert(violation.simplex);
-                }
+            if self.mend(&violation)? {
+                *self.report.inserted.entry(violation.reason).or_default() += 1;
+                let changed = self.complex.labelled.take_changed();
+                let found = self.complex.at_tetrahedra(&changed);
+                self.enqueue(found);
+                self.enqueue([violation]);
             }
         }
         Ok(())
     }
 
-    /// Inserts the point that mends a violation, or splits the segment on which it encroaches.
-    fn mend(&mut self, violation: &Violation) -> Result<Outcome> {
+    /// Inserts the point that mends a violation, or splits the segment on which it encroaches; false where there is no room for one.
+    fn mend(&mut self, violation: &Violation) -> Result<bool> {
         let least = violation.size
             * if violation.reason == Reason::Deviation { NEAREST_FOR_SHAPE } else { NEAREST_FOR_TOPOLOGY };
         if violation.radius < least {
-            return Ok(Outcome::NoRoom);
+            return Ok(false);
         }
         match violation.remedy {
-            Remedy::None => Ok(Outcome::NoRoom),
+            Remedy::None => Ok(false),
             Remedy::Split(pair) => self.split(pair, least),
             Remedy::Point { place, stratum } => match self.complex.segments.encroached(place, self.complex.points()) {
                 Some(pair) => self.split(pair, least),
@@ -205,14 +207,14 @@ impl<'a> Refinement<'a> {
         }
     }
 
-    /// Inserts the middle of a segment, on its curve, unless that is nearer than `least` to an end.
-    fn split(&mut self, pair: Segment, least: f64) -> Result<Outcome> {
-        let Some(curve) = self.complex.segments.curve(pair) else { return Ok(Outcome::NoRoom) };
+    /// Inserts the middle of a segment, on its curve, unless that is nearer than `least` to an end; true when it did.
+    fn split(&mut self, pair: Segment, least: f64) -> Result<bool> {
+        let Some(curve) = self.complex.segments.curve(pair) else { return Ok(false) };
         let [a, b] = pair.map(|v| self.complex.points()[v as usize]);
         let length = a.distance(b);
         let middle = onto(self.complex.indicators, curve, a.midpoint(b), 0.5 * length);
         let is_between = |p: &DVec3| p.distance(a).min(p.distance(b)) > (MIDDLE * length).max(least);
-        let Some(middle) = middle.filter(is_between) else { return Ok(Outcome::NoRoom) };
+        let Some(middle) = middle.filter(is_between) else { return Ok(false) };
         let size = 0.5 * (self.complex.sizes[pair[0] as usize] + self.complex.sizes[pair[1] as usize]);
         let inserted = self.complex.labelled.insert(middle, pair[0])?;
         let outcome = self.settle(inserted, curve, size);
@@ -223,16 +225,16 @@ impl<'a> Refinement<'a> {
         Ok(outcome)
     }
 
-    /// Takes note of a new point.
-    fn settle(&mut self, inserted: Option<u32>, stratum: isoparticles_field::materials::Stratum, size: f64) -> Outcome {
+    /// Takes note of a point, if it is new; true when it is.
+    fn settle(&mut self, inserted: Option<u32>, stratum: Stratum, size: f64) -> bool {
         if inserted.is_none() {
-            return Outcome::NoRoom;
+            return false;
         }
         self.complex.strata.push(stratum);
         self.complex.sizes.push(size);
         let indicators = self.complex.indicators;
         self.complex.labelled.decide(|centre| indicators.material_at(centre));
-        Outcome::Inserted
+        true
     }
 }
 
