@@ -267,10 +267,10 @@ impl<'a> Complex<'a> {
         Violation { reason, simplex, remedy: Remedy::Split(pair), radius, size, near: pair[0] }
     }
 
-    /// A segment must be an edge, with the three materials of its curve round it, each in one run.
-    pub fn at_segment(&self, pair: Segment, curve: Stratum) -> Option<Violation> {
+    /// A segment must be an edge, with the three materials of its curve round it, each in one run; `start` is a tetrahedron at it.
+    pub fn at_segment(&self, pair: Segment, curve: Stratum, start: Option<u32>) -> Option<Violation> {
         let simplex = Simplex::Edge(pair);
-        let Some(start) = self.at_edge(pair) else { return Some(self.by_split(Reason::Segment, simplex, pair)) };
+        let Some(start) = start else { return Some(self.by_split(Reason::Segment, simplex, pair)) };
         let runs = runs_round(self.labelled.delaunay(), pair, start, |t| self.material(t));
         let is_right = runs.len() == curve.count()
             && curve.materials().iter().all(|&id| runs.iter().any(|run| self.material(run[0]) == id));
@@ -291,11 +291,11 @@ impl<'a> Complex<'a> {
         self.by_largest_ball(Reason::Edge, Simplex::Edge(edge), &self.facets_between(edge, &runs))
     }
 
-    /// An edge, segment or not.
-    pub fn at_any_edge(&self, edge: [u32; 2]) -> Option<Violation> {
+    /// An edge, segment or not; `start` is a tetrahedron at it, if there is one.
+    pub fn at_any_edge(&self, edge: [u32; 2], start: Option<u32>) -> Option<Violation> {
         match self.segments.curve(edge) {
-            Some(curve) => self.at_segment(edge, curve),
-            None => self.at_plain_edge(edge, self.at_edge(edge)?),
+            Some(curve) => self.at_segment(edge, curve, start),
+            None => self.at_plain_edge(edge, start?),
         }
     }
 
@@ -343,7 +343,7 @@ impl<'a> Complex<'a> {
     pub fn at_simplex(&self, simplex: Simplex) -> Option<Violation> {
         match simplex {
             Simplex::Vertex(v) => self.at_vertex(v),
-            Simplex::Edge(edge) => self.at_any_edge(edge),
+            Simplex::Edge(edge) => self.at_any_edge(edge, self.at_edge(edge)),
             Simplex::Facet(vertices) => self.facet_on(vertices).and_then(|f| self.at_facet(&f)),
             Simplex::Node(_) => None,
         }
@@ -375,7 +375,8 @@ impl<'a> Complex<'a> {
         let mut segments: Vec<Segment> = vertices.iter().flat_map(|&v| self.segments.at(v)).collect();
         segments.sort_unstable();
         segments.dedup();
-        let mut found: Vec<Violation> = segments.into_iter().filter_map(|pair| self.at_any_edge(pair)).collect();
+        let mut found: Vec<Violation> =
+            segments.into_iter().filter_map(|pair| self.at_any_edge(pair, self.at_edge(pair))).collect();
         found.extend(edges.into_iter().filter_map(|(edge, t)| self.at_plain_edge(edge, t)));
         found.extend(vertices.into_iter().filter_map(|v| self.at_vertex(v)));
         found.extend(facets.iter().filter_map(|f| self.at_facet(f)));

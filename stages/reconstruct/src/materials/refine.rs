@@ -7,7 +7,7 @@
 use super::complex::{Complex, Reason, Remedy, Simplex, Violation};
 use super::nodes::Nodes;
 use super::prepare::onto;
-use super::segments::Segment;
+use super::segments::{Segment, segment};
 use crate::labelled::Facet;
 use crate::refine::NEAREST_FOR_SHAPE;
 use glam::DVec3;
@@ -150,6 +150,24 @@ impl<'a> Refinement<'a> {
         for violation in self.unresolved(&facets) {
             *self.report.unresolved.entry(violation.reason).or_default() += 1;
         }
+        let wrong = nodes.map_or_else(Vec::new, |nodes| nodes.wrong(&self.complex, &facets));
+        #[cfg(test)]
+        for &n in &wrong {
+            let nodes = nodes.expect("there");
+            let tree = KdTree::new(self.complex.points());
+            let (near, _) = tree.nearest(nodes.place(n)).expect("some");
+            let v = nodes.violation(&self.complex, n, near as u32);
+            eprintln!("{:?} {:?} {v:?}", nodes.place(n), self.complex.indicators.near(nodes.place(n)).entries());
+            if let Some(v) = v
+                && let Remedy::Point { place, .. } = v.remedy
+            {
+                let e = self.complex.segments.encroached(place, self.complex.points());
+                eprintln!("   encroached {e:?} {:?}", e.map(|e| self.complex.length(e)));
+            }
+        }
+        if !wrong.is_empty() {
+            self.report.unresolved.insert(Reason::Node, wrong.len());
+        }
         Ok(facets)
     }
 
@@ -241,14 +259,17 @@ impl<'a> Refinement<'a> {
 /// All violations of a complex but those of grid nodes, whose facets are given.
 pub(super) fn all_violations(complex: &Complex, facets: &[Facet]) -> Vec<Violation> {
     let mut found: Vec<Violation> = facets.par_iter().filter_map(|f| complex.at_facet(f)).collect();
-    let mut edges: Vec<[u32; 2]> = facets
+    let mut edges: Vec<([u32; 2], u32)> = facets
         .iter()
-        .flat_map(|f| (0..3).map(|k| super::segments::segment(f.vertices[k], f.vertices[(k + 1) % 3])))
-        .chain(complex.segments.all().map(|(pair, _)| pair))
+        .flat_map(|f| (0..3).map(|k| (segment(f.vertices[k], f.vertices[(k + 1) % 3]), f.tetrahedron)))
         .collect();
     edges.par_sort_unstable();
-    edges.dedup();
-    found.par_extend(edges.into_par_iter().filter_map(|edge| complex.at_any_edge(edge)));
+    edges.dedup_by_key(|(edge, _)| *edge);
+    // segments that are in no facet
+    let lost = |pair: &Segment| edges.binary_search_by_key(pair, |(edge, _)| *edge).is_err();
+    let lost: Vec<Segment> = complex.segments.all().map(|(pair, _)| pair).filter(lost).collect();
+    found.extend(lost.into_iter().filter_map(|pair| complex.at_any_edge(pair, complex.at_edge(pair))));
+    found.par_extend(edges.into_par_iter().filter_map(|(edge, t)| complex.at_any_edge(edge, Some(t))));
     let mut vertices: Vec<u32> = facets.iter().flat_map(|f| f.vertices).collect();
     vertices.par_sort_unstable();
     vertices.dedup();

@@ -228,7 +228,7 @@ fn each_check_finds_what_is_damaged() {
         ("on no junction curve", &|i| i.segments.truncate(i.segments.len() - 1)),
         ("triangles that cross", &|i| {
             let v = i.mesh.triangles[plain(i)][0];
-            i.mesh.vertices[v as usize] = CENTRE + 0.4 * (i.mesh.vertices[v as usize] - CENTRE);
+            i.mesh.vertices[v as usize] = CENTRE - 0.6 * (i.mesh.vertices[v as usize] - CENTRE);
         }),
         ("from a sheet of theirs", &|i| {
             let v = i.mesh.triangles[plain(i)][0];
