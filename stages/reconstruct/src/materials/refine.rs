@@ -25,6 +25,9 @@ const NEAREST_FOR_TOPOLOGY: f64 = 0.05;
 /// Ends of a segment are no nearer to the point that splits it than this part of its length.
 const MIDDLE: f64 = 0.2;
 
+/// How far beside the middle of a segment its curve is sought too, over the segment's length.
+const ASIDE: f64 = 0.05;
+
 /// Times that grid nodes are looked for in other materials, each time with an empty queue.
 const NODE_ROUNDS: usize = 12;
 
@@ -151,20 +154,6 @@ impl<'a> Refinement<'a> {
             *self.report.unresolved.entry(violation.reason).or_default() += 1;
         }
         let wrong = nodes.map_or_else(Vec::new, |nodes| nodes.wrong(&self.complex, &facets));
-        #[cfg(test)]
-        for &n in &wrong {
-            let nodes = nodes.expect("there");
-            let tree = KdTree::new(self.complex.points());
-            let (near, _) = tree.nearest(nodes.place(n)).expect("some");
-            let v = nodes.violation(&self.complex, n, near as u32);
-            eprintln!("{:?} {:?} {v:?}", nodes.place(n), self.complex.indicators.near(nodes.place(n)).entries());
-            if let Some(v) = v
-                && let Remedy::Point { place, .. } = v.remedy
-            {
-                let e = self.complex.segments.encroached(place, self.complex.points());
-                eprintln!("   encroached {e:?} {:?}", e.map(|e| self.complex.length(e)));
-            }
-        }
         if !wrong.is_empty() {
             self.report.unresolved.insert(Reason::Node, wrong.len());
         }
@@ -230,7 +219,11 @@ impl<'a> Refinement<'a> {
         let Some(curve) = self.complex.segments.curve(pair) else { return Ok(false) };
         let [a, b] = pair.map(|v| self.complex.points()[v as usize]);
         let length = a.distance(b);
-        let middle = onto(self.complex.indicators, curve, a.midpoint(b), 0.5 * length);
+        let (u, v) = (b - a).normalize_or(DVec3::X).any_orthonormal_pair();
+        // beside a kink of the indicators steps may end in vain, but not from all sides
+        let starts = [DVec3::ZERO, u, v, -u, -v].map(|way| a.midpoint(b) + ASIDE * length * way);
+        let on_curve = |start: &DVec3| onto(self.complex.indicators, curve, *start, 0.5 * length);
+        let middle = starts.iter().find_map(on_curve);
         let is_between = |p: &DVec3| p.distance(a).min(p.distance(b)) > (MIDDLE * length).max(least);
         let Some(middle) = middle.filter(is_between) else { return Ok(false) };
         let size = 0.5 * (self.complex.sizes[pair[0] as usize] + self.complex.sizes[pair[1] as usize]);

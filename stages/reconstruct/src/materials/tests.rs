@@ -89,7 +89,8 @@ fn volumes_and_areas_converge_to_second_order() {
         let truth = PI * height * height * (18.0 - height) / 3.0;
         volumes(made).into_iter().map(|v| (v / truth - 1.0).abs()).fold(0.0, f64::max)
     };
-    let cases: [(&str, Scene, &dyn Fn(&Reconstruction) -> f64); 3] = [
+    type Error<'a> = &'a dyn Fn(&Reconstruction) -> f64;
+    let cases: [(&str, Scene, Error); 3] = [
         ("nested", scenes::nested(), &nested),
         ("sectors", scenes::sectors(), &sectors),
         ("two balls", scenes::two_balls(), &caps),
@@ -213,7 +214,8 @@ fn each_check_finds_what_is_damaged() {
         let meets = i.materials_at_vertices();
         i.mesh.triangles.iter().position(|t| t.iter().all(|&v| meets[v as usize].len() == 2)).expect("inside a sheet")
     };
-    let damages: [(&str, &dyn Fn(&mut Interfaces)); 9] = [
+    type Damage<'a> = &'a dyn Fn(&mut Interfaces);
+    let damages: [(&str, Damage); 9] = [
         ("another number of triangles", &|i| {
             i.mesh.triangles.pop();
             i.between.pop();
