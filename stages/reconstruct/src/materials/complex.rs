@@ -12,8 +12,9 @@ use isoparticles_field::materials::{Indicators, MaterialId, Stratum};
 use serde::Serialize;
 use std::collections::BTreeMap;
 
-/// Halvings of a Voronoi edge when the interface that it crosses is sought.
+/// Most halvings of a Voronoi edge when the interface that it crosses is sought, and how long a piece is enough, voxels: the crossing is projected after that.
 const HALVINGS: usize = 60;
+const CROSSING: f64 = 1e-3;
 
 /// A segment that lacks a material round it is cut where the surface balls there are smaller than this part of it: they tell no more.
 const SMALL_BALL: f64 = 0.5;
@@ -228,7 +229,7 @@ impl<'a> Complex<'a> {
         if at(low) != inside || at(high) == inside {
             return None;
         }
-        let tolerance = 1e-9 * self.indicators.voxel();
+        let tolerance = CROSSING * self.indicators.voxel();
         for _ in 0..HALVINGS {
             if low.distance_squared(high) < tolerance * tolerance {
                 break;
@@ -266,10 +267,10 @@ impl<'a> Complex<'a> {
         Violation { reason, simplex, remedy: Remedy::Split(pair), radius, size, near: pair[0] }
     }
 
-    /// A segment must be an edge, with the three materials of its curve round it, each in one run.
-    pub fn at_segment(&self, pair: Segment, curve: Stratum) -> Option<Violation> {
+    /// A segment must be an edge, with the three materials of its curve round it, each in one run; `start` is a tetrahedron at it.
+    pub fn at_segment(&self, pair: Segment, curve: Stratum, start: Option<u32>) -> Option<Violation> {
         let simplex = Simplex::Edge(pair);
-        let Some(start) = self.at_edge(pair) else { return Some(self.by_split(Reason::Segment, simplex, pair)) };
+        let Some(start) = start else { return Some(self.by_split(Reason::Segment, simplex, pair)) };
         let runs = runs_round(self.labelled.delaunay(), pair, start, |t| self.material(t));
         let is_right = runs.len() == curve.count()
             && curve.materials().iter().all(|&id| runs.iter().any(|run| self.material(run[0]) == id));
@@ -290,11 +291,11 @@ impl<'a> Complex<'a> {
         self.by_largest_ball(Reason::Edge, Simplex::Edge(edge), &self.facets_between(edge, &runs))
     }
 
-    /// An edge, segment or not.
-    pub fn at_any_edge(&self, edge: [u32; 2]) -> Option<Violation> {
+    /// An edge, segment or not; `start` is a tetrahedron at it, if there is one.
+    pub fn at_any_edge(&self, edge: [u32; 2], start: Option<u32>) -> Option<Violation> {
         match self.segments.curve(edge) {
-            Some(curve) => self.at_segment(edge, curve),
-            None => self.at_plain_edge(edge, self.at_edge(edge)?),
+            Some(curve) => self.at_segment(edge, curve, start),
+            None => self.at_plain_edge(edge, start?),
         }
     }
 
@@ -342,7 +343,7 @@ impl<'a> Complex<'a> {
     pub fn at_simplex(&self, simplex: Simplex) -> Option<Violation> {
         match simplex {
             Simplex::Vertex(v) => self.at_vertex(v),
-            Simplex::Edge(edge) => self.at_any_edge(edge),
+            Simplex::Edge(edge) => self.at_any_edge(edge, self.at_edge(edge)),
             Simplex::Facet(vertices) => self.facet_on(vertices).and_then(|f| self.at_facet(&f)),
             Simplex::Node(_) => None,
         }
@@ -374,7 +375,8 @@ impl<'a> Complex<'a> {
         let mut segments: Vec<Segment> = vertices.iter().flat_map(|&v| self.segments.at(v)).collect();
         segments.sort_unstable();
         segments.dedup();
-        let mut found: Vec<Violation> = segments.into_iter().filter_map(|pair| self.at_any_edge(pair)).collect();
+        let mut found: Vec<Violation> =
+            segments.into_iter().filter_map(|pair| self.at_any_edge(pair, self.at_edge(pair))).collect();
         found.extend(edges.into_iter().filter_map(|(edge, t)| self.at_plain_edge(edge, t)));
         found.extend(vertices.into_iter().filter_map(|v| self.at_vertex(v)));
         found.extend(facets.iter().filter_map(|f| self.at_facet(f)));

@@ -5,6 +5,7 @@ use super::prepare::onto;
 use super::segments::segment;
 use crate::labelled::Facet;
 use glam::DVec3;
+use isoparticles_delaunay::INFINITE;
 use isoparticles_delaunay::predicates::orientation;
 use isoparticles_field::materials::{Indicators, MaterialId, Stratum};
 use isoparticles_mesh::inside::crossings;
@@ -156,14 +157,24 @@ impl Nodes {
             near,
         };
         let size = complex.sizes[near as usize];
-        let Some((foot, stratum)) = target else { return Some(of(Remedy::None, 0.0, size, near)) };
-        let around = complex.labelled.locate(foot, near).map_or([near; 4], |t| complex.labelled.delaunay().vertices(t));
+        let vertices_of = |t: Option<u32>| t.map_or(vec![near], |t| complex.labelled.delaunay().vertices(t).to_vec());
+        // where it cannot be at the foot, a facet round the node is refined
+        let by_split = |vertices: Vec<u32>| {
+            let finite = vertices.into_iter().filter(|&v| v != INFINITE);
+            let splits = finite.filter_map(|v| self.by_split(complex, node, v));
+            splits.max_by(|a, b| a.radius.total_cmp(&b.radius).then(b.near.cmp(&a.near)))
+        };
+        let Some((foot, stratum)) = target else {
+            return by_split(vertices_of(t)).or_else(|| Some(of(Remedy::None, 0.0, size, near)));
+        };
         let distance = |v: u32| complex.points().get(v as usize).map_or(f64::INFINITY, |p| p.distance(foot));
-        let (vertex, radius) = around.into_iter().map(|v| (v, distance(v))).min_by(|a, b| a.1.total_cmp(&b.1))?;
+        let around = vertices_of(complex.labelled.locate(foot, near)).into_iter().map(|v| (v, distance(v)));
+        let (vertex, radius) = around.min_by(|a, b| a.1.total_cmp(&b.1))?;
+        let at_foot = of(Remedy::Point { place: foot, stratum }, radius, size, near);
         if radius >= AT_A_VERTEX * size {
-            return Some(of(Remedy::Point { place: foot, stratum }, radius, size, near));
+            return Some(at_foot);
         }
-        Some(self.by_split(complex, node, vertex).unwrap_or_else(|| of(Remedy::None, 0.0, size, near)))
+        by_split(vec![vertex]).or_else(|| by_split(vertices_of(t))).or(Some(at_foot))
     }
 
     /// Refines a facet at a vertex next to a node that passes the node by: at the middle of its longest edge.

@@ -7,22 +7,26 @@
 use super::complex::{Complex, Reason, Remedy, Simplex, Violation};
 use super::nodes::Nodes;
 use super::prepare::onto;
-use super::segments::Segment;
+use super::segments::{Segment, segment};
 use crate::labelled::Facet;
 use crate::refine::NEAREST_FOR_SHAPE;
 use glam::DVec3;
+use isoparticles_field::materials::Stratum;
 use isoparticles_mesh::kd_tree::KdTree;
 use isoparticles_stage::error::Result;
 use rayon::prelude::*;
 use serde::Serialize;
 use std::cmp::{Ordering, Reverse};
-use std::collections::{BTreeMap, BTreeSet, BinaryHeap};
+use std::collections::{BTreeMap, BinaryHeap, HashSet};
 
 /// A new point keeps this part of h from all others where the topology or a grid node asks for it.
 const NEAREST_FOR_TOPOLOGY: f64 = 0.05;
 
 /// Ends of a segment are no nearer to the point that splits it than this part of its length.
 const MIDDLE: f64 = 0.2;
+
+/// How far beside the middle of a segment its curve is sought too, over the segment's length.
+const ASIDE: f64 = 0.05;
 
 /// Times that grid nodes are looked for in other materials, each time with an empty queue.
 const NODE_ROUNDS: usize = 12;
@@ -83,14 +87,6 @@ impl PartialOrd for Entry {
     }
 }
 
-/// What came of a violation.
-enum Outcome {
-    /// A point was inserted; the violation may be there still.
-    Inserted,
-    /// There is no room for one.
-    NoRoom,
-}
-
 /// A complex on the way to that of the indicators.
 pub struct Refinement<'a> {
     /// The complex.
@@ -98,8 +94,8 @@ pub struct Refinement<'a> {
     /// What was done.
     pub report: RefineReport,
     queue: BinaryHeap<Entry>,
-    /// What there was no room for.
-    without_room: BTreeSet<Simplex>,
+    /// What is in the queue.
+    queued: HashSet<Simplex>,
 }
 
 impl<'a> Refinement<'a> {
@@ -109,7 +105,18 @@ impl<'a> Refinement<'a> {
         let found = all_violations(&complex, &facets);
         let mut report = RefineReport::default();
         found.iter().for_each(|v| *report.violations.entry(v.reason).or_default() += 1);
-        Self { complex, report, queue: found.into_iter().map(Entry).collect(), without_room: BTreeSet::new() }
+        let mut new = Self { complex, report, queue: BinaryHeap::new(), queued: HashSet::new() };
+        new.enqueue(found);
+        new
+    }
+
+    /// Puts violations into the queue, those of simplices that are in it left out: what they are is found anew when their turn comes.
+    fn enqueue(&mut self, found: impl IntoIterator<Item = Violation>) {
+        for violation in found {
+            if self.queued.insert(violation.simplex) {
+                self.queue.push(Entry(violation));
+            }
+        }
     }
 
     /// Adds points until nothing is violated, or there is no room. `nodes` are those of the grid, where they shall keep their materials; `step` hears the
@@ -131,7 +138,8 @@ impl<'a> Refinement<'a> {
                 if let Some(nodes) = nodes
                     && let Some((near, _)) = tree.nearest(nodes.place(node))
                 {
-                    self.queue.extend(nodes.violation(&self.complex, node, near as u32).map(Entry));
+                    let found = nodes.violation(&self.complex, node, near as u32);
+                    self.enqueue(found);
                 }
             }
             self.drain(nodes, &mut step)?;
@@ -144,6 +152,10 @@ impl<'a> Refinement<'a> {
         self.report.unresolved = BTreeMap::new();
         for violation in self.unresolved(&facets) {
             *self.report.unresolved.entry(violation.reason).or_default() += 1;
+        }
+        let wrong = nodes.map_or_else(Vec::new, |nodes| nodes.wrong(&self.complex, &facets));
+        if !wrong.is_empty() {
+            self.report.unresolved.insert(Reason::Node, wrong.len());
         }
         Ok(facets)
     }
@@ -161,39 +173,36 @@ impl<'a> Refinement<'a> {
                 step(self.complex.points().len())?;
             }
             count += 1;
+            self.queued.remove(&old.simplex);
             let now = match old.simplex {
                 Simplex::Node(node) => nodes.and_then(|nodes| nodes.violation(&self.complex, node, old.near)),
                 simplex => self.complex.at_simplex(simplex),
             };
             let Some(violation) = now else { continue };
             if violation.reason > old.reason {
-                self.queue.push(Entry(violation));
+                self.enqueue([violation]);
                 continue;
             }
-            match self.mend(&violation)? {
-                Outcome::Inserted => {
-                    *self.report.inserted.entry(violation.reason).or_default() += 1;
-                    let changed = self.complex.labelled.take_changed();
-                    self.queue.extend(self.complex.at_tetrahedra(&changed).into_iter().map(Entry));
-                    self.queue.push(Entry(violation));
-                }
-                Outcome::NoRoom => {
-                    self.without_room.insert(violation.simplex);
-                }
+            if self.mend(&violation)? {
+                *self.report.inserted.entry(violation.reason).or_default() += 1;
+                let changed = self.complex.labelled.take_changed();
+                let found = self.complex.at_tetrahedra(&changed);
+                self.enqueue(found);
+                self.enqueue([violation]);
             }
         }
         Ok(())
     }
 
-    /// Inserts the point that mends a violation, or splits the segment on which it encroaches.
-    fn mend(&mut self, violation: &Violation) -> Result<Outcome> {
+    /// Inserts the point that mends a violation, or splits the segment on which it encroaches; false where there is no room for one.
+    fn mend(&mut self, violation: &Violation) -> Result<bool> {
         let least = violation.size
             * if violation.reason == Reason::Deviation { NEAREST_FOR_SHAPE } else { NEAREST_FOR_TOPOLOGY };
         if violation.radius < least {
-            return Ok(Outcome::NoRoom);
+            return Ok(false);
         }
         match violation.remedy {
-            Remedy::None => Ok(Outcome::NoRoom),
+            Remedy::None => Ok(false),
             Remedy::Split(pair) => self.split(pair, least),
             Remedy::Point { place, stratum } => match self.complex.segments.encroached(place, self.complex.points()) {
                 Some(pair) => self.split(pair, least),
@@ -205,14 +214,18 @@ impl<'a> Refinement<'a> {
         }
     }
 
-    /// Inserts the middle of a segment, on its curve, unless that is nearer than `least` to an end.
-    fn split(&mut self, pair: Segment, least: f64) -> Result<Outcome> {
-        let Some(curve) = self.complex.segments.curve(pair) else { return Ok(Outcome::NoRoom) };
+    /// Inserts the middle of a segment, on its curve, unless that is nearer than `least` to an end; true when it did.
+    fn split(&mut self, pair: Segment, least: f64) -> Result<bool> {
+        let Some(curve) = self.complex.segments.curve(pair) else { return Ok(false) };
         let [a, b] = pair.map(|v| self.complex.points()[v as usize]);
         let length = a.distance(b);
-        let middle = onto(self.complex.indicators, curve, a.midpoint(b), 0.5 * length);
+        let (u, v) = (b - a).normalize_or(DVec3::X).any_orthonormal_pair();
+        // beside a kink of the indicators steps may end in vain, but not from all sides
+        let starts = [DVec3::ZERO, u, v, -u, -v].map(|way| a.midpoint(b) + ASIDE * length * way);
+        let on_curve = |start: &DVec3| onto(self.complex.indicators, curve, *start, 0.5 * length);
+        let middle = starts.iter().find_map(on_curve);
         let is_between = |p: &DVec3| p.distance(a).min(p.distance(b)) > (MIDDLE * length).max(least);
-        let Some(middle) = middle.filter(is_between) else { return Ok(Outcome::NoRoom) };
+        let Some(middle) = middle.filter(is_between) else { return Ok(false) };
         let size = 0.5 * (self.complex.sizes[pair[0] as usize] + self.complex.sizes[pair[1] as usize]);
         let inserted = self.complex.labelled.insert(middle, pair[0])?;
         let outcome = self.settle(inserted, curve, size);
@@ -223,30 +236,33 @@ impl<'a> Refinement<'a> {
         Ok(outcome)
     }
 
-    /// Takes note of a new point.
-    fn settle(&mut self, inserted: Option<u32>, stratum: isoparticles_field::materials::Stratum, size: f64) -> Outcome {
+    /// Takes note of a point, if it is new; true when it is.
+    fn settle(&mut self, inserted: Option<u32>, stratum: Stratum, size: f64) -> bool {
         if inserted.is_none() {
-            return Outcome::NoRoom;
+            return false;
         }
         self.complex.strata.push(stratum);
         self.complex.sizes.push(size);
         let indicators = self.complex.indicators;
         self.complex.labelled.decide(|centre| indicators.material_at(centre));
-        Outcome::Inserted
+        true
     }
 }
 
 /// All violations of a complex but those of grid nodes, whose facets are given.
 pub(super) fn all_violations(complex: &Complex, facets: &[Facet]) -> Vec<Violation> {
     let mut found: Vec<Violation> = facets.par_iter().filter_map(|f| complex.at_facet(f)).collect();
-    let mut edges: Vec<[u32; 2]> = facets
+    let mut edges: Vec<([u32; 2], u32)> = facets
         .iter()
-        .flat_map(|f| (0..3).map(|k| super::segments::segment(f.vertices[k], f.vertices[(k + 1) % 3])))
-        .chain(complex.segments.all().map(|(pair, _)| pair))
+        .flat_map(|f| (0..3).map(|k| (segment(f.vertices[k], f.vertices[(k + 1) % 3]), f.tetrahedron)))
         .collect();
     edges.par_sort_unstable();
-    edges.dedup();
-    found.par_extend(edges.into_par_iter().filter_map(|edge| complex.at_any_edge(edge)));
+    edges.dedup_by_key(|(edge, _)| *edge);
+    // segments that are in no facet
+    let lost = |pair: &Segment| edges.binary_search_by_key(pair, |(edge, _)| *edge).is_err();
+    let lost: Vec<Segment> = complex.segments.all().map(|(pair, _)| pair).filter(lost).collect();
+    found.extend(lost.into_iter().filter_map(|pair| complex.at_any_edge(pair, complex.at_edge(pair))));
+    found.par_extend(edges.into_par_iter().filter_map(|(edge, t)| complex.at_any_edge(edge, Some(t))));
     let mut vertices: Vec<u32> = facets.iter().flat_map(|f| f.vertices).collect();
     vertices.par_sort_unstable();
     vertices.dedup();
