@@ -32,7 +32,7 @@ THREADS ?=
 
 # What a case may set (pipelines/case/src/keys.rs says what each is). The command line comes before the case's file; the
 # environment has no say, because names as plain as NAME or SIZE may mean something else there.
-KEYS := NAME INPUT PHANTOM SERIES ISO LABELS INSIDE BORDER SCALE EPSILON DELTA SIZE MIN_SIZE MAX_SIZE VERTICES QUALITY COUNT SEED \
+KEYS := NAME INPUT PHANTOM SERIES ISO LABELS MATERIALS INSIDE BORDER SCALE EPSILON DELTA SIZE MIN_SIZE MAX_SIZE VERTICES QUALITY COUNT SEED \
         BACKEND MAX_MEMORY DISTFIELD_OPTIONS SIZEFIELD_OPTIONS PARTICLES_OPTIONS RECONSTRUCT_OPTIONS TETMESH_OPTIONS
 $(foreach key,$(KEYS) CASE CASES,$(if $(filter environment,$(origin $(key))),$(eval undefine $(key))))
 # What this file knows besides.
@@ -99,6 +99,7 @@ Volumes in, simulation-ready meshes out.
   make info INPUT=v.nrrd                       what the volume is, and what to ask for
   make mesh INPUT=v.nrrd ISO=300               mesh where the scalar is above 300 (INSIDE=below: below)
   make mesh INPUT=v.nrrd LABELS=1,2            mesh the union of labels 1 and 2
+  make mesh INPUT=v.nrrd MATERIALS=all         mesh all labels together, with shared interfaces (MATERIALS=lungs:2,rest:1+3)
   make CASE=heart                              mesh the case of pipelines/heart.mk
   make -j2 CASES="heart mickey" cases          several cases at once
   make batch LIST=cases.csv                    every row of a list: a column a parameter, a row a case; goes on past failures, and

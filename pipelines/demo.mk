@@ -15,6 +15,8 @@ ISO := 170
 INSIDE := above
 # ... or LABELS, whole numbers with commas; their union is meshed.
 #   LABELS := 1,2
+# ... or MATERIALS: all labels, or some by names, each a region of one mesh with shared interfaces.
+#   MATERIALS := lungs:2,heart:1,rest:3+4
 
 # BORDER = cap closes the object where the volume cuts it, open leaves it open.
 #   BORDER := cap

@@ -109,6 +109,9 @@ pub struct MaterialsMeta {
     /// Distance (mm) at which `interface_distance` ends.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub distance_limit: Option<f64>,
+    /// Length below which shape was smoothed away, mm; none where every voxel centre was kept.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub scale: Option<f64>,
     /// For people: the table of materials, pairs that touch, junctions.
     #[serde(flatten)]
     pub notes: Map<String, Value>,

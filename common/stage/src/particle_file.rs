@@ -135,6 +135,19 @@ pub fn write_material_particles(
     write(path, kind, (particles, Some(strata)), meta, history, &[])
 }
 
+/// Writes particles of many materials with bytes that belong to the checkpoint alone.
+pub fn write_material_particles_with(
+    path: &Path,
+    kind: ParticleKind,
+    particles: &ParticleSet,
+    strata: &Strata,
+    meta: &Value,
+    history: &History,
+    extra: &[u8],
+) -> Result<()> {
+    write(path, kind, (particles, Some(strata)), meta, history, extra)
+}
+
 fn write(
     path: &Path,
     kind: ParticleKind,

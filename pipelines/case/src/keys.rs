@@ -37,7 +37,7 @@ const fn key(name: &'static str, form: Form, what: &'static str) -> Key {
 }
 
 /// All keys, in the order in which they are told.
-pub const KEYS: [Key; 30] = [
+pub const KEYS: [Key; 31] = [
     key("CASE", Form::Text, "a file of pipelines/"),
     key("NAME", Form::Text, "the name of the results"),
     key("INPUT", Form::Text, "the volume to mesh"),
@@ -45,6 +45,7 @@ pub const KEYS: [Key; 30] = [
     key("SERIES", Form::Text, "the series of a folder of DICOM files, by description, number or UID"),
     key("ISO", Form::Number, "the iso value"),
     key("LABELS", Form::Text, "the labels to mesh"),
+    key("MATERIALS", Form::Text, "the materials to mesh together: all, or lungs:2,heart:1,rest:3+4..6"),
     key("INSIDE", Form::OneOf(&["above", "below"]), "the side of ISO that is the object"),
     key("BORDER", Form::OneOf(&["cap", "open"]), "what happens where the volume cuts the object"),
     key("SCALE", Form::NotNegative, "the size of the features to leave out, mm"),

@@ -64,19 +64,22 @@ impl Case {
                 "check INPUT; a case of pipelines/ looks for real volumes in DATA",
             ));
         }
-        let what = [self.settings.get("ISO"), self.settings.get("LABELS")];
-        if what == [None, None] {
+        let of_labels = ["LABELS", "MATERIALS"].into_iter().find(|key| self.settings.get(key).is_some());
+        if self.settings.get("ISO").is_none() && of_labels.is_none() {
             return Err(Error::input(
-                "neither ISO nor LABELS is set",
+                "neither ISO nor LABELS nor MATERIALS is set",
                 "one of them says what in the volume is to be meshed",
-                format!("add ISO=value or LABELS=1,2 ({} info INPUT=... says what there is)", program::front()),
+                format!(
+                    "add ISO=value, LABELS=1,2 or MATERIALS=all ({} info INPUT=... says what there is)",
+                    program::front()
+                ),
             ));
         }
-        if self.settings.get("LABELS").is_some() && self.settings.get("INSIDE").is_some() {
+        if let Some(key) = of_labels.filter(|_| self.settings.get("INSIDE").is_some()) {
             return Err(Error::input(
-                "INSIDE and LABELS are both set",
+                format!("INSIDE and {key} are both set"),
                 "INSIDE is the side of an iso value, and labels have none",
-                "keep INSIDE with ISO, or LABELS alone",
+                format!("keep INSIDE with ISO, or {key} alone"),
             ));
         }
         Ok(())

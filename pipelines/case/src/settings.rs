@@ -23,9 +23,13 @@ pub struct Settings {
 }
 
 /// Two keys that say the same thing in two ways, and why they cannot both hold.
-const EXCLUSIVE: [(&str, &str, &str); 8] = [
+const EXCLUSIVE: [(&str, &str, &str); 12] = [
     ("INPUT", "PHANTOM", "a case has one volume: a file, or a phantom that is made"),
     ("ISO", "LABELS", "a volume is meshed as a scalar or as labels"),
+    ("ISO", "MATERIALS", "a volume is meshed as a scalar or as labels"),
+    ("LABELS", "MATERIALS", "labels are one object together, or a material each"),
+    ("VERTICES", "MATERIALS", "no edge length is looked for that gives many materials a number of vertices"),
+    ("COUNT", "MATERIALS", "the particles of many materials are as many as their edge lengths ask for"),
     ("SIZE", "EPSILON", LEAVES_NOTHING),
     ("SIZE", "DELTA", LEAVES_NOTHING),
     ("SIZE", "MIN_SIZE", LEAVES_NOTHING),
@@ -36,8 +40,9 @@ const EXCLUSIVE: [(&str, &str, &str); 8] = [
 const LEAVES_NOTHING: &str = "SIZE is one edge length everywhere and leaves nothing to grade or bound";
 
 /// What a case file says goes with another of its values that the user has replaced: (the user's key, the case's).
-const GOES_WITH: [(&str, &str); 5] = [
+const GOES_WITH: [(&str, &str); 6] = [
     ("LABELS", "INSIDE"),
+    ("MATERIALS", "INSIDE"),
     ("SIZE", "SCALE"),
     ("VERTICES", "SCALE"),
     ("VERTICES", "MIN_SIZE"),
@@ -166,6 +171,8 @@ mod tests {
         let settings = read(&["LABELS=left lung,2..5"], &case).expect("LABELS against the case's ISO");
         assert_eq!((settings.get("ISO"), settings.get("INSIDE")), (None, None));
         assert_eq!(settings.get("LABELS"), Some("left lung,2..5"));
+        let settings = read(&["MATERIALS=all"], &case).expect("MATERIALS against the case's ISO");
+        assert_eq!((settings.get("ISO"), settings.get("INSIDE"), settings.get("MATERIALS")), (None, None, Some("all")));
         let settings = read(&["MAX_SIZE=9"], &["SIZE=2"]).expect("MAX_SIZE against the case's SIZE");
         assert_eq!(settings.get("SIZE"), None);
         let settings = read(&["ISO="], &case).expect("an empty value unsets the case's");
@@ -177,6 +184,8 @@ mod tests {
     fn two_values_of_one_hand_that_exclude_each_other_are_refused() {
         let error = read(&["SIZE=3", "MIN_SIZE=1"], &[]).expect_err("both by the user");
         assert!(error.what.contains("SIZE=3 and MIN_SIZE=1") && error.what.contains("command line"), "{error}");
+        let error = read(&["LABELS=1", "MATERIALS=all"], &[]).expect_err("one object or many");
+        assert!(error.what.contains("LABELS=1 and MATERIALS=all"), "{error}");
         let error = read(&[], &["ISO=3", "LABELS=1"]).expect_err("both by the case");
         assert!(error.what.contains("pipelines/demo.mk"), "{error}");
         let error = read(&[], &["MIN_SZIE=3"]).expect_err("a slip in the case file");

@@ -201,6 +201,12 @@ const SCALE_BY_KEY: [(&str, &str); 4] = [
     ("--quality", "QUALITY"),
 ];
 
+/// `lungs:2,heart:1+4` as options of `distfield`; a name alone is one of the file's, or `all`.
+fn materials(choice: &str) -> impl Iterator<Item = String> {
+    let named = choice.split(',').map(str::trim).filter(|one| !one.is_empty());
+    named.flat_map(|one| ["--material".to_owned(), one.replacen(':', "=", 1)])
+}
+
 /// What a stage is told that may change its result.
 fn options(stage: &str, settings: &Settings) -> Vec<String> {
     let mut words = Vec::new();
@@ -217,6 +223,9 @@ fn options(stage: &str, settings: &Settings) -> Vec<String> {
     let chosen = more.iter().any(|word| word.starts_with("--scale") || word.starts_with("--quality"));
     if stage == "distfield" && !chosen {
         SCALE_BY_KEY.iter().any(add);
+    }
+    if stage == "distfield" {
+        words.extend(materials(settings.get("MATERIALS").unwrap_or_default()));
     }
     words.extend(more);
     words

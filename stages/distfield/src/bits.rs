@@ -104,6 +104,11 @@ impl Numbering {
         self.before[block] + ones(&self.bits.words[block * BLOCK..word]) + below.count_ones() as usize
     }
 
+    /// The number of a node, if it is in the set.
+    pub fn find(&self, node: usize) -> Option<usize> {
+        self.bits.holds(node).then(|| self.number(node))
+    }
+
     /// Visits the nodes of the set in a range, in ascending order, with their numbers.
     pub fn each(&self, range: Range<usize>, mut visit: impl FnMut(usize, usize)) {
         if range.is_empty() {
@@ -157,7 +162,8 @@ mod tests {
         let nodes: Vec<usize> = (0..1000).filter(|&n| holds(n)).collect();
         assert_eq!(numbering.count, nodes.len());
         for (number, &node) in nodes.iter().enumerate() {
-            assert_eq!(numbering.number(node), number);
+            assert_eq!((numbering.number(node), numbering.find(node)), (number, Some(number)));
+            assert_eq!(numbering.find(node + 1).is_some(), holds(node + 1));
         }
         for range in [0..1000, 61..64, 64..64, 5..700, 999..1000] {
             let mut found = Vec::new();

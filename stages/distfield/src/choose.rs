@@ -42,9 +42,24 @@ pub struct ScaleArgs {
 const FINE_ENOUGH: f64 = 0.75;
 
 /// A scale and why it is that.
-struct Choice {
-    length: f64,
-    reason: String,
+pub(crate) struct Choice {
+    /// mm.
+    pub length: f64,
+    /// In words.
+    pub reason: String,
+}
+
+impl Choice {
+    /// That for an edge length (mm), `whose` in words, with voxels of that spacing.
+    fn for_length(length: f64, whose: &str, voxel: f64) -> Self {
+        let limit = format!("than {FINE_ENOUGH} of a voxel of {voxel:.4} mm");
+        if length > FINE_ENOUGH * voxel {
+            let reason = format!("{SCALE_OVER_SIZE} times {whose} which is longer {limit}");
+            Self { length: SCALE_OVER_SIZE * length, reason }
+        } else {
+            Self { length: 0.0, reason: format!("{whose} is no longer {limit}") }
+        }
+    }
 }
 
 /// Which object of a volume is meant.
@@ -78,37 +93,30 @@ impl ScaleArgs {
         self.scale.is_some_and(|scale| scale > 0.0) || chosen
     }
 
-    fn choose(&self, geometry: &Geometry, occupancy: &Occupancy) -> Result<Choice> {
+    /// The scale that an edge length, a quality or the user asks for; none where it takes the object's area to tell.
+    pub(crate) fn choose_by_length(&self, geometry: &Geometry) -> Option<Choice> {
         let voxel = geometry.mean_spacing();
-        let for_length = |length: f64, whose: String| {
-            if length > FINE_ENOUGH * voxel {
-                let reason = format!(
-                    "{SCALE_OVER_SIZE} times {whose} which is longer than {FINE_ENOUGH} of a voxel of {voxel:.4} mm"
-                );
-                Choice { length: SCALE_OVER_SIZE * length, reason }
-            } else {
-                Choice {
-                    length: 0.0,
-                    reason: format!("{whose} is no longer than {FINE_ENOUGH} of a voxel of {voxel:.4} mm"),
-                }
-            }
-        };
         if let Some(size) = self.scale_for_size {
-            return Ok(for_length(size, format!("the edge length asked for, {size} mm,")));
-        }
-        if let Some(vertices) = self.scale_for_vertices {
-            let length = edge_length(occupancy, vertices as f64, self.keep_thin)?
-                .ok_or_else(|| nothing_left(&format!("a mesh of {vertices} vertices"), occupancy.volume()))?;
-            return Ok(for_length(length, format!("the edge length of {vertices} vertices, {length:.4} mm,")));
+            return Some(Choice::for_length(size, &format!("the edge length asked for, {size} mm,"), voxel));
         }
         if let Some(quality) = self.quality {
             let smallest = quality.smallest_size_voxels() * voxel;
-            return Ok(for_length(
-                smallest,
-                format!("the smallest h of quality {}, {smallest:.4} mm,", quality.name()),
-            ));
+            let whose = format!("the smallest h of quality {}, {smallest:.4} mm,", quality.name());
+            return Some(Choice::for_length(smallest, &whose, voxel));
         }
-        Ok(Choice { length: self.scale.unwrap_or(0.0), reason: "given".into() })
+        let given = Choice { length: self.scale.unwrap_or(0.0), reason: "given".into() };
+        self.scale_for_vertices.is_none().then_some(given)
+    }
+
+    fn choose(&self, geometry: &Geometry, occupancy: &Occupancy) -> Result<Choice> {
+        if let Some(choice) = self.choose_by_length(geometry) {
+            return Ok(choice);
+        }
+        let vertices = self.scale_for_vertices.unwrap_or(0);
+        let length = edge_length(occupancy, vertices as f64, self.keep_thin)?
+            .ok_or_else(|| nothing_left(&format!("a mesh of {vertices} vertices"), occupancy.volume()))?;
+        let whose = format!("the edge length of {vertices} vertices, {length:.4} mm,");
+        Ok(Choice::for_length(length, &whose, geometry.mean_spacing()))
     }
 }
 

@@ -68,7 +68,7 @@ pub struct Args {
     #[arg(long, value_name = "A,B", allow_hyphen_values = true, help_heading = METHOD)]
     pub labels: Option<Selection>,
     /// A material of its own, made of these labels; once for each material. NAME alone where the file has that name, all for one material of each label but 0
-    /// that no other names. What has no name is the material outside. The output holds a field for each, for which there is no further stage yet
+    /// that no other names. What has no name is the material outside. The output holds a field for each
     #[arg(
         long,
         value_name = "NAME=A+B",
@@ -143,7 +143,7 @@ pub(crate) const VOLUME_LIMITS: (f64, f64) = (0.25, 0.5);
 
 /// The same for a scale, which is made to keep the volume: meshes of solid organs with 1,000 vertices change by up to 2.5 %; what changes
 /// by 10 % (ribs and trabecular bone at a few thousand vertices: 20 to 42 %, docs/scale.md) is no mesh of the object.
-const SCALED_VOLUME_LIMITS: (f64, f64) = (0.03, 0.1);
+pub(crate) const SCALED_VOLUME_LIMITS: (f64, f64) = (0.03, 0.1);
 
 impl StageArgs for Args {
     fn common(&self) -> &CommonArgs {

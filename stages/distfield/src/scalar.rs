@@ -1,7 +1,7 @@
 //! Scalar volumes: the surface is the zero set of the input's own interpolating cubic B-spline minus the iso value.
 
 use crate::cap::BorderBox;
-use crate::field::{LeastDistances, Redistanced, Source, first_order_distance, redistance};
+use crate::field::{Demands, LeastDistances, Redistanced, Source, first_order_distance, redistance_with};
 use crate::{Border, Inside, Keep};
 use glam::DVec3;
 use isoparticles_field::spline::{BrickSplineBuilder, Coefficients, CubicSpline, Layer, SlabFilter};
@@ -46,6 +46,21 @@ pub fn from_voxels(
     options: &ScalarOptions,
     monitor: &dyn Monitor,
 ) -> Result<Redistanced> {
+    from_voxels_with(voxels, geometry, iso, options, &Demands::default(), monitor)
+}
+
+/// The same with demands of its own.
+///
+/// # Errors
+/// As [`from_scalar`].
+pub(crate) fn from_voxels_with(
+    voxels: Voxels,
+    geometry: Geometry,
+    iso: f64,
+    options: &ScalarOptions,
+    demands: &Demands,
+    monitor: &dyn Monitor,
+) -> Result<Redistanced> {
     let mut input = Input { voxels, geometry, iso, inside: options.inside, scale: 1.0 };
     input.scale = power_of_two_below_inverse(input.check()?);
     let step = monitor.phase("input spline");
@@ -53,7 +68,8 @@ pub fn from_voxels(
     let (nodes, source) = input.source(options.border, options.margin);
     let least = (CLEARANCE * nodes.geometry.min_spacing()) as f32;
     drop(step);
-    redistance(nodes, &source, LeastDistances { most: least, at: |_| least }, options.keep, options.margin, monitor)
+    let least = LeastDistances { most: least, at: |_| least };
+    redistance_with(nodes, &source, least, (options.keep, options.margin), demands, monitor)
 }
 
 /// Fails where [`from_voxels`] would, because of the voxels or the iso value; gives the volume back.

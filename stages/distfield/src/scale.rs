@@ -81,7 +81,7 @@ impl Boxed {
         let Some((low, high)) = occupancy.extent() else { return Ok(None) };
         let geometry = &occupancy.geometry;
         let sigma = 0.5 * scale.length / geometry.spacing;
-        let room: [usize; 3] = std::array::from_fn(|axis| (REACH * sigma[axis]).ceil() as usize + 2);
+        let room = room_round(sigma);
         let first: [usize; 3] = std::array::from_fn(|axis| low[axis].saturating_sub(room[axis]));
         let size: [usize; 3] =
             std::array::from_fn(|axis| (high[axis] + 1 + room[axis]).min(geometry.size[axis]) - first[axis]);
@@ -90,13 +90,22 @@ impl Boxed {
             geometry: Geometry { size, origin: geometry.grid_to_world(corner), ..geometry.clone() },
             shares: crop(&occupancy.shares, geometry.size, first, size),
         };
-        let mut level = level_set(&before, sigma, scale.keep_thin);
+        let mut level = level_set(&before, sigma, scale.keep_thin).0;
         if !scale.keep_thin {
-            let smallest = 4.0 / 3.0 * PI * (CRUMB_RADIUS * scale.length).powi(3);
-            remove_crumbs(&mut level, &before.geometry, smallest)?;
+            remove_crumbs(&mut level, &before.geometry, smallest_part(scale.length))?;
         }
         Ok(Some(Self { first, before, level }))
     }
+}
+
+/// Voxels round an object that its smoothed share reaches; `sigma` in voxels.
+pub(crate) fn room_round(sigma: DVec3) -> [usize; 3] {
+    sigma.to_array().map(|sigma| (REACH * sigma).ceil() as usize + 2)
+}
+
+/// Volume (mm^3) below which a part is dropped.
+pub(crate) fn smallest_part(scale: f64) -> f64 {
+    4.0 / 3.0 * PI * (CRUMB_RADIUS * scale).powi(3)
 }
 
 /// Smooths an object. `None` if nothing is left of it.
@@ -173,8 +182,8 @@ fn paste(from: &[f32], size: [usize; 3], to: &mut [f32], whole: [usize; 3], firs
     }
 }
 
-/// The smoothed share less the level that keeps the volume of each place.
-fn level_set(occupancy: &Occupancy, sigma: DVec3, keep_thin: bool) -> Vec<f32> {
+/// The smoothed share less the level that keeps the volume of each place, and that level; `sigma` in voxels.
+pub(crate) fn level_set(occupancy: &Occupancy, sigma: DVec3, keep_thin: bool) -> (Vec<f32>, Vec<f32>) {
     let size = occupancy.geometry.size;
     let share = |n: usize| f32::from(occupancy.shares[n]) / f32::from(WHOLE);
     let mut smoothed: Vec<f32> = (0..occupancy.shares.len()).into_par_iter().map(share).collect();
@@ -200,7 +209,7 @@ fn level_set(occupancy: &Occupancy, sigma: DVec3, keep_thin: bool) -> Vec<f32> {
         });
     }
     smoothed.par_iter_mut().zip(&level).for_each(|(smoothed, level)| *smoothed -= level);
-    smoothed
+    (smoothed, level)
 }
 
 /// By how much values differ across a voxel: the sum of the slopes along the axes.

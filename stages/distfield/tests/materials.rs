@@ -6,10 +6,12 @@ use glam::DVec3;
 use isoparticles_distfield::materials::choice::resolve;
 use isoparticles_distfield::materials::survey::{Survey, survey};
 use isoparticles_distfield::materials::{Choice, Extracted, LabelGrid, MaterialOptions, extract};
+use isoparticles_distfield::scale::Scale;
 use isoparticles_distfield::{Border, Clearance};
 use isoparticles_field::marching_cubes::inside_corners_are_joined;
 use isoparticles_field::materials::{Analytic, Indicators, MaterialId, ball, maximum, negative};
 use isoparticles_field::random::uniform;
+use isoparticles_field::spline::CubicSpline;
 use isoparticles_stage::field_file::{FieldKind, read_field};
 use isoparticles_stage::materials_file::read_materials;
 use isoparticles_stage::monitor::Silent;
@@ -21,7 +23,7 @@ use std::process::{Command, Output};
 
 const MARGIN: usize = 5;
 const OPTIONS: MaterialOptions =
-    MaterialOptions { clearance: Clearance { usual: 0.1, thin: 0.3 }, smoothing_steps: 100 };
+    MaterialOptions { clearance: Clearance { usual: 0.1, thin: 0.3 }, smoothing_steps: 100, scale: None };
 
 struct Made {
     grid: LabelGrid,
@@ -30,9 +32,13 @@ struct Made {
 }
 
 fn make(volume: Volume, border: Border) -> Made {
+    make_with(volume, border, OPTIONS)
+}
+
+fn make_with(volume: Volume, border: Border, options: MaterialOptions) -> Made {
     let chosen = resolve(&[Choice::All], &volume).expect("labels");
     let grid = LabelGrid::new(volume, &chosen, border, MARGIN).expect("one material a voxel");
-    let extracted = extract(&grid, &chosen, &OPTIONS, &Silent).expect("indicators");
+    let extracted = extract(&grid, &chosen, &options, &Silent).expect("indicators");
     let materials = &extracted.materials;
     let survey = survey(materials, materials.geometry(), &grid, chosen.table.len(), &Silent).expect("surveyed");
     Made { grid, extracted, survey }
@@ -237,6 +243,99 @@ fn areas_and_volumes_converge() {
     assert!(coarse.1 < 0.02 && fine.1 < 0.001, "volumes {coarse:?} {fine:?}");
 }
 
+/// A ball of three sectors, 1 to 3, round the z axis in an outside, and a speck, 4, away from it.
+fn sectors(size: usize, radius: f64) -> Volume {
+    let centre = 0.5 * (size as f64 - 1.0) + 0.13;
+    volume([size; 3], |at| {
+        let [x, y, z] = at.map(|n| n as f64 - centre);
+        let (x, y, z) = (x, 0.8 * y, 1.3 * z);
+        if at.iter().all(|n| (2..4).contains(n)) {
+            return 4;
+        }
+        let turn = (y.atan2(x) / std::f64::consts::TAU + 0.6).rem_euclid(1.0);
+        if x * x + y * y + z * z < radius * radius { 1 + (3.0 * turn) as u8 % 3 } else { 0 }
+    })
+}
+
+fn scaled(volume: Volume, length: f64) -> Made {
+    make_with(volume, Border::Cap, MaterialOptions { scale: Some(Scale { length, keep_thin: false }), ..OPTIONS })
+}
+
+#[test]
+fn a_scale_keeps_the_volumes_of_all_and_smooths_their_borders() {
+    let (made, kept) = (scaled(sectors(40, 10.5), 5.0), make(sectors(40, 10.5), Border::Cap));
+    for id in 0..4 {
+        let change = made.survey.volumes[id] / (made.extracted.tallies[id].voxels as f64 * 1.04) - 1.0;
+        assert!(change.abs() < 0.025, "{id}: {change}");
+        assert!(made.extracted.tallies[id].changes.as_ref().is_some_and(|changes| changes.voxels_changed > 10));
+    }
+    // the speck is gone, and its place is the outside's
+    assert_eq!((made.survey.volumes[4], kept.extracted.tallies[4].voxels), (0.0, 8));
+    assert!(made.extracted.tallies[4].changes.is_none());
+    // the border of the ball has the normals of a ball, where the voxels' steps show without a scale; the edges of the sectors are rounded, which the
+    // places next to them make up for
+    let rough = |made: &Made| {
+        let materials = &made.extracted.materials;
+        let centre = materials.geometry().index_to_grid(DVec3::splat(0.5 * 39.0 + 0.13 + MARGIN as f64));
+        let (mut sum, mut count, mut farthest) = (0.0, 0.0, 0.0f64);
+        for n in 0..400 {
+            let way = DVec3::new(uniform(9, 0, n), uniform(9, 1, n), uniform(9, 2, n)) - 0.5;
+            let start = centre + way.normalize() * 10.5;
+            let near = materials.near(start);
+            let [(a, _), (b, _), ..] = near.entries() else { panic!("one material at {start}") };
+            let Some(p) = materials.project_onto_sheet([*a, *b], start, 2.0, 1e-6) else { continue };
+            if a.0 * b.0 == 0 && materials.clearance(p, &[*a, *b]) > 3.0 {
+                let normal = materials.difference_gradient(*a, *b, p).1.normalize();
+                sum += normal.cross((p - centre).normalize()).length_squared();
+                farthest = farthest.max((p.distance(centre) - 10.5).abs());
+                count += 1.0;
+            }
+        }
+        assert!(count > 200.0 && farthest < 0.3, "{count} {farthest}");
+        (sum / count).sqrt().to_degrees()
+    };
+    let labels = sectors(40, 10.5).voxels.to_f32();
+    let ball = volume([40; 3], |[i, j, k]| u8::from(labels[(k * 40 + j) * 40 + i] > 0.0));
+    let [smooth, stepped, one] = [&made, &kept, &scaled(ball, 5.0)].map(rough);
+    assert!(smooth < 0.6 * stepped && smooth < 2.0 * one, "{smooth} {stepped} {one}");
+    // the three meet on the axis all the same
+    let materials = &made.extracted.materials;
+    let axis = materials.geometry().index_to_grid(DVec3::splat(0.5 * 39.0 + 0.13 + MARGIN as f64));
+    let own = [1, 2, 3].map(MaterialId);
+    for z in [-6.0, 0.0, 6.0] {
+        let p = materials.project_onto_curve(own, axis + DVec3::new(0.4, -0.3, z), 2.0, 1e-6).expect("near the axis");
+        assert!((p - axis).truncate().length() < 0.2 && materials.clearance(p, &own) > 0.0, "{}", p - axis);
+    }
+}
+
+#[test]
+fn one_material_at_a_scale_is_what_one_object_is() {
+    let folder = tempfile::tempdir().expect("folder");
+    let at = |name: &str| folder.path().join(name).to_str().expect("text").to_owned();
+    let input = at("in.nrrd");
+    write_halves(Path::new(&input));
+    let run = |choice: [&str; 2], output: &str| {
+        let run = distfield(&[&input, "-o", output, choice[0], choice[1], "--scale-for-size", "1.5"]);
+        assert_eq!(run.status.code(), Some(0), "{}", String::from_utf8_lossy(&run.stderr));
+    };
+    let (many, one) = (at("many.vti"), at("one.vti"));
+    run(["--material", "ball=1+2"], &many);
+    run(["--labels", "1,2"], &one);
+    let (many, one) = (
+        read_materials(Path::new(&many)).expect("read"),
+        CubicSpline::new(&read_field(Path::new(&one), FieldKind::Distance).expect("read").image),
+    );
+    assert!(many.meta["scale"].as_f64().is_some_and(|scale| (scale - 2.4).abs() < 1e-9), "{}", many.meta);
+    let centre = one.geometry().index_to_grid(DVec3::splat(7.6 + MARGIN as f64));
+    let mut worst = 0.0f64;
+    for n in 0..300 {
+        let way = DVec3::new(uniform(3, 0, n), uniform(3, 1, n), uniform(3, 2, n)) - 0.5;
+        let p = one.project(centre + way.normalize() * 5.0, 2.0, 1e-7).expect("near the surface");
+        worst = worst.max(many.materials.difference_gradient(MaterialId(1), MaterialId(0), p).0.abs());
+    }
+    assert!(worst < 0.01, "{worst}");
+}
+
 #[test]
 fn pieces_of_real_volumes_keep_every_voxel() {
     // where many labels meet; the whole volumes take minutes
@@ -355,7 +454,7 @@ fn what_cannot_be_meant_is_refused() {
         (&["--material", "outside=1"], "is the name of what no material has"),
         (&["--material", "all", "--labels", "1"], "cannot be used with"),
         (&["--material", "all", "--iso", "1"], "cannot be used with"),
-        (&["--material", "all", "--scale", "3"], "do not take it yet"),
+        (&["--material", "all", "--scale-for-vertices", "3000"], "do not take it yet"),
         (&["--material", "all", "--tightening", "1"], "do not take it yet"),
         (&["--material", "all", "--keep", "largest"], "do not take it yet"),
     ] {

@@ -6,6 +6,7 @@
 
 use crate::constants::INITIAL_LAMBDA;
 use crate::gpu::DeviceReport;
+use crate::implicit::Implicit;
 use crate::settle::{Engine, Level, Parameters, PassRecord, Summary, settle_level};
 use crate::state::Fields;
 use glam::DVec3;
@@ -82,7 +83,7 @@ pub(crate) fn settle_levels(
             observe(record, engine)
         };
         let (settled, summary) = settle_level(engine.as_mut(), &fields, parameters, &level, &own, &mut remember)?;
-        set = settled;
+        set = settled.set;
         device = match (engine.device_report(), device) {
             (Some(now), Some(before)) => Some(now.after(before)),
             (now, before) => now.or(before),
@@ -116,14 +117,14 @@ fn split(
     let (points, normals) = (&coarse.positions, &coarse.normals);
     let agree = |i: usize, j: usize| normals[i].dot(normals[j]) > parameters.normal_agreement;
     let near = NeighbourLists::new(points, &coarse.sizes, EDGE, agree);
-    let spacing = fields.surface.geometry().min_spacing();
+    let spacing = fields.surface.min_spacing();
     let mut all = coarse.clone();
     let middle_of = |i: usize, j: usize| {
         let middle = points[i].midpoint(points[j]);
         let half = 0.25 * points[i].distance_squared(points[j]);
         // the edges of a lattice are those whose ball holds no third particle (Gabriel's graph)
         let crossed = near.of(i).iter().any(|&k| k as usize != j && points[k as usize].distance_squared(middle) < half);
-        if crossed { None } else { fields.project(middle, half.sqrt(), 1e-5 * spacing) }
+        if crossed { None } else { fields.project(None, middle, half.sqrt(), 1e-5 * spacing) }
     };
     let middles: Vec<_> = (0..points.len())
         .into_par_iter()
@@ -208,7 +209,7 @@ fn pick(from: &ParticleSet, sizes: &[f64], chosen: &[u32]) -> ParticleSet {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::settle::OnCpu;
+    use crate::cpu::OnCpu;
     use isoparticles_field::random::uniform;
     use isoparticles_field::sizing::SizingField;
     use isoparticles_field::spline::CubicSpline;

@@ -6,6 +6,7 @@
 //! that, a dense seeding loses far too many particles in one pass).
 
 use crate::constants::{INITIAL_LAMBDA, NEWCOMER_DISTANCE, PARENT_DISTANCE, PASS_TOLERANCE};
+use crate::implicit::Implicit;
 use crate::movement::TangentPlane;
 use crate::state::{Fields, State};
 use glam::DVec3;
@@ -30,9 +31,9 @@ pub(crate) struct Changes {
 }
 
 /// Deletes, then inserts; energies must be up to date on entry. `allow_insert` is off in the paper's synthetic test.
-pub(crate) fn control(
+pub(crate) fn control<S: Implicit>(
     state: &mut State,
-    fields: &Fields,
+    fields: &Fields<S>,
     limits: &Limits,
     seed: u64,
     pass: u64,
@@ -67,7 +68,8 @@ fn delete(state: &State, energies: &mut [f64], limits: &Limits, seed: u64, pass:
     let set = &state.set;
     let mut deleted = vec![false; state.len()];
     let bar = limits.delete_above * limits.ideal_energy;
-    let mut oversampled: Vec<u32> = (0..state.len() as u32).filter(|&i| energies[i as usize] > bar).collect();
+    let mut oversampled: Vec<u32> =
+        (state.held as u32..state.len() as u32).filter(|&i| energies[i as usize] > bar).collect();
     oversampled.sort_by(|&a, &b| energies[b as usize].total_cmp(&energies[a as usize]).then(a.cmp(&b)));
     for i in oversampled {
         let i = i as usize;
@@ -99,9 +101,9 @@ pub(crate) struct Newcomer {
 ///
 /// Of newcomers whose parents are neighbours one comes in a pass, and of newcomers nearer than [`NEWCOMER_DISTANCE`] h to each other on the
 /// same sheet; here the one whose parent has the smallest index, on the GPU the one whose parent draws the highest number.
-fn insert(
+fn insert<S: Implicit>(
     state: &mut State,
-    fields: &Fields,
+    fields: &Fields<S>,
     energies: &[f64],
     deleted: &[bool],
     limits: &Limits,
@@ -110,7 +112,7 @@ fn insert(
 ) -> Vec<Newcomer> {
     let before = state.len();
     let settled: &State = state;
-    let newcomers: Vec<Newcomer> = (0..before)
+    let newcomers: Vec<Newcomer> = (state.held..before)
         .into_par_iter()
         .filter(|&i| {
             // Witkin and Heckbert's bias once more
@@ -124,6 +126,7 @@ fn insert(
     let sizes: Vec<f64> = newcomers.iter().map(|n| n.size).collect();
     let near = NeighbourLists::new(&positions, &sizes, NEWCOMER_DISTANCE, |a, b| {
         newcomers[a].normal.dot(newcomers[b].normal) > state.normal_agreement
+            && state.stratum(newcomers[a].parent) == state.stratum(newcomers[b].parent)
     });
     let mut spoken_for = vec![false; before];
     let mut chosen = vec![false; newcomers.len()];
@@ -135,6 +138,7 @@ fn insert(
         for &j in state.neighbours.of(newcomer.parent) {
             spoken_for[j as usize] = true;
         }
+        state.strata.extend(state.stratum(newcomer.parent));
         let set = &mut state.set;
         set.positions.push(newcomer.position);
         set.normals.push(newcomer.normal);
@@ -147,7 +151,7 @@ fn insert(
 }
 
 /// The newcomer in the widest gap of particle i, if it is on the surface there and keeps [`NEWCOMER_DISTANCE`] h from everybody.
-pub(crate) fn propose(state: &State, fields: &Fields, deleted: &[bool], i: usize) -> Option<Newcomer> {
+pub(crate) fn propose<S: Implicit>(state: &State, fields: &Fields<S>, deleted: &[bool], i: usize) -> Option<Newcomer> {
     let (position, normal, size) = place_in_widest_gap(state, fields, deleted, i)?;
     let set = &state.set;
     let has_room = state
@@ -161,7 +165,12 @@ pub(crate) fn propose(state: &State, fields: &Fields, deleted: &[bool], i: usize
 }
 
 /// The point at distance h from particle i in the middle of its widest gap, on the surface.
-fn place_in_widest_gap(state: &State, fields: &Fields, deleted: &[bool], i: usize) -> Option<(DVec3, DVec3, f64)> {
+fn place_in_widest_gap<S: Implicit>(
+    state: &State,
+    fields: &Fields<S>,
+    deleted: &[bool],
+    i: usize,
+) -> Option<(DVec3, DVec3, f64)> {
     let set = &state.set;
     let (p, h) = (set.positions[i], set.sizes[i]);
     let plane = TangentPlane::new(set.normals[i]);
@@ -189,8 +198,8 @@ fn place_in_widest_gap(state: &State, fields: &Fields, deleted: &[bool], i: usiz
         }
     }
     let start = p + plane.out_of_plane([h * direction.cos(), h * direction.sin()]);
-    let tolerance = PASS_TOLERANCE * fields.surface.geometry().min_spacing();
-    let (position, normal, size) = fields.project(start, h, tolerance)?;
+    let tolerance = PASS_TOLERANCE * fields.surface.min_spacing();
+    let (position, normal, size) = fields.project(state.stratum(i), start, h, tolerance)?;
     (normal.dot(set.normals[i]) > state.normal_agreement && position.distance(p) > PARENT_DISTANCE * h.min(size))
         .then_some((position, normal, size))
 }

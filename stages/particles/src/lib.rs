@@ -3,10 +3,14 @@
 //! Section 3 of Kim, Chen and Hansen 2012: neighbours, energy, damped Newton steps, projection, density control and the stop
 //! test. Same seeds, fields and parameters give the same bytes for any number of threads on the CPU, and on one GPU adapter.
 
+mod checkpoint;
 mod coarse;
 mod constants;
+mod cpu;
 mod density;
 pub mod gpu;
+mod ground;
+mod implicit;
 mod log;
 mod movement;
 mod neighbourhood;
@@ -19,7 +23,7 @@ mod settle;
 mod state;
 
 pub use constants::INITIAL_LAMBDA;
-pub use settle::{
-    DEFECT_WINDOW, Engine, Parameters, PassOutcome, PassRecord, REORDER_INTERVAL, Summary, settle, settle_with,
-};
+pub use cpu::{OnStrata, settle, settle_sheets};
+pub use implicit::{Implicit, Sheets};
+pub use settle::{DEFECT_WINDOW, Engine, Parameters, PassOutcome, PassRecord, REORDER_INTERVAL, Summary, settle_with};
 pub use state::Fields;

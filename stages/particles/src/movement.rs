@@ -9,6 +9,7 @@ use crate::constants::{
     EIGENVALUE_FLOOR, FARTHEST_MOVE, LAMBDA_FALL, LAMBDA_GROWTH, LARGEST_LAMBDA, LEAST_LAMBDA, LONGEST_STEP,
     PASS_TOLERANCE, PROJECTION_REACH,
 };
+use crate::implicit::Implicit;
 use crate::neighbourhood::{Neighbourhood, Record};
 use crate::state::{Fields, State};
 use fearless_simd::{Level, Simd, dispatch};
@@ -37,8 +38,14 @@ pub(crate) struct Step {
     pub moved: bool,
 }
 
-/// Moves every particle once.
-pub(crate) fn pass(state: &mut State, fields: &Fields) -> Moves {
+/// The particles of a block but those that are held.
+fn members_of(state: &State, block: u32) -> Range<usize> {
+    let end = state.len().min((block as usize + 1) * BLOCK);
+    (block as usize * BLOCK).max(state.held).min(end)..end
+}
+
+/// Moves every particle once that is not held.
+pub(crate) fn pass<S: Implicit>(state: &mut State, fields: &Fields<S>) -> Moves {
     let mut moves = Moves::default();
     let classes = std::mem::take(&mut state.classes);
     for class in &classes {
@@ -46,13 +53,12 @@ pub(crate) fn pass(state: &mut State, fields: &Fields) -> Moves {
         let steps: Vec<Vec<Step>> = class
             .par_iter()
             .map_init(Neighbourhood::default, |near, &block| {
-                let first = block as usize * BLOCK;
-                block_steps(settled, fields, near, first..settled.len().min(first + BLOCK))
+                block_steps(settled, fields, near, members_of(settled, block))
             })
             .collect();
-        let set = &mut state.set;
         for (&block, steps) in class.iter().zip(&steps) {
-            for (i, step) in (block as usize * BLOCK..).zip(steps) {
+            for (i, step) in members_of(state, block).zip(steps) {
+                let set = &mut state.set;
                 set.lambdas[i] = step.lambda;
                 moves.tries += step.tries as usize;
                 moves.moved += usize::from(step.moved);
@@ -68,7 +74,12 @@ pub(crate) fn pass(state: &mut State, fields: &Fields) -> Moves {
 }
 
 /// Moves some particles one after the other, by the best instructions that the processor has.
-fn block_steps(state: &State, fields: &Fields, near: &mut Neighbourhood, members: Range<usize>) -> Vec<Step> {
+fn block_steps<S: Implicit>(
+    state: &State,
+    fields: &Fields<S>,
+    near: &mut Neighbourhood,
+    members: Range<usize>,
+) -> Vec<Step> {
     let mut steps = Vec::with_capacity(members.len());
     // the block's own particles as they move; the others stand still meanwhile
     let mut own = state.records[members.clone()].to_vec();
@@ -89,13 +100,13 @@ fn block_steps(state: &State, fields: &Fields, near: &mut Neighbourhood, members
 
 /// The next place of one particle.
 #[cfg(test)]
-pub(crate) fn step_alone(state: &State, fields: &Fields, i: usize) -> Step {
+pub(crate) fn step_alone<S: Implicit>(state: &State, fields: &Fields<S>, i: usize) -> Step {
     block_steps(state, fields, &mut Neighbourhood::default(), i..i + 1)[0]
 }
 
 /// Finds the next place of particle i among the neighbours gathered (Algorithm 1).
 #[inline(always)]
-fn step<S: Simd>(simd: S, state: &State, fields: &Fields, near: &Neighbourhood, i: usize) -> Step {
+fn step<L: Simd, S: Implicit>(simd: L, state: &State, fields: &Fields<S>, near: &Neighbourhood, i: usize) -> Step {
     let set = &state.set;
     let (position, normal, size) = (set.positions[i], set.normals[i], set.sizes[i]);
     let mut result = Step { position, normal, size, lambda: set.lambdas[i], tries: 0, moved: false };
@@ -111,13 +122,13 @@ fn step<S: Simd>(simd: S, state: &State, fields: &Fields, near: &Neighbourhood, 
         return result;
     }
     let curvature = positive_definite(jet.hessian);
-    let tolerance = PASS_TOLERANCE * fields.surface.geometry().min_spacing();
+    let tolerance = PASS_TOLERANCE * fields.surface.min_spacing();
     let mut lambda = set.lambdas[i];
     while lambda < LARGEST_LAMBDA {
         result.tries += 1;
         let motion = plane.out_of_plane(damped_newton(&curvature, force, lambda)).clamp_length_max(LONGEST_STEP * size);
         let limit = motion.length() + PROJECTION_REACH * size;
-        if let Some((p, n, h)) = fields.project(position + motion, limit, tolerance)
+        if let Some((p, n, h)) = fields.project(state.stratum(i), position + motion, limit, tolerance)
             && n.dot(normal) > 0.0
             && p.distance_squared(position) < (FARTHEST_MOVE * size).powi(2)
             && near.energy(simd, p - position, h) < jet.energy

@@ -6,7 +6,7 @@ use isoparticles_field::energy::{pair_energy, pair_jet, pair_size_derivative, sc
 
 /// Energy, gradient and Hessian of particle i at its place. The gradient has the part of the particle's own h, which
 /// changes with its place; the Hessian holds h fixed.
-pub(crate) fn energy_jet(state: &State, fields: &Fields, i: usize) -> (f64, DVec3, DMat3) {
+pub(crate) fn energy_jet<S>(state: &State, fields: &Fields<S>, i: usize) -> (f64, DVec3, DMat3) {
     let set = &state.set;
     let (position, size) = (set.positions[i], set.sizes[i]);
     let mut sum = (0.0, DVec3::ZERO, DMat3::ZERO);

@@ -1,25 +1,28 @@
 //! The program around [`crate::settle`]: options, files, log by pass, checkpoints.
 
+use crate::checkpoint::{Progress, cpu_engine, keep, resume};
 use crate::coarse::{MakeEngine, settle_levels};
+use crate::cpu::{OnCpu, settle_sheets};
 use crate::gpu::{self, Binning, Choice, DeviceReport, Gpu, GpuEngine};
+use crate::ground::{Ground, check_options};
+use crate::implicit::Sheets;
 use crate::log::Log;
-use crate::settle::{Engine, OnCpu, Parameters, PassRecord, REORDER_INTERVAL};
+use crate::settle::{Engine, Parameters, PassRecord, REORDER_INTERVAL};
 use crate::state::Fields;
 use clap::{Parser, ValueEnum};
 use isoparticles_field::energy;
 use isoparticles_field::particle_set::ParticleSet;
 use isoparticles_field::sizing::SizingField;
-use isoparticles_field::spline::CubicSpline;
 use isoparticles_stage::cli::values::{above_one, positive, share};
 use isoparticles_stage::cli::{CommonArgs, Context, FILES, METHOD, Outcome, StageArgs};
 use isoparticles_stage::error::{Error, Result};
 use isoparticles_stage::field_file::{FieldKind, check_same_grid, read_field};
 use isoparticles_stage::history::hash_file;
-use isoparticles_stage::particle_file::{ParticleKind, read_particles, write_particles, write_particles_with};
-use serde::{Deserialize, Serialize};
+use isoparticles_stage::materials_file::is_materials;
+use isoparticles_stage::particle_file::{ParticleKind, read_particles, write_material_particles, write_particles};
 use serde_json::{Value, json};
 use std::cell::Cell;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 /// Bytes at once for each particle on the CPU, besides the fields: 190 to 510 for the phantoms of `stages/distfield/benches/costs.py`.
 const BYTES_PER_PARTICLE: f64 = 510.0;
@@ -51,7 +54,7 @@ pub struct Args {
     /// Seeds, made by seed
     #[arg(value_name = "seeds.bin", help_heading = FILES, required_unless_present = "list_adapters")]
     seeds: Option<PathBuf>,
-    /// Distance field F that the seeds were made from
+    /// Distance field F that the seeds were made from, or the indicators of many materials
     #[arg(long, value_name = "F.vti", help_heading = FILES, required_unless_present = "list_adapters")]
     distfield: Option<PathBuf>,
     /// Sizing field h on the same grid
@@ -98,7 +101,7 @@ pub struct Args {
         value_parser = clap::value_parser!(u64).range(1..))]
     max_passes: u64,
     /// Settle first at 2^(LEVELS - 1) times h, split the edges, and so on down to h; 1 to 4, 1: at h alone
-    /// [default: 3 on the CPU, 1 on a GPU]
+    /// [default: 3 on the CPU, 1 on a GPU and for many materials]
     #[arg(long, value_name = "N", help_heading = METHOD, value_parser = clap::value_parser!(u32).range(1..=4))]
     levels: Option<u32>,
     /// Most passes on each level but the last
@@ -132,11 +135,6 @@ pub struct Args {
     common: CommonArgs,
 }
 
-/// Levels on a GPU, where a pass over few particles costs nearly as much as one over many, and each change of level up to a second of the host: on one level
-/// the raw mean radius ratio is 0.970 in 0.123 s on the heart (three: 0.962 in 0.127 s), on the ribcage 0.972 in 0.193 s (0.967 in 0.309 s;
-/// docs/performance.md, "Quality for the time").
-const GPU_LEVELS: u32 = 1;
-
 /// Parses a number of passes between checkpoints.
 fn interval(text: &str) -> std::result::Result<u64, String> {
     match text.parse::<u64>() {
@@ -147,9 +145,13 @@ fn interval(text: &str) -> std::result::Result<u64, String> {
 }
 
 impl Args {
-    /// How to settle, on a GPU or not.
-    fn settling(&self, on_gpu: bool) -> Parameters {
-        let levels = if on_gpu { GPU_LEVELS } else { Parameters::default().levels };
+    /// How to settle, unless the levels are given on one or on several.
+    ///
+    /// On a GPU a pass over few particles costs nearly as much as one over many, and each change of level up to a second of the host: on one level
+    /// the raw mean radius ratio is 0.970 in 0.123 s on the heart (three: 0.962 in 0.127 s), on the ribcage 0.972 in 0.193 s (0.967 in 0.309 s;
+    /// docs/performance.md, "Quality for the time"). Of many materials, particles of coarse levels would meet those that are held at the spacing of h.
+    fn settling(&self, on_one_level: bool) -> Parameters {
+        let levels = if on_one_level { 1 } else { Parameters::default().levels };
         Parameters {
             max_passes: self.max_passes,
             defect_tolerance: self.defect_tolerance,
@@ -185,23 +187,6 @@ impl StageArgs for Args {
         // the levels follow the backend, which is not known yet, unless they are given
         json!(self.settling(self.backend == Backend::Gpu))
     }
-}
-
-/// What a checkpoint carries besides the particles.
-#[derive(Serialize, Deserialize)]
-struct Progress {
-    parameters: Parameters,
-    /// Hashes of seeds, distance field and sizing field.
-    inputs: [String; 3],
-    records: Vec<PassRecord>,
-    /// Backend, and the adapter if there is one.
-    #[serde(default = "cpu_engine")]
-    engine: String,
-}
-
-/// What moved the particles of a checkpoint that does not say.
-fn cpu_engine() -> String {
-    "cpu".to_owned()
 }
 
 /// Opens the GPU that the options ask for; `None` means the CPU.
@@ -311,15 +296,22 @@ pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
         list_adapters();
         return Ok(Outcome::Passed);
     };
-    let gpu = open_gpu(args, context)?;
+    let many = is_materials(distance_file);
+    let gpu = if many { None } else { open_gpu(args, context)? };
+    if many {
+        check_options(args.backend, args.adapter.as_deref(), args.levels)?;
+        if args.backend == Backend::Auto {
+            context.info("many materials are settled on the CPU");
+        }
+    }
     let step = context.step("read");
     let seeds = read_particles(seeds_file, &[ParticleKind::Seeds, ParticleKind::Particles])?;
-    let distance = read_field(distance_file, FieldKind::Distance)?;
+    let ground = Ground::read(distance_file, many, (seeds_file, seeds.strata.is_some()))?;
     let sizing = read_field(sizing_file, FieldKind::Sizing)?;
-    check_same_grid((distance_file, &distance.image.geometry), (sizing_file, &sizing.image.geometry))?;
-    check_same_grid((distance_file, &distance.image.geometry), (seeds_file, &seeds.particles.geometry))?;
+    check_same_grid((distance_file, ground.geometry()), (sizing_file, &sizing.image.geometry))?;
+    check_same_grid((distance_file, ground.geometry()), (seeds_file, &seeds.particles.geometry))?;
     context.add_input(seeds_file, Some(seeds.history.clone()))?;
-    context.add_input(distance_file, distance.history.clone())?;
+    context.add_input(distance_file, ground.history())?;
     context.add_input(sizing_file, sizing.history.clone())?;
     let count = seeds.particles.positions.len();
     context.check_memory(
@@ -335,17 +327,16 @@ pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
         ));
     }
     let engine = gpu.as_ref().map_or_else(cpu_engine, |gpu| format!("gpu: {}", gpu.summary().name));
-    let surface = CubicSpline::new(&distance.image);
-    let parameters = args.settling(gpu.is_some());
+    let parameters = args.settling(gpu.is_some() || many);
     context.set_parameter("levels", parameters.levels);
     let inputs = [hash_file(seeds_file)?, hash_file(distance_file)?, hash_file(sizing_file)?];
     let resumed = match &args.checkpoint {
         Some(path) if args.resume && path.exists() => Some(resume(path, &parameters, &inputs, &engine, context)?),
         _ => None,
     };
-    let records = resumed.as_ref().map_or_else(Vec::new, |r| r.1.clone());
+    let records = resumed.as_ref().map_or_else(Vec::new, |r| r.2.clone());
     let sizing = SizingField::new(sizing.image);
-    drop((distance, step));
+    drop(step);
 
     let step = context.step("settle");
     let mut log = args.log.as_deref().map(|path| Log::create(path, &records)).transpose()?;
@@ -354,7 +345,6 @@ pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
         "pass",
     );
     let mut kept = Progress { parameters: parameters.clone(), inputs, records: records.clone(), engine };
-    let fields = Fields { surface: &surface, sizing: &sizing };
     let engines = Engines {
         gpu: gpu.as_ref(),
         parameters: &parameters,
@@ -363,6 +353,8 @@ pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
         fell_back: Cell::new(false),
         context,
     };
+    let (first, strata) = (seeds.particles, seeds.strata.unwrap_or_default());
+    let segments = strata.segments.clone();
     let mut observe = |record: &PassRecord, engine: &mut dyn Engine| {
         progress.set(record.pass);
         progress.message(format!(
@@ -382,13 +374,25 @@ pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
             if engines.fell_back.get() {
                 kept.engine = cpu_engine();
             }
-            keep(path, &engine.particles()?, &kept, context)?;
+            keep(path, engine, &segments, &kept, context)?;
         }
         context.check_interrupt()
     };
-    let resumed = resumed.as_ref().map(|(set, records)| (set.clone(), records.as_slice()));
-    let (particles, summary, device) =
-        settle_levels(&seeds.particles, resumed, &fields, &parameters, &engines, &mut observe)?;
+    let resumed = resumed.map(|(set, strata, _)| ((set, strata.unwrap_or_default()), records.as_slice()));
+    let ((particles, strata), summary, device) = match &ground {
+        Ground::Object { surface, .. } => {
+            let fields = Fields { surface, sizing: &sizing };
+            let resumed = resumed.map(|((set, _), records)| (set, records));
+            let (set, summary, device) = settle_levels(&first, resumed, &fields, &parameters, &engines, &mut observe)?;
+            ((set, strata), summary, device)
+        }
+        Ground::Materials(file) => {
+            let surface = Sheets::new(&file.materials, file.materials.geometry().min_spacing());
+            let fields = Fields { surface: &surface, sizing: &sizing };
+            let (settled, summary) = settle_sheets(&(first, strata), resumed, &fields, &parameters, &mut observe)?;
+            (settled, summary, None)
+        }
+    };
     let backend = if device.is_some() { "gpu" } else { "cpu" };
     context.set_parameter("backend", backend);
     if let Some(device) = &device {
@@ -403,9 +407,13 @@ pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
         ));
     }
     if summary.escaped > 0 {
-        context.warn(format!("{} particles could not be kept on F = 0 and were removed", summary.escaped));
+        context.warn(format!("{} particles could not be kept on {} and were removed", summary.escaped, ground.name()));
     }
     context.summary("particles", particles.positions.len());
+    if many {
+        let held = strata.of.iter().filter(|stratum| stratum.dimension() < 2).count();
+        context.summary("  of junctions", held);
+    }
     context.summary("passes", summary.passes);
     context.summary("stopped by", if summary.settled { "the stop test" } else { "the pass limit" });
     context.summary("escaped", summary.escaped);
@@ -418,52 +426,11 @@ pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
     context.report("settling", meta.clone());
     context.report("passes", json!(kept.records));
     let _step = context.step("write");
-    write_particles(output, ParticleKind::Particles, &particles, &meta, &context.history())?;
+    let (kind, history) = (ParticleKind::Particles, context.history());
+    if many {
+        write_material_particles(output, kind, &particles, &strata, &meta, &history)?;
+    } else {
+        write_particles(output, kind, &particles, &meta, &history)?;
+    }
     Ok(Outcome::Passed)
-}
-
-/// Writes the checkpoint.
-fn keep(path: &Path, particles: &ParticleSet, progress: &Progress, context: &Context) -> Result<()> {
-    let extra = serde_json::to_vec(progress).map_err(|error| {
-        Error::input(
-            format!("{}: cannot put the log into bytes: {error}", path.display()),
-            "the checkpoint needs it",
-            "report this bug",
-        )
-    })?;
-    write_particles_with(path, ParticleKind::Checkpoint, particles, &Value::Null, &context.history(), &extra)
-}
-
-/// Reads a checkpoint and makes sure that it belongs to this run.
-fn resume(
-    path: &Path,
-    parameters: &Parameters,
-    inputs: &[String; 3],
-    engine: &str,
-    context: &Context,
-) -> Result<(ParticleSet, Vec<PassRecord>)> {
-    let file = read_particles(path, &[ParticleKind::Checkpoint])?;
-    let refuse = |what: &str| {
-        Error::input(
-            format!("{}: {what}", path.display()),
-            "going on from it would not give the result of an unbroken run",
-            "leave out --resume to start anew, or give the inputs and parameters that the checkpoint was made with",
-        )
-    };
-    let progress: Progress =
-        serde_json::from_slice(&file.extra).map_err(|error| refuse(&format!("cannot be understood: {error}")))?;
-    if progress.inputs != *inputs {
-        return Err(refuse("was made from other seeds or fields"));
-    }
-    if json!(progress.parameters) != json!(parameters) {
-        return Err(refuse("was made with other parameters"));
-    }
-    if progress.engine != engine {
-        context.warn(format!(
-            "the checkpoint was made on another device ({}): the result will not be that of an unbroken run to the last bit",
-            progress.engine
-        ));
-    }
-    context.info(format!("resuming after pass {}", progress.records.last().map_or(0, |r| r.pass)));
-    Ok((file.particles, progress.records))
 }

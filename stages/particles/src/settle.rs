@@ -1,11 +1,10 @@
 //! The loop of Figure 1 of the paper: move, measure, control the density, until nothing improves any more.
 
-use crate::coarse::{MakeEngine, settle_levels};
-use crate::density::{self, Limits};
 use crate::gpu::DeviceReport;
-use crate::movement;
-use crate::state::{Fields, Measures, State};
+use crate::implicit::Implicit;
+use crate::state::{Fields, State};
 use isoparticles_field::energy;
+use isoparticles_field::materials::Stratum;
 use isoparticles_field::particle_set::ParticleSet;
 use isoparticles_stage::error::Result;
 use rayon::prelude::*;
@@ -89,7 +88,7 @@ const COARSE_CHURN: f64 = 5e-2;
 /// Every so many passes the particles are put in order of place again; checkpoints are written between.
 pub const REORDER_INTERVAL: u64 = 10;
 
-/// One line of the log.
+/// One line of the log. Of many materials all numbers are of the particles on sheets: those of junction points and curves are held.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct PassRecord {
     /// Number of the pass, from 1.
@@ -162,34 +161,14 @@ pub trait Engine {
     /// The particles as they are.
     fn particles(&mut self) -> Result<ParticleSet>;
 
+    /// The strata that they live on; none of one object.
+    fn strata(&self) -> &[Stratum] {
+        &[]
+    }
+
     /// What a device did, if there is one.
     fn device_report(&self) -> Option<DeviceReport> {
         None
-    }
-}
-
-/// Settles particles on the CPU, on the threads of the current pool. `resumed` holds the particles after the passes already
-/// run, and the records of those; `observe` sees each new record, can ask for the particles, and may end the run with an error.
-pub fn settle(
-    seeds: &ParticleSet,
-    resumed: Option<(ParticleSet, &[PassRecord])>,
-    fields: &Fields,
-    parameters: &Parameters,
-    mut observe: impl FnMut(&PassRecord, &mut dyn Engine) -> Result<()>,
-) -> Result<(ParticleSet, Summary)> {
-    let (set, summary, _) = settle_levels(seeds, resumed, fields, parameters, &OnCpu(parameters), &mut observe)?;
-    Ok((set, summary))
-}
-
-/// Makes engines that move the particles on the CPU.
-pub(crate) struct OnCpu<'a>(pub &'a Parameters);
-
-impl MakeEngine for OnCpu<'_> {
-    fn make<'f>(&self, set: ParticleSet, fields: &'f Fields<'f>) -> Result<Box<dyn Engine + 'f>>
-    where
-        Self: 'f,
-    {
-        Ok(Box::new(CpuEngine::new(set, fields, self.0)))
     }
 }
 
@@ -204,26 +183,27 @@ pub(crate) struct Level {
 }
 
 /// Settles on one level, that of h, on any engine; the particles are put onto F = 0 to the last digit on the CPU at the end.
-pub fn settle_with(
+pub fn settle_with<S: Implicit>(
     engine: &mut dyn Engine,
-    fields: &Fields,
+    fields: &Fields<S>,
     parameters: &Parameters,
     resumed: &[PassRecord],
     mut observe: impl FnMut(&PassRecord, &mut dyn Engine) -> Result<()>,
 ) -> Result<(ParticleSet, Summary)> {
     let level = Level { scale: 1.0, before: 0, max_passes: parameters.max_passes };
-    settle_level(engine, fields, parameters, &level, resumed, &mut observe)
+    let (state, summary) = settle_level(engine, fields, parameters, &level, resumed, &mut observe)?;
+    Ok((state.set, summary))
 }
 
 /// As [`settle_with`], on one of several levels; `resumed` holds its records.
-pub(crate) fn settle_level(
+pub(crate) fn settle_level<S: Implicit>(
     engine: &mut dyn Engine,
-    fields: &Fields,
+    fields: &Fields<S>,
     parameters: &Parameters,
     level: &Level,
     resumed: &[PassRecord],
     observe: &mut dyn FnMut(&PassRecord, &mut dyn Engine) -> Result<()>,
-) -> Result<(ParticleSet, Summary)> {
+) -> Result<(State, Summary)> {
     let start = Instant::now();
     let mut records = resumed.to_vec();
     let mut pass = records.last().map_or(level.before, |r| r.pass);
@@ -251,69 +231,16 @@ pub(crate) fn settle_level(
         observe(&record, engine)?;
         closing = closing_since(&records, parameters);
     }
-    let mut state = State::unlisted(engine.particles()?, parameters.normal_agreement);
+    let mut state = State::unlisted(engine.particles()?, parameters.normal_agreement).on(engine.strata().to_vec());
     let escaped = finish(&mut state, fields);
     let energy = state.measure().energy;
     let summary = Summary {
         passes: pass,
         settled: closing.is_some(),
         escaped,
-        energy_ratio: energy / (parameters.ideal_energy * state.len().max(1) as f64),
+        energy_ratio: energy / (parameters.ideal_energy * state.movable().max(1) as f64),
     };
-    Ok((state.set, summary))
-}
-
-/// Moves the particles on the CPU.
-struct CpuEngine<'a> {
-    state: State,
-    fields: &'a Fields<'a>,
-    parameters: Parameters,
-}
-
-impl<'a> CpuEngine<'a> {
-    fn new(set: ParticleSet, fields: &'a Fields<'a>, parameters: &Parameters) -> Self {
-        Self { state: State::new(set, parameters.normal_agreement), fields, parameters: parameters.clone() }
-    }
-}
-
-impl Engine for CpuEngine<'_> {
-    fn pass(&mut self, pass: u64, density: bool) -> Result<PassOutcome> {
-        let (state, parameters) = (&mut self.state, &self.parameters);
-        if pass % REORDER_INTERVAL == 1 {
-            // also what a resumed run starts with: checkpoints are only written just before
-            state.sort_by_place();
-            state.rebuild();
-        } else {
-            state.rebuild_if_moved();
-        }
-        let moves = movement::pass(state, self.fields);
-        let Measures { energy, lattice_defects } = state.measure();
-        let movable = state.len();
-        let limits = Limits {
-            ideal_energy: parameters.ideal_energy,
-            add_below: parameters.add_below,
-            delete_above: parameters.delete_above,
-        };
-        let changes = if density {
-            density::control(state, self.fields, &limits, parameters.seed, pass, parameters.allow_insert)
-        } else {
-            density::Changes::default()
-        };
-        Ok(PassOutcome {
-            energy,
-            count: state.len(),
-            inserted: changes.inserted,
-            deleted: changes.deleted,
-            moved: moves.moved,
-            tries_per_particle: moves.tries as f64 / movable.max(1) as f64,
-            neighbours: state.neighbours.mean_count(),
-            lattice_defects,
-        })
-    }
-
-    fn particles(&mut self) -> Result<ParticleSet> {
-        Ok(self.state.set.clone())
-    }
+    Ok((state, summary))
 }
 
 /// The pass after which nothing more was found to improve (density control rests from then on), if any.
@@ -355,20 +282,21 @@ fn is_balanced(records: &[PassRecord], parameters: &Parameters) -> bool {
     parameters.energy_tolerance.is_none() && falls < parameters.defect_tolerance && is_at_rest
 }
 
-/// Puts every particle onto F = 0 to the last useful digit and removes those that cannot be; says how many. They are put in order of place first, as a
+/// Puts every particle that is not held onto F = 0, or its sheet, to the last useful digit and removes those that cannot be; says how many. They are put in order of place first, as a
 /// run that is resumed after its last pass has them.
-fn finish(state: &mut State, fields: &Fields) -> usize {
+fn finish<S: Implicit>(state: &mut State, fields: &Fields<S>) -> usize {
     state.sort_by_place();
-    let spacing = fields.surface.geometry().min_spacing();
-    let projected: Vec<_> = state
-        .set
-        .positions
-        .par_iter()
-        .zip(&state.set.sizes)
-        .map(|(&p, &h)| fields.project(p, 0.5 * h.max(spacing), 1e-8 * spacing))
+    let spacing = fields.surface.min_spacing();
+    let set = &state.set;
+    let projected: Vec<_> = (state.held..state.len())
+        .into_par_iter()
+        .map(|i| {
+            let limit = 0.5 * set.sizes[i].max(spacing);
+            fields.project(state.stratum(i), set.positions[i], limit, 1e-8 * spacing)
+        })
         .collect();
-    let mut kept = Vec::with_capacity(projected.len());
-    for (i, place) in projected.into_iter().enumerate() {
+    let mut kept: Vec<u32> = (0..state.held as u32).collect();
+    for (i, place) in (state.held..).zip(projected) {
         if let Some((position, normal, size)) = place {
             state.set.positions[i] = position;
             state.set.normals[i] = normal;

@@ -1,10 +1,12 @@
 //! The particles while they move: positions with what depends on them, and who interacts with whom.
 
-use crate::constants::{LATTICE_NEIGHBOURS, REBUILD_MOVE, SKIN};
+use crate::constants::{FIRST_RING, LATTICE_NEIGHBOURS, REBUILD_MOVE, SKIN};
+use crate::implicit::Implicit;
 use crate::neighbourhood::{Neighbourhood, Record};
 use fearless_simd::{Level, dispatch};
 use glam::DVec3;
 use isoparticles_field::energy::SUPPORT;
+use isoparticles_field::materials::Stratum;
 use isoparticles_field::neighbours::{NeighbourLists, space_order};
 use isoparticles_field::particle_set::ParticleSet;
 use isoparticles_field::sizing::SizingField;
@@ -18,18 +20,24 @@ const LISTED: f64 = SUPPORT * (1.0 + SKIN);
 const CHUNK: usize = 256;
 
 /// The implicit function and the sizing field that the particles live on.
-pub struct Fields<'a> {
-    /// F.
-    pub surface: &'a CubicSpline,
+pub struct Fields<'a, S = CubicSpline> {
+    /// F, or the sheets of many materials.
+    pub surface: &'a S,
     /// h.
     pub sizing: &'a SizingField,
 }
 
-impl Fields<'_> {
-    /// Projects a point onto F = 0 (Eq. 5); returns position, unit normal and h there.
+impl<S: Implicit> Fields<'_, S> {
+    /// Projects a point onto F = 0, or onto the sheet that is its stratum (Eq. 5); returns position, unit normal and h there.
     #[inline(always)]
-    pub(crate) fn project(&self, start: DVec3, limit: f64, tolerance: f64) -> Option<(DVec3, DVec3, f64)> {
-        let (p, gradient) = self.surface.project_with_gradient(start, limit, tolerance)?;
+    pub(crate) fn project(
+        &self,
+        stratum: Option<Stratum>,
+        start: DVec3,
+        limit: f64,
+        tolerance: f64,
+    ) -> Option<(DVec3, DVec3, f64)> {
+        let (p, gradient) = self.surface.project(stratum, start, limit, tolerance)?;
         Some((p, gradient.normalize(), self.sizing.at(p)))
     }
 }
@@ -37,6 +45,11 @@ impl Fields<'_> {
 /// Particles, their neighbour lists and the classes that may move together.
 pub(crate) struct State {
     pub set: ParticleSet,
+    /// The stratum of each particle; empty of one object.
+    pub strata: Vec<Stratum>,
+    /// How many particles are held, the first ones: those of junction points and curves. They are never moved, deleted or given newcomers, and nothing is
+    /// counted of them; those on the sheets around them see them. None of one object.
+    pub held: usize,
     /// Normals with a smaller dot product belong to different sheets: such particles do not interact.
     pub normal_agreement: f64,
     pub neighbours: NeighbourLists,
@@ -49,30 +62,57 @@ pub(crate) struct State {
 }
 
 impl State {
+    /// The particles of one object, in order of place.
+    #[cfg(test)]
     pub(crate) fn new(set: ParticleSet, normal_agreement: f64) -> Self {
-        let mut state = Self::unlisted(set, normal_agreement);
-        state.sort_by_place();
-        state.rebuild();
-        state
+        Self::unlisted(set, normal_agreement).in_order()
     }
 
     /// The particles in the order they have, without lists.
     pub(crate) fn unlisted(set: ParticleSet, normal_agreement: f64) -> Self {
         let (neighbours, records) = (NeighbourLists::default(), Vec::new());
-        Self { set, normal_agreement, neighbours, records, classes: Vec::new(), listed: Vec::new() }
+        let (classes, listed) = (Vec::new(), Vec::new());
+        Self { set, strata: Vec::new(), held: 0, normal_agreement, neighbours, records, classes, listed }
+    }
+
+    /// The same particles on these strata, lower ones first; none are those of one object.
+    pub(crate) fn on(mut self, strata: Vec<Stratum>) -> Self {
+        self.held = strata.partition_point(|stratum| stratum.dimension() < 2);
+        self.strata = strata;
+        self
+    }
+
+    /// The same particles in order of place, with lists and classes.
+    pub(crate) fn in_order(mut self) -> Self {
+        self.sort_by_place();
+        self.rebuild();
+        self
+    }
+
+    /// The stratum of particle i; of one object it has none.
+    #[inline(always)]
+    pub(crate) fn stratum(&self, i: usize) -> Option<Stratum> {
+        self.strata.get(i).copied()
+    }
+
+    /// How many particles are not held.
+    pub(crate) fn movable(&self) -> usize {
+        self.len() - self.held
     }
 
     pub(crate) fn len(&self) -> usize {
         self.set.positions.len()
     }
 
-    /// Orders the particles by place, so that neighbours lie near each other in memory.
+    /// Orders the particles by place, so that neighbours lie near each other in memory. Those that are held stay in front as they are.
     pub(crate) fn sort_by_place(&mut self) {
-        let order = space_order(&self.set.positions, &self.set.sizes, LISTED);
+        let held = self.held;
+        let order = space_order(&self.set.positions[held..], &self.set.sizes[held..], LISTED);
+        let order: Vec<u32> = (0..held as u32).chain(order.into_iter().map(|i| i + held as u32)).collect();
         self.take(&order);
     }
 
-    /// Keeps the particles named by `order`, in that order.
+    /// Keeps the particles named by `order`, in that order; those that are held must come first, all of them.
     pub(crate) fn take(&mut self, order: &[u32]) {
         fn pick<T: Copy>(from: &mut Vec<T>, order: &[u32]) {
             *from = order.iter().map(|&i| from[i as usize]).collect();
@@ -83,6 +123,9 @@ impl State {
         pick(&mut set.sizes, order);
         pick(&mut set.energies, order);
         pick(&mut set.lambdas, order);
+        if !self.strata.is_empty() {
+            pick(&mut self.strata, order);
+        }
     }
 
     /// Makes lists and classes anew.
@@ -92,13 +135,25 @@ impl State {
         self.listed.clone_from(&self.set.positions);
     }
 
-    /// Makes the lists anew, for energies only.
+    /// Makes the lists anew, for energies only. Particles see each other where their normals agree; of many materials those of one sheet alone, and on each sheet
+    /// those that are held on its border: these keep the sheets apart.
     pub(crate) fn rebuild_lists(&mut self) {
         let normals = &self.set.normals;
         let agreement = self.normal_agreement;
-        self.neighbours = NeighbourLists::new(&self.set.positions, &self.set.sizes, LISTED, |i, j| {
-            normals[i].dot(normals[j]) > agreement
-        });
+        let (strata, held) = (&self.strata, self.held);
+        let agree = |i: usize, j: usize| normals[i].dot(normals[j]) > agreement;
+        let meet = |i: usize, j: usize| match (i < held, j < held) {
+            (false, false) => strata[i] == strata[j] && agree(i, j),
+            (true, false) => strata[i].is_on(&strata[j]),
+            (false, true) => strata[j].is_on(&strata[i]),
+            (true, true) => false,
+        };
+        let (positions, sizes) = (&self.set.positions, &self.set.sizes);
+        self.neighbours = if strata.is_empty() {
+            NeighbourLists::new(positions, sizes, LISTED, agree)
+        } else {
+            NeighbourLists::new(positions, sizes, LISTED, meet)
+        };
         let places = self.set.positions.iter().zip(&self.set.sizes);
         self.records = places.map(|(&position, &size)| Record::new(position, size)).collect();
     }
@@ -119,7 +174,15 @@ impl State {
         stale
     }
 
-    /// Recomputes every particle's energy (Eq. 1) and looks for lattice defects.
+    /// Whether particle i has one that is held in its first ring.
+    fn is_at_border(&self, i: usize) -> bool {
+        let (positions, sizes) = (&self.set.positions, &self.set.sizes);
+        let held = self.neighbours.of(i).iter().map(|&j| j as usize).filter(|&j| j < self.held);
+        held.into_iter().any(|j| positions[i].distance(positions[j]) < FIRST_RING * sizes[i].min(sizes[j]))
+    }
+
+    /// Recomputes every particle's energy (Eq. 1) and looks for lattice defects: next to a border of a sheet the lattice cannot have its six neighbours
+    /// wherever the border bends, and nobody is counted there. Those that are held have no energy of their own.
     pub(crate) fn measure(&mut self) -> Measures {
         let mut energies = std::mem::take(&mut self.set.energies);
         energies.resize(self.len(), 0.0);
@@ -131,10 +194,14 @@ impl State {
                 dispatch!(Level::new(), simd => {
                     let mut defects = 0;
                     for (i, to) in (chunk * CHUNK..).zip(energies) {
+                        if i < self.held {
+                            *to = 0.0;
+                            continue;
+                        }
                         near.gather(|j| self.records[j], self.neighbours.of(i), positions[i]);
                         let (energy, ring) = near.energy_and_ring(simd, sizes[i]);
                         *to = energy;
-                        defects += usize::from(ring != LATTICE_NEIGHBOURS);
+                        defects += usize::from(ring != LATTICE_NEIGHBOURS && (self.held == 0 || !self.is_at_border(i)));
                     }
                     defects
                 })

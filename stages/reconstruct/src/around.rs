@@ -1,6 +1,6 @@
-//! The tetrahedra round an edge or a vertex, by the side that they are on, and the facets between the sides.
+//! The tetrahedra round an edge or a vertex, by the side that they are on (inside or outside, or one of many materials), and the facets between the sides.
 
-use crate::restricted::Facet;
+use crate::labelled::Facet;
 use isoparticles_delaunay::Delaunay;
 use isoparticles_mesh::components::DisjointSets;
 use rayon::prelude::*;
@@ -11,33 +11,33 @@ pub(crate) fn place_of(list: [u32; 4], what: u32) -> usize {
     list.iter().position(|&other| other == what).unwrap_or(0)
 }
 
-/// The facets of a tetrahedron that have it and its neighbour on two sides, each as one of the tetrahedron inside.
-pub(crate) fn boundary_facets_of(delaunay: &Delaunay, t: u32, is_inside: impl Fn(u32) -> bool) -> Vec<Facet> {
+/// The facets of a tetrahedron that have it and its neighbour on two sides, each as one of the tetrahedron on the greater side: inside.
+pub(crate) fn boundary_facets_of<S: Ord>(delaunay: &Delaunay, t: u32, side: impl Fn(u32) -> S) -> Vec<Facet> {
     let neighbours = delaunay.neighbours(t);
     let facet = |i: usize| {
         let n = neighbours[i];
-        let (t, i) = if is_inside(t) { (t, i) } else { (n, place_of(delaunay.neighbours(n), t)) };
+        let (t, i) = if side(t) > side(n) { (t, i) } else { (n, place_of(delaunay.neighbours(n), t)) };
         Facet { vertices: delaunay.facet(t, i), tetrahedron: t, opposite: i as u8 }
     };
-    (0..4).filter(|&i| is_inside(t) != is_inside(neighbours[i])).map(facet).collect()
+    (0..4).filter(|&i| side(t) != side(neighbours[i])).map(facet).collect()
 }
 
-/// The facets between inside and outside, in the order of the tetrahedra.
-pub(crate) fn boundary(delaunay: &Delaunay, is_inside: impl Fn(u32) -> bool + Sync) -> Vec<Facet> {
-    let is_inside = &is_inside;
+/// The facets between the sides, in the order of the tetrahedra on the greater ones.
+pub(crate) fn boundary<S: Ord + Default>(delaunay: &Delaunay, side: impl Fn(u32) -> S + Sync) -> Vec<Facet> {
+    let side = &side;
     (0..delaunay.slot_count() as u32)
         .into_par_iter()
-        .filter(|&t| delaunay.is_alive(t) && is_inside(t))
-        .flat_map_iter(|t| boundary_facets_of(delaunay, t, is_inside))
+        .filter(|&t| delaunay.is_alive(t) && side(t) > S::default())
+        .flat_map_iter(|t| boundary_facets_of(delaunay, t, side).into_iter().filter(move |f| f.tetrahedron == t))
         .collect()
 }
 
 /// The tetrahedra round an edge by runs of one `side`; `start` is one of them. An edge of a manifold surface parts two runs.
-pub(crate) fn runs_round(
+pub(crate) fn runs_round<S: PartialEq>(
     delaunay: &Delaunay,
     [a, b]: [u32; 2],
     start: u32,
-    side: impl Fn(u32) -> bool,
+    side: impl Fn(u32) -> S,
 ) -> Vec<Vec<u32>> {
     let others = |t: u32| {
         let v = delaunay.vertices(t);
@@ -82,7 +82,12 @@ pub(crate) fn star(delaunay: &Delaunay, vertex: u32) -> Vec<u32> {
 
 /// The tetrahedra at a vertex (its `star`, ascending) by parts of one `side` that join through facets at it. A vertex of a manifold surface
 /// has two parts.
-pub(crate) fn parts_round(delaunay: &Delaunay, vertex: u32, star: &[u32], side: impl Fn(u32) -> bool) -> Vec<Vec<u32>> {
+pub(crate) fn parts_round<S: PartialEq>(
+    delaunay: &Delaunay,
+    vertex: u32,
+    star: &[u32],
+    side: impl Fn(u32) -> S,
+) -> Vec<Vec<u32>> {
     let mut sets = DisjointSets::new(star.len());
     for (k, &t) in star.iter().enumerate() {
         let at = place_of(delaunay.vertices(t), vertex);

@@ -18,6 +18,8 @@ pub mod defects;
 pub mod finish;
 pub mod improve;
 mod join;
+pub mod labelled;
+pub mod materials;
 pub mod pinched;
 mod points_alone;
 pub mod prepare;

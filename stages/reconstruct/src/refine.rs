@@ -34,13 +34,13 @@ use std::sync::OnceLock;
 
 /// A facet may lie this part of h away from F = 0 when no limit is given: three times what a facet of edge h has on a
 /// ball of radius 2 h (h^2 / 6 R).
-const DEFAULT_DEVIATION: f64 = 0.25;
+pub(crate) const DEFAULT_DEVIATION: f64 = 0.25;
 
 /// Cosine between a facet's normal and grad F at its centroid below which the facet counts as turned away from F = 0.
-const TURNED: f64 = 0.3;
+pub(crate) const TURNED: f64 = 0.3;
 
 /// A new point keeps this part of h from all others, unless the topology asks for it.
-const NEAREST_FOR_SHAPE: f64 = 0.35;
+pub(crate) const NEAREST_FOR_SHAPE: f64 = 0.35;
 
 /// Rounds spent on critical points that stay on the wrong side of the mesh.
 const GENUS_ROUNDS: usize = 6;

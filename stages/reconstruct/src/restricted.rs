@@ -6,55 +6,33 @@
 //! too. The Voronoi edge dual to a facet joins the two circumcentres and crosses F = 0: that crossing is the
 //! point which refines the facet (Boissonnat and Oudot 2005).
 
-use crate::around::{boundary, boundary_facets_of, parts_round, runs_round, star};
-use crate::prepare::not_triangulated;
+use crate::around::{parts_round, runs_round, star};
+pub use crate::labelled::Facet;
+use crate::labelled::Labelled;
 use glam::DVec3;
-use isoparticles_delaunay::predicates::orientation;
-use isoparticles_delaunay::{Delaunay, INFINITE, Insertion};
+use isoparticles_delaunay::Delaunay;
 use isoparticles_field::spline::CubicSpline;
 use isoparticles_stage::error::Result;
-use rayon::prelude::*;
 
 /// Halvings of a Voronoi edge when its crossing with F = 0 is sought.
 const HALVINGS: usize = 60;
 
-/// A triangulation whose tetrahedra know their side of F = 0.
+/// A triangulation whose tetrahedra know their side of F = 0: those that bear `true` are inside.
 pub struct Restricted<'a> {
-    delaunay: Delaunay,
+    sides: Labelled<bool>,
     field: &'a CubicSpline,
-    upper: DVec3,
-    inside: Vec<bool>,
-    /// Tetrahedra made since the sides were last decided.
-    undecided: Vec<u32>,
-    /// Tetrahedra made since the changes were last taken.
-    changed: Vec<u32>,
-}
-
-/// A facet between inside and outside.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Facet {
-    /// Its vertices, counter-clockwise seen from outside.
-    pub vertices: [u32; 3],
-    /// The tetrahedron inside.
-    pub tetrahedron: u32,
-    /// Which facet of it this is: the one opposite to the vertex at this place.
-    pub opposite: u8,
 }
 
 impl<'a> Restricted<'a> {
     /// Decides the side of each tetrahedron of a triangulation in the grid frame of F.
     pub fn new(delaunay: Delaunay, field: &'a CubicSpline) -> Self {
-        let undecided = delaunay.finite_tetrahedra().map(|(t, _)| t).collect();
-        let upper = field.geometry().upper_corner();
-        let mut new = Self { delaunay, field, upper, inside: Vec::new(), undecided, changed: Vec::new() };
-        new.decide_sides();
-        new.changed = Vec::new();
-        new
+        let sides = Labelled::new(delaunay, field.geometry().upper_corner(), |centre| field.value(centre) < 0.0);
+        Self { sides, field }
     }
 
     /// The triangulation.
     pub fn delaunay(&self) -> &Delaunay {
-        &self.delaunay
+        self.sides.delaunay()
     }
 
     /// The implicit function.
@@ -64,62 +42,36 @@ impl<'a> Restricted<'a> {
 
     /// The points, those inserted at the end.
     pub fn points(&self) -> &[DVec3] {
-        self.delaunay.points()
+        self.sides.points()
     }
 
     /// Adds a point; [`Restricted::decide_sides`] must follow the last of a round. `None` when it was there already.
+    ///
+    /// # Errors
+    /// Those of the triangulation.
     pub fn insert(&mut self, point: DVec3, near: u32) -> Result<Option<u32>> {
-        match self.delaunay.insert(point, Some(near)).map_err(not_triangulated)? {
-            Insertion::Duplicate(_) => Ok(None),
-            Insertion::New(v) => {
-                self.undecided.extend_from_slice(self.delaunay.created());
-                Ok(Some(v))
-            }
-        }
+        self.sides.insert(point, near)
     }
 
     /// Decides the side of every tetrahedron made since the last call.
     pub fn decide_sides(&mut self) {
-        self.inside.resize(self.delaunay.slot_count(), false);
-        let mut undecided = std::mem::take(&mut self.undecided);
-        undecided.sort_unstable();
-        undecided.dedup();
-        let sides: Vec<bool> = undecided.par_iter().map(|&t| self.is_centre_inside(t)).collect();
-        for (&t, &side) in undecided.iter().zip(&sides) {
-            self.inside[t as usize] = side;
-        }
-        self.changed.append(&mut undecided);
+        self.sides.decide(|centre| self.field.value(centre) < 0.0);
     }
 
     /// The tetrahedra made by insertions since the last call, ascending.
     pub fn take_changed(&mut self) -> Vec<u32> {
-        let mut changed = std::mem::take(&mut self.changed);
-        changed.retain(|&t| self.delaunay.is_alive(t));
-        changed.sort_unstable();
-        changed.dedup();
-        changed
-    }
-
-    fn is_centre_inside(&self, t: u32) -> bool {
-        if !self.delaunay.is_alive(t) {
-            return false;
-        }
-        self.delaunay.circumcentre(t).is_some_and(|c| self.in_volume(c) && self.field.value(c) < 0.0)
-    }
-
-    fn in_volume(&self, p: DVec3) -> bool {
-        p.cmpge(DVec3::ZERO).all() && p.cmple(self.upper).all()
+        self.sides.take_changed()
     }
 
     /// Whether a tetrahedron is inside.
     pub fn is_inside(&self, tetrahedron: u32) -> bool {
-        self.inside[tetrahedron as usize]
+        self.sides.of(tetrahedron)
     }
 
     /// Parts the sheets that touch in an edge: of the tetrahedra round it (`start` is one of them) those of one run change sides. True
     /// when some did. See [`Restricted::part_vertex`].
     pub fn part_edge(&mut self, edge: [u32; 2], start: u32, may_leave: bool) -> bool {
-        let runs = runs_round(&self.delaunay, edge, start, |t| self.inside[t as usize]);
+        let runs = runs_round(self.delaunay(), edge, start, |t| self.is_inside(t));
         self.change_side_of_one(runs, may_leave)
     }
 
@@ -127,13 +79,13 @@ impl<'a> Restricted<'a> {
     /// lie nearest to F = 0. Where the sheets of F are nearer to each other than points can tell, the mesh must decide. Unless
     /// `may_leave`, tetrahedra only join the object. True when some changed.
     pub fn part_vertex(&mut self, vertex: u32, may_leave: bool) -> bool {
-        let star = star(&self.delaunay, vertex);
-        let parts = parts_round(&self.delaunay, vertex, &star, |t| self.inside[t as usize]);
+        let star = star(self.delaunay(), vertex);
+        let parts = parts_round(self.delaunay(), vertex, &star, |t| self.is_inside(t));
         self.change_side_of_one(parts, may_leave)
     }
 
     fn change_side_of_one(&mut self, parts: Vec<Vec<u32>>, may_leave: bool) -> bool {
-        let is_inside = |part: &Vec<u32>| self.inside[part[0] as usize];
+        let is_inside = |part: &Vec<u32>| self.is_inside(part[0]);
         let inside = parts.iter().filter(|part| is_inside(part)).count();
         // the last part of a side is what the others are parted from
         let is_spare = |part: &&Vec<u32>| match is_inside(part) {
@@ -149,20 +101,19 @@ impl<'a> Restricted<'a> {
 
     /// Lets some tetrahedra change sides.
     pub fn change_sides(&mut self, tetrahedra: &[u32]) {
-        tetrahedra.iter().for_each(|&t| self.inside[t as usize] ^= true);
+        tetrahedra.iter().for_each(|&t| self.sides.set(t, !self.sides.of(t)));
     }
 
     /// The tetrahedra within a closed surface of facets, which it is all around: those inside of a part of the object, or those outside in a
     /// cavity of it. `None` where there are more than `most`, or where it is not all around them.
     pub fn enclosed(&self, facets: &[Facet], most: usize) -> Option<Vec<u32>> {
-        let across = |f: &Facet| self.delaunay.neighbours(f.tetrahedron)[usize::from(f.opposite)];
-        let starts = [facets.first()?.tetrahedron, across(facets.first()?)];
+        let starts = [facets.first()?.tetrahedron, self.sides.across(facets.first()?)];
         starts.into_iter().find_map(|start| {
-            let side = self.inside[start as usize];
+            let side = self.is_inside(start);
             let (mut region, mut next, mut met) = (vec![start], 0, 0);
             while next < region.len() && region.len() <= most {
-                for n in self.delaunay.neighbours(region[next]) {
-                    if self.inside[n as usize] != side {
+                for n in self.delaunay().neighbours(region[next]) {
+                    if self.is_inside(n) != side {
                         met += 1;
                     } else if !region.contains(&n) {
                         region.push(n);
@@ -171,13 +122,14 @@ impl<'a> Restricted<'a> {
                 next += 1;
             }
             let is_all = next == region.len() && met == facets.len();
-            (is_all && !region.iter().any(|&t| self.delaunay.is_ghost(t))).then_some(region)
+            (is_all && !region.iter().any(|&t| self.delaunay().is_ghost(t))).then_some(region)
         })
     }
 
     /// Distance of a circumcentre from F = 0 to first order, mm; infinite beyond the hull and the volume.
     fn distance_of_centre(&self, t: u32) -> f64 {
-        let centre = self.delaunay.circumcentre(t).filter(|&c| !self.delaunay.is_ghost(t) && self.in_volume(c));
+        let centre =
+            self.delaunay().circumcentre(t).filter(|&c| !self.delaunay().is_ghost(t) && self.sides.in_volume(c));
         centre.map_or(f64::INFINITY, |c| {
             let (value, gradient) = self.field.value_gradient(c);
             value.abs() / gradient.length().max(1e-6)
@@ -186,14 +138,14 @@ impl<'a> Restricted<'a> {
 
     /// The sides that a closed surface of facets gives the tetrahedra, by their numbers.
     pub fn sides_of(&self, facets: &[Facet]) -> Vec<bool> {
-        let mut inside = vec![false; self.delaunay.slot_count()];
+        let mut inside = vec![false; self.delaunay().slot_count()];
         // a bit for each facet of each tetrahedron: whether it is on the surface
-        let mut on_surface = vec![0u8; self.delaunay.slot_count()];
+        let mut on_surface = vec![0u8; self.delaunay().slot_count()];
         facets.iter().for_each(|f| on_surface[f.tetrahedron as usize] |= 1 << f.opposite);
         let mut open: Vec<u32> = facets.iter().map(|f| f.tetrahedron).collect();
         while let Some(t) = open.pop() {
             if !std::mem::replace(&mut inside[t as usize], true) {
-                let neighbours = self.delaunay.neighbours(t).into_iter().enumerate();
+                let neighbours = self.delaunay().neighbours(t).into_iter().enumerate();
                 open.extend(neighbours.filter(|(i, _)| on_surface[t as usize] >> i & 1 == 0).map(|(_, n)| n));
             }
         }
@@ -202,76 +154,32 @@ impl<'a> Restricted<'a> {
 
     /// Gives the tetrahedra sides in place of those by the sign of F.
     pub fn set_sides(&mut self, sides: Vec<bool>) {
-        self.inside = sides;
+        self.sides.set_all(sides);
     }
 
     /// Whether a point lies in a tetrahedron that is inside; `near` is a vertex not far from it.
     pub fn holds(&self, point: DVec3, near: u32) -> bool {
-        self.locate(point, near).is_some_and(|t| self.inside[t as usize])
+        self.locate(point, near).is_some_and(|t| self.is_inside(t))
     }
 
     /// The tetrahedron that a point lies in, `None` beyond the hull; `near` is a vertex not far from it.
     pub fn locate(&self, point: DVec3, near: u32) -> Option<u32> {
-        let mut t = self.delaunay.incident(near)?;
-        let mut entered_from = None;
-        loop {
-            let (vertices, neighbours) = (self.delaunay.vertices(t), self.delaunay.neighbours(t));
-            let infinite = vertices.iter().position(|&v| v == INFINITE);
-            let way = match infinite {
-                // beyond the hull, unless the walk has only started
-                Some(_) if entered_from.is_some() => return None,
-                Some(i) => Some(i),
-                None => (0..4).filter(|&i| Some(neighbours[i]) != entered_from).find(|&i| {
-                    let mut corners = vertices.map(|v| self.points()[v as usize]);
-                    corners[i] = point;
-                    orientation(corners[0], corners[1], corners[2], corners[3]) < 0.0
-                }),
-            };
-            let Some(i) = way else { return Some(t) };
-            // from beyond the hull the walk may turn back at once
-            entered_from = infinite.is_none().then_some(t);
-            t = neighbours[i];
-        }
+        self.sides.locate(point, near)
     }
 
     /// The facets between inside and outside, in the order of the tetrahedra.
     pub fn facets(&self) -> Vec<Facet> {
-        boundary(&self.delaunay, |t| self.inside[t as usize])
+        self.sides.facets()
     }
 
     /// The facets between inside and outside at a vertex.
     pub fn facets_at(&self, vertex: u32) -> Vec<Facet> {
-        let inside = star(&self.delaunay, vertex).into_iter().filter(|&t| self.inside[t as usize]);
-        let facets = inside.flat_map(|t| boundary_facets_of(&self.delaunay, t, |t| self.inside[t as usize]));
-        facets.filter(|f| f.vertices.contains(&vertex)).collect()
+        self.sides.facets_at(vertex)
     }
 
     /// The two ends of the Voronoi edge dual to a facet, inside first, the outer one cut at the border of the volume.
     pub fn dual_edge(&self, facet: &Facet) -> Option<(DVec3, DVec3)> {
-        let from = self.delaunay.circumcentre(facet.tetrahedron)?;
-        let across = self.delaunay.neighbours(facet.tetrahedron)[usize::from(facet.opposite)];
-        let to = self.delaunay.circumcentre(across).filter(|_| !self.delaunay.vertices(across).contains(&INFINITE));
-        let to = match to {
-            Some(to) if self.in_volume(to) => to,
-            Some(to) => self.cut_at_border(from, to - from),
-            None => {
-                let [a, b, c] = facet.vertices.map(|v| self.points()[v as usize]);
-                self.cut_at_border(from, (b - a).cross(c - a))
-            }
-        };
-        to.is_finite().then_some((from, to))
-    }
-
-    /// Where a ray leaves the volume.
-    fn cut_at_border(&self, from: DVec3, direction: DVec3) -> DVec3 {
-        let mut reach = f64::INFINITY;
-        for axis in 0..3 {
-            let wall = if direction[axis] > 0.0 { self.upper[axis] } else { 0.0 };
-            if direction[axis] != 0.0 {
-                reach = reach.min((wall - from[axis]) / direction[axis]);
-            }
-        }
-        (from + direction * reach.max(0.0)).clamp(DVec3::ZERO, self.upper)
+        self.sides.dual_edge(facet)
     }
 
     /// Whether the outer end of the facet's Voronoi edge is outside only because the volume ends there, so that the

@@ -13,9 +13,10 @@ use isoparticles_stage::cli::values::share;
 use isoparticles_stage::cli::{CHECKS, CommonArgs, Context, FILES, METHOD, Outcome, StageArgs, particles_bytes};
 use isoparticles_stage::error::{Error, Kind, Result};
 use isoparticles_stage::field_file::{FieldKind, check_same_grid, read_field};
+use isoparticles_stage::materials_file::is_materials;
 use isoparticles_stage::meta::{self, Border, DistanceMeta, SurfaceMeta};
 use isoparticles_stage::particle_file::{ParticleKind, read_particles};
-use isoparticles_volume::Image;
+use isoparticles_volume::Geometry;
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
 
@@ -48,6 +49,10 @@ pub struct Args {
     /// Surface to write: .vtp with all data, or .ply, .stl, .obj, .vtk
     #[arg(short, long, value_name = "SURFACE", help_heading = FILES)]
     pub output: PathBuf,
+    /// With the indicators of many materials in the place of F: also write the closed surface of each, outward, into this folder, as NAME and
+    /// the ending of the output; neighbours have the same vertices where they touch
+    #[arg(long, value_name = "FOLDER", requires = "distfield", help_heading = FILES)]
+    pub each: Option<PathBuf>,
     /// How the particles are joined
     #[arg(long, value_enum, value_name = "METHOD", default_value_t = Method::Restricted, help_heading = METHOD)]
     pub method: Method,
@@ -85,6 +90,12 @@ pub struct Args {
 impl Args {
     /// How to reconstruct from a field that says this of itself.
     fn options(&self, told: &DistanceMeta) -> Options {
+        let (keeps_voxels, open_border) = (told.keeps_voxels(), told.border == Some(Border::Open));
+        Options { keeps_voxels, open_border, ..self.general_options() }
+    }
+
+    /// How to reconstruct, as far as the options alone tell.
+    pub(crate) fn general_options(&self) -> Options {
         Options {
             method: self.method,
             max_deviation: self.max_deviation,
@@ -92,10 +103,9 @@ impl Args {
             improve_below: self.improve_below,
             relaxation_sweeps: usize::from(self.relaxation_sweeps),
             improve_rounds: usize::from(self.improve_rounds),
-            keeps_voxels: told.keeps_voxels(),
-            open_border: told.border == Some(Border::Open),
             min_radius_ratio: self.radius_ratio_bar(),
             max_vertex_distance: self.max_vertex_distance,
+            ..Options::default()
         }
     }
 
@@ -155,6 +165,12 @@ pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
             "only particles know their place in the grid of the field",
             "leave out --distfield and give --method tight-cocone, or give the particles made from the field",
         )),
+        (Some(field), _) if is_materials(field) => crate::materials::run::run(args, field, context),
+        (Some(field), _) if args.each.is_some() => Err(Error::input(
+            format!("{}: is the distance field of one object", field.display()),
+            "--each writes the surfaces of many materials",
+            "leave out --each, or give the file that distfield --material writes",
+        )),
         (Some(field), _) => on_field(args, field, context),
     }
 }
@@ -183,8 +199,11 @@ fn on_field(args: &Args, distfield: &Path, context: &Context) -> Result<Outcome>
         "make fewer of them: sizefield --min-size, --scale or --quality coarse",
     )?;
     context.add_input(distfield, field.history.clone())?;
-    let sizing =
-        args.sizefield.as_deref().map(|path| read_sizing(path, (distfield, &field.image), context)).transpose()?;
+    let sizing = args
+        .sizefield
+        .as_deref()
+        .map(|path| read_sizing(path, (distfield, &field.image.geometry), context))
+        .transpose()?;
     let told: DistanceMeta = meta::typed(distfield, &field.meta, "distfield")?;
     drop(step);
     let options = args.options(&told);
@@ -213,7 +232,7 @@ fn offenders(args: &Args) -> PathBuf {
 }
 
 /// Refuses when the file of offending simplices, which is replaced or removed, is one of the inputs.
-fn check_offenders(args: &Args) -> Result<()> {
+pub(crate) fn check_offenders(args: &Args) -> Result<()> {
     let path = offenders(args);
     let Ok(place) = path.canonicalize() else { return Ok(()) };
     let mut inputs = [Some(&args.particles), args.distfield.as_ref(), args.sizefield.as_ref()].into_iter().flatten();
@@ -255,9 +274,9 @@ pub(crate) fn write(
     Ok(Outcome::from_failed_checks(failed))
 }
 
-fn read_sizing(path: &Path, distance: (&Path, &Image<f32>), context: &Context) -> Result<SizingField> {
+pub(crate) fn read_sizing(path: &Path, distance: (&Path, &Geometry), context: &Context) -> Result<SizingField> {
     let field = read_field(path, FieldKind::Sizing)?;
-    check_same_grid((path, &field.image.geometry), (distance.0, &distance.1.geometry))?;
+    check_same_grid((path, &field.image.geometry), distance)?;
     context.add_input(path, field.history)?;
     Ok(SizingField::new(field.image))
 }

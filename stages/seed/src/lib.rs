@@ -5,5 +5,6 @@
 //! subset without crowding is kept (Poisson-disk sampling by sample elimination): so the count starts near the one
 //! that density control would reach, also where h is smaller than a voxel.
 
+pub mod materials;
 pub mod run;
 pub mod sampling;

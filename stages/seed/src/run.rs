@@ -7,6 +7,7 @@ use isoparticles_field::spline::CubicSpline;
 use isoparticles_stage::cli::{CommonArgs, Context, FILES, METHOD, Outcome, StageArgs};
 use isoparticles_stage::error::{Error, Result};
 use isoparticles_stage::field_file::{FieldKind, check_same_grid, read_field};
+use isoparticles_stage::materials_file::is_materials;
 use isoparticles_stage::particle_file::{ParticleKind, write_particles};
 use serde_json::{Value, json};
 use std::path::PathBuf;
@@ -20,18 +21,18 @@ use std::path::PathBuf;
         Paper: section 3.1 (seeds from marching cubes) and Eq. 5; --count is the synthetic test of Table 3."
 )]
 pub struct Args {
-    /// Distance field, made by distfield
+    /// Distance field, or the indicators of many materials, made by distfield
     #[arg(value_name = "F.vti", help_heading = FILES)]
-    distfield: PathBuf,
+    pub(crate) distfield: PathBuf,
     /// Sizing field on the same grid, made by sizefield
     #[arg(value_name = "S.vti", help_heading = FILES)]
-    sizefield: PathBuf,
+    pub(crate) sizefield: PathBuf,
     /// Particle file to write
     #[arg(short, long, value_name = "seeds.bin", help_heading = FILES)]
-    output: PathBuf,
+    pub(crate) output: PathBuf,
     /// Seed about this many particles instead of what the sizing field asks for (each component gets some all the same)
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(4..), help_heading = METHOD)]
-    count: Option<u64>,
+    pub(crate) count: Option<u64>,
     #[command(flatten)]
     common: CommonArgs,
 }
@@ -52,6 +53,9 @@ impl StageArgs for Args {
 
 /// Seeds the surface.
 pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
+    if is_materials(&args.distfield) {
+        return crate::materials::run(args, context);
+    }
     let step = context.step("read");
     let distance = read_field(&args.distfield, FieldKind::Distance)?;
     let sizing = read_field(&args.sizefield, FieldKind::Sizing)?;
@@ -97,7 +101,7 @@ pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
 }
 
 /// Refuses sizes that are larger than the object, or ask for more particles than memory holds.
-fn check_prediction(args: &Args, predicted: f64, context: &Context) -> Result<()> {
+pub(crate) fn check_prediction(args: &Args, predicted: f64, context: &Context) -> Result<()> {
     let sizes = args.sizefield.display();
     // no surface at all has an error of its own
     if predicted > 0.0 && predicted < COMPONENT_MINIMUM as f64 && args.count.is_none() {

@@ -12,13 +12,13 @@ use isoparticles_volume::Image;
 use rayon::prelude::*;
 
 /// Candidates for each particle that the sizing field asks for.
-const OVERSAMPLING: f64 = 8.0;
+pub(crate) const OVERSAMPLING: f64 = 8.0;
 /// Bytes at once for each particle that is seeded: its candidates, with their order and bins. Measured as the growth of the peak memory from 8,514 to
 /// 99,084 particles on one grid (`make bench-stages`, table in `docs/performance.md`): 660; doubled, because vectors grow by doubling.
 pub const BYTES_PER_PARTICLE: f64 = 1300.0;
 /// Disk radius over h at which this sampling has the density of the hexagonal lattice of spacing h (random disks jam at a
 /// covered share of 0.55 where the lattice covers 0.91; measured at this oversampling).
-const DISK_RADIUS: f64 = 0.71;
+pub(crate) const DISK_RADIUS: f64 = 0.71;
 /// Fewest particles a component is seeded with.
 pub const COMPONENT_MINIMUM: usize = 12;
 
@@ -35,12 +35,14 @@ pub struct Summary {
     pub not_projected: usize,
 }
 
+/// Points on triangles, of which some are chosen.
 #[derive(Default)]
-struct Candidates {
-    points: Vec<DVec3>,
-    normals: Vec<DVec3>,
-    sizes: Vec<f64>,
-    component: Vec<u32>,
+pub(crate) struct Candidates {
+    pub(crate) points: Vec<DVec3>,
+    pub(crate) normals: Vec<DVec3>,
+    pub(crate) sizes: Vec<f64>,
+    /// The component of the surface that each lies on.
+    pub(crate) component: Vec<u32>,
 }
 
 /// Seeds the surface F = 0, for which `sizing` predicts a count ([`SizingField::predicted_count`]). With `count` the spacing is scaled to give about that many particles (the paper's Table 3);
@@ -59,8 +61,9 @@ pub fn seed_surface(
     let spread = scaled.as_ref().unwrap_or(sizing);
     let every: Vec<u32> = (0..mesh.triangles.len() as u32).collect();
     let density = |p, normal| OVERSAMPLING * spread.lattice_density(p, normal);
-    let all = sample(&mesh, &every, &component, density, |p| spread.at(p), seed);
-    let mut chosen = eliminate(&all, seed);
+    let of_triangle = |t: usize| component[mesh.triangles[t][0] as usize];
+    let all = sample(&mesh, &every, of_triangle, density, |p| spread.at(p), seed);
+    let mut chosen = eliminate(&all, seed, |_, _| true);
     let mut counts = vec![0usize; component_count];
     for &i in &chosen {
         counts[all.component[i as usize] as usize] += 1;
@@ -101,16 +104,16 @@ pub fn seed_surface(
 }
 
 /// Centroid, and the normal as long as twice the area.
-fn centre_and_normal(mesh: &TriangleMesh, triangle: usize) -> (DVec3, DVec3) {
+pub(crate) fn centre_and_normal(mesh: &TriangleMesh, triangle: usize) -> (DVec3, DVec3) {
     let [a, b, c] = mesh.triangles[triangle].map(|v| mesh.vertices[v as usize]);
     ((a + b + c) / 3.0, (b - a).cross(c - a))
 }
 
 /// Random points on the triangles named by `members`, `density(centre, unit normal)` of them to each mm squared.
-fn sample(
+pub(crate) fn sample(
     mesh: &TriangleMesh,
     members: &[u32],
-    component: &[u32],
+    component: impl Fn(usize) -> u32 + Sync,
     density: impl Fn(DVec3, DVec3) -> f64 + Sync,
     size: impl Fn(DVec3) -> f64 + Sync,
     seed: u64,
@@ -136,7 +139,7 @@ fn sample(
                     part.points.push(p);
                     part.normals.push(normal);
                     part.sizes.push(size(p));
-                    part.component.push(component[mesh.triangles[t][0] as usize]);
+                    part.component.push(component(t));
                 }
             }
             part
@@ -152,8 +155,8 @@ fn sample(
     all
 }
 
-/// Candidates that stay when, in random order, each one kept removes all nearer than the disk radius on its own sheet.
-fn eliminate(candidates: &Candidates, seed: u64) -> Vec<u32> {
+/// Candidates that stay when, in random order, each one kept removes all nearer than the disk radius on its own sheet, as far as they `crowd` each other.
+pub(crate) fn eliminate(candidates: &Candidates, seed: u64, crowd: impl Fn(usize, usize) -> bool) -> Vec<u32> {
     let bins = LevelBins::new(&candidates.points, &candidates.sizes, DISK_RADIUS);
     let mut order: Vec<(u64, u32)> =
         (0..candidates.points.len()).map(|i| (random::bits(seed ^ 0x5eed, 0, i as u64), i as u32)).collect();
@@ -170,7 +173,8 @@ fn eliminate(candidates: &Candidates, seed: u64) -> Vec<u32> {
         bins.visit(p, h, |j| {
             let j = j as usize;
             let radius = DISK_RADIUS * h.min(candidates.sizes[j]);
-            if p.distance_squared(candidates.points[j]) < radius * radius && candidates.normals[j].dot(n) > 0.0 {
+            let is_near = p.distance_squared(candidates.points[j]) < radius * radius;
+            if is_near && candidates.normals[j].dot(n) > 0.0 && crowd(at, j) {
                 gone[j] = true;
             }
         });
@@ -189,20 +193,18 @@ fn sample_bare_components(mesh: &TriangleMesh, component: &[u32], bare: &[bool],
     }
     let mut found = Vec::new();
     for (c, members) in members.iter().enumerate().filter(|(_, m)| !m.is_empty()) {
-        let area: f64 = members.iter().map(|&t| 0.5 * centre_and_normal(mesh, t as usize).1.length()).sum();
-        let density = 2.0 * COMPONENT_MINIMUM as f64 / area;
-        let h = (2.0 / (3f64.sqrt() * density)).sqrt();
-        let candidates = sample(
-            mesh,
-            members,
-            component,
-            |_, _| 4.0 * OVERSAMPLING * density,
-            |_| h,
-            seed.wrapping_add(c as u64 + 1),
-        );
-        for i in eliminate(&candidates, seed) {
-            found.push((candidates.points[i as usize], candidates.normals[i as usize]));
-        }
+        found.extend(sample_alone(mesh, members, seed, c as u64));
     }
     found
+}
+
+/// Seeds for the triangles of component number `c`, about twice [`COMPONENT_MINIMUM`].
+pub(crate) fn sample_alone(mesh: &TriangleMesh, members: &[u32], seed: u64, c: u64) -> Vec<(DVec3, DVec3)> {
+    let area: f64 = members.iter().map(|&t| 0.5 * centre_and_normal(mesh, t as usize).1.length()).sum();
+    let density = 2.0 * COMPONENT_MINIMUM as f64 / area;
+    let h = (2.0 / (3f64.sqrt() * density)).sqrt();
+    let density = |_, _| 4.0 * OVERSAMPLING * density;
+    let candidates = sample(mesh, members, |_| c as u32, density, |_| h, seed.wrapping_add(c + 1));
+    let chosen = eliminate(&candidates, seed, |_, _| true);
+    chosen.into_iter().map(|i| (candidates.points[i as usize], candidates.normals[i as usize])).collect()
 }

@@ -9,6 +9,7 @@ pub mod connections;
 pub mod feature;
 pub mod gradation;
 pub mod limits;
+pub mod materials;
 pub mod medial;
 pub mod noise;
 pub mod patch;

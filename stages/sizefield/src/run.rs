@@ -13,6 +13,7 @@ use isoparticles_stage::cli::values::{not_negative, positive};
 use isoparticles_stage::cli::{CommonArgs, Context, FILES, METHOD, Outcome, StageArgs};
 use isoparticles_stage::error::{Error, Result};
 use isoparticles_stage::field_file::{Field, FieldKind, read_field, write_field};
+use isoparticles_stage::materials_file::is_materials;
 use isoparticles_stage::meta::{self, DistanceMeta, SizeMeta, Source};
 use isoparticles_stage::quality::Quality;
 use isoparticles_volume::{Geometry, Image};
@@ -21,8 +22,8 @@ use std::path::{Path, PathBuf};
 
 /// The defaults of one quality.
 struct Defaults {
-    epsilon: f64,
-    delta: f64,
+    pub(crate) epsilon: f64,
+    pub(crate) delta: f64,
     /// Smallest h over the mean voxel spacing.
     min_size_voxels: f64,
     /// Largest h over the diagonal of the object's bounding box.
@@ -68,51 +69,51 @@ const MIN_PARTICLES: f64 = 32.0;
         Paper: h of section 3.1; epsilon and delta as in Table 4."
 )]
 pub struct Args {
-    /// Distance field, made by distfield
+    /// Distance field, or the indicators of many materials, made by distfield
     #[arg(value_name = "F.vti", help_heading = FILES)]
-    input: PathBuf,
+    pub(crate) input: PathBuf,
     /// Sizing field to write; a plain image of h in mm that may be edited and used in its place
     #[arg(short, long, value_name = "S.vti", help_heading = FILES)]
-    output: PathBuf,
+    pub(crate) output: PathBuf,
     /// Sets the defaults of the five options below: coarse has about a quarter of the triangles, fine about three times as many;
     /// medium is what the data can carry
     /// [default: medium]
     #[arg(long, value_enum, value_name = "HOW", help_heading = METHOD)]
-    quality: Option<Quality>,
+    pub(crate) quality: Option<Quality>,
     /// Edge length over local feature size, above 0 (the paper's epsilon); smaller is finer
     /// [default: 0.5; coarse 1, fine 0.25]
     #[arg(long, value_name = "RATIO", value_parser = positive, help_heading = METHOD)]
-    epsilon: Option<f64>,
+    pub(crate) epsilon: Option<f64>,
     /// Largest change of h per mm of distance, above 0 (the paper's delta); smaller grades more gently
     /// [default: 0.4; fine 0.3]
     #[arg(long, value_name = "SLOPE", value_parser = positive, help_heading = METHOD)]
-    delta: Option<f64>,
+    pub(crate) delta: Option<f64>,
     /// Smallest h, in mm [default: 0.75 of the mean voxel spacing; coarse 1.5, fine 0.5]
     #[arg(long, value_name = "MM", value_parser = positive, help_heading = METHOD)]
-    min_size: Option<f64>,
+    pub(crate) min_size: Option<f64>,
     /// Largest h at the surface, in mm [default: a tenth of the diagonal of the object's bounding box; coarse 0.2, fine 0.05]
     #[arg(long, value_name = "MM", value_parser = positive, help_heading = METHOD)]
-    max_size: Option<f64>,
+    pub(crate) max_size: Option<f64>,
     /// Bound h so that curvature puts no triangle's centre farther than this from the surface, in mm; 0 for no bound
     /// [default: 0.1 of the mean voxel spacing; coarse 0.4, fine 0.04]
     #[arg(long, value_name = "MM", value_parser = not_negative, help_heading = METHOD)]
-    max_deviation: Option<f64>,
+    pub(crate) max_deviation: Option<f64>,
     /// Multiply what all of the above ask for, before it is graded, above 0; 2 gives about a quarter of the triangles
     #[arg(long, value_name = "FACTOR", default_value_t = 1.0, value_parser = positive, help_heading = METHOD)]
-    scale: f64,
+    pub(crate) scale: f64,
     /// The same h everywhere, in mm, in place of all of the above
     #[arg(long, value_name = "MM", value_parser = positive, help_heading = METHOD,
         conflicts_with_all = ["quality", "epsilon", "delta", "min_size", "max_size", "max_deviation", "scale"])]
-    uniform: Option<f64>,
+    pub(crate) uniform: Option<f64>,
     /// Choose h so that the settled surface has about this number of vertices (within 5 %): one h everywhere, or, with any of the options above, what
     /// they ask for times one factor. With small parts or grading there may be more
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(4..), conflicts_with_all = ["uniform", "scale"], help_heading = METHOD)]
-    vertices: Option<u64>,
+    pub(crate) vertices: Option<u64>,
     /// Make h no larger than H (mm) within RADIUS of a place, or where the voxels of a mask volume (of any geometry) are not zero, or
     /// no larger than the point array `h` at the points of a .vtp or .vtu file. All in world coordinates, mm; h grows
     /// from there by delta. May be given several times, and goes below --min-size
     #[arg(long, value_name = "ball:X,Y,Z,RADIUS=H|mask:FILE=H|points:FILE", help_heading = METHOD, conflicts_with = "uniform")]
-    refine: Vec<Refinement>,
+    pub(crate) refine: Vec<Refinement>,
     #[command(flatten)]
     common: CommonArgs,
 }
@@ -158,6 +159,9 @@ impl Args {
 
 /// Makes the sizing field.
 pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
+    if is_materials(&args.input) {
+        return crate::materials::run(args, context);
+    }
     let step = context.step("read");
     let field = read_field(&args.input, FieldKind::Distance)?;
     context.add_input(&args.input, field.history.clone())?;

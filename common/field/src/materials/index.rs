@@ -2,6 +2,7 @@
 
 use super::error::Error;
 use super::indicator::{CELLS, Indicator, bricks_along};
+use super::strata::half_difference;
 use super::{Indicators, MOST_MATERIALS, Material, MaterialId, Near, far};
 use crate::spline::{Jet, Stencil};
 use glam::DVec3;
@@ -120,6 +121,18 @@ impl Materials {
         self.table.iter().position(|material| material.name == name).map(|n| MaterialId(n as u16))
     }
 
+    /// The bricks in which more than one material is known, so that all strata lie in them: first cell, and cells along each axis.
+    pub fn bricks_of_many(&self) -> Vec<([usize; 3], [usize; 3])> {
+        let [bx, by, _] = bricks_along(self.geometry.size);
+        let many = (0..self.fill.len()).filter(|&brick| self.known(brick).len() > 1);
+        let extent = |brick: usize| {
+            let first = [brick % bx, brick / bx % by, brick / (bx * by)].map(|n| n * CELLS);
+            let count = |axis: usize| CELLS.min(self.geometry.size[axis].saturating_sub(1).saturating_sub(first[axis]));
+            (first, std::array::from_fn(count))
+        };
+        many.map(extent).collect()
+    }
+
     /// Memory that it takes, bytes.
     pub fn bytes(&self) -> usize {
         let index = size_of_val(self.start.as_slice())
@@ -129,20 +142,20 @@ impl Materials {
     }
 
     /// Which brick a stencil's cell lies in.
-    #[inline]
+    #[inline(always)]
     fn brick(&self, stencil: &Stencil) -> usize {
         let [i, j, k] = stencil.cell().map(|n| n / CELLS);
         let [bx, by, _] = bricks_along(self.geometry.size);
         (k * by + j) * bx + i
     }
 
-    #[inline]
+    #[inline(always)]
     fn known(&self, brick: usize) -> &[Entry] {
         &self.entries[self.start[brick] as usize..self.start[brick + 1] as usize]
     }
 
     /// The coefficients that a stencil reads of a material, or whether the place is inside it, far from its border.
-    #[inline]
+    #[inline(always)]
     fn gathered(&self, entry: Entry, stencil: &Stencil) -> Result<[f32; 64], bool> {
         let indicator = &self.indicators[usize::from(entry.material)];
         indicator.gather(entry.brick, stencil, self.geometry.size).ok_or(indicator.surrounds())
@@ -153,8 +166,14 @@ impl Materials {
     fn of(&self, id: MaterialId, grid: DVec3) -> Result<(Stencil, [f32; 64]), bool> {
         let stencil = Stencil::new(&self.geometry, grid);
         let brick = self.brick(&stencil);
+        self.read(id, brick, &stencil).map(|read| (stencil.gathered(), read))
+    }
+
+    /// The coefficients that a stencil reads of a material in a brick, or whether the place is inside it, far from its border.
+    #[inline(always)]
+    fn read(&self, id: MaterialId, brick: usize, stencil: &Stencil) -> Result<[f32; 64], bool> {
         match self.known(brick).iter().find(|entry| entry.material == id.0) {
-            Some(&entry) => self.gathered(entry, &stencil).map(|read| (stencil.gathered(), read)),
+            Some(&entry) => self.gathered(entry, stencil),
             None => Err(self.fill[brick] == id.0),
         }
     }
@@ -188,6 +207,31 @@ impl Indicators for Materials {
             Ok((stencil, read)) => stencil.value_gradient(&read, self.geometry.spacing),
             Err(inside) => (far(inside).value, DVec3::ZERO),
         }
+    }
+
+    /// The coefficients of the two are subtracted, and summed once.
+    #[inline(always)]
+    fn difference_gradient(&self, i: MaterialId, j: MaterialId, grid: DVec3) -> (f64, DVec3) {
+        let stencil = Stencil::new(&self.geometry, grid);
+        let brick = self.brick(&stencil);
+        let [a, b] = [i, j].map(|id| self.read(id, brick, &stencil));
+        match (a, b) {
+            (Ok(a), Ok(b)) => {
+                let half = std::array::from_fn(|n| 0.5 * (f64::from(a[n]) - f64::from(b[n])));
+                stencil.value_gradient_of(&half, self.geometry.spacing)
+            }
+            _ => half_difference(self.value_gradient(i, grid), self.value_gradient(j, grid)),
+        }
+    }
+
+    #[inline(always)]
+    fn is_real_sheet(&self, own: [MaterialId; 2], grid: DVec3) -> bool {
+        let stencil = Stencil::new(&self.geometry, grid);
+        let brick = self.brick(&stencil);
+        let is_own = |material: u16| material == own[0].0 || material == own[1].0;
+        let alone = self.known(brick).iter().all(|entry| is_own(entry.material));
+        // most bricks know no third material, and no indicator is summed there
+        (alone && (self.fill[brick] == NONE || is_own(self.fill[brick]))) || self.clearance(grid, &own) > 0.0
     }
 
     fn jet(&self, id: MaterialId, grid: DVec3) -> Jet {

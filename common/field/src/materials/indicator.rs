@@ -178,7 +178,7 @@ impl Indicator {
 
     /// The 64 coefficients that a stencil of the shared grid of `size` reads in the known brick of that number, x fastest; `None` where it reaches
     /// beyond the box.
-    #[inline]
+    #[inline(always)]
     pub(super) fn gather(&self, brick: u32, stencil: &Stencil, size: [usize; 3]) -> Option<[f32; 64]> {
         let cell = stencil.cell();
         let is_within = (0..3).all(|a| {
@@ -189,15 +189,46 @@ impl Indicator {
             return None;
         }
         let blocks = &self.blocks[brick as usize];
-        // block and place within it along each axis
-        let split = |axis: usize| {
+        let [x, y, z] = std::array::from_fn(|axis| {
             let start = cell[axis] / CELLS * CELLS;
-            stencil.indices()[axis].map(|n| {
-                let offset = n + 1 - start;
-                (offset / CELLS, offset % CELLS)
-            })
-        };
-        let (x, y, z) = (split(0), split(1), split(2));
+            stencil.indices()[axis].map(|n| n + 1 - start)
+        });
+        // rows that are not mirrored at the border of the grid lie side by side in two blocks
+        Some(match x {
+            [0, 1, 2, 3] => self.rows::<0>(blocks, y, z),
+            [1, 2, 3, 4] => self.rows::<1>(blocks, y, z),
+            [2, 3, 4, 5] => self.rows::<2>(blocks, y, z),
+            [3, 4, 5, 6] => self.rows::<3>(blocks, y, z),
+            _ => self.scattered(blocks, [x, y, z]),
+        })
+    }
+
+    /// The four coefficients along x from place `FIRST` of the first block on, at these places along y and z in the two blocks along each.
+    #[inline(always)]
+    fn rows<const FIRST: usize>(&self, blocks: &[u32; 8], y: [usize; 4], z: [usize; 4]) -> [f32; 64] {
+        let mut gathered = [0.0; 64];
+        for (c, k) in z.into_iter().enumerate() {
+            for (b, j) in y.into_iter().enumerate() {
+                let pair = 4 * (k / CELLS) + 2 * (j / CELLS);
+                let inner = (k % CELLS * CELLS + j % CELLS) * CELLS;
+                let four = |block: u32| {
+                    let row = &self.coefficients[block as usize * BLOCK + inner..][..CELLS];
+                    [row[0], row[1], row[2], row[3]]
+                };
+                let (low, high) = (four(blocks[pair]), four(blocks[pair + 1]));
+                let row = &mut gathered[16 * c + 4 * b..][..4];
+                for (n, to) in row.iter_mut().enumerate() {
+                    let at = n + FIRST;
+                    *to = if at < CELLS { low[at] } else { high[at - CELLS] };
+                }
+            }
+        }
+        gathered
+    }
+
+    /// The coefficients at these places along each axis in the two blocks along each.
+    fn scattered(&self, blocks: &[u32; 8], places: [[usize; 4]; 3]) -> [f32; 64] {
+        let [x, y, z] = places.map(|along| along.map(|n| (n / CELLS, n % CELLS)));
         let mut gathered = [0.0; 64];
         for (c, (kb, k)) in z.into_iter().enumerate() {
             for (b, (jb, j)) in y.into_iter().enumerate() {
@@ -208,7 +239,7 @@ impl Indicator {
                 }
             }
         }
-        Some(gathered)
+        gathered
     }
 }
 

@@ -7,6 +7,7 @@
 //! [`Indicators`] is what the algorithms ask, [`Materials`] answers from samples on a grid, [`Analytic`] from functions.
 
 mod analytic;
+pub mod complex;
 mod error;
 mod index;
 mod indicator;
@@ -150,9 +151,15 @@ pub trait Indicators: Sync {
     }
 
     /// G_ij and its gradient.
+    #[inline(always)]
     fn difference_gradient(&self, i: MaterialId, j: MaterialId, grid: DVec3) -> (f64, DVec3) {
-        let (a, b) = (self.value_gradient(i, grid), self.value_gradient(j, grid));
-        (0.5 * (a.0 - b.0), 0.5 * (a.1 - b.1))
+        strata::half_difference(self.value_gradient(i, grid), self.value_gradient(j, grid))
+    }
+
+    /// Whether the sheet of two materials, both known there, is real at a place: its [`Self::clearance`] is positive.
+    #[inline(always)]
+    fn is_real_sheet(&self, own: [MaterialId; 2], grid: DVec3) -> bool {
+        self.clearance(grid, &own) > 0.0
     }
 
     /// How real a stratum of the materials `own` is at a place, mm: the smallest indicator of all others less the largest of their own. Positive where these are the
@@ -172,8 +179,20 @@ pub trait Indicators: Sync {
     fn project_onto_sheet(&self, own: [MaterialId; 2], start: DVec3, limit: f64, tolerance: f64) -> Option<DVec3> {
         strata::project(self.voxel(), start, limit, tolerance, |p| {
             let (value, gradient) = self.difference_gradient(own[0], own[1], p);
-            strata::sheet_step(value, gradient)
+            strata::sheet_step(value, gradient).map(|step| (step, ()))
         })
+        .map(|(p, ())| p)
+    }
+
+    /// As [`Self::project_onto_sheet`], with the gradient of G_ij at the place reached; `None` too where the sheet is not real, because another material is as
+    /// near there as the two ([`Self::is_real_sheet`]).
+    #[inline(always)]
+    fn place_on_sheet(&self, own: [MaterialId; 2], start: DVec3, limit: f64, tolerance: f64) -> Option<(DVec3, DVec3)> {
+        let place = strata::project(self.voxel(), start, limit, tolerance, |p| {
+            let (value, gradient) = self.difference_gradient(own[0], own[1], p);
+            strata::sheet_step(value, gradient).map(|step| (step, gradient))
+        });
+        place.filter(|&(p, _)| self.is_real_sheet(own, p))
     }
 
     /// The point of the junction curve of three materials near `start`: Gauss-Newton on G_ij = G_ik = 0, by steps of the least length. Limit and tolerance as for
@@ -181,8 +200,10 @@ pub trait Indicators: Sync {
     fn project_onto_curve(&self, own: [MaterialId; 3], start: DVec3, limit: f64, tolerance: f64) -> Option<DVec3> {
         strata::project(self.voxel(), start, limit, tolerance, |p| {
             let [first, second, third] = own.map(|id| self.value_gradient(id, p));
-            strata::curve_step([strata::half_difference(first, second), strata::half_difference(first, third)])
+            let differences = [strata::half_difference(first, second), strata::half_difference(first, third)];
+            strata::curve_step(differences).map(|step| (step, ()))
         })
+        .map(|(p, ())| p)
     }
 
     /// The junction point of four materials near `start`: Newton's method on G_ij = G_ik = G_il = 0. Limit and tolerance as for
@@ -190,7 +211,8 @@ pub trait Indicators: Sync {
     fn project_onto_point(&self, own: [MaterialId; 4], start: DVec3, limit: f64, tolerance: f64) -> Option<DVec3> {
         strata::project(self.voxel(), start, limit, tolerance, |p| {
             let [first, others @ ..] = own.map(|id| self.value_gradient(id, p));
-            strata::point_step(others.map(|other| strata::half_difference(first, other)))
+            strata::point_step(others.map(|other| strata::half_difference(first, other))).map(|step| (step, ()))
         })
+        .map(|(p, ())| p)
     }
 }

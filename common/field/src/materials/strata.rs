@@ -42,23 +42,25 @@ impl<I: Indicators + ?Sized> Sheet<'_, I> {
 }
 
 /// Half the difference of two values with gradients.
+#[inline(always)]
 pub(super) fn half_difference(a: (f64, DVec3), b: (f64, DVec3)) -> (f64, DVec3) {
     (0.5 * (a.0 - b.0), 0.5 * (a.1 - b.1))
 }
 
-/// Follows steps until one is no longer than `tolerance`, or for too long or too far.
-pub(super) fn project(
+/// Follows steps until one is no longer than `tolerance`, or for too long or too far; gives the place with what the last step told of it.
+#[inline(always)]
+pub(super) fn project<T>(
     voxel: f64,
     start: DVec3,
     limit: f64,
     tolerance: f64,
-    step: impl Fn(DVec3) -> Option<DVec3>,
-) -> Option<DVec3> {
+    step: impl Fn(DVec3) -> Option<(DVec3, T)>,
+) -> Option<(DVec3, T)> {
     let mut p = start;
     for _ in 0..PROJECTION_STEPS {
-        let step = step(p)?;
+        let (step, told) = step(p)?;
         if step.length_squared() <= tolerance * tolerance {
-            return Some(p);
+            return Some((p, told));
         }
         p += step.clamp_length_max(0.5 * voxel);
         // also refuses what is not a number
@@ -70,11 +72,13 @@ pub(super) fn project(
 }
 
 /// Whether a squared slope is steep enough, and a number.
+#[inline(always)]
 fn is_steep(squared: f64) -> bool {
     squared > LEAST_SQUARED_GRADIENT && squared.is_finite()
 }
 
 /// The Newton step onto G = 0 along its gradient.
+#[inline(always)]
 pub(super) fn sheet_step(value: f64, gradient: DVec3) -> Option<DVec3> {
     let squared = gradient.length_squared();
     (is_steep(squared) && value.is_finite()).then(|| gradient * (-value / squared))

@@ -136,7 +136,7 @@ fn differences_have_the_derivatives_that_they_say() {
     for n in 0..50 {
         let p = CENTRE + 0.05 * (place(n) - DVec3::splat(12.0));
         let jet = sheet.jet(p);
-        assert_eq!(sheet.value_gradient(p).0, jet.value);
+        assert!((sheet.value_gradient(p).0 - jet.value).abs() < 1e-14);
         for axis in 0..3 {
             let step = DVec3::AXES[axis] * 1e-4;
             let (up, down) = (sheet.jet(p + step), sheet.jet(p - step));
@@ -261,4 +261,25 @@ fn the_nearest_are_kept_in_order() {
     assert_eq!(near.interface_distance(), 0.5);
     near.insert(MaterialId(1), 0.0);
     assert_eq!(near.first(), Some(MaterialId(0)));
+}
+
+#[test]
+fn sheets_are_real_where_their_clearance_is_positive() {
+    let analytic = sectors(CENTRE);
+    let materials = sampled(&analytic, 0.75);
+    let (mut real, mut not) = (0, 0);
+    for n in 0..4000 {
+        let start = place(n);
+        for own in [[IDS[1], IDS[0]], [IDS[2], IDS[1]], [IDS[3], IDS[2]]] {
+            let Some(p) = materials.project_onto_sheet(own, start, 1.0, 1e-6) else { continue };
+            let is_real = materials.clearance(p, &own) > 0.0;
+            assert_eq!(materials.is_real_sheet(own, p), is_real, "{own:?} at {p}");
+            let (value, gradient) = materials.difference_gradient(own[0], own[1], p);
+            let [a, b] = own.map(|id| materials.value_gradient(id, p));
+            assert!((value - 0.5 * (a.0 - b.0)).abs() < 1e-12 && (gradient - 0.5 * (a.1 - b.1)).length() < 1e-12);
+            assert_eq!(materials.place_on_sheet(own, start, 1.0, 1e-6), is_real.then_some((p, gradient)));
+            if is_real { real += 1 } else { not += 1 }
+        }
+    }
+    assert!(real > 200 && not > 500, "{real} real, {not} not");
 }

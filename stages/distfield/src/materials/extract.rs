@@ -3,9 +3,12 @@
 
 use super::choice::Chosen;
 use super::grid::{Extent, LabelGrid};
+use super::scaled::{Levels, Made};
+use crate::changes::Changes;
 use crate::field::{Demands, Redistanced};
 use crate::junctions::{Junction, junctions};
 use crate::labels::{LabelOptions, from_mask_with};
+use crate::scale::Scale;
 use crate::topology::Parts;
 use crate::{Border, Clearance, Keep};
 use isoparticles_field::materials::{Indicator, Material, MaterialId, Materials};
@@ -29,10 +32,12 @@ pub struct MaterialOptions {
     pub clearance: Clearance,
     /// Steps of the flow; 0 leaves the staircase.
     pub smoothing_steps: usize,
+    /// What is smoothed away, in place of all this; `None` keeps every voxel centre.
+    pub scale: Option<Scale>,
 }
 
 /// What is known of one material's indicator.
-#[derive(Clone, Copy, Debug, Default)]
+#[derive(Clone, Debug, Default)]
 pub struct Tally {
     /// Voxels of the material.
     pub voxels: usize,
@@ -42,6 +47,8 @@ pub struct Tally {
     pub changed: usize,
     /// Places where two parts touch along an edge and the indicator does not join or part them as it should.
     pub undecided: usize,
+    /// What a scale changed; `None` without one, and where nothing is left of the material.
+    pub changes: Option<Changes>,
 }
 
 /// The indicators of all materials and what is known of each.
@@ -103,6 +110,7 @@ pub fn extract(
     let mut made: Vec<Option<(Indicator, Vec<u32>)>> = vec![None; extents.len()];
     let mut tallies = vec![Tally::default(); extents.len()];
     let mut alternating = Alternating::new();
+    let levels = options.scale.map(|scale| Levels::new(grid, &extents, scale, monitor)).transpose()?;
     let progress = monitor.counter("materials", Some(extents.len() as u64));
     for id in std::iter::once(0).chain(order) {
         monitor.check()?;
@@ -113,12 +121,21 @@ pub fn extract(
             (Indicator::constant(false), Vec::new())
         } else {
             let one = One { grid, id: MaterialId(id as u16), extent };
-            let made = one.make(options, &mut alternating, &Quiet(monitor));
-            let (own, tally) =
+            let made = match (&levels, options.scale) {
+                // an outside without voxels is what lies beyond the volume, at any scale
+                (Some(levels), Some(scale)) if extents[id].count > 0 => one.scaled(levels, scale, &Quiet(monitor)),
+                _ => one
+                    .make(options, &mut alternating, &Quiet(monitor))
+                    .map(|(own, tally)| (Some(own), one.cropped().0, tally)),
+            };
+            let (own, first, tally) =
                 made.map_err(|error| Error { what: format!("material '{name}': {}", error.what), ..error })?;
             tallies[id] = tally;
-            let first = one.cropped().0;
-            Indicator::new(&own, first, padded.size, id == 0)
+            match own {
+                Some(own) => Indicator::new(&own, first, padded.size, id == 0),
+                // all others together are gone, or the material is
+                None => (Indicator::constant(id == 0), Vec::new()),
+            }
         };
         tallies[id].voxels = extents[id].count;
         made[id] = Some((indicator, negative));
@@ -160,6 +177,33 @@ impl One<'_> {
         }
     }
 
+    /// The indicator at a scale with the first voxel of its box; none where nothing is left.
+    fn scaled(
+        &self,
+        levels: &Levels,
+        scale: Scale,
+        monitor: &dyn Monitor,
+    ) -> Result<(Option<Image<f32>>, [usize; 3], Tally)> {
+        let demands = Demands { choose: None, limit: LIMIT, pin_steps: PIN_STEPS };
+        let Made { result, first, changes } = levels.indicator(self.id, scale.length, &demands, monitor)?;
+        let Some(Redistanced { mut field, parts_before, parts_after, undecided, .. }) = result else {
+            return Ok((None, first, Tally::default()));
+        };
+        self.turn(&mut field);
+        // of the data, not of what was smoothed
+        let components = changes.as_ref().map_or(parts_before.components, |changes| changes.components[0]);
+        let before = Parts { components, ..parts_before };
+        let tally = Tally { voxels: 0, parts: [before, parts_after], changed: 0, undecided, changes };
+        Ok((Some(field), first, tally))
+    }
+
+    /// What was made of the outside is made of all others together.
+    fn turn(&self, field: &mut Image<f32>) {
+        if self.id == MaterialId::OUTSIDE {
+            field.data.par_iter_mut().for_each(|f| *f = -*f);
+        }
+    }
+
     fn make(
         &self,
         options: &MaterialOptions,
@@ -190,9 +234,7 @@ impl One<'_> {
         let demands = Demands { choose: Some(&choose), limit: LIMIT, pin_steps: PIN_STEPS };
         let result = from_mask_with(mask, &options, &demands, monitor)?;
         let Redistanced { mut field, parts_before, parts_after, changed, undecided, .. } = result;
-        if is_outside {
-            field.data.par_iter_mut().for_each(|f| *f = -*f);
-        }
+        self.turn(&mut field);
         for junction in junctions(&field) {
             if let Some(other) = self.alternates(&field.geometry, &junction) {
                 let joined = if junction.joined { id } else { other };
@@ -200,7 +242,7 @@ impl One<'_> {
             }
         }
         let parts = [parts_before, parts_after];
-        Ok((field, Tally { voxels: 0, parts, changed: changed.unwrap_or(0), undecided }))
+        Ok((field, Tally { voxels: 0, parts, changed: changed.unwrap_or(0), undecided, changes: None }))
     }
 
     /// A node of the box in the padded grid.

@@ -4,14 +4,16 @@ use super::choice::resolve;
 use super::extract::{Extracted, MaterialOptions, Tally, extract};
 use super::grid::LabelGrid;
 use super::survey::{Survey, distance_limit, survey};
-use crate::run::{Args, THIN_CLEARANCE, VOLUME_LIMITS};
+use crate::changes::Kind;
+use crate::run::{Args, SCALED_VOLUME_LIMITS, THIN_CLEARANCE, VOLUME_LIMITS};
+use crate::scale::Scale;
 use crate::{Border, Clearance, Keep};
 use isoparticles_field::materials::{MaterialId, Materials};
 use isoparticles_stage::cli::{Context, Outcome};
 use isoparticles_stage::error::{Error, Result};
 use isoparticles_stage::materials_file::{Shown, write_materials};
 use isoparticles_stage::meta::{self, MaterialsMeta};
-use isoparticles_volume::Volume;
+use isoparticles_volume::{Geometry, Volume};
 use serde_json::{Map, Value, json};
 use std::path::Path;
 
@@ -32,9 +34,11 @@ pub fn run(args: &Args, volume: Volume, output: &Path, context: &Context) -> Res
     context.set_parameter("materials", json!(chosen.table));
     let grid = LabelGrid::new(volume, &chosen, args.border, args.margin.into())?;
     drop(step);
+    let scale = scale(args, &grid.geometry, context);
     let options = MaterialOptions {
         clearance: Clearance { usual: args.clearance, thin: THIN_CLEARANCE },
         smoothing_steps: args.smoothing_steps.into(),
+        scale,
     };
     let Extracted { materials, tallies } = extract(&grid, &chosen, &options, context)?;
     let geometry = materials.geometry();
@@ -50,6 +54,9 @@ pub fn run(args: &Args, volume: Volume, output: &Path, context: &Context) -> Res
     context.report("voxels_changed", changed);
     context.report("state_bytes", materials.bytes());
     describe(&materials, &tallies, &found, context);
+    if let Some(scale) = scale {
+        tell_changes(&materials, &tallies, scale, context);
+    }
 
     let step = context.step("write");
     let meta = MaterialsMeta {
@@ -60,12 +67,17 @@ pub fn run(args: &Args, volume: Volume, output: &Path, context: &Context) -> Res
         }),
         margin: Some(args.margin.into()),
         distance_limit: Some(distance_limit(geometry)),
+        scale: scale.map(|scale| scale.length),
         notes,
     };
     let shown = Shown { material: &found.material, interface_distance: &found.interface_distance };
     write_materials(output, &materials, shown, &meta, &context.history())?;
     drop(step);
-    Ok(Outcome::from_failed_checks(failed_checks(&materials, &tallies, &found)))
+    let failed = match scale {
+        Some(_) => failed_at_scale(&materials, &tallies, &found),
+        None => failed_checks(&materials, &tallies, &found),
+    };
+    Ok(Outcome::from_failed_checks(failed))
 }
 
 /// Options that many materials do not take yet.
@@ -77,11 +89,8 @@ fn check_options(args: &Args) -> Result<()> {
             format!("leave {option} out, or make one object of some labels with --labels"),
         ))
     };
-    if args.scale.is_given() {
-        return refused(
-            "--scale",
-            "shares of all materials would have to be smoothed together, such that they sum to one at every place",
-        );
+    if args.scale.scale_for_vertices.is_some() {
+        return refused("--scale-for-vertices", "the area of all interfaces together is not looked for");
     }
     if args.tightening > 0.0 {
         return refused("--tightening", "what one material gives up no other would take");
@@ -90,6 +99,18 @@ fn check_options(args: &Args) -> Result<()> {
         return refused("--keep", "it is not said which material would take the place of a part that is dropped");
     }
     Ok(())
+}
+
+/// The scale that the options ask for; none where every voxel centre is kept.
+fn scale(args: &Args, geometry: &Geometry, context: &Context) -> Option<Scale> {
+    if !args.scale.is_given() {
+        return None;
+    }
+    let choice = args.scale.choose_by_length(geometry)?;
+    context.summary("scale, mm", format!("{:.4} ({})", choice.length, choice.reason));
+    context.set_parameter("scale", choice.length);
+    context.set_parameter("scale_reason", choice.reason);
+    (choice.length > 0.0).then_some(Scale { length: choice.length, keep_thin: args.scale.keep_thin })
 }
 
 /// What the file and the report say of the materials.
@@ -112,8 +133,12 @@ fn notes(materials: &Materials, tallies: &[Tally], found: &Survey) -> Map<String
         if id != MaterialId::OUTSIDE.index() {
             row["components_before"] = json!(before.components);
             row["components"] = json!(after.components);
-            row["cavities_before"] = json!(before.cavities);
+            // a scale says what it joined and parted by the parts of the voxels
+            row["cavities_before"] = tally.changes.as_ref().map_or(json!(before.cavities), |_| Value::Null);
             row["cavities"] = json!(after.cavities);
+        }
+        if let Some(changes) = &tally.changes {
+            row["scale_changes"] = json!(changes);
         }
         row
     };
@@ -157,13 +182,9 @@ fn describe(materials: &Materials, tallies: &[Tally], found: &Survey, context: &
     let nodes = materials.geometry().voxel_count() as f64;
     let state = materials.bytes() as f64;
     context.summary("indicators", format!("{:.1} MiB, {:.2} bytes a node", state / 1048576.0, state / nodes));
-    let lost: Vec<String> = order
-        .iter()
-        .map(|&id| (id, found.volumes[id] / (tallies[id].voxels as f64 * voxel) - 1.0))
-        .filter(|(_, change)| change.abs() > VOLUME_LIMITS.0)
-        .map(|(id, change)| format!("'{}' {:+.0} %", name(id), 100.0 * change))
-        .collect();
-    if !lost.is_empty() {
+    let is_scaled = tallies.iter().any(|tally| tally.changes.is_some());
+    let lost = volumes_changed(materials, tallies, found, VOLUME_LIMITS.0);
+    if !lost.is_empty() && !is_scaled {
         context.warn(format!(
             "the volumes of {} materials changed by more than {:.0} %: they are mostly one to four voxels thin, or specks ({})",
             lost.len(),
@@ -171,6 +192,60 @@ fn describe(materials: &Materials, tallies: &[Tally], found: &Survey, context: &
             listed(&lost),
         ));
     }
+}
+
+/// The materials whose volumes changed by more than a share, the largest first, in words.
+fn volumes_changed(materials: &Materials, tallies: &[Tally], found: &Survey, limit: f64) -> Vec<String> {
+    let voxel = materials.geometry().spacing.element_product();
+    let mut changed: Vec<(usize, f64)> = (1..tallies.len())
+        .map(|id| (id, found.volumes[id] / (tallies[id].voxels as f64 * voxel) - 1.0))
+        .filter(|(_, change)| change.abs() > limit)
+        .collect();
+    changed.sort_by_key(|&(id, _)| (std::cmp::Reverse(tallies[id].voxels), id));
+    changed
+        .into_iter()
+        .map(|(id, change)| format!("'{}' {:+.0} %", materials.table()[id].name, 100.0 * change))
+        .collect()
+}
+
+/// Says which parts of which materials a scale took away, broke and joined.
+fn tell_changes(materials: &Materials, tallies: &[Tally], scale: Scale, context: &Context) {
+    for (kind, what) in [
+        (Kind::Broken, "in several pieces"),
+        (Kind::Gone, "parts of them gone"),
+        (Kind::Joined, "parts of them joined"),
+        (Kind::Shortened, "thin ends of them gone"),
+        (Kind::Filled, "narrow gaps of them filled"),
+    ] {
+        let count = |tally: &Tally| tally.changes.as_ref().and_then(|changes| changes.counts.get(&kind)).copied();
+        let named: Vec<String> = (1..tallies.len())
+            .filter_map(|id| Some(format!("'{}' ({})", materials.table()[id].name, count(&tallies[id])?)))
+            .collect();
+        if !named.is_empty() {
+            let told = format!(
+                "at a scale of {:.4} mm {} materials have {what}: {}; the report has their places",
+                scale.length,
+                named.len(),
+                listed(&named)
+            );
+            // specks are gone at every scale
+            if kind == Kind::Gone { context.info(told) } else { context.warn(told) }
+        }
+    }
+}
+
+/// A scale keeps volumes, not voxels.
+fn failed_at_scale(materials: &Materials, tallies: &[Tally], found: &Survey) -> Vec<String> {
+    let changed = volumes_changed(materials, tallies, found, SCALED_VOLUME_LIMITS.1);
+    if changed.is_empty() {
+        return Vec::new();
+    }
+    vec![format!(
+        "the volumes of {} materials changed by more than {:.0} %: too much of them is thinner than a mesh of that scale tells apart ({})",
+        changed.len(),
+        100.0 * SCALED_VOLUME_LIMITS.1,
+        listed(&changed)
+    )]
 }
 
 fn listed(names: &[String]) -> String {

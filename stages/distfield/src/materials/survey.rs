@@ -133,8 +133,10 @@ pub fn survey(
         all.edges_of_four += own.edges_of_four;
         all.corners += own.corners;
     }
-    for &number in &grid.numbers {
-        survey.volumes[usize::from(number)] += voxel;
+    let [vx, vy, vz] = grid.geometry.size;
+    for (j, k) in (0..vz).flat_map(|k| (0..vy).map(move |j| (j, k))) {
+        let start = ((k + grid.margin) * ny + j + grid.margin) * nx + grid.margin;
+        material[start..start + vx].iter().for_each(|&number| survey.volumes[usize::from(number)] += voxel);
     }
     let told = |(materials, (area, crossings))| Interface { materials, area, crossings };
     survey.interfaces = pairs.into_iter().map(told).collect();

@@ -261,8 +261,16 @@ fn crosses(surface: &Surface, touched: &[u32]) -> bool {
 /// Grid nodes that change sides, and by how many fewer are on the wrong one; `None` when one leaves its right side and the count does not fall.
 fn changed_nodes(surface: &Surface, touched: &[u32]) -> Option<(Vec<usize>, usize)> {
     let Some(sides) = &surface.sides else { return Some((Vec::new(), 0)) };
-    let now: Vec<_> = touched.iter().filter(|&&t| surface.is_alive(t)).map(|&t| surface.corners(t)).collect();
-    let changed = sides.changed(&surface.former_corners(touched), &now);
+    // what changes of one sheet bounds a region of its own
+    let mut sheets: Vec<u32> = touched.iter().map(|&t| surface.sheet[t as usize]).collect();
+    sheets.sort_unstable();
+    sheets.dedup();
+    let mut changed = Vec::new();
+    for sheet in sheets {
+        let own: Vec<u32> = touched.iter().copied().filter(|&t| surface.sheet[t as usize] == sheet).collect();
+        let now: Vec<_> = own.iter().filter(|&&t| surface.is_alive(t)).map(|&t| surface.corners(t)).collect();
+        changed.extend(sides.changed(&surface.former_corners(&own), &now));
+    }
     let mended = sides.mended_by(&changed)?;
     Some((changed, mended))
 }

@@ -16,6 +16,7 @@ mod nodes;
 mod optimise;
 mod patch;
 mod remesh;
+mod sheets;
 mod surface;
 mod sweep;
 mod target_length;
@@ -33,9 +34,10 @@ use isoparticles_field::spline::CubicSpline;
 use isoparticles_mesh::TriangleMesh;
 use isoparticles_mesh::quality::{QualitySummary, summarise};
 use isoparticles_stage::error::{Error, Result};
-use isoparticles_volume::Image;
+use isoparticles_volume::{Geometry, Image};
 use nodes::NodeSides;
 use serde::Serialize;
+pub use sheets::Sheets;
 use surface::Surface;
 
 /// How far to go. The defaults lift what is below 0.6 and leave everything else alone.
@@ -143,6 +145,42 @@ pub fn improve(
     options: &ImproveOptions,
     step: Step,
 ) -> Result<ImproveReport> {
+    let (of_triangle, fixed) = (vec![0; mesh.triangles.len()], vec![false; mesh.vertices.len()]);
+    improve_sheets(
+        mesh,
+        &mut SheetsOf { field, of_triangle, fixed, wrong_nodes: None, numbers: Vec::new() },
+        size,
+        options,
+        step,
+    )
+}
+
+/// The sheets of a mesh.
+pub struct SheetsOf<'a> {
+    /// The functions that they are the zero sets of.
+    pub field: &'a dyn Sheets,
+    /// The sheet of each triangle.
+    pub of_triangle: Vec<u32>,
+    /// Whether each vertex stays where it is: those on several sheets must.
+    pub fixed: Vec<bool>,
+    /// The grid and the numbers of its nodes on the wrong side, where all nodes are guarded.
+    pub wrong_nodes: Option<(&'a Geometry, Vec<usize>)>,
+    /// Afterwards the number that each vertex has in the improved mesh, `u32::MAX` where it is gone.
+    pub numbers: Vec<u32>,
+}
+
+/// Improves a mesh of several sheets that meet in fixed vertices. Edges between these that are not in two triangles are the junctions, and are kept; vertices
+/// that are not fixed stay on their own sheet. The sheets of the triangles are those of the new ones afterwards, and `fixed` means nothing any more.
+///
+/// # Errors
+/// Those of [`improve`].
+pub fn improve_sheets(
+    mesh: &mut TriangleMesh,
+    sheets: &mut SheetsOf,
+    size: &(dyn Fn(DVec3) -> f64 + Sync),
+    options: &ImproveOptions,
+    step: Step,
+) -> Result<ImproveReport> {
     if !mesh.is_well_formed() {
         return Err(Error::input(
             "the mesh has a coordinate that is not a finite number, or a triangle names a vertex that does not exist",
@@ -162,8 +200,12 @@ pub fn improve(
     };
     let mut report =
         ImproveReport { before: summarise(mesh), below_target_before: below(mesh), ..ImproveReport::default() };
-    let mut surface = Surface::new(mesh, field, size);
-    surface.sides = options.sides.map(|image| NodeSides::new(mesh, image));
+    let mut surface = Surface::of_sheets(mesh, sheets.of_triangle.clone(), sheets.fixed.clone(), sheets.field, size);
+    surface.sides = match (options.sides, &sheets.wrong_nodes) {
+        (Some(image), _) => Some(NodeSides::new(mesh, image)),
+        (None, Some((geometry, wrong))) => Some(NodeSides::of(geometry, wrong.iter().copied())),
+        (None, None) => None,
+    };
     let wrong_before = surface.sides.as_ref().map(NodeSides::wrong_count);
     report.frozen_vertices = surface.frozen.iter().filter(|&&frozen| frozen).count();
 
@@ -186,16 +228,19 @@ pub fn improve(
     report.off_surface = (0..surface.positions.len()).filter(|&v| is_off_surface(&surface, v)).count();
     report.nodes_on_wrong_side =
         wrong_before.zip(surface.sides.as_ref().map(NodeSides::wrong_count)).map(|(before, after)| [before, after]);
-    *mesh = surface.into_mesh();
+    (*mesh, sheets.of_triangle, sheets.numbers) = surface.into_sheets();
     report.after = summarise(mesh);
     report.below_target = below(mesh);
     Ok(report)
 }
 
 fn is_off_surface(surface: &Surface, v: usize) -> bool {
-    let (value, gradient) = surface.field.value_gradient(surface.positions[v]);
-    let voxel = surface.field.geometry().mean_spacing();
-    !surface.around[v].is_empty() && value.abs() > ON_SURFACE * voxel * gradient.length()
+    if surface.fixed[v] || surface.around[v].is_empty() {
+        return false;
+    }
+    let (value, gradient) = surface.field.value_gradient(surface.sheet_at(v as u32), surface.positions[v]);
+    let voxel = surface.field.voxel();
+    value.abs() > ON_SURFACE * voxel * gradient.length()
 }
 
 /// Brings vertices that do not lie on F = 0 there; one that cannot get there gives way to a neighbour that does.
@@ -212,7 +257,7 @@ fn project_all(surface: &mut Surface, tally: &mut Tally) {
         let neighbours: Vec<u32> = surface.link(v).map(|(a, _)| a).collect();
         let sum: DVec3 = neighbours.iter().map(|&u| surface.positions[u as usize]).sum();
         let moved = [from, sum / neighbours.len() as f64].into_iter().any(|start| {
-            let to = moves::projected(surface, start, reach);
+            let to = moves::projected(surface, surface.sheet_at(v), start, reach);
             to.is_some_and(|to| {
                 surface.move_vertex(v, to);
                 commit_or_rollback(surface, limits, Rule::Any).is_some()

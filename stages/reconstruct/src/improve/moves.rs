@@ -10,24 +10,24 @@ use super::surface::{DEAD, Surface, edges_of};
 use glam::DVec3;
 use std::f64::consts::TAU;
 
-/// The point of F = 0 near a position, no farther than `limit` mm.
-pub(super) fn projected(surface: &Surface, p: DVec3, limit: f64) -> Option<DVec3> {
-    surface.field.project(p, limit, PROJECTION_TOLERANCE * surface.field.geometry().mean_spacing())
+/// The point of a sheet (F = 0, where there is one object) near a position, no farther than `limit` mm.
+pub(super) fn projected(surface: &Surface, sheet: u32, p: DVec3, limit: f64) -> Option<DVec3> {
+    surface.field.project(sheet, p, limit, PROJECTION_TOLERANCE * surface.field.voxel()).map(|(q, _)| q)
 }
 
 /// The same where the gradient of F points to the side of `normal` (unit length): not on the other flank of a thin wall or gap. Newton's
 /// steps along the gradient may end there; then the nearest such point on the line along `normal` is taken.
-pub(super) fn projected_facing(surface: &Surface, p: DVec3, normal: DVec3, limit: f64) -> Option<DVec3> {
+pub(super) fn projected_facing(surface: &Surface, sheet: u32, p: DVec3, normal: DVec3, limit: f64) -> Option<DVec3> {
     let field = surface.field;
-    let tolerance = PROJECTION_TOLERANCE * field.geometry().mean_spacing();
+    let tolerance = PROJECTION_TOLERANCE * field.voxel();
     let facing = |start: DVec3, limit: f64| {
-        field.project_with_gradient(start, limit, tolerance).filter(|(_, g)| g.dot(normal) > 0.0).map(|(q, _)| q)
+        field.project(sheet, start, limit, tolerance).filter(|(_, g)| g.dot(normal) > 0.0).map(|(q, _)| q)
     };
     facing(p, limit).or_else(|| {
-        let (mut below, mut above) = crossing_along(|x| field.value(p + x * normal), limit)?;
+        let (mut below, mut above) = crossing_along(|x| field.value(sheet, p + x * normal), limit)?;
         for _ in 0..HALVINGS {
             let middle = 0.5 * (below + above);
-            if field.value(p + middle * normal) < 0.0 { below = middle } else { above = middle }
+            if field.value(sheet, p + middle * normal) < 0.0 { below = middle } else { above = middle }
         }
         facing(p + 0.5 * (below + above) * normal, limit)
     })
@@ -59,8 +59,8 @@ pub(super) fn flip(surface: &mut Surface, a: u32, b: u32) -> bool {
     let Some([(left, c), (right, d)]) = surface.edge_triangles(a, b) else { return false };
     if [a, b, c, d].iter().any(|&v| surface.frozen[v as usize])
         || c == d
-        || surface.degree(a) < 4
-        || surface.degree(b) < 4
+        || surface.has_few(a)
+        || surface.has_few(b)
         || surface.joined(c, d)
     {
         return false;
@@ -74,10 +74,12 @@ pub(super) fn flip(surface: &mut Surface, a: u32, b: u32) -> bool {
 pub(super) fn collapse(surface: &mut Surface, keep: u32, gone: u32, at: DVec3) -> bool {
     let Some([(left, c), (right, d)]) = surface.edge_triangles(keep, gone) else { return false };
     if [keep, gone].iter().any(|&v| surface.frozen[v as usize])
+        || surface.fixed[gone as usize]
+        || surface.fixed[keep as usize] && at != surface.positions[keep as usize]
         || c == d
-        || surface.degree(c) < 4
-        || surface.degree(d) < 4
-        || surface.degree(keep) + surface.degree(gone) < 7
+        || surface.has_few(c)
+        || surface.has_few(d)
+        || !surface.fixed[keep as usize] && surface.degree(keep) + surface.degree(gone) < 7
         || surface.link(gone).any(|(v, _)| surface.frozen[v as usize])
     {
         return false;
@@ -108,23 +110,24 @@ pub(super) fn split(surface: &mut Surface, a: u32, b: u32) -> Option<u32> {
     }
     let (p, q) = (surface.positions[a as usize], surface.positions[b as usize]);
     let normals = surface.normal_of([a, b, c]) + surface.normal_of([b, a, d]);
-    let middle = projected_facing(surface, 0.5 * (p + q), normals.normalize_or_zero(), 0.5 * p.distance(q))?;
+    let sheet = surface.sheet[left as usize];
+    let middle = projected_facing(surface, sheet, 0.5 * (p + q), normals.normalize_or_zero(), 0.5 * p.distance(q))?;
     let m = surface.add_vertex(middle);
     surface.set_triangle(left, [a, m, c]);
-    surface.add_triangle([m, b, c]);
+    surface.add_triangle([m, b, c], sheet);
     surface.set_triangle(right, [b, m, d]);
-    surface.add_triangle([m, a, d]);
+    surface.add_triangle([m, a, d], sheet);
     Some(m)
 }
 
 /// Moves a vertex along the surface to where the smallest quality of its triangles is largest.
 pub(super) fn relocate(surface: &mut Surface, vertex: u32) -> bool {
     let v = vertex as usize;
-    if surface.frozen[v] || surface.around[v].is_empty() {
+    if surface.frozen[v] || surface.fixed[v] || surface.around[v].is_empty() {
         return false;
     }
-    let start = surface.positions[v];
-    let jet = surface.field.jet(start);
+    let (start, sheet) = (surface.positions[v], surface.sheet_at(vertex));
+    let jet = surface.field.jet(sheet, start);
     let slope = jet.gradient.length();
     if slope < 1e-6 {
         return false;
@@ -175,7 +178,7 @@ pub(super) fn relocate(surface: &mut Surface, vertex: u32) -> bool {
     if best == (0.0, 0.0) {
         return false;
     }
-    match projected_facing(surface, place(best.0, best.1), normal, reach) {
+    match projected_facing(surface, sheet, place(best.0, best.1), normal, reach) {
         Some(p) if worth(&mut ring, p) > before + LEAST_GAIN => {
             surface.move_vertex(vertex, p);
             true
@@ -205,10 +208,10 @@ fn ring_worth_above(ring: &mut [(DVec3, DVec3)], normal: DVec3, p: DVec3, bar: f
 /// `share` of the way is gone.
 pub(super) fn relax(surface: &mut Surface, vertex: u32, share: f64) -> bool {
     let v = vertex as usize;
-    if surface.frozen[v] || surface.around[v].is_empty() {
+    if surface.frozen[v] || surface.fixed[v] || surface.around[v].is_empty() {
         return false;
     }
-    let start = surface.positions[v];
+    let (start, sheet) = (surface.positions[v], surface.sheet_at(vertex));
     let (mut sum, mut weights, mut reach) = (DVec3::ZERO, 0.0, 0.0);
     for (a, b) in surface.link(vertex) {
         let (p, q) = (surface.positions[a as usize], surface.positions[b as usize]);
@@ -219,14 +222,14 @@ pub(super) fn relax(surface: &mut Surface, vertex: u32, share: f64) -> bool {
         reach += p.distance(start);
     }
     reach /= surface.degree(vertex) as f64;
-    let (_, gradient) = surface.field.value_gradient(start);
+    let (_, gradient) = surface.field.value_gradient(sheet, start);
     let normal = gradient.normalize_or_zero();
     let way = share * (sum / weights - start);
     let way = way - normal * way.dot(normal);
     if !way.is_finite() || way.length() < 1e-4 * reach {
         return false;
     }
-    match projected(surface, start + way, reach) {
+    match projected(surface, sheet, start + way, reach) {
         Some(p) => {
             surface.move_vertex(vertex, p);
             true
@@ -265,7 +268,7 @@ impl Move {
                 }
                 if share < 1.0 {
                     let way = surface.positions[v as usize] - from;
-                    let to = projected(surface, from + share * way, way.length())?;
+                    let to = projected(surface, surface.sheet_at(v), from + share * way, way.length())?;
                     surface.move_vertex(v, to);
                 }
                 Some(with_neighbours(surface, v))
@@ -276,7 +279,8 @@ impl Move {
             }
             Self::Collapse(keep, gone, share) => {
                 let (p, q) = (surface.positions[keep as usize], surface.positions[gone as usize]);
-                let at = if share == 0.0 { p } else { projected(surface, p.lerp(q, share), p.distance(q))? };
+                let sheet = surface.edge_triangles(keep, gone).map(|[(t, _), _]| surface.sheet[t as usize])?;
+                let at = if share == 0.0 { p } else { projected(surface, sheet, p.lerp(q, share), p.distance(q))? };
                 collapse(surface, keep, gone, at).then(|| with_neighbours(surface, keep))
             }
             Self::Split(a, b) => split(surface, a, b).map(|middle| with_neighbours(surface, middle)),

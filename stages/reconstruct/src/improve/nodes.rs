@@ -8,14 +8,16 @@ use glam::DVec3;
 use isoparticles_mesh::TriangleMesh;
 use isoparticles_mesh::inside::{Crossing, crossings, nodes_on_wrong_side};
 use isoparticles_mesh::spatial::Bounds;
-use isoparticles_volume::Image;
+use isoparticles_volume::{Geometry, Image};
 use rayon::prelude::*;
 use std::collections::HashSet;
 
 /// The nodes, their sides, and those on the wrong one.
 #[derive(Clone)]
 pub(super) struct NodeSides<'a> {
-    image: &'a Image<f32>,
+    geometry: &'a Geometry,
+    /// Samples of F: those that are zero have no side. Empty where every node has one.
+    samples: &'a [f32],
     wrong: HashSet<usize>,
 }
 
@@ -24,7 +26,12 @@ impl<'a> NodeSides<'a> {
     pub(super) fn new(mesh: &TriangleMesh, image: &'a Image<f32>) -> Self {
         let geometry = &image.geometry;
         let wrong = nodes_on_wrong_side(mesh, image).into_iter().map(|[i, j, k]| geometry.linear(i, j, k)).collect();
-        Self { image, wrong }
+        Self { geometry, samples: &image.data, wrong }
+    }
+
+    /// Every node of a grid has a side, and these have the wrong one.
+    pub(super) fn of(geometry: &'a Geometry, wrong: impl IntoIterator<Item = usize>) -> Self {
+        Self { geometry, samples: &[], wrong: wrong.into_iter().collect() }
     }
 
     /// Number of nodes on the wrong side.
@@ -34,7 +41,7 @@ impl<'a> NodeSides<'a> {
 
     /// Nodes that change sides when some triangles give way to others with the same rim.
     pub(super) fn changed(&self, before: &[[DVec3; 3]], after: &[[DVec3; 3]]) -> Vec<usize> {
-        let geometry = &self.image.geometry;
+        let geometry = self.geometry;
         let mut toggles: Vec<Crossing> = Vec::new();
         for &corners in before.iter().chain(after) {
             crossings(corners, geometry, |crossing| toggles.push(crossing));
@@ -46,7 +53,8 @@ impl<'a> NodeSides<'a> {
                 && from.row == to.row
             {
                 let start = from.row * geometry.size[0];
-                changed.extend((start + from.first..start + to.first).filter(|&n| self.image.data[n] != 0.0));
+                let has_side = |&n: &usize| self.samples.get(n) != Some(&0.0);
+                changed.extend((start + from.first..start + to.first).filter(has_side));
             }
         }
         changed
@@ -67,15 +75,15 @@ impl<'a> NodeSides<'a> {
     }
 
     fn place(&self, node: usize) -> DVec3 {
-        let [nx, ny, _] = self.image.geometry.size;
+        let [nx, ny, _] = self.geometry.size;
         let index = DVec3::new((node % nx) as f64, (node / nx % ny) as f64, (node / nx / ny) as f64);
-        self.image.geometry.index_to_grid(index)
+        self.geometry.index_to_grid(index)
     }
 
     /// The same for what happens in a box alone (grid frame, mm).
     pub(super) fn within(&self, region: &Bounds) -> Self {
         let wrong = self.wrong.iter().copied().filter(|&n| region.holds(self.place(n))).collect();
-        Self { image: self.image, wrong }
+        Self { wrong, ..*self }
     }
 
     /// Nodes that are on the wrong side here or there, but not in both.
@@ -111,7 +119,7 @@ impl Surface<'_> {
     /// The triangle nearest to a point, the first of several.
     fn nearest_triangle(&self, p: DVec3) -> Option<u32> {
         let furthest = self.positions.iter().map(|q| q.distance(p)).fold(0.0, f64::max);
-        let mut reach = self.field.geometry().mean_spacing();
+        let mut reach = self.field.voxel();
         loop {
             let mut best: Option<(f64, u32)> = None;
             self.grid.any(&Bounds { low: p - reach, high: p + reach }, |t, _| {
@@ -145,12 +153,11 @@ fn distance_to_triangle(p: DVec3, [a, b, c]: [DVec3; 3]) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use isoparticles_volume::Geometry;
 
     #[test]
     fn nodes_may_leave_their_right_side_only_for_the_sake_of_more_others() {
-        let image = Image::filled(Geometry::axis_aligned([4; 3], DVec3::ONE), 1.0f32);
-        let mut sides = NodeSides { image: &image, wrong: HashSet::from([21, 37]) };
+        let geometry = Geometry::axis_aligned([4; 3], DVec3::ONE);
+        let mut sides = NodeSides::of(&geometry, [21, 37]);
         assert_eq!(sides.wrong_places(), [DVec3::new(1.0, 1.0, 1.0), DVec3::new(1.0, 1.0, 2.0)]);
         for (changed, mended) in
             [(&[][..], Some(0)), (&[21], Some(1)), (&[5], None), (&[5, 21], None), (&[5, 21, 37], Some(1))]

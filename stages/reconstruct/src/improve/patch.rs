@@ -113,7 +113,7 @@ impl<'a> Patch<'a> {
                 Some(&global) if whole.triangles[global as usize] != corners => {
                     edits.retriangled.push((global, corners));
                 }
-                None if corners != DEAD => edits.new_triangles.push(corners),
+                None if corners != DEAD => edits.new_triangles.push((corners, part.sheet[t])),
                 _ => {}
             }
         }
@@ -131,8 +131,8 @@ pub(super) struct Edits {
     added: Vec<DVec3>,
     /// Triangles and their new corners, [`DEAD`] where they go.
     retriangled: Vec<(u32, [u32; 3])>,
-    /// Corners of triangles that come.
-    new_triangles: Vec<[u32; 3]>,
+    /// Corners and sheets of triangles that come.
+    new_triangles: Vec<([u32; 3], u32)>,
 }
 
 impl Edits {
@@ -145,8 +145,8 @@ impl Edits {
             whole.add_vertex(p);
         }
         self.retriangled.into_iter().for_each(|(t, corners)| whole.set_triangle(t, corners.map(number)));
-        for corners in self.new_triangles {
-            whole.add_triangle(corners.map(number));
+        for (corners, sheet) in self.new_triangles {
+            whole.add_triangle(corners.map(number), sheet);
         }
     }
 

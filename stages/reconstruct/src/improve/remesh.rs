@@ -48,11 +48,12 @@ fn collapse_short(surface: &mut Surface, limits: &Limits, tally: &mut Tally) {
         .collect();
     short.sort_by(|a, b| a.0.total_cmp(&b.0));
     for (_, a, b) in short {
-        if surface.edge_triangles(a, b).is_none() || surface.relative_length(a, b) >= SHORT {
+        let Some([(left, _), _]) = surface.edge_triangles(a, b) else { continue };
+        if surface.relative_length(a, b) >= SHORT {
             continue;
         }
         let (p, q) = (surface.positions[a as usize], surface.positions[b as usize]);
-        let middle = projected(surface, 0.5 * (p + q), p.distance(q));
+        let middle = projected(surface, surface.sheet[left as usize], 0.5 * (p + q), p.distance(q));
         for (keep, gone, at) in [(a, b, middle), (a, b, Some(p)), (b, a, Some(q))] {
             let Some(at) = at else { continue };
             let too_long = |s: &Surface| s.link(keep).any(|(v, _)| s.relative_length(keep, v) > LONG);
@@ -80,11 +81,11 @@ pub(super) fn equalise_degrees(
 ) {
     let next_to = |corners: &&[u32; 3]| **corners != DEAD && corners.iter().any(|&v| in_question[v as usize]);
     for (a, b) in edges_of(surface.triangles.iter().filter(next_to)) {
-        let Some([(_, c), (_, d)]) = surface.edge_triangles(a, b) else { continue };
-        let degree = |v: u32| surface.degree(v) as i64;
-        let cost = |x: i64| (x - 6) * (x - 6);
-        let before = cost(degree(a)) + cost(degree(b)) + cost(degree(c)) + cost(degree(d));
-        let after = cost(degree(a) - 1) + cost(degree(b) - 1) + cost(degree(c) + 1) + cost(degree(d) + 1);
+        let Some([(left, c), (_, d)]) = surface.edge_triangles(a, b) else { continue };
+        let [a_over, b_over, c_over, d_over] = [a, b, c, d].map(|v| surface.surplus(v, left));
+        let cost = |x: i64| x * x;
+        let before = cost(a_over) + cost(b_over) + cost(c_over) + cost(d_over);
+        let after = cost(a_over - 1) + cost(b_over - 1) + cost(c_over + 1) + cost(d_over + 1);
         if after < before && flip(surface, a, b) {
             for _ in 0..sweeps {
                 for v in [a, b, c, d] {

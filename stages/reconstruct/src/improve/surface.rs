@@ -7,11 +7,12 @@ use super::guard::quality_of;
 use super::moves::projected_facing;
 use super::nodes::NodeSides;
 use super::patch::Rings;
+use super::sheets::Sheets;
 use glam::DVec3;
-use isoparticles_field::spline::CubicSpline;
 use isoparticles_mesh::TriangleMesh;
 use isoparticles_mesh::spatial::Bounds;
 use rayon::prelude::*;
+use std::f64::consts::FRAC_PI_3;
 
 /// Corners of a triangle that is not there.
 pub(super) const DEAD: [u32; 3] = [u32::MAX; 3];
@@ -58,8 +59,8 @@ enum Change {
 /// The mesh under edit.
 #[derive(Clone)]
 pub(super) struct Surface<'a> {
-    /// The implicit function.
-    pub(super) field: &'a CubicSpline,
+    /// The implicit functions.
+    pub(super) field: &'a dyn Sheets,
     /// Target edge length h (mm) at a grid position.
     pub(super) size: Size<'a>,
     /// Positions, also of vertices no longer used.
@@ -68,10 +69,14 @@ pub(super) struct Surface<'a> {
     pub(super) target: Vec<f64>,
     /// Triangles, [`DEAD`] where one was removed.
     pub(super) triangles: Vec<[u32; 3]>,
+    /// The sheet of each triangle, of those removed as well: no edit changes it.
+    pub(super) sheet: Vec<u32>,
     /// Triangles round each vertex, ascending, so that nothing depends on what was tried before.
     pub(super) around: Vec<Vec<u32>>,
     /// Vertices whose triangles do not form one closed fan: nothing next to them is touched.
     pub(super) frozen: Vec<bool>,
+    /// Vertices that lie on several sheets: they stay where they are, and what they end in one sheet is edited like the rest of it.
+    pub(super) fixed: Vec<bool>,
     /// Facts of each triangle as last committed.
     pub(super) facts: Vec<Facts>,
     /// Committed triangles by place.
@@ -87,8 +92,20 @@ pub(super) struct Surface<'a> {
 }
 
 impl<'a> Surface<'a> {
-    /// Takes a well-formed mesh over.
-    pub(super) fn new(mesh: &TriangleMesh, field: &'a CubicSpline, size: Size<'a>) -> Self {
+    /// Takes a well-formed mesh of one sheet over.
+    #[cfg(test)]
+    pub(super) fn new(mesh: &TriangleMesh, field: &'a dyn Sheets, size: Size<'a>) -> Self {
+        Self::of_sheets(mesh, vec![0; mesh.triangles.len()], vec![false; mesh.vertices.len()], field, size)
+    }
+
+    /// The same of several sheets, with the sheet of each triangle; each vertex on several of them is fixed.
+    pub(super) fn of_sheets(
+        mesh: &TriangleMesh,
+        sheet: Vec<u32>,
+        fixed: Vec<bool>,
+        field: &'a dyn Sheets,
+        size: Size<'a>,
+    ) -> Self {
         let mut around = vec![Vec::new(); mesh.vertices.len()];
         for (t, corners) in mesh.triangles.iter().enumerate() {
             for &v in corners {
@@ -102,7 +119,9 @@ impl<'a> Surface<'a> {
             positions: mesh.vertices.clone(),
             target: mesh.vertices.par_iter().map(|&p| size(p)).collect(),
             triangles: mesh.triangles.clone(),
+            sheet,
             frozen: Vec::new(),
+            fixed,
             around,
             facts: Vec::new(),
             grid: TriangleGrid::new(whole, typical_extent(mesh)),
@@ -112,7 +131,8 @@ impl<'a> Surface<'a> {
             commits: 0,
             changed_at: vec![0; mesh.triangles.len()],
         };
-        surface.frozen = (0..mesh.vertices.len() as u32).into_par_iter().map(|v| !surface.is_closed_fan(v)).collect();
+        let is_open = |v: u32| !surface.fixed[v as usize] && !surface.is_closed_fan(v);
+        surface.frozen = (0..mesh.vertices.len() as u32).into_par_iter().map(is_open).collect();
         surface.facts = (0..mesh.triangles.len() as u32).into_par_iter().map(|t| surface.measure(t)).collect();
         for t in 0..mesh.triangles.len() as u32 {
             surface.grid.insert(t, surface.bounds(t));
@@ -139,6 +159,8 @@ impl<'a> Surface<'a> {
             positions,
             target: vertices.iter().map(|&v| self.target[v as usize]).collect(),
             triangles: triangles.iter().map(corners).collect(),
+            sheet: triangles.iter().map(|&t| self.sheet[t as usize]).collect(),
+            fixed: vertices.iter().map(|&v| self.fixed[v as usize]).collect(),
             frozen: vertices.iter().zip(&around).map(is_frozen).collect(),
             around,
             facts: triangles.iter().map(|&t| self.facts[t as usize]).collect(),
@@ -151,7 +173,14 @@ impl<'a> Surface<'a> {
     }
 
     /// The mesh without what was removed; vertices and triangles keep their order.
+    #[cfg(test)]
     pub(super) fn into_mesh(self) -> TriangleMesh {
+        self.into_sheets().0
+    }
+
+    /// The mesh without what was removed, in the same order, the sheet of each of its triangles, and the number that
+    /// each vertex has in it, `u32::MAX` where it is gone.
+    pub(super) fn into_sheets(self) -> (TriangleMesh, Vec<u32>, Vec<u32>) {
         let mut number = vec![u32::MAX; self.positions.len()];
         let mut mesh = TriangleMesh::default();
         for (v, &p) in self.positions.iter().enumerate() {
@@ -162,7 +191,8 @@ impl<'a> Surface<'a> {
         }
         let alive = self.triangles.iter().filter(|t| **t != DEAD);
         mesh.triangles = alive.map(|t| t.map(|v| number[v as usize])).collect();
-        mesh
+        let kept = self.triangles.iter().zip(self.sheet).filter(|(t, _)| **t != DEAD);
+        (mesh, kept.map(|(_, sheet)| sheet).collect(), number)
     }
 
     /// Positions of a triangle's corners.
@@ -236,12 +266,14 @@ impl<'a> Surface<'a> {
         }
         let [a, b, c] = self.corners(triangle);
         let centroid = (a + b + c) / 3.0;
-        let (value, gradient) = self.field.value_gradient(centroid);
+        let sheet = self.sheet[triangle as usize];
+        let (value, gradient) = self.field.value_gradient(sheet, centroid);
         let normal = self.normal_of(corners);
         let mean_target = corners.iter().map(|&v| self.target[v as usize]).sum::<f64>() / 3.0;
         let mut deviation = value.abs() / gradient.length().max(1e-12) / mean_target;
         if deviation > FIRST_ORDER
-            && let Some(foot) = projected_facing(self, centroid, normal, deviation.min(MOST_DEVIATION) * mean_target)
+            && let Some(foot) =
+                projected_facing(self, sheet, centroid, normal, deviation.min(MOST_DEVIATION) * mean_target)
         {
             deviation = foot.distance(centroid) / mean_target;
         }
@@ -296,6 +328,34 @@ impl<'a> Surface<'a> {
         self.around[vertex as usize].len()
     }
 
+    /// The sheet that a vertex lies on, which is not fixed and has triangles.
+    pub(super) fn sheet_at(&self, vertex: u32) -> u32 {
+        self.around[vertex as usize].first().map_or(0, |&t| self.sheet[t as usize])
+    }
+
+    /// Whether a vertex cannot spare a triangle. A fixed one always can: where an edge inside a sheet ends there, it has two in that sheet.
+    pub(super) fn has_few(&self, vertex: u32) -> bool {
+        !self.fixed[vertex as usize] && self.degree(vertex) < 4
+    }
+
+    /// How many more triangles than six a vertex has; a fixed one in the sheet of a triangle at it, more than sixths of a turn in the angle there.
+    pub(super) fn surplus(&self, vertex: u32, triangle: u32) -> i64 {
+        if !self.fixed[vertex as usize] {
+            return self.degree(vertex) as i64 - 6;
+        }
+        let sheet = self.sheet[triangle as usize];
+        let own = self.around[vertex as usize].iter().filter(|&&t| self.sheet[t as usize] == sheet);
+        let (mut count, mut angle) = (0, 0.0);
+        for &t in own {
+            let corners = self.triangles[t as usize];
+            let at = corners.iter().position(|&v| v == vertex).unwrap_or(0);
+            let [p, q, r] = [0, 1, 2].map(|k| self.positions[corners[(at + k) % 3] as usize]);
+            angle += (q - p).angle_between(r - p);
+            count += 1;
+        }
+        count - (angle / FRAC_PI_3).round().max(1.0) as i64
+    }
+
     fn is_closed_fan(&self, vertex: u32) -> bool {
         let link: Vec<(u32, u32)> = self.link(vertex).collect();
         let Some(&(start, mut at)) = link.first() else { return false };
@@ -329,13 +389,15 @@ impl<'a> Surface<'a> {
         self.target.push((self.size)(at));
         self.around.push(Vec::new());
         self.frozen.push(false);
+        self.fixed.push(false);
         self.positions.len() as u32 - 1
     }
 
-    /// Adds a triangle.
-    pub(super) fn add_triangle(&mut self, corners: [u32; 3]) -> u32 {
+    /// Adds a triangle to a sheet.
+    pub(super) fn add_triangle(&mut self, corners: [u32; 3], sheet: u32) -> u32 {
         self.log.push(Change::TriangleAdded);
         self.triangles.push(DEAD);
+        self.sheet.push(sheet);
         self.facts.push(Facts::NONE);
         let t = self.triangles.len() as u32 - 1;
         self.set_triangle(t, corners);
@@ -394,9 +456,11 @@ impl<'a> Surface<'a> {
                     self.target.pop();
                     self.around.pop();
                     self.frozen.pop();
+                    self.fixed.pop();
                 }
                 Change::TriangleAdded => {
                     self.triangles.pop();
+                    self.sheet.pop();
                     self.facts.pop();
                 }
             }

@@ -194,12 +194,14 @@ fn demands_of_curvature(surface: &Surface, vertices: &[u32], place: &Place) -> V
     triangles.sort_unstable();
     triangles.dedup();
     let samples = triangles.into_iter().flat_map(|t| {
+        let sheet = surface.sheet[t as usize];
         let [a, b, c] = surface.corners(t);
         let normal = surface.normal_of(surface.triangles[t as usize]);
         let places = [a, b, c, a.midpoint(b), b.midpoint(c), c.midpoint(a), (a + b + c) / 3.0];
-        places.into_iter().filter_map(move |p| projected_facing(surface, p, normal, place.length))
+        let foot = move |p| Some((projected_facing(surface, sheet, p, normal, place.length)?, sheet));
+        places.into_iter().filter_map(foot)
     });
-    let demands = samples.map(|p| Demand { at: p, length: CHORD / curvature(surface, p) });
+    let demands = samples.map(|(p, sheet)| Demand { at: p, length: CHORD / curvature(surface, sheet, p) });
     demands.filter(|demand| demand.length < place.length).collect()
 }
 
@@ -229,9 +231,9 @@ fn demands_of_nodes(part: &Surface, place: &Place) -> Vec<Demand> {
     in_reach.map(|at| Demand { at, length: SHORTER * (part.size)(at).min(place.length) }).collect()
 }
 
-/// Root of the sum of the squares of the principal curvatures of F at a point, per mm.
-fn curvature(surface: &Surface, p: DVec3) -> f64 {
-    let jet = surface.field.jet(p);
+/// Root of the sum of the squares of the principal curvatures of F at a point of a sheet, per mm.
+fn curvature(surface: &Surface, sheet: u32, p: DVec3) -> f64 {
+    let jet = surface.field.jet(sheet, p);
     let slope = jet.gradient.length().max(1e-12);
     let (x, y) = (jet.gradient / slope).any_orthonormal_pair();
     let (xx, xy, yy) = (x.dot(jet.hessian * x), x.dot(jet.hessian * y), y.dot(jet.hessian * y));

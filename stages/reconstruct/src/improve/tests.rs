@@ -336,17 +336,17 @@ fn the_middle_of_an_edge_stays_on_its_own_face_of_a_thin_wall() {
     for outward in [DVec3::X, DVec3::new(0.6, 0.0, -0.8), DVec3::ONE.normalize()] {
         for depth in [0.2, 0.6, 0.8] {
             let middle = centre + (6.5 - depth) * outward;
-            let newton = moves::projected(&surface, middle, 2.0).expect("a point of F = 0").distance(centre);
+            let newton = moves::projected(&surface, 0, middle, 2.0).expect("a point of F = 0").distance(centre);
             assert!((newton - if depth < 0.5 { 6.5 } else { 5.5 }).abs() < 0.02, "{newton}");
             // the normal of a triangle differs from that of F
             let normal = (outward + 0.3 * outward.any_orthonormal_vector()).normalize();
-            let facing = moves::projected_facing(&surface, middle, normal, 2.0).expect("the outer face");
+            let facing = moves::projected_facing(&surface, 0, middle, normal, 2.0).expect("the outer face");
             assert!((facing.distance(centre) - 6.5).abs() < 0.02, "{facing}");
-            let other = moves::projected_facing(&surface, middle, -normal, 2.0).expect("the inner face");
+            let other = moves::projected_facing(&surface, 0, middle, -normal, 2.0).expect("the inner face");
             assert!((other.distance(centre) - 5.5).abs() < 0.02, "{other}");
         }
     }
-    assert_eq!(moves::projected_facing(&surface, centre, DVec3::X, 2.0), None);
+    assert_eq!(moves::projected_facing(&surface, 0, centre, DVec3::X, 2.0), None);
 }
 
 #[test]

@@ -1,11 +1,12 @@
 //! The whole backend: same lattice as the CPU's, same bytes on every run, whether broken off or not.
 
 use super::any_gpu;
+use crate::cpu::settle;
 use crate::gpu::adapter::{Choice, Gpu};
 use crate::gpu::engine::{Binning, GpuEngine};
 use crate::gpu::memory::Memory;
 use crate::scenes::Scene;
-use crate::settle::{Engine, Parameters, PassRecord, Summary, settle, settle_with};
+use crate::settle::{Engine, Parameters, PassRecord, Summary, settle_with};
 use isoparticles_field::particle_set::ParticleSet;
 
 fn settled(gpu: &Gpu, scene: &Scene, parameters: &Parameters, binning: Binning) -> (ParticleSet, Summary) {

@@ -1,0 +1,379 @@
+//! The pieces of the strata in a block of cells.
+
+use super::lattice::{Lattice, Piece, Place, TETRAHEDRA, UNIT, half_way, number, pieces, rank};
+use crate::materials::{Indicators, MaterialId, Near, Stratum};
+use glam::{DVec3, DVec4};
+use std::collections::BTreeMap;
+
+/// How far from its ends a sheet is to be, both distances over the length of an edge between nodes of one material, for nothing to cross it: one for indicators of
+/// slope one.
+const FAR: f64 = 1.25;
+
+/// A vertex of the complex.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Vertex {
+    /// Where it lies, grid frame, mm.
+    pub position: DVec3,
+    /// The materials that meet there.
+    pub stratum: Stratum,
+}
+
+/// A triangle of a sheet.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Triangle {
+    /// Its corners, counter-clockwise seen from the material of the lower number.
+    pub corners: [u32; 3],
+    /// The two materials.
+    pub sheet: Stratum,
+}
+
+/// Part of a junction curve within a tetrahedron.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Segment {
+    pub(super) ends: [u32; 2],
+    pub(super) curve: Stratum,
+}
+
+/// The names of the corners of the simplex that a vertex lies in, ascending, with the largest number where there are fewer than four.
+pub(super) type Name = [u128; 4];
+
+/// What a block holds; corners are numbers of its own vertices.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Part {
+    /// Names of the vertices, ascending.
+    pub(super) names: Vec<Name>,
+    pub(super) vertices: Vec<Vertex>,
+    pub(super) triangles: Vec<Triangle>,
+    pub(super) segments: Vec<Segment>,
+}
+
+/// What is known of a node.
+struct Known {
+    near: Near,
+    own: MaterialId,
+    position: DVec3,
+}
+
+/// A node of the lattice in a block.
+#[derive(Clone, Copy)]
+struct Node {
+    place: Place,
+    /// Its number among those that are known.
+    known: usize,
+    own: MaterialId,
+}
+
+/// A block of cells of the grid and what is known of the lattice's nodes in it.
+struct Block<'a, I: ?Sized> {
+    lattice: Lattice<'a>,
+    indicators: &'a I,
+    /// Its first node of the grid, and its nodes along each axis.
+    first: [usize; 3],
+    size: [usize; 3],
+    /// What was asked so far: of the grid's nodes in order, then of those between them.
+    known: Vec<Option<Known>>,
+    between: BTreeMap<u128, usize>,
+    /// Whether the edges between nodes of the grid are to be halved, by their first nodes and directions, as far as was asked.
+    halved: Vec<Option<bool>>,
+}
+
+impl<'a, I: Indicators + ?Sized> Block<'a, I> {
+    fn new(lattice: Lattice<'a>, indicators: &'a I, first: [usize; 3], count: [usize; 3]) -> Self {
+        let size = count.map(|n| n + 1);
+        let nodes = size.iter().product();
+        let known = (0..nodes).map(|_| None).collect();
+        Self { lattice, indicators, first, size, known, between: BTreeMap::new(), halved: vec![None; 8 * nodes] }
+    }
+
+    /// The number of a node of the grid.
+    fn of_grid(&self, place: Place) -> Option<usize> {
+        let is_of_grid = place.iter().all(|n| n % UNIT == 0);
+        let [i, j, k]: [usize; 3] = std::array::from_fn(|a| (place[a] / UNIT) as usize - self.first[a]);
+        is_of_grid.then(|| (k * self.size[1] + j) * self.size[0] + i)
+    }
+
+    fn node(&mut self, place: Place) -> Node {
+        let next = self.known.len();
+        let known = match self.of_grid(place) {
+            Some(known) => known,
+            None => *self.between.entry(number(place)).or_insert(next),
+        };
+        if known == next {
+            self.known.push(None);
+        }
+        let (lattice, indicators) = (self.lattice, self.indicators);
+        let own = self.known[known].get_or_insert_with(|| {
+            let position = lattice.position(place);
+            let near = indicators.near(position);
+            Known { near, own: near.first().unwrap_or(MaterialId::OUTSIDE), position }
+        });
+        Node { place, known, own: own.own }
+    }
+
+    /// What is known of a node.
+    fn of(&self, node: Node) -> Option<&Known> {
+        self.known[node.known].as_ref()
+    }
+
+    /// Whether an edge is to be halved: because it passes through a material that neither end is of.
+    fn is_halved(&mut self, a: Node, b: Node) -> bool {
+        if half_way(a.place, b.place).is_none() {
+            return false;
+        }
+        let directions = (0..3).fold(0, |bits, axis| bits | usize::from(a.place[axis] != b.place[axis]) << axis);
+        let of_grid = self.of_grid(a.place).zip(self.of_grid(b.place)).map(|(a, b)| 8 * a.min(b) + directions);
+        if let Some(told) = of_grid.and_then(|edge| self.halved[edge]) {
+            return told;
+        }
+        let told = self.passes_another(a, b);
+        if let Some(edge) = of_grid {
+            self.halved[edge] = Some(told);
+        }
+        told
+    }
+
+    /// Whether an edge is seen to pass through a material that neither end is of.
+    fn passes_another(&self, a: Node, b: Node) -> bool {
+        let (Some(from), Some(to)) = (self.of(a), self.of(b)) else { return false };
+        let share = if a.own == b.own {
+            let away = from.near.interface_distance() + to.near.interface_distance();
+            if away > FAR * from.position.distance(to.position) {
+                return false;
+            }
+            0.5
+        } else {
+            let weights = equal_between([from, to], [a.own, b.own]);
+            weights[1]
+        };
+        let between = self.indicators.near(from.position + (to.position - from.position) * share);
+        between.first().is_some_and(|id| id != a.own && id != b.own)
+    }
+}
+
+/// Shares of two nodes in the place between them where the indicators of two materials, linear between them, are equal; half each where one is not known.
+fn equal_between(nodes: [&Known; 2], of: [MaterialId; 2]) -> [f64; 2] {
+    let [from, to] = nodes.map(|node| value(&node.near, of[1]) - value(&node.near, of[0]));
+    let sum = from - to;
+    if sum.is_finite() && sum != 0.0 {
+        let share = (from / sum).clamp(0.0, 1.0);
+        [1.0 - share, share]
+    } else {
+        [0.5; 2]
+    }
+}
+
+/// The indicator of a material among those near; infinite where it is not known.
+fn value(near: &Near, id: MaterialId) -> f64 {
+    near.entries().iter().find(|(known, _)| *known == id).map_or(f64::INFINITY, |(_, value)| *value)
+}
+
+/// What the cells of the grid from `first` on, `count` along each axis, hold.
+pub(super) fn part<I: Indicators + ?Sized>(
+    lattice: Lattice<'_>,
+    indicators: &I,
+    first: [usize; 3],
+    count: [usize; 3],
+) -> Part {
+    let mut block = Block::new(lattice, indicators, first, count);
+    let mut found = Found::default();
+    for k in first[2]..first[2] + count[2] {
+        for j in first[1]..first[1] + count[1] {
+            for i in first[0]..first[0] + count[0] {
+                found.cell(&mut block, [i, j, k]);
+            }
+        }
+    }
+    found.into_part()
+}
+
+/// What was found so far, by names.
+#[derive(Default)]
+struct Found {
+    vertices: Vec<(Name, Vertex)>,
+    triangles: Vec<([Name; 3], Stratum)>,
+    segments: Vec<([Name; 2], Stratum)>,
+}
+
+impl Found {
+    /// Adds what a cell of the grid holds.
+    fn cell<I: Indicators + ?Sized>(&mut self, block: &mut Block<'_, I>, cell: [usize; 3]) {
+        let corner = |c: u8| std::array::from_fn(|a| UNIT * (cell[a] as u32 + u32::from(c >> a & 1)));
+        let corners: [Node; 8] = std::array::from_fn(|c| block.node(corner(c as u8)));
+        let diagonal = block.lattice.geometry.spacing.length();
+        let is_far = |node: &Node| {
+            let away = block.of(*node).map_or(0.0, |known| known.near.interface_distance());
+            node.own == corners[0].own && 2.0 * away > FAR * diagonal
+        };
+        if corners.iter().all(is_far) {
+            return;
+        }
+        for offsets in TETRAHEDRA {
+            self.tetrahedron(block, offsets.map(|offset| corners[usize::from(offset)]));
+        }
+    }
+
+    /// Adds what a tetrahedron holds, after its edges have been halved that are to be: the first of them, and so on with both halves.
+    fn tetrahedron<I: Indicators + ?Sized>(&mut self, block: &mut Block<'_, I>, nodes: [Node; 4]) {
+        let mut longest = None;
+        for (a, b) in (0..4).flat_map(|a| (a + 1..4).map(move |b| (a, b))) {
+            let rank = rank(nodes[a].place, nodes[b].place);
+            if longest.is_none_or(|(other, _, _)| rank > other) && block.is_halved(nodes[a], nodes[b]) {
+                longest = Some((rank, a, b));
+            }
+        }
+        if let Some((_, a, b)) = longest
+            && let Some(place) = half_way(nodes[a].place, nodes[b].place)
+        {
+            let middle = block.node(place);
+            for end in [a, b] {
+                let mut half = nodes;
+                half[end] = middle;
+                self.tetrahedron(block, half);
+            }
+            return;
+        }
+        let mut nodes = nodes;
+        nodes.sort_unstable_by_key(|node| number(node.place));
+        let corners = Corners { nodes };
+        pieces(nodes.map(|node| node.own), |piece| match piece {
+            Piece::Sheet { of, corners: own } => self.sheet(block, &corners, of, own),
+            Piece::Curve { ends } => {
+                let stratum = corners.stratum(ends[0]);
+                let ends = ends.map(|end| self.vertex(block, &corners, end).0);
+                self.segments.extend(stratum.map(|curve| (ends, curve)));
+            }
+        });
+    }
+
+    /// Adds a vertex and returns its name and place.
+    fn vertex<I: Indicators + ?Sized>(&mut self, block: &Block<'_, I>, corners: &Corners, own: u8) -> (Name, DVec3) {
+        let (name, position) = (corners.name(own), corners.position(block, own));
+        if let Some(stratum) = corners.stratum(own) {
+            self.vertices.push((name, Vertex { position, stratum }));
+        }
+        (name, position)
+    }
+
+    /// Adds a piece of a sheet as one or two triangles.
+    fn sheet<I: Indicators + ?Sized>(&mut self, block: &Block<'_, I>, corners: &Corners, of: [usize; 2], own: [u8; 4]) {
+        let ids = of.map(|corner| corners.nodes[corner].own);
+        let sheet = Stratum::sheet(ids[0], ids[1]);
+        let count = if own[3] == 0 { 3 } else { 4 };
+        let middle = own.map(|corner| corners.middle(corner));
+        let normal = (middle[1] - middle[0]).cross(middle[2] - middle[0]);
+        let [first, second] = of.map(|corner| corners.middle(1 << corner));
+        let outward = if ids[0] < ids[1] { first - second } else { second - first };
+        let mut placed = [(Name::default(), DVec3::ZERO); 4];
+        for (to, corner) in placed[..count].iter_mut().zip(own) {
+            *to = self.vertex(block, corners, corner);
+        }
+        if normal.dot(outward) < 0.0 {
+            placed[..count].reverse();
+        }
+        let [a, b, c, d] = placed;
+        let mut add = |corners: [(Name, DVec3); 3]| self.triangles.push((corners.map(|corner| corner.0), sheet));
+        match count {
+            3 => add([a, b, c]),
+            // along the shorter diagonal
+            _ if a.1.distance_squared(c.1) <= b.1.distance_squared(d.1) => {
+                [[a, b, c], [a, c, d]].into_iter().for_each(add);
+            }
+            _ => [[a, b, d], [b, c, d]].into_iter().for_each(add),
+        }
+    }
+
+    fn into_part(mut self) -> Part {
+        self.vertices.sort_unstable_by_key(|(name, _)| *name);
+        self.vertices.dedup_by_key(|(name, _)| *name);
+        let (names, vertices): (Vec<Name>, Vec<Vertex>) = self.vertices.into_iter().unzip();
+        let number = |name: Name| names.partition_point(|&other| other < name) as u32;
+        let triangles =
+            self.triangles.into_iter().map(|(corners, sheet)| Triangle { corners: corners.map(number), sheet });
+        let segments = self.segments.into_iter().map(|(ends, curve)| Segment { ends: ends.map(number), curve });
+        let (triangles, segments) = (triangles.collect(), segments.collect());
+        Part { names, vertices, triangles, segments }
+    }
+}
+
+/// The corners of a tetrahedron, by ascending numbers, so that it does not matter from which tetrahedron an edge or a face is looked at.
+struct Corners {
+    nodes: [Node; 4],
+}
+
+impl Corners {
+    /// Some corners (bits), and how many.
+    fn chosen(&self, own: u8) -> ([Node; 4], usize) {
+        let (mut chosen, mut count) = (self.nodes, 0);
+        for corner in (0..4).filter(|corner| own >> corner & 1 == 1) {
+            chosen[count] = self.nodes[corner];
+            count += 1;
+        }
+        (chosen, count)
+    }
+
+    fn name(&self, own: u8) -> Name {
+        let (chosen, count) = self.chosen(own);
+        std::array::from_fn(|n| if n < count { number(chosen[n].place) } else { u128::MAX })
+    }
+
+    /// The materials of some corners.
+    fn stratum(&self, own: u8) -> Option<Stratum> {
+        let (chosen, count) = self.chosen(own);
+        Stratum::new(&chosen.map(|node| node.own)[..count])
+    }
+
+    /// Middle of some corners, in steps: there no piece has lost its shape, so that it tells sides.
+    fn middle(&self, own: u8) -> DVec3 {
+        let (chosen, count) = self.chosen(own);
+        let corner = |node: &Node| DVec3::from_array(node.place.map(f64::from));
+        chosen[..count].iter().map(corner).sum::<DVec3>() / count.max(1) as f64
+    }
+
+    /// Where the indicators of some corners' materials, linear between the corners, are equal; the nearest place to that among the corners where it lies beyond
+    /// them, and their middle where an indicator is not known.
+    fn position<I: Indicators + ?Sized>(&self, block: &Block<'_, I>, own: u8) -> DVec3 {
+        let (chosen, count) = self.chosen(own);
+        let (Some(a), Some(b), Some(c), Some(d)) =
+            (block.of(chosen[0]), block.of(chosen[1]), block.of(chosen[2]), block.of(chosen[3]))
+        else {
+            return DVec3::ZERO;
+        };
+        let known = [a, b, c, d];
+        if count == 2 {
+            let [first, second] = equal_between([a, b], [chosen[0].own, chosen[1].own]);
+            return a.position * first + b.position * second;
+        }
+        // at each corner the indicators of all, less the first
+        let mut rows = [[0.0; 4]; 3];
+        for (c, known) in known[..count].iter().enumerate() {
+            let first = value(&known.near, chosen[0].own);
+            for (row, node) in rows.iter_mut().zip(&chosen[1..count]) {
+                row[c] = value(&known.near, node.own) - first;
+            }
+        }
+        let weights = if count == 3 {
+            let [a, b] = [rows[0], rows[1]].map(|[x, y, z, _]| DVec3::new(x, y, z));
+            a.cross(b).extend(0.0)
+        } else {
+            DVec4::from_array(normal_to(rows))
+        };
+        let sum = weights.element_sum();
+        let weights = (weights / sum).max(DVec4::ZERO);
+        let total = weights.element_sum();
+        let is_known = sum != 0.0 && sum.is_finite() && total.is_finite() && total > 0.0;
+        let share = |c: usize| if is_known { weights[c] / total } else { 1.0 / count as f64 };
+        (0..count).map(|c| known[c].position * share(c)).sum()
+    }
+}
+
+/// The vector at right angles to three others: their minors.
+fn normal_to(rows: [[f64; 4]; 3]) -> [f64; 4] {
+    std::array::from_fn(|left| {
+        let minor = rows.map(|row| {
+            let mut kept = (0..4).filter(|&c| c != left).map(|c| row[c]);
+            DVec3::from_array(std::array::from_fn(|_| kept.next().unwrap_or(0.0)))
+        });
+        let sign = if left % 2 == 0 { 1.0 } else { -1.0 };
+        sign * minor[0].dot(minor[1].cross(minor[2]))
+    })
+}

@@ -1,0 +1,106 @@
+//! The tetrahedra between the nodes of a grid, and what the materials at their corners say.
+
+use crate::materials::MaterialId;
+use glam::DVec3;
+use isoparticles_volume::Geometry;
+
+/// Steps from a node of the grid to the next: edges are halved no farther than to one step along an axis.
+pub(super) const UNIT: u32 = 8;
+
+/// A place in steps.
+pub(super) type Place = [u32; 3];
+
+/// The lattice of a grid.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Lattice<'a> {
+    pub(super) geometry: &'a Geometry,
+}
+
+impl Lattice<'_> {
+    /// Where a place lies, grid frame, mm.
+    pub(super) fn position(&self, place: Place) -> DVec3 {
+        self.geometry.index_to_grid(DVec3::from_array(place.map(f64::from)) / f64::from(UNIT))
+    }
+}
+
+/// A place as one number; of places one of which is nowhere beyond the other, that has the smaller number.
+pub(super) fn number(place: Place) -> u128 {
+    let [x, y, z] = place.map(u128::from);
+    z << 64 | y << 32 | x
+}
+
+/// The place half-way between two, if it has whole steps.
+pub(super) fn half_way(a: Place, b: Place) -> Option<Place> {
+    let is_even = (0..3).all(|axis| a[axis].abs_diff(b[axis]) % 2 == 0);
+    is_even.then(|| std::array::from_fn(|axis| a[axis].midpoint(b[axis])))
+}
+
+/// Squared length in steps, and the ends: of edges that are to be halved, the one that is halved first has the largest of these. An order of all edges, so
+/// that a face is cut alike from both sides.
+pub(super) fn rank(a: Place, b: Place) -> (u32, [u128; 2]) {
+    let squared = (0..3).map(|axis| a[axis].abs_diff(b[axis]).pow(2)).sum();
+    let (a, b) = (number(a), number(b));
+    (squared, [a.min(b), a.max(b)])
+}
+
+/// Offsets (bits of x, y, z) of the corners of Kuhn's tetrahedra: the ways from the lowest node of a cell to the highest along three of its edges. Those
+/// of neighbouring cells fit.
+pub(super) const TETRAHEDRA: [[u8; 4]; 6] =
+    [[0, 1, 3, 7], [0, 1, 5, 7], [0, 2, 3, 7], [0, 2, 6, 7], [0, 4, 5, 7], [0, 4, 6, 7]];
+
+/// A piece of a stratum within a tetrahedron. Its corners are sets of the tetrahedron's corners (bits): two for a point on an edge, three for one on a face, four for
+/// the one inside.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Piece {
+    /// Part of the sheet of two materials, given by a corner of each: three or four corners (the last is zero where there are three).
+    Sheet { of: [usize; 2], corners: [u8; 4] },
+    /// Part of the curve of three materials.
+    Curve { ends: [u8; 2] },
+}
+
+/// Tells the pieces of a tetrahedron by the materials of its corners (Nielson and Franke 1997).
+pub(super) fn pieces(of: [MaterialId; 4], mut hear: impl FnMut(Piece)) {
+    let bit = |corner: usize| 1u8 << corner;
+    let same = |a: usize, b: usize| of[a] == of[b];
+    let pair = (0..4).flat_map(|a| (a + 1..4).map(move |b| [a, b])).find(|&[a, b]| same(a, b));
+    let Some([a, b]) = pair else {
+        // four materials: a quarter of each sheet's boundary lies on two faces, with the point inside
+        for i in 0..4 {
+            for j in i + 1..4 {
+                let edge = bit(i) | bit(j);
+                let [k, l] = others([i, j]);
+                hear(Piece::Sheet { of: [i, j], corners: [edge, edge | bit(k), 0b1111, edge | bit(l)] });
+            }
+        }
+        (0..4).for_each(|i| hear(Piece::Curve { ends: [0b1111 ^ bit(i), 0b1111] }));
+        return;
+    };
+    let [c, d] = others([a, b]);
+    let edge = |i: usize, j: usize| bit(i) | bit(j);
+    let mut corner = |alone: usize, [i, j, k]: [usize; 3]| {
+        hear(Piece::Sheet { of: [alone, i], corners: [edge(alone, i), edge(alone, j), edge(alone, k), 0] });
+    };
+    match (same(a, c), same(a, d), same(c, d)) {
+        (true, true, _) => {}
+        (true, false, _) => corner(d, [a, b, c]),
+        (false, true, _) => corner(c, [a, b, d]),
+        (false, false, true) => {
+            hear(Piece::Sheet { of: [a, c], corners: [edge(a, c), edge(a, d), edge(b, d), edge(b, c)] });
+        }
+        (false, false, false) => {
+            let ends = [edge(a, c) | bit(d), edge(b, c) | bit(d)];
+            for single in [c, d] {
+                let corners = [edge(a, single), edge(b, single), ends[1], ends[0]];
+                hear(Piece::Sheet { of: [a, single], corners });
+            }
+            hear(Piece::Sheet { of: [c, d], corners: [edge(c, d), ends[0], ends[1], 0] });
+            hear(Piece::Curve { ends });
+        }
+    }
+}
+
+/// The two corners of a tetrahedron that are not these.
+fn others([a, b]: [usize; 2]) -> [usize; 2] {
+    let mut left = (0..4).filter(|&n| n != a && n != b);
+    [left.next().unwrap_or(0), left.next().unwrap_or(0)]
+}

@@ -1,0 +1,85 @@
+//! Areas and lengths of the complex, and how many particles an edge length asks for on it.
+
+use super::{Chain, Complex, End, Triangle};
+use crate::materials::Stratum;
+use crate::sizing::SizingField;
+use glam::DVec3;
+use rayon::prelude::*;
+use std::collections::BTreeMap;
+
+/// Triangles that are added up one after the other.
+const CHUNK: usize = 1 << 14;
+
+/// A particle on a junction curve stands for half a particle's area on each of the three sheets that meet there, so that three halves of the lattice's particles
+/// are one.
+const SAVED_ON_CURVES: f64 = 1.5;
+
+impl Complex {
+    /// The places along a chain, its ends included; of a closed one without returning to the first.
+    pub fn line(&self, chain: &Chain) -> Vec<DVec3> {
+        let end = |end: End| match end {
+            End::Point(point) => Some(self.points[point as usize].position),
+            End::Border | End::Closed => None,
+        };
+        let inner = chain.vertices.iter().map(|&v| self.vertices[v as usize].position);
+        end(chain.ends[0]).into_iter().chain(inner).chain(end(chain.ends[1])).collect()
+    }
+
+    /// The same, with the first place again at the end of a closed one.
+    fn whole_line(&self, chain: &Chain) -> Vec<DVec3> {
+        let mut line = self.line(chain);
+        if chain.is_closed() {
+            line.extend(line.first().copied());
+        }
+        line
+    }
+
+    /// Length of a chain, mm.
+    pub fn length(&self, chain: &Chain) -> f64 {
+        self.whole_line(chain).windows(2).map(|pair| pair[0].distance(pair[1])).sum()
+    }
+
+    /// The corners of a triangle.
+    pub fn corners(&self, triangle: &Triangle) -> [DVec3; 3] {
+        triangle.corners.map(|v| self.vertices[v as usize].position)
+    }
+
+    /// Area of each sheet, mm^2.
+    pub fn areas(&self) -> BTreeMap<Stratum, f64> {
+        let mut areas = BTreeMap::new();
+        for triangle in &self.triangles {
+            *areas.entry(triangle.sheet).or_default() += 0.5 * self.doubled(triangle).length();
+        }
+        areas
+    }
+
+    /// Length of each junction curve, mm.
+    pub fn lengths(&self) -> BTreeMap<Stratum, f64> {
+        let mut lengths = BTreeMap::new();
+        for chain in &self.chains {
+            *lengths.entry(chain.curve).or_default() += self.length(chain);
+        }
+        lengths
+    }
+
+    /// How many particles settle on all strata: those of the lattice on sheets ([`SizingField::lattice_density`]), less what those on their borders stand for.
+    pub fn predicted_count(&self, sizing: &SizingField) -> f64 {
+        let on_triangle = |triangle: &Triangle| {
+            let doubled = self.doubled(triangle);
+            let centre = self.corners(triangle).into_iter().sum::<DVec3>() / 3.0;
+            0.5 * doubled.length() * sizing.lattice_density(centre, doubled.normalize_or_zero())
+        };
+        let sums: Vec<f64> =
+            self.triangles.par_chunks(CHUNK).map(|chunk| chunk.iter().map(on_triangle).sum()).collect();
+        let on_step = |pair: &[DVec3]| pair[0].distance(pair[1]) / sizing.at(0.5 * (pair[0] + pair[1]));
+        let along: f64 =
+            self.chains.iter().map(|chain| self.whole_line(chain).windows(2).map(on_step).sum::<f64>()).sum();
+        (sums.iter().sum::<f64>() + (1.0 - SAVED_ON_CURVES) * along).max(0.0) + self.points.len() as f64
+    }
+
+    /// The normal of a triangle, as long as twice its area.
+    fn doubled(&self, triangle: &Triangle) -> DVec3 {
+        let [a, b, c] = self.corners(triangle);
+        (b - a).cross(c - a)
+    }
+}

@@ -1,0 +1,90 @@
+//! Checkpoints: half-settled particles with the log so far, and whether they belong to a run.
+
+use crate::settle::{Engine, Parameters, PassRecord};
+use isoparticles_field::particle_set::{ParticleSet, Strata};
+use isoparticles_stage::cli::Context;
+use isoparticles_stage::error::{Error, Result};
+use isoparticles_stage::particle_file::{
+    ParticleKind, read_particles, write_material_particles_with, write_particles_with,
+};
+use serde::{Deserialize, Serialize};
+use serde_json::{Value, json};
+use std::path::Path;
+
+/// What a checkpoint carries besides the particles.
+#[derive(Serialize, Deserialize)]
+pub(crate) struct Progress {
+    /// How the particles are settled.
+    pub parameters: Parameters,
+    /// Hashes of seeds, distance field and sizing field.
+    pub inputs: [String; 3],
+    /// The log.
+    pub records: Vec<PassRecord>,
+    /// Backend, and the adapter if there is one.
+    #[serde(default = "cpu_engine")]
+    pub engine: String,
+}
+
+/// What moved the particles of a checkpoint that does not say.
+pub(crate) fn cpu_engine() -> String {
+    "cpu".to_owned()
+}
+
+/// Writes the checkpoint; `segments` are those of many materials' seeds.
+pub(crate) fn keep(
+    path: &Path,
+    engine: &mut dyn Engine,
+    segments: &[[u32; 2]],
+    progress: &Progress,
+    context: &Context,
+) -> Result<()> {
+    let extra = serde_json::to_vec(progress).map_err(|error| {
+        Error::input(
+            format!("{}: cannot put the log into bytes: {error}", path.display()),
+            "the checkpoint needs it",
+            "report this bug",
+        )
+    })?;
+    let (kind, history) = (ParticleKind::Checkpoint, context.history());
+    let particles = engine.particles()?;
+    let strata = Strata { of: engine.strata().to_vec(), segments: segments.to_vec() };
+    if strata.of.is_empty() {
+        write_particles_with(path, kind, &particles, &Value::Null, &history, &extra)
+    } else {
+        write_material_particles_with(path, kind, &particles, &strata, &Value::Null, &history, &extra)
+    }
+}
+
+/// Reads a checkpoint and makes sure that it belongs to this run: the particles with their strata, if they are of many materials, and the log.
+pub(crate) fn resume(
+    path: &Path,
+    parameters: &Parameters,
+    inputs: &[String; 3],
+    engine: &str,
+    context: &Context,
+) -> Result<(ParticleSet, Option<Strata>, Vec<PassRecord>)> {
+    let file = read_particles(path, &[ParticleKind::Checkpoint])?;
+    let refuse = |what: &str| {
+        Error::input(
+            format!("{}: {what}", path.display()),
+            "going on from it would not give the result of an unbroken run",
+            "leave out --resume to start anew, or give the inputs and parameters that the checkpoint was made with",
+        )
+    };
+    let progress: Progress =
+        serde_json::from_slice(&file.extra).map_err(|error| refuse(&format!("cannot be understood: {error}")))?;
+    if progress.inputs != *inputs {
+        return Err(refuse("was made from other seeds or fields"));
+    }
+    if json!(progress.parameters) != json!(parameters) {
+        return Err(refuse("was made with other parameters"));
+    }
+    if progress.engine != engine {
+        context.warn(format!(
+            "the checkpoint was made on another device ({}): the result will not be that of an unbroken run to the last bit",
+            progress.engine
+        ));
+    }
+    context.info(format!("resuming after pass {}", progress.records.last().map_or(0, |r| r.pass)));
+    Ok((file.particles, file.strata, progress.records))
+}

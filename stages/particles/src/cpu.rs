@@ -1,0 +1,130 @@
+//! Settling on the CPU: the engine of a pass, and the ways into the loop for one object and for many materials.
+
+use crate::coarse::{MakeEngine, settle_levels};
+use crate::density::{self, Limits};
+use crate::implicit::{Implicit, Sheets};
+use crate::movement;
+use crate::settle::{Engine, Level, Parameters, PassOutcome, PassRecord, REORDER_INTERVAL, Summary, settle_level};
+use crate::state::{Fields, Measures, State};
+use isoparticles_field::materials::{Indicators, Stratum};
+use isoparticles_field::particle_set::{ParticleSet, Strata};
+use isoparticles_stage::error::Result;
+
+#[cfg(test)]
+mod scenes;
+#[cfg(test)]
+mod tests;
+
+/// Settles particles on the CPU, on the threads of the current pool. `resumed` holds the particles after the passes already
+/// run, and the records of those; `observe` sees each new record, can ask for the particles, and may end the run with an error.
+pub fn settle(
+    seeds: &ParticleSet,
+    resumed: Option<(ParticleSet, &[PassRecord])>,
+    fields: &Fields,
+    parameters: &Parameters,
+    mut observe: impl FnMut(&PassRecord, &mut dyn Engine) -> Result<()>,
+) -> Result<(ParticleSet, Summary)> {
+    let (set, summary, _) = settle_levels(seeds, resumed, fields, parameters, &OnCpu(parameters), &mut observe)?;
+    Ok((set, summary))
+}
+
+/// Particles of many materials, with the strata that they live on.
+pub type OnStrata = (ParticleSet, Strata);
+
+/// Settles the particles on the sheets of many materials, as [`settle`] does those of one object, but on one level: those of junction points and curves are
+/// held, come first, and stay as they are. A particle that is not on its sheet is removed, at the beginning or when it is found.
+pub fn settle_sheets<I: Indicators>(
+    seeds: &OnStrata,
+    resumed: Option<(OnStrata, &[PassRecord])>,
+    fields: &Fields<Sheets<'_, I>>,
+    parameters: &Parameters,
+    mut observe: impl FnMut(&PassRecord, &mut dyn Engine) -> Result<()>,
+) -> Result<(OnStrata, Summary)> {
+    let segments = &seeds.1.segments;
+    let mut real = State::unlisted(seeds.0.clone(), parameters.normal_agreement).on(seeds.1.of.clone());
+    let kept: Vec<u32> = (0..real.len())
+        .filter(|&i| i < real.held || fields.surface.is_real(real.stratum(i), real.set.positions[i]))
+        .map(|i| i as u32)
+        .collect();
+    let unreal = real.len() - kept.len();
+    real.take(&kept);
+    let (set, strata, records) = match resumed {
+        Some(((set, strata), records)) => (set, strata.of, records),
+        None => (real.set, real.strata, &[][..]),
+    };
+    let mut engine = CpuEngine::new(set, strata, fields, parameters);
+    let level = Level { scale: 1.0, before: 0, max_passes: parameters.max_passes };
+    let (state, mut summary) = settle_level(&mut engine, fields, parameters, &level, records, &mut observe)?;
+    summary.escaped += unreal;
+    Ok(((state.set, Strata { of: state.strata, segments: segments.clone() }), summary))
+}
+
+/// Makes engines that move the particles on the CPU.
+pub(crate) struct OnCpu<'a>(pub &'a Parameters);
+
+impl MakeEngine for OnCpu<'_> {
+    fn make<'f>(&self, set: ParticleSet, fields: &'f Fields<'f>) -> Result<Box<dyn Engine + 'f>>
+    where
+        Self: 'f,
+    {
+        Ok(Box::new(CpuEngine::new(set, Vec::new(), fields, self.0)))
+    }
+}
+
+/// Moves the particles on the CPU.
+struct CpuEngine<'a, S> {
+    state: State,
+    fields: &'a Fields<'a, S>,
+    parameters: Parameters,
+}
+
+impl<'a, S: Implicit> CpuEngine<'a, S> {
+    fn new(set: ParticleSet, strata: Vec<Stratum>, fields: &'a Fields<'a, S>, parameters: &Parameters) -> Self {
+        let state = State::unlisted(set, parameters.normal_agreement).on(strata).in_order();
+        Self { state, fields, parameters: parameters.clone() }
+    }
+}
+
+impl<S: Implicit> Engine for CpuEngine<'_, S> {
+    fn pass(&mut self, pass: u64, density: bool) -> Result<PassOutcome> {
+        let (state, parameters) = (&mut self.state, &self.parameters);
+        if pass % REORDER_INTERVAL == 1 {
+            // also what a resumed run starts with: checkpoints are only written just before
+            state.sort_by_place();
+            state.rebuild();
+        } else {
+            state.rebuild_if_moved();
+        }
+        let moves = movement::pass(state, self.fields);
+        let Measures { energy, lattice_defects } = state.measure();
+        let movable = state.movable();
+        let limits = Limits {
+            ideal_energy: parameters.ideal_energy,
+            add_below: parameters.add_below,
+            delete_above: parameters.delete_above,
+        };
+        let changes = if density {
+            density::control(state, self.fields, &limits, parameters.seed, pass, parameters.allow_insert)
+        } else {
+            density::Changes::default()
+        };
+        Ok(PassOutcome {
+            energy,
+            count: state.movable(),
+            inserted: changes.inserted,
+            deleted: changes.deleted,
+            moved: moves.moved,
+            tries_per_particle: moves.tries as f64 / movable.max(1) as f64,
+            neighbours: state.neighbours.mean_count(),
+            lattice_defects,
+        })
+    }
+
+    fn particles(&mut self) -> Result<ParticleSet> {
+        Ok(self.state.set.clone())
+    }
+
+    fn strata(&self) -> &[Stratum] {
+        &self.state.strata
+    }
+}

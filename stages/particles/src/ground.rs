@@ -1,0 +1,102 @@
+//! What a run settles on, as it is read: one object or many materials, and what does not go together.
+
+use crate::run::Backend;
+use isoparticles_field::spline::CubicSpline;
+use isoparticles_stage::error::{Error, Result};
+use isoparticles_stage::field_file::{FieldKind, read_field};
+use isoparticles_stage::history::History;
+use isoparticles_stage::materials_file::{MaterialsFile, read_materials};
+use isoparticles_volume::Geometry;
+use std::path::Path;
+
+/// What the particles live on.
+pub(crate) enum Ground {
+    /// F = 0 of one object.
+    Object {
+        /// F.
+        surface: CubicSpline,
+        /// How it was made, if its file tells.
+        history: Option<History>,
+    },
+    /// The sheets of many materials.
+    Materials(MaterialsFile),
+}
+
+impl Ground {
+    /// Reads a distance field, or the indicators of many materials, for seeds that have strata or not.
+    ///
+    /// # Errors
+    /// When it cannot be read, or the seeds are of the other kind.
+    pub(crate) fn read(path: &Path, is_materials: bool, (seeds, have_strata): (&Path, bool)) -> Result<Self> {
+        let mismatch = |found: &str, given: &str, why: &str| {
+            let what = format!("{}: holds particles of {found}, but {} holds {given}", seeds.display(), path.display());
+            Error::input(what, why, "give the file that the seeds were made from, or run seed again")
+        };
+        match (is_materials, have_strata) {
+            (true, false) => {
+                let why = "none of them says which interface it lies on";
+                Err(mismatch("one object", "the indicators of many materials", why))
+            }
+            (false, true) => {
+                let why = "each of them lies on an interface of two materials, or where more meet";
+                Err(mismatch("many materials", "the distance field of one object", why))
+            }
+            (true, true) => Ok(Self::Materials(read_materials(path)?)),
+            (false, false) => {
+                let distance = read_field(path, FieldKind::Distance)?;
+                Ok(Self::Object { surface: CubicSpline::new(&distance.image), history: distance.history })
+            }
+        }
+    }
+
+    /// The grid.
+    pub(crate) fn geometry(&self) -> &Geometry {
+        match self {
+            Self::Object { surface, .. } => surface.geometry(),
+            Self::Materials(file) => file.materials.geometry(),
+        }
+    }
+
+    /// How the file was made, if it tells.
+    pub(crate) fn history(&self) -> Option<History> {
+        match self {
+            Self::Object { history, .. } => history.clone(),
+            Self::Materials(file) => file.history.clone(),
+        }
+    }
+
+    /// What particles lie on, in words.
+    pub(crate) fn name(&self) -> &'static str {
+        match self {
+            Self::Object { .. } => "F = 0",
+            Self::Materials(_) => "their interface",
+        }
+    }
+}
+
+/// Refuses what many materials cannot be settled with.
+///
+/// # Errors
+/// When a GPU is demanded (exit code 3), or several levels are.
+pub(crate) fn check_options(backend: Backend, adapter: Option<&str>, levels: Option<u32>) -> Result<()> {
+    let demanded = match (backend, adapter) {
+        (Backend::Gpu, _) => Some("--backend gpu".to_owned()),
+        (Backend::Auto, Some(name)) => Some(format!("--adapter {name}")),
+        _ => None,
+    };
+    if let Some(demanded) = demanded {
+        return Err(Error::gpu(
+            format!("{demanded}: many materials are settled on the CPU alone"),
+            "the kernels know one implicit function",
+            "leave it out, or give --backend cpu",
+        ));
+    }
+    if let Some(levels) = levels.filter(|&levels| levels > 1) {
+        return Err(Error::input(
+            format!("--levels {levels}: many materials are settled on one level"),
+            "the particles of junction curves are placed at the spacing of h, and those of coarser levels would not fit between them",
+            "leave out --levels, or give --levels 1",
+        ));
+    }
+    Ok(())
+}

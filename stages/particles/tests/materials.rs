@@ -1,0 +1,142 @@
+//! The program on files of many materials: what it writes, goes on from, and refuses.
+
+use glam::DVec3;
+use isoparticles_field::materials::{
+    Indicator, Indicators, Material, MaterialId, Materials, Stratum, ball, maximum, negative,
+};
+use isoparticles_field::particle_set::{ParticleSet, Strata};
+use isoparticles_field::random::uniform;
+use isoparticles_field::spline::Jet;
+use isoparticles_particles::INITIAL_LAMBDA;
+use isoparticles_stage::field_file::{FieldKind, write_field};
+use isoparticles_stage::history::History;
+use isoparticles_stage::materials_file::{Shown, write_materials};
+use isoparticles_stage::particle_file::{
+    ParticleFile, ParticleKind, read_particles, write_material_particles, write_particles,
+};
+use isoparticles_volume::{Geometry, Image};
+use serde_json::{Value, json};
+use std::path::PathBuf;
+use std::process::{Command, Output};
+
+const CENTRE: DVec3 = DVec3::splat(12.0);
+
+/// Files of a ball of 5 mm in one of 8 mm, with seeds of h = 1.2 mm on both sheets; and of the outer ball alone.
+struct Files {
+    folder: tempfile::TempDir,
+}
+
+impl Files {
+    fn new() -> Self {
+        let folder = tempfile::tempdir().expect("a folder");
+        let geometry = Geometry::axis_aligned([25; 3], DVec3::ONE);
+        let history = History {
+            tool: "seed".to_owned(),
+            version: "0.1.0".to_owned(),
+            command_line: String::new(),
+            parameters: Value::Null,
+            inputs: Vec::new(),
+        };
+        let path = |name: &str| folder.path().join(name);
+        type Function = Box<dyn Fn(DVec3) -> Jet + Send + Sync>;
+        let shell = maximum(ball(CENTRE, 8.0), negative(ball(CENTRE, 5.0)));
+        let functions: [Function; 3] = [negative(ball(CENTRE, 8.0)), shell, ball(CENTRE, 5.0)];
+        let parts = functions.iter().zip(["outside", "shell", "core"]).map(|(function, name)| {
+            let image = Image::sampled(geometry.clone(), |p| function(p).value as f32);
+            let (indicator, negative) = Indicator::new(&image, [0; 3], geometry.size, name == "outside");
+            (Material { name: name.to_owned(), labels: Vec::new() }, indicator, negative)
+        });
+        let materials = Materials::new(geometry.clone(), parts.collect()).expect("parts of one grid");
+        let nodes = geometry.voxel_count();
+        let shown = Shown { material: &vec![0; nodes], interface_distance: &vec![0.0; nodes] };
+        write_materials(&path("m.vti"), &materials, shown, &json!(null), &history).expect("written");
+        let even = Image::filled(geometry.clone(), 1.2f32);
+        write_field(&path("h.vti"), FieldKind::Sizing, &even, &json!(null), &history).expect("written");
+        let one = Image::sampled(geometry.clone(), |p| (p.distance(CENTRE) - 8.0) as f32);
+        write_field(&path("f.vti"), FieldKind::Distance, &one, &json!(null), &history).expect("written");
+        let (positions, normals, sizes, energies, lambdas) = Default::default();
+        let mut set = ParticleSet { geometry, positions, normals, sizes, energies, lambdas };
+        let mut strata = Strata::default();
+        for n in 0..700 {
+            let way = (DVec3::new(uniform(1, 0, n), uniform(1, 1, n), uniform(1, 2, n)) - 0.5).normalize();
+            let (own, radius) = if n % 4 == 0 { ([2, 1], 5.0) } else { ([1, 0], 8.0) };
+            let own = own.map(MaterialId);
+            let place = materials.place_on_sheet(own, CENTRE + radius * way, 1.0, 1e-6);
+            let (p, gradient) = place.expect("near its sheet");
+            set.positions.push(p);
+            set.normals.push(gradient.normalize());
+            set.sizes.push(1.2);
+            set.energies.push(0.0);
+            set.lambdas.push(INITIAL_LAMBDA);
+            strata.of.push(Stratum::sheet(own[0], own[1]));
+        }
+        let note = Value::Null;
+        write_particles(&path("one.bin"), ParticleKind::Seeds, &set, &note, &history).expect("written");
+        write_material_particles(&path("seeds.bin"), ParticleKind::Seeds, &set, &strata, &note, &history)
+            .expect("written");
+        Self { folder }
+    }
+
+    fn path(&self, name: &str) -> PathBuf {
+        self.folder.path().join(name)
+    }
+
+    fn run(&self, words: &str) -> Output {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_particles"));
+        command.current_dir(self.folder.path()).args(words.split_whitespace()).args(["--progress", "none"]);
+        command.output().expect("the program runs")
+    }
+
+    fn particles(&self, name: &str) -> ParticleFile {
+        read_particles(&self.path(name), &[ParticleKind::Particles]).expect("particles")
+    }
+}
+
+const ALL: &str = "seeds.bin --distfield m.vti --sizefield h.vti";
+
+#[test]
+fn sheets_are_settled_and_a_broken_run_goes_on() {
+    let files = Files::new();
+    let whole = files.run(&format!("{ALL} -o whole.bin --max-passes 30"));
+    let said = String::from_utf8_lossy(&whole.stderr);
+    assert!(whole.status.success(), "{said}");
+    assert_eq!(said.matches("many materials are settled on the CPU").count(), 1, "{said}");
+    let whole = files.particles("whole.bin");
+    let strata = whole.strata.as_ref().expect("strata");
+    for (radius, own) in [(8.0, [0, 1]), (5.0, [1, 2])] {
+        let on = Stratum::sheet(MaterialId(own[0]), MaterialId(own[1]));
+        let of = || whole.particles.positions.iter().zip(&strata.of).filter(|(_, other)| **other == on);
+        assert!(of().all(|(p, _)| (p.distance(CENTRE) - radius).abs() < 0.05), "{own:?}");
+        let lattice = 4.0 * std::f64::consts::PI * radius * radius / (0.75f64.sqrt() * 1.44);
+        let count = of().count() as f64;
+        assert!((count / lattice - 0.97).abs() < 0.08, "{own:?}: {count}, the lattice has {lattice:.0}");
+    }
+    // a checkpoint of pass 20 lies there when the run ends: the rest is run again
+    let kept = "--checkpoint c.bin --max-passes 30 --checkpoint-interval 20";
+    assert!(files.run(&format!("{ALL} -o first.bin {kept}")).status.success());
+    let resumed = files.run(&format!("{ALL} -o resumed.bin {kept} --resume --backend cpu --levels 1"));
+    let said = String::from_utf8_lossy(&resumed.stderr);
+    assert!(resumed.status.success() && said.contains("resuming after pass 20"), "{said}");
+    let resumed = files.particles("resumed.bin");
+    assert!(resumed.particles == whole.particles && resumed.strata == whole.strata, "a resumed run differs");
+}
+
+#[test]
+fn what_does_not_go_together_is_refused() {
+    let files = Files::new();
+    for (words, code, expected) in [
+        ("one.bin --distfield m.vti --sizefield h.vti -o o.bin", 2, "one.bin: holds particles of one object"),
+        ("seeds.bin --distfield f.vti --sizefield h.vti -o o.bin", 2, "seeds.bin: holds particles of many materials"),
+        (&format!("{ALL} -o o.bin --backend gpu"), 3, "--backend gpu"),
+        (&format!("{ALL} -o o.bin --adapter llvmpipe"), 3, "--adapter llvmpipe"),
+        (&format!("{ALL} -o o.bin --levels 2"), 2, "--levels 2"),
+    ] {
+        let ended = files.run(words);
+        let said = String::from_utf8_lossy(&ended.stderr);
+        assert_eq!(ended.status.code(), Some(code), "{words}: {said}");
+        for part in [expected, "why it matters", "what to do"] {
+            assert!(said.contains(part), "{words}: {said}");
+        }
+        assert!(!files.path("o.bin").exists());
+    }
+}

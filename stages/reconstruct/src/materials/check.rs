@@ -1,0 +1,329 @@
+//! All guarantees of a complex in one call: conforming, closed round each material, free of self-intersections, on its sheets, junction curves and components
+//! present, grid nodes in their materials.
+
+use super::improve::walls;
+use super::interfaces::Interfaces;
+use super::nodes::Nodes;
+use super::pieces::{Pieces, pieces};
+use super::segments::Segment;
+use crate::check::DistanceSummary;
+use isoparticles_field::materials::{Indicators, Material, MaterialId, Stratum};
+use isoparticles_field::spline::distance_estimate;
+use isoparticles_mesh::intersect::self_intersections;
+use isoparticles_mesh::measure::measure;
+use isoparticles_mesh::quality::{QualitySummary, radius_ratios, summarise, zero_area_triangles};
+use isoparticles_mesh::topology::analyse;
+use rayon::prelude::*;
+use serde::Serialize;
+use std::collections::BTreeMap;
+
+/// What a complex is compared with, and the bars it must reach.
+pub struct CheckOptions<'a> {
+    /// The indicators, in the mesh's frame (the grid frame).
+    pub indicators: &'a dyn Indicators,
+    /// Names of the materials, by their numbers.
+    pub table: &'a [Material],
+    /// The material of each grid node.
+    pub nodes: &'a Nodes,
+    /// Whether nodes that changed their material are a failure.
+    pub keeps_nodes: bool,
+    /// Smallest radius ratio allowed.
+    pub min_radius_ratio: Option<f64>,
+    /// Farthest that a vertex may lie from each of its sheets, voxels.
+    pub max_vertex_distance: f64,
+}
+
+/// What is known of a material.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct MaterialReport {
+    /// Its name.
+    pub name: String,
+    /// Volume, mm^3; of the outside minus that of all others.
+    pub volume: f64,
+    /// Area of its surface, mm^2.
+    pub area: f64,
+    /// Closed surfaces that it has: one for each component, and one for each cavity.
+    pub surfaces: usize,
+    /// Its grid nodes in components.
+    #[serde(flatten)]
+    pub pieces: Pieces,
+}
+
+/// What is known of the triangles between two materials.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct PairReport {
+    /// Names of the materials inside and outside.
+    pub between: [String; 2],
+    /// Area, mm^2.
+    pub area: f64,
+    /// Shapes.
+    pub quality: QualitySummary,
+}
+
+/// The simplices behind the counts of a [`ComplexReport`].
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Offenders {
+    /// Edges in one triangle only, or in another number than the materials round them tell.
+    pub edges: Vec<[u32; 2]>,
+    /// Edges of more than two triangles that are no segments of junction curves.
+    pub spurious: Vec<[u32; 2]>,
+    /// Segments that are no edges of three triangles between the materials of their curve.
+    pub missing_segments: Vec<Segment>,
+    /// Edges at which the surface of a material is open, touches itself or changes its orientation.
+    pub not_closed: Vec<[u32; 2]>,
+    /// Vertices at which the surface of a material touches itself.
+    pub pinched: Vec<u32>,
+    /// Triangles without area.
+    pub zero_area: Vec<u32>,
+    /// Crossing pairs of triangles.
+    pub crossing: Vec<[u32; 2]>,
+    /// Triangles below the demanded radius ratio.
+    pub poor: Vec<u32>,
+    /// Vertices too far from a sheet of theirs.
+    pub distant: Vec<u32>,
+    /// Grid nodes, by their numbers, in another material.
+    pub nodes: Vec<usize>,
+}
+
+/// Figures of a complex; serialises to the JSON of the reports (without the lists of offenders).
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct ComplexReport {
+    /// Vertices.
+    pub vertices: usize,
+    /// Triangles.
+    pub triangles: usize,
+    /// Edges in one triangle only, or in another number than the materials round them tell.
+    pub bad_edges: usize,
+    /// Edges of three triangles and more: those of junction curves.
+    pub junction_edges: usize,
+    /// Of these, none of a known junction curve.
+    pub spurious_junction_edges: usize,
+    /// Segments of junction curves.
+    pub segments: usize,
+    /// Of these, not in the mesh.
+    pub missing_segments: usize,
+    /// Vertices where four materials meet or more.
+    pub junction_points: usize,
+    /// Edges at which the surface of a material is open, touches itself or changes its orientation.
+    pub material_edges_not_closed: usize,
+    /// Vertices at which the surface of a material touches itself.
+    pub material_vertices_pinched: usize,
+    /// Triangles without area.
+    pub zero_area_triangles: usize,
+    /// Crossing pairs of triangles.
+    pub self_intersections: usize,
+    /// Grid nodes in another material.
+    pub nodes_changed: usize,
+    /// Components of materials, of more than [`super::pieces::SMALL`] nodes, none of whose nodes lies in the mesh in their material.
+    pub missing_components: usize,
+    /// The same of smaller ones, which is no failure.
+    pub missing_specks: usize,
+    /// Distance of the vertices from each of their sheets, voxels.
+    pub vertex_distance: DistanceSummary,
+    /// Distance of the triangles' centroids from their sheets, voxels.
+    pub centroid_distance: DistanceSummary,
+    /// Shapes of all triangles.
+    pub quality: QualitySummary,
+    /// Each material that has triangles.
+    pub materials: Vec<MaterialReport>,
+    /// Each pair that touches.
+    pub pairs: Vec<PairReport>,
+    /// The offending simplices.
+    #[serde(skip)]
+    pub offenders: Offenders,
+    /// The checks that failed, in words.
+    pub failed: Vec<String>,
+}
+
+/// Checks interfaces against everything in `options`.
+pub fn check(interfaces: &Interfaces, options: &CheckOptions) -> ComplexReport {
+    let mesh = &interfaces.mesh;
+    let mut report =
+        ComplexReport { vertices: mesh.vertices.len(), triangles: mesh.triangles.len(), ..ComplexReport::default() };
+    if !mesh.is_well_formed() || mesh.triangles.is_empty() {
+        report.failed.push("the mesh has no triangles, or coordinates that are no numbers".to_owned());
+        return report;
+    }
+    report.quality = summarise(mesh);
+    report.junction_points = interfaces.materials_at_vertices().iter().filter(|ids| ids.len() > 3).count();
+    let mut offenders = Offenders { zero_area: zero_area_triangles(mesh), ..Offenders::default() };
+    offenders.crossing = self_intersections(mesh);
+    look_at_edges(interfaces, &mut report, &mut offenders);
+    look_at_materials(interfaces, options, &mut report, &mut offenders);
+    look_at_distances(interfaces, options, &mut report, &mut offenders);
+    look_at_nodes(interfaces, options, &mut report, &mut offenders);
+    let name = |id: MaterialId| options.table.get(id.index()).map_or_else(|| id.0.to_string(), |m| m.name.clone());
+    report.pairs = interfaces
+        .pairs()
+        .into_iter()
+        .map(|pair| {
+            let part = interfaces.part(|between| between == pair);
+            PairReport { between: pair.map(name), area: measure(&part).area, quality: summarise(&part) }
+        })
+        .collect();
+    if let Some(limit) = options.min_radius_ratio {
+        let ratios = radius_ratios(mesh);
+        offenders.poor = (0..ratios.len() as u32).filter(|&t| ratios[t as usize] < limit).collect();
+    }
+    report.bad_edges = offenders.edges.len();
+    report.spurious_junction_edges = offenders.spurious.len();
+    report.segments = interfaces.segments.len();
+    report.missing_segments = offenders.missing_segments.len();
+    report.material_edges_not_closed = offenders.not_closed.len();
+    report.material_vertices_pinched = offenders.pinched.len();
+    report.zero_area_triangles = offenders.zero_area.len();
+    report.self_intersections = offenders.crossing.len();
+    report.failed = failed(&report, &offenders, options);
+    report.offenders = offenders;
+    report
+}
+
+/// Whether the triangles round an edge are those of a ring of materials, as many as there are, in which each comes once.
+fn is_ring(pairs: &[[MaterialId; 2]]) -> bool {
+    let mut times: BTreeMap<MaterialId, usize> = BTreeMap::new();
+    pairs.iter().flatten().for_each(|&id| *times.entry(id).or_default() += 1);
+    times.values().all(|&n| n == 2) && (pairs.len() == 2 || times.len() == pairs.len())
+}
+
+fn look_at_edges(interfaces: &Interfaces, report: &mut ComplexReport, offenders: &mut Offenders) {
+    let segments: BTreeMap<Segment, Stratum> = interfaces.segments.iter().copied().collect();
+    let mut present = 0;
+    for (edge, triangles) in interfaces.edges() {
+        let pairs: Vec<[MaterialId; 2]> = triangles.iter().map(|&t| interfaces.between[t as usize]).collect();
+        if !is_ring(&pairs) {
+            offenders.edges.push(edge);
+        }
+        let is_of = |curve: &Stratum| pairs.len() == curve.count() && pairs.iter().flatten().all(|&id| curve.has(id));
+        match segments.get(&edge) {
+            Some(curve) if is_of(curve) => present += 1,
+            Some(_) => offenders.missing_segments.push(edge),
+            None if triangles.len() > 2 => offenders.spurious.push(edge),
+            None => {}
+        }
+        report.junction_edges += usize::from(triangles.len() > 2);
+    }
+    if present + offenders.missing_segments.len() < segments.len() {
+        let edges: Vec<[u32; 2]> = interfaces.edges().into_iter().map(|(edge, _)| edge).collect();
+        offenders.missing_segments.extend(segments.keys().filter(|pair| edges.binary_search(pair).is_err()));
+    }
+}
+
+fn look_at_materials(
+    interfaces: &Interfaces,
+    options: &CheckOptions,
+    report: &mut ComplexReport,
+    offenders: &mut Offenders,
+) {
+    let of_material = |id: MaterialId| {
+        let (mesh, vertices, _) = interfaces.surface_of(id);
+        let topology = analyse(&mesh);
+        let measured = measure(&mesh);
+        let name = options.table.get(id.index()).map_or_else(|| id.0.to_string(), |m| m.name.clone());
+        let surfaces = topology.components.len();
+        let own =
+            MaterialReport { name, volume: measured.volume, area: measured.area, surfaces, pieces: Pieces::default() };
+        let edges = [topology.open_edges, topology.non_manifold_edges, topology.badly_oriented_edges].concat();
+        let edges: Vec<[u32; 2]> = edges.into_iter().map(|edge| edge.map(|v| vertices[v as usize])).collect();
+        let pinched: Vec<u32> = topology.non_manifold_vertices.iter().map(|&v| vertices[v as usize]).collect();
+        (own, edges, pinched)
+    };
+    let found: Vec<_> = interfaces.materials().into_par_iter().map(of_material).collect();
+    for (own, edges, pinched) in found {
+        report.materials.push(own);
+        offenders.not_closed.extend(edges);
+        offenders.pinched.extend(pinched);
+    }
+    offenders.not_closed.sort_unstable();
+    offenders.not_closed.dedup();
+    offenders.pinched.sort_unstable();
+    offenders.pinched.dedup();
+}
+
+fn look_at_distances(
+    interfaces: &Interfaces,
+    options: &CheckOptions,
+    report: &mut ComplexReport,
+    offenders: &mut Offenders,
+) {
+    let voxel = options.indicators.voxel();
+    let distance = |p, [i, j]: [MaterialId; 2]| {
+        let (value, gradient) = options.indicators.difference_gradient(i, j, p);
+        distance_estimate(value, gradient).abs() / voxel
+    };
+    let mesh = &interfaces.mesh;
+    let centroids: Vec<f64> = (0..mesh.triangles.len())
+        .into_par_iter()
+        .map(|t| {
+            let [a, b, c] = mesh.corners(t);
+            distance((a + b + c) / 3.0, interfaces.between[t])
+        })
+        .collect();
+    let at_corners: Vec<[f64; 3]> = (0..mesh.triangles.len())
+        .into_par_iter()
+        .map(|t| mesh.corners(t).map(|p| distance(p, interfaces.between[t])))
+        .collect();
+    let mut vertices = vec![0.0f64; mesh.vertices.len()];
+    for (corners, distances) in mesh.triangles.iter().zip(at_corners) {
+        for (&v, distance) in corners.iter().zip(distances) {
+            let known = &mut vertices[v as usize];
+            // one that is not a number stays
+            *known = if distance.is_nan() { f64::INFINITY } else { known.max(distance) };
+        }
+    }
+    offenders.distant =
+        (0..vertices.len() as u32).filter(|&v| vertices[v as usize] > options.max_vertex_distance).collect();
+    report.vertex_distance = DistanceSummary::of(&vertices);
+    report.centroid_distance = DistanceSummary::of(&centroids);
+}
+
+fn look_at_nodes(
+    interfaces: &Interfaces,
+    options: &CheckOptions,
+    report: &mut ComplexReport,
+    offenders: &mut Offenders,
+) {
+    let found = options.nodes.by_walls(&walls(interfaces));
+    let truth = options.nodes.materials();
+    offenders.nodes = (0..truth.len()).into_par_iter().filter(|&n| truth[n] != found[n]).collect();
+    report.nodes_changed = offenders.nodes.len();
+    let pieces = pieces(options.nodes, &found, options.table.len());
+    for own in &mut report.materials {
+        let id = options.table.iter().position(|material| material.name == own.name);
+        if let Some(found) = id.and_then(|id| pieces.get(id)) {
+            own.pieces = found.clone();
+        }
+    }
+    report.missing_components = pieces.iter().map(|own| own.missing.len()).sum();
+    report.missing_specks = pieces.iter().map(|own| own.missing_specks).sum();
+}
+
+fn failed(report: &ComplexReport, offenders: &Offenders, options: &CheckOptions) -> Vec<String> {
+    let kept = if options.keeps_nodes { report.nodes_changed } else { 0 };
+    let counts = [
+        (report.bad_edges, "edges in another number of triangles than the materials round them tell"),
+        (report.spurious_junction_edges, "edges of more than two triangles that lie on no junction curve"),
+        (report.missing_segments, "segments of junction curves that are no edges between their materials"),
+        (report.material_edges_not_closed, "edges at which a material's surface is open or touches itself"),
+        (report.material_vertices_pinched, "vertices at which a material's surface touches itself"),
+        (report.zero_area_triangles, "triangles without area"),
+        (report.self_intersections, "pairs of triangles that cross"),
+        (report.missing_components, "components of materials that are missing"),
+        (kept, "grid nodes in another material"),
+    ];
+    let mut failed: Vec<String> =
+        counts.iter().filter(|(count, _)| *count > 0).map(|(count, what)| format!("{count} {what}")).collect();
+    if let Some(limit) = options.min_radius_ratio
+        && !offenders.poor.is_empty()
+    {
+        let (count, smallest) = (offenders.poor.len(), report.quality.radius_ratio_min);
+        failed.push(format!("{count} triangles with a radius ratio below {limit} (smallest {smallest:.4})"));
+    }
+    if !offenders.distant.is_empty() {
+        let (count, limit, farthest) =
+            (offenders.distant.len(), options.max_vertex_distance, report.vertex_distance.max);
+        failed.push(format!(
+            "{count} vertices farther than {limit} voxel from a sheet of theirs (farthest {farthest:.6})"
+        ));
+    }
+    failed
+}

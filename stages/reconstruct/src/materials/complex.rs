@@ -1,0 +1,393 @@
+//! The triangulation whose tetrahedra belong to materials, with the strata of its points, and the pure criteria that find where it is not the complex of
+//! the indicators (Cheng, Dey and Levine 2008; Boissonnat and Oudot 2005; Oudot, Rineau and Yvinec 2005).
+
+use super::prepare::{Prepared, REAL};
+use super::segments::{Segment, Segments, segment};
+use crate::around::{boundary_facets_of, parts_round, runs_round, star};
+use crate::labelled::{Facet, Labelled};
+use crate::refine::{DEFAULT_DEVIATION, TURNED};
+use glam::DVec3;
+use isoparticles_delaunay::INFINITE;
+use isoparticles_field::materials::{Indicators, MaterialId, Stratum};
+use serde::Serialize;
+use std::collections::BTreeMap;
+
+/// Halvings of a Voronoi edge when the interface that it crosses is sought.
+const HALVINGS: usize = 60;
+
+/// A segment that lacks a material round it is cut where the surface balls there are smaller than this part of it: they tell no more.
+const SMALL_BALL: f64 = 0.5;
+
+/// What is violated, the most needed first.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Reason {
+    /// A segment of a junction curve is no edge of the triangulation.
+    Segment,
+    /// Round a segment the materials are not those of its curve, each in one run.
+    Ring,
+    /// A facet between two materials has a vertex on whose stratum they do not meet.
+    Stratum,
+    /// An edge that is no segment is in other than two facets.
+    Edge,
+    /// Round a vertex a material is in several parts.
+    Vertex,
+    /// A facet strays from its sheet, or is turned away from it.
+    Deviation,
+    /// A grid node lies in another material.
+    Node,
+}
+
+impl Reason {
+    /// Whether the complex has another topology there than the indicators.
+    pub fn is_topology(self) -> bool {
+        self < Self::Deviation
+    }
+}
+
+/// A simplex of the complex, vertices ascending; or a grid node.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub enum Simplex {
+    /// A vertex.
+    Vertex(u32),
+    /// An edge.
+    Edge([u32; 2]),
+    /// A facet.
+    Facet([u32; 3]),
+    /// A grid node by its number, x fastest.
+    Node(usize),
+}
+
+/// What mends a violation.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Remedy {
+    /// A point on a sheet.
+    Point {
+        /// Where, grid frame, mm.
+        place: DVec3,
+        /// Its sheet.
+        stratum: Stratum,
+    },
+    /// The middle of a segment.
+    Split(Segment),
+    /// None is known.
+    None,
+}
+
+/// A violation of a criterion.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Violation {
+    /// What is violated.
+    pub reason: Reason,
+    /// Where.
+    pub simplex: Simplex,
+    /// What mends it.
+    pub remedy: Remedy,
+    /// Distance of the new point from the vertices known, mm.
+    pub radius: f64,
+    /// Target edge length h there, mm.
+    pub size: f64,
+    /// A vertex not far away.
+    pub near: u32,
+}
+
+/// The centre of the surface ball of a facet.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Ball {
+    /// Where the Voronoi edge crosses an interface, on its sheet.
+    pub place: DVec3,
+    /// That sheet.
+    pub stratum: Stratum,
+    /// Distance from the nearest vertex of the facet, mm.
+    pub radius: f64,
+}
+
+/// Points on strata, and tetrahedra of materials.
+pub struct Complex<'a> {
+    /// The triangulation.
+    pub labelled: Labelled<MaterialId>,
+    /// The indicators.
+    pub indicators: &'a dyn Indicators,
+    /// The stratum of each point.
+    pub strata: Vec<Stratum>,
+    /// Target edge length h at each point, mm.
+    pub sizes: Vec<f64>,
+    /// Segments of junction curves.
+    pub segments: Segments,
+    /// The materials of junction points where more than four meet.
+    crowded: BTreeMap<u32, Vec<MaterialId>>,
+    /// Farthest that the centroid of a facet may lie from its sheet, mm; `None`: [`DEFAULT_DEVIATION`] of h or of a voxel.
+    max_deviation: Option<f64>,
+}
+
+impl<'a> Complex<'a> {
+    /// Gives the tetrahedra of a volume that ends at `upper` their materials.
+    pub fn new(prepared: Prepared, indicators: &'a dyn Indicators, upper: DVec3, max_deviation: Option<f64>) -> Self {
+        let Prepared { delaunay, strata, sizes, segments, .. } = prepared;
+        let crowded = (0..strata.len() as u32)
+            .filter(|&v| strata[v as usize].dimension() == 0)
+            .filter_map(|v| {
+                let near = indicators.near(delaunay.points()[v as usize]);
+                let last = near.entries().get(3)?.1;
+                let equal = near.entries().iter().filter(|(_, value)| value - last < REAL * indicators.voxel());
+                let ids: Vec<MaterialId> = equal.map(|(id, _)| *id).collect();
+                (ids.len() > 4).then_some((v, ids))
+            })
+            .collect();
+        let labelled = Labelled::new(delaunay, upper, |centre| indicators.material_at(centre));
+        Self { labelled, indicators, strata, sizes, segments, crowded, max_deviation }
+    }
+
+    /// The points, those inserted at the end.
+    pub fn points(&self) -> &[DVec3] {
+        self.labelled.points()
+    }
+
+    /// The material of a tetrahedron.
+    pub fn material(&self, tetrahedron: u32) -> MaterialId {
+        self.labelled.of(tetrahedron)
+    }
+
+    /// The sheet that a facet lies in: of the materials inside and outside.
+    pub fn sheet(&self, facet: &Facet) -> [MaterialId; 2] {
+        [self.material(facet.tetrahedron), self.material(self.labelled.across(facet))]
+    }
+
+    /// Whether a material meets others at the stratum of a point.
+    pub fn meets(&self, point: u32, id: MaterialId) -> bool {
+        self.strata[point as usize].has(id) || self.crowded.get(&point).is_some_and(|ids| ids.contains(&id))
+    }
+
+    /// Mean target edge length of some points, mm.
+    fn size_of(&self, points: &[u32]) -> f64 {
+        points.iter().map(|&v| self.sizes[v as usize]).sum::<f64>() / points.len() as f64
+    }
+
+    /// Length of a segment, mm.
+    pub fn length(&self, [a, b]: Segment) -> f64 {
+        self.points()[a as usize].distance(self.points()[b as usize])
+    }
+
+    /// A tetrahedron that has an edge, if there is one.
+    pub fn at_edge(&self, [a, b]: [u32; 2]) -> Option<u32> {
+        let delaunay = self.labelled.delaunay();
+        star(delaunay, a).into_iter().find(|&t| delaunay.vertices(t).contains(&b))
+    }
+
+    /// The facet between two materials on three points, if there is one.
+    pub fn facet_on(&self, vertices: [u32; 3]) -> Option<Facet> {
+        let sorted = |mut v: [u32; 3]| {
+            v.sort_unstable();
+            v
+        };
+        self.labelled.facets_at(vertices[0]).into_iter().find(|f| sorted(f.vertices) == vertices)
+    }
+
+    /// The facets between materials among tetrahedra round an edge, in the order of the ring; `runs` are those of [`runs_round`].
+    fn facets_between(&self, edge: [u32; 2], runs: &[Vec<u32>]) -> Vec<Facet> {
+        let delaunay = self.labelled.delaunay();
+        let facet = |t: u32| {
+            let own = boundary_facets_of(delaunay, t, |t| self.material(t));
+            own.into_iter().filter(move |f| edge.iter().all(|v| f.vertices.contains(v)))
+        };
+        let mut facets: Vec<Facet> =
+            runs.iter().flat_map(|run| facet(run[0]).chain(facet(run[run.len() - 1]))).collect();
+        facets.sort_unstable_by_key(|f| (f.tetrahedron, f.opposite));
+        facets.dedup();
+        facets
+    }
+
+    /// The surface ball of a facet: where its Voronoi edge leaves the material inside, near the facet; else its projected centroid.
+    pub fn ball(&self, facet: &Facet) -> Option<Ball> {
+        let corners = facet.vertices.map(|v| self.points()[v as usize]);
+        let voxel = self.indicators.voxel();
+        let on_sheet = |[i, j]: [MaterialId; 2], start: DVec3, limit: f64| {
+            let stratum = (i != j).then(|| Stratum::sheet(i, j))?;
+            Some((super::prepare::onto(self.indicators, stratum, start, limit * voxel)?, stratum))
+        };
+        let crossing = self.crossing(facet).and_then(|(place, sheet)| on_sheet(sheet, place, 0.5));
+        let centroid = (corners[0] + corners[1] + corners[2]) / 3.0;
+        let (place, stratum) = crossing.or_else(|| on_sheet(self.sheet(facet), centroid, 2.0))?;
+        let radius = corners.iter().map(|p| p.distance(place)).fold(f64::INFINITY, f64::min);
+        Some(Ball { place, stratum, radius })
+    }
+
+    /// Where the Voronoi edge dual to a facet leaves the material inside, next to the facet, and the two materials there.
+    fn crossing(&self, facet: &Facet) -> Option<(DVec3, [MaterialId; 2])> {
+        let (mut low, mut high) = self.labelled.dual_edge(facet)?;
+        let inside = self.material(facet.tetrahedron);
+        let at = |p: DVec3| self.indicators.material_at(p);
+        let [a, b, c] = facet.vertices.map(|v| self.points()[v as usize]);
+        // the point of the edge in the facet's plane parts it, so that the crossing next to the facet is taken
+        let normal = (b - a).cross(c - a);
+        let along = (high - low).dot(normal);
+        if along > 0.0 {
+            let middle = low.lerp(high, ((a - low).dot(normal) / along).clamp(0.0, 1.0));
+            if at(middle) == inside { low = middle } else { high = middle }
+        }
+        if at(low) != inside || at(high) == inside {
+            return None;
+        }
+        let tolerance = 1e-9 * self.indicators.voxel();
+        for _ in 0..HALVINGS {
+            if low.distance_squared(high) < tolerance * tolerance {
+                break;
+            }
+            let middle = low.midpoint(high);
+            if at(middle) == inside { low = middle } else { high = middle }
+        }
+        Some((low.midpoint(high), [inside, at(high)]))
+    }
+
+    /// The violation at some facets whose largest surface ball mends it.
+    fn by_largest_ball(&self, reason: Reason, simplex: Simplex, facets: &[Facet]) -> Option<Violation> {
+        let first = facets.first()?;
+        let balls = facets.iter().filter_map(|f| Some((self.ball(f)?, f)));
+        let largest = balls.max_by(|a, b| a.0.radius.total_cmp(&b.0.radius).then(b.1.vertices.cmp(&a.1.vertices)));
+        Some(match largest {
+            Some((ball, facet)) => Violation {
+                reason,
+                simplex,
+                remedy: Remedy::Point { place: ball.place, stratum: ball.stratum },
+                radius: ball.radius,
+                size: self.size_of(&facet.vertices),
+                near: facet.vertices[0],
+            },
+            None => {
+                let (size, near) = (self.size_of(&first.vertices), first.vertices[0]);
+                Violation { reason, simplex, remedy: Remedy::None, radius: 0.0, size, near }
+            }
+        })
+    }
+
+    /// A violation that the middle of a segment mends.
+    fn by_split(&self, reason: Reason, simplex: Simplex, pair: Segment) -> Violation {
+        let (radius, size) = (0.5 * self.length(pair), self.size_of(&pair));
+        Violation { reason, simplex, remedy: Remedy::Split(pair), radius, size, near: pair[0] }
+    }
+
+    /// A segment must be an edge, with the three materials of its curve round it, each in one run.
+    pub fn at_segment(&self, pair: Segment, curve: Stratum) -> Option<Violation> {
+        let simplex = Simplex::Edge(pair);
+        let Some(start) = self.at_edge(pair) else { return Some(self.by_split(Reason::Segment, simplex, pair)) };
+        let runs = runs_round(self.labelled.delaunay(), pair, start, |t| self.material(t));
+        let is_right = runs.len() == curve.count()
+            && curve.materials().iter().all(|&id| runs.iter().any(|run| self.material(run[0]) == id));
+        if is_right {
+            return None;
+        }
+        let by_ball = self.by_largest_ball(Reason::Ring, simplex, &self.facets_between(pair, &runs));
+        let is_small = |v: &Violation| v.radius < SMALL_BALL * self.length(pair);
+        Some(by_ball.filter(|v| !is_small(v)).unwrap_or_else(|| self.by_split(Reason::Ring, simplex, pair)))
+    }
+
+    /// An edge that is no segment must be in two facets, or in none; `start` is a tetrahedron at it.
+    pub fn at_plain_edge(&self, edge: [u32; 2], start: u32) -> Option<Violation> {
+        let runs = runs_round(self.labelled.delaunay(), edge, start, |t| self.material(t));
+        if runs.len() <= 2 {
+            return None;
+        }
+        self.by_largest_ball(Reason::Edge, Simplex::Edge(edge), &self.facets_between(edge, &runs))
+    }
+
+    /// An edge, segment or not.
+    pub fn at_any_edge(&self, edge: [u32; 2]) -> Option<Violation> {
+        match self.segments.curve(edge) {
+            Some(curve) => self.at_segment(edge, curve),
+            None => self.at_plain_edge(edge, self.at_edge(edge)?),
+        }
+    }
+
+    /// Round a vertex each material must be in one part.
+    pub fn at_vertex(&self, vertex: u32) -> Option<Violation> {
+        let delaunay = self.labelled.delaunay();
+        let star = star(delaunay, vertex);
+        let parts = parts_round(delaunay, vertex, &star, |t| self.material(t));
+        let mut ids: Vec<MaterialId> = parts.iter().map(|part| self.material(part[0])).collect();
+        ids.sort_unstable();
+        if ids.windows(2).all(|pair| pair[0] < pair[1]) {
+            return None;
+        }
+        self.by_largest_ball(Reason::Vertex, Simplex::Vertex(vertex), &self.labelled.facets_at(vertex))
+    }
+
+    /// The materials of a facet must meet at each of its vertices; and it must not stray from their sheet.
+    pub fn at_facet(&self, facet: &Facet) -> Option<Violation> {
+        let sheet = self.sheet(facet);
+        let is_on = |v: &u32| sheet.iter().all(|&id| self.meets(*v, id));
+        let reason = if !facet.vertices.iter().all(is_on) {
+            Reason::Stratum
+        } else if self.badness(facet) > 1.0 {
+            Reason::Deviation
+        } else {
+            return None;
+        };
+        let mut sorted = facet.vertices;
+        sorted.sort_unstable();
+        self.by_largest_ball(reason, Simplex::Facet(sorted), std::slice::from_ref(facet))
+    }
+
+    /// How far a facet strays, in units of what is allowed.
+    fn badness(&self, facet: &Facet) -> f64 {
+        let limit = self
+            .max_deviation
+            .unwrap_or_else(|| DEFAULT_DEVIATION * self.size_of(&facet.vertices).max(self.indicators.voxel()));
+        let corners = facet.vertices.map(|v| self.points()[v as usize]);
+        let (distance, agreement) = straying(self.indicators, self.sheet(facet), corners);
+        let turned = if agreement < TURNED { 1.0 + TURNED - agreement } else { 0.0 };
+        (distance / limit).max(turned)
+    }
+
+    /// The violation at a simplex, or what is left of it.
+    pub fn at_simplex(&self, simplex: Simplex) -> Option<Violation> {
+        match simplex {
+            Simplex::Vertex(v) => self.at_vertex(v),
+            Simplex::Edge(edge) => self.at_any_edge(edge),
+            Simplex::Facet(vertices) => self.facet_on(vertices).and_then(|f| self.at_facet(&f)),
+            Simplex::Node(_) => None,
+        }
+    }
+
+    /// What is violated at the vertices, edges and facets of some tetrahedra, and at the segments of their vertices.
+    pub fn at_tetrahedra(&self, tetrahedra: &[u32]) -> Vec<Violation> {
+        let delaunay = self.labelled.delaunay();
+        let mut vertices: Vec<u32> =
+            tetrahedra.iter().flat_map(|&t| delaunay.vertices(t)).filter(|&v| v != INFINITE).collect();
+        vertices.sort_unstable();
+        vertices.dedup();
+        let mut edges: Vec<([u32; 2], u32)> = Vec::new();
+        let mut facets: Vec<Facet> = Vec::new();
+        for &t in tetrahedra {
+            let corners = delaunay.vertices(t);
+            for i in 0..4 {
+                for j in 0..i {
+                    edges.push((segment(corners[i], corners[j]), t));
+                }
+            }
+            facets.extend(boundary_facets_of(delaunay, t, |t| self.material(t)));
+        }
+        edges.retain(|(edge, _)| edge[1] != INFINITE && self.segments.curve(*edge).is_none());
+        edges.sort_unstable();
+        edges.dedup_by_key(|(edge, _)| *edge);
+        facets.sort_unstable_by_key(|f| (f.tetrahedron, f.opposite));
+        facets.dedup();
+        let mut segments: Vec<Segment> = vertices.iter().flat_map(|&v| self.segments.at(v)).collect();
+        segments.sort_unstable();
+        segments.dedup();
+        let mut found: Vec<Violation> = segments.into_iter().filter_map(|pair| self.at_any_edge(pair)).collect();
+        found.extend(edges.into_iter().filter_map(|(edge, t)| self.at_plain_edge(edge, t)));
+        found.extend(vertices.into_iter().filter_map(|v| self.at_vertex(v)));
+        found.extend(facets.iter().filter_map(|f| self.at_facet(f)));
+        found
+    }
+}
+
+/// How far the centroid of a triangle lies from the sheet of the materials inside and outside, mm to first order, be it beyond its border; and the cosine
+/// between the triangle's normal and the sheet's.
+pub(super) fn straying(indicators: &dyn Indicators, sheet: [MaterialId; 2], [a, b, c]: [DVec3; 3]) -> (f64, f64) {
+    let centroid = (a + b + c) / 3.0;
+    let (value, gradient) = indicators.difference_gradient(sheet[0], sheet[1], centroid);
+    let slope = gradient.length().max(1e-6);
+    let distance = (value.abs() / slope).max(-0.5 * indicators.clearance(centroid, &sheet));
+    (distance, (b - a).cross(c - a).normalize_or_zero().dot(gradient / slope))
+}

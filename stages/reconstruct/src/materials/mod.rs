@@ -1,0 +1,27 @@
+//! Many materials: particles on strata become one conforming complex of triangles between materials.
+//!
+//! | step | module |
+//! |---|---|
+//! | the particles on their strata, triangulated; segments of junction curves | [`prepare`], [`segments`] |
+//! | tetrahedra of materials, and what is violated there | [`complex`], [`nodes`] |
+//! | points added, most needed first | [`refine`] |
+//! | tetrahedra given to another material where points do not help | [`relabel`] |
+
+pub mod check;
+pub mod complex;
+pub mod improve;
+pub mod interfaces;
+pub mod nodes;
+pub mod pieces;
+pub mod prepare;
+#[cfg(test)]
+mod program_tests;
+pub mod reconstruct;
+pub mod refine;
+mod relabel;
+pub mod run;
+#[cfg(test)]
+mod scenes;
+pub mod segments;
+#[cfg(test)]
+mod tests;

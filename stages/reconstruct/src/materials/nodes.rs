@@ -1,0 +1,203 @@
+//! Grid nodes, the centres of voxels of labels: each shall lie in the mesh in the material that the indicators give it.
+
+use super::complex::{Complex, Reason, Remedy, Simplex, Violation};
+use super::prepare::onto;
+use super::segments::segment;
+use crate::labelled::Facet;
+use glam::DVec3;
+use isoparticles_delaunay::predicates::orientation;
+use isoparticles_field::materials::{Indicators, MaterialId, Stratum};
+use isoparticles_mesh::inside::crossings;
+use isoparticles_volume::Geometry;
+use rayon::prelude::*;
+
+/// A node in another material whose nearest point of an interface is nearer than this part of h to a vertex has that vertex.
+const AT_A_VERTEX: f64 = 0.15;
+
+/// Farthest that an interface is sought from a node, voxels.
+const REACH: f64 = 2.0;
+
+/// The material of each grid node.
+pub struct Nodes {
+    geometry: Geometry,
+    /// x fastest.
+    material: Vec<u16>,
+}
+
+/// A triangle between two materials, with corners in the grid frame.
+pub type Wall = ([DVec3; 3], [MaterialId; 2]);
+
+impl Nodes {
+    /// Asks the indicators at each node of a grid.
+    pub fn new(geometry: &Geometry, indicators: &dyn Indicators) -> Self {
+        let [nx, ny, nz] = geometry.size;
+        let row = |row: usize| {
+            let (j, k) = (row % ny, row / ny);
+            (0..nx).map(move |i| {
+                let place = geometry.index_to_grid(DVec3::new(i as f64, j as f64, k as f64));
+                indicators.material_at(place).0
+            })
+        };
+        let material = (0..ny * nz).into_par_iter().flat_map_iter(row).collect();
+        Self { geometry: geometry.clone(), material }
+    }
+
+    /// The grid.
+    pub fn geometry(&self) -> &Geometry {
+        &self.geometry
+    }
+
+    /// The material of each node, x fastest.
+    pub fn materials(&self) -> &[u16] {
+        &self.material
+    }
+
+    /// Place of a node, grid frame, mm.
+    pub fn place(&self, node: usize) -> DVec3 {
+        let [nx, ny, _] = self.geometry.size;
+        let index = DVec3::new((node % nx) as f64, (node / nx % ny) as f64, (node / nx / ny) as f64);
+        self.geometry.index_to_grid(index)
+    }
+
+    /// The material of each node by the triangles between materials, x fastest: along each grid line each crossing takes one material away and brings
+    /// another. What is beyond all triangles is outside.
+    pub fn by_walls(&self, walls: &[Wall]) -> Vec<u16> {
+        let nx = self.geometry.size[0];
+        let mut toggles: Vec<(usize, usize, u16)> = walls
+            .par_iter()
+            .flat_map_iter(|(corners, sheet)| {
+                let mut own = Vec::new();
+                crossings(*corners, &self.geometry, |at| own.extend(sheet.map(|id| (at.row, at.first, id.0))));
+                own
+            })
+            .collect();
+        toggles.par_sort_unstable();
+        let of_row = |row: usize| {
+            let start = toggles.partition_point(|t| t.0 < row);
+            let mut toggles = toggles[start..].iter().take_while(move |t| t.0 == row).peekable();
+            let mut there = vec![MaterialId::OUTSIDE.0];
+            (0..nx).map(move |i| {
+                while let Some((_, _, id)) = toggles.next_if(|t| t.1 <= i) {
+                    match there.iter().position(|known| known == id) {
+                        Some(at) => drop(there.swap_remove(at)),
+                        None => there.push(*id),
+                    }
+                }
+                // none or several only where the triangles do not close
+                if let [only] = there[..] { only } else { u16::MAX }
+            })
+        };
+        (0..self.material.len() / nx.max(1)).into_par_iter().flat_map_iter(of_row).collect()
+    }
+
+    /// The nodes, ascending, that triangles put into another material.
+    pub fn wrong_by_walls(&self, walls: &[Wall]) -> Vec<usize> {
+        let found = self.by_walls(walls);
+        (0..found.len()).into_par_iter().filter(|&n| found[n] != self.material[n]).collect()
+    }
+
+    /// The nodes, ascending, that lie in tetrahedra of another material.
+    pub(super) fn wrong(&self, complex: &Complex, facets: &[Facet]) -> Vec<usize> {
+        let wall = |f: &Facet| (f.vertices.map(|v| complex.points()[v as usize]), complex.sheet(f));
+        self.wrong_by_walls(&facets.par_iter().map(wall).collect::<Vec<_>>())
+    }
+
+    /// Whether a node lies in a tetrahedron whose material is its own.
+    pub(super) fn holds_own(&self, complex: &Complex, tetrahedron: u32) -> bool {
+        let corners = complex.labelled.delaunay().vertices(tetrahedron).map(|v| complex.points()[v as usize]);
+        let (spacing, size) = (self.geometry.spacing, self.geometry.size);
+        let (low, high) = corners.iter().fold((corners[0], corners[0]), |(low, high), p| (low.min(*p), high.max(*p)));
+        let range = |axis: usize| {
+            let last = size[axis] as f64 - 1.0;
+            let from = (low[axis] / spacing[axis]).ceil().clamp(0.0, last);
+            let to = (high[axis] / spacing[axis]).floor().clamp(0.0, last);
+            from as usize..=to as usize
+        };
+        let own = complex.material(tetrahedron).0;
+        let is_in = |p: DVec3| {
+            (0..4).all(|i| {
+                let mut with = corners;
+                with[i] = p;
+                orientation(with[0], with[1], with[2], with[3]) >= 0.0
+            })
+        };
+        range(2).any(|k| {
+            range(1).any(|j| {
+                range(0).any(|i| {
+                    let node = self.geometry.linear(i, j, k);
+                    self.material[node] == own && is_in(self.place(node))
+                })
+            })
+        })
+    }
+
+    /// The violation at a node in another material; `near` is a vertex not far from it.
+    pub(super) fn violation(&self, complex: &Complex, node: usize, near: u32) -> Option<Violation> {
+        let place = self.place(node);
+        let own = MaterialId(self.material[node]);
+        let t = complex.labelled.locate(place, near);
+        let found = t.map_or(MaterialId::OUTSIDE, |t| complex.material(t));
+        if found == own {
+            return None;
+        }
+        let nearest = complex.indicators.near(place).entries().get(1).map(|(id, _)| *id);
+        let limit = REACH * complex.indicators.voxel();
+        let on = |other: MaterialId| {
+            let stratum = (other != own).then(|| Stratum::sheet(own, other))?;
+            Some((onto(complex.indicators, stratum, place, limit)?, stratum))
+        };
+        let target = nearest.and_then(on).or_else(|| on(found));
+        let of = |remedy, radius, size, near| Violation {
+            reason: Reason::Node,
+            simplex: Simplex::Node(node),
+            remedy,
+            radius,
+            size,
+            near,
+        };
+        let size = complex.sizes[near as usize];
+        let Some((foot, stratum)) = target else { return Some(of(Remedy::None, 0.0, size, near)) };
+        let around = complex.labelled.locate(foot, near).map_or([near; 4], |t| complex.labelled.delaunay().vertices(t));
+        let distance = |v: u32| complex.points().get(v as usize).map_or(f64::INFINITY, |p| p.distance(foot));
+        let (vertex, radius) = around.into_iter().map(|v| (v, distance(v))).min_by(|a, b| a.1.total_cmp(&b.1))?;
+        if radius >= AT_A_VERTEX * size {
+            return Some(of(Remedy::Point { place: foot, stratum }, radius, size, near));
+        }
+        Some(self.by_split(complex, node, vertex).unwrap_or_else(|| of(Remedy::None, 0.0, size, near)))
+    }
+
+    /// Refines a facet at a vertex next to a node that passes the node by: at the middle of its longest edge.
+    fn by_split(&self, complex: &Complex, node: usize, vertex: u32) -> Option<Violation> {
+        let (place, own) = (self.place(node), MaterialId(self.material[node]));
+        let passes_by = |f: &Facet| {
+            let [a, b, c] = f.vertices.map(|v| complex.points()[v as usize]);
+            let outside = (place - a).dot((b - a).cross(c - a)) > 0.0;
+            let [i, j] = complex.sheet(f);
+            own == i && outside || own == j && !outside
+        };
+        let longest = |f: &Facet| {
+            let ends = |k: usize| [f.vertices[k], f.vertices[(k + 1) % 3]];
+            let length = |[a, b]: [u32; 2]| complex.points()[a as usize].distance(complex.points()[b as usize]);
+            let edge = (0..3).map(ends).max_by(|a, b| length(*a).total_cmp(&length(*b)))?;
+            Some((length(edge), segment(edge[0], edge[1]), complex.sheet(f)))
+        };
+        let facets = complex.labelled.facets_at(vertex).into_iter().filter(passes_by).filter_map(|f| longest(&f));
+        let (length, edge, [i, j]) = facets.max_by(|a, b| a.0.total_cmp(&b.0).then(b.1.cmp(&a.1)))?;
+        let [a, b] = edge.map(|v| complex.points()[v as usize]);
+        let size = complex.sizes[vertex as usize];
+        let remedy = if complex.segments.curve(edge).is_some() {
+            Remedy::Split(edge)
+        } else {
+            let stratum = Stratum::sheet(i, j);
+            Remedy::Point { place: onto(complex.indicators, stratum, a.midpoint(b), 0.5 * length)?, stratum }
+        };
+        Some(Violation {
+            reason: Reason::Node,
+            simplex: Simplex::Node(node),
+            remedy,
+            radius: 0.5 * length,
+            size,
+            near: vertex,
+        })
+    }
+}

@@ -1,0 +1,60 @@
+//! The components of each material, of grid nodes that share a face, and whether they are in a mesh.
+
+use super::nodes::Nodes;
+use isoparticles_mesh::components::DisjointSets;
+use serde::Serialize;
+use std::collections::BTreeMap;
+
+/// A component of no more nodes than these may be missing: it is a speck of which the mesh of edge h cannot know.
+pub const SMALL: usize = 8;
+
+/// The components of a material.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct Pieces {
+    /// Grid nodes of it.
+    pub nodes: usize,
+    /// Components, of nodes that share a face.
+    pub components: usize,
+    /// Nodes of each of the components, of more than [`SMALL`], none of whose nodes the mesh has in the material.
+    pub missing: Vec<usize>,
+    /// The same of smaller ones: how many.
+    pub missing_specks: usize,
+}
+
+/// The components of each of so many materials, and which of them `found`, the material of each node by a mesh, lacks.
+pub fn pieces(nodes: &Nodes, found: &[u16], materials: usize) -> Vec<Pieces> {
+    let truth = nodes.materials();
+    let [nx, ny, _] = nodes.geometry().size;
+    let plane = nx * ny;
+    let mut sets = DisjointSets::new(truth.len());
+    for n in 0..truth.len() {
+        if n % nx > 0 && truth[n - 1] == truth[n] {
+            sets.join(n as u32, n as u32 - 1);
+        }
+        if n % plane >= nx && truth[n - nx] == truth[n] {
+            sets.join(n as u32, (n - nx) as u32);
+        }
+        if n >= plane && truth[n - plane] == truth[n] {
+            sets.join(n as u32, (n - plane) as u32);
+        }
+    }
+    // nodes of each component, and whether one of them is in the mesh
+    let mut components: BTreeMap<u32, (usize, bool)> = BTreeMap::new();
+    for n in 0..truth.len() {
+        let own = components.entry(sets.find(n as u32)).or_default();
+        own.0 += 1;
+        own.1 |= found[n] == truth[n];
+    }
+    let mut pieces = vec![Pieces::default(); materials];
+    for (root, (count, is_present)) in components {
+        let Some(own) = pieces.get_mut(usize::from(truth[root as usize])) else { continue };
+        own.nodes += count;
+        own.components += 1;
+        match (is_present, count > SMALL) {
+            (true, _) => {}
+            (false, true) => own.missing.push(count),
+            (false, false) => own.missing_specks += 1,
+        }
+    }
+    pieces
+}

@@ -1,0 +1,297 @@
+//! From particles to points of a complex: each on its own stratum, real there, no two on one spot, and junction curves whose segments join.
+
+use super::segments::{Segment, Segments, segment};
+use crate::prepare::{ON_SURFACE, PrepareReport, SurfacePoints};
+use glam::DVec3;
+use isoparticles_delaunay::Delaunay;
+use isoparticles_field::materials::{Indicators, MaterialId, Stratum};
+use isoparticles_field::particle_set::{ParticleSet, Strata};
+use isoparticles_stage::error::{Error, Result};
+use rayon::prelude::*;
+use serde::Serialize;
+use std::collections::{BTreeMap, BTreeSet};
+
+/// Farthest that a particle may be moved onto its stratum, in voxels.
+const LONGEST_MOVE: f64 = 1.0;
+
+/// How much nearer a foreign material may be where a stratum still counts as real, in voxels: what junction points of more than four materials, which are
+/// named by four of them, and kinks of sampled indicators differ by.
+pub(super) const REAL: f64 = 0.01;
+
+/// Indicators nearer to each other than this, in voxels, count as equal where a projection onto a curve or point does not converge: beside a kink.
+const EQUAL: f64 = 1e-3;
+
+/// Step along a closed curve that is followed, in voxels, and the most steps: a curve longer than 50 voxels has more than two particles.
+const STEP: f64 = 0.1;
+const MOST_STEPS: usize = 500;
+
+/// What was taken and what not.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+pub struct Taken {
+    /// As for one object.
+    #[serde(flatten)]
+    pub particles: PrepareReport,
+    /// A third material is nearer than those of the particle's own stratum.
+    pub not_real: usize,
+    /// On a sheet, but in the ball of which a segment of a junction curve is a diameter.
+    pub encroaching: usize,
+    /// Segments of junction curves at the start.
+    pub segments: usize,
+    /// Of these, put in the place of particles that were not taken.
+    pub bridged: usize,
+    /// Points added on closed curves of one or two particles.
+    pub on_small_loops: usize,
+}
+
+/// Points on strata, triangulated.
+pub struct Prepared {
+    /// Their Delaunay triangulation.
+    pub delaunay: Delaunay,
+    /// The stratum of each.
+    pub strata: Vec<Stratum>,
+    /// Target edge length h at each, mm.
+    pub sizes: Vec<f64>,
+    /// Segments of junction curves.
+    pub segments: Segments,
+    /// What was taken.
+    pub report: Taken,
+}
+
+/// A particle on its way.
+#[derive(Clone, Copy)]
+struct Point {
+    place: DVec3,
+    stratum: Stratum,
+    size: f64,
+}
+
+/// The place of a stratum near another, no farther than `limit` mm, if it is real there.
+pub(super) fn onto(indicators: &dyn Indicators, stratum: Stratum, start: DVec3, limit: f64) -> Option<DVec3> {
+    let voxel = indicators.voxel();
+    let tolerance = ON_SURFACE * voxel;
+    let on = match *stratum.materials() {
+        [i, j] => indicators.project_onto_sheet([i, j], start, limit, tolerance),
+        [i, j, k] => indicators.project_onto_curve([i, j, k], start, limit, tolerance),
+        [i, j, k, l] => indicators.project_onto_point([i, j, k, l], start, limit, tolerance),
+        _ => None,
+    };
+    let equal_there = || {
+        let values = stratum.materials().iter().map(|&id| indicators.value_gradient(id, start).0);
+        let (low, high) = values.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), x| (low.min(x), high.max(x)));
+        (stratum.dimension() < 2 && high - low < EQUAL * voxel).then_some(start)
+    };
+    on.or_else(equal_there).filter(|&p| indicators.clearance(p, stratum.materials()) > -REAL * voxel)
+}
+
+/// Brings particles onto their strata, takes those that get there, and triangulates them.
+///
+/// # Errors
+/// When arrays differ in length, or hardly any particle lies near its stratum: the files do not belong together.
+pub fn prepare(particles: &ParticleSet, strata: &Strata, indicators: &dyn Indicators) -> Result<Prepared> {
+    let count = particles.positions.len();
+    if particles.sizes.len() != count || strata.of.len() != count {
+        return Err(Error::input(
+            format!(
+                "{count} particles with {} target edge lengths and {} strata",
+                particles.sizes.len(),
+                strata.of.len()
+            ),
+            "each particle needs its own",
+            "rerun the stages `seed` and `particles`",
+        ));
+    }
+    let mut report =
+        Taken { particles: PrepareReport { particles: count, ..PrepareReport::default() }, ..Taken::default() };
+    let (voxel, upper) = (indicators.voxel(), particles.geometry.upper_corner());
+    let in_volume = |p: DVec3| p.cmpge(DVec3::ZERO).all() && p.cmple(upper).all();
+    let points: Vec<Option<Point>> = (0..count)
+        .into_par_iter()
+        .map(|v| {
+            let (place, size, stratum) = (particles.positions[v], particles.sizes[v], strata.of[v]);
+            let is_valid = place.is_finite() && size > 0.0 && size.is_finite() && in_volume(place);
+            let place = onto(indicators, stratum, place, LONGEST_MOVE * voxel).filter(|&p| is_valid && in_volume(p))?;
+            Some(Point { place, stratum, size })
+        })
+        .collect();
+    let taken = points.iter().flatten().count();
+    report.particles.not_projected = count - taken;
+    if taken < 4 || taken * 2 < count {
+        return Err(Error::input(
+            format!("only {taken} of {count} particles lie within {LONGEST_MOVE} voxel of their strata"),
+            "interfaces need particles on them; the particles and the materials do not seem to belong together",
+            "give the materials that the particles were made from, or rerun `seed` and `particles`",
+        ));
+    }
+    let mut points = points;
+    let pairs = small_loops(&mut points, &strata.segments, indicators, &mut report);
+    let (points, pairs) = without_the_lost(&points, pairs, &mut report);
+    let (points, pairs) = without_the_crowded(points, pairs, indicators, &mut report);
+    triangulated(points, pairs, indicators, report)
+}
+
+/// Pairs of neighbours on curves, where closed curves of one or two particles get three points or more: the pairs of two would be one segment.
+fn small_loops(
+    points: &mut Vec<Option<Point>>,
+    pairs: &[[u32; 2]],
+    indicators: &dyn Indicators,
+    report: &mut Taken,
+) -> Vec<Segment> {
+    let mut times: BTreeMap<Segment, usize> = BTreeMap::new();
+    pairs.iter().for_each(|&[a, b]| *times.entry(segment(a, b)).or_default() += 1);
+    let joined: BTreeSet<u32> = pairs.iter().flatten().copied().collect();
+    let alone = (0..points.len() as u32).filter(|v| !joined.contains(v)).map(|v| (v, v));
+    let twice = times.iter().filter(|(_, n)| **n > 1).map(|(&[a, b], _)| (a, b));
+    let loops: Vec<(u32, u32)> = alone.chain(twice).collect();
+    let mut all: Vec<Segment> = times.into_iter().filter(|&(_, n)| n == 1).map(|(pair, _)| pair).collect();
+    for (first, second) in loops {
+        let Some(point) = points[first as usize].filter(|p| p.stratum.dimension() == 1) else { continue };
+        let Some(way) = closed_way(indicators, &point) else { continue };
+        // three points at thirds of the way; a second particle is left to be crowded out or to lie in between
+        let mut chain = vec![first];
+        for third in 1..3 {
+            chain.push(points.len() as u32);
+            points.push(Some(Point { place: way[third * way.len() / 3], ..point }));
+        }
+        if second != first {
+            points[second as usize] = None;
+        }
+        report.on_small_loops += 2;
+        all.extend((0..3).map(|k| segment(chain[k], chain[(k + 1) % 3])));
+    }
+    all
+}
+
+/// The places along a closed curve from one of its points on; `None` where it does not close soon.
+fn closed_way(indicators: &dyn Indicators, point: &Point) -> Option<Vec<DVec3>> {
+    let step = STEP * indicators.voxel();
+    let [i, j, k] = *point.stratum.materials() else { return None };
+    let (mut way, mut along) = (vec![point.place], None);
+    while way.len() < MOST_STEPS {
+        let last = way[way.len() - 1];
+        let (_, a) = indicators.difference_gradient(i, j, last);
+        let (_, b) = indicators.difference_gradient(i, k, last);
+        let tangent = a.cross(b).normalize_or_zero();
+        let tangent = if along.is_some_and(|along: DVec3| along.dot(tangent) < 0.0) { -tangent } else { tangent };
+        let next = onto(indicators, point.stratum, last + step * tangent, step)?;
+        if way.len() > 2 && next.distance(point.place) < step {
+            return Some(way);
+        }
+        along = Some(next - last);
+        way.push(next);
+    }
+    None
+}
+
+/// Particles that were taken, and the pairs with those bridged that were not.
+fn without_the_lost(points: &[Option<Point>], pairs: Vec<Segment>, report: &mut Taken) -> (Vec<Point>, Vec<Segment>) {
+    let is_kept: Vec<bool> = points.iter().map(Option::is_some).collect();
+    let (pairs, bridged) = bridged(&is_kept, pairs);
+    report.bridged += bridged;
+    let kept = points.iter().copied().flatten().collect();
+    (kept, renumbered(&is_kept, pairs))
+}
+
+/// Pairs in which each particle that is not kept gives way to a pair of its two neighbours, and how many of these there are.
+fn bridged(is_kept: &[bool], pairs: Vec<Segment>) -> (Vec<Segment>, usize) {
+    let mut ends: BTreeMap<u32, BTreeSet<u32>> = BTreeMap::new();
+    let join = |ends: &mut BTreeMap<u32, BTreeSet<u32>>, a: u32, b: u32| {
+        ends.entry(a).or_default().insert(b);
+        ends.entry(b).or_default().insert(a);
+    };
+    pairs.into_iter().for_each(|[a, b]| join(&mut ends, a, b));
+    let mut count = 0;
+    let lost: Vec<u32> = ends.keys().copied().filter(|&v| !is_kept[v as usize]).collect();
+    for v in lost {
+        let around: Vec<u32> = ends.remove(&v).unwrap_or_default().into_iter().collect();
+        for u in &around {
+            ends.entry(*u).or_default().remove(&v);
+        }
+        if let [a, b] = around[..] {
+            join(&mut ends, a, b);
+            count += 1;
+        }
+    }
+    let pairs = ends.iter().flat_map(|(&a, others)| others.iter().filter(move |&&b| a < b).map(move |&b| [a, b]));
+    (pairs.collect(), count)
+}
+
+/// Pairs by the numbers among those kept.
+fn renumbered(is_kept: &[bool], pairs: Vec<Segment>) -> Vec<Segment> {
+    let numbers: Vec<u32> = is_kept
+        .iter()
+        .scan(0, |next, &kept| {
+            let number = *next;
+            *next += u32::from(kept);
+            Some(number)
+        })
+        .collect();
+    pairs.into_iter().map(|pair| pair.map(|v| numbers[v as usize])).collect()
+}
+
+/// Leaves out particles that crowd others, those of lower strata first kept, and particles on sheets that encroach on segments.
+fn without_the_crowded(
+    points: Vec<Point>,
+    pairs: Vec<Segment>,
+    indicators: &dyn Indicators,
+    report: &mut Taken,
+) -> (Vec<Point>, Vec<Segment>) {
+    let mut order: Vec<usize> = (0..points.len()).collect();
+    order.sort_by_key(|&v| points[v].stratum.dimension());
+    let mut number = vec![0u32; points.len()];
+    order.iter().enumerate().for_each(|(n, &v)| number[v] = n as u32);
+    let points: Vec<Point> = order.into_iter().map(|v| points[v]).collect();
+    let pairs: Vec<Segment> = pairs.into_iter().map(|[a, b]| segment(number[a as usize], number[b as usize])).collect();
+    let places: Vec<DVec3> = points.iter().map(|p| p.place).collect();
+    let segments = Segments::new(with_curves(&pairs, &points, indicators), &places);
+    let is_free = |p: &&Point| p.stratum.dimension() < 2 || segments.encroached(p.place, &places).is_none();
+    let is_kept: Vec<bool> = points.iter().map(|p| is_free(&p)).collect();
+    report.encroaching += is_kept.iter().filter(|&&kept| !kept).count();
+    let kept = points.into_iter().zip(&is_kept).filter(|(_, kept)| **kept).map(|(p, _)| p).collect();
+    (kept, renumbered(&is_kept, pairs))
+}
+
+/// The curve of each pair: that of its end on a curve; between two junction points that of the materials of both which is real in the middle.
+fn with_curves(pairs: &[Segment], points: &[Point], indicators: &dyn Indicators) -> Vec<(Segment, Stratum)> {
+    let curve = |&[a, b]: &Segment| {
+        let [a, b] = [a, b].map(|v| points[v as usize]);
+        if let Some(own) = [a, b].into_iter().find(|p| p.stratum.dimension() == 1) {
+            return Some(own.stratum);
+        }
+        let common: Vec<MaterialId> = a.stratum.materials().iter().copied().filter(|&id| b.stratum.has(id)).collect();
+        let middle = a.place.midpoint(b.place);
+        let triples = (0..common.len()).map(|skipped| {
+            let three = common.iter().enumerate().filter(|(n, _)| common.len() == 3 || *n != skipped);
+            Stratum::new(&three.map(|(_, &id)| id).collect::<Vec<_>>())
+        });
+        let real = |curve: &Stratum| indicators.clearance(middle, curve.materials());
+        triples.flatten().filter(|curve| curve.dimension() == 1).max_by(|a, b| real(a).total_cmp(&real(b)))
+    };
+    pairs.iter().filter_map(|pair| Some((*pair, curve(pair)?))).collect()
+}
+
+fn triangulated(
+    points: Vec<Point>,
+    pairs: Vec<Segment>,
+    indicators: &dyn Indicators,
+    mut report: Taken,
+) -> Result<Prepared> {
+    let mut surface = SurfacePoints {
+        positions: points.iter().map(|p| p.place).collect(),
+        sizes: points.iter().map(|p| p.size).collect(),
+        normals: Vec::new(),
+        report: report.particles,
+    };
+    let delaunay = surface.triangulate()?;
+    report.particles = surface.report;
+    // what is left of the points keeps its order
+    let mut left = surface.positions.iter().peekable();
+    let is_kept: Vec<bool> = points.iter().map(|p| left.next_if(|&&place| place == p.place).is_some()).collect();
+    let (pairs, count) = bridged(&is_kept, pairs);
+    report.bridged += count;
+    let pairs = renumbered(&is_kept, pairs);
+    let points: Vec<Point> = points.into_iter().zip(&is_kept).filter(|(_, kept)| **kept).map(|(p, _)| p).collect();
+    let segments = Segments::new(with_curves(&pairs, &points, indicators), delaunay.points());
+    report.segments = segments.count();
+    let strata = points.iter().map(|p| p.stratum).collect();
+    Ok(Prepared { strata, sizes: points.iter().map(|p| p.size).collect(), delaunay, segments, report })
+}

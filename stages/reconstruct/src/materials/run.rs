@@ -1,0 +1,283 @@
+//! The program where it is given the indicators of many materials: reading, the steps, the report, writing.
+
+use super::check::ComplexReport;
+use super::interfaces::Interfaces;
+use super::reconstruct::{Reconstruction, reconstruct};
+use crate::reconstruct::Method;
+use crate::run::{Args, check_offenders, read_sizing, write};
+use glam::DVec3;
+use isoparticles_field::materials::{Material, MaterialId};
+use isoparticles_mesh::quality::radius_ratios;
+use isoparticles_mesh::surface::{DataArray, Simplices, Surface, write_surface};
+use isoparticles_stage::cli::{Context, Outcome, particles_bytes};
+use isoparticles_stage::error::{Error, Result};
+use isoparticles_stage::field_file::check_same_grid;
+use isoparticles_stage::materials_file::read_materials;
+use isoparticles_stage::meta::{self, Border, MaterialsMeta, Source, SurfaceMeta};
+use isoparticles_stage::particle_file::{ParticleKind, read_particles};
+use isoparticles_volume::Geometry;
+use serde_json::{Map, json};
+use std::collections::BTreeSet;
+use std::path::Path;
+
+/// Runs the stage on the indicators of many materials.
+///
+/// # Errors
+/// On files that cannot be read or written or do not belong together, on particles that are not on their strata, on options that one object alone understands,
+/// and when interrupted.
+pub fn run(args: &Args, path: &Path, context: &Context) -> Result<Outcome> {
+    if args.method == Method::TightCocone {
+        return Err(Error::input(
+            format!("{}: holds the indicators of many materials", path.display()),
+            "--method tight-cocone knows one object and its outside",
+            "leave out --method",
+        ));
+    }
+    check_offenders(args)?;
+    let step = context.step("read");
+    let kinds = [ParticleKind::Particles, ParticleKind::Seeds, ParticleKind::Checkpoint];
+    let file = read_particles(&args.particles, &kinds)?;
+    let Some(strata) = file.strata else {
+        return Err(Error::input(
+            format!("{}: the particles have no strata", args.particles.display()),
+            "each must know the materials that meet where it is",
+            "give the particles made from the same materials",
+        ));
+    };
+    if file.kind != ParticleKind::Particles {
+        let (path, kind) = (args.particles.display(), file.kind.name());
+        context.warn(format!("{path}: holds {kind}, not settled particles; expect worse triangles"));
+    }
+    context.add_input(&args.particles, Some(file.history))?;
+    let given = read_materials(path)?;
+    let geometry = given.materials.geometry().clone();
+    check_same_grid((&args.particles, &file.particles.geometry), (path, &geometry))?;
+    let told: MaterialsMeta = meta::typed(path, &given.meta, "distfield")?;
+    if told.border == Some(Border::Open) {
+        return Err(Error::input(
+            format!("{}: its materials run on beyond the border of the volume", path.display()),
+            "their interfaces cannot be closed there",
+            "run distfield with --border cap",
+        ));
+    }
+    let count = file.particles.positions.len();
+    context.check_memory(
+        particles_bytes(count as f64, geometry.voxel_count()),
+        &format!("{}: {count} particles", args.particles.display()),
+        "make fewer of them: sizefield --min-size or --quality coarse",
+    )?;
+    context.add_input(path, given.history.clone())?;
+    let sizing = args.sizefield.as_deref().map(|size| read_sizing(size, (path, &geometry), context)).transpose()?;
+    drop(step);
+    // with a scale of 0, which is all that there is, voxel centres keep their materials
+    let options = crate::reconstruct::Options { keeps_voxels: true, ..args.general_options() };
+    let table = given.materials.table();
+    let made = reconstruct((&file.particles, &strata), &given.materials, table, sizing.as_ref(), &options, context)
+        .map_err(|error| crate::run::about(&args.particles, error))?;
+    context.check_interrupt()?;
+    tell(&made, context);
+
+    let surface = attributes(&made, &geometry);
+    let mut notes = Map::new();
+    notes.insert("refine".to_owned(), json!(made.refined));
+    notes.insert(
+        "interfaces".to_owned(),
+        json!(made.checked.pairs.iter().map(|pair| &pair.between).collect::<Vec<_>>()),
+    );
+    let meta = SurfaceMeta {
+        version: meta::VERSION,
+        source: Some(Source::Labels),
+        border: told.border,
+        failed_checks: made.checked.failed.clone(),
+        components: made.checked.materials.iter().map(|own| own.pieces.components).sum(),
+        materials: table.to_vec(),
+        notes,
+    };
+    if args.output.extension().is_none_or(|ending| !ending.eq_ignore_ascii_case("vtp")) {
+        context.warn(format!(
+            "{}: the names of the materials are written to .vtp alone, and .stl keeps no numbers of triangles either",
+            args.output.display()
+        ));
+    }
+    if let Some(folder) = &args.each {
+        write_each(folder, args, &made, table, &geometry, context)?;
+    }
+    let failed = made.checked.failed.clone();
+    write(args, context, &surface, &meta, offending(&made.interfaces.mesh.vertices, &made, &geometry), failed)
+}
+
+/// The interfaces in the world, with what is known at vertices (h, how many materials meet) and triangles (the materials, radius ratio).
+fn attributes(made: &Reconstruction, geometry: &Geometry) -> Surface {
+    let Interfaces { mesh, between, .. } = &made.interfaces;
+    let mut surface = Surface::from_grid(mesh, geometry);
+    let meeting = made.interfaces.materials_at_vertices().iter().map(|ids| ids.len() as i64).collect();
+    surface.point_data = vec![DataArray::scalars("h", made.sizes.clone()), DataArray::integers("materials", meeting)];
+    let side = |n: usize| between.iter().map(|pair| i64::from(pair[n].0)).collect();
+    surface.cell_data = vec![
+        DataArray::integers("material_inside", side(0)),
+        DataArray::integers("material_outside", side(1)),
+        DataArray::scalars("radius_ratio", radius_ratios(mesh)),
+    ];
+    surface
+}
+
+/// Writes the closed surface of each material but the outside, vertex for vertex that of its neighbours.
+fn write_each(
+    folder: &Path,
+    args: &Args,
+    made: &Reconstruction,
+    table: &[Material],
+    geometry: &Geometry,
+    context: &Context,
+) -> Result<()> {
+    let step = context.step("write each");
+    std::fs::create_dir_all(folder).map_err(|error| {
+        Error::input(
+            format!("{}: cannot be made: {error}", folder.display()),
+            "the surface of each material goes into this folder",
+            "name a folder that may be written",
+        )
+    })?;
+    let ending = args.output.extension().map_or_else(|| "vtp".into(), |ending| ending.to_string_lossy().into_owned());
+    let mut names = BTreeSet::new();
+    for id in made.interfaces.materials().into_iter().filter(|id| *id != MaterialId::OUTSIDE) {
+        let material = &table[id.index()];
+        let name = file_name(&material.name, id, &mut names);
+        let (mesh, vertices, triangles) = made.interfaces.surface_of(id);
+        let mut surface = Surface::from_grid(&mesh, geometry);
+        let beyond = |&t: &u32| {
+            let [inside, outside] = made.interfaces.between[t as usize];
+            i64::from(if inside == id { outside.0 } else { inside.0 })
+        };
+        let sizes = vertices.iter().map(|&v| made.sizes[v as usize]).collect();
+        let whole = vertices.iter().map(|&v| i64::from(v)).collect();
+        surface.point_data = vec![DataArray::scalars("h", sizes), DataArray::integers("vertex", whole)];
+        surface.cell_data = vec![
+            DataArray::integers("material_outside", triangles.iter().map(beyond).collect()),
+            DataArray::scalars("radius_ratio", radius_ratios(&mesh)),
+        ];
+        let meta = SurfaceMeta {
+            version: meta::VERSION,
+            source: Some(Source::Labels),
+            notes: Map::from_iter([("material".to_owned(), json!(material))]),
+            ..SurfaceMeta::default()
+        };
+        write_surface(&folder.join(format!("{name}.{ending}")), &surface, &json!(meta), &context.history())?;
+    }
+    drop(step);
+    Ok(())
+}
+
+/// The name of a material as that of a file, unlike all before: what is neither letter nor digit becomes a line, and its number tells two apart.
+fn file_name(name: &str, id: MaterialId, taken: &mut BTreeSet<String>) -> String {
+    let plain: String =
+        name.chars().map(|c| if c.is_alphanumeric() || c == '-' || c == '.' { c } else { '_' }).collect();
+    let plain = if plain.trim_matches(['.', '_']).is_empty() { format!("material_{}", id.0) } else { plain };
+    // file systems that do not tell capitals apart
+    if taken.insert(plain.to_lowercase()) {
+        return plain;
+    }
+    let numbered = format!("{plain}_{}", id.0);
+    taken.insert(numbered.to_lowercase());
+    numbered
+}
+
+/// The simplices behind failed checks, in the world, with the number of the reason (`reason`: 1 edge in the wrong number of triangles, 2 junction edge on no curve,
+/// 3 edge at which a material is not closed, 4 pinched vertex, 5 distant vertex, 6 grid node in another material, 8 no area, 9 crossing, 10 poor shape, 12 missing
+/// segment); `None` when there are none.
+fn offending(vertices: &[DVec3], made: &Reconstruction, geometry: &Geometry) -> Option<Simplices> {
+    let found = &made.checked.offenders;
+    let mut simplices =
+        Simplices { points: vertices.iter().map(|&p| geometry.grid_to_world(p)).collect(), ..Simplices::default() };
+    let (mut of_vertices, mut of_edges, mut of_triangles) = (Vec::new(), Vec::new(), Vec::new());
+    for (list, reason) in [(&found.pinched, 4), (&found.distant, 5)] {
+        simplices.vertices.extend(list);
+        of_vertices.resize(simplices.vertices.len(), reason);
+    }
+    let [nx, ny, _] = geometry.size;
+    for &node in &found.nodes {
+        let index = DVec3::new((node % nx) as f64, (node / nx % ny) as f64, (node / nx / ny) as f64);
+        simplices.vertices.push(simplices.points.len() as u32);
+        simplices.points.push(geometry.grid_to_world(geometry.index_to_grid(index)));
+        of_vertices.push(6);
+    }
+    for (list, reason) in
+        [(&found.edges, 1), (&found.spurious, 2), (&found.not_closed, 3), (&found.missing_segments, 12)]
+    {
+        simplices.edges.extend(list.iter().filter(|edge| edge.iter().all(|&v| (v as usize) < vertices.len())));
+        of_edges.resize(simplices.edges.len(), reason);
+    }
+    let mut crossing: Vec<u32> = found.crossing.iter().flatten().copied().collect();
+    crossing.sort_unstable();
+    crossing.dedup();
+    for (list, reason) in [(&found.zero_area, 8), (&crossing, 9), (&found.poor, 10)] {
+        simplices.triangles.extend(list.iter().map(|&t| made.interfaces.mesh.triangles[t as usize]));
+        of_triangles.resize(simplices.triangles.len(), reason);
+    }
+    let reasons = [of_vertices, of_edges, of_triangles].concat();
+    if reasons.is_empty() {
+        return None;
+    }
+    simplices.cell_data = vec![DataArray::integers("reason", reasons)];
+    Some(simplices)
+}
+
+/// Puts what was made into the report and the closing table, and warns of what is doubtful.
+fn tell(made: &Reconstruction, context: &Context) {
+    let Reconstruction { checked, taken, refined, improved, .. } = made;
+    context.report("prepare", json!(taken));
+    context.report("refine", json!(refined));
+    context.report("improve", json!(improved));
+    context.report("check", json!(checked));
+    describe(checked, context);
+    let lost = &taken.particles;
+    context.summary(
+        "particles taken, not taken",
+        format!(
+            "{}, {}",
+            lost.particles - lost.not_projected.min(lost.particles),
+            lost.not_projected + lost.crowded + taken.encroaching
+        ),
+    );
+    context.summary(
+        "points added",
+        format!("{}, of these {} on junction curves", refined.inserted.values().sum::<usize>(), refined.on_curves),
+    );
+    if !refined.unresolved.is_empty() {
+        let left: Vec<String> =
+            refined.unresolved.iter().map(|(reason, n)| format!("{n} of {}", json!(reason))).collect();
+        context.warn(format!("refinement ended at its smallest radius with violations left: {}", left.join(", ")));
+    }
+}
+
+/// The closing table of a complex.
+fn describe(checked: &ComplexReport, context: &Context) {
+    let quality = &checked.quality;
+    context.summary("vertices, triangles", format!("{}, {}", checked.vertices, checked.triangles));
+    let (materials, pairs) = (checked.materials.len(), checked.pairs.len());
+    context.summary("materials, pairs that touch", format!("{materials}, {pairs}"));
+    context.summary(
+        "junction edges, points",
+        format!(
+            "{}, {}; {} of {} segments missing",
+            checked.junction_edges, checked.junction_points, checked.missing_segments, checked.segments
+        ),
+    );
+    context.summary(
+        "components missing, specks missing",
+        format!("{}, {}", checked.missing_components, checked.missing_specks),
+    );
+    context.summary("grid nodes in another material", checked.nodes_changed);
+    context.summary(
+        "radius ratio",
+        format!("mean {:.4}, smallest {:.4}", quality.radius_ratio_mean, quality.radius_ratio_min),
+    );
+    context.summary("angles, degrees", format!("{:.1} to {:.1}", quality.angle_min, quality.angle_max));
+    context.summary(
+        "distance from the sheets, voxels",
+        format!(
+            "vertices at most {:.1e}; centroids mean {:.4}, largest {:.3}",
+            checked.vertex_distance.max, checked.centroid_distance.mean, checked.centroid_distance.max
+        ),
+    );
+}

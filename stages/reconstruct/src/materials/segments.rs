@@ -1,0 +1,124 @@
+//! The segments of junction curves: pairs of points that follow each other, each on a curve of its own three materials.
+
+use glam::DVec3;
+use isoparticles_field::materials::Stratum;
+use std::collections::{BTreeMap, HashMap};
+
+/// Two points of a segment, the lower number first.
+pub type Segment = [u32; 2];
+
+/// A pair in order.
+pub fn segment(a: u32, b: u32) -> Segment {
+    [a.min(b), a.max(b)]
+}
+
+/// Segments by their ends, by each end, and by place.
+#[derive(Clone, Debug, Default)]
+pub struct Segments {
+    curve: BTreeMap<Segment, Stratum>,
+    /// The other ends of the segments at each point.
+    ends: HashMap<u32, Vec<u32>>,
+    /// Side of a bin, mm: no segment is longer than two of them.
+    bin: f64,
+    /// Segments by the bin of their middle.
+    bins: HashMap<[i64; 3], Vec<Segment>>,
+}
+
+impl Segments {
+    /// Of pairs of points with their curves.
+    pub fn new(pairs: impl IntoIterator<Item = (Segment, Stratum)>, points: &[DVec3]) -> Self {
+        let pairs: BTreeMap<Segment, Stratum> = pairs.into_iter().collect();
+        let length = |[a, b]: &Segment| points[*a as usize].distance(points[*b as usize]);
+        let longest = pairs.keys().map(length).fold(0.0, f64::max);
+        let mut new = Self { bin: if longest > 0.0 { 0.5 * longest } else { 1.0 }, ..Self::default() };
+        pairs.into_iter().for_each(|(pair, curve)| new.add(pair, curve, points));
+        new
+    }
+
+    /// Adds a segment no longer than the longest of the first ones.
+    fn add(&mut self, pair: Segment, curve: Stratum, points: &[DVec3]) {
+        self.curve.insert(pair, curve);
+        let [a, b] = pair;
+        self.ends.entry(a).or_default().push(b);
+        self.ends.entry(b).or_default().push(a);
+        let bin = self.bin_of(points[a as usize].midpoint(points[b as usize]));
+        self.bins.entry(bin).or_default().push(pair);
+    }
+
+    fn bin_of(&self, p: DVec3) -> [i64; 3] {
+        (p / self.bin).floor().to_array().map(|x| x as i64)
+    }
+
+    /// Puts two segments by way of a point in the place of one.
+    pub fn split(&mut self, pair: Segment, by: u32, points: &[DVec3]) {
+        let Some(curve) = self.curve.remove(&pair) else { return };
+        let [a, b] = pair;
+        for (from, to) in [(a, b), (b, a)] {
+            self.ends.entry(from).or_default().retain(|&end| end != to);
+        }
+        let bin = self.bin_of(points[a as usize].midpoint(points[b as usize]));
+        self.bins.entry(bin).or_default().retain(|&other| other != pair);
+        self.add(segment(a, by), curve, points);
+        self.add(segment(by, b), curve, points);
+    }
+
+    /// The curve of a pair of points, if they are a segment.
+    pub fn curve(&self, pair: Segment) -> Option<Stratum> {
+        self.curve.get(&pair).copied()
+    }
+
+    /// All segments with their curves, ascending.
+    pub fn all(&self) -> impl Iterator<Item = (Segment, Stratum)> + '_ {
+        self.curve.iter().map(|(&pair, &curve)| (pair, curve))
+    }
+
+    /// How many there are.
+    pub fn count(&self) -> usize {
+        self.curve.len()
+    }
+
+    /// The segments at a point.
+    pub fn at(&self, point: u32) -> impl Iterator<Item = Segment> + '_ {
+        self.ends.get(&point).into_iter().flatten().map(move |&end| segment(point, end))
+    }
+
+    /// The segment on which a place encroaches: it lies in the ball of which the segment is a diameter (Ruppert 1995), the deepest of several.
+    pub fn encroached(&self, place: DVec3, points: &[DVec3]) -> Option<Segment> {
+        let at = self.bin_of(place);
+        let near = (0..27i64)
+            .filter_map(|n| self.bins.get(&[at[0] + n % 3 - 1, at[1] + n / 3 % 3 - 1, at[2] + n / 9 - 1]))
+            .flatten();
+        let depth = |&pair: &Segment| {
+            let [a, b] = pair.map(|v| points[v as usize]);
+            let radius = 0.5 * a.distance(b);
+            (a.midpoint(b).distance(place) / radius, pair)
+        };
+        let deepest =
+            near.map(depth).filter(|(depth, _)| *depth < 1.0).min_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+        deepest.map(|(_, pair)| pair)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use isoparticles_field::materials::MaterialId;
+
+    #[test]
+    fn what_is_in_the_ball_on_a_segment_encroaches_on_it_until_it_is_split() {
+        let mut points = vec![DVec3::ZERO, DVec3::X * 2.0, DVec3::new(2.0, 1.0, 0.0)];
+        let curve = Stratum::new(&[0, 1, 2].map(MaterialId)).expect("three");
+        let mut segments = Segments::new([([0, 1], curve), ([1, 2], curve)], &points);
+        let place = DVec3::new(1.0, 0.8, 0.0);
+        assert_eq!(segments.encroached(place, &points), Some([0, 1]));
+        assert_eq!(segments.encroached(DVec3::new(1.0, 1.1, 0.0), &points), None);
+        assert_eq!(segments.encroached(DVec3::new(2.2, 0.5, 0.0), &points), Some([1, 2]));
+        points.push(DVec3::X);
+        segments.split([0, 1], 3, &points);
+        assert_eq!(segments.encroached(place, &points), None);
+        assert_eq!(segments.encroached(DVec3::new(0.5, 0.3, 0.1), &points), Some([0, 3]));
+        assert_eq!(segments.all().map(|(pair, _)| pair).collect::<Vec<_>>(), [[0, 3], [1, 2], [1, 3]]);
+        assert_eq!(segments.at(1).collect::<Vec<_>>(), [[1, 2], [1, 3]]);
+        assert_eq!((segments.curve([0, 1]), segments.curve([1, 3])), (None, Some(curve)));
+    }
+}

@@ -1,0 +1,253 @@
+//! Complexes of shapes that are known, against the truth.
+
+use super::check::{CheckOptions, check};
+use super::interfaces::Interfaces;
+use super::nodes::Nodes;
+use super::prepare::prepare;
+use super::reconstruct::{Reconstruction, reconstruct};
+use super::scenes::{self, CENTRE, HALF, RADIUS, Scene, stratum};
+use crate::reconstruct::Options;
+use glam::DVec3;
+use isoparticles_field::materials::{Indicators, MaterialId};
+use isoparticles_mesh::measure::measure;
+use isoparticles_stage::monitor::Silent;
+use std::f64::consts::PI;
+
+/// All the way from particles of a scene to a checked complex.
+fn made(scene: &Scene, indicators: &dyn Indicators, h: f64, keeps_voxels: bool) -> Reconstruction {
+    let (particles, strata) = scene.particles(h, 0.75);
+    let options = Options { keeps_voxels, ..Options::default() };
+    reconstruct((&particles, &strata), indicators, &scene.table(), None, &options, &Silent).expect("on their strata")
+}
+
+fn ball(radius: f64) -> f64 {
+    4.0 / 3.0 * PI * radius.powi(3)
+}
+
+/// Volume of each material but the outside.
+fn volumes(made: &Reconstruction) -> Vec<f64> {
+    made.checked.materials.iter().skip(1).map(|own| own.volume).collect()
+}
+
+fn assert_sound(made: &Reconstruction, what: &str) {
+    assert_eq!(made.checked.failed, Vec::<String>::new(), "{what}");
+    assert!(made.refined.unresolved.is_empty(), "{what}: {:?}", made.refined);
+    assert_eq!((made.checked.nodes_changed, made.checked.missing_segments), (0, 0), "{what}");
+    let quality = &made.checked.quality;
+    let (mean, least) = (quality.radius_ratio_mean, quality.radius_ratio_min);
+    // points thrown at random, not settled
+    assert!(mean > 0.88 && least > 0.45, "{what}: {mean} {least}");
+}
+
+#[test]
+fn known_shapes_have_their_strata_and_keep_every_node() {
+    for (name, scene, junctions, points) in [
+        ("nested", scenes::nested(), 0, 0),
+        ("sectors", scenes::sectors(), 30, 2),
+        ("two balls", scenes::two_balls(), 12, 0),
+        ("quarters", scenes::quarters(), 50, 5),
+    ] {
+        let sampled = scene.sampled(1.0);
+        for (kind, indicators) in [("analytic", &scene.analytic as &dyn Indicators), ("sampled", &sampled)] {
+            let made = made(&scene, indicators, 1.5, true);
+            assert_sound(&made, &format!("{name} {kind}"));
+            assert!(made.checked.junction_edges >= junctions, "{name}: {}", made.checked.junction_edges);
+            assert_eq!(made.checked.junction_edges, made.checked.segments);
+            assert_eq!(made.checked.junction_points, points, "{name} {kind}");
+            assert!(
+                made.checked.materials.iter().all(|own| own.pieces.components == 1 && own.pieces.missing.is_empty())
+            );
+        }
+    }
+}
+
+#[test]
+fn volumes_and_areas_converge_to_second_order() {
+    let error = |scene: &Scene, h: f64, truth: &dyn Fn(&Reconstruction) -> f64| {
+        let made = made(scene, &scene.analytic, h, false);
+        assert_eq!(made.checked.failed, Vec::<String>::new());
+        truth(&made)
+    };
+    let nested = |made: &Reconstruction| {
+        let [shell, core] = volumes(made)[..] else { panic!("two") };
+        (shell / (ball(9.0) - ball(5.0)) - 1.0).abs().max((core / ball(5.0) - 1.0).abs())
+    };
+    let sectors = |made: &Reconstruction| {
+        let volumes = volumes(made).into_iter().map(|v| (v / (ball(RADIUS) / 3.0) - 1.0).abs());
+        // half a disk between each two
+        let area = |pair: [u16; 2]| {
+            let part = made.interfaces.part(|between| between == pair.map(MaterialId));
+            (measure(&part).area / (0.5 * PI * RADIUS * RADIUS) - 1.0).abs()
+        };
+        volumes.chain([[2, 1], [3, 1], [3, 2]].map(area)).fold(0.0, f64::max)
+    };
+    let caps = |made: &Reconstruction| {
+        let height = 6.0 + HALF;
+        let truth = PI * height * height * (18.0 - height) / 3.0;
+        volumes(made).into_iter().map(|v| (v / truth - 1.0).abs()).fold(0.0, f64::max)
+    };
+    let cases: [(&str, Scene, &dyn Fn(&Reconstruction) -> f64); 3] = [
+        ("nested", scenes::nested(), &nested),
+        ("sectors", scenes::sectors(), &sectors),
+        ("two balls", scenes::two_balls(), &caps),
+    ];
+    for (name, scene, truth) in cases {
+        let [coarse, fine] = [2.0, 1.0].map(|h| error(&scene, h, truth));
+        assert!(coarse < 0.06 && fine < coarse / 3.0, "{name}: {coarse} {fine}");
+    }
+}
+
+#[test]
+fn junction_curves_and_points_lie_where_they_should_and_sheets_meet_at_their_angles() {
+    let scene = scenes::sectors();
+    let made = made(&scene, &scene.analytic, 1.0, true);
+    let Interfaces { mesh, between, segments } = &made.interfaces;
+    let at = |v: u32| mesh.vertices[v as usize] - CENTRE;
+    let axis = stratum(&[1, 2, 3]);
+    let (mut length, mut count) = (0.0, 0);
+    for &([a, b], curve) in segments {
+        if curve == axis {
+            assert!(at(a).truncate().length().max(at(b).truncate().length()) < 1e-6);
+            length += at(a).distance(at(b));
+        } else {
+            assert!((at(a).length() - RADIUS).abs().max((at(b).length() - RADIUS).abs()) < 1e-6);
+        }
+    }
+    assert!((length - 2.0 * RADIUS).abs() < 1e-6, "{length}");
+    for (edge, triangles) in made.interfaces.edges() {
+        if segments.iter().all(|(pair, curve)| *pair != edge || *curve != axis) {
+            continue;
+        }
+        let tangent = (at(edge[1]) - at(edge[0])).normalize();
+        let away = |t: u32| {
+            let third = mesh.triangles[t as usize].into_iter().find(|v| !edge.contains(v)).expect("a third");
+            let away = at(third) - at(edge[0]);
+            (away - away.dot(tangent) * tangent).normalize()
+        };
+        let ways: Vec<DVec3> = triangles.iter().map(|&t| away(t)).collect();
+        assert_eq!(ways.len(), 3);
+        for k in 0..3 {
+            let angle = ways[k].angle_between(ways[(k + 1) % 3]).to_degrees();
+            assert!((angle - 120.0).abs() < 1e-3, "{angle}");
+        }
+        assert!(triangles.iter().all(|&t| between[t as usize][1] != MaterialId::OUTSIDE));
+        count += 1;
+    }
+    assert!(count >= 16);
+}
+
+#[test]
+fn neighbours_have_the_same_vertices_and_all_volumes_fill_the_whole() {
+    let scene = scenes::quarters();
+    let made = made(&scene, &scene.analytic, 1.5, true);
+    let [one, two] = [1, 2].map(|id| made.interfaces.surface_of(MaterialId(id)).1);
+    let shared = one.iter().filter(|v| two.binary_search(v).is_ok()).count();
+    assert!(shared > 20, "{shared}");
+    let all: f64 = made.checked.materials.iter().map(|own| own.volume).sum();
+    assert!(all.abs() < 1e-9, "the outside is the whole turned round: {all}");
+}
+
+#[test]
+fn the_result_does_not_depend_on_threads() {
+    let scene = scenes::sectors();
+    let sampled = scene.sampled(1.0);
+    let on = |threads: usize| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("threads");
+        pool.install(|| made(&scene, &sampled, 2.0, true)).interfaces
+    };
+    assert_eq!(on(1), on(3));
+}
+
+#[test]
+fn lost_particles_of_curves_are_bridged_and_small_loops_get_three_points() {
+    let scene = scenes::two_balls();
+    let (mut particles, strata) = scene.particles(1.5, 0.75);
+    let count = strata.segments.len();
+    particles.positions[3] = DVec3::splat(1.0);
+    let prepared = prepare(&particles, &strata, &scene.analytic).expect("on their strata");
+    assert_eq!((prepared.report.particles.not_projected, prepared.report.bridged), (1, 1));
+    assert_eq!(prepared.segments.count(), count - 1);
+    // of the closed curve one particle alone is left, or two
+    for left in [1usize, 2] {
+        let (particles, mut strata) = scene.particles(1.5, 0.75);
+        let keep = |v: usize| strata.of[v].dimension() == 2 || v < left;
+        let kept: Vec<usize> = (0..particles.positions.len()).filter(|&v| keep(v)).collect();
+        let mut fewer = particles.clone();
+        fewer.positions = kept.iter().map(|&v| particles.positions[v]).collect();
+        fewer.sizes = kept.iter().map(|&v| particles.sizes[v]).collect();
+        strata.of = kept.iter().map(|&v| strata.of[v]).collect();
+        strata.segments = if left == 2 { vec![[0, 1], [1, 0]] } else { Vec::new() };
+        let options = Options { keeps_voxels: true, ..Options::default() };
+        let made = reconstruct((&fewer, &strata), &scene.analytic, &scene.table(), None, &options, &Silent);
+        let made = made.expect("on their strata");
+        assert_eq!(made.taken.on_small_loops, 2);
+        assert_eq!(made.checked.failed, Vec::<String>::new(), "{left}");
+        assert!(made.checked.junction_edges > 12, "{}", made.checked.junction_edges);
+    }
+}
+
+#[test]
+fn each_check_finds_what_is_damaged() {
+    let scene = scenes::sectors();
+    let made = made(&scene, &scene.analytic, 2.0, true);
+    let nodes = Nodes::new(&scene.geometry(1.0), &scene.analytic);
+    let table = scene.table();
+    let options = CheckOptions {
+        indicators: &scene.analytic,
+        table: &table,
+        nodes: &nodes,
+        keeps_nodes: true,
+        min_radius_ratio: Some(0.3),
+        max_vertex_distance: 1e-4,
+    };
+    let failed = |damage: &dyn Fn(&mut Interfaces)| {
+        let mut interfaces = made.interfaces.clone();
+        damage(&mut interfaces);
+        check(&interfaces, &options).failed.join("; ")
+    };
+    assert_eq!(failed(&|_| {}), "");
+    let plain = |i: &Interfaces| {
+        let meets = i.materials_at_vertices();
+        i.mesh.triangles.iter().position(|t| t.iter().all(|&v| meets[v as usize].len() == 2)).expect("inside a sheet")
+    };
+    let damages: [(&str, &dyn Fn(&mut Interfaces)); 9] = [
+        ("another number of triangles", &|i| {
+            i.mesh.triangles.pop();
+            i.between.pop();
+        }),
+        ("open or touches itself", &|i| {
+            let t = plain(i);
+            i.mesh.triangles[t].swap(0, 1);
+        }),
+        ("no edges between their materials", &|i| {
+            i.segments.push(([0, i.mesh.vertices.len() as u32 - 1], stratum(&[1, 2, 3])))
+        }),
+        ("on no junction curve", &|i| i.segments.truncate(i.segments.len() - 1)),
+        ("triangles that cross", &|i| {
+            let v = i.mesh.triangles[plain(i)][0];
+            i.mesh.vertices[v as usize] = CENTRE + 0.4 * (i.mesh.vertices[v as usize] - CENTRE);
+        }),
+        ("from a sheet of theirs", &|i| {
+            let v = i.mesh.triangles[plain(i)][0];
+            i.mesh.vertices[v as usize] += DVec3::splat(0.01);
+        }),
+        ("below 0.3", &|i| {
+            let [a, b, _] = i.mesh.triangles[plain(i)];
+            i.mesh.vertices[a as usize] = i.mesh.vertices[a as usize].lerp(i.mesh.vertices[b as usize], 0.9);
+        }),
+        ("in another material", &|i| i.mesh.vertices.iter_mut().for_each(|p| *p = CENTRE + 0.8 * (*p - CENTRE))),
+        ("components of materials that are missing", &|i| {
+            let whole = MaterialId(1);
+            for between in &mut i.between {
+                *between = between.map(|id| if id.0 > 1 { whole } else { id });
+            }
+            let kept: Vec<usize> = (0..i.between.len()).filter(|&t| i.between[t][0] != i.between[t][1]).collect();
+            i.mesh.triangles = kept.iter().map(|&t| i.mesh.triangles[t]).collect();
+            i.between = kept.iter().map(|&t| i.between[t]).collect();
+        }),
+    ];
+    for (what, damage) in damages {
+        let found = failed(damage);
+        assert!(found.contains(what), "{what}: {found}");
+    }
+}

@@ -1,0 +1,172 @@
+//! Particles at junction points and along junction curves.
+
+use super::{between, is_length};
+use glam::DVec3;
+use isoparticles_field::materials::complex::{Chain, Complex, End};
+use isoparticles_field::materials::{Indicators, MaterialId};
+use isoparticles_field::particle_set::Strata;
+use isoparticles_field::sizing::SizingField;
+use std::collections::BTreeSet;
+
+/// Longest step along a curve over h: where rounding would leave a longer one, there is one particle more.
+const LONGEST_STEP: f64 = 1.3;
+
+/// A closed curve shorter than h and than so many voxels gets one particle, as three would be nearer to each other than any triangle says something of the data.
+const TINY_VOXELS: f64 = 2.0;
+
+/// Fewest particles of other closed curves: fewer make no ring.
+const RING: usize = 3;
+
+/// How far a particle may be from the chain, and how closely it meets its curve, in voxels.
+const FARTHEST: f64 = 1.0;
+const TOLERANCE: f64 = 1e-7;
+
+/// The particles at points, in the order of the complex, and on curves behind them.
+#[derive(Clone, Debug, Default)]
+pub struct Curves {
+    /// Positions, grid frame, mm.
+    pub positions: Vec<DVec3>,
+    /// Zero at points, the tangent on curves.
+    pub normals: Vec<DVec3>,
+    /// Edge lengths, mm: h, but no longer than the steps to the neighbours.
+    pub sizes: Vec<f64>,
+    /// Where they live.
+    pub strata: Strata,
+    /// Places that were left out, since no curve of their materials is met near them.
+    pub not_projected: usize,
+}
+
+/// Places particles at the points and along the chains of a complex.
+pub fn seed_curves<I: Indicators>(
+    indicators: &I,
+    complex: &Complex,
+    (spread, sizing): (&SizingField, &SizingField),
+) -> Curves {
+    let mut found = Curves::default();
+    for point in &complex.points {
+        found.positions.push(point.position);
+        found.normals.push(DVec3::ZERO);
+        found.strata.of.push(point.stratum);
+    }
+    // joined by a step already: a second curve between them needs a particle of its own
+    let mut joined = BTreeSet::new();
+    for chain in &complex.chains {
+        let line = complex.line(chain);
+        let along = Along::new(line, chain.is_closed(), spread);
+        let mut steps = (along.total().round() as usize).max((along.total() / LONGEST_STEP).ceil() as usize).max(1);
+        match chain.ends {
+            [End::Point(a), End::Point(b)] if a == b => steps = steps.max(RING),
+            [End::Point(a), End::Point(b)] if steps == 1 && !joined.insert((a.min(b), a.max(b))) => steps = 2,
+            [End::Closed, _] => {
+                let length = complex.length(chain);
+                let is_tiny = along.total() < 1.0 && length < TINY_VOXELS * indicators.voxel();
+                steps = if is_tiny { 1 } else { steps.max(RING) };
+            }
+            _ => {}
+        }
+        found.add(indicators, chain, &along, steps);
+    }
+    found.set_sizes(sizing);
+    found
+}
+
+impl Curves {
+    /// Adds the particles of a chain, so many steps along it.
+    fn add<I: Indicators>(&mut self, indicators: &I, chain: &Chain, along: &Along, steps: usize) {
+        let point = |end: End| match end {
+            End::Point(point) => Some(point),
+            End::Border | End::Closed => None,
+        };
+        let is_free = |n: usize| match chain.ends {
+            [End::Closed, _] => n < steps,
+            [first, last] => (n > 0 || point(first).is_none()) && (n < steps || point(last).is_none()),
+        };
+        let own: [MaterialId; 3] = match *chain.curve.materials() {
+            [a, b, c] => [a, b, c],
+            _ => return,
+        };
+        let voxel = indicators.voxel();
+        let first = self.positions.len() as u32;
+        let mut previous = point(chain.ends[0]);
+        for n in (0..=steps).filter(|&n| is_free(n)) {
+            let (place, way) = along.at(n as f64 / steps as f64);
+            let met = indicators.project_onto_curve(own, place, FARTHEST * voxel, TOLERANCE * voxel);
+            let Some(position) = met.filter(|&p| indicators.clearance(p, &own) >= -TOLERANCE * voxel) else {
+                self.not_projected += 1;
+                continue;
+            };
+            let gradient = |other: MaterialId| indicators.difference_gradient(own[0], other, position).1;
+            let tangent = gradient(own[1]).cross(gradient(own[2])).normalize_or_zero();
+            let number = self.positions.len() as u32;
+            self.positions.push(position);
+            self.normals.push(if tangent.dot(way) < 0.0 { -tangent } else { tangent });
+            self.strata.of.push(chain.curve);
+            self.strata.segments.extend(previous.map(|previous| [previous, number]));
+            previous = Some(number);
+        }
+        let last = if chain.is_closed() {
+            (self.positions.len() as u32 > first + 1).then_some(first)
+        } else {
+            point(chain.ends[1])
+        };
+        if let (Some(previous), Some(last)) = (previous, last)
+            && previous != last
+        {
+            self.strata.segments.push([previous, last]);
+        }
+    }
+
+    /// Sizes: h, but no longer than the longest step to a neighbour.
+    fn set_sizes(&mut self, sizing: &SizingField) {
+        let mut longest = vec![0.0f64; self.positions.len()];
+        for segment in &self.strata.segments {
+            let [a, b] = segment.map(|n| n as usize);
+            let length = self.positions[a].distance(self.positions[b]);
+            longest[a] = longest[a].max(length);
+            longest[b] = longest[b].max(length);
+        }
+        let size = |(&p, &longest): (&DVec3, &f64)| {
+            let h = sizing.at(p);
+            if longest > 0.0 { h.min(longest) } else { h }
+        };
+        self.sizes = self.positions.iter().zip(&longest).map(size).collect();
+    }
+}
+
+/// A line with the metric ds / h.
+struct Along {
+    line: Vec<DVec3>,
+    /// The integral of ds / h up to each place.
+    sums: Vec<f64>,
+}
+
+impl Along {
+    fn new(mut line: Vec<DVec3>, is_closed: bool, sizing: &SizingField) -> Self {
+        if is_closed && let Some(&first) = line.first() {
+            line.push(first);
+        }
+        let mut sums = vec![0.0; line.len()];
+        for n in 1..line.len() {
+            let h = sizing.at(between(line[n - 1], line[n], 0.5));
+            let step = line[n - 1].distance(line[n]);
+            sums[n] = sums[n - 1] + if is_length(h) { step / h } else { 0.0 };
+        }
+        Self { line, sums }
+    }
+
+    fn total(&self) -> f64 {
+        self.sums.last().copied().unwrap_or(0.0)
+    }
+
+    /// The place at a share of the integral, and the way on from there.
+    fn at(&self, share: f64) -> (DVec3, DVec3) {
+        let wanted = share * self.total();
+        let after = self.sums.partition_point(|&sum| sum < wanted).clamp(1, self.line.len().max(2) - 1);
+        let (Some(&a), Some(&b)) = (self.line.get(after - 1), self.line.get(after)) else {
+            return (self.line.first().copied().unwrap_or_default(), DVec3::ZERO);
+        };
+        let (low, high) = (self.sums[after - 1], self.sums[after]);
+        let within = if high > low { ((wanted - low) / (high - low)).clamp(0.0, 1.0) } else { 0.0 };
+        (between(a, b, within), b - a)
+    }
+}

@@ -1,0 +1,65 @@
+//! The program around [`super::seed_strata`]: files and report.
+
+use super::seed_strata;
+use crate::run::{Args, check_prediction};
+use isoparticles_field::materials::complex::Complex;
+use isoparticles_field::sizing::SizingField;
+use isoparticles_stage::cli::{Context, Outcome};
+use isoparticles_stage::error::{Error, Result};
+use isoparticles_stage::field_file::{FieldKind, check_same_grid, read_field};
+use isoparticles_stage::materials_file::read_materials;
+use isoparticles_stage::particle_file::{ParticleKind, write_material_particles};
+use serde_json::json;
+
+/// Seeds the strata of many materials.
+pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome> {
+    let step = context.step("read");
+    let file = read_materials(&args.distfield)?;
+    let sizing = read_field(&args.sizefield, FieldKind::Sizing)?;
+    let materials = &file.materials;
+    check_same_grid((&args.distfield, materials.geometry()), (&args.sizefield, &sizing.image.geometry))?;
+    context.add_input(&args.distfield, file.history.clone())?;
+    context.add_input(&args.sizefield, sizing.history.clone())?;
+    drop(step);
+    context.check_interrupt()?;
+    let step = context.step("trace the strata");
+    let complex = Complex::new(materials);
+    let sizing = SizingField::new(sizing.image);
+    let predicted = complex.predicted_count(&sizing);
+    drop(step);
+    if complex.triangles.is_empty() {
+        return Err(Error::input(
+            format!("{}: has no interface to seed", args.distfield.display()),
+            "particles live where materials meet, and all of the volume is of one",
+            "look at the materials that distfield was given",
+        ));
+    }
+    check_prediction(args, predicted, context)?;
+    context.check_interrupt()?;
+    let step = context.step("sample");
+    let scaled = args.count.map(|count| sizing.scaled((predicted / count.max(1) as f64).sqrt()));
+    let spread = scaled.as_ref().unwrap_or(&sizing);
+    let (particles, strata, summary) = seed_strata(materials, &complex, (spread, &sizing), predicted, context.seed());
+    drop(step);
+    if summary.bare_components > 0 {
+        context.warn(format!(
+            "{} of {} components of interfaces got no particle, since no place on them could be met: they are far smaller than a voxel",
+            summary.bare_components, summary.components
+        ));
+    }
+    let [points, curves, sheets] = summary.particles;
+    context.summary("particles", particles.positions.len());
+    context.summary("at junction points", points);
+    context.summary("on junction curves", curves);
+    context.summary("on interfaces", sheets);
+    context.summary("predicted particles", summary.predicted_count.round());
+    context.summary("components of interfaces", summary.components);
+    context.summary("not projected", summary.not_projected);
+    let table: Vec<&str> = materials.table().iter().map(|material| material.name.as_str()).collect();
+    let meta = json!({ "materials": table, "seeding": summary, "complex": complex.tally });
+    context.report("seeding", meta.clone());
+    context.check_interrupt()?;
+    let _step = context.step("write");
+    write_material_particles(&args.output, ParticleKind::Seeds, &particles, &strata, &meta, &context.history())?;
+    Ok(Outcome::Passed)
+}

@@ -1,0 +1,171 @@
+//! Particles on sheets.
+
+use super::Curves;
+use crate::sampling::{COMPONENT_MINIMUM, Candidates, DISK_RADIUS, OVERSAMPLING, eliminate, sample, sample_alone};
+use glam::DVec3;
+use isoparticles_field::materials::complex::Complex;
+use isoparticles_field::materials::{Indicators, Stratum};
+use isoparticles_field::neighbours::LevelBins;
+use isoparticles_field::sizing::SizingField;
+use isoparticles_mesh::TriangleMesh;
+use rayon::prelude::*;
+
+/// How near to particles of its border a particle of a sheet may be, over h.
+const FROM_BORDER: f64 = DISK_RADIUS;
+
+/// How far from the triangles their sheet may be, and how closely it is met, in voxels, as for one object.
+const FARTHEST: f64 = 1.5;
+const TOLERANCE: f64 = 1e-6;
+
+/// The particles on sheets.
+#[derive(Clone, Debug, Default)]
+pub struct Sheets {
+    /// Positions, grid frame, mm.
+    pub positions: Vec<DVec3>,
+    /// Unit normals, from the material of the higher number to that of the lower.
+    pub normals: Vec<DVec3>,
+    /// Edge lengths h, mm.
+    pub sizes: Vec<f64>,
+    /// The sheet of each.
+    pub of: Vec<Stratum>,
+    /// Components of the sheets, those of them that h would leave without particles of their own, and those that stay so.
+    pub components: usize,
+    /// See above.
+    pub crowded: usize,
+    /// See above.
+    pub bare: usize,
+    /// Places that were left out, since their sheet is not met near them, or a third material is nearer there.
+    pub not_projected: usize,
+}
+
+/// A particle on a sheet.
+struct Placed {
+    position: DVec3,
+    normal: DVec3,
+    component: u32,
+}
+
+/// Samples the sheets of a complex, with the particles at points and on curves held.
+pub fn seed_sheets<I: Indicators>(
+    indicators: &I,
+    complex: &Complex,
+    (spread, sizing): (&SizingField, &SizingField),
+    curves: &Curves,
+    seed: u64,
+) -> Sheets {
+    let vertices = complex.vertices.iter().map(|vertex| vertex.position).collect();
+    let mesh = TriangleMesh { vertices, triangles: complex.triangles.iter().map(|t| t.corners).collect() };
+    let (component, count) = complex.sheet_components();
+    let mut members = vec![Vec::new(); count];
+    let mut is_closed = vec![true; count];
+    for (t, &c) in (0..).zip(&component) {
+        members[c as usize].push(t);
+        let corners = mesh.triangles[t as usize];
+        is_closed[c as usize] &= corners.iter().all(|&v| complex.vertices[v as usize].stratum.dimension() == 2);
+    }
+    let sheet_of: Vec<Stratum> = members.iter().map(|own| complex.triangles[own[0] as usize].sheet).collect();
+    let every: Vec<u32> = (0..mesh.triangles.len() as u32).collect();
+    let density = |p, normal| OVERSAMPLING * spread.lattice_density(p, normal);
+    let all = sample(&mesh, &every, |t| component[t], density, |p| spread.at(p), seed);
+    let border = Border::new(curves, spread);
+    let all = border.beyond(all, &sheet_of);
+    let mut chosen = eliminate(&all, seed, |a, b| all.component[a] == all.component[b]);
+    chosen.sort_unstable();
+    let place = |point: DVec3, normal: DVec3, component: u32| {
+        met(indicators, sheet_of[component as usize], point, normal).map(|(position, normal)| Placed {
+            position,
+            normal,
+            component,
+        })
+    };
+    let placed: Vec<Option<Placed>> = chosen
+        .par_iter()
+        .map(|&i| place(all.points[i as usize], all.normals[i as usize], all.component[i as usize]))
+        .collect();
+    let mut found = Sheets { components: count, ..Sheets::default() };
+    found.not_projected = placed.iter().filter(|placed| placed.is_none()).count();
+    let mut counts = vec![0usize; count];
+    placed.iter().flatten().for_each(|placed| counts[placed.component as usize] += 1);
+    let is_bare = |c: usize| if is_closed[c] { counts[c] < COMPONENT_MINIMUM } else { counts[c] == 0 };
+    for placed in placed.into_iter().flatten().filter(|placed| !is_bare(placed.component as usize)) {
+        found.add(placed, &sheet_of, sizing);
+    }
+    for c in (0..count).filter(|&c| is_bare(c)) {
+        let own = sample_alone(&mesh, &members[c], seed, c as u64);
+        let mut own: Vec<Placed> = own.into_iter().filter_map(|(p, normal)| place(p, normal, c as u32)).collect();
+        if !is_closed[c] {
+            own = border.farthest(own, sheet_of[c]).into_iter().collect();
+        }
+        found.crowded += 1;
+        found.bare += usize::from(own.is_empty());
+        own.into_iter().for_each(|placed| found.add(placed, &sheet_of, sizing));
+    }
+    found
+}
+
+impl Sheets {
+    fn add(&mut self, placed: Placed, sheet_of: &[Stratum], sizing: &SizingField) {
+        self.positions.push(placed.position);
+        self.normals.push(placed.normal);
+        self.sizes.push(sizing.at(placed.position));
+        self.of.push(sheet_of[placed.component as usize]);
+    }
+}
+
+/// The place on a sheet near a point of a triangle with this normal, and the normal there; `None` where it is not met or not real, or faces the other way.
+fn met<I: Indicators>(indicators: &I, sheet: Stratum, point: DVec3, normal: DVec3) -> Option<(DVec3, DVec3)> {
+    let &[low, high] = sheet.materials() else { return None };
+    let voxel = indicators.voxel();
+    let position = indicators.project_onto_sheet([high, low], point, FARTHEST * voxel, TOLERANCE * voxel)?;
+    let own = indicators.difference_gradient(high, low, position).1.try_normalize()?;
+    let is_real = indicators.clearance(position, &[low, high]) > 0.0;
+    (is_real && own.dot(normal) > 0.0).then_some((position, own))
+}
+
+/// The particles at points and on curves, which hold those on sheets off.
+struct Border<'a> {
+    curves: &'a Curves,
+    sizes: Vec<f64>,
+    bins: LevelBins,
+}
+
+impl<'a> Border<'a> {
+    fn new(curves: &'a Curves, spread: &SizingField) -> Self {
+        let sizes: Vec<f64> = curves.positions.iter().map(|&p| spread.at(p)).collect();
+        let bins = LevelBins::new(&curves.positions, &sizes, FROM_BORDER);
+        Self { curves, sizes, bins }
+    }
+
+    /// The candidates that are far enough from the particles of their own sheets' borders.
+    fn beyond(&self, all: Candidates, sheet_of: &[Stratum]) -> Candidates {
+        let is_beyond = |i: usize| {
+            let (p, h, sheet) = (all.points[i], all.sizes[i], &sheet_of[all.component[i] as usize]);
+            let mut far = true;
+            self.bins.visit(p, h, |j| {
+                let j = j as usize;
+                let radius = FROM_BORDER * h.min(self.sizes[j]);
+                let is_near = p.distance_squared(self.curves.positions[j]) < radius * radius;
+                far &= !(is_near && self.curves.strata.of[j].is_on(sheet));
+            });
+            far
+        };
+        let kept: Vec<usize> = (0..all.points.len()).into_par_iter().filter(|&i| is_beyond(i)).collect();
+        Candidates {
+            points: kept.iter().map(|&i| all.points[i]).collect(),
+            normals: kept.iter().map(|&i| all.normals[i]).collect(),
+            sizes: kept.iter().map(|&i| all.sizes[i]).collect(),
+            component: kept.iter().map(|&i| all.component[i]).collect(),
+        }
+    }
+
+    /// The one that is farthest from the particles of its sheet's border.
+    fn farthest(&self, own: Vec<Placed>, sheet: Stratum) -> Option<Placed> {
+        let border: Vec<DVec3> = (0..self.curves.positions.len())
+            .filter(|&j| self.curves.strata.of[j].is_on(&sheet))
+            .map(|j| self.curves.positions[j])
+            .collect();
+        let distance = |p: DVec3| border.iter().map(|b| b.distance_squared(p)).fold(f64::INFINITY, f64::min);
+        let all = own.into_iter().map(|placed| (distance(placed.position), placed));
+        all.reduce(|best, next| if next.0 > best.0 { next } else { best }).map(|(_, placed)| placed)
+    }
+}

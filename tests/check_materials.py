@@ -1,0 +1,309 @@
+"""What a surface of many materials keeps of the labels that it was made from: a look from outside, by other ways than the stages' own.
+
+    python tests/check_materials.py CASE.surface.vtp LABELS.vti [--volume CASE.volume.vtu] [--json FILE]
+
+LABELS.vti is what `distfield VOLUME --write-volume LABELS.vti` writes. Every voxel centre's material is found by following lines of
+voxel centres through the triangles, from outside in; junctions are compared by place; triangles and tetrahedra are measured. Nothing here is
+shared with the programs that made the files. The last line is `PASSED` or names what differs; exit code 1 then.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyvista as pv
+from numpy.typing import NDArray
+from scipy import ndimage
+from scipy.spatial import cKDTree
+
+Floats = NDArray[np.float64]
+Integers = NDArray[np.int64]
+
+OFF_LATTICE = (3.1e-5, 7.3e-5)
+"""Where lines pass voxel centres by, as shares of the spacing: none goes through an edge of a capped face."""
+NEAR = 1.5
+"""Junctions of the voxels and of the mesh are the same if they are nearer than this, in voxels."""
+SMALL_COMPONENT = 8
+"""Components of up to so many voxels may be missing."""
+SMALL_JUNCTION = 2
+"""Materials that meet along up to so many voxels may not meet in the mesh."""
+
+
+def note(data: pv.DataSet, name: str) -> Any:
+    """A JSON text in the field data."""
+    return json.loads(bytes(np.asarray(data.field_data[name]).astype(np.uint8)).decode())
+
+
+def materials_of(labels: pv.ImageData, table: list[dict[str, Any]]) -> Integers:
+    """The material of each voxel, shape (nx, ny, nz)."""
+    values = np.asarray(labels.point_data["values"]).reshape(labels.dimensions, order="F").astype(np.int64)
+    materials = np.zeros(labels.dimensions, dtype=np.int64)
+    for number, row in enumerate(table):
+        for label in row["labels"]:
+            layer = label["layer"]
+            own = values
+            if layer:
+                own = np.asarray(labels.point_data[f"values_of_layer_{layer}"]).reshape(labels.dimensions, order="F")
+            materials[own == label["label"]] = number
+    return materials
+
+
+def into_voxels(points: Floats, labels: pv.ImageData) -> Floats:
+    """World positions as indices of voxel centres."""
+    matrix = np.asarray(labels.direction_matrix).reshape(3, 3) * np.asarray(labels.spacing)
+    return np.linalg.solve(matrix, (points - np.asarray(labels.origin)).T).T
+
+
+def crossings(
+    corners: Floats, inside: Integers, outside: Integers, size: tuple[int, ...]
+) -> tuple[Integers, Floats, Integers, Integers]:
+    """Where lines along x through voxel centres cross triangles: line number, x, the material before and that behind."""
+    lines, places, before, behind = [], [], [], []
+    yz = corners[:, :, 1:] - np.asarray(OFF_LATTICE)
+    low = np.maximum(np.ceil(yz.min(axis=1)).astype(np.int64), 0)
+    high = np.minimum(np.floor(yz.max(axis=1)).astype(np.int64), np.asarray(size[1:]) - 1)
+    # doubled area in the plane of y and z: positive where x grows from inside to outside, with counter-clockwise triangles
+    a, b, c = yz[:, 0], yz[:, 1], yz[:, 2]
+    area = (b[:, 0] - a[:, 0]) * (c[:, 1] - a[:, 1]) - (b[:, 1] - a[:, 1]) * (c[:, 0] - a[:, 0])
+    span = np.maximum(high - low + 1, 0)
+    for t in np.flatnonzero((span.prod(axis=1) > 0) & (area != 0.0)):
+        y, z = np.meshgrid(np.arange(low[t, 0], high[t, 0] + 1), np.arange(low[t, 1], high[t, 1] + 1), indexing="ij")
+        y, z = y.ravel(), z.ravel()
+        u = ((b[t, 0] - y) * (c[t, 1] - z) - (b[t, 1] - z) * (c[t, 0] - y)) / area[t]
+        v = ((c[t, 0] - y) * (a[t, 1] - z) - (c[t, 1] - z) * (a[t, 0] - y)) / area[t]
+        hit = (u >= 0) & (v >= 0) & (u + v <= 1)
+        if not hit.any():
+            continue
+        x = u * corners[t, 0, 0] + v * corners[t, 1, 0] + (1 - u - v) * corners[t, 2, 0]
+        first, second = (inside[t], outside[t]) if area[t] > 0 else (outside[t], inside[t])
+        count = int(hit.sum())
+        lines.append(y[hit] * size[2] + z[hit])
+        places.append(x[hit])
+        before.append(np.full(count, first))
+        behind.append(np.full(count, second))
+    empty = np.empty(0)
+    joined = [np.concatenate(parts) if parts else empty for parts in (lines, places, before, behind)]
+    order = np.lexsort((joined[1], joined[0]))
+    line, place, first, second = (part[order] for part in joined)
+    return line.astype(np.int64), place, first.astype(np.int64), second.astype(np.int64)
+
+
+def follow_lines(corners: Floats, inside: Integers, outside: Integers, size: tuple[int, ...]) -> tuple[Integers, int]:
+    """The material at each voxel centre, and how many crossings do not begin with the material that is there."""
+    line, place, before, behind = crossings(corners, inside, outside, size)
+    found = np.zeros(size, dtype=np.int64)
+    wrong = 0
+    starts = np.flatnonzero(np.diff(line, prepend=-1))
+    for start, end in zip(starts, [*starts[1:], len(line)], strict=True):
+        own = slice(start, end)
+        row = found[:, line[start] // size[2], line[start] % size[2]]
+        known = np.concatenate(([0], behind[own]))
+        wrong += int((known[:-1] != before[own]).sum()) + int(known[-1] != 0)
+        row[:] = known[np.searchsorted(place[own], np.arange(size[0]))]
+    return found, wrong
+
+
+def grid_junctions(materials: Integers) -> dict[tuple[int, ...], Floats]:
+    """Faces of four voxels that three and more materials meet on, by these: their middles, in voxels. All is outside beyond the volume."""
+    padded = np.pad(materials, 1)
+    found: dict[tuple[int, ...], list[Floats]] = {}
+    for axis in range(3):
+        u, v = (axis + 1) % 3, (axis + 2) % 3
+        own = np.moveaxis(padded, (u, v, axis), (0, 1, 2))
+        four = np.stack([own[:-1, :-1], own[1:, :-1], own[:-1, 1:], own[1:, 1:]])
+        four.sort(axis=0)
+        distinct = 1 + (np.diff(four, axis=0) != 0).sum(axis=0)
+        for place in np.argwhere(distinct >= 3):
+            names = tuple(np.unique(four[:, place[0], place[1], place[2]]).tolist())
+            middle = np.empty(3)
+            middle[[u, v, axis]] = place[0] - 0.5, place[1] - 0.5, place[2] - 1.0
+            found.setdefault(names, []).append(middle)
+    return {names: np.asarray(places) for names, places in found.items()}
+
+
+def mesh_junctions(
+    points: Floats, triangles: Integers, inside: Integers, outside: Integers
+) -> dict[tuple[int, ...], Floats]:
+    """Edges of other than two triangles, by the materials round them: their middles."""
+    edges = np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+    owner = np.repeat(np.arange(len(triangles)), 3)
+    unique, inverse, counts = np.unique(edges, axis=0, return_inverse=True, return_counts=True)
+    order = np.argsort(inverse.ravel(), kind="stable")
+    starts = np.concatenate(([0], np.cumsum(counts)))
+    found: dict[tuple[int, ...], list[Floats]] = {}
+    for edge in np.flatnonzero(counts != 2):
+        own = owner[order[starts[edge] : starts[edge + 1]]]
+        names = tuple(np.unique(np.concatenate((inside[own], outside[own]))).tolist())
+        found.setdefault(names, []).append(points[unique[edge]].mean(axis=0))
+    return {names: np.asarray(places) for names, places in found.items()}
+
+
+def share_near(
+    places: dict[tuple[int, ...], Floats], others: dict[tuple[int, ...], Floats], has: Any
+) -> tuple[int, int]:
+    """Of places those with another near by whose materials `has` the same, and all."""
+    near = total = 0
+    for names, own in places.items():
+        total += len(own)
+        matching = [points for other, points in others.items() if has(names, other)]
+        if matching:
+            distance, _ = cKDTree(np.concatenate(matching)).query(own)
+            near += int((distance < NEAR).sum())
+    return near, total
+
+
+def triangle_figures(points: Floats, triangles: Integers, pair: Integers) -> dict[str, float]:
+    """Radius ratio 2 r / R, angles in degrees, and the turn of normals between neighbours of one sheet."""
+    corners = points[triangles]
+    sides = corners[:, [2, 0, 1]] - corners[:, [1, 2, 0]]
+    length = np.linalg.norm(sides, axis=2)
+    normal = np.cross(sides[:, 2], -sides[:, 1])
+    area = 0.5 * np.linalg.norm(normal, axis=1)
+    half = 0.5 * length.sum(axis=1)
+    ratio = 8.0 * area**2 / (half * length.prod(axis=1))
+    a, b, c = length.T
+    cosine = np.stack(
+        [(b**2 + c**2 - a**2) / (2 * b * c), (c**2 + a**2 - b**2) / (2 * c * a), (a**2 + b**2 - c**2) / (2 * a * b)]
+    )
+    angles = np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0)))
+    edges = np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+    _, inverse, counts = np.unique(edges, axis=0, return_inverse=True, return_counts=True)
+    owner = np.repeat(np.arange(len(triangles)), 3)
+    inner = np.flatnonzero(counts[inverse.ravel()] == 2)
+    pairs = owner[inner[np.argsort(inverse.ravel()[inner], kind="stable")]].reshape(-1, 2)
+    pairs = pairs[pair[pairs[:, 0]] == pair[pairs[:, 1]]]
+    unit = normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-300)
+    turn = np.degrees(np.arccos(np.clip((unit[pairs[:, 0]] * unit[pairs[:, 1]]).sum(axis=1), -1.0, 1.0)))
+    return {
+        "radius_ratio_mean": float(ratio.mean()),
+        "radius_ratio_smallest": float(ratio.min()),
+        "angle_smallest": float(angles.min()),
+        "angle_largest": float(angles.max()),
+        "turn_rms": float(np.sqrt((turn**2).mean())),
+    }
+
+
+def unbalanced_edges(triangles: Integers, inside: Integers, outside: Integers, count: int) -> int:
+    """Edges along which the border of some material, turned outward, does not close."""
+    wrong = 0
+    for number in range(count):
+        turned = np.concatenate((triangles[inside == number], triangles[outside == number][:, ::-1]))
+        ends = turned[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
+        sign = np.where(ends[:, 0] < ends[:, 1], 1, -1)
+        _, inverse = np.unique(np.sort(ends, axis=1), axis=0, return_inverse=True)
+        wrong += int((np.bincount(inverse.ravel(), weights=sign) != 0).sum()) if len(ends) else 0
+    return wrong
+
+
+def smallest_dihedrals(volume: pv.UnstructuredGrid) -> Floats:
+    """The smallest dihedral angle of each tetrahedron, degrees."""
+    corners = np.asarray(volume.points)[volume.cells_dict[pv.CellType.TETRA]]
+    faces = [(1, 2, 3), (0, 3, 2), (0, 1, 3), (0, 2, 1)]
+    normals = np.stack(
+        [np.cross(corners[:, j] - corners[:, i], corners[:, k] - corners[:, i]) for i, j, k in faces], axis=1
+    )
+    normals /= np.linalg.norm(normals, axis=2, keepdims=True)
+    angles = [
+        180.0 - np.degrees(np.arccos(np.clip((normals[:, i] * normals[:, j]).sum(axis=1), -1, 1)))
+        for i in range(4)
+        for j in range(i)
+    ]
+    smallest: Floats = np.min(angles, axis=0)
+    return smallest
+
+
+def lost_components(materials: Integers, found: Integers) -> list[str]:
+    """Components of more than a few voxels none of which has its material any more."""
+    lost = []
+    for number in np.unique(materials[materials > 0]).tolist():
+        parts, count = ndimage.label(materials == number)
+        sizes = np.bincount(parts.ravel(), minlength=count + 1)
+        kept = np.bincount(parts[found == number].ravel(), minlength=count + 1)
+        lost += [
+            f"{number}: {sizes[part]} voxels"
+            for part in range(1, count + 1)
+            if sizes[part] > SMALL_COMPONENT and kept[part] == 0
+        ]
+    return lost
+
+
+def look(surface: pv.PolyData, labels: pv.ImageData, volume: pv.UnstructuredGrid | None) -> dict[str, Any]:
+    """All figures."""
+    table = note(surface, "meta")["materials"]
+    materials = materials_of(labels, table)
+    points = np.asarray(surface.points, dtype=np.float64)
+    triangles = surface.regular_faces.astype(np.int64)
+    inside, outside = (
+        np.asarray(surface.cell_data[f"material_{side}"]).astype(np.int64) for side in ("inside", "outside")
+    )
+    in_voxels = into_voxels(points, labels)
+    # a left-handed grid turns triangles over
+    corners = in_voxels[triangles]
+    if np.linalg.det(np.asarray(labels.direction_matrix).reshape(3, 3)) < 0:
+        corners = corners[:, ::-1]
+    found, wrong = follow_lines(corners, inside, outside, materials.shape)
+    grid, mesh = grid_junctions(materials), mesh_junctions(in_voxels, triangles, inside, outside)
+    has = lambda names, other: set(names) <= set(other) or set(other) <= set(names)  # noqa: E731
+    kept, junctions = share_near(grid, mesh, has)
+    real, edges = share_near(mesh, grid, has)
+    lost = [
+        names
+        for names, places in grid.items()
+        if len(places) > SMALL_JUNCTION and not any(set(names) <= set(other) for other in mesh)
+    ]
+    figures: dict[str, Any] = {
+        "materials": len(table),
+        "vertices": len(points),
+        "triangles": len(triangles),
+        "voxels_changed": int((found != materials).sum()),
+        "voxels_changed_percent": 100.0 * float((found != materials).mean()),
+        "crossings_wrong": wrong,
+        "unbalanced_edges": unbalanced_edges(triangles, inside, outside, len(table)),
+        "components_lost": lost_components(materials, found),
+        "junctions_kept_percent": 100.0 * kept / max(junctions, 1),
+        "junctions_spurious_percent": 100.0 * (1.0 - real / max(edges, 1)),
+        "materials_that_no_longer_meet": [list(names) for names in lost],
+        **triangle_figures(points, triangles, inside * len(table) + outside),
+    }
+    if volume is not None:
+        smallest = smallest_dihedrals(volume)
+        figures |= {
+            "tetrahedra": len(smallest),
+            "dihedral_smallest": float(smallest.min()),
+            "dihedral_1_percent": float(np.percentile(smallest, 1)),
+        }
+    return figures
+
+
+def main() -> int:
+    """Run the program."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("surface", type=Path)
+    parser.add_argument("labels", type=Path)
+    parser.add_argument("--volume", type=Path, help="the tetrahedra")
+    parser.add_argument(
+        "--scaled", action="store_true", help="the labels were smoothed: voxels and junctions may have changed"
+    )
+    parser.add_argument("--json", type=Path, help="write the figures to this file")
+    arguments = parser.parse_args()
+    volume = pv.read(arguments.volume) if arguments.volume else None
+    figures = look(pv.read(arguments.surface), pv.read(arguments.labels), volume)
+    if arguments.json:
+        arguments.json.write_text(json.dumps(figures, indent=1) + "\n")
+    for name, value in figures.items():
+        print(f"{name:32} {value:.4g}" if isinstance(value, float) else f"{name:32} {value}")
+    must_be_none = ["crossings_wrong", "unbalanced_edges"]
+    if not arguments.scaled:
+        must_be_none += ["voxels_changed", "components_lost", "materials_that_no_longer_meet"]
+    differing = [name for name in must_be_none if figures[name]]
+    print("PASSED" if not differing else f"DIFFERS: {', '.join(differing)}")
+    return 1 if differing else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
