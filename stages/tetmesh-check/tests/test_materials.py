@@ -79,6 +79,10 @@ CASES: dict[str, Made] = {
         lambda x, y, z: np.where((abs(x - 3) < 2) & (abs(y - 3) < 2) & (abs(z - 3) < 2) & ((x < 3) == (y < 3)), 2, 1),
         ("body", "columns"),
     ),
+    # two hollows in one material, which have the same materials round them
+    "hollows": cells_of_a_block(
+        (9, 5, 5), lambda x, y, z: np.where((abs(x - 4.5) == 2) & (y == 2.5) & (z == 2.5), 0, 1), ("bone",), 2.0
+    ),
     "cavity": cells_of_a_block(
         (9, 9, 9),
         lambda x, y, z: np.select(
@@ -124,6 +128,7 @@ def test_regions_share_their_triangles(tmp_path: Path, run: Run, name: str) -> N
     assert differing == wanted
 
     results = results_of(tmp_path / "r.json")
+    assert results["tetrahedralizer"]["algorithm"] == "hxt"
     volumes = signed_tetrahedron_volumes(points, cells)
     quality = tetrahedron_quality(points, cells)
     for entry, material in zip(results["volume"]["regions"], results["complex"]["materials"][1:], strict=True):
@@ -242,7 +247,10 @@ def test_limits_decide_on_the_exit_code(tmp_path: Path, run: Run) -> None:
     assert done.returncode == 1, done.stderr
     assert (tmp_path / "c.vtu").is_file()
     ran = results_of(tmp_path / "r.json")["tetrahedralizer"]
-    assert [attempt["algorithm"] for attempt in ran["attempts"]] == ["hxt", "delaunay"]
+    assert [attempt["algorithm"] for attempt in ran["attempts"]] == ["hxt", "hxt", "delaunay"]
+    assert [attempt["relocated"] for attempt in ran["attempts"]] == [False, True, False]
+    best = max(ran["attempts"], key=lambda attempt: attempt["min_scaled_jacobian"])
+    assert (ran["algorithm"], ran["relocated"]) == (best["algorithm"], best["relocated"])
     assert "exists already" in run(*words).stderr
 
 

@@ -20,8 +20,9 @@ from tetmesh_check.sizing import SizingField, world_grid
 from tetmesh_check.volume import orient_positive
 from tetmesh_check.worker import TimeLimit, TimeLimitError, UnavailableError, WorkerResult
 
-ALGORITHMS = ("hxt", "delaunay")
-"""Of Gmsh, in the order they are tried: the second where the first fails, moves an interface or misses a limit of shape."""
+ATTEMPTS = (HxtSettings(), HxtSettings(relocate=True), HxtSettings(algorithm="delaunay"))
+"""What is tried in turn, until an attempt keeps all interfaces and the limits of shape: HXT, HXT with more patience (not where it failed), and
+Gmsh's older Delaunay, which takes some complexes that HXT does not. ``--method hxt`` leaves the last out."""
 
 
 @dataclass(frozen=True)
@@ -120,14 +121,17 @@ def fill_complex(task: ComplexTask, context: Context) -> FilledComplex:
         grid = world_grid(task.field, task.checked.surface, task.tet_size_factor)
     best: FilledComplex | None = None
     failure: StageError | None = None
-    for algorithm in ALGORITHMS if task.method is Method.AUTO else ALGORITHMS[:1]:
+    for settings in ATTEMPTS if task.method is Method.AUTO else ATTEMPTS[:2]:
+        if settings.relocate and best is None:
+            continue
+        tried: dict[str, Any] = {"algorithm": settings.algorithm, "relocated": settings.relocate}
         try:
             with context.step("tetrahedralize"):
                 raw = fill_complex_by_gmsh(
                     task.checked.surface,
                     task.checked.shells,
                     grid,
-                    HxtSettings(algorithm=algorithm),
+                    settings,
                     task.log,
                     limit,
                     context,
@@ -138,7 +142,7 @@ def fill_complex(task: ComplexTask, context: Context) -> FilledComplex:
             final = error.code == ExitCode.INTERRUPTED or isinstance(error, (TimeLimitError, UnavailableError))
             if final and best is None:
                 raise
-            attempts.append({"algorithm": algorithm, "error": error.what})
+            attempts.append({**tried, "error": error.what})
             failure = error
             if final:
                 break
@@ -147,7 +151,7 @@ def fill_complex(task: ComplexTask, context: Context) -> FilledComplex:
         attempts.append(
             {
                 **raw.summary,
-                "algorithm": algorithm,
+                **tried,
                 "faults": filled.conformity.faults,
                 "min_dihedral": smallest,
                 "min_scaled_jacobian": filled.rank[1],
@@ -155,11 +159,11 @@ def fill_complex(task: ComplexTask, context: Context) -> FilledComplex:
         )
         if best is None or filled.rank > best.rank:
             best = filled
-            results["algorithm"] = algorithm
+            results.update(tried)
         if filled.conformity.faults == 0 and well_shaped(filled.quality, task.limits):
             break
         context.verbose(
-            f"{algorithm}: {filled.conformity.faults} faults at the interfaces, smallest dihedral angle {smallest:.3g} degrees"
+            f"{settings.algorithm}: {filled.conformity.faults} faults at the interfaces, smallest dihedral angle {smallest:.3g} degrees"
         )
     if best is None:
         assert failure is not None, "an attempt is made or fails"

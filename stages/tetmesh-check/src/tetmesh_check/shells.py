@@ -139,7 +139,7 @@ class Shells:
     of_inside: Labels
     """Volume behind each triangle, shape ``(m,)``."""
     of_outside: Labels
-    """Volume before it, shape ``(m,)``; -1 where there is no material."""
+    """Volume before it, shape ``(m,)``; where there is no material below 0, another number for each shell of the outside."""
     mixed: int
     """Wedges between sides of different materials: at such an edge the order of the triangles contradicts their materials."""
     narrowest: dict[int, float]
@@ -148,7 +148,10 @@ class Shells:
     """Shells that bound a cavity which lies in no volume of its material: turned the wrong way round."""
 
     def sheets(self) -> tuple[Cells, Labels]:
-        """Pairs of volumes that touch, shape ``(s, 2)``, and the pair of each triangle, shape ``(m,)``."""
+        """Pairs of volumes that touch, shape ``(s, 2)``, and the pair of each triangle, shape ``(m,)``.
+
+        Neither two volumes nor two hollows have the same sheets round them.
+        """
         pairs, which = np.unique(np.stack([self.of_inside, self.of_outside], 1), axis=0, return_inverse=True)
         return pairs, which.ravel().astype(np.int64)
 
@@ -189,6 +192,9 @@ def measure_shells(points: Points, triangles: Cells, sides: Sides, edges: Edges)
     if len(cavities):
         parent = _parents(points, facets, shell, material, size, cavities)
         volume[cavities] = np.where(parent >= 0, volume[parent], -1)
+    # Gmsh tells hollows, too, by their sheets
+    beyond = np.zeros(count, dtype=np.int64)
+    beyond[material == NOTHING] = np.arange(int((material == NOTHING).sum()))
     known = volume >= 0
     total: Values = np.bincount(volume[known], weights=size[known], minlength=len(outer)).astype(np.float64)
     lost = int((volume[cavities] < 0).sum())
@@ -196,7 +202,7 @@ def measure_shells(points: Points, triangles: Cells, sides: Sides, edges: Edges)
         materials=material[outer],
         sizes=total,
         of_inside=volume[shell[0::2]],
-        of_outside=volume[shell[1::2]],
+        of_outside=np.where(sides.outside == NOTHING, -1 - beyond[shell[1::2]], volume[shell[1::2]]),
         mixed=mixed,
         narrowest={number: float(narrowest[number]) for number in sides.present},
         inside_out=lost,

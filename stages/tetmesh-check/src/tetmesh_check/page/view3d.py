@@ -119,13 +119,17 @@ def views_of_volume(grid: pv.UnstructuredGrid) -> list[ViewMesh]:
 
 
 def _views_of_regions(points: Points, cells: Cells, region: Labels, names: list[str]) -> list[ViewMesh]:
-    """Each material by itself within a ghost of the whole, those of most tetrahedra first."""
+    """Each material by itself within a ghost of the whole, those of most tetrahedra first; no more triangles than one mesh may have."""
     numbers, counts = np.unique(region, return_counts=True)
-    views = []
-    for number_ in numbers[np.argsort(-counts, kind="stable")][:_MAX_REGIONS].tolist():
-        triangles = tetrahedron_boundary(cells[region == number_]).triangles
+    views: list[ViewMesh] = []
+    left = MAX_TRIANGLES
+    for material in numbers[np.argsort(-counts, kind="stable")][:_MAX_REGIONS].tolist():
+        triangles = tetrahedron_boundary(cells[region == material]).triangles
+        left -= len(triangles)
+        if left < 0:
+            break
         shape = Colour("radius ratio", "", triangle_quality(points, triangles).radius_ratio, True, "low")
-        views.append(ViewMesh(f"only {names[number_]}", points, triangles, [shape], within=True))
+        views.append(ViewMesh(f"only {names[material]}", points, triangles, [shape], within=True))
     return views
 
 
