@@ -11,6 +11,9 @@ use isoparticles_delaunay::{Delaunay, INFINITE, Insertion};
 use isoparticles_stage::error::Result;
 use rayon::prelude::*;
 
+/// Fewer tetrahedra than these are labelled on one thread: waking others takes longer.
+const FEW: usize = 256;
+
 /// A facet between two labels.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Facet {
@@ -93,7 +96,11 @@ impl<L: Copy + Default + Ord + Send + Sync> Labelled<L> {
             let centre = if self.delaunay.is_alive(t) { self.delaunay.circumcentre(t) } else { None };
             centre.filter(|&c| self.in_volume(c)).map_or_else(L::default, &label)
         };
-        let labels: Vec<L> = undecided.par_iter().map(at_centre).collect();
+        let labels: Vec<L> = if undecided.len() < FEW {
+            undecided.iter().map(at_centre).collect()
+        } else {
+            undecided.par_iter().map(at_centre).collect()
+        };
         for (&t, &label) in undecided.iter().zip(&labels) {
             self.labels[t as usize] = label;
         }

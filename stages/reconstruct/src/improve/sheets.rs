@@ -1,7 +1,9 @@
 //! The implicit functions whose zero sets a surface lies on: F of one object, or one for each sheet between two of many materials.
 
+use super::surface::Surface;
 use glam::DVec3;
 use isoparticles_field::spline::{CubicSpline, Jet};
+use std::f64::consts::FRAC_PI_3;
 
 /// Functions of a grid position, mm, by the number of the sheet that each is zero on; negative inside, where the triangles of the sheet face away from.
 pub trait Sheets: Sync {
@@ -42,5 +44,35 @@ impl Sheets for CubicSpline {
 
     fn voxel(&self) -> f64 {
         self.geometry().mean_spacing()
+    }
+}
+
+impl Surface<'_> {
+    /// The sheet that a vertex lies on, which is not fixed and has triangles.
+    pub(super) fn sheet_at(&self, vertex: u32) -> u32 {
+        self.around[vertex as usize].first().map_or(0, |&t| self.sheet[t as usize])
+    }
+
+    /// Whether a vertex cannot spare a triangle. A fixed one always can: where an edge inside a sheet ends there, it has two in that sheet.
+    pub(super) fn has_few(&self, vertex: u32) -> bool {
+        !self.fixed[vertex as usize] && self.degree(vertex) < 4
+    }
+
+    /// How many more triangles than six a vertex has; a fixed one in the sheet of a triangle at it, more than sixths of a turn in the angle there.
+    pub(super) fn surplus(&self, vertex: u32, triangle: u32) -> i64 {
+        if !self.fixed[vertex as usize] {
+            return self.degree(vertex) as i64 - 6;
+        }
+        let sheet = self.sheet[triangle as usize];
+        let own = self.around[vertex as usize].iter().filter(|&&t| self.sheet[t as usize] == sheet);
+        let (mut count, mut angle) = (0, 0.0);
+        for &t in own {
+            let corners = self.triangles[t as usize];
+            let at = corners.iter().position(|&v| v == vertex).unwrap_or(0);
+            let [p, q, r] = [0, 1, 2].map(|k| self.positions[corners[(at + k) % 3] as usize]);
+            angle += (q - p).angle_between(r - p);
+            count += 1;
+        }
+        count - (angle / FRAC_PI_3).round().max(1.0) as i64
     }
 }

@@ -25,9 +25,6 @@ const NEAREST_FOR_TOPOLOGY: f64 = 0.05;
 /// Ends of a segment are no nearer to the point that splits it than this part of its length.
 const MIDDLE: f64 = 0.2;
 
-/// How far beside the middle of a segment its curve is sought too, over the segment's length.
-const ASIDE: f64 = 0.05;
-
 /// Times that grid nodes are looked for in other materials, each time with an empty queue.
 const NODE_ROUNDS: usize = 12;
 
@@ -219,11 +216,7 @@ impl<'a> Refinement<'a> {
         let Some(curve) = self.complex.segments.curve(pair) else { return Ok(false) };
         let [a, b] = pair.map(|v| self.complex.points()[v as usize]);
         let length = a.distance(b);
-        let (u, v) = (b - a).normalize_or(DVec3::X).any_orthonormal_pair();
-        // beside a kink of the indicators steps may end in vain, but not from all sides
-        let starts = [DVec3::ZERO, u, v, -u, -v].map(|way| a.midpoint(b) + ASIDE * length * way);
-        let on_curve = |start: &DVec3| onto(self.complex.indicators, curve, *start, 0.5 * length);
-        let middle = starts.iter().find_map(on_curve);
+        let middle = onto(self.complex.indicators, curve, a.midpoint(b), 0.5 * length);
         let is_between = |p: &DVec3| p.distance(a).min(p.distance(b)) > (MIDDLE * length).max(least);
         let Some(middle) = middle.filter(is_between) else { return Ok(false) };
         let size = 0.5 * (self.complex.sizes[pair[0] as usize] + self.complex.sizes[pair[1] as usize]);

@@ -49,8 +49,9 @@ fn known_shapes_have_their_strata_and_keep_every_node() {
     ] {
         let sampled = scene.sampled(1.0);
         let analytic = &scene.analytic as &dyn Indicators;
+        // no curve of these functions can be sought from outside the ball, where two maxima are equal: so only samples are kept at a large h
         for (kind, indicators, h) in
-            [("coarse", analytic, 2.0), ("analytic", analytic, 1.5), ("sampled", &sampled, 1.5)]
+            [("analytic", analytic, 1.5), ("sampled", &sampled, 1.5), ("coarse", &sampled, 2.0)]
         {
             let made = made(&scene, indicators, h, true);
             assert_sound(&made, &format!("{name} {kind}"));
