@@ -67,7 +67,7 @@ pub fn seed_curves<I: Indicators>(
             }
             _ => {}
         }
-        let nearest = NEAREST * complex.length(chain) / steps as f64;
+        let nearest = |p: DVec3| NEAREST * spread.at(p) * along.total() / steps as f64;
         found.add(indicators, chain, &along, steps, nearest);
     }
     found.set_sizes(sizing);
@@ -75,8 +75,15 @@ pub fn seed_curves<I: Indicators>(
 }
 
 impl Curves {
-    /// Adds the particles of a chain, so many steps along it, none nearer than `nearest` (mm) to the one before.
-    fn add<I: Indicators>(&mut self, indicators: &I, chain: &Chain, along: &Along, steps: usize, nearest: f64) {
+    /// Adds the particles of a chain, so many steps along it, none nearer than `nearest` there (mm) to the one before.
+    fn add<I: Indicators>(
+        &mut self,
+        indicators: &I,
+        chain: &Chain,
+        along: &Along,
+        steps: usize,
+        nearest: impl Fn(DVec3) -> f64,
+    ) {
         let point = |end: End| match end {
             End::Point(point) => Some(point),
             End::Border | End::Closed => None,
@@ -99,6 +106,7 @@ impl Curves {
                 self.not_projected += 1;
                 continue;
             };
+            let nearest = nearest(position);
             let is_near = |other: u32| self.positions[other as usize].distance(position) < nearest;
             let is_closing = chain.is_closed() && self.positions.len() as u32 > first && is_near(first);
             if is_closing || previous.is_some_and(is_near) || point(chain.ends[1]).is_some_and(is_near) {
