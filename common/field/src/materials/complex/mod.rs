@@ -10,6 +10,8 @@ mod cells;
 mod chains;
 mod lattice;
 mod measure;
+#[cfg(test)]
+mod tests;
 
 pub use cells::{Triangle, Vertex};
 pub use chains::{Chain, End, Junction};
@@ -81,7 +83,7 @@ impl Complex {
             bricks.par_iter().map(|&(first, count)| part(lattice, indicators, first, count)).collect();
         let (vertices, triangles, segments) = joined(parts);
         let mut complex = Self { vertices, triangles, ..Self::default() };
-        chains::trace(&mut complex, &segments, indicators);
+        chains::trace(&mut complex, &segments, indicators, geometry.upper_corner());
         complex
     }
 
