@@ -20,11 +20,11 @@ use rayon::prelude::*;
 /// Rounds of averaging that take ripple out of the curvature: a spline through samples of a steep edge rings, and its second
 /// derivatives tell of that as much as of the shape. On a ball of radius 19 voxels whose edge is two voxels wide the largest
 /// curvature read is 2.1 / R without averaging and 1.25 / R with it.
-const CURVATURE_ROUNDS: usize = 8;
+pub(crate) const CURVATURE_ROUNDS: usize = 8;
 
 /// Radius of curvature (voxels) below which it bounds the feature size: there ripple is small beside it, and the pruned end of
 /// the medial axis behind a tip is not.
-const SHARP: f64 = 5.0;
+pub(crate) const SHARP: f64 = 5.0;
 
 /// How deep a sample may lie inside a medial ball (voxels) before the ball counts as not empty: ripple of that height next to
 /// the touching point would shrink balls to nothing. More takes a part off the feature size (2.5 % on the ball at 0.03).
@@ -182,7 +182,7 @@ fn feature_sizes(
 
 /// Curvature tensor of the level set through a point (Goldman 2005), per mm: the Hessian over the slope, restricted to the
 /// tangent plane. Its eigenvalues are 0 (along the normal) and the two principal curvatures.
-fn curvature_tensor(jet: &Jet) -> DMat3 {
+pub(crate) fn curvature_tensor(jet: &Jet) -> DMat3 {
     let slope = jet.gradient.length();
     if slope < 1e-9 {
         return DMat3::ZERO;
@@ -193,7 +193,7 @@ fn curvature_tensor(jet: &Jet) -> DMat3 {
 }
 
 /// Largest principal curvature in magnitude, per mm, of a curvature tensor on a surface with normal n.
-fn largest_curvature(tensor: &DMat3, n: DVec3) -> f64 {
+pub(crate) fn largest_curvature(tensor: &DMat3, n: DVec3) -> f64 {
     let u = n.any_orthonormal_vector();
     let v = n.cross(u);
     let (tu, tv) = (*tensor * u, *tensor * v);

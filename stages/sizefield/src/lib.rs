@@ -22,7 +22,7 @@ use feature::Features;
 use glam::DVec3;
 use isoparticles_field::sizing::SizingField;
 use isoparticles_mesh::incidence::Incidence;
-use isoparticles_volume::Image;
+use isoparticles_volume::{Geometry, Image};
 use rayon::prelude::*;
 use region::SizedNode;
 
@@ -32,6 +32,9 @@ const SMOOTHING: (usize, f64) = (6, 1.3);
 
 /// Share of the smallest h that h never falls below, not even on a speck.
 const SMALLEST_SHARE: f64 = 0.25;
+
+/// Fewest particles that a component is given room for.
+const MIN_PARTICLES: f64 = 32.0;
 
 /// What asks for which edge length. Lengths in mm.
 #[derive(Clone, Debug)]
@@ -76,28 +79,44 @@ pub fn wanted_sizes(features: &Features, parameters: &Parameters) -> Vec<f64> {
 /// graded into the volume.
 pub fn size_field(distance: &Image<f32>, features: &Features, parameters: &Parameters) -> SizingField {
     let wanted = wanted_sizes(features, parameters);
-    let largest = wanted.iter().copied().fold(0.0, f64::max);
-    let graded = spread(distance, features, &wanted, parameters, largest);
-    let mut smooth: Vec<f64> = features.points.par_iter().map(|&p| graded.at(p)).collect();
+    let samples = Samples { geometry: &distance.geometry, points: &features.points, triangles: &features.triangles };
+    graded_field(&samples, &wanted, parameters, &[])
+}
+
+/// A surface whose samples ask for sizes, on a grid.
+pub(crate) struct Samples<'a> {
+    /// The grid.
+    pub(crate) geometry: &'a Geometry,
+    /// Positions, grid frame, mm.
+    pub(crate) points: &'a [DVec3],
+    /// Triangles between them.
+    pub(crate) triangles: &'a [[u32; 3]],
+}
+
+/// What the samples want, graded, smoothed along the surface, and graded into the volume. Smoothing lifts none above its own of the values in `most`, if there are any.
+pub(crate) fn graded_field(
+    samples: &Samples<'_>,
+    wanted: &[f64],
+    parameters: &Parameters,
+    most: &[f64],
+) -> SizingField {
+    let largest = wanted.iter().copied().filter(|size| size.is_finite()).fold(0.0, f64::max);
+    let graded = spread(samples, wanted, parameters, largest);
+    let mut smooth: Vec<f64> = samples.points.par_iter().map(|&p| graded.at(p)).collect();
     drop(graded);
-    smooth_over_surface(&mut smooth, &Incidence::new(&features.triangles, features.points.len()));
-    spread(distance, features, &smooth, parameters, f64::INFINITY)
+    smooth_over_surface(&mut smooth, &Incidence::new(samples.triangles, samples.points.len()));
+    smooth.iter_mut().zip(most).for_each(|(size, most)| *size = size.min(*most));
+    spread(samples, &smooth, parameters, f64::INFINITY)
 }
 
 /// Gives the nodes of each triangle's cell the smallest size at its corners, so that trilinear h there is no larger, and
 /// grades the rest, as far as it is below `enough`.
-fn spread(
-    distance: &Image<f32>,
-    features: &Features,
-    sizes: &[f64],
-    parameters: &Parameters,
-    enough: f64,
-) -> SizingField {
-    let geometry = &distance.geometry;
+fn spread(samples: &Samples<'_>, sizes: &[f64], parameters: &Parameters, enough: f64) -> SizingField {
+    let geometry = samples.geometry;
     let mut h = Image::filled(geometry.clone(), f32::INFINITY);
-    for t in &features.triangles {
+    for t in samples.triangles {
         let size = t.iter().map(|&v| sizes[v as usize]).fold(f64::INFINITY, f64::min) as f32;
-        let centre = t.iter().map(|&v| features.points[v as usize]).sum::<DVec3>() / 3.0;
+        let centre = t.iter().map(|&v| samples.points[v as usize]).sum::<DVec3>() / 3.0;
         let index = geometry.grid_to_index(centre);
         let base: [usize; 3] =
             std::array::from_fn(|a| (index[a].max(0.0) as usize).min(geometry.size[a].saturating_sub(2)));

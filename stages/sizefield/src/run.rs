@@ -2,9 +2,10 @@
 
 use crate::feature::{Bumps, Features};
 use crate::limits::{check_count, check_size};
+use crate::materials::GivenSize;
 use crate::region::{Refinement, SizedNode};
 use crate::vertices::{scaled_to_vertices, size_for_vertices};
-use crate::{Parameters, size_field, uniform_field, wanted_sizes};
+use crate::{MIN_PARTICLES, Parameters, size_field, uniform_field, wanted_sizes};
 use clap::Parser;
 use glam::DVec3;
 use isoparticles_field::sizing::SizingField;
@@ -21,20 +22,20 @@ use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
 
 /// The defaults of one quality.
-struct Defaults {
+pub(crate) struct Defaults {
     pub(crate) epsilon: f64,
     pub(crate) delta: f64,
     /// Smallest h over the mean voxel spacing.
-    min_size_voxels: f64,
+    pub(crate) min_size_voxels: f64,
     /// Largest h over the diagonal of the object's bounding box.
-    max_size_diagonals: f64,
+    pub(crate) max_size_diagonals: f64,
     /// Deviation over the mean voxel spacing: 0.1 is also the distance that distfield keeps between the surface of labels and
     /// the voxel centres, each of which the triangles must pass on its own side.
-    deviation_voxels: f64,
+    pub(crate) deviation_voxels: f64,
 }
 
 impl Defaults {
-    fn of(quality: Quality) -> Self {
+    pub(crate) fn of(quality: Quality) -> Self {
         let medium = Self {
             epsilon: 0.5,
             delta: 0.4,
@@ -57,8 +58,6 @@ impl Defaults {
 const LARGEST_FEATURE_DIAGONALS: f64 = 0.25;
 /// The same over the size of `--uniform`.
 const UNIFORM_FEATURES: f64 = 4.0;
-/// Fewest particles that a component is given room for.
-const MIN_PARTICLES: f64 = 32.0;
 
 /// Target edge length h (mm) over the grid of a distance field, from local feature size and curvature
 #[derive(Debug, Parser)]
@@ -101,13 +100,17 @@ pub struct Args {
     /// Multiply what all of the above ask for, before it is graded, above 0; 2 gives about a quarter of the triangles
     #[arg(long, value_name = "FACTOR", default_value_t = 1.0, value_parser = positive, help_heading = METHOD)]
     pub(crate) scale: f64,
-    /// The same h everywhere, in mm, in place of all of the above
+    /// Of many materials: this h (mm) on all interfaces of a material, or on that of two, in place of what its shape asks for; the smaller one where two
+    /// meet, graded by delta. May be given several times
+    #[arg(long, value_name = "NAME=H|NAME/NAME=H", help_heading = METHOD)]
+    pub(crate) size: Vec<GivenSize>,
+    /// The same h everywhere, in mm, in place of all of the above; of many materials, where no --size is given
     #[arg(long, value_name = "MM", value_parser = positive, help_heading = METHOD,
         conflicts_with_all = ["quality", "epsilon", "delta", "min_size", "max_size", "max_deviation", "scale"])]
     pub(crate) uniform: Option<f64>,
     /// Choose h so that the settled surface has about this number of vertices (within 5 %): one h everywhere, or, with any of the options above, what
     /// they ask for times one factor. With small parts or grading there may be more
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(4..), conflicts_with_all = ["uniform", "scale"], help_heading = METHOD)]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(4..), conflicts_with_all = ["uniform", "scale", "size"], help_heading = METHOD)]
     pub(crate) vertices: Option<u64>,
     /// Make h no larger than H (mm) within RADIUS of a place, or where the voxels of a mask volume (of any geometry) are not zero, or
     /// no larger than the point array `h` at the points of a .vtp or .vtu file. All in world coordinates, mm; h grows
@@ -132,6 +135,9 @@ impl StageArgs for Args {
             Some(size) => json!({ "uniform": size }),
             None => json!({ "quality": self.quality().name(), "scale": self.scale, "refine": self.refine }),
         };
+        if !self.size.is_empty() {
+            parameters["size"] = json!(self.size);
+        }
         if let Some(vertices) = self.vertices {
             parameters["vertices"] = json!(vertices);
         }
@@ -140,12 +146,12 @@ impl StageArgs for Args {
 }
 
 impl Args {
-    fn quality(&self) -> Quality {
+    pub(crate) fn quality(&self) -> Quality {
         self.quality.unwrap_or(Quality::Medium)
     }
 
     /// Whether anything is asked for that makes h differ from place to place.
-    fn is_graded(&self) -> bool {
+    pub(crate) fn is_graded(&self) -> bool {
         let lengths = [self.epsilon, self.delta, self.min_size, self.max_size, self.max_deviation];
         self.quality.is_some() || lengths.iter().any(Option::is_some) || !self.refine.is_empty()
     }
@@ -161,6 +167,13 @@ impl Args {
 pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
     if is_materials(&args.input) {
         return crate::materials::run(args, context);
+    }
+    if let Some(given) = args.size.first() {
+        return Err(Error::input(
+            format!("--size {given} for one object"),
+            format!("{} holds one object, which has no materials to name", args.input.display()),
+            "give --uniform or --min-size and --max-size, or a file that distfield --material writes",
+        ));
     }
     let step = context.step("read");
     let field = read_field(&args.input, FieldKind::Distance)?;
@@ -225,7 +238,7 @@ pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
 }
 
 /// The nodes that `--refine` names, and their files among the inputs.
-fn refined_nodes(args: &Args, geometry: &Geometry, context: &Context) -> Result<Vec<SizedNode>> {
+pub(crate) fn refined_nodes(args: &Args, geometry: &Geometry, context: &Context) -> Result<Vec<SizedNode>> {
     let mut refined = Vec::new();
     for refinement in &args.refine {
         let nodes = refinement.nodes(geometry)?;
@@ -366,7 +379,7 @@ fn describe(
 }
 
 /// Minimum, percentiles and maximum by name; sorts the values.
-fn percentiles(values: &mut [f64]) -> Value {
+pub(crate) fn percentiles(values: &mut [f64]) -> Value {
     values.sort_by(f64::total_cmp);
     let at = |percent: usize| values[(values.len() - 1) * percent / 100];
     json!({ "min": at(0), "p1": at(1), "p5": at(5), "median": at(50), "p95": at(95), "max": at(100) })

@@ -11,18 +11,35 @@ const FINISHED_OVER_PREDICTED: f64 = 0.955;
 /// Rounds that find the factor: the count goes with the inverse square of it but for the slope of h, which the factor changes, too.
 const ROUNDS: usize = 3;
 
+/// The same where one edge length is looked for, and the count does not go with its inverse square alone because of junction curves.
+const ROUNDS_OF_ONE_SIZE: usize = 6;
+
 /// The edge length, mm, that gives a surface so many vertices.
 pub fn size_for_vertices(distance: &Image<f32>, surface: &CubicSpline, vertices: f64) -> f64 {
     let at_one = uniform_field(distance, 1.0).predicted_count(surface);
     (FINISHED_OVER_PREDICTED * at_one / vertices).sqrt()
 }
 
+/// The same with the count that an edge length asks for, which falls with it.
+pub(crate) fn size_for_count(count: impl Fn(f64) -> f64, vertices: f64) -> f64 {
+    let mut size = 1.0;
+    for _ in 0..ROUNDS_OF_ONE_SIZE {
+        size *= (FINISHED_OVER_PREDICTED * count(size) / vertices).sqrt();
+    }
+    size
+}
+
 /// A size field times the factor that gives the surface so many vertices.
 pub fn scaled_to_vertices(sizing: SizingField, surface: &CubicSpline, vertices: f64) -> SizingField {
+    scaled_to_count(sizing, |sizing| sizing.predicted_count(surface), vertices)
+}
+
+/// The same with the count that a size field asks for.
+pub(crate) fn scaled_to_count(sizing: SizingField, count: impl Fn(&SizingField) -> f64, vertices: f64) -> SizingField {
     let mut factor = 1.0;
     let mut scaled = sizing.clone();
     for _ in 0..ROUNDS {
-        factor *= (FINISHED_OVER_PREDICTED * scaled.predicted_count(surface) / vertices).sqrt();
+        factor *= (FINISHED_OVER_PREDICTED * count(&scaled) / vertices).sqrt();
         scaled = sizing.scaled(factor);
     }
     scaled

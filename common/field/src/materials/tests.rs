@@ -6,16 +6,16 @@ use crate::spline::CubicSpline;
 use glam::DVec3;
 use isoparticles_volume::{Geometry, Image};
 
-const IDS: [MaterialId; 4] = [MaterialId(0), MaterialId(1), MaterialId(2), MaterialId(3)];
+pub(super) const IDS: [MaterialId; 4] = [MaterialId(0), MaterialId(1), MaterialId(2), MaterialId(3)];
 
 /// A ball of 5 mm in one of 9 mm; the outside round them.
-fn nested(centre: DVec3) -> Analytic {
+pub(super) fn nested(centre: DVec3) -> Analytic {
     let shell = maximum(ball(centre, 9.0), negative(ball(centre, 5.0)));
     Analytic::new(vec![negative(ball(centre, 9.0)), shell, ball(centre, 5.0)], 1.0)
 }
 
 /// Three sectors of 120 degrees of a ball of 8 mm round the z axis through a point; the outside round them.
-fn sectors(centre: DVec3) -> Analytic {
+pub(super) fn sectors(centre: DVec3) -> Analytic {
     let normal =
         |turns: f64| DVec3::new(-(turns * std::f64::consts::TAU).sin(), (turns * std::f64::consts::TAU).cos(), 0.0);
     let sector = |n: f64| {
@@ -26,7 +26,7 @@ fn sectors(centre: DVec3) -> Analytic {
 }
 
 /// Four regions that meet at a point, each round the direction of a corner of a tetrahedron.
-fn corners(point: DVec3) -> Analytic {
+pub(super) fn corners(point: DVec3) -> Analytic {
     let ways = [DVec3::ONE, DVec3::new(1.0, -1.0, -1.0), DVec3::new(-1.0, 1.0, -1.0), DVec3::new(-1.0, -1.0, 1.0)];
     let region = |own: DVec3| {
         let planes = ways.into_iter().filter(|way| *way != own).map(|way| half_space(point, (way - own).normalize()));
@@ -43,7 +43,7 @@ fn balls(point: DVec3) -> Analytic {
 }
 
 /// The same from samples `spacing` mm apart on a cube of 24 mm.
-fn sampled(analytic: &Analytic, spacing: f64) -> Materials {
+pub(super) fn sampled(analytic: &Analytic, spacing: f64) -> Materials {
     let nodes = (24.0 / spacing).round() as usize + 1;
     let geometry = Geometry::axis_aligned([nodes; 3], DVec3::splat(spacing));
     let of = |id: MaterialId| {
@@ -59,7 +59,7 @@ fn place(n: u64) -> DVec3 {
     24.0 * DVec3::new(uniform(3, 0, n), uniform(3, 1, n), uniform(3, 2, n))
 }
 
-const CENTRE: DVec3 = DVec3::new(12.1, 11.8, 12.3);
+pub(super) const CENTRE: DVec3 = DVec3::new(12.1, 11.8, 12.3);
 
 #[test]
 fn the_smallest_indicator_names_the_material() {

@@ -17,6 +17,9 @@ const TINY_VOXELS: f64 = 2.0;
 /// Fewest particles of other closed curves: fewer make no ring.
 const RING: usize = 3;
 
+/// A particle nearer than this share of a step to the one before it is left out: the curve is shorter than its chain there.
+const NEAREST: f64 = 0.3;
+
 /// How far a particle may be from the chain, and how closely it meets its curve, in voxels.
 const FARTHEST: f64 = 1.0;
 const TOLERANCE: f64 = 1e-7;
@@ -64,15 +67,23 @@ pub fn seed_curves<I: Indicators>(
             }
             _ => {}
         }
-        found.add(indicators, chain, &along, steps);
+        let nearest = |p: DVec3| NEAREST * spread.at(p) * along.total() / steps as f64;
+        found.add(indicators, chain, &along, steps, nearest);
     }
     found.set_sizes(sizing);
     found
 }
 
 impl Curves {
-    /// Adds the particles of a chain, so many steps along it.
-    fn add<I: Indicators>(&mut self, indicators: &I, chain: &Chain, along: &Along, steps: usize) {
+    /// Adds the particles of a chain, so many steps along it, none nearer than `nearest` there (mm) to the one before.
+    fn add<I: Indicators>(
+        &mut self,
+        indicators: &I,
+        chain: &Chain,
+        along: &Along,
+        steps: usize,
+        nearest: impl Fn(DVec3) -> f64,
+    ) {
         let point = |end: End| match end {
             End::Point(point) => Some(point),
             End::Border | End::Closed => None,
@@ -95,6 +106,12 @@ impl Curves {
                 self.not_projected += 1;
                 continue;
             };
+            let nearest = nearest(position);
+            let is_near = |other: u32| self.positions[other as usize].distance(position) < nearest;
+            let is_closing = chain.is_closed() && self.positions.len() as u32 > first && is_near(first);
+            if is_closing || previous.is_some_and(is_near) || point(chain.ends[1]).is_some_and(is_near) {
+                continue;
+            }
             let gradient = |other: MaterialId| indicators.difference_gradient(own[0], other, position).1;
             let tangent = gradient(own[1]).cross(gradient(own[2])).normalize_or_zero();
             let number = self.positions.len() as u32;

@@ -34,6 +34,8 @@ pub struct Summary {
     pub predicted_count: f64,
     /// Seeds dropped because they could not be projected onto their stratum, or because another material is nearer there.
     pub not_projected: usize,
+    /// Components of sheets that were left out, since they are far smaller than a voxel's face.
+    pub specks: usize,
     /// Components of sheets that got no particle, since no place on them could be met.
     pub bare_components: usize,
 }
@@ -58,6 +60,7 @@ pub fn seed_strata(
         crowded_components: sheets.crowded,
         predicted_count,
         not_projected: curves.not_projected + sheets.not_projected,
+        specks: sheets.specks,
         bare_components: sheets.bare,
     };
     let Curves { mut positions, mut normals, mut sizes, mut strata, .. } = curves;

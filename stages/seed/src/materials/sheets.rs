@@ -1,7 +1,9 @@
 //! Particles on sheets.
 
 use super::Curves;
-use crate::sampling::{COMPONENT_MINIMUM, Candidates, DISK_RADIUS, OVERSAMPLING, eliminate, sample, sample_alone};
+use crate::sampling::{
+    COMPONENT_MINIMUM, Candidates, DISK_RADIUS, OVERSAMPLING, centre_and_normal, eliminate, sample, sample_alone,
+};
 use glam::DVec3;
 use isoparticles_field::materials::complex::Complex;
 use isoparticles_field::materials::{Indicators, Stratum};
@@ -16,6 +18,10 @@ const FROM_BORDER: f64 = DISK_RADIUS;
 /// How far from the triangles their sheet may be, and how closely it is met, in voxels, as for one object.
 const FARTHEST: f64 = 1.5;
 const TOLERANCE: f64 = 1e-6;
+
+/// Parts of sheets with a border that are smaller than this (squares of a voxel) get no particle: their border is a closed curve shorter than half a voxel, which
+/// the complex leaves out, or hardly longer.
+const SPECK: f64 = 0.05;
 
 /// The particles on sheets.
 #[derive(Clone, Debug, Default)]
@@ -34,6 +40,8 @@ pub struct Sheets {
     pub crowded: usize,
     /// See above.
     pub bare: usize,
+    /// Components far smaller than a voxel's face, which were left out.
+    pub specks: usize,
     /// Places that were left out, since their sheet is not met near them, or a third material is nearer there.
     pub not_projected: usize,
 }
@@ -90,7 +98,14 @@ pub fn seed_sheets<I: Indicators>(
     for placed in placed.into_iter().flatten().filter(|placed| !is_bare(placed.component as usize)) {
         found.add(placed, &sheet_of, sizing);
     }
+    let area =
+        |c: usize| members[c].iter().map(|&t| 0.5 * centre_and_normal(&mesh, t as usize).1.length()).sum::<f64>();
+    let least = SPECK * indicators.voxel().powi(2);
     for c in (0..count).filter(|&c| is_bare(c)) {
+        if !is_closed[c] && area(c) < least {
+            found.specks += 1;
+            continue;
+        }
         let own = sample_alone(&mesh, &members[c], seed, c as u64);
         let mut own: Vec<Placed> = own.into_iter().filter_map(|(p, normal)| place(p, normal, c as u32)).collect();
         if !is_closed[c] {

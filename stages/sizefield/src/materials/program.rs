@@ -1,15 +1,22 @@
 //! The program around the sizes of many materials: options, files, report.
 
+use super::features::{StrataFeatures, measure};
+use super::given::Given;
+use super::lines;
 use crate::limits::check_count;
-use crate::run::Args;
+use crate::run::{Args, Defaults, percentiles, refined_nodes};
+use crate::vertices::{scaled_to_count, size_for_count};
+use crate::{MIN_PARTICLES, Parameters, SMALLEST_SHARE, Samples, graded_field};
+use glam::DVec3;
 use isoparticles_field::materials::complex::Complex;
+use isoparticles_field::materials::{Indicators, MaterialId, Materials, Stratum};
 use isoparticles_field::sizing::SizingField;
 use isoparticles_stage::cli::{Context, Outcome};
 use isoparticles_stage::error::{Error, Result};
 use isoparticles_stage::field_file::{FieldKind, write_field};
 use isoparticles_stage::materials_file::read_materials;
 use isoparticles_stage::meta::{self, SizeMeta};
-use isoparticles_volume::Image;
+use isoparticles_volume::{Geometry, Image};
 use serde_json::json;
 
 /// Makes the sizing field of many materials.
@@ -17,7 +24,10 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome> {
     let step = context.step("read");
     let file = read_materials(&args.input)?;
     let materials = &file.materials;
+    let geometry = materials.geometry();
     context.add_input(&args.input, file.history.clone())?;
+    let given = Given::new(&args.size, materials)?;
+    let refined = refined_nodes(args, geometry, context)?;
     drop(step);
     context.check_interrupt()?;
     let step = context.step("trace the strata");
@@ -30,18 +40,224 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome> {
             "look at the materials that distfield was given",
         ));
     }
-    let size = args.uniform.unwrap_or(materials.geometry().mean_spacing());
-    let sizing = SizingField::new(Image::filled(materials.geometry().clone(), size as f32));
-    let predicted = complex.predicted_count(&sizing);
-    let (_, components) = complex.sheet_components();
-    context.summary("components of interfaces", components);
-    context.summary("predicted particles", predicted.round());
-    check_count(&args.input, predicted, materials.geometry().voxel_count(), context)?;
-    let meta =
-        SizeMeta { version: meta::VERSION, components, predicted_count: predicted.round(), ..SizeMeta::default() };
-    context.report("fields", json!(meta));
+    context.check_interrupt()?;
+    let is_one_size = args.size.is_empty() && (args.uniform.is_some() || !args.is_graded());
+    let count = |sizing: &SizingField| complex.predicted_count(sizing);
+    let one_size = match (args.uniform, args.vertices) {
+        (Some(size), _) if is_one_size => Some(size),
+        (None, Some(vertices)) if is_one_size => {
+            let size = size_for_count(|size| count(&uniform(geometry, size)), vertices as f64);
+            context.info(format!("h: {size:.4} mm ({vertices} vertices)"));
+            context.set_parameter("uniform", size);
+            Some(size)
+        }
+        _ => None,
+    };
+    let sizing = match one_size {
+        Some(size) => uniform(geometry, size),
+        None => {
+            let sizing = by_shape(args, materials, &complex, &given, refined, context)?;
+            match args.vertices {
+                Some(vertices) => scaled_to_count(sizing, count, vertices as f64),
+                None => sizing,
+            }
+        }
+    };
+    let step = context.step("predict the count");
+    let predicted = count(&sizing);
+    drop(step);
+    check_count(&args.input, predicted, geometry.voxel_count(), context)?;
+    let meta = describe(&complex, &sizing, predicted, context);
     context.check_interrupt()?;
     let _step = context.step("write");
     write_field(&args.output, FieldKind::Sizing, sizing.image(), &meta, &context.history())?;
     Ok(Outcome::Passed)
+}
+
+fn uniform(geometry: &Geometry, size: f64) -> SizingField {
+    SizingField::new(Image::filled(geometry.clone(), size as f32))
+}
+
+/// h by the shape of the strata, and by what some of them are given.
+fn by_shape(
+    args: &Args,
+    materials: &Materials,
+    complex: &Complex,
+    given: &Given,
+    refined: Vec<(usize, f64)>,
+    context: &Context,
+) -> Result<SizingField> {
+    let parameters = resolve(args, materials, refined, context)?;
+    let largest = LargestSizes::new(args, complex, materials.table().len(), parameters.min_size);
+    let mut wanted = vec![f64::INFINITY; complex.vertices.len()];
+    match args.uniform {
+        Some(size) => {
+            let on_sheets = wanted.iter_mut().zip(&complex.vertices);
+            on_sheets.filter(|(_, vertex)| vertex.stratum.count() == 2).for_each(|(own, _)| *own = size);
+        }
+        None => {
+            let step = context.step("measure features");
+            // thicker layers ask for no smaller h than the largest
+            let thickest = 2.0 * largest.largest() / parameters.epsilon;
+            let features = measure(materials, materials.geometry(), complex, thickest);
+            drop(step);
+            by_features(complex, &features, &largest, &parameters, &mut wanted);
+            lines::lower(complex, materials.voxel(), parameters.epsilon, parameters.max_deviation, &mut wanted);
+            let floors = smallest_sizes(complex, &parameters);
+            wanted
+                .iter_mut()
+                .zip(floors)
+                .for_each(|(own, (least, most))| *own = parameters.scale * own.max(least).min(most));
+        }
+    }
+    let mut most = vec![f64::INFINITY; wanted.len()];
+    for (n, vertex) in complex.vertices.iter().enumerate() {
+        if let Some(size) = given.of(&vertex.stratum).filter(|_| vertex.stratum.count() == 2) {
+            (wanted[n], most[n]) = (size, size);
+        }
+    }
+    let _step = context.step("size and grade");
+    let points: Vec<DVec3> = complex.vertices.iter().map(|vertex| vertex.position).collect();
+    let triangles: Vec<[u32; 3]> = complex.triangles.iter().map(|triangle| triangle.corners).collect();
+    let samples = Samples { geometry: materials.geometry(), points: &points, triangles: &triangles };
+    Ok(graded_field(&samples, &wanted, &parameters, &most))
+}
+
+/// What curvature and thickness ask for on sheets.
+fn by_features(
+    complex: &Complex,
+    features: &StrataFeatures,
+    largest: &LargestSizes,
+    parameters: &Parameters,
+    wanted: &mut [f64],
+) {
+    for (n, vertex) in complex.vertices.iter().enumerate().filter(|(_, vertex)| vertex.stratum.count() == 2) {
+        // as for one object: the centre of an equilateral triangle of edge h lies h^2 / (6 R) below the surface
+        let by_deviation = (6.0 * parameters.max_deviation / features.curvature[n].max(1e-12)).sqrt();
+        let by_feature = parameters.epsilon * features.feature_size[n];
+        wanted[n] = by_feature.min(by_deviation).min(largest.of(&vertex.stratum));
+    }
+}
+
+/// The smallest h of each vertex, and the largest that leaves a closed sheet its particles, whatever the smallest is.
+fn smallest_sizes(complex: &Complex, parameters: &Parameters) -> Vec<(f64, f64)> {
+    let (component, count) = complex.sheet_components();
+    let mut areas = vec![(0.0, true); count];
+    for (triangle, &c) in complex.triangles.iter().zip(&component) {
+        let [a, b, d] = complex.corners(triangle);
+        let (area, is_closed) = &mut areas[c as usize];
+        *area += 0.5 * (b - a).cross(d - a).length();
+        *is_closed &= triangle.corners.iter().all(|&v| complex.vertices[v as usize].stratum.count() == 2);
+    }
+    let mut sizes = vec![(parameters.min_size, f64::INFINITY); complex.vertices.len()];
+    for (triangle, &c) in complex.triangles.iter().zip(&component) {
+        let (area, is_closed) = areas[c as usize];
+        if is_closed {
+            let most = (2.0 * area / (3f64.sqrt() * parameters.min_particles)).sqrt();
+            let most = most.max(SMALLEST_SHARE * parameters.min_size);
+            triangle.corners.iter().for_each(|&v| sizes[v as usize].1 = most);
+        }
+    }
+    sizes
+}
+
+/// The largest h of each material, by its own extent.
+struct LargestSizes(Vec<f64>);
+
+impl LargestSizes {
+    fn new(args: &Args, complex: &Complex, materials: usize, min_size: f64) -> Self {
+        if let Some(size) = args.max_size {
+            return Self(vec![size; materials]);
+        }
+        let mut boxes = vec![(DVec3::INFINITY, DVec3::NEG_INFINITY); materials];
+        for vertex in &complex.vertices {
+            for id in vertex.stratum.materials() {
+                let (low, high) = &mut boxes[id.index()];
+                (*low, *high) = (low.min(vertex.position), high.max(vertex.position));
+            }
+        }
+        let share = Defaults::of(args.quality()).max_size_diagonals;
+        Self(
+            boxes
+                .into_iter()
+                .map(|(low, high)| (share * (high - low).max(DVec3::ZERO).length()).max(min_size))
+                .collect(),
+        )
+    }
+
+    /// Of a sheet: the smaller one of its materials', the outside not counted.
+    fn of(&self, sheet: &Stratum) -> f64 {
+        let named = sheet.materials().iter().filter(|&&id| id != MaterialId::OUTSIDE);
+        named.map(|id| self.0[id.index()]).fold(f64::INFINITY, f64::min)
+    }
+
+    fn largest(&self) -> f64 {
+        self.0.iter().copied().fold(0.0, f64::max)
+    }
+}
+
+/// Fills in what the options leave to the data, and says why.
+fn resolve(args: &Args, materials: &Materials, refined: Vec<(usize, f64)>, context: &Context) -> Result<Parameters> {
+    let voxel = materials.voxel();
+    let quality = args.quality().name();
+    let defaults = Defaults::of(args.quality());
+    let deviation = args.max_deviation.unwrap_or(defaults.deviation_voxels * voxel);
+    let parameters = Parameters {
+        epsilon: args.epsilon.unwrap_or(defaults.epsilon),
+        delta: args.delta.unwrap_or(defaults.delta),
+        min_size: args.min_size.unwrap_or(defaults.min_size_voxels * voxel),
+        max_size: args.max_size.unwrap_or(f64::INFINITY),
+        max_deviation: if deviation > 0.0 { deviation } else { f64::MAX },
+        min_particles: MIN_PARTICLES,
+        scale: args.scale,
+        refined,
+    };
+    if parameters.min_size > parameters.max_size {
+        return Err(Error::input(
+            format!("--min-size {} is above --max-size {}", parameters.min_size, parameters.max_size),
+            "no edge length fulfils both",
+            "give a smallest edge length below the largest",
+        ));
+    }
+    for (name, value, is_given) in [
+        ("epsilon", parameters.epsilon, args.epsilon.is_some()),
+        ("delta", parameters.delta, args.delta.is_some()),
+        ("smallest h, mm", parameters.min_size, args.min_size.is_some()),
+        ("deviation, mm", deviation, args.max_deviation.is_some()),
+    ] {
+        let reason = if is_given { "given".to_owned() } else { format!("quality {quality}, voxel {voxel:.4} mm") };
+        context.info(format!("{name}: {value:.4} ({reason})"));
+    }
+    context.set_parameter("epsilon", parameters.epsilon);
+    context.set_parameter("delta", parameters.delta);
+    context.set_parameter("min_size", parameters.min_size);
+    context.set_parameter("max_deviation", parameters.max_deviation);
+    context.set_parameter("min_particles", parameters.min_particles);
+    Ok(parameters)
+}
+
+/// Puts figures of the field into the report and the closing table; returns what the file carries.
+fn describe(complex: &Complex, sizing: &SizingField, predicted: f64, context: &Context) -> SizeMeta {
+    let mut sizes: Vec<f64> = complex.vertices.iter().map(|vertex| sizing.at(vertex.position)).collect();
+    let (_, components) = complex.sheet_components();
+    let length: f64 = complex.lengths().values().sum();
+    let area: f64 = complex.areas().values().sum();
+    let notes = [
+        ("size_at_surface", percentiles(&mut sizes)),
+        ("junctions", json!({ "points": complex.points.len(), "curves": complex.chains.len(), "length": length })),
+        ("interface_area", json!(area)),
+        ("complex", json!(complex.tally)),
+    ];
+    let meta = SizeMeta {
+        version: meta::VERSION,
+        components,
+        predicted_count: predicted.round(),
+        notes: notes.into_iter().map(|(key, value)| (key.to_owned(), value)).collect(),
+    };
+    context.summary("components of interfaces", components);
+    context.summary("junction points and curves", format!("{} and {}", complex.points.len(), complex.chains.len()));
+    context.summary("predicted particles", predicted.round());
+    context.summary("h at interfaces (mm)", format!("{:.4} to {:.4}", sizes[0], sizes[sizes.len() - 1]));
+    context.report("fields", json!(meta));
+    meta
 }

@@ -10,6 +10,8 @@ mod cells;
 mod chains;
 mod lattice;
 mod measure;
+#[cfg(test)]
+mod tests;
 
 pub use cells::{Triangle, Vertex};
 pub use chains::{Chain, End, Junction};
@@ -45,6 +47,8 @@ pub struct Tally {
     pub points_passed: usize,
     /// Junction points where not just one curve of each three of their materials ends.
     pub points_irregular: usize,
+    /// Closed curves that were left out, since they are far shorter than a voxel or not met anywhere.
+    pub specks: usize,
 }
 
 /// The strata of the materials of a volume, as a mesh.
@@ -79,35 +83,43 @@ impl Complex {
             bricks.par_iter().map(|&(first, count)| part(lattice, indicators, first, count)).collect();
         let (vertices, triangles, segments) = joined(parts);
         let mut complex = Self { vertices, triangles, ..Self::default() };
-        chains::trace(&mut complex, &segments, indicators);
+        chains::trace(&mut complex, &segments, indicators, geometry.upper_corner());
         complex
     }
 
     /// The component of each triangle: of those of one sheet, joined by vertices; numbered in the order of their first triangles. And how many there are.
     pub fn sheet_components(&self) -> (Vec<u32>, usize) {
-        let mut at: Vec<(u32, Stratum, u32)> = (0..)
-            .zip(&self.triangles)
-            .flat_map(|(n, triangle)| triangle.corners.map(|v| (v, triangle.sheet, n)))
+        // a vertex of a curve or a point stands once for each sheet at it
+        let is_shared = |v: u32| self.vertices[v as usize].stratum.dimension() < 2;
+        let mut shared: Vec<(u32, Stratum)> = self
+            .triangles
+            .iter()
+            .flat_map(|t| t.corners.into_iter().filter(|&v| is_shared(v)).map(|v| (v, t.sheet)))
             .collect();
-        at.par_sort_unstable();
-        let mut sets = DisjointSets::new(self.triangles.len());
-        for pair in at.windows(2) {
-            if (pair[0].0, pair[0].1) == (pair[1].0, pair[1].1) {
-                sets.join(pair[0].2, pair[1].2);
-            }
+        shared.par_sort_unstable();
+        shared.dedup();
+        let first = self.vertices.len() as u32;
+        let place = |v: u32, sheet: Stratum| {
+            if is_shared(v) { first + shared.partition_point(|other| *other < (v, sheet)) as u32 } else { v }
+        };
+        let mut sets = DisjointSets::new(self.vertices.len() + shared.len());
+        for triangle in &self.triangles {
+            let [a, b, c] = triangle.corners.map(|v| place(v, triangle.sheet));
+            sets.join(a, b);
+            sets.join(b, c);
         }
-        let mut number = vec![0; self.triangles.len()];
+        let mut number = vec![u32::MAX; self.vertices.len() + shared.len()];
         let mut count = 0;
-        for n in 0..self.triangles.len() {
-            let root = sets.find(n as u32) as usize;
-            if root == n {
-                number[n] = count;
+        let mut component = |triangle: &Triangle| {
+            let own = &mut number[sets.find(place(triangle.corners[0], triangle.sheet)) as usize];
+            if *own == u32::MAX {
+                *own = count;
                 count += 1;
-            } else {
-                number[n] = number[root];
             }
-        }
-        (number, count as usize)
+            *own
+        };
+        let of_triangles = self.triangles.iter().map(&mut component).collect();
+        (of_triangles, count as usize)
     }
 }
 

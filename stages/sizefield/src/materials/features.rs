@@ -1,0 +1,176 @@
+//! What the shape of sheets asks for: their curvature, and how thick the materials are on both sides.
+
+use crate::averages::average;
+use crate::feature::{CURVATURE_ROUNDS, SHARP, curvature_tensor, largest_curvature};
+use crate::gradation::limit_gradient;
+use glam::{DMat3, DVec3, Mat3};
+use isoparticles_field::materials::complex::{Complex, Vertex};
+use isoparticles_field::materials::{Indicators, MaterialId, Stratum};
+use isoparticles_field::sizing::trilinear;
+use isoparticles_mesh::incidence::Incidence;
+use isoparticles_mesh::kd_tree::KdTree;
+use isoparticles_volume::{Geometry, Image};
+use rayon::prelude::*;
+use std::collections::BTreeMap;
+use std::ops::{Add, Mul};
+
+/// How far from a third material (voxels, by the clearance) the curvature of a sheet is taken: nearer, indicators have rounded kinks.
+const CLEAR: f64 = 1.0;
+
+/// A layer is taken for the wedge between two sheets that meet, and not for a thin one, if the curve where they do is nearer than this many times its thickness:
+/// angles above 27 degrees.
+const WEDGE: f64 = 2.0;
+
+/// Steps across a material, in voxels: the shortest, which is also how far from a sheet the way begins.
+const LEAST_STEP: f64 = 0.1;
+
+/// Share of the distances that are known across which a step goes, since they are so to first order alone.
+const TRUSTED: f64 = 0.8;
+
+/// What was measured at each vertex of a complex.
+#[derive(Clone, Debug, Default)]
+pub(super) struct StrataFeatures {
+    /// Largest principal curvature in magnitude, per mm, averaged along the sheet; zero near junction curves.
+    pub(super) curvature: Vec<f64>,
+    /// Half the thickness of the thinner material, mm; at sharp places no larger than the radius of curvature. Infinite at junctions, and beyond what was looked for.
+    pub(super) feature_size: Vec<f64>,
+}
+
+/// A symmetric tensor, in single precision since there are millions.
+#[derive(Clone, Copy)]
+struct Tensor(Mat3);
+
+impl Add for Tensor {
+    type Output = Self;
+
+    fn add(self, other: Self) -> Self {
+        Self(self.0 + other.0)
+    }
+}
+
+impl Mul<f64> for Tensor {
+    type Output = Self;
+
+    fn mul(self, factor: f64) -> Self {
+        Self(self.0 * factor as f32)
+    }
+}
+
+/// Measures the sheets of a complex; thickness above `largest` (mm) is not looked for.
+pub(super) fn measure<I: Indicators>(
+    indicators: &I,
+    geometry: &Geometry,
+    complex: &Complex,
+    largest: f64,
+) -> StrataFeatures {
+    let voxel = indicators.voxel();
+    let ways = Ways::new(indicators, geometry, complex, largest);
+    let measured: Vec<(DVec3, Tensor, f64)> = complex
+        .vertices
+        .par_iter()
+        .map(|vertex| {
+            let Some((low, high)) = sheet(vertex) else {
+                return (DVec3::ZERO, Tensor(Mat3::ZERO), f64::INFINITY);
+            };
+            let jet = indicators.difference(high, low, vertex.position);
+            let Some(normal) = jet.gradient.try_normalize().filter(|normal| normal.is_finite()) else {
+                return (DVec3::ZERO, Tensor(Mat3::ZERO), f64::INFINITY);
+            };
+            let is_clear = indicators.clearance(vertex.position, &[low, high]) >= CLEAR * voxel;
+            let tensor = if is_clear { curvature_tensor(&jet) } else { DMat3::ZERO };
+            let sharp = largest_curvature(&tensor, normal);
+            let thin = ways.thinner(vertex.position, normal, (low, high));
+            let size = if sharp * SHARP * voxel > 1.0 { (1.0 / sharp).min(0.5 * thin) } else { 0.5 * thin };
+            (normal, Tensor(tensor.as_mat3()), size)
+        })
+        .collect();
+    let feature_size = measured.iter().map(|own| own.2).collect();
+    let normals: Vec<DVec3> = measured.iter().map(|own| own.0).collect();
+    let mut tensors: Vec<Tensor> = measured.into_iter().map(|own| own.1).collect();
+    let triangles: Vec<[u32; 3]> = complex.triangles.iter().map(|triangle| triangle.corners).collect();
+    average(&Incidence::new(&triangles, normals.len()), &mut tensors, Tensor(Mat3::ZERO), CURVATURE_ROUNDS);
+    let largest = |(tensor, &normal): (&Tensor, &DVec3)| {
+        if normal == DVec3::ZERO { 0.0 } else { largest_curvature(&tensor.0.as_dmat3(), normal) }
+    };
+    let curvature = tensors.par_iter().zip(&normals).map(largest).collect();
+    StrataFeatures { curvature, feature_size }
+}
+
+/// The two materials of a vertex on a sheet.
+fn sheet(vertex: &Vertex) -> Option<(MaterialId, MaterialId)> {
+    match *vertex.stratum.materials() {
+        [low, high] => Some((low, high)),
+        _ => None,
+    }
+}
+
+/// Ways across the materials, from one sheet to the next.
+struct Ways<'a, I> {
+    indicators: &'a I,
+    /// No more than the distance from the nearest sheet, mm.
+    free: Image<f32>,
+    /// The vertices of each junction curve.
+    curves: BTreeMap<Stratum, KdTree>,
+    largest: f64,
+}
+
+impl<'a, I: Indicators> Ways<'a, I> {
+    fn new(indicators: &'a I, geometry: &Geometry, complex: &Complex, largest: f64) -> Self {
+        let mut points: BTreeMap<Stratum, Vec<DVec3>> = BTreeMap::new();
+        for chain in &complex.chains {
+            points.entry(chain.curve).or_default().extend(complex.line(chain));
+        }
+        let curves = points.into_iter().map(|(curve, points)| (curve, KdTree::new(&points))).collect();
+        Self { indicators, free: free_distances(geometry, complex), curves, largest }
+    }
+
+    /// The thickness of the thinner of the two materials of a sheet at a place, mm, along the normal (from `high` to `low`); infinite where it is above the
+    /// largest, or where the way ends at a sheet that meets this one nearby.
+    fn thinner(&self, place: DVec3, normal: DVec3, (low, high): (MaterialId, MaterialId)) -> f64 {
+        let sides = [(normal, low, high), (-normal, high, low)];
+        let thickness = |(way, across, behind): (DVec3, MaterialId, MaterialId)| {
+            let (length, hit) = self.way_across(place, way, across).unwrap_or((f64::INFINITY, behind));
+            let curve = Stratum::new(&[across, behind, hit]).and_then(|curve| self.curves.get(&curve));
+            let meets = |curve: &KdTree| curve.nearest_within(place, WEDGE * length).is_some();
+            if length.is_finite() && curve.is_some_and(meets) { f64::INFINITY } else { length }
+        };
+        sides.into_iter().map(thickness).fold(f64::INFINITY, f64::min)
+    }
+
+    /// Length of the way across a material, mm, and the material behind it; `None` where it is longer than the largest.
+    fn way_across(&self, place: DVec3, way: DVec3, across: MaterialId) -> Option<(f64, MaterialId)> {
+        let voxel = self.indicators.voxel();
+        let corner = self.free.geometry.upper_corner();
+        let mut length = LEAST_STEP * voxel;
+        while length < self.largest {
+            let at = place + way * length;
+            if at.cmplt(DVec3::ZERO).any() || at.cmpgt(corner).any() {
+                return None;
+            }
+            let near = self.indicators.near(at);
+            let own = near.first().unwrap_or(MaterialId::OUTSIDE);
+            if own != across {
+                return Some((length, own));
+            }
+            let known = Some(near.interface_distance()).filter(|distance| distance.is_finite()).unwrap_or(0.0);
+            length += (TRUSTED * known.max(trilinear(&self.free, at))).max(LEAST_STEP * voxel);
+        }
+        None
+    }
+}
+
+/// At each node no more than the distance from the nearest sheet, mm: zero at the nodes of all cells that a sheet crosses.
+fn free_distances(geometry: &Geometry, complex: &Complex) -> Image<f32> {
+    let mut free = Image::filled(geometry.clone(), f32::INFINITY);
+    for vertex in &complex.vertices {
+        let index = geometry.grid_to_index(vertex.position);
+        let base: [usize; 3] =
+            std::array::from_fn(|a| (index[a].max(0.0) as usize).min(geometry.size[a].saturating_sub(2)));
+        for corner in 0..8 {
+            let at: [usize; 3] = std::array::from_fn(|a| (base[a] + (corner >> a & 1)).min(geometry.size[a] - 1));
+            free.data[geometry.linear(at[0], at[1], at[2])] = 0.0;
+        }
+    }
+    limit_gradient(&mut free, 1.0, f64::INFINITY);
+    free
+}

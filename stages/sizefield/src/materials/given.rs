@@ -1,0 +1,112 @@
+//! `--size`: an edge length for a material or an interface by name.
+
+use isoparticles_field::materials::{MaterialId, Materials, Stratum};
+use isoparticles_stage::error::{Error, Result};
+use serde::{Serialize, Serializer};
+use std::fmt;
+use std::str::FromStr;
+
+/// An edge length for what has a name.
+#[derive(Clone, Debug, PartialEq)]
+pub struct GivenSize {
+    /// Name of a material, or of two with a slash between.
+    name: String,
+    /// Edge length, mm.
+    size: f64,
+}
+
+impl FromStr for GivenSize {
+    type Err = String;
+
+    /// Reads `NAME=H` or `NAME/NAME=H`.
+    fn from_str(text: &str) -> std::result::Result<Self, String> {
+        let form = || "write it as NAME=H or NAME/NAME=H (mm)".to_owned();
+        let (name, size) = text.rsplit_once('=').filter(|(name, _)| !name.is_empty()).ok_or_else(form)?;
+        let size = size.trim().parse::<f64>().ok().filter(|size| size.is_finite()).ok_or_else(form)?;
+        if size <= 0.0 {
+            return Err("h must be above 0".to_owned());
+        }
+        Ok(Self { name: name.to_owned(), size })
+    }
+}
+
+impl fmt::Display for GivenSize {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}={}", self.name, self.size)
+    }
+}
+
+impl Serialize for GivenSize {
+    fn serialize<S: Serializer>(&self, serializer: S) -> std::result::Result<S::Ok, S::Error> {
+        serializer.collect_str(self)
+    }
+}
+
+/// The edge lengths that sheets are given.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Given {
+    materials: Vec<(MaterialId, f64)>,
+    sheets: Vec<(Stratum, f64)>,
+}
+
+impl Given {
+    /// Finds the names among the materials.
+    ///
+    /// # Errors
+    /// When there is none of a name.
+    pub(super) fn new(sizes: &[GivenSize], materials: &Materials) -> Result<Self> {
+        let mut given = Self::default();
+        for own in sizes {
+            let unknown = || {
+                let names: Vec<&str> = materials.table().iter().map(|material| material.name.as_str()).collect();
+                Error::input(
+                    format!("--size {own}: there is no such material or interface"),
+                    "no edge length can be given to what is not there",
+                    format!("give one of these, or two with a slash between: {}", names.join(", ")),
+                )
+            };
+            if let Some(id) = materials.named(&own.name) {
+                given.materials.push((id, own.size));
+                continue;
+            }
+            let pairs = own.name.match_indices('/').map(|(at, _)| (&own.name[..at], &own.name[at + 1..]));
+            let pair = pairs.filter_map(|(a, b)| materials.named(a).zip(materials.named(b))).find(|(a, b)| a != b);
+            let (a, b) = pair.ok_or_else(unknown)?;
+            given.sheets.push((Stratum::sheet(a, b), own.size));
+        }
+        Ok(given)
+    }
+
+    /// The edge length of a sheet, mm: what it is given itself, else the smaller one of its materials'.
+    pub(super) fn of(&self, sheet: &Stratum) -> Option<f64> {
+        let smallest = |sizes: &mut dyn Iterator<Item = f64>| sizes.min_by(f64::total_cmp);
+        let own = smallest(&mut self.sheets.iter().filter(|(other, _)| other == sheet).map(|(_, size)| *size));
+        own.or_else(|| smallest(&mut self.materials.iter().filter(|(id, _)| sheet.has(*id)).map(|(_, size)| *size)))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn sizes_are_read_and_wrong_ones_told() {
+        let read: GivenSize = "left/right lung=1.5".parse().expect("a size");
+        assert_eq!(
+            (read.name.as_str(), read.size, read.to_string().as_str()),
+            ("left/right lung", 1.5, "left/right lung=1.5")
+        );
+        for wrong in ["lung", "=2", "lung=", "lung=-1", "lung=0", "lung=NaN"] {
+            assert!(wrong.parse::<GivenSize>().is_err(), "{wrong}");
+        }
+    }
+
+    #[test]
+    fn a_pair_goes_before_its_materials_and_the_smaller_before_the_larger() {
+        let [a, b, c] = [1, 2, 3].map(MaterialId);
+        let given = Given { materials: vec![(a, 2.0), (b, 1.0)], sheets: vec![(Stratum::sheet(a, b), 3.0)] };
+        assert_eq!(given.of(&Stratum::sheet(b, a)), Some(3.0));
+        assert_eq!(given.of(&Stratum::sheet(a, c)), Some(2.0));
+        assert_eq!(given.of(&Stratum::sheet(MaterialId::OUTSIDE, c)), None);
+    }
+}
