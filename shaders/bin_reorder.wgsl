@@ -1,5 +1,5 @@
 // Counting sort into bins, third step: moves the particles to their places. Within a bin they keep the order that they came in,
-// whatever the atomics of the second step did, so the sort is stable and the same on every run.
+// whatever the atomics of the second step did, those that are held first, so the sort is stable and the same on every run, whether it was broken off or not.
 
 @group(0) @binding(2) var<storage, read> listed_place: array<vec4<f32>>;
 @group(0) @binding(3) var<storage, read> bin_of: array<u32>;
@@ -10,6 +10,11 @@
 @group(0) @binding(9) var<storage, read_write> normal: array<vec4<f32>>;
 @group(0) @binding(12) var<storage, read_write> place_at_listing: array<vec4<f32>>;
 @group(0) @binding(13) var<storage, read_write> outcome: array<u32>;
+
+// Orders particles within a bin.
+fn rank_of(i: u32) -> u32 {
+    return i | select(0x80000000u, 0u, is_held(listed_normal[i].w));
+}
 
 @compute @workgroup_size(NARROW)
 fn bin_reorder(
@@ -25,9 +30,10 @@ fn bin_reorder(
     let bin = bin_of[i];
     let first = bin_starts[bin];
     let end = bin_starts[bin + 1u];
+    let own = rank_of(i);
     var rank = 0u;
     for (var k = first; k < end; k++) {
-        rank += select(0u, 1u, order[k] < i);
+        rank += select(0u, 1u, rank_of(order[k]) < own);
     }
     let to = first + rank;
     place[to] = listed_place[i];

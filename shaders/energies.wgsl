@@ -3,6 +3,7 @@
 // Twin: `measure` in stages/particles/src/state.rs
 
 @group(0) @binding(8) var<storage, read> place: array<vec4<f32>>;
+@group(0) @binding(9) var<storage, read> normal: array<vec4<f32>>;
 @group(0) @binding(12) var<storage, read_write> energies: array<f32>;
 // 0: stays; n: deleted in round n.
 @group(0) @binding(13) var<storage, read_write> marks: array<u32>;
@@ -26,15 +27,19 @@ fn energies_kernel(
     let range = list_of(i);
     var sum = 0.0;
     var ring = 0u;
+    let held = is_held(normal[i].w);
+    var at_border = held;
     for (var k = range.x; k < range.y; k++) {
         let other = place[lists[k]];
         let offset = own.xyz - other.xyz;
         sum += energy_between(offset, own.w, other.w);
         let reach = FIRST_RING * min(own.w, other.w);
-        ring += select(0u, 1u, dot(offset, offset) < reach * reach);
+        let is_in_ring = dot(offset, offset) < reach * reach;
+        ring += select(0u, 1u, is_in_ring);
+        at_border = at_border || (is_in_ring && is_held(normal[lists[k]].w));
     }
-    energies[i] = sum;
-    outcome[i] = (outcome[i] & ~LATTICE_DEFECT) | select(0u, LATTICE_DEFECT, ring != LATTICE_NEIGHBOURS);
+    energies[i] = select(sum, 0.0, held);
+    outcome[i] = (outcome[i] & ~LATTICE_DEFECT) | select(0u, LATTICE_DEFECT, ring != LATTICE_NEIGHBOURS && !at_border);
     marks[i] = 0u;
     touched[i] = 0u;
 }

@@ -21,7 +21,7 @@ fn beats(j: u32, i: u32) -> bool {
 // they have moved by REBUILD_MOVE and FARTHEST_MOVE of their h at most, and the projection leaves a newcomer within 2 h of its parent.
 fn is_too_near(i: u32) -> bool {
     let own = newcomer_place[i];
-    let facing = newcomer_normal[i].xyz;
+    let facing = newcomer_normal[i];
     for (var level = 0u; level < parameters.level_count; level++) {
         let radius = NEWCOMER_DISTANCE * own.w + (2.0 + REBUILD_MOVE + FARTHEST_MOVE) * parameters.levels[level].largest;
         let low = bin_coordinate(own.xyz - radius, level);
@@ -36,7 +36,7 @@ fn is_too_near(i: u32) -> bool {
                     }
                     let other = newcomer_place[j];
                     let near = distance(own.xyz, other.xyz) < NEWCOMER_DISTANCE * min(own.w, other.w);
-                    if near && dot(facing, newcomer_normal[j].xyz) > parameters.normal_agreement {
+                    if near && see_each_other(facing, newcomer_normal[j]) {
                         return true;
                     }
                 }

@@ -59,13 +59,14 @@ fn insert_propose(
         return;
     }
     proposals[i] = 0u;
-    if now.allow_insert == 0u || marks[i] != 0u || !is_undersampled(energies[i], i) {
+    if now.allow_insert == 0u || marks[i] != 0u || is_held(normal[i].w) || !is_undersampled(energies[i], i) {
         return;
     }
     let own = place[i];
     let facing = normal[i].xyz;
     let plane = tangent_plane(facing);
     let range = list_of(i);
+    choose_surface(normal[i].w);
     let direction = widest_gap(own, plane, range);
     let there = project(own.xyz + own.w * (plane.u * cos(direction) + plane.v * sin(direction)), own.w, lane);
     if !there.found || dot(there.normal, facing) <= parameters.normal_agreement
@@ -80,5 +81,5 @@ fn insert_propose(
     }
     proposals[i] = 1u;
     newcomer_place[i] = vec4(there.position, there.size);
-    newcomer_normal[i] = vec4(there.normal, parameters.initial_lambda);
+    newcomer_normal[i] = vec4(there.normal, with_damping(normal[i].w, parameters.initial_lambda));
 }

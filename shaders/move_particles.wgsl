@@ -33,9 +33,10 @@ fn move_particles(
     let jet = team_jet(own, plane, range, nearest, lane);
     var tries = 0u;
     var moved = false;
-    if jet.energy > 0.0 {
+    if jet.energy > 0.0 && !is_held(facing.w) {
         let curvature = positive_definite(jet.hessian);
-        var lambda = facing.w;
+        var lambda = damping_of(facing.w);
+        choose_surface(facing.w);
         while lambda < LARGEST_LAMBDA {
             let step = damped_newton(curvature, jet.gradient, lambda);
             if !(-0.5 * dot(step, jet.gradient) > REST * jet.energy) {
@@ -53,7 +54,8 @@ fn move_particles(
                     if lane == 0u {
                         place[i] = candidate;
                         // the first try was good: less damping the next time
-                        normal[i] = vec4(there.normal, select(lambda, max(LAMBDA_FALL * lambda, LEAST_LAMBDA), tries == 1u));
+                        let damping = select(lambda, max(LAMBDA_FALL * lambda, LEAST_LAMBDA), tries == 1u);
+                        normal[i] = vec4(there.normal, with_damping(facing.w, damping));
                     }
                     break;
                 }

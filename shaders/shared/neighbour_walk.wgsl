@@ -6,11 +6,11 @@
 @group(0) @binding(8) var<storage, read> place: array<vec4<f32>>;
 @group(0) @binding(9) var<storage, read> normal: array<vec4<f32>>;
 
-// Calls found(n, j) for the n-th neighbour j of particle i: nearer than SUPPORT (1 + SKIN) min(h_i, h_j), normals in agreement.
+// Calls found(n, j) for the n-th neighbour j of particle i: nearer than SUPPORT (1 + SKIN) min(h_i, h_j), and one that it sees.
 // Returns how many there are.
 fn walk_neighbours(i: u32) -> u32 {
     let own = place[i];
-    let facing = normal[i].xyz;
+    let facing = normal[i];
     let reach = SUPPORT * (1.0 + SKIN);
     var count = 0u;
     for (var level = 0u; level < parameters.level_count; level++) {
@@ -26,7 +26,7 @@ fn walk_neighbours(i: u32) -> u32 {
                     let other = place[j];
                     let offset = own.xyz - other.xyz;
                     let limit = reach * min(own.w, other.w);
-                    if j != i && dot(offset, offset) < limit * limit && dot(facing, normal[j].xyz) > parameters.normal_agreement {
+                    if j != i && dot(offset, offset) < limit * limit && see_each_other(facing, normal[j]) {
                         found(count, j);
                         count++;
                     }

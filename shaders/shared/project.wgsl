@@ -33,7 +33,7 @@ fn project(start: vec3<f32>, limit: f32, lane: u32) -> Projected {
             break;
         }
         if state == 1u {
-            return Projected(p, true, normalize(field.xyz), sizing_at(p).w);
+            return Projected(p, is_real(p, lane), normalize(field.xyz), sizing_at(p).w);
         }
         p += projection_motion(field);
         if distance(p, start) > limit {

@@ -28,8 +28,8 @@ fn two_taps(cell: Cell, plane: u32, z: u32) -> vec4<f32> {
     let at = cell.base + vec3<i32>(step) - 1;
     let x = mirrored(at.x, size.x);
     let y = mirrored(at.y, size.y);
-    let near = coefficient_at(linear_index(vec3(x, y, mirrored(at.z, size.z))));
-    let far = coefficient_at(linear_index(vec3(x, y, mirrored(at.z + 1, size.z))));
+    let near = node_coefficient(vec3(x, y, mirrored(at.z, size.z)));
+    let far = node_coefficient(vec3(x, y, mirrored(at.z + 1, size.z)));
     let u = tap_weight(step.x, cell.fraction.x);
     let v = tap_weight(step.y, cell.fraction.y);
     let w = near * tap_weight(z, cell.fraction.z) + far * tap_weight(z + 1u, cell.fraction.z);

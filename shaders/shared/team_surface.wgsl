@@ -3,6 +3,7 @@
 // The gradient of F (xyz, per mm) and F (w).
 fn surface_at(position: vec3<f32>, lane: u32) -> vec4<f32> {
     let cell = cell_at(position);
+    open_cell(cell);
     let plane = lane & 15u;
     var sum = vec4(0.0);
     if TEAM == 32u {

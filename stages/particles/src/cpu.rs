@@ -2,6 +2,7 @@
 
 use crate::coarse::{MakeEngine, settle_levels};
 use crate::density::{self, Limits};
+use crate::gpu::DeviceReport;
 use crate::implicit::{Implicit, Sheets};
 use crate::movement;
 use crate::settle::{Engine, Level, Parameters, PassOutcome, PassRecord, REORDER_INTERVAL, Summary, settle_level};
@@ -11,7 +12,7 @@ use isoparticles_field::particle_set::{ParticleSet, Strata};
 use isoparticles_stage::error::Result;
 
 #[cfg(test)]
-mod scenes;
+pub(crate) mod scenes;
 #[cfg(test)]
 mod tests;
 
@@ -40,6 +41,20 @@ pub fn settle_sheets<I: Indicators>(
     parameters: &Parameters,
     mut observe: impl FnMut(&PassRecord, &mut dyn Engine) -> Result<()>,
 ) -> Result<(OnStrata, Summary)> {
+    let make = |set, strata| Ok(Box::new(CpuEngine::new(set, strata, fields, parameters)) as Box<dyn Engine + '_>);
+    let (settled, summary, _) = settle_sheets_with(make, seeds, resumed, fields, parameters, &mut observe)?;
+    Ok((settled, summary))
+}
+
+/// As [`settle_sheets`], on the engine that is made for the particles and their strata.
+pub(crate) fn settle_sheets_with<'e, S: Implicit>(
+    make: impl FnOnce(ParticleSet, Vec<Stratum>) -> Result<Box<dyn Engine + 'e>>,
+    seeds: &OnStrata,
+    resumed: Option<(OnStrata, &[PassRecord])>,
+    fields: &Fields<'_, S>,
+    parameters: &Parameters,
+    observe: &mut dyn FnMut(&PassRecord, &mut dyn Engine) -> Result<()>,
+) -> Result<(OnStrata, Summary, Option<DeviceReport>)> {
     let segments = &seeds.1.segments;
     let mut real = State::unlisted(seeds.0.clone(), parameters.normal_agreement).on(seeds.1.of.clone());
     let kept: Vec<u32> = (0..real.len())
@@ -52,11 +67,12 @@ pub fn settle_sheets<I: Indicators>(
         Some(((set, strata), records)) => (set, strata.of, records),
         None => (real.set, real.strata, &[][..]),
     };
-    let mut engine = CpuEngine::new(set, strata, fields, parameters);
+    let mut engine = make(set, strata)?;
     let level = Level { scale: 1.0, before: 0, max_passes: parameters.max_passes };
-    let (state, mut summary) = settle_level(&mut engine, fields, parameters, &level, records, &mut observe)?;
+    let (state, mut summary) = settle_level(engine.as_mut(), fields, parameters, &level, records, observe)?;
     summary.escaped += unreal;
-    Ok(((state.set, Strata { of: state.strata, segments: segments.clone() }), summary))
+    let settled = (state.set, Strata { of: state.strata, segments: segments.clone() });
+    Ok((settled, summary, engine.device_report()))
 }
 
 /// Makes engines that move the particles on the CPU.
@@ -72,14 +88,19 @@ impl MakeEngine for OnCpu<'_> {
 }
 
 /// Moves the particles on the CPU.
-struct CpuEngine<'a, S> {
+pub(crate) struct CpuEngine<'a, S> {
     state: State,
     fields: &'a Fields<'a, S>,
     parameters: Parameters,
 }
 
 impl<'a, S: Implicit> CpuEngine<'a, S> {
-    fn new(set: ParticleSet, strata: Vec<Stratum>, fields: &'a Fields<'a, S>, parameters: &Parameters) -> Self {
+    pub(crate) fn new(
+        set: ParticleSet,
+        strata: Vec<Stratum>,
+        fields: &'a Fields<'a, S>,
+        parameters: &Parameters,
+    ) -> Self {
         let state = State::unlisted(set, parameters.normal_agreement).on(strata).in_order();
         Self { state, fields, parameters: parameters.clone() }
     }

@@ -1,6 +1,5 @@
 //! What a run settles on, as it is read: one object or many materials, and what does not go together.
 
-use crate::run::Backend;
 use isoparticles_field::spline::CubicSpline;
 use isoparticles_stage::error::{Error, Result};
 use isoparticles_stage::field_file::{FieldKind, read_field};
@@ -74,29 +73,17 @@ impl Ground {
     }
 }
 
-/// Refuses what many materials cannot be settled with.
+/// Refuses several levels for many materials.
 ///
 /// # Errors
-/// When a GPU is demanded (exit code 3), or several levels are.
-pub(crate) fn check_options(backend: Backend, adapter: Option<&str>, levels: Option<u32>) -> Result<()> {
-    let demanded = match (backend, adapter) {
-        (Backend::Gpu, _) => Some("--backend gpu".to_owned()),
-        (Backend::Auto, Some(name)) => Some(format!("--adapter {name}")),
-        _ => None,
-    };
-    if let Some(demanded) = demanded {
-        return Err(Error::gpu(
-            format!("{demanded}: many materials are settled on the CPU alone"),
-            "the kernels know one implicit function",
-            "leave it out, or give --backend cpu",
-        ));
-    }
-    if let Some(levels) = levels.filter(|&levels| levels > 1) {
-        return Err(Error::input(
+/// When more than one is asked for.
+pub(crate) fn check_levels(levels: Option<u32>) -> Result<()> {
+    match levels.filter(|&levels| levels > 1) {
+        None => Ok(()),
+        Some(levels) => Err(Error::input(
             format!("--levels {levels}: many materials are settled on one level"),
             "the particles of junction curves are placed at the spacing of h, and those of coarser levels would not fit between them",
             "leave out --levels, or give --levels 1",
-        ));
+        )),
     }
-    Ok(())
 }

@@ -2,15 +2,16 @@
 
 use crate::checkpoint::{Progress, cpu_engine, keep, resume};
 use crate::coarse::{MakeEngine, settle_levels};
-use crate::cpu::{OnCpu, settle_sheets};
+use crate::cpu::{CpuEngine, OnCpu, settle_sheets_with};
 use crate::gpu::{self, Binning, Choice, DeviceReport, Gpu, GpuEngine};
-use crate::ground::{Ground, check_options};
+use crate::ground::{Ground, check_levels};
 use crate::implicit::Sheets;
 use crate::log::Log;
 use crate::settle::{Engine, Parameters, PassRecord, REORDER_INTERVAL};
 use crate::state::Fields;
 use clap::{Parser, ValueEnum};
 use isoparticles_field::energy;
+use isoparticles_field::materials::{Materials, Stratum};
 use isoparticles_field::particle_set::ParticleSet;
 use isoparticles_field::sizing::SizingField;
 use isoparticles_stage::cli::values::{above_one, positive, share};
@@ -230,22 +231,50 @@ struct Engines<'a> {
     context: &'a Context,
 }
 
+impl<'a> Engines<'a> {
+    /// The engine on the GPU, unless the CPU is to move the particles.
+    fn on_gpu<'f>(&self, make: impl FnOnce(&'a Gpu) -> Result<GpuEngine<'f>>) -> Result<Option<GpuEngine<'f>>> {
+        let Some(gpu) = self.gpu.filter(|_| !self.fell_back.get()) else { return Ok(None) };
+        match make(gpu) {
+            Ok(engine) => Ok(Some(engine)),
+            Err(error) if self.may_fall_back => {
+                self.context.warn(format!("the GPU is not used: {}", error.what));
+                self.fell_back.set(true);
+                Ok(None)
+            }
+            Err(error) => Err(error),
+        }
+    }
+
+    /// An engine over particles of many materials.
+    fn make_for_materials<'f>(
+        &self,
+        materials: &Materials,
+        fields: &'f Fields<'f, Sheets<'f, Materials>>,
+        (set, strata): (ParticleSet, Vec<Stratum>),
+    ) -> Result<Box<dyn Engine + 'f>>
+    where
+        'a: 'f,
+    {
+        let particles = (&set, strata.as_slice());
+        let make =
+            |gpu| GpuEngine::of_materials(gpu, (materials, fields.sizing), particles, self.parameters, self.binning);
+        Ok(match self.on_gpu(make)? {
+            Some(engine) => Box::new(engine),
+            None => Box::new(CpuEngine::new(set, strata, fields, self.parameters)),
+        })
+    }
+}
+
 impl MakeEngine for Engines<'_> {
     fn make<'f>(&self, set: ParticleSet, fields: &'f Fields<'f>) -> Result<Box<dyn Engine + 'f>>
     where
         Self: 'f,
     {
-        if let Some(gpu) = self.gpu.filter(|_| !self.fell_back.get()) {
-            match GpuEngine::new(gpu, fields, &set, self.parameters, self.binning) {
-                Ok(engine) => return Ok(Box::new(engine)),
-                Err(error) if self.may_fall_back => {
-                    self.context.warn(format!("the GPU is not used: {}", error.what));
-                    self.fell_back.set(true);
-                }
-                Err(error) => return Err(error),
-            }
+        match self.on_gpu(|gpu| GpuEngine::new(gpu, fields, &set, self.parameters, self.binning))? {
+            Some(engine) => Ok(Box::new(engine)),
+            None => OnCpu(self.parameters).make(set, fields),
         }
-        OnCpu(self.parameters).make(set, fields)
     }
 }
 
@@ -297,13 +326,10 @@ pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
         return Ok(Outcome::Passed);
     };
     let many = is_materials(distance_file);
-    let gpu = if many { None } else { open_gpu(args, context)? };
     if many {
-        check_options(args.backend, args.adapter.as_deref(), args.levels)?;
-        if args.backend == Backend::Auto {
-            context.info("many materials are settled on the CPU");
-        }
+        check_levels(args.levels)?;
     }
+    let gpu = open_gpu(args, context)?;
     let step = context.step("read");
     let seeds = read_particles(seeds_file, &[ParticleKind::Seeds, ParticleKind::Particles])?;
     let ground = Ground::read(distance_file, many, (seeds_file, seeds.strata.is_some()))?;
@@ -389,8 +415,8 @@ pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
         Ground::Materials(file) => {
             let surface = Sheets::new(&file.materials, file.materials.geometry().min_spacing());
             let fields = Fields { surface: &surface, sizing: &sizing };
-            let (settled, summary) = settle_sheets(&(first, strata), resumed, &fields, &parameters, &mut observe)?;
-            (settled, summary, None)
+            let make = |set, strata| engines.make_for_materials(&file.materials, &fields, (set, strata));
+            settle_sheets_with(make, &(first, strata), resumed, &fields, &parameters, &mut observe)?
         }
     };
     let backend = if device.is_some() { "gpu" } else { "cpu" };

@@ -97,10 +97,8 @@ const ALL: &str = "seeds.bin --distfield m.vti --sizefield h.vti";
 #[test]
 fn sheets_are_settled_and_a_broken_run_goes_on() {
     let files = Files::new();
-    let whole = files.run(&format!("{ALL} -o whole.bin --max-passes 30"));
-    let said = String::from_utf8_lossy(&whole.stderr);
-    assert!(whole.status.success(), "{said}");
-    assert_eq!(said.matches("many materials are settled on the CPU").count(), 1, "{said}");
+    let whole = files.run(&format!("{ALL} -o whole.bin --max-passes 30 --backend cpu"));
+    assert!(whole.status.success(), "{}", String::from_utf8_lossy(&whole.stderr));
     let whole = files.particles("whole.bin");
     let strata = whole.strata.as_ref().expect("strata");
     for (radius, own) in [(8.0, [0, 1]), (5.0, [1, 2])] {
@@ -112,9 +110,9 @@ fn sheets_are_settled_and_a_broken_run_goes_on() {
         assert!((count / lattice - 0.97).abs() < 0.08, "{own:?}: {count}, the lattice has {lattice:.0}");
     }
     // a checkpoint of pass 20 lies there when the run ends: the rest is run again
-    let kept = "--checkpoint c.bin --max-passes 30 --checkpoint-interval 20";
+    let kept = "--checkpoint c.bin --max-passes 30 --checkpoint-interval 20 --backend cpu";
     assert!(files.run(&format!("{ALL} -o first.bin {kept}")).status.success());
-    let resumed = files.run(&format!("{ALL} -o resumed.bin {kept} --resume --backend cpu --levels 1"));
+    let resumed = files.run(&format!("{ALL} -o resumed.bin {kept} --resume --levels 1"));
     let said = String::from_utf8_lossy(&resumed.stderr);
     assert!(resumed.status.success() && said.contains("resuming after pass 20"), "{said}");
     let resumed = files.particles("resumed.bin");
@@ -127,8 +125,6 @@ fn what_does_not_go_together_is_refused() {
     for (words, code, expected) in [
         ("one.bin --distfield m.vti --sizefield h.vti -o o.bin", 2, "one.bin: holds particles of one object"),
         ("seeds.bin --distfield f.vti --sizefield h.vti -o o.bin", 2, "seeds.bin: holds particles of many materials"),
-        (&format!("{ALL} -o o.bin --backend gpu"), 3, "--backend gpu"),
-        (&format!("{ALL} -o o.bin --adapter llvmpipe"), 3, "--adapter llvmpipe"),
         (&format!("{ALL} -o o.bin --levels 2"), 2, "--levels 2"),
     ] {
         let ended = files.run(words);

@@ -11,6 +11,9 @@ use isoparticles_volume::Geometry;
 /// In place of a material that fills a brick where none does: all that are there are known.
 const NONE: u16 = u16::MAX;
 
+/// The two indicators of a sheet are taken to differ by less than this share of a voxel at a place on it: far more than any projection leaves.
+const ON_SHEET: f64 = 0.01;
+
 /// A material that is known in a brick.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Entry {
@@ -229,9 +232,22 @@ impl Indicators for Materials {
         let stencil = Stencil::new(&self.geometry, grid);
         let brick = self.brick(&stencil);
         let is_own = |material: u16| material == own[0].0 || material == own[1].0;
-        let alone = self.known(brick).iter().all(|entry| is_own(entry.material));
+        let is_filled_by_other = self.fill[brick] != NONE && !is_own(self.fill[brick]);
+        let mut others = self.known(brick).iter().filter(|entry| !is_own(entry.material)).peekable();
         // most bricks know no third material, and no indicator is summed there
-        (alone && (self.fill[brick] == NONE || is_own(self.fill[brick]))) || self.clearance(grid, &own) > 0.0
+        if others.peek().is_none() && !is_filled_by_other {
+            return true;
+        }
+        // a spline is nowhere below the least of the coefficients that it reads
+        let own_value = || Some(stencil.clone().gathered().value(&self.read(own[0], brick, &stencil).ok()?));
+        let is_far = |limit: f64| {
+            others.all(|&entry| match self.gathered(entry, &stencil) {
+                Ok(read) => f64::from(read.iter().copied().fold(f32::INFINITY, f32::min)) > limit,
+                Err(inside) => !inside,
+            })
+        };
+        let limit = own_value().map(|value| value + ON_SHEET * self.voxel());
+        (!is_filled_by_other && limit.is_some_and(is_far)) || self.clearance(grid, &own) > 0.0
     }
 
     fn jet(&self, id: MaterialId, grid: DVec3) -> Jet {

@@ -164,6 +164,11 @@ impl Indicator {
         &self.bricks
     }
 
+    /// The eight blocks that each of these bricks reads, x fastest: block c of the grid holds the coefficients of the nodes 4 c - 1 to 4 c + 2 along each axis.
+    pub fn blocks(&self) -> &[[u32; 8]] {
+        &self.blocks
+    }
+
     /// The coefficients, 64 a block.
     pub fn coefficients(&self) -> &[f32] {
         &self.coefficients

@@ -156,7 +156,7 @@ pub trait Indicators: Sync {
         strata::half_difference(self.value_gradient(i, grid), self.value_gradient(j, grid))
     }
 
-    /// Whether the sheet of two materials, both known there, is real at a place: its [`Self::clearance`] is positive.
+    /// Whether the sheet of two materials is real at a place on it: its [`Self::clearance`] is positive.
     #[inline(always)]
     fn is_real_sheet(&self, own: [MaterialId; 2], grid: DVec3) -> bool {
         self.clearance(grid, &own) > 0.0

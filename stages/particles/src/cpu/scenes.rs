@@ -3,7 +3,9 @@
 use crate::constants::INITIAL_LAMBDA;
 use crate::cpu::OnStrata;
 use glam::DVec3;
-use isoparticles_field::materials::{Analytic, Indicators, MaterialId, Stratum, ball, half_space, maximum, negative};
+use isoparticles_field::materials::{
+    Analytic, Indicator, Indicators, Material, MaterialId, Materials, Stratum, ball, half_space, maximum, negative,
+};
 use isoparticles_field::particle_set::{ParticleSet, Strata};
 use isoparticles_field::random::uniform;
 use isoparticles_field::sizing::SizingField;
@@ -11,13 +13,13 @@ use isoparticles_volume::{Geometry, Image};
 use std::f64::consts::{PI, TAU};
 
 /// Centre of every body, mm.
-pub(super) const CENTRE: DVec3 = DVec3::new(12.1, 11.8, 12.3);
+pub(crate) const CENTRE: DVec3 = DVec3::new(12.1, 11.8, 12.3);
 
 /// Radius of the ball that is cut up, mm.
-pub(super) const RADIUS: f64 = 8.0;
+pub(crate) const RADIUS: f64 = 8.0;
 
 /// Indicators with h, seeds, and what each sheet is like.
-pub(super) struct Body {
+pub(crate) struct Body {
     pub indicators: Analytic,
     pub sizing: SizingField,
     pub seeds: OnStrata,
@@ -26,7 +28,7 @@ pub(super) struct Body {
 }
 
 /// The stratum of some materials.
-pub(super) fn stratum(ids: &[u16]) -> Stratum {
+pub(crate) fn stratum(ids: &[u16]) -> Stratum {
     Stratum::new(&ids.iter().map(|&id| MaterialId(id)).collect::<Vec<_>>()).expect("two to four materials")
 }
 
@@ -92,8 +94,19 @@ impl Body {
         Self { indicators, sizing, seeds: (set, strata), sheets }
     }
 
+    /// The same indicators as samples on the grid of h.
+    pub(crate) fn sampled(&self) -> Materials {
+        let geometry = self.sizing.image().geometry.clone();
+        let parts = self.indicators.ids().map(|id| {
+            let image = Image::sampled(geometry.clone(), |p| self.indicators.jet(id, p).value as f32);
+            let (indicator, negative) = Indicator::new(&image, [0; 3], geometry.size, id == MaterialId::OUTSIDE);
+            (Material { name: format!("m{}", id.0), labels: Vec::new() }, indicator, negative)
+        });
+        Materials::new(geometry.clone(), parts.collect()).expect("parts of one grid")
+    }
+
     /// Particles that the lattice has on each sheet within its border: by Pick's theorem, half a cell less for each on the border, and one more where there is one.
-    pub(super) fn lattice_counts(&self) -> Vec<(Stratum, f64)> {
+    pub(crate) fn lattice_counts(&self) -> Vec<(Stratum, f64)> {
         let h = self.sizing.at(CENTRE);
         let count = |area: f64, border: f64| {
             area / (0.75f64.sqrt() * h * h) - border / (2.0 * h) + if border > 0.0 { 1.0 } else { 0.0 }
@@ -114,7 +127,7 @@ fn empty(geometry: &Geometry) -> ParticleSet {
 }
 
 /// A ball of 5 mm in one of [`RADIUS`]: two sheets without junctions.
-pub(super) fn nested(h: f64, count: usize) -> Body {
+pub(crate) fn nested(h: f64, count: usize) -> Body {
     let shell = maximum(ball(CENTRE, RADIUS), negative(ball(CENTRE, 5.0)));
     let indicators = Analytic::new(vec![negative(ball(CENTRE, RADIUS)), shell, ball(CENTRE, 5.0)], 1.0);
     let sheets = vec![(stratum(&[0, 1]), 4.0 * PI * RADIUS * RADIUS, 0.0), (stratum(&[1, 2]), 4.0 * PI * 25.0, 0.0)];
@@ -122,7 +135,7 @@ pub(super) fn nested(h: f64, count: usize) -> Body {
 }
 
 /// Three sectors of 120 degrees of a ball round an axis along z: the axis and three meridians meet at two poles.
-pub(super) fn sectors(h: f64, count: usize) -> Body {
+pub(crate) fn sectors(h: f64, count: usize) -> Body {
     // of the planes between the sectors
     let turns = [0.1, 1.1, 2.1].map(|n: f64| n / 3.0 * TAU);
     let normal = |turn: f64| DVec3::new(-turn.sin(), turn.cos(), 0.0);
@@ -157,7 +170,7 @@ pub(super) fn sectors(h: f64, count: usize) -> Body {
 }
 
 /// Four regions of a ball that meet at its centre, each round the direction of a corner of a tetrahedron: one point inside, four on the surface.
-pub(super) fn corners(h: f64, count: usize) -> Body {
+pub(crate) fn corners(h: f64, count: usize) -> Body {
     let ways = [DVec3::ONE, DVec3::new(1.0, -1.0, -1.0), DVec3::new(-1.0, 1.0, -1.0), DVec3::new(-1.0, -1.0, 1.0)];
     let region = |own: DVec3| {
         let planes = ways.into_iter().filter(|way| *way != own).map(|way| half_space(CENTRE, (way - own).normalize()));

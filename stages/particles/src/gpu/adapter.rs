@@ -75,7 +75,7 @@ pub struct Gpu {
     /// The first error that came outside any call's result.
     failure: Arc<Mutex<Option<String>>>,
     /// The kernels, compiled once for fields in one slab and once for more.
-    kernels: Mutex<[Option<Arc<Kernels>>; 2]>,
+    kernels: Mutex<[Option<Arc<Kernels>>; 4]>,
 }
 
 fn instance() -> wgpu::Instance {
@@ -204,14 +204,14 @@ impl Gpu {
         })
     }
 
-    /// The kernels for fields in one slab, or in several.
-    pub(super) fn kernels(&self, several: bool) -> Result<Arc<Kernels>> {
+    /// The kernels for fields in one slab, or in several, of one object or of many materials.
+    pub(super) fn kernels(&self, several: bool, materials: bool) -> Result<Arc<Kernels>> {
         let mut known = self.kernels.lock().unwrap_or_else(PoisonError::into_inner);
-        let place = &mut known[usize::from(several)];
+        let place = &mut known[usize::from(several) + 2 * usize::from(materials)];
         if let Some(kernels) = place {
             return Ok(Arc::clone(kernels));
         }
-        let kernels = Arc::new(Kernels::new(self, several)?);
+        let kernels = Arc::new(Kernels::new(self, several, materials)?);
         *place = Some(Arc::clone(&kernels));
         Ok(kernels)
     }

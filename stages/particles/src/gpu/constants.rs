@@ -2,6 +2,7 @@
 //! here from its value. A second copy in a `.wgsl` file would be a redefinition, which naga refuses.
 
 use super::commands::ROW;
+use super::materials::{INDEX_BLOCKS, INDEX_BOXES, INDEX_ENTRIES, INDEX_FILL, INDEX_STARTS, INDEX_STRATA};
 use super::parameters::MOST_LEVELS;
 use super::shaders::Variant;
 use crate::constants::{
@@ -30,6 +31,12 @@ pub(crate) const UNCLASSED: u32 = u32::MAX;
 const STEP_TAKEN: u32 = 1 << 31;
 /// In the same word: that the particle is a lattice defect.
 const LATTICE_DEFECT: u32 = 1 << 30;
+
+/// In place of the power of ten of its damping, of a particle that is held: larger than any.
+pub(crate) const HELD_CODE: u32 = 15;
+
+/// In place of the number of a brick: the material is not known there.
+const NO_BRICK: u32 = u32::MAX;
 
 /// A particle rests when its step promises to lower its energy by less than this share: f32 could not tell.
 const REST: f64 = 1e-6;
@@ -116,6 +123,14 @@ pub(crate) fn constants(variant: Variant) -> Vec<(&'static str, Value)> {
         WORD_COUNT,
         WORD_KEPT,
         WORD_DEFECTS,
+        HELD_CODE,
+        NO_BRICK,
+        INDEX_STARTS,
+        INDEX_ENTRIES,
+        INDEX_FILL,
+        INDEX_BOXES,
+        INDEX_BLOCKS,
+        INDEX_STRATA,
     ]);
     let (lanes, teams) = variant.team();
     all.extend([("TEAM", Value::Whole(lanes)), ("TEAMS", Value::Whole(teams))]);

@@ -12,6 +12,7 @@ use super::constants::{
 };
 use super::kernels::{Kernels, ROUND_STRIDE};
 use super::levels::Levels;
+use super::materials::{Carried, Ground};
 use super::memory::{Memory, download, read_staging, staging, upload};
 use super::parameters::{device_origin, pass_block, run_block, scan_block, scan_blocks};
 use super::report::{DeviceReport, KernelTime};
@@ -19,7 +20,9 @@ use super::schedule::{Step, steps};
 use crate::constants::REBUILD_MOVE;
 use crate::settle::{Engine, Parameters, PassOutcome, REORDER_INTERVAL};
 use crate::state::Fields;
+use isoparticles_field::materials::{Materials, Stratum};
 use isoparticles_field::particle_set::ParticleSet;
+use isoparticles_field::sizing::SizingField;
 use isoparticles_stage::error::{Error, Result};
 use isoparticles_volume::Geometry;
 use rayon::prelude::*;
@@ -56,6 +59,9 @@ pub struct GpuEngine<'a> {
     groups: HashMap<(&'static str, u32), wgpu::BindGroup>,
     words: wgpu::Buffer,
     pub(super) geometry: Geometry,
+    carried: Carried,
+    /// The strata of the particles as they came back last.
+    strata: Vec<Stratum>,
     settling: Parameters,
     pub(super) levels: Levels,
     slab_length: u32,
@@ -83,13 +89,40 @@ impl<'a> GpuEngine<'a> {
         settling: &Parameters,
         binning: Binning,
     ) -> Result<Self> {
+        let levels = Levels::new(fields, binning == Binning::Graded);
+        let ground = Ground::object(fields.surface);
+        Self::over(gpu, &ground, (fields.sizing, levels), (set, &[]), Carried::default(), settling)
+    }
+
+    /// Puts the indicators of many materials, h and particles with their strata, those that are held first, onto the device.
+    pub(crate) fn of_materials(
+        gpu: &'a Gpu,
+        (materials, sizing): (&Materials, &SizingField),
+        (set, strata): (&ParticleSet, &[Stratum]),
+        settling: &Parameters,
+        binning: Binning,
+    ) -> Result<Self> {
+        let levels = Levels::everywhere(sizing, binning == Binning::Graded);
+        let carried = Carried::new(set, strata)?;
+        let ground = Ground::materials(materials, &carried);
+        Self::over(gpu, &ground, (sizing, levels), (set, strata), carried, settling)
+    }
+
+    fn over(
+        gpu: &'a Gpu,
+        ground: &Ground<'_>,
+        (sizing, levels): (&SizingField, Levels),
+        (set, strata): (&ParticleSet, &[Stratum]),
+        carried: Carried,
+        settling: &Parameters,
+    ) -> Result<Self> {
         let compiling = Instant::now();
-        let geometry = fields.surface.geometry().clone();
-        let slab_length = slab_length(gpu, &geometry)?;
-        let kernels = gpu.kernels(u64::from(slab_length) < geometry.voxel_count() as u64)?;
+        let geometry = ground.geometry.clone();
+        let longest = ground.coefficients.len().max(geometry.voxel_count()) as u64;
+        let slab_length = slab_length(gpu, longest)?;
+        let kernels = gpu.kernels(u64::from(slab_length) < longest, ground.index.is_some())?;
         let compile_seconds = compiling.elapsed().as_secs_f64();
         let started = Instant::now();
-        let levels = Levels::new(fields, binning == Binning::Graded);
         let mut memory = Memory::default();
         let uniform = wgpu::BufferUsages::UNIFORM;
         memory.make(gpu, "parameters", 1024, uniform)?;
@@ -99,9 +132,7 @@ impl<'a> GpuEngine<'a> {
         memory.make(gpu, "round", u64::from(CLASSES) * ROUND_STRIDE, uniform)?;
         let numbers: Vec<u32> = (0..CLASSES).flat_map(|n| std::iter::once(n).chain([0; 63])).collect();
         upload(gpu, memory.get("round"), &numbers)?;
-        for (name, values) in
-            [("surface", fields.surface.coefficients()), ("sizing", fields.sizing.image().data.as_slice())]
-        {
+        for (name, values) in [("surface", ground.coefficients.as_ref()), ("sizing", sizing.image().data.as_slice())] {
             let mut slabs = values.chunks(slab_length as usize);
             for k in 0..4 {
                 let slab = slabs.next().unwrap_or(&[0.0]);
@@ -109,6 +140,10 @@ impl<'a> GpuEngine<'a> {
                 memory.make(gpu, &name, 4 * slab.len() as u64, wgpu::BufferUsages::empty())?;
                 upload(gpu, memory.get(&name), slab)?;
             }
+        }
+        if let Some(index) = &ground.index {
+            memory.make(gpu, "materials_index", 4 * index.len() as u64, wgpu::BufferUsages::empty())?;
+            upload(gpu, memory.get("materials_index"), index)?;
         }
         let bins = u64::from(levels.bin_total());
         memory.make(gpu, "bin_counts", 4 * bins, wgpu::BufferUsages::empty())?;
@@ -124,6 +159,8 @@ impl<'a> GpuEngine<'a> {
             groups: HashMap::new(),
             words: staging(gpu, 64),
             geometry,
+            carried,
+            strata: strata.to_vec(),
             settling: settling.clone(),
             levels,
             slab_length,
@@ -137,14 +174,14 @@ impl<'a> GpuEngine<'a> {
             started,
             spent: DeviceReport { compile_seconds, ..DeviceReport::default() },
         };
-        engine.upload_particles(set)?;
+        engine.upload_particles(set, strata)?;
         engine.write("scan_bins", scan_block(engine.levels.bin_total()).bytes());
         gpu.check()?;
         engine.spent.upload_seconds = engine.started.elapsed().as_secs_f64();
         Ok(engine)
     }
 
-    fn upload_particles(&mut self, set: &ParticleSet) -> Result<()> {
+    fn upload_particles(&mut self, set: &ParticleSet, strata: &[Stratum]) -> Result<()> {
         let count = u32::try_from(set.positions.len()).unwrap_or(u32::MAX);
         self.make_room(count)?;
         self.make_lists(24 * u64::from(count))?;
@@ -160,7 +197,8 @@ impl<'a> GpuEngine<'a> {
             .normals
             .par_iter()
             .zip(&set.lambdas)
-            .map(|(n, &lambda)| n.as_vec3().extend(lambda as f32).to_array())
+            .enumerate()
+            .map(|(i, (n, &lambda))| n.as_vec3().extend(self.carried.of(i, lambda, strata)).to_array())
             .collect();
         upload(self.gpu, self.memory.get("listed_place"), &place)?;
         upload(self.gpu, self.memory.get("listed_normal"), &normal)?;
@@ -381,13 +419,15 @@ impl Engine for GpuEngine<'_> {
         if u64::from(after) * 2 > u64::from(self.capacity) {
             self.grow()?;
         }
+        let held = self.carried.held();
+        let movable = f64::from(before.max(1)) - held as f64;
         Ok(PassOutcome {
             energy: f64::from(f32::from_bits(words[WORD_ENERGY])),
-            count: after as usize,
+            count: after as usize - held,
             inserted: (after - kept) as usize,
             deleted: (before - kept) as usize,
             moved: words[WORD_MOVED] as usize,
-            tries_per_particle: f64::from(words[WORD_TRIES]) / f64::from(before.max(1)),
+            tries_per_particle: f64::from(words[WORD_TRIES]) / movable.max(1.0),
             neighbours: f64::from(words[WORD_LISTED]) / f64::from(before.max(1)),
             lattice_defects: words[WORD_DEFECTS] as usize,
         })
@@ -403,20 +443,26 @@ impl Engine for GpuEngine<'_> {
         self.spent.device_seconds = self.started.elapsed().as_secs_f64();
         let origin = device_origin(&self.geometry);
         let vector = |v: &[f32; 4]| glam::Vec3::new(v[0], v[1], v[2]).as_dvec3();
-        Ok(ParticleSet {
+        let set = ParticleSet {
             geometry: self.geometry.clone(),
             positions: place.iter().map(|p| origin + vector(p)).collect(),
             normals: normal.iter().map(vector).collect(),
             sizes: place.iter().map(|p| f64::from(p[3])).collect(),
             energies: vec![0.0; count],
             lambdas: normal.iter().map(|n| f64::from(n[3])).collect(),
-        })
+        };
+        let (set, strata) = self.carried.put_back(set);
+        self.strata = strata;
+        Ok(set)
+    }
+
+    fn strata(&self) -> &[Stratum] {
+        &self.strata
     }
 }
 
-/// Voxels in each slab of a field: all of them where one binding holds the field.
-fn slab_length(gpu: &Gpu, geometry: &Geometry) -> Result<u32> {
-    let voxels = geometry.voxel_count() as u64;
+/// Numbers in each slab of a field of so many: all of them where one binding holds the field.
+fn slab_length(gpu: &Gpu, voxels: u64) -> Result<u32> {
     let most = gpu.largest_slab / 4;
     if voxels > 4 * most || voxels > u64::from(u32::MAX) {
         return Err(Error::gpu(

@@ -25,8 +25,8 @@ pub(crate) struct Kernels {
 
 impl Kernels {
     /// Compiles every kernel.
-    pub(crate) fn new(gpu: &Gpu, slabs: bool) -> Result<Self> {
-        let variant = Variant { slabs, subgroup_team: gpu.subgroup_team };
+    pub(crate) fn new(gpu: &Gpu, slabs: bool, materials: bool) -> Result<Self> {
+        let variant = Variant { slabs, subgroup_team: gpu.subgroup_team, materials };
         let all: Vec<_> = sources().collect();
         // drivers take their time over each
         let kernels = all.par_iter().map(|s| (s.name, kernel(gpu, s.name, s.compose(variant)))).collect();

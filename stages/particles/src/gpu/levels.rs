@@ -10,6 +10,8 @@ use crate::constants::SKIN;
 use crate::state::Fields;
 use glam::{DVec3, UVec3, Vec3};
 use isoparticles_field::energy::SUPPORT;
+use isoparticles_field::sizing::SizingField;
+use isoparticles_volume::Geometry;
 use rayon::prelude::*;
 
 /// Most bins in a level; wider bins are right as well.
@@ -62,9 +64,25 @@ impl Range {
 impl Levels {
     /// Lays out the levels; `graded` off makes one.
     pub(crate) fn new(fields: &Fields, graded: bool) -> Self {
-        let geometry = fields.surface.geometry();
-        let near = near_surface(fields, 2.0 * geometry.spacing.length());
+        let near = near_surface(fields, 2.0 * fields.surface.geometry().spacing.length());
         let range = if near.largest > 0.0 { near } else { near_surface(fields, f64::INFINITY) };
+        Self::of_range(fields.surface.geometry(), &range, graded)
+    }
+
+    /// Lays out the levels over the whole grid.
+    pub(crate) fn everywhere(sizing: &SizingField, graded: bool) -> Self {
+        let image = sizing.image();
+        let sizes = || image.data.iter().copied();
+        let range = Range {
+            smallest: sizes().fold(f32::INFINITY, f32::min),
+            largest: sizes().fold(0.0, f32::max),
+            low: DVec3::ZERO,
+            high: image.geometry.upper_corner(),
+        };
+        Self::of_range(&image.geometry, &range, graded)
+    }
+
+    fn of_range(geometry: &Geometry, range: &Range, graded: bool) -> Self {
         let origin = device_origin(geometry);
         let octaves = (f64::from(range.largest) / f64::from(range.smallest)).log2().floor() as usize + 1;
         Self::over(

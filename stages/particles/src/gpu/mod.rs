@@ -11,6 +11,7 @@ pub mod display;
 mod engine;
 mod kernels;
 mod levels;
+mod materials;
 mod memory;
 mod parameters;
 mod report;

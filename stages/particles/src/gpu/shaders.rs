@@ -11,7 +11,7 @@ pub(crate) struct Source {
     text: &'static str,
 }
 
-/// A shared piece; the last two depend on the adapter.
+/// A shared piece; all but texts depend on the adapter or on what the particles live on.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Piece {
     Text(&'static str),
@@ -19,15 +19,21 @@ enum Piece {
     Fields,
     /// Sums over the lanes of a team.
     Team,
+    /// What goes with a particle beside its normal, of one object or of many materials.
+    Carried,
+    /// The coefficients of F, or those of the sheets of many materials.
+    Nodes,
 }
 
-/// What of the texts depends on the adapter.
+/// What of the texts depends on the adapter and on what the particles live on.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Variant {
     /// Whether the fields are cut into slabs.
     pub slabs: bool,
     /// Lanes of a team that sums by subgroup operations; `None` sums through workgroup memory.
     pub subgroup_team: Option<u32>,
+    /// Whether the particles are of many materials.
+    pub materials: bool,
 }
 
 impl Variant {
@@ -71,9 +77,9 @@ const SOURCES: &[Source] = &[
     source!("scan_add", &[SCAN]),
     source!("bin_count", &[PARAMETERS, LEVELS]),
     source!("bin_scatter", &[PARAMETERS]),
-    source!("bin_reorder", &[PARAMETERS]),
-    source!("neighbour_count", &[PARAMETERS, LEVELS, WALK]),
-    source!("neighbour_fill", &[PARAMETERS, LEVELS, WALK]),
+    source!("bin_reorder", &[PARAMETERS, Piece::Carried]),
+    source!("neighbour_count", &[PARAMETERS, LEVELS, Piece::Carried, WALK]),
+    source!("neighbour_fill", &[PARAMETERS, LEVELS, Piece::Carried, WALK]),
     source!("class_propose", &[PARAMETERS, RANDOM, LISTS, ROUND, CLASSES]),
     source!("class_settle", &[PARAMETERS, RANDOM, LISTS, ROUND, CLASSES]),
     source!("class_count", &[PARAMETERS, RANDOM, CLASSES]),
@@ -86,6 +92,8 @@ const SOURCES: &[Source] = &[
             Piece::Fields,
             GRID,
             SPLINE,
+            Piece::Carried,
+            Piece::Nodes,
             Piece::Team,
             TEAM_SURFACE,
             PROJECT,
@@ -97,26 +105,52 @@ const SOURCES: &[Source] = &[
             ROUND
         ]
     ),
-    source!("energies", &[PARAMETERS, ENERGY, LISTS]),
+    source!("energies", &[PARAMETERS, ENERGY, LISTS, Piece::Carried]),
     source!("sum_blocks", &[PARAMETERS, TOTALS]),
     source!("sum_total", &[PARAMETERS, TOTALS]),
     source!("density_delete", &[PARAMETERS, RANDOM, DENSITY, LISTS, ROUND]),
     source!("density_relieve", &[PARAMETERS, ENERGY, LISTS, ROUND]),
     source!(
         "insert_propose",
-        &[PARAMETERS, Piece::Fields, GRID, SPLINE, SURFACE, PROJECT, PLANE, RANDOM, DENSITY, LISTS]
+        &[
+            PARAMETERS,
+            Piece::Fields,
+            GRID,
+            SPLINE,
+            Piece::Carried,
+            Piece::Nodes,
+            SURFACE,
+            PROJECT,
+            PLANE,
+            RANDOM,
+            DENSITY,
+            LISTS
+        ]
     ),
-    source!("insert_choose", &[PARAMETERS, RANDOM, LEVELS, LISTS]),
+    source!("insert_choose", &[PARAMETERS, RANDOM, LEVELS, LISTS, Piece::Carried]),
     source!("compact", &[PARAMETERS]),
 ];
 
 /// Kernels that only the tests run: they show what the shared pieces compute.
 #[cfg(test)]
 pub(crate) const PROBES: &[Source] = &[
-    source!("tests/probe_fields", &[PARAMETERS, Piece::Fields, GRID, SPLINE, SURFACE]),
+    source!("tests/probe_fields", &[PARAMETERS, Piece::Fields, GRID, SPLINE, Piece::Carried, Piece::Nodes, SURFACE]),
     source!(
         "tests/probe_jets",
-        &[PARAMETERS, Piece::Fields, GRID, SPLINE, Piece::Team, TEAM_SURFACE, ENERGY, PLANE, LISTS, TEAM_ENERGY]
+        &[
+            PARAMETERS,
+            Piece::Fields,
+            GRID,
+            SPLINE,
+            Piece::Carried,
+            Piece::Nodes,
+            Piece::Team,
+            TEAM_SURFACE,
+            ENERGY,
+            PLANE,
+            LISTS,
+            TEAM_ENERGY
+        ]
     ),
 ];
 #[cfg(not(test))]
@@ -140,6 +174,12 @@ impl Source {
                     Some(_) => include_str!("../../../../shaders/shared/team_subgroups.wgsl"),
                     None => include_str!("../../../../shaders/shared/team_memory.wgsl"),
                 },
+                Piece::Carried if variant.materials => {
+                    include_str!("../../../../shaders/shared/carried_materials.wgsl")
+                }
+                Piece::Carried => include_str!("../../../../shaders/shared/carried_object.wgsl"),
+                Piece::Nodes if variant.materials => include_str!("../../../../shaders/shared/nodes_materials.wgsl"),
+                Piece::Nodes => include_str!("../../../../shaders/shared/nodes_object.wgsl"),
             };
             text.push_str(piece);
             text.push('\n');

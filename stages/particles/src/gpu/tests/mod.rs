@@ -4,6 +4,7 @@
 mod density;
 mod fields;
 mod lists;
+mod materials;
 mod passes;
 mod scans;
 mod shaders;

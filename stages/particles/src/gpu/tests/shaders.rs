@@ -10,12 +10,15 @@ use naga::valid::{Capabilities, ValidationFlags, Validator};
 use std::fs;
 use std::path::Path;
 
-const VARIANTS: [Variant; 5] = [
-    Variant { slabs: false, subgroup_team: None },
-    Variant { slabs: true, subgroup_team: None },
-    Variant { slabs: false, subgroup_team: Some(32) },
-    Variant { slabs: false, subgroup_team: Some(16) },
-    Variant { slabs: true, subgroup_team: Some(8) },
+const VARIANTS: [Variant; 8] = [
+    Variant { slabs: false, subgroup_team: None, materials: false },
+    Variant { slabs: true, subgroup_team: None, materials: false },
+    Variant { slabs: false, subgroup_team: Some(32), materials: false },
+    Variant { slabs: false, subgroup_team: Some(16), materials: false },
+    Variant { slabs: true, subgroup_team: Some(8), materials: false },
+    Variant { slabs: false, subgroup_team: None, materials: true },
+    Variant { slabs: true, subgroup_team: Some(16), materials: true },
+    Variant { slabs: false, subgroup_team: Some(32), materials: true },
 ];
 
 fn module(text: &str, what: &str) -> naga::Module {
