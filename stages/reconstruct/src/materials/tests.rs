@@ -31,7 +31,8 @@ fn volumes(made: &Reconstruction) -> Vec<f64> {
 
 fn assert_sound(made: &Reconstruction, what: &str) {
     assert_eq!(made.checked.failed, Vec::<String>::new(), "{what}: {:?} {:?}", made.refined, made.improved);
-    assert!(made.refined.unresolved.is_empty(), "{what}: {:?}", made.refined);
+    // a node may be left to the optimiser
+    assert!(made.refined.unresolved.keys().all(|reason| !reason.is_topology()), "{what}: {:?}", made.refined);
     assert_eq!((made.checked.nodes_changed, made.checked.missing_segments), (0, 0), "{what}");
     let quality = &made.checked.quality;
     let (mean, least) = (quality.radius_ratio_mean, quality.radius_ratio_min);
