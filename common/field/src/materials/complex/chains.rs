@@ -282,7 +282,7 @@ fn merge_points<I: Indicators + ?Sized>(complex: &mut Complex, indicators: &I) {
             ends.iter().filter_map(|&n| left[same.find(n) as usize].as_ref().map(|chain| chain.curve)).collect();
         let of = |without: &MaterialId| curves.iter().filter(|curve| !curve.has(*without)).count();
         let counts: Vec<usize> = first.stratum.materials().iter().map(of).collect();
-        if counts.iter().all(|count| count % 2 == 0) {
+        if counts.iter().all(|count| count.is_multiple_of(2)) {
             complex.tally.points_passed += 1;
             pass(own, ends, &mut left, &mut same);
             continue;
@@ -317,7 +317,7 @@ fn pass(own: u32, ends: &[u32], left: &mut [Option<Chain>], same: &mut DisjointS
             }
         }
         open.sort_unstable();
-        let Some(&[first, second]) = open.array_windows().find(|[a, b]| a.0 == b.0) else { return };
+        let Some(&[first, second]) = open.windows(2).find(|pair| pair[0].0 == pair[1].0) else { return };
         if first.1 == second.1 {
             let place = &mut left[first.1 as usize];
             *place = place.take().filter(|chain| !chain.vertices.is_empty());
