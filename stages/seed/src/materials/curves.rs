@@ -20,6 +20,9 @@ const RING: usize = 3;
 /// A particle nearer than this share of a step to the one before it is left out: the curve is shorter than its chain there.
 const NEAREST: f64 = 0.3;
 
+/// Particles nearer than this (voxels) are at one place: on a chain that the lattice alone has.
+const COINCIDENT: f64 = 0.01;
+
 /// How far a particle may be from the chain, and how closely it meets its curve, in voxels.
 const FARTHEST: f64 = 1.0;
 const TOLERANCE: f64 = 1e-7;
@@ -106,7 +109,7 @@ impl Curves {
                 self.not_projected += 1;
                 continue;
             };
-            let nearest = nearest(position);
+            let nearest = nearest(position).max(COINCIDENT * voxel);
             let is_near = |other: u32| self.positions[other as usize].distance(position) < nearest;
             let is_closing = chain.is_closed() && self.positions.len() as u32 > first && is_near(first);
             if is_closing || previous.is_some_and(is_near) || point(chain.ends[1]).is_some_and(is_near) {

@@ -87,7 +87,7 @@ impl<'a, I: Indicators + ?Sized> Block<'a, I> {
 
     /// The number of a node of the grid.
     fn of_grid(&self, place: Place) -> Option<usize> {
-        let is_of_grid = place.iter().all(|n| n % UNIT == 0);
+        let is_of_grid = place.iter().all(|n| n.is_multiple_of(UNIT));
         let [i, j, k]: [usize; 3] = std::array::from_fn(|a| (place[a] / UNIT) as usize - self.first[a]);
         is_of_grid.then(|| (k * self.size[1] + j) * self.size[0] + i)
     }

@@ -31,7 +31,7 @@ pub(super) fn number(place: Place) -> u128 {
 
 /// The place half-way between two, if it has whole steps.
 pub(super) fn half_way(a: Place, b: Place) -> Option<Place> {
-    let is_even = (0..3).all(|axis| a[axis].abs_diff(b[axis]) % 2 == 0);
+    let is_even = (0..3).all(|axis| a[axis].abs_diff(b[axis]).is_multiple_of(2));
     is_even.then(|| std::array::from_fn(|axis| a[axis].midpoint(b[axis])))
 }
 
