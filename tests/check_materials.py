@@ -10,6 +10,7 @@ shared with the programs that made the files. The last line is `PASSED` or names
 from __future__ import annotations
 
 import argparse
+import itertools
 import json
 import sys
 from pathlib import Path
@@ -98,8 +99,8 @@ def follow_lines(corners: Floats, inside: Integers, outside: Integers, size: tup
     line, place, before, behind = crossings(corners, inside, outside, size)
     found = np.zeros(size, dtype=np.int64)
     wrong = 0
-    starts = np.flatnonzero(np.diff(line, prepend=-1))
-    for start, end in zip(starts, [*starts[1:], len(line)], strict=True):
+    bounds = np.append(np.flatnonzero(np.diff(line, prepend=-1)), len(line))
+    for start, end in itertools.pairwise(bounds):
         own = slice(start, end)
         row = found[:, line[start] // size[2], line[start] % size[2]]
         known = np.concatenate(([0], behind[own]))

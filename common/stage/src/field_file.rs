@@ -85,7 +85,7 @@ pub fn read_field(path: &Path, expected: FieldKind) -> Result<Field> {
     let image = file.data_set("ImageData")?;
     let found = file.text(image, "isoparticles_kind")?;
     if found.as_deref() == Some(materials_file::KIND) {
-        return Err(materials_file::not_yet_taken(path, expected));
+        return Err(materials_file::not_one_object(path, expected));
     }
     if let Some(found) = found.filter(|found| found != expected.name()) {
         return Err(wrong_kind(path, expected, &format!("is a {found} file")));

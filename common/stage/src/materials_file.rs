@@ -192,15 +192,12 @@ fn damaged(path: &Path, what: &str) -> Error {
     )
 }
 
-/// What a stage says that takes one object only.
-pub(crate) fn not_yet_taken(path: &Path, expected: FieldKind) -> Error {
+/// What is said where one object is needed.
+pub(crate) fn not_one_object(path: &Path, expected: FieldKind) -> Error {
     Error::of_file(
         path,
         "holds the indicators of many materials",
-        format!(
-            "this stage needs the field '{}' of one object; of all stages distfield alone knows materials yet",
-            expected.array_name()
-        ),
+        format!("the field '{}' of one object is needed here", expected.array_name()),
         "give the field of one object: distfield --labels A,B makes one of the union of some labels",
     )
 }

@@ -8,6 +8,7 @@ mod batch;
 mod cases;
 mod cluster;
 mod failures;
+mod materials;
 mod names;
 mod reruns;
 

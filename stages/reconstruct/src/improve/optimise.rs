@@ -92,7 +92,8 @@ fn drain(surface: &mut Surface, pass: &Pass, failures: &mut Failures, step: Step
     };
     let entry = |surface: &Surface, at_nodes: &[u32], t: u32| {
         let rank = rank(surface, at_nodes, t);
-        (rank < pass.bar.to_bits()).then_some(Reverse((rank, t)))
+        let is_tried = rank < pass.bar.to_bits() && (pass.means == Means::Move || !surface.is_held(t));
+        is_tried.then_some(Reverse((rank, t)))
     };
     let all = 0..surface.triangles.len() as u32;
     let mut queue: BinaryHeap<_> = all.filter_map(|t| entry(surface, &at_nodes, t)).collect();

@@ -58,6 +58,12 @@ impl Surface<'_> {
         !self.fixed[vertex as usize] && self.degree(vertex) < 4
     }
 
+    /// Whether a corner of a triangle is fixed: what is wrong with it then is mostly the length of a junction curve's segment, or a corner between two
+    /// of them, which no other triangles mend.
+    pub(super) fn is_held(&self, triangle: u32) -> bool {
+        self.triangles[triangle as usize].iter().any(|&v| v != u32::MAX && self.fixed[v as usize])
+    }
+
     /// How many more triangles than six a vertex has; a fixed one in the sheet of a triangle at it, more than sixths of a turn in the angle there.
     pub(super) fn surplus(&self, vertex: u32, triangle: u32) -> i64 {
         if !self.fixed[vertex as usize] {

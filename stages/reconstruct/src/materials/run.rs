@@ -246,7 +246,11 @@ fn tell(made: &Reconstruction, context: &Context) {
     if !refined.unresolved.is_empty() {
         let left: Vec<String> =
             refined.unresolved.iter().map(|(reason, n)| format!("{n} of {}", json!(reason))).collect();
-        context.warn(format!("refinement ended at its smallest radius with violations left: {}", left.join(", ")));
+        context.warn(format!(
+            "refinement ended at its smallest radius with violations left: {}; where materials meet at small angles, or a layer ends in an edge, a smaller h helps \
+             (sizefield without --uniform grades it by thickness)",
+            left.join(", ")
+        ));
     }
 }
 
