@@ -3,7 +3,7 @@
 //!
 //! Where two materials alone are near, the share of one is what the other lacks, and so is its level: both ways give the same surface, that of one
 //! object. Where three meet, each has a border of its own. A corner of a material is rounded, and its level is far from a half there; a straight border that two
-//! others meet at is as it was, and its level is a half. So between two materials the border of the one whose level is nearer to a half holds ([`between`]): an organ of
+//! others meet at is as it was, and its level is a half. So between two materials the border of the one whose level is nearer to a half holds: an organ of
 //! several parts is as smooth round them as one of one part. There are neither gaps nor overlaps at any scale.
 
 use super::grid::{Extent, LabelGrid};

@@ -5,7 +5,7 @@
 //! | the particles on their strata, triangulated; segments of junction curves | [`prepare`], [`segments`] |
 //! | tetrahedra of materials, and what is violated there | [`complex`], [`nodes`] |
 //! | points added, most needed first | [`refine`] |
-//! | tetrahedra given to another material where points do not help | [`relabel`] |
+//! | tetrahedra given to another material where points do not help | `relabel` |
 
 pub mod check;
 pub mod complex;
