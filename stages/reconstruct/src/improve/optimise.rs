@@ -26,6 +26,18 @@ enum Means {
     Remesh { reach: f64 },
 }
 
+impl Means {
+    /// Whether little is touched: at a junction curve, whose vertices stay, more is seldom worth its time. With all means on all triangles the four tissues of
+    /// the torso phantom at h = 4 mm take 38 s in place of 15, and reach a smallest radius ratio of 0.493 in place of 0.475 (`make CASE=torso-tissues surface`).
+    fn is_local(self) -> bool {
+        match self {
+            Self::Move => true,
+            Self::TwoMoves => false,
+            Self::Remesh { reach } => reach <= REACHES[1],
+        }
+    }
+}
+
 /// One way through the queue.
 struct Pass {
     means: Means,
@@ -92,7 +104,7 @@ fn drain(surface: &mut Surface, pass: &Pass, failures: &mut Failures, step: Step
     };
     let entry = |surface: &Surface, at_nodes: &[u32], t: u32| {
         let rank = rank(surface, at_nodes, t);
-        let is_tried = rank < pass.bar.to_bits() && (pass.means == Means::Move || !surface.is_held(t));
+        let is_tried = rank < pass.bar.to_bits() && (pass.means.is_local() || rank == 0 || !surface.is_held(t));
         is_tried.then_some(Reverse((rank, t)))
     };
     let all = 0..surface.triangles.len() as u32;

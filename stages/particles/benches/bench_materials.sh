@@ -1,0 +1,33 @@
+#!/bin/sh
+# Particles on the sheets of many materials beside those of one object (the union of the same labels), as many of both.
+#
+#   stages/particles/benches/bench_materials.sh VOLUME H [OPTIONS OF particles...]     BIN=target/release WORK=out/bench-materials
+#
+# H is the edge length on the interfaces, mm. Prints what `particles` says of its time and memory, and microseconds a particle and pass.
+set -eu
+volume=$1 size=$2
+shift 2
+bin=${BIN:-target/release} work=${WORK:-out/bench-materials}
+mkdir -p "$work"
+case=$work/$(basename "$volume" .nrrd)
+
+# settle NAME [OPTIONS...]: seeds and particles of a field, the report beside them
+settle() {
+    name=$1
+    shift
+    "$bin/seed" "$case.$name.distfield.vti" "$case.$name.sizefield.vti" -o "$case.$name.seeds.bin" --force -q
+    "$bin/particles" "$case.$name.seeds.bin" --distfield "$case.$name.distfield.vti" --sizefield "$case.$name.sizefield.vti" \
+        -o "$case.$name.particles.bin" --levels 1 --log "$case.$name.csv" --report "$case.$name.json" --force "$@" 2>&1 |
+        grep -E '^  (particles|  of junctions|passes|settle|device time|device memory|peak memory|energy over ideal|adapter|backend)'
+}
+
+"$bin/distfield" "$volume" -o "$case.many.distfield.vti" --material all --force -q
+"$bin/sizefield" "$case.many.distfield.vti" -o "$case.many.sizefield.vti" --uniform "$size" --force -q
+echo "many materials of $volume, h $size mm"
+settle many "$@"
+count=$(sed -n 's/.*"particles": *"\([0-9]*\)".*/\1/p' "$case.many.json" | head -1)
+: "${count:?no count in the report}"
+"$bin/distfield" "$volume" -o "$case.one.distfield.vti" --labels all --force -q
+"$bin/sizefield" "$case.one.distfield.vti" -o "$case.one.sizefield.vti" --vertices "$count" --force -q
+echo "one object of all labels, about $count particles"
+settle one "$@"
