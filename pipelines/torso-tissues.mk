@@ -2,7 +2,5 @@
 PHANTOM := torso --kind label --size 134,65,89 --spacing 2.6
 MATERIALS := heart:1,lungs:2,ribs:3,body:4
 NAME := torso-tissues
-# Ribs are 8 mm thick and more: two edge lengths.
-SIZE := 4
-# Tetrahedra half as long again as h.
-TETMESH_OPTIONS := --tet-size-factor 1.5
+# A little more than a voxel: ribs are two to three of them thick.
+SIZE := 3
