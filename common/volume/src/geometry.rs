@@ -98,4 +98,10 @@ impl Geometry {
         let shift = self.index_to_grid(DVec3::splat(-(margin as f64)));
         Self { size: self.size.map(|n| n + 2 * margin), origin: self.grid_to_world(shift), ..self.clone() }
     }
+
+    /// The grid of a box of `size` voxels from the voxel `first` on.
+    pub fn cropped(&self, first: [usize; 3], size: [usize; 3]) -> Self {
+        let corner = self.index_to_grid(DVec3::from_array(first.map(|n| n as f64)));
+        Self { size, origin: self.grid_to_world(corner), ..self.clone() }
+    }
 }

@@ -12,7 +12,7 @@ use glam::DVec3;
 use isoparticles_field::marching_cubes::marching_cubes;
 use isoparticles_mesh::measure::measure;
 use isoparticles_stage::error::Result;
-use isoparticles_volume::{Geometry, Image};
+use isoparticles_volume::Image;
 use rayon::prelude::*;
 use std::f64::consts::PI;
 
@@ -85,9 +85,8 @@ impl Boxed {
         let first: [usize; 3] = std::array::from_fn(|axis| low[axis].saturating_sub(room[axis]));
         let size: [usize; 3] =
             std::array::from_fn(|axis| (high[axis] + 1 + room[axis]).min(geometry.size[axis]) - first[axis]);
-        let corner = geometry.index_to_grid(DVec3::from_array(first.map(|n| n as f64)));
         let before = Occupancy {
-            geometry: Geometry { size, origin: geometry.grid_to_world(corner), ..geometry.clone() },
+            geometry: geometry.cropped(first, size),
             shares: crop(&occupancy.shares, geometry.size, first, size),
         };
         let mut level = level_set(&before, sigma, scale.keep_thin).0;

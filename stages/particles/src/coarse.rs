@@ -178,7 +178,8 @@ fn take_with_room(
     taken
 }
 
-fn empty(geometry: &Geometry) -> ParticleSet {
+/// No particles yet.
+pub(crate) fn empty(geometry: &Geometry) -> ParticleSet {
     ParticleSet {
         geometry: geometry.clone(),
         positions: Vec::new(),

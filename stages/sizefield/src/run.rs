@@ -150,6 +150,24 @@ impl Args {
         self.quality.unwrap_or(Quality::Medium)
     }
 
+    /// What is asked for, by the quality where nothing is given, and the deviation, mm; h is at most `largest` (mm) by default.
+    pub(crate) fn parameters_with(&self, voxel: f64, largest: f64, refined: Vec<SizedNode>) -> (Parameters, f64) {
+        let defaults = Defaults::of(self.quality());
+        let min_size = self.min_size.unwrap_or(defaults.min_size_voxels * voxel);
+        let deviation = self.max_deviation.unwrap_or(defaults.deviation_voxels * voxel);
+        let parameters = Parameters {
+            epsilon: self.epsilon.unwrap_or(defaults.epsilon),
+            delta: self.delta.unwrap_or(defaults.delta),
+            min_size,
+            max_size: self.max_size.unwrap_or(largest.max(min_size)),
+            max_deviation: if deviation > 0.0 { deviation } else { f64::MAX },
+            min_particles: MIN_PARTICLES,
+            scale: self.scale,
+            refined,
+        };
+        (parameters, deviation)
+    }
+
     /// Whether anything is asked for that makes h differ from place to place.
     pub(crate) fn is_graded(&self) -> bool {
         let lengths = [self.epsilon, self.delta, self.min_size, self.max_size, self.max_deviation];
@@ -264,19 +282,8 @@ fn resolve(
     let high = features.points.iter().copied().fold(DVec3::NEG_INFINITY, DVec3::max);
     let defaults = Defaults::of(args.quality());
     let diagonal = (high - low).length();
-    let min_size = args.min_size.unwrap_or(defaults.min_size_voxels * voxel);
-    let max_size = args.max_size.unwrap_or((defaults.max_size_diagonals * diagonal).max(min_size));
-    let deviation = args.max_deviation.unwrap_or(defaults.deviation_voxels * voxel);
-    let parameters = Parameters {
-        epsilon: args.epsilon.unwrap_or(defaults.epsilon),
-        delta: args.delta.unwrap_or(defaults.delta),
-        min_size,
-        max_size,
-        max_deviation: if deviation > 0.0 { deviation } else { f64::MAX },
-        min_particles: MIN_PARTICLES,
-        scale: args.scale,
-        refined,
-    };
+    let (parameters, deviation) = args.parameters_with(voxel, defaults.max_size_diagonals * diagonal, refined);
+    let (min_size, max_size) = (parameters.min_size, parameters.max_size);
     if parameters.min_size > parameters.max_size {
         return Err(Error::input(
             format!("--min-size {} is above --max-size {}", parameters.min_size, parameters.max_size),

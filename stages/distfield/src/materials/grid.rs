@@ -132,8 +132,7 @@ impl LabelGrid {
     /// The voxels of a box for which `holds` is true of their material's number.
     pub fn mask(&self, low: [usize; 3], high: [usize; 3], holds: impl Fn(u16) -> bool + Sync) -> Mask {
         let size: [usize; 3] = std::array::from_fn(|a| high[a] + 1 - low[a]);
-        let corner = self.geometry.index_to_grid(glam::DVec3::from_array(low.map(|n| n as f64)));
-        let geometry = Geometry { size, origin: self.geometry.grid_to_world(corner), ..self.geometry.clone() };
+        let geometry = self.geometry.cropped(low, size);
         let voxel = |n: usize| {
             let [i, j, k] = [n % size[0], n / size[0] % size[1], n / (size[0] * size[1])];
             self.geometry.linear(low[0] + i, low[1] + j, low[2] + k)

@@ -14,7 +14,6 @@ use crate::occupancy::Occupancy;
 use crate::scalar::{ScalarOptions, from_voxels_with};
 use crate::scale::{Scale, level_set, room_round, smallest_part};
 use crate::{Inside, Keep, Redistanced};
-use glam::DVec3;
 use isoparticles_field::materials::MaterialId;
 use isoparticles_stage::error::Result;
 use isoparticles_stage::monitor::Monitor;
@@ -216,7 +215,7 @@ impl<'a> Levels<'a> {
     /// The grid of the box of a material.
     fn geometry(&self, id: usize) -> Geometry {
         let level = &self.levels[id];
-        box_of(&self.grid.geometry, level.first, level.size)
+        self.grid.geometry.cropped(level.first, level.size)
     }
 
     /// The indicator of a material that has voxels; that of the outside is of all others together.
@@ -244,12 +243,6 @@ impl<'a> Levels<'a> {
         let result = from_voxels_with(Voxels::F32(above), geometry, 0.0, &options, demands, monitor)?;
         Ok(Made { result: Some(result), first, changes: Some(changes) })
     }
-}
-
-/// The grid of a box of another one.
-fn box_of(grid: &Geometry, first: [usize; 3], size: [usize; 3]) -> Geometry {
-    let corner = grid.index_to_grid(DVec3::from_array(first.map(|n| n as f64)));
-    Geometry { size, origin: grid.grid_to_world(corner), ..grid.clone() }
 }
 
 /// The smoothed share of a material, less the level that keeps its volume.

@@ -1,12 +1,13 @@
 //! Bodies of several materials whose strata are known, with particles on their junctions in closed form and scattered ones on their sheets.
 
+use crate::coarse::empty;
 use crate::constants::INITIAL_LAMBDA;
 use crate::cpu::OnStrata;
 use glam::DVec3;
 use isoparticles_field::materials::{
     Analytic, Indicator, Indicators, Material, MaterialId, Materials, Stratum, ball, half_space, maximum, negative,
 };
-use isoparticles_field::particle_set::{ParticleSet, Strata};
+use isoparticles_field::particle_set::Strata;
 use isoparticles_field::random::uniform;
 use isoparticles_field::sizing::SizingField;
 use isoparticles_volume::{Geometry, Image};
@@ -112,17 +113,6 @@ impl Body {
             area / (0.75f64.sqrt() * h * h) - border / (2.0 * h) + if border > 0.0 { 1.0 } else { 0.0 }
         };
         self.sheets.iter().map(|&(on, area, border)| (on, count(area, border))).collect()
-    }
-}
-
-fn empty(geometry: &Geometry) -> ParticleSet {
-    ParticleSet {
-        geometry: geometry.clone(),
-        positions: Vec::new(),
-        normals: Vec::new(),
-        sizes: Vec::new(),
-        energies: Vec::new(),
-        lambdas: Vec::new(),
     }
 }
 

@@ -6,7 +6,7 @@ use super::lines;
 use crate::limits::check_count;
 use crate::run::{Args, Defaults, percentiles, refined_nodes};
 use crate::vertices::{scaled_to_count, size_for_count};
-use crate::{MIN_PARTICLES, Parameters, SMALLEST_SHARE, Samples, graded_field};
+use crate::{Parameters, SMALLEST_SHARE, Samples, graded_field};
 use glam::DVec3;
 use isoparticles_field::materials::complex::Complex;
 use isoparticles_field::materials::{Indicators, MaterialId, Materials, Stratum};
@@ -200,18 +200,7 @@ impl LargestSizes {
 fn resolve(args: &Args, materials: &Materials, refined: Vec<(usize, f64)>, context: &Context) -> Result<Parameters> {
     let voxel = materials.voxel();
     let quality = args.quality().name();
-    let defaults = Defaults::of(args.quality());
-    let deviation = args.max_deviation.unwrap_or(defaults.deviation_voxels * voxel);
-    let parameters = Parameters {
-        epsilon: args.epsilon.unwrap_or(defaults.epsilon),
-        delta: args.delta.unwrap_or(defaults.delta),
-        min_size: args.min_size.unwrap_or(defaults.min_size_voxels * voxel),
-        max_size: args.max_size.unwrap_or(f64::INFINITY),
-        max_deviation: if deviation > 0.0 { deviation } else { f64::MAX },
-        min_particles: MIN_PARTICLES,
-        scale: args.scale,
-        refined,
-    };
+    let (parameters, deviation) = args.parameters_with(voxel, f64::INFINITY, refined);
     if parameters.min_size > parameters.max_size {
         return Err(Error::input(
             format!("--min-size {} is above --max-size {}", parameters.min_size, parameters.max_size),

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from tetmesh_check.context import Context
 from tetmesh_check.quality import TetrahedronQuality
 from tetmesh_check.topology import Topology
 
@@ -201,3 +202,32 @@ def run_checks(measured: Measurements, limits: Limits) -> list[Check]:
             required=False,
         ),
     ]
+
+
+def conclude(checks: list[Check], quality: TetrahedronQuality, context: Context) -> list[str]:
+    """Put the verdicts into the results and the shapes into the closing table; warn of what is only worth a warning.
+
+    Parameters
+    ----------
+    checks
+        All verdicts.
+    quality
+        Shapes of the tetrahedra.
+    context
+        The frame of the run.
+
+    Returns
+    -------
+    list of str
+        The required checks that failed, in words.
+    """
+    context.results["checks"] = [check.as_dict() for check in checks]
+    context.closing += [
+        ("tetrahedra", f"{len(quality.volume):,}"),
+        ("radius ratio", f"mean {quality.radius_ratio.mean():.3f}, smallest {quality.radius_ratio.min():.3f}"),
+        ("dihedral angle", f"{quality.min_dihedral.min():.1f} to {quality.max_dihedral.max():.1f} degrees"),
+    ]
+    for check in checks:
+        if not check.passed and not check.required:
+            context.warn(check.words)
+    return [check.words for check in checks if check.required and not check.passed]

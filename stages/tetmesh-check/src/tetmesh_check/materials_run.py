@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from tetmesh_check.checks import Check, Limits, shape_checks, verdict
+from tetmesh_check.checks import Check, Limits, conclude, shape_checks, verdict
 from tetmesh_check.complex import Complex, check_complex, describe_complex
 from tetmesh_check.context import Context
 from tetmesh_check.drawing import drawing
@@ -269,15 +269,6 @@ def run_materials(
     with drawing(None if job is None else replace(job, many=True), context):
         checks = complex_checks(context.results["volume"], filled.quality, arguments.limits)
         checks += solve_on(mesh, arguments.solve, context, _forward(source, checked, filled))
-    context.results["checks"] = [check.as_dict() for check in checks]
-    quality = filled.quality
-    context.closing += [
-        ("materials", f"{len(checked.sides.present)}, {len(counts['interfaces'])} interfaces"),
-        ("tetrahedra", f"{len(filled.tetrahedra):,}"),
-        ("radius ratio", f"mean {quality.radius_ratio.mean():.3f}, smallest {quality.radius_ratio.min():.3f}"),
-        ("dihedral angle", f"{quality.min_dihedral.min():.1f} to {quality.max_dihedral.max():.1f} degrees"),
-    ]
-    for check in checks:
-        if not check.passed and not check.required:
-            context.warn(check.words)
-    return [check.words for check in checks if check.required and not check.passed]
+    interfaces = len(counts["interfaces"])
+    context.closing.append(("materials", f"{len(checked.sides.present)}, {interfaces} interfaces"))
+    return conclude(checks, filled.quality, context)

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from tetmesh_check.checks import Limits, Measurements, run_checks
+from tetmesh_check.checks import Limits, Measurements, conclude, run_checks
 from tetmesh_check.components import Components
 from tetmesh_check.context import Context
 from tetmesh_check.distance import distances_both_ways, summarize_distances
@@ -304,15 +304,4 @@ def run(arguments: Arguments, context: Context) -> list[str]:
     context.results["exports"] = [path.name for path in arguments.export_paths()]
     with drawing(arguments.picture_job, context):
         checks = run_checks(measured, arguments.limits) + solve_on(mesh, arguments.solve, context)
-
-    context.results["checks"] = [check.as_dict() for check in checks]
-    quality = measured.quality
-    context.closing += [
-        ("tetrahedra", f"{len(filled.tetrahedra):,}"),
-        ("radius ratio", f"mean {quality.radius_ratio.mean():.3f}, smallest {quality.radius_ratio.min():.3f}"),
-        ("dihedral angle", f"{quality.min_dihedral.min():.1f} to {quality.max_dihedral.max():.1f} degrees"),
-    ]
-    for check in checks:
-        if not check.passed and not check.required:
-            context.warn(check.words)
-    return [check.words for check in checks if check.required and not check.passed]
+    return conclude(checks, measured.quality, context)
