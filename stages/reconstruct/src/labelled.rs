@@ -1,6 +1,6 @@
 //! A Delaunay triangulation whose tetrahedra bear labels: inside or outside of one object, or one of many materials.
 //!
-//! The label of a tetrahedron is asked for at its circumcentre; beyond the hull and the volume it is the default one, outside. The facets between different
+//! The label of a tetrahedron is decided by its vertices and its circumcentre; beyond the hull it is the default one, outside. The facets between different
 //! labels are the surface, or the interfaces: closed and conforming by construction.
 
 use crate::around::{boundary, boundary_facets_of, star};
@@ -38,8 +38,8 @@ pub struct Labelled<L> {
 }
 
 impl<L: Copy + Default + Ord + Send + Sync> Labelled<L> {
-    /// Labels a triangulation by what `label` says of places in the volume, which ends at `upper`.
-    pub fn new(delaunay: Delaunay, upper: DVec3, label: impl Fn(DVec3) -> L + Sync) -> Self {
+    /// Labels a triangulation by what `label` says of a tetrahedron and of its circumcentre, where that lies in the volume, which ends at `upper`.
+    pub fn new(delaunay: Delaunay, upper: DVec3, label: impl Fn(&Delaunay, u32, Option<DVec3>) -> L + Sync) -> Self {
         let undecided = delaunay.finite_tetrahedra().map(|(t, _)| t).collect();
         let mut new = Self { delaunay, upper, labels: Vec::new(), undecided, changed: Vec::new() };
         new.decide(label);
@@ -86,20 +86,23 @@ impl<L: Copy + Default + Ord + Send + Sync> Labelled<L> {
         }
     }
 
-    /// Decides the label of every tetrahedron made since the last call.
-    pub fn decide(&mut self, label: impl Fn(DVec3) -> L + Sync) {
+    /// Decides the label of every tetrahedron made since the last call, as [`Self::new`] does.
+    pub fn decide(&mut self, label: impl Fn(&Delaunay, u32, Option<DVec3>) -> L + Sync) {
         self.labels.resize(self.delaunay.slot_count(), L::default());
         let mut undecided = std::mem::take(&mut self.undecided);
         undecided.sort_unstable();
         undecided.dedup();
-        let at_centre = |&t: &u32| {
-            let centre = if self.delaunay.is_alive(t) { self.delaunay.circumcentre(t) } else { None };
-            centre.filter(|&c| self.in_volume(c)).map_or_else(L::default, &label)
+        let of = |&t: &u32| {
+            if !self.delaunay.is_alive(t) || self.delaunay.is_ghost(t) {
+                return L::default();
+            }
+            let centre = self.delaunay.circumcentre(t).filter(|&c| self.in_volume(c));
+            label(&self.delaunay, t, centre)
         };
         let labels: Vec<L> = if undecided.len() < FEW {
-            undecided.iter().map(at_centre).collect()
+            undecided.iter().map(of).collect()
         } else {
-            undecided.par_iter().map(at_centre).collect()
+            undecided.par_iter().map(of).collect()
         };
         for (&t, &label) in undecided.iter().zip(&labels) {
             self.labels[t as usize] = label;
@@ -114,6 +117,11 @@ impl<L: Copy + Default + Ord + Send + Sync> Labelled<L> {
         changed.sort_unstable();
         changed.dedup();
         changed
+    }
+
+    /// The last corner of the volume, mm.
+    pub fn upper(&self) -> DVec3 {
+        self.upper
     }
 
     /// Whether a place lies in the volume.

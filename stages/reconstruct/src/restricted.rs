@@ -26,7 +26,9 @@ pub struct Restricted<'a> {
 impl<'a> Restricted<'a> {
     /// Decides the side of each tetrahedron of a triangulation in the grid frame of F.
     pub fn new(delaunay: Delaunay, field: &'a CubicSpline) -> Self {
-        let sides = Labelled::new(delaunay, field.geometry().upper_corner(), |centre| field.value(centre) < 0.0);
+        let sides = Labelled::new(delaunay, field.geometry().upper_corner(), |_, _, centre| {
+            centre.is_some_and(|p| field.value(p) < 0.0)
+        });
         Self { sides, field }
     }
 
@@ -55,7 +57,7 @@ impl<'a> Restricted<'a> {
 
     /// Decides the side of every tetrahedron made since the last call.
     pub fn decide_sides(&mut self) {
-        self.sides.decide(|centre| self.field.value(centre) < 0.0);
+        self.sides.decide(|_, _, centre| centre.is_some_and(|p| self.field.value(p) < 0.0));
     }
 
     /// The tetrahedra made by insertions since the last call, ascending.

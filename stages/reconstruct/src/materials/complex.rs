@@ -7,7 +7,7 @@ use crate::around::{boundary_facets_of, parts_round, runs_round, star};
 use crate::labelled::{Facet, Labelled};
 use crate::refine::{DEFAULT_DEVIATION, TURNED};
 use glam::DVec3;
-use isoparticles_delaunay::INFINITE;
+use isoparticles_delaunay::{Delaunay, INFINITE};
 use isoparticles_field::materials::{Indicators, MaterialId, Stratum};
 use serde::Serialize;
 use std::collections::BTreeMap;
@@ -18,6 +18,12 @@ const CROSSING: f64 = 1e-3;
 
 /// A segment that lacks a material round it is cut where the surface balls there are smaller than this part of it: they tell no more.
 const SMALL_BALL: f64 = 0.5;
+
+/// Where no indicator of the materials of a tetrahedron is known at its circumcentre, they are asked for on the way to its centroid, in so many steps.
+const STEPS: i32 = 8;
+
+/// The materials of junction points where more than four meet, by their number.
+type Crowded = BTreeMap<u32, Vec<MaterialId>>;
 
 /// What is violated, the most needed first.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
@@ -116,7 +122,7 @@ pub struct Complex<'a> {
     /// Segments of junction curves.
     pub segments: Segments,
     /// The materials of junction points where more than four meet.
-    crowded: BTreeMap<u32, Vec<MaterialId>>,
+    crowded: Crowded,
     /// Farthest that the centroid of a facet may lie from its sheet, mm; `None`: [`DEFAULT_DEVIATION`] of h or of a voxel.
     max_deviation: Option<f64>,
 }
@@ -135,8 +141,16 @@ impl<'a> Complex<'a> {
                 (ids.len() > 4).then_some((v, ids))
             })
             .collect();
-        let labelled = Labelled::new(delaunay, upper, |centre| indicators.material_at(centre));
+        let label =
+            |delaunay: &Delaunay, t: u32, centre| material_of(indicators, &strata, &crowded, delaunay, t, centre);
+        let labelled = Labelled::new(delaunay, upper, label);
         Self { labelled, indicators, strata, sizes, segments, crowded, max_deviation }
+    }
+
+    /// Gives the tetrahedra made since the last call their materials.
+    pub fn decide(&mut self) {
+        let Self { labelled, indicators, strata, crowded, .. } = self;
+        labelled.decide(|delaunay, t, centre| material_of(*indicators, strata, crowded, delaunay, t, centre));
     }
 
     /// The points, those inserted at the end.
@@ -156,7 +170,7 @@ impl<'a> Complex<'a> {
 
     /// Whether a material meets others at the stratum of a point.
     pub fn meets(&self, point: u32, id: MaterialId) -> bool {
-        self.strata[point as usize].has(id) || self.crowded.get(&point).is_some_and(|ids| ids.contains(&id))
+        meeting(&self.strata, &self.crowded, point).contains(&id)
     }
 
     /// Mean target edge length of some points, mm.
@@ -381,6 +395,44 @@ impl<'a> Complex<'a> {
         found.extend(vertices.into_iter().filter_map(|v| self.at_vertex(v)));
         found.extend(facets.iter().filter_map(|f| self.at_facet(f)));
         found
+    }
+}
+
+/// The materials that meet at a point.
+fn meeting<'a>(strata: &'a [Stratum], crowded: &'a Crowded, point: u32) -> &'a [MaterialId] {
+    crowded.get(&point).map_or_else(|| strata[point as usize].materials(), Vec::as_slice)
+}
+
+/// The material of a tetrahedron: of those that meet at all of its vertices the one with the smallest indicator at its circumcentre. A tetrahedron across a
+/// layer has vertices on both sides of it, at which the layer's material alone meets; its circumcentre may lie far beyond the layer. Where none meets at all
+/// vertices, the material at the circumcentre.
+fn material_of(
+    indicators: &dyn Indicators,
+    strata: &[Stratum],
+    crowded: &Crowded,
+    delaunay: &Delaunay,
+    tetrahedron: u32,
+    centre: Option<DVec3>,
+) -> MaterialId {
+    let vertices = delaunay.vertices(tetrahedron);
+    let is_common = |id: &MaterialId| vertices[1..].iter().all(|&v| meeting(strata, crowded, v).contains(id));
+    let first = meeting(strata, crowded, vertices[0]);
+    let common = || first.iter().copied().filter(is_common);
+    let at_centre = centre.map_or(MaterialId::OUTSIDE, |p| indicators.material_at(p));
+    match common().count() {
+        0 => at_centre,
+        1 => common().next().unwrap_or(at_centre),
+        _ if common().any(|id| id == at_centre) => at_centre,
+        _ => {
+            let centroid = vertices.iter().map(|&v| delaunay.points()[v as usize]).sum::<DVec3>() / 4.0;
+            let from = centre.unwrap_or(centroid);
+            let known = |step: i32| {
+                let place = from.lerp(centroid, f64::from(step) / f64::from(STEPS));
+                let near = indicators.near(place);
+                near.entries().iter().map(|(id, _)| *id).find(|id| common().any(|own| own == *id))
+            };
+            (0..=STEPS).find_map(known).unwrap_or(at_centre)
+        }
     }
 }
 

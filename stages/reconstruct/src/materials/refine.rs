@@ -12,6 +12,7 @@ use crate::labelled::Facet;
 use crate::refine::NEAREST_FOR_SHAPE;
 use glam::DVec3;
 use isoparticles_field::materials::Stratum;
+use isoparticles_field::materials::complex::way_along;
 use isoparticles_mesh::kd_tree::KdTree;
 use isoparticles_stage::error::Result;
 use rayon::prelude::*;
@@ -24,6 +25,9 @@ const NEAREST_FOR_TOPOLOGY: f64 = 0.05;
 
 /// Ends of a segment are no nearer to the point that splits it than this part of its length.
 const MIDDLE: f64 = 0.2;
+
+/// A curve is followed from one end of a segment to the other for so many of its lengths (or voxels): round a hairpin.
+const LONGEST_WAY: f64 = 6.0;
 
 /// Times that grid nodes are looked for in other materials, each time with an empty queue.
 const NODE_ROUNDS: usize = 12;
@@ -216,7 +220,7 @@ impl<'a> Refinement<'a> {
         let Some(curve) = self.complex.segments.curve(pair) else { return Ok(false) };
         let [a, b] = pair.map(|v| self.complex.points()[v as usize]);
         let length = a.distance(b);
-        let middle = onto(self.complex.indicators, curve, a.midpoint(b), 0.5 * length);
+        let middle = self.middle_along(curve, [a, b]);
         let is_between = |p: &DVec3| p.distance(a).min(p.distance(b)) > (MIDDLE * length).max(least);
         let Some(middle) = middle.filter(is_between) else { return Ok(false) };
         let size = 0.5 * (self.complex.sizes[pair[0] as usize] + self.complex.sizes[pair[1] as usize]);
@@ -229,6 +233,23 @@ impl<'a> Refinement<'a> {
         Ok(outcome)
     }
 
+    /// Half-way along a curve between two of its places; where it cannot be followed, next to the middle of the chord.
+    fn middle_along(&self, curve: Stratum, [a, b]: [DVec3; 2]) -> Option<DVec3> {
+        let indicators = self.complex.indicators;
+        let chord = a.distance(b);
+        let longest = LONGEST_WAY * chord.max(indicators.voxel());
+        let way = way_along(indicators, curve, self.complex.labelled.upper(), [a, b], longest);
+        let Some(way) = way else { return onto(indicators, curve, a.midpoint(b), 0.5 * chord) };
+        let half = 0.5 * way.windows(2).map(|step| step[0].distance(step[1])).sum::<f64>();
+        let mut sum = 0.0;
+        let step = way.windows(2).find(|step| {
+            sum += step[0].distance(step[1]);
+            sum >= half
+        })?;
+        let length = step[0].distance(step[1]);
+        onto(indicators, curve, step[1].lerp(step[0], (sum - half) / length.max(f64::MIN_POSITIVE)), 0.5 * length)
+    }
+
     /// Takes note of a point, if it is new; true when it is.
     fn settle(&mut self, inserted: Option<u32>, stratum: Stratum, size: f64) -> bool {
         if inserted.is_none() {
@@ -236,8 +257,7 @@ impl<'a> Refinement<'a> {
         }
         self.complex.strata.push(stratum);
         self.complex.sizes.push(size);
-        let indicators = self.complex.indicators;
-        self.complex.labelled.decide(|centre| indicators.material_at(centre));
+        self.complex.decide();
         true
     }
 }

@@ -27,13 +27,6 @@ pub struct Triangle {
     pub sheet: Stratum,
 }
 
-/// Part of a junction curve within a tetrahedron.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) struct Segment {
-    pub(super) ends: [u32; 2],
-    pub(super) curve: Stratum,
-}
-
 /// The names of the corners of the simplex that a vertex lies in, ascending, with the largest number where there are fewer than four.
 pub(super) type Name = [u128; 4];
 
@@ -44,7 +37,6 @@ pub(super) struct Part {
     pub(super) names: Vec<Name>,
     pub(super) vertices: Vec<Vertex>,
     pub(super) triangles: Vec<Triangle>,
-    pub(super) segments: Vec<Segment>,
 }
 
 /// What is known of a node.
@@ -191,7 +183,6 @@ pub(super) fn part<I: Indicators + ?Sized>(
 struct Found {
     vertices: Vec<(Name, Vertex)>,
     triangles: Vec<([Name; 3], Stratum)>,
-    segments: Vec<([Name; 2], Stratum)>,
 }
 
 impl Found {
@@ -238,9 +229,9 @@ impl Found {
         pieces(nodes.map(|node| node.own), |piece| match piece {
             Piece::Sheet { of, corners: own } => self.sheet(block, &corners, of, own),
             Piece::Curve { ends } => {
-                let stratum = corners.stratum(ends[0]);
-                let ends = ends.map(|end| self.vertex(block, &corners, end).0);
-                self.segments.extend(stratum.map(|curve| (ends, curve)));
+                for end in ends {
+                    self.vertex(block, &corners, end);
+                }
             }
         });
     }
@@ -289,9 +280,8 @@ impl Found {
         let number = |name: Name| names.partition_point(|&other| other < name) as u32;
         let triangles =
             self.triangles.into_iter().map(|(corners, sheet)| Triangle { corners: corners.map(number), sheet });
-        let segments = self.segments.into_iter().map(|(ends, curve)| Segment { ends: ends.map(number), curve });
-        let (triangles, segments) = (triangles.collect(), segments.collect());
-        Part { names, vertices, triangles, segments }
+        let triangles = triangles.collect();
+        Part { names, vertices, triangles }
     }
 }
 

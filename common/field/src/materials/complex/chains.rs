@@ -1,47 +1,35 @@
-//! Junction curves as chains of vertices between junction points, brought onto the true ones, and freed of what the lattice alone has.
+//! Junction curves as chains of vertices between junction points. The vertices that the lattice has of them are brought onto true curves, and these are followed from there
+//! ([`Follower`]), so that what is one curve is one chain, whatever the lattice joined.
 
-use super::Complex;
-use super::cells::Segment;
+use super::follow::{self, Follower, LEAST_CLEARANCE, PASSED, Stop, TOLERANCE};
+use super::{Complex, Vertex};
 use crate::materials::{Indicators, MaterialId, Stratum};
 use glam::DVec3;
 use isoparticles_mesh::components::DisjointSets;
+use isoparticles_mesh::kd_tree::KdTree;
 use rayon::prelude::*;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet, HashMap};
 
 /// How far a vertex of a curve or a point may be from where the lattice has it, in voxels.
 const FARTHEST: f64 = 1.0;
-
-/// How closely points and curves are met, in voxels.
-const TOLERANCE: f64 = 1e-7;
-
-/// A place beyond the border of the grid goes back and forth between border and curve so often: each turn leaves the share that the cosine squared of the angle between
-/// the two says.
-const TURNS_AT_BORDER: usize = 12;
 
 /// Junction points of the same four materials are one, if a chain shorter than this (voxels) joins them. Of the 26,530 chains that join such points in
 /// `brain_parcellation`, 2,326 are shorter than a tenth, and from there on there are 500 to 600 to each tenth: what crowds near zero is one point that the lattice meets twice.
 /// No particles fit between those a quarter apart, a third of the smallest h.
 const MERGED_WITHIN: f64 = 0.25;
 
-/// Points nearer than this (voxels) are the same, which Newton's method met from both.
+/// Points nearer than this (voxels) are one: of several that end at a point each meets it by three other materials.
 const COINCIDENT: f64 = 0.01;
-
-/// The same where they coincide, or Newton's method has not met one of the two: the lattice alone has it, in a pair that cancels. Of 2,787 such points in that volume 662 were left
-/// when points within half a voxel were merged, 411 with three quarters.
-const UNMET_MERGED_WITHIN: f64 = 1.0;
 
 /// Closed curves shorter than this (voxels) are left out: two materials that touch on less than a fiftieth of the face of a voxel.
 const SPECK: f64 = 0.5;
-
-/// How far another material may undercut those of a vertex (voxels) for the vertex to count as real: rounding, and what Newton's method leaves.
-const LEAST_CLEARANCE: f64 = -1e-6;
 
 /// Where a chain ends.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum End {
     /// At the junction point of that number.
     Point(u32),
-    /// At the border of the grid, with its last vertex.
+    /// At the border of the grid, with its last vertex; or where the curve cannot be followed on.
     Border,
     /// Nowhere: it returns to its first vertex.
     Closed,
@@ -78,8 +66,6 @@ pub struct Junction {
     pub stratum: Stratum,
     /// Where it lies, grid frame, mm.
     pub position: DVec3,
-    /// Whether the four are equal there, and no fifth is nearer; else it stays where the lattice has it.
-    pub is_met: bool,
 }
 
 /// What became of a vertex on its way to its stratum.
@@ -91,49 +77,55 @@ enum Met {
     No,
 }
 
-/// Makes chains and points of segments, and brings their vertices onto the strata; the grid ends at `corner`.
-pub(super) fn trace<I: Indicators + ?Sized>(
-    complex: &mut Complex,
-    segments: &[Segment],
-    indicators: &I,
-    corner: DVec3,
-) {
+/// Finds the chains and points of indicators on a grid that ends at `corner`, with the vertices of the lattice as places to begin at.
+pub(super) fn trace<I: Indicators + ?Sized>(complex: &mut Complex, indicators: &I, corner: DVec3) {
     let met = project(complex, indicators, corner);
-    let tally = &mut complex.tally;
-    let mut point_of = BTreeMap::new();
-    for (v, vertex) in complex.vertices.iter().enumerate() {
-        let is = |what: Met| usize::from(met[v] == what);
-        match vertex.stratum.dimension() {
+    let mut starts: BTreeMap<Stratum, Vec<DVec3>> = BTreeMap::new();
+    let mut met_points = Vec::new();
+    for (vertex, met) in complex.vertices.iter().zip(met) {
+        let tally = &mut complex.tally;
+        let [all, no, not_clear] = match vertex.stratum.dimension() {
             0 => {
-                point_of.insert(v as u32, complex.points.len() as u32);
-                let (stratum, position) = (vertex.stratum, vertex.position);
-                complex.points.push(Junction { stratum, position, is_met: met[v] == Met::Yes });
-                tally.points += 1;
-                tally.points_not_projected += is(Met::No);
-                tally.points_not_clear += is(Met::NotClear);
+                met_points.extend((met == Met::Yes).then_some(vertex.position));
+                [&mut tally.points, &mut tally.points_not_projected, &mut tally.points_not_clear]
             }
             1 => {
-                tally.curve_vertices += 1;
-                tally.curve_vertices_not_projected += is(Met::No);
-                tally.curve_vertices_not_clear += is(Met::NotClear);
+                if met == Met::Yes {
+                    starts.entry(vertex.stratum).or_default().push(vertex.position);
+                }
+                let [no, not_clear] = [&mut tally.curve_vertices_not_projected, &mut tally.curve_vertices_not_clear];
+                [&mut tally.curve_vertices, no, not_clear]
             }
-            _ => {}
-        }
+            _ => continue,
+        };
+        *all += 1;
+        *no += usize::from(met == Met::No);
+        *not_clear += usize::from(met == Met::NotClear);
     }
-    let chains = walk(segments, &point_of);
-    let voxel = indicators.voxel();
-    complex.chains = chains.into_iter().map(|chain| without_strays(chain, &met)).collect();
-    merge_points(complex, indicators);
+    let starts: Vec<(Stratum, Vec<DVec3>)> = starts.into_iter().collect();
+    let lines = starts.par_iter().flat_map_iter(|(curve, starts)| lines_from(indicators, corner, *curve, starts));
+    let lines: Vec<Line> = lines.collect();
+    let points = Points {
+        reach: COINCIDENT * indicators.voxel(),
+        met: KdTree::new(&met_points),
+        met_places: met_points,
+        all: Vec::new(),
+        bins: HashMap::new(),
+    };
+    let mut assembly = Assembly { complex, points, leaving: BTreeSet::new() };
+    lines.into_iter().for_each(|line| assembly.add(line, None));
+    assembly.complete(indicators, corner);
+    complex.points = assembly.points.all;
+    merge_points(complex, indicators.voxel());
     let before = complex.chains.len();
-    let is_kept: Vec<bool> =
-        complex.chains.iter().map(|chain| !chain.is_closed() || complex.length(chain) >= SPECK * voxel).collect();
+    let is_kept: Vec<bool> = complex
+        .chains
+        .iter()
+        .map(|chain| !chain.is_closed() || complex.length(chain) >= SPECK * indicators.voxel())
+        .collect();
     let mut kept = is_kept.into_iter();
     complex.chains.retain(|_| kept.next().unwrap_or(true));
     complex.tally.specks = before - complex.chains.len();
-    let mut chains = std::mem::take(&mut complex.chains);
-    let turned: usize = chains.iter_mut().map(|chain| drop_turns(chain, complex)).sum();
-    complex.tally.curve_vertices_turned_back = turned;
-    complex.chains = chains;
 }
 
 /// Brings the vertices of curves and points onto these, and tells what became of all.
@@ -143,16 +135,7 @@ fn project<I: Indicators + ?Sized>(complex: &mut Complex, indicators: &I, corner
     let each = complex.vertices.par_iter_mut().map(|vertex| {
         let found = match *vertex.stratum.materials() {
             [a, b, c, d] => indicators.project_onto_point([a, b, c, d], vertex.position, limit, tolerance),
-            [a, b, c] => {
-                let onto = |p: DVec3| indicators.project_onto_curve([a, b, c], p, limit, tolerance);
-                let mut found = onto(vertex.position);
-                for _ in 0..TURNS_AT_BORDER {
-                    let beyond = found.filter(|&p| p != p.clamp(DVec3::ZERO, corner));
-                    let Some(beyond) = beyond else { break };
-                    found = onto(beyond.clamp(DVec3::ZERO, corner));
-                }
-                found.map(|p| p.clamp(DVec3::ZERO, corner))
-            }
+            [a, b, c] => Follower { indicators, corner, own: [a, b, c] }.onto(vertex.position, limit),
             _ => return Met::Yes,
         };
         let Some(found) = found else { return Met::No };
@@ -165,92 +148,158 @@ fn project<I: Indicators + ?Sized>(complex: &mut Complex, indicators: &I, corner
     each.collect()
 }
 
-/// Strings segments together.
-fn walk(segments: &[Segment], point_of: &BTreeMap<u32, u32>) -> Vec<Chain> {
-    let mut at: Vec<(u32, u32)> = (0..).zip(segments).flat_map(|(n, segment)| segment.ends.map(|v| (v, n))).collect();
-    at.sort_unstable();
-    let around = |v: u32| {
-        let start = at.partition_point(|&(other, _)| other < v);
-        at[start..].iter().take_while(move |&&(other, _)| other == v).map(|&(_, segment)| segment)
-    };
-    let mut is_taken = vec![false; segments.len()];
-    let mut chains = Vec::new();
-    let mut follow = |start: u32, first: u32, is_taken: &mut Vec<bool>| {
-        let mut chain = Chain { curve: segments[first as usize].curve, vertices: Vec::new(), ends: [End::Closed; 2] };
-        chain.ends[0] = match point_of.get(&start) {
-            Some(&point) => End::Point(point),
-            None => {
-                chain.vertices.push(start);
-                End::Border
-            }
+/// A curve that was followed.
+struct Line {
+    curve: Stratum,
+    /// Without junction points.
+    places: Vec<DVec3>,
+    /// Whether they follow each other along the tangent.
+    is_along: bool,
+    /// How it ends before the first place and after the last.
+    ends: [Stop; 2],
+}
+
+/// The curves of three materials through some places on them, each once.
+fn lines_from<I: Indicators + ?Sized>(indicators: &I, corner: DVec3, curve: Stratum, starts: &[DVec3]) -> Vec<Line> {
+    let &[i, j, k] = curve.materials() else { return Vec::new() };
+    let follower = Follower { indicators, corner, own: [i, j, k] };
+    let tree = KdTree::new(starts);
+    let mut is_passed = vec![false; starts.len()];
+    let mut lines = Vec::new();
+    for (n, &start) in starts.iter().enumerate() {
+        if std::mem::replace(&mut is_passed[n], true) {
+            continue;
+        }
+        let mut hear = |a: DVec3, b: DVec3| {
+            let reach = (0.5 + PASSED) * a.distance(b);
+            tree.each_within(a.midpoint(b), reach, usize::MAX, &mut |n, place| {
+                is_passed[n as usize] |= follow::is_passed(place, a, b);
+            });
+            true
         };
-        let (mut from, mut segment) = (start, first);
-        loop {
-            is_taken[segment as usize] = true;
-            let [a, b] = segments[segment as usize].ends;
-            let to = if a == from { b } else { a };
-            if let Some(&point) = point_of.get(&to) {
-                chain.ends[1] = End::Point(point);
-                break;
-            }
-            if to == start {
-                // once round: what was taken for an end is none
-                chain.ends = [End::Closed; 2];
-                break;
-            }
-            chain.vertices.push(to);
-            match around(to).find(|&next| !is_taken[next as usize]) {
-                Some(next) => (from, segment) = (to, next),
-                None => {
-                    chain.ends[1] = End::Border;
-                    break;
+        let (forth, last) = follower.follow(start, 1.0, &mut hear);
+        let (mut places, first) = match last {
+            Stop::Start => (Vec::new(), Stop::Start),
+            _ => follower.follow(start, -1.0, &mut hear),
+        };
+        places.reverse();
+        places.push(start);
+        places.extend(forth);
+        lines.push(Line { curve, places, is_along: true, ends: [first, last] });
+    }
+    lines
+}
+
+/// All threes of some materials, each ascending.
+fn triples(ids: &[MaterialId]) -> Vec<[MaterialId; 3]> {
+    let mut ids = ids.to_vec();
+    ids.sort_unstable();
+    let count = ids.len();
+    let pairs = (0..count).flat_map(|c| (0..c).map(move |b| (b, c)));
+    pairs.flat_map(|(b, c)| (0..b).map(move |a| [a, b, c])).map(|own| own.map(|n| ids[n])).collect()
+}
+
+/// The junction points at which curves were found to end, each place once.
+struct Points {
+    /// Places nearer than this are one, mm.
+    reach: f64,
+    /// Places that Newton's method met from the lattice: nearer to the truth where a curve could not be followed to its very end.
+    met: KdTree,
+    met_places: Vec<DVec3>,
+    all: Vec<Junction>,
+    /// Their numbers by place, in cubes of `reach`.
+    bins: HashMap<[i64; 3], Vec<u32>>,
+}
+
+impl Points {
+    /// The number of the point at a place.
+    fn number(&mut self, position: DVec3, stratum: Stratum) -> u32 {
+        let bin = |p: DVec3| (p / self.reach).floor().to_array().map(|x| x as i64);
+        let own = bin(position);
+        let around = (0..27).map(|n| [n % 3 - 1, n / 3 % 3 - 1, n / 9 - 1]);
+        let mut known =
+            around.filter_map(|way: [i64; 3]| self.bins.get(&std::array::from_fn(|axis| own[axis] + way[axis])));
+        let is_here = |n: &&u32| self.all[**n as usize].position.distance(position) < self.reach;
+        if let Some(&number) = known.find_map(|numbers| numbers.iter().find(is_here)) {
+            return number;
+        }
+        let number = self.all.len() as u32;
+        let position = self.met.nearest_within(position, self.reach).map_or(position, |(n, _)| self.met_places[n]);
+        self.all.push(Junction { stratum, position });
+        self.bins.entry(own).or_default().push(number);
+        number
+    }
+}
+
+/// Curves that were followed, on their way into a complex.
+struct Assembly<'a> {
+    complex: &'a mut Complex,
+    points: Points,
+    /// Which curves leave which point, along the tangent or against it.
+    leaving: BTreeSet<(u32, Stratum, bool)>,
+}
+
+impl Assembly<'_> {
+    /// Adds a curve; its first end is the point `from`, if there is one.
+    fn add(&mut self, line: Line, from: Option<u32>) {
+        let mut end = |stop: Stop, is_first: bool| {
+            let point = match stop {
+                _ if is_first && from.is_some() => from,
+                Stop::Point(place, stratum) => Some(self.points.number(place, stratum)),
+                Stop::Start => return End::Closed,
+                Stop::Border => return End::Border,
+                Stop::Lost | Stop::Told => {
+                    self.complex.tally.curves_lost += 1;
+                    return End::Border;
+                }
+            };
+            point.map_or(End::Border, |point| {
+                self.leaving.insert((point, line.curve, is_first == line.is_along));
+                End::Point(point)
+            })
+        };
+        let ends = [end(line.ends[0], true), end(line.ends[1], false)];
+        let first = self.complex.vertices.len() as u32;
+        let stratum = line.curve;
+        self.complex.vertices.extend(line.places.into_iter().map(|position| Vertex { position, stratum }));
+        let vertices = (first..self.complex.vertices.len() as u32).collect();
+        self.complex.chains.push(Chain { curve: line.curve, vertices, ends });
+    }
+
+    /// Follows the curves from points that no place of the lattice lies on.
+    fn complete<I: Indicators + ?Sized>(&mut self, indicators: &I, corner: DVec3) {
+        let voxel = indicators.voxel();
+        let mut next = 0;
+        while let Some(&Junction { position, .. }) = self.points.all.get(next) {
+            let point = next as u32;
+            next += 1;
+            let near = indicators.near(position);
+            let smallest = near.entries().first().map_or(f64::INFINITY, |(_, value)| *value);
+            let equal = near.entries().iter().filter(|(_, value)| value - smallest < COINCIDENT * voxel);
+            let ids: Vec<MaterialId> = equal.map(|(id, _)| *id).collect();
+            for own in triples(&ids) {
+                let Some(curve) = Stratum::new(&own) else { continue };
+                let follower = Follower { indicators, corner, own };
+                for is_along in [true, false] {
+                    if self.leaving.contains(&(point, curve, is_along)) || !follower.leaves(position, is_along) {
+                        continue;
+                    }
+                    let (places, last) = follower.follow(position, if is_along { 1.0 } else { -1.0 }, |_, _| true);
+                    self.add(Line { curve, places, is_along, ends: [Stop::Lost, last] }, Some(point));
                 }
             }
         }
-        chains.push(chain);
-    };
-    // from the ends first, then what has none
-    for &point in point_of.keys() {
-        for segment in around(point).collect::<Vec<_>>() {
-            if !is_taken[segment as usize] {
-                follow(point, segment, &mut is_taken);
-            }
-        }
     }
-    for ends_alone in [true, false] {
-        for own in at.chunk_by(|a, b| a.0 == b.0) {
-            let (v, segment) = own[0];
-            if !is_taken[segment as usize] && (!ends_alone || own.len() == 1) {
-                follow(v, segment, &mut is_taken);
-            }
-        }
-    }
-    chains
-}
-
-/// A chain without the vertices that are not on its curve, but where it needs them: at the border. Of a closed one that is not met anywhere nothing is left.
-fn without_strays(mut chain: Chain, met: &[Met]) -> Chain {
-    let last = chain.vertices.len().saturating_sub(1);
-    let ends = chain.ends;
-    let kept = |n: usize, v: u32| {
-        let is_border = (n == 0 && ends[0] == End::Border) || (n == last && ends[1] == End::Border);
-        is_border || met[v as usize] == Met::Yes
-    };
-    let own: Vec<u32> = chain.vertices.iter().enumerate().filter(|&(n, &v)| kept(n, v)).map(|(_, &v)| v).collect();
-    chain.vertices = own;
-    chain
 }
 
 /// Merges the points of the same materials that short chains join, leaves out these chains, and lets those pass that need no end any more.
-fn merge_points<I: Indicators + ?Sized>(complex: &mut Complex, indicators: &I) {
+fn merge_points(complex: &mut Complex, voxel: f64) {
     let mut sets = DisjointSets::new(complex.points.len());
     let mut is_short = vec![false; complex.chains.len()];
     for (n, chain) in complex.chains.iter().enumerate() {
         if let [End::Point(a), End::Point(b)] = chain.ends {
             let [a_point, b_point] = [a, b].map(|point| complex.points[point as usize]);
-            let apart = a_point.position.distance(b_point.position) > COINCIDENT * indicators.voxel();
-            let share = if a_point.is_met && b_point.is_met && apart { MERGED_WITHIN } else { UNMET_MERGED_WITHIN };
-            if a_point.stratum == b_point.stratum && complex.length(chain) < share * indicators.voxel() {
+            if a_point.stratum == b_point.stratum && complex.length(chain) < MERGED_WITHIN * voxel {
                 is_short[n] = true;
                 sets.join(a, b);
             }
@@ -294,7 +343,7 @@ fn merge_points<I: Indicators + ?Sized>(complex: &mut Complex, indicators: &I) {
         complex.tally.points_irregular += usize::from(counts.iter().any(|&count| count != 1));
         complex.tally.points_merged += members.len() - 1;
         number.insert(own, kept.len() as u32);
-        kept.push(merged(members, complex, indicators));
+        kept.push(first);
     }
     complex.points = kept;
     let renumbered = |chain: Chain| {
@@ -337,50 +386,4 @@ fn pass(own: u32, ends: &[u32], left: &mut [Option<Chain>], same: &mut DisjointS
         same.join(first.1, second.1);
         left[same.find(first.1) as usize] = Some(a);
     }
-}
-
-/// One point of several: where Newton's method leads from the first that is met or, where none is, from their middle; else that itself.
-fn merged<I: Indicators + ?Sized>(members: &[u32], complex: &Complex, indicators: &I) -> Junction {
-    let all: Vec<Junction> = members.iter().map(|&point| complex.points[point as usize]).collect();
-    if let Some(met) = all.iter().find(|point| point.is_met) {
-        return *met;
-    }
-    let middle = all.iter().map(|point| point.position).sum::<DVec3>() / all.len().max(1) as f64;
-    let stratum = all[0].stratum;
-    let voxel = indicators.voxel();
-    let found = match *stratum.materials() {
-        [a, b, c, d] if all.len() > 1 => {
-            indicators.project_onto_point([a, b, c, d], middle, FARTHEST * voxel, TOLERANCE * voxel)
-        }
-        _ => None,
-    };
-    let met = found.filter(|&p| indicators.clearance(p, stratum.materials()) >= LEAST_CLEARANCE * voxel);
-    Junction { stratum, position: met.unwrap_or(middle), is_met: met.is_some() }
-}
-
-/// Leaves out vertices at which a chain turns back, since neighbours on the lattice may be met in another order. Returns how many.
-fn drop_turns(chain: &mut Chain, complex: &Complex) -> usize {
-    let position = |v: u32| complex.vertices[v as usize].position;
-    let end = |end: End| match end {
-        End::Point(point) => Some(complex.points[point as usize].position),
-        End::Border | End::Closed => None,
-    };
-    let before = chain.vertices.len();
-    let mut kept: Vec<u32> = Vec::with_capacity(before);
-    let first = end(chain.ends[0]);
-    for (n, &v) in chain.vertices.iter().enumerate() {
-        let next = chain.vertices.get(n + 1).map(|&next| position(next)).or_else(|| end(chain.ends[1]));
-        let last = kept.last().map(|&last| position(last)).or(first);
-        let turns = match (last, next) {
-            (Some(last), Some(next)) => (position(v) - last).dot(next - position(v)) <= 0.0,
-            _ => false,
-        };
-        if !turns {
-            kept.push(v);
-        }
-    }
-    if kept.len() >= 3 || !chain.is_closed() {
-        chain.vertices = kept;
-    }
-    before - chain.vertices.len()
 }

@@ -8,6 +8,7 @@
 
 mod cells;
 mod chains;
+mod follow;
 mod lattice;
 mod measure;
 #[cfg(test)]
@@ -15,9 +16,10 @@ mod tests;
 
 pub use cells::{Triangle, Vertex};
 pub use chains::{Chain, End, Junction};
+pub use follow::way_along;
 
 use super::{Indicators, Materials, Stratum};
-use cells::{Name, Part, Segment, part};
+use cells::{Name, Part, part};
 use isoparticles_mesh::components::DisjointSets;
 use isoparticles_volume::Geometry;
 use lattice::Lattice;
@@ -29,18 +31,18 @@ use serde::Serialize;
 pub struct Tally {
     /// Junction points of the lattice.
     pub points: usize,
-    /// Those that stay where the lattice has them, since Newton's method found none near.
+    /// Those of which Newton's method found none near.
     pub points_not_projected: usize,
     /// Those where a fifth material is nearer.
     pub points_not_clear: usize,
     /// Vertices of junction curves.
     pub curve_vertices: usize,
-    /// Those left out of their chains, since no curve was found near.
+    /// Those of which no curve was found near.
     pub curve_vertices_not_projected: usize,
-    /// Those left out, since a fourth material is nearer.
+    /// Those where a fourth material is nearer.
     pub curve_vertices_not_clear: usize,
-    /// Those left out, since the chain turned back at them.
-    pub curve_vertices_turned_back: usize,
+    /// Ends of curves that could not be followed on.
+    pub curves_lost: usize,
     /// Junction points that were merged with another one of the same materials.
     pub points_merged: usize,
     /// Junction points that vanished, since the curves that were left at them pass through.
@@ -81,9 +83,9 @@ impl Complex {
         let lattice = Lattice { geometry };
         let parts: Vec<Part> =
             bricks.par_iter().map(|&(first, count)| part(lattice, indicators, first, count)).collect();
-        let (vertices, triangles, segments) = joined(parts);
+        let (vertices, triangles) = joined(parts);
         let mut complex = Self { vertices, triangles, ..Self::default() };
-        chains::trace(&mut complex, &segments, indicators, geometry.upper_corner());
+        chains::trace(&mut complex, indicators, geometry.upper_corner());
         complex
     }
 
@@ -124,7 +126,7 @@ impl Complex {
 }
 
 /// The parts as one, each vertex once.
-fn joined(parts: Vec<Part>) -> (Vec<Vertex>, Vec<Triangle>, Vec<Segment>) {
+fn joined(parts: Vec<Part>) -> (Vec<Vertex>, Vec<Triangle>) {
     let named = parts.iter().flat_map(|part| part.names.iter().copied().zip(part.vertices.iter().copied()));
     let mut all: Vec<(Name, Vertex)> = named.collect();
     all.par_sort_unstable_by_key(|(name, _)| *name);
@@ -133,11 +135,10 @@ fn joined(parts: Vec<Part>) -> (Vec<Vertex>, Vec<Triangle>, Vec<Segment>) {
         part.names.iter().map(|name| all.partition_point(|(other, _)| other < name) as u32).collect()
     };
     let numbers: Vec<Vec<u32>> = parts.par_iter().map(numbered).collect();
-    let (mut triangles, mut segments) = (Vec::new(), Vec::new());
+    let mut triangles = Vec::new();
     for (part, numbers) in parts.iter().zip(&numbers) {
         let number = |own: u32| numbers[own as usize];
         triangles.extend(part.triangles.iter().map(|t| Triangle { corners: t.corners.map(number), sheet: t.sheet }));
-        segments.extend(part.segments.iter().map(|s| Segment { ends: s.ends.map(number), curve: s.curve }));
     }
-    (all.into_iter().map(|(_, vertex)| vertex).collect(), triangles, segments)
+    (all.into_iter().map(|(_, vertex)| vertex).collect(), triangles)
 }

@@ -127,7 +127,7 @@ fn three_sectors_of_a_ball_meet_along_four_curves_between_two_points() {
         assert_eq!((complex.chains.len(), complex.points.len(), complex.sheet_components().1), (4, 2, 6));
         let mut place = 0.0f64;
         for point in &complex.points {
-            assert!(point.is_met && point.stratum == stratum(&[0, 1, 2, 3]));
+            assert_eq!(point.stratum, stratum(&[0, 1, 2, 3]));
             place = place
                 .max(((point.position - CENTRE).length() - 8.0).abs())
                 .max((point.position - CENTRE).truncate().length());
@@ -150,7 +150,8 @@ fn three_sectors_of_a_ball_meet_along_four_curves_between_two_points() {
     };
     let (coarse, fine) = (errors(&exact(&analytic, 1.0)), errors(&exact(&analytic, 0.5)));
     assert!(coarse[0] < 1e-6 && fine[0] < 1e-6, "points {coarse:?} {fine:?}");
-    assert!(coarse[1] < 0.01 && fine[1] < coarse[1] / 3.0, "lengths {coarse:?} {fine:?}");
+    // curves are followed in steps of the same length on any lattice
+    assert!(coarse[1] < 1e-4 && fine[1] < 1e-4, "lengths {coarse:?} {fine:?}");
     // triangles next to curves may fold by a little
     assert!(coarse[2] < 2.5e-3 && fine[2] < 2e-3, "areas {coarse:?} {fine:?}");
     // of samples each indicator is its own distance, whose kinks the spline rounds, so that places go with the spacing
@@ -194,8 +195,9 @@ fn touching_balls_and_a_lens_have_one_closed_curve() {
             }
             (complex.length(&complex.chains[0]) / (2.0 * PI * radius) - 1.0).abs()
         };
+        // followed in steps of the same length on any lattice
         let (coarse, fine) = (error(1.0), error(0.5));
-        assert!(coarse < 0.02 && fine < coarse / 2.5, "{coarse} {fine}");
+        assert!(coarse < 2.5e-4 && fine < 2.5e-4, "{coarse} {fine}");
     }
 }
 
