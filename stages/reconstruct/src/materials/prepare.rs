@@ -4,8 +4,10 @@ use super::segments::{Segment, Segments, segment};
 use crate::prepare::{ON_SURFACE, PrepareReport, SurfacePoints};
 use glam::DVec3;
 use isoparticles_delaunay::Delaunay;
+use isoparticles_field::materials::complex::{way_along, way_round};
 use isoparticles_field::materials::{Indicators, MaterialId, Stratum};
 use isoparticles_field::particle_set::{ParticleSet, Strata};
+use isoparticles_mesh::kd_tree::KdTree;
 use isoparticles_stage::error::{Error, Result};
 use rayon::prelude::*;
 use serde::Serialize;
@@ -21,9 +23,14 @@ pub(super) const REAL: f64 = 0.01;
 /// Indicators nearer to each other than this, in voxels, count as equal where a projection onto a curve or point does not converge: beside a kink.
 const EQUAL: f64 = 1e-3;
 
-/// Step along a closed curve that is followed, in voxels, and the most steps: a curve longer than 50 voxels has more than two particles.
-const STEP: f64 = 0.1;
-const MOST_STEPS: usize = 500;
+/// A particle on a sheet tells of a curve where a third material is so little farther, in voxels: at less than a voxel from the curve.
+const NEAR_A_CURVE: f64 = 0.5;
+
+/// A place of a curve is known where a way along it passes so near, in voxels: its steps are a fifth of a voxel and shorter.
+const ON_A_WAY: f64 = 0.15;
+
+/// A curve is followed from one end of a segment to the other for so many of its lengths (or voxels): round a hairpin.
+pub(super) const LONGEST_WAY: f64 = 6.0;
 
 /// What was taken and what not.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
@@ -41,6 +48,8 @@ pub struct Taken {
     pub bridged: usize,
     /// Points added on closed curves of one or two particles.
     pub on_small_loops: usize,
+    /// Closed curves that had no particles, and got points.
+    pub loops_added: usize,
 }
 
 /// Points on strata, triangulated.
@@ -123,8 +132,9 @@ pub fn prepare(particles: &ParticleSet, strata: &Strata, indicators: &dyn Indica
         ));
     }
     let mut points = points;
-    let pairs = small_loops(&mut points, &strata.segments, indicators, &mut report);
-    let (points, pairs) = without_the_lost(&points, pairs, &mut report);
+    let pairs = small_loops(&mut points, &strata.segments, (indicators, upper), &mut report);
+    let (mut points, mut pairs) = without_the_lost(&points, pairs, &mut report);
+    missing_loops(&mut points, &mut pairs, (indicators, upper), &mut report);
     let (points, pairs) = without_the_crowded(points, pairs, indicators, &mut report);
     triangulated(points, pairs, indicators, report)
 }
@@ -133,7 +143,7 @@ pub fn prepare(particles: &ParticleSet, strata: &Strata, indicators: &dyn Indica
 fn small_loops(
     points: &mut Vec<Option<Point>>,
     pairs: &[[u32; 2]],
-    indicators: &dyn Indicators,
+    (indicators, upper): (&dyn Indicators, DVec3),
     report: &mut Taken,
 ) -> Vec<Segment> {
     let mut times: BTreeMap<Segment, usize> = BTreeMap::new();
@@ -145,12 +155,21 @@ fn small_loops(
     let mut all: Vec<Segment> = times.into_iter().filter(|&(_, n)| n == 1).map(|(pair, _)| pair).collect();
     for (first, second) in loops {
         let Some(point) = points[first as usize].filter(|p| p.stratum.dimension() == 1) else { continue };
-        let Some(way) = closed_way(indicators, &point) else { continue };
+        let Some(way) = way_round(indicators, point.stratum, upper, point.place) else { continue };
+        let others = points.iter().flatten().filter(|other| other.stratum == point.stratum);
+        let is_on_way =
+            |other: &Point| way[1..].iter().any(|p| p.distance(other.place) < ON_A_WAY * indicators.voxel());
+        if first == second && others.filter(|other| other.place != point.place).any(is_on_way) {
+            points[first as usize] = None;
+            continue;
+        }
         // three points at thirds of the way; a second particle is left to be crowded out or to lie in between
+        let size = point.size.min(length(&way) / 3.0);
+        points[first as usize] = Some(Point { size, ..point });
         let mut chain = vec![first];
         for third in 1..3 {
             chain.push(points.len() as u32);
-            points.push(Some(Point { place: way[third * way.len() / 3], ..point }));
+            points.push(Some(Point { place: way[third * way.len() / 3], size, ..point }));
         }
         if second != first {
             points[second as usize] = None;
@@ -161,25 +180,59 @@ fn small_loops(
     all
 }
 
-/// The places along a closed curve from one of its points on; `None` where it does not close soon.
-fn closed_way(indicators: &dyn Indicators, point: &Point) -> Option<Vec<DVec3>> {
-    let step = STEP * indicators.voxel();
-    let [i, j, k] = *point.stratum.materials() else { return None };
-    let (mut way, mut along) = (vec![point.place], None);
-    while way.len() < MOST_STEPS {
-        let last = way[way.len() - 1];
-        let (_, a) = indicators.difference_gradient(i, j, last);
-        let (_, b) = indicators.difference_gradient(i, k, last);
-        let tangent = a.cross(b).normalize_or_zero();
-        let tangent = if along.is_some_and(|along: DVec3| along.dot(tangent) < 0.0) { -tangent } else { tangent };
-        let next = onto(indicators, point.stratum, last + step * tangent, step)?;
-        if way.len() > 2 && next.distance(point.place) < step {
-            return Some(way);
+/// Length of a way, mm.
+fn length(way: &[DVec3]) -> f64 {
+    way.windows(2).map(|step| step[0].distance(step[1])).sum()
+}
+
+/// Adds the closed curves near particles on sheets that no pair lies along: round a hole in a layer that is smaller than what the lattice of `seed` sees.
+fn missing_loops(
+    points: &mut Vec<Point>,
+    pairs: &mut Vec<Segment>,
+    (indicators, upper): (&dyn Indicators, DVec3),
+    report: &mut Taken,
+) {
+    let voxel = indicators.voxel();
+    let mut known: BTreeMap<Stratum, Vec<DVec3>> = BTreeMap::new();
+    let ways: Vec<(Stratum, Vec<DVec3>)> = with_curves(pairs, points, indicators)
+        .into_par_iter()
+        .map(|(pair, curve)| {
+            let ends = pair.map(|v| points[v as usize].place);
+            let longest = LONGEST_WAY * ends[0].distance(ends[1]).max(voxel);
+            (curve, way_along(indicators, curve, upper, ends, longest).unwrap_or_else(|| ends.to_vec()))
+        })
+        .collect();
+    ways.into_iter().for_each(|(curve, way)| known.entry(curve).or_default().extend(way));
+    let trees: BTreeMap<Stratum, KdTree> = known.iter().map(|(curve, way)| (*curve, KdTree::new(way))).collect();
+    let is_near = |p: DVec3, q: DVec3| p.distance(q) < ON_A_WAY * voxel;
+    let unknown = |point: &Point| {
+        let &[i, j] = point.stratum.materials() else { return None };
+        let near = indicators.near(point.place);
+        let (third, _) = *near.entries().iter().find(|(id, _)| !point.stratum.has(*id))?;
+        if indicators.clearance(point.place, &[i, j]) > NEAR_A_CURVE * voxel {
+            return None;
         }
-        along = Some(next - last);
-        way.push(next);
+        let curve = Stratum::new(&[i, j, third])?;
+        let place = onto(indicators, curve, point.place, voxel)?;
+        let is_known = trees.get(&curve).is_some_and(|tree| tree.nearest_within(place, ON_A_WAY * voxel).is_some());
+        (!is_known).then_some(Point { place, stratum: curve, size: point.size })
+    };
+    let found: Vec<Point> = points.par_iter().filter_map(unknown).collect();
+    let mut new: Vec<(Stratum, DVec3)> = Vec::new();
+    for point in found {
+        if new.iter().any(|(curve, place)| *curve == point.stratum && is_near(*place, point.place)) {
+            continue;
+        }
+        let Some(way) = way_round(indicators, point.stratum, upper, point.place) else { continue };
+        let length = length(&way);
+        let count = ((length / point.size).round() as usize).max(3);
+        let size = point.size.min(length / count as f64);
+        let first = points.len() as u32;
+        points.extend((0..count).map(|n| Point { place: way[n * way.len() / count], size, ..point }));
+        pairs.extend((0..count as u32).map(|n| segment(first + n, first + (n + 1) % count as u32)));
+        new.extend(way.into_iter().map(|place| (point.stratum, place)));
+        report.loops_added += 1;
     }
-    None
 }
 
 /// Particles that were taken, and the pairs with those bridged that were not.

@@ -6,7 +6,7 @@
 
 use super::complex::{Complex, Reason, Remedy, Simplex, Violation};
 use super::nodes::Nodes;
-use super::prepare::onto;
+use super::prepare::{LONGEST_WAY, onto};
 use super::segments::{Segment, segment};
 use crate::labelled::Facet;
 use crate::refine::NEAREST_FOR_SHAPE;
@@ -25,9 +25,6 @@ const NEAREST_FOR_TOPOLOGY: f64 = 0.05;
 
 /// Ends of a segment are no nearer to the point that splits it than this part of its length.
 const MIDDLE: f64 = 0.2;
-
-/// A curve is followed from one end of a segment to the other for so many of its lengths (or voxels): round a hairpin.
-const LONGEST_WAY: f64 = 6.0;
 
 /// Times that grid nodes are looked for in other materials, each time with an empty queue.
 const NODE_ROUNDS: usize = 12;

@@ -240,8 +240,14 @@ struct Assembly<'a> {
 }
 
 impl Assembly<'_> {
-    /// Adds a curve; its first end is the point `from`, if there is one.
-    fn add(&mut self, line: Line, from: Option<u32>) {
+    /// Adds a curve; its first end is the point `from`, if there is one. One that is lost both ways on the same spot is closed, with a turn too sharp to be followed.
+    fn add(&mut self, mut line: Line, from: Option<u32>) {
+        if let ([Stop::Lost, Stop::Lost], [first, _, .., last]) = (line.ends, &line.places[..])
+            && from.is_none()
+            && first.distance(*last) < self.points.reach
+        {
+            line.ends = [Stop::Start; 2];
+        }
         let mut end = |stop: Stop, is_first: bool| {
             let point = match stop {
                 _ if is_first && from.is_some() => from,

@@ -53,6 +53,27 @@ pub(super) enum Stop {
     Told,
 }
 
+/// The places along a closed junction curve from one of them on; `None` where it does not return there.
+pub fn way_round<I: Indicators + ?Sized>(
+    indicators: &I,
+    curve: Stratum,
+    corner: DVec3,
+    from: DVec3,
+) -> Option<Vec<DVec3>> {
+    let &[i, j, k] = curve.materials() else { return None };
+    let follower = Follower { indicators, corner, own: [i, j, k] };
+    let (forth, stop) = follower.follow(from, 1.0, |_, _| true);
+    let back = match stop {
+        Stop::Start => Vec::new(),
+        Stop::Lost => match follower.follow(from, -1.0, |_, _| true) {
+            (back, Stop::Lost) if follower.meet(&[from], &forth, &back) => back,
+            _ => return None,
+        },
+        _ => return None,
+    };
+    Some(std::iter::once(from).chain(forth).chain(back.into_iter().rev()).collect())
+}
+
 /// The way along a junction curve from one of its places to another, both included, in the grid that ends at `corner`; `None` where the curve does not lead there, or not
 /// within `longest` (mm). Of two ways round a closed curve the shorter one.
 pub fn way_along<I: Indicators + ?Sized>(
@@ -67,11 +88,19 @@ pub fn way_along<I: Indicators + ?Sized>(
     let there = AT_AN_END * indicators.voxel();
     let way = |sign: f64| {
         let (mut length, mut is_there) = (0.0, false);
-        let (places, _) = follower.follow(from, sign, |a, b| {
+        let (mut places, stop) = follower.follow(from, sign, |a, b| {
             is_there = is_passed(to, a, b) || to.distance(b) < there;
             length += a.distance(if is_there { to } else { b });
             !is_there && length < longest
         });
+        if stop == Stop::Lost {
+            let (back, stop) = follower.follow(to, -sign, |a, b| {
+                length += a.distance(b);
+                length < longest
+            });
+            is_there = stop == Stop::Lost && follower.meet(&[from, to], &places, &back);
+            places.extend(back.into_iter().rev());
+        }
         is_there.then(|| (length, std::iter::once(from).chain(places).chain([to]).collect::<Vec<_>>()))
     };
     let ways = [way(1.0), way(-1.0)].into_iter().flatten();
@@ -108,6 +137,12 @@ impl<I: Indicators + ?Sized> Follower<'_, I> {
 
     fn is_in_grid(&self, p: DVec3) -> bool {
         p == p.clamp(DVec3::ZERO, self.corner)
+    }
+
+    /// Whether two ways from `starts`, both lost, are so on the same spot: at a turn too sharp to be followed.
+    fn meet(&self, starts: &[DVec3], forth: &[DVec3], back: &[DVec3]) -> bool {
+        let last = |way: &[DVec3], start: usize| *way.last().unwrap_or(&starts[start]);
+        last(forth, 0).distance(last(back, starts.len() - 1)) < AT_AN_END * self.indicators.voxel()
     }
 
     /// Whether no other material is nearer at a place on a curve.

@@ -16,7 +16,7 @@ mod tests;
 
 pub use cells::{Triangle, Vertex};
 pub use chains::{Chain, End, Junction};
-pub use follow::way_along;
+pub use follow::{way_along, way_round};
 
 use super::{Indicators, Materials, Stratum};
 use cells::{Name, Part, part};
