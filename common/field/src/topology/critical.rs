@@ -6,8 +6,10 @@
 
 use super::bernstein::Bernstein;
 use super::cells::sign_changes;
+use super::watch::{Interrupted, Watch};
 use crate::spline::CubicSpline;
 use glam::{DMat3, DVec3};
+use isoparticles_file::monitor::Silent;
 use rayon::prelude::*;
 
 /// Newton steps towards a critical point.
@@ -58,27 +60,35 @@ impl CriticalPoint {
 
 /// The critical points of F within a few voxels of F = 0 whose neck, gap or speck has at least a radius (mm).
 pub fn critical_points(field: &CubicSpline, smallest: f64) -> Vec<CriticalPoint> {
+    let watch = Watch::new(&Silent, 0);
+    let mut found = all(field, &watch).unwrap_or_default();
+    found.retain(|c| c.radius >= smallest);
+    found
+}
+
+/// All critical points of F within a few voxels of F = 0.
+pub(super) fn all(field: &CubicSpline, watch: &Watch<'_>) -> Result<Vec<CriticalPoint>, Interrupted> {
     let geometry = field.geometry();
     let size = geometry.size;
     let voxel = geometry.mean_spacing();
     let cells = [0, 1, 2].map(|axis| size[axis].saturating_sub(1));
-    let mut places: Vec<DVec3> = (0..cells[2])
-        .into_par_iter()
-        .flat_map_iter(|k| {
-            let may_change = sign_changes(field, cells, k, 1).into_iter().enumerate();
-            may_change.filter(|(_, change)| *change).map(move |(n, _)| [n % cells[0], n / cells[0], k])
-        })
-        .filter(|cell| {
+    let in_slice = |k: usize| {
+        watch.slice()?;
+        let may_change = sign_changes(field, cells, k, 1).into_iter().enumerate();
+        let near = may_change.filter(|(_, change)| *change).map(|(n, _)| [n % cells[0], n / cells[0], k]);
+        let flat = near.filter(|cell| {
             let index = DVec3::from_array(cell.map(|n| n as f64 + 0.5));
             may_be_flat(field, geometry.index_to_grid(index), voxel)
                 && Bernstein::of_cell(field, *cell).may_be_critical()
-        })
-        .flat_map_iter(|cell| STARTS.map(|offset| DVec3::from_array(cell.map(|n| n as f64)) + offset))
-        .filter_map(|index| newton(field, geometry.index_to_grid(index), REACH * voxel))
-        .collect();
+        });
+        let starts = flat.flat_map(|cell| STARTS.map(|offset| DVec3::from_array(cell.map(|n| n as f64)) + offset));
+        Ok(starts.filter_map(|index| newton(field, geometry.index_to_grid(index), REACH * voxel)).collect::<Vec<_>>())
+    };
+    let places = (0..cells[2]).into_par_iter().map(in_slice).collect::<Result<Vec<_>, _>>()?;
+    let mut places = places.concat();
     places.par_sort_by(|a, b| a.to_array().partial_cmp(&b.to_array()).unwrap_or(std::cmp::Ordering::Equal));
     places.dedup_by(|a, b| a.distance(*b) < SAME * voxel);
-    places.into_par_iter().filter_map(|p| describe(field, p)).filter(|c| c.radius >= smallest).collect()
+    Ok(places.into_par_iter().filter_map(|p| describe(field, p)).collect())
 }
 
 /// Whether the gradient may vanish in the cell round a point: by the Hessian there, with a margin for its change.

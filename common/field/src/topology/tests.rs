@@ -4,6 +4,7 @@ use super::cells::{around, moved};
 use super::*;
 use crate::marching_cubes::marching_cubes;
 use crate::random::uniform;
+use crate::topology::surface::Surface;
 use isoparticles_mesh::topology::analyse;
 use isoparticles_volume::Geometry;
 use isoparticles_volume::Image;
@@ -42,6 +43,10 @@ fn sorted(euler: impl Iterator<Item = i64>) -> Vec<i64> {
 
 fn euler(topology: &FieldTopology) -> Vec<i64> {
     sorted(topology.components().iter().map(|c| c.euler))
+}
+
+fn unwatched() -> Watch<'static> {
+    Watch::new(&Silent, 0)
 }
 
 const CENTRE: DVec3 = DVec3::splat(15.7);
@@ -243,7 +248,7 @@ fn a_surface_that_ends_at_the_border_is_counted_as_it_is_there() {
 #[test]
 fn neighbours_that_f_may_pass_through_differ_by_one_level_at_most() {
     let scene = random(3);
-    let cells = Cells::new(&scene.field);
+    let cells = Cells::new(&scene.field, &unwatched()).expect("not interrupted");
     let mut by_level: BTreeMap<u8, usize> = BTreeMap::new();
     for k in 0..cells.size()[2] as u32 {
         for (cell, _) in cells.crossed_in_slice(k) {
@@ -265,15 +270,15 @@ fn a_sheet_that_bulges_through_a_face_of_a_large_cell_into_smaller_ones_stays_in
         let d = p - top;
         d.z - d.z * d.z / 1.6 + 0.3 * d.truncate().length_squared() - 0.05
     });
-    let mut cells = Cells::new(&scene.field);
+    let mut cells = Cells::new(&scene.field, &unwatched()).expect("not interrupted");
     let beside = [[7, 7, 6], [7, 7, 7]].map(|at| cells.find(cells::Cell { level: 0, at }).map(|(_, state)| state));
     assert_eq!(beside[0], Some(cells::State::Graph));
     assert!(matches!(beside[1], Some(cells::State::Halved(_))), "{beside:?}");
     // closed by a lid in the larger cell, the dome would be a component by itself
-    let (polygons, undecided) = polygons::read_all(&scene.field, &cells);
+    let (polygons, undecided) = surface::read_all(&scene.field, &cells, &unwatched()).expect("not interrupted");
     let with_lid = Surface::of(&scene.field, &cells, &polygons, undecided);
     assert_eq!(sorted(with_lid.components.iter().map(|c| c.euler)), [1, 1, 2]);
-    let settled = Surface::new(&scene.field, &mut cells);
+    let settled = Surface::new(&scene.field, &mut cells, &unwatched()).expect("not interrupted");
     assert_eq!(sorted(settled.components.iter().map(|c| c.euler)), [1, 1]);
     assert_eq!((euler(&scene.topology()), scene.by_samples(5)), (vec![1, 1], vec![1, 1]));
 }

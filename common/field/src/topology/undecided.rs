@@ -2,7 +2,7 @@
 
 use super::cells::{BASE, Cell, Cells, around, moved};
 use super::critical::CriticalPoint;
-use super::polygons::Surface;
+use super::surface::Surface;
 use super::{Bounds, Component, RESOLUTION};
 use crate::spline::CubicSpline;
 use glam::DVec3;
