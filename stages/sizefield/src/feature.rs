@@ -11,7 +11,8 @@ use crate::patch::{Patch, Samples};
 use glam::{DMat3, DVec3};
 use isoparticles_field::marching_cubes::marching_cubes;
 use isoparticles_field::spline::{CubicSpline, Jet};
-use isoparticles_mesh::components;
+use isoparticles_field::topology::{Component, FieldComponents};
+use isoparticles_mesh::components::NO_COMPONENT;
 use isoparticles_mesh::incidence::Incidence;
 use isoparticles_mesh::kd_tree::KdTree;
 use isoparticles_volume::Image;
@@ -63,7 +64,7 @@ pub struct Features {
     pub noise: Vec<f64>,
     /// Triangles between the samples (marching cubes, projected).
     pub triangles: Vec<[u32; 3]>,
-    /// Connected component of each sample.
+    /// Component of F = 0 that each sample lies on; [`NO_COMPONENT`] where it cannot be told.
     pub component: Vec<u32>,
     /// Area of each component, mm squared.
     pub component_area: Vec<f64>,
@@ -72,7 +73,13 @@ pub struct Features {
 impl Features {
     /// Samples F = 0 at the projected vertices of marching cubes and measures them. Feature sizes above `largest` (mm) are
     /// not told apart from it. Empty where there is no surface.
-    pub fn new(image: &Image<f32>, surface: &CubicSpline, largest: f64, bumps: Bumps) -> Self {
+    pub fn new(
+        image: &Image<f32>,
+        surface: &CubicSpline,
+        components: &FieldComponents,
+        largest: f64,
+        bumps: Bumps,
+    ) -> Self {
         let mesh = marching_cubes(image, 0.0);
         let spacing = image.geometry.mean_spacing();
         let measured: Vec<(DVec3, DVec3, DMat3)> = mesh
@@ -109,11 +116,9 @@ impl Features {
         let curvature = averaged_curvature(tensors, &normals, &smoothed.patches, &incidence);
         drop(incidence);
         let feature_size = feature_sizes(&points, &normals, &sharp, &smoothed, image, largest);
-        let (component, count) = components::of_vertices(points.len(), &mesh.triangles);
-        let mut component_area = vec![0.0; count];
-        for t in &mesh.triangles {
-            component_area[component[t[0] as usize] as usize] += area(&points, t);
-        }
+        let at = |(&p, &n)| components.at(surface, p, n).unwrap_or(NO_COMPONENT);
+        let component: Vec<u32> = points.par_iter().zip(&normals).map(at).collect();
+        let component_area = component_areas(&points, &mesh.triangles, &component, components.all());
         Self {
             points,
             normals,
@@ -125,6 +130,18 @@ impl Features {
             component_area,
         }
     }
+}
+
+/// The area of each component, mm squared: of its triangles, or where it has none, as between the samples, what is known of it.
+fn component_areas(points: &[DVec3], triangles: &[[u32; 3]], component: &[u32], all: &[Component]) -> Vec<f64> {
+    let mut areas = vec![0.0; all.len()];
+    for t in triangles {
+        if let Some(own) = areas.get_mut(component[t[0] as usize] as usize) {
+            *own += area(points, t);
+        }
+    }
+    areas.iter_mut().zip(all).filter(|(own, _)| **own == 0.0).for_each(|(own, component)| *own = component.area);
+    areas
 }
 
 /// Largest principal curvature (per mm) from the tensors of F, averaged along the surface; where there is noise, from those of the
