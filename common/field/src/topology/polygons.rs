@@ -8,6 +8,7 @@ use super::cells::{Cell, Cells, DEPTH, FINE, around};
 use crate::spline::CubicSpline;
 use glam::DVec3;
 use std::ops::Range;
+use std::sync::OnceLock;
 
 /// Values of F that are remembered, at most; a power of two.
 const REMEMBERED: usize = 1 << 14;
@@ -109,7 +110,9 @@ pub(super) struct Reader<'a> {
     block_level: u8,
     /// Whether neither it nor one around it is halved.
     is_even: bool,
-    /// Of each level, the halved cell that was met last, and the halves of those of its size around it.
+    /// The halves of the cells of its size around it, and of it itself, where it is not even.
+    near: [Option<u32>; 27],
+    /// Of each level, the cell that was asked for last, and the halves of those of its size around it.
     larger: Vec<Option<(Cell, [Option<u32>; 27])>>,
     /// Sides of the polygons of a cell.
     sides: Vec<[Crossing; 2]>,
@@ -133,6 +136,7 @@ impl<'a> Reader<'a> {
             block: [0; 3],
             block_level: 0,
             is_even: true,
+            near: [None; 27],
             larger: vec![None; usize::from(DEPTH) + 1],
             sides: Vec::new(),
             crossings: Vec::new(),
@@ -148,9 +152,43 @@ impl<'a> Reader<'a> {
         if self.is_even && (self.inside == 0 || self.inside == u8::MAX) {
             return;
         }
+        let first = all.ends.len() as u32;
+        let first_at_border = all.at_border.len() as u32;
+        match even_cells()[usize::from(self.inside)].as_ref().filter(|_| self.is_even && !self.is_at_border(cell)) {
+            Some(known) => self.add_known(cell, known, all),
+            None => self.add_by_faces(cell, all),
+        }
+        let polygons = first..all.ends.len() as u32;
+        if !polygons.is_empty() {
+            let at_border = first_at_border..all.at_border.len() as u32;
+            all.cells.push(OfCell { order, cell, polygons, at_border });
+        }
+    }
+
+    fn is_at_border(&self, cell: Cell) -> bool {
+        let size = self.cells.size();
+        (0..3).any(|axis| cell.at[axis] == 0 || cell.at[axis] + 1 == (size[axis] as u32) << cell.level)
+    }
+
+    /// Adds the polygons of an even cell, given by its edges.
+    fn add_known(&self, cell: Cell, known: &Polygons, all: &mut Polygons) {
+        let low = self.number(cell.corner());
+        let along = [1, self.corners[0], self.corners[0] * self.corners[1]].map(|step| step * cell.edge());
+        let first = all.corners.len() as u32;
+        all.corners.extend(known.corners.iter().map(|&edge| {
+            let from = low + (0..3).map(|axis| (edge >> axis & 1) * along[axis]).sum::<u64>();
+            crossing(from, edge >> 3, cell.level)
+        }));
+        all.ends.extend(known.ends.iter().map(|end| first + end));
+    }
+
+    /// Adds the polygons of a cell, face by face.
+    fn add_by_faces(&mut self, cell: Cell, all: &mut Polygons) {
+        if !self.is_even {
+            self.near = self.halves_round(cell);
+        }
         let mut sides = std::mem::take(&mut self.sides);
         sides.clear();
-        let first_at_border = all.at_border.len() as u32;
         for (axis, far) in (0..3).flat_map(|axis| [(axis, 0), (axis, 1)]) {
             let mut at = cell.at;
             at[axis] += far;
@@ -164,14 +202,8 @@ impl<'a> Reader<'a> {
                 all.at_border.extend(sides[first..].iter().map(|side| side[0]));
             }
         }
-        let first = all.ends.len() as u32;
         add_closed_ways(&mut sides, all);
         self.sides = sides;
-        let polygons = first..all.ends.len() as u32;
-        if !polygons.is_empty() {
-            let at_border = first_at_border..all.at_border.len() as u32;
-            all.cells.push(OfCell { order, cell, polygons, at_border });
-        }
     }
 
     /// Looks which cells of a cell's size around it, and it itself, are halved.
@@ -214,7 +246,7 @@ impl<'a> Reader<'a> {
         self.is_even = self.halved & (AROUND << (low[0] + 4 * low[1] + 16 * low[2])) == 0;
     }
 
-    /// The halves of a halved cell and of those of its size around it, in the order of [`around`].
+    /// The halves of a cell and of those of its size around it, where they are halved, in the order of [`around`].
     fn halves_round(&mut self, cell: Cell) -> [Option<u32>; 27] {
         let level = usize::from(cell.level);
         if let Some((known, halves)) = self.larger[level]
@@ -312,9 +344,7 @@ impl<'a> Reader<'a> {
             self.ends(edge, axis).map(|end| self.value(end) < 0.0)
         };
         if from != to {
-            let number =
-                (self.number(edge.corner()) * 3 + axis as u64) * (u64::from(DEPTH) + 1) + u64::from(edge.level);
-            crossings.push((number, to == forward));
+            crossings.push((crossing(self.number(edge.corner()), axis as u64, edge.level), to == forward));
         }
     }
 
@@ -332,7 +362,16 @@ impl<'a> Reader<'a> {
         // of the present cell's size, or within one of that size around it
         let finer = cell.level - self.present.level;
         let bit = self.bit([0, 1, 2].map(|k| (i64::from(cell.at[k]) + away[k]) >> finer));
-        self.halved >> bit & 1 == 1 && (finer == 0 || self.cells.is_halved(cell, away))
+        if self.halved >> bit & 1 == 0 {
+            return false;
+        }
+        let at = [0, 1, 2].map(|k| i64::from(cell.at[k]) + away[k]);
+        let mut halves = self.near[number_around(self.present, at.map(|n| n >> finer))];
+        for level in (0..finer).rev() {
+            let octant = (0..3).map(|axis| (at[axis] as usize >> level & 1) << axis).sum();
+            halves = halves.and_then(|halves| self.cells.halves_of_half(halves, octant));
+        }
+        halves.is_some()
     }
 
     /// The bit of a cell of the present one's size in the block round it.
@@ -389,6 +428,43 @@ impl<'a> Reader<'a> {
 fn number_around(cell: Cell, at: [i64; 3]) -> usize {
     let way = |axis: usize| (at[axis] - i64::from(cell.at[axis]) + 1) as usize;
     (way(2) * 3 + way(1)) * 3 + way(0)
+}
+
+/// The number of a crossing on the edge of a level from a corner, given by its number, along an axis.
+fn crossing(corner: u64, axis: u64, level: u8) -> Crossing {
+    (corner * 3 + axis) * (u64::from(DEPTH) + 1) + u64::from(level)
+}
+
+/// The polygons of a cell none of whose edges is cut up, by its corners inside; `None` where corners inside lie opposite each other on a face. In
+/// place of a crossing there is an edge: three bits for its lower end, x first, and then its axis.
+fn even_cells() -> &'static [Option<Polygons>; 256] {
+    static EVEN: OnceLock<[Option<Polygons>; 256]> = OnceLock::new();
+    EVEN.get_or_init(|| std::array::from_fn(even_cell))
+}
+
+fn even_cell(inside: usize) -> Option<Polygons> {
+    let mut sides: Vec<[Crossing; 2]> = Vec::new();
+    for (axis, far) in (0..3).flat_map(|axis| [(axis, 0), (axis, 1)]) {
+        let (u, v) = ((axis + 1) % 3, (axis + 2) % 3);
+        let corner = far << axis;
+        // the edges in the order and the directions in which any face is gone round
+        let edges = [(corner, u, true), (corner | 1 << u, v, true), (corner | 1 << v, u, false), (corner, v, false)];
+        let mut crossings = edges.into_iter().filter_map(|(corner, axis, is_forward)| {
+            let [from, to] = [corner, corner | 1 << axis].map(|corner| inside >> corner & 1 == 1);
+            (from != to).then_some(((corner | axis << 3) as Crossing, to == is_forward))
+        });
+        let (first, second) = (crossings.next(), crossings.next());
+        if crossings.next().is_some() {
+            return None;
+        }
+        if let (Some((first, enters)), Some((second, _))) = (first, second) {
+            let side = if enters { [first, second] } else { [second, first] };
+            sides.push(if far == 0 { [side[1], side[0]] } else { side });
+        }
+    }
+    let mut polygons = Polygons::default();
+    add_closed_ways(&mut sides, &mut polygons);
+    Some(polygons)
 }
 
 /// Adds the closed ways that sides form, each crossing being the start of one of them and the end of another.
