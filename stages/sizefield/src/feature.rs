@@ -9,8 +9,9 @@ use crate::medial::{Surface, medial_points};
 use crate::noise::Smoothed;
 use crate::patch::{Patch, Samples};
 use glam::{DMat3, DVec3};
+use isoparticles_field::curvature::{curvature_tensor, largest_curvature};
 use isoparticles_field::marching_cubes::marching_cubes;
-use isoparticles_field::spline::{CubicSpline, Jet};
+use isoparticles_field::spline::CubicSpline;
 use isoparticles_field::topology::{Component, FieldComponents};
 use isoparticles_mesh::components::NO_COMPONENT;
 use isoparticles_mesh::incidence::Incidence;
@@ -195,27 +196,6 @@ fn feature_sizes(
             axis.nearest_of_leaves(p, bound, MOST_LEAVES).map_or(bound, |(_, d)| d)
         })
         .collect()
-}
-
-/// Curvature tensor of the level set through a point (Goldman 2005), per mm: the Hessian over the slope, restricted to the
-/// tangent plane. Its eigenvalues are 0 (along the normal) and the two principal curvatures.
-pub(crate) fn curvature_tensor(jet: &Jet) -> DMat3 {
-    let slope = jet.gradient.length();
-    if slope < 1e-9 {
-        return DMat3::ZERO;
-    }
-    let n = jet.gradient / slope;
-    let across = DMat3::IDENTITY - DMat3::from_cols(n * n.x, n * n.y, n * n.z);
-    across * jet.hessian * across * (1.0 / slope)
-}
-
-/// Largest principal curvature in magnitude, per mm, of a curvature tensor on a surface with normal n.
-pub(crate) fn largest_curvature(tensor: &DMat3, n: DVec3) -> f64 {
-    let u = n.any_orthonormal_vector();
-    let v = n.cross(u);
-    let (tu, tv) = (*tensor * u, *tensor * v);
-    let (a, b, c) = (u.dot(tu), u.dot(tv), v.dot(tv));
-    (0.5 * (a + c)).abs() + (0.5 * (a - c)).hypot(b)
 }
 
 fn area(points: &[DVec3], t: &[u32; 3]) -> f64 {

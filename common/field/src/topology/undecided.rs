@@ -210,9 +210,10 @@ impl Changes {
     }
 }
 
-/// A component is a speck if it reaches no farther from the extremum in it than this many times what the second-order expansion there tells: beyond, the
-/// rest of F has more to say of it than the extremum.
-const SPECK: f64 = 2.0;
+/// Whether a component is as fine all over as at an extremum in it: its volume over its area is half its thickness if it is a plate, and less in any other shape.
+fn is_thin(component: &Component, resolution: f64) -> bool {
+    component.volume.abs() < resolution * component.area
+}
 
 /// The undecided places: clusters of cells in which F = 0 is not certain, in the order of their lowest cells, and then all critical points
 /// elsewhere whose neck, gap or speck is finer than [`RESOLUTION`], in their order, and components as fine.
@@ -277,7 +278,7 @@ fn at_fine_component(field: &CubicSpline, cells: &Cells, surface: &Surface, n: u
     }
 }
 
-/// The place at a critical point; `None` at an extremum in a component that is larger than a speck, whichever side of a mesh it lies on.
+/// The place at a critical point; `None` at an extremum in a component that is no speck: whichever side of a mesh it lies on, the component is there.
 fn at_critical_point(field: &CubicSpline, cells: &Cells, surface: &Surface, c: &CriticalPoint) -> Option<Undecided> {
     let ways: Vec<DVec3> = c.ways.into_iter().filter(|way| *way != DVec3::ZERO).collect();
     let component = |way: DVec3| {
@@ -288,32 +289,24 @@ fn at_critical_point(field: &CubicSpline, cells: &Cells, surface: &Surface, c: &
     let ends: Vec<Option<u32>> = ways.iter().flat_map(|&way| [way, -way]).map(component).collect();
     let components = sorted(ends.iter().flatten().copied().collect());
     let is_certain = ends.iter().all(Option::is_some);
-    let reach = match ways.len() {
-        // of an ellipsoid with these half axes
-        3 => ways.iter().map(|way| way * way).sum::<DVec3>().powf(0.5),
-        _ => DVec3::splat(c.radius),
-    };
-    let around = |reach: DVec3| Bounds { low: c.position - reach, high: c.position + reach };
     let kind = match (ways.len(), &components[..]) {
         _ if !is_certain => UndecidedKind::Uncertain(1),
         (1, _) => UndecidedKind::Gap,
         (2, _) => UndecidedKind::Neck,
-        (_, &[own]) => {
-            let (own, near) = (&surface.components[own as usize].bounds, around(SPECK * reach));
-            if !(near.holds(own.low) && near.holds(own.high)) {
-                return None;
-            }
+        (_, &[own]) if is_thin(&surface.components[own as usize], RESOLUTION * field.geometry().mean_spacing()) => {
             UndecidedKind::Speck
         }
+        (_, &[_]) => return None,
         _ => UndecidedKind::Uncertain(1),
     };
+    let reach = DVec3::splat(c.radius);
     Some(Undecided {
         place: c.position.to_array(),
         size: 2.0 * c.radius,
         value: c.value,
         kind,
         components,
-        bounds: around(reach),
+        bounds: Bounds { low: c.position - reach, high: c.position + reach },
     })
 }
 
