@@ -28,7 +28,7 @@ fn main() -> Result<()> {
     let surface = CubicSpline::new(&distance);
     let sizing = uniform_field(&distance, 2.0);
     let predicted = sizing.predicted_count(&surface);
-    let (seeds, _) = seed_surface(&distance, &surface, &sizing, predicted, None, 1);
+    let (seeds, _) = seed_surface(&distance, &surface, &sizing, predicted, None, 1, &Silent)?;
     let fields = Fields { surface: &surface, sizing: &sizing };
     let (particles, summary) = settle(&seeds, None, &fields, &Parameters::default(), |_, _| Ok(()))?;
     let options = Options { keeps_voxels: true, ..Options::default() };

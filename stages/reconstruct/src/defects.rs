@@ -50,7 +50,7 @@ pub struct Found {
 impl Found {
     /// Whether that is one of the topologies that F may have there.
     pub fn fits(&self, group: &Group) -> bool {
-        group.component_count.contains(&self.components) && group.euler.contains(&self.euler)
+        group.may_be(self.components, self.euler)
     }
 }
 

@@ -1,7 +1,8 @@
 //! The finished mesh with its data, in the world, and the places where a check failed.
 
 use crate::check::CheckReport;
-use glam::{DMat3, DVec3};
+use glam::DVec3;
+use isoparticles_field::curvature::mean_curvature;
 use isoparticles_field::energy::{SUPPORT, pair_energy, scaled_distance};
 use isoparticles_field::neighbours::NeighbourLists;
 use isoparticles_field::spline::CubicSpline;
@@ -25,7 +26,7 @@ pub fn attributes(mesh: &TriangleMesh, field: &CubicSpline, sizes: &[f64], caps:
         .par_iter()
         .map(|&p| {
             let jet = field.jet(p);
-            (jet.gradient, mean_curvature(jet.gradient, jet.hessian))
+            (jet.gradient, mean_curvature(&jet))
         })
         .collect();
     let normals: Vec<DVec3> = jets.iter().map(|(g, _)| geometry.normal_to_world(*g)).collect();
@@ -68,13 +69,6 @@ pub fn attributes(mesh: &TriangleMesh, field: &CubicSpline, sizes: &[f64], caps:
         DataArray::integers("cap", cap),
     ];
     surface
-}
-
-/// Half the divergence of the unit normal, per mm: 1/R on a ball of radius R.
-fn mean_curvature(gradient: DVec3, hessian: DMat3) -> f64 {
-    let slope = gradient.length().max(1e-12);
-    let trace = hessian.x_axis.x + hessian.y_axis.y + hessian.z_axis.z;
-    (trace - gradient.dot(hessian * gradient) / (slope * slope)) / (2.0 * slope)
 }
 
 fn on_cap(corners: [DVec3; 3], caps: &[CapPlane], geometry: &Geometry) -> bool {

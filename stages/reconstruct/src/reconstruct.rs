@@ -140,8 +140,8 @@ pub fn reconstruct(
     drop(phase);
     // the triangulation keeps one thread busy, and neither knows of the other
     let phase = monitor.phase("triangulate, topology");
-    let (delaunay, topology) = rayon::join(|| points.triangulate(), || FieldTopology::new(&spline));
-    let delaunay = delaunay?;
+    let (delaunay, topology) = rayon::join(|| points.triangulate(), || FieldTopology::watched(&spline, monitor));
+    let (delaunay, topology) = (delaunay?, topology?);
     drop(phase);
     monitor.check()?;
     let Joined { mut mesh, sizes, report: refined, cocone, parted } =

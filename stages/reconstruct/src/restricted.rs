@@ -132,10 +132,7 @@ impl<'a> Restricted<'a> {
     fn distance_of_centre(&self, t: u32) -> f64 {
         let centre =
             self.delaunay().circumcentre(t).filter(|&c| !self.delaunay().is_ghost(t) && self.sides.in_volume(c));
-        centre.map_or(f64::INFINITY, |c| {
-            let (value, gradient) = self.field.value_gradient(c);
-            value.abs() / gradient.length().max(1e-6)
-        })
+        centre.map_or(f64::INFINITY, |c| self.field.distance_estimate(c).abs())
     }
 
     /// The sides that a closed surface of facets gives the tetrahedra, by their numbers.

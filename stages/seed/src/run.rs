@@ -70,10 +70,9 @@ pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
     let predicted = sizing.predicted_count(&surface);
     check_prediction(args, predicted, context)?;
     drop(step);
-    let step = context.step("sample");
     let count = args.count.map(|n| n as usize);
-    let (particles, summary) = seed_surface(&distance.image, &surface, &sizing, predicted, count, context.seed());
-    drop(step);
+    let (particles, summary) =
+        seed_surface(&distance.image, &surface, &sizing, predicted, count, context.seed(), context)?;
     if particles.positions.is_empty() {
         return Err(Error::input(
             format!("{}: has no surface to seed", args.distfield.display()),

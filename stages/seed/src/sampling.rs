@@ -7,7 +7,9 @@ use isoparticles_field::particle_set::ParticleSet;
 use isoparticles_field::random;
 use isoparticles_field::sizing::SizingField;
 use isoparticles_field::spline::CubicSpline;
-use isoparticles_mesh::{TriangleMesh, components};
+use isoparticles_field::topology::FieldComponents;
+use isoparticles_mesh::TriangleMesh;
+use isoparticles_stage::monitor::{Interrupted, Monitor};
 use isoparticles_volume::Image;
 use rayon::prelude::*;
 
@@ -47,6 +49,9 @@ pub(crate) struct Candidates {
 
 /// Seeds the surface F = 0, for which `sizing` predicts a count ([`SizingField::predicted_count`]). With `count` the spacing is scaled to give about that many particles (the paper's Table 3);
 /// the particles keep the sizes of the field. The result depends on the arguments alone.
+///
+/// # Errors
+/// When the monitor says so.
 pub fn seed_surface(
     distance: &Image<f32>,
     surface: &CubicSpline,
@@ -54,43 +59,42 @@ pub fn seed_surface(
     predicted_count: f64,
     count: Option<usize>,
     seed: u64,
-) -> (ParticleSet, Summary) {
+    monitor: &dyn Monitor,
+) -> Result<(ParticleSet, Summary), Interrupted> {
+    let phase = monitor.phase("topology");
+    let components = FieldComponents::new(surface, monitor)?;
+    drop(phase);
+    let _phase = monitor.phase("sample");
     let mesh = marching_cubes(distance, 0.0);
-    let (component, component_count) = components::of_vertices(mesh.vertices.len(), &mesh.triangles);
     let scaled = count.map(|n| sizing.scaled((predicted_count / n.max(1) as f64).sqrt()));
     let spread = scaled.as_ref().unwrap_or(sizing);
     let every: Vec<u32> = (0..mesh.triangles.len() as u32).collect();
     let density = |p, normal| OVERSAMPLING * spread.lattice_density(p, normal);
-    let of_triangle = |t: usize| component[mesh.triangles[t][0] as usize];
-    let all = sample(&mesh, &every, of_triangle, density, |p| spread.at(p), seed);
+    let all = sample(&mesh, &every, |_| 0, density, |p| spread.at(p), seed);
+    monitor.check()?;
     let mut chosen = eliminate(&all, seed, |_, _| true);
-    let mut counts = vec![0usize; component_count];
-    for &i in &chosen {
-        counts[all.component[i as usize] as usize] += 1;
-    }
-    // components that h would leave (nearly) bare are sampled on their own, at a spacing that their area allows
-    let bare: Vec<bool> = counts.iter().map(|&n| n < COMPONENT_MINIMUM).collect();
-    let crowded_components = bare.iter().filter(|&&b| b).count();
-    let mut picked: Vec<(DVec3, DVec3)> = Vec::with_capacity(chosen.len());
     chosen.sort_unstable();
-    for &i in &chosen {
-        if !bare[all.component[i as usize] as usize] {
-            picked.push((all.points[i as usize], all.normals[i as usize]));
-        }
+    let picked: Vec<_> = chosen.into_iter().map(|i| (all.points[i as usize], all.normals[i as usize])).collect();
+    monitor.check()?;
+    let (seeds, mut not_projected) = onto_surface(surface, &picked);
+    // components that h would leave (nearly) bare are sampled on their own, at a spacing that their area allows
+    let component_of: Vec<Option<u32>> = seeds.par_iter().map(|&(p, g)| components.at(surface, p, g)).collect();
+    let mut counts = vec![0usize; components.all().len()];
+    component_of.iter().flatten().for_each(|&c| counts[c as usize] += 1);
+    let is_bare = |c: &u32| counts[*c as usize] < COMPONENT_MINIMUM;
+    let mut kept: Vec<(DVec3, DVec3)> =
+        seeds.into_iter().zip(component_of).filter(|(_, c)| !c.as_ref().is_some_and(is_bare)).map(|(p, _)| p).collect();
+    let bare: Vec<u32> = (0..counts.len() as u32).filter(is_bare).collect();
+    let alone = |&c: &u32| {
+        let mesh = components.mesh(c);
+        let every: Vec<u32> = (0..mesh.triangles.len() as u32).collect();
+        onto_surface(surface, &sample_alone(&mesh, &every, seed, u64::from(c)))
+    };
+    for (seeds, lost) in bare.par_iter().map(alone).collect::<Vec<_>>() {
+        kept.extend(seeds);
+        not_projected += lost;
     }
-    if crowded_components > 0 {
-        picked.extend(sample_bare_components(&mesh, &component, &bare, seed));
-    }
-    let spacing = distance.geometry.mean_spacing();
-    let projected: Vec<_> = picked
-        .par_iter()
-        .map(|&(p, n)| {
-            let found = surface.project_with_gradient(p, 1.5 * spacing, 1e-6 * spacing);
-            found.map(|(p, g)| (p, g.normalize())).filter(|(_, normal)| normal.dot(n) > 0.0)
-        })
-        .collect();
-    let not_projected = projected.iter().filter(|p| p.is_none()).count();
-    let (positions, normals): (Vec<_>, Vec<_>) = projected.into_iter().flatten().unzip();
+    let (positions, normals): (Vec<_>, Vec<_>) = kept.into_iter().map(|(p, g)| (p, g.normalize())).unzip();
     let sizes = positions.iter().map(|&p| sizing.at(p)).collect();
     let set = ParticleSet {
         geometry: distance.geometry.clone(),
@@ -100,7 +104,19 @@ pub fn seed_surface(
         normals,
         sizes,
     };
-    (set, Summary { components: component_count, crowded_components, predicted_count, not_projected })
+    let (components, crowded_components) = (components.all().len(), bare.len());
+    Ok((set, Summary { components, crowded_components, predicted_count, not_projected }))
+}
+
+/// Brings points with their normals onto F = 0, each with grad F there; those that do not get there on their own side are only counted.
+fn onto_surface(surface: &CubicSpline, picked: &[(DVec3, DVec3)]) -> (Vec<(DVec3, DVec3)>, usize) {
+    let spacing = surface.geometry().mean_spacing();
+    let project = |&(p, n): &(DVec3, DVec3)| {
+        surface.project_with_gradient(p, 1.5 * spacing, 1e-6 * spacing).filter(|(_, g)| g.dot(n) > 0.0)
+    };
+    let found: Vec<_> = picked.par_iter().filter_map(project).collect();
+    let lost = picked.len() - found.len();
+    (found, lost)
 }
 
 /// Centroid, and the normal as long as twice the area.
@@ -180,22 +196,6 @@ pub(crate) fn eliminate(candidates: &Candidates, seed: u64, crowd: impl Fn(usize
         });
     }
     kept
-}
-
-/// Seeds for the components marked in `bare`, about twice [`COMPONENT_MINIMUM`] on each.
-fn sample_bare_components(mesh: &TriangleMesh, component: &[u32], bare: &[bool], seed: u64) -> Vec<(DVec3, DVec3)> {
-    let mut members: Vec<Vec<u32>> = vec![Vec::new(); bare.len()];
-    for (t, triangle) in mesh.triangles.iter().enumerate() {
-        let c = component[triangle[0] as usize] as usize;
-        if bare[c] {
-            members[c].push(t as u32);
-        }
-    }
-    let mut found = Vec::new();
-    for (c, members) in members.iter().enumerate().filter(|(_, m)| !m.is_empty()) {
-        found.extend(sample_alone(mesh, members, seed, c as u64));
-    }
-    found
 }
 
 /// Seeds for the triangles of component number `c`, about twice [`COMPONENT_MINIMUM`].

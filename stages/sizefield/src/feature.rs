@@ -9,9 +9,11 @@ use crate::medial::{Surface, medial_points};
 use crate::noise::Smoothed;
 use crate::patch::{Patch, Samples};
 use glam::{DMat3, DVec3};
+use isoparticles_field::curvature::{curvature_tensor, largest_curvature};
 use isoparticles_field::marching_cubes::marching_cubes;
-use isoparticles_field::spline::{CubicSpline, Jet};
-use isoparticles_mesh::components;
+use isoparticles_field::spline::CubicSpline;
+use isoparticles_field::topology::{Component, FieldComponents};
+use isoparticles_mesh::components::NO_COMPONENT;
 use isoparticles_mesh::incidence::Incidence;
 use isoparticles_mesh::kd_tree::KdTree;
 use isoparticles_volume::Image;
@@ -63,7 +65,7 @@ pub struct Features {
     pub noise: Vec<f64>,
     /// Triangles between the samples (marching cubes, projected).
     pub triangles: Vec<[u32; 3]>,
-    /// Connected component of each sample.
+    /// Component of F = 0 that each sample lies on; [`NO_COMPONENT`] where it cannot be told.
     pub component: Vec<u32>,
     /// Area of each component, mm squared.
     pub component_area: Vec<f64>,
@@ -72,7 +74,13 @@ pub struct Features {
 impl Features {
     /// Samples F = 0 at the projected vertices of marching cubes and measures them. Feature sizes above `largest` (mm) are
     /// not told apart from it. Empty where there is no surface.
-    pub fn new(image: &Image<f32>, surface: &CubicSpline, largest: f64, bumps: Bumps) -> Self {
+    pub fn new(
+        image: &Image<f32>,
+        surface: &CubicSpline,
+        components: &FieldComponents,
+        largest: f64,
+        bumps: Bumps,
+    ) -> Self {
         let mesh = marching_cubes(image, 0.0);
         let spacing = image.geometry.mean_spacing();
         let measured: Vec<(DVec3, DVec3, DMat3)> = mesh
@@ -109,11 +117,9 @@ impl Features {
         let curvature = averaged_curvature(tensors, &normals, &smoothed.patches, &incidence);
         drop(incidence);
         let feature_size = feature_sizes(&points, &normals, &sharp, &smoothed, image, largest);
-        let (component, count) = components::of_vertices(points.len(), &mesh.triangles);
-        let mut component_area = vec![0.0; count];
-        for t in &mesh.triangles {
-            component_area[component[t[0] as usize] as usize] += area(&points, t);
-        }
+        let at = |(&p, &n)| components.at(surface, p, n).unwrap_or(NO_COMPONENT);
+        let component: Vec<u32> = points.par_iter().zip(&normals).map(at).collect();
+        let component_area = component_areas(&points, &mesh.triangles, &component, components.all());
         Self {
             points,
             normals,
@@ -125,6 +131,18 @@ impl Features {
             component_area,
         }
     }
+}
+
+/// The area of each component, mm squared: of its triangles, or where it has none, as between the samples, what is known of it.
+fn component_areas(points: &[DVec3], triangles: &[[u32; 3]], component: &[u32], all: &[Component]) -> Vec<f64> {
+    let mut areas = vec![0.0; all.len()];
+    for t in triangles {
+        if let Some(own) = areas.get_mut(component[t[0] as usize] as usize) {
+            *own += area(points, t);
+        }
+    }
+    areas.iter_mut().zip(all).filter(|(own, _)| **own == 0.0).for_each(|(own, component)| *own = component.area);
+    areas
 }
 
 /// Largest principal curvature (per mm) from the tensors of F, averaged along the surface; where there is noise, from those of the
@@ -178,27 +196,6 @@ fn feature_sizes(
             axis.nearest_of_leaves(p, bound, MOST_LEAVES).map_or(bound, |(_, d)| d)
         })
         .collect()
-}
-
-/// Curvature tensor of the level set through a point (Goldman 2005), per mm: the Hessian over the slope, restricted to the
-/// tangent plane. Its eigenvalues are 0 (along the normal) and the two principal curvatures.
-pub(crate) fn curvature_tensor(jet: &Jet) -> DMat3 {
-    let slope = jet.gradient.length();
-    if slope < 1e-9 {
-        return DMat3::ZERO;
-    }
-    let n = jet.gradient / slope;
-    let across = DMat3::IDENTITY - DMat3::from_cols(n * n.x, n * n.y, n * n.z);
-    across * jet.hessian * across * (1.0 / slope)
-}
-
-/// Largest principal curvature in magnitude, per mm, of a curvature tensor on a surface with normal n.
-pub(crate) fn largest_curvature(tensor: &DMat3, n: DVec3) -> f64 {
-    let u = n.any_orthonormal_vector();
-    let v = n.cross(u);
-    let (tu, tv) = (*tensor * u, *tensor * v);
-    let (a, b, c) = (u.dot(tu), u.dot(tv), v.dot(tv));
-    (0.5 * (a + c)).abs() + (0.5 * (a - c)).hypot(b)
 }
 
 fn area(points: &[DVec3], t: &[u32; 3]) -> f64 {

@@ -64,7 +64,7 @@ pub fn wanted_sizes(features: &Features, parameters: &Parameters) -> Vec<f64> {
             let by_feature = parameters.epsilon * features.feature_size[i];
             // centre of an equilateral triangle of edge h inscribed in a ball of radius R: h^2 / (6 R) below the surface
             let by_deviation = (6.0 * parameters.max_deviation / features.curvature[i].max(1e-12)).sqrt();
-            let area = features.component_area[features.component[i] as usize];
+            let area = features.component_area.get(features.component[i] as usize).copied().unwrap_or(f64::INFINITY);
             // specks may be smaller than any triangle that says something about the data; a few must do there
             let by_component = (2.0 * area / (3f64.sqrt() * parameters.min_particles))
                 .sqrt()

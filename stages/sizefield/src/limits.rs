@@ -1,19 +1,63 @@
-//! What is refused before the later stages start: an edge longer than the object, and more particles than memory holds.
+//! What is refused before the later stages start: an edge longer than the object, and more particles than memory holds. And what is told: components
+//! that are too small for their h.
 
+use isoparticles_field::sizing::SizingField;
+use isoparticles_field::topology::Component;
 use isoparticles_stage::cli::{Context, particles_bytes};
 use isoparticles_stage::error::{Error, Result};
+use serde::Serialize;
 use std::path::Path;
 
 /// Particles that the largest part must be given by one edge length: `seed` gives a closed part at least so many (a lattice of twelve
 /// is the icosahedron, the coarsest in which five triangles meet everywhere), and fewer make no shape.
 const FEWEST: f64 = 12.0;
 
+/// Particles that h asks for on a mm^2.
+fn density(h: f64) -> f64 {
+    2.0 / (3f64.sqrt() * h * h)
+}
+
+/// A component that is too small for its h.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct TooSmall {
+    /// A place next to it, world, mm.
+    pub place: [f64; 3],
+    /// Its longest extent along an axis of the grid, mm.
+    pub size: f64,
+    /// h there, mm.
+    pub h: f64,
+}
+
+/// The components of F = 0 that h gives fewer particles than make a closed surface, in their order.
+pub fn too_small(components: &[Component], sizing: &SizingField) -> Vec<TooSmall> {
+    let told = |component: &Component| {
+        let h = sizing.at(component.place);
+        let place = sizing.image().geometry.grid_to_world(component.place).to_array();
+        let size = (component.bounds.high - component.bounds.low).max_element();
+        (component.area * density(h) < FEWEST).then_some(TooSmall { place, size, h })
+    };
+    components.iter().filter_map(told).collect()
+}
+
+/// The same in words, of so many components in all; `None` where there are none.
+pub fn too_small_told(found: &[TooSmall], components: usize) -> Option<String> {
+    let smallest = found.iter().min_by(|a, b| a.size.total_cmp(&b.size))?;
+    let [x, y, z] = smallest.place;
+    Some(format!(
+        "{} of {components} components are too small for their h, the smallest {:.3} mm across where h is {:.3} mm, at {x:.2} {y:.2} {z:.2} mm (world); \
+         seed gives them extra particles, and a mesh may have them badly: a smaller h there (--refine, --min-size, --epsilon), or distfield without \
+         what is so small (--keep, --scale), suits them better",
+        found.len(),
+        smallest.size,
+        smallest.h,
+    ))
+}
+
 /// Refuses one edge length that gives even the largest part of the surface, of `area` mm^2, too few particles.
 ///
 /// # Errors
 /// As said, with an edge length that would do.
 pub fn check_size(path: &Path, size: f64, area: f64) -> Result<()> {
-    let density = |h: f64| 2.0 / (3f64.sqrt() * h * h);
     let count = area * density(size);
     if count >= FEWEST {
         return Ok(());
@@ -49,6 +93,32 @@ pub fn check_count(path: &Path, predicted: f64, nodes: usize, context: &Context)
 #[cfg(test)]
 mod tests {
     use super::*;
+    use glam::DVec3;
+    use isoparticles_field::spline::CubicSpline;
+    use isoparticles_field::topology::FieldComponents;
+    use isoparticles_stage::monitor::Silent;
+    use isoparticles_volume::{Geometry, Image};
+
+    #[test]
+    fn a_component_too_small_for_its_h_is_named_though_no_sample_is_in_it() {
+        // a ball, and a speck between the samples
+        let geometry = Geometry::axis_aligned([32, 24, 24], DVec3::ONE);
+        let (ball, speck) = (DVec3::new(9.0, 12.0, 12.0), DVec3::new(24.5, 12.45, 12.52));
+        let distance = |p: DVec3| (p.distance(ball) - 6.0).min(0.4 * (p.distance_squared(speck) - 0.3)) as f32;
+        let image = Image::sampled(geometry.clone(), distance);
+        let surface = CubicSpline::new(&image);
+        let components = FieldComponents::new(&surface, &Silent).expect("not interrupted");
+        let at = |h: f32| too_small(components.all(), &SizingField::new(Image::filled(geometry.clone(), h)));
+        let found = at(2.0);
+        assert_eq!((components.all().len(), found.len()), (2, 1), "{found:?}");
+        assert!(DVec3::from_array(found[0].place).distance(speck) < 0.8 && found[0].size < 1.2, "{found:?}");
+        let told = too_small_told(&found, 2).expect("words");
+        assert!(
+            told.starts_with("1 of 2 components are too small for their h") && told.contains("h is 2.000"),
+            "{told}"
+        );
+        assert_eq!((at(0.25), too_small_told(&[], 2)), (vec![], None));
+    }
 
     #[test]
     fn a_size_above_the_object_is_refused_and_one_that_would_do_is_named() {

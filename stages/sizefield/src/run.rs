@@ -1,7 +1,7 @@
 //! The program around [`crate::size_field`]: options, files, defaults from the data, report.
 
 use crate::feature::{Bumps, Features};
-use crate::limits::{check_count, check_size};
+use crate::limits::{TooSmall, check_count, check_size, too_small, too_small_told};
 use crate::materials::GivenSize;
 use crate::region::{Refinement, SizedNode};
 use crate::vertices::{scaled_to_vertices, size_for_vertices};
@@ -10,6 +10,7 @@ use clap::Parser;
 use glam::DVec3;
 use isoparticles_field::sizing::SizingField;
 use isoparticles_field::spline::CubicSpline;
+use isoparticles_field::topology::FieldComponents;
 use isoparticles_stage::cli::values::{not_negative, positive};
 use isoparticles_stage::cli::{CommonArgs, Context, FILES, METHOD, Outcome, StageArgs};
 use isoparticles_stage::error::{Error, Result};
@@ -198,7 +199,9 @@ pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
     context.add_input(&args.input, field.history.clone())?;
     let surface = CubicSpline::new(&field.image);
     drop(step);
-    context.check_interrupt()?;
+    let step = context.step("topology");
+    let components = FieldComponents::new(&surface, context)?;
+    drop(step);
     let step = context.step("measure features");
     let geometry = &field.image.geometry;
     let largest = LARGEST_FEATURE_DIAGONALS * geometry.upper_corner().length();
@@ -209,7 +212,7 @@ pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
     let origin: DistanceMeta = meta::typed(&args.input, &field.meta, "distfield")?;
     let is_smooth = origin.source == Some(Source::Labels) || origin.is_scaled();
     let bumps = if one_size.is_some() || is_smooth { Bumps::AreShape } else { Bumps::MayBeNoise };
-    let features = Features::new(&field.image, &surface, largest, bumps);
+    let features = Features::new(&field.image, &surface, &components, largest, bumps);
     drop(step);
     if features.triangles.is_empty() {
         return Err(Error::input(
@@ -244,7 +247,11 @@ pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
     if let Some(told) = noise_told(&features.noise, geometry.spacing) {
         context.info(told);
     }
-    let meta = describe(&features, &surface, &sizing, largest, context);
+    let small = too_small(components.all(), &sizing);
+    if let Some(told) = too_small_told(&small, components.all().len()) {
+        context.warn(told);
+    }
+    let meta = describe(&features, &surface, &sizing, (largest, &small), context);
     check_count(&args.input, meta.predicted_count, geometry.voxel_count(), context)?;
     if let Some(size) = one_size {
         warn_if_too_coarse(&features, size, context);
@@ -357,7 +364,7 @@ fn describe(
     features: &Features,
     surface: &CubicSpline,
     sizing: &SizingField,
-    largest: f64,
+    (largest, small): (f64, &[TooSmall]),
     context: &Context,
 ) -> SizeMeta {
     let mut at_surface: Vec<f64> = features.points.iter().map(|&p| sizing.at(p)).collect();
@@ -370,6 +377,7 @@ fn describe(
         ("local_feature_size", percentiles(&mut feature_size)),
         ("noise", percentiles(&mut features.noise.clone())),
         ("largest_feature_looked_for", json!(largest)),
+        ("too_small", json!(small)),
     ];
     let meta = SizeMeta {
         version: meta::VERSION,

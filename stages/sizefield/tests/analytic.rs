@@ -2,9 +2,11 @@
 
 use glam::DVec3;
 use isoparticles_field::spline::CubicSpline;
+use isoparticles_field::topology::FieldComponents;
 use isoparticles_sizefield::feature::{Bumps, Features};
 use isoparticles_sizefield::region::Ball;
 use isoparticles_sizefield::{Parameters, size_field};
+use isoparticles_stage::monitor::Silent;
 use isoparticles_volume::{Geometry, Image};
 
 fn sampled(n: usize, f: impl Fn(DVec3) -> f64) -> Image<f32> {
@@ -22,7 +24,9 @@ fn sampled(n: usize, f: impl Fn(DVec3) -> f64) -> Image<f32> {
 }
 
 fn features(image: &Image<f32>) -> Features {
-    Features::new(image, &CubicSpline::new(image), image.geometry.upper_corner().length(), Bumps::MayBeNoise)
+    let surface = CubicSpline::new(image);
+    let components = FieldComponents::new(&surface, &Silent).expect("not interrupted");
+    Features::new(image, &surface, &components, image.geometry.upper_corner().length(), Bumps::MayBeNoise)
 }
 
 /// Largest relative error of the local feature size against `truth` (point relative to the volume's centre).

@@ -39,26 +39,37 @@ impl Bernstein {
         new
     }
 
-    /// In one of the eight halves; bit `a` of `octant` says which along axis `a`.
-    pub(super) fn octant(&self, octant: usize) -> Self {
-        let mut new = self.clone();
-        new.halve::<1>(octant & 1 == 1);
-        new.halve::<ORDER>(octant >> 1 & 1 == 1);
-        new.halve::<{ ORDER * ORDER }>(octant >> 2 & 1 == 1);
-        new
+    /// In the eight halves; bit `a` of the number of each says which along axis `a`.
+    pub(super) fn octants(&self) -> [Self; 8] {
+        let [low, high] = self.halves::<1>();
+        let quarters = [low, high].map(|half| half.halves::<ORDER>());
+        let parts = quarters.map(|quarters| quarters.map(|quarter| quarter.halves::<{ ORDER * ORDER }>()));
+        let part = |n: usize| parts[n & 1][n >> 1 & 1][n >> 2].clone();
+        std::array::from_fn(part)
     }
 
-    /// Takes one half along an axis: de Casteljau at the middle.
-    fn halve<const STRIDE: usize>(&mut self, is_upper: bool) {
-        if is_upper {
-            self.each_line::<STRIDE>(|[a, b, c, d]| {
-                [(a + 3.0 * (b + c) + d) / 8.0, (b + 2.0 * c + d) / 4.0, (c + d) / 2.0, d]
-            });
-        } else {
-            self.each_line::<STRIDE>(|[a, b, c, d]| {
-                [a, (a + b) / 2.0, (a + 2.0 * b + c) / 4.0, (a + 3.0 * (b + c) + d) / 8.0]
-            });
+    /// In one of the eight halves.
+    pub(super) fn octant(&self, octant: usize) -> Self {
+        let [x, y, z] = [octant & 1, octant >> 1 & 1, octant >> 2];
+        self.halves::<1>()[x].halves::<ORDER>()[y].halves::<{ ORDER * ORDER }>()[z].clone()
+    }
+
+    /// In both halves along an axis: de Casteljau at the middle.
+    fn halves<const STRIDE: usize>(&self) -> [Self; 2] {
+        let (mut lower, mut upper) = (self.clone(), self.clone());
+        for outer in (0..ORDER * ORDER * ORDER).step_by(ORDER * STRIDE) {
+            for first in outer..outer + STRIDE {
+                let place = |k: usize| first + k * STRIDE;
+                let [a, b, c, d] = [0, 1, 2, 3].map(|k| self.0[place(k)]);
+                let middle = (a + 3.0 * (b + c) + d) / 8.0;
+                let low = [a, (a + b) / 2.0, (a + 2.0 * b + c) / 4.0, middle];
+                let high = [middle, (b + 2.0 * c + d) / 4.0, (c + d) / 2.0, d];
+                for k in 0..ORDER {
+                    (lower.0[place(k)], upper.0[place(k)]) = (low[k], high[k]);
+                }
+            }
         }
+        [lower, upper]
     }
 
     /// Changes the lines along the axis whose neighbours are so many places apart: known when compiling, so that the loops unroll.
@@ -75,21 +86,23 @@ impl Bernstein {
     /// The range of the derivative of F along each axis (in units that differ from axis to axis by nothing but the voxel's edges), rounding
     /// included.
     fn slopes(&self) -> [(f64, f64); 3] {
-        let slack = self.0.iter().fold(0.0f64, |largest, b| largest.max(b.abs())) * ROUNDING;
+        let (low, high) = range(&self.0);
+        let slack = low.abs().max(high.abs()) * ROUNDING;
         let slopes = [self.differences::<1>(), self.differences::<ORDER>(), self.differences::<{ ORDER * ORDER }>()];
         slopes.map(|(low, high)| (low - slack, high + slack))
     }
 
     /// The range of the differences of neighbours along an axis.
     fn differences<const STRIDE: usize>(&self) -> (f64, f64) {
-        let mut found = (f64::INFINITY, f64::NEG_INFINITY);
+        let mut differences = [0.0; (ORDER - 1) * ORDER * ORDER];
+        let mut n = 0;
         for outer in (0..ORDER * ORDER * ORDER).step_by(ORDER * STRIDE) {
             for low in outer..outer + (ORDER - 1) * STRIDE {
-                let difference = self.0[low + STRIDE] - self.0[low];
-                found = (found.0.min(difference), found.1.max(difference));
+                differences[n] = self.0[low + STRIDE] - self.0[low];
+                n += 1;
             }
         }
-        found
+        range(&differences)
     }
 
     /// Whether the gradient may vanish in the cell.
@@ -99,7 +112,7 @@ impl Bernstein {
 
     /// Whether F has one sign all over the cell, its border included.
     pub(super) fn is_clear(&self) -> bool {
-        let (low, high) = range(self.0.iter().copied());
+        let (low, high) = range(&self.0);
         let slack = ROUNDING * low.abs().max(high.abs());
         low > slack || high < -slack
     }
@@ -121,8 +134,21 @@ impl Bernstein {
     }
 }
 
-fn range(values: impl Iterator<Item = f64>) -> (f64, f64) {
-    values.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), x| (low.min(x), high.max(x)))
+/// Least and most of some numbers, in lanes that do not wait for each other.
+fn range<const COUNT: usize>(values: &[f64; COUNT]) -> (f64, f64) {
+    const LANES: usize = 8;
+    let less = |a: f64, b: f64| if a < b { a } else { b };
+    let more = |a: f64, b: f64| if a > b { a } else { b };
+    let (mut low, mut high) = ([f64::INFINITY; LANES], [f64::NEG_INFINITY; LANES]);
+    let (chunks, rest) = values.as_chunks::<LANES>();
+    for chunk in chunks {
+        for lane in 0..LANES {
+            low[lane] = less(chunk[lane], low[lane]);
+            high[lane] = more(chunk[lane], high[lane]);
+        }
+    }
+    let ends = |all: [f64; LANES], other: &dyn Fn(f64, f64) -> f64| all.into_iter().reduce(other).unwrap_or(0.0);
+    rest.iter().fold((ends(low, &less), ends(high, &more)), |(low, high), &x| (less(x, low), more(x, high)))
 }
 
 #[cfg(test)]
@@ -159,7 +185,7 @@ mod tests {
                         let value = own.0[bits[0] * 3 + bits[1] * 12 + bits[2] * 48];
                         assert!((value - field.value(p)).abs() < 1e-12, "{cell:?} {corner}");
                     }
-                    let (low_value, high_value) = range(own.0.iter().copied());
+                    let (low_value, high_value) = range(&own.0);
                     let inner: Vec<(f64, DVec3)> = (0..60)
                         .map(|n| DVec3::new(uniform(seed, 1, n), uniform(seed, 2, n), uniform(seed, 3, n)))
                         .map(|share| field.value_gradient((low + share * edge) * spacing))

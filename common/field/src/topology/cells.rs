@@ -1,10 +1,10 @@
 //! The cells of the volume, halved where F = 0 is not certain in them, until it is or they are as small as they get.
 
 use super::bernstein::Bernstein;
+use super::watch::{Interrupted, Watch};
 use crate::spline::CubicSpline;
 use glam::DVec3;
 use rayon::prelude::*;
-use std::cmp::Reverse;
 
 /// Halvings of any voxel. A neck, gap or speck of radius r at a critical point is certain in cells of edge e once e < r / sqrt 3, where F and
 /// its second-order part differ little: a sixteenth of a voxel does for all but the finest that are to be told.
@@ -113,10 +113,10 @@ pub(super) struct Cells {
 impl Cells {
     /// Halves cells where F = 0 is not certain, and next to much smaller ones, so that no cell that F = 0 may pass through shares an edge with
     /// one of less than half its size: the balance that the surface of the cells' corner signs needs to be F = 0 but for an isotopy.
-    pub(super) fn new(field: &CubicSpline) -> Self {
+    pub(super) fn new(field: &CubicSpline, watch: &Watch<'_>) -> Result<Self, Interrupted> {
         let size = field.geometry().size.map(|n| n.saturating_sub(1));
-        let slices: Vec<(Vec<State>, Vec<[State; 8]>)> =
-            (0..size[2]).into_par_iter().map(|k| states_of_slice(field, size, k)).collect();
+        let states = |k| watch.slice().map(|()| states_of_slice(field, size, k));
+        let slices = (0..size[2]).into_par_iter().map(states).collect::<Result<Vec<_>, _>>()?;
         let mut new = Self { size, voxels: Vec::new(), halves: Vec::new() };
         for (voxels, halves) in slices {
             let shift = new.halves.len() as u32;
@@ -125,16 +125,9 @@ impl Cells {
             new.voxels.extend(voxels.into_iter().map(shifted));
             new.halves.extend(halves.into_iter().map(|own| own.map(shifted)));
         }
-        let halved = (0..new.voxels.len()).into_par_iter().filter_map(|n| match new.voxels[n].into() {
-            State::Halved(first) => {
-                let at = [n % size[0], n / size[0] % size[1], n / size[0] / size[1]].map(|n| n as u32);
-                Some((at, new.finest_in(first)))
-            }
-            _ => None,
-        });
-        let mut halved = halved.collect();
-        new.balance(field, &mut halved);
-        new
+        let halved: Vec<Cell> = (0..size[2] as u32).into_par_iter().flat_map_iter(|k| new.halved_in_slice(k)).collect();
+        new.balance(field, halved);
+        Ok(new)
     }
 
     /// Voxel cells along each axis.
@@ -180,9 +173,15 @@ impl Cells {
         }
     }
 
-    /// Whether one of some halves is halved.
-    pub(super) fn is_half_halved(&self, halves: u32, octant: usize) -> bool {
-        self.halves[halves as usize][octant].halves().is_some()
+    /// The number of the halves of one of some halves, if it is halved.
+    pub(super) fn halves_of_half(&self, halves: u32, octant: usize) -> Option<u32> {
+        self.halves[halves as usize][octant].halves().map(|halves| halves as u32)
+    }
+
+    /// Which of some halves are halved, bit by bit.
+    pub(super) fn which_half_halved(&self, halves: u32) -> u8 {
+        let bit = |(n, half): (usize, &Packed)| u8::from(half.halves().is_some()) << n;
+        self.halves[halves as usize].iter().enumerate().map(bit).sum()
     }
 
     /// Whether one of the 27 voxel cells round one of them is halved.
@@ -233,62 +232,90 @@ impl Cells {
         }
     }
 
-    /// The level of the finest cells among some halves of a voxel, and theirs.
-    fn finest_in(&self, halves: u32) -> u8 {
-        let below = self.halves[halves as usize].iter().map(|&half| match half.into() {
-            State::Halved(n) => self.finest_in(n),
-            _ => 0,
-        });
-        1 + below.max().unwrap_or(0)
+    /// The halved cells in a slice of voxels.
+    fn halved_in_slice(&self, k: u32) -> Vec<Cell> {
+        let mut found = Vec::new();
+        let first = k as usize * self.size[1] * self.size[0];
+        for (n, state) in self.voxels[first..first + self.size[1] * self.size[0]].iter().enumerate() {
+            if let Some(halves) = state.halves() {
+                let at = [n % self.size[0], n / self.size[0]].map(|n| n as u32);
+                self.halved_in(Cell { level: 0, at: [at[0], at[1], k] }, halves, &mut found);
+            }
+        }
+        found
     }
 
-    /// Halves cells in which F = 0 is a graph, and what keeps the balance; returns the voxels that have changed, ascending.
-    pub(super) fn refine(&mut self, field: &CubicSpline, cells: &[Cell]) -> Vec<[u32; 3]> {
-        let mut changed = self.halve_all(field, cells);
-        self.balance(field, &mut changed);
-        changed.into_iter().map(|(at, _)| at).collect()
-    }
-
-    /// Keeps the balance round some voxels (ascending, each with the level of its finest cells); those that change come among them.
-    fn balance(&mut self, field: &CubicSpline, active: &mut Vec<([u32; 3], u8)>) {
-        for level in (2..=DEPTH).rev() {
-            loop {
-                let too_large = |(voxel, _): &([u32; 3], u8)| {
-                    let mut found = Vec::new();
-                    self.crossed_in(Cell { level: 0, at: *voxel }, &mut found);
-                    found.retain(|(cell, _)| cell.level == level);
-                    let beside = found.chunk_by(|(a, _), (b, _)| a.within(level - 1) == b.within(level - 1));
-                    let large = beside
-                        .flat_map(cells_beside)
-                        .filter_map(|cell| self.find(cell))
-                        .filter(|(found, state)| *state == State::Graph && found.level + 1 < level);
-                    let mut large: Vec<Cell> = large.map(|(cell, _)| cell).collect();
-                    large.sort_unstable();
-                    large.dedup();
-                    large
-                };
-                let fine = active.par_iter().filter(|(_, finest)| *finest >= level);
-                let mut large: Vec<Cell> = fine.flat_map_iter(too_large).collect();
-                large.par_sort_unstable();
-                large.dedup();
-                if large.is_empty() {
-                    break;
-                }
-                active.extend(self.halve_all(field, &large));
-                active.par_sort_unstable_by_key(|&(at, finest)| (at, Reverse(finest)));
-                active.dedup_by_key(|(at, _)| *at);
+    /// A halved cell, and those in it.
+    fn halved_in(&self, cell: Cell, halves: usize, found: &mut Vec<Cell>) {
+        found.push(cell);
+        for (octant, half) in self.halves[halves].iter().enumerate() {
+            if let Some(halves) = half.halves() {
+                self.halved_in(cell.half(octant), halves, found);
             }
         }
     }
 
-    /// Halves cells in which F = 0 is a graph; returns their voxels, ascending, each with the level of its new cells.
-    fn halve_all(&mut self, field: &CubicSpline, cells: &[Cell]) -> Vec<([u32; 3], u8)> {
+    /// Halves cells in which F = 0 is a graph, and what keeps the balance; returns the voxels that have changed, ascending.
+    pub(super) fn refine(&mut self, field: &CubicSpline, cells: &[Cell]) -> Vec<[u32; 3]> {
+        self.halve_all(field, cells);
+        let mut changed = self.balance(field, cells.to_vec());
+        changed.extend_from_slice(cells);
+        let mut changed: Vec<[u32; 3]> = changed.into_iter().map(|cell| cell.within(0).at).collect();
+        changed.par_sort_unstable();
+        changed.dedup();
+        changed
+    }
+
+    /// Keeps the balance round the halves of some halved cells; returns the cells that it halves.
+    fn balance(&mut self, field: &CubicSpline, halved: Vec<Cell>) -> Vec<Cell> {
+        let mut by_level: Vec<Vec<Cell>> = vec![Vec::new(); usize::from(DEPTH)];
+        halved.into_iter().for_each(|cell| by_level[usize::from(cell.level)].push(cell));
+        let mut all = Vec::new();
+        // cells of no more than half the size of the largest are next to none that is too large
+        for level in (1..DEPTH).rev() {
+            let mut active = std::mem::take(&mut by_level[usize::from(level)]);
+            while !active.is_empty() {
+                let found: Vec<(Cell, Vec<Cell>)> = active
+                    .par_iter()
+                    .map(|&cell| (cell, self.too_large_beside(cell)))
+                    .filter(|(_, f)| !f.is_empty())
+                    .collect();
+                let mut large: Vec<Cell> = found.iter().flat_map(|(_, large)| large).copied().collect();
+                large.par_sort_unstable();
+                large.dedup();
+                self.halve_all(field, &large);
+                large.iter().for_each(|cell| by_level[usize::from(cell.level)].push(*cell));
+                all.extend(large);
+                // what was too large by far is so once more
+                active = found.into_iter().map(|(cell, _)| cell).collect();
+            }
+        }
+        all
+    }
+
+    /// The cells that F = 0 is a graph in, more than twice the size of a halved cell's halves that F = 0 may pass through, and next to these.
+    fn too_large_beside(&self, whole: Cell) -> Vec<Cell> {
+        let mut large = Vec::new();
+        let Some(halves) = self.halves(whole, [0; 3]) else { return large };
+        let is_crossed = |half: &Packed| matches!((*half).into(), State::Graph | State::Undecided);
+        let crossed = self.halves[halves as usize].each_ref().map(is_crossed);
+        for away in around().filter(|away| *away != [0; 3]) {
+            let touches =
+                |octant: usize| (0..3).all(|axis| away[axis] == 0 || (away[axis] == 1) == (octant >> axis & 1 == 1));
+            if (0..8).any(|octant| crossed[octant] && touches(octant))
+                && let Some((found, State::Graph)) = moved(whole, away).and_then(|cell| self.find(cell))
+                && found.level < whole.level
+            {
+                large.push(found);
+            }
+        }
+        large
+    }
+
+    /// Halves cells in which F = 0 is a graph.
+    fn halve_all(&mut self, field: &CubicSpline, cells: &[Cell]) {
         let halves: Vec<[State; 8]> = cells.par_iter().map(|&cell| halves_of_graph(field, cell)).collect();
         cells.iter().zip(halves).for_each(|(&cell, halves)| self.halve(cell, halves));
-        let mut changed: Vec<([u32; 3], u8)> = cells.iter().map(|cell| (cell.within(0).at, cell.level + 1)).collect();
-        changed.par_sort_unstable_by_key(|&(at, finest)| (at, Reverse(finest)));
-        changed.dedup_by_key(|(at, _)| *at);
-        changed
     }
 
     fn halve(&mut self, cell: Cell, halves: [State; 8]) {
@@ -317,24 +344,13 @@ pub(super) fn around() -> impl Iterator<Item = [i64; 3]> {
     (0..27).map(|n| [n % 3 - 1, n / 3 % 3 - 1, n / 9 - 1])
 }
 
-/// The cells next to some halves of one cell, which is none of them, and of its size.
-fn cells_beside(halves: &[(Cell, State)]) -> impl Iterator<Item = Cell> {
-    let whole = halves[0].0.within(halves[0].0.level - 1);
-    let touches = |half: Cell, away: [i64; 3]| {
-        (0..3).all(|axis| away[axis] == 0 || (away[axis] == 1) == (half.octant() >> axis & 1 == 1))
-    };
-    let ways = around().filter(|away| *away != [0; 3]);
-    ways.filter(move |&away| halves.iter().any(|&(half, _)| touches(half, away)))
-        .filter_map(move |away| moved(whole, away))
-}
-
 fn halves_of_graph(field: &CubicSpline, cell: Cell) -> [State; 8] {
     let mut own = Bernstein::of_cell(field, cell.within(0).at.map(|n| n as usize));
     for level in 1..=cell.level {
         own = own.octant(cell.within(level).octant());
     }
     // a part of a graph is one
-    std::array::from_fn(|octant| if own.octant(octant).is_clear() { State::Clear } else { State::Graph })
+    own.octants().map(|half| if half.is_clear() { State::Clear } else { State::Graph })
 }
 
 /// The states of the voxel cells of a slice, and of the halves of those that are halved.
@@ -389,8 +405,7 @@ impl Halving {
     fn halved(&mut self, own: &Bernstein, level: u8) -> State {
         let number = self.halves.len();
         self.halves.push([State::Clear; 8]);
-        for octant in 0..8 {
-            let half = own.octant(octant);
+        for (octant, half) in own.octants().into_iter().enumerate() {
             let state = self.state(&half, level);
             self.halves[number][octant] = state;
             if state == State::Undecided {

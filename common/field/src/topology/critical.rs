@@ -6,9 +6,12 @@
 
 use super::bernstein::Bernstein;
 use super::cells::sign_changes;
+use super::watch::{Interrupted, Watch};
 use crate::spline::CubicSpline;
 use glam::{DMat3, DVec3};
+use isoparticles_file::monitor::Silent;
 use rayon::prelude::*;
+use std::cmp::Ordering;
 
 /// Newton steps towards a critical point.
 const STEPS: usize = 30;
@@ -58,27 +61,57 @@ impl CriticalPoint {
 
 /// The critical points of F within a few voxels of F = 0 whose neck, gap or speck has at least a radius (mm).
 pub fn critical_points(field: &CubicSpline, smallest: f64) -> Vec<CriticalPoint> {
+    let watch = Watch::new(&Silent, 0);
+    let mut found = all(field, &watch).unwrap_or_default();
+    found.retain(|c| c.radius >= smallest);
+    found
+}
+
+/// All critical points of F within a few voxels of F = 0.
+pub(super) fn all(field: &CubicSpline, watch: &Watch<'_>) -> Result<Vec<CriticalPoint>, Interrupted> {
     let geometry = field.geometry();
     let size = geometry.size;
     let voxel = geometry.mean_spacing();
     let cells = [0, 1, 2].map(|axis| size[axis].saturating_sub(1));
-    let mut places: Vec<DVec3> = (0..cells[2])
-        .into_par_iter()
-        .flat_map_iter(|k| {
-            let may_change = sign_changes(field, cells, k, 1).into_iter().enumerate();
-            may_change.filter(|(_, change)| *change).map(move |(n, _)| [n % cells[0], n / cells[0], k])
-        })
-        .filter(|cell| {
+    let in_slice = |k: usize| {
+        watch.slice()?;
+        let may_change = sign_changes(field, cells, k, 1).into_iter().enumerate();
+        let near = may_change.filter(|(_, change)| *change).map(|(n, _)| [n % cells[0], n / cells[0], k]);
+        let flat = near.filter(|cell| {
             let index = DVec3::from_array(cell.map(|n| n as f64 + 0.5));
             may_be_flat(field, geometry.index_to_grid(index), voxel)
                 && Bernstein::of_cell(field, *cell).may_be_critical()
-        })
-        .flat_map_iter(|cell| STARTS.map(|offset| DVec3::from_array(cell.map(|n| n as f64)) + offset))
-        .filter_map(|index| newton(field, geometry.index_to_grid(index), REACH * voxel))
-        .collect();
-    places.par_sort_by(|a, b| a.to_array().partial_cmp(&b.to_array()).unwrap_or(std::cmp::Ordering::Equal));
-    places.dedup_by(|a, b| a.distance(*b) < SAME * voxel);
-    places.into_par_iter().filter_map(|p| describe(field, p)).filter(|c| c.radius >= smallest).collect()
+        });
+        let starts = flat.flat_map(|cell| STARTS.map(|offset| DVec3::from_array(cell.map(|n| n as f64)) + offset));
+        Ok(starts.filter_map(|index| newton(field, geometry.index_to_grid(index), REACH * voxel)).collect::<Vec<_>>())
+    };
+    let places = (0..cells[2]).into_par_iter().map(in_slice).collect::<Result<Vec<_>, _>>()?;
+    let mut places = places.concat();
+    let mut apart = Vec::new();
+    keep_apart(&mut places, SAME * voxel, 0, 0, &mut apart);
+    apart.par_sort_by(|a, b| a.to_array().partial_cmp(&b.to_array()).unwrap_or(Ordering::Equal));
+    Ok(apart.into_par_iter().filter_map(|p| describe(field, p)).collect())
+}
+
+/// Adds, of points nearer to each other than a limit, the first to others. They are cut into groups wherever no two neighbours along an axis are that
+/// near, `uncut` axes before having given no cut: points in a plane, as the mirror planes of symmetric objects have them, are told apart along another axis.
+fn keep_apart(points: &mut [DVec3], limit: f64, axis: usize, uncut: usize, apart: &mut Vec<DVec3>) {
+    if points.len() == 1 || uncut == 3 {
+        points.sort_unstable_by(|a, b| a.to_array().partial_cmp(&b.to_array()).unwrap_or(Ordering::Equal));
+        let first = apart.len();
+        for &p in &*points {
+            if apart[first..].iter().all(|other| other.distance(p) >= limit) {
+                apart.push(p);
+            }
+        }
+        return;
+    }
+    points.sort_unstable_by(|a, b| a[axis].total_cmp(&b[axis]));
+    let count = points.len();
+    for group in points.chunk_by_mut(|a, b| b[axis] - a[axis] < limit) {
+        let uncut = if group.len() < count { 0 } else { uncut + 1 };
+        keep_apart(group, limit, (axis + 1) % 3, uncut, apart);
+    }
 }
 
 /// Whether the gradient may vanish in the cell round a point: by the Hessian there, with a margin for its change.
@@ -182,6 +215,29 @@ mod tests {
             assert!(scene.field.value(neck.position + *way).abs() < 1e-3, "{way}");
         }
         assert!(critical_points(&scene.field, 0.25).iter().all(|c| c.position.distance(centre) > 0.01));
+    }
+
+    #[test]
+    fn points_on_a_mirror_plane_are_found_once() {
+        // four balls round an axis, mirrored in planes through samples and at angles to each other
+        let scene = Scene::new([33; 3], DVec3::ONE, |p| {
+            let balls = [(1.0, 1.0), (-1.0, 1.0), (1.0, -1.0), (-1.0, -1.0)];
+            let away = |(x, y)| p.distance(DVec3::new(16.0 + 6.0 * x, 16.0 + 6.0 * y, 16.0)) - 5.0;
+            balls.into_iter().map(away).fold(f64::INFINITY, f64::min)
+        });
+        let found = critical_points(&scene.field, 0.0);
+        assert!(found.iter().filter(|c| (c.position.x - 16.0).abs() < 1e-6).count() >= 3, "{found:?}");
+        for (n, c) in found.iter().enumerate() {
+            let is_same = |other: &CriticalPoint| other.position.distance(c.position) < SAME;
+            assert!(!found[..n].iter().any(is_same), "{c:?} is there twice");
+        }
+        // the same points in any order, with some a hair beside
+        let points: Vec<DVec3> = found.iter().map(|c| c.position).collect();
+        let beside = |p: &DVec3| [*p, *p + DVec3::new(1e-9, -1e-9, 2e-9), *p - DVec3::splat(1e-9)];
+        let mut many: Vec<DVec3> = points.iter().rev().flat_map(beside).collect();
+        let mut apart = Vec::new();
+        keep_apart(&mut many, SAME, 0, 0, &mut apart);
+        assert_eq!(apart.len(), points.len());
     }
 
     #[test]

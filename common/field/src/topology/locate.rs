@@ -4,7 +4,7 @@
 //! sheet's. Where all polygons around are of one component, so is the point; elsewhere the way there is walked.
 
 use super::cells::{Cell, Cells, around, moved};
-use super::polygons::Surface;
+use super::surface::Surface;
 use crate::spline::CubicSpline;
 use glam::DVec3;
 

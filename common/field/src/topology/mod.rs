@@ -21,15 +21,19 @@ mod surface;
 #[cfg(test)]
 mod tests;
 mod undecided;
+mod watch;
 
 use crate::spline::CubicSpline;
 use cells::Cells;
 pub use critical::{CriticalPoint, critical_points};
 use glam::DVec3;
+use isoparticles_file::monitor::{Interrupted, Monitor, Silent};
+use isoparticles_mesh::TriangleMesh;
 use isoparticles_mesh::spatial::Bounds;
-use polygons::Surface;
 use serde::Serialize;
+use surface::Surface;
 pub use undecided::{Group, Groups, Undecided, UndecidedKind};
+use watch::Watch;
 
 /// Radius, in voxels (geometric mean spacing), of the finest necks, gaps and specks whose topology is told, where they meet F = 0 as the
 /// second-order expansion at their critical point has it: finer ones say nothing of the object, and edges that short would cost a mesh
@@ -52,10 +56,16 @@ pub struct Component {
     pub volume: f64,
 }
 
-/// The topology of F = 0 in the volume.
-pub struct FieldTopology {
+/// The components of F = 0 in the volume, without the critical points: what stages need that count components and tell them apart, at less
+/// cost than [`FieldTopology`], whose components are the same.
+pub struct FieldComponents {
     cells: Cells,
     surface: Surface,
+}
+
+/// The topology of F = 0 in the volume.
+pub struct FieldTopology {
+    components: FieldComponents,
     undecided: Vec<Undecided>,
     groups: Groups,
     critical_points: Vec<CriticalPoint>,
@@ -76,24 +86,72 @@ pub struct TopologySummary {
     pub undecided: Vec<Undecided>,
 }
 
+impl FieldComponents {
+    /// Of the spline through the samples of a volume.
+    ///
+    /// # Errors
+    /// When the monitor says so.
+    pub fn new(field: &CubicSpline, monitor: &dyn Monitor) -> Result<Self, Interrupted> {
+        Self::watched(field, &Watch::new(monitor, 2 * field.geometry().size[2]))
+    }
+
+    fn watched(field: &CubicSpline, watch: &Watch<'_>) -> Result<Self, Interrupted> {
+        let mut cells = Cells::new(field, watch)?;
+        let surface = Surface::new(field, &mut cells, watch)?;
+        Ok(Self { cells, surface })
+    }
+
+    /// The components.
+    pub fn all(&self) -> &[Component] {
+        &self.surface.components
+    }
+
+    /// Triangles next to a component, to first order in the edge of the cells, outward; denser where F = 0 is bent.
+    pub fn mesh(&self, component: u32) -> TriangleMesh {
+        self.surface.mesh(component)
+    }
+
+    /// Places next to F = 0 (grid frame, mm) all over a component, a few a cell; denser where F = 0 is bent.
+    pub fn samples(&self, component: u32) -> Vec<DVec3> {
+        let own = self.surface.component_of.iter().zip(&self.surface.positions).filter(|(c, _)| **c == component);
+        own.map(|(_, &p)| p).collect()
+    }
+
+    /// The component that a point on F = 0 (grid frame, mm) belongs to, `normal` being grad F there; `None` where there is none around it, or several
+    /// and no way on F = 0 to one of them.
+    pub fn at(&self, field: &CubicSpline, point: DVec3, normal: DVec3) -> Option<u32> {
+        self.surface.component_at(field, &self.cells, point, normal)
+    }
+}
+
 impl FieldTopology {
     /// Of the spline through the samples of a volume.
-    pub fn new(field: &CubicSpline) -> Self {
-        let read = || {
-            let mut cells = Cells::new(field);
-            let surface = Surface::new(field, &mut cells);
-            (cells, surface)
-        };
+    ///
+    /// # Errors
+    /// When the monitor says so.
+    pub fn watched(field: &CubicSpline, monitor: &dyn Monitor) -> Result<Self, Interrupted> {
+        let watch = Watch::new(monitor, 3 * field.geometry().size[2]);
         // putting the surface together keeps one thread busy only
-        let ((cells, surface), critical_points) = rayon::join(read, || critical_points(field, 0.0));
-        let undecided = undecided::places(field, &cells, &surface, &critical_points);
+        let (components, critical_points) =
+            rayon::join(|| FieldComponents::watched(field, &watch), || critical::all(field, &watch));
+        let (components, critical_points) = (components?, critical_points?);
+        let FieldComponents { cells, surface } = &components;
+        let undecided = undecided::places(field, cells, surface, &critical_points);
         let groups = Groups::new(&surface.components, &undecided);
-        Self { cells, surface, undecided, groups, critical_points }
+        Ok(Self { components, undecided, groups, critical_points })
+    }
+
+    /// The same, watched by nobody.
+    ///
+    /// # Panics
+    /// Never: what nobody watches is not interrupted.
+    pub fn new(field: &CubicSpline) -> Self {
+        Self::watched(field, &Silent).expect("what nobody watches is not interrupted")
     }
 
     /// The components.
     pub fn components(&self) -> &[Component] {
-        &self.surface.components
+        self.components.all()
     }
 
     /// What the components may be up to the undecided places: at each of them a mesh may have either of two topologies.
@@ -126,15 +184,13 @@ impl FieldTopology {
         }
     }
 
-    /// Places next to F = 0 (grid frame, mm) all over a component, a few a cell; denser where F = 0 is bent.
+    /// Places next to F = 0 all over a component: [`FieldComponents::samples`].
     pub fn samples(&self, component: u32) -> Vec<DVec3> {
-        let own = self.surface.component_of.iter().zip(&self.surface.positions).filter(|(c, _)| **c == component);
-        own.map(|(_, &p)| p).collect()
+        self.components.samples(component)
     }
 
-    /// The component that a point on F = 0 (grid frame, mm) belongs to, `normal` being grad F there; `None` where there is none around it, or several
-    /// and no way on F = 0 to one of them.
+    /// The component that a point on F = 0 belongs to: [`FieldComponents::at`].
     pub fn component_at(&self, field: &CubicSpline, point: DVec3, normal: DVec3) -> Option<u32> {
-        self.surface.component_at(field, &self.cells, point, normal)
+        self.components.at(field, point, normal)
     }
 }

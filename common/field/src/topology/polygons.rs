@@ -1,223 +1,480 @@
-//! All polygons of the surface that the cells tell of, put together: components, their Euler characteristics and sizes, and which
-//! crossings each cell has.
+//! The surface that the signs of F at the corners of the cells tell of, as polygons: where it crosses the edges of the cells, and how it
+//! passes through them. No triangle is made; components and Euler characteristics need none.
+//!
+//! An edge is as short as the smallest cell at it, and a face as small as the smaller of the two cells at it, so that all cells see
+//! the same crossings and the polygons form a closed surface (but for the border of the volume).
 
-use super::cells::{BASE, Cell, Cells, DEPTH, State, around, moved};
-use super::surface::{Crossing, Polygons, Reader};
-use super::{Bounds, Component};
+use super::cells::{Cell, Cells, DEPTH, FINE, around};
 use crate::spline::CubicSpline;
 use glam::DVec3;
-use isoparticles_mesh::components::DisjointSets;
-use rayon::prelude::*;
+use std::ops::Range;
+use std::sync::OnceLock;
 
-/// Crossings whose places one task finds.
-const CHUNK: usize = 1 << 12;
+/// Values of F that are remembered, at most; a power of two.
+const REMEMBERED: usize = 1 << 14;
 
-/// The polygons of a volume.
-pub(super) struct Surface {
-    /// Where each crossing is, grid frame, mm.
-    pub(super) positions: Vec<DVec3>,
-    /// Component of each.
-    pub(super) component_of: Vec<u32>,
-    /// The components, in the order of their first crossings.
-    pub(super) components: Vec<Component>,
-    /// The cells with polygons by their place in the order of all, ascending, each with the end of its crossings in the list below.
-    cells: Vec<(u64, u32)>,
-    /// Crossings of the polygons in each cell.
-    corners: Vec<u32>,
-    /// The voxels with polygons, ascending, each with the component of all of them, [`SEVERAL`] where there is more than one.
-    voxels: Vec<(u64, u32)>,
-    /// The cells that are neither certain nor halved, ascending.
-    pub(super) undecided: Vec<Cell>,
+/// 2^64 over the golden ratio: its products spread numbers over the upper bits (Knuth's multiplicative hashing), of which these are kept.
+const SPREAD: u64 = 0x9e37_79b9_7f4a_7c15;
+const SHIFT: u32 = 64 - REMEMBERED.trailing_zeros();
+
+/// A crossing keeps this part of an edge from its ends.
+const CLEARANCE: f64 = 1e-3;
+
+/// The bits of a cell and of the 26 around it in a block of four cells along each axis, x fastest, the lowest of them at the lowest bit.
+const AROUND: u64 = 0x0000_0777_0777_0777;
+
+/// The bit in such a block of each of the cells that [`around`] gives.
+const BLOCK_BIT: [u32; 27] = {
+    let mut bits = [0; 27];
+    let mut n = 0;
+    while n < 27 {
+        bits[n] = (n % 3 + n / 3 % 3 * 4 + n / 9 * 16) as u32;
+        n += 1;
+    }
+    bits
+};
+
+/// Where the surface crosses an edge of the cells: a number for the edge, ascending with its lower end, x fastest.
+pub(super) type Crossing = u64;
+
+/// What the numbers of crossings whose edges begin in one slice of voxels differ by at most; their first is a multiple of it.
+pub(super) fn crossings_in_slice(cells: &Cells) -> u64 {
+    let [x, y, _] = corners(cells);
+    x * y * FINE * 3 * (u64::from(DEPTH) + 1)
 }
 
-/// In place of a component's number.
-const SEVERAL: u32 = u32::MAX;
+/// Corners of finest cells along each axis.
+fn corners(cells: &Cells) -> [u64; 3] {
+    cells.size().map(|n| n as u64 * FINE + 1)
+}
 
-impl Surface {
-    /// Reads the surface, and halves cells on the way that have several polygons. One of these may be a loop round a corner of smaller cells beside:
-    /// whether it closes there, or opens into another of them, shows when it is halved.
-    pub(super) fn new(field: &CubicSpline, cells: &mut Cells) -> Self {
-        let (mut polygons, undecided) = read_all(field, cells);
-        loop {
-            let several = |(_, p): &&(u64, Polygons)| p.corners.len() > 1 && p.cell.level < BASE;
-            let mut several: Vec<Cell> = polygons.par_iter().filter(several).map(|(_, p)| p.cell).collect();
-            if several.is_empty() {
-                break;
-            }
-            several.par_sort_unstable();
-            let changed = cells.refine(field, &several);
-            let beside = |&at: &[u32; 3]| around().filter_map(move |away| moved(Cell { level: 0, at }, away));
-            let mut again: Vec<Cell> = changed.par_iter().flat_map_iter(beside).collect();
-            again.par_sort_unstable();
-            again.dedup();
-            polygons.retain(|(_, p)| again.binary_search(&p.cell.within(0)).is_err());
-            let read_again = |voxels: &[Cell]| {
-                let mut crossed = Vec::new();
-                voxels.iter().for_each(|&voxel| cells.crossed_in(voxel, &mut crossed));
-                read(field, cells, &crossed)
-            };
-            polygons.par_extend(again.par_chunks(CHUNK).flat_map_iter(read_again));
-        }
-        polygons.par_sort_unstable_by_key(|&(order, _)| order);
-        Self::of(field, cells, &polygons, undecided)
+/// The polygons of the surface in some cells.
+#[derive(Default)]
+pub(super) struct Polygons {
+    /// The cells that have any.
+    pub(super) cells: Vec<OfCell>,
+    /// End of each polygon in the list below; some may be no cell's any more.
+    ends: Vec<u32>,
+    /// The crossings of each, counter-clockwise seen from outside the object.
+    corners: Vec<Crossing>,
+    /// Sides that lie on the border of the volume, by their first crossing.
+    at_border: Vec<Crossing>,
+}
+
+/// The polygons of one cell.
+pub(super) struct OfCell {
+    /// The place of the cell in the order of all.
+    pub(super) order: u64,
+    pub(super) cell: Cell,
+    polygons: Range<u32>,
+    at_border: Range<u32>,
+}
+
+impl OfCell {
+    /// How many there are.
+    pub(super) fn count(&self) -> usize {
+        self.polygons.len()
     }
+}
 
-    /// Puts polygons together, which are in the order of their cells.
-    pub(super) fn of(field: &CubicSpline, cells: &Cells, all: &[(u64, Polygons)], undecided: Vec<Cell>) -> Self {
-        let mut crossings: Vec<Crossing> =
-            all.par_iter().flat_map_iter(|(_, p)| p.corners.iter().flatten().copied()).collect();
-        crossings.par_sort_unstable();
-        crossings.dedup();
-        let index = |crossing: &Crossing| crossings.partition_point(|c| c < crossing) as u32;
-        let positions: Vec<DVec3> = crossings
-            .par_chunks(CHUNK)
-            .flat_map_iter(|chunk| {
-                let mut reader = Reader::new(field, cells);
-                chunk.iter().map(|&crossing| reader.position(crossing)).collect::<Vec<_>>()
-            })
-            .collect();
-        let ways: Vec<Vec<Vec<u32>>> = all
-            .par_iter()
-            .map(|(_, p)| p.corners.iter().map(|way| way.iter().map(index).collect()).collect())
-            .collect();
-        let mut sets = DisjointSets::new(crossings.len());
-        for way in ways.iter().flatten() {
-            way.windows(2).for_each(|pair| sets.join(pair[0], pair[1]));
-        }
-        let mut component_of = vec![0; crossings.len()];
-        let mut count = 0;
-        for crossing in 0..crossings.len() as u32 {
-            let first = sets.find(crossing);
-            // the first of a component has its number before the others ask for it
-            component_of[crossing as usize] = if first == crossing { count } else { component_of[first as usize] };
-            count += u32::from(first == crossing);
-        }
-        let at_border: Vec<u32> = all.iter().flat_map(|(_, p)| &p.at_border).map(index).collect();
-        let components = components(&positions, &component_of, count as usize, &ways, &at_border);
-        let mut corners = Vec::new();
-        let mut ends = Vec::with_capacity(ways.len());
-        for (&(order, _), ways) in all.iter().zip(&ways) {
-            corners.extend(ways.iter().flatten());
-            ends.push((order, corners.len() as u32));
-        }
-        let mut voxels: Vec<(u64, u32)> = Vec::new();
-        let mut first = 0;
-        for &(place, end) in &ends {
-            let voxel = place >> (3 * DEPTH);
-            for &corner in &corners[first as usize..end as usize] {
-                let component = component_of[corner as usize];
-                match voxels.last_mut() {
-                    Some((last, only)) if *last == voxel => {
-                        *only = if *only == component { component } else { SEVERAL }
-                    }
-                    _ => voxels.push((voxel, component)),
-                }
-            }
-            first = end;
-        }
-        let mut new = Self { positions, component_of, components, cells: ends, corners, voxels, undecided };
-        new.undecided.sort_unstable();
-        new
-    }
-
-    /// The component of all polygons in each of some voxels of a row, ascending, that have any; `None` where there are several.
-    pub(super) fn components_of_voxels(
-        &self,
-        cells: &Cells,
-        row: impl Iterator<Item = Cell>,
-    ) -> impl Iterator<Item = Option<u32>> {
-        let size = cells.size().map(|n| n as u64);
-        let inside =
-            row.map(|voxel| voxel.at.map(u64::from)).filter(move |at| (0..3).all(|axis| at[axis] < size[axis]));
-        let mut rest = &self.voxels[..];
-        inside.filter_map(move |[i, j, k]| {
-            let number = (k * size[1] + j) * size[0] + i;
-            // those of a row follow each other closely
-            let near = rest.partition_point(|(own, _)| *own < number);
-            rest = &rest[near..];
-            let found = rest.first().filter(|(own, _)| *own == number)?;
-            Some(Some(found.1).filter(|&component| component != SEVERAL))
+impl Polygons {
+    /// The crossings of each polygon of a cell.
+    pub(super) fn of(&self, cell: &OfCell) -> impl Iterator<Item = &[Crossing]> {
+        cell.polygons.clone().map(|n| {
+            let first = if n == 0 { 0 } else { self.ends[n as usize - 1] };
+            &self.corners[first as usize..self.ends[n as usize] as usize]
         })
     }
 
-    /// The crossings of the polygons in a cell.
-    pub(super) fn crossings_in(&self, cells: &Cells, cell: Cell) -> &[u32] {
-        let order = order(cells, cell);
-        let n = self.cells.partition_point(|&(own, _)| own < order);
-        if self.cells.get(n).is_none_or(|&(own, _)| own != order) {
-            return &[];
+    /// The sides of a cell's polygons that lie on the border of the volume, by their first crossing.
+    pub(super) fn at_border(&self, cell: &OfCell) -> &[Crossing] {
+        &self.at_border[cell.at_border.start as usize..cell.at_border.end as usize]
+    }
+}
+
+/// Reads the surface cell by cell.
+pub(super) struct Reader<'a> {
+    field: &'a CubicSpline,
+    cells: &'a Cells,
+    /// Corners of finest cells along each axis.
+    corners: [u64; 3],
+    remembered: Vec<(u64, f64)>,
+    /// The cell whose polygons are read.
+    present: Cell,
+    /// Which of its corners are inside, bit by bit, x fastest.
+    inside: u8,
+    /// Which cells of its size in the block of four along each axis that holds it and those around it are halved, bit by bit, x fastest.
+    halved: u64,
+    /// The lowest cell of that block, and the level of its cells.
+    block: [i64; 3],
+    block_level: u8,
+    /// Whether neither it nor one around it is halved.
+    is_even: bool,
+    /// The halves of the cells of its size around it, and of it itself, where it is not even.
+    near: [Option<u32>; 27],
+    /// Of each level, the cell that was asked for last, and the halves of those of its size around it.
+    larger: Vec<Option<(Cell, [Option<u32>; 27])>>,
+    /// Sides of the polygons of a cell.
+    sides: Vec<[Crossing; 2]>,
+    /// Crossings round a face.
+    crossings: Vec<(Crossing, bool)>,
+}
+
+impl<'a> Reader<'a> {
+    pub(super) fn new(field: &'a CubicSpline, cells: &'a Cells) -> Self {
+        let corners = corners(cells);
+        let present = Cell { level: 0, at: [0; 3] };
+        let remembered = vec![(u64::MAX, 0.0); REMEMBERED];
+        Self {
+            field,
+            cells,
+            corners,
+            remembered,
+            present,
+            inside: 0,
+            halved: 0,
+            block: [0; 3],
+            block_level: 0,
+            is_even: true,
+            near: [None; 27],
+            larger: vec![None; usize::from(DEPTH) + 1],
+            sides: Vec::new(),
+            crossings: Vec::new(),
         }
-        let first = if n == 0 { 0 } else { self.cells[n - 1].1 };
-        &self.corners[first as usize..self.cells[n].1 as usize]
     }
-}
 
-/// The polygons in all cells as they are, in the order of the cells, and the cells that are undecided.
-pub(super) fn read_all(field: &CubicSpline, cells: &Cells) -> (Vec<(u64, Polygons)>, Vec<Cell>) {
-    let slice = |k: u32| {
-        let crossed = cells.crossed_in_slice(k);
-        let undecided = crossed.iter().filter(|(_, state)| *state == State::Undecided);
-        (read(field, cells, &crossed), undecided.map(|(cell, _)| *cell).collect::<Vec<Cell>>())
-    };
-    let slices: Vec<_> = (0..cells.size()[2] as u32).into_par_iter().map(slice).collect();
-    let mut all = Vec::with_capacity(slices.iter().map(|(polygons, _)| polygons.len()).sum());
-    let mut undecided = Vec::new();
-    for (polygons, own) in slices {
-        all.extend(polygons);
-        undecided.extend(own);
-    }
-    (all, undecided)
-}
-
-/// The polygons in some cells, each with the place of its cell in the order of all.
-fn read(field: &CubicSpline, cells: &Cells, crossed: &[(Cell, State)]) -> Vec<(u64, Polygons)> {
-    let mut reader = Reader::new(field, cells);
-    let polygons = crossed.iter().map(|(cell, _)| reader.polygons(*cell)).filter(|p| !p.corners.is_empty());
-    polygons.map(|p| (order(cells, p.cell), p)).collect()
-}
-
-/// The place of a cell that is not halved in the order of all: by voxel, x fastest, and within it as the halves follow each other.
-fn order(cells: &Cells, cell: Cell) -> u64 {
-    let [nx, ny, _] = cells.size().map(|n| n as u64);
-    let voxel = cell.within(0).at.map(u64::from);
-    let corner = cell.corner();
-    let within = (0..u32::from(DEPTH)).flat_map(|bit| (0..3).map(move |axis| (bit, axis)));
-    let within = within.map(|(bit, axis)| (corner[axis as usize] >> bit & 1) << (3 * bit + axis)).sum::<u64>();
-    ((voxel[2] * ny + voxel[1]) * nx + voxel[0]) << (3 * DEPTH) | within
-}
-
-fn components(
-    positions: &[DVec3],
-    component_of: &[u32],
-    count: usize,
-    ways: &[Vec<Vec<u32>>],
-    at_border: &[u32],
-) -> Vec<Component> {
-    let new = Component { euler: 0, place: DVec3::ZERO, bounds: Bounds::EMPTY, area: 0.0, volume: 0.0 };
-    let mut components = vec![new; count];
-    let mut sides = vec![0i64; count];
-    for (&p, &component) in positions.iter().zip(component_of) {
-        let own = &mut components[component as usize];
-        if own.euler == 0 {
-            own.place = p;
+    /// Adds the polygons in a cell, one for each closed way of the surface over its faces, to others.
+    pub(super) fn polygons(&mut self, cell: Cell, order: u64, all: &mut Polygons) {
+        self.present = cell;
+        self.look_around(cell);
+        self.inside = self.corners_inside(cell);
+        // no edge of it is cut up
+        if self.is_even && (self.inside == 0 || self.inside == u8::MAX) {
+            return;
         }
-        own.euler += 1;
-        own.bounds = own.bounds.merged(Bounds { low: p, high: p });
+        let first = all.ends.len() as u32;
+        let first_at_border = all.at_border.len() as u32;
+        match even_cells()[usize::from(self.inside)].as_ref().filter(|_| self.is_even && !self.is_at_border(cell)) {
+            Some(known) => self.add_known(cell, known, all),
+            None => self.add_by_faces(cell, all),
+        }
+        let polygons = first..all.ends.len() as u32;
+        if !polygons.is_empty() {
+            let at_border = first_at_border..all.at_border.len() as u32;
+            all.cells.push(OfCell { order, cell, polygons, at_border });
+        }
     }
-    for way in ways.iter().flatten() {
-        let component = component_of[way[0] as usize] as usize;
-        sides[component] += way.len() as i64;
-        let own = &mut components[component];
-        own.euler += 1;
-        let corner = |k: usize| positions[way[k] as usize] - own.place;
-        let fan = (1..way.len() - 1).map(|k| [corner(0), corner(k), corner(k + 1)]);
-        let area: DVec3 = fan.clone().map(|[a, b, c]| 0.5 * (b - a).cross(c - a)).sum();
-        let volume: f64 = fan.map(|[a, b, c]| a.dot(b.cross(c)) / 6.0).sum();
-        own.area += area.length();
-        own.volume += volume;
+
+    fn is_at_border(&self, cell: Cell) -> bool {
+        let size = self.cells.size();
+        (0..3).any(|axis| cell.at[axis] == 0 || cell.at[axis] + 1 == (size[axis] as u32) << cell.level)
     }
-    // a side lies in two polygons, unless it is at the border
-    at_border.iter().for_each(|&crossing| sides[component_of[crossing as usize] as usize] += 1);
-    components.iter_mut().zip(sides).for_each(|(own, sides)| own.euler -= sides / 2);
-    components
+
+    /// Adds the polygons of an even cell, given by its edges.
+    fn add_known(&self, cell: Cell, known: &Polygons, all: &mut Polygons) {
+        let low = self.number(cell.corner());
+        let along = [1, self.corners[0], self.corners[0] * self.corners[1]].map(|step| step * cell.edge());
+        let first = all.corners.len() as u32;
+        all.corners.extend(known.corners.iter().map(|&edge| {
+            let from = low + (0..3).map(|axis| (edge >> axis & 1) * along[axis]).sum::<u64>();
+            crossing(from, edge >> 3, cell.level)
+        }));
+        all.ends.extend(known.ends.iter().map(|end| first + end));
+    }
+
+    /// Adds the polygons of a cell, face by face.
+    fn add_by_faces(&mut self, cell: Cell, all: &mut Polygons) {
+        if !self.is_even {
+            self.near = self.halves_round(cell);
+        }
+        let mut sides = std::mem::take(&mut self.sides);
+        sides.clear();
+        for (axis, far) in (0..3).flat_map(|axis| [(axis, 0), (axis, 1)]) {
+            let mut at = cell.at;
+            at[axis] += far;
+            let first = sides.len();
+            self.face(Cell { level: cell.level, at }, axis, &mut sides);
+            if far == 0 {
+                sides[first..].iter_mut().for_each(|side| side.reverse());
+            }
+            let last = (self.cells.size()[axis] as u32) << cell.level;
+            if at[axis] == 0 || at[axis] == last {
+                all.at_border.extend(sides[first..].iter().map(|side| side[0]));
+            }
+        }
+        add_closed_ways(&mut sides, all);
+        self.sides = sides;
+    }
+
+    /// Looks which cells of a cell's size around it, and it itself, are halved.
+    fn look_around(&mut self, cell: Cell) {
+        if cell.level == 0 {
+            self.block = cell.at.map(|n| i64::from(n) - 1);
+            self.halved = 0;
+            if self.cells.any_halved_round(cell) {
+                for (n, away) in around().enumerate() {
+                    self.halved |= u64::from(self.cells.is_halved(cell, away)) << BLOCK_BIT[n];
+                }
+            }
+            self.block_level = 0;
+            self.is_even = self.halved == 0;
+            return;
+        }
+        let whole = cell.within(cell.level - 1);
+        let block = whole.at.map(|n| 2 * i64::from(n) - 1);
+        // the other halves of the same cell have seen the same block
+        if self.block != block || self.block_level != cell.level {
+            self.halved = 0;
+            for (n, halves) in self.halves_round(whole).into_iter().enumerate() {
+                let Some(halves) = halves else { continue };
+                let mut rest = self.cells.which_half_halved(halves);
+                while rest != 0 {
+                    let octant = rest.trailing_zeros() as usize;
+                    rest &= rest - 1;
+                    // one more than its place in the block, which holds of a cell beside only the halves that touch
+                    let place = [n % 3, n / 3 % 3, n / 9].map(|way| 2 * way);
+                    let place = [0, 1, 2].map(|axis| place[axis] + (octant >> axis & 1));
+                    if place.iter().all(|place| (1..=4).contains(place)) {
+                        self.halved |= 1 << (place[0] - 1 + 4 * (place[1] - 1) + 16 * (place[2] - 1));
+                    }
+                }
+            }
+            self.block = block;
+        }
+        self.block_level = cell.level;
+        let low = [0, 1, 2].map(|axis| (i64::from(cell.at[axis]) - block[axis] - 1) as u32);
+        self.is_even = self.halved & (AROUND << (low[0] + 4 * low[1] + 16 * low[2])) == 0;
+    }
+
+    /// The halves of a cell and of those of its size around it, where they are halved, in the order of [`around`].
+    fn halves_round(&mut self, cell: Cell) -> [Option<u32>; 27] {
+        let level = usize::from(cell.level);
+        if let Some((known, halves)) = self.larger[level]
+            && known == cell
+        {
+            return halves;
+        }
+        let mut halves = [None; 27];
+        if level == 0 {
+            halves.iter_mut().zip(around()).for_each(|(own, away)| *own = self.cells.halves(cell, away));
+        } else {
+            let whole = cell.within(cell.level - 1);
+            let larger = self.halves_round(whole);
+            for (own, away) in halves.iter_mut().zip(around()) {
+                let at = [0, 1, 2].map(|axis| i64::from(cell.at[axis]) + away[axis]);
+                let octant = (0..3).map(|axis| (at[axis] as usize & 1) << axis).sum();
+                let within = larger[number_around(whole, at.map(|n| n >> 1))];
+                *own = within.and_then(|halves| self.cells.halves_of_half(halves, octant));
+            }
+        }
+        self.larger[level] = Some((cell, halves));
+        halves
+    }
+
+    fn corners_inside(&mut self, cell: Cell) -> u8 {
+        let low = cell.corner();
+        let is_inside = |n: u64| {
+            let far = [n & 1, n >> 1 & 1, n >> 2];
+            self.value([0, 1, 2].map(|axis| low[axis] + far[axis] * cell.edge())) < 0.0
+        };
+        (0..8).map(is_inside).enumerate().map(|(n, is_inside)| u8::from(is_inside) << n).sum()
+    }
+
+    /// The sides of polygons on a face of cells, which is across an axis, with the object on the left seen from below along that axis; `face`
+    /// is the cell behind it.
+    fn face(&mut self, face: Cell, axis: usize, sides: &mut Vec<[Crossing; 2]>) {
+        let (u, v) = ((axis + 1) % 3, (axis + 2) % 3);
+        let mut before = [0; 3];
+        before[axis] = -1;
+        if self.is_halved(face, [0; 3]) || self.is_halved(face, before) {
+            for quarter in 0..4 {
+                self.face(face.half((quarter & 1) << u | (quarter >> 1) << v), axis, sides);
+            }
+            return;
+        }
+        // round the face, with whether each crossing enters the object
+        let mut crossings = std::mem::take(&mut self.crossings);
+        crossings.clear();
+        let shifted = |axis: usize| {
+            let mut at = face.at;
+            at[axis] += 1;
+            Cell { level: face.level, at }
+        };
+        self.edge(face, u, true, &mut crossings);
+        self.edge(shifted(u), v, true, &mut crossings);
+        self.edge(shifted(v), u, false, &mut crossings);
+        self.edge(face, v, false, &mut crossings);
+        let count = crossings.len();
+        // of several ways to join the crossings, that which has the middle of the face on its side
+        let cuts_off_object = count > 2 && {
+            let mut middle = face.corner().map(|n| n as f64);
+            middle[u] += face.edge() as f64 / 2.0;
+            middle[v] += face.edge() as f64 / 2.0;
+            self.field.value(self.place(DVec3::from_array(middle))) >= 0.0
+        };
+        let first = usize::from(crossings.first().is_some_and(|(_, enters)| *enters != cuts_off_object));
+        for n in (first..count).step_by(2) {
+            let ends = [crossings[n].0, crossings[(n + 1) % count].0];
+            sides.push(if cuts_off_object { ends } else { [ends[1], ends[0]] });
+        }
+        self.crossings = crossings;
+    }
+
+    /// The crossings on an edge of cells, which is along an axis and starts at the lowest corner of `edge`, in the order asked for.
+    fn edge(&mut self, edge: Cell, axis: usize, forward: bool, crossings: &mut Vec<(Crossing, bool)>) {
+        let (u, v) = ((axis + 1) % 3, (axis + 2) % 3);
+        let is_own = edge.level == self.present.level;
+        let is_halved = |n: i64| {
+            let mut away = [0; 3];
+            (away[u], away[v]) = (-(n & 1), -(n >> 1));
+            self.is_halved(edge, away)
+        };
+        let is_halved = if is_own { self.is_own_edge_halved(edge, [u, v]) } else { (0..4).any(is_halved) };
+        if is_halved {
+            let halves = [edge.half(0), edge.half(1 << axis)];
+            let [first, second] = if forward { halves } else { [halves[1], halves[0]] };
+            self.edge(first, axis, forward, crossings);
+            self.edge(second, axis, forward, crossings);
+            return;
+        }
+        let [from, to] = if is_own {
+            let first: u32 = (0..3).map(|k| (edge.at[k] - self.present.at[k]) << k).sum();
+            [first, first + (1 << axis)].map(|corner| self.inside >> corner & 1 == 1)
+        } else {
+            self.ends(edge, axis).map(|end| self.value(end) < 0.0)
+        };
+        if from != to {
+            crossings.push((crossing(self.number(edge.corner()), axis as u64, edge.level), to == forward));
+        }
+    }
+
+    /// Whether one of the four cells at an edge of the present cell is halved; the edge is across two axes.
+    fn is_own_edge_halved(&self, edge: Cell, across: [usize; 2]) -> bool {
+        let bit = self.bit(edge.at.map(i64::from));
+        let [u, v] = across.map(|axis| 1 << (2 * axis));
+        !self.is_even && self.halved & (1 << bit | 1 << (bit - u) | 1 << (bit - v) | 1 << (bit - u - v)) != 0
+    }
+
+    fn is_halved(&self, cell: Cell, away: [i64; 3]) -> bool {
+        if self.is_even || cell.level == DEPTH {
+            return false;
+        }
+        // of the present cell's size, or within one of that size around it
+        let finer = cell.level - self.present.level;
+        let bit = self.bit([0, 1, 2].map(|k| (i64::from(cell.at[k]) + away[k]) >> finer));
+        if self.halved >> bit & 1 == 0 {
+            return false;
+        }
+        let at = [0, 1, 2].map(|k| i64::from(cell.at[k]) + away[k]);
+        let mut halves = self.near[number_around(self.present, at.map(|n| n >> finer))];
+        for level in (0..finer).rev() {
+            let octant = (0..3).map(|axis| (at[axis] as usize >> level & 1) << axis).sum();
+            halves = halves.and_then(|halves| self.cells.halves_of_half(halves, octant));
+        }
+        halves.is_some()
+    }
+
+    /// The bit of a cell of the present one's size in the block round it.
+    fn bit(&self, at: [i64; 3]) -> u32 {
+        (0..3).map(|axis| ((at[axis] - self.block[axis]) as u32) << (2 * axis)).sum()
+    }
+
+    fn ends(&self, edge: Cell, axis: usize) -> [[u64; 3]; 2] {
+        let from = edge.corner();
+        let mut to = from;
+        to[axis] += edge.edge();
+        [from, to]
+    }
+
+    fn number(&self, corner: [u64; 3]) -> u64 {
+        (corner[2] * self.corners[1] + corner[1]) * self.corners[0] + corner[0]
+    }
+
+    fn place(&self, fine: DVec3) -> DVec3 {
+        self.field.geometry().index_to_grid(fine / FINE as f64)
+    }
+
+    /// F at a corner: a function of the corner alone, so that all cells agree on its sign.
+    fn value(&mut self, corner: [u64; 3]) -> f64 {
+        let number = self.number(corner);
+        let slot = (number.wrapping_mul(SPREAD) >> SHIFT) as usize;
+        if self.remembered[slot].0 != number {
+            let value = self.field.value(self.place(DVec3::from_array(corner.map(|n| n as f64))));
+            self.remembered[slot] = (number, value);
+        }
+        self.remembered[slot].1
+    }
+
+    /// Where F = 0 crosses an edge, to first order; grid frame, mm.
+    pub(super) fn position(&mut self, crossing: Crossing) -> DVec3 {
+        let levels = u64::from(DEPTH) + 1;
+        let (level, axis, number) =
+            ((crossing % levels) as u8, (crossing / levels % 3) as usize, crossing / levels / 3);
+        let corner = [
+            number % self.corners[0],
+            number / self.corners[0] % self.corners[1],
+            number / self.corners[0] / self.corners[1],
+        ];
+        let edge = Cell { level, at: corner.map(|n| (n / (FINE >> level)) as u32) };
+        let ends = self.ends(edge, axis);
+        let [a, b] = ends.map(|end| self.value(end));
+        let share = (a / (a - b)).clamp(CLEARANCE, 1.0 - CLEARANCE);
+        let [from, to] = ends.map(|end| DVec3::from_array(end.map(|n| n as f64)));
+        self.place(from.lerp(to, share))
+    }
+}
+
+/// The number in the order of [`around`] of the cell at a place next to one of its size.
+fn number_around(cell: Cell, at: [i64; 3]) -> usize {
+    let way = |axis: usize| (at[axis] - i64::from(cell.at[axis]) + 1) as usize;
+    (way(2) * 3 + way(1)) * 3 + way(0)
+}
+
+/// The number of a crossing on the edge of a level from a corner, given by its number, along an axis.
+fn crossing(corner: u64, axis: u64, level: u8) -> Crossing {
+    (corner * 3 + axis) * (u64::from(DEPTH) + 1) + u64::from(level)
+}
+
+/// The polygons of a cell none of whose edges is cut up, by its corners inside; `None` where corners inside lie opposite each other on a face. In
+/// place of a crossing there is an edge: three bits for its lower end, x first, and then its axis.
+fn even_cells() -> &'static [Option<Polygons>; 256] {
+    static EVEN: OnceLock<[Option<Polygons>; 256]> = OnceLock::new();
+    EVEN.get_or_init(|| std::array::from_fn(even_cell))
+}
+
+fn even_cell(inside: usize) -> Option<Polygons> {
+    let mut sides: Vec<[Crossing; 2]> = Vec::new();
+    for (axis, far) in (0..3).flat_map(|axis| [(axis, 0), (axis, 1)]) {
+        let (u, v) = ((axis + 1) % 3, (axis + 2) % 3);
+        let corner = far << axis;
+        // the edges in the order and the directions in which any face is gone round
+        let edges = [(corner, u, true), (corner | 1 << u, v, true), (corner | 1 << v, u, false), (corner, v, false)];
+        let mut crossings = edges.into_iter().filter_map(|(corner, axis, is_forward)| {
+            let [from, to] = [corner, corner | 1 << axis].map(|corner| inside >> corner & 1 == 1);
+            (from != to).then_some(((corner | axis << 3) as Crossing, to == is_forward))
+        });
+        let (first, second) = (crossings.next(), crossings.next());
+        if crossings.next().is_some() {
+            return None;
+        }
+        if let (Some((first, enters)), Some((second, _))) = (first, second) {
+            let side = if enters { [first, second] } else { [second, first] };
+            sides.push(if far == 0 { [side[1], side[0]] } else { side });
+        }
+    }
+    let mut polygons = Polygons::default();
+    add_closed_ways(&mut sides, &mut polygons);
+    Some(polygons)
+}
+
+/// Adds the closed ways that sides form, each crossing being the start of one of them and the end of another.
+fn add_closed_ways(sides: &mut Vec<[Crossing; 2]>, all: &mut Polygons) {
+    while let Some([start, mut end]) = sides.pop() {
+        all.corners.push(start);
+        while let Some(next) = sides.iter().position(|side| side[0] == end) {
+            all.corners.push(end);
+            end = sides.swap_remove(next)[1];
+        }
+        all.ends.push(all.corners.len() as u32);
+    }
 }

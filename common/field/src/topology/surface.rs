@@ -1,288 +1,351 @@
-//! The surface that the signs of F at the corners of the cells tell of, as polygons: where it crosses the edges of the cells, and how it
-//! passes through them. No triangle is made; components and Euler characteristics need none.
-//!
-//! An edge is as short as the smallest cell at it, and a face as small as the smaller of the two cells at it, so that all cells see
-//! the same crossings and the polygons form a closed surface (but for the border of the volume).
+//! All polygons of the surface that the cells tell of, put together: components, their Euler characteristics and sizes, and which
+//! crossings each cell has.
 
-use super::cells::{Cell, Cells, DEPTH, FINE, around};
+use super::cells::{BASE, Cell, Cells, DEPTH, State, around, moved};
+use super::polygons::{Crossing, OfCell, Polygons, Reader, crossings_in_slice};
+use super::watch::{Interrupted, Watch};
+use super::{Bounds, Component};
 use crate::spline::CubicSpline;
 use glam::DVec3;
+use isoparticles_mesh::TriangleMesh;
+use isoparticles_mesh::components::DisjointSets;
+use rayon::prelude::*;
+use std::collections::BTreeMap;
 
-/// Values of F that are remembered, at most; a power of two.
-const REMEMBERED: usize = 1 << 14;
-
-/// 2^64 over the golden ratio: its products spread numbers over the upper bits (Knuth's multiplicative hashing), of which these are kept.
-const SPREAD: u64 = 0x9e37_79b9_7f4a_7c15;
-const SHIFT: u32 = 64 - REMEMBERED.trailing_zeros();
-
-/// A crossing keeps this part of an edge from its ends.
-const CLEARANCE: f64 = 1e-3;
-
-/// Where the surface crosses an edge of the cells: a number for the edge, ascending with its lower end, x fastest.
-pub(super) type Crossing = u64;
-
-/// The polygons of the surface in a cell.
-pub(super) struct Polygons {
-    pub(super) cell: Cell,
-    /// The crossings of each, counter-clockwise seen from outside the object.
-    pub(super) corners: Vec<Vec<Crossing>>,
-    /// Sides that lie on the border of the volume, by their first crossing.
-    pub(super) at_border: Vec<Crossing>,
+/// The polygons of a volume.
+pub(super) struct Surface {
+    /// Where each crossing is, grid frame, mm.
+    pub(super) positions: Vec<DVec3>,
+    /// Component of each.
+    pub(super) component_of: Vec<u32>,
+    /// The components, in the order of their first crossings.
+    pub(super) components: Vec<Component>,
+    /// The cells with polygons by their place in the order of all, ascending, each with the end of its polygons in the list below.
+    cells: Vec<(u64, u32)>,
+    /// The end of each polygon in the list below.
+    ends: Vec<u32>,
+    /// Crossings of the polygons.
+    corners: Vec<u32>,
+    /// The voxels with polygons, ascending, each with the component of all of them, [`SEVERAL`] where there is more than one.
+    voxels: Vec<(u64, u32)>,
+    /// The cells that are neither certain nor halved, ascending.
+    pub(super) undecided: Vec<Cell>,
 }
 
-/// Reads the surface cell by cell.
-pub(super) struct Reader<'a> {
-    field: &'a CubicSpline,
-    cells: &'a Cells,
-    /// Corners of finest cells along each axis.
-    corners: [u64; 3],
-    remembered: Vec<(u64, f64)>,
-    /// The cell whose polygons are read.
-    present: Cell,
-    /// Which of its corners are inside, bit by bit, x fastest.
-    inside: u8,
-    /// Whether the cells of its size around it, and it itself, are halved; in the order of [`around`].
-    halved: [bool; 27],
-    /// Whether none of them is.
-    is_even: bool,
-    /// The cell that the last one was a half of, and the halves of the cells around that.
-    larger: Option<(Cell, [Option<u32>; 27])>,
-    /// Crossings round a face.
-    crossings: Vec<(Crossing, bool)>,
-}
+/// In place of a component's number.
+const SEVERAL: u32 = u32::MAX;
 
-impl<'a> Reader<'a> {
-    pub(super) fn new(field: &'a CubicSpline, cells: &'a Cells) -> Self {
-        let corners = cells.size().map(|n| n as u64 * FINE + 1);
-        let present = Cell { level: 0, at: [0; 3] };
-        let remembered = vec![(u64::MAX, 0.0); REMEMBERED];
-        Self {
-            field,
-            cells,
-            corners,
-            remembered,
-            present,
-            inside: 0,
-            halved: [false; 27],
-            is_even: true,
-            larger: None,
-            crossings: Vec::new(),
-        }
-    }
-
-    /// The polygons in a cell, one for each closed way of the surface over its faces.
-    pub(super) fn polygons(&mut self, cell: Cell) -> Polygons {
-        self.present = cell;
-        self.halved = self.halved_around(cell);
-        self.is_even = self.halved == [false; 27];
-        self.inside = self.corners_inside(cell);
-        // no edge of it is cut up
-        if self.is_even && (self.inside == 0 || self.inside == u8::MAX) {
-            return Polygons { cell, corners: Vec::new(), at_border: Vec::new() };
-        }
-        let mut sides: Vec<[Crossing; 2]> = Vec::new();
-        let mut at_border = Vec::new();
-        for (axis, far) in (0..3).flat_map(|axis| [(axis, 0), (axis, 1)]) {
-            let mut at = cell.at;
-            at[axis] += far;
-            let first = sides.len();
-            self.face(Cell { level: cell.level, at }, axis, &mut sides);
-            if far == 0 {
-                sides[first..].iter_mut().for_each(|side| side.reverse());
+impl Surface {
+    /// Reads the surface, and halves cells on the way that have several polygons. One of these may be a loop round a corner of smaller cells beside:
+    /// whether it closes there, or opens into another of them, shows when it is halved.
+    pub(super) fn new(field: &CubicSpline, cells: &mut Cells, watch: &Watch<'_>) -> Result<Self, Interrupted> {
+        let (mut slices, undecided) = read_all(field, cells, watch)?;
+        loop {
+            let several = |own: &&OfCell| own.count() > 1 && own.cell.level < BASE;
+            let several = slices.par_iter().flat_map_iter(|own| own.cells.iter().filter(several).map(|own| own.cell));
+            let mut several: Vec<Cell> = several.collect();
+            if several.is_empty() {
+                break;
             }
-            let last = (self.cells.size()[axis] as u32) << cell.level;
-            if at[axis] == 0 || at[axis] == last {
-                at_border.extend(sides[first..].iter().map(|side| side[0]));
+            several.par_sort_unstable();
+            let changed = cells.refine(field, &several);
+            let beside = |&at: &[u32; 3]| around().filter_map(move |away| moved(Cell { level: 0, at }, away));
+            let mut again: Vec<Cell> = changed.par_iter().flat_map_iter(beside).collect();
+            let order = |cell: &Cell| [cell.at[2], cell.at[1], cell.at[0]];
+            again.par_sort_unstable_by_key(order);
+            again.dedup();
+            slices.par_iter_mut().enumerate().for_each(|(k, own)| {
+                let of_slice = again.partition_point(|cell| (cell.at[2] as usize) < k);
+                let again = &again[of_slice..again.partition_point(|cell| cell.at[2] as usize <= k)];
+                if again.is_empty() {
+                    return;
+                }
+                own.cells.retain(|cell| again.binary_search_by_key(&order(&cell.cell.within(0)), order).is_err());
+                let mut crossed = Vec::new();
+                again.iter().for_each(|&voxel| cells.crossed_in(voxel, &mut crossed));
+                read(field, cells, &crossed, own);
+                own.cells.sort_unstable_by_key(|cell| cell.order);
+            });
+        }
+        Ok(Self::of(field, cells, &slices, undecided))
+    }
+
+    /// Puts polygons together, which are given by slices of voxels.
+    pub(super) fn of(field: &CubicSpline, cells: &Cells, slices: &[Polygons], mut undecided: Vec<Cell>) -> Self {
+        let crossings = Crossings::new(cells, slices);
+        let positions: Vec<DVec3> = crossings
+            .by_slice
+            .par_iter()
+            .flat_map_iter(|own| {
+                let mut reader = Reader::new(field, cells);
+                own.iter().map(|&crossing| reader.position(crossing)).collect::<Vec<_>>()
+            })
+            .collect();
+        let slices: Vec<Slice> = slices.par_iter().map(|own| Slice::new(own, &crossings)).collect();
+        drop(crossings);
+        let mut sets = DisjointSets::new(positions.len());
+        for polygon in slices.iter().flat_map(Slice::polygons) {
+            polygon.windows(2).for_each(|pair| sets.join(pair[0], pair[1]));
+        }
+        let mut component_of = vec![0; positions.len()];
+        let mut count = 0;
+        for crossing in 0..positions.len() as u32 {
+            let first = sets.find(crossing);
+            // the first of a component has its number before the others ask for it
+            component_of[crossing as usize] = if first == crossing { count } else { component_of[first as usize] };
+            count += u32::from(first == crossing);
+        }
+        let components = components(&positions, &component_of, count as usize, &slices);
+        let voxels = slices.par_iter().flat_map_iter(|own| own.voxels(&component_of)).collect();
+        let mut new = Self {
+            positions,
+            component_of,
+            components,
+            cells: Vec::new(),
+            ends: Vec::new(),
+            corners: Vec::new(),
+            voxels,
+            undecided: Vec::new(),
+        };
+        for own in slices {
+            let (polygons, corners) = (new.ends.len() as u32, new.corners.len() as u32);
+            new.cells.extend(own.cells.into_iter().map(|(order, end)| (order, end + polygons)));
+            new.ends.extend(own.ends.into_iter().map(|end| end + corners));
+            new.corners.extend(own.corners);
+        }
+        undecided.sort_unstable();
+        new.undecided = undecided;
+        new
+    }
+
+    /// The polygons of a component cut into triangles, in the order of the cells.
+    pub(super) fn mesh(&self, component: u32) -> TriangleMesh {
+        let mut mesh = TriangleMesh::default();
+        let mut number = BTreeMap::new();
+        for n in 0..self.ends.len() {
+            let first = if n == 0 { 0 } else { self.ends[n - 1] };
+            let polygon = &self.corners[first as usize..self.ends[n] as usize];
+            if self.component_of[polygon[0] as usize] != component {
+                continue;
             }
+            let corners: Vec<u32> = polygon
+                .iter()
+                .map(|&crossing| {
+                    *number.entry(crossing).or_insert_with(|| {
+                        mesh.vertices.push(self.positions[crossing as usize]);
+                        mesh.vertices.len() as u32 - 1
+                    })
+                })
+                .collect();
+            mesh.triangles.extend((1..corners.len() - 1).map(|k| [corners[0], corners[k], corners[k + 1]]));
         }
-        Polygons { cell, corners: closed_ways(sides), at_border }
+        mesh
     }
 
-    /// Whether the cells around one, and it itself, are halved; in the order of [`around`].
-    fn halved_around(&mut self, cell: Cell) -> [bool; 27] {
-        let mut halved = [false; 27];
-        if cell.level == 0 {
-            if self.cells.any_halved_round(cell) {
-                halved.iter_mut().zip(around()).for_each(|(own, away)| *own = self.cells.is_halved(cell, away));
-            }
-            return halved;
+    /// The component of all polygons in each of some voxels of a row, ascending, that have any; `None` where there are several.
+    pub(super) fn components_of_voxels(
+        &self,
+        cells: &Cells,
+        row: impl Iterator<Item = Cell>,
+    ) -> impl Iterator<Item = Option<u32>> {
+        let size = cells.size().map(|n| n as u64);
+        let inside =
+            row.map(|voxel| voxel.at.map(u64::from)).filter(move |at| (0..3).all(|axis| at[axis] < size[axis]));
+        let mut rest = &self.voxels[..];
+        inside.filter_map(move |[i, j, k]| {
+            let number = (k * size[1] + j) * size[0] + i;
+            // those of a row follow each other closely
+            let near = rest.partition_point(|(own, _)| *own < number);
+            rest = &rest[near..];
+            let found = rest.first().filter(|(own, _)| *own == number)?;
+            Some(Some(found.1).filter(|&component| component != SEVERAL))
+        })
+    }
+
+    /// The crossings of the polygons in a cell.
+    pub(super) fn crossings_in(&self, cells: &Cells, cell: Cell) -> &[u32] {
+        let order = order(cells, cell);
+        let n = self.cells.partition_point(|&(own, _)| own < order);
+        if self.cells.get(n).is_none_or(|&(own, _)| own != order) {
+            return &[];
         }
-        let whole = cell.within(cell.level - 1);
-        let halves = match self.larger {
-            Some((known, halves)) if known == whole => halves,
-            _ => {
-                let mut halves = [None; 27];
-                halves.iter_mut().zip(around()).for_each(|(own, away)| *own = self.cells.halves(whole, away));
-                self.larger = Some((whole, halves));
-                halves
-            }
-        };
-        for (own, away) in halved.iter_mut().zip(around()) {
-            let at = [0, 1, 2].map(|axis| i64::from(cell.at[axis]) + away[axis]);
-            let octant = (0..3).map(|axis| (at[axis] as usize & 1) << axis).sum();
-            let number = number_around(whole, at.map(|n| n >> 1));
-            *own = halves[number].is_some_and(|halves| self.cells.is_half_halved(halves, octant));
-        }
-        halved
-    }
-
-    fn corners_inside(&mut self, cell: Cell) -> u8 {
-        let low = cell.corner();
-        let is_inside = |n: u64| {
-            let far = [n & 1, n >> 1 & 1, n >> 2];
-            self.value([0, 1, 2].map(|axis| low[axis] + far[axis] * cell.edge())) < 0.0
-        };
-        (0..8).map(is_inside).enumerate().map(|(n, is_inside)| u8::from(is_inside) << n).sum()
-    }
-
-    /// The sides of polygons on a face of cells, which is across an axis, with the object on the left seen from below along that axis; `face`
-    /// is the cell behind it.
-    fn face(&mut self, face: Cell, axis: usize, sides: &mut Vec<[Crossing; 2]>) {
-        let (u, v) = ((axis + 1) % 3, (axis + 2) % 3);
-        let mut before = [0; 3];
-        before[axis] = -1;
-        if self.is_halved(face, [0; 3]) || self.is_halved(face, before) {
-            for quarter in 0..4 {
-                self.face(face.half((quarter & 1) << u | (quarter >> 1) << v), axis, sides);
-            }
-            return;
-        }
-        // round the face, with whether each crossing enters the object
-        let mut crossings = std::mem::take(&mut self.crossings);
-        crossings.clear();
-        let shifted = |axis: usize| {
-            let mut at = face.at;
-            at[axis] += 1;
-            Cell { level: face.level, at }
-        };
-        self.edge(face, u, true, &mut crossings);
-        self.edge(shifted(u), v, true, &mut crossings);
-        self.edge(shifted(v), u, false, &mut crossings);
-        self.edge(face, v, false, &mut crossings);
-        let count = crossings.len();
-        // of several ways to join the crossings, that which has the middle of the face on its side
-        let cuts_off_object = count > 2 && {
-            let mut middle = face.corner().map(|n| n as f64);
-            middle[u] += face.edge() as f64 / 2.0;
-            middle[v] += face.edge() as f64 / 2.0;
-            self.field.value(self.place(DVec3::from_array(middle))) >= 0.0
-        };
-        let first = usize::from(crossings.first().is_some_and(|(_, enters)| *enters != cuts_off_object));
-        for n in (first..count).step_by(2) {
-            let ends = [crossings[n].0, crossings[(n + 1) % count].0];
-            sides.push(if cuts_off_object { ends } else { [ends[1], ends[0]] });
-        }
-        self.crossings = crossings;
-    }
-
-    /// The crossings on an edge of cells, which is along an axis and starts at the lowest corner of `edge`, in the order asked for.
-    fn edge(&mut self, edge: Cell, axis: usize, forward: bool, crossings: &mut Vec<(Crossing, bool)>) {
-        let (u, v) = ((axis + 1) % 3, (axis + 2) % 3);
-        let is_own = edge.level == self.present.level;
-        let is_halved = |n: i64| {
-            let mut away = [0; 3];
-            (away[u], away[v]) = (-(n & 1), -(n >> 1));
-            self.is_halved(edge, away)
-        };
-        let is_halved = if is_own { self.is_own_edge_halved(edge, [u, v]) } else { (0..4).any(is_halved) };
-        if is_halved {
-            let halves = [edge.half(0), edge.half(1 << axis)];
-            let [first, second] = if forward { halves } else { [halves[1], halves[0]] };
-            self.edge(first, axis, forward, crossings);
-            self.edge(second, axis, forward, crossings);
-            return;
-        }
-        let [from, to] = if is_own {
-            let first: u32 = (0..3).map(|k| (edge.at[k] - self.present.at[k]) << k).sum();
-            [first, first + (1 << axis)].map(|corner| self.inside >> corner & 1 == 1)
-        } else {
-            self.ends(edge, axis).map(|end| self.value(end) < 0.0)
-        };
-        if from != to {
-            let number =
-                (self.number(edge.corner()) * 3 + axis as u64) * (u64::from(DEPTH) + 1) + u64::from(edge.level);
-            crossings.push((number, to == forward));
-        }
-    }
-
-    /// Whether one of the four cells at an edge of the present cell is halved; the edge is across two axes.
-    fn is_own_edge_halved(&self, edge: Cell, across: [usize; 2]) -> bool {
-        let number = number_around(self.present, edge.at.map(i64::from));
-        let [u, v] = across.map(|axis| [1, 3, 9][axis]);
-        !self.is_even && [number, number - u, number - v, number - u - v].iter().any(|&n| self.halved[n])
-    }
-
-    fn is_halved(&self, cell: Cell, away: [i64; 3]) -> bool {
-        if self.is_even || cell.level == DEPTH {
-            return false;
-        }
-        // of the present cell's size, or within one of that size around it
-        let finer = cell.level - self.present.level;
-        let number = number_around(self.present, [0, 1, 2].map(|k| (i64::from(cell.at[k]) + away[k]) >> finer));
-        self.halved[number] && (finer == 0 || self.cells.is_halved(cell, away))
-    }
-
-    fn ends(&self, edge: Cell, axis: usize) -> [[u64; 3]; 2] {
-        let from = edge.corner();
-        let mut to = from;
-        to[axis] += edge.edge();
-        [from, to]
-    }
-
-    fn number(&self, corner: [u64; 3]) -> u64 {
-        (corner[2] * self.corners[1] + corner[1]) * self.corners[0] + corner[0]
-    }
-
-    fn place(&self, fine: DVec3) -> DVec3 {
-        self.field.geometry().index_to_grid(fine / FINE as f64)
-    }
-
-    /// F at a corner: a function of the corner alone, so that all cells agree on its sign.
-    fn value(&mut self, corner: [u64; 3]) -> f64 {
-        let number = self.number(corner);
-        let slot = (number.wrapping_mul(SPREAD) >> SHIFT) as usize;
-        if self.remembered[slot].0 != number {
-            let value = self.field.value(self.place(DVec3::from_array(corner.map(|n| n as f64))));
-            self.remembered[slot] = (number, value);
-        }
-        self.remembered[slot].1
-    }
-
-    /// Where F = 0 crosses an edge, to first order; grid frame, mm.
-    pub(super) fn position(&mut self, crossing: Crossing) -> DVec3 {
-        let levels = u64::from(DEPTH) + 1;
-        let (level, axis, number) =
-            ((crossing % levels) as u8, (crossing / levels % 3) as usize, crossing / levels / 3);
-        let corner = [
-            number % self.corners[0],
-            number / self.corners[0] % self.corners[1],
-            number / self.corners[0] / self.corners[1],
-        ];
-        let edge = Cell { level, at: corner.map(|n| (n / (FINE >> level)) as u32) };
-        let ends = self.ends(edge, axis);
-        let [a, b] = ends.map(|end| self.value(end));
-        let share = (a / (a - b)).clamp(CLEARANCE, 1.0 - CLEARANCE);
-        let [from, to] = ends.map(|end| DVec3::from_array(end.map(|n| n as f64)));
-        self.place(from.lerp(to, share))
+        let corner = |polygon: u32| if polygon == 0 { 0 } else { self.ends[polygon as usize - 1] as usize };
+        let first = if n == 0 { 0 } else { self.cells[n - 1].1 };
+        &self.corners[corner(first)..corner(self.cells[n].1)]
     }
 }
 
-/// The number in the order of [`around`] of the cell at a place next to one of its size.
-fn number_around(cell: Cell, at: [i64; 3]) -> usize {
-    let way = |axis: usize| (at[axis] - i64::from(cell.at[axis]) + 1) as usize;
-    (way(2) * 3 + way(1)) * 3 + way(0)
+/// The polygons in all cells as they are, by slices of voxels, and the cells that are undecided.
+pub(super) fn read_all(
+    field: &CubicSpline,
+    cells: &Cells,
+    watch: &Watch<'_>,
+) -> Result<(Vec<Polygons>, Vec<Cell>), Interrupted> {
+    let slice = |k: u32| {
+        watch.slice()?;
+        let crossed = cells.crossed_in_slice(k);
+        let mut polygons = Polygons::default();
+        read(field, cells, &crossed, &mut polygons);
+        let undecided = crossed.iter().filter(|(_, state)| *state == State::Undecided);
+        Ok((polygons, undecided.map(|(cell, _)| *cell).collect::<Vec<Cell>>()))
+    };
+    let slices = (0..cells.size()[2] as u32).into_par_iter().map(slice).collect::<Result<Vec<_>, _>>()?;
+    let (polygons, undecided): (_, Vec<Vec<Cell>>) = slices.into_iter().unzip();
+    Ok((polygons, undecided.concat()))
 }
 
-/// The closed ways that sides form, each crossing being the start of one of them and the end of another.
-fn closed_ways(mut sides: Vec<[Crossing; 2]>) -> Vec<Vec<Crossing>> {
-    let mut ways = Vec::new();
-    while let Some([start, mut end]) = sides.pop() {
-        let mut way = vec![start];
-        while let Some(next) = sides.iter().position(|side| side[0] == end) {
-            way.push(end);
-            end = sides.swap_remove(next)[1];
-        }
-        ways.push(way);
+/// Adds the polygons in some cells to others.
+fn read(field: &CubicSpline, cells: &Cells, crossed: &[(Cell, State)], all: &mut Polygons) {
+    let mut reader = Reader::new(field, cells);
+    crossed.iter().for_each(|(cell, _)| reader.polygons(*cell, order(cells, *cell), all));
+}
+
+/// All crossings, ascending, by the slices of voxels in which their edges begin.
+struct Crossings {
+    /// The crossings of each slice, and of what lies on the border behind the last.
+    by_slice: Vec<Vec<Crossing>>,
+    /// How many there are before each slice.
+    before: Vec<u32>,
+    /// What the numbers of crossings in one slice differ by at most.
+    span: u64,
+}
+
+impl Crossings {
+    fn new(cells: &Cells, slices: &[Polygons]) -> Self {
+        let span = crossings_in_slice(cells);
+        let seen: Vec<Vec<Crossing>> = slices
+            .par_iter()
+            .map(|own| {
+                let mut seen: Vec<Crossing> =
+                    own.cells.iter().flat_map(|cell| own.of(cell)).flatten().copied().collect();
+                seen.sort_unstable();
+                seen.dedup();
+                seen
+            })
+            .collect();
+        // a slice sees its own, and those on the plane to the next
+        let by_slice: Vec<Vec<Crossing>> = (0..=seen.len())
+            .into_par_iter()
+            .map(|k| {
+                let part = |n: usize| {
+                    let seen = &seen[n];
+                    let split = |slice: usize| seen.partition_point(|&crossing| crossing < slice as u64 * span);
+                    &seen[split(k)..split(k + 1)]
+                };
+                let mut own = if k > 0 { part(k - 1).to_vec() } else { Vec::new() };
+                if k < seen.len() {
+                    own.extend_from_slice(part(k));
+                    own.sort_unstable();
+                    own.dedup();
+                }
+                own
+            })
+            .collect();
+        let before = by_slice.iter().scan(0, |count, own| Some(std::mem::replace(count, *count + own.len() as u32)));
+        let before = before.collect();
+        Self { by_slice, before, span }
     }
-    ways
+
+    /// The place of a crossing among all.
+    fn index(&self, crossing: Crossing) -> u32 {
+        let slice = (crossing / self.span) as usize;
+        self.before[slice] + self.by_slice[slice].partition_point(|&other| other < crossing) as u32
+    }
+}
+
+/// The polygons of a slice of voxels, their crossings by their places among all.
+struct Slice {
+    /// The place of each cell in the order of all, and the end of its polygons.
+    cells: Vec<(u64, u32)>,
+    /// The end of each polygon.
+    ends: Vec<u32>,
+    corners: Vec<u32>,
+    at_border: Vec<u32>,
+}
+
+impl Slice {
+    fn new(polygons: &Polygons, crossings: &Crossings) -> Self {
+        let mut new = Self { cells: Vec::new(), ends: Vec::new(), corners: Vec::new(), at_border: Vec::new() };
+        for cell in &polygons.cells {
+            for polygon in polygons.of(cell) {
+                new.corners.extend(polygon.iter().map(|&crossing| crossings.index(crossing)));
+                new.ends.push(new.corners.len() as u32);
+            }
+            new.cells.push((cell.order, new.ends.len() as u32));
+            new.at_border.extend(polygons.at_border(cell).iter().map(|&crossing| crossings.index(crossing)));
+        }
+        new
+    }
+
+    fn polygons(&self) -> impl Iterator<Item = &[u32]> {
+        let firsts = std::iter::once(0).chain(self.ends.iter().copied());
+        firsts.zip(&self.ends).map(|(first, &end)| &self.corners[first as usize..end as usize])
+    }
+
+    /// The voxels, ascending, each with the component of all its polygons, or [`SEVERAL`].
+    fn voxels(&self, component_of: &[u32]) -> Vec<(u64, u32)> {
+        let mut voxels: Vec<(u64, u32)> = Vec::new();
+        let mut polygons = self.polygons();
+        let mut first = 0;
+        for &(place, end) in &self.cells {
+            let voxel = place >> (3 * DEPTH);
+            for polygon in polygons.by_ref().take((end - first) as usize) {
+                let component = component_of[polygon[0] as usize];
+                match voxels.last_mut() {
+                    Some((last, only)) if *last == voxel => {
+                        *only = if *only == component { component } else { SEVERAL }
+                    }
+                    _ => voxels.push((voxel, component)),
+                }
+            }
+            first = end;
+        }
+        voxels
+    }
+}
+
+/// The place of a cell that is not halved in the order of all: by voxel, x fastest, and within it as the halves follow each other.
+fn order(cells: &Cells, cell: Cell) -> u64 {
+    let [nx, ny, _] = cells.size().map(|n| n as u64);
+    let voxel = cell.within(0).at.map(u64::from);
+    let corner = cell.corner();
+    let within = (0..u32::from(DEPTH)).flat_map(|bit| (0..3).map(move |axis| (bit, axis)));
+    let within = within.map(|(bit, axis)| (corner[axis as usize] >> bit & 1) << (3 * bit + axis)).sum::<u64>();
+    ((voxel[2] * ny + voxel[1]) * nx + voxel[0]) << (3 * DEPTH) | within
+}
+
+fn components(positions: &[DVec3], component_of: &[u32], count: usize, slices: &[Slice]) -> Vec<Component> {
+    let new = Component { euler: 0, place: DVec3::ZERO, bounds: Bounds::EMPTY, area: 0.0, volume: 0.0 };
+    let mut components = vec![new; count];
+    let mut sides = vec![0i64; count];
+    for (&p, &component) in positions.iter().zip(component_of) {
+        let own = &mut components[component as usize];
+        if own.euler == 0 {
+            own.place = p;
+        }
+        own.euler += 1;
+        own.bounds = own.bounds.merged(Bounds { low: p, high: p });
+    }
+    let size = |way: &[u32]| {
+        let place = components[component_of[way[0] as usize] as usize].place;
+        let corner = |k: usize| positions[way[k] as usize] - place;
+        let fan = (1..way.len() - 1).map(|k| [corner(0), corner(k), corner(k + 1)]);
+        let area: DVec3 = fan.clone().map(|[a, b, c]| 0.5 * (b - a).cross(c - a)).sum();
+        let volume: f64 = fan.map(|[a, b, c]| a.dot(b.cross(c)) / 6.0).sum();
+        (area.length(), volume)
+    };
+    let sizes: Vec<Vec<(f64, f64)>> = slices.par_iter().map(|own| own.polygons().map(size).collect()).collect();
+    for (own, sizes) in slices.iter().zip(sizes) {
+        for (way, (area, volume)) in own.polygons().zip(sizes) {
+            let component = component_of[way[0] as usize] as usize;
+            sides[component] += way.len() as i64;
+            components[component].euler += 1;
+            components[component].area += area;
+            components[component].volume += volume;
+        }
+        // a side lies in two polygons, unless it is at the border
+        own.at_border.iter().for_each(|&crossing| sides[component_of[crossing as usize] as usize] += 1);
+    }
+    components.iter_mut().zip(sides).for_each(|(own, sides)| own.euler -= sides / 2);
+    components
 }

@@ -4,6 +4,7 @@ use super::cells::{around, moved};
 use super::*;
 use crate::marching_cubes::marching_cubes;
 use crate::random::uniform;
+use crate::topology::surface::Surface;
 use isoparticles_mesh::topology::analyse;
 use isoparticles_volume::Geometry;
 use isoparticles_volume::Image;
@@ -42,6 +43,10 @@ fn sorted(euler: impl Iterator<Item = i64>) -> Vec<i64> {
 
 fn euler(topology: &FieldTopology) -> Vec<i64> {
     sorted(topology.components().iter().map(|c| c.euler))
+}
+
+fn unwatched() -> Watch<'static> {
+    Watch::new(&Silent, 0)
 }
 
 const CENTRE: DVec3 = DVec3::splat(15.7);
@@ -243,7 +248,7 @@ fn a_surface_that_ends_at_the_border_is_counted_as_it_is_there() {
 #[test]
 fn neighbours_that_f_may_pass_through_differ_by_one_level_at_most() {
     let scene = random(3);
-    let cells = Cells::new(&scene.field);
+    let cells = Cells::new(&scene.field, &unwatched()).expect("not interrupted");
     let mut by_level: BTreeMap<u8, usize> = BTreeMap::new();
     for k in 0..cells.size()[2] as u32 {
         for (cell, _) in cells.crossed_in_slice(k) {
@@ -265,15 +270,94 @@ fn a_sheet_that_bulges_through_a_face_of_a_large_cell_into_smaller_ones_stays_in
         let d = p - top;
         d.z - d.z * d.z / 1.6 + 0.3 * d.truncate().length_squared() - 0.05
     });
-    let mut cells = Cells::new(&scene.field);
+    let mut cells = Cells::new(&scene.field, &unwatched()).expect("not interrupted");
     let beside = [[7, 7, 6], [7, 7, 7]].map(|at| cells.find(cells::Cell { level: 0, at }).map(|(_, state)| state));
     assert_eq!(beside[0], Some(cells::State::Graph));
     assert!(matches!(beside[1], Some(cells::State::Halved(_))), "{beside:?}");
     // closed by a lid in the larger cell, the dome would be a component by itself
-    let (polygons, undecided) = polygons::read_all(&scene.field, &cells);
+    let (polygons, undecided) = surface::read_all(&scene.field, &cells, &unwatched()).expect("not interrupted");
     let with_lid = Surface::of(&scene.field, &cells, &polygons, undecided);
     assert_eq!(sorted(with_lid.components.iter().map(|c| c.euler)), [1, 1, 2]);
-    let settled = Surface::new(&scene.field, &mut cells);
+    let settled = Surface::new(&scene.field, &mut cells, &unwatched()).expect("not interrupted");
     assert_eq!(sorted(settled.components.iter().map(|c| c.euler)), [1, 1]);
     assert_eq!((euler(&scene.topology()), scene.by_samples(5)), (vec![1, 1], vec![1, 1]));
+}
+
+/// A speck of a radius, and on demand a sheet 1.3 voxels beside it. Splines reproduce cubic functions; what the border of the grid adds has died away.
+fn speck(radius: f64, has_sheet: bool) -> FieldTopology {
+    cubic(radius, if has_sheet { 0.3 } else { 0.0 })
+}
+
+fn cubic(radius: f64, bend: f64) -> FieldTopology {
+    let centre = DVec3::new(15.43, 15.61, 15.52);
+    let scene = Scene::new([32; 3], DVec3::ONE, |p| {
+        let q = p - centre;
+        0.4 * (q.length_squared() - radius * radius) - bend * q.x.powi(3)
+    });
+    scene.topology()
+}
+
+#[test]
+fn a_component_as_fine_as_what_is_told_may_be_missing_or_joined_to_the_next() {
+    // by the second-order expansion it is just large enough to be told, by the crossings of its cells it is not
+    let radius = 1.003 * RESOLUTION;
+    let topology = speck(radius, false);
+    let [place] = topology.undecided() else { panic!("{:?}", topology.undecided()) };
+    assert!(topology.critical_points().iter().all(|c| c.radius >= RESOLUTION), "{:?}", topology.critical_points());
+    assert_eq!((place.kind, &place.components[..]), (UndecidedKind::Speck, &[0][..]));
+    assert!(place.size < 2.0 * RESOLUTION && topology.groups().may_vanish(0), "{place:?}");
+    let [group] = topology.groups().all() else { panic!("{:?}", topology.groups()) };
+    let may_be = |count, euler| group.may_be(count, euler);
+    assert_eq!((group.component_count.clone(), group.euler.clone()), (0..=1, 0..=2));
+    assert!(may_be(1, 2) && may_be(0, 0) && !may_be(1, 0) && !may_be(0, 2));
+
+    let topology = speck(radius, true);
+    let [place] = topology.undecided() else { panic!("{:?}", topology.undecided()) };
+    assert_eq!((place.kind, &place.components[..]), (UndecidedKind::Uncertain(1), &[0, 1][..]));
+    let [group] = topology.groups().all() else { panic!("{:?}", topology.groups()) };
+    assert_eq!((group.component_count.clone(), group.euler.clone()), (1..=2, 1..=3));
+    assert!(group.may_be(2, 3) && group.may_be(1, 1) && !group.may_be(2, 1) && !group.may_be(1, 3));
+
+    // larger ones are told
+    assert_eq!(speck(1.1 * RESOLUTION, true).undecided(), []);
+}
+
+#[test]
+fn only_a_speck_may_vanish_and_not_what_has_its_extremum_next_to_its_border() {
+    let topology = speck(0.5 * RESOLUTION, false);
+    assert!(topology.groups().may_vanish(0) && topology.undecided()[0].kind == UndecidedKind::Speck);
+    // the same, but it opens into the sheet beside it
+    let topology = cubic(0.9 * RESOLUTION, 1.78);
+    assert_eq!(topology.components().len(), 1);
+    assert!(topology.critical_points().iter().any(|c| c.is_enclosed() && c.radius < RESOLUTION));
+    assert!(!topology.groups().may_vanish(0), "{:?}", topology.undecided());
+}
+
+#[test]
+fn components_and_euler_characteristic_are_told_pair_by_pair() {
+    let one = touching(0.0).topology();
+    let [group] = one.groups().all() else { panic!("{:?}", one.groups()) };
+    assert!(group.may_be(2, 4) && group.may_be(1, 2));
+    assert!(!group.may_be(1, 4) && !group.may_be(2, 2) && !group.may_be(3, 6));
+}
+
+#[test]
+fn work_that_shall_stop_stops() {
+    struct Stopped;
+    impl Monitor for Stopped {
+        fn check(&self) -> Result<(), Interrupted> {
+            Err(Interrupted { by: "test".to_owned() })
+        }
+
+        fn phase<'a>(&'a self, name: &str) -> Box<dyn isoparticles_file::monitor::Phase + 'a> {
+            Silent.phase(name)
+        }
+
+        fn counter<'a>(&'a self, label: &str, total: Option<u64>) -> Box<dyn isoparticles_file::monitor::Counter + 'a> {
+            Silent.counter(label, total)
+        }
+    }
+    let scene = torus();
+    assert!(FieldTopology::watched(&scene.field, &Stopped).is_err());
+    assert!(FieldComponents::new(&scene.field, &Stopped).is_err());
 }

@@ -2,7 +2,7 @@
 
 use super::cells::{BASE, Cell, Cells, around, moved};
 use super::critical::CriticalPoint;
-use super::polygons::Surface;
+use super::surface::Surface;
 use super::{Bounds, Component, RESOLUTION};
 use crate::spline::CubicSpline;
 use glam::DVec3;
@@ -50,6 +50,8 @@ pub enum UndecidedKind {
 /// Components that undecided places may join, or one by itself, and what it may be, however these are had.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Group {
+    /// How many components go with each Euler characteristic, from the lowest on in steps of two.
+    counts: Vec<RangeInclusive<usize>>,
     /// Its components, ascending; none where all that it may be is a speck.
     pub components: Vec<u32>,
     /// How many components it may be.
@@ -58,6 +60,18 @@ pub struct Group {
     pub euler: RangeInclusive<i64>,
     /// The undecided places in it, ascending.
     pub undecided: Vec<u32>,
+}
+
+impl Group {
+    /// Whether it may be so many components with an Euler characteristic, of all together.
+    pub fn may_be(&self, component_count: usize, euler: i64) -> bool {
+        // a surface that ends at the border may have any that lies between
+        let above = euler - self.euler.start();
+        [above.div_euclid(2), (above + 1).div_euclid(2)].into_iter().any(|step| {
+            let counts = usize::try_from(step).ok().and_then(|step| self.counts.get(step));
+            counts.is_some_and(|counts| counts.contains(&component_count))
+        })
+    }
 }
 
 /// All groups: the topology of F up to its undecided places.
@@ -88,7 +102,10 @@ impl Groups {
     pub(super) fn new(components: &[Component], places: &[Undecided]) -> Self {
         let mut sets = DisjointSets::new(components.len());
         let mut may_vanish = vec![false; components.len()];
+        let mut changes = Vec::with_capacity(places.len());
         for place in places {
+            let is_joining = place.components.windows(2).any(|pair| sets.find(pair[0]) != sets.find(pair[1]));
+            changes.push(Changes::at(place, is_joining));
             place.components.windows(2).for_each(|pair| sets.join(pair[0], pair[1]));
             for &c in &place.components {
                 let bounds = &components[c as usize].bounds;
@@ -100,69 +117,102 @@ impl Groups {
             }
         }
         let mut new = Self { all: Vec::new(), group_of: vec![0; components.len()], may_vanish };
-        let mut ranges: Vec<Ranges> = Vec::new();
+        let mut sums: Vec<(i64, Changes)> = Vec::new();
         for (n, component) in components.iter().enumerate() {
             let first = sets.find(n as u32) as usize;
-            let group = if first == n { new.add(&mut ranges) } else { new.group_of[first] };
+            let group = if first == n { new.add(&mut sums) } else { new.group_of[first] };
             new.group_of[n] = group;
             new.all[group as usize].components.push(n as u32);
-            ranges[group as usize].add(component.euler);
+            sums[group as usize].0 += component.euler;
         }
-        for (n, place) in (0..).zip(places) {
+        for ((n, place), changes) in (0..).zip(places).zip(changes) {
             let group = match place.components.first() {
                 Some(&c) => new.group_of[c as usize],
-                None => new.add(&mut ranges),
+                None => new.add(&mut sums),
             };
             new.all[group as usize].undecided.push(n);
-            ranges[group as usize].widen(place);
+            sums[group as usize].1 = sums[group as usize].1.and(&changes);
         }
-        for (group, range) in new.all.iter_mut().zip(ranges) {
+        for (group, (euler, changes)) in new.all.iter_mut().zip(sums) {
             let least = i64::from(group.components.iter().any(|&c| !new.may_vanish[c as usize]));
-            let [low, high] = range.count.map(|n| n.max(least) as usize);
-            group.component_count = low..=high;
-            group.euler = range.euler[0]..=range.euler[1];
+            let count = |change: &i64| (group.components.len() as i64 + change).max(least) as usize;
+            group.counts = changes.counts.iter().map(|[low, high]| count(low)..=count(high)).collect();
+            let ends = |n: usize| changes.counts.iter().map(move |ends| ends[n]);
+            let [low, high] = [ends(0).min().unwrap_or(0), ends(1).max().unwrap_or(0)];
+            group.component_count = count(&low)..=count(&high);
+            let lowest = euler - 2 * changes.removed as i64;
+            group.euler = lowest..=lowest + 2 * (changes.counts.len() as i64 - 1);
         }
         new
     }
 
-    fn add(&mut self, ranges: &mut Vec<Ranges>) -> u32 {
-        self.all.push(Group { components: Vec::new(), component_count: 0..=0, euler: 0..=0, undecided: Vec::new() });
-        ranges.push(Ranges::default());
+    fn add(&mut self, sums: &mut Vec<(i64, Changes)>) -> u32 {
+        self.all.push(Group {
+            counts: Vec::new(),
+            components: Vec::new(),
+            component_count: 0..=0,
+            euler: 0..=0,
+            undecided: Vec::new(),
+        });
+        sums.push((0, Changes::default()));
         self.all.len() as u32 - 1
     }
 }
 
-/// Least and most of what a group may be.
-#[derive(Clone, Default)]
-struct Ranges {
-    count: [i64; 2],
-    euler: [i64; 2],
+/// What places may change: for each change of the Euler characteristic, in steps of two, by how much that of the number of components may go with it.
+#[derive(Clone)]
+struct Changes {
+    /// Steps that lower the Euler characteristic, at most.
+    removed: usize,
+    /// Least and most change of the number of components, from the lowest Euler characteristic on.
+    counts: Vec<[i64; 2]>,
 }
 
-impl Ranges {
-    /// Takes in a component.
-    fn add(&mut self, euler: i64) {
-        self.count = self.count.map(|n| n + 1);
-        self.euler = self.euler.map(|n| n + euler);
+impl Default for Changes {
+    /// None.
+    fn default() -> Self {
+        Self { removed: 0, counts: vec![[0, 0]] }
     }
+}
 
-    /// Takes in a place. A tube in place of two disks has an Euler characteristic lower by two, and joins two components or is a handle.
-    fn widen(&mut self, place: &Undecided) {
-        let is_between = i64::from(place.components.len() > 1);
-        let (count, euler) = match place.kind {
-            UndecidedKind::Gap => ([-is_between, 0], [-2, 0]),
-            UndecidedKind::Neck => ([0, 1], [0, 2]),
-            UndecidedKind::Speck => ([-1, 0], [-2, 0]),
+impl Changes {
+    /// At a place, which joins components that no place before has joined, or not. A tube in place of two disks has an Euler characteristic lower by
+    /// two, and joins two components or is a handle.
+    fn at(place: &Undecided, is_joining: bool) -> Self {
+        let none = [0, 0];
+        // what places before have joined may be apart all the same, and then this one joins it
+        let joined = [-i64::from(place.components.len() > 1), -i64::from(is_joining)];
+        let joins = Self { removed: 1, counts: vec![joined, none] };
+        match place.kind {
+            UndecidedKind::Gap => joins,
+            UndecidedKind::Neck => Self { removed: 0, counts: vec![none, [0, 1]] },
+            UndecidedKind::Speck => Self { removed: 1, counts: vec![[-1, -1], none] },
             // one critical point can do no more than join two
-            UndecidedKind::Uncertain(1) if is_between == 1 => ([-1, 0], [-2, 0]),
+            UndecidedKind::Uncertain(1) if place.components.len() > 1 => joins,
             UndecidedKind::Uncertain(critical_points) => {
                 let n = critical_points as i64;
-                ([-n, n], [-2 * n, 2 * n])
+                // each of the points does one step up or down, or nothing
+                let counts = (-n..=n).map(|up| [-(n - up) / 2, (n + up) / 2]).collect();
+                Self { removed: critical_points, counts }
             }
-        };
-        self.count = [self.count[0] + count[0], self.count[1] + count[1]];
-        self.euler = [self.euler[0] + euler[0], self.euler[1] + euler[1]];
+        }
     }
+
+    /// These and others.
+    fn and(&self, other: &Self) -> Self {
+        let mut counts = vec![[i64::MAX, i64::MIN]; self.counts.len() + other.counts.len() - 1];
+        for (n, own) in self.counts.iter().enumerate() {
+            for (sum, other) in counts[n..].iter_mut().zip(&other.counts) {
+                *sum = [sum[0].min(own[0] + other[0]), sum[1].max(own[1] + other[1])];
+            }
+        }
+        Self { removed: self.removed + other.removed, counts }
+    }
+}
+
+/// Whether a component is as fine all over as at an extremum in it: its volume over its area is half its thickness if it is a plate, and less in any other shape.
+fn is_thin(component: &Component, resolution: f64) -> bool {
+    component.volume.abs() < resolution * component.area
 }
 
 /// The undecided places: clusters of cells in which F = 0 is not certain, in the order of their lowest cells, and then all critical points
@@ -199,7 +249,7 @@ pub(super) fn places(
     let clusters: Vec<(Vec<Cell>, usize)> = clusters.into_values().collect();
     let mut places: Vec<Undecided> =
         clusters.par_iter().map(|(own, critical)| uncertain(field, cells, surface, own, *critical)).collect();
-    places.par_extend(fine.par_iter().map(|c| at_critical_point(field, cells, surface, c)));
+    places.par_extend(fine.par_iter().filter_map(|c| at_critical_point(field, cells, surface, c)));
     let is_told = |n: u32| places.iter().any(|place| place.kind == UndecidedKind::Speck && place.components == [n]);
     let is_fine = |own: &Component| (own.bounds.high - own.bounds.low).max_element() < 2.0 * resolution;
     let fine = (0..).zip(&surface.components).filter(|&(n, own)| is_fine(own) && !is_told(n));
@@ -220,7 +270,7 @@ fn at_fine_component(field: &CubicSpline, cells: &Cells, surface: &Surface, n: u
         place: own.place.to_array(),
         size: (high - low).max_element(),
         value: field.value(own.bounds.centre()),
-        kind: UndecidedKind::Uncertain(1),
+        kind: if nearest.is_some() { UndecidedKind::Uncertain(1) } else { UndecidedKind::Speck },
         components: sorted(
             nearest.map(|crossing| surface.component_of[crossing as usize]).into_iter().chain([n]).collect(),
         ),
@@ -228,8 +278,8 @@ fn at_fine_component(field: &CubicSpline, cells: &Cells, surface: &Surface, n: u
     }
 }
 
-/// The place at a critical point.
-fn at_critical_point(field: &CubicSpline, cells: &Cells, surface: &Surface, c: &CriticalPoint) -> Undecided {
+/// The place at a critical point; `None` at an extremum in a component that is no speck: whichever side of a mesh it lies on, the component is there.
+fn at_critical_point(field: &CubicSpline, cells: &Cells, surface: &Surface, c: &CriticalPoint) -> Option<Undecided> {
     let ways: Vec<DVec3> = c.ways.into_iter().filter(|way| *way != DVec3::ZERO).collect();
     let component = |way: DVec3| {
         let limit = way.length();
@@ -237,21 +287,27 @@ fn at_critical_point(field: &CubicSpline, cells: &Cells, surface: &Surface, c: &
         surface.component_at(field, cells, p, normal)
     };
     let ends: Vec<Option<u32>> = ways.iter().flat_map(|&way| [way, -way]).map(component).collect();
-    let kind = match ways.len() {
-        _ if ends.iter().any(Option::is_none) => UndecidedKind::Uncertain(1),
-        1 => UndecidedKind::Gap,
-        2 => UndecidedKind::Neck,
-        _ => UndecidedKind::Speck,
+    let components = sorted(ends.iter().flatten().copied().collect());
+    let is_certain = ends.iter().all(Option::is_some);
+    let kind = match (ways.len(), &components[..]) {
+        _ if !is_certain => UndecidedKind::Uncertain(1),
+        (1, _) => UndecidedKind::Gap,
+        (2, _) => UndecidedKind::Neck,
+        (_, &[own]) if is_thin(&surface.components[own as usize], RESOLUTION * field.geometry().mean_spacing()) => {
+            UndecidedKind::Speck
+        }
+        (_, &[_]) => return None,
+        _ => UndecidedKind::Uncertain(1),
     };
     let reach = DVec3::splat(c.radius);
-    Undecided {
+    Some(Undecided {
         place: c.position.to_array(),
         size: 2.0 * c.radius,
         value: c.value,
         kind,
-        components: sorted(ends.into_iter().flatten().collect()),
+        components,
         bounds: Bounds { low: c.position - reach, high: c.position + reach },
-    }
+    })
 }
 
 /// A cluster of cells in which F = 0 is not certain.

@@ -9,6 +9,7 @@ use super::nodes::NodeSides;
 use super::patch::Rings;
 use super::sheets::Sheets;
 use glam::DVec3;
+use isoparticles_field::spline::distance_estimate;
 use isoparticles_mesh::TriangleMesh;
 use isoparticles_mesh::spatial::Bounds;
 use rayon::prelude::*;
@@ -269,7 +270,7 @@ impl<'a> Surface<'a> {
         let (value, gradient) = self.field.value_gradient(sheet, centroid);
         let normal = self.normal_of(corners);
         let mean_target = corners.iter().map(|&v| self.target[v as usize]).sum::<f64>() / 3.0;
-        let mut deviation = value.abs() / gradient.length().max(1e-12) / mean_target;
+        let mut deviation = distance_estimate(value, gradient).abs() / mean_target;
         if deviation > FIRST_ORDER
             && let Some(foot) =
                 projected_facing(self, sheet, centroid, normal, deviation.min(MOST_DEVIATION) * mean_target)

@@ -1,9 +1,10 @@
 //! What the shape of sheets asks for: their curvature, and how thick the materials are on both sides.
 
 use crate::averages::average;
-use crate::feature::{CURVATURE_ROUNDS, SHARP, curvature_tensor, largest_curvature};
+use crate::feature::{CURVATURE_ROUNDS, SHARP};
 use crate::gradation::limit_gradient;
 use glam::{DMat3, DVec3, Mat3};
+use isoparticles_field::curvature::{curvature_tensor, largest_curvature};
 use isoparticles_field::materials::complex::{Complex, Vertex};
 use isoparticles_field::materials::{Indicators, MaterialId, Stratum};
 use isoparticles_field::sizing::trilinear;

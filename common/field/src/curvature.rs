@@ -1,0 +1,58 @@
+//! Curvature of the level sets of F, from its derivatives (Goldman, *Curvature formulas for implicit curves and surfaces*, 2005).
+
+use crate::spline::Jet;
+use glam::{DMat3, DVec3};
+
+/// Slope below which a gradient gives no normal, and curvature is taken for none.
+const FLATTEST: f64 = 1e-9;
+
+/// Curvature tensor of the level set through a point, per mm: the Hessian over the slope, restricted to the tangent plane. Its eigenvalues are 0 (along
+/// the normal) and the two principal curvatures, positive on a ball.
+pub fn curvature_tensor(jet: &Jet) -> DMat3 {
+    let slope = jet.gradient.length();
+    if slope < FLATTEST {
+        return DMat3::ZERO;
+    }
+    let n = jet.gradient / slope;
+    let across = DMat3::IDENTITY - DMat3::from_cols(n * n.x, n * n.y, n * n.z);
+    across * jet.hessian * across * (1.0 / slope)
+}
+
+/// Largest principal curvature in magnitude, per mm, of a curvature tensor on a surface with normal n.
+pub fn largest_curvature(tensor: &DMat3, n: DVec3) -> f64 {
+    let u = n.any_orthonormal_vector();
+    let v = n.cross(u);
+    let (tu, tv) = (*tensor * u, *tensor * v);
+    let (a, b, c) = (u.dot(tu), u.dot(tv), v.dot(tv));
+    (0.5 * (a + c)).abs() + (0.5 * (a - c)).hypot(b)
+}
+
+/// Mean curvature, per mm: half the divergence of the unit normal, 1/R on a ball of radius R.
+pub fn mean_curvature(jet: &Jet) -> f64 {
+    let slope = jet.gradient.length().max(FLATTEST);
+    let trace = jet.hessian.x_axis.x + jet.hessian.y_axis.y + jet.hessian.z_axis.z;
+    (trace - jet.gradient.dot(jet.hessian * jet.gradient) / (slope * slope)) / (2.0 * slope)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn on_a_ball_and_on_a_cylinder_curvature_is_what_it_is() {
+        let p = DVec3::new(3.0, -2.0, 6.0);
+        // F = |p|^2, a level set of which is a ball of radius 7
+        let ball = Jet { value: 0.0, gradient: 2.0 * p, hessian: DMat3::from_diagonal(DVec3::splat(2.0)) };
+        assert!((mean_curvature(&ball) - 1.0 / 7.0).abs() < 1e-12);
+        assert!((largest_curvature(&curvature_tensor(&ball), p / 7.0) - 1.0 / 7.0).abs() < 1e-12);
+        // F = x^2 + y^2
+        let flat = p.with_z(0.0);
+        let hessian = DMat3::from_diagonal(DVec3::new(2.0, 2.0, 0.0));
+        let cylinder = Jet { value: 0.0, gradient: 2.0 * flat, hessian };
+        let radius = flat.length();
+        assert!((mean_curvature(&cylinder) - 0.5 / radius).abs() < 1e-12);
+        assert!((largest_curvature(&curvature_tensor(&cylinder), flat / radius) - 1.0 / radius).abs() < 1e-12);
+        let none = Jet { value: 0.0, gradient: DVec3::ZERO, hessian };
+        assert_eq!(curvature_tensor(&none), DMat3::ZERO);
+    }
+}
