@@ -20,11 +20,13 @@ pub mod improve;
 mod join;
 pub mod labelled;
 pub mod materials;
+pub mod object;
 pub mod pinched;
 mod points_alone;
 pub mod prepare;
 #[cfg(test)]
 mod program_tests;
+pub mod queue;
 pub mod reconstruct;
 pub mod refine;
 pub mod restricted;

@@ -13,6 +13,7 @@ use crate::check::{CheckOptions, CheckReport, check};
 use crate::improve::{ImproveOptions, ImproveReport, improve};
 use crate::join::{Joined, join};
 use crate::prepare::{PrepareReport, prepare};
+use crate::queue::Reason;
 use crate::refine::RefineReport;
 use crate::tight_cocone::CoconeReport;
 use crate::verdict::TopologyReport;
@@ -221,10 +222,9 @@ fn judge(
     checked.nodes_on_wrong_side = nodes;
     let (wrong, mut doubtful) = found.differences(options.open_border);
     failed.extend(wrong);
-    if refined.unresolved_critical > 0 {
+    if let Some(count) = refined.unresolved.get(&Reason::CriticalPoint) {
         doubtful.push(format!(
-            "{} critical points of F on the wrong side: necks, gaps or specks there are thinner than the particles can tell",
-            refined.unresolved_critical
+            "{count} critical points of F on the wrong side: necks, gaps or specks there are thinner than the particles can tell"
         ));
     }
     (failed, doubtful)

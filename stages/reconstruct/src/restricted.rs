@@ -58,7 +58,7 @@ impl<'a> Restricted<'a> {
         self.sides.decide(|centre| self.field.value(centre) < 0.0);
     }
 
-    /// The tetrahedra made by insertions since the last call, ascending.
+    /// The tetrahedra made, or that changed sides one by one, since the last call, ascending.
     pub fn take_changed(&mut self) -> Vec<u32> {
         self.sides.take_changed()
     }
@@ -165,6 +165,16 @@ impl<'a> Restricted<'a> {
     /// The tetrahedron that a point lies in, `None` beyond the hull; `near` is a vertex not far from it.
     pub fn locate(&self, point: DVec3, near: u32) -> Option<u32> {
         self.sides.locate(point, near)
+    }
+
+    /// The point nearest to a place and its distance, mm; `near` is a vertex not far from it.
+    pub fn nearest(&self, place: DVec3, near: u32) -> (u32, f64) {
+        self.sides.nearest(place, near)
+    }
+
+    /// The tetrahedron on the other side of a facet.
+    pub fn across(&self, facet: &Facet) -> u32 {
+        self.sides.across(facet)
     }
 
     /// The facets between inside and outside, in the order of the tetrahedra.

@@ -313,7 +313,7 @@ fn tell(made: &Reconstruction, context: &Context) {
     }
     made.doubtful.iter().for_each(|doubt| context.warn(doubt));
     describe_mesh(checked, &topology.expected(), (&made.prepared, made.taken), context);
-    context.summary("points added", format!("{} in {} rounds", refined.inserted, refined.rounds));
+    context.summary("points added", format!("{} in {} rounds", refined.points(), refined.rounds));
     if let (Some(v), Some(c)) = (checked.vertex_distance, checked.centroid_distance) {
         context.summary(
             "distance from F = 0, voxels",

@@ -1,9 +1,10 @@
 //! Grid nodes, the centres of voxels of labels: each shall lie in the mesh in the material that the indicators give it.
 
-use super::complex::{Complex, Reason, Remedy, Simplex, Violation};
+use super::complex::{Complex, Mend, Violation};
 use super::prepare::onto;
 use super::segments::segment;
 use crate::labelled::Facet;
+use crate::queue::{Reason, Simplex};
 use glam::DVec3;
 use isoparticles_delaunay::INFINITE;
 use isoparticles_delaunay::predicates::orientation;
@@ -165,12 +166,12 @@ impl Nodes {
             splits.max_by(|a, b| a.radius.total_cmp(&b.radius).then(b.near.cmp(&a.near)))
         };
         let Some((foot, stratum)) = target else {
-            return by_split(vertices_of(t)).or_else(|| Some(of(Remedy::None, 0.0, size, near)));
+            return by_split(vertices_of(t)).or_else(|| Some(of(Mend::None, 0.0, size, near)));
         };
         let distance = |v: u32| complex.points().get(v as usize).map_or(f64::INFINITY, |p| p.distance(foot));
         let around = vertices_of(complex.labelled.locate(foot, near)).into_iter().map(|v| (v, distance(v)));
         let (vertex, radius) = around.min_by(|a, b| a.1.total_cmp(&b.1))?;
-        let at_foot = of(Remedy::Point { place: foot, stratum }, radius, size, near);
+        let at_foot = of(Mend::Point { place: foot, stratum }, radius, size, near);
         if radius >= AT_A_VERTEX * size {
             return Some(at_foot);
         }
@@ -197,10 +198,10 @@ impl Nodes {
         let [a, b] = edge.map(|v| complex.points()[v as usize]);
         let size = complex.sizes[vertex as usize];
         let remedy = if complex.segments.curve(edge).is_some() {
-            Remedy::Split(edge)
+            Mend::Split(edge)
         } else {
             let stratum = Stratum::sheet(i, j);
-            Remedy::Point { place: onto(complex.indicators, stratum, a.midpoint(b), 0.5 * length)?, stratum }
+            Mend::Point { place: onto(complex.indicators, stratum, a.midpoint(b), 0.5 * length)?, stratum }
         };
         Some(Violation {
             reason: Reason::Node,
