@@ -202,11 +202,7 @@ impl<'a> Object<'a> {
     /// The violation at some facets that the centre of their largest surface ball mends.
     fn by_largest_ball(&self, reason: Reason, simplex: Simplex, facets: &[Facet]) -> Option<Violation> {
         let balls = facets.iter().filter_map(|f| self.by_ball(reason, simplex, f));
-        balls.max_by(|a, b| {
-            a.radius
-                .total_cmp(&b.radius)
-                .then_with(|| b.remedy.place().partial_cmp(&a.remedy.place()).unwrap_or(std::cmp::Ordering::Equal))
-        })
+        balls.max_by(|a, b| a.radius.total_cmp(&b.radius))
     }
 
     /// A violation that the centre of the surface ball of a facet mends: where its Voronoi edge crosses F = 0, else the projected centroid.
@@ -260,4 +256,74 @@ fn sorted(mut vertices: [u32; 3]) -> [u32; 3] {
 
 fn component_at(p: DVec3, field: &CubicSpline, topology: &FieldTopology) -> u32 {
     topology.component_at(field, p, field.value_gradient(p).1).unwrap_or(NO_COMPONENT)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::refine::{RefineOptions, Refinement};
+    use crate::scenes::{self, Scene};
+    use crate::tests::surface_points;
+
+    #[test]
+    fn what_is_violated_at_simplices_is_what_the_whole_surface_has_there() {
+        // so sparse that sheets touch
+        let found = (0..12).map(|seed| compare(&scenes::random(seed), 1.8));
+        let [edges, vertices] = found.fold([0, 0], |[a, b], [edges, vertices]| [a + edges, b + vertices]);
+        assert!(edges > 0 && vertices > 0, "{edges} edges and {vertices} vertices: this shows nothing");
+    }
+
+    /// Compares the violations of a scene found in parts with the defects of the whole surface; returns at how many edges and vertices there are any.
+    fn compare(scene: &Scene, spacing: f64) -> [usize; 2] {
+        let mut points = surface_points(scene, spacing);
+        let topology = FieldTopology::new(&scene.field);
+        let refinement = Refinement::new(&mut points, &scene.field, &topology, RefineOptions::default()).unwrap();
+        let object = &refinement.object;
+        let facets = object.facets();
+        let whole = object.defects(&facets);
+        let all: Vec<u32> = (0..object.points().len() as u32).collect();
+        let simplices = |found: Vec<Violation>| {
+            let mut simplices: Vec<Simplex> = found.into_iter().map(|v| v.simplex).collect();
+            simplices.sort_unstable();
+            simplices
+        };
+        let found = simplices(object.at_vertices(all.clone()));
+        let mut expected: Vec<Simplex> = whole.vertices.iter().map(|(v, _)| Simplex::Vertex(*v)).collect();
+        let ends = |around: &Vec<u32>| crate::defects::edge_of(&facets, around).expect("facets of an edge");
+        expected.extend(whole.edges.iter().map(|around| {
+            let [a, b] = ends(around);
+            Simplex::Edge([a.min(b), a.max(b)])
+        }));
+        expected.sort_unstable();
+        assert_eq!(found, expected);
+        assert!(found.iter().all(|&simplex| object.at_simplex(simplex).is_some_and(|v| v.simplex == simplex)));
+        // a vertex has its own and those of the edges at it
+        for &v in &all {
+            let at = |simplex: &&Simplex| match simplex {
+                Simplex::Edge(edge) => edge.contains(&v),
+                simplex => **simplex == Simplex::Vertex(v),
+            };
+            assert_eq!(simplices(object.at_vertices(vec![v])), expected.iter().filter(at).copied().collect::<Vec<_>>());
+        }
+        let bridges = facets.iter().filter(|f| object.is_bridge(f)).count();
+        assert_eq!(bridges, whole.bridges.len());
+        [whole.edges.len(), whole.vertices.len()]
+    }
+
+    #[test]
+    fn the_nearest_point_is_that_of_a_plain_search() {
+        let scene = scenes::gyroid();
+        let mut points = surface_points(&scene, 1.4);
+        let topology = FieldTopology::new(&scene.field);
+        let refinement = Refinement::new(&mut points, &scene.field, &topology, RefineOptions::default()).unwrap();
+        let restricted = &refinement.object.restricted;
+        let distance = |v: u32, place: DVec3| restricted.points()[v as usize].distance(place);
+        let count = restricted.points().len() as u32;
+        for n in 0..400u32 {
+            let place = DVec3::new(f64::from(n % 7), f64::from(n / 7 % 8), f64::from(n / 56)) * 5.1;
+            let nearest =
+                (0..count).min_by(|a, b| distance(*a, place).total_cmp(&distance(*b, place))).expect("points");
+            assert_eq!(restricted.nearest(place, 37 * n % count), (nearest, distance(nearest, place)));
+        }
+    }
 }

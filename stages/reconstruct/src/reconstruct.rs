@@ -4,10 +4,10 @@
 //! space). Tetrahedra are labelled inside or outside: by the sign of F at their circumcentres, or by the shape of the Voronoi cells (Tight
 //! Cocone). The facets between them are the surface, closed by construction. Criteria compare it with F: is it a manifold, has it the
 //! components and the Euler characteristics of F, does a facet stray from F = 0 or turn away from it, does a voxel centre lie on its
-//! wrong side. Where one is violated, a point is added at the centre of the facet's surface ball, until none is or the rounds are over. The facets are
-//! extracted,
-//! and sheets that touch in a point are parted. The worst triangles are lifted by local moves that break no criterion. At last
-//! everything a simulation counts on is checked anew, on the mesh as it is and against F as it was.
+//! wrong side. A queue holds what is violated, most needed first, and for each a point is added at the centre of the facet's surface ball; only what that
+//! changed is looked at again, until the queue is empty or there is no room. The facets are extracted, and sheets that touch in a point are parted. The
+//! worst triangles are lifted by local moves that break no criterion. At last everything a simulation counts on is checked anew, on the
+//! mesh as it is and against F as it was.
 
 use crate::check::{CheckOptions, CheckReport, check};
 use crate::improve::{ImproveOptions, ImproveReport, improve};

@@ -7,7 +7,7 @@
 //! that the criterion names. The topology of F is known before and does not change. Where points do not help, tetrahedra change sides.
 
 mod critical;
-mod nodes;
+pub(crate) mod nodes;
 mod other;
 mod pieces;
 mod relabel;
@@ -179,8 +179,8 @@ impl<'a> Refinement<'a> {
         self.nodes = Some(samples);
     }
 
-    /// Adds points until nothing is violated, there is no room for more, or `max_rounds` are over. `step` hears the number of points and may stop the loop with an
-    /// error. Returns the facets.
+    /// Adds points until nothing is violated, there is no room for more, or `max_rounds` are over. `step` hears the number of points and may stop
+    /// the loop with an error. Returns the facets.
     ///
     /// # Errors
     /// Those of `step` and of the triangulation.
@@ -202,7 +202,10 @@ impl<'a> Refinement<'a> {
                 mended = self.mend_critical_points(step)?;
             }
             if mended == 0 {
-                mended = self.part_pinches(&facets, &defects) + self.drop_pieces(&facets, &defects);
+                mended = self.part_pinches(&facets, &defects);
+            }
+            if mended == 0 {
+                mended = self.drop_pieces(&facets, &defects);
             }
             if mended == 0 && node_rounds_left > 0 {
                 let found = self.at_nodes(&facets);

@@ -5,6 +5,7 @@ use super::prepare::onto;
 use super::segments::segment;
 use crate::labelled::Facet;
 use crate::queue::{Reason, Simplex};
+use crate::refine::nodes::AT_A_VERTEX;
 use glam::DVec3;
 use isoparticles_delaunay::INFINITE;
 use isoparticles_delaunay::predicates::orientation;
@@ -12,9 +13,6 @@ use isoparticles_field::materials::{Indicators, MaterialId, Stratum};
 use isoparticles_mesh::inside::crossings;
 use isoparticles_volume::Geometry;
 use rayon::prelude::*;
-
-/// A node in another material whose nearest point of an interface is nearer than this part of h to a vertex has that vertex.
-const AT_A_VERTEX: f64 = 0.15;
 
 /// Farthest that an interface is sought from a node, voxels.
 const REACH: f64 = 2.0;

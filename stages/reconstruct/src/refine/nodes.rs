@@ -11,7 +11,7 @@ use rayon::prelude::*;
 use std::collections::HashMap;
 
 /// A grid node on the wrong side whose nearest point of F = 0 is nearer than this part of h to a vertex has that vertex.
-const AT_A_VERTEX: f64 = 0.15;
+pub(crate) const AT_A_VERTEX: f64 = 0.15;
 
 impl Refinement<'_> {
     /// The grid nodes on the wrong side of some facets, none where they do not count.
