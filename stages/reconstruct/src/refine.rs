@@ -89,8 +89,6 @@ pub struct Refinement<'a> {
     nodes: Option<&'a Image<f32>>,
     /// The points that it began with: from the nearest of them the triangulation leads to those added since.
     first: KdTree,
-    /// Whether the facets were all looked at, and since then those that changed.
-    is_begun: bool,
     /// Looks at critical points that added points.
     critical_looks: usize,
     /// Times that tetrahedra changed sides where sheets touch.
@@ -161,17 +159,14 @@ impl<'a> Refinement<'a> {
         options: RefineOptions,
     ) -> Self {
         let RefineOptions { max_deviation, open_border, .. } = options;
-        Self {
-            first: KdTree::new(delaunay.points()),
-            object: Object::new(delaunay, points, field, topology, max_deviation, open_border),
-            report: RefineReport::default(),
-            options,
-            queue: Queue::default(),
-            nodes: None,
-            is_begun: false,
-            critical_looks: 0,
-            partings: 0,
-        }
+        let first = KdTree::new(delaunay.points());
+        let object = Object::new(delaunay, points, field, topology, max_deviation, open_border);
+        // what is amiss at edges and vertices comes with the first look at the whole surface
+        let found: Vec<Violation> = object.facets().par_iter().filter_map(|f| object.at_facet(f)).collect();
+        let mut queue = Queue::default();
+        queue.add(found);
+        let (critical_looks, partings) = (0, 0);
+        Self { object, report: RefineReport::default(), options, queue, nodes: None, first, critical_looks, partings }
     }
 
     /// Lets grid nodes count, the samples of F, from now on.
@@ -240,17 +235,12 @@ impl<'a> Refinement<'a> {
         self.report.unresolved = left.into_iter().filter(|(_, count)| *count > 0).collect();
     }
 
-    /// What is violated in the topology of the surface, and at first at any facet.
+    /// What is violated in the topology of the surface, and where tetrahedra changed sides.
     fn at_defects(&mut self, facets: &[Facet], defects: &Defects) -> Vec<Violation> {
         let around = defects.edges.iter().flatten().chain(defects.vertices.iter().flat_map(|(_, around)| around));
         let mut found = self.object.at_vertices(around.flat_map(|&f| facets[f as usize].vertices).collect());
         found.extend(defects.bridges.iter().filter_map(|&f| self.object.at_facet(&facets[f as usize])));
-        if !std::mem::replace(&mut self.is_begun, true) {
-            self.object.restricted.take_changed();
-            found.par_extend(facets.par_iter().filter_map(|f| self.object.at_facet(f)));
-        } else {
-            found.extend(self.at_changed());
-        }
+        found.extend(self.at_changed());
         found.extend(self.on_missing(&defects.missing));
         found.extend(self.in_gaps(defects));
         found
