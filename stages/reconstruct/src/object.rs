@@ -171,7 +171,7 @@ impl<'a> Object<'a> {
                 let facets = self.facets_at(vertices[0]);
                 facets.into_iter().find(|f| sorted(f.vertices) == vertices).and_then(|f| self.at_facet(&f))
             }
-            Simplex::Node(_) | Simplex::Place(_) => None,
+            Simplex::Node(_) | Simplex::Place(..) => None,
         }
     }
 

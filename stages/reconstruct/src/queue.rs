@@ -12,7 +12,7 @@ use std::collections::{BinaryHeap, HashSet};
 const BETWEEN_STEPS: usize = 1 << 10;
 
 /// What is violated, the most needed first.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Reason {
     /// A segment of a junction curve is no edge of the triangulation.
@@ -59,8 +59,8 @@ pub enum Simplex {
     Facet([u32; 3]),
     /// A grid node by its number, x fastest.
     Node(usize),
-    /// A place by its number among those found together.
-    Place(usize),
+    /// A place by what is violated there and its number among those found together.
+    Place(Reason, usize),
 }
 
 /// What mends a violation.
@@ -217,7 +217,7 @@ mod tests {
     }
 
     fn wanted(reason: Reason, at: f64, radius: f64) -> Violation<f64> {
-        Violation { reason, simplex: Simplex::Place(at as usize), remedy: at, radius, size: 1.0, near: 0 }
+        Violation { reason, simplex: Simplex::Node(at as usize), remedy: at, radius, size: 1.0, near: 0 }
     }
 
     impl Refine for Line {

@@ -105,7 +105,7 @@ impl Refine for Refinement<'_> {
     fn now(&self, old: &Violation) -> Option<Violation> {
         match old.simplex {
             Simplex::Node(node) => self.at_node(node, old.near),
-            Simplex::Place(_) => {
+            Simplex::Place(..) => {
                 let (near, room) = self.object.restricted.nearest(old.remedy, old.near);
                 (room >= STILL_FREE * old.radius).then_some(Violation { near, ..*old })
             }
@@ -247,17 +247,13 @@ impl<'a> Refinement<'a> {
     }
 
     /// Places found together, as violations: there is room round each of them as far as the nearest point.
-    fn places(
-        &self,
-        reason: Reason,
-        found: impl IntoParallelIterator<Item = Place, Iter: IndexedParallelIterator>,
-    ) -> Vec<Violation> {
-        let violation = |(k, place): (usize, Place)| {
-            let (near, room) = self.nearest(place.point);
-            let radius = place.radius.min(room);
-            Violation { reason, simplex: Simplex::Place(k), remedy: place.point, radius, size: place.size, near }
+    fn places(&self, reason: Reason, found: &[Place]) -> Vec<Violation> {
+        let violation = |(k, &Place { point, radius, size }): (usize, &Place)| {
+            let (near, room) = self.nearest(point);
+            let simplex = Simplex::Place(reason, k);
+            Violation { reason, simplex, remedy: point, radius: radius.min(room), size, near }
         };
-        found.into_par_iter().enumerate().map(violation).collect()
+        found.par_iter().enumerate().map(violation).collect()
     }
 
     /// The point nearest to a place and its distance, mm.

@@ -291,7 +291,7 @@ impl<'a> Complex<'a> {
             Simplex::Vertex(v) => self.at_vertex(v),
             Simplex::Edge(edge) => self.at_any_edge(edge, self.at_edge(edge)),
             Simplex::Facet(vertices) => self.facet_on(vertices).and_then(|f| self.at_facet(&f)),
-            Simplex::Node(_) | Simplex::Place(_) => None,
+            Simplex::Node(_) | Simplex::Place(..) => None,
         }
     }
 

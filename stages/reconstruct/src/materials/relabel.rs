@@ -101,6 +101,6 @@ fn sets_at(complex: &Complex, simplex: Simplex) -> Vec<Vec<u32>> {
             Some(facet) => vec![vec![facet.tetrahedron], vec![complex.labelled.across(&facet)]],
             None => Vec::new(),
         },
-        Simplex::Node(_) | Simplex::Place(_) => Vec::new(),
+        Simplex::Node(_) | Simplex::Place(..) => Vec::new(),
     }
 }

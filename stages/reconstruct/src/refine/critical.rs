@@ -78,7 +78,7 @@ impl Refinement<'_> {
             let fits = self.nearest(point).1 > apart && point.distance(start) < reach;
             fits.then_some(Place { point, radius: reach, size })
         };
-        let around = |&(c, near): &(CriticalPoint, u32)| {
+        let around = |&(c, near): &(CriticalPoint, u32)| -> Vec<Place> {
             let h = self.object.sizes[near as usize];
             let size = |radius: f64| h.min(2.0 * radius);
             if attempt == 0 {
@@ -92,8 +92,8 @@ impl Refinement<'_> {
             };
             radii.filter(|&r| r < 2.0 * h).flat_map(on_sphere).collect()
         };
-        let found: Vec<Vec<Place>> = wrong_sided.par_iter().map(around).collect();
-        self.places(Reason::CriticalPoint, found.into_iter().flatten().collect::<Vec<Place>>())
+        let found: Vec<Place> = wrong_sided.par_iter().flat_map_iter(around).collect();
+        self.places(Reason::CriticalPoint, &found)
     }
 }
 

@@ -62,7 +62,7 @@ impl Refinement<'_> {
             self.at_foot(node, self.nearest(node).0, |v| facets_at.get(&v).cloned().unwrap_or_default())
         };
         let found: Vec<Place> = nodes.par_iter().filter_map(at).collect();
-        self.places(Reason::Node, found)
+        self.places(Reason::Node, &found)
     }
 
     /// The point of F = 0 nearest to a node or, where a vertex is there already, the middle of the longest edge of the facets at it that pass the node by.

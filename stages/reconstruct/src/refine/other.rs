@@ -69,7 +69,7 @@ impl Refinement<'_> {
             Some(Place { point: ball.remedy, radius: ball.radius, size: ball.size })
         };
         let balls: Vec<Place> = lacking.par_iter().filter_map(place).collect();
-        let mended = self.mend_all(self.places(Reason::OtherLabels, balls), &mut step)?;
+        let mended = self.mend_all(self.places(Reason::OtherLabels, &balls), &mut step)?;
         if mended > 0 {
             return Ok(mended);
         }

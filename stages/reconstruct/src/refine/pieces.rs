@@ -96,6 +96,6 @@ impl Refinement<'_> {
             let point = self.object.on_surface(p.midpoint(q), 2.0)?;
             Some(Place { point, radius: point.distance(p).min(point.distance(q)), size: p.distance(q) })
         });
-        self.places(Reason::Component, between.collect::<Vec<Place>>())
+        self.places(Reason::Component, &between.collect::<Vec<Place>>())
     }
 }

@@ -29,7 +29,7 @@ impl Refinement<'_> {
         }
         let samples = |component: &u32| self.sample_component(*component, &members[component]);
         let found: Vec<Place> = missing.par_iter().flat_map_iter(samples).collect();
-        self.places(Reason::Missing, found)
+        self.places(Reason::Missing, &found)
     }
 
     /// Points on a component that has no facets: about a voxel apart or as its extent is, nearer to each other than those that it has; at least a
