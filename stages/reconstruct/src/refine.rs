@@ -35,7 +35,7 @@ pub(crate) const NEAREST_FOR_SHAPE: f64 = 0.35;
 /// A new point keeps this part of h from all others where the topology or a grid node asks for it.
 const NEAREST_FOR_TOPOLOGY: f64 = 0.02;
 
-/// A place that was found by a look at the whole surface is taken while there is room for this part of the ball round it.
+/// A place that was found by a look at the whole surface is taken unless a point added since is nearer than this part of the ball round it.
 const STILL_FREE: f64 = 0.8;
 
 /// How far the refinement may go.
@@ -89,7 +89,9 @@ pub struct Refinement<'a> {
     nodes: Option<&'a Image<f32>>,
     /// The points that it began with: from the nearest of them the triangulation leads to those added since.
     first: KdTree,
-    /// Looks at critical points that added points.
+    /// Points at the last look at the whole surface.
+    known: usize,
+    /// Looks at critical points.
     critical_looks: usize,
     /// Times that tetrahedra changed sides where sheets touch.
     partings: usize,
@@ -104,10 +106,10 @@ impl Refine for Refinement<'_> {
 
     fn now(&self, old: &Violation) -> Option<Violation> {
         match old.simplex {
-            Simplex::Node(node) => self.at_node(node, old.near),
             Simplex::Place(..) => {
                 let (near, room) = self.object.restricted.nearest(old.remedy, old.near);
-                (room >= STILL_FREE * old.radius).then_some(Violation { near, ..*old })
+                let is_free = (near as usize) < self.known || room >= STILL_FREE * old.radius;
+                is_free.then_some(Violation { near, ..*old })
             }
             simplex => self.object.at_simplex(simplex),
         }
@@ -116,8 +118,11 @@ impl Refine for Refinement<'_> {
     fn mend(&mut self, violation: &Violation) -> Result<bool> {
         let Violation { reason, remedy, radius, size, near, .. } = *violation;
         let least = if reason == Reason::Deviation { NEAREST_FOR_SHAPE } else { NEAREST_FOR_TOPOLOGY };
-        // a projected centroid may lie nearer to others than to the facet's vertices
-        let is_free = || self.object.restricted.nearest(remedy, near).1 >= NEAREST_FOR_TOPOLOGY * size;
+        // a projected centroid may lie nearer to others than to the facet's vertices; a place is tried once a look
+        let is_free = || {
+            matches!(violation.simplex, Simplex::Place(..))
+                || self.object.restricted.nearest(remedy, near).1 >= NEAREST_FOR_TOPOLOGY * size
+        };
         let is_mended = radius >= least * size && is_free() && self.object.insert(remedy, size, near)?;
         if is_mended {
             *self.report.inserted.entry(reason).or_default() += 1;
@@ -165,8 +170,18 @@ impl<'a> Refinement<'a> {
         let found: Vec<Violation> = object.facets().par_iter().filter_map(|f| object.at_facet(f)).collect();
         let mut queue = Queue::default();
         queue.add(found);
-        let (critical_looks, partings) = (0, 0);
-        Self { object, report: RefineReport::default(), options, queue, nodes: None, first, critical_looks, partings }
+        let (known, critical_looks, partings) = (0, 0, 0);
+        Self {
+            object,
+            report: RefineReport::default(),
+            options,
+            queue,
+            nodes: None,
+            first,
+            known,
+            critical_looks,
+            partings,
+        }
     }
 
     /// Lets grid nodes count, the samples of F, from now on.
@@ -217,6 +232,7 @@ impl<'a> Refinement<'a> {
 
     /// Mends violations and those that come of it; returns how many points that took.
     fn mend_all(&mut self, found: Vec<Violation>, step: &mut dyn FnMut(usize) -> Result<()>) -> Result<usize> {
+        self.known = self.object.points().len();
         let mended = self.drain(found, step)?;
         self.report.rounds += usize::from(mended > 0);
         Ok(mended)
@@ -246,12 +262,11 @@ impl<'a> Refinement<'a> {
         found
     }
 
-    /// Places found together, as violations: there is room round each of them as far as the nearest point.
+    /// Places found together, as violations.
     fn places(&self, reason: Reason, found: &[Place]) -> Vec<Violation> {
         let violation = |(k, &Place { point, radius, size }): (usize, &Place)| {
-            let (near, room) = self.nearest(point);
-            let simplex = Simplex::Place(reason, k);
-            Violation { reason, simplex, remedy: point, radius: radius.min(room), size, near }
+            let (simplex, near) = (Simplex::Place(reason, k), self.nearest(point).0);
+            Violation { reason, simplex, remedy: point, radius, size, near }
         };
         found.par_iter().enumerate().map(violation).collect()
     }

@@ -75,8 +75,9 @@ impl Refinement<'_> {
         let place = |start: DVec3, c: &CriticalPoint, size: f64, apart: f64| {
             let point = self.object.on_surface(start, 2.0)?;
             let reach = start.distance(c.position);
-            let fits = self.nearest(point).1 > apart && point.distance(start) < reach;
-            fits.then_some(Place { point, radius: reach, size })
+            let room = self.nearest(point).1;
+            let fits = room > apart && point.distance(start) < reach;
+            fits.then_some(Place { point, radius: room.min(reach), size })
         };
         let around = |&(c, near): &(CriticalPoint, u32)| -> Vec<Place> {
             let h = self.object.sizes[near as usize];

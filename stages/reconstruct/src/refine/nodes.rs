@@ -3,7 +3,7 @@
 use super::{Place, Refinement};
 use crate::join::compact;
 use crate::object::Violation;
-use crate::queue::{Reason, Simplex};
+use crate::queue::Reason;
 use crate::restricted::Facet;
 use glam::DVec3;
 use isoparticles_mesh::inside::nodes_on_wrong_side;
@@ -14,72 +14,43 @@ use std::collections::HashMap;
 pub(crate) const AT_A_VERTEX: f64 = 0.15;
 
 impl Refinement<'_> {
-    /// The grid nodes on the wrong side of some facets, none where they do not count.
-    fn wrong_nodes(&self, facets: &[Facet]) -> Vec<usize> {
+    /// The grid nodes on the wrong side of some facets, none where they do not count; grid frame, mm.
+    fn wrong_nodes(&self, facets: &[Facet]) -> Vec<DVec3> {
         let Some(samples) = self.nodes else { return Vec::new() };
         let (mesh, _) = compact(self.object.points(), facets);
-        nodes_on_wrong_side(&mesh, samples).into_iter().map(|[i, j, k]| samples.geometry.linear(i, j, k)).collect()
+        let place = |node: [usize; 3]| samples.geometry.index_to_grid(DVec3::from_array(node.map(|n| n as f64)));
+        nodes_on_wrong_side(&mesh, samples).into_iter().map(place).collect()
     }
 
-    /// Place of a node, grid frame, mm.
-    fn node(&self, number: usize) -> DVec3 {
-        let geometry = self.object.restricted.field().geometry();
-        let [nx, ny, _] = geometry.size;
-        geometry.index_to_grid(DVec3::new((number % nx) as f64, (number / nx % ny) as f64, (number / nx / ny) as f64))
-    }
-
-    /// The violations at grid nodes on the wrong side.
+    /// Where points bring the grid nodes that lie on the wrong side of some facets to the right one.
     pub(super) fn at_nodes(&self, facets: &[Facet]) -> Vec<Violation> {
-        let at = |&node: &usize| self.at_node(node, self.nearest(self.node(node)).0);
-        self.wrong_nodes(facets).par_iter().filter_map(at).collect()
-    }
-
-    /// The violation at a grid node, if it is on the wrong side; `near` is a vertex not far from it.
-    pub(super) fn at_node(&self, number: usize, near: u32) -> Option<Violation> {
-        let node = self.node(number);
-        let sample = self.nodes?.data[number];
-        if sample == 0.0 || self.object.restricted.holds(node, near) == (sample < 0.0) {
-            return None;
-        }
-        let near = self.object.restricted.nearest(node, near).0;
-        let place = self.at_foot(node, near, |v| self.object.facets_at(v))?;
-        let Place { point, radius, size } = place;
-        Some(Violation { reason: Reason::Node, simplex: Simplex::Node(number), remedy: point, radius, size, near })
-    }
-
-    /// Where points bring the grid nodes that lie on the wrong side of facets found by other means to the right one.
-    pub(super) fn at_nodes_of_other(&self, facets: &[Facet]) -> Vec<Violation> {
         let nodes = self.wrong_nodes(facets);
         if nodes.is_empty() {
             return Vec::new();
         }
-        let mut facets_at: HashMap<u32, Vec<Facet>> = HashMap::new();
+        let mut facets_at: HashMap<u32, Vec<&Facet>> = HashMap::new();
         for facet in facets {
-            facet.vertices.into_iter().for_each(|v| facets_at.entry(v).or_default().push(*facet));
+            facet.vertices.into_iter().for_each(|v| facets_at.entry(v).or_default().push(facet));
         }
-        let at = |&number: &usize| {
-            let node = self.node(number);
-            self.at_foot(node, self.nearest(node).0, |v| facets_at.get(&v).cloned().unwrap_or_default())
-        };
-        let found: Vec<Place> = nodes.par_iter().filter_map(at).collect();
+        let found: Vec<Place> = nodes.par_iter().flat_map_iter(|&node| self.at_node(node, &facets_at)).collect();
         self.places(Reason::Node, &found)
     }
 
-    /// The point of F = 0 nearest to a node or, where a vertex is there already, the middle of the longest edge of the facets at it that pass the node by.
-    fn at_foot(&self, node: DVec3, near: u32, facets_at: impl Fn(u32) -> Vec<Facet>) -> Option<Place> {
-        let point = self.object.on_surface(node, 2.0)?;
-        let (vertex, radius) = self.object.restricted.nearest(point, near);
+    /// The point of F = 0 nearest to a node or, where a vertex is there already, the middles of the longest edges of the facets at it that pass the node by.
+    fn at_node(&self, node: DVec3, facets_at: &HashMap<u32, Vec<&Facet>>) -> Vec<Place> {
+        let Some(point) = self.object.on_surface(node, 2.0) else { return Vec::new() };
+        let (vertex, radius) = self.nearest(point);
         let size = self.object.sizes[vertex as usize];
         if radius >= AT_A_VERTEX * size {
-            return Some(Place { point, radius, size });
+            return vec![Place { point, radius, size }];
         }
         let is_outside = self.object.restricted.field().value(node) > 0.0;
-        let passes_by = |f: &Facet| {
+        let passes_by = |f: &&&Facet| {
             let [a, b, c] = f.vertices.map(|v| self.object.points()[v as usize]);
             ((node - a).dot((b - a).cross(c - a)) > 0.0) != is_outside
         };
-        let splits = facets_at(vertex).into_iter().filter(passes_by).filter_map(|f| self.split(&f));
-        splits.max_by(|a, b| a.radius.total_cmp(&b.radius))
+        let facets = facets_at.get(&vertex).into_iter().flatten();
+        facets.filter(passes_by).filter_map(|f| self.split(f)).collect()
     }
 
     /// The point of F = 0 at the middle of the longest edge of a facet.

@@ -73,7 +73,7 @@ impl Refinement<'_> {
         if mended > 0 {
             return Ok(mended);
         }
-        let found = self.at_nodes_of_other(&self.object.without_border_closure(facets.to_vec()));
+        let found = self.at_nodes(&self.object.without_border_closure(facets.to_vec()));
         self.mend_all(found, &mut step)
     }
 
