@@ -208,8 +208,9 @@ impl<'a> Refinement<'a> {
                 mended = self.mend_all(found, step)?;
                 rounds_left -= usize::from(mended > 0);
             }
+            let wrong_sided = if mended == 0 { self.wrong_sided() } else { Vec::new() };
             if mended == 0 {
-                mended = self.mend_critical_points(step)?;
+                mended = self.mend_critical_points(&wrong_sided, step)?;
             }
             if mended == 0 {
                 mended = self.part_pinches(&facets, &defects);
@@ -223,8 +224,7 @@ impl<'a> Refinement<'a> {
                 node_rounds_left -= usize::from(mended > 0);
             }
             if mended == 0 {
-                let critical = self.wrong_sided().len();
-                self.tell(&defects, critical);
+                self.tell(&defects, wrong_sided.len());
                 return Ok(facets);
             }
         }
@@ -265,16 +265,20 @@ impl<'a> Refinement<'a> {
     /// Places found together, as violations.
     fn places(&self, reason: Reason, found: &[Place]) -> Vec<Violation> {
         let violation = |(k, &Place { point, radius, size }): (usize, &Place)| {
-            let (simplex, near) = (Simplex::Place(reason, k), self.nearest(point).0);
+            let (simplex, near) = (Simplex::Place(reason, k), self.near(point));
             Violation { reason, simplex, remedy: point, radius, size, near }
         };
         found.par_iter().enumerate().map(violation).collect()
     }
 
+    /// A point not far from a place.
+    fn near(&self, place: DVec3) -> u32 {
+        self.first.nearest(place).map_or(0, |(v, _)| v as u32)
+    }
+
     /// The point nearest to a place and its distance, mm.
     fn nearest(&self, place: DVec3) -> (u32, f64) {
-        let near = self.first.nearest(place).map_or(0, |(v, _)| v as u32);
-        self.object.restricted.nearest(place, near)
+        self.object.restricted.nearest(place, self.near(place))
     }
 }
 

@@ -21,11 +21,8 @@ const APART: f64 = 0.5;
 impl Refinement<'_> {
     /// The critical points that the mesh has on the wrong side, with the nearest vertex of each.
     pub(super) fn wrong_sided(&self) -> Vec<(CriticalPoint, u32)> {
-        let wrong = |c: &CriticalPoint| {
-            let near = self.nearest(c.position).0;
-            (!self.has_right(c, near)).then_some((*c, near))
-        };
-        self.critical_points().filter_map(wrong).collect()
+        let is_wrong = |c: &&CriticalPoint| !self.has_right(c, self.near(c.position));
+        self.critical_points().filter(is_wrong).map(|c| (*c, self.nearest(c.position).0)).collect()
     }
 
     /// Whether the mesh has a critical point on its right side; `near` is a vertex not far from it.
@@ -52,14 +49,14 @@ impl Refinement<'_> {
     ///
     /// # Errors
     /// Those of `step` and of the triangulation.
-    pub(super) fn mend_critical_points(&mut self, step: &mut dyn FnMut(usize) -> Result<()>) -> Result<usize> {
+    pub(super) fn mend_critical_points(
+        &mut self,
+        wrong_sided: &[(CriticalPoint, u32)],
+        step: &mut dyn FnMut(usize) -> Result<()>,
+    ) -> Result<usize> {
         let most = LOOKS.min(self.options.max_rounds);
-        if self.critical_looks >= most {
-            return Ok(0);
-        }
-        let wrong_sided = self.wrong_sided();
         while !wrong_sided.is_empty() && self.critical_looks < most {
-            let found = self.at_critical_points(&wrong_sided, self.critical_looks);
+            let found = self.at_critical_points(wrong_sided, self.critical_looks);
             self.critical_looks += 1;
             let mended = self.mend_all(found, step)?;
             if mended > 0 {

@@ -81,7 +81,7 @@ impl Refinement<'_> {
     fn wrong_by(&self, sides: &[bool]) -> HashSet<u32> {
         let restricted = &self.object.restricted;
         let wrong = |c: &CriticalPoint| {
-            let t = restricted.locate(c.position, self.nearest(c.position).0)?;
+            let t = restricted.locate(c.position, self.near(c.position))?;
             let is_inside = c.value < 0.0;
             (restricted.is_inside(t) == is_inside && sides[t as usize] != is_inside).then_some(t)
         };
