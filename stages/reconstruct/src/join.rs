@@ -11,7 +11,6 @@ use isoparticles_delaunay::Delaunay;
 use isoparticles_field::spline::CubicSpline;
 use isoparticles_field::topology::FieldTopology;
 use isoparticles_mesh::TriangleMesh;
-use isoparticles_mesh::inside::nodes_on_wrong_side;
 use isoparticles_stage::error::Result;
 use isoparticles_stage::monitor::Monitor;
 use isoparticles_volume::Image;
@@ -56,18 +55,24 @@ pub(crate) fn join(
         open_border: options.open_border,
     };
     let mut refinement = Refinement::of(delaunay, points, spline, topology, limits);
-    let work = Work { max_rounds: options.max_rounds, nodes: options.guarded(samples), monitor };
+    if let Some(samples) = options.guarded(samples) {
+        refinement.keep_nodes(samples);
+    }
+    let mut hear = |count: usize| {
+        monitor.note(&|| format!("{count} points"));
+        Ok(monitor.check()?)
+    };
     let phase = monitor.phase("refine");
-    let mut facets = work.refine(&mut refinement)?;
+    let mut facets = refinement.run(&mut hear)?;
     drop(phase);
     let mut cocone = None;
     if options.method == Method::TightCocone {
         let _phase = monitor.phase("cocone");
-        let (by_cocones, report) = work.cocones(&mut refinement)?;
+        let (by_cocones, report) = cocones(&mut refinement, options.max_rounds, &mut hear)?;
         (facets, cocone) = (by_cocones, Some(report));
     }
-    let (mut mesh, used) = compact(refinement.restricted.points(), &facets);
-    let pinched: Vec<(u32, Vec<u32>)> = refinement.defects(&facets).vertices;
+    let (mut mesh, used) = compact(refinement.object.points(), &facets);
+    let pinched: Vec<(u32, Vec<u32>)> = refinement.object.defects(&facets).vertices;
     let mut parted = 0;
     if !pinched.is_empty() {
         let number = |v: u32| used.binary_search(&v).expect("a vertex of a facet is in the mesh") as u32;
@@ -77,79 +82,42 @@ pub(crate) fn join(
     }
     Ok(Joined {
         mesh,
-        sizes: (refinement.restricted.points().to_vec(), refinement.sizes.clone()),
+        sizes: (refinement.object.points().to_vec(), refinement.object.sizes.clone()),
         report: refinement.report.clone(),
         cocone,
         parted,
     })
 }
 
-/// How far the refinement goes, and who watches.
-struct Work<'a> {
+/// Tight Cocone of the points that are there by now, and of those added where it lacks what the surface by the sign of F has, or
+/// leaves grid nodes on the wrong side.
+pub(crate) fn cocones(
+    refinement: &mut Refinement,
     max_rounds: usize,
-    /// Samples of F whose nodes must lie on their side, if any.
-    nodes: Option<&'a Image<f32>>,
-    monitor: &'a dyn Monitor,
-}
-
-impl Work<'_> {
-    /// Adds points until the restricted surface is that of F, and no grid node of a label volume lies on its wrong side.
-    fn refine(&self, refinement: &mut Refinement) -> Result<Vec<Facet>> {
-        let hear = |round: usize, count: usize| {
-            self.monitor.note(&|| format!("round {round}: {count} points"));
-            Ok(self.monitor.check()?)
-        };
-        let mut facets = refinement.run(hear)?;
-        // the nodes have rounds of their own: a stubborn handle elsewhere must not use them up
-        refinement.allow_rounds(self.max_rounds);
-        let end = refinement.report.rounds + self.max_rounds;
-        while refinement.report.rounds < end && self.add_at_nodes(refinement, &facets)? > 0 {
-            facets = refinement.run(hear)?;
+    hear: &mut dyn FnMut(usize) -> Result<()>,
+) -> Result<(Vec<Facet>, CoconeReport)> {
+    for round in 0.. {
+        let found = cocone_of(refinement);
+        hear(refinement.object.points().len())?;
+        let limit = if found.is_ok() { COCONE_ROUNDS } else { COCONE_ROUNDS_IN_VAIN };
+        // points that enclose nothing have no surface
+        let closed = found.as_ref().map_or(&[][..], |(facets, _)| facets);
+        let may_go_on = round < max_rounds.min(limit);
+        if !may_go_on || refinement.insert_for_other(closed, &mut *hear)? == 0 {
+            let (facets, report) = found?;
+            let facets = refinement.object.without_border_closure(facets);
+            refinement.compare_other(&facets);
+            return Ok((facets, report));
         }
-        Ok(facets)
+        // the surface by the sign of F stays right, so that it can be compared with
+        refinement.run(&mut *hear)?;
     }
-
-    /// Adds points at the grid nodes that lie on the wrong side of the facets; returns how many.
-    fn add_at_nodes(&self, refinement: &mut Refinement, facets: &[Facet]) -> Result<usize> {
-        let Some(samples) = self.nodes else { return Ok(0) };
-        let (mesh, _) = compact(refinement.restricted.points(), facets);
-        let nodes = nodes_on_wrong_side(&mesh, samples);
-        self.monitor.note(&|| format!("{} grid nodes on the wrong side", nodes.len()));
-        if nodes.is_empty() { Ok(0) } else { refinement.insert_near_nodes(&nodes, facets) }
-    }
-
-    /// Tight Cocone of the points that are there by now, and of those added where it lacks what the surface by the sign of F has, or
-    /// leaves grid nodes on the wrong side.
-    fn cocones(&self, refinement: &mut Refinement) -> Result<(Vec<Facet>, CoconeReport)> {
-        for round in 0.. {
-            let found = cocone_of(refinement);
-            self.monitor.check()?;
-            let limit = if found.is_ok() { COCONE_ROUNDS } else { COCONE_ROUNDS_IN_VAIN };
-            let may_go_on = round < self.max_rounds.min(limit);
-            // points that enclose nothing have no surface
-            let closed = found.as_ref().map_or(&[][..], |(facets, _)| facets);
-            let mut added = if may_go_on { refinement.insert_for_other(closed)? } else { 0 };
-            let facets = refinement.without_border_closure(closed.to_vec());
-            if may_go_on && added == 0 {
-                added = self.add_at_nodes(refinement, &facets)?;
-            }
-            self.monitor.note(&|| format!("Tight Cocone, round {round}: {added} points added"));
-            if added == 0 {
-                let (_, report) = found?;
-                refinement.compare_other(&facets);
-                return Ok((facets, report));
-            }
-            // the surface by the sign of F stays right, so that it can be compared with
-            refinement.allow_rounds(self.max_rounds);
-            self.refine(refinement)?;
-        }
-        unreachable!("the rounds end")
-    }
+    unreachable!("the rounds end")
 }
 
 /// Tight Cocone of all points of a refinement, with grad F for normals.
 pub(crate) fn cocone_of(refinement: &Refinement) -> Result<(Vec<Facet>, CoconeReport)> {
-    let (delaunay, field) = (refinement.restricted.delaunay(), refinement.restricted.field());
+    let (delaunay, field) = (refinement.object.restricted.delaunay(), refinement.object.restricted.field());
     let normals: Vec<DVec3> = delaunay.points().par_iter().map(|&p| field.value_gradient(p).1).collect();
     tight_cocone(delaunay, Some(&normals))
 }

@@ -33,7 +33,7 @@ pub struct Labelled<L> {
     labels: Vec<L>,
     /// Tetrahedra made since the labels were last decided.
     undecided: Vec<u32>,
-    /// Tetrahedra made since the changes were last taken.
+    /// Tetrahedra made, or given another label, since the changes were last taken.
     changed: Vec<u32>,
 }
 
@@ -65,6 +65,7 @@ impl<L: Copy + Default + Ord + Send + Sync> Labelled<L> {
     /// Gives a tetrahedron another label.
     pub fn set(&mut self, tetrahedron: u32, label: L) {
         self.labels[tetrahedron as usize] = label;
+        self.changed.push(tetrahedron);
     }
 
     /// Gives all tetrahedra other labels, by their numbers.
@@ -110,7 +111,7 @@ impl<L: Copy + Default + Ord + Send + Sync> Labelled<L> {
         self.changed.append(&mut undecided);
     }
 
-    /// The tetrahedra made by insertions since the last call, ascending.
+    /// The tetrahedra made, or given another label one by one, since the last call, ascending.
     pub fn take_changed(&mut self) -> Vec<u32> {
         let mut changed = std::mem::take(&mut self.changed);
         changed.retain(|&t| self.delaunay.is_alive(t));
@@ -150,6 +151,22 @@ impl<L: Copy + Default + Ord + Send + Sync> Labelled<L> {
             // from beyond the hull the walk may turn back at once
             entered_from = infinite.is_none().then_some(t);
             t = neighbours[i];
+        }
+    }
+
+    /// The point nearest to a place and its distance, mm: from `near` on to whatever neighbour is nearer, which ends at the nearest (Delaunay). The lowest
+    /// number wins a tie among neighbours.
+    pub fn nearest(&self, place: DVec3, near: u32) -> (u32, f64) {
+        let distance = |v: u32| self.points()[v as usize].distance(place);
+        let mut best = (near, distance(near));
+        loop {
+            let star = star(&self.delaunay, best.0);
+            let around = star.into_iter().flat_map(|t| self.delaunay.vertices(t)).filter(|&v| v != INFINITE);
+            let found = around.map(|v| (v, distance(v))).min_by(|a, b| a.1.total_cmp(&b.1).then(a.0.cmp(&b.0)));
+            match found.filter(|found| found.1 < best.1) {
+                Some(nearer) => best = nearer,
+                None => return best,
+            }
         }
     }
 

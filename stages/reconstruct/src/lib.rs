@@ -6,8 +6,8 @@
 //! |---|---|
 //! | the particles on F = 0, triangulated | [`prepare`] |
 //! | tetrahedra inside and outside, and the facets between them | [`restricted`], [`tight_cocone`] |
-//! | where the facets violate the topology of F | [`defects`] |
-//! | points added there | [`refine`] |
+//! | where a facet, an edge or a vertex violates a criterion; the topology of all facets | [`object`], [`defects`] |
+//! | points added there, most needed first | [`refine`], [`queue`] |
 //! | the worst triangles lifted | [`improve`] |
 //! | the mesh checked, beside the topology of F | [`check`], [`verdict`] |
 //! | data attached, and what offends shown | [`finish`] |
@@ -20,11 +20,13 @@ pub mod improve;
 mod join;
 pub mod labelled;
 pub mod materials;
+pub mod object;
 pub mod pinched;
 mod points_alone;
 pub mod prepare;
 #[cfg(test)]
 mod program_tests;
+pub mod queue;
 pub mod reconstruct;
 pub mod refine;
 pub mod restricted;

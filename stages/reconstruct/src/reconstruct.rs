@@ -4,15 +4,16 @@
 //! space). Tetrahedra are labelled inside or outside: by the sign of F at their circumcentres, or by the shape of the Voronoi cells (Tight
 //! Cocone). The facets between them are the surface, closed by construction. Criteria compare it with F: is it a manifold, has it the
 //! components and the Euler characteristics of F, does a facet stray from F = 0 or turn away from it, does a voxel centre lie on its
-//! wrong side. Where one is violated, a point is added at the centre of the facet's surface ball, until none is or the rounds are over. The facets are
-//! extracted,
-//! and sheets that touch in a point are parted. The worst triangles are lifted by local moves that break no criterion. At last
-//! everything a simulation counts on is checked anew, on the mesh as it is and against F as it was.
+//! wrong side. A queue holds what is violated, most needed first, and for each a point is added at the centre of the facet's surface ball; only what that
+//! changed is looked at again, until the queue is empty or there is no room. The facets are extracted, and sheets that touch in a point are parted. The
+//! worst triangles are lifted by local moves that break no criterion. At last everything a simulation counts on is checked anew, on the
+//! mesh as it is and against F as it was.
 
 use crate::check::{CheckOptions, CheckReport, check};
 use crate::improve::{ImproveOptions, ImproveReport, improve};
 use crate::join::{Joined, join};
 use crate::prepare::{PrepareReport, prepare};
+use crate::queue::Reason;
 use crate::refine::RefineReport;
 use crate::tight_cocone::CoconeReport;
 use crate::verdict::TopologyReport;
@@ -221,10 +222,9 @@ fn judge(
     checked.nodes_on_wrong_side = nodes;
     let (wrong, mut doubtful) = found.differences(options.open_border);
     failed.extend(wrong);
-    if refined.unresolved_critical > 0 {
+    if let Some(count) = refined.unresolved.get(&Reason::CriticalPoint) {
         doubtful.push(format!(
-            "{} critical points of F on the wrong side: necks, gaps or specks there are thinner than the particles can tell",
-            refined.unresolved_critical
+            "{count} critical points of F on the wrong side: necks, gaps or specks there are thinner than the particles can tell"
         ));
     }
     (failed, doubtful)

@@ -1,54 +1,47 @@
-//! The refinement loop: points are added on F = 0 until the restricted surface is a closed manifold with the components
+//! The refinement of one object: points are added on F = 0 until the restricted surface is a closed manifold with the components
 //! and the genus of F = 0, and no facet strays from it.
 //!
-//! Where a facet is at fault, the point is where its Voronoi edge crosses F = 0: the centre of the facet's surface ball,
-//! the place of F = 0 nearby that is farthest from all points (Boissonnat and Oudot 2005). A round compares the whole surface with the
-//! topology of F, which is known before and does not change, adds points, and follows them up where they changed something; the last comparison is always of the whole.
+//! Pure criteria find violations: at simplices (`object.rs`), which are looked at again where something changed, and of the surface as a whole, which are looked
+//! for when nothing else is left to do: components missing or in pieces, critical points and grid nodes on the wrong side. Each is mended by a
+//! point, most needed first (`queue.rs`): the centre of a facet's surface ball, where its Voronoi edge crosses F = 0 (Boissonnat and Oudot 2005), or the place
+//! that the criterion names. The topology of F is known before and does not change. Where points do not help, tetrahedra change sides.
 
-mod follow_up;
-mod genus;
-mod insert;
-mod near;
-mod nodes;
+mod critical;
+pub(crate) mod nodes;
 mod other;
 mod pieces;
-mod pinches;
+mod relabel;
 mod samples;
 
 use crate::defects::Defects;
-use crate::prepare::{ON_SURFACE, SurfacePoints};
-use crate::restricted::{Facet, Restricted};
+use crate::object::{Object, Violation};
+use crate::prepare::SurfacePoints;
+use crate::queue::{Queue, Reason, Refine, Simplex};
+use crate::restricted::Facet;
 use glam::DVec3;
-use insert::{Candidate, Reason};
 use isoparticles_delaunay::Delaunay;
 use isoparticles_field::spline::CubicSpline;
-use isoparticles_field::topology::{CriticalPoint, FieldTopology};
-use isoparticles_mesh::components::NO_COMPONENT;
+use isoparticles_field::topology::FieldTopology;
+use isoparticles_mesh::kd_tree::KdTree;
 use isoparticles_stage::error::Result;
-use near::Nearest;
-use pinches::Patience;
+use isoparticles_volume::Image;
 use rayon::prelude::*;
 use serde::Serialize;
-use std::collections::HashMap;
-use std::sync::OnceLock;
+use std::collections::BTreeMap;
 
-/// A facet may lie this part of h away from F = 0 when no limit is given: three times what a facet of edge h has on a
-/// ball of radius 2 h (h^2 / 6 R).
-pub(crate) const DEFAULT_DEVIATION: f64 = 0.25;
-
-/// Cosine between a facet's normal and grad F at its centroid below which the facet counts as turned away from F = 0.
-pub(crate) const TURNED: f64 = 0.3;
-
-/// A new point keeps this part of h from all others, unless the topology asks for it.
+/// A new point keeps this part of h from all others, unless the topology or a grid node asks for it.
 pub(crate) const NEAREST_FOR_SHAPE: f64 = 0.35;
 
-/// Rounds spent on critical points that stay on the wrong side of the mesh.
-const GENUS_ROUNDS: usize = 6;
+/// A new point keeps this part of h from all others where the topology or a grid node asks for it.
+const NEAREST_FOR_TOPOLOGY: f64 = 0.02;
+
+/// A place that was found by a look at the whole surface is taken unless a point added since is nearer than this part of the ball round it.
+const STILL_FREE: f64 = 0.8;
 
 /// How far the refinement may go.
 #[derive(Clone, Copy, Debug)]
 pub struct RefineOptions {
-    /// Most rounds over the whole surface at a stretch.
+    /// Most looks at the whole surface that add points for its topology, and as many for grid nodes.
     pub max_rounds: usize,
     /// Farthest that the centroid of a facet may lie from F = 0, mm; `None`: a quarter of h, at least a quarter voxel.
     pub max_deviation: Option<f64>,
@@ -65,66 +58,86 @@ impl Default for RefineOptions {
 /// What the refinement did.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct RefineReport {
-    /// Rounds of adding points all over the surface.
+    /// Looks at the whole surface that added points.
     pub rounds: usize,
-    /// Times that points were added after that where those before had changed something.
-    pub follow_ups: usize,
-    /// Points inserted in all.
-    pub inserted: usize,
-    /// ... at edges and vertices that were not manifold.
-    pub inserted_manifold: usize,
-    /// ... at facets that joined different components.
-    pub inserted_bridges: usize,
-    /// ... on components that had no facets.
-    pub inserted_missing: usize,
-    /// ... at critical points of F on the wrong side.
-    pub inserted_genus: usize,
-    /// ... at facets too far from F = 0, or turned away from it.
-    pub inserted_deviation: usize,
-    /// ... near grid nodes on the wrong side (label volumes).
-    pub inserted_nodes: usize,
+    /// Points inserted, by what asked for them.
+    pub inserted: BTreeMap<Reason, usize>,
     /// Edges and vertices in which sheets touched and that tetrahedra parted by changing sides.
     pub parted_pinches: usize,
     /// Small closed pieces of the mesh that are none of F = 0, and whose tetrahedra changed sides.
     pub dropped_pieces: usize,
-    /// Edges and vertices that are still not manifold.
-    pub unresolved_manifold: usize,
-    /// Facets that still join different components.
-    pub unresolved_bridges: usize,
-    /// Components still without facets.
-    pub unresolved_missing: usize,
-    /// Critical points of F that are still on the wrong side of the mesh.
-    pub unresolved_critical: usize,
-    /// Components that are still in pieces, or of an Euler characteristic that F does not have there.
-    pub unresolved_genus: usize,
+    /// Violations of the topology left, by what is violated.
+    pub unresolved: BTreeMap<Reason, usize>,
+}
+
+impl RefineReport {
+    /// Points inserted in all.
+    pub fn points(&self) -> usize {
+        self.inserted.values().sum()
+    }
 }
 
 /// A restricted surface on its way to the topology of F.
 pub struct Refinement<'a> {
-    /// The triangulation.
-    pub restricted: Restricted<'a>,
-    /// Target edge length at each point, mm.
-    pub sizes: Vec<f64>,
-    /// Component of F = 0 of each point, [`NO_COMPONENT`] where there is none near.
-    pub component_of: Vec<u32>,
+    /// The surface.
+    pub object: Object<'a>,
     /// What was done so far.
     pub report: RefineReport,
-    topology: &'a FieldTopology,
     options: RefineOptions,
-    genus_rounds: usize,
-    /// Rounds granted at first.
-    granted: usize,
-    patience: Patience,
-    /// Whether the tetrahedra inside are those that the facets enclose.
-    sides_are_known: bool,
-    /// Critical points on the wrong side of the mesh, each with the nearest vertex, once they have been asked for since the last comparison.
-    wrong_sided: OnceLock<Vec<(CriticalPoint, u32)>>,
-    /// The points, as of the last comparison.
-    nearest: Nearest,
-    /// Times that points were added on each class for want of facets.
-    samplings: HashMap<u32, i32>,
-    /// Whether facets that stray were sought on the whole surface.
-    strays_are_known: bool,
+    queue: Queue<DVec3>,
+    /// Samples of F whose nodes must lie on their side, if any.
+    nodes: Option<&'a Image<f32>>,
+    /// The points that it began with: from the nearest of them the triangulation leads to those added since.
+    first: KdTree,
+    /// Points at the last look at the whole surface.
+    known: usize,
+    /// Looks at critical points.
+    critical_looks: usize,
+    /// Times that tetrahedra changed sides where sheets touch.
+    partings: usize,
+}
+
+impl Refine for Refinement<'_> {
+    type Remedy = DVec3;
+
+    fn queue(&mut self) -> &mut Queue<DVec3> {
+        &mut self.queue
+    }
+
+    fn now(&self, old: &Violation) -> Option<Violation> {
+        match old.simplex {
+            Simplex::Place(..) => {
+                let (near, room) = self.object.restricted.nearest(old.remedy, old.near);
+                let is_free = (near as usize) < self.known || room >= STILL_FREE * old.radius;
+                is_free.then_some(Violation { near, ..*old })
+            }
+            simplex => self.object.at_simplex(simplex),
+        }
+    }
+
+    fn mend(&mut self, violation: &Violation) -> Result<bool> {
+        let Violation { reason, remedy, radius, size, near, .. } = *violation;
+        let least = if reason == Reason::Deviation { NEAREST_FOR_SHAPE } else { NEAREST_FOR_TOPOLOGY };
+        // a projected centroid may lie nearer to others than to the facet's vertices; a place is tried once a look
+        let is_free = || {
+            matches!(violation.simplex, Simplex::Place(..))
+                || self.object.restricted.nearest(remedy, near).1 >= NEAREST_FOR_TOPOLOGY * size
+        };
+        let is_mended = radius >= least * size && is_free() && self.object.insert(remedy, size, near)?;
+        if is_mended {
+            *self.report.inserted.entry(reason).or_default() += 1;
+        }
+        Ok(is_mended)
+    }
+
+    fn at_changed(&mut self) -> Vec<Violation> {
+        let changed = self.object.restricted.take_changed();
+        self.object.at_tetrahedra(&changed)
+    }
+
+    fn point_count(&self) -> usize {
+        self.object.points().len()
+    }
 }
 
 impl<'a> Refinement<'a> {
@@ -150,181 +163,131 @@ impl<'a> Refinement<'a> {
         topology: &'a FieldTopology,
         options: RefineOptions,
     ) -> Self {
-        let restricted = Restricted::new(delaunay, field);
-        let component_of = points.positions.par_iter().map(|&p| component_at(p, field, topology)).collect::<Vec<u32>>();
+        let RefineOptions { max_deviation, open_border, .. } = options;
+        let first = KdTree::new(delaunay.points());
+        let object = Object::new(delaunay, points, field, topology, max_deviation, open_border);
+        // what is amiss at edges and vertices comes with the first look at the whole surface
+        let found: Vec<Violation> = object.facets().par_iter().filter_map(|f| object.at_facet(f)).collect();
+        let mut queue = Queue::default();
+        queue.add(found);
+        let (known, critical_looks, partings) = (0, 0, 0);
         Self {
-            restricted,
-            sizes: points.sizes.clone(),
-            component_of,
+            object,
             report: RefineReport::default(),
-            topology,
             options,
-            genus_rounds: 0,
-            granted: options.max_rounds,
-            patience: Patience::default(),
-            sides_are_known: true,
-            wrong_sided: OnceLock::new(),
-            nearest: Nearest::default(),
-            samplings: HashMap::new(),
-            strays_are_known: false,
+            queue,
+            nodes: None,
+            first,
+            known,
+            critical_looks,
+            partings,
         }
     }
 
-    /// Lets the refinement go on for so many rounds from now.
-    pub fn allow_rounds(&mut self, rounds: usize) {
-        self.options.max_rounds = self.report.rounds + rounds;
+    /// Lets grid nodes count, the samples of F, from now on.
+    pub fn keep_nodes(&mut self, samples: &'a Image<f32>) {
+        self.nodes = Some(samples);
     }
 
-    /// The facets of the surface; with an open border, without those that would close it there.
-    pub fn facets(&self) -> Vec<Facet> {
-        self.without_border_closure(self.restricted.facets())
-    }
-
-    /// Facets without those that would close the surface at an open border.
-    pub fn without_border_closure(&self, mut facets: Vec<Facet>) -> Vec<Facet> {
-        if self.options.open_border {
-            let closure: Vec<bool> = facets.par_iter().map(|f| self.restricted.is_border_closure(f)).collect();
-            let mut closure = closure.into_iter();
-            facets.retain(|_| !closure.next().unwrap_or(false));
-        }
-        facets
-    }
-
-    /// Defects of a set of facets.
-    pub fn defects(&self, facets: &[Facet]) -> Defects {
-        let triangles: Vec<[u32; 3]> = facets.iter().map(|f| f.vertices).collect();
-        Defects::find(&triangles, &self.component_of, self.topology, |a, b| self.may_be_open(a, b))
-    }
-
-    /// Whether an edge may be in one facet only: at an open border.
-    fn may_be_open(&self, a: u32, b: u32) -> bool {
-        let geometry = self.restricted.field().geometry();
-        let upper = geometry.upper_corner();
-        let near_border = |v: u32| {
-            let p = self.restricted.points()[v as usize];
-            p.min(upper - p).min_element() < self.sizes[v as usize] + geometry.mean_spacing()
-        };
-        self.options.open_border && near_border(a) && near_border(b)
-    }
-
-    /// Adds points until there is no defect left, or `max_rounds` are over at a stretch. `step` hears the round and the number of
-    /// points and may stop the loop with an error. Returns the facets.
+    /// Adds points until nothing is violated, there is no room for more, or `max_rounds` are over. `step` hears the number of points and may stop
+    /// the loop with an error. Returns the facets.
     ///
     /// # Errors
-    /// Those of `step`.
-    pub fn run(&mut self, mut step: impl FnMut(usize, usize) -> Result<()>) -> Result<Vec<Facet>> {
+    /// Those of `step` and of the triangulation.
+    pub fn run(&mut self, mut step: impl FnMut(usize) -> Result<()>) -> Result<Vec<Facet>> {
+        let step: &mut dyn FnMut(usize) -> Result<()> = &mut step;
+        let mut rounds_left = self.options.max_rounds;
+        let mut node_rounds_left = self.options.max_rounds;
         loop {
-            let follow_ups = self.follow_up(&mut step)?;
-            step(self.report.rounds, self.restricted.points().len())?;
-            let facets = self.facets();
-            let defects = self.compare(&facets);
-            if self.patience.is_over(&defects, follow_ups) && self.part_pinches(&facets, &defects) > 0 {
-                continue;
+            step(self.object.points().len())?;
+            let facets = self.object.facets();
+            let defects = self.object.defects(&facets);
+            let mut mended = 0;
+            if rounds_left > 0 {
+                let found = self.at_defects(&facets, &defects);
+                mended = self.mend_all(found, step)?;
+                rounds_left -= usize::from(mended > 0);
             }
-            let is_stuck = self.add_points(&facets, &defects)? == 0;
-            if is_stuck && self.part_pinches(&facets, &defects) == 0 && self.drop_pieces(&facets, &defects) == 0 {
+            let wrong_sided = if mended == 0 { self.wrong_sided() } else { Vec::new() };
+            if mended == 0 {
+                mended = self.mend_critical_points(&wrong_sided, step)?;
+            }
+            if mended == 0 {
+                mended = self.part_pinches(&facets, &defects);
+            }
+            if mended == 0 {
+                mended = self.drop_pieces(&facets, &defects);
+            }
+            if mended == 0 && node_rounds_left > 0 {
+                let found = self.at_nodes(&facets);
+                mended = self.mend_all(found, step)?;
+                node_rounds_left -= usize::from(mended > 0);
+            }
+            if mended == 0 {
+                self.tell(&defects, wrong_sided.len());
                 return Ok(facets);
             }
         }
     }
 
-    /// Defects of a set of facets; they go into the report.
-    fn compare(&mut self, facets: &[Facet]) -> Defects {
-        self.nearest.update(self.restricted.points());
-        self.wrong_sided = OnceLock::new();
-        let defects = self.defects(facets);
-        self.report.unresolved_manifold = defects.edges.len() + defects.vertices.len();
-        self.report.unresolved_bridges = defects.bridges.len();
-        self.report.unresolved_missing = defects.missing.len();
-        self.report.unresolved_genus = defects.wrong_genus.len() + defects.in_pieces.len();
-        defects
+    /// Mends violations and those that come of it; returns how many points that took.
+    fn mend_all(&mut self, found: Vec<Violation>, step: &mut dyn FnMut(usize) -> Result<()>) -> Result<usize> {
+        self.known = self.object.points().len();
+        let mended = self.drain(found, step)?;
+        self.report.rounds += usize::from(mended > 0);
+        Ok(mended)
     }
 
-    fn on_surface(&self, p: DVec3, voxels: f64) -> Option<DVec3> {
-        let voxel = self.restricted.field().geometry().mean_spacing();
-        self.restricted.field().project(p, voxels * voxel, ON_SURFACE * voxel)
+    /// Puts into the report what is left.
+    fn tell(&mut self, defects: &Defects, critical: usize) {
+        let left = [
+            (Reason::Edge, defects.edges.len()),
+            (Reason::Vertex, defects.vertices.len()),
+            (Reason::Bridge, defects.bridges.len()),
+            (Reason::Missing, defects.missing.len()),
+            (Reason::Component, defects.wrong_genus.len() + defects.in_pieces.len()),
+            (Reason::CriticalPoint, critical),
+        ];
+        self.report.unresolved = left.into_iter().filter(|(_, count)| *count > 0).collect();
     }
 
-    /// Adds points at the defects, if there are rounds left, else round critical points; returns how many. Facets that stray are sought all
-    /// over the surface at first and where nothing else is left to do; in between, rounds find those that they make themselves.
-    fn add_points(&mut self, facets: &[Facet], defects: &Defects) -> Result<usize> {
-        let mut inserted = 0;
-        if self.report.rounds < self.options.max_rounds {
-            let mut candidates = self.candidates(facets, defects);
-            let strays_are_known = std::mem::replace(&mut self.strays_are_known, true);
-            if !strays_are_known {
-                candidates.extend(self.at_strays(facets));
-            }
-            inserted = self.insert_all(candidates)?;
-            if inserted == 0 && strays_are_known {
-                inserted = self.insert_all(self.at_strays(facets))?;
-            }
-        }
-        if inserted == 0 { self.insert_at_critical_points() } else { Ok(inserted) }
+    /// What is violated in the topology of the surface, and where tetrahedra changed sides.
+    fn at_defects(&mut self, facets: &[Facet], defects: &Defects) -> Vec<Violation> {
+        let around = defects.edges.iter().flatten().chain(defects.vertices.iter().flat_map(|(_, around)| around));
+        let mut found = self.object.at_vertices(around.flat_map(|&f| facets[f as usize].vertices).collect());
+        found.extend(defects.bridges.iter().filter_map(|&f| self.object.at_facet(&facets[f as usize])));
+        found.extend(self.at_changed());
+        found.extend(self.on_missing(&defects.missing));
+        found.extend(self.in_gaps(defects));
+        found
     }
 
-    /// Points at the defects of the topology.
-    fn candidates(&mut self, facets: &[Facet], defects: &Defects) -> Vec<Candidate> {
-        let mut candidates = self.on_missing(&defects.missing);
-        candidates.extend(self.at_pinches(facets, &defects.edges, &defects.vertices));
-        candidates.extend(self.in_gaps(defects));
-        candidates.extend(defects.bridges.iter().filter_map(|&f| self.ball(&facets[f as usize], Reason::Bridge)));
-        candidates
-    }
-
-    /// At each edge and vertex that is not manifold, the largest surface ball of the facets there.
-    fn at_pinches(&self, facets: &[Facet], edges: &[Vec<u32>], vertices: &[(u32, Vec<u32>)]) -> Vec<Candidate> {
-        let spots: Vec<&Vec<u32>> = edges.iter().chain(vertices.iter().map(|(_, around)| around)).collect();
-        let largest = |around: &&Vec<u32>| {
-            let balls = around.iter().filter_map(|&f| self.ball(&facets[f as usize], Reason::Manifold));
-            balls.max_by(|a, b| a.radius.total_cmp(&b.radius))
+    /// Places found together, as violations.
+    fn places(&self, reason: Reason, found: &[Place]) -> Vec<Violation> {
+        let violation = |(k, &Place { point, radius, size }): (usize, &Place)| {
+            let (simplex, near) = (Simplex::Place(reason, k), self.near(point));
+            Violation { reason, simplex, remedy: point, radius, size, near }
         };
-        spots.par_iter().filter_map(largest).collect()
+        found.par_iter().enumerate().map(violation).collect()
     }
 
-    fn at_strays(&self, facets: &[Facet]) -> Vec<Candidate> {
-        facets.par_iter().filter_map(|f| self.at_stray(f)).collect()
+    /// A point not far from a place.
+    fn near(&self, place: DVec3) -> u32 {
+        self.first.nearest(place).map_or(0, |(v, _)| v as u32)
     }
 
-    /// The surface ball of a facet that strays from F = 0, if it is not too small.
-    fn at_stray(&self, facet: &Facet) -> Option<Candidate> {
-        if self.badness(facet) <= 1.0 {
-            return None;
-        }
-        self.ball(facet, Reason::Deviation).filter(|ball| ball.radius > NEAREST_FOR_SHAPE * ball.size)
-    }
-
-    /// How far a facet strays, in units of what is allowed.
-    fn badness(&self, facet: &Facet) -> f64 {
-        let limit = self.options.max_deviation.unwrap_or_else(|| {
-            let size = facet.vertices.map(|v| self.sizes[v as usize]).iter().sum::<f64>() / 3.0;
-            DEFAULT_DEVIATION * size.max(self.restricted.field().geometry().mean_spacing())
-        });
-        let (distance, agreement) = self.at_centroid(facet);
-        let turned = if agreement < TURNED { 1.0 + TURNED - agreement } else { 0.0 };
-        (distance / limit).max(turned)
-    }
-
-    /// Distance of the centroid of a facet from F = 0 to first order, mm, and the cosine between the facet's normal and grad F there.
-    fn at_centroid(&self, facet: &Facet) -> (f64, f64) {
-        let [a, b, c] = facet.vertices.map(|v| self.restricted.points()[v as usize]);
-        let (value, gradient) = self.restricted.field().value_gradient((a + b + c) / 3.0);
-        let slope = gradient.length().max(1e-6);
-        (value.abs() / slope, (b - a).cross(c - a).normalize_or_zero().dot(gradient / slope))
-    }
-
-    /// The surface ball of a facet: where its Voronoi edge crosses F = 0, else the projected centroid.
-    fn ball(&self, facet: &Facet, reason: Reason) -> Option<Candidate> {
-        let points = self.restricted.points();
-        let [a, b, c] = facet.vertices.map(|v| points[v as usize]);
-        let crossing = self.restricted.dual_crossing(facet).and_then(|p| self.on_surface(p, 0.5));
-        let point = crossing.or_else(|| self.on_surface((a + b + c) / 3.0, 2.0))?;
-        let radius = a.distance(point).min(b.distance(point)).min(c.distance(point));
-        let size = facet.vertices.map(|v| self.sizes[v as usize]).iter().sum::<f64>() / 3.0;
-        Some(Candidate { reason, point, radius, size, near: facet.vertices[0] })
+    /// The point nearest to a place and its distance, mm.
+    fn nearest(&self, place: DVec3) -> (u32, f64) {
+        self.object.restricted.nearest(place, self.near(place))
     }
 }
 
-fn component_at(p: DVec3, field: &CubicSpline, topology: &FieldTopology) -> u32 {
-    topology.component_at(field, p, field.value_gradient(p).1).unwrap_or(NO_COMPONENT)
+/// A place for a new point.
+struct Place {
+    /// On F = 0, grid frame, mm.
+    point: DVec3,
+    /// Distance from the points that matter, mm.
+    radius: f64,
+    /// Target edge length h, mm.
+    size: f64,
 }

@@ -12,7 +12,7 @@ use crate::labelled::Labelled;
 use glam::DVec3;
 use isoparticles_delaunay::Delaunay;
 use isoparticles_field::spline::CubicSpline;
-use isoparticles_stage::error::Result;
+use std::ops::{Deref, DerefMut};
 
 /// Halvings of a Voronoi edge when its crossing with F = 0 is sought.
 const HALVINGS: usize = 60;
@@ -21,6 +21,20 @@ const HALVINGS: usize = 60;
 pub struct Restricted<'a> {
     sides: Labelled<bool>,
     field: &'a CubicSpline,
+}
+
+impl Deref for Restricted<'_> {
+    type Target = Labelled<bool>;
+
+    fn deref(&self) -> &Labelled<bool> {
+        &self.sides
+    }
+}
+
+impl DerefMut for Restricted<'_> {
+    fn deref_mut(&mut self) -> &mut Labelled<bool> {
+        &mut self.sides
+    }
 }
 
 impl<'a> Restricted<'a> {
@@ -32,37 +46,14 @@ impl<'a> Restricted<'a> {
         Self { sides, field }
     }
 
-    /// The triangulation.
-    pub fn delaunay(&self) -> &Delaunay {
-        self.sides.delaunay()
-    }
-
     /// The implicit function.
     pub fn field(&self) -> &'a CubicSpline {
         self.field
     }
 
-    /// The points, those inserted at the end.
-    pub fn points(&self) -> &[DVec3] {
-        self.sides.points()
-    }
-
-    /// Adds a point; [`Restricted::decide_sides`] must follow the last of a round. `None` when it was there already.
-    ///
-    /// # Errors
-    /// Those of the triangulation.
-    pub fn insert(&mut self, point: DVec3, near: u32) -> Result<Option<u32>> {
-        self.sides.insert(point, near)
-    }
-
     /// Decides the side of every tetrahedron made since the last call.
     pub fn decide_sides(&mut self) {
         self.sides.decide(|_, _, centre| centre.is_some_and(|p| self.field.value(p) < 0.0));
-    }
-
-    /// The tetrahedra made by insertions since the last call, ascending.
-    pub fn take_changed(&mut self) -> Vec<u32> {
-        self.sides.take_changed()
     }
 
     /// Whether a tetrahedron is inside.
@@ -159,26 +150,6 @@ impl<'a> Restricted<'a> {
     /// Whether a point lies in a tetrahedron that is inside; `near` is a vertex not far from it.
     pub fn holds(&self, point: DVec3, near: u32) -> bool {
         self.locate(point, near).is_some_and(|t| self.is_inside(t))
-    }
-
-    /// The tetrahedron that a point lies in, `None` beyond the hull; `near` is a vertex not far from it.
-    pub fn locate(&self, point: DVec3, near: u32) -> Option<u32> {
-        self.sides.locate(point, near)
-    }
-
-    /// The facets between inside and outside, in the order of the tetrahedra.
-    pub fn facets(&self) -> Vec<Facet> {
-        self.sides.facets()
-    }
-
-    /// The facets between inside and outside at a vertex.
-    pub fn facets_at(&self, vertex: u32) -> Vec<Facet> {
-        self.sides.facets_at(vertex)
-    }
-
-    /// The two ends of the Voronoi edge dual to a facet, inside first, the outer one cut at the border of the volume.
-    pub fn dual_edge(&self, facet: &Facet) -> Option<(DVec3, DVec3)> {
-        self.sides.dual_edge(facet)
     }
 
     /// Whether the outer end of the facet's Voronoi edge is outside only because the volume ends there, so that the

@@ -60,9 +60,8 @@ pub struct Args {
     /// [default: a quarter of the target edge length h, and of a voxel at least]
     #[arg(long, value_name = "MM", value_parser = positive, help_heading = METHOD)]
     pub max_deviation: Option<f64>,
-    /// Most rounds of adding points at a stretch, 0 to 100; a round compares the whole surface and adds at most one point a
-    /// place, then up to twenty times more where these left or made defects. Points round handles, and those at grid nodes on
-    /// the wrong side, have stretches of their own
+    /// Most rounds of adding points, 0 to 100; a round compares the whole surface with F and adds points until all is right near those that it
+    /// added. Grid nodes on the wrong side, and each time that Tight Cocone lacks points, have as many rounds of their own
     #[arg(long, value_name = "N", default_value_t = 40, value_parser = clap::value_parser!(u16).range(0..=100), help_heading = METHOD)]
     pub max_rounds: u16,
     /// Radius ratio (2r/R, 1 for an equilateral triangle) below which triangles are worked on by local moves, 0 to 1; 0 with
@@ -313,7 +312,7 @@ fn tell(made: &Reconstruction, context: &Context) {
     }
     made.doubtful.iter().for_each(|doubt| context.warn(doubt));
     describe_mesh(checked, &topology.expected(), (&made.prepared, made.taken), context);
-    context.summary("points added", format!("{} in {} rounds", refined.inserted, refined.rounds));
+    context.summary("points added", format!("{} in {} rounds", refined.points(), refined.rounds));
     if let (Some(v), Some(c)) = (checked.vertex_distance, checked.centroid_distance) {
         context.summary(
             "distance from F = 0, voxels",

@@ -5,11 +5,11 @@ use super::prepare::{Prepared, REAL};
 use super::segments::{Segment, Segments, segment};
 use crate::around::{boundary_facets_of, parts_round, runs_round, star};
 use crate::labelled::{Facet, Labelled};
-use crate::refine::{DEFAULT_DEVIATION, TURNED};
+use crate::object::{DEFAULT_DEVIATION, TURNED};
+use crate::queue::{self, Reason, Simplex};
 use glam::DVec3;
 use isoparticles_delaunay::{Delaunay, INFINITE};
 use isoparticles_field::materials::{Indicators, MaterialId, Stratum};
-use serde::Serialize;
 use std::collections::BTreeMap;
 
 /// Most halvings of a Voronoi edge when the interface that it crosses is sought, and how long a piece is enough, voxels: the crossing is projected after that.
@@ -25,49 +25,9 @@ const STEPS: i32 = 8;
 /// The materials of junction points where more than four meet, by their number.
 type Crowded = BTreeMap<u32, Vec<MaterialId>>;
 
-/// What is violated, the most needed first.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Reason {
-    /// A segment of a junction curve is no edge of the triangulation.
-    Segment,
-    /// Round a segment the materials are not those of its curve, each in one run.
-    Ring,
-    /// A facet between two materials has a vertex on whose stratum they do not meet.
-    Stratum,
-    /// An edge that is no segment is in other than two facets.
-    Edge,
-    /// Round a vertex a material is in several parts.
-    Vertex,
-    /// A facet strays from its sheet, or is turned away from it.
-    Deviation,
-    /// A grid node lies in another material.
-    Node,
-}
-
-impl Reason {
-    /// Whether the complex has another topology there than the indicators.
-    pub fn is_topology(self) -> bool {
-        self < Self::Deviation
-    }
-}
-
-/// A simplex of the complex, vertices ascending; or a grid node.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
-pub enum Simplex {
-    /// A vertex.
-    Vertex(u32),
-    /// An edge.
-    Edge([u32; 2]),
-    /// A facet.
-    Facet([u32; 3]),
-    /// A grid node by its number, x fastest.
-    Node(usize),
-}
-
 /// What mends a violation.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Remedy {
+pub enum Mend {
     /// A point on a sheet.
     Point {
         /// Where, grid frame, mm.
@@ -82,21 +42,7 @@ pub enum Remedy {
 }
 
 /// A violation of a criterion.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Violation {
-    /// What is violated.
-    pub reason: Reason,
-    /// Where.
-    pub simplex: Simplex,
-    /// What mends it.
-    pub remedy: Remedy,
-    /// Distance of the new point from the vertices known, mm.
-    pub radius: f64,
-    /// Target edge length h there, mm.
-    pub size: f64,
-    /// A vertex not far away.
-    pub near: u32,
-}
+pub type Violation = queue::Violation<Mend>;
 
 /// The centre of the surface ball of a facet.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -263,14 +209,14 @@ impl<'a> Complex<'a> {
             Some((ball, facet)) => Violation {
                 reason,
                 simplex,
-                remedy: Remedy::Point { place: ball.place, stratum: ball.stratum },
+                remedy: Mend::Point { place: ball.place, stratum: ball.stratum },
                 radius: ball.radius,
                 size: self.size_of(&facet.vertices),
                 near: facet.vertices[0],
             },
             None => {
                 let (size, near) = (self.size_of(&first.vertices), first.vertices[0]);
-                Violation { reason, simplex, remedy: Remedy::None, radius: 0.0, size, near }
+                Violation { reason, simplex, remedy: Mend::None, radius: 0.0, size, near }
             }
         })
     }
@@ -278,7 +224,7 @@ impl<'a> Complex<'a> {
     /// A violation that the middle of a segment mends.
     fn by_split(&self, reason: Reason, simplex: Simplex, pair: Segment) -> Violation {
         let (radius, size) = (0.5 * self.length(pair), self.size_of(&pair));
-        Violation { reason, simplex, remedy: Remedy::Split(pair), radius, size, near: pair[0] }
+        Violation { reason, simplex, remedy: Mend::Split(pair), radius, size, near: pair[0] }
     }
 
     /// A segment must be an edge, with the three materials of its curve round it, each in one run; `start` is a tetrahedron at it.
@@ -359,7 +305,7 @@ impl<'a> Complex<'a> {
             Simplex::Vertex(v) => self.at_vertex(v),
             Simplex::Edge(edge) => self.at_any_edge(edge, self.at_edge(edge)),
             Simplex::Facet(vertices) => self.facet_on(vertices).and_then(|f| self.at_facet(&f)),
-            Simplex::Node(_) => None,
+            Simplex::Node(_) | Simplex::Place(..) => None,
         }
     }
 

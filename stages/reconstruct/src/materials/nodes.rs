@@ -1,9 +1,11 @@
 //! Grid nodes, the centres of voxels of labels: each shall lie in the mesh in the material that the indicators give it.
 
-use super::complex::{Complex, Reason, Remedy, Simplex, Violation};
+use super::complex::{Complex, Mend, Violation};
 use super::prepare::onto;
 use super::segments::segment;
 use crate::labelled::Facet;
+use crate::queue::{Reason, Simplex};
+use crate::refine::nodes::AT_A_VERTEX;
 use glam::DVec3;
 use isoparticles_delaunay::INFINITE;
 use isoparticles_delaunay::predicates::orientation;
@@ -11,9 +13,6 @@ use isoparticles_field::materials::{Indicators, MaterialId, Stratum};
 use isoparticles_mesh::inside::crossings;
 use isoparticles_volume::Geometry;
 use rayon::prelude::*;
-
-/// A node in another material whose nearest point of an interface is nearer than this part of h to a vertex has that vertex.
-const AT_A_VERTEX: f64 = 0.15;
 
 /// Farthest that an interface is sought from a node, voxels.
 const REACH: f64 = 2.0;
@@ -165,12 +164,12 @@ impl Nodes {
             splits.max_by(|a, b| a.radius.total_cmp(&b.radius).then(b.near.cmp(&a.near)))
         };
         let Some((foot, stratum)) = target else {
-            return by_split(vertices_of(t)).or_else(|| Some(of(Remedy::None, 0.0, size, near)));
+            return by_split(vertices_of(t)).or_else(|| Some(of(Mend::None, 0.0, size, near)));
         };
         let distance = |v: u32| complex.points().get(v as usize).map_or(f64::INFINITY, |p| p.distance(foot));
         let around = vertices_of(complex.labelled.locate(foot, near)).into_iter().map(|v| (v, distance(v)));
         let (vertex, radius) = around.min_by(|a, b| a.1.total_cmp(&b.1))?;
-        let at_foot = of(Remedy::Point { place: foot, stratum }, radius, size, near);
+        let at_foot = of(Mend::Point { place: foot, stratum }, radius, size, near);
         if radius >= AT_A_VERTEX * size {
             return Some(at_foot);
         }
@@ -197,10 +196,10 @@ impl Nodes {
         let [a, b] = edge.map(|v| complex.points()[v as usize]);
         let size = complex.sizes[vertex as usize];
         let remedy = if complex.segments.curve(edge).is_some() {
-            Remedy::Split(edge)
+            Mend::Split(edge)
         } else {
             let stratum = Stratum::sheet(i, j);
-            Remedy::Point { place: onto(complex.indicators, stratum, a.midpoint(b), 0.5 * length)?, stratum }
+            Mend::Point { place: onto(complex.indicators, stratum, a.midpoint(b), 0.5 * length)?, stratum }
         };
         Some(Violation {
             reason: Reason::Node,

@@ -57,8 +57,8 @@ pub fn reconstruct(
     let phase = monitor.phase("refine");
     let complex = Complex::new(prepared, indicators, particles.geometry.upper_corner(), options.max_deviation);
     let guarded = options.keeps_voxels.then_some(&nodes);
-    let mut refinement = Refinement::new(complex);
-    let facets = refinement.run(guarded, |points| {
+    let mut refinement = Refinement::new(complex, guarded);
+    let facets = refinement.run(|points| {
         monitor.note(&|| format!("{points} points"));
         Ok(monitor.check()?)
     })?;

@@ -4,11 +4,12 @@
 //! another material. A point that would lie in the ball of which a segment is a diameter splits the segment in its place (Ruppert 1995). The queue ends empty,
 //! or with violations that only points nearer to others than the smallest radius could mend: these are counted and shown.
 
-use super::complex::{Complex, Reason, Remedy, Simplex, Violation};
+use super::complex::{Complex, Mend, Violation};
 use super::nodes::Nodes;
 use super::prepare::{LONGEST_WAY, onto};
 use super::segments::{Segment, segment};
 use crate::labelled::Facet;
+use crate::queue::{Queue, Reason, Refine, Remedy, Simplex};
 use crate::refine::NEAREST_FOR_SHAPE;
 use glam::DVec3;
 use isoparticles_field::materials::Stratum;
@@ -17,8 +18,7 @@ use isoparticles_mesh::kd_tree::KdTree;
 use isoparticles_stage::error::Result;
 use rayon::prelude::*;
 use serde::Serialize;
-use std::cmp::{Ordering, Reverse};
-use std::collections::{BTreeMap, BinaryHeap, HashSet};
+use std::collections::BTreeMap;
 
 /// A new point keeps this part of h from all others where the topology or a grid node asks for it.
 const NEAREST_FOR_TOPOLOGY: f64 = 0.05;
@@ -28,9 +28,6 @@ const MIDDLE: f64 = 0.2;
 
 /// Times that grid nodes are looked for in other materials, each time with an empty queue.
 const NODE_ROUNDS: usize = 12;
-
-/// Violations between two looks at whether to stop.
-const BETWEEN_STEPS: usize = 1 << 10;
 
 /// What the refinement did.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
@@ -47,41 +44,13 @@ pub struct RefineReport {
     pub unresolved: BTreeMap<Reason, usize>,
 }
 
-/// A violation in the queue: most needed first, then the roomiest, then by place.
-#[derive(Clone, Copy, PartialEq)]
-struct Entry(Violation);
-
-impl Entry {
+impl Remedy for Mend {
     fn place(&self) -> [f64; 3] {
-        match self.0.remedy {
-            Remedy::Point { place, .. } => place.to_array(),
-            Remedy::Split(pair) => [f64::from(pair[0]), f64::from(pair[1]), 0.0],
-            Remedy::None => [0.0; 3],
+        match *self {
+            Self::Point { place, .. } => place.to_array(),
+            Self::Split(pair) => [f64::from(pair[0]), f64::from(pair[1]), 0.0],
+            Self::None => [0.0; 3],
         }
-    }
-}
-
-impl Eq for Entry {}
-
-impl Ord for Entry {
-    fn cmp(&self, other: &Self) -> Ordering {
-        let ([a, b, c], [d, e, f]) = (self.place(), other.place());
-        let places = a.total_cmp(&d).then(b.total_cmp(&e)).then(c.total_cmp(&f));
-        let by_room = self.0.radius.total_cmp(&other.0.radius);
-        // the heap gives the greatest first
-        other
-            .0
-            .reason
-            .cmp(&self.0.reason)
-            .then(by_room)
-            .then(places)
-            .then(Reverse(self.0.simplex).cmp(&Reverse(other.0.simplex)))
-    }
-}
-
-impl PartialOrd for Entry {
-    fn partial_cmp(&self, other: &Self) -> Option<Ordering> {
-        Some(self.cmp(other))
     }
 }
 
@@ -91,71 +60,90 @@ pub struct Refinement<'a> {
     pub complex: Complex<'a>,
     /// What was done.
     pub report: RefineReport,
-    queue: BinaryHeap<Entry>,
-    /// What is in the queue.
-    queued: HashSet<Simplex>,
+    queue: Queue<Mend>,
+    /// Those of the grid, where they shall keep their materials.
+    nodes: Option<&'a Nodes>,
+}
+
+impl Refine for Refinement<'_> {
+    type Remedy = Mend;
+
+    fn queue(&mut self) -> &mut Queue<Mend> {
+        &mut self.queue
+    }
+
+    fn now(&self, old: &Violation) -> Option<Violation> {
+        match old.simplex {
+            Simplex::Node(node) => self.nodes.and_then(|nodes| nodes.violation(&self.complex, node, old.near)),
+            simplex => self.complex.at_simplex(simplex),
+        }
+    }
+
+    fn mend(&mut self, violation: &Violation) -> Result<bool> {
+        let is_mended = self.insert(violation)?;
+        if is_mended {
+            *self.report.inserted.entry(violation.reason).or_default() += 1;
+        }
+        Ok(is_mended)
+    }
+
+    fn at_changed(&mut self) -> Vec<Violation> {
+        let changed = self.complex.labelled.take_changed();
+        self.complex.at_tetrahedra(&changed)
+    }
+
+    fn point_count(&self) -> usize {
+        self.complex.points().len()
+    }
 }
 
 impl<'a> Refinement<'a> {
-    /// Begins with all violations of a complex.
-    pub fn new(complex: Complex<'a>) -> Self {
+    /// Begins with all violations of a complex; `nodes` are those of the grid, where they shall keep their materials.
+    pub fn new(complex: Complex<'a>, nodes: Option<&'a Nodes>) -> Self {
         let facets = complex.labelled.facets();
         let found = all_violations(&complex, &facets);
         let mut report = RefineReport::default();
         found.iter().for_each(|v| *report.violations.entry(v.reason).or_default() += 1);
-        let mut new = Self { complex, report, queue: BinaryHeap::new(), queued: HashSet::new() };
-        new.enqueue(found);
+        let mut new = Self { complex, report, queue: Queue::default(), nodes };
+        new.queue.add(found);
         new
     }
 
-    /// Puts violations into the queue, those of simplices that are in it left out: what they are is found anew when their turn comes.
-    fn enqueue(&mut self, found: impl IntoIterator<Item = Violation>) {
-        for violation in found {
-            if self.queued.insert(violation.simplex) {
-                self.queue.push(Entry(violation));
-            }
-        }
-    }
-
-    /// Adds points until nothing is violated, or there is no room. `nodes` are those of the grid, where they shall keep their materials; `step` hears the
-    /// number of points and may stop the loop with an error. Returns the facets.
+    /// Adds points until nothing is violated, or there is no room. `step` hears the number of points and may stop the loop with an error. Returns the facets.
     ///
     /// # Errors
     /// Those of `step` and of the triangulation.
-    pub fn run(&mut self, nodes: Option<&Nodes>, mut step: impl FnMut(usize) -> Result<()>) -> Result<Vec<Facet>> {
-        for round in 0..=NODE_ROUNDS {
-            self.drain(nodes, &mut step)?;
-            let facets = self.complex.labelled.facets();
-            let wrong = match nodes {
-                Some(nodes) if round < NODE_ROUNDS => nodes.wrong(&self.complex, &facets),
-                _ => Vec::new(),
-            };
-            let before = self.complex.points().len();
-            let tree = KdTree::new(self.complex.points());
-            for node in wrong {
-                if let Some(nodes) = nodes
-                    && let Some((near, _)) = tree.nearest(nodes.place(node))
-                {
-                    let found = nodes.violation(&self.complex, node, near as u32);
-                    self.enqueue(found);
-                }
-            }
-            self.drain(nodes, &mut step)?;
-            if self.complex.points().len() == before {
+    pub fn run(&mut self, mut step: impl FnMut(usize) -> Result<()>) -> Result<Vec<Facet>> {
+        self.drain([], &mut step)?;
+        for _ in 0..NODE_ROUNDS {
+            let found = self.at_nodes();
+            if self.drain(found, &mut step)? == 0 {
                 break;
             }
         }
-        self.report.relabelled += self.relabel(nodes);
+        self.report.relabelled += self.relabel(self.nodes);
         let facets = self.complex.labelled.facets();
         self.report.unresolved = BTreeMap::new();
         for violation in self.unresolved(&facets) {
             *self.report.unresolved.entry(violation.reason).or_default() += 1;
         }
-        let wrong = nodes.map_or_else(Vec::new, |nodes| nodes.wrong(&self.complex, &facets));
+        let wrong = self.nodes.map_or_else(Vec::new, |nodes| nodes.wrong(&self.complex, &facets));
         if !wrong.is_empty() {
             self.report.unresolved.insert(Reason::Node, wrong.len());
         }
         Ok(facets)
+    }
+
+    /// The grid nodes in other materials.
+    fn at_nodes(&self) -> Vec<Violation> {
+        let Some(nodes) = self.nodes else { return Vec::new() };
+        let tree = KdTree::new(self.complex.points());
+        let wrong = nodes.wrong(&self.complex, &self.complex.labelled.facets());
+        let violation = |node: usize| {
+            let (near, _) = tree.nearest(nodes.place(node))?;
+            nodes.violation(&self.complex, node, near as u32)
+        };
+        wrong.into_iter().filter_map(violation).collect()
     }
 
     /// Violations of the topology that are left.
@@ -163,46 +151,17 @@ impl<'a> Refinement<'a> {
         all_violations(&self.complex, facets).into_iter().filter(|v| v.reason.is_topology()).collect()
     }
 
-    /// Works the queue off.
-    fn drain(&mut self, nodes: Option<&Nodes>, step: &mut impl FnMut(usize) -> Result<()>) -> Result<()> {
-        let mut count = 0;
-        while let Some(Entry(old)) = self.queue.pop() {
-            if count % BETWEEN_STEPS == 0 {
-                step(self.complex.points().len())?;
-            }
-            count += 1;
-            self.queued.remove(&old.simplex);
-            let now = match old.simplex {
-                Simplex::Node(node) => nodes.and_then(|nodes| nodes.violation(&self.complex, node, old.near)),
-                simplex => self.complex.at_simplex(simplex),
-            };
-            let Some(violation) = now else { continue };
-            if violation.reason > old.reason {
-                self.enqueue([violation]);
-                continue;
-            }
-            if self.mend(&violation)? {
-                *self.report.inserted.entry(violation.reason).or_default() += 1;
-                let changed = self.complex.labelled.take_changed();
-                let found = self.complex.at_tetrahedra(&changed);
-                self.enqueue(found);
-                self.enqueue([violation]);
-            }
-        }
-        Ok(())
-    }
-
     /// Inserts the point that mends a violation, or splits the segment on which it encroaches; false where there is no room for one.
-    fn mend(&mut self, violation: &Violation) -> Result<bool> {
+    fn insert(&mut self, violation: &Violation) -> Result<bool> {
         let least = violation.size
             * if violation.reason == Reason::Deviation { NEAREST_FOR_SHAPE } else { NEAREST_FOR_TOPOLOGY };
         if violation.radius < least {
             return Ok(false);
         }
         match violation.remedy {
-            Remedy::None => Ok(false),
-            Remedy::Split(pair) => self.split(pair, least),
-            Remedy::Point { place, stratum } => match self.complex.segments.encroached(place, self.complex.points()) {
+            Mend::None => Ok(false),
+            Mend::Split(pair) => self.split(pair, least),
+            Mend::Point { place, stratum } => match self.complex.segments.encroached(place, self.complex.points()) {
                 Some(pair) => self.split(pair, least),
                 None => {
                     let inserted = self.complex.labelled.insert(place, violation.near)?;

@@ -1,10 +1,11 @@
 //! Tetrahedra that change their material where points do not help: parts of a star, or runs round an edge, whose interfaces are nearer to each other than
 //! points can tell.
 
-use super::complex::{Complex, Simplex, Violation};
+use super::complex::{Complex, Violation};
 use super::nodes::Nodes;
 use super::refine::{Refinement, all_violations};
 use crate::around::{parts_round, runs_round, star};
+use crate::queue::Simplex;
 use isoparticles_field::materials::MaterialId;
 
 /// Most tetrahedra that change their material at a time.
@@ -100,6 +101,6 @@ fn sets_at(complex: &Complex, simplex: Simplex) -> Vec<Vec<u32>> {
             Some(facet) => vec![vec![facet.tetrahedron], vec![complex.labelled.across(&facet)]],
             None => Vec::new(),
         },
-        Simplex::Node(_) => Vec::new(),
+        Simplex::Node(_) | Simplex::Place(..) => Vec::new(),
     }
 }

@@ -1,10 +1,11 @@
 //! A surface found by other means than the sign of F at the circumcentres (Tight Cocone's), beside the one by that sign: where the
 //! two differ for want of points, points are added.
 
-use super::Refinement;
-use super::insert::Reason;
+use super::{Place, Refinement};
 use crate::around::{boundary_facets_of, star};
 use crate::defects::Defects;
+use crate::object::Object;
+use crate::queue::{Reason, Simplex};
 use crate::restricted::{Facet, Restricted};
 use glam::DVec3;
 use isoparticles_delaunay::INFINITE;
@@ -24,112 +25,111 @@ const FLATTEST: f64 = 0.3;
 impl Refinement<'_> {
     /// Takes over a surface that was found by other means, and compares it with F; returns its defects.
     pub fn compare_other(&mut self, facets: &[Facet]) -> Defects {
-        self.sides_are_known = !self.options.open_border;
-        if self.sides_are_known {
-            self.restricted.set_sides(self.restricted.sides_of(facets));
+        let has_sides = !self.options.open_border;
+        if has_sides {
+            let sides = self.object.restricted.sides_of(facets);
+            self.object.restricted.set_sides(sides);
         }
-        let defects = self.compare(facets);
-        self.report.unresolved_critical = self.wrong_sided().len();
+        let defects = self.object.defects(facets);
+        let critical = if has_sides { self.wrong_sided().len() } else { 0 };
+        self.tell(&defects, critical);
         self.report.parted_pinches = 0;
         defects
     }
 
     /// Adds points where a closed surface that was found by other means differs from that by the sign of F in topology, joins
-    /// components, has critical points of F on the wrong side, or lies far from F = 0: on the facets by sign that it lacks. Returns
-    /// how many.
+    /// components, has critical points of F on the wrong side, or lies far from F = 0: on the facets by sign that it lacks; where there are none, at grid nodes
+    /// that it has on the wrong side. Returns how many.
     ///
     /// # Errors
-    /// None as a rule; those of the triangulation.
-    pub fn insert_for_other(&mut self, facets: &[Facet]) -> Result<usize> {
-        let sides = self.restricted.sides_of(facets);
+    /// Those of `step` and of the triangulation.
+    pub fn insert_for_other(&mut self, facets: &[Facet], mut step: impl FnMut(usize) -> Result<()>) -> Result<usize> {
+        let sides = self.object.restricted.sides_of(facets);
         let wrong = self.wrong_by(&sides);
+        let object = &self.object;
         let wanting = |part: &Vec<u32>| {
             let own =
-                part.iter().flat_map(|&t| boundary_facets_of(self.restricted.delaunay(), t, |t| sides[t as usize]));
-            let is_bridge = |f: Facet| {
-                let mut known =
-                    f.vertices.into_iter().filter_map(|v| self.topology.groups().of(self.component_of[v as usize]));
-                known.next().is_some_and(|first| known.any(|c| c != first))
-            };
+                part.iter().flat_map(|&t| boundary_facets_of(object.restricted.delaunay(), t, |t| sides[t as usize]));
             // the dearest test comes last
-            part.iter().any(|t| wrong.contains(t) || self.is_deep(*t))
-                || own.into_iter().any(is_bridge)
-                || self.euler_change(part, &sides) != 0
+            part.iter().any(|t| wrong.contains(t) || is_deep(object, *t))
+                || own.into_iter().any(|f| object.is_bridge(&f))
+                || euler_change(&object.restricted, part, &sides) != 0
         };
-        let parts: Vec<Vec<u32>> = differing_parts(&self.restricted, &sides).into_par_iter().filter(wanting).collect();
-        let lacking = parts.iter().flatten().flat_map(|&t| {
-            let by_sign = boundary_facets_of(self.restricted.delaunay(), t, |t| self.restricted.is_inside(t));
-            by_sign.into_iter().filter(|f| self.is_lacking(f, &sides) && !self.is_closure(f))
-        });
-        let candidates = lacking.filter_map(|facet| self.ball(&facet, Reason::Manifold)).collect();
-        self.insert_all(candidates)
+        let parts: Vec<Vec<u32>> =
+            differing_parts(&object.restricted, &sides).into_par_iter().filter(wanting).collect();
+        let lacking: Vec<Facet> = parts
+            .iter()
+            .flatten()
+            .flat_map(|&t| boundary_facets_of(object.restricted.delaunay(), t, |t| object.restricted.is_inside(t)))
+            .filter(|f| sides[f.tetrahedron as usize] == sides[object.restricted.across(f) as usize])
+            .collect();
+        let lacking = object.without_border_closure(lacking);
+        let place = |facet: &Facet| {
+            let ball = object.by_ball(Reason::OtherLabels, Simplex::Facet(facet.vertices), facet)?;
+            Some(Place { point: ball.remedy, radius: ball.radius, size: ball.size })
+        };
+        let balls: Vec<Place> = lacking.par_iter().filter_map(place).collect();
+        let mended = self.mend_all(self.places(Reason::OtherLabels, &balls), &mut step)?;
+        if mended > 0 {
+            return Ok(mended);
+        }
+        let found = self.at_nodes(&self.object.without_border_closure(facets.to_vec()));
+        self.mend_all(found, &mut step)
     }
 
     /// The tetrahedra that hold critical points of F which other `sides` have wrong and the sign of F has right.
     fn wrong_by(&self, sides: &[bool]) -> HashSet<u32> {
+        let restricted = &self.object.restricted;
         let wrong = |c: &CriticalPoint| {
-            let t = self.restricted.locate(c.position, self.nearest.to(c.position)?.0)?;
+            let t = restricted.locate(c.position, self.near(c.position))?;
             let is_inside = c.value < 0.0;
-            (self.restricted.is_inside(t) == is_inside && sides[t as usize] != is_inside).then_some(t)
+            (restricted.is_inside(t) == is_inside && sides[t as usize] != is_inside).then_some(t)
         };
         self.critical_points().filter_map(wrong).collect()
     }
+}
 
-    /// Whether the middle of a tetrahedron lies far from F = 0.
-    fn is_deep(&self, t: u32) -> bool {
-        let vertices = self.restricted.delaunay().vertices(t);
-        if vertices.contains(&INFINITE) {
-            return false;
+/// Whether the middle of a tetrahedron lies far from F = 0.
+fn is_deep(object: &Object, t: u32) -> bool {
+    let vertices = object.restricted.delaunay().vertices(t);
+    if vertices.contains(&INFINITE) {
+        return false;
+    }
+    let middle = vertices.map(|v| object.points()[v as usize]).into_iter().sum::<DVec3>() / 4.0;
+    let size = vertices.map(|v| object.sizes[v as usize]).into_iter().sum::<f64>() / 4.0;
+    let field = object.restricted.field();
+    let (value, gradient) = field.value_gradient(middle);
+    let limit = DEEP * size.max(field.geometry().mean_spacing());
+    // near critical points |F| over its slope has no bound
+    value.abs() > limit * gradient.length().max(FLATTEST)
+}
+
+/// By how much the Euler characteristic of the surface changes when the tetrahedra of a part take their other sides.
+fn euler_change(restricted: &Restricted, part: &[u32], sides: &[bool]) -> i64 {
+    let delaunay = restricted.delaunay();
+    let own: HashSet<Face> = part.iter().flat_map(|&t| simplices(&delaunay.vertices(t))).collect();
+    let vertices: BTreeSet<u32> = part.iter().flat_map(|&t| delaunay.vertices(t)).filter(|&v| v != INFINITE).collect();
+    let around: BTreeSet<u32> = vertices.into_iter().flat_map(|v| star(delaunay, v)).collect();
+    let euler = |is_inside: &dyn Fn(u32) -> bool| {
+        let mut surface: HashSet<Face> = HashSet::new();
+        for &t in &around {
+            let facets = boundary_facets_of(delaunay, t, is_inside);
+            surface.extend(facets.iter().flat_map(|f| simplices(&f.vertices)).filter(|s| own.contains(s)));
         }
-        let middle = vertices.map(|v| self.restricted.points()[v as usize]).into_iter().sum::<DVec3>() / 4.0;
-        let size = vertices.map(|v| self.sizes[v as usize]).into_iter().sum::<f64>() / 4.0;
-        let field = self.restricted.field();
-        let (value, gradient) = field.value_gradient(middle);
-        let limit = DEEP * size.max(field.geometry().mean_spacing());
-        // near critical points |F| over its slope has no bound
-        value.abs() > limit * gradient.length().max(FLATTEST)
-    }
-
-    /// Whether a facet by the sign of F is none by other `sides`.
-    fn is_lacking(&self, facet: &Facet, sides: &[bool]) -> bool {
-        let t = facet.tetrahedron;
-        let n = self.restricted.delaunay().neighbours(t)[usize::from(facet.opposite)];
-        sides[t as usize] == sides[n as usize]
-    }
-
-    /// Whether a facet is only there because the volume ends, of an object that is open there.
-    fn is_closure(&self, facet: &Facet) -> bool {
-        self.options.open_border && self.restricted.is_border_closure(facet)
-    }
-
-    /// By how much the Euler characteristic of the surface changes when the tetrahedra of a part take their other sides.
-    fn euler_change(&self, part: &[u32], sides: &[bool]) -> i64 {
-        let delaunay = self.restricted.delaunay();
-        let own: HashSet<Simplex> = part.iter().flat_map(|&t| simplices(&delaunay.vertices(t))).collect();
-        let vertices: BTreeSet<u32> =
-            part.iter().flat_map(|&t| delaunay.vertices(t)).filter(|&v| v != INFINITE).collect();
-        let around: BTreeSet<u32> = vertices.into_iter().flat_map(|v| star(delaunay, v)).collect();
-        let euler = |is_inside: &dyn Fn(u32) -> bool| {
-            let mut surface: HashSet<Simplex> = HashSet::new();
-            for &t in &around {
-                let facets = boundary_facets_of(delaunay, t, is_inside);
-                surface.extend(facets.iter().flat_map(|f| simplices(&f.vertices)).filter(|s| own.contains(s)));
-            }
-            surface.iter().map(|s| if is_edge(s) { -1 } else { 1 }).sum::<i64>()
-        };
-        euler(&|t| sides[t as usize]) - euler(&|t| self.restricted.is_inside(t))
-    }
+        surface.iter().map(|s| if is_edge(s) { -1 } else { 1 }).sum::<i64>()
+    };
+    euler(&|t| sides[t as usize]) - euler(&|t| restricted.is_inside(t))
 }
 
 /// A vertex, edge or triangle: its vertices ascending, [`INFINITE`] in the places that are left.
-type Simplex = [u32; 3];
+type Face = [u32; 3];
 
-fn is_edge(simplex: &Simplex) -> bool {
+fn is_edge(simplex: &Face) -> bool {
     simplex[1] != INFINITE && simplex[2] == INFINITE
 }
 
 /// The finite vertices, edges and triangles of a triangle or tetrahedron.
-fn simplices(vertices: &[u32]) -> impl Iterator<Item = Simplex> + use<> {
+fn simplices(vertices: &[u32]) -> impl Iterator<Item = Face> + use<> {
     let mut finite: Vec<u32> = vertices.iter().copied().filter(|&v| v != INFINITE).collect();
     finite.sort_unstable();
     (1u32..1 << finite.len()).filter(|chosen| chosen.count_ones() <= 3).map(move |chosen| {
@@ -171,7 +171,7 @@ mod tests {
     fn refined<'a>(scene: &'a Scene, topology: &'a FieldTopology, spacing: f64) -> Refinement<'a> {
         let mut points = surface_points(scene, spacing);
         let mut new = Refinement::new(&mut points, &scene.field, topology, RefineOptions::default()).unwrap();
-        new.run(|_, _| Ok(())).unwrap();
+        new.run(|_| Ok(())).unwrap();
         new
     }
 
@@ -180,22 +180,24 @@ mod tests {
         for (scene, spacing) in [(scenes::two_balls(), 1.4), (scenes::shell(), 1.4)] {
             let topology = FieldTopology::new(&scene.field);
             let mut refinement = refined(&scene, &topology, spacing);
-            let facets = refinement.facets();
-            assert_eq!(refinement.insert_for_other(&facets).unwrap(), 0, "nothing differs");
-            let points = refinement.restricted.points();
+            let facets = refinement.object.facets();
+            assert_eq!(refinement.insert_for_other(&facets, |_| Ok(())).unwrap(), 0, "nothing differs");
+            let points = refinement.object.restricted.points();
             let by_place = |f: &&Facet| {
                 let p = points[f.vertices[0] as usize];
                 // one of the balls, or the outer sheet of the shell
                 if scene.image.geometry.size[1] == 24 { p.x < 15.6 } else { p.distance(scenes::CENTRE) > 9.25 }
             };
             let (other, lost): (Vec<Facet>, Vec<Facet>) = facets.iter().partition(by_place);
-            let parts = differing_parts(&refinement.restricted, &refinement.restricted.sides_of(&other));
+            let parts = differing_parts(&refinement.object.restricted, &refinement.object.restricted.sides_of(&other));
             let changes: Vec<i64> = parts
                 .iter()
-                .map(|part| refinement.euler_change(part, &refinement.restricted.sides_of(&other)))
+                .map(|part| {
+                    euler_change(&refinement.object.restricted, part, &refinement.object.restricted.sides_of(&other))
+                })
                 .collect();
             assert_eq!(changes, [-2], "one sheet less");
-            let inserted = refinement.insert_for_other(&other).unwrap();
+            let inserted = refinement.insert_for_other(&other, |_| Ok(())).unwrap();
             // a point a facet, less those too near to others
             assert!(inserted > lost.len() / 4 && inserted <= lost.len(), "{inserted} of {}", lost.len());
         }
@@ -206,17 +208,18 @@ mod tests {
         let scene = scenes::torus();
         let topology = FieldTopology::new(&scene.field);
         let refinement = refined(&scene, &topology, 1.4);
-        let sides = refinement.restricted.sides_of(&refinement.facets());
+        let sides = refinement.object.restricted.sides_of(&refinement.object.facets());
         let mut turned = 0;
-        for t in (0..sides.len() as u32).filter(|&t| refinement.restricted.delaunay().is_alive(t) && !sides[t as usize])
+        for t in (0..sides.len() as u32)
+            .filter(|&t| refinement.object.restricted.delaunay().is_alive(t) && !sides[t as usize])
         {
-            let own = boundary_facets_of(refinement.restricted.delaunay(), t, |t| sides[t as usize]);
+            let own = boundary_facets_of(refinement.object.restricted.delaunay(), t, |t| sides[t as usize]);
             if own.len() == 2 {
                 let mut other = sides.clone();
                 other[t as usize] ^= true;
                 // two facets give way to the two on the other side of the tetrahedron: an edge is turned
-                assert_eq!(refinement.euler_change(&[t], &other), 0);
-                assert!(!refinement.is_deep(t));
+                assert_eq!(euler_change(&refinement.object.restricted, &[t], &other), 0);
+                assert!(!is_deep(&refinement.object, t));
                 turned += 1;
             }
         }
@@ -226,7 +229,7 @@ mod tests {
     #[test]
     fn simplices_of_a_tetrahedron_and_of_a_ghost_are_counted() {
         let count = |vertices: &[u32]| {
-            let all: HashSet<Simplex> = simplices(vertices).collect();
+            let all: HashSet<Face> = simplices(vertices).collect();
             let edges = all.iter().filter(|s| is_edge(s)).count();
             (all.len(), edges)
         };

@@ -1,9 +1,11 @@
 //! Components of F = 0 whose facets fall apart: points in the gaps.
 
-use super::Refinement;
-use super::insert::{Candidate, Reason};
+use super::{Place, Refinement};
 use crate::defects::Defects;
+use crate::object::Violation;
+use crate::queue::Reason;
 use isoparticles_mesh::components::NO_COMPONENT;
+use isoparticles_mesh::kd_tree::KdTree;
 use rayon::prelude::*;
 use std::cmp::Reverse;
 use std::collections::{HashMap, HashSet};
@@ -42,8 +44,8 @@ impl Refinement<'_> {
         }
         let mut number_of: HashMap<(u32, u32), usize> = HashMap::new();
         let mut found: Vec<((u32, u32), Vec<u32>)> = Vec::new();
-        for (v, (&component, &piece)) in (0..).zip(self.component_of.iter().zip(&defects.piece_of_vertex)) {
-            let group = self.topology.groups().of(component).filter(|group| fell_apart.contains(group));
+        for (v, (&component, &piece)) in (0..).zip(self.object.component_of.iter().zip(&defects.piece_of_vertex)) {
+            let group = self.object.topology.groups().of(component).filter(|group| fell_apart.contains(group));
             if let Some(group) = group.filter(|_| piece != NO_COMPONENT) {
                 let number = *number_of.entry((group, piece)).or_insert_with(|| {
                     found.push(((group, piece), Vec::new()));
@@ -62,35 +64,38 @@ impl Refinement<'_> {
     }
 
     /// The vertices, one of piece `k` and one of a larger piece, that are nearest to each other.
-    pub(super) fn gap(&self, pieces: &Pieces, k: usize, defects: &Defects) -> Option<[u32; 2]> {
+    fn gap(&self, tree: &KdTree, pieces: &Pieces, k: usize, defects: &Defects) -> Option<[u32; 2]> {
         let own = &pieces.vertices[k];
         let is_larger = |v: u32| self.is_of_larger(pieces, k, defects, v);
         let mut best: Option<([u32; 2], f64)> = None;
         for &v in (0..LEAP).flat_map(|start| own[start.min(own.len())..].iter().step_by(LEAP)) {
             let radius = best.map_or(f64::INFINITY, |(_, distance)| distance);
-            let nearest = self.nearest.accepted(self.restricted.points()[v as usize], radius, is_larger);
-            best = nearest.map(|(w, distance)| ([v, w], distance)).or(best);
+            let nearest = tree.nearest_accepted(self.object.points()[v as usize], radius, is_larger);
+            best = nearest.map(|(w, distance)| ([v, w as u32], distance)).or(best);
         }
         best.map(|(ends, _)| ends)
     }
 
     fn is_of_larger(&self, pieces: &Pieces, k: usize, defects: &Defects, v: u32) -> bool {
         let rank = || pieces.rank.get(&defects.piece_of_vertex[v as usize]);
-        self.topology.groups().of(self.component_of[v as usize]) == Some(pieces.group)
+        self.object.topology.groups().of(self.object.component_of[v as usize]) == Some(pieces.group)
             && rank().is_some_and(|&rank| rank < k)
     }
 
     /// Points in the gaps of groups that fell apart: between each smaller piece and the nearest vertex of the larger ones.
-    pub(super) fn in_gaps(&self, defects: &Defects) -> Vec<Candidate> {
+    pub(super) fn in_gaps(&self, defects: &Defects) -> Vec<Violation> {
         let pieces = self.pieces(defects);
+        if pieces.is_empty() {
+            return Vec::new();
+        }
+        let tree = KdTree::new(self.object.points());
         let gaps = pieces.par_iter().flat_map(|p| (1..p.vertices.len()).into_par_iter().map(move |k| (p, k)));
         let between = gaps.filter_map(|(pieces, k)| {
-            let [v, w] = self.gap(pieces, k, defects)?;
-            let [p, q] = [v, w].map(|v| self.restricted.points()[v as usize]);
-            let point = self.on_surface(p.midpoint(q), 2.0)?;
-            let radius = point.distance(p).min(point.distance(q));
-            Some(Candidate { reason: Reason::Genus, point, radius, size: p.distance(q), near: v })
+            let [v, w] = self.gap(&tree, pieces, k, defects)?;
+            let [p, q] = [v, w].map(|v| self.object.points()[v as usize]);
+            let point = self.object.on_surface(p.midpoint(q), 2.0)?;
+            Some(Place { point, radius: point.distance(p).min(point.distance(q)), size: p.distance(q) })
         });
-        between.collect()
+        self.places(Reason::Component, &between.collect::<Vec<Place>>())
     }
 }

@@ -1,7 +1,8 @@
 //! Points on components of F = 0 that have no facets.
 
-use super::Refinement;
-use super::insert::{Candidate, Reason};
+use super::{Place, Refinement};
+use crate::object::Violation;
+use crate::queue::Reason;
 use glam::DVec3;
 use isoparticles_mesh::spatial::Bounds;
 use rayon::prelude::*;
@@ -10,56 +11,50 @@ use std::collections::HashMap;
 /// Points on a component are no closer than this part of a voxel, or of the extent of the component where that is less.
 const CLOSEST: f64 = 0.02;
 
+/// Each time that the points of a component give it no facet, the next are this much nearer to each other.
+const NEARER: f64 = 0.7;
+
+/// Target edge length at such points over the distance that they keep from each other.
+const SIZE_OF_SPACING: f64 = 1.2;
+
 impl Refinement<'_> {
     /// Points on components that have no facets.
-    pub(super) fn on_missing(&mut self, missing: &[u32]) -> Vec<Candidate> {
+    pub(super) fn on_missing(&self, missing: &[u32]) -> Vec<Violation> {
         let mut members: HashMap<u32, Vec<u32>> = missing.iter().map(|&component| (component, Vec::new())).collect();
         if members.is_empty() {
             return Vec::new();
         }
-        for (v, component) in (0..).zip(&self.component_of) {
+        for (v, component) in (0..).zip(&self.object.component_of) {
             members.entry(*component).and_modify(|members| members.push(v));
         }
-        let attempts: Vec<(u32, i32)> = missing
-            .iter()
-            .map(|&component| (component, *self.samplings.entry(component).and_modify(|n| *n += 1).or_insert(0)))
-            .collect();
-        let samples =
-            |&(component, attempt): &(u32, i32)| self.sample_component(component, &members[&component], attempt);
-        attempts.par_iter().flat_map_iter(samples).collect()
+        let samples = |component: &u32| self.sample_component(*component, &members[component]);
+        let found: Vec<Place> = missing.par_iter().flat_map_iter(samples).collect();
+        self.places(Reason::Missing, &found)
     }
 
-    /// Points on a component that has no facets: as far apart as its particles want to be, if it has any, and nearer each
-    /// time; at least a dozen, where it is large enough.
-    fn sample_component(&self, component: u32, members: &[u32], attempt: i32) -> Vec<Candidate> {
-        let voxel = self.restricted.field().geometry().mean_spacing();
-        let samples = self.topology.samples(component);
-        let samples: Vec<DVec3> = samples.into_iter().filter_map(|p| self.on_surface(p, 1.0)).collect();
+    /// Points on a component that has no facets: about a voxel apart or as its extent is, nearer to each other than those that it has; at least a
+    /// dozen, where it is large enough.
+    fn sample_component(&self, component: u32, members: &[u32]) -> Vec<Place> {
+        let voxel = self.object.restricted.field().geometry().mean_spacing();
+        let samples = self.object.topology.samples(component);
+        let samples: Vec<DVec3> = samples.into_iter().filter_map(|p| self.object.on_surface(p, 1.0)).collect();
         if samples.is_empty() {
             return Vec::new();
         }
-        let present: Vec<DVec3> = members.iter().map(|&v| self.restricted.points()[v as usize]).collect();
-        let largest = members.iter().map(|&v| self.sizes[v as usize]).fold(voxel, f64::max);
+        let present: Vec<DVec3> = members.iter().map(|&v| self.object.points()[v as usize]).collect();
         let bounds = Bounds::of(&samples);
         let extent = (bounds.high - bounds.low).max_element();
-        let mut spacing = (largest.min(extent) * 0.7f64.powi(attempt)).max(CLOSEST * voxel.min(extent));
+        let smallest = members.iter().map(|&v| self.object.sizes[v as usize]).fold(f64::INFINITY, f64::min);
+        let wanted = if members.is_empty() { voxel } else { NEARER / SIZE_OF_SPACING * smallest };
+        let mut spacing = wanted.min(extent).max(CLOSEST * voxel.min(extent));
         let mut kept = thinned(&present, &samples, spacing);
-        // where none is new, the next attempt would be all there is to do
+        // where none is new, the next look would be all there is to do
         while (kept.len() < 12 || kept.iter().all(|k| k.is_present)) && spacing > 0.1 * voxel.min(extent) {
-            spacing *= 0.7;
+            spacing *= NEARER;
             kept = thinned(&present, &samples, spacing);
         }
-        let near = |point: DVec3| self.nearest.to(point).map_or(0, |(v, _)| v);
-        kept.into_iter()
-            .filter(|k| !k.is_present)
-            .map(|Kept { point, .. }| Candidate {
-                reason: Reason::Missing,
-                point,
-                radius: spacing,
-                size: spacing * 1.2,
-                near: near(point),
-            })
-            .collect()
+        let new = kept.into_iter().filter(|k| !k.is_present);
+        new.map(|k| Place { point: k.point, radius: spacing, size: SIZE_OF_SPACING * spacing }).collect()
     }
 }
 

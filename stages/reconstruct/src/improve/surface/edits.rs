@@ -1,0 +1,179 @@
+//! Edits of the mesh, all in its log: taken back, or made final.
+
+use super::{Change, DEAD, Facts, Surface};
+use glam::DVec3;
+use rayon::prelude::*;
+
+impl Surface<'_> {
+    /// Moves a vertex.
+    pub(in crate::improve) fn move_vertex(&mut self, vertex: u32, to: DVec3) {
+        let v = vertex as usize;
+        self.log.push(Change::Moved { vertex, from: self.positions[v], target: self.target[v] });
+        self.positions[v] = to;
+        self.target[v] = (self.size)(to);
+    }
+
+    /// Adds a vertex.
+    pub(in crate::improve) fn add_vertex(&mut self, at: DVec3) -> u32 {
+        self.log.push(Change::VertexAdded);
+        self.positions.push(at);
+        self.target.push((self.size)(at));
+        self.around.push(Vec::new());
+        self.frozen.push(false);
+        self.fixed.push(false);
+        self.positions.len() as u32 - 1
+    }
+
+    /// Adds a triangle to a sheet.
+    pub(in crate::improve) fn add_triangle(&mut self, corners: [u32; 3], sheet: u32) -> u32 {
+        self.log.push(Change::TriangleAdded);
+        self.triangles.push(DEAD);
+        self.sheet.push(sheet);
+        self.facts.push(Facts::NONE);
+        let t = self.triangles.len() as u32 - 1;
+        self.set_triangle(t, corners);
+        t
+    }
+
+    /// Gives a triangle other corners, or removes it ([`DEAD`]).
+    pub(in crate::improve) fn set_triangle(&mut self, triangle: u32, corners: [u32; 3]) {
+        self.log.push(Change::Retriangled { triangle, from: self.triangles[triangle as usize] });
+        self.rewire(triangle, corners);
+    }
+
+    fn rewire(&mut self, triangle: u32, corners: [u32; 3]) {
+        let old = std::mem::replace(&mut self.triangles[triangle as usize], corners);
+        for v in old {
+            if v != u32::MAX && !corners.contains(&v) {
+                let list = &mut self.around[v as usize];
+                if let Ok(at) = list.binary_search(&triangle) {
+                    list.remove(at);
+                }
+            }
+        }
+        for v in corners {
+            if v != u32::MAX && !old.contains(&v) {
+                let list = &mut self.around[v as usize];
+                if let Err(at) = list.binary_search(&triangle) {
+                    list.insert(at, triangle);
+                }
+            }
+        }
+    }
+
+    /// How far the edits since the last commit have come, for [`Self::rollback_to`].
+    pub(in crate::improve) fn mark(&self) -> usize {
+        self.log.len()
+    }
+
+    /// Takes back everything since the last commit.
+    pub(in crate::improve) fn rollback(&mut self) {
+        self.rollback_to(0);
+    }
+
+    /// Takes back everything since a mark.
+    pub(in crate::improve) fn rollback_to(&mut self, mark: usize) {
+        while self.log.len() > mark
+            && let Some(change) = self.log.pop()
+        {
+            match change {
+                Change::Moved { vertex, from, target } => {
+                    self.positions[vertex as usize] = from;
+                    self.target[vertex as usize] = target;
+                }
+                Change::Retriangled { triangle, from } => self.rewire(triangle, from),
+                Change::VertexAdded => {
+                    self.positions.pop();
+                    self.target.pop();
+                    self.around.pop();
+                    self.frozen.pop();
+                    self.fixed.pop();
+                }
+                Change::TriangleAdded => {
+                    self.triangles.pop();
+                    self.sheet.pop();
+                    self.facts.pop();
+                }
+            }
+        }
+    }
+
+    /// Triangles that differ from their last commit, ascending; those not there any more as well.
+    pub(in crate::improve) fn touched(&self) -> Vec<u32> {
+        let mut touched = Vec::new();
+        for change in &self.log {
+            match *change {
+                Change::Moved { vertex, .. } => touched.extend(&self.around[vertex as usize]),
+                Change::Retriangled { triangle, .. } => touched.push(triangle),
+                Change::VertexAdded | Change::TriangleAdded => {}
+            }
+        }
+        touched.sort_unstable();
+        touched.dedup();
+        touched
+    }
+
+    /// Corner positions of the touched triangles as last committed.
+    pub(in crate::improve) fn former_corners(&self, touched: &[u32]) -> Vec<[DVec3; 3]> {
+        let mut moved: Vec<(u32, DVec3)> = Vec::new();
+        let mut retriangled: Vec<(u32, [u32; 3])> = Vec::new();
+        for change in &self.log {
+            match *change {
+                Change::Moved { vertex, from, .. } if moved.iter().all(|m| m.0 != vertex) => moved.push((vertex, from)),
+                Change::Retriangled { triangle, from } if retriangled.iter().all(|r| r.0 != triangle) => {
+                    retriangled.push((triangle, from));
+                }
+                _ => {}
+            }
+        }
+        touched
+            .iter()
+            .map(|&t| retriangled.iter().find(|r| r.0 == t).map_or(self.triangles[t as usize], |r| r.1))
+            .filter(|corners| *corners != DEAD)
+            .map(|c| c.map(|v| moved.iter().find(|m| m.0 == v).map_or(self.positions[v as usize], |m| m.1)))
+            .collect()
+    }
+
+    /// Number of commits so far.
+    pub(in crate::improve) fn commits(&self) -> u32 {
+        self.commits
+    }
+
+    /// Whether a triangle and all that touch it are as they were after the given number of commits.
+    pub(in crate::improve) fn is_unchanged_since(&self, triangle: u32, commits: u32) -> bool {
+        self.triangles[triangle as usize]
+            .iter()
+            .all(|&v| self.around[v as usize].iter().all(|&t| self.changed_at[t as usize] <= commits))
+    }
+
+    /// Whether what the edits since the last commit made lies in the region, if there is one.
+    pub(in crate::improve) fn is_within_region(&self, touched: &[u32]) -> bool {
+        let mut corners = touched.iter().filter(|&&t| self.is_alive(t)).flat_map(|&t| self.corners(t));
+        self.region.is_none_or(|region| corners.all(|p| region.encloses(p)))
+    }
+
+    /// Makes the edits since the last commit final, which were judged elsewhere; the triangles touched.
+    pub(in crate::improve) fn commit_as_it_is(&mut self) -> Vec<u32> {
+        let touched = self.touched();
+        let facts: Vec<Facts> = touched.par_iter().map(|&t| self.measure(t)).collect();
+        self.commit(&touched, &facts);
+        touched
+    }
+
+    /// Makes the edits since the last commit final.
+    pub(in crate::improve) fn commit(&mut self, touched: &[u32], facts: &[Facts]) {
+        self.commits += 1;
+        self.changed_at.resize(self.triangles.len(), 0);
+        for (&t, &fact) in touched.iter().zip(facts) {
+            self.changed_at[t as usize] = self.commits;
+            if self.facts[t as usize] != Facts::NONE {
+                self.grid.remove(t);
+            }
+            self.facts[t as usize] = fact;
+            if self.is_alive(t) {
+                self.grid.insert(t, self.bounds(t));
+            }
+        }
+        self.log.clear();
+    }
+}

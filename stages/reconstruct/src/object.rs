@@ -1,0 +1,329 @@
+//! The triangulation whose tetrahedra are inside or outside of one object, and the pure criteria that find where its surface is not that of F (Boissonnat and
+//! Oudot 2005; Oudot, Rineau and Yvinec 2005): each looks at one simplex, and changes nothing.
+
+use crate::around::boundary_facets_of;
+use crate::defects::Defects;
+use crate::prepare::{ON_SURFACE, SurfacePoints};
+use crate::queue::{self, Reason, Remedy, Simplex};
+use crate::restricted::{Facet, Restricted};
+use glam::DVec3;
+use isoparticles_delaunay::Delaunay;
+use isoparticles_field::spline::CubicSpline;
+use isoparticles_field::topology::FieldTopology;
+use isoparticles_mesh::components::{DisjointSets, NO_COMPONENT};
+use isoparticles_stage::error::Result;
+use rayon::prelude::*;
+
+/// A facet may lie this part of h away from F = 0 when no limit is given: three times what a facet of edge h has on a
+/// ball of radius 2 h (h^2 / 6 R).
+pub(crate) const DEFAULT_DEVIATION: f64 = 0.25;
+
+/// Cosine between a facet's normal and grad F at its centroid below which the facet counts as turned away from F = 0.
+pub(crate) const TURNED: f64 = 0.3;
+
+impl Remedy for DVec3 {
+    fn place(&self) -> [f64; 3] {
+        self.to_array()
+    }
+}
+
+/// A violation of a criterion, mended by a point on F = 0.
+pub type Violation = queue::Violation<DVec3>;
+
+/// Points on F = 0, and tetrahedra inside and outside.
+pub struct Object<'a> {
+    /// The triangulation.
+    pub restricted: Restricted<'a>,
+    /// Target edge length at each point, mm.
+    pub sizes: Vec<f64>,
+    /// Component of F = 0 of each point, [`NO_COMPONENT`] where there is none near.
+    pub component_of: Vec<u32>,
+    /// What F has.
+    pub topology: &'a FieldTopology,
+    /// Farthest that the centroid of a facet may lie from F = 0, mm; `None`: a quarter of h, at least a quarter voxel.
+    max_deviation: Option<f64>,
+    /// Whether the object is open where the volume ends.
+    pub open_border: bool,
+}
+
+impl<'a> Object<'a> {
+    /// Of the triangulation of points on F = 0.
+    pub fn new(
+        delaunay: Delaunay,
+        points: &SurfacePoints,
+        field: &'a CubicSpline,
+        topology: &'a FieldTopology,
+        max_deviation: Option<f64>,
+        open_border: bool,
+    ) -> Self {
+        let restricted = Restricted::new(delaunay, field);
+        let component_of = points.positions.par_iter().map(|&p| component_at(p, field, topology)).collect();
+        Self { restricted, sizes: points.sizes.clone(), component_of, topology, max_deviation, open_border }
+    }
+
+    /// The points, those inserted at the end.
+    pub fn points(&self) -> &[DVec3] {
+        self.restricted.points()
+    }
+
+    /// Adds a point on F = 0 with its target edge length; false when it was there already.
+    ///
+    /// # Errors
+    /// Those of the triangulation.
+    pub fn insert(&mut self, place: DVec3, size: f64, near: u32) -> Result<bool> {
+        if self.restricted.insert(place, near)?.is_none() {
+            return Ok(false);
+        }
+        self.sizes.push(size);
+        self.component_of.push(component_at(place, self.restricted.field(), self.topology));
+        self.restricted.decide_sides();
+        Ok(true)
+    }
+
+    /// The facets of the surface; with an open border, without those that would close it there.
+    pub fn facets(&self) -> Vec<Facet> {
+        self.without_border_closure(self.restricted.facets())
+    }
+
+    /// Facets without those that would close the surface at an open border.
+    pub fn without_border_closure(&self, mut facets: Vec<Facet>) -> Vec<Facet> {
+        if self.open_border {
+            facets.retain(|f| !self.restricted.is_border_closure(f));
+        }
+        facets
+    }
+
+    /// Whether an edge may be in one facet only: at an open border.
+    fn may_be_open(&self, a: u32, b: u32) -> bool {
+        let geometry = self.restricted.field().geometry();
+        let upper = geometry.upper_corner();
+        let near_border = |v: u32| {
+            let p = self.points()[v as usize];
+            p.min(upper - p).min_element() < self.sizes[v as usize] + geometry.mean_spacing()
+        };
+        self.open_border && near_border(a) && near_border(b)
+    }
+
+    /// What differs from F in a set of facets as a whole.
+    pub fn defects(&self, facets: &[Facet]) -> Defects {
+        let triangles: Vec<[u32; 3]> = facets.iter().map(|f| f.vertices).collect();
+        Defects::find(&triangles, &self.component_of, self.topology, |a, b| self.may_be_open(a, b))
+    }
+
+    /// The facets at a vertex.
+    pub fn facets_at(&self, vertex: u32) -> Vec<Facet> {
+        self.without_border_closure(self.restricted.facets_at(vertex))
+    }
+
+    /// Round a vertex the facets must form one fan, and each edge at it must be in two of them; `edges` says which of these are looked at, by their other ends.
+    fn at_star(&self, vertex: u32, edges: impl Fn(u32) -> bool) -> Vec<Violation> {
+        let facets = self.facets_at(vertex);
+        let mut ends: Vec<(u32, usize)> = Vec::with_capacity(2 * facets.len());
+        for (k, facet) in facets.iter().enumerate() {
+            ends.extend(facet.vertices.into_iter().filter(|&v| v != vertex).map(|v| (v, k)));
+        }
+        ends.sort_unstable();
+        let mut fans = DisjointSets::new(facets.len());
+        let (mut joined, mut found) = (0, Vec::new());
+        for edge in ends.chunk_by(|a, b| a.0 == b.0) {
+            let other = edge[0].0;
+            if let [(_, first), (_, second)] = *edge {
+                let [first, second] = [first, second].map(|k| fans.find(k as u32));
+                joined += usize::from(first != second);
+                fans.join(first, second);
+            } else if edges(other) && !(edge.len() == 1 && self.may_be_open(vertex, other)) {
+                let own: Vec<Facet> = edge.iter().map(|&(_, k)| facets[k]).collect();
+                let simplex = Simplex::Edge([vertex.min(other), vertex.max(other)]);
+                found.extend(self.by_largest_ball(Reason::Edge, simplex, &own));
+            }
+        }
+        if facets.len() > joined + 1 {
+            found.extend(self.by_largest_ball(Reason::Vertex, Simplex::Vertex(vertex), &facets));
+        }
+        found
+    }
+
+    /// A facet must not join components, nor stray from F = 0.
+    pub fn at_facet(&self, facet: &Facet) -> Option<Violation> {
+        let reason = if self.is_bridge(facet) {
+            Reason::Bridge
+        } else if self.badness(facet) > 1.0 {
+            Reason::Deviation
+        } else {
+            return None;
+        };
+        self.by_largest_ball(reason, Simplex::Facet(sorted(facet.vertices)), std::slice::from_ref(facet))
+    }
+
+    /// Whether a facet joins components of F = 0 that no undecided place can join.
+    pub fn is_bridge(&self, facet: &Facet) -> bool {
+        let mut known =
+            facet.vertices.into_iter().filter_map(|v| self.topology.groups().of(self.component_of[v as usize]));
+        known.next().is_some_and(|first| known.any(|group| group != first))
+    }
+
+    /// What is left of the violation at a simplex.
+    pub fn at_simplex(&self, simplex: Simplex) -> Option<Violation> {
+        let at = |v: u32| self.at_star(v, |_| true).into_iter().find(|found| found.simplex == simplex);
+        match simplex {
+            Simplex::Vertex(v) | Simplex::Edge([v, _]) => at(v),
+            Simplex::Facet(vertices) => {
+                let facets = self.facets_at(vertices[0]);
+                facets.into_iter().find(|f| sorted(f.vertices) == vertices).and_then(|f| self.at_facet(&f))
+            }
+            Simplex::Node(_) | Simplex::Place(..) => None,
+        }
+    }
+
+    /// What is violated at the facets of some tetrahedra, and at their edges and vertices.
+    pub fn at_tetrahedra(&self, tetrahedra: &[u32]) -> Vec<Violation> {
+        let of = |&t: &u32| boundary_facets_of(self.restricted.delaunay(), t, |t| self.restricted.is_inside(t));
+        let mut facets: Vec<Facet> = tetrahedra.iter().flat_map(of).collect();
+        facets.sort_unstable_by_key(|f| (f.tetrahedron, f.opposite));
+        facets.dedup();
+        let facets = self.without_border_closure(facets);
+        let mut found = self.at_vertices(facets.iter().flat_map(|f| f.vertices).collect());
+        found.extend(facets.iter().filter_map(|f| self.at_facet(f)));
+        found
+    }
+
+    /// What is violated at some vertices, and at the edges at them.
+    pub fn at_vertices(&self, mut vertices: Vec<u32>) -> Vec<Violation> {
+        vertices.sort_unstable();
+        vertices.dedup();
+        // an edge between two of them is looked at once
+        let edges = |v: u32| {
+            let vertices = &vertices;
+            move |other: u32| other > v || vertices.binary_search(&other).is_err()
+        };
+        vertices.iter().flat_map(|&v| self.at_star(v, edges(v))).collect()
+    }
+
+    /// The violation at some facets that the centre of their largest surface ball mends.
+    fn by_largest_ball(&self, reason: Reason, simplex: Simplex, facets: &[Facet]) -> Option<Violation> {
+        let balls = facets.iter().filter_map(|f| self.by_ball(reason, simplex, f));
+        balls.max_by(|a, b| a.radius.total_cmp(&b.radius))
+    }
+
+    /// A violation that the centre of the surface ball of a facet mends: where its Voronoi edge crosses F = 0, else the projected centroid.
+    pub fn by_ball(&self, reason: Reason, simplex: Simplex, facet: &Facet) -> Option<Violation> {
+        let [a, b, c] = facet.vertices.map(|v| self.points()[v as usize]);
+        let crossing = self.restricted.dual_crossing(facet).and_then(|p| self.on_surface(p, 0.5));
+        let remedy = crossing.or_else(|| self.on_surface((a + b + c) / 3.0, 2.0))?;
+        let radius = a.distance(remedy).min(b.distance(remedy)).min(c.distance(remedy));
+        Some(Violation { reason, simplex, remedy, radius, size: self.size_of(facet), near: facet.vertices[0] })
+    }
+
+    /// Mean target edge length at the vertices of a facet, mm.
+    fn size_of(&self, facet: &Facet) -> f64 {
+        facet.vertices.map(|v| self.sizes[v as usize]).iter().sum::<f64>() / 3.0
+    }
+
+    /// The point of F = 0 next to a place, at most so many voxels away.
+    pub fn on_surface(&self, p: DVec3, voxels: f64) -> Option<DVec3> {
+        let voxel = self.restricted.field().geometry().mean_spacing();
+        self.restricted.field().project(p, voxels * voxel, ON_SURFACE * voxel)
+    }
+
+    /// How far a facet strays, in units of what is allowed.
+    fn badness(&self, facet: &Facet) -> f64 {
+        let limit = self.max_deviation.unwrap_or_else(|| {
+            DEFAULT_DEVIATION * self.size_of(facet).max(self.restricted.field().geometry().mean_spacing())
+        });
+        let (distance, agreement) = self.at_centroid(facet);
+        let turned = if agreement < TURNED { 1.0 + TURNED - agreement } else { 0.0 };
+        (distance / limit).max(turned)
+    }
+
+    /// Whether a facet lies across F = 0.
+    pub fn is_across(&self, facet: &Facet) -> bool {
+        self.at_centroid(facet).1 < TURNED
+    }
+
+    /// Distance of the centroid of a facet from F = 0 to first order, mm, and the cosine between the facet's normal and grad F there.
+    fn at_centroid(&self, facet: &Facet) -> (f64, f64) {
+        let [a, b, c] = facet.vertices.map(|v| self.points()[v as usize]);
+        let (value, gradient) = self.restricted.field().value_gradient((a + b + c) / 3.0);
+        let slope = gradient.length().max(1e-6);
+        (value.abs() / slope, (b - a).cross(c - a).normalize_or_zero().dot(gradient / slope))
+    }
+}
+
+fn sorted(mut vertices: [u32; 3]) -> [u32; 3] {
+    vertices.sort_unstable();
+    vertices
+}
+
+fn component_at(p: DVec3, field: &CubicSpline, topology: &FieldTopology) -> u32 {
+    topology.component_at(field, p, field.value_gradient(p).1).unwrap_or(NO_COMPONENT)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::refine::{RefineOptions, Refinement};
+    use crate::scenes::{self, Scene};
+    use crate::tests::surface_points;
+
+    #[test]
+    fn what_is_violated_at_simplices_is_what_the_whole_surface_has_there() {
+        // so sparse that sheets touch
+        let found = (0..12).map(|seed| compare(&scenes::random(seed), 1.8));
+        let [edges, vertices] = found.fold([0, 0], |[a, b], [edges, vertices]| [a + edges, b + vertices]);
+        assert!(edges > 0 && vertices > 0, "{edges} edges and {vertices} vertices: this shows nothing");
+    }
+
+    /// Compares the violations of a scene found in parts with the defects of the whole surface; returns at how many edges and vertices there are any.
+    fn compare(scene: &Scene, spacing: f64) -> [usize; 2] {
+        let mut points = surface_points(scene, spacing);
+        let topology = FieldTopology::new(&scene.field);
+        let refinement = Refinement::new(&mut points, &scene.field, &topology, RefineOptions::default()).unwrap();
+        let object = &refinement.object;
+        let facets = object.facets();
+        let whole = object.defects(&facets);
+        let all: Vec<u32> = (0..object.points().len() as u32).collect();
+        let simplices = |found: Vec<Violation>| {
+            let mut simplices: Vec<Simplex> = found.into_iter().map(|v| v.simplex).collect();
+            simplices.sort_unstable();
+            simplices
+        };
+        let found = simplices(object.at_vertices(all.clone()));
+        let mut expected: Vec<Simplex> = whole.vertices.iter().map(|(v, _)| Simplex::Vertex(*v)).collect();
+        let ends = |around: &Vec<u32>| crate::defects::edge_of(&facets, around).expect("facets of an edge");
+        expected.extend(whole.edges.iter().map(|around| {
+            let [a, b] = ends(around);
+            Simplex::Edge([a.min(b), a.max(b)])
+        }));
+        expected.sort_unstable();
+        assert_eq!(found, expected);
+        assert!(found.iter().all(|&simplex| object.at_simplex(simplex).is_some_and(|v| v.simplex == simplex)));
+        // a vertex has its own and those of the edges at it
+        for &v in &all {
+            let at = |simplex: &&Simplex| match simplex {
+                Simplex::Edge(edge) => edge.contains(&v),
+                simplex => **simplex == Simplex::Vertex(v),
+            };
+            assert_eq!(simplices(object.at_vertices(vec![v])), expected.iter().filter(at).copied().collect::<Vec<_>>());
+        }
+        let bridges = facets.iter().filter(|f| object.is_bridge(f)).count();
+        assert_eq!(bridges, whole.bridges.len());
+        [whole.edges.len(), whole.vertices.len()]
+    }
+
+    #[test]
+    fn the_nearest_point_is_that_of_a_plain_search() {
+        let scene = scenes::gyroid();
+        let mut points = surface_points(&scene, 1.4);
+        let topology = FieldTopology::new(&scene.field);
+        let refinement = Refinement::new(&mut points, &scene.field, &topology, RefineOptions::default()).unwrap();
+        let restricted = &refinement.object.restricted;
+        let distance = |v: u32, place: DVec3| restricted.points()[v as usize].distance(place);
+        let count = restricted.points().len() as u32;
+        for n in 0..400u32 {
+            let place = DVec3::new(f64::from(n % 7), f64::from(n / 7 % 8), f64::from(n / 56)) * 5.1;
+            let nearest =
+                (0..count).min_by(|a, b| distance(*a, place).total_cmp(&distance(*b, place))).expect("points");
+            assert_eq!(restricted.nearest(place, 37 * n % count), (nearest, distance(nearest, place)));
+        }
+    }
+}

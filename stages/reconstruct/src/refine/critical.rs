@@ -1,0 +1,102 @@
+//! Handles and gaps: the critical points of F that the mesh has on the wrong side get points around them.
+
+use super::{Place, Refinement};
+use crate::object::Violation;
+use crate::queue::Reason;
+use glam::DVec3;
+use isoparticles_field::topology::{CriticalPoint, RESOLUTION};
+use isoparticles_stage::error::Result;
+use rayon::prelude::*;
+
+/// Looks at critical points that stay on the wrong side of the mesh.
+const LOOKS: usize = 6;
+
+/// Spheres of points round a critical point that is still on the wrong side after its nearest points of F = 0 are in the mesh, each twice
+/// as large as the one before.
+const SPHERES: i32 = 4;
+
+/// Points of such a sphere keep this part of its radius from all others.
+const APART: f64 = 0.5;
+
+impl Refinement<'_> {
+    /// The critical points that the mesh has on the wrong side, with the nearest vertex of each.
+    pub(super) fn wrong_sided(&self) -> Vec<(CriticalPoint, u32)> {
+        let is_wrong = |c: &&CriticalPoint| !self.has_right(c, self.near(c.position));
+        self.critical_points().filter(is_wrong).map(|c| (*c, self.nearest(c.position).0)).collect()
+    }
+
+    /// Whether the mesh has a critical point on its right side; `near` is a vertex not far from it.
+    fn has_right(&self, c: &CriticalPoint, near: u32) -> bool {
+        self.object.restricted.holds(c.position, near) == (c.value < 0.0)
+    }
+
+    /// The critical points that the mesh must have on their right sides.
+    pub(super) fn critical_points(&self) -> impl ParallelIterator<Item = &CriticalPoint> {
+        let resolution = RESOLUTION * self.object.restricted.field().geometry().mean_spacing();
+        self.object.topology.critical_points().par_iter().filter(move |c| c.radius >= resolution)
+    }
+
+    /// Whether an extremum of F next to some vertices (ascending) is on its right side.
+    pub(super) fn holds_extremum(&self, vertices: &[u32]) -> bool {
+        let is_held = |c: &CriticalPoint| {
+            let near = self.nearest(c.position).0;
+            vertices.binary_search(&near).is_ok() && self.has_right(c, near)
+        };
+        self.critical_points().any(|c| c.is_enclosed() && is_held(c))
+    }
+
+    /// Adds points round the critical points on the wrong side until some fit; returns how many.
+    ///
+    /// # Errors
+    /// Those of `step` and of the triangulation.
+    pub(super) fn mend_critical_points(
+        &mut self,
+        wrong_sided: &[(CriticalPoint, u32)],
+        step: &mut dyn FnMut(usize) -> Result<()>,
+    ) -> Result<usize> {
+        let most = LOOKS.min(self.options.max_rounds);
+        while !wrong_sided.is_empty() && self.critical_looks < most {
+            let found = self.at_critical_points(wrong_sided, self.critical_looks);
+            self.critical_looks += 1;
+            let mended = self.mend_all(found, step)?;
+            if mended > 0 {
+                return Ok(mended);
+            }
+        }
+        Ok(0)
+    }
+
+    /// Points round the critical points on the wrong side: first where F = 0 is nearest to each in its principal directions, then on spheres
+    /// around it.
+    fn at_critical_points(&self, wrong_sided: &[(CriticalPoint, u32)], attempt: usize) -> Vec<Violation> {
+        let place = |start: DVec3, c: &CriticalPoint, size: f64, apart: f64| {
+            let point = self.object.on_surface(start, 2.0)?;
+            let reach = start.distance(c.position);
+            let room = self.nearest(point).1;
+            let fits = room > apart && point.distance(start) < reach;
+            fits.then_some(Place { point, radius: room.min(reach), size })
+        };
+        let around = |&(c, near): &(CriticalPoint, u32)| -> Vec<Place> {
+            let h = self.object.sizes[near as usize];
+            let size = |radius: f64| h.min(2.0 * radius);
+            if attempt == 0 {
+                let ends = c.ways.iter().filter(|way| **way != DVec3::ZERO).flat_map(|&way| [way, -way]);
+                return ends.filter_map(|way| place(c.position + way, &c, size(way.length()), 0.0)).collect();
+            }
+            let radii = (0..SPHERES).map(|k| c.radius * f64::powi(2.0, k - attempt as i32 + 1));
+            let on_sphere = |radius: f64| {
+                let starts = directions().map(move |d| c.position + radius * d);
+                starts.filter_map(move |start| place(start, &c, size(radius), APART * radius))
+            };
+            radii.filter(|&r| r < 2.0 * h).flat_map(on_sphere).collect()
+        };
+        let found: Vec<Place> = wrong_sided.par_iter().flat_map_iter(around).collect();
+        self.places(Reason::CriticalPoint, &found)
+    }
+}
+
+/// The 26 directions to the neighbours in a grid.
+fn directions() -> impl Iterator<Item = DVec3> {
+    let all = (0..27).map(|n| DVec3::new(f64::from(n % 3) - 1.0, f64::from(n / 3 % 3) - 1.0, f64::from(n / 9) - 1.0));
+    all.filter(|d| *d != DVec3::ZERO).map(DVec3::normalize)
+}

@@ -1,0 +1,78 @@
+//! Tetrahedra that change sides where points do not help: where sheets touch, and in small pieces of the mesh that are none of F = 0.
+
+use super::Refinement;
+use crate::defects::{Defects, edge_of};
+use crate::restricted::Facet;
+use isoparticles_mesh::components::NO_COMPONENT;
+use rayon::prelude::*;
+use std::collections::{BTreeMap, HashSet};
+
+/// Times that tetrahedra may change sides where sheets touch; in the second half of them they may only join the object, lest they go to and fro.
+const PARTINGS: usize = 16;
+
+/// Vertices of a piece of the mesh that may be dropped, and tetrahedra within it.
+const LARGEST_DROPPED: usize = 16;
+const DROPPED_TETRAHEDRA: usize = 64;
+
+impl Refinement<'_> {
+    /// Parts the sheets that touch in edges, or else in vertices; returns at how many.
+    pub(super) fn part_pinches(&mut self, facets: &[Facet], defects: &Defects) -> usize {
+        if defects.is_manifold() || self.partings >= PARTINGS {
+            return 0;
+        }
+        let may_leave = 2 * self.partings < PARTINGS;
+        let restricted = &mut self.object.restricted;
+        let mut parted = 0;
+        for around in &defects.edges {
+            if let Some(edge) = edge_of(facets, around) {
+                let start = facets[around[0] as usize].tetrahedron;
+                parted += usize::from(restricted.part_edge(edge, start, may_leave));
+            }
+        }
+        if parted == 0 {
+            let vertices = defects.vertices.iter().map(|(v, _)| *v);
+            parted = vertices.filter(|&v| restricted.part_vertex(v, may_leave)).count();
+        }
+        self.partings += usize::from(parted > 0);
+        self.report.parted_pinches += parted;
+        parted
+    }
+
+    /// Lets the tetrahedra of small pieces change sides that are none of F = 0: pieces too many of their group, or near no component, with a
+    /// facet across F = 0 and no extremum of F, which every closed surface F = 0 goes round. Returns how many there were.
+    pub(super) fn drop_pieces(&mut self, facets: &[Facet], defects: &Defects) -> usize {
+        if defects.in_pieces.is_empty() && defects.strangers == 0 {
+            return 0;
+        }
+        let piece = |f: &Facet| defects.piece_of_vertex[f.vertices[0] as usize];
+        let across: HashSet<u32> = facets.par_iter().filter(|f| self.object.is_across(f)).map(piece).collect();
+        let pieces = self.pieces(defects);
+        let smaller = pieces.iter().flat_map(|pieces| (1..pieces.count()).map(|k| pieces.vertices(k).to_vec()));
+        let mut enclosed = Vec::new();
+        for own in smaller.chain(self.strange_pieces(defects)).filter(|own| own.len() <= LARGEST_DROPPED) {
+            let number = defects.piece_of_vertex[own[0] as usize];
+            if across.contains(&number) && !self.holds_extremum(&own) {
+                let shell: Vec<Facet> = facets.iter().copied().filter(|f| piece(f) == number).collect();
+                enclosed.extend(self.object.restricted.enclosed(&shell, DROPPED_TETRAHEDRA));
+            }
+        }
+        enclosed.iter().for_each(|tetrahedra| self.object.restricted.change_sides(tetrahedra));
+        self.report.dropped_pieces += enclosed.len();
+        enclosed.len()
+    }
+
+    /// The vertices, ascending, of each piece of the mesh that lies near no component of F = 0.
+    fn strange_pieces(&self, defects: &Defects) -> Vec<Vec<u32>> {
+        let mut pieces: BTreeMap<u32, Vec<u32>> = BTreeMap::new();
+        if defects.strangers > 0 {
+            let mut is_known = vec![false; defects.component_count];
+            let used = || (0..).zip(&defects.piece_of_vertex).filter(|(_, piece)| **piece != NO_COMPONENT);
+            let component_of = &self.object.component_of;
+            used().for_each(|(v, &piece)| is_known[piece as usize] |= component_of[v as usize] != NO_COMPONENT);
+            for (v, &piece) in used().filter(|(_, piece)| !is_known[**piece as usize]) {
+                pieces.entry(piece).or_default().push(v as u32);
+            }
+        }
+        pieces.into_values().collect()
+    }
+}
