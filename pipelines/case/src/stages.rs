@@ -189,6 +189,7 @@ fn options_by_key(stage: &str) -> &'static [(&'static str, &'static str)] {
         ],
         "seed" => &[("--count", "COUNT"), ("--seed", "SEED")],
         "particles" => &[("--backend", "BACKEND"), ("--seed", "SEED")],
+        "tetmesh-check" => &[("--order", "TET_ORDER")],
         _ => &[],
     }
 }
@@ -253,6 +254,8 @@ fn arguments(
         "seed" => vec![distfield, sizefield],
         "particles" => [file("seeds.bin")].into_iter().chain(fields).collect(),
         "reconstruct" => [file("particles.bin")].into_iter().chain(fields).collect(),
+        // Nodes amid the edges of the surface are brought onto F = 0.
+        _ if settings.get("TET_ORDER") == Some("2") => [file("surface.vtp")].into_iter().chain(fields).collect(),
         _ => vec![file("surface.vtp"), word("--sizefield"), sizefield],
     };
     words.extend([word("-o"), file(crate::folder::belongings(stage).output)]);
