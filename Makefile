@@ -89,7 +89,7 @@ case = $(call quote,$(BIN)/isoparticles-case) $(1) $(foreach key,$(KEYS) OUT VER
 # --- Goals ------------------------------------------------------------------------------------------------------------
 
 .PHONY: help $(CASE_GOALS) demo cases batch cluster index build env snakemake-env wheel completions doctor test format lint documentation test-rust test-python fuzz deny bench-stages \
-        bench-particles bench-gpu bench-delaunay bench-convergence bench-marching-cubes bench-scale bench-kills
+        bench-particles bench-gpu bench-delaunay bench-convergence bench-marching-cubes bench-scale bench-kills bench-batch notebook
 
 define HELP
 Volumes in, simulation-ready meshes out.
@@ -122,6 +122,8 @@ Volumes in, simulation-ready meshes out.
   make bench-convergence                       error of a known solution on the ball, from coarse to fine tetrahedra
   make bench-marching-cubes                    tetrahedra in our surfaces against marching cubes and a remesher (COMPARED=...)
   make bench-kills N=100                       kills at random moments of a small chain, and the same files after another run
+  make bench-batch                             a batch of 50 phantoms, real volumes and broken rows, interrupted and called again
+  make notebook                                docs/notebooks/volume-to-solve.ipynb, run from first to last into OUT/notebook
   make bench-scale                             coarse meshes of real volumes against two remeshers (SCALE_CASES=... SCALE_VERTICES=...)
 
 Parameters of a case, with the stages' defaults where left out; they come before what a case's file says:
@@ -349,6 +351,25 @@ N ?= 100
 KILL_SEED ?= 1
 bench-kills: build env
 	@$(VENV)/bin/python tests/kills.py --count $(N) --seed $(KILL_SEED) --bin $(abspath $(BIN)) --tetmesh-check $(abspath $(TETMESH_CHECK))
+
+# Fifty phantoms, the small volumes of DATA and five broken rows as one batch, interrupted, called again and judged; GOAL=mesh takes them to tetrahedra.
+bench-batch: build env
+	@$(VENV)/bin/python tests/batch.py --bin $(abspath $(BIN)) --tetmesh-check $(abspath $(TETMESH_CHECK)) --goal $(if $(call by_user,GOAL),$(GOAL),surface) \
+	  $(if $(wildcard $(DATA)/mickey_labels.nrrd),--data $(DATA))
+
+# The notebook by nbclient, which has a folder of its own beside the environment that it runs in.
+NOTEBOOK = docs/notebooks/volume-to-solve.ipynb
+NOTEBOOK_ENV = $(CARGO_TARGET_DIR)/notebook
+notebook: build env $(NOTEBOOK_ENV)/.made
+	@rm -rf $(call quote,$(OUT)/notebook) && mkdir -p $(call quote,$(OUT)/notebook) && cp $(NOTEBOOK) $(call quote,$(OUT)/notebook)
+	@cd $(call quote,$(OUT)/notebook) && PYTHONPATH=$(abspath $(NOTEBOOK_ENV))$${PYTHONPATH:+:$$PYTHONPATH} ISOPARTICLES="make -s -C $(CURDIR) NO_BUILD=yes BIN=$(abspath $(BIN)) mesh" \
+	  $(abspath $(VENV))/bin/python -c "from nbclient.cli import main; main()" $(notdir $(NOTEBOOK)) --output $(notdir $(NOTEBOOK)) --timeout 300
+	@echo $(OUT)/notebook/$(notdir $(NOTEBOOK))
+
+$(NOTEBOOK_ENV)/.made: docs/notebooks/requirements.lock | env
+	@rm -rf $(NOTEBOOK_ENV)
+	@$(VENV)/bin/python -m pip install --quiet --disable-pip-version-check --no-input --only-binary :all: --require-hashes --target $(NOTEBOOK_ENV) -r docs/notebooks/requirements.lock
+	@touch $@
 
 # Coarse meshes of the real volumes in DATA, and what gpytoolbox and CGAL make of the same smoothed fields (REMESHER=no: ours alone; then, with
 # BENCH_OPTIONS=--no-distances, any Python does). BENCH_OPTIONS="--tetrahedra .venv/bin/tetmesh-check --backend gpu" and the like.

@@ -23,7 +23,7 @@ pub fn command() -> Command {
         Command::new(name).about(about).arg(volume).args(options())
     };
     let of_name = |name: &'static str, about: &'static str| {
-        let results = Arg::new("NAME").help("The name of the results");
+        let results = Arg::new("RESULTS").value_name("NAME").help("The name of the results");
         Command::new(name).about(about).arg(results).args(options())
     };
     let list =
