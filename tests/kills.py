@@ -2,11 +2,11 @@
 
     tests/kills.py --count 100 --seed 1        # or: make bench-kills N=100
 
-Each of the kills starts from nothing: a tiny phantom is meshed by `isoparticles-case`, as make does it. At a random moment of a random stage (by the
-time that it took undisturbed) SIGKILL, SIGTERM or SIGINT goes to the program, to the stage that it runs, or to all of its processes (as Ctrl-C and
-the end of a batch job do). Then the same command is called again, and has to end with 0. Every file is compared byte by byte, but for those that tell
-of times: reports, status, page, the list of passes and the tetrahedralizer's log, which are compared without these. No file may be left over.
-HXT makes the tetrahedra, because fTetWild's are not the same from run to run.
+Each of the kills starts from nothing: a tiny phantom is meshed by `isoparticles-case`, as make does it. At a random moment of a random stage
+(by the time that it took undisturbed) SIGKILL, SIGTERM or SIGINT goes to the program, to the stage that it runs, or to all of its processes
+(as Ctrl-C and the end of a batch job do). Then the same command is called again, and has to end with 0. Every file is compared byte by byte,
+but for those that tell of times: reports, status, page, the list of passes and the tetrahedralizer's log, which are compared without these.
+No file may be left over. HXT makes the tetrahedra, because fTetWild's are not the same from run to run.
 """
 
 from __future__ import annotations
@@ -25,7 +25,15 @@ import time
 from pathlib import Path
 
 NAME = "tiny"
-CASE = [f"NAME={NAME}", "PHANTOM=ball --size 20", "ISO=0", "SIZE=2.5", "BACKEND=cpu", "TETMESH_OPTIONS=--method hxt --solve no", "VERBOSITY=-q"]
+CASE = [
+    f"NAME={NAME}",
+    "PHANTOM=ball --size 20",
+    "ISO=0",
+    "SIZE=2.5",
+    "BACKEND=cpu",
+    "TETMESH_OPTIONS=--method hxt --solve no",
+    "VERBOSITY=-q",
+]
 SIGNALS = (signal.SIGKILL, signal.SIGTERM, signal.SIGINT)
 TARGETS = ("program", "stage", "all")
 WITH_TIMES = (".json", ".html", ".log", ".csv")
@@ -120,7 +128,13 @@ class Chain:
     def __init__(self, arguments: argparse.Namespace, work: Path) -> None:
         self.work = work
         self.folder = work / NAME
-        self.command = [arguments.bin / "isoparticles-case", "mesh", *CASE, f"OUT={work}", f"THREADS={arguments.threads}"]
+        self.command = [
+            arguments.bin / "isoparticles-case",
+            "mesh",
+            *CASE,
+            f"OUT={work}",
+            f"THREADS={arguments.threads}",
+        ]
         self.command += ["--bin", arguments.bin, "--tetmesh-check", arguments.tetmesh_check]
 
     def start(self) -> subprocess.Popen[bytes]:
@@ -186,7 +200,9 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--count", metavar="N", type=int, default=100, help="kills (default 100)")
     parser.add_argument("--seed", metavar="N", type=int, default=1, help="of moments, signals and targets (default 1)")
-    parser.add_argument("--bin", metavar="DIR", type=Path, default=Path("target/release"), help="folder of the programs")
+    parser.add_argument(
+        "--bin", metavar="DIR", type=Path, default=Path("target/release"), help="folder of the programs"
+    )
     parser.add_argument("--tetmesh-check", metavar="PROGRAM", type=Path, default=Path(".venv/bin/tetmesh-check"))
     parser.add_argument("--threads", metavar="N", type=int, default=2, help="CPU threads of each stage (default 2)")
     arguments = parser.parse_args()
@@ -205,7 +221,10 @@ def main() -> int:
             failures += bool(wrong)
             words = f"{number}: {which.name} to {target} in {stage}, {delay:.2f} s on"
             print(f"{words}: {'; '.join(wrong) if wrong else 'the same'}", flush=True)
-    print(f"{arguments.count} kills, {arguments.count - failures} results the same; " + ", ".join(f"{k}: {n}" for k, n in met.most_common()))
+    print(
+        f"{arguments.count} kills, {arguments.count - failures} results the same; "
+        + ", ".join(f"{k}: {n}" for k, n in met.most_common())
+    )
     return 1 if failures else 0
 
 

@@ -1,6 +1,6 @@
 //! The commands of a case's stages, and the hash that tells when one has to run again.
 
-use crate::folder::{Belongings, CHECKPOINT, CaseFolder, REPORT, STAGES, report_name};
+use crate::folder::{Belongings, CHECKPOINT, CaseFolder, PICTURES, REPORT, STAGES, report_name};
 use crate::inputs::{self, hash_program};
 use crate::settings::Settings;
 use crate::status::{Input, Status};
@@ -270,7 +270,7 @@ fn arguments(
         return (words, None);
     }
     let report = if stage == "tetmesh-check" {
-        words.extend([word("--pictures"), folder.path.join("pictures").into_os_string()]);
+        words.extend([word("--pictures"), folder.path.join(PICTURES).into_os_string()]);
         folder.file_name(REPORT)
     } else {
         report_name(stage)
