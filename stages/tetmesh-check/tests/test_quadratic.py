@@ -192,6 +192,8 @@ def scikit_fem_of(path: Path) -> MeshTet2:
     return MeshTet2(np.concatenate([points[corners], middles]).T, mesh.t)
 
 
+# five to ten seconds alone; the limit is for a machine with much other work
+@pytest.mark.timeout(240)
 @NEEDS_HXT
 def test_the_volume_and_a_solution_on_the_ball_converge_at_a_higher_order(tmp_path: Path, run: Run) -> None:
     # - lap u = 1, u = 0 on the sphere: the integral of u is 4 pi R^5 / 45
@@ -293,6 +295,7 @@ def test_what_cannot_be_quadratic_is_refused_before_the_work(
 CCX = shutil.which("ccx")
 
 
+@pytest.mark.timeout(240)
 @NEEDS_HXT
 @pytest.mark.skipif(CCX is None, reason="no CalculiX (Debian, Ubuntu: apt-get install calculix-ccx)")
 def test_calculix_inflates_a_hollow_ball(tmp_path: Path, run: Run) -> None:
