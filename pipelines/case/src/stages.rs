@@ -302,3 +302,28 @@ fn refuse_own_results(folder: &CaseFolder, inputs: &[Input]) -> Result<()> {
         )),
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::path::Path;
+
+    fn told(set: &[&str]) -> String {
+        let set: Vec<String> = set.iter().map(|word| (*word).to_owned()).collect();
+        let settings = Settings::read(&set, &[], None, &[]).expect("fit together");
+        let folder = CaseFolder::new(Path::new("out"), "case");
+        let options = options("tetmesh-check", &settings);
+        let (words, _) = arguments("tetmesh-check", &folder, &Volume::Phantom, options, &settings);
+        words.iter().map(|word| word.to_string_lossy().into_owned()).collect::<Vec<_>>().join(" ")
+    }
+
+    #[test]
+    fn quadratic_tetrahedra_get_the_distance_field() {
+        let quadratic = told(&["TET_ORDER=2"]);
+        assert!(quadratic.contains("--distfield out/case/case.distfield.vti") && quadratic.contains("--order 2"));
+        assert!(!told(&[]).contains("--distfield") && !told(&["TET_ORDER=1"]).contains("--distfield"));
+        let both = ["TET_ORDER=2".to_owned(), "MATERIALS=all".to_owned()];
+        let error = Settings::read(&both, &[], None, &[]).expect_err("of one object");
+        assert!(error.next.contains("keep TET_ORDER or MATERIALS"), "{error}");
+    }
+}

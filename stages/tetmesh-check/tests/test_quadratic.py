@@ -192,7 +192,7 @@ def scikit_fem_of(path: Path) -> MeshTet2:
     return MeshTet2(np.concatenate([points[corners], middles]).T, mesh.t)
 
 
-# five to ten seconds alone; the limit is for a machine with much other work
+# some ten seconds of processor time; the limit is for a machine with much other work
 @pytest.mark.timeout(240)
 @NEEDS_HXT
 def test_the_volume_and_a_solution_on_the_ball_converge_at_a_higher_order(tmp_path: Path, run: Run) -> None:
