@@ -33,11 +33,11 @@ THREADS ?=
 # What a case may set (pipelines/case/src/keys.rs says what each is). The command line comes before the case's file; the
 # environment has no say, because names as plain as NAME or SIZE may mean something else there.
 KEYS := NAME INPUT PHANTOM SERIES ISO LABELS MATERIALS INSIDE BORDER SCALE EPSILON DELTA SIZE MIN_SIZE MAX_SIZE VERTICES QUALITY COUNT SEED \
-        BACKEND MAX_MEMORY DISTFIELD_OPTIONS SIZEFIELD_OPTIONS PARTICLES_OPTIONS RECONSTRUCT_OPTIONS TETMESH_OPTIONS
+        BACKEND TET_ORDER MAX_MEMORY DISTFIELD_OPTIONS SIZEFIELD_OPTIONS PARTICLES_OPTIONS RECONSTRUCT_OPTIONS TETMESH_OPTIONS
 $(foreach key,$(KEYS) CASE CASES,$(if $(filter environment,$(origin $(key))),$(eval undefine $(key))))
 # What this file knows besides.
 OTHERS := CASE CASES LIST TIME_LIMIT PROFILE CLUSTER_OPTIONS SNAKEMAKE SNAKEMAKE_VENV BIN NO_BUILD CARGO CARGO_TARGET_DIR VENV TETMESH_CHECK HXT DATA OUT VERBOSITY THREADS PARTS GOAL SIZES \
-          BENCH_OPTIONS FUZZ_SECONDS FUZZ_TARGETS COMPARED COMPARE_OPTIONS REMESHER BENCH_VENV SCALE_CASES SCALE_VERTICES
+          BENCH_OPTIONS FUZZ_SECONDS FUZZ_TARGETS COMPARED COMPARE_OPTIONS REMESHER BENCH_VENV SCALE_CASES SCALE_VERTICES N KILL_SEED
 # Goals over one case.
 CASE_GOALS := distfield sizefield seed particles reconstruct surface mesh page verdict info clean
 
@@ -88,8 +88,8 @@ case = $(call quote,$(BIN)/isoparticles-case) $(1) $(foreach key,$(KEYS) OUT VER
 
 # --- Goals ------------------------------------------------------------------------------------------------------------
 
-.PHONY: help $(CASE_GOALS) demo cases batch cluster index build env snakemake-env wheel doctor test format lint documentation test-rust test-python fuzz deny bench-stages \
-        bench-particles bench-gpu bench-delaunay bench-convergence bench-marching-cubes bench-scale
+.PHONY: help $(CASE_GOALS) demo cases batch cluster index build env snakemake-env wheel completions doctor test format lint documentation test-rust test-python fuzz deny bench-stages \
+        bench-particles bench-gpu bench-delaunay bench-convergence bench-marching-cubes bench-scale bench-kills bench-batch notebook
 
 define HELP
 Volumes in, simulation-ready meshes out.
@@ -111,6 +111,7 @@ Volumes in, simulation-ready meshes out.
   make index                                   a page over all cases in OUT (make cases does it at its end)
   make clean CASE=heart                        remove its folder of results (or NAME=...)
   make wheel                                   target/wheel/isoparticles-*.whl: pip install it, then `isoparticles help`
+  make completions                             target/share: completions for bash, zsh and fish, and man pages
   make test                                    format, lints, documentation, tests
   make fuzz                                    every reader of files, FUZZ_SECONDS=60 each (nightly Rust, cargo-fuzz)
   make deny                                    licences and advisories of what is linked (cargo-deny)
@@ -120,6 +121,9 @@ Volumes in, simulation-ready meshes out.
   make bench-delaunay                          the Delaunay triangulation against CGAL's (BENCH_OPTIONS=...; needs libcgal-dev)
   make bench-convergence                       error of a known solution on the ball, from coarse to fine tetrahedra
   make bench-marching-cubes                    tetrahedra in our surfaces against marching cubes and a remesher (COMPARED=...)
+  make bench-kills N=100                       kills at random moments of a small chain, and the same files after another run
+  make bench-batch                             a batch of 50 phantoms, real volumes and broken rows, interrupted and called again
+  make notebook                                docs/notebooks/volume-to-solve.ipynb, run from first to last into OUT/notebook
   make bench-scale                             coarse meshes of real volumes against two remeshers (SCALE_CASES=... SCALE_VERTICES=...)
 
 Parameters of a case, with the stages' defaults where left out; they come before what a case's file says:
@@ -131,6 +135,7 @@ Parameters of a case, with the stages' defaults where left out; they come before
   SEED=...      of the random numbers                    BACKEND=...   auto, gpu or cpu
   SERIES=...    of a folder of DICOM files, where it holds several
   THREADS=...   CPU threads [all]                        MAX_MEMORY=.. the most a stage may ask for
+  TET_ORDER=2   quadratic tetrahedra beside the linear ones, their mid-edge nodes on the surface
   HXT=no        without Gmsh: large surfaces take hours
 Results: OUT/NAME/NAME.{distfield.vti,sizefield.vti,seeds.bin,particles.bin,surface.vtp,volume.vtu,report.json,report.html},
 the truth about them in NAME.status.json and, for several cases, OUT/index.html and OUT/index.csv
@@ -221,10 +226,10 @@ endif
 # their debug information; auditwheel names the oldest Linux that they run on.
 WHEEL = $(CARGO_TARGET_DIR)/wheel
 WHEEL_PROGRAMS = distfield sizefield seed particles reconstruct phantom isoparticles-case
-wheel: build env $(WHEEL)/venv/.made
+wheel: build env $(WHEEL)/venv/.made completions
 	@rm -rf $(WHEEL)/bin $(WHEEL)/raw $(WHEEL)/*.whl && mkdir -p $(WHEEL)/bin
 	@for name in $(WHEEL_PROGRAMS); do strip -o $(WHEEL)/bin/$$name $(BIN)/$$name || exit $$?; done
-	@ISOPARTICLES_BIN=$(abspath $(WHEEL)/bin) $(WHEEL)/venv/bin/python -m pip wheel --quiet --no-deps --no-build-isolation -w $(WHEEL)/raw pipelines/wheel
+	@ISOPARTICLES_BIN=$(abspath $(WHEEL)/bin) ISOPARTICLES_SHARE=$(abspath $(SHARE)) $(WHEEL)/venv/bin/python -m pip wheel --quiet --no-deps --no-build-isolation -w $(WHEEL)/raw pipelines/wheel
 	@PATH=$(abspath $(WHEEL)/venv/bin):$$PATH auditwheel repair -w $(WHEEL) $(WHEEL)/raw/*.whl
 	@ls $(WHEEL)/*.whl
 
@@ -232,6 +237,21 @@ $(WHEEL)/venv/.made: pipelines/wheel/requirements.lock | env
 	@$(VENV)/bin/python -m venv --clear $(WHEEL)/venv
 	@$(WHEEL)/venv/bin/python -m pip install --quiet --disable-pip-version-check --no-input --require-hashes -r pipelines/wheel/requirements.lock
 	@touch $@
+
+# What shells and man read of the programs, made of their own command lines, in folders as below /usr/share; the wheel has that of its command.
+SHARE = $(CARGO_TARGET_DIR)/share
+SHARE_STAGES = distfield sizefield seed particles reconstruct
+SHARE_GOALS = info mesh surface verdict page clean demo index batch
+completions: build
+	@rm -rf $(SHARE) && mkdir -p $(addprefix $(SHARE)/,bash-completion/completions zsh/site-functions fish/vendor_completions.d man/man1)
+	@told() { $(call quote,$(BIN))/"$$1" --completions bash > $(SHARE)/bash-completion/completions/$$2 \
+	  && $(call quote,$(BIN))/"$$1" --completions zsh > $(SHARE)/zsh/site-functions/_$$2 \
+	  && $(call quote,$(BIN))/"$$1" --completions fish > $(SHARE)/fish/vendor_completions.d/$$2.fish \
+	  && $(call quote,$(BIN))/"$$1" --man-page > $(SHARE)/man/man1/$$2.1; }; \
+	  told isoparticles-case isoparticles || exit $$?; \
+	  for stage in $(SHARE_STAGES); do told $$stage $$stage || exit $$?; done; \
+	  for goal in $(SHARE_GOALS); do $(call quote,$(BIN))/isoparticles-case --man-page $$goal > $(SHARE)/man/man1/isoparticles-$$goal.1 || exit $$?; done
+	@echo $(SHARE)
 
 # --- Checks of the project itself -------------------------------------------------------------------------------------
 
@@ -255,7 +275,7 @@ test-rust: build env
 test-python: build env wheel
 	cd stages/tetmesh-check && $(abspath $(VENV))/bin/ruff check . && $(abspath $(VENV))/bin/ruff format --check . \
 	  && $(abspath $(VENV))/bin/mypy && $(abspath $(VENV))/bin/pytest -q
-	for verb in check 'format --check'; do $(VENV)/bin/ruff $$verb --config stages/tetmesh-check/pyproject.toml pipelines/call.py tests/check_materials.py || exit $$?; done
+	for verb in check 'format --check'; do $(VENV)/bin/ruff $$verb --config stages/tetmesh-check/pyproject.toml pipelines/call.py tests/check_materials.py tests/kills.py tests/batch.py || exit $$?; done
 	cd pipelines/wheel && settings=../../stages/tetmesh-check/pyproject.toml && $(abspath $(VENV))/bin/ruff check --config $$settings . \
 	  && $(abspath $(VENV))/bin/ruff format --config $$settings --check . \
 	  && $(abspath $(VENV))/bin/mypy --strict --python-version 3.11 src/isoparticles \
@@ -324,6 +344,31 @@ bench-marching-cubes: build env $(with_remesher)
 $(BENCH_VENV)/.made: $(BENCH_LOCK) | env
 	$(VENV)/bin/python -m venv --clear $(BENCH_VENV)
 	$(BENCH_VENV)/bin/python -m pip install --quiet --disable-pip-version-check --no-input --only-binary :all: --require-hashes -r $(BENCH_LOCK)
+	@touch $@
+
+# N kills at random moments of a small chain; what another run makes of it is compared with an undisturbed one. KILL_SEED=2 for other moments.
+N ?= 100
+KILL_SEED ?= 1
+bench-kills: build env
+	@$(VENV)/bin/python tests/kills.py --count $(N) --seed $(KILL_SEED) --bin $(abspath $(BIN)) --tetmesh-check $(abspath $(TETMESH_CHECK))
+
+# Fifty phantoms, the small volumes of DATA and five broken rows as one batch, interrupted, called again and judged; GOAL=mesh takes them to tetrahedra.
+bench-batch: build env
+	@$(VENV)/bin/python tests/batch.py --bin $(abspath $(BIN)) --tetmesh-check $(abspath $(TETMESH_CHECK)) --goal $(if $(call by_user,GOAL),$(GOAL),surface) \
+	  $(if $(wildcard $(DATA)/mickey_labels.nrrd),--data $(DATA))
+
+# The notebook by nbclient, which has a folder of its own beside the environment that it runs in.
+NOTEBOOK = docs/notebooks/volume-to-solve.ipynb
+NOTEBOOK_ENV = $(CARGO_TARGET_DIR)/notebook
+notebook: build env $(NOTEBOOK_ENV)/.made
+	@rm -rf $(call quote,$(OUT)/notebook) && mkdir -p $(call quote,$(OUT)/notebook) && cp $(NOTEBOOK) $(call quote,$(OUT)/notebook)
+	@cd $(call quote,$(OUT)/notebook) && PYTHONPATH=$(abspath $(NOTEBOOK_ENV))$${PYTHONPATH:+:$$PYTHONPATH} ISOPARTICLES="make -s -C $(CURDIR) NO_BUILD=yes BIN=$(abspath $(BIN)) mesh" \
+	  $(abspath $(VENV))/bin/python -c "from nbclient.cli import main; main()" $(notdir $(NOTEBOOK)) --output $(notdir $(NOTEBOOK)) --timeout 300
+	@echo $(OUT)/notebook/$(notdir $(NOTEBOOK))
+
+$(NOTEBOOK_ENV)/.made: docs/notebooks/requirements.lock | env
+	@rm -rf $(NOTEBOOK_ENV)
+	@$(VENV)/bin/python -m pip install --quiet --disable-pip-version-check --no-input --only-binary :all: --require-hashes --target $(NOTEBOOK_ENV) -r docs/notebooks/requirements.lock
 	@touch $@
 
 # Coarse meshes of the real volumes in DATA, and what gpytoolbox and CGAL make of the same smoothed fields (REMESHER=no: ours alone; then, with

@@ -34,7 +34,7 @@ class Programs(BuildHookInterface[Any]):
     """Puts programs and tetmesh-check into the wheel, and gives it the tag of this machine."""
 
     def initialize(self, version: str, build_data: dict[str, Any]) -> None:
-        """Name the files; ISOPARTICLES_BIN is the folder of the programs."""
+        """Name the files; ISOPARTICLES_BIN is the folder of the programs, ISOPARTICLES_SHARE that of completions and man pages."""
         del version  # "standard" or "editable", which makes no difference
         folder = Path(os.environ.get("ISOPARTICLES_BIN", ROOT / "target" / "release"))
         ending = sysconfig.get_config_var("EXE") or ""
@@ -51,5 +51,16 @@ class Programs(BuildHookInterface[Any]):
         included[str(ROOT / "pipelines" / "demo.mk")] = "isoparticles/cases/demo.mk"
         for licence in ("LICENSE-MIT", "LICENSE-APACHE"):
             included[str(ROOT / licence)] = f"isoparticles/{licence}"
+        share = Path(os.environ.get("ISOPARTICLES_SHARE", ROOT / "target" / "share"))
+        # the stages are in no PATH where the wheel is installed: their pages are those of `isoparticles STAGE`
+        own = [file for file in sorted(share.rglob("*")) if file.is_file()]
+        if not own:
+            raise FileNotFoundError(f"{share}: no completions and man pages there (make completions)")
+        for file in own:
+            of_stage = file.stem.lstrip("_") in PROGRAMS
+            if not of_stage:
+                build_data["shared_data"][str(file)] = f"share/{file.relative_to(share)}"
+            elif file.suffix == ".1":
+                build_data["shared_data"][str(file)] = f"share/man/man1/isoparticles-{file.name}"
         build_data["pure_python"] = False
         build_data["tag"] = f"py3-none-{sysconfig.get_platform().replace('-', '_').replace('.', '_')}"

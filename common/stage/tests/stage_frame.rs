@@ -90,6 +90,7 @@ fn main() -> ExitCode {
         return run_stage::<Args>("trial", run);
     }
     exit_codes_and_files();
+    what_shells_and_man_read();
     same_bytes();
     the_report();
     #[cfg(unix)]
@@ -168,6 +169,26 @@ fn exit_codes_and_files() {
     }
     assert_eq!(start(&["--version"], folder.path()).status.code(), Some(0));
     assert_eq!(names(folder.path()), ["a", "b", "c", "in.txt"]);
+}
+
+fn what_shells_and_man_read() {
+    let folder = workplace();
+    let told = |arguments: &[&str]| {
+        let output = start(arguments, folder.path());
+        (output.status.code(), String::from_utf8_lossy(&output.stdout).into_owned(), output.stderr)
+    };
+    for (shell, sign) in [("bash", "complete -F _trial"), ("zsh", "#compdef trial"), ("fish", "complete -c trial")] {
+        let (status, text, _) = told(&["--completions", shell]);
+        assert_eq!(status, Some(0));
+        assert!(text.contains(sign) && text.contains("max-memory"), "{shell}: {text}");
+    }
+    let (status, page, _) = told(&["--man-page"]);
+    assert_eq!(status, Some(0));
+    assert!(page.contains(".TH trial 1") && page.contains("max\\-memory"), "{page}");
+    let (status, text, error) = told(&["--completions", "tcsh"]);
+    assert_eq!((status, text.as_str()), (Some(2), ""));
+    assert!(String::from_utf8_lossy(&error).contains("what to do: choose one of bash"));
+    assert_eq!(names(folder.path()), ["in.txt"]);
 }
 
 /// Neither the folder, nor the output's name, nor the thread count, nor the time is in the output.

@@ -86,7 +86,7 @@ pub const STAGES: [Belongings; 7] = [
         stage: "tetmesh-check",
         output: "volume.vtu",
         stems: &["volume", "boundary", "tetrahedra", "report"],
-        folders: &["pictures"],
+        folders: &[PICTURES],
         set_aside: &["volume.vtu", REPORT],
         explains: &["tetrahedra.log"],
     },
@@ -100,7 +100,11 @@ pub const REPORT: &str = "report.json";
 pub const PAGE: &str = "report.html";
 /// Folder of the stages' reports.
 pub const REPORTS: &str = "reports";
+/// Folder of the pictures, within that of the case.
+pub const PICTURES: &str = "pictures";
 const LOCK: &str = ".lock";
+/// What names of files begin with and hold that are being written (`common/file/src/output.rs`, `files.py` of tetmesh-check).
+const PARTIAL: (&str, &str) = (".isoparticles-", ".partial");
 
 /// What belongs to a stage.
 ///
@@ -115,6 +119,8 @@ pub fn belongings(stage: &str) -> &'static Belongings {
 #[derive(Debug)]
 pub struct Lock {
     _file: File,
+    /// Whether the file system knows locks, and so nobody else has it.
+    certain: bool,
 }
 
 impl CaseFolder {
@@ -142,7 +148,7 @@ impl CaseFolder {
         self.file("status.json")
     }
 
-    /// Makes the folder and takes the lock.
+    /// Makes the folder and takes the lock. What killed programs had begun to write is taken away then: who has the lock is alone here.
     ///
     /// # Errors
     /// When the folder cannot be made, or another run works in it.
@@ -150,13 +156,29 @@ impl CaseFolder {
         std::fs::create_dir_all(self.path.join(REPORTS)).map_err(|error| {
             Error::file(&self.path, "make the folder", &error, "check OUT, its permissions and the space on the disk")
         })?;
-        self.try_lock()?.ok_or_else(|| {
+        let lock = self.try_lock()?.ok_or_else(|| {
             Error::input(
                 format!("{}: another run works on this case", self.path.display()),
                 "two runs would overwrite each other's files",
                 "wait until it is done, stop it, or give this one a NAME of its own",
             )
-        })
+        })?;
+        if lock.certain {
+            self.remove_partial();
+        }
+        Ok(lock)
+    }
+
+    /// Removes files that were never finished; one that cannot be removed does no harm.
+    fn remove_partial(&self) {
+        let folders = [self.path.clone(), self.path.join(REPORTS), self.path.join(PICTURES)];
+        for entry in folders.iter().filter_map(|folder| std::fs::read_dir(folder).ok()).flatten().flatten() {
+            let name = entry.file_name();
+            let name = name.to_string_lossy();
+            if name.starts_with(PARTIAL.0) && name.contains(PARTIAL.1) {
+                let _ = std::fs::remove_file(entry.path());
+            }
+        }
     }
 
     /// Takes the lock of a folder that is there; `None` when another run has it.
@@ -165,10 +187,10 @@ impl CaseFolder {
         let file = File::options().create(true).truncate(false).write(true).open(&path);
         let file = file.map_err(|error| Error::file(&path, "write", &error, "check the folder's permissions"))?;
         match file.try_lock() {
-            Ok(()) => Ok(Some(Lock { _file: file })),
+            Ok(()) => Ok(Some(Lock { _file: file, certain: true })),
             Err(std::fs::TryLockError::WouldBlock) => Ok(None),
             // A file system without locks cannot tell; most runs are alone.
-            Err(std::fs::TryLockError::Error(_)) => Ok(Some(Lock { _file: file })),
+            Err(std::fs::TryLockError::Error(_)) => Ok(Some(Lock { _file: file, certain: false })),
         }
     }
 
@@ -349,4 +371,30 @@ fn interrupted(mut status: Status) -> Status {
     status.headline = format!("The run was killed {at}; make it again.");
     status.page = None;
     status
+}
+
+#[cfg(test)]
+mod tests {
+    use super::CaseFolder;
+
+    /// Find of `tests/kills.py`: SIGKILL while a file was written left it behind for good.
+    #[test]
+    fn what_a_killed_program_had_begun_to_write_is_taken_away() {
+        let out = tempfile::tempdir().expect("folder");
+        let folder = CaseFolder::new(out.path(), "case");
+        drop(folder.lock().expect("free"));
+        let begun = [".isoparticles-a1b2c3.partial", "reports/.isoparticles-x.partial"];
+        let begun = begun.iter().chain(&[".isoparticles-case.volume.17.partial.vtu"]);
+        for name in begun.clone().chain(&["case.volume.vtu", ".isoparticles-mine"]) {
+            std::fs::write(folder.path.join(name), b"half").expect("written");
+        }
+        let lock = folder.lock().expect("free");
+        assert!(begun.clone().all(|name| !folder.path.join(name).exists()));
+        assert!(folder.path.join("case.volume.vtu").exists() && folder.path.join(".isoparticles-mine").exists());
+        // Who does not get the lock touches nothing.
+        std::fs::write(folder.path.join(".isoparticles-a1b2c3.partial"), b"half").expect("written");
+        folder.lock().expect_err("held");
+        assert!(folder.path.join(".isoparticles-a1b2c3.partial").exists());
+        drop(lock);
+    }
 }

@@ -37,7 +37,7 @@ const fn key(name: &'static str, form: Form, what: &'static str) -> Key {
 }
 
 /// All keys, in the order in which they are told.
-pub const KEYS: [Key; 31] = [
+pub const KEYS: [Key; 32] = [
     key("CASE", Form::Text, "a file of pipelines/"),
     key("NAME", Form::Text, "the name of the results"),
     key("INPUT", Form::Text, "the volume to mesh"),
@@ -59,6 +59,11 @@ pub const KEYS: [Key; 31] = [
     key("COUNT", Form::Whole(4), "the number of particles to seed"),
     key("SEED", Form::Whole(0), "the seed of the random numbers"),
     key("BACKEND", Form::OneOf(&["auto", "gpu", "cpu"]), "where the particles are moved"),
+    key(
+        "TET_ORDER",
+        Form::OneOf(&["1", "2"]),
+        "the order of the tetrahedra; 2: with nodes amid the edges, those of the surface on it",
+    ),
     key("MAX_MEMORY", Form::Text, "the most memory that a stage may ask for, such as 8G"),
     key("DISTFIELD_OPTIONS", Form::Words, "more options of distfield"),
     key("SIZEFIELD_OPTIONS", Form::Words, "more options of sizefield"),

@@ -8,6 +8,7 @@
 pub mod batch;
 pub mod cluster;
 pub mod folder;
+pub mod front;
 pub mod index;
 pub mod inputs;
 pub mod keys;

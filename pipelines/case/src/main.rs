@@ -7,7 +7,8 @@ use isoparticles_case::run::{self, Case, make, out, stage_of_goal};
 use isoparticles_case::settings::Settings;
 use isoparticles_case::stages::{Programs, Volume};
 use isoparticles_case::status::Status;
-use isoparticles_case::{batch, cluster, index, keys, name, program, verdict};
+use isoparticles_case::{batch, cluster, front, index, keys, name, program, verdict};
+use isoparticles_stage::cli::shell;
 use isoparticles_stage::error::{Error, Result};
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -65,6 +66,10 @@ struct Arguments {
 }
 
 fn main() -> ExitCode {
+    // Nobody types the name of this program: what it tells is about the command that calls it.
+    if let Some(code) = shell::told(front::command) {
+        return code;
+    }
     let arguments = match Arguments::try_parse() {
         Ok(arguments) => arguments,
         Err(error) => {

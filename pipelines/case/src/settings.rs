@@ -23,13 +23,14 @@ pub struct Settings {
 }
 
 /// Two keys that say the same thing in two ways, and why they cannot both hold.
-const EXCLUSIVE: [(&str, &str, &str); 12] = [
+const EXCLUSIVE: [(&str, &str, &str); 13] = [
     ("INPUT", "PHANTOM", "a case has one volume: a file, or a phantom that is made"),
     ("ISO", "LABELS", "a volume is meshed as a scalar or as labels"),
     ("ISO", "MATERIALS", "a volume is meshed as a scalar or as labels"),
     ("LABELS", "MATERIALS", "labels are one object together, or a material each"),
     ("VERTICES", "MATERIALS", "no edge length is looked for that gives many materials a number of vertices"),
     ("COUNT", "MATERIALS", "the particles of many materials are as many as their edge lengths ask for"),
+    ("TET_ORDER", "MATERIALS", "nodes amid the edges lie on the surface of one object; many materials have several"),
     ("SIZE", "EPSILON", LEAVES_NOTHING),
     ("SIZE", "DELTA", LEAVES_NOTHING),
     ("SIZE", "MIN_SIZE", LEAVES_NOTHING),

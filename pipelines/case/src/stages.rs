@@ -1,6 +1,6 @@
 //! The commands of a case's stages, and the hash that tells when one has to run again.
 
-use crate::folder::{Belongings, CHECKPOINT, CaseFolder, REPORT, STAGES, report_name};
+use crate::folder::{Belongings, CHECKPOINT, CaseFolder, PICTURES, REPORT, STAGES, report_name};
 use crate::inputs::{self, hash_program};
 use crate::settings::Settings;
 use crate::status::{Input, Status};
@@ -189,6 +189,7 @@ fn options_by_key(stage: &str) -> &'static [(&'static str, &'static str)] {
         ],
         "seed" => &[("--count", "COUNT"), ("--seed", "SEED")],
         "particles" => &[("--backend", "BACKEND"), ("--seed", "SEED")],
+        "tetmesh-check" => &[("--order", "TET_ORDER")],
         _ => &[],
     }
 }
@@ -253,6 +254,8 @@ fn arguments(
         "seed" => vec![distfield, sizefield],
         "particles" => [file("seeds.bin")].into_iter().chain(fields).collect(),
         "reconstruct" => [file("particles.bin")].into_iter().chain(fields).collect(),
+        // Nodes amid the edges of the surface are brought onto F = 0.
+        _ if settings.get("TET_ORDER") == Some("2") => [file("surface.vtp")].into_iter().chain(fields).collect(),
         _ => vec![file("surface.vtp"), word("--sizefield"), sizefield],
     };
     words.extend([word("-o"), file(crate::folder::belongings(stage).output)]);
@@ -267,7 +270,7 @@ fn arguments(
         return (words, None);
     }
     let report = if stage == "tetmesh-check" {
-        words.extend([word("--pictures"), folder.path.join("pictures").into_os_string()]);
+        words.extend([word("--pictures"), folder.path.join(PICTURES).into_os_string()]);
         folder.file_name(REPORT)
     } else {
         report_name(stage)
@@ -297,5 +300,30 @@ fn refuse_own_results(folder: &CaseFolder, inputs: &[Input]) -> Result<()> {
             "results that are no longer true are removed before a stage starts",
             "copy the file elsewhere, or give this run a NAME of its own",
         )),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::path::Path;
+
+    fn told(set: &[&str]) -> String {
+        let set: Vec<String> = set.iter().map(|word| (*word).to_owned()).collect();
+        let settings = Settings::read(&set, &[], None, &[]).expect("fit together");
+        let folder = CaseFolder::new(Path::new("out"), "case");
+        let options = options("tetmesh-check", &settings);
+        let (words, _) = arguments("tetmesh-check", &folder, &Volume::Phantom, options, &settings);
+        words.iter().map(|word| word.to_string_lossy().into_owned()).collect::<Vec<_>>().join(" ")
+    }
+
+    #[test]
+    fn quadratic_tetrahedra_get_the_distance_field() {
+        let quadratic = told(&["TET_ORDER=2"]);
+        assert!(quadratic.contains("--distfield out/case/case.distfield.vti") && quadratic.contains("--order 2"));
+        assert!(!told(&[]).contains("--distfield") && !told(&["TET_ORDER=1"]).contains("--distfield"));
+        let both = ["TET_ORDER=2".to_owned(), "MATERIALS=all".to_owned()];
+        let error = Settings::read(&both, &[], None, &[]).expect_err("of one object");
+        assert!(error.next.contains("keep TET_ORDER or MATERIALS"), "{error}");
     }
 }

@@ -56,6 +56,31 @@ def test_the_wheel_names_its_platform_and_holds_everything(wheel: Path) -> None:
     assert not [name for name in names if "__pycache__" in name or "test_" in name]
 
 
+def test_shells_and_man_know_every_goal(site: Path, run: Run) -> None:
+    # what the command takes is said in Python, what shells complete in Rust: the two are one list
+    told = run("no-such-goal").stderr
+    goals = told.partition("choose one of ")[2].strip().split(", ")
+    assert len(goals) > 12
+    bash = (site / "share" / "bash-completion" / "completions" / "isoparticles").read_text()
+    assert f'opts="-h -V --help --version {" ".join(sorted_as(goals, bash))} help"' in bash
+    for folder, name in (("zsh/site-functions", "_isoparticles"), ("fish/vendor_completions.d", "isoparticles.fish")):
+        text = (site / "share" / folder / name).read_text()
+        assert not [goal for goal in goals if goal not in text]
+        assert "min-size" in text
+    pages = {page.stem for page in (site / "share" / "man" / "man1").iterdir()}
+    assert pages == {"isoparticles", *(f"isoparticles-{goal}" for goal in goals if goal != "tetmesh-check")}
+    assert "min\\-size" in (site / "share" / "man" / "man1" / "isoparticles-mesh.1").read_text()
+    assert "max\\-memory" in (site / "share" / "man" / "man1" / "isoparticles-distfield.1").read_text()
+    script = f'{bash}\nCOMP_WORDS=(isoparticles mesh --bord); COMP_CWORD=2; _isoparticles isoparticles --bord mesh; echo "${{COMPREPLY[@]}}"'
+    done = subprocess.run(["bash", "-c", script], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "--border"
+
+
+def sorted_as(words: list[str], text: str) -> list[str]:
+    """Words in the order in which a text has them first, each by itself."""
+    return sorted(words, key=lambda word: text.index(f" {word} "))
+
+
 def test_stages_run_by_themselves(run: Run, tmp_path: Path) -> None:
     assert (
         run("surface", "--phantom", "ball --size 24", "--iso", "0", "--name", "ball", "-o", "here", "-q").returncode

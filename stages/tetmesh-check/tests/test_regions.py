@@ -163,7 +163,8 @@ def test_exported_files_are_read_back(tmp_path: Path) -> None:
         export(mesh, tmp_path / "b.volume.vtu", "b", kind)
     assert sorted(path.name for path in tmp_path.iterdir()) == [
         "b.boundary.vtp", "b.volume.elem", "b.volume.feb",
-        "b.volume.inp", "b.volume.lon", "b.volume.mesh-complete.exterior.vtp", "b.volume.mesh-complete.mesh.vtu", "b.volume.msh",
+        "b.volume.inp", "b.volume.lon", "b.volume.med", "b.volume.mesh-complete.exterior.vtp", "b.volume.mesh-complete.mesh.vtu",
+        "b.volume.msh",
         "b.volume.pts", "b.volume.vtk", "b.volume.xdmf",
     ]  # fmt: skip
 

@@ -10,6 +10,7 @@ mod memory;
 mod monitor;
 mod progress;
 mod report;
+pub mod shell;
 pub mod values;
 
 pub use context::{Context, Step};
@@ -124,6 +125,9 @@ pub fn run_stage<A: clap::Parser + StageArgs>(
     tool: &'static str,
     run: impl FnOnce(&A, &Context) -> Result<Outcome>,
 ) -> ExitCode {
+    if let Some(code) = shell::told(A::command) {
+        return code;
+    }
     let args = match A::try_parse() {
         Ok(args) => args,
         Err(error) => {

@@ -73,14 +73,21 @@ def build_parser() -> argparse.ArgumentParser:
         metavar="LIST",
         type=formats,
         default=(),
-        help="write the mesh in other formats, too: a list with commas of inp (Abaqus, CalculiX), msh (Gmsh), xdmf, vtk (legacy), feb (FEBio), "
-        "carp (openCARP), simvascular, and vtp (the boundary), with regions and the parts of the boundary as sets or groups",
+        help="write the mesh in other formats, too: a list with commas of inp (Abaqus, CalculiX), msh (Gmsh), med (Salome, Code_Aster), "
+        "xdmf, vtk (legacy), feb (FEBio), carp (openCARP), simvascular, and vtp (the boundary), with regions and the parts of the boundary "
+        "as sets or groups",
     )
     files.add_argument(
         "--unit",
         choices=["mm", "m", "um"],
         default="mm",
         help="unit of the coordinates in the files of --export (default: %(default)s); carp is in micrometres, as openCARP reads it",
+    )
+    files.add_argument(
+        "--distfield",
+        metavar="F.vti",
+        type=Path,
+        help="distance field that the surface is F = 0 of, mm: --order 2 needs it",
     )
     files.add_argument(
         "--pictures",
@@ -97,6 +104,15 @@ def build_parser() -> argparse.ArgumentParser:
         help="ftetwild takes long on large surfaces and may move the surface within the envelope; hxt (Gmsh) takes seconds and "
         "keeps its triangles; tetgen (AGPL, to be installed by hand) keeps them too, and knows of the size field its largest h only; auto "
         "is ftetwild up to 5,000 vertices, hxt beyond, and ftetwild where hxt is missing or fails (default auto)",
+    )
+    method.add_argument(
+        "--order",
+        type=int,
+        choices=[1, 2],
+        default=1,
+        help="2: NAME.volume.quadratic.vtu is written, too, and --export writes that mesh: a node amid each edge, on F = 0 on the surface "
+        "and in the middle elsewhere; one that would fold an element is drawn back. auto is hxt then, which keeps the vertices on F = 0 "
+        "(default 1)",
     )
     method.add_argument(
         "--tet-size-factor",
@@ -282,7 +298,13 @@ def main(argv: Sequence[str] | None = None) -> int:
                 report,
                 [
                     path
-                    for path in (parsed.surface, parsed.sizefield, parsed.labels_volume, parsed.output)
+                    for path in (
+                        parsed.surface,
+                        parsed.sizefield,
+                        parsed.distfield,
+                        parsed.labels_volume,
+                        parsed.output,
+                    )
                     if path is not None
                 ],
             )
@@ -334,6 +356,8 @@ def _run(parsed: argparse.Namespace, context: Context) -> list[str]:
         surface=parsed.surface,
         output=parsed.output,
         sizefield=parsed.sizefield,
+        distfield=parsed.distfield,
+        order=parsed.order,
         pictures=parsed.pictures,
         labels_volume=parsed.labels_volume,
         exports=parsed.export,
@@ -357,8 +381,9 @@ def _run(parsed: argparse.Namespace, context: Context) -> list[str]:
             "the volume mesh is written in VTK's format for unstructured grids",
             "name the output NAME.volume.vtu",
         )
-    outputs = [arguments.output, *arguments.export_paths()]
-    for source in (arguments.surface, arguments.sizefield, arguments.labels_volume):
+    arguments.refuse_order()
+    outputs = [arguments.output, *arguments.other_paths()]
+    for source in (arguments.surface, arguments.sizefield, arguments.distfield, arguments.labels_volume):
         if source is not None and any(same_file(source, output) for output in outputs):
             raise StageError(
                 f"{source}: is both an input and an output",

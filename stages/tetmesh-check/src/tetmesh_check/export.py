@@ -1,4 +1,4 @@
-"""The tetrahedra for other programs: Abaqus and CalculiX, Gmsh, XDMF, VTK, FEBio, openCARP, SimVascular; and their boundary alone."""
+"""The tetrahedra for other programs: Abaqus and CalculiX, Gmsh, MED, XDMF, VTK, FEBio, openCARP, SimVascular; and their boundary alone."""
 
 from __future__ import annotations
 
@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from tetmesh_check.field_data import add_text
 from tetmesh_check.files import write_atomically
 from tetmesh_check.materials import NOTHING
+from tetmesh_check.med import write_med
 from tetmesh_check.polydata import to_polydata
 from tetmesh_check.quality import Cells, Labels, Points
 from tetmesh_check.regions import CAP, SURFACE
@@ -81,6 +82,20 @@ class MarkedMesh:
     """:data:`.SURFACE` or :data:`.CAP`, shape ``(k,)``. Of many materials the number of the pair, from 1 on."""
     materials: Materials | None = None
     """What is known of many materials; ``None`` for one object."""
+    middle: Cells | None = None
+    """Nodes amid the edges of each tetrahedron in VTK order, shape ``(m, 6)``; ``None`` where all edges are straight."""
+    boundary_middle: Cells | None = None
+    """Nodes amid the edges of each triangle of the boundary, shape ``(k, 3)``."""
+
+    @property
+    def elements(self) -> Cells:
+        """All nodes of each tetrahedron, shape ``(m, 4)`` or ``(m, 10)``."""
+        return self.tetrahedra if self.middle is None else np.column_stack([self.tetrahedra, self.middle])
+
+    @property
+    def faces(self) -> Cells:
+        """All nodes of each triangle of the boundary, shape ``(k, 3)`` or ``(k, 6)``."""
+        return self.boundary if self.boundary_middle is None else np.column_stack([self.boundary, self.boundary_middle])
 
     def region_name(self, label: int) -> str:
         """What a region is called in sets and groups."""
@@ -104,10 +119,10 @@ class MarkedMesh:
         """
         marks = np.zeros(len(self.points), dtype=np.int64)
         if self.materials is not None:
-            marks[self.boundary[self.outermost()]] = SURFACE
+            marks[self.faces[self.outermost()]] = SURFACE
             return marks
-        marks[self.boundary[self.marks == CAP]] = CAP
-        marks[self.boundary[self.marks == SURFACE]] = SURFACE
+        marks[self.faces[self.marks == CAP]] = CAP
+        marks[self.faces[self.marks == SURFACE]] = SURFACE
         return marks
 
 
@@ -135,12 +150,13 @@ _ABAQUS_FACE = np.array([3, 4, 2, 1])
 
 
 def _abaqus(mesh: MarkedMesh, path: Path) -> None:
-    """C3D4 elements; ELSET of each region; NSET and SURFACE of each part of the boundary (a point on its rim is in both sets).
+    """C3D4 or C3D10 elements; ELSET of each region; NSET and SURFACE of each part of the boundary (a point on its rim is in both sets).
 
     The surface of an interface consists of faces of the elements behind it.
     """
-    parts = [f"*HEADING\nisoparticles\n*NODE\n{_abaqus_nodes(mesh.points)}*ELEMENT, TYPE=C3D4, ELSET=VOLUME\n"]
-    parts.append(_numbered(1, mesh.tetrahedra + 1))
+    kind = "C3D4" if mesh.middle is None else "C3D10"
+    parts = [f"*HEADING\nisoparticles\n*NODE\n{_abaqus_nodes(mesh.points)}*ELEMENT, TYPE={kind}, ELSET=VOLUME\n"]
+    parts.append(_numbered(1, mesh.elements + 1))
     for label in np.unique(mesh.regions).tolist():
         parts.append(
             f"*ELSET, ELSET={mesh.region_name(label).upper()}\n{_list(np.flatnonzero(mesh.regions == label) + 1)}"
@@ -149,24 +165,26 @@ def _abaqus(mesh: MarkedMesh, path: Path) -> None:
     faces = _ABAQUS_FACE[away.argmax(axis=1)]
     for mark in np.unique(mesh.marks).tolist():
         own, name = mesh.marks == mark, mesh.mark_name(mark).upper()
-        parts.append(f"*NSET, NSET={name}\n{_list(np.unique(mesh.boundary[own]) + 1)}")
+        parts.append(f"*NSET, NSET={name}\n{_list(np.unique(mesh.faces[own]) + 1)}")
         pairs = np.column_stack([mesh.owners[own] + 1, faces[own]])
         parts.append(f"*SURFACE, NAME={name}, TYPE=ELEMENT\n{_rows(pairs, '%d, S%d')}")
     path.write_text("".join(parts), encoding="ascii")
 
 
 def _abaqus_nodes(points: Points) -> str:
-    return _rows(np.column_stack([np.arange(1, len(points) + 1), points]), "%d, %.17g, %.17g, %.17g")
+    # a field has 20 characters, and CalculiX refuses more: 13 digits with both signs and an exponent are 19
+    return _rows(np.column_stack([np.arange(1, len(points) + 1), points]), "%d, %.13g, %.13g, %.13g")
 
 
 def _febio(mesh: MarkedMesh, path: Path) -> None:
-    """FEBio 4.0: tet4 elements and a material for each region, to be replaced; a surface for each part of the boundary."""
+    """FEBio 4.0: tet4 or tet10 elements and a material for each region, to be replaced; a surface for each part of the boundary."""
 
     def elements(tag: str, first: int, cells: Cells) -> str:
         columns = ",".join(["%d"] * cells.shape[1])
         rows = np.column_stack([np.arange(first, first + len(cells)), cells + 1])
         return _rows(rows, f'<{tag} id="%d">{columns}</{tag}>')
 
+    tetrahedron, triangle = ("tet4", "tri3") if mesh.middle is None else ("tet10", "tri6")
     labels = np.unique(mesh.regions).tolist()
     nodes = np.column_stack([np.arange(1, len(mesh.points) + 1), mesh.points])
     materials = "".join(
@@ -176,14 +194,14 @@ def _febio(mesh: MarkedMesh, path: Path) -> None:
     )
     parts, first = [], 1
     for label in labels:
-        own = mesh.tetrahedra[mesh.regions == label]
+        own = mesh.elements[mesh.regions == label]
         parts.append(
-            f'<Elements type="tet4" name="{mesh.region_name(label)}">\n{elements("elem", first, own)}</Elements>\n'
+            f'<Elements type="{tetrahedron}" name="{mesh.region_name(label)}">\n{elements("elem", first, own)}</Elements>\n'
         )
         first += len(own)
     for mark in np.unique(mesh.marks).tolist():
-        own = mesh.boundary[mesh.marks == mark]
-        parts.append(f'<Surface name="{mesh.mark_name(mark)}">\n{elements("tri3", 1, own)}</Surface>\n')
+        own = mesh.faces[mesh.marks == mark]
+        parts.append(f'<Surface name="{mesh.mark_name(mark)}">\n{elements(triangle, 1, own)}</Surface>\n')
     names = map(mesh.region_name, labels)
     domains = "".join(f'<SolidDomain name="{name}" mat="{name}"/>\n' for name in names)
     path.write_text(
@@ -219,17 +237,25 @@ def _carp_fibres(mesh: MarkedMesh, path: Path) -> None:
     path.write_text("1\n" + "1 0 0\n" * len(mesh.tetrahedra), encoding="ascii")
 
 
-def _unstructured(mesh: MarkedMesh) -> pv.UnstructuredGrid:
+def unstructured(mesh: MarkedMesh) -> pv.UnstructuredGrid:
+    """Turn the mesh into VTK's own.
+
+    Parameters
+    ----------
+    mesh
+        The tetrahedra.
+    """
     import pyvista as pv
 
-    return pv.UnstructuredGrid({pv.CellType.TETRA: mesh.tetrahedra}, mesh.points)
+    kind = pv.CellType.TETRA if mesh.middle is None else pv.CellType.QUADRATIC_TETRA
+    return pv.UnstructuredGrid({kind: mesh.elements}, mesh.points)
 
 
 def _vtk(mesh: MarkedMesh, path: Path) -> None:
     """Legacy VTK 4.2, binary, which more programs read than later ones: tetrahedra with ``region``, points with ``boundary``."""
     from vtkmodules.vtkIOLegacy import vtkUnstructuredGridWriter
 
-    grid = _unstructured(mesh)
+    grid = unstructured(mesh)
     grid.cell_data["region"] = mesh.regions.astype(np.int32)
     grid.point_data["boundary"] = mesh.point_marks().astype(np.int32)
     writer = vtkUnstructuredGridWriter()
@@ -243,7 +269,7 @@ def _vtk(mesh: MarkedMesh, path: Path) -> None:
 
 def _simvascular_volume(mesh: MarkedMesh, path: Path) -> None:
     """SimVascular's mesh-complete.mesh.vtu: numbers from 1, and the region of each element."""
-    grid = _unstructured(mesh)
+    grid = unstructured(mesh)
     grid.point_data["GlobalNodeID"] = np.arange(1, len(mesh.points) + 1, dtype=np.int32)
     grid.cell_data["GlobalElementID"] = np.arange(1, len(mesh.tetrahedra) + 1, dtype=np.int32)
     grid.cell_data["ModelRegionID"] = mesh.regions.astype(np.int32)
@@ -266,11 +292,12 @@ def _gmsh(mesh: MarkedMesh, path: Path) -> None:
     groups = {mesh.region_name(label): np.array([label, 3]) for label in np.unique(mesh.regions).tolist()}
     groups.update({mesh.mark_name(mark): np.array([mark, 2]) for mark in np.unique(mesh.marks).tolist()})
     tags = [mesh.regions.astype(np.int32), mesh.marks.astype(np.int32)]
+    tetrahedron, triangle = ("tetra", "triangle") if mesh.middle is None else ("tetra10", "triangle6")
     meshio.write(
         path,
         meshio.Mesh(
             mesh.points,
-            [("tetra", mesh.tetrahedra.astype(np.int32)), ("triangle", mesh.boundary.astype(np.int32))],
+            [(tetrahedron, mesh.elements.astype(np.int32)), (triangle, mesh.faces.astype(np.int32))],
             cell_data={"gmsh:physical": tags, "gmsh:geometrical": tags},
             field_data=groups,
         ),
@@ -285,7 +312,8 @@ def _xdmf(mesh: MarkedMesh, path: Path) -> None:
     By hand, because meshio's writer wants HDF5 for any XDMF.
     """
     data = {("region", "Cell"): mesh.regions, ("boundary", "Node"): mesh.point_marks()}
-    _write_xdmf(path, "volume", mesh.points, ("Tetrahedron", mesh.tetrahedra), data)
+    kind = "Tetrahedron" if mesh.middle is None else "Tetrahedron_10"
+    _write_xdmf(path, "volume", mesh.points, (kind, mesh.elements), data)
 
 
 def _xdmf_interfaces(mesh: MarkedMesh, path: Path) -> None:
@@ -341,6 +369,7 @@ def _triangles(mesh: MarkedMesh, path: Path) -> None:
 _WRITE: dict[str, dict[str, Callable[[MarkedMesh, Path], None]]] = {
     "inp": {"volume.inp": _abaqus},
     "msh": {"volume.msh": _gmsh},
+    "med": {"volume.med": write_med},
     "xdmf": {"volume.xdmf": _xdmf},
     "vtp": {"boundary.vtp": _triangles},
     "vtk": {"volume.vtk": _vtk},

@@ -127,7 +127,8 @@ def write_atomically(path: Path, write: Callable[[Path], None]) -> None:
     StageError
         If the folder cannot be written to or the disk is full; the temporary file is removed.
     """
-    temporary = path.with_name(f".{path.stem}.{os.getpid()}.part{path.suffix}")
+    # by such a name isoparticles-case knows what a killed program has left
+    temporary = path.with_name(f".isoparticles-{path.stem}.{os.getpid()}.partial{path.suffix}")
     try:
         write(temporary)
         with temporary.open("rb+") as stream:

@@ -70,6 +70,8 @@ class Task:
     """fTetWild is tried again with more patience while a limit of shape is missed."""
     log: Path
     """Where the tetrahedralizer's output goes."""
+    keep_vertices: bool = False
+    """Whether the vertices have to stay where the surface has them: ``auto`` is HXT then."""
 
 
 @dataclass(frozen=True)
@@ -82,10 +84,12 @@ class Filled:
     """Vertex indices in VTK order, shape ``(m, 4)``."""
 
 
-def _choose(method: Method, vertices: int) -> tuple[Method, str]:
+def _choose(method: Method, vertices: int, keep_vertices: bool) -> tuple[Method, str]:
     """Resolve ``auto``, and say why."""
     if method is not Method.AUTO:
         return method, f"--method {method} was given"
+    if keep_vertices:
+        return Method.HXT, "--order 2 wants the vertices where the surface has them, on F = 0"
     if vertices > MAX_FTETWILD_VERTICES:
         return (
             Method.HXT,
@@ -180,7 +184,7 @@ def fill(task: Task, context: Context) -> Filled:
     StageError
         If no tetrahedralizer that may be used fills it.
     """
-    chosen, reason = _choose(task.method, len(task.surface.points))
+    chosen, reason = _choose(task.method, len(task.surface.points), task.keep_vertices)
     results: dict[str, Any] = {"method": chosen, "reason": reason, "log": task.log.name}
     context.results["tetrahedralizer"] = results
     attempts = _Attempts(task.limits, results)

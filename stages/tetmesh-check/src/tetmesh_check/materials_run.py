@@ -190,6 +190,12 @@ def refuse_arguments(arguments: Arguments) -> None:
         What the user asked for.
     """
     refuse_method(arguments.method)
+    if arguments.order != 1:
+        raise StageError(
+            f"--order {arguments.order} is for the surface of one object, and this one is of many materials",
+            "nodes amid the edges of its interfaces would lie on the zeros of several fields",
+            "leave it out",
+        )
     if arguments.labels_volume is not None:
         raise StageError(
             "--labels-volume is for the surface of one object, and this one is of many materials",

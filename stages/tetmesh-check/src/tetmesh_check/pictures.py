@@ -128,7 +128,7 @@ class Drawing:
                 fresh = Path(self._folder.name) / f"{self._job.name}.{picture}.png"
                 if fresh.is_file():
                     target = self._job.path(picture)
-                    temporary = target.with_name(f".{target.name}.part")
+                    temporary = target.with_name(f".isoparticles-{target.name}.partial")
                     temporary.write_bytes(fresh.read_bytes())
                     temporary.replace(target)
                     drawn.add(picture)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
+from dataclasses import field as made_by
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +21,9 @@ from tetmesh_check.forward import ForwardArguments, resolve_source
 from tetmesh_check.labels import LabelVolume, read_label_volume
 from tetmesh_check.materials_run import run_materials
 from tetmesh_check.memory import check_memory
+from tetmesh_check.parsing import FORMATS, LINEAR_FORMATS
 from tetmesh_check.pictures import PictureJob
+from tetmesh_check.quadratic import Quadratic, make_quadratic
 from tetmesh_check.quality import Values, centres_of, summarize, summarize_all, tetrahedron_quality, triangle_quality
 from tetmesh_check.regions import (
     CAP,
@@ -32,9 +35,10 @@ from tetmesh_check.regions import (
 )
 from tetmesh_check.sizing import SizingField, read_sizing_field, uniform_sizing_field
 from tetmesh_check.solve import SolveSettings, VolumeMesh, solve_on
+from tetmesh_check.spline import DistanceField, read_distance_field
 from tetmesh_check.surface import Surface, check_surface, read_surface
 from tetmesh_check.topology import Topology, changed_triangles, measure_topology, tetrahedron_boundary
-from tetmesh_check.volume import write_volume
+from tetmesh_check.volume import write_quadratic, write_volume
 
 MAX_SHARE_OUTSIDE = 0.05
 """Share of the tetrahedra outside the label volume above which there is a warning."""
@@ -49,6 +53,10 @@ class Arguments:
     surface: Path
     output: Path
     sizefield: Path | None = None
+    distfield: Path | None = None
+    """The field that the surface is F = 0 of; needed for quadratic tetrahedra alone."""
+    order: int = 1
+    """Order of the tetrahedra, 1 or 2: with 2 those with a node amid each edge are written, too."""
     pictures: Path | None = None
     labels_volume: Path | None = None
     exports: tuple[str, ...] = ()
@@ -65,9 +73,9 @@ class Arguments:
     """Largest AMIPS energy at which fTetWild stops; by default each of :data:`.STOP_ENERGIES` in turn."""
     max_passes: int = 80
     max_seconds: float = 3600.0
-    limits: Limits = field(default_factory=Limits)
-    solve: SolveSettings = field(default_factory=SolveSettings)
-    forward: ForwardArguments = field(default_factory=ForwardArguments)
+    limits: Limits = made_by(default_factory=Limits)
+    solve: SolveSettings = made_by(default_factory=SolveSettings)
+    forward: ForwardArguments = made_by(default_factory=ForwardArguments)
     """For many materials: what conducts how well, and where a current arises."""
 
     @property
@@ -80,9 +88,35 @@ class Arguments:
         """Where the tetrahedralizer's log goes."""
         return self.output.with_name(f"{self.name}.tetrahedra.log")
 
+    @property
+    def quadratic(self) -> Path:
+        """Where the tetrahedra with a node amid each edge go."""
+        return self.output.with_name(f"{self.name}.volume.quadratic.vtu")
+
     def export_paths(self) -> list[Path]:
         """The files of other formats that are written, too."""
         return [path for kind in self.exports for path in export_paths(self.output, self.name, kind)]
+
+    def other_paths(self) -> list[Path]:
+        """All files that are written beside the volume mesh, but for pictures."""
+        return [*([self.quadratic] if self.order == 2 else []), *self.export_paths()]
+
+    def refuse_order(self) -> None:
+        """Refuse quadratic tetrahedra without what they need, or in a format that has none."""
+        if self.order == 1:
+            return
+        if self.distfield is None:
+            raise StageError(
+                "--order 2 without --distfield",
+                "nodes amid the edges of the surface are brought onto the zero of the distance field",
+                "add --distfield CASE.distfield.vti",
+            )
+        if linear := [kind for kind in self.exports if kind in LINEAR_FORMATS]:
+            raise StageError(
+                f"--export {','.join(linear)} with --order 2",
+                "that format has no elements with nodes amid their edges",
+                f"leave it out, or run once more with --order 1; {', '.join(k for k in FORMATS if k not in LINEAR_FORMATS)} have them",
+            )
 
     @property
     def picture_job(self) -> PictureJob | None:
@@ -102,6 +136,7 @@ class Arguments:
             "max_volume_change": self.limits.max_volume_change,
             "max_distance": self.limits.max_distance,
             "solve": self.solve.mode,
+            **({} if self.order == 1 else {"order": self.order}),
             **({} if self.forward.source is None else {"forward": asdict(self.forward)}),
         }
 
@@ -221,6 +256,23 @@ def _mark(surface: Surface, mesh: VolumeMesh, labels: LabelVolume | None, contex
     return MarkedMesh(mesh.points, mesh.tetrahedra, regions, outside, mesh.boundary.owners, marks)
 
 
+def _curve(marked: MarkedMesh, field: DistanceField, arguments: Arguments, context: Context) -> Quadratic:
+    """Put a node amid each edge, write that mesh, and tell of it."""
+    with context.step("quadratic"):
+        curved = make_quadratic(marked, field)
+        write_quadratic(arguments.quadratic, curved.mesh, curved.jacobian, context.history())
+    context.results["quadratic"] = {"file": arguments.quadratic.name, **curved.results}
+    left = curved.results["distance_mm"]
+    context.closing.append(
+        (
+            "quadratic",
+            f"{curved.results['nodes']:,} nodes, Jacobian at least {float(curved.jacobian.min()):.2f}; on the surface at most "
+            f"{left['mid_edge_nodes'].get('max', 0.0):.2g} mm from F = 0, before {left['middles_of_edges'].get('max', 0.0):.2g}",
+        )
+    )
+    return curved
+
+
 def run(arguments: Arguments, context: Context) -> list[str]:
     """Do the work of the stage.
 
@@ -249,6 +301,10 @@ def run(arguments: Arguments, context: Context) -> list[str]:
         if arguments.sizefield is not None:
             sizing = read_sizing_field(arguments.sizefield)
             context.add_input(arguments.sizefield, sizing.history)
+        field = None
+        if arguments.order == 2 and arguments.distfield is not None and surface.sides is None:
+            field, history = read_distance_field(arguments.distfield, surface.points)
+            context.add_input(arguments.distfield, history)
         labels = None
         if arguments.labels_volume is not None:
             labels = read_label_volume(arguments.labels_volume)
@@ -290,6 +346,7 @@ def run(arguments: Arguments, context: Context) -> list[str]:
         max_seconds=arguments.max_seconds,
         limits=arguments.limits,
         log=arguments.log,
+        keep_vertices=field is not None,
     )
     filled = fill(task, context)
 
@@ -298,10 +355,15 @@ def run(arguments: Arguments, context: Context) -> list[str]:
     marked = _mark(surface, mesh, labels, context)
     with context.step("write"):
         write_volume(arguments.output, marked, measured.quality, context.history())
+    checks = run_checks(measured, arguments.limits)
+    exported = marked
+    if field is not None:
+        curved = _curve(marked, field, arguments, context)
+        exported, checks = curved.mesh, checks + curved.checks()
     for kind in arguments.exports:
         with context.step(f"export {kind}"):
-            export(marked, arguments.output, arguments.name, kind, arguments.unit)
+            export(exported, arguments.output, arguments.name, kind, arguments.unit)
     context.results["exports"] = [path.name for path in arguments.export_paths()]
     with drawing(arguments.picture_job, context):
-        checks = run_checks(measured, arguments.limits) + solve_on(mesh, arguments.solve, context)
+        checks += solve_on(mesh, arguments.solve, context)
     return conclude(checks, measured.quality, context)

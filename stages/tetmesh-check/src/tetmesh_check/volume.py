@@ -7,15 +7,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pyvista as pv
 
-from tetmesh_check.export import MarkedMesh
+from tetmesh_check.export import MarkedMesh, unstructured
 from tetmesh_check.field_data import add_text
 from tetmesh_check.files import write_atomically
-from tetmesh_check.quality import Cells, Points, TetrahedronQuality, signed_tetrahedron_volumes
+from tetmesh_check.quality import Cells, Points, TetrahedronQuality, Values, signed_tetrahedron_volumes
 
 KIND = "volume"
 """Kind of the file, in the field data ``isoparticles_kind``."""
+QUADRATIC_KIND = "quadratic volume"
+"""The same of the mesh with a node amid each edge."""
 FORMAT = 2
 """Version of the file's layout, in the field data ``isoparticles_format``."""
 
@@ -58,13 +59,34 @@ def write_volume(path: Path, mesh: MarkedMesh, quality: TetrahedronQuality, hist
     history
         What made the file, with which parameters, from what.
     """
-    grid = pv.UnstructuredGrid({pv.CellType.TETRA: mesh.tetrahedra}, mesh.points)
-    grid.cell_data["radius_ratio"] = quality.radius_ratio
-    grid.cell_data["scaled_jacobian"] = quality.scaled_jacobian
-    grid.cell_data["min_dihedral"] = quality.min_dihedral
+    measures = {name: getattr(quality, name) for name in ("radius_ratio", "scaled_jacobian", "min_dihedral")}
+    _write(path, mesh, KIND, measures, history)
+
+
+def write_quadratic(path: Path, mesh: MarkedMesh, jacobian: Values, history: dict[str, Any]) -> None:
+    """Write the mesh with a node amid each edge.
+
+    Parameters
+    ----------
+    path
+        A ``.vtu`` file.
+    mesh
+        Its elements have ten nodes.
+    jacobian
+        Lower bound of each element's Jacobian over that of the straight one.
+    history
+        What made the file, with which parameters, from what.
+    """
+    _write(path, mesh, QUADRATIC_KIND, {"jacobian_bound": jacobian}, history)
+
+
+def _write(path: Path, mesh: MarkedMesh, kind: str, measures: dict[str, Values], history: dict[str, Any]) -> None:
+    grid = unstructured(mesh)
+    for name, values in measures.items():
+        grid.cell_data[name] = values
     grid.cell_data["region"] = mesh.regions.astype(np.int32)
     grid.point_data["boundary"] = mesh.point_marks().astype(np.uint8)
-    add_text(grid, "isoparticles_kind", KIND)
+    add_text(grid, "isoparticles_kind", kind)
     grid.add_field_data(np.array([FORMAT], dtype=np.uint32), "isoparticles_format")
     if mesh.materials is not None:
         add_text(grid, "materials", json.dumps(mesh.materials.table))

@@ -1,0 +1,85 @@
+//! The command `isoparticles` of the wheel, as shells and `man` see it. What it does is in pipelines/wheel; a test there holds the two together.
+
+use crate::keys::{Form, KEYS, Key};
+use clap::builder::PossibleValuesParser;
+use clap::{Arg, Command, ValueHint};
+
+/// The stages, and what becomes of what in each.
+const STAGES: [(&str, &str); 6] = [
+    ("distfield", "A volume to the signed distance field F"),
+    ("sizefield", "F to the target edge length h"),
+    ("seed", "F and h to the first particles"),
+    ("particles", "Seeds to settled particles"),
+    ("reconstruct", "Particles and F to triangles, checked"),
+    ("tetmesh-check", "Triangles and h to tetrahedra, checked and solved on"),
+];
+
+/// The command line of `isoparticles`, for completions and the manual.
+#[must_use]
+pub fn command() -> Command {
+    let options = || KEYS.iter().filter(|key| !["CASE", "INPUT"].contains(&key.name)).map(option);
+    let of_volume = |name: &'static str, about: &'static str| {
+        let volume = Arg::new("VOLUME").value_hint(ValueHint::AnyPath).help("The volume, or a folder of DICOM slices");
+        Command::new(name).about(about).arg(volume).args(options())
+    };
+    let of_name = |name: &'static str, about: &'static str| {
+        let results = Arg::new("RESULTS").value_name("NAME").help("The name of the results");
+        Command::new(name).about(about).arg(results).args(options())
+    };
+    let list =
+        Arg::new("LIST.csv").value_hint(ValueHint::FilePath).help("The list: a column a parameter, a row a case");
+    let limit =
+        Arg::new("time-limit").long("time-limit").value_name("TIME").help("How long a case may take: 90s, 30m, 2h");
+    let goal = Arg::new("goal")
+        .long("goal")
+        .help("How far each case is made")
+        .value_parser(PossibleValuesParser::new(["distfield", "sizefield", "seed", "particles", "surface", "mesh"]));
+    let stages = STAGES.map(|(name, about)| {
+        let more = Arg::new("ARGUMENTS").num_args(0..).allow_hyphen_values(true).value_hint(ValueHint::AnyPath);
+        Command::new(name).about(about).arg(more.help("As `isoparticles STAGE --help` tells them"))
+    });
+    Command::new("isoparticles")
+        .version(env!("CARGO_PKG_VERSION"))
+        .about("Volumes in, simulation-ready meshes out")
+        .after_help("Example: isoparticles mesh ct.nii.gz --labels 1 -o out")
+        .disable_help_subcommand(true)
+        .subcommand(of_volume("info", "What the volume is, and what to ask for"))
+        .subcommand(of_volume("mesh", "From the volume to tetrahedra and the page about them"))
+        .subcommand(of_volume("surface", "As far as the triangles"))
+        .subcommand(of_name("verdict", "How it went"))
+        .subcommand(of_name("page", "The page once more"))
+        .subcommand(of_name("clean", "Remove the folder of results"))
+        .subcommand(of_name("demo", "Mesh a phantom"))
+        .subcommand(Command::new("index").about("A page over all cases").args(options()))
+        .subcommand(Command::new("batch").about("Every row of a list").args([list, limit, goal]).args(options()))
+        .subcommands(stages)
+        .subcommand(Command::new("help").about("All goals and options"))
+}
+
+fn long(key: &Key) -> String {
+    key.name.to_lowercase().replace('_', "-")
+}
+
+/// A key as an option: `MIN_SIZE` is `--min-size`.
+fn option(key: &Key) -> Arg {
+    // clap keeps names for as long as the program runs, which here is to print them.
+    let arg = Arg::new(key.name).long(&*long(key).leak()).value_name(key.name).allow_hyphen_values(true).help(key.what);
+    let arg = if key.name == "OUT" { arg.short('o').value_hint(ValueHint::DirPath) } else { arg };
+    match key.form {
+        Form::OneOf(words) => arg.value_parser(PossibleValuesParser::new(words)),
+        _ => arg,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::command;
+
+    #[test]
+    fn the_command_line_is_sound_and_takes_what_the_documents_show() {
+        command().debug_assert();
+        let line = "isoparticles mesh ct.nii.gz --labels 1,2 --border open --iso -500 -o out";
+        command().try_get_matches_from(line.split(' ')).expect("as docs/install.md has it");
+        assert!(command().try_get_matches_from(["isoparticles", "mesh", "ct.nrrd", "--border", "closed"]).is_err());
+    }
+}

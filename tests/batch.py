@@ -1,0 +1,181 @@
+"""A batch of fifty phantoms, a few real volumes and five broken rows, interrupted and called again: five clear reports, the rest done.
+
+    tests/batch.py --data ../shared/data        # or: make bench-batch
+
+Makes the volumes and the list, runs `isoparticles-case batch` over it as `make batch` does, sends SIGINT when a third of the rows is done, and
+calls it again. Checked are the exit codes, the summary, that just the broken rows are not fit, each with what is wrong and what to do, and that
+no row of before the interrupt was made again.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import itertools
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+SHAPES = ("ball", "ellipsoid", "torus", "bumpy-torus", "thin-shell", "two-balls", "cylinder")
+VARIANTS = (
+    ["--size", "28"],
+    ["--size", "28", "--kind", "label"],
+    ["--size", "24,28,32"],
+    ["--size", "28", "--rotate", "20,30,40"],
+    ["--size", "28", "--left-handed"],
+    ["--size", "28", "--spacing", "1,1,1.5"],
+    ["--size", "28", "--noise", "10"],
+    ["--size", "36", "--kind", "label", "--rotate", "10,0,60"],
+)
+PHANTOMS = 50
+REAL = (
+    {"NAME": "mickey", "INPUT": "mickey_labels.nrrd", "LABELS": "2"},
+    {"NAME": "mickey-coarse", "INPUT": "mickey_labels.nrrd", "LABELS": "2", "SIZE": "4"},
+    {"NAME": "heart", "INPUT": "heart_label.nrrd", "LABELS": "1", "VERTICES": "2000"},
+    {"NAME": "tooth", "INPUT": "tooth_ct.nrrd", "ISO": "600", "VERTICES": "2000"},
+)
+BROKEN = {
+    "truncated": "the data is cut short",
+    "absent": "not found",
+    "empty": "no voxel crosses iso value",
+    "no-such-label": "no voxel has the label 9",
+    "no-volume": "does not start with the letters NRRD",
+}
+"""Names of the broken rows, and what has to be said of each."""
+COLUMNS = ("NAME", "INPUT", "ISO", "LABELS", "SIZE", "VERTICES")
+SHARE_BEFORE = 1.0 / 3.0
+"""Part of the rows that is done when the interrupt comes."""
+
+
+def phantoms(folder: Path, program: Path) -> list[dict[str, str]]:
+    """Make the volumes, and a row for each."""
+    rows = []
+    for number, (variant, shape) in enumerate(itertools.islice(itertools.product(VARIANTS, SHAPES), PHANTOMS)):
+        path = folder / f"{shape}-{number:02}.nrrd"
+        subprocess.run([program, shape, "-o", path, *variant, "--seed", str(number)], check=True)
+        labels = "label" in variant
+        # most at one edge length, the others by their local feature size
+        row = {"NAME": path.stem, "INPUT": path.name, "LABELS" if labels else "ISO": "1" if labels else "100"}
+        rows.append({**row, "SIZE": "2"} if number % 3 else row)
+    return rows
+
+
+def broken(folder: Path) -> list[dict[str, str]]:
+    """Volumes that cannot be meshed, or are not there, and a row for each."""
+    whole = (folder / "ball-00.nrrd").read_bytes()
+    (folder / "truncated.nrrd").write_bytes(whole[: len(whole) // 2])
+    (folder / "no-volume.nrrd").write_bytes(b"NAME,INPUT\nthis is a list and no volume\n")
+    return [
+        {"NAME": "truncated", "INPUT": "truncated.nrrd", "ISO": "100"},
+        {"NAME": "absent", "INPUT": "absent.nrrd", "ISO": "100"},
+        {"NAME": "empty", "INPUT": "ball-00.nrrd", "ISO": "5000"},
+        {"NAME": "no-such-label", "INPUT": "ball-07.nrrd", "LABELS": "9"},
+        {"NAME": "no-volume", "INPUT": "no-volume.nrrd", "ISO": "100"},
+    ]
+
+
+def write_list(path: Path, rows: list[dict[str, str]]) -> None:
+    """The rows as a list of cases."""
+    with path.open("w", newline="") as file:
+        writer = csv.DictWriter(file, COLUMNS)
+        writer.writeheader()
+        writer.writerows(rows)
+
+
+def summary(out: Path) -> list[dict[str, str]]:
+    """The lines of batch.csv; none before the first row is done."""
+    try:
+        with (out / "batch.csv").open(newline="") as file:
+            return list(csv.DictReader(file))
+    except FileNotFoundError:
+        return []
+
+
+def times(out: Path) -> dict[str, int]:
+    """When the surface of each case was written, ns."""
+    return {path.parent.name: path.stat().st_mtime_ns for path in out.glob("*/*.surface.vtp")}
+
+
+def faults(rows: list[dict[str, str]], found: list[dict[str, str]]) -> list[str]:
+    """What of the summary is not as it should be."""
+    wrong = []
+    if sorted(row["name"] for row in found) != sorted(row["NAME"] for row in rows):
+        wrong.append(f"{len(found)} rows in batch.csv for {len(rows)} of the list")
+    for row in found:
+        fit = row["verdict"] in ("passed", "warning")
+        if row["name"] in BROKEN and (fit or BROKEN[row["name"]] not in row["headline"] or not row["next"]):
+            wrong.append(f"{row['name']}: {row['verdict']}, '{row['headline']}', '{row['next']}'")
+        if row["name"] not in BROKEN and not fit:
+            wrong.append(f"{row['name']} is {row['verdict']}: {row['headline']}")
+    return wrong
+
+
+def main() -> int:
+    """Run the batch; 0 when all is as it should be."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument(
+        "--bin", metavar="DIR", type=Path, default=Path("target/release"), help="folder of the programs"
+    )
+    parser.add_argument("--tetmesh-check", metavar="PROGRAM", type=Path, default=Path(".venv/bin/tetmesh-check"))
+    parser.add_argument("--data", metavar="DIR", type=Path, help="folder of real volumes; without it phantoms alone")
+    parser.add_argument("--goal", default="surface", help="how far each case is made (default surface)")
+    arguments = parser.parse_args()
+    with tempfile.TemporaryDirectory(prefix="batch-") as name:
+        folder, out = Path(name), Path(name) / "out"
+        rows = phantoms(folder, arguments.bin / "phantom")
+        if arguments.data is not None:
+            rows += [{**row, "INPUT": str((arguments.data / row["INPUT"]).resolve())} for row in REAL]
+        for number, row in enumerate(broken(folder)):
+            rows.insert(3 + 11 * number, row)
+        write_list(folder / "cases.csv", rows)
+        command = [
+            arguments.bin / "isoparticles-case",
+            "batch",
+            f"OUT={out}",
+            "BACKEND=cpu",
+            "--list",
+            folder / "cases.csv",
+        ]
+        command += ["--as-far-as", arguments.goal, "--bin", arguments.bin, "--tetmesh-check", arguments.tetmesh_check]
+        return judge(command, rows, out)
+
+
+def judge(command: list[object], rows: list[dict[str, str]], out: Path) -> int:
+    """Run the batch twice, and say how it went."""
+    wrong = []
+    begun = time.monotonic()
+    with (out.parent / "log").open("wb") as log:
+        first = subprocess.Popen(list(map(str, command)), stdout=log, stderr=log, start_new_session=True)
+        while first.poll() is None and len(summary(out)) < SHARE_BEFORE * len(rows):
+            time.sleep(0.05)
+        first.send_signal(signal.SIGINT)
+        first.wait(150)
+    if first.returncode != 130:
+        wrong.append(f"the interrupted batch ended with {first.returncode}, not 130")
+    before, done = times(out), {row["name"] for row in summary(out) if row["verdict"] in ("passed", "warning")}
+    print(f"interrupted after {time.monotonic() - begun:.0f} s: {len(done)} of {len(rows)} rows done", flush=True)
+    begun = time.monotonic()
+    again = subprocess.run(list(map(str, command)), capture_output=True, text=True, check=False)
+    if again.returncode != 1:
+        wrong.append(f"the batch ended with {again.returncode}, not 1\n{again.stdout}{again.stderr}")
+    found, after = summary(out), times(out)
+    wrong += faults(rows, found)
+    wrong += [f"{name} was made again" for name in sorted(done) if before[name] != after.get(name)]
+    if not (out / "index.csv").exists():
+        wrong.append("there is no index.csv")
+    verdicts = [row["verdict"] for row in found]
+    counts = ", ".join(f"{verdicts.count(word)} {word}" for word in sorted(set(verdicts)))
+    print(f"called again, {time.monotonic() - begun:.0f} s: {counts}")
+    for row in found:
+        if row["verdict"] not in ("passed", "warning"):
+            print(f"  {row['name']}: {row['verdict']}: {row['headline']}; {row['next']}")
+    for line in wrong:
+        print(f"wrong: {line}")
+    return 1 if wrong else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
