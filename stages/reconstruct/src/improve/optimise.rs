@@ -2,7 +2,9 @@
 //! patch round it: a single move with relocations, two moves in a row, or the patch remeshed at a smaller target length. Patches that do not
 //! meet are worked on side by side; what a patch commits is one commit of the whole.
 
-use super::constants::{AIM, BATCH, FIT, MOST_IN_VAIN, MOST_IN_VAIN_FOR_AIM, REACHES, RINGS};
+use super::constants::{
+    AIM, BATCH, FIT, MOST_IN_VAIN, MOST_IN_VAIN_AT_JUNCTIONS, MOST_IN_VAIN_FOR_AIM, REACHES, RINGS,
+};
 use super::guard::Limits;
 use super::lift::{lift, lift_by_two};
 use super::patch::Patch;
@@ -102,13 +104,16 @@ fn drain(surface: &mut Surface, pass: &Pass, failures: &mut Failures, step: Step
         let is_at_node = surface.is_alive(t) && at_nodes.binary_search(&t).is_ok();
         if is_at_node { 0 } else { surface.facts[t as usize].quality.to_bits() }
     };
-    let entry = |surface: &Surface, at_nodes: &[u32], t: u32| {
+    let entry = |surface: &Surface, at_nodes: &[u32], held_in_vain: usize, t: u32| {
         let rank = rank(surface, at_nodes, t);
-        let is_tried = rank < pass.bar.to_bits() && (pass.means.is_local() || rank == 0 || !surface.is_held(t));
+        let is_worth_it = pass.means.is_local() && held_in_vain < MOST_IN_VAIN_AT_JUNCTIONS;
+        let is_tried =
+            rank < pass.bar.to_bits() && (pass.means == Means::Move || is_worth_it || rank == 0 || !surface.is_held(t));
         is_tried.then_some(Reverse((rank, t)))
     };
+    let mut held_in_vain = 0;
     let all = 0..surface.triangles.len() as u32;
-    let mut queue: BinaryHeap<_> = all.filter_map(|t| entry(surface, &at_nodes, t)).collect();
+    let mut queue: BinaryHeap<_> = all.filter_map(|t| entry(surface, &at_nodes, held_in_vain, t)).collect();
     // as many as may well be apart
     let mut width = BATCH;
     while failures.len() < pass.most_in_vain {
@@ -118,7 +123,8 @@ fn drain(surface: &mut Surface, pass: &Pass, failures: &mut Failures, step: Step
         {
             let is_current = surface.is_alive(t) && rank(surface, &at_nodes, t) == bits;
             let is_hopeless = || failures.get(&t).is_some_and(|&commits| surface.is_unchanged_since(t, commits));
-            if is_current && !batch.contains(&t) && !is_hopeless() {
+            let is_tried = || entry(surface, &at_nodes, held_in_vain, t).is_some();
+            if is_current && !batch.contains(&t) && !is_hopeless() && is_tried() {
                 batch.push(t);
             }
         }
@@ -139,16 +145,16 @@ fn drain(surface: &mut Surface, pass: &Pass, failures: &mut Failures, step: Step
             is_better.then(|| (patch.turned_nodes(surface), patch.edits(surface)))
         };
         let done: Vec<_> = chosen.par_iter().map(work).collect();
-        queue.extend(others.into_iter().filter_map(|t| entry(surface, &at_nodes, t)));
+        queue.extend(others.into_iter().filter_map(|t| entry(surface, &at_nodes, held_in_vain, t)));
         for ((t, _), outcome) in chosen.into_iter().zip(done) {
             match outcome {
                 Some((nodes, edits)) => {
                     let touched = edits.commit(surface, &nodes);
                     if touched.iter().any(|t| at_nodes.binary_search(t).is_ok()) {
                         at_nodes = surface.triangles_at_wrong_nodes();
-                        queue.extend(at_nodes.iter().filter_map(|&t| entry(surface, &at_nodes, t)));
+                        queue.extend(at_nodes.iter().filter_map(|&t| entry(surface, &at_nodes, held_in_vain, t)));
                     }
-                    queue.extend(touched.into_iter().filter_map(|t| entry(surface, &at_nodes, t)));
+                    queue.extend(touched.into_iter().filter_map(|t| entry(surface, &at_nodes, held_in_vain, t)));
                     match pass.means {
                         Means::Move => tally.single_moves += 1,
                         Means::TwoMoves => tally.double_moves += 1,
@@ -157,6 +163,7 @@ fn drain(surface: &mut Surface, pass: &Pass, failures: &mut Failures, step: Step
                 }
                 None => {
                     failures.insert(t, surface.commits());
+                    held_in_vain += usize::from(surface.is_held(t));
                 }
             }
         }

@@ -7,6 +7,7 @@ use super::nodes::Nodes;
 use super::pieces::{Pieces, pieces};
 use super::segments::Segment;
 use crate::check::DistanceSummary;
+use glam::DVec3;
 use isoparticles_field::materials::{Indicators, Material, MaterialId, Stratum};
 use isoparticles_field::spline::distance_estimate;
 use isoparticles_mesh::intersect::self_intersections;
@@ -85,6 +86,15 @@ pub struct Offenders {
     pub nodes: Vec<usize>,
 }
 
+/// A triangle whose corners all lie on junction curves, which stay: two that meet at a small angle, or one that turns within h, leave no better one.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct ForcedTriangle {
+    /// Its centroid, world, mm.
+    pub place: [f64; 3],
+    /// Its radius ratio.
+    pub radius_ratio: f64,
+}
+
 /// Figures of a complex; serialises to the JSON of the reports (without the lists of offenders).
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct ComplexReport {
@@ -124,6 +134,10 @@ pub struct ComplexReport {
     pub centroid_distance: DistanceSummary,
     /// Shapes of all triangles.
     pub quality: QualitySummary,
+    /// Triangles below the demanded radius ratio whose corners all lie on junction curves, which is no failure.
+    pub poor_between_curves: Vec<ForcedTriangle>,
+    /// The smallest radius ratio of the others.
+    pub smallest_elsewhere: f64,
     /// Each material that has triangles.
     pub materials: Vec<MaterialReport>,
     /// Each pair that touches.
@@ -163,7 +177,19 @@ pub fn check(interfaces: &Interfaces, options: &CheckOptions) -> ComplexReport {
         .collect();
     if let Some(limit) = options.min_radius_ratio {
         let ratios = radius_ratios(mesh);
-        offenders.poor = (0..ratios.len() as u32).filter(|&t| ratios[t as usize] < limit).collect();
+        let meets = interfaces.materials_at_vertices();
+        let is_between_curves = |t: &u32| mesh.triangles[*t as usize].iter().all(|&v| meets[v as usize].len() > 2);
+        let poor = (0..ratios.len() as u32).filter(|&t| ratios[t as usize] < limit);
+        let (between_curves, poor) = poor.partition::<Vec<u32>, _>(is_between_curves);
+        offenders.poor = poor;
+        let geometry = options.nodes.geometry();
+        let told = |&t: &u32| {
+            let place = geometry.grid_to_world(mesh.corners(t as usize).into_iter().sum::<DVec3>() / 3.0);
+            ForcedTriangle { place: place.to_array(), radius_ratio: ratios[t as usize] }
+        };
+        report.poor_between_curves = between_curves.iter().map(told).collect();
+        let left = (0..ratios.len()).filter(|&t| between_curves.binary_search(&(t as u32)).is_err());
+        report.smallest_elsewhere = left.map(|t| ratios[t]).fold(1.0, f64::min);
     }
     report.bad_edges = offenders.edges.len();
     report.spurious_junction_edges = offenders.spurious.len();
@@ -315,7 +341,7 @@ fn failed(report: &ComplexReport, offenders: &Offenders, options: &CheckOptions)
     if let Some(limit) = options.min_radius_ratio
         && !offenders.poor.is_empty()
     {
-        let (count, smallest) = (offenders.poor.len(), report.quality.radius_ratio_min);
+        let (count, smallest) = (offenders.poor.len(), report.smallest_elsewhere);
         failed.push(format!("{count} triangles with a radius ratio below {limit} (smallest {smallest:.4})"));
     }
     if !offenders.distant.is_empty() {

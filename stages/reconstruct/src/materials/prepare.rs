@@ -163,21 +163,25 @@ fn small_loops(
             points[first as usize] = None;
             continue;
         }
-        // three points at thirds of the way; a second particle is left to be crowded out or to lie in between
-        let size = point.size.min(length(&way) / 3.0);
+        // as many as h asks for, three at least; a second particle is left to be crowded out or to lie in between
+        let count = loop_count(&way, point.size);
+        let size = point.size.min(length(&way) / count as f64);
         points[first as usize] = Some(Point { size, ..point });
-        let mut chain = vec![first];
-        for third in 1..3 {
-            chain.push(points.len() as u32);
-            points.push(Some(Point { place: way[third * way.len() / 3], size, ..point }));
-        }
+        let added = points.len() as u32;
+        points.extend((1..count).map(|n| Some(Point { place: way[n * way.len() / count], size, ..point })));
         if second != first {
             points[second as usize] = None;
         }
-        report.on_small_loops += 2;
-        all.extend((0..3).map(|k| segment(chain[k], chain[(k + 1) % 3])));
+        report.on_small_loops += count - 1;
+        let chain: Vec<u32> = std::iter::once(first).chain(added..added + count as u32 - 1).collect();
+        all.extend((0..count).map(|k| segment(chain[k], chain[(k + 1) % count])));
     }
     all
+}
+
+/// Points for a closed way where edges are to be so long: a ring has three at least.
+fn loop_count(way: &[DVec3], size: f64) -> usize {
+    ((length(way) / size).round() as usize).max(3).min(way.len())
 }
 
 /// Length of a way, mm.
@@ -224,9 +228,8 @@ fn missing_loops(
             continue;
         }
         let Some(way) = way_round(indicators, point.stratum, upper, point.place) else { continue };
-        let length = length(&way);
-        let count = ((length / point.size).round() as usize).max(3);
-        let size = point.size.min(length / count as f64);
+        let count = loop_count(&way, point.size);
+        let size = point.size.min(length(&way) / count as f64);
         let first = points.len() as u32;
         points.extend((0..count).map(|n| Point { place: way[n * way.len() / count], size, ..point }));
         pairs.extend((0..count as u32).map(|n| segment(first + n, first + (n + 1) % count as u32)));

@@ -277,6 +277,13 @@ fn describe(checked: &ComplexReport, context: &Context) {
         format!("mean {:.4}, smallest {:.4}", quality.radius_ratio_mean, quality.radius_ratio_min),
     );
     context.summary("angles, degrees", format!("{:.1} to {:.1}", quality.angle_min, quality.angle_max));
+    if !checked.poor_between_curves.is_empty() {
+        let (count, smallest) = (checked.poor_between_curves.len(), checked.smallest_elsewhere);
+        context.warn(format!(
+            "{count} poor triangles have all corners on junction curves, which meet there at small angles or turn within h: they stay as they are, and the \
+             report lists them (`poor_between_curves`); the smallest radius ratio elsewhere is {smallest:.4}"
+        ));
+    }
     context.summary(
         "distance from the sheets, voxels",
         format!(

@@ -165,7 +165,7 @@ fn the_result_does_not_depend_on_threads() {
 }
 
 #[test]
-fn lost_particles_of_curves_are_bridged_and_small_loops_get_three_points() {
+fn lost_particles_of_curves_are_bridged_and_lonely_ones_get_a_ring() {
     let scene = scenes::two_balls();
     let (mut particles, strata) = scene.particles(1.5, 0.75);
     let count = strata.segments.len();
@@ -186,7 +186,7 @@ fn lost_particles_of_curves_are_bridged_and_small_loops_get_three_points() {
         let options = Options { keeps_voxels: true, ..Options::default() };
         let made = reconstruct((&fewer, &strata), &scene.analytic, &scene.table(), None, &options, &Silent);
         let made = made.expect("on their strata");
-        assert_eq!(made.taken.on_small_loops, 2);
+        assert!(made.taken.on_small_loops >= 2, "{}", made.taken.on_small_loops);
         assert_eq!(made.checked.failed, Vec::<String>::new(), "{left}");
         assert!(made.checked.junction_edges > 12, "{}", made.checked.junction_edges);
     }

@@ -53,7 +53,7 @@ pub(super) enum Stop {
     Told,
 }
 
-/// The places along a closed junction curve from one of them on; `None` where it does not return there.
+/// The places along a closed junction curve from one of them on, three at least; `None` where it does not return there.
 pub fn way_round<I: Indicators + ?Sized>(
     indicators: &I,
     curve: Stratum,
@@ -71,7 +71,8 @@ pub fn way_round<I: Indicators + ?Sized>(
         },
         _ => return None,
     };
-    Some(std::iter::once(from).chain(forth).chain(back.into_iter().rev()).collect())
+    let way: Vec<DVec3> = std::iter::once(from).chain(forth).chain(back.into_iter().rev()).collect();
+    (way.len() >= 3).then_some(way)
 }
 
 /// The way along a junction curve from one of its places to another, both included, in the grid that ends at `corner`; `None` where the curve does not lead there, or not
