@@ -94,7 +94,7 @@ pub(super) const MOST_IN_VAIN_FOR_AIM: usize = 40;
 /// Patches remeshed in vain, a second or so each, after which F has too much detail below h for the rest.
 pub(super) const MOST_IN_VAIN: usize = 200;
 
-/// The same of triangles at junction curves, whose vertices stay: a curve that turns within h leaves hundreds that nothing helps.
+/// The same of anything but single moves on sheets that meet in junction curves, whose vertices stay: a curve that turns within h leaves hundreds that nothing helps.
 pub(super) const MOST_IN_VAIN_AT_JUNCTIONS: usize = 20;
 
 // --- remeshing of a patch at a smaller length, where F bends within h ---

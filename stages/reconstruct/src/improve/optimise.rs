@@ -50,6 +50,13 @@ struct Pass {
     most_in_vain: usize,
 }
 
+impl Pass {
+    /// The same where sheets meet in junction curves.
+    fn most_in_vain_at_junctions(&self) -> usize {
+        if self.means == Means::Move { self.most_in_vain } else { self.most_in_vain.min(MOST_IN_VAIN_AT_JUNCTIONS) }
+    }
+}
+
 /// What was tried in vain, by triangle: the number of commits at the time, lest it be tried again before anything has changed there.
 type Failures = HashMap<u32, u32>;
 
@@ -104,27 +111,25 @@ fn drain(surface: &mut Surface, pass: &Pass, failures: &mut Failures, step: Step
         let is_at_node = surface.is_alive(t) && at_nodes.binary_search(&t).is_ok();
         if is_at_node { 0 } else { surface.facts[t as usize].quality.to_bits() }
     };
-    let entry = |surface: &Surface, at_nodes: &[u32], held_in_vain: usize, t: u32| {
+    let entry = |surface: &Surface, at_nodes: &[u32], t: u32| {
         let rank = rank(surface, at_nodes, t);
-        let is_worth_it = pass.means.is_local() && held_in_vain < MOST_IN_VAIN_AT_JUNCTIONS;
-        let is_tried =
-            rank < pass.bar.to_bits() && (pass.means == Means::Move || is_worth_it || rank == 0 || !surface.is_held(t));
+        let is_tried = rank < pass.bar.to_bits() && (pass.means.is_local() || rank == 0 || !surface.is_held(t));
         is_tried.then_some(Reverse((rank, t)))
     };
-    let mut held_in_vain = 0;
+    let has_junctions = surface.fixed.contains(&true);
+    let most_in_vain = if has_junctions { pass.most_in_vain_at_junctions() } else { pass.most_in_vain };
     let all = 0..surface.triangles.len() as u32;
-    let mut queue: BinaryHeap<_> = all.filter_map(|t| entry(surface, &at_nodes, held_in_vain, t)).collect();
+    let mut queue: BinaryHeap<_> = all.filter_map(|t| entry(surface, &at_nodes, t)).collect();
     // as many as may well be apart
     let mut width = BATCH;
-    while failures.len() < pass.most_in_vain {
+    while failures.len() < most_in_vain {
         let mut batch = Vec::new();
         while batch.len() < width
             && let Some(Reverse((bits, t))) = queue.pop()
         {
             let is_current = surface.is_alive(t) && rank(surface, &at_nodes, t) == bits;
             let is_hopeless = || failures.get(&t).is_some_and(|&commits| surface.is_unchanged_since(t, commits));
-            let is_tried = || entry(surface, &at_nodes, held_in_vain, t).is_some();
-            if is_current && !batch.contains(&t) && !is_hopeless() && is_tried() {
+            if is_current && !batch.contains(&t) && !is_hopeless() {
                 batch.push(t);
             }
         }
@@ -145,16 +150,16 @@ fn drain(surface: &mut Surface, pass: &Pass, failures: &mut Failures, step: Step
             is_better.then(|| (patch.turned_nodes(surface), patch.edits(surface)))
         };
         let done: Vec<_> = chosen.par_iter().map(work).collect();
-        queue.extend(others.into_iter().filter_map(|t| entry(surface, &at_nodes, held_in_vain, t)));
+        queue.extend(others.into_iter().filter_map(|t| entry(surface, &at_nodes, t)));
         for ((t, _), outcome) in chosen.into_iter().zip(done) {
             match outcome {
                 Some((nodes, edits)) => {
                     let touched = edits.commit(surface, &nodes);
                     if touched.iter().any(|t| at_nodes.binary_search(t).is_ok()) {
                         at_nodes = surface.triangles_at_wrong_nodes();
-                        queue.extend(at_nodes.iter().filter_map(|&t| entry(surface, &at_nodes, held_in_vain, t)));
+                        queue.extend(at_nodes.iter().filter_map(|&t| entry(surface, &at_nodes, t)));
                     }
-                    queue.extend(touched.into_iter().filter_map(|t| entry(surface, &at_nodes, held_in_vain, t)));
+                    queue.extend(touched.into_iter().filter_map(|t| entry(surface, &at_nodes, t)));
                     match pass.means {
                         Means::Move => tally.single_moves += 1,
                         Means::TwoMoves => tally.double_moves += 1,
@@ -163,7 +168,6 @@ fn drain(surface: &mut Surface, pass: &Pass, failures: &mut Failures, step: Step
                 }
                 None => {
                     failures.insert(t, surface.commits());
-                    held_in_vain += usize::from(surface.is_held(t));
                 }
             }
         }
