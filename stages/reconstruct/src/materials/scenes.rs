@@ -117,8 +117,13 @@ pub(super) const CENTRE: DVec3 = DVec3::new(12.1, 11.8, 12.3);
 
 /// A ball of 5 mm in one of 9 mm.
 pub(super) fn nested() -> Scene {
-    let shell = maximum(ball(CENTRE, 9.0), negative(ball(CENTRE, 5.0)));
-    let analytic = Analytic::new(vec![negative(ball(CENTRE, 9.0)), shell, ball(CENTRE, 5.0)], 1.0);
+    shell(9.0, 5.0)
+}
+
+/// A ball in a larger one, by their radii.
+pub(super) fn shell(outer: f64, inner: f64) -> Scene {
+    let between = maximum(ball(CENTRE, outer), negative(ball(CENTRE, inner)));
+    let analytic = Analytic::new(vec![negative(ball(CENTRE, outer)), between, ball(CENTRE, inner)], 1.0);
     Scene { analytic, extent: 24.0, points: Vec::new(), curves: Vec::new() }
 }
 

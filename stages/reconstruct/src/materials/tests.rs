@@ -193,6 +193,24 @@ fn lost_particles_of_curves_are_bridged_and_lonely_ones_get_a_ring() {
 }
 
 #[test]
+fn a_closed_curve_without_particles_is_found_from_the_sheets_beside_it() {
+    let scene = Scene { curves: Vec::new(), ..scenes::two_balls() };
+    // samples, whose spline has no kinks on the curve
+    let made = made(&scene, &scene.sampled(1.0), 1.5, false);
+    assert_eq!((made.taken.loops_added, &made.checked.failed), (1, &Vec::new()));
+    assert!(made.checked.junction_edges > 12, "{}", made.checked.junction_edges);
+}
+
+#[test]
+fn a_layer_a_fifth_as_thick_as_its_triangles_are_long_stays_whole_without_more_points() {
+    let scene = scenes::shell(9.0, 8.7);
+    let made = made(&scene, &scene.analytic, 1.5, false);
+    assert_eq!(made.checked.failed, Vec::<String>::new());
+    let (points, added) = (made.interfaces.mesh.vertices.len(), made.refined.inserted.values().sum::<usize>());
+    assert!(added * 50 < points, "{added} of {points}");
+}
+
+#[test]
 fn each_check_finds_what_is_damaged() {
     let scene = scenes::sectors();
     let made = made(&scene, &scene.analytic, 1.5, true);
