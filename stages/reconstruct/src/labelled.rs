@@ -25,6 +25,15 @@ pub struct Facet {
     pub opposite: u8,
 }
 
+impl Facet {
+    /// Its vertices, ascending.
+    pub fn sorted(&self) -> [u32; 3] {
+        let mut vertices = self.vertices;
+        vertices.sort_unstable();
+        vertices
+    }
+}
+
 /// A triangulation in the grid frame of a volume whose tetrahedra bear labels; the greater of two is inside.
 pub struct Labelled<L> {
     delaunay: Delaunay,

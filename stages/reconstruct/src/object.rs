@@ -152,7 +152,7 @@ impl<'a> Object<'a> {
         } else {
             return None;
         };
-        self.by_largest_ball(reason, Simplex::Facet(sorted(facet.vertices)), std::slice::from_ref(facet))
+        self.by_largest_ball(reason, Simplex::Facet(facet.sorted()), std::slice::from_ref(facet))
     }
 
     /// Whether a facet joins components of F = 0 that no undecided place can join.
@@ -169,7 +169,7 @@ impl<'a> Object<'a> {
             Simplex::Vertex(v) | Simplex::Edge([v, _]) => at(v),
             Simplex::Facet(vertices) => {
                 let facets = self.facets_at(vertices[0]);
-                facets.into_iter().find(|f| sorted(f.vertices) == vertices).and_then(|f| self.at_facet(&f))
+                facets.into_iter().find(|f| f.sorted() == vertices).and_then(|f| self.at_facet(&f))
             }
             Simplex::Node(_) | Simplex::Place(..) => None,
         }
@@ -230,9 +230,7 @@ impl<'a> Object<'a> {
         let limit = self.max_deviation.unwrap_or_else(|| {
             DEFAULT_DEVIATION * self.size_of(facet).max(self.restricted.field().geometry().mean_spacing())
         });
-        let (distance, agreement) = self.at_centroid(facet);
-        let turned = if agreement < TURNED { 1.0 + TURNED - agreement } else { 0.0 };
-        (distance / limit).max(turned)
+        badness(self.at_centroid(facet), limit)
     }
 
     /// Whether a facet lies across F = 0.
@@ -249,9 +247,10 @@ impl<'a> Object<'a> {
     }
 }
 
-fn sorted(mut vertices: [u32; 3]) -> [u32; 3] {
-    vertices.sort_unstable();
-    vertices
+/// How far a facet strays, in units of what is allowed: by the distance of its centroid, mm, and the cosine between its normal and that of the surface there.
+pub(crate) fn badness((distance, agreement): (f64, f64), limit: f64) -> f64 {
+    let turned = if agreement < TURNED { 1.0 + TURNED - agreement } else { 0.0 };
+    (distance / limit).max(turned)
 }
 
 fn component_at(p: DVec3, field: &CubicSpline, topology: &FieldTopology) -> u32 {

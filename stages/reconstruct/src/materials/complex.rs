@@ -5,7 +5,7 @@ use super::prepare::{Prepared, REAL};
 use super::segments::{Segment, Segments, segment};
 use crate::around::{boundary_facets_of, parts_round, runs_round, star};
 use crate::labelled::{Facet, Labelled};
-use crate::object::{DEFAULT_DEVIATION, TURNED};
+use crate::object::{DEFAULT_DEVIATION, badness};
 use crate::queue::{self, Reason, Simplex};
 use glam::DVec3;
 use isoparticles_delaunay::{Delaunay, INFINITE};
@@ -137,11 +137,7 @@ impl<'a> Complex<'a> {
 
     /// The facet between two materials on three points, if there is one.
     pub fn facet_on(&self, vertices: [u32; 3]) -> Option<Facet> {
-        let sorted = |mut v: [u32; 3]| {
-            v.sort_unstable();
-            v
-        };
-        self.labelled.facets_at(vertices[0]).into_iter().find(|f| sorted(f.vertices) == vertices)
+        self.labelled.facets_at(vertices[0]).into_iter().find(|f| f.sorted() == vertices)
     }
 
     /// The facets between materials among tetrahedra round an edge, in the order of the ring; `runs` are those of [`runs_round`].
@@ -283,9 +279,7 @@ impl<'a> Complex<'a> {
         } else {
             return None;
         };
-        let mut sorted = facet.vertices;
-        sorted.sort_unstable();
-        self.by_largest_ball(reason, Simplex::Facet(sorted), std::slice::from_ref(facet))
+        self.by_largest_ball(reason, Simplex::Facet(facet.sorted()), std::slice::from_ref(facet))
     }
 
     /// How far a facet strays, in units of what is allowed.
@@ -294,9 +288,7 @@ impl<'a> Complex<'a> {
             .max_deviation
             .unwrap_or_else(|| DEFAULT_DEVIATION * self.size_of(&facet.vertices).max(self.indicators.voxel()));
         let corners = facet.vertices.map(|v| self.points()[v as usize]);
-        let (distance, agreement) = straying(self.indicators, self.sheet(facet), corners);
-        let turned = if agreement < TURNED { 1.0 + TURNED - agreement } else { 0.0 };
-        (distance / limit).max(turned)
+        badness(straying(self.indicators, self.sheet(facet), corners), limit)
     }
 
     /// The violation at a simplex, or what is left of it.
@@ -364,22 +356,20 @@ fn material_of(
     let is_common = |id: &MaterialId| vertices[1..].iter().all(|&v| meeting(strata, crowded, v).contains(id));
     let first = meeting(strata, crowded, vertices[0]);
     let common = || first.iter().copied().filter(is_common);
-    let at_centre = centre.map_or(MaterialId::OUTSIDE, |p| indicators.material_at(p));
-    match common().count() {
-        0 => at_centre,
-        1 => common().next().unwrap_or(at_centre),
-        _ if common().any(|id| id == at_centre) => at_centre,
-        _ => {
-            let centroid = vertices.iter().map(|&v| delaunay.points()[v as usize]).sum::<DVec3>() / 4.0;
-            let from = centre.unwrap_or(centroid);
-            let known = |step: i32| {
-                let place = from.lerp(centroid, f64::from(step) / f64::from(STEPS));
-                let near = indicators.near(place);
-                near.entries().iter().map(|(id, _)| *id).find(|id| common().any(|own| own == *id))
-            };
-            (0..=STEPS).find_map(known).unwrap_or(at_centre)
-        }
+    if let (Some(only), None) = (common().next(), common().nth(1)) {
+        return only;
     }
+    let at_centre = centre.map_or(MaterialId::OUTSIDE, |p| indicators.material_at(p));
+    if common().next().is_none() || common().any(|id| id == at_centre) {
+        return at_centre;
+    }
+    let centroid = vertices.iter().map(|&v| delaunay.points()[v as usize]).sum::<DVec3>() / 4.0;
+    let from = centre.unwrap_or(centroid);
+    let known = |step: i32| {
+        let near = indicators.near(from.lerp(centroid, f64::from(step) / f64::from(STEPS)));
+        near.entries().iter().map(|(id, _)| *id).find(|id| common().any(|own| own == *id))
+    };
+    (0..=STEPS).find_map(known).unwrap_or(at_centre)
 }
 
 /// How far the centroid of a triangle lies from the sheet of the materials inside and outside, mm to first order, be it beyond its border; and the cosine

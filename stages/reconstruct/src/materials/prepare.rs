@@ -163,29 +163,34 @@ fn small_loops(
             points[first as usize] = None;
             continue;
         }
-        // as many as h asks for, three at least; a second particle is left to be crowded out or to lie in between
-        let count = loop_count(&way, point.size);
-        let size = point.size.min(length(&way) / count as f64);
-        points[first as usize] = Some(Point { size, ..point });
-        let added = points.len() as u32;
-        points.extend((1..count).map(|n| Some(Point { place: way[n * way.len() / count], size, ..point })));
+        // a second particle gives way to those that lie as h asks for
+        let ring = ring(&point, &way);
+        let chain: Vec<u32> = std::iter::once(first).chain(points.len() as u32..).take(ring.len()).collect();
+        points[first as usize] = Some(ring[0]);
+        points.extend(ring[1..].iter().copied().map(Some));
         if second != first {
             points[second as usize] = None;
         }
-        report.on_small_loops += count - 1;
-        let chain: Vec<u32> = std::iter::once(first).chain(added..added + count as u32 - 1).collect();
-        all.extend((0..count).map(|k| segment(chain[k], chain[(k + 1) % count])));
+        report.on_small_loops += ring.len() - 1;
+        all.extend(closed(&chain));
     }
     all
 }
 
-/// Points for a closed way where edges are to be so long: a ring has three at least.
-fn loop_count(way: &[DVec3], size: f64) -> usize {
-    ((length(way) / size).round() as usize).max(3).min(way.len())
+/// Points like one along a closed way that begins at its place: as many as its h asks for, three at least.
+fn ring(point: &Point, way: &[DVec3]) -> Vec<Point> {
+    let count = ((length(way) / point.size).round() as usize).max(3).min(way.len());
+    let size = point.size.min(length(way) / count as f64);
+    (0..count).map(|n| Point { place: way[n * way.len() / count], size, ..*point }).collect()
+}
+
+/// The segments of a closed chain.
+fn closed(chain: &[u32]) -> impl Iterator<Item = Segment> + '_ {
+    (0..chain.len()).map(|k| segment(chain[k], chain[(k + 1) % chain.len()]))
 }
 
 /// Length of a way, mm.
-fn length(way: &[DVec3]) -> f64 {
+pub(super) fn length(way: &[DVec3]) -> f64 {
     way.windows(2).map(|step| step[0].distance(step[1])).sum()
 }
 
@@ -228,11 +233,10 @@ fn missing_loops(
             continue;
         }
         let Some(way) = way_round(indicators, point.stratum, upper, point.place) else { continue };
-        let count = loop_count(&way, point.size);
-        let size = point.size.min(length(&way) / count as f64);
-        let first = points.len() as u32;
-        points.extend((0..count).map(|n| Point { place: way[n * way.len() / count], size, ..point }));
-        pairs.extend((0..count as u32).map(|n| segment(first + n, first + (n + 1) % count as u32)));
+        let ring = ring(&point, &way);
+        let chain: Vec<u32> = (points.len() as u32..).take(ring.len()).collect();
+        points.extend(ring);
+        pairs.extend(closed(&chain));
         new.extend(way.into_iter().map(|place| (point.stratum, place)));
         report.loops_added += 1;
     }

@@ -6,7 +6,7 @@
 
 use super::complex::{Complex, Mend, Violation};
 use super::nodes::Nodes;
-use super::prepare::{LONGEST_WAY, onto};
+use super::prepare::{LONGEST_WAY, length, onto};
 use super::segments::{Segment, segment};
 use crate::labelled::Facet;
 use crate::queue::{Queue, Reason, Refine, Remedy, Simplex};
@@ -137,8 +137,11 @@ impl<'a> Refinement<'a> {
     /// The grid nodes in other materials.
     fn at_nodes(&self) -> Vec<Violation> {
         let Some(nodes) = self.nodes else { return Vec::new() };
-        let tree = KdTree::new(self.complex.points());
         let wrong = nodes.wrong(&self.complex, &self.complex.labelled.facets());
+        if wrong.is_empty() {
+            return Vec::new();
+        }
+        let tree = KdTree::new(self.complex.points());
         let violation = |node: usize| {
             let (near, _) = tree.nearest(nodes.place(node))?;
             nodes.violation(&self.complex, node, near as u32)
@@ -196,14 +199,14 @@ impl<'a> Refinement<'a> {
         let longest = LONGEST_WAY * chord.max(indicators.voxel());
         let way = way_along(indicators, curve, self.complex.labelled.upper(), [a, b], longest);
         let Some(way) = way else { return onto(indicators, curve, a.midpoint(b), 0.5 * chord) };
-        let half = 0.5 * way.windows(2).map(|step| step[0].distance(step[1])).sum::<f64>();
+        let half = 0.5 * length(&way);
         let mut sum = 0.0;
         let step = way.windows(2).find(|step| {
             sum += step[0].distance(step[1]);
             sum >= half
         })?;
-        let length = step[0].distance(step[1]);
-        onto(indicators, curve, step[1].lerp(step[0], (sum - half) / length.max(f64::MIN_POSITIVE)), 0.5 * length)
+        let own = step[0].distance(step[1]);
+        onto(indicators, curve, step[1].lerp(step[0], (sum - half) / own.max(f64::MIN_POSITIVE)), 0.5 * own)
     }
 
     /// Takes note of a point, if it is new; true when it is.

@@ -280,8 +280,7 @@ impl Found {
         let number = |name: Name| names.partition_point(|&other| other < name) as u32;
         let triangles =
             self.triangles.into_iter().map(|(corners, sheet)| Triangle { corners: corners.map(number), sheet });
-        let triangles = triangles.collect();
-        Part { names, vertices, triangles }
+        Part { triangles: triangles.collect(), names, vertices }
     }
 }
 

@@ -177,15 +177,8 @@ fn lines_from<I: Indicators + ?Sized>(indicators: &I, corner: DVec3, curve: Stra
             });
             true
         };
-        let (forth, last) = follower.follow(start, 1.0, &mut hear);
-        let (mut places, first) = match last {
-            Stop::Start => (Vec::new(), Stop::Start),
-            _ => follower.follow(start, -1.0, &mut hear),
-        };
-        places.reverse();
-        places.push(start);
-        places.extend(forth);
-        lines.push(Line { curve, places, is_along: true, ends: [first, last] });
+        let (places, _, ends) = follower.follow_both_ways(start, &mut hear);
+        lines.push(Line { curve, places, is_along: true, ends });
     }
     lines
 }
@@ -240,14 +233,8 @@ struct Assembly<'a> {
 }
 
 impl Assembly<'_> {
-    /// Adds a curve; its first end is the point `from`, if there is one. One that is lost both ways on the same spot is closed, with a turn too sharp to be followed.
-    fn add(&mut self, mut line: Line, from: Option<u32>) {
-        if let ([Stop::Lost, Stop::Lost], [first, _, .., last]) = (line.ends, &line.places[..])
-            && from.is_none()
-            && first.distance(*last) < self.points.reach
-        {
-            line.ends = [Stop::Start; 2];
-        }
+    /// Adds a curve; its first end is the point `from`, if there is one.
+    fn add(&mut self, line: Line, from: Option<u32>) {
         let mut end = |stop: Stop, is_first: bool| {
             let point = match stop {
                 _ if is_first && from.is_some() => from,

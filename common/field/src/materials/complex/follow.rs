@@ -61,18 +61,9 @@ pub fn way_round<I: Indicators + ?Sized>(
     from: DVec3,
 ) -> Option<Vec<DVec3>> {
     let &[i, j, k] = curve.materials() else { return None };
-    let follower = Follower { indicators, corner, own: [i, j, k] };
-    let (forth, stop) = follower.follow(from, 1.0, |_, _| true);
-    let back = match stop {
-        Stop::Start => Vec::new(),
-        Stop::Lost => match follower.follow(from, -1.0, |_, _| true) {
-            (back, Stop::Lost) if follower.meet(&[from], &forth, &back) => back,
-            _ => return None,
-        },
-        _ => return None,
-    };
-    let way: Vec<DVec3> = std::iter::once(from).chain(forth).chain(back.into_iter().rev()).collect();
-    (way.len() >= 3).then_some(way)
+    let (mut way, at, ends) = Follower { indicators, corner, own: [i, j, k] }.follow_both_ways(from, |_, _| true);
+    way.rotate_left(at);
+    (ends == [Stop::Start; 2] && way.len() >= 3).then_some(way)
 }
 
 /// The way along a junction curve from one of its places to another, both included, in the grid that ends at `corner`; `None` where the curve does not lead there, or not
@@ -223,6 +214,27 @@ impl<I: Indicators + ?Sized> Follower<'_, I> {
         let is_equal = self.indicators.clearance(place, &self.own) < EQUAL * self.indicators.voxel();
         let point = fourth.filter(|_| is_equal).and_then(|(fourth, _)| Stratum::new(&[i, j, k, *fourth]));
         point.map_or(Stop::Lost, |stratum| Stop::Point(place, stratum))
+    }
+
+    /// Follows a curve from a place on it both ways: the places along its tangent, which of them the first one is, and how it ends before the first and behind the last. A curve
+    /// that is lost both ways on the same spot is closed, with a turn too sharp to be followed.
+    pub(super) fn follow_both_ways(
+        &self,
+        start: DVec3,
+        mut hear: impl FnMut(DVec3, DVec3) -> bool,
+    ) -> (Vec<DVec3>, usize, [Stop; 2]) {
+        let (forth, last) = self.follow(start, 1.0, &mut hear);
+        let (mut places, first) = match last {
+            Stop::Start => (Vec::new(), Stop::Start),
+            _ => self.follow(start, -1.0, &mut hear),
+        };
+        let before = places.len();
+        let is_lost = [first, last] == [Stop::Lost; 2] && before + forth.len() > 1;
+        let ends = if is_lost && self.meet(&[start], &forth, &places) { [Stop::Start; 2] } else { [first, last] };
+        places.reverse();
+        places.push(start);
+        places.extend(forth);
+        (places, before, ends)
     }
 
     /// The junction point between two places of a curve, of which the second is no longer real.
