@@ -189,7 +189,7 @@ def surfaces(case: Case, backend: str) -> str:
             str(checked["euler"]),
             f"{quality['radius_ratio_mean']:.3f} / {quality['radius_ratio_min']:.3f}",
             f"{quality['angle_min']:.1f} to {quality['angle_max']:.1f}",
-            f"{refined['inserted']:,}, {refined['rounds']}",
+            f"{sum(refined['inserted'].values()):,}, {refined['rounds']}",
             str(checked["nodes_on_wrong_side"]) if "--labels" in case.distfield else "scalar",
             f"{report['seconds']:.1f}",
         ]

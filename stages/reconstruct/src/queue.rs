@@ -11,6 +11,12 @@ use std::collections::{BinaryHeap, HashSet};
 /// Violations between two looks at whether to stop.
 const BETWEEN_STEPS: usize = 1 << 10;
 
+/// A new point keeps this part of h from all others, unless the topology or a grid node asks for it.
+pub const NEAREST_FOR_SHAPE: f64 = 0.35;
+
+/// A new point keeps this part of h from all others where the topology or a grid node asks for it.
+pub const NEAREST_FOR_TOPOLOGY: f64 = 0.05;
+
 /// What is violated, the most needed first.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize)]
 #[serde(rename_all = "snake_case")]

@@ -16,7 +16,7 @@ mod samples;
 use crate::defects::Defects;
 use crate::object::{Object, Violation};
 use crate::prepare::SurfacePoints;
-use crate::queue::{Queue, Reason, Refine, Simplex};
+use crate::queue::{NEAREST_FOR_SHAPE, NEAREST_FOR_TOPOLOGY, Queue, Reason, Refine, Simplex};
 use crate::restricted::Facet;
 use glam::DVec3;
 use isoparticles_delaunay::Delaunay;
@@ -28,12 +28,6 @@ use isoparticles_volume::Image;
 use rayon::prelude::*;
 use serde::Serialize;
 use std::collections::BTreeMap;
-
-/// A new point keeps this part of h from all others, unless the topology or a grid node asks for it.
-pub(crate) const NEAREST_FOR_SHAPE: f64 = 0.35;
-
-/// A new point keeps this part of h from all others where the topology or a grid node asks for it.
-const NEAREST_FOR_TOPOLOGY: f64 = 0.02;
 
 /// A place that was found by a look at the whole surface is taken unless a point added since is nearer than this part of the ball round it.
 const STILL_FREE: f64 = 0.8;

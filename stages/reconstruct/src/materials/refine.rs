@@ -9,8 +9,7 @@ use super::nodes::Nodes;
 use super::prepare::{LONGEST_WAY, length, onto};
 use super::segments::{Segment, segment};
 use crate::labelled::Facet;
-use crate::queue::{Queue, Reason, Refine, Remedy, Simplex};
-use crate::refine::NEAREST_FOR_SHAPE;
+use crate::queue::{NEAREST_FOR_SHAPE, NEAREST_FOR_TOPOLOGY, Queue, Reason, Refine, Remedy, Simplex};
 use glam::DVec3;
 use isoparticles_field::materials::Stratum;
 use isoparticles_field::materials::complex::way_along;
@@ -19,9 +18,6 @@ use isoparticles_stage::error::Result;
 use rayon::prelude::*;
 use serde::Serialize;
 use std::collections::BTreeMap;
-
-/// A new point keeps this part of h from all others where the topology or a grid node asks for it.
-const NEAREST_FOR_TOPOLOGY: f64 = 0.05;
 
 /// Ends of a segment are no nearer to the point that splits it than this part of its length.
 const MIDDLE: f64 = 0.2;
