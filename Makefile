@@ -241,16 +241,20 @@ $(WHEEL)/venv/.made: pipelines/wheel/requirements.lock | env
 # What shells and man read of the programs, made of their own command lines, in folders as below /usr/share; the wheel has that of its command.
 SHARE = $(CARGO_TARGET_DIR)/share
 SHARE_STAGES = distfield sizefield seed particles reconstruct
-SHARE_GOALS = info mesh surface verdict page clean demo index batch
-completions: build
+SHARE_GOALS = info mesh surface verdict page clean demo index batch tetmesh-check
+completions: build env
 	@rm -rf $(SHARE) && mkdir -p $(addprefix $(SHARE)/,bash-completion/completions zsh/site-functions fish/vendor_completions.d man/man1)
-	@told() { $(call quote,$(BIN))/"$$1" --completions bash > $(SHARE)/bash-completion/completions/$$2 \
-	  && $(call quote,$(BIN))/"$$1" --completions zsh > $(SHARE)/zsh/site-functions/_$$2 \
-	  && $(call quote,$(BIN))/"$$1" --completions fish > $(SHARE)/fish/vendor_completions.d/$$2.fish \
-	  && $(call quote,$(BIN))/"$$1" --man-page > $(SHARE)/man/man1/$$2.1; }; \
-	  told isoparticles-case isoparticles || exit $$?; \
-	  for stage in $(SHARE_STAGES); do told $$stage $$stage || exit $$?; done; \
-	  for goal in $(SHARE_GOALS); do $(call quote,$(BIN))/isoparticles-case --man-page $$goal > $(SHARE)/man/man1/isoparticles-$$goal.1 || exit $$?; done
+	@lines=$$(mktemp -d) && trap 'rm -rf "$$lines"' EXIT && bin=$(call quote,$(BIN)) && shells() { command=$$1 name=$$2 && shift 2 \
+	  && "$$command" --completions bash "$$@" > $(SHARE)/bash-completion/completions/$$name \
+	  && "$$command" --completions zsh "$$@" > $(SHARE)/zsh/site-functions/_$$name \
+	  && "$$command" --completions fish "$$@" > $(SHARE)/fish/vendor_completions.d/$$name.fish; }; \
+	  for stage in $(SHARE_STAGES); do shells "$$bin/$$stage" $$stage && "$$bin/$$stage" --man-page > $(SHARE)/man/man1/$$stage.1 \
+	    && "$$bin/$$stage" --command-line > "$$lines/$$stage" || exit $$?; done; \
+	  $(call quote,$(TETMESH_CHECK)) --command-line > "$$lines/tetmesh-check" || exit $$?; \
+	  set -- --command-lines "$$lines"/*; front="$$bin/isoparticles-case"; \
+	  shells "$$front" isoparticles "$$@" && shells "$$front" tetmesh-check tetmesh-check "$$@" \
+	    && "$$front" --man-page "$$@" > $(SHARE)/man/man1/isoparticles.1 || exit $$?; \
+	  for goal in $(SHARE_GOALS); do "$$front" --man-page $$goal "$$@" > $(SHARE)/man/man1/isoparticles-$$goal.1 || exit $$?; done
 	@echo $(SHARE)
 
 # --- Checks of the project itself -------------------------------------------------------------------------------------

@@ -1,16 +1,18 @@
 """A batch of fifty phantoms, a few real volumes and five broken rows, interrupted and called again: five clear reports, the rest done.
 
     tests/batch.py --data ../shared/data        # or: make bench-batch
+    tests/batch.py --slurm                      # through `make cluster PROFILE=slurm`, on a Slurm of its own (tests/slurm.sh)
 
 Makes the volumes and the list, runs `isoparticles-case batch` over it as `make batch` does, sends SIGINT when a third of the rows is done, and
 calls it again. Checked are the exit codes, the summary, that just the broken rows are not fit, each with what is wrong and what to do, and that
-no row of before the interrupt was made again.
+no row of before the interrupt was made again. On Slurm all jobs that there are get `scancel` instead; the call goes on with the other rows.
 """
 
 from __future__ import annotations
 
 import argparse
 import csv
+import getpass
 import itertools
 import signal
 import subprocess
@@ -30,7 +32,6 @@ VARIANTS = (
     ["--size", "28", "--noise", "10"],
     ["--size", "36", "--kind", "label", "--rotate", "10,0,60"],
 )
-PHANTOMS = 50
 REAL = (
     {"NAME": "mickey", "INPUT": "mickey_labels.nrrd", "LABELS": "2"},
     {"NAME": "mickey-coarse", "INPUT": "mickey_labels.nrrd", "LABELS": "2", "SIZE": "4"},
@@ -45,15 +46,20 @@ BROKEN = {
     "no-volume": "does not start with the letters NRRD",
 }
 """Names of the broken rows, and what has to be said of each."""
+SLURM_OPTIONS = (
+    "--slurm-status-command squeue --slurm-no-account --max-threads 1 --retries 0 "
+    "--slurm-init-seconds-before-status-checks 3 --seconds-between-status-checks 3"
+)
+"""What Snakemake is told for a Slurm without accounting (docs/cluster.md)."""
 COLUMNS = ("NAME", "INPUT", "ISO", "LABELS", "SIZE", "VERTICES")
 SHARE_BEFORE = 1.0 / 3.0
 """Part of the rows that is done when the interrupt comes."""
 
 
-def phantoms(folder: Path, program: Path) -> list[dict[str, str]]:
+def phantoms(folder: Path, program: Path, count: int) -> list[dict[str, str]]:
     """Make the volumes, and a row for each."""
     rows = []
-    for number, (variant, shape) in enumerate(itertools.islice(itertools.product(VARIANTS, SHAPES), PHANTOMS)):
+    for number, (variant, shape) in enumerate(itertools.islice(itertools.product(VARIANTS, SHAPES), count)):
         path = folder / f"{shape}-{number:02}.nrrd"
         subprocess.run([program, shape, "-o", path, *variant, "--seed", str(number)], check=True)
         labels = "label" in variant
@@ -122,45 +128,62 @@ def main() -> int:
     parser.add_argument("--tetmesh-check", metavar="PROGRAM", type=Path, default=Path(".venv/bin/tetmesh-check"))
     parser.add_argument("--data", metavar="DIR", type=Path, help="folder of real volumes; without it phantoms alone")
     parser.add_argument("--goal", default="surface", help="how far each case is made (default surface)")
+    parser.add_argument("--phantoms", metavar="N", type=int, default=50, help="phantoms, 8 to 56 (default 50)")
+    parser.add_argument("--slurm", action="store_true", help="make the rows by the jobs of a Slurm of its own")
+    parser.add_argument("settings", metavar="KEY=VALUE", nargs="*", help="parameters of all rows")
     arguments = parser.parse_args()
     with tempfile.TemporaryDirectory(prefix="batch-") as name:
         folder, out = Path(name), Path(name) / "out"
-        rows = phantoms(folder, arguments.bin / "phantom")
+        rows = phantoms(folder, arguments.bin / "phantom", arguments.phantoms)
         if arguments.data is not None:
             rows += [{**row, "INPUT": str((arguments.data / row["INPUT"]).resolve())} for row in REAL]
         for number, row in enumerate(broken(folder)):
             rows.insert(3 + 11 * number, row)
         write_list(folder / "cases.csv", rows)
-        command = [
-            arguments.bin / "isoparticles-case",
-            "batch",
-            f"OUT={out}",
-            "BACKEND=cpu",
-            "--list",
-            folder / "cases.csv",
-        ]
-        command += ["--as-far-as", arguments.goal, "--bin", arguments.bin, "--tetmesh-check", arguments.tetmesh_check]
-        return judge(command, rows, out)
+        settings = [f"OUT={out}", "BACKEND=cpu", *arguments.settings]
+        programs = {"BIN": arguments.bin.resolve(), "TETMESH_CHECK": arguments.tetmesh_check.absolute()}
+        if arguments.slurm:
+            words = [f"LIST={folder / 'cases.csv'}", f"GOAL={arguments.goal}", f"CLUSTER_OPTIONS={SLURM_OPTIONS}"]
+            words += [f"{key}={value}" for key, value in programs.items()]
+            return judge(["make", "cluster", "NO_BUILD=1", "PROFILE=slurm", *words, *settings], rows, out, True)
+        command = [arguments.bin / "isoparticles-case", "batch", *settings, "--list", folder / "cases.csv"]
+        command += ["--as-far-as", arguments.goal]
+        command += ["--bin", programs["BIN"], "--tetmesh-check", programs["TETMESH_CHECK"]]
+        return judge(command, rows, out, False)
 
 
-def judge(command: list[object], rows: list[dict[str, str]], out: Path) -> int:
+def interrupt(first: subprocess.Popen[bytes], on_slurm: bool) -> None:
+    """Stop what is under way; on Slurm its jobs alone."""
+    if on_slurm:
+        subprocess.run(["scancel", "--user", getpass.getuser()], check=True)
+    else:
+        first.send_signal(signal.SIGINT)
+    first.wait(None if on_slurm else 150)
+
+
+def judge(command: list[object], rows: list[dict[str, str]], out: Path, on_slurm: bool) -> int:
     """Run the batch twice, and say how it went."""
     wrong = []
+    # make has an exit code of its own for all that is not 0
+    stopped, not_fit = (2, 2) if on_slurm else (130, 1)
     begun = time.monotonic()
     with (out.parent / "log").open("wb") as log:
         first = subprocess.Popen(list(map(str, command)), stdout=log, stderr=log, start_new_session=True)
-        while first.poll() is None and len(summary(out)) < SHARE_BEFORE * len(rows):
+        while first.poll() is None and max(len(summary(out)), len(times(out))) < SHARE_BEFORE * len(rows):
             time.sleep(0.05)
-        first.send_signal(signal.SIGINT)
-        first.wait(150)
-    if first.returncode != 130:
-        wrong.append(f"the interrupted batch ended with {first.returncode}, not 130")
+        interrupt(first, on_slurm)
+    if first.returncode != stopped:
+        wrong.append(f"the interrupted batch ended with {first.returncode}, not {stopped}")
     before, done = times(out), {row["name"] for row in summary(out) if row["verdict"] in ("passed", "warning")}
-    print(f"interrupted after {time.monotonic() - begun:.0f} s: {len(done)} of {len(rows)} rows done", flush=True)
+    print(
+        f"interrupted, ended after {time.monotonic() - begun:.0f} s: {len(done)} of {len(rows)} rows done", flush=True
+    )
+    if len(done) == len(rows) - len(BROKEN):
+        wrong.append("nothing was left for the second call")
     begun = time.monotonic()
     again = subprocess.run(list(map(str, command)), capture_output=True, text=True, check=False)
-    if again.returncode != 1:
-        wrong.append(f"the batch ended with {again.returncode}, not 1\n{again.stdout}{again.stderr}")
+    if again.returncode != not_fit:
+        wrong.append(f"the batch ended with {again.returncode}, not {not_fit}\n{again.stdout}{again.stderr}")
     found, after = summary(out), times(out)
     wrong += faults(rows, found)
     wrong += [f"{name} was made again" for name in sorted(done) if before[name] != after.get(name)]

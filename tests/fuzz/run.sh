@@ -1,59 +1,119 @@
 #!/bin/sh
-# Runs every fuzz target, or those that are named, for SECONDS each (60). Corpora start from the fixtures of the tests and are kept in
-# target/fuzz, finds in target/fuzz/artifacts. Needs nightly Rust and cargo-fuzz (cargo install cargo-fuzz).
+# Fuzzes every reader of files, or those that are named, for SECONDS each (60), JOBS side by side (1). What they are fed starts from the fixtures of
+# the tests and from seeds/; it is kept in target/fuzz/corpus, finds in target/fuzz/finds. Needs nightly Rust and cargo-fuzz (cargo install cargo-fuzz).
 #
-#   tests/fuzz/run.sh [--seconds N] [TARGET...]
+#   tests/fuzz/run.sh [--seconds N] [--jobs N] [--pack FOLDER] [READER...]
+#
+# --pack only builds, and puts what another machine needs into FOLDER: FOLDER/run.sh --seconds 300 --jobs 16 runs there without Rust.
 set -eu
-cd "$(dirname "$0")/../.."
+here=$(cd "$(dirname "$0")" && pwd)
 
 seconds=60
-if [ "${1-}" = --seconds ]; then
-    seconds=$2
+jobs=1
+pack=
+while [ $# -gt 0 ]; do
+    case $1 in
+    --seconds) seconds=$2 ;;
+    --jobs) jobs=$2 ;;
+    --pack) pack=$2 ;;
+    *) break ;;
+    esac
     shift 2
-fi
-cargo +nightly fuzz --version >/dev/null 2>&1 || {
-    echo "error: cargo-fuzz or nightly Rust is not there" >&2
-    echo "  why it matters: the targets are built with it" >&2
-    echo "  what to do: rustup toolchain install nightly && cargo install cargo-fuzz" >&2
-    exit 2
-}
-if [ $# = 0 ]; then
-    for file in tests/fuzz/targets/*.rs; do
-        name=${file##*/}
-        set -- "$@" "${name%.rs}"
-    done
-fi
+done
 
-# The fixtures that a target starts from, by the endings that its reader knows.
+# Files that a reader starts from, by the endings that it knows.
 fixtures() {
     volume=common/volume/tests/data
-    golden=common/stage/tests/data/golden
+    stage=common/stage/tests/data
     case $1 in
-    nrrd) ls $volume/nrrd/*.nrrd $volume/segmentation/*.nrrd ;;
+    nrrd) ls $volume/nrrd/*.nrrd $volume/nrrd/*.nhdr $volume/segmentation/*.nrrd ;;
     nifti) ls $volume/nifti/*.nii ;;
     compressed_nifti) ls $volume/nifti/*.nii.gz ;;
-    meta_image) ls $volume/meta/*.mha ;;
+    meta_image) ls $volume/meta/*.mha $volume/meta/*.mhd ;;
     vtk_image) ls $volume/vti/*.vti ;;
-    dicom) ls $volume/dicom/*/*.dcm ;;
-    field | materials) ls $golden/*.vti ;;
-    particles) ls $golden/*.bin ;;
-    surface | cloud_of_polygons) ls $golden/*.vtp ;;
-    cloud_of_ply) ls $golden/*.ply ;;
+    field) ls $stage/golden/field_*.vti $stage/edited/*.vti ;;
+    materials) ls $stage/golden/materials_*.vti ;;
+    particles) ls $stage/golden/*.bin ;;
+    surface | cloud_of_polygons) ls $stage/golden/*.vtp ;;
+    cloud_of_ply) ls $stage/golden/*.ply ;;
     any_volume) ls $volume/nrrd/*.nrrd $volume/meta/*.mha $volume/vti/*.vti $volume/nifti/* ;;
     esac
+    ls tests/fuzz/seeds/"$1"/* 2>/dev/null || true
 }
 
-status=0
-for name; do
-    corpus=target/fuzz/corpus/$name
-    artifacts=target/fuzz/artifacts/$name/
-    mkdir -p "$corpus" "$artifacts"
-    fixtures "$name" | while read -r file; do cp "$file" "$corpus/"; done
-    echo "== $name, $seconds s"
-    # A reader may take memory that its file fills, and no more: files are at most 64 KiB here.
-    cargo +nightly fuzz run --fuzz-dir tests/fuzz --target-dir target/fuzz "$name" "$corpus" -- \
-        -max_total_time="$seconds" -max_len=65536 -timeout=10 -rss_limit_mb=2048 -print_final_stats=1 \
-        -artifact_prefix="$artifacts" 2>&1 | grep -E "stat::number_of_executed|panicked|ERROR|SUMMARY|Test unit written|error" || true
-    [ -z "$(ls "$artifacts")" ] || status=1
+# The program that is fuzzed, and what each reader starts from, into a folder.
+pack() {
+    cargo +nightly fuzz --version >/dev/null 2>&1 || {
+        echo "error: cargo-fuzz or nightly Rust is not there" >&2
+        echo "  why it matters: the program that is fuzzed is built with it" >&2
+        echo "  what to do: rustup toolchain install nightly && cargo install cargo-fuzz" >&2
+        exit 2
+    }
+    # There is no unsafe code of ours for a sanitizer to watch, and it would take half of the speed; overflows and debug assertions are on.
+    cargo +nightly fuzz build --fuzz-dir tests/fuzz --target-dir target/fuzz -s none readers
+    mkdir -p "$1"
+    strip -o "$1/readers" target/fuzz/*/release/readers
+    cp tests/fuzz/run.sh tests/fuzz/words.dict "$1/"
+    for reader in $(sed -n 's/^    reader("\([a-z_]*\)".*/\1/p' tests/src/readers.rs); do
+        mkdir -p "$1/seeds/$reader"
+        # slices make a series: one behind the other
+        if [ "$reader" = dicom ]; then
+            for series in common/volume/tests/data/dicom/*; do cat "$series"/*.dcm >"$1/seeds/dicom/${series##*/}.dcm"; done
+        fi
+        fixtures "$reader" | while read -r file; do cp "$file" "$1/seeds/$reader/"; done
+    done
+}
+
+# One reader for as long as was asked, begun again after every find.
+fuzz() {
+    mkdir -p "$work/corpus/$1" "$work/finds" "$work/logs" "$scratch/$1"
+    most=8192
+    # the smallest file of many materials has 41 kB
+    if [ "$1" = materials ]; then most=65536; fi
+    end=$(($(date +%s) + seconds))
+    : >"$work/logs/$1"
+    while left=$((end - $(date +%s))) && [ "$left" -gt 0 ]; do
+        # files to read lie in memory, and one thread is what a fuzzed reader gets
+        status=0
+        READER=$1 TMPDIR=$scratch/$1 RAYON_NUM_THREADS=1 "$program/readers" "$work/corpus/$1" "$program/seeds/$1" -dict="$program/words.dict" \
+            -max_total_time="$left" -max_len=$most -timeout=10 -rss_limit_mb=2048 -print_final_stats=1 \
+            -artifact_prefix="$work/finds/$1-" >>"$work/logs/$1" 2>&1 || status=$?
+        # 70, 71 and 77: too slow, too much memory, a crash
+        case $status in 70 | 71 | 77) ;; *) break ;; esac
+    done
+    runs=$(awk '/stat::number_of_executed_units/ { sum += $2 } END { print sum + 0 }' "$work/logs/$1")
+    finds=$(find "$work/finds" -name "$1-*" | wc -l)
+    printf '%-20s %10d executions %7d a second %6d files kept %4d finds\n' "$1" "$runs" $((runs / seconds)) "$(find "$work/corpus/$1" -type f | wc -l)" "$finds"
+}
+
+# Packed, this lies beside the program; in the project it is built first.
+if [ -x "$here/readers" ]; then
+    program=$here
+    work=${OUT:-$here/work}
+else
+    cd "$here/../.."
+    program=target/fuzz/packed
+    work=target/fuzz
+    pack "${pack:-$program}"
+    if [ -n "$pack" ]; then exit 0; fi
+fi
+if [ $# = 0 ]; then set -- $(ls "$program/seeds"); fi
+scratch=$(mktemp -d "$(if [ -w /dev/shm ]; then echo /dev/shm; else echo "${TMPDIR:-/tmp}"; fi)/fuzz.XXXXXX")
+trap 'rm -rf "$scratch"' EXIT
+trap 'exit 130' INT TERM
+
+mkdir -p "$work/finds"
+running=0
+for reader; do
+    if [ "$running" -ge "$jobs" ]; then
+        wait
+        running=0
+    fi
+    fuzz "$reader" &
+    running=$((running + 1))
 done
-exit $status
+wait
+cat "$work"/logs/* | awk '/stat::number_of_executed_units/ { sum += $2 } END { printf "%d executions in all\n", sum }'
+if [ -z "$(ls "$work/finds")" ]; then exit 0; fi
+grep -hE "panicked at|ERROR: libFuzzer" "$work"/logs/* | sort | uniq -c
+exit 1

@@ -9,6 +9,7 @@ use isoparticles_stage::materials_file::read_materials;
 use isoparticles_stage::particle_file::{ParticleKind, read_particles};
 use isoparticles_volume::{data_files, read_volume};
 use std::path::Path;
+use tempfile::TempDir;
 
 /// A reader and the endings of the files that it is given.
 #[derive(Clone, Copy, Debug)]
@@ -26,7 +27,7 @@ fn volume(path: &Path) -> Option<Error> {
     read_volume(path).err().map(Error::from)
 }
 
-/// A folder of one slice.
+/// The folder of slices that the file lies in.
 fn series(path: &Path) -> Option<Error> {
     read_volume(path.parent()?).err().map(Error::from)
 }
@@ -87,24 +88,95 @@ impl Reader {
     ///
     /// # Panics
     /// When it does, or its error has not all three parts.
-    pub fn feed(&self, bytes: &[u8]) {
-        self.feed_file(&format!("file.{}", self.ending), bytes);
+    pub fn feed(self, bytes: &[u8]) {
+        Feeder::new(self).feed(bytes);
     }
+}
 
-    /// The same with a name of the file's own.
+/// A reader and a folder for what it is fed, which one file after the other is written into.
+#[derive(Debug)]
+pub struct Feeder {
+    reader: Reader,
+    folder: TempDir,
+}
+
+impl Feeder {
+    /// A folder for a reader, among the temporary files.
     ///
     /// # Panics
-    /// As [`Reader::feed`].
+    /// When it cannot be made.
+    pub fn new(reader: Reader) -> Self {
+        Self { reader, folder: tempfile::tempdir().expect("a folder for files") }
+    }
+
+    /// Feeds a file with these bytes: to the reader of series a folder of [`slices`], to that of particles the file that is [`sealed`], too.
+    ///
+    /// # Panics
+    /// When the reader does, or its error has not all three parts.
+    pub fn feed(&self, bytes: &[u8]) {
+        let name = format!("file.{}", self.reader.ending);
+        if self.reader.ending != "dcm" {
+            self.feed_file(&name, bytes);
+            if let Some(sealed) = sealed(bytes) {
+                self.feed_file(&name, &sealed);
+            }
+            return;
+        }
+        let others: Vec<_> = slices(bytes)
+            .enumerate()
+            .map(|(number, slice)| (self.folder.path().join(format!("{number}.dcm")), slice))
+            .collect();
+        for (path, slice) in &others {
+            std::fs::write(path, slice).expect("a slice to read");
+        }
+        // the reader wants the folder of a file, whether that is there or not
+        self.read(&self.folder.path().join(name));
+        for (path, _) in &others {
+            std::fs::remove_file(path).expect("a slice that is there");
+        }
+    }
+
+    /// Feeds a file of this name.
+    ///
+    /// # Panics
+    /// As [`Feeder::feed`].
     pub fn feed_file(&self, name: &str, bytes: &[u8]) {
-        let folder = tempfile::tempdir().expect("a folder for a file");
-        let path = folder.path().join(name);
+        let path = self.folder.path().join(name);
         std::fs::write(&path, bytes).expect("a file to read");
-        if let Some(error) = (self.read)(&path) {
+        self.read(&path);
+    }
+
+    fn read(&self, path: &Path) {
+        if let Some(error) = (self.reader.read)(path) {
             assert!(
                 !error.what.is_empty() && !error.why.is_empty() && !error.next.is_empty(),
                 "{}: {error}",
-                self.name
+                self.reader.name
             );
         }
     }
+}
+
+/// A file of particles with the length and the checksum of what it holds (`particle_file.rs`), which no chance hits on; `None` of others.
+fn sealed(bytes: &[u8]) -> Option<Vec<u8>> {
+    let (head, _) = bytes.split_at_checked(16).filter(|(head, _)| head.starts_with(b"ISOPART\n"))?;
+    let payload = bytes.get(56..)?;
+    Some([head, &(payload.len() as u64).to_le_bytes(), blake3::hash(payload).as_bytes(), payload].concat())
+}
+
+/// Where a slice says what it is, from its start.
+const SLICE_MAGIC: usize = 128;
+
+/// Slices that stand one behind the other: each begins 128 bytes before its letters DICM. A volume is made of two slices and more, so that
+/// one by itself is refused before its pixels are looked at.
+fn slices(bytes: &[u8]) -> impl Iterator<Item = &[u8]> {
+    let mut rest = Some(bytes);
+    std::iter::from_fn(move || {
+        let bytes = rest.take()?;
+        let next =
+            bytes.windows(4).skip(2 * SLICE_MAGIC).position(|window| window == b"DICM").map(|at| at + SLICE_MAGIC);
+        let (slice, others) = bytes.split_at(next.unwrap_or(bytes.len()));
+        rest = next.map(|_| others);
+        Some(slice)
+    })
 }

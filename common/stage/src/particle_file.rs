@@ -88,11 +88,12 @@ struct PayloadOut<'a> {
     extra: &'a [u8],
 }
 
+/// The texts as bytes, which are as long in the file: for a text bincode takes the memory that its length asks for before it looks at what is there.
 #[derive(Deserialize)]
 struct PayloadIn {
     particles: ParticleSet,
-    meta: String,
-    history: String,
+    meta: Vec<u8>,
+    history: Vec<u8>,
     extra: Vec<u8>,
 }
 
@@ -248,8 +249,8 @@ pub fn read_particles(path: &Path, accepted: &[ParticleKind]) -> Result<Particle
     if let Some(strata) = &strata {
         check_strata(strata, decoded.particles.positions.len()).map_err(damaged)?;
     }
-    let meta = serde_json::from_str(&decoded.meta).map_err(|_| damaged("its note cannot be read"))?;
-    let history = serde_json::from_str(&decoded.history).map_err(|_| damaged("its history cannot be read"))?;
+    let meta = serde_json::from_slice(&decoded.meta).map_err(|_| damaged("its note cannot be read"))?;
+    let history = serde_json::from_slice(&decoded.history).map_err(|_| damaged("its history cannot be read"))?;
     Ok(ParticleFile { kind, particles: decoded.particles, strata, meta, history, extra: decoded.extra })
 }
 

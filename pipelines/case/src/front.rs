@@ -3,6 +3,9 @@
 use crate::keys::{Form, KEYS, Key};
 use clap::builder::PossibleValuesParser;
 use clap::{Arg, Command, ValueHint};
+use isoparticles_stage::cli::shell::CommandLine;
+use isoparticles_stage::error::{Error, Result};
+use std::path::Path;
 
 /// The stages, and what becomes of what in each.
 const STAGES: [(&str, &str); 6] = [
@@ -14,9 +17,27 @@ const STAGES: [(&str, &str); 6] = [
     ("tetmesh-check", "Triangles and h to tetrahedra, checked and solved on"),
 ];
 
-/// The command line of `isoparticles`, for completions and the manual.
+/// Reads what a stage has told of its command line.
+///
+/// # Errors
+/// When the file cannot be read or is something else.
+pub fn stage(path: &Path) -> Result<CommandLine> {
+    let text =
+        std::fs::read(path).map_err(|error| Error::file(path, "read", &error, "write it by STAGE --command-line"))?;
+    serde_json::from_slice(&text).map_err(|error| {
+        Error::of_file(
+            path,
+            format!("is no command line: {error}"),
+            "a stage has told it",
+            "write it by STAGE --command-line",
+        )
+    })
+}
+
+/// The command line of `isoparticles`, for completions and the manual, with those of the stages that are `known`; behind the others' names
+/// anything may stand.
 #[must_use]
-pub fn command() -> Command {
+pub fn command(known: &[CommandLine]) -> Command {
     let options = || KEYS.iter().filter(|key| !["CASE", "INPUT"].contains(&key.name)).map(option);
     let of_volume = |name: &'static str, about: &'static str| {
         let volume = Arg::new("VOLUME").value_hint(ValueHint::AnyPath).help("The volume, or a folder of DICOM slices");
@@ -35,6 +56,9 @@ pub fn command() -> Command {
         .help("How far each case is made")
         .value_parser(PossibleValuesParser::new(["distfield", "sizefield", "seed", "particles", "surface", "mesh"]));
     let stages = STAGES.map(|(name, about)| {
+        if let Some(known) = known.iter().find(|known| known.name == name) {
+            return known.command().about(about);
+        }
         let more = Arg::new("ARGUMENTS").num_args(0..).allow_hyphen_values(true).value_hint(ValueHint::AnyPath);
         Command::new(name).about(about).arg(more.help("As `isoparticles STAGE --help` tells them"))
     });
@@ -74,12 +98,34 @@ fn option(key: &Key) -> Arg {
 #[cfg(test)]
 mod tests {
     use super::command;
+    use isoparticles_stage::cli::shell::{CommandLine, StageOption};
 
     #[test]
     fn the_command_line_is_sound_and_takes_what_the_documents_show() {
-        command().debug_assert();
+        command(&[]).debug_assert();
         let line = "isoparticles mesh ct.nii.gz --labels 1,2 --border open --iso -500 -o out";
-        command().try_get_matches_from(line.split(' ')).expect("as docs/install.md has it");
-        assert!(command().try_get_matches_from(["isoparticles", "mesh", "ct.nrrd", "--border", "closed"]).is_err());
+        command(&[]).try_get_matches_from(line.split(' ')).expect("as docs/install.md has it");
+        assert!(command(&[]).try_get_matches_from(["isoparticles", "mesh", "ct.nrrd", "--border", "closed"]).is_err());
+    }
+
+    #[test]
+    fn what_a_stage_tells_follows_its_name() {
+        let option = |long: &str, value: Option<&str>, words: &[&str]| StageOption {
+            long: long.to_owned(),
+            value: value.map(str::to_owned),
+            words: words.iter().map(|&word| word.to_owned()).collect(),
+            ..StageOption::default()
+        };
+        let options = vec![
+            option("mode", Some("M"), &["fast", "slow"]),
+            option("iso", Some("X"), &[]),
+            option("force", None, &[]),
+        ];
+        let told = [CommandLine { name: "distfield".to_owned(), options, ..CommandLine::default() }];
+        command(&told).debug_assert();
+        let fits = |line: &str| command(&told).try_get_matches_from(line.split(' ')).is_ok();
+        assert!(fits("isoparticles distfield a.nrrd --iso -5 --mode slow --force"));
+        assert!(!fits("isoparticles distfield a.nrrd --mode none") && !fits("isoparticles distfield --is 3"));
+        assert!(fits("isoparticles sizefield --is 3"));
     }
 }

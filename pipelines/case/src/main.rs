@@ -10,7 +10,7 @@ use isoparticles_case::status::Status;
 use isoparticles_case::{batch, cluster, front, index, keys, name, program, verdict};
 use isoparticles_stage::cli::shell;
 use isoparticles_stage::error::{Error, Result};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 /// Make a case: run the stages whose results are missing or no longer true, and keep the truth in OUT/NAME/NAME.status.json.
@@ -67,7 +67,7 @@ struct Arguments {
 
 fn main() -> ExitCode {
     // Nobody types the name of this program: what it tells is about the command that calls it.
-    if let Some(code) = shell::told(front::command) {
+    if let Some(code) = told() {
         return code;
     }
     let arguments = match Arguments::try_parse() {
@@ -83,6 +83,22 @@ fn main() -> ExitCode {
         Err(error) => {
             eprintln!("error: {error}");
             ExitCode::from(2)
+        }
+    }
+}
+
+/// What shells and `man` ask for; behind `--command-lines` come the files that the stages' `--command-line` was written to.
+fn told() -> Option<ExitCode> {
+    let words: Vec<String> = std::env::args_os().skip(1).map(|word| word.to_string_lossy().into_owned()).collect();
+    let mut parts = words.splitn(2, |word| word == "--command-lines");
+    let asked: Vec<&str> = parts.next()?.iter().map(String::as_str).collect();
+    let stages: Result<Vec<_>> =
+        parts.next().unwrap_or_default().iter().map(|path| front::stage(Path::new(path))).collect();
+    match stages {
+        Ok(stages) => shell::told(&asked, || front::command(&stages)),
+        Err(error) => {
+            eprintln!("error: {error}");
+            Some(ExitCode::from(2))
         }
     }
 }

@@ -68,12 +68,13 @@ def test_shells_and_man_know_every_goal(site: Path, run: Run) -> None:
         assert not [goal for goal in goals if goal not in text]
         assert "min-size" in text
     pages = {page.stem for page in (site / "share" / "man" / "man1").iterdir()}
-    assert pages == {"isoparticles", *(f"isoparticles-{goal}" for goal in goals if goal != "tetmesh-check")}
+    assert pages == {"isoparticles", *(f"isoparticles-{goal}" for goal in goals)}
     assert "min\\-size" in (site / "share" / "man" / "man1" / "isoparticles-mesh.1").read_text()
     assert "max\\-memory" in (site / "share" / "man" / "man1" / "isoparticles-distfield.1").read_text()
-    script = f'{bash}\nCOMP_WORDS=(isoparticles mesh --bord); COMP_CWORD=2; _isoparticles isoparticles --bord mesh; echo "${{COMPREPLY[@]}}"'
-    done = subprocess.run(["bash", "-c", script], capture_output=True, text=True, check=True)
-    assert done.stdout.strip() == "--border"
+    for goal, word, whole in (("mesh", "--bord", "--border"), ("distfield", "--max-m", "--max-memory"), ("tetmesh-check", "--tet-s", "--tet-size-factor")):
+        script = f'{bash}\nCOMP_WORDS=(isoparticles {goal} {word}); COMP_CWORD=2; _isoparticles isoparticles {word} {goal}; echo "${{COMPREPLY[@]}}"'
+        done = subprocess.run(["bash", "-c", script], capture_output=True, text=True, check=True)
+        assert done.stdout.strip() == whole
 
 
 def sorted_as(words: list[str], text: str) -> list[str]:

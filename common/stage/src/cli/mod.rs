@@ -125,7 +125,8 @@ pub fn run_stage<A: clap::Parser + StageArgs>(
     tool: &'static str,
     run: impl FnOnce(&A, &Context) -> Result<Outcome>,
 ) -> ExitCode {
-    if let Some(code) = shell::told(A::command) {
+    let words: Vec<String> = std::env::args_os().skip(1).map(|word| word.to_string_lossy().into_owned()).collect();
+    if let Some(code) = shell::told(&words.iter().map(String::as_str).collect::<Vec<_>>(), A::command) {
         return code;
     }
     let args = match A::try_parse() {

@@ -8,7 +8,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from tetmesh_check import __version__
+from tetmesh_check import __version__, command_line
 from tetmesh_check.context import TOOL, CommonArguments, Context, Interruptible, canonical_command_line
 from tetmesh_check.errors import StageError, unexpected
 from tetmesh_check.files import check_report, refuse_existing, same_file
@@ -288,6 +288,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         The exit code (see :class:`.ExitCode`).
     """
     words = list(sys.argv[1:] if argv is None else argv)
+    if words == [command_line.WORD]:
+        print(command_line.told(build_parser()))
+        return 0
     parsed = build_parser().parse_args(words)
     failed: list[str] = []
     error: StageError | None = None

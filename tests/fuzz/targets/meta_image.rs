@@ -1,3 +1,0 @@
-#![no_main]
-
-libfuzzer_sys::fuzz_target!(|bytes: &[u8]| isoparticles_tests::readers::Reader::named("meta_image").feed(bytes));
