@@ -1,141 +1,134 @@
-//! Whether the elements of a DICOM file lie within it: dicom-rs 0.10 takes the memory for an element before it reads it, up to 4 GiB.
+//! Whether the elements of a DICOM file lie within it: dicom-rs 0.10 takes the memory for a value before it reads it, up to 4 GiB. Its own lazy reader finds
+//! the elements here, and no value is read.
 
+use dicom_encoding::decode::{Decode, explicit_le::ExplicitVRLittleEndianDecoder};
+use dicom_encoding::transfer_syntax::TransferSyntaxIndex;
+use dicom_object::FileMetaTable;
+use dicom_parser::StatefulDecode;
+use dicom_parser::dataset::{LazyDataToken, lazy_read::LazyDataSetReader};
+use dicom_transfer_syntax_registry::TransferSyntaxRegistry;
 use std::fs::File;
-use std::io::{self, BufRead, BufReader, Read};
+use std::io::{self, BufReader, Read, Seek, SeekFrom};
 use std::path::Path;
 
-/// Bytes before the first element: the preamble and the letters DICM.
-const START: i64 = 132;
-/// A length that is not given: the element ends with a delimiter.
-const UNDEFINED: u32 = u32::MAX;
-/// Kinds of values whose length has two bytes. That of all others has four, behind two that are reserved; dicom-rs takes kinds that it does
-/// not know in the same way.
-const SHORT: [&[u8; 2]; 21] = [
-    b"AE", b"AS", b"AT", b"CS", b"DA", b"DS", b"DT", b"FD", b"FL", b"IS", b"LO", b"LT", b"PN", b"SH", b"SL", b"SS",
-    b"ST", b"TM", b"UI", b"UL", b"US",
-];
+/// Bytes before the letters DICM, and with them.
+const PREAMBLE: u64 = 128;
+const START: u64 = PREAMBLE + 4;
 
-/// Known kinds of values whose length has four bytes, but sequences and the unknown (UN). Where their length is not given, dicom-rs looks for
-/// items in them, and for elements in those.
-const LONG: [&[u8; 2]; 11] = [b"OB", b"OD", b"OF", b"OL", b"OV", b"OW", b"SV", b"UC", b"UR", b"UT", b"UV"];
-
-/// How the elements behind the file's own group are written, by the transfer syntax.
-#[derive(Clone, Copy, PartialEq)]
-struct Form {
-    is_explicit: bool,
-    is_big: bool,
-}
-
-impl Form {
-    fn of(syntax: &[u8]) -> Self {
-        match syntax.trim_ascii_end().strip_suffix(b"\0").unwrap_or(syntax) {
-            b"1.2.840.10008.1.2" => Self { is_explicit: false, is_big: false },
-            b"1.2.840.10008.1.2.2" => Self { is_explicit: true, is_big: true },
-            _ => Self { is_explicit: true, is_big: false },
-        }
-    }
-
-    fn short(self, bytes: [u8; 2]) -> u16 {
-        if self.is_big { u16::from_be_bytes(bytes) } else { u16::from_le_bytes(bytes) }
-    }
-
-    fn long(self, bytes: [u8; 4]) -> u32 {
-        if self.is_big { u32::from_be_bytes(bytes) } else { u32::from_le_bytes(bytes) }
-    }
-}
-
-/// Whether no element promises more bytes than the file has. What ends early or is damaged in another way is left to dicom-rs.
+/// Whether no element promises more bytes than the file has. What is damaged in another way is left to the reader, which fails where this one does.
 ///
 /// # Errors
 /// When the file cannot be read.
 pub(super) fn lie_within(path: &Path) -> io::Result<bool> {
     let file = File::open(path)?;
-    let mut left = (file.metadata()?.len() as i64 - START).max(0);
+    let end = file.metadata()?.len();
     let mut reader = BufReader::new(file);
-    reader.seek_relative(START)?;
-    let mut form = Form { is_explicit: true, is_big: false };
-    let mut syntax = Vec::new();
-    let mut in_file_group = true;
-    let mut in_pixels = false;
-    loop {
-        let mut head = [0; 8];
-        if left < 8 {
-            return Ok(true);
-        }
-        reader.read_exact(&mut head)?;
-        left -= 8;
-        let [a, b, c, d, e, f, g, h] = head;
-        if in_file_group && [a, b] != [2, 0] {
-            (in_file_group, form) = (false, Form::of(&syntax));
-        }
-        let tag = (form.short([a, b]), form.short([c, d]));
-        let kind = [e, f];
-        let is_delimiter = tag.0 == 0xfffe;
-        let length = if is_delimiter || !form.is_explicit {
-            form.long([e, f, g, h])
-        } else if SHORT.contains(&&kind) {
-            form.short([g, h]).into()
-        } else {
-            let mut length = [0; 4];
-            if left < 4 {
-                return Ok(true);
-            }
-            reader.read_exact(&mut length)?;
-            left -= 4;
-            form.long(length)
+    if !file_group_lies_within(&mut reader, end)? {
+        return Ok(false);
+    }
+    reader.seek(SeekFrom::Start(PREAMBLE))?;
+    let Ok(group) = FileMetaTable::from_reader(&mut reader) else { return Ok(true) };
+    let Some(syntax) = TransferSyntaxRegistry.get(group.transfer_syntax()) else { return Ok(true) };
+    let Ok(mut elements) = LazyDataSetReader::new_with_ts(reader, syntax) else { return Ok(true) };
+    while let Some(Ok(token)) = elements.advance() {
+        let (length, position) = match &token {
+            LazyDataToken::LazyValue { header, decoder } => (header.len.0, decoder.position()),
+            LazyDataToken::LazyItemValue { len, decoder } => (*len, decoder.position()),
+            _ => continue,
         };
-        let is_pixels = tag == (0x7fe0, 0x0010);
-        in_pixels |= is_pixels;
-        if length == UNDEFINED {
-            // what is in an element of unknown kind is written in another form
-            let is_known = &kind == b"SQ" || LONG.contains(&&kind);
-            if form.is_explicit && !is_delimiter && !is_pixels && !is_known {
-                return Ok(true);
-            }
-            continue;
-        }
-        let length = i64::from(length);
-        if length > left {
+        if position + u64::from(length) > end {
             return Ok(false);
         }
-        if tag == (2, 0x10) {
-            syntax = vec![0; length as usize];
-            reader.read_exact(&mut syntax)?;
-            left -= length;
-            continue;
+        if token.skip().is_err() {
+            break;
         }
-        // the elements in an item and in a sequence come next; the pieces of encoded pixels hold none
-        let is_sequence = match form.is_explicit {
-            true => &kind == b"SQ",
-            false => reader.fill_buf()?.starts_with(&[0xfe, 0xff, 0x00, 0xe0]),
-        };
-        if !in_pixels && (is_delimiter || is_sequence) {
-            continue;
-        }
-        reader.seek_relative(length)?;
-        left -= length;
     }
+    Ok(true)
+}
+
+/// The same of the file's own group, which is written in one way in all files and says in its first element how long it is.
+fn file_group_lies_within(reader: &mut BufReader<File>, end: u64) -> io::Result<bool> {
+    reader.seek(SeekFrom::Start(START))?;
+    let decoder = ExplicitVRLittleEndianDecoder::default();
+    let mut group_end = None;
+    while group_end.is_none_or(|at| reader.stream_position().is_ok_and(|position| position < at)) {
+        let Ok((element, _)) = decoder.decode_header(reader) else { return Ok(true) };
+        let Some(length) = element.len.get() else { return Ok(true) };
+        let position = reader.stream_position()?;
+        if position + u64::from(length) > end {
+            return Ok(false);
+        }
+        if group_end.is_none() {
+            let mut bytes = [0; 4];
+            if length != 4 || reader.read_exact(&mut bytes).is_err() {
+                return Ok(true);
+            }
+            group_end = Some(position + 4 + u64::from(u32::from_le_bytes(bytes)));
+        } else {
+            reader.seek_relative(length.into())?;
+        }
+    }
+    Ok(true)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
+    fn lies_within(bytes: &[u8]) -> bool {
+        let folder = tempfile::tempdir().expect("folder");
+        let path = folder.path().join("slice.dcm");
+        std::fs::write(&path, bytes).expect("written");
+        lie_within(&path).expect("read")
+    }
+
+    /// A file's own group with a transfer syntax, and elements behind it.
+    fn dicom(syntax: &[u8], elements: &[u8]) -> Vec<u8> {
+        let mut bytes = [vec![0; 128], b"DICM".to_vec()].concat();
+        bytes.extend(b"\x02\x00\x00\x00UL\x04\x00");
+        bytes.extend((8 + syntax.len() as u32).to_le_bytes());
+        bytes.extend(b"\x02\x00\x10\x00UI");
+        bytes.extend((syntax.len() as u16).to_le_bytes());
+        bytes.extend(syntax);
+        bytes.extend(elements);
+        bytes
+    }
+
     /// Fuzzing, 1: bytes of no given length under another tag than that of pixels, in whose items dicom-rs reads elements.
     #[test]
     fn elements_in_items_of_bytes_lie_within_as_well() {
-        let folder = tempfile::tempdir().expect("folder");
-        let path = folder.path().join("slice.dcm");
+        let says = |length: u32| {
+            let mut elements = b"\x30\x20\x10\x00OB\x00\x00\xff\xff\xff\xff\xfe\xff\x00\xe0\x0c\x00\x00\x00".to_vec();
+            elements.extend(b"\x00\x00\x00\x00OB\x00\x00");
+            elements.extend(length.to_le_bytes());
+            elements.extend([0; 8]);
+            lies_within(&dicom(b"1.2.840.10008.1.2.1\0", &elements))
+        };
+        assert!(!says(0xff00_0058) && says(0));
+    }
+
+    /// Fuzzing, 3: the name of the transfer syntax ends with more zeros than one, and dicom-rs takes it for what it is without them.
+    #[test]
+    fn elements_are_read_as_dicom_rs_reads_them() {
+        let says = |length: u32| {
+            let mut elements = b"\x08\x00\x60\x00".to_vec();
+            elements.extend(length.to_le_bytes());
+            elements.extend([b' '; 0x4353]);
+            lies_within(&dicom(b"1.2.840.10008.1.2\0\0\0", &elements))
+        };
+        // as an explicit element the length would begin with the letters CS and say 2
+        assert!(!says(0x0002_5343) && says(0x4352));
+    }
+
+    #[test]
+    fn elements_of_the_group_of_the_file_lie_within_too() {
         let says = |length: u32| {
             let mut bytes = [vec![0; 128], b"DICM".to_vec()].concat();
-            bytes.extend(b"\x02\x00\x10\x00UI\x14\x001.2.840.10008.1.2.1\x00");
-            bytes.extend(b"\x30\x20\x10\x00OB\x00\x00\xff\xff\xff\xff\xfe\xff\x00\xe0\x0c\x00\x00\x00");
-            bytes.extend(b"\x00\x00\x00\x00\xfe\xff\x00\xe0");
+            bytes.extend(b"\x02\x00\x00\x00UL\x04\x00\xff\x00\x00\x00\x02\x00\x02\x00UN\x00\x00");
             bytes.extend(length.to_le_bytes());
             bytes.extend([0; 8]);
-            std::fs::write(&path, &bytes).expect("written");
-            lie_within(&path).expect("read")
+            lies_within(&bytes)
         };
-        assert!(!says(0xff00_0058) && says(8));
+        assert!(!says(9) && says(8));
     }
 }
