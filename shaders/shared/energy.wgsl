@@ -1,4 +1,4 @@
-// The inter-particle energy, Eq. 1, 2 and 4.
+// The energy of a pair of particles, Eq. 1 and 2; its sums (Eq. 4) are in team_energy.wgsl.
 //
 // With x = d pi/2 and c = cot x the energy is c + x - pi/2, the first derivative -(pi/2) c^2, the second (pi^2/2) c (1 + c^2).
 // Sine and cosine are polynomials of our own: WGSL promises 11 bits for its functions, and other bits on each adapter.

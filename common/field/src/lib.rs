@@ -1,7 +1,7 @@
 //! Implicit surfaces F = 0 and the fields on them.
 //!
 //! [`spline`] is F itself: the cubic B-spline through samples of a signed distance, negative inside, with its analytic derivatives, of which [`curvature`] is made.
-//! [`sizing`] holds the target edge length h, [`energy`] the particles' energy (Eq. 1 to 4 of Kim, Chen and Hansen 2012) and
+//! [`sizing`] holds the target edge length h, [`energy`] the particles' energy (Eq. 1, 2 and 4 of Kim, Chen and Hansen 2012) and
 //! [`neighbours`] who is near whom; [`topology`] tells the components, Euler characteristics and critical points of F, [`marching_cubes`] makes a
 //! mesh of F = 0, and [`random`] counts its random numbers, so that nothing depends on the order of evaluation.
 //! [`materials`] holds one such function for each of many materials.

@@ -21,6 +21,7 @@ mod join;
 pub mod labelled;
 pub mod materials;
 pub mod object;
+mod offending;
 pub mod pinched;
 mod points_alone;
 pub mod prepare;

@@ -2,8 +2,8 @@
 //! improved or compared with an isosurface, because there is none; the report says so.
 
 use crate::check::{CheckOptions, check};
-use crate::finish::offending;
 use crate::join::compact;
+use crate::offending::offending;
 use crate::pinched::{part_sheets, pinched_vertices};
 use crate::prepare::{PrepareReport, SurfacePoints};
 use crate::run::{Args, about, describe_mesh, read_settled, write};

@@ -161,7 +161,8 @@ pub trait Refine {
     /// What is left of a violation when its turn has come.
     fn now(&self, old: &Violation<Self::Remedy>) -> Option<Violation<Self::Remedy>>;
 
-    /// Inserts the point that mends a violation; false where there is no room for one.
+    /// Inserts the point that mends a violation, and nothing else: the triangulation, the labels of the tetrahedra that it makes, what is known of the point, and
+    /// the count in the report. False where there is no room for one.
     ///
     /// # Errors
     /// Those of the triangulation.

@@ -1,7 +1,8 @@
 //! The program: options, reading, the steps in order, the checks, writing.
 
 use crate::check::CheckReport;
-use crate::finish::{attributes, offending};
+use crate::finish::attributes;
+use crate::offending::offending;
 use crate::points_alone;
 use crate::prepare::PrepareReport;
 use crate::reconstruct::{Method, Options, Reconstruction, reconstruct};
@@ -66,7 +67,7 @@ pub struct Args {
     pub max_rounds: u16,
     /// Radius ratio (2r/R, 1 for an equilateral triangle) below which triangles are worked on by local moves, 0 to 1; 0 with
     /// --relaxation-sweeps 0 leaves the triangulation as it is
-    #[arg(long, value_name = "RATIO", default_value_t = 0.7, value_parser = share, help_heading = METHOD)]
+    #[arg(long, value_name = "RATIO", default_value_t = 0.8, value_parser = share, help_heading = METHOD)]
     pub improve_below: f64,
     /// Sweeps over the whole mesh before that, which move vertices along F = 0 and flip edges wherever the triangles gain
     /// by it, 0 to 20

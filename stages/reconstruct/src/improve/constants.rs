@@ -12,12 +12,12 @@ pub(super) const AIM_ANGLES: [f64; 2] = [28.0, 105.0];
 pub(super) const SURELY_WIDE: f64 = 0.78;
 /// Gain that counts; what is smaller may be rounding, and would never end.
 pub(super) const LEAST_GAIN: f64 = 1e-5;
+/// The same for a sweep, in smallest and mean quality together: a tenth of it moves vertices for ever without a mean that shows it.
+pub(super) const LEAST_GAIN_OF_SWEEP: f64 = 1e-4;
 /// What a triangle below a bar counts for beside the square of how far: one just below is worth a move, too.
 pub(super) const BELOW: f64 = 1e-3;
 /// What a grid node on the wrong side counts for: more than all triangles of a patch can lack.
 pub(super) const NODE: f64 = 1e4;
-/// The same for a sweep, in smallest and mean quality together: a tenth of it moves vertices for ever without a mean that shows it.
-pub(super) const LEAST_GAIN_OF_SWEEP: f64 = 1e-4;
 
 // --- what the guard asks for ---
 
@@ -26,7 +26,7 @@ pub(super) const AGREEMENT: f64 = 0.3;
 pub(super) const FOLD: f64 = 0.0;
 /// Cosine to grad F from which on a triangle follows it: a fold between two such triangles is one of F.
 pub(super) const FOLLOWS: f64 = 0.5;
-/// The same limits for a triangle below [`FIT`]: turned by up to a right angle, folds of F up to 143 degrees. A third of h off F = 0 in the
+/// The same limits for a triangle below [`FIT`], and for two moves in a row on one below [`EASY`]: turned by up to a right angle, folds of F up to 143 degrees. A third of h off F = 0 in the
 /// middle of a triangle, where F has detail below h, does less harm than a needle. Moves within them leave 34 of 229 patches of the torso CT
 /// at 200 to be remeshed (restricted).
 pub(super) const LOOSE_AGREEMENT: f64 = 0.0;
@@ -88,9 +88,13 @@ pub(super) const BATCH: usize = 32;
 pub(super) const RINGS: usize = 4;
 /// First moves, of those that leave least to do, each of which is followed by a second one.
 pub(super) const FIRST_MOVES: usize = 4;
-/// Triangles below [`AIM`] tried in vain, a fifth of a second each, after which the rest is left: a coarse mesh of a solid organ has five, noise has
-/// hundreds.
-pub(super) const MOST_IN_VAIN_FOR_AIM: usize = 40;
+/// Triangles on which two moves in a row are tried in vain, a fifth of a second each, after which the rest is left: a coarse mesh of a solid organ has five,
+/// noise has hundreds.
+pub(super) const MOST_PAIRS_IN_VAIN: usize = 40;
+/// Quality below which a single move nearly always helps. Above, tries in vain are counted, a millisecond or two each: worst first, a solid organ has few,
+/// noise has tens of thousands (the torso CT at 200: 45 s in place of 29 without the count), and the worst of them are not lifted anyway.
+pub(super) const EASY: f64 = 0.7;
+pub(super) const MOST_IN_VAIN_ABOVE_EASY: usize = 400;
 /// Patches remeshed in vain, a second or so each, after which F has too much detail below h for the rest.
 pub(super) const MOST_IN_VAIN: usize = 200;
 

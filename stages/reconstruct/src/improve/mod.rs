@@ -53,7 +53,7 @@ pub struct ImproveOptions<'a> {
     /// neighbourhood get worse; 0 for none.
     pub relaxation_sweeps: usize,
     /// Largest distance of a triangle's centroid from F = 0 that a move may bring about, over h; twice that (at least
-    /// 0.35) for the sake of a triangle below a radius ratio of 0.65, or outside of 28 to 105 degrees, that nothing else can help.
+    /// 0.35) for the sake of a triangle below a quality of 0.7 that nothing else can help.
     pub max_deviation: f64,
     /// Range of edge lengths, over h, that a move must stay in where the edges round it are within (0.05 to 3 for such a triangle).
     pub length_range: [f64; 2],
@@ -79,7 +79,7 @@ impl ImproveOptions<'_> {
     /// For a mesh of settled particles: a few sweeps over all of it, which raise the mean as well as the minimum, then the
     /// worst triangles.
     pub fn polish() -> Self {
-        Self { target: 0.7, relaxation_sweeps: 3, ..Self::default() }
+        Self { target: 0.8, relaxation_sweeps: 3, ..Self::default() }
     }
 
     /// Remeshes the whole surface towards h: a good mesh from any closed one, marching cubes' included.

@@ -3,9 +3,9 @@
 use super::check::ComplexReport;
 use super::interfaces::Interfaces;
 use super::reconstruct::{Reconstruction, reconstruct};
+use crate::offending::Offending;
 use crate::reconstruct::Method;
 use crate::run::{Args, check_offenders, read_sizing, write};
-use glam::DVec3;
 use isoparticles_field::materials::{Material, MaterialId};
 use isoparticles_mesh::quality::radius_ratios;
 use isoparticles_mesh::surface::{DataArray, Simplices, Surface, write_surface};
@@ -103,7 +103,7 @@ pub fn run(args: &Args, path: &Path, context: &Context) -> Result<Outcome> {
         write_each(folder, args, &made, table, &geometry, context)?;
     }
     let failed = made.checked.failed.clone();
-    write(args, context, &surface, &meta, offending(&made.interfaces.mesh.vertices, &made, &geometry), failed)
+    write(args, context, &surface, &meta, offending(&made, &geometry), failed)
 }
 
 /// The interfaces in the world, with what is known at vertices (h, how many materials meet) and triangles (the materials, radius ratio).
@@ -182,44 +182,23 @@ fn file_name(name: &str, id: MaterialId, taken: &mut BTreeSet<String>) -> String
     numbered
 }
 
-/// The simplices behind failed checks, in the world, with the number of the reason (`reason`: 1 edge in the wrong number of triangles, 2 junction edge on no curve,
-/// 3 edge at which a material is not closed, 4 pinched vertex, 5 distant vertex, 6 grid node in another material, 8 no area, 9 crossing, 10 poor shape, 12 missing
-/// segment); `None` when there are none.
-fn offending(vertices: &[DVec3], made: &Reconstruction, geometry: &Geometry) -> Option<Simplices> {
+/// What is behind the failed checks of a complex: 1 edge in the wrong number of triangles, 2 junction edge on no curve, 3 edge at which a material is not closed, 4
+/// pinched vertex, 5 distant vertex, 6 grid node in another material, 8 no area, 9 crossing, 10 poor shape, 12 missing segment.
+fn offending(made: &Reconstruction, geometry: &Geometry) -> Option<Simplices> {
     let found = &made.checked.offenders;
-    let mut simplices =
-        Simplices { points: vertices.iter().map(|&p| geometry.grid_to_world(p)).collect(), ..Simplices::default() };
-    let (mut of_vertices, mut of_edges, mut of_triangles) = (Vec::new(), Vec::new(), Vec::new());
-    for (list, reason) in [(&found.pinched, 4), (&found.distant, 5)] {
-        simplices.vertices.extend(list);
-        of_vertices.resize(simplices.vertices.len(), reason);
-    }
+    let mut offending = Offending::new(&made.interfaces.mesh, geometry);
+    offending.vertices(&found.pinched, 4);
+    offending.vertices(&found.distant, 5);
     let [nx, ny, _] = geometry.size;
-    for &node in &found.nodes {
-        let index = DVec3::new((node % nx) as f64, (node / nx % ny) as f64, (node / nx / ny) as f64);
-        simplices.vertices.push(simplices.points.len() as u32);
-        simplices.points.push(geometry.grid_to_world(geometry.index_to_grid(index)));
-        of_vertices.push(6);
-    }
-    for (list, reason) in
-        [(&found.edges, 1), (&found.spurious, 2), (&found.not_closed, 3), (&found.missing_segments, 12)]
-    {
-        simplices.edges.extend(list.iter().filter(|edge| edge.iter().all(|&v| (v as usize) < vertices.len())));
-        of_edges.resize(simplices.edges.len(), reason);
-    }
-    let mut crossing: Vec<u32> = found.crossing.iter().flatten().copied().collect();
-    crossing.sort_unstable();
-    crossing.dedup();
-    for (list, reason) in [(&found.zero_area, 8), (&crossing, 9), (&found.poor, 10)] {
-        simplices.triangles.extend(list.iter().map(|&t| made.interfaces.mesh.triangles[t as usize]));
-        of_triangles.resize(simplices.triangles.len(), reason);
-    }
-    let reasons = [of_vertices, of_edges, of_triangles].concat();
-    if reasons.is_empty() {
-        return None;
-    }
-    simplices.cell_data = vec![DataArray::integers("reason", reasons)];
-    Some(simplices)
+    found.nodes.iter().for_each(|&node| offending.node([node % nx, node / nx % ny, node / nx / ny], 6));
+    offending.edges(&found.edges, 1);
+    offending.edges(&found.spurious, 2);
+    offending.edges(&found.not_closed, 3);
+    offending.edges(&found.missing_segments, 12);
+    offending.triangles(&found.zero_area, 8);
+    offending.crossing(&found.crossing, 9);
+    offending.triangles(&found.poor, 10);
+    offending.simplices()
 }
 
 /// Puts what was made into the report and the closing table, and warns of what is doubtful.
