@@ -1,12 +1,9 @@
 //! Curvature of the level sets of F, from its derivatives (Goldman, *Curvature formulas for implicit curves and surfaces*, 2005).
 
-use crate::spline::Jet;
+use crate::spline::{FLATTEST, Jet};
 use glam::{DMat3, DVec3};
 
-/// Slope below which a gradient gives no normal, and curvature is taken for none.
-const FLATTEST: f64 = 1e-9;
-
-/// Curvature tensor of the level set through a point, per mm: the Hessian over the slope, restricted to the tangent plane. Its eigenvalues are 0 (along
+/// Curvature tensor of the level set through a point, per mm: the Hessian over the slope, restricted to the tangent plane; none where F is flat. Its eigenvalues are 0 (along
 /// the normal) and the two principal curvatures, positive on a ball.
 pub fn curvature_tensor(jet: &Jet) -> DMat3 {
     let slope = jet.gradient.length();

@@ -1,10 +1,11 @@
-//! A tree of axis-aligned boxes, for finding the few of many simplices that come near a given one.
+//! What is near: a tree of axis-aligned boxes, for finding the few of many simplices that come near a given one, and cubic bins, for points that come and go.
 //!
 //! The boxes are sorted along a Morton curve and paired up level by level; nothing but the input decides the
 //! shape of the tree or the order of the answers, so results are the same whatever the number of threads.
 
 use glam::DVec3;
 use rayon::prelude::*;
+use std::collections::HashMap;
 
 /// Axis-aligned box.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -112,6 +113,42 @@ impl BoxTree {
     }
 }
 
+/// Values at points, in cubic bins.
+#[derive(Clone, Debug)]
+pub struct Bins<T> {
+    side: f64,
+    bins: HashMap<[i64; 3], Vec<T>>,
+}
+
+impl<T: PartialEq> Bins<T> {
+    /// No values yet, in bins of a side above 0.
+    pub fn new(side: f64) -> Self {
+        Self { side, bins: HashMap::new() }
+    }
+
+    fn bin(&self, p: DVec3) -> [i64; 3] {
+        (p / self.side).floor().to_array().map(|x| x as i64)
+    }
+
+    /// Adds a value at a point.
+    pub fn add(&mut self, p: DVec3, value: T) {
+        self.bins.entry(self.bin(p)).or_default().push(value);
+    }
+
+    /// Takes a value at a point away.
+    pub fn remove(&mut self, p: DVec3, value: &T) {
+        let bin = self.bin(p);
+        self.bins.entry(bin).or_default().retain(|other| other != value);
+    }
+
+    /// The values in the bin of a point and in the 26 around it: all whose points are nearer than the side, and some others, always in the same order.
+    pub fn near(&self, p: DVec3) -> impl Iterator<Item = &T> {
+        let at = self.bin(p);
+        let around = (0..27).map(move |n| [at[0] + n % 3 - 1, at[1] + n / 3 % 3 - 1, at[2] + n / 9 - 1]);
+        around.filter_map(|bin| self.bins.get(&bin)).flatten()
+    }
+}
+
 /// Spreads the low 21 bits to every third place.
 fn spread(x: u64) -> u64 {
     let mut x = x & 0x1f_ffff;
@@ -126,6 +163,19 @@ fn spread(x: u64) -> u64 {
 mod tests {
     use super::*;
     use isoparticles_field::random::uniform;
+
+    #[test]
+    fn bins_find_all_that_are_nearer_than_their_side() {
+        let at = |n: u64| 4.0 * DVec3::from_array([0, 1, 2].map(|axis| uniform(3, axis, n) - 0.5));
+        let mut bins = Bins::new(0.7);
+        (0..400).for_each(|n| bins.add(at(n), n));
+        bins.remove(at(7), &7);
+        for n in 0..400 {
+            let near: Vec<u64> = bins.near(at(n)).copied().filter(|&m| at(m).distance(at(n)) < 0.7).collect();
+            let expected = (0..400).filter(|&m| m != 7 && at(m).distance(at(n)) < 0.7).count();
+            assert_eq!(near.len(), expected);
+        }
+    }
 
     #[test]
     fn finds_what_a_scan_of_all_boxes_finds() {

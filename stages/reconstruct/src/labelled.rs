@@ -34,6 +34,10 @@ impl Facet {
     }
 }
 
+/// Most halvings of a Voronoi edge when the surface that it crosses is sought, and how long a piece is enough, voxels: the crossing is projected after that.
+const HALVINGS: usize = 60;
+const CROSSING: f64 = 1e-3;
+
 /// A triangulation in the grid frame of a volume whose tetrahedra bear labels; the greater of two is inside.
 pub struct Labelled<L> {
     delaunay: Delaunay,
@@ -212,6 +216,37 @@ impl<L: Copy + Default + Ord + Send + Sync> Labelled<L> {
             }
         };
         to.is_finite().then_some((from, to))
+    }
+
+    /// The two places, nearer to each other than [`CROSSING`], between which the Voronoi edge dual to a facet leaves what is inside, next to the facet; `None`
+    /// when it does not.
+    pub fn dual_crossing(
+        &self,
+        facet: &Facet,
+        is_inside: impl Fn(DVec3) -> bool,
+        voxel: f64,
+    ) -> Option<(DVec3, DVec3)> {
+        let tolerance = CROSSING * voxel;
+        let (mut low, mut high) = self.dual_edge(facet)?;
+        let [a, b, c] = facet.vertices.map(|v| self.points()[v as usize]);
+        // the point of the edge in the facet's plane parts it, so that the crossing next to the facet is taken
+        let normal = (b - a).cross(c - a);
+        let along = (high - low).dot(normal);
+        if along > 0.0 {
+            let middle = low.lerp(high, ((a - low).dot(normal) / along).clamp(0.0, 1.0));
+            if is_inside(middle) { low = middle } else { high = middle }
+        }
+        if !is_inside(low) || is_inside(high) {
+            return None;
+        }
+        for _ in 0..HALVINGS {
+            if low.distance_squared(high) < tolerance * tolerance {
+                break;
+            }
+            let middle = low.midpoint(high);
+            if is_inside(middle) { low = middle } else { high = middle }
+        }
+        Some((low, high))
     }
 
     /// Where a ray leaves the volume.

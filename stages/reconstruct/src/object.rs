@@ -8,7 +8,7 @@ use crate::queue::{self, Reason, Remedy, Simplex};
 use crate::restricted::{Facet, Restricted};
 use glam::DVec3;
 use isoparticles_delaunay::Delaunay;
-use isoparticles_field::spline::CubicSpline;
+use isoparticles_field::spline::{CubicSpline, FLATTEST};
 use isoparticles_field::topology::FieldTopology;
 use isoparticles_mesh::components::{DisjointSets, NO_COMPONENT};
 use isoparticles_stage::error::Result;
@@ -147,7 +147,7 @@ impl<'a> Object<'a> {
     pub fn at_facet(&self, facet: &Facet) -> Option<Violation> {
         let reason = if self.is_bridge(facet) {
             Reason::Bridge
-        } else if self.badness(facet) > 1.0 {
+        } else if self.deviation_ratio(facet) > 1.0 {
             Reason::Deviation
         } else {
             return None;
@@ -226,11 +226,11 @@ impl<'a> Object<'a> {
     }
 
     /// How far a facet strays, in units of what is allowed.
-    fn badness(&self, facet: &Facet) -> f64 {
+    fn deviation_ratio(&self, facet: &Facet) -> f64 {
         let limit = self.max_deviation.unwrap_or_else(|| {
             DEFAULT_DEVIATION * self.size_of(facet).max(self.restricted.field().geometry().mean_spacing())
         });
-        badness(self.at_centroid(facet), limit)
+        deviation_ratio(self.at_centroid(facet), limit)
     }
 
     /// Whether a facet lies across F = 0.
@@ -242,13 +242,13 @@ impl<'a> Object<'a> {
     fn at_centroid(&self, facet: &Facet) -> (f64, f64) {
         let [a, b, c] = facet.vertices.map(|v| self.points()[v as usize]);
         let (value, gradient) = self.restricted.field().value_gradient((a + b + c) / 3.0);
-        let slope = gradient.length().max(1e-6);
+        let slope = gradient.length().max(FLATTEST);
         (value.abs() / slope, (b - a).cross(c - a).normalize_or_zero().dot(gradient / slope))
     }
 }
 
 /// How far a facet strays, in units of what is allowed: by the distance of its centroid, mm, and the cosine between its normal and that of the surface there.
-pub(crate) fn badness((distance, agreement): (f64, f64), limit: f64) -> f64 {
+pub(crate) fn deviation_ratio((distance, agreement): (f64, f64), limit: f64) -> f64 {
     let turned = if agreement < TURNED { 1.0 + TURNED - agreement } else { 0.0 };
     (distance / limit).max(turned)
 }

@@ -14,7 +14,8 @@ const BETWEEN_STEPS: usize = 1 << 10;
 /// A new point keeps this part of h from all others, unless the topology or a grid node asks for it.
 pub const NEAREST_FOR_SHAPE: f64 = 0.35;
 
-/// A new point keeps this part of h from all others where the topology or a grid node asks for it.
+/// A new point keeps this part of h from all others where the topology or a grid node asks for it. With 0.02 the tissues of a chest (`thorax_labels`, all, at
+/// 3 mm) keep 94 of 3,825 segments missing, with 0.05 none; one object passes its checks with either.
 pub const NEAREST_FOR_TOPOLOGY: f64 = 0.05;
 
 /// What is violated, the most needed first.

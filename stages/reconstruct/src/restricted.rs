@@ -14,9 +14,6 @@ use isoparticles_delaunay::Delaunay;
 use isoparticles_field::spline::CubicSpline;
 use std::ops::{Deref, DerefMut};
 
-/// Halvings of a Voronoi edge when its crossing with F = 0 is sought.
-const HALVINGS: usize = 60;
-
 /// A triangulation whose tetrahedra know their side of F = 0: those that bear `true` are inside.
 pub struct Restricted<'a> {
     sides: Labelled<bool>,
@@ -160,27 +157,8 @@ impl<'a> Restricted<'a> {
 
     /// Where the Voronoi edge dual to a facet crosses F = 0, near the facet; `None` when it cannot be found.
     pub fn dual_crossing(&self, facet: &Facet) -> Option<DVec3> {
-        let (mut low, mut high) = self.dual_edge(facet)?;
-        let [a, b, c] = facet.vertices.map(|v| self.points()[v as usize]);
-        // the point of the edge in the facet's plane parts it, so that the crossing next to the facet is taken
-        let normal = (b - a).cross(c - a);
-        let along = (high - low).dot(normal);
-        if along > 0.0 {
-            let fraction = ((a - low).dot(normal) / along).clamp(0.0, 1.0);
-            let middle = low.lerp(high, fraction);
-            if self.field.value(middle) < 0.0 { low = middle } else { high = middle }
-        }
-        if self.field.value(low) >= 0.0 || self.field.value(high) < 0.0 {
-            return None;
-        }
-        let tolerance = 1e-9 * self.field.geometry().mean_spacing();
-        for _ in 0..HALVINGS {
-            if low.distance_squared(high) < tolerance * tolerance {
-                break;
-            }
-            let middle = low.midpoint(high);
-            if self.field.value(middle) < 0.0 { low = middle } else { high = middle }
-        }
+        let voxel = self.field.geometry().mean_spacing();
+        let (low, high) = self.sides.dual_crossing(facet, |p| self.field.value(p) < 0.0, voxel)?;
         Some(low.midpoint(high))
     }
 }

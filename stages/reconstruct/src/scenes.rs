@@ -4,6 +4,7 @@ use glam::DVec3;
 use isoparticles_field::marching_cubes::marching_cubes;
 use isoparticles_field::random::uniform;
 use isoparticles_field::spline::CubicSpline;
+use isoparticles_mesh::spatial::Bins;
 use isoparticles_volume::{Geometry, Image};
 
 /// A signed distance (or like) function on a grid.
@@ -53,22 +54,11 @@ impl Scene {
         let mut order: Vec<usize> = (0..candidates.len()).collect();
         order.sort_by(|&i, &j| uniform(2, 0, i as u64).total_cmp(&uniform(2, 0, j as u64)));
         let mut kept: Vec<DVec3> = Vec::new();
-        let cell = |p: DVec3| (p / spacing).floor().as_ivec3();
-        let mut bins: std::collections::HashMap<[i32; 3], Vec<DVec3>> = std::collections::HashMap::new();
+        let mut bins = Bins::new(spacing);
         for i in order {
             let p = candidates[i];
-            let at = cell(p);
-            let mut near = false;
-            for x in -1..=1 {
-                for y in -1..=1 {
-                    for z in -1..=1 {
-                        let key = [at.x + x, at.y + y, at.z + z];
-                        near |= bins.get(&key).is_some_and(|b| b.iter().any(|q| q.distance(p) < spacing));
-                    }
-                }
-            }
-            if !near {
-                bins.entry(at.to_array()).or_default().push(p);
+            if !bins.near(p).any(|q: &DVec3| q.distance(p) < spacing) {
+                bins.add(p, p);
                 kept.push(p);
             }
         }

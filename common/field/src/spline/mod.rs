@@ -126,7 +126,7 @@ impl CubicSpline {
 }
 
 /// Slope below which a gradient says nothing about a distance: where F is flat the estimate is large, but a number.
-const FLATTEST: f64 = 1e-12;
+pub const FLATTEST: f64 = 1e-12;
 
 /// First-order distance from F = 0, mm, of a point with this value and gradient of F, negative inside: F / |grad F| (Taubin 1994). Exact
 /// where F is linear or a distance; elsewhere its error is of second order in the distance.

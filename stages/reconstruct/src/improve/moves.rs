@@ -8,6 +8,7 @@ use super::constants::{
 use super::guard::quality_of;
 use super::surface::{DEAD, Surface, edges_of};
 use glam::DVec3;
+use isoparticles_field::spline::FLATTEST;
 use std::f64::consts::TAU;
 
 /// The point of a sheet (F = 0, where there is one object) near a position, no farther than `limit` mm.
@@ -129,7 +130,7 @@ pub(super) fn relocate(surface: &mut Surface, vertex: u32) -> bool {
     let (start, sheet) = (surface.positions[v], surface.sheet_at(vertex));
     let jet = surface.field.jet(sheet, start);
     let slope = jet.gradient.length();
-    if slope < 1e-6 {
+    if slope < FLATTEST {
         return false;
     }
     let normal = jet.gradient / slope;

@@ -19,6 +19,7 @@ use super::patch::Patch;
 use super::surface::{DEAD, Surface, edges_of};
 use super::{Tally, remesh};
 use glam::DVec3;
+use isoparticles_field::curvature::curvature_tensor;
 use isoparticles_mesh::spatial::Bounds;
 
 /// A place that asks for short edges.
@@ -233,9 +234,6 @@ fn demands_of_nodes(part: &Surface, place: &Place) -> Vec<Demand> {
 
 /// Root of the sum of the squares of the principal curvatures of F at a point of a sheet, per mm.
 fn curvature(surface: &Surface, sheet: u32, p: DVec3) -> f64 {
-    let jet = surface.field.jet(sheet, p);
-    let slope = jet.gradient.length().max(1e-12);
-    let (x, y) = (jet.gradient / slope).any_orthonormal_pair();
-    let (xx, xy, yy) = (x.dot(jet.hessian * x), x.dot(jet.hessian * y), y.dot(jet.hessian * y));
-    (xx * xx + 2.0 * xy * xy + yy * yy).sqrt() / slope
+    let tensor = curvature_tensor(&surface.field.jet(sheet, p));
+    tensor.to_cols_array().iter().map(|x| x * x).sum::<f64>().sqrt()
 }

@@ -5,16 +5,13 @@ use super::prepare::{Prepared, REAL};
 use super::segments::{Segment, Segments, segment};
 use crate::around::{boundary_facets_of, parts_round, runs_round, star};
 use crate::labelled::{Facet, Labelled};
-use crate::object::{DEFAULT_DEVIATION, badness};
+use crate::object::{DEFAULT_DEVIATION, deviation_ratio};
 use crate::queue::{self, Reason, Simplex};
 use glam::DVec3;
 use isoparticles_delaunay::{Delaunay, INFINITE};
 use isoparticles_field::materials::{Indicators, MaterialId, Stratum};
+use isoparticles_field::spline::FLATTEST;
 use std::collections::BTreeMap;
-
-/// Most halvings of a Voronoi edge when the interface that it crosses is sought, and how long a piece is enough, voxels: the crossing is projected after that.
-const HALVINGS: usize = 60;
-const CROSSING: f64 = 1e-3;
 
 /// A segment that lacks a material round it is cut where the surface balls there are smaller than this part of it: they tell no more.
 const SMALL_BALL: f64 = 0.5;
@@ -171,29 +168,10 @@ impl<'a> Complex<'a> {
 
     /// Where the Voronoi edge dual to a facet leaves the material inside, next to the facet, and the two materials there.
     fn crossing(&self, facet: &Facet) -> Option<(DVec3, [MaterialId; 2])> {
-        let (mut low, mut high) = self.labelled.dual_edge(facet)?;
         let inside = self.material(facet.tetrahedron);
-        let at = |p: DVec3| self.indicators.material_at(p);
-        let [a, b, c] = facet.vertices.map(|v| self.points()[v as usize]);
-        // the point of the edge in the facet's plane parts it, so that the crossing next to the facet is taken
-        let normal = (b - a).cross(c - a);
-        let along = (high - low).dot(normal);
-        if along > 0.0 {
-            let middle = low.lerp(high, ((a - low).dot(normal) / along).clamp(0.0, 1.0));
-            if at(middle) == inside { low = middle } else { high = middle }
-        }
-        if at(low) != inside || at(high) == inside {
-            return None;
-        }
-        let tolerance = CROSSING * self.indicators.voxel();
-        for _ in 0..HALVINGS {
-            if low.distance_squared(high) < tolerance * tolerance {
-                break;
-            }
-            let middle = low.midpoint(high);
-            if at(middle) == inside { low = middle } else { high = middle }
-        }
-        Some((low.midpoint(high), [inside, at(high)]))
+        let is_inside = |p: DVec3| self.indicators.material_at(p) == inside;
+        let (low, high) = self.labelled.dual_crossing(facet, is_inside, self.indicators.voxel())?;
+        Some((low.midpoint(high), [inside, self.indicators.material_at(high)]))
     }
 
     /// The violation at some facets whose largest surface ball mends it.
@@ -274,7 +252,7 @@ impl<'a> Complex<'a> {
         let is_on = |v: &u32| sheet.iter().all(|&id| self.meets(*v, id));
         let reason = if !facet.vertices.iter().all(is_on) {
             Reason::Stratum
-        } else if self.badness(facet) > 1.0 {
+        } else if self.deviation_ratio(facet) > 1.0 {
             Reason::Deviation
         } else {
             return None;
@@ -283,12 +261,12 @@ impl<'a> Complex<'a> {
     }
 
     /// How far a facet strays, in units of what is allowed.
-    fn badness(&self, facet: &Facet) -> f64 {
+    fn deviation_ratio(&self, facet: &Facet) -> f64 {
         let limit = self
             .max_deviation
             .unwrap_or_else(|| DEFAULT_DEVIATION * self.size_of(&facet.vertices).max(self.indicators.voxel()));
         let corners = facet.vertices.map(|v| self.points()[v as usize]);
-        badness(straying(self.indicators, self.sheet(facet), corners), limit)
+        deviation_ratio(straying(self.indicators, self.sheet(facet), corners), limit)
     }
 
     /// The violation at a simplex, or what is left of it.
@@ -377,7 +355,7 @@ fn material_of(
 pub(super) fn straying(indicators: &dyn Indicators, sheet: [MaterialId; 2], [a, b, c]: [DVec3; 3]) -> (f64, f64) {
     let centroid = (a + b + c) / 3.0;
     let (value, gradient) = indicators.difference_gradient(sheet[0], sheet[1], centroid);
-    let slope = gradient.length().max(1e-6);
+    let slope = gradient.length().max(FLATTEST);
     let distance = (value.abs() / slope).max(-0.5 * indicators.clearance(centroid, &sheet));
     (distance, (b - a).cross(c - a).normalize_or_zero().dot(gradient / slope))
 }

@@ -6,8 +6,8 @@ use isoparticles_field::materials::{
 };
 use isoparticles_field::particle_set::{ParticleSet, Strata};
 use isoparticles_field::random::uniform;
+use isoparticles_mesh::spatial::Bins;
 use isoparticles_volume::{Geometry, Image};
-use std::collections::HashMap;
 use std::f64::consts::TAU;
 
 /// A curve: its materials, places along it one after the other, and whether it closes.
@@ -76,9 +76,8 @@ impl Scene {
             segments.extend(chain.windows(2).map(|pair| [pair[0], pair[1]]));
         }
         let spacing = share * h;
-        let cell = |p: DVec3| (p / spacing).floor().to_array().map(|x| x as i64);
-        let mut bins: HashMap<[i64; 3], Vec<DVec3>> = HashMap::new();
-        positions.iter().for_each(|&p| bins.entry(cell(p)).or_default().push(p));
+        let mut bins = Bins::new(spacing);
+        positions.iter().for_each(|&p| bins.add(p, p));
         let tries = (60.0 * (self.extent / h).powi(3)) as u64;
         for n in 0..tries {
             let start = self.extent * DVec3::new(uniform(1, 0, n), uniform(1, 1, n), uniform(1, 2, n));
@@ -89,13 +88,8 @@ impl Scene {
             if !is_inside || self.analytic.clearance(p, &[*i, *j]) <= 0.0 {
                 continue;
             }
-            let at = cell(p);
-            let is_near = (0..27i64)
-                .filter_map(|m| bins.get(&[at[0] + m % 3 - 1, at[1] + m / 3 % 3 - 1, at[2] + m / 9 - 1]))
-                .flatten()
-                .any(|q| q.distance(p) < spacing);
-            if !is_near {
-                bins.entry(at).or_default().push(p);
+            if !bins.near(p).any(|q: &DVec3| q.distance(p) < spacing) {
+                bins.add(p, p);
                 positions.push(p);
                 of.push(Stratum::sheet(*i, *j));
             }

@@ -2,6 +2,7 @@
 
 use glam::DVec3;
 use isoparticles_field::materials::Stratum;
+use isoparticles_mesh::spatial::Bins;
 use std::collections::{BTreeMap, HashMap};
 
 /// Two points of a segment, the lower number first.
@@ -13,15 +14,13 @@ pub fn segment(a: u32, b: u32) -> Segment {
 }
 
 /// Segments by their ends, by each end, and by place.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug)]
 pub struct Segments {
     curve: BTreeMap<Segment, Stratum>,
     /// The other ends of the segments at each point.
     ends: HashMap<u32, Vec<u32>>,
-    /// Side of a bin, mm: no segment is longer than two of them.
-    bin: f64,
-    /// Segments by the bin of their middle.
-    bins: HashMap<[i64; 3], Vec<Segment>>,
+    /// Segments by their middles; none is longer than two bins.
+    middles: Bins<Segment>,
 }
 
 impl Segments {
@@ -30,7 +29,8 @@ impl Segments {
         let pairs: BTreeMap<Segment, Stratum> = pairs.into_iter().collect();
         let length = |[a, b]: &Segment| points[*a as usize].distance(points[*b as usize]);
         let longest = pairs.keys().map(length).fold(0.0, f64::max);
-        let mut new = Self { bin: if longest > 0.0 { 0.5 * longest } else { 1.0 }, ..Self::default() };
+        let middles = Bins::new(if longest > 0.0 { 0.5 * longest } else { 1.0 });
+        let mut new = Self { curve: BTreeMap::new(), ends: HashMap::new(), middles };
         pairs.into_iter().for_each(|(pair, curve)| new.add(pair, curve, points));
         new
     }
@@ -41,12 +41,7 @@ impl Segments {
         let [a, b] = pair;
         self.ends.entry(a).or_default().push(b);
         self.ends.entry(b).or_default().push(a);
-        let bin = self.bin_of(points[a as usize].midpoint(points[b as usize]));
-        self.bins.entry(bin).or_default().push(pair);
-    }
-
-    fn bin_of(&self, p: DVec3) -> [i64; 3] {
-        (p / self.bin).floor().to_array().map(|x| x as i64)
+        self.middles.add(points[a as usize].midpoint(points[b as usize]), pair);
     }
 
     /// Puts two segments by way of a point in the place of one.
@@ -56,8 +51,7 @@ impl Segments {
         for (from, to) in [(a, b), (b, a)] {
             self.ends.entry(from).or_default().retain(|&end| end != to);
         }
-        let bin = self.bin_of(points[a as usize].midpoint(points[b as usize]));
-        self.bins.entry(bin).or_default().retain(|&other| other != pair);
+        self.middles.remove(points[a as usize].midpoint(points[b as usize]), &pair);
         self.add(segment(a, by), curve, points);
         self.add(segment(by, b), curve, points);
     }
@@ -84,17 +78,17 @@ impl Segments {
 
     /// The segment on which a place encroaches: it lies in the ball of which the segment is a diameter (Ruppert 1995), the deepest of several.
     pub fn encroached(&self, place: DVec3, points: &[DVec3]) -> Option<Segment> {
-        let at = self.bin_of(place);
-        let near = (0..27i64)
-            .filter_map(|n| self.bins.get(&[at[0] + n % 3 - 1, at[1] + n / 3 % 3 - 1, at[2] + n / 9 - 1]))
-            .flatten();
         let depth = |&pair: &Segment| {
             let [a, b] = pair.map(|v| points[v as usize]);
             let radius = 0.5 * a.distance(b);
             (a.midpoint(b).distance(place) / radius, pair)
         };
-        let deepest =
-            near.map(depth).filter(|(depth, _)| *depth < 1.0).min_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+        let deepest = self
+            .middles
+            .near(place)
+            .map(depth)
+            .filter(|(depth, _)| *depth < 1.0)
+            .min_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
         deepest.map(|(_, pair)| pair)
     }
 }

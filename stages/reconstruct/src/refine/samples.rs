@@ -4,7 +4,7 @@ use super::{Place, Refinement};
 use crate::object::Violation;
 use crate::queue::Reason;
 use glam::DVec3;
-use isoparticles_mesh::spatial::Bounds;
+use isoparticles_mesh::spatial::{Bins, Bounds};
 use rayon::prelude::*;
 use std::collections::HashMap;
 
@@ -68,16 +68,11 @@ struct Kept {
 /// Points no two of which are nearer than `spacing`, first come first kept.
 fn thinned(present: &[DVec3], samples: &[DVec3], spacing: f64) -> Vec<Kept> {
     let mut kept: Vec<Kept> = Vec::new();
-    let mut bins: HashMap<[i64; 3], Vec<DVec3>> = HashMap::new();
+    let mut bins = Bins::new(spacing);
     let present = present.iter().map(|&point| Kept { point, is_present: true });
     for new in present.chain(samples.iter().map(|&point| Kept { point, is_present: false })) {
-        let at = (new.point / spacing).floor().to_array().map(|x| x as i64);
-        let near = (0..27i64)
-            .filter_map(|n| bins.get(&[at[0] + n % 3 - 1, at[1] + n / 3 % 3 - 1, at[2] + n / 9 - 1]))
-            .flatten()
-            .any(|q| q.distance(new.point) < spacing);
-        if !near {
-            bins.entry(at).or_default().push(new.point);
+        if !bins.near(new.point).any(|q: &DVec3| q.distance(new.point) < spacing) {
+            bins.add(new.point, new.point);
             kept.push(new);
         }
     }

@@ -7,8 +7,9 @@ use crate::materials::{Indicators, MaterialId, Stratum};
 use glam::DVec3;
 use isoparticles_mesh::components::DisjointSets;
 use isoparticles_mesh::kd_tree::KdTree;
+use isoparticles_mesh::spatial::Bins;
 use rayon::prelude::*;
-use std::collections::{BTreeMap, BTreeSet, HashMap};
+use std::collections::{BTreeMap, BTreeSet};
 
 /// How far a vertex of a curve or a point may be from where the lattice has it, in voxels.
 const FARTHEST: f64 = 1.0;
@@ -105,12 +106,13 @@ pub(super) fn trace<I: Indicators + ?Sized>(complex: &mut Complex, indicators: &
     let starts: Vec<(Stratum, Vec<DVec3>)> = starts.into_iter().collect();
     let lines = starts.par_iter().flat_map_iter(|(curve, starts)| lines_from(indicators, corner, *curve, starts));
     let lines: Vec<Line> = lines.collect();
+    let reach = COINCIDENT * indicators.voxel();
     let points = Points {
-        reach: COINCIDENT * indicators.voxel(),
+        reach,
         met: KdTree::new(&met_points),
         met_places: met_points,
         all: Vec::new(),
-        bins: HashMap::new(),
+        bins: Bins::new(reach),
     };
     let mut assembly = Assembly { complex, points, leaving: BTreeSet::new() };
     lines.into_iter().for_each(|line| assembly.add(line, None));
@@ -200,26 +202,22 @@ struct Points {
     met: KdTree,
     met_places: Vec<DVec3>,
     all: Vec<Junction>,
-    /// Their numbers by place, in cubes of `reach`.
-    bins: HashMap<[i64; 3], Vec<u32>>,
+    /// Their numbers by place.
+    bins: Bins<u32>,
 }
 
 impl Points {
     /// The number of the point at a place.
     fn number(&mut self, position: DVec3, stratum: Stratum) -> u32 {
-        let bin = |p: DVec3| (p / self.reach).floor().to_array().map(|x| x as i64);
-        let own = bin(position);
-        let around = (0..27).map(|n| [n % 3 - 1, n / 3 % 3 - 1, n / 9 - 1]);
-        let mut known =
-            around.filter_map(|way: [i64; 3]| self.bins.get(&std::array::from_fn(|axis| own[axis] + way[axis])));
         let is_here = |n: &&u32| self.all[**n as usize].position.distance(position) < self.reach;
-        if let Some(&number) = known.find_map(|numbers| numbers.iter().find(is_here)) {
+        if let Some(&number) = self.bins.near(position).find(is_here) {
             return number;
         }
+        let asked = position;
         let number = self.all.len() as u32;
         let position = self.met.nearest_within(position, self.reach).map_or(position, |(n, _)| self.met_places[n]);
         self.all.push(Junction { stratum, position });
-        self.bins.entry(own).or_default().push(number);
+        self.bins.add(asked, number);
         number
     }
 }
