@@ -37,7 +37,7 @@ KEYS := NAME INPUT PHANTOM SERIES ISO LABELS MATERIALS INSIDE BORDER SCALE EPSIL
 $(foreach key,$(KEYS) CASE CASES,$(if $(filter environment,$(origin $(key))),$(eval undefine $(key))))
 # What this file knows besides.
 OTHERS := CASE CASES LIST TIME_LIMIT PROFILE CLUSTER_OPTIONS SNAKEMAKE SNAKEMAKE_VENV BIN NO_BUILD CARGO CARGO_TARGET_DIR VENV TETMESH_CHECK HXT DATA OUT VERBOSITY THREADS PARTS GOAL SIZES \
-          BENCH_OPTIONS FUZZ_SECONDS FUZZ_TARGETS COMPARED COMPARE_OPTIONS REMESHER BENCH_VENV SCALE_CASES SCALE_VERTICES N KILL_SEED
+          BENCH_OPTIONS FUZZ_SECONDS FUZZ_JOBS FUZZ_TARGETS COMPARED COMPARE_OPTIONS REMESHER BENCH_VENV SCALE_CASES SCALE_VERTICES N KILL_SEED
 # Goals over one case.
 CASE_GOALS := distfield sizefield seed particles reconstruct surface mesh page verdict info clean
 
@@ -113,7 +113,7 @@ Volumes in, simulation-ready meshes out.
   make wheel                                   target/wheel/isoparticles-*.whl: pip install it, then `isoparticles help`
   make completions                             target/share: completions for bash, zsh and fish, and man pages
   make test                                    format, lints, documentation, tests
-  make fuzz                                    every reader of files, FUZZ_SECONDS=60 each (nightly Rust, cargo-fuzz)
+  make fuzz                                    every reader of files, FUZZ_SECONDS=60 each, FUZZ_JOBS=1 side by side (nightly Rust, cargo-fuzz)
   make deny                                    licences and advisories of what is linked (cargo-deny)
   make bench-stages                            time and memory of every stage on the torso phantom
   make bench-particles                         the particles stage on the CPU, by contrast of h and threads (BENCH_OPTIONS=...)
@@ -288,10 +288,11 @@ test-python: build env wheel
 doctor:
 	@sh tests/doctor.sh
 
-# Every reader with a fuzz target of its own, FUZZ_SECONDS each; nightly Rust and cargo-fuzz.
+# Every reader, or FUZZ_TARGETS, for FUZZ_SECONDS each, FUZZ_JOBS side by side; nightly Rust and cargo-fuzz.
 FUZZ_SECONDS ?= 60
+FUZZ_JOBS ?= 1
 fuzz:
-	@tests/fuzz/run.sh --seconds $(FUZZ_SECONDS) $(FUZZ_TARGETS)
+	@tests/fuzz/run.sh --seconds $(FUZZ_SECONDS) --jobs $(FUZZ_JOBS) $(FUZZ_TARGETS)
 
 # Licences, advisories and sources of what is linked (deny.toml); cargo-deny and the network.
 deny:

@@ -21,11 +21,13 @@ static FIXTURES: LazyLock<Vec<(String, Vec<u8>)>> = LazyLock::new(|| {
     paths.iter().map(|path| (name(path), std::fs::read(path).expect("fixture"))).collect()
 });
 
+thread_local! {
+    static FEEDERS: [Feeder; READERS.len()] = READERS.map(Feeder::new);
+}
+
 /// Feeds bytes under a name to every reader.
 fn read_all(name: &str, bytes: &[u8]) {
-    for reader in READERS {
-        Feeder::new(reader).feed_file(name, bytes);
-    }
+    FEEDERS.with(|feeders| feeders.iter().for_each(|feeder| feeder.feed_file(name, bytes)));
 }
 
 /// Bytes cut short, grown and overwritten in some places.

@@ -3,6 +3,7 @@
 //!
 //! This test has no harness, so that it can start itself as that program.
 
+use isoparticles_stage::cli::shell::CommandLine;
 use isoparticles_stage::cli::{CommonArgs, Context, Outcome, StageArgs, run_stage};
 use isoparticles_stage::error::{Error, Result};
 use isoparticles_stage::output::write_atomically;
@@ -185,6 +186,13 @@ fn what_shells_and_man_read() {
     let (status, page, _) = told(&["--man-page"]);
     assert_eq!(status, Some(0));
     assert!(page.contains(".TH trial 1") && page.contains("max\\-memory"), "{page}");
+    let (status, line, _) = told(&["--command-line"]);
+    let line: CommandLine = serde_json::from_str(&line).expect("a command line");
+    assert_eq!((status, line.name.as_str()), (Some(0), "trial"));
+    let option = |long: &str| line.options.iter().find(|option| option.long == long).expect("an option");
+    let (output, force, progress) = (option("output"), option("force"), option("progress"));
+    assert!(output.is_path && output.short == Some('o') && force.value.is_none());
+    assert_eq!(progress.words, ["auto", "bar", "lines", "none"]);
     let (status, text, error) = told(&["--completions", "tcsh"]);
     assert_eq!((status, text.as_str()), (Some(2), ""));
     assert!(String::from_utf8_lossy(&error).contains("what to do: choose one of bash"));

@@ -238,7 +238,8 @@ impl CaseFolder {
     }
 
     /// Whether a stage writes a file of this name whatever it is told.
-    fn is_usual(&self, stage: &Belongings, name: &str) -> bool {
+    #[must_use]
+    pub fn is_usual(&self, stage: &Belongings, name: &str) -> bool {
         let usual = std::iter::once(&stage.output).chain(stage.set_aside).chain(stage.explains);
         usual.into_iter().any(|ending| name == self.file_name(ending) || name == self.file_name(&failed(ending)))
     }

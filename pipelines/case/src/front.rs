@@ -121,7 +121,7 @@ mod tests {
             option("iso", Some("X"), &[]),
             option("force", None, &[]),
         ];
-        let told = [CommandLine { name: "distfield".to_owned(), options, ..CommandLine::default() }];
+        let told = [CommandLine { name: "distfield".to_owned(), options }];
         command(&told).debug_assert();
         let fits = |line: &str| command(&told).try_get_matches_from(line.split(' ')).is_ok();
         assert!(fits("isoparticles distfield a.nrrd --iso -5 --mode slow --force"));

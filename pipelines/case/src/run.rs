@@ -258,9 +258,10 @@ impl<'a> Run<'a> {
         self.status.stages[position] = stage.clone();
         self.write()?;
         say(&command);
-        // What is there and stays is the user's, but for the checkpoint and its log, with which a stopped run goes on.
+        // What is there and stays is the user's, but for the checkpoint and its log, with which a stopped run goes on, and for what the stage of
+        // a program that was killed has gone on to write since.
         let mut others = folder.files_of(planned.belongings);
-        others.retain(|name| !planned.belongings.explains.iter().any(|ending| *name == folder.file_name(ending)));
+        others.retain(|name| !folder.is_usual(planned.belongings, name));
         let started = Instant::now();
         let ended = program::run(&planned.program, &planned.arguments);
         let seconds = Some(started.elapsed().as_secs_f64());

@@ -71,8 +71,13 @@ def test_shells_and_man_know_every_goal(site: Path, run: Run) -> None:
     assert pages == {"isoparticles", *(f"isoparticles-{goal}" for goal in goals)}
     assert "min\\-size" in (site / "share" / "man" / "man1" / "isoparticles-mesh.1").read_text()
     assert "max\\-memory" in (site / "share" / "man" / "man1" / "isoparticles-distfield.1").read_text()
-    for goal, word, whole in (("mesh", "--bord", "--border"), ("distfield", "--max-m", "--max-memory"), ("tetmesh-check", "--tet-s", "--tet-size-factor")):
-        script = f'{bash}\nCOMP_WORDS=(isoparticles {goal} {word}); COMP_CWORD=2; _isoparticles isoparticles {word} {goal}; echo "${{COMPREPLY[@]}}"'
+    for goal, word, whole in (
+        ("mesh", "--bord", "--border"),
+        ("distfield", "--max-m", "--max-memory"),
+        ("tetmesh-check", "--tet-s", "--tet-size-factor"),
+    ):
+        words = f"COMP_WORDS=(isoparticles {goal} {word}); COMP_CWORD=2; _isoparticles isoparticles {word} {goal}"
+        script = f'{bash}\n{words}; echo "${{COMPREPLY[@]}}"'
         done = subprocess.run(["bash", "-c", script], capture_output=True, text=True, check=True)
         assert done.stdout.strip() == whole
 

@@ -319,6 +319,20 @@ def test_help_and_version(run: Run) -> None:
     assert version.stdout.startswith("tetmesh-check ")
 
 
+def test_the_command_line_is_told_to_the_command_that_calls_this_stage(run: Run) -> None:
+    told = json.loads(run("--command-line").stdout)
+    assert told["name"] == "tetmesh-check"
+    options = {option["long"]: option for option in told["options"]}
+    shown = run("--help").stdout
+    assert all(f"--{name}" in shown for name in options)
+    assert not {"help", "version"} & set(options)
+    assert (options["output"]["is_path"], options["output"]["short"]) == (True, "o")
+    assert options["method"]["words"] == ["auto", "ftetwild", "hxt", "tetgen"]
+    assert options["force"]["value"] is None
+    assert options["seed"]["value"]
+    assert "%" not in options["unit"]["help"]
+
+
 def test_command_line_of_the_history_does_not_depend_on_folders() -> None:
     first = canonical_command_line(
         ["/a/s.vtp", "-o", "/a/v.vtu", "-vv", "--threads=4", "--force", "--seed", "3"], [Path("/a/v.vtu")]

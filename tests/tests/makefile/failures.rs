@@ -170,6 +170,26 @@ fn a_killed_run_is_told() {
     assert_eq!(case.status()["verdict"], "passed");
 }
 
+/// What the stage of a killed program goes on to write, after the next run has cleared up and before it comes to that stage, is no file of
+/// the user's: the stage's result is told as such.
+#[test]
+#[cfg(unix)]
+fn a_result_that_a_killed_run_still_wrote_is_made_and_told_again() {
+    let case = Case::new();
+    let programs = case.linked_programs();
+    let orphan = "echo orphan > \"${3%sizefield.vti}seeds.bin\"";
+    executable(&programs.join("sizefield"), &format!("echo made > \"$3\"\n{orphan}\n"));
+    executable(&programs.join("seed"), "echo made > \"$4\"\n");
+    let bin = format!("BIN={}", programs.display());
+    run(&mut case.command("seed", &["ISO=100", "SIZE=2.5", "VERBOSITY=-q", &bin])).expect_success("make seed");
+    assert_eq!(case.text("seeds.bin"), "made\n");
+    assert_eq!(case.status()["stages"][2]["outputs"][0], "ball.seeds.bin");
+    // a failure leaves none of it
+    executable(&programs.join("seed"), "exit 2\n");
+    run(&mut case.command("seed", &["ISO=100", "SIZE=2", "VERBOSITY=-q", &bin])).expect_error(2, &["seed"]);
+    assert!(!case.has("seeds.bin"));
+}
+
 /// Two runs over one case: the second is refused, and does not disturb the first.
 #[test]
 fn two_runs_on_one_name_do_not_meet() {
