@@ -208,10 +208,10 @@ impl Sampling {
                 for sample in samples {
                     let [wx, wy, wz] = &self.weights[sample];
                     let mut sum = [0.0; 4];
-                    for n in 0..16 {
+                    for (n, four) in read.iter().enumerate() {
                         let weight = wy[n % 4] * wz[n / 4];
-                        for x in 0..4 {
-                            sum[x] += weight * read[n][x];
+                        for (sum, c) in sum.iter_mut().zip(four) {
+                            *sum += weight * c;
                         }
                     }
                     mine[sample - slab.samples.start] =
@@ -244,10 +244,10 @@ impl Sampling {
                         let value = values[sample];
                         let row =
                             [value * entry(wx[0]), value * entry(wx[1]), value * entry(wx[2]), value * entry(wx[3])];
-                        for n in 0..16 {
+                        for (n, four) in sums.iter_mut().enumerate() {
                             let weight = entry(wy[n % 4] * wz[n / 4]);
-                            for x in 0..4 {
-                                sums[n][x] += weight * row[x];
+                            for (sum, w) in four.iter_mut().zip(row) {
+                                *sum += weight * w;
                             }
                         }
                     }
