@@ -2,7 +2,7 @@
 //! transform after Danielsson 1980).
 //!
 //! Far from the surface many samples are about equally near, each nearest to a region thinner than a voxel, and what is handed on in
-//! few steps strays. So the far field is that of a grid of every second node, whose samples are found line by line ([`crate::envelope`]):
+//! few steps strays. So the far field is that of a grid of every second node, whose samples are found line by line (`envelope.rs`):
 //! every node is offered those of the coarse nodes round it, and the ones far away ask those of the slices next to them alone. That is done slab
 //! by slab, so that only the coarse grid is held as a whole.
 
