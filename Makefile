@@ -89,7 +89,7 @@ case = $(call quote,$(BIN)/isoparticles-case) $(1) $(foreach key,$(KEYS) OUT VER
 # --- Goals ------------------------------------------------------------------------------------------------------------
 
 .PHONY: help $(CASE_GOALS) demo cases batch cluster index build env snakemake-env wheel completions doctor test format lint documentation test-rust test-python fuzz deny bench-stages \
-        bench-particles bench-gpu bench-delaunay bench-convergence bench-marching-cubes bench-scale bench-kills bench-batch notebook
+        bench-particles bench-gpu bench-delaunay bench-convergence bench-marching-cubes bench-scale bench-peers bench-scaling bench-kills bench-batch notebook
 
 define HELP
 Volumes in, simulation-ready meshes out.
@@ -279,7 +279,7 @@ test-rust: build env
 test-python: build env wheel
 	cd stages/tetmesh-check && $(abspath $(VENV))/bin/ruff check . && $(abspath $(VENV))/bin/ruff format --check . \
 	  && $(abspath $(VENV))/bin/mypy && $(abspath $(VENV))/bin/pytest -q
-	for verb in check 'format --check'; do $(VENV)/bin/ruff $$verb --config stages/tetmesh-check/pyproject.toml pipelines/call.py tests/check_materials.py tests/kills.py tests/batch.py || exit $$?; done
+	for verb in check 'format --check'; do $(VENV)/bin/ruff $$verb --config stages/tetmesh-check/pyproject.toml pipelines/call.py tests/check_materials.py tests/kills.py tests/batch.py tests/scaling.py || exit $$?; done
 	cd pipelines/wheel && settings=../../stages/tetmesh-check/pyproject.toml && $(abspath $(VENV))/bin/ruff check --config $$settings . \
 	  && $(abspath $(VENV))/bin/ruff format --config $$settings --check . \
 	  && $(abspath $(VENV))/bin/mypy --strict --python-version 3.11 src/isoparticles \
@@ -386,6 +386,16 @@ SCALE_PYTHON = $(or $(wildcard $(VENV)/bin/python),python3)
 bench-scale: build $(SCALE_PEERS)
 	DATA=$(DATA) $(SCALE_PYTHON) $(SCALE_BENCH)/scale.py $(SCALE_CASES) --vertices $(SCALE_VERTICES) --bin $(BIN) --work $(OUT)/bench-scale \
 	  $(if $(SCALE_PEERS),--peers $(BENCH_VENV)-scale/bin/python) $(BENCH_OPTIONS)
+
+# From label maps to triangles of one edge length, ours beside gpytoolbox's and CGAL's remeshing of the same blurred labels.
+PEER_CASES ?= @$(SCALE_BENCH)/peers.txt
+bench-peers: build env $(SCALE_PEERS)
+	DATA=$(DATA) $(VENV)/bin/python $(SCALE_BENCH)/scale.py $(PEER_CASES) --as-given --no-distances --bin $(BIN) --work $(OUT)/bench-peers \
+	  $(if $(SCALE_PEERS),--peers $(BENCH_VENV)-scale/bin/python) $(BENCH_OPTIONS)
+
+# The same volumes through all stages on 1, 2, 4 ... threads, step by step; BENCH_OPTIONS="--threads 2 4 8 16 --rounds 3".
+bench-scaling: build
+	DATA=$(DATA) python3 tests/scaling.py $(PEER_CASES) --bin $(BIN) --work $(OUT)/bench-scaling $(BENCH_OPTIONS)
 
 $(BENCH_VENV)-scale/.made: $(SCALE_BENCH)/peers.lock | env
 	$(VENV)/bin/python -m venv --clear $(BENCH_VENV)-scale

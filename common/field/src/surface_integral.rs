@@ -67,6 +67,10 @@ fn integrate_cell(
     patch: &Patch,
     density: &impl Fn(DVec3, DVec3) -> f64,
 ) -> f64 {
+    // F lies between its Bézier points
+    if is_of_one_sign(patch.as_flattened().as_flattened()) {
+        return 0.0;
+    }
     let spacing = surface.geometry().spacing;
     let corner = DVec3::from_array(cell.map(|n| n as f64));
     let offset = |n: usize| (n as f64 + 0.5) / LINES as f64;
@@ -77,6 +81,9 @@ fn integrate_cell(
         let turned = turn(patch, axis);
         for v in (0..LINES).map(offset) {
             let plane = turned.each_ref().map(|points| blend(points, bernstein(v)));
+            if is_of_one_sign(plane.as_flattened()) {
+                continue;
+            }
             for u in (0..LINES).map(offset) {
                 each_root(blend(&plane, bernstein(u)), 0.0, 1.0, HALVINGS, &mut |t| {
                     let mut at = corner;
@@ -89,6 +96,12 @@ fn integrate_cell(
         }
     }
     sum
+}
+
+/// Whether no number is negative, or all are.
+fn is_of_one_sign(points: &[f64]) -> bool {
+    let negative = points.iter().filter(|&&point| point < 0.0).count();
+    negative == 0 || negative == points.len()
 }
 
 /// Bézier points of F in the cell whose lowest corner is a node.

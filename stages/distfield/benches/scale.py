@@ -14,6 +14,10 @@ peers.lock: `make bench-scale` makes it) rows of gpytoolbox's remesh_botsch and 
 marching cubes of the same smoothed field, to as many vertices as ours within 3 %; their seconds are marching cubes and the last
 try. Their angles, ratios and volumes are computed here, ours are those of the report.
 
+With --as-given scale and edge length are those of the case's options (@peers.txt: `make bench-peers`), and a peer goes by itself from
+the label map on: read by VTK, the label's indicator blurred by a Gaussian of half the scale, marching cubes at a half, the last try.
+Seconds are then from volume to triangles; ours are followed by those of each stage, with reading and writing.
+
 The distance is that of the vertices and centroids of the mesh from
 the surface at scale 0, which keeps every voxel centre on its side: mean, 99th percentile and largest, in mm. "Lost" is how far
 that surface lies from the smoothed one, the 99th percentile and largest: what is gone is far from what is left. Volume is that of
@@ -54,6 +58,7 @@ class Case:
     distances: bool
     tetmesh_check: Path | None
     peers: Path | None
+    as_given: bool
 
     def run(
         self, key: str, program: str, *arguments: str, program_file: Path | None = None
@@ -123,6 +128,7 @@ class Mesh:
     angle_largest: float
     volume: float
     components: int
+    is_closed: bool
 
 
 def measured(points: np.ndarray, triangles: np.ndarray) -> Mesh:
@@ -143,8 +149,17 @@ def measured(points: np.ndarray, triangles: np.ndarray) -> Mesh:
     pairs = (triangles[:, [0, 1]].ravel(), triangles[:, [1, 2]].ravel())
     graph = coo_matrix((np.ones(len(pairs[0])), pairs), shape=(len(points), len(points)))
     _, labels = connected_components(graph, directed=False)
+    sides_of = np.sort(triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
+    _, shared = np.unique(sides_of, axis=0, return_counts=True)
     return Mesh(
-        len(points), ratio.mean(), ratio.min(), angles.min(), angles.max(), abs(volume), len(np.unique(labels[used]))
+        len(points),
+        ratio.mean(),
+        ratio.min(),
+        angles.min(),
+        angles.max(),
+        abs(volume),
+        len(np.unique(labels[used])),
+        bool((shared == 2).all()),
     )
 
 
@@ -152,10 +167,10 @@ def line(case: Case, vertices: int, program: str, mesh: Mesh, before: float, cel
     """One row of the table."""
     columns = [
         case.name,
-        f"{vertices:,}",
+        f"{vertices:,}" if vertices else "as given",
         program,
         cells["scale"],
-        f"{mesh.vertices:,} ({100 * (mesh.vertices / vertices - 1):+.1f} %)",
+        f"{mesh.vertices:,}" + (f" ({100 * (mesh.vertices / vertices - 1):+.1f} %)" if vertices else ""),
         cells["code"],
         f"{mesh.ratio_mean:.3f} / {mesh.ratio_least:.2f}",
         f"{mesh.angle_least:.0f} to {mesh.angle_largest:.0f}",
@@ -170,16 +185,17 @@ def line(case: Case, vertices: int, program: str, mesh: Mesh, before: float, cel
 
 
 def row(case: Case, vertices: int) -> tuple[str, float, int]:
-    """Our row; with it the volume of the voxels and the vertices of our mesh."""
+    """Our row, of 0 vertices as the case's options have it; with it the volume of the voxels and the vertices of our mesh."""
     key = str(vertices)
+    scale_for, sizes_for = (["--scale-for-vertices", key], ["--vertices", key]) if vertices else ([], [])
     distfield, sizefield, seeds = (case.file(key, f"{e}") for e in ("distfield.vti", "sizefield.vti", "seeds.bin"))
     particles, surface = case.file(key, "particles.bin"), case.file(key, "surface.vtp")
     fields = ["--distfield", distfield, "--sizefield", sizefield]
     start = time.monotonic()
-    reports = [case.run(key, "distfield", case.volume, *case.distfield, "--scale-for-vertices", key, "-o", distfield)]
+    reports = [case.run(key, "distfield", case.volume, *case.distfield, *scale_for, "-o", distfield)]
     smoothed = time.monotonic()
     reports += [
-        case.run(key, "sizefield", distfield, "--vertices", key, *case.sizefield, "-o", sizefield),
+        case.run(key, "sizefield", distfield, *sizes_for, *case.sizefield, "-o", sizefield),
         case.run(key, "seed", distfield, sizefield, "-o", seeds),
         case.run(key, "particles", seeds, *fields, "-o", particles, "--backend", case.backend),
         case.run(key, "reconstruct", particles, *fields, "-o", surface),
@@ -200,7 +216,9 @@ def row(case: Case, vertices: int) -> tuple[str, float, int]:
         quality["angle_max"],
         checked["volume"],
         len(checked["components"]),
+        checked["open_edges"] == 0,
     )
+    stages = ", ".join(f"{report['seconds']:.1f}" for _, report in reports)
     scale = meta.get("scale", 0.0)
     cells = {
         "scale": f"{scale:.2f}",
@@ -209,7 +227,7 @@ def row(case: Case, vertices: int) -> tuple[str, float, int]:
         "lost": lost,
         "told": f" ({' -> '.join(str(n) for n in changes['components'])} in voxels; {told})" if changes else "",
         "tetrahedra": tetrahedra(case, key, surface, sizefield),
-        "seconds": f"{end - start:.0f} ({end - smoothed:.1f})",
+        "seconds": f"{end - start:.1f} ({stages})" if case.as_given else f"{end - start:.0f} ({end - smoothed:.1f})",
     }
     return line(case, vertices, "isoparticles", mesh, before, cells), before, mesh.vertices
 
@@ -225,6 +243,24 @@ def tetrahedra(case: Case, key: str, surface: str, sizefield: str) -> str:
     return f"{report['results']['volume']['tetrahedra']:,}, exit code {code}"
 
 
+def blurred(case: Case) -> pv.ImageData:
+    """The indicator of the case's label, blurred by a Gaussian of half its scale, with a voxel of nothing round it."""
+    import numpy as np
+    import pyvista as pv
+    from scipy.ndimage import gaussian_filter
+
+    label, scale = (float(case.distfield[case.distfield.index(name) + 1]) for name in ("--labels", "--scale"))
+    volume = pv.read(case.volume)
+    values = np.asarray(volume.active_scalars).reshape(volume.dimensions[::-1])
+    sigma = 0.5 * scale / np.array(volume.spacing[::-1])
+    indicator = gaussian_filter(np.pad(values == label, 1).astype(np.float32), sigma)
+    origin = np.array(volume.origin) - volume.spacing
+    made = pv.ImageData(dimensions=indicator.shape[::-1], spacing=volume.spacing, origin=origin)
+    # outside is above, as in a distance field
+    made["outside"] = 1.0 - indicator.ravel()
+    return made
+
+
 def peer_row(case: Case, vertices: int, ours: int, before: float, program: str) -> str:
     """Row of another remesher on the smoothed field of our row, to as many vertices as ours."""
     import numpy as np
@@ -232,7 +268,8 @@ def peer_row(case: Case, vertices: int, ours: int, before: float, program: str) 
 
     key = str(vertices)
     start = time.monotonic()
-    contour = pv.read(case.file(key, "distfield.vti")).contour([0.0], scalars="signed_distance", method="flying_edges")
+    field, level = (blurred(case), 0.5) if case.as_given else (pv.read(case.file(key, "distfield.vti")), 0.0)
+    contour = field.contour([level], method="flying_edges")
     seconds = time.monotonic() - start
     job, result = case.file(key, "job.npz"), Path(case.file(key, f"{program}.npz"))
     np.savez(job, points=contour.points, triangles=contour.regular_faces, vertices=ours)
@@ -242,20 +279,25 @@ def peer_row(case: Case, vertices: int, ours: int, before: float, program: str) 
     if not result.is_file():
         return f"| {case.name} | {vertices:,} | {program} | failed with exit code {done.returncode} |" + " |" * 10
     with np.load(result) as made:
-        points, triangles, seconds = made["points"], made["triangles"].astype(np.int64), seconds + float(made["seconds"])
+        points, triangles, seconds = (
+            made["points"],
+            made["triangles"].astype(np.int64),
+            seconds + float(made["seconds"]),
+        )
+    mesh = measured(points, triangles)
     surface = case.file(key, f"{program}.vtp")
     pv.PolyData.from_regular_faces(points, triangles).save(surface)
     away, lost = distances(case, surface, case.file(key, "distfield.vti")) if case.distances else ("-", "-")
     cells = {
         "scale": "as above",
-        "code": str(done.returncode),
+        "code": str(done.returncode) if mesh.is_closed else "not closed",
         "away": away,
         "lost": lost,
         "told": "",
         "tetrahedra": "-",
-        "seconds": f"({seconds:.1f})",
+        "seconds": f"{seconds:.1f}" if case.as_given else f"({seconds:.1f})",
     }
-    return line(case, vertices, PEERS[program], measured(points, triangles), before, cells)
+    return line(case, vertices, PEERS[program], mesh, before, cells)
 
 
 PEERS = {"botsch": "gpytoolbox remesh_botsch", "cgal": "CGAL isotropic remeshing"}
@@ -276,11 +318,14 @@ def main() -> None:
     )
     parser.add_argument("cases", nargs="+", metavar="CASE")
     parser.add_argument("--vertices", type=int, nargs="+", default=[1000, 5000, 20_000, 75_000])
+    parser.add_argument("--as-given", action="store_true", help="scale and edge length are in the cases' options")
     parser.add_argument("--bin", type=Path, default=Path("target/release"), help="folder of the stage programs")
     parser.add_argument("--work", type=Path, default=Path("out/scale"), help="folder for the files")
     parser.add_argument("--backend", default="cpu", help="of particles: cpu, gpu or auto")
     parser.add_argument("--no-distances", action="store_true", help="without pyvista and the field at scale 0")
-    parser.add_argument("--tetrahedra", type=Path, metavar="TETMESH_CHECK", help="fill the surfaces by this program, too")
+    parser.add_argument(
+        "--tetrahedra", type=Path, metavar="TETMESH_CHECK", help="fill the surfaces by this program, too"
+    )
     parser.add_argument("--peers", type=Path, metavar="PYTHON", help="rows of other remeshers, by this interpreter")
     arguments = parser.parse_intermixed_args()
     arguments.work.mkdir(parents=True, exist_ok=True)
@@ -302,8 +347,9 @@ def main() -> None:
             not arguments.no_distances,
             arguments.tetrahedra,
             arguments.peers,
+            arguments.as_given,
         )
-        for vertices in arguments.vertices:
+        for vertices in [0] if case.as_given else arguments.vertices:
             try:
                 told, before, ours = row(case, vertices)
             except RefusedError as reason:

@@ -3,7 +3,8 @@
 //! The spline through exact distances rings where the distance has a kink within a voxel or two of the surface (thin parts,
 //! noise), and its zero set moves. Here the spline coefficients are changed as little as possible (in the least-squares
 //! sense) such that F vanishes at the samples: conjugate gradients on the normal equations (CGLS, Hestenes and
-//! Stiefel 1952) from zero change, preconditioned by their diagonal and stopped early, which regularises.
+//! Stiefel 1952) from zero change, preconditioned by their diagonal and stopped early, which regularises. The steps are in single precision,
+//! which F has as well: what the residual falls by is far from its rounding. Sums over all samples are in double precision.
 
 use crate::bits::{Bits, Numbering};
 use glam::DVec3;
@@ -11,6 +12,7 @@ use isoparticles_field::spline::SlabFilter;
 use isoparticles_volume::{Geometry, Image};
 use rayon::prelude::*;
 use serde::Serialize;
+use std::ops::Range;
 
 /// Slices of spline coefficients whose samples one task gathers; the reach of a sample is three slices more, so that
 /// every second task can run at the same time.
@@ -22,28 +24,29 @@ const GATHERED: usize = 32;
 /// Samples of one partial sum; fixed, so that sums do not depend on the number of threads.
 const CHUNK: usize = 4096;
 
-/// One sample: its cell, and where in the cell it lies (0 to 1 along each axis).
-struct Row {
-    cell: u32,
-    place: [f32; 3],
+/// The samples of one voxel cell.
+struct Cell {
+    /// The 16 rows of four neighbouring coefficients that they read.
+    rows: [u32; 16],
+    /// The first of them; the next cell's is the end.
+    first: u32,
 }
-
-/// The 16 rows of four neighbouring coefficients that the samples of a cell read.
-type Cell = [u32; 16];
 
 /// The linear map from the coefficients near the surface to F at the samples.
 struct Sampling {
-    /// The samples, cell by cell.
-    rows: Vec<Row>,
+    /// The weights of the four coefficients along each axis, of each sample, cell by cell.
+    weights: Vec<[[f32; 4]; 3]>,
     cells: Vec<Cell>,
-    /// Rows of each slab of slices, and where the coefficients start that the slab's samples touch.
     slabs: Vec<Slab>,
     unknowns: usize,
 }
 
+/// What lies in some slices.
 struct Slab {
-    rows: std::ops::Range<usize>,
-    unknowns: std::ops::Range<usize>,
+    cells: Range<usize>,
+    samples: Range<usize>,
+    /// The coefficients that the samples touch.
+    unknowns: Range<usize>,
 }
 
 /// What the fit did.
@@ -68,34 +71,34 @@ pub fn pin_zero_set(field: &mut Image<f32>, samples: Vec<DVec3>, tolerance: f64,
     let start = gather(field, &number);
     let sampling = Sampling::new(&field.geometry, &samples, &number);
     drop(samples);
-    let mut residual = vec![0.0; sampling.rows.len()];
+    let mut residual = vec![0.0; sampling.weights.len()];
     sampling.apply(&start, &mut residual);
     drop(start);
     residual.par_iter_mut().for_each(|r| *r = -*r);
-    let root_mean_square = |r: &[f64]| (dot(r, r) / r.len() as f64).sqrt();
+    let root_mean_square = |r: &[f32]| (dot(r, r) / r.len() as f64).sqrt();
     let before = root_mean_square(&residual);
 
     // Half diagonal, half identity: the diagonal alone would give coefficients that hardly touch the surface free rein.
     let mut scale = vec![0.0; sampling.unknowns];
     sampling.apply_transposed(&vec![1.0; residual.len()], &mut scale, true);
-    let mean = scale.iter().sum::<f64>() / scale.len() as f64;
+    let mean = (scale.iter().map(|&s| f64::from(s)).sum::<f64>() / scale.len() as f64) as f32;
     scale.par_iter_mut().for_each(|s| *s = 1.0 / (*s + mean));
 
     let mut change = vec![0.0; sampling.unknowns];
     let mut gradient = vec![0.0; sampling.unknowns];
     sampling.apply_transposed(&residual, &mut gradient, false);
-    let mut direction: Vec<f64> = gradient.par_iter().zip(&scale).map(|(g, s)| g * s).collect();
+    let mut direction: Vec<f32> = gradient.par_iter().zip(&scale).map(|(g, s)| g * s).collect();
     let mut image = vec![0.0; residual.len()];
     let mut norm = dot(&gradient, &direction);
     let (mut after, mut steps) = (before, 0);
     while steps < most_steps && after > tolerance && norm > 0.0 {
         sampling.apply(&direction, &mut image);
         let alpha = norm / dot(&image, &image);
-        add_scaled(&mut change, alpha, &direction);
-        add_scaled(&mut residual, -alpha, &image);
+        add_scaled(&mut change, alpha as f32, &direction);
+        add_scaled(&mut residual, -alpha as f32, &image);
         sampling.apply_transposed(&residual, &mut gradient, false);
         let next = weighted_norm(&gradient, &scale);
-        let beta = next / norm;
+        let beta = (next / norm) as f32;
         norm = next;
         direction.par_iter_mut().zip(&gradient).zip(&scale).for_each(|((d, g), s)| *d = g * s + beta * *d);
         after = root_mean_square(&residual);
@@ -136,8 +139,7 @@ fn row_starts(at: usize, nx: usize, ny: usize) -> [usize; 16] {
 
 /// Cubic B-spline weights of the four coefficients round a cell.
 #[inline(always)]
-fn weights(t: f32) -> [f64; 4] {
-    let t = f64::from(t);
+fn weights_at(t: f32) -> [f32; 4] {
     let u = 1.0 - t;
     [
         u * u * u / 6.0,
@@ -157,46 +159,73 @@ impl Sampling {
             .collect();
         // within a cell in the order of the samples
         order.par_sort_unstable();
+        let mut cells: Vec<Cell> = Vec::new();
+        let mut weights = Vec::with_capacity(order.len());
+        for same_cell in order.chunk_by(|a, b| a.0 == b.0) {
+            let rows = row_starts(same_cell[0].0, nx, ny).map(|n| number.number(n) as u32);
+            cells.push(Cell { rows, first: weights.len() as u32 });
+            for &(_, sample) in same_cell {
+                let place = cell(geometry, samples[sample as usize]).map_or(DVec3::ZERO, |(_, place)| place);
+                weights.push(place.as_vec3().to_array().map(weights_at));
+            }
+        }
+        cells.shrink_to_fit();
         let slices_before = |k: usize| number.number(k * nx * ny);
         let slabs = (0..nz.div_ceil(SLAB))
             .map(|s| {
                 let (first, end) = (s * SLAB, ((s + 1) * SLAB).min(nz));
-                let from = order.partition_point(|&(at, _)| at < first * nx * ny);
-                let to = order.partition_point(|&(at, _)| at < end * nx * ny);
+                let before = |k: usize| order.partition_point(|&(at, _)| at < k * nx * ny);
+                let samples = before(first)..before(end);
+                let cell_at = |sample: usize| cells.partition_point(|cell| (cell.first as usize) < sample);
                 let unknowns = slices_before(first.saturating_sub(1))..slices_before((end + 2).min(nz));
-                Slab { rows: from..to, unknowns }
+                Slab { cells: cell_at(samples.start)..cell_at(samples.end), samples, unknowns }
             })
             .collect();
-        let mut cells: Vec<Cell> = Vec::new();
-        let mut rows = Vec::with_capacity(order.len());
-        for same_cell in order.chunk_by(|a, b| a.0 == b.0) {
-            cells.push(row_starts(same_cell[0].0, nx, ny).map(|n| number.number(n) as u32));
-            for &(_, sample) in same_cell {
-                let place = cell(geometry, samples[sample as usize]).map_or(DVec3::ZERO, |(_, place)| place);
-                rows.push(Row { cell: cells.len() as u32 - 1, place: place.as_vec3().to_array() });
-            }
-        }
-        cells.shrink_to_fit();
-        Self { rows, cells, slabs, unknowns: number.count }
+        Self { weights, cells, slabs, unknowns: number.count }
+    }
+
+    /// The cells of a slab, each with its samples.
+    fn cells(&self, slab: &Slab) -> impl Iterator<Item = (&Cell, Range<usize>)> {
+        let end = |n: usize| self.cells.get(n + 1).map_or(self.weights.len(), |next| next.first as usize);
+        slab.cells.clone().map(move |n| (&self.cells[n], self.cells[n].first as usize..end(n)))
     }
 
     /// F at the samples.
-    fn apply(&self, coefficients: &[f64], values: &mut [f64]) {
-        values.par_iter_mut().zip(&self.rows).for_each(|(value, row)| {
-            let [wx, wy, wz] = row.place.map(weights);
-            let mut sum = 0.0;
-            for (n, &start) in self.cells[row.cell as usize].iter().enumerate() {
-                let c = &coefficients[start as usize..start as usize + 4];
-                sum += wy[n % 4] * wz[n / 4] * (wx[0] * c[0] + wx[1] * c[1] + wx[2] * c[2] + wx[3] * c[3]);
+    fn apply(&self, coefficients: &[f32], values: &mut [f32]) {
+        let mut rest = values;
+        let mut tasks = Vec::new();
+        for slab in &self.slabs {
+            let (mine, after) = rest.split_at_mut(slab.samples.len());
+            tasks.push((slab, mine));
+            rest = after;
+        }
+        tasks.into_par_iter().for_each(|(slab, mine)| {
+            for (cell, samples) in self.cells(slab) {
+                let read = cell.rows.map(|start| {
+                    let four = &coefficients[start as usize..start as usize + 4];
+                    [four[0], four[1], four[2], four[3]]
+                });
+                for sample in samples {
+                    let [wx, wy, wz] = &self.weights[sample];
+                    let mut sum = [0.0; 4];
+                    for (n, four) in read.iter().enumerate() {
+                        let weight = wy[n % 4] * wz[n / 4];
+                        for (sum, c) in sum.iter_mut().zip(four) {
+                            *sum += weight * c;
+                        }
+                    }
+                    mine[sample - slab.samples.start] =
+                        (sum[0] * wx[0] + sum[1] * wx[1]) + (sum[2] * wx[2] + sum[3] * wx[3]);
+                }
             }
-            *value = sum;
         });
     }
 
     /// The transpose of [`Sampling::apply`], or of the map with all entries squared; even slabs first, then odd ones, so that
     /// tasks never meet.
-    fn apply_transposed(&self, values: &[f64], coefficients: &mut [f64], squared: bool) {
+    fn apply_transposed(&self, values: &[f32], coefficients: &mut [f32], squared: bool) {
         coefficients.fill(0.0);
+        let entry = |w: f32| if squared { w * w } else { w };
         for parity in 0..2 {
             let mut tasks = Vec::new();
             let (mut rest, mut done) = (&mut *coefficients, 0);
@@ -208,15 +237,23 @@ impl Sampling {
                 done = slab.unknowns.end;
             }
             tasks.into_par_iter().for_each(|(slab, mine)| {
-                for (row, value) in self.rows[slab.rows.clone()].iter().zip(&values[slab.rows.clone()]) {
-                    let entry = |w: f64| if squared { w * w } else { w };
-                    let [wx, wy, wz] = row.place.map(|t| weights(t).map(entry));
-                    for (n, &start) in self.cells[row.cell as usize].iter().enumerate() {
-                        let w = value * wy[n % 4] * wz[n / 4];
-                        let at = start as usize - slab.unknowns.start;
-                        for (c, wx) in mine[at..at + 4].iter_mut().zip(wx) {
-                            *c += w * wx;
+                for (cell, samples) in self.cells(slab) {
+                    let mut sums = [[0.0f32; 4]; 16];
+                    for sample in samples {
+                        let [wx, wy, wz] = &self.weights[sample];
+                        let value = values[sample];
+                        let row =
+                            [value * entry(wx[0]), value * entry(wx[1]), value * entry(wx[2]), value * entry(wx[3])];
+                        for (n, four) in sums.iter_mut().enumerate() {
+                            let weight = entry(wy[n % 4] * wz[n / 4]);
+                            for (sum, w) in four.iter_mut().zip(row) {
+                                *sum += weight * w;
+                            }
                         }
+                    }
+                    for (start, four) in cell.rows.iter().zip(sums) {
+                        let at = *start as usize - slab.unknowns.start;
+                        mine[at..at + 4].iter_mut().zip(four).for_each(|(c, sum)| *c += sum);
                     }
                 }
             });
@@ -225,7 +262,7 @@ impl Sampling {
 }
 
 /// The numbered coefficients of the spline through a field.
-fn gather(field: &Image<f32>, number: &Numbering) -> Vec<f64> {
+fn gather(field: &Image<f32>, number: &Numbering) -> Vec<f32> {
     let [nx, ny, nz] = field.geometry.size;
     let plane = nx * ny;
     let fill = |k: usize, slice: &mut [f32]| slice.copy_from_slice(&field.data[k * plane..(k + 1) * plane]);
@@ -235,14 +272,14 @@ fn gather(field: &Image<f32>, number: &Numbering) -> Vec<f64> {
         let coefficients = filter.coefficients(first..(first + GATHERED).min(nz), fill);
         for row in first * ny..(first + GATHERED).min(nz) * ny {
             let (values, start) = (coefficients.row(row % ny, row / ny), row * nx);
-            number.each(start..start + nx, |node, _| compact.push(f64::from(values[node - start])));
+            number.each(start..start + nx, |node, _| compact.push(values[node - start]));
         }
     }
     compact
 }
 
 /// Adds the values at the nodes of a change of spline coefficients.
-fn add_change(field: &mut Image<f32>, number: &Numbering, change: &[f64]) {
+fn add_change(field: &mut Image<f32>, number: &Numbering, change: &[f32]) {
     let [nx, ny, nz] = field.geometry.size;
     let node_weight = |offset: isize| if offset == 0 { 4.0 / 6.0 } else { 1.0 / 6.0 };
     field.data.par_chunks_mut(nx * ny).enumerate().for_each(|(k, slice)| {
@@ -251,7 +288,7 @@ fn add_change(field: &mut Image<f32>, number: &Numbering, change: &[f64]) {
             let start = near_k * nx * ny;
             number.each(start..start + nx * ny, |node, n| {
                 let (near_i, near_j) = ((node - start) % nx, (node - start) / nx);
-                let value = wz * change[n];
+                let value = wz * f64::from(change[n]);
                 for j in near_j.saturating_sub(1)..(near_j + 2).min(ny) {
                     let wy = node_weight(j as isize - near_j as isize);
                     for i in near_i.saturating_sub(1)..(near_i + 2).min(nx) {
@@ -264,21 +301,22 @@ fn add_change(field: &mut Image<f32>, number: &Numbering, change: &[f64]) {
     });
 }
 
-fn dot(a: &[f64], b: &[f64]) -> f64 {
+fn dot(a: &[f32], b: &[f32]) -> f64 {
     chunked_sum(a, b, |a, b| a * b)
 }
 
 /// Sum of squares, each times its weight.
-fn weighted_norm(a: &[f64], weight: &[f64]) -> f64 {
+fn weighted_norm(a: &[f32], weight: &[f32]) -> f64 {
     chunked_sum(a, weight, |a, w| a * a * w)
 }
 
-fn chunked_sum(a: &[f64], b: &[f64], term: impl Fn(f64, f64) -> f64 + Sync) -> f64 {
+fn chunked_sum(a: &[f32], b: &[f32], term: impl Fn(f64, f64) -> f64 + Sync) -> f64 {
     let chunks = a.par_chunks(CHUNK).zip(b.par_chunks(CHUNK));
-    let parts: Vec<f64> = chunks.map(|(a, b)| a.iter().zip(b).map(|(a, b)| term(*a, *b)).sum()).collect();
+    let sum = |(a, b): (&[f32], &[f32])| -> f64 { a.iter().zip(b).map(|(a, b)| term((*a).into(), (*b).into())).sum() };
+    let parts: Vec<f64> = chunks.map(sum).collect();
     parts.iter().sum()
 }
 
-fn add_scaled(to: &mut [f64], factor: f64, what: &[f64]) {
+fn add_scaled(to: &mut [f32], factor: f32, what: &[f32]) {
     to.par_iter_mut().zip(what).for_each(|(t, w)| *t += factor * w);
 }

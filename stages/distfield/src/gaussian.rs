@@ -43,6 +43,9 @@ type Line = Vec<[f64; LANES]>;
 fn smooth_lines(line: &mut Line, room: &mut Line, kernel: ExtendedBox) {
     let n = line.len() as isize;
     let mirrored = |at: isize| {
+        if (0..n).contains(&at) {
+            return at as usize;
+        }
         let around = at.rem_euclid(2 * n);
         (if around < n { around } else { 2 * n - 1 - around }) as usize
     };

@@ -14,6 +14,7 @@ pub mod cap;
 pub mod changes;
 pub mod choose;
 pub mod closest;
+mod envelope;
 pub mod field;
 pub mod fit;
 pub mod flow;

@@ -13,6 +13,9 @@ const HALO: usize = 16;
 /// Nodes whose coefficients are made at a time: as a bound on the memory, and so that smaller images are filtered as a whole.
 const NODES_AT_A_TIME: usize = 8 << 20;
 
+/// Rows along x that are filtered side by side: one alone waits for each sum before the next.
+const ROWS: usize = 8;
+
 /// Prefilters an image that is given slice by slice and hands out the coefficients of some slices at a time, so that those of the whole
 /// image need not be held. They are those of [`super::CubicSpline`] to the rounding of single precision, on any number of threads.
 pub struct SlabFilter {
@@ -86,8 +89,16 @@ impl SlabFilter {
 
 /// Prefilters a slice along x and along y.
 pub(super) fn filter_slice(slice: &mut [f32], nx: usize, ny: usize, scratch: &mut [f64]) {
-    for row in slice.chunks_mut(nx) {
-        filter_block(row, 1, nx, &mut scratch[..nx]);
+    for rows in slice.chunks_mut(nx * ROWS) {
+        let width = rows.len() / nx;
+        let lines = &mut scratch[..rows.len()];
+        for (x, row) in rows.chunks(nx).enumerate() {
+            row.iter().zip(lines[x..].iter_mut().step_by(width)).for_each(|(from, to)| *to = 6.0 * f64::from(*from));
+        }
+        filter_lines(lines, width, nx);
+        for (x, row) in rows.chunks_mut(nx).enumerate() {
+            row.iter_mut().zip(lines[x..].iter().step_by(width)).for_each(|(to, from)| *to = *from as f32);
+        }
     }
     filter_block(slice, nx, ny, scratch);
 }
@@ -118,11 +129,20 @@ pub(super) fn scatter(planes: &[Vec<f32>], nx: usize, to: &mut [f32]) {
 
 /// Prefilters `count` lines of `length` samples that lie `width` apart in a block (`width` lines side by side).
 fn filter_block(block: &mut [f32], width: usize, length: usize, scratch: &mut [f64]) {
-    if length < 2 {
-        return;
-    }
     for (to, from) in scratch.iter_mut().zip(block.iter()) {
         *to = 6.0 * f64::from(*from);
+    }
+    filter_lines(scratch, width, length);
+    for (to, from) in block.iter_mut().zip(scratch.iter()) {
+        *to = *from as f32;
+    }
+}
+
+/// The same of six times the samples, in place.
+fn filter_lines(scratch: &mut [f64], width: usize, length: usize) {
+    if length < 2 {
+        scratch.iter_mut().for_each(|sample| *sample /= 6.0);
+        return;
     }
     let horizon = 30.min(length);
     // first causal value: mirrored geometric sum
@@ -146,9 +166,6 @@ fn filter_block(block: &mut [f32], width: usize, length: usize, scratch: &mut [f
         for x in 0..width {
             now[x] = POLE * (after[x] - now[x]);
         }
-    }
-    for (to, from) in block.iter_mut().zip(scratch.iter()) {
-        *to = *from as f32;
     }
 }
 

@@ -1,0 +1,173 @@
+//! The nearest of the samples that some nodes of a grid have, for all of its nodes: along one axis after the other a node takes what is
+//! nearest of the samples in its line. Over the line the squared distance to a sample is a parabola, and the nearest ones are those of the lower
+//! envelope (Felzenszwalb and Huttenlocher 2012), each found once: a node costs the same however far the surface is.
+
+use crate::nearest::NONE;
+use glam::Vec3;
+use isoparticles_volume::Geometry;
+use rayon::prelude::*;
+
+/// Gives every node (x fastest) the nearest of the samples whose numbers the nodes have; [`NONE`] stays where no node has one. Samples in the grid
+/// frame. What a line hands on is nearest to nodes of its own, so where samples lie off the nodes that have them another may be nearer by as much.
+pub(crate) fn spread(geometry: &Geometry, samples: &[Vec3], sample: &mut [u32]) {
+    let [nx, ny, _] = geometry.size;
+    let spacing = geometry.spacing;
+    sample.par_chunks_mut(nx).enumerate().for_each_init(Envelope::default, |envelope, (row, line)| {
+        let (y, z) = ((row % ny) as f64 * spacing.y, (row / ny) as f64 * spacing.z);
+        envelope.fill(line, spacing.x, |p| Parabola::new(samples, p, [0, 1, 2], [y, z]));
+    });
+    sample.par_chunks_mut(nx * ny).enumerate().for_each_init(Envelope::default, |envelope, (k, slice)| {
+        let mut rows: Vec<&mut [u32]> = slice.chunks_mut(nx).collect();
+        let z = k as f64 * spacing.z;
+        envelope
+            .fill_across(&mut rows, spacing.y, |i, p| Parabola::new(samples, p, [1, 0, 2], [i as f64 * spacing.x, z]));
+    });
+    let mut tasks: Vec<Vec<&mut [u32]>> = (0..ny).map(|_| Vec::new()).collect();
+    for slice in sample.chunks_mut(nx * ny) {
+        tasks.iter_mut().zip(slice.chunks_mut(nx)).for_each(|(task, row)| task.push(row));
+    }
+    tasks.into_par_iter().enumerate().for_each_init(Envelope::default, |envelope, (j, mut rows)| {
+        let y = j as f64 * spacing.y;
+        envelope
+            .fill_across(&mut rows, spacing.z, |i, p| Parabola::new(samples, p, [2, 0, 1], [i as f64 * spacing.x, y]));
+    });
+}
+
+/// Squared distance (mm squared) to a sample along a line.
+#[derive(Clone, Copy)]
+struct Parabola {
+    number: u32,
+    /// Where it is least, mm.
+    centre: f64,
+    /// What it is there.
+    least: f64,
+}
+
+impl Parabola {
+    /// Along the first of the axes; the line lies at the places `at` on the other two.
+    fn new(samples: &[Vec3], number: u32, [along, u, v]: [usize; 3], at: [f64; 2]) -> Self {
+        let place = samples[number as usize].as_dvec3();
+        Self { number, centre: place[along], least: (place[u] - at[0]).powi(2) + (place[v] - at[1]).powi(2) }
+    }
+}
+
+/// Room for the samples of a line.
+#[derive(Default)]
+struct Envelope {
+    column: Vec<u32>,
+    all: Vec<Parabola>,
+    /// The parabolas that are the lowest somewhere, and from where on, mm.
+    lowest: Vec<(Parabola, f64)>,
+}
+
+impl Envelope {
+    /// Fills each column of some rows.
+    fn fill_across(&mut self, rows: &mut [&mut [u32]], spacing: f64, parabola: impl Fn(usize, u32) -> Parabola) {
+        let width = rows.first().map_or(0, |row| row.len());
+        let mut column = std::mem::take(&mut self.column);
+        for i in 0..width {
+            column.clear();
+            column.extend(rows.iter().map(|row| row[i]));
+            self.fill(&mut column, spacing, |number| parabola(i, number));
+            rows.iter_mut().zip(&column).for_each(|(row, &number)| row[i] = number);
+        }
+        self.column = column;
+    }
+
+    /// Gives every node of a line the nearest of the samples that are there.
+    fn fill(&mut self, line: &mut [u32], spacing: f64, parabola: impl Fn(u32) -> Parabola) {
+        self.all.clear();
+        let mut last = NONE;
+        for &number in line.iter() {
+            if number != NONE && number != last {
+                self.all.push(parabola(number));
+                last = number;
+            }
+        }
+        // neighbours may have each other's samples
+        if !self.all.is_sorted_by(|a, b| a.centre <= b.centre) {
+            self.all.sort_by(|a, b| a.centre.total_cmp(&b.centre));
+        }
+        self.lowest.clear();
+        for &next in &self.all {
+            let mut from = f64::NEG_INFINITY;
+            while let Some(&(before, begins)) = self.lowest.last() {
+                from = crossing(before, next);
+                if from > begins {
+                    break;
+                }
+                self.lowest.pop();
+                from = f64::NEG_INFINITY;
+            }
+            if from < f64::INFINITY {
+                self.lowest.push((next, from));
+            }
+        }
+        let mut lowest = self.lowest.iter().peekable();
+        let mut number = NONE;
+        for (n, own) in line.iter_mut().enumerate() {
+            while let Some((parabola, _)) = lowest.next_if(|(_, from)| *from <= n as f64 * spacing) {
+                number = parabola.number;
+            }
+            *own = number;
+        }
+    }
+}
+
+/// Where on the line the second parabola, whose centre is no lower, becomes the lower one: everywhere or nowhere if they have one centre.
+fn crossing(first: Parabola, second: Parabola) -> f64 {
+    if first.centre == second.centre {
+        return if second.least < first.least { f64::NEG_INFINITY } else { f64::INFINITY };
+    }
+    let height = |p: Parabola| p.centre * p.centre + p.least;
+    (height(second) - height(first)) / (2.0 * (second.centre - first.centre))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use glam::DVec3;
+    use isoparticles_field::random::uniform;
+
+    #[test]
+    fn every_node_has_the_nearest_sample() {
+        // exactly where samples lie on their nodes; by twice as much as they lie off them, along two axes, where not
+        for (n, count, off) in [(0u64, 1, 0.0), (1, 7, 0.0), (2, 60, 0.0), (3, 60, 0.1)] {
+            let geometry = Geometry::axis_aligned([13, 9, 11], DVec3::new(1.0, 0.7, 1.6));
+            // one sample at a node of its own, so that none is left out
+            let mut sample = vec![NONE; geometry.voxel_count()];
+            let mut samples = Vec::new();
+            for s in 0..count {
+                let place = |axis: u64| uniform(5, axis, 1000 * n + s);
+                let index = [0, 1, 2].map(|a| (place(a as u64) * geometry.size[a] as f64) as usize);
+                let at = geometry.linear(index[0], index[1], index[2]);
+                if sample[at] == NONE {
+                    sample[at] = samples.len() as u32;
+                    let off = off * DVec3::new(place(3) - 0.5, place(4) - 0.5, place(5) - 0.5);
+                    let index = DVec3::from_array(index.map(|i| i as f64));
+                    samples.push((geometry.index_to_grid(index) + off).as_vec3());
+                }
+            }
+            spread(&geometry, &samples, &mut sample);
+            let [nx, ny, _] = geometry.size;
+            for (at, &number) in sample.iter().enumerate() {
+                let index = DVec3::new((at % nx) as f64, (at / nx % ny) as f64, (at / (nx * ny)) as f64);
+                let node = geometry.index_to_grid(index).as_vec3();
+                let distance = |p: &Vec3| node.distance(*p);
+                let nearest = samples.iter().map(distance).fold(f32::INFINITY, f32::min);
+                assert!(
+                    distance(&samples[number as usize]) <= nearest + 2.0 * off as f32 + 1e-5,
+                    "{count}: node {index}"
+                );
+            }
+        }
+    }
+
+    #[test]
+    fn without_samples_nothing_is_given() {
+        let geometry = Geometry::axis_aligned([3, 2, 2], DVec3::ONE);
+        let mut sample = vec![NONE; 12];
+        spread(&geometry, &[], &mut sample);
+        assert!(sample.iter().all(|&number| number == NONE));
+    }
+}

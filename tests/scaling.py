@@ -1,0 +1,127 @@
+#!/usr/bin/env python3
+"""How every stage gains by threads: one volume through all stages with 1, 2, 4 ... threads, as one table.
+
+    scaling.py @stages/distfield/benches/peers.txt [--threads 1 2 4 8 16] [--rounds 1] [--bin target/release] [--work out/scaling]
+
+CASE is NAME=VOLUME;DISTFIELD OPTIONS[;SIZEFIELD OPTIONS]; @FILE stands for the lines of a file but for those that start with #; $NAME for a
+variable of the environment. Seconds are those of the stages' reports, the least of all rounds, by step where a step takes a
+fiftieth of the whole chain on the fewest threads. "Serial" is the share of the work on one thread that did not get quicker, by
+Amdahl's law from the fewest and the most threads: t(n) = t(1) (s + (1 - s) / n). Files made with different numbers of threads are
+compared; if they differ the exit code is 1. `particles` runs on the CPU.
+"""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import json
+import os
+import platform
+import subprocess
+import sys
+from pathlib import Path
+
+STAGES = ("distfield", "sizefield", "seed", "particles", "reconstruct")
+LEAST_SHARE = 0.02  # of the whole, for a step to have a row
+
+
+def commands(volume: str, distfield: list[str], sizefield: list[str], folder: Path) -> list[tuple[list[str], Path]]:
+    """The stages' arguments, and what each writes."""
+    names = ("distfield.vti", "sizefield.vti", "seeds.bin", "particles.bin", "surface.vtp")
+    f, s, seeds, particles, surface = (folder / name for name in names)
+    fields = ["--distfield", str(f), "--sizefield", str(s)]
+    return [
+        ([volume, *distfield], f),
+        ([str(f), *sizefield], s),
+        ([str(f), str(s)], seeds),
+        ([str(seeds), *fields, "--backend", "cpu"], particles),
+        ([str(particles), *fields], surface),
+    ]
+
+
+def run(
+    arguments: argparse.Namespace, text: str, threads: int, folder: Path
+) -> tuple[dict[tuple[str, str], float], str]:
+    """Seconds of every step ("" for the whole stage), and the digest of all files that were made."""
+    _, _, rest = text.partition("=")
+    volume, distfield, sizefield = [*os.path.expandvars(rest).split(";"), ""][:3]
+    seconds: dict[tuple[str, str], float] = {}
+    digest = hashlib.sha256()
+    steps = commands(volume, distfield.split(), sizefield.split(), folder)
+    for stage, (options, output) in zip(STAGES, steps, strict=True):
+        report = folder / f"{stage}.json"
+        shared = ["--force", "-q", "--threads", str(threads), "--report", str(report)]
+        command = [str(arguments.bin / stage), *options, "-o", str(output), *shared]
+        done = subprocess.run(command, check=False, stderr=subprocess.PIPE, text=True)
+        if done.returncode not in (0, 1):
+            raise SystemExit(f"{stage}: {done.stderr.strip()}")
+        told = json.loads(report.read_text(encoding="utf-8"))
+        seconds[stage, ""] = told["seconds"]
+        for step in told["steps"]:
+            seconds[stage, step["name"]] = seconds.get((stage, step["name"]), 0.0) + step["seconds"]
+        digest.update(output.read_bytes())
+    seconds["all", ""] = sum(seconds[stage, ""] for stage in STAGES)
+    return seconds, digest.hexdigest()
+
+
+def serial(first: float, last: float, few: int, many: int) -> str:
+    """The share of the work on one thread that no thread took off the first, percent."""
+    # t(few) = w (s + (1 - s) / few), t(many) likewise: the ratio gives s
+    ratio = last / first if first > 0.0 else 1.0
+    share = (ratio / few - 1.0 / many) / ((1.0 - 1.0 / many) - ratio * (1.0 - 1.0 / few))
+    return f"{100.0 * min(max(share, 0.0), 1.0):.0f}"
+
+
+class Parser(argparse.ArgumentParser):
+    """A parser whose files of arguments may have comments."""
+
+    def convert_arg_line_to_args(self, arg_line: str) -> list[str]:
+        """Takes a line of a file for an argument, unless it starts with #."""
+        return [] if arg_line.startswith("#") else [arg_line]
+
+
+def main() -> None:
+    """Reads the command line and prints the tables."""
+    parser = Parser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter, fromfile_prefix_chars="@"
+    )
+    parser.add_argument("cases", nargs="+", metavar="CASE")
+    parser.add_argument("--threads", type=int, nargs="+", default=[1, 2, 4, 8, 16])
+    parser.add_argument("--rounds", type=int, default=1)
+    parser.add_argument("--bin", type=Path, default=Path("target/release"), help="folder of the stage programs")
+    parser.add_argument("--work", type=Path, default=Path("out/scaling"), help="folder for the files")
+    arguments = parser.parse_intermixed_args()
+    threads = sorted(set(arguments.threads))
+    differ = False
+    print(f"{platform.machine()}, {os.cpu_count()} cores, load {os.getloadavg()[0]:.1f} at the start")
+    for text in arguments.cases:
+        name = text.partition("=")[0]
+        folder = arguments.work / name
+        folder.mkdir(parents=True, exist_ok=True)
+        best: dict[int, dict[tuple[str, str], float]] = {}
+        digests = set()
+        for _ in range(arguments.rounds):
+            for count in threads:
+                seconds, digest = run(arguments, text, count, folder)
+                digests.add(digest)
+                before = best.setdefault(count, seconds)
+                best[count] = {key: min(before.get(key, value), value) for key, value in seconds.items()}
+        few, many = threads[0], threads[-1]
+        differ |= len(digests) > 1
+        print(f"\n{name}: files {'the same' if len(digests) == 1 else 'NOT the same'} on any number of threads\n")
+        print(
+            "| stage | step | " + " | ".join(f"{count} threads, s" for count in threads) + " | speed-up | serial, % |"
+        )
+        print("|" + "---|" * (len(threads) + 4))
+        for (stage, step), first in best[few].items():
+            if step and first < LEAST_SHARE * best[few]["all", ""]:
+                continue
+            last = best[many][stage, step]
+            row = [stage, step or "**all**", *(f"{best[count][stage, step]:.2f}" for count in threads)]
+            row += [f"{first / last:.1f}" if last > 0.0 else "-", serial(first, last, few, many) if many > few else "-"]
+            print("| " + " | ".join(row) + " |", flush=True)
+    sys.exit(int(differ))
+
+
+if __name__ == "__main__":
+    main()
