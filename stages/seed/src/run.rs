@@ -80,11 +80,11 @@ pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
             "look at the iso value or the labels that distfield was given",
         ));
     }
-    if summary.crowded_components > 0 {
+    if summary.underpopulated_components > 0 {
         context.warn(format!(
             "{} of {} components are small for their h and got extra particles; a smaller h (sizefield --min-size, \
              --epsilon) suits them better",
-            summary.crowded_components, summary.components
+            summary.underpopulated_components, summary.components
         ));
     }
     context.summary("particles", particles.positions.len());

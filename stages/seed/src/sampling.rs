@@ -35,7 +35,7 @@ pub struct Summary {
     /// Components of the isosurface.
     pub components: usize,
     /// Components that got extra particles, because the sizing field asked for fewer than they need.
-    pub crowded_components: usize,
+    pub underpopulated_components: usize,
     /// Particles that the sizing field asks for, [`SizingField::predicted_count`].
     pub predicted_count: f64,
     /// Seeds dropped because they could not be projected onto F = 0.
@@ -109,8 +109,8 @@ pub fn seed_surface(
         normals,
         sizes,
     };
-    let (components, crowded_components) = (components.all().len(), bare.len());
-    Ok((set, Summary { components, crowded_components, predicted_count, not_projected }))
+    let (components, underpopulated_components) = (components.all().len(), bare.len());
+    Ok((set, Summary { components, underpopulated_components, predicted_count, not_projected }))
 }
 
 /// Brings points with their normals onto F = 0, each with grad F there; those that do not get there on their own side are only counted.

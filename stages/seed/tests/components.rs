@@ -37,7 +37,7 @@ fn seeded(function: impl Fn(DVec3) -> f64) -> (Summary, Vec<usize>) {
 fn a_component_between_the_samples_gets_particles() {
     let (ball, speck) = (DVec3::new(11.0, 12.0, 12.0), DVec3::new(28.5, 12.45, 12.52));
     let (summary, counts) = seeded(|p| (p.distance(ball) - 7.0).min(0.4 * (p.distance_squared(speck) - 0.3)));
-    assert_eq!((summary.components, summary.crowded_components, counts.len()), (2, 1, 2));
+    assert_eq!((summary.components, summary.underpopulated_components, counts.len()), (2, 1, 2));
     assert!(counts.iter().all(|&n| n >= COMPONENT_MINIMUM), "{counts:?}");
 }
 
@@ -52,6 +52,6 @@ fn two_balls_that_marching_cubes_joins_are_two() {
     let mesh = marching_cubes(&image, 0.0);
     assert_eq!(of_vertices(mesh.vertices.len(), &mesh.triangles).1, 1);
     let (summary, counts) = seeded(distance);
-    assert_eq!((summary.components, summary.crowded_components, counts.len()), (2, 0, 2));
+    assert_eq!((summary.components, summary.underpopulated_components, counts.len()), (2, 0, 2));
     assert!(counts.iter().all(|&n| n > 100), "{counts:?}");
 }

@@ -29,7 +29,7 @@ pub struct Summary {
     /// Components of sheets.
     pub components: usize,
     /// Components that got extra particles, because the sizing field asked for fewer than they need.
-    pub crowded_components: usize,
+    pub underpopulated_components: usize,
     /// Particles that the sizing field asks for ([`Complex::predicted_count`]).
     pub predicted_count: f64,
     /// Seeds dropped because they could not be projected onto their stratum, or because another material is nearer there.
@@ -57,7 +57,7 @@ pub fn seed_strata(
         curves: complex.chains.len(),
         closed_curves: complex.chains.iter().filter(|chain| chain.is_closed()).count(),
         components: sheets.components,
-        crowded_components: sheets.crowded,
+        underpopulated_components: sheets.crowded,
         predicted_count,
         not_projected: curves.not_projected + sheets.not_projected,
         specks: sheets.specks,
