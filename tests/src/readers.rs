@@ -109,7 +109,7 @@ impl Feeder {
         Self { reader, folder: tempfile::tempdir().expect("a folder for files") }
     }
 
-    /// Feeds a file with these bytes: to the reader of series a folder of [`slices`], to that of particles the file that is [`sealed`], too.
+    /// Feeds a file with these bytes: to the reader of series a folder of slices, to that of particles the file that is sealed, too.
     ///
     /// # Panics
     /// When the reader does, or its error has not all three parts.

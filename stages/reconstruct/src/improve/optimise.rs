@@ -3,8 +3,8 @@
 //! meet are worked on side by side; what a patch commits is one commit of the whole.
 
 use super::constants::{
-    BATCH, EASY, FIT, MOST_IN_VAIN, MOST_IN_VAIN_ABOVE_EASY, MOST_IN_VAIN_AT_JUNCTIONS, MOST_PAIRS_IN_VAIN, REACHES,
-    RINGS,
+    AIM, BATCH, EASY, FIT, MOST_IN_VAIN, MOST_IN_VAIN_ABOVE_EASY, MOST_IN_VAIN_AT_JUNCTIONS, MOST_PAIRS_IN_VAIN,
+    REACHES, RINGS,
 };
 use super::guard::Limits;
 use super::lift::{lift, lift_by_two};
@@ -62,8 +62,8 @@ impl Pass {
 type Failures = HashMap<u32, u32>;
 
 /// Lifts the triangles below a quality, `rounds` times at most: by moves within the limits; those not fit for finite elements by moves within the
-/// loosened limits, by remeshing and by two moves in a row; then all of them again by one and by two moves, and those below [`EASY`] within the loosened
-/// limits, in so far as a few failures allow.
+/// loosened limits, by remeshing and by two moves in a row; then those below [`AIM`] by two moves, and all of them by one and by two, in so far as a few
+/// failures allow.
 /// `step` is called before each batch and may stop it.
 ///
 /// # Errors
@@ -81,6 +81,8 @@ pub(super) fn optimise(
     let remesh = |reach| pass(Means::Remesh { reach }, *limits, unfit, MOST_IN_VAIN);
     let [smallest, small, large, largest] = REACHES;
     let two_moves = |limits, bar: f64| pass(Means::TwoMoves, limits, target.min(bar), MOST_PAIRS_IN_VAIN);
+    // as loose as that, but no farther from F = 0
+    let within = Limits { deviation: limits.deviation, ..loosened };
     let passes = [
         pass(Means::Move, *limits, target.min(EASY), usize::MAX),
         pass(Means::Move, loosened, unfit, usize::MAX),
@@ -89,8 +91,10 @@ pub(super) fn optimise(
         pass(Means::TwoMoves, loosened, unfit, MOST_IN_VAIN),
         remesh(large),
         remesh(largest),
+        two_moves(within, AIM),
+        two_moves(loosened, AIM),
         pass(Means::Move, *limits, target, MOST_IN_VAIN_ABOVE_EASY),
-        two_moves(Limits { deviation: limits.deviation, ..loosened }, target),
+        two_moves(within, target),
         two_moves(loosened, EASY),
     ];
     let mut failures: Vec<Failures> = passes.iter().map(|_| Failures::new()).collect();
