@@ -218,7 +218,7 @@ impl<L: Copy + Default + Ord + Send + Sync> Labelled<L> {
         to.is_finite().then_some((from, to))
     }
 
-    /// The two places, nearer to each other than [`CROSSING`], between which the Voronoi edge dual to a facet leaves what is inside, next to the facet; `None`
+    /// The two places, nearer to each other than a thousandth of a voxel, between which the Voronoi edge dual to a facet leaves what is inside, next to the facet; `None`
     /// when it does not.
     pub fn dual_crossing(
         &self,
