@@ -1,4 +1,4 @@
-//! Every number that decides something in the improvement, with its reason. Lengths over h are over the target edge length at the place.
+//! Every number that decides something in the improvement, with its reason where it was derived or measured. Lengths over h are over the target edge length at the place.
 
 // --- what is asked of a triangle ---
 
