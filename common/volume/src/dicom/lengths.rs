@@ -15,7 +15,7 @@ use std::path::Path;
 const PREAMBLE: u64 = 128;
 const START: u64 = PREAMBLE + 4;
 
-/// Whether no element promises more bytes than the file has. What is damaged in another way is left to the reader, which fails where this one does.
+/// Whether all elements can be followed to the end of the file and none promises more bytes than it has.
 ///
 /// # Errors
 /// When the file cannot be read.
@@ -30,7 +30,9 @@ pub(super) fn lie_within(path: &Path) -> io::Result<bool> {
     let Ok(group) = FileMetaTable::from_reader(&mut reader) else { return Ok(true) };
     let Some(syntax) = TransferSyntaxRegistry.get(group.transfer_syntax()) else { return Ok(true) };
     let Ok(mut elements) = LazyDataSetReader::new_with_ts(reader, syntax) else { return Ok(true) };
-    while let Some(Ok(token)) = elements.advance() {
+    while let Some(token) = elements.advance() {
+        // beyond what it cannot follow, the reader of values may
+        let Ok(token) = token else { return Ok(false) };
         let (length, position) = match &token {
             LazyDataToken::LazyValue { header, decoder } => (header.len.0, decoder.position()),
             LazyDataToken::LazyItemValue { len, decoder } => (*len, decoder.position()),
@@ -40,7 +42,7 @@ pub(super) fn lie_within(path: &Path) -> io::Result<bool> {
             return Ok(false);
         }
         if token.skip().is_err() {
-            break;
+            return Ok(false);
         }
     }
     Ok(true)
@@ -101,7 +103,7 @@ mod tests {
             let mut elements = b"\x30\x20\x10\x00OB\x00\x00\xff\xff\xff\xff\xfe\xff\x00\xe0\x0c\x00\x00\x00".to_vec();
             elements.extend(b"\x00\x00\x00\x00OB\x00\x00");
             elements.extend(length.to_le_bytes());
-            elements.extend([0; 8]);
+            elements.extend(b"\xfe\xff\xdd\xe0\x00\x00\x00\x00");
             lies_within(&dicom(b"1.2.840.10008.1.2.1\0", &elements))
         };
         assert!(!says(0xff00_0058) && says(0));
@@ -118,6 +120,12 @@ mod tests {
         };
         // as an explicit element the length would begin with the letters CS and say 2
         assert!(!says(0x0002_5343) && says(0x4352));
+    }
+
+    /// Fuzzing, 4: an element in an item that the lazy reader cannot follow, and the reader of values takes for one of 2 GiB.
+    #[test]
+    fn what_cannot_be_followed_does_not_lie_within() {
+        assert!(!lies_within(include_bytes!("../../tests/data/found/4.dcm")));
     }
 
     #[test]

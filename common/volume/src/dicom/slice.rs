@@ -70,7 +70,7 @@ impl Slice {
         if !is_whole {
             return Err(bad(
                 path,
-                "has an element that is longer than the file",
+                "has an element that is longer than the file, or cannot be followed",
                 "it is cut short or damaged",
                 "copy or export the file again, or move it to another folder if it is no slice",
             ));
