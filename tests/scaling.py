@@ -72,17 +72,9 @@ def serial(first: float, last: float, few: int, many: int) -> str:
     return f"{100.0 * min(max(share, 0.0), 1.0):.0f}"
 
 
-class Parser(argparse.ArgumentParser):
-    """A parser whose files of arguments may have comments."""
-
-    def convert_arg_line_to_args(self, arg_line: str) -> list[str]:
-        """Takes a line of a file for an argument, unless it starts with #."""
-        return [] if arg_line.startswith("#") else [arg_line]
-
-
 def main() -> None:
     """Reads the command line and prints the tables."""
-    parser = Parser(
+    parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter, fromfile_prefix_chars="@"
     )
     parser.add_argument("cases", nargs="+", metavar="CASE")
@@ -94,7 +86,8 @@ def main() -> None:
     threads = sorted(set(arguments.threads))
     differ = False
     print(f"{platform.machine()}, {os.cpu_count()} cores, load {os.getloadavg()[0]:.1f} at the start")
-    for text in arguments.cases:
+    # files of cases have comments
+    for text in (text for text in arguments.cases if not text.startswith("#")):
         name = text.partition("=")[0]
         folder = arguments.work / name
         folder.mkdir(parents=True, exist_ok=True)

@@ -3,8 +3,8 @@
 use crate::spline::{FLATTEST, Jet};
 use glam::{DMat3, DVec3};
 
-/// Curvature tensor of the level set through a point, per mm: the Hessian over the slope, restricted to the tangent plane; none where F is flat. Its eigenvalues are 0 (along
-/// the normal) and the two principal curvatures, positive on a ball.
+/// Curvature tensor of the level set through a point, per mm: the Hessian over the slope, restricted to the tangent plane; none where F is flat. Its
+/// eigenvalues are 0 (along the normal) and the two principal curvatures, positive on a ball.
 pub fn curvature_tensor(jet: &Jet) -> DMat3 {
     let slope = jet.gradient.length();
     if slope < FLATTEST {

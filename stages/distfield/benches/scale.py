@@ -303,17 +303,9 @@ def peer_row(case: Case, vertices: int, ours: int, before: float, program: str) 
 PEERS = {"botsch": "gpytoolbox remesh_botsch", "cgal": "CGAL isotropic remeshing"}
 
 
-class Parser(argparse.ArgumentParser):
-    """A parser whose files of arguments may have comments."""
-
-    def convert_arg_line_to_args(self, arg_line: str) -> list[str]:
-        """Takes a line of a file for an argument, unless it starts with #."""
-        return [] if arg_line.startswith("#") else [arg_line]
-
-
 def main() -> None:
     """Reads the command line and prints the table."""
-    parser = Parser(
+    parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter, fromfile_prefix_chars="@"
     )
     parser.add_argument("cases", nargs="+", metavar="CASE")
@@ -333,7 +325,8 @@ def main() -> None:
         "| object | asked for | program | scale, mm | vertices | exit code | radius ratio, mean / smallest | angles, degrees | distance, mm"
         " | lost, mm | volume, % | components | tetrahedra | s |\n" + "|---" * 14 + "|"
     )
-    for text in arguments.cases:
+    # files of cases have comments
+    for text in (text for text in arguments.cases if not text.startswith("#")):
         name, _, rest = text.partition("=")
         volume, distfield, sizefield = [*os.path.expandvars(rest).split(";"), ""][:3]
         case = Case(

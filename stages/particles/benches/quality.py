@@ -243,17 +243,9 @@ def plot(table: Path, picture: Path) -> None:
     figure.savefig(picture, dpi=130)
 
 
-class Parser(argparse.ArgumentParser):
-    """A parser whose files of arguments may have comments."""
-
-    def convert_arg_line_to_args(self, arg_line: str) -> list[str]:
-        """Takes a line of a file for an argument, unless it starts with #."""
-        return [] if arg_line.startswith("#") else [arg_line]
-
-
 def main() -> None:
     """Reads the command line."""
-    parser = Parser(
+    parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter, fromfile_prefix_chars="@"
     )
     parser.add_argument("task", choices=["passes", "backends", "counts", "surfaces", "plot"])
@@ -273,7 +265,8 @@ def main() -> None:
         return
     arguments.work.mkdir(parents=True, exist_ok=True)
     cases = []
-    for text in arguments.cases:
+    # files of cases have comments
+    for text in (text for text in arguments.cases if not text.startswith("#")):
         name, _, rest = text.partition("=")
         volume, distfield, sizefield = [*os.path.expandvars(rest).split(";"), ""][:3]
         sizefield = "" if arguments.default_sizes else sizefield

@@ -81,14 +81,7 @@ fn on_cap(corners: [DVec3; 3], caps: &[CapPlane], geometry: &Geometry) -> bool {
 mod tests {
     use super::*;
     use crate::scenes;
-    use isoparticles_mesh::shapes::icosphere;
     use isoparticles_stage::meta::Side;
-
-    fn ball() -> TriangleMesh {
-        let mut mesh = icosphere(10.0, 3);
-        mesh.vertices.iter_mut().for_each(|p| *p += scenes::CENTRE);
-        mesh
-    }
 
     fn values<'a>(arrays: &'a [DataArray], name: &str) -> &'a [f64] {
         match arrays.iter().find(|a| a.name == name).map(|a| &a.values) {
@@ -100,7 +93,7 @@ mod tests {
     #[test]
     fn data_of_a_ball_is_that_of_a_ball() {
         let scene = scenes::sphere();
-        let surface = attributes(&ball(), &scene.field, &vec![1.5; ball().vertices.len()], &[]);
+        let surface = attributes(&scenes::ball(), &scene.field, &vec![1.5; scenes::ball().vertices.len()], &[]);
         for &k in values(&surface.point_data, "curvature") {
             assert!((k - 0.1).abs() < 2e-3, "curvature {k}");
         }

@@ -112,31 +112,24 @@ mod tests {
     use super::*;
     use crate::check::{CheckOptions, check};
     use crate::scenes;
-    use isoparticles_mesh::shapes::icosphere;
-
-    fn ball() -> TriangleMesh {
-        let mut mesh = icosphere(10.0, 3);
-        mesh.vertices.iter_mut().for_each(|p| *p += scenes::CENTRE);
-        mesh
-    }
 
     #[test]
     fn a_hole_and_a_stray_vertex_are_shown_where_they_are() {
         let scene = scenes::sphere();
-        let mut mesh = ball();
+        let mut mesh = scenes::ball();
         let [a, b, c] = mesh.corners(0);
         mesh.triangles.remove(0);
         let options = CheckOptions { field: Some(&scene.field), ..CheckOptions::default() };
         let simplices = offending(&mesh, &check(&mesh, &options), scene.field.geometry()).unwrap();
         assert_eq!((simplices.edges.len(), simplices.points.len()), (3, 3));
         assert!(simplices.points.iter().all(|p| [a, b, c].contains(p)));
-        assert_eq!(offending(&ball(), &check(&ball(), &options), scene.field.geometry()), None);
+        assert_eq!(offending(&scenes::ball(), &check(&scenes::ball(), &options), scene.field.geometry()), None);
     }
 
     #[test]
     fn nodes_and_edges_of_other_points_have_their_places() {
         let geometry = Geometry::axis_aligned([9; 3], DVec3::splat(2.0));
-        let mesh = ball();
+        let mesh = scenes::ball();
         let mut offending = Offending::new(&mesh, &geometry);
         offending.node([1, 2, 3], 6);
         offending.edges(&[[0, 1], [0, u32::MAX]], 12);

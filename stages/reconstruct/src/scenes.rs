@@ -4,6 +4,8 @@ use glam::DVec3;
 use isoparticles_field::marching_cubes::marching_cubes;
 use isoparticles_field::random::uniform;
 use isoparticles_field::spline::CubicSpline;
+use isoparticles_mesh::TriangleMesh;
+use isoparticles_mesh::shapes::icosphere;
 use isoparticles_mesh::spatial::Bins;
 use isoparticles_volume::{Geometry, Image};
 
@@ -67,6 +69,13 @@ impl Scene {
 }
 
 pub(crate) const CENTRE: DVec3 = DVec3::splat(15.7);
+
+/// Triangles of a ball of radius 10.
+pub(crate) fn ball() -> TriangleMesh {
+    let mut mesh = icosphere(10.0, 3);
+    mesh.vertices.iter_mut().for_each(|p| *p += CENTRE);
+    mesh
+}
 
 /// Ball of radius 10.
 pub(crate) fn sphere() -> Scene {

@@ -213,11 +213,10 @@ impl Points {
         if let Some(&number) = self.bins.near(position).find(is_here) {
             return number;
         }
-        let asked = position;
         let number = self.all.len() as u32;
+        self.bins.add(position, number);
         let position = self.met.nearest_within(position, self.reach).map_or(position, |(n, _)| self.met_places[n]);
         self.all.push(Junction { stratum, position });
-        self.bins.add(asked, number);
         number
     }
 }
