@@ -89,7 +89,7 @@ case = $(call quote,$(BIN)/isoparticles-case) $(1) $(foreach key,$(KEYS) OUT VER
 # --- Goals ------------------------------------------------------------------------------------------------------------
 
 .PHONY: help $(CASE_GOALS) demo cases batch cluster index build env snakemake-env wheel completions doctor test format lint documentation test-rust test-python fuzz deny bench-stages \
-        bench-particles bench-gpu bench-delaunay bench-convergence bench-marching-cubes bench-scale bench-peers bench-scaling bench-kills bench-batch notebook
+        bench-particles bench-gpu bench-delaunay bench-convergence bench-marching-cubes bench-scale bench-peers bench-scaling bench-kills bench-batch bench-solvers notebook
 
 define HELP
 Volumes in, simulation-ready meshes out.
@@ -123,6 +123,7 @@ Volumes in, simulation-ready meshes out.
   make bench-marching-cubes                    tetrahedra in our surfaces against marching cubes and a remesher (COMPARED=...)
   make bench-kills N=100                       kills at random moments of a small chain, and the same files after another run
   make bench-batch                             a batch of 50 phantoms, real volumes and broken rows, interrupted and called again
+  make bench-solvers                           a known problem solved by every finite-element program that is here, on the file that it reads
   make notebook                                docs/notebooks/volume-to-solve.ipynb, run from first to last into OUT/notebook
   make bench-scale                             coarse meshes of real volumes against two remeshers (SCALE_CASES=... SCALE_VERTICES=...)
 
@@ -279,7 +280,7 @@ test-rust: build env
 test-python: build env wheel
 	cd stages/tetmesh-check && $(abspath $(VENV))/bin/ruff check . && $(abspath $(VENV))/bin/ruff format --check . \
 	  && $(abspath $(VENV))/bin/mypy && $(abspath $(VENV))/bin/pytest -q
-	for verb in check 'format --check'; do $(VENV)/bin/ruff $$verb --config stages/tetmesh-check/pyproject.toml pipelines/call.py tests/check_materials.py tests/kills.py tests/batch.py tests/scaling.py || exit $$?; done
+	for verb in check 'format --check'; do $(VENV)/bin/ruff $$verb --config stages/tetmesh-check/pyproject.toml pipelines/call.py tests/check_materials.py tests/kills.py tests/batch.py tests/scaling.py tests/solvers.py || exit $$?; done
 	cd pipelines/wheel && settings=../../stages/tetmesh-check/pyproject.toml && $(abspath $(VENV))/bin/ruff check --config $$settings . \
 	  && $(abspath $(VENV))/bin/ruff format --config $$settings --check . \
 	  && $(abspath $(VENV))/bin/mypy --strict --python-version 3.11 src/isoparticles \
@@ -361,6 +362,14 @@ bench-kills: build env
 bench-batch: build env
 	@$(VENV)/bin/python tests/batch.py --bin $(abspath $(BIN)) --tetmesh-check $(abspath $(TETMESH_CHECK)) --goal $(if $(call by_user,GOAL),$(GOAL),surface) \
 	  $(if $(wildcard $(DATA)/mickey_labels.nrrd),--data $(DATA))
+
+# CalculiX, GetDP, FreeFEM and dolfinx where they are installed (Debian: calculix-ccx getdp freefem++ libfreefem++ python3-dolfinx).
+bench-solvers: build env
+	@for order in 1 2; do \
+	  $(MAKE) --no-print-directory mesh PHANTOM="ball --size 32" NAME=order-$$order ISO=100 SIZE=2 BACKEND=cpu TET_ORDER=$$order OUT=$(OUT)/bench/solvers NO_BUILD=yes VERBOSITY=-q \
+	    TETMESH_OPTIONS="--export inp,msh,msh2,med,xdmf --method hxt" || exit $$?; \
+	done
+	@$(VENV)/bin/python tests/solvers.py $(OUT)/bench/solvers/order-1 $(OUT)/bench/solvers/order-2
 
 # The notebook by nbclient, which has a folder of its own beside the environment that it runs in.
 NOTEBOOK = docs/notebooks/volume-to-solve.ipynb

@@ -167,7 +167,7 @@ def test_other_programs_find_regions_and_interfaces(tmp_path: Path, run: Run) ->
     named = Made(made.points, made.triangles, made.inside, made.outside, names)
     named.save(tmp_path / "c.surface.vtp")
     words = ("c.surface.vtp", "-o", "c.volume.vtu", "--report", "r.json", "--solve", "no", "--tet-size-factor", 2, "-q")
-    done = run(*words, "--export", "inp,msh,xdmf,vtp,vtk,feb,carp,simvascular")
+    done = run(*words, "--export", "inp,msh2,xdmf,vtp,vtk,feb,carp,simvascular")
     assert done.returncode == 0, done.stderr
     plain = ["Body_whole", "m_2nd_lung", "body_whole_2"]
     assert plain_names(["outside", *names])[1:] == plain
@@ -196,13 +196,13 @@ def test_other_programs_find_regions_and_interfaces(tmp_path: Path, run: Run) ->
         listed.append(sorted(cells[int(element) - 1][list(corners[face])].tolist()))
     assert sorted(listed) == sorted(map(sorted, triangles[marks == 3].tolist()))
 
-    gmsh = meshio.read(tmp_path / "c.volume.msh")
+    gmsh = meshio.read(tmp_path / "c.volume.msh2", "gmsh")
     np.testing.assert_array_equal(gmsh.cell_data_dict["gmsh:physical"]["tetra"], region)
-    np.testing.assert_array_equal(gmsh.cell_data_dict["gmsh:physical"]["triangle"], marks)
+    np.testing.assert_array_equal(gmsh.cell_data_dict["gmsh:physical"]["triangle"], 10 + marks)
     np.testing.assert_array_equal(gmsh.cells_dict["triangle"], triangles)
     assert {name: tag.tolist() for name, tag in gmsh.field_data.items()} == {
         **{name: [number, 3] for number, name in enumerate(plain, 1)},
-        **{name: [mark, 2] for mark, name in enumerate(called, 1)},
+        **{name: [10 + mark, 2] for mark, name in enumerate(called, 1)},
     }
 
     volume, facets = (meshio.read(tmp_path / f"c.volume{end}.xdmf") for end in ("", ".interfaces"))

@@ -246,12 +246,12 @@ def test_exported_files_are_read_back(tmp_path: Path, field: DistanceField) -> N
     kinds = [kind for kind in FORMATS if kind not in LINEAR_FORMATS]
     for kind in kinds:
         export(mesh, tmp_path / "b.volume.vtu", "b", kind)
-    for name in ("inp", "msh"):
-        again = meshio.read(tmp_path / f"b.volume.{name}")
-        np.testing.assert_array_equal(again.cells_dict["tetra10"], mesh.elements)
-        np.testing.assert_allclose(again.points, mesh.points, rtol=1e-12)
+    for name in ("inp", "msh", "msh2"):
+        again = meshio.read(tmp_path / f"b.volume.{name}", "abaqus" if name == "inp" else "gmsh")
+        # msh has the nodes by entity
+        np.testing.assert_allclose(again.points[again.cells_dict["tetra10"]], mesh.points[mesh.elements], rtol=1e-12)
     assert "TYPE=C3D10" in (tmp_path / "b.volume.inp").read_text()
-    gmsh = meshio.read(tmp_path / "b.volume.msh")
+    gmsh = meshio.read(tmp_path / "b.volume.msh2", "gmsh")
     np.testing.assert_array_equal(gmsh.cells_dict["triangle6"], mesh.faces)
     np.testing.assert_array_equal(gmsh.cell_data_dict["gmsh:physical"]["tetra10"], mesh.regions)
 

@@ -6,6 +6,7 @@ import json
 import shutil
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -162,9 +163,9 @@ def test_exported_files_are_read_back(tmp_path: Path) -> None:
     for kind in FORMATS:
         export(mesh, tmp_path / "b.volume.vtu", "b", kind)
     assert sorted(path.name for path in tmp_path.iterdir()) == [
-        "b.boundary.vtp", "b.volume.elem", "b.volume.feb",
-        "b.volume.inp", "b.volume.lon", "b.volume.med", "b.volume.mesh-complete.exterior.vtp", "b.volume.mesh-complete.mesh.vtu",
-        "b.volume.msh",
+        "b.boundary.vtp", "b.volume.boundary.h5", "b.volume.boundary.xdmf", "b.volume.elem", "b.volume.feb",
+        "b.volume.h5", "b.volume.inp", "b.volume.lon", "b.volume.med", "b.volume.mesh-complete.exterior.vtp", "b.volume.mesh-complete.mesh.vtu",
+        "b.volume.msh", "b.volume.msh2",
         "b.volume.pts", "b.volume.vtk", "b.volume.xdmf",
     ]  # fmt: skip
 
@@ -175,11 +176,26 @@ def test_exported_files_are_read_back(tmp_path: Path) -> None:
     np.testing.assert_array_equal(np.sort(abaqus.point_sets["CAP"]), cap_points)
     assert "TYPE=C3D4" in (tmp_path / "b.volume.inp").read_text()
 
-    gmsh = meshio.read(tmp_path / "b.volume.msh")
+    gmsh = meshio.read(tmp_path / "b.volume.msh2", "gmsh")
+    np.testing.assert_array_equal(gmsh.cells_dict["tetra"], mesh.tetrahedra)
     np.testing.assert_array_equal(gmsh.cell_data_dict["gmsh:physical"]["tetra"], mesh.regions)
-    np.testing.assert_array_equal(gmsh.cell_data_dict["gmsh:physical"]["triangle"], mesh.marks)
+    np.testing.assert_array_equal(gmsh.cell_data_dict["gmsh:physical"]["triangle"], 10 + mesh.marks)
     assert gmsh.field_data["region_5"].tolist() == [5, 3]
-    assert gmsh.field_data["cap"].tolist() == [CAP, 2]
+    assert gmsh.field_data["cap"].tolist() == [10 + CAP, 2]
+
+    # 4.1 has nodes and elements by entity
+    gmsh = meshio.read(tmp_path / "b.volume.msh")
+    by_region, by_mark = np.argsort(mesh.regions, kind="stable"), np.argsort(mesh.marks, kind="stable")
+    np.testing.assert_array_equal(gmsh.points[gmsh.cells_dict["tetra"]], mesh.points[mesh.tetrahedra[by_region]])
+    np.testing.assert_array_equal(gmsh.cell_data_dict["gmsh:physical"]["tetra"], mesh.regions[by_region])
+    np.testing.assert_array_equal(gmsh.points[gmsh.cells_dict["triangle"]], mesh.points[mesh.boundary[by_mark]])
+    np.testing.assert_array_equal(gmsh.cell_data_dict["gmsh:physical"]["triangle"], 10 + mesh.marks[by_mark])
+    assert gmsh.field_data["cap"].tolist() == [10 + CAP, 2]
+
+    facets = meshio.read(tmp_path / "b.volume.boundary.xdmf")
+    np.testing.assert_array_equal(facets.points, mesh.points)
+    np.testing.assert_array_equal(facets.cells_dict["triangle"], mesh.boundary)
+    np.testing.assert_array_equal(facets.cell_data_dict["mark"]["triangle"], mesh.marks)
 
     reader = vtkXdmfReader()
     reader.SetFileName(str(tmp_path / "b.volume.xdmf"))
@@ -322,13 +338,17 @@ def test_normals_settle_ties() -> None:
 
 @NEEDS_HXT
 def test_gmsh_opens_its_file(tmp_path: Path) -> None:
-    export(marked_block(), tmp_path / "b.vtu", "b", "msh")
+    block = marked_block()
+    # a region none of whose nodes is its own
+    regions = block.regions.copy()
+    regions[(block.tetrahedra == block.boundary[0, 0]).any(axis=1).argmax()] = 37
+    export(replace(block, regions=regions), tmp_path / "b.vtu", "b", "msh")
     code = (
         "import gmsh; gmsh.initialize(interruptible=False); gmsh.option.setNumber('General.Terminal', 0); "
         "gmsh.open('b.volume.msh'); print([gmsh.model.getPhysicalName(*g) for g in gmsh.model.getPhysicalGroups()])"
     )
     done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=True)
-    assert done.stdout.strip() == "['surface', 'cap', 'region_2', 'region_5']"
+    assert done.stdout.strip() == "['surface', 'cap', 'region_2', 'region_5', 'region_37']"
 
 
 @NEEDS_DISTFIELD
@@ -362,7 +382,10 @@ def test_regions_and_exports_from_the_command_line(tmp_path: Path, run: Run) -> 
     done = run(*words, "--export", "inp,msh,xdmf,vtp", "--report", "r.json")
     assert done.returncode == 0, done.stderr
     results = json.loads((tmp_path / "r.json").read_text())["results"]
-    assert results["exports"] == ["ball.volume.inp", "ball.volume.msh", "ball.volume.xdmf", "ball.boundary.vtp"]
+    assert results["exports"] == [
+        "ball.volume.inp", "ball.volume.msh", "ball.volume.h5", "ball.volume.xdmf", "ball.volume.boundary.h5", "ball.volume.boundary.xdmf",
+        "ball.boundary.vtp",
+    ]  # fmt: skip
     grid = pv.read(tmp_path / "ball.volume.vtu")
     cells = np.asarray(grid.cells_dict[10]).astype(np.int64)
     region = np.asarray(grid.cell_data["region"])

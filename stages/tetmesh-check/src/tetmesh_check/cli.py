@@ -73,9 +73,9 @@ def build_parser() -> argparse.ArgumentParser:
         metavar="LIST",
         type=formats,
         default=(),
-        help="write the mesh in other formats, too: a list with commas of inp (Abaqus, CalculiX), msh (Gmsh), med (Salome, Code_Aster), "
-        "xdmf, vtk (legacy), feb (FEBio), carp (openCARP), simvascular, and vtp (the boundary), with regions and the parts of the boundary "
-        "as sets or groups",
+        help="write the mesh in other formats, too: a list with commas of inp (Abaqus, CalculiX), msh (Gmsh 4.1), msh2 (Gmsh 2.2: GetDP, "
+        "FreeFEM), med (Salome, Code_Aster), xdmf (FEniCS), vtk (legacy), feb (FEBio), carp (openCARP), simvascular, and vtp (the boundary), "
+        "with regions and the parts of the boundary as sets or groups",
     )
     files.add_argument(
         "--unit",

@@ -7,10 +7,10 @@ import json
 import re
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import meshio
 import numpy as np
 from numpy.typing import NDArray
 
@@ -18,9 +18,11 @@ from tetmesh_check.field_data import add_text
 from tetmesh_check.files import write_atomically
 from tetmesh_check.materials import NOTHING
 from tetmesh_check.med import write_med
+from tetmesh_check.msh import write_msh, write_msh2
 from tetmesh_check.polydata import to_polydata
 from tetmesh_check.quality import Cells, Labels, Points
 from tetmesh_check.regions import CAP, SURFACE
+from tetmesh_check.xdmf import elements, facets, write_description, write_numbers
 
 if TYPE_CHECKING:
     import pyvista as pv
@@ -287,67 +289,6 @@ def _simvascular_boundary(mesh: MarkedMesh, path: Path) -> None:
     surface.save(path)
 
 
-def _gmsh(mesh: MarkedMesh, path: Path) -> None:
-    """Version 2.2, binary: physical groups of dimension 3 (regions) and 2 (parts of the boundary, or interfaces)."""
-    groups = {mesh.region_name(label): np.array([label, 3]) for label in np.unique(mesh.regions).tolist()}
-    groups.update({mesh.mark_name(mark): np.array([mark, 2]) for mark in np.unique(mesh.marks).tolist()})
-    tags = [mesh.regions.astype(np.int32), mesh.marks.astype(np.int32)]
-    tetrahedron, triangle = ("tetra", "triangle") if mesh.middle is None else ("tetra10", "triangle6")
-    meshio.write(
-        path,
-        meshio.Mesh(
-            mesh.points,
-            [(tetrahedron, mesh.elements.astype(np.int32)), (triangle, mesh.faces.astype(np.int32))],
-            cell_data={"gmsh:physical": tags, "gmsh:geometrical": tags},
-            field_data=groups,
-        ),
-        file_format="gmsh22",
-        binary=True,
-    )
-
-
-def _xdmf(mesh: MarkedMesh, path: Path) -> None:
-    """Tetrahedra with ``region``, points with ``boundary``; the numbers are in the file itself, as text.
-
-    By hand, because meshio's writer wants HDF5 for any XDMF.
-    """
-    data = {("region", "Cell"): mesh.regions, ("boundary", "Node"): mesh.point_marks()}
-    kind = "Tetrahedron" if mesh.middle is None else "Tetrahedron_10"
-    _write_xdmf(path, "volume", mesh.points, (kind, mesh.elements), data)
-
-
-def _xdmf_interfaces(mesh: MarkedMesh, path: Path) -> None:
-    """The triangles of the interfaces with their ``pair``, on the same points: what FEniCS takes as tags of facets."""
-    _write_xdmf(path, "interfaces", mesh.points, ("Triangle", mesh.boundary), {("pair", "Cell"): mesh.marks})
-
-
-def _write_xdmf(
-    path: Path, name: str, points: Points, cells: tuple[str, Cells], data: dict[tuple[str, str], Labels]
-) -> None:
-    """One uniform grid; ``data`` by name and place (``Cell`` or ``Node``)."""
-
-    def item(values: Points | Cells | Labels) -> str:
-        kind = 'NumberType="Float" Precision="8"' if values.dtype == np.float64 else 'NumberType="Int" Precision="8"'
-        size = " ".join(map(str, values.shape))
-        rows = _rows(values, "%.17g" if values.dtype == np.float64 else "%d")
-        return f'<DataItem Format="XML" {kind} Dimensions="{size}">\n{rows}</DataItem>\n'
-
-    attributes = "".join(
-        f'<Attribute Name="{what}" AttributeType="Scalar" Center="{place}">{item(values)}</Attribute>\n'
-        for (what, place), values in data.items()
-    )
-    kind, members = cells
-    path.write_text(
-        f'''<?xml version="1.0"?>
-<Xdmf Version="3.0"><Domain><Grid Name="{name}" GridType="Uniform">
-<Geometry GeometryType="XYZ">{item(points)}</Geometry>
-<Topology TopologyType="{kind}" NumberOfElements="{len(members)}">{item(members)}</Topology>
-{attributes}</Grid></Domain></Xdmf>
-''',
-        encoding="utf-8",
-    )
-
-
 def _triangles(mesh: MarkedMesh, path: Path) -> None:
     """The boundary with ``mark``, ``tetrahedron`` (its owner), ``region`` of that, and ``point`` in the volume mesh.
 
@@ -368,9 +309,9 @@ def _triangles(mesh: MarkedMesh, path: Path) -> None:
 
 _WRITE: dict[str, dict[str, Callable[[MarkedMesh, Path], None]]] = {
     "inp": {"volume.inp": _abaqus},
-    "msh": {"volume.msh": _gmsh},
+    "msh": {"volume.msh": write_msh},
+    "msh2": {"volume.msh2": write_msh2},
     "med": {"volume.med": write_med},
-    "xdmf": {"volume.xdmf": _xdmf},
     "vtp": {"boundary.vtp": _triangles},
     "vtk": {"volume.vtk": _vtk},
     "feb": {"volume.feb": _febio},
@@ -380,13 +321,8 @@ _WRITE: dict[str, dict[str, Callable[[MarkedMesh, Path], None]]] = {
         "volume.mesh-complete.exterior.vtp": _simvascular_boundary,
     },
 }
-"""The files of each format, ``NAME.`` before each, and what writes them. All but the boundary begin with ``volume``, by which the rest of the
-project knows them as results of this stage."""
-
-_WRITE_INTERFACES: dict[str, dict[str, Callable[[MarkedMesh, Path], None]]] = {
-    "xdmf": {"volume.interfaces.xdmf": _xdmf_interfaces},
-}
-"""What is written beside that for many materials."""
+"""The files of each format but XDMF, ``NAME.`` before each, and what writes them. All but the boundary begin with ``volume``, by which the
+rest of the project knows them as results of this stage."""
 
 _PER_MM = {"mm": 1.0, "m": 1e-3, "um": 1e3}
 
@@ -405,11 +341,20 @@ def export_paths(output: Path, name: str, kind: str, many: bool = False) -> list
     many
         Whether there are many materials.
     """
-    return [output.with_name(f"{name}.{ending}") for ending in _files(kind, many)]
+    return [output.with_name(f"{name}.{ending}") for ending in _files(name, kind, many)]
 
 
-def _files(kind: str, many: bool) -> dict[str, Callable[[MarkedMesh, Path], None]]:
-    return {**_WRITE[kind], **(_WRITE_INTERFACES.get(kind, {}) if many else {})}
+def _files(name: str, kind: str, many: bool) -> dict[str, Callable[[MarkedMesh, Path], None]]:
+    if kind != "xdmf":
+        return _WRITE[kind]
+    written: dict[str, Callable[[MarkedMesh, Path], None]] = {}
+    for stem, grid in (("volume", elements), (f"volume.{'interfaces' if many else 'boundary'}", facets)):
+        numbers = f"{stem}.h5"
+        written[numbers] = partial(write_numbers, grid=grid)
+        written[f"{stem}.xdmf"] = partial(
+            write_description, grid=grid, numbers=f"{name}.{numbers}", points=f"{name}.volume.h5"
+        )
+    return written
 
 
 def export(mesh: MarkedMesh, output: Path, name: str, kind: str, unit: str = "mm") -> None:
@@ -430,10 +375,9 @@ def export(mesh: MarkedMesh, output: Path, name: str, kind: str, unit: str = "mm
     """
     scale = _PER_MM["um" if kind == "carp" else unit]
     scaled = mesh if scale == 1.0 else replace(mesh, points=mesh.points * scale)
-    many = mesh.materials is not None
-    for path, write in zip(export_paths(output, name, kind, many), _files(kind, many).values(), strict=True):
+    for ending, write in _files(name, kind, mesh.materials is not None).items():
 
         def into(temporary: Path, write: Callable[[MarkedMesh, Path], None] = write) -> None:
             write(scaled, temporary)
 
-        write_atomically(path, into)
+        write_atomically(output.with_name(f"{name}.{ending}"), into)

@@ -11,7 +11,7 @@ from typing import NoReturn
 from tetmesh_check import __version__
 from tetmesh_check.errors import ExitCode, StageError
 
-FORMATS = ("inp", "msh", "med", "xdmf", "vtp", "vtk", "feb", "carp", "simvascular")
+FORMATS = ("inp", "msh", "msh2", "med", "xdmf", "vtp", "vtk", "feb", "carp", "simvascular")
 """What ``--export`` takes."""
 LINEAR_FORMATS = ("vtp", "carp", "simvascular")
 """Those of them that have no tetrahedron, or triangle, with nodes amid its edges."""
