@@ -37,7 +37,7 @@ KEYS := NAME INPUT PHANTOM SERIES ISO LABELS MATERIALS INSIDE BORDER SCALE EPSIL
 $(foreach key,$(KEYS) CASE CASES,$(if $(filter environment,$(origin $(key))),$(eval undefine $(key))))
 # What this file knows besides.
 OTHERS := CASE CASES LIST TIME_LIMIT PROFILE CLUSTER_OPTIONS SNAKEMAKE SNAKEMAKE_VENV BIN NO_BUILD CARGO CARGO_TARGET_DIR VENV TETMESH_CHECK HXT DATA OUT VERBOSITY THREADS PARTS GOAL SIZES \
-          BENCH_OPTIONS FUZZ_SECONDS FUZZ_JOBS FUZZ_TARGETS COMPARED COMPARE_OPTIONS REMESHER BENCH_VENV SCALE_CASES SCALE_VERTICES N KILL_SEED
+          BENCH_OPTIONS FUZZ_SECONDS FUZZ_JOBS FUZZ_TARGETS COMPARED COMPARE_OPTIONS REMESHER BENCH_VENV SCALE_CASES SCALE_VERTICES REMESHER_CASES REMESHER_VERTICES N KILL_SEED
 # Goals over one case.
 CASE_GOALS := distfield sizefield seed particles reconstruct surface mesh page verdict info clean
 
@@ -89,7 +89,7 @@ case = $(call quote,$(BIN)/isoparticles-case) $(1) $(foreach key,$(KEYS) OUT VER
 # --- Goals ------------------------------------------------------------------------------------------------------------
 
 .PHONY: help $(CASE_GOALS) demo cases batch cluster index build env snakemake-env wheel completions doctor test format lint documentation test-rust test-python fuzz deny bench-stages \
-        bench-particles bench-gpu bench-delaunay bench-convergence bench-marching-cubes bench-scale bench-peers bench-scaling bench-kills bench-batch bench-solvers notebook
+        bench-particles bench-gpu bench-delaunay bench-convergence bench-marching-cubes bench-scale bench-remeshers bench-peers bench-scaling bench-kills bench-batch bench-solvers notebook
 
 define HELP
 Volumes in, simulation-ready meshes out.
@@ -114,7 +114,7 @@ Volumes in, simulation-ready meshes out.
   make completions                             target/share: completions for bash, zsh and fish, and man pages
   make test                                    format, lints, documentation, tests
   make fuzz                                    every reader of files, FUZZ_SECONDS=60 each, FUZZ_JOBS=1 side by side (nightly Rust, cargo-fuzz)
-  make deny                                    licences and advisories of what is linked (cargo-deny)
+  make deny                                    licences and advisories of what is linked (cargo-deny, cargo-audit)
   make bench-stages                            time and memory of every stage on the torso phantom
   make bench-particles                         the particles stage on the CPU, by contrast of h and threads (BENCH_OPTIONS=...)
   make bench-gpu                               the particles stage on the GPU against one CPU thread (BENCH_OPTIONS=...)
@@ -125,6 +125,7 @@ Volumes in, simulation-ready meshes out.
   make bench-batch                             a batch of 50 phantoms, real volumes and broken rows, interrupted and called again
   make bench-solvers                           a known problem solved by every finite-element program that is here, on the file that it reads
   make notebook                                docs/notebooks/volume-to-solve.ipynb, run from first to last into OUT/notebook
+  make bench-remeshers                         every packaged remesher beside ours at several numbers of vertices (REMESHER_CASES=... REMESHER_VERTICES=...)
   make bench-scale                             coarse meshes of real volumes against two remeshers (SCALE_CASES=... SCALE_VERTICES=...)
 
 Parameters of a case, with the stages' defaults where left out; they come before what a case's file says:
@@ -295,9 +296,10 @@ FUZZ_JOBS ?= 1
 fuzz:
 	@tests/fuzz/run.sh --seconds $(FUZZ_SECONDS) --jobs $(FUZZ_JOBS) $(FUZZ_TARGETS)
 
-# Licences, advisories and sources of what is linked (deny.toml); cargo-deny and the network.
+# Licences, advisories and sources of what is linked (deny.toml), and RustSec's own program; cargo-deny, cargo-audit and the network.
 deny:
 	$(CARGO) deny --locked check
+	$(CARGO) audit
 
 # Every stage on the torso phantom of the paper's size, from nothing; GOAL=surface leaves out the tetrahedra.
 PARTS ?= heart lungs ribs
@@ -395,6 +397,13 @@ SCALE_PYTHON = $(or $(wildcard $(VENV)/bin/python),python3)
 bench-scale: build $(SCALE_PEERS)
 	DATA=$(DATA) $(SCALE_PYTHON) $(SCALE_BENCH)/scale.py $(SCALE_CASES) --vertices $(SCALE_VERTICES) --bin $(BIN) --work $(OUT)/bench-scale \
 	  $(if $(SCALE_PEERS),--peers $(BENCH_VENV)-scale/bin/python) $(BENCH_OPTIONS)
+
+# Blurred label maps remeshed by every remesher that is packaged, at several numbers of vertices, and marching cubes and surface nets as they are.
+REMESHER_CASES ?= @$(SCALE_BENCH)/remeshers.txt
+REMESHER_VERTICES ?= 5000 20000 75000 400000
+bench-remeshers: build $(SCALE_PEERS)
+	DATA=$(DATA) $(SCALE_PYTHON) $(SCALE_BENCH)/scale.py $(REMESHER_CASES) --vertices $(REMESHER_VERTICES) --bin $(BIN) --work $(OUT)/bench-remeshers \
+	  --peers $(BENCH_VENV)-scale/bin/python --programs marching-cubes surface-nets botsch cgal mmg pymeshlab instant-meshes acvd $(BENCH_OPTIONS)
 
 # From label maps to triangles of one edge length, ours beside gpytoolbox's and CGAL's remeshing of the same blurred labels.
 PEER_CASES ?= @$(SCALE_BENCH)/peers.txt

@@ -10,9 +10,12 @@ it with the Python of `make env`; without distances any Python 3.11 does.
 A row of ours is one run from the volume to the checked surface; "components" are those of the mesh, with what happened to those of
 the data; "s" is from the volume on and, in brackets, from the smoothed field on. With --tetrahedra the surface goes through
 tetmesh-check with all its default checks: number of tetrahedra and exit code. With --peers PYTHON (an interpreter with
-peers.lock: `make bench-scale` makes it) rows of gpytoolbox's remesh_botsch and of CGAL's isotropic remeshing stand below ours: each on
+peers.lock: `make bench-scale` makes it) rows of other remeshers (--programs) stand below ours: each on
 marching cubes of the same smoothed field, to as many vertices as ours within 3 %; their seconds are marching cubes and the last
-try. Their angles, ratios and volumes are computed here, ours are those of the report.
+try. Their angles, ratios and volumes are computed here, ours are those of the report. "Crossing" are pairs of triangles that cut through each other.
+Marching cubes and surface nets themselves have the vertices that the grid gives.
+
+A case with a --scale of its own keeps it for every number of vertices, and its distance is that from the zero set of that field (@remeshers.txt).
 
 With --as-given scale and edge length are those of the case's options (@peers.txt: `make bench-peers`), and a peer goes by itself from
 the label map on: read by VTK, the label's indicator blurred by a Gaussian of half the scale, marching cubes at a half, the last try.
@@ -58,6 +61,8 @@ class Case:
     distances: bool
     tetmesh_check: Path | None
     peers: Path | None
+    programs_beside: list[str]
+    limit: float
     as_given: bool
 
     def run(
@@ -178,8 +183,10 @@ def line(case: Case, vertices: int, program: str, mesh: Mesh, before: float, cel
         cells["lost"],
         f"{100 * (mesh.volume / before - 1):+.2f}",
         f"{mesh.components}{cells['told']}",
+        cells["crossing"],
         cells["tetrahedra"],
         cells["seconds"],
+        cells["memory"],
     ]
     return "| " + " | ".join(columns) + " |"
 
@@ -187,7 +194,8 @@ def line(case: Case, vertices: int, program: str, mesh: Mesh, before: float, cel
 def row(case: Case, vertices: int) -> tuple[str, float, int]:
     """Our row, of 0 vertices as the case's options have it; with it the volume of the voxels and the vertices of our mesh."""
     key = str(vertices)
-    scale_for, sizes_for = (["--scale-for-vertices", key], ["--vertices", key]) if vertices else ([], [])
+    sizes_for = ["--vertices", key] if vertices else []
+    scale_for = ["--scale-for-vertices", key] if vertices and "--scale" not in case.distfield else []
     distfield, sizefield, seeds = (case.file(key, f"{e}") for e in ("distfield.vti", "sizefield.vti", "seeds.bin"))
     particles, surface = case.file(key, "particles.bin"), case.file(key, "surface.vtp")
     fields = ["--distfield", distfield, "--sizefield", sizefield]
@@ -226,7 +234,9 @@ def row(case: Case, vertices: int) -> tuple[str, float, int]:
         "away": away,
         "lost": lost,
         "told": f" ({' -> '.join(str(n) for n in changes['components'])} in voxels; {told})" if changes else "",
+        "crossing": f"{checked['self_intersections']:,}",
         "tetrahedra": tetrahedra(case, key, surface, sizefield),
+        "memory": f"{max(report['peak_memory_bytes'] for _, report in reports) / 2**20:,.0f}",
         "seconds": f"{end - start:.1f} ({stages})" if case.as_given else f"{end - start:.0f} ({end - smoothed:.1f})",
     }
     return line(case, vertices, "isoparticles", mesh, before, cells), before, mesh.vertices
@@ -265,42 +275,74 @@ def peer_row(case: Case, vertices: int, ours: int, before: float, program: str) 
     """Row of another remesher on the smoothed field of our row, to as many vertices as ours."""
     import numpy as np
     import pyvista as pv
+    from tetmesh_check.intersections import self_intersections
 
     key = str(vertices)
     start = time.monotonic()
     field, level = (blurred(case), 0.5) if case.as_given else (pv.read(case.file(key, "distfield.vti")), 0.0)
-    contour = field.contour([level], method="flying_edges")
+    if program == "surface-nets":
+        contour = nets(field, level)
+    else:
+        contour = field.contour([level], method="flying_edges")
     seconds = time.monotonic() - start
     job, result = case.file(key, "job.npz"), Path(case.file(key, f"{program}.npz"))
     np.savez(job, points=contour.points, triangles=contour.regular_faces, vertices=ours)
     result.unlink(missing_ok=True)
     script = Path(__file__).with_name("remesh_peers.py")
-    done = subprocess.run([str(case.peers), str(script), program, job, str(result)], check=False, capture_output=True)
+    remesher = "none" if program in AS_THEY_ARE else program
+    try:
+        command = [str(case.peers), str(script), remesher, job, str(result)]
+        code = subprocess.run(command, check=False, capture_output=True, timeout=case.limit).returncode
+    except subprocess.TimeoutExpired:
+        code = 0
     if not result.is_file():
-        return f"| {case.name} | {vertices:,} | {program} | failed with exit code {done.returncode} |" + " |" * 10
+        why = f"failed with exit code {code}" if code else f"no result in {case.limit:.0f} s"
+        return f"| {case.name} | {vertices:,} | {PEERS[program]} | {why} |" + " |" * 12
     with np.load(result) as made:
-        points, triangles, seconds = (
-            made["points"],
-            made["triangles"].astype(np.int64),
-            seconds + float(made["seconds"]),
-        )
+        points, triangles = made["points"].astype(np.float64), made["triangles"].astype(np.int64)
+        seconds += float(made["seconds"])
+        memory = int(made["bytes"])
     mesh = measured(points, triangles)
     surface = case.file(key, f"{program}.vtp")
     pv.PolyData.from_regular_faces(points, triangles).save(surface)
     away, lost = distances(case, surface, case.file(key, "distfield.vti")) if case.distances else ("-", "-")
     cells = {
         "scale": "as above",
-        "code": str(done.returncode) if mesh.is_closed else "not closed",
+        "code": str(code) if mesh.is_closed else "not closed",
         "away": away,
         "lost": lost,
         "told": "",
+        "crossing": f"{len(self_intersections(points, triangles)):,}",
         "tetrahedra": "-",
+        "memory": f"{memory / 2**20:,.0f}",
         "seconds": f"{seconds:.1f}" if case.as_given else f"({seconds:.1f})",
     }
     return line(case, vertices, PEERS[program], mesh, before, cells)
 
 
-PEERS = {"botsch": "gpytoolbox remesh_botsch", "cgal": "CGAL isotropic remeshing"}
+def nets(field: pv.ImageData, level: float) -> pv.PolyData:
+    """VTK's surface nets of what lies below a level, smoothed as is its default."""
+    import numpy as np
+    import pyvista as pv
+
+    labels = pv.ImageData(dimensions=field.dimensions, spacing=field.spacing, origin=field.origin)
+    labels.direction_matrix = field.direction_matrix
+    labels["inside"] = (np.asarray(field.active_scalars) < level).astype(np.int16)
+    return labels.contour_labels(output_mesh_type="triangles", scalars="inside")
+
+
+AS_THEY_ARE = ("marching-cubes", "surface-nets")
+"""What has as many vertices as the grid gives."""
+PEERS = {
+    "marching-cubes": "marching cubes (VTK)",
+    "surface-nets": "surface nets (VTK)",
+    "botsch": "gpytoolbox remesh_botsch",
+    "cgal": "CGAL isotropic remeshing",
+    "mmg": "MMGS",
+    "pymeshlab": "PyMeshLab isotropic",
+    "instant-meshes": "Instant Meshes",
+    "acvd": "pyacvd",
+}
 
 
 def main() -> None:
@@ -319,11 +361,15 @@ def main() -> None:
         "--tetrahedra", type=Path, metavar="TETMESH_CHECK", help="fill the surfaces by this program, too"
     )
     parser.add_argument("--peers", type=Path, metavar="PYTHON", help="rows of other remeshers, by this interpreter")
+    parser.add_argument(
+        "--programs", nargs="+", default=["botsch", "cgal"], choices=PEERS, help="which (default: %(default)s)"
+    )
+    parser.add_argument("--limit", type=float, default=330.0, metavar="SECONDS", help="how long a remesher may take")
     arguments = parser.parse_intermixed_args()
     arguments.work.mkdir(parents=True, exist_ok=True)
     print(
         "| object | asked for | program | scale, mm | vertices | exit code | radius ratio, mean / smallest | angles, degrees | distance, mm"
-        " | lost, mm | volume, % | components | tetrahedra | s |\n" + "|---" * 14 + "|"
+        " | lost, mm | volume, % | components | crossing | tetrahedra | s | MiB |\n" + "|---" * 16 + "|"
     )
     # files of cases have comments
     for text in (text for text in arguments.cases if not text.startswith("#")):
@@ -340,16 +386,18 @@ def main() -> None:
             not arguments.no_distances,
             arguments.tetrahedra,
             arguments.peers,
+            arguments.programs,
+            arguments.limit,
             arguments.as_given,
         )
         for vertices in [0] if case.as_given else arguments.vertices:
             try:
                 told, before, ours = row(case, vertices)
             except RefusedError as reason:
-                print(f"| {case.name} | {vertices:,} | isoparticles | {reason} |" + " |" * 10, flush=True)
+                print(f"| {case.name} | {vertices:,} | isoparticles | {reason} |" + " |" * 12, flush=True)
                 continue
             print(told, flush=True)
-            for program in PEERS if case.peers else ():
+            for program in case.programs_beside if case.peers else ():
                 print(peer_row(case, vertices, ours, before, program), flush=True)
 
 
