@@ -59,6 +59,7 @@ const WALK: Piece = Piece::Text(include_str!("../../../../shaders/shared/neighbo
 const CLASSES: Piece = Piece::Text(include_str!("../../../../shaders/shared/classes.wgsl"));
 const NEWTON: Piece = Piece::Text(include_str!("../../../../shaders/shared/newton.wgsl"));
 const TEAM_ENERGY: Piece = Piece::Text(include_str!("../../../../shaders/shared/team_energy.wgsl"));
+const TEAM_MOVE: Piece = Piece::Text(include_str!("../../../../shaders/shared/team_move.wgsl"));
 const DENSITY: Piece = Piece::Text(include_str!("../../../../shaders/shared/density.wgsl"));
 const TOTALS: Piece = Piece::Text(include_str!("../../../../shaders/shared/totals.wgsl"));
 const SCAN: Piece = Piece::Text(include_str!("../../../../shaders/shared/scan.wgsl"));
@@ -102,6 +103,29 @@ const SOURCES: &[Source] = &[
             LISTS,
             TEAM_ENERGY,
             NEWTON,
+            TEAM_MOVE,
+            ROUND
+        ]
+    ),
+    source!(
+        "move_bins",
+        &[
+            PARAMETERS,
+            Piece::Fields,
+            GRID,
+            SPLINE,
+            Piece::Carried,
+            Piece::Nodes,
+            Piece::Team,
+            TEAM_SURFACE,
+            PROJECT,
+            ENERGY,
+            PLANE,
+            LISTS,
+            TEAM_ENERGY,
+            NEWTON,
+            TEAM_MOVE,
+            LEVELS,
             ROUND
         ]
     ),
@@ -162,8 +186,18 @@ pub(crate) fn sources() -> impl Iterator<Item = &'static Source> {
 }
 
 impl Source {
+    /// What this kernel makes of a variant: a bin has a workgroup of one team, as wide as the subgroup, whatever team suits those that share a workgroup. Its particles
+    /// wait for each other, and more lanes make each of them quicker.
+    pub(crate) fn variant(&self, variant: Variant) -> Variant {
+        match self.name {
+            "move_bins" => Variant { subgroup_team: variant.subgroup_team.map(|_| 32), ..variant },
+            _ => variant,
+        }
+    }
+
     /// The whole text for an adapter.
     pub(crate) fn compose(&self, variant: Variant) -> String {
+        let variant = self.variant(variant);
         let mut text = declarations(variant);
         for piece in self.pieces {
             let piece = match piece {
