@@ -1,7 +1,9 @@
-//! The program around [`crate::sampling`]: options, files, report.
+//! The program around [`crate::sampling`] and [`crate::vertices`]: options, files, report.
 
-use crate::sampling::{BYTES_PER_PARTICLE, COMPONENT_MINIMUM, seed_surface};
-use clap::Parser;
+use crate::sampling::{BYTES_PER_PARTICLE, COMPONENT_MINIMUM, Summary, seed_surface, seed_vertices};
+use crate::vertices::{BYTES_PER_NODE, FINEST, vertices};
+use clap::{Parser, ValueEnum};
+use isoparticles_field::particle_set::ParticleSet;
 use isoparticles_field::sizing::SizingField;
 use isoparticles_field::spline::CubicSpline;
 use isoparticles_stage::cli::{CommonArgs, Context, FILES, METHOD, Outcome, StageArgs};
@@ -9,8 +11,19 @@ use isoparticles_stage::error::{Error, Result};
 use isoparticles_stage::field_file::{FieldKind, check_same_grid, read_field};
 use isoparticles_stage::materials_file::is_materials;
 use isoparticles_stage::particle_file::{ParticleKind, write_particles};
+use isoparticles_volume::Image;
 use serde_json::{Value, json};
 use std::path::PathBuf;
+
+/// Where seeds come from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum, serde::Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum From {
+    /// Random places at the density that the sizing field asks for.
+    PoissonDisk,
+    /// All vertices of marching cubes over the distance field, as in the paper: density control deletes what is too many.
+    MarchingCubes,
+}
 
 /// First particles on the isosurface F = 0, on every component, near the density that the sizing field asks for
 #[derive(Debug, Parser)]
@@ -18,7 +31,7 @@ use std::path::PathBuf;
     name = "seed",
     version,
     after_help = "Example:\n  seed heart.distfield.vti heart.sizefield.vti -o heart.seeds.bin\n\n\
-        Paper: section 3.1 (seeds from marching cubes) and Eq. 5; --count is the synthetic test of Table 3."
+        Paper: section 3.1 and Eq. 5. Its seeds are --from marching-cubes; with --count those of its synthetic test (Table 3)."
 )]
 pub struct Args {
     /// Distance field, or the indicators of many materials, made by distfield
@@ -30,7 +43,11 @@ pub struct Args {
     /// Particle file to write
     #[arg(short, long, value_name = "seeds.bin", help_heading = FILES)]
     pub(crate) output: PathBuf,
-    /// Seed about this many particles instead of what the sizing field asks for (each component gets some all the same)
+    /// Where the seeds come from (one object)
+    #[arg(long, value_enum, default_value_t = From::PoissonDisk, help_heading = METHOD)]
+    pub(crate) from: From,
+    /// Seed about this many particles instead of what the sizing field asks for (each component gets some all the same); of the
+    /// vertices of marching cubes so many, spread evenly, from a finer grid where there are fewer
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(4..), help_heading = METHOD)]
     pub(crate) count: Option<u64>,
     #[command(flatten)]
@@ -47,7 +64,7 @@ impl StageArgs for Args {
     }
 
     fn parameters(&self) -> Value {
-        json!({ "count": self.count })
+        json!({ "from": self.from, "count": self.count })
     }
 }
 
@@ -70,9 +87,13 @@ pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
     let predicted = sizing.predicted_count(&surface);
     check_prediction(args, predicted, context)?;
     drop(step);
-    let count = args.count.map(|n| n as usize);
-    let (particles, summary) =
-        seed_surface(&distance.image, &surface, &sizing, predicted, count, context.seed(), context)?;
+    let (particles, summary) = match args.from {
+        From::PoissonDisk => {
+            let count = args.count.map(|n| n as usize);
+            seed_surface(&distance.image, &surface, &sizing, predicted, count, context.seed(), context)?
+        }
+        From::MarchingCubes => at_vertices(args, &distance.image, &surface, &sizing, predicted, context)?,
+    };
     if particles.positions.is_empty() {
         return Err(Error::input(
             format!("{}: has no surface to seed", args.distfield.display()),
@@ -89,6 +110,10 @@ pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
     }
     context.summary("particles", particles.positions.len());
     context.summary("predicted particles", summary.predicted_count.round());
+    if let Some(vertices) = summary.vertices {
+        context.summary("vertices of marching cubes", vertices);
+        context.summary("  cells along a voxel's edge", summary.refinement.unwrap_or(1));
+    }
     context.summary("components", summary.components);
     context.summary("not projected", summary.not_projected);
     let meta = json!(summary);
@@ -97,6 +122,42 @@ pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
     let _step = context.step("write");
     write_particles(&args.output, ParticleKind::Seeds, &particles, &meta, &context.history())?;
     Ok(Outcome::Passed)
+}
+
+/// Seeds at vertices of marching cubes.
+fn at_vertices(
+    args: &Args,
+    distance: &Image<f32>,
+    surface: &CubicSpline,
+    sizing: &SizingField,
+    predicted: f64,
+    context: &Context,
+) -> Result<(ParticleSet, Summary)> {
+    let has_room = |nodes: usize| {
+        context.check_memory(
+            BYTES_PER_NODE * nodes as f64,
+            &format!("{}: a finer grid of {nodes} nodes for --count", args.distfield.display()),
+            "give a smaller --count, or leave out --from marching-cubes",
+        )
+    };
+    let found = vertices(distance, surface, args.count.map(|n| n as usize), has_room, context)?;
+    if let Some(count) = args.count.filter(|&count| found.available > 0 && (found.available as u64) < count) {
+        return Err(Error::input(
+            format!(
+                "--count {count}: marching cubes over {} has {} vertices on a grid {FINEST} times as fine as its voxels",
+                args.distfield.display(),
+                found.available
+            ),
+            "with --from marching-cubes every seed is at one of them",
+            format!("give --count {} or less, or leave out --from marching-cubes", found.available),
+        ));
+    }
+    context.check_memory(
+        BYTES_PER_PARTICLE * found.points.len() as f64,
+        &format!("{}: {} vertices of marching cubes to seed at", args.distfield.display(), found.points.len()),
+        "give --count, or leave out --from marching-cubes",
+    )?;
+    Ok(seed_vertices(&found, surface, sizing, predicted, context.seed(), context)?)
 }
 
 /// Refuses sizes that are larger than the object, or ask for more particles than memory holds.

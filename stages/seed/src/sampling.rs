@@ -1,5 +1,6 @@
-//! Poisson-disk sampling of the isosurface at the spacing that the sizing field asks for.
+//! Poisson-disk sampling of the isosurface at the spacing that the sizing field asks for; and what all seeds go through, those at vertices too.
 
+use crate::vertices::Vertices;
 use glam::DVec3;
 use isoparticles_field::marching_cubes::marching_cubes;
 use isoparticles_field::neighbours::LevelBins;
@@ -40,6 +41,12 @@ pub struct Summary {
     pub predicted_count: f64,
     /// Seeds dropped because they could not be projected onto F = 0.
     pub not_projected: usize,
+    /// Of seeds at the vertices of marching cubes: how many vertices there are.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub vertices: Option<usize>,
+    /// Cells of the grid that these are from, along each edge of a voxel.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub refinement: Option<usize>,
 }
 
 /// Points on triangles, of which some are chosen.
@@ -66,9 +73,7 @@ pub fn seed_surface(
     seed: u64,
     monitor: &dyn Monitor,
 ) -> Result<(ParticleSet, Summary), Interrupted> {
-    let phase = monitor.phase("topology");
-    let components = FieldComponents::new(surface, monitor)?;
-    drop(phase);
+    let components = components_of(surface, monitor)?;
     let _phase = monitor.phase("sample");
     let mesh = marching_cubes(distance, 0.0);
     let scaled = count.map(|n| sizing.scaled((predicted_count / n.max(1) as f64).sqrt()));
@@ -81,8 +86,44 @@ pub fn seed_surface(
     chosen.sort_unstable();
     let picked: Vec<_> = chosen.into_iter().map(|i| (all.points[i as usize], all.normals[i as usize])).collect();
     monitor.check()?;
-    let (seeds, mut not_projected) = onto_surface(surface, &picked);
-    // components that h would leave (nearly) bare are sampled on their own, at a spacing that their area allows
+    let (set, mut summary) = on_every_component(&components, surface, sizing, &picked, seed);
+    summary.predicted_count = predicted_count;
+    Ok((set, summary))
+}
+
+/// Seeds the surface F = 0 at [`vertices`](crate::vertices::vertices) of marching cubes, without thinning them: the paper's seeds, of which density control deletes what is too many.
+///
+/// # Errors
+/// When the monitor says so.
+pub fn seed_vertices(
+    vertices: &Vertices,
+    surface: &CubicSpline,
+    sizing: &SizingField,
+    predicted_count: f64,
+    seed: u64,
+    monitor: &dyn Monitor,
+) -> Result<(ParticleSet, Summary), Interrupted> {
+    let components = components_of(surface, monitor)?;
+    let _phase = monitor.phase("project");
+    let (set, summary) = on_every_component(&components, surface, sizing, &vertices.points, seed);
+    let (available, refinement) = (Some(vertices.available), Some(vertices.refinement));
+    Ok((set, Summary { predicted_count, vertices: available, refinement, ..summary }))
+}
+
+fn components_of(surface: &CubicSpline, monitor: &dyn Monitor) -> Result<FieldComponents, Interrupted> {
+    let _phase = monitor.phase("topology");
+    FieldComponents::new(surface, monitor)
+}
+
+/// Brings the points picked onto F = 0. Components that get fewer than [`COMPONENT_MINIMUM`] of them are sampled on their own, at a spacing that their area allows.
+fn on_every_component(
+    components: &FieldComponents,
+    surface: &CubicSpline,
+    sizing: &SizingField,
+    picked: &[(DVec3, DVec3)],
+    seed: u64,
+) -> (ParticleSet, Summary) {
+    let (seeds, mut not_projected) = onto_surface(surface, picked);
     let component_of: Vec<Option<u32>> = seeds.par_iter().map(|&(p, g)| components.at(surface, p, g)).collect();
     let mut counts = vec![0usize; components.all().len()];
     component_of.iter().flatten().for_each(|&c| counts[c as usize] += 1);
@@ -102,7 +143,7 @@ pub fn seed_surface(
     let (positions, normals): (Vec<_>, Vec<_>) = kept.into_iter().map(|(p, g)| (p, g.normalize())).unzip();
     let sizes = positions.iter().map(|&p| sizing.at(p)).collect();
     let set = ParticleSet {
-        geometry: distance.geometry.clone(),
+        geometry: surface.geometry().clone(),
         energies: vec![0.0; positions.len()],
         lambdas: vec![0.1; positions.len()],
         positions,
@@ -110,7 +151,7 @@ pub fn seed_surface(
         sizes,
     };
     let (components, underpopulated_components) = (components.all().len(), bare.len());
-    Ok((set, Summary { components, underpopulated_components, predicted_count, not_projected }))
+    (set, Summary { components, underpopulated_components, not_projected, ..Summary::default() })
 }
 
 /// Brings points with their normals onto F = 0, each with grad F there; those that do not get there on their own side are only counted.

@@ -1,4 +1,4 @@
-//! Every component of F = 0 gets particles, whether marching cubes sees it or not.
+//! Every component of F = 0 gets particles, whether marching cubes sees it or not, and wherever the seeds come from.
 
 use glam::DVec3;
 use isoparticles_field::marching_cubes::marching_cubes;
@@ -6,23 +6,29 @@ use isoparticles_field::sizing::SizingField;
 use isoparticles_field::spline::CubicSpline;
 use isoparticles_field::topology::FieldComponents;
 use isoparticles_mesh::components::of_vertices;
-use isoparticles_seed::sampling::{COMPONENT_MINIMUM, Summary, seed_surface};
-use isoparticles_stage::monitor::Silent;
+use isoparticles_seed::sampling::{COMPONENT_MINIMUM, Summary, seed_surface, seed_vertices};
+use isoparticles_seed::vertices::vertices;
+use isoparticles_stage::monitor::{Interrupted, Silent};
 use isoparticles_volume::{Geometry, Image};
 
 /// Samples along each axis, and h, mm.
 const SIZE: [usize; 3] = [40, 24, 24];
 const H: f32 = 2.0;
 
-/// Seeds of a function, with how many there are on each component of it.
-fn seeded(function: impl Fn(DVec3) -> f64) -> (Summary, Vec<usize>) {
+/// Seeds of a function, with how many there are on each component of it: a Poisson-disk sample, or the vertices of marching cubes.
+fn seeded(function: impl Fn(DVec3) -> f64, at_vertices: bool) -> (Summary, Vec<usize>) {
     let geometry = Geometry::axis_aligned(SIZE, DVec3::ONE);
     let image = Image::sampled(geometry.clone(), |p| function(p) as f32);
     let surface = CubicSpline::new(&image);
     let sizing = SizingField::new(Image::filled(geometry, H));
     let predicted = sizing.predicted_count(&surface);
-    let (seeds, summary) =
-        seed_surface(&image, &surface, &sizing, predicted, None, 1, &Silent).expect("not interrupted");
+    let seeds = if at_vertices {
+        let found = vertices(&image, &surface, None, |_| Ok::<_, Interrupted>(()), &Silent).expect("not interrupted");
+        seed_vertices(&found, &surface, &sizing, predicted, 1, &Silent)
+    } else {
+        seed_surface(&image, &surface, &sizing, predicted, None, 1, &Silent)
+    };
+    let (seeds, summary) = seeds.expect("not interrupted");
     let components = FieldComponents::new(&surface, &Silent).expect("not interrupted");
     let mut counts = vec![0; components.all().len()];
     for &p in &seeds.positions {
@@ -36,9 +42,30 @@ fn seeded(function: impl Fn(DVec3) -> f64) -> (Summary, Vec<usize>) {
 #[test]
 fn a_component_between_the_samples_gets_particles() {
     let (ball, speck) = (DVec3::new(11.0, 12.0, 12.0), DVec3::new(28.5, 12.45, 12.52));
-    let (summary, counts) = seeded(|p| (p.distance(ball) - 7.0).min(0.4 * (p.distance_squared(speck) - 0.3)));
-    assert_eq!((summary.components, summary.underpopulated_components, counts.len()), (2, 1, 2));
-    assert!(counts.iter().all(|&n| n >= COMPONENT_MINIMUM), "{counts:?}");
+    for at_vertices in [false, true] {
+        let function = |p: DVec3| (p.distance(ball) - 7.0).min(0.4 * (p.distance_squared(speck) - 0.3));
+        let (summary, counts) = seeded(function, at_vertices);
+        assert_eq!((summary.components, summary.underpopulated_components, counts.len()), (2, 1, 2));
+        assert!(counts.iter().all(|&n| n >= COMPONENT_MINIMUM), "{counts:?}");
+    }
+}
+
+#[test]
+fn there_are_as_many_seeds_as_vertices_of_marching_cubes_and_all_lie_on_the_surface() {
+    let balls = |p: DVec3| {
+        let ball = |x: f64, radius: f64| p.distance(DVec3::new(x, 12.0, 12.0)) - radius;
+        ball(11.0, 7.0).min(ball(28.0, 5.0))
+    };
+    let image = Image::sampled(Geometry::axis_aligned(SIZE, DVec3::ONE), |p| balls(p) as f32);
+    let mesh = marching_cubes(&image, 0.0);
+    let (of_vertex, _) = of_vertices(mesh.vertices.len(), &mesh.triangles);
+    let (summary, mut counts) = seeded(balls, true);
+    assert_eq!((summary.components, summary.not_projected, summary.refinement), (2, 0, Some(1)));
+    assert_eq!(summary.vertices, Some(mesh.vertices.len()));
+    let mut wanted = [0, 1].map(|c| of_vertex.iter().filter(|&&v| v as usize == c).count());
+    wanted.sort_unstable();
+    counts.sort_unstable();
+    assert_eq!(counts, wanted);
 }
 
 #[test]
@@ -51,7 +78,7 @@ fn two_balls_that_marching_cubes_joins_are_two() {
     let image = Image::sampled(Geometry::axis_aligned(SIZE, DVec3::ONE), |p| distance(p) as f32);
     let mesh = marching_cubes(&image, 0.0);
     assert_eq!(of_vertices(mesh.vertices.len(), &mesh.triangles).1, 1);
-    let (summary, counts) = seeded(distance);
+    let (summary, counts) = seeded(distance, false);
     assert_eq!((summary.components, summary.underpopulated_components, counts.len()), (2, 0, 2));
     assert!(counts.iter().all(|&n| n > 100), "{counts:?}");
 }

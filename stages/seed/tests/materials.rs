@@ -159,3 +159,18 @@ fn a_count_is_kept_to() {
     are_on_their_strata(&materials, &particles, &strata);
     assert!((particles.positions.len() as f64 / 600.0 - 1.0).abs() < 0.12, "{}", particles.positions.len());
 }
+
+#[test]
+fn vertices_of_marching_cubes_are_refused() {
+    let folder = tempfile::tempdir().expect("folder");
+    seeds(folder.path(), &sampled(&sectors()), &[]);
+    let run = Command::new(env!("CARGO_BIN_EXE_seed"))
+        .args(["case.materials.vti", "case.sizefield.vti", "-o", "x.bin", "--from", "marching-cubes"])
+        .current_dir(folder.path())
+        .output()
+        .expect("the program runs");
+    let text = String::from_utf8_lossy(&run.stderr);
+    assert_eq!(run.status.code(), Some(2), "{text}");
+    assert!(text.contains("many materials") && text.contains("what to do"), "{text}");
+    assert!(!folder.path().join("x.bin").exists());
+}

@@ -1,7 +1,7 @@
 //! The program around [`super::seed_strata`]: files and report.
 
 use super::seed_strata;
-use crate::run::{Args, check_prediction};
+use crate::run::{Args, From, check_prediction};
 use isoparticles_field::materials::complex::Complex;
 use isoparticles_field::sizing::SizingField;
 use isoparticles_stage::cli::{Context, Outcome};
@@ -13,6 +13,13 @@ use serde_json::json;
 
 /// Seeds the strata of many materials.
 pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome> {
+    if args.from == From::MarchingCubes {
+        return Err(Error::input(
+            format!("--from marching-cubes: {} holds the indicators of many materials", args.distfield.display()),
+            "marching cubes is over the distance field of one object; junctions have no vertices of it",
+            "leave out --from, or mesh one object (distfield --iso or --labels)",
+        ));
+    }
     let step = context.step("read");
     let file = read_materials(&args.distfield)?;
     let sizing = read_field(&args.sizefield, FieldKind::Sizing)?;

@@ -1,0 +1,161 @@
+//! Seeds as the paper takes them (section 3.1): the vertices of marching cubes over F, all of them, or as many as are asked for (the synthetic
+//! test of Table 3, "a user defined number of particles").
+
+use glam::DVec3;
+use isoparticles_field::marching_cubes::marching_cubes;
+use isoparticles_field::neighbours::space_order;
+use isoparticles_field::spline::CubicSpline;
+use isoparticles_mesh::TriangleMesh;
+use isoparticles_stage::monitor::{Interrupted, Monitor};
+use isoparticles_volume::{Geometry, Image};
+use rayon::prelude::*;
+
+/// Finest grid that is tried for a number of vertices: so many cells of it along each edge of a voxel. The ribcage of the torso phantom has 170,480 vertices on its own
+/// grid and 684,588 on one twice as fine, more than twice the most of Table 3.
+pub const FINEST: usize = 4;
+
+/// Bytes at once for each node of a finer grid: its value, and the vertices and triangles near it (`seed` on that ribcage with `--count 300000`: 362 MiB at 47.5 million
+/// nodes, 7 each).
+pub(crate) const BYTES_PER_NODE: f64 = 8.0;
+
+/// Vertices of marching cubes, as seeds.
+#[derive(Clone, Debug, Default)]
+pub struct Vertices {
+    /// Each with the normal of its triangles, which need not be of length 1.
+    pub points: Vec<(DVec3, DVec3)>,
+    /// Cells of the grid that they are from, along each edge of a voxel.
+    pub refinement: usize,
+    /// How many that grid has.
+    pub available: usize,
+}
+
+/// The vertices of marching cubes over the samples of F, in the mesh's order. With `count` so many of them, spread evenly; where there are not as many, those of a grid
+/// two, three or [`FINEST`] times as fine, sampled from the spline, after `has_room` was asked for so many nodes. What is returned has fewer points than `count` where even
+/// the finest grid has fewer.
+///
+/// # Errors
+/// When the monitor says so, or `has_room` for the nodes of a finer grid.
+pub fn vertices<E: From<Interrupted>>(
+    distance: &Image<f32>,
+    surface: &CubicSpline,
+    count: Option<usize>,
+    has_room: impl Fn(usize) -> Result<(), E>,
+    monitor: &dyn Monitor,
+) -> Result<Vertices, E> {
+    let _phase = monitor.phase("marching cubes");
+    let (mut refinement, mut mesh) = (1, marching_cubes(distance, 0.0));
+    while refinement < FINEST && !mesh.vertices.is_empty() && count.is_some_and(|count| mesh.vertices.len() < count) {
+        monitor.check()?;
+        refinement += 1;
+        let grid = refined(surface.geometry(), refinement);
+        has_room(grid.voxel_count())?;
+        mesh = marching_cubes(&sampled(surface, grid), 0.0);
+    }
+    let available = mesh.vertices.len();
+    let points = with_normals(&mesh);
+    let points = match count {
+        Some(count) if count < available => {
+            let spacing = surface.geometry().mean_spacing() / refinement as f64;
+            spread(&mesh.vertices, spacing, count).into_iter().map(|v| points[v as usize]).collect()
+        }
+        _ => points,
+    };
+    Ok(Vertices { points, refinement, available })
+}
+
+/// The grid with so many cells along each edge of a voxel.
+fn refined(voxels: &Geometry, refinement: usize) -> Geometry {
+    let size = voxels.size.map(|n| (n - 1) * refinement + 1);
+    Geometry { size, spacing: voxels.spacing / refinement as f64, ..voxels.clone() }
+}
+
+/// F at the nodes of a grid.
+fn sampled(surface: &CubicSpline, geometry: Geometry) -> Image<f32> {
+    let [nx, ny, _] = geometry.size;
+    let mut data = vec![0.0f32; geometry.voxel_count()];
+    data.par_chunks_mut(nx).enumerate().for_each(|(row, values)| {
+        for (i, value) in values.iter_mut().enumerate() {
+            let index = DVec3::new(i as f64, (row % ny) as f64, (row / ny) as f64);
+            *value = surface.value(geometry.index_to_grid(index)) as f32;
+        }
+    });
+    Image { geometry, data }
+}
+
+/// The vertices, each with the sum of the normals of its triangles, as long as their areas.
+fn with_normals(mesh: &TriangleMesh) -> Vec<(DVec3, DVec3)> {
+    let mut normals = vec![DVec3::ZERO; mesh.vertices.len()];
+    for triangle in &mesh.triangles {
+        let [a, b, c] = triangle.map(|v| mesh.vertices[v as usize]);
+        let doubled = (b - a).cross(c - a);
+        for &v in triangle {
+            normals[v as usize] += doubled;
+        }
+    }
+    mesh.vertices.iter().copied().zip(normals).collect()
+}
+
+/// So many of the points, the smaller number: every so manieth along a curve that fills space, so that each place gives its share. In the order of the points.
+fn spread(points: &[DVec3], spacing: f64, count: usize) -> Vec<u32> {
+    let along = space_order(points, &vec![spacing; points.len()], 1.0);
+    let mut chosen: Vec<u32> = (0..count).map(|n| along[(2 * n + 1) * points.len() / (2 * count)]).collect();
+    chosen.sort_unstable();
+    chosen
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use isoparticles_stage::monitor::Silent;
+
+    /// The vertices, with room for all.
+    fn taken(image: &Image<f32>, surface: &CubicSpline, count: Option<usize>) -> Vertices {
+        vertices(image, surface, count, |_| Ok::<_, Interrupted>(()), &Silent).unwrap()
+    }
+
+    fn ball() -> (Image<f32>, CubicSpline) {
+        let geometry = Geometry::axis_aligned([24; 3], DVec3::new(1.0, 0.9, 1.1));
+        let centre = 0.5 * geometry.upper_corner();
+        let image = Image::sampled(geometry, |p| (p.distance(centre) - 8.0) as f32);
+        let surface = CubicSpline::new(&image);
+        (image, surface)
+    }
+
+    #[test]
+    fn a_number_of_vertices_is_spread_evenly() {
+        let (image, surface) = ball();
+        let all = taken(&image, &surface, None);
+        assert_eq!((all.refinement, all.available), (1, all.points.len()));
+        let centre = 0.5 * surface.geometry().upper_corner();
+        for count in [40, 300, all.available - 1] {
+            let some = taken(&image, &surface, Some(count));
+            assert_eq!((some.points.len(), some.refinement), (count, 1));
+            assert!(some.points.iter().all(|p| all.points.contains(p)));
+            let mut distinct: Vec<_> = some.points.iter().map(|(p, _)| p.to_array().map(f64::to_bits)).collect();
+            distinct.sort_unstable();
+            distinct.dedup();
+            assert_eq!(distinct.len(), count, "a vertex was taken twice");
+            // every octant gets its share of all vertices, nearer than a random choice would
+            let share = |points: &[(DVec3, DVec3)], octant: usize| {
+                let inside = |p: DVec3| (0..3).all(|a| (p[a] > centre[a]) == ((octant >> a) & 1 == 1));
+                points.iter().filter(|(p, _)| inside(*p)).count() as f64 / points.len() as f64
+            };
+            let off = |octant| share(&some.points, octant) - share(&all.points, octant);
+            let variance = (0..8).map(|octant| (off(octant) * count as f64).powi(2)).sum::<f64>() / 8.0;
+            let random = count as f64 * (1.0 - count as f64 / all.available as f64) * (1.0 / 8.0) * (7.0 / 8.0);
+            println!("{count}: variance {variance:.2} vertices squared, of a random choice {random:.2}");
+            assert!(variance < 0.5 * random || variance < 1.0, "{count}: {variance}, of a random choice {random}");
+        }
+    }
+
+    #[test]
+    fn more_vertices_come_from_a_finer_grid_and_there_is_an_end() {
+        let (image, surface) = ball();
+        let own = taken(&image, &surface, None).available;
+        let more = taken(&image, &surface, Some(3 * own));
+        assert_eq!((more.points.len(), more.refinement), (3 * own, 2));
+        let too_many = taken(&image, &surface, Some(100 * own));
+        assert_eq!((too_many.refinement, too_many.points.len()), (FINEST, too_many.available));
+        assert!(too_many.available > 14 * own && too_many.available < 18 * own, "{}", too_many.available);
+    }
+}
