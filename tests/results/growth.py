@@ -4,9 +4,9 @@
     tests/results/growth.py [--bin target/release] [--json docs/results/growth.json]      # or: make bench-growth
     tests/results/growth.py --series cores materials --time-limit 540                     # a part of it; call again for the rest
 
-Needs the stage programs and Python, nothing else. A row of the JSON file is a stage at one size of one series, with the seconds and the peak memory
-of its own report. The sizes of a series are run from small to large, and a stage that would take longer than `--longest`, by
-what it took last, is left out from there on, with a row that says so. `page.py` fits the exponents.
+Needs the stage programs and Python, nothing else. A row of the JSON file is a stage at one size of one series, with
+the seconds and the peak memory of its own report. The sizes of a series are run from small to large, and a stage that would take longer than
+`--longest`, by what it took last, is left out from there on, with a row that says so. `page.py` fits the exponents.
 """
 
 from __future__ import annotations
@@ -35,13 +35,19 @@ CELLS_EDGE = 96
 CELLS_H = 1.5
 """Edge length on their interfaces, mm."""
 TORUS = "bumpy-torus"
+SERIES = ("volume", "particles", "cores", "materials")
 STAGES = ("distfield", "sizefield", "seed", "particles", "reconstruct")
+
+
+def value(line: tuple[float, float, int], x: float) -> float:
+    """Of a line, at x."""
+    return line[0] * x + line[1]
 
 
 def cells(materials: int, edge: int) -> bytes:
     """A ball cut into the Voronoi cells of so many random points: a NRRD file of labels 1 to `materials`, 0 outside.
 
-    Along a row of voxels the squared distance to a point is x^2 + a x + b with its own a and b, so the nearest one is the lower envelope of lines.
+    Along a row of voxels the squared distance to a point is x^2 + a x + b with its own a and b: the nearest is the lower envelope of lines.
     """
     numbers = random.Random(materials)
     centre, radius = (edge - 1) / 2, 0.42 * edge
@@ -76,9 +82,7 @@ def cells(materials: int, edge: int) -> bytes:
             first, last = math.ceil(centre - math.sqrt(half)), math.floor(centre + math.sqrt(half))
             row, at = (z * edge + y) * edge, 0
             for x in range(first, last + 1):
-                while at + 1 < len(envelope) and sum(
-                    (envelope[at + 1][j] - envelope[at][j]) * (x, 1)[j] for j in (0, 1)
-                ) < 0.0:
+                while at + 1 < len(envelope) and value(envelope[at + 1], x) < value(envelope[at], x):
                     at += 1
                 voxels[row + x] = envelope[at][2]
     header = f"NRRD0004\ntype: uint8\ndimension: 3\nsizes: {edge} {edge} {edge}\nspacings: 1 1 1\nencoding: raw\n\n"
@@ -96,7 +100,9 @@ class Growth:
     shrink: int = 1
     last: dict[tuple[str, str], tuple[float, float]] = field(default_factory=dict)
 
-    def step(self, series: str, size: float, stage: str, words: str, output: Path, threads: int = 0, engine: str = "") -> bool:
+    def step(
+        self, series: str, size: float, stage: str, words: str, output: Path, threads: int = 0, engine: str = ""
+    ) -> bool:
         """Run a stage at a size of a series; whether its output is there."""
         name = f"{series} {size:09.0f} {stage}{engine and ' ' + engine}"
         if name in self.rows and output.exists():
@@ -108,7 +114,11 @@ class Growth:
             self.rows.add(name, {**row, "left_out": f"more than {self.longest:.0f} s expected"})
             return False
         report = self.bench.stage(
-            stage, f"{words} -o '{output}'", output.with_suffix(f".{stage}.json"), threads or self.bench.cores, allowed=(0, 1)
+            stage,
+            f"{words} -o '{output}'",
+            output.with_suffix(f".{stage}.json"),
+            threads or self.bench.cores,
+            allowed=(0, 1),
         )
         told = {**row, **stage_row(report), "exit_code": report["exit_code"]}
         if stage == "particles":
@@ -119,12 +129,12 @@ class Growth:
         return True
 
     def complete(self, series: str, size: float) -> bool:
-        """Whether the rows of a size are there, to the last stage or to that which was left out; what they took is kept for the sizes after it."""
+        """Whether the rows of a size are there, to the last stage or to that which was left out; what they took is kept."""
         own = [row for row in self.rows.rows.values() if (row["series"], row["size"]) == (series, size)]
         for row in own:
             if "seconds" in row:
                 self.last[series, row["stage"] + row["engine"]] = (size, row["seconds"])
-        return any(row["stage"] == "reconstruct" or "left_out" in row and row["engine"] != "gpu" for row in own)
+        return any(row["stage"] == "reconstruct" or ("left_out" in row and row["engine"] != "gpu") for row in own)
 
     def after_sizes(self, series: str, size: float, stem: Path, fields: tuple[Path, Path], threads: int = 0) -> None:
         """Seed, particles and reconstruct."""
@@ -202,9 +212,10 @@ def shorten(words: str) -> str:
 def main() -> int:
     """Reads the command line; 1 where something was left out."""
     parser = options(__doc__, "growth")
-    every = ["volume", "particles", "cores", "materials"]
-    parser.add_argument("--series", nargs="+", choices=every, default=every)
-    parser.add_argument("--longest", type=float, default=60.0, metavar="SECONDS", help="a stage expected to take longer is left out")
+    parser.add_argument("--series", nargs="+", choices=SERIES, default=SERIES)
+    parser.add_argument(
+        "--longest", type=float, default=60.0, metavar="SECONDS", help="a stage expected to take longer is left out"
+    )
     arguments = parser.parse_args()
     bench, rows = begin(arguments, {})
     gpu = None if rows.head["adapter"] is None else arguments.adapter or ""

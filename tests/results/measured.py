@@ -8,6 +8,7 @@ from __future__ import annotations
 import argparse
 import concurrent.futures
 import json
+import math
 import os
 import platform
 import shlex
@@ -29,7 +30,7 @@ BINS = 25
 """Bins of a stored histogram of radius ratios; the reports have 50."""
 
 
-class Missing(Exception):
+class StageError(Exception):
     """A program that did not do what was asked of it; the text says which, and why."""
 
 
@@ -90,7 +91,7 @@ class Bench:
         done = subprocess.run(command, check=False, stderr=subprocess.PIPE, text=True)
         wall = time.perf_counter() - begun
         if done.returncode not in allowed:
-            raise Missing(f"{shlex.join(command)}: exit code {done.returncode}\n{done.stderr.strip()}")
+            raise StageError(f"{shlex.join(command)}: exit code {done.returncode}\n{done.stderr.strip()}")
         told: Row = json.loads(report.read_text(encoding="utf-8"))
         told["wall"] = wall
         return told
@@ -101,7 +102,7 @@ class Bench:
         try:
             told: Row = json.loads(path.read_text(encoding="utf-8"))
         except FileNotFoundError as why:
-            raise Missing(f"{path}: not there, so a run before did not end") from why
+            raise StageError(f"{path}: not there, so a run before did not end") from why
         return told
 
     def phantom(self, words: str, path: Path) -> Path:
@@ -110,7 +111,7 @@ class Bench:
             command = [str(self.programs / "phantom"), *shlex.split(words), "-o", str(path), "--force"]
             done = subprocess.run(command, check=False, stderr=subprocess.PIPE, text=True)
             if done.returncode != 0:
-                raise Missing(f"{shlex.join(command)}: exit code {done.returncode}\n{done.stderr.strip()}")
+                raise StageError(f"{shlex.join(command)}: exit code {done.returncode}\n{done.stderr.strip()}")
         return path
 
     def each(self, tasks: Iterable[tuple[str, Callable[[], None]]], at_once: int) -> None:
@@ -123,7 +124,7 @@ class Bench:
             begun = time.perf_counter()
             try:
                 task()
-            except Missing as why:
+            except StageError as why:
                 self.left += 1
                 print(f"{name}: left out: {why}", file=sys.stderr, flush=True)
                 return
@@ -174,7 +175,11 @@ def ratios(quality: Row) -> Row:
 
 def stage_row(report: Row) -> Row:
     """Time and memory of a stage."""
-    return {"seconds": round(report["seconds"], 4), "wall": round(report["wall"], 3), "bytes": report["peak_memory_bytes"]}
+    return {
+        "seconds": round(report["seconds"], 4),
+        "wall": round(report["wall"], 3),
+        "bytes": report["peak_memory_bytes"],
+    }
 
 
 def options(description: str | None, json_name: str) -> argparse.ArgumentParser:
@@ -182,12 +187,25 @@ def options(description: str | None, json_name: str) -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(description=description, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--bin", type=Path, default=Path("target/release"), help="folder of the stage programs")
     parser.add_argument("--work", type=Path, default=Path("out") / json_name, help="folder for the files")
-    parser.add_argument("--json", type=Path, default=Path(f"docs/results/{json_name}.json"), help="the rows; those in it are not run again")
+    parser.add_argument(
+        "--json",
+        type=Path,
+        default=Path(f"docs/results/{json_name}.json"),
+        help="the rows; those in it are not run again",
+    )
     parser.add_argument("--jobs", type=int, default=0, help="cores to use (default: all)")
     parser.add_argument("--adapter", help="part of the GPU's name; a software renderer must be named")
     parser.add_argument("--no-gpu", action="store_true", help="leave out the runs on a GPU")
-    parser.add_argument("--quick", action="store_true", help="a twentieth of everything: to see that it runs, not to measure")
-    parser.add_argument("--time-limit", type=float, default=float("inf"), metavar="SECONDS", help="begin no run after that; call again for the rest")
+    parser.add_argument(
+        "--quick", action="store_true", help="a twentieth of everything: to see that it runs, not to measure"
+    )
+    parser.add_argument(
+        "--time-limit",
+        type=float,
+        default=math.inf,
+        metavar="SECONDS",
+        help="then begin no run; call again for the rest",
+    )
     parser.add_argument("--commit", help="of the programs (default: what git says of this folder)")
     return parser
 

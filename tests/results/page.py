@@ -4,8 +4,8 @@
     tests/results/page.py            # writes docs/results.md; or: make results-page
     tests/results/page.py --check    # whether it is what the template and the rows give
 
-`{{name}}` in docs/results/template.md stands for a table or a number of `Page.pieces`. A row that is not there ends it with its name. The printed figures
-of the paper stand in `printed.py` beside this file.
+`{{name}}` in docs/results/template.md stands for a table or a number of `Page.pieces`. A row that is not there ends it with its name. The
+printed figures of the paper stand in `printed.py` beside this file.
 """
 
 from __future__ import annotations
@@ -16,17 +16,18 @@ import math
 import re
 import sys
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import printed
-from growth import COUNTS, MATERIALS, STAGES, VOLUMES
-from paper import LARGEST_H, H_OF_TABLE_3, MODES, OBJECTS, SEEDS, SMALLEST_H, SWEEP, cases
+from growth import COUNTS, MATERIALS, SERIES, STAGES, VOLUMES
+from paper import H_OF_TABLE_3, LARGEST_H, MODES, OBJECTS, SEEDS, SMALLEST_H, SWEEP, cases
 
 Row = dict[str, Any]
 
 
-class MissingRow(Exception):
+class MissingRowError(Exception):
     """A row that the page asks for and the JSON has not."""
 
 
@@ -73,13 +74,14 @@ class Page:
         stem = self.stems["2" if place == "1" else place, name, mode]
         key = f"1 {stem}.{engine}" if place == "1" else f"{stem} {engine}"
         if key not in self.rows:
-            raise MissingRow(f"no row '{key}' in the rows of paper.py")
+            raise MissingRowError(f"no row '{key}' in the rows of paper.py")
         return self.rows[key]
 
     def speed_up(self, place: str, name: str, mode: str) -> float:
         """Device seconds over those of one thread."""
         seconds: float = self.row(place, name, mode, "cpu-1")["settle"]
-        return seconds / float(self.row(place, name, mode, "gpu")["device"])
+        device: float = self.row(place, name, mode, "gpu")["device"]
+        return seconds / device
 
     def table_1(self, mode: str) -> str:
         """Quality, CPU beside GPU."""
@@ -110,13 +112,23 @@ class Page:
                     f"{one['energy_ratio']:.3f}, {gpu['energy_ratio']:.3f}",
                 ]
             )  # fmt: skip
-        columns = ["organ", "printed: CPU, s", "GPU, s", "speed-up", "particles, CPU", "GPU", "one thread, s", "all cores, s"]
+        columns = [
+            "organ",
+            "printed: CPU, s",
+            "GPU, s",
+            "speed-up",
+            "particles, CPU",
+            "GPU",
+            "one thread, s",
+            "all cores, s",
+        ]
         return table([*columns, "GPU, s", "GPU's process, s", "speed-up", "passes", "energy over ideal"], lines)
 
     def lost(self, seeds: int, engine: str) -> float:
         """Percent of the seeds of Table 3 that were deleted."""
         row = self.row("3", str(seeds), "as printed", engine)
-        return 100 * (1 - row["particles"] / row["seeds"])
+        left: int = row["particles"]
+        return 100 * (1 - left / int(row["seeds"]))
 
     def table_3(self) -> str:
         """Seeds without insertion."""
@@ -134,7 +146,15 @@ class Page:
                     f"{self.speed_up('3', str(seeds), 'as printed'):.0f}",
                 ]
             )  # fmt: skip
-        columns = ["seeds", "printed: deleted, %", "speed-up", "left, CPU, GPU", "deleted, %", "energy over ideal", "passes"]
+        columns = [
+            "seeds",
+            "printed: deleted, %",
+            "speed-up",
+            "left, CPU, GPU",
+            "deleted, %",
+            "energy over ideal",
+            "passes",
+        ]
         return table([*columns, "one thread, s", "all cores, s", "GPU, s", "speed-up"], lines)
 
     def table_4(self) -> str:
@@ -152,7 +172,9 @@ class Page:
                 ]
             )  # fmt: skip
         columns = ["epsilon / delta, level", "printed: particles, CPU, GPU", "speed-up", "h, mm", "particles, CPU, GPU"]
-        return table([*columns, "energy over ideal", "passes", "one thread, s", "all cores, s", "GPU, s", "speed-up"], lines)
+        return table(
+            [*columns, "energy over ideal", "passes", "one thread, s", "all cores, s", "GPU, s", "speed-up"], lines
+        )
 
     def sizes(self, series: str) -> list[int]:
         """The sizes of a series."""
@@ -169,7 +191,7 @@ class Page:
         begun = f"{series} {size:09.0f} "
         if any("left_out" in row for name, row in self.growth.items() if name.startswith(begun)):
             return None
-        raise MissingRow(f"no row '{key}' in the rows of growth.py")
+        raise MissingRowError(f"no row '{key}' in the rows of growth.py")
 
     def columns(self, series: str) -> list[tuple[str, str, str]]:
         """Stage, engine and heading."""
@@ -201,7 +223,9 @@ class Page:
         for name, found in (("exponent of time", points), ("exponent of memory", memory)):
             fits = [exponent(found.get(heading, [])[-4:]) for *_, heading in columns]
             lines.append([name, *("-" if fit is None else f"{fit:.2f}" for fit in fits)])
-        first = {"volume": "voxels", "particles": "particles asked for", "cores": "threads", "materials": "materials"}[series]
+        first = {"volume": "voxels", "particles": "particles asked for", "cores": "threads", "materials": "materials"}[
+            series
+        ]
         return table([first, *(f"{heading}: s, MiB" for *_, heading in columns)], lines)
 
     def machine(self) -> str:
@@ -254,7 +278,7 @@ class Page:
             "energies as printed": lambda: energies(printed_rows),
             "energies of table 3": lambda: energies([("3", str(n), "as printed") for n in SEEDS]),
             "counts of table 4": lambda: span([self.row(*row, "gpu")["particles"] for row in printed_rows if row[0] == "4"], 0),
-            **{f"growth by {series}": lambda series=series: self.table_growth(series) for series in ("volume", "particles", "cores", "materials")},
+            **{f"growth by {series}": partial(self.table_growth, series) for series in SERIES},
         }  # fmt: skip
 
     def text(self, template: str) -> str:
@@ -264,7 +288,7 @@ class Page:
         def piece(match: re.Match[str]) -> str:
             name = match.group(1)
             if name not in pieces:
-                raise MissingRow(f"the template asks for '{name}', which is none of {', '.join(pieces)}")
+                raise MissingRowError(f"the template asks for '{name}', which is none of {', '.join(pieces)}")
             return pieces[name]()
 
         return re.sub(r"\{\{([^}]+)\}\}", piece, template)
@@ -273,7 +297,9 @@ class Page:
 def main() -> int:
     """Reads the command line; 1 where the page cannot be made, or is not what it should be."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--folder", type=Path, default=Path("docs/results"), help="of template.md, paper.json and growth.json")
+    parser.add_argument(
+        "--folder", type=Path, default=Path("docs/results"), help="of template.md, paper.json and growth.json"
+    )
     parser.add_argument("--output", "-o", type=Path, default=Path("docs/results.md"))
     parser.add_argument("--check", action="store_true", help="write nothing: 1 if the page differs")
     arguments = parser.parse_args()
@@ -281,7 +307,7 @@ def main() -> int:
     try:
         page = Page(load(arguments.folder / "paper.json"), load(arguments.folder / "growth.json"))
         text = page.text(template)
-    except (MissingRow, FileNotFoundError) as why:
+    except (MissingRowError, FileNotFoundError) as why:
         print(
             f"{why}\n  why it matters: the page would have a gap\n"
             "  what to do: make bench-paper, make bench-growth; rows that are there are not run again",
@@ -291,7 +317,9 @@ def main() -> int:
     if arguments.check:
         found = arguments.output.read_text(encoding="utf-8") if arguments.output.exists() else ""
         if found != text:
-            print(f"{arguments.output} is not what template and rows give; make results-page writes it", file=sys.stderr)
+            print(
+                f"{arguments.output} is not what template and rows give; make results-page writes it", file=sys.stderr
+            )
         return int(found != text)
     arguments.output.write_text(text, encoding="utf-8")
     return 0

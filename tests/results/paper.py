@@ -23,7 +23,7 @@ from pathlib import Path
 from measured import SHRINK, Bench, Row, Rows, begin, end, options, ratios, settled
 
 PACKING = 2.317
-"""Particles of the hexagonal lattice whose energy is the printed 3.462, over those of the lattice of spacing h: 1 / 0.657^2 (docs/method.md)."""
+"""Particles of the hexagonal lattice whose energy is the printed 3.462 over those of the lattice of spacing h: 1 / 0.657^2."""
 
 TORSO = "torso --part"
 OBJECTS = {
@@ -34,7 +34,7 @@ OBJECTS = {
     "thorax_labels 2": ("thorax_labels.nrrd", "--labels 2", 74_000),
     "thorax_labels 1": ("thorax_labels.nrrd", "--labels 1", 469_000),
 }
-"""The organs of Table 2, of the phantom and of real volumes (lungs are 2, bones are 1): volume, options of distfield, about the printed number of particles."""
+"""The organs of Table 2: volume, options of distfield, about the printed number of particles. In `thorax_labels` 2 is lungs, 1 is bones."""
 
 RIBCAGE = "torso ribcage"
 FINE = f"{TORSO} ribs --size 402,194,266 --spacing 0.8667"
@@ -42,7 +42,7 @@ FINE = f"{TORSO} ribs --size 402,194,266 --spacing 0.8667"
 
 SEEDS = range(60_000, 300_001, 30_000)
 """Table 3."""
-H_OF_TABLE_3 = 1.04
+H_OF_TABLE_3 = 1.55
 """Edge length of Table 3, mm."""
 
 SWEEP = [(8, 2, 4), (2, 1, 4), (0.5, 0.5, 4), (0.25, 0.25, 4), (0.125, 0.125, 4), (0.01, 0.01, 4), (0.01, 0.01, 7)]
@@ -106,15 +106,17 @@ def cases(tables: list[str], shrink: int) -> list[Case]:
                 sizes = f"--epsilon 0.5 --delta 0.4 --vertices {vertices:.0f}"
                 found.append(Case("2", name, volume, distfield, sizes, mode))
     if "3" in tables:
-        for count in SEEDS:
+        for asked in SEEDS:
             sizes = f"--uniform {H_OF_TABLE_3 * coarser:.4g}"
-            seeds = f"--count {count // shrink}"
-            found.append(Case("3", f"{count}", FINE, "--iso 370", sizes, "as printed", seeds, "--no-insert"))
+            seeds = f"--count {asked // shrink}"
+            found.append(Case("3", f"{asked}", FINE, "--iso 370", sizes, "as printed", seeds, "--no-insert"))
     if "4" in tables:
         volume, distfield, _ = OBJECTS[RIBCAGE]
         for epsilon, delta, level in SWEEP:
             least, most = SMALLEST_H[level] * coarser, LARGEST_H * coarser
-            sizes = f"--epsilon {epsilon} --delta {delta} --min-size {least:.4g} --max-size {most:.4g} --max-deviation 0"
+            sizes = (
+                f"--epsilon {epsilon} --delta {delta} --min-size {least:.4g} --max-size {most:.4g} --max-deviation 0"
+            )
             found.append(Case("4", f"{epsilon}/{delta} level {level}", volume, distfield, sizes, "as printed"))
     return found
 
@@ -142,7 +144,9 @@ class Paper:
         volume = self.data / case.volume
         if case.volume.startswith(TORSO):
             volume = self.bench.phantom(case.volume, self.path(case.field, "nrrd"))
-        self.bench.stage("distfield", f"'{volume}' {case.distfield} -o '{output}'", self.path(case.field, "json"), threads)
+        self.bench.stage(
+            "distfield", f"'{volume}' {case.distfield} -o '{output}'", self.path(case.field, "json"), threads
+        )
 
     def seeds(self, case: Case, threads: int) -> None:
         """Sizes and seeds of a case, unless they are there."""
@@ -162,7 +166,9 @@ class Paper:
 
     def settle(self, case: Case, engine: str) -> Row:
         """Settle the seeds; the report."""
-        backend = "--backend gpu" + (f" --adapter '{self.adapter}'" if self.adapter else "") if engine == "gpu" else "--backend cpu"
+        backend = "--backend cpu"
+        if engine == "gpu":
+            backend = "--backend gpu" + (f" --adapter '{self.adapter}'" if self.adapter else "")
         output = self.path(f"{case.stem}.{engine}", "bin")
         words = f"{self.of(case, str(self.path(case.stem, 'seeds.bin')))} {case.options['particles']} {backend} -o '{output}'"
         threads = 1 if engine == "cpu-1" else self.bench.cores
@@ -173,7 +179,7 @@ class Paper:
         self.seeds(case, self.bench.cores)
         seeded = self.bench.report(self.path(case.stem, "seed.json"))
         predicted = self.bench.report(self.path(case.stem, "sizefield.json"))["results"]["fields"]
-        row = {"table": case.table, "case": case.name, "mode": case.mode, "engine": engine, "options": case.options}
+        row: Row = {"table": case.table, "case": case.name, "mode": case.mode, "engine": engine, "options": case.options}
         row["seeds"] = int(seeded["results"]["particles"])
         row["predicted"] = round(predicted["predicted_count"])
         row["h"] = [round(predicted["size_at_surface"][key], 3) for key in ("min", "median", "max")]
@@ -191,9 +197,11 @@ class Paper:
         self.rows.add(
             f"1 {name}",
             {
-                "table": "1", "case": case.name, "mode": case.mode, "engine": engine, "options": {**case.options, "reconstruct": method},
+                "table": "1", "case": case.name, "mode": case.mode, "engine": engine,
+                "options": {**case.options, "reconstruct": method},
                 "exit_code": report["exit_code"], "vertices": results["check"]["vertices"], "components": results["components"],
-                "euler": results["check"]["euler"], "raw": ratios(results["improve"]["before"]), "finished": ratios(results["check"]["quality"]),
+                "euler": results["check"]["euler"],
+                "raw": ratios(results["improve"]["before"]), "finished": ratios(results["check"]["quality"]),
                 "seconds": round(report["seconds"], 2), "bytes": report.get("peak_memory_bytes"),
             },
         )  # fmt: skip
@@ -209,7 +217,9 @@ class Paper:
             missing = [(case, engine) for case, engine in missing if case.table != "2"]
         surfaces: list[tuple[Case, str]] = []
         if "1" in tables:
-            surfaces = [(case, engine) for case in found if case.table == "2" for engine in engines if engine != "cpu-1"]
+            surfaces = [
+                (case, engine) for case in found if case.table == "2" for engine in engines if engine != "cpu-1"
+            ]
             surfaces = [(case, engine) for case, engine in surfaces if f"1 {case.stem}.{engine}" not in self.rows]
         wanted = list(dict.fromkeys(case for case, _ in [*missing, *surfaces]))
         fields = list({case.field: case for case in wanted}.values())
@@ -224,9 +234,7 @@ class Paper:
         each(named(surfaces, partial(self.surface, threads=few)), some)
 
 
-def named(
-    pairs: list[tuple[Case, str]], task: Callable[[Case, str], None]
-) -> list[tuple[str, Callable[[], None]]]:
+def named(pairs: list[tuple[Case, str]], task: Callable[[Case, str], None]) -> list[tuple[str, Callable[[], None]]]:
     """Tasks with their names."""
     return [(f"{case.stem} {engine}", partial(task, case, engine)) for case, engine in pairs]
 
@@ -236,16 +244,24 @@ def main() -> int:
     parser = options(__doc__, "paper")
     parser.add_argument("--data", type=Path, default=Path("../shared/data"), help="folder of the real volumes")
     parser.add_argument("--tables", nargs="+", choices=["1", "2", "3", "4"], default=["2", "1", "3", "4"])
-    parser.add_argument("--cases", nargs="+", metavar="CASE", help=f"of Tables 1 and 2 these alone: {', '.join(OBJECTS)}")
-    parser.add_argument("--beside", type=int, default=0, help="runs of one thread side by side (default: a quarter of the cores)")
-    parser.add_argument("--keep", type=Path, metavar="FOLDER", help="copy the surfaces of the phantom's heart there, for close-ups")
+    parser.add_argument(
+        "--cases", nargs="+", metavar="CASE", help=f"of Tables 1 and 2 these alone: {', '.join(OBJECTS)}"
+    )
+    parser.add_argument(
+        "--beside", type=int, default=0, help="runs of one thread side by side (default: a quarter of the cores)"
+    )
+    parser.add_argument(
+        "--keep", type=Path, metavar="FOLDER", help="copy the surfaces of the phantom's heart there, for close-ups"
+    )
     arguments = parser.parse_args()
     arguments.jobs = arguments.jobs or os.cpu_count() or 1
     beside = arguments.beside or max(arguments.jobs // 4, 1)
     bench, rows = begin(arguments, {"beside": beside})
     found = cases(arguments.tables, SHRINK if arguments.quick else 1)
     found = [case for case in found if case.table != "2" or not arguments.cases or case.name in arguments.cases]
-    paper = Paper(bench, rows, arguments.data, arguments.adapter or "", rows.head["adapter"] is not None, arguments.keep)
+    paper = Paper(
+        bench, rows, arguments.data, arguments.adapter or "", rows.head["adapter"] is not None, arguments.keep
+    )
     paper.run(found, arguments.tables, beside)
     return end(bench, rows)
 

@@ -43,7 +43,13 @@ TABLE_4 = [
 
 def organ(name: str) -> str:
     """The printed organ that an object of ours stands beside."""
-    for word, found in (("heart", "heart"), ("lungs", "lungs"), ("ribcage", "ribcage"), ("labels 2", "lungs"), ("labels 1", "ribcage")):
+    for word, found in (
+        ("heart", "heart"),
+        ("lungs", "lungs"),
+        ("ribcage", "ribcage"),
+        ("labels 2", "lungs"),
+        ("labels 1", "ribcage"),
+    ):
         if word in name:
             return found
     raise KeyError(name)
