@@ -33,7 +33,7 @@ fn energies_kernel(
         let other = place[lists[k]];
         let offset = own.xyz - other.xyz;
         sum += energy_between(offset, own.w, other.w);
-        let reach = FIRST_RING * min(own.w, other.w);
+        let reach = parameters.first_ring * min(own.w, other.w);
         let is_in_ring = dot(offset, offset) < reach * reach;
         ring += select(0u, 1u, is_in_ring);
         at_border = at_border || (is_in_ring && is_held(normal[lists[k]].w));

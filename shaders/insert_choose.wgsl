@@ -1,5 +1,5 @@
 // Density control, who is kept and who comes: of newcomers whose parents are neighbours one a pass, and of newcomers nearer than
-// NEWCOMER_DISTANCE h to each other; the one whose parent draws the highest number. Writes the flags whose prefix sum gives everybody's
+// newcomer_distance to each other; the one whose parent draws the highest number. Writes the flags whose prefix sum gives everybody's
 // next place: first the old ones, then the newcomers.
 //
 // Twin: `insert` in stages/particles/src/density.rs
@@ -18,12 +18,13 @@ fn beats(j: u32, i: u32) -> bool {
 }
 
 // Whether the newcomer of i is too near to one that beats it. Parents lie in the bins of where they were when the lists were made: since then
-// they have moved by REBUILD_MOVE and FARTHEST_MOVE of their h at most, and the projection leaves a newcomer within 2 h of its parent.
+// they have moved by REBUILD_MOVE and FARTHEST_MOVE of their h at most, and the projection leaves a newcomer within two spacings of its parent.
 fn is_too_near(i: u32) -> bool {
     let own = newcomer_place[i];
     let facing = newcomer_normal[i];
     for (var level = 0u; level < parameters.level_count; level++) {
-        let radius = NEWCOMER_DISTANCE * own.w + (2.0 + REBUILD_MOVE + FARTHEST_MOVE) * parameters.levels[level].largest;
+        let farthest = 2.0 * parameters.spacing_in_h + REBUILD_MOVE + FARTHEST_MOVE;
+        let radius = parameters.newcomer_distance * own.w + farthest * parameters.levels[level].largest;
         let low = bin_coordinate(own.xyz - radius, level);
         let high = bin_coordinate(own.xyz + radius, level);
         for (var z = low.z; z <= high.z; z++) {
@@ -35,7 +36,7 @@ fn is_too_near(i: u32) -> bool {
                         continue;
                     }
                     let other = newcomer_place[j];
-                    let near = distance(own.xyz, other.xyz) < NEWCOMER_DISTANCE * min(own.w, other.w);
+                    let near = distance(own.xyz, other.xyz) < parameters.newcomer_distance * min(own.w, other.w);
                     if near && see_each_other(facing, newcomer_normal[j]) {
                         return true;
                     }

@@ -1,4 +1,4 @@
-// Density control, insertion: a particle where the surface is undersampled proposes a newcomer at distance h in the middle of its widest gap, on the surface,
+// Density control, insertion: a particle where the surface is undersampled proposes a newcomer at one spacing of the lattice in the middle of its widest gap, on the surface,
 // where it has room.
 //
 // Twin: `propose`, `place_in_widest_gap` in stages/particles/src/density.rs
@@ -14,7 +14,9 @@
 // The angle under which particle i sees neighbour j in the tangent plane; beyond a turn when j does not count.
 fn angle_of(own: vec4<f32>, plane: Plane, j: u32) -> f32 {
     let offset = place[j].xyz - own.xyz;
-    if marks[j] != 0u || dot(offset, offset) >= SUPPORT * SUPPORT * own.w * own.w {
+    let edge = parameters.spacing_in_h * own.w;
+    // the second ring of a lattice is as many of its edges away as the support is h
+    if marks[j] != 0u || dot(offset, offset) >= SUPPORT * SUPPORT * edge * edge {
         return 2.0 * TAU;
     }
     return atan2(dot(plane.v, offset), dot(plane.u, offset));
@@ -68,14 +70,15 @@ fn insert_propose(
     let range = list_of(i);
     choose_surface(normal[i].w);
     let direction = widest_gap(own, plane, range);
-    let there = project(own.xyz + own.w * (plane.u * cos(direction) + plane.v * sin(direction)), own.w, lane);
+    let edge = parameters.spacing_in_h * own.w;
+    let there = project(own.xyz + edge * (plane.u * cos(direction) + plane.v * sin(direction)), edge, lane);
     if !there.found || dot(there.normal, facing) <= parameters.normal_agreement
-        || distance(there.position, own.xyz) <= PARENT_DISTANCE * min(own.w, there.size) {
+        || distance(there.position, own.xyz) <= parameters.parent_distance * min(own.w, there.size) {
         return;
     }
     for (var k = range.x; k < range.y; k++) {
         let other = place[lists[k]];
-        if marks[lists[k]] == 0u && distance(there.position, other.xyz) <= NEWCOMER_DISTANCE * min(there.size, other.w) {
+        if marks[lists[k]] == 0u && distance(there.position, other.xyz) <= parameters.newcomer_distance * min(there.size, other.w) {
             return;
         }
     }

@@ -1,17 +1,12 @@
-// One pass of movement for one class of particles: sections 3.2.1 and 3.2.2 and Algorithm 1 of the paper.
+// One pass of movement for one class of particles: sections 3.2.1 and 3.2.2 and Algorithm 1 of the paper, a team of lanes for each particle.
 //
-// A team of lanes works for one particle: damped Newton step in the tangent plane, projection onto F = 0 (Eq. 5), the energy
-// test; lambda grows tenfold until a step is good. No conflict: a particle reads itself and its listed neighbours and writes
+// No conflict: a particle reads itself and its listed neighbours and writes
 // itself. Members of one class are in no list of each other, so within a dispatch nobody reads what another writes.
 //
-// Twin: `step` in stages/particles/src/movement.rs
+// Twin: `pass` in stages/particles/src/movement.rs
 
 @group(0) @binding(5) var<storage, read> class_starts: array<u32>;
 @group(0) @binding(6) var<storage, read> class_members: array<u32>;
-@group(0) @binding(8) var<storage, read_write> place: array<vec4<f32>>;
-@group(0) @binding(9) var<storage, read_write> normal: array<vec4<f32>>;
-// Steps tried, with STEP_TAKEN.
-@group(0) @binding(12) var<storage, read_write> outcome: array<u32>;
 
 @compute @workgroup_size(TEAM * TEAMS)
 fn move_particles(
@@ -19,51 +14,8 @@ fn move_particles(
     @builtin(num_workgroups) groups: vec3<u32>,
     @builtin(local_invocation_index) local: u32,
 ) {
-    let lane = local % TEAM;
     let member = class_starts[round.number] + flat_group(group, groups) * TEAMS + local / TEAM;
-    if member >= class_starts[round.number + 1u] {
-        return;
-    }
-    let i = class_members[member];
-    let own = place[i];
-    let facing = normal[i];
-    let range = list_of(i);
-    let plane = tangent_plane(facing.xyz);
-    let nearest = nearest_neighbours(range, lane);
-    let jet = team_jet(own, plane, range, nearest, lane);
-    var tries = 0u;
-    var moved = false;
-    if jet.energy > 0.0 && !is_held(facing.w) {
-        let curvature = positive_definite(jet.hessian);
-        var lambda = damping_of(facing.w);
-        choose_surface(facing.w);
-        while lambda < LARGEST_LAMBDA {
-            let step = damped_newton(curvature, jet.gradient, lambda);
-            if !(-0.5 * dot(step, jet.gradient) > REST * jet.energy) {
-                break;
-            }
-            tries++;
-            var motion = plane.u * step.x + plane.v * step.y;
-            let stretch = length(motion);
-            motion *= select(1.0, LONGEST_STEP * own.w / stretch, stretch > LONGEST_STEP * own.w);
-            let there = project(own.xyz + motion, length(motion) + PROJECTION_REACH * own.w, lane);
-            if there.found && dot(there.normal, facing.xyz) > 0.0 && distance(there.position, own.xyz) < FARTHEST_MOVE * own.w {
-                let candidate = vec4(there.position, there.size);
-                if team_energy(candidate, range, nearest, lane) < jet.energy {
-                    moved = true;
-                    if lane == 0u {
-                        place[i] = candidate;
-                        // the first try was good: less damping the next time
-                        let damping = select(lambda, max(LAMBDA_FALL * lambda, LEAST_LAMBDA), tries == 1u);
-                        normal[i] = vec4(there.normal, with_damping(facing.w, damping));
-                    }
-                    break;
-                }
-            }
-            lambda *= LAMBDA_GROWTH;
-        }
-    }
-    if lane == 0u {
-        outcome[i] = tries | select(0u, STEP_TAKEN, moved);
+    if member < class_starts[round.number + 1u] {
+        move_particle(class_members[member], local % TEAM);
     }
 }

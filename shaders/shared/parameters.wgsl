@@ -39,6 +39,11 @@ struct Parameters {
     list_capacity: u32,
     seed: u32,
     initial_lambda: f32,
+    // Of the lattice that the particles are to form, all in h: its edge; what is nearer is in the first ring; what a newcomer keeps from others, and from its parent.
+    spacing_in_h: f32,
+    first_ring: f32,
+    newcomer_distance: f32,
+    parent_distance: f32,
     levels: array<Level, MOST_LEVELS>,
 }
 

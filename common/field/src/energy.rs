@@ -23,6 +23,35 @@ pub fn ideal_energy() -> f64 {
     6.0 * pair_energy(1.0 / SUPPORT)
 }
 
+/// Energy (Eq. 1) of a particle of the hexagonal lattice of this spacing, in h, all rings within the cut-off: 0.7108 at 1, [`ideal_energy`].
+pub fn lattice_energy(spacing: f64) -> f64 {
+    // the lattice is six turns of the places a u + b v with a > 0 and b >= 0, which are sqrt(a^2 + a b + b^2) spacings away
+    let last = (SUPPORT / spacing).ceil() as u32;
+    let place =
+        |a: u32, b: u32| pair_energy(scaled_distance(f64::from(a * a + a * b + b * b).sqrt() * spacing, 1.0, 1.0));
+    6.0 * (1..=last).flat_map(|a| (0..=last).map(move |b| (a, b))).map(|(a, b)| place(a, b)).sum::<f64>()
+}
+
+/// Smallest spacing that [`lattice_spacing`] gives.
+const LEAST_SPACING: f64 = 0.05;
+
+/// Spacing in h of the hexagonal lattice whose particles have this energy: 1 at [`ideal_energy`], 0.657 at [`PRINTED_IDEAL_ENERGY`]. Between 0.05 and
+/// [`SUPPORT`], whatever the energy.
+pub fn lattice_spacing(energy: f64) -> f64 {
+    // h is the edge of its lattice by definition, not to the last digit only
+    if energy == ideal_energy() {
+        return 1.0;
+    }
+    let (mut low, mut high) = (LEAST_SPACING, SUPPORT);
+    loop {
+        let middle = 0.5 * (low + high);
+        if middle <= low || middle >= high {
+            return low;
+        }
+        if lattice_energy(middle) > energy { low = middle } else { high = middle }
+    }
+}
+
 /// Distance of two particles scaled by the smaller of their target edge lengths (Eq. 2), dimensionless.
 pub fn scaled_distance(distance: f64, size_i: f64, size_j: f64) -> f64 {
     distance / (SUPPORT * size_i.min(size_j))
@@ -153,7 +182,7 @@ mod tests {
     use fearless_simd::{Level, dispatch};
 
     /// Energy of an infinite hexagonal lattice of the given spacing (in units of h), every ring summed.
-    fn lattice_energy(spacing: f64) -> f64 {
+    fn energy_by_rows(spacing: f64) -> f64 {
         let mut sum = 0.0;
         for i in -8i32..=8 {
             for j in -8i32..=8 {
@@ -172,7 +201,13 @@ mod tests {
         for (spacing, energy) in [(0.6, 4.60), (0.657, 3.462), (0.8, 1.76), (0.9, 1.12), (1.0, 0.711), (1.1, 0.434)] {
             // the table is rounded to three digits, in the spacing too
             assert!((lattice_energy(spacing) / energy - 1.0).abs() < 0.005, "{spacing}: {}", lattice_energy(spacing));
+            assert!((lattice_energy(spacing) / energy_by_rows(spacing) - 1.0).abs() < 1e-12, "{spacing}");
+            assert!((lattice_spacing(lattice_energy(spacing)) - spacing).abs() < 1e-14, "{spacing}");
         }
+        assert_eq!(lattice_energy(1.0), ideal_energy());
+        assert_eq!(lattice_spacing(ideal_energy()), 1.0);
+        assert!((lattice_spacing(PRINTED_IDEAL_ENERGY) - 0.657).abs() < 5e-4);
+        assert_eq!([1e300, f64::MIN_POSITIVE].map(|e| (lattice_spacing(e) * 100.0).round()), [5.0, 173.0]);
     }
 
     #[test]

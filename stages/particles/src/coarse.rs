@@ -100,8 +100,9 @@ fn thinned(seeds: &ParticleSet, fields: &Fields, scale: f64, parameters: &Parame
     let mut order: Vec<u32> = (0..seeds.positions.len() as u32).collect();
     order.sort_by_key(|&i| (bits(parameters.seed, u64::MAX, u64::from(i)), i));
     let sizes: Vec<f64> = seeds.positions.par_iter().map(|&p| scale * fields.sizing.at(p)).collect();
+    let room = ROOM * parameters.spacing();
     let taken =
-        take_with_room(&seeds.positions, &seeds.normals, &sizes, &order, parameters.normal_agreement, ROOM, |_| ROOM);
+        take_with_room(&seeds.positions, &seeds.normals, &sizes, &order, parameters.normal_agreement, room, |_| room);
     pick(seeds, &sizes, &taken)
 }
 
@@ -116,7 +117,8 @@ fn split(
 ) -> ParticleSet {
     let (points, normals) = (&coarse.positions, &coarse.normals);
     let agree = |i: usize, j: usize| normals[i].dot(normals[j]) > parameters.normal_agreement;
-    let near = NeighbourLists::new(points, &coarse.sizes, EDGE, agree);
+    let edge = parameters.spacing();
+    let near = NeighbourLists::new(points, &coarse.sizes, EDGE * edge, agree);
     let spacing = fields.surface.min_spacing();
     let mut all = coarse.clone();
     let middle_of = |i: usize, j: usize| {
@@ -143,9 +145,10 @@ fn split(
     let mut rest: Vec<u32> = (edges as u32..all.positions.len() as u32).collect();
     rest.sort_by_key(|&i| (bits(parameters.seed, u64::MAX, u64::from(i)), i));
     order.extend(rest);
-    let room = |i: usize| if i < edges { ROOM_ON_LATTICE } else { ROOM_FOR_MORE };
+    let room = |i: usize| edge * if i < edges { ROOM_ON_LATTICE } else { ROOM_FOR_MORE };
+    let most = ROOM_FOR_MORE * edge;
     let mut taken =
-        take_with_room(&all.positions, &all.normals, &sizes, &order, parameters.normal_agreement, ROOM_FOR_MORE, room);
+        take_with_room(&all.positions, &all.normals, &sizes, &order, parameters.normal_agreement, most, room);
     taken.sort_unstable();
     pick(&all, &sizes, &taken)
 }

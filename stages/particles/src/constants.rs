@@ -19,6 +19,12 @@
 //! h the projection adds next to nothing, the bound is 2.252 - 2 (0.1 + 0.25) = 1.55 h, and the energy that is missed (Eq. 1 at d = 0.896) is
 //! at most 0.2 % of a particle's. Where h changes by g a mm, the larger of two may move by its own h: `SUPPORT (1 + SKIN) (1 - 0.6 g) - 1.2` times the smaller
 //! h, 0.65 at g = 0.3.
+//!
+//! # Lattices of another spacing
+//!
+//! The lattice that an ideal energy other than that of Eq. 1 asks for has another spacing than h ([`Parameters::spacing`](crate::Parameters::spacing): 0.657 h for the
+//! printed 3.462). What is a length of the lattice ([`FIRST_RING`], [`NEWCOMER_DISTANCE`], [`PARENT_DISTANCE`], where a newcomer stands) is that many *spacings*; what
+//! is about steps and lists stays in h. The bounds above hold for spacings from [`LEAST_SPACING`] to [`LARGEST_SPACING`].
 
 use isoparticles_field::energy::SUPPORT;
 
@@ -44,7 +50,14 @@ const _: () = assert!(
 );
 const _: () = assert!(SUPPORT * SKIN > 2.0 * REBUILD_MOVE, "a pass could start with lists that miss an interaction");
 
-/// Neighbours on the hexagonal lattice of edge h are nearer than this many h, and the next ring is farther: the geometric mean of
+/// Largest spacing of a lattice in h, that of the ideal energy 0.554: neighbours in it must be nearer than particles that do not see each other.
+pub(crate) const LARGEST_SPACING: f64 = UNSEEN_DISTANCE;
+
+/// Smallest spacing of a lattice in h, that of the ideal energy 7.84: a pass must not take a particle past the next one. Lists have 18.4 over the squared spacing
+/// members, 74 here, and 32 classes move on the GPU: of denser ones many would rest.
+pub(crate) const LEAST_SPACING: f64 = FARTHEST_MOVE;
+
+/// Neighbours on the hexagonal lattice are nearer than this many spacings (of h), and the next ring is farther: the geometric mean of
 /// the two radii, 1 and sqrt(3).
 pub(crate) const FIRST_RING: f64 = 1.316_074_012_952_492_5;
 
@@ -76,14 +89,14 @@ pub(crate) const PROJECTION_REACH: f64 = 0.5;
 /// |F| after a step, as a share of the voxel spacing; the particles are put onto F = 0 to more digits at the end.
 pub(crate) const PASS_TOLERANCE: f64 = 1e-5;
 
-/// A newcomer keeps this share of h from everybody on its sheet, other newcomers included; the lattice makes room for it in the next
+/// A newcomer keeps this share of the lattice's spacing (h) from everybody on its sheet, other newcomers included; the lattice makes room for it in the next
 /// passes.
 ///
-/// It stands at h from its parent, in the middle of the widest gap between two neighbours. In the lattice that gap is 60 degrees, and the newcomer
-/// is 2 sin(15 degrees) = 0.518 h from both: at more than that a particle with six neighbours never gets one, and places with too few particles stay.
+/// It stands at one spacing from its parent, in the middle of the widest gap between two neighbours. In the lattice that gap is 60 degrees, and the newcomer
+/// is 2 sin(15 degrees) = 0.518 of it from both: at more than that a particle with six neighbours never gets one, and places with too few particles stay.
 /// Measured (docs/method.md): at 0.45 the count comes nearest to the predicted one; at 0.513, where the energy of one pair (Eq. 1) is what
 /// density control deletes at, it falls by 1.3 %, at 0.7 by 10 %, and triangles are no better for it.
 pub(crate) const NEWCOMER_DISTANCE: f64 = 0.45;
 
-/// A newcomer that the projection takes nearer than this to its parent, as a share of h, is none.
+/// A newcomer that the projection takes nearer than this to its parent, as a share of the lattice's spacing, is none.
 pub(crate) const PARENT_DISTANCE: f64 = 0.6;

@@ -99,7 +99,7 @@ pub(crate) struct Newcomer {
 
 /// Adds particles (at the end of the set) where the energy is low and a gap has room; says which, in the order of their parents.
 ///
-/// Of newcomers whose parents are neighbours one comes in a pass, and of newcomers nearer than [`NEWCOMER_DISTANCE`] h to each other on the
+/// Of newcomers whose parents are neighbours one comes in a pass, and of newcomers nearer than [`NEWCOMER_DISTANCE`] spacings to each other on the
 /// same sheet; here the one whose parent has the smallest index, on the GPU the one whose parent draws the highest number.
 fn insert<S: Implicit>(
     state: &mut State,
@@ -124,7 +124,7 @@ fn insert<S: Implicit>(
         .collect();
     let positions: Vec<DVec3> = newcomers.iter().map(|n| n.position).collect();
     let sizes: Vec<f64> = newcomers.iter().map(|n| n.size).collect();
-    let near = NeighbourLists::new(&positions, &sizes, NEWCOMER_DISTANCE, |a, b| {
+    let near = NeighbourLists::new(&positions, &sizes, NEWCOMER_DISTANCE * state.spacing, |a, b| {
         newcomers[a].normal.dot(newcomers[b].normal) > state.normal_agreement
             && state.stratum(newcomers[a].parent) == state.stratum(newcomers[b].parent)
     });
@@ -150,21 +150,22 @@ fn insert<S: Implicit>(
     newcomers.into_iter().filter(|_| chosen.next() == Some(true)).collect()
 }
 
-/// The newcomer in the widest gap of particle i, if it is on the surface there and keeps [`NEWCOMER_DISTANCE`] h from everybody.
+/// The newcomer in the widest gap of particle i, if it is on the surface there and keeps [`NEWCOMER_DISTANCE`] spacings from everybody.
 pub(crate) fn propose<S: Implicit>(state: &State, fields: &Fields<S>, deleted: &[bool], i: usize) -> Option<Newcomer> {
     let (position, normal, size) = place_in_widest_gap(state, fields, deleted, i)?;
     let set = &state.set;
+    let distance = NEWCOMER_DISTANCE * state.spacing;
     let has_room = state
         .neighbours
         .of(i)
         .iter()
         .map(|&j| j as usize)
         .filter(|&j| !deleted[j])
-        .all(|j| position.distance(set.positions[j]) > NEWCOMER_DISTANCE * size.min(set.sizes[j]));
+        .all(|j| position.distance(set.positions[j]) > distance * size.min(set.sizes[j]));
     has_room.then_some(Newcomer { parent: i, position, normal, size })
 }
 
-/// The point at distance h from particle i in the middle of its widest gap, on the surface.
+/// The point at one spacing from particle i in the middle of the widest gap between its neighbours, as far as the second ring of the lattice, on the surface.
 fn place_in_widest_gap<S: Implicit>(
     state: &State,
     fields: &Fields<S>,
@@ -172,14 +173,14 @@ fn place_in_widest_gap<S: Implicit>(
     i: usize,
 ) -> Option<(DVec3, DVec3, f64)> {
     let set = &state.set;
-    let (p, h) = (set.positions[i], set.sizes[i]);
+    let (p, edge) = (set.positions[i], state.spacing * set.sizes[i]);
     let plane = TangentPlane::new(set.normals[i]);
     let mut angles: Vec<f64> = state
         .neighbours
         .of(i)
         .iter()
         .map(|&j| j as usize)
-        .filter(|&j| !deleted[j] && p.distance(set.positions[j]) < SUPPORT * h)
+        .filter(|&j| !deleted[j] && p.distance(set.positions[j]) < SUPPORT * edge)
         .map(|j| {
             let offset = set.positions[j] - p;
             plane.v.dot(offset).atan2(plane.u.dot(offset))
@@ -197,11 +198,12 @@ fn place_in_widest_gap<S: Implicit>(
             }
         }
     }
-    let start = p + plane.out_of_plane([h * direction.cos(), h * direction.sin()]);
+    let start = p + plane.out_of_plane([edge * direction.cos(), edge * direction.sin()]);
     let tolerance = PASS_TOLERANCE * fields.surface.min_spacing();
-    let (position, normal, size) = fields.project(state.stratum(i), start, h, tolerance)?;
-    (normal.dot(set.normals[i]) > state.normal_agreement && position.distance(p) > PARENT_DISTANCE * h.min(size))
-        .then_some((position, normal, size))
+    let (position, normal, size) = fields.project(state.stratum(i), start, edge, tolerance)?;
+    (normal.dot(set.normals[i]) > state.normal_agreement
+        && position.distance(p) > PARENT_DISTANCE * edge.min(state.spacing * size))
+    .then_some((position, normal, size))
 }
 
 #[cfg(test)]

@@ -3,6 +3,7 @@
 //! Section 3 of Kim, Chen and Hansen 2012: neighbours, energy, damped Newton steps, projection, density control and the stop
 //! test. Same seeds, fields and parameters give the same bytes for any number of threads on the CPU, and on one GPU adapter.
 
+pub mod args;
 mod checkpoint;
 mod coarse;
 mod constants;
@@ -25,5 +26,7 @@ mod state;
 pub use constants::INITIAL_LAMBDA;
 pub use cpu::{OnStrata, settle, settle_sheets};
 pub use implicit::{Implicit, Sheets};
-pub use settle::{DEFECT_WINDOW, Engine, Parameters, PassOutcome, PassRecord, REORDER_INTERVAL, Summary, settle_with};
+pub use settle::{
+    Binning, DEFECT_WINDOW, Engine, Order, Parameters, PassOutcome, PassRecord, REORDER_INTERVAL, Summary, settle_with,
+};
 pub use state::Fields;

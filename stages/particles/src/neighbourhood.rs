@@ -103,15 +103,15 @@ impl Neighbourhood {
         sum(energy)
     }
 
-    /// Energy of the particle, of size h, and the number of its neighbours in the first ring.
+    /// Energy of the particle, of size h, and the number of its neighbours in the first ring of a lattice of this spacing, in h.
     #[inline(always)]
-    pub(crate) fn energy_and_ring<S: Simd>(&self, simd: S, size: f64) -> (f64, u32) {
-        const RING: f64 = (FIRST_RING / SUPPORT) * (FIRST_RING / SUPPORT);
+    pub(crate) fn energy_and_ring<S: Simd>(&self, simd: S, size: f64, spacing: f64) -> (f64, u32) {
+        let radius = FIRST_RING * spacing / SUPPORT;
         let (mut energy, mut ring) = (f64x8::splat(simd, 0.0), 0);
         for block in &self.blocks {
             let squared = Self::distances(simd, block, DVec3::ZERO, 1.0 / size).squared;
             energy += Pairs::new(squared).energy();
-            ring += squared.simd_lt(RING).to_bitmask().count_ones();
+            ring += squared.simd_lt(radius * radius).to_bitmask().count_ones();
         }
         (sum(energy), ring)
     }

@@ -1,194 +1,29 @@
-//! The program around [`crate::settle`]: options, files, log by pass, checkpoints.
+//! The program around [`crate::settle`]: files, log by pass, checkpoints. Its options are in `args.rs`.
 
+use crate::args::{Args, Backend};
 use crate::checkpoint::{Progress, cpu_engine, keep, resume};
 use crate::coarse::{MakeEngine, settle_levels};
 use crate::cpu::{CpuEngine, OnCpu, settle_sheets_with};
-use crate::gpu::{self, Binning, Choice, DeviceReport, Gpu, GpuEngine};
+use crate::gpu::{self, Choice, DeviceReport, Gpu, GpuEngine};
 use crate::ground::{Ground, check_levels};
 use crate::implicit::Sheets;
 use crate::log::Log;
-use crate::settle::{Engine, Parameters, PassRecord, REORDER_INTERVAL};
+use crate::settle::{Engine, Order, Parameters, PassRecord};
 use crate::state::Fields;
-use clap::{Parser, ValueEnum};
-use isoparticles_field::energy;
 use isoparticles_field::materials::{Materials, Stratum};
 use isoparticles_field::particle_set::ParticleSet;
 use isoparticles_field::sizing::SizingField;
-use isoparticles_stage::cli::values::{above_one, positive, share};
-use isoparticles_stage::cli::{CommonArgs, Context, FILES, METHOD, Outcome, StageArgs};
+use isoparticles_stage::cli::{Context, Outcome};
 use isoparticles_stage::error::{Error, Result};
 use isoparticles_stage::field_file::{FieldKind, check_same_grid, read_field};
 use isoparticles_stage::history::hash_file;
 use isoparticles_stage::materials_file::is_materials;
 use isoparticles_stage::particle_file::{ParticleKind, read_particles, write_material_particles, write_particles};
-use serde_json::{Value, json};
+use serde_json::json;
 use std::cell::Cell;
-use std::path::PathBuf;
 
 /// Bytes at once for each particle on the CPU, besides the fields: 190 to 510 for the phantoms of `stages/distfield/benches/costs.py`.
 const BYTES_PER_PARTICLE: f64 = 510.0;
-
-/// Where the particles are moved.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub enum Backend {
-    /// A real GPU if there is one, else the CPU.
-    Auto,
-    /// A GPU, or an error with exit code 3.
-    Gpu,
-    /// All CPU cores (see --threads).
-    Cpu,
-}
-
-/// Settles particles on F = 0 until they form a near-hexagonal lattice of local spacing h
-#[derive(Debug, Parser)]
-#[command(
-    name = "particles",
-    version,
-    override_usage = "particles [OPTIONS] --distfield <F.vti> --sizefield <S.vti> --output <P.bin> <seeds.bin>\n       \
-        particles --list-adapters",
-    after_help = "Example:\n  particles heart.seeds.bin --distfield heart.distfield.vti --sizefield heart.sizefield.vti \\\n      \
-        -o heart.particles.bin --log heart.passes.csv\n\n\
-        Paper: section 3, Eq. 1 to 5 and Algorithm 1. The printed limits are --levels 1 --max-passes 50 --energy-tolerance 0.0015 \
-        --ideal-energy 3.462 (six times the ideal distance by mistake: it packs 2.3 times as many particles)."
-)]
-pub struct Args {
-    /// Seeds, made by seed
-    #[arg(value_name = "seeds.bin", help_heading = FILES, required_unless_present = "list_adapters")]
-    seeds: Option<PathBuf>,
-    /// Distance field F that the seeds were made from, or the indicators of many materials
-    #[arg(long, value_name = "F.vti", help_heading = FILES, required_unless_present = "list_adapters")]
-    distfield: Option<PathBuf>,
-    /// Sizing field h on the same grid
-    #[arg(long, value_name = "S.vti", help_heading = FILES, required_unless_present = "list_adapters")]
-    sizefield: Option<PathBuf>,
-    /// Particle file to write
-    #[arg(short, long, value_name = "P.bin", help_heading = FILES, required_unless_present = "list_adapters")]
-    output: Option<PathBuf>,
-    /// One line a pass: energy, count, inserted, deleted, lattice defects, time, level and more; CSV, or JSON lines when it ends in .jsonl
-    #[arg(long, value_name = "FILE", help_heading = FILES)]
-    log: Option<PathBuf>,
-    /// Keep the particles in this file every --checkpoint-interval passes
-    #[arg(long, value_name = "FILE", help_heading = FILES)]
-    checkpoint: Option<PathBuf>,
-    /// Go on from the checkpoint if it is there; the result is that of an unbroken run, byte for byte
-    #[arg(long, requires = "checkpoint", help_heading = FILES)]
-    resume: bool,
-    /// Passes between checkpoints; a multiple of 10
-    #[arg(long, value_name = "N", default_value_t = 10, value_parser = interval, help_heading = FILES)]
-    checkpoint_interval: u64,
-    /// Where to move the particles; gpu ends with exit code 3 where there is none
-    #[arg(long, value_enum, default_value_t = Backend::Auto, help_heading = METHOD)]
-    backend: Backend,
-    /// GPU to use: part of its name, in any case (see --list-adapters); software renderers are used only when named
-    #[arg(long, value_name = "NAME", help_heading = METHOD)]
-    adapter: Option<String>,
-    /// Print the adapters of this machine on stdout and end
-    #[arg(long, help_heading = METHOD)]
-    list_adapters: bool,
-    /// Bins of the GPU's neighbour search: graded, or uniform as in the paper (same result but for the order of sums)
-    #[arg(long, value_enum, default_value_t = Binning::Graded, help_heading = METHOD)]
-    binning: Binning,
-    /// Measure each kernel of the GPU by timestamp queries, for the report and the closing table
-    #[arg(long, help_heading = METHOD)]
-    profile: bool,
-    /// Never use subgroup operations
-    #[arg(long, hide = true)]
-    no_subgroups: bool,
-    /// Lanes that work for one particle
-    #[arg(long, hide = true, value_parser = clap::builder::PossibleValuesParser::new(["8", "16", "32"]))]
-    team: Option<String>,
-    /// Most passes on the last level, that of h (the paper: 50)
-    #[arg(long, value_name = "N", default_value_t = Parameters::default().max_passes, help_heading = METHOD,
-        value_parser = clap::value_parser!(u64).range(1..))]
-    max_passes: u64,
-    /// Settle first at 2^(LEVELS - 1) times h, split the edges, and so on down to h; 1 to 4, 1: at h alone
-    /// [default: 3 on the CPU, 1 on a GPU and for many materials]
-    #[arg(long, value_name = "N", help_heading = METHOD, value_parser = clap::value_parser!(u32).range(1..=4))]
-    levels: Option<u32>,
-    /// Most passes on each level but the last
-    #[arg(long, value_name = "N", default_value_t = Parameters::default().coarse_passes, help_heading = METHOD,
-        value_parser = clap::value_parser!(u64).range(1..))]
-    coarse_passes: u64,
-    /// Stop when lattice defects (particles without exactly six neighbours) get fewer by less than this share a pass and
-    /// density control is nearly at rest, 0 to 1
-    #[arg(long, value_name = "SHARE", default_value_t = Parameters::default().defect_tolerance, value_parser = share,
-        help_heading = METHOD, alias = "fault-tolerance")]
-    defect_tolerance: f64,
-    /// Stop by the paper's test instead: when the mean energy changes by less than this share a pass, 0 to 1 (its E_min:
-    /// 0.0015; 0 runs all passes)
-    #[arg(long, value_name = "SHARE", value_parser = share, help_heading = METHOD, conflicts_with = "defect_tolerance")]
-    energy_tolerance: Option<f64>,
-    /// Energy that density control aims at, above 0 [default: that of the hexagonal lattice by Eq. 1, 0.7108]
-    #[arg(long, value_name = "E", value_parser = positive, help_heading = METHOD)]
-    ideal_energy: Option<f64>,
-    /// Add a particle where the energy is below this share of the ideal one, 0 to 1
-    #[arg(long, value_name = "SHARE", default_value_t = Parameters::default().add_below, value_parser = share,
-        help_heading = METHOD)]
-    add_below: f64,
-    /// Delete a particle whose energy is above this multiple of the ideal one, above 1
-    #[arg(long, value_name = "RATIO", default_value_t = Parameters::default().delete_above, value_parser = above_one,
-        help_heading = METHOD)]
-    delete_above: f64,
-    /// Never add particles, and settle on one level (the synthetic test of Table 3)
-    #[arg(long, help_heading = METHOD)]
-    no_insert: bool,
-    #[command(flatten)]
-    common: CommonArgs,
-}
-
-/// Parses a number of passes between checkpoints.
-fn interval(text: &str) -> std::result::Result<u64, String> {
-    match text.parse::<u64>() {
-        Ok(n) if n > 0 && n.is_multiple_of(REORDER_INTERVAL) => Ok(n),
-        Ok(_) => Err(format!("must be a multiple of {REORDER_INTERVAL}, from {REORDER_INTERVAL}")),
-        Err(error) => Err(error.to_string()),
-    }
-}
-
-impl Args {
-    /// How to settle, unless the levels are given on one or on several.
-    ///
-    /// On a GPU a pass over few particles costs nearly as much as one over many, and each change of level up to a second of the host: on one level
-    /// the raw mean radius ratio is 0.970 in 0.123 s on the heart (three: 0.962 in 0.127 s), on the ribcage 0.972 in 0.193 s (0.967 in 0.309 s;
-    /// docs/performance.md, "Quality for the time"). Of many materials, particles of coarse levels would meet those that are held at the spacing of h.
-    fn settling(&self, on_one_level: bool) -> Parameters {
-        let levels = if on_one_level { 1 } else { Parameters::default().levels };
-        Parameters {
-            max_passes: self.max_passes,
-            defect_tolerance: self.defect_tolerance,
-            energy_tolerance: self.energy_tolerance,
-            ideal_energy: self.ideal_energy.unwrap_or_else(energy::ideal_energy),
-            add_below: self.add_below,
-            delete_above: self.delete_above,
-            allow_insert: !self.no_insert,
-            seed: self.common.seed,
-            levels: self.levels.unwrap_or(levels),
-            coarse_passes: self.coarse_passes,
-            ..Parameters::default()
-        }
-    }
-}
-
-impl StageArgs for Args {
-    fn common(&self) -> &CommonArgs {
-        &self.common
-    }
-
-    fn outputs(&self) -> Vec<PathBuf> {
-        let mut outputs: Vec<PathBuf> = self.output.clone().into_iter().collect();
-        // a resumed run goes on with its own log and checkpoint
-        if !self.resume {
-            outputs.extend(self.log.clone());
-            outputs.extend(self.checkpoint.clone());
-        }
-        outputs
-    }
-
-    fn parameters(&self) -> Value {
-        // the levels follow the backend, which is not known yet, unless they are given
-        json!(self.settling(self.backend == Backend::Gpu))
-    }
-}
 
 /// Opens the GPU that the options ask for; `None` means the CPU.
 fn open_gpu(args: &Args, context: &Context) -> Result<Option<Gpu>> {
@@ -224,7 +59,6 @@ fn open_gpu(args: &Args, context: &Context) -> Result<Option<Gpu>> {
 struct Engines<'a> {
     gpu: Option<&'a Gpu>,
     parameters: &'a Parameters,
-    binning: Binning,
     /// Whether the CPU may take over what the GPU cannot hold.
     may_fall_back: bool,
     fell_back: Cell<bool>,
@@ -257,8 +91,7 @@ impl<'a> Engines<'a> {
         'a: 'f,
     {
         let particles = (&set, strata.as_slice());
-        let make =
-            |gpu| GpuEngine::of_materials(gpu, (materials, fields.sizing), particles, self.parameters, self.binning);
+        let make = |gpu| GpuEngine::of_materials(gpu, (materials, fields.sizing), particles, self.parameters);
         Ok(match self.on_gpu(make)? {
             Some(engine) => Box::new(engine),
             None => Box::new(CpuEngine::new(set, strata, fields, self.parameters)),
@@ -271,7 +104,7 @@ impl MakeEngine for Engines<'_> {
     where
         Self: 'f,
     {
-        match self.on_gpu(|gpu| GpuEngine::new(gpu, fields, &set, self.parameters, self.binning))? {
+        match self.on_gpu(|gpu| GpuEngine::new(gpu, fields, &set, self.parameters))? {
             Some(engine) => Ok(Box::new(engine)),
             None => OnCpu(self.parameters).make(set, fields),
         }
@@ -330,6 +163,8 @@ pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
         check_levels(args.levels)?;
     }
     let gpu = open_gpu(args, context)?;
+    let parameters = args.settling(gpu.is_some(), many);
+    args.check(&parameters, gpu.is_some())?;
     let step = context.step("read");
     let seeds = read_particles(seeds_file, &[ParticleKind::Seeds, ParticleKind::Particles])?;
     let ground = Ground::read(distance_file, many, (seeds_file, seeds.strata.is_some()))?;
@@ -353,8 +188,8 @@ pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
         ));
     }
     let engine = gpu.as_ref().map_or_else(cpu_engine, |gpu| format!("gpu: {}", gpu.summary().name));
-    let parameters = args.settling(gpu.is_some() || many);
     context.set_parameter("levels", parameters.levels);
+    context.set_parameter("order", json!(parameters.order));
     let inputs = [hash_file(seeds_file)?, hash_file(distance_file)?, hash_file(sizing_file)?];
     let resumed = match &args.checkpoint {
         Some(path) if args.resume && path.exists() => Some(resume(path, &parameters, &inputs, &engine, context)?),
@@ -374,8 +209,8 @@ pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
     let engines = Engines {
         gpu: gpu.as_ref(),
         parameters: &parameters,
-        binning: args.binning,
-        may_fall_back: args.backend == Backend::Auto && args.adapter.is_none(),
+        // the order of bins is a GPU's
+        may_fall_back: args.backend == Backend::Auto && args.adapter.is_none() && parameters.order == Order::Classes,
         fell_back: Cell::new(false),
         context,
     };

@@ -3,6 +3,7 @@
 use crate::gpu::DeviceReport;
 use crate::implicit::Implicit;
 use crate::state::{Fields, State};
+use clap::ValueEnum;
 use isoparticles_field::energy;
 use isoparticles_field::materials::Stratum;
 use isoparticles_field::particle_set::ParticleSet;
@@ -12,17 +13,22 @@ use serde::{Deserialize, Serialize};
 use std::time::Instant;
 
 /// How to settle.
-#[derive(Clone, Debug, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default)]
 pub struct Parameters {
     /// Most passes on the last level, that of h (the only one where `levels` is 1).
     pub max_passes: u64,
     /// Stop when the share of [`PassRecord::lattice_defects`] falls by less than this share of itself a pass, on average over
     /// [`DEFECT_WINDOW`] passes, and density control is nearly at rest.
     pub defect_tolerance: f64,
-    /// If given, stop by the paper's test instead (E_min): when the mean relative change of the energy per particle over
-    /// five passes is below this and density control is nearly at rest.
+    /// If given, stop by the paper's test instead (E_min): when the mean relative change of the energy per particle a pass, over
+    /// `energy_window` passes, is below this and density control is nearly at rest.
     pub energy_tolerance: Option<f64>,
-    /// Energy of a particle that has just enough neighbours (E_ideal).
+    /// Passes over which that change is averaged; 1: from one pass to the next, as printed.
+    pub energy_window: usize,
+    /// Density control is nearly at rest when it adds and deletes no more than this share of the particles a pass; from 1 on no stop test waits for that.
+    pub rest_share: f64,
+    /// Energy of a particle that has just enough neighbours (E_ideal), from 0.554 to 7.84 ([`Parameters::spacing`]).
     pub ideal_energy: f64,
     /// Add a particle where E < this times E_ideal.
     pub add_below: f64,
@@ -40,6 +46,32 @@ pub struct Parameters {
     pub levels: u32,
     /// Most passes on each level but the last.
     pub coarse_passes: u64,
+    /// Bins of a GPU's neighbour search.
+    pub binning: Binning,
+    /// In which order a GPU moves the particles of a pass.
+    pub order: Order,
+}
+
+/// How the bins of a GPU's neighbour search are made.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Binning {
+    /// A level of bins for each octave of h
+    #[default]
+    Graded,
+    /// One level for everything, as wide as the largest h asks for (the paper's)
+    Uniform,
+}
+
+/// In which order a GPU moves the particles of a pass.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Order {
+    /// Classes of particles none of which sees another, one class after the other
+    #[default]
+    Classes,
+    /// Bins in 27 colours, one colour after the other, and the particles of a bin one after the other (the paper's; with uniform bins)
+    Bins,
 }
 
 impl Default for Parameters {
@@ -48,6 +80,8 @@ impl Default for Parameters {
             max_passes: 150,
             defect_tolerance: 5e-3,
             energy_tolerance: None,
+            energy_window: 5,
+            rest_share: 2e-3,
             ideal_energy: energy::ideal_energy(),
             // the printed 0.75 and 1.35 leave larger gaps: 0.91 of the ideal energy on a heart in place of 0.94 (docs/method.md)
             add_below: 0.8,
@@ -58,20 +92,44 @@ impl Default for Parameters {
             seed: 0,
             levels: 3,
             coarse_passes: 100,
+            binning: Binning::Graded,
+            order: Order::Classes,
         }
     }
 }
 
 impl Parameters {
+    /// The printed method: at most 50 passes on one level, the printed stop test, limits and ideal energy, density control to the last pass, one bin size, and the
+    /// order of coloured bins, which is a GPU's alone. All else is as by default.
+    pub fn as_printed() -> Self {
+        Self {
+            max_passes: 50,
+            energy_tolerance: Some(0.0015),
+            energy_window: 1,
+            rest_share: 1.0,
+            ideal_energy: energy::PRINTED_IDEAL_ENERGY,
+            add_below: 0.75,
+            delete_above: 1.35,
+            closing_passes: 0,
+            levels: 1,
+            binning: Binning::Uniform,
+            order: Order::Bins,
+            ..Self::default()
+        }
+    }
+
+    /// Edge, in h, of the hexagonal lattice whose particles have the ideal energy by Eq. 1: 1 by default, 0.657 for the printed 3.462. Newcomers are placed, and lattice
+    /// defects told, by it.
+    pub fn spacing(&self) -> f64 {
+        energy::lattice_spacing(self.ideal_energy)
+    }
+
     /// Levels that the particles settle on.
     pub(crate) fn level_count(&self) -> u32 {
         // the way from a level to the next adds particles
         if self.allow_insert { self.levels.max(1) } else { 1 }
     }
 }
-
-/// Passes over which the paper's stagnation test averages.
-pub(crate) const STAGNATION_WINDOW: usize = 5;
 
 /// Passes over which the test by lattice defects averages.
 pub const DEFECT_WINDOW: usize = 10;
@@ -80,11 +138,8 @@ pub const DEFECT_WINDOW: usize = 10;
 /// against its curvature, or on voxel steps) the same places fill and empty for ever.
 const BALANCE_WINDOW: usize = 20;
 
-/// Density control is at rest when it adds and deletes no more than this share of the particles a pass.
-const CHURN: f64 = 2e-3;
-
-/// The same on the levels before that of h.
-const COARSE_CHURN: f64 = 5e-2;
+/// On levels before that of h density control is at rest when it adds and deletes no more than this share of the particles a pass.
+const COARSE_REST: f64 = 5e-2;
 
 /// Every so many passes the particles are put in order of place again; checkpoints are written between.
 pub const REORDER_INTERVAL: u64 = 10;
@@ -246,7 +301,7 @@ pub(crate) fn settle_level<S: Implicit>(
 
 /// The pass after which nothing more was found to improve (density control rests from then on), if any.
 fn closing_since(records: &[PassRecord], parameters: &Parameters) -> Option<u64> {
-    let window = if parameters.energy_tolerance.is_some() { STAGNATION_WINDOW } else { DEFECT_WINDOW };
+    let window = if parameters.energy_tolerance.is_some() { parameters.energy_window.max(1) } else { DEFECT_WINDOW };
     (window..records.len()).find_map(|last| {
         let (old, new) = (&records[last - window], &records[last]);
         // per particle: a falling count must not pass for an improvement, nor mask a change for the worse
@@ -261,8 +316,8 @@ fn closing_since(records: &[PassRecord], parameters: &Parameters) -> Option<u64>
         };
         let churn = records[last + 1 - window..=last].iter().map(|r| r.inserted + r.deleted).sum::<usize>();
         // what a coarse level adds and deletes is nearly all settled anew on the next
-        let allowed = if new.scale > 1.0 { COARSE_CHURN } else { CHURN };
-        let rest = churn as f64 <= allowed * window as f64 * new.count as f64;
+        let allowed = if new.scale > 1.0 { parameters.rest_share.max(COARSE_REST) } else { parameters.rest_share };
+        let rest = allowed >= 1.0 || churn as f64 <= allowed * window as f64 * new.count as f64;
         ((settled && rest) || is_balanced(&records[..=last], parameters)).then_some(new.pass)
     })
 }
@@ -279,7 +334,7 @@ fn is_balanced(records: &[PassRecord], parameters: &Parameters) -> bool {
     let (old, new) = (&records[before..before + window], &records[before + window..]);
     let falls = (defects(old) - defects(new)) / defects(new).max(f64::MIN_POSITIVE) / window as f64;
     let growth = new.iter().map(|r| r.inserted as f64 - r.deleted as f64).sum::<f64>();
-    let is_at_rest = growth.abs() <= CHURN * window as f64 * new[window - 1].count as f64;
+    let is_at_rest = growth.abs() <= parameters.rest_share * window as f64 * new[window - 1].count as f64;
     parameters.energy_tolerance.is_none() && falls < parameters.defect_tolerance && is_at_rest
 }
 

@@ -52,6 +52,8 @@ pub(crate) struct State {
     pub held: usize,
     /// Normals with a smaller dot product belong to different sheets: such particles do not interact.
     pub normal_agreement: f64,
+    /// Edge of the lattice that they are to form, in h ([`crate::Parameters::spacing`]).
+    pub spacing: f64,
     pub neighbours: NeighbourLists,
     /// Position and h of every particle, as the sums over neighbours read them; as old as the lists, but for what moves.
     pub records: Vec<Record>,
@@ -68,11 +70,17 @@ impl State {
         Self::unlisted(set, normal_agreement).in_order()
     }
 
-    /// The particles in the order they have, without lists.
+    /// The particles in the order they have, without lists, that are to form a lattice of spacing h.
     pub(crate) fn unlisted(set: ParticleSet, normal_agreement: f64) -> Self {
         let (neighbours, records) = (NeighbourLists::default(), Vec::new());
         let (classes, listed) = (Vec::new(), Vec::new());
-        Self { set, strata: Vec::new(), held: 0, normal_agreement, neighbours, records, classes, listed }
+        let strata = Vec::new();
+        Self { set, strata, held: 0, normal_agreement, spacing: 1.0, neighbours, records, classes, listed }
+    }
+
+    /// The same particles, to form a lattice of this spacing, in h.
+    pub(crate) fn at_spacing(self, spacing: f64) -> Self {
+        Self { spacing, ..self }
     }
 
     /// The same particles on these strata, lower ones first; none are those of one object.
@@ -178,7 +186,8 @@ impl State {
     fn is_at_border(&self, i: usize) -> bool {
         let (positions, sizes) = (&self.set.positions, &self.set.sizes);
         let held = self.neighbours.of(i).iter().map(|&j| j as usize).filter(|&j| j < self.held);
-        held.into_iter().any(|j| positions[i].distance(positions[j]) < FIRST_RING * sizes[i].min(sizes[j]))
+        let radius = FIRST_RING * self.spacing;
+        held.into_iter().any(|j| positions[i].distance(positions[j]) < radius * sizes[i].min(sizes[j]))
     }
 
     /// Recomputes every particle's energy (Eq. 1) and looks for lattice defects: next to a border of a sheet the lattice cannot have its six neighbours
@@ -199,7 +208,7 @@ impl State {
                             continue;
                         }
                         near.gather(|j| self.records[j], self.neighbours.of(i), positions[i]);
-                        let (energy, ring) = near.energy_and_ring(simd, sizes[i]);
+                        let (energy, ring) = near.energy_and_ring(simd, sizes[i], self.spacing);
                         *to = energy;
                         defects += usize::from(ring != LATTICE_NEIGHBOURS && (self.held == 0 || !self.is_at_border(i)));
                     }

@@ -6,8 +6,8 @@ use super::materials::{INDEX_BLOCKS, INDEX_BOXES, INDEX_ENTRIES, INDEX_FILL, IND
 use super::parameters::MOST_LEVELS;
 use super::shaders::Variant;
 use crate::constants::{
-    EIGENVALUE_FLOOR, FARTHEST_MOVE, FIRST_RING, LAMBDA_FALL, LAMBDA_GROWTH, LARGEST_LAMBDA, LATTICE_NEIGHBOURS,
-    LEAST_LAMBDA, LONGEST_STEP, NEWCOMER_DISTANCE, PARENT_DISTANCE, PROJECTION_REACH, REBUILD_MOVE, SKIN,
+    EIGENVALUE_FLOOR, FARTHEST_MOVE, LAMBDA_FALL, LAMBDA_GROWTH, LARGEST_LAMBDA, LATTICE_NEIGHBOURS, LEAST_LAMBDA,
+    LONGEST_STEP, PROJECTION_REACH, REBUILD_MOVE, SKIN,
 };
 use isoparticles_field::energy::{LEAST_SCALED_DISTANCE, SUPPORT};
 use isoparticles_field::spline::{LEAST_SQUARED_GRADIENT, PROJECTION_STEPS};
@@ -26,6 +26,19 @@ pub(crate) const BLOCK: u32 = WIDE * EACH;
 pub(crate) const CLASSES: u32 = 32;
 /// The class of a particle that has none.
 pub(crate) const UNCLASSED: u32 = u32::MAX;
+
+/// Every so manieth bin along each axis has one colour, so that two bins lie between two of a colour and the 27 bins round one share none with the 27 round the
+/// other. What a bin's particles may touch must lie in those 27: see [`BIN_REACH`].
+pub(crate) const COLOUR_STRIDE: u32 = 3;
+
+/// Least edge of a bin, in the largest h of its level: the reach of the lists. So all that is in the lists of a bin's particles is in that bin and the next ones, and two bins of a colour
+/// touch no common particle. (In print the edge is max(h), from which interactions reach on into the bin after the next.)
+pub(crate) const BIN_REACH: f64 = SUPPORT * (1.0 + SKIN);
+
+const _: () = assert!(
+    BIN_REACH >= SUPPORT + FARTHEST_MOVE,
+    "a particle could go in a pass to where it interacts with those beyond the next bin"
+);
 
 /// In the word `outcome` of a particle, beside the number of steps tried: that one was taken.
 const STEP_TAKEN: u32 = 1 << 31;
@@ -89,7 +102,6 @@ pub(crate) fn constants(variant: Variant) -> Vec<(&'static str, Value)> {
         REBUILD_MOVE,
         FARTHEST_MOVE,
         LONGEST_STEP,
-        FIRST_RING,
         LEAST_LAMBDA,
         LARGEST_LAMBDA,
         LAMBDA_GROWTH,
@@ -99,8 +111,6 @@ pub(crate) fn constants(variant: Variant) -> Vec<(&'static str, Value)> {
         REST,
         PROJECTION_REACH,
         LEAST_SQUARED_GRADIENT,
-        NEWCOMER_DISTANCE,
-        PARENT_DISTANCE,
     ]);
     all.extend(wholes![
         PROJECTION_STEPS,
@@ -113,6 +123,7 @@ pub(crate) fn constants(variant: Variant) -> Vec<(&'static str, Value)> {
         ROW,
         CLASSES,
         UNCLASSED,
+        COLOUR_STRIDE,
         STEP_TAKEN,
         LATTICE_DEFECT,
         WORD_ENERGY,

@@ -18,7 +18,7 @@ use super::parameters::{device_origin, pass_block, run_block, scan_block, scan_b
 use super::report::{DeviceReport, KernelTime};
 use super::schedule::{Step, steps};
 use crate::constants::REBUILD_MOVE;
-use crate::settle::{Engine, Parameters, PassOutcome, REORDER_INTERVAL};
+use crate::settle::{Binning, Engine, Parameters, PassOutcome, REORDER_INTERVAL};
 use crate::state::Fields;
 use isoparticles_field::materials::{Materials, Stratum};
 use isoparticles_field::particle_set::ParticleSet;
@@ -29,16 +29,6 @@ use rayon::prelude::*;
 use std::collections::HashMap;
 use std::sync::Arc;
 use std::time::Instant;
-
-/// How the bins of the neighbour search are made.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum)]
-pub enum Binning {
-    /// A level of bins for each octave of h
-    #[default]
-    Graded,
-    /// One level for everything, as wide as the largest h asks for (the paper's)
-    Uniform,
-}
 
 /// What a pass is made of.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -82,14 +72,8 @@ pub struct GpuEngine<'a> {
 
 impl<'a> GpuEngine<'a> {
     /// Puts fields and particles onto the device.
-    pub fn new(
-        gpu: &'a Gpu,
-        fields: &Fields,
-        set: &ParticleSet,
-        settling: &Parameters,
-        binning: Binning,
-    ) -> Result<Self> {
-        let levels = Levels::new(fields, binning == Binning::Graded);
+    pub fn new(gpu: &'a Gpu, fields: &Fields, set: &ParticleSet, settling: &Parameters) -> Result<Self> {
+        let levels = Levels::new(fields, settling.binning == Binning::Graded);
         let ground = Ground::object(fields.surface);
         Self::over(gpu, &ground, (fields.sizing, levels), (set, &[]), Carried::default(), settling)
     }
@@ -100,9 +84,8 @@ impl<'a> GpuEngine<'a> {
         (materials, sizing): (&Materials, &SizingField),
         (set, strata): (&ParticleSet, &[Stratum]),
         settling: &Parameters,
-        binning: Binning,
     ) -> Result<Self> {
-        let levels = Levels::everywhere(sizing, binning == Binning::Graded);
+        let levels = Levels::everywhere(sizing, settling.binning == Binning::Graded);
         let carried = Carried::new(set, strata)?;
         let ground = Ground::materials(materials, &carried);
         Self::over(gpu, &ground, (sizing, levels), (set, strata), carried, settling)
@@ -316,7 +299,7 @@ impl<'a> GpuEngine<'a> {
 
     /// Encodes a pass over up to so many particles.
     fn encode_plan(&mut self, plan: Plan, count: u32) -> Encoded {
-        let steps = steps(count, self.levels.bin_total(), plan.sort, plan.density);
+        let steps = steps(count, &self.levels, self.settling.order, plan.sort, plan.density);
         self.encode(&steps, plan.bring, plan.sort)
     }
 

@@ -2,14 +2,13 @@
 //! particles and a resumed run has the same ones.
 //!
 //! Level k holds the particles with h up to `largest / 2^k` that do not fit level k + 1. Its bins are as wide as the reach of its
-//! neighbour lists, SUPPORT (1 + SKIN) largest / 2^k, so a query sees at most 27 bins of it. One level for everything is the
+//! neighbour lists, [`BIN_REACH`] largest / 2^k, so a query sees at most 27 bins of it. One level for everything is the
 //! paper's global bin edge.
 
+use super::constants::BIN_REACH;
 use super::parameters::{MOST_LEVELS, device_origin};
-use crate::constants::SKIN;
 use crate::state::Fields;
 use glam::{DVec3, UVec3, Vec3};
-use isoparticles_field::energy::SUPPORT;
 use isoparticles_field::sizing::SizingField;
 use isoparticles_volume::Geometry;
 use rayon::prelude::*;
@@ -100,7 +99,7 @@ impl Levels {
         let levels = (0..count)
             .map(|k| {
                 let largest = largest / (1u32 << k) as f32;
-                let reach = 1.0001 * SUPPORT * (1.0 + SKIN) * f64::from(largest);
+                let reach = 1.0001 * BIN_REACH * f64::from(largest);
                 let bins_at = |edge: f64| (extent / edge).floor() + 1.0;
                 let mut edge = reach;
                 while bins_at(edge).element_product() > MOST_BINS {

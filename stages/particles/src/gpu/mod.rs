@@ -19,7 +19,7 @@ mod schedule;
 mod shaders;
 
 pub use adapter::{AdapterSummary, Choice, Gpu, adapters};
-pub use engine::{Binning, GpuEngine};
+pub use engine::GpuEngine;
 pub use report::{DeviceReport, KernelTime};
 
 #[cfg(test)]

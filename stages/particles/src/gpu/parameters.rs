@@ -3,7 +3,7 @@
 
 use super::constants::BLOCK;
 use super::levels::Levels;
-use crate::constants::{INITIAL_LAMBDA, PASS_TOLERANCE};
+use crate::constants::{FIRST_RING, INITIAL_LAMBDA, NEWCOMER_DISTANCE, PARENT_DISTANCE, PASS_TOLERANCE};
 use crate::settle::Parameters;
 use glam::{DVec3, UVec3};
 use isoparticles_volume::Geometry;
@@ -61,6 +61,7 @@ pub(crate) fn run_block(
     slab_length: u32,
     list_capacity: u32,
 ) -> Block {
+    let spacing = settling.spacing();
     let size = geometry.size.map(|n| n as u32);
     let real = |v: DVec3| v.as_vec3().to_array();
     let seed = (settling.seed as u32) ^ ((settling.seed >> 32) as u32).wrapping_mul(0x9e37_79b9);
@@ -82,7 +83,11 @@ pub(crate) fn run_block(
         .whole("bin_total", [levels.bin_total()])
         .whole("list_capacity", [list_capacity])
         .whole("seed", [seed])
-        .real("initial_lambda", [INITIAL_LAMBDA as f32]);
+        .real("initial_lambda", [INITIAL_LAMBDA as f32])
+        .real("spacing_in_h", [spacing as f32])
+        .real("first_ring", [(FIRST_RING * spacing) as f32])
+        .real("newcomer_distance", [(NEWCOMER_DISTANCE * spacing) as f32])
+        .real("parent_distance", [(PARENT_DISTANCE * spacing) as f32]);
     let mut words = Vec::new();
     for k in 0..MOST_LEVELS {
         let Some(level) = levels.levels.get(k) else {

@@ -1,12 +1,26 @@
 //! Which kernels a pass runs, over how many workgroups, and in which order.
 
-use super::constants::{BLOCK, CLASSES, NARROW, WIDE};
+use super::constants::{BLOCK, CLASSES, COLOUR_STRIDE, NARROW, WIDE};
+use super::levels::Levels;
 use super::parameters::scan_blocks;
+use crate::settle::Order;
+use glam::UVec3;
 
 /// Rounds in which classes are given out.
 const CLASS_ROUNDS: u32 = 6;
 /// Rounds of deletion.
 const DELETION_ROUNDS: u32 = 3;
+
+/// Colours of bins.
+pub(crate) const COLOURS: u32 = COLOUR_STRIDE * COLOUR_STRIDE * COLOUR_STRIDE;
+
+const _: () = assert!(COLOURS <= CLASSES, "the buffer `round` has a number for each class");
+
+/// How many of so many bins along each axis have this colour.
+fn bins_of(colour: u32, bins: UVec3) -> u32 {
+    let first = UVec3::new(colour, colour / COLOUR_STRIDE, colour / (COLOUR_STRIDE * COLOUR_STRIDE)) % COLOUR_STRIDE;
+    ((bins + (COLOUR_STRIDE - 1) - first) / COLOUR_STRIDE).element_product()
+}
 
 /// One dispatch of a pass.
 pub(crate) struct Step {
@@ -27,18 +41,20 @@ impl Step {
 }
 
 /// The dispatches of a pass, in order.
-pub(crate) fn steps(count: u32, bins: u32, sort: bool, density: bool) -> Vec<Step> {
+pub(crate) fn steps(count: u32, levels: &Levels, order: Order, sort: bool, density: bool) -> Vec<Step> {
     let mut steps = Vec::with_capacity(80);
     let each = count.div_ceil(NARROW);
     let wide = count.div_ceil(WIDE);
     if sort {
         steps.push(Step::over("bin_count", 0, each));
-        scan(&mut steps, "bins", bins);
+        scan(&mut steps, "bins", levels.bin_total());
         steps.push(Step::over("bin_scatter", 0, each));
         steps.push(Step::over("bin_reorder", 0, each));
         steps.push(Step::over("neighbour_count", 0, each));
         scan(&mut steps, "lists", count);
         steps.push(Step::over("neighbour_fill", 0, each));
+    }
+    if sort && order == Order::Classes {
         for round in 0..CLASS_ROUNDS {
             steps.push(Step::over("class_propose", round, each));
             steps.push(Step::over("class_settle", round, each));
@@ -47,8 +63,14 @@ pub(crate) fn steps(count: u32, bins: u32, sort: bool, density: bool) -> Vec<Ste
         steps.push(Step::over("class_starts", 0, 1));
         steps.push(Step::over("class_scatter", 0, wide));
     }
-    for class in 0..CLASSES {
-        steps.push(Step { workgroups: None, ..Step::over("move_particles", class, 0) });
+    match order {
+        Order::Classes => {
+            steps.extend((0..CLASSES).map(|class| Step { workgroups: None, ..Step::over("move_particles", class, 0) }));
+        }
+        Order::Bins => {
+            let bins = levels.levels[0].bins;
+            steps.extend((0..COLOURS).map(|colour| Step::over("move_bins", colour, bins_of(colour, bins))));
+        }
     }
     steps.push(Step::over("energies", 0, each));
     steps.push(Step::over("sum_blocks", 0, count.div_ceil(BLOCK)));

@@ -59,6 +59,7 @@ const WALK: Piece = Piece::Text(include_str!("../../../../shaders/shared/neighbo
 const CLASSES: Piece = Piece::Text(include_str!("../../../../shaders/shared/classes.wgsl"));
 const NEWTON: Piece = Piece::Text(include_str!("../../../../shaders/shared/newton.wgsl"));
 const TEAM_ENERGY: Piece = Piece::Text(include_str!("../../../../shaders/shared/team_energy.wgsl"));
+const TEAM_MOVE: Piece = Piece::Text(include_str!("../../../../shaders/shared/team_move.wgsl"));
 const DENSITY: Piece = Piece::Text(include_str!("../../../../shaders/shared/density.wgsl"));
 const TOTALS: Piece = Piece::Text(include_str!("../../../../shaders/shared/totals.wgsl"));
 const SCAN: Piece = Piece::Text(include_str!("../../../../shaders/shared/scan.wgsl"));
@@ -102,6 +103,29 @@ const SOURCES: &[Source] = &[
             LISTS,
             TEAM_ENERGY,
             NEWTON,
+            TEAM_MOVE,
+            ROUND
+        ]
+    ),
+    source!(
+        "move_bins",
+        &[
+            PARAMETERS,
+            Piece::Fields,
+            GRID,
+            SPLINE,
+            Piece::Carried,
+            Piece::Nodes,
+            Piece::Team,
+            TEAM_SURFACE,
+            PROJECT,
+            ENERGY,
+            PLANE,
+            LISTS,
+            TEAM_ENERGY,
+            NEWTON,
+            TEAM_MOVE,
+            LEVELS,
             ROUND
         ]
     ),

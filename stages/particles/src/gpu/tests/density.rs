@@ -8,14 +8,14 @@ use crate::gpu::adapter::{Choice, Gpu};
 use crate::gpu::constants::{
     BLOCK, NARROW, WORD_COUNT, WORD_DEFECTS, WORD_ENERGY, WORD_KEPT, WORD_LONGEST, WORD_MOVED, WORD_TRIES,
 };
-use crate::gpu::engine::{Binning, GpuEngine};
+use crate::gpu::engine::GpuEngine;
 use crate::gpu::memory::download;
 use crate::gpu::parameters::device_origin;
 use crate::gpu::schedule::{Step, scan};
 use crate::movement;
 use crate::reference::energy_at;
 use crate::scenes::Scene;
-use crate::settle::{Engine, Parameters};
+use crate::settle::{Binning, Engine, Parameters};
 use crate::state::State;
 use glam::{DVec3, Vec3};
 use isoparticles_field::energy::{SUPPORT, pair_energy, scaled_distance};

@@ -3,22 +3,22 @@
 use super::any_gpu;
 use crate::gpu::adapter::{Choice, Gpu};
 use crate::gpu::constants::{NARROW, WORD_LISTED};
-use crate::gpu::engine::{Binning, GpuEngine};
+use crate::gpu::engine::GpuEngine;
 use crate::gpu::memory::download;
 use crate::gpu::parameters::device_origin;
 use crate::gpu::schedule::{Step, steps};
 use crate::movement::TangentPlane;
 use crate::reference::energy_jet;
 use crate::scenes::Scene;
-use crate::settle::Engine;
+use crate::settle::{Binning, Engine, Order, Parameters};
 use crate::state::State;
 use glam::{DVec3, Vec3};
 
 /// An engine that has sorted its particles and made their lists, and room for what a probe writes.
 pub(super) fn sorted<'a>(gpu: &'a Gpu, scene: &Scene, binning: Binning) -> GpuEngine<'a> {
-    let settings = crate::Parameters::default();
-    let mut engine = GpuEngine::new(gpu, &scene.fields(), &scene.seeds, &settings, binning).unwrap();
-    let mut all = steps(engine.count, engine.levels.bin_total(), true, false);
+    let settings = Parameters { binning, ..Parameters::default() };
+    let mut engine = GpuEngine::new(gpu, &scene.fields(), &scene.seeds, &settings).unwrap();
+    let mut all = steps(engine.count, &engine.levels, Order::Classes, true, false);
     all.retain(|s| s.kernel != "move_particles");
     let words = engine.run_steps(1, &all, true).unwrap();
     if words[WORD_LISTED] > engine.list_capacity {

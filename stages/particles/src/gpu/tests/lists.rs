@@ -4,10 +4,9 @@ use super::any_gpu;
 use super::fields::sorted;
 use crate::gpu::adapter::Choice;
 use crate::gpu::constants::{CLASSES, UNCLASSED};
-use crate::gpu::engine::Binning;
 use crate::gpu::memory::download;
 use crate::scenes::Scene;
-use crate::settle::Engine;
+use crate::settle::{Binning, Engine};
 use crate::state::State;
 
 #[test]

@@ -4,7 +4,7 @@ use super::any_gpu;
 use crate::cpu::scenes::{Body, corners, nested, sectors};
 use crate::cpu::{OnStrata, settle_sheets, settle_sheets_with};
 use crate::gpu::adapter::{Choice, Gpu};
-use crate::gpu::engine::{Binning, GpuEngine};
+use crate::gpu::engine::GpuEngine;
 use crate::implicit::Sheets;
 use crate::settle::{Engine, Parameters, PassRecord, Summary};
 use crate::state::Fields;
@@ -22,7 +22,7 @@ fn settled(
     let fields = Fields { surface: &surface, sizing: &body.sizing };
     let make = |set, strata: Vec<_>| {
         let fields = (materials, &body.sizing);
-        let engine = GpuEngine::of_materials(gpu, fields, (&set, &strata), parameters, Binning::Graded)?;
+        let engine = GpuEngine::of_materials(gpu, fields, (&set, &strata), parameters)?;
         Ok(Box::new(engine) as Box<dyn Engine + '_>)
     };
     let mut observe = |record: &PassRecord, engine: &mut dyn Engine| {

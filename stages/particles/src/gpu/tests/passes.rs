@@ -3,15 +3,15 @@
 use super::any_gpu;
 use crate::cpu::settle;
 use crate::gpu::adapter::{Choice, Gpu};
-use crate::gpu::engine::{Binning, GpuEngine};
+use crate::gpu::engine::GpuEngine;
 use crate::gpu::memory::Memory;
 use crate::scenes::Scene;
-use crate::settle::{Engine, Parameters, PassRecord, Summary, settle_with};
+use crate::settle::{Binning, Engine, Parameters, PassRecord, Summary, settle_with};
 use isoparticles_field::particle_set::ParticleSet;
 
-fn settled(gpu: &Gpu, scene: &Scene, parameters: &Parameters, binning: Binning) -> (ParticleSet, Summary) {
+fn settled(gpu: &Gpu, scene: &Scene, parameters: &Parameters) -> (ParticleSet, Summary) {
     let fields = scene.fields();
-    let mut engine = GpuEngine::new(gpu, &fields, &scene.seeds, parameters, binning).unwrap();
+    let mut engine = GpuEngine::new(gpu, &fields, &scene.seeds, parameters).unwrap();
     settle_with(&mut engine, &fields, parameters, &[], |_, _| Ok(())).unwrap()
 }
 
@@ -38,10 +38,11 @@ fn the_lattice_is_that_of_the_cpu() {
         // from seeds about as even as those of the seed stage: chance has less of a say than from random ones
         scene.seeds = settle(&scene.seeds, None, &scene.fields(), &first, |_, _| Ok(())).unwrap().0;
         let on_cpu = settle(&scene.seeds, None, &scene.fields(), &parameters, |_, _| Ok(())).unwrap();
-        let graded = settled(&gpu, &scene, &parameters, Binning::Graded);
+        let graded = settled(&gpu, &scene, &parameters);
         alike(&graded, &on_cpu, what);
         if what != "ball" {
-            let uniform = settled(&gpu, &scene, &parameters, Binning::Uniform);
+            let uniform = Parameters { binning: Binning::Uniform, ..parameters.clone() };
+            let uniform = settled(&gpu, &scene, &uniform);
             alike(&uniform, &on_cpu, &format!("{what}, uniform bins"));
         }
     }
@@ -52,7 +53,7 @@ fn particles_stay_on_the_surface_and_energy_falls() {
     let Some(gpu) = any_gpu("movement", Choice::default()) else { return };
     let scene = Scene::bumpy_torus(1300);
     let fields = scene.fields();
-    let mut engine = GpuEngine::new(&gpu, &fields, &scene.seeds, &Parameters::default(), Binning::Graded).unwrap();
+    let mut engine = GpuEngine::new(&gpu, &fields, &scene.seeds, &Parameters::default()).unwrap();
     let mut last = f64::INFINITY;
     for pass in 1..=6 {
         let outcome = engine.pass(pass, false).unwrap();
@@ -78,7 +79,7 @@ fn every_run_gives_the_same_bytes_also_a_resumed_one_and_one_in_slabs() {
     let parameters = Parameters { max_passes: 27, ..Parameters::default() };
     let mut kept: Option<(Vec<PassRecord>, ParticleSet)> = None;
     let mut records = Vec::new();
-    let mut engine = GpuEngine::new(&gpu, &fields, &scene.seeds, &parameters, Binning::Graded).unwrap();
+    let mut engine = GpuEngine::new(&gpu, &fields, &scene.seeds, &parameters).unwrap();
     let whole = settle_with(&mut engine, &fields, &parameters, &[], |record, engine| {
         records.push(*record);
         if record.pass == 10 {
@@ -88,15 +89,15 @@ fn every_run_gives_the_same_bytes_also_a_resumed_one_and_one_in_slabs() {
     })
     .unwrap();
     assert!(records.iter().map(|r| r.inserted).sum::<usize>() > 50, "the seeds were to be too few");
-    assert!(whole.0 == settled(&gpu, &scene, &parameters, Binning::Graded).0, "two runs differ");
+    assert!(whole.0 == settled(&gpu, &scene, &parameters).0, "two runs differ");
     let (records, set) = kept.unwrap();
-    let mut engine = GpuEngine::new(&gpu, &fields, &set, &parameters, Binning::Graded).unwrap();
+    let mut engine = GpuEngine::new(&gpu, &fields, &set, &parameters).unwrap();
     let resumed = settle_with(&mut engine, &fields, &parameters, &records, |_, _| Ok(())).unwrap();
     assert!(whole.0 == resumed.0, "a resumed run differs");
     let Some(narrow) = any_gpu("slabs", Choice { largest_slab: Some(48 * 1024), ..Choice::default() }) else {
         return;
     };
-    assert!(whole.0 == settled(&narrow, &scene, &parameters, Binning::Graded).0, "slabs make a difference");
+    assert!(whole.0 == settled(&narrow, &scene, &parameters).0, "slabs make a difference");
 }
 
 #[test]
@@ -106,7 +107,7 @@ fn crowds_and_lonely_ones_end_as_the_lattice() {
     // 3000 is three times too many: the lists outgrow their first room
     for count in [40, 3000] {
         let parameters = Parameters { max_passes: 60, ..Parameters::default() };
-        let (set, summary) = settled(&gpu, &Scene::ball(count, 1.6), &parameters, Binning::Graded);
+        let (set, summary) = settled(&gpu, &Scene::ball(count, 1.6), &parameters);
         let found = set.positions.len() as f64;
         assert!((found / lattice - 1.0).abs() < 0.08, "from {count}: {found}, the lattice has {lattice:.0}");
         assert!((summary.energy_ratio - 1.0).abs() < 0.2, "{summary:?}");
@@ -119,14 +120,14 @@ fn no_particle_and_one_are_no_different() {
     let alone = Parameters { max_passes: 12, allow_insert: false, ..Parameters::default() };
     for count in [0, 1] {
         let scene = Scene::ball(count, 1.6);
-        let (set, summary) = settled(&gpu, &scene, &alone, Binning::Graded);
+        let (set, summary) = settled(&gpu, &scene, &alone);
         assert_eq!(set.positions.len() as u64, count);
         assert_eq!(summary.energy_ratio, 0.0, "nobody to repel it");
         assert!(set.positions.iter().zip(&scene.seeds.positions).all(|(p, q)| p.distance(*q) < 1e-4), "it stays");
     }
     // a lonely one brings others until the ball is full
     let growing = Parameters { max_passes: 40, ..Parameters::default() };
-    let (set, _) = settled(&gpu, &Scene::ball(1, 1.6), &growing, Binning::Graded);
+    let (set, _) = settled(&gpu, &Scene::ball(1, 1.6), &growing);
     assert!(set.positions.len() > 100, "{} after 40 passes", set.positions.len());
 }
 
@@ -142,11 +143,11 @@ fn a_lost_device_is_an_error_with_exit_code_3_and_the_run_goes_on_elsewhere() {
     let Some(gpu) = any_gpu("a lost device", Choice::default()) else { return };
     let scene = Scene::ball(300, 1.6);
     let parameters = Parameters { max_passes: 15, levels: 1, ..Parameters::default() };
-    let whole = settled(&gpu, &scene, &parameters, Binning::Graded);
+    let whole = settled(&gpu, &scene, &parameters);
     let mut kept: Option<(Vec<PassRecord>, ParticleSet)> = None;
     let mut records = Vec::new();
     let fields = scene.fields();
-    let mut engine = GpuEngine::new(&gpu, &fields, &scene.seeds, &parameters, Binning::Graded).unwrap();
+    let mut engine = GpuEngine::new(&gpu, &fields, &scene.seeds, &parameters).unwrap();
     let lost = settle_with(&mut engine, &fields, &parameters, &[], |record, engine| {
         records.push(*record);
         match record.pass {
@@ -163,7 +164,7 @@ fn a_lost_device_is_an_error_with_exit_code_3_and_the_run_goes_on_elsewhere() {
     // from the last checkpoint, on a device opened anew
     let (records, set) = kept.unwrap();
     let Some(gpu) = any_gpu("a device opened anew", Choice::default()) else { return };
-    let mut engine = GpuEngine::new(&gpu, &fields, &set, &parameters, Binning::Graded).unwrap();
+    let mut engine = GpuEngine::new(&gpu, &fields, &set, &parameters).unwrap();
     let resumed = settle_with(&mut engine, &fields, &parameters, &records, |_, _| Ok(())).unwrap();
     assert!(whole.0 == resumed.0, "the resumed run differs");
 }
@@ -184,7 +185,7 @@ fn a_field_beyond_the_limits_is_refused() {
     let choice = Choice { largest_slab: Some(1024), ..Choice::default() };
     let Some(gpu) = any_gpu("limits", choice) else { return };
     let scene = Scene::ball(10, 1.6);
-    let engine = GpuEngine::new(&gpu, &scene.fields(), &scene.seeds, &Parameters::default(), Binning::Graded);
+    let engine = GpuEngine::new(&gpu, &scene.fields(), &scene.seeds, &Parameters::default());
     let Err(error) = engine else { panic!("it was taken") };
     assert_eq!(error.kind, isoparticles_stage::error::Kind::Gpu);
 }

@@ -1,0 +1,246 @@
+//! The options of the program, and the parameters that they make. Those of the printed method stand in one place, [`Parameters::as_printed`], as
+//! the defaults do: an option that is not given has the value of one or of the other.
+
+use crate::constants::{LARGEST_SPACING, LEAST_SPACING};
+use crate::settle::{Binning, Order, Parameters, REORDER_INTERVAL};
+use clap::{Parser, ValueEnum};
+use isoparticles_field::energy::lattice_energy;
+use isoparticles_stage::cli::values::{above_one, positive, share};
+use isoparticles_stage::cli::{CommonArgs, FILES, METHOD, StageArgs};
+use isoparticles_stage::error::{Error, Result};
+use serde_json::{Value, json};
+use std::fmt::Display;
+use std::path::PathBuf;
+
+/// Where the particles are moved.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum Backend {
+    /// A real GPU if there is one, else the CPU.
+    Auto,
+    /// A GPU, or an error with exit code 3.
+    Gpu,
+    /// All CPU cores (see --threads).
+    Cpu,
+}
+
+/// Settles particles on F = 0 until they form a near-hexagonal lattice of local spacing h
+#[derive(Debug, Parser)]
+#[command(
+    name = "particles",
+    version,
+    override_usage = "particles [OPTIONS] --distfield <F.vti> --sizefield <S.vti> --output <P.bin> <seeds.bin>\n       \
+        particles --list-adapters",
+    after_help = "Example:\n  particles heart.seeds.bin --distfield heart.distfield.vti --sizefield heart.sizefield.vti \\\n      \
+        -o heart.particles.bin --log heart.passes.csv\n\n\
+        Paper: section 3, Eq. 1 to 5 and Algorithm 1. --as-printed settles as its text says, but for misprints (docs/method.md); its \
+        ideal energy 3.462, six times the ideal distance, asks for a lattice of 0.657 h with 2.3 times the particles."
+)]
+pub struct Args {
+    /// Seeds, made by seed
+    #[arg(value_name = "seeds.bin", help_heading = FILES, required_unless_present = "list_adapters")]
+    pub(crate) seeds: Option<PathBuf>,
+    /// Distance field F that the seeds were made from, or the indicators of many materials
+    #[arg(long, value_name = "F.vti", help_heading = FILES, required_unless_present = "list_adapters")]
+    pub(crate) distfield: Option<PathBuf>,
+    /// Sizing field h on the same grid
+    #[arg(long, value_name = "S.vti", help_heading = FILES, required_unless_present = "list_adapters")]
+    pub(crate) sizefield: Option<PathBuf>,
+    /// Particle file to write
+    #[arg(short, long, value_name = "P.bin", help_heading = FILES, required_unless_present = "list_adapters")]
+    pub(crate) output: Option<PathBuf>,
+    /// One line a pass: energy, count, inserted, deleted, lattice defects, time, level and more; CSV, or JSON lines when it ends in .jsonl
+    #[arg(long, value_name = "FILE", help_heading = FILES)]
+    pub(crate) log: Option<PathBuf>,
+    /// Keep the particles in this file every --checkpoint-interval passes
+    #[arg(long, value_name = "FILE", help_heading = FILES)]
+    pub(crate) checkpoint: Option<PathBuf>,
+    /// Go on from the checkpoint if it is there; the result is that of an unbroken run, byte for byte
+    #[arg(long, requires = "checkpoint", help_heading = FILES)]
+    pub(crate) resume: bool,
+    /// Passes between checkpoints; a multiple of 10
+    #[arg(long, value_name = "N", default_value_t = 10, value_parser = interval, help_heading = FILES)]
+    pub(crate) checkpoint_interval: u64,
+    /// Where to move the particles; gpu ends with exit code 3 where there is none
+    #[arg(long, value_enum, default_value_t = Backend::Auto, help_heading = METHOD)]
+    pub(crate) backend: Backend,
+    /// GPU to use: part of its name, in any case (see --list-adapters); software renderers are used only when named
+    #[arg(long, value_name = "NAME", help_heading = METHOD)]
+    pub(crate) adapter: Option<String>,
+    /// Print the adapters of this machine on stdout and end
+    #[arg(long, help_heading = METHOD)]
+    pub(crate) list_adapters: bool,
+    /// Measure each kernel of the GPU by timestamp queries, for the report and the closing table
+    #[arg(long, help_heading = METHOD)]
+    pub(crate) profile: bool,
+    /// Never use subgroup operations
+    #[arg(long, hide = true)]
+    pub(crate) no_subgroups: bool,
+    /// Lanes that work for one particle
+    #[arg(long, hide = true, value_parser = clap::builder::PossibleValuesParser::new(["8", "16", "32"]))]
+    pub(crate) team: Option<String>,
+    /// The printed method: all values that stand as printed below, but where an option is given. On the CPU without --order bins
+    #[arg(long, help_heading = METHOD)]
+    as_printed: bool,
+    #[arg(long, value_enum, help_heading = METHOD,
+        help = told("Bins of the GPU's neighbour search: same result but for the order of sums", |p| name(p.binning)))]
+    binning: Option<Binning>,
+    #[arg(long, value_enum, help_heading = METHOD,
+        help = told("Order in which the GPU moves the particles of a pass; bins asks for uniform bins", |p| name(p.order)))]
+    order: Option<Order>,
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..), help_heading = METHOD,
+        help = told("Most passes on the last level, that of h", |p| p.max_passes))]
+    max_passes: Option<u64>,
+    /// Settle first at 2^(LEVELS - 1) times h, split the edges, and so on down to h; 1 to 4, 1: at h alone
+    /// [default: 3 on the CPU, 1 on a GPU and for many materials; printed: 1]
+    #[arg(long, value_name = "N", help_heading = METHOD, value_parser = clap::value_parser!(u32).range(1..=4))]
+    pub(crate) levels: Option<u32>,
+    /// Most passes on each level but the last
+    #[arg(long, value_name = "N", default_value_t = Parameters::default().coarse_passes, help_heading = METHOD,
+        value_parser = clap::value_parser!(u64).range(1..))]
+    coarse_passes: u64,
+    #[arg(long, value_name = "SHARE", value_parser = share, help_heading = METHOD, alias = "fault-tolerance",
+        help = told("Stop when lattice defects (particles without exactly six neighbours) get fewer by less than this share a pass and \
+            density control is nearly at rest, 0 to 1", |p| p.energy_tolerance.map_or(p.defect_tolerance.to_string(), |_| "none".to_owned())))]
+    defect_tolerance: Option<f64>,
+    #[arg(long, value_name = "SHARE", value_parser = share, help_heading = METHOD, conflicts_with = "defect_tolerance",
+        help = told("Stop by the paper's test instead: when the mean energy changes by less than this share a pass, 0 to 1 (its E_min; \
+            0 runs all passes)", |p| p.energy_tolerance.map_or("none".to_owned(), |e| e.to_string())))]
+    energy_tolerance: Option<f64>,
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..), help_heading = METHOD,
+        help = told("Passes over which the paper's test averages that change; 1: from one pass to the next", |p| p.energy_window))]
+    energy_window: Option<u16>,
+    #[arg(long, value_name = "SHARE", value_parser = share, help_heading = METHOD,
+        help = told("The stop tests wait until density control adds and deletes no more than this share of the particles a pass, 0 to 1; \
+            1: they do not wait", |p| p.rest_share))]
+    rest_share: Option<f64>,
+    #[arg(long, value_name = "N", help_heading = METHOD,
+        help = told("Passes without density control at the end, so that the last newcomers settle", |p| p.closing_passes))]
+    closing_passes: Option<u64>,
+    #[arg(long, value_name = "E", value_parser = positive, help_heading = METHOD,
+        help = told("Energy that density control aims at, 0.554 to 7.84; by default that of the hexagonal lattice of edge h by Eq. 1. Another one \
+            asks for a lattice of another edge, and newcomers are placed to fit it", |p| (1e4 * p.ideal_energy).round() / 1e4))]
+    ideal_energy: Option<f64>,
+    #[arg(long, value_name = "SHARE", value_parser = share, help_heading = METHOD,
+        help = told("Add a particle where the energy is below this share of the ideal one, 0 to 1", |p| p.add_below))]
+    add_below: Option<f64>,
+    #[arg(long, value_name = "RATIO", value_parser = above_one, help_heading = METHOD,
+        help = told("Delete a particle whose energy is above this multiple of the ideal one, above 1", |p| p.delete_above))]
+    delete_above: Option<f64>,
+    /// Never add particles, and settle on one level (the synthetic test of Table 3)
+    #[arg(long, help_heading = METHOD)]
+    no_insert: bool,
+    #[command(flatten)]
+    common: CommonArgs,
+}
+
+/// The help of an option, with its default and its printed value.
+fn told<T: Display>(text: &str, value: impl Fn(&Parameters) -> T) -> String {
+    format!("{text} [default: {}; printed: {}]", value(&Parameters::default()), value(&Parameters::as_printed()))
+}
+
+/// The name of a value on the command line.
+fn name(value: impl ValueEnum) -> String {
+    value.to_possible_value().map_or_else(String::new, |value| value.get_name().to_owned())
+}
+
+/// Parses a number of passes between checkpoints.
+fn interval(text: &str) -> std::result::Result<u64, String> {
+    match text.parse::<u64>() {
+        Ok(n) if n > 0 && n.is_multiple_of(REORDER_INTERVAL) => Ok(n),
+        Ok(_) => Err(format!("must be a multiple of {REORDER_INTERVAL}, from {REORDER_INTERVAL}")),
+        Err(error) => Err(error.to_string()),
+    }
+}
+
+impl Args {
+    /// How to settle, on a GPU or not, one object or many materials. What is not given is as printed or by default.
+    ///
+    /// On a GPU a pass over few particles costs nearly as much as one over many, and each change of level up to a second of the host: on one level
+    /// the raw mean radius ratio is 0.970 in 0.123 s on the heart (three: 0.962 in 0.127 s), on the ribcage 0.972 in 0.193 s (0.967 in 0.309 s;
+    /// docs/performance.md, "Quality for the time"). Of many materials, particles of coarse levels would meet those that are held at the spacing of h.
+    pub(crate) fn settling(&self, on_gpu: bool, many: bool) -> Parameters {
+        let base = if self.as_printed { Parameters::as_printed() } else { Parameters::default() };
+        let levels = if on_gpu || many { 1 } else { base.levels };
+        // the CPU's blocks are another order
+        let order = self.order.unwrap_or(if on_gpu { base.order } else { Order::Classes });
+        let binning = if order == Order::Bins { Binning::Uniform } else { base.binning };
+        // a test that is asked for comes before the other's printed or default value
+        let printed_test = base.energy_tolerance.filter(|_| self.defect_tolerance.is_none());
+        Parameters {
+            max_passes: self.max_passes.unwrap_or(base.max_passes),
+            defect_tolerance: self.defect_tolerance.unwrap_or(base.defect_tolerance),
+            energy_tolerance: self.energy_tolerance.or(printed_test),
+            energy_window: self.energy_window.map_or(base.energy_window, usize::from),
+            rest_share: self.rest_share.unwrap_or(base.rest_share),
+            ideal_energy: self.ideal_energy.unwrap_or(base.ideal_energy),
+            add_below: self.add_below.unwrap_or(base.add_below),
+            delete_above: self.delete_above.unwrap_or(base.delete_above),
+            allow_insert: !self.no_insert,
+            closing_passes: self.closing_passes.unwrap_or(base.closing_passes),
+            seed: self.common.seed,
+            levels: self.levels.unwrap_or(levels),
+            coarse_passes: self.coarse_passes,
+            binning: self.binning.unwrap_or(binning),
+            order,
+            ..base
+        }
+    }
+
+    /// Refuses what does not go together.
+    ///
+    /// # Errors
+    /// When the ideal energy asks for a lattice that the lists and steps are not made for, or the order of bins is asked for without a GPU or with graded bins.
+    pub(crate) fn check(&self, parameters: &Parameters, on_gpu: bool) -> Result<()> {
+        let energy = parameters.ideal_energy;
+        let [least, largest] = [LARGEST_SPACING, LEAST_SPACING].map(lattice_energy);
+        if !(least..=largest).contains(&energy) {
+            return Err(Error::input(
+                format!(
+                    "--ideal-energy {energy}: the lattice of that energy has an edge outside {LEAST_SPACING} to {LARGEST_SPACING:.3} h"
+                ),
+                "neighbour lists and steps are made for that range",
+                format!(
+                    "give {least:.3} to {largest:.2}; for other distances of the particles make another h (sizefield)"
+                ),
+            ));
+        }
+        if parameters.order == Order::Classes {
+            return Ok(());
+        }
+        if parameters.binning == Binning::Graded {
+            return Err(Error::input(
+                "--binning graded: coloured bins are of one size",
+                "of bins of several sizes two of a colour could touch the same particle",
+                "leave out --binning, or give --order classes",
+            ));
+        }
+        if on_gpu {
+            return Ok(());
+        }
+        let (what, why) =
+            ("--order bins: no GPU moves the particles", "the CPU moves blocks of particles in an order of its own");
+        let next = "give --backend gpu (with --adapter NAME for a software adapter), or leave out --order";
+        Err(if self.backend == Backend::Cpu { Error::input(what, why, next) } else { Error::gpu(what, why, next) })
+    }
+}
+
+impl StageArgs for Args {
+    fn common(&self) -> &CommonArgs {
+        &self.common
+    }
+
+    fn outputs(&self) -> Vec<PathBuf> {
+        let mut outputs: Vec<PathBuf> = self.output.clone().into_iter().collect();
+        // a resumed run goes on with its own log and checkpoint
+        if !self.resume {
+            outputs.extend(self.log.clone());
+            outputs.extend(self.checkpoint.clone());
+        }
+        outputs
+    }
+
+    fn parameters(&self) -> Value {
+        // levels and order follow the backend, which is not known yet, unless they are given
+        json!(self.settling(self.backend == Backend::Gpu, false))
+    }
+}
