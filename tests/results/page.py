@@ -22,7 +22,7 @@ from typing import Any
 
 import printed
 from growth import COUNTS, MATERIALS, SERIES, STAGES, VOLUMES
-from paper import H_OF_TABLE_3, LARGEST_H, MODES, OBJECTS, SEEDS, SMALLEST_H, SWEEP, cases
+from paper import H_OF_TABLE_3, LARGEST_H, MODES, OBJECTS, PACKING, SEEDS, SMALLEST_H, SWEEP, cases
 
 Row = dict[str, Any]
 
@@ -67,7 +67,7 @@ class Page:
     def __init__(self, paper: tuple[Row, dict[str, Row]], growth: tuple[Row, dict[str, Row]]) -> None:
         self.head, self.rows = paper
         self.growth_head, self.growth = growth
-        self.stems = {(case.table, case.name, case.mode): case.stem for case in cases(["1", "2", "3", "4"], 1)}
+        self.stems = {(case.table, case.name, case.mode): case.stem for case in cases(["1", "2", "3", "4"], False)}
 
     def row(self, place: str, name: str, mode: str, engine: str) -> Row:
         """A row of Tables 1 to 4."""
@@ -261,6 +261,7 @@ class Page:
             "table 2 defaults": lambda: self.table_2("defaults"),
             "table 3": self.table_3,
             "table 4": self.table_4,
+            "packing": lambda: f"{PACKING:g}",
             "h of table 3": lambda: f"{H_OF_TABLE_3:g}",
             "largest h": lambda: f"{LARGEST_H:g}",
             "smallest h of level 4": lambda: f"{SMALLEST_H[4]:g}",

@@ -1,8 +1,8 @@
 #!/usr/bin/env python3
 """The pictures of docs/results.md, of the rows that paper.py and growth.py have left (matplotlib; close-ups: pyvista).
 
-    tests/results/plots.py                                  # docs/images/results-*.png; or: make results-page
-    tests/results/plots.py --closeups out/paper-surfaces    # the meshes that `paper.py --keep` copied there
+tests/results/plots.py                                  # docs/images/results-*.png; or: make results-page
+tests/results/plots.py --closeups out/paper-surfaces    # the meshes that `paper.py --keep` copied there
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ from typing import Any
 
 import matplotlib as mpl
 import numpy as np
+
 import printed
 from growth import SERIES
 from page import Page, load
@@ -20,7 +21,7 @@ from paper import MODES, OBJECTS, SEEDS, SWEEP
 
 mpl.use("Agg")
 
-import matplotlib.pyplot as plt  # noqa: E402 (the backend first)
+import matplotlib.pyplot as plt
 
 DPI = 110
 COLOURS = {"CPU": "tab:red", "GPU": "tab:blue"}
@@ -33,7 +34,9 @@ def save(figure: Any, folder: Path, name: str) -> None:
     plt.close(figure)
 
 
-def times(page: Page, folder: Path, name: str, rows: list[tuple[str, str, str]], paper: list[tuple[float, ...]]) -> None:
+def times(
+    page: Page, folder: Path, name: str, rows: list[tuple[str, str, str]], paper: list[tuple[float, ...]]
+) -> None:
     """Figures 7 and 8: seconds over particles, the printed ones beside ours."""
     figure, axes = plt.subplots(1, 2, figsize=(9.5, 3.6), layout="constrained")
     for axis, title in zip(axes, ("the paper, 2012", "ours"), strict=True):
@@ -42,7 +45,9 @@ def times(page: Page, folder: Path, name: str, rows: list[tuple[str, str, str]],
         axis.xaxis.set_major_formatter(lambda x, _: f"{x / 1000:.0f} k")
     for label, at in (("CPU", 0), ("GPU", 2)):
         told = sorted((row[at + 1], row[at]) for row in paper)
-        axes[0].plot(*zip(*told, strict=True), "o-", color=COLOURS[label], label=f"{label}{', one thread' if at == 0 else ''}")
+        axes[0].plot(
+            *zip(*told, strict=True), "o-", color=COLOURS[label], label=f"{label}{', one thread' if at == 0 else ''}"
+        )
     for engine, key, label, style in (
         ("cpu-1", "settle", "CPU, one thread", "o-"),
         ("cpu-all", "settle", "CPU, all cores", "s--"),
@@ -57,7 +62,9 @@ def times(page: Page, folder: Path, name: str, rows: list[tuple[str, str, str]],
 
 def histograms(page: Page, folder: Path) -> None:
     """Figure 9: how radius ratios are distributed, CPU and GPU."""
-    figure, axes = plt.subplots(len(MODES), len(OBJECTS), figsize=(13, 4.6), sharex=True, layout="constrained", squeeze=False)
+    figure, axes = plt.subplots(
+        len(MODES), len(OBJECTS), figsize=(13, 4.6), sharex=True, layout="constrained", squeeze=False
+    )
     for line, mode in enumerate(MODES):
         for column, name in enumerate(OBJECTS):
             axis = axes[line][column]
@@ -66,7 +73,9 @@ def histograms(page: Page, folder: Path) -> None:
                 for key, style in (("raw", "-"), ("finished", ":")):
                     counts = np.asarray(row[key]["histogram"], dtype=float)
                     edges = np.linspace(0.0, 1.0, len(counts) + 1)
-                    axis.stairs(100 * counts / counts.sum(), edges, color=COLOURS[label], ls=style, label=f"{label}, {'particles' if key == 'raw' else 'mesh'}")
+                    told = f"{label}, {'particles' if key == 'raw' else 'mesh'}"
+                    shares = 100 * counts / counts.sum()
+                    axis.stairs(shares, edges, color=COLOURS[label], ls=style, label=told)
             axis.set_xlim(0.4, 1.0)
             axis.set_title(f"{name}, {mode}", fontsize=9)
             axis.grid(alpha=0.3)
@@ -99,8 +108,12 @@ def closeups(surfaces: Path, folder: Path) -> None:
     """Figure 9's close-ups: the same part of the heart's mesh, CPU and GPU."""
     import pyvista as pv
 
-    files = [(f"{mode}, {label}", surfaces / f"heart-{mode.replace(' ', '-')}-{engine}.vtp") for mode in MODES for engine, label in (("cpu-all", "CPU"), ("gpu", "GPU"))]
-    files = [(title, path) for title, path in files if path.exists()]
+    files = []
+    for mode in MODES:
+        for engine, label in (("cpu-all", "CPU"), ("gpu", "GPU")):
+            path = surfaces / f"heart-{mode.replace(' ', '-')}-{engine}.vtp"
+            if path.exists():
+                files.append((f"{mode}, {label}", path))
     plotter = pv.Plotter(off_screen=True, shape=(1, len(files)), window_size=[420 * len(files), 400], border=False)
     for column, (title, path) in enumerate(files):
         plotter.subplot(0, column)
@@ -122,7 +135,9 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--folder", type=Path, default=Path("docs/results"), help="of paper.json and growth.json")
     parser.add_argument("--images", type=Path, default=Path("docs/images"))
-    parser.add_argument("--closeups", type=Path, metavar="FOLDER", help="draw the surfaces of this folder, and nothing else")
+    parser.add_argument(
+        "--closeups", type=Path, metavar="FOLDER", help="draw the surfaces of this folder, and nothing else"
+    )
     arguments = parser.parse_args()
     if arguments.closeups:
         closeups(arguments.closeups, arguments.images)
