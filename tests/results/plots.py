@@ -13,7 +13,6 @@ from typing import Any
 
 import matplotlib as mpl
 import numpy as np
-
 import printed
 from growth import SERIES
 from page import Page, load
@@ -90,13 +89,14 @@ def histograms(page: Page, folder: Path) -> None:
 def growth(page: Page, folder: Path) -> None:
     """Seconds of every stage, over each series."""
     figure, axes = plt.subplots(1, len(SERIES), figsize=(14, 3.9), layout="constrained")
+    headings = [heading for *_, heading in page.columns("volume")]
     titles = {"volume": "voxels", "particles": "particles", "cores": "threads", "materials": "materials"}
     for axis, series in zip(axes, SERIES, strict=True):
         for stage, engine, heading in page.columns(series):
             rows = [(size, page.grown(series, size, stage, engine)) for size in page.sizes(series)]
             points = [(size, row["seconds"]) for size, row in rows if row is not None]
             if points:
-                axis.plot(*zip(*points, strict=True), "o-", ms=3, label=heading)
+                axis.plot(*zip(*points, strict=True), "o-", ms=3, color=f"C{headings.index(heading)}", label=heading)
         axis.set(title=f"by {titles[series]}", xlabel=titles[series], xscale="log", yscale="log")
         axis.grid(alpha=0.3, which="both")
     axes[0].set_ylabel("seconds")
