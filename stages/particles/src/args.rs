@@ -244,3 +244,95 @@ impl StageArgs for Args {
         json!(self.settling(self.backend == Backend::Gpu, false))
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use isoparticles_field::energy::{PRINTED_IDEAL_ENERGY, ideal_energy, lattice_spacing};
+    use isoparticles_stage::error::Kind;
+
+    /// The options after those of the files.
+    fn given(options: &str) -> Args {
+        let files = "particles s.bin --distfield f.vti --sizefield h.vti -o p.bin";
+        Args::try_parse_from(format!("{files} {options}").split_whitespace()).expect(options)
+    }
+
+    #[test]
+    fn what_is_not_given_is_by_default_or_as_printed() {
+        let on_gpu = |options: &str| given(options).settling(true, false);
+        let on_cpu = |options: &str| given(options).settling(false, false);
+        let seed = given("").common.seed;
+        assert_eq!(on_cpu(""), Parameters { seed, ..Parameters::default() });
+        assert_eq!(on_gpu(""), Parameters { seed, levels: 1, ..Parameters::default() });
+        assert_eq!(given("").settling(false, true).levels, 1, "of many materials");
+        let printed = Parameters { seed, ..Parameters::as_printed() };
+        assert_eq!(on_gpu("--as-printed"), printed);
+        assert_eq!(on_cpu("--as-printed"), Parameters { order: Order::Classes, ..printed });
+        assert_eq!((printed.levels, printed.closing_passes, printed.ideal_energy), (1, 0, PRINTED_IDEAL_ENERGY));
+    }
+
+    #[test]
+    fn each_printed_part_is_an_option_and_one_that_is_given_comes_first() {
+        let seed = given("").common.seed;
+        let parts = "--max-passes 50 --energy-tolerance 0.0015 --energy-window 1 --rest-share 1 --closing-passes 0 --ideal-energy 3.462 \
+            --add-below 0.75 --delete-above 1.35 --levels 1 --binning uniform --order bins";
+        let printed = Parameters { seed, ..Parameters::as_printed() };
+        assert_eq!(given(parts).settling(true, false), printed);
+        let others = "--as-printed --max-passes 7 --energy-tolerance 0.5 --energy-window 3 --rest-share 0.1 --closing-passes 2 --ideal-energy 1 \
+            --add-below 0.5 --delete-above 2 --levels 2 --binning graded --order classes";
+        let wanted = Parameters {
+            max_passes: 7,
+            energy_tolerance: Some(0.5),
+            energy_window: 3,
+            rest_share: 0.1,
+            closing_passes: 2,
+            ideal_energy: 1.0,
+            add_below: 0.5,
+            delete_above: 2.0,
+            levels: 2,
+            binning: Binning::Graded,
+            order: Order::Classes,
+            ..printed
+        };
+        assert_eq!(given(others).settling(true, false), wanted);
+        // a stop test that is given is the one
+        assert_eq!(given("--as-printed --defect-tolerance 0.01").settling(true, false).energy_tolerance, None);
+        assert_eq!(given("--order bins").settling(true, false).binning, Binning::Uniform);
+    }
+
+    #[test]
+    fn what_does_not_go_together_is_refused() {
+        let kind = |options: &str, on_gpu: bool| {
+            let args = given(options);
+            args.check(&args.settling(on_gpu, false), on_gpu).err().map(|error| error.kind)
+        };
+        assert_eq!(kind("--as-printed --backend cpu", false), None);
+        assert_eq!(kind("--as-printed", true), None);
+        assert_eq!(kind("--order bins --backend cpu", false), Some(Kind::Input));
+        assert_eq!(kind("--order bins", false), Some(Kind::Gpu));
+        assert_eq!(kind("--order bins --binning graded", true), Some(Kind::Input));
+        assert_eq!(kind("--as-printed --binning graded", true), Some(Kind::Input));
+        for (energy, wanted) in [("0.55", Some(Kind::Input)), ("0.56", None), ("7.8", None), ("7.9", Some(Kind::Input))]
+        {
+            assert_eq!(kind(&format!("--ideal-energy {energy}"), false), wanted, "{energy}");
+        }
+    }
+
+    #[test]
+    fn help_tells_defaults_and_printed_values() {
+        let mut command = <Args as clap::CommandFactory>::command();
+        let help = command.render_long_help().to_string().split_whitespace().collect::<Vec<_>>().join(" ");
+        for told in
+            ["[default: 150; printed: 50]", "[default: none; printed: 0.0015]", "[default: classes; printed: bins]"]
+        {
+            assert!(help.contains(told), "{told} is not in {help}");
+        }
+        let shown = format!("[default: {:.4}; printed: {PRINTED_IDEAL_ENERGY}]", ideal_energy());
+        assert!(help.contains(&shown), "{shown} is not in {help}");
+        assert!(help.contains(&format!(
+            "of {:.3} h with {:.1} times",
+            lattice_spacing(PRINTED_IDEAL_ENERGY),
+            lattice_spacing(PRINTED_IDEAL_ENERGY).powi(-2)
+        )));
+    }
+}

@@ -441,6 +441,12 @@ mod tests {
         assert_eq!(test(0.0015), Some(6));
         assert_eq!(test(0.0), None, "0 runs all passes");
         let mut falling = records(|_| 300, 0, 1.0);
+        // as printed: from one pass to the next, and whatever density control does
+        let busy = records(|_| 300, 500, 1.0);
+        let closing = |parameters: &Parameters| closing_since(&busy, parameters);
+        assert_eq!(closing(&Parameters::as_printed()), Some(2));
+        assert_eq!(closing(&Parameters { energy_window: 7, ..Parameters::as_printed() }), Some(8));
+        assert_eq!(closing(&Parameters { rest_share: 0.3, ..Parameters::as_printed() }), None);
         falling.iter_mut().for_each(|r| r.energy *= 0.998f64.powi(r.pass as i32));
         let parameters = Parameters { energy_tolerance: Some(0.0015), ..Parameters::default() };
         assert_eq!(closing_since(&falling, &parameters), None);

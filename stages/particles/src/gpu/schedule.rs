@@ -17,7 +17,7 @@ pub(crate) const COLOURS: u32 = COLOUR_STRIDE * COLOUR_STRIDE * COLOUR_STRIDE;
 const _: () = assert!(COLOURS <= CLASSES, "the buffer `round` has a number for each class");
 
 /// How many of so many bins along each axis have this colour.
-fn bins_of(colour: u32, bins: UVec3) -> u32 {
+pub(crate) fn bins_of(colour: u32, bins: UVec3) -> u32 {
     let first = UVec3::new(colour, colour / COLOUR_STRIDE, colour / (COLOUR_STRIDE * COLOUR_STRIDE)) % COLOUR_STRIDE;
     ((bins + (COLOUR_STRIDE - 1) - first) / COLOUR_STRIDE).element_product()
 }

@@ -6,18 +6,20 @@ use crate::constants::{FARTHEST_MOVE, NEWCOMER_DISTANCE};
 use crate::density::{Newcomer, propose};
 use crate::gpu::adapter::{Choice, Gpu};
 use crate::gpu::constants::{
-    BLOCK, NARROW, WORD_COUNT, WORD_DEFECTS, WORD_ENERGY, WORD_KEPT, WORD_LONGEST, WORD_MOVED, WORD_TRIES,
+    BLOCK, COLOUR_STRIDE, NARROW, WORD_COUNT, WORD_DEFECTS, WORD_ENERGY, WORD_KEPT, WORD_LONGEST, WORD_MOVED,
+    WORD_TRIES,
 };
 use crate::gpu::engine::GpuEngine;
 use crate::gpu::memory::download;
 use crate::gpu::parameters::device_origin;
-use crate::gpu::schedule::{Step, scan};
+use crate::gpu::schedule::{COLOURS, Step, bins_of, scan};
 use crate::movement;
+use crate::neighbourhood::Record;
 use crate::reference::energy_at;
 use crate::scenes::Scene;
 use crate::settle::{Binning, Engine, Parameters};
 use crate::state::State;
-use glam::{DVec3, Vec3};
+use glam::{DVec3, UVec3, Vec3};
 use isoparticles_field::energy::{SUPPORT, pair_energy, scaled_distance};
 
 /// The pass that the random numbers are those of.
@@ -51,7 +53,11 @@ struct Rig<'a> {
 
 impl<'a> Rig<'a> {
     fn new(gpu: &'a Gpu, scene: &Scene) -> Self {
-        let mut engine = sorted(gpu, scene, Binning::Graded);
+        Self::in_bins(gpu, scene, Binning::Graded)
+    }
+
+    fn in_bins(gpu: &'a Gpu, scene: &Scene, binning: Binning) -> Self {
+        let mut engine = sorted(gpu, scene, binning);
         engine.listed = false;
         let count = engine.count as usize;
         let starts: Vec<u32> = download(gpu, engine.memory.get("list_starts"), count + 1).unwrap();
@@ -152,6 +158,49 @@ fn one_class_moves_as_on_the_cpu_and_nobody_else_does() {
     assert!(members > 40 && moved * 10 > members * 9, "{moved} of {members} moved");
     // a step whose energy test is a close call may be refused on one side and not on the other
     assert!(alike * 100 >= members * 98, "{alike} of {members} went where the CPU sends them");
+}
+
+#[test]
+fn bins_of_one_colour_move_one_particle_after_the_other_and_nobody_else_does() {
+    let Some(gpu) = any_gpu("movement of a colour", Choice::default()) else { return };
+    let scene = too_many();
+    let mut rig = Rig::in_bins(&gpu, &scene, Binning::Uniform);
+    let (mut state, fields) = (rig.state(), scene.fields());
+    let bins = rig.engine.levels.levels[0].bins;
+    let starts: Vec<u32> = rig.take("bin_starts", bins.element_product() as usize + 1);
+    let colour = 14;
+    let first = UVec3::new(colour, colour / COLOUR_STRIDE, colour / (COLOUR_STRIDE * COLOUR_STRIDE)) % COLOUR_STRIDE;
+    rig.engine.run_steps(u64::from(PASS), &[Step::over("move_bins", colour, bins_of(colour, bins))], false).unwrap();
+    let after: Vec<[f32; 4]> = rig.take("place", rig.count());
+    let origin = device_origin(&rig.engine.geometry);
+    let (mut members, mut moved, mut alike) = (0, 0, 0);
+    for bin in 0..bins.element_product() {
+        let at = UVec3::new(bin % bins.x, bin / bins.x % bins.y, bin / bins.x / bins.y);
+        let range = starts[bin as usize] as usize..starts[bin as usize + 1] as usize;
+        if at % COLOUR_STRIDE != first {
+            assert!(range.clone().all(|i| after[i] == rig.places[i]), "bin {at} is not of the colour");
+            continue;
+        }
+        members += range.len();
+        moved += range.clone().filter(|&i| after[i] != rig.places[i]).count();
+        // the particles of the bin in series, on the CPU: each sees those before it where they have gone
+        for i in range {
+            let wanted = movement::step_alone(&state, &fields, i);
+            let found = origin + Vec3::from_slice(&after[i]).as_dvec3();
+            alike += usize::from(found.distance(wanted.position) < 1e-3 * state.set.sizes[i]);
+            (state.set.positions[i], state.set.sizes[i]) = (found, f64::from(after[i][3]));
+            state.records[i] = Record::new(found, state.set.sizes[i]);
+        }
+    }
+    assert!(members > 40 && moved * 10 > members * 9, "{moved} of {members} moved");
+    assert!(alike * 100 >= members * 98, "{alike} of {members} went where the CPU sends them");
+}
+
+#[test]
+fn every_bin_has_one_colour() {
+    for bins in [UVec3::ONE, UVec3::new(1, 2, 3), UVec3::new(4, 5, 6), UVec3::new(17, 3, 8)] {
+        assert_eq!((0..COLOURS).map(|colour| bins_of(colour, bins)).sum::<u32>(), bins.element_product(), "{bins}");
+    }
 }
 
 #[test]

@@ -3,11 +3,12 @@
 use super::any_gpu;
 use super::fields::sorted;
 use crate::gpu::adapter::Choice;
-use crate::gpu::constants::{CLASSES, UNCLASSED};
+use crate::gpu::constants::{CLASSES, COLOUR_STRIDE, UNCLASSED};
 use crate::gpu::memory::download;
 use crate::scenes::Scene;
 use crate::settle::{Binning, Engine};
 use crate::state::State;
+use glam::UVec3;
 
 #[test]
 fn lists_are_those_of_the_cpu_and_no_two_neighbours_share_a_class() {
@@ -61,5 +62,36 @@ fn lists_are_those_of_the_cpu_and_no_two_neighbours_share_a_class() {
             let range = class_starts[c] as usize..class_starts[c + 1] as usize;
             assert!(ordered[range].iter().all(|&i| classes[i as usize] == c as u32));
         }
+    }
+}
+
+#[test]
+fn two_bins_of_a_colour_touch_no_common_particle() {
+    let Some(gpu) = any_gpu("coloured bins", Choice::default()) else { return };
+    for scene in [Scene::ball(700, 1.6), Scene::bumpy_torus(2500)] {
+        let engine = sorted(&gpu, &scene, Binning::Uniform);
+        let level = &engine.levels.levels[0];
+        let count = engine.count as usize;
+        let starts: Vec<u32> = download(&gpu, engine.memory.get("list_starts"), count + 1).unwrap();
+        let members: Vec<u32> = download(&gpu, engine.memory.get("lists"), starts[count] as usize).unwrap();
+        let bins = level.bins.element_product();
+        let bin_starts: Vec<u32> = download(&gpu, engine.memory.get("bin_starts"), bins as usize + 1).unwrap();
+        let mut touched_by = std::collections::HashMap::new();
+        let mut in_lists = 0;
+        for bin in 0..bins {
+            let at =
+                UVec3::new(bin % level.bins.x, bin / level.bins.x % level.bins.y, bin / level.bins.x / level.bins.y);
+            let colour = at % COLOUR_STRIDE;
+            for i in bin_starts[bin as usize]..bin_starts[bin as usize + 1] {
+                let list = &members[starts[i as usize] as usize..starts[i as usize + 1] as usize];
+                in_lists += list.len();
+                for &j in [i].iter().chain(list) {
+                    let other = *touched_by.entry((colour, j)).or_insert(bin);
+                    assert_eq!(other, bin, "two bins of colour {colour} touch particle {j}");
+                }
+            }
+        }
+        assert!(in_lists > 10 * count, "{in_lists} members of lists: too few for a test");
+        assert!(level.bins.max_element() > COLOUR_STRIDE, "{}: every bin has a colour of its own", level.bins);
     }
 }

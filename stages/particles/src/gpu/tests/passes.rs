@@ -6,7 +6,7 @@ use crate::gpu::adapter::{Choice, Gpu};
 use crate::gpu::engine::GpuEngine;
 use crate::gpu::memory::Memory;
 use crate::scenes::Scene;
-use crate::settle::{Binning, Engine, Parameters, PassRecord, Summary, settle_with};
+use crate::settle::{Binning, Engine, Order, Parameters, PassRecord, Summary, settle_with};
 use isoparticles_field::particle_set::ParticleSet;
 
 fn settled(gpu: &Gpu, scene: &Scene, parameters: &Parameters) -> (ParticleSet, Summary) {
@@ -42,8 +42,11 @@ fn the_lattice_is_that_of_the_cpu() {
         alike(&graded, &on_cpu, what);
         if what != "ball" {
             let uniform = Parameters { binning: Binning::Uniform, ..parameters.clone() };
-            let uniform = settled(&gpu, &scene, &uniform);
-            alike(&uniform, &on_cpu, &format!("{what}, uniform bins"));
+            alike(&settled(&gpu, &scene, &uniform), &on_cpu, &format!("{what}, uniform bins"));
+            let coloured = Parameters { order: Order::Bins, ..uniform };
+            let found = settled(&gpu, &scene, &coloured);
+            alike(&found, &on_cpu, &format!("{what}, coloured bins"));
+            assert!(found.0 == settled(&gpu, &scene, &coloured).0, "two runs in the order of bins differ");
         }
     }
 }
