@@ -4,8 +4,9 @@
     tests/results/page.py            # writes docs/results.md; or: make results-page
     tests/results/page.py --check    # whether it is what the template and the rows give
 
-`{{name}}` in docs/results/template.md stands for a table or a number of `Page.pieces`. A row that is not there ends it with its name. The
-printed figures of the paper stand in `printed.py` beside this file.
+`{{name}}` in docs/results/template.md stands for a table or a number of `Page.pieces`; `{{if gpu}}`, `{{else}}` and `{{end}}` part what is said where
+a GPU was there from what is said where none was. A row that is not there ends it with its name. The printed figures of the paper stand in
+`printed.py` beside this file.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ import math
 import re
 import sys
 from collections.abc import Callable
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -61,12 +63,107 @@ def exponent(points: list[tuple[float, float]]) -> float | None:
     return sum((x - mean_x) * (y - mean_y) for x, y in logs) / sum((x - mean_x) ** 2 for x, _ in logs)
 
 
+Runs = dict[str, Row]
+"""The rows of a case by engine: cpu-1, cpu-all and, where there was one, gpu."""
+
+
+@dataclass
+class Column:
+    """A column of Tables 1 to 4."""
+
+    heading: str
+    cell: Callable[[str, Runs], str]
+    """Of the case's name and its rows."""
+    of_gpu: bool = False
+    """Left out where no GPU was there."""
+
+
+def pair(runs: Runs, key: str, form: str) -> str:
+    """A figure of the CPU and, where there is one, of the GPU."""
+    return ", ".join(format(runs[engine][key], form) for engine in ("cpu-1", "gpu") if engine in runs)
+
+
+def speed_up(runs: Runs) -> float:
+    """Seconds of one thread over those of the device."""
+    seconds: float = runs["cpu-1"]["settle"]
+    device: float = runs["gpu"]["device"]
+    return seconds / device
+
+
+def lost(row: Row) -> float:
+    """Percent of the seeds of Table 3 that were deleted."""
+    left: int = row["particles"]
+    return 100 * (1 - left / int(row["seeds"]))
+
+
+SWEPT = [f"{epsilon}/{delta} level {level}" for epsilon, delta, level in SWEEP]
+OF_SWEEP = dict(zip(SWEPT, printed.TABLE_4, strict=True))
+
+TIMES = [
+    Column("one thread, s", lambda _, runs: f"{runs['cpu-1']['settle']:.2f}"),
+    Column("all cores, s", lambda _, runs: f"{runs['cpu-all']['settle']:.2f}"),
+    Column("GPU, s", lambda _, runs: f"{runs['gpu']['device']:.3f}", of_gpu=True),
+    Column("GPU's process, s", lambda _, runs: f"{runs['gpu']['wall']:.2f}", of_gpu=True),
+    Column("speed-up", lambda _, runs: f"{speed_up(runs):.0f}", of_gpu=True),
+    Column("passes", lambda _, runs: pair(runs, "passes", "d")),
+    Column("energy over ideal", lambda _, runs: pair(runs, "energy_ratio", ".3f")),
+]
+"""Of Tables 2, 3 and 4."""
+
+
+def organ_columns(figures: Callable[[str], list[str]], *headings: str) -> list[Column]:
+    """The organ, and the printed figures of it."""
+    told = [Column(heading, lambda name, _, i=i: figures(name)[i]) for i, heading in enumerate(headings)]  # type: ignore[misc]
+    return [Column("organ", lambda name, _: f"{name} ({printed.organ(name)})"), *told]
+
+
+TABLE_1 = [
+    *organ_columns(printed.quality, "printed, CPU", "printed, GPU"),
+    Column("particles, CPU", lambda _, runs: both(runs["cpu-all"]["raw"])),
+    Column("particles, GPU", lambda _, runs: both(runs["gpu"]["raw"]), of_gpu=True),
+    Column(
+        "GPU over CPU, %",
+        lambda _, runs: f"{100 * (runs['gpu']['raw']['mean'] / runs['cpu-all']['raw']['mean'] - 1):+.2f}",
+        of_gpu=True,
+    ),
+    Column("mesh, CPU", lambda _, runs: both(runs["cpu-all"]["finished"])),
+    Column("mesh, GPU", lambda _, runs: both(runs["gpu"]["finished"]), of_gpu=True),
+    Column("exit codes", lambda _, runs: ", ".join(str(run["exit_code"]) for run in runs.values())),
+]
+TABLE_2 = [
+    *organ_columns(printed.times, "printed: CPU, s", "GPU, s", "speed-up"),
+    Column("particles", lambda _, runs: pair(runs, "particles", ",")),
+    *TIMES,
+]
+TABLE_3 = [
+    Column("seeds", lambda name, _: f"{int(name):,}"),
+    Column("printed: deleted, %", lambda name, _: ", ".join(f"{part:.1f}" for part in printed.lost(int(name)))),
+    Column("speed-up", lambda name, _: f"{printed.TABLE_3[int(name)][0] / printed.TABLE_3[int(name)][2]:.1f}"),
+    Column("left", lambda _, runs: pair(runs, "particles", ",")),
+    Column(
+        "deleted, %", lambda _, runs: ", ".join(f"{lost(runs[key]):.1f}" for key in ("cpu-1", "gpu") if key in runs)
+    ),
+    *TIMES,
+]
+TABLE_4 = [
+    Column("epsilon / delta, level", lambda name, _: name.replace("/", " / ").replace(" level", ", level")),
+    Column("printed: particles", lambda name, _: "{1:,}, {3:,}".format(*OF_SWEEP[name])),
+    Column("speed-up", lambda name, _: f"{OF_SWEEP[name][0] / OF_SWEEP[name][2]:.1f}"),
+    Column("h, mm", lambda _, runs: f"{runs['cpu-1']['h'][0]:.2f} to {runs['cpu-1']['h'][2]:.2f}"),
+    Column("particles", lambda _, runs: pair(runs, "particles", ",")),
+    *TIMES,
+]
+CASES = {"1": list(OBJECTS), "2": list(OBJECTS), "3": [str(count) for count in SEEDS], "4": SWEPT}
+"""Names of the cases of each table."""
+
+
 class Page:
     """All that the template may name."""
 
     def __init__(self, paper: tuple[Row, dict[str, Row]], growth: tuple[Row, dict[str, Row]]) -> None:
         self.head, self.rows = paper
         self.growth_head, self.growth = growth
+        self.gpu = self.head["adapter"] is not None
         self.stems = {(case.table, case.name, case.mode): case.stem for case in cases(["1", "2", "3", "4"], False)}
 
     def row(self, place: str, name: str, mode: str, engine: str) -> Row:
@@ -77,104 +174,17 @@ class Page:
             raise MissingRowError(f"no row '{key}' in the rows of paper.py")
         return self.rows[key]
 
-    def speed_up(self, place: str, name: str, mode: str) -> float:
-        """Device seconds over those of one thread."""
-        seconds: float = self.row(place, name, mode, "cpu-1")["settle"]
-        device: float = self.row(place, name, mode, "gpu")["device"]
-        return seconds / device
+    def runs(self, place: str, name: str, mode: str = "as printed") -> Runs:
+        """The rows of a case."""
+        engines = [*([] if place == "1" else ["cpu-1"]), "cpu-all", *(["gpu"] if self.gpu else [])]
+        return {engine: self.row(place, name, mode, engine) for engine in engines}
 
-    def table_1(self, mode: str) -> str:
-        """Quality, CPU beside GPU."""
-        lines = []
-        for name in OBJECTS:
-            cpu, gpu = (self.row("1", name, mode, engine) for engine in ("cpu-all", "gpu"))
-            off = 100 * (gpu["raw"]["mean"] / cpu["raw"]["mean"] - 1)
-            lines.append(
-                [
-                    f"{name} ({printed.organ(name)})", *printed.quality(name),
-                    both(cpu["raw"]), both(gpu["raw"]), f"{off:+.2f}", both(cpu["finished"]), both(gpu["finished"]),
-                    f"{cpu['exit_code']}, {gpu['exit_code']}",
-                ]
-            )  # fmt: skip
-        columns = ["organ", "printed, CPU", "printed, GPU", "particles, CPU", "particles, GPU", "GPU over CPU, %"]
-        return table([*columns, "mesh, CPU", "mesh, GPU", "exit codes"], lines)
-
-    def table_2(self, mode: str) -> str:
-        """Times of the organs."""
-        lines = []
-        for name in OBJECTS:
-            one, every, gpu = (self.row("2", name, mode, engine) for engine in ("cpu-1", "cpu-all", "gpu"))
-            lines.append(
-                [
-                    f"{name} ({printed.organ(name)})", *printed.times(name), f"{one['particles']:,}", f"{gpu['particles']:,}",
-                    f"{one['settle']:.2f}", f"{every['settle']:.2f}", f"{gpu['device']:.3f}", f"{gpu['wall']:.2f}",
-                    f"{self.speed_up('2', name, mode):.0f}", f"{one['passes']}, {gpu['passes']}",
-                    f"{one['energy_ratio']:.3f}, {gpu['energy_ratio']:.3f}",
-                ]
-            )  # fmt: skip
-        columns = [
-            "organ",
-            "printed: CPU, s",
-            "GPU, s",
-            "speed-up",
-            "particles, CPU",
-            "GPU",
-            "one thread, s",
-            "all cores, s",
-        ]
-        return table([*columns, "GPU, s", "GPU's process, s", "speed-up", "passes", "energy over ideal"], lines)
-
-    def lost(self, seeds: int, engine: str) -> float:
-        """Percent of the seeds of Table 3 that were deleted."""
-        row = self.row("3", str(seeds), "as printed", engine)
-        left: int = row["particles"]
-        return 100 * (1 - left / int(row["seeds"]))
-
-    def table_3(self) -> str:
-        """Seeds without insertion."""
-        lines = []
-        for seeds in SEEDS:
-            rows = [self.row("3", str(seeds), "as printed", engine) for engine in ("cpu-1", "cpu-all", "gpu")]
-            one, every, gpu = rows
-            told = printed.TABLE_3[seeds]
-            lines.append(
-                [
-                    f"{seeds:,}", f"{100 * (1 - told[1] / seeds):.1f}, {100 * (1 - told[3] / seeds):.1f}", f"{told[0] / told[2]:.1f}",
-                    f"{one['particles']:,}, {gpu['particles']:,}", f"{self.lost(seeds, 'cpu-1'):.1f}, {self.lost(seeds, 'gpu'):.1f}",
-                    f"{one['energy_ratio']:.3f}, {gpu['energy_ratio']:.3f}", f"{one['passes']}, {gpu['passes']}",
-                    f"{one['settle']:.2f}", f"{every['settle']:.2f}", f"{gpu['device']:.3f}",
-                    f"{self.speed_up('3', str(seeds), 'as printed'):.0f}",
-                ]
-            )  # fmt: skip
-        columns = [
-            "seeds",
-            "printed: deleted, %",
-            "speed-up",
-            "left, CPU, GPU",
-            "deleted, %",
-            "energy over ideal",
-            "passes",
-        ]
-        return table([*columns, "one thread, s", "all cores, s", "GPU, s", "speed-up"], lines)
-
-    def table_4(self) -> str:
-        """The sweep over epsilon and delta."""
-        lines = []
-        for (epsilon, delta, level), told in zip(SWEEP, printed.TABLE_4, strict=True):
-            name = f"{epsilon}/{delta} level {level}"
-            one, every, gpu = (self.row("4", name, "as printed", engine) for engine in ("cpu-1", "cpu-all", "gpu"))
-            lines.append(
-                [
-                    f"{epsilon} / {delta}, {level}", f"{told[1]:,}, {told[3]:,}", f"{told[0] / told[2]:.1f}",
-                    f"{one['h'][0]:.2f} to {one['h'][2]:.2f}", f"{one['particles']:,}, {gpu['particles']:,}",
-                    f"{one['energy_ratio']:.3f}, {gpu['energy_ratio']:.3f}", f"{one['passes']}, {gpu['passes']}",
-                    f"{one['settle']:.2f}", f"{every['settle']:.2f}", f"{gpu['device']:.3f}", f"{self.speed_up('4', name, 'as printed'):.0f}",
-                ]
-            )  # fmt: skip
-        columns = ["epsilon / delta, level", "printed: particles, CPU, GPU", "speed-up", "h, mm", "particles, CPU, GPU"]
-        return table(
-            [*columns, "energy over ideal", "passes", "one thread, s", "all cores, s", "GPU, s", "speed-up"], lines
-        )
+    def table(self, place: str, columns: list[Column], mode: str = "as printed") -> str:
+        """One of Tables 1 to 4."""
+        shown = [column for column in columns if self.gpu or not column.of_gpu]
+        of_case = {name: self.runs(place, name, mode) for name in CASES[place]}
+        lines = [[column.cell(name, runs) for column in shown] for name, runs in of_case.items()]
+        return table([column.heading for column in shown], lines)
 
     def sizes(self, series: str) -> list[int]:
         """The sizes of a series."""
@@ -195,7 +205,7 @@ class Page:
 
     def columns(self, series: str) -> list[tuple[str, str, str]]:
         """Stage, engine and heading."""
-        engines = ["cpu"] if series == "cores" else ["cpu", "gpu"]
+        engines = ["cpu"] if series == "cores" or self.growth_head["adapter"] is None else ["cpu", "gpu"]
         found = []
         for stage in STAGES:
             if stage == "particles":
@@ -231,56 +241,55 @@ class Page:
     def machine(self) -> str:
         """Where and of what the figures are."""
         head = self.head
-        gpu = str(head["adapter"]).split(" (")[0]
+        gpu = str(head["adapter"]).split(" (")[0] if self.gpu else "no GPU"
         return f"{head['processor']}, {head['cores']} cores, {gpu}; {head['date']}, commit {head['commit']}"
 
     def pieces(self) -> dict[str, Callable[[], str]]:
         """What stands for each name of the template."""
-        organs = [(name, mode) for name in OBJECTS for mode in MODES]
-        printed_rows = [
-            *(("2", name, "as printed") for name in OBJECTS), *(("4", f"{e}/{d} level {n}", "as printed") for e, d, n in SWEEP)
-        ]  # fmt: skip
 
         def difference(key: str) -> str:
-            found = [[self.row("1", *organ, engine)[key]["mean"] for engine in ("gpu", "cpu-all")] for organ in organs]
-            return f"{max(100 * abs(gpu / cpu - 1) for gpu, cpu in found):.2f}"
+            every = [self.runs("1", name, mode) for name in OBJECTS for mode in MODES]
+            return (
+                f"{max(100 * abs(runs['gpu'][key]['mean'] / runs['cpu-all'][key]['mean'] - 1) for runs in every):.2f}"
+            )
 
         def ribs(engine: str, key: str, digits: int = 2) -> str:
             return f"{self.row('2', 'torso ribcage', 'as printed', engine)[key]:.{digits}f}"
 
-        def energies(rows: list[tuple[str, str, str]]) -> str:
-            return span([self.row(*row, engine)["energy_ratio"] for row in rows for engine in ("cpu-1", "gpu")], 2)
+        def over(place: str, figure: Callable[[Row], float], digits: int) -> str:
+            every = [run for name in CASES[place] for run in self.runs(place, name).values()]
+            return span([figure(run) for run in every], digits)
+
+        def speed_ups(place: str) -> str:
+            return span([speed_up(self.runs(place, name)) for name in CASES[place]], 0)
 
         return {
             "machine": self.machine,
             "side by side": lambda: str(self.head["beside"]),
             "growth machine": lambda: f"{self.growth_head['date']}, commit {self.growth_head['commit']}",
-            "table 1 as printed": lambda: self.table_1("as printed"),
-            "table 1 defaults": lambda: self.table_1("defaults"),
-            "table 2 as printed": lambda: self.table_2("as printed"),
-            "table 2 defaults": lambda: self.table_2("defaults"),
-            "table 3": self.table_3,
-            "table 4": self.table_4,
+            **{f"table 1 {mode}": partial(self.table, "1", TABLE_1, mode) for mode in MODES},
+            **{f"table 2 {mode}": partial(self.table, "2", TABLE_2, mode) for mode in MODES},
+            "table 3": partial(self.table, "3", TABLE_3),
+            "table 4": partial(self.table, "4", TABLE_4),
             "packing": lambda: f"{PACKING:g}",
             "h of table 3": lambda: f"{H_OF_TABLE_3:g}",
             "largest h": lambda: f"{LARGEST_H:g}",
-            "smallest h of level 4": lambda: f"{SMALLEST_H[4]:g}",
-            "smallest h of level 7": lambda: f"{SMALLEST_H[7]:g}",
-            "difference of particles": lambda: difference("raw"),
-            "difference of meshes": lambda: difference("finished"),
-            "ribcage device": lambda: ribs("gpu", "device", 3),
-            "ribcage process": lambda: ribs("gpu", "wall"),
-            "ribcage thread": lambda: ribs("cpu-1", "settle", 1),
-            "ribcage cores": lambda: ribs("cpu-all", "settle"),
-            "speed-ups of table 2": lambda: span([self.speed_up("2", name, "as printed") for name in OBJECTS], 0),
-            "speed-ups of table 3": lambda: span([self.speed_up("3", str(n), "as printed") for n in SEEDS], 0),
-            "speed-ups of table 4": lambda: span([self.speed_up(*row) for row in printed_rows if row[0] == "4"], 0),
-            "deleted": lambda: span([self.lost(n, engine) for n in SEEDS for engine in ("cpu-1", "gpu")], 1),
-            "energies as printed": lambda: energies(printed_rows),
-            "energies of table 3": lambda: energies([("3", str(n), "as printed") for n in SEEDS]),
-            "counts of table 4": lambda: span([self.row(*row, "gpu")["particles"] for row in printed_rows if row[0] == "4"], 0),
+            **{f"smallest h of level {level}": partial(format, h, "g") for level, h in SMALLEST_H.items()},
+            "difference of particles": partial(difference, "raw"),
+            "difference of meshes": partial(difference, "finished"),
+            "ribcage device": partial(ribs, "gpu", "device", 3),
+            "ribcage process": partial(ribs, "gpu", "wall"),
+            "ribcage thread": partial(ribs, "cpu-1", "settle", 1),
+            "ribcage cores": partial(ribs, "cpu-all", "settle"),
+            **{f"speed-ups of table {place}": partial(speed_ups, place) for place in "234"},
+            **{
+                f"energies of table {place}": partial(over, place, lambda run: run["energy_ratio"], 2)
+                for place in "234"
+            },
+            "deleted": partial(over, "3", lost, 1),
+            "counts of table 4": partial(over, "4", lambda run: run["particles"], 0),
             **{f"growth by {series}": partial(self.table_growth, series) for series in SERIES},
-        }  # fmt: skip
+        }
 
     def text(self, template: str) -> str:
         """The page."""
@@ -292,6 +301,9 @@ class Page:
                 raise MissingRowError(f"the template asks for '{name}', which is none of {', '.join(pieces)}")
             return pieces[name]()
 
+        # {{if gpu}} ... {{else}} ... {{end}}
+        choice = re.compile(r"\{\{if gpu\}\}(.*?)\{\{else\}\}(.*?)\{\{end\}\}", re.DOTALL)
+        template = choice.sub(lambda match: match.group(1 if self.gpu else 2), template)
         return re.sub(r"\{\{([^}]+)\}\}", piece, template)
 
 

@@ -52,6 +52,8 @@ def times(
         ("cpu-all", "settle", "CPU, all cores", "s--"),
         ("gpu", "device", "GPU", "o-"),
     ):
+        if engine == "gpu" and not page.gpu:
+            continue
         told = sorted((page.row(*row, engine)["particles"], page.row(*row, engine)[key]) for row in rows)
         axes[1].plot(*zip(*told, strict=True), style, color=COLOURS[label[:3]], label=label)
     for axis in axes:
@@ -67,7 +69,7 @@ def histograms(page: Page, folder: Path) -> None:
     for line, mode in enumerate(MODES):
         for column, name in enumerate(OBJECTS):
             axis = axes[line][column]
-            for engine, label in (("cpu-all", "CPU"), ("gpu", "GPU")):
+            for engine, label in (("cpu-all", "CPU"), ("gpu", "GPU"))[: 1 + page.gpu]:
                 row = page.row("1", name, mode, engine)
                 for key, style in (("raw", "-"), ("finished", ":")):
                     counts = np.asarray(row[key]["histogram"], dtype=float)

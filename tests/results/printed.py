@@ -64,3 +64,9 @@ def times(name: str) -> list[str]:
     """Three columns of Table 2."""
     cpu, _, gpu, _ = TABLE_2[organ(name)]
     return [f"{cpu:,.0f}", f"{gpu:.0f}", f"{cpu / gpu:.1f}"]
+
+
+def lost(seeds: int) -> list[float]:
+    """Percent of the seeds of Table 3 that were deleted, CPU and GPU."""
+    _, cpu, _, gpu = TABLE_3[seeds]
+    return [100 * (1 - left / seeds) for left in (cpu, gpu)]

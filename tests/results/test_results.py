@@ -68,9 +68,9 @@ def rows_of_growth() -> dict[str, Any]:
     return rows
 
 
-def write(folder: Path, paper_rows: dict[str, Any], growth_rows: dict[str, Any]) -> None:
+def write(folder: Path, paper_rows: dict[str, Any], growth_rows: dict[str, Any], adapter: str | None = "a (b)") -> None:
     """Template and rows, as in docs/results."""
-    head = {"date": "2012-03-03", "commit": "c", "processor": "p", "cores": 4, "adapter": "a (b)", "beside": 1}
+    head = {"date": "2012-03-03", "commit": "c", "processor": "p", "cores": 4, "adapter": adapter, "beside": 1}
     folder.mkdir(exist_ok=True)
     (folder / "template.md").write_bytes((ROOT / "docs/results/template.md").read_bytes())
     (folder / "paper.json").write_text(json.dumps({"head": head, "rows": paper_rows}))
@@ -83,12 +83,25 @@ def test_page_of_all_rows(tmp_path: Path) -> None:
     assert call("page", "--folder", tmp_path, "-o", output).returncode == 0
     text = output.read_text()
     assert "{{" not in text
-    assert "| torso ribcage (ribcage) | 9,460 | 269 | 35.2 | 90 | 90 | 4.00 | 4.00 | 0.500 | 1.00 | 8 |" in text
+    assert "| torso ribcage (ribcage) | 9,460 | 269 | 35.2 | 90, 90 | 4.00 | 4.00 | 0.500 | 1.00 | 8 |" in text
     assert "| 60,000 | 4.2, 5.3 | 6.1 | 90, 90 | 10.0, 10.0 |" in text
     assert "| exponent of time | 2.00 | 2.00 |" in text
     assert call("page", "--folder", tmp_path, "-o", output, "--check").returncode == 0
     output.write_text(text.replace("0.500", "0.400"))
     assert call("page", "--folder", tmp_path, "-o", output, "--check").returncode == 1
+
+
+def test_page_of_a_machine_without_a_gpu(tmp_path: Path) -> None:
+    rows = [
+        {name: row for name, row in every.items() if not name.endswith("gpu")}
+        for every in (rows_of_paper(), rows_of_growth())
+    ]
+    write(tmp_path, *rows, adapter=None)
+    assert call("page", "--folder", tmp_path, "-o", tmp_path / "results.md").returncode == 0
+    text = (tmp_path / "results.md").read_text()
+    assert "No GPU was there" in text
+    assert "{{" not in text
+    assert "| torso ribcage (ribcage) | 9,460 | 269 | 35.2 | 90 | 4.00 | 4.00 | 20 |" in text
 
 
 def test_no_page_without_a_row(tmp_path: Path) -> None:
