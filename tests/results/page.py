@@ -4,9 +4,9 @@
     tests/results/page.py            # writes docs/results.md; or: make results-page
     tests/results/page.py --check    # whether it is what the template and the rows give
 
-`{{name}}` in docs/results/template.md stands for a table or a number of `Page.pieces`; `{{if gpu}}`, `{{else}}` and `{{end}}` part what is said where
-a GPU was there from what is said where none was. A row that is not there ends it with its name. The printed figures of the paper stand in
-`printed.py` beside this file.
+`{{name}}` in docs/results/template.md stands for a table or a number of `Page.pieces`; `{{if gpu}}`, `{{else}}` and `{{end}}` part what is
+said where a GPU was there from what is said where none was. A row that is not there ends it with its name. The printed figures of the paper
+stand in `printed.py` beside this file.
 """
 
 from __future__ import annotations
