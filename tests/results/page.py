@@ -253,6 +253,10 @@ class Page:
                 f"{max(100 * abs(runs['gpu'][key]['mean'] / runs['cpu-all'][key]['mean'] - 1) for runs in every):.2f}"
             )
 
+        def raw(key: str, mode: str) -> str:
+            every = [run for name in OBJECTS for run in self.runs("1", name, mode).values()]
+            return span([run["raw"][key] for run in every], 3 if key == "mean" else 2)
+
         def ribs(engine: str, key: str, digits: int = 2) -> str:
             return f"{self.row('2', 'torso ribcage', 'as printed', engine)[key]:.{digits}f}"
 
@@ -275,6 +279,7 @@ class Page:
             "h of table 3": lambda: f"{H_OF_TABLE_3:g}",
             "largest h": lambda: f"{LARGEST_H:g}",
             **{f"smallest h of level {level}": partial(format, h, "g") for level, h in SMALLEST_H.items()},
+            **{f"{key} ratios {mode}": partial(raw, key, mode) for key in ("mean", "smallest") for mode in MODES},
             "difference of particles": partial(difference, "raw"),
             "difference of meshes": partial(difference, "finished"),
             "ribcage device": partial(ribs, "gpu", "device", 3),
