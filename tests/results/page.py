@@ -131,14 +131,14 @@ TABLE_1 = [
     Column("exit codes", lambda _, runs: ", ".join(str(run["exit_code"]) for run in runs.values())),
 ]
 TABLE_2 = [
-    *organ_columns(printed.times, "printed: CPU, s", "GPU, s", "speed-up"),
+    *organ_columns(printed.times, "printed: CPU, s", "printed: GPU, s", "printed: speed-up"),
     Column("particles", lambda _, runs: pair(runs, "particles", ",")),
     *TIMES,
 ]
 TABLE_3 = [
     Column("seeds", lambda name, _: f"{int(name):,}"),
     Column("printed: deleted, %", lambda name, _: ", ".join(f"{part:.1f}" for part in printed.lost(int(name)))),
-    Column("speed-up", lambda name, _: f"{printed.TABLE_3[int(name)][0] / printed.TABLE_3[int(name)][2]:.1f}"),
+    Column("printed: speed-up", lambda name, _: f"{printed.TABLE_3[int(name)][0] / printed.TABLE_3[int(name)][2]:.1f}"),
     Column("left", lambda _, runs: pair(runs, "particles", ",")),
     Column(
         "deleted, %", lambda _, runs: ", ".join(f"{lost(runs[key]):.1f}" for key in ("cpu-1", "gpu") if key in runs)
@@ -148,7 +148,7 @@ TABLE_3 = [
 TABLE_4 = [
     Column("epsilon / delta, level", lambda name, _: name.replace("/", " / ").replace(" level", ", level")),
     Column("printed: particles", lambda name, _: "{1:,}, {3:,}".format(*OF_SWEEP[name])),
-    Column("speed-up", lambda name, _: f"{OF_SWEEP[name][0] / OF_SWEEP[name][2]:.1f}"),
+    Column("printed: speed-up", lambda name, _: f"{OF_SWEEP[name][0] / OF_SWEEP[name][2]:.1f}"),
     Column("h, mm", lambda _, runs: f"{runs['cpu-1']['h'][0]:.2f} to {runs['cpu-1']['h'][2]:.2f}"),
     Column("particles", lambda _, runs: pair(runs, "particles", ",")),
     *TIMES,
@@ -309,7 +309,7 @@ class Page:
         # {{if gpu}} ... {{else}} ... {{end}}
         choice = re.compile(r"\{\{if gpu\}\}(.*?)\{\{else\}\}(.*?)\{\{end\}\}", re.DOTALL)
         template = choice.sub(lambda match: match.group(1 if self.gpu else 2), template)
-        return re.sub(r"\{\{([^}]+)\}\}", piece, template)
+        return re.sub(r"\n{3,}", "\n\n", re.sub(r"\{\{([^}]+)\}\}", piece, template))
 
 
 def main() -> int:
