@@ -186,8 +186,18 @@ pub(crate) fn sources() -> impl Iterator<Item = &'static Source> {
 }
 
 impl Source {
+    /// What this kernel makes of a variant: a bin has a workgroup of one team, as wide as the subgroup, whatever team suits those that share a workgroup. Its particles
+    /// wait for each other, and more lanes make each of them quicker.
+    pub(crate) fn variant(&self, variant: Variant) -> Variant {
+        match self.name {
+            "move_bins" => Variant { subgroup_team: variant.subgroup_team.map(|_| 32), ..variant },
+            _ => variant,
+        }
+    }
+
     /// The whole text for an adapter.
     pub(crate) fn compose(&self, variant: Variant) -> String {
+        let variant = self.variant(variant);
         let mut text = declarations(variant);
         for piece in self.pieces {
             let piece = match piece {

@@ -6,7 +6,7 @@ use crate::cpu::{OnStrata, settle_sheets, settle_sheets_with};
 use crate::gpu::adapter::{Choice, Gpu};
 use crate::gpu::engine::GpuEngine;
 use crate::implicit::Sheets;
-use crate::settle::{Engine, Parameters, PassRecord, Summary};
+use crate::settle::{Binning, Engine, Order, Parameters, PassRecord, Summary};
 use crate::state::Fields;
 use isoparticles_field::materials::{Indicators, Materials};
 use isoparticles_field::particle_set::Strata;
@@ -40,14 +40,18 @@ fn settled(
 fn sheets_fill_on_the_device_as_on_the_cpu() {
     let Some(gpu) = any_gpu("sheets_fill_on_the_device_as_on_the_cpu", Choice::default()) else { return };
     let parameters = Parameters { levels: 1, max_passes: 50, ..Parameters::default() };
-    for (name, body) in
-        [("nested balls", nested(1.0, 900)), ("sectors", sectors(1.0, 400)), ("corners", corners(1.0, 500))]
-    {
+    let in_bins = Parameters { binning: Binning::Uniform, order: Order::Bins, ..parameters.clone() };
+    for (name, body, parameters) in [
+        ("nested balls", nested(1.0, 900), &parameters),
+        ("sectors", sectors(1.0, 400), &parameters),
+        ("corners", corners(1.0, 500), &parameters),
+        ("sectors in the order of bins", sectors(1.0, 400), &in_bins),
+    ] {
         let materials = body.sampled();
         let surface = Sheets::new(&materials, 1.0);
         let fields = Fields { surface: &surface, sizing: &body.sizing };
-        let (on_cpu, of_cpu) = settle_sheets(&body.seeds, None, &fields, &parameters, |_, _| Ok(())).unwrap();
-        let (on_gpu, of_gpu) = settled(&gpu, (&body, &materials), &parameters, None, |_, _| ());
+        let (on_cpu, of_cpu) = settle_sheets(&body.seeds, None, &fields, parameters, |_, _| Ok(())).unwrap();
+        let (on_gpu, of_gpu) = settled(&gpu, (&body, &materials), parameters, None, |_, _| ());
         println!("{name}: {of_cpu:?} {of_gpu:?}");
         let held = on_gpu.1.of.partition_point(|on| on.dimension() < 2);
         assert_eq!(on_gpu.0.positions[..held], body.seeds.0.positions[..held]);

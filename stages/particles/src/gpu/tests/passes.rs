@@ -79,28 +79,31 @@ fn every_run_gives_the_same_bytes_also_a_resumed_one_and_one_in_slabs() {
     let Some(gpu) = any_gpu("repeatability", Choice::default()) else { return };
     let scene = Scene::bumpy_torus(900);
     let fields = scene.fields();
-    let parameters = Parameters { max_passes: 27, ..Parameters::default() };
-    let mut kept: Option<(Vec<PassRecord>, ParticleSet)> = None;
-    let mut records = Vec::new();
-    let mut engine = GpuEngine::new(&gpu, &fields, &scene.seeds, &parameters).unwrap();
-    let whole = settle_with(&mut engine, &fields, &parameters, &[], |record, engine| {
-        records.push(*record);
-        if record.pass == 10 {
-            kept = Some((records.clone(), engine.particles()?));
-        }
-        Ok(())
-    })
-    .unwrap();
-    assert!(records.iter().map(|r| r.inserted).sum::<usize>() > 50, "the seeds were to be too few");
-    assert!(whole.0 == settled(&gpu, &scene, &parameters).0, "two runs differ");
-    let (records, set) = kept.unwrap();
-    let mut engine = GpuEngine::new(&gpu, &fields, &set, &parameters).unwrap();
-    let resumed = settle_with(&mut engine, &fields, &parameters, &records, |_, _| Ok(())).unwrap();
-    assert!(whole.0 == resumed.0, "a resumed run differs");
-    let Some(narrow) = any_gpu("slabs", Choice { largest_slab: Some(48 * 1024), ..Choice::default() }) else {
-        return;
-    };
-    assert!(whole.0 == settled(&narrow, &scene, &parameters).0, "slabs make a difference");
+    let in_classes = Parameters { max_passes: 27, ..Parameters::default() };
+    let in_bins = Parameters { binning: Binning::Uniform, order: Order::Bins, ..in_classes.clone() };
+    for parameters in [in_classes, in_bins] {
+        let mut kept: Option<(Vec<PassRecord>, ParticleSet)> = None;
+        let mut records = Vec::new();
+        let mut engine = GpuEngine::new(&gpu, &fields, &scene.seeds, &parameters).unwrap();
+        let whole = settle_with(&mut engine, &fields, &parameters, &[], |record, engine| {
+            records.push(*record);
+            if record.pass == 10 {
+                kept = Some((records.clone(), engine.particles()?));
+            }
+            Ok(())
+        })
+        .unwrap();
+        assert!(records.iter().map(|r| r.inserted).sum::<usize>() > 50, "the seeds were to be too few");
+        assert!(whole.0 == settled(&gpu, &scene, &parameters).0, "two runs differ");
+        let (records, set) = kept.unwrap();
+        let mut engine = GpuEngine::new(&gpu, &fields, &set, &parameters).unwrap();
+        let resumed = settle_with(&mut engine, &fields, &parameters, &records, |_, _| Ok(())).unwrap();
+        assert!(whole.0 == resumed.0, "a resumed run differs");
+        let Some(narrow) = any_gpu("slabs", Choice { largest_slab: Some(48 * 1024), ..Choice::default() }) else {
+            return;
+        };
+        assert!(whole.0 == settled(&narrow, &scene, &parameters).0, "slabs make a difference");
+    }
 }
 
 #[test]
