@@ -104,6 +104,20 @@ def test_page_of_a_machine_without_a_gpu(tmp_path: Path) -> None:
     assert "| torso ribcage (ribcage) | 9,460 | 269 | 35.2 | 90 | 4.00 | 4.00 | 20 |" in text
 
 
+@pytest.mark.parametrize("adapter", [None, "a (b)"])
+def test_pictures(tmp_path: Path, adapter: str | None) -> None:
+    pytest.importorskip("matplotlib")
+    write(tmp_path, rows_of_paper(), rows_of_growth(), adapter)
+    done = call("plots", "--folder", tmp_path, "--images", tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert sorted(path.stem for path in tmp_path.glob("*.png")) == [
+        "results-fig7",
+        "results-fig8",
+        "results-fig9",
+        "results-growth",
+    ]
+
+
 def test_no_page_without_a_row(tmp_path: Path) -> None:
     for place in ("paper", "growth"):
         rows = {"paper": rows_of_paper(), "growth": rows_of_growth()}
