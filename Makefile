@@ -89,7 +89,7 @@ case = $(call quote,$(BIN)/isoparticles-case) $(1) $(foreach key,$(KEYS) OUT VER
 # --- Goals ------------------------------------------------------------------------------------------------------------
 
 .PHONY: help $(CASE_GOALS) demo cases batch cluster index build env snakemake-env wheel completions doctor test format lint documentation test-rust test-python fuzz deny bench-stages \
-        bench-particles bench-gpu bench-delaunay bench-convergence bench-marching-cubes bench-scale bench-remeshers bench-peers bench-scaling bench-kills bench-batch bench-solvers notebook
+        bench-particles bench-gpu bench-delaunay bench-convergence bench-marching-cubes bench-scale bench-remeshers bench-peers bench-scaling bench-kills bench-batch bench-solvers bench-paper bench-growth results-page notebook
 
 define HELP
 Volumes in, simulation-ready meshes out.
@@ -124,6 +124,9 @@ Volumes in, simulation-ready meshes out.
   make bench-kills N=100                       kills at random moments of a small chain, and the same files after another run
   make bench-batch                             a batch of 50 phantoms, real volumes and broken rows, interrupted and called again
   make bench-solvers                           a known problem solved by every finite-element program that is here, on the file that it reads
+  make bench-paper                             the paper's Tables 1 to 4 as rows of docs/results/paper.json (BENCH_OPTIONS=--quick and the like)
+  make bench-growth                            time and memory of every stage by voxels, particles, cores and materials, docs/results/growth.json
+  make results-page                            docs/results.md and its pictures of those rows
   make notebook                                docs/notebooks/volume-to-solve.ipynb, run from first to last into OUT/notebook
   make bench-remeshers                         every packaged remesher beside ours at several numbers of vertices (REMESHER_CASES=... REMESHER_VERTICES=...)
   make bench-scale                             coarse meshes of real volumes against two remeshers (SCALE_CASES=... SCALE_VERTICES=...)
@@ -282,6 +285,8 @@ test-python: build env wheel
 	cd stages/tetmesh-check && $(abspath $(VENV))/bin/ruff check . && $(abspath $(VENV))/bin/ruff format --check . \
 	  && $(abspath $(VENV))/bin/mypy && $(abspath $(VENV))/bin/pytest -q
 	for verb in check 'format --check'; do $(VENV)/bin/ruff $$verb --config stages/tetmesh-check/pyproject.toml pipelines/call.py tests/check_materials.py tests/kills.py tests/batch.py tests/scaling.py tests/solvers.py || exit $$?; done
+	for verb in check 'format --check'; do $(VENV)/bin/ruff $$verb --config stages/tetmesh-check/pyproject.toml pipelines/call.py tests/check_materials.py tests/kills.py tests/batch.py tests/scaling.py tests/test_docs.py tests/results || exit $$?; done
+	$(VENV)/bin/pytest -q -p no:cacheprovider tests/test_docs.py tests/results
 	cd pipelines/wheel && settings=../../stages/tetmesh-check/pyproject.toml && $(abspath $(VENV))/bin/ruff check --config $$settings . \
 	  && $(abspath $(VENV))/bin/ruff format --config $$settings --check . \
 	  && $(abspath $(VENV))/bin/mypy --strict --python-version 3.11 src/isoparticles \
@@ -414,6 +419,19 @@ bench-peers: build env $(SCALE_PEERS)
 # The same volumes through all stages on 1, 2, 4 ... threads, step by step; BENCH_OPTIONS="--threads 2 4 8 16 --rounds 3".
 bench-scaling: build
 	DATA=$(DATA) python3 tests/scaling.py $(PEER_CASES) --bin $(BIN) --work $(OUT)/bench-scaling $(BENCH_OPTIONS)
+
+# The paper's tables and figures again, and how every stage grows; both need a GPU for all their rows, and go on where they were stopped.
+# BENCH_OPTIONS="--tables 2 1", "--series cores", "--time-limit 540", "--quick --no-gpu --json FILE".
+bench-paper: build
+	@python3 tests/results/paper.py --data $(DATA) --bin $(BIN) --work $(OUT)/paper --keep $(OUT)/paper-surfaces $(BENCH_OPTIONS)
+
+bench-growth: build
+	@python3 tests/results/growth.py --bin $(BIN) --work $(OUT)/growth $(BENCH_OPTIONS)
+
+# The page and pictures of what those two left.
+results-page: env
+	@$(VENV)/bin/python tests/results/page.py && $(VENV)/bin/python tests/results/plots.py \
+	  && { [ ! -d $(OUT)/paper-surfaces ] || $(VENV)/bin/python tests/results/plots.py --closeups $(OUT)/paper-surfaces; }
 
 $(BENCH_VENV)-scale/.made: $(SCALE_BENCH)/peers.lock | env
 	$(VENV)/bin/python -m venv --clear $(BENCH_VENV)-scale

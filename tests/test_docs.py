@@ -1,0 +1,113 @@
+"""Tables of figures in README.md and docs have the command that gives them beside them.
+
+Beside: in the paragraph before or after, in the first one of the section, or in a section of the page that one of these links to.
+"""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+
+NUMBER = re.compile(r"^[-+~<]?\d[\d,.]*( ?%)?$")
+"""A cell, or a part of it, that is a figure."""
+SHARE = 0.5
+"""Of the cells of a column that are figures, from which on it is one of figures."""
+PROGRAMS = (
+    "make|cargo|distfield|sizefield|seed|particles|reconstruct|phantom|tetmesh-check|isoparticles|python|perf|time"
+)
+COMMAND = re.compile(rf"(^|[ /`=])({PROGRAMS}) +[^ ]|(^|[ /])[\w-]+\.(py|sh)\b")
+CODE = re.compile(r"`+([^`]+)`+")
+LINK = re.compile(r"\]\(#([\w-]+)\)")
+
+
+def cells(line: str) -> list[str]:
+    """The cells of a row."""
+    return [cell.strip() for cell in line.strip().strip("|").split("|")]
+
+
+def is_figure(cell: str) -> bool:
+    """Whether a cell is a number, or a few: `0.98 / 0.72`, `3 to 4`, `12, 13`."""
+    parts = [part for part in re.split(r" / | to | and |, |; ", cell.replace("**", "")) if part]
+    return bool(parts) and all(NUMBER.match(part.strip()) for part in parts)
+
+
+def has_figures(rows: list[str]) -> bool:
+    """Whether any column but the first is one of figures."""
+    body = [cells(row) for row in rows[2:]]
+    width = min((len(row) for row in body), default=0)
+    return any(sum(is_figure(row[i]) for row in body) > SHARE * len(body) for i in range(1, width))
+
+
+def anchor(heading: str) -> str:
+    """What a link to a heading says."""
+    return re.sub(r"[^\w -]", "", heading.strip("# ").lower()).replace(" ", "-")
+
+
+def sections(text: str) -> dict[str, list[str]]:
+    """The lines below each heading, by its anchor."""
+    found: dict[str, list[str]] = {"": []}
+    name, fenced = "", False
+    for line in text.splitlines():
+        fenced ^= line.startswith("```")
+        if line.startswith("#") and not fenced:
+            name = anchor(line)
+        found.setdefault(name, []).append(line)
+    return found
+
+
+def has_command(lines: list[str]) -> bool:
+    """Whether there is a command: in the line, in a fence, or indented."""
+    codes = [*CODE.findall("\n".join(lines)), *(line for line in lines if line.startswith("    "))]
+    return any(COMMAND.search(code) for code in codes)
+
+
+def blocks(lines: list[str]) -> list[list[str]]:
+    """Paragraphs and tables: what stands between empty lines; a list belongs to the paragraph before it."""
+    found: list[list[str]] = [[]]
+    for line in lines:
+        if line.strip():
+            found[-1].append(line)
+        elif found[-1]:
+            found.append([])
+    joined: list[list[str]] = []
+    for block in found:
+        if block and block[0].startswith("- ") and joined:
+            joined[-1] += block
+        elif block:
+            joined.append(block)
+    return joined
+
+
+def without_command(text: str) -> list[str]:
+    """Head rows of the tables of figures that have no command beside them."""
+    found = []
+    parts = sections(text)
+    for lines in parts.values():
+        own = blocks(lines)
+        for i, block in enumerate(own):
+            if not block[0].startswith("|") or not has_figures(block):
+                continue
+            places = [own[j] for j in (i - 1, i + 1, 1) if 0 <= j < len(own) and not own[j][0].startswith("|")]
+            beside = [line for place in places for line in place]
+            links = [parts.get(name, []) for name in LINK.findall("\n".join(beside))]
+            if not has_command(beside) and not any(map(has_command, links)):
+                found.append(block[0])
+    return found
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_tables_of_figures_have_their_command(page: Path) -> None:
+    assert without_command(page.read_text(encoding="utf-8")) == []
+
+
+def test_a_table_without_a_command_is_found() -> None:
+    table = "| stage | s |\n|---|---|\n| seed | 0.4 |\n| particles | 1.2, 1.3 |\n"
+    assert without_command(f"# Times\n\n{table}") == ["| stage | s |"]
+    assert without_command(f"# Times\n\n`make bench-stages`:\n\n{table}") == []
+    assert without_command(f"# How\n\n    make bench-stages\n\n# Times\n\n[How](#how)\n\n{table}") == []
+    assert without_command("# Words\n\n| word | meaning |\n|---|---|\n| F | the field of 3 axes |\n") == []
