@@ -226,7 +226,8 @@ class Page:
                 if row is None:
                     line.append("-")
                     continue
-                line.append(f"{row['seconds']:.2f}, {row['bytes'] / 2**20:,.0f}")
+                failed = " (exit code 1)" if row.get("exit_code") else ""
+                line.append(f"{row['seconds']:.2f}, {row['bytes'] / 2**20:,.0f}{failed}")
                 points.setdefault(heading, []).append((size, row["seconds"]))
                 memory.setdefault(heading, []).append((size, row["bytes"]))
             lines.append(line)
