@@ -104,7 +104,7 @@ TIMES = [
     Column("all cores, s", lambda _, runs: f"{runs['cpu-all']['settle']:.2f}"),
     Column("GPU, s", lambda _, runs: f"{runs['gpu']['device']:.3f}", of_gpu=True),
     Column("GPU's process, s", lambda _, runs: f"{runs['gpu']['wall']:.2f}", of_gpu=True),
-    Column("speed-up", lambda _, runs: f"{speed_up(runs):.0f}", of_gpu=True),
+    Column("speed-up", lambda _, runs: f"{speed_up(runs):.1f}", of_gpu=True),
     Column("passes", lambda _, runs: pair(runs, "passes", "d")),
     Column("energy over ideal", lambda _, runs: pair(runs, "energy_ratio", ".3f")),
 ]
@@ -248,8 +248,8 @@ class Page:
     def pieces(self) -> dict[str, Callable[[], str]]:
         """What stands for each name of the template."""
 
-        def difference(key: str) -> str:
-            every = [self.runs("1", name, mode) for name in OBJECTS for mode in MODES]
+        def difference(key: str, mode: str) -> str:
+            every = [self.runs("1", name, mode) for name in OBJECTS]
             return (
                 f"{max(100 * abs(runs['gpu'][key]['mean'] / runs['cpu-all'][key]['mean'] - 1) for runs in every):.2f}"
             )
@@ -258,15 +258,18 @@ class Page:
             every = [run for name in OBJECTS for run in self.runs("1", name, mode).values()]
             return span([run["raw"][key] for run in every], 3 if key == "mean" else 2)
 
-        def ribs(engine: str, key: str, digits: int = 2) -> str:
-            return f"{self.row('2', 'torso ribcage', 'as printed', engine)[key]:.{digits}f}"
+        def ribs(engine: str, key: str, digits: int = 2, mode: str = "as printed") -> str:
+            return f"{self.row('2', 'torso ribcage', mode, engine)[key]:.{digits}f}"
 
         def over(place: str, figure: Callable[[Row], float], digits: int) -> str:
             every = [run for name in CASES[place] for run in self.runs(place, name).values()]
             return span([figure(run) for run in every], digits)
 
         def speed_ups(place: str) -> str:
-            return span([speed_up(self.runs(place, name)) for name in CASES[place]], 0)
+            return span([speed_up(self.runs(place, name)) for name in CASES[place]], 1)
+
+        def speed_ups_of_defaults() -> str:
+            return span([speed_up(self.runs("2", name, "defaults")) for name in OBJECTS], 0)
 
         return {
             "machine": self.machine,
@@ -281,10 +284,14 @@ class Page:
             "largest h": lambda: f"{LARGEST_H:g}",
             **{f"smallest h of level {level}": partial(format, h, "g") for level, h in SMALLEST_H.items()},
             **{f"{key} ratios {mode}": partial(raw, key, mode) for key in ("mean", "smallest") for mode in MODES},
-            "difference of particles": partial(difference, "raw"),
-            "difference of meshes": partial(difference, "finished"),
+            **{f"difference of particles {mode}": partial(difference, "raw", mode) for mode in MODES},
+            **{f"difference of meshes {mode}": partial(difference, "finished", mode) for mode in MODES},
+            "speed-ups of the defaults": speed_ups_of_defaults,
+            "devices of table 4": lambda: span([self.runs("4", name)["gpu"]["device"] for name in CASES["4"]], 2),
             "ribcage device": partial(ribs, "gpu", "device", 3),
             "ribcage process": partial(ribs, "gpu", "wall"),
+            "ribcage device defaults": partial(ribs, "gpu", "device", 3, "defaults"),
+            "ribcage thread defaults": partial(ribs, "cpu-1", "settle", 1, "defaults"),
             "ribcage thread": partial(ribs, "cpu-1", "settle", 1),
             "ribcage cores": partial(ribs, "cpu-all", "settle"),
             **{f"speed-ups of table {place}": partial(speed_ups, place) for place in "234"},

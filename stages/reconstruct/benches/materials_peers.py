@@ -66,7 +66,14 @@ def timed(command: list[str], limit: float) -> float:
 def interfaces(points: np.ndarray, tetrahedra: np.ndarray, regions: np.ndarray) -> tuple[np.ndarray, ...]:
     """Triangles between tetrahedra of different materials, wound outward from the higher number; and both numbers."""
     corners = points[tetrahedra]
-    turned = np.einsum("ij,ij->i", np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), corners[:, 3] - corners[:, 0]) < 0
+    turned = (
+        np.einsum(
+            "ij,ij->i",
+            np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]),
+            corners[:, 3] - corners[:, 0],
+        )
+        < 0
+    )
     cells = tetrahedra.copy()
     cells[turned] = cells[turned][:, [1, 0, 2, 3]]
     faces = np.concatenate([cells[:, list(face)] for face in ((0, 2, 1), (0, 1, 3), (1, 2, 3), (0, 3, 2))])
@@ -163,7 +170,9 @@ def by_cleaver(case: Case, materials: np.ndarray, length: float) -> Peer:
         regions = made["regions"]
         # what it puts round the image has a number of its own
         regions = np.where(regions > materials.max(), 0, regions)
-        return Peer(made["points"], made["tetrahedra"].astype(np.int64), regions, float(made["seconds"]), int(made["bytes"]))
+        return Peer(
+            made["points"], made["tetrahedra"].astype(np.int64), regions, float(made["seconds"]), int(made["bytes"])
+        )
 
 
 def junctions_of(materials: np.ndarray) -> list[np.ndarray]:

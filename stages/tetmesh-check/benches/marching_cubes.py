@@ -32,7 +32,7 @@ _PROBLEMS = ("poisson", "conduction", "elasticity")
 _COLUMNS = (
     "case", "surface", "made in, s", "vertices", "smallest radius ratio, triangles", "tetrahedra", "filled in, s", "smallest dihedral",
     "radius ratio, smallest / mean", "checks", *(f"{name}: unknowns; multigrid / Jacobi / plain (condition)" for name in _PROBLEMS),
-    "solved in, s",
+    "error of the known solution, L2 / H1, %", "solved in, s",
 )  # fmt: skip
 KINDS = ("particles", "marching-cubes", "marching-cubes-resampled", "remesh_botsch")
 
@@ -157,6 +157,9 @@ def _solves(solve: dict[str, Any]) -> list[str]:
         condition = (figures["plain"] or {}).get("condition")
         shown = "" if condition is None else f" ({condition:.2g})"
         cells.append(f"{figures['unknowns']:,}; {' / '.join(words)}{shown}")
+    poisson = solve.get("poisson") or {}
+    errors = [poisson.get(f"relative_{norm}_error") for norm in ("l2", "h1")]
+    cells.append(" / ".join("-" if error is None else f"{100.0 * error:.3g}" for error in errors))
     return cells
 
 
