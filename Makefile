@@ -37,7 +37,7 @@ KEYS := NAME INPUT PHANTOM SERIES ISO LABELS MATERIALS INSIDE BORDER SCALE EPSIL
 $(foreach key,$(KEYS) CASE CASES,$(if $(filter environment,$(origin $(key))),$(eval undefine $(key))))
 # What this file knows besides.
 OTHERS := CASE CASES LIST TIME_LIMIT PROFILE CLUSTER_OPTIONS SNAKEMAKE SNAKEMAKE_VENV BIN NO_BUILD CARGO CARGO_TARGET_DIR VENV TETMESH_CHECK HXT DATA OUT VERBOSITY THREADS PARTS GOAL SIZES \
-          BENCH_OPTIONS FUZZ_SECONDS FUZZ_JOBS FUZZ_TARGETS COMPARED COMPARE_OPTIONS REMESHER BENCH_VENV SCALE_CASES SCALE_VERTICES REMESHER_CASES REMESHER_VERTICES N KILL_SEED
+          BENCH_OPTIONS FUZZ_SECONDS FUZZ_JOBS FUZZ_TARGETS COMPARED COMPARE_OPTIONS REMESHER BENCH_VENV SCALE_CASES SCALE_VERTICES REMESHER_CASES REMESHER_VERTICES MATERIALS_CASES N KILL_SEED
 # Goals over one case.
 CASE_GOALS := distfield sizefield seed particles reconstruct surface mesh page verdict info clean
 
@@ -89,7 +89,7 @@ case = $(call quote,$(BIN)/isoparticles-case) $(1) $(foreach key,$(KEYS) OUT VER
 # --- Goals ------------------------------------------------------------------------------------------------------------
 
 .PHONY: help $(CASE_GOALS) demo cases batch cluster index build env snakemake-env wheel completions doctor test format lint documentation test-rust test-python fuzz deny bench-stages \
-        bench-particles bench-gpu bench-delaunay bench-convergence bench-marching-cubes bench-scale bench-remeshers bench-peers bench-scaling bench-kills bench-batch bench-solvers bench-paper bench-growth results-page notebook
+        bench-particles bench-gpu bench-delaunay bench-convergence bench-marching-cubes bench-scale bench-remeshers bench-materials-peers bench-peers bench-scaling bench-kills bench-batch bench-solvers bench-paper bench-growth results-page notebook
 
 define HELP
 Volumes in, simulation-ready meshes out.
@@ -129,6 +129,7 @@ Volumes in, simulation-ready meshes out.
   make results-page                            docs/results.md and its pictures of those rows
   make notebook                                docs/notebooks/volume-to-solve.ipynb, run from first to last into OUT/notebook
   make bench-remeshers                         every packaged remesher beside ours at several numbers of vertices (REMESHER_CASES=... REMESHER_VERTICES=...)
+  make bench-materials-peers                   many materials beside CGAL's Mesh_3, Cleaver and surface nets (MATERIALS_CASES=...; g++, libcgal-dev)
   make bench-scale                             coarse meshes of real volumes against two remeshers (SCALE_CASES=... SCALE_VERTICES=...)
 
 Parameters of a case, with the stages' defaults where left out; they come before what a case's file says:
@@ -284,7 +285,7 @@ test-rust: build env
 test-python: build env wheel
 	cd stages/tetmesh-check && $(abspath $(VENV))/bin/ruff check . && $(abspath $(VENV))/bin/ruff format --check . \
 	  && $(abspath $(VENV))/bin/mypy && $(abspath $(VENV))/bin/pytest -q
-	for verb in check 'format --check'; do $(VENV)/bin/ruff $$verb --config stages/tetmesh-check/pyproject.toml pipelines/call.py tests/check_materials.py tests/kills.py tests/batch.py tests/scaling.py tests/solvers.py || exit $$?; done
+	for verb in check 'format --check'; do $(VENV)/bin/ruff $$verb --config stages/tetmesh-check/pyproject.toml pipelines/call.py tests/check_materials.py tests/kills.py tests/batch.py tests/scaling.py tests/solvers.py stages/reconstruct/benches stages/distfield/benches/scale.py stages/distfield/benches/remesh_peers.py || exit $$?; done
 	for verb in check 'format --check'; do $(VENV)/bin/ruff $$verb --config stages/tetmesh-check/pyproject.toml pipelines/call.py tests/check_materials.py tests/kills.py tests/batch.py tests/scaling.py tests/test_docs.py tests/results || exit $$?; done
 	$(VENV)/bin/pytest -q -p no:cacheprovider tests/test_docs.py tests/results
 	cd pipelines/wheel && settings=../../stages/tetmesh-check/pyproject.toml && $(abspath $(VENV))/bin/ruff check --config $$settings . \
@@ -406,9 +407,23 @@ bench-scale: build $(SCALE_PEERS)
 # Blurred label maps remeshed by every remesher that is packaged, at several numbers of vertices, and marching cubes and surface nets as they are.
 REMESHER_CASES ?= @$(SCALE_BENCH)/remeshers.txt
 REMESHER_VERTICES ?= 5000 20000 75000 400000
-bench-remeshers: build $(SCALE_PEERS)
-	DATA=$(DATA) $(SCALE_PYTHON) $(SCALE_BENCH)/scale.py $(REMESHER_CASES) --vertices $(REMESHER_VERTICES) --bin $(BIN) --work $(OUT)/bench-remeshers \
+bench-remeshers: build env $(BENCH_VENV)-scale/.made
+	DATA=$(DATA) $(VENV)/bin/python $(SCALE_BENCH)/scale.py $(REMESHER_CASES) --vertices $(REMESHER_VERTICES) --bin $(BIN) --work $(OUT)/bench-remeshers \
 	  --peers $(BENCH_VENV)-scale/bin/python --programs marching-cubes surface-nets botsch cgal mmg pymeshlab instant-meshes acvd $(BENCH_OPTIONS)
+
+# Many materials beside CGAL's Mesh_3 (g++, libcgal-dev), Cleaver and surface nets.
+MATERIALS_CASES ?= 'mickey=$$DATA/mickey_labels.nrrd;--material all' 'torso=torso --kind label --size 134,65,89 --spacing 2.6;--material all --scale-for-size 3;--uniform 3'
+MATERIALS_BENCH = stages/reconstruct/benches
+bench-materials-peers: build env $(BENCH_VENV)-cleaver/.made
+	@mkdir -p $(OUT)/materials-peers
+	g++ -O2 -std=c++17 $(MATERIALS_BENCH)/mesh_3.cpp -o $(OUT)/materials-peers/mesh_3 -lz -lgmp -lmpfr
+	DATA=$(DATA) $(VENV)/bin/python $(MATERIALS_BENCH)/materials_peers.py $(MATERIALS_CASES) --bin $(BIN) --tetmesh-check $(TETMESH_CHECK) --work $(OUT)/materials-peers \
+	  --cleaver $(BENCH_VENV)-cleaver/bin/python --mesh-3 $(OUT)/materials-peers/mesh_3 $(BENCH_OPTIONS)
+
+$(BENCH_VENV)-cleaver/.made: $(MATERIALS_BENCH)/cleaver.lock | env
+	$(VENV)/bin/python -m venv --clear $(BENCH_VENV)-cleaver
+	$(BENCH_VENV)-cleaver/bin/python -m pip install --quiet --disable-pip-version-check --no-input --only-binary :all: --require-hashes -r $(MATERIALS_BENCH)/cleaver.lock
+	@touch $@
 
 # From label maps to triangles of one edge length, ours beside gpytoolbox's and CGAL's remeshing of the same blurred labels.
 PEER_CASES ?= @$(SCALE_BENCH)/peers.txt

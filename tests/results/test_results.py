@@ -83,7 +83,7 @@ def test_page_of_all_rows(tmp_path: Path) -> None:
     assert call("page", "--folder", tmp_path, "-o", output).returncode == 0
     text = output.read_text()
     assert "{{" not in text
-    assert "| torso ribcage (ribcage) | 9,460 | 269 | 35.2 | 90, 90 | 4.00 | 4.00 | 0.500 | 1.00 | 8 |" in text
+    assert "| torso ribcage (ribcage) | 9,460 | 269 | 35.2 | 90, 90 | 4.00 | 4.00 | 0.500 | 1.00 | 8.0 |" in text
     assert "| 60,000 | 4.2, 5.3 | 6.1 | 90, 90 | 10.0, 10.0 |" in text
     assert "| exponent of time | 2.00 | 2.00 |" in text
     assert call("page", "--folder", tmp_path, "-o", output, "--check").returncode == 0

@@ -38,7 +38,10 @@ def cgal(points: np.ndarray, triangles: np.ndarray, length: float) -> tuple[np.n
 
 
 def mmg(points: np.ndarray, triangles: np.ndarray, length: float) -> tuple[np.ndarray, np.ndarray]:
-    """MMGS with one size; it may leave the surface by an edge length, since its default refines by curvature; no ridges, which blurred labels have none of."""
+    """MMGS with one size.
+
+    It may leave the surface by an edge length, since its default refines by curvature; and there are no ridges on blurred labels.
+    """
     from mmgpy import MmgMeshS
 
     mesh = MmgMeshS(points, triangles.astype(np.int32))

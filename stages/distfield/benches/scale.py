@@ -12,10 +12,12 @@ the data; "s" is from the volume on and, in brackets, from the smoothed field on
 tetmesh-check with all its default checks: number of tetrahedra and exit code. With --peers PYTHON (an interpreter with
 peers.lock: `make bench-scale` makes it) rows of other remeshers (--programs) stand below ours: each on
 marching cubes of the same smoothed field, to as many vertices as ours within 3 %; their seconds are marching cubes and the last
-try. Their angles, ratios and volumes are computed here, ours are those of the report. "Crossing" are pairs of triangles that cut through each other.
+try. Their angles, ratios and volumes are computed here, ours are those of the report. "Crossing" are pairs of triangles that cut
+through each other.
 Marching cubes and surface nets themselves have the vertices that the grid gives.
 
-A case with a --scale of its own keeps it for every number of vertices, and its distance is that from the zero set of that field (@remeshers.txt).
+A case with a --scale of its own keeps it for every number of vertices, and its distance is that from the zero set of that field
+(@remeshers.txt).
 
 With --as-given scale and edge length are those of the case's options (@peers.txt: `make bench-peers`), and a peer goes by itself from
 the label map on: read by VTK, the label's indicator blurred by a Gaussian of half the scale, marching cubes at a half, the last try.
@@ -275,15 +277,13 @@ def peer_row(case: Case, vertices: int, ours: int, before: float, program: str) 
     """Row of another remesher on the smoothed field of our row, to as many vertices as ours."""
     import numpy as np
     import pyvista as pv
+
     from tetmesh_check.intersections import self_intersections
 
     key = str(vertices)
     start = time.monotonic()
     field, level = (blurred(case), 0.5) if case.as_given else (pv.read(case.file(key, "distfield.vti")), 0.0)
-    if program == "surface-nets":
-        contour = nets(field, level)
-    else:
-        contour = field.contour([level], method="flying_edges")
+    contour = nets(field, level) if program == "surface-nets" else field.contour([level], method="flying_edges")
     seconds = time.monotonic() - start
     job, result = case.file(key, "job.npz"), Path(case.file(key, f"{program}.npz"))
     np.savez(job, points=contour.points, triangles=contour.regular_faces, vertices=ours)

@@ -2,8 +2,8 @@
 
     python cleaver.py JOB.npz RESULT.npz    # an interpreter with cleaver.lock
 
-JOB: ``materials`` (numbers from 0, shape (nx, ny, nz)) and ``sampling`` (of the lattice, 1: a node a voxel). RESULT: ``points`` in voxels, 0 the
-centre of the first one, ``tetrahedra`` and ``regions``, and ``seconds`` and ``bytes``, the peak memory of this process.
+JOB: ``materials`` (numbers from 0, shape (nx, ny, nz)) and ``sampling`` (of the lattice, 1: a node a voxel). RESULT: ``points`` in
+voxels, 0 the centre of the first one, ``tetrahedra`` and ``regions``, and ``seconds`` and ``bytes``, the peak memory of this process.
 """
 
 from __future__ import annotations

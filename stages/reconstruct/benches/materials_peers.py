@@ -2,11 +2,12 @@
 
     materials_peers.py NAME=VOLUME;DISTFIELD OPTIONS;SIZEFIELD OPTIONS ... [--cleaver PYTHON] [--mesh-3 PROGRAM]
 
-Run it with the Python of `make env` (`make bench-materials-peers` does). $NAME is a variable of the environment. Ours goes from the labels
-to the tetrahedra, file by file. Mesh_3 (mesh_3.cpp beside this program) and Cleaver (cleaver.py) get the same labels with a voxel of outside round
-them, and an edge length with which their interfaces have as many triangles as ours within a quarter, in four tries; their seconds are the last
-try's. "Protected" junctions are the lattice edges of the voxels along which three materials meet or more. Surface nets have the triangles that
-the grid gives. Every mesh is looked at by tests/check_materials.py, which shares nothing with any of the programs.
+Run it with the Python of `make env` (`make bench-materials-peers` does). VOLUME is a file, or the words for `phantom` that make one;
+$NAME is a variable of the environment. Ours goes from the labels to the tetrahedra, file by file. Mesh_3 (mesh_3.cpp beside this
+program) and Cleaver (cleaver.py) get the same labels with a voxel of outside round them, and an edge length with which their interfaces
+have as many triangles as ours within a quarter, in four tries; their seconds are the last try's. "Protected" junctions are the lattice
+edges of the voxels along which three materials meet or more. Surface nets have the triangles that the grid gives. Every mesh is looked at
+by tests/check_materials.py, which shares nothing with any of the programs.
 """
 
 from __future__ import annotations
@@ -219,7 +220,9 @@ def by_mesh_3(case: Case, materials: np.ndarray, length: float, protect: bool) -
     raw, lines, out = case.file("labels.raw"), case.file("junctions.txt"), case.file("mesh_3.txt")
     materials.astype(np.uint8).ravel(order="F").tofile(raw)
     polylines = junctions_of(materials) if protect else []
-    lines.write_text("".join(f"{len(line)}\n" + "".join("%g %g %g\n" % tuple(p) for p in line) for line in polylines))
+    lines.write_text(
+        "".join(f"{len(line)}\n" + "".join("{:g} {:g} {:g}\n".format(*p) for p in line) for line in polylines)
+    )
     out.unlink(missing_ok=True)
     size = [str(count) for count in materials.shape]
     command = [case.arguments.mesh_3, str(raw), *size, "1", "1", "1", repr(length), str(lines), str(out)]
@@ -295,13 +298,15 @@ def main() -> None:
     arguments.work.mkdir(parents=True, exist_ok=True)
     print(
         "| labels | program | interface triangles | radius ratio, mean / smallest | angles, degrees | turn between neighbours, rms, degrees"
-        " | tetrahedra | dihedral angle, smallest / 1 % | voxels changed, % | components lost | junctions kept / spurious, % | unbalanced edges | s | MiB |\n"
-        + "|---" * 14
-        + "|"
+        " | tetrahedra | dihedral angle, smallest / 1 % | voxels changed, % | components lost | junctions kept / spurious, %"
+        " | unbalanced edges | s | MiB |\n" + "|---" * 14 + "|"
     )
     for text in arguments.cases:
         name, _, rest = text.partition("=")
         volume, distfield, sizefield = [*os.path.expandvars(rest).split(";"), "", ""][:3]
+        if not Path(volume).exists():
+            words, volume = volume.split(), str(arguments.work / f"{name}.nrrd")
+            subprocess.run([arguments.bin / "phantom", *words, "-o", volume, "--force"], check=True)
         case = Case(name, volume, distfield.split(), sizefield.split(), arguments)
         labels = case.labels()
         surface, tetrahedra, seconds, memory = case.ours()
