@@ -308,7 +308,7 @@ def peer_row(case: Case, vertices: int, ours: int, before: float, program: str) 
     away, lost = distances(case, surface, case.file(key, "distfield.vti")) if case.distances else ("-", "-")
     cells = {
         "scale": "as above",
-        "code": str(code) if mesh.is_closed else "not closed",
+        "code": str(code) if mesh.is_closed else "not manifold",
         "away": away,
         "lost": lost,
         "told": "",
