@@ -1,5 +1,6 @@
 // Density control, a round of deletion: of particles where the surface is oversampled and that see each other the one of highest
-// energy goes. (The CPU takes them one by one, that of the highest energy first; rounds with the energies relieved in between come to the same.)
+// energy goes. (The CPU takes them one by one, that of the highest energy first. Rounds with the energies relieved in between come to the same where few are
+// above the limit; from a start several times too dense a round takes one of the many that see each other, and far fewer go in a pass than on the CPU.)
 //
 // Twin: `delete` in stages/particles/src/density.rs
 
