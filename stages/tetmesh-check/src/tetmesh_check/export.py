@@ -99,6 +99,11 @@ class MarkedMesh:
         """All nodes of each triangle of the boundary, shape ``(k, 3)`` or ``(k, 6)``."""
         return self.boundary if self.boundary_middle is None else np.column_stack([self.boundary, self.boundary_middle])
 
+    @property
+    def kinds(self) -> tuple[str, str]:
+        """What meshio calls the elements and the triangles."""
+        return ("tetra", "triangle") if self.middle is None else ("tetra10", "triangle6")
+
     def region_name(self, label: int) -> str:
         """What a region is called in sets and groups."""
         return f"region_{label}" if self.materials is None else self.materials.regions[label]

@@ -31,7 +31,7 @@ def write_med(mesh: MarkedMesh, path: Path) -> None:
     families = {-number: [name] for number, name in enumerate(names, 1)}
     of_cells = -1 - np.searchsorted(regions, mesh.regions)
     of_faces = -1 - len(regions) - np.searchsorted(marks, mesh.marks)
-    tetrahedron, triangle = ("tetra", "triangle") if mesh.middle is None else ("tetra10", "triangle6")
+    tetrahedron, triangle = mesh.kinds
     elements = mesh.elements
     made = meshio.Mesh(
         mesh.points,

@@ -47,7 +47,7 @@ def write_msh2(mesh: MarkedMesh, path: Path) -> None:
     """
     regions, parts, of_faces = _numbers(mesh)
     tags = [mesh.regions.astype(np.int32), of_faces.astype(np.int32)]
-    tetrahedron, triangle = ("tetra", "triangle") if mesh.middle is None else ("tetra10", "triangle6")
+    tetrahedron, triangle = mesh.kinds
     groups = {name: np.array([number, 3]) for number, name in regions.items()}
     groups.update({name: np.array([number, 2]) for number, name in parts.items()})
     made = meshio.Mesh(
