@@ -243,7 +243,6 @@ def commit() -> str:
 
 def begin(arguments: argparse.Namespace, further: Row) -> tuple[Bench, Rows]:
     """The bench, and the file with what is known of the machine."""
-    arguments.work.mkdir(parents=True, exist_ok=True)
     arguments.json.parent.mkdir(parents=True, exist_ok=True)
     cores = arguments.jobs or os.cpu_count() or 1
     gpu = adapter(arguments)
@@ -258,7 +257,10 @@ def begin(arguments: argparse.Namespace, further: Row) -> tuple[Bench, Rows]:
     }
     if gpu is None:
         print("no GPU: its rows are left out", file=sys.stderr)
-    bench = Bench(arguments.bin, arguments.work, cores, time.monotonic() + arguments.time_limit)
+    # files that are there are used again: those of another build, or of a quick run, must not be
+    work = arguments.work / (f"{head['commit']}-quick" if arguments.quick else str(head["commit"]))
+    work.mkdir(parents=True, exist_ok=True)
+    bench = Bench(arguments.bin, work, cores, time.monotonic() + arguments.time_limit)
     return bench, Rows.open(arguments.json, head)
 
 
