@@ -2,6 +2,8 @@
 //!
 //! The `nifti` crate reads the header; the voxels are read here, so that memory grows with what is really there.
 
+mod names;
+
 use crate::error::bad;
 use crate::error::{Error, Result};
 use crate::geometry::{Geometry, Space};
@@ -50,7 +52,9 @@ pub(crate) fn read_nifti(path: &Path) -> Result<Volume> {
     check_memory(path, count as u64 * scalar.bytes() as u64)?;
     let endian = if header.endianness == nifti::Endianness::Little { Endian::Little } else { Endian::Big };
     let skip = f64::from(header.vox_offset) - HEADER_BYTES as f64;
-    let voxels = read_voxels(&mut reader, skip, scalar, endian, count).map_err(|error| {
+    let read = skip_to_voxels(&mut reader, skip)
+        .and_then(|between| Ok((between, read_voxels(&mut reader, scalar, endian, count)?)));
+    let (between, voxels) = read.map_err(|error| {
         let next = "copy or download the file again";
         match error.kind() {
             io::ErrorKind::UnexpectedEof | io::ErrorKind::InvalidData => {
@@ -60,8 +64,9 @@ pub(crate) fn read_nifti(path: &Path) -> Result<Volume> {
             _ => cannot(error),
         }
     })?;
+    let segments = names::names(&between, endian, &mut remarks);
     let voxels = scaled(voxels, header.scl_slope, header.scl_inter, &mut remarks);
-    Ok(Volume { remarks, ..Volume::new(geometry, voxels) })
+    Ok(Volume { segments, remarks, ..Volume::new(geometry, voxels) })
 }
 
 fn header(path: &Path, start: &[u8]) -> Result<NiftiHeader> {
@@ -182,21 +187,22 @@ fn qform(header: &NiftiHeader) -> (DMat3, DVec3, Space) {
     (rotation * DMat3::from_diagonal(spacing), origin, Space::Lps)
 }
 
-fn read_voxels(
-    reader: &mut dyn Read,
-    skip: f64,
-    scalar: ScalarType,
-    endian: Endian,
-    count: usize,
-) -> io::Result<Voxels> {
-    let mut reader = reader;
+/// Most bytes of extensions that are looked at: the names of 65,535 labels take 250 bytes each.
+const MOST_EXTENSIONS: u64 = 1 << 24;
+
+/// What lies between the header and the voxels, `skip` bytes: extensions, of which the first [`MOST_EXTENSIONS`] are given.
+fn skip_to_voxels(reader: &mut dyn Read, skip: f64) -> io::Result<Vec<u8>> {
     if !(0.0..1e9).contains(&skip) {
         return Err(io::Error::new(io::ErrorKind::InvalidData, "the voxels start within the header"));
     }
-    let skip = skip as u64;
-    if io::copy(&mut Read::take(&mut reader, skip), &mut io::sink())? < skip {
-        return Err(io::ErrorKind::UnexpectedEof.into());
-    }
+    let mut between = Vec::new();
+    let mut reader = reader.take(skip as u64);
+    reader.by_ref().take(MOST_EXTENSIONS).read_to_end(&mut between)?;
+    io::copy(&mut reader, &mut io::sink())?;
+    if reader.limit() > 0 { Err(io::ErrorKind::UnexpectedEof.into()) } else { Ok(between) }
+}
+
+fn read_voxels(reader: &mut dyn Read, scalar: ScalarType, endian: Endian, count: usize) -> io::Result<Voxels> {
     let voxels = Voxels::read_from(reader, scalar, endian, count)?;
     if reader.read(&mut [0])? > 0 {
         return Err(io::Error::new(io::ErrorKind::InvalidData, "more data behind the last voxel"));

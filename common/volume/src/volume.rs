@@ -24,4 +24,13 @@ impl Volume {
     pub fn new(geometry: Geometry, voxels: Voxels) -> Self {
         Self { geometry, voxels, more_layers: Vec::new(), segments: Vec::new(), remarks: Vec::new() }
     }
+
+    /// Keeps a box of `size` voxels from the voxel `first` on, in all layers, in place.
+    pub fn crop(&mut self, first: [usize; 3], size: [usize; 3]) {
+        let whole = self.geometry.size;
+        for voxels in std::iter::once(&mut self.voxels).chain(&mut self.more_layers) {
+            voxels.crop(whole, first, size);
+        }
+        self.geometry = self.geometry.cropped(first, size);
+    }
 }

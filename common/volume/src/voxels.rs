@@ -4,6 +4,7 @@ use crate::error::{Error, Result};
 use crate::image::reverse_slices;
 use std::collections::BTreeSet;
 use std::io::Read;
+use std::ops::Range;
 
 /// Type of a voxel.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -286,6 +287,40 @@ impl Voxels {
     /// Puts slices of `length` values into the opposite order ([`reverse_slices`]).
     pub fn reverse_slices(&mut self, length: usize) {
         each_type!(self, values => reverse_slices(values, length));
+    }
+
+    /// The first and the last of the values in `range` that are labels for which `wanted` is true, counted from the start of the range.
+    pub fn ends_of_labels(&self, range: Range<usize>, wanted: impl Fn(i64) -> bool) -> Option<(usize, usize)> {
+        each_type!(self, values => {
+            // labels come in long runs
+            let runs = || values[range.clone()].chunk_by(|a, b| a == b);
+            let is_other = |run: &&[_]| !Number::to_label(run[0]).is_some_and(&wanted);
+            let before: usize = runs().take_while(is_other).map(<[_]>::len).sum();
+            let behind: usize = runs().rev().take_while(is_other).map(<[_]>::len).sum();
+            (before < range.len()).then(|| (before, range.len() - 1 - behind))
+        })
+    }
+
+    /// The first and the last of the values in `range` for which `wanted` is true, as 32-bit floating-point numbers, counted from the start of the range.
+    pub fn ends_of_values(&self, range: Range<usize>, wanted: impl Fn(f32) -> bool) -> Option<(usize, usize)> {
+        each_type!(self, values => {
+            let values = &values[range];
+            let first = values.iter().position(|value| wanted(value.single()))?;
+            Some((first, values.iter().rposition(|value| wanted(value.single()))?))
+        })
+    }
+
+    /// Keeps the values of a box of `to` voxels from the voxel `first` on, of a grid of `size` voxels, x fastest; in place, and the rest of the memory is given
+    /// back.
+    pub fn crop(&mut self, size: [usize; 3], first: [usize; 3], to: [usize; 3]) {
+        each_type!(self, values => {
+            for row in 0..to[1] * to[2] {
+                let (j, k) = (first[1] + row % to[1], first[2] + row / to[1]);
+                let from = (k * size[1] + j) * size[0] + first[0];
+                values.copy_within(from..from + to[0], row * to[0]);
+            }
+        });
+        self.truncate(to.iter().product());
     }
 
     /// Drops all values but the first `count`, and gives their memory back.

@@ -48,3 +48,31 @@ fn the_range_leaves_out_what_is_not_finite() {
     assert_eq!(voxels.non_finite_count(), 2);
     assert_eq!(Voxels::F64(vec![f64::NAN]).range(), None);
 }
+
+#[test]
+fn a_box_is_cut_out_in_place() {
+    let size = [5, 4, 3];
+    let values: Vec<i16> = (0..60).collect();
+    for (first, to) in [([0, 0, 0], size), ([1, 2, 1], [3, 2, 2]), ([4, 3, 2], [1, 1, 1]), ([0, 0, 0], [5, 4, 1])] {
+        let mut voxels = Voxels::I16(values.clone());
+        voxels.crop(size, first, to);
+        let at = |n: usize| [n % to[0] + first[0], n / to[0] % to[1] + first[1], n / (to[0] * to[1]) + first[2]];
+        let expected = (0..to.iter().product()).map(at).map(|[i, j, k]| (k * 20 + j * 5 + i) as i16).collect();
+        assert_eq!(voxels, Voxels::I16(expected), "{first:?} {to:?}");
+    }
+}
+
+#[test]
+fn the_ends_of_what_is_wanted_are_counted_from_the_start_of_the_range() {
+    let labels = Voxels::U8(vec![9, 0, 0, 3, 3, 0, 4, 0, 9]);
+    assert_eq!(labels.ends_of_labels(1..8, |label| label == 3 || label == 4), Some((2, 5)));
+    assert_eq!(labels.ends_of_labels(3..5, |label| label == 3), Some((0, 1)));
+    assert_eq!(labels.ends_of_labels(1..8, |label| label == 9), None);
+    let values = Voxels::F64(vec![2.0, f64::NAN, 0.5, 0.7, -1.0]);
+    assert_eq!(values.ends_of_values(0..5, |value| value > 0.4), Some((0, 3)));
+    assert_eq!(values.ends_of_values(1..3, |value| value > 0.4), Some((1, 1)));
+    assert_eq!(values.ends_of_values(4..5, |value| value > 0.4), None);
+    // what is no whole number is no label
+    assert_eq!(values.ends_of_labels(0..5, |_| true), Some((0, 4)));
+    assert_eq!(values.ends_of_labels(1..4, |_| true), None);
+}
