@@ -16,10 +16,17 @@ pub struct BorderBox {
 }
 
 impl BorderBox {
-    /// The box of an input of which `padded` is the grid with `margin` more voxels on each face.
-    pub fn new(padded: &Geometry, margin: usize) -> Self {
-        let low = padded.index_to_grid(DVec3::splat(margin as f64 - 0.5));
-        let high = padded.upper_corner() - low;
+    /// The box of an input of which `padded` is the grid with `margin` more voxels on each face. Across the faces that are not `closed` (two an axis, the
+    /// low one first) it goes on for ever.
+    pub fn new(padded: &Geometry, margin: usize, closed: [[bool; 2]; 3]) -> Self {
+        let first = padded.index_to_grid(DVec3::splat(margin as f64 - 0.5));
+        let mut low = first;
+        let mut high = padded.upper_corner() - first;
+        for axis in 0..3 {
+            let [low_closed, high_closed] = closed[axis];
+            low[axis] = if low_closed { low[axis] } else { f64::NEG_INFINITY };
+            high[axis] = if high_closed { high[axis] } else { f64::INFINITY };
+        }
         Self { low, high, radius: 0.5 * padded.min_spacing(), reach: padded.spacing.max_element() }
     }
 
@@ -65,7 +72,7 @@ mod tests {
     #[test]
     fn the_surface_between_voxel_centres_stays() {
         let padded = Geometry::axis_aligned([20, 20, 20], DVec3::new(0.7, 0.7, 3.0)).padded(4);
-        let border = BorderBox::new(&padded, 4);
+        let border = BorderBox::new(&padded, 4, [[true; 2]; 3]);
         let first = padded.index_to_grid(DVec3::splat(4.0));
         let gradient = DVec3::new(0.6, 0.0, 0.8);
         let (value, direction) = border.intersect(first, 0.0, gradient);

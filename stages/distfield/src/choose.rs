@@ -1,12 +1,13 @@
 //! How much of the data is kept: the options `--scale` and those that choose it, and what is told about it.
 
 use crate::changes::{Changes, Event, Kind};
+use crate::crop::{Grid, VoxelBox, cut_in_turn};
 use crate::mask::Mask;
 use crate::occupancy::Occupancy;
 use crate::scalar::{ScalarOptions, check_scalar, from_voxels};
 use crate::scale::{SCALE_OVER_SIZE, Scale, edge_length, scaled};
 use crate::selection::noted;
-use crate::{Border, Inside, Keep, Redistanced};
+use crate::{Inside, Redistanced};
 use isoparticles_stage::cli::values::{not_negative, positive};
 use isoparticles_stage::cli::{Context, METHOD};
 use isoparticles_stage::error::{Error, Result};
@@ -42,7 +43,7 @@ pub struct ScaleArgs {
 const FINE_ENOUGH: f64 = 0.75;
 
 /// A scale and why it is that.
-pub(crate) struct Choice {
+pub struct Choice {
     /// mm.
     pub length: f64,
     /// In words.
@@ -68,6 +69,22 @@ pub enum Object {
     Labels(Vec<LayerLabel>),
     /// One side of an iso value.
     Iso(f64, Inside),
+}
+
+impl Object {
+    /// The box round it in a volume, which is given back; none where no voxel is inside.
+    ///
+    /// # Errors
+    /// Of a scalar volume, where its voxels or the iso value leave no surface.
+    pub fn locate(&self, volume: Volume) -> Result<(Volume, Option<VoxelBox>)> {
+        match self {
+            Self::Labels(labels) => {
+                let found = VoxelBox::of_labels(&volume, |at| labels.contains(&at));
+                Ok((volume, found))
+            }
+            Self::Iso(iso, inside) => check_scalar(volume, *iso, *inside),
+        }
+    }
 }
 
 impl ScaleArgs {
@@ -108,10 +125,8 @@ impl ScaleArgs {
         self.scale_for_vertices.is_none().then_some(given)
     }
 
-    fn choose(&self, geometry: &Geometry, occupancy: &Occupancy) -> Result<Choice> {
-        if let Some(choice) = self.choose_by_length(geometry) {
-            return Ok(choice);
-        }
+    /// The scale for a number of vertices.
+    fn choose_by_area(&self, geometry: &Geometry, occupancy: &Occupancy) -> Result<Choice> {
         let vertices = self.scale_for_vertices.unwrap_or(0);
         let length = edge_length(occupancy, vertices as f64, self.keep_thin)?
             .ok_or_else(|| nothing_left(&format!("a mesh of {vertices} vertices"), occupancy.volume()))?;
@@ -132,29 +147,49 @@ fn nothing_left(by: &str, volume: f64) -> Error {
     )
 }
 
-/// F of the smoothed object, and what to note about it; the volume back where the scale is 0.
+/// The scale that the options ask for, told to the user; none where every voxel centre, or the isosurface itself, is kept. The volume is given back.
 ///
 /// # Errors
-/// Where [`from_voxels`] and the check of labels fail, and when nothing is left.
-pub fn extract_scaled(
+/// Where the check of scalars fails, and when nothing is left.
+pub fn choose_scale(
     args: &ScaleArgs,
     volume: Volume,
     object: &Object,
-    (border, margin, keep): (Border, usize, Keep),
     context: &Context,
-) -> Result<std::result::Result<(Redistanced, Value), Volume>> {
+) -> Result<(Volume, Option<Choice>)> {
     if !args.is_given() {
-        return Ok(Err(volume));
+        return Ok((volume, None));
     }
-    let step = context.step("scale");
-    let (volume, occupancy) = occupancy(volume, object)?;
-    let Choice { length, reason } = args.choose(&volume.geometry, &occupancy)?;
+    let (volume, choice) = match args.choose_by_length(&volume.geometry) {
+        Some(choice) => (volume, choice),
+        None => {
+            let _step = context.step("choose the scale");
+            let occupancy = occupancy(&volume, object);
+            let choice = args.choose_by_area(&volume.geometry, &occupancy)?;
+            (volume, choice)
+        }
+    };
+    let Choice { length, reason } = &choice;
     context.summary("scale, mm", format!("{length:.4} ({reason})"));
-    context.set_parameter("scale", length);
+    context.set_parameter("scale", *length);
     context.set_parameter("scale_reason", reason.clone());
-    if length == 0.0 {
-        return Ok(Err(volume));
-    }
+    Ok((volume, (choice.length > 0.0).then_some(choice)))
+}
+
+/// F of the smoothed object, and what to note about it.
+///
+/// # Errors
+/// Where [`from_voxels`] fails, and when nothing is left.
+pub fn extract_scaled(
+    Choice { length, reason }: Choice,
+    keep_thin: bool,
+    volume: Volume,
+    object: &Object,
+    (grid, options): (Grid, ScalarOptions),
+    context: &Context,
+) -> Result<(Redistanced, Value)> {
+    let step = context.step("scale");
+    let occupancy = occupancy(&volume, object);
     let mut meta = match object {
         Object::Labels(labels) => {
             let told = noted(labels, &volume);
@@ -165,11 +200,9 @@ pub fn extract_scaled(
             json!({ "source": "scalar", "iso": iso, "inside": crate::run::inside_name(*inside) })
         }
     };
-    let geometry = volume.geometry;
-    drop((volume.voxels, volume.more_layers));
-    let keep_thin = args.keep_thin;
+    drop(volume);
     let volume_before = occupancy.volume();
-    let smoothed = scaled(occupancy, Scale { length, keep_thin })?
+    let smoothed = scaled(occupancy, Scale { length, keep_thin }, grid)?
         .ok_or_else(|| nothing_left(&format!("a scale of {length:.4} mm ({reason})"), volume_before))?;
     drop(step);
     tell(&smoothed.changes, length, context);
@@ -178,22 +211,19 @@ pub fn extract_scaled(
     meta["keep_thin"] = json!(keep_thin);
     meta["volume_before"] = json!(smoothed.changes.volume_before);
     meta["scale_changes"] = json!(smoothed.changes);
-    let options = ScalarOptions { inside: Inside::Above, border, margin, keep };
-    let result = from_voxels(Voxels::F32(smoothed.level.data), geometry, 0.0, &options, context)?;
-    Ok(Ok((result, meta)))
+    let options = ScalarOptions { inside: Inside::Above, cut: cut_in_turn(options.cut, smoothed.cut), ..options };
+    let Image { geometry, data } = smoothed.level;
+    let result = from_voxels(Voxels::F32(data), geometry, 0.0, &options, context)?;
+    Ok((result, meta))
 }
 
-fn occupancy(volume: Volume, object: &Object) -> Result<(Volume, Occupancy)> {
+fn occupancy(volume: &Volume, object: &Object) -> Occupancy {
     match object {
         Object::Labels(labels) => {
             let image = Image { data: volume.label_mask(labels), geometry: volume.geometry.clone() };
-            Ok((volume, Occupancy::of_mask(&Mask::from(&image))))
+            Occupancy::of_mask(&Mask::from(&image))
         }
-        Object::Iso(iso, inside) => {
-            let volume = check_scalar(volume, *iso, *inside)?;
-            let occupancy = Occupancy::of_scalar(&volume.voxels, &volume.geometry, *iso, *inside);
-            Ok((volume, occupancy))
-        }
+        Object::Iso(iso, inside) => Occupancy::of_scalar(&volume.voxels, &volume.geometry, *iso, *inside),
     }
 }
 

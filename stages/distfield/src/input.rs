@@ -84,15 +84,14 @@ pub fn check_kind(args: &Args, volume: &Volume, context: &Context) -> Result<()>
     }
 }
 
-/// Refuses a volume whose field takes more memory than there is.
+/// Refuses so many voxels along each axis if their field takes more memory than there is.
 ///
 /// # Errors
 /// As said, with the figure.
-pub fn check_room(args: &Args, volume: &Volume, context: &Context) -> Result<()> {
-    let geometry = volume.geometry.padded(args.margin.into());
-    let [nx, ny, nz] = geometry.size;
+pub fn check_room(args: &Args, voxels: [usize; 3], context: &Context) -> Result<()> {
+    let [nx, ny, nz] = voxels.map(|n| n + 2 * usize::from(args.margin));
     // what the volume takes itself is taken already
-    let needed = distfield_bytes(geometry.voxel_count());
+    let needed = distfield_bytes(nx * ny * nz);
     context.check_memory(
         needed,
         &format!("a field of {nx} x {ny} x {nz} nodes"),

@@ -2,7 +2,7 @@
 //! of the paper (Kim, Chen and Hansen 2012): negative inside, in mm, and read everywhere as the interpolating cubic
 //! B-spline through its samples.
 //!
-//! [`scalar`] and [`labels`] say what the surface is (labels by [`mask`], [`sides`] and [`flow`], which hold nodes as [`bits`] and
+//! [`crop`] takes the object's box out of the volume. [`scalar`] and [`labels`] say what the surface is (labels by [`mask`], [`sides`] and [`flow`], which hold nodes as [`bits`] and
 //! [`runs`]), [`field`] turns it into distances ([`samples`], [`nearest`], [`closest`]), pins the
 //! zero set of the spline on it ([`fit`]), joins and parts what touches as the source does ([`junctions`]) and closes it at
 //! the border ([`cap`]); [`keep`] drops parts, [`topology`] counts what came out and [`run`] is the program.
@@ -14,6 +14,7 @@ pub mod cap;
 pub mod changes;
 pub mod choose;
 pub mod closest;
+pub mod crop;
 mod envelope;
 pub mod field;
 pub mod fit;

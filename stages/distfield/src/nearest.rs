@@ -16,7 +16,7 @@ use std::ops::Range;
 pub const NONE: u32 = u32::MAX;
 
 /// Nodes of the grid to one of the coarse grid, along each axis.
-const STRIDE: usize = 2;
+pub(crate) const STRIDE: usize = 2;
 
 /// How much farther away than asked for nodes ask those of their own slice as well, in voxels (largest spacing): twice the half-width of the band that
 /// is exact (`crate::field`), within which F of three volumes changed by 0.004 voxel (root mean square) when those beyond asked nobody.

@@ -3,6 +3,7 @@
 //! labels and scalars go one way.
 
 use crate::Inside;
+use crate::crop::VoxelBox;
 use crate::mask::Mask;
 use isoparticles_volume::{Geometry, Voxels};
 use rayon::prelude::*;
@@ -95,14 +96,14 @@ impl Occupancy {
         Self { geometry: Geometry { size, spacing: 2.0 * self.geometry.spacing, ..self.geometry.clone() }, shares }
     }
 
-    /// First and last voxel along each axis of the box that holds all that is inside, if anything is.
-    pub fn extent(&self) -> Option<([usize; 3], [usize; 3])> {
-        let [nx, ny, _] = self.geometry.size;
-        let slices = self.shares.par_chunks(nx * ny).enumerate().filter_map(|(k, slice)| {
-            let inside = slice.iter().enumerate().filter(|(_, share)| **share > 0).map(|(n, _)| [n % nx, n / nx, k]);
-            inside.map(|at| (at, at)).reduce(around)
-        });
-        slices.reduce_with(around)
+    /// The box that holds all that is inside, if anything is.
+    pub fn extent(&self) -> Option<VoxelBox> {
+        let nx = self.geometry.size[0];
+        VoxelBox::of_rows(self.geometry.size, |row| {
+            let shares = &self.shares[row * nx..(row + 1) * nx];
+            let first = shares.iter().position(|&share| share > 0)?;
+            Some((first, shares.iter().rposition(|&share| share > 0)?))
+        })
     }
 }
 
@@ -118,11 +119,6 @@ fn change_across(own: f64, neighbours: &[[f64; 2]; 3]) -> f64 {
         if beyond(pair) > 0.0 { beyond(pair) } else { least.min(largest) }
     };
     neighbours.iter().map(along).sum()
-}
-
-/// The box round two boxes.
-fn around(a: ([usize; 3], [usize; 3]), b: ([usize; 3], [usize; 3])) -> ([usize; 3], [usize; 3]) {
-    (std::array::from_fn(|axis| a.0[axis].min(b.0[axis])), std::array::from_fn(|axis| a.1[axis].max(b.1[axis])))
 }
 
 #[cfg(test)]

@@ -1,11 +1,13 @@
 //! The program: options, checks of the input, the run, the report.
 
-use crate::choose::{Object, ScaleArgs, extract_scaled};
+use crate::choose::{Choice as ScaleChoice, Object, ScaleArgs, choose_scale, extract_scaled};
+use crate::crop::{CutFaces, Grid, VoxelBox, crop, room_of_labels, room_of_spline};
 use crate::input::{KindChoice, check_kind, check_room, tell};
 use crate::labels::{LabelOptions, from_mask};
 use crate::mask::Mask;
 use crate::materials::{self, Choice};
 use crate::scalar::{ScalarOptions, from_voxels};
+use crate::scale::room_round;
 use crate::selection::{Selection, noted};
 use crate::{Border, Clearance, Inside, Keep, Redistanced};
 use isoparticles_stage::cli::{CommonArgs, Context, FILES, METHOD, Outcome, StageArgs};
@@ -21,7 +23,8 @@ use std::path::{Path, PathBuf};
 /// F is the implicit function of section 3.1 of the paper (Kim, Chen and Hansen 2012): samples of the signed distance to the
 /// surface in mm, negative inside, read as the cubic B-spline that interpolates them. For a scalar volume the surface is that
 /// of the cubic B-spline through the voxels at the iso value; for labels it is the smoothest one that leaves every voxel
-/// centre on its side (Whitaker 2000). The grid is that of the input with --margin more voxels on each face.
+/// centre on its side (Whitaker 2000). The grid is that of the input, of which --grid object keeps the box of the object, with
+/// --margin more voxels on each face.
 #[derive(Clone, Debug, clap::Parser)]
 #[command(
     name = "distfield",
@@ -77,6 +80,9 @@ pub struct Args {
         help_heading = METHOD
     )]
     pub material: Vec<Choice>,
+    /// Materials: give components of fewer voxels than this, of the outside as well, to the material that they share the most faces with. They are told by material
+    #[arg(long, value_name = "VOXELS", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..), requires = "material", help_heading = METHOD)]
+    pub smallest_island: u32,
     /// What the values are: scan or labels, where auto is mistaken. Labels of a scan and an iso value of labels are refused
     #[arg(long, value_enum, value_name = "KIND", default_value_t = KindChoice::Auto, help_heading = METHOD)]
     pub kind: KindChoice,
@@ -84,6 +90,10 @@ pub struct Args {
     /// centres, with edges rounded by half a voxel; open lets the surface run on straight and leave the volume
     #[arg(long, value_enum, value_name = "HOW", default_value_t = Border::Cap, help_heading = METHOD)]
     pub border: Border,
+    /// Grid of the field: object is the box of the object with the room round it that the field near its surface depends on; volume is the whole
+    /// volume. The surface and its place in the world are the same
+    #[arg(long, value_enum, value_name = "WHICH", default_value_t = Grid::Object, help_heading = METHOD)]
+    pub grid: Grid,
     /// Parts of the object to keep: all, the largest alone, or those of at least this volume in mm^3. What is dropped is told;
     /// cavities stay as they are
     #[arg(long, value_name = "all|largest|VOLUME", default_value_t = Keep::All, help_heading = METHOD)]
@@ -162,6 +172,7 @@ impl StageArgs for Args {
             _ if !self.material.is_empty() => json!({
                 "material": self.material.iter().map(Choice::to_string).collect::<Vec<_>>(), "border": border,
                 "margin": self.margin, "clearance": self.clearance, "smoothing_steps": self.smoothing_steps,
+                "smallest_island": self.smallest_island,
             }),
             (Some(labels), _) => json!({
                 "labels": labels.to_string(), "border": border, "margin": self.margin, "keep": keep,
@@ -176,6 +187,9 @@ impl StageArgs for Args {
         };
         if let Some(kind) = self.kind.given() {
             parameters["kind"] = json!(kind);
+        }
+        if self.write_volume.is_none() {
+            parameters["grid"] = json!(grid_name(self.grid));
         }
         self.scale.add_to(&mut parameters);
         if let Some(series) = &self.series {
@@ -210,11 +224,9 @@ pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
     let Some(output) = &args.output else {
         return tell(args, &volume, labels, context);
     };
-    check_room(args, &volume, context).map_err(about_file)?;
     if !args.material.is_empty() {
         return materials::program::run(args, volume, output, context).map_err(about_file);
     }
-    let geometry = volume.geometry.clone();
     let object = match (labels, args.iso) {
         (Some(labels), _) => Object::Labels(labels),
         (None, Some(iso)) => Object::Iso(iso, args.inside),
@@ -227,17 +239,23 @@ pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
         }
     };
     let margin = usize::from(args.margin);
-    let grid = (args.border, margin, args.keep);
-    let scaled = extract_scaled(&args.scale, volume, &object, grid, context).map_err(about_file)?;
-    let (result, mut meta) = match (scaled, &object) {
-        (Ok(scaled), _) => scaled,
-        (Err(volume), Object::Labels(labels)) => extract_labels(args, volume, labels, context).map_err(about_file)?,
-        (Err(volume), Object::Iso(iso, _)) => extract_iso(args, volume, *iso, context).map_err(about_file)?,
-    };
+    let (volume, found) = object.locate(volume).map_err(about_file)?;
+    let (mut volume, scale) = choose_scale(&args.scale, volume, &object, context).map_err(about_file)?;
+    let whole = volume.geometry.clone();
+    let cut =
+        take_out(args, &mut volume, found, room(args, &whole, &object, scale.as_ref()), context).map_err(about_file)?;
+    let options = ScalarOptions { inside: args.inside, border: args.border, margin, cut, keep: args.keep };
+    let (result, mut meta) = match (scale, &object) {
+        (Some(scale), _) => extract_scaled(scale, args.scale.keep_thin, volume, &object, (args.grid, options), context),
+        (None, Object::Labels(labels)) => extract_labels(args, volume, labels, context),
+        (None, Object::Iso(iso, _)) => extract_iso(volume, *iso, &options, context),
+    }
+    .map_err(about_file)?;
     let cap_planes = match args.border {
-        Border::Cap => cap_planes(&result.field, &geometry, margin),
+        Border::Cap => cap_planes(&result.field, &whole),
         Border::Open => Vec::new(),
     };
+    tell_grid(&whole.padded(margin), &result.field.geometry, context);
     meta["margin"] = json!(margin);
     meta["dropped"] = json!(result.dropped);
     meta["components_before"] = json!(result.parts_of_input().components);
@@ -303,11 +321,49 @@ fn distance_meta(object: &Object, border: Border, cap_planes: Vec<CapPlane>, not
 /// F and what to note about it.
 type Extracted = (Redistanced, Value);
 
-fn extract_iso(args: &Args, volume: Volume, iso: f64, context: &Context) -> Result<Extracted> {
-    let margin = usize::from(args.margin);
-    let options = ScalarOptions { inside: args.inside, border: args.border, margin, keep: args.keep };
-    let result = from_voxels(volume.voxels, volume.geometry, iso, &options, context)?;
-    let meta = json!({ "source": "scalar", "iso": iso, "inside": inside_name(args.inside) });
+/// Voxels round the object that the field near its surface depends on.
+fn room(args: &Args, geometry: &Geometry, object: &Object, scale: Option<&ScaleChoice>) -> [usize; 3] {
+    match (scale, object) {
+        (Some(scale), Object::Labels(_)) => room_round(0.5 * scale.length / geometry.spacing),
+        // a voxel next to those inside has a share as well
+        (Some(scale), Object::Iso(..)) => room_round(0.5 * scale.length / geometry.spacing).map(|room| room + 1),
+        (None, Object::Labels(_)) => room_of_labels(geometry, args.margin.into()),
+        (None, Object::Iso(..)) => room_of_spline(),
+    }
+}
+
+/// Leaves of the volume what `--grid` asks for, if there is room for its field; tells the faces at which it was cut.
+///
+/// # Errors
+/// When the field takes more memory than there is.
+pub(crate) fn take_out(
+    args: &Args,
+    volume: &mut Volume,
+    found: Option<VoxelBox>,
+    room: [usize; 3],
+    context: &Context,
+) -> Result<CutFaces> {
+    let size = volume.geometry.size;
+    let kept = found.filter(|_| args.grid == Grid::Object).map(|object| object.with_room(room, size).on_coarse_nodes());
+    check_room(args, kept.map_or(size, |kept| kept.size()), context)?;
+    Ok(kept.map_or_else(CutFaces::default, |kept| crop(volume, kept)))
+}
+
+/// Says how many nodes there are, and how many the whole volume would have.
+pub(crate) fn tell_grid(whole: &Geometry, made: &Geometry, context: &Context) {
+    let told = |[nx, ny, nz]: [usize; 3]| format!("{nx} x {ny} x {nz}");
+    if whole.size == made.size {
+        context.summary("grid, nodes", told(made.size));
+    } else {
+        let share = 100.0 * made.voxel_count() as f64 / whole.voxel_count() as f64;
+        context.summary("grid, nodes", format!("{} of {} ({share:.0} %)", told(made.size), told(whole.size)));
+    }
+    context.report("grid", json!({ "nodes": made.size, "nodes_of_volume": whole.size }));
+}
+
+fn extract_iso(volume: Volume, iso: f64, options: &ScalarOptions, context: &Context) -> Result<Extracted> {
+    let result = from_voxels(volume.voxels, volume.geometry, iso, options, context)?;
+    let meta = json!({ "source": "scalar", "iso": iso, "inside": inside_name(options.inside) });
     Ok((result, meta))
 }
 
@@ -335,18 +391,22 @@ fn extract_labels(args: &Args, volume: Volume, labels: &[LayerLabel], context: &
     Ok((result, meta))
 }
 
-/// The planes at which the object was cut, in the grid frame of the field: axis (0 to 2), side, position in mm.
-fn cap_planes(field: &Image<f32>, input: &Geometry, margin: usize) -> Vec<CapPlane> {
+/// The planes at which the border of the volume, whose grid is `whole`, cut the object, in the grid frame of the field: axis (0 to 2), side, position in mm.
+fn cap_planes(field: &Image<f32>, whole: &Geometry) -> Vec<CapPlane> {
+    let size = field.geometry.size;
+    // of the first voxel of the volume, by the place of both grids in the world
+    let first = field.geometry.grid_to_index(field.geometry.world_to_grid(whole.origin)).round();
     let mut planes = Vec::new();
     for axis in 0..3 {
-        for (side, layer) in [(Side::Low, margin), (Side::High, margin + input.size[axis] - 1)] {
+        let low = first[axis] as isize;
+        for (side, layer) in [(Side::Low, low), (Side::High, low + whole.size[axis] as isize - 1)] {
+            let Some(layer) = usize::try_from(layer).ok().filter(|&layer| layer < size[axis]) else { continue };
             let (u, v) = ((axis + 1) % 3, (axis + 2) % 3);
             let is_inside = |a: usize, b: usize| {
                 let mut index = [0; 3];
                 (index[axis], index[u], index[v]) = (layer, a, b);
                 field.at(index[0], index[1], index[2]) < 0.0
             };
-            let size = field.geometry.size;
             if (0..size[v]).any(|b| (0..size[u]).any(|a| is_inside(a, b))) {
                 let beyond = if side == Side::Low { -0.5 } else { 0.5 };
                 let position = (layer as f64 + beyond) * field.geometry.spacing[axis];
@@ -437,6 +497,13 @@ fn failed_checks(result: &Redistanced, unwanted: Option<usize>, context: &Contex
         failed.push(format!("{changed} voxel centres changed side"));
     }
     failed
+}
+
+fn grid_name(grid: Grid) -> &'static str {
+    match grid {
+        Grid::Object => "object",
+        Grid::Volume => "volume",
+    }
 }
 
 fn border_name(border: Border) -> &'static str {

@@ -1,6 +1,7 @@
 //! Scalar volumes: the surface is the zero set of the input's own interpolating cubic B-spline minus the iso value.
 
 use crate::cap::BorderBox;
+use crate::crop::{CutFaces, VoxelBox};
 use crate::field::{Demands, LeastDistances, Redistanced, Source, first_order_distance, redistance_with};
 use crate::{Border, Inside, Keep};
 use glam::DVec3;
@@ -23,6 +24,8 @@ pub struct ScalarOptions {
     pub border: Border,
     /// Voxels added on each face.
     pub margin: usize,
+    /// Faces of the voxels that are no border of the volume: an open border is closed there.
+    pub cut: CutFaces,
     /// Parts of the object to keep.
     pub keep: Keep,
 }
@@ -65,21 +68,22 @@ pub(crate) fn from_voxels_with(
     input.scale = power_of_two_below_inverse(input.check()?);
     let step = monitor.phase("input spline");
     input.voxels.reverse_slices(input.slice_size());
-    let (nodes, source) = input.source(options.border, options.margin);
+    let (nodes, source) = input.source(options);
     let least = (CLEARANCE * nodes.geometry.min_spacing()) as f32;
     drop(step);
     let least = LeastDistances { most: least, at: |_| least };
     redistance_with(nodes, &source, least, (options.keep, options.margin), demands, monitor)
 }
 
-/// Fails where [`from_voxels`] would, because of the voxels or the iso value; gives the volume back.
+/// Fails where [`from_voxels`] would, because of the voxels or the iso value; gives the volume back, and the box round the voxels that are inside.
 ///
 /// # Errors
 /// As [`from_scalar`].
-pub fn check_scalar(volume: Volume, iso: f64, inside: Inside) -> Result<Volume> {
+pub fn check_scalar(volume: Volume, iso: f64, inside: Inside) -> Result<(Volume, Option<VoxelBox>)> {
     let input = Input { voxels: volume.voxels, geometry: volume.geometry, iso, inside, scale: 1.0 };
     input.check()?;
-    Ok(Volume { voxels: input.voxels, geometry: input.geometry, ..volume })
+    let object = input.extent();
+    Ok((Volume { voxels: input.voxels, geometry: input.geometry, ..volume }, object))
 }
 
 /// The volume and which surface of it is meant. After its check its slices lie from the last to the first, so that those that have become nodes
@@ -121,6 +125,18 @@ impl Input {
         self.check_finite(&whole)?;
         self.check_iso(&whole)?;
         Ok(f64::from(whole.high) - f64::from(whole.low))
+    }
+
+    /// The box round the voxels that are inside.
+    fn extent(&self) -> Option<VoxelBox> {
+        let nx = self.geometry.size[0];
+        VoxelBox::of_rows(self.geometry.size, |row| {
+            let is_inside = |value: f32| match self.inside {
+                Inside::Above => f64::from(value) > self.iso,
+                Inside::Below => f64::from(value) < self.iso,
+            };
+            self.voxels.ends_of_values(row * nx..(row + 1) * nx, is_inside)
+        })
     }
 
     fn check_finite(&self, summary: &Summary) -> Result<()> {
@@ -170,9 +186,12 @@ impl Input {
     }
 
     /// The nodes of the object on the padded grid, cut at the border, and its implicit function.
-    fn source(mut self, border: Border, margin: usize) -> (Image<f32>, Source) {
+    fn source(mut self, &ScalarOptions { border, margin, cut, .. }: &ScalarOptions) -> (Image<f32>, Source) {
         let padded = self.geometry.padded(margin);
-        let cap = (border == Border::Cap).then(|| BorderBox::new(&padded, margin));
+        // beyond a face at which the volume was cut there is background, and what the spline's margin makes of noise in it is none of the object
+        let closed = cut.map(|faces| faces.map(|is_cut| is_cut || border == Border::Cap));
+        let is_any = closed.as_flattened().contains(&true);
+        let cap = is_any.then(|| BorderBox::new(&padded, margin, closed));
         let mut filter = SlabFilter::new(self.geometry.size);
         let mut builder = BrickSplineBuilder::new(padded.clone());
         let mut nodes = Image { data: vec![0.0; padded.voxel_count()], geometry: padded.clone() };

@@ -6,13 +6,14 @@
 //! far as the smoothed share still shows them. What it does not show is gone, and [`crate::changes`] tells what and where.
 
 use crate::changes::{Changes, remove_crumbs};
+use crate::crop::{CutFaces, Grid, VoxelBox, room_of_spline};
 use crate::gaussian::smooth;
 use crate::occupancy::{Occupancy, WHOLE};
 use glam::DVec3;
 use isoparticles_field::marching_cubes::marching_cubes;
 use isoparticles_mesh::measure::measure;
 use isoparticles_stage::error::Result;
-use isoparticles_volume::Image;
+use isoparticles_volume::{Geometry, Image};
 use rayon::prelude::*;
 use std::f64::consts::PI;
 
@@ -62,6 +63,8 @@ const REACH: f64 = 3.0;
 pub struct Scaled {
     /// Zero on its surface, positive inside.
     pub level: Image<f32>,
+    /// Faces of that image that are none of the grid that was smoothed.
+    pub cut: CutFaces,
     /// What is not as it was.
     pub changes: Changes,
 }
@@ -78,13 +81,11 @@ struct Boxed {
 impl Boxed {
     /// `None` if there is no object.
     fn new(occupancy: &Occupancy, scale: Scale) -> Result<Option<Self>> {
-        let Some((low, high)) = occupancy.extent() else { return Ok(None) };
+        let Some(object) = occupancy.extent() else { return Ok(None) };
         let geometry = &occupancy.geometry;
         let sigma = 0.5 * scale.length / geometry.spacing;
-        let room = room_round(sigma);
-        let first: [usize; 3] = std::array::from_fn(|axis| low[axis].saturating_sub(room[axis]));
-        let size: [usize; 3] =
-            std::array::from_fn(|axis| (high[axis] + 1 + room[axis]).min(geometry.size[axis]) - first[axis]);
+        let kept = object.with_room(room_round(sigma), geometry.size);
+        let (first, size) = (kept.low, kept.size());
         let before = Occupancy {
             geometry: geometry.cropped(first, size),
             shares: crop(&occupancy.shares, geometry.size, first, size),
@@ -107,20 +108,45 @@ pub(crate) fn smallest_part(scale: f64) -> f64 {
     4.0 / 3.0 * PI * (CRUMB_RADIUS * scale).powi(3)
 }
 
-/// Smooths an object. `None` if nothing is left of it.
+/// Smooths an object; the level is that of the grid asked for. `None` if nothing is left of it.
 ///
 /// # Errors
 /// When its parts are too many to be told apart.
-pub fn scaled(occupancy: Occupancy, scale: Scale) -> Result<Option<Scaled>> {
+pub fn scaled(occupancy: Occupancy, scale: Scale, grid: Grid) -> Result<Option<Scaled>> {
     let (geometry, volume) = (occupancy.geometry.clone(), occupancy.volume());
     let Some(Boxed { first, before, level }) = Boxed::new(&occupancy, scale)? else { return Ok(None) };
     drop(occupancy);
     let Some(changes) = Changes::between(&before, &level, volume, scale.length)? else { return Ok(None) };
     let size = before.geometry.size;
     drop(before);
-    let mut whole = Image::filled(geometry, -0.5f32);
-    paste(&level, size, &mut whole.data, whole.geometry.size, first);
-    Ok(Some(Scaled { level: whole, changes }))
+    let whole = VoxelBox { low: [0; 3], high: geometry.size.map(|n| n - 1) };
+    let kept = match grid {
+        Grid::Volume => whole,
+        Grid::Object => round_level(&level, size).map_or(whole, |left| {
+            let left = VoxelBox { low: add(left.low, first), high: add(left.high, first) };
+            left.with_room(room_of_spline(), geometry.size).on_coarse_nodes()
+        }),
+    };
+    let cut = kept.cut_faces(geometry.size);
+    let mut image = Image::filled(geometry.cropped(kept.low, kept.size()), BEYOND);
+    let level = Image { geometry: Geometry { size, ..geometry }, data: level };
+    paste(&level, first, &mut image, kept.low);
+    Ok(Some(Scaled { level: image, cut, changes }))
+}
+
+/// Level where no share is smoothed: half a share below the surface.
+const BEYOND: f32 = -0.5;
+
+/// The box round what is above zero.
+fn round_level(level: &[f32], size: [usize; 3]) -> Option<VoxelBox> {
+    VoxelBox::of_rows(size, |row| {
+        let values = &level[row * size[0]..(row + 1) * size[0]];
+        Some((values.iter().position(|&value| value > 0.0)?, values.iter().rposition(|&value| value > 0.0)?))
+    })
+}
+
+fn add(a: [usize; 3], b: [usize; 3]) -> [usize; 3] {
+    std::array::from_fn(|axis| a[axis] + b[axis])
 }
 
 /// Standard deviation of the smoothing, in voxels, down to which areas are measured on a coarser grid.
@@ -173,11 +199,18 @@ fn crop(from: &[u8], whole: [usize; 3], first: [usize; 3], size: [usize; 3]) -> 
     rows.flat_map(|(j, k)| &from[(k * whole[1] + j) * whole[0] + first[0]..][..size[0]]).copied().collect()
 }
 
-/// Puts values into a box of a grid.
-fn paste(from: &[f32], size: [usize; 3], to: &mut [f32], whole: [usize; 3], first: [usize; 3]) {
-    for (row, values) in from.chunks(size[0]).enumerate() {
-        let (j, k) = (row % size[1] + first[1], row / size[1] + first[2]);
-        to[(k * whole[1] + j) * whole[0] + first[0]..][..size[0]].copy_from_slice(values);
+/// Copies what two boxes of one grid have in common, given the first voxel of each in that.
+fn paste(from: &Image<f32>, from_first: [usize; 3], to: &mut Image<f32>, to_first: [usize; 3]) {
+    let (source, target) = (from.geometry.size, to.geometry.size);
+    let low: [usize; 3] = std::array::from_fn(|a| from_first[a].max(to_first[a]));
+    let end: [usize; 3] = std::array::from_fn(|a| (from_first[a] + source[a]).min(to_first[a] + target[a]));
+    let count = end[0].saturating_sub(low[0]);
+    for (k, j) in (low[2]..end[2]).flat_map(|k| (low[1]..end[1]).map(move |j| (k, j))) {
+        let at = |first: [usize; 3], size: [usize; 3]| {
+            ((k - first[2]) * size[1] + j - first[1]) * size[0] + low[0] - first[0]
+        };
+        let (source, target) = (at(from_first, source), at(to_first, target));
+        to.data[target..target + count].copy_from_slice(&from.data[source..source + count]);
     }
 }
 
@@ -193,11 +226,16 @@ pub(crate) fn level_set(occupancy: &Occupancy, sigma: DVec3, keep_thin: bool) ->
     for _ in 0..ROUNDS {
         let mut excess = vec![0.0f32; smoothed.len()];
         let mut density = vec![0.0f32; smoothed.len()];
-        excess.par_iter_mut().zip(&mut density).enumerate().for_each(|(n, (excess, density))| {
-            let width = change_across(&smoothed, size, n).max(1e-4);
-            let part = 0.5 + (smoothed[n] - level[n]) / width;
-            *excess = part.clamp(0.0, 1.0) - share(n);
-            *density = if (0.0..1.0).contains(&part) { 1.0 / width } else { 0.0 };
+        let rows = excess.par_chunks_mut(size[0]).zip(density.par_chunks_mut(size[0]));
+        rows.enumerate().for_each(|(row, (excess, density))| {
+            let first = row * size[0];
+            let (own, change) = (&smoothed[first..], change_across(&smoothed, size, row));
+            for (i, (excess, density)) in excess.iter_mut().zip(density).enumerate() {
+                let width = change(i).max(1e-4);
+                let part = 0.5 + (own[i] - level[first + i]) / width;
+                *excess = part.clamp(0.0, 1.0) - share(first + i);
+                *density = if (0.0..1.0).contains(&part) { 1.0 / width } else { 0.0 };
+            }
         });
         smooth(&mut excess, size, window);
         smooth(&mut density, size, window);
@@ -211,15 +249,17 @@ pub(crate) fn level_set(occupancy: &Occupancy, sigma: DVec3, keep_thin: bool) ->
     (smoothed, level)
 }
 
-/// By how much values differ across a voxel: the sum of the slopes along the axes.
-fn change_across(values: &[f32], size: [usize; 3], n: usize) -> f32 {
-    let at = [n % size[0], n / size[0] % size[1], n / (size[0] * size[1])];
-    let stride = [1, size[0], size[0] * size[1]];
-    (0..3)
-        .map(|axis| {
-            let low = values[n - stride[axis] * usize::from(at[axis] > 0)];
-            let high = values[n + stride[axis] * usize::from(at[axis] + 1 < size[axis])];
-            0.5 * (high - low).abs()
-        })
-        .sum()
+/// By how much values differ across each voxel of a row along x: the sum of the slopes along the axes.
+fn change_across(values: &[f32], [nx, ny, nz]: [usize; 3], row: usize) -> impl Fn(usize) -> f32 {
+    let (j, k) = (row % ny, row / ny);
+    let line = move |j: usize, k: usize| &values[(k * ny + j) * nx..][..nx];
+    let own = line(j, k);
+    let along_y = [line(j.saturating_sub(1), k), line((j + 1).min(ny - 1), k)];
+    let along_z = [line(j, k.saturating_sub(1)), line(j, (k + 1).min(nz - 1))];
+    move |i| {
+        let half = |low: f32, high: f32| 0.5 * (high - low).abs();
+        half(own[i.saturating_sub(1)], own[(i + 1).min(nx - 1)])
+            + half(along_y[0][i], along_y[1][i])
+            + half(along_z[0][i], along_z[1][i])
+    }
 }

@@ -239,7 +239,9 @@ fn tightening_counts_parts_and_voxels_against_the_labels_that_stay() {
             f32::from(in_ball || is_more(i, j, k))
         });
         let (input, output) = (input.to_str().expect("text"), output.to_str().expect("text"));
-        let run = distfield(&[input, "-o", output, "--labels", "1", "--tightening", "1.5", "--keep", keep, "--force"]);
+        // the same grid, so that the same numbers are added up
+        let options = ["--labels", "1", "--tightening", "1.5", "--keep", keep, "--grid", "volume", "--force"];
+        let run = distfield(&[&[input, "-o", output][..], &options].concat());
         let told = String::from_utf8_lossy(&run.stderr).into_owned();
         assert_eq!(run.status.code(), Some(0), "{told}");
         (read_field(Path::new(output), FieldKind::Distance).expect("a field").meta, told)

@@ -13,7 +13,8 @@ use support::{directions, positions, sampled, topology, volume};
 const MARGIN: usize = 4;
 
 fn extract(image: &Image<f32>, iso: f64, border: Border) -> Redistanced {
-    let options = ScalarOptions { inside: Inside::Above, border, margin: MARGIN, keep: Keep::All };
+    let options =
+        ScalarOptions { inside: Inside::Above, border, margin: MARGIN, cut: [[false; 2]; 3], keep: Keep::All };
     from_scalar(image.clone(), iso, &options, &Context::silent("distfield")).expect("a surface")
 }
 
@@ -201,7 +202,13 @@ fn an_iso_value_that_voxels_take_simply_works() {
 #[test]
 fn the_low_side_is_the_complement() {
     let image = sampled([20, 20, 20], DVec3::ONE, |p| p.distance(DVec3::splat(9.3)) as f32);
-    let options = ScalarOptions { inside: Inside::Below, border: Border::Cap, margin: MARGIN, keep: Keep::All };
+    let options = ScalarOptions {
+        inside: Inside::Below,
+        border: Border::Cap,
+        margin: MARGIN,
+        cut: [[false; 2]; 3],
+        keep: Keep::All,
+    };
     let result = from_scalar(image.clone(), 6.0, &options, &Context::silent("distfield"));
     let result = result.expect("a ball");
     assert!((volume(&result.field) / (4.0 / 3.0 * std::f64::consts::PI * 216.0) - 1.0).abs() < 0.02);
@@ -215,7 +222,13 @@ fn a_part_that_is_dropped_leaves_the_distance_of_the_other() {
     let (left, right) = (DVec3::new(9.2, 9.4, 9.1), DVec3::new(24.3, 9.1, 9.3));
     let balls = |p: DVec3| (6.0 - p.distance(left)).max(3.0 - p.distance(right)) as f32;
     let image = sampled([32, 20, 20], DVec3::ONE, balls);
-    let options = ScalarOptions { inside: Inside::Above, border: Border::Cap, margin: MARGIN, keep: Keep::Largest };
+    let options = ScalarOptions {
+        inside: Inside::Above,
+        border: Border::Cap,
+        margin: MARGIN,
+        cut: [[false; 2]; 3],
+        keep: Keep::Largest,
+    };
     let result = from_scalar(image, 0.0, &options, &Context::silent("distfield")).expect("a ball");
     assert_eq!((result.dropped.components, result.parts_after.components), (1, 1));
     let volume = 4.0 / 3.0 * std::f64::consts::PI * 27.0;

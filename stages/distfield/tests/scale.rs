@@ -5,6 +5,7 @@ mod support;
 use glam::DVec3;
 use isoparticles_distfield::Inside;
 use isoparticles_distfield::changes::Kind;
+use isoparticles_distfield::crop::Grid;
 use isoparticles_distfield::mask::Mask;
 use isoparticles_distfield::occupancy::Occupancy;
 use isoparticles_distfield::scale::{Scale, Scaled, edge_length, scaled};
@@ -14,7 +15,7 @@ use support::{directions, sampled, topology, volume};
 
 fn smoothed(inside: &Image<bool>, length: f64, keep_thin: bool) -> Scaled {
     let occupancy = Occupancy::of_mask(&Mask::from(inside));
-    scaled(occupancy, Scale { length, keep_thin }).expect("few parts").expect("something is left")
+    scaled(occupancy, Scale { length, keep_thin }, Grid::Volume).expect("few parts").expect("something is left")
 }
 
 /// Negative inside, as F is.
@@ -121,7 +122,9 @@ fn a_scalar_volume_goes_the_way_of_labels() {
         let voxels = Voxels::F32(values.data.iter().map(|value| sign * value).collect());
         let occupancy = Occupancy::of_scalar(&voxels, &values.geometry, 0.0, inside);
         assert!((occupancy.volume() / (4.0 / 3.0 * std::f64::consts::PI * 13f64.powi(3)) - 1.0).abs() < 0.002);
-        let found = scaled(occupancy, Scale { length: 7.0, keep_thin: false }).expect("few parts").expect("a ball");
+        let found = scaled(occupancy, Scale { length: 7.0, keep_thin: false }, Grid::Volume)
+            .expect("few parts")
+            .expect("a ball");
         let radius = (volume(&field(&found)) * 0.75 / std::f64::consts::PI).cbrt();
         assert!((radius - 13.0).abs() < 0.05, "{radius}");
     }

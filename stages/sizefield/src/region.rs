@@ -105,9 +105,9 @@ impl Refinement {
                 Self::Points { file } => format!("{}: its points (if any)", file.display()),
             };
             return Err(Error::input(
-                format!("--refine: {what}: outside the volume"),
+                format!("--refine: {what}: outside the grid of F"),
                 "it would refine nothing",
-                "give places in world coordinates, as the meshes have them (LPS, mm)",
+                "give places in world coordinates, as the meshes have them (LPS, mm); distfield --grid volume makes F on all of the volume",
             ));
         }
         Ok(nodes)
@@ -208,7 +208,7 @@ mod tests {
         let tiny = Ball { centre: DVec3::new(9.5, 5.2, 21.0), radius: 1e-3, size: 0.25 };
         assert!(tiny.nodes(&geometry).count() >= 8);
         let elsewhere = Refinement::Ball(Ball { centre: DVec3::splat(-100.0), radius: 4.0, size: 0.5 });
-        assert!(elsewhere.nodes(&geometry).unwrap_err().what.contains("outside the volume"));
+        assert!(elsewhere.nodes(&geometry).unwrap_err().what.contains("outside the grid of F"));
     }
 
     /// A mask on a grid of its own: turned by a quarter about z, finer and shifted.

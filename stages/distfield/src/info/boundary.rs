@@ -68,9 +68,14 @@ impl Boundary {
 
     /// Diagonal of the box round the sampled faces, mm.
     pub fn diagonal(&self) -> f64 {
+        self.extent().length()
+    }
+
+    /// Extent of that box along each axis, mm.
+    pub fn extent(&self) -> DVec3 {
         let low = self.sample.iter().fold(DVec3::INFINITY, |low, place| low.min(place.position));
         let high = self.sample.iter().fold(DVec3::NEG_INFINITY, |high, place| high.max(place.position));
-        (high - low).max(DVec3::ZERO).length()
+        (high - low).max(DVec3::ZERO)
     }
 }
 

@@ -6,6 +6,7 @@
 
 use super::boundary::{BALL, Boundary, Place};
 use super::kind::Kind;
+use crate::crop::room_of_spline;
 use isoparticles_volume::Geometry;
 use serde::Serialize;
 
@@ -109,7 +110,7 @@ pub fn cost(boundary: &Boundary, parts: Option<usize>, geometry: &Geometry, kind
     let parts = parts.unwrap_or(1) as f64;
     let vertices = default_vertices(boundary, geometry, kind).max(SPECK_VERTICES * parts);
     let faces: usize = boundary.faces.iter().sum();
-    let counts = [geometry.padded(5).voxel_count() as f64, faces as f64, vertices];
+    let counts = [nodes(boundary, geometry), faces as f64, vertices];
     let total =
         |rates: &[f64; 4]| rates[0] + rates[1..].iter().zip(counts).map(|(rate, count)| rate * count).sum::<f64>();
     let stages = RATES.iter().map(|rates| {
@@ -131,6 +132,16 @@ pub fn cost(boundary: &Boundary, parts: Option<usize>, geometry: &Geometry, kind
         uniform: uniform.to_vec(),
         stages: stages.collect(),
     }
+}
+
+/// Nodes of the grid of the object's box, with its room and five more on each face, and no more than those of the volume.
+fn nodes(boundary: &Boundary, geometry: &Geometry) -> f64 {
+    let room = room_of_spline();
+    let along = |axis: usize| {
+        let voxels = boundary.extent()[axis] / geometry.spacing[axis] + 1.0 + 2.0 * room[axis] as f64;
+        voxels.min(geometry.size[axis] as f64) + 10.0
+    };
+    (0..3).map(along).product()
 }
 
 /// Vertices with the default sizes.

@@ -6,6 +6,7 @@
 pub mod choice;
 pub mod extract;
 pub mod grid;
+pub mod islands;
 pub mod program;
 pub mod scaled;
 pub mod survey;

@@ -1,12 +1,14 @@
 //! What `distfield --material` does: from the volume to the file, the report and the checks.
 
-use super::choice::resolve;
+use super::choice::{Chosen, resolve};
 use super::extract::{Extracted, MaterialOptions, Tally, extract};
 use super::grid::LabelGrid;
+use super::islands::remove_islands;
 use super::survey::{Survey, distance_limit, survey};
 use crate::changes::Kind;
-use crate::run::{Args, SCALED_VOLUME_LIMITS, THIN_CLEARANCE, VOLUME_LIMITS};
-use crate::scale::Scale;
+use crate::crop::{VoxelBox, room_of_labels};
+use crate::run::{Args, SCALED_VOLUME_LIMITS, THIN_CLEARANCE, VOLUME_LIMITS, take_out, tell_grid};
+use crate::scale::{Scale, room_round};
 use crate::{Border, Clearance, Keep};
 use isoparticles_field::materials::{MaterialId, Materials};
 use isoparticles_stage::cli::{Context, Outcome};
@@ -27,14 +29,23 @@ const NAMED: usize = 3;
 ///
 /// # Errors
 /// On choices that the volume does not have, options that materials do not take yet, files that cannot be written, and when interrupted.
-pub fn run(args: &Args, volume: Volume, output: &Path, context: &Context) -> Result<Outcome> {
+pub fn run(args: &Args, mut volume: Volume, output: &Path, context: &Context) -> Result<Outcome> {
     check_options(args)?;
     let step = context.step("materials read");
-    let chosen = resolve(&args.material, &volume)?;
-    context.set_parameter("materials", json!(chosen.table));
-    let grid = LabelGrid::new(volume, &chosen, args.border, args.margin.into())?;
+    let mut chosen = resolve(&args.material, &volume)?;
+    let scale = scale(args, &volume.geometry, context);
+    let whole = volume.geometry.padded(args.margin.into());
+    let found = VoxelBox::of_labels(&volume, |label| chosen.number(label) != MaterialId::OUTSIDE.0);
+    let room = scale.map_or_else(
+        || room_of_labels(&volume.geometry, args.margin.into()),
+        |scale| room_round(0.5 * scale.length / volume.geometry.spacing),
+    );
+    take_out(args, &mut volume, found, room, context)?;
+    let mut grid = LabelGrid::new(volume, &chosen, args.border, args.margin.into())?;
     drop(step);
-    let scale = scale(args, &grid.geometry, context);
+    remove_small(&mut grid, &mut chosen, args.smallest_island as usize, context);
+    context.set_parameter("materials", json!(chosen.table));
+    tell_grid(&whole, &grid.padded(), context);
     let options = MaterialOptions {
         clearance: Clearance { usual: args.clearance, thin: THIN_CLEARANCE },
         smoothing_steps: args.smoothing_steps.into(),
@@ -80,6 +91,30 @@ pub fn run(args: &Args, volume: Volume, output: &Path, context: &Context) -> Res
     Ok(Outcome::from_failed_checks(failed))
 }
 
+/// Gives islands to the materials round them, and tells of it.
+fn remove_small(grid: &mut LabelGrid, chosen: &mut Chosen, least: usize, context: &Context) {
+    if least < 2 {
+        return;
+    }
+    let _step = context.step("islands");
+    let found = remove_islands(grid, &mut chosen.table, least);
+    let (count, voxels) = found.iter().fold((0, 0), |(n, voxels), own| (n + own.count, voxels + own.voxels));
+    context.summary("islands given away, voxels", format!("{count}, {voxels}"));
+    context.report("islands", json!(found));
+    let Some(largest) = found.iter().max_by_key(|own| own.largest) else { return };
+    let ([x, y, z], name, most) = (largest.place, &largest.name, largest.largest);
+    context.warn(format!(
+        "{count} islands of fewer than {least} voxels, {voxels} voxels, were given to the materials round them (the largest of '{name}', {most} voxels at \
+         [{x:.1}, {y:.1}, {z:.1}] mm; the report lists all as `islands`)"
+    ));
+    let gone: Vec<&str> = found.iter().filter(|own| own.is_all).map(|own| own.name.as_str()).collect();
+    if !gone.is_empty() {
+        let more = if gone.len() > NAMED { ", ..." } else { "" };
+        let named = gone[..gone.len().min(NAMED)].join(", ");
+        context.warn(format!("{} materials had nothing but such islands, and are gone: {named}{more}", gone.len()));
+    }
+}
+
 /// Options that many materials do not take yet.
 fn check_options(args: &Args) -> Result<()> {
     let refused = |option: &str, why: &str| {
@@ -96,7 +131,7 @@ fn check_options(args: &Args) -> Result<()> {
         return refused("--tightening", "what one material gives up no other would take");
     }
     if args.keep != Keep::All {
-        return refused("--keep", "it is not said which material would take the place of a part that is dropped");
+        return refused("--keep", "--smallest-island VOXELS gives small components to the materials round them");
     }
     Ok(())
 }

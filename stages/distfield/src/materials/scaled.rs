@@ -9,6 +9,7 @@
 use super::grid::{Extent, LabelGrid};
 use crate::bits::{Bits, Numbering};
 use crate::changes::{Changes, remove_crumbs};
+use crate::crop::CutFaces;
 use crate::field::Demands;
 use crate::occupancy::Occupancy;
 use crate::scalar::{ScalarOptions, from_voxels_with};
@@ -238,8 +239,13 @@ impl<'a> Levels<'a> {
             return Ok(Made { result: None, first, changes: None });
         };
         drop(before);
-        let options =
-            ScalarOptions { inside: Inside::Above, border: grid.border, margin: grid.margin, keep: Keep::All };
+        let options = ScalarOptions {
+            inside: Inside::Above,
+            border: grid.border,
+            margin: grid.margin,
+            cut: CutFaces::default(),
+            keep: Keep::All,
+        };
         let result = from_voxels_with(Voxels::F32(above), geometry, 0.0, &options, demands, monitor)?;
         Ok(Made { result: Some(result), first, changes: Some(changes) })
     }
