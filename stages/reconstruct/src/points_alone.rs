@@ -97,7 +97,7 @@ fn read(args: &Args, context: &Context) -> Result<Input> {
         context.add_input(&args.particles, cloud.history)?;
         let report = PrepareReport { particles: cloud.positions.len(), ..PrepareReport::default() };
         let normals = cloud.normals.unwrap_or_default();
-        let points = SurfacePoints { positions: cloud.positions, sizes: Vec::new(), normals, report };
+        let points = SurfacePoints { positions: cloud.positions, normals, report, ..SurfacePoints::default() };
         // the cloud is in the world as it is
         let mut geometry = Geometry::axis_aligned([1; 3], DVec3::ONE);
         geometry.space = cloud.space;
@@ -106,8 +106,13 @@ fn read(args: &Args, context: &Context) -> Result<Input> {
     let particles = read_settled(args, context)?;
     // reading has refused what is not finite
     let report = PrepareReport { particles: particles.positions.len(), ..PrepareReport::default() };
-    let points =
-        SurfacePoints { positions: particles.positions, sizes: particles.sizes, normals: particles.normals, report };
+    let points = SurfacePoints {
+        positions: particles.positions,
+        sizes: particles.sizes,
+        normals: particles.normals,
+        report,
+        ..SurfacePoints::default()
+    };
     Ok(Input { points, geometry: particles.geometry, has_sizes: true })
 }
 

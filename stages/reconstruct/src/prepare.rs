@@ -2,6 +2,7 @@
 
 use glam::DVec3;
 use isoparticles_delaunay::{Delaunay, INFINITE};
+use isoparticles_field::materials::Stratum;
 use isoparticles_field::particle_set::ParticleSet;
 use isoparticles_field::spline::CubicSpline;
 use isoparticles_stage::error::{Error, Result};
@@ -27,6 +28,9 @@ pub struct SurfacePoints {
     pub sizes: Vec<f64>,
     /// Normals, where they are needed and known; else empty.
     pub normals: Vec<DVec3>,
+    /// The strata of the first points, those at junction points and on curves; empty where there are none. Of those on different ones none gives way to another, however
+    /// near they lie, but on the same spot: curves would lose their ends and hairpins.
+    pub lower: Vec<Stratum>,
     /// What happened on the way.
     pub report: PrepareReport,
 }
@@ -67,6 +71,7 @@ impl SurfacePoints {
             let kept: Vec<usize> =
                 (0..self.positions.len()).filter(|v| crowded.binary_search(&(*v as u32)).is_err()).collect();
             self.positions = kept.iter().map(|&v| self.positions[v]).collect();
+            self.lower = kept.iter().filter_map(|&v| self.lower.get(v).copied()).collect();
             self.sizes = kept.iter().map(|&v| self.sizes[v]).collect();
             if !self.normals.is_empty() {
                 self.normals = kept.iter().map(|&v| self.normals[v]).collect();
@@ -74,13 +79,21 @@ impl SurfacePoints {
         }
     }
 
-    /// Duplicates, and the later ends of edges that are too short, but for those whose other end goes already; ascending.
+    /// Whether two points lie at different junction points, or on curves and at points that do not end there.
+    fn are_strangers(&self, a: usize, b: usize) -> bool {
+        let (Some(a), Some(b)) = (self.lower.get(a), self.lower.get(b)) else { return false };
+        let holds = |one: &Stratum, other: &Stratum| other.materials().iter().all(|&id| one.has(id));
+        a.dimension() + b.dimension() == 0 || !holds(a, b) && !holds(b, a)
+    }
+
+    /// Duplicates, and the later ends of edges that are too short, but between strangers and for those whose other end goes already; ascending.
     fn crowded(&self, delaunay: &Delaunay) -> Vec<u32> {
         let mut gone: BTreeSet<u32> =
             (0..self.positions.len() as u32).filter(|&v| delaunay.duplicate_of(v).is_some()).collect();
         let is_short = |a: u32, b: u32| {
             let (a, b) = (a as usize, b as usize);
-            a < b && self.positions[a].distance(self.positions[b]) < TOO_CLOSE * self.sizes[a].min(self.sizes[b])
+            let limit = TOO_CLOSE * self.sizes[a].min(self.sizes[b]);
+            a < b && self.positions[a].distance(self.positions[b]) < limit && !self.are_strangers(a, b)
         };
         let mut short: Vec<(u32, u32)> = delaunay
             .tetrahedra()
@@ -175,5 +188,5 @@ pub fn prepare(particles: &ParticleSet, field: &CubicSpline) -> Result<SurfacePo
             "give the distance field that the particles were made from, or rerun `seed` and `particles`",
         ));
     }
-    Ok(SurfacePoints { positions, sizes, normals: Vec::new(), report })
+    Ok(SurfacePoints { positions, sizes, report, ..SurfacePoints::default() })
 }

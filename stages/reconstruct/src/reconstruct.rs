@@ -71,7 +71,7 @@ impl Default for Options {
             method: Method::Restricted,
             max_deviation: None,
             max_rounds: 40,
-            improve_below: 0.8,
+            improve_below: 0.9,
             relaxation_sweeps: 3,
             improve_rounds: 3,
             keeps_voxels: false,

@@ -65,6 +65,11 @@ pub(super) enum Rule {
     },
     /// Neither the smallest nor the mean quality falls, and one of them rises.
     Even,
+    /// The mean quality rises, and the smallest does not fall below `floor`, or not at all where it was lower.
+    Mean {
+        /// The floor.
+        floor: f64,
+    },
     /// The smallest quality does not fall below `floor`, or not at all where it was lower.
     Keep {
         /// The floor.
@@ -155,6 +160,9 @@ fn is_better(surface: &Surface, touched: &[u32], rule: Rule, mended: usize) -> b
         Rule::Even => {
             let (smallest, mean) = (after.smallest - before.smallest, after.mean - before.mean);
             smallest >= 0.0 && mean >= 0.0 && smallest + mean > LEAST_GAIN_OF_SWEEP
+        }
+        Rule::Mean { floor } => {
+            after.smallest >= before.smallest.min(floor) && after.mean - before.mean > LEAST_GAIN_OF_SWEEP
         }
         Rule::Keep { floor } => after.smallest >= before.smallest.min(floor) && after.smallest > 0.0,
         Rule::Any => after.smallest > 0.0,

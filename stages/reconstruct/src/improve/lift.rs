@@ -1,56 +1,83 @@
 //! What a bad triangle is lifted by: a single move, with relocations round it where none helps alone, and two moves in a row.
 
-use super::constants::{FIRST_MOVES, LEAST_GAIN};
+use super::constants::{FIRST_MOVES, LEAST_GAIN, SETTLINGS};
 use super::guard::{Limits, Rule, commit_or_rollback, gain, progress};
 use super::moves::{Move, moves_near, relocate_all};
+use super::smooth::shift;
 use super::surface::Surface;
+
+/// What follows a move before it is judged.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum After {
+    /// Nothing.
+    Nothing,
+    /// Relocations of the vertices that gain by it.
+    Relocations,
+    /// The same when these and their neighbours have been smoothed.
+    Settling,
+}
 
 /// Commits the single move on a triangle that gains most, of those that the guard lets pass; with relocations round it where none does alone.
 pub(super) fn lift(surface: &mut Surface, triangle: u32, limits: &Limits, bar: f64) -> bool {
     let candidates = moves_near([surface.triangles[triangle as usize]]);
-    for relocates in [false, true] {
-        let mut rated: Vec<(f64, Move)> = Vec::new();
-        // relocations that follow bring a vertex all the way
-        for &candidate in candidates.iter().filter(|m| !(relocates && m.is_partial())) {
-            if make(surface, candidate, relocates) {
-                let gain = gain(surface, bar);
-                if gain > LEAST_GAIN {
-                    rated.push((gain, candidate));
-                }
+    let mut by_best = |after| lift_by_best(surface, &candidates, after, limits, bar);
+    by_best(After::Nothing) || by_best(After::Relocations)
+}
+
+/// Commits the move that gains most, of those that the guard lets pass.
+fn lift_by_best(surface: &mut Surface, candidates: &[Move], after: After, limits: &Limits, bar: f64) -> bool {
+    let mut rated: Vec<(f64, Move)> = Vec::new();
+    // relocations that follow bring a vertex all the way
+    for &candidate in candidates.iter().filter(|m| after == After::Nothing || !m.is_partial()) {
+        if make(surface, candidate, after) {
+            let gain = gain(surface, bar);
+            if gain > LEAST_GAIN {
+                rated.push((gain, candidate));
             }
-            surface.rollback();
         }
-        if commit_best(surface, rated, relocates, limits, bar) {
-            return true;
-        }
+        surface.rollback();
     }
-    false
+    // stable: the order of the moves among equals
+    rated.sort_by(|a, b| b.0.total_cmp(&a.0));
+    rated.into_iter().any(|(_, candidate)| {
+        let made = make(surface, candidate, after);
+        let kept = made && commit_or_rollback(surface, limits, Rule::Lift { bar }).is_some();
+        surface.rollback();
+        kept
+    })
 }
 
 /// The same with two moves in a row: a first one on the triangle or its neighbours, which need not help by itself, and one on the worst triangle that it
-/// leaves.
-pub(super) fn lift_by_two(surface: &mut Surface, triangle: u32, limits: &Limits, bar: f64) -> bool {
-    if lift(surface, triangle, limits, bar) {
+/// leaves. `after` is what follows each of them.
+pub(super) fn lift_by_two(surface: &mut Surface, triangle: u32, limits: &Limits, bar: f64, after: After) -> bool {
+    let whole = |triangles: Vec<[u32; 3]>| -> Vec<Move> {
+        moves_near(triangles).into_iter().filter(|m| !m.is_partial()).collect()
+    };
+    let near = whole(surface.with_neighbours(triangle));
+    let is_lifted = match after {
+        After::Settling => lift_by_best(surface, &near, after, limits, bar),
+        After::Nothing | After::Relocations => lift(surface, triangle, limits, bar),
+    };
+    if is_lifted {
         return true;
     }
     let mut firsts: Vec<(f64, Move)> = Vec::new();
-    let whole = |triangles: Vec<[u32; 3]>| moves_near(triangles).into_iter().filter(|m| !m.is_partial());
-    for candidate in whole(surface.with_neighbours(triangle)) {
-        if make(surface, candidate, true) {
+    for candidate in near {
+        if make(surface, candidate, after) {
             firsts.push((progress(surface, bar), candidate));
         }
         surface.rollback();
     }
     firsts.sort_by(|a, b| b.0.total_cmp(&a.0));
     for (_, first) in firsts.into_iter().take(FIRST_MOVES) {
-        make(surface, first, true);
+        make(surface, first, after);
         let made = surface.mark();
         let touched = surface.touched().into_iter().filter(|&t| surface.is_alive(t));
         let worst = touched.min_by(|&a, &b| surface.quality(a).total_cmp(&surface.quality(b)));
         let corners = worst.map(|t| surface.triangles[t as usize]);
         let mut rated: Vec<(f64, Move)> = Vec::new();
         for candidate in whole(corners.into_iter().collect()) {
-            if make(surface, candidate, true) {
+            if make(surface, candidate, after) {
                 let gain = gain(surface, bar);
                 if gain > LEAST_GAIN {
                     rated.push((gain, candidate));
@@ -61,8 +88,8 @@ pub(super) fn lift_by_two(surface: &mut Surface, triangle: u32, limits: &Limits,
         rated.sort_by(|a, b| b.0.total_cmp(&a.0));
         for (_, second) in rated {
             surface.rollback();
-            if make(surface, first, true)
-                && make(surface, second, true)
+            if make(surface, first, after)
+                && make(surface, second, after)
                 && commit_or_rollback(surface, limits, Rule::Lift { bar }).is_some()
             {
                 return true;
@@ -73,23 +100,22 @@ pub(super) fn lift_by_two(surface: &mut Surface, triangle: u32, limits: &Limits,
     false
 }
 
-/// Commits the first move, by falling gain, that the guard lets pass.
-fn commit_best(surface: &mut Surface, mut rated: Vec<(f64, Move)>, relocates: bool, limits: &Limits, bar: f64) -> bool {
-    // stable: the order of the moves among equals
-    rated.sort_by(|a, b| b.0.total_cmp(&a.0));
-    rated.into_iter().any(|(_, candidate)| {
-        let made = make(surface, candidate, relocates);
-        let kept = made && commit_or_rollback(surface, limits, Rule::Lift { bar }).is_some();
-        surface.rollback();
-        kept
-    })
-}
-
-/// Makes a move, with relocations round it if asked for; false where it cannot be made.
-pub(super) fn make(surface: &mut Surface, candidate: Move, relocates: bool) -> bool {
+/// Makes a move, with what is to follow; false where it cannot be made.
+pub(super) fn make(surface: &mut Surface, candidate: Move, after: After) -> bool {
     let Some(involved) = candidate.make(surface) else { return false };
-    if relocates {
-        relocate_all(surface, involved);
+    match after {
+        After::Nothing => {}
+        After::Relocations => relocate_all(surface, involved),
+        After::Settling => {
+            let neighbours = involved.iter().flat_map(|&v| surface.link(v).map(|(u, _)| u));
+            let mut round: Vec<u32> = neighbours.chain(involved.iter().copied()).collect();
+            round.sort_unstable();
+            round.dedup();
+            for _ in 0..SETTLINGS {
+                round.iter().for_each(|&v| shift(surface, v));
+            }
+            relocate_all(surface, involved);
+        }
     }
     true
 }

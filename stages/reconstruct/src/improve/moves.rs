@@ -8,7 +8,7 @@ use super::constants::{
 use super::guard::quality_of;
 use super::surface::{DEAD, Surface, edges_of};
 use glam::DVec3;
-use isoparticles_field::spline::FLATTEST;
+use isoparticles_field::spline::{FLATTEST, Jet};
 use std::f64::consts::TAU;
 
 /// The point of a sheet (F = 0, where there is one object) near a position, no farther than `limit` mm.
@@ -121,28 +121,54 @@ pub(super) fn split(surface: &mut Surface, a: u32, b: u32) -> Option<u32> {
     Some(m)
 }
 
+/// A vertex that may move, and what is round it.
+pub(super) struct Site {
+    pub(super) start: DVec3,
+    pub(super) sheet: u32,
+    /// Derivatives of F there, and the length of its gradient.
+    pub(super) jet: Jet,
+    pub(super) slope: f64,
+    pub(super) normal: DVec3,
+    /// Of the tangent plane.
+    pub(super) axes: [DVec3; 2],
+    /// The other corners of the triangles.
+    pub(super) ring: Vec<(DVec3, DVec3)>,
+    /// Mean distance of the neighbours.
+    pub(super) reach: f64,
+}
+
+impl Site {
+    /// `None` where the vertex must stay, or F is flat.
+    pub(super) fn of(surface: &Surface, vertex: u32) -> Option<Self> {
+        let v = vertex as usize;
+        if surface.frozen[v] || surface.fixed[v] || surface.around[v].is_empty() {
+            return None;
+        }
+        let (start, sheet) = (surface.positions[v], surface.sheet_at(vertex));
+        let jet = surface.field.jet(sheet, start);
+        let slope = jet.gradient.length();
+        if slope < FLATTEST {
+            return None;
+        }
+        let normal = jet.gradient / slope;
+        let axes = <[DVec3; 2]>::from(normal.any_orthonormal_pair());
+        let ring: Vec<(DVec3, DVec3)> = surface.link(vertex).map(|(a, b)| surface.side(a, b)).collect();
+        let reach = ring.iter().map(|(a, _)| a.distance(start)).sum::<f64>() / ring.len() as f64;
+        Some(Self { start, sheet, jet, slope, normal, axes, ring, reach })
+    }
+}
+
 /// Moves a vertex along the surface to where the smallest quality of its triangles is largest.
 pub(super) fn relocate(surface: &mut Surface, vertex: u32) -> bool {
-    let v = vertex as usize;
-    if surface.frozen[v] || surface.fixed[v] || surface.around[v].is_empty() {
+    let Some(Site { start, sheet, jet, slope, normal, axes: [e1, e2], mut ring, reach }) = Site::of(surface, vertex)
+    else {
         return false;
-    }
-    let (start, sheet) = (surface.positions[v], surface.sheet_at(vertex));
-    let jet = surface.field.jet(sheet, start);
-    let slope = jet.gradient.length();
-    if slope < FLATTEST {
-        return false;
-    }
-    let normal = jet.gradient / slope;
-    let mut ring: Vec<(DVec3, DVec3)> =
-        surface.link(vertex).map(|(a, b)| (surface.positions[a as usize], surface.positions[b as usize])).collect();
-    let reach = ring.iter().map(|(a, _)| a.distance(start)).sum::<f64>() / ring.len() as f64;
+    };
     let worth = |ring: &mut [(DVec3, DVec3)], p: DVec3| {
         ring_worth_above(ring, normal, p, f64::NEG_INFINITY).unwrap_or(f64::NEG_INFINITY)
     };
 
     // to second order the surface is a paraboloid over its tangent plane
-    let (e1, e2) = normal.any_orthonormal_pair();
     let place = |x: f64, y: f64| {
         let t = e1 * x + e2 * y;
         start + t - normal * (0.5 * t.dot(jet.hessian * t) / slope)

@@ -3,9 +3,10 @@
 //! on F = 0.
 
 use super::Tally;
-use super::constants::{FLOOR, FLOOR_OF_RELAXATION, LONG, SHORT};
+use super::constants::{FLOOR, FLOOR_OF_RELAXATION, LONG, SHORT, SWEEPS_OF_FLIP};
 use super::guard::{Limits, Rule, commit_or_rollback};
 use super::moves::{collapse, flip, projected, relax, split};
+use super::smooth::shift;
 use super::surface::{DEAD, Surface, edges_of};
 
 /// One round of everything.
@@ -13,7 +14,7 @@ pub(super) fn round(surface: &mut Surface, limits: &Limits, tally: &mut Tally) {
     split_long(surface, limits, tally);
     collapse_short(surface, limits, tally);
     let all = &vec![true; surface.positions.len()];
-    equalise_degrees(surface, limits, Rule::Keep { floor: FLOOR }, 0, all, tally);
+    equalise_degrees(surface, limits, Rule::Keep { floor: FLOOR }, all, tally);
     for _ in 0..2 {
         relax_all(surface, limits, Rule::Keep { floor: FLOOR_OF_RELAXATION }, all, tally);
     }
@@ -69,16 +70,18 @@ fn collapse_short(surface: &mut Surface, limits: &Limits, tally: &mut Tally) {
     }
 }
 
-/// Flips edges where that brings the degrees round them closer to six, next to at least one of the vertices in question; the four vertices of a
-/// flip relax `sweeps` times before it is judged, since a flip alone seldom makes better triangles at once.
+/// Flips edges where that brings the degrees round them closer to six, next to at least one of the vertices in question. Where triangles must gain
+/// by it, the four vertices of a flip are smoothed before it is judged, since a flip alone seldom makes better triangles at once; and flips that leave the sum
+/// of squares as it is, which move a pair of degrees five and seven by an edge, are tried as well (mean radius ratio of `heart_label` 1 at 5,000 vertices 0.9919 in place
+/// of 0.9915, of the lungs at 1,000 0.9885 in place of 0.9877).
 pub(super) fn equalise_degrees(
     surface: &mut Surface,
     limits: &Limits,
     rule: Rule,
-    sweeps: usize,
     in_question: &[bool],
     tally: &mut Tally,
 ) {
+    let must_gain = !matches!(rule, Rule::Keep { .. });
     let next_to = |corners: &&[u32; 3]| **corners != DEAD && corners.iter().any(|&v| in_question[v as usize]);
     for (a, b) in edges_of(surface.triangles.iter().filter(next_to)) {
         let Some([(left, c), (_, d)]) = surface.edge_triangles(a, b) else { continue };
@@ -86,10 +89,10 @@ pub(super) fn equalise_degrees(
         let cost = |x: i64| x * x;
         let before = cost(a_over) + cost(b_over) + cost(c_over) + cost(d_over);
         let after = cost(a_over - 1) + cost(b_over - 1) + cost(c_over + 1) + cost(d_over + 1);
-        if after < before && flip(surface, a, b) {
-            for _ in 0..sweeps {
-                for v in [a, b, c, d] {
-                    relax(surface, v, 1.0);
+        if (after < before || after == before && must_gain) && flip(surface, a, b) {
+            if must_gain {
+                for _ in 0..SWEEPS_OF_FLIP {
+                    [a, b, c, d].into_iter().for_each(|v| shift(surface, v));
                 }
             }
             tally.flips += usize::from(commit_or_rollback(surface, limits, rule).is_some());

@@ -3,7 +3,7 @@
 
 mod edits;
 
-use super::constants::{FIRST_ORDER, MOST_DEVIATION};
+use super::constants::{FIRST_ORDER, MOST_DEVIATION, SHORT_SIDE};
 use super::grid::TriangleGrid;
 use super::guard::quality_of;
 use super::moves::projected_facing;
@@ -79,6 +79,8 @@ pub(super) struct Surface<'a> {
     pub(super) frozen: Vec<bool>,
     /// Vertices that lie on several sheets: they stay where they are, and what they end in one sheet is edited like the rest of it.
     pub(super) fixed: Vec<bool>,
+    /// Of these, the junction points, at which curves end; empty where there are none.
+    pub(super) junctions: Vec<bool>,
     /// Facts of each triangle as last committed.
     pub(super) facts: Vec<Facts>,
     /// Committed triangles by place.
@@ -97,14 +99,20 @@ impl<'a> Surface<'a> {
     /// Takes a well-formed mesh of one sheet over.
     #[cfg(test)]
     pub(super) fn new(mesh: &TriangleMesh, field: &'a dyn Sheets, size: Size<'a>) -> Self {
-        Self::of_sheets(mesh, vec![0; mesh.triangles.len()], vec![false; mesh.vertices.len()], field, size)
+        Self::of_sheets(
+            mesh,
+            vec![0; mesh.triangles.len()],
+            [vec![false; mesh.vertices.len()], Vec::new()],
+            field,
+            size,
+        )
     }
 
-    /// The same of several sheets, with the sheet of each triangle; each vertex on several of them is fixed.
+    /// The same of several sheets, with the sheet of each triangle; each vertex on several of them is `fixed`, and some of these are `junctions`.
     pub(super) fn of_sheets(
         mesh: &TriangleMesh,
         sheet: Vec<u32>,
-        fixed: Vec<bool>,
+        [fixed, junctions]: [Vec<bool>; 2],
         field: &'a dyn Sheets,
         size: Size<'a>,
     ) -> Self {
@@ -124,6 +132,7 @@ impl<'a> Surface<'a> {
             sheet,
             frozen: Vec::new(),
             fixed,
+            junctions,
             around,
             facts: Vec::new(),
             grid: TriangleGrid::new(whole, typical_extent(mesh)),
@@ -163,6 +172,7 @@ impl<'a> Surface<'a> {
             triangles: triangles.iter().map(corners).collect(),
             sheet: triangles.iter().map(|&t| self.sheet[t as usize]).collect(),
             fixed: vertices.iter().map(|&v| self.fixed[v as usize]).collect(),
+            junctions: vertices.iter().map(|&v| self.is_junction(v)).collect(),
             frozen: vertices.iter().zip(&around).map(is_frozen).collect(),
             around,
             facts: triangles.iter().map(|&t| self.facts[t as usize]).collect(),
@@ -218,10 +228,36 @@ impl<'a> Surface<'a> {
         (b - a).cross(c - a).normalize_or_zero()
     }
 
-    /// Quality of a triangle as it is now.
+    /// Quality of a triangle as it is now, or as it would be with a side of length h in the place of one that is short and stays ([`Self::side`]).
     pub(super) fn quality(&self, triangle: u32) -> f64 {
-        let [a, b, c] = self.corners(triangle);
+        let corners = self.triangles[triangle as usize];
+        let [a, b, c] = corners.map(|v| self.positions[v as usize]);
+        for k in 0..3 {
+            if let Some((p, q)) = self.stretched(corners[k], corners[(k + 1) % 3]) {
+                return quality_of(p, q, self.positions[corners[(k + 2) % 3] as usize]);
+            }
+        }
         quality_of(a, b, c)
+    }
+
+    /// The ends of a side of length h in the place of one on which no triangle can be good, whatever its third corner: between two junction points far nearer to each other.
+    fn stretched(&self, a: u32, b: u32) -> Option<(DVec3, DVec3)> {
+        if !(self.is_junction(a) && self.is_junction(b) && self.relative_length(a, b) < SHORT_SIDE) {
+            return None;
+        }
+        let (p, q) = (self.positions[a as usize], self.positions[b as usize]);
+        let (middle, half) = (p.midpoint(q), 0.5 * self.target_between(a, b) * (q - p).normalize_or_zero());
+        Some((middle - half, middle + half))
+    }
+
+    fn is_junction(&self, v: u32) -> bool {
+        self.junctions.get(v as usize) == Some(&true)
+    }
+
+    /// The ends of a side by which its triangles are judged. Where it is short and stays, it counts as of length h, so that the third corner is drawn to the height of
+    /// a good triangle, and not towards the side, where it would spoil the other triangles round it.
+    pub(super) fn side(&self, a: u32, b: u32) -> (DVec3, DVec3) {
+        self.stretched(a, b).unwrap_or_else(|| (self.positions[a as usize], self.positions[b as usize]))
     }
 
     /// Length of an edge, mm.
@@ -281,7 +317,7 @@ impl<'a> Surface<'a> {
         }
         let lengths = [0, 1, 2].map(|e| self.relative_length(corners[e], corners[(e + 1) % 3]));
         Facts {
-            quality: quality_of(a, b, c),
+            quality: self.quality(triangle),
             agreement: normal.dot(gradient.normalize_or_zero()),
             deviation,
             lengths: [lengths[0].min(lengths[1]).min(lengths[2]), lengths[0].max(lengths[1]).max(lengths[2])],

@@ -5,9 +5,10 @@
 //! across the faces of the blocks has its turn in blocks shifted by half their side, and what is left after that (0.4 % of the
 //! vertices of the torso; more where the mesh is strongly graded) in the whole mesh, on one thread.
 
-use super::constants::{BLOCK, SWEEPS_OF_FLIP};
+use super::constants::{BLOCK, GOOD, VISITS};
 use super::guard::{Limits, Rule};
 use super::patch::Patch;
+use super::smooth::smooth;
 use super::surface::{DEAD, Surface};
 use super::{Step, Tally, remesh};
 use glam::DVec3;
@@ -15,8 +16,8 @@ use isoparticles_mesh::spatial::Bounds;
 use isoparticles_stage::error::Result;
 use rayon::prelude::*;
 
-/// Flips towards degree six and relaxes every vertex, `sweeps` times; none of it lets any triangle's neighbourhood get worse. `step` is called
-/// before each sweep of a block and may stop it.
+/// Flips towards degree six and relaxes every vertex, so that edges get near to h, and lets no triangle's neighbourhood get worse; then flips towards degree six and smooths, for as long as that
+/// gains, but no more than so many `sweeps` in all and [`VISITS`]. `step` is called before each sweep of a block and may stop it.
 ///
 /// # Errors
 /// Those of `step`.
@@ -27,13 +28,14 @@ pub(super) fn sweep(
     step: Step,
     tally: &mut Tally,
 ) -> Result<()> {
+    let visits = (sweeps - 1) as f64 + VISITS as f64 / surface.positions.len() as f64;
     let work = |part: &mut Surface, todo: &[bool]| {
         let mut tally = Tally::default();
-        for _ in 0..sweeps {
-            step()?;
-            remesh::equalise_degrees(part, limits, Rule::Even, SWEEPS_OF_FLIP, todo, &mut tally);
-            remesh::relax_all(part, limits, Rule::Even, todo, &mut tally);
-        }
+        step()?;
+        remesh::equalise_degrees(part, limits, Rule::Even, todo, &mut tally);
+        remesh::relax_all(part, limits, Rule::Even, todo, &mut tally);
+        let share = todo.iter().filter(|&&todo| todo).count() as f64;
+        smooth_all(part, limits, todo, (visits * share) as usize, step, &mut tally)?;
         Ok::<_, isoparticles_stage::error::Error>(tally)
     };
     let mut todo = vec![true; surface.positions.len()];
@@ -62,6 +64,37 @@ pub(super) fn sweep(
     tally.relocations += tallies.iter().map(|t| t.relocations).sum::<usize>();
     tally.flips += tallies.iter().map(|t| t.flips).sum::<usize>();
     Ok(())
+}
+
+/// Flips and smooths next to the vertices to do, and again next to what has moved, until nothing moves or there were more than so many `visits`.
+fn smooth_all(
+    part: &mut Surface,
+    limits: &Limits,
+    todo: &[bool],
+    mut visits: usize,
+    step: Step,
+    tally: &mut Tally,
+) -> Result<()> {
+    let rule = Rule::Mean { floor: GOOD };
+    let mut open = todo.to_vec();
+    loop {
+        let count = open.iter().filter(|&&open| open).count();
+        if count == 0 || count > visits {
+            return Ok(());
+        }
+        visits -= count;
+        step()?;
+        remesh::equalise_degrees(part, limits, rule, &open, tally);
+        let mut next = vec![false; open.len()];
+        for v in (0..open.len() as u32).filter(|&v| open[v as usize]) {
+            if smooth(part, v, limits, rule) {
+                tally.relocations += 1;
+                next[v as usize] = true;
+                part.link(v).for_each(|(u, _)| next[u as usize] = true);
+            }
+        }
+        open = next;
+    }
 }
 
 /// A block with what is in it.

@@ -11,7 +11,7 @@ use super::constants::{
     SHORTER, STRAYS, TARGET, TURNED,
 };
 use super::guard::{Limits, Rule, commit_or_rollback};
-use super::lift::{lift, make};
+use super::lift::{After, lift, make};
 use super::moves::Move;
 use super::moves::projected_facing;
 use super::nodes::NodeSides;
@@ -145,7 +145,7 @@ pub(super) fn coarsen(surface: &mut Surface, mut triangles: Vec<u32>, length: f6
         for (_, a, b) in short {
             for (keep, gone, share) in [(a, b, 0.5), (a, b, 0.0), (b, a, 0.0)] {
                 let too_long = |s: &Surface| s.link(keep).any(|(v, _)| s.length(keep, v) > LONG * length);
-                if make(surface, Move::Collapse(keep, gone, share), true)
+                if make(surface, Move::Collapse(keep, gone, share), After::Relocations)
                     && !too_long(surface)
                     && commit_or_rollback(surface, limits, Rule::Keep { floor: TARGET }).is_some()
                 {

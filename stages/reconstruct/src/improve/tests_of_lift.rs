@@ -72,3 +72,27 @@ fn quality_is_what_is_asked_for_at_the_limits_of_the_angles() {
     }
     assert!(quality(120.0) < FIT && quality(27.9) < AIM && quality(105.1) < AIM);
 }
+
+#[test]
+fn a_triangle_on_two_junction_points_far_nearer_than_h_is_judged_by_its_height() {
+    // a tetrahedron with h = 1 and one short edge between vertices that stay
+    let apex = |y: f64, z: f64| DVec3::new(0.025, y, z);
+    let vertices = vec![DVec3::ZERO, DVec3::X * 0.05, apex(0.75f64.sqrt(), 0.0), apex(0.0, 0.3)];
+    let mesh = TriangleMesh { vertices, triangles: vec![[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]] };
+    let field = CubicSpline::new(&sampled([5; 3], DVec3::ONE, ball(DVec3::ZERO, 1.0)));
+    let judged = |junctions: Vec<bool>| {
+        let fixed = vec![true, true, false, false];
+        let surface = Surface::of_sheets(&mesh, vec![0; 4], [fixed, junctions], &field, &|_| 1.0);
+        [0, 1, 2].map(|t| surface.quality(t))
+    };
+    let [plain, low, other] = judged(Vec::new());
+    assert!(plain < 0.15 && low < 0.35, "{plain} {low}");
+    let [good, lower, same] = judged(vec![true, true, false, false]);
+    assert!((good - 1.0).abs() < 1e-9 && lower < 0.6, "{good} {lower}");
+    assert_eq!(other, same, "no other triangle is judged by it");
+    assert_eq!(
+        judged(vec![true, false, false, false]),
+        [plain, low, other],
+        "a curve's vertex may be far from the next"
+    );
+}

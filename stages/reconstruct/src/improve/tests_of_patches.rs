@@ -6,11 +6,11 @@ use constants::FIT;
 use isoparticles_volume::Geometry;
 
 /// Vertices along a side of the lattice, and between the displaced ones.
-const SIDE: usize = 64;
+pub(super) const SIDE: usize = 64;
 const APART: usize = 6;
 
 /// A lattice of equilateral triangles in a plane, with vertices moved along it by so much of a side.
-fn lattice(shift: f64) -> TriangleMesh {
+pub(super) fn lattice(shift: f64) -> TriangleMesh {
     let mut mesh = TriangleMesh::default();
     for j in 0..SIDE {
         for i in 0..SIDE {
@@ -29,13 +29,18 @@ fn lattice(shift: f64) -> TriangleMesh {
     mesh
 }
 
-#[test]
-fn many_triangles_just_outside_the_limits_are_all_lifted() {
+/// F that is zero on the lattice's plane.
+pub(super) fn plane() -> CubicSpline {
     let mut image = Image::filled(Geometry::axis_aligned([70, 62, 8], DVec3::ONE), 0.0f32);
     for (n, value) in image.data.iter_mut().enumerate() {
         *value = (n / (70 * 62)) as f32 - 3.5;
     }
-    let field = CubicSpline::new(&image);
+    CubicSpline::new(&image)
+}
+
+#[test]
+fn many_triangles_just_outside_the_limits_are_all_lifted() {
+    let field = plane();
     let qualities = |mesh: &TriangleMesh| -> Vec<f64> {
         let corners = (0..mesh.triangles.len()).map(|t| mesh.corners(t));
         corners.map(|[a, b, c]| guard::quality_of(a, b, c)).collect()

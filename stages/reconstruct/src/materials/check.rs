@@ -5,9 +5,10 @@ use super::improve::walls;
 use super::interfaces::Interfaces;
 use super::nodes::Nodes;
 use super::pieces::{Pieces, pieces};
-use super::segments::Segment;
+use super::segments::{Segment, segment};
 use crate::check::DistanceSummary;
 use glam::DVec3;
+use isoparticles_field::materials::complex::COINCIDENT;
 use isoparticles_field::materials::{Indicators, Material, MaterialId, Stratum};
 use isoparticles_field::spline::distance_estimate;
 use isoparticles_mesh::intersect::self_intersections;
@@ -30,7 +31,8 @@ pub struct CheckOptions<'a> {
     pub keeps_nodes: bool,
     /// Smallest radius ratio allowed.
     pub min_radius_ratio: Option<f64>,
-    /// Farthest that a vertex may lie from each of its sheets, voxels.
+    /// Farthest that a vertex may lie from each of its sheets, voxels. One at which more than four materials meet, which hardly any data let meet in a point, may lie
+    /// [`COINCIDENT`] off.
     pub max_vertex_distance: f64,
 }
 
@@ -86,7 +88,8 @@ pub struct Offenders {
     pub nodes: Vec<usize>,
 }
 
-/// A triangle whose corners all lie on junction curves, which stay: two that meet at a small angle, or one that turns within h, leave no better one.
+/// A poor triangle that the junction curves force. Its corners all lie on them, as two that meet at a small angle, or one that turns within h, leave no better one; or
+/// one of its sides is the whole of a curve between two junction points, far shorter than h.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct ForcedTriangle {
     /// Its centroid, world, mm.
@@ -134,7 +137,7 @@ pub struct ComplexReport {
     pub centroid_distance: DistanceSummary,
     /// Shapes of all triangles.
     pub quality: QualitySummary,
-    /// Triangles below the demanded radius ratio whose corners all lie on junction curves, which is no failure.
+    /// Triangles below the demanded radius ratio that the junction curves force, which is no failure.
     pub poor_between_curves: Vec<ForcedTriangle>,
     /// The smallest radius ratio of the others.
     pub smallest_elsewhere: f64,
@@ -159,12 +162,13 @@ pub fn check(interfaces: &Interfaces, options: &CheckOptions) -> ComplexReport {
         return report;
     }
     report.quality = summarise(mesh);
-    report.junction_points = interfaces.materials_at_vertices().iter().filter(|ids| ids.len() > 3).count();
+    let meeting: Vec<usize> = interfaces.materials_at_vertices().iter().map(Vec::len).collect();
+    report.junction_points = meeting.iter().filter(|&&count| count > 3).count();
     let mut offenders = Offenders { zero_area: zero_area_triangles(mesh), ..Offenders::default() };
     offenders.crossing = self_intersections(mesh);
     look_at_edges(interfaces, &mut report, &mut offenders);
     look_at_materials(interfaces, options, &mut report, &mut offenders);
-    look_at_distances(interfaces, options, &mut report, &mut offenders);
+    look_at_distances(interfaces, options, &meeting, &mut report, &mut offenders);
     look_at_nodes(interfaces, options, &mut report, &mut offenders);
     let name = |id: MaterialId| options.table.get(id.index()).map_or_else(|| id.0.to_string(), |m| m.name.clone());
     report.pairs = interfaces
@@ -177,10 +181,9 @@ pub fn check(interfaces: &Interfaces, options: &CheckOptions) -> ComplexReport {
         .collect();
     if let Some(limit) = options.min_radius_ratio {
         let ratios = radius_ratios(mesh);
-        let meets = interfaces.materials_at_vertices();
-        let is_between_curves = |t: &u32| mesh.triangles[*t as usize].iter().all(|&v| meets[v as usize].len() > 2);
         let poor = (0..ratios.len() as u32).filter(|&t| ratios[t as usize] < limit);
-        let (between_curves, poor) = poor.partition::<Vec<u32>, _>(is_between_curves);
+        let is_forced = |t: &u32| is_forced(interfaces, &meeting, limit, *t);
+        let (between_curves, poor) = poor.partition::<Vec<u32>, _>(is_forced);
         offenders.poor = poor;
         let geometry = options.nodes.geometry();
         let told = |&t: &u32| {
@@ -202,6 +205,23 @@ pub fn check(interfaces: &Interfaces, options: &CheckOptions) -> ComplexReport {
     report.failed = failed(&report, &offenders, options);
     report.offenders = offenders;
     report
+}
+
+/// Whether the junction curves force a triangle to have a radius ratio below a limit; `meeting` counts the materials at each vertex.
+fn is_forced(interfaces: &Interfaces, meeting: &[usize], limit: f64, triangle: u32) -> bool {
+    let corners = interfaces.mesh.triangles[triangle as usize];
+    let places = interfaces.mesh.corners(triangle as usize);
+    let sides = [[0, 1], [1, 2], [2, 0]];
+    let length = |[a, b]: [usize; 2]| places[a].distance(places[b]);
+    let longest = sides.into_iter().map(length).fold(0.0, f64::max);
+    let is_short_curve = |side: [usize; 2]| {
+        let [a, b] = side.map(|k| corners[k]);
+        let is_whole = [a, b].iter().all(|&v| meeting[v as usize] > 3);
+        let is_segment = || interfaces.segments.binary_search_by_key(&segment(a, b), |(pair, _)| *pair).is_ok();
+        // 2r/R of a triangle with one side of length a and two of length b is at most 2a/b
+        is_whole && 2.0 * length(side) < limit * longest && is_segment()
+    };
+    corners.iter().all(|&v| meeting[v as usize] > 2) || sides.into_iter().any(is_short_curve)
 }
 
 /// Whether the triangles round an edge are those of a ring of materials, as many as there are, in which each comes once.
@@ -268,6 +288,7 @@ fn look_at_materials(
 fn look_at_distances(
     interfaces: &Interfaces,
     options: &CheckOptions,
+    meeting: &[usize],
     report: &mut ComplexReport,
     offenders: &mut Offenders,
 ) {
@@ -296,8 +317,9 @@ fn look_at_distances(
             *known = if distance.is_nan() { f64::INFINITY } else { known.max(distance) };
         }
     }
-    offenders.distant =
-        (0..vertices.len() as u32).filter(|&v| vertices[v as usize] > options.max_vertex_distance).collect();
+    let limit = options.max_vertex_distance;
+    let limit = |v: u32| if meeting[v as usize] > 4 { limit.max(COINCIDENT) } else { limit };
+    offenders.distant = (0..vertices.len() as u32).filter(|&v| vertices[v as usize] > limit(v)).collect();
     report.vertex_distance = DistanceSummary::of(&vertices);
     report.centroid_distance = DistanceSummary::of(&centroids);
 }
@@ -352,4 +374,27 @@ fn failed(report: &ComplexReport, offenders: &Offenders, options: &CheckOptions)
         ));
     }
     failed
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use isoparticles_mesh::TriangleMesh;
+
+    #[test]
+    fn curves_force_a_triangle_between_three_of_their_places_or_on_a_whole_one_far_shorter_than_its_other_sides() {
+        let at = |x: f64| DVec3::new(x, 0.0, 0.0);
+        let vertices = vec![at(0.0), at(0.1), at(0.2), DVec3::Y];
+        let mesh = TriangleMesh { vertices, triangles: vec![[0, 1, 3], [1, 2, 3]] };
+        let curve = Stratum::new(&[0, 1, 2].map(MaterialId)).expect("three");
+        let segments = vec![([0, 1], curve), ([1, 2], curve)];
+        let interfaces = Interfaces { mesh, between: vec![[MaterialId(1), MaterialId(0)]; 2], segments };
+        let forced = |meeting: [usize; 4], limit: f64| [0, 1].map(|t| is_forced(&interfaces, &meeting, limit, t));
+        assert_eq!(forced([3, 3, 3, 2], 0.3), [false, false], "a segment can be made longer");
+        assert_eq!(forced([4, 4, 3, 2], 0.3), [true, false], "a whole curve cannot");
+        assert_eq!(forced([4, 4, 4, 2], 0.15), [false, false], "0.1 is long enough for a ratio of 0.15");
+        assert_eq!(forced([4, 4, 3, 3], 0.15), [true, true], "all corners on curves");
+        let none = Interfaces { segments: Vec::new(), ..interfaces.clone() };
+        assert!(!is_forced(&none, &[4, 4, 4, 2], 0.3, 0), "no curve joins the two points");
+    }
 }

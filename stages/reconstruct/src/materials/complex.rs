@@ -1,7 +1,7 @@
 //! The triangulation whose tetrahedra belong to materials, with the strata of its points, and the pure criteria that find where it is not the complex of
 //! the indicators (Cheng, Dey and Levine 2008; Boissonnat and Oudot 2005; Oudot, Rineau and Yvinec 2005).
 
-use super::prepare::{Prepared, REAL};
+use super::prepare::Prepared;
 use super::segments::{Segment, Segments, segment};
 use crate::around::{boundary_facets_of, parts_round, runs_round, star};
 use crate::labelled::{Facet, Labelled};
@@ -9,6 +9,7 @@ use crate::object::{DEFAULT_DEVIATION, deviation_ratio};
 use crate::queue::{self, Reason, Simplex};
 use glam::DVec3;
 use isoparticles_delaunay::{Delaunay, INFINITE};
+use isoparticles_field::materials::complex::COINCIDENT;
 use isoparticles_field::materials::{Indicators, MaterialId, Stratum};
 use isoparticles_field::spline::FLATTEST;
 use std::collections::BTreeMap;
@@ -79,7 +80,7 @@ impl<'a> Complex<'a> {
             .filter_map(|v| {
                 let near = indicators.near(delaunay.points()[v as usize]);
                 let last = near.entries().get(3)?.1;
-                let equal = near.entries().iter().filter(|(_, value)| value - last < REAL * indicators.voxel());
+                let equal = near.entries().iter().filter(|(_, value)| value - last < COINCIDENT * indicators.voxel());
                 let ids: Vec<MaterialId> = equal.map(|(id, _)| *id).collect();
                 (ids.len() > 4).then_some((v, ids))
             })

@@ -76,9 +76,10 @@ pub fn improve(
             edge.iter().for_each(|&v| fixed[v as usize] = true);
         }
     }
+    let junctions = meets.iter().map(|ids| ids.len() > 3).collect();
     let wrong_nodes = nodes.map(|nodes| (nodes.geometry(), nodes.wrong_by_walls(&walls(interfaces))));
     let field = Differences { indicators, pairs };
-    let mut sheets = SheetsOf { field: &field, of_triangle, fixed, wrong_nodes, numbers: Vec::new() };
+    let mut sheets = SheetsOf { field: &field, of_triangle, fixed, junctions, wrong_nodes, numbers: Vec::new() };
     let report = improve_sheets(&mut interfaces.mesh, &mut sheets, size, options, step)?;
     let number = |v: u32| sheets.numbers.get(v as usize).copied().unwrap_or(u32::MAX);
     interfaces.segments.iter_mut().for_each(|(pair, _)| *pair = pair.map(number));

@@ -4,7 +4,7 @@ use super::segments::{Segment, Segments, segment};
 use crate::prepare::{ON_SURFACE, PrepareReport, SurfacePoints};
 use glam::DVec3;
 use isoparticles_delaunay::Delaunay;
-use isoparticles_field::materials::complex::{way_along, way_round};
+use isoparticles_field::materials::complex::{COINCIDENT, way_along, way_round};
 use isoparticles_field::materials::{Indicators, MaterialId, Stratum};
 use isoparticles_field::particle_set::{ParticleSet, Strata};
 use isoparticles_mesh::kd_tree::KdTree;
@@ -15,10 +15,6 @@ use std::collections::{BTreeMap, BTreeSet};
 
 /// Farthest that a particle may be moved onto its stratum, in voxels.
 const LONGEST_MOVE: f64 = 1.0;
-
-/// How much nearer a foreign material may be where a stratum still counts as real, in voxels: what junction points of more than four materials, which are
-/// named by four of them, and kinks of sampled indicators differ by.
-pub(super) const REAL: f64 = 0.01;
 
 /// Indicators nearer to each other than this, in voxels, count as equal where a projection onto a curve or point does not converge: beside a kink.
 const EQUAL: f64 = 1e-3;
@@ -89,7 +85,7 @@ pub(super) fn onto(indicators: &dyn Indicators, stratum: Stratum, start: DVec3, 
         let (low, high) = values.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), x| (low.min(x), high.max(x)));
         (stratum.dimension() < 2 && high - low < EQUAL * voxel).then_some(start)
     };
-    on.or_else(equal_there).filter(|&p| indicators.clearance(p, stratum.materials()) > -REAL * voxel)
+    on.or_else(equal_there).filter(|&p| indicators.clearance(p, stratum.materials()) > -COINCIDENT * voxel)
 }
 
 /// Brings particles onto their strata, takes those that get there, and triangulates them.
@@ -135,8 +131,8 @@ pub fn prepare(particles: &ParticleSet, strata: &Strata, indicators: &dyn Indica
     let pairs = small_loops(&mut points, &strata.segments, (indicators, upper), &mut report);
     let (mut points, mut pairs) = without_the_lost(&points, pairs, &mut report);
     missing_loops(&mut points, &mut pairs, (indicators, upper), &mut report);
-    let (points, pairs) = without_the_crowded(points, pairs, indicators, &mut report);
-    triangulated(points, pairs, indicators, report)
+    let (points, pairs) = without_the_crowded(points, pairs, (indicators, upper), &mut report);
+    triangulated(points, pairs, (indicators, upper), report)
 }
 
 /// Pairs of neighbours on curves, where closed curves of one or two particles get three points or more: the pairs of two would be one segment.
@@ -203,7 +199,7 @@ fn missing_loops(
 ) {
     let voxel = indicators.voxel();
     let mut known: BTreeMap<Stratum, Vec<DVec3>> = BTreeMap::new();
-    let ways: Vec<(Stratum, Vec<DVec3>)> = with_curves(pairs, points, indicators)
+    let ways: Vec<(Stratum, Vec<DVec3>)> = with_curves(pairs, points, (indicators, upper))
         .into_par_iter()
         .map(|(pair, curve)| {
             let ends = pair.map(|v| points[v as usize].place);
@@ -292,7 +288,7 @@ fn renumbered(is_kept: &[bool], pairs: Vec<Segment>) -> Vec<Segment> {
 fn without_the_crowded(
     points: Vec<Point>,
     pairs: Vec<Segment>,
-    indicators: &dyn Indicators,
+    (indicators, upper): (&dyn Indicators, DVec3),
     report: &mut Taken,
 ) -> (Vec<Point>, Vec<Segment>) {
     let mut order: Vec<usize> = (0..points.len()).collect();
@@ -302,7 +298,7 @@ fn without_the_crowded(
     let points: Vec<Point> = order.into_iter().map(|v| points[v]).collect();
     let pairs: Vec<Segment> = pairs.into_iter().map(|[a, b]| segment(number[a as usize], number[b as usize])).collect();
     let places: Vec<DVec3> = points.iter().map(|p| p.place).collect();
-    let segments = Segments::new(with_curves(&pairs, &points, indicators), &places);
+    let segments = Segments::new(with_curves(&pairs, &points, (indicators, upper)), &places);
     let is_free = |p: &&Point| p.stratum.dimension() < 2 || segments.encroached(p.place, &places).is_none();
     let is_kept: Vec<bool> = points.iter().map(|p| is_free(&p)).collect();
     report.encroaching += is_kept.iter().filter(|&&kept| !kept).count();
@@ -310,35 +306,56 @@ fn without_the_crowded(
     (kept, renumbered(&is_kept, pairs))
 }
 
-/// The curve of each pair: that of its end on a curve; between two junction points that of the materials of both which is real in the middle.
-fn with_curves(pairs: &[Segment], points: &[Point], indicators: &dyn Indicators) -> Vec<(Segment, Stratum)> {
+/// The curve of each pair: that of its end on a curve; between two junction points the shortest of their common materials that leads from one to the other and has no
+/// particles on the way, whose segments these would be. Where none can be followed, that which is real in the middle.
+fn with_curves(
+    pairs: &[Segment],
+    points: &[Point],
+    (indicators, upper): (&dyn Indicators, DVec3),
+) -> Vec<(Segment, Stratum)> {
+    let mut on: BTreeMap<Stratum, Vec<DVec3>> = BTreeMap::new();
+    let on_curves = points.iter().filter(|p| p.stratum.dimension() == 1);
+    on_curves.for_each(|p| on.entry(p.stratum).or_default().push(p.place));
     let curve = |&[a, b]: &Segment| {
         let [a, b] = [a, b].map(|v| points[v as usize]);
         if let Some(own) = [a, b].into_iter().find(|p| p.stratum.dimension() == 1) {
             return Some(own.stratum);
         }
         let common: Vec<MaterialId> = a.stratum.materials().iter().copied().filter(|&id| b.stratum.has(id)).collect();
+        if common.len() < 4 {
+            return Stratum::new(&common).filter(|curve| curve.dimension() == 1);
+        }
+        let three = |skipped: &MaterialId| common.iter().copied().filter(|id| id != skipped).collect::<Vec<_>>();
+        let curves: Vec<Stratum> = common.iter().filter_map(|skipped| Stratum::new(&three(skipped))).collect();
+        let longest = LONGEST_WAY * a.place.distance(b.place).max(indicators.voxel());
+        let is_taken = |curve: &Stratum, way: &[DVec3]| {
+            let reach = ON_A_WAY * indicators.voxel();
+            on.get(curve).into_iter().flatten().any(|p| way.iter().any(|q| q.distance(*p) < reach))
+        };
+        let free = |&curve: &Stratum| {
+            let way = way_along(indicators, curve, upper, [a.place, b.place], longest)?;
+            (!is_taken(&curve, &way)).then(|| (curve, length(&way)))
+        };
+        let shortest = curves.iter().filter_map(free).min_by(|a, b| a.1.total_cmp(&b.1));
         let middle = a.place.midpoint(b.place);
-        let triples = (0..common.len()).map(|skipped| {
-            let three = common.iter().enumerate().filter(|(n, _)| common.len() == 3 || *n != skipped);
-            Stratum::new(&three.map(|(_, &id)| id).collect::<Vec<_>>())
-        });
         let real = |curve: &Stratum| indicators.clearance(middle, curve.materials());
-        triples.flatten().filter(|curve| curve.dimension() == 1).max_by(|a, b| real(a).total_cmp(&real(b)))
+        let in_the_middle = || curves.iter().copied().max_by(|a, b| real(a).total_cmp(&real(b)));
+        shortest.map(|(curve, _)| curve).or_else(in_the_middle)
     };
-    pairs.iter().filter_map(|pair| Some((*pair, curve(pair)?))).collect()
+    pairs.par_iter().filter_map(|pair| Some((*pair, curve(pair)?))).collect()
 }
 
 fn triangulated(
     points: Vec<Point>,
     pairs: Vec<Segment>,
-    indicators: &dyn Indicators,
+    (indicators, upper): (&dyn Indicators, DVec3),
     mut report: Taken,
 ) -> Result<Prepared> {
     let mut surface = SurfacePoints {
         positions: points.iter().map(|p| p.place).collect(),
         sizes: points.iter().map(|p| p.size).collect(),
         normals: Vec::new(),
+        lower: points.iter().map(|p| p.stratum).take_while(|stratum| stratum.dimension() < 2).collect(),
         report: report.particles,
     };
     let delaunay = surface.triangulate()?;
@@ -350,7 +367,7 @@ fn triangulated(
     report.bridged += count;
     let pairs = renumbered(&is_kept, pairs);
     let points: Vec<Point> = points.into_iter().zip(&is_kept).filter(|(_, kept)| **kept).map(|(p, _)| p).collect();
-    let segments = Segments::new(with_curves(&pairs, &points, indicators), delaunay.points());
+    let segments = Segments::new(with_curves(&pairs, &points, (indicators, upper)), delaunay.points());
     report.segments = segments.count();
     let strata = points.iter().map(|p| p.stratum).collect();
     Ok(Prepared { strata, sizes: points.iter().map(|p| p.size).collect(), delaunay, segments, report })

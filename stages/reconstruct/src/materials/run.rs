@@ -259,8 +259,8 @@ fn describe(checked: &ComplexReport, context: &Context) {
     if !checked.poor_between_curves.is_empty() {
         let (count, smallest) = (checked.poor_between_curves.len(), checked.smallest_elsewhere);
         context.warn(format!(
-            "{count} poor triangles have all corners on junction curves, which meet there at small angles or turn within h: they stay as they are, and the \
-             report lists them (`poor_between_curves`); the smallest radius ratio elsewhere is {smallest:.4}"
+            "{count} poor triangles are forced by the junction curves, which meet there at small angles, turn within h, or are far shorter than h: they stay as they \
+             are, and the report lists them (`poor_between_curves`); the smallest radius ratio elsewhere is {smallest:.4}"
         ));
     }
     context.summary(

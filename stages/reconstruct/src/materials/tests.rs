@@ -3,14 +3,16 @@
 use super::check::{CheckOptions, check};
 use super::interfaces::Interfaces;
 use super::nodes::Nodes;
-use super::prepare::prepare;
+use super::prepare::{Prepared, prepare};
 use super::reconstruct::{Reconstruction, reconstruct};
 use super::scenes::{self, CENTRE, HALF, RADIUS, Scene, stratum};
 use crate::reconstruct::Options;
 use glam::DVec3;
-use isoparticles_field::materials::{Indicators, MaterialId};
+use isoparticles_field::materials::{Analytic, Indicators, MaterialId, ball, half_space};
+use isoparticles_field::particle_set::{ParticleSet, Strata};
 use isoparticles_mesh::measure::measure;
 use isoparticles_stage::monitor::Silent;
+use isoparticles_volume::Geometry;
 use std::f64::consts::PI;
 
 /// All the way from particles of a scene to a checked complex.
@@ -20,7 +22,7 @@ fn made(scene: &Scene, indicators: &dyn Indicators, h: f64, keeps_voxels: bool) 
     reconstruct((&particles, &strata), indicators, &scene.table(), None, &options, &Silent).expect("on their strata")
 }
 
-fn ball(radius: f64) -> f64 {
+fn ball_volume(radius: f64) -> f64 {
     4.0 / 3.0 * PI * radius.powi(3)
 }
 
@@ -75,10 +77,10 @@ fn volumes_and_areas_converge_to_second_order() {
     };
     let nested = |made: &Reconstruction| {
         let [shell, core] = volumes(made)[..] else { panic!("two") };
-        (shell / (ball(9.0) - ball(5.0)) - 1.0).abs().max((core / ball(5.0) - 1.0).abs())
+        (shell / (ball_volume(9.0) - ball_volume(5.0)) - 1.0).abs().max((core / ball_volume(5.0) - 1.0).abs())
     };
     let sectors = |made: &Reconstruction| {
-        let volumes = volumes(made).into_iter().map(|v| (v / (ball(RADIUS) / 3.0) - 1.0).abs());
+        let volumes = volumes(made).into_iter().map(|v| (v / (ball_volume(RADIUS) / 3.0) - 1.0).abs());
         // half a disk between each two
         let area = |pair: [u16; 2]| {
             let part = made.interfaces.part(|between| between == pair.map(MaterialId));
@@ -208,6 +210,98 @@ fn a_layer_a_fifth_as_thick_as_its_triangles_are_long_stays_whole_without_more_p
     assert_eq!(made.checked.failed, Vec::<String>::new());
     let (points, added) = (made.interfaces.mesh.vertices.len(), made.refined.inserted.values().sum::<usize>());
     assert!(added * 50 < points, "{added} of {points}");
+}
+
+#[test]
+fn of_two_curves_between_the_same_junction_points_each_segment_has_its_own() {
+    // two balls touch in a strip between two walls, and part beyond its ends
+    let (far, sag): (f64, f64) = (30.0, 0.1);
+    let half_length = ((far + sag).powi(2) - far.powi(2)).sqrt();
+    let functions = vec![
+        half_space(CENTRE, DVec3::X),
+        half_space(CENTRE, -DVec3::X),
+        ball(CENTRE - DVec3::Y * far, far + sag),
+        ball(CENTRE + DVec3::Y * far, far + sag),
+    ];
+    let analytic = Analytic::new(functions, 1.0);
+    let ends = [-1.0, 1.0].map(|side| (vec![0, 1, 2, 3], CENTRE + DVec3::Z * side * half_length));
+    let sheets = [(vec![0, 2], DVec3::new(-3.0, -3.0, 0.0)), (vec![1, 3], DVec3::new(3.0, 3.0, 2.0))]
+        .map(|(ids, from)| (ids, CENTRE + from));
+    for (wall, other) in [(0, 1), (1, 0)] {
+        let side = if wall == 0 { -1.0 } else { 1.0 };
+        let middle = (vec![wall, 2, 3], CENTRE + DVec3::X * side * sag);
+        let all: Vec<(Vec<u16>, DVec3)> = ends.iter().cloned().chain([middle]).chain(sheets.clone()).collect();
+        let prepared = prepared_of(&all, vec![[0, 2], [2, 1], [0, 1]], &analytic);
+        assert_eq!(prepared.segments.count(), 3);
+        assert_eq!(prepared.segments.curve([0, 1]), Some(stratum(&[other, 2, 3])), "the other beside {wall}");
+    }
+}
+
+#[test]
+fn junction_points_far_nearer_than_h_both_stay_and_keep_their_curves() {
+    // Voronoi cells of five sites, two above each other and three round them, so that the two points of four cells lie `half` above and below the middle
+    let (half, up): (f64, f64) = (0.015, 5.0);
+    let round = (up * up - 2.0 * half * up).sqrt();
+    let turned = |thirds: f64| DVec3::new((thirds * 2.0 * PI / 3.0).cos(), (thirds * 2.0 * PI / 3.0).sin(), 0.0);
+    let site = |place: DVec3| ball(CENTRE + place, 1.0);
+    let mut functions = vec![site(DVec3::Z * up)];
+    functions.extend((0..3u8).map(|n| site(round * turned(f64::from(n)))));
+    functions.push(site(-DVec3::Z * up));
+    let analytic = Analytic::new(functions, 1.0);
+    let ends = [(0, 1.0), (4, -1.0)];
+    let mut all: Vec<(Vec<u16>, DVec3)> =
+        ends.iter().map(|&(id, side)| (vec![id, 1, 2, 3], CENTRE + DVec3::Z * side * half)).collect();
+    let mut pairs = vec![[0, 1]];
+    for (end, (id, side)) in (0..).zip(ends) {
+        for n in 0..3u16 {
+            // a millimetre along the curve, between two of the three
+            pairs.push([end, all.len() as u32]);
+            let place = turned(f64::from(n) + 0.5) + DVec3::Z * side * (half + 0.5 * round / up);
+            all.push((vec![id, n + 1, (n + 1) % 3 + 1], CENTRE + place));
+        }
+    }
+    let prepared = prepared_of(&all, pairs, &analytic);
+    assert_eq!(prepared.strata[..2], [stratum(&[0, 1, 2, 3]), stratum(&[1, 2, 3, 4])]);
+    assert_eq!(prepared.segments.curve([0, 1]), Some(stratum(&[1, 2, 3])));
+    assert!((0..2).all(|end| prepared.segments.at(end).count() == 4));
+}
+
+#[test]
+fn curves_that_pass_each_other_far_nearer_than_h_keep_their_points() {
+    // two balls in a plane, whose circles there are 0.03 apart
+    let (radius, half) = (3.0, 0.015);
+    let centre = |side: f64| CENTRE + DVec3::X * side * (radius + half);
+    let [low, high] = [DVec3::Z, -DVec3::Z].map(|outwards| half_space(CENTRE, outwards));
+    let analytic = Analytic::new(vec![low, high, ball(centre(-1.0), radius), ball(centre(1.0), radius)], 1.0);
+    let (mut all, mut pairs) = (Vec::new(), Vec::new());
+    for (id, side) in [(2, -1.0), (3, 1.0)] {
+        for n in 0..4u32 {
+            pairs.push([all.len() as u32, all.len() as u32 - n + (n + 1) % 4]);
+            let (sin, cos) = (f64::from(n) * 0.5 * PI).sin_cos();
+            all.push((vec![0, 1, id], centre(side) + radius * DVec3::new(-side * cos, sin, 0.0)));
+        }
+    }
+    // and one out of their plane
+    all.push((vec![0, 2], centre(-1.0) - DVec3::Z * 0.5 * radius));
+    let prepared = prepared_of(&all, pairs, &analytic);
+    assert_eq!(prepared.segments.count(), 8);
+    assert_eq!((0..8).map(|v| prepared.segments.at(v).count()).collect::<Vec<_>>(), [2; 8]);
+    assert_eq!(prepared.report.particles.crowded, 0);
+}
+
+/// Points at places on strata of their own, h = 1 mm, with their pairs.
+fn prepared_of(all: &[(Vec<u16>, DVec3)], segments: Vec<[u32; 2]>, indicators: &dyn Indicators) -> Prepared {
+    let count = all.len();
+    let particles = ParticleSet {
+        geometry: Geometry::axis_aligned([25; 3], DVec3::ONE),
+        positions: all.iter().map(|(_, place)| *place).collect(),
+        normals: vec![DVec3::ZERO; count],
+        sizes: vec![1.0; count],
+        energies: vec![0.0; count],
+        lambdas: vec![0.1; count],
+    };
+    let of = all.iter().map(|(ids, _)| stratum(ids)).collect();
+    prepare(&particles, &Strata { of, segments }, indicators).expect("on their strata")
 }
 
 #[test]

@@ -19,8 +19,9 @@ const FARTHEST: f64 = 1.0;
 /// No particles fit between those a quarter apart, a third of the smallest h.
 const MERGED_WITHIN: f64 = 0.25;
 
-/// Points nearer than this (voxels) are one: of several that end at a point each meets it by three other materials.
-const COINCIDENT: f64 = 0.01;
+/// Junction points nearer than this (voxels) are one, where more than four materials meet: of the curves that end there each meets it by three other materials, and
+/// which of them leave it is decided that far away. Labels say nothing of where materials meet within a fiftieth of a voxel.
+pub const COINCIDENT: f64 = 0.02;
 
 /// Closed curves shorter than this (voxels) are left out: two materials that touch on less than a fiftieth of the face of a voxel.
 const SPECK: f64 = 0.5;

@@ -1,5 +1,6 @@
 //! Junction curves followed step by step, from a place on one to where it ends.
 
+use super::chains::COINCIDENT;
 use crate::materials::{Indicators, MaterialId, Stratum};
 use glam::DVec3;
 
@@ -15,9 +16,6 @@ const ASIDE: f64 = 0.5;
 
 /// A place is passed where it lies nearer to a step than this share of its length.
 pub(super) const PASSED: f64 = 0.25;
-
-/// How far from a junction point it is decided which curves leave it, in voxels: twice what points are told apart by.
-const NEXT_TO_A_POINT: f64 = 0.02;
 
 /// A fourth material that is so little farther (voxels) is as near.
 const EQUAL: f64 = 2.0 * SHORTEST;
@@ -153,7 +151,7 @@ impl<I: Indicators + ?Sized> Follower<'_, I> {
 
     /// Whether the curve is real a little from a junction point, along its tangent or against it.
     pub(super) fn leaves(&self, point: DVec3, is_along: bool) -> bool {
-        let (step, sign) = (NEXT_TO_A_POINT * self.indicators.voxel(), if is_along { 1.0 } else { -1.0 });
+        let (step, sign) = (COINCIDENT * self.indicators.voxel(), if is_along { 1.0 } else { -1.0 });
         let next = self.ahead(point, sign * self.tangent(point), sign, step);
         next.is_some_and(|p| self.indicators.clearance(p, &self.own) > 0.0)
     }

@@ -15,7 +15,7 @@ mod measure;
 mod tests;
 
 pub use cells::{Triangle, Vertex};
-pub use chains::{Chain, End, Junction};
+pub use chains::{COINCIDENT, Chain, End, Junction};
 pub use follow::{way_along, way_round};
 
 use super::{Indicators, Materials, Stratum};
