@@ -9,7 +9,7 @@ use std::cmp::{Ordering, Reverse};
 use std::collections::{BinaryHeap, HashSet};
 
 /// Violations between two looks at whether to stop.
-const BETWEEN_STEPS: usize = 1 << 10;
+pub const BETWEEN_STEPS: usize = 1 << 10;
 
 /// A new point keeps this part of h from all others, unless the topology or a grid node asks for it.
 pub const NEAREST_FOR_SHAPE: f64 = 0.35;

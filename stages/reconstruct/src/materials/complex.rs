@@ -2,13 +2,14 @@
 //! the indicators (Cheng, Dey and Levine 2008; Boissonnat and Oudot 2005; Oudot, Rineau and Yvinec 2005).
 
 use super::prepare::Prepared;
-use super::segments::{Segment, Segments, segment};
-use crate::around::{boundary_facets_of, parts_round, runs_round, star};
+use super::segments::{Segment, Segments};
+use super::topology::Simplices;
+use crate::around::{boundary_facets_of, star};
 use crate::labelled::{Facet, Labelled};
 use crate::object::{DEFAULT_DEVIATION, deviation_ratio};
 use crate::queue::{self, Reason, Simplex};
 use glam::DVec3;
-use isoparticles_delaunay::{Delaunay, INFINITE};
+use isoparticles_delaunay::Delaunay;
 use isoparticles_field::materials::complex::COINCIDENT;
 use isoparticles_field::materials::{Indicators, MaterialId, Stratum};
 use isoparticles_field::spline::FLATTEST;
@@ -202,62 +203,40 @@ impl<'a> Complex<'a> {
         Violation { reason, simplex, remedy: Mend::Split(pair), radius, size, near: pair[0] }
     }
 
-    /// A segment must be an edge, with the three materials of its curve round it, each in one run; `start` is a tetrahedron at it.
-    pub fn at_segment(&self, pair: Segment, curve: Stratum, start: Option<u32>) -> Option<Violation> {
+    /// A segment of a curve, at which `start` is a tetrahedron, if it is an edge.
+    fn at_segment(&self, pair: Segment, curve: Stratum, start: Option<u32>) -> Option<Violation> {
         let simplex = Simplex::Edge(pair);
-        let Some(start) = start else { return Some(self.by_split(Reason::Segment, simplex, pair)) };
-        let runs = runs_round(self.labelled.delaunay(), pair, start, |t| self.material(t));
-        let is_right = runs.len() == curve.count()
-            && curve.materials().iter().all(|&id| runs.iter().any(|run| self.material(run[0]) == id));
-        if is_right {
-            return None;
-        }
-        let by_ball = self.by_largest_ball(Reason::Ring, simplex, &self.facets_between(pair, &runs));
+        let reason = self.wrong_segment(pair, curve, start)?;
+        let Some(start) = start else { return Some(self.by_split(reason, simplex, pair)) };
+        let by_ball = self.by_largest_ball(reason, simplex, &self.facets_between(pair, &self.runs_round(pair, start)));
         let is_small = |v: &Violation| v.radius < SMALL_BALL * self.length(pair);
-        Some(by_ball.filter(|v| !is_small(v)).unwrap_or_else(|| self.by_split(Reason::Ring, simplex, pair)))
+        Some(by_ball.filter(|v| !is_small(v)).unwrap_or_else(|| self.by_split(reason, simplex, pair)))
     }
 
-    /// An edge that is no segment must be in two facets, or in none; `start` is a tetrahedron at it.
-    pub fn at_plain_edge(&self, edge: [u32; 2], start: u32) -> Option<Violation> {
-        let runs = runs_round(self.labelled.delaunay(), edge, start, |t| self.material(t));
-        if runs.len() <= 2 {
-            return None;
-        }
-        self.by_largest_ball(Reason::Edge, Simplex::Edge(edge), &self.facets_between(edge, &runs))
+    /// An edge that is no segment; `start` is a tetrahedron at it.
+    fn at_plain_edge(&self, edge: [u32; 2], start: u32) -> Option<Violation> {
+        let reason = self.wrong_plain_edge(edge, start)?;
+        self.by_largest_ball(reason, Simplex::Edge(edge), &self.facets_between(edge, &self.runs_round(edge, start)))
     }
 
     /// An edge, segment or not; `start` is a tetrahedron at it, if there is one.
-    pub fn at_any_edge(&self, edge: [u32; 2], start: Option<u32>) -> Option<Violation> {
+    fn at_any_edge(&self, edge: [u32; 2], start: Option<u32>) -> Option<Violation> {
         match self.segments.curve(edge) {
             Some(curve) => self.at_segment(edge, curve, start),
             None => self.at_plain_edge(edge, start?),
         }
     }
 
-    /// Round a vertex each material must be in one part.
-    pub fn at_vertex(&self, vertex: u32) -> Option<Violation> {
-        let delaunay = self.labelled.delaunay();
-        let star = star(delaunay, vertex);
-        let parts = parts_round(delaunay, vertex, &star, |t| self.material(t));
-        let mut ids: Vec<MaterialId> = parts.iter().map(|part| self.material(part[0])).collect();
-        ids.sort_unstable();
-        if ids.windows(2).all(|pair| pair[0] < pair[1]) {
-            return None;
-        }
-        self.by_largest_ball(Reason::Vertex, Simplex::Vertex(vertex), &self.labelled.facets_at(vertex))
+    /// A vertex.
+    fn at_vertex(&self, vertex: u32) -> Option<Violation> {
+        let reason = self.wrong_vertex(vertex)?;
+        self.by_largest_ball(reason, Simplex::Vertex(vertex), &self.labelled.facets_at(vertex))
     }
 
-    /// The materials of a facet must meet at each of its vertices; and it must not stray from their sheet.
-    pub fn at_facet(&self, facet: &Facet) -> Option<Violation> {
-        let sheet = self.sheet(facet);
-        let is_on = |v: &u32| sheet.iter().all(|&id| self.meets(*v, id));
-        let reason = if !facet.vertices.iter().all(is_on) {
-            Reason::Stratum
-        } else if self.deviation_ratio(facet) > 1.0 {
-            Reason::Deviation
-        } else {
-            return None;
-        };
+    /// A facet must not stray from its sheet either.
+    fn at_facet(&self, facet: &Facet) -> Option<Violation> {
+        let strays = || (self.deviation_ratio(facet) > 1.0).then_some(Reason::Deviation);
+        let reason = self.wrong_facet(facet).or_else(strays)?;
         self.by_largest_ball(reason, Simplex::Facet(facet.sorted()), std::slice::from_ref(facet))
     }
 
@@ -280,38 +259,9 @@ impl<'a> Complex<'a> {
         }
     }
 
-    /// What is violated at the vertices, edges and facets of some tetrahedra, and at the segments of their vertices.
-    pub fn at_tetrahedra(&self, tetrahedra: &[u32]) -> Vec<Violation> {
-        let delaunay = self.labelled.delaunay();
-        let mut vertices: Vec<u32> =
-            tetrahedra.iter().flat_map(|&t| delaunay.vertices(t)).filter(|&v| v != INFINITE).collect();
-        vertices.sort_unstable();
-        vertices.dedup();
-        let mut edges: Vec<([u32; 2], u32)> = Vec::new();
-        let mut facets: Vec<Facet> = Vec::new();
-        for &t in tetrahedra {
-            let corners = delaunay.vertices(t);
-            for i in 0..4 {
-                for j in 0..i {
-                    edges.push((segment(corners[i], corners[j]), t));
-                }
-            }
-            facets.extend(boundary_facets_of(delaunay, t, |t| self.material(t)));
-        }
-        edges.retain(|(edge, _)| edge[1] != INFINITE && self.segments.curve(*edge).is_none());
-        edges.sort_unstable();
-        edges.dedup_by_key(|(edge, _)| *edge);
-        facets.sort_unstable_by_key(|f| (f.tetrahedron, f.opposite));
-        facets.dedup();
-        let mut segments: Vec<Segment> = vertices.iter().flat_map(|&v| self.segments.at(v)).collect();
-        segments.sort_unstable();
-        segments.dedup();
-        let mut found: Vec<Violation> =
-            segments.into_iter().filter_map(|pair| self.at_any_edge(pair, self.at_edge(pair))).collect();
-        found.extend(edges.into_iter().filter_map(|(edge, t)| self.at_plain_edge(edge, t)));
-        found.extend(vertices.into_iter().filter_map(|v| self.at_vertex(v)));
-        found.extend(facets.iter().filter_map(|f| self.at_facet(f)));
-        found
+    /// What is violated at some simplices.
+    pub fn violations(&self, simplices: &Simplices) -> Vec<Violation> {
+        simplices.each(|edge, start| self.at_any_edge(edge, start), |v| self.at_vertex(v), |f| self.at_facet(f))
     }
 }
 

@@ -3,7 +3,7 @@
 //! | step | module |
 //! |---|---|
 //! | the particles on their strata, triangulated; segments of junction curves | [`prepare`], [`segments`] |
-//! | tetrahedra of materials, and what is violated there | [`complex`], [`nodes`] |
+//! | tetrahedra of materials, what is violated there, and what mends it | [`topology`], [`complex`], [`nodes`] |
 //! | points added, most needed first | [`refine`] |
 //! | tetrahedra given to another material where points do not help | `relabel` |
 
@@ -25,3 +25,4 @@ mod scenes;
 pub mod segments;
 #[cfg(test)]
 mod tests;
+pub mod topology;

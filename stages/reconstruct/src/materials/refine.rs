@@ -7,7 +7,8 @@
 use super::complex::{Complex, Mend, Violation};
 use super::nodes::Nodes;
 use super::prepare::{LONGEST_WAY, length, onto};
-use super::segments::{Segment, segment};
+use super::segments::Segment;
+use super::topology::Simplices;
 use crate::labelled::Facet;
 use crate::queue::{NEAREST_FOR_SHAPE, NEAREST_FOR_TOPOLOGY, Queue, Reason, Refine, Remedy, Simplex};
 use glam::DVec3;
@@ -15,7 +16,6 @@ use isoparticles_field::materials::Stratum;
 use isoparticles_field::materials::complex::way_along;
 use isoparticles_mesh::kd_tree::KdTree;
 use isoparticles_stage::error::Result;
-use rayon::prelude::*;
 use serde::Serialize;
 use std::collections::BTreeMap;
 
@@ -58,7 +58,7 @@ pub struct Refinement<'a> {
     pub report: RefineReport,
     queue: Queue<Mend>,
     /// Those of the grid, where they shall keep their materials.
-    nodes: Option<&'a Nodes>,
+    pub(super) nodes: Option<&'a Nodes>,
 }
 
 impl Refine for Refinement<'_> {
@@ -85,7 +85,7 @@ impl Refine for Refinement<'_> {
 
     fn at_changed(&mut self) -> Vec<Violation> {
         let changed = self.complex.labelled.take_changed();
-        self.complex.at_tetrahedra(&changed)
+        self.complex.violations(&Simplices::of(&self.complex, &changed))
     }
 
     fn point_count(&self) -> usize {
@@ -96,8 +96,7 @@ impl Refine for Refinement<'_> {
 impl<'a> Refinement<'a> {
     /// Begins with all violations of a complex; `nodes` are those of the grid, where they shall keep their materials.
     pub fn new(complex: Complex<'a>, nodes: Option<&'a Nodes>) -> Self {
-        let facets = complex.labelled.facets();
-        let found = all_violations(&complex, &facets);
+        let found = complex.violations(&Simplices::all(&complex, complex.labelled.facets()));
         let mut report = RefineReport::default();
         found.iter().for_each(|v| *report.violations.entry(v.reason).or_default() += 1);
         let mut new = Self { complex, report, queue: Queue::default(), nodes };
@@ -117,11 +116,11 @@ impl<'a> Refinement<'a> {
                 break;
             }
         }
-        self.report.relabelled += self.relabel(self.nodes);
+        self.report.relabelled += self.relabel(&mut step)?;
         let facets = self.complex.labelled.facets();
         self.report.unresolved = BTreeMap::new();
-        for violation in self.unresolved(&facets) {
-            *self.report.unresolved.entry(violation.reason).or_default() += 1;
+        for (reason, _) in self.complex.wrong(&Simplices::all(&self.complex, facets.clone())) {
+            *self.report.unresolved.entry(reason).or_default() += 1;
         }
         let wrong = self.nodes.map_or_else(Vec::new, |nodes| nodes.wrong(&self.complex, &facets));
         if !wrong.is_empty() {
@@ -143,11 +142,6 @@ impl<'a> Refinement<'a> {
             nodes.violation(&self.complex, node, near as u32)
         };
         wrong.into_iter().filter_map(violation).collect()
-    }
-
-    /// Violations of the topology that are left.
-    pub fn unresolved(&self, facets: &[Facet]) -> Vec<Violation> {
-        all_violations(&self.complex, facets).into_iter().filter(|v| v.reason.is_topology()).collect()
     }
 
     /// Inserts the point that mends a violation, or splits the segment on which it encroaches; false where there is no room for one.
@@ -215,25 +209,4 @@ impl<'a> Refinement<'a> {
         self.complex.decide();
         true
     }
-}
-
-/// All violations of a complex but those of grid nodes, whose facets are given.
-pub(super) fn all_violations(complex: &Complex, facets: &[Facet]) -> Vec<Violation> {
-    let mut found: Vec<Violation> = facets.par_iter().filter_map(|f| complex.at_facet(f)).collect();
-    let mut edges: Vec<([u32; 2], u32)> = facets
-        .iter()
-        .flat_map(|f| (0..3).map(|k| (segment(f.vertices[k], f.vertices[(k + 1) % 3]), f.tetrahedron)))
-        .collect();
-    edges.par_sort_unstable();
-    edges.dedup_by_key(|(edge, _)| *edge);
-    // segments that are in no facet
-    let lost = |pair: &Segment| edges.binary_search_by_key(pair, |(edge, _)| *edge).is_err();
-    let lost: Vec<Segment> = complex.segments.all().map(|(pair, _)| pair).filter(lost).collect();
-    found.extend(lost.into_iter().filter_map(|pair| complex.at_any_edge(pair, complex.at_edge(pair))));
-    found.par_extend(edges.into_par_iter().filter_map(|(edge, t)| complex.at_any_edge(edge, Some(t))));
-    let mut vertices: Vec<u32> = facets.iter().flat_map(|f| f.vertices).collect();
-    vertices.par_sort_unstable();
-    vertices.dedup();
-    found.par_extend(vertices.into_par_iter().filter_map(|v| complex.at_vertex(v)));
-    found
 }

@@ -1,12 +1,14 @@
 //! Tetrahedra that change their material where points do not help: parts of a star, or runs round an edge, whose interfaces are nearer to each other than
 //! points can tell.
 
-use super::complex::{Complex, Violation};
+use super::complex::Complex;
 use super::nodes::Nodes;
-use super::refine::{Refinement, all_violations};
+use super::refine::Refinement;
+use super::topology::Simplices;
 use crate::around::{parts_round, runs_round, star};
-use crate::queue::Simplex;
+use crate::queue::{BETWEEN_STEPS, Simplex};
 use isoparticles_field::materials::MaterialId;
+use isoparticles_stage::error::Result;
 
 /// Most tetrahedra that change their material at a time.
 const MOST: usize = 12;
@@ -15,25 +17,31 @@ const MOST: usize = 12;
 const ROUNDS: usize = 4;
 
 impl Refinement<'_> {
-    /// Lets tetrahedra at violations of the topology change their material where that leaves fewer and takes no grid node along; returns how often.
-    pub(super) fn relabel(&mut self, nodes: Option<&Nodes>) -> usize {
+    /// Lets tetrahedra where the topology is wrong change their material where that leaves fewer such places and takes no grid node along; returns how often. `step`
+    /// hears the number of points and may stop it with an error.
+    ///
+    /// # Errors
+    /// Those of `step`.
+    pub(super) fn relabel(&mut self, mut step: impl FnMut(usize) -> Result<()>) -> Result<usize> {
         let mut count = 0;
         for _ in 0..ROUNDS {
             let facets = self.complex.labelled.facets();
-            let mut left: Vec<Violation> =
-                all_violations(&self.complex, &facets).into_iter().filter(|v| v.reason.is_topology()).collect();
-            left.sort_by_key(|v| (v.reason, v.simplex));
+            let mut left = self.complex.wrong(&Simplices::all(&self.complex, facets));
+            left.sort_unstable();
             let before = count;
-            for violation in left {
-                if self.complex.at_simplex(violation.simplex).is_some_and(|v| v.reason.is_topology()) {
-                    count += usize::from(relabel_at(&mut self.complex, violation.simplex, nodes));
+            for (n, (_, simplex)) in left.into_iter().enumerate() {
+                if n % BETWEEN_STEPS == 0 {
+                    step(self.complex.points().len())?;
+                }
+                if self.complex.is_wrong(simplex) {
+                    count += usize::from(relabel_at(&mut self.complex, simplex, self.nodes));
                 }
             }
             if count == before {
                 break;
             }
         }
-        count
+        Ok(count)
     }
 }
 
@@ -55,13 +63,9 @@ fn relabel_at(complex: &mut Complex, simplex: Simplex, nodes: Option<&Nodes>) ->
         ids.dedup();
         candidates.extend(ids.into_iter().map(|id| (set.clone(), id)));
     }
+    // nothing changes but at the simplices of the set itself
     let rate = |complex: &mut Complex, (set, id): &(Vec<u32>, MaterialId)| {
-        let vertices: Vec<u32> = set.iter().flat_map(|&t| complex.labelled.delaunay().vertices(t)).collect();
-        let mut region: Vec<u32> = vertices.iter().flat_map(|&v| star(complex.labelled.delaunay(), v)).collect();
-        region.sort_unstable();
-        region.dedup();
-        let count =
-            |complex: &Complex| complex.at_tetrahedra(&region).iter().filter(|v| v.reason.is_topology()).count();
+        let count = |complex: &Complex| complex.wrong(&Simplices::of(complex, set)).len();
         let before = count(complex);
         let old: Vec<MaterialId> = set.iter().map(|&t| complex.material(t)).collect();
         set.iter().for_each(|&t| complex.labelled.set(t, *id));

@@ -1,0 +1,154 @@
+//! What is wrong with the topology of a complex at a simplex, by the materials of its tetrahedra alone: what mends it is another question, and takes far longer to answer.
+
+use super::complex::Complex;
+use super::segments::{Segment, segment};
+use crate::around::{boundary_facets_of, parts_round, runs_round, star};
+use crate::labelled::Facet;
+use crate::queue::{Reason, Simplex};
+use isoparticles_delaunay::INFINITE;
+use isoparticles_field::materials::{MaterialId, Stratum};
+use rayon::prelude::*;
+
+/// Simplices of a complex that criteria are asked of.
+pub struct Simplices {
+    /// Edges, vertices ascending, each with a tetrahedron at it: none for a segment that is no edge.
+    edges: Vec<(Segment, Option<u32>)>,
+    vertices: Vec<u32>,
+    facets: Vec<Facet>,
+}
+
+impl Simplices {
+    /// All of a complex, whose facets are given.
+    pub fn all(complex: &Complex, facets: Vec<Facet>) -> Self {
+        let mut edges: Vec<(Segment, Option<u32>)> = facets
+            .iter()
+            .flat_map(|f| (0..3).map(|k| (segment(f.vertices[k], f.vertices[(k + 1) % 3]), Some(f.tetrahedron))))
+            .collect();
+        edges.par_sort_unstable();
+        edges.dedup_by_key(|(edge, _)| *edge);
+        // segments that are in no facet
+        let lost = |pair: &Segment| edges.binary_search_by_key(pair, |(edge, _)| *edge).is_err();
+        let lost: Vec<Segment> = complex.segments.all().map(|(pair, _)| pair).filter(lost).collect();
+        edges.extend(lost.into_iter().map(|pair| (pair, complex.at_edge(pair))));
+        let mut vertices: Vec<u32> = facets.iter().flat_map(|f| f.vertices).collect();
+        vertices.par_sort_unstable();
+        vertices.dedup();
+        Self { edges, vertices, facets }
+    }
+
+    /// The vertices, edges and facets of some tetrahedra, and the segments of their vertices.
+    pub fn of(complex: &Complex, tetrahedra: &[u32]) -> Self {
+        let delaunay = complex.labelled.delaunay();
+        let mut vertices: Vec<u32> =
+            tetrahedra.iter().flat_map(|&t| delaunay.vertices(t)).filter(|&v| v != INFINITE).collect();
+        vertices.sort_unstable();
+        vertices.dedup();
+        let mut edges: Vec<(Segment, Option<u32>)> = Vec::new();
+        let mut facets: Vec<Facet> = Vec::new();
+        for &t in tetrahedra {
+            let corners = delaunay.vertices(t);
+            for i in 0..4 {
+                for j in 0..i {
+                    edges.push((segment(corners[i], corners[j]), Some(t)));
+                }
+            }
+            facets.extend(boundary_facets_of(delaunay, t, |t| complex.material(t)));
+        }
+        edges.retain(|(edge, _)| edge[1] != INFINITE);
+        edges.sort_unstable();
+        edges.dedup_by_key(|(edge, _)| *edge);
+        let mut others: Vec<Segment> = vertices.iter().flat_map(|&v| complex.segments.at(v)).collect();
+        others.sort_unstable();
+        others.dedup();
+        others.retain(|pair| edges.binary_search_by_key(pair, |(edge, _)| *edge).is_err());
+        edges.extend(others.into_iter().map(|pair| (pair, complex.at_edge(pair))));
+        facets.sort_unstable_by_key(|f| (f.tetrahedron, f.opposite));
+        facets.dedup();
+        Self { edges, vertices, facets }
+    }
+
+    /// What is found at each of them.
+    pub fn each<T: Send>(
+        &self,
+        at_edge: impl Fn(Segment, Option<u32>) -> Option<T> + Sync,
+        at_vertex: impl Fn(u32) -> Option<T> + Sync,
+        at_facet: impl Fn(&Facet) -> Option<T> + Sync,
+    ) -> Vec<T> {
+        /// Fewer than these are gone through on one thread: waking others takes longer.
+        const FEW: usize = 10_000;
+        let most = |count: usize| if count < FEW { count } else { 1 };
+        let mut found: Vec<T> = Vec::new();
+        let edges = self.edges.par_iter().with_min_len(most(self.edges.len()));
+        found.par_extend(edges.filter_map(|&(edge, start)| at_edge(edge, start)));
+        let vertices = self.vertices.par_iter().with_min_len(most(self.vertices.len()));
+        found.par_extend(vertices.filter_map(|&v| at_vertex(v)));
+        let facets = self.facets.par_iter().with_min_len(most(self.facets.len()));
+        found.par_extend(facets.filter_map(&at_facet));
+        found
+    }
+}
+
+impl Complex<'_> {
+    /// Where the topology is wrong among some simplices, and how.
+    pub fn wrong(&self, simplices: &Simplices) -> Vec<(Reason, Simplex)> {
+        let at_edge = |edge: Segment, start: Option<u32>| Some((self.wrong_edge(edge, start)?, Simplex::Edge(edge)));
+        let at_vertex = |v: u32| Some((self.wrong_vertex(v)?, Simplex::Vertex(v)));
+        simplices.each(at_edge, at_vertex, |f| Some((self.wrong_facet(f)?, Simplex::Facet(f.sorted()))))
+    }
+
+    /// Whether the topology is wrong at a simplex.
+    pub fn is_wrong(&self, simplex: Simplex) -> bool {
+        let reason = match simplex {
+            Simplex::Vertex(v) => self.wrong_vertex(v),
+            Simplex::Edge(edge) => self.wrong_edge(edge, self.at_edge(edge)),
+            Simplex::Facet(vertices) => self.facet_on(vertices).and_then(|f| self.wrong_facet(&f)),
+            Simplex::Node(_) | Simplex::Place(..) => None,
+        };
+        reason.is_some()
+    }
+
+    /// The tetrahedra round an edge by runs of one material; `start` is one of them.
+    pub(super) fn runs_round(&self, edge: Segment, start: u32) -> Vec<Vec<u32>> {
+        runs_round(self.labelled.delaunay(), edge, start, |t| self.material(t))
+    }
+
+    /// An edge, segment or not; `start` is a tetrahedron at it, if there is one.
+    fn wrong_edge(&self, edge: Segment, start: Option<u32>) -> Option<Reason> {
+        match self.segments.curve(edge) {
+            Some(curve) => self.wrong_segment(edge, curve, start),
+            None => self.wrong_plain_edge(edge, start?),
+        }
+    }
+
+    /// A segment must be an edge, with the three materials of its curve round it, each in one run; `start` is a tetrahedron at it.
+    pub(super) fn wrong_segment(&self, pair: Segment, curve: Stratum, start: Option<u32>) -> Option<Reason> {
+        let Some(start) = start else { return Some(Reason::Segment) };
+        let runs = self.runs_round(pair, start);
+        let is_right = runs.len() == curve.count()
+            && curve.materials().iter().all(|&id| runs.iter().any(|run| self.material(run[0]) == id));
+        (!is_right).then_some(Reason::Ring)
+    }
+
+    /// An edge that is no segment must be in two facets, or in none; `start` is a tetrahedron at it.
+    pub(super) fn wrong_plain_edge(&self, edge: Segment, start: u32) -> Option<Reason> {
+        (self.runs_round(edge, start).len() > 2).then_some(Reason::Edge)
+    }
+
+    /// Round a vertex each material must be in one part.
+    pub(super) fn wrong_vertex(&self, vertex: u32) -> Option<Reason> {
+        let delaunay = self.labelled.delaunay();
+        let star = star(delaunay, vertex);
+        let parts = parts_round(delaunay, vertex, &star, |t| self.material(t));
+        let mut ids: Vec<MaterialId> = parts.iter().map(|part| self.material(part[0])).collect();
+        ids.sort_unstable();
+        let is_right = ids.windows(2).all(|pair| pair[0] < pair[1]);
+        (!is_right).then_some(Reason::Vertex)
+    }
+
+    /// The materials of a facet must meet at each of its vertices.
+    pub(super) fn wrong_facet(&self, facet: &Facet) -> Option<Reason> {
+        let sheet = self.sheet(facet);
+        let is_on = |v: &u32| sheet.iter().all(|&id| self.meets(*v, id));
+        (!facet.vertices.iter().all(is_on)).then_some(Reason::Stratum)
+    }
+}
