@@ -1,7 +1,7 @@
 //! Junction curves as chains of vertices between junction points. The vertices that the lattice has of them are brought onto true curves, and these are followed from there
 //! ([`Follower`]), so that what is one curve is one chain, whatever the lattice joined.
 
-use super::follow::{self, Follower, LEAST_CLEARANCE, PASSED, Stop, TOLERANCE};
+use super::follow::{self, Follower, LEAST_CLEARANCE, LONGEST, PASSED, Stop, TOLERANCE};
 use super::{Complex, Vertex};
 use crate::materials::{Indicators, MaterialId, Stratum};
 use glam::DVec3;
@@ -115,11 +115,14 @@ pub(super) fn trace<I: Indicators + ?Sized>(complex: &mut Complex, indicators: &
         all: Vec::new(),
         bins: Bins::new(reach),
     };
-    let mut assembly = Assembly { complex, points, leaving: BTreeSet::new() };
+    let voxel = indicators.voxel();
+    let (known, same) = (Known { voxel, ..Known::default() }, Vec::new());
+    let mut assembly = Assembly { complex, points, leaving: BTreeSet::new(), known, same };
     lines.into_iter().for_each(|line| assembly.add(line, None));
     assembly.complete(indicators, corner);
-    complex.points = assembly.points.all;
-    merge_points(complex, indicators.voxel());
+    let Assembly { points, same, .. } = assembly;
+    complex.points = points.all;
+    merge_points(complex, &same, voxel);
     let before = complex.chains.len();
     let is_kept: Vec<bool> = complex
         .chains
@@ -228,11 +231,34 @@ struct Assembly<'a> {
     points: Points,
     /// Which curves leave which point, along the tangent or against it.
     leaving: BTreeSet<(u32, Stratum, bool)>,
+    /// Those that are in it.
+    known: Known,
+    /// Pairs of points that are one.
+    same: Vec<[u32; 2]>,
 }
 
 impl Assembly<'_> {
-    /// Adds a curve; its first end is the point `from`, if there is one.
+    /// Adds a curve; its first end is the point `from`, if there is one. A curve that is there already is not added: a point from which one leaves that ends, as it is there,
+    /// at another point next to it, is that point. Where four materials are all but equal along a curve, Newton's method meets their point at several places of it.
     fn add(&mut self, line: Line, from: Option<u32>) {
+        let position = |point: u32| self.points.all[point as usize].position;
+        let end = |stop: Stop| if let Stop::Point(place, _) = stop { Some(place) } else { None };
+        let first = from.map(position).or(end(line.ends[0]));
+        let path: Vec<DVec3> =
+            first.into_iter().chain(line.places.iter().copied()).chain(end(line.ends[1])).collect();
+        let chain_of = |n: u32| self.complex.chains[n as usize].ends;
+        if let Some(n) = self.known.chain_along(line.curve, &path, line.is_along) {
+            let Some(from) = from else { return };
+            let is_here = |other: &u32| {
+                let [own, other] = [from, *other].map(|point| self.points.all[point as usize]);
+                let distance = own.position.distance(other.position);
+                own.stratum == other.stratum && distance < MERGED_WITHIN * self.known.voxel
+            };
+            let ends = chain_of(n).into_iter().filter_map(|end| if let End::Point(p) = end { Some(p) } else { None });
+            self.same.extend(ends.filter(is_here).map(|other| [from, other]));
+            return;
+        }
+        self.known.add(self.complex.chains.len() as u32, line.curve, &path, line.is_along);
         let mut end = |stop: Stop, is_first: bool| {
             let point = match stop {
                 _ if is_first && from.is_some() => from,
@@ -283,9 +309,64 @@ impl Assembly<'_> {
     }
 }
 
-/// Merges the points of the same materials that short chains join, leaves out these chains, and lets those pass that need no end any more.
-fn merge_points(complex: &mut Complex, voxel: f64) {
+/// The steps of the curves in a complex, by place.
+#[derive(Default)]
+struct Known {
+    voxel: f64,
+    /// Of each curve its steps along the tangent, by their middles, with the number of the chain.
+    steps: BTreeMap<Stratum, Bins<(u32, [DVec3; 2])>>,
+}
+
+impl Known {
+    /// The steps of a path in the direction of the tangent.
+    fn along(path: &[DVec3], is_along: bool) -> impl Iterator<Item = [DVec3; 2]> + '_ {
+        path.windows(2).map(move |step| if is_along { [step[0], step[1]] } else { [step[1], step[0]] })
+    }
+
+    /// Takes note of a chain.
+    fn add(&mut self, chain: u32, curve: Stratum, path: &[DVec3], is_along: bool) {
+        let bins = self.steps.entry(curve).or_insert_with(|| Bins::new(2.0 * LONGEST * self.voxel));
+        Self::along(path, is_along).for_each(|[a, b]| bins.add(a.midpoint(b), (chain, [a, b])));
+    }
+
+    /// The chain that a path runs along, in the same direction, but for what lies within [`MERGED_WITHIN`] of its ends, or a third of its length.
+    fn chain_along(&self, curve: Stratum, path: &[DVec3], is_along: bool) -> Option<u32> {
+        let bins = self.steps.get(&curve)?;
+        let length: f64 = path.windows(2).map(|step| step[0].distance(step[1])).sum();
+        let margin = (MERGED_WITHIN * self.voxel).min(length / 3.0);
+        let mut passed = 0.0;
+        let mut inner = Vec::new();
+        for (step, [a, b]) in path.windows(2).zip(Self::along(path, is_along)) {
+            let half = 0.5 * step[0].distance(step[1]);
+            let middle = passed + half;
+            passed += 2.0 * half;
+            if middle >= margin && length - middle >= margin {
+                inner.push((a.midpoint(b), b - a));
+            }
+        }
+        let reach = PASSED * LONGEST * self.voxel;
+        let chains_at = |&(place, way): &(DVec3, DVec3)| {
+            let is_on = |[a, b]: &[DVec3; 2]| {
+                (*b - *a).dot(way) > 0.0 && follow::distance_from_step(place, *a, *b) < reach
+            };
+            bins.near(place).filter(|(_, step)| is_on(step)).map(|(chain, _)| *chain).collect::<BTreeSet<u32>>()
+        };
+        let mut chains = chains_at(inner.first()?);
+        for at in &inner[1..] {
+            if chains.is_empty() {
+                return None;
+            }
+            let here = chains_at(at);
+            chains.retain(|chain| here.contains(chain));
+        }
+        chains.first().copied()
+    }
+}
+
+/// Merges the points that are one (`same`) and those of the same materials that short chains join, leaves out these chains, and lets those pass that need no end any more.
+fn merge_points(complex: &mut Complex, same: &[[u32; 2]], voxel: f64) {
     let mut sets = DisjointSets::new(complex.points.len());
+    same.iter().for_each(|&[a, b]| sets.join(a, b));
     let mut is_short = vec![false; complex.chains.len()];
     for (n, chain) in complex.chains.iter().enumerate() {
         if let [End::Point(a), End::Point(b)] = chain.ends {

@@ -5,7 +5,7 @@ use crate::materials::{Indicators, MaterialId, Stratum};
 use glam::DVec3;
 
 /// Longest and shortest step along a curve, in voxels. A step is halved until the curve turns by no more than [`LEAST_COSINE`] on it.
-const LONGEST: f64 = 0.2;
+pub(super) const LONGEST: f64 = 0.2;
 const SHORTEST: f64 = 1e-3;
 
 /// Cosine between the tangents at both ends of a step: with 37 degrees a chord lies a twelfth of a step off its arc.
@@ -253,7 +253,12 @@ impl<I: Indicators + ?Sized> Follower<'_, I> {
 
 /// Whether a place lies beside a step.
 pub(super) fn is_passed(place: DVec3, a: DVec3, b: DVec3) -> bool {
+    distance_from_step(place, a, b) <= PASSED * a.distance(b)
+}
+
+/// Distance of a place from a step, mm.
+pub(super) fn distance_from_step(place: DVec3, a: DVec3, b: DVec3) -> f64 {
     let (way, squared) = (b - a, a.distance_squared(b));
     let share = if squared > 0.0 { ((place - a).dot(way) / squared).clamp(0.0, 1.0) } else { 0.0 };
-    place.distance_squared(a + share * way) <= PASSED * PASSED * squared
+    place.distance(a + share * way)
 }
