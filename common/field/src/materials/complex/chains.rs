@@ -1,7 +1,7 @@
 //! Junction curves as chains of vertices between junction points. The vertices that the lattice has of them are brought onto true curves, and these are followed from there
 //! ([`Follower`]), so that what is one curve is one chain, whatever the lattice joined.
 
-use super::follow::{self, Follower, LEAST_CLEARANCE, LONGEST, PASSED, Stop, TOLERANCE};
+use super::follow::{self, Follower, LONGEST, PASSED, Stop, TOLERANCE, UNDERCUT};
 use super::{Complex, Vertex};
 use crate::materials::{Indicators, MaterialId, Stratum};
 use glam::DVec3;
@@ -141,11 +141,11 @@ fn project<I: Indicators + ?Sized>(complex: &mut Complex, indicators: &I, corner
     let each = complex.vertices.par_iter_mut().map(|vertex| {
         let found = match *vertex.stratum.materials() {
             [a, b, c, d] => indicators.project_onto_point([a, b, c, d], vertex.position, limit, tolerance),
-            [a, b, c] => Follower { indicators, corner, own: [a, b, c] }.onto(vertex.position, limit),
+            [a, b, c] => Follower { indicators, corner, own: [a, b, c], undercut: UNDERCUT }.onto(vertex.position, limit),
             _ => return Met::Yes,
         };
         let Some(found) = found else { return Met::No };
-        if indicators.clearance(found, vertex.stratum.materials()) < LEAST_CLEARANCE * voxel {
+        if indicators.clearance(found, vertex.stratum.materials()) < -UNDERCUT * voxel {
             return Met::NotClear;
         }
         vertex.position = found;
@@ -168,7 +168,7 @@ struct Line {
 /// The curves of three materials through some places on them, each once.
 fn lines_from<I: Indicators + ?Sized>(indicators: &I, corner: DVec3, curve: Stratum, starts: &[DVec3]) -> Vec<Line> {
     let &[i, j, k] = curve.materials() else { return Vec::new() };
-    let follower = Follower { indicators, corner, own: [i, j, k] };
+    let follower = Follower { indicators, corner, own: [i, j, k], undercut: UNDERCUT };
     let tree = KdTree::new(starts);
     let mut is_passed = vec![false; starts.len()];
     let mut lines = Vec::new();
@@ -296,7 +296,7 @@ impl Assembly<'_> {
             let ids: Vec<MaterialId> = equal.map(|(id, _)| *id).collect();
             for own in triples(&ids) {
                 let Some(curve) = Stratum::new(&own) else { continue };
-                let follower = Follower { indicators, corner, own };
+                let follower = Follower { indicators, corner, own, undercut: UNDERCUT };
                 for is_along in [true, false] {
                     if self.leaving.contains(&(point, curve, is_along)) || !follower.leaves(position, is_along) {
                         continue;

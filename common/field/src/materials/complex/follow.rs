@@ -30,7 +30,7 @@ const MOST_STEPS: usize = 1 << 19;
 pub(super) const TOLERANCE: f64 = 1e-7;
 
 /// How far another material may undercut those of a place for it to count as real, in voxels: rounding, and what Newton's method leaves.
-pub(super) const LEAST_CLEARANCE: f64 = -1e-6;
+pub(super) const UNDERCUT: f64 = 1e-6;
 
 /// A place beyond the border of the grid goes back and forth between border and curve so often: each turn leaves the share that the cosine squared of the angle between
 /// the two says.
@@ -59,13 +59,14 @@ pub fn way_round<I: Indicators + ?Sized>(
     from: DVec3,
 ) -> Option<Vec<DVec3>> {
     let &[i, j, k] = curve.materials() else { return None };
-    let (mut way, at, ends) = Follower { indicators, corner, own: [i, j, k] }.follow_both_ways(from, |_, _| true);
+    let follower = Follower { indicators, corner, own: [i, j, k], undercut: UNDERCUT };
+    let (mut way, at, ends) = follower.follow_both_ways(from, |_, _| true);
     way.rotate_left(at);
     (ends == [Stop::Start; 2] && way.len() >= 3).then_some(way)
 }
 
 /// The way along a junction curve from one of its places to another, both included, in the grid that ends at `corner`; `None` where the curve does not lead there, or not
-/// within `longest` (mm). Of two ways round a closed curve the shorter one.
+/// within `longest` (mm). Of two ways round a closed curve the shorter one. What another material undercuts by less than [`COINCIDENT`] is passed: places a step apart do not show it.
 pub fn way_along<I: Indicators + ?Sized>(
     indicators: &I,
     curve: Stratum,
@@ -74,7 +75,7 @@ pub fn way_along<I: Indicators + ?Sized>(
     longest: f64,
 ) -> Option<Vec<DVec3>> {
     let &[i, j, k] = curve.materials() else { return None };
-    let follower = Follower { indicators, corner, own: [i, j, k] };
+    let follower = Follower { indicators, corner, own: [i, j, k], undercut: COINCIDENT };
     let there = AT_AN_END * indicators.voxel();
     let way = |sign: f64| {
         let (mut length, mut is_there) = (0.0, false);
@@ -103,6 +104,8 @@ pub(super) struct Follower<'a, I: ?Sized> {
     /// The last corner of the grid, mm.
     pub(super) corner: DVec3,
     pub(super) own: [MaterialId; 3],
+    /// How far another material may undercut them on the way, in voxels.
+    pub(super) undercut: f64,
 }
 
 impl<I: Indicators + ?Sized> Follower<'_, I> {
@@ -137,7 +140,7 @@ impl<I: Indicators + ?Sized> Follower<'_, I> {
 
     /// Whether no other material is nearer at a place on a curve.
     pub(super) fn is_real(&self, place: DVec3) -> bool {
-        self.indicators.clearance(place, &self.own) >= LEAST_CLEARANCE * self.indicators.voxel()
+        self.indicators.clearance(place, &self.own) >= -self.undercut * self.indicators.voxel()
     }
 
     /// The place a step further, if the curve turns little on the way.
@@ -246,7 +249,7 @@ impl<I: Indicators + ?Sized> Follower<'_, I> {
         let (limit, tolerance) = (2.0 * step, TOLERANCE * voxel);
         let point = self.indicators.project_onto_point([a, b, c, d], beyond, limit, tolerance)?;
         let is_between = point.distance(place) <= (1.0 + ASIDE) * step && self.is_in_grid(point);
-        let is_met = self.indicators.clearance(point, stratum.materials()) >= LEAST_CLEARANCE * voxel;
+        let is_met = self.indicators.clearance(point, stratum.materials()) >= -UNDERCUT * voxel;
         (is_between && is_met).then_some((point, stratum))
     }
 }
