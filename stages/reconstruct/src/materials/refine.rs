@@ -6,7 +6,7 @@
 
 use super::complex::{Complex, Mend, Violation};
 use super::nodes::Nodes;
-use super::prepare::{LONGEST_WAY, length, onto};
+use super::prepare::{self, LONGEST_WAY, onto};
 use super::segments::Segment;
 use super::topology::Simplices;
 use crate::labelled::Facet;
@@ -164,16 +164,29 @@ impl<'a> Refinement<'a> {
         }
     }
 
-    /// Inserts the middle of a segment, on its curve, unless that is nearer than `least` to an end; true when it did.
+    /// Inserts a point of a segment's curve between its ends, unless that is nearer than `least` to one of them; true when it did. Next to the point that lies deepest in the ball of
+    /// which the segment is a diameter, if there is one: where two curves run side by side, nearer to each other than their points are, these come to lie in pairs,
+    /// and both curves' segments are edges (the ball on a side of a rectangle holds no corner). Else in the middle.
     fn split(&mut self, pair: Segment, least: f64) -> Result<bool> {
         let Some(curve) = self.complex.segments.curve(pair) else { return Ok(false) };
         let [a, b] = pair.map(|v| self.complex.points()[v as usize]);
         let length = a.distance(b);
-        let middle = self.middle_along(curve, [a, b]);
         let is_between = |p: &DVec3| p.distance(a).min(p.distance(b)) > (MIDDLE * length).max(least);
-        let Some(middle) = middle.filter(is_between) else { return Ok(false) };
+        let way = self.way(curve, [a, b]);
+        let (near, distance) = self.complex.labelled.nearest(a.midpoint(b), pair[0]);
+        let is_within = !pair.contains(&near) && distance < 0.5 * length;
+        let beside = way.as_ref().filter(|_| is_within).and_then(|way| {
+            let foot = foot(way, self.complex.points()[near as usize]);
+            self.place_on(curve, way, foot)
+        });
+        let middle = || match &way {
+            Some(way) => self.place_on(curve, way, 0.5 * prepare::length(way)),
+            None => onto(self.complex.indicators, curve, a.midpoint(b), 0.5 * length),
+        };
+        let place = beside.filter(is_between).or_else(|| middle().filter(is_between));
+        let Some(place) = place else { return Ok(false) };
         let size = 0.5 * (self.complex.sizes[pair[0] as usize] + self.complex.sizes[pair[1] as usize]);
-        let inserted = self.complex.labelled.insert(middle, pair[0])?;
+        let inserted = self.complex.labelled.insert(place, pair[0])?;
         let outcome = self.settle(inserted, curve, size);
         if let Some(v) = inserted {
             self.complex.segments.split(pair, v, self.complex.labelled.points());
@@ -182,21 +195,23 @@ impl<'a> Refinement<'a> {
         Ok(outcome)
     }
 
-    /// Half-way along a curve between two of its places; where it cannot be followed, next to the middle of the chord.
-    fn middle_along(&self, curve: Stratum, [a, b]: [DVec3; 2]) -> Option<DVec3> {
+    /// The way along a curve between two of its places.
+    fn way(&self, curve: Stratum, ends: [DVec3; 2]) -> Option<Vec<DVec3>> {
         let indicators = self.complex.indicators;
-        let chord = a.distance(b);
-        let longest = LONGEST_WAY * chord.max(indicators.voxel());
-        let way = way_along(indicators, curve, self.complex.labelled.upper(), [a, b], longest);
-        let Some(way) = way else { return onto(indicators, curve, a.midpoint(b), 0.5 * chord) };
-        let half = 0.5 * length(&way);
+        let longest = LONGEST_WAY * ends[0].distance(ends[1]).max(indicators.voxel());
+        way_along(indicators, curve, self.complex.labelled.upper(), ends, longest)
+    }
+
+    /// The place of a curve so far along a way on it, mm.
+    fn place_on(&self, curve: Stratum, way: &[DVec3], along: f64) -> Option<DVec3> {
         let mut sum = 0.0;
         let step = way.windows(2).find(|step| {
             sum += step[0].distance(step[1]);
-            sum >= half
+            sum >= along
         })?;
         let own = step[0].distance(step[1]);
-        onto(indicators, curve, step[1].lerp(step[0], (sum - half) / own.max(f64::MIN_POSITIVE)), 0.5 * own)
+        let share = (sum - along) / own.max(f64::MIN_POSITIVE);
+        onto(self.complex.indicators, curve, step[1].lerp(step[0], share), 0.5 * own)
     }
 
     /// Takes note of a point, if it is new; true when it is.
@@ -209,4 +224,19 @@ impl<'a> Refinement<'a> {
         self.complex.decide();
         true
     }
+}
+
+/// How far along a way its place nearest to another place lies, mm.
+fn foot(way: &[DVec3], place: DVec3) -> f64 {
+    let (mut passed, mut nearest) = (0.0, (f64::INFINITY, 0.0));
+    for step in way.windows(2) {
+        let (own, length) = (step[1] - step[0], step[0].distance(step[1]));
+        let share = ((place - step[0]).dot(own) / length.powi(2).max(f64::MIN_POSITIVE)).clamp(0.0, 1.0);
+        let distance = place.distance_squared(step[0] + share * own);
+        if distance < nearest.0 {
+            nearest = (distance, passed + share * length);
+        }
+        passed += length;
+    }
+    nearest.1
 }
