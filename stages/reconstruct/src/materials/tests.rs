@@ -1,11 +1,14 @@
 //! Complexes of shapes that are known, against the truth.
 
 use super::check::{CheckOptions, check};
+use super::complex::Complex;
 use super::interfaces::Interfaces;
 use super::nodes::Nodes;
 use super::prepare::{Prepared, prepare};
 use super::reconstruct::{Reconstruction, reconstruct};
+use super::refine::Refinement;
 use super::scenes::{self, CENTRE, HALF, RADIUS, Scene, stratum};
+use crate::queue::{Refine, Simplex};
 use crate::reconstruct::Options;
 use glam::DVec3;
 use isoparticles_field::materials::{Analytic, Indicators, MaterialId, ball, half_space};
@@ -287,6 +290,45 @@ fn curves_that_pass_each_other_far_nearer_than_h_keep_their_points() {
     assert_eq!(prepared.segments.count(), 8);
     assert_eq!((0..8).map(|v| prepared.segments.at(v).count()).collect::<Vec<_>>(), [2; 8]);
     assert_eq!(prepared.report.particles.crowded, 0);
+}
+
+#[test]
+fn curves_side_by_side_far_nearer_than_their_points_get_points_in_pairs() {
+    // a ribbon of 0.02 between two curves whose points, a millimetre apart, do not lie side by side
+    let half = 0.01;
+    let wedge = |side: f64| half_space(CENTRE + DVec3::X * side * half, -DVec3::X * side);
+    let [low, high] = [DVec3::Z, -DVec3::Z].map(|outwards| half_space(CENTRE, outwards));
+    let analytic = Analytic::new(vec![low, high, wedge(-1.0), wedge(1.0)], 1.0);
+    let (mut all, mut pairs) = (Vec::new(), Vec::new());
+    for (id, side, offset) in [(2, -1.0, 0.0), (3, 1.0, 0.37)] {
+        for n in 0..9 {
+            if n > 0 {
+                pairs.push([all.len() as u32 - 1, all.len() as u32]);
+            }
+            let along = DVec3::Y * (f64::from(n) - 4.0 + offset);
+            all.push((vec![0, 1, id], CENTRE + DVec3::X * side * half + along));
+        }
+    }
+    for (id, side) in [(2, -1.0), (3, 1.0)] {
+        for (n, away) in (0..9).flat_map(|n| [(n, 0.7), (n, 1.4)]) {
+            let along = DVec3::Y * (f64::from(n) - 3.9 + 0.5 * away);
+            let place = |up: f64| CENTRE + along + DVec3::X * side * (half + away) + DVec3::Z * up * away;
+            all.extend([(vec![0, id], place(-1.0)), (vec![1, id], place(1.0))]);
+        }
+    }
+    let prepared = prepared_of(&all, pairs, &analytic);
+    assert_eq!(prepared.segments.count(), 16);
+    let complex = Complex::new(prepared, &analytic, DVec3::splat(24.0), None);
+    let mut refinement = Refinement::new(complex, None);
+    refinement.drain([], &mut |_| Ok(())).expect("nothing stops it");
+    let complex = &refinement.complex;
+    // at the ends of the curves there are no points round them
+    let is_inner = |v: &u32| (complex.points()[*v as usize] - CENTRE).y.abs() < 3.2;
+    let inner = complex.segments.all().filter(|(pair, _)| pair.iter().all(is_inner));
+    let (wrong, right): (Vec<_>, Vec<_>) = inner.partition(|(pair, _)| complex.is_wrong(Simplex::Edge(*pair)));
+    assert!(wrong.is_empty() && right.len() >= 12, "{wrong:?}");
+    // beside each of the other curve's points one
+    assert!(refinement.report.on_curves < 20, "{:?}", refinement.report);
 }
 
 /// Points at places on strata of their own, h = 1 mm, with their pairs.

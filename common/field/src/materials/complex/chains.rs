@@ -141,7 +141,9 @@ fn project<I: Indicators + ?Sized>(complex: &mut Complex, indicators: &I, corner
     let each = complex.vertices.par_iter_mut().map(|vertex| {
         let found = match *vertex.stratum.materials() {
             [a, b, c, d] => indicators.project_onto_point([a, b, c, d], vertex.position, limit, tolerance),
-            [a, b, c] => Follower { indicators, corner, own: [a, b, c], undercut: UNDERCUT }.onto(vertex.position, limit),
+            [a, b, c] => {
+                Follower { indicators, corner, own: [a, b, c], undercut: UNDERCUT }.onto(vertex.position, limit)
+            }
             _ => return Met::Yes,
         };
         let Some(found) = found else { return Met::No };
@@ -244,8 +246,7 @@ impl Assembly<'_> {
         let position = |point: u32| self.points.all[point as usize].position;
         let end = |stop: Stop| if let Stop::Point(place, _) = stop { Some(place) } else { None };
         let first = from.map(position).or(end(line.ends[0]));
-        let path: Vec<DVec3> =
-            first.into_iter().chain(line.places.iter().copied()).chain(end(line.ends[1])).collect();
+        let path: Vec<DVec3> = first.into_iter().chain(line.places.iter().copied()).chain(end(line.ends[1])).collect();
         let chain_of = |n: u32| self.complex.chains[n as usize].ends;
         if let Some(n) = self.known.chain_along(line.curve, &path, line.is_along) {
             let Some(from) = from else { return };
@@ -346,9 +347,8 @@ impl Known {
         }
         let reach = PASSED * LONGEST * self.voxel;
         let chains_at = |&(place, way): &(DVec3, DVec3)| {
-            let is_on = |[a, b]: &[DVec3; 2]| {
-                (*b - *a).dot(way) > 0.0 && follow::distance_from_step(place, *a, *b) < reach
-            };
+            let is_on =
+                |[a, b]: &[DVec3; 2]| (*b - *a).dot(way) > 0.0 && follow::distance_from_step(place, *a, *b) < reach;
             bins.near(place).filter(|(_, step)| is_on(step)).map(|(chain, _)| *chain).collect::<BTreeSet<u32>>()
         };
         let mut chains = chains_at(inner.first()?);

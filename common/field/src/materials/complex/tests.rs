@@ -232,3 +232,24 @@ fn threads_make_no_difference() {
     let [one, three] = [1, 3].map(|threads| pool(threads).install(|| Complex::new(&materials)));
     assert_eq!(one, three);
 }
+
+#[test]
+fn a_junction_point_of_curves_that_all_but_coincide_is_met_once() {
+    // four quarters round an axis, of which two opposite ones grow along it, so slowly that all four are equal to a fiftieth of a voxel a voxel away
+    let along = DVec3::new(0.2, 0.1, 1.0).normalize();
+    let (across, other) = along.any_orthonormal_pair();
+    let quarter = |n: u32| {
+        let (sin, cos) = (0.3 + f64::from(n) * 0.5 * PI).sin_cos();
+        let growth = if n.is_multiple_of(2) { 0.01 } else { -0.01 };
+        sum(half_space(CENTRE, -(cos * across + sin * other)), scaled(half_space(CENTRE, along), growth))
+    };
+    let analytic = Analytic::new((0..4).map(quarter).collect(), 1.0);
+    for (complex, most) in [(exact(&analytic, 1.0), 1e-3), (Complex::new(&sampled(&analytic, 1.0)), 0.2)] {
+        assert_eq!(complex.points.len(), 1, "{:?}", complex.points);
+        assert!(complex.points[0].position.distance(CENTRE) < most, "{:?}", complex.points);
+        let mut curves: Vec<Stratum> = complex.chains.iter().map(|chain| chain.curve).collect();
+        curves.sort_unstable();
+        assert_eq!(curves, [[0, 1, 2], [0, 1, 3], [0, 2, 3], [1, 2, 3]].map(|ids| stratum(&ids)));
+        assert!(complex.chains.iter().all(|chain| chain.ends.contains(&End::Point(0))));
+    }
+}
