@@ -1,6 +1,7 @@
 //! Complexes of shapes that are known, against the truth.
 
 use super::check::{CheckOptions, check};
+use super::complex::Complex;
 use super::interfaces::Interfaces;
 use super::nodes::Nodes;
 use super::prepare::{Prepared, prepare};
@@ -8,7 +9,7 @@ use super::reconstruct::{Reconstruction, reconstruct};
 use super::scenes::{self, CENTRE, HALF, RADIUS, Scene, stratum};
 use crate::reconstruct::Options;
 use glam::DVec3;
-use isoparticles_field::materials::{Analytic, Indicators, MaterialId, ball, half_space};
+use isoparticles_field::materials::{Analytic, Indicators, MaterialId, ball, half_space, negative};
 use isoparticles_field::particle_set::{ParticleSet, Strata};
 use isoparticles_mesh::measure::measure;
 use isoparticles_stage::monitor::Silent;
@@ -287,6 +288,30 @@ fn curves_that_pass_each_other_far_nearer_than_h_keep_their_points() {
     assert_eq!(prepared.segments.count(), 8);
     assert_eq!((0..8).map(|v| prepared.segments.at(v).count()).collect::<Vec<_>>(), [2; 8]);
     assert_eq!(prepared.report.particles.crowded, 0);
+}
+
+#[test]
+fn the_centre_of_a_surface_ball_parts_its_facet_where_one_can() {
+    // six corners on a ball: the Voronoi edges of the facets cross it far beyond them
+    let analytic = Analytic::new(vec![negative(ball(CENTRE, RADIUS)), ball(CENTRE, RADIUS)], 1.0);
+    let mut all: Vec<(Vec<u16>, DVec3)> = Vec::new();
+    for [x, y, z] in
+        [[1.0, 0.0, 0.1], [0.0, 1.0, 0.0], [-1.0, 0.1, 0.0], [0.1, -1.0, 0.0], [0.2, 0.1, 1.0], [0.0, 0.2, -1.0]]
+    {
+        all.push((vec![0, 1], CENTRE + RADIUS * DVec3::new(x, y, z).normalize()));
+    }
+    let complex = || Complex::new(prepared_of(&all, Vec::new(), &analytic), &analytic, DVec3::splat(24.0), None);
+    let facets = complex().labelled.facets();
+    assert_eq!(facets.len(), 8);
+    for facet in facets {
+        let mut complex = complex();
+        let place = complex.ball(&facet).expect("on its sheet").place;
+        complex.labelled.insert(place, facet.vertices[0]).expect("in the volume").expect("new");
+        complex.strata.push(stratum(&[0, 1]));
+        complex.sizes.push(1.0);
+        complex.decide();
+        assert!(complex.facet_on(facet.sorted()).is_none(), "{facet:?} is still there");
+    }
 }
 
 /// Points at places on strata of their own, h = 1 mm, with their pairs.
