@@ -18,6 +18,9 @@ use std::collections::BTreeMap;
 /// A segment that lacks a material round it is cut where the surface balls there are smaller than this part of it: they tell no more.
 const SMALL_BALL: f64 = 0.5;
 
+/// Distance from a circumcentre, over the circumradius, up to which a point lies within: the rest is rounding.
+const WITHIN: f64 = 1.0 - 1e-9;
+
 /// Where no indicator of the materials of a tetrahedron is known at its circumcentre, they are asked for on the way to its centroid, in so many steps.
 const STEPS: i32 = 8;
 
@@ -153,7 +156,8 @@ impl<'a> Complex<'a> {
         facets
     }
 
-    /// The surface ball of a facet: where its Voronoi edge leaves the material inside, near the facet; else its projected centroid.
+    /// The surface ball of a facet: where its Voronoi edge leaves the material inside, near the facet; else its projected centroid. Of the two the first that parts
+    /// the facet once it is on its sheet ([`Self::parts`]), if either does.
     pub fn ball(&self, facet: &Facet) -> Option<Ball> {
         let corners = facet.vertices.map(|v| self.points()[v as usize]);
         let voxel = self.indicators.voxel();
@@ -162,10 +166,26 @@ impl<'a> Complex<'a> {
             Some((super::prepare::onto(self.indicators, stratum, start, limit * voxel)?, stratum))
         };
         let crossing = self.crossing(facet).and_then(|(place, sheet)| on_sheet(sheet, place, 0.5));
-        let centroid = (corners[0] + corners[1] + corners[2]) / 3.0;
-        let (place, stratum) = crossing.or_else(|| on_sheet(self.sheet(facet), centroid, 2.0))?;
+        let parts = |found: &(DVec3, Stratum)| self.parts(found.0, facet);
+        let at_centroid = || {
+            let centroid = (corners[0] + corners[1] + corners[2]) / 3.0;
+            on_sheet(self.sheet(facet), centroid, 2.0)
+        };
+        let (place, stratum) =
+            crossing.filter(parts).or_else(|| at_centroid().filter(parts)).or(crossing).or_else(at_centroid)?;
         let radius = corners.iter().map(|p| p.distance(place)).fold(f64::INFINITY, f64::min);
         Some(Ball { place, stratum, radius })
+    }
+
+    /// Whether a point would be nearer to the circumcentre of a tetrahedron at a facet than its vertices are, so that the facet would be gone. The centre of a surface
+    /// ball is, but where it was brought onto its sheet it may lie beyond, and even at a vertex that was inserted for the same facet before.
+    fn parts(&self, place: DVec3, facet: &Facet) -> bool {
+        let delaunay = self.labelled.delaunay();
+        let corner = self.points()[facet.vertices[0] as usize];
+        [facet.tetrahedron, self.labelled.across(facet)].into_iter().any(|t| {
+            let centre = if delaunay.is_ghost(t) { None } else { delaunay.circumcentre(t) };
+            centre.is_none_or(|centre| centre.distance(place) < WITHIN * centre.distance(corner))
+        })
     }
 
     /// Where the Voronoi edge dual to a facet leaves the material inside, next to the facet, and the two materials there.
@@ -176,13 +196,16 @@ impl<'a> Complex<'a> {
         Some((low.midpoint(high), [inside, self.indicators.material_at(high)]))
     }
 
-    /// The violation at some facets whose largest surface ball mends it.
+    /// The violation at some facets, mended by the largest of the surface balls that part theirs.
     fn by_largest_ball(&self, reason: Reason, simplex: Simplex, facets: &[Facet]) -> Option<Violation> {
         let first = facets.first()?;
-        let balls = facets.iter().filter_map(|f| Some((self.ball(f)?, f)));
-        let largest = balls.max_by(|a, b| a.0.radius.total_cmp(&b.0.radius).then(b.1.vertices.cmp(&a.1.vertices)));
+        let balls = facets.iter().filter_map(|f| self.ball(f).map(|ball| (self.parts(ball.place, f), ball, f)));
+        let largest = balls.max_by(|a, b| {
+            let by_room = a.0.cmp(&b.0).then(a.1.radius.total_cmp(&b.1.radius));
+            by_room.then(b.2.vertices.cmp(&a.2.vertices))
+        });
         Some(match largest {
-            Some((ball, facet)) => Violation {
+            Some((_, ball, facet)) => Violation {
                 reason,
                 simplex,
                 remedy: Mend::Point { place: ball.place, stratum: ball.stratum },

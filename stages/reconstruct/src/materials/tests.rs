@@ -11,7 +11,7 @@ use super::scenes::{self, CENTRE, HALF, RADIUS, Scene, stratum};
 use crate::queue::{Refine, Simplex};
 use crate::reconstruct::Options;
 use glam::DVec3;
-use isoparticles_field::materials::{Analytic, Indicators, MaterialId, ball, half_space};
+use isoparticles_field::materials::{Analytic, Indicators, MaterialId, ball, half_space, negative};
 use isoparticles_field::particle_set::{ParticleSet, Strata};
 use isoparticles_mesh::measure::measure;
 use isoparticles_stage::monitor::Silent;
@@ -329,6 +329,30 @@ fn curves_side_by_side_far_nearer_than_their_points_get_points_in_pairs() {
     assert!(wrong.is_empty() && right.len() >= 12, "{wrong:?}");
     // beside each of the other curve's points one
     assert!(refinement.report.on_curves < 20, "{:?}", refinement.report);
+}
+
+#[test]
+fn the_centre_of_a_surface_ball_parts_its_facet_where_one_can() {
+    // six corners on a ball: the Voronoi edges of the facets cross it far beyond them
+    let analytic = Analytic::new(vec![negative(ball(CENTRE, RADIUS)), ball(CENTRE, RADIUS)], 1.0);
+    let mut all: Vec<(Vec<u16>, DVec3)> = Vec::new();
+    for [x, y, z] in
+        [[1.0, 0.0, 0.1], [0.0, 1.0, 0.0], [-1.0, 0.1, 0.0], [0.1, -1.0, 0.0], [0.2, 0.1, 1.0], [0.0, 0.2, -1.0]]
+    {
+        all.push((vec![0, 1], CENTRE + RADIUS * DVec3::new(x, y, z).normalize()));
+    }
+    let complex = || Complex::new(prepared_of(&all, Vec::new(), &analytic), &analytic, DVec3::splat(24.0), None);
+    let facets = complex().labelled.facets();
+    assert_eq!(facets.len(), 8);
+    for facet in facets {
+        let mut complex = complex();
+        let place = complex.ball(&facet).expect("on its sheet").place;
+        complex.labelled.insert(place, facet.vertices[0]).expect("in the volume").expect("new");
+        complex.strata.push(stratum(&[0, 1]));
+        complex.sizes.push(1.0);
+        complex.decide();
+        assert!(complex.facet_on(facet.sorted()).is_none(), "{facet:?} is still there");
+    }
 }
 
 /// Points at places on strata of their own, h = 1 mm, with their pairs.

@@ -6,9 +6,10 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tetmesh_check.context import Context
-from tetmesh_check.quality import TetrahedronQuality
+from tetmesh_check.quality import TetrahedronQuality, Values
 from tetmesh_check.topology import Topology
 
 
@@ -70,8 +71,37 @@ class Measurements:
     """The envelope, mm: how far fTetWild may move the boundary."""
 
 
-def well_shaped(quality: TetrahedronQuality, limits: Limits) -> bool:
-    """Whether every tetrahedron is positive and within the limits of shape.
+@dataclass(frozen=True)
+class Forced:
+    """Tetrahedra that the surface keeps from a limit of shape, whoever makes them: no failure of theirs."""
+
+    dihedral: NDArray[np.bool_]
+    """Which cannot reach the smallest dihedral angle, shape ``(m,)``."""
+    jacobian: NDArray[np.bool_]
+    """Which cannot reach the smallest scaled Jacobian, shape ``(m,)``."""
+
+    @classmethod
+    def none(cls, count: int) -> Forced:
+        """Of a mesh of so many tetrahedra, no one."""
+        nobody = np.zeros(count, dtype=np.bool_)
+        return cls(nobody, nobody)
+
+
+def smallest_elsewhere(values: NDArray[np.float64], forced: NDArray[np.bool_]) -> float:
+    """Smallest value of the tetrahedra that are not forced, infinite where all are.
+
+    Parameters
+    ----------
+    values
+        One number a tetrahedron.
+    forced
+        Which are forced.
+    """
+    return float(values.min(where=~forced, initial=np.inf))
+
+
+def well_shaped(quality: TetrahedronQuality, limits: Limits, forced: Forced | None = None) -> bool:
+    """Whether every tetrahedron is positive, and within the limits of shape where the surface allows that.
 
     Parameters
     ----------
@@ -79,11 +109,14 @@ def well_shaped(quality: TetrahedronQuality, limits: Limits) -> bool:
         The measures.
     limits
         What is demanded.
+    forced
+        Which the surface keeps from it; without it none.
     """
+    forced = forced or Forced.none(quality.volume.size)
     return bool(
         quality.volume.min() > 0
-        and quality.min_dihedral.min() >= limits.min_dihedral
-        and quality.scaled_jacobian.min() >= limits.min_scaled_jacobian
+        and smallest_elsewhere(quality.min_dihedral, forced.dihedral) >= limits.min_dihedral
+        and smallest_elsewhere(quality.scaled_jacobian, forced.jacobian) >= limits.min_scaled_jacobian
     )
 
 
@@ -92,7 +125,7 @@ def verdict(name: str, passed: bool, value: float, limit: float, words: str, req
     return Check(name, bool(passed), required, float(value), float(limit), words)
 
 
-def shape_checks(quality: TetrahedronQuality, limits: Limits) -> list[Check]:
+def shape_checks(quality: TetrahedronQuality, limits: Limits, forced: Forced | None = None) -> list[Check]:
     """Judge the shape of the tetrahedra.
 
     Parameters
@@ -101,12 +134,22 @@ def shape_checks(quality: TetrahedronQuality, limits: Limits) -> list[Check]:
         The measures.
     limits
         What is demanded.
+    forced
+        Which the surface keeps from it; without it none. They are counted in the words, and judged by nothing but their volume.
     """
+    forced = forced or Forced.none(quality.volume.size)
     not_positive = int((quality.volume <= 0).sum())
-    dihedral = float(quality.min_dihedral.min())
-    jacobian = float(quality.scaled_jacobian.min())
-    sharp = int((quality.min_dihedral < limits.min_dihedral).sum())
-    flat = int((quality.scaled_jacobian < limits.min_scaled_jacobian).sum())
+
+    def judged(name: str, what: str, values: Values, kept: NDArray[np.bool_], limit: float, unit: str) -> Check:
+        smallest, below = smallest_elsewhere(values, kept), int(((values < limit) & ~kept).sum())
+        beside = ""
+        if kept.any():
+            beside = f" but for {int(kept.sum())} tetrahedra (down to {values[kept].min():.3g}) that the surface forces to be below the limit"
+        words = (
+            f"the smallest {what} is {smallest:.3g}{unit}{beside}; {below} tetrahedra are below the limit of {limit:g}"
+        )
+        return verdict(name, below == 0, smallest, limit, words)
+
     return [
         verdict(
             "positive_volumes",
@@ -115,21 +158,16 @@ def shape_checks(quality: TetrahedronQuality, limits: Limits) -> list[Check]:
             0,
             f"{not_positive} of {quality.volume.size} tetrahedra are inverted or flat",
         ),
-        verdict(
-            "min_dihedral",
-            dihedral >= limits.min_dihedral,
-            dihedral,
-            limits.min_dihedral,
-            f"the smallest dihedral angle is {dihedral:.3g} degrees; {sharp} tetrahedra are below the limit of "
-            f"{limits.min_dihedral:g}",
+        judged(
+            "min_dihedral", "dihedral angle", quality.min_dihedral, forced.dihedral, limits.min_dihedral, " degrees"
         ),
-        verdict(
+        judged(
             "min_scaled_jacobian",
-            jacobian >= limits.min_scaled_jacobian,
-            jacobian,
+            "scaled Jacobian",
+            quality.scaled_jacobian,
+            forced.jacobian,
             limits.min_scaled_jacobian,
-            f"the smallest scaled Jacobian is {jacobian:.3g}; {flat} tetrahedra are below the limit of "
-            f"{limits.min_scaled_jacobian:g}",
+            "",
         ),
     ]
 

@@ -40,7 +40,7 @@ def write_structured_field(path: Path, values: Any, origin: Any, spacing: float)
         stream.write(np.ascontiguousarray(values, dtype=np.float64).tobytes())
 
 
-def _set_options(gmsh: Any, settings: dict[str, Any]) -> None:
+def _set_options(gmsh: Any, settings: dict[str, Any], extends: bool) -> None:
     for name, value in {
         "General.Terminal": 1,
         # One thread gives the same bytes however many the machine has. With more, the result depends on their number even
@@ -48,8 +48,10 @@ def _set_options(gmsh: Any, settings: dict[str, Any]) -> None:
         "General.NumThreads": 1,
         "Mesh.Algorithm3D": _ALGORITHMS[settings["algorithm"]],
         "Mesh.OptimizeThreshold": settings["optimize_threshold"],
-        # the background field alone says how large the tetrahedra are
-        "Mesh.MeshSizeExtendFromBoundary": 0,
+        # The background field alone says how large the tetrahedra of one object are. Where sheets of many materials meet, triangles
+        # may be far smaller than it: what stands on them is to be as small, and to grow from there. The chest of thorax_labels at
+        # 3 mm has 284 scaled Jacobians below 0.05 in place of 748 by that, and 0.1 % more vertices.
+        "Mesh.MeshSizeExtendFromBoundary": int(extends),
         "Mesh.MeshSizeFromPoints": 0,
         "Mesh.MeshSizeFromCurvature": 0,
         # a node keeps its number, so that the surface's come first and in their order
@@ -127,8 +129,9 @@ def fill(gmsh: Any, arrays: dict[str, Any], settings: dict[str, Any]) -> tuple[A
         Points, mm, those of the surface first, and tetrahedra.
     """
     gmsh.initialize(readConfigFiles=False, interruptible=False)
-    _set_options(gmsh, settings)
-    volumes = (_add_regions if "sheet" in arrays else _add_volumes)(gmsh, arrays)
+    is_complex = "sheet" in arrays
+    _set_options(gmsh, settings, is_complex)
+    volumes = (_add_regions if is_complex else _add_volumes)(gmsh, arrays)
 
     file = Path("sizing.bin").absolute()
     write_structured_field(file, arrays["sizing"], arrays["sizing_origin"], float(arrays["sizing_spacing"]))

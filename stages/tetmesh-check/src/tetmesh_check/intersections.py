@@ -37,7 +37,7 @@ def morton_order(centres: Points) -> NDArray[np.int64]:
     return np.argsort(code, kind="stable")
 
 
-def _candidate_pairs(low: Points, high: Points) -> list[Cells]:
+def candidate_pairs(low: Points, high: Points) -> list[Cells]:
     """Pairs of boxes that overlap, each pair once, as chunks of shape ``(k, 2)``."""
     count = len(low)
     order = morton_order(0.5 * (low + high))
@@ -142,7 +142,7 @@ def self_intersections(points: Points, triangles: Cells) -> Cells:
     found = [np.empty((0, 2), dtype=np.int64)]
     by_rows = np.ascontiguousarray(points.T)
     low, high = (reduce(how, (corners[:, k] for k in range(3))) for how in (np.minimum, np.maximum))
-    for pairs in _candidate_pairs(low, high):
+    for pairs in candidate_pairs(low, high):
         crossing = _pairs_cross(by_rows, triangles[pairs[:, 0]], triangles[pairs[:, 1]])
         found.append(pairs[crossing])
     return np.concatenate(found)

@@ -8,14 +8,15 @@ from typing import Any
 
 import numpy as np
 
-from tetmesh_check.checks import Limits, well_shaped
+from tetmesh_check.checks import Forced, Limits, smallest_elsewhere, well_shaped
 from tetmesh_check.complex import Complex
-from tetmesh_check.conform import Conformity, conform
+from tetmesh_check.conform import NOBODY, Conformity, conform
 from tetmesh_check.context import Context
 from tetmesh_check.errors import ExitCode, StageError
 from tetmesh_check.fill import Method
+from tetmesh_check.forced import INSIDE, ForcedSides
 from tetmesh_check.hxt import HxtSettings, fill_complex_by_gmsh
-from tetmesh_check.quality import Cells, Points, TetrahedronQuality, tetrahedron_quality
+from tetmesh_check.quality import Cells, Labels, Points, TetrahedronQuality, tetrahedron_quality
 from tetmesh_check.sizing import SizingField, world_grid
 from tetmesh_check.volume import orient_positive
 from tetmesh_check.worker import TimeLimit, TimeLimitError, UnavailableError, WorkerResult
@@ -30,6 +31,8 @@ class ComplexTask:
     """What is to be filled, and how."""
 
     checked: Complex
+    sides: ForcedSides
+    """Where its triangles allow no tetrahedra within the limits."""
     field: SizingField
     """Edge lengths, without the factor."""
     tet_size_factor: float
@@ -49,11 +52,15 @@ class FilledComplex:
     """Vertex indices in VTK order, shape ``(m, 4)``."""
     quality: TetrahedronQuality
     conformity: Conformity
+    standing: Labels
+    """Tetrahedron on each forced side of a triangle, shape ``(k,)``; :data:`.NOBODY` where it is missing."""
+    forced: Forced
+    """Which of them the surface keeps from the limits."""
 
     @property
     def rank(self) -> tuple[int, float]:
         """The larger, the better."""
-        return -self.conformity.faults, float(self.quality.scaled_jacobian.min())
+        return -self.conformity.faults, smallest_elsewhere(self.quality.scaled_jacobian, self.forced.jacobian)
 
 
 def refuse_method(method: Method) -> None:
@@ -77,18 +84,38 @@ def refuse_method(method: Method) -> None:
         )
 
 
-def _judge(task: ComplexTask, raw: WorkerResult) -> FilledComplex:
+def _take(task: ComplexTask, raw: WorkerResult) -> FilledComplex:
+    """Judge what came back, where its vertices are those of the surface."""
     surface = task.checked.surface
-    count = len(surface.points)
-    if not np.array_equal(raw.points[:count], surface.points):
+    if not np.array_equal(raw.points[: len(surface.points)], surface.points):
         raise StageError(
             "the tetrahedralizer did not keep the vertices of the surface",
             "neighbouring materials share them",
             "try another --tet-size-factor",
         )
-    tetrahedra, _turned = orient_positive(raw.points, raw.tetrahedra)
+    return _judge(task, raw.points, orient_positive(raw.points, raw.tetrahedra)[0])
+
+
+def _judge(task: ComplexTask, points: Points, tetrahedra: Cells) -> FilledComplex:
+    surface = task.checked.surface
     found = conform(tetrahedra, surface.triangles, task.checked.sides)
-    return FilledComplex(raw.points, tetrahedra, tetrahedron_quality(raw.points, tetrahedra), found)
+    standing = np.where(task.sides.side == INSIDE, found.behind[task.sides.facet], found.before[task.sides.facet])
+    forced = _forced(task, standing, len(tetrahedra))
+    return FilledComplex(points, tetrahedra, tetrahedron_quality(points, tetrahedra), found, standing, forced)
+
+
+def _forced(task: ComplexTask, standing: Labels, count: int) -> Forced:
+    """The tetrahedra on forced sides, by what they are kept from.
+
+    In a corner at an edge with the dihedral angle b, where the faces on it have the angles s and t, six times the volume over the product of
+    the three edges is sin b sin s sin t, so that the scaled Jacobian is at most sqrt(2) sin b.
+    """
+    kept = Forced(np.zeros(count, dtype=np.bool_), np.zeros(count, dtype=np.bool_))
+    there = standing != NOBODY
+    kept.dihedral[standing[there]] = True
+    flat = np.sqrt(2.0) * np.sin(np.radians(task.sides.bound)) < task.limits.min_scaled_jacobian
+    kept.jacobian[standing[there & flat]] = True
+    return kept
 
 
 def fill_complex(task: ComplexTask, context: Context) -> FilledComplex:
@@ -137,7 +164,7 @@ def fill_complex(task: ComplexTask, context: Context) -> FilledComplex:
                     context,
                 )
             with context.step("find regions"):
-                filled = _judge(task, raw)
+                filled = _take(task, raw)
         except StageError as error:
             final = error.code == ExitCode.INTERRUPTED or isinstance(error, (TimeLimitError, UnavailableError))
             if final and best is None:
@@ -147,7 +174,7 @@ def fill_complex(task: ComplexTask, context: Context) -> FilledComplex:
             if final:
                 break
             continue
-        smallest = float(filled.quality.min_dihedral.min())
+        smallest = smallest_elsewhere(filled.quality.min_dihedral, filled.forced.dihedral)
         attempts.append(
             {
                 **raw.summary,
@@ -160,10 +187,11 @@ def fill_complex(task: ComplexTask, context: Context) -> FilledComplex:
         if best is None or filled.rank > best.rank:
             best = filled
             results.update(tried)
-        if filled.conformity.faults == 0 and well_shaped(filled.quality, task.limits):
+        if filled.conformity.faults == 0 and well_shaped(filled.quality, task.limits, filled.forced):
             break
         context.verbose(
-            f"{settings.algorithm}: {filled.conformity.faults} faults at the interfaces, smallest dihedral angle {smallest:.3g} degrees"
+            f"{settings.algorithm}: {filled.conformity.faults} faults at the interfaces, smallest dihedral angle {smallest:.3g} degrees "
+            "where the surface does not force a smaller one"
         )
     if best is None:
         assert failure is not None, "an attempt is made or fails"

@@ -7,13 +7,15 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from tetmesh_check.checks import Check, Limits, conclude, shape_checks, verdict
+from tetmesh_check.checks import Check, Forced, Limits, conclude, shape_checks, smallest_elsewhere, verdict
 from tetmesh_check.complex import Complex, check_complex, describe_complex
+from tetmesh_check.conform import NOBODY
 from tetmesh_check.context import Context
 from tetmesh_check.drawing import drawing
 from tetmesh_check.errors import StageError
 from tetmesh_check.export import MarkedMesh, Materials, export, export_paths, plain_names
 from tetmesh_check.files import refuse_existing
+from tetmesh_check.forced import INSIDE, ForcedSides, forced_sides
 from tetmesh_check.forward import Forward, RegionMesh, Source, resolve_source
 from tetmesh_check.materials import NOTHING, Sides
 from tetmesh_check.materials_fill import ComplexTask, FilledComplex, fill_complex, refuse_method
@@ -50,13 +52,54 @@ def _regions(checked: Complex, filled: FilledComplex) -> list[dict[str, Any]]:
         }
         if len(own):
             entry["quality"] = summarize_all(_part(filled.quality, own))
+            entry["forced"] = int(filled.forced.dihedral[own].sum())
         listed.append(entry)
     return listed
 
 
+def _sides(checked: Complex, limits: Limits, context: Context) -> ForcedSides:
+    """Find where the triangles allow no tetrahedra within the limit of the dihedral angle, and warn of it."""
+    sides, surface = checked.sides, checked.surface
+    found = forced_sides(surface.points, surface.triangles, limits.min_dihedral)
+    material = np.where(found.side == INSIDE, sides.inside[found.facet], sides.outside[found.facet])
+    filled = material != NOTHING
+    found = ForcedSides(found.facet[filled], found.side[filled], found.bound[filled])
+    if len(found.facet):
+        material, sharpest = material[filled], int(found.bound.argmin())
+        x, y, z = surface.points[surface.triangles[found.facet[sharpest]]].mean(axis=0)
+        context.warn(
+            f"on {len(found.facet)} triangles no tetrahedron can have dihedral angles of {limits.min_dihedral:g} degrees (--min-dihedral), "
+            f"since others meet them at less or lie close before them; the sharpest place, {found.bound[sharpest]:.3g} degrees, is in "
+            f"{sides.names[material[sharpest]]} at ({x:.6g}, {y:.6g}, {z:.6g}) mm. That is no failure; the report lists the places "
+            "(forced_by_surface)"
+        )
+    return found
+
+
+def _forced_tetrahedra(sides: ForcedSides, checked: Complex, filled: FilledComplex) -> list[dict[str, Any]]:
+    """What the surface forces, the sharpest first: place, material, the dihedral angle possible there at most, and what came out."""
+    centres = centres_of(checked.surface.points, checked.surface.triangles[sides.facet])
+    listed = []
+    for k in np.argsort(sides.bound, kind="stable").tolist():
+        tetrahedron = int(filled.standing[k])
+        if tetrahedron == NOBODY:
+            continue
+        listed.append(
+            {
+                "place_mm": centres[k].tolist(),
+                "material": checked.sides.names[filled.conformity.regions[tetrahedron]],
+                "possible_degrees": float(sides.bound[k]),
+                "min_dihedral": float(filled.quality.min_dihedral[tetrahedron]),
+                "min_scaled_jacobian": float(filled.quality.scaled_jacobian[tetrahedron]),
+            }
+        )
+    return listed
+
+
 def _measure(
-    checked: Complex, filled: FilledComplex, sizing: SizingField | None, factor: float, context: Context
+    task: ComplexTask, filled: FilledComplex, sizing: SizingField | None, factor: float, context: Context
 ) -> VolumeMesh:
+    checked = task.checked
     points, tetrahedra, quality = filled.points, filled.tetrahedra, filled.quality
     outside = tetrahedron_boundary(tetrahedra)
     found = filled.conformity
@@ -71,6 +114,11 @@ def _measure(
         "interface_triangles": {"missing": found.missing, "added": found.added},
         "crowded_faces": found.crowded,
         "undecided_tetrahedra": found.undecided,
+        "forced_by_surface": _forced_tetrahedra(task.sides, checked, filled),
+        "smallest_elsewhere": {
+            "min_dihedral": smallest_elsewhere(filled.quality.min_dihedral, filled.forced.dihedral),
+            "scaled_jacobian": smallest_elsewhere(filled.quality.scaled_jacobian, filled.forced.jacobian),
+        },
         "regions": _regions(checked, filled),
     }
     if sizing is not None:
@@ -125,7 +173,9 @@ def _forward(source: Source | None, checked: Complex, filled: FilledComplex) -> 
     return Forward(source, mesh)
 
 
-def complex_checks(results: dict[str, Any], quality: TetrahedronQuality, limits: Limits) -> list[Check]:
+def complex_checks(
+    results: dict[str, Any], quality: TetrahedronQuality, limits: Limits, forced: Forced | None = None
+) -> list[Check]:
     """Judge a mesh of many materials.
 
     Parameters
@@ -136,6 +186,8 @@ def complex_checks(results: dict[str, Any], quality: TetrahedronQuality, limits:
         Of its tetrahedra.
     limits
         What is demanded of it.
+    forced
+        Which tetrahedra the surface keeps from the limits of shape; without it none.
     """
     regions = results["regions"]
     changes = {entry["name"]: 100.0 * (entry["volume_mm3"] / entry["surface_volume_mm3"] - 1.0) for entry in regions}
@@ -143,7 +195,7 @@ def complex_checks(results: dict[str, Any], quality: TetrahedronQuality, limits:
     apart = [entry for entry in regions if entry["parts"] != entry["surface_parts"]]
     triangles = results["interface_triangles"]
     return [
-        *shape_checks(quality, limits),
+        *shape_checks(quality, limits, forced),
         verdict(
             "interfaces_kept",
             results["interfaces_kept"],
@@ -240,14 +292,11 @@ def run_materials(
         f"{len(checked.sides.present)} materials, {len(counts['interfaces'])} interfaces, {counts['junction_edges']} junction edges, "
         f"{len(checked.shells.materials)} volumes"
     )
-    narrow = min(checked.shells.narrowest, key=lambda number: checked.shells.narrowest[number])
-    if (angle := checked.shells.narrowest[narrow]) < arguments.limits.min_dihedral:
-        context.warn(
-            f"two facets of {checked.sides.names[narrow]} meet at {angle:.3g} degrees: no tetrahedron between them can have a smallest "
-            f"dihedral angle of {arguments.limits.min_dihedral:g} degrees (--min-dihedral)"
-        )
+    with context.step("find forced tetrahedra"):
+        sides = _sides(checked, arguments.limits, context)
     task = ComplexTask(
         checked=checked,
+        sides=sides,
         field=sizing[0],
         tet_size_factor=arguments.tet_size_factor,
         method=arguments.method,
@@ -257,7 +306,7 @@ def run_materials(
     )
     filled = fill_complex(task, context)
     with context.step("measure quality"):
-        mesh = _measure(checked, filled, sizing[1], arguments.tet_size_factor, context)
+        mesh = _measure(task, filled, sizing[1], arguments.tet_size_factor, context)
     marked = mark_materials(checked.sides, checked.surface, filled)
     context.results["boundary"] = {
         "surface": {
@@ -273,7 +322,7 @@ def run_materials(
     context.results["exports"] = [path.name for path in exported]
     job = arguments.picture_job
     with drawing(None if job is None else replace(job, many=True), context):
-        checks = complex_checks(context.results["volume"], filled.quality, arguments.limits)
+        checks = complex_checks(context.results["volume"], filled.quality, arguments.limits, filled.forced)
         checks += solve_on(mesh, arguments.solve, context, _forward(source, checked, filled))
     interfaces = len(counts["interfaces"])
     context.closing.append(("materials", f"{len(checked.sides.present)}, {interfaces} interfaces"))

@@ -1,0 +1,136 @@
+"""Where the surface allows no good tetrahedra: found by its triangles, counted, and no failure of the mesh."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from complexes import Made, sphere
+from conftest import NEEDS_HXT, Run
+
+from tetmesh_check.checks import Forced, Limits, shape_checks, well_shaped
+from tetmesh_check.forced import INSIDE, OUTSIDE, forced_sides
+from tetmesh_check.quality import tetrahedron_quality
+
+FLAT = np.array([[0.0, 0.0, 0.0], [2.0, 0.0, 0.0], [1.0, np.sqrt(3.0), 0.0]])
+"""An equilateral triangle whose normal is +z; the radius of its inscribed circle is 1 / sqrt(3)."""
+RADIUS = 1.0 / np.sqrt(3.0)
+
+
+def with_neighbour(degrees: float) -> tuple[np.ndarray, np.ndarray]:
+    """The triangle, and one across its first edge that lies at an angle before it."""
+    turned = np.radians(degrees)
+    apex = [1.0, np.sqrt(3.0) * np.cos(turned), np.sqrt(3.0) * np.sin(turned)]
+    # counter-clockwise seen from the wedge, like the first
+    return np.vstack([FLAT, apex]), np.array([[0, 1, 2], [1, 0, 3]])
+
+
+def test_facets_that_meet_at_an_angle_allow_no_larger_one() -> None:
+    points, triangles = with_neighbour(8.0)
+    found = forced_sides(points, triangles, 12.0)
+    np.testing.assert_array_equal(found.facet, [0, 1])
+    np.testing.assert_array_equal(found.side, [OUTSIDE, OUTSIDE])
+    np.testing.assert_allclose(found.bound, 8.0, atol=1e-3)
+    assert len(forced_sides(points, triangles, 7.9).facet) == 0
+    # seen from behind, where there is no wedge
+    turned = forced_sides(points, triangles[:, ::-1].copy(), 12.0)
+    np.testing.assert_array_equal(turned.side, [INSIDE, INSIDE])
+    # an open fold and a flat one are none
+    for degrees in (60.0, 179.0, 180.0, 181.0, 300.0):
+        assert len(forced_sides(*with_neighbour(degrees), 12.0).facet) == 0
+
+
+def test_facets_close_before_each_other_allow_no_more_than_the_gap_is_high() -> None:
+    for gap in (0.02, 0.1):
+        points = np.vstack([FLAT, FLAT + np.array([0.0, 0.0, gap])])
+        found = forced_sides(points, np.array([[0, 1, 2], [3, 5, 4]]), 12.0)
+        np.testing.assert_array_equal(found.facet, [0, 1])
+        np.testing.assert_allclose(found.bound, np.degrees(np.arctan(gap / RADIUS)), atol=1e-3)
+    points = np.vstack([FLAT, FLAT + np.array([0.0, 0.0, 0.2])])
+    assert len(forced_sides(points, np.array([[0, 1, 2], [3, 5, 4]]), 12.0).facet) == 0
+    # beside the roof nothing is in the way
+    aside = np.vstack([FLAT, FLAT + np.array([1.9, 0.0, 0.05])])
+    assert len(forced_sides(aside, np.array([[0, 1, 2], [3, 5, 4]]), 12.0).facet) == 0
+
+
+def test_a_facet_at_a_common_corner_may_reach_in() -> None:
+    """From the corner at the origin, over the middle of the triangle, 5 degrees up: below the ridge of the roof."""
+    inwards = np.radians(30.0)
+    ahead = np.array([np.cos(inwards), np.sin(inwards), 0.0])
+    aside = np.array([-np.sin(inwards), np.cos(inwards), 0.0])
+    # the ridge of the roof at X has the height tan(X) sin(30 degrees) for each mm from the corner
+    possible = np.degrees(np.arctan(np.tan(np.radians(5.0)) / np.sin(inwards)))
+    rise = np.array([0.0, 0.0, np.tan(np.radians(5.0))])
+    tip = np.stack([ahead + rise, ahead + rise + 0.001 * aside + [0.0, 0.0, 1.0]])
+    found = forced_sides(np.vstack([FLAT, tip]), np.array([[0, 1, 2], [0, 3, 4]]), 12.0)
+    np.testing.assert_array_equal(found.facet, [0])
+    np.testing.assert_allclose(found.bound, possible, atol=0.05)
+
+
+def test_no_tetrahedron_on_a_forced_side_is_better_than_the_bound() -> None:
+    points, triangles = with_neighbour(8.0)
+    bound = forced_sides(points, triangles, 12.0).bound[0]
+    generator = np.random.default_rng(1)
+    apexes = generator.uniform([-1.0, -1.0, 0.0], [3.0, 3.0, 1.0], (20_000, 3))
+    # those below the neighbour's plane, of which the edge is a part
+    apexes = apexes[apexes[:, 2] < np.tan(np.radians(8.0)) * apexes[:, 1]]
+    every = np.vstack([FLAT, apexes])
+    cells = np.stack([np.broadcast_to(k, len(apexes)) for k in range(3)] + [np.arange(3, 3 + len(apexes))], 1)
+    quality = tetrahedron_quality(every, cells)
+    assert quality.volume.min() > 0
+    assert 0.9 * bound < quality.min_dihedral.max() <= bound + 1e-9
+
+
+def test_forced_tetrahedra_are_no_failure_and_others_are() -> None:
+    points = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.2, 0.2, 0.02], [0.3, 0.3, 1.0]])
+    quality = tetrahedron_quality(points, np.array([[0, 1, 2, 3], [0, 1, 2, 4]]))
+    only = np.array([True, False])
+    forced, limits = Forced(only, only), Limits(min_dihedral=12.0)
+    assert well_shaped(quality, limits, forced)
+    assert not well_shaped(quality, limits)
+    assert not well_shaped(quality, limits, Forced(~only, ~only))
+    checks = {check.name: check for check in shape_checks(quality, limits, forced)}
+    assert all(check.passed for check in checks.values())
+    assert checks["min_dihedral"].value == pytest.approx(quality.min_dihedral[1])
+    assert "1 tetrahedra (down to" in checks["min_dihedral"].words
+    assert not any(check.passed for check in shape_checks(quality, limits) if check.name != "positive_volumes")
+    # a volume is asked of them, too
+    flat = tetrahedron_quality(np.vstack([points, [0.2, 0.2, 0.0]]), np.array([[0, 1, 2, 5], [0, 1, 2, 4]]))
+    assert not well_shaped(flat, limits, forced)
+
+
+def flat_tetrahedron_in_a_ball(degrees: float) -> Made:
+    """A ball round one flat tetrahedron, which is a material by itself and cannot be filled by anything better."""
+    turned = np.radians(degrees)
+    apex = [1.0, np.sqrt(3.0) * np.cos(turned), np.sqrt(3.0) * np.sin(turned)]
+    points, triangles = sphere(6.0, 3)
+    inner = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]]) + len(points)
+    material = np.repeat([1, 2], [len(triangles), len(inner)])
+    return Made(
+        np.vstack([points, FLAT, apex]), np.vstack([triangles, inner]), material, material - 1, ("body", "wedge")
+    )
+
+
+@NEEDS_HXT
+def test_what_the_surface_forces_is_listed_and_judged_apart(tmp_path: Path, run: Run) -> None:
+    flat_tetrahedron_in_a_ball(6.0).save(tmp_path / "c.vtp")
+    words = ("c.vtp", "-o", "c.vtu", "--report", "r.json", "--solve", "no")
+    done = run(*words, "--min-dihedral", 6.5, "--min-scaled-jacobian", 0.02)
+    assert done.returncode == 0, done.stderr
+    assert "on 2 triangles no tetrahedron can have dihedral angles of 6.5 degrees" in done.stderr
+    results = json.loads((tmp_path / "r.json").read_text())["results"]
+    volume, listed = results["volume"], results["volume"]["forced_by_surface"]
+    assert [entry["material"] for entry in listed] == ["wedge", "wedge"]
+    for entry in listed:
+        assert entry["possible_degrees"] == pytest.approx(6.0, abs=1e-3)
+        assert entry["min_dihedral"] == pytest.approx(6.0)
+        np.testing.assert_allclose(entry["place_mm"], [1.0, 0.55, 0.05], atol=0.1)
+    assert [entry["forced"] for entry in volume["regions"]] == [0, 1]
+    assert volume["quality"]["min_dihedral"]["min"] == pytest.approx(6.0)
+    assert volume["smallest_elsewhere"]["min_dihedral"] >= 6.5
+    # a limit that all can reach forces none
+    done = run("c.vtp", "-o", "d.vtu", "--report", "d.json", "--solve", "no", "--min-scaled-jacobian", 0.02)
+    assert done.returncode == 0, done.stderr
+    assert json.loads((tmp_path / "d.json").read_text())["results"]["volume"]["forced_by_surface"] == []
