@@ -156,6 +156,8 @@ pub fn reconstruct(
         target: options.improve_below,
         rounds: options.improve_rounds,
         relaxation_sweeps: options.relaxation_sweeps,
+        // a distance from F = 0 that was asked for wants its points
+        thins: options.max_deviation.is_none(),
         sides: options.guarded(field),
         ..ImproveOptions::polish()
     };

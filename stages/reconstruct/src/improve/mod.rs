@@ -29,6 +29,9 @@ mod tests_of_lift;
 mod tests_of_patches;
 #[cfg(test)]
 mod tests_of_smoothing;
+#[cfg(test)]
+mod tests_of_thinning;
+mod thin;
 
 use constants::{GOOD, ON_SURFACE};
 use glam::DVec3;
@@ -55,6 +58,8 @@ pub struct ImproveOptions<'a> {
     /// Sweeps over the whole mesh: of flips towards degree six, and in the first of relaxation, then of smoothing, which raises the mean radius ratio and brings no
     /// triangle below 0.9. Where meshes are small they go on for as long as they gain. 0 for none.
     pub relaxation_sweeps: usize,
+    /// Whether the first of these takes away vertices where the mesh is denser than h asks.
+    pub thins: bool,
     /// Largest distance of a triangle's centroid from F = 0 that a move may bring about, over h; twice that (at least
     /// 0.35) for the sake of a triangle below a quality of 0.7 that nothing else can help.
     pub max_deviation: f64,
@@ -71,6 +76,7 @@ impl Default for ImproveOptions<'_> {
             rounds: 3,
             remesh_rounds: 0,
             relaxation_sweeps: 0,
+            thins: false,
             max_deviation: 0.15,
             length_range: [0.5, 1.6],
             sides: None,
@@ -82,7 +88,7 @@ impl ImproveOptions<'_> {
     /// For a mesh of settled particles: a few sweeps over all of it, which raise the mean as well as the minimum, then the
     /// worst triangles.
     pub fn polish() -> Self {
-        Self { target: GOOD, relaxation_sweeps: 3, ..Self::default() }
+        Self { target: GOOD, relaxation_sweeps: 3, thins: true, ..Self::default() }
     }
 
     /// Remeshes the whole surface towards h: a good mesh from any closed one, marching cubes' included.
@@ -100,7 +106,7 @@ pub struct Tally {
     pub relocations: usize,
     /// Edges flipped by the global passes.
     pub flips: usize,
-    /// Edges collapsed by the global passes.
+    /// Edges collapsed by the global passes and by the first sweep.
     pub collapses: usize,
     /// Edges split by the global passes.
     pub splits: usize,
@@ -224,7 +230,7 @@ pub fn improve_sheets(
         project_all(&mut surface, tally);
     }
     if options.relaxation_sweeps > 0 {
-        sweep::sweep(&mut surface, &limits, options.relaxation_sweeps, step, tally)?;
+        sweep::sweep(&mut surface, &limits, options.relaxation_sweeps, options.thins, step, tally)?;
     }
     if options.rounds > 0 {
         optimise::optimise(&mut surface, &limits, options.target, options.rounds, step, tally)?;

@@ -10,14 +10,15 @@ use super::guard::{Limits, Rule};
 use super::patch::Patch;
 use super::smooth::smooth;
 use super::surface::{DEAD, Surface};
+use super::thin::thin_out;
 use super::{Step, Tally, remesh};
 use glam::DVec3;
 use isoparticles_mesh::spatial::Bounds;
 use isoparticles_stage::error::Result;
 use rayon::prelude::*;
 
-/// Flips towards degree six and relaxes every vertex, so that edges get near to h, and lets no triangle's neighbourhood get worse; then flips towards degree six and smooths, for as long as that
-/// gains, but no more than so many `sweeps` in all and [`VISITS`]. `step` is called before each sweep of a block and may stop it.
+/// Takes vertices away where the mesh is denser than h asks, if it `thins`. Flips towards degree six and relaxes every vertex, so that edges get near to h, and lets no
+/// triangle's neighbourhood get worse; then flips towards degree six and smooths, for as long as that gains, but no more than so many `sweeps` in all and [`VISITS`]. `step` is called before each sweep of a block and may stop it.
 ///
 /// # Errors
 /// Those of `step`.
@@ -25,6 +26,7 @@ pub(super) fn sweep(
     surface: &mut Surface,
     limits: &Limits,
     sweeps: usize,
+    thins: bool,
     step: Step,
     tally: &mut Tally,
 ) -> Result<()> {
@@ -32,6 +34,9 @@ pub(super) fn sweep(
     let work = |part: &mut Surface, todo: &[bool]| {
         let mut tally = Tally::default();
         step()?;
+        if thins {
+            thin_out(part, limits, todo, step, &mut tally)?;
+        }
         remesh::equalise_degrees(part, limits, Rule::Even, todo, &mut tally);
         remesh::relax_all(part, limits, Rule::Even, todo, &mut tally);
         let share = todo.iter().filter(|&&todo| todo).count() as f64;
@@ -62,6 +67,7 @@ pub(super) fn sweep(
         tallies.push(work(surface, &todo)?);
     }
     tally.relocations += tallies.iter().map(|t| t.relocations).sum::<usize>();
+    tally.collapses += tallies.iter().map(|t| t.collapses).sum::<usize>();
     tally.flips += tallies.iter().map(|t| t.flips).sum::<usize>();
     Ok(())
 }
@@ -207,7 +213,7 @@ mod tests {
             let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("threads");
             let mut surface = Surface::new(&mesh, &field, &size);
             let mut tally = Tally::default();
-            pool.install(|| sweep(&mut surface, &LIMITS, 3, &|| Ok(()), &mut tally)).expect("nothing stops it");
+            pool.install(|| sweep(&mut surface, &LIMITS, 3, false, &|| Ok(()), &mut tally)).expect("nothing stops it");
             for t in 0..surface.triangles.len() as u32 {
                 assert_eq!(surface.facts[t as usize], surface.measure(t), "facts of triangle {t}");
                 let bounds = surface.bounds(t);
@@ -237,7 +243,7 @@ mod tests {
         let mut surface = Surface::new(&mesh, &field, &size);
         surface.sides = Some(NodeSides::new(&mesh, &image));
         let before = NodeSides::new(&mesh, &image);
-        sweep(&mut surface, &LIMITS, 3, &|| Ok(()), &mut Tally::default()).expect("nothing stops it");
+        sweep(&mut surface, &LIMITS, 3, false, &|| Ok(()), &mut Tally::default()).expect("nothing stops it");
         let after = surface.sides.take().expect("they are still guarded");
         assert_eq!(after.difference(&NodeSides::new(&surface.into_mesh(), &image)), [0; 0]);
         assert!(after.wrong_count() < before.wrong_count() - 5, "{} of {}", after.wrong_count(), before.wrong_count());
@@ -296,6 +302,6 @@ mod tests {
         let size = |_: DVec3| h;
         let mut surface = Surface::new(&mesh, &field, &size);
         let step = || Err(isoparticles_stage::error::Error::input("stopped", "", ""));
-        assert!(sweep(&mut surface, &LIMITS, 3, &step, &mut Tally::default()).is_err());
+        assert!(sweep(&mut surface, &LIMITS, 3, false, &step, &mut Tally::default()).is_err());
     }
 }

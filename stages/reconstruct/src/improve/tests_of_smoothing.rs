@@ -56,7 +56,7 @@ fn two_pairs_of_degrees_five_and_seven_cancel() {
         surface.commit_as_it_is();
     }
     assert_eq!(irregular(&surface), 4);
-    sweep::sweep(&mut surface, &LIMITS, 3, &|| Ok(()), &mut Tally::default()).expect("nothing stops it");
+    sweep::sweep(&mut surface, &LIMITS, 3, false, &|| Ok(()), &mut Tally::default()).expect("nothing stops it");
     assert_eq!(irregular(&surface), 0);
     assert!(smallest(&surface) > 0.97, "{}", smallest(&surface));
 }

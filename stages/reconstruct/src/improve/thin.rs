@@ -1,0 +1,67 @@
+//! Takes vertices away where the mesh is denser than h asks: refinement adds points where F bends within h, for a topology and a distance from F = 0 that
+//! the mesh keeps with fewer once vertices may move.
+
+use super::constants::{SHORT, TARGET};
+use super::guard::{Limits, Rule, commit_or_rollback, mean_quality};
+use super::lift::{After, make};
+use super::moves::Move;
+use super::surface::{DEAD, Surface, edges_of};
+use super::{Step, Tally};
+use isoparticles_stage::error::Result;
+
+/// Collapses the edges next to the vertices in question that are shorter than [`SHORT`] times h, shortest first, and smooths what is round them, wherever the mean quality there
+/// rises and none falls below [`TARGET`]; and again next to what has changed, until none is left. A rim or a rod thinner than h folds more than the ordinary limits allow: those
+/// that F folds by are the loosened ones. No edge gets longer than these limits, and none ends in two vertices that stay.
+///
+/// # Errors
+/// Those of `step`.
+pub(super) fn thin_out(
+    surface: &mut Surface,
+    limits: &Limits,
+    in_question: &[bool],
+    step: Step,
+    tally: &mut Tally,
+) -> Result<()> {
+    let limits = &Limits { lengths: limits.lengths, ..limits.loosened() };
+    let mut open = in_question.to_vec();
+    while open.contains(&true) {
+        step()?;
+        let next_to = |corners: &&[u32; 3]| **corners != DEAD && corners.iter().any(|&v| open[v as usize]);
+        let edges = edges_of(surface.triangles.iter().filter(next_to));
+        let is_open = |&(a, b): &(u32, u32)| open[a as usize] || open[b as usize];
+        let rated = edges.into_iter().filter(is_open).map(|(a, b)| (surface.relative_length(a, b), a, b));
+        let mut short: Vec<(f64, u32, u32)> = rated.filter(|edge| edge.0 < SHORT).collect();
+        short.sort_by(|a, b| a.0.total_cmp(&b.0));
+        let mut next = vec![false; open.len()];
+        for (_, a, b) in short {
+            // its ends may have moved apart, or be gone
+            let is_short = surface.edge_triangles(a, b).is_some() && surface.relative_length(a, b) < SHORT;
+            if is_short && let Some(touched) = collapse_best(surface, a, b, limits) {
+                tally.collapses += 1;
+                let corners = touched.into_iter().filter(|&t| surface.is_alive(t));
+                corners.flat_map(|t| surface.triangles[t as usize]).for_each(|v| next[v as usize] = true);
+            }
+        }
+        open = next;
+    }
+    Ok(())
+}
+
+/// Collapses an edge into its middle or one of its ends, whichever leaves the best mean quality of those that the guard lets pass; the triangles touched.
+fn collapse_best(surface: &mut Surface, a: u32, b: u32, limits: &Limits) -> Option<Vec<u32>> {
+    let mut rated: Vec<(f64, Move)> = Vec::new();
+    for candidate in [Move::Collapse(a, b, 0.5), Move::Collapse(a, b, 0.0), Move::Collapse(b, a, 0.0)] {
+        if make(surface, candidate, After::Settling) {
+            rated.push((mean_quality(surface), candidate));
+        }
+        surface.rollback();
+    }
+    // stable: the order of the moves among equals
+    rated.sort_by(|a, b| b.0.total_cmp(&a.0));
+    rated.into_iter().find_map(|(_, candidate)| {
+        let made = make(surface, candidate, After::Settling);
+        let touched = if made { commit_or_rollback(surface, limits, Rule::Mean { floor: TARGET }) } else { None };
+        surface.rollback();
+        touched
+    })
+}
