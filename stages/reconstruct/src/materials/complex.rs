@@ -157,7 +157,7 @@ impl<'a> Complex<'a> {
     }
 
     /// The surface ball of a facet: where its Voronoi edge leaves the material inside, near the facet; else its projected centroid. Of the two the first that parts
-    /// the facet once it is on its sheet ([`Self::parts`]), if either does.
+    /// the facet once it is on its sheet, if either does: nearer to the circumcentre of a tetrahedron at it than its vertices are.
     pub fn ball(&self, facet: &Facet) -> Option<Ball> {
         let corners = facet.vertices.map(|v| self.points()[v as usize]);
         let voxel = self.indicators.voxel();
