@@ -326,9 +326,9 @@ fn curves_side_by_side_far_nearer_than_their_points_get_points_in_pairs() {
     let is_inner = |v: &u32| (complex.points()[*v as usize] - CENTRE).y.abs() < 3.2;
     let inner = complex.segments.all().filter(|(pair, _)| pair.iter().all(is_inner));
     let (wrong, right): (Vec<_>, Vec<_>) = inner.partition(|(pair, _)| complex.is_wrong(Simplex::Edge(*pair)));
-    assert!(wrong.is_empty() && right.len() >= 12, "{wrong:?}");
-    // beside each of the other curve's points one
-    assert!(refinement.report.on_curves < 20, "{:?}", refinement.report);
+    assert!(wrong.is_empty(), "{wrong:?}");
+    // of twelve each was split once or twice, not down to the width of the ribbon
+    assert!((12..=36).contains(&right.len()), "{}", right.len());
 }
 
 #[test]
