@@ -84,20 +84,15 @@ def refuse_method(method: Method) -> None:
         )
 
 
-def _take(task: ComplexTask, raw: WorkerResult) -> FilledComplex:
-    """Judge what came back, where its vertices are those of the surface."""
-    surface = task.checked.surface
-    if not np.array_equal(raw.points[: len(surface.points)], surface.points):
+def _judge(task: ComplexTask, raw: WorkerResult) -> FilledComplex:
+    surface, points = task.checked.surface, raw.points
+    if not np.array_equal(points[: len(surface.points)], surface.points):
         raise StageError(
             "the tetrahedralizer did not keep the vertices of the surface",
             "neighbouring materials share them",
             "try another --tet-size-factor",
         )
-    return _judge(task, raw.points, orient_positive(raw.points, raw.tetrahedra)[0])
-
-
-def _judge(task: ComplexTask, points: Points, tetrahedra: Cells) -> FilledComplex:
-    surface = task.checked.surface
+    tetrahedra, _turned = orient_positive(points, raw.tetrahedra)
     found = conform(tetrahedra, surface.triangles, task.checked.sides)
     standing = np.where(task.sides.side == INSIDE, found.behind[task.sides.facet], found.before[task.sides.facet])
     forced = _forced(task, standing, len(tetrahedra))
@@ -164,7 +159,7 @@ def fill_complex(task: ComplexTask, context: Context) -> FilledComplex:
                     context,
                 )
             with context.step("find regions"):
-                filled = _take(task, raw)
+                filled = _judge(task, raw)
         except StageError as error:
             final = error.code == ExitCode.INTERRUPTED or isinstance(error, (TimeLimitError, UnavailableError))
             if final and best is None:
