@@ -100,6 +100,11 @@ impl<L: Copy + Default + Ord + Send + Sync> Labelled<L> {
         }
     }
 
+    /// Has the labels of the tetrahedra at a point decided anew.
+    pub fn reconsider(&mut self, point: u32) {
+        self.undecided.extend(star(&self.delaunay, point));
+    }
+
     /// Decides the label of every tetrahedron made since the last call, as [`Self::new`] does.
     pub fn decide(&mut self, label: impl Fn(&Delaunay, u32, Option<DVec3>) -> L + Sync) {
         self.labels.resize(self.delaunay.slot_count(), L::default());

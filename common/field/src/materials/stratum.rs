@@ -54,6 +54,21 @@ impl Stratum {
         4 - self.count()
     }
 
+    /// The stratum of its materials and those of another; `None` where they are more than four.
+    pub fn joined(&self, other: &Self) -> Option<Self> {
+        let mut ids = self.materials().to_vec();
+        ids.extend(other.materials().iter().filter(|&&id| !self.has(id)));
+        Self::new(&ids)
+    }
+
+    /// The junction curves on which it lies, each of three of its materials; a curve's own alone.
+    pub fn curves(&self) -> impl Iterator<Item = Self> + use<> {
+        let ids = self.ids;
+        let three = move |skipped: usize| [0, 1, 2].map(|n| ids[n + usize::from(n >= skipped)]);
+        let skipped = if self.count() < 3 { 4..4 } else { self.count() % 4..4 };
+        skipped.filter_map(move |skipped| Self::new(&three(skipped)))
+    }
+
     /// Whether a material is one of them.
     pub fn has(&self, id: MaterialId) -> bool {
         self.materials().contains(&id)

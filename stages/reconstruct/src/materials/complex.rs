@@ -101,6 +101,26 @@ impl<'a> Complex<'a> {
         labelled.decide(|delaunay, t, centre| material_of(*indicators, strata, crowded, delaunay, t, centre));
     }
 
+    /// Has a segment pass through a point that lies on its curve but for [`COINCIDENT`], where its materials meet then too.
+    pub fn pass(&mut self, pair: Segment, point: u32) {
+        let Some(curve) = self.segments.curve(pair) else { return };
+        self.segments.split(pair, point, self.labelled.points());
+        let own = &mut self.strata[point as usize];
+        match own.joined(&curve) {
+            Some(joined) => *own = joined,
+            None => {
+                let known = self.crowded.entry(point).or_insert_with(|| own.materials().to_vec());
+                known.extend(curve.materials().iter().filter(|id| !own.has(**id)));
+                known.sort_unstable();
+                known.dedup();
+            }
+        }
+        for point in [point, pair[0], pair[1]] {
+            self.labelled.reconsider(point);
+        }
+        self.decide();
+    }
+
     /// The points, those inserted at the end.
     pub fn points(&self) -> &[DVec3] {
         self.labelled.points()

@@ -13,11 +13,11 @@ use crate::labelled::Facet;
 use crate::queue::{NEAREST_FOR_SHAPE, NEAREST_FOR_TOPOLOGY, Queue, Reason, Refine, Remedy, Simplex};
 use glam::DVec3;
 use isoparticles_field::materials::Stratum;
-use isoparticles_field::materials::complex::way_along;
+use isoparticles_field::materials::complex::{COINCIDENT, way_along};
 use isoparticles_mesh::kd_tree::KdTree;
 use isoparticles_stage::error::Result;
 use serde::Serialize;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 /// Ends of a segment are no nearer to the point that splits it than this part of its length.
 const MIDDLE: f64 = 0.2;
@@ -34,6 +34,8 @@ pub struct RefineReport {
     pub inserted: BTreeMap<Reason, usize>,
     /// Of these, on junction curves.
     pub on_curves: usize,
+    /// Times that a segment was made to pass through a point of another, nearer than [`COINCIDENT`].
+    pub passes: usize,
     /// Parts of stars and runs round edges that were given to another material.
     pub relabelled: usize,
     /// Violations left, by what is violated: only points nearer to others than the smallest radius could mend them.
@@ -57,6 +59,8 @@ pub struct Refinement<'a> {
     /// What was done.
     pub report: RefineReport,
     queue: Queue<Mend>,
+    /// Segments that were made to pass through a point: each once, so that this ends.
+    passes: BTreeSet<(Segment, u32)>,
     /// Those of the grid, where they shall keep their materials.
     pub(super) nodes: Option<&'a Nodes>,
 }
@@ -99,7 +103,7 @@ impl<'a> Refinement<'a> {
         let found = complex.violations(&Simplices::all(&complex, complex.labelled.facets()));
         let mut report = RefineReport::default();
         found.iter().for_each(|v| *report.violations.entry(v.reason).or_default() += 1);
-        let mut new = Self { complex, report, queue: Queue::default(), nodes };
+        let mut new = Self { complex, report, queue: Queue::default(), passes: BTreeSet::new(), nodes };
         new.queue.add(found);
         new
     }
@@ -164,7 +168,8 @@ impl<'a> Refinement<'a> {
         }
     }
 
-    /// Inserts a point of a segment's curve between its ends, unless that is nearer than `least` to one of them; true when it did. Next to the point that lies deepest in the ball of
+    /// Has a segment pass through a point that its curve passes; where there is none, inserts a point of its curve between its ends, unless that is nearer than `least` to one of them; true
+    /// when it did either. A point is inserted next to the one that lies deepest in the ball of
     /// which the segment is a diameter, if there is one: where two curves run side by side, nearer to each other than their points are, these come to lie in pairs,
     /// and both curves' segments are edges (the ball on a side of a rectangle holds no corner). Else in the middle.
     fn split(&mut self, pair: Segment, least: f64) -> Result<bool> {
@@ -173,15 +178,21 @@ impl<'a> Refinement<'a> {
         let length = a.distance(b);
         let is_between = |p: &DVec3| p.distance(a).min(p.distance(b)) > (MIDDLE * length).max(least);
         let way = self.way(curve, [a, b]);
+        if let Some(point) = way.as_ref().and_then(|way| self.passed(pair, way)) {
+            self.passes.insert((pair, point));
+            self.report.passes += 1;
+            self.complex.pass(pair, point);
+            return Ok(true);
+        }
         let (near, distance) = self.complex.labelled.nearest(a.midpoint(b), pair[0]);
         let is_within = !pair.contains(&near) && distance < 0.5 * length;
         let beside = way.as_ref().filter(|_| is_within).and_then(|way| {
-            let foot = foot(way, self.complex.points()[near as usize]);
+            let (foot, _) = foot(way, self.complex.points()[near as usize]);
             self.place_on(curve, way, foot)
         });
         let middle = || match &way {
             Some(way) => self.place_on(curve, way, 0.5 * prepare::length(way)),
-            None => onto(self.complex.indicators, curve, a.midpoint(b), 0.5 * length),
+            None => self.onto_curve(curve, a.midpoint(b), 0.5 * length),
         };
         let place = beside.filter(is_between).or_else(|| middle().filter(is_between));
         let Some(place) = place else { return Ok(false) };
@@ -195,11 +206,30 @@ impl<'a> Refinement<'a> {
         Ok(outcome)
     }
 
-    /// The way along a curve between two of its places.
+    /// A point of another curve, or of another part of the same one, that the way along a segment passes within [`COINCIDENT`]: what lies nearer together than that is one.
+    /// Without it two curves that coincide over some length would be refined without end, as neither's segments can be edges beside the other's points.
+    fn passed(&self, pair: Segment, way: &[DVec3]) -> Option<u32> {
+        let points = self.complex.points();
+        let reach = COINCIDENT * self.complex.indicators.voxel();
+        let is_passed = |&v: &u32| {
+            let (foot, distance) = foot(way, points[v as usize]);
+            let is_inner = foot > 0.0 && foot < prepare::length(way);
+            let is_free = self.complex.strata[v as usize].dimension() < 2 && !self.passes.contains(&(pair, v));
+            distance < reach && is_inner && is_free && self.complex.segments.can_pass(pair, v, points)
+        };
+        let near = |place: &DVec3| self.complex.labelled.nearest(*place, pair[0]).0;
+        let middles = way.windows(2).map(|step| step[0].midpoint(step[1]));
+        way.iter().copied().chain(middles).map(|place| near(&place)).find(is_passed)
+    }
+
+    /// The way along a curve between two of its places; of a segment of four materials along the shortest of their curves.
     fn way(&self, curve: Stratum, ends: [DVec3; 2]) -> Option<Vec<DVec3>> {
         let indicators = self.complex.indicators;
         let longest = LONGEST_WAY * ends[0].distance(ends[1]).max(indicators.voxel());
-        way_along(indicators, curve, self.complex.labelled.upper(), ends, longest)
+        let ways = curve
+            .curves()
+            .filter_map(|curve| way_along(indicators, curve, self.complex.labelled.upper(), ends, longest));
+        ways.min_by(|a, b| prepare::length(a).total_cmp(&prepare::length(b)))
     }
 
     /// The place of a curve so far along a way on it, mm.
@@ -211,7 +241,12 @@ impl<'a> Refinement<'a> {
         })?;
         let own = step[0].distance(step[1]);
         let share = (sum - along) / own.max(f64::MIN_POSITIVE);
-        onto(self.complex.indicators, curve, step[1].lerp(step[0], share), 0.5 * own)
+        self.onto_curve(curve, step[1].lerp(step[0], share), 0.5 * own)
+    }
+
+    /// The place of a segment's curve near another.
+    fn onto_curve(&self, curve: Stratum, place: DVec3, limit: f64) -> Option<DVec3> {
+        curve.curves().find_map(|curve| onto(self.complex.indicators, curve, place, limit))
     }
 
     /// Takes note of a point, if it is new; true when it is.
@@ -226,8 +261,8 @@ impl<'a> Refinement<'a> {
     }
 }
 
-/// How far along a way its place nearest to another place lies, mm.
-fn foot(way: &[DVec3], place: DVec3) -> f64 {
+/// How far along a way its place nearest to another place lies, and how far from that, mm.
+fn foot(way: &[DVec3], place: DVec3) -> (f64, f64) {
     let (mut passed, mut nearest) = (0.0, (f64::INFINITY, 0.0));
     for step in way.windows(2) {
         let (own, length) = (step[1] - step[0], step[0].distance(step[1]));
@@ -238,5 +273,5 @@ fn foot(way: &[DVec3], place: DVec3) -> f64 {
         }
         passed += length;
     }
-    nearest.1
+    (nearest.1, nearest.0.sqrt())
 }

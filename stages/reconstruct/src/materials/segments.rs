@@ -1,4 +1,4 @@
-//! The segments of junction curves: pairs of points that follow each other, each on a curve of its own three materials.
+//! The segments of junction curves: pairs of points that follow each other, each on a curve of its own three materials, or of four where two curves coincide.
 
 use glam::DVec3;
 use isoparticles_field::materials::Stratum;
@@ -21,6 +21,8 @@ pub struct Segments {
     ends: HashMap<u32, Vec<u32>>,
     /// Segments by their middles; none is longer than two bins.
     middles: Bins<Segment>,
+    /// The longest of the first ones, mm.
+    longest: f64,
 }
 
 impl Segments {
@@ -30,18 +32,32 @@ impl Segments {
         let length = |[a, b]: &Segment| points[*a as usize].distance(points[*b as usize]);
         let longest = pairs.keys().map(length).fold(0.0, f64::max);
         let middles = Bins::new(if longest > 0.0 { 0.5 * longest } else { 1.0 });
-        let mut new = Self { curve: BTreeMap::new(), ends: HashMap::new(), middles };
+        let mut new = Self { curve: BTreeMap::new(), ends: HashMap::new(), middles, longest };
         pairs.into_iter().for_each(|(pair, curve)| new.add(pair, curve, points));
         new
     }
 
-    /// Adds a segment no longer than the longest of the first ones.
+    /// Adds a segment no longer than the longest of the first ones. One that is there already is of both curves.
     fn add(&mut self, pair: Segment, curve: Stratum, points: &[DVec3]) {
+        if let Some(known) = self.curve.get_mut(&pair) {
+            *known = known.joined(&curve).unwrap_or(*known);
+            return;
+        }
         self.curve.insert(pair, curve);
         let [a, b] = pair;
         self.ends.entry(a).or_default().push(b);
         self.ends.entry(b).or_default().push(a);
         self.middles.add(points[a as usize].midpoint(points[b as usize]), pair);
+    }
+
+    /// Whether a segment can give way to two by way of a point: they are not too long, and no more than four materials meet on either.
+    pub fn can_pass(&self, [a, b]: Segment, by: u32, points: &[DVec3]) -> bool {
+        let Some(curve) = self.curve([a, b]) else { return false };
+        let fits = |end: u32| {
+            let known = self.curve(segment(end, by)).unwrap_or(curve);
+            points[end as usize].distance(points[by as usize]) <= self.longest && known.joined(&curve).is_some()
+        };
+        by != a && by != b && fits(a) && fits(b)
     }
 
     /// Puts two segments by way of a point in the place of one.
