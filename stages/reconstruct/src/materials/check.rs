@@ -6,6 +6,7 @@ use super::interfaces::Interfaces;
 use super::nodes::Nodes;
 use super::pieces::{Pieces, pieces};
 use super::segments::{Segment, segment};
+use super::way::ONE_CURVE;
 use crate::check::DistanceSummary;
 use glam::DVec3;
 use isoparticles_field::materials::complex::COINCIDENT;
@@ -31,8 +32,8 @@ pub struct CheckOptions<'a> {
     pub keeps_nodes: bool,
     /// Smallest radius ratio allowed.
     pub min_radius_ratio: Option<f64>,
-    /// Farthest that a vertex may lie from each of its sheets, voxels. One at which more than four materials meet, which hardly any data let meet in a point, or on a segment where
-    /// curves coincide, may lie [`COINCIDENT`] off.
+    /// Farthest that a vertex may lie from each of its sheets, voxels. One at which more than four materials meet, which hardly any data let meet in a point, may lie
+    /// [`COINCIDENT`] off, and one of a segment of four materials, where curves are one, [`ONE_CURVE`].
     pub max_vertex_distance: f64,
 }
 
@@ -317,12 +318,14 @@ fn look_at_distances(
             *known = if distance.is_nan() { f64::INFINITY } else { known.max(distance) };
         }
     }
-    let mut is_joint: Vec<bool> = meeting.iter().map(|&count| count > 4).collect();
+    let least = options.max_vertex_distance;
+    let limit = |count: &usize| if *count > 4 { least.max(COINCIDENT) } else { least };
+    let mut limits: Vec<f64> = meeting.iter().map(limit).collect();
     let of_four = interfaces.segments.iter().filter(|(_, curve)| curve.count() > 3);
-    of_four.flat_map(|(pair, _)| pair).filter(|&&v| v != u32::MAX).for_each(|&v| is_joint[v as usize] = true);
-    let limit = options.max_vertex_distance;
-    let limit = |v: u32| if is_joint[v as usize] { limit.max(COINCIDENT) } else { limit };
-    offenders.distant = (0..vertices.len() as u32).filter(|&v| vertices[v as usize] > limit(v)).collect();
+    for &v in of_four.flat_map(|(pair, _)| pair).filter(|&&v| v != u32::MAX) {
+        limits[v as usize] = least.max(ONE_CURVE);
+    }
+    offenders.distant = (0..vertices.len() as u32).filter(|&v| vertices[v as usize] > limits[v as usize]).collect();
     report.vertex_distance = DistanceSummary::of(&vertices);
     report.centroid_distance = DistanceSummary::of(&centroids);
 }

@@ -101,7 +101,7 @@ impl<'a> Complex<'a> {
         labelled.decide(|delaunay, t, centre| material_of(*indicators, strata, crowded, delaunay, t, centre));
     }
 
-    /// Has a segment pass through a point that lies on its curve but for [`COINCIDENT`], where its materials meet then too.
+    /// Has a segment pass through a point that lies on its curve but for [`super::way::ONE_CURVE`], where its materials meet then too.
     pub fn pass(&mut self, pair: Segment, point: u32) {
         let Some(curve) = self.segments.curve(pair) else { return };
         self.segments.split(pair, point, self.labelled.points());

@@ -26,3 +26,4 @@ pub mod segments;
 #[cfg(test)]
 mod tests;
 pub mod topology;
+mod way;

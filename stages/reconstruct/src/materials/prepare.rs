@@ -1,6 +1,7 @@
 //! From particles to points of a complex: each on its own stratum, real there, no two on one spot, and junction curves whose segments join.
 
 use super::segments::{Segment, Segments, segment};
+use super::way::{LONGEST_WAY, ONE_CURVE, foot, length};
 use crate::prepare::{ON_SURFACE, PrepareReport, SurfacePoints};
 use glam::DVec3;
 use isoparticles_delaunay::Delaunay;
@@ -24,9 +25,6 @@ const NEAR_A_CURVE: f64 = 0.5;
 
 /// A place of a curve is known where a way along it passes so near, in voxels: its steps are a fifth of a voxel and shorter.
 const ON_A_WAY: f64 = 0.15;
-
-/// A curve is followed from one end of a segment to the other for so many of its lengths (or voxels): round a hairpin.
-pub(super) const LONGEST_WAY: f64 = 6.0;
 
 /// What was taken and what not.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
@@ -185,11 +183,6 @@ fn closed(chain: &[u32]) -> impl Iterator<Item = Segment> + '_ {
     (0..chain.len()).map(|k| segment(chain[k], chain[(k + 1) % chain.len()]))
 }
 
-/// Length of a way, mm.
-pub(super) fn length(way: &[DVec3]) -> f64 {
-    way.windows(2).map(|step| step[0].distance(step[1])).sum()
-}
-
 /// Adds the closed curves near particles on sheets that no pair lies along: round a hole in a layer that is smaller than what the lattice of `seed` sees.
 fn missing_loops(
     points: &mut Vec<Point>,
@@ -307,7 +300,7 @@ fn without_the_crowded(
 }
 
 /// The curve of each pair: that of its end on a curve; between two junction points the shortest of their common materials that leads from one to the other and has no
-/// particles on the way, whose segments these would be. Where none can be followed, that which is real in the middle.
+/// particles on the way, whose segments these would be, with another that is one with it ([`ONE_CURVE`]). Where none can be followed, that which is real in the middle.
 fn with_curves(
     pairs: &[Segment],
     points: &[Point],
@@ -334,13 +327,19 @@ fn with_curves(
         };
         let free = |&curve: &Stratum| {
             let way = way_along(indicators, curve, upper, [a.place, b.place], longest)?;
-            (!is_taken(&curve, &way)).then(|| (curve, length(&way)))
+            (!is_taken(&curve, &way)).then(|| (curve, length(&way), way))
         };
-        let shortest = curves.iter().filter_map(free).min_by(|a, b| a.1.total_cmp(&b.1));
+        let mut ways: Vec<(Stratum, f64, Vec<DVec3>)> = curves.iter().filter_map(free).collect();
+        ways.sort_by(|a, b| a.1.total_cmp(&b.1));
+        let is_one = |way: &[DVec3], p: DVec3| foot(way, p).1 < ONE_CURVE * indicators.voxel();
+        let shortest = ways.first().map(|(curve, _, way)| {
+            let same = ways[1..].iter().find(|(.., other)| other.iter().all(|&p| is_one(way, p)));
+            same.and_then(|(other, ..)| curve.joined(other)).unwrap_or(*curve)
+        });
         let middle = a.place.midpoint(b.place);
         let real = |curve: &Stratum| indicators.clearance(middle, curve.materials());
         let in_the_middle = || curves.iter().copied().max_by(|a, b| real(a).total_cmp(&real(b)));
-        shortest.map(|(curve, _)| curve).or_else(in_the_middle)
+        shortest.or_else(in_the_middle)
     };
     pairs.par_iter().filter_map(|pair| Some((*pair, curve(pair)?))).collect()
 }

@@ -6,14 +6,15 @@
 
 use super::complex::{Complex, Mend, Violation};
 use super::nodes::Nodes;
-use super::prepare::{self, LONGEST_WAY, onto};
+use super::prepare::onto;
 use super::segments::Segment;
 use super::topology::Simplices;
+use super::way::{self, LONGEST_WAY, ONE_CURVE};
 use crate::labelled::Facet;
 use crate::queue::{NEAREST_FOR_SHAPE, NEAREST_FOR_TOPOLOGY, Queue, Reason, Refine, Remedy, Simplex};
 use glam::DVec3;
 use isoparticles_field::materials::Stratum;
-use isoparticles_field::materials::complex::{COINCIDENT, way_along};
+use isoparticles_field::materials::complex::way_along;
 use isoparticles_mesh::kd_tree::KdTree;
 use isoparticles_stage::error::Result;
 use serde::Serialize;
@@ -34,7 +35,7 @@ pub struct RefineReport {
     pub inserted: BTreeMap<Reason, usize>,
     /// Of these, on junction curves.
     pub on_curves: usize,
-    /// Times that a segment was made to pass through a point of another, nearer than [`COINCIDENT`].
+    /// Times that a segment was made to pass through a point of another, nearer than [`ONE_CURVE`].
     pub passes: usize,
     /// Parts of stars and runs round edges that were given to another material.
     pub relabelled: usize,
@@ -187,11 +188,11 @@ impl<'a> Refinement<'a> {
         let (near, distance) = self.complex.labelled.nearest(a.midpoint(b), pair[0]);
         let is_within = !pair.contains(&near) && distance < 0.5 * length;
         let beside = way.as_ref().filter(|_| is_within).and_then(|way| {
-            let (foot, _) = foot(way, self.complex.points()[near as usize]);
+            let (foot, _) = way::foot(way, self.complex.points()[near as usize]);
             self.place_on(curve, way, foot)
         });
         let middle = || match &way {
-            Some(way) => self.place_on(curve, way, 0.5 * prepare::length(way)),
+            Some(way) => self.place_on(curve, way, 0.5 * way::length(way)),
             None => self.onto_curve(curve, a.midpoint(b), 0.5 * length),
         };
         let place = beside.filter(is_between).or_else(|| middle().filter(is_between));
@@ -206,14 +207,14 @@ impl<'a> Refinement<'a> {
         Ok(outcome)
     }
 
-    /// A point of another curve, or of another part of the same one, that the way along a segment passes within [`COINCIDENT`]: what lies nearer together than that is one.
+    /// A point of another curve, or of another part of the same one, that the way along a segment passes within [`ONE_CURVE`]: what lies nearer together than that is one.
     /// Without it two curves that coincide over some length would be refined without end, as neither's segments can be edges beside the other's points.
     fn passed(&self, pair: Segment, way: &[DVec3]) -> Option<u32> {
         let points = self.complex.points();
-        let reach = COINCIDENT * self.complex.indicators.voxel();
+        let reach = ONE_CURVE * self.complex.indicators.voxel();
         let is_passed = |&v: &u32| {
-            let (foot, distance) = foot(way, points[v as usize]);
-            let is_inner = foot > 0.0 && foot < prepare::length(way);
+            let (foot, distance) = way::foot(way, points[v as usize]);
+            let is_inner = foot > 0.0 && foot < way::length(way);
             let is_free = self.complex.strata[v as usize].dimension() < 2 && !self.passes.contains(&(pair, v));
             distance < reach && is_inner && is_free && self.complex.segments.can_pass(pair, v, points)
         };
@@ -229,7 +230,7 @@ impl<'a> Refinement<'a> {
         let ways = curve
             .curves()
             .filter_map(|curve| way_along(indicators, curve, self.complex.labelled.upper(), ends, longest));
-        ways.min_by(|a, b| prepare::length(a).total_cmp(&prepare::length(b)))
+        ways.min_by(|a, b| way::length(a).total_cmp(&way::length(b)))
     }
 
     /// The place of a curve so far along a way on it, mm.
@@ -259,19 +260,4 @@ impl<'a> Refinement<'a> {
         self.complex.decide();
         true
     }
-}
-
-/// How far along a way its place nearest to another place lies, and how far from that, mm.
-fn foot(way: &[DVec3], place: DVec3) -> (f64, f64) {
-    let (mut passed, mut nearest) = (0.0, (f64::INFINITY, 0.0));
-    for step in way.windows(2) {
-        let (own, length) = (step[1] - step[0], step[0].distance(step[1]));
-        let share = ((place - step[0]).dot(own) / length.powi(2).max(f64::MIN_POSITIVE)).clamp(0.0, 1.0);
-        let distance = place.distance_squared(step[0] + share * own);
-        if distance < nearest.0 {
-            nearest = (distance, passed + share * length);
-        }
-        passed += length;
-    }
-    (nearest.1, nearest.0.sqrt())
 }
