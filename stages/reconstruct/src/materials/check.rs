@@ -33,7 +33,7 @@ pub struct CheckOptions<'a> {
     /// Smallest radius ratio allowed.
     pub min_radius_ratio: Option<f64>,
     /// Farthest that a vertex may lie from each of its sheets, voxels. One at which more than four materials meet, which hardly any data let meet in a point, may lie
-    /// [`COINCIDENT`] off, and one of a segment of four materials, where curves are one, [`ONE_CURVE`].
+    /// [`COINCIDENT`] off, and one through which a curve passes that is one with another, [`ONE_CURVE`].
     pub max_vertex_distance: f64,
 }
 
@@ -71,7 +71,7 @@ pub struct Offenders {
     pub edges: Vec<[u32; 2]>,
     /// Edges of more than two triangles that are no segments of junction curves.
     pub spurious: Vec<[u32; 2]>,
-    /// Segments that are no edges of three triangles between the materials of their curve.
+    /// Segments that are no edges of a triangle between each two of their three materials (of three or four of their four, where curves are one).
     pub missing_segments: Vec<Segment>,
     /// Edges at which the surface of a material is open, touches itself or changes its orientation.
     pub not_closed: Vec<[u32; 2]>,
@@ -240,7 +240,8 @@ fn look_at_edges(interfaces: &Interfaces, report: &mut ComplexReport, offenders:
         if !is_ring(&pairs) {
             offenders.edges.push(edge);
         }
-        let is_of = |curve: &Stratum| pairs.len() == curve.count() && pairs.iter().flatten().all(|&id| curve.has(id));
+        let is_of =
+            |curve: &Stratum| pairs.len() > 2 && is_ring(&pairs) && pairs.iter().flatten().all(|&id| curve.has(id));
         match segments.get(&edge) {
             Some(curve) if is_of(curve) => present += 1,
             Some(_) => offenders.missing_segments.push(edge),
@@ -321,8 +322,14 @@ fn look_at_distances(
     let least = options.max_vertex_distance;
     let limit = |count: &usize| if *count > 4 { least.max(COINCIDENT) } else { least };
     let mut limits: Vec<f64> = meeting.iter().map(limit).collect();
-    let of_four = interfaces.segments.iter().filter(|(_, curve)| curve.count() > 3);
-    for &v in of_four.flat_map(|(pair, _)| pair).filter(|&&v| v != u32::MAX) {
+    // a curve ends where a fourth material meets it, but where it passes through a point of another
+    let mut ends: BTreeMap<(u32, Stratum), usize> = BTreeMap::new();
+    for (pair, curve) in &interfaces.segments {
+        for (v, own) in pair.iter().flat_map(|&v| curve.curves().map(move |own| (v, own))) {
+            *ends.entry((v, own)).or_default() += usize::from(v != u32::MAX && meeting[v as usize] > 3);
+        }
+    }
+    for ((v, _), _) in ends.into_iter().filter(|(_, count)| *count > 1) {
         limits[v as usize] = least.max(ONE_CURVE);
     }
     offenders.distant = (0..vertices.len() as u32).filter(|&v| vertices[v as usize] > limits[v as usize]).collect();

@@ -120,12 +120,14 @@ impl Complex<'_> {
         }
     }
 
-    /// A segment must be an edge, with the three materials of its curve round it, each in one run; `start` is a tetrahedron at it.
+    /// A segment must be an edge, with the three materials of its curve round it, each in one run; of the four where curves are one three at least, since what lies between these
+    /// has no width. `start` is a tetrahedron at it.
     pub(super) fn wrong_segment(&self, pair: Segment, curve: Stratum, start: Option<u32>) -> Option<Reason> {
         let Some(start) = start else { return Some(Reason::Segment) };
         let runs = self.runs_round(pair, start);
-        let is_right = runs.len() == curve.count()
-            && curve.materials().iter().all(|&id| runs.iter().any(|run| self.material(run[0]) == id));
+        let mut ids: Vec<MaterialId> = runs.iter().map(|run| self.material(run[0])).collect();
+        ids.sort_unstable();
+        let is_right = ids.len() > 2 && ids.iter().all(|&id| curve.has(id)) && ids.is_sorted_by(|a, b| a < b);
         (!is_right).then_some(Reason::Ring)
     }
 
