@@ -1,0 +1,296 @@
+"""Better tetrahedra in a small part of a mesh: cavities are emptied and filled anew by the star of one point.
+
+The star of a point is the tetrahedra from it to the faces of a cavity. The point is a vertex on the cavity (that is a flip, or the removal
+of an edge), or a new place within it (a vertex is put there, and those that lay within the cavity go: with the cavity round one vertex this
+moves it). A cavity grows by the tetrahedron behind the worst face, like those of Klingner and Shewchuk, "Aggressive tetrahedral mesh
+improvement" (2007). Faces between regions bound a cavity and are never crossed, so that they and their vertices stay.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import reduce
+from itertools import combinations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tetmesh_check.quality import OUTWARD_FACES, Cells, Labels, Points, Values
+
+Tetrahedron = tuple[int, int, int, int]
+Triangle = tuple[int, int, int]
+
+MARGIN = 0.01
+"""How much better than before, as a share of the goal, the worst of a cavity has to become: without it the search would not end."""
+_GROWTH = 6
+"""Sizes of a cavity that are tried. Of 392 tetrahedra (thorax_labels at 3 mm) one sweep left 139 with this and 10 steps, and 137 with 12 and
+14 steps, in more than three times the time."""
+_DIRECTIONS = np.array([[x, y, z] for x in (-1, 0, 1) for y in (-1, 0, 1) for z in (-1, 0, 1)], dtype=np.float64)
+_DIRECTIONS /= np.maximum(np.linalg.norm(_DIRECTIONS, axis=1, keepdims=True), 1.0)
+_EQUAL = 1e-9
+"""Values that differ by less are the same but for rounding."""
+_CORNERS = ((0, 1, 2), (0, 3, 4), (1, 3, 5), (2, 4, 5))
+"""For each vertex, the three of the sides (01, 02, 03, 12, 13, 23) that meet in it."""
+_STEPS = 10
+"""Steps of the search for a place: the first is a third of the mean edge, and each that finds nothing better halves it."""
+
+
+@dataclass(frozen=True)
+class Goal:
+    """What a tetrahedron is to reach."""
+
+    min_dihedral: float
+    """Degrees."""
+    min_scaled_jacobian: float
+
+
+def measure(corners: list[Points], goal: Goal) -> Values:
+    """The smaller of the smallest dihedral angle and of the scaled Jacobian, each over its goal, at most 1; not above 0 where not positive.
+
+    Parameters
+    ----------
+    corners
+        Positions of the four vertices in VTK's order, each of shape ``(3, ...)``.
+    goal
+        What is 1.
+    """
+    a, b, c, d = corners
+    sides = [b - a, c - a, d - a, c - b, d - b, d - c]
+    lengths = [np.sqrt(_dot(side, side)) for side in sides]
+    # outward, opposite to d, c, a and b
+    normals = [_cross(sides[i], sides[j]) for i, j in ((1, 0), (0, 2), (3, 4), (2, 1))]
+    six = -_dot(normals[0], sides[2])
+    with np.errstate(divide="ignore", invalid="ignore"):
+        sizes = [np.sqrt(_dot(normal, normal)) for normal in normals]
+        cosine = reduce(
+            np.maximum, [-_dot(normals[i], normals[j]) / (sizes[i] * sizes[j]) for i, j in combinations(range(4), 2)]
+        )
+        product = reduce(np.maximum, [lengths[i] * lengths[j] * lengths[k] for i, j, k in _CORNERS])
+        jacobian = np.sqrt(2.0) * six / product / goal.min_scaled_jacobian
+    angle = np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))) / goal.min_dihedral
+    found = np.where(six > 0.0, np.minimum(np.minimum(jacobian, angle), 1.0), np.minimum(jacobian, 0.0))
+    result: Values = np.nan_to_num(found, nan=-1.0)
+    return result
+
+
+def _lack(values: Values) -> float:
+    """What some tetrahedra lack together, so that one bad one does not give way to many that are nearly as bad."""
+    return float(np.square(1.0 - values).sum())
+
+
+def _ascending(face: Triangle) -> Triangle:
+    a, b, c = sorted(face)
+    return a, b, c
+
+
+def _dot(u: Points, v: Points) -> Values:
+    products: Values = u[0] * v[0] + u[1] * v[1] + u[2] * v[2]
+    return products
+
+
+def _cross(u: Points, v: Points) -> Points:
+    shape = np.broadcast_shapes(u.shape, v.shape)
+    result = np.empty(shape)
+    result[0] = u[1] * v[2] - u[2] * v[1]
+    result[1] = u[2] * v[0] - u[0] * v[2]
+    result[2] = u[0] * v[1] - u[1] * v[0]
+    return result
+
+
+Filling = tuple[list[int], list[Tetrahedron], Values, NDArray[np.float64] | None]
+"""Tetrahedra that go, those that come, their values, and the place of a new vertex."""
+
+
+class Part:
+    """Some of the tetrahedra of a mesh, and what they hang together by.
+
+    Parameters
+    ----------
+    points
+        Positions, mm, shape ``(n, 3)``.
+    tetrahedra
+        Vertex indices in VTK order, shape ``(m, 4)``.
+    regions
+        Of each tetrahedron, shape ``(m,)``.
+    forced
+        Faces (vertices ascending) with the region on whose side no tetrahedron reaches the goal.
+    goal
+        What each tetrahedron is to reach.
+    """
+
+    def __init__(
+        self, points: Points, tetrahedra: Cells, regions: Labels, forced: set[tuple[Triangle, int]], goal: Goal
+    ) -> None:
+        self.points = [*points]
+        self.goal = goal
+        self.forced = forced
+        self.tetrahedra: dict[int, Tetrahedron] = {}
+        self.region: dict[int, int] = {}
+        self.value: dict[int, float] = {}
+        self.moves = 0
+        self._next = 0
+        self._of_vertex: dict[int, set[int]] = {}
+        self._of_face: dict[Triangle, list[int]] = {}
+        values = measure([points[tetrahedra[:, k]].T for k in range(4)], goal)
+        for cell, region, value in zip(tetrahedra.tolist(), regions.tolist(), values.tolist(), strict=True):
+            self._add(tuple(cell), region, value)
+
+    def _add(self, cell: Tetrahedron, region: int, value: float) -> int:
+        number = self._next
+        self._next += 1
+        self.tetrahedra[number], self.region[number], self.value[number] = cell, region, value
+        for vertex in cell:
+            self._of_vertex.setdefault(vertex, set()).add(number)
+        for face in combinations(sorted(cell), 3):
+            self._of_face.setdefault(face, []).append(number)
+        return number
+
+    def _remove(self, number: int) -> None:
+        cell = self.tetrahedra.pop(number)
+        del self.region[number], self.value[number]
+        for vertex in cell:
+            self._of_vertex[vertex].discard(number)
+        for face in combinations(sorted(cell), 3):
+            self._of_face[face].remove(number)
+
+    def is_forced(self, cell: Tetrahedron, region: int) -> bool:
+        """Whether a tetrahedron stands on a side where none reaches the goal."""
+        return any((face, region) in self.forced for face in combinations(sorted(cell), 3))
+
+    def bad(self) -> list[int]:
+        """Tetrahedra below the goal that nothing forces, the worst first."""
+        found = [
+            n
+            for n, value in self.value.items()
+            if value < 1.0 and not self.is_forced(self.tetrahedra[n], self.region[n])
+        ]
+        return sorted(found, key=lambda n: (self.value[n], n))
+
+    def across(self, number: int, face: Triangle) -> int | None:
+        """The tetrahedron of the same region behind a face."""
+        for other in self._of_face[_ascending(face)]:
+            if other != number and self.region[other] == self.region[number]:
+                return other
+        return None
+
+    def faces(self, cavity: list[int]) -> list[tuple[Triangle, int]]:
+        """Outward faces of a cavity with the tetrahedron that each belongs to."""
+        found: dict[Triangle, tuple[Triangle, int] | None] = {}
+        for number in cavity:
+            cell = self.tetrahedra[number]
+            for i, j, k in OUTWARD_FACES:
+                face = (cell[i], cell[j], cell[k])
+                key = _ascending(face)
+                found[key] = None if key in found else (face, number)
+        return [entry for entry in found.values() if entry is not None]
+
+    def _round(self, number: int, simplex: tuple[int, ...]) -> list[int]:
+        region = self.region[number]
+        common = set.intersection(*(self._of_vertex[vertex] for vertex in simplex))
+        return sorted(other for other in common if self.region[other] == region)
+
+    def cavities(self, number: int) -> list[list[int]]:
+        """Those that a tetrahedron's mending may begin with: round its edges, its faces, its vertices, and itself."""
+        cell = tuple(sorted(self.tetrahedra[number]))
+        found = [self._round(number, simplex) for size in (2, 3, 1) for simplex in combinations(cell, size)]
+        return [cavity for cavity in found if cavity] + [[number]]
+
+    def worst(self, cells: list[Tetrahedron], values: Values, region: int) -> tuple[float, float]:
+        """The smallest value of those that nothing forces, and of the others."""
+        forced = np.array([self.is_forced(cell, region) for cell in cells])
+        return float(values.min(where=~forced, initial=1.0)), float(values.min(where=forced, initial=1.0))
+
+    def _flips(self, faces: list[tuple[Triangle, int]]) -> Iterator[tuple[list[Tetrahedron], Values]]:
+        """The stars of the vertices of a cavity that are positive."""
+        apexes = sorted({vertex for face, _ in faces for vertex in face})
+        corners = np.array([[self.points[v] for v in face] for face, _ in faces])
+        own = np.array([[apex in face for face, _ in faces] for apex in apexes])
+        tips = np.array([self.points[v] for v in apexes])
+        values = measure([*(corners[:, k].T[:, None, :] for k in (0, 2, 1)), tips.T[:, :, None]], self.goal)
+        values[own] = 1.0
+        for k in np.flatnonzero(values.min(axis=1) > 0.0):
+            cells = [(face[0], face[2], face[1], apexes[k]) for face, _ in faces if apexes[k] not in face]
+            yield cells, values[k][~own[k]]
+
+    def _search(
+        self, faces: list[tuple[Triangle, int]], free: NDArray[np.bool_], start: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], Values]:
+        """The place whose star has the largest smallest value, by a pattern search; ``free`` are the faces that count."""
+        corners = np.array([[self.points[v] for v in face] for face, _ in faces])
+        base = [corners[:, k].T[:, None, :] for k in (0, 2, 1)]
+        step = 0.3 * float(np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).mean())
+        place, best, values = start, -np.inf, np.empty(0)
+        for _ in range(_STEPS):
+            tried = place + step * _DIRECTIONS
+            found = measure([*base, tried.T[:, :, None]], self.goal)
+            least = np.where(free, found, np.minimum(found, 0.0)).min(axis=1)
+            k = int(least.argmax())
+            if least[k] > best:
+                best, place, values = float(least[k]), tried[k], found[k]
+                if best >= 1.0:
+                    break
+            else:
+                step *= 0.5
+        return place, values
+
+    def mend(self, number: int) -> bool:
+        """Fill a cavity round a tetrahedron anew where its worst becomes better; whether one was found.
+
+        Parameters
+        ----------
+        number
+            The tetrahedron.
+        """
+        region = self.region[number]
+        chosen: tuple[float, Filling] | None = None
+        for cavity in self.cavities(number):
+            for grown, cells, values, place in self._fillings(cavity, region):
+                before = self.worst(
+                    [self.tetrahedra[n] for n in grown], np.array([self.value[n] for n in grown]), region
+                )
+                after = self.worst(cells, values, region)
+                gain = after[0] - before[0]
+                if gain < MARGIN or after[1] < before[1] - _EQUAL or values.min() <= 0.0:
+                    continue
+                if _lack(values) >= _lack(np.array([self.value[n] for n in grown])):
+                    continue
+                if chosen is None or after[0] > chosen[0]:
+                    chosen = (after[0], (grown, cells, values, place))
+            if chosen is not None and chosen[0] >= 1.0:
+                break
+        if chosen is None:
+            return False
+        cavity, cells, values, place = chosen[1]
+        if place is not None:
+            self.points.append(place)
+        for old in cavity:
+            self._remove(old)
+        for cell, value in zip(cells, values.tolist(), strict=True):
+            self._add(cell, region, value)
+        self.moves += 1
+        return True
+
+    def _fillings(self, cavity: list[int], region: int) -> Iterator[Filling]:
+        """Fillings of a cavity and of what it grows to."""
+        faces = self.faces(cavity)
+        yield from ((cavity, cells, values, None) for cells, values in self._flips(faces))
+        apex = len(self.points)
+        place = np.mean([self.points[v] for n in cavity for v in self.tetrahedra[n]], axis=0)
+        cavity = list(cavity)
+        for _ in range(_GROWTH):
+            faces = self.faces(cavity)
+            cells = [(face[0], face[2], face[1], apex) for face, _ in faces]
+            free = np.array([not self.is_forced(cell, region) for cell in cells])
+            place, values = self._search(faces, free, place)
+            if len(values):
+                yield list(cavity), cells, values, place
+            for k in np.argsort(np.where(free, values, 1.0), kind="stable"):
+                if values[k] >= 1.0:
+                    return
+                other = self.across(faces[k][1], faces[k][0])
+                if other is not None:
+                    cavity.append(other)
+                    break
+            else:
+                return
