@@ -8,12 +8,14 @@ from test_solve import block
 
 from tetmesh_check.cavity import Goal, Part, measure
 from tetmesh_check.conform import NOBODY, conform
+from tetmesh_check.forced import ForcedSides
 from tetmesh_check.materials import Sides
 from tetmesh_check.mend import SHARE, mend
 from tetmesh_check.quality import Cells, Labels, Points, signed_tetrahedron_volumes, tetrahedron_quality
 
 GOAL = Goal(12.0, 0.05)
-NONE = (np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64))
+_NO = np.empty(0, dtype=np.int64)
+NONE = (ForcedSides(_NO, _NO, np.empty(0)), _NO)
 
 
 def sliver(height: float) -> tuple[Points, Cells]:
@@ -28,7 +30,7 @@ def sliver(height: float) -> tuple[Points, Cells]:
 
 def test_a_sliver_between_vertices_of_the_surface_goes() -> None:
     points, cells = sliver(0.02)
-    part = Part(points, cells, np.ones(5, dtype=np.int64), set(), GOAL)
+    part = Part(points, cells, np.ones(5, dtype=np.int64), {}, GOAL)
     outside = {tuple(sorted(face)) for face, _ in part.faces(sorted(part.tetrahedra))}
     (worst,) = part.bad()
     assert part.value[worst] < 0.5
@@ -45,18 +47,27 @@ def test_a_sliver_between_vertices_of_the_surface_goes() -> None:
 def test_what_lies_between_regions_is_not_crossed() -> None:
     points, cells = sliver(0.02)
     # the sliver is a region by itself: all its faces stay, and nothing can be done
-    part = Part(points, cells, np.array([2, 1, 1, 1, 1]), set(), GOAL)
+    part = Part(points, cells, np.array([2, 1, 1, 1, 1]), {}, GOAL)
     (worst,) = part.bad()
     assert not part.mend(worst)
-    # nor is what the surface forces looked at
-    forced = {((0, 1, 2), 1)}
-    assert Part(points, cells, np.ones(5, dtype=np.int64), forced, GOAL).bad() == []
+    # what the surface forces is asked for no more than is possible
+    bound = float(tetrahedron_quality(points, cells[:1]).min_dihedral[0])
+    regions = np.ones(5, dtype=np.int64)
+    assert Part(points, cells, regions, {((0, 1, 2), 1): bound}, GOAL).bad() == []
+    assert len(Part(points, cells, regions, {((0, 1, 2), 1): 1.2 * bound}, GOAL).bad()) == 1
+    assert len(Part(points, cells, regions, {((0, 1, 2), 2): bound}, GOAL).bad()) == 1
+    # but the limit of the check where it can be reached
+    strict = Goal(12.0, 0.05, 1.05 * bound)
+    assert len(Part(points, cells, regions, {((0, 1, 2), 1): 1.08 * bound}, strict).bad()) == 1
 
 
 def test_values_are_the_measures_over_the_goal() -> None:
     points = np.random.default_rng(3).normal(size=(400, 3))
     cells = np.arange(400).reshape(-1, 4)
-    quality, found = tetrahedron_quality(points, cells), measure([points[cells[:, k]].T for k in range(4)], GOAL)
+    quality, found = (
+        tetrahedron_quality(points, cells),
+        measure([points[cells[:, k]].T for k in range(4)], (np.array(12.0), np.array(0.05))),
+    )
     wanted = np.minimum(np.minimum(quality.min_dihedral / 12.0, quality.scaled_jacobian / 0.05), 1.0)
     positive = quality.volume > 0
     assert 0.3 < positive.mean() < 0.7

@@ -28,8 +28,6 @@ _GROWTH = 6
 14 steps, in more than three times the time."""
 _DIRECTIONS = np.array([[x, y, z] for x in (-1, 0, 1) for y in (-1, 0, 1) for z in (-1, 0, 1)], dtype=np.float64)
 _DIRECTIONS /= np.maximum(np.linalg.norm(_DIRECTIONS, axis=1, keepdims=True), 1.0)
-_EQUAL = 1e-9
-"""Values that differ by less are the same but for rounding."""
 _CORNERS = ((0, 1, 2), (0, 3, 4), (1, 3, 5), (2, 4, 5))
 """For each vertex, the three of the sides (01, 02, 03, 12, 13, 23) that meet in it."""
 _STEPS = 10
@@ -43,17 +41,38 @@ class Goal:
     min_dihedral: float
     """Degrees."""
     min_scaled_jacobian: float
+    least: float = 0.0
+    """Degrees that are asked for wherever the surface allows them: the limit of the check."""
+
+    def beside(self, bound: float) -> tuple[float, float]:
+        """What to aim at where the surface allows no larger dihedral angle, degrees, and the scaled Jacobian.
+
+        Nine tenths of what is possible at best (there the scaled Jacobian is at most sqrt(2) sin of the angle), or the limit of the check if
+        that can be reached.
+
+        Parameters
+        ----------
+        bound
+            The largest possible, degrees.
+        """
+        angle = max(_NEARLY * bound, min(bound, self.least))
+        flat = _NEARLY * np.sqrt(2.0) * np.sin(np.radians(bound))
+        return min(self.min_dihedral, angle), min(self.min_scaled_jacobian, float(flat))
 
 
-def measure(corners: list[Points], goal: Goal) -> Values:
-    """The smaller of the smallest dihedral angle and of the scaled Jacobian, each over its goal, at most 1; not above 0 where not positive.
+_NEARLY = 0.9
+"""Share of the angle possible at a forced side that is aimed at: all of it would take the one tetrahedron that fills the place exactly."""
+
+
+def measure(corners: list[Points], aims: tuple[Values, Values]) -> Values:
+    """The smaller of the smallest dihedral angle and of the scaled Jacobian, each over its aim, at most 1; not above 0 where not positive.
 
     Parameters
     ----------
     corners
         Positions of the four vertices in VTK's order, each of shape ``(3, ...)``.
-    goal
-        What is 1.
+    aims
+        Dihedral angles, degrees, and scaled Jacobians that are 1, of shapes that fit.
     """
     a, b, c, d = corners
     sides = [b - a, c - a, d - a, c - b, d - b, d - c]
@@ -67,8 +86,8 @@ def measure(corners: list[Points], goal: Goal) -> Values:
             np.maximum, [-_dot(normals[i], normals[j]) / (sizes[i] * sizes[j]) for i, j in combinations(range(4), 2)]
         )
         product = reduce(np.maximum, [lengths[i] * lengths[j] * lengths[k] for i, j, k in _CORNERS])
-        jacobian = np.sqrt(2.0) * six / product / goal.min_scaled_jacobian
-    angle = np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))) / goal.min_dihedral
+        jacobian = np.sqrt(2.0) * six / product / aims[1]
+    angle = np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))) / aims[0]
     found = np.where(six > 0.0, np.minimum(np.minimum(jacobian, angle), 1.0), np.minimum(jacobian, 0.0))
     result: Values = np.nan_to_num(found, nan=-1.0)
     return result
@@ -114,13 +133,13 @@ class Part:
     regions
         Of each tetrahedron, shape ``(m,)``.
     forced
-        Faces (vertices ascending) with the region on whose side no tetrahedron reaches the goal.
+        The largest dihedral angle possible, degrees, on faces (vertices ascending) in the region on that side, where it is below the goal.
     goal
         What each tetrahedron is to reach.
     """
 
     def __init__(
-        self, points: Points, tetrahedra: Cells, regions: Labels, forced: set[tuple[Triangle, int]], goal: Goal
+        self, points: Points, tetrahedra: Cells, regions: Labels, forced: dict[tuple[Triangle, int], float], goal: Goal
     ) -> None:
         self.points = [*points]
         self.goal = goal
@@ -129,12 +148,14 @@ class Part:
         self.region: dict[int, int] = {}
         self.value: dict[int, float] = {}
         self.moves = 0
+        self._plain = (np.array(goal.min_dihedral), np.array(goal.min_scaled_jacobian))
         self._next = 0
         self._of_vertex: dict[int, set[int]] = {}
         self._of_face: dict[Triangle, list[int]] = {}
-        values = measure([points[tetrahedra[:, k]].T for k in range(4)], goal)
-        for cell, region, value in zip(tetrahedra.tolist(), regions.tolist(), values.tolist(), strict=True):
-            self._add(tuple(cell), region, value)
+        cells = [tuple(cell) for cell in tetrahedra.tolist()]
+        values = self._values(cells, regions.tolist())
+        for cell, region, value in zip(cells, regions.tolist(), values.tolist(), strict=True):
+            self._add(cell, region, value)
 
     def _add(self, cell: Tetrahedron, region: int, value: float) -> int:
         number = self._next
@@ -154,18 +175,26 @@ class Part:
         for face in combinations(sorted(cell), 3):
             self._of_face[face].remove(number)
 
-    def is_forced(self, cell: Tetrahedron, region: int) -> bool:
-        """Whether a tetrahedron stands on a side where none reaches the goal."""
-        return any((face, region) in self.forced for face in combinations(sorted(cell), 3))
+    def _aims(self, faces: list[list[Triangle]], regions: list[int]) -> tuple[Values, Values]:
+        """What tetrahedra with these faces are to reach, by tetrahedron."""
+        angle = np.full(len(faces), self.goal.min_dihedral)
+        jacobian = np.full(len(faces), self.goal.min_scaled_jacobian)
+        for k, (own, region) in enumerate(zip(faces, regions, strict=True)):
+            for face in own:
+                bound = self.forced.get((face, region))
+                if bound is not None:
+                    low, flat = self.goal.beside(bound)
+                    angle[k], jacobian[k] = min(angle[k], low), min(jacobian[k], flat)
+        return angle, jacobian
+
+    def _values(self, cells: list[Tetrahedron], regions: list[int]) -> Values:
+        corners = np.array([[self.points[v] for v in cell] for cell in cells])
+        faces = [list(combinations(sorted(cell), 3)) for cell in cells]
+        return measure([corners[:, k].T for k in range(4)], self._aims(faces, regions))
 
     def bad(self) -> list[int]:
-        """Tetrahedra below the goal that nothing forces, the worst first."""
-        found = [
-            n
-            for n, value in self.value.items()
-            if value < 1.0 and not self.is_forced(self.tetrahedra[n], self.region[n])
-        ]
-        return sorted(found, key=lambda n: (self.value[n], n))
+        """Tetrahedra below the goal, or what the surface allows of it; the worst first."""
+        return sorted((n for n, value in self.value.items() if value < 1.0), key=lambda n: (self.value[n], n))
 
     def across(self, number: int, face: Triangle) -> int | None:
         """The tetrahedron of the same region behind a face."""
@@ -196,35 +225,31 @@ class Part:
         found = [self._round(number, simplex) for size in (2, 3, 1) for simplex in combinations(cell, size)]
         return [cavity for cavity in found if cavity] + [[number]]
 
-    def worst(self, cells: list[Tetrahedron], values: Values, region: int) -> tuple[float, float]:
-        """The smallest value of those that nothing forces, and of the others."""
-        forced = np.array([self.is_forced(cell, region) for cell in cells])
-        return float(values.min(where=~forced, initial=1.0)), float(values.min(where=forced, initial=1.0))
-
-    def _flips(self, faces: list[tuple[Triangle, int]]) -> Iterator[tuple[list[Tetrahedron], Values]]:
+    def _flips(self, faces: list[tuple[Triangle, int]], region: int) -> Iterator[tuple[list[Tetrahedron], Values]]:
         """The stars of the vertices of a cavity that are positive."""
         apexes = sorted({vertex for face, _ in faces for vertex in face})
         corners = np.array([[self.points[v] for v in face] for face, _ in faces])
         own = np.array([[apex in face for face, _ in faces] for apex in apexes])
         tips = np.array([self.points[v] for v in apexes])
-        values = measure([*(corners[:, k].T[:, None, :] for k in (0, 2, 1)), tips.T[:, :, None]], self.goal)
+        values = measure([*(corners[:, k].T[:, None, :] for k in (0, 2, 1)), tips.T[:, :, None]], self._plain)
         values[own] = 1.0
         for k in np.flatnonzero(values.min(axis=1) > 0.0):
             cells = [(face[0], face[2], face[1], apexes[k]) for face, _ in faces if apexes[k] not in face]
-            yield cells, values[k][~own[k]]
+            yield cells, self._values(cells, [region] * len(cells))
 
     def _search(
-        self, faces: list[tuple[Triangle, int]], free: NDArray[np.bool_], start: NDArray[np.float64]
+        self, faces: list[tuple[Triangle, int]], region: int, start: NDArray[np.float64]
     ) -> tuple[NDArray[np.float64], Values]:
-        """The place whose star has the largest smallest value, by a pattern search; ``free`` are the faces that count."""
+        """The place whose star has the largest smallest value, by a pattern search, and the values of the star."""
         corners = np.array([[self.points[v] for v in face] for face, _ in faces])
         base = [corners[:, k].T[:, None, :] for k in (0, 2, 1)]
+        aims = self._aims([[_ascending(face)] for face, _ in faces], [region] * len(faces))
         step = 0.3 * float(np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).mean())
         place, best, values = start, -np.inf, np.empty(0)
         for _ in range(_STEPS):
             tried = place + step * _DIRECTIONS
-            found = measure([*base, tried.T[:, :, None]], self.goal)
-            least = np.where(free, found, np.minimum(found, 0.0)).min(axis=1)
+            found = measure([*base, tried.T[:, :, None]], aims)
+            least = found.min(axis=1)
             k = int(least.argmax())
             if least[k] > best:
                 best, place, values = float(least[k]), tried[k], found[k]
@@ -246,17 +271,13 @@ class Part:
         chosen: tuple[float, Filling] | None = None
         for cavity in self.cavities(number):
             for grown, cells, values, place in self._fillings(cavity, region):
-                before = self.worst(
-                    [self.tetrahedra[n] for n in grown], np.array([self.value[n] for n in grown]), region
-                )
-                after = self.worst(cells, values, region)
-                gain = after[0] - before[0]
-                if gain < MARGIN or after[1] < before[1] - _EQUAL or values.min() <= 0.0:
+                least, before = float(values.min()), np.array([self.value[n] for n in grown])
+                if least <= 0.0 or least < before.min() + MARGIN:
                     continue
-                if _lack(values) >= _lack(np.array([self.value[n] for n in grown])):
+                if _lack(values) >= _lack(before):
                     continue
-                if chosen is None or after[0] > chosen[0]:
-                    chosen = (after[0], (grown, cells, values, place))
+                if chosen is None or least > chosen[0]:
+                    chosen = (least, (grown, cells, values, place))
             if chosen is not None and chosen[0] >= 1.0:
                 break
         if chosen is None:
@@ -274,18 +295,16 @@ class Part:
     def _fillings(self, cavity: list[int], region: int) -> Iterator[Filling]:
         """Fillings of a cavity and of what it grows to."""
         faces = self.faces(cavity)
-        yield from ((cavity, cells, values, None) for cells, values in self._flips(faces))
+        yield from ((cavity, cells, values, None) for cells, values in self._flips(faces, region))
         apex = len(self.points)
         place = np.mean([self.points[v] for n in cavity for v in self.tetrahedra[n]], axis=0)
         cavity = list(cavity)
         for _ in range(_GROWTH):
             faces = self.faces(cavity)
             cells = [(face[0], face[2], face[1], apex) for face, _ in faces]
-            free = np.array([not self.is_forced(cell, region) for cell in cells])
-            place, values = self._search(faces, free, place)
-            if len(values):
-                yield list(cavity), cells, values, place
-            for k in np.argsort(np.where(free, values, 1.0), kind="stable"):
+            place, values = self._search(faces, region, place)
+            yield list(cavity), cells, values, place
+            for k in np.argsort(values, kind="stable"):
                 if values[k] >= 1.0:
                     return
                 other = self.across(faces[k][1], faces[k][0])

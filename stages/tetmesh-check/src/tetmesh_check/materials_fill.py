@@ -123,7 +123,7 @@ def _mend(task: ComplexTask, filled: FilledComplex, results: dict[str, Any]) -> 
         filled.conformity,
         filled.quality,
         task.checked.surface.triangles,
-        (task.beyond_goal.facet, _standing(task.beyond_goal, filled.conformity)),
+        (task.beyond_goal, _standing(task.beyond_goal, filled.conformity)),
         task.goal,
     )
     if mended is None:

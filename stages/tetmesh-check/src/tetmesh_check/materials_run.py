@@ -302,7 +302,7 @@ def run_materials(
     )
     with context.step("find forced tetrahedra"):
         limits = arguments.limits
-        goal = Goal(max(GOAL_DEGREES, limits.min_dihedral), limits.min_scaled_jacobian)
+        goal = Goal(max(GOAL_DEGREES, limits.min_dihedral), limits.min_scaled_jacobian, limits.min_dihedral)
         sides, beyond_goal = _sides(checked, limits, goal, context)
     task = ComplexTask(
         checked=checked,

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from tetmesh_check.cavity import Goal, Part, Triangle
 from tetmesh_check.conform import NOBODY, Conformity
+from tetmesh_check.forced import ForcedSides
 from tetmesh_check.quality import Cells, Labels, Points, TetrahedronQuality, signed_tetrahedron_volumes
 
 GOAL_DEGREES = 12.0
@@ -90,7 +91,7 @@ def mend(
     found: Conformity,
     quality: TetrahedronQuality,
     triangles: Cells,
-    forced: tuple[Labels, Labels],
+    forced: tuple[ForcedSides, Labels],
     goal: Goal,
 ) -> Mended | None:
     """Mend the tetrahedra below a goal; ``None`` where there is none, more than a share of them, or none becomes better.
@@ -106,21 +107,21 @@ def mend(
     triangles
         Those of the interfaces, shape ``(k, 3)``.
     forced
-        Triangles on a side of which the surface forces angles below the goal, and the tetrahedron that stands there, which nothing can mend.
+        Where the surface forces angles below the goal, and the tetrahedron that stands on each of these sides.
     goal
         What each tetrahedron is to reach.
     """
     points, tetrahedra = mesh
-    facets, standing = (of[forced[1] != NOBODY] for of in forced)
     below = (quality.min_dihedral < goal.min_dihedral) | (quality.scaled_jacobian < goal.min_scaled_jacobian)
-    below[standing] = False
     if not 0 < below.sum() <= max(1.0, SHARE * len(tetrahedra)):
         return None
-    unreachable = {
-        (tuple(sorted(face)), part)
-        for face, part in zip(triangles[facets].tolist(), found.parts[standing].tolist(), strict=True)
-    }
-    part = _Neighbourhood(points, tetrahedra, found.parts, below, unreachable, goal)
+    bounds: dict[tuple[Triangle, int], float] = {}
+    for facet, standing, bound in zip(
+        forced[0].facet.tolist(), forced[1].tolist(), forced[0].bound.tolist(), strict=True
+    ):
+        a, b, c = sorted(triangles[facet].tolist())
+        bounds[(a, b, c), int(found.parts[standing])] = bound
+    part = _Neighbourhood(points, tetrahedra, found.parts, below, bounds, goal)
     before = part.count()
     for _ in range(ROUNDS):
         if not part.sweep():
@@ -160,7 +161,7 @@ class _Neighbourhood:
         tetrahedra: Cells,
         parts: Labels,
         bad: NDArray[np.bool_],
-        forced: set[tuple[Triangle, int]],
+        forced: dict[tuple[Triangle, int], float],
         goal: Goal,
     ) -> None:
         marked = np.zeros(len(points), dtype=np.bool_)
@@ -174,7 +175,9 @@ class _Neighbourhood:
         self._total = len(points)
         place = np.full(len(points), NOBODY, dtype=np.int64)
         place[self._used] = np.arange(len(self._used))
-        own = {((int(place[a]), int(place[b]), int(place[c])), part) for (a, b, c), part in forced}
+        own = {
+            ((int(place[a]), int(place[b]), int(place[c])), part): bound for ((a, b, c), part), bound in forced.items()
+        }
         self._part = Part(points[self._used], local.reshape(-1, 4), parts[self._near], own, goal)
 
     @property
@@ -183,7 +186,7 @@ class _Neighbourhood:
         return self._part.moves
 
     def count(self) -> int:
-        """Tetrahedra below the goal that the surface does not force."""
+        """Tetrahedra below the goal, or what the surface allows of it."""
         return len(self._part.bad())
 
     def sweep(self) -> int:
