@@ -148,6 +148,7 @@ class Part:
         self.region: dict[int, int] = {}
         self.value: dict[int, float] = {}
         self.moves = 0
+        self._hopeless: set[int] = set()
         self._plain = (np.array(goal.min_dihedral), np.array(goal.min_scaled_jacobian))
         self._next = 0
         self._of_vertex: dict[int, set[int]] = {}
@@ -267,6 +268,8 @@ class Part:
         number
             The tetrahedron.
         """
+        if number in self._hopeless:
+            return False
         region = self.region[number]
         chosen: tuple[float, Filling] | None = None
         for cavity in self.cavities(number):
@@ -281,6 +284,8 @@ class Part:
             if chosen is not None and chosen[0] >= 1.0:
                 break
         if chosen is None:
+            # until something changes beside it
+            self._hopeless.add(number)
             return False
         cavity, cells, values, place = chosen[1]
         if place is not None:
@@ -289,6 +294,7 @@ class Part:
             self._remove(old)
         for cell, value in zip(cells, values.tolist(), strict=True):
             self._add(cell, region, value)
+        self._hopeless.difference_update(*(self._of_vertex[vertex] for cell in cells for vertex in cell))
         self.moves += 1
         return True
 
