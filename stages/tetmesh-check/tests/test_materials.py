@@ -247,10 +247,9 @@ def test_limits_decide_on_the_exit_code(tmp_path: Path, run: Run) -> None:
     assert done.returncode == 1, done.stderr
     assert (tmp_path / "c.vtu").is_file()
     ran = results_of(tmp_path / "r.json")["tetrahedralizer"]
-    assert [attempt["algorithm"] for attempt in ran["attempts"]] == ["hxt", "hxt", "delaunay"]
-    assert [attempt["relocated"] for attempt in ran["attempts"]] == [False, True, False]
-    best = max(ran["attempts"], key=lambda attempt: attempt["min_scaled_jacobian"])
-    assert (ran["algorithm"], ran["relocated"]) == (best["algorithm"], best["relocated"])
+    # tetrahedra beyond a limit are no reason to make all of them anew
+    assert [attempt["algorithm"] for attempt in ran["attempts"]] == ["hxt"]
+    assert ran["algorithm"] == "hxt"
     assert "exists already" in run(*words).stderr
 
 

@@ -109,3 +109,33 @@ def test_colours_differ() -> None:
     apart = np.abs(colours[:, None] - colours[None]).sum(axis=2) + 1000 * np.eye(16, dtype=int)
     assert apart.min() > 20
     np.testing.assert_array_equal(region_colours(5), region_colours(16)[:5])
+
+
+@NEEDS_HXT
+def test_the_page_tells_of_flat_tetrahedra(case: Path) -> None:
+    report = json.loads((case / "c.report.json").read_text())
+    assert program.main([str(case / "c.status.json"), "-o", str(case / "plain.html")]) == 0
+    assert "Flat tetrahedra" not in (case / "plain.html").read_text()
+    place = {"place_mm": [1.25, 2.5, -3.75], "material": "body <skin>", "possible_degrees": 1.83}
+    told = {**report, "results": dict(report["results"])}
+    told["results"]["volume"] = dict(report["results"]["volume"])
+    told["results"]["volume"]["forced_by_surface"] = [{**place, "min_dihedral": 1.62, "min_scaled_jacobian": 0.04}]
+    told["results"]["tetrahedralizer"] = {
+        **report["results"]["tetrahedralizer"],
+        "mended": {
+            "goal_degrees": 12.0,
+            "below_before": 321,
+            "below_after": 4,
+            "min_dihedral_before": 2.87,
+            "min_dihedral_after": 9.4,
+        },
+    }
+    (case / "c.report.json").write_text(json.dumps(told))
+    try:
+        assert program.main([str(case / "c.status.json"), "-o", str(case / "flat.html")]) == 0
+    finally:
+        (case / "c.report.json").write_text(json.dumps(report))
+    text = (case / "flat.html").read_text()
+    assert "Left out: the reports lack" not in text
+    for words in ("Flat tetrahedra", "1.25, 2.50, -3.75", "1.83", "321 tetrahedra", "On 1 sides of triangles"):
+        assert words in text

@@ -54,8 +54,6 @@ class HxtSettings:
 
     optimize_threshold: float = OPTIMIZE_THRESHOLD
     """See :data:`OPTIMIZE_THRESHOLD`."""
-    relocate: bool = False
-    """Move the vertices within once more, and swap, before and after: for complexes whose tetrahedra miss a limit of shape."""
     algorithm: str = "hxt"
     """Or ``delaunay``, Gmsh's older one, for complexes: slower, and it takes some that HXT does not."""
 

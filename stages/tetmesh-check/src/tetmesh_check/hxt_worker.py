@@ -11,11 +11,6 @@ from tetmesh_check.worker import serve
 
 _ALGORITHMS = {"hxt": 10, "delaunay": 1}
 """Numbers of Gmsh's option ``Mesh.Algorithm3D``."""
-_RELOCATION = ("Relocate3D", "", "Relocate3D")
-"""Gmsh's optimizers that follow HXT's own: vertices moved, then its older swaps, then vertices moved again. On smoothed surface nets of a
-volume of five labels (triangles of 14 degrees; edges of the tetrahedra 2.2 times as long) they raise the smallest dihedral angle of
-278,840 tetrahedra from 4.4 to 8.0 degrees, and leave 7 below 12 in place of 36."""
-_ROUNDS = 3
 _TRIANGLE, _TETRAHEDRON = 2, 4
 """Gmsh's numbers of the kinds of cells."""
 
@@ -142,9 +137,6 @@ def fill(gmsh: Any, arrays: dict[str, Any], settings: dict[str, Any]) -> tuple[A
     fields.setAsBackgroundMesh(background)
 
     gmsh.model.mesh.generate(3)
-    if settings["relocate"]:
-        for step in _RELOCATION:
-            gmsh.model.mesh.optimize(step, niter=_ROUNDS)
 
     empty = sum(len(gmsh.model.mesh.getElementsByType(_TETRAHEDRON, tag)[0]) == 0 for tag in volumes)
     if empty:

@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from tetmesh_check.checks import Forced, Limits, smallest_elsewhere, well_shaped
+from tetmesh_check.cavity import Goal
+from tetmesh_check.checks import Forced, Limits, smallest_elsewhere
 from tetmesh_check.complex import Complex
 from tetmesh_check.conform import NOBODY, Conformity, conform
 from tetmesh_check.context import Context
@@ -16,14 +17,16 @@ from tetmesh_check.errors import ExitCode, StageError
 from tetmesh_check.fill import Method
 from tetmesh_check.forced import INSIDE, ForcedSides
 from tetmesh_check.hxt import HxtSettings, fill_complex_by_gmsh
+from tetmesh_check.mend import mend
 from tetmesh_check.quality import Cells, Labels, Points, TetrahedronQuality, tetrahedron_quality
 from tetmesh_check.sizing import SizingField, world_grid
 from tetmesh_check.volume import orient_positive
 from tetmesh_check.worker import TimeLimit, TimeLimitError, UnavailableError, WorkerResult
 
-ATTEMPTS = (HxtSettings(), HxtSettings(relocate=True), HxtSettings(algorithm="delaunay"))
-"""What is tried in turn, until an attempt keeps all interfaces and the limits of shape: HXT, HXT with more patience (not where it failed), and
-Gmsh's older Delaunay, which takes some complexes that HXT does not. ``--method hxt`` leaves the last out."""
+ATTEMPTS = (HxtSettings(), HxtSettings(algorithm="delaunay"))
+"""What is tried in turn, until an attempt keeps all interfaces: HXT, and Gmsh's older Delaunay, which takes some complexes that HXT does not.
+``--method hxt`` leaves the last out. Single tetrahedra beyond the limits of shape are no reason to make all anew: they are
+mended (:mod:`.mend`)."""
 
 
 @dataclass(frozen=True)
@@ -33,6 +36,9 @@ class ComplexTask:
     checked: Complex
     sides: ForcedSides
     """Where its triangles allow no tetrahedra within the limits."""
+    beyond_goal: ForcedSides
+    """Where they allow none that reaches the goal of mending."""
+    goal: Goal
     field: SizingField
     """Edge lengths, without the factor."""
     tet_size_factor: float
@@ -94,9 +100,39 @@ def _judge(task: ComplexTask, raw: WorkerResult) -> FilledComplex:
         )
     tetrahedra, _turned = orient_positive(points, raw.tetrahedra)
     found = conform(tetrahedra, surface.triangles, task.checked.sides)
-    standing = np.where(task.sides.side == INSIDE, found.behind[task.sides.facet], found.before[task.sides.facet])
-    forced = _forced(task, standing, len(tetrahedra))
-    return FilledComplex(points, tetrahedra, tetrahedron_quality(points, tetrahedra), found, standing, forced)
+    return _measured(task, points, tetrahedra, found, tetrahedron_quality(points, tetrahedra))
+
+
+def _measured(
+    task: ComplexTask, points: Points, tetrahedra: Cells, found: Conformity, quality: TetrahedronQuality
+) -> FilledComplex:
+    standing = _standing(task.sides, found)
+    return FilledComplex(points, tetrahedra, quality, found, standing, _forced(task, standing, len(tetrahedra)))
+
+
+def _standing(sides: ForcedSides, found: Conformity) -> Labels:
+    """The tetrahedron on each of some sides of triangles."""
+    standing: Labels = np.where(sides.side == INSIDE, found.behind[sides.facet], found.before[sides.facet])
+    return standing
+
+
+def _mend(task: ComplexTask, filled: FilledComplex, results: dict[str, Any]) -> FilledComplex:
+    """Mend the tetrahedra that miss the goal, where that is possible."""
+    mended = mend(
+        (filled.points, filled.tetrahedra),
+        filled.conformity,
+        filled.quality,
+        task.checked.surface.triangles,
+        (task.beyond_goal, _standing(task.beyond_goal, filled.conformity)),
+        task.goal,
+    )
+    if mended is None:
+        return filled
+    quality = tetrahedron_quality(mended.points, mended.tetrahedra)
+    after = _measured(task, mended.points, mended.tetrahedra, mended.conformity, quality)
+    smallest = [smallest_elsewhere(one.quality.min_dihedral, one.forced.dihedral) for one in (filled, after)]
+    results["mended"] = {**mended.results, "min_dihedral_before": smallest[0], "min_dihedral_after": smallest[1]}
+    return after
 
 
 def _forced(task: ComplexTask, standing: Labels, count: int) -> Forced:
@@ -143,10 +179,8 @@ def fill_complex(task: ComplexTask, context: Context) -> FilledComplex:
         grid = world_grid(task.field, task.checked.surface, task.tet_size_factor)
     best: FilledComplex | None = None
     failure: StageError | None = None
-    for settings in ATTEMPTS if task.method is Method.AUTO else ATTEMPTS[:2]:
-        if settings.relocate and best is None:
-            continue
-        tried: dict[str, Any] = {"algorithm": settings.algorithm, "relocated": settings.relocate}
+    for settings in ATTEMPTS if task.method is Method.AUTO else ATTEMPTS[:1]:
+        tried: dict[str, Any] = {"algorithm": settings.algorithm}
         try:
             with context.step("tetrahedralize"):
                 raw = fill_complex_by_gmsh(
@@ -182,12 +216,9 @@ def fill_complex(task: ComplexTask, context: Context) -> FilledComplex:
         if best is None or filled.rank > best.rank:
             best = filled
             results.update(tried)
-        if filled.conformity.faults == 0 and well_shaped(filled.quality, task.limits, filled.forced):
+        if filled.conformity.faults == 0:
             break
-        context.verbose(
-            f"{settings.algorithm}: {filled.conformity.faults} faults at the interfaces, smallest dihedral angle {smallest:.3g} degrees "
-            "where the surface does not force a smaller one"
-        )
+        context.verbose(f"{settings.algorithm}: {filled.conformity.faults} faults at the interfaces")
     if best is None:
         assert failure is not None, "an attempt is made or fails"
         raise failure
@@ -198,4 +229,7 @@ def fill_complex(task: ComplexTask, context: Context) -> FilledComplex:
             "without them the regions run into each other; nothing was written",
             f"its log is {task.log}; try another --tet-size-factor",
         )
+    if best.conformity.faults == 0:
+        with context.step("mend tetrahedra"):
+            best = _mend(task, best, results)
     return best

@@ -6,7 +6,9 @@ from dataclasses import fields, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from tetmesh_check.cavity import Goal
 from tetmesh_check.checks import Check, Forced, Limits, conclude, shape_checks, smallest_elsewhere, verdict
 from tetmesh_check.complex import Complex, check_complex, describe_complex
 from tetmesh_check.conform import NOBODY
@@ -19,6 +21,7 @@ from tetmesh_check.forced import INSIDE, ForcedSides, forced_sides
 from tetmesh_check.forward import Forward, RegionMesh, Source, resolve_source
 from tetmesh_check.materials import NOTHING, Sides
 from tetmesh_check.materials_fill import ComplexTask, FilledComplex, fill_complex, refuse_method
+from tetmesh_check.mend import GOAL_DEGREES
 from tetmesh_check.quality import TetrahedronQuality, centres_of, summarize, summarize_all, triangle_quality
 from tetmesh_check.sizing import SizingField
 from tetmesh_check.solve import VolumeMesh, solve_on
@@ -57,15 +60,20 @@ def _regions(checked: Complex, filled: FilledComplex) -> list[dict[str, Any]]:
     return listed
 
 
-def _sides(checked: Complex, limits: Limits, context: Context) -> ForcedSides:
-    """Find where the triangles allow no tetrahedra within the limit of the dihedral angle, and warn of it."""
+def _within(sides: ForcedSides, kept: NDArray[np.bool_]) -> ForcedSides:
+    return ForcedSides(sides.facet[kept], sides.side[kept], sides.bound[kept])
+
+
+def _sides(checked: Complex, limits: Limits, goal: Goal, context: Context) -> tuple[ForcedSides, ForcedSides]:
+    """Find where the triangles allow no tetrahedra within the limit of the dihedral angle, and warn of it; and where none at the goal."""
     sides, surface = checked.sides, checked.surface
-    found = forced_sides(surface.points, surface.triangles, limits.min_dihedral)
-    material = np.where(found.side == INSIDE, sides.inside[found.facet], sides.outside[found.facet])
-    filled = material != NOTHING
-    found = ForcedSides(found.facet[filled], found.side[filled], found.bound[filled])
+    every = forced_sides(surface.points, surface.triangles, goal.min_dihedral)
+    material = np.where(every.side == INSIDE, sides.inside[every.facet], sides.outside[every.facet])
+    every, material = _within(every, material != NOTHING), material[material != NOTHING]
+    below = every.bound < limits.min_dihedral
+    found = _within(every, below)
     if len(found.facet):
-        material, sharpest = material[filled], int(found.bound.argmin())
+        material, sharpest = material[below], int(found.bound.argmin())
         x, y, z = surface.points[surface.triangles[found.facet[sharpest]]].mean(axis=0)
         context.warn(
             f"on {len(found.facet)} triangles no tetrahedron can have dihedral angles of {limits.min_dihedral:g} degrees (--min-dihedral), "
@@ -73,7 +81,7 @@ def _sides(checked: Complex, limits: Limits, context: Context) -> ForcedSides:
             f"{sides.names[material[sharpest]]} at ({x:.6g}, {y:.6g}, {z:.6g}) mm. That is no failure; the report lists the places "
             "(forced_by_surface)"
         )
-    return found
+    return found, every
 
 
 def _forced_tetrahedra(sides: ForcedSides, checked: Complex, filled: FilledComplex) -> list[dict[str, Any]]:
@@ -293,10 +301,14 @@ def run_materials(
         f"{len(checked.shells.materials)} volumes"
     )
     with context.step("find forced tetrahedra"):
-        sides = _sides(checked, arguments.limits, context)
+        limits = arguments.limits
+        goal = Goal(max(GOAL_DEGREES, limits.min_dihedral), limits.min_scaled_jacobian, limits.min_dihedral)
+        sides, beyond_goal = _sides(checked, limits, goal, context)
     task = ComplexTask(
         checked=checked,
         sides=sides,
+        beyond_goal=beyond_goal,
+        goal=goal,
         field=sizing[0],
         tet_size_factor=arguments.tet_size_factor,
         method=arguments.method,

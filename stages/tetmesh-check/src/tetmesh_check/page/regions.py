@@ -6,7 +6,7 @@ from html import escape
 from typing import Any
 
 from tetmesh_check.colours import region_colours
-from tetmesh_check.page.case import Case, dig
+from tetmesh_check.page.case import STAGES, Case, dig
 from tetmesh_check.page.charts import number
 from tetmesh_check.page.html import section, table
 
@@ -100,6 +100,45 @@ def _currents(case: Case) -> str:
     )
 
 
+def _forced_rows(case: Case) -> list[tuple[str, ...]]:
+    return [
+        (
+            escape(entry["material"]),
+            ", ".join(f"{x:.2f}" for x in entry["place_mm"]),
+            *(number(entry[key]) for key in ("possible_degrees", "min_dihedral", "min_scaled_jacobian")),
+        )
+        for entry in dig(case.results, "volume", "forced_by_surface") or []
+    ]
+
+
+def _flat(case: Case) -> str:
+    """What the surface forces to be flat, and what was mended."""
+    parts = []
+    mended = dig(case.results, "tetrahedralizer", "mended")
+    if mended is not None:
+        before, after, smallest, now = (
+            number(mended[key]) for key in ("below_before", "below_after", "min_dihedral_before", "min_dihedral_after")
+        )
+        parts.append(
+            f"<p>{before} tetrahedra were below {number(mended['goal_degrees'])} degrees, the limit of the scaled Jacobian, or what the "
+            f"surface allows of them; mended where they lay, {after} are left. The smallest angle that it does not force below the limit "
+            f"was {smallest} degrees and is {now} now.</p>"
+        )
+    rows = _forced_rows(case)
+    if rows:
+        limit = dig(case.reports, STAGES[-1], "parameters", "min_dihedral")
+        words = "" if limit is None else f" of {number(limit)} degrees"
+        smallest = min(entry["min_dihedral"] for entry in case.results["volume"]["forced_by_surface"])
+        head = ("material", "place, mm", "possible, degrees", "smallest dihedral angle", "scaled Jacobian")
+        parts.append(
+            f"<p>On {number(len(rows))} sides of triangles no tetrahedron can reach the limit{words}, whoever makes it, since other "
+            f"triangles meet them at less or lie close before them, as where a thin layer ends. The smallest angle that came out "
+            f"is of {number(smallest)} degrees. That is no failure of the tetrahedra.</p>"
+            f"{_long_table(head, rows, 'places')}"
+        )
+    return f"<h3>Flat tetrahedra</h3>{''.join(parts)}" if parts else ""
+
+
 def materials(case: Case) -> str:
     """Write a row a material and a row an interface; nothing for one object.
 
@@ -127,4 +166,4 @@ def materials(case: Case) -> str:
         f"{number(counted['junction_vertices'])} points. The turn is that of the normal from a triangle to its neighbour on the same sheet, "
         f"root mean square, degrees{'' if turn is None else f'; {number(turn)} over all'}.</p>"
     )
-    return section("Materials", f"{regions}<h3>Interfaces</h3>{interfaces}{words}{_currents(case)}")
+    return section("Materials", f"{regions}<h3>Interfaces</h3>{interfaces}{words}{_flat(case)}{_currents(case)}")

@@ -1,0 +1,129 @@
+"""Tetrahedra below a goal are mended where they lie: surfaces, regions and volumes stay as they are."""
+
+from __future__ import annotations
+
+import numpy as np
+from complexes import between
+from test_solve import block
+
+from tetmesh_check.cavity import Goal, Part, measure
+from tetmesh_check.conform import NOBODY, conform
+from tetmesh_check.forced import ForcedSides
+from tetmesh_check.materials import Sides
+from tetmesh_check.mend import SHARE, mend
+from tetmesh_check.quality import Cells, Labels, Points, signed_tetrahedron_volumes, tetrahedron_quality
+
+GOAL = Goal(12.0, 0.05)
+_NO = np.empty(0, dtype=np.int64)
+NONE = (ForcedSides(_NO, _NO, np.empty(0)), _NO)
+
+
+def sliver(height: float) -> tuple[Points, Cells]:
+    """A flat tetrahedron across the middle of a double pyramid on a square, whose corners lie above and below by turns."""
+    ring = [[1.0, 0.0, height], [0.0, 1.0, -height], [-1.0, 0.0, height], [0.0, -1.0, -height]]
+    cells = np.array([[0, 1, 2, 3], [0, 1, 2, 4], [0, 2, 3, 4], [0, 1, 3, 5], [1, 2, 3, 5]])
+    points = np.array([*ring, [0.0, 0.0, 1.0], [0.0, 0.0, -1.0]])
+    turned = signed_tetrahedron_volumes(points, cells) < 0
+    cells[turned] = cells[turned][:, [0, 2, 1, 3]]
+    return points, cells
+
+
+def test_a_sliver_between_vertices_of_the_surface_goes() -> None:
+    points, cells = sliver(0.02)
+    part = Part(points, cells, np.ones(5, dtype=np.int64), {}, GOAL)
+    outside = {tuple(sorted(face)) for face, _ in part.faces(sorted(part.tetrahedra))}
+    (worst,) = part.bad()
+    assert part.value[worst] < 0.5
+    assert part.mend(worst)
+    assert part.bad() == []
+    assert {tuple(sorted(face)) for face, _ in part.faces(sorted(part.tetrahedra))} == outside
+    after, used = np.array([part.tetrahedra[k] for k in sorted(part.tetrahedra)]), np.array(part.points)
+    volumes = signed_tetrahedron_volumes(used, after)
+    assert volumes.min() > 0
+    np.testing.assert_allclose(volumes.sum(), signed_tetrahedron_volumes(points, cells).sum())
+    np.testing.assert_array_equal(used[: len(points)], points)
+
+
+def test_what_lies_between_regions_is_not_crossed() -> None:
+    points, cells = sliver(0.02)
+    # the sliver is a region by itself: all its faces stay, and nothing can be done
+    part = Part(points, cells, np.array([2, 1, 1, 1, 1]), {}, GOAL)
+    (worst,) = part.bad()
+    assert not part.mend(worst)
+    # what the surface forces is asked for no more than is possible
+    bound = float(tetrahedron_quality(points, cells[:1]).min_dihedral[0])
+    regions = np.ones(5, dtype=np.int64)
+    assert Part(points, cells, regions, {((0, 1, 2), 1): bound}, GOAL).bad() == []
+    assert len(Part(points, cells, regions, {((0, 1, 2), 1): 1.2 * bound}, GOAL).bad()) == 1
+    assert len(Part(points, cells, regions, {((0, 1, 2), 2): bound}, GOAL).bad()) == 1
+    # but the limit of the check where it can be reached
+    strict = Goal(12.0, 0.05, 1.05 * bound)
+    assert len(Part(points, cells, regions, {((0, 1, 2), 1): 1.08 * bound}, strict).bad()) == 1
+
+
+def test_values_are_the_measures_over_the_goal() -> None:
+    points = np.random.default_rng(3).normal(size=(400, 3))
+    cells = np.arange(400).reshape(-1, 4)
+    quality, found = (
+        tetrahedron_quality(points, cells),
+        measure([points[cells[:, k]].T for k in range(4)], (np.array(12.0), np.array(0.05))),
+    )
+    wanted = np.minimum(np.minimum(quality.min_dihedral / 12.0, quality.scaled_jacobian / 0.05), 1.0)
+    positive = quality.volume > 0
+    assert 0.3 < positive.mean() < 0.7
+    np.testing.assert_allclose(found[positive], wanted[positive], rtol=1e-6)
+    assert (found[~positive] <= 0).all()
+
+
+def crooked() -> tuple[Points, Cells, Labels, Cells, Sides]:
+    """Two materials in a block, with vertices within each moved nearly into a face."""
+    points, cells = block((9, 9, 10), 1.0)
+    upper = points[cells].mean(axis=1)[:, 2] > 5.0
+    made = between(points, cells, 1 + upper.astype(np.int64), ("lower", "upper"))
+    # the vertices of the surface first
+    place = {tuple(position): k for k, position in enumerate(made.points.tolist())}
+    order = [place.setdefault(tuple(position), len(place)) for position in points.tolist()]
+    moved = np.empty_like(points)
+    moved[order] = points
+    cells = np.array(order)[cells]
+    for x, y, z in ((2.0, 2.0, 2.0), (6.0, 5.0, 4.0), (4.0, 4.0, 7.0)):
+        moved[place[x, y, z]] += [0.0, 0.0, 0.9]
+    table = [{"name": name} for name in ("outside", *made.names)]
+    return moved, cells, 1 + upper.astype(np.int64), made.triangles, Sides(made.inside, made.outside, table)
+
+
+def test_the_rest_of_the_mesh_stays() -> None:
+    points, cells, regions, triangles, sides = crooked()
+    found, quality = conform(cells, triangles, sides), tetrahedron_quality(points, cells)
+    assert found.faults == 0
+    np.testing.assert_array_equal(found.regions, regions)
+    below = quality.min_dihedral < 12.0
+    assert 0 < below.sum() < SHARE * len(cells)
+    assert quality.volume.min() > 0
+    mended = mend((points, cells), found, quality, triangles, NONE, GOAL)
+    assert mended is not None
+    assert mended.results["below_before"] == below.sum()
+    assert mended.results["below_after"] == 0
+    after = tetrahedron_quality(mended.points, mended.tetrahedra)
+    assert after.min_dihedral.min() >= 12.0
+    surface = int(triangles.max()) + 1
+    np.testing.assert_array_equal(mended.points[:surface], points[:surface])
+    # what is carried over is what is found anew
+    anew = conform(mended.tetrahedra, triangles, sides)
+    assert anew.faults == 0
+    for name in ("regions", "behind", "before"):
+        np.testing.assert_array_equal(getattr(mended.conformity, name), getattr(anew, name))
+    for number in (1, 2):
+        np.testing.assert_allclose(after.volume[anew.regions == number].sum(), quality.volume[regions == number].sum())
+    assert (anew.before == NOBODY).any()
+    again = mend((points, cells), found, quality, triangles, NONE, GOAL)
+    assert again is not None
+    assert again.points.tobytes() == mended.points.tobytes()
+    assert again.tetrahedra.tobytes() == mended.tetrahedra.tobytes()
+
+
+def test_a_mesh_that_is_bad_as_a_whole_stays() -> None:
+    points, cells, _, triangles, sides = crooked()
+    found, quality = conform(cells, triangles, sides), tetrahedron_quality(points, cells)
+    assert (quality.min_dihedral < 50.0).mean() > SHARE
+    assert mend((points, cells), found, quality, triangles, NONE, Goal(50.0, 0.05)) is None
