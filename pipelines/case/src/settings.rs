@@ -23,13 +23,11 @@ pub struct Settings {
 }
 
 /// Two keys that say the same thing in two ways, and why they cannot both hold.
-const EXCLUSIVE: [(&str, &str, &str); 13] = [
+const EXCLUSIVE: [(&str, &str, &str); 11] = [
     ("INPUT", "PHANTOM", "a case has one volume: a file, or a phantom that is made"),
     ("ISO", "LABELS", "a volume is meshed as a scalar or as labels"),
     ("ISO", "MATERIALS", "a volume is meshed as a scalar or as labels"),
     ("LABELS", "MATERIALS", "labels are one object together, or a material each"),
-    ("VERTICES", "MATERIALS", "no edge length is looked for that gives many materials a number of vertices"),
-    ("COUNT", "MATERIALS", "the particles of many materials are as many as their edge lengths ask for"),
     ("TET_ORDER", "MATERIALS", "nodes amid the edges lie on the surface of one object; many materials have several"),
     ("SIZE", "EPSILON", LEAVES_NOTHING),
     ("SIZE", "DELTA", LEAVES_NOTHING),
@@ -174,6 +172,9 @@ mod tests {
         assert_eq!(settings.get("LABELS"), Some("left lung,2..5"));
         let settings = read(&["MATERIALS=all"], &case).expect("MATERIALS against the case's ISO");
         assert_eq!((settings.get("ISO"), settings.get("INSIDE"), settings.get("MATERIALS")), (None, None, Some("all")));
+        let settings = read(&["MATERIALS=all", "VERTICES=9000"], &["LABELS=1", "SIZE=2"])
+            .expect("a number of vertices of many materials");
+        assert_eq!((settings.get("MATERIALS"), settings.get("VERTICES")), (Some("all"), Some("9000")));
         let settings = read(&["MAX_SIZE=9"], &["SIZE=2"]).expect("MAX_SIZE against the case's SIZE");
         assert_eq!(settings.get("SIZE"), None);
         let settings = read(&["ISO="], &case).expect("an empty value unsets the case's");

@@ -125,11 +125,19 @@ impl ScaleArgs {
         self.scale_for_vertices.is_none().then_some(given)
     }
 
-    /// The scale for a number of vertices.
-    fn choose_by_area(&self, geometry: &Geometry, occupancy: &Occupancy) -> Result<Choice> {
+    /// The scale for a number of vertices, given how to find their edge length (mm): of how many, and whether thin parts are kept. `volume` is that of what is meshed, mm^3.
+    ///
+    /// # Errors
+    /// Where the edge length cannot be found, and when nothing is left.
+    pub(crate) fn choose_by_area(
+        &self,
+        geometry: &Geometry,
+        volume: f64,
+        edge_length: impl FnOnce(f64, bool) -> Result<Option<f64>>,
+    ) -> Result<Choice> {
         let vertices = self.scale_for_vertices.unwrap_or(0);
-        let length = edge_length(occupancy, vertices as f64, self.keep_thin)?
-            .ok_or_else(|| nothing_left(&format!("a mesh of {vertices} vertices"), occupancy.volume()))?;
+        let length = edge_length(vertices as f64, self.keep_thin)?
+            .ok_or_else(|| nothing_left(&format!("a mesh of {vertices} vertices"), volume))?;
         let whose = format!("the edge length of {vertices} vertices, {length:.4} mm,");
         Ok(Choice::for_length(length, &whose, geometry.mean_spacing()))
     }
@@ -165,7 +173,8 @@ pub fn choose_scale(
         None => {
             let _step = context.step("choose the scale");
             let occupancy = occupancy(&volume, object);
-            let choice = args.choose_by_area(&volume.geometry, &occupancy)?;
+            let found = |vertices, keep_thin| edge_length(&occupancy, vertices, keep_thin);
+            let choice = args.choose_by_area(&volume.geometry, occupancy.volume(), found)?;
             (volume, choice)
         }
     };

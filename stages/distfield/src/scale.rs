@@ -161,36 +161,71 @@ const AREA_ROUNDS: (usize, f64) = (10, 0.01);
 /// Edge lengths below this many voxels are not looked for: there is no object.
 const SMALLEST_SHARE: f64 = 0.02;
 
+/// A grid that halves its resolution, so that areas at large scales are measured on few voxels.
+pub(crate) trait Coarser: Sized {
+    /// The grid.
+    fn geometry(&self) -> &Geometry;
+
+    /// The same on voxels twice as long along each axis.
+    fn halved(&self) -> Self;
+}
+
+impl Coarser for Occupancy {
+    fn geometry(&self) -> &Geometry {
+        &self.geometry
+    }
+
+    fn halved(&self) -> Self {
+        self.halved()
+    }
+}
+
 /// The edge length (mm) of which a mesh of the object smoothed for it has about so many vertices. `None` if there is no object, or nothing
 /// left of it.
 ///
 /// # Errors
 /// When its parts are too many to be told apart.
 pub fn edge_length(occupancy: &Occupancy, vertices: f64, keep_thin: bool) -> Result<Option<f64>> {
-    let mut coarser: Vec<Occupancy> = Vec::new();
-    while coarser.last().unwrap_or(occupancy).shares.len() > 8 * FEWEST_VOXELS {
-        coarser.push(coarser.last().unwrap_or(occupancy).halved());
+    let area = |grid: &Occupancy, scale: Scale| {
+        Ok(Boxed::new(grid, scale)?.map_or(0.0, |boxed| {
+            measure(&marching_cubes(&Image { geometry: boxed.before.geometry, data: boxed.level }, 0.0)).area
+        }))
+    };
+    edge_length_by(occupancy, area, vertices, keep_thin)
+}
+
+/// The same by what area (mm^2) there is on a grid at a scale.
+///
+/// # Errors
+/// Where that area cannot be told.
+pub(crate) fn edge_length_by<G: Coarser>(
+    finest: &G,
+    area: impl Fn(&G, Scale) -> Result<f64>,
+    vertices: f64,
+    keep_thin: bool,
+) -> Result<Option<f64>> {
+    let mut coarser: Vec<G> = Vec::new();
+    while coarser.last().unwrap_or(finest).geometry().voxel_count() > 8 * FEWEST_VOXELS {
+        coarser.push(coarser.last().unwrap_or(finest).halved());
     }
-    let mut length = coarser.last().unwrap_or(occupancy).geometry.mean_spacing();
+    let smallest = SMALLEST_SHARE * finest.geometry().mean_spacing();
+    let mut length = coarser.last().unwrap_or(finest).geometry().mean_spacing();
     for _ in 0..AREA_ROUNDS.0 {
         let scale = Scale { length: SCALE_OVER_SIZE * length, keep_thin };
-        let coarse_enough = |grid: &&Occupancy| 0.5 * scale.length >= COARSE_SIGMA * grid.geometry.mean_spacing();
-        let grid = coarser.iter().rev().find(coarse_enough).unwrap_or(occupancy);
-        let area = Boxed::new(grid, scale)?.map_or(0.0, |boxed| {
-            measure(&marching_cubes(&Image { geometry: boxed.before.geometry, data: boxed.level }, 0.0)).area
-        });
-        let found = (2.0 * area / (3f64.sqrt() * vertices)).sqrt();
+        let coarse_enough = |grid: &&G| 0.5 * scale.length >= COARSE_SIGMA * grid.geometry().mean_spacing();
+        let grid = coarser.iter().rev().find(coarse_enough).unwrap_or(finest);
+        let found = (2.0 * area(grid, scale)? / (3f64.sqrt() * vertices)).sqrt();
         if (found / length - 1.0).abs() < AREA_ROUNDS.1 {
             return Ok(Some(found));
         }
         // the area falls with the scale, all of it where that is above the thickness of everything: not too far at a time
         let is_near = (0.5..2.0).contains(&(found / length));
         length = if is_near { found } else { length * (found / length).clamp(0.25, 4.0).sqrt() };
-        if length < SMALLEST_SHARE * occupancy.geometry.mean_spacing() {
+        if length < smallest {
             break;
         }
     }
-    Ok((length >= SMALLEST_SHARE * occupancy.geometry.mean_spacing()).then_some(length))
+    Ok((length >= smallest).then_some(length))
 }
 
 /// Values in a box of a grid.

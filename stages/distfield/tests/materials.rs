@@ -37,7 +37,7 @@ fn make(volume: Volume, border: Border) -> Made {
 
 fn make_with(volume: Volume, border: Border, options: MaterialOptions) -> Made {
     let chosen = resolve(&[Choice::All], &volume).expect("labels");
-    let grid = LabelGrid::new(volume, &chosen, border, MARGIN).expect("one material a voxel");
+    let grid = LabelGrid::new(&volume, &chosen, border, MARGIN).expect("one material a voxel");
     let extracted = extract(&grid, &chosen, &options, &Silent).expect("indicators");
     let materials = &extracted.materials;
     let survey = survey(materials, materials.geometry(), &grid, chosen.table.len(), &Silent).expect("surveyed");
@@ -309,6 +309,35 @@ fn a_scale_keeps_the_volumes_of_all_and_smooths_their_borders() {
 }
 
 #[test]
+fn a_scale_leaves_materials_their_places_however_far_the_outside_is() {
+    // the outside in one corner, and slabs across the rest: two materials, far from it, meet the border of the volume
+    let slabs = volume([48, 16, 16], |[i, j, k]| if i < 8 && j < 8 && k < 8 { 0 } else { 1 + (i / 16) as u8 });
+    let made = scaled(slabs, 3.0);
+    for id in 0..4 {
+        let change = made.survey.volumes[id] / (made.extracted.tallies[id].voxels as f64 * 1.04) - 1.0;
+        assert!(change.abs() < 0.05, "{id}: {change}");
+    }
+}
+
+#[test]
+fn the_scale_for_a_number_of_vertices_goes_by_the_area_of_all_interfaces() {
+    let folder = tempfile::tempdir().expect("folder");
+    let at = |name: &str| folder.path().join(name).to_str().expect("text").to_owned();
+    let (input, output) = (at("in.nrrd"), at("out.vti"));
+    write_halves(Path::new(&input));
+    let vertices = 800.0;
+    let run = distfield(&[&input, "-o", &output, "--material", "all", "--scale-for-vertices", "800"]);
+    assert_eq!(run.status.code(), Some(0), "{}", String::from_utf8_lossy(&run.stderr));
+    let made = read_materials(Path::new(&output)).expect("read");
+    let interfaces = made.meta["interfaces"].as_array().expect("interfaces");
+    assert_eq!(interfaces.len(), 4);
+    let area: f64 = interfaces.iter().filter_map(|pair| pair["area"].as_f64()).sum();
+    let length = (2.0 * area / (3f64.sqrt() * vertices)).sqrt();
+    let scale = made.meta["scale"].as_f64().expect("a scale");
+    assert!((scale / (1.6 * length) - 1.0).abs() < 0.1, "{scale} mm for edges of {length} mm");
+}
+
+#[test]
 fn one_material_at_a_scale_is_what_one_object_is() {
     let folder = tempfile::tempdir().expect("folder");
     let at = |name: &str| folder.path().join(name).to_str().expect("text").to_owned();
@@ -454,7 +483,7 @@ fn what_cannot_be_meant_is_refused() {
         (&["--material", "outside=1"], "is the name of what no material has"),
         (&["--material", "all", "--labels", "1"], "cannot be used with"),
         (&["--material", "all", "--iso", "1"], "cannot be used with"),
-        (&["--material", "all", "--scale-for-vertices", "3000"], "do not take it yet"),
+        (&["--material", "all", "--scale-for-vertices", "3"], "3 is not in"),
         (&["--material", "all", "--tightening", "1"], "do not take it yet"),
         (&["--material", "all", "--keep", "largest"], "do not take it yet"),
     ] {

@@ -100,6 +100,17 @@ mod tests {
     }
 
     #[test]
+    fn strata_join_while_they_are_of_four_materials_and_know_their_curves() {
+        let of = |ids: &[u16]| stratum(ids).expect("valid");
+        assert_eq!(of(&[0, 3, 7]).joined(&of(&[7, 2, 0])), stratum(&[0, 2, 3, 7]));
+        assert_eq!(of(&[0, 3, 7, 8]).joined(&of(&[7, 2, 0])), None);
+        assert_eq!(of(&[0, 3]).curves().count(), 0);
+        assert_eq!(of(&[0, 3, 7]).curves().collect::<Vec<_>>(), [of(&[0, 3, 7])]);
+        let four = [[3, 7, 9], [0, 7, 9], [0, 3, 9], [0, 3, 7]].map(|ids| of(&ids));
+        assert_eq!(of(&[0, 3, 7, 9]).curves().collect::<Vec<_>>(), four);
+    }
+
+    #[test]
     fn lower_strata_lie_on_those_whose_materials_they_have() {
         let (sheet, curve, point) = (stratum(&[0, 3]), stratum(&[0, 3, 7]), stratum(&[0, 2, 3, 9]));
         let [sheet, curve, point] = [sheet, curve, point].map(|stratum| stratum.expect("valid"));

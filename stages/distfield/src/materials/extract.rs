@@ -60,7 +60,7 @@ pub struct Extracted {
 }
 
 /// Lets nobody see the phases of single materials, but stops when asked to.
-struct Quiet<'a>(&'a dyn Monitor);
+pub(super) struct Quiet<'a>(pub(super) &'a dyn Monitor);
 
 impl Monitor for Quiet<'_> {
     fn check(&self) -> std::result::Result<(), Interrupted> {

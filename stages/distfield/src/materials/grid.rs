@@ -2,10 +2,12 @@
 
 use super::choice::Chosen;
 use crate::mask::Mask;
+use crate::scale::Coarser;
 use crate::{Border, bits::Bits};
 use isoparticles_field::materials::MaterialId;
 use isoparticles_stage::error::{Error, Result};
 use isoparticles_volume::{Geometry, LayerLabel, Volume};
+use rayon::prelude::*;
 use std::collections::BTreeMap;
 
 /// The material of every voxel of a volume, and of the nodes of the padded grid round it.
@@ -54,11 +56,11 @@ impl Extent {
 }
 
 impl LabelGrid {
-    /// The materials that were chosen, of the voxels of a volume, which is used up.
+    /// The materials that were chosen, of the voxels of a volume.
     ///
     /// # Errors
     /// When layers that overlap give one voxel to two materials.
-    pub fn new(volume: Volume, chosen: &Chosen, border: Border, margin: usize) -> Result<Self> {
+    pub fn new(volume: &Volume, chosen: &Chosen, border: Border, margin: usize) -> Result<Self> {
         let mut numbers = vec![0u16; volume.voxels.len()];
         let mut overlaps: BTreeMap<(u16, u16), usize> = BTreeMap::new();
         for (layer, voxels) in volume.layers().enumerate() {
@@ -91,7 +93,7 @@ impl LabelGrid {
                 "take one of the two out, or join them to one material: NAME=LABEL+LABEL",
             ));
         }
-        Ok(Self { geometry: volume.geometry, numbers, border, margin })
+        Ok(Self { geometry: volume.geometry.clone(), numbers, border, margin })
     }
 
     /// The padded grid.
@@ -139,5 +141,30 @@ impl LabelGrid {
         };
         let inside = Bits::of(geometry.voxel_count(), |n| holds(self.numbers[voxel(n)]));
         Mask { geometry, inside }
+    }
+}
+
+impl Coarser for LabelGrid {
+    fn geometry(&self) -> &Geometry {
+        &self.geometry
+    }
+
+    /// Each voxel is of the material that most of its eight are of, of as many the one that comes first along x, y and z.
+    fn halved(&self) -> Self {
+        let [nx, ny, nz] = self.geometry.size;
+        let size = self.geometry.size.map(|n| n.div_ceil(2));
+        let most = |n: usize| {
+            let [i, j, k] = [2 * (n % size[0]), 2 * (n / size[0] % size[1]), 2 * (n / (size[0] * size[1]))];
+            let own = |corner: usize| {
+                let (i, j, k) = (i + (corner & 1), j + (corner >> 1 & 1), k + (corner >> 2));
+                self.numbers[self.geometry.linear(i.min(nx - 1), j.min(ny - 1), k.min(nz - 1))]
+            };
+            let corners: [u16; 8] = std::array::from_fn(own);
+            let count = |number: u16| corners.iter().filter(|&&other| other == number).count();
+            corners.into_iter().rev().max_by_key(|&number| count(number)).unwrap_or(0)
+        };
+        let numbers = (0..size.iter().product()).into_par_iter().map(most).collect();
+        let geometry = Geometry { size, spacing: 2.0 * self.geometry.spacing, ..self.geometry.clone() };
+        Self { geometry, numbers, border: self.border, margin: self.margin }
     }
 }

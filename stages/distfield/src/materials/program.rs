@@ -1,9 +1,10 @@
 //! What `distfield --material` does: from the volume to the file, the report and the checks.
 
 use super::choice::{Chosen, resolve};
-use super::extract::{Extracted, MaterialOptions, Tally, extract};
+use super::extract::{Extracted, MaterialOptions, Quiet, Tally, extract};
 use super::grid::LabelGrid;
 use super::islands::remove_islands;
+use super::scaled::edge_length;
 use super::survey::{Survey, distance_limit, survey};
 use crate::changes::Kind;
 use crate::crop::{VoxelBox, room_of_labels};
@@ -15,7 +16,7 @@ use isoparticles_stage::cli::{Context, Outcome};
 use isoparticles_stage::error::{Error, Result};
 use isoparticles_stage::materials_file::{Shown, write_materials};
 use isoparticles_stage::meta::{self, MaterialsMeta};
-use isoparticles_volume::{Geometry, Volume};
+use isoparticles_volume::Volume;
 use serde_json::{Map, Value, json};
 use std::path::Path;
 
@@ -33,7 +34,7 @@ pub fn run(args: &Args, mut volume: Volume, output: &Path, context: &Context) ->
     check_options(args)?;
     let step = context.step("materials read");
     let mut chosen = resolve(&args.material, &volume)?;
-    let scale = scale(args, &volume.geometry, context);
+    let scale = scale(args, &volume, &chosen, context)?;
     let whole = volume.geometry.padded(args.margin.into());
     let found = VoxelBox::of_labels(&volume, |label| chosen.number(label) != MaterialId::OUTSIDE.0);
     let room = scale.map_or_else(
@@ -41,8 +42,8 @@ pub fn run(args: &Args, mut volume: Volume, output: &Path, context: &Context) ->
         |scale| room_round(0.5 * scale.length / volume.geometry.spacing),
     );
     take_out(args, &mut volume, found, room, context)?;
-    let mut grid = LabelGrid::new(volume, &chosen, args.border, args.margin.into())?;
-    drop(step);
+    let mut grid = LabelGrid::new(&volume, &chosen, args.border, args.margin.into())?;
+    drop((volume, step));
     remove_small(&mut grid, &mut chosen, args.smallest_island as usize, context);
     context.set_parameter("materials", json!(chosen.table));
     tell_grid(&whole, &grid.padded(), context);
@@ -124,9 +125,6 @@ fn check_options(args: &Args) -> Result<()> {
             format!("leave {option} out, or make one object of some labels with --labels"),
         ))
     };
-    if args.scale.scale_for_vertices.is_some() {
-        return refused("--scale-for-vertices", "the area of all interfaces together is not looked for");
-    }
     if args.tightening > 0.0 {
         return refused("--tightening", "what one material gives up no other would take");
     }
@@ -137,15 +135,27 @@ fn check_options(args: &Args) -> Result<()> {
 }
 
 /// The scale that the options ask for; none where every voxel centre is kept.
-fn scale(args: &Args, geometry: &Geometry, context: &Context) -> Option<Scale> {
+fn scale(args: &Args, volume: &Volume, chosen: &Chosen, context: &Context) -> Result<Option<Scale>> {
     if !args.scale.is_given() {
-        return None;
+        return Ok(None);
     }
-    let choice = args.scale.choose_by_length(geometry)?;
+    let choice = match args.scale.choose_by_length(&volume.geometry) {
+        Some(choice) => choice,
+        None => {
+            let _step = context.step("choose the scale");
+            let mut grid = LabelGrid::new(volume, chosen, args.border, args.margin.into())?;
+            let mut table = chosen.table.clone();
+            remove_islands(&mut grid, &mut table, args.smallest_island as usize);
+            let voxels = grid.numbers.iter().filter(|&&number| number != MaterialId::OUTSIDE.0).count();
+            let named = voxels as f64 * volume.geometry.spacing.element_product();
+            let found = |vertices, keep_thin| edge_length(&grid, table.len(), vertices, keep_thin, &Quiet(context));
+            args.scale.choose_by_area(&volume.geometry, named, found)?
+        }
+    };
     context.summary("scale, mm", format!("{:.4} ({})", choice.length, choice.reason));
     context.set_parameter("scale", choice.length);
     context.set_parameter("scale_reason", choice.reason);
-    (choice.length > 0.0).then_some(Scale { length: choice.length, keep_thin: args.scale.keep_thin })
+    Ok((choice.length > 0.0).then_some(Scale { length: choice.length, keep_thin: args.scale.keep_thin }))
 }
 
 /// What the file and the report say of the materials.

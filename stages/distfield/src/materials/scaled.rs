@@ -13,12 +13,14 @@ use crate::crop::CutFaces;
 use crate::field::Demands;
 use crate::occupancy::Occupancy;
 use crate::scalar::{ScalarOptions, from_voxels_with};
-use crate::scale::{Scale, level_set, room_round, smallest_part};
-use crate::{Inside, Keep, Redistanced};
+use crate::scale::{Scale, edge_length_by, level_set, room_round, smallest_part};
+use crate::{Border, Inside, Keep, Redistanced};
+use isoparticles_field::marching_cubes::marching_cubes;
 use isoparticles_field::materials::MaterialId;
+use isoparticles_mesh::measure::measure;
 use isoparticles_stage::error::Result;
 use isoparticles_stage::monitor::Monitor;
-use isoparticles_volume::{Geometry, Voxels};
+use isoparticles_volume::{Geometry, Image, Voxels};
 use rayon::prelude::*;
 
 /// What one unit of a level is stored as: levels lie between -1 and 1, and a step moves a border by less than a thousandth of the Gaussian's width.
@@ -122,7 +124,9 @@ impl<'a> Levels<'a> {
             let level = if extent.count == 0 {
                 Level { first: [0; 3], size: [0; 3], above: Vec::new(), off: Vec::new() }
             } else {
-                smoothed(grid, MaterialId(id as u16), extent, scale)
+                // the indicator of the outside is of all others, wherever they are
+                let whole = Extent { low: [0; 3], high: grid.geometry.size.map(|n| n - 1), count: extent.count };
+                smoothed(grid, MaterialId(id as u16), if id == 0 { &whole } else { extent }, scale)
             };
             new.levels.push(level);
             progress.add(1);
@@ -213,6 +217,38 @@ impl<'a> Levels<'a> {
         Ok(())
     }
 
+    /// Area of all interfaces, mm^2, each pair counted once; with those that close the materials at the border of the volume, where it does.
+    pub fn area(&self) -> f64 {
+        let of = |id: usize| {
+            let geometry = self.geometry(id);
+            if geometry.voxel_count() == 0 {
+                return 0.0;
+            }
+            measure(&marching_cubes(&Image { geometry, data: self.above(id) }, 0.0)).area
+        };
+        let inner = 0.5 * (0..self.levels.len()).map(of).sum::<f64>();
+        let border = if self.grid.border == Border::Cap { self.area_of_border() } else { 0.0 };
+        inner + border
+    }
+
+    /// Area of the border of the volume where it is not the outside's, mm^2.
+    fn area_of_border(&self) -> f64 {
+        let Geometry { size, spacing, .. } = &self.grid.geometry;
+        let axis_area = |axis: usize| {
+            let (u, v) = ((axis + 1) % 3, (axis + 2) % 3);
+            let is_named = |end: usize, a: usize, b: usize| {
+                let mut at = [0; 3];
+                (at[axis], at[u], at[v]) = (end, a, b);
+                self.highest[self.grid.geometry.linear(at[0], at[1], at[2])].material != MaterialId::OUTSIDE.0
+            };
+            let ends = [0, size[axis] - 1];
+            let faces =
+                ends.into_iter().flat_map(|end| (0..size[u]).flat_map(move |a| (0..size[v]).map(move |b| (end, a, b))));
+            faces.filter(|&(end, a, b)| is_named(end, a, b)).count() as f64 * spacing[u] * spacing[v]
+        };
+        (0..3).map(axis_area).sum()
+    }
+
     /// The grid of the box of a material.
     fn geometry(&self, id: usize) -> Geometry {
         let level = &self.levels[id];
@@ -249,6 +285,21 @@ impl<'a> Levels<'a> {
         let result = from_voxels_with(Voxels::F32(above), geometry, 0.0, &options, demands, monitor)?;
         Ok(Made { result: Some(result), first, changes: Some(changes) })
     }
+}
+
+/// The edge length (mm) of which a mesh of all materials smoothed for it has about so many vertices, by the area of their interfaces. `None` if nothing is left of them.
+///
+/// # Errors
+/// As [`Levels::new`].
+pub fn edge_length(
+    grid: &LabelGrid,
+    materials: usize,
+    vertices: f64,
+    keep_thin: bool,
+    monitor: &dyn Monitor,
+) -> Result<Option<f64>> {
+    let area = |grid: &LabelGrid, scale: Scale| Ok(Levels::new(grid, &grid.extents(materials), scale, monitor)?.area());
+    edge_length_by(grid, area, vertices, keep_thin)
 }
 
 /// The smoothed share of a material, less the level that keeps its volume.
