@@ -178,15 +178,21 @@ impl<'a> Refinement<'a> {
         let [a, b] = pair.map(|v| self.complex.points()[v as usize]);
         let length = a.distance(b);
         let is_between = |p: &DVec3| p.distance(a).min(p.distance(b)) > (MIDDLE * length).max(least);
-        let way = self.way(curve, [a, b]);
-        if let Some(point) = way.as_ref().and_then(|way| self.passed(pair, way)) {
+        let way = self.way(pair, curve);
+        let (near, distance) = self.complex.labelled.nearest(a.midpoint(b), pair[0]);
+        let is_within = !pair.contains(&near) && distance < 0.5 * length;
+        let passed = match &way {
+            Some(way) => self.on_way(way, pair[0]).into_iter().find(|&v| self.can_pass(pair, v)),
+            // where the curve is undercut along others that it is one with, a point of these leads on
+            None => Some(near)
+                .filter(|&v| is_within && curve.is_on(&self.complex.strata[v as usize]) && self.can_pass(pair, v)),
+        };
+        if let Some(point) = passed {
             self.passes.insert((pair, point));
             self.report.passes += 1;
             self.complex.pass(pair, point);
             return Ok(true);
         }
-        let (near, distance) = self.complex.labelled.nearest(a.midpoint(b), pair[0]);
-        let is_within = !pair.contains(&near) && distance < 0.5 * length;
         let beside = way.as_ref().filter(|_| is_within).and_then(|way| {
             let (foot, _) = way::foot(way, self.complex.points()[near as usize]);
             self.place_on(curve, way, foot)
@@ -207,29 +213,44 @@ impl<'a> Refinement<'a> {
         Ok(outcome)
     }
 
-    /// A point of another curve, or of another part of the same one, that the way along a segment passes within [`ONE_CURVE`]: what lies nearer together than that is one.
-    /// Without it two curves that coincide over some length would be refined without end, as neither's segments can be edges beside the other's points.
-    fn passed(&self, pair: Segment, way: &[DVec3]) -> Option<u32> {
-        let points = self.complex.points();
+    /// Points of curves that a way passes within [`ONE_CURVE`], without those at its ends; `near` is one not far from its first place.
+    fn on_way(&self, way: &[DVec3], near: u32) -> Vec<u32> {
         let reach = ONE_CURVE * self.complex.indicators.voxel();
+        let whole = way::length(way);
         let is_passed = |&v: &u32| {
-            let (foot, distance) = way::foot(way, points[v as usize]);
-            let is_inner = foot > 0.0 && foot < way::length(way);
-            let is_free = self.complex.strata[v as usize].dimension() < 2 && !self.passes.contains(&(pair, v));
-            distance < reach && is_inner && is_free && self.complex.segments.can_pass(pair, v, points)
+            let (foot, distance) = way::foot(way, self.complex.points()[v as usize]);
+            distance < reach && foot > 0.0 && foot < whole && self.complex.strata[v as usize].dimension() < 2
         };
-        let near = |place: &DVec3| self.complex.labelled.nearest(*place, pair[0]).0;
         let middles = way.windows(2).map(|step| step[0].midpoint(step[1]));
-        way.iter().copied().chain(middles).map(|place| near(&place)).find(is_passed)
+        let mut near = near;
+        let mut nearest = |place: DVec3| {
+            near = self.complex.labelled.nearest(place, near).0;
+            near
+        };
+        let mut found: Vec<u32> = way.iter().copied().chain(middles).map(&mut nearest).filter(is_passed).collect();
+        let mut known = BTreeSet::new();
+        found.retain(|&v| known.insert(v));
+        found
     }
 
-    /// The way along a curve between two of its places; of a segment of four materials along the shortest of their curves.
-    fn way(&self, curve: Stratum, ends: [DVec3; 2]) -> Option<Vec<DVec3>> {
+    /// Whether a segment can give way to two by way of a point that its curve passes: what lies nearer together than [`ONE_CURVE`] is one.
+    /// Without it two curves that coincide over some length would be refined without end, as neither's segments can be edges beside the other's points.
+    fn can_pass(&self, pair: Segment, point: u32) -> bool {
+        let is_free = self.complex.strata[point as usize].dimension() < 2 && !self.passes.contains(&(pair, point));
+        is_free && self.complex.segments.can_pass(pair, point, self.complex.points())
+    }
+
+    /// The way along the curve of a segment from one end to the other, the shortest of those of four materials. One on which points of the same curve lie already is that of
+    /// their segments: round a loop, where the direct one is undercut.
+    fn way(&self, pair: Segment, curve: Stratum) -> Option<Vec<DVec3>> {
         let indicators = self.complex.indicators;
+        let ends = pair.map(|v| self.complex.points()[v as usize]);
         let longest = LONGEST_WAY * ends[0].distance(ends[1]).max(indicators.voxel());
-        let ways = curve
-            .curves()
-            .filter_map(|curve| way_along(indicators, curve, self.complex.labelled.upper(), ends, longest));
+        let ways = curve.curves().filter_map(|curve| {
+            let way = way_along(indicators, curve, self.complex.labelled.upper(), ends, longest)?;
+            let is_free = self.on_way(&way, pair[0]).iter().all(|&v| self.complex.strata[v as usize] != curve);
+            is_free.then_some(way)
+        });
         ways.min_by(|a, b| way::length(a).total_cmp(&way::length(b)))
     }
 
