@@ -181,12 +181,8 @@ impl<'a> Refinement<'a> {
         let way = self.way(pair, curve);
         let (near, distance) = self.complex.labelled.nearest(a.midpoint(b), pair[0]);
         let is_within = !pair.contains(&near) && distance < 0.5 * length;
-        let passed = match &way {
-            Some(way) => self.on_way(way, pair[0]).into_iter().find(|&v| self.can_pass(pair, v)),
-            // where the curve is undercut along others that it is one with, a point of these leads on
-            None => Some(near)
-                .filter(|&v| is_within && curve.is_on(&self.complex.strata[v as usize]) && self.can_pass(pair, v)),
-        };
+        let on_way = way.iter().flat_map(|way| self.on_way(way, pair[0]));
+        let passed = on_way.chain(self.linked(pair, curve)).find(|&v| self.can_pass(pair, v));
         if let Some(point) = passed {
             self.passes.insert((pair, point));
             self.report.passes += 1;
@@ -231,6 +227,16 @@ impl<'a> Refinement<'a> {
         let mut known = BTreeSet::new();
         found.retain(|&v| known.insert(v));
         found
+    }
+
+    /// Points in the ball of which a segment is a diameter that have segments with one of its ends, and at which all materials of its curve meet: where the curve is one with another
+    /// it may be undercut, and these lead on.
+    fn linked(&self, pair: Segment, curve: Stratum) -> Vec<u32> {
+        let points = self.complex.points();
+        let [a, b] = pair.map(|v| points[v as usize]);
+        let is_in_ball = |v: &u32| (points[*v as usize] - a).dot(points[*v as usize] - b) < 0.0;
+        let ends = pair.into_iter().flat_map(|v| self.complex.segments.at(v)).flatten();
+        ends.filter(|v| is_in_ball(v) && self.complex.strata[*v as usize].is_on(&curve)).collect()
     }
 
     /// Whether a segment can give way to two by way of a point that its curve passes: what lies nearer together than [`ONE_CURVE`] is one.
