@@ -246,16 +246,22 @@ impl<'a> Refinement<'a> {
         is_free && self.complex.segments.can_pass(pair, point, self.complex.points())
     }
 
-    /// The way along the curve of a segment from one end to the other, the shortest of those of four materials. One on which points of the same curve lie already is that of
-    /// their segments: round a loop, where the direct one is undercut.
+    /// The way along the curve of a segment from one end to the other, the shortest of those of four materials. One over other points of the same curve is that of their
+    /// segments, and is left to them where the curve has a place half-way that does not lie on it: round a loop, where the direct way is undercut.
     fn way(&self, pair: Segment, curve: Stratum) -> Option<Vec<DVec3>> {
         let indicators = self.complex.indicators;
         let ends = pair.map(|v| self.complex.points()[v as usize]);
-        let longest = LONGEST_WAY * ends[0].distance(ends[1]).max(indicators.voxel());
+        let length = ends[0].distance(ends[1]);
+        let longest = LONGEST_WAY * length.max(indicators.voxel());
+        let is_its_own = |curve: Stratum, way: &[DVec3]| {
+            let is_on_same = |&v: &u32| self.complex.strata[v as usize] == curve;
+            let half_way = || self.onto_curve(curve, ends[0].midpoint(ends[1]), 0.5 * length);
+            let is_beside = |place| way::foot(way, place).1 > ONE_CURVE * indicators.voxel();
+            !self.on_way(way, pair[0]).iter().any(is_on_same) || !half_way().is_some_and(is_beside)
+        };
         let ways = curve.curves().filter_map(|curve| {
             let way = way_along(indicators, curve, self.complex.labelled.upper(), ends, longest)?;
-            let is_free = self.on_way(&way, pair[0]).iter().all(|&v| self.complex.strata[v as usize] != curve);
-            is_free.then_some(way)
+            is_its_own(curve, &way).then_some(way)
         });
         ways.min_by(|a, b| way::length(a).total_cmp(&way::length(b)))
     }

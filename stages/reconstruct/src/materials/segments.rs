@@ -50,14 +50,12 @@ impl Segments {
         self.middles.add(points[a as usize].midpoint(points[b as usize]), pair);
     }
 
-    /// Whether a segment can give way to two by way of a point: they are not too long, no more than four materials meet on either, and neither is one of the same curve already.
+    /// Whether a segment can give way to two by way of a point: they are not too long, and no more than four materials meet on either.
     pub fn can_pass(&self, [a, b]: Segment, by: u32, points: &[DVec3]) -> bool {
         let Some(curve) = self.curve([a, b]) else { return false };
         let fits = |end: u32| {
-            let known = self.curve(segment(end, by));
-            let is_new =
-                known.is_none_or(|known| known.joined(&curve).is_some() && (known.dimension() == 0 || known != curve));
-            points[end as usize].distance(points[by as usize]) <= self.longest && is_new
+            let known = self.curve(segment(end, by)).unwrap_or(curve);
+            points[end as usize].distance(points[by as usize]) <= self.longest && known.joined(&curve).is_some()
         };
         by != a && by != b && fits(a) && fits(b)
     }
