@@ -33,7 +33,7 @@ pub struct CheckOptions<'a> {
     /// Smallest radius ratio allowed.
     pub min_radius_ratio: Option<f64>,
     /// Farthest that a vertex may lie from each of its sheets, voxels. One at which more than four materials meet, which hardly any data let meet in a point, may lie
-    /// [`COINCIDENT`] off, and one through which a curve passes that is one with another, [`ONE_CURVE`].
+    /// [`COINCIDENT`] off, and one through which a curve passes that is one with another, `ONE_CURVE`.
     pub max_vertex_distance: f64,
 }
 
@@ -322,14 +322,14 @@ fn look_at_distances(
     let least = options.max_vertex_distance;
     let limit = |count: &usize| if *count > 4 { least.max(COINCIDENT) } else { least };
     let mut limits: Vec<f64> = meeting.iter().map(limit).collect();
-    // a curve ends where a fourth material meets it, but where it passes through a point of another
+    // a curve ends where a fourth material meets it, but where it is one with another or passes through a point of one
     let mut ends: BTreeMap<(u32, Stratum), usize> = BTreeMap::new();
     for (pair, curve) in &interfaces.segments {
-        for (v, own) in pair.iter().flat_map(|&v| curve.curves().map(move |own| (v, own))) {
-            *ends.entry((v, own)).or_default() += usize::from(v != u32::MAX && meeting[v as usize] > 3);
-        }
+        let met = pair.iter().copied().filter(|&v| v != u32::MAX);
+        let joint = met.filter(|&v| curve.dimension() == 0 || meeting[v as usize] > 3);
+        joint.for_each(|v| *ends.entry((v, *curve)).or_default() += 1);
     }
-    for ((v, _), _) in ends.into_iter().filter(|(_, count)| *count > 1) {
+    for ((v, _), _) in ends.into_iter().filter(|((_, curve), count)| curve.dimension() == 0 || *count > 1) {
         limits[v as usize] = least.max(ONE_CURVE);
     }
     offenders.distant = (0..vertices.len() as u32).filter(|&v| vertices[v as usize] > limits[v as usize]).collect();

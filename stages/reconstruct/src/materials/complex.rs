@@ -101,7 +101,7 @@ impl<'a> Complex<'a> {
         labelled.decide(|delaunay, t, centre| material_of(*indicators, strata, crowded, delaunay, t, centre));
     }
 
-    /// Has a segment pass through a point that lies on its curve but for [`super::way::ONE_CURVE`], where its materials meet then too.
+    /// Has a segment pass through a point that lies on its curve but for `ONE_CURVE`, where its materials meet then too.
     pub fn pass(&mut self, pair: Segment, point: u32) {
         let Some(curve) = self.segments.curve(pair) else { return };
         self.segments.split(pair, point, self.labelled.points());
@@ -119,6 +119,17 @@ impl<'a> Complex<'a> {
             self.labelled.reconsider(point);
         }
         self.decide();
+    }
+
+    /// Has segments shorter than `ONE_CURVE` between two points of the same four materials be of all of them: on which of their curves they lie cannot be told.
+    pub fn join_short_segments(&mut self) {
+        let reach = super::way::ONE_CURVE * self.indicators.voxel();
+        let four = |&(pair, _): &(Segment, Stratum)| {
+            let [a, b] = pair.map(|v| self.strata[v as usize]);
+            a == b && a.dimension() == 0 && self.length(pair) < reach
+        };
+        let short: Vec<Segment> = self.segments.all().filter(four).map(|(pair, _)| pair).collect();
+        short.into_iter().for_each(|pair| self.segments.widen(pair, self.strata[pair[0] as usize]));
     }
 
     /// The points, those inserted at the end.

@@ -300,7 +300,7 @@ fn without_the_crowded(
 }
 
 /// The curve of each pair: that of its end on a curve; between two junction points the shortest of their common materials that leads from one to the other and has no
-/// particles on the way, whose segments these would be, with another that is one with it ([`ONE_CURVE`]). Where none can be followed, that which is real in the middle.
+/// particles on the way, whose segments these would be, with another that is one with it (`ONE_CURVE`). Where none can be followed, that which is real in the middle.
 fn with_curves(
     pairs: &[Segment],
     points: &[Point],

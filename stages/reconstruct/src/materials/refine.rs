@@ -35,7 +35,7 @@ pub struct RefineReport {
     pub inserted: BTreeMap<Reason, usize>,
     /// Of these, on junction curves.
     pub on_curves: usize,
-    /// Times that a segment was made to pass through a point of another, nearer than [`ONE_CURVE`].
+    /// Times that a segment was made to pass through a point of another, nearer than `ONE_CURVE`.
     pub passes: usize,
     /// Parts of stars and runs round edges that were given to another material.
     pub relabelled: usize,
@@ -121,6 +121,7 @@ impl<'a> Refinement<'a> {
                 break;
             }
         }
+        self.complex.join_short_segments();
         self.report.relabelled += self.relabel(&mut step)?;
         let facets = self.complex.labelled.facets();
         self.report.unresolved = BTreeMap::new();
@@ -209,7 +210,7 @@ impl<'a> Refinement<'a> {
         Ok(outcome)
     }
 
-    /// Points of curves that a way passes within [`ONE_CURVE`], without those at its ends; `near` is one not far from its first place.
+    /// Points of curves that a way passes within `ONE_CURVE`, without those at its ends; `near` is one not far from its first place.
     fn on_way(&self, way: &[DVec3], near: u32) -> Vec<u32> {
         let reach = ONE_CURVE * self.complex.indicators.voxel();
         let whole = way::length(way);
@@ -239,7 +240,7 @@ impl<'a> Refinement<'a> {
         ends.filter(|v| is_in_ball(v) && self.complex.strata[*v as usize].is_on(&curve)).collect()
     }
 
-    /// Whether a segment can give way to two by way of a point that its curve passes: what lies nearer together than [`ONE_CURVE`] is one.
+    /// Whether a segment can give way to two by way of a point that its curve passes: what lies nearer together than `ONE_CURVE` is one.
     /// Without it two curves that coincide over some length would be refined without end, as neither's segments can be edges beside the other's points.
     fn can_pass(&self, pair: Segment, point: u32) -> bool {
         let is_free = self.complex.strata[point as usize].dimension() < 2 && !self.passes.contains(&(pair, point));

@@ -39,8 +39,8 @@ impl Segments {
 
     /// Adds a segment no longer than the longest of the first ones. One that is there already is of both curves.
     fn add(&mut self, pair: Segment, curve: Stratum, points: &[DVec3]) {
-        if let Some(known) = self.curve.get_mut(&pair) {
-            *known = known.joined(&curve).unwrap_or(*known);
+        if self.curve.contains_key(&pair) {
+            self.widen(pair, curve);
             return;
         }
         self.curve.insert(pair, curve);
@@ -48,6 +48,13 @@ impl Segments {
         self.ends.entry(a).or_default().push(b);
         self.ends.entry(b).or_default().push(a);
         self.middles.add(points[a as usize].midpoint(points[b as usize]), pair);
+    }
+
+    /// Has a segment be of the materials of another stratum, too, if they are four in all at most.
+    pub fn widen(&mut self, pair: Segment, stratum: Stratum) {
+        if let Some(known) = self.curve.get_mut(&pair) {
+            *known = known.joined(&stratum).unwrap_or(*known);
+        }
     }
 
     /// Whether a segment can give way to two by way of a point: they are not too long, and no more than four materials meet on either.
