@@ -14,7 +14,7 @@ use crate::labelled::Facet;
 use crate::queue::{NEAREST_FOR_SHAPE, NEAREST_FOR_TOPOLOGY, Queue, Reason, Refine, Remedy, Simplex};
 use glam::DVec3;
 use isoparticles_field::materials::Stratum;
-use isoparticles_field::materials::complex::way_along;
+use isoparticles_field::materials::complex::{way_from, ways_along};
 use isoparticles_mesh::kd_tree::KdTree;
 use isoparticles_stage::error::Result;
 use serde::Serialize;
@@ -196,7 +196,7 @@ impl<'a> Refinement<'a> {
         });
         let middle = || match &way {
             Some(way) => self.place_on(curve, way, 0.5 * way::length(way)),
-            None => self.onto_curve(curve, a.midpoint(b), 0.5 * length),
+            None => self.farthest(pair, curve).or_else(|| self.onto_curve(curve, a.midpoint(b), 0.5 * length)),
         };
         let place = beside.filter(is_between).or_else(|| middle().filter(is_between));
         let Some(place) = place else { return Ok(false) };
@@ -247,24 +247,52 @@ impl<'a> Refinement<'a> {
         is_free && self.complex.segments.can_pass(pair, point, self.complex.points())
     }
 
-    /// The way along the curve of a segment from one end to the other, the shortest of those of four materials. One over other points of the same curve is that of their
-    /// segments, and is left to them where the curve has a place half-way that does not lie on it: round a loop, where the direct way is undercut.
+    /// The way along the curve of a segment from one end to the other, the shortest of those of four materials. One that leaves an end by a segment of the same curve is that
+    /// of other segments, round a loop: a curve goes on where it comes from only at its ends.
     fn way(&self, pair: Segment, curve: Stratum) -> Option<Vec<DVec3>> {
         let indicators = self.complex.indicators;
         let ends = pair.map(|v| self.complex.points()[v as usize]);
-        let length = ends[0].distance(ends[1]);
-        let longest = LONGEST_WAY * length.max(indicators.voxel());
+        let longest = LONGEST_WAY * ends[0].distance(ends[1]).max(indicators.voxel());
         let is_its_own = |curve: Stratum, way: &[DVec3]| {
-            let is_on_same = |&v: &u32| self.complex.strata[v as usize] == curve;
-            let half_way = || self.onto_curve(curve, ends[0].midpoint(ends[1]), 0.5 * length);
-            let is_beside = |place| way::foot(way, place).1 > ONE_CURVE * indicators.voxel();
-            !self.on_way(way, pair[0]).iter().any(is_on_same) || !half_way().is_some_and(is_beside)
+            let along = |v: u32| way::foot(way, self.complex.points()[v as usize]).0;
+            let mut same = self.on_way(way, pair[0]);
+            same.retain(|&v| self.complex.strata[v as usize] == curve);
+            same.sort_by(|&a, &b| along(a).total_cmp(&along(b)));
+            let [Some(&first), Some(&last)] = [same.first(), same.last()] else { return true };
+            let is_taken = |end: u32, next: u32| {
+                let known: Vec<u32> = self.others(end, curve).collect();
+                self.complex.strata[end as usize] == curve && known.contains(&next) && known.len() < 3
+            };
+            !is_taken(pair[0], first) && !is_taken(pair[1], last)
         };
-        let ways = curve.curves().filter_map(|curve| {
-            let way = way_along(indicators, curve, self.complex.labelled.upper(), ends, longest)?;
-            is_its_own(curve, &way).then_some(way)
+        let ways = curve.curves().flat_map(|curve| {
+            let mut ways = ways_along(indicators, curve, self.complex.labelled.upper(), ends, longest);
+            ways.retain(|way| is_its_own(curve, way));
+            ways
         });
         ways.min_by(|a, b| way::length(a).total_cmp(&way::length(b)))
+    }
+
+    /// The other ends of the segments of a curve at a point.
+    fn others(&self, point: u32, curve: Stratum) -> impl Iterator<Item = u32> + '_ {
+        let segments = self.complex.segments.at(point);
+        let own = segments.filter(move |&pair| self.complex.segments.curve(pair) == Some(curve));
+        own.flatten().filter(move |&end| end != point)
+    }
+
+    /// Where the curve of a segment leads from one of its ends, away from the segment before, half of the segment's length along: of both ends the one from which it leads farther.
+    fn farthest(&self, pair: Segment, curve: Stratum) -> Option<DVec3> {
+        let [a, b] = pair;
+        let place = |v: u32| self.complex.points()[v as usize];
+        let longest = 0.5 * place(a).distance(place(b));
+        let way = |end: u32, other: u32| {
+            let before = self.others(end, curve).find(|&v| v != other);
+            let heading = before.map_or_else(|| place(other) - place(end), |v| place(end) - place(v));
+            way_from(self.complex.indicators, curve, self.complex.labelled.upper(), (place(end), heading), longest)
+        };
+        let ways = [way(a, b), way(b, a)];
+        let farthest = ways.into_iter().max_by(|a, b| way::length(a).total_cmp(&way::length(b)));
+        farthest.and_then(|way| way.last().copied())
     }
 
     /// The place of a curve so far along a way on it, mm.

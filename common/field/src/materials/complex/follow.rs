@@ -65,16 +65,16 @@ pub fn way_round<I: Indicators + ?Sized>(
     (ends == [Stop::Start; 2] && way.len() >= 3).then_some(way)
 }
 
-/// The way along a junction curve from one of its places to another, both included, in the grid that ends at `corner`; `None` where the curve does not lead there, or not
-/// within `longest` (mm). Of two ways round a closed curve the shorter one. What another material undercuts by less than [`COINCIDENT`] is passed: places a step apart do not show it.
-pub fn way_along<I: Indicators + ?Sized>(
+/// The ways along a junction curve from one of its places to another, both included, in the grid that ends at `corner`: of the two directions those that lead
+/// there within `longest` (mm), the shorter one first. What another material undercuts by less than [`COINCIDENT`] is passed: places a step apart do not show it.
+pub fn ways_along<I: Indicators + ?Sized>(
     indicators: &I,
     curve: Stratum,
     corner: DVec3,
     [from, to]: [DVec3; 2],
     longest: f64,
-) -> Option<Vec<DVec3>> {
-    let &[i, j, k] = curve.materials() else { return None };
+) -> Vec<Vec<DVec3>> {
+    let &[i, j, k] = curve.materials() else { return Vec::new() };
     let follower = Follower { indicators, corner, own: [i, j, k], undercut: COINCIDENT };
     let there = AT_AN_END * indicators.voxel();
     let way = |sign: f64| {
@@ -94,8 +94,40 @@ pub fn way_along<I: Indicators + ?Sized>(
         }
         is_there.then(|| (length, std::iter::once(from).chain(places).chain([to]).collect::<Vec<_>>()))
     };
-    let ways = [way(1.0), way(-1.0)].into_iter().flatten();
-    ways.min_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, places)| places)
+    let mut ways: Vec<(f64, Vec<DVec3>)> = [way(1.0), way(-1.0)].into_iter().flatten().collect();
+    ways.sort_by(|a, b| a.0.total_cmp(&b.0));
+    ways.into_iter().map(|(_, places)| places).collect()
+}
+
+/// The first of [`ways_along`].
+pub fn way_along<I: Indicators + ?Sized>(
+    indicators: &I,
+    curve: Stratum,
+    corner: DVec3,
+    ends: [DVec3; 2],
+    longest: f64,
+) -> Option<Vec<DVec3>> {
+    ways_along(indicators, curve, corner, ends, longest).into_iter().next()
+}
+
+/// The way along a junction curve from one of its places, which is included, in that of its two directions that is nearer to `heading`: for `longest` (mm), or to where the curve ends or
+/// cannot be followed.
+pub fn way_from<I: Indicators + ?Sized>(
+    indicators: &I,
+    curve: Stratum,
+    corner: DVec3,
+    (from, heading): (DVec3, DVec3),
+    longest: f64,
+) -> Vec<DVec3> {
+    let &[i, j, k] = curve.materials() else { return Vec::new() };
+    let follower = Follower { indicators, corner, own: [i, j, k], undercut: COINCIDENT };
+    let sign = if follower.tangent(from).dot(heading) < 0.0 { -1.0 } else { 1.0 };
+    let mut length = 0.0;
+    let (places, _) = follower.follow(from, sign, |a, b| {
+        length += a.distance(b);
+        length < longest
+    });
+    std::iter::once(from).chain(places).collect()
 }
 
 /// The curves of three materials.

@@ -16,7 +16,7 @@ mod tests;
 
 pub use cells::{Triangle, Vertex};
 pub use chains::{COINCIDENT, Chain, End, Junction};
-pub use follow::{way_along, way_round};
+pub use follow::{way_along, way_from, way_round, ways_along};
 
 use super::{Indicators, Materials, Stratum};
 use cells::{Name, Part, part};
