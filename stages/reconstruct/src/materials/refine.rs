@@ -183,12 +183,9 @@ impl<'a> Refinement<'a> {
         let (near, distance) = self.complex.labelled.nearest(a.midpoint(b), pair[0]);
         let is_within = !pair.contains(&near) && distance < 0.5 * length;
         let on_way = way.iter().flat_map(|way| self.on_way(way, pair[0]));
-        let passed = on_way.chain(self.linked(pair, curve)).find(|&v| self.can_pass(pair, v));
+        let passed = on_way.into_iter().find(|&v| self.can_pass(pair, v));
         if let Some(point) = passed {
-            self.passes.insert((pair, point));
-            self.report.passes += 1;
-            self.complex.pass(pair, point);
-            return Ok(true);
+            return Ok(self.pass(pair, point));
         }
         let beside = way.as_ref().filter(|_| is_within).and_then(|way| {
             let (foot, _) = way::foot(way, self.complex.points()[near as usize]);
@@ -196,10 +193,24 @@ impl<'a> Refinement<'a> {
         });
         let middle = || match &way {
             Some(way) => self.place_on(curve, way, 0.5 * way::length(way)),
-            None => self.farthest(pair, curve).or_else(|| self.onto_curve(curve, a.midpoint(b), 0.5 * length)),
+            None => self.farthest(pair, curve),
         };
         let place = beside.filter(is_between).or_else(|| middle().filter(is_between));
+        let onto = || self.onto_curve(curve, a.midpoint(b), 0.5 * length).filter(is_between);
+        let place = match place {
+            None if way.is_none() => match self.linked(pair, curve).into_iter().find(|&v| self.can_pass(pair, v)) {
+                Some(point) => return Ok(self.pass(pair, point)),
+                None => onto(),
+            },
+            place => place,
+        };
         let Some(place) = place else { return Ok(false) };
+        let (known, distance) = self.complex.labelled.nearest(place, near);
+        let is_known =
+            self.complex.strata[known as usize] == curve && distance < ONE_CURVE * self.complex.indicators.voxel();
+        if is_known && self.can_pass(pair, known) {
+            return Ok(self.pass(pair, known));
+        }
         let size = 0.5 * (self.complex.sizes[pair[0] as usize] + self.complex.sizes[pair[1] as usize]);
         let inserted = self.complex.labelled.insert(place, pair[0])?;
         let outcome = self.settle(inserted, curve, size);
@@ -208,6 +219,14 @@ impl<'a> Refinement<'a> {
             self.report.on_curves += 1;
         }
         Ok(outcome)
+    }
+
+    /// Has a segment pass through a point; true.
+    fn pass(&mut self, pair: Segment, point: u32) -> bool {
+        self.passes.insert((pair, point));
+        self.report.passes += 1;
+        self.complex.pass(pair, point);
+        true
     }
 
     /// Points of curves that a way passes within `ONE_CURVE`, without those at its ends; `near` is one not far from its first place.
@@ -230,14 +249,18 @@ impl<'a> Refinement<'a> {
         found
     }
 
-    /// Points in the ball of which a segment is a diameter that have segments with one of its ends, and at which all materials of its curve meet: where the curve is one with another
+    /// Junction points in the ball of which a segment is a diameter that have segments with one of its ends, and at which all materials of its curve meet: where the curve is one with another
     /// it may be undercut, and these lead on.
     fn linked(&self, pair: Segment, curve: Stratum) -> Vec<u32> {
         let points = self.complex.points();
         let [a, b] = pair.map(|v| points[v as usize]);
         let is_in_ball = |v: &u32| (points[*v as usize] - a).dot(points[*v as usize] - b) < 0.0;
         let ends = pair.into_iter().flat_map(|v| self.complex.segments.at(v)).flatten();
-        ends.filter(|v| is_in_ball(v) && self.complex.strata[*v as usize].is_on(&curve)).collect()
+        let leads = |v: &u32| {
+            let own = self.complex.strata[*v as usize];
+            own.dimension() == 0 && own.is_on(&curve)
+        };
+        ends.filter(|v| is_in_ball(v) && leads(v)).collect()
     }
 
     /// Whether a segment can give way to two by way of a point that its curve passes: what lies nearer together than `ONE_CURVE` is one.
