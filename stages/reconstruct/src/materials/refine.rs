@@ -154,7 +154,8 @@ impl<'a> Refinement<'a> {
     fn insert(&mut self, violation: &Violation) -> Result<bool> {
         let least = violation.size
             * if violation.reason == Reason::Deviation { NEAREST_FOR_SHAPE } else { NEAREST_FOR_TOPOLOGY };
-        if violation.radius < least {
+        // a segment that passes through a point which is there wants no room
+        if violation.radius < least && !matches!(violation.remedy, Mend::Split(_)) {
             return Ok(false);
         }
         match violation.remedy {
