@@ -116,20 +116,21 @@ impl<'a> Complex<'a> {
             }
         }
         for point in [point, pair[0], pair[1]] {
+            self.widen_short_segments(point);
             self.labelled.reconsider(point);
         }
         self.decide();
     }
 
-    /// Has segments shorter than `ONE_CURVE` between two points of the same four materials be of all of them: on which of their curves they lie cannot be told.
-    pub fn join_short_segments(&mut self) {
+    /// Has the segments at a point that are shorter than `ONE_CURVE` and end at one of the same four materials be of all of them: on which of their curves they lie cannot be told.
+    fn widen_short_segments(&mut self, point: u32) {
         let reach = super::way::ONE_CURVE * self.indicators.voxel();
-        let four = |&(pair, _): &(Segment, Stratum)| {
-            let [a, b] = pair.map(|v| self.strata[v as usize]);
-            a == b && a.dimension() == 0 && self.length(pair) < reach
-        };
-        let short: Vec<Segment> = self.segments.all().filter(four).map(|(pair, _)| pair).collect();
-        short.into_iter().for_each(|pair| self.segments.widen(pair, self.strata[pair[0] as usize]));
+        let own = self.strata[point as usize];
+        let is_of_four =
+            |pair: &Segment| pair.iter().all(|&v| self.strata[v as usize] == own) && self.length(*pair) < reach;
+        let short: Vec<Segment> =
+            self.segments.at(point).filter(|pair| own.dimension() == 0 && is_of_four(pair)).collect();
+        short.into_iter().for_each(|pair| self.segments.widen(pair, own));
     }
 
     /// The points, those inserted at the end.

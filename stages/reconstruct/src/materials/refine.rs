@@ -121,7 +121,6 @@ impl<'a> Refinement<'a> {
                 break;
             }
         }
-        self.complex.join_short_segments();
         self.report.relabelled += self.relabel(&mut step)?;
         let facets = self.complex.labelled.facets();
         self.report.unresolved = BTreeMap::new();
@@ -154,9 +153,12 @@ impl<'a> Refinement<'a> {
     fn insert(&mut self, violation: &Violation) -> Result<bool> {
         let least = violation.size
             * if violation.reason == Reason::Deviation { NEAREST_FOR_SHAPE } else { NEAREST_FOR_TOPOLOGY };
-        // a segment that passes through a point which is there wants no room
-        if violation.radius < least && !matches!(violation.remedy, Mend::Split(_)) {
-            return Ok(false);
+        if violation.radius < least {
+            // a segment that passes through a point which is there wants no room
+            return match violation.simplex {
+                Simplex::Edge(pair) => self.split(pair, least),
+                _ => Ok(false),
+            };
         }
         match violation.remedy {
             Mend::None => Ok(false),
@@ -199,9 +201,10 @@ impl<'a> Refinement<'a> {
         let place = beside.filter(is_between).or_else(|| middle().filter(is_between));
         let onto = || self.onto_curve(curve, a.midpoint(b), 0.5 * length).filter(is_between);
         let place = match place {
-            None if way.is_none() => match self.linked(pair, curve).into_iter().find(|&v| self.can_pass(pair, v)) {
+            None => match self.linked(pair, curve).into_iter().find(|&v| self.can_pass(pair, v)) {
                 Some(point) => return Ok(self.pass(pair, point)),
-                None => onto(),
+                None if way.is_none() => onto(),
+                None => None,
             },
             place => place,
         };
@@ -250,25 +253,32 @@ impl<'a> Refinement<'a> {
         found
     }
 
-    /// Junction points in the ball of which a segment is a diameter that have segments with one of its ends, and at which all materials of its curve meet: where the curve is one with another
+    /// Junction points in the ball of which a segment is a diameter, or nearer to it than `ONE_CURVE`, that have segments with one of its ends, and at which all materials of its curve meet: where the curve is one with another
     /// it may be undercut, and these lead on.
     fn linked(&self, pair: Segment, curve: Stratum) -> Vec<u32> {
         let points = self.complex.points();
         let [a, b] = pair.map(|v| points[v as usize]);
-        let is_in_ball = |v: &u32| (points[*v as usize] - a).dot(points[*v as usize] - b) < 0.0;
+        let reach = ONE_CURVE * self.complex.indicators.voxel();
+        let is_beside = |v: &u32| {
+            let place = points[*v as usize];
+            (place - a).dot(place - b) < 0.0 || way::foot(&[a, b], place).1 < reach
+        };
         let ends = pair.into_iter().flat_map(|v| self.complex.segments.at(v)).flatten();
         let leads = |v: &u32| {
             let own = self.complex.strata[*v as usize];
             own.dimension() == 0 && own.is_on(&curve)
         };
-        ends.filter(|v| is_in_ball(v) && leads(v)).collect()
+        ends.filter(|v| !pair.contains(v) && is_beside(v) && leads(v)).collect()
     }
 
     /// Whether a segment can give way to two by way of a point that its curve passes: what lies nearer together than `ONE_CURVE` is one.
     /// Without it two curves that coincide over some length would be refined without end, as neither's segments can be edges beside the other's points.
     fn can_pass(&self, pair: Segment, point: u32) -> bool {
-        let is_free = self.complex.strata[point as usize].dimension() < 2 && !self.passes.contains(&(pair, point));
-        is_free && self.complex.segments.can_pass(pair, point, self.complex.points())
+        let segments = &self.complex.segments;
+        let is_new = || !self.passes.contains(&(pair, point)) || segments.is_covered(pair, point);
+        self.complex.strata[point as usize].dimension() < 2
+            && is_new()
+            && segments.can_pass(pair, point, self.complex.points())
     }
 
     /// The way along the curve of a segment from one end to the other, the shortest of those of four materials. One that leaves an end by a segment of the same curve is that

@@ -67,6 +67,12 @@ impl Segments {
         by != a && by != b && fits(a) && fits(b)
     }
 
+    /// Whether there are segments from a point to both ends of another one that are of its curve as well.
+    pub fn is_covered(&self, pair: Segment, by: u32) -> bool {
+        let Some(curve) = self.curve(pair) else { return false };
+        pair.iter().all(|&end| self.curve(segment(end, by)).is_some_and(|known| known.is_on(&curve)))
+    }
+
     /// Puts two segments by way of a point in the place of one.
     pub fn split(&mut self, pair: Segment, by: u32, points: &[DVec3]) {
         let Some(curve) = self.curve.remove(&pair) else { return };
