@@ -12,6 +12,7 @@ pub mod complex;
 pub mod improve;
 pub mod interfaces;
 pub mod nodes;
+mod open_ends;
 pub mod pieces;
 pub mod prepare;
 #[cfg(test)]

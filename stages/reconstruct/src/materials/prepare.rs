@@ -1,5 +1,6 @@
 //! From particles to points of a complex: each on its own stratum, real there, no two on one spot, and junction curves whose segments join.
 
+use super::open_ends;
 use super::segments::{Segment, Segments, segment};
 use super::way::{LONGEST_WAY, ONE_CURVE, foot, length};
 use crate::prepare::{ON_SURFACE, PrepareReport, SurfacePoints};
@@ -44,6 +45,8 @@ pub struct Taken {
     pub on_small_loops: usize,
     /// Closed curves that had no particles, and got points.
     pub loops_added: usize,
+    /// Segments put between ends of curves at which no fourth material meets them.
+    pub ends_joined: usize,
 }
 
 /// Points on strata, triangulated.
@@ -62,10 +65,10 @@ pub struct Prepared {
 
 /// A particle on its way.
 #[derive(Clone, Copy)]
-struct Point {
-    place: DVec3,
-    stratum: Stratum,
-    size: f64,
+pub(super) struct Point {
+    pub(super) place: DVec3,
+    pub(super) stratum: Stratum,
+    pub(super) size: f64,
 }
 
 /// The place of a stratum near another, no farther than `limit` mm, if it is real there.
@@ -129,6 +132,9 @@ pub fn prepare(particles: &ParticleSet, strata: &Strata, indicators: &dyn Indica
     let pairs = small_loops(&mut points, &strata.segments, (indicators, upper), &mut report);
     let (mut points, mut pairs) = without_the_lost(&points, pairs, &mut report);
     missing_loops(&mut points, &mut pairs, (indicators, upper), &mut report);
+    let joined = open_ends::joined(&points, &pairs, upper);
+    report.ends_joined = joined.len();
+    pairs.extend(joined);
     let (points, pairs) = without_the_crowded(points, pairs, (indicators, upper), &mut report);
     triangulated(points, pairs, (indicators, upper), report)
 }

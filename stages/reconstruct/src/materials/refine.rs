@@ -211,7 +211,7 @@ impl<'a> Refinement<'a> {
         let Some(place) = place else { return Ok(false) };
         let (known, distance) = self.complex.labelled.nearest(place, near);
         let is_known =
-            self.complex.strata[known as usize] == curve && distance < ONE_CURVE * self.complex.indicators.voxel();
+            self.complex.strata[known as usize].is_on(&curve) && distance < ONE_CURVE * self.complex.indicators.voxel();
         if is_known && self.can_pass(pair, known) {
             return Ok(self.pass(pair, known));
         }
