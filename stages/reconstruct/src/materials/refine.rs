@@ -7,7 +7,7 @@
 use super::complex::{Complex, Mend, Violation};
 use super::nodes::Nodes;
 use super::prepare::onto;
-use super::segments::Segment;
+use super::segments::{Segment, segment};
 use super::topology::Simplices;
 use super::way::{self, LONGEST_WAY, ONE_CURVE};
 use crate::labelled::Facet;
@@ -210,10 +210,11 @@ impl<'a> Refinement<'a> {
         };
         let Some(place) = place else { return Ok(false) };
         let (known, distance) = self.complex.labelled.nearest(place, near);
-        let is_known =
-            self.complex.strata[known as usize].is_on(&curve) && distance < ONE_CURVE * self.complex.indicators.voxel();
-        if is_known && self.can_pass(pair, known) {
-            return Ok(self.pass(pair, known));
+        let is_known = !pair.contains(&known)
+            && self.complex.strata[known as usize].is_on(&curve)
+            && distance < ONE_CURVE * self.complex.indicators.voxel();
+        if is_known {
+            return Ok(self.can_pass(pair, known) && self.pass(pair, known));
         }
         let size = 0.5 * (self.complex.sizes[pair[0] as usize] + self.complex.sizes[pair[1] as usize]);
         let inserted = self.complex.labelled.insert(place, pair[0])?;
@@ -253,7 +254,7 @@ impl<'a> Refinement<'a> {
         found
     }
 
-    /// Junction points in the ball of which a segment is a diameter, or nearer to it than `ONE_CURVE`, that have segments with one of its ends, and at which all materials of its curve meet: where the curve is one with another
+    /// Junction points in the ball of which a segment is a diameter, or nearer to it than `ONE_CURVE`, that have segments with one of its ends or lie nearest to it, and at which all materials of its curve meet: where the curve is one with another
     /// it may be undercut, and these lead on.
     fn linked(&self, pair: Segment, curve: Stratum) -> Vec<u32> {
         let points = self.complex.points();
@@ -264,6 +265,7 @@ impl<'a> Refinement<'a> {
             (place - a).dot(place - b) < 0.0 || way::foot(&[a, b], place).1 < reach
         };
         let ends = pair.into_iter().flat_map(|v| self.complex.segments.at(v)).flatten();
+        let ends = ends.chain(self.on_way(&[a, b], pair[0]));
         let leads = |v: &u32| {
             let own = self.complex.strata[*v as usize];
             own.dimension() == 0 && own.is_on(&curve)
@@ -271,13 +273,19 @@ impl<'a> Refinement<'a> {
         ends.filter(|v| !pair.contains(v) && is_beside(v) && leads(v)).collect()
     }
 
-    /// Whether a segment can give way to two by way of a point that its curve passes: what lies nearer together than `ONE_CURVE` is one.
+    /// Whether a segment can give way to two by way of a point that its curve passes, and no curve is left open by that: what lies nearer together than `ONE_CURVE` is one.
     /// Without it two curves that coincide over some length would be refined without end, as neither's segments can be edges beside the other's points.
     fn can_pass(&self, pair: Segment, point: u32) -> bool {
         let segments = &self.complex.segments;
         let is_new = || !self.passes.contains(&(pair, point)) || segments.is_covered(pair, point);
-        self.complex.strata[point as usize].dimension() < 2
+        let strata = &self.complex.strata;
+        let is_left_open = |&end: &u32| {
+            let is_linked = segments.curve(segment(end, point)).is_some();
+            strata[end as usize].dimension() == 1 && is_linked && segments.at(end).count() < 3
+        };
+        strata[point as usize].dimension() < 2
             && is_new()
+            && !pair.iter().any(is_left_open)
             && segments.can_pass(pair, point, self.complex.points())
     }
 
