@@ -322,14 +322,7 @@ fn look_at_distances(
     let least = options.max_vertex_distance;
     let limit = |count: &usize| if *count > 4 { least.max(COINCIDENT) } else { least };
     let mut limits: Vec<f64> = meeting.iter().map(limit).collect();
-    // a curve ends where a fourth material meets it, but where it is one with another or passes through a point of one
-    let mut ends: BTreeMap<(u32, Stratum), usize> = BTreeMap::new();
-    for (pair, curve) in &interfaces.segments {
-        let met = pair.iter().copied().filter(|&v| v != u32::MAX);
-        let joint = met.filter(|&v| curve.dimension() == 0 || meeting[v as usize] > 3);
-        joint.for_each(|v| *ends.entry((v, *curve)).or_default() += 1);
-    }
-    for ((v, _), _) in ends.into_iter().filter(|((_, curve), count)| curve.dimension() == 0 || *count > 1) {
+    for &v in interfaces.joined.iter().filter(|&&v| v != u32::MAX) {
         limits[v as usize] = least.max(ONE_CURVE);
     }
     offenders.distant = (0..vertices.len() as u32).filter(|&v| vertices[v as usize] > limits[v as usize]).collect();
@@ -401,7 +394,8 @@ mod tests {
         let mesh = TriangleMesh { vertices, triangles: vec![[0, 1, 3], [1, 2, 3]] };
         let curve = Stratum::new(&[0, 1, 2].map(MaterialId)).expect("three");
         let segments = vec![([0, 1], curve), ([1, 2], curve)];
-        let interfaces = Interfaces { mesh, between: vec![[MaterialId(1), MaterialId(0)]; 2], segments };
+        let between = vec![[MaterialId(1), MaterialId(0)]; 2];
+        let interfaces = Interfaces { mesh, between, segments, joined: Vec::new() };
         let forced = |meeting: [usize; 4], limit: f64| [0, 1].map(|t| is_forced(&interfaces, &meeting, limit, t));
         assert_eq!(forced([3, 3, 3, 2], 0.3), [false, false], "a segment can be made longer");
         assert_eq!(forced([4, 4, 3, 2], 0.3), [true, false], "a whole curve cannot");

@@ -13,7 +13,7 @@ use isoparticles_delaunay::Delaunay;
 use isoparticles_field::materials::complex::COINCIDENT;
 use isoparticles_field::materials::{Indicators, MaterialId, Stratum};
 use isoparticles_field::spline::FLATTEST;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 /// A segment that lacks a material round it is cut where the surface balls there are smaller than this part of it: they tell no more.
 const SMALL_BALL: f64 = 0.5;
@@ -69,6 +69,8 @@ pub struct Complex<'a> {
     pub sizes: Vec<f64>,
     /// Segments of junction curves.
     pub segments: Segments,
+    /// Points of strata that were joined to others, nearer than `ONE_CURVE`.
+    pub joined: BTreeSet<u32>,
     /// The materials of junction points where more than four meet.
     crowded: Crowded,
     /// Farthest that the centroid of a facet may lie from its sheet, mm; `None`: [`DEFAULT_DEVIATION`] of h or of a voxel.
@@ -92,7 +94,7 @@ impl<'a> Complex<'a> {
         let label =
             |delaunay: &Delaunay, t: u32, centre| material_of(indicators, &strata, &crowded, delaunay, t, centre);
         let labelled = Labelled::new(delaunay, upper, label);
-        Self { labelled, indicators, strata, sizes, segments, crowded, max_deviation }
+        Self { labelled, indicators, strata, sizes, segments, joined: BTreeSet::new(), crowded, max_deviation }
     }
 
     /// Gives the tetrahedra made since the last call their materials.
@@ -106,6 +108,9 @@ impl<'a> Complex<'a> {
         let Some(curve) = self.segments.curve(pair) else { return };
         self.segments.split(pair, point, self.labelled.points());
         let own = &mut self.strata[point as usize];
+        if !own.is_on(&curve) {
+            self.joined.insert(point);
+        }
         match own.joined(&curve) {
             Some(joined) => *own = joined,
             None => {
@@ -120,6 +125,34 @@ impl<'a> Complex<'a> {
             self.labelled.reconsider(point);
         }
         self.decide();
+    }
+
+    /// Takes an edge round which three or four materials come once each as a segment, if its ends lie nearer than `ONE_CURVE` to the sheets between these; true when it does.
+    pub fn adopt(&mut self, edge: Segment) -> bool {
+        let Some(start) = self.at_edge(edge).filter(|_| self.segments.curve(edge).is_none()) else { return false };
+        let ids: Vec<MaterialId> = self.runs_round(edge, start).iter().map(|run| self.material(run[0])).collect();
+        let Some(curve) = Stratum::new(&ids).filter(|curve| curve.dimension() < 2) else { return false };
+        let reach = super::way::ONE_CURVE * self.indicators.voxel();
+        let distance = |p: DVec3, other: MaterialId| {
+            let (value, gradient) = self.indicators.difference_gradient(ids[0], other, p);
+            value.abs() / gradient.length().max(FLATTEST)
+        };
+        let is_passed = |&v: &u32| {
+            let place = self.points()[v as usize];
+            self.strata[v as usize].joined(&curve).is_some() && ids[1..].iter().all(|&id| distance(place, id) < reach)
+        };
+        if !edge.iter().all(is_passed) || self.length(edge) > self.segments.longest() {
+            return false;
+        }
+        for v in edge {
+            let own = &mut self.strata[v as usize];
+            if !own.is_on(&curve) {
+                self.joined.insert(v);
+            }
+            *own = own.joined(&curve).unwrap_or(*own);
+        }
+        self.segments.add(edge, curve, self.labelled.points());
+        true
     }
 
     /// Has the segments at a point that are shorter than `ONE_CURVE` and end at one of the same four materials be of all of them: on which of their curves they lie cannot be told.

@@ -83,6 +83,7 @@ pub fn improve(
     let report = improve_sheets(&mut interfaces.mesh, &mut sheets, size, options, step)?;
     let number = |v: u32| sheets.numbers.get(v as usize).copied().unwrap_or(u32::MAX);
     interfaces.segments.iter_mut().for_each(|(pair, _)| *pair = pair.map(number));
+    interfaces.joined.iter_mut().for_each(|v| *v = number(*v));
     interfaces.between = sheets.of_triangle.iter().map(|&sheet| field.pair(sheet)).collect();
     Ok(report)
 }

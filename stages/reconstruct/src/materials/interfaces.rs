@@ -16,6 +16,8 @@ pub struct Interfaces {
     pub between: Vec<[MaterialId; 2]>,
     /// Segments of junction curves by the vertices of the mesh, `u32::MAX` for one that is in no triangle; each with its curve.
     pub segments: Vec<(Segment, Stratum)>,
+    /// Vertices that lie on one of several curves that are one: on the others' sheets but for a twentieth of a voxel.
+    pub joined: Vec<u32>,
 }
 
 /// An edge with its triangles.
@@ -35,7 +37,8 @@ impl Interfaces {
         let triangles = facets.iter().map(|f| f.vertices.map(|v| number[v as usize])).collect();
         let between = facets.iter().map(|f| complex.sheet(f)).collect();
         let segments = complex.segments.all().map(|(pair, curve)| (pair.map(|v| number[v as usize]), curve)).collect();
-        (Self { mesh: TriangleMesh { vertices, triangles }, between, segments }, dimensions)
+        let joined = complex.joined.iter().map(|&v| number[v as usize]).filter(|&v| v != u32::MAX).collect();
+        (Self { mesh: TriangleMesh { vertices, triangles }, between, segments, joined }, dimensions)
     }
 
     /// All edges in order, lower vertex first, with their triangles, ascending.

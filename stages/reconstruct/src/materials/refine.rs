@@ -10,6 +10,7 @@ use super::prepare::onto;
 use super::segments::{Segment, segment};
 use super::topology::Simplices;
 use super::way::{self, LONGEST_WAY, ONE_CURVE};
+use crate::around::star;
 use crate::labelled::Facet;
 use crate::queue::{NEAREST_FOR_SHAPE, NEAREST_FOR_TOPOLOGY, Queue, Reason, Refine, Remedy, Simplex};
 use glam::DVec3;
@@ -37,6 +38,8 @@ pub struct RefineReport {
     pub on_curves: usize,
     /// Times that a segment was made to pass through a point of another, nearer than `ONE_CURVE`.
     pub passes: usize,
+    /// Edges that no known segment lay on, and became one: their ends lie nearer to their curve than `ONE_CURVE`.
+    pub adopted: usize,
     /// Parts of stars and runs round edges that were given to another material.
     pub relabelled: usize,
     /// Violations left, by what is violated: only points nearer to others than the smallest radius could mend them.
@@ -116,7 +119,8 @@ impl<'a> Refinement<'a> {
     pub fn run(&mut self, mut step: impl FnMut(usize) -> Result<()>) -> Result<Vec<Facet>> {
         self.drain([], &mut step)?;
         for _ in 0..NODE_ROUNDS {
-            let found = self.at_nodes();
+            let mut found = self.adopt();
+            found.extend(self.at_nodes());
             if self.drain(found, &mut step)? == 0 {
                 break;
             }
@@ -132,6 +136,23 @@ impl<'a> Refinement<'a> {
             self.report.unresolved.insert(Reason::Node, wrong.len());
         }
         Ok(facets)
+    }
+
+    /// Takes edges on which three or four materials meet, and which are no segments, as such where their curve passes both of their ends; returns the violations round them.
+    fn adopt(&mut self) -> Vec<Violation> {
+        let wrong = self.complex.wrong(&Simplices::all(&self.complex, self.complex.labelled.facets()));
+        let mut changed = Vec::new();
+        for (_, simplex) in wrong {
+            if let Simplex::Edge(edge) = simplex
+                && self.complex.adopt(edge)
+            {
+                self.report.adopted += 1;
+                edge.iter().for_each(|&v| changed.extend(star(self.complex.labelled.delaunay(), v)));
+            }
+        }
+        changed.sort_unstable();
+        changed.dedup();
+        self.complex.violations(&Simplices::of(&self.complex, &changed))
     }
 
     /// The grid nodes in other materials.
@@ -295,6 +316,9 @@ impl<'a> Refinement<'a> {
         let indicators = self.complex.indicators;
         let ends = pair.map(|v| self.complex.points()[v as usize]);
         let longest = LONGEST_WAY * ends[0].distance(ends[1]).max(indicators.voxel());
+        // a point of curves that are one lies on one of them
+        let own =
+            |curve: Stratum| ends.map(|p| onto(indicators, curve, p, ONE_CURVE * indicators.voxel()).unwrap_or(p));
         let is_its_own = |curve: Stratum, way: &[DVec3]| {
             let along = |v: u32| way::foot(way, self.complex.points()[v as usize]).0;
             let mut same = self.on_way(way, pair[0]);
@@ -308,7 +332,7 @@ impl<'a> Refinement<'a> {
             !is_taken(pair[0], first) && !is_taken(pair[1], last)
         };
         let ways = curve.curves().flat_map(|curve| {
-            let mut ways = ways_along(indicators, curve, self.complex.labelled.upper(), ends, longest);
+            let mut ways = ways_along(indicators, curve, self.complex.labelled.upper(), own(curve), longest);
             ways.retain(|way| is_its_own(curve, way));
             ways
         });

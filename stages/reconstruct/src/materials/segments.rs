@@ -38,7 +38,7 @@ impl Segments {
     }
 
     /// Adds a segment no longer than the longest of the first ones. One that is there already is of both curves.
-    fn add(&mut self, pair: Segment, curve: Stratum, points: &[DVec3]) {
+    pub fn add(&mut self, pair: Segment, curve: Stratum, points: &[DVec3]) {
         if self.curve.contains_key(&pair) {
             self.widen(pair, curve);
             return;
@@ -83,6 +83,11 @@ impl Segments {
         self.middles.remove(points[a as usize].midpoint(points[b as usize]), &pair);
         self.add(segment(a, by), curve, points);
         self.add(segment(by, b), curve, points);
+    }
+
+    /// The longest of the first ones, mm: none may be longer.
+    pub fn longest(&self) -> f64 {
+        self.longest
     }
 
     /// The curve of a pair of points, if they are a segment.
