@@ -129,7 +129,7 @@ impl<'a> Complex<'a> {
 
     /// Takes an edge round which three or four materials come once each as a segment, if its ends lie nearer than `ONE_CURVE` to the sheets between these; true when it does.
     pub fn adopt(&mut self, edge: Segment) -> bool {
-        let Some(start) = self.at_edge(edge).filter(|_| self.segments.curve(edge).is_none()) else { return false };
+        let Some(start) = self.at_edge(edge) else { return false };
         let ids: Vec<MaterialId> = self.runs_round(edge, start).iter().map(|run| self.material(run[0])).collect();
         let Some(curve) = Stratum::new(&ids).filter(|curve| curve.dimension() < 2) else { return false };
         let reach = super::way::ONE_CURVE * self.indicators.voxel();
@@ -141,7 +141,7 @@ impl<'a> Complex<'a> {
             let place = self.points()[v as usize];
             self.strata[v as usize].joined(&curve).is_some() && ids[1..].iter().all(|&id| distance(place, id) < reach)
         };
-        if !edge.iter().all(is_passed) || self.length(edge) > self.segments.longest() {
+        if !edge.iter().all(is_passed) || !self.segments.adopt(edge, curve, self.labelled.points()) {
             return false;
         }
         for v in edge {
@@ -151,8 +151,17 @@ impl<'a> Complex<'a> {
             }
             *own = own.joined(&curve).unwrap_or(*own);
         }
-        self.segments.add(edge, curve, self.labelled.points());
         true
+    }
+
+    /// Gives up the adopted segments that are no longer edges between their materials.
+    pub fn give_up_adopted(&mut self) {
+        for edge in self.segments.adopted() {
+            let curve = self.segments.curve(edge);
+            if curve.is_none_or(|curve| self.wrong_segment(edge, curve, self.at_edge(edge)).is_some()) {
+                self.segments.remove(edge, self.labelled.points());
+            }
+        }
     }
 
     /// Has the segments at a point that are shorter than `ONE_CURVE` and end at one of the same four materials be of all of them: on which of their curves they lie cannot be told.

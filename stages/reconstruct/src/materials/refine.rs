@@ -125,7 +125,10 @@ impl<'a> Refinement<'a> {
                 break;
             }
         }
+        self.complex.give_up_adopted();
         self.report.relabelled += self.relabel(&mut step)?;
+        self.complex.give_up_adopted();
+        self.report.adopted = self.complex.segments.adopted().len();
         let facets = self.complex.labelled.facets();
         self.report.unresolved = BTreeMap::new();
         for (reason, _) in self.complex.wrong(&Simplices::all(&self.complex, facets.clone())) {
@@ -146,7 +149,6 @@ impl<'a> Refinement<'a> {
             if let Simplex::Edge(edge) = simplex
                 && self.complex.adopt(edge)
             {
-                self.report.adopted += 1;
                 edge.iter().for_each(|&v| changed.extend(star(self.complex.labelled.delaunay(), v)));
             }
         }

@@ -3,7 +3,7 @@
 use glam::DVec3;
 use isoparticles_field::materials::Stratum;
 use isoparticles_mesh::spatial::Bins;
-use std::collections::{BTreeMap, HashMap};
+use std::collections::{BTreeMap, BTreeSet, HashMap};
 
 /// Two points of a segment, the lower number first.
 pub type Segment = [u32; 2];
@@ -23,6 +23,8 @@ pub struct Segments {
     middles: Bins<Segment>,
     /// The longest of the first ones, mm.
     longest: f64,
+    /// Those that were taken from the triangulation: they last no longer than they are edges of their materials.
+    adopted: BTreeSet<Segment>,
 }
 
 impl Segments {
@@ -32,13 +34,13 @@ impl Segments {
         let length = |[a, b]: &Segment| points[*a as usize].distance(points[*b as usize]);
         let longest = pairs.keys().map(length).fold(0.0, f64::max);
         let middles = Bins::new(if longest > 0.0 { 0.5 * longest } else { 1.0 });
-        let mut new = Self { curve: BTreeMap::new(), ends: HashMap::new(), middles, longest };
+        let mut new = Self { curve: BTreeMap::new(), ends: HashMap::new(), middles, longest, adopted: BTreeSet::new() };
         pairs.into_iter().for_each(|(pair, curve)| new.add(pair, curve, points));
         new
     }
 
     /// Adds a segment no longer than the longest of the first ones. One that is there already is of both curves.
-    pub fn add(&mut self, pair: Segment, curve: Stratum, points: &[DVec3]) {
+    fn add(&mut self, pair: Segment, curve: Stratum, points: &[DVec3]) {
         if self.curve.contains_key(&pair) {
             self.widen(pair, curve);
             return;
@@ -75,19 +77,44 @@ impl Segments {
 
     /// Puts two segments by way of a point in the place of one.
     pub fn split(&mut self, pair: Segment, by: u32, points: &[DVec3]) {
-        let Some(curve) = self.curve.remove(&pair) else { return };
+        let Some(curve) = self.curve(pair) else { return };
+        let is_adopted = self.remove(pair, points);
+        for end in pair {
+            let new = segment(end, by);
+            if !is_adopted {
+                self.adopted.remove(&new);
+            } else if !self.curve.contains_key(&new) {
+                self.adopted.insert(new);
+            }
+            self.add(new, curve, points);
+        }
+    }
+
+    /// Adds an edge of the triangulation whose ends lie on a curve, if it is no segment yet and no longer than the longest of the first ones; true when it did.
+    pub fn adopt(&mut self, edge: Segment, curve: Stratum, points: &[DVec3]) -> bool {
+        let [a, b] = edge.map(|v| points[v as usize]);
+        let is_new = !self.curve.contains_key(&edge) && a.distance(b) <= self.longest;
+        if is_new {
+            self.adopted.insert(edge);
+            self.add(edge, curve, points);
+        }
+        is_new
+    }
+
+    /// Those that were adopted, ascending.
+    pub fn adopted(&self) -> Vec<Segment> {
+        self.adopted.iter().copied().collect()
+    }
+
+    /// Takes a segment away; true when it was adopted.
+    pub fn remove(&mut self, pair: Segment, points: &[DVec3]) -> bool {
+        self.curve.remove(&pair);
         let [a, b] = pair;
         for (from, to) in [(a, b), (b, a)] {
             self.ends.entry(from).or_default().retain(|&end| end != to);
         }
         self.middles.remove(points[a as usize].midpoint(points[b as usize]), &pair);
-        self.add(segment(a, by), curve, points);
-        self.add(segment(by, b), curve, points);
-    }
-
-    /// The longest of the first ones, mm: none may be longer.
-    pub fn longest(&self) -> f64 {
-        self.longest
+        self.adopted.remove(&pair)
     }
 
     /// The curve of a pair of points, if they are a segment.
@@ -148,5 +175,14 @@ mod tests {
         assert_eq!(segments.all().map(|(pair, _)| pair).collect::<Vec<_>>(), [[0, 3], [1, 2], [1, 3]]);
         assert_eq!(segments.at(1).collect::<Vec<_>>(), [[1, 2], [1, 3]]);
         assert_eq!((segments.curve([0, 1]), segments.curve([1, 3])), (None, Some(curve)));
+        // what is adopted stays so when it is split, until another segment comes to lie on it
+        points.extend([DVec3::new(1.0, 1.0, 0.0), DVec3::new(0.5, 0.5, 0.0)]);
+        assert!(segments.adopt([0, 4], curve, &points) && !segments.adopt([0, 3], curve, &points));
+        segments.split([0, 4], 5, &points);
+        assert_eq!(segments.adopted(), [[0, 5], [4, 5]]);
+        segments.split([0, 3], 5, &points);
+        assert_eq!(segments.adopted(), [[4, 5]]);
+        assert!(segments.remove([4, 5], &points) && !segments.remove([0, 5], &points));
+        assert_eq!((segments.curve([4, 5]), segments.count()), (None, 3));
     }
 }
