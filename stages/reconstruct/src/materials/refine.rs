@@ -119,15 +119,20 @@ impl<'a> Refinement<'a> {
     pub fn run(&mut self, mut step: impl FnMut(usize) -> Result<()>) -> Result<Vec<Facet>> {
         self.drain([], &mut step)?;
         for _ in 0..NODE_ROUNDS {
-            let mut found = self.adopt();
-            found.extend(self.at_nodes());
+            let found = self.at_nodes();
             if self.drain(found, &mut step)? == 0 {
                 break;
             }
         }
-        self.complex.give_up_adopted();
         self.report.relabelled += self.relabel(&mut step)?;
-        self.complex.give_up_adopted();
+        // what is left of edges without a known segment may lie on a curve all the same
+        let found = self.adopt();
+        if !found.is_empty() {
+            self.drain(found, &mut step)?;
+            self.complex.give_up_adopted();
+            self.report.relabelled += self.relabel(&mut step)?;
+            self.complex.give_up_adopted();
+        }
         self.report.adopted = self.complex.segments.adopted().len();
         let facets = self.complex.labelled.facets();
         self.report.unresolved = BTreeMap::new();
