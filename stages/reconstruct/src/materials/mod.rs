@@ -9,6 +9,7 @@
 
 pub mod check;
 pub mod complex;
+mod cut;
 pub mod improve;
 pub mod interfaces;
 pub mod nodes;

@@ -70,11 +70,9 @@ pub fn reconstruct(
     let tree = KdTree::new(complex.points());
     let size_near = |p: DVec3| tree.nearest(p).map_or(indicators.voxel(), |(v, _)| complex.sizes[v]);
     let size = |p: DVec3| sizing.map_or_else(|| size_near(p), |h| h.at(p));
-    // a complex that fails its checks is not worth the minutes that its needles would take
-    let is_whole = !refined.unresolved.keys().any(|reason| reason.is_topology());
     let how = ImproveOptions {
         target: options.improve_below,
-        rounds: if is_whole { options.improve_rounds } else { 0 },
+        rounds: options.improve_rounds,
         relaxation_sweeps: options.relaxation_sweeps,
         // fewer points between junctions cost volume (nested balls in the tests: 7 % at the coarse size, more than is passed)
         thins: false,

@@ -1,0 +1,201 @@
+//! Where a segment of a junction curve is cut: at a point that is there and that its curve passes, or at a new one on the curve between its ends.
+
+use super::prepare::onto;
+use super::refine::Refinement;
+use super::segments::{Segment, segment};
+use super::way::{self, LONGEST_WAY, ONE_CURVE};
+use glam::DVec3;
+use isoparticles_field::materials::Stratum;
+use isoparticles_field::materials::complex::{way_from, ways_along};
+use std::collections::BTreeSet;
+
+/// Ends of a segment are no nearer to the point that splits it than this part of its length.
+const MIDDLE: f64 = 0.2;
+
+/// How a segment becomes two.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) enum Cut {
+    /// It passes through a point that is there.
+    At(u32),
+    /// A point is inserted, grid frame, mm.
+    New(DVec3),
+}
+
+impl Refinement<'_> {
+    /// The curve of a segment and where it is cut: at a point that its curve passes; else at a new place of the curve between its ends, no nearer than `least`
+    /// to either; else at a junction point that leads on. `None` where there is none of these.
+    pub(super) fn cut(&self, pair: Segment, least: f64) -> Option<(Stratum, Cut)> {
+        let curve = self.complex.segments.curve(pair)?;
+        let [a, b] = pair.map(|v| self.complex.points()[v as usize]);
+        let length = a.distance(b);
+        let is_between = |p: &DVec3| p.distance(a).min(p.distance(b)) > (MIDDLE * length).max(least);
+        let way = self.way(pair, curve);
+        let first = |points: Vec<u32>| points.into_iter().find(|&v| self.can_pass(pair, v));
+        if let Some(point) = way.as_ref().and_then(|way| first(self.on_way(way, pair[0]))) {
+            return Some((curve, Cut::At(point)));
+        }
+        if let Some(place) = self.new_place(pair, curve, way.as_deref(), is_between) {
+            return self.cut_near(pair, curve, place);
+        }
+        if let Some(point) = first(self.linked(pair, curve)) {
+            return Some((curve, Cut::At(point)));
+        }
+        let on_curve = way.is_none().then(|| self.onto_curve(curve, a.midpoint(b), 0.5 * length)).flatten();
+        self.cut_near(pair, curve, on_curve.filter(is_between)?)
+    }
+
+    /// A new place of a segment's curve that `is_between` its ends. It is next to the point that lies deepest in the ball of which the segment is a diameter, if
+    /// there is one: where two curves run side by side, nearer to each other than their points are, these come to lie in pairs, and both curves' segments are
+    /// edges (the ball on a side of a rectangle holds no corner). Else it is in the middle of the way, or as far as the curve can be followed from one end.
+    fn new_place(
+        &self,
+        pair: Segment,
+        curve: Stratum,
+        way: Option<&[DVec3]>,
+        is_between: impl Fn(&DVec3) -> bool,
+    ) -> Option<DVec3> {
+        let Some(way) = way else { return self.farthest(pair, curve).filter(is_between) };
+        let [a, b] = pair.map(|v| self.complex.points()[v as usize]);
+        let (deepest, distance) = self.complex.labelled.nearest(a.midpoint(b), pair[0]);
+        let is_within = !pair.contains(&deepest) && distance < 0.5 * a.distance(b);
+        let beside = is_within.then(|| way::foot(way, self.complex.points()[deepest as usize]).0);
+        let places = beside.into_iter().chain([0.5 * way::length(way)]);
+        places.filter_map(|along| self.place_on(curve, way, along)).find(is_between)
+    }
+
+    /// A cut at a new place, or at the point of the curve that is one with it; `None` where the segment cannot pass through that.
+    fn cut_near(&self, pair: Segment, curve: Stratum, place: DVec3) -> Option<(Stratum, Cut)> {
+        let (known, distance) = self.complex.labelled.nearest(place, pair[0]);
+        let is_known = !pair.contains(&known)
+            && self.complex.strata[known as usize].is_on(&curve)
+            && distance < ONE_CURVE * self.complex.indicators.voxel();
+        match is_known {
+            true => self.can_pass(pair, known).then_some((curve, Cut::At(known))),
+            false => Some((curve, Cut::New(place))),
+        }
+    }
+
+    /// Points of curves that a way passes within `ONE_CURVE`, without those at its ends; `near` is one not far from its first place.
+    fn on_way(&self, way: &[DVec3], near: u32) -> Vec<u32> {
+        let reach = ONE_CURVE * self.complex.indicators.voxel();
+        let whole = way::length(way);
+        let is_passed = |&v: &u32| {
+            let (foot, distance) = way::foot(way, self.complex.points()[v as usize]);
+            distance < reach && foot > 0.0 && foot < whole && self.complex.strata[v as usize].dimension() < 2
+        };
+        let middles = way.windows(2).map(|step| step[0].midpoint(step[1]));
+        let mut near = near;
+        let mut nearest = |place: DVec3| {
+            near = self.complex.labelled.nearest(place, near).0;
+            near
+        };
+        let mut found: Vec<u32> = way.iter().copied().chain(middles).map(&mut nearest).filter(is_passed).collect();
+        let mut known = BTreeSet::new();
+        found.retain(|&v| known.insert(v));
+        found
+    }
+
+    /// Junction points in the ball of which a segment is a diameter, or nearer to it than `ONE_CURVE`, that have segments with one of its ends or lie nearest to
+    /// it, and at which all materials of its curve meet: where the curve is one with another it may be undercut, and these lead on.
+    fn linked(&self, pair: Segment, curve: Stratum) -> Vec<u32> {
+        let points = self.complex.points();
+        let [a, b] = pair.map(|v| points[v as usize]);
+        let reach = ONE_CURVE * self.complex.indicators.voxel();
+        let is_beside = |v: &u32| {
+            let place = points[*v as usize];
+            (place - a).dot(place - b) < 0.0 || way::foot(&[a, b], place).1 < reach
+        };
+        let ends = pair.into_iter().flat_map(|v| self.complex.segments.at(v)).flatten();
+        let ends = ends.chain(self.on_way(&[a, b], pair[0]));
+        let leads = |v: &u32| {
+            let own = self.complex.strata[*v as usize];
+            own.dimension() == 0 && own.is_on(&curve)
+        };
+        ends.filter(|v| !pair.contains(v) && is_beside(v) && leads(v)).collect()
+    }
+
+    /// Whether a segment can give way to two by way of a point that its curve passes, and no curve is left open by that: what lies nearer together than `ONE_CURVE` is one.
+    /// Without it two curves that coincide over some length would be refined without end, as neither's segments can be edges beside the other's points.
+    fn can_pass(&self, pair: Segment, point: u32) -> bool {
+        let segments = &self.complex.segments;
+        let is_new = || !self.passes.contains(&(pair, point)) || segments.is_covered(pair, point);
+        let strata = &self.complex.strata;
+        let is_left_open = |&end: &u32| {
+            let is_linked = segments.curve(segment(end, point)).is_some();
+            strata[end as usize].dimension() == 1 && is_linked && segments.at(end).count() < 3
+        };
+        strata[point as usize].dimension() < 2
+            && is_new()
+            && !pair.iter().any(is_left_open)
+            && segments.can_pass(pair, point, self.complex.points())
+    }
+
+    /// The way along the curve of a segment from one end to the other, the shortest of those of four materials. One that leaves an end by a segment of the same
+    /// curve is that of other segments, round a loop: a curve goes on where it comes from only at its ends.
+    fn way(&self, pair: Segment, curve: Stratum) -> Option<Vec<DVec3>> {
+        let indicators = self.complex.indicators;
+        let ends = pair.map(|v| self.complex.points()[v as usize]);
+        let longest = LONGEST_WAY * ends[0].distance(ends[1]).max(indicators.voxel());
+        // a point of curves that are one lies on one of them
+        let own =
+            |curve: Stratum| ends.map(|p| onto(indicators, curve, p, ONE_CURVE * indicators.voxel()).unwrap_or(p));
+        let is_its_own = |curve: Stratum, way: &[DVec3]| {
+            let along = |v: u32| way::foot(way, self.complex.points()[v as usize]).0;
+            let mut same = self.on_way(way, pair[0]);
+            same.retain(|&v| self.complex.strata[v as usize] == curve);
+            same.sort_by(|&a, &b| along(a).total_cmp(&along(b)));
+            let [Some(&first), Some(&last)] = [same.first(), same.last()] else { return true };
+            let is_taken = |end: u32, next: u32| {
+                let known: Vec<u32> = self.others(end, curve).collect();
+                self.complex.strata[end as usize] == curve && known.contains(&next) && known.len() < 3
+            };
+            !is_taken(pair[0], first) && !is_taken(pair[1], last)
+        };
+        let ways = curve.curves().flat_map(|curve| {
+            let mut ways = ways_along(indicators, curve, self.complex.labelled.upper(), own(curve), longest);
+            ways.retain(|way| is_its_own(curve, way));
+            ways
+        });
+        ways.min_by(|a, b| way::length(a).total_cmp(&way::length(b)))
+    }
+
+    /// The other ends of the segments of a curve at a point.
+    fn others(&self, point: u32, curve: Stratum) -> impl Iterator<Item = u32> + '_ {
+        let segments = self.complex.segments.at(point);
+        let own = segments.filter(move |&pair| self.complex.segments.curve(pair) == Some(curve));
+        own.flatten().filter(move |&end| end != point)
+    }
+
+    /// Where the curve of a segment leads from one of its ends, away from the segment before, half of the segment's length along: of both ends the one from
+    /// which it leads farther.
+    fn farthest(&self, pair: Segment, curve: Stratum) -> Option<DVec3> {
+        let [a, b] = pair;
+        let place = |v: u32| self.complex.points()[v as usize];
+        let longest = 0.5 * place(a).distance(place(b));
+        let way = |end: u32, other: u32| {
+            let before = self.others(end, curve).find(|&v| v != other);
+            let heading = before.map_or_else(|| place(other) - place(end), |v| place(end) - place(v));
+            way_from(self.complex.indicators, curve, self.complex.labelled.upper(), (place(end), heading), longest)
+        };
+        let ways = [way(a, b), way(b, a)];
+        let farthest = ways.into_iter().max_by(|a, b| way::length(a).total_cmp(&way::length(b)));
+        farthest.and_then(|way| way.last().copied())
+    }
+
+    /// The place of a curve so far along a way on it, mm.
+    fn place_on(&self, curve: Stratum, way: &[DVec3], along: f64) -> Option<DVec3> {
+        let mut sum = 0.0;
+        let step = way.windows(2).find(|step| {
+            sum += step[0].distance(step[1]);
+            sum >= along
+        })?;
+        let own = step[0].distance(step[1]);
+        let share = (sum - along) / own.max(f64::MIN_POSITIVE);
+        self.onto_curve(curve, step[1].lerp(step[0], share), 0.5 * own)
+    }
+
+    /// The place of a segment's curve near another.
+    fn onto_curve(&self, curve: Stratum, place: DVec3, limit: f64) -> Option<DVec3> {
+        curve.curves().find_map(|curve| onto(self.complex.indicators, curve, place, limit))
+    }
+}
