@@ -50,6 +50,7 @@ pub enum Reason {
 
 impl Reason {
     /// Whether the topology is another there than that of F, or of the indicators.
+    #[cfg(test)]
     pub fn is_topology(self) -> bool {
         self < Self::Deviation
     }

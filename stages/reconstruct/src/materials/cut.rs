@@ -23,7 +23,8 @@ pub(super) enum Cut {
 
 impl Refinement<'_> {
     /// The curve of a segment and where it is cut: at a point that its curve passes; else at a new place of the curve between its ends, no nearer than `least`
-    /// to either; else at a junction point that leads on. `None` where there is none of these.
+    /// to either; else at a junction point that leads on; else, where the curve cannot be followed, where it is nearest to the middle of the segment. `None`
+    /// where there is none of these.
     pub(super) fn cut(&self, pair: Segment, least: f64) -> Option<(Stratum, Cut)> {
         let curve = self.complex.segments.curve(pair)?;
         let [a, b] = pair.map(|v| self.complex.points()[v as usize]);
