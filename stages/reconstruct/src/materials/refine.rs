@@ -36,6 +36,8 @@ pub struct RefineReport {
     pub adopted: usize,
     /// Parts of stars and runs round edges that were given to another material.
     pub relabelled: usize,
+    /// Times that a curve which passed more than once through a point went past it.
+    pub bypassed: usize,
     /// Violations left, by what is violated: only points nearer to others than the smallest radius could mend them.
     pub unresolved: BTreeMap<Reason, usize>,
 }
@@ -127,6 +129,7 @@ impl<'a> Refinement<'a> {
             self.report.relabelled += self.relabel(&mut step)?;
             self.complex.give_up_adopted();
         }
+        self.report.bypassed = self.bypass();
         self.report.adopted = self.complex.segments.adopted().len();
         let facets = self.complex.labelled.facets();
         self.report.unresolved = BTreeMap::new();

@@ -90,6 +90,21 @@ impl Segments {
         }
     }
 
+    /// Puts one segment in the place of two of one curve that meet in a point, what [`split`](Self::split) undoes; false, and nothing is done, where they do not, where there is one already,
+    /// or where it would be longer than the longest of the first ones.
+    pub fn bypass(&mut self, pair: Segment, point: u32, points: &[DVec3]) -> bool {
+        let old = pair.map(|end| segment(end, point));
+        let [a, b] = pair.map(|v| points[v as usize]);
+        let Some(curve) = self.curve(old[0]).filter(|curve| self.curve(old[1]) == Some(*curve)) else { return false };
+        let is_free = self.curve(pair).is_none() && a.distance(b) <= self.longest;
+        if !is_free || old.iter().any(|pair| self.adopted.contains(pair)) {
+            return false;
+        }
+        old.into_iter().for_each(|pair| _ = self.remove(pair, points));
+        self.add(pair, curve, points);
+        true
+    }
+
     /// Adds an edge of the triangulation whose ends lie on a curve, if it is no segment yet and no longer than the longest of the first ones; true when it did.
     pub fn adopt(&mut self, edge: Segment, curve: Stratum, points: &[DVec3]) -> bool {
         let [a, b] = edge.map(|v| points[v as usize]);
@@ -175,6 +190,14 @@ mod tests {
         assert_eq!(segments.all().map(|(pair, _)| pair).collect::<Vec<_>>(), [[0, 3], [1, 2], [1, 3]]);
         assert_eq!(segments.at(1).collect::<Vec<_>>(), [[1, 2], [1, 3]]);
         assert_eq!((segments.curve([0, 1]), segments.curve([1, 3])), (None, Some(curve)));
+        // and back
+        let before = segments.curve.clone();
+        assert!(!segments.bypass([0, 2], 1, &points), "too long, with no segment from 0 to 1");
+        assert!(segments.bypass([0, 1], 3, &points) && segments.curve([0, 1]) == Some(curve));
+        assert!(!segments.bypass([0, 1], 3, &points), "there is one");
+        assert_eq!((segments.count(), segments.at(3).count()), (2, 0));
+        segments.split([0, 1], 3, &points);
+        assert_eq!(segments.curve, before);
         // what is adopted stays so when it is split, until another segment comes to lie on it
         points.extend([DVec3::new(1.0, 1.0, 0.0), DVec3::new(0.5, 0.5, 0.0)]);
         assert!(segments.adopt([0, 4], curve, &points) && !segments.adopt([0, 3], curve, &points));
