@@ -33,7 +33,8 @@ pub fn integrate(surface: &CubicSpline, density: impl Fn(DVec3, DVec3) -> f64 + 
         .into_par_iter()
         .map(|k| {
             let cells = crossed_cells(surface, k, [nx, ny]);
-            cells.map(|cell| integrate_cell(surface, cell, &patch(surface, cell), &density)).sum()
+            let crossed = cells.filter_map(|cell| Some((cell, patch(surface, cell)?)));
+            crossed.map(|(cell, patch)| integrate_cell(surface, cell, &patch, &density)).sum()
         })
         .collect();
     layers.iter().sum()
@@ -67,10 +68,6 @@ fn integrate_cell(
     patch: &Patch,
     density: &impl Fn(DVec3, DVec3) -> f64,
 ) -> f64 {
-    // F lies between its Bézier points
-    if is_of_one_sign(patch.as_flattened().as_flattened()) {
-        return 0.0;
-    }
     let spacing = surface.geometry().spacing;
     let corner = DVec3::from_array(cell.map(|n| n as f64));
     let offset = |n: usize| (n as f64 + 0.5) / LINES as f64;
@@ -85,11 +82,17 @@ fn integrate_cell(
                 continue;
             }
             for u in (0..LINES).map(offset) {
-                each_root(blend(&plane, bernstein(u)), 0.0, 1.0, HALVINGS, &mut |t| {
+                let line = blend(&plane, bernstein(u));
+                each_root(line, 0.0, 1.0, HALVINGS, &mut |t| {
                     let mut at = corner;
                     (at[axis], at[b], at[c]) = (at[axis] + t, at[b] + u, at[c] + v);
                     let point = surface.geometry().index_to_grid(at);
-                    let normal = surface.value_gradient(point).1.normalize_or_zero();
+                    let across = turned.each_ref().map(|points| blend(points, slopes(v)));
+                    let mut gradient = DVec3::ZERO;
+                    gradient[axis] = sum_of(line, slopes(t));
+                    gradient[b] = sum_of(blend(&plane, slopes(u)), bernstein(t));
+                    gradient[c] = sum_of(blend(&across, bernstein(u)), bernstein(t));
+                    let normal = (gradient / spacing).normalize_or_zero();
                     sum += between * normal[axis].abs() * density(point, normal);
                 });
             }
@@ -104,22 +107,12 @@ fn is_of_one_sign(points: &[f64]) -> bool {
     negative == 0 || negative == points.len()
 }
 
-/// Bézier points of F in the cell whose lowest corner is a node.
-fn patch(surface: &CubicSpline, cell: [usize; 3]) -> Patch {
+/// Bézier points of F in the cell whose lowest corner is a node, between which F lies; `None` where they are of one sign, which is asked after each axis.
+fn patch(surface: &CubicSpline, cell: [usize; 3]) -> Option<Patch> {
     let size = surface.geometry().size;
     let [xs, ys, zs] = [0, 1, 2].map(|axis| around(cell[axis], size[axis]));
     let row = |y: usize, z: usize| (z * size[1] + y) * size[0];
     let mut patch = zs.map(|z| ys.map(|y| xs.map(|x| f64::from(surface.coefficients()[row(y, z) + x]))));
-    for plane in &mut patch {
-        for row in plane.iter_mut() {
-            *row = bezier(*row);
-        }
-        let rows = *plane;
-        for x in 0..4 {
-            let column = bezier(rows.map(|row| row[x]));
-            plane.iter_mut().zip(column).for_each(|(row, value)| row[x] = value);
-        }
-    }
     let planes = patch;
     for y in 0..4 {
         for x in 0..4 {
@@ -127,7 +120,23 @@ fn patch(surface: &CubicSpline, cell: [usize; 3]) -> Patch {
             patch.iter_mut().zip(column).for_each(|(plane, value)| plane[y][x] = value);
         }
     }
-    patch
+    if is_of_one_sign(patch.as_flattened().as_flattened()) {
+        return None;
+    }
+    for plane in &mut patch {
+        let rows = *plane;
+        for x in 0..4 {
+            let column = bezier(rows.map(|row| row[x]));
+            plane.iter_mut().zip(column).for_each(|(row, value)| row[x] = value);
+        }
+    }
+    if is_of_one_sign(patch.as_flattened().as_flattened()) {
+        return None;
+    }
+    for row in patch.as_flattened_mut() {
+        *row = bezier(*row);
+    }
+    (!is_of_one_sign(patch.as_flattened().as_flattened())).then_some(patch)
 }
 
 /// Bézier points of a segment of a uniform cubic B-spline.
@@ -154,6 +163,17 @@ fn blend(points: &[[f64; 4]; 4], weights: [f64; 4]) -> [f64; 4] {
 fn bernstein(t: f64) -> [f64; 4] {
     let s = 1.0 - t;
     [s * s * s, 3.0 * s * s * t, 3.0 * s * t * t, t * t * t]
+}
+
+/// Their derivatives.
+fn slopes(t: f64) -> [f64; 4] {
+    let s = 1.0 - t;
+    [-3.0 * s * s, 3.0 * s * (s - 2.0 * t), 3.0 * t * (2.0 * s - t), 3.0 * t * t]
+}
+
+/// Sum of four numbers with weights.
+fn sum_of(points: [f64; 4], weights: [f64; 4]) -> f64 {
+    points.iter().zip(weights).map(|(point, weight)| weight * point).sum()
 }
 
 /// Calls `found` with every root of a cubic between `low` and `high`, whose Bézier points are given there: halved until the points

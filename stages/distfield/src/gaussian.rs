@@ -4,6 +4,7 @@
 //! Gaussian convolution by extended box filtering", 2011), which has the variance of the Gaussian exactly. Mirroring half a voxel beyond the
 //! outermost voxel centres keeps a constant constant, and what meets a face at a right angle as it is.
 
+use fearless_simd::{Level, dispatch};
 use rayon::prelude::*;
 
 /// Boxes for one Gaussian. With four of them the smoothed edge of a half space is within 0.007 of that of the Gaussian
@@ -39,8 +40,13 @@ impl ExtendedBox {
 /// Columns of a line each, side by side.
 type Line = Vec<[f64; LANES]>;
 
-/// Smooths lines in `line`; `room` is for the results between.
+/// Smooths lines in `line`, by the widest instructions that there are (no operation is fused, so the result is the same by any); `room` is for the results between.
 fn smooth_lines(line: &mut Line, room: &mut Line, kernel: ExtendedBox) {
+    dispatch!(Level::new(), _simd => smooth_side_by_side(line, room, kernel));
+}
+
+#[inline(always)]
+fn smooth_side_by_side(line: &mut Line, room: &mut Line, kernel: ExtendedBox) {
     let n = line.len() as isize;
     let mirrored = |at: isize| {
         if (0..n).contains(&at) {

@@ -86,10 +86,14 @@ pub(super) fn quality_of(a: DVec3, b: DVec3, c: DVec3) -> f64 {
     if ratio > SURELY_WIDE {
         return ratio;
     }
-    let angles =
-        [(b - a).angle_between(c - a), (c - b).angle_between(a - b), (a - c).angle_between(b - c)].map(f64::to_degrees);
-    let smallest = angles.into_iter().fold(f64::INFINITY, f64::min);
-    let largest = angles.into_iter().fold(0.0, f64::max);
+    // opposite the shortest and the longest side; the law of cosines loses digits only where an angle is far from any limit
+    let mut squares = [a.distance_squared(b), b.distance_squared(c), c.distance_squared(a)];
+    squares.sort_unstable_by(f64::total_cmp);
+    let [short, middle, long] = squares;
+    let angle = |opposite: f64, p: f64, q: f64| {
+        ((p + q - opposite) / (2.0 * (p * q).sqrt())).clamp(-1.0, 1.0).acos().to_degrees()
+    };
+    let (smallest, largest) = (angle(short, middle, long), angle(long, short, middle));
     let by_angle = |angle: f64, fit: f64, aim: f64| {
         if angle < fit { FIT * angle / fit } else { FIT + (AIM - FIT) * (angle - fit) / (aim - fit) }
     };
@@ -149,6 +153,12 @@ fn gain_of((before, after): (Score, Score), mended: usize) -> f64 {
     let floor = if mended > 0 { before.smallest.min(FIT) } else { before.smallest };
     let gain = before.shortfall - after.shortfall + NODE * mended as f64;
     if after.smallest < floor { f64::NEG_INFINITY } else { gain }
+}
+
+/// By how much the edits since the last commit raise the sum of the qualities of the triangles touched, as many before as now.
+pub(super) fn total_gain(surface: &Surface) -> f64 {
+    let change = |t: u32| surface.quality(t) - surface.facts[t as usize].quality;
+    surface.touched().into_iter().map(change).sum()
 }
 
 /// Mean quality of the touched triangles as they are now.
@@ -249,26 +259,39 @@ fn is_sound(surface: &Surface, limits: &Limits, touched: &[u32], facts: &[Facts]
         })
 }
 
-/// Whether a touched triangle crosses any other.
+/// Whether a touched triangle crosses any other; false while that is left for the end.
 fn crosses(surface: &Surface, touched: &[u32]) -> bool {
+    let Some(grid) = &surface.grid else { return false };
     let own: Vec<(u32, Bounds)> =
         touched.iter().filter(|&&t| surface.is_alive(t)).map(|&t| (t, surface.bounds(t))).collect();
     let whole = own.iter().fold(Bounds::EMPTY, |all, (_, bounds)| all.merged(*bounds));
-    let cross = |first: u32, second: u32| {
-        corners_cross(
-            surface.triangles[first as usize],
-            surface.corners(first),
-            surface.triangles[second as usize],
-            surface.corners(second),
-        )
-    };
     let crosses_own = |t: u32, bounds: &Bounds, own: &[(u32, Bounds)]| {
-        own.iter().any(|(other, box_of_other)| box_of_other.meets(bounds) && cross(t, *other))
+        own.iter().any(|(other, box_of_other)| box_of_other.meets(bounds) && cross(surface, t, *other))
     };
     own.iter().enumerate().any(|(i, (t, bounds))| crosses_own(*t, bounds, &own[i + 1..]))
-        || surface
-            .grid
-            .any(&whole, |other, bounds| touched.binary_search(&other).is_err() && crosses_own(other, bounds, &own))
+        || grid.any(&whole, |other, bounds| touched.binary_search(&other).is_err() && crosses_own(other, bounds, &own))
+}
+
+/// Whether two triangles cross.
+fn cross(surface: &Surface, first: u32, second: u32) -> bool {
+    corners_cross(
+        surface.triangles[first as usize],
+        surface.corners(first),
+        surface.triangles[second as usize],
+        surface.corners(second),
+    )
+}
+
+impl Surface<'_> {
+    /// Whether any triangle that has changed crosses another, in a surface whose grid holds all.
+    pub(super) fn crosses_in_all(&self) -> bool {
+        let Some(grid) = &self.grid else { return false };
+        let changed = (0..self.triangles.len() as u32).filter(|&t| self.is_alive(t) && self.has_changed(t));
+        changed.into_iter().any(|t| {
+            let is_first = |other: u32| other > t || other < t && !self.has_changed(other);
+            grid.any(&self.bounds(t), |other, _| is_first(other) && cross(self, t, other))
+        })
+    }
 }
 
 /// Grid nodes that change sides, and by how many fewer are on the wrong one; `None` when one leaves its right side and the count does not fall.

@@ -16,6 +16,7 @@ mod nodes;
 mod optimise;
 mod patch;
 mod remesh;
+mod ring;
 mod sheets;
 mod smooth;
 mod surface;

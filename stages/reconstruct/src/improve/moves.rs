@@ -2,13 +2,15 @@
 //! the mesh a manifold of the same topology (link condition); whether the outcome is kept is for the guard to say.
 
 use super::constants::{
-    DIRECTIONS, FIRST_STEP, HALVINGS, LAST_STEP, LEAST_GAIN, LINE_STEPS, PROJECTION_TOLERANCE, RELOCATIONS, SHARES,
+    FIRST_STEP, HALVINGS, LAST_STEP, LEAST_GAIN, LINE_STEPS, PROJECTION_TOLERANCE, RELOCATIONS, SHARES, SURELY_WIDE,
     TURN,
 };
 use super::guard::quality_of;
+use super::ring::{LANES, Ring};
 use super::surface::{DEAD, Surface, edges_of};
-use glam::DVec3;
-use isoparticles_field::spline::{FLATTEST, Jet};
+use fearless_simd::{Level, dispatch};
+use glam::{DVec2, DVec3};
+use isoparticles_field::spline::FLATTEST;
 use std::f64::consts::TAU;
 
 /// The point of a sheet (F = 0, where there is one object) near a position, no farther than `limit` mm.
@@ -125,12 +127,11 @@ pub(super) fn split(surface: &mut Surface, a: u32, b: u32) -> Option<u32> {
 pub(super) struct Site {
     pub(super) start: DVec3,
     pub(super) sheet: u32,
-    /// Derivatives of F there, and the length of its gradient.
-    pub(super) jet: Jet,
-    pub(super) slope: f64,
     pub(super) normal: DVec3,
     /// Of the tangent plane.
     pub(super) axes: [DVec3; 2],
+    /// Of the paraboloid over the tangent plane that the surface is to second order: xx, xy, yy, per mm.
+    pub(super) bend: [f64; 3],
     /// The other corners of the triangles.
     pub(super) ring: Vec<(DVec3, DVec3)>,
     /// Mean distance of the neighbours.
@@ -154,81 +155,85 @@ impl Site {
         let axes = <[DVec3; 2]>::from(normal.any_orthonormal_pair());
         let ring: Vec<(DVec3, DVec3)> = surface.link(vertex).map(|(a, b)| surface.side(a, b)).collect();
         let reach = ring.iter().map(|(a, _)| a.distance(start)).sum::<f64>() / ring.len() as f64;
-        Some(Self { start, sheet, jet, slope, normal, axes, ring, reach })
+        let [h1, h2] = axes.map(|axis| jet.hessian * axis / slope);
+        let bend = [axes[0].dot(h1), axes[0].dot(h2), axes[1].dot(h2)];
+        Some(Self { start, sheet, normal, axes, bend, ring, reach })
+    }
+
+    /// The point of that paraboloid over a place of the tangent plane (mm along its axes).
+    pub(super) fn place(&self, at: DVec2) -> DVec3 {
+        let [xx, xy, yy] = self.bend;
+        let height = 0.5 * (xx * at.x * at.x + yy * at.y * at.y) + xy * at.x * at.y;
+        self.start + self.axes[0] * at.x + self.axes[1] * at.y - self.normal * height
+    }
+
+    /// Smallest quality of the triangles with the vertex at `p`, if it is above a bar; negative where one is turned against the normal.
+    fn worth_above(&self, p: DVec3, bar: f64) -> Option<f64> {
+        let mut smallest = f64::INFINITY;
+        for &(a, b) in &self.ring {
+            let quality = quality_of(p, a, b);
+            let upright = (a - p).cross(b - p).dot(self.normal) > 0.0;
+            smallest = smallest.min(if upright { quality } else { quality - 1.0 });
+            if smallest <= bar {
+                return None;
+            }
+        }
+        Some(smallest)
     }
 }
 
-/// Moves a vertex along the surface to where the smallest quality of its triangles is largest.
+/// Moves a vertex along the surface to where the smallest quality of its triangles is largest: looks in eight directions at once, and halves the step where
+/// none is better.
 pub(super) fn relocate(surface: &mut Surface, vertex: u32) -> bool {
-    let Some(Site { start, sheet, jet, slope, normal, axes: [e1, e2], mut ring, reach }) = Site::of(surface, vertex)
-    else {
-        return false;
-    };
-    let worth = |ring: &mut [(DVec3, DVec3)], p: DVec3| {
-        ring_worth_above(ring, normal, p, f64::NEG_INFINITY).unwrap_or(f64::NEG_INFINITY)
-    };
-
-    // to second order the surface is a paraboloid over its tangent plane
-    let place = |x: f64, y: f64| {
-        let t = e1 * x + e2 * y;
-        start + t - normal * (0.5 * t.dot(jet.hessian * t) / slope)
-    };
-    let before = worth(&mut ring, start);
-    let (mut best, mut best_worth) = ((0.0, 0.0), before);
-    let mut step = FIRST_STEP * reach;
-    let mut directions: [(f64, f64); DIRECTIONS] = std::array::from_fn(|d| {
-        let angle = TAU * d as f64 / DIRECTIONS as f64;
-        (angle.cos(), angle.sin())
-    });
-    let (turn_cos, turn_sin) = (TURN.cos(), TURN.sin());
-    while step > LAST_STEP * reach {
+    let Some(site) = Site::of(surface, vertex) else { return false };
+    let worth = |p: DVec3| site.worth_above(p, f64::NEG_INFINITY).unwrap_or(f64::NEG_INFINITY);
+    let ring = Ring::of(&site);
+    let instructions = Level::new();
+    let before = worth(site.start);
+    let (mut best, mut best_worth) = (DVec2::ZERO, before);
+    let mut step = FIRST_STEP * site.reach;
+    let mut directions: [DVec2; LANES] = std::array::from_fn(|d| DVec2::from_angle(TAU * d as f64 / LANES as f64));
+    let turn = DVec2::from_angle(TURN);
+    while step > LAST_STEP * site.reach {
+        let candidates = directions.map(|direction| best + step * direction);
+        let along = [candidates.map(|c| c.x), candidates.map(|c| c.y)];
+        let ratios = dispatch!(instructions, simd => ring.smallest_ratios(simd, along));
+        // no quality is above its ratio: by that, the most promising come first
+        let mut lanes: [usize; LANES] = std::array::from_fn(|lane| lane);
+        lanes.sort_by(|&a, &b| ratios[b].total_cmp(&ratios[a]));
         let mut next = None;
-        for (x, y) in directions {
-            let candidate = (best.0 + step * x, best.1 + step * y);
-            if let Some(worth) =
-                ring_worth_above(&mut ring, normal, place(candidate.0, candidate.1), best_worth + LEAST_GAIN)
-            {
-                best_worth = worth;
-                next = Some(candidate);
+        for lane in lanes {
+            let bar = best_worth + LEAST_GAIN;
+            if ratios[lane] <= bar {
+                break;
+            }
+            let is_ratio = ratios[lane] > SURELY_WIDE;
+            let found = if is_ratio { Some(ratios[lane]) } else { site.worth_above(site.place(candidates[lane]), bar) };
+            if let Some(found) = found {
+                best_worth = found;
+                next = Some(candidates[lane]);
             }
         }
         match next {
-            Some(candidate) if candidate.0.hypot(candidate.1) < reach => best = candidate,
+            Some(candidate) if candidate.length() < site.reach => best = candidate,
             Some(_) => break,
             None => {
                 step *= 0.5;
                 // other directions, lest a ridge of the smallest of several functions hide between two of them
-                directions = directions.map(|(x, y)| (x * turn_cos - y * turn_sin, x * turn_sin + y * turn_cos));
+                directions = directions.map(|direction| turn.rotate(direction));
             }
         }
     }
-    if best == (0.0, 0.0) {
+    if best == DVec2::ZERO {
         return false;
     }
-    match projected_facing(surface, sheet, place(best.0, best.1), normal, reach) {
-        Some(p) if worth(&mut ring, p) > before + LEAST_GAIN => {
+    match projected_facing(surface, site.sheet, site.place(best), site.normal, site.reach) {
+        Some(p) if worth(p) > before + LEAST_GAIN => {
             surface.move_vertex(vertex, p);
             true
         }
         _ => false,
     }
-}
-
-/// Smallest quality round a vertex at `p`, if it is above a bar; negative when a triangle is turned against the normal
-/// there. A triangle that is not comes first in the ring afterwards: it is likely to be below the next bar as well.
-fn ring_worth_above(ring: &mut [(DVec3, DVec3)], normal: DVec3, p: DVec3, bar: f64) -> Option<f64> {
-    let mut smallest = f64::INFINITY;
-    for n in 0..ring.len() {
-        let (a, b) = ring[n];
-        let quality = quality_of(p, a, b);
-        let upright = (a - p).cross(b - p).dot(normal) > 0.0;
-        smallest = smallest.min(if upright { quality } else { quality - 1.0 });
-        if smallest <= bar {
-            ring.swap(0, n);
-            return None;
-        }
-    }
-    Some(smallest)
 }
 
 /// Moves a vertex along the surface towards the centre of its triangles, weighted by area over target area.

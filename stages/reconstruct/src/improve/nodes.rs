@@ -122,7 +122,7 @@ impl Surface<'_> {
         let mut reach = self.field.voxel();
         loop {
             let mut best: Option<(f64, u32)> = None;
-            self.grid.any(&Bounds { low: p - reach, high: p + reach }, |t, _| {
+            self.grid.as_ref()?.any(&Bounds { low: p - reach, high: p + reach }, |t, _| {
                 let rated = (distance_to_triangle(p, self.corners(t)), t);
                 if rated.0 <= reach && best.is_none_or(|best| rated < best) {
                     best = Some(rated);

@@ -33,25 +33,32 @@ impl<'a> Patch<'a> {
     /// What of a surface meets a box, for changes that stay within the box.
     pub(super) fn within(whole: &Surface<'a>, region: &Bounds) -> Self {
         let mut triangles = Vec::new();
-        whole.grid.any(region, |t, _| {
-            triangles.push(t);
-            false
-        });
+        if let Some(grid) = &whole.grid {
+            grid.any(region, |t, _| {
+                triangles.push(t);
+                false
+            });
+        }
         // not in the order of the grid's cells
         triangles.sort_unstable();
-        Self::of(whole, region, triangles)
+        let mut patch = Self::of(whole, region, triangles);
+        patch.fill_grid(whole);
+        patch
     }
 
-    /// The same where the triangles (ascending) are known.
+    /// Gives it a grid, so that from now on nothing is committed that crosses another triangle.
+    pub(super) fn fill_grid(&mut self, whole: &Surface) {
+        if let Some(grid) = &whole.grid {
+            self.surface.fill_grid(grid.emptied());
+        }
+    }
+
+    /// The same where the triangles (ascending) are known, without a grid.
     pub(super) fn of(whole: &Surface<'a>, region: &Bounds, triangles: Vec<u32>) -> Self {
         let mut vertices: Vec<u32> = triangles.iter().flat_map(|&t| whole.triangles[t as usize]).collect();
         vertices.sort_unstable();
         vertices.dedup();
         let mut surface = whole.part(&vertices, &triangles);
-        surface.grid = whole.grid.emptied();
-        for t in 0..triangles.len() as u32 {
-            surface.grid.insert(t, surface.bounds(t));
-        }
         surface.sides = whole.sides.as_ref().map(|sides| sides.within(region));
         surface.region = Some(*region);
         Self { surface, vertices, triangles }

@@ -3,8 +3,8 @@
 //! on F = 0.
 
 use super::Tally;
-use super::constants::{FLOOR, FLOOR_OF_RELAXATION, LONG, SHORT, SWEEPS_OF_FLIP};
-use super::guard::{Limits, Rule, commit_or_rollback};
+use super::constants::{FLOOR, FLOOR_OF_RELAXATION, HOPELESS_AFTER_SWEEP, LONG, SHORT, SWEEPS_OF_FLIP};
+use super::guard::{Limits, Rule, commit_or_rollback, total_gain};
 use super::moves::{collapse, flip, projected, relax, split};
 use super::smooth::shift;
 use super::surface::{DEAD, Surface, edges_of};
@@ -90,12 +90,12 @@ pub(super) fn equalise_degrees(
         let before = cost(a_over) + cost(b_over) + cost(c_over) + cost(d_over);
         let after = cost(a_over - 1) + cost(b_over - 1) + cost(c_over + 1) + cost(d_over + 1);
         if (after < before || after == before && must_gain) && flip(surface, a, b) {
-            if must_gain {
-                for _ in 0..SWEEPS_OF_FLIP {
-                    [a, b, c, d].into_iter().for_each(|v| shift(surface, v));
-                }
-            }
-            tally.flips += usize::from(commit_or_rollback(surface, limits, rule).is_some());
+            let mut sweeps = if must_gain { 0..SWEEPS_OF_FLIP } else { 0..0 };
+            let is_hopeful = sweeps.all(|_| {
+                [a, b, c, d].into_iter().for_each(|v| shift(surface, v));
+                total_gain(surface) >= HOPELESS_AFTER_SWEEP
+            });
+            tally.flips += usize::from(is_hopeful && commit_or_rollback(surface, limits, rule).is_some());
         }
         surface.rollback();
     }

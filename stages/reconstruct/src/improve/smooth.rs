@@ -1,6 +1,6 @@
 //! Moves vertices to where the mean radius ratio round them is largest.
 
-use super::constants::{DIFFERENCE, FIRST_STEP, SHARES};
+use super::constants::{FIRST_STEP, LEAST_GAIN_OF_SWEEP, SHARES};
 use super::guard::{Limits, Rule, commit_or_rollback};
 use super::moves::{Site, projected_facing};
 use super::surface::Surface;
@@ -8,11 +8,12 @@ use glam::{DVec2, DVec3};
 use isoparticles_mesh::quality::radius_ratio;
 
 /// Brings a vertex nearer to where the mean radius ratio of its triangles is largest, by a step of Newton's method over its tangent plane, and
-/// commits that when the rule lets it pass.
+/// commits that when the mean rises by [`LEAST_GAIN_OF_SWEEP`] and the rule lets it pass.
 pub(super) fn smooth(surface: &mut Surface, vertex: u32, limits: &Limits, rule: Rule) -> bool {
     let Some(step) = Step::of(surface, vertex) else { return false };
+    let least = LEAST_GAIN_OF_SWEEP * step.site.ring.len() as f64;
     SHARES.into_iter().any(|share| {
-        let kept = step.make(surface, share) && commit_or_rollback(surface, limits, rule).is_some();
+        let kept = step.make(surface, share, least) && commit_or_rollback(surface, limits, rule).is_some();
         surface.rollback();
         kept
     })
@@ -22,7 +23,7 @@ pub(super) fn smooth(surface: &mut Surface, vertex: u32, limits: &Limits, rule: 
 pub(super) fn shift(surface: &mut Surface, vertex: u32) {
     if let Some(step) = Step::of(surface, vertex) {
         // where the whole way overshoots, a part of it may not
-        let _ = SHARES.into_iter().any(|share| step.make(surface, share));
+        let _ = SHARES.into_iter().any(|share| step.make(surface, share, 0.0));
     }
 }
 
@@ -30,8 +31,6 @@ pub(super) fn shift(surface: &mut Surface, vertex: u32) {
 struct Step {
     vertex: u32,
     site: Site,
-    /// Of the paraboloid: xx, xy, yy, per mm.
-    bend: [f64; 3],
     before: f64,
     way: DVec2,
 }
@@ -39,37 +38,63 @@ struct Step {
 impl Step {
     fn of(surface: &Surface, vertex: u32) -> Option<Self> {
         let site = Site::of(surface, vertex)?;
-        let [e1, e2] = site.axes;
-        let (h1, h2) = (site.jet.hessian * e1 / site.slope, site.jet.hessian * e2 / site.slope);
-        let bend = [e1.dot(h1), e1.dot(h2), e2.dot(h2)];
-        let mut step = Self { vertex, site, bend, before: 0.0, way: DVec2::ZERO };
-        step.before = step.sum(DVec2::ZERO);
-        step.way = step.newton()?;
+        let mut step = Self { vertex, site, before: 0.0, way: DVec2::ZERO };
+        let (before, gradient, hessian) = step.derivatives();
+        step.before = before;
+        step.way = step.newton(gradient, hessian)?;
         Some(step)
-    }
-
-    fn place(&self, at: DVec2) -> DVec3 {
-        let [xx, xy, yy] = self.bend;
-        let height = 0.5 * (xx * at.x * at.x + yy * at.y * at.y) + xy * at.x * at.y;
-        self.site.start + self.site.axes[0] * at.x + self.site.axes[1] * at.y - self.site.normal * height
     }
 
     /// Sum of the radius ratios with the vertex at a place of the tangent plane.
     fn sum(&self, at: DVec2) -> f64 {
-        let p = self.place(at);
+        let p = self.site.place(at);
         self.site.ring.iter().map(|&(a, b)| radius_ratio(p, a, b)).sum()
     }
 
+    /// That sum with the vertex where it is, its gradient and its Hessian (xx, xy, yy). The ratio of a triangle of sides x, y and c is
+    /// (y + c - x) (c + x - y) (x + y - c) / (x y c), in which c stays.
+    fn derivatives(&self) -> (f64, DVec2, [f64; 3]) {
+        let (mut sum, mut gradient, mut hessian) = (0.0, DVec2::ZERO, [0.0; 3]);
+        for &(a, b) in &self.site.ring {
+            let (x, gx, hx) = self.side(a);
+            let (y, gy, hy) = self.side(b);
+            let c = a.distance(b);
+            let factors = [y + c - x, c + x - y, x + y - c];
+            let ratio = factors[0] * factors[1] * factors[2] / (x * y * c);
+            let [i, j, k] = factors.map(f64::recip);
+            // of the logarithm, by x and y
+            let (lx, ly) = (j + k - i - 1.0 / x, i + k - j - 1.0 / y);
+            let squares = i * i + j * j + k * k;
+            let (lxx, lxy, lyy) = (1.0 / (x * x) - squares, i * i + j * j - k * k, 1.0 / (y * y) - squares);
+            let (rxx, rxy, ryy) = (lxx + lx * lx, lxy + lx * ly, lyy + ly * ly);
+            sum += ratio;
+            gradient += ratio * (lx * gx + ly * gy);
+            let second = |p: usize, q: usize, n: usize| {
+                rxx * gx[p] * gx[q]
+                    + rxy * (gx[p] * gy[q] + gy[p] * gx[q])
+                    + ryy * gy[p] * gy[q]
+                    + lx * hx[n]
+                    + ly * hy[n]
+            };
+            hessian[0] += ratio * second(0, 0, 0);
+            hessian[1] += ratio * second(0, 1, 1);
+            hessian[2] += ratio * second(1, 1, 2);
+        }
+        (sum, gradient, hessian)
+    }
+
+    /// Distance of a place from the vertex, with its gradient and its Hessian (xx, xy, yy) by the vertex's place in the tangent plane.
+    fn side(&self, other: DVec3) -> (f64, DVec2, [f64; 3]) {
+        let way = self.site.start - other;
+        let length = way.length();
+        let gradient = DVec2::new(self.site.axes[0].dot(way), self.site.axes[1].dot(way)) / length;
+        let [xx, xy, yy] = self.site.bend.map(|bend| bend * self.site.normal.dot(way));
+        let (gx, gy) = (gradient.x, gradient.y);
+        (length, gradient, [(1.0 - gx * gx - xx) / length, (-gx * gy - xy) / length, (1.0 - gy * gy - yy) / length])
+    }
+
     /// Newton's step, uphill also where the sum is not concave.
-    fn newton(&self) -> Option<DVec2> {
-        let d = DIFFERENCE * self.site.reach;
-        let f = |x: f64, y: f64| self.sum(DVec2::new(x, y) * d);
-        let [left, right, down, up] = [f(-1.0, 0.0), f(1.0, 0.0), f(0.0, -1.0), f(0.0, 1.0)];
-        let mixed = f(1.0, 1.0) - f(1.0, -1.0) - f(-1.0, 1.0) + f(-1.0, -1.0);
-        let gradient = DVec2::new(right - left, up - down) / (2.0 * d);
-        let square = d * d;
-        let (xx, yy) = ((right + left - 2.0 * self.before) / square, (up + down - 2.0 * self.before) / square);
-        let xy = mixed / (4.0 * square);
+    fn newton(&self, gradient: DVec2, [xx, xy, yy]: [f64; 3]) -> Option<DVec2> {
         // eigenvalues and the direction of the first
         let (mean, half) = (0.5 * (xx + yy), 0.5 * (xx - yy));
         let spread = half.hypot(xy);
@@ -82,13 +107,14 @@ impl Step {
         (way.is_finite() && way != DVec2::ZERO).then_some(way)
     }
 
-    /// Goes a share of the way; false where that does not raise the mean.
-    fn make(&self, surface: &mut Surface, share: f64) -> bool {
+    /// Goes a share of the way; false where that does not raise the sum by more than `least`, on the paraboloid: most steps do not, and need not be projected to
+    /// be judged (`heart_label` 1, h = 2.1 mm: 185,000 of 238,000, of which one would have passed).
+    fn make(&self, surface: &mut Surface, share: f64, least: f64) -> bool {
         let at = share * self.way;
-        if self.sum(at) <= self.before {
+        if self.sum(at) - self.before <= least {
             return false;
         }
-        match projected_facing(surface, self.site.sheet, self.place(at), self.site.normal, self.site.reach) {
+        match projected_facing(surface, self.site.sheet, self.site.place(at), self.site.normal, self.site.reach) {
             Some(p) => {
                 surface.move_vertex(self.vertex, p);
                 true

@@ -83,8 +83,8 @@ pub(super) struct Surface<'a> {
     pub(super) junctions: Vec<bool>,
     /// Facts of each triangle as last committed.
     pub(super) facts: Vec<Facts>,
-    /// Committed triangles by place.
-    pub(super) grid: TriangleGrid,
+    /// Committed triangles by place; `None` while commits are not looked at for triangles that cross ([`Surface::crosses_in_all`] does that at the end).
+    pub(super) grid: Option<TriangleGrid>,
     /// Guard of the grid nodes, where asked for.
     pub(super) sides: Option<NodeSides<'a>>,
     /// What is changed must lie within, where this is a part of another surface.
@@ -135,7 +135,7 @@ impl<'a> Surface<'a> {
             junctions,
             around,
             facts: Vec::new(),
-            grid: TriangleGrid::new(whole, typical_extent(mesh)),
+            grid: None,
             sides: None,
             region: None,
             log: Vec::new(),
@@ -145,14 +145,20 @@ impl<'a> Surface<'a> {
         let is_open = |v: u32| !surface.fixed[v as usize] && !surface.is_closed_fan(v);
         surface.frozen = (0..mesh.vertices.len() as u32).into_par_iter().map(is_open).collect();
         surface.facts = (0..mesh.triangles.len() as u32).into_par_iter().map(|t| surface.measure(t)).collect();
-        for t in 0..mesh.triangles.len() as u32 {
-            surface.grid.insert(t, surface.bounds(t));
-        }
+        surface.fill_grid(TriangleGrid::new(whole, typical_extent(mesh)));
         surface
     }
 
-    /// A copy of some triangles (ascending) on some vertices (ascending) to try moves on, with the facts of the whole. Its grid is empty and it guards no
-    /// nodes, so that nothing can be committed until it gets its own; vertices that lack triangles of theirs are frozen.
+    /// Puts the triangles, all committed, into a grid that is empty, and takes that as its own.
+    pub(super) fn fill_grid(&mut self, mut grid: TriangleGrid) {
+        for t in (0..self.triangles.len() as u32).filter(|&t| self.is_alive(t)) {
+            grid.insert(t, self.bounds(t));
+        }
+        self.grid = Some(grid);
+    }
+
+    /// A copy of some triangles (ascending) on some vertices (ascending) to try moves on, with the facts of the whole. It has no grid and guards no
+    /// nodes until it gets its own; vertices that lack triangles of theirs are frozen.
     pub(super) fn part(&self, vertices: &[u32], triangles: &[u32]) -> Self {
         let local = |list: &[u32], item: u32| list.binary_search(&item).ok().map(|n| n as u32);
         let around: Vec<Vec<u32>> = vertices
@@ -166,7 +172,7 @@ impl<'a> Surface<'a> {
         Self {
             field: self.field,
             size: self.size,
-            grid: TriangleGrid::new(Bounds::of(&positions), 1.0),
+            grid: None,
             positions,
             target: vertices.iter().map(|&v| self.target[v as usize]).collect(),
             triangles: triangles.iter().map(corners).collect(),

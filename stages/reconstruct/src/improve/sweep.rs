@@ -50,10 +50,21 @@ pub(super) fn sweep(
         let blocks = blocks(surface, &todo, side, shift);
         let in_block = |block: &Block| {
             step()?;
-            let mut part = Patch::of(surface, &block.region, block.triangles.clone());
-            part.keep_free(|v| block.free.binary_search(&v).is_ok());
-            let todo = part.pick(&todo);
-            let tally = work(&mut part.surface, &todo)?;
+            let worked = |looks_at_each: bool| {
+                let mut part = Patch::of(surface, &block.region, block.triangles.clone());
+                part.keep_free(|v| block.free.binary_search(&v).is_ok());
+                let todo = part.pick(&todo);
+                if looks_at_each {
+                    part.fill_grid(surface);
+                }
+                Ok::<_, isoparticles_stage::error::Error>((work(&mut part.surface, &todo)?, part))
+            };
+            // triangles hardly ever come to cross: it is enough to look at the end, and to begin again where they do
+            let (mut tally, mut part) = worked(false)?;
+            part.fill_grid(surface);
+            if part.surface.crosses_in_all() {
+                (tally, part) = worked(true)?;
+            }
             Ok((part.turned_nodes(surface), part.edits(surface), tally))
         };
         let done: Vec<_> = blocks.par_iter().map(in_block).collect::<Result<_>>()?;
@@ -217,7 +228,8 @@ mod tests {
             for t in 0..surface.triangles.len() as u32 {
                 assert_eq!(surface.facts[t as usize], surface.measure(t), "facts of triangle {t}");
                 let bounds = surface.bounds(t);
-                assert!(surface.grid.any(&bounds, |u, known| u == t && *known == bounds), "place of triangle {t}");
+                let grid = surface.grid.as_ref().expect("the whole has a grid");
+                assert!(grid.any(&bounds, |u, known| u == t && *known == bounds), "place of triangle {t}");
             }
             (surface.into_mesh(), tally)
         };
@@ -293,6 +305,24 @@ mod tests {
             surface.move_vertex(v, to);
             assert_eq!(commit_or_rollback(&mut surface, &LIMITS, Rule::Any).is_some(), is_kept);
             assert_eq!(surface.positions[v as usize] == to, is_kept);
+        }
+    }
+
+    #[test]
+    fn what_a_block_brings_to_cross_is_seen_at_its_end() {
+        let (field, mesh, h) = rough_ball();
+        let size = |_: DVec3| h;
+        let whole = Surface::new(&mesh, &field, &size);
+        let region = Bounds { low: CENTRE - 2.0 * RADIUS, high: CENTRE + 2.0 * RADIUS };
+        for (steps, crosses) in [(0.0, false), (0.1, false), (3.0, true)] {
+            let mut part = Patch::of(&whole, &region, (0..mesh.triangles.len() as u32).collect());
+            let from = part.surface.positions[17];
+            let aside = (from - CENTRE).any_orthonormal_vector();
+            let to = field.project(from + steps * h * aside, RADIUS, 1e-6).expect("F = 0 is near");
+            part.surface.move_vertex(17, to);
+            part.surface.commit_as_it_is();
+            part.fill_grid(&whole);
+            assert_eq!(part.surface.crosses_in_all(), crosses, "{steps} h aside");
         }
     }
 

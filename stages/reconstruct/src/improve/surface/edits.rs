@@ -146,6 +146,11 @@ impl Surface<'_> {
             .all(|&v| self.around[v as usize].iter().all(|&t| self.changed_at[t as usize] <= commits))
     }
 
+    /// Whether a triangle is not as it was before the first commit.
+    pub(in crate::improve) fn has_changed(&self, triangle: u32) -> bool {
+        self.changed_at[triangle as usize] > 0
+    }
+
     /// Whether what the edits since the last commit made lies in the region, if there is one.
     pub(in crate::improve) fn is_within_region(&self, touched: &[u32]) -> bool {
         let mut corners = touched.iter().filter(|&&t| self.is_alive(t)).flat_map(|&t| self.corners(t));
@@ -166,13 +171,16 @@ impl Surface<'_> {
         self.changed_at.resize(self.triangles.len(), 0);
         for (&t, &fact) in touched.iter().zip(facts) {
             self.changed_at[t as usize] = self.commits;
-            if self.facts[t as usize] != Facts::NONE {
-                self.grid.remove(t);
+            let bounds = self.is_alive(t).then(|| self.bounds(t));
+            if let Some(grid) = &mut self.grid {
+                if self.facts[t as usize] != Facts::NONE {
+                    grid.remove(t);
+                }
+                if let Some(bounds) = bounds {
+                    grid.insert(t, bounds);
+                }
             }
             self.facts[t as usize] = fact;
-            if self.is_alive(t) {
-                self.grid.insert(t, self.bounds(t));
-            }
         }
         self.log.clear();
     }
