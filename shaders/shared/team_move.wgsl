@@ -14,13 +14,15 @@ fn move_particle(i: u32, lane: u32) {
     let range = list_of(i);
     let plane = tangent_plane(facing.xyz);
     let nearest = nearest_neighbours(range, lane);
+    // most steps end in the cell's brick: what is to be known of it is asked for here, so that the memory answers meanwhile
+    choose_surface(facing.w);
+    open_cell(cell_at(own.xyz));
     let jet = team_jet(own, plane, range, nearest, lane);
     var tries = 0u;
     var moved = false;
     if jet.energy > 0.0 && !is_held(facing.w) {
         let curvature = positive_definite(jet.hessian);
         var lambda = damping_of(facing.w);
-        choose_surface(facing.w);
         while lambda < LARGEST_LAMBDA {
             let step = damped_newton(curvature, jet.gradient, lambda);
             if !(-0.5 * dot(step, jet.gradient) > REST * jet.energy) {

@@ -1,7 +1,8 @@
-// For the tests: F with its gradient, and h with its gradient, at the particles' places, by one invocation each.
+// For the tests: F, or G of its sheet, with its gradient, and h with its gradient, at the particles' places, by one invocation each; and whether its sheet is real there.
 
 @group(0) @binding(8) var<storage, read> place: array<vec4<f32>>;
-@group(0) @binding(9) var<storage, read_write> probed: array<vec4<f32>>;
+@group(0) @binding(9) var<storage, read> normal: array<vec4<f32>>;
+@group(0) @binding(12) var<storage, read_write> probed: array<vec4<f32>>;
 
 @compute @workgroup_size(NARROW)
 fn probe_fields(
@@ -11,7 +12,9 @@ fn probe_fields(
 ) {
     let i = flat_group(group, groups) * NARROW + lane;
     if i < now.count {
-        probed[2u * i] = surface_at(place[i].xyz, lane);
-        probed[2u * i + 1u] = sizing_at(place[i].xyz);
+        choose_surface(normal[i].w);
+        probed[3u * i] = surface_at(place[i].xyz, lane);
+        probed[3u * i + 1u] = sizing_at(place[i].xyz);
+        probed[3u * i + 2u] = vec4(select(0.0, 1.0, is_real(place[i].xyz, lane)));
     }
 }

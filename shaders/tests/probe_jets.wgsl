@@ -18,6 +18,7 @@ fn probe_jets(
     let own = place[i];
     let range = list_of(i);
     let plane = tangent_plane(normal[i].xyz);
+    choose_surface(normal[i].w);
     let nearest = nearest_neighbours(range, lane);
     let jet = team_jet(own, plane, range, nearest, lane);
     let energy = team_energy(own, range, nearest, lane);

@@ -2,7 +2,7 @@
 //! here from its value. A second copy in a `.wgsl` file would be a redefinition, which naga refuses.
 
 use super::commands::ROW;
-use super::materials::{INDEX_BLOCKS, INDEX_BOXES, INDEX_ENTRIES, INDEX_FILL, INDEX_STARTS, INDEX_STRATA};
+use super::differences::{INDEX_BRICKS, NEVER_REAL, NO_SHEET};
 use super::parameters::MOST_LEVELS;
 use super::shaders::Variant;
 use crate::constants::{
@@ -48,7 +48,7 @@ const LATTICE_DEFECT: u32 = 1 << 30;
 /// In place of the power of ten of its damping, of a particle that is held: larger than any.
 pub(crate) const HELD_CODE: u32 = 15;
 
-/// In place of the number of a brick: the material is not known there.
+/// In place of the number of a brick: none is open.
 const NO_BRICK: u32 = u32::MAX;
 
 /// A particle rests when its step promises to lower its energy by less than this share: f32 could not tell.
@@ -136,12 +136,9 @@ pub(crate) fn constants(variant: Variant) -> Vec<(&'static str, Value)> {
         WORD_DEFECTS,
         HELD_CODE,
         NO_BRICK,
-        INDEX_STARTS,
-        INDEX_ENTRIES,
-        INDEX_FILL,
-        INDEX_BOXES,
-        INDEX_BLOCKS,
-        INDEX_STRATA,
+        INDEX_BRICKS,
+        NO_SHEET,
+        NEVER_REAL,
     ]);
     let (lanes, teams) = variant.team();
     all.extend([("TEAM", Value::Whole(lanes)), ("TEAMS", Value::Whole(teams))]);

@@ -78,7 +78,7 @@ impl<'a> GpuEngine<'a> {
         Self::over(gpu, &ground, (fields.sizing, levels), (set, &[]), Carried::default(), settling)
     }
 
-    /// Puts the indicators of many materials, h and particles with their strata, those that are held first, onto the device.
+    /// Puts the differences of many materials, h and particles with their strata, those that are held first, onto the device.
     pub(crate) fn of_materials(
         gpu: &'a Gpu,
         (materials, sizing): (&Materials, &SizingField),
@@ -125,7 +125,7 @@ impl<'a> GpuEngine<'a> {
             }
         }
         if let Some(index) = &ground.index {
-            memory.make(gpu, "materials_index", 4 * index.len() as u64, wgpu::BufferUsages::empty())?;
+            memory.make(gpu, "materials_index", 16 * index.len() as u64, wgpu::BufferUsages::empty())?;
             upload(gpu, memory.get("materials_index"), index)?;
         }
         let bins = u64::from(levels.bin_total());

@@ -7,6 +7,7 @@
 mod adapter;
 mod commands;
 mod constants;
+mod differences;
 pub mod display;
 mod engine;
 mod kernels;

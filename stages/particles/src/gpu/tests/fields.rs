@@ -57,8 +57,8 @@ fn fields_are_those_of_the_cpu_also_outside_and_in_slabs() {
         let mut engine = sorted(&gpu, &scene, Binning::Graded);
         let each = engine.count.div_ceil(NARROW);
         engine.run_steps(1, &[Step::over("tests/probe_fields", 0, each)], false).unwrap();
-        let probed: Vec<[f32; 4]> = download(&gpu, engine.memory.get("probed"), 2 * engine.count as usize).unwrap();
-        for (p, found) in on_device(&gpu, &engine).into_iter().zip(probed.chunks(2)) {
+        let probed: Vec<[f32; 4]> = download(&gpu, engine.memory.get("probed"), 3 * engine.count as usize).unwrap();
+        for (p, found) in on_device(&gpu, &engine).into_iter().zip(probed.chunks(3)) {
             let (value, gradient) = scene.surface.value_gradient(p);
             assert!((f64::from(found[0][3]) - value).abs() < 2e-6 * (1.0 + value.abs()), "F at {p}");
             assert!((vector(found[0]) - gradient).length() < 2e-5, "gradient at {p}: {:?}, {gradient}", found[0]);
