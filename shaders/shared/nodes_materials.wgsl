@@ -5,11 +5,14 @@
 // Twin: `gather` in common/field/src/materials/indicator.rs
 // Twin: `is_real_sheet` in common/field/src/materials/index.rs
 
-// The sheet.
+// The sheet that is looked for.
 var<private> chosen: u32;
-// The brick that is open, its first node, the blocks that it reads, and the last four words of its record.
+// The brick that is open, its first node, the sheet whose record is read there, where more entries are, and the record.
 var<private> open_brick: u32;
-var<private> open_start: vec3<i32>;
+var<private> open_start: vec3<u32>;
+var<private> open_sheet: u32;
+var<private> open_next: u32;
+var<private> open_at: u32;
 var<private> open_low: vec4<u32>;
 var<private> open_high: vec4<u32>;
 var<private> open_cells: vec4<u32>;
@@ -22,35 +25,53 @@ fn choose_surface(carried: f32) {
 }
 
 fn open_record(at: u32) {
+    open_at = at;
     open_low = materials_index[at];
     open_high = materials_index[at + 1u];
     open_cells = materials_index[at + 2u];
 }
 
-fn open_cell(cell: Cell) {
-    let bricks = max((vec3<i32>(parameters.grid_size) + 2) / 4, vec3(1));
-    let at = cell.base / 4;
-    let brick = u32((at.z * bricks.y + at.y) * bricks.x + at.x);
-    if brick != open_brick {
-        open_brick = brick;
-        open_start = 4 * at;
-        var entry = materials_index[INDEX_BRICKS + brick];
-        while entry.x != chosen && entry.z != 0u {
-            entry = materials_index[entry.z];
-        }
-        if entry.x == chosen {
-            open_record(entry.y);
-        } else {
-            open_cells = vec4(0u);
-        }
-    }
-    look_at_cell(cell.base);
+// Of the two in an entry the one that is looked for, if it is there.
+fn take_entry(entry: vec4<u32>) -> u32 {
+    let is_second = entry.z == chosen;
+    open_sheet = select(entry.x, entry.z, is_second);
+    open_next = select(0u, entry.w, entry.z == MORE_SHEETS);
+    return select(entry.y, entry.w, is_second);
 }
 
-fn look_at_cell(base: vec3<i32>) {
+// Reads the record that the brick of a cell most likely has, without waiting for what the entry says.
+fn ask_for_cell(cell: Cell) {
+    let bricks = max((parameters.grid_size + 2u) / 4u, vec3(1u));
+    let at = vec3<u32>(cell.base) / 4u;
+    open_brick = (at.z * bricks.y + at.y) * bricks.x + at.x;
+    open_start = 4u * at;
+    open_record(take_entry(materials_index[INDEX_BRICKS + open_brick]));
+}
+
+fn open_cell(cell: Cell) {
+    if any(vec3<u32>(cell.base) / 4u != open_start / 4u) || open_brick == NO_BRICK {
+        ask_for_cell(cell);
+    }
+    if open_sheet != chosen {
+        var at = 0u;
+        while open_sheet != chosen && open_next != 0u {
+            at = take_entry(materials_index[open_next]);
+        }
+        if open_sheet == chosen {
+            open_record(at);
+        } else {
+            open_cells = vec4(0u);
+            open_sheet = chosen;
+        }
+    }
+    is_known = is_of(open_cells.xy, vec3<u32>(cell.base));
+}
+
+// Whether a cell of the open brick is one of those whose bits are set.
+fn is_of(cells: vec2<u32>, base: vec3<u32>) -> bool {
     let within = base - open_start;
-    let bit = u32(16 * (within.z & 1) + 4 * within.y + within.x);
-    is_known = ((select(open_cells.x, open_cells.y, within.z >= 2) >> bit) & 1u) != 0u;
+    let bit = 16u * (within.z & 1u) + 4u * within.y + within.x;
+    return ((select(cells.x, cells.y, within.z >= 2u) >> bit) & 1u) != 0u;
 }
 
 // Zero where one of the two is not known: the slope tells that there is no sheet.
@@ -58,41 +79,57 @@ fn node_coefficient(at: vec3<i32>) -> f32 {
     if !is_known {
         return 0.0;
     }
-    let place = vec3<u32>(at + 1 - open_start);
+    let place = vec3<u32>(at + 1) - open_start;
     let of_four = select(open_low, open_high, place.z >= 4u);
     let of_two = select(of_four.xy, of_four.zw, place.y >= 4u);
     let block = select(of_two.x, of_two.y, place.x >= 4u);
     return coefficient_at(64u * block + 16u * (place.z & 3u) + 4u * (place.y & 3u) + (place.x & 3u));
 }
 
-// Whether no third material is as near as the two at a place on their sheet, whose cell is open.
-fn is_real(position: vec3<f32>, lane: u32) -> bool {
-    let count = open_cells.w;
-    if count == 0u {
-        return true;
+// The third materials that have to be looked at on the sheet at a place: the next of them, the end, and whether what is held of the one that is open is the negative.
+var<private> next_check: u32;
+var<private> end_of_checks: u32;
+var<private> is_negative: bool;
+
+fn begin_checks(cell: Cell) -> u32 {
+    next_check = 0u;
+    end_of_checks = 0u;
+    if !is_of(open_cells.zw, vec3<u32>(cell.base)) {
+        return CHECKS_PASS;
     }
-    if count == NEVER_REAL {
-        return false;
+    let checks = materials_index[open_at + 3u];
+    if checks.y == NEVER_REAL {
+        return CHECKS_FAIL;
     }
-    let low = open_low;
-    let high = open_high;
-    let cells = open_cells;
-    let base = cell_at(position).base;
-    var real = true;
-    for (var k = 0u; k < count; k++) {
-        let check = materials_index[cells.z + k];
-        // the difference from a third material, read as that of the sheet is
-        open_record(check.x);
-        look_at_cell(base);
-        if is_known {
-            let difference = surface_at(position, lane).w;
-            real = real && select(difference, -difference, check.y != 0u) > 0.0;
-        } else {
-            real = real && check.z == 0u;
+    next_check = checks.x;
+    end_of_checks = checks.x + checks.y;
+    return CHECKS_PASS;
+}
+
+// Opens the next difference from a third material that may be as near in a cell, in place of that of the sheet.
+fn open_check(cell: Cell) -> u32 {
+    let base = vec3<u32>(cell.base);
+    while next_check < end_of_checks {
+        let check = materials_index[next_check];
+        next_check++;
+        if is_of(check.zw, base) {
+            open_record(check.x);
+            if !is_of(open_cells.xy, base) {
+                // it is inside the third material, far from its border
+                return CHECKS_FAIL;
+            }
+            is_negative = check.y != 0u;
+            return CHECKS_GO_ON;
         }
     }
-    open_low = low;
-    open_high = high;
-    open_cells = cells;
-    return real;
+    return CHECKS_PASS;
+}
+
+fn passes_check(difference: f32) -> bool {
+    return select(difference, -difference, is_negative) > 0.0;
+}
+
+// The sheet is to be found again.
+fn end_checks() {
+    open_brick = NO_BRICK;
 }

@@ -2,18 +2,19 @@
 //! both are known, and where a third material may be as near as the two, half the difference from that.
 //!
 //! So a particle reads one coefficient a node as that of one object does, and finds where they lie by two looks into the index, which hold as long as it stays in
-//! its brick of 4 x 4 x 4 cells: first the brick's entry, then the entry's record, which names the eight blocks of coefficients that the brick reads. Of a sheet most bricks
-//! know at once that it is real all over them. Blocks hold each coefficient once; the two indicators of a sheet would take twice as much.
+//! its brick of 4 x 4 x 4 cells: first the brick's entry, then a record, which names the eight blocks of coefficients that the brick reads. Of most cells
+//! the record knows that the sheet is real all over them. Blocks hold each coefficient once; the two indicators of a sheet would take twice as much.
 //!
 //! The index is made of fours of words:
 //!
 //! - at 0: where the strata begin, and three words of no use;
-//! - from [`INDEX_BRICKS`] on for each brick of the grid, x fastest, its first entry, and somewhere behind them the others: number of the sheet or [`NO_SHEET`], place of the
-//!   record, place of the next entry or 0, a word of no use;
-//! - records, three fours each: the blocks, x fastest; then of the brick's 64 cells those where both are known (two words of bits), place of the first check, and how many
-//!   there are or [`NEVER_REAL`];
+//! - from [`INDEX_BRICKS`] on for each brick of the grid, x fastest, its entry: twice the number of a sheet or [`NO_SHEET`] and the place of its record, the sheet that is likeliest
+//!   to be met there first; in place of the second [`MORE_SHEETS`] and the place of a further entry where there are more than two;
+//! - those further entries;
+//! - records, four fours each: the blocks, x fastest; then of the brick's 64 cells those where both are known and those where a third material may be as near (two words of
+//!   bits each); place of the first check, how many there are or [`NEVER_REAL`], and two words of no use;
 //! - checks: place of the record of the difference between a third material and the higher of the two (it is positive where the sheet is real), whether that
-//!   difference is the negative of what is held, whether cells where the third is not known lie inside it, a word of no use;
+//!   difference is the negative of what is held, and the cells where the third may be as near; where it is not known in one of these, that lies inside it;
 //! - strata: the four materials of each, 65535 behind the last.
 
 use isoparticles_field::materials::{BLOCK, CELLS, Indicator, Indicators, MaterialId, Materials, ON_SHEET, Stratum};
@@ -21,8 +22,10 @@ use rayon::prelude::*;
 
 /// Where the first entries of the bricks begin.
 pub(crate) const INDEX_BRICKS: usize = 1;
-/// In place of the number of a sheet: the brick has no such entry.
-pub(crate) const NO_SHEET: u32 = u32::MAX;
+/// In place of the number of a sheet: there is none.
+const NO_SHEET: u32 = u32::MAX;
+/// In place of the number of a sheet: there are more in another entry.
+pub(crate) const MORE_SHEETS: u32 = u32::MAX - 1;
 /// In place of the number of checks: another material fills the brick, so no sheet is real in it.
 pub(crate) const NEVER_REAL: u32 = u32::MAX;
 
@@ -63,7 +66,8 @@ impl Pair {
 struct Check {
     pair: Pair,
     is_negative: bool,
-    is_inside_beyond: bool,
+    /// One bit for each cell where it may be as near as the two.
+    near: u64,
 }
 
 /// What is to be known of a sheet in a brick.
@@ -90,57 +94,52 @@ impl Differences {
 
         // in the order in which the head of this file has the parts
         let mut index = vec![[0; 4]; INDEX_BRICKS];
-        index.resize(INDEX_BRICKS + bricks, [NO_SHEET, 0, 0, 0]);
-        let others = entries.windows(2).filter(|two| two[0].pair.brick == two[1].pair.brick).count();
-        let first_record = index.len() + others;
-        let first_check = first_record + 3 * pairs.len();
+        index.resize(INDEX_BRICKS + bricks, [NO_SHEET, 0, NO_SHEET, 0]);
+        let of_bricks = || entries.chunk_by(|a, b| a.pair.brick == b.pair.brick);
+        // an entry names two sheets, or one and where the next entry is
+        let further: usize = of_bricks().map(|sheets| sheets.len().saturating_sub(2)).sum();
+        let first_record = index.len() + further;
         let record_of = |pair: &Pair| {
             let number = pairs.binary_search(pair).expect("the pairs of all entries and checks are there");
-            (first_record + 3 * number) as u32
+            (first_record + 4 * number) as u32
         };
-        let records: Vec<[u32; 4]> = pairs
-            .par_iter()
-            .zip(&blocks)
-            .flat_map_iter(|(pair, b)| {
-                let known = known_cells(materials, pair);
-                let cells = [known as u32, (known >> 32) as u32, 0, 0];
-                [[b[0], b[1], b[2], b[3]], [b[4], b[5], b[6], b[7]], cells]
-            })
-            .collect();
-        let found: Vec<u32> = entries.par_iter().map(|entry| record_of(&entry.pair)).collect();
-        for (entry, &record) in entries.iter().zip(&found) {
-            let first = INDEX_BRICKS + entry.pair.brick as usize;
-            if index[first][0] == NO_SHEET {
-                index[first] = [entry.sheet, record, 0, 0];
-            } else {
-                // behind the first, before those that came in between
-                let next = std::mem::replace(&mut index[first][2], 0);
-                index.push([entry.sheet, record, next, 0]);
-                index[first][2] = (index.len() - 1) as u32;
+        let records: Vec<u32> = entries.par_iter().map(|entry| record_of(&entry.pair)).collect();
+        let mut named = entries.iter().zip(&records).map(|(entry, &record)| [entry.sheet, record]);
+        for of_brick in of_bricks() {
+            let mut at = INDEX_BRICKS + of_brick[0].pair.brick as usize;
+            let sheets: Vec<[u32; 2]> = named.by_ref().take(of_brick.len()).collect();
+            let (before, last) = sheets.split_at(sheets.len().saturating_sub(2));
+            for [sheet, record] in before {
+                index[at] = [*sheet, *record, MORE_SHEETS, index.len() as u32];
+                at = index.len();
+                index.push([NO_SHEET, 0, NO_SHEET, 0]);
+            }
+            for (half, two) in last.iter().enumerate() {
+                index[at][2 * half..2 * half + 2].copy_from_slice(two);
             }
         }
-        index.extend(records);
-        for (entry, &record) in entries.iter().zip(&found) {
-            let cells = record as usize + 2;
-            match &entry.checks {
-                None => index[cells][3] = NEVER_REAL,
-                Some(checks) => {
-                    index[cells][2] = index.len() as u32;
-                    index[cells][3] = checks.len() as u32;
-                    index.extend(checks.iter().map(|check| {
-                        [record_of(&check.pair), u32::from(check.is_negative), u32::from(check.is_inside_beyond), 0]
-                    }));
-                }
+        index.par_extend(pairs.par_iter().zip(&blocks).flat_map_iter(|(pair, b)| {
+            let [low, high] = words_of(known_cells(materials, pair));
+            [[b[0], b[1], b[2], b[3]], [b[4], b[5], b[6], b[7]], [low, high, 0, 0], [0; 4]]
+        }));
+        for (entry, &record) in entries.iter().zip(&records) {
+            let record = record as usize;
+            let near = entry.checks.as_ref().map_or(u64::MAX, |checks| checks.iter().fold(0, |all, c| all | c.near));
+            index[record + 2][2..].copy_from_slice(&words_of(near));
+            index[record + 3][0] = index.len() as u32;
+            index[record + 3][1] = entry.checks.as_ref().map_or(NEVER_REAL, |checks| checks.len() as u32);
+            for check in entry.checks.iter().flatten() {
+                let [low, high] = words_of(check.near);
+                index.push([record_of(&check.pair), u32::from(check.is_negative), low, high]);
             }
         }
-        debug_assert_eq!(index.len(), first_check + checks().count());
         index[0][0] = index.len() as u32;
         index.extend(strata.iter().map(materials_of));
         Self { coefficients, index }
     }
 }
 
-/// The sheets whose two materials are known in a brick.
+/// The sheets whose two materials are known in a brick, that which is likeliest to be met there first.
 fn entries_of(materials: &Materials, sheets: &[Stratum], brick: usize) -> Vec<Entry> {
     let known = materials.known_in(brick);
     let mut entries = Vec::new();
@@ -152,36 +151,53 @@ fn entries_of(materials: &Materials, sheets: &[Stratum], brick: usize) -> Vec<En
             let is_filled_by_other = fill != NO_MATERIAL && fill != low.0.0 && fill != high.0.0;
             let checks = (!is_filled_by_other).then(|| {
                 let thirds = known.clone().filter(|third| third.0 != low.0 && third.0 != high.0);
-                thirds
-                    .filter(|&third| !is_far(materials, &pair, third))
-                    .map(|third| Check {
-                        pair: Pair::new(brick, third, high),
-                        is_negative: third.0 < high.0,
-                        is_inside_beyond: materials.indicators()[usize::from(third.0.0)].surrounds(),
-                    })
-                    .collect()
+                let check = |third: (MaterialId, usize)| Check {
+                    pair: Pair::new(brick, third, high),
+                    is_negative: third.0 < high.0,
+                    near: near_cells(materials, &pair, third),
+                };
+                thirds.map(check).filter(|check| check.near != 0).collect()
             });
             entries.push(Entry { sheet: sheet as u32, pair, checks });
         }
     }
+    // the sheet of the two smallest in the middle
+    let farther = |entry: &Entry| {
+        let [low, high] = entry.pair.indicators(materials);
+        let [a, b] = entry.pair.numbers.map(|number| number as usize);
+        coefficient(low, a, [NODES / 2; 3]).max(coefficient(high, b, [NODES / 2; 3]))
+    };
+    entries.sort_by(|a, b| farther(a).total_cmp(&farther(b)));
     entries
 }
 
-/// Whether a third material is nowhere in a brick as near as the two of a sheet are on it: a spline is nowhere below the least of its coefficients, here of the
-/// third's indicator less the mean of the two, which on the sheet is either of them.
-fn is_far(materials: &Materials, pair: &Pair, (third, number): (MaterialId, usize)) -> bool {
+/// One bit for each cell of a brick in which a third material may be as near as the two of a sheet are on it. Elsewhere it is not: a spline is nowhere below the least of
+/// its coefficients, here of the third's indicator less the mean of the two, which on the sheet is either of them.
+fn near_cells(materials: &Materials, pair: &Pair, (third, number): (MaterialId, usize)) -> u64 {
     let indicator = &materials.indicators()[usize::from(third.0)];
-    if indicator.surrounds() && known_cells(materials, pair) & !cells_within(materials, indicator, pair.brick) != 0 {
-        return false;
-    }
     let [low, high] = pair.indicators(materials);
+    let [a, b] = pair.numbers.map(|number| number as usize);
+    let mut least: Vec<f32> = (0..NODES * NODES * NODES)
+        .map(|n| {
+            let node = [n % NODES, n / NODES % NODES, n / (NODES * NODES)];
+            coefficient(indicator, number, node) - 0.5 * (coefficient(low, a, node) + coefficient(high, b, node))
+        })
+        .collect();
+    // over the four nodes that a cell reads along x, then y, then z, each of which becomes the slowest axis
+    for _ in 0..3 {
+        let rows = least.len() / NODES;
+        least = (0..CELLS * rows)
+            .map(|n| {
+                let (first, row) = (n / rows, n % rows);
+                least[row * NODES + first..][..4].iter().copied().fold(f32::INFINITY, f32::min)
+            })
+            .collect();
+    }
     let limit = (ON_SHEET * materials.voxel()) as f32;
-    let own = [(low, pair.numbers[0] as usize), (high, pair.numbers[1] as usize)];
-    (0..NODES * NODES * NODES).all(|n| {
-        let node = [n % NODES, n / NODES % NODES, n / (NODES * NODES)];
-        let [a, b] = own.map(|(indicator, number)| coefficient(indicator, number, node));
-        coefficient(indicator, number, node) - 0.5 * (a + b) > limit
-    })
+    let bits = least.iter().enumerate().fold(0, |bits, (n, &least)| bits | u64::from(least <= limit) << n);
+    let within = cells_within(materials, indicator, pair.brick);
+    let beyond = if indicator.surrounds() { !within } else { 0 };
+    known_cells(materials, pair) & (bits & within | beyond)
 }
 
 /// The coefficient of an indicator at a node of a brick, of those that its cells read.
@@ -254,6 +270,11 @@ fn coefficients(materials: &Materials, pairs: &[Pair]) -> (Vec<f32>, Vec<[u32; 8
         }
     });
     (coefficients, blocks)
+}
+
+/// The bits of 64 cells in two words.
+fn words_of(cells: u64) -> [u32; 2] {
+    [cells as u32, (cells >> 32) as u32]
 }
 
 /// The materials of a stratum; 65535 behind the last.

@@ -15,6 +15,7 @@ mod levels;
 mod materials;
 mod memory;
 mod parameters;
+mod passes;
 mod report;
 mod schedule;
 mod shaders;

@@ -4,7 +4,6 @@ use super::any_gpu;
 use crate::cpu::scenes::{Body, corners, nested, sectors};
 use crate::cpu::{OnStrata, settle_sheets, settle_sheets_with};
 use crate::gpu::adapter::{Choice, Gpu};
-use crate::gpu::constants::NARROW;
 use crate::gpu::engine::GpuEngine;
 use crate::gpu::memory::download;
 use crate::gpu::parameters::device_origin;
@@ -149,8 +148,8 @@ fn differences_and_their_reality_are_those_of_the_cpu() {
 fn probe_listed(gpu: &Gpu, engine: &mut GpuEngine<'_>) -> Vec<[f32; 4]> {
     let bytes = 48 * u64::from(engine.count);
     engine.memory.make(gpu, "probed", bytes, wgpu::BufferUsages::empty()).unwrap();
-    let aliases = &[("place", "listed_place"), ("normal", "listed_normal")];
-    let step = Step { aliases, ..Step::over("tests/probe_fields", 0, engine.count.div_ceil(NARROW)) };
-    engine.run_steps(1, &[step], false).unwrap();
+    let aliases = &[("place", "listed_place_0"), ("normal", "listed_normal_0")];
+    let step = Step { aliases, ..Step::over("tests/probe_fields", 0, engine.count) };
+    engine.run_steps(1, vec![step], false).unwrap();
     download(gpu, engine.memory.get("probed"), 3 * engine.count as usize).unwrap()
 }
