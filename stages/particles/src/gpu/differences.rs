@@ -226,11 +226,13 @@ fn known_cells(materials: &Materials, pair: &Pair) -> u64 {
         .fold(u64::MAX, |bits, indicator| bits & cells_within(materials, indicator, pair.brick))
 }
 
+/// Of two materials: the blocks of either that each block of their difference comes from, and the numbers of the blocks that each brick reads.
+type Part = (Vec<[u32; 2]>, Vec<[u32; 8]>);
+
 /// The coefficients of the differences in blocks, and those that each pair reads; `pairs` ascend.
 fn coefficients(materials: &Materials, pairs: &[Pair]) -> (Vec<f32>, Vec<[u32; 8]>) {
     let runs: Vec<&[Pair]> = pairs.chunk_by(|a, b| (a.low, a.high) == (b.low, b.high)).collect();
-    // the blocks of the two that each block comes from, and the numbers of the blocks, by the two materials
-    let parts: Vec<(Vec<[u32; 2]>, Vec<[u32; 8]>)> = runs
+    let parts: Vec<Part> = runs
         .par_iter()
         .map(|run| {
             let [low, high] = run[0].indicators(materials);
