@@ -20,9 +20,9 @@ fn class_propose(
     }
     var taken = 0u;
     if round.number > 0u {
-        let range = list_of(i);
-        for (var k = range.x; k < range.y; k++) {
-            let class_of_other = classes[lists[k]];
+        let list = list_of(i);
+        for (var k = 0u; k < list.length; k++) {
+            let class_of_other = classes[member(list, k)];
             if class_of_other < CLASSES {
                 taken |= 1u << class_of_other;
             }

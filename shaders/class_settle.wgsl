@@ -22,9 +22,9 @@ fn class_settle(
         return;
     }
     let priority = class_priority(i, round.number);
-    let range = list_of(i);
-    for (var k = range.x; k < range.y; k++) {
-        let j = lists[k];
+    let list = list_of(i);
+    for (var k = 0u; k < list.length; k++) {
+        let j = member(list, k);
         if proposed_classes[j] == choice {
             let other = class_priority(j, round.number);
             if other > priority || (other == priority && j < i) {

@@ -3,16 +3,19 @@
 @group(0) @binding(4) var<storage, read_write> class_counts: array<u32>;
 @group(0) @binding(5) var<storage, read_write> class_starts: array<u32>;
 @group(0) @binding(6) var<storage, read_write> class_arguments: array<u32>;
+@group(0) @binding(15) var<storage, read_write> words: array<u32>;
 
 @compute @workgroup_size(1)
 fn class_starts_kernel() {
     var start = 0u;
+    var used = 0u;
     for (var c = 0u; c < CLASSES; c++) {
         let count = class_counts[c];
         class_starts[c] = start;
         // from here on the next free slot
         class_counts[c] = start;
         start += count;
+        used = select(used, c + 1u, count > 0u);
         let workgroups = (count + TEAMS - 1u) / TEAMS;
         // at most ROW along x; the rest goes along y
         class_arguments[3u * c] = min(workgroups, ROW);
@@ -20,4 +23,5 @@ fn class_starts_kernel() {
         class_arguments[3u * c + 2u] = 1u;
     }
     class_starts[CLASSES] = start;
+    words[WORD_CLASSES] = used;
 }

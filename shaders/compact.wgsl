@@ -1,5 +1,5 @@
-// Density control, last step: the particles that stay and the newcomers, in order, into the other set of buffers. Does nothing
-// when nothing changed, or when the lists did not fit (the host then redoes the pass from that other set).
+// Density control, last step: the particles that stay and the newcomers, in order, into the other set of buffers than that which the pass began from. Does nothing
+// when the lists did not fit: the host then redoes the pass.
 
 @group(0) @binding(2) var<storage, read_write> listed_place: array<vec4<f32>>;
 @group(0) @binding(3) var<storage, read> keep: array<u32>;
@@ -9,7 +9,6 @@
 @group(0) @binding(7) var<storage, read_write> listed_normal: array<vec4<f32>>;
 @group(0) @binding(8) var<storage, read> place: array<vec4<f32>>;
 @group(0) @binding(9) var<storage, read> normal: array<vec4<f32>>;
-@group(0) @binding(10) var<storage, read> list_starts: array<u32>;
 @group(0) @binding(15) var<storage, read_write> words: array<u32>;
 
 @compute @workgroup_size(NARROW)
@@ -21,7 +20,7 @@ fn compact(
     let i = flat_group(group, groups) * NARROW + lane;
     let kept = destinations[now.count];
     let total = destinations[2u * now.count];
-    if i >= now.count || list_starts[now.count] > parameters.list_capacity || (kept == now.count && total == now.count) {
+    if i >= now.count || words[WORD_LONGEST_LIST] > parameters.list_room {
         return;
     }
     if keep[i] != 0u {

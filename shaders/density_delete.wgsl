@@ -26,9 +26,9 @@ fn density_delete(
         return;
     }
     let own = place[i];
-    let range = list_of(i);
-    for (var k = range.x; k < range.y; k++) {
-        let j = lists[k];
+    let list = list_of(i);
+    for (var k = 0u; k < list.length; k++) {
+        let j = member(list, k);
         let worse = energies[j] > energies[i] || (energies[j] == energies[i] && j < i);
         if worse && was_there(j) && is_oversampled(energies[j], j) {
             let other = place[j];
@@ -38,7 +38,7 @@ fn density_delete(
         }
     }
     atomicStore(&marks[i], round.number);
-    for (var k = range.x; k < range.y; k++) {
-        atomicStore(&touched[lists[k]], round.number);
+    for (var k = 0u; k < list.length; k++) {
+        atomicStore(&touched[member(list, k)], round.number);
     }
 }

@@ -16,10 +16,10 @@ fn density_relieve(
         return;
     }
     let own = place[i];
-    let range = list_of(i);
+    let list = list_of(i);
     var sum = 0.0;
-    for (var k = range.x; k < range.y; k++) {
-        let j = lists[k];
+    for (var k = 0u; k < list.length; k++) {
+        let j = member(list, k);
         if marks[j] == round.number {
             let other = place[j];
             sum += energy_between(own.xyz - other.xyz, own.w, other.w);

@@ -24,19 +24,19 @@ fn energies_kernel(
         return;
     }
     let own = place[i];
-    let range = list_of(i);
+    let list = list_of(i);
     var sum = 0.0;
     var ring = 0u;
     let held = is_held(normal[i].w);
     var at_border = held;
-    for (var k = range.x; k < range.y; k++) {
-        let other = place[lists[k]];
+    for (var k = 0u; k < list.length; k++) {
+        let other = place[member(list, k)];
         let offset = own.xyz - other.xyz;
         sum += energy_between(offset, own.w, other.w);
         let reach = parameters.first_ring * min(own.w, other.w);
         let is_in_ring = dot(offset, offset) < reach * reach;
         ring += select(0u, 1u, is_in_ring);
-        at_border = at_border || (is_in_ring && is_held(normal[lists[k]].w));
+        at_border = at_border || (is_in_ring && is_held(normal[member(list, k)].w));
     }
     energies[i] = select(sum, 0.0, held);
     outcome[i] = (outcome[i] & ~LATTICE_DEFECT) | select(0u, LATTICE_DEFECT, ring != LATTICE_NEIGHBOURS && !at_border);

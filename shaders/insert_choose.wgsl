@@ -51,9 +51,9 @@ fn is_chosen(i: u32) -> bool {
     if proposals[i] == 0u {
         return false;
     }
-    let range = list_of(i);
-    for (var k = range.x; k < range.y; k++) {
-        let j = lists[k];
+    let list = list_of(i);
+    for (var k = 0u; k < list.length; k++) {
+        let j = member(list, k);
         if proposals[j] != 0u && beats(j, i) {
             return false;
         }

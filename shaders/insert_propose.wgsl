@@ -22,67 +22,91 @@ fn angle_of(own: vec4<f32>, plane: Plane, j: u32) -> f32 {
     return atan2(dot(plane.v, offset), dot(plane.u, offset));
 }
 
-fn widest_gap(own: vec4<f32>, plane: Plane, range: vec2<u32>) -> f32 {
+// The middle of the widest gap, the first of equal ones, by a team that shares out the neighbours.
+fn widest_gap(own: vec4<f32>, plane: Plane, list: List, lane: u32) -> f32 {
     var lowest = TAU;
-    for (var k = range.x; k < range.y; k++) {
-        lowest = min(lowest, angle_of(own, plane, lists[k]));
+    for (var k = lane; k < list.length; k += TEAM) {
+        lowest = min(lowest, angle_of(own, plane, member(list, k)));
     }
-    var widest = 0.0;
-    var direction = 0.0;
-    for (var k = range.x; k < range.y; k++) {
-        let angle = angle_of(own, plane, lists[k]);
+    lowest = -team_best(vec4(-lowest, 0.0, 0.0, 0.0), lane).x;
+    // width, place in the list, direction
+    var widest = vec4(0.0);
+    for (var k = lane; k < list.length; k += TEAM) {
+        let angle = angle_of(own, plane, member(list, k));
         if angle > TAU {
             continue;
         }
         // the next one round; of equal angles the later in the list is the next
         var next = lowest + TAU;
-        for (var m = range.x; m < range.y; m++) {
-            let other = angle_of(own, plane, lists[m]);
+        for (var m = 0u; m < list.length; m++) {
+            let other = angle_of(own, plane, member(list, m));
             if other < next && (other > angle || (other == angle && m > k)) {
                 next = other;
             }
         }
-        if next - angle > widest {
-            widest = next - angle;
-            direction = 0.5 * (angle + next);
+        if next - angle > widest.x {
+            widest = vec4(next - angle, f32(k), 0.5 * (angle + next), 0.0);
         }
     }
-    return direction;
+    return team_best(widest, lane).z;
 }
 
-@compute @workgroup_size(NARROW)
-fn insert_propose(
-    @builtin(workgroup_id) group: vec3<u32>,
-    @builtin(num_workgroups) groups: vec3<u32>,
-    @builtin(local_invocation_index) lane: u32,
-) {
-    let i = flat_group(group, groups) * NARROW + lane;
-    if i >= now.count {
-        return;
-    }
-    proposals[i] = 0u;
-    if now.allow_insert == 0u || marks[i] != 0u || is_held(normal[i].w) || !is_undersampled(energies[i], i) {
-        return;
+fn propose(i: u32, lane: u32) {
+    if lane == 0u {
+        proposals[i] = 0u;
     }
     let own = place[i];
     let facing = normal[i].xyz;
     let plane = tangent_plane(facing);
-    let range = list_of(i);
+    let list = list_of(i);
     choose_surface(normal[i].w);
-    let direction = widest_gap(own, plane, range);
+    let direction = widest_gap(own, plane, list, lane);
     let edge = parameters.spacing_in_h * own.w;
     let there = project(own.xyz + edge * (plane.u * cos(direction) + plane.v * sin(direction)), edge, lane);
     if !there.found || dot(there.normal, facing) <= parameters.normal_agreement
         || distance(there.position, own.xyz) <= parameters.parent_distance * min(own.w, there.size) {
         return;
     }
-    for (var k = range.x; k < range.y; k++) {
-        let other = place[lists[k]];
-        if marks[lists[k]] == 0u && distance(there.position, other.xyz) <= parameters.newcomer_distance * min(there.size, other.w) {
-            return;
+    var too_near = 0.0;
+    for (var k = lane; k < list.length; k += TEAM) {
+        let other = place[member(list, k)];
+        if marks[member(list, k)] == 0u && distance(there.position, other.xyz) <= parameters.newcomer_distance * min(there.size, other.w) {
+            too_near = 1.0;
         }
     }
-    proposals[i] = 1u;
-    newcomer_place[i] = vec4(there.position, there.size);
-    newcomer_normal[i] = vec4(there.normal, with_damping(normal[i].w, parameters.initial_lambda));
+    if team_sum(vec4(too_near), lane).x == 0.0 && lane == 0u {
+        proposals[i] = 1u;
+        newcomer_place[i] = vec4(there.position, there.size);
+        newcomer_normal[i] = vec4(there.normal, with_damping(normal[i].w, parameters.initial_lambda));
+    }
+}
+
+// Those of the workgroup's NARROW particles that lack neighbours, in any order.
+var<workgroup> lacking: array<u32, NARROW>;
+var<workgroup> lacking_count: atomic<u32>;
+
+@compute @workgroup_size(TEAM * TEAMS)
+fn insert_propose(
+    @builtin(workgroup_id) group: vec3<u32>,
+    @builtin(num_workgroups) groups: vec3<u32>,
+    @builtin(local_invocation_index) local: u32,
+) {
+    if local == 0u {
+        atomicStore(&lacking_count, 0u);
+    }
+    workgroupBarrier();
+    let first = flat_group(group, groups) * NARROW;
+    for (var i = first + local; i < min(first + NARROW, now.count); i += TEAM * TEAMS) {
+        if now.allow_insert != 0u && marks[i] == 0u && !is_held(normal[i].w) && is_undersampled(energies[i], i) {
+            lacking[atomicAdd(&lacking_count, 1u)] = i;
+        } else {
+            proposals[i] = 0u;
+        }
+    }
+    workgroupBarrier();
+    // few particles are: one invocation each would leave a subgroup waiting for one of its lanes
+    let count = atomicLoad(&lacking_count);
+    for (var k = local / TEAM; k < count; k += TEAMS) {
+        propose(lacking[k], local % TEAM);
+    }
 }

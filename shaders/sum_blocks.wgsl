@@ -5,6 +5,7 @@
 @group(0) @binding(5) var<storage, read> place_at_listing: array<vec4<f32>>;
 @group(0) @binding(6) var<storage, read_write> block_totals: array<Totals>;
 @group(0) @binding(8) var<storage, read> place: array<vec4<f32>>;
+@group(0) @binding(10) var<storage, read> list_lengths: array<u32>;
 
 @compute @workgroup_size(WIDE)
 fn sum_blocks(
@@ -26,6 +27,8 @@ fn sum_blocks(
                 select(0u, 1u, (bits & STEP_TAKEN) != 0u),
                 bits & ~(STEP_TAKEN | LATTICE_DEFECT),
                 select(0u, 1u, (bits & LATTICE_DEFECT) != 0u),
+                list_lengths[i],
+                list_lengths[i],
             ));
         }
     }

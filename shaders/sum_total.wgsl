@@ -1,7 +1,6 @@
 // Totals of a pass, second step: one workgroup adds up the blocks and writes the words that the host reads.
 
 @group(0) @binding(6) var<storage, read> block_totals: array<Totals>;
-@group(0) @binding(10) var<storage, read> list_starts: array<u32>;
 // What each of the words is says stages/particles/src/gpu/constants.rs.
 @group(0) @binding(15) var<storage, read_write> words: array<u32>;
 
@@ -17,8 +16,9 @@ fn sum_total(@builtin(local_invocation_index) lane: u32) {
         words[WORD_ENERGY] = bitcast<u32>(total.energy);
         words[WORD_MOVED] = total.moved;
         words[WORD_TRIES] = total.tries;
-        words[WORD_LONGEST] = bitcast<u32>(total.longest);
-        words[WORD_LISTED] = list_starts[now.count];
+        words[WORD_LONGEST] = bitcast<u32>(total.longest_way);
+        words[WORD_LISTED] = total.listed;
+        words[WORD_LONGEST_LIST] = total.longest_list;
         words[WORD_COUNT] = now.count;
         words[WORD_KEPT] = now.count;
         words[WORD_DEFECTS] = total.defects;

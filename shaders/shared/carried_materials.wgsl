@@ -3,7 +3,8 @@
 //
 // Twin: `rebuild_lists` in stages/particles/src/state.rs
 
-@group(0) @binding(28) var<storage, read> materials_index: array<u32>;
+// Made by stages/particles/src/gpu/differences.rs, which says what is where.
+@group(0) @binding(28) var<storage, read> materials_index: array<vec4<u32>>;
 
 fn damping_of(carried: f32) -> f32 {
     var damping = LEAST_LAMBDA;
@@ -24,10 +25,7 @@ fn is_held(carried: f32) -> bool {
 
 // The materials of a particle's stratum, ascending; 65535 behind the last.
 fn materials_of(carried: f32) -> vec4<u32> {
-    let at = materials_index[INDEX_STRATA] + 2u * (u32(carried) >> 4u);
-    let low = materials_index[at];
-    let high = materials_index[at + 1u];
-    return vec4(low & 0xffffu, low >> 16u, high & 0xffffu, high >> 16u);
+    return materials_index[materials_index[0].x + (u32(carried) >> 4u)];
 }
 
 fn is_on(lower: vec4<u32>, sheet: vec4<u32>) -> bool {

@@ -1,9 +1,18 @@
-// Neighbour lists: members of particle i from list_starts[i] to list_starts[i + 1].
+// Neighbour lists: each has room for list_room members, so that they are made in one walk over the bins.
 
-@group(0) @binding(10) var<storage, read> list_starts: array<u32>;
-@group(0) @binding(11) var<storage, read> lists: array<u32>;
+@group(0) @binding(10) var<storage, read> list_lengths: array<u32>;
+@group(0) @binding(11) var<storage, read> lists: array<vec4<u32>>;
 
-// Where the list of particle i begins and ends. Lists that outgrow the buffer are cut off; the host sees it and redoes the pass.
-fn list_of(i: u32) -> vec2<u32> {
-    return min(vec2(list_starts[i], list_starts[i + 1u]), vec2(parameters.list_capacity));
+struct List {
+    particle: u32,
+    length: u32,
+}
+
+// The list of particle i. One that outgrows its room is cut off; the host sees it and redoes the pass.
+fn list_of(i: u32) -> List {
+    return List(i, min(list_lengths[i], parameters.list_room));
+}
+
+fn member(list: List, n: u32) -> u32 {
+    return lists[list_slot(list.particle, n)][n % 4u];
 }

@@ -1,82 +1,135 @@
-// The coefficients of G = (F_i - F_j) / 2 at nodes of the grid, for the sheet between materials i and j: each F is held in blocks of 4 x 4 x 4
-// coefficients, and each brick of 4 x 4 x 4 cells tells which materials are known in it and which eight blocks it reads of each.
+// The coefficients of G = (F_i - F_j) / 2 at nodes of the grid, for the sheet between materials i and j. They are held as such, in blocks of 4 x 4 x 4 that the index of
+// materials finds by the brick of 4 x 4 x 4 cells (stages/particles/src/gpu/differences.rs says how). A look into it costs two reads that wait for each other, so
+// what it says is kept until another brick is asked for: the steps of a projection hardly ever leave one.
 //
 // Twin: `gather` in common/field/src/materials/indicator.rs
 // Twin: `is_real_sheet` in common/field/src/materials/index.rs
 
-// The two materials, that on the negative side first.
-var<private> chosen: vec2<u32>;
-// The brick that is open, its first node, and its number among the bricks of each of the two.
+// The sheet that is looked for.
+var<private> chosen: u32;
+// The brick that is open, its first node, the sheet whose record is read there, where more entries are, and the record.
 var<private> open_brick: u32;
-var<private> open_start: vec3<i32>;
-var<private> open_numbers: vec2<u32>;
+var<private> open_start: vec3<u32>;
+var<private> open_sheet: u32;
+var<private> open_next: u32;
+var<private> open_at: u32;
+var<private> open_low: vec4<u32>;
+var<private> open_high: vec4<u32>;
+var<private> open_cells: vec4<u32>;
+// Whether both materials are known in the cell.
+var<private> is_known: bool;
 
 fn choose_surface(carried: f32) {
-    chosen = materials_of(carried).yx;
+    chosen = u32(carried) >> 4u;
+    open_brick = NO_BRICK;
 }
 
-// Whether all that a cell reads of a material lies in the material's box.
-fn is_within(material: u32, base: vec3<i32>) -> bool {
-    let at = materials_index[INDEX_BOXES] + 8u * material;
-    let first = vec3<i32>(vec3(materials_index[at], materials_index[at + 1u], materials_index[at + 2u]));
-    let end = vec3<i32>(vec3(materials_index[at + 3u], materials_index[at + 4u], materials_index[at + 5u]));
-    let low = (base > first) | (first == vec3(0));
-    let high = (base + 2 < end) | (end == vec3<i32>(parameters.grid_size));
-    return all(low & high);
+fn open_record(at: u32) {
+    open_at = at;
+    open_low = materials_index[at];
+    open_high = materials_index[at + 1u];
+    open_cells = materials_index[at + 2u];
+}
+
+// Of the two in an entry the one that is looked for, if it is there.
+fn take_entry(entry: vec4<u32>) -> u32 {
+    let is_second = entry.z == chosen;
+    open_sheet = select(entry.x, entry.z, is_second);
+    open_next = select(0u, entry.w, entry.z == MORE_SHEETS);
+    return select(entry.y, entry.w, is_second);
+}
+
+// Reads the record that the brick of a cell most likely has, without waiting for what the entry says.
+fn ask_for_cell(cell: Cell) {
+    let bricks = max((parameters.grid_size + 2u) / 4u, vec3(1u));
+    let at = vec3<u32>(cell.base) / 4u;
+    open_brick = (at.z * bricks.y + at.y) * bricks.x + at.x;
+    open_start = 4u * at;
+    open_record(take_entry(materials_index[INDEX_BRICKS + open_brick]));
 }
 
 fn open_cell(cell: Cell) {
-    let bricks = max((vec3<i32>(parameters.grid_size) + 2) / 4, vec3(1));
-    let at = cell.base / 4;
-    open_brick = u32((at.z * bricks.y + at.y) * bricks.x + at.x);
-    open_start = 4 * at;
-    open_numbers = vec2(NO_BRICK);
-    let end = materials_index[materials_index[INDEX_STARTS] + open_brick + 1u];
-    for (var k = materials_index[materials_index[INDEX_STARTS] + open_brick]; k < end; k++) {
-        let entry = materials_index[INDEX_ENTRIES] + 2u * k;
-        let is_chosen = vec2(materials_index[entry]) == chosen;
-        if any(is_chosen) && is_within(materials_index[entry], cell.base) {
-            open_numbers = select(open_numbers, vec2(materials_index[entry + 1u]), is_chosen);
+    if any(vec3<u32>(cell.base) / 4u != open_start / 4u) || open_brick == NO_BRICK {
+        ask_for_cell(cell);
+    }
+    if open_sheet != chosen {
+        var at = 0u;
+        while open_sheet != chosen && open_next != 0u {
+            at = take_entry(materials_index[open_next]);
+        }
+        if open_sheet == chosen {
+            open_record(at);
+        } else {
+            open_cells = vec4(0u);
+            open_sheet = chosen;
         }
     }
+    is_known = is_of(open_cells.xy, vec3<u32>(cell.base));
 }
 
-fn block_coefficient(number: u32, block: i32, inner: i32) -> f32 {
-    let at = materials_index[INDEX_BLOCKS] + 8u * number + u32(block);
-    return coefficient_at(64u * materials_index[at] + u32(inner));
+// Whether a cell of the open brick is one of those whose bits are set.
+fn is_of(cells: vec2<u32>, base: vec3<u32>) -> bool {
+    let within = base - open_start;
+    let bit = 16u * (within.z & 1u) + 4u * within.y + within.x;
+    return ((select(cells.x, cells.y, within.z >= 2u) >> bit) & 1u) != 0u;
 }
 
 // Zero where one of the two is not known: the slope tells that there is no sheet.
 fn node_coefficient(at: vec3<i32>) -> f32 {
-    if any(open_numbers == vec2(NO_BRICK)) {
+    if !is_known {
         return 0.0;
     }
-    let place = at + 1 - open_start;
-    let block = 4 * (place.z / 4) + 2 * (place.y / 4) + place.x / 4;
-    let inner = 16 * (place.z % 4) + 4 * (place.y % 4) + place.x % 4;
-    return 0.5 * (block_coefficient(open_numbers.x, block, inner) - block_coefficient(open_numbers.y, block, inner));
+    let place = vec3<u32>(at + 1) - open_start;
+    let of_four = select(open_low, open_high, place.z >= 4u);
+    let of_two = select(of_four.xy, of_four.zw, place.y >= 4u);
+    let block = select(of_two.x, of_two.y, place.x >= 4u);
+    return coefficient_at(64u * block + 16u * (place.z & 3u) + 4u * (place.y & 3u) + (place.x & 3u));
 }
 
-// Whether no third material is as near as the two at a place on their sheet.
-fn is_real(position: vec3<f32>, lane: u32) -> bool {
-    let own = chosen;
-    let base = cell_at(position).base;
-    open_cell(cell_at(position));
-    let brick = open_brick;
-    let fill = materials_index[materials_index[INDEX_FILL] + brick];
-    var real = fill == 0xffffu || any(vec2(fill) == own);
-    let end = materials_index[materials_index[INDEX_STARTS] + brick + 1u];
-    for (var k = materials_index[materials_index[INDEX_STARTS] + brick]; k < end; k++) {
-        let third = materials_index[materials_index[INDEX_ENTRIES] + 2u * k];
-        if all(vec2(third) != own) {
-            if is_within(third, base) {
-                chosen = vec2(third, own.x);
-                real = real && surface_at(position, lane).w > 0.0;
-            } else {
-                real = real && materials_index[materials_index[INDEX_BOXES] + 8u * third + 6u] == 0u;
+// The third materials that have to be looked at on the sheet at a place: the next of them, the end, and whether what is held of the one that is open is the negative.
+var<private> next_check: u32;
+var<private> end_of_checks: u32;
+var<private> is_negative: bool;
+
+fn begin_checks(cell: Cell) -> u32 {
+    next_check = 0u;
+    end_of_checks = 0u;
+    if !is_of(open_cells.zw, vec3<u32>(cell.base)) {
+        return CHECKS_PASS;
+    }
+    let checks = materials_index[open_at + 3u];
+    if checks.y == NEVER_REAL {
+        return CHECKS_FAIL;
+    }
+    next_check = checks.x;
+    end_of_checks = checks.x + checks.y;
+    return CHECKS_PASS;
+}
+
+// Opens the next difference from a third material that may be as near in a cell, in place of that of the sheet.
+fn open_check(cell: Cell) -> u32 {
+    let base = vec3<u32>(cell.base);
+    while next_check < end_of_checks {
+        let check = materials_index[next_check];
+        next_check++;
+        if is_of(check.zw, base) {
+            open_record(check.x);
+            if !is_of(open_cells.xy, base) {
+                // it is inside the third material, far from its border
+                return CHECKS_FAIL;
             }
+            is_negative = check.y != 0u;
+            return CHECKS_GO_ON;
         }
     }
-    chosen = own;
-    return real;
+    return CHECKS_PASS;
+}
+
+fn passes_check(difference: f32) -> bool {
+    return select(difference, -difference, is_negative) > 0.0;
+}
+
+// The sheet is to be found again.
+fn end_checks() {
+    open_brick = NO_BRICK;
 }

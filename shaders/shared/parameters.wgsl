@@ -36,7 +36,8 @@ struct Parameters {
     // h is cut off here, mm; no point of the surface has a larger one.
     largest_size: f32,
     bin_total: u32,
-    list_capacity: u32,
+    // Members that there is room for in each neighbour list.
+    list_room: u32,
     seed: u32,
     initial_lambda: f32,
     // Of the lattice that the particles are to form, all in h: its edge; what is nearer is in the first ring; what a newcomer keeps from others, and from its parent.

@@ -1,4 +1,4 @@
-// The projection onto F = 0 (Eq. 5 with its sign mended), by one invocation or by a team, as `surface_at` goes.
+// The projection onto F = 0, or onto a sheet (Eq. 5 with its sign mended), by a team.
 //
 // Twin: `project_with_gradient` in common/field/src/spline/mod.rs
 
@@ -24,21 +24,45 @@ fn projection_motion(field: vec4<f32>) -> vec3<f32> {
     return motion * select(1.0, parameters.projection_step / distance, distance > parameters.projection_step);
 }
 
+// Of many materials no third one may be as near as the two at the place that is reached: the differences from those that may be are read there by the loop that
+// has come there, since a text of its own for them would take registers from every step.
 fn project(start: vec3<f32>, limit: f32, lane: u32) -> Projected {
-    var p = start;
-    for (var step = 0u; step < PROJECTION_STEPS; step++) {
-        let field = surface_at(p, lane);
-        let state = projection_state(field);
-        if state == 2u {
-            break;
+    var there = Projected(start, false, vec3(0.0), 0.0);
+    var is_there = false;
+    var checks = CHECKS_PASS;
+    var step = 0u;
+    loop {
+        let field = surface_at(there.position, lane);
+        if !is_there {
+            let state = projection_state(field);
+            if state == 2u {
+                break;
+            }
+            if state == 0u {
+                there.position += projection_motion(field);
+                step++;
+                if step >= PROJECTION_STEPS || distance(there.position, start) > limit {
+                    break;
+                }
+                continue;
+            }
+            is_there = true;
+            there.normal = normalize(field.xyz);
+            checks = begin_checks(cell_at(there.position));
+        } else if !passes_check(field.w) {
+            checks = CHECKS_FAIL;
         }
-        if state == 1u {
-            return Projected(p, is_real(p, lane), normalize(field.xyz), sizing_at(p).w);
+        if checks != CHECKS_FAIL {
+            checks = open_check(cell_at(there.position));
         }
-        p += projection_motion(field);
-        if distance(p, start) > limit {
+        if checks != CHECKS_GO_ON {
             break;
         }
     }
-    return Projected(p, false, vec3(0.0), 0.0);
+    if is_there {
+        there.found = checks == CHECKS_PASS;
+        there.size = sizing_at(there.position).w;
+        end_checks();
+    }
+    return there;
 }

@@ -20,19 +20,18 @@ struct Nearest {
     c: vec4<f32>,
 }
 
-fn neighbour_or_none(k: u32, end: u32) -> vec4<f32> {
-    if k < end {
-        return place[lists[k]];
+fn neighbour_or_none(list: List, n: u32) -> vec4<f32> {
+    if n < list.length {
+        return place[member(list, n)];
     }
     return vec4(1e18, 0.0, 0.0, 1.0);
 }
 
-fn nearest_neighbours(range: vec2<u32>, lane: u32) -> Nearest {
-    let first = range.x + lane;
+fn nearest_neighbours(list: List, lane: u32) -> Nearest {
     return Nearest(
-        neighbour_or_none(first, range.y),
-        neighbour_or_none(first + TEAM, range.y),
-        neighbour_or_none(first + 2u * TEAM, range.y),
+        neighbour_or_none(list, lane),
+        neighbour_or_none(list, lane + TEAM),
+        neighbour_or_none(list, lane + 2u * TEAM),
     );
 }
 
@@ -68,27 +67,27 @@ fn add_pair(sum: Terms, own: vec4<f32>, plane: Plane, other: vec4<f32>) -> Terms
     );
 }
 
-fn team_jet(own: vec4<f32>, plane: Plane, range: vec2<u32>, nearest: Nearest, lane: u32) -> Jet {
+fn team_jet(own: vec4<f32>, plane: Plane, list: List, nearest: Nearest, lane: u32) -> Jet {
     // asked for before it is needed, so that the memory answers meanwhile
     let slope = sizing_at(own.xyz).xyz;
     var sum = Terms(vec4(0.0), vec4(0.0));
     sum = add_pair(sum, own, plane, nearest.a);
     sum = add_pair(sum, own, plane, nearest.b);
     sum = add_pair(sum, own, plane, nearest.c);
-    for (var k = range.x + lane + 3u * TEAM; k < range.y; k += TEAM) {
-        sum = add_pair(sum, own, plane, place[lists[k]]);
+    for (var k = lane + 3u * TEAM; k < list.length; k += TEAM) {
+        sum = add_pair(sum, own, plane, place[member(list, k)]);
     }
     let a = team_sum(sum.first, lane);
     let b = team_sum(sum.second, lane);
     return Jet(a.x, a.yz + a.w * vec2(dot(slope, plane.u), dot(slope, plane.v)), b.xyz);
 }
 
-fn team_energy(own: vec4<f32>, range: vec2<u32>, nearest: Nearest, lane: u32) -> f32 {
+fn team_energy(own: vec4<f32>, list: List, nearest: Nearest, lane: u32) -> f32 {
     var sum = energy_between(own.xyz - nearest.a.xyz, own.w, nearest.a.w);
     sum += energy_between(own.xyz - nearest.b.xyz, own.w, nearest.b.w);
     sum += energy_between(own.xyz - nearest.c.xyz, own.w, nearest.c.w);
-    for (var k = range.x + lane + 3u * TEAM; k < range.y; k += TEAM) {
-        let other = place[lists[k]];
+    for (var k = lane + 3u * TEAM; k < list.length; k += TEAM) {
+        let other = place[member(list, k)];
         sum += energy_between(own.xyz - other.xyz, own.w, other.w);
     }
     return team_sum(vec4(sum, 0.0, 0.0, 0.0), lane).x;

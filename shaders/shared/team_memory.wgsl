@@ -14,3 +14,16 @@ fn team_sum(value: vec4<f32>, lane: u32) -> vec4<f32> {
     }
     return sum;
 }
+
+// Of the team's values that of the largest x, and of these that of the least y; the same bits in each lane.
+fn team_best(value: vec4<f32>, lane: u32) -> vec4<f32> {
+    workgroupBarrier();
+    team_scratch[lane] = value;
+    workgroupBarrier();
+    var best = team_scratch[0];
+    for (var other = 1u; other < TEAM; other++) {
+        let next = team_scratch[other];
+        best = select(best, next, next.x > best.x || (next.x == best.x && next.y < best.y));
+    }
+    return best;
+}

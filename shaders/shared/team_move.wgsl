@@ -11,16 +11,18 @@
 fn move_particle(i: u32, lane: u32) {
     let own = place[i];
     let facing = normal[i];
-    let range = list_of(i);
+    let list = list_of(i);
     let plane = tangent_plane(facing.xyz);
-    let nearest = nearest_neighbours(range, lane);
-    let jet = team_jet(own, plane, range, nearest, lane);
+    let nearest = nearest_neighbours(list, lane);
+    // most steps end in the cell's brick: what is to be known of it is asked for here, so that the memory answers meanwhile
+    choose_surface(facing.w);
+    ask_for_cell(cell_at(own.xyz));
+    let jet = team_jet(own, plane, list, nearest, lane);
     var tries = 0u;
     var moved = false;
     if jet.energy > 0.0 && !is_held(facing.w) {
         let curvature = positive_definite(jet.hessian);
         var lambda = damping_of(facing.w);
-        choose_surface(facing.w);
         while lambda < LARGEST_LAMBDA {
             let step = damped_newton(curvature, jet.gradient, lambda);
             if !(-0.5 * dot(step, jet.gradient) > REST * jet.energy) {
@@ -33,7 +35,7 @@ fn move_particle(i: u32, lane: u32) {
             let there = project(own.xyz + motion, length(motion) + PROJECTION_REACH * own.w, lane);
             if there.found && dot(there.normal, facing.xyz) > 0.0 && distance(there.position, own.xyz) < FARTHEST_MOVE * own.w {
                 let candidate = vec4(there.position, there.size);
-                if team_energy(candidate, range, nearest, lane) < jet.energy {
+                if team_energy(candidate, list, nearest, lane) < jet.energy {
                     moved = true;
                     if lane == 0u {
                         place[i] = candidate;

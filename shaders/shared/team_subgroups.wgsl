@@ -9,3 +9,16 @@ fn team_sum(value: vec4<f32>, lane: u32) -> vec4<f32> {
     }
     return sum;
 }
+
+// Of the team's values that of the largest x, and of these that of the least y; the same bits in each lane.
+fn team_best(value: vec4<f32>, lane: u32) -> vec4<f32> {
+    var best = value;
+    for (var step = TEAM / 2u; step > 0u; step >>= 1u) {
+        best = better(best, subgroupShuffleXor(best, step));
+    }
+    return best;
+}
+
+fn better(a: vec4<f32>, b: vec4<f32>) -> vec4<f32> {
+    return select(a, b, b.x > a.x || (b.x == a.x && b.y < a.y));
+}

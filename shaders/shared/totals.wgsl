@@ -3,16 +3,27 @@
 struct Totals {
     energy: f32,
     // Longest way of a particle since the lists were made, over its h.
-    longest: f32,
+    longest_way: f32,
     moved: u32,
     tries: u32,
     defects: u32,
+    // Members of all lists, and of the longest.
+    listed: u32,
+    longest_list: u32,
 }
 
 var<workgroup> partial: array<Totals, WIDE>;
 
 fn add_totals(a: Totals, b: Totals) -> Totals {
-    return Totals(a.energy + b.energy, max(a.longest, b.longest), a.moved + b.moved, a.tries + b.tries, a.defects + b.defects);
+    return Totals(
+        a.energy + b.energy,
+        max(a.longest_way, b.longest_way),
+        a.moved + b.moved,
+        a.tries + b.tries,
+        a.defects + b.defects,
+        a.listed + b.listed,
+        max(a.longest_list, b.longest_list),
+    );
 }
 
 // The sum over a workgroup of WIDE, in lane 0.

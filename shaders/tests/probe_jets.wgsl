@@ -16,11 +16,12 @@ fn probe_jets(
         return;
     }
     let own = place[i];
-    let range = list_of(i);
+    let list = list_of(i);
     let plane = tangent_plane(normal[i].xyz);
-    let nearest = nearest_neighbours(range, lane);
-    let jet = team_jet(own, plane, range, nearest, lane);
-    let energy = team_energy(own, range, nearest, lane);
+    choose_surface(normal[i].w);
+    let nearest = nearest_neighbours(list, lane);
+    let jet = team_jet(own, plane, list, nearest, lane);
+    let energy = team_energy(own, list, nearest, lane);
     let surface = surface_at(own.xyz, lane);
     if lane == 0u {
         probed[3u * i] = vec4(plane.u * jet.gradient.x + plane.v * jet.gradient.y, jet.energy);

@@ -214,6 +214,9 @@ pub trait Engine {
     /// Moves every particle once, measures the energy and, if `density` is set, controls the density.
     fn pass(&mut self, pass: u64, density: bool) -> Result<PassOutcome>;
 
+    /// Says that no pass after this one controls the density: up to it an engine may begin a pass before its turn.
+    fn controls_density_until(&mut self, _pass: u64) {}
+
     /// The particles as they are.
     fn particles(&mut self) -> Result<ParticleSet>;
 
@@ -265,6 +268,7 @@ pub(crate) fn settle_level<S: Implicit>(
     let mut pass = records.last().map_or(level.before, |r| r.pass);
     let end = level.before + level.max_passes;
     let mut closing = closing_since(&records, parameters);
+    engine.controls_density_until(end.saturating_sub(parameters.closing_passes));
     while pass < end && closing.is_none_or(|since| pass < since + parameters.closing_passes) {
         pass += 1;
         let quiet = closing.is_some() || pass + parameters.closing_passes > end;

@@ -12,7 +12,7 @@ use isoparticles_volume::Geometry;
 const NONE: u16 = u16::MAX;
 
 /// The two indicators of a sheet are taken to differ by less than this share of a voxel at a place on it: far more than any projection leaves.
-const ON_SHEET: f64 = 0.01;
+pub const ON_SHEET: f64 = 0.01;
 
 /// A material that is known in a brick.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -117,6 +117,11 @@ impl Materials {
     /// The number of the material that fills each brick where it is not known, x fastest; 65535 where none does.
     pub fn fill(&self) -> &[u16] {
         &self.fill
+    }
+
+    /// The materials that are known in a brick (its number goes x fastest), ascending, each with the number of the brick among those of its indicator.
+    pub fn known_in(&self, brick: usize) -> impl ExactSizeIterator<Item = (MaterialId, usize)> + Clone + '_ {
+        self.known(brick).iter().map(|entry| (MaterialId(entry.material), entry.brick as usize))
     }
 
     /// The material of a name.

@@ -10,17 +10,17 @@ use rayon::prelude::*;
 
 /// Cells of a brick along each axis, and coefficients of a block. Small ones follow the border closely: 14 coefficients deep on average, where
 /// bricks of 16 cells hold 37 (22 cells, each coefficient 1.7 times).
-pub(super) const CELLS: usize = 4;
+pub const CELLS: usize = 4;
 
 /// Coefficients of a block.
-pub(super) const BLOCK: usize = CELLS * CELLS * CELLS;
+pub const BLOCK: usize = CELLS * CELLS * CELLS;
 
 /// How near to its own zero set an indicator is known at least, in voxels: a brick is known where a coefficient of it, or of the two cells beyond what its
 /// cells read, has another sign.
 pub const KNOWN_VOXELS: usize = 2;
 
 /// Bricks along each axis of a grid.
-pub(super) fn bricks_along(size: [usize; 3]) -> [usize; 3] {
+pub fn bricks_along(size: [usize; 3]) -> [usize; 3] {
     size.map(|n| n.saturating_sub(1).div_ceil(CELLS).max(1))
 }
 
@@ -174,6 +174,15 @@ impl Indicator {
         &self.coefficients
     }
 
+    /// Whether all that a cell of the shared grid of `size` reads lies in the box.
+    #[inline(always)]
+    pub fn is_within(&self, cell: [usize; 3], size: [usize; 3]) -> bool {
+        (0..3).all(|a| {
+            let (first, end) = (self.first[a], self.first[a] + self.size[a]);
+            (cell[a] > first || first == 0) && cell[a] >= first && (cell[a] + 2 < end || end == size[a])
+        })
+    }
+
     /// Memory that it takes, bytes.
     pub fn bytes(&self) -> usize {
         size_of_val(self.bricks.as_slice())
@@ -186,11 +195,7 @@ impl Indicator {
     #[inline(always)]
     pub(super) fn gather(&self, brick: u32, stencil: &Stencil, size: [usize; 3]) -> Option<[f32; 64]> {
         let cell = stencil.cell();
-        let is_within = (0..3).all(|a| {
-            let (first, end) = (self.first[a], self.first[a] + self.size[a]);
-            (cell[a] > first || first == 0) && cell[a] >= first && (cell[a] + 2 < end || end == size[a])
-        });
-        if !is_within {
+        if !self.is_within(cell, size) {
             return None;
         }
         let blocks = &self.blocks[brick as usize];

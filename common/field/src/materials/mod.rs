@@ -18,8 +18,8 @@ mod tests;
 
 pub use analytic::{Analytic, ball, half_space, maximum, minimum, negative};
 pub use error::Error;
-pub use index::Materials;
-pub use indicator::{Indicator, IndicatorParts, KNOWN_VOXELS};
+pub use index::{Materials, ON_SHEET};
+pub use indicator::{BLOCK, CELLS, Indicator, IndicatorParts, KNOWN_VOXELS, bricks_along};
 pub use strata::{LEAST_SQUARED_SINE, Sheet};
 pub use stratum::Stratum;
 

@@ -251,7 +251,13 @@ impl Gpu {
 
     /// Waits for the device to finish what it was given.
     pub(crate) fn wait(&self) -> Result<()> {
-        self.device.poll(wgpu::PollType::wait_indefinitely()).map_err(|error| self.failed(&error.to_string()))?;
+        self.wait_for(None)
+    }
+
+    /// Waits for the device to finish a submission, or all that it was given.
+    pub(crate) fn wait_for(&self, submission: Option<&wgpu::SubmissionIndex>) -> Result<()> {
+        let until = wgpu::PollType::Wait { submission_index: submission.cloned(), timeout: None };
+        self.device.poll(until).map_err(|error| self.failed(&error.to_string()))?;
         self.check()
     }
 

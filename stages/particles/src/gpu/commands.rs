@@ -121,17 +121,16 @@ pub(crate) fn encode(gpu: &Gpu, kernels: &Kernels, commands: &[Command<'_>], pro
     Encoded { buffer: encoder.finish(), timed }
 }
 
-/// Hands encoded commands to the device; returns the kernels whose timestamps [`Profile::collect`] will find.
-pub(crate) fn submit(gpu: &Gpu, encoded: Encoded) -> Vec<&'static str> {
-    gpu.queue.submit([encoded.buffer]);
-    encoded.timed
+/// Hands encoded commands to the device; returns what can be waited for, and the kernels whose timestamps [`Profile::collect`] will find.
+pub(crate) fn submit(gpu: &Gpu, encoded: Encoded) -> (wgpu::SubmissionIndex, Vec<&'static str>) {
+    (gpu.queue.submit([encoded.buffer]), encoded.timed)
 }
 
 impl Profile {
     /// Waits for the device and adds up the timestamps of what was submitted last.
     pub(crate) fn collect(&mut self, gpu: &Gpu, timed: &[&'static str]) -> Result<()> {
         let Some((_, _, host)) = &self.queries else { return Ok(()) };
-        let stamps: Vec<u64> = read_staging(gpu, host, 16 * timed.len() as u64)?;
+        let stamps: Vec<u64> = read_staging(gpu, host, 16 * timed.len() as u64, None)?;
         let tick = f64::from(gpu.queue.get_timestamp_period()) * 1e-9;
         for (&kernel, pair) in timed.iter().zip(stamps.chunks_exact(2)) {
             let entry = self.times.entry(kernel).or_default();

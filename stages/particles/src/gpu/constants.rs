@@ -2,7 +2,7 @@
 //! here from its value. A second copy in a `.wgsl` file would be a redefinition, which naga refuses.
 
 use super::commands::ROW;
-use super::materials::{INDEX_BLOCKS, INDEX_BOXES, INDEX_ENTRIES, INDEX_FILL, INDEX_STARTS, INDEX_STRATA};
+use super::differences::{INDEX_BRICKS, MORE_SHEETS, NEVER_REAL};
 use super::parameters::MOST_LEVELS;
 use super::shaders::Variant;
 use crate::constants::{
@@ -48,8 +48,15 @@ const LATTICE_DEFECT: u32 = 1 << 30;
 /// In place of the power of ten of its damping, of a particle that is held: larger than any.
 pub(crate) const HELD_CODE: u32 = 15;
 
-/// In place of the number of a brick: the material is not known there.
+/// In place of the number of a brick: none is open.
 const NO_BRICK: u32 = u32::MAX;
+
+/// Of the third materials at a place on a sheet: none is as near as the two.
+const CHECKS_PASS: u32 = 0;
+/// One is.
+const CHECKS_FAIL: u32 = 1;
+/// One is to be looked at.
+const CHECKS_GO_ON: u32 = 2;
 
 /// A particle rests when its step promises to lower its energy by less than this share: f32 could not tell.
 const REST: f64 = 1e-6;
@@ -72,8 +79,22 @@ pub(crate) const WORD_COUNT: usize = 5;
 pub(crate) const WORD_KEPT: usize = 6;
 /// Lattice defects.
 pub(crate) const WORD_DEFECTS: usize = 7;
+/// Members of the longest list.
+pub(crate) const WORD_LONGEST_LIST: usize = 8;
+/// One more than the number of the last class that has particles.
+pub(crate) const WORD_CLASSES: usize = 9;
 /// How many words there are.
-pub(crate) const WORDS: usize = 8;
+pub(crate) const WORDS: usize = 10;
+
+/// In place of the number of a pass's particles: as many as the pass before has left, which the host does not know yet.
+pub(crate) const AS_LEFT: u32 = u32::MAX;
+
+/// Particles whose neighbour lists lie side by side: as many as work together on most adapters.
+pub(crate) const LIST_TILE: u32 = 32;
+
+/// Members that each neighbour list has room for at first. Those of a lattice have 18 (its first three rings are nearer than `SUPPORT (1 + SKIN)`), and none of the seeds of
+/// `make bench-gpu` has more than this. Crowds, and particles at junctions of many sheets, have: then all get more room and the pass is done again.
+pub(crate) const FIRST_LIST_ROOM: u32 = 32;
 
 /// Value of a constant, of the type that it has in WGSL.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -134,14 +155,18 @@ pub(crate) fn constants(variant: Variant) -> Vec<(&'static str, Value)> {
         WORD_COUNT,
         WORD_KEPT,
         WORD_DEFECTS,
+        WORD_LONGEST_LIST,
+        WORD_CLASSES,
+        AS_LEFT,
+        LIST_TILE,
         HELD_CODE,
         NO_BRICK,
-        INDEX_STARTS,
-        INDEX_ENTRIES,
-        INDEX_FILL,
-        INDEX_BOXES,
-        INDEX_BLOCKS,
-        INDEX_STRATA,
+        INDEX_BRICKS,
+        MORE_SHEETS,
+        NEVER_REAL,
+        CHECKS_PASS,
+        CHECKS_FAIL,
+        CHECKS_GO_ON,
     ]);
     let (lanes, teams) = variant.team();
     all.extend([("TEAM", Value::Whole(lanes)), ("TEAMS", Value::Whole(teams))]);

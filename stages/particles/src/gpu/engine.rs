@@ -1,24 +1,27 @@
-//! The particles on the device and a pass over them.
+//! The particles on the device, and their way there and back.
 //!
 //! Between passes the state is in one of two places. In the *sorted* buffers (`place`, `normal`) particles lie bin by bin, the
-//! neighbour lists and classes point into them, and movement changes them in place. Density control writes its result, when
-//! anything changed, into the *listed* buffers (`listed_place`, `listed_normal`), from which the next pass sorts again.
+//! neighbour lists and classes point into them, and movement changes them in place. Density control writes its result
+//! into one of two sets of *listed* buffers, from which the next pass sorts again (`passes.rs`).
+
+//! The particles on the device, and their way there and back.
+//!
+//! Between passes the state is in one of two places. In the *sorted* buffers (`place`, `normal`) particles lie bin by bin, the
+//! neighbour lists and classes point into them, and movement changes them in place. Density control writes its result
+//! into one of two sets of *listed* buffers, from which the next pass sorts again (`passes.rs`).
 
 use super::adapter::Gpu;
-use super::commands::{Command, Encoded, Profile, encode, submit};
-use super::constants::{
-    BLOCK, CLASSES, WORD_COUNT, WORD_DEFECTS, WORD_ENERGY, WORD_KEPT, WORD_LISTED, WORD_LONGEST, WORD_MOVED,
-    WORD_TRIES, WORDS,
-};
+use super::commands::Profile;
+use super::constants::{BLOCK, CLASSES, FIRST_LIST_ROOM, LIST_TILE};
 use super::kernels::{Kernels, ROUND_STRIDE};
 use super::levels::Levels;
 use super::materials::{Carried, Ground};
-use super::memory::{Memory, download, read_staging, staging, upload};
-use super::parameters::{device_origin, pass_block, run_block, scan_block, scan_blocks};
+use super::memory::{Memory, download, staging, upload};
+use super::parameters::{device_origin, run_block, scan_block, scan_blocks};
+use super::passes::{Ahead, Flight};
 use super::report::{DeviceReport, KernelTime};
-use super::schedule::{Step, steps};
-use crate::constants::REBUILD_MOVE;
-use crate::settle::{Binning, Engine, Parameters, PassOutcome, REORDER_INTERVAL};
+use super::schedule::listed;
+use crate::settle::{Binning, Parameters};
 use crate::state::Fields;
 use isoparticles_field::materials::{Materials, Stratum};
 use isoparticles_field::particle_set::ParticleSet;
@@ -30,44 +33,47 @@ use std::collections::HashMap;
 use std::sync::Arc;
 use std::time::Instant;
 
-/// What a pass is made of.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-struct Plan {
-    /// Sort, and make lists and classes anew.
-    sort: bool,
-    /// Bring the particles from the sorted to the listed buffers beforehand.
-    bring: bool,
-    /// Control the density.
-    density: bool,
-}
-
 /// Moves the particles on a GPU.
 pub struct GpuEngine<'a> {
-    gpu: &'a Gpu,
+    pub(super) gpu: &'a Gpu,
     pub(super) kernels: Arc<Kernels>,
     pub(super) memory: Memory,
-    groups: HashMap<(&'static str, u32), wgpu::BindGroup>,
-    words: wgpu::Buffer,
+    /// By label, round and the first of the other buffers.
+    pub(super) groups: HashMap<(&'static str, u32, &'static str), wgpu::BindGroup>,
+    /// Where the host reads the words of a pass, by the set that it began from.
+    pub(super) words: [wgpu::Buffer; 2],
     pub(super) geometry: Geometry,
-    carried: Carried,
+    pub(super) carried: Carried,
     /// The strata of the particles as they came back last.
-    strata: Vec<Stratum>,
-    settling: Parameters,
+    pub(super) strata: Vec<Stratum>,
+    pub(super) settling: Parameters,
     pub(super) levels: Levels,
     slab_length: u32,
     pub(super) count: u32,
-    capacity: u32,
-    pub(super) list_capacity: u32,
+    /// Particles that there is room for.
+    pub(super) rows: u32,
+    /// Members that each list has room for.
+    pub(super) list_room: u32,
     /// Whether the state is in the listed buffers.
     pub(super) listed: bool,
+    /// In which set of them it is, or was last.
+    pub(super) set: usize,
     /// Whether a particle has moved too far for the lists.
-    stale: bool,
-    profile: Profile,
-    /// The next pass, if it is of this plan and has no more than so many particles.
-    ahead: Option<(Plan, u32, Encoded)>,
+    pub(super) stale: bool,
+    /// Classes that passes are made for: a few more than were in use, since each costs a dispatch.
+    pub(super) classes: u32,
+    /// By how much the number of particles changed in the last pass.
+    pub(super) grown: u32,
+    /// No pass after this one controls the density.
+    pub(super) last_control: u64,
+    pub(super) profile: Profile,
+    /// Commands for the next pass.
+    pub(super) ahead: Option<Ahead>,
+    /// The next pass, handed over before its turn.
+    pub(super) flight: Option<Flight>,
     started: Instant,
     /// Seconds so far; what has no place of its own stays zero until [`GpuEngine::report`].
-    spent: DeviceReport,
+    pub(super) spent: DeviceReport,
 }
 
 impl<'a> GpuEngine<'a> {
@@ -78,7 +84,7 @@ impl<'a> GpuEngine<'a> {
         Self::over(gpu, &ground, (fields.sizing, levels), (set, &[]), Carried::default(), settling)
     }
 
-    /// Puts the indicators of many materials, h and particles with their strata, those that are held first, onto the device.
+    /// Puts the differences of many materials, h and particles with their strata, those that are held first, onto the device.
     pub(crate) fn of_materials(
         gpu: &'a Gpu,
         (materials, sizing): (&Materials, &SizingField),
@@ -109,7 +115,8 @@ impl<'a> GpuEngine<'a> {
         let mut memory = Memory::default();
         let uniform = wgpu::BufferUsages::UNIFORM;
         memory.make(gpu, "parameters", 1024, uniform)?;
-        for name in ["now", "scan_bins", "scan_lists", "scan_keep"] {
+        memory.make(gpu, "planned", 32, uniform)?;
+        for name in ["now", "scan_bins", "scan_keep"] {
             memory.make(gpu, name, 16, uniform)?;
         }
         memory.make(gpu, "round", u64::from(CLASSES) * ROUND_STRIDE, uniform)?;
@@ -125,7 +132,7 @@ impl<'a> GpuEngine<'a> {
             }
         }
         if let Some(index) = &ground.index {
-            memory.make(gpu, "materials_index", 4 * index.len() as u64, wgpu::BufferUsages::empty())?;
+            memory.make(gpu, "materials_index", 16 * index.len() as u64, wgpu::BufferUsages::empty())?;
             upload(gpu, memory.get("materials_index"), index)?;
         }
         let bins = u64::from(levels.bin_total());
@@ -140,7 +147,7 @@ impl<'a> GpuEngine<'a> {
             kernels,
             memory,
             groups: HashMap::new(),
-            words: staging(gpu, 64),
+            words: [staging(gpu, 64), staging(gpu, 64)],
             geometry,
             carried,
             strata: strata.to_vec(),
@@ -148,12 +155,17 @@ impl<'a> GpuEngine<'a> {
             levels,
             slab_length,
             count: 0,
-            capacity: 0,
-            list_capacity: 0,
+            rows: 0,
+            list_room: FIRST_LIST_ROOM,
             listed: true,
+            set: 0,
             stale: true,
+            classes: CLASSES,
+            grown: 0,
+            last_control: 0,
             profile: Profile::default(),
             ahead: None,
+            flight: None,
             started,
             spent: DeviceReport { compile_seconds, ..DeviceReport::default() },
         };
@@ -166,8 +178,7 @@ impl<'a> GpuEngine<'a> {
 
     fn upload_particles(&mut self, set: &ParticleSet, strata: &[Stratum]) -> Result<()> {
         let count = u32::try_from(set.positions.len()).unwrap_or(u32::MAX);
-        self.make_room(count)?;
-        self.make_lists(24 * u64::from(count))?;
+        self.make_room(count.saturating_add(count / 8 + 512))?;
         let origin = device_origin(&self.geometry);
         let largest = self.levels.levels[0].largest;
         let place: Vec<[f32; 4]> = set
@@ -183,34 +194,27 @@ impl<'a> GpuEngine<'a> {
             .enumerate()
             .map(|(i, (n, &lambda))| n.as_vec3().extend(self.carried.of(i, lambda, strata)).to_array())
             .collect();
-        upload(self.gpu, self.memory.get("listed_place"), &place)?;
-        upload(self.gpu, self.memory.get("listed_normal"), &normal)?;
+        let [places, normals] = listed(self.set);
+        upload(self.gpu, self.memory.get(places), &place)?;
+        upload(self.gpu, self.memory.get(normals), &normal)?;
         self.count = count;
         Ok(())
     }
 
-    /// Makes every buffer that holds something by particle, with room for twice as many: a pass adds at most one newcomer for each
+    /// Makes every buffer that holds something by particle. The listed ones have room for twice as many: a pass adds at most one newcomer for each
     /// particle, so density control can never run over.
-    fn make_room(&mut self, count: u32) -> Result<()> {
-        let capacity = u32::try_from(2 * u64::from(count) + 1024).unwrap_or(u32::MAX);
+    fn make_room(&mut self, rows: u32) -> Result<()> {
         let none = wgpu::BufferUsages::empty();
-        let vectors = [
-            "listed_place",
-            "listed_normal",
-            "place",
-            "normal",
-            "place_at_listing",
-            "newcomer_place",
-            "newcomer_normal",
-        ];
-        for name in vectors {
-            self.memory.make(self.gpu, name, 16 * u64::from(capacity), none)?;
+        for name in ["place", "normal", "place_at_listing", "newcomer_place", "newcomer_normal"] {
+            self.memory.make(self.gpu, name, 16 * u64::from(rows), none)?;
+        }
+        for name in [listed(0), listed(1)].as_flattened() {
+            self.memory.make(self.gpu, name, 32 * u64::from(rows), none)?;
         }
         let words = [
             "bin_of",
             "order",
-            "neighbour_counts",
-            "list_starts",
+            "list_lengths",
             "classes",
             "proposed_classes",
             "class_members",
@@ -221,44 +225,46 @@ impl<'a> GpuEngine<'a> {
             "proposals",
         ];
         for name in words {
-            self.memory.make(self.gpu, name, 4 * (u64::from(capacity) + 1), none)?;
+            self.memory.make(self.gpu, name, 4 * u64::from(rows), none)?;
         }
         for name in ["keep", "destinations"] {
-            self.memory.make(self.gpu, name, 8 * u64::from(capacity) + 4, none)?;
+            self.memory.make(self.gpu, name, 8 * u64::from(rows) + 4, none)?;
         }
-        self.memory.make(self.gpu, "block_totals", 20 * u64::from(capacity.div_ceil(BLOCK)), none)?;
-        let blocks = scan_blocks(self.levels.bin_total()).max(scan_blocks(2 * capacity));
+        self.memory.make(self.gpu, "block_totals", 28 * u64::from(rows.div_ceil(BLOCK)), none)?;
+        let blocks = scan_blocks(self.levels.bin_total()).max(scan_blocks(2 * rows));
         self.memory.make(self.gpu, "scan_sums", 4 * u64::from(blocks), none)?;
-        self.capacity = capacity;
-        self.groups.clear();
-        self.ahead = None;
-        Ok(())
+        self.rows = rows;
+        self.make_lists(self.list_room)
     }
 
-    /// Makes the neighbour lists with room for so many members.
-    pub(super) fn make_lists(&mut self, members: u64) -> Result<()> {
-        let members = members.max(4096);
-        self.memory.make(self.gpu, "lists", 4 * members, wgpu::BufferUsages::empty())?;
-        self.list_capacity = u32::try_from(members).map_err(|_| too_many(self.gpu))?;
-        let block = run_block(&self.geometry, &self.levels, &self.settling, self.slab_length, self.list_capacity);
+    /// Makes the neighbour lists with room for so many members each.
+    pub(super) fn make_lists(&mut self, members: u32) -> Result<()> {
+        // they lie in fours
+        self.list_room = members.next_multiple_of(4);
+        let all = u64::from(self.list_room) * u64::from(self.rows.next_multiple_of(LIST_TILE));
+        if all > u64::from(u32::MAX) {
+            return Err(too_many(self.gpu));
+        }
+        self.memory.make(self.gpu, "lists", 4 * all, wgpu::BufferUsages::empty())?;
+        let block = run_block(&self.geometry, &self.levels, &self.settling, self.slab_length, self.list_room);
         self.write("parameters", block.bytes());
         self.groups.clear();
         self.ahead = None;
         Ok(())
     }
 
-    fn write(&self, name: &str, bytes: &[u8]) {
+    pub(super) fn write(&self, name: &str, bytes: &[u8]) {
         self.gpu.queue.write_buffer(self.memory.get(name), 0, bytes);
     }
 
     /// Makes room for growth: the state must be in the listed buffers.
-    fn grow(&mut self) -> Result<()> {
+    pub(super) fn grow(&mut self) -> Result<()> {
         let bytes = 16 * u64::from(self.count);
         let mut kept = Vec::new();
-        for name in ["listed_place", "listed_normal"] {
+        for name in listed(self.set) {
             kept.push((name, self.memory.get(name).clone()));
         }
-        self.make_room(self.count + self.count / 2)?;
+        self.make_room(self.count.saturating_add(self.count / 4 + 512))?;
         let mut encoder = self.gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
         for (name, old) in &kept {
             encoder.copy_buffer_to_buffer(old, 0, self.memory.get(name), 0, bytes);
@@ -267,158 +273,10 @@ impl<'a> GpuEngine<'a> {
         Ok(())
     }
 
-    /// Runs the steps of a pass in one command buffer; returns the words that the host reads.
-    #[cfg(test)]
-    pub(super) fn run_steps(&mut self, pass: u64, steps: &[Step], sort: bool) -> Result<Vec<u32>> {
-        let encoded = self.encode(steps, sort && !self.listed, sort);
-        self.submit(pass, encoded)?;
-        self.read_words()
-    }
-
-    /// Runs a pass once; returns the words that the host reads.
-    fn run_pass(&mut self, pass: u64, plan: Plan) -> Result<Vec<u32>> {
+    /// The particles as they are.
+    pub(super) fn bring_back(&mut self) -> Result<ParticleSet> {
         let begun = Instant::now();
-        let ready = self.ahead.take().filter(|(planned, room, _)| *planned == plan && self.count <= *room);
-        let encoded = match ready {
-            Some((_, _, encoded)) => encoded,
-            None => self.encode_plan(plan, self.count),
-        };
-        let timed = self.submit(pass, encoded)?;
-        let handed_over = Instant::now();
-        self.spent.encode_seconds += (handed_over - begun).as_secs_f64();
-        // while the device works: the next pass, likely to be of the same kind and of about as many particles
-        let sort = plan.sort || (pass + 1) % REORDER_INTERVAL == 1;
-        let next = Plan { sort, bring: sort && !plan.density, ..plan };
-        let room = (self.count + self.count / 32 + 64).min(self.capacity);
-        self.ahead = Some((next, room, self.encode_plan(next, room)));
-        self.profile.collect(self.gpu, &timed)?;
-        let words = self.read_words()?;
-        self.spent.wait_seconds += handed_over.elapsed().as_secs_f64();
-        Ok(words)
-    }
-
-    /// Encodes a pass over up to so many particles.
-    fn encode_plan(&mut self, plan: Plan, count: u32) -> Encoded {
-        let steps = steps(count, &self.levels, self.settling.order, plan.sort, plan.density);
-        self.encode(&steps, plan.bring, plan.sort)
-    }
-
-    /// Encodes steps, after bringing the particles back to the listed buffers if `bring` is set.
-    fn encode(&mut self, steps: &[Step], bring: bool, sort: bool) -> Encoded {
-        for step in steps {
-            let key = (step.label, step.round);
-            if !self.groups.contains_key(&key) {
-                let group = self.kernels.bind(self.gpu, &self.memory, step.kernel, step.round, step.aliases);
-                self.groups.insert(key, group);
-            }
-        }
-        let memory = &self.memory;
-        let mut commands = Vec::with_capacity(steps.len() + 4);
-        if bring {
-            for (from, to) in [("place", "listed_place"), ("normal", "listed_normal")] {
-                commands.push(Command::Copy {
-                    from: memory.get(from),
-                    to: memory.get(to),
-                    bytes: 16 * u64::from(self.capacity),
-                });
-            }
-        }
-        if sort {
-            commands.push(Command::Clear { buffer: memory.get("class_counts") });
-        }
-        commands.extend(steps.iter().map(|step| {
-            let group = &self.groups[&(step.label, step.round)];
-            match step.workgroups {
-                Some(workgroups) => Command::Run { kernel: step.kernel, group, workgroups },
-                None => Command::RunIndirect {
-                    kernel: step.kernel,
-                    group,
-                    arguments: memory.get("class_arguments"),
-                    offset: 12 * u64::from(step.round),
-                },
-            }
-        }));
-        commands.push(Command::Copy { from: memory.get("words"), to: &self.words, bytes: 4 * WORDS as u64 });
-        encode(self.gpu, &self.kernels, &commands, &mut self.profile)
-    }
-
-    /// Hands a pass to the device.
-    fn submit(&self, pass: u64, encoded: Encoded) -> Result<Vec<&'static str>> {
-        self.write("now", pass_block(pass, self.count, self.settling.allow_insert).bytes());
-        self.write("scan_lists", scan_block(self.count).bytes());
-        self.write("scan_keep", scan_block(2 * self.count).bytes());
-        let timed = submit(self.gpu, encoded);
-        self.gpu.check()?;
-        Ok(timed)
-    }
-
-    /// Waits for the pass to end.
-    fn read_words(&self) -> Result<Vec<u32>> {
-        read_staging(self.gpu, &self.words, 4 * WORDS as u64)
-    }
-
-    /// What the device did, from the upload to the last readback.
-    fn report(&self) -> DeviceReport {
-        let mut kernels: Vec<_> = self
-            .profile
-            .times
-            .iter()
-            .map(|(&kernel, &(seconds, dispatches))| KernelTime { kernel, seconds, dispatches })
-            .collect();
-        kernels.sort_by(|a, b| b.seconds.total_cmp(&a.seconds));
-        DeviceReport {
-            adapter: self.gpu.summary().name.clone(),
-            peak_device_bytes: self.memory.peak(),
-            levels: self.levels.levels.len(),
-            bins: self.levels.bin_total(),
-            kernels,
-            ..self.spent.clone()
-        }
-    }
-}
-
-impl Engine for GpuEngine<'_> {
-    fn device_report(&self) -> Option<DeviceReport> {
-        Some(self.report())
-    }
-
-    fn pass(&mut self, pass: u64, density: bool) -> Result<PassOutcome> {
-        let sort = self.listed || self.stale || pass % REORDER_INTERVAL == 1;
-        let words = loop {
-            let words = self.run_pass(pass, Plan { sort, bring: sort && !self.listed, density })?;
-            // the lists need room for so many members; what the pass has done is cast away
-            let needed = u64::from(words[WORD_LISTED]);
-            if needed <= u64::from(self.list_capacity) {
-                break words;
-            }
-            self.listed = true;
-            self.make_lists(needed + needed / 2)?;
-        };
-        let before = self.count;
-        let (after, kept) = (words[WORD_COUNT], words[WORD_KEPT]);
-        self.listed = after != before || kept != before;
-        self.stale = f64::from(f32::from_bits(words[WORD_LONGEST])) > REBUILD_MOVE;
-        self.count = after;
-        if u64::from(after) * 2 > u64::from(self.capacity) {
-            self.grow()?;
-        }
-        let held = self.carried.held();
-        let movable = f64::from(before.max(1)) - held as f64;
-        Ok(PassOutcome {
-            energy: f64::from(f32::from_bits(words[WORD_ENERGY])),
-            count: after as usize - held,
-            inserted: (after - kept) as usize,
-            deleted: (before - kept) as usize,
-            moved: words[WORD_MOVED] as usize,
-            tries_per_particle: f64::from(words[WORD_TRIES]) / movable.max(1.0),
-            neighbours: f64::from(words[WORD_LISTED]) / f64::from(before.max(1)),
-            lattice_defects: words[WORD_DEFECTS] as usize,
-        })
-    }
-
-    fn particles(&mut self) -> Result<ParticleSet> {
-        let begun = Instant::now();
-        let names = if self.listed { ["listed_place", "listed_normal"] } else { ["place", "normal"] };
+        let names = if self.listed { listed(self.set) } else { ["place", "normal"] };
         let count = self.count as usize;
         let place: Vec<[f32; 4]> = download(self.gpu, self.memory.get(names[0]), count)?;
         let normal: Vec<[f32; 4]> = download(self.gpu, self.memory.get(names[1]), count)?;
@@ -439,8 +297,23 @@ impl Engine for GpuEngine<'_> {
         Ok(set)
     }
 
-    fn strata(&self) -> &[Stratum] {
-        &self.strata
+    /// What the device did, from the upload to the last readback.
+    pub(super) fn report(&self) -> DeviceReport {
+        let mut kernels: Vec<_> = self
+            .profile
+            .times
+            .iter()
+            .map(|(&kernel, &(seconds, dispatches))| KernelTime { kernel, seconds, dispatches })
+            .collect();
+        kernels.sort_by(|a, b| b.seconds.total_cmp(&a.seconds));
+        DeviceReport {
+            adapter: self.gpu.summary().name.clone(),
+            peak_device_bytes: self.memory.peak(),
+            levels: self.levels.levels.len(),
+            bins: self.levels.bin_total(),
+            kernels,
+            ..self.spent.clone()
+        }
     }
 }
 

@@ -1,6 +1,7 @@
-//! What the device knows of the implicit function: the spline of one object, or the indicators of many materials with the strata of the particles.
+//! What the device knows of the implicit function: the spline of one object, or the differences of many materials with the strata of the particles.
 
 use super::constants::HELD_CODE;
+use super::differences::Differences;
 use crate::constants::{LAMBDA_GROWTH, LARGEST_LAMBDA, LEAST_LAMBDA};
 use isoparticles_field::materials::{Materials, Stratum};
 use isoparticles_field::particle_set::ParticleSet;
@@ -9,29 +10,16 @@ use isoparticles_stage::error::{Error, Result};
 use isoparticles_volume::Geometry;
 use std::borrow::Cow;
 
-/// The words in front of the index of materials: where its parts begin.
-pub(crate) const INDEX_STARTS: usize = 0;
-/// Where the entries begin: material and number of the brick in it.
-pub(crate) const INDEX_ENTRIES: usize = 1;
-/// Where the materials begin that fill the bricks.
-pub(crate) const INDEX_FILL: usize = 2;
-/// Where the boxes begin: first node, node behind the last, whether what lies beyond is inside, and a word of no use.
-pub(crate) const INDEX_BOXES: usize = 3;
-/// Where the blocks begin that each brick reads.
-pub(crate) const INDEX_BLOCKS: usize = 4;
-/// Where the strata begin: four materials of 16 bits.
-pub(crate) const INDEX_STRATA: usize = 5;
-
 /// Strata and particles that are held are numbered below this: 16 times the number is a whole number that f32 holds exactly.
 const MOST_STRATA: usize = 1 << 20;
 
 /// The coefficients on the device, and what finds them.
 pub(super) struct Ground<'a> {
     pub geometry: &'a Geometry,
-    /// Of F, or of all materials one behind the other.
+    /// Of F, or of the differences between materials.
     pub coefficients: Cow<'a, [f32]>,
-    /// Of many materials.
-    pub index: Option<Vec<u32>>,
+    /// Of many materials: what finds the differences.
+    pub index: Option<Vec<[u32; 4]>>,
 }
 
 impl<'a> Ground<'a> {
@@ -43,46 +31,9 @@ impl<'a> Ground<'a> {
 
     /// Of many materials, for particles on these strata.
     pub(super) fn materials(materials: &'a Materials, carried: &Carried) -> Self {
-        let bricks = materials.fill().len();
-        let mut coefficients = Vec::new();
-        let (mut first_brick, mut boxes, mut blocks) = (Vec::new(), Vec::new(), Vec::new());
-        let mut known: Vec<Vec<[u32; 2]>> = vec![Vec::new(); bricks];
-        for (material, indicator) in (0u32..).zip(materials.indicators()) {
-            let first_block = (coefficients.len() / 64) as u32;
-            first_brick.push((blocks.len() / 8) as u32);
-            let (first, size) = indicator.extent();
-            boxes.extend(first.map(|n| n as u32));
-            boxes.extend([0, 1, 2].map(|a| (first[a] + size[a]) as u32));
-            boxes.extend([u32::from(indicator.surrounds()), 0]);
-            for (number, &brick) in (0u32..).zip(indicator.bricks()) {
-                known[brick as usize].push([material, first_brick[material as usize] + number]);
-            }
-            blocks.extend(indicator.blocks().as_flattened().iter().map(|block| first_block + block));
-            coefficients.extend_from_slice(indicator.coefficients());
-        }
-        let mut starts = vec![0u32];
-        for entries in &known {
-            starts.push(starts[starts.len() - 1] + entries.len() as u32);
-        }
-        let entries: Vec<u32> = known.iter().flatten().flatten().copied().collect();
-        let fill: Vec<u32> = materials.fill().iter().map(|&id| u32::from(id)).collect();
-        let strata: Vec<u32> = carried.strata.iter().flat_map(words_of).collect();
-        // in the order of the constants above
-        let parts = [starts, entries, fill, boxes, blocks, strata];
-        let mut index = vec![0u32; 8];
-        for (n, part) in parts.iter().enumerate() {
-            index[n] = index.len() as u32;
-            index.extend_from_slice(part);
-        }
+        let Differences { coefficients, index } = Differences::new(materials, &carried.strata, carried.sheets);
         Self { geometry: materials.geometry(), coefficients: Cow::Owned(coefficients), index: Some(index) }
     }
-}
-
-/// The materials of a stratum, 16 bits each; 65535 behind the last.
-fn words_of(stratum: &Stratum) -> [u32; 2] {
-    let mut ids = [u32::from(u16::MAX); 4];
-    ids.iter_mut().zip(stratum.materials()).for_each(|(to, id)| *to = u32::from(id.0));
-    [ids[0] | ids[1] << 16, ids[2] | ids[3] << 16]
 }
 
 /// What goes with each particle beside its normal: its damping, and of many materials its stratum.

@@ -105,7 +105,7 @@ pub(crate) fn download<T: bytemuck::AnyBitPattern>(gpu: &Gpu, buffer: &wgpu::Buf
     let mut encoder = gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
     encoder.copy_buffer_to_buffer(buffer, 0, &staging, 0, bytes);
     gpu.queue.submit([encoder.finish()]);
-    read_staging(gpu, &staging, bytes)
+    read_staging(gpu, &staging, bytes, None)
 }
 
 /// A buffer that the host can read.
@@ -118,17 +118,18 @@ pub(crate) fn staging(gpu: &Gpu, bytes: u64) -> wgpu::Buffer {
     })
 }
 
-/// Waits for the device and reads the first bytes of a staging buffer.
+/// Waits for the device to finish a submission, or all that it was given, and reads the first bytes of a staging buffer.
 pub(crate) fn read_staging<T: bytemuck::AnyBitPattern>(
     gpu: &Gpu,
     staging: &wgpu::Buffer,
     bytes: u64,
+    submission: Option<&wgpu::SubmissionIndex>,
 ) -> Result<Vec<T>> {
     let (sender, receiver) = std::sync::mpsc::channel();
     staging.slice(..bytes).map_async(wgpu::MapMode::Read, move |result| {
         let _ = sender.send(result);
     });
-    gpu.wait()?;
+    gpu.wait_for(submission)?;
     match receiver.recv() {
         Ok(Ok(())) => {}
         Ok(Err(error)) => return Err(gpu.failed(&format!("cannot read its memory: {error}"))),

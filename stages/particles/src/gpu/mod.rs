@@ -7,6 +7,7 @@
 mod adapter;
 mod commands;
 mod constants;
+mod differences;
 pub mod display;
 mod engine;
 mod kernels;
@@ -14,6 +15,7 @@ mod levels;
 mod materials;
 mod memory;
 mod parameters;
+mod passes;
 mod report;
 mod schedule;
 mod shaders;

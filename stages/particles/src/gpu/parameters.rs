@@ -59,7 +59,7 @@ pub(crate) fn run_block(
     levels: &Levels,
     settling: &Parameters,
     slab_length: u32,
-    list_capacity: u32,
+    list_room: u32,
 ) -> Block {
     let spacing = settling.spacing();
     let size = geometry.size.map(|n| n as u32);
@@ -81,7 +81,7 @@ pub(crate) fn run_block(
         .real("delete_above", [settling.delete_above as f32])
         .real("largest_size", [levels.levels[0].largest])
         .whole("bin_total", [levels.bin_total()])
-        .whole("list_capacity", [list_capacity])
+        .whole("list_room", [list_room])
         .whole("seed", [seed])
         .real("initial_lambda", [INITIAL_LAMBDA as f32])
         .real("spacing_in_h", [spacing as f32])
@@ -102,7 +102,27 @@ pub(crate) fn run_block(
     block
 }
 
-/// What changes from pass to pass.
+/// What the host knows of a pass when it hands it over; of this `shaders/begin_pass.wgsl` makes what the pass's kernels are told.
+pub(crate) fn plan_block(
+    number: u64,
+    count: u32,
+    allow_insert: bool,
+    room: u32,
+    (list_room, classes): (u32, u32),
+) -> Block {
+    Block::default()
+        .whole("number", [number as u32])
+        .whole("count", [count])
+        .whole("allow_insert", [u32::from(allow_insert)])
+        .whole("room", [room])
+        .whole("list_room", [list_room])
+        .whole("classes", [classes])
+        .whole("unused_1", [0])
+        .whole("unused_2", [0])
+}
+
+/// What the kernels know of a pass, as `shaders/begin_pass.wgsl` makes it.
+#[cfg(test)]
 pub(crate) fn pass_block(number: u64, count: u32, allow_insert: bool) -> Block {
     Block::default()
         .whole("number", [number as u32])

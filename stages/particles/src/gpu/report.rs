@@ -22,7 +22,7 @@ pub struct DeviceReport {
     pub upload_seconds: f64,
     /// Of these: the host's time to encode and hand over passes while the device has nothing to do.
     pub encode_seconds: f64,
-    /// Of these: from a pass handed over until its result is read.
+    /// Of these: the host's time waiting for passes. What it does for the next pass while the device works is in none of these parts.
     pub wait_seconds: f64,
     /// Of these: to bring the particles back.
     pub readback_seconds: f64,

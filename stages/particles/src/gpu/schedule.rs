@@ -22,6 +22,20 @@ pub(crate) fn bins_of(colour: u32, bins: UVec3) -> u32 {
     ((bins + (COLOUR_STRIDE - 1) - first) / COLOUR_STRIDE).element_product()
 }
 
+/// Other buffers for some of the names in a kernel.
+pub(crate) type Aliases = &'static [(&'static str, &'static str)];
+
+/// The two sets of particles between passes, in their buffers: a pass that controls the density begins from one and leaves its result in the other.
+pub(crate) const SETS: [Aliases; 2] = [
+    &[("listed_place", "listed_place_0"), ("listed_normal", "listed_normal_0")],
+    &[("listed_place", "listed_place_1"), ("listed_normal", "listed_normal_1")],
+];
+
+/// The buffers of a set: places and normals.
+pub(crate) fn listed(set: usize) -> [&'static str; 2] {
+    [SETS[set][0].1, SETS[set][1].1]
+}
+
 /// One dispatch of a pass.
 pub(crate) struct Step {
     pub kernel: &'static str,
@@ -29,7 +43,7 @@ pub(crate) struct Step {
     pub label: &'static str,
     /// The number that the kernel sees as `round`.
     pub round: u32,
-    pub aliases: &'static [(&'static str, &'static str)],
+    pub aliases: Aliases,
     /// `None`: as many as the device says for this class.
     pub workgroups: Option<u32>,
 }
@@ -38,21 +52,45 @@ impl Step {
     pub(crate) fn over(kernel: &'static str, round: u32, workgroups: u32) -> Self {
         Self { kernel, label: kernel, round, aliases: &[], workgroups: Some(workgroups) }
     }
+
+    fn with(self, aliases: Aliases) -> Self {
+        Self { aliases, ..self }
+    }
+}
+
+/// What a pass is made of.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Plan {
+    /// Sort, and make lists and classes anew.
+    pub sort: bool,
+    /// Bring the particles from the sorted to the listed buffers beforehand.
+    pub bring: bool,
+    /// Control the density.
+    pub density: bool,
+    /// The set of listed buffers that it begins from.
+    pub set: usize,
+    /// Classes that it moves, of those that there may be.
+    pub classes: u32,
+}
+
+/// What every pass begins with.
+pub(crate) fn beginning() -> Step {
+    Step::over("begin_pass", 0, 1).with(&[("begun", "now"), ("begun_scan", "scan_keep")])
 }
 
 /// The dispatches of a pass, in order.
-pub(crate) fn steps(count: u32, levels: &Levels, order: Order, sort: bool, density: bool) -> Vec<Step> {
+pub(crate) fn steps(count: u32, levels: &Levels, order: Order, plan: Plan) -> Vec<Step> {
+    let Plan { sort, density, set, classes, .. } = plan;
     let mut steps = Vec::with_capacity(80);
+    steps.push(beginning());
     let each = count.div_ceil(NARROW);
     let wide = count.div_ceil(WIDE);
     if sort {
-        steps.push(Step::over("bin_count", 0, each));
+        steps.push(Step::over("bin_count", 0, each).with(SETS[set]));
         scan(&mut steps, "bins", levels.bin_total());
         steps.push(Step::over("bin_scatter", 0, each));
-        steps.push(Step::over("bin_reorder", 0, each));
-        steps.push(Step::over("neighbour_count", 0, each));
-        scan(&mut steps, "lists", count);
-        steps.push(Step::over("neighbour_fill", 0, each));
+        steps.push(Step::over("bin_reorder", 0, each).with(SETS[set]));
+        steps.push(Step::over("neighbour_list", 0, each));
     }
     if sort && order == Order::Classes {
         for round in 0..CLASS_ROUNDS {
@@ -65,7 +103,7 @@ pub(crate) fn steps(count: u32, levels: &Levels, order: Order, sort: bool, densi
     }
     match order {
         Order::Classes => {
-            steps.extend((0..CLASSES).map(|class| Step { workgroups: None, ..Step::over("move_particles", class, 0) }));
+            steps.extend((0..classes).map(|class| Step { workgroups: None, ..Step::over("move_particles", class, 0) }));
         }
         Order::Bins => {
             let bins = levels.levels[0].bins;
@@ -83,22 +121,17 @@ pub(crate) fn steps(count: u32, levels: &Levels, order: Order, sort: bool, densi
         steps.push(Step::over("insert_propose", 0, each));
         steps.push(Step::over("insert_choose", 0, each));
         scan(&mut steps, "keep", 2 * count);
-        steps.push(Step::over("compact", 0, each));
+        steps.push(Step::over("compact", 0, each).with(SETS[1 - set]));
     }
     steps
 }
 
 /// The three kernels of a prefix sum; `what` says of what.
 pub(crate) fn scan(steps: &mut Vec<Step>, what: &str, length: u32) {
-    type Names = &'static [(&'static str, &'static str)];
-    let (aliases, labels): (Names, [&'static str; 3]) = match what {
+    let (aliases, labels): (Aliases, [&'static str; 3]) = match what {
         "bins" => (
             &[("scan", "scan_bins"), ("scan_input", "bin_counts"), ("scan_output", "bin_starts")],
             ["scan_blocks of bins", "scan_sums of bins", "scan_add of bins"],
-        ),
-        "lists" => (
-            &[("scan", "scan_lists"), ("scan_input", "neighbour_counts"), ("scan_output", "list_starts")],
-            ["scan_blocks of lists", "scan_sums of lists", "scan_add of lists"],
         ),
         _ => (
             &[("scan", "scan_keep"), ("scan_input", "keep"), ("scan_output", "destinations")],

@@ -51,10 +51,10 @@ const RANDOM: Piece = Piece::Text(include_str!("../../../../shaders/shared/rando
 const GRID: Piece = Piece::Text(include_str!("../../../../shaders/shared/grid.wgsl"));
 const SPLINE: Piece = Piece::Text(include_str!("../../../../shaders/shared/spline.wgsl"));
 const PROJECT: Piece = Piece::Text(include_str!("../../../../shaders/shared/project.wgsl"));
-const SURFACE: Piece = Piece::Text(include_str!("../../../../shaders/shared/surface.wgsl"));
 const TEAM_SURFACE: Piece = Piece::Text(include_str!("../../../../shaders/shared/team_surface.wgsl"));
 const LEVELS: Piece = Piece::Text(include_str!("../../../../shaders/shared/levels.wgsl"));
 const LISTS: Piece = Piece::Text(include_str!("../../../../shaders/shared/lists.wgsl"));
+const LIST_TILES: Piece = Piece::Text(include_str!("../../../../shaders/shared/list_tiles.wgsl"));
 const WALK: Piece = Piece::Text(include_str!("../../../../shaders/shared/neighbour_walk.wgsl"));
 const CLASSES: Piece = Piece::Text(include_str!("../../../../shaders/shared/classes.wgsl"));
 const NEWTON: Piece = Piece::Text(include_str!("../../../../shaders/shared/newton.wgsl"));
@@ -73,16 +73,16 @@ macro_rules! source {
 
 /// Every kernel.
 const SOURCES: &[Source] = &[
+    source!("begin_pass", &[]),
     source!("scan_blocks", &[SCAN]),
     source!("scan_sums", &[SCAN]),
     source!("scan_add", &[SCAN]),
     source!("bin_count", &[PARAMETERS, LEVELS]),
     source!("bin_scatter", &[PARAMETERS]),
     source!("bin_reorder", &[PARAMETERS, Piece::Carried]),
-    source!("neighbour_count", &[PARAMETERS, LEVELS, Piece::Carried, WALK]),
-    source!("neighbour_fill", &[PARAMETERS, LEVELS, Piece::Carried, WALK]),
-    source!("class_propose", &[PARAMETERS, RANDOM, LISTS, ROUND, CLASSES]),
-    source!("class_settle", &[PARAMETERS, RANDOM, LISTS, ROUND, CLASSES]),
+    source!("neighbour_list", &[PARAMETERS, LIST_TILES, LEVELS, Piece::Carried, WALK]),
+    source!("class_propose", &[PARAMETERS, RANDOM, LIST_TILES, LISTS, ROUND, CLASSES]),
+    source!("class_settle", &[PARAMETERS, RANDOM, LIST_TILES, LISTS, ROUND, CLASSES]),
     source!("class_count", &[PARAMETERS, RANDOM, CLASSES]),
     source!("class_starts", &[PARAMETERS, RANDOM, CLASSES]),
     source!("class_scatter", &[PARAMETERS, RANDOM, CLASSES]),
@@ -100,6 +100,7 @@ const SOURCES: &[Source] = &[
             PROJECT,
             ENERGY,
             PLANE,
+            LIST_TILES,
             LISTS,
             TEAM_ENERGY,
             NEWTON,
@@ -121,6 +122,7 @@ const SOURCES: &[Source] = &[
             PROJECT,
             ENERGY,
             PLANE,
+            LIST_TILES,
             LISTS,
             TEAM_ENERGY,
             NEWTON,
@@ -129,11 +131,11 @@ const SOURCES: &[Source] = &[
             ROUND
         ]
     ),
-    source!("energies", &[PARAMETERS, ENERGY, LISTS, Piece::Carried]),
+    source!("energies", &[PARAMETERS, ENERGY, LIST_TILES, LISTS, Piece::Carried]),
     source!("sum_blocks", &[PARAMETERS, TOTALS]),
     source!("sum_total", &[PARAMETERS, TOTALS]),
-    source!("density_delete", &[PARAMETERS, RANDOM, DENSITY, LISTS, ROUND]),
-    source!("density_relieve", &[PARAMETERS, ENERGY, LISTS, ROUND]),
+    source!("density_delete", &[PARAMETERS, RANDOM, DENSITY, LIST_TILES, LISTS, ROUND]),
+    source!("density_relieve", &[PARAMETERS, ENERGY, LIST_TILES, LISTS, ROUND]),
     source!(
         "insert_propose",
         &[
@@ -143,22 +145,27 @@ const SOURCES: &[Source] = &[
             SPLINE,
             Piece::Carried,
             Piece::Nodes,
-            SURFACE,
+            Piece::Team,
+            TEAM_SURFACE,
             PROJECT,
             PLANE,
             RANDOM,
             DENSITY,
+            LIST_TILES,
             LISTS
         ]
     ),
-    source!("insert_choose", &[PARAMETERS, RANDOM, LEVELS, LISTS, Piece::Carried]),
+    source!("insert_choose", &[PARAMETERS, RANDOM, LEVELS, LIST_TILES, LISTS, Piece::Carried]),
     source!("compact", &[PARAMETERS]),
 ];
 
 /// Kernels that only the tests run: they show what the shared pieces compute.
 #[cfg(test)]
 pub(crate) const PROBES: &[Source] = &[
-    source!("tests/probe_fields", &[PARAMETERS, Piece::Fields, GRID, SPLINE, Piece::Carried, Piece::Nodes, SURFACE]),
+    source!(
+        "tests/probe_fields",
+        &[PARAMETERS, Piece::Fields, GRID, SPLINE, Piece::Carried, Piece::Nodes, Piece::Team, TEAM_SURFACE, PROJECT]
+    ),
     source!(
         "tests/probe_jets",
         &[
@@ -172,6 +179,7 @@ pub(crate) const PROBES: &[Source] = &[
             TEAM_SURFACE,
             ENERGY,
             PLANE,
+            LIST_TILES,
             LISTS,
             TEAM_ENERGY
         ]

@@ -1,7 +1,7 @@
 //! Movement of one class and every kernel of density control against twins that do the same, one particle after the other.
 
 use super::any_gpu;
-use super::fields::sorted;
+use super::fields::{lists, sorted};
 use crate::constants::{FARTHEST_MOVE, NEWCOMER_DISTANCE};
 use crate::density::{Newcomer, propose};
 use crate::gpu::adapter::{Choice, Gpu};
@@ -12,7 +12,7 @@ use crate::gpu::constants::{
 use crate::gpu::engine::GpuEngine;
 use crate::gpu::memory::download;
 use crate::gpu::parameters::device_origin;
-use crate::gpu::schedule::{COLOURS, Step, bins_of, scan};
+use crate::gpu::schedule::{COLOURS, SETS, Step, bins_of, scan};
 use crate::movement;
 use crate::neighbourhood::Record;
 use crate::reference::energy_at;
@@ -47,8 +47,7 @@ struct Rig<'a> {
     engine: GpuEngine<'a>,
     /// xyz from the device's origin, and h.
     places: Vec<[f32; 4]>,
-    starts: Vec<u32>,
-    lists: Vec<u32>,
+    lists: Vec<Vec<u32>>,
 }
 
 impl<'a> Rig<'a> {
@@ -60,10 +59,9 @@ impl<'a> Rig<'a> {
         let mut engine = sorted(gpu, scene, binning);
         engine.listed = false;
         let count = engine.count as usize;
-        let starts: Vec<u32> = download(gpu, engine.memory.get("list_starts"), count + 1).unwrap();
-        let lists = download(gpu, engine.memory.get("lists"), starts[count] as usize).unwrap();
+        let lists = lists(gpu, &engine);
         let places = download(gpu, engine.memory.get("place"), count).unwrap();
-        Self { gpu, engine, places, starts, lists }
+        Self { gpu, engine, places, lists }
     }
 
     fn count(&self) -> usize {
@@ -71,12 +69,12 @@ impl<'a> Rig<'a> {
     }
 
     fn list(&self, i: usize) -> impl Iterator<Item = usize> + '_ {
-        self.lists[self.starts[i] as usize..self.starts[i + 1] as usize].iter().map(|&j| j as usize)
+        self.lists[i].iter().map(|&j| j as usize)
     }
 
     fn run(&mut self, kernel: &'static str, round: u32) {
         let each = self.engine.count.div_ceil(NARROW);
-        self.engine.run_steps(u64::from(PASS), &[Step::over(kernel, round, each)], false).unwrap();
+        self.engine.run_steps(u64::from(PASS), vec![Step::over(kernel, round, each)], false).unwrap();
     }
 
     fn take<T: bytemuck::AnyBitPattern>(&self, name: &str, count: usize) -> Vec<T> {
@@ -135,7 +133,7 @@ fn one_class_moves_as_on_the_cpu_and_nobody_else_does() {
     let classes: Vec<u32> = rig.take("classes", rig.count());
     let class = 3;
     let step = Step { workgroups: None, ..Step::over("move_particles", class, 0) };
-    rig.engine.run_steps(u64::from(PASS), &[step], false).unwrap();
+    rig.engine.run_steps(u64::from(PASS), vec![step], false).unwrap();
     let after: Vec<[f32; 4]> = rig.take("place", rig.count());
     let origin = device_origin(&rig.engine.geometry);
     let (mut members, mut alike, mut moved) = (0, 0, 0);
@@ -170,7 +168,7 @@ fn bins_of_one_colour_move_one_particle_after_the_other_and_nobody_else_does() {
     let starts: Vec<u32> = rig.take("bin_starts", bins.element_product() as usize + 1);
     let colour = 14;
     let first = UVec3::new(colour, colour / COLOUR_STRIDE, colour / (COLOUR_STRIDE * COLOUR_STRIDE)) % COLOUR_STRIDE;
-    rig.engine.run_steps(u64::from(PASS), &[Step::over("move_bins", colour, bins_of(colour, bins))], false).unwrap();
+    rig.engine.run_steps(u64::from(PASS), vec![Step::over("move_bins", colour, bins_of(colour, bins))], false).unwrap();
     let after: Vec<[f32; 4]> = rig.take("place", rig.count());
     let origin = device_origin(&rig.engine.geometry);
     let (mut members, mut moved, mut alike) = (0, 0, 0);
@@ -323,8 +321,8 @@ fn insertion(gpu: &Gpu, scene: &Scene) -> usize {
 
     let mut last = Vec::new();
     scan(&mut last, "keep", 2 * count as u32);
-    last.push(Step::over("compact", 0, rig.engine.count.div_ceil(NARROW)));
-    let words = rig.engine.run_steps(u64::from(PASS), &last, false).unwrap();
+    last.push(Step { aliases: SETS[1], ..Step::over("compact", 0, rig.engine.count.div_ceil(NARROW)) });
+    let words = rig.engine.run_steps(u64::from(PASS), last, false).unwrap();
     let stay = (0..count).filter(|&i| keep[i] == 1).map(|i| rig.places[i]);
     let come = (0..count).filter(|&i| keep[count + i] == 1).map(|i| newcomers[i]);
     let wanted: Vec<[f32; 4]> = stay.chain(come).collect();
@@ -332,7 +330,7 @@ fn insertion(gpu: &Gpu, scene: &Scene) -> usize {
         [words[WORD_COUNT], words[WORD_KEPT]].map(|w| w as usize),
         [wanted.len(), keep[..count].iter().sum::<u32>() as usize]
     );
-    assert!(rig.take::<[f32; 4]>("listed_place", wanted.len()) == wanted, "places after compaction");
+    assert!(rig.take::<[f32; 4]>("listed_place_1", wanted.len()) == wanted, "places after compaction");
     by_distance
 }
 
@@ -344,8 +342,8 @@ fn totals_are_those_of_the_particles() {
         let mut rig = Rig::new(&gpu, &Scene::ball(count, 0.9));
         let energies: Vec<f32> = rig.take("energies", rig.count());
         let blocks = rig.engine.count.div_ceil(BLOCK);
-        let steps = [Step::over("sum_blocks", 0, blocks), Step::over("sum_total", 0, 1)];
-        let words = rig.engine.run_steps(u64::from(PASS), &steps, false).unwrap();
+        let steps = vec![Step::over("sum_blocks", 0, blocks), Step::over("sum_total", 0, 1)];
+        let words = rig.engine.run_steps(u64::from(PASS), steps, false).unwrap();
         let energy: f64 = energies.iter().map(|&e| f64::from(e)).sum();
         assert!((f64::from(f32::from_bits(words[WORD_ENERGY])) - energy).abs() <= 1e-5 * energy, "{count}: {energy}");
         assert_eq!([words[WORD_MOVED], words[WORD_TRIES], words[WORD_LONGEST]], [0; 3], "nobody has moved");

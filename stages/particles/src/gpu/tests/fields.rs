@@ -2,11 +2,11 @@
 
 use super::any_gpu;
 use crate::gpu::adapter::{Choice, Gpu};
-use crate::gpu::constants::{NARROW, WORD_LISTED};
+use crate::gpu::constants::{LIST_TILE, WORD_LONGEST_LIST};
 use crate::gpu::engine::GpuEngine;
 use crate::gpu::memory::download;
 use crate::gpu::parameters::device_origin;
-use crate::gpu::schedule::{Step, steps};
+use crate::gpu::schedule::{Plan, Step, steps};
 use crate::movement::TangentPlane;
 use crate::reference::energy_jet;
 use crate::scenes::Scene;
@@ -18,16 +18,27 @@ use glam::{DVec3, Vec3};
 pub(super) fn sorted<'a>(gpu: &'a Gpu, scene: &Scene, binning: Binning) -> GpuEngine<'a> {
     let settings = Parameters { binning, ..Parameters::default() };
     let mut engine = GpuEngine::new(gpu, &scene.fields(), &scene.seeds, &settings).unwrap();
-    let mut all = steps(engine.count, &engine.levels, Order::Classes, true, false);
-    all.retain(|s| s.kernel != "move_particles");
-    let words = engine.run_steps(1, &all, true).unwrap();
-    if words[WORD_LISTED] > engine.list_capacity {
-        engine.make_lists(u64::from(words[WORD_LISTED])).unwrap();
-        engine.run_steps(1, &all, true).unwrap();
+    let plan = Plan { sort: true, bring: false, density: false, set: 0, classes: 0 };
+    let all = |engine: &GpuEngine<'_>| steps(engine.count, &engine.levels, Order::Classes, plan);
+    let words = engine.run_steps(1, all(&engine), true).unwrap();
+    if words[WORD_LONGEST_LIST] > engine.list_room {
+        engine.make_lists(words[WORD_LONGEST_LIST]).unwrap();
+        engine.run_steps(1, all(&engine), true).unwrap();
     }
     let bytes = 48 * u64::from(engine.count);
     engine.memory.make(gpu, "probed", bytes, wgpu::BufferUsages::empty()).unwrap();
     engine
+}
+
+/// The neighbour lists, by particle.
+pub(super) fn lists(gpu: &Gpu, engine: &GpuEngine<'_>) -> Vec<Vec<u32>> {
+    let (count, room) = (engine.count as usize, engine.list_room as usize);
+    let lengths: Vec<u32> = download(gpu, engine.memory.get("list_lengths"), count).unwrap();
+    let tile = LIST_TILE as usize;
+    let all: Vec<u32> = download(gpu, engine.memory.get("lists"), room * count.next_multiple_of(tile)).unwrap();
+    // in tiles, fours of each particle side by side
+    let place = |i: usize, n: usize| 4 * ((i / tile * (room / 4) + n / 4) * tile + i % tile) + n % 4;
+    (0..count).map(|i| (0..lengths[i] as usize).map(|n| all[place(i, n)]).collect()).collect()
 }
 
 /// The particles as the device has them.
@@ -55,10 +66,10 @@ fn fields_are_those_of_the_cpu_also_outside_and_in_slabs() {
         scene.seeds.positions[100] = corner;
         scene.seeds.positions[101] = DVec3::ZERO;
         let mut engine = sorted(&gpu, &scene, Binning::Graded);
-        let each = engine.count.div_ceil(NARROW);
-        engine.run_steps(1, &[Step::over("tests/probe_fields", 0, each)], false).unwrap();
-        let probed: Vec<[f32; 4]> = download(&gpu, engine.memory.get("probed"), 2 * engine.count as usize).unwrap();
-        for (p, found) in on_device(&gpu, &engine).into_iter().zip(probed.chunks(2)) {
+        let count = engine.count;
+        engine.run_steps(1, vec![Step::over("tests/probe_fields", 0, count)], false).unwrap();
+        let probed: Vec<[f32; 4]> = download(&gpu, engine.memory.get("probed"), 3 * engine.count as usize).unwrap();
+        for (p, found) in on_device(&gpu, &engine).into_iter().zip(probed.chunks(3)) {
             let (value, gradient) = scene.surface.value_gradient(p);
             assert!((f64::from(found[0][3]) - value).abs() < 2e-6 * (1.0 + value.abs()), "F at {p}");
             assert!((vector(found[0]) - gradient).length() < 2e-5, "gradient at {p}: {:?}, {gradient}", found[0]);
@@ -76,7 +87,7 @@ fn energies_and_forces_are_those_of_the_cpu() {
     for scene in [Scene::ball(900, 1.6), Scene::bumpy_torus(1500)] {
         let mut engine = sorted(&gpu, &scene, Binning::Graded);
         let count = engine.count;
-        engine.run_steps(1, &[Step::over("tests/probe_jets", 0, count)], false).unwrap();
+        engine.run_steps(1, vec![Step::over("tests/probe_jets", 0, count)], false).unwrap();
         let probed: Vec<[f32; 4]> = download(&gpu, engine.memory.get("probed"), 3 * count as usize).unwrap();
         let energies: Vec<f32> = download(&gpu, engine.memory.get("energies"), count as usize).unwrap();
         engine.listed = false;

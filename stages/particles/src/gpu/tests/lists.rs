@@ -1,7 +1,7 @@
 //! Neighbour lists and classes.
 
 use super::any_gpu;
-use super::fields::sorted;
+use super::fields::{lists, sorted};
 use crate::gpu::adapter::Choice;
 use crate::gpu::constants::{CLASSES, COLOUR_STRIDE, UNCLASSED};
 use crate::gpu::memory::download;
@@ -25,9 +25,8 @@ fn lists_are_those_of_the_cpu_and_no_two_neighbours_share_a_class() {
         engine.listed = false;
         let mut state = State::unlisted(engine.particles().unwrap(), 0.0);
         state.rebuild();
-        let starts: Vec<u32> = download(&gpu, engine.memory.get("list_starts"), count + 1).unwrap();
-        let members: Vec<u32> = download(&gpu, engine.memory.get("lists"), starts[count] as usize).unwrap();
-        let list = |i: usize| &members[starts[i] as usize..starts[i + 1] as usize];
+        let lists = lists(&gpu, &engine);
+        let list = |i: usize| &lists[i];
         let reach = isoparticles_field::energy::SUPPORT * (1.0 + crate::constants::SKIN);
         for i in 0..count {
             let mut found = list(i).to_vec();
@@ -72,8 +71,7 @@ fn two_bins_of_a_colour_touch_no_common_particle() {
         let engine = sorted(&gpu, &scene, Binning::Uniform);
         let level = &engine.levels.levels[0];
         let count = engine.count as usize;
-        let starts: Vec<u32> = download(&gpu, engine.memory.get("list_starts"), count + 1).unwrap();
-        let members: Vec<u32> = download(&gpu, engine.memory.get("lists"), starts[count] as usize).unwrap();
+        let lists = lists(&gpu, &engine);
         let bins = level.bins.element_product();
         let bin_starts: Vec<u32> = download(&gpu, engine.memory.get("bin_starts"), bins as usize + 1).unwrap();
         let mut touched_by = std::collections::HashMap::new();
@@ -83,7 +81,7 @@ fn two_bins_of_a_colour_touch_no_common_particle() {
                 UVec3::new(bin % level.bins.x, bin / level.bins.x % level.bins.y, bin / level.bins.x / level.bins.y);
             let colour = at % COLOUR_STRIDE;
             for i in bin_starts[bin as usize]..bin_starts[bin as usize + 1] {
-                let list = &members[starts[i as usize] as usize..starts[i as usize + 1] as usize];
+                let list = &lists[i as usize];
                 in_lists += list.len();
                 for &j in [i].iter().chain(list) {
                     let other = *touched_by.entry((colour, j)).or_insert(bin);

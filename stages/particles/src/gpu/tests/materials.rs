@@ -5,9 +5,13 @@ use crate::cpu::scenes::{Body, corners, nested, sectors};
 use crate::cpu::{OnStrata, settle_sheets, settle_sheets_with};
 use crate::gpu::adapter::{Choice, Gpu};
 use crate::gpu::engine::GpuEngine;
+use crate::gpu::memory::download;
+use crate::gpu::parameters::device_origin;
+use crate::gpu::schedule::Step;
 use crate::implicit::Sheets;
 use crate::settle::{Binning, Engine, Order, Parameters, PassRecord, Summary};
 use crate::state::Fields;
+use glam::{DVec3, Vec3};
 use isoparticles_field::materials::{Indicators, Materials};
 use isoparticles_field::particle_set::Strata;
 
@@ -91,4 +95,61 @@ fn a_run_of_materials_is_the_same_again_and_after_a_break() {
     let (particles, records) = kept.expect("pass 10");
     let resumed = settled(&gpu, (&body, &materials), &parameters, Some((particles, &records)), |_, _| ());
     assert!(whole == resumed, "a resumed run differs");
+}
+
+#[test]
+fn differences_and_their_reality_are_those_of_the_cpu() {
+    for largest_slab in [None, Some(256 * 1024)] {
+        let choice = Choice { largest_slab, ..Choice::default() };
+        let Some(gpu) = any_gpu("differences_and_their_reality_are_those_of_the_cpu", choice) else { return };
+        let (mut real, mut unreal, mut unknown) = (0, 0, 0);
+        for body in [nested(1.0, 900), sectors(1.0, 400), corners(1.0, 500)] {
+            let materials = body.sampled();
+            let (mut set, strata) = (body.seeds.0.clone(), &body.seeds.1.of);
+            let held = strata.partition_point(|on| on.dimension() < 2);
+            let own = |n: usize| [strata[n].materials()[1], strata[n].materials()[0]];
+            // on its sheet, whatever is nearer there, or anywhere
+            let corner = set.geometry.upper_corner();
+            for n in held..strata.len() {
+                let at = |axis| isoparticles_field::random::uniform(3, axis, n as u64);
+                let start = corner * DVec3::new(at(0), at(1), at(2));
+                let met = materials.project_onto_sheet(own(n), start, corner.length(), 1e-7);
+                set.positions[n] = met.filter(|_| n % 3 > 0).unwrap_or(start);
+            }
+            let fields = (&materials, &body.sizing);
+            let mut engine = GpuEngine::of_materials(&gpu, fields, (&set, strata), &Parameters::default()).unwrap();
+            let probed = probe_listed(&gpu, &mut engine);
+            let origin = device_origin(&engine.geometry);
+            for (n, found) in probed.chunks(3).enumerate().skip(held) {
+                let at = origin + (set.positions[n] - origin).as_vec3().as_dvec3();
+                let (value, gradient) = materials.difference_gradient(own(n)[0], own(n)[1], at);
+                if found[0] == [0.0; 4] {
+                    unknown += 1;
+                    assert!(gradient == DVec3::ZERO || value.abs() > 1.0, "{n}: {value} {gradient} is not known");
+                    continue;
+                }
+                let slope = Vec3::from_slice(&found[0]).as_dvec3();
+                assert!((f64::from(found[0][3]) - value).abs() < 1e-5 * (1.0 + value.abs()), "{n}: {value} {found:?}");
+                assert!((slope - gradient).length() < 5e-5, "{n}: {gradient} {found:?}");
+                let clearance = materials.clearance(at, &own(n));
+                if value.abs() < 1e-4 && clearance.abs() > 1e-3 {
+                    assert_eq!(found[2][0] != 0.0, clearance > 0.0, "{n}: {clearance}");
+                    real += usize::from(clearance > 0.0);
+                    unreal += usize::from(clearance < 0.0);
+                }
+            }
+        }
+        let counts = [real, unreal, unknown];
+        assert!(counts.iter().all(|&count| count > 50), "{counts:?} real, unreal and not known: too few for a test");
+    }
+}
+
+/// What `probe_fields` says of the particles as they were put onto the device.
+fn probe_listed(gpu: &Gpu, engine: &mut GpuEngine<'_>) -> Vec<[f32; 4]> {
+    let bytes = 48 * u64::from(engine.count);
+    engine.memory.make(gpu, "probed", bytes, wgpu::BufferUsages::empty()).unwrap();
+    let aliases = &[("place", "listed_place_0"), ("normal", "listed_normal_0")];
+    let step = Step { aliases, ..Step::over("tests/probe_fields", 0, engine.count) };
+    engine.run_steps(1, vec![step], false).unwrap();
+    download(gpu, engine.memory.get("probed"), 3 * engine.count as usize).unwrap()
 }

@@ -3,7 +3,7 @@
 use super::any_gpu;
 use crate::gpu::adapter::{Choice, Gpu};
 use crate::gpu::commands::{Command, Profile, encode, submit};
-use crate::gpu::constants::{BLOCK, NARROW};
+use crate::gpu::constants::{BLOCK, LIST_TILE, NARROW};
 use crate::gpu::kernels::Kernels;
 use crate::gpu::levels::Levels;
 use crate::gpu::memory::{Memory, download, upload};
@@ -55,12 +55,12 @@ fn prefix_sums_are_exact() {
     let Some(mut rig) = Rig::new("prefix sums") else { return };
     for count in [0usize, 1, 2, 7, 2047, 2048, 2049, 4096, 70_001, 3_000_017] {
         let numbers: Vec<u32> = (0..count as u64).map(|n| (bits(3, 0, n) % 9) as u32).collect();
-        rig.put("neighbour_counts", &numbers);
-        rig.put("list_starts", &vec![77u32; count + 1]);
+        rig.put("keep", &numbers);
+        rig.put("destinations", &vec![77u32; count + 1]);
         rig.put("scan_sums", &vec![77u32; count / BLOCK as usize + 2]);
-        rig.put("scan_lists", bytemuck::cast_slice::<u8, u32>(scan_block(count as u32).bytes()));
+        rig.put("scan_keep", bytemuck::cast_slice::<u8, u32>(scan_block(count as u32).bytes()));
         let mut steps = Vec::new();
-        scan(&mut steps, "lists", count as u32);
+        scan(&mut steps, "keep", count as u32);
         rig.run(&steps);
         let mut sum = 0;
         let want: Vec<u32> = std::iter::once(0)
@@ -69,7 +69,7 @@ fn prefix_sums_are_exact() {
                 sum
             }))
             .collect();
-        assert!(rig.take("list_starts", count + 1) == want, "{count} numbers");
+        assert!(rig.take("destinations", count + 1) == want, "{count} numbers");
     }
 }
 
@@ -155,18 +155,19 @@ fn energies_and_totals_of_more_than_65535_workgroups() {
     let places: Vec<[f32; 4]> =
         (0..count).map(|i| [if i % 2 == 0 { 0.0 } else { distance(i / 2) }, 0.0, 0.0, 0.5]).collect();
     let last = count - 1;
-    let starts: Vec<u32> = (0..=count).map(|i| i.min(last)).collect();
-    let lists: Vec<u32> = (0..last).map(|i| i ^ 1).collect();
+    // with room for four members each: one four of each particle after the other
+    let lengths: Vec<u32> = (0..count).map(|i| u32::from(i < last)).collect();
+    let lists: Vec<[u32; 4]> = (0..count.next_multiple_of(LIST_TILE)).map(|i| [i ^ 1; 4]).collect();
     let geometry = Geometry::axis_aligned([9; 3], DVec3::ONE);
     let levels = Levels::over(Vec3::ZERO, Vec3::splat(4.0), 1.0, 1);
     let words = |block: &crate::gpu::parameters::Block| bytemuck::cast_slice::<u8, u32>(block.bytes()).to_vec();
-    rig.put("parameters", &words(&run_block(&geometry, &levels, &crate::Parameters::default(), 729, last)));
+    rig.put("parameters", &words(&run_block(&geometry, &levels, &crate::Parameters::default(), 729, 4)));
     rig.put("now", &words(&pass_block(1, count, true)));
     rig.put("place", &places);
     rig.put("place_at_listing", &places);
     // of one object nobody looks at what goes with it
     rig.put("normal", &[[0.0f32; 4]]);
-    rig.put("list_starts", &starts);
+    rig.put("list_lengths", &lengths);
     rig.put("lists", &lists);
     // every third has moved, at the second try
     let outcome: Vec<u32> = (0..count).map(|i| if i % 3 == 0 { 0x8000_0002 } else { 1 }).collect();
@@ -175,7 +176,7 @@ fn energies_and_totals_of_more_than_65535_workgroups() {
         rig.put(name, &vec![7u32; count as usize]);
     }
     let blocks = count.div_ceil(BLOCK);
-    rig.put("block_totals", &vec![0u32; 5 * blocks as usize]);
+    rig.put("block_totals", &vec![0u32; 7 * blocks as usize]);
     rig.put("words", &[0u32; 16]);
     let each = Step::over("energies", 0, count.div_ceil(NARROW));
     rig.run(&[each, Step::over("sum_blocks", 0, blocks), Step::over("sum_total", 0, 1)]);
@@ -187,12 +188,13 @@ fn energies_and_totals_of_more_than_65535_workgroups() {
         assert!((found - wanted).abs() < 1e-4 * (wanted + 1e-3), "{i}: {found}, not {wanted}");
     }
     assert_eq!(energies[last as usize], 0);
-    let totals = rig.take("words", 8);
+    let totals = rig.take("words", 9);
     let energy: f64 = (0..last / 2).map(|p| 2.0 * pair(p)).sum();
     assert!((f64::from(f32::from_bits(totals[0])) / energy - 1.0).abs() < 1e-5);
     assert_eq!(totals[1], count.div_ceil(3), "moved");
     assert_eq!(totals[2], count + count.div_ceil(3), "tries");
     assert_eq!(totals[3], 0, "nobody is away from where the lists were made");
     assert_eq!(totals[7], count, "faults: nobody has six neighbours");
+    assert_eq!((totals[4], totals[8]), (last, 1), "members of all lists and of the longest");
     assert!(rig.take("marks", count as usize).iter().all(|&mark| mark == 0));
 }

@@ -2,7 +2,7 @@
 
 use crate::gpu::constants::{Value, constants};
 use crate::gpu::levels::Levels;
-use crate::gpu::parameters::{Block, pass_block, run_block, scan_block};
+use crate::gpu::parameters::{Block, pass_block, plan_block, run_block, scan_block};
 use crate::gpu::shaders::{Access, Variant, bindings, sources};
 use glam::{DVec3, Vec3};
 use isoparticles_volume::Geometry;
@@ -95,6 +95,7 @@ fn layouts_are_those_of_naga() {
     let levels = Levels::over(Vec3::ZERO, Vec3::splat(4.0), 1.0, 3);
     same_layout("move_particles", "Parameters", &run_block(&geometry, &levels, &crate::Parameters::default(), 504, 99));
     same_layout("move_particles", "Pass", &pass_block(3, 4, true));
+    same_layout("begin_pass", "Planned", &plan_block(3, 4, true, 5, (6, 7)));
     same_layout("scan_blocks", "Scan", &scan_block(5));
     same_layout("scan_sums", "Scan", &scan_block(5));
     same_layout("scan_add", "Scan", &scan_block(5));

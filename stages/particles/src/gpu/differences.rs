@@ -1,0 +1,287 @@
+//! What the device knows of many materials: not their indicators, but half the difference G = (F_high - F_low) / 2 of every two materials whose sheet has particles, where
+//! both are known, and where a third material may be as near as the two, half the difference from that.
+//!
+//! So a particle reads one coefficient a node as that of one object does, and finds where they lie by two looks into the index, which hold as long as it stays in
+//! its brick of 4 x 4 x 4 cells: first the brick's entry, then a record, which names the eight blocks of coefficients that the brick reads. Of most cells
+//! the record knows that the sheet is real all over them. Blocks hold each coefficient once; the two indicators of a sheet would take twice as much.
+//!
+//! The index is made of fours of words:
+//!
+//! - at 0: where the strata begin, and three words of no use;
+//! - from [`INDEX_BRICKS`] on for each brick of the grid, x fastest, its entry: twice the number of a sheet or [`NO_SHEET`] and the place of its record, the sheet that is likeliest
+//!   to be met there first; in place of the second [`MORE_SHEETS`] and the place of a further entry where there are more than two;
+//! - those further entries;
+//! - records, four fours each: the blocks, x fastest; then of the brick's 64 cells those where both are known and those where a third material may be as near (two words of
+//!   bits each); place of the first check, how many there are or [`NEVER_REAL`], and two words of no use;
+//! - checks: place of the record of the difference between a third material and the higher of the two (it is positive where the sheet is real), whether that
+//!   difference is the negative of what is held, and the cells where the third may be as near; where it is not known in one of these, that lies inside it;
+//! - strata: the four materials of each, 65535 behind the last.
+
+use isoparticles_field::materials::{BLOCK, CELLS, Indicator, Indicators, MaterialId, Materials, ON_SHEET, Stratum};
+use rayon::prelude::*;
+
+/// Where the first entries of the bricks begin.
+pub(crate) const INDEX_BRICKS: usize = 1;
+/// In place of the number of a sheet: there is none.
+const NO_SHEET: u32 = u32::MAX;
+/// In place of the number of a sheet: there are more in another entry.
+pub(crate) const MORE_SHEETS: u32 = u32::MAX - 1;
+/// In place of the number of checks: another material fills the brick, so no sheet is real in it.
+pub(crate) const NEVER_REAL: u32 = u32::MAX;
+
+/// In place of a material that fills a brick where none does, and behind the last material of a stratum.
+const NO_MATERIAL: u16 = u16::MAX;
+
+/// Nodes that the cells of a brick read along each axis.
+const NODES: usize = CELLS + 3;
+
+/// Coefficients and the index that finds them.
+pub(super) struct Differences {
+    pub coefficients: Vec<f32>,
+    pub index: Vec<[u32; 4]>,
+}
+
+/// Two materials in a brick in which both are known.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+struct Pair {
+    low: u16,
+    high: u16,
+    brick: u32,
+    /// Numbers of the brick among those of the two.
+    numbers: [u32; 2],
+}
+
+impl Pair {
+    fn new(brick: usize, a: (MaterialId, usize), b: (MaterialId, usize)) -> Self {
+        let (low, high) = if a.0 < b.0 { (a, b) } else { (b, a) };
+        Self { low: low.0.0, high: high.0.0, brick: brick as u32, numbers: [low.1 as u32, high.1 as u32] }
+    }
+
+    fn indicators<'m>(&self, materials: &'m Materials) -> [&'m Indicator; 2] {
+        [self.low, self.high].map(|id| &materials.indicators()[usize::from(id)])
+    }
+}
+
+/// A third material in a brick of a sheet.
+struct Check {
+    pair: Pair,
+    is_negative: bool,
+    /// One bit for each cell where it may be as near as the two.
+    near: u64,
+}
+
+/// What is to be known of a sheet in a brick.
+struct Entry {
+    sheet: u32,
+    pair: Pair,
+    /// `None`: no sheet is real in the brick.
+    checks: Option<Vec<Check>>,
+}
+
+impl Differences {
+    /// Of particles on these strata, of which the first are as many sheets, ascending.
+    pub(super) fn new(materials: &Materials, strata: &[Stratum], sheets: usize) -> Self {
+        let bricks = materials.fill().len();
+        let entries: Vec<Entry> = (0..bricks)
+            .into_par_iter()
+            .flat_map_iter(|brick| entries_of(materials, &strata[..sheets], brick))
+            .collect();
+        let checks = || entries.iter().flat_map(|entry| entry.checks.iter().flatten());
+        let mut pairs: Vec<Pair> = entries.iter().map(|e| e.pair).chain(checks().map(|c| c.pair)).collect();
+        pairs.par_sort_unstable();
+        pairs.dedup();
+        let (coefficients, blocks) = coefficients(materials, &pairs);
+
+        // in the order in which the head of this file has the parts
+        let mut index = vec![[0; 4]; INDEX_BRICKS];
+        index.resize(INDEX_BRICKS + bricks, [NO_SHEET, 0, NO_SHEET, 0]);
+        let of_bricks = || entries.chunk_by(|a, b| a.pair.brick == b.pair.brick);
+        // an entry names two sheets, or one and where the next entry is
+        let further: usize = of_bricks().map(|sheets| sheets.len().saturating_sub(2)).sum();
+        let first_record = index.len() + further;
+        let record_of = |pair: &Pair| {
+            let number = pairs.binary_search(pair).expect("the pairs of all entries and checks are there");
+            (first_record + 4 * number) as u32
+        };
+        let records: Vec<u32> = entries.par_iter().map(|entry| record_of(&entry.pair)).collect();
+        let mut named = entries.iter().zip(&records).map(|(entry, &record)| [entry.sheet, record]);
+        for of_brick in of_bricks() {
+            let mut at = INDEX_BRICKS + of_brick[0].pair.brick as usize;
+            let sheets: Vec<[u32; 2]> = named.by_ref().take(of_brick.len()).collect();
+            let (before, last) = sheets.split_at(sheets.len().saturating_sub(2));
+            for [sheet, record] in before {
+                index[at] = [*sheet, *record, MORE_SHEETS, index.len() as u32];
+                at = index.len();
+                index.push([NO_SHEET, 0, NO_SHEET, 0]);
+            }
+            for (half, two) in last.iter().enumerate() {
+                index[at][2 * half..2 * half + 2].copy_from_slice(two);
+            }
+        }
+        index.par_extend(pairs.par_iter().zip(&blocks).flat_map_iter(|(pair, b)| {
+            let [low, high] = words_of(known_cells(materials, pair));
+            [[b[0], b[1], b[2], b[3]], [b[4], b[5], b[6], b[7]], [low, high, 0, 0], [0; 4]]
+        }));
+        for (entry, &record) in entries.iter().zip(&records) {
+            let record = record as usize;
+            let near = entry.checks.as_ref().map_or(u64::MAX, |checks| checks.iter().fold(0, |all, c| all | c.near));
+            index[record + 2][2..].copy_from_slice(&words_of(near));
+            index[record + 3][0] = index.len() as u32;
+            index[record + 3][1] = entry.checks.as_ref().map_or(NEVER_REAL, |checks| checks.len() as u32);
+            for check in entry.checks.iter().flatten() {
+                let [low, high] = words_of(check.near);
+                index.push([record_of(&check.pair), u32::from(check.is_negative), low, high]);
+            }
+        }
+        index[0][0] = index.len() as u32;
+        index.extend(strata.iter().map(materials_of));
+        Self { coefficients, index }
+    }
+}
+
+/// The sheets whose two materials are known in a brick, that which is likeliest to be met there first.
+fn entries_of(materials: &Materials, sheets: &[Stratum], brick: usize) -> Vec<Entry> {
+    let known = materials.known_in(brick);
+    let mut entries = Vec::new();
+    for (k, low) in known.clone().enumerate() {
+        for high in known.clone().skip(k + 1) {
+            let Ok(sheet) = sheets.binary_search(&Stratum::sheet(low.0, high.0)) else { continue };
+            let pair = Pair::new(brick, low, high);
+            let fill = materials.fill()[brick];
+            let is_filled_by_other = fill != NO_MATERIAL && fill != low.0.0 && fill != high.0.0;
+            let checks = (!is_filled_by_other).then(|| {
+                let thirds = known.clone().filter(|third| third.0 != low.0 && third.0 != high.0);
+                let check = |third: (MaterialId, usize)| Check {
+                    pair: Pair::new(brick, third, high),
+                    is_negative: third.0 < high.0,
+                    near: near_cells(materials, &pair, third),
+                };
+                thirds.map(check).filter(|check| check.near != 0).collect()
+            });
+            entries.push(Entry { sheet: sheet as u32, pair, checks });
+        }
+    }
+    // the sheet of the two smallest in the middle
+    let farther = |entry: &Entry| {
+        let [low, high] = entry.pair.indicators(materials);
+        let [a, b] = entry.pair.numbers.map(|number| number as usize);
+        coefficient(low, a, [NODES / 2; 3]).max(coefficient(high, b, [NODES / 2; 3]))
+    };
+    entries.sort_by(|a, b| farther(a).total_cmp(&farther(b)));
+    entries
+}
+
+/// One bit for each cell of a brick in which a third material may be as near as the two of a sheet are on it. Elsewhere it is not: a spline is nowhere below the least of
+/// its coefficients, here of the third's indicator less the mean of the two, which on the sheet is either of them.
+fn near_cells(materials: &Materials, pair: &Pair, (third, number): (MaterialId, usize)) -> u64 {
+    let indicator = &materials.indicators()[usize::from(third.0)];
+    let [low, high] = pair.indicators(materials);
+    let [a, b] = pair.numbers.map(|number| number as usize);
+    let mut least: Vec<f32> = (0..NODES * NODES * NODES)
+        .map(|n| {
+            let node = [n % NODES, n / NODES % NODES, n / (NODES * NODES)];
+            coefficient(indicator, number, node) - 0.5 * (coefficient(low, a, node) + coefficient(high, b, node))
+        })
+        .collect();
+    // over the four nodes that a cell reads along x, then y, then z, each of which becomes the slowest axis
+    for _ in 0..3 {
+        let rows = least.len() / NODES;
+        least = (0..CELLS * rows)
+            .map(|n| {
+                let (first, row) = (n / rows, n % rows);
+                least[row * NODES + first..][..4].iter().copied().fold(f32::INFINITY, f32::min)
+            })
+            .collect();
+    }
+    let limit = (ON_SHEET * materials.voxel()) as f32;
+    let bits = least.iter().enumerate().fold(0, |bits, (n, &least)| bits | u64::from(least <= limit) << n);
+    let within = cells_within(materials, indicator, pair.brick);
+    let beyond = if indicator.surrounds() { !within } else { 0 };
+    known_cells(materials, pair) & (bits & within | beyond)
+}
+
+/// The coefficient of an indicator at a node of a brick, of those that its cells read.
+fn coefficient(indicator: &Indicator, brick: usize, node: [usize; 3]) -> f32 {
+    let [x, y, z] = node.map(|n| (n / CELLS, n % CELLS));
+    let block = indicator.blocks()[brick][4 * z.0 + 2 * y.0 + x.0] as usize;
+    indicator.coefficients()[BLOCK * block + (z.1 * CELLS + y.1) * CELLS + x.1]
+}
+
+/// One bit for each cell of a brick, x fastest, all that it reads of an indicator lies in whose box.
+fn cells_within(materials: &Materials, indicator: &Indicator, brick: u32) -> u64 {
+    let size = materials.geometry().size;
+    let [bx, by, _] = isoparticles_field::materials::bricks_along(size);
+    let brick = brick as usize;
+    let at = [brick % bx, brick / bx % by, brick / (bx * by)].map(|n| n * CELLS);
+    (0..BLOCK).fold(0, |bits, n| {
+        let cell = [at[0] + n % CELLS, at[1] + n / CELLS % CELLS, at[2] + n / (CELLS * CELLS)];
+        bits | u64::from(indicator.is_within(cell, size)) << n
+    })
+}
+
+/// One bit for each cell of a brick where both materials are known.
+fn known_cells(materials: &Materials, pair: &Pair) -> u64 {
+    pair.indicators(materials)
+        .iter()
+        .fold(u64::MAX, |bits, indicator| bits & cells_within(materials, indicator, pair.brick))
+}
+
+/// Of two materials: the blocks of either that each block of their difference comes from, and the numbers of the blocks that each brick reads.
+type Part = (Vec<[u32; 2]>, Vec<[u32; 8]>);
+
+/// The coefficients of the differences in blocks, and those that each pair reads; `pairs` ascend.
+fn coefficients(materials: &Materials, pairs: &[Pair]) -> (Vec<f32>, Vec<[u32; 8]>) {
+    let runs: Vec<&[Pair]> = pairs.chunk_by(|a, b| (a.low, a.high) == (b.low, b.high)).collect();
+    let parts: Vec<Part> = runs
+        .par_iter()
+        .map(|run| {
+            let [low, high] = run[0].indicators(materials);
+            let mut numbers = vec![u32::MAX; high.coefficients().len() / BLOCK];
+            let mut sources = Vec::new();
+            let blocks = run
+                .iter()
+                .map(|pair| {
+                    let [low, high] = [low.blocks()[pair.numbers[0] as usize], high.blocks()[pair.numbers[1] as usize]];
+                    std::array::from_fn(|c| {
+                        let number = &mut numbers[high[c] as usize];
+                        if *number == u32::MAX {
+                            *number = sources.len() as u32;
+                            sources.push([low[c], high[c]]);
+                        }
+                        *number
+                    })
+                })
+                .collect();
+            (sources, blocks)
+        })
+        .collect();
+    let mut blocks: Vec<[u32; 8]> = Vec::with_capacity(pairs.len());
+    let mut sources = Vec::new();
+    for (run, (own, numbers)) in runs.iter().zip(parts) {
+        let first = sources.len() as u32;
+        blocks.extend(numbers.iter().map(|eight| eight.map(|number| first + number)));
+        let indicators = run[0].indicators(materials);
+        sources.extend(own.into_iter().map(|own| (indicators, own)));
+    }
+    let mut coefficients = vec![0.0; BLOCK * sources.len()];
+    coefficients.par_chunks_mut(BLOCK).zip(&sources).for_each(|(to, (indicators, numbers))| {
+        let [low, high] =
+            [0, 1].map(|side| &indicators[side].coefficients()[BLOCK * numbers[side] as usize..][..BLOCK]);
+        for ((to, low), high) in to.iter_mut().zip(low).zip(high) {
+            *to = 0.5 * (high - low);
+        }
+    });
+    (coefficients, blocks)
+}
+
+/// The bits of 64 cells in two words.
+fn words_of(cells: u64) -> [u32; 2] {
+    [cells as u32, (cells >> 32) as u32]
+}
+
+/// The materials of a stratum; 65535 behind the last.
+fn materials_of(stratum: &Stratum) -> [u32; 4] {
+    let mut ids = [u32::from(NO_MATERIAL); 4];
+    ids.iter_mut().zip(stratum.materials()).for_each(|(to, id)| *to = u32::from(id.0));
+    ids
+}
