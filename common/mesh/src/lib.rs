@@ -45,6 +45,7 @@ pub struct TriangleMesh {
 
 impl TriangleMesh {
     /// The three corners of a triangle.
+    #[inline]
     pub fn corners(&self, triangle: usize) -> [DVec3; 3] {
         self.triangles[triangle].map(|v| self.vertices[v as usize])
     }

@@ -13,6 +13,7 @@ pub const HISTOGRAM_BINS: usize = 50;
 pub const ZERO_AREA_SHARE: f64 = 1e-12;
 
 /// Twice the inradius over the circumradius: 8 A^2 / (s a b c) with s half the perimeter; 0 when degenerate.
+#[inline]
 pub fn radius_ratio(a: DVec3, b: DVec3, c: DVec3) -> f64 {
     let lengths = [b.distance(c), c.distance(a), a.distance(b)];
     let doubled_area_squared = (b - a).cross(c - a).length_squared();

@@ -21,31 +21,37 @@ impl Bounds {
     pub const EMPTY: Self = Self { low: DVec3::INFINITY, high: DVec3::NEG_INFINITY };
 
     /// Smallest box around some points.
+    #[inline]
     pub fn of(points: &[DVec3]) -> Self {
         points.iter().fold(Self::EMPTY, |b, &p| Self { low: b.low.min(p), high: b.high.max(p) })
     }
 
     /// Smallest box around two.
+    #[inline]
     pub fn merged(self, other: Self) -> Self {
         Self { low: self.low.min(other.low), high: self.high.max(other.high) }
     }
 
     /// Whether two boxes have a point in common, touching included.
+    #[inline]
     pub fn meets(&self, other: &Self) -> bool {
         self.low.cmple(other.high).all() && other.low.cmple(self.high).all()
     }
 
     /// Whether a point lies within or on the border.
+    #[inline]
     pub fn holds(&self, p: DVec3) -> bool {
         self.low.cmple(p).all() && p.cmple(self.high).all()
     }
 
     /// Whether a point lies within, not on the border.
+    #[inline]
     pub fn encloses(&self, p: DVec3) -> bool {
         self.low.cmplt(p).all() && p.cmplt(self.high).all()
     }
 
     /// The centre.
+    #[inline]
     pub fn centre(&self) -> DVec3 {
         0.5 * (self.low + self.high)
     }

@@ -44,16 +44,19 @@ impl Geometry {
     }
 
     /// Linear index of a voxel, x fastest.
+    #[inline]
     pub fn linear(&self, i: usize, j: usize, k: usize) -> usize {
         (k * self.size[1] + j) * self.size[0] + i
     }
 
     /// Grid position of an index position.
+    #[inline]
     pub fn index_to_grid(&self, index: DVec3) -> DVec3 {
         index * self.spacing
     }
 
     /// Index position of a grid position.
+    #[inline]
     pub fn grid_to_index(&self, grid: DVec3) -> DVec3 {
         grid / self.spacing
     }
@@ -89,6 +92,7 @@ impl Geometry {
     }
 
     /// Grid position of the centre of the last voxel.
+    #[inline]
     pub fn upper_corner(&self) -> DVec3 {
         self.index_to_grid(DVec3::new(self.size[0] as f64 - 1.0, self.size[1] as f64 - 1.0, self.size[2] as f64 - 1.0))
     }

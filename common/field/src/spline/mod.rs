@@ -27,6 +27,8 @@ pub const LEAST_SQUARED_GRADIENT: f64 = 1e-8;
 #[derive(Clone, Debug)]
 pub struct CubicSpline {
     geometry: Geometry,
+    /// Mean spacing, mm: a cube root, which projections ask for by the million.
+    voxel: f64,
     coefficients: Vec<f32>,
 }
 
@@ -53,18 +55,23 @@ impl CubicSpline {
             let planes = filter_across(&coefficients.chunks(nx * ny).collect::<Vec<_>>(), nx, 0..nz);
             scatter(&planes, nx, &mut coefficients);
         }
-        Self { geometry: image.geometry.clone(), coefficients }
+        Self::from_coefficients(image.geometry.clone(), coefficients)
     }
 
     /// Takes coefficients as they are (already prefiltered).
     pub fn from_coefficients(geometry: Geometry, coefficients: Vec<f32>) -> Self {
         assert_eq!(geometry.voxel_count(), coefficients.len(), "one coefficient a voxel");
-        Self { geometry, coefficients }
+        Self { voxel: geometry.mean_spacing(), geometry, coefficients }
     }
 
     /// The grid.
     pub fn geometry(&self) -> &Geometry {
         &self.geometry
+    }
+
+    /// Mean spacing of its voxels, mm.
+    pub fn voxel(&self) -> f64 {
+        self.voxel
     }
 
     /// The spline coefficients, x fastest.
@@ -104,7 +111,7 @@ impl CubicSpline {
     /// As [`Self::project`], with the gradient of F at the point reached.
     #[inline(always)]
     pub fn project_with_gradient(&self, start: DVec3, limit: f64, tolerance: f64) -> Option<(DVec3, DVec3)> {
-        let longest = 0.5 * self.geometry.mean_spacing();
+        let longest = 0.5 * self.voxel;
         let mut p = start;
         for _ in 0..PROJECTION_STEPS {
             let (f, g) = self.value_gradient(p);

@@ -43,7 +43,7 @@ impl Sheets for CubicSpline {
     }
 
     fn voxel(&self) -> f64 {
-        self.geometry().mean_spacing()
+        CubicSpline::voxel(self)
     }
 }
 
