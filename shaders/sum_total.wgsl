@@ -16,7 +16,7 @@ fn sum_total(@builtin(local_invocation_index) lane: u32) {
         words[WORD_ENERGY] = bitcast<u32>(total.energy);
         words[WORD_MOVED] = total.moved;
         words[WORD_TRIES] = total.tries;
-        words[WORD_LONGEST] = bitcast<u32>(total.longest_way);
+        words[WORD_LONGEST_WAY] = bitcast<u32>(total.longest_way);
         words[WORD_LISTED] = total.listed;
         words[WORD_LONGEST_LIST] = total.longest_list;
         words[WORD_COUNT] = now.count;

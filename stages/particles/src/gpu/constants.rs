@@ -70,7 +70,7 @@ pub(crate) const WORD_MOVED: usize = 1;
 /// Steps tried.
 pub(crate) const WORD_TRIES: usize = 2;
 /// Longest way since the lists were made over h, bits of an f32.
-pub(crate) const WORD_LONGEST: usize = 3;
+pub(crate) const WORD_LONGEST_WAY: usize = 3;
 /// Members of all lists.
 pub(crate) const WORD_LISTED: usize = 4;
 /// Particles after density control.
@@ -150,7 +150,7 @@ pub(crate) fn constants(variant: Variant) -> Vec<(&'static str, Value)> {
         WORD_ENERGY,
         WORD_MOVED,
         WORD_TRIES,
-        WORD_LONGEST,
+        WORD_LONGEST_WAY,
         WORD_LISTED,
         WORD_COUNT,
         WORD_KEPT,

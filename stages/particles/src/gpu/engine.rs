@@ -4,12 +4,6 @@
 //! neighbour lists and classes point into them, and movement changes them in place. Density control writes its result
 //! into one of two sets of *listed* buffers, from which the next pass sorts again (`passes.rs`).
 
-//! The particles on the device, and their way there and back.
-//!
-//! Between passes the state is in one of two places. In the *sorted* buffers (`place`, `normal`) particles lie bin by bin, the
-//! neighbour lists and classes point into them, and movement changes them in place. Density control writes its result
-//! into one of two sets of *listed* buffers, from which the next pass sorts again (`passes.rs`).
-
 use super::adapter::Gpu;
 use super::commands::Profile;
 use super::constants::{BLOCK, CLASSES, FIRST_LIST_ROOM, LIST_TILE};
@@ -63,7 +57,7 @@ pub struct GpuEngine<'a> {
     /// Classes that passes are made for: a few more than were in use, since each costs a dispatch.
     pub(super) classes: u32,
     /// By how much the number of particles changed in the last pass.
-    pub(super) grown: u32,
+    pub(super) changed: u32,
     /// No pass after this one controls the density.
     pub(super) last_control: u64,
     pub(super) profile: Profile,
@@ -161,7 +155,7 @@ impl<'a> GpuEngine<'a> {
             set: 0,
             stale: true,
             classes: CLASSES,
-            grown: 0,
+            changed: 0,
             last_control: 0,
             profile: Profile::default(),
             ahead: None,
@@ -242,8 +236,8 @@ impl<'a> GpuEngine<'a> {
         // they lie in fours
         self.list_room = members.next_multiple_of(4);
         let all = u64::from(self.list_room) * u64::from(self.rows.next_multiple_of(LIST_TILE));
-        if all > u64::from(u32::MAX) {
-            return Err(too_many(self.gpu));
+        if all > u64::from(u32::MAX) || 4 * all > self.gpu.limits.max_storage_buffer_binding_size {
+            return Err(no_room_for_lists(self.gpu, self.rows, self.list_room));
         }
         self.memory.make(self.gpu, "lists", 4 * all, wgpu::BufferUsages::empty())?;
         let block = run_block(&self.geometry, &self.levels, &self.settling, self.slab_length, self.list_room);
@@ -334,10 +328,13 @@ fn slab_length(gpu: &Gpu, voxels: u64) -> Result<u32> {
     Ok(voxels.min(most) as u32)
 }
 
-fn too_many(gpu: &Gpu) -> Error {
+fn no_room_for_lists(gpu: &Gpu, particles: u32, members: u32) -> Error {
     Error::gpu(
-        format!("{}: the neighbour lists have more than 2^32 members", gpu.summary().name),
-        "the kernels count in 32 bits",
-        "use a larger target edge length, or --backend cpu",
+        format!(
+            "{}: neighbour lists of {particles} particles do not fit with room for {members} members each",
+            gpu.summary().name
+        ),
+        "the longest list decides the room of all, and a crowd of particles far nearer to each other than h makes a long one",
+        "start from seeds that h asks for (seed without --count), use a larger target edge length, or --backend cpu",
     )
 }

@@ -6,8 +6,8 @@
 
 use super::commands::{Command, Encoded, encode, submit};
 use super::constants::{
-    AS_LEFT, CLASSES, WORD_CLASSES, WORD_COUNT, WORD_DEFECTS, WORD_ENERGY, WORD_KEPT, WORD_LISTED, WORD_LONGEST,
-    WORD_LONGEST_LIST, WORD_MOVED, WORD_TRIES, WORDS,
+    AS_LEFT, CLASSES, WORD_CLASSES, WORD_COUNT, WORD_DEFECTS, WORD_ENERGY, WORD_KEPT, WORD_LISTED, WORD_LONGEST_LIST,
+    WORD_LONGEST_WAY, WORD_MOVED, WORD_TRIES, WORDS,
 };
 use super::engine::GpuEngine;
 use super::memory::read_staging;
@@ -60,10 +60,10 @@ impl GpuEngine<'_> {
         (self.count + self.count / 16 + 64).min(self.rows)
     }
 
-    /// Commands of a pass for at least so many particles.
-    fn commands(&mut self, plan: Plan, count: u32) -> Ahead {
-        let ready = self.ahead.take().filter(|ahead| ahead.plan == plan && count <= ahead.room);
-        ready.unwrap_or_else(|| self.make_commands(plan, count))
+    /// Commands of a pass for at least `least` particles, made for `room` where none are ready.
+    fn commands(&mut self, plan: Plan, least: u32, room: u32) -> Ahead {
+        let ready = self.ahead.take().filter(|ahead| ahead.plan == plan && least <= ahead.room);
+        ready.unwrap_or_else(|| self.make_commands(plan, room))
     }
 
     fn make_commands(&mut self, plan: Plan, room: u32) -> Ahead {
@@ -123,7 +123,7 @@ impl GpuEngine<'_> {
     /// Hands over a pass at its turn.
     fn set_off(&mut self, pass: u64, plan: Plan) -> Result<Flight> {
         let begun = Instant::now();
-        let commands = self.commands(plan, self.count);
+        let commands = self.commands(plan, self.count, self.count);
         let flight = self.hand_over(pass, commands, self.count, plan)?;
         self.spent.encode_seconds += begun.elapsed().as_secs_f64();
         Ok(flight)
@@ -140,9 +140,11 @@ impl GpuEngine<'_> {
         let next = after(now.plan, now.pass);
         let mut to_make = next;
         // timestamps are of one pass at a time
-        if next.density && self.flight.is_none() && self.grown <= self.count / 16 && !self.gpu.timestamps {
+        if next.density && self.flight.is_none() && self.changed <= self.count / 16 && !self.gpu.timestamps {
             let one_after = after(next, now.pass + 1);
-            let commands = self.commands(next, self.room_ahead());
+            // those ready were made a pass ago, when there may have been fewer: half of the room to spare is enough
+            let least = self.count.midpoint(self.room_ahead());
+            let commands = self.commands(next, least, self.room_ahead());
             self.flight = Some(self.hand_over(now.pass + 1, commands, AS_LEFT, now.plan)?);
             to_make = one_after;
         }
@@ -174,6 +176,7 @@ impl GpuEngine<'_> {
             let words = self.wait_for(&flight)?;
             self.spent.wait_seconds += waiting.elapsed().as_secs_f64();
             let (longest, classes) = (words[WORD_LONGEST_LIST], words[WORD_CLASSES]);
+            // the device asks the same where the next pass begins (begin_pass.wgsl)
             if longest <= self.list_room && classes <= flight.plan.classes {
                 if classes + CLASSES_TO_SPARE / 2 > self.classes || self.classes == CLASSES {
                     self.classes = (classes + CLASSES_TO_SPARE).min(CLASSES);
@@ -206,9 +209,9 @@ impl Engine for GpuEngine<'_> {
         let (after, kept) = (words[WORD_COUNT], words[WORD_KEPT]);
         self.listed = plan.density;
         self.set = if plan.density { 1 - plan.set } else { plan.set };
-        self.stale = f64::from(f32::from_bits(words[WORD_LONGEST])) > REBUILD_MOVE;
+        self.stale = f64::from(f32::from_bits(words[WORD_LONGEST_WAY])) > REBUILD_MOVE;
         self.count = after;
-        self.grown = after.abs_diff(before);
+        self.changed = after.abs_diff(before);
         if self.flight.as_ref().is_some_and(|flight| after > flight.room) {
             self.flight = None;
         }

@@ -6,7 +6,7 @@ use crate::constants::{FARTHEST_MOVE, NEWCOMER_DISTANCE};
 use crate::density::{Newcomer, propose};
 use crate::gpu::adapter::{Choice, Gpu};
 use crate::gpu::constants::{
-    BLOCK, COLOUR_STRIDE, NARROW, WORD_COUNT, WORD_DEFECTS, WORD_ENERGY, WORD_KEPT, WORD_LONGEST, WORD_MOVED,
+    BLOCK, COLOUR_STRIDE, NARROW, WORD_COUNT, WORD_DEFECTS, WORD_ENERGY, WORD_KEPT, WORD_LONGEST_WAY, WORD_MOVED,
     WORD_TRIES,
 };
 use crate::gpu::engine::GpuEngine;
@@ -346,7 +346,7 @@ fn totals_are_those_of_the_particles() {
         let words = rig.engine.run_steps(u64::from(PASS), steps, false).unwrap();
         let energy: f64 = energies.iter().map(|&e| f64::from(e)).sum();
         assert!((f64::from(f32::from_bits(words[WORD_ENERGY])) - energy).abs() <= 1e-5 * energy, "{count}: {energy}");
-        assert_eq!([words[WORD_MOVED], words[WORD_TRIES], words[WORD_LONGEST]], [0; 3], "nobody has moved");
+        assert_eq!([words[WORD_MOVED], words[WORD_TRIES], words[WORD_LONGEST_WAY]], [0; 3], "nobody has moved");
         let mut state = rig.state();
         let defects = state.measure().lattice_defects;
         let unsure = (0..state.len()).filter(|&i| on_the_edge(&state, i)).count();
