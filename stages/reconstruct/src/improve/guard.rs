@@ -297,15 +297,13 @@ impl Surface<'_> {
 /// Grid nodes that change sides, and by how many fewer are on the wrong one; `None` when one leaves its right side and the count does not fall.
 fn changed_nodes(surface: &Surface, touched: &[u32]) -> Option<(Vec<usize>, usize)> {
     let Some(sides) = &surface.sides else { return Some((Vec::new(), 0)) };
-    // what changes of one sheet bounds a region of its own
-    let mut sheets: Vec<u32> = touched.iter().map(|&t| surface.sheet[t as usize]).collect();
-    sheets.sort_unstable();
-    sheets.dedup();
-    let mut changed = Vec::new();
-    for sheet in sheets {
-        let own: Vec<u32> = touched.iter().copied().filter(|&t| surface.sheet[t as usize] == sheet).collect();
-        let now: Vec<_> = own.iter().filter(|&&t| surface.is_alive(t)).map(|&t| surface.corners(t)).collect();
-        changed.extend(sides.changed(&surface.former_corners(&own), &now));
+    let sides_of = |t: u32| surface.field.sides(surface.sheet[t as usize]);
+    let now = touched.iter().filter(|&&t| surface.is_alive(t)).map(|&t| (surface.corners(t), sides_of(t)));
+    let former = surface.former_corners(touched).into_iter().map(|(t, corners)| (corners, sides_of(t)));
+    let changed = sides.changed(former.chain(now));
+    // at a curve a node may change from one wrong material to another
+    if !changed.is_empty() && surface.changes_a_curve() {
+        return None;
     }
     let mended = sides.mended_by(&changed)?;
     Some((changed, mended))

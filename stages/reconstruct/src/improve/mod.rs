@@ -8,6 +8,7 @@
 //! which makes a good mesh even of marching cubes' output. The result depends on the input only, not on threads.
 
 mod constants;
+mod curves;
 mod grid;
 mod guard;
 mod lift;
@@ -24,6 +25,8 @@ mod sweep;
 mod target_length;
 #[cfg(test)]
 mod tests;
+#[cfg(test)]
+mod tests_of_curves;
 #[cfg(test)]
 mod tests_of_lift;
 #[cfg(test)]
@@ -44,7 +47,7 @@ use isoparticles_stage::error::{Error, Result};
 use isoparticles_volume::{Geometry, Image};
 use nodes::NodeSides;
 use serde::Serialize;
-pub use sheets::Sheets;
+pub use sheets::{Freedom, Sheets};
 use surface::Surface;
 
 /// How far to go. The defaults lift what is below 0.6 and leave everything else alone.
@@ -155,10 +158,10 @@ pub fn improve(
     options: &ImproveOptions,
     step: Step,
 ) -> Result<ImproveReport> {
-    let (of_triangle, fixed) = (vec![0; mesh.triangles.len()], vec![false; mesh.vertices.len()]);
+    let (of_triangle, freedom) = (vec![0; mesh.triangles.len()], vec![Freedom::Sheet; mesh.vertices.len()]);
     improve_sheets(
         mesh,
-        &mut SheetsOf { field, of_triangle, fixed, junctions: Vec::new(), wrong_nodes: None, numbers: Vec::new() },
+        &mut SheetsOf { field, of_triangle, freedom, wrong_nodes: None, numbers: Vec::new() },
         size,
         options,
         step,
@@ -171,18 +174,16 @@ pub struct SheetsOf<'a> {
     pub field: &'a dyn Sheets,
     /// The sheet of each triangle.
     pub of_triangle: Vec<u32>,
-    /// Whether each vertex stays where it is: those on several sheets must.
-    pub fixed: Vec<bool>,
-    /// Whether each vertex is a junction point, at which curves end; empty where there are none.
-    pub junctions: Vec<bool>,
+    /// How each vertex may move.
+    pub freedom: Vec<Freedom>,
     /// The grid and the numbers of its nodes on the wrong side, where all nodes are guarded.
     pub wrong_nodes: Option<(&'a Geometry, Vec<usize>)>,
     /// Afterwards the number that each vertex has in the improved mesh, `u32::MAX` where it is gone.
     pub numbers: Vec<u32>,
 }
 
-/// Improves a mesh of several sheets that meet in fixed vertices. Edges between these that are not in two triangles are the junctions, and are kept; vertices
-/// that are not fixed stay on their own sheet. The sheets of the triangles are those of the new ones afterwards, and `fixed` means nothing any more.
+/// Improves a mesh of several sheets that meet in junction curves, whose edges are those that are not in two triangles. Vertices stay on their own sheets and curves; where
+/// one of a curve goes, an edge joins its two neighbours on the curve. The sheets of the triangles are those of the new ones afterwards, and `freedom` means nothing any more.
 ///
 /// # Errors
 /// Those of [`improve`].
@@ -212,8 +213,7 @@ pub fn improve_sheets(
     };
     let mut report =
         ImproveReport { before: summarise(mesh), below_target_before: below(mesh), ..ImproveReport::default() };
-    let held = [sheets.fixed.clone(), sheets.junctions.clone()];
-    let mut surface = Surface::of_sheets(mesh, sheets.of_triangle.clone(), held, sheets.field, size);
+    let mut surface = Surface::of_sheets(mesh, sheets.of_triangle.clone(), sheets.freedom.clone(), sheets.field, size);
     surface.sides = match (options.sides, &sheets.wrong_nodes) {
         (Some(image), _) => Some(NodeSides::new(mesh, image)),
         (None, Some((geometry, wrong))) => Some(NodeSides::of(geometry, wrong.iter().copied())),
@@ -248,7 +248,7 @@ pub fn improve_sheets(
 }
 
 fn is_off_surface(surface: &Surface, v: usize) -> bool {
-    if surface.fixed[v] || surface.around[v].is_empty() {
+    if !surface.is_free(v as u32) || surface.around[v].is_empty() {
         return false;
     }
     let (value, gradient) = surface.field.value_gradient(surface.sheet_at(v as u32), surface.positions[v]);

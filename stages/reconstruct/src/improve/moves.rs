@@ -5,6 +5,7 @@ use super::constants::{
     FIRST_STEP, HALVINGS, LAST_STEP, LEAST_GAIN, LINE_STEPS, PROJECTION_TOLERANCE, RELOCATIONS, SHARES, SURELY_WIDE,
     TURN,
 };
+use super::curves::{collapse_along, part_of_slide, slide};
 use super::guard::quality_of;
 use super::ring::{LANES, Ring};
 use super::surface::{DEAD, Surface, edges_of};
@@ -73,16 +74,16 @@ pub(super) fn flip(surface: &mut Surface, a: u32, b: u32) -> bool {
     true
 }
 
-/// Merges `gone` into `keep`, which moves to `at`.
+/// Merges `gone` into `keep`, which moves to `at`, along an edge inside a sheet.
 pub(super) fn collapse(surface: &mut Surface, keep: u32, gone: u32, at: DVec3) -> bool {
     let Some([(left, c), (right, d)]) = surface.edge_triangles(keep, gone) else { return false };
     if [keep, gone].iter().any(|&v| surface.frozen[v as usize])
-        || surface.fixed[gone as usize]
-        || surface.fixed[keep as usize] && at != surface.positions[keep as usize]
+        || !surface.is_free(gone)
+        || !surface.is_free(keep) && at != surface.positions[keep as usize]
         || c == d
         || surface.has_few(c)
         || surface.has_few(d)
-        || !surface.fixed[keep as usize] && surface.degree(keep) + surface.degree(gone) < 7
+        || surface.is_free(keep) && surface.degree(keep) + surface.degree(gone) < 7
         || surface.link(gone).any(|(v, _)| surface.frozen[v as usize])
     {
         return false;
@@ -142,7 +143,7 @@ impl Site {
     /// `None` where the vertex must stay, or F is flat.
     pub(super) fn of(surface: &Surface, vertex: u32) -> Option<Self> {
         let v = vertex as usize;
-        if surface.frozen[v] || surface.fixed[v] || surface.around[v].is_empty() {
+        if surface.frozen[v] || !surface.is_free(vertex) || surface.around[v].is_empty() {
             return None;
         }
         let (start, sheet) = (surface.positions[v], surface.sheet_at(vertex));
@@ -236,11 +237,16 @@ pub(super) fn relocate(surface: &mut Surface, vertex: u32) -> bool {
     }
 }
 
+/// Moves a vertex to where the smallest quality of its triangles is largest, along the surface, or along its curve.
+fn relocate_or_slide(surface: &mut Surface, vertex: u32) -> bool {
+    if surface.is_free(vertex) { relocate(surface, vertex) } else { slide(surface, vertex) }
+}
+
 /// Moves a vertex along the surface towards the centre of its triangles, weighted by area over target area.
 /// `share` of the way is gone.
 pub(super) fn relax(surface: &mut Surface, vertex: u32, share: f64) -> bool {
     let v = vertex as usize;
-    if surface.frozen[v] || surface.fixed[v] || surface.around[v].is_empty() {
+    if surface.frozen[v] || !surface.is_free(vertex) || surface.around[v].is_empty() {
         return false;
     }
     let (start, sheet) = (surface.positions[v], surface.sheet_at(vertex));
@@ -295,12 +301,17 @@ impl Move {
         match self {
             Self::Relocate(v, share) => {
                 let from = surface.positions[v as usize];
-                if !relocate(surface, v) {
+                if !relocate_or_slide(surface, v) {
                     return None;
                 }
                 if share < 1.0 {
-                    let way = surface.positions[v as usize] - from;
-                    let to = projected(surface, surface.sheet_at(v), from + share * way, way.length())?;
+                    let best = surface.positions[v as usize];
+                    let on_sheet =
+                        |way: DVec3| projected(surface, surface.sheet_at(v), from + share * way, way.length());
+                    let to = match surface.is_free(v) {
+                        true => on_sheet(best - from),
+                        false => part_of_slide(surface, v, [from, best], share),
+                    }?;
                     surface.move_vertex(v, to);
                 }
                 Some(with_neighbours(surface, v))
@@ -311,7 +322,11 @@ impl Move {
             }
             Self::Collapse(keep, gone, share) => {
                 let (p, q) = (surface.positions[keep as usize], surface.positions[gone as usize]);
-                let sheet = surface.edge_triangles(keep, gone).map(|[(t, _), _]| surface.sheet[t as usize])?;
+                let Some([(t, _), _]) = surface.edge_triangles(keep, gone) else {
+                    let made = share == 0.0 && collapse_along(surface, keep, gone);
+                    return made.then(|| with_neighbours(surface, keep));
+                };
+                let sheet = surface.sheet[t as usize];
                 let at = if share == 0.0 { p } else { projected(surface, sheet, p.lerp(q, share), p.distance(q))? };
                 collapse(surface, keep, gone, at).then(|| with_neighbours(surface, keep))
             }
@@ -351,7 +366,7 @@ pub(super) fn relocate_all(surface: &mut Surface, mut vertices: Vec<u32>) {
     for _ in 0..RELOCATIONS {
         let mut moved = false;
         for &v in &vertices {
-            moved |= relocate(surface, v);
+            moved |= relocate_or_slide(surface, v);
         }
         if !moved {
             break;

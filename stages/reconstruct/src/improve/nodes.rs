@@ -1,7 +1,7 @@
 //! Keeps every grid node on the side of the mesh where F has it (label volumes: no voxel may change sides).
 //!
-//! What a move takes away and what it puts there bound a closed region; the nodes in it change sides. They are found as in
-//! [`isoparticles_mesh::inside`], by exact parity along grid lines.
+//! What a move takes away and what it puts there bound closed regions; the nodes in them change sides. They are found as in
+//! [`isoparticles_mesh::inside`], by exact parity along grid lines: where a triangle is crossed, what lies on the one side of its sheet gives way to what lies on the other.
 
 use super::surface::Surface;
 use glam::DVec3;
@@ -39,22 +39,31 @@ impl<'a> NodeSides<'a> {
         self.wrong.len()
     }
 
-    /// Nodes that change sides when some triangles give way to others with the same rim.
-    pub(super) fn changed(&self, before: &[[DVec3; 3]], after: &[[DVec3; 3]]) -> Vec<usize> {
+    /// Nodes that change sides when some triangles give way to others with the same rim; each triangle, before and after, with what lies on its two sides.
+    pub(super) fn changed(&self, triangles: impl Iterator<Item = ([DVec3; 3], [u32; 2])>) -> Vec<usize> {
         let geometry = self.geometry;
-        let mut toggles: Vec<Crossing> = Vec::new();
-        for &corners in before.iter().chain(after) {
-            crossings(corners, geometry, |crossing| toggles.push(crossing));
+        let mut toggles: Vec<(Crossing, [u32; 2])> = Vec::new();
+        for (corners, sides) in triangles {
+            crossings(corners, geometry, |crossing| toggles.push((crossing, sides)));
         }
         toggles.sort_unstable();
         let mut changed = Vec::new();
-        for pair in toggles.chunks(2) {
-            if let [from, to] = pair
-                && from.row == to.row
-            {
-                let start = from.row * geometry.size[0];
-                let has_side = |&n: &usize| self.samples.get(n) != Some(&0.0);
-                changed.extend((start + from.first..start + to.first).filter(has_side));
+        for row in toggles.chunk_by(|a, b| a.0.row == b.0.row) {
+            // what a node has before or after, but not both: nothing where it stays where it is
+            let mut unequal: Vec<u32> = Vec::new();
+            for pair in row.windows(2) {
+                let [(from, sides), (to, _)] = [pair[0], pair[1]];
+                for side in sides {
+                    match unequal.iter().position(|&known| known == side) {
+                        Some(at) => drop(unequal.swap_remove(at)),
+                        None => unequal.push(side),
+                    }
+                }
+                if !unequal.is_empty() {
+                    let start = from.row * geometry.size[0];
+                    let has_side = |&n: &usize| self.samples.get(n) != Some(&0.0);
+                    changed.extend((start + from.first..start + to.first).filter(has_side));
+                }
             }
         }
         changed
@@ -153,6 +162,18 @@ fn distance_to_triangle(p: DVec3, [a, b, c]: [DVec3; 3]) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn where_three_sheets_move_together_each_node_is_told_by_what_is_on_its_two_sides() {
+        // along a grid line: from 1 to 2 at 0.5 and from 2 to 3 at 2.5 before; from 1 to 3 at 1.5 after
+        let geometry = Geometry::axis_aligned([4; 3], DVec3::ONE);
+        let sides = NodeSides::of(&geometry, []);
+        let wall = |x: f64| [(0.5, 0.5), (3.0, 0.5), (0.5, 3.0)].map(|(y, z)| DVec3::new(x, y, z));
+        let [first, second, both] = [(wall(0.5), [1, 2]), (wall(2.5), [2, 3]), (wall(1.5), [1, 3])];
+        // of three rows the first node keeps 1, the second and the third lose 2, the last keeps 3
+        assert_eq!(sides.changed([first, second, both].into_iter()), [21, 22, 25, 26, 37, 38]);
+        assert_eq!(sides.changed([first, first].into_iter()), [0; 0]);
+    }
 
     #[test]
     fn nodes_may_leave_their_right_side_only_for_the_sake_of_more_others() {

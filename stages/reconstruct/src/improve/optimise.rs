@@ -9,6 +9,7 @@ use super::constants::{
 use super::guard::Limits;
 use super::lift::{After, lift, lift_by_two};
 use super::patch::Patch;
+use super::sheets::Freedom;
 use super::surface::Surface;
 use super::target_length::remesh;
 use super::{Step, Tally};
@@ -128,7 +129,7 @@ fn drain(surface: &mut Surface, pass: &Pass, failures: &mut Failures, step: Step
         let is_tried = rank < pass.bar.to_bits() && (pass.means.is_local() || rank == 0 || !surface.is_held(t));
         is_tried.then_some(Reverse((rank, t)))
     };
-    let has_junctions = surface.fixed.contains(&true);
+    let has_junctions = surface.freedom.iter().any(|&freedom| freedom != Freedom::Sheet);
     let most_in_vain = if has_junctions { pass.most_in_vain_at_junctions() } else { pass.most_in_vain };
     let all = 0..surface.triangles.len() as u32;
     let mut queue: BinaryHeap<_> = all.filter_map(|t| entry(surface, &at_nodes, t)).collect();

@@ -5,6 +5,19 @@ use glam::DVec3;
 use isoparticles_field::spline::{CubicSpline, Jet};
 use std::f64::consts::FRAC_PI_3;
 
+/// How a vertex may move.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Freedom {
+    /// On its sheet.
+    Sheet,
+    /// Along the junction curve of three sheets that it lies on.
+    Curve,
+    /// It stays.
+    None,
+    /// It stays, as a junction point, at which curves end.
+    Point,
+}
+
 /// Functions of a grid position, mm, by the number of the sheet that each is zero on; negative inside, where the triangles of the sheet face away from.
 pub trait Sheets: Sync {
     /// The value.
@@ -19,6 +32,17 @@ pub trait Sheets: Sync {
     /// The point of the sheet near `start`, with the gradient there; `None` where it is farther than `limit`, is not found to `tolerance` (mm), or the sheet
     /// has ended before.
     fn project(&self, sheet: u32, start: DVec3, limit: f64, tolerance: f64) -> Option<(DVec3, DVec3)>;
+
+    /// The point near `start` of the junction curve at which three sheets meet, of which two are given; limit and tolerance as for [`Self::project`]. `None` as there, and
+    /// where sheets do not meet.
+    fn project_onto_curve(&self, _sheets: [u32; 2], _start: DVec3, _limit: f64, _tolerance: f64) -> Option<DVec3> {
+        None
+    }
+
+    /// What lies inside and outside of a sheet, by number.
+    fn sides(&self, _sheet: u32) -> [u32; 2] {
+        [1, 0]
+    }
 
     /// Mean spacing of the voxels, mm.
     fn voxel(&self) -> f64;
@@ -48,25 +72,30 @@ impl Sheets for CubicSpline {
 }
 
 impl Surface<'_> {
-    /// The sheet that a vertex lies on, which is not fixed and has triangles.
+    /// Whether a vertex moves on a sheet.
+    pub(super) fn is_free(&self, vertex: u32) -> bool {
+        self.freedom[vertex as usize] == Freedom::Sheet
+    }
+
+    /// The sheet that a vertex lies on, which is free and has triangles.
     pub(super) fn sheet_at(&self, vertex: u32) -> u32 {
         self.around[vertex as usize].first().map_or(0, |&t| self.sheet[t as usize])
     }
 
-    /// Whether a vertex cannot spare a triangle. A fixed one always can: where an edge inside a sheet ends there, it has two in that sheet.
+    /// Whether a vertex cannot spare a triangle. One that is not free always can: where an edge inside a sheet ends there, it has two in that sheet.
     pub(super) fn has_few(&self, vertex: u32) -> bool {
-        !self.fixed[vertex as usize] && self.degree(vertex) < 4
+        self.is_free(vertex) && self.degree(vertex) < 4
     }
 
-    /// Whether a corner of a triangle is fixed: what is wrong with it then is mostly the length of a junction curve's segment, or a corner between two
-    /// of them, which no other triangles mend.
+    /// Whether a corner of a triangle is not free: what is wrong with it then is mostly the length of a junction curve's segment, or a corner between two
+    /// of them, which few other triangles mend.
     pub(super) fn is_held(&self, triangle: u32) -> bool {
-        self.triangles[triangle as usize].iter().any(|&v| v != u32::MAX && self.fixed[v as usize])
+        self.triangles[triangle as usize].iter().any(|&v| v != u32::MAX && !self.is_free(v))
     }
 
-    /// How many more triangles than six a vertex has; a fixed one in the sheet of a triangle at it, more than sixths of a turn in the angle there.
+    /// How many more triangles than six a vertex has; one that is not free in the sheet of a triangle at it, more than sixths of a turn in the angle there.
     pub(super) fn surplus(&self, vertex: u32, triangle: u32) -> i64 {
-        if !self.fixed[vertex as usize] {
+        if self.is_free(vertex) {
             return self.degree(vertex) as i64 - 6;
         }
         let sheet = self.sheet[triangle as usize];

@@ -9,7 +9,7 @@ use super::guard::quality_of;
 use super::moves::projected_facing;
 use super::nodes::NodeSides;
 use super::patch::Rings;
-use super::sheets::Sheets;
+use super::sheets::{Freedom, Sheets};
 use glam::DVec3;
 use isoparticles_field::spline::distance_estimate;
 use isoparticles_mesh::TriangleMesh;
@@ -77,10 +77,8 @@ pub(super) struct Surface<'a> {
     pub(super) around: Vec<Vec<u32>>,
     /// Vertices whose triangles do not form one closed fan: nothing next to them is touched.
     pub(super) frozen: Vec<bool>,
-    /// Vertices that lie on several sheets: they stay where they are, and what they end in one sheet is edited like the rest of it.
-    pub(super) fixed: Vec<bool>,
-    /// Of these, the junction points, at which curves end; empty where there are none.
-    pub(super) junctions: Vec<bool>,
+    /// How each vertex may move.
+    pub(super) freedom: Vec<Freedom>,
     /// Facts of each triangle as last committed.
     pub(super) facts: Vec<Facts>,
     /// Committed triangles by place; `None` while commits are not looked at for triangles that cross ([`Surface::crosses_in_all`] does that at the end).
@@ -99,20 +97,15 @@ impl<'a> Surface<'a> {
     /// Takes a well-formed mesh of one sheet over.
     #[cfg(test)]
     pub(super) fn new(mesh: &TriangleMesh, field: &'a dyn Sheets, size: Size<'a>) -> Self {
-        Self::of_sheets(
-            mesh,
-            vec![0; mesh.triangles.len()],
-            [vec![false; mesh.vertices.len()], Vec::new()],
-            field,
-            size,
-        )
+        Self::of_sheets(mesh, vec![0; mesh.triangles.len()], vec![Freedom::Sheet; mesh.vertices.len()], field, size)
     }
 
-    /// The same of several sheets, with the sheet of each triangle; each vertex on several of them is `fixed`, and some of these are `junctions`.
+    /// The same of several sheets, with the sheet of each triangle and how each vertex may move. One that is said to lie on a curve whose triangles
+    /// do not end in it, those of each of three sheets by themselves, stays.
     pub(super) fn of_sheets(
         mesh: &TriangleMesh,
         sheet: Vec<u32>,
-        [fixed, junctions]: [Vec<bool>; 2],
+        freedom: Vec<Freedom>,
         field: &'a dyn Sheets,
         size: Size<'a>,
     ) -> Self {
@@ -131,8 +124,7 @@ impl<'a> Surface<'a> {
             triangles: mesh.triangles.clone(),
             sheet,
             frozen: Vec::new(),
-            fixed,
-            junctions,
+            freedom,
             around,
             facts: Vec::new(),
             grid: None,
@@ -142,7 +134,10 @@ impl<'a> Surface<'a> {
             commits: 0,
             changed_at: vec![0; mesh.triangles.len()],
         };
-        let is_open = |v: u32| !surface.fixed[v as usize] && !surface.is_closed_fan(v);
+        let is_bound = |v: u32| surface.freedom[v as usize] == Freedom::Curve && surface.curve_through(v).is_none();
+        let bound: Vec<u32> = (0..mesh.vertices.len() as u32).into_par_iter().filter(|&v| is_bound(v)).collect();
+        bound.into_iter().for_each(|v| surface.freedom[v as usize] = Freedom::None);
+        let is_open = |v: u32| surface.is_free(v) && !surface.is_closed_fan(v);
         surface.frozen = (0..mesh.vertices.len() as u32).into_par_iter().map(is_open).collect();
         surface.facts = (0..mesh.triangles.len() as u32).into_par_iter().map(|t| surface.measure(t)).collect();
         surface.fill_grid(TriangleGrid::new(whole, typical_extent(mesh)));
@@ -177,8 +172,7 @@ impl<'a> Surface<'a> {
             target: vertices.iter().map(|&v| self.target[v as usize]).collect(),
             triangles: triangles.iter().map(corners).collect(),
             sheet: triangles.iter().map(|&t| self.sheet[t as usize]).collect(),
-            fixed: vertices.iter().map(|&v| self.fixed[v as usize]).collect(),
-            junctions: vertices.iter().map(|&v| self.is_junction(v)).collect(),
+            freedom: vertices.iter().map(|&v| self.freedom[v as usize]).collect(),
             frozen: vertices.iter().zip(&around).map(is_frozen).collect(),
             around,
             facts: triangles.iter().map(|&t| self.facts[t as usize]).collect(),
@@ -248,7 +242,7 @@ impl<'a> Surface<'a> {
 
     /// The ends of a side of length h in the place of one on which no triangle can be good, whatever its third corner: between two junction points far nearer to each other.
     fn stretched(&self, a: u32, b: u32) -> Option<(DVec3, DVec3)> {
-        if !(self.is_junction(a) && self.is_junction(b) && self.relative_length(a, b) < SHORT_SIDE) {
+        if !self.is_short_side(a, b) {
             return None;
         }
         let (p, q) = (self.positions[a as usize], self.positions[b as usize]);
@@ -256,8 +250,10 @@ impl<'a> Surface<'a> {
         Some((middle - half, middle + half))
     }
 
-    fn is_junction(&self, v: u32) -> bool {
-        self.junctions.get(v as usize) == Some(&true)
+    /// Whether an edge would lie between two junction points far nearer to each other than h.
+    pub(super) fn is_short_side(&self, a: u32, b: u32) -> bool {
+        let is_point = |v: u32| self.freedom[v as usize] == Freedom::Point;
+        is_point(a) && is_point(b) && self.relative_length(a, b) < SHORT_SIDE
     }
 
     /// The ends of a side by which its triangles are judged. Where it is short and stays, it counts as of length h, so that the third corner is drawn to the height of

@@ -80,18 +80,18 @@ fn a_triangle_on_two_junction_points_far_nearer_than_h_is_judged_by_its_height()
     let vertices = vec![DVec3::ZERO, DVec3::X * 0.05, apex(0.75f64.sqrt(), 0.0), apex(0.0, 0.3)];
     let mesh = TriangleMesh { vertices, triangles: vec![[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]] };
     let field = CubicSpline::new(&sampled([5; 3], DVec3::ONE, ball(DVec3::ZERO, 1.0)));
-    let judged = |junctions: Vec<bool>| {
-        let fixed = vec![true, true, false, false];
-        let surface = Surface::of_sheets(&mesh, vec![0; 4], [fixed, junctions], &field, &|_| 1.0);
+    let judged = |ends: [Freedom; 2]| {
+        let freedom = vec![ends[0], ends[1], Freedom::Sheet, Freedom::Sheet];
+        let surface = Surface::of_sheets(&mesh, vec![0; 4], freedom, &field, &|_| 1.0);
         [0, 1, 2].map(|t| surface.quality(t))
     };
-    let [plain, low, other] = judged(Vec::new());
+    let [plain, low, other] = judged([Freedom::None; 2]);
     assert!(plain < 0.15 && low < 0.35, "{plain} {low}");
-    let [good, lower, same] = judged(vec![true, true, false, false]);
+    let [good, lower, same] = judged([Freedom::Point; 2]);
     assert!((good - 1.0).abs() < 1e-9 && lower < 0.6, "{good} {lower}");
     assert_eq!(other, same, "no other triangle is judged by it");
     assert_eq!(
-        judged(vec![true, false, false, false]),
+        judged([Freedom::Point, Freedom::None]),
         [plain, low, other],
         "a curve's vertex may be far from the next"
     );

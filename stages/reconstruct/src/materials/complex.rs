@@ -107,19 +107,7 @@ impl<'a> Complex<'a> {
     pub fn pass(&mut self, pair: Segment, point: u32) {
         let Some(curve) = self.segments.curve(pair) else { return };
         self.segments.split(pair, point, self.labelled.points());
-        let own = &mut self.strata[point as usize];
-        if !own.is_on(&curve) {
-            self.joined.insert(point);
-        }
-        match own.joined(&curve) {
-            Some(joined) => *own = joined,
-            None => {
-                let known = self.crowded.entry(point).or_insert_with(|| own.materials().to_vec());
-                known.extend(curve.materials().iter().filter(|id| !own.has(**id)));
-                known.sort_unstable();
-                known.dedup();
-            }
-        }
+        self.join(point, &curve);
         for point in [point, pair[0], pair[1]] {
             self.widen_short_segments(point);
             self.labelled.reconsider(point);
@@ -127,30 +115,57 @@ impl<'a> Complex<'a> {
         self.decide();
     }
 
+    /// Has the materials of a stratum that passes a point within `ONE_CURVE` meet there.
+    fn join(&mut self, point: u32, stratum: &Stratum) {
+        let own = &mut self.strata[point as usize];
+        if !own.is_on(stratum) {
+            self.joined.insert(point);
+        }
+        match own.joined(stratum) {
+            Some(joined) => *own = joined,
+            None => {
+                let known = self.crowded.entry(point).or_insert_with(|| own.materials().to_vec());
+                known.extend(stratum.materials().iter().filter(|id| !own.has(**id)));
+                known.sort_unstable();
+                known.dedup();
+            }
+        }
+    }
+
+    /// Whether all materials of a stratum are equally near at a point, but for `ONE_CURVE`.
+    fn is_passed(&self, point: u32, stratum: &Stratum) -> bool {
+        let reach = super::way::ONE_CURVE * self.indicators.voxel();
+        let (place, ids) = (self.points()[point as usize], stratum.materials());
+        ids[1..].iter().all(|&other| {
+            let (value, gradient) = self.indicators.difference_gradient(ids[0], other, place);
+            value.abs() < reach * gradient.length().max(FLATTEST)
+        })
+    }
+
+    /// Has the materials of a facet between two meet at each of its vertices that its sheet passes within `ONE_CURVE`; true when that makes it right.
+    pub fn join_facet(&mut self, vertices: [u32; 3]) -> bool {
+        let Some(facet) = self.facet_on(vertices) else { return false };
+        let [inside, outside] = self.sheet(&facet);
+        let sheet = Stratum::sheet(inside, outside);
+        for v in vertices {
+            let is_there = sheet.materials().iter().all(|&id| self.meets(v, id));
+            if !is_there && self.is_passed(v, &sheet) {
+                self.join(v, &sheet);
+            }
+        }
+        self.wrong_facet(&facet).is_none()
+    }
+
     /// Takes an edge round which three or four materials come once each as a segment, if its ends lie nearer than `ONE_CURVE` to the sheets between these; true when it does.
     pub fn adopt(&mut self, edge: Segment) -> bool {
         let Some(start) = self.at_edge(edge) else { return false };
         let ids: Vec<MaterialId> = self.runs_round(edge, start).iter().map(|run| self.material(run[0])).collect();
         let Some(curve) = Stratum::new(&ids).filter(|curve| curve.dimension() < 2) else { return false };
-        let reach = super::way::ONE_CURVE * self.indicators.voxel();
-        let distance = |p: DVec3, other: MaterialId| {
-            let (value, gradient) = self.indicators.difference_gradient(ids[0], other, p);
-            value.abs() / gradient.length().max(FLATTEST)
-        };
-        let is_passed = |&v: &u32| {
-            let place = self.points()[v as usize];
-            self.strata[v as usize].joined(&curve).is_some() && ids[1..].iter().all(|&id| distance(place, id) < reach)
-        };
-        if !edge.iter().all(is_passed) || !self.segments.adopt(edge, curve, self.labelled.points()) {
+        if !edge.iter().all(|&v| self.is_passed(v, &curve)) || !self.segments.adopt(edge, curve, self.labelled.points())
+        {
             return false;
         }
-        for v in edge {
-            let own = &mut self.strata[v as usize];
-            if !own.is_on(&curve) {
-                self.joined.insert(v);
-            }
-            *own = own.joined(&curve).unwrap_or(*own);
-        }
+        edge.into_iter().for_each(|v| self.join(v, &curve));
         true
     }
 
@@ -216,7 +231,7 @@ impl<'a> Complex<'a> {
         self.labelled.facets_at(vertices[0]).into_iter().find(|f| f.sorted() == vertices)
     }
 
-    /// The facets between materials among tetrahedra round an edge, in the order of the ring; `runs` are those of [`runs_round`].
+    /// The facets between materials among tetrahedra round an edge, in the order of the ring; `runs` are those of [`Self::runs_round`].
     fn facets_between(&self, edge: [u32; 2], runs: &[Vec<u32>]) -> Vec<Facet> {
         let delaunay = self.labelled.delaunay();
         let facet = |t: u32| {

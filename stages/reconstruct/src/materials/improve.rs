@@ -1,12 +1,14 @@
-//! Better triangles in a complex: the optimiser of one object on each of its sheets, whose borders stay.
+//! Better triangles in a complex: the optimiser of one object on each of its sheets, and along the junction curves between them, whose ends stay.
 
 use super::interfaces::Interfaces;
 use super::nodes::{Nodes, Wall};
-use crate::improve::{ImproveOptions, ImproveReport, Sheets, SheetsOf, Step, improve_sheets};
+use super::segments::{Segment, segment};
+use crate::improve::{Freedom, ImproveOptions, ImproveReport, Sheets, SheetsOf, Step, improve_sheets};
 use glam::DVec3;
-use isoparticles_field::materials::{Indicators, MaterialId};
+use isoparticles_field::materials::{Indicators, MaterialId, Stratum};
 use isoparticles_field::spline::Jet;
 use isoparticles_stage::error::Result;
+use std::collections::{BTreeMap, BTreeSet};
 
 /// G of each pair of materials, inside first.
 struct Differences<'a> {
@@ -41,6 +43,18 @@ impl Sheets for Differences<'_> {
         (self.indicators.clearance(p, &pair) > 0.0).then(|| (p, self.value_gradient(sheet, p).1))
     }
 
+    fn project_onto_curve(&self, sheets: [u32; 2], start: DVec3, limit: f64, tolerance: f64) -> Option<DVec3> {
+        let [first, second] = sheets.map(|sheet| Stratum::sheet(self.pair(sheet)[0], self.pair(sheet)[1]));
+        let curve = first.joined(&second)?;
+        let own = <[MaterialId; 3]>::try_from(curve.materials()).ok()?;
+        let place = self.indicators.project_onto_curve(own, start, limit, tolerance)?;
+        (self.indicators.clearance(place, &own) > 0.0).then_some(place)
+    }
+
+    fn sides(&self, sheet: u32) -> [u32; 2] {
+        self.pair(sheet).map(|id| u32::from(id.0))
+    }
+
     fn voxel(&self) -> f64 {
         self.indicators.voxel()
     }
@@ -51,7 +65,66 @@ pub fn walls(interfaces: &Interfaces) -> Vec<Wall> {
     (0..interfaces.between.len()).map(|t| (interfaces.mesh.corners(t), interfaces.between[t])).collect()
 }
 
-/// Improves the triangles of interfaces. Vertices on several sheets, and the first ones in so far as they lie on curves or at points by their `dimensions`,
+/// How each vertex may move, by the dimension of its stratum: those on a curve of three materials along it, where two of its segments join them to others; what else lies on
+/// several sheets stays.
+fn freedoms(interfaces: &Interfaces, dimensions: &[usize]) -> Vec<Freedom> {
+    let meets = interfaces.materials_at_vertices();
+    let mut on_sheet: Vec<bool> =
+        meets.iter().zip(dimensions).map(|(ids, dimension)| ids.len() == 2 && *dimension == 2).collect();
+    for (edge, triangles) in interfaces.edges() {
+        if triangles.len() != 2 {
+            edge.iter().for_each(|&v| on_sheet[v as usize] = false);
+        }
+    }
+    let mut at: BTreeMap<u32, Vec<Stratum>> = BTreeMap::new();
+    interfaces
+        .segments
+        .iter()
+        .for_each(|(pair, curve)| pair.iter().for_each(|&v| at.entry(v).or_default().push(*curve)));
+    let is_inside_curve = |v: usize| {
+        let curves = at.get(&(v as u32)).map_or(&[][..], Vec::as_slice);
+        matches!(curves, [first, second] if first == second && first.dimension() == 1 && first.materials() == meets[v])
+    };
+    let joined: BTreeSet<u32> = interfaces.joined.iter().copied().collect();
+    let freedom = |v: usize| match (on_sheet[v], meets[v].len()) {
+        (true, _) => Freedom::Sheet,
+        (false, 4..) => Freedom::Point,
+        _ if dimensions[v] == 1 && !joined.contains(&(v as u32)) && is_inside_curve(v) => Freedom::Curve,
+        _ => Freedom::None,
+    };
+    (0..meets.len()).map(freedom).collect()
+}
+
+/// Segments in which each vertex of a curve that is gone gives way to a segment between its two neighbours.
+fn bridged(segments: Vec<(Segment, Stratum)>, is_gone: impl Fn(u32) -> bool) -> Vec<(Segment, Stratum)> {
+    let (open, mut kept): (Vec<_>, Vec<_>) =
+        segments.into_iter().partition(|(pair, _)| pair.iter().any(|&v| is_gone(v)));
+    let mut ends: BTreeMap<u32, Vec<(u32, Stratum)>> = BTreeMap::new();
+    for &([a, b], curve) in &open {
+        for (from, to) in [(a, b), (b, a)] {
+            if is_gone(from) {
+                ends.entry(from).or_default().push((to, curve));
+            }
+        }
+    }
+    while let Some((gone, own)) = ends.pop_first() {
+        let [(a, curve), (b, _)] = own[..] else { continue };
+        let mut is_whole = true;
+        for (end, other) in [(a, b), (b, a)] {
+            if let Some(next) = ends.get_mut(&end).and_then(|list| list.iter_mut().find(|(v, _)| *v == gone)) {
+                next.0 = other;
+                is_whole = false;
+            }
+        }
+        if is_whole {
+            kept.push((segment(a, b), curve));
+        }
+    }
+    kept.sort_unstable();
+    kept
+}
+
+/// Improves the triangles of interfaces. Vertices of the first ones lie on strata of the `dimensions`: those on curves stay on them, those at points, and where curves are one,
 /// stay; `nodes` are those of the grid where they shall keep their materials. `size` is the target edge length h (mm) at a position.
 ///
 /// # Errors
@@ -68,22 +141,33 @@ pub fn improve(
     let pairs = interfaces.pairs();
     let number = |pair: &[MaterialId; 2]| pairs.partition_point(|other| other < pair) as u32;
     let of_triangle: Vec<u32> = interfaces.between.iter().map(number).collect();
-    let meets = interfaces.materials_at_vertices();
-    let mut fixed: Vec<bool> =
-        meets.iter().zip(dimensions).map(|(ids, dimension)| ids.len() > 2 || *dimension < 2).collect();
-    for (edge, triangles) in interfaces.edges() {
-        if triangles.len() != 2 {
-            edge.iter().for_each(|&v| fixed[v as usize] = true);
-        }
-    }
-    let junctions = meets.iter().map(|ids| ids.len() > 3).collect();
+    let freedom = freedoms(interfaces, dimensions);
+    let is_on_curve: Vec<bool> = freedom.iter().map(|&freedom| freedom == Freedom::Curve).collect();
     let wrong_nodes = nodes.map(|nodes| (nodes.geometry(), nodes.wrong_by_walls(&walls(interfaces))));
     let field = Differences { indicators, pairs };
-    let mut sheets = SheetsOf { field: &field, of_triangle, fixed, junctions, wrong_nodes, numbers: Vec::new() };
+    let mut sheets = SheetsOf { field: &field, of_triangle, freedom, wrong_nodes, numbers: Vec::new() };
     let report = improve_sheets(&mut interfaces.mesh, &mut sheets, size, options, step)?;
     let number = |v: u32| sheets.numbers.get(v as usize).copied().unwrap_or(u32::MAX);
+    let is_gone = |v: u32| is_on_curve.get(v as usize) == Some(&true) && number(v) == u32::MAX;
+    interfaces.segments = bridged(std::mem::take(&mut interfaces.segments), is_gone);
     interfaces.segments.iter_mut().for_each(|(pair, _)| *pair = pair.map(number));
     interfaces.joined.iter_mut().for_each(|v| *v = number(*v));
     interfaces.between = sheets.of_triangle.iter().map(|&sheet| field.pair(sheet)).collect();
     Ok(report)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn segments_lead_past_vertices_that_are_gone_and_keep_their_curve() {
+        let [curve, other] = [[0, 1, 2], [0, 1, 3]].map(|ids| Stratum::new(&ids.map(MaterialId)).expect("three"));
+        let segments = vec![([0, 4], curve), ([1, 2], other), ([2, 5], curve), ([3, 5], curve), ([4, 5], curve)];
+        let left = bridged(segments.clone(), |v| v == 4 || v == 5);
+        assert_eq!(left, [([1, 2], other)], "three meet in 5, which cannot go");
+        let chain: Vec<_> = segments.into_iter().filter(|(pair, _)| *pair != [3, 5]).collect();
+        assert_eq!(bridged(chain.clone(), |v| v == 4 || v == 5), [([0, 2], curve), ([1, 2], other)]);
+        assert_eq!(bridged(chain.clone(), |_| false), chain);
+    }
 }

@@ -6,6 +6,7 @@
 //! | tetrahedra of materials, what is violated there, and what mends it | [`topology`], [`complex`], [`nodes`] |
 //! | points added, most needed first | [`refine`] |
 //! | tetrahedra given to another material where points do not help | `relabel` |
+//! | strata that are one, nearer to each other than points can tell | `unite` |
 
 pub mod check;
 pub mod complex;
@@ -28,4 +29,5 @@ pub mod segments;
 #[cfg(test)]
 mod tests;
 pub mod topology;
+mod unite;
 mod way;

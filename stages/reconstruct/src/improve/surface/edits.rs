@@ -1,6 +1,7 @@
 //! Edits of the mesh, all in its log: taken back, or made final.
 
 use super::{Change, DEAD, Facts, Surface};
+use crate::improve::sheets::Freedom;
 use glam::DVec3;
 use rayon::prelude::*;
 
@@ -20,7 +21,7 @@ impl Surface<'_> {
         self.target.push((self.size)(at));
         self.around.push(Vec::new());
         self.frozen.push(false);
-        self.fixed.push(false);
+        self.freedom.push(Freedom::Sheet);
         self.positions.len() as u32 - 1
     }
 
@@ -87,7 +88,7 @@ impl Surface<'_> {
                     self.target.pop();
                     self.around.pop();
                     self.frozen.pop();
-                    self.fixed.pop();
+                    self.freedom.pop();
                 }
                 Change::TriangleAdded => {
                     self.triangles.pop();
@@ -113,8 +114,20 @@ impl Surface<'_> {
         touched
     }
 
-    /// Corner positions of the touched triangles as last committed.
-    pub(in crate::improve) fn former_corners(&self, touched: &[u32]) -> Vec<[DVec3; 3]> {
+    /// Whether the edits since the last commit move a vertex of a junction curve, or take one away.
+    pub(in crate::improve) fn changes_a_curve(&self) -> bool {
+        let is_on_curve = |v: u32| v != u32::MAX && self.freedom[v as usize] == Freedom::Curve;
+        self.log.iter().any(|change| match *change {
+            Change::Moved { vertex, .. } => is_on_curve(vertex),
+            Change::Retriangled { from, .. } => {
+                from.iter().any(|&v| is_on_curve(v) && self.around[v as usize].is_empty())
+            }
+            Change::VertexAdded | Change::TriangleAdded => false,
+        })
+    }
+
+    /// The touched triangles that were there when last committed, with the positions of their corners then.
+    pub(in crate::improve) fn former_corners(&self, touched: &[u32]) -> Vec<(u32, [DVec3; 3])> {
         let mut moved: Vec<(u32, DVec3)> = Vec::new();
         let mut retriangled: Vec<(u32, [u32; 3])> = Vec::new();
         for change in &self.log {
@@ -128,9 +141,12 @@ impl Surface<'_> {
         }
         touched
             .iter()
-            .map(|&t| retriangled.iter().find(|r| r.0 == t).map_or(self.triangles[t as usize], |r| r.1))
-            .filter(|corners| *corners != DEAD)
-            .map(|c| c.map(|v| moved.iter().find(|m| m.0 == v).map_or(self.positions[v as usize], |m| m.1)))
+            .map(|&t| (t, retriangled.iter().find(|r| r.0 == t).map_or(self.triangles[t as usize], |r| r.1)))
+            .filter(|(_, corners)| *corners != DEAD)
+            .map(|(t, c)| {
+                let place = |v| moved.iter().find(|m| m.0 == v).map_or(self.positions[v as usize], |m| m.1);
+                (t, c.map(place))
+            })
             .collect()
     }
 

@@ -1,0 +1,118 @@
+//! Vertices of junction curves slide along them and give way to their neighbours, with the triangles of all three sheets.
+
+use super::curves::{collapse_along, slide};
+use super::guard::{Limits, Rule, commit_or_rollback};
+use super::sheets::Freedom;
+use super::surface::Surface;
+use super::*;
+use glam::DMat3;
+use isoparticles_field::spline::Jet;
+use std::f64::consts::TAU;
+
+/// Three half-planes that meet in the z axis: each is zero of the distance from the plane that it lies in.
+struct HalfPlanes;
+
+fn way(sheet: u32) -> DVec3 {
+    let angle = f64::from(sheet) * TAU / 3.0;
+    DVec3::new(angle.cos(), angle.sin(), 0.0)
+}
+
+fn normal(sheet: u32) -> DVec3 {
+    way(sheet).cross(DVec3::Z)
+}
+
+impl Sheets for HalfPlanes {
+    fn value(&self, sheet: u32, p: DVec3) -> f64 {
+        normal(sheet).dot(p)
+    }
+
+    fn value_gradient(&self, sheet: u32, p: DVec3) -> (f64, DVec3) {
+        (self.value(sheet, p), normal(sheet))
+    }
+
+    fn jet(&self, sheet: u32, p: DVec3) -> Jet {
+        Jet { value: self.value(sheet, p), gradient: normal(sheet), hessian: DMat3::ZERO }
+    }
+
+    fn project(&self, sheet: u32, start: DVec3, limit: f64, _: f64) -> Option<(DVec3, DVec3)> {
+        let place = start - normal(sheet) * self.value(sheet, start);
+        (place.distance(start) < limit).then_some((place, normal(sheet)))
+    }
+
+    fn project_onto_curve(&self, _: [u32; 2], start: DVec3, limit: f64, _: f64) -> Option<DVec3> {
+        let place = DVec3::Z * start.z;
+        (place.distance(start) <= limit).then_some(place)
+    }
+
+    fn sides(&self, sheet: u32) -> [u32; 2] {
+        [sheet, (sheet + 1) % 3]
+    }
+
+    fn voxel(&self) -> f64 {
+        1.0
+    }
+}
+
+/// Vertices on the axis at some heights, those at the ends held, and in each sheet a row of vertices beside each, joined by triangles.
+fn fan(heights: &[f64]) -> (TriangleMesh, Vec<u32>, Vec<Freedom>) {
+    let count = heights.len() as u32;
+    let mut mesh = TriangleMesh { vertices: heights.iter().map(|&z| DVec3::Z * z).collect(), triangles: Vec::new() };
+    let mut sheets = Vec::new();
+    let last = count - 1;
+    let ends = |v: u32| if v == 0 || v == last { Freedom::None } else { Freedom::Curve };
+    let mut freedom: Vec<Freedom> = (0..count).map(ends).collect();
+    for sheet in 0..3 {
+        let first = mesh.vertices.len() as u32;
+        mesh.vertices.extend((0..count).map(|n| 0.8 * way(sheet) + DVec3::Z * (f64::from(n) + 0.5)));
+        freedom.resize(mesh.vertices.len(), Freedom::None);
+        for n in 0..last {
+            let [a, b, c, d] = [n, n + 1, first + n, first + n + 1];
+            for [p, q, r] in [[a, c, b], [b, c, d]] {
+                let [x, y, z] = [p, q, r].map(|v| mesh.vertices[v as usize]);
+                let is_upright = (y - x).cross(z - x).dot(normal(sheet)) > 0.0;
+                mesh.triangles.push(if is_upright { [p, q, r] } else { [p, r, q] });
+                sheets.push(sheet);
+            }
+        }
+    }
+    (mesh, sheets, freedom)
+}
+
+const LIMITS: Limits = Limits::new(0.15, [0.3, 2.0]);
+
+#[test]
+fn a_vertex_slides_along_its_curve_to_where_the_worst_of_all_three_sheets_is_best() {
+    let (mesh, sheets, freedom) = fan(&[0.0, 1.0, 2.4, 3.0, 4.0]);
+    let mut surface = Surface::of_sheets(&mesh, sheets, freedom, &HalfPlanes, &|_| 1.0);
+    assert!(surface.curve_through(2).is_some_and(|curve| curve.ends == [1, 3] && curve.sheets == [0, 1, 2]));
+    assert!(!slide(&mut surface, 0) && !slide(&mut surface, 7), "what is held stays");
+    assert!(slide(&mut surface, 2));
+    let place = surface.positions[2];
+    assert!(place.truncate().length() == 0.0 && (place.z - 2.0).abs() < 0.02, "{place}");
+    assert!(commit_or_rollback(&mut surface, &LIMITS, Rule::Lift { bar: 0.9 }).is_some());
+    assert!(!slide(&mut surface, 2), "there is no better place");
+}
+
+#[test]
+fn a_vertex_gives_way_to_a_neighbour_on_its_curve_with_a_triangle_of_each_sheet() {
+    let (mesh, sheets, freedom) = fan(&[0.0, 1.0, 1.2, 2.0, 3.0]);
+    let count = mesh.triangles.len();
+    let mut surface = Surface::of_sheets(&mesh, sheets, freedom, &HalfPlanes, &|_| 1.0);
+    assert!(!collapse_along(&mut surface, 3, 1), "no neighbours");
+    assert!(!collapse_along(&mut surface, 1, 0), "what is held stays");
+    assert!(collapse_along(&mut surface, 1, 2));
+    let alive = surface.triangles.iter().filter(|t| t[0] != u32::MAX).count();
+    assert_eq!((alive, surface.degree(2)), (count - 3, 0));
+    assert!(surface.curve_through(1).is_some_and(|curve| curve.ends == [0, 3]), "{:?}", surface.curve_through(1));
+    surface.rollback();
+    assert!(surface.curve_through(1).is_some_and(|curve| curve.ends == [0, 2]));
+}
+
+#[test]
+fn where_an_edge_lacks_a_sheet_a_vertex_said_to_lie_on_a_curve_stays() {
+    let (mut mesh, mut sheets, freedom) = fan(&[0.0, 1.0, 2.0, 3.0]);
+    mesh.triangles.truncate(12);
+    sheets.truncate(12);
+    let surface = Surface::of_sheets(&mesh, sheets, freedom, &HalfPlanes, &|_| 1.0);
+    assert_eq!(surface.freedom[1], Freedom::None);
+}
