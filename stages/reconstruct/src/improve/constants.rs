@@ -62,7 +62,7 @@ pub(super) const TURN: f64 = 0.3;
 /// First and last step, over the mean distance to the neighbours.
 pub(super) const FIRST_STEP: f64 = 0.25;
 pub(super) const LAST_STEP: f64 = 0.01;
-/// Part of the way to a neighbour on a junction curve that a vertex is moved at most.
+/// Part of the way to a neighbour on a junction curve that a vertex is moved at most: the edge between them keeps a tenth of its length, and what wants less is a collapse.
 pub(super) const FARTHEST_ALONG: f64 = 0.9;
 /// Distance from a junction curve, over h, of the middle of an edge along it that a move may bring about: the deviation that centroids of triangles are allowed.
 pub(super) const CURVE_STRAYS: f64 = 0.15;

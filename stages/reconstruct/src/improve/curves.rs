@@ -2,7 +2,7 @@
 //! All triangles of the three sheets round them are judged together, by the same guard as every move.
 
 use super::constants::{CURVE_STRAYS, FARTHEST_ALONG, FIRST_STEP, LAST_STEP, LEAST_GAIN, PROJECTION_TOLERANCE};
-use super::guard::quality_of;
+use super::guard::quality_facing;
 use super::sheets::Freedom;
 use super::surface::{DEAD, Surface};
 use glam::DVec3;
@@ -88,10 +88,7 @@ pub(super) fn slide(surface: &mut Surface, vertex: u32) -> bool {
         })
         .collect();
     let worth = |p: DVec3| {
-        let quality = |&(a, b, normal): &(DVec3, DVec3, DVec3)| {
-            let quality = quality_of(p, a, b);
-            if (a - p).cross(b - p).dot(normal) > 0.0 { quality } else { quality - 1.0 }
-        };
+        let quality = |&(a, b, normal): &(DVec3, DVec3, DVec3)| quality_facing([p, a, b], normal);
         ring.iter().map(quality).fold(f64::INFINITY, f64::min)
     };
     // so much of the way to the one neighbour, or to the other where it is negative

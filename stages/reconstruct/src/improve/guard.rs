@@ -104,6 +104,12 @@ pub(super) fn quality_of(a: DVec3, b: DVec3, c: DVec3) -> f64 {
     ))
 }
 
+/// Quality of a triangle that is to face along a normal: less one where it is turned against it.
+pub(super) fn quality_facing([p, a, b]: [DVec3; 3], normal: DVec3) -> f64 {
+    let quality = quality_of(p, a, b);
+    if (a - p).cross(b - p).dot(normal) > 0.0 { quality } else { quality - 1.0 }
+}
+
 /// Smallest and mean quality of some triangles, and what they lack to a bar: the sum of the squares, and [`BELOW`] for each.
 #[derive(Clone, Copy, Debug)]
 struct Score {

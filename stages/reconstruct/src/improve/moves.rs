@@ -6,7 +6,7 @@ use super::constants::{
     TURN,
 };
 use super::curves::{collapse_along, part_of_slide, slide};
-use super::guard::quality_of;
+use super::guard::quality_facing;
 use super::ring::{LANES, Ring};
 use super::surface::{DEAD, Surface, edges_of};
 use fearless_simd::{Level, dispatch};
@@ -172,9 +172,7 @@ impl Site {
     fn worth_above(&self, p: DVec3, bar: f64) -> Option<f64> {
         let mut smallest = f64::INFINITY;
         for &(a, b) in &self.ring {
-            let quality = quality_of(p, a, b);
-            let upright = (a - p).cross(b - p).dot(self.normal) > 0.0;
-            smallest = smallest.min(if upright { quality } else { quality - 1.0 });
+            smallest = smallest.min(quality_facing([p, a, b], self.normal));
             if smallest <= bar {
                 return None;
             }
