@@ -5,7 +5,8 @@
 //! line within a cell, whose roots are found exactly. So sheets, folds and specks that lie between the nodes count, which the triangles of
 //! marching cubes pass over: on a noisy volume those have a tenth less area than F = 0.
 
-use crate::spline::{CubicSpline, mirror};
+use crate::spline::CubicSpline;
+use crate::topology::sign_changes;
 use glam::DVec3;
 use rayon::prelude::*;
 
@@ -28,37 +29,17 @@ type Patch = [[[f64; 4]; 4]; 4];
 /// Integral of `density(point, unit normal)` over F = 0, within the volume; points in the grid frame (mm). The result does not depend on the
 /// number of threads.
 pub fn integrate(surface: &CubicSpline, density: impl Fn(DVec3, DVec3) -> f64 + Sync) -> f64 {
-    let [nx, ny, nz] = surface.geometry().size.map(|n| n.saturating_sub(1));
-    let layers: Vec<f64> = (0..nz)
+    let size = surface.geometry().size.map(|n| n.saturating_sub(1));
+    let layers: Vec<f64> = (0..size[2])
         .into_par_iter()
         .map(|k| {
-            let cells = crossed_cells(surface, k, [nx, ny]);
+            let changes = sign_changes(surface, size, k, 0);
+            let cells = (0..changes.len()).filter(|&n| changes[n]).map(|n| [n % size[0], n / size[0], k]);
             let crossed = cells.filter_map(|cell| Some((cell, patch(surface, cell)?)));
             crossed.map(|(cell, patch)| integrate_cell(surface, cell, &patch, &density)).sum()
         })
         .collect();
     layers.iter().sum()
-}
-
-/// The cells of a layer in which F changes its sign, and some more: it lies between the 64 coefficients that a cell depends on.
-fn crossed_cells(surface: &CubicSpline, k: usize, [nx, ny]: [usize; 2]) -> impl Iterator<Item = [usize; 3]> {
-    let [width, height, depth] = surface.geometry().size;
-    let sign = |value: f32| u8::from(value > 0.0) | u8::from(value < 0.0) << 1;
-    let planes = around(k, depth).map(|z| &surface.coefficients()[z * width * height..][..width * height]);
-    let column: Vec<u8> =
-        (0..width * height).map(|n| planes.iter().fold(0, |signs, plane| signs | sign(plane[n]))).collect();
-    (0..ny).flat_map(move |j| {
-        let rows = around(j, height).map(|y| &column[y * width..][..width]);
-        let square: Vec<u8> = (0..width).map(|x| rows.iter().fold(0, |signs, row| signs | row[x])).collect();
-        (0..nx)
-            .filter(move |&i| around(i, width).iter().fold(0, |signs, &x| signs | square[x]) == 3)
-            .map(move |i| [i, j, k])
-    })
-}
-
-/// Places along an axis of `size` samples of the four coefficients that a cell depends on.
-fn around(cell: usize, size: usize) -> [usize; 4] {
-    std::array::from_fn(|n| mirror((cell + n) as isize - 1, size))
 }
 
 /// The part of a cell.
@@ -109,10 +90,7 @@ fn is_of_one_sign(points: &[f64]) -> bool {
 
 /// Bézier points of F in the cell whose lowest corner is a node, between which F lies; `None` where they are of one sign, which is asked after each axis.
 fn patch(surface: &CubicSpline, cell: [usize; 3]) -> Option<Patch> {
-    let size = surface.geometry().size;
-    let [xs, ys, zs] = [0, 1, 2].map(|axis| around(cell[axis], size[axis]));
-    let row = |y: usize, z: usize| (z * size[1] + y) * size[0];
-    let mut patch = zs.map(|z| ys.map(|y| xs.map(|x| f64::from(surface.coefficients()[row(y, z) + x]))));
+    let mut patch = surface.coefficients_of_cell(cell);
     let planes = patch;
     for y in 0..4 {
         for x in 0..4 {
@@ -155,8 +133,9 @@ fn turn(patch: &Patch, axis: usize) -> Patch {
 }
 
 /// Sum of four points with weights.
-fn blend(points: &[[f64; 4]; 4], weights: [f64; 4]) -> [f64; 4] {
-    std::array::from_fn(|n| points.iter().zip(weights).map(|(point, weight)| weight * point[n]).sum())
+#[inline]
+fn blend([a, b, c, d]: &[[f64; 4]; 4], weights: [f64; 4]) -> [f64; 4] {
+    std::array::from_fn(|n| weights[0] * a[n] + weights[1] * b[n] + weights[2] * c[n] + weights[3] * d[n])
 }
 
 /// The four cubic Bernstein polynomials.
@@ -172,8 +151,9 @@ fn slopes(t: f64) -> [f64; 4] {
 }
 
 /// Sum of four numbers with weights.
+#[inline]
 fn sum_of(points: [f64; 4], weights: [f64; 4]) -> f64 {
-    points.iter().zip(weights).map(|(point, weight)| weight * point).sum()
+    weights[0] * points[0] + weights[1] * points[1] + weights[2] * points[2] + weights[3] * points[3]
 }
 
 /// Calls `found` with every root of a cubic between `low` and `high`, whose Bézier points are given there: halved until the points

@@ -57,8 +57,6 @@ impl Defaults {
 
 /// Medial balls are looked for up to this radius, over the diagonal of the volume; larger features ask for no other h.
 const LARGEST_FEATURE_DIAGONALS: f64 = 0.25;
-/// The same over the size of `--uniform`.
-const UNIFORM_FEATURES: f64 = 4.0;
 
 /// Target edge length h (mm) over the grid of a distance field, from local feature size and curvature
 #[derive(Debug, Parser)]
@@ -206,8 +204,8 @@ pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
     let geometry = &field.image.geometry;
     let largest = LARGEST_FEATURE_DIAGONALS * geometry.upper_corner().length();
     let one_size = args.one_size(&field.image, &surface);
-    // for one size it is enough to know which features are smaller
-    let largest = one_size.map_or(largest, |size| largest.min(UNIFORM_FEATURES * size));
+    // of one size it is only asked where features are smaller; a ball of the axis is empty of surface, so that its centre is nearer than h only where its radius is
+    let largest = one_size.map_or(largest, |size| largest.min(size));
     // one size is asked whether it catches the surface as it is, bumps of noise included
     let origin: DistanceMeta = meta::typed(&args.input, &field.meta, "distfield")?;
     let is_smooth = origin.source == Some(Source::Labels) || origin.is_scaled();

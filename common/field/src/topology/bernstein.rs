@@ -4,7 +4,7 @@
 //! that of their differences. Halving a cell halves the coefficients' distance from the polynomial twice, so that whatever is not
 //! degenerate becomes certain in the end.
 
-use crate::spline::{CubicSpline, mirror};
+use crate::spline::CubicSpline;
 
 /// Coefficients along each axis.
 const ORDER: usize = 4;
@@ -19,16 +19,8 @@ pub(super) struct Bernstein([f64; ORDER * ORDER * ORDER]);
 impl Bernstein {
     /// In the cell between eight neighbouring samples, given by the lowest.
     pub(super) fn of_cell(field: &CubicSpline, cell: [usize; 3]) -> Self {
-        let size = field.geometry().size;
-        let at = |axis: usize| -> [usize; ORDER] {
-            std::array::from_fn(|k| mirror(cell[axis] as isize + k as isize - 1, size[axis]))
-        };
-        let [x, y, z] = [at(0), at(1), at(2)];
-        let coefficients = field.coefficients();
-        let mut new = Self(std::array::from_fn(|n| {
-            let (i, j, k) = (x[n % ORDER], y[n / ORDER % ORDER], z[n / ORDER / ORDER]);
-            f64::from(coefficients[(k * size[1] + j) * size[0] + i])
-        }));
+        let coefficients = field.coefficients_of_cell(cell);
+        let mut new = Self(std::array::from_fn(|n| coefficients[n / ORDER / ORDER][n / ORDER % ORDER][n % ORDER]));
         let change = |[a, b, c, d]: [f64; ORDER]| {
             let (low, high) = ((2.0 * b + c) / 3.0, (b + 2.0 * c) / 3.0);
             [(a + 4.0 * b + c) / 6.0, low, high, (b + 4.0 * c + d) / 6.0]

@@ -418,7 +418,7 @@ impl Halving {
 
 /// Whether the spline coefficients that the voxel cells of a slice, and those around each as many as said, read have both signs: where they have one,
 /// F has no other there, which is a mean of them (convex hull property). The cheapest test comes first.
-pub(super) fn sign_changes(field: &CubicSpline, size: [usize; 3], k: usize, around: usize) -> Vec<bool> {
+pub(crate) fn sign_changes(field: &CubicSpline, size: [usize; 3], k: usize, around: usize) -> Vec<bool> {
     let [nx, ny, nz] = field.geometry().size;
     let signs = |c: f32| u8::from(c > 0.0) | u8::from(c < 0.0) << 1;
     // the coefficients that mirroring at the border adds are among the others

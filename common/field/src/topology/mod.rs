@@ -25,6 +25,7 @@ mod watch;
 
 use crate::spline::CubicSpline;
 use cells::Cells;
+pub(crate) use cells::sign_changes;
 pub use critical::{CriticalPoint, critical_points};
 use glam::DVec3;
 use isoparticles_file::monitor::{Interrupted, Monitor, Silent};

@@ -167,11 +167,6 @@ pub(super) fn total_gain(surface: &Surface) -> f64 {
     surface.touched().into_iter().map(change).sum()
 }
 
-/// Mean quality of the touched triangles as they are now.
-pub(super) fn mean_quality(surface: &Surface) -> f64 {
-    scores(surface, &surface.touched(), 0.0).1.mean
-}
-
 /// Whether the quality has improved by a rule.
 fn is_better(surface: &Surface, touched: &[u32], rule: Rule, mended: usize) -> bool {
     let bar = if let Rule::Lift { bar } = rule { bar } else { 0.0 };

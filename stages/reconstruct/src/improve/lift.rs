@@ -13,7 +13,9 @@ pub(super) enum After {
     Nothing,
     /// Relocations of the vertices that gain by it.
     Relocations,
-    /// The same when these and their neighbours have been smoothed.
+    /// Smoothing of those vertices and their neighbours.
+    Smoothing,
+    /// That smoothing, then those relocations.
     Settling,
 }
 
@@ -56,7 +58,7 @@ pub(super) fn lift_by_two(surface: &mut Surface, triangle: u32, limits: &Limits,
     let near = whole(surface.with_neighbours(triangle));
     let is_lifted = match after {
         After::Settling => lift_by_best(surface, &near, after, limits, bar),
-        After::Nothing | After::Relocations => lift(surface, triangle, limits, bar),
+        After::Nothing | After::Relocations | After::Smoothing => lift(surface, triangle, limits, bar),
     };
     if is_lifted {
         return true;
@@ -106,7 +108,7 @@ pub(super) fn make(surface: &mut Surface, candidate: Move, after: After) -> bool
     match after {
         After::Nothing => {}
         After::Relocations => relocate_all(surface, involved),
-        After::Settling => {
+        After::Smoothing | After::Settling => {
             let neighbours = involved.iter().flat_map(|&v| surface.link(v).map(|(u, _)| u));
             let mut round: Vec<u32> = neighbours.chain(involved.iter().copied()).collect();
             round.sort_unstable();
@@ -114,7 +116,9 @@ pub(super) fn make(surface: &mut Surface, candidate: Move, after: After) -> bool
             for _ in 0..SETTLINGS {
                 round.iter().for_each(|&v| shift(surface, v));
             }
-            relocate_all(surface, involved);
+            if after == After::Settling {
+                relocate_all(surface, involved);
+            }
         }
     }
     true

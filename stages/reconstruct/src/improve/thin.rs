@@ -2,7 +2,7 @@
 //! the mesh keeps with fewer once vertices may move.
 
 use super::constants::{SHORT, TARGET};
-use super::guard::{Limits, Rule, commit_or_rollback, mean_quality};
+use super::guard::{Limits, Rule, commit_or_rollback};
 use super::lift::{After, make};
 use super::moves::Move;
 use super::surface::{DEAD, Surface, edges_of};
@@ -36,7 +36,7 @@ pub(super) fn thin_out(
         for (_, a, b) in short {
             // its ends may have moved apart, or be gone
             let is_short = surface.edge_triangles(a, b).is_some() && surface.relative_length(a, b) < SHORT;
-            if is_short && let Some(touched) = collapse_best(surface, a, b, limits) {
+            if is_short && let Some(touched) = collapse_smoothly(surface, a, b, limits) {
                 tally.collapses += 1;
                 let corners = touched.into_iter().filter(|&t| surface.is_alive(t));
                 corners.flat_map(|t| surface.triangles[t as usize]).for_each(|v| next[v as usize] = true);
@@ -47,21 +47,15 @@ pub(super) fn thin_out(
     Ok(())
 }
 
-/// Collapses an edge into its middle or one of its ends, whichever leaves the best mean quality of those that the guard lets pass; the triangles touched.
-fn collapse_best(surface: &mut Surface, a: u32, b: u32, limits: &Limits) -> Option<Vec<u32>> {
-    let mut rated: Vec<(f64, Move)> = Vec::new();
-    for candidate in [Move::Collapse(a, b, 0.5), Move::Collapse(a, b, 0.0), Move::Collapse(b, a, 0.0)] {
-        if make(surface, candidate, After::Settling) {
-            rated.push((mean_quality(surface), candidate));
-        }
-        surface.rollback();
-    }
-    // stable: the order of the moves among equals
-    rated.sort_by(|a, b| b.0.total_cmp(&a.0));
-    rated.into_iter().find_map(|(_, candidate)| {
-        let made = make(surface, candidate, After::Settling);
-        let touched = if made { commit_or_rollback(surface, limits, Rule::Mean { floor: TARGET }) } else { None };
-        surface.rollback();
-        touched
-    })
+/// Collapses an edge into its middle or one of its ends, the first of these that the guard lets pass once what is round it is smooth; the triangles touched. Relocations after that would
+/// lower the mean that is asked for: with them bone at 1,000 vertices keeps 85 more, with a mean radius ratio of 0.950 in place of 0.963, in three times the time.
+fn collapse_smoothly(surface: &mut Surface, a: u32, b: u32, limits: &Limits) -> Option<Vec<u32>> {
+    [Move::Collapse(a, b, 0.5), Move::Collapse(a, b, 0.0), Move::Collapse(b, a, 0.0)].into_iter().find_map(
+        |candidate| {
+            let made = make(surface, candidate, After::Smoothing);
+            let touched = if made { commit_or_rollback(surface, limits, Rule::Mean { floor: TARGET }) } else { None };
+            surface.rollback();
+            touched
+        },
+    )
 }
