@@ -71,6 +71,9 @@ pub(super) const CURVE_STRAYS: f64 = 0.15;
 pub(super) const SHARES: [f64; 3] = [1.0, 0.5, 0.2];
 /// Times that the vertices round a move are relocated in turn.
 pub(super) const RELOCATIONS: usize = 2;
+/// Change of the smallest quality of the triangles touched, after the first of these, below which the second is left out: 22,044 of 37,157 moves in vain are below it, and 52 of
+/// 5,171 that gain (`heart_label` 1 at h = 2.1 mm, `heart_ct` and `brain_parcellation` at 20,000 vertices, `thorax_labels` 1 at 5,000).
+pub(super) const HOPELESS_AFTER_RELOCATIONS: f64 = -0.2;
 
 /// Times that the vertices round a move are smoothed in turn, where that follows it.
 pub(super) const SETTLINGS: usize = 3;

@@ -167,6 +167,12 @@ pub(super) fn total_gain(surface: &Surface) -> f64 {
     surface.touched().into_iter().map(change).sum()
 }
 
+/// By how much the smallest quality of the triangles touched has risen since the last commit.
+pub(super) fn change_of_smallest(surface: &Surface) -> f64 {
+    let (before, after) = scores(surface, &surface.touched(), 0.0);
+    after.smallest - before.smallest
+}
+
 /// Whether the quality has improved by a rule.
 fn is_better(surface: &Surface, touched: &[u32], rule: Rule, mended: usize) -> bool {
     let bar = if let Rule::Lift { bar } = rule { bar } else { 0.0 };

@@ -2,11 +2,11 @@
 //! the mesh a manifold of the same topology (link condition); whether the outcome is kept is for the guard to say.
 
 use super::constants::{
-    FIRST_STEP, HALVINGS, LAST_STEP, LEAST_GAIN, LINE_STEPS, PROJECTION_TOLERANCE, RELOCATIONS, SHARES, SURELY_WIDE,
-    TURN,
+    FIRST_STEP, HALVINGS, HOPELESS_AFTER_RELOCATIONS, LAST_STEP, LEAST_GAIN, LINE_STEPS, PROJECTION_TOLERANCE,
+    RELOCATIONS, SHARES, SURELY_WIDE, TURN,
 };
 use super::curves::{collapse_along, part_of_slide, slide};
-use super::guard::quality_facing;
+use super::guard::{change_of_smallest, quality_facing};
 use super::ring::{LANES, Ring};
 use super::surface::{DEAD, Surface, edges_of};
 use fearless_simd::{Level, dispatch};
@@ -358,7 +358,7 @@ pub(super) fn moves_near(triangles: impl IntoIterator<Item = [u32; 3]>) -> Vec<M
     moves
 }
 
-/// Relocates some vertices in turn, and again while any of them moves.
+/// Relocates some vertices in turn, and again while any of them moves, but where that cannot make up for the move before.
 pub(super) fn relocate_all(surface: &mut Surface, mut vertices: Vec<u32>) {
     vertices.sort_unstable();
     for _ in 0..RELOCATIONS {
@@ -366,7 +366,7 @@ pub(super) fn relocate_all(surface: &mut Surface, mut vertices: Vec<u32>) {
         for &v in &vertices {
             moved |= relocate_or_slide(surface, v);
         }
-        if !moved {
+        if !moved || change_of_smallest(surface) < HOPELESS_AFTER_RELOCATIONS {
             break;
         }
     }
