@@ -111,9 +111,7 @@ pub(super) const FIRST_MOVES: usize = 4;
 /// Triangles on which two moves in a row are tried in vain, a fifth of a second each, after which the rest is left: a coarse mesh of a solid organ has five,
 /// noise has hundreds.
 pub(super) const MOST_PAIRS_IN_VAIN: usize = 40;
-/// The same where the vertices round each move are smoothed, and of remeshing, for the sake of triangles that are fit: worst first, where one of the very
-/// worst is not helped, the smallest quality stays what it is.
-pub(super) const MOST_SETTLED_IN_VAIN: usize = 12;
+/// The same of remeshing for the sake of triangles that are fit: worst first, where one of the very worst is not helped, the smallest quality stays what it is.
 pub(super) const MOST_FIT_REMESHED_IN_VAIN: usize = 3;
 /// Quality below which a single move nearly always helps. Above, tries in vain are counted, a millisecond or two each: worst first, a solid organ has few,
 /// noise has tens of thousands (the torso CT at 200: 45 s in place of 29 without the count), and the worst of them are not lifted anyway.

@@ -15,8 +15,6 @@ pub(super) enum After {
     Relocations,
     /// Smoothing of those vertices and their neighbours.
     Smoothing,
-    /// That smoothing, then those relocations.
-    Settling,
 }
 
 /// Commits the single move on a triangle that gains most, of those that the guard lets pass; with relocations round it where none does alone.
@@ -50,19 +48,16 @@ fn lift_by_best(surface: &mut Surface, candidates: &[Move], after: After, limits
 }
 
 /// The same with two moves in a row: a first one on the triangle or its neighbours, which need not help by itself, and one on the worst triangle that it
-/// leaves. `after` is what follows each of them.
-pub(super) fn lift_by_two(surface: &mut Surface, triangle: u32, limits: &Limits, bar: f64, after: After) -> bool {
+/// leaves, each with relocations.
+pub(super) fn lift_by_two(surface: &mut Surface, triangle: u32, limits: &Limits, bar: f64) -> bool {
     let whole = |triangles: Vec<[u32; 3]>| -> Vec<Move> {
         moves_near(triangles).into_iter().filter(|m| !m.is_partial()).collect()
     };
     let near = whole(surface.with_neighbours(triangle));
-    let is_lifted = match after {
-        After::Settling => lift_by_best(surface, &near, after, limits, bar),
-        After::Nothing | After::Relocations | After::Smoothing => lift(surface, triangle, limits, bar),
-    };
-    if is_lifted {
+    if lift(surface, triangle, limits, bar) {
         return true;
     }
+    let after = After::Relocations;
     let mut firsts: Vec<(f64, Move)> = Vec::new();
     for candidate in near {
         if make(surface, candidate, after) {
@@ -108,16 +103,13 @@ pub(super) fn make(surface: &mut Surface, candidate: Move, after: After) -> bool
     match after {
         After::Nothing => {}
         After::Relocations => relocate_all(surface, involved),
-        After::Smoothing | After::Settling => {
+        After::Smoothing => {
             let neighbours = involved.iter().flat_map(|&v| surface.link(v).map(|(u, _)| u));
             let mut round: Vec<u32> = neighbours.chain(involved.iter().copied()).collect();
             round.sort_unstable();
             round.dedup();
             for _ in 0..SETTLINGS {
                 round.iter().for_each(|&v| shift(surface, v));
-            }
-            if after == After::Settling {
-                relocate_all(surface, involved);
             }
         }
     }

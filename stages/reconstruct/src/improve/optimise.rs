@@ -4,10 +4,10 @@
 
 use super::constants::{
     AIM, BATCH, EASY, FIT, MOST_FIT_REMESHED_IN_VAIN, MOST_IN_VAIN, MOST_IN_VAIN_ABOVE_EASY, MOST_IN_VAIN_AT_JUNCTIONS,
-    MOST_PAIRS_IN_VAIN, MOST_SETTLED_IN_VAIN, REACHES, RINGS,
+    MOST_PAIRS_IN_VAIN, REACHES, RINGS,
 };
 use super::guard::Limits;
-use super::lift::{After, lift, lift_by_two};
+use super::lift::{lift, lift_by_two};
 use super::patch::Patch;
 use super::sheets::Freedom;
 use super::surface::Surface;
@@ -24,8 +24,8 @@ use std::collections::{BinaryHeap, HashMap};
 enum Means {
     /// A flip, collapse, split or relocation.
     Move,
-    /// Two of them in a row, each followed by relocations or more.
-    TwoMoves(After),
+    /// Two of them in a row.
+    TwoMoves,
     /// Remeshing of a patch of so many lengths' radius with a smaller target length.
     Remesh { reach: f64 },
 }
@@ -36,14 +36,11 @@ impl Means {
     fn is_local(self) -> bool {
         match self {
             Self::Move => true,
-            Self::TwoMoves(_) => false,
+            Self::TwoMoves => false,
             Self::Remesh { reach } => reach <= REACHES[1],
         }
     }
 }
-
-/// Two moves as they are mostly made.
-const PAIR: Means = Means::TwoMoves(After::Relocations);
 
 /// One way through the queue.
 struct Pass {
@@ -66,8 +63,8 @@ impl Pass {
 type Failures = HashMap<u32, u32>;
 
 /// Lifts the triangles below a quality, `rounds` times at most: by moves within the limits; those not fit for finite elements by moves within the
-/// loosened limits, by remeshing and by two moves in a row; then those below [`AIM`] by two moves, and all of them by one, by two, by
-/// remeshing and by moves with smoothing round them, in so far as a few failures allow.
+/// loosened limits, by remeshing and by two moves in a row; then those below [`AIM`] by two moves, and all of them by one, by two and by
+/// remeshing, in so far as a few failures allow.
 /// `step` is called before each batch and may stop it.
 ///
 /// # Errors
@@ -84,7 +81,7 @@ pub(super) fn optimise(
     let pass = |means, limits, bar, most_in_vain| Pass { means, limits, bar, most_in_vain };
     let remesh = |reach| pass(Means::Remesh { reach }, *limits, unfit, MOST_IN_VAIN);
     let [smallest, small, large, largest] = REACHES;
-    let two_moves = |limits, bar: f64| pass(PAIR, limits, target.min(bar), MOST_PAIRS_IN_VAIN);
+    let two_moves = |limits, bar: f64| pass(Means::TwoMoves, limits, target.min(bar), MOST_PAIRS_IN_VAIN);
     // as loose as that, but no farther from F = 0
     let within = Limits { deviation: limits.deviation, ..loosened };
     let passes = [
@@ -92,7 +89,7 @@ pub(super) fn optimise(
         pass(Means::Move, loosened, unfit, usize::MAX),
         remesh(smallest),
         remesh(small),
-        pass(PAIR, loosened, unfit, MOST_IN_VAIN),
+        pass(Means::TwoMoves, loosened, unfit, MOST_IN_VAIN),
         remesh(large),
         remesh(largest),
         two_moves(within, AIM),
@@ -101,7 +98,6 @@ pub(super) fn optimise(
         two_moves(within, target),
         two_moves(loosened, EASY),
         pass(Means::Remesh { reach: smallest }, *limits, target, MOST_FIT_REMESHED_IN_VAIN),
-        pass(Means::TwoMoves(After::Settling), *limits, target, MOST_SETTLED_IN_VAIN),
     ];
     let mut failures: Vec<Failures> = passes.iter().map(|_| Failures::new()).collect();
     for _ in 0..rounds {
@@ -157,7 +153,7 @@ fn drain(surface: &mut Surface, pass: &Pass, failures: &mut Failures, step: Step
             let local = patch.local(t);
             let is_better = match pass.means {
                 Means::Move => lift(&mut patch.surface, local, &pass.limits, pass.bar),
-                Means::TwoMoves(after) => lift_by_two(&mut patch.surface, local, &pass.limits, pass.bar, after),
+                Means::TwoMoves => lift_by_two(&mut patch.surface, local, &pass.limits, pass.bar),
                 Means::Remesh { reach } => remesh(&mut patch.surface, local, reach, &pass.limits, pass.bar),
             };
             is_better.then(|| (patch.turned_nodes(surface), patch.edits(surface)))
@@ -175,7 +171,7 @@ fn drain(surface: &mut Surface, pass: &Pass, failures: &mut Failures, step: Step
                     queue.extend(touched.into_iter().filter_map(|t| entry(surface, &at_nodes, t)));
                     match pass.means {
                         Means::Move => tally.single_moves += 1,
-                        Means::TwoMoves(_) => tally.double_moves += 1,
+                        Means::TwoMoves => tally.double_moves += 1,
                         Means::Remesh { .. } => tally.remeshed_patches += 1,
                     }
                 }
@@ -191,7 +187,7 @@ fn drain(surface: &mut Surface, pass: &Pass, failures: &mut Failures, step: Step
 /// The triangles, in order, whose regions do not meet those before, with their regions; and the others.
 fn apart(surface: &Surface, triangles: &[u32], means: Means) -> (Vec<(u32, Bounds)>, Vec<u32>) {
     let region = |&t: &u32| match means {
-        Means::Move | Means::TwoMoves(_) => surface.rings(t, RINGS).bounds(surface),
+        Means::Move | Means::TwoMoves => surface.rings(t, RINGS).bounds(surface),
         Means::Remesh { reach } => super::target_length::region(surface, t, reach),
     };
     let regions: Vec<Bounds> = triangles.par_iter().map(region).collect();
