@@ -356,3 +356,55 @@ fn chunked_sum(a: &[f32], b: &[f32], term: impl Fn(f64, f64) -> f64 + Sync) -> f
 fn add_scaled(to: &mut [f32], factor: f32, what: &[f32]) {
     to.par_iter_mut().zip(what).for_each(|(t, w)| *t += factor * w);
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use isoparticles_field::random::uniform;
+
+    /// The map of 500 samples in a grid of one slab, and numbers for its coefficients and samples.
+    fn scene() -> (Sampling, Vec<f32>, Vec<f32>) {
+        let geometry = Geometry::axis_aligned([9, 8, 6], DVec3::new(1.0, 0.5, 2.0));
+        let random = |n: usize, k: u64| uniform(3, k, n as u64);
+        let place = |n: usize| {
+            DVec3::from_array(std::array::from_fn(|a| 1.0 + random(n, a as u64) * (geometry.size[a] as f64 - 3.0)))
+        };
+        let samples: Vec<DVec3> = (0..500).map(|n| geometry.index_to_grid(place(n))).collect();
+        let sampling = Sampling::new(&geometry, &samples, &touched_coefficients(&geometry, &samples));
+        assert_eq!((sampling.slabs.len(), sampling.weights.len()), (1, samples.len()));
+        let numbers = |count: usize, k: u64| (0..count).map(|n| random(n, k) as f32 - 0.5).collect();
+        let (coefficients, values) = (numbers(sampling.unknowns, 5), numbers(samples.len(), 6));
+        (sampling, coefficients, values)
+    }
+
+    #[test]
+    fn the_transpose_is_the_transpose() {
+        let (sampling, coefficients, values) = scene();
+        let (mut at_samples, mut back) = (vec![0.0; values.len()], vec![0.0; coefficients.len()]);
+        sampling.apply(&coefficients, &mut at_samples);
+        sampling.apply_transposed(&values, &mut back, false);
+        let (one, other) = (dot(&at_samples, &values), dot(&coefficients, &back));
+        assert!((one - other).abs() < 1e-4 * dot(&at_samples, &at_samples).sqrt(), "{one} {other}");
+        // each sample's weights add up to one, and so do their squares to the same on either way
+        sampling.apply(&vec![1.0; coefficients.len()], &mut at_samples);
+        assert!(at_samples.iter().all(|v| (v - 1.0).abs() < 1e-5));
+        sampling.apply_transposed(&vec![1.0; values.len()], &mut back, true);
+        let of = |w: &[f32; 4]| w.iter().map(|w| f64::from(w * w)).sum::<f64>();
+        let squares: f64 = sampling.weights.iter().map(|[x, y, z]| of(x) * of(y) * of(z)).sum();
+        let found: f64 = back.iter().map(|&w| f64::from(w)).sum();
+        assert!((found / squares - 1.0).abs() < 1e-5, "{found} {squares}");
+    }
+
+    #[test]
+    fn lanes_give_the_same_bits_by_the_best_and_the_least_instructions() {
+        let (sampling, coefficients, values) = scene();
+        let by = |level: Level| {
+            let (mut at_samples, mut back) = (vec![0.0; values.len()], vec![0.0; coefficients.len()]);
+            let slab = &sampling.slabs[0];
+            dispatch!(level, simd => sampling.apply_to_slab(simd, slab, &coefficients, &mut at_samples));
+            dispatch!(level, simd => sampling.apply_transposed_to_slab(simd, slab, &values, &mut back, false));
+            (at_samples, back)
+        };
+        assert_eq!(by(Level::new()), by(Level::baseline()));
+    }
+}
