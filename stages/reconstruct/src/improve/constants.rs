@@ -91,6 +91,12 @@ pub(super) const HOPELESS_AFTER_SWEEP: f64 = -0.05;
 /// 20,000 vertices it has come to rest by then.
 pub(super) const VISITS: usize = 300_000;
 
+// --- taking vertices away ---
+
+/// Deviation from F = 0 of what is left, over the ordinary one. Vertices and mean radius ratio of bone asked for 1,000, and volume that a gyroid thinner than h loses by it: 1: 1,182, 0.935,
+/// 0.8 %; 1.67: 1,095, 0.953; 2: 1,075, 0.961, 4.9 %; 2.33: 1,045, 0.963, 5.5 %.
+pub(super) const FARTHER: f64 = 2.0;
+
 // --- remeshing (Botsch and Kobbelt 2004) ---
 
 /// Edges longer and shorter than these times h are split and collapsed: either halves or doubles to the same distance from h.

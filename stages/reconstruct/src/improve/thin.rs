@@ -1,7 +1,7 @@
 //! Takes vertices away where the mesh is denser than h asks: refinement adds points where F bends within h, for a topology and a distance from F = 0 that
 //! the mesh keeps with fewer once vertices may move.
 
-use super::constants::{SHORT, TARGET};
+use super::constants::{FARTHER, SHORT, TARGET};
 use super::guard::{Limits, Rule, commit_or_rollback};
 use super::lift::{After, make};
 use super::moves::Move;
@@ -11,7 +11,7 @@ use isoparticles_stage::error::Result;
 
 /// Collapses the edges next to the vertices in question that are shorter than [`SHORT`] times h, shortest first, and smooths what is round them, wherever the mean quality there
 /// rises and none falls below [`TARGET`]; and again next to what has changed, until none is left. A rim or a rod thinner than h folds more than the ordinary limits allow: those
-/// that F folds by are the loosened ones. No edge gets longer than these limits, and none ends in two vertices that stay.
+/// that F folds by are the loosened ones, and centroids may lie farther from F = 0 ([`FARTHER`]). No edge gets longer than the ordinary limits, and none ends in two vertices that stay.
 ///
 /// # Errors
 /// Those of `step`.
@@ -22,7 +22,7 @@ pub(super) fn thin_out(
     step: Step,
     tally: &mut Tally,
 ) -> Result<()> {
-    let limits = &Limits { lengths: limits.lengths, ..limits.loosened() };
+    let limits = &Limits { lengths: limits.lengths, deviation: FARTHER * limits.deviation, ..limits.loosened() };
     let mut open = in_question.to_vec();
     while open.contains(&true) {
         step()?;
@@ -48,7 +48,7 @@ pub(super) fn thin_out(
 }
 
 /// Collapses an edge into its middle or one of its ends, the first of these that the guard lets pass once what is round it is smooth; the triangles touched. Relocations after that would
-/// lower the mean that is asked for: with them bone at 1,000 vertices keeps 85 more, with a mean radius ratio of 0.950 in place of 0.963, in three times the time.
+/// lower the mean that is asked for: with them ribs at 5,000 vertices came to 0.971 in place of 0.974, in three times the time.
 fn collapse_smoothly(surface: &mut Surface, a: u32, b: u32, limits: &Limits) -> Option<Vec<u32>> {
     [Move::Collapse(a, b, 0.5), Move::Collapse(a, b, 0.0), Move::Collapse(b, a, 0.0)].into_iter().find_map(
         |candidate| {
