@@ -16,6 +16,7 @@ mod around;
 pub mod check;
 pub mod defects;
 pub mod finish;
+mod held;
 pub mod improve;
 mod join;
 pub mod labelled;

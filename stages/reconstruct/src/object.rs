@@ -253,7 +253,8 @@ pub(crate) fn deviation_ratio((distance, agreement): (f64, f64), limit: f64) -> 
     (distance / limit).max(turned)
 }
 
-fn component_at(p: DVec3, field: &CubicSpline, topology: &FieldTopology) -> u32 {
+/// The component of F = 0 that a point on it belongs to; [`NO_COMPONENT`] where that cannot be told.
+pub(crate) fn component_at(p: DVec3, field: &CubicSpline, topology: &FieldTopology) -> u32 {
     topology.component_at(field, p, field.value_gradient(p).1).unwrap_or(NO_COMPONENT)
 }
 

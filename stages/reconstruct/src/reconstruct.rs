@@ -10,7 +10,8 @@
 //! mesh as it is and against F as it was.
 
 use crate::check::{CheckOptions, CheckReport, check};
-use crate::improve::{ImproveOptions, ImproveReport, improve};
+use crate::held::one_of_each_component;
+use crate::improve::{ImproveOptions, ImproveReport, improve_holding};
 use crate::join::{Joined, join};
 use crate::prepare::{PrepareReport, prepare};
 use crate::queue::Reason;
@@ -161,7 +162,9 @@ pub fn reconstruct(
         sides: options.guarded(field),
         ..ImproveOptions::polish()
     };
-    let improved = improve(&mut mesh, &spline, &size, &how, &|| Ok(monitor.check()?))?;
+    let step = || Ok(monitor.check()?);
+    let held = one_of_each_component(&mesh, &spline, &topology);
+    let improved = improve_holding(&mut mesh, &held, &spline, &size, &how, &step)?;
     drop(phase);
     monitor.check()?;
 

@@ -2,10 +2,10 @@
 //! two topologies, which is listed and fails no check; elsewhere mesh and F must be the same.
 
 use crate::defects::{Defects, Found};
+use crate::object::component_at;
 use isoparticles_field::spline::CubicSpline;
 use isoparticles_field::topology::{FieldTopology, TopologySummary};
 use isoparticles_mesh::TriangleMesh;
-use isoparticles_mesh::components::NO_COMPONENT;
 use rayon::prelude::*;
 use serde::Serialize;
 
@@ -46,8 +46,7 @@ pub struct Difference {
 impl TopologyReport {
     /// Compares a mesh in the grid frame, its vertices on F = 0.
     pub fn new(mesh: &TriangleMesh, field: &CubicSpline, topology: &FieldTopology) -> Self {
-        let component = |&p| topology.component_at(field, p, field.value_gradient(p).1).unwrap_or(NO_COMPONENT);
-        let component_of: Vec<u32> = mesh.vertices.par_iter().map(component).collect();
+        let component_of: Vec<u32> = mesh.vertices.par_iter().map(|&p| component_at(p, field, topology)).collect();
         // what is no manifold is told elsewhere
         let defects = Defects::find(&mesh.triangles, &component_of, topology, |_, _| true);
         let difference = |found: &Found| Difference::new(*found, topology);

@@ -158,7 +158,23 @@ pub fn improve(
     options: &ImproveOptions,
     step: Step,
 ) -> Result<ImproveReport> {
-    let (of_triangle, freedom) = (vec![0; mesh.triangles.len()], vec![Freedom::Sheet; mesh.vertices.len()]);
+    improve_holding(mesh, &[], field, size, options, step)
+}
+
+/// The same, where some vertices stay as they are.
+///
+/// # Errors
+/// Those of [`improve`].
+pub fn improve_holding(
+    mesh: &mut TriangleMesh,
+    held: &[u32],
+    field: &CubicSpline,
+    size: &(dyn Fn(DVec3) -> f64 + Sync),
+    options: &ImproveOptions,
+    step: Step,
+) -> Result<ImproveReport> {
+    let (of_triangle, mut freedom) = (vec![0; mesh.triangles.len()], vec![Freedom::Sheet; mesh.vertices.len()]);
+    held.iter().for_each(|&v| freedom[v as usize] = Freedom::None);
     improve_sheets(
         mesh,
         &mut SheetsOf { field, of_triangle, freedom, wrong_nodes: None, numbers: Vec::new() },
