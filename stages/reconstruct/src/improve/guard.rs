@@ -2,7 +2,7 @@
 //! turn or fold a triangle, leave F = 0, spoil edge lengths, make triangles cross, or carry a grid node to the other side.
 
 use super::constants::{
-    AGREEMENT, AIM, AIM_ANGLES, BELOW, FIT, FIT_ANGLES, FOLD, FOLLOWS, LEAST_GAIN, LEAST_GAIN_OF_SWEEP,
+    AGREEMENT, AIM, AIM_ANGLES, BELOW, FARTHER, FIT, FIT_ANGLES, FOLD, FOLLOWS, LEAST_GAIN, LEAST_GAIN_OF_SWEEP,
     LOOSE_AGREEMENT, LOOSE_DEVIATION, LOOSE_FOLD, LOOSE_FOLD_OF_F, LOOSE_LENGTHS, NODE, PROJECTION_AGREEMENT,
     SURELY_WIDE,
 };
@@ -40,6 +40,16 @@ impl Limits {
     /// The ordinary limits with a largest deviation and a range of edge lengths.
     pub(super) const fn new(deviation: f64, lengths: [f64; 2]) -> Self {
         Self { agreement: AGREEMENT, fold: FOLD, fold_of_f: FOLD, deviation, lengths }
+    }
+
+    /// For sweeps, which raise the mean: where F bends within h, rims fold and centroids lie farther from F = 0.
+    pub(super) const fn of_sweeps(&self) -> Self {
+        Self { fold_of_f: LOOSE_FOLD, deviation: FARTHER * self.deviation, ..*self }
+    }
+
+    /// The same for taking vertices away.
+    pub(super) fn of_thinning(&self) -> Self {
+        Self { lengths: self.lengths, deviation: FARTHER * self.deviation, ..self.loosened() }
     }
 
     /// For the few triangles that are not fit for finite elements, which nothing within the limits can help.

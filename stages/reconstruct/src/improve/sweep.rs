@@ -37,6 +37,7 @@ pub(super) fn sweep(
         if thins {
             thin_out(part, limits, todo, step, &mut tally)?;
         }
+        let limits = &limits.of_sweeps();
         remesh::equalise_degrees(part, limits, Rule::Even, todo, &mut tally);
         remesh::relax_all(part, limits, Rule::Even, todo, &mut tally);
         let share = todo.iter().filter(|&&todo| todo).count() as f64;

@@ -1,7 +1,7 @@
 //! Takes vertices away where the mesh is denser than h asks: refinement adds points where F bends within h, for a topology and a distance from F = 0 that
 //! the mesh keeps with fewer once vertices may move.
 
-use super::constants::{FARTHER, SHORT, TARGET};
+use super::constants::{SHORT, TARGET};
 use super::guard::{Limits, Rule, commit_or_rollback};
 use super::lift::{After, make};
 use super::moves::Move;
@@ -11,7 +11,7 @@ use isoparticles_stage::error::Result;
 
 /// Collapses the edges next to the vertices in question that are shorter than [`SHORT`] times h, shortest first, and smooths what is round them, wherever the mean quality there
 /// rises and none falls below [`TARGET`]; and again next to what has changed, until none is left. A rim or a rod thinner than h folds more than the ordinary limits allow: those
-/// that F folds by are the loosened ones, and centroids may lie farther from F = 0 ([`FARTHER`]). No edge gets longer than the ordinary limits, and none ends in two vertices that stay.
+/// that F folds by are the loosened ones, and centroids may lie farther from F = 0 ([`Limits::of_thinning`]). No edge gets longer than the ordinary limits, and none ends in two vertices that stay.
 ///
 /// # Errors
 /// Those of `step`.
@@ -22,7 +22,7 @@ pub(super) fn thin_out(
     step: Step,
     tally: &mut Tally,
 ) -> Result<()> {
-    let limits = &Limits { lengths: limits.lengths, deviation: FARTHER * limits.deviation, ..limits.loosened() };
+    let limits = &limits.of_thinning();
     let mut open = in_question.to_vec();
     while open.contains(&true) {
         step()?;
