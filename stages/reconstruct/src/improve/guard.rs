@@ -3,8 +3,8 @@
 
 use super::constants::{
     AGREEMENT, AIM, AIM_ANGLES, BELOW, FARTHER, FIT, FIT_ANGLES, FOLD, FOLLOWS, LEAST_GAIN, LEAST_GAIN_OF_SWEEP,
-    LOOSE_AGREEMENT, LOOSE_DEVIATION, LOOSE_FOLD, LOOSE_FOLD_OF_F, LOOSE_LENGTHS, NODE, PROJECTION_AGREEMENT,
-    SURELY_WIDE,
+    LOOSE_AGREEMENT, LOOSE_DEVIATION, LOOSE_FOLD, LOOSE_FOLD_OF_F, LOOSE_LENGTHS, NODE, PRICE_OF_DEVIATION,
+    PROJECTION_AGREEMENT, SURELY_WIDE,
 };
 use super::surface::{Facts, Surface};
 use glam::DVec3;
@@ -25,6 +25,8 @@ pub(super) struct Limits {
     pub(super) deviation: f64,
     /// Range of edge lengths, over h.
     pub(super) lengths: [f64; 2],
+    /// Whether a larger deviation has its price ([`PRICE_OF_DEVIATION`]).
+    pub(super) is_priced: bool,
 }
 
 impl Limits {
@@ -35,19 +37,20 @@ impl Limits {
         fold_of_f: LOOSE_FOLD_OF_F,
         deviation: f64::INFINITY,
         lengths: [0.0, f64::INFINITY],
+        is_priced: false,
     };
 
     /// The ordinary limits with a largest deviation and a range of edge lengths.
     pub(super) const fn new(deviation: f64, lengths: [f64; 2]) -> Self {
-        Self { agreement: AGREEMENT, fold: FOLD, fold_of_f: FOLD, deviation, lengths }
+        Self { agreement: AGREEMENT, fold: FOLD, fold_of_f: FOLD, deviation, lengths, is_priced: false }
     }
 
-    /// For sweeps, which raise the mean: where F bends within h, rims fold and centroids lie farther from F = 0.
+    /// For sweeps, which raise the mean: rims may fold and centroids lie farther from F = 0, as they must where F bends within h, but at a price.
     pub(super) const fn of_sweeps(&self) -> Self {
-        Self { fold_of_f: LOOSE_FOLD, deviation: FARTHER * self.deviation, ..*self }
+        Self { fold_of_f: LOOSE_FOLD, deviation: FARTHER * self.deviation, is_priced: true, ..*self }
     }
 
-    /// The same for taking vertices away.
+    /// For taking vertices away, the same and folds as of the loosened ones.
     pub(super) fn of_thinning(&self) -> Self {
         Self { lengths: self.lengths, deviation: FARTHER * self.deviation, ..self.loosened() }
     }
@@ -60,6 +63,7 @@ impl Limits {
             fold_of_f: self.fold_of_f.min(LOOSE_FOLD_OF_F),
             deviation: (2.0 * self.deviation).max(LOOSE_DEVIATION),
             lengths: [self.lengths[0].min(LOOSE_LENGTHS[0]), self.lengths[1].max(LOOSE_LENGTHS[1])],
+            is_priced: false,
         }
     }
 }
@@ -228,6 +232,9 @@ fn judged(surface: &Surface, limits: &Limits, rule: Rule, touched: &[u32]) -> Op
     }
     let facts: Vec<Facts> = touched.iter().map(|&t| surface.measure(t)).collect();
     let (changed, _) = if mends { early } else { changed_nodes(surface, touched)? };
+    if limits.is_priced && !is_worth_its_price(surface, touched, &facts) {
+        return None;
+    }
     (is_sound(surface, limits, touched, &facts) && !crosses(surface, touched)).then_some((facts, changed))
 }
 
@@ -237,6 +244,22 @@ pub(super) fn keeps_limits(surface: &Surface, limits: &Limits) -> bool {
     let touched = surface.touched();
     let facts: Vec<Facts> = touched.iter().map(|&t| surface.measure(t)).collect();
     is_sound(surface, limits, &touched, &facts)
+}
+
+/// Whether the mean quality of the triangles touched rises by the price of what their mean deviation rises by.
+fn is_worth_its_price(surface: &Surface, touched: &[u32], facts: &[Facts]) -> bool {
+    let mean = |facts: &mut dyn Iterator<Item = &Facts>| {
+        let (mut quality, mut deviation, mut count) = (0.0, 0.0, 0usize);
+        for facts in facts.filter(|facts| facts.quality.is_finite()) {
+            quality += facts.quality;
+            deviation += facts.deviation;
+            count += 1;
+        }
+        (quality / count.max(1) as f64, deviation / count.max(1) as f64)
+    };
+    let before = mean(&mut touched.iter().map(|&t| &surface.facts[t as usize]));
+    let after = mean(&mut facts.iter());
+    after.0 - before.0 > PRICE_OF_DEVIATION * (after.1 - before.1)
 }
 
 fn is_sound(surface: &Surface, limits: &Limits, touched: &[u32], facts: &[Facts]) -> bool {
