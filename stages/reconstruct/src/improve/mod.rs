@@ -62,7 +62,7 @@ pub struct ImproveOptions<'a> {
     /// Sweeps over the whole mesh: of flips towards degree six, and in the first of relaxation, then of smoothing, which raises the mean radius ratio and brings no
     /// triangle below 0.9. Where meshes are small they go on for as long as they gain. 0 for none.
     pub relaxation_sweeps: usize,
-    /// Whether the first of these takes away vertices where the mesh is denser than h asks.
+    /// Whether the first of these takes away vertices where the mesh is denser than h asks, and all of them may leave triangles farther from F = 0 where F bends within h.
     pub thins: bool,
     /// Largest distance of a triangle's centroid from F = 0 that a move may bring about, over h; twice that (at least
     /// 0.35) for the sake of a triangle below a quality of 0.7 that nothing else can help.

@@ -17,7 +17,7 @@ use isoparticles_mesh::spatial::Bounds;
 use isoparticles_stage::error::Result;
 use rayon::prelude::*;
 
-/// Takes vertices away where the mesh is denser than h asks, if it `thins`. Flips towards degree six and relaxes every vertex, so that edges get near to h, and lets no
+/// If it `thins`, takes vertices away where the mesh is denser than h asks, and lets triangles lie farther from F = 0 at a price. Flips towards degree six and relaxes every vertex, so that edges get near to h, and lets no
 /// triangle's neighbourhood get worse; then flips towards degree six and smooths, for as long as that gains, but no more than so many `sweeps` in all and [`VISITS`]. `step` is called before each sweep of a block and may stop it.
 ///
 /// # Errors
@@ -37,7 +37,7 @@ pub(super) fn sweep(
         if thins {
             thin_out(part, limits, todo, step, &mut tally)?;
         }
-        let limits = &limits.of_sweeps();
+        let limits = &if thins { limits.of_sweeps() } else { *limits };
         remesh::equalise_degrees(part, limits, Rule::Even, todo, &mut tally);
         remesh::relax_all(part, limits, Rule::Even, todo, &mut tally);
         let share = todo.iter().filter(|&&todo| todo).count() as f64;
