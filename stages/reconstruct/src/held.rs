@@ -7,32 +7,30 @@ use crate::object::component_at;
 use isoparticles_field::spline::CubicSpline;
 use isoparticles_field::topology::FieldTopology;
 use isoparticles_mesh::TriangleMesh;
-use isoparticles_mesh::components::NO_COMPONENT;
 use isoparticles_mesh::quality::radius_ratios;
 use rayon::prelude::*;
 
 /// Of each component of F = 0 that an undecided place may join to another, the vertex that needs improvement least: the poorest of its triangles is the best.
 pub(crate) fn one_of_each_component(mesh: &TriangleMesh, field: &CubicSpline, topology: &FieldTopology) -> Vec<u32> {
-    let mut best = vec![(f64::NEG_INFINITY, None); topology.components().len()];
+    // above all ratios where a component is not asked for
+    let mut best = vec![(f64::INFINITY, None); topology.components().len()];
     let joined = topology.undecided().iter().map(|place| &place.components).filter(|components| components.len() > 1);
-    let mut may_be_joined = vec![false; best.len()];
-    joined.flatten().for_each(|&c| may_be_joined[c as usize] = true);
-    if !may_be_joined.contains(&true) {
+    joined.flatten().for_each(|&c| best[c as usize].0 = f64::NEG_INFINITY);
+    if best.iter().all(|(bar, _)| *bar == f64::INFINITY) {
         return Vec::new();
     }
     let mut poorest = vec![f64::INFINITY; mesh.vertices.len()];
     for (t, ratio) in mesh.triangles.iter().zip(radius_ratios(mesh)) {
         t.iter().for_each(|&v| poorest[v as usize] = poorest[v as usize].min(ratio));
     }
-    let component = |&p| Some(component_at(p, field, topology)).filter(|&c| c != NO_COMPONENT);
-    let component_of: Vec<Option<u32>> = mesh.vertices.par_iter().map(component).collect();
+    let component_of: Vec<u32> = mesh.vertices.par_iter().map(|&p| component_at(p, field, topology)).collect();
     for ((v, component), ratio) in (0..).zip(component_of).zip(poorest) {
-        if let Some(c) = component
-            && may_be_joined[c as usize]
+        // a component that cannot be told is none of the list
+        if let Some(best) = best.get_mut(component as usize)
             && ratio.is_finite()
-            && ratio > best[c as usize].0
+            && ratio > best.0
         {
-            best[c as usize] = (ratio, Some(v));
+            *best = (ratio, Some(v));
         }
     }
     best.into_iter().filter_map(|(_, v)| v).collect()
