@@ -1,10 +1,9 @@
-//! Who lies near whom: fixed-radius queries over points whose radii differ, by several levels of bins.
+//! Who lies near whom: fixed-radius queries over points whose radii differ.
 //!
-//! A point of size h goes to the level of its octave of h, whose bins are as wide as the longest reach in that octave.
-//! So a query looks at no more than 27 bins a level however strongly h is graded, where the paper's one global bin edge
-//! max(h) (its own stated limitation) makes the fine regions pay for the coarse ones. In a level the points are sorted
-//! by bin, x fastest: the three bins of a row are one contiguous run, found by bisection from a table of rows. The bins of a level are
-//! half as wide as those of the level before and share their borders, so the points of a bin have one set of runs in every level.
+//! [`NeighbourLists`] lists the neighbours of every point by a tree of boxes over the points in order of place, eight to a box: all of a query's work is on
+//! lanes that follow each other in memory. [`LevelBins`] answers for places that are no points, by a grid of bins for each octave of h.
+//! Either way a query looks at no more for a strong contrast of h, where the paper's one global bin edge
+//! max(h) (its own stated limitation) makes the fine regions pay for the coarse ones.
 
 use fearless_simd::{Level as Instructions, Simd, dispatch, f64x8, prelude::*};
 use glam::{DVec3, IVec3};
@@ -64,7 +63,9 @@ impl Grid {
     }
 }
 
-/// Points in bins, one grid of bins for each octave of size.
+/// Points in bins, one grid of bins for each octave of size: a point of size h goes to the level of its octave of h, whose bins are as wide as the longest reach in that
+/// octave, so a query looks at no more than 27 bins a level. In a level the points are sorted
+/// by bin, x fastest: the three bins of a row are one contiguous run, found by bisection from a table of rows.
 #[derive(Clone, Debug)]
 pub struct LevelBins {
     reach: f64,
@@ -163,25 +164,9 @@ impl LevelBins {
             level.runs(low, high, |run| level.points[run].iter().for_each(|&i| visit(i)));
         }
     }
-
-    /// Every run of entries that may interact with points of a bin: the level's number and the entries.
-    fn runs_near(&self, own: usize, bin: IVec3, mut visit: impl FnMut(&Level, Range<usize>)) {
-        for (l, level) in self.levels.iter().enumerate() {
-            // one bin of the finer of the two levels farther, on each side
-            let (low, high) = if l >= own {
-                let finer = (l - own) as i32;
-                ((bin << finer) - 1, (bin + 1) << finer)
-            } else {
-                let coarser = (own - l) as i32;
-                ((bin - 1) >> coarser, (bin + 1) >> coarser)
-            };
-            level.runs(low, high, |run| visit(level, run));
-        }
-    }
 }
 
-/// An order of the points in which neighbours lie near each other, and the points of a bin of [`LevelBins`] side by side: along a Morton curve
-/// over quarters of the smallest bins.
+/// An order of the points in which neighbours lie near each other: along a Morton curve over quarters of the smallest reaches.
 pub fn space_order(points: &[DVec3], sizes: &[f64], reach: f64) -> Vec<u32> {
     let grid = Grid::new(points, sizes, reach);
     let mut keyed: Vec<(u64, u32)> = points
@@ -211,114 +196,292 @@ fn spread(x: u64) -> u64 {
     x
 }
 
-/// The points that those of one bin may interact with, eight to a lane operation.
+/// Points that one lane operation works on.
+const LANES: usize = 8;
+
+/// Eight points that follow each other, filled up with points infinitely far.
+#[derive(Clone, Copy)]
+struct Run {
+    /// Coordinates, axis by axis.
+    place: [[f64; LANES]; 3],
+    reach: [f64; LANES],
+    number: [u32; LANES],
+}
+
+impl Run {
+    const NOBODY: Self = Self { place: [[f64::INFINITY; LANES]; 3], reach: [0.0; LANES], number: [u32::MAX; LANES] };
+}
+
+/// Eight boxes that follow each other, of runs or of eights of boxes, filled up with empty ones.
+#[derive(Clone, Copy)]
+struct Boxes {
+    low: [[f64; LANES]; 3],
+    high: [[f64; LANES]; 3],
+    /// The longest reach in each.
+    reach: [f64; LANES],
+}
+
+/// One of [`Boxes`].
+#[derive(Clone, Copy)]
+struct BoundingBox {
+    low: DVec3,
+    high: DVec3,
+    reach: f64,
+}
+
+/// Points in their order, in a tree of boxes of eight each. Queries are quick where points that follow each other are near each other.
+struct Tree {
+    runs: Vec<Run>,
+    /// The box of each run.
+    boxes: Vec<BoundingBox>,
+    /// From the boxes of runs to the eight or less that hold everything.
+    levels: Vec<Vec<Boxes>>,
+}
+
+impl Tree {
+    fn new(points: &[DVec3], sizes: &[f64], reach: f64) -> Self {
+        let run = |(n, (points, sizes)): (usize, (&[DVec3], &[f64]))| {
+            let mut run = Run::NOBODY;
+            let mut all = BoundingBox { low: DVec3::INFINITY, high: DVec3::NEG_INFINITY, reach: 0.0 };
+            for (lane, (&p, &h)) in points.iter().zip(sizes).enumerate() {
+                (0..3).for_each(|axis| run.place[axis][lane] = p[axis]);
+                (run.reach[lane], run.number[lane]) = (reach * h, (n * LANES + lane) as u32);
+                // by a little more than the reach, against rounding
+                let radius = reach * h * (1.0 + WIDENING);
+                all = BoundingBox { low: all.low.min(p), high: all.high.max(p), reach: all.reach.max(radius) };
+            }
+            (run, all)
+        };
+        let (runs, boxes): (Vec<Run>, Vec<BoundingBox>) =
+            points.par_chunks(LANES).zip(sizes.par_chunks(LANES)).enumerate().map(run).unzip();
+        let mut levels: Vec<Vec<Boxes>> = Vec::new();
+        let mut below = boxes.clone();
+        while levels.last().is_none_or(|level| level.len() > 1) && !below.is_empty() {
+            let (level, above) = below.par_chunks(LANES).map(Boxes::of).unzip();
+            levels.push(level);
+            below = above;
+        }
+        Self { runs, boxes, levels }
+    }
+
+    /// Whether runs are about as small as reaches, most of them.
+    fn is_compact(&self) -> bool {
+        let extent = |own: &BoundingBox| (own.high - own.low).max_element() / own.reach;
+        self.boxes.iter().map(extent).sum::<f64>() < MOST_EXTENT * self.boxes.len() as f64
+    }
+
+    /// The runs with points that may be within reach of those of a box, ascending, into the first of two lists; the second is for boxes on the way.
+    #[inline(always)]
+    fn near<S: Simd>(&self, simd: S, of: &BoundingBox, found: &mut Vec<u32>, next: &mut Vec<u32>) {
+        found.clear();
+        found.push(0);
+        for level in self.levels.iter().rev() {
+            next.clear();
+            for &n in &*found {
+                let mut meets = level[n as usize].meet(simd, of);
+                while meets != 0 {
+                    next.push(n * LANES as u32 + meets.trailing_zeros());
+                    meets &= meets - 1;
+                }
+            }
+            std::mem::swap(found, next);
+        }
+    }
+}
+
+impl Boxes {
+    /// Some boxes, and the one around them.
+    fn of(boxes: &[BoundingBox]) -> (Self, BoundingBox) {
+        let mut new =
+            Self { low: [[f64::INFINITY; LANES]; 3], high: [[f64::NEG_INFINITY; LANES]; 3], reach: [0.0; LANES] };
+        let mut all = BoundingBox { low: DVec3::INFINITY, high: DVec3::NEG_INFINITY, reach: 0.0 };
+        for (lane, own) in boxes.iter().enumerate() {
+            (0..3).for_each(|axis| (new.low[axis][lane], new.high[axis][lane]) = (own.low[axis], own.high[axis]));
+            new.reach[lane] = own.reach;
+            all = BoundingBox {
+                low: all.low.min(own.low),
+                high: all.high.max(own.high),
+                reach: all.reach.max(own.reach),
+            };
+        }
+        (new, all)
+    }
+
+    /// Bits of the boxes no farther from another along any axis than the smaller of the two reaches.
+    #[inline(always)]
+    fn meet<S: Simd>(&self, simd: S, other: &BoundingBox) -> u64 {
+        meet(simd, [&self.low, &self.high], &self.reach, other)
+    }
+}
+
+/// Bits of the boxes (lowest and highest corners) no farther from another along any axis than the smaller of the two reaches.
+#[inline(always)]
+fn meet<S: Simd>(simd: S, [low, high]: [&[[f64; LANES]; 3]; 2], reach: &[f64; LANES], other: &BoundingBox) -> u64 {
+    let reach = f64x8::simd_from(simd, *reach).min(other.reach);
+    let mut meets = u64::MAX;
+    for axis in 0..3 {
+        let below = (f64x8::simd_from(simd, low[axis]) - reach).simd_le(other.high[axis]);
+        let above = (f64x8::simd_from(simd, high[axis]) + reach).simd_ge(other.low[axis]);
+        meets &= below.to_bitmask() & above.to_bitmask();
+    }
+    meets
+}
+
+/// The points that those of a run may interact with.
 #[derive(Default)]
 struct Candidates {
-    /// The bin: level and place.
-    of: Option<(usize, IVec3)>,
-    points: Vec<u32>,
-    /// Coordinates and squared reaches, filled up to eight with points infinitely far.
-    x: Vec<f64>,
-    y: Vec<f64>,
-    z: Vec<f64>,
-    squared: Vec<f64>,
+    runs: Vec<Run>,
+    /// Runs of the tree, and boxes on the way to them.
+    near: [Vec<u32>; 2],
+    /// Numbers of the points near another, with room for eight more.
+    found: Vec<u32>,
 }
 
 impl Candidates {
-    /// Collects those of a bin unless they are there.
-    fn collect(&mut self, bins: &LevelBins, of: (usize, IVec3), points: &[DVec3], sizes: &[f64]) {
-        if self.of == Some(of) {
-            return;
-        }
-        self.of = Some(of);
-        self.points.clear();
-        for lanes in [&mut self.x, &mut self.y, &mut self.z, &mut self.squared] {
-            lanes.clear();
-        }
-        bins.runs_near(of.0, of.1, |level, run| self.points.extend_from_slice(&level.points[run]));
-        for &i in &self.points {
-            let (p, radius) = (points[i as usize], bins.reach * sizes[i as usize]);
-            self.x.push(p.x);
-            self.y.push(p.y);
-            self.z.push(p.z);
-            self.squared.push(radius * radius);
-        }
-        let count = self.points.len().next_multiple_of(8);
-        self.points.resize(count, u32::MAX);
-        for lanes in [&mut self.x, &mut self.y, &mut self.z, &mut self.squared] {
-            lanes.resize(count, f64::INFINITY);
-        }
-    }
-
-    /// Calls `visit` with every candidate nearer to `p` than the smaller of the two reaches, the point itself included.
+    /// Collects the points within reach of a run's box, ascending.
     #[inline(always)]
-    fn near<S: Simd>(&self, simd: S, p: DVec3, radius: f64, mut visit: impl FnMut(u32)) {
-        for at in (0..self.points.len()).step_by(8) {
-            let along = |lanes: &[f64], p: f64| f64x8::from_slice(simd, &lanes[at..at + 8]) - p;
-            let (x, y, z) = (along(&self.x, p.x), along(&self.y, p.y), along(&self.z, p.z));
-            let reach = f64x8::from_slice(simd, &self.squared[at..at + 8]).min(radius * radius);
-            let mut near = (x * x + y * y + z * z).simd_lt(reach).to_bitmask();
-            while near != 0 {
-                visit(self.points[at + near.trailing_zeros() as usize]);
-                near &= near - 1;
+    fn collect<S: Simd>(&mut self, simd: S, tree: &Tree, run: usize) {
+        let own = &tree.boxes[run];
+        let [near, next] = &mut self.near;
+        tree.near(simd, own, near, next);
+        self.runs.clear();
+        self.runs.resize(near.len() + 1, Run::NOBODY);
+        let mut count = 0;
+        for &n in &*near {
+            let from = &tree.runs[n as usize];
+            let mut meets = meet(simd, [&from.place; 2], &from.reach, own);
+            while meets != 0 {
+                let lane = meets.trailing_zeros() as usize;
+                let (to, at) = (&mut self.runs[count / LANES], count % LANES);
+                (0..3).for_each(|axis| to.place[axis][at] = from.place[axis][lane]);
+                (to.reach[at], to.number[at]) = (from.reach[lane], from.number[lane]);
+                count += 1;
+                meets &= meets - 1;
             }
         }
+        self.runs.truncate(count.div_ceil(LANES));
+        self.found.resize(self.found.len().max(count + LANES), 0);
+    }
+
+    /// The candidates nearer to `p` than the smaller of the two reaches, the point itself included, ascending.
+    ///
+    /// Each lane is written whether it is near or not, and the next one over it where it is not: a branch for each would be a guess, wrong every other time.
+    #[inline(always)]
+    fn near<S: Simd>(&mut self, simd: S, p: DVec3, radius: f64) -> &[u32] {
+        let mut count = 0;
+        for run in &self.runs {
+            let along = |axis: usize| f64x8::simd_from(simd, run.place[axis]) - p[axis];
+            let (x, y, z) = (along(0), along(1), along(2));
+            let reach = f64x8::simd_from(simd, run.reach).min(radius);
+            let near = (x * x + y * y + z * z).simd_lt(reach * reach).to_bitmask();
+            if let Some(room) = self.found[count..].first_chunk_mut::<LANES>() {
+                let mut written = 0;
+                for (lane, &number) in run.number.iter().enumerate() {
+                    room[written % LANES] = number;
+                    written += near as usize >> lane & 1;
+                }
+                count += written;
+            }
+        }
+        &self.found[..count]
     }
 }
+
+/// Points whose runs extend on average farther than so many reaches are put in order first; those of particles in order of place extend 1.7 to 2.1.
+const MOST_EXTENT: f64 = 4.0;
 
 /// Points of a block of [`NeighbourLists::independent_blocks`]: what a pass reads of so many and those around them stays in the first caches of a
 /// core, and a few thousand points make enough blocks for all cores.
 pub const BLOCK: usize = 128;
 
-/// Neighbours of every point, as rows of one contiguous array.
+/// Points whose lists are made and kept together: some for each core, and a multiple of [`BLOCK`] and of [`LANES`].
+const CHUNK: usize = 16 * BLOCK;
+
+/// Neighbours of every point.
 #[derive(Clone, Debug, Default)]
 pub struct NeighbourLists {
+    count: usize,
+    /// The lists of [`CHUNK`] points each.
+    chunks: Vec<Lists>,
+}
+
+/// Lists of some points, in order.
+#[derive(Clone, Debug)]
+struct Lists {
+    /// Where each begins, and the end of the last.
     starts: Vec<u32>,
     members: Vec<u32>,
 }
 
 impl NeighbourLists {
-    /// Lists, for each point i, the others j nearer than `reach * min(h_i, h_j)` that `accept(i, j)` lets pass.
+    /// Lists, for each point i, the others j nearer than `reach * min(h_i, h_j)` that `accept(i, j)` lets pass. Sizes must be positive and finite. It is quickest where the points
+    /// are in order of place ([`space_order`]).
     pub fn new(points: &[DVec3], sizes: &[f64], reach: f64, accept: impl Fn(usize, usize) -> bool + Sync) -> Self {
-        let bins = LevelBins::new(points, sizes, reach);
-        const CHUNK: usize = 2048;
-        let chunks: Vec<(Vec<u32>, Vec<u32>)> = (0..points.len().div_ceil(CHUNK))
-            .into_par_iter()
-            .map(|chunk| {
-                let range = chunk * CHUNK..points.len().min((chunk + 1) * CHUNK);
-                dispatch!(Instructions::new(), simd => lists_of(simd, range, &bins, points, sizes, &accept))
-            })
-            .collect();
-        let mut starts = Vec::with_capacity(points.len() + 1);
-        let mut members = Vec::with_capacity(chunks.iter().map(|c| c.1.len()).sum());
-        starts.push(0);
-        for (counts, part) in chunks {
-            for count in counts {
-                starts.push(starts[starts.len() - 1] + count);
-            }
-            members.extend(part);
+        let tree = Tree::new(points, sizes, reach);
+        if tree.is_compact() {
+            return Self::of_tree(&tree, points, sizes, reach, accept);
         }
-        Self { starts, members }
+        let order = space_order(points, sizes, reach);
+        let place_of = |n: &u32| points[*n as usize];
+        let (points, sizes): (Vec<DVec3>, Vec<f64>) = order.iter().map(|n| (place_of(n), sizes[*n as usize])).unzip();
+        let number = |n: usize| order[n] as usize;
+        let tree = Tree::new(&points, &sizes, reach);
+        let ordered = Self::of_tree(&tree, &points, &sizes, reach, |i, j| accept(number(i), number(j)));
+        let mut rank = vec![0; order.len()];
+        order.iter().enumerate().for_each(|(n, &i)| rank[i as usize] = n);
+        Self::of_chunks(order.len(), |range, lists| {
+            for i in range {
+                lists.members.extend(ordered.of(rank[i]).iter().map(|&j| order[j as usize]));
+                lists.starts.push(lists.members.len() as u32);
+            }
+        })
+    }
+
+    fn of_tree(
+        tree: &Tree,
+        points: &[DVec3],
+        sizes: &[f64],
+        reach: f64,
+        accept: impl Fn(usize, usize) -> bool + Sync,
+    ) -> Self {
+        Self::of_chunks(points.len(), |range, lists| {
+            dispatch!(Instructions::new(), simd => append_lists(simd, range, tree, points, sizes, reach, &accept, lists));
+        })
+    }
+
+    /// Lists of so many points, made a chunk at a time.
+    fn of_chunks(count: usize, append: impl Fn(Range<usize>, &mut Lists) + Sync) -> Self {
+        let lists_of = |chunk: usize| {
+            let range = chunk * CHUNK..count.min((chunk + 1) * CHUNK);
+            let mut lists =
+                Lists { starts: Vec::with_capacity(range.len() + 1), members: Vec::with_capacity(range.len() * 20) };
+            lists.starts.push(0);
+            append(range, &mut lists);
+            lists
+        };
+        Self { count, chunks: (0..count.div_ceil(CHUNK)).into_par_iter().map(lists_of).collect() }
     }
 
     /// Neighbours of point i.
+    #[inline]
     pub fn of(&self, i: usize) -> &[u32] {
-        &self.members[self.starts[i] as usize..self.starts[i + 1] as usize]
+        let (lists, i) = (&self.chunks[i / CHUNK], i % CHUNK);
+        &lists.members[lists.starts[i] as usize..lists.starts[i + 1] as usize]
     }
 
     /// Number of points.
     pub fn len(&self) -> usize {
-        self.starts.len().saturating_sub(1)
+        self.count
     }
 
     /// Whether there are no points.
     pub fn is_empty(&self) -> bool {
-        self.len() == 0
+        self.count == 0
     }
 
     /// Mean number of neighbours.
     pub fn mean_count(&self) -> f64 {
-        self.members.len() as f64 / self.len().max(1) as f64
+        self.chunks.iter().map(|lists| lists.members.len()).sum::<usize>() as f64 / self.count.max(1) as f64
     }
 
     /// Cuts the points into blocks of [`BLOCK`] consecutive ones, and the blocks into classes: no point of a block has a neighbour in another block
@@ -330,10 +493,9 @@ impl NeighbourLists {
         let seen: Vec<Vec<u32>> = (0..blocks)
             .into_par_iter()
             .map(|block| {
-                let members =
-                    self.starts[block * BLOCK] as usize..self.starts[self.len().min((block + 1) * BLOCK)] as usize;
                 let (mut seen, mut last) = (Vec::new(), block as u32);
-                for j in &self.members[members] {
+                let own = block * BLOCK..self.len().min((block + 1) * BLOCK);
+                for j in own.flat_map(|i| self.of(i)) {
                     let other = j / BLOCK as u32;
                     // the blocks after this one have no colour yet
                     if other != last && (other as usize) < block {
@@ -361,31 +523,31 @@ impl NeighbourLists {
     }
 }
 
-/// Lengths of the lists of some points, and the lists.
+/// Appends the lists of some points that begin with a run.
 #[inline(always)]
-fn lists_of<S: Simd>(
+#[expect(clippy::too_many_arguments, reason = "a closure's body, so that it is compiled for each instruction set")]
+fn append_lists<S: Simd>(
     simd: S,
     range: Range<usize>,
-    bins: &LevelBins,
+    tree: &Tree,
     points: &[DVec3],
     sizes: &[f64],
+    reach: f64,
     accept: &impl Fn(usize, usize) -> bool,
-) -> (Vec<u32>, Vec<u32>) {
-    let (mut counts, mut members) = (Vec::with_capacity(range.len()), Vec::with_capacity(range.len() * 20));
+    lists: &mut Lists,
+) {
     let mut candidates = Candidates::default();
-    for i in range {
-        let before = members.len();
-        let (p, h) = (points[i], sizes[i]);
-        let level = bins.grid.level_of(h);
-        candidates.collect(bins, (level, bins.grid.bin_of(level, p)), points, sizes);
-        candidates.near(simd, p, bins.reach * h, |j| {
-            if j as usize != i && accept(i, j as usize) {
-                members.push(j);
+    for run in range.clone().step_by(LANES) {
+        candidates.collect(simd, tree, run / LANES);
+        for i in run..range.end.min(run + LANES) {
+            for &j in candidates.near(simd, points[i], reach * sizes[i]) {
+                if j as usize != i && accept(i, j as usize) {
+                    lists.members.push(j);
+                }
             }
-        });
-        counts.push((members.len() - before) as u32);
+            lists.starts.push(lists.members.len() as u32);
+        }
     }
-    (counts, members)
 }
 
 #[cfg(test)]
@@ -401,25 +563,41 @@ mod tests {
 
     #[test]
     fn lists_equal_brute_force_at_any_contrast() {
-        for (count, contrast) in
-            [(0, 1.0), (1, 1.0), (2, 1.0), (500, 1.0), (500, 3.0), (800, 27.0), (800, 1e-4), (800, 1e4)]
-        {
+        let mut compact = 0;
+        for (count, contrast, reach) in [
+            (0, 1.0, 1.9),
+            (1, 1.0, 1.9),
+            (2, 1.0, 1.9),
+            (500, 1.0, 1.9),
+            (500, 3.0, 1.9),
+            (800, 27.0, 1.9),
+            (800, 1e-4, 1.9),
+            (800, 1e4, 1.9),
+            (501, 1.0, 8.0),
+            (801, 3.0, 8.0),
+        ] {
             let (points, sizes) = scene(count, contrast);
-            let reach = 1.9;
-            let lists = NeighbourLists::new(&points, &sizes, reach, |i, j| (i + j) % 7 != 0);
-            assert_eq!(lists.len(), points.len());
-            for i in 0..points.len() {
-                let want: Vec<u32> = (0..points.len())
-                    .filter(|&j| {
-                        j != i && (i + j) % 7 != 0 && points[i].distance(points[j]) < reach * sizes[i].min(sizes[j])
-                    })
-                    .map(|j| j as u32)
-                    .collect();
-                let mut got = lists.of(i).to_vec();
-                got.sort_unstable();
-                assert_eq!(got, want, "point {i} of {count} at contrast {contrast}");
+            let in_order = space_order(&points, &sizes, reach);
+            for order in [(0..count as u32).collect(), in_order] {
+                let points: Vec<DVec3> = order.iter().map(|&i| points[i as usize]).collect();
+                let sizes: Vec<f64> = order.iter().map(|&i| sizes[i as usize]).collect();
+                compact += usize::from(Tree::new(&points, &sizes, reach).is_compact());
+                let lists = NeighbourLists::new(&points, &sizes, reach, |i, j| (i + j) % 7 != 0);
+                assert_eq!(lists.len(), points.len());
+                for i in 0..points.len() {
+                    let want: Vec<u32> = (0..points.len())
+                        .filter(|&j| {
+                            j != i && (i + j) % 7 != 0 && points[i].distance(points[j]) < reach * sizes[i].min(sizes[j])
+                        })
+                        .map(|j| j as u32)
+                        .collect();
+                    let mut got = lists.of(i).to_vec();
+                    got.sort_unstable();
+                    assert_eq!(got, want, "point {i} of {count} at contrast {contrast}");
+                }
             }
         }
+        assert!((2..18).contains(&compact), "{compact} in order of place: one of the two ways is not tried");
     }
 
     #[test]

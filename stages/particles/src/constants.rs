@@ -5,7 +5,7 @@
 //!
 //! A particle interacts with those in its list, and the classes that may move together (of particles on the GPU, of blocks of particles on the CPU) are made from
 //! the lists: no two members of a class are in each other's list, so none reads what another writes, *whatever the steps are*. What the length of the steps decides is how
-//! near two particles can come while neither is in the other's list. Lists reach `SUPPORT (1 + SKIN)` times the smaller h; they are
+//! near two particles can come while neither is in the other's list. A GPU's lists reach `SUPPORT (1 + SKIN)` times the smaller h; they are
 //! made anew before a pass once a particle has moved by more than [`REBUILD_MOVE`] h; in a pass none moves by more than [`FARTHEST_MOVE`] h.
 //! So at the end of any pass two that do not see each other are no nearer than
 //!
@@ -13,12 +13,13 @@
 //! SUPPORT (1 + SKIN) - 2 (REBUILD_MOVE + FARTHEST_MOVE)  =  2.252 - 2 (0.1 + 0.5)  =  1.052  h        (UNSEEN_DISTANCE)
 //! ```
 //!
-//! where h is even: farther than neighbours in the lattice. The bound that must hold is that of the first ring, 1 h: then such a pair can
+//! where h is even: farther than neighbours in the lattice. The CPU's are made anew before every pass, and reach that far and two moves ([`LISTED`], 2.052 h): while density control is at work they are made
+//! anew in every pass either way, and shorter ones are made and read in less time. The bound that must hold is that of the first ring, 1 h: then such a pair can
 //! neither collide nor have more energy than two neighbours have in the lattice, and the lists made before the next pass hold it. The
 //! bound asks for the worst twice: both go head on, and the projection takes each as far again as its step. On a surface that is flat within
 //! h the projection adds next to nothing, the bound is 2.252 - 2 (0.1 + 0.25) = 1.55 h, and the energy that is missed (Eq. 1 at d = 0.896) is
 //! at most 0.2 % of a particle's. Where h changes by g a mm, the larger of two may move by its own h: `SUPPORT (1 + SKIN) (1 - 0.6 g) - 1.2` times the smaller
-//! h, 0.65 at g = 0.3.
+//! h, 0.65 at g = 0.3 (on the CPU 2.052 (1 - 0.5 g) - 1, 0.74).
 //!
 //! # Lattices of another spacing
 //!
@@ -28,11 +29,11 @@
 
 use isoparticles_field::energy::SUPPORT;
 
-/// Neighbour lists reach this much farther than the support, as a share of it, so that they stay good while particles move: at the start
+/// A GPU's neighbour lists reach this much farther than the support, as a share of it, so that they stay good while particles move: at the start
 /// of a pass they are complete, since `SUPPORT SKIN` = 0.52 h is more than the 2 [`REBUILD_MOVE`] by which two may have come nearer.
 pub(crate) const SKIN: f64 = 0.3;
 
-/// Lists are made anew once a particle has moved by this share of its h since they were made.
+/// A GPU's lists are made anew once a particle has moved by this share of its h since they were made.
 pub(crate) const REBUILD_MOVE: f64 = 0.1;
 
 /// Longest step in the tangent plane in one pass, as a share of h (the paper's bound is h).
@@ -44,11 +45,17 @@ pub(crate) const FARTHEST_MOVE: f64 = 2.0 * LONGEST_STEP;
 /// Two particles that are not in each other's lists are farther apart than this many h after any pass, where h is even.
 pub(crate) const UNSEEN_DISTANCE: f64 = SUPPORT * (1.0 + SKIN) - 2.0 * (REBUILD_MOVE + FARTHEST_MOVE);
 
+/// The CPU's neighbour lists reach this many times the smaller h.
+pub(crate) const LISTED: f64 = UNSEEN_DISTANCE + 2.0 * FARTHEST_MOVE;
+
 const _: () = assert!(
     UNSEEN_DISTANCE > 1.0,
     "particles that do not see each other could come within the first ring of the lattice"
 );
-const _: () = assert!(SUPPORT * SKIN > 2.0 * REBUILD_MOVE, "a pass could start with lists that miss an interaction");
+const _: () = assert!(
+    SUPPORT * SKIN > 2.0 * REBUILD_MOVE && LISTED > SUPPORT,
+    "a pass could start with lists that miss an interaction"
+);
 
 /// Largest spacing of a lattice in h, that of the ideal energy 0.554: neighbours in it must be nearer than particles that do not see each other.
 pub(crate) const LARGEST_SPACING: f64 = UNSEEN_DISTANCE;

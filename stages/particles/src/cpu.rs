@@ -113,13 +113,11 @@ impl<S: Implicit> Engine for CpuEngine<'_, S> {
         if pass % REORDER_INTERVAL == 1 {
             // also what a resumed run starts with: checkpoints are only written just before
             state.sort_by_place();
-            state.rebuild();
-        } else {
-            state.rebuild_if_moved();
         }
+        state.rebuild();
         let moves = movement::pass(state, self.fields);
         let Measures { energy, lattice_defects } = state.measure();
-        let movable = state.movable();
+        let (movable, neighbours) = (state.movable(), state.neighbours.mean_count());
         let limits = Limits {
             ideal_energy: parameters.ideal_energy,
             add_below: parameters.add_below,
@@ -137,7 +135,7 @@ impl<S: Implicit> Engine for CpuEngine<'_, S> {
             deleted: changes.deleted,
             moved: moves.moved,
             tries_per_particle: moves.tries as f64 / movable.max(1) as f64,
-            neighbours: state.neighbours.mean_count(),
+            neighbours,
             lattice_defects,
         })
     }

@@ -30,7 +30,7 @@ pub(crate) struct Changes {
     pub deleted: usize,
 }
 
-/// Deletes, then inserts; energies must be up to date on entry. `allow_insert` is off in the paper's synthetic test.
+/// Deletes, then inserts; energies must be up to date on entry. The lists are still the former ones after it. `allow_insert` is off in the paper's synthetic test.
 pub(crate) fn control<S: Implicit>(
     state: &mut State,
     fields: &Fields<S>,
@@ -58,7 +58,6 @@ pub(crate) fn control<S: Implicit>(
             }
         }
         state.take(&order);
-        state.rebuild();
     }
     Changes { inserted, deleted: gone }
 }

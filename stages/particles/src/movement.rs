@@ -213,7 +213,7 @@ mod tests {
         let mut state = State::new(scene.seeds.clone(), 0.0);
         let (mut farthest, mut nearest) = (0.0f64, f64::INFINITY);
         for _ in 0..12 {
-            state.rebuild_if_moved();
+            state.rebuild();
             let before = state.set.positions.clone();
             pass(&mut state, &fields);
             let set = &state.set;

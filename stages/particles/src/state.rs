@@ -1,20 +1,16 @@
 //! The particles while they move: positions with what depends on them, and who interacts with whom.
 
-use crate::constants::{FIRST_RING, LATTICE_NEIGHBOURS, REBUILD_MOVE, SKIN};
+use crate::constants::{FIRST_RING, LATTICE_NEIGHBOURS, LISTED};
 use crate::implicit::Implicit;
 use crate::neighbourhood::{Neighbourhood, Record};
 use fearless_simd::{Level, dispatch};
 use glam::DVec3;
-use isoparticles_field::energy::SUPPORT;
 use isoparticles_field::materials::Stratum;
 use isoparticles_field::neighbours::{NeighbourLists, space_order};
 use isoparticles_field::particle_set::ParticleSet;
 use isoparticles_field::sizing::SizingField;
 use isoparticles_field::spline::CubicSpline;
 use rayon::prelude::*;
-
-/// Neighbours are listed within this many times the smaller h.
-const LISTED: f64 = SUPPORT * (1.0 + SKIN);
 
 /// Particles that one thread measures at a time.
 const CHUNK: usize = 256;
@@ -55,12 +51,10 @@ pub(crate) struct State {
     /// Edge of the lattice that they are to form, in h ([`crate::Parameters::spacing`]).
     pub spacing: f64,
     pub neighbours: NeighbourLists,
-    /// Position and h of every particle, as the sums over neighbours read them; as old as the lists, but for what moves.
+    /// Position and h of every particle, as the sums over neighbours read them.
     pub records: Vec<Record>,
     /// Classes of blocks of particles ([`NeighbourLists::independent_blocks`]).
     pub classes: Vec<Vec<u32>>,
-    /// Positions at which the lists were made.
-    listed: Vec<DVec3>,
 }
 
 impl State {
@@ -73,9 +67,8 @@ impl State {
     /// The particles in the order they have, without lists, that are to form a lattice of spacing h.
     pub(crate) fn unlisted(set: ParticleSet, normal_agreement: f64) -> Self {
         let (neighbours, records) = (NeighbourLists::default(), Vec::new());
-        let (classes, listed) = (Vec::new(), Vec::new());
-        let strata = Vec::new();
-        Self { set, strata, held: 0, normal_agreement, spacing: 1.0, neighbours, records, classes, listed }
+        let (classes, strata) = (Vec::new(), Vec::new());
+        Self { set, strata, held: 0, normal_agreement, spacing: 1.0, neighbours, records, classes }
     }
 
     /// The same particles, to form a lattice of this spacing, in h.
@@ -120,7 +113,7 @@ impl State {
         self.take(&order);
     }
 
-    /// Keeps the particles named by `order`, in that order; those that are held must come first, all of them.
+    /// Keeps the particles named by `order`, in that order; those that are held must come first, all of them. The lists are still the former ones.
     pub(crate) fn take(&mut self, order: &[u32]) {
         fn pick<T: Copy>(from: &mut Vec<T>, order: &[u32]) {
             *from = order.iter().map(|&i| from[i as usize]).collect();
@@ -140,7 +133,6 @@ impl State {
     pub(crate) fn rebuild(&mut self) {
         self.rebuild_lists();
         self.classes = self.neighbours.independent_blocks();
-        self.listed.clone_from(&self.set.positions);
     }
 
     /// Makes the lists anew, for energies only. Particles see each other where their normals agree; of many materials those of one sheet alone, and on each sheet
@@ -164,22 +156,6 @@ impl State {
         };
         let places = self.set.positions.iter().zip(&self.set.sizes);
         self.records = places.map(|(&position, &size)| Record::new(position, size)).collect();
-    }
-
-    /// Makes the lists anew if a particle has moved too far for them; says whether it did.
-    pub(crate) fn rebuild_if_moved(&mut self) -> bool {
-        let stale = self.listed.len() != self.len()
-            || self
-                .set
-                .positions
-                .par_iter()
-                .zip(&self.listed)
-                .zip(&self.set.sizes)
-                .any(|((p, was), h)| p.distance_squared(*was) > (REBUILD_MOVE * h).powi(2));
-        if stale {
-            self.rebuild();
-        }
-        stale
     }
 
     /// Whether particle i has one that is held in its first ring.

@@ -73,26 +73,45 @@ fn sheets_are_filled_to_their_borders_and_nobody_crosses_them() {
     }
 }
 
-/// On a plane with a straight border the first rows are those of the lattice: as many in each as on the border, 0.866 h apart.
+/// On a plane with a straight border the first rows are those of the lattice: as many in each as on the border, 0.866 h apart. Single particles lie beside it where the lattice has a
+/// defect (2 to 3 % of the first row by more than 0.12 of the way, in half of all runs one), so this is told by runs of several seeds.
 #[test]
 fn rows_along_a_straight_border_are_those_of_the_lattice() {
     let body = sectors(1.0, 700);
-    let (particles, _) = settled(&body, &parameters());
-    let (set, strata) = &particles;
-    for sides in [[1, 2], [2, 3], [1, 3]] {
-        let on = stratum(&sides);
-        let mut rows = [0; 3];
-        for (p, _) in set.positions.iter().zip(&strata.of).filter(|(_, other)| **other == on) {
-            let away = (*p - CENTRE).truncate().length();
-            let row = (away / 0.75f64.sqrt() - 0.5).floor() as usize;
-            if (p.z - CENTRE.z).abs() < 5.0 && row < 3 {
-                assert!(row > 0 || (away / 0.75f64.sqrt() - 1.0).abs() < 0.12, "the first row at {away} h");
-                rows[row] += 1;
+    let mut away_from_row = Vec::new();
+    let mut rows = Vec::new();
+    for seed in 0..16 {
+        let (particles, _) = settled(&body, &Parameters { seed, ..parameters() });
+        let (set, strata) = &particles;
+        for sides in [[1, 2], [2, 3], [1, 3]] {
+            let on = stratum(&sides);
+            let mut own = [0; 3];
+            for (p, _) in set.positions.iter().zip(&strata.of).filter(|(_, other)| **other == on) {
+                let away = (*p - CENTRE).truncate().length();
+                let row = (away / 0.75f64.sqrt() - 0.5).floor() as usize;
+                if (p.z - CENTRE.z).abs() < 5.0 && row < 3 {
+                    own[row] += 1;
+                    if row == 0 {
+                        away_from_row.push(away / 0.75f64.sqrt() - 1.0);
+                    }
+                }
             }
+            assert!(own.iter().all(|count| (8..=12).contains(count)), "{sides:?}: {own:?} in the first rows");
+            rows.push(own);
         }
-        println!("{sides:?}: {rows:?} in the first rows, the lattice has 10");
-        assert!(rows.iter().all(|&count| (9..=11).contains(&count)), "{sides:?}: {rows:?}");
     }
+    let mean = |values: &mut dyn Iterator<Item = f64>| {
+        let (sum, count) = values.fold((0.0, 0), |(sum, count), value| (sum + value, count + 1));
+        sum / f64::from(count)
+    };
+    let offset = mean(&mut away_from_row.iter().copied());
+    let root_mean_square = mean(&mut away_from_row.iter().map(|x| x * x)).sqrt();
+    let of_row = [0, 1, 2].map(|row| mean(&mut rows.iter().map(|own| f64::from(own[row]))));
+    println!(
+        "first row off by {offset} (root mean square {root_mean_square}); {of_row:?} in the first rows, the lattice has 10"
+    );
+    assert!(offset.abs() < 0.06 && root_mean_square < 0.08, "{offset} {root_mean_square}");
+    assert!(of_row.iter().all(|count| (count - 10.0).abs() < 0.5), "{of_row:?}");
 }
 
 /// Who repels whom, told pair by pair.
@@ -154,6 +173,7 @@ fn newcomers_keep_their_distance_from_those_that_are_held_and_come_on_every_shee
     let limits = Limits { ideal_energy: ideal_energy(), add_below: 0.8, delete_above: 1e9 };
     let mut came = 0;
     for pass in 1..8 {
+        state.rebuild();
         state.measure();
         let before: Vec<DVec3> = state.set.positions.clone();
         came += density::control(&mut state, &fields, &limits, 0, pass, true).inserted;
