@@ -7,6 +7,7 @@
 //! which F has as well: what the residual falls by is far from its rounding. Sums over all samples are in double precision.
 
 use crate::bits::{Bits, Numbering};
+use fearless_simd::{Level, Simd, dispatch, f32x4, f32x8, prelude::*};
 use glam::DVec3;
 use isoparticles_field::spline::SlabFilter;
 use isoparticles_volume::{Geometry, Image};
@@ -199,33 +200,42 @@ impl Sampling {
             tasks.push((slab, mine));
             rest = after;
         }
+        let instructions = Level::new();
         tasks.into_par_iter().for_each(|(slab, mine)| {
-            for (cell, samples) in self.cells(slab) {
-                let read = cell.rows.map(|start| {
-                    let four = &coefficients[start as usize..start as usize + 4];
-                    [four[0], four[1], four[2], four[3]]
-                });
-                for sample in samples {
-                    let [wx, wy, wz] = &self.weights[sample];
-                    let mut sum = [0.0; 4];
-                    for (n, four) in read.iter().enumerate() {
-                        let weight = wy[n % 4] * wz[n / 4];
-                        for (sum, c) in sum.iter_mut().zip(four) {
-                            *sum += weight * c;
-                        }
-                    }
-                    mine[sample - slab.samples.start] =
-                        (sum[0] * wx[0] + sum[1] * wx[1]) + (sum[2] * wx[2] + sum[3] * wx[3]);
-                }
-            }
+            dispatch!(instructions, simd => self.apply_to_slab(simd, slab, coefficients, mine));
         });
+    }
+
+    /// Two samples at a time, each in half a register.
+    #[inline(always)]
+    fn apply_to_slab<S: Simd>(&self, simd: S, slab: &Slab, coefficients: &[f32], values: &mut [f32]) {
+        for (cell, samples) in self.cells(slab) {
+            let mut read = [f32x8::splat(simd, 0.0); 16];
+            for (twofold, &row) in read.iter_mut().zip(&cell.rows) {
+                *twofold = twice(simd, four(simd, &coefficients[row as usize..]));
+            }
+            let last = samples.end - 1;
+            for sample in samples.step_by(2) {
+                let pair = [sample, (sample + 1).min(last)];
+                let ([wx, wy, wz], [other_wx, other_wy, other_wz]) = (&self.weights[sample], &self.weights[pair[1]]);
+                let mut sum = f32x8::splat(simd, 0.0);
+                for k in 0..4 {
+                    let wz = splats(simd, wz[k], other_wz[k]);
+                    for j in 0..4 {
+                        sum += splats(simd, wy[j], other_wy[j]) * wz * read[4 * k + j];
+                    }
+                }
+                let sums: [f32; 8] = *(sum * joined(simd, four(simd, wx), four(simd, other_wx)));
+                values[sample - slab.samples.start] = (sums[0] + sums[1]) + (sums[2] + sums[3]);
+                values[pair[1] - slab.samples.start] = (sums[4] + sums[5]) + (sums[6] + sums[7]);
+            }
+        }
     }
 
     /// The transpose of [`Sampling::apply`], or of the map with all entries squared; even slabs first, then odd ones, so that
     /// tasks never meet.
     fn apply_transposed(&self, values: &[f32], coefficients: &mut [f32], squared: bool) {
         coefficients.fill(0.0);
-        let entry = |w: f32| if squared { w * w } else { w };
         for parity in 0..2 {
             let mut tasks = Vec::new();
             let (mut rest, mut done) = (&mut *coefficients, 0);
@@ -236,29 +246,75 @@ impl Sampling {
                 rest = after;
                 done = slab.unknowns.end;
             }
+            let instructions = Level::new();
             tasks.into_par_iter().for_each(|(slab, mine)| {
-                for (cell, samples) in self.cells(slab) {
-                    let mut sums = [[0.0f32; 4]; 16];
-                    for sample in samples {
-                        let [wx, wy, wz] = &self.weights[sample];
-                        let value = values[sample];
-                        let row =
-                            [value * entry(wx[0]), value * entry(wx[1]), value * entry(wx[2]), value * entry(wx[3])];
-                        for (n, four) in sums.iter_mut().enumerate() {
-                            let weight = entry(wy[n % 4] * wz[n / 4]);
-                            for (sum, w) in four.iter_mut().zip(row) {
-                                *sum += weight * w;
-                            }
-                        }
-                    }
-                    for (start, four) in cell.rows.iter().zip(sums) {
-                        let at = *start as usize - slab.unknowns.start;
-                        mine[at..at + 4].iter_mut().zip(four).for_each(|(c, sum)| *c += sum);
-                    }
-                }
+                dispatch!(instructions, simd => self.apply_transposed_to_slab(simd, slab, values, mine, squared));
             });
         }
     }
+
+    #[inline(always)]
+    fn apply_transposed_to_slab<S: Simd>(
+        &self,
+        simd: S,
+        slab: &Slab,
+        values: &[f32],
+        coefficients: &mut [f32],
+        squared: bool,
+    ) {
+        for (cell, samples) in self.cells(slab) {
+            // two rows of coefficients to a register
+            let mut sums = [f32x8::splat(simd, 0.0); 8];
+            for sample in samples {
+                let [wx, wy, wz] = &self.weights[sample];
+                let wy = [splats(simd, wy[0], wy[1]), splats(simd, wy[2], wy[3])];
+                let mut along_x = four(simd, wx);
+                if squared {
+                    along_x *= along_x;
+                }
+                let row = twice(simd, along_x * values[sample]);
+                for k in 0..4 {
+                    for j in 0..2 {
+                        let mut weight = wy[j] * wz[k];
+                        if squared {
+                            weight *= weight;
+                        }
+                        sums[2 * k + j] += weight * row;
+                    }
+                }
+            }
+            for (pair, sum) in cell.rows.as_chunks::<2>().0.iter().zip(sums) {
+                let (low, high) = simd.split_f32x8(sum);
+                for (&start, sum) in pair.iter().zip([low, high]) {
+                    let at = start as usize - slab.unknowns.start;
+                    let to = &mut coefficients[at..at + 4];
+                    to.copy_from_slice(&*(four(simd, to) + sum));
+                }
+            }
+        }
+    }
+}
+
+/// Four numbers in a register: a row of coefficients, of which a larger one holds two. No operation is fused and each sum has one order, so the lanes give the same bits by any instruction set.
+#[inline(always)]
+fn four<S: Simd>(simd: S, from: &[f32]) -> f32x4<S> {
+    f32x4::from_slice(simd, &from[..4])
+}
+
+#[inline(always)]
+fn joined<S: Simd>(simd: S, low: f32x4<S>, high: f32x4<S>) -> f32x8<S> {
+    simd.combine_f32x4(low, high)
+}
+
+#[inline(always)]
+fn twice<S: Simd>(simd: S, own: f32x4<S>) -> f32x8<S> {
+    joined(simd, own, own)
+}
+
+/// One number in four lanes, another in the others.
+#[inline(always)]
+fn splats<S: Simd>(simd: S, low: f32, high: f32) -> f32x8<S> {
+    joined(simd, f32x4::splat(simd, low), f32x4::splat(simd, high))
 }
 
 /// The numbered coefficients of the spline through a field.
@@ -319,4 +375,56 @@ fn chunked_sum(a: &[f32], b: &[f32], term: impl Fn(f64, f64) -> f64 + Sync) -> f
 
 fn add_scaled(to: &mut [f32], factor: f32, what: &[f32]) {
     to.par_iter_mut().zip(what).for_each(|(t, w)| *t += factor * w);
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use isoparticles_field::random::uniform;
+
+    /// The map of 500 samples in a grid of one slab, and numbers for its coefficients and samples.
+    fn scene() -> (Sampling, Vec<f32>, Vec<f32>) {
+        let geometry = Geometry::axis_aligned([9, 8, 6], DVec3::new(1.0, 0.5, 2.0));
+        let random = |n: usize, k: u64| uniform(3, k, n as u64);
+        let place = |n: usize| {
+            DVec3::from_array(std::array::from_fn(|a| 1.0 + random(n, a as u64) * (geometry.size[a] as f64 - 3.0)))
+        };
+        let samples: Vec<DVec3> = (0..500).map(|n| geometry.index_to_grid(place(n))).collect();
+        let sampling = Sampling::new(&geometry, &samples, &touched_coefficients(&geometry, &samples));
+        assert_eq!((sampling.slabs.len(), sampling.weights.len()), (1, samples.len()));
+        let numbers = |count: usize, k: u64| (0..count).map(|n| random(n, k) as f32 - 0.5).collect();
+        let (coefficients, values) = (numbers(sampling.unknowns, 5), numbers(samples.len(), 6));
+        (sampling, coefficients, values)
+    }
+
+    #[test]
+    fn the_transpose_is_the_transpose() {
+        let (sampling, coefficients, values) = scene();
+        let (mut at_samples, mut back) = (vec![0.0; values.len()], vec![0.0; coefficients.len()]);
+        sampling.apply(&coefficients, &mut at_samples);
+        sampling.apply_transposed(&values, &mut back, false);
+        let (one, other) = (dot(&at_samples, &values), dot(&coefficients, &back));
+        assert!((one - other).abs() < 1e-4 * dot(&at_samples, &at_samples).sqrt(), "{one} {other}");
+        // each sample's weights add up to one, and so do their squares to the same on either way
+        sampling.apply(&vec![1.0; coefficients.len()], &mut at_samples);
+        assert!(at_samples.iter().all(|v| (v - 1.0).abs() < 1e-5));
+        sampling.apply_transposed(&vec![1.0; values.len()], &mut back, true);
+        let of = |w: &[f32; 4]| w.iter().map(|w| f64::from(w * w)).sum::<f64>();
+        let squares: f64 = sampling.weights.iter().map(|[x, y, z]| of(x) * of(y) * of(z)).sum();
+        let found: f64 = back.iter().map(|&w| f64::from(w)).sum();
+        assert!((found / squares - 1.0).abs() < 1e-5, "{found} {squares}");
+    }
+
+    #[test]
+    fn lanes_give_the_same_bits_by_the_best_and_the_least_instructions() {
+        let (sampling, coefficients, values) = scene();
+        let by = |level: Level| {
+            let (mut at_samples, mut back) = (vec![0.0; values.len()], vec![0.0; coefficients.len()]);
+            let slab = &sampling.slabs[0];
+            dispatch!(level, simd => sampling.apply_to_slab(simd, slab, &coefficients, &mut at_samples));
+            dispatch!(level, simd => sampling.apply_transposed_to_slab(simd, slab, &values, &mut back, false));
+            (at_samples, back)
+        };
+        assert_eq!(by(Level::new()), by(Level::baseline()));
+    }
 }
