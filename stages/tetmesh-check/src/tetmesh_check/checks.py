@@ -26,6 +26,10 @@ class Limits:
     max_distance: float | None = None
     """Largest distance between the boundary of the tetrahedra and the surface, either way, mm; default twice the envelope."""
 
+    def distance(self, envelope: float) -> float:
+        """Give the largest distance for an envelope, mm."""
+        return self.max_distance if self.max_distance is not None else 2.0 * envelope
+
 
 @dataclass(frozen=True)
 class Check:
@@ -185,7 +189,7 @@ def run_checks(measured: Measurements, limits: Limits) -> list[Check]:
     quality = measured.quality
     volume = float(quality.volume.sum())
     change = 100.0 * (volume / measured.surface_volume - 1.0)
-    max_distance = limits.max_distance if limits.max_distance is not None else 2.0 * measured.envelope
+    max_distance = limits.distance(measured.envelope)
     boundary = measured.boundary_topology
     loose = (
         boundary.open_edges + boundary.nonmanifold_edges + boundary.badly_oriented_edges + boundary.nonmanifold_vertices

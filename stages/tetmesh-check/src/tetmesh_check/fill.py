@@ -10,6 +10,7 @@ from typing import Any
 from tetmesh_check.checks import Limits, well_shaped
 from tetmesh_check.components import Components
 from tetmesh_check.context import Context
+from tetmesh_check.distance import distances_both_ways
 from tetmesh_check.errors import ExitCode, StageError
 from tetmesh_check.hxt import HxtSettings, fill_by_hxt
 from tetmesh_check.quality import Cells, Points, tetrahedron_quality
@@ -17,6 +18,7 @@ from tetmesh_check.sizing import Background, SizingField, background_mesh, world
 from tetmesh_check.surface import Surface
 from tetmesh_check.tetgen import TetgenSettings, fill_by_tetgen, regular_volume
 from tetmesh_check.tetwild import TetwildSettings, fill_by_tetwild
+from tetmesh_check.topology import tetrahedron_boundary
 from tetmesh_check.volume import orient_positive
 from tetmesh_check.worker import TimeLimit, TimeLimitError, WorkerResult
 
@@ -24,6 +26,14 @@ MAX_FTETWILD_VERTICES = 5_000
 """Largest surface that fTetWild is given by default: it takes about half a minute for that many vertices on two cores, two for
 10,000, and twenty to hours from 50,000 on, where HXT takes seconds. Its tetrahedra are the better ones (mean radius ratio 0.86
 in place of 0.79), but those of both pass every check."""
+
+MAX_SECOND_TRY_VERTICES = 20_000
+"""Largest surface that ``auto`` gives to fTetWild, too, where a tetrahedron of HXT's misses a limit of shape: sheets of a surface that
+nearly touch leave flat ones between its fixed triangles. Some four minutes."""
+
+ENVELOPES = (1.0, 0.5, 0.25)
+"""Envelopes that fTetWild is given in turn, over the one asked for, while the boundary strays by more than may be: it keeps its own
+samples of the boundary within the envelope, and a thin tip may lose more."""
 
 COARSE_FRACTION = 0.05
 """Edge length outside the object over the diagonal of its bounding box, where h is smaller; fTetWild's own default."""
@@ -38,7 +48,7 @@ class Method(StrEnum):
     """Who makes the tetrahedra."""
 
     AUTO = "auto"
-    """fTetWild up to :data:`MAX_FTETWILD_VERTICES`, HXT beyond; fTetWild also where HXT cannot be had or fails."""
+    """fTetWild up to :data:`MAX_FTETWILD_VERTICES`, HXT beyond; fTetWild also where HXT cannot be had or fails, or misses a limit of shape."""
     FTETWILD = "ftetwild"
     HXT = "hxt"
     TETGEN = "tetgen"
@@ -67,7 +77,7 @@ class Task:
     max_seconds: float
     """The time that all attempts together may take, s."""
     limits: Limits
-    """fTetWild is tried again with more patience while a limit of shape is missed."""
+    """fTetWild is tried again with more patience while a limit of shape is missed, in a smaller envelope while the boundary strays."""
     log: Path
     """Where the tetrahedralizer's output goes."""
     keep_vertices: bool = False
@@ -98,32 +108,73 @@ def _choose(method: Method, vertices: int, keep_vertices: bool) -> tuple[Method,
     return Method.FTETWILD, f"the surface has {vertices} vertices, not more than {MAX_FTETWILD_VERTICES}"
 
 
+@dataclass(frozen=True, order=True)
+class _Verdict:
+    """How good an attempt is, the worst first."""
+
+    near: bool
+    """Whether boundary and surface are no farther apart than may be."""
+    well: bool
+    """Whether no limit of shape is missed."""
+    scaled_jacobian: float
+    """The smallest."""
+
+
 class _Attempts:
     """The attempts made so far, for the report, and the best of them."""
 
-    def __init__(self, limits: Limits, results: dict[str, Any]) -> None:
-        self._limits = limits
+    def __init__(self, task: Task, results: dict[str, Any]) -> None:
+        self._task = task
         self._list: list[dict[str, Any]] = results.setdefault("attempts", [])
-        self._worst = 0.0
-        self.best: Filled | None = None
+        self._best: tuple[_Verdict, Filled, Method] | None = None
 
-    def add(self, raw: WorkerResult) -> tuple[bool, float]:
-        """Judge a result; returns whether it is within the limits of shape, and its smallest dihedral angle."""
+    def add(self, raw: WorkerResult, method: Method) -> tuple[_Verdict, str]:
+        """Judge a result; returns how good it is, and that in words."""
+        task = self._task
         tetrahedra, turned = orient_positive(raw.points, raw.tetrahedra)
         quality = tetrahedron_quality(raw.points, tetrahedra)
-        worst = float(quality.scaled_jacobian.min())
-        self._list.append({**raw.summary, "orientation_turned": turned, "min_scaled_jacobian": worst})
-        if self.best is None or worst > self._worst:
-            self._worst, self.best = worst, Filled(raw.points, tetrahedra)
-        return well_shaped(quality, self._limits), float(quality.min_dihedral.min())
+        distance = 0.0
+        if method is Method.FTETWILD:
+            boundary = (raw.points, tetrahedron_boundary(tetrahedra).triangles)
+            ways = distances_both_ways(boundary, (task.surface.points, task.surface.triangles))
+            distance = max(float(way.max()) for way in ways)
+        verdict = _Verdict(
+            near=distance <= task.limits.distance(task.envelope),
+            well=well_shaped(quality, task.limits),
+            scaled_jacobian=float(quality.scaled_jacobian.min()),
+        )
+        self._list.append(
+            {
+                **raw.summary,
+                "method": method,
+                "orientation_turned": turned,
+                "min_scaled_jacobian": verdict.scaled_jacobian,
+                "max_distance": distance,
+            }
+        )
+        if self._best is None or verdict > self._best[0]:
+            self._best = verdict, Filled(raw.points, tetrahedra), method
+        smallest = float(quality.min_dihedral.min())
+        return verdict, f"smallest dihedral angle {smallest:.3g} degrees, {distance:.3g} mm from the surface"
+
+    @property
+    def is_any(self) -> bool:
+        """Whether there is any."""
+        return self._best is not None
+
+    @property
+    def best(self) -> tuple[Filled, Method]:
+        """The best of them, and whose it is."""
+        assert self._best is not None, "an attempt is added or an error raised"
+        return self._best[1:]
 
 
-def _by_hxt(task: Task, attempts: _Attempts, limit: TimeLimit, context: Context) -> None:
+def _by_hxt(task: Task, attempts: _Attempts, limit: TimeLimit, context: Context) -> _Verdict:
     with context.step("background sizing"):
         grid = world_grid(task.field, task.surface, task.tet_size_factor)
     with context.step("tetrahedralize"):
         raw = fill_by_hxt(task.surface, task.components, grid, HxtSettings(), task.log, limit, context)
-    attempts.add(raw)
+    return attempts.add(raw, Method.HXT)[0]
 
 
 def _by_tetgen(task: Task, attempts: _Attempts, limit: TimeLimit, context: Context) -> None:
@@ -135,11 +186,11 @@ def _by_tetgen(task: Task, attempts: _Attempts, limit: TimeLimit, context: Conte
     with context.step("tetrahedralize"):
         settings = TetgenSettings(max_volume=regular_volume(largest))
         raw = fill_by_tetgen(task.surface, task.components, settings, task.log, limit, context)
-    attempts.add(raw)
+    attempts.add(raw, Method.TETGEN)
 
 
 def _by_tetwild(task: Task, attempts: _Attempts, limit: TimeLimit, context: Context) -> None:
-    """Have the surface filled, again and with more patience where the result is not well shaped."""
+    """Have the surface filled, again with more patience where tetrahedra are ill-shaped, in a smaller envelope where the boundary strays."""
     diagonal = task.surface.bounding_box_diagonal
     with context.step("background sizing"):
         plain = background_mesh(task.field, task.surface)
@@ -147,11 +198,13 @@ def _by_tetwild(task: Task, attempts: _Attempts, limit: TimeLimit, context: Cont
     # fTetWild meshes the whole box at this length and only then refines to the background: the coarser, the less work
     # goes into tetrahedra outside the object, which are thrown away.
     coarse = min(max(float(background.values.max()), COARSE_FRACTION * diagonal), diagonal)
-    for energy in STOP_ENERGIES if task.stop_energy is None else (task.stop_energy,):
+    energies = list(STOP_ENERGIES if task.stop_energy is None else (task.stop_energy,))
+    envelopes = [share * task.envelope for share in ENVELOPES]
+    while energies and envelopes:
         settings = TetwildSettings(
-            epsilon=task.envelope / diagonal,
+            epsilon=envelopes[0] / diagonal,
             edge_length=coarse,
-            stop_energy=energy,
+            stop_energy=energies[0],
             max_passes=task.max_passes,
             threads=context.common.thread_count,
         )
@@ -159,14 +212,15 @@ def _by_tetwild(task: Task, attempts: _Attempts, limit: TimeLimit, context: Cont
             with context.step("tetrahedralize"):
                 raw = fill_by_tetwild(task.surface, background, settings, task.log, limit, context)
         except StageError as error:
-            if attempts.best is None or error.code == ExitCode.INTERRUPTED:
+            if not attempts.is_any or error.code == ExitCode.INTERRUPTED:
                 raise
             context.warn(f"another attempt at better tetrahedra came to nothing: {error.what}")
             break
-        well, smallest = attempts.add(raw)
-        if well:
+        verdict, told = attempts.add(raw, Method.FTETWILD)
+        context.verbose(f"stop energy {energies[0]:g}, envelope {envelopes[0]:.3g} mm: {told}")
+        if verdict.near and verdict.well:
             break
-        context.verbose(f"stop energy {energy:g}: smallest dihedral angle {smallest:.3g} degrees")
+        (energies if verdict.near else envelopes).pop(0)
 
 
 def fill(task: Task, context: Context) -> Filled:
@@ -187,23 +241,32 @@ def fill(task: Task, context: Context) -> Filled:
     chosen, reason = _choose(task.method, len(task.surface.points), task.keep_vertices)
     results: dict[str, Any] = {"method": chosen, "reason": reason, "log": task.log.name}
     context.results["tetrahedralizer"] = results
-    attempts = _Attempts(task.limits, results)
+    attempts = _Attempts(task, results)
     context.verbose(f"tetrahedralizer {chosen}: {reason}; log: {task.log}")
     task.log.unlink(missing_ok=True)
     limit = TimeLimit.start(task.max_seconds)
     if chosen is Method.HXT:
+        second = ""
         try:
-            _by_hxt(task, attempts, limit, context)
+            verdict = _by_hxt(task, attempts, limit, context)
+            small_enough = len(task.surface.points) <= MAX_SECOND_TRY_VERTICES and not task.keep_vertices
+            if task.method is Method.AUTO and small_enough and not verdict.well:
+                second = (
+                    f"HXT's tetrahedra miss a limit of shape (smallest scaled Jacobian {verdict.scaled_jacobian:.3g})"
+                )
+                context.info(f"{second}: fTetWild fills the surface, too, which may take minutes")
         except StageError as error:
             if task.method is Method.HXT or error.code == ExitCode.INTERRUPTED or isinstance(error, TimeLimitError):
                 raise
+            second = error.what
             context.warn(f"{error.what}. fTetWild fills the surface instead, which may take hours; {error.next_step}")
+        if second:
             chosen = Method.FTETWILD
-            results.update(method=chosen, reason=f"{reason}, but {error.what}")
+            results["reason"] = f"{reason}, but {second}"
     if chosen is Method.TETGEN:
         _by_tetgen(task, attempts, limit, context)
     if chosen is Method.FTETWILD:
         _by_tetwild(task, attempts, limit, context)
-    context.parameters["method"] = chosen
-    assert attempts.best is not None, "an attempt is added or an error raised"
-    return attempts.best
+    filled, results["method"] = attempts.best
+    context.parameters["method"] = results["method"]
+    return filled

@@ -331,9 +331,7 @@ def run(arguments: Arguments, context: Context) -> list[str]:
             "give a smaller one, or leave it out",
         )
     context.parameters["envelope"] = envelope
-    context.parameters["max_distance"] = (
-        arguments.limits.max_distance if arguments.limits.max_distance is not None else 2.0 * envelope
-    )
+    context.parameters["max_distance"] = arguments.limits.distance(envelope)
     task = Task(
         surface=surface,
         components=components,

@@ -1,0 +1,81 @@
+"""Which attempt is kept, and when there is another: by tetrahedralizers that only pretend."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import pyvista as pv
+from conftest import ball, tetrahedra
+
+from tetmesh_check import cli, fill
+from tetmesh_check.worker import WorkerResult
+
+
+def filled(scale: float, flatness: float) -> WorkerResult:
+    """Tetrahedra from the middle of the ball to its triangles, the ball stretched and the middle moved towards the top."""
+    sphere = ball()
+    points = np.vstack([scale * sphere.points, [0.0, 0.0, flatness * scale * sphere.points[:, 2].max()]])
+    triangles = sphere.faces.reshape(-1, 4)[:, 1:]
+    cells = np.column_stack([triangles, np.full(len(triangles), len(points) - 1)])
+    return WorkerResult(points.astype(np.float64), cells.astype(np.int64), "", {"version": "0", "seconds": 0.0})
+
+
+def program(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, hxt: list[WorkerResult], ftetwild: list[WorkerResult], *words: str
+) -> tuple[dict, list[float], np.ndarray]:
+    """Run the stage on a ball; the results, the envelopes that fTetWild was given over that asked for, and the points."""
+    sphere = ball()
+    sphere.save(folder / "ball.vtp")
+    epsilons: list[float] = []
+
+    def by_tetwild(_surface: object, _background: object, settings: object, *_rest: object) -> WorkerResult:
+        epsilons.append(settings.epsilon)  # type: ignore[attr-defined]
+        return ftetwild.pop(0)
+
+    monkeypatch.setattr(fill, "fill_by_hxt", lambda *_: hxt.pop(0))
+    monkeypatch.setattr(fill, "fill_by_tetwild", by_tetwild)
+    monkeypatch.chdir(folder)
+    options = ("-o", "ball.vtu", "--report", "r.json", "--solve", "no", "--max-volume-change", "20", *words)
+    cli.main(["ball.vtp", *options])
+    results = json.loads((folder / "r.json").read_text())["results"]
+    return results["tetrahedralizer"], [e / epsilons[0] for e in epsilons], tetrahedra(folder / "ball.vtu")[0]
+
+
+FLAT = 0.9999
+"""The middle so near to the top that tetrahedra there are flat."""
+
+
+@pytest.mark.parametrize(("most", "method"), [(20_000, "ftetwild"), (10, "hxt")])
+def test_ftetwild_fills_small_surfaces_that_hxt_fills_with_flat_tetrahedra(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, most: int, method: str
+) -> None:
+    monkeypatch.setattr(fill, "MAX_FTETWILD_VERTICES", 5)
+    monkeypatch.setattr(fill, "MAX_SECOND_TRY_VERTICES", most)
+    told, envelopes, points = program(tmp_path, monkeypatch, [filled(1.0, FLAT)], [filled(1.0, 0.0)])
+    assert told["method"] == method
+    assert [attempt["method"] for attempt in told["attempts"]] == ["hxt", "ftetwild"][: 1 + len(envelopes)]
+    assert ("miss a limit of shape" in told["reason"]) == (method == "ftetwild")
+    assert (abs(points[-1, 2]) < 1e-9) == (method == "ftetwild")
+
+
+def test_what_hxt_made_is_kept_where_ftetwild_does_no_better(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(fill, "MAX_FTETWILD_VERTICES", 5)
+    told, envelopes, points = program(
+        tmp_path, monkeypatch, [filled(1.0, FLAT)], [filled(1.2, 0.0)] * len(fill.ENVELOPES)
+    )
+    assert told["method"] == "hxt"
+    assert envelopes == list(fill.ENVELOPES)
+    assert points[-1, 2] > 1.0
+
+
+def test_a_boundary_that_strays_is_made_again_in_a_smaller_envelope(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    told, envelopes, points = program(tmp_path, monkeypatch, [], [filled(1.05, 0.0), filled(1.0, 0.1)])
+    assert envelopes == [1.0, 0.5]
+    assert told["method"] == "ftetwild"
+    assert [attempt["max_distance"] > 0.01 for attempt in told["attempts"]] == [True, False]
+    assert points[:, 0].max() == pytest.approx(pv.PolyData(ball().points).bounds[1])
