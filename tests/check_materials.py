@@ -25,8 +25,9 @@ from scipy.spatial import cKDTree
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
-OFF_LATTICE = (3.1e-5, 7.3e-5)
-"""Where lines pass voxel centres by, as shares of the spacing: none goes through an edge of a capped face."""
+OFF_LATTICE = (3.1e-9, 7.3e-9)
+"""Where lines pass voxel centres by, as shares of the spacing: none goes through an edge of a capped face. Positions are in double
+precision, some 1e-13 of it; a facet may come as near to a centre as 3e-5, and is to be seen on the right side of it."""
 NEAR = 1.5
 """Junctions of the voxels and of the mesh are the same if they are nearer than this, in voxels."""
 SMALL_COMPONENT = 8
