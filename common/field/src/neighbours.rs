@@ -2,7 +2,7 @@
 //!
 //! [`NeighbourLists`] lists the neighbours of every point by a tree of boxes over the points in order of place, eight to a box: all of a query's work is on
 //! lanes that follow each other in memory. [`LevelBins`] answers for places that are no points, by a grid of bins for each octave of h.
-//! Either way a query looks at no more for a strong contrast of h, where the paper's one global bin edge
+//! Either way a query looks at no more where h is graded, whatever its contrast, where the paper's one global bin edge
 //! max(h) (its own stated limitation) makes the fine regions pay for the coarse ones.
 
 use fearless_simd::{Level as Instructions, Simd, dispatch, f64x8, prelude::*};
@@ -166,7 +166,7 @@ impl LevelBins {
     }
 }
 
-/// An order of the points in which neighbours lie near each other: along a Morton curve over quarters of the smallest reaches.
+/// An order of the points in which neighbours lie near each other: along a Morton curve over quarters of the smallest reaches, or of a thousandth of the extent where that is more.
 pub fn space_order(points: &[DVec3], sizes: &[f64], reach: f64) -> Vec<u32> {
     let grid = Grid::new(points, sizes, reach);
     let mut keyed: Vec<(u64, u32)> = points
@@ -232,8 +232,9 @@ struct BoundingBox {
 /// Points in their order, in a tree of boxes of eight each. Queries are quick where points that follow each other are near each other.
 struct Tree {
     runs: Vec<Run>,
-    /// The box of each run.
+    /// The box of each run, and of each eight of these.
     boxes: Vec<BoundingBox>,
+    eights: Vec<BoundingBox>,
     /// From the boxes of runs to the eight or less that hold everything.
     levels: Vec<Vec<Boxes>>,
 }
@@ -254,20 +255,22 @@ impl Tree {
         };
         let (runs, boxes): (Vec<Run>, Vec<BoundingBox>) =
             points.par_chunks(LANES).zip(sizes.par_chunks(LANES)).enumerate().map(run).unzip();
-        let mut levels: Vec<Vec<Boxes>> = Vec::new();
-        let mut below = boxes.clone();
-        while levels.last().is_none_or(|level| level.len() > 1) && !below.is_empty() {
+        let (first, eights): (Vec<Boxes>, Vec<BoundingBox>) = boxes.par_chunks(LANES).map(Boxes::of).unzip();
+        let mut levels = vec![first];
+        let mut below = eights.clone();
+        while below.len() > 1 {
             let (level, above) = below.par_chunks(LANES).map(Boxes::of).unzip();
             levels.push(level);
             below = above;
         }
-        Self { runs, boxes, levels }
+        Self { runs, boxes, eights, levels }
     }
 
-    /// Whether runs are about as small as reaches, most of them.
+    /// Whether runs, and eights of runs, are about as small as points on a surface in order of place have them, most of them.
     fn is_compact(&self) -> bool {
         let extent = |own: &BoundingBox| (own.high - own.low).max_element() / own.reach;
-        self.boxes.iter().map(extent).sum::<f64>() < MOST_EXTENT * self.boxes.len() as f64
+        let all = [(&self.boxes, MOST_EXTENT), (&self.eights, MOST_EXTENT_OF_EIGHT)];
+        all.into_iter().all(|(boxes, most)| boxes.iter().map(extent).sum::<f64>() <= most * boxes.len() as f64)
     }
 
     /// The runs with points that may be within reach of those of a box, ascending, into the first of two lists; the second is for boxes on the way.
@@ -345,7 +348,7 @@ impl Candidates {
         let [near, next] = &mut self.near;
         tree.near(simd, own, near, next);
         self.runs.clear();
-        self.runs.resize(near.len() + 1, Run::NOBODY);
+        self.runs.resize(near.len(), Run::NOBODY);
         let mut count = 0;
         for &n in &*near {
             let from = &tree.runs[n as usize];
@@ -374,14 +377,13 @@ impl Candidates {
             let (x, y, z) = (along(0), along(1), along(2));
             let reach = f64x8::simd_from(simd, run.reach).min(radius);
             let near = (x * x + y * y + z * z).simd_lt(reach * reach).to_bitmask();
-            if let Some(room) = self.found[count..].first_chunk_mut::<LANES>() {
-                let mut written = 0;
-                for (lane, &number) in run.number.iter().enumerate() {
-                    room[written % LANES] = number;
-                    written += near as usize >> lane & 1;
-                }
-                count += written;
+            let room = self.found[count..].first_chunk_mut::<LANES>().expect("room for eight more than all candidates");
+            let mut written = 0;
+            for (lane, &number) in run.number.iter().enumerate() {
+                room[written % LANES] = number;
+                written += near as usize >> lane & 1;
             }
+            count += written;
         }
         &self.found[..count]
     }
@@ -389,6 +391,9 @@ impl Candidates {
 
 /// Points whose runs extend on average farther than so many reaches are put in order first; those of particles in order of place extend 1.7 to 2.1.
 const MOST_EXTENT: f64 = 4.0;
+
+/// The same of eight runs, whose area is that of eight.
+const MOST_EXTENT_OF_EIGHT: f64 = 12.0;
 
 /// Points of a block of [`NeighbourLists::independent_blocks`]: what a pass reads of so many and those around them stays in the first caches of a
 /// core, and a few thousand points make enough blocks for all cores.
@@ -563,7 +568,7 @@ mod tests {
 
     #[test]
     fn lists_equal_brute_force_at_any_contrast() {
-        let mut compact = 0;
+        let mut ways = [0; 2];
         for (count, contrast, reach) in [
             (0, 1.0, 1.9),
             (1, 1.0, 1.9),
@@ -575,13 +580,16 @@ mod tests {
             (800, 1e4, 1.9),
             (501, 1.0, 8.0),
             (801, 3.0, 8.0),
+            (CHUNK as u64 + 5, 1.0, 5.0),
         ] {
             let (points, sizes) = scene(count, contrast);
             let in_order = space_order(&points, &sizes, reach);
             for order in [(0..count as u32).collect(), in_order] {
                 let points: Vec<DVec3> = order.iter().map(|&i| points[i as usize]).collect();
                 let sizes: Vec<f64> = order.iter().map(|&i| sizes[i as usize]).collect();
-                compact += usize::from(Tree::new(&points, &sizes, reach).is_compact());
+                if count >= 500 {
+                    ways[usize::from(Tree::new(&points, &sizes, reach).is_compact())] += 1;
+                }
                 let lists = NeighbourLists::new(&points, &sizes, reach, |i, j| (i + j) % 7 != 0);
                 assert_eq!(lists.len(), points.len());
                 for i in 0..points.len() {
@@ -597,7 +605,29 @@ mod tests {
                 }
             }
         }
-        assert!((2..18).contains(&compact), "{compact} in order of place: one of the two ways is not tried");
+        assert!(ways.iter().all(|&count| count > 2), "{ways:?}: put in order first, and not");
+    }
+
+    #[test]
+    fn places_are_told_all_points_within_reach_at_any_contrast() {
+        for (count, contrast) in [(0, 1.0), (1, 1.0), (500, 1.0), (500, 3.0), (800, 27.0), (800, 1e-4), (800, 1e4)] {
+            let (points, sizes) = scene(count, contrast);
+            let reach = 1.9;
+            let bins = LevelBins::new(&points, &sizes, reach);
+            for n in 0..200 {
+                let centre = DVec3::new(uniform(2, 0, n), uniform(2, 1, n), uniform(2, 2, n)) * 1.2 - 0.1;
+                let size = 0.02 * contrast.powf(uniform(2, 3, n));
+                let mut told = Vec::new();
+                bins.visit(centre, size, |i| told.push(i));
+                let near = |i: &usize| points[*i].distance(centre) < reach * size.min(sizes[*i]);
+                assert!(
+                    (0..points.len()).filter(near).all(|i| told.contains(&(i as u32))),
+                    "{n} of {count}, {contrast}"
+                );
+                told.sort_unstable();
+                assert!(told.windows(2).all(|pair| pair[0] < pair[1]), "one is told twice");
+            }
+        }
     }
 
     #[test]

@@ -60,7 +60,7 @@ const _: () = assert!(
 /// Largest spacing of a lattice in h, that of the ideal energy 0.554: neighbours in it must be nearer than particles that do not see each other.
 pub(crate) const LARGEST_SPACING: f64 = UNSEEN_DISTANCE;
 
-/// Smallest spacing of a lattice in h, that of the ideal energy 7.84: a pass must not take a particle past the next one. Lists have 18.4 over the squared spacing
+/// Smallest spacing of a lattice in h, that of the ideal energy 7.84: a pass must not take a particle past the next one. A GPU's lists have 18.4 over the squared spacing
 /// members, 74 here, and 32 classes move on the GPU: of denser ones many would rest.
 pub(crate) const LEAST_SPACING: f64 = FARTHEST_MOVE;
 

@@ -101,8 +101,8 @@ impl<'a, S: Implicit> CpuEngine<'a, S> {
         fields: &'a Fields<'a, S>,
         parameters: &Parameters,
     ) -> Self {
-        let state =
-            State::unlisted(set, parameters.normal_agreement).at_spacing(parameters.spacing()).on(strata).in_order();
+        let mut state = State::unlisted(set, parameters.normal_agreement).at_spacing(parameters.spacing()).on(strata);
+        state.sort_by_place();
         Self { state, fields, parameters: parameters.clone() }
     }
 }

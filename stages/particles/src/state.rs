@@ -84,6 +84,7 @@ impl State {
     }
 
     /// The same particles in order of place, with lists and classes.
+    #[cfg(test)]
     pub(crate) fn in_order(mut self) -> Self {
         self.sort_by_place();
         self.rebuild();

@@ -11,6 +11,7 @@ import pyvista as pv
 from conftest import ball, tetrahedra
 
 from tetmesh_check import cli, fill
+from tetmesh_check.errors import StageError
 from tetmesh_check.worker import WorkerResult
 
 
@@ -23,25 +24,37 @@ def filled(scale: float, flatness: float) -> WorkerResult:
     return WorkerResult(points.astype(np.float64), cells.astype(np.int64), "", {"version": "0", "seconds": 0.0})
 
 
+Attempts = list[WorkerResult | StageError]
+
+
+def attempt(attempts: Attempts) -> WorkerResult:
+    """The next result, or error."""
+    result = attempts.pop(0)
+    if isinstance(result, StageError):
+        raise result
+    return result
+
+
 def program(
-    folder: Path, monkeypatch: pytest.MonkeyPatch, hxt: list[WorkerResult], ftetwild: list[WorkerResult], *words: str
+    folder: Path, monkeypatch: pytest.MonkeyPatch, hxt: Attempts, ftetwild: Attempts, *words: str
 ) -> tuple[dict, list[float], np.ndarray]:
-    """Run the stage on a ball; the results, the envelopes that fTetWild was given over that asked for, and the points."""
+    """Run the stage on a ball; the results, the envelopes that fTetWild was given over that asked for, and the points (none if it failed)."""
     sphere = ball()
     sphere.save(folder / "ball.vtp")
     epsilons: list[float] = []
 
     def by_tetwild(_surface: object, _background: object, settings: object, *_rest: object) -> WorkerResult:
         epsilons.append(settings.epsilon)  # type: ignore[attr-defined]
-        return ftetwild.pop(0)
+        return attempt(ftetwild)
 
-    monkeypatch.setattr(fill, "fill_by_hxt", lambda *_: hxt.pop(0))
+    monkeypatch.setattr(fill, "fill_by_hxt", lambda *_: attempt(hxt))
     monkeypatch.setattr(fill, "fill_by_tetwild", by_tetwild)
     monkeypatch.chdir(folder)
     options = ("-o", "ball.vtu", "--report", "r.json", "--solve", "no", "--max-volume-change", "20", *words)
-    cli.main(["ball.vtp", *options])
+    code = cli.main(["ball.vtp", *options])
     results = json.loads((folder / "r.json").read_text())["results"]
-    return results["tetrahedralizer"], [e / epsilons[0] for e in epsilons], tetrahedra(folder / "ball.vtu")[0]
+    points = np.empty((0, 3)) if code == 2 else tetrahedra(folder / "ball.vtu")[0]
+    return results["tetrahedralizer"], [e / epsilons[0] for e in epsilons], points
 
 
 FLAT = 0.9999
@@ -67,6 +80,7 @@ def test_what_hxt_made_is_kept_where_ftetwild_does_no_better(tmp_path: Path, mon
         tmp_path, monkeypatch, [filled(1.0, FLAT)], [filled(1.2, 0.0)] * len(fill.ENVELOPES)
     )
     assert told["method"] == "hxt"
+    assert told["reason"].endswith("and fTetWild did no better")
     assert envelopes == list(fill.ENVELOPES)
     assert points[-1, 2] > 1.0
 
@@ -79,3 +93,20 @@ def test_a_boundary_that_strays_is_made_again_in_a_smaller_envelope(
     assert told["method"] == "ftetwild"
     assert [attempt["max_distance"] > 0.01 for attempt in told["attempts"]] == [True, False]
     assert points[:, 0].max() == pytest.approx(pv.PolyData(ball().points).bounds[1])
+
+
+NO_LUCK = StageError("no luck", "there is no mesh", "try again")
+
+
+def test_what_hxt_made_is_kept_where_ftetwild_fails(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(fill, "MAX_FTETWILD_VERTICES", 5)
+    told, _, points = program(tmp_path, monkeypatch, [filled(1.0, FLAT)], [NO_LUCK])
+    assert told["method"] == "hxt"
+    assert points[-1, 2] > 1.0
+
+
+def test_the_report_tells_who_failed_last(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(fill, "MAX_FTETWILD_VERTICES", 5)
+    told, _, points = program(tmp_path, monkeypatch, [NO_LUCK], [NO_LUCK])
+    assert told["method"] == "ftetwild"
+    assert len(points) == 0

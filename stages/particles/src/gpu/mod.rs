@@ -1,7 +1,7 @@
 //! The GPU backend: sections 4 and 5 of the paper with wgpu and the WGSL kernels of `/shaders`.
 //!
 //! The particles stay on the device from the first pass to the last; the host reads a few words a pass. Each kernel is named
-//! as its file and has its twin in the CPU code: bins and lists in `isoparticles_field::neighbours`, energy in `energy`,
+//! as its file and has its twin in the CPU code: lists in `isoparticles_field::neighbours`, energy in `energy`,
 //! fields in `spline` and `sizing` there, movement and density control beside this folder. The constants are those of the CPU code.
 
 mod adapter;

@@ -97,7 +97,7 @@ pub(super) const FARTHER: f64 = 2.1;
 /// Mean quality that a sweep's move has to gain for each h that the mean deviation of the triangles touched grows by. Mean radius ratio and mean distance of centroids from F = 0 (voxels) of ribs and of bone at
 /// 5,000 and `heart_label` at h = 1.4 voxels, and area of a cylinder with sharp rims (mean of eight seeds of particles; F itself has -0.73 %), at h = 1.3: 0.5: 0.9779, 0.3583; 0.9767, 0.492; 0.9912, 0.0600;
 /// -1.025 %; 1: 0.9771, 0.3545; 0.9756, 0.486; 0.9905, 0.0592; -0.983 %; 1.5: 0.9764, 0.3537; 0.9750, 0.483; 0.9899, 0.0585; -0.965 %; 2: 0.9759, 0.3523; 0.9747, 0.480; 0.9892, 0.0581; -0.955 %. By the
-/// ordinary limits on deviation and folds, at no price, ribs have 0.9747 and 0.3596.
+/// ordinary limits on deviation and folds, at no price, ribs have 0.9747 and 0.3596 (particles of an earlier build, 0.9788 and 0.3606 at 0.5).
 pub(super) const PRICE_OF_DEVIATION: f64 = 1.5;
 
 // --- remeshing (Botsch and Kobbelt 2004) ---

@@ -103,7 +103,8 @@ def build_parser() -> argparse.ArgumentParser:
         default="auto",
         help="ftetwild takes long on large surfaces and may move the surface within the envelope; hxt (Gmsh) takes seconds and "
         "keeps its triangles; tetgen (AGPL, to be installed by hand) keeps them too, and knows of the size field its largest h only; auto "
-        "is ftetwild up to 5,000 vertices, hxt beyond, and ftetwild where hxt is missing or fails (default auto)",
+        "is ftetwild up to 5,000 vertices, hxt beyond, and ftetwild where hxt is missing or fails or, up to 20,000, misses a limit of shape "
+        "(default auto)",
     )
     method.add_argument(
         "--order",

@@ -25,11 +25,11 @@ from tetmesh_check.worker import TimeLimit, TimeLimitError, WorkerResult
 MAX_FTETWILD_VERTICES = 5_000
 """Largest surface that fTetWild is given by default: it takes about half a minute for that many vertices on two cores, two for
 10,000, and twenty to hours from 50,000 on, where HXT takes seconds. Its tetrahedra are the better ones (mean radius ratio 0.86
-in place of 0.79), but those of both pass every check."""
+in place of 0.79), but those of both pass the checks on nearly every surface."""
 
 MAX_SECOND_TRY_VERTICES = 20_000
 """Largest surface that ``auto`` gives to fTetWild, too, where a tetrahedron of HXT's misses a limit of shape: sheets of a surface that
-nearly touch leave flat ones between its fixed triangles. Some four minutes."""
+nearly touch leave flat ones between its fixed triangles. Some four minutes, with the least patience of :data:`STOP_ENERGIES`."""
 
 ENVELOPES = (1.0, 0.5, 0.25)
 """Envelopes that fTetWild is given in turn, over the one asked for, while the boundary strays by more than may be: it keeps its own
@@ -149,7 +149,7 @@ class _Attempts:
                 "method": method,
                 "orientation_turned": turned,
                 "min_scaled_jacobian": verdict.scaled_jacobian,
-                "max_distance": distance,
+                **({"max_distance": distance} if method is Method.FTETWILD else {}),
             }
         )
         if self._best is None or verdict > self._best[0]:
@@ -189,7 +189,7 @@ def _by_tetgen(task: Task, attempts: _Attempts, limit: TimeLimit, context: Conte
     attempts.add(raw, Method.TETGEN)
 
 
-def _by_tetwild(task: Task, attempts: _Attempts, limit: TimeLimit, context: Context) -> None:
+def _by_tetwild(task: Task, energies: list[float], attempts: _Attempts, limit: TimeLimit, context: Context) -> None:
     """Have the surface filled, again with more patience where tetrahedra are ill-shaped, in a smaller envelope where the boundary strays."""
     diagonal = task.surface.bounding_box_diagonal
     with context.step("background sizing"):
@@ -198,7 +198,6 @@ def _by_tetwild(task: Task, attempts: _Attempts, limit: TimeLimit, context: Cont
     # fTetWild meshes the whole box at this length and only then refines to the background: the coarser, the less work
     # goes into tetrahedra outside the object, which are thrown away.
     coarse = min(max(float(background.values.max()), COARSE_FRACTION * diagonal), diagonal)
-    energies = list(STOP_ENERGIES if task.stop_energy is None else (task.stop_energy,))
     envelopes = [share * task.envelope for share in ENVELOPES]
     while energies and envelopes:
         settings = TetwildSettings(
@@ -261,12 +260,15 @@ def fill(task: Task, context: Context) -> Filled:
             second = error.what
             context.warn(f"{error.what}. fTetWild fills the surface instead, which may take hours; {error.next_step}")
         if second:
-            chosen = Method.FTETWILD
+            results["method"] = chosen = Method.FTETWILD
             results["reason"] = f"{reason}, but {second}"
     if chosen is Method.TETGEN:
         _by_tetgen(task, attempts, limit, context)
     if chosen is Method.FTETWILD:
-        _by_tetwild(task, attempts, limit, context)
+        energies = list(STOP_ENERGIES if task.stop_energy is None else (task.stop_energy,))
+        _by_tetwild(task, energies[:1] if attempts.is_any else energies, attempts, limit, context)
     filled, results["method"] = attempts.best
+    if chosen is not results["method"]:
+        results["reason"] += ", and fTetWild did no better"
     context.parameters["method"] = results["method"]
     return filled

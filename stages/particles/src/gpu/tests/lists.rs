@@ -3,12 +3,12 @@
 use super::any_gpu;
 use super::fields::{lists, sorted};
 use crate::gpu::adapter::Choice;
-use crate::gpu::constants::{CLASSES, COLOUR_STRIDE, UNCLASSED};
+use crate::gpu::constants::{BIN_REACH, CLASSES, COLOUR_STRIDE, UNCLASSED};
 use crate::gpu::memory::download;
 use crate::scenes::Scene;
 use crate::settle::{Binning, Engine};
-use crate::state::State;
 use glam::UVec3;
+use isoparticles_field::neighbours::NeighbourLists;
 
 #[test]
 fn lists_are_those_of_the_cpu_and_no_two_neighbours_share_a_class() {
@@ -23,21 +23,20 @@ fn lists_are_those_of_the_cpu_and_no_two_neighbours_share_a_class() {
         assert!(engine.levels.levels.len() == 1 || binning == Binning::Graded);
         let count = engine.count as usize;
         engine.listed = false;
-        let mut state = State::unlisted(engine.particles().unwrap(), 0.0);
-        state.rebuild();
+        let set = engine.particles().unwrap();
+        let agree = |i: usize, j: usize| set.normals[i].dot(set.normals[j]) > 0.0;
+        let neighbours = NeighbourLists::new(&set.positions, &set.sizes, BIN_REACH, agree);
         let lists = lists(&gpu, &engine);
         let list = |i: usize| &lists[i];
-        let reach = isoparticles_field::energy::SUPPORT * (1.0 + crate::constants::SKIN);
         for i in 0..count {
             let mut found = list(i).to_vec();
             found.sort_unstable();
-            let mut want = state.neighbours.of(i).to_vec();
+            let mut want = neighbours.of(i).to_vec();
             want.sort_unstable();
             // only pairs on the very edge may differ
-            let set = &state.set;
             let edge = |j: &u32| {
                 let j = *j as usize;
-                let limit = reach * set.sizes[i].min(set.sizes[j]);
+                let limit = BIN_REACH * set.sizes[i].min(set.sizes[j]);
                 let distance = set.positions[i].distance(set.positions[j]);
                 (distance / limit - 1.0).abs() < 1e-5 || set.normals[i].dot(set.normals[j]).abs() < 1e-5
             };
