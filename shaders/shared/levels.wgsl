@@ -1,7 +1,7 @@
 // Levels of bins by octave of h. A query looks at no more than 27 bins a level however strongly h is graded; the
 // paper's one bin edge max(h) makes the fine regions pay for the coarse ones.
 //
-// Twin: `LevelBins` in common/field/src/neighbours.rs
+// Twin: `LevelBins` in common/field/src/neighbours/bins.rs
 
 // The finest level whose particles may be of size h.
 fn level_of(h: f32) -> u32 {

@@ -1,6 +1,6 @@
 // Visits the neighbours of a particle in a fixed order: by level, bin, place. The kernel says what is done with each.
 //
-// Twin: `visit` in common/field/src/neighbours.rs
+// Twin: `visit` in common/field/src/neighbours/bins.rs
 
 @group(0) @binding(5) var<storage, read> bin_starts: array<u32>;
 @group(0) @binding(8) var<storage, read> place: array<vec4<f32>>;

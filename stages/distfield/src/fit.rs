@@ -216,8 +216,8 @@ impl Sampling {
             }
             let last = samples.end - 1;
             for sample in samples.step_by(2) {
-                let pair = [sample, (sample + 1).min(last)];
-                let ([wx, wy, wz], [other_wx, other_wy, other_wz]) = (&self.weights[sample], &self.weights[pair[1]]);
+                let other = (sample + 1).min(last);
+                let ([wx, wy, wz], [other_wx, other_wy, other_wz]) = (&self.weights[sample], &self.weights[other]);
                 let mut sum = f32x8::splat(simd, 0.0);
                 for k in 0..4 {
                     let wz = splats(simd, wz[k], other_wz[k]);
@@ -227,7 +227,7 @@ impl Sampling {
                 }
                 let sums: [f32; 8] = *(sum * joined(simd, four(simd, wx), four(simd, other_wx)));
                 values[sample - slab.samples.start] = (sums[0] + sums[1]) + (sums[2] + sums[3]);
-                values[pair[1] - slab.samples.start] = (sums[4] + sums[5]) + (sums[6] + sums[7]);
+                values[other - slab.samples.start] = (sums[4] + sums[5]) + (sums[6] + sums[7]);
             }
         }
     }

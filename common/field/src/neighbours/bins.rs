@@ -1,0 +1,188 @@
+//! A grid of bins for each octave of h: which points may interact with a place, whatever the contrast of h, and an order of points along a curve through space.
+
+use super::WIDENING;
+use glam::{DVec3, IVec3};
+use rayon::prelude::*;
+use std::ops::Range;
+
+/// Most bins along an axis of a level.
+const MOST_BINS: f64 = 1024.0;
+
+/// Where the bins of every level lie.
+#[derive(Clone, Debug)]
+struct Grid {
+    /// Of every level's first bin.
+    origin: DVec3,
+    /// Edge of the bins of level 0, those of the largest points.
+    edge: f64,
+    /// Size of the largest point.
+    largest: f64,
+    /// Number of levels; the last holds all smaller points, too.
+    levels: usize,
+    /// Bins of level 0 along each axis.
+    bins: IVec3,
+}
+
+impl Grid {
+    fn new(points: &[DVec3], sizes: &[f64], reach: f64) -> Self {
+        let low = points.iter().copied().fold(DVec3::INFINITY, DVec3::min);
+        let high = points.iter().copied().fold(DVec3::NEG_INFINITY, DVec3::max);
+        let (smallest, largest) =
+            sizes.iter().fold((f64::INFINITY, 0.0f64), |(low, high), &h| (low.min(h), high.max(h)));
+        if points.is_empty() {
+            return Self { origin: DVec3::ZERO, edge: 1.0, largest, levels: 0, bins: IVec3::ZERO };
+        }
+        let extent = (high - low).max_element();
+        // wider bins are right as well, and the table of rows stays small where a few points are tiny
+        let edge = (reach * largest * (1.0 + WIDENING)).max(extent / MOST_BINS);
+        let allowed = (edge * MOST_BINS / extent.max(edge)).log2().floor();
+        let levels = (largest / smallest).log2().floor().min(allowed) as usize + 1;
+        let origin = (low / edge).floor() * edge;
+        Self { origin, edge, largest, levels, bins: ((high - origin) / edge).floor().as_ivec3() + 1 }
+    }
+
+    fn level_of(&self, size: f64) -> usize {
+        ((self.largest / size).log2() as usize).min(self.levels - 1)
+    }
+
+    fn edge_of(&self, level: usize) -> f64 {
+        self.edge / f64::powi(2.0, level as i32)
+    }
+
+    fn bin_of(&self, level: usize, point: DVec3) -> IVec3 {
+        ((point - self.origin) / self.edge_of(level)).floor().as_ivec3()
+    }
+}
+
+/// Points in bins, one grid of bins for each octave of size: a point of size h goes to the level of its octave of h, whose bins are as wide as the longest reach in that
+/// octave, so a query looks at no more than 27 bins a level. In a level the points are sorted
+/// by bin, x fastest: the three bins of a row are one contiguous run, found by bisection from a table of rows.
+#[derive(Clone, Debug)]
+pub struct LevelBins {
+    reach: f64,
+    grid: Grid,
+    levels: Vec<Level>,
+}
+
+#[derive(Clone, Debug)]
+struct Level {
+    rows: [i32; 2],
+    /// First entry of each row of bins (y fastest), and the end.
+    starts: Vec<u32>,
+    /// Bin along x of each entry; entries are sorted by row, then bin, then point.
+    bins: Vec<u32>,
+    points: Vec<u32>,
+}
+
+impl Level {
+    fn new(grid: &Grid, level: usize, members: &[u32], points: &[DVec3]) -> Self {
+        if members.is_empty() {
+            return Self { rows: [0, 0], starts: vec![0], bins: Vec::new(), points: Vec::new() };
+        }
+        let bins = grid.bins << level as i32;
+        let rows = [bins.y, bins.z];
+        let keyed: Vec<(u32, u32, u32)> = members
+            .iter()
+            .map(|&i| {
+                let b = grid.bin_of(level, points[i as usize]);
+                ((b.z * rows[0] + b.y) as u32, b.x as u32, i)
+            })
+            .collect();
+        // a counting sort by row, then each row by itself
+        let mut ends = vec![0u32; (rows[0] * rows[1]) as usize + 1];
+        for &(row, ..) in &keyed {
+            ends[row as usize + 1] += 1;
+        }
+        for row in 1..ends.len() {
+            ends[row] += ends[row - 1];
+        }
+        let starts = ends.clone();
+        let mut entries = vec![(0, 0); keyed.len()];
+        for (row, bin, i) in keyed {
+            let at = &mut ends[row as usize];
+            entries[*at as usize] = (bin, i);
+            *at += 1;
+        }
+        for row in starts.windows(2) {
+            entries[row[0] as usize..row[1] as usize].sort_unstable();
+        }
+        let (bins, points) = entries.into_iter().unzip();
+        Self { rows, starts, bins, points }
+    }
+
+    /// Calls `visit` with every run of entries in the bins from `low` to `high`.
+    #[inline]
+    fn runs(&self, low: IVec3, high: IVec3, mut visit: impl FnMut(Range<usize>)) {
+        if self.points.is_empty() || high.min_element() < 0 {
+            return;
+        }
+        let (x0, x1) = (low.x.max(0) as u32, high.x as u32);
+        for z in low.z.max(0)..(high.z + 1).min(self.rows[1]) {
+            for y in low.y.max(0)..(high.y + 1).min(self.rows[0]) {
+                let row = (z * self.rows[0] + y) as usize;
+                let (start, end) = (self.starts[row] as usize, self.starts[row + 1] as usize);
+                let bins = &self.bins[start..end];
+                let first = bins.partition_point(|&b| b < x0);
+                let count = bins[first..].iter().take_while(|&&b| b <= x1).count();
+                if count > 0 {
+                    visit(start + first..start + first + count);
+                }
+            }
+        }
+    }
+}
+
+impl LevelBins {
+    /// Bins the points; two points interact when nearer than `reach` times the smaller of their sizes. Sizes must be
+    /// positive and finite.
+    pub fn new(points: &[DVec3], sizes: &[f64], reach: f64) -> Self {
+        let grid = Grid::new(points, sizes, reach);
+        let mut members: Vec<Vec<u32>> = vec![Vec::new(); grid.levels];
+        for (i, &h) in sizes.iter().enumerate() {
+            members[grid.level_of(h)].push(i as u32);
+        }
+        let levels = members.par_iter().enumerate().map(|(l, members)| Level::new(&grid, l, members, points)).collect();
+        Self { reach, grid, levels }
+    }
+
+    /// Calls `visit` with every point that may lie within `reach * min(size, its size)` of `centre` (and a few more: the
+    /// caller measures). The order is fixed: by level, bin, index.
+    pub fn visit(&self, centre: DVec3, size: f64, mut visit: impl FnMut(u32)) {
+        for (l, level) in self.levels.iter().enumerate() {
+            // by a little more than the reach, against rounding
+            let radius = (self.reach * size * (1.0 + WIDENING)).min(self.grid.edge_of(l));
+            let (low, high) = (self.grid.bin_of(l, centre - radius), self.grid.bin_of(l, centre + radius));
+            level.runs(low, high, |run| level.points[run].iter().for_each(|&i| visit(i)));
+        }
+    }
+}
+
+/// An order of the points in which neighbours lie near each other: along a Morton curve over quarters of the smallest reaches, or of a thousandth of the extent where that is more.
+pub fn space_order(points: &[DVec3], sizes: &[f64], reach: f64) -> Vec<u32> {
+    let grid = Grid::new(points, sizes, reach);
+    let mut keyed: Vec<(u64, u32)> = points
+        .par_iter()
+        .enumerate()
+        .map(|(i, &p)| {
+            let [x, y, z] = grid.bin_of(grid.levels + 1, p).to_array().map(|bin| spread(bin as u64));
+            (x | y << 1 | z << 2, i as u32)
+        })
+        .collect();
+    keyed.par_sort_unstable();
+    keyed.into_iter().map(|(_, i)| i).collect()
+}
+
+/// Spreads the low 21 bits of a number to every third bit.
+fn spread(x: u64) -> u64 {
+    let mut x = x & 0x1f_ffff;
+    for (shift, mask) in [
+        (32, 0x001f_0000_0000_ffff),
+        (16, 0x001f_0000_ff00_00ff),
+        (8, 0x100f_00f0_0f00_f00f),
+        (4, 0x10c3_0c30_c30c_30c3),
+        (2, 0x1249_2492_4924_9249),
+    ] {
+        x = (x | x << shift) & mask;
+    }
+    x
+}

@@ -1,0 +1,210 @@
+//! A tree of boxes over points in their order, eight to a box: who may be near the points of a box, by lanes.
+
+use super::WIDENING;
+use fearless_simd::{Simd, f64x8, prelude::*};
+use glam::DVec3;
+use isoparticles_mesh::spatial::Bounds;
+use rayon::prelude::*;
+
+/// Points that one lane operation works on.
+pub(super) const LANES: usize = 8;
+
+/// Eight points that follow each other, filled up with points infinitely far.
+#[derive(Clone, Copy)]
+struct Run {
+    /// Coordinates, axis by axis.
+    place: [[f64; LANES]; 3],
+    reach: [f64; LANES],
+    number: [u32; LANES],
+}
+
+impl Run {
+    const NOBODY: Self = Self { place: [[f64::INFINITY; LANES]; 3], reach: [0.0; LANES], number: [u32::MAX; LANES] };
+}
+
+/// Eight boxes that follow each other, of runs or of eights of boxes, filled up with empty ones.
+#[derive(Clone, Copy)]
+struct Boxes {
+    low: [[f64; LANES]; 3],
+    high: [[f64; LANES]; 3],
+    /// The longest reach in each.
+    reach: [f64; LANES],
+}
+
+/// One of [`Boxes`].
+#[derive(Clone, Copy)]
+struct Outline {
+    bounds: Bounds,
+    /// The longest reach in it.
+    reach: f64,
+}
+
+impl Outline {
+    const EMPTY: Self = Self { bounds: Bounds::EMPTY, reach: 0.0 };
+
+    fn merged(self, other: Self) -> Self {
+        Self { bounds: self.bounds.merged(other.bounds), reach: self.reach.max(other.reach) }
+    }
+
+    /// Along its longest side, in reaches.
+    fn extent(&self) -> f64 {
+        (self.bounds.high - self.bounds.low).max_element() / self.reach
+    }
+}
+
+/// Points in their order, in a tree of boxes of eight each. Queries are quick where points that follow each other are near each other.
+pub(super) struct Tree {
+    runs: Vec<Run>,
+    /// The box of each run.
+    boxes: Vec<Outline>,
+    /// Whether runs, and eights of runs, are about as small as points on a surface in order of place have them, most of them.
+    pub(super) is_compact: bool,
+    /// From the boxes of runs to the eight or less that hold everything.
+    levels: Vec<Vec<Boxes>>,
+}
+
+impl Tree {
+    pub(super) fn new(points: &[DVec3], sizes: &[f64], reach: f64) -> Self {
+        let run = |(n, (points, sizes)): (usize, (&[DVec3], &[f64]))| {
+            let mut run = Run::NOBODY;
+            let mut all = Outline::EMPTY;
+            for (lane, (&p, &h)) in points.iter().zip(sizes).enumerate() {
+                (0..3).for_each(|axis| run.place[axis][lane] = p[axis]);
+                (run.reach[lane], run.number[lane]) = (reach * h, (n * LANES + lane) as u32);
+                // by a little more than the reach, against rounding
+                all = all.merged(Outline { bounds: Bounds { low: p, high: p }, reach: reach * h * (1.0 + WIDENING) });
+            }
+            (run, all)
+        };
+        let (runs, boxes): (Vec<Run>, Vec<Outline>) =
+            points.par_chunks(LANES).zip(sizes.par_chunks(LANES)).enumerate().map(run).unzip();
+        let (first, eights): (Vec<Boxes>, Vec<Outline>) = boxes.par_chunks(LANES).map(Boxes::of).unzip();
+        let is_small =
+            |boxes: &[Outline], most: f64| boxes.iter().map(Outline::extent).sum::<f64>() <= most * boxes.len() as f64;
+        let is_compact = is_small(&boxes, MOST_EXTENT) && is_small(&eights, MOST_EXTENT_OF_EIGHT);
+        let mut levels = vec![first];
+        let mut below = eights;
+        while below.len() > 1 {
+            let (level, above) = below.par_chunks(LANES).map(Boxes::of).unzip();
+            levels.push(level);
+            below = above;
+        }
+        Self { runs, boxes, is_compact, levels }
+    }
+
+    /// The runs with points that may be within reach of those of a box, ascending, into the first of two lists; the second is for boxes on the way.
+    #[inline(always)]
+    fn near<S: Simd>(&self, simd: S, of: &Outline, found: &mut Vec<u32>, next: &mut Vec<u32>) {
+        found.clear();
+        found.push(0);
+        for level in self.levels.iter().rev() {
+            next.clear();
+            for &n in &*found {
+                let mut meets = level[n as usize].meet(simd, of);
+                while meets != 0 {
+                    next.push(n * LANES as u32 + meets.trailing_zeros());
+                    meets &= meets - 1;
+                }
+            }
+            std::mem::swap(found, next);
+        }
+    }
+}
+
+impl Boxes {
+    /// Some boxes, and the one around them.
+    fn of(boxes: &[Outline]) -> (Self, Outline) {
+        let mut new =
+            Self { low: [[f64::INFINITY; LANES]; 3], high: [[f64::NEG_INFINITY; LANES]; 3], reach: [0.0; LANES] };
+        for (lane, own) in boxes.iter().enumerate() {
+            let Bounds { low, high } = own.bounds;
+            (0..3).for_each(|axis| (new.low[axis][lane], new.high[axis][lane]) = (low[axis], high[axis]));
+            new.reach[lane] = own.reach;
+        }
+        (new, boxes.iter().copied().fold(Outline::EMPTY, Outline::merged))
+    }
+
+    /// Bits of the boxes no farther from another along any axis than the smaller of the two reaches.
+    #[inline(always)]
+    fn meet<S: Simd>(&self, simd: S, other: &Outline) -> u64 {
+        meet(simd, [&self.low, &self.high], &self.reach, other)
+    }
+}
+
+/// Bits of the boxes (lowest and highest corners) no farther from another along any axis than the smaller of the two reaches.
+#[inline(always)]
+fn meet<S: Simd>(simd: S, [low, high]: [&[[f64; LANES]; 3]; 2], reach: &[f64; LANES], other: &Outline) -> u64 {
+    let reach = f64x8::simd_from(simd, *reach).min(other.reach);
+    let mut meets = u64::MAX;
+    for axis in 0..3 {
+        let below = (f64x8::simd_from(simd, low[axis]) - reach).simd_le(other.bounds.high[axis]);
+        let above = (f64x8::simd_from(simd, high[axis]) + reach).simd_ge(other.bounds.low[axis]);
+        meets &= below.to_bitmask() & above.to_bitmask();
+    }
+    meets
+}
+
+/// The points that those of a run may interact with.
+#[derive(Default)]
+pub(super) struct Candidates {
+    runs: Vec<Run>,
+    /// Runs of the tree, and boxes on the way to them.
+    near: [Vec<u32>; 2],
+    /// Numbers of the points near another, with room for eight more.
+    found: Vec<u32>,
+}
+
+impl Candidates {
+    /// Collects the points within reach of a run's box, ascending.
+    #[inline(always)]
+    pub(super) fn collect<S: Simd>(&mut self, simd: S, tree: &Tree, run: usize) {
+        let own = &tree.boxes[run];
+        let [near, next] = &mut self.near;
+        tree.near(simd, own, near, next);
+        self.runs.clear();
+        self.runs.resize(near.len(), Run::NOBODY);
+        let mut count = 0;
+        for &n in &*near {
+            let from = &tree.runs[n as usize];
+            let mut meets = meet(simd, [&from.place; 2], &from.reach, own);
+            while meets != 0 {
+                let lane = meets.trailing_zeros() as usize;
+                let (to, at) = (&mut self.runs[count / LANES], count % LANES);
+                (0..3).for_each(|axis| to.place[axis][at] = from.place[axis][lane]);
+                (to.reach[at], to.number[at]) = (from.reach[lane], from.number[lane]);
+                count += 1;
+                meets &= meets - 1;
+            }
+        }
+        self.runs.truncate(count.div_ceil(LANES));
+        self.found.resize(self.found.len().max(count + LANES), 0);
+    }
+
+    /// The candidates nearer to `p` than the smaller of the two reaches, the point itself included, ascending.
+    ///
+    /// Each lane is written whether it is near or not, and the next one over it where it is not: a branch for each would be a guess, wrong every other time.
+    #[inline(always)]
+    pub(super) fn near<S: Simd>(&mut self, simd: S, p: DVec3, radius: f64) -> &[u32] {
+        let mut count = 0;
+        for run in &self.runs {
+            let along = |axis: usize| f64x8::simd_from(simd, run.place[axis]) - p[axis];
+            let (x, y, z) = (along(0), along(1), along(2));
+            let reach = f64x8::simd_from(simd, run.reach).min(radius);
+            let near = (x * x + y * y + z * z).simd_lt(reach * reach).to_bitmask();
+            let room = self.found[count..].first_chunk_mut::<LANES>().expect("room for eight more than all candidates");
+            let mut written = 0;
+            for (lane, &number) in run.number.iter().enumerate() {
+                room[written % LANES] = number;
+                written += near as usize >> lane & 1;
+            }
+            count += written;
+        }
+        &self.found[..count]
+    }
+}
+
+/// Points whose runs extend on average farther than so many reaches are put in order first; those of particles in order of place extend 1.7 to 2.1.
+const MOST_EXTENT: f64 = 4.0;
+
+/// The same of eight runs: on a surface they have eight times the area of one, and sqrt 8 times its extent.
+const MOST_EXTENT_OF_EIGHT: f64 = 12.0;
