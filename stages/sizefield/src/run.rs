@@ -4,7 +4,7 @@ use crate::feature::{Bumps, Features};
 use crate::limits::{TooSmall, check_count, check_size, too_small, too_small_told};
 use crate::materials::GivenSize;
 use crate::region::{Refinement, SizedNode};
-use crate::vertices::{scaled_to_vertices, size_for_vertices};
+use crate::vertices::{predicted_for, scaled_to_vertices, size_for_vertices};
 use crate::{MIN_PARTICLES, Parameters, size_field, uniform_field, wanted_sizes};
 use clap::Parser;
 use glam::DVec3;
@@ -249,7 +249,12 @@ pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
     if let Some(told) = too_small_told(&small, components.all().len()) {
         context.warn(told);
     }
-    let meta = describe(&features, &surface, &sizing, (largest, &small), context);
+    // one size was chosen by its count
+    let known = args.vertices.filter(|_| one_size.is_some()).map(|vertices| predicted_for(vertices as f64));
+    let step = context.step("predict the count");
+    let predicted = known.unwrap_or_else(|| sizing.predicted_count(&surface));
+    drop(step);
+    let meta = describe(&features, &sizing, predicted, (largest, &small), context);
     check_count(&args.input, meta.predicted_count, geometry.voxel_count(), context)?;
     if let Some(size) = one_size {
         warn_if_too_coarse(&features, size, context);
@@ -360,16 +365,13 @@ fn noise_told(noise: &[f64], spacing: DVec3) -> Option<String> {
 /// Puts figures of the field into the report and the closing table; returns what the file carries.
 fn describe(
     features: &Features,
-    surface: &CubicSpline,
     sizing: &SizingField,
+    predicted: f64,
     (largest, small): (f64, &[TooSmall]),
     context: &Context,
 ) -> SizeMeta {
     let mut at_surface: Vec<f64> = features.points.iter().map(|&p| sizing.at(p)).collect();
     let mut feature_size = features.feature_size.clone();
-    let step = context.step("predict the count");
-    let predicted = sizing.predicted_count(surface);
-    drop(step);
     let notes = [
         ("size_at_surface", percentiles(&mut at_surface)),
         ("local_feature_size", percentiles(&mut feature_size)),

@@ -20,6 +20,11 @@ pub fn size_for_vertices(distance: &Image<f32>, surface: &CubicSpline, vertices:
     (FINISHED_OVER_PREDICTED * at_one / vertices).sqrt()
 }
 
+/// What [`size_for_vertices`] of so many predicts.
+pub(crate) fn predicted_for(vertices: f64) -> f64 {
+    vertices / FINISHED_OVER_PREDICTED
+}
+
 /// The same with the count that an edge length asks for, which falls with it.
 pub(crate) fn size_for_count(count: impl Fn(f64) -> f64, vertices: f64) -> f64 {
     let mut size = 1.0;

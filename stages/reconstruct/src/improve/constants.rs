@@ -75,8 +75,8 @@ pub(super) const RELOCATIONS: usize = 2;
 /// 5,171 that gain (`heart_label` 1 at h = 2.1 mm, `heart_ct` and `brain_parcellation` at 20,000 vertices, `thorax_labels` 1 at 5,000).
 pub(super) const HOPELESS_AFTER_RELOCATIONS: f64 = -0.2;
 
-/// Times that the vertices round a move are smoothed in turn, where that follows it.
-pub(super) const SETTLINGS: usize = 3;
+/// The vertices round a collapse are smoothed in turn as often as here are numbers: changes of the mean quality of the triangles touched, below which no hope is left for it before each time.
+pub(super) const HOPELESS_BEFORE_SETTLINGS: [f64; 3] = [-0.30, -0.008, -0.002];
 
 // --- sweeps over the whole mesh ---
 
@@ -119,13 +119,13 @@ pub(super) const RINGS: usize = 4;
 pub(super) const FIRST_MOVES: usize = 4;
 /// Triangles on which two moves in a row are tried in vain, a fifth of a second each, after which the rest is left: a coarse mesh of a solid organ has five,
 /// noise has hundreds.
-pub(super) const MOST_PAIRS_IN_VAIN: usize = 40;
+pub(super) const MOST_PAIRS_IN_VAIN: usize = 20;
 /// The same of remeshing for the sake of triangles that are fit: worst first, where one of the very worst is not helped, the smallest quality stays what it is.
 pub(super) const MOST_FIT_REMESHED_IN_VAIN: usize = 3;
 /// Quality below which a single move nearly always helps. Above, tries in vain are counted, a millisecond or two each: worst first, a solid organ has few,
 /// noise has tens of thousands (the torso CT at 200: 45 s in place of 29 without the count), and the worst of them are not lifted anyway.
 pub(super) const EASY: f64 = 0.7;
-pub(super) const MOST_IN_VAIN_ABOVE_EASY: usize = 400;
+pub(super) const MOST_IN_VAIN_ABOVE_EASY: usize = 50;
 /// Patches remeshed in vain, a second or so each, after which F has too much detail below h for the rest.
 pub(super) const MOST_IN_VAIN: usize = 200;
 

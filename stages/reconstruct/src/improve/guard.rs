@@ -187,6 +187,12 @@ pub(super) fn change_of_smallest(surface: &Surface) -> f64 {
     after.smallest - before.smallest
 }
 
+/// By how much the mean quality of the triangles touched has risen since the last commit.
+pub(super) fn change_of_mean(surface: &Surface) -> f64 {
+    let (before, after) = scores(surface, &surface.touched(), 0.0);
+    after.mean - before.mean
+}
+
 /// Whether the quality has improved by a rule.
 fn is_better(surface: &Surface, touched: &[u32], rule: Rule, mended: usize) -> bool {
     let bar = if let Rule::Lift { bar } = rule { bar } else { 0.0 };

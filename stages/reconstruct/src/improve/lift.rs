@@ -1,9 +1,8 @@
 //! What a bad triangle is lifted by: a single move, with relocations round it where none helps alone, and two moves in a row.
 
-use super::constants::{FIRST_MOVES, LEAST_GAIN, SETTLINGS};
+use super::constants::{FIRST_MOVES, LEAST_GAIN};
 use super::guard::{Limits, Rule, commit_or_rollback, gain, progress};
 use super::moves::{Move, moves_near, relocate_all};
-use super::smooth::shift;
 use super::surface::Surface;
 
 /// What follows a move before it is judged.
@@ -13,8 +12,6 @@ pub(super) enum After {
     Nothing,
     /// Relocations of the vertices that gain by it.
     Relocations,
-    /// Smoothing of those vertices and their neighbours.
-    Smoothing,
 }
 
 /// Commits the single move on a triangle that gains most, of those that the guard lets pass; with relocations round it where none does alone.
@@ -100,18 +97,8 @@ pub(super) fn lift_by_two(surface: &mut Surface, triangle: u32, limits: &Limits,
 /// Makes a move, with what is to follow; false where it cannot be made.
 pub(super) fn make(surface: &mut Surface, candidate: Move, after: After) -> bool {
     let Some(involved) = candidate.make(surface) else { return false };
-    match after {
-        After::Nothing => {}
-        After::Relocations => relocate_all(surface, involved),
-        After::Smoothing => {
-            let neighbours = involved.iter().flat_map(|&v| surface.link(v).map(|(u, _)| u));
-            let mut round: Vec<u32> = neighbours.chain(involved.iter().copied()).collect();
-            round.sort_unstable();
-            round.dedup();
-            for _ in 0..SETTLINGS {
-                round.iter().for_each(|&v| shift(surface, v));
-            }
-        }
+    if after == After::Relocations {
+        relocate_all(surface, involved);
     }
     true
 }

@@ -133,7 +133,8 @@ fn drain(surface: &mut Surface, pass: &Pass, failures: &mut Failures, step: Step
     let mut width = BATCH;
     while failures.len() < most_in_vain {
         let mut batch = Vec::new();
-        while batch.len() < width
+        let left = most_in_vain - failures.len();
+        while batch.len() < width.min(left)
             && let Some(Reverse((bits, t))) = queue.pop()
         {
             let is_current = surface.is_alive(t) && rank(surface, &at_nodes, t) == bits;

@@ -1,10 +1,10 @@
 //! Takes vertices away where the mesh is denser than h asks: refinement adds points where F bends within h, for a topology and a distance from F = 0 that
 //! the mesh keeps with fewer once vertices may move.
 
-use super::constants::{SHORT, TARGET};
-use super::guard::{Limits, Rule, commit_or_rollback};
-use super::lift::{After, make};
+use super::constants::{HOPELESS_BEFORE_SETTLINGS, SHORT, TARGET};
+use super::guard::{Limits, Rule, change_of_mean, commit_or_rollback};
 use super::moves::Move;
+use super::smooth::shift;
 use super::surface::{DEAD, Surface, edges_of};
 use super::{Step, Tally};
 use isoparticles_stage::error::Result;
@@ -52,10 +52,25 @@ pub(super) fn thin_out(
 fn collapse_smoothly(surface: &mut Surface, a: u32, b: u32, limits: &Limits) -> Option<Vec<u32>> {
     [Move::Collapse(a, b, 0.5), Move::Collapse(a, b, 0.0), Move::Collapse(b, a, 0.0)].into_iter().find_map(
         |candidate| {
-            let made = make(surface, candidate, After::Smoothing);
+            let made = candidate.make(surface).is_some_and(|involved| settle(surface, &involved));
             let touched = if made { commit_or_rollback(surface, limits, Rule::Mean { floor: TARGET }) } else { None };
             surface.rollback();
             touched
         },
     )
+}
+
+/// Smooths some vertices and their neighbours in turn, as often as [`HOPELESS_BEFORE_SETTLINGS`] says; false where that is given up.
+fn settle(surface: &mut Surface, vertices: &[u32]) -> bool {
+    let neighbours = vertices.iter().flat_map(|&v| surface.link(v).map(|(u, _)| u));
+    let mut round: Vec<u32> = neighbours.chain(vertices.iter().copied()).collect();
+    round.sort_unstable();
+    round.dedup();
+    HOPELESS_BEFORE_SETTLINGS.into_iter().all(|bar| {
+        let is_worth_it = change_of_mean(surface) >= bar;
+        if is_worth_it {
+            round.iter().for_each(|&v| shift(surface, v));
+        }
+        is_worth_it
+    })
 }
