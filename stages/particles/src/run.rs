@@ -16,7 +16,6 @@ use isoparticles_field::sizing::SizingField;
 use isoparticles_stage::cli::{Context, Outcome};
 use isoparticles_stage::error::{Error, Result};
 use isoparticles_stage::field_file::{FieldKind, check_same_grid, read_field};
-use isoparticles_stage::history::hash_file;
 use isoparticles_stage::materials_file::is_materials;
 use isoparticles_stage::particle_file::{ParticleKind, read_particles, write_material_particles, write_particles};
 use serde_json::json;
@@ -167,13 +166,18 @@ pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
     args.check(&parameters, gpu.is_some())?;
     let step = context.step("read");
     let seeds = read_particles(seeds_file, &[ParticleKind::Seeds, ParticleKind::Particles])?;
-    let ground = Ground::read(distance_file, many, (seeds_file, seeds.strata.is_some()))?;
-    let sizing = read_field(sizing_file, FieldKind::Sizing)?;
+    let (ground, sizing) = rayon::join(
+        || Ground::read(distance_file, many, (seeds_file, seeds.strata.is_some())),
+        || read_field(sizing_file, FieldKind::Sizing),
+    );
+    let (ground, sizing) = (ground?, sizing?);
     check_same_grid((distance_file, ground.geometry()), (sizing_file, &sizing.image.geometry))?;
     check_same_grid((distance_file, ground.geometry()), (seeds_file, &seeds.particles.geometry))?;
-    context.add_input(seeds_file, Some(seeds.history.clone()))?;
-    context.add_input(distance_file, ground.history())?;
-    context.add_input(sizing_file, sizing.history.clone())?;
+    let inputs = [
+        context.add_input(seeds_file, Some(seeds.history.clone()))?,
+        context.add_input(distance_file, ground.history())?,
+        context.add_input(sizing_file, sizing.history.clone())?,
+    ];
     let count = seeds.particles.positions.len();
     context.check_memory(
         BYTES_PER_PARTICLE * count as f64,
@@ -190,7 +194,6 @@ pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
     let engine = gpu.as_ref().map_or_else(cpu_engine, |gpu| format!("gpu: {}", gpu.summary().name));
     context.set_parameter("levels", parameters.levels);
     context.set_parameter("order", json!(parameters.order));
-    let inputs = [hash_file(seeds_file)?, hash_file(distance_file)?, hash_file(sizing_file)?];
     let resumed = match &args.checkpoint {
         Some(path) if args.resume && path.exists() => Some(resume(path, &parameters, &inputs, &engine, context)?),
         _ => None,

@@ -13,7 +13,7 @@ use isoparticles_mesh::surface::{Simplices, Surface, check_surface_name, write_s
 use isoparticles_stage::cli::values::share;
 use isoparticles_stage::cli::{CHECKS, CommonArgs, Context, FILES, METHOD, Outcome, StageArgs, particles_bytes};
 use isoparticles_stage::error::{Error, Kind, Result};
-use isoparticles_stage::field_file::{FieldKind, check_same_grid, read_field};
+use isoparticles_stage::field_file::{Field, FieldKind, check_same_grid, read_field};
 use isoparticles_stage::materials_file::is_materials;
 use isoparticles_stage::meta::{self, Border, DistanceMeta, SurfaceMeta};
 use isoparticles_stage::particle_file::{ParticleKind, read_particles};
@@ -190,7 +190,11 @@ pub(crate) fn read_settled(args: &Args, context: &Context) -> Result<ParticleSet
 fn on_field(args: &Args, distfield: &Path, context: &Context) -> Result<Outcome> {
     let step = context.step("read");
     let particles = read_settled(args, context)?;
-    let field = read_field(distfield, FieldKind::Distance)?;
+    let (field, sizing) = rayon::join(
+        || read_field(distfield, FieldKind::Distance),
+        || args.sizefield.as_deref().map(|path| read_field(path, FieldKind::Sizing)).transpose(),
+    );
+    let (field, sizing) = (field?, sizing?);
     check_same_grid((&args.particles, &particles.geometry), (distfield, &field.image.geometry))?;
     let count = particles.positions.len();
     context.check_memory(
@@ -199,11 +203,10 @@ fn on_field(args: &Args, distfield: &Path, context: &Context) -> Result<Outcome>
         "make fewer of them: sizefield --min-size, --scale or --quality coarse",
     )?;
     context.add_input(distfield, field.history.clone())?;
-    let sizing = args
-        .sizefield
-        .as_deref()
-        .map(|path| read_sizing(path, (distfield, &field.image.geometry), context))
-        .transpose()?;
+    let sizing = match (&args.sizefield, sizing) {
+        (Some(path), Some(sizing)) => Some(checked_sizing(path, sizing, (distfield, &field.image.geometry), context)?),
+        _ => None,
+    };
     let told: DistanceMeta = meta::typed(distfield, &field.meta, "distfield")?;
     drop(step);
     let options = args.options(&told);
@@ -275,7 +278,11 @@ pub(crate) fn write(
 }
 
 pub(crate) fn read_sizing(path: &Path, distance: (&Path, &Geometry), context: &Context) -> Result<SizingField> {
-    let field = read_field(path, FieldKind::Sizing)?;
+    checked_sizing(path, read_field(path, FieldKind::Sizing)?, distance, context)
+}
+
+/// Takes a size field that lies on the grid of a distance field among the inputs.
+fn checked_sizing(path: &Path, field: Field, distance: (&Path, &Geometry), context: &Context) -> Result<SizingField> {
     check_same_grid((path, &field.image.geometry), distance)?;
     context.add_input(path, field.history)?;
     Ok(SizingField::new(field.image))

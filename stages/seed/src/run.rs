@@ -74,8 +74,11 @@ pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
         return crate::materials::run(args, context);
     }
     let step = context.step("read");
-    let distance = read_field(&args.distfield, FieldKind::Distance)?;
-    let sizing = read_field(&args.sizefield, FieldKind::Sizing)?;
+    let (distance, sizing) = rayon::join(
+        || read_field(&args.distfield, FieldKind::Distance),
+        || read_field(&args.sizefield, FieldKind::Sizing),
+    );
+    let (distance, sizing) = (distance?, sizing?);
     check_same_grid((&args.distfield, &distance.image.geometry), (&args.sizefield, &sizing.image.geometry))?;
     context.add_input(&args.distfield, distance.history.clone())?;
     context.add_input(&args.sizefield, sizing.history.clone())?;

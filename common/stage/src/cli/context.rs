@@ -153,9 +153,9 @@ impl Context {
         self.state().parameters.insert(key.into(), value.into());
     }
 
-    /// Hashes an input file and notes it, with the history that it carries, for the history and the report. Fails if the
+    /// Hashes an input file and notes it, with the history that it carries, for the history and the report; its hash. Fails if the
     /// file cannot be read, or is to be replaced by an output of this run.
-    pub fn add_input(&self, path: &Path, history: Option<History>) -> Result<()> {
+    pub fn add_input(&self, path: &Path, history: Option<History>) -> Result<String> {
         if self.outputs.iter().any(|output| super::same_file(output, path)) {
             return Err(Error::input(
                 format!("{}: is both an input and an output", path.display()),
@@ -164,8 +164,9 @@ impl Context {
             ));
         }
         let input = Input::of_file(path, history)?;
+        let hash = input.blake3.clone();
         self.state().inputs.push(input);
-        Ok(())
+        Ok(hash)
     }
 
     /// The history of what this run writes. Call it after the parameters and inputs are known.
