@@ -6,6 +6,7 @@
 //! marching cubes pass over: on a noisy volume those have a tenth less area than F = 0.
 
 use crate::spline::CubicSpline;
+use crate::spline::bezier::{BezierPoints, ORDER};
 use crate::topology::sign_changes;
 use glam::DVec3;
 use rayon::prelude::*;
@@ -23,9 +24,6 @@ const STEPS: usize = 30;
 /// How closely a root is found, as a part of a cell.
 const ACCURACY: f64 = 1e-7;
 
-/// Bézier points of the cubic spline in a cell, x innermost.
-type Patch = [[[f64; 4]; 4]; 4];
-
 /// Integral of `density(point, unit normal)` over F = 0, within the volume; points in the grid frame (mm). The result does not depend on the
 /// number of threads.
 pub fn integrate(surface: &CubicSpline, density: impl Fn(DVec3, DVec3) -> f64 + Sync) -> f64 {
@@ -35,8 +33,8 @@ pub fn integrate(surface: &CubicSpline, density: impl Fn(DVec3, DVec3) -> f64 + 
         .map(|k| {
             let changes = sign_changes(surface, size, k, 0);
             let cells = (0..changes.len()).filter(|&n| changes[n]).map(|n| [n % size[0], n / size[0], k]);
-            let crossed = cells.filter_map(|cell| Some((cell, patch(surface, cell)?)));
-            crossed.map(|(cell, patch)| integrate_cell(surface, cell, &patch, &density)).sum()
+            let crossed = cells.filter_map(|cell| Some((cell, surface.bezier_points_round_zero(cell)?)));
+            crossed.map(|(cell, points)| integrate_cell(surface, cell, &points, &density)).sum()
         })
         .collect();
     layers.iter().sum()
@@ -46,7 +44,7 @@ pub fn integrate(surface: &CubicSpline, density: impl Fn(DVec3, DVec3) -> f64 + 
 fn integrate_cell(
     surface: &CubicSpline,
     cell: [usize; 3],
-    patch: &Patch,
+    points: &BezierPoints,
     density: &impl Fn(DVec3, DVec3) -> f64,
 ) -> f64 {
     let spacing = surface.geometry().spacing;
@@ -56,7 +54,7 @@ fn integrate_cell(
     for axis in 0..3 {
         let (b, c) = ((axis + 1) % 3, (axis + 2) % 3);
         let between = spacing[b] * spacing[c] / (LINES * LINES) as f64;
-        let turned = turn(patch, axis);
+        let turned = turn(points, axis);
         for v in (0..LINES).map(offset) {
             let plane = turned.each_ref().map(|points| blend(points, bernstein(v)));
             if is_of_one_sign(plane.as_flattened()) {
@@ -88,48 +86,11 @@ fn is_of_one_sign(points: &[f64]) -> bool {
     negative == 0 || negative == points.len()
 }
 
-/// Bézier points of F in the cell whose lowest corner is a node, between which F lies; `None` where they are of one sign, which is asked after each axis.
-fn patch(surface: &CubicSpline, cell: [usize; 3]) -> Option<Patch> {
-    let mut patch = surface.coefficients_of_cell(cell);
-    let planes = patch;
-    for y in 0..4 {
-        for x in 0..4 {
-            let column = bezier(planes.map(|plane| plane[y][x]));
-            patch.iter_mut().zip(column).for_each(|(plane, value)| plane[y][x] = value);
-        }
-    }
-    if is_of_one_sign(patch.as_flattened().as_flattened()) {
-        return None;
-    }
-    for plane in &mut patch {
-        let rows = *plane;
-        for x in 0..4 {
-            let column = bezier(rows.map(|row| row[x]));
-            plane.iter_mut().zip(column).for_each(|(row, value)| row[x] = value);
-        }
-    }
-    if is_of_one_sign(patch.as_flattened().as_flattened()) {
-        return None;
-    }
-    for row in patch.as_flattened_mut() {
-        *row = bezier(*row);
-    }
-    (!is_of_one_sign(patch.as_flattened().as_flattened())).then_some(patch)
-}
-
-/// Bézier points of a segment of a uniform cubic B-spline.
-fn bezier([a, b, c, d]: [f64; 4]) -> [f64; 4] {
-    [(a + 4.0 * b + c) / 6.0, (2.0 * b + c) / 3.0, (b + 2.0 * c) / 3.0, (b + 4.0 * c + d) / 6.0]
-}
-
-/// The Bézier points of a patch by their places along the axis after the given one, the one after that, and the given one.
-fn turn(patch: &Patch, axis: usize) -> Patch {
-    let at = |u: usize, v: usize, t: usize| match axis {
-        0 => patch[v][u][t],
-        1 => patch[u][t][v],
-        _ => patch[t][v][u],
-    };
-    std::array::from_fn(|u| std::array::from_fn(|v| std::array::from_fn(|t| at(u, v, t))))
+/// The Bézier points of a cell by their places along the axis after the given one, the one after that, and the given one.
+fn turn(points: &BezierPoints, axis: usize) -> [[[f64; ORDER]; ORDER]; ORDER] {
+    let stride = |axis: usize| ORDER.pow(axis as u32 % 3);
+    let [t, u, v] = [axis, axis + 1, axis + 2].map(stride);
+    std::array::from_fn(|i| std::array::from_fn(|j| std::array::from_fn(|k| points[u * i + v * j + t * k])))
 }
 
 /// Sum of four points with weights.

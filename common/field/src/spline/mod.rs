@@ -9,6 +9,7 @@ use isoparticles_volume::{Geometry, Image};
 use prefilter::{filter_across, filter_slice, scatter};
 use rayon::prelude::*;
 
+pub(crate) mod bezier;
 mod bricks;
 mod prefilter;
 mod stencil;
@@ -78,24 +79,6 @@ impl CubicSpline {
     /// The spline coefficients, x fastest.
     pub fn coefficients(&self) -> &[f32] {
         &self.coefficients
-    }
-
-    /// The 64 coefficients that F depends on in the cell whose lowest node is given, by z, y and x, mirrored at the border.
-    pub(crate) fn coefficients_of_cell(&self, cell: [usize; 3]) -> [[[f64; 4]; 4]; 4] {
-        let [nx, ny, nz] = self.geometry.size;
-        let row = |y: usize, z: usize| &self.coefficients[(z * ny + y) * nx..][..nx];
-        let is_inner = (0..3).all(|axis| cell[axis] > 0 && cell[axis] + 2 < self.geometry.size[axis]);
-        if is_inner {
-            let [x, y, z] = cell.map(|n| n - 1);
-            let four = |j: usize, k: usize| -> [f32; 4] {
-                row(y + j, z + k)[x..x + 4].try_into().expect("four coefficients are four")
-            };
-            return std::array::from_fn(|k| std::array::from_fn(|j| four(j, k).map(f64::from)));
-        }
-        let around =
-            |cell: usize, n: usize| -> [usize; 4] { std::array::from_fn(|k| mirror((cell + k) as isize - 1, n)) };
-        let [xs, ys, zs] = [around(cell[0], nx), around(cell[1], ny), around(cell[2], nz)];
-        zs.map(|z| ys.map(|y| xs.map(|x| f64::from(row(y, z)[x]))))
     }
 
     /// F at a grid position (clamped to the volume).

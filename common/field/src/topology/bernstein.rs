@@ -5,72 +5,48 @@
 //! degenerate becomes certain in the end.
 
 use crate::spline::CubicSpline;
+use crate::spline::bezier::{BezierPoints, ORDER, ROUNDING, is_of_one_sign, range};
 
-/// Coefficients along each axis.
-const ORDER: usize = 4;
-
-/// Rounding in the conversion and the halvings, as a part of the largest coefficient: a sum of some hundred products.
-const ROUNDING: f64 = 256.0 * f64::EPSILON;
-
-/// The Bernstein coefficients of F in a cell, x fastest.
+/// The Bernstein coefficients of F in a cell.
 #[derive(Clone)]
-pub(super) struct Bernstein([f64; ORDER * ORDER * ORDER]);
+pub(super) struct Bernstein(BezierPoints);
 
 impl Bernstein {
     /// In the cell between eight neighbouring samples, given by the lowest.
     pub(super) fn of_cell(field: &CubicSpline, cell: [usize; 3]) -> Self {
-        let coefficients = field.coefficients_of_cell(cell);
-        let mut new = Self(std::array::from_fn(|n| coefficients[n / ORDER / ORDER][n / ORDER % ORDER][n % ORDER]));
-        let change = |[a, b, c, d]: [f64; ORDER]| {
-            let (low, high) = ((2.0 * b + c) / 3.0, (b + 2.0 * c) / 3.0);
-            [(a + 4.0 * b + c) / 6.0, low, high, (b + 4.0 * c + d) / 6.0]
-        };
-        new.each_line::<1>(change);
-        new.each_line::<ORDER>(change);
-        new.each_line::<{ ORDER * ORDER }>(change);
-        new
+        Self(field.bezier_points(cell))
+    }
+
+    /// The same, `None` where F has one sign all over the cell.
+    pub(super) fn of_crossed_cell(field: &CubicSpline, cell: [usize; 3]) -> Option<Self> {
+        field.bezier_points_round_zero(cell).map(Self)
     }
 
     /// In the eight halves; bit `a` of the number of each says which along axis `a`.
     pub(super) fn octants(&self) -> [Self; 8] {
-        let [low, high] = self.halves::<1>();
-        let quarters = [low, high].map(|half| half.halves::<ORDER>());
-        let parts = quarters.map(|quarters| quarters.map(|quarter| quarter.halves::<{ ORDER * ORDER }>()));
-        let part = |n: usize| parts[n & 1][n >> 1 & 1][n >> 2].clone();
-        std::array::from_fn(part)
+        let mut all = [const { Self([0.0; _]) }; 8];
+        all[0].0 = self.0;
+        Self::halve::<1>(&mut all[..2]);
+        Self::halve::<ORDER>(&mut all[..4]);
+        Self::halve::<{ ORDER * ORDER }>(&mut all);
+        all
     }
 
-    /// In one of the eight halves.
-    pub(super) fn octant(&self, octant: usize) -> Self {
-        let [x, y, z] = [octant & 1, octant >> 1 & 1, octant >> 2];
-        self.halves::<1>()[x].halves::<ORDER>()[y].halves::<{ ORDER * ORDER }>()[z].clone()
-    }
-
-    /// In both halves along an axis: de Casteljau at the middle.
-    fn halves<const STRIDE: usize>(&self) -> [Self; 2] {
-        let (mut lower, mut upper) = (self.clone(), self.clone());
-        for outer in (0..ORDER * ORDER * ORDER).step_by(ORDER * STRIDE) {
-            for first in outer..outer + STRIDE {
-                let place = |k: usize| first + k * STRIDE;
-                let [a, b, c, d] = [0, 1, 2, 3].map(|k| self.0[place(k)]);
-                let middle = (a + 3.0 * (b + c) + d) / 8.0;
-                let low = [a, (a + b) / 2.0, (a + 2.0 * b + c) / 4.0, middle];
-                let high = [middle, (b + 2.0 * c + d) / 4.0, (c + d) / 2.0, d];
-                for k in 0..ORDER {
-                    (lower.0[place(k)], upper.0[place(k)]) = (low[k], high[k]);
+    /// The first half of a list becomes their lower halves along the axis whose neighbours are so many places apart, and the second half the upper ones: de Casteljau at the middle.
+    fn halve<const STRIDE: usize>(all: &mut [Self]) {
+        let (lower, upper) = all.split_at_mut(all.len() / 2);
+        for (Self(lower), Self(upper)) in lower.iter_mut().zip(upper) {
+            for outer in (0..lower.len()).step_by(ORDER * STRIDE) {
+                for first in outer..outer + STRIDE {
+                    let place = |k: usize| first + k * STRIDE;
+                    let [a, b, c, d] = [0, 1, 2, 3].map(|k| lower[place(k)]);
+                    let middle = (a + 3.0 * (b + c) + d) / 8.0;
+                    let low = [a, (a + b) / 2.0, (a + 2.0 * b + c) / 4.0, middle];
+                    let high = [middle, (b + 2.0 * c + d) / 4.0, (c + d) / 2.0, d];
+                    for k in 0..ORDER {
+                        (lower[place(k)], upper[place(k)]) = (low[k], high[k]);
+                    }
                 }
-            }
-        }
-        [lower, upper]
-    }
-
-    /// Changes the lines along the axis whose neighbours are so many places apart: known when compiling, so that the loops unroll.
-    fn each_line<const STRIDE: usize>(&mut self, change: impl Fn([f64; ORDER]) -> [f64; ORDER]) {
-        for outer in (0..ORDER * ORDER * ORDER).step_by(ORDER * STRIDE) {
-            for first in outer..outer + STRIDE {
-                let place = |k: usize| first + k * STRIDE;
-                let line = change([0, 1, 2, 3].map(|k| self.0[place(k)]));
-                (0..ORDER).for_each(|k| self.0[place(k)] = line[k]);
             }
         }
     }
@@ -104,9 +80,7 @@ impl Bernstein {
 
     /// Whether F has one sign all over the cell, its border included.
     pub(super) fn is_clear(&self) -> bool {
-        let (low, high) = range(&self.0);
-        let slack = ROUNDING * low.abs().max(high.abs());
-        low > slack || high < -slack
+        is_of_one_sign(&self.0)
     }
 
     /// Whether the gradients (per index) at any two places of the cell differ by less than a right angle: condition C1 of Plantinga and
@@ -124,23 +98,6 @@ impl Bernstein {
         });
         least.iter().sum::<f64>() > 0.0
     }
-}
-
-/// Least and most of some numbers, in lanes that do not wait for each other.
-fn range<const COUNT: usize>(values: &[f64; COUNT]) -> (f64, f64) {
-    const LANES: usize = 8;
-    let less = |a: f64, b: f64| if a < b { a } else { b };
-    let more = |a: f64, b: f64| if a > b { a } else { b };
-    let (mut low, mut high) = ([f64::INFINITY; LANES], [f64::NEG_INFINITY; LANES]);
-    let (chunks, rest) = values.as_chunks::<LANES>();
-    for chunk in chunks {
-        for lane in 0..LANES {
-            low[lane] = less(chunk[lane], low[lane]);
-            high[lane] = more(chunk[lane], high[lane]);
-        }
-    }
-    let ends = |all: [f64; LANES], other: &dyn Fn(f64, f64) -> f64| all.into_iter().reduce(other).unwrap_or(0.0);
-    rest.iter().fold((ends(low, &less), ends(high, &more)), |(low, high), &x| (less(x, low), more(x, high)))
 }
 
 #[cfg(test)]
@@ -170,7 +127,9 @@ mod tests {
                 let first = DVec3::from_array(cell.map(|n| n as f64));
                 let octant = (seed % 8) as usize;
                 let half = DVec3::new((octant & 1) as f64, (octant >> 1 & 1) as f64, (octant >> 2) as f64) * 0.5;
-                for (own, low, edge) in [(whole.clone(), first, 1.0), (whole.octant(octant), first + half, 0.5)] {
+                for (own, low, edge) in
+                    [(whole.clone(), first, 1.0), (whole.octants()[octant].clone(), first + half, 0.5)]
+                {
                     for corner in 0..8 {
                         let bits = [corner & 1, corner >> 1 & 1, corner >> 2];
                         let p = (low + DVec3::from_array(bits.map(|b| b as f64)) * edge) * spacing;

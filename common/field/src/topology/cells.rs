@@ -347,19 +347,19 @@ pub(super) fn around() -> impl Iterator<Item = [i64; 3]> {
 fn halves_of_graph(field: &CubicSpline, cell: Cell) -> [State; 8] {
     let mut own = Bernstein::of_cell(field, cell.within(0).at.map(|n| n as usize));
     for level in 1..=cell.level {
-        own = own.octant(cell.within(level).octant());
+        own = own.octants()[cell.within(level).octant()].clone();
     }
     // a part of a graph is one
-    own.octants().map(|half| if half.is_clear() { State::Clear } else { State::Graph })
+    own.octants().each_ref().map(|half| if half.is_clear() { State::Clear } else { State::Graph })
 }
 
 /// The states of the voxel cells of a slice, and of the halves of those that are halved.
 fn states_of_slice(field: &CubicSpline, size: [usize; 3], k: usize) -> (Vec<State>, Vec<[State; 8]>) {
     let may_change = sign_changes(field, size, k, 0);
     let mut halving = Halving::default();
-    let state = |(n, may_change): (usize, bool)| match may_change {
-        true => halving.voxel(&Bernstein::of_cell(field, [n % size[0], n / size[0], k])),
-        false => State::Clear,
+    let state = |(n, may_change): (usize, bool)| {
+        let crossed = may_change.then(|| Bernstein::of_crossed_cell(field, [n % size[0], n / size[0], k])).flatten();
+        crossed.map_or(State::Clear, |whole| halving.voxel(&whole))
     };
     let states = may_change.into_iter().enumerate().map(state).collect();
     (states, halving.halves)
@@ -405,11 +405,11 @@ impl Halving {
     fn halved(&mut self, own: &Bernstein, level: u8) -> State {
         let number = self.halves.len();
         self.halves.push([State::Clear; 8]);
-        for (octant, half) in own.octants().into_iter().enumerate() {
-            let state = self.state(&half, level);
+        for (octant, half) in own.octants().iter().enumerate() {
+            let state = self.state(half, level);
             self.halves[number][octant] = state;
             if state == State::Undecided {
-                self.uncertain.push((number, octant, half));
+                self.uncertain.push((number, octant, half.clone()));
             }
         }
         State::Halved(number as u32)

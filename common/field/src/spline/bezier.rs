@@ -1,0 +1,94 @@
+//! F in a cell between eight neighbouring nodes, by its Bézier points.
+
+use super::{CubicSpline, mirror};
+
+/// Points along each axis.
+pub(crate) const ORDER: usize = 4;
+
+/// The points of a cell, x fastest. F lies between the least and the largest of them (the convex hull property), and is that at the eight corners.
+pub(crate) type BezierPoints = [f64; ORDER * ORDER * ORDER];
+
+/// Rounding in what is made of them by conversions and halvings, as a part of the largest: a sum of some hundred products.
+pub(crate) const ROUNDING: f64 = 256.0 * f64::EPSILON;
+
+impl CubicSpline {
+    /// The points of the cell whose lowest corner is a node.
+    pub(crate) fn bezier_points(&self, cell: [usize; 3]) -> BezierPoints {
+        let mut points = self.coefficients_of_cell(cell);
+        along::<{ ORDER * ORDER }>(&mut points);
+        along::<ORDER>(&mut points);
+        along::<1>(&mut points);
+        points
+    }
+
+    /// The same; `None` where F is surely of one sign all over the cell, its border included. That is asked after each axis: what comes out lies between what went in.
+    pub(crate) fn bezier_points_round_zero(&self, cell: [usize; 3]) -> Option<BezierPoints> {
+        let mut points = self.coefficients_of_cell(cell);
+        for convert in [along::<{ ORDER * ORDER }>, along::<ORDER>, along::<1>] {
+            convert(&mut points);
+            if is_of_one_sign(&points) {
+                return None;
+            }
+        }
+        Some(points)
+    }
+
+    /// The coefficients that F depends on in a cell, mirrored at the border.
+    fn coefficients_of_cell(&self, cell: [usize; 3]) -> BezierPoints {
+        let [nx, ny, nz] = self.geometry.size;
+        let row = |y: usize, z: usize| &self.coefficients[(z * ny + y) * nx..][..nx];
+        let mut found = [0.0; ORDER * ORDER * ORDER];
+        let rows = found.chunks_exact_mut(ORDER).enumerate().map(|(n, own)| (n % ORDER, n / ORDER, own));
+        let is_inner = (0..3).all(|axis| cell[axis] > 0 && cell[axis] + 2 < self.geometry.size[axis]);
+        if is_inner {
+            let [x, y, z] = cell.map(|n| n - 1);
+            for (j, k, own) in rows {
+                own.iter_mut().zip(&row(y + j, z + k)[x..x + ORDER]).for_each(|(own, &c)| *own = f64::from(c));
+            }
+        } else {
+            let at = |axis: usize, k: usize| mirror((cell[axis] + k) as isize - 1, [nx, ny, nz][axis]);
+            for (j, k, own) in rows {
+                let row = row(at(1, j), at(2, k));
+                own.iter_mut().enumerate().for_each(|(i, own)| *own = f64::from(row[at(0, i)]));
+            }
+        }
+        found
+    }
+}
+
+/// Whether all points are surely of one sign, rounding considered.
+pub(crate) fn is_of_one_sign(points: &BezierPoints) -> bool {
+    let (low, high) = range(points);
+    let slack = ROUNDING * low.abs().max(high.abs());
+    low > slack || high < -slack
+}
+
+/// From the coefficients of a uniform cubic B-spline to Bézier points, along the axis whose neighbours are so many places apart: known when compiling, so that the loops unroll.
+fn along<const STRIDE: usize>(points: &mut BezierPoints) {
+    for outer in (0..points.len()).step_by(ORDER * STRIDE) {
+        for first in outer..outer + STRIDE {
+            let [a, b, c, d] = [0, 1, 2, 3].map(|k| points[first + k * STRIDE]);
+            points[first] = (a + 4.0 * b + c) / 6.0;
+            points[first + STRIDE] = (2.0 * b + c) / 3.0;
+            points[first + 2 * STRIDE] = (b + 2.0 * c) / 3.0;
+            points[first + 3 * STRIDE] = (b + 4.0 * c + d) / 6.0;
+        }
+    }
+}
+
+/// Least and most of some numbers, in lanes that do not wait for each other.
+pub(crate) fn range<const COUNT: usize>(values: &[f64; COUNT]) -> (f64, f64) {
+    const LANES: usize = 8;
+    let less = |a: f64, b: f64| if a < b { a } else { b };
+    let more = |a: f64, b: f64| if a > b { a } else { b };
+    let (mut low, mut high) = ([f64::INFINITY; LANES], [f64::NEG_INFINITY; LANES]);
+    let (chunks, rest) = values.as_chunks::<LANES>();
+    for chunk in chunks {
+        for lane in 0..LANES {
+            low[lane] = less(chunk[lane], low[lane]);
+            high[lane] = more(chunk[lane], high[lane]);
+        }
+    }
+    let ends = |all: [f64; LANES], other: &dyn Fn(f64, f64) -> f64| all.into_iter().reduce(other).unwrap_or(0.0);
+    rest.iter().fold((ends(low, &less), ends(high, &more)), |(low, high), &x| (less(x, low), more(x, high)))
+}
