@@ -373,3 +373,35 @@ fn random_blends_come_out_closed_with_the_right_topology() {
     }
     assert!(inserted > 0, "none of the scenes needed refinement: they are too easy");
 }
+
+/// A ball with six small ones round it, each on a thin stalk.
+fn ball_with_buds(seed: u64) -> Scene {
+    let random = |n: u64| uniform(seed, 7, n);
+    let centre = DVec3::splat(15.0) + 0.5 * DVec3::new(random(0), random(1), random(2));
+    let buds: Vec<(DVec3, f64, f64)> = (0..6u64)
+        .map(|n| {
+            let side = DVec3::AXES[n as usize / 2] * if n % 2 == 0 { 1.0 } else { -1.0 };
+            let way = side + 0.5 * (DVec3::new(random(10 * n + 3), random(10 * n + 4), random(10 * n + 5)) - 0.5);
+            (centre + 10.5 * way.normalize(), 1.0 + 1.2 * random(10 * n + 6), 0.35 + 0.3 * random(10 * n + 7))
+        })
+        .collect();
+    Scene::new([31; 3], DVec3::ONE, move |p| {
+        let bud = |&(end, radius, stalk): &(DVec3, f64, f64)| {
+            let way = end - centre;
+            let along = ((p - centre).dot(way) / way.length_squared()).clamp(0.0, 1.0);
+            (p.distance(end) - radius).min(p.distance(centre + along * way) - stalk)
+        };
+        buds.iter().map(bud).fold(p.distance(centre) - 6.5, f64::min)
+    })
+}
+
+/// All of these had a bud that stayed apart when only the middle of the gap between it and the ball was tried.
+#[test]
+fn buds_on_thin_stalks_stay_on_them() {
+    let cases =
+        [(1, 3.0), (9, 3.0), (17, 5.0), (19, 7.0), (27, 7.0), (28, 5.0), (30, 5.0), (38, 3.0), (0, 3.0), (0, 7.0)];
+    for (seed, spacing) in cases {
+        let (_, defects, report, _) = surface(&ball_with_buds(seed), spacing);
+        assert!(defects.is_empty() && report.unresolved.is_empty(), "scene {seed} at {spacing}: {report:?}");
+    }
+}

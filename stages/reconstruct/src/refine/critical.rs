@@ -11,8 +11,8 @@ use rayon::prelude::*;
 /// Looks at critical points that stay on the wrong side of the mesh.
 const LOOKS: usize = 6;
 
-/// Spheres of points round a critical point that is still on the wrong side after its nearest points of F = 0 are in the mesh, each twice
-/// as large as the one before.
+/// Spheres of points round a critical point that is still on the wrong side after its nearest points of F = 0 are in the mesh, or round the middle of a gap that a point there did
+/// not close, each twice as large as the one before.
 const SPHERES: i32 = 4;
 
 /// Points of such a sphere keep this part of its radius from all others.
@@ -69,29 +69,33 @@ impl Refinement<'_> {
     /// Points round the critical points on the wrong side: first where F = 0 is nearest to each in its principal directions, then on spheres
     /// around it.
     fn at_critical_points(&self, wrong_sided: &[(CriticalPoint, u32)], attempt: usize) -> Vec<Violation> {
-        let place = |start: DVec3, c: &CriticalPoint, size: f64, apart: f64| {
-            let point = self.object.on_surface(start, 2.0)?;
-            let reach = start.distance(c.position);
-            let room = self.nearest(point).1;
-            let fits = room > apart && point.distance(start) < reach;
-            fits.then_some(Place { point, radius: room.min(reach), size })
-        };
         let around = |&(c, near): &(CriticalPoint, u32)| -> Vec<Place> {
             let h = self.object.sizes[near as usize];
-            let size = |radius: f64| h.min(2.0 * radius);
             if attempt == 0 {
                 let ends = c.ways.iter().filter(|way| **way != DVec3::ZERO).flat_map(|&way| [way, -way]);
-                return ends.filter_map(|way| place(c.position + way, &c, size(way.length()), 0.0)).collect();
+                return ends.filter_map(|way| self.place_beside(c.position, way, h, 0.0)).collect();
             }
-            let radii = (0..SPHERES).map(|k| c.radius * f64::powi(2.0, k - attempt as i32 + 1));
-            let on_sphere = |radius: f64| {
-                let starts = directions().map(move |d| c.position + radius * d);
-                starts.filter_map(move |start| place(start, &c, size(radius), APART * radius))
-            };
-            radii.filter(|&r| r < 2.0 * h).flat_map(on_sphere).collect()
+            self.on_spheres(c.position, h, c.radius * f64::powi(2.0, SPHERES - attempt as i32))
         };
         let found: Vec<Place> = wrong_sided.par_iter().flat_map_iter(around).collect();
         self.places(Reason::CriticalPoint, &found)
+    }
+
+    /// Places on spheres of up to a radius (mm) round one where h is given, each half as large as the next, and none larger than 2 h.
+    pub(super) fn on_spheres(&self, centre: DVec3, h: f64, largest: f64) -> Vec<Place> {
+        let radii = (0..SPHERES).map(|k| largest * f64::powi(2.0, k - SPHERES + 1)).filter(|&radius| radius < 2.0 * h);
+        let on_sphere =
+            |radius: f64| directions().filter_map(move |d| self.place_beside(centre, radius * d, h, APART * radius));
+        radii.flat_map(on_sphere).collect()
+    }
+
+    /// The place on F = 0 next to where a way (mm) leads to, if it is nearer to that than the way is long and has more room than said.
+    fn place_beside(&self, from: DVec3, way: DVec3, h: f64, room: f64) -> Option<Place> {
+        let (start, reach) = (from + way, way.length());
+        let point = self.object.on_surface(start, 2.0)?;
+        let radius = self.nearest(point).1;
+        let fits = radius > room && point.distance(start) < reach;
+        fits.then_some(Place { point, radius: radius.min(reach), size: h.min(2.0 * reach) })
     }
 }
 

@@ -3,7 +3,7 @@
 use super::{Place, Refinement};
 use crate::defects::Defects;
 use crate::object::Violation;
-use crate::queue::Reason;
+use crate::queue::{NEAREST_FOR_TOPOLOGY, Reason};
 use isoparticles_mesh::components::NO_COMPONENT;
 use isoparticles_mesh::kd_tree::KdTree;
 use rayon::prelude::*;
@@ -82,7 +82,7 @@ impl Refinement<'_> {
             && rank().is_some_and(|&rank| rank < k)
     }
 
-    /// Points in the gaps of groups that fell apart: between each smaller piece and the nearest vertex of the larger ones.
+    /// Points in the gaps of groups that fell apart: between each smaller piece and the nearest vertex of the larger ones, or round there where a point in the middle did not join them.
     pub(super) fn in_gaps(&self, defects: &Defects) -> Vec<Violation> {
         let pieces = self.pieces(defects);
         if pieces.is_empty() {
@@ -90,11 +90,16 @@ impl Refinement<'_> {
         }
         let tree = KdTree::new(self.object.points());
         let gaps = pieces.par_iter().flat_map(|p| (1..p.vertices.len()).into_par_iter().map(move |k| (p, k)));
-        let between = gaps.filter_map(|(pieces, k)| {
-            let [v, w] = self.gap(&tree, pieces, k, defects)?;
+        let between = gaps.flat_map_iter(|(pieces, k)| {
+            let Some([v, w]) = self.gap(&tree, pieces, k, defects) else { return Vec::new() };
             let [p, q] = [v, w].map(|v| self.object.points()[v as usize]);
-            let point = self.object.on_surface(p.midpoint(q), 2.0)?;
-            Some(Place { point, radius: point.distance(p).min(point.distance(q)), size: p.distance(q) })
+            let (middle, size) = (p.midpoint(q), p.distance(q));
+            let Some(point) = self.object.on_surface(middle, 2.0) else { return Vec::new() };
+            let radius = self.nearest(point).1;
+            if radius >= NEAREST_FOR_TOPOLOGY * size {
+                return vec![Place { point, radius, size }];
+            }
+            self.on_spheres(point, self.object.sizes[v as usize], size)
         });
         self.places(Reason::Component, &between.collect::<Vec<Place>>())
     }
