@@ -2,6 +2,7 @@
 
 use glam::DVec3;
 use isoparticles_distfield::{Border, Clearance, Keep, LabelOptions, from_labels};
+use isoparticles_field::marching_cubes::marching_cubes;
 use isoparticles_field::spline::CubicSpline;
 use isoparticles_particles::{Fields, Parameters, settle};
 use isoparticles_reconstruct::{Options, reconstruct};
@@ -27,8 +28,7 @@ fn main() -> Result<()> {
     let distance = from_labels(&inside, &options, &Silent)?.field;
     let surface = CubicSpline::new(&distance);
     let sizing = uniform_field(&distance, 2.0);
-    let predicted = sizing.predicted_count(&surface);
-    let (seeds, _) = seed_surface(&distance, &surface, &sizing, predicted, None, 1, &Silent)?;
+    let (seeds, _) = seed_surface(&marching_cubes(&distance, 0.0), &surface, (&sizing, &sizing), 1, &Silent)?;
     let fields = Fields { surface: &surface, sizing: &sizing };
     let (particles, summary) = settle(&seeds, None, &fields, &Parameters::default(), |_, _| Ok(()))?;
     let options = Options { keeps_voxels: true, ..Options::default() };

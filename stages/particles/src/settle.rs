@@ -135,8 +135,9 @@ impl Parameters {
 pub const DEFECT_WINDOW: usize = 10;
 
 /// Passes over which the counts are averaged that tell whether density control adds and deletes in balance: where h does not suit the surface (coarse
-/// against its curvature, or on voxel steps) the same places fill and empty for ever.
-const BALANCE_WINDOW: usize = 20;
+/// against its curvature, or on voxel steps) the same places fill and empty for ever. With 20, 14 and 10 `heart_ct` at 75,000 vertices takes 3.8, 3.2 and 2.9 s, and its mesh has a mean
+/// radius ratio of 0.9859, 0.9856 and 0.9855; `heart_label` at h = 1.4 voxels 0.50, 0.38 and 0.32 s, 0.9899, 0.9892 and 0.9889.
+const BALANCE_WINDOW: usize = 14;
 
 /// On levels before that of h density control is at rest when it adds and deletes no more than this share of the particles a pass.
 const COARSE_REST: f64 = 5e-2;

@@ -1,8 +1,9 @@
 //! The program around [`crate::sampling`] and [`crate::vertices`]: options, files, report.
 
-use crate::sampling::{BYTES_PER_PARTICLE, COMPONENT_MINIMUM, Summary, seed_surface, seed_vertices};
+use crate::sampling::{BYTES_PER_PARTICLE, COMPONENT_MINIMUM, Summary, asked_for, seed_surface, seed_vertices};
 use crate::vertices::{BYTES_PER_NODE, FINEST, vertices};
 use clap::{Parser, ValueEnum};
+use isoparticles_field::marching_cubes::marching_cubes;
 use isoparticles_field::particle_set::ParticleSet;
 use isoparticles_field::sizing::SizingField;
 use isoparticles_field::spline::CubicSpline;
@@ -85,17 +86,10 @@ pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
     let surface = CubicSpline::new(&distance.image);
     drop(step);
     context.check_interrupt()?;
-    let step = context.step("predict the count");
     let sizing = SizingField::new(sizing.image);
-    let predicted = sizing.predicted_count(&surface);
-    check_prediction(args, predicted, context)?;
-    drop(step);
     let (particles, summary) = match args.from {
-        From::PoissonDisk => {
-            let count = args.count.map(|n| n as usize);
-            seed_surface(&distance.image, &surface, &sizing, predicted, count, context.seed(), context)?
-        }
-        From::MarchingCubes => at_vertices(args, &distance.image, &surface, &sizing, predicted, context)?,
+        From::PoissonDisk => by_poisson_disks(args, &distance.image, &surface, &sizing, context)?,
+        From::MarchingCubes => at_vertices(args, &distance.image, &surface, &sizing, context)?,
     };
     if particles.positions.is_empty() {
         return Err(Error::input(
@@ -112,7 +106,6 @@ pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
         ));
     }
     context.summary("particles", particles.positions.len());
-    context.summary("predicted particles", summary.predicted_count.round());
     if let Some(vertices) = summary.vertices {
         context.summary("vertices of marching cubes", vertices);
         context.summary("  cells along a voxel's edge", summary.refinement.unwrap_or(1));
@@ -127,15 +120,32 @@ pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
     Ok(Outcome::Passed)
 }
 
+/// Seeds by a Poisson-disk sample.
+fn by_poisson_disks(
+    args: &Args,
+    distance: &Image<f32>,
+    surface: &CubicSpline,
+    sizing: &SizingField,
+    context: &Context,
+) -> Result<(ParticleSet, Summary)> {
+    let step = context.step("marching cubes");
+    let mesh = marching_cubes(distance, 0.0);
+    check_prediction(args, asked_for(&mesh, sizing), context)?;
+    drop(step);
+    let for_count = |count: u64| sizing.scaled((sizing.predicted_count(surface) / count.max(1) as f64).sqrt());
+    let scaled = args.count.map(for_count);
+    Ok(seed_surface(&mesh, surface, (scaled.as_ref().unwrap_or(sizing), sizing), context.seed(), context)?)
+}
+
 /// Seeds at vertices of marching cubes.
 fn at_vertices(
     args: &Args,
     distance: &Image<f32>,
     surface: &CubicSpline,
     sizing: &SizingField,
-    predicted: f64,
     context: &Context,
 ) -> Result<(ParticleSet, Summary)> {
+    check_prediction(args, sizing.predicted_count(surface), context)?;
     let has_room = |nodes: usize| {
         context.check_memory(
             BYTES_PER_NODE * nodes as f64,
@@ -160,7 +170,7 @@ fn at_vertices(
         &format!("{}: {} vertices of marching cubes to seed at", args.distfield.display(), found.points.len()),
         "give --count, or leave out --from marching-cubes",
     )?;
-    Ok(seed_vertices(&found, surface, sizing, predicted, context.seed(), context)?)
+    Ok(seed_vertices(&found, surface, sizing, context.seed(), context)?)
 }
 
 /// Refuses sizes that are larger than the object, or ask for more particles than memory holds.

@@ -2,7 +2,6 @@
 
 use crate::vertices::Vertices;
 use glam::DVec3;
-use isoparticles_field::marching_cubes::marching_cubes;
 use isoparticles_field::neighbours::LevelBins;
 use isoparticles_field::particle_set::ParticleSet;
 use isoparticles_field::random;
@@ -11,7 +10,6 @@ use isoparticles_field::spline::CubicSpline;
 use isoparticles_field::topology::FieldComponents;
 use isoparticles_mesh::TriangleMesh;
 use isoparticles_stage::monitor::{Interrupted, Monitor};
-use isoparticles_volume::Image;
 use rayon::prelude::*;
 
 /// Candidates for each particle that the sizing field asks for.
@@ -37,8 +35,6 @@ pub struct Summary {
     pub components: usize,
     /// Components that got extra particles, because the sizing field asked for fewer than they need.
     pub underpopulated_components: usize,
-    /// Particles that the sizing field asks for, [`SizingField::predicted_count`].
-    pub predicted_count: f64,
     /// Seeds dropped because they could not be projected onto F = 0.
     pub not_projected: usize,
     /// Of seeds at the vertices of marching cubes: how many vertices there are.
@@ -59,36 +55,39 @@ pub(crate) struct Candidates {
     pub(crate) component: Vec<u32>,
 }
 
-/// Seeds the surface F = 0, for which `sizing` predicts a count ([`SizingField::predicted_count`]). With `count` the spacing is scaled to give about that many particles (the paper's Table 3);
-/// the particles keep the sizes of the field. The result depends on the arguments alone.
+/// Particles that the sizes ask for on the triangles of marching cubes, which are F = 0 as far as its samples tell: enough to judge by, and quicker than [`SizingField::predicted_count`].
+pub fn asked_for(mesh: &TriangleMesh, sizing: &SizingField) -> f64 {
+    let on = |t: usize| {
+        let (centre, doubled) = centre_and_normal(mesh, t);
+        0.5 * doubled.length() * sizing.lattice_density(centre, doubled.normalize_or_zero())
+    };
+    // added up in order, whatever the threads
+    (0..mesh.triangles.len()).into_par_iter().map(on).collect::<Vec<f64>>().iter().sum()
+}
+
+/// Seeds the surface F = 0, which the triangles of marching cubes follow, with as many particles as one sizing field asks for; they keep the sizes of another, the same but for a factor
+/// where their number is given (the paper's Table 3). The result depends on the arguments alone.
 ///
 /// # Errors
 /// When the monitor says so.
 pub fn seed_surface(
-    distance: &Image<f32>,
+    mesh: &TriangleMesh,
     surface: &CubicSpline,
-    sizing: &SizingField,
-    predicted_count: f64,
-    count: Option<usize>,
+    (spread, sizing): (&SizingField, &SizingField),
     seed: u64,
     monitor: &dyn Monitor,
 ) -> Result<(ParticleSet, Summary), Interrupted> {
     let components = components_of(surface, monitor)?;
     let _phase = monitor.phase("sample");
-    let mesh = marching_cubes(distance, 0.0);
-    let scaled = count.map(|n| sizing.scaled((predicted_count / n.max(1) as f64).sqrt()));
-    let spread = scaled.as_ref().unwrap_or(sizing);
     let every: Vec<u32> = (0..mesh.triangles.len() as u32).collect();
     let density = |p, normal| OVERSAMPLING * spread.lattice_density(p, normal);
-    let all = sample(&mesh, &every, |_| 0, density, |p| spread.at(p), seed);
+    let all = sample(mesh, &every, |_| 0, density, |p| spread.at(p), seed);
     monitor.check()?;
     let mut chosen = eliminate(&all, seed, |_, _| true);
     chosen.sort_unstable();
     let picked: Vec<_> = chosen.into_iter().map(|i| (all.points[i as usize], all.normals[i as usize])).collect();
     monitor.check()?;
-    let (set, mut summary) = on_every_component(&components, surface, sizing, &picked, seed);
-    summary.predicted_count = predicted_count;
-    Ok((set, summary))
+    Ok(on_every_component(&components, surface, sizing, &picked, seed))
 }
 
 /// Seeds the surface F = 0 at [`vertices`](crate::vertices::vertices) of marching cubes, without thinning them: the paper's seeds, of which density control deletes what is too many.
@@ -99,7 +98,6 @@ pub fn seed_vertices(
     vertices: &Vertices,
     surface: &CubicSpline,
     sizing: &SizingField,
-    predicted_count: f64,
     seed: u64,
     monitor: &dyn Monitor,
 ) -> Result<(ParticleSet, Summary), Interrupted> {
@@ -107,7 +105,7 @@ pub fn seed_vertices(
     let _phase = monitor.phase("project");
     let (set, summary) = on_every_component(&components, surface, sizing, &vertices.points, seed);
     let (available, refinement) = (Some(vertices.available), Some(vertices.refinement));
-    Ok((set, Summary { predicted_count, vertices: available, refinement, ..summary }))
+    Ok((set, Summary { vertices: available, refinement, ..summary }))
 }
 
 fn components_of(surface: &CubicSpline, monitor: &dyn Monitor) -> Result<FieldComponents, Interrupted> {

@@ -21,12 +21,11 @@ fn seeded(function: impl Fn(DVec3) -> f64, at_vertices: bool) -> (Summary, Vec<u
     let image = Image::sampled(geometry.clone(), |p| function(p) as f32);
     let surface = CubicSpline::new(&image);
     let sizing = SizingField::new(Image::filled(geometry, H));
-    let predicted = sizing.predicted_count(&surface);
     let seeds = if at_vertices {
         let found = vertices(&image, &surface, None, |_| Ok::<_, Interrupted>(()), &Silent).expect("not interrupted");
-        seed_vertices(&found, &surface, &sizing, predicted, 1, &Silent)
+        seed_vertices(&found, &surface, &sizing, 1, &Silent)
     } else {
-        seed_surface(&image, &surface, &sizing, predicted, None, 1, &Silent)
+        seed_surface(&marching_cubes(&image, 0.0), &surface, (&sizing, &sizing), 1, &Silent)
     };
     let (seeds, summary) = seeds.expect("not interrupted");
     let components = FieldComponents::new(&surface, &Silent).expect("not interrupted");
