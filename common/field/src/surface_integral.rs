@@ -57,7 +57,7 @@ fn integrate_cell(
         let turned = turn(points, axis);
         for v in (0..LINES).map(offset) {
             let plane = turned.each_ref().map(|points| blend(points, bernstein(v)));
-            if is_of_one_sign(plane.as_flattened()) {
+            if have_one_sign(plane.as_flattened()) {
                 continue;
             }
             for u in (0..LINES).map(offset) {
@@ -81,7 +81,7 @@ fn integrate_cell(
 }
 
 /// Whether no number is negative, or all are.
-fn is_of_one_sign(points: &[f64]) -> bool {
+fn have_one_sign(points: &[f64]) -> bool {
     let negative = points.iter().filter(|&&point| point < 0.0).count();
     negative == 0 || negative == points.len()
 }

@@ -395,13 +395,13 @@ fn ball_with_buds(seed: u64) -> Scene {
     })
 }
 
-/// All of these had a bud that stayed apart when only the middle of the gap between it and the ball was tried.
+/// All of these, of scenes 0 to 59 at these three spacings, had a bud that stayed apart when only the middle of the gap between it and the ball was tried.
 #[test]
 fn buds_on_thin_stalks_stay_on_them() {
-    let cases =
-        [(1, 3.0), (9, 3.0), (17, 5.0), (19, 7.0), (27, 7.0), (28, 5.0), (30, 5.0), (38, 3.0), (0, 3.0), (0, 7.0)];
-    for (seed, spacing) in cases {
+    for (seed, spacing) in [(1, 3.0), (9, 3.0), (17, 5.0), (19, 7.0), (27, 7.0), (28, 5.0), (30, 5.0), (38, 3.0)] {
         let (_, defects, report, _) = surface(&ball_with_buds(seed), spacing);
         assert!(defects.is_empty() && report.unresolved.is_empty(), "scene {seed} at {spacing}: {report:?}");
+        // in the middle, and round there
+        assert!(report.inserted[&Reason::Component] > 1, "scene {seed} at {spacing}: {report:?}");
     }
 }

@@ -130,9 +130,12 @@ fn by_poisson_disks(
 ) -> Result<(ParticleSet, Summary)> {
     let step = context.step("marching cubes");
     let mesh = marching_cubes(distance, 0.0);
-    check_prediction(args, asked_for(&mesh, sizing), context)?;
+    check_prediction(args, || asked_for(&mesh, sizing), context)?;
     drop(step);
-    let for_count = |count: u64| sizing.scaled((sizing.predicted_count(surface) / count.max(1) as f64).sqrt());
+    let for_count = |count: u64| {
+        let _step = context.step("predict the count");
+        sizing.scaled((sizing.predicted_count(surface) / count as f64).sqrt())
+    };
     let scaled = args.count.map(for_count);
     Ok(seed_surface(&mesh, surface, (scaled.as_ref().unwrap_or(sizing), sizing), context.seed(), context)?)
 }
@@ -145,7 +148,11 @@ fn at_vertices(
     sizing: &SizingField,
     context: &Context,
 ) -> Result<(ParticleSet, Summary)> {
-    check_prediction(args, sizing.predicted_count(surface), context)?;
+    let predicted = || {
+        let _step = context.step("predict the count");
+        sizing.predicted_count(surface)
+    };
+    check_prediction(args, predicted, context)?;
     let has_room = |nodes: usize| {
         context.check_memory(
             BYTES_PER_NODE * nodes as f64,
@@ -173,20 +180,20 @@ fn at_vertices(
     Ok(seed_vertices(&found, surface, sizing, context.seed(), context)?)
 }
 
-/// Refuses sizes that are larger than the object, or ask for more particles than memory holds.
-pub(crate) fn check_prediction(args: &Args, predicted: f64, context: &Context) -> Result<()> {
+/// Refuses sizes that are larger than the object, or ask for more particles than memory holds; how many they ask for is asked only where their number is not given.
+pub(crate) fn check_prediction(args: &Args, predicted: impl FnOnce() -> f64, context: &Context) -> Result<()> {
     let sizes = args.sizefield.display();
+    let count = args.count.map_or_else(predicted, |count| count as f64);
     // no surface at all has an error of its own
-    if predicted > 0.0 && predicted < COMPONENT_MINIMUM as f64 && args.count.is_none() {
+    if count > 0.0 && count < COMPONENT_MINIMUM as f64 && args.count.is_none() {
         return Err(Error::input(
             format!(
-                "{sizes}: the sizes ask for {predicted:.1} particles on the whole surface: h is larger than the object"
+                "{sizes}: the sizes ask for {count:.1} particles on the whole surface: h is larger than the object"
             ),
             format!("fewer than {COMPONENT_MINIMUM} do not make a closed surface"),
             "run sizefield again with a smaller size; its defaults go by the object",
         ));
     }
-    let count = args.count.map_or(predicted, |count| count as f64);
     context.check_memory(
         BYTES_PER_PARTICLE * count,
         &format!("{sizes}: {count:.0} particles to seed"),

@@ -65,7 +65,7 @@ pub fn asked_for(mesh: &TriangleMesh, sizing: &SizingField) -> f64 {
     (0..mesh.triangles.len()).into_par_iter().map(on).collect::<Vec<f64>>().iter().sum()
 }
 
-/// Seeds the surface F = 0, which the triangles of marching cubes follow, with as many particles as one sizing field asks for; they keep the sizes of another, the same but for a factor
+/// Seeds the surface F = 0, which the triangles of marching cubes follow, with as many particles as `spread` asks for; they keep the sizes of `sizing`, which is the same but for a factor
 /// where their number is given (the paper's Table 3). The result depends on the arguments alone.
 ///
 /// # Errors

@@ -6,7 +6,7 @@ use isoparticles_field::sizing::SizingField;
 use isoparticles_field::spline::CubicSpline;
 use isoparticles_field::topology::FieldComponents;
 use isoparticles_mesh::components::of_vertices;
-use isoparticles_seed::sampling::{COMPONENT_MINIMUM, Summary, seed_surface, seed_vertices};
+use isoparticles_seed::sampling::{COMPONENT_MINIMUM, Summary, asked_for, seed_surface, seed_vertices};
 use isoparticles_seed::vertices::vertices;
 use isoparticles_stage::monitor::{Interrupted, Silent};
 use isoparticles_volume::{Geometry, Image};
@@ -80,4 +80,25 @@ fn two_balls_that_marching_cubes_joins_are_two() {
     let (summary, counts) = seeded(distance, false);
     assert_eq!((summary.components, summary.underpopulated_components, counts.len()), (2, 0, 2));
     assert!(counts.iter().all(|&n| n > 100), "{counts:?}");
+}
+
+#[test]
+fn the_number_goes_by_one_field_and_the_sizes_by_the_other() {
+    let image = Image::sampled(Geometry::axis_aligned(SIZE, DVec3::ONE), |p| {
+        (p.distance(DVec3::new(20.0, 12.0, 12.0)) - 9.0) as f32
+    });
+    let (surface, mesh) = (CubicSpline::new(&image), marching_cubes(&image, 0.0));
+    let sizing = SizingField::new(Image::filled(image.geometry.clone(), H));
+    let seeded = |spread: &SizingField| {
+        let (seeds, _) = seed_surface(&mesh, &surface, (spread, &sizing), 1, &Silent).expect("not interrupted");
+        assert!(seeds.sizes.iter().all(|&h| h == f64::from(H)));
+        seeds.positions.len() as f64
+    };
+    let ratio = seeded(&sizing.scaled(0.5)) / seeded(&sizing);
+    assert!((ratio / 4.0 - 1.0).abs() < 0.1, "{ratio} times as many, not 4");
+    // 4 pi R^2 2 / (sqrt(3) h^2)
+    let want = 4.0 * std::f64::consts::PI * 81.0 * 2.0 / (3f64.sqrt() * f64::from(H * H));
+    for (count, off) in [(asked_for(&mesh, &sizing), 0.02), (sizing.predicted_count(&surface), 0.01)] {
+        assert!((count / want - 1.0).abs() < off, "{count}, not {want}");
+    }
 }

@@ -49,3 +49,22 @@ pub(crate) fn scaled_to_count(sizing: SizingField, count: impl Fn(&SizingField) 
     }
     scaled
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use glam::DVec3;
+    use isoparticles_volume::Geometry;
+
+    #[test]
+    fn the_edge_length_for_a_count_predicts_what_is_said_of_it() {
+        let geometry = Geometry::axis_aligned([24; 3], DVec3::new(1.0, 1.2, 0.9));
+        let image = Image::sampled(geometry, |p| (p.distance(DVec3::splat(10.0)) - 7.0) as f32);
+        let surface = CubicSpline::new(&image);
+        for vertices in [100.0, 5000.0] {
+            let size = size_for_vertices(&image, &surface, vertices);
+            let predicted = uniform_field(&image, size).predicted_count(&surface);
+            assert!((predicted / predicted_for(vertices) - 1.0).abs() < 1e-6, "{predicted}");
+        }
+    }
+}

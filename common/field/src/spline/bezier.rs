@@ -5,7 +5,7 @@ use super::{CubicSpline, mirror};
 /// Points along each axis.
 pub(crate) const ORDER: usize = 4;
 
-/// The points of a cell, x fastest. F lies between the least and the largest of them (the convex hull property), and is that at the eight corners.
+/// The points of a cell, x fastest. F lies between the least and the largest of them (the convex hull property), and those at the eight corners are F there.
 pub(crate) type BezierPoints = [f64; ORDER * ORDER * ORDER];
 
 /// Rounding in what is made of them by conversions and halvings, as a part of the largest: a sum of some hundred products.

@@ -124,6 +124,7 @@ mod tests {
             let spacing = field.geometry().spacing;
             for cell in [[0, 0, 0], [1, 2, 3], [3, 1, 2], [3, 2, 4]] {
                 let whole = Bernstein::of_cell(&field, cell);
+                assert_eq!(Bernstein::of_crossed_cell(&field, cell).is_none(), whole.is_clear(), "{cell:?}");
                 let first = DVec3::from_array(cell.map(|n| n as f64));
                 let octant = (seed % 8) as usize;
                 let half = DVec3::new((octant & 1) as f64, (octant >> 1 & 1) as f64, (octant >> 2) as f64) * 0.5;

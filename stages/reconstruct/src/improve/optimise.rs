@@ -133,6 +133,7 @@ fn drain(surface: &mut Surface, pass: &Pass, failures: &mut Failures, step: Step
     let mut width = BATCH;
     while failures.len() < most_in_vain {
         let mut batch = Vec::new();
+        // no more than may fail
         let left = most_in_vain - failures.len();
         while batch.len() < width.min(left)
             && let Some(Reverse((bits, t))) = queue.pop()

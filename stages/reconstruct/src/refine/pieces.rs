@@ -2,8 +2,9 @@
 
 use super::{Place, Refinement};
 use crate::defects::Defects;
-use crate::object::Violation;
+use crate::object::{Violation, component_at};
 use crate::queue::{NEAREST_FOR_TOPOLOGY, Reason};
+use glam::DVec3;
 use isoparticles_mesh::components::NO_COMPONENT;
 use isoparticles_mesh::kd_tree::KdTree;
 use rayon::prelude::*;
@@ -76,6 +77,12 @@ impl Refinement<'_> {
         best.map(|(ends, _)| ends)
     }
 
+    /// Whether a point of F = 0 lies on a group of components.
+    fn is_of_group(&self, point: DVec3, group: u32) -> bool {
+        let component = component_at(point, self.object.restricted.field(), self.object.topology);
+        self.object.topology.groups().of(component) == Some(group)
+    }
+
     fn is_of_larger(&self, pieces: &Pieces, k: usize, defects: &Defects, v: u32) -> bool {
         let rank = || pieces.rank.get(&defects.piece_of_vertex[v as usize]);
         self.object.topology.groups().of(self.object.component_of[v as usize]) == Some(pieces.group)
@@ -94,12 +101,14 @@ impl Refinement<'_> {
             let Some([v, w]) = self.gap(&tree, pieces, k, defects) else { return Vec::new() };
             let [p, q] = [v, w].map(|v| self.object.points()[v as usize]);
             let (middle, size) = (p.midpoint(q), p.distance(q));
-            let Some(point) = self.object.on_surface(middle, 2.0) else { return Vec::new() };
-            let radius = self.nearest(point).1;
-            if radius >= NEAREST_FOR_TOPOLOGY * size {
-                return vec![Place { point, radius, size }];
+            let between = self.object.on_surface(middle, 2.0);
+            let found = between.map(|point| Place { point, radius: self.nearest(point).1, size });
+            if let Some(place) = found.filter(|place| place.radius >= NEAREST_FOR_TOPOLOGY * size) {
+                return vec![place];
             }
-            self.on_spheres(point, self.object.sizes[v as usize], size)
+            let mut round = self.on_spheres(between.unwrap_or(middle), self.object.sizes[v as usize], size);
+            round.retain(|place| self.is_of_group(place.point, pieces.group));
+            round
         });
         self.places(Reason::Component, &between.collect::<Vec<Place>>())
     }

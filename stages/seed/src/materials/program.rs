@@ -41,7 +41,7 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome> {
             "look at the materials that distfield was given",
         ));
     }
-    check_prediction(args, predicted, context)?;
+    check_prediction(args, || predicted, context)?;
     context.check_interrupt()?;
     let step = context.step("sample");
     let scaled = args.count.map(|count| sizing.scaled((predicted / count.max(1) as f64).sqrt()));
