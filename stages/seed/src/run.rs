@@ -132,11 +132,7 @@ fn by_poisson_disks(
     let mesh = marching_cubes(distance, 0.0);
     check_prediction(args, || asked_for(&mesh, sizing), context)?;
     drop(step);
-    let for_count = |count: u64| {
-        let _step = context.step("predict the count");
-        sizing.scaled((sizing.predicted_count(surface) / count as f64).sqrt())
-    };
-    let scaled = args.count.map(for_count);
+    let scaled = args.count.map(|count| sizing.scaled((predicted(sizing, surface, context) / count as f64).sqrt()));
     Ok(seed_surface(&mesh, surface, (scaled.as_ref().unwrap_or(sizing), sizing), context.seed(), context)?)
 }
 
@@ -148,11 +144,7 @@ fn at_vertices(
     sizing: &SizingField,
     context: &Context,
 ) -> Result<(ParticleSet, Summary)> {
-    let predicted = || {
-        let _step = context.step("predict the count");
-        sizing.predicted_count(surface)
-    };
-    check_prediction(args, predicted, context)?;
+    check_prediction(args, || predicted(sizing, surface, context), context)?;
     let has_room = |nodes: usize| {
         context.check_memory(
             BYTES_PER_NODE * nodes as f64,
@@ -178,6 +170,12 @@ fn at_vertices(
         "give --count, or leave out --from marching-cubes",
     )?;
     Ok(seed_vertices(&found, surface, sizing, context.seed(), context)?)
+}
+
+/// The exact count, as a step of its own.
+fn predicted(sizing: &SizingField, surface: &CubicSpline, context: &Context) -> f64 {
+    let _step = context.step("predict the count");
+    sizing.predicted_count(surface)
 }
 
 /// Refuses sizes that are larger than the object, or ask for more particles than memory holds; how many they ask for is asked only where their number is not given.

@@ -101,12 +101,12 @@ impl Refinement<'_> {
             let Some([v, w]) = self.gap(&tree, pieces, k, defects) else { return Vec::new() };
             let [p, q] = [v, w].map(|v| self.object.points()[v as usize]);
             let (middle, size) = (p.midpoint(q), p.distance(q));
-            let between = self.object.on_surface(middle, 2.0);
-            let found = between.map(|point| Place { point, radius: self.nearest(point).1, size });
+            let foot = self.object.on_surface(middle, 2.0);
+            let found = foot.map(|point| Place { point, radius: self.nearest(point).1, size });
             if let Some(place) = found.filter(|place| place.radius >= NEAREST_FOR_TOPOLOGY * size) {
                 return vec![place];
             }
-            let mut round = self.on_spheres(between.unwrap_or(middle), self.object.sizes[v as usize], size);
+            let mut round = self.on_spheres(foot.unwrap_or(middle), self.object.sizes[v as usize], size);
             round.retain(|place| self.is_of_group(place.point, pieces.group));
             round
         });
