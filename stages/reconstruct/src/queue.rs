@@ -38,7 +38,7 @@ pub enum Reason {
     Bridge,
     /// A component of F = 0 is in several pieces, or has another Euler characteristic.
     Component,
-    /// A critical point of F is on the wrong side.
+    /// A critical point of F, or a place of the core of a handle, is on the wrong side.
     CriticalPoint,
     /// A surface found by other means (Tight Cocone's) lacks a facet that the sign of F has.
     OtherLabels,

@@ -9,7 +9,6 @@
 mod critical;
 pub(crate) mod nodes;
 mod other;
-mod pieces;
 mod relabel;
 mod samples;
 
@@ -85,8 +84,8 @@ pub struct Refinement<'a> {
     first: KdTree,
     /// Points at the last look at the whole surface.
     known: usize,
-    /// Looks at critical points.
-    critical_looks: usize,
+    /// Looks at critical points, and at the cores of handles.
+    looks: [usize; 2],
     /// Times that tetrahedra changed sides where sheets touch.
     partings: usize,
 }
@@ -164,18 +163,8 @@ impl<'a> Refinement<'a> {
         let found: Vec<Violation> = object.facets().par_iter().filter_map(|f| object.at_facet(f)).collect();
         let mut queue = Queue::default();
         queue.add(found);
-        let (known, critical_looks, partings) = (0, 0, 0);
-        Self {
-            object,
-            report: RefineReport::default(),
-            options,
-            queue,
-            nodes: None,
-            first,
-            known,
-            critical_looks,
-            partings,
-        }
+        let (known, looks, partings) = (0, [0; 2], 0);
+        Self { object, report: RefineReport::default(), options, queue, nodes: None, first, known, looks, partings }
     }
 
     /// Lets grid nodes count, the samples of F, from now on.
@@ -203,9 +192,15 @@ impl<'a> Refinement<'a> {
                 rounds_left -= usize::from(mended > 0);
             }
             let wrong_sided = if mended == 0 { self.wrong_sided() } else { Vec::new() };
+            let [mut at_points, mut along_cores] = self.looks;
             if mended == 0 {
-                mended = self.mend_critical_points(&wrong_sided, step)?;
+                mended = self.mend_critical_points(&wrong_sided, &mut at_points, step)?;
             }
+            if mended == 0 {
+                let left = self.cores_left(&defects);
+                mended = self.mend_critical_points(&left, &mut along_cores, step)?;
+            }
+            self.looks = [at_points, along_cores];
             if mended == 0 {
                 mended = self.part_pinches(&facets, &defects);
             }
@@ -252,7 +247,6 @@ impl<'a> Refinement<'a> {
         found.extend(defects.bridges.iter().filter_map(|&f| self.object.at_facet(&facets[f as usize])));
         found.extend(self.at_changed());
         found.extend(self.on_missing(&defects.missing));
-        found.extend(self.in_gaps(defects));
         found
     }
 

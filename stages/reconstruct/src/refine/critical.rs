@@ -1,12 +1,14 @@
 //! Handles and gaps: the critical points of F that the mesh has on the wrong side get points around them.
 
 use super::{Place, Refinement};
+use crate::defects::Defects;
 use crate::object::Violation;
 use crate::queue::Reason;
 use glam::DVec3;
 use isoparticles_field::topology::{CriticalPoint, RESOLUTION};
 use isoparticles_stage::error::Result;
 use rayon::prelude::*;
+use std::collections::HashSet;
 
 /// Looks at critical points that stay on the wrong side of the mesh.
 const LOOKS: usize = 6;
@@ -14,6 +16,10 @@ const LOOKS: usize = 6;
 /// Spheres of points round a critical point that is still on the wrong side after its nearest points of F = 0 are in the mesh, or round the middle of a gap that a point there did
 /// not close, each twice as large as the one before.
 const SPHERES: i32 = 4;
+
+/// Longest step along the core of a handle, in voxels, and shortest one, in longest ones: F bends from voxel to voxel, and a valley of F that is narrower than a step is followed by shorter ones.
+const CORE_STEP: f64 = 0.25;
+const SHORTEST_STEP: f64 = 0.01;
 
 /// Points of such a sphere keep this part of its radius from all others.
 const APART: f64 = 0.5;
@@ -28,6 +34,55 @@ impl Refinement<'_> {
     /// Whether the mesh has a critical point on its right side; `near` is a vertex not far from it.
     fn has_right(&self, c: &CriticalPoint, near: u32) -> bool {
         self.object.restricted.holds(c.position, near) == (c.value < 0.0)
+    }
+
+    /// Where the mesh leaves the cores of handles and gaps of groups that are not as F has them, as critical points there, with the nearest vertex of each.
+    ///
+    /// Saddles on their right sides do not yet make a handle: it is the way down from a neck's saddle to a minimum of F at either end, inside the object, or up from that of a
+    /// tunnel to a maximum, outside, that the mesh must not cross (the one-dimensional cells of the Morse complex of either side, which all of its handles are made of).
+    pub(super) fn cores_left(&self, defects: &Defects) -> Vec<(CriticalPoint, u32)> {
+        let groups = self.object.topology.groups();
+        let wrong: HashSet<u32> =
+            defects.wrong_genus.iter().chain(&defects.in_pieces).map(|found| found.group).collect();
+        if wrong.is_empty() {
+            return Vec::new();
+        }
+        let is_of_wrong =
+            |near: u32| groups.of(self.object.component_of[near as usize]).is_some_and(|g| wrong.contains(&g));
+        let of_wrong = self.critical_points().filter(|c| is_of_wrong(self.nearest(c.position).0));
+        of_wrong.flat_map_iter(|c| [1.0, -1.0].into_iter().flat_map(|sign| self.leaves_core(c, sign))).collect()
+    }
+
+    /// Where the mesh leaves one of the two ways from a saddle that is one of a neck or tunnel.
+    fn leaves_core(&self, c: &CriticalPoint, sign: f64) -> Vec<(CriticalPoint, u32)> {
+        let across: Vec<DVec3> = c.ways.iter().copied().filter(|way| *way != DVec3::ZERO).collect();
+        let [a, b] = across[..] else { return Vec::new() };
+        let field = self.object.restricted.field();
+        let longest = (CORE_STEP * field.geometry().mean_spacing()).min(0.5 * c.radius);
+        let depth_at = |p: DVec3| c.value.signum() * field.value(p);
+        let (mut position, mut depth) = (c.position, c.value.abs());
+        let (mut way, mut step) = (sign * a.cross(b).normalize_or_zero(), longest);
+        let (mut is_right, mut found) = (true, Vec::new());
+        // at the end of the way F goes no farther from zero
+        while step > SHORTEST_STEP * longest && way != DVec3::ZERO {
+            let ahead = position + step * way;
+            let depth_ahead = depth_at(ahead);
+            if depth_ahead <= depth {
+                step *= 0.5;
+                continue;
+            }
+            (position, depth) = (ahead, depth_ahead);
+            let here = CriticalPoint { position, ..*c };
+            let near = self.nearest(position).0;
+            let was_right = is_right;
+            is_right = self.has_right(&here, near);
+            if was_right && !is_right {
+                found.push((here, near));
+            }
+            way = c.value.signum() * field.value_gradient(position).1.normalize_or_zero();
+            step = (2.0 * step).min(longest);
+        }
+        found
     }
 
     /// The critical points that the mesh must have on their right sides.
@@ -45,19 +100,20 @@ impl Refinement<'_> {
         self.critical_points().any(|c| c.is_enclosed() && is_held(c))
     }
 
-    /// Adds points round the critical points on the wrong side until some fit; returns how many.
+    /// Adds points round critical points, or places of their cores, on the wrong side until some fit; returns how many. `looks` are those so far.
     ///
     /// # Errors
     /// Those of `step` and of the triangulation.
     pub(super) fn mend_critical_points(
         &mut self,
         wrong_sided: &[(CriticalPoint, u32)],
+        looks: &mut usize,
         step: &mut dyn FnMut(usize) -> Result<()>,
     ) -> Result<usize> {
         let most = LOOKS.min(self.options.max_rounds);
-        while !wrong_sided.is_empty() && self.critical_looks < most {
-            let found = self.at_critical_points(wrong_sided, self.critical_looks);
-            self.critical_looks += 1;
+        while !wrong_sided.is_empty() && *looks < most {
+            let found = self.at_critical_points(wrong_sided, *looks);
+            *looks += 1;
             let mended = self.mend_all(found, step)?;
             if mended > 0 {
                 return Ok(mended);

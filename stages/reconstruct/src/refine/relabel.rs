@@ -5,6 +5,7 @@ use crate::defects::{Defects, edge_of};
 use crate::restricted::Facet;
 use isoparticles_mesh::components::NO_COMPONENT;
 use rayon::prelude::*;
+use std::cmp::Reverse;
 use std::collections::{BTreeMap, HashSet};
 
 /// Times that tetrahedra may change sides where sheets touch; in the second half of them they may only join the object, lest they go to and fro.
@@ -46,10 +47,10 @@ impl Refinement<'_> {
         }
         let piece = |f: &Facet| defects.piece_of_vertex[f.vertices[0] as usize];
         let across: HashSet<u32> = facets.par_iter().filter(|f| self.object.is_across(f)).map(piece).collect();
-        let pieces = self.pieces(defects);
-        let smaller = pieces.iter().flat_map(|pieces| (1..pieces.count()).map(|k| pieces.vertices(k).to_vec()));
         let mut enclosed = Vec::new();
-        for own in smaller.chain(self.strange_pieces(defects)).filter(|own| own.len() <= LARGEST_DROPPED) {
+        for own in
+            self.smaller_pieces(defects).chain(self.strange_pieces(defects)).filter(|own| own.len() <= LARGEST_DROPPED)
+        {
             let number = defects.piece_of_vertex[own[0] as usize];
             if across.contains(&number) && !self.holds_extremum(&own) {
                 let shell: Vec<Facet> = facets.iter().copied().filter(|f| piece(f) == number).collect();
@@ -59,6 +60,26 @@ impl Refinement<'_> {
         enclosed.iter().for_each(|tetrahedra| self.object.restricted.change_sides(tetrahedra));
         self.report.dropped_pieces += enclosed.len();
         enclosed.len()
+    }
+
+    /// The vertices, ascending, of each piece but the largest of each group that fell apart.
+    fn smaller_pieces(&self, defects: &Defects) -> impl Iterator<Item = Vec<u32>> + use<> {
+        let groups = self.object.topology.groups();
+        let mut pieces: BTreeMap<u32, BTreeMap<u32, Vec<u32>>> =
+            defects.in_pieces.iter().map(|found| (found.group, BTreeMap::new())).collect();
+        if !pieces.is_empty() {
+            for (v, (&component, &piece)) in (0..).zip(self.object.component_of.iter().zip(&defects.piece_of_vertex)) {
+                let of_group = groups.of(component).and_then(|group| pieces.get_mut(&group));
+                if let Some(of_group) = of_group.filter(|_| piece != NO_COMPONENT) {
+                    of_group.entry(piece).or_default().push(v);
+                }
+            }
+        }
+        pieces.into_values().flat_map(|of_group| {
+            let mut of_group: Vec<Vec<u32>> = of_group.into_values().collect();
+            of_group.sort_by_key(|vertices| Reverse(vertices.len()));
+            of_group.into_iter().skip(1)
+        })
     }
 
     /// The vertices, ascending, of each piece of the mesh that lies near no component of F = 0.
