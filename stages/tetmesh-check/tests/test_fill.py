@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from conftest import ball, tetrahedra
 
 from tetmesh_check import cli, fill
 from tetmesh_check.errors import StageError
+from tetmesh_check.tetwild import TetwildSettings
 from tetmesh_check.worker import WorkerResult
 
 
@@ -27,6 +29,14 @@ def filled(scale: float, flatness: float) -> WorkerResult:
 Attempts = list[WorkerResult | StageError]
 
 
+class Asked(NamedTuple):
+    """What fTetWild was asked for, attempt by attempt."""
+
+    envelopes: list[float]
+    """Over that of the first."""
+    stop_energies: list[float]
+
+
 def attempt(attempts: Attempts) -> WorkerResult:
     """The next result, or error."""
     result = attempts.pop(0)
@@ -37,14 +47,14 @@ def attempt(attempts: Attempts) -> WorkerResult:
 
 def program(
     folder: Path, monkeypatch: pytest.MonkeyPatch, hxt: Attempts, ftetwild: Attempts, *words: str
-) -> tuple[dict, list[float], np.ndarray]:
-    """Run the stage on a ball; the results, the envelopes that fTetWild was given over that asked for, and the points (none if it failed)."""
+) -> tuple[dict, Asked, np.ndarray]:
+    """Run the stage on a ball; the results, what fTetWild was asked for, and the points (none if it failed)."""
     sphere = ball()
     sphere.save(folder / "ball.vtp")
-    epsilons: list[float] = []
+    asked: list[TetwildSettings] = []
 
-    def by_tetwild(_surface: object, _background: object, settings: object, *_rest: object) -> WorkerResult:
-        epsilons.append(settings.epsilon)  # type: ignore[attr-defined]
+    def by_tetwild(_surface: object, _background: object, settings: TetwildSettings, *_rest: object) -> WorkerResult:
+        asked.append(settings)
         return attempt(ftetwild)
 
     monkeypatch.setattr(fill, "fill_by_hxt", lambda *_: attempt(hxt))
@@ -54,7 +64,8 @@ def program(
     code = cli.main(["ball.vtp", *options])
     results = json.loads((folder / "r.json").read_text())["results"]
     points = np.empty((0, 3)) if code == 2 else tetrahedra(folder / "ball.vtu")[0]
-    return results["tetrahedralizer"], [e / epsilons[0] for e in epsilons], points
+    envelopes = [settings.epsilon / asked[0].epsilon for settings in asked]
+    return results["tetrahedralizer"], Asked(envelopes, [settings.stop_energy for settings in asked]), points
 
 
 FLAT = 0.9999
@@ -67,29 +78,44 @@ def test_ftetwild_fills_small_surfaces_that_hxt_fills_with_flat_tetrahedra(
 ) -> None:
     monkeypatch.setattr(fill, "MAX_FTETWILD_VERTICES", 5)
     monkeypatch.setattr(fill, "MAX_SECOND_TRY_VERTICES", most)
-    told, envelopes, points = program(tmp_path, monkeypatch, [filled(1.0, FLAT)], [filled(1.0, 0.0)])
+    told, asked, points = program(tmp_path, monkeypatch, [filled(1.0, FLAT)], [filled(1.0, 0.0)])
     assert told["method"] == method
-    assert [attempt["method"] for attempt in told["attempts"]] == ["hxt", "ftetwild"][: 1 + len(envelopes)]
+    assert [attempt["method"] for attempt in told["attempts"]] == ["hxt", "ftetwild"][: 1 + len(asked.envelopes)]
     assert ("miss a limit of shape" in told["reason"]) == (method == "ftetwild")
     assert (abs(points[-1, 2]) < 1e-9) == (method == "ftetwild")
 
 
+@pytest.mark.parametrize("hxt", [[], [filled(1.0, FLAT)]])
+def test_ftetwild_takes_more_patience_while_a_limit_of_shape_is_missed_after_hxt_too(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, hxt: Attempts
+) -> None:
+    if hxt:
+        monkeypatch.setattr(fill, "MAX_FTETWILD_VERTICES", 5)
+    told, asked, points = program(
+        tmp_path, monkeypatch, list(hxt), [filled(1.0, FLAT), filled(1.0, FLAT), filled(1.0, 0.0)]
+    )
+    assert asked.stop_energies == list(fill.STOP_ENERGIES)
+    assert asked.envelopes == [1.0] * len(fill.STOP_ENERGIES)
+    assert [attempt["method"] for attempt in told["attempts"]] == ["hxt"] * len(hxt) + ["ftetwild"] * 3
+    assert abs(points[-1, 2]) < 1e-9
+
+
 def test_what_hxt_made_is_kept_where_ftetwild_does_no_better(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(fill, "MAX_FTETWILD_VERTICES", 5)
-    told, envelopes, points = program(
+    told, asked, points = program(
         tmp_path, monkeypatch, [filled(1.0, FLAT)], [filled(1.2, 0.0)] * len(fill.ENVELOPES)
     )
     assert told["method"] == "hxt"
     assert told["reason"].endswith("and fTetWild did no better")
-    assert envelopes == list(fill.ENVELOPES)
+    assert asked.envelopes == list(fill.ENVELOPES)
     assert points[-1, 2] > 1.0
 
 
 def test_a_boundary_that_strays_is_made_again_in_a_smaller_envelope(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    told, envelopes, points = program(tmp_path, monkeypatch, [], [filled(1.05, 0.0), filled(1.0, 0.1)])
-    assert envelopes == [1.0, 0.5]
+    told, asked, points = program(tmp_path, monkeypatch, [], [filled(1.05, 0.0), filled(1.0, 0.1)])
+    assert asked.envelopes == [1.0, 0.5]
     assert told["method"] == "ftetwild"
     assert [attempt["max_distance"] > 0.01 for attempt in told["attempts"]] == [True, False]
     assert points[:, 0].max() == pytest.approx(pv.PolyData(ball().points).bounds[1])

@@ -29,7 +29,7 @@ in place of 0.79), but those of both pass the checks on nearly every surface."""
 
 MAX_SECOND_TRY_VERTICES = 20_000
 """Largest surface that ``auto`` gives to fTetWild, too, where a tetrahedron of HXT's misses a limit of shape: sheets of a surface that
-nearly touch leave flat ones between its fixed triangles. Some four minutes, with the least patience of :data:`STOP_ENERGIES`."""
+nearly touch leave flat ones between its fixed triangles. Some four minutes for each of :data:`STOP_ENERGIES` that it takes."""
 
 ENVELOPES = (1.0, 0.5, 0.25)
 """Envelopes that fTetWild is given in turn, over the one asked for, while the boundary strays by more than may be: it keeps its own
@@ -189,7 +189,7 @@ def _by_tetgen(task: Task, attempts: _Attempts, limit: TimeLimit, context: Conte
     attempts.add(raw, Method.TETGEN)
 
 
-def _by_tetwild(task: Task, energies: list[float], attempts: _Attempts, limit: TimeLimit, context: Context) -> None:
+def _by_tetwild(task: Task, attempts: _Attempts, limit: TimeLimit, context: Context) -> None:
     """Have the surface filled, again with more patience where tetrahedra are ill-shaped, in a smaller envelope where the boundary strays."""
     diagonal = task.surface.bounding_box_diagonal
     with context.step("background sizing"):
@@ -198,6 +198,7 @@ def _by_tetwild(task: Task, energies: list[float], attempts: _Attempts, limit: T
     # fTetWild meshes the whole box at this length and only then refines to the background: the coarser, the less work
     # goes into tetrahedra outside the object, which are thrown away.
     coarse = min(max(float(background.values.max()), COARSE_FRACTION * diagonal), diagonal)
+    energies = list(STOP_ENERGIES if task.stop_energy is None else (task.stop_energy,))
     envelopes = [share * task.envelope for share in ENVELOPES]
     while energies and envelopes:
         settings = TetwildSettings(
@@ -265,8 +266,7 @@ def fill(task: Task, context: Context) -> Filled:
     if chosen is Method.TETGEN:
         _by_tetgen(task, attempts, limit, context)
     if chosen is Method.FTETWILD:
-        energies = list(STOP_ENERGIES if task.stop_energy is None else (task.stop_energy,))
-        _by_tetwild(task, energies[:1] if attempts.is_any else energies, attempts, limit, context)
+        _by_tetwild(task, attempts, limit, context)
     filled, results["method"] = attempts.best
     if chosen is not results["method"]:
         results["reason"] += ", and fTetWild did no better"
