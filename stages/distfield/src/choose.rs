@@ -7,7 +7,7 @@ use crate::occupancy::Occupancy;
 use crate::scalar::{ScalarOptions, check_scalar, from_voxels};
 use crate::scale::{SCALE_OVER_SIZE, Scale, edge_length, scaled};
 use crate::selection::noted;
-use crate::{Inside, Redistanced};
+use crate::{Border, Inside, Redistanced};
 use isoparticles_stage::cli::values::{not_negative, positive};
 use isoparticles_stage::cli::{Context, METHOD};
 use isoparticles_stage::error::{Error, Result};
@@ -163,6 +163,7 @@ pub fn choose_scale(
     args: &ScaleArgs,
     volume: Volume,
     object: &Object,
+    border: Border,
     context: &Context,
 ) -> Result<(Volume, Option<Choice>)> {
     if !args.is_given() {
@@ -173,7 +174,7 @@ pub fn choose_scale(
         None => {
             let _step = context.step("choose the scale");
             let occupancy = occupancy(&volume, object);
-            let found = |vertices, keep_thin| edge_length(&occupancy, vertices, keep_thin);
+            let found = |vertices, keep_thin| edge_length(&occupancy, border, vertices, keep_thin);
             let choice = args.choose_by_area(&volume.geometry, occupancy.volume(), found)?;
             (volume, choice)
         }

@@ -240,7 +240,7 @@ pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
     };
     let margin = usize::from(args.margin);
     let (volume, found) = object.locate(volume).map_err(about_file)?;
-    let (mut volume, scale) = choose_scale(&args.scale, volume, &object, context).map_err(about_file)?;
+    let (mut volume, scale) = choose_scale(&args.scale, volume, &object, args.border, context).map_err(about_file)?;
     let whole = volume.geometry.clone();
     let cut =
         take_out(args, &mut volume, found, room(args, &whole, &object, scale.as_ref()), context).map_err(about_file)?;

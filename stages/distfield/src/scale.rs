@@ -5,6 +5,7 @@
 //! place to place such that the volume within a window of the scale is kept: parts keep their volume one by one, tubes and walls their thickness, as
 //! far as the smoothed share still shows them. What it does not show is gone, and [`crate::changes`] tells what and where.
 
+use crate::Border;
 use crate::changes::{Changes, remove_crumbs};
 use crate::crop::{CutFaces, Grid, VoxelBox, room_of_spline};
 use crate::gaussian::smooth;
@@ -15,7 +16,7 @@ use isoparticles_mesh::measure::measure;
 use isoparticles_stage::error::Result;
 use isoparticles_volume::{Geometry, Image};
 use rayon::prelude::*;
-use std::f64::consts::PI;
+use std::f64::consts::{LN_2, PI};
 
 /// What is to be smoothed away.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -95,6 +96,18 @@ impl Boxed {
             remove_crumbs(&mut level, &before.geometry, smallest_part(scale.length))?;
         }
         Ok(Some(Self { first, before, level }))
+    }
+
+    /// Area of its surface, mm^2, in a volume of `size` voxels; with that which closes it at the border of the volume, where something does.
+    fn area(self, border: Border, size: [usize; 3]) -> f64 {
+        let Self { first, before: Occupancy { geometry, .. }, level } = self;
+        let high = std::array::from_fn(|a| first[a] + geometry.size[a] - 1);
+        let cut = VoxelBox { low: first, high }.cut_faces(size);
+        let closing = match border {
+            Border::Cap => area_at_faces(&geometry, cut, |voxel| level[voxel] > 0.0),
+            Border::Open => 0.0,
+        };
+        closing + measure(&marching_cubes(&Image { geometry, data: level }, 0.0)).area
     }
 }
 
@@ -185,16 +198,14 @@ impl Coarser for Occupancy {
 ///
 /// # Errors
 /// When its parts are too many to be told apart.
-pub fn edge_length(occupancy: &Occupancy, vertices: f64, keep_thin: bool) -> Result<Option<f64>> {
+pub fn edge_length(occupancy: &Occupancy, border: Border, vertices: f64, keep_thin: bool) -> Result<Option<f64>> {
     let area = |grid: &Occupancy, scale: Scale| {
-        Ok(Boxed::new(grid, scale)?.map_or(0.0, |boxed| {
-            measure(&marching_cubes(&Image { geometry: boxed.before.geometry, data: boxed.level }, 0.0)).area
-        }))
+        Ok(Boxed::new(grid, scale)?.map_or(0.0, |boxed| boxed.area(border, grid.geometry.size)))
     };
     edge_length_by(occupancy, area, vertices, keep_thin)
 }
 
-/// The same by what area (mm^2) there is on a grid at a scale.
+/// The same by what area (mm^2) there is on a grid at a scale: the root of ln (length that the area gives / length), by secants.
 ///
 /// # Errors
 /// Where that area cannot be told.
@@ -210,22 +221,48 @@ pub(crate) fn edge_length_by<G: Coarser>(
     }
     let smallest = SMALLEST_SHARE * finest.geometry().mean_spacing();
     let mut length = coarser.last().unwrap_or(finest).geometry().mean_spacing();
+    let mut last: Option<(f64, f64)> = None;
     for _ in 0..AREA_ROUNDS.0 {
         let scale = Scale { length: SCALE_OVER_SIZE * length, keep_thin };
         let coarse_enough = |grid: &&G| 0.5 * scale.length >= COARSE_SIGMA * grid.geometry().mean_spacing();
         let grid = coarser.iter().rev().find(coarse_enough).unwrap_or(finest);
         let found = (2.0 * area(grid, scale)? / (3f64.sqrt() * vertices)).sqrt();
-        if (found / length - 1.0).abs() < AREA_ROUNDS.1 {
+        let off = (found / length).ln();
+        if off.abs() < AREA_ROUNDS.1 {
             return Ok(Some(found));
         }
-        // the area falls with the scale, all of it where that is above the thickness of everything: not too far at a time
-        let is_near = (0.5..2.0).contains(&(found / length));
-        length = if is_near { found } else { length * (found / length).clamp(0.25, 4.0).sqrt() };
+        let step = if off.abs() < LN_2 {
+            // the area does not grow with the scale, so that the slope is -1 at most
+            let slope = last.map_or(-1.0, |(last, last_off)| ((off - last_off) / (length / last).ln()).min(-1.0));
+            -off / slope
+        } else {
+            // all of the area goes where the scale is above the thickness of everything: not too far at a time
+            0.5 * off.clamp(-2.0 * LN_2, 2.0 * LN_2)
+        };
+        last = Some((length, off));
+        length *= step.exp();
         if length < smallest {
             break;
         }
     }
     Ok((length >= smallest).then_some(length))
+}
+
+/// Area (mm^2) of those faces of a grid of voxels that are not `cut` where the object is.
+pub(crate) fn area_at_faces(geometry: &Geometry, cut: CutFaces, is_inside: impl Fn(usize) -> bool) -> f64 {
+    let size = geometry.size;
+    let at_face = |(axis, end): (usize, usize)| {
+        let (u, v) = ((axis + 1) % 3, (axis + 2) % 3);
+        let is_inside = |(a, b): (usize, usize)| {
+            let mut at = [0; 3];
+            (at[axis], at[u], at[v]) = (end * (size[axis] - 1), a, b);
+            is_inside(geometry.linear(at[0], at[1], at[2]))
+        };
+        let count = (0..size[u]).flat_map(|a| (0..size[v]).map(move |b| (a, b))).filter(|&at| is_inside(at)).count();
+        count as f64 * geometry.spacing[u] * geometry.spacing[v]
+    };
+    let faces = (0..3).flat_map(|axis| [(axis, 0), (axis, 1)]);
+    faces.filter(|&(axis, end)| !cut[axis][end]).map(at_face).sum()
 }
 
 /// Values in a box of a grid.

@@ -3,13 +3,15 @@
 mod support;
 
 use glam::DVec3;
-use isoparticles_distfield::Inside;
 use isoparticles_distfield::changes::Kind;
 use isoparticles_distfield::crop::Grid;
 use isoparticles_distfield::mask::Mask;
 use isoparticles_distfield::occupancy::Occupancy;
 use isoparticles_distfield::scale::{Scale, Scaled, edge_length, scaled};
+use isoparticles_distfield::{Border, Inside};
+use isoparticles_field::marching_cubes::marching_cubes;
 use isoparticles_field::sizing::trilinear;
+use isoparticles_mesh::measure::measure;
 use isoparticles_volume::{Image, Voxels};
 use support::{directions, sampled, topology, volume};
 
@@ -138,9 +140,45 @@ fn the_edge_length_is_that_of_the_area() {
     })));
     for vertices in [200.0, 2000.0, 8000.0] {
         let want = (2.0 * 4.0 * std::f64::consts::PI * 22.0 * 22.0 / (3f64.sqrt() * vertices)).sqrt();
-        let found = edge_length(&ball, vertices, false).expect("few parts").expect("a ball");
+        let found = edge_length(&ball, Border::Cap, vertices, false).expect("few parts").expect("a ball");
         assert!((found / want - 1.0).abs() < 0.02, "{vertices}: {found}, not {want}");
     }
     let nothing = Occupancy::of_mask(&Mask::from(&sampled([8; 3], DVec3::ONE, |_| false)));
-    assert_eq!(edge_length(&nothing, 100.0, false).expect("no parts"), None);
+    assert_eq!(edge_length(&nothing, Border::Cap, 100.0, false).expect("no parts"), None);
+}
+
+#[test]
+fn what_closes_an_object_at_the_border_counts_for_its_edge_length_where_it_is_closed() {
+    // half a ball, the other half beyond the first slice: half a voxel beyond its centres it is closed
+    let half = Occupancy::of_mask(&Mask::from(&sampled([60, 60, 40], DVec3::ONE, |p| {
+        (p - DVec3::new(30.0, 30.0, -0.5)).length() < 20.0
+    })));
+    let vertices = 1000.0;
+    for (border, discs) in [(Border::Open, 2.0), (Border::Cap, 3.0)] {
+        let want = (2.0 * discs * std::f64::consts::PI * 20.0 * 20.0 / (3f64.sqrt() * vertices)).sqrt();
+        let found = edge_length(&half, border, vertices, false).expect("few parts").expect("half a ball");
+        assert!((found / want - 1.0).abs() < 0.02, "{border:?}: {found}, not {want}");
+    }
+}
+
+#[test]
+fn an_edge_length_that_smooths_much_of_the_area_away_still_has_the_vertices_asked_for() {
+    // rods of several radii: the thinner ones go one after the other as the scale grows
+    let rods: Vec<(f64, f64, f64)> = (0..6)
+        .flat_map(|i| {
+            (0..6).map(move |j| {
+                (10.0 + 12.0 * f64::from(i), 10.0 + 12.0 * f64::from(j), 1.5 + 0.6 * f64::from((5 * i + j) % 6))
+            })
+        })
+        .collect();
+    let object = sampled([80, 80, 60], DVec3::ONE, |p| {
+        (p.z - 30.0).abs() < 20.0 && rods.iter().any(|&(x, y, radius)| (p.x - x).hypot(p.y - y) < radius)
+    });
+    let occupancy = Occupancy::of_mask(&Mask::from(&object));
+    for vertices in [500.0, 1000.0, 2000.0, 4000.0, 8000.0] {
+        let length = edge_length(&occupancy, Border::Cap, vertices, false).expect("few parts").expect("rods");
+        let area = measure(&marching_cubes(&smoothed(&object, 1.6 * length, false).level, 0.0)).area;
+        let have = 2.0 * area / (3f64.sqrt() * length * length);
+        assert!((have / vertices - 1.0).abs() < 0.1, "{vertices}: {have} with edges of {length}");
+    }
 }

@@ -13,7 +13,7 @@ use crate::crop::CutFaces;
 use crate::field::Demands;
 use crate::occupancy::Occupancy;
 use crate::scalar::{ScalarOptions, from_voxels_with};
-use crate::scale::{Scale, edge_length_by, level_set, room_round, smallest_part};
+use crate::scale::{Scale, area_at_faces, edge_length_by, level_set, room_round, smallest_part};
 use crate::{Border, Inside, Keep, Redistanced};
 use isoparticles_field::marching_cubes::marching_cubes;
 use isoparticles_field::materials::MaterialId;
@@ -227,26 +227,12 @@ impl<'a> Levels<'a> {
             measure(&marching_cubes(&Image { geometry, data: self.above(id) }, 0.0)).area
         };
         let inner = 0.5 * (0..self.levels.len()).map(of).sum::<f64>();
-        let border = if self.grid.border == Border::Cap { self.area_of_border() } else { 0.0 };
-        inner + border
-    }
-
-    /// Area of the border of the volume where it is not the outside's, mm^2.
-    fn area_of_border(&self) -> f64 {
-        let Geometry { size, spacing, .. } = &self.grid.geometry;
-        let axis_area = |axis: usize| {
-            let (u, v) = ((axis + 1) % 3, (axis + 2) % 3);
-            let is_named = |end: usize, a: usize, b: usize| {
-                let mut at = [0; 3];
-                (at[axis], at[u], at[v]) = (end, a, b);
-                self.highest[self.grid.geometry.linear(at[0], at[1], at[2])].material != MaterialId::OUTSIDE.0
-            };
-            let ends = [0, size[axis] - 1];
-            let faces =
-                ends.into_iter().flat_map(|end| (0..size[u]).flat_map(move |a| (0..size[v]).map(move |b| (end, a, b))));
-            faces.filter(|&(end, a, b)| is_named(end, a, b)).count() as f64 * spacing[u] * spacing[v]
+        let is_named = |voxel: usize| self.highest[voxel].material != MaterialId::OUTSIDE.0;
+        let border = match self.grid.border {
+            Border::Cap => area_at_faces(&self.grid.geometry, CutFaces::default(), is_named),
+            Border::Open => 0.0,
         };
-        (0..3).map(axis_area).sum()
+        inner + border
     }
 
     /// The grid of the box of a material.
