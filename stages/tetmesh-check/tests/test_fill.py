@@ -11,7 +11,7 @@ import pytest
 import pyvista as pv
 from conftest import ball, tetrahedra
 
-from tetmesh_check import cli, fill
+from tetmesh_check import cli, fill, mend
 from tetmesh_check.errors import StageError
 from tetmesh_check.tetwild import TetwildSettings
 from tetmesh_check.worker import WorkerResult
@@ -24,6 +24,19 @@ def filled(scale: float, flatness: float) -> WorkerResult:
     triangles = sphere.faces.reshape(-1, 4)[:, 1:]
     cells = np.column_stack([triangles, np.full(len(triangles), len(points) - 1)])
     return WorkerResult(points.astype(np.float64), cells.astype(np.int64), "", {"version": "0", "seconds": 0.0})
+
+
+def dented() -> WorkerResult:
+    """The same, with a vertex just within one of the triangles, and so a flat tetrahedron on that and three narrow ones."""
+    good = filled(1.0, 0.0)
+    a, b, c, middle = good.tetrahedra[0]
+    low = good.points[[a, b, c]].mean(axis=0)
+    points = np.vstack([good.points, 0.999 * low + 0.001 * good.points[middle]])
+    new = len(good.points)
+    cells = np.vstack(
+        [good.tetrahedra[1:], [[a, b, c, new], [a, b, new, middle], [b, c, new, middle], [c, a, new, middle]]]
+    )
+    return WorkerResult(points, cells, "", good.summary)
 
 
 Attempts = list[WorkerResult | StageError]
@@ -85,6 +98,22 @@ def test_ftetwild_fills_small_surfaces_that_hxt_fills_with_flat_tetrahedra(
     assert (abs(points[-1, 2]) < 1e-9) == (method == "ftetwild")
 
 
+def test_single_flat_tetrahedra_of_hxt_are_mended_and_ftetwild_is_left_alone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(fill, "MAX_FTETWILD_VERTICES", 5)
+    # four of 323
+    monkeypatch.setattr(mend, "SHARE", 0.02)
+    told, asked, _ = program(tmp_path, monkeypatch, [dented()], [])
+    assert told["method"] == "hxt"
+    assert "miss a limit" not in told["reason"]
+    assert asked.envelopes == []
+    before, after = told["attempts"]
+    assert before["min_scaled_jacobian"] < 0.01
+    assert after["min_scaled_jacobian"] > 0.05
+    assert (after["mended"]["below_before"], after["mended"]["below_after"]) == (4, 0)
+
+
 @pytest.mark.parametrize("hxt", [[], [filled(1.0, FLAT)]])
 def test_ftetwild_takes_more_patience_while_a_limit_of_shape_is_missed_after_hxt_too(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, hxt: Attempts
@@ -102,9 +131,7 @@ def test_ftetwild_takes_more_patience_while_a_limit_of_shape_is_missed_after_hxt
 
 def test_what_hxt_made_is_kept_where_ftetwild_does_no_better(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(fill, "MAX_FTETWILD_VERTICES", 5)
-    told, asked, points = program(
-        tmp_path, monkeypatch, [filled(1.0, FLAT)], [filled(1.2, 0.0)] * len(fill.ENVELOPES)
-    )
+    told, asked, points = program(tmp_path, monkeypatch, [filled(1.0, FLAT)], [filled(1.2, 0.0)] * len(fill.ENVELOPES))
     assert told["method"] == "hxt"
     assert told["reason"].endswith("and fTetWild did no better")
     assert asked.envelopes == list(fill.ENVELOPES)

@@ -7,12 +7,18 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from tetmesh_check.checks import Limits, well_shaped
 from tetmesh_check.components import Components
+from tetmesh_check.conform import conform
 from tetmesh_check.context import Context
 from tetmesh_check.distance import distances_both_ways
 from tetmesh_check.errors import ExitCode, StageError
+from tetmesh_check.forced import INSIDE, forced_sides
 from tetmesh_check.hxt import HxtSettings, fill_by_hxt
+from tetmesh_check.materials import NOTHING, Sides
+from tetmesh_check.mend import goal_of, mend
 from tetmesh_check.quality import Cells, Points, tetrahedron_quality
 from tetmesh_check.sizing import Background, SizingField, background_mesh, world_grid
 from tetmesh_check.surface import Surface
@@ -28,8 +34,8 @@ MAX_FTETWILD_VERTICES = 5_000
 in place of 0.79), but those of both pass the checks on nearly every surface."""
 
 MAX_SECOND_TRY_VERTICES = 20_000
-"""Largest surface that ``auto`` gives to fTetWild, too, where a tetrahedron of HXT's misses a limit of shape: sheets of a surface that
-nearly touch leave flat ones between its fixed triangles. Some four minutes for each of :data:`STOP_ENERGIES` that it takes."""
+"""Largest surface that ``auto`` gives to fTetWild, too, where a tetrahedron of HXT's misses a limit of shape and cannot be mended: sheets of
+a surface that nearly touch leave flat ones between its fixed triangles. Some four minutes for each of :data:`STOP_ENERGIES` that it takes."""
 
 ENVELOPES = (1.0, 0.5, 0.25)
 """Envelopes that fTetWild is given in turn, over the one asked for, while the boundary strays by more than may be: it keeps its own
@@ -48,7 +54,8 @@ class Method(StrEnum):
     """Who makes the tetrahedra."""
 
     AUTO = "auto"
-    """fTetWild up to :data:`MAX_FTETWILD_VERTICES`, HXT beyond; fTetWild also where HXT cannot be had or fails, or misses a limit of shape."""
+    """fTetWild up to :data:`MAX_FTETWILD_VERTICES`, HXT beyond; fTetWild also where HXT cannot be had or fails, or misses a limit of shape
+    that mending does not cure."""
     FTETWILD = "ftetwild"
     HXT = "hxt"
     TETGEN = "tetgen"
@@ -92,6 +99,11 @@ class Filled:
     """Positions, mm, shape ``(n, 3)``."""
     tetrahedra: Cells
     """Vertex indices in VTK order, shape ``(m, 4)``."""
+
+    @property
+    def mesh(self) -> tuple[Points, Cells]:
+        """Both."""
+        return self.points, self.tetrahedra
 
 
 def _choose(method: Method, vertices: int, keep_vertices: bool) -> tuple[Method, str]:
@@ -170,11 +182,36 @@ class _Attempts:
 
 
 def _by_hxt(task: Task, attempts: _Attempts, limit: TimeLimit, context: Context) -> _Verdict:
+    """Have the surface filled by HXT, and single tetrahedra that miss a limit of shape mended."""
     with context.step("background sizing"):
         grid = world_grid(task.field, task.surface, task.tet_size_factor)
     with context.step("tetrahedralize"):
         raw = fill_by_hxt(task.surface, task.components, grid, HxtSettings(), task.log, limit, context)
-    return attempts.add(raw, Method.HXT)[0]
+    verdict, _ = attempts.add(raw, Method.HXT)
+    if not verdict.well:
+        with context.step("mend tetrahedra"):
+            mended = _mended(task, *attempts.best[0].mesh)
+        if mended is not None:
+            verdict = max(verdict, attempts.add(mended, Method.HXT)[0])
+    return verdict
+
+
+def _mended(task: Task, points: Points, tetrahedra: Cells) -> WorkerResult | None:
+    """Mend tetrahedra that have the triangles of the surface as their faces; ``None`` where they do not, or nothing is mended."""
+    triangles, vertices = task.surface.triangles, task.surface.points
+    inside, outside = np.ones(len(triangles), dtype=np.int64), np.full(len(triangles), NOTHING, dtype=np.int64)
+    found = conform(tetrahedra, triangles, Sides(inside, outside, []))
+    if found.faults or not np.array_equal(points[: len(vertices)], vertices):
+        return None
+    goal = goal_of(task.limits)
+    forced = forced_sides(vertices, triangles, goal.min_dihedral)
+    forced = forced.where(forced.side == INSIDE)
+    standing = found.behind[forced.facet]
+    quality = tetrahedron_quality(points, tetrahedra)
+    mended = mend((points, tetrahedra), found, quality, triangles, (forced, standing), goal)
+    if mended is None:
+        return None
+    return WorkerResult(mended.points, mended.tetrahedra, "", {"mended": mended.results})
 
 
 def _by_tetgen(task: Task, attempts: _Attempts, limit: TimeLimit, context: Context) -> None:

@@ -36,6 +36,10 @@ class ForcedSides:
     bound: Values
     """The largest smallest dihedral angle of a tetrahedron there, degrees, shape ``(k,)``."""
 
+    def where(self, kept: NDArray[np.bool_]) -> ForcedSides:
+        """Leave out the others; ``kept`` has the shape ``(k,)``."""
+        return ForcedSides(self.facet[kept], self.side[kept], self.bound[kept])
+
 
 @dataclass(frozen=True)
 class _Frames:

@@ -6,7 +6,6 @@ from dataclasses import fields, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tetmesh_check.cavity import Goal
 from tetmesh_check.checks import Check, Forced, Limits, conclude, shape_checks, smallest_elsewhere, verdict
@@ -21,7 +20,7 @@ from tetmesh_check.forced import INSIDE, ForcedSides, forced_sides
 from tetmesh_check.forward import Forward, RegionMesh, Source, resolve_source
 from tetmesh_check.materials import NOTHING, Sides
 from tetmesh_check.materials_fill import ComplexTask, FilledComplex, fill_complex, refuse_method
-from tetmesh_check.mend import GOAL_DEGREES
+from tetmesh_check.mend import goal_of
 from tetmesh_check.quality import TetrahedronQuality, centres_of, summarize, summarize_all, triangle_quality
 from tetmesh_check.sizing import SizingField
 from tetmesh_check.solve import VolumeMesh, solve_on
@@ -60,18 +59,14 @@ def _regions(checked: Complex, filled: FilledComplex) -> list[dict[str, Any]]:
     return listed
 
 
-def _within(sides: ForcedSides, kept: NDArray[np.bool_]) -> ForcedSides:
-    return ForcedSides(sides.facet[kept], sides.side[kept], sides.bound[kept])
-
-
 def _sides(checked: Complex, limits: Limits, goal: Goal, context: Context) -> tuple[ForcedSides, ForcedSides]:
     """Find where the triangles allow no tetrahedra within the limit of the dihedral angle, and warn of it; and where none at the goal."""
     sides, surface = checked.sides, checked.surface
     every = forced_sides(surface.points, surface.triangles, goal.min_dihedral)
     material = np.where(every.side == INSIDE, sides.inside[every.facet], sides.outside[every.facet])
-    every, material = _within(every, material != NOTHING), material[material != NOTHING]
+    every, material = every.where(material != NOTHING), material[material != NOTHING]
     below = every.bound < limits.min_dihedral
-    found = _within(every, below)
+    found = every.where(below)
     if len(found.facet):
         material, sharpest = material[below], int(found.bound.argmin())
         x, y, z = surface.points[surface.triangles[found.facet[sharpest]]].mean(axis=0)
@@ -302,7 +297,7 @@ def run_materials(
     )
     with context.step("find forced tetrahedra"):
         limits = arguments.limits
-        goal = Goal(max(GOAL_DEGREES, limits.min_dihedral), limits.min_scaled_jacobian, limits.min_dihedral)
+        goal = goal_of(limits)
         sides, beyond_goal = _sides(checked, limits, goal, context)
     task = ComplexTask(
         checked=checked,

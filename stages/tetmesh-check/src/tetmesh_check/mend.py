@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tetmesh_check.cavity import Goal, Part, Triangle
+from tetmesh_check.checks import Limits
 from tetmesh_check.conform import NOBODY, Conformity
 from tetmesh_check.forced import ForcedSides
 from tetmesh_check.quality import Cells, Labels, Points, TetrahedronQuality, signed_tetrahedron_volumes
@@ -24,6 +25,11 @@ ROUNDS = 4
 """How often those left are tried again, while it helps: what was mended beside them may have made room."""
 _RINGS = 3
 """Tetrahedra within so many of a bad one are looked at: a cavity begins with those that share a vertex with it, and grows from there."""
+
+
+def goal_of(limits: Limits) -> Goal:
+    """Give what tetrahedra are mended to reach: more than the checks ask for, where the surface allows it."""
+    return Goal(max(GOAL_DEGREES, limits.min_dihedral), limits.min_scaled_jacobian, limits.min_dihedral)
 
 
 @dataclass(frozen=True)
