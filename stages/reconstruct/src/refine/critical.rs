@@ -10,16 +10,17 @@ use isoparticles_stage::error::Result;
 use rayon::prelude::*;
 use std::collections::HashSet;
 
-/// Looks at critical points that stay on the wrong side of the mesh.
+/// Looks at critical points that stay on the wrong side of the mesh, and as many at cores that it crosses.
 const LOOKS: usize = 6;
 
-/// Spheres of points round a critical point that is still on the wrong side after its nearest points of F = 0 are in the mesh, or round the middle of a gap that a point there did
-/// not close, each twice as large as the one before.
+/// Spheres of points round a critical point or a place of a core that is still on the wrong side after its nearest points of F = 0 are in the mesh, each twice as large as the one before.
 const SPHERES: i32 = 4;
 
-/// Longest step along the core of a handle, in voxels, and shortest one, in longest ones: F bends from voxel to voxel, and a valley of F that is narrower than a step is followed by shorter ones.
+/// Longest step along the core of a handle, in voxels, and shortest one, in longest ones: F bends from voxel to voxel, and a valley of F that is narrower than a step is followed by shorter
+/// ones. No more than so many are taken: a core that turns to and fro in a valley for longer than 2,500 voxels is given up.
 const CORE_STEP: f64 = 0.25;
 const SHORTEST_STEP: f64 = 0.01;
+const MOST_STEPS: usize = 10_000;
 
 /// Points of such a sphere keep this part of its radius from all others.
 const APART: f64 = 0.5;
@@ -63,8 +64,11 @@ impl Refinement<'_> {
         let (mut position, mut depth) = (c.position, c.value.abs());
         let (mut way, mut step) = (sign * a.cross(b).normalize_or_zero(), longest);
         let (mut is_right, mut found) = (true, Vec::new());
-        // at the end of the way F goes no farther from zero
-        while step > SHORTEST_STEP * longest && way != DVec3::ZERO {
+        for _ in 0..MOST_STEPS {
+            // at the end of the way F goes no farther from zero
+            if step <= SHORTEST_STEP * longest || way == DVec3::ZERO {
+                break;
+            }
             let ahead = position + step * way;
             let depth_ahead = depth_at(ahead);
             if depth_ahead <= depth {
@@ -138,7 +142,7 @@ impl Refinement<'_> {
     }
 
     /// Places on spheres of up to a radius (mm) round one where h is given, each half as large as the next, and none larger than 2 h.
-    pub(super) fn on_spheres(&self, centre: DVec3, h: f64, largest: f64) -> Vec<Place> {
+    fn on_spheres(&self, centre: DVec3, h: f64, largest: f64) -> Vec<Place> {
         let radii = (0..SPHERES).map(|k| largest * f64::powi(2.0, k - SPHERES + 1)).filter(|&radius| radius < 2.0 * h);
         let on_sphere =
             |radius: f64| directions().filter_map(move |d| self.place_beside(centre, radius * d, h, APART * radius));
