@@ -54,16 +54,7 @@ impl KdTree {
     /// about equally far, as at the centre of a ball, an exact search would look at every one. The answer is then a point
     /// nearly as near as the nearest.
     pub fn nearest_of_leaves(&self, query: DVec3, radius: f64, leaves: usize) -> Option<(usize, f64)> {
-        self.answer(Search { query, best: (u32::MAX, radius * radius), leaves, accept: |_| true })
-    }
-
-    /// Index and distance of the nearest point closer than `radius` among those that `accept` takes by their index. The others are
-    /// passed over one by one, so the points near `query` should not all be refused unless `radius` is small.
-    pub fn nearest_accepted(&self, query: DVec3, radius: f64, accept: impl Fn(u32) -> bool) -> Option<(usize, f64)> {
-        self.answer(Search { query, best: (u32::MAX, radius * radius), leaves: usize::MAX, accept })
-    }
-
-    fn answer<A: Fn(u32) -> bool>(&self, mut search: Search<A>) -> Option<(usize, f64)> {
+        let mut search = Search { query, best: (u32::MAX, radius * radius), leaves };
         self.search(&mut search, 0..self.points.len(), 0);
         let (index, squared) = search.best;
         (index != u32::MAX).then(|| (index as usize, squared.sqrt()))
@@ -110,7 +101,7 @@ impl KdTree {
     }
 
     /// Searches a part of the tree, which has points.
-    fn search<A: Fn(u32) -> bool>(&self, search: &mut Search<A>, part: Range<usize>, number: usize) {
+    fn search(&self, search: &mut Search, part: Range<usize>, number: usize) {
         if search.leaves == 0 {
             return;
         }
@@ -161,21 +152,19 @@ fn distance_squared(bounds: &Bounds, query: DVec3) -> f64 {
 }
 
 /// A search under way.
-struct Search<A> {
+struct Search {
     query: DVec3,
     /// Index and squared distance of the nearest point so far.
     best: (u32, f64),
     /// Leaves that may still be looked at.
     leaves: usize,
-    /// Which points count.
-    accept: A,
 }
 
-impl<A: Fn(u32) -> bool> Search<A> {
+impl Search {
     fn consider(&mut self, point: DVec3, index: u32) {
         let d = point.distance_squared(self.query);
         let is_nearer = d < self.best.1 || (d == self.best.1 && index < self.best.0 && self.best.0 != u32::MAX);
-        if is_nearer && (self.accept)(index) {
+        if is_nearer {
             self.best = (index, d);
         }
     }
@@ -219,11 +208,6 @@ mod tests {
                 let (at, got) = tree.nearest(q).unwrap();
                 assert!((got - want).abs() < 1e-12 && (points[at].distance(q) - want).abs() < 1e-12);
                 assert!(tree.nearest_within(q, 0.5 * want).is_none());
-                let third = |n: u32| n % 3 == 1;
-                let thirds = points.iter().skip(1).step_by(3).map(|p| p.distance(q));
-                let (want_third, got) =
-                    (thirds.fold(f64::INFINITY, f64::min), tree.nearest_accepted(q, f64::INFINITY, third));
-                assert!(got.map_or(count < 2, |(n, d)| third(n as u32) && (d - want_third).abs() < 1e-12));
                 let radius = 1.7 * want;
                 let mut found = Vec::new();
                 assert!(tree.each_within(q, radius, usize::MAX, &mut |n, p| {

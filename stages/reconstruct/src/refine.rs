@@ -2,7 +2,7 @@
 //! and the genus of F = 0, and no facet strays from it.
 //!
 //! Pure criteria find violations: at simplices (`object.rs`), which are looked at again where something changed, and of the surface as a whole, which are looked
-//! for when nothing else is left to do: components missing or in pieces, critical points and grid nodes on the wrong side. Each is mended by a
+//! for when nothing else is left to do: components missing, critical points of F, cores of handles and grid nodes on the wrong side. Each is mended by a
 //! point, most needed first (`queue.rs`): the centre of a facet's surface ball, where its Voronoi edge crosses F = 0 (Boissonnat and Oudot 2005), or the place
 //! that the criterion names. The topology of F is known before and does not change. Where points do not help, tetrahedra change sides.
 
@@ -196,7 +196,7 @@ impl<'a> Refinement<'a> {
             if mended == 0 {
                 mended = self.mend_critical_points(&wrong_sided, &mut at_points, step)?;
             }
-            if mended == 0 {
+            if mended == 0 && self.may_look(along_cores) {
                 let left = self.cores_left(&defects);
                 mended = self.mend_critical_points(&left, &mut along_cores, step)?;
             }

@@ -17,7 +17,7 @@ const LOOKS: usize = 6;
 const SPHERES: i32 = 4;
 
 /// Longest step along the core of a handle, in voxels, and shortest one, in longest ones: F bends from voxel to voxel, and a valley of F that is narrower than a step is followed by shorter
-/// ones. No more than so many are taken: a core that turns to and fro in a valley for longer than 2,500 voxels is given up.
+/// ones. No more than so many are tried on either way, at most 2,500 voxels and less from a thin neck: a core that turns to and fro in a valley for longer is not followed to its end.
 const CORE_STEP: f64 = 0.25;
 const SHORTEST_STEP: f64 = 0.01;
 const MOST_STEPS: usize = 10_000;
@@ -104,6 +104,11 @@ impl Refinement<'_> {
         self.critical_points().any(|c| c.is_enclosed() && is_held(c))
     }
 
+    /// Whether there is another look at critical points, or at cores, after so many.
+    pub(super) fn may_look(&self, looks: usize) -> bool {
+        looks < LOOKS.min(self.options.max_rounds)
+    }
+
     /// Adds points round critical points, or places of their cores, on the wrong side until some fit; returns how many. `looks` are those so far.
     ///
     /// # Errors
@@ -114,8 +119,7 @@ impl Refinement<'_> {
         looks: &mut usize,
         step: &mut dyn FnMut(usize) -> Result<()>,
     ) -> Result<usize> {
-        let most = LOOKS.min(self.options.max_rounds);
-        while !wrong_sided.is_empty() && *looks < most {
+        while !wrong_sided.is_empty() && self.may_look(*looks) {
             let found = self.at_critical_points(wrong_sided, *looks);
             *looks += 1;
             let mended = self.mend_all(found, step)?;

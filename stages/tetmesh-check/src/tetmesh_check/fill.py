@@ -164,7 +164,8 @@ class _Attempts:
                 **({"max_distance": distance} if method is Method.FTETWILD else {}),
             }
         )
-        if self._best is None or verdict > self._best[0]:
+        # of equals the later: what was mended in part is better than what was not
+        if self._best is None or verdict >= self._best[0]:
             self._best = verdict, Filled(raw.points, tetrahedra), method
         smallest = float(quality.min_dihedral.min())
         return verdict, f"smallest dihedral angle {smallest:.3g} degrees, {distance:.3g} mm from the surface"

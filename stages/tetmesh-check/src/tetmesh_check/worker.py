@@ -95,7 +95,7 @@ class WorkerResult:
     said: str
     """What it wrote into its log."""
     summary: dict[str, Any]
-    """Its library's version and the time it took, s, for the report."""
+    """For the report: its library's version and the time it took, s, or what was mended."""
 
 
 def last_match(pattern: re.Pattern[str], text: str) -> str | None:
