@@ -228,6 +228,9 @@ pub(crate) fn edge_length_by<G: Coarser>(
         let grid = coarser.iter().rev().find(coarse_enough).unwrap_or(finest);
         let found = (2.0 * area(grid, scale)? / (3f64.sqrt() * vertices)).sqrt();
         let off = (found / length).ln();
+        if off.abs() < AREA_ROUNDS.1 {
+            return Ok(Some(found));
+        }
         let step = if off.abs() < LN_2 {
             // the area does not grow with the scale, so that the slope is -1 at most
             let slope = last.map_or(-1.0, |(last, last_off)| ((off - last_off) / (length / last).ln()).min(-1.0));
@@ -238,9 +241,6 @@ pub(crate) fn edge_length_by<G: Coarser>(
         };
         last = off.is_finite().then_some((length, off));
         length *= step.exp();
-        if off.abs() < AREA_ROUNDS.1 {
-            return Ok(Some(length));
-        }
         if length < smallest {
             break;
         }

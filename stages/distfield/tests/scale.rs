@@ -179,6 +179,6 @@ fn an_edge_length_that_smooths_much_of_the_area_away_still_has_the_vertices_aske
         let length = edge_length(&occupancy, Border::Cap, vertices, false).expect("few parts").expect("rods");
         let area = measure(&marching_cubes(&smoothed(&object, 1.6 * length, false).level, 0.0)).area;
         let have = 2.0 * area / (3f64.sqrt() * length * length);
-        assert!((have / vertices - 1.0).abs() < 0.07, "{vertices}: {have} with edges of {length}");
+        assert!((have / vertices - 1.0).abs() < 0.1, "{vertices}: {have} with edges of {length}");
     }
 }
