@@ -55,7 +55,7 @@ pub fn pinched_vertices(mesh: &TriangleMesh) -> Vec<(u32, Vec<u32>)> {
 }
 
 /// The triangles at a vertex, by the fans that they form across their edges.
-fn fans(mesh: &TriangleMesh, vertex: u32, around: &[u32]) -> Vec<Vec<u32>> {
+pub(crate) fn fans(mesh: &TriangleMesh, vertex: u32, around: &[u32]) -> Vec<Vec<u32>> {
     let ring = |t: u32| mesh.triangles[t as usize].into_iter().filter(move |&v| v != vertex);
     let mut joined = DisjointSets::new(around.len());
     for (i, &s) in around.iter().enumerate() {

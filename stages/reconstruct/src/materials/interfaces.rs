@@ -3,7 +3,10 @@
 use super::complex::Complex;
 use super::segments::{Segment, segment};
 use crate::labelled::Facet;
-use isoparticles_field::materials::{MaterialId, Stratum};
+use crate::pinched::{fans, part_sheets};
+use crate::prepare::ON_SURFACE;
+use glam::DVec3;
+use isoparticles_field::materials::{Indicators, MaterialId, Stratum};
 use isoparticles_mesh::TriangleMesh;
 use rayon::prelude::*;
 
@@ -39,6 +42,24 @@ impl Interfaces {
         let segments = complex.segments.all().map(|(pair, curve)| (pair.map(|v| number[v as usize]), curve)).collect();
         let joined = complex.joined.iter().map(|&v| number[v as usize]).filter(|&v| v != u32::MAX).collect();
         (Self { mesh: TriangleMesh { vertices, triangles }, between, segments, joined }, dimensions)
+    }
+
+    /// Parts the sheets of two materials that touch in a vertex, as those of one object are; returns the number of vertices added, which lie on sheets and come last.
+    pub fn part_sheets(&mut self, indicators: &dyn Indicators) -> usize {
+        let meets = self.materials_at_vertices();
+        let mut around = vec![Vec::new(); meets.len()];
+        for (t, corners) in (0..).zip(&self.mesh.triangles) {
+            corners.iter().filter(|&&v| meets[v as usize].len() == 2).for_each(|&v| around[v as usize].push(t));
+        }
+        let mut added = 0;
+        for (v, around) in (0..).zip(around).filter(|(_, around): &(u32, Vec<u32>)| !around.is_empty()) {
+            if fans(&self.mesh, v, &around).len() > 1 {
+                let (sheet, voxel) = (self.between[around[0] as usize], indicators.voxel());
+                let project = |p: DVec3| indicators.project_onto_sheet(sheet, p, voxel, ON_SURFACE * voxel);
+                added += part_sheets(&mut self.mesh, &[(v, around)], project);
+            }
+        }
+        added
     }
 
     /// All edges in order, lower vertex first, with their triangles, ascending.
@@ -104,5 +125,33 @@ impl Interfaces {
     pub fn part(&self, is_in: impl Fn([MaterialId; 2]) -> bool) -> TriangleMesh {
         let own = self.mesh.triangles.iter().zip(&self.between).filter(|(_, between)| is_in(**between));
         TriangleMesh { vertices: self.mesh.vertices.clone(), triangles: own.map(|(t, _)| *t).collect() }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use isoparticles_field::materials::{Analytic, ball, minimum, negative};
+
+    #[test]
+    fn two_sheets_of_the_same_materials_that_touch_in_a_vertex_are_parted_and_stay_on_their_sheet() {
+        // two balls that touch in the origin, each a tetrahedron whose other corners lie more to one side
+        let both = || minimum(ball(DVec3::Z, 1.0), ball(-DVec3::Z, 1.0));
+        let indicators = Analytic::new(vec![negative(both()), both()], 1.0);
+        let ring = [0.0f64, 2.1, 4.2].map(|turn| DVec3::new(0.8 * turn.cos() + 0.4, 0.8 * turn.sin(), 1.6));
+        let mut interfaces = Interfaces {
+            mesh: TriangleMesh {
+                vertices: [vec![DVec3::ZERO], ring.to_vec(), ring.map(|p| -p).to_vec()].concat(),
+                triangles: vec![[0, 2, 1], [0, 3, 2], [0, 1, 3], [1, 2, 3], [0, 4, 5], [0, 5, 6], [0, 6, 4], [4, 6, 5]],
+            },
+            between: vec![[MaterialId(1), MaterialId(0)]; 8],
+            ..Interfaces::default()
+        };
+        assert_eq!((interfaces.part_sheets(&indicators), interfaces.part_sheets(&indicators)), (1, 0));
+        let [upper, lower] = [0, 7].map(|v: usize| interfaces.mesh.vertices[v]);
+        for (place, centre) in [(upper, DVec3::Z), (lower, -DVec3::Z)] {
+            assert!((place.distance(centre) - 1.0).abs() < 1e-4 && place.length() > 0.1, "{place}");
+        }
+        assert!(upper.x > 0.1 && lower.x < -0.1, "{upper} {lower}");
     }
 }

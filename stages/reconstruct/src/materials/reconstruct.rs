@@ -8,6 +8,7 @@ use super::nodes::Nodes;
 use super::prepare::{Taken, prepare};
 use super::refine::{RefineReport, Refinement};
 use crate::improve::{ImproveOptions, ImproveReport};
+use crate::queue::Reason;
 use crate::reconstruct::Options;
 use glam::DVec3;
 use isoparticles_field::materials::{Indicators, Material};
@@ -62,8 +63,12 @@ pub fn reconstruct(
         monitor.note(&|| format!("{points} points"));
         Ok(monitor.check()?)
     })?;
-    let Refinement { complex, report: refined, .. } = refinement;
-    let (mut interfaces, dimensions) = Interfaces::of(&complex, &facets);
+    let Refinement { complex, report: mut refined, .. } = refinement;
+    let (mut interfaces, mut dimensions) = Interfaces::of(&complex, &facets);
+    if refined.unresolved.contains_key(&Reason::Vertex) {
+        refined.parted = interfaces.part_sheets(indicators);
+        dimensions.resize(interfaces.mesh.vertices.len(), 2);
+    }
     drop(phase);
 
     let phase = monitor.phase("improve");

@@ -4,7 +4,7 @@
 use super::complex::Complex;
 use super::nodes::Nodes;
 use super::refine::Refinement;
-use super::segments::{Segment, segment};
+use super::segments::{Bypass, Segment, segment};
 use super::topology::Simplices;
 use crate::around::{parts_round, runs_round, star};
 use crate::queue::{BETWEEN_STEPS, Simplex};
@@ -68,23 +68,22 @@ struct Change {
 }
 
 impl Change {
-    /// Makes it; returns the materials before, or nothing where the segments do not allow it.
-    fn make(&self, complex: &mut Complex) -> Option<Vec<MaterialId>> {
-        if let Some((pair, point)) = self.bypass
-            && !complex.segments.bypass(pair, point, complex.labelled.points())
-        {
-            return None;
-        }
+    /// Makes it; returns what undoes it, or nothing where the segments do not allow it.
+    fn make(&self, complex: &mut Complex) -> Option<(Vec<MaterialId>, Option<Bypass>)> {
+        let bypass = match self.bypass {
+            Some((pair, point)) => Some(complex.segments.bypass(pair, point, complex.labelled.points())?),
+            None => None,
+        };
         let old = self.tetrahedra.iter().map(|&t| complex.material(t)).collect();
         self.tetrahedra.iter().for_each(|&t| complex.labelled.set(t, self.to));
-        Some(old)
+        Some((old, bypass))
     }
 
     /// Takes it back.
-    fn undo(&self, complex: &mut Complex, old: Vec<MaterialId>) {
+    fn undo(&self, complex: &mut Complex, (old, bypass): (Vec<MaterialId>, Option<Bypass>)) {
         self.tetrahedra.iter().zip(old).for_each(|(&t, id)| complex.labelled.set(t, id));
-        if let Some((pair, point)) = self.bypass {
-            complex.segments.split(pair, point, complex.labelled.points());
+        if let Some(bypass) = bypass {
+            complex.segments.undo(bypass, complex.labelled.points());
         }
     }
 

@@ -13,6 +13,19 @@ pub fn segment(a: u32, b: u32) -> Segment {
     [a.min(b), a.max(b)]
 }
 
+/// A segment that took the place of two.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Bypass {
+    pair: Segment,
+    /// Where the two met.
+    point: u32,
+    curve: Stratum,
+    /// Whether these were adopted: the new one is where both were.
+    were_adopted: [bool; 2],
+    /// Whether there was none yet.
+    is_new: bool,
+}
+
 /// Segments by their ends, by each end, and by place.
 #[derive(Clone, Debug)]
 pub struct Segments {
@@ -90,19 +103,38 @@ impl Segments {
         }
     }
 
-    /// Puts one segment in the place of two of one curve that meet in a point, what [`split`](Self::split) undoes; false, and nothing is done, where they do not, where there is one already,
-    /// or where it would be longer than the longest of the first ones.
-    pub fn bypass(&mut self, pair: Segment, point: u32, points: &[DVec3]) -> bool {
+    /// Puts one segment, which may be there, in the place of two of one curve that meet in a point; nothing is done where they do not, or where it would be longer than the longest of the first ones.
+    pub fn bypass(&mut self, pair: Segment, point: u32, points: &[DVec3]) -> Option<Bypass> {
         let old = pair.map(|end| segment(end, point));
         let [a, b] = pair.map(|v| points[v as usize]);
-        let Some(curve) = self.curve(old[0]).filter(|curve| self.curve(old[1]) == Some(*curve)) else { return false };
-        let is_free = self.curve(pair).is_none() && a.distance(b) <= self.longest;
-        if !is_free || old.iter().any(|pair| self.adopted.contains(pair)) {
-            return false;
+        let curve = self.curve(old[0]).filter(|curve| self.curve(old[1]) == Some(*curve))?;
+        let known = self.curve(pair);
+        let fits = known.is_none_or(|known| known == curve) && a.distance(b) <= self.longest;
+        if !fits {
+            return None;
         }
-        old.into_iter().for_each(|pair| _ = self.remove(pair, points));
-        self.add(pair, curve, points);
-        true
+        let were_adopted = old.map(|pair| self.remove(pair, points));
+        if known.is_none() {
+            self.add(pair, curve, points);
+            if were_adopted == [true; 2] {
+                self.adopted.insert(pair);
+            }
+        }
+        Some(Bypass { pair, point, curve, were_adopted, is_new: known.is_none() })
+    }
+
+    /// Undoes it.
+    pub fn undo(&mut self, bypass: Bypass, points: &[DVec3]) {
+        if bypass.is_new {
+            self.remove(bypass.pair, points);
+        }
+        for (end, was_adopted) in bypass.pair.into_iter().zip(bypass.were_adopted) {
+            let old = segment(end, bypass.point);
+            self.add(old, bypass.curve, points);
+            if was_adopted {
+                self.adopted.insert(old);
+            }
+        }
     }
 
     /// Adds an edge of the triangulation whose ends lie on a curve, if it is no segment yet and no longer than the longest of the first ones; true when it did.
@@ -192,12 +224,20 @@ mod tests {
         assert_eq!((segments.curve([0, 1]), segments.curve([1, 3])), (None, Some(curve)));
         // and back
         let before = segments.curve.clone();
-        assert!(!segments.bypass([0, 2], 1, &points), "too long, with no segment from 0 to 1");
-        assert!(segments.bypass([0, 1], 3, &points) && segments.curve([0, 1]) == Some(curve));
-        assert!(!segments.bypass([0, 1], 3, &points), "there is one");
-        assert_eq!((segments.count(), segments.at(3).count()), (2, 0));
-        segments.split([0, 1], 3, &points);
+        assert_eq!(segments.bypass([0, 2], 1, &points), None, "too long, with no segment from 0 to 1");
+        let bypass = segments.bypass([0, 1], 3, &points).expect("two of one curve");
+        assert_eq!((segments.curve([0, 1]), segments.count(), segments.at(3).count()), (Some(curve), 2, 0));
+        assert_eq!(segments.bypass([0, 1], 3, &points), None, "none passes 3 any more");
+        segments.undo(bypass, &points);
         assert_eq!(segments.curve, before);
+        // one that is there takes their place as well, and stays when that is undone
+        segments.add([0, 1], curve, &points);
+        let before = segments.curve.clone();
+        let bypass = segments.bypass([0, 1], 3, &points).expect("two of one curve");
+        assert_eq!((segments.curve([0, 1]), segments.count()), (Some(curve), 2));
+        segments.undo(bypass, &points);
+        assert_eq!(segments.curve, before);
+        segments.remove([0, 1], &points);
         // what is adopted stays so when it is split, until another segment comes to lie on it
         points.extend([DVec3::new(1.0, 1.0, 0.0), DVec3::new(0.5, 0.5, 0.0)]);
         assert!(segments.adopt([0, 4], curve, &points) && !segments.adopt([0, 3], curve, &points));

@@ -136,14 +136,17 @@ impl Complex<'_> {
         (self.runs_round(edge, start).len() > 2).then_some(Reason::Edge)
     }
 
-    /// Round a vertex each material must be in one part.
+    /// Round a vertex each material must be in one part, and so must all that is not of it: its surface touches itself there else, as that of one that lies like a
+    /// ring between two others.
     pub(super) fn wrong_vertex(&self, vertex: u32) -> Option<Reason> {
         let delaunay = self.labelled.delaunay();
         let star = star(delaunay, vertex);
         let parts = parts_round(delaunay, vertex, &star, |t| self.material(t));
         let mut ids: Vec<MaterialId> = parts.iter().map(|part| self.material(part[0])).collect();
         ids.sort_unstable();
-        let is_right = ids.windows(2).all(|pair| pair[0] < pair[1]);
+        let is_parted = |&id: &MaterialId| parts_round(delaunay, vertex, &star, |t| self.material(t) == id).len() > 2;
+        // of two materials the one is all that is not of the other
+        let is_right = ids.windows(2).all(|pair| pair[0] < pair[1]) && (ids.len() < 3 || !ids.iter().any(is_parted));
         (!is_right).then_some(Reason::Vertex)
     }
 
@@ -152,5 +155,47 @@ impl Complex<'_> {
         let sheet = self.sheet(facet);
         let is_on = |v: &u32| sheet.iter().all(|&id| self.meets(*v, id));
         (!facet.vertices.iter().all(is_on)).then_some(Reason::Stratum)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::prepare::prepare;
+    use super::super::scenes;
+    use super::*;
+    use glam::DVec3;
+    use std::collections::BTreeSet;
+
+    #[test]
+    fn a_material_round_a_vertex_like_a_ring_between_two_others_is_wrong_there() {
+        let scene = scenes::sectors();
+        let (particles, strata) = scene.particles(1.5, 0.7);
+        let prepared = prepare(&particles, &strata, &scene.analytic).expect("on their strata");
+        let mut complex = Complex::new(prepared, &scene.analytic, DVec3::splat(scene.extent), None);
+        let v = (0..complex.points().len() as u32)
+            .find(|&v| {
+                complex.strata[v as usize].dimension() == 2
+                    && complex.points()[v as usize].distance(scenes::CENTRE) < 5.0
+            })
+            .expect("a vertex inside a sheet");
+        let own = star(complex.labelled.delaunay(), v);
+        let at = |complex: &Complex, u: u32| -> Vec<u32> {
+            own.iter().copied().filter(|&t| complex.labelled.delaunay().vertices(t).contains(&u)).collect()
+        };
+        // the two of its neighbours that lie in the most different directions
+        let link: BTreeSet<u32> =
+            own.iter().flat_map(|&t| complex.labelled.delaunay().vertices(t)).filter(|&u| u != v).collect();
+        let way = |u: u32| (complex.points()[u as usize] - complex.points()[v as usize]).normalize();
+        let pairs = link.iter().flat_map(|&a| link.iter().map(move |&b| (a, b)));
+        let (a, b) = pairs.min_by(|p, q| way(p.0).dot(way(p.1)).total_cmp(&way(q.0).dot(way(q.1)))).expect("two");
+        let mut colour = |ring: u16, top: u16, bottom: u16| {
+            own.iter().for_each(|&t| complex.labelled.set(t, MaterialId(ring)));
+            at(&complex, a).into_iter().for_each(|t| complex.labelled.set(t, MaterialId(top)));
+            at(&complex, b).into_iter().for_each(|t| complex.labelled.set(t, MaterialId(bottom)));
+            complex.wrong_vertex(v)
+        };
+        assert_eq!(colour(3, 1, 2), Some(Reason::Vertex), "a ring");
+        assert_eq!(colour(3, 1, 1), Some(Reason::Vertex), "one material in two parts");
+        assert_eq!(colour(3, 1, 3), None, "two, each in one part");
     }
 }

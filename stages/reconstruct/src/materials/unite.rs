@@ -34,7 +34,7 @@ impl Refinement<'_> {
             _ => None,
         });
         for group in groups(missing.collect()) {
-            if is_one_with_others(complex, &group) {
+            if is_one_with_others(complex, &group) || is_superfluous(complex, &group) {
                 self.report.united += group.len();
                 for pair in group {
                     complex.segments.remove(pair, complex.labelled.points());
@@ -106,6 +106,20 @@ fn is_one_with_others(complex: &Complex, group: &[Segment]) -> bool {
     ends.iter().all(|end| reached.contains(end)) && all.iter().all(|&v| distance(v, &others) < reach)
 }
 
+/// Whether a segment that is no edge between its materials is one too many: a curve of three materials passes a point once, and both of its ends lie on two others of its curve that are such
+/// edges. Where two ways of a curve come near to each other, it may have been followed from one to the other.
+fn is_superfluous(complex: &Complex, group: &[Segment]) -> bool {
+    let &[pair] = group else { return false };
+    let curve = complex.segments.curve(pair);
+    let is_right = |other: &Segment| {
+        let own = complex.segments.curve(*other).filter(|_| *other != pair && complex.segments.curve(*other) == curve);
+        own.is_some_and(|own| complex.wrong_segment(*other, own, complex.at_edge(*other)).is_none())
+    };
+    let is_passed = |&v: &u32| complex.segments.at(v).filter(is_right).count() > 1;
+    let is_plain = complex.at_edge(pair).is_none_or(|start| complex.wrong_plain_edge(pair, start).is_none());
+    is_plain && pair.iter().all(is_passed)
+}
+
 #[cfg(test)]
 mod tests {
     use super::super::prepare::{Prepared, Taken};
@@ -139,26 +153,31 @@ mod tests {
         (analytic, points, [[1, 2], [2, 3], [1, 5], [3, 5]])
     }
 
+    /// A complex of these points, of which so many are on the axis, with segments of it.
+    fn complex_of<'a>(analytic: &'a Analytic, points: &[DVec3], on_axis: usize, pairs: &[Segment]) -> Complex<'a> {
+        let curve = stratum(&[1, 2, 3]);
+        let sheet = |p: &DVec3| {
+            let near = analytic.near(*p);
+            let ids: Vec<u16> = near.entries()[..2].iter().map(|(id, _)| id.0).collect();
+            stratum(&ids)
+        };
+        let prepared = Prepared {
+            delaunay: Delaunay::new(points).expect("points in space"),
+            sizes: vec![1.0; points.len()],
+            strata: (0..).zip(points).map(|(v, p)| if v < on_axis { curve } else { sheet(p) }).collect(),
+            segments: Segments::new(pairs.iter().map(|&[a, b]| (segment(a, b), curve)), points),
+            report: Taken::default(),
+        };
+        Complex::new(prepared, analytic, DVec3::splat(6.0), None)
+    }
+
     #[test]
     fn a_curve_that_was_followed_twice_is_one_where_its_two_ways_are_nearer_than_points_can_tell() {
         for (hair, is_one) in [(0.01, true), (0.3, false)] {
             let (analytic, points, pairs) = lens(hair);
             let curve = stratum(&[1, 2, 3]);
-            let all = pairs.into_iter().chain([[0, 1], [3, 4]]).map(|[a, b]| (segment(a, b), curve));
-            let sheet = |p: &DVec3| {
-                let near = analytic.near(*p);
-                let ids: Vec<u16> = near.entries()[..2].iter().map(|(id, _)| id.0).collect();
-                stratum(&ids)
-            };
-            let strata = points.iter().enumerate().map(|(v, p)| if v < 6 { curve } else { sheet(p) }).collect();
-            let prepared = Prepared {
-                delaunay: Delaunay::new(&points).expect("points in space"),
-                sizes: vec![1.0; points.len()],
-                strata,
-                segments: Segments::new(all, &points),
-                report: Taken::default(),
-            };
-            let complex = Complex::new(prepared, &analytic, DVec3::splat(6.0), None);
+            let all: Vec<Segment> = pairs.into_iter().chain([[0, 1], [3, 4]]).collect();
+            let complex = complex_of(&analytic, &points, 6, &all);
             let missing: BTreeSet<Segment> = pairs
                 .into_iter()
                 .filter(|&pair| complex.wrong_segment(pair, curve, complex.at_edge(pair)).is_some())
@@ -167,6 +186,26 @@ mod tests {
             assert!(groups.len() == 1 && groups[0].len() == 2, "one of the two ways: {groups:?}");
             assert_eq!(is_one_with_others(&complex, &groups[0]), is_one);
         }
+    }
+
+    #[test]
+    fn a_segment_between_points_that_their_curve_passes_already_is_one_too_many() {
+        let (analytic, mut points, _) = lens(0.3);
+        points.remove(5);
+        let axis = [[0, 1], [1, 2], [2, 3], [3, 4]];
+        let extra = |pair: Segment| {
+            let complex = complex_of(&analytic, &points, 5, &[&axis[..], &[pair]].concat());
+            let curve = complex.segments.curve(pair).expect("a segment");
+            assert!(
+                complex.wrong_segment(pair, curve, complex.at_edge(pair)).is_some(),
+                "{pair:?} is no edge of the curve"
+            );
+            is_superfluous(&complex, &[pair])
+        };
+        assert!(extra([1, 3]));
+        assert!(!extra([0, 2]), "0 is an end");
+        let complex = complex_of(&analytic, &points, 5, &axis);
+        assert!(axis.iter().all(|&pair| !is_superfluous(&complex, &[pair])), "what is right stays");
     }
 
     #[test]
