@@ -131,6 +131,9 @@ pub(super) const MOST_IN_VAIN_ABOVE_EASY: usize = 50;
 /// Patches remeshed in vain, a second or so each, after which F has too much detail below h for the rest.
 pub(super) const MOST_IN_VAIN: usize = 200;
 
+/// Quality below which a triangle fails the check by default: nothing is spared on it, at junction curves either.
+pub(super) const POOR: f64 = 0.3;
+
 /// The same of anything but single moves on sheets that meet in junction curves, whose vertices stay: a curve that turns within h leaves hundreds that nothing helps.
 pub(super) const MOST_IN_VAIN_AT_JUNCTIONS: usize = 20;
 

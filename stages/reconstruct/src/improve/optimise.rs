@@ -4,7 +4,7 @@
 
 use super::constants::{
     AIM, BATCH, EASY, FIT, MOST_FIT_REMESHED_IN_VAIN, MOST_IN_VAIN, MOST_IN_VAIN_ABOVE_EASY, MOST_IN_VAIN_AT_JUNCTIONS,
-    MOST_PAIRS_IN_VAIN, REACHES, RINGS,
+    MOST_PAIRS_IN_VAIN, POOR, REACHES, RINGS,
 };
 use super::guard::Limits;
 use super::lift::{lift, lift_by_two};
@@ -53,6 +53,15 @@ struct Pass {
 }
 
 impl Pass {
+    /// Whether it is worth trying on a triangle of some quality (0 at a grid node on the wrong side): where all corners lie on junction curves single moves are all that may help.
+    fn may_help(&self, surface: &Surface, triangle: u32, quality: f64) -> bool {
+        match self.means {
+            Means::Move => true,
+            _ if quality > 0.0 && surface.is_between_curves(triangle) => false,
+            means => means.is_local() || quality < POOR || !surface.is_held(triangle),
+        }
+    }
+
     /// The same where sheets meet in junction curves.
     fn most_in_vain_at_junctions(&self) -> usize {
         if self.means == Means::Move { self.most_in_vain } else { self.most_in_vain.min(MOST_IN_VAIN_AT_JUNCTIONS) }
@@ -122,22 +131,27 @@ fn drain(surface: &mut Surface, pass: &Pass, failures: &mut Failures, step: Step
     };
     let entry = |surface: &Surface, at_nodes: &[u32], t: u32| {
         let rank = rank(surface, at_nodes, t);
-        let is_tried = rank < pass.bar.to_bits() && (pass.means.is_local() || rank == 0 || !surface.is_held(t));
+        let is_tried = rank < pass.bar.to_bits() && pass.may_help(surface, t, f64::from_bits(rank));
         is_tried.then_some(Reverse((rank, t)))
     };
     let has_junctions = surface.freedom.iter().any(|&freedom| freedom != Freedom::Sheet);
-    let most_in_vain = if has_junctions { pass.most_in_vain_at_junctions() } else { pass.most_in_vain };
+    let most_in_vain = |rank: u64| {
+        let is_poor = f64::from_bits(rank) < POOR;
+        if has_junctions && !is_poor { pass.most_in_vain_at_junctions() } else { pass.most_in_vain }
+    };
     let all = 0..surface.triangles.len() as u32;
     let mut queue: BinaryHeap<_> = all.filter_map(|t| entry(surface, &at_nodes, t)).collect();
     // as many as may well be apart
     let mut width = BATCH;
-    while failures.len() < most_in_vain {
+    loop {
         let mut batch = Vec::new();
         // no more than may fail
-        let left = most_in_vain - failures.len();
-        while batch.len() < width.min(left)
-            && let Some(Reverse((bits, t))) = queue.pop()
+        let may_fail = |rank: u64, batch: &[u32]| failures.len() + batch.len() < most_in_vain(rank);
+        while batch.len() < width
+            && let Some(&Reverse((bits, t))) = queue.peek()
+            && may_fail(bits, &batch)
         {
+            queue.pop();
             let is_current = surface.is_alive(t) && rank(surface, &at_nodes, t) == bits;
             let is_hopeless = || failures.get(&t).is_some_and(|&commits| surface.is_unchanged_since(t, commits));
             if is_current && !batch.contains(&t) && !is_hopeless() {
@@ -202,4 +216,33 @@ fn apart(surface: &Surface, triangles: &[u32], means: Means) -> (Vec<(u32, Bound
         }
     }
     (chosen, others)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::tests::{ball, sampled};
+    use super::*;
+    use glam::DVec3;
+    use isoparticles_field::spline::CubicSpline;
+    use isoparticles_mesh::TriangleMesh;
+
+    #[test]
+    fn between_curves_single_moves_alone_are_tried_and_beside_them_all_that_there_is_on_what_fails_the_check() {
+        let vertices = [DVec3::ZERO, DVec3::X, DVec3::Y, DVec3::Z].to_vec();
+        let mesh = TriangleMesh { vertices, triangles: vec![[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]] };
+        let field = CubicSpline::new(&sampled([5; 3], DVec3::ONE, ball(DVec3::ZERO, 1.0)));
+        // of the first triangle no corner is free, of the others one
+        let freedom = vec![Freedom::Point, Freedom::Curve, Freedom::None, Freedom::Sheet];
+        let surface = Surface::of_sheets(&mesh, vec![0; 4], freedom, &field, &|_| 1.0);
+        let tried = |means: Means, triangle: u32, quality: f64| {
+            let pass = Pass { means, limits: Limits::new(0.15, [0.5, 1.6]), bar: FIT, most_in_vain: MOST_IN_VAIN };
+            pass.may_help(&surface, triangle, quality)
+        };
+        let [near, far] = [REACHES[0], REACHES[3]].map(|reach| Means::Remesh { reach });
+        let all = [Means::Move, near, far, Means::TwoMoves];
+        assert_eq!(all.map(|means| tried(means, 0, 0.1)), [true, false, false, false]);
+        assert_eq!(all.map(|means| tried(means, 1, 0.9 * POOR)), [true; 4]);
+        assert_eq!(all.map(|means| tried(means, 1, 1.1 * POOR)), [true, true, false, false]);
+        assert_eq!(all.map(|means| tried(means, 0, 0.0)), [true; 4], "a grid node on the wrong side");
+    }
 }

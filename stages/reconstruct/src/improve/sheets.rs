@@ -93,6 +93,11 @@ impl Surface<'_> {
         self.triangles[triangle as usize].iter().any(|&v| v != u32::MAX && !self.is_free(v))
     }
 
+    /// Whether no corner of a triangle is free.
+    pub(super) fn is_between_curves(&self, triangle: u32) -> bool {
+        self.triangles[triangle as usize].iter().all(|&v| v != u32::MAX && !self.is_free(v))
+    }
+
     /// How many more triangles than six a vertex has; one that is not free in the sheet of a triangle at it, more than sixths of a turn in the angle there.
     pub(super) fn surplus(&self, vertex: u32, triangle: u32) -> i64 {
         if self.is_free(vertex) {

@@ -3,7 +3,7 @@
 
 mod edits;
 
-use super::constants::{FIRST_ORDER, MOST_DEVIATION, SHORT_SIDE};
+use super::constants::{FIRST_ORDER, MOST_DEVIATION, POOR, SHORT_SIDE};
 use super::grid::TriangleGrid;
 use super::guard::quality_of;
 use super::moves::projected_facing;
@@ -232,8 +232,14 @@ impl<'a> Surface<'a> {
     pub(super) fn quality(&self, triangle: u32) -> f64 {
         let corners = self.triangles[triangle as usize];
         let [a, b, c] = corners.map(|v| self.positions[v as usize]);
+        let longest = a.distance(b).max(b.distance(c)).max(c.distance(a));
         for k in 0..3 {
-            if let Some((p, q)) = self.stretched(corners[k], corners[(k + 1) % 3]) {
+            let ends = [corners[k], corners[(k + 1) % 3]];
+            // the third corner may be so near to the side that a better place is nearer still
+            if self.is_short_side(ends[0], ends[1])
+                && 2.0 * self.length(ends[0], ends[1]) < POOR * longest
+                && let Some((p, q)) = self.stretched(ends[0], ends[1])
+            {
                 return quality_of(p, q, self.positions[corners[(k + 2) % 3] as usize]);
             }
         }
