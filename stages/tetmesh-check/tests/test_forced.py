@@ -11,7 +11,7 @@ from complexes import Made, sphere
 from conftest import NEEDS_HXT, Run
 
 from tetmesh_check.checks import Forced, Limits, shape_checks, well_shaped
-from tetmesh_check.forced import INSIDE, OUTSIDE, forced_sides
+from tetmesh_check.forced import INSIDE, OUTSIDE, forced_sides, largest_jacobians
 from tetmesh_check.quality import tetrahedron_quality
 
 FLAT = np.array([[0.0, 0.0, 0.0], [2.0, 0.0, 0.0], [1.0, np.sqrt(3.0), 0.0]])
@@ -25,6 +25,36 @@ def with_neighbour(degrees: float) -> tuple[np.ndarray, np.ndarray]:
     apex = [1.0, np.sqrt(3.0) * np.cos(turned), np.sqrt(3.0) * np.sin(turned)]
     # counter-clockwise seen from the wedge, like the first
     return np.vstack([FLAT, apex]), np.array([[0, 1, 2], [1, 0, 3]])
+
+
+def test_on_a_needle_no_tetrahedron_has_large_angles_and_a_large_scaled_jacobian_at_once() -> None:
+    half = np.radians(1.3)
+    needle = np.array([[0.0, 0.0, 0.0], [1.0, -np.tan(half), 0.0], [1.0, np.tan(half), 0.0]])
+    (possible,) = largest_jacobians(needle, np.array([[0, 1, 2]]), 5.0)
+    rng = np.random.default_rng(5)
+    # apexes all over, and along the edge that the bound tells of
+    rise = np.arcsin(np.tan(half) / np.tan(np.radians(2.5)))
+    best = np.array([np.cos(rise), 0.0, np.sin(rise)])
+    apexes = np.concatenate(
+        [
+            rng.uniform([-0.5, -0.5, 0.0], [1.5, 0.5, 1.0], (200_000, 3)),
+            rng.uniform(0.1, 0.9, (200, 1)) * best * (1 + 1e-9),
+        ]
+    )
+    points = np.concatenate([needle, apexes])
+    cells = np.array([[0, 1, 2, 3 + k] for k in range(len(apexes))])
+    quality = tetrahedron_quality(points, cells)
+    wide = quality.min_dihedral >= 4.999
+    assert wide.sum() > 50
+    assert quality.scaled_jacobian[wide].max() < 1.001 * possible
+    assert quality.scaled_jacobian[wide].max() > 0.95 * possible
+    assert possible < 0.05 < quality.scaled_jacobian.max(), "a smaller angle allows more"
+    # where no angle is asked for, the third edge may rise at a right angle
+    (free,) = largest_jacobians(needle, np.array([[1, 2, 0]]), 0.0)
+    np.testing.assert_allclose(free, np.sqrt(2.0) * np.sin(2.0 * half))
+    # an equilateral triangle is no needle
+    (wide_open,) = largest_jacobians(FLAT, np.array([[0, 1, 2]]), 5.0)
+    np.testing.assert_allclose(wide_open, np.sqrt(1.5))
 
 
 def test_facets_that_meet_at_an_angle_allow_no_larger_one() -> None:

@@ -61,11 +61,14 @@ class Goal:
 
 
 _NEARLY = 0.9
-"""Share of the angle possible at a forced side that is aimed at: all of it would take the one tetrahedron that fills the place exactly."""
+"""Share of what is possible at a forced side that is aimed at: all of it would take the one tetrahedron that fills the place exactly."""
 
 
-def measure(corners: list[Points], aims: tuple[Values, Values]) -> Values:
-    """The smaller of the smallest dihedral angle and of the scaled Jacobian, each over its aim, at most 1; not above 0 where not positive.
+def measure(corners: list[Points], aims: tuple[Values, Values], least: float = 0.0) -> Values:
+    """How near a tetrahedron comes to its aims, at most 1; below a half where a check would fail, and not above 0 where it is not positive.
+
+    Of dihedral angle and scaled Jacobian the smaller counts. Where an aim cannot be reached, as beside a triangle of a small angle, none is so
+    bought with a failed check: an angle of the limit is worth a half, and all that is below the scaled Jacobian's limit, its aim, less.
 
     Parameters
     ----------
@@ -73,6 +76,8 @@ def measure(corners: list[Points], aims: tuple[Values, Values]) -> Values:
         Positions of the four vertices in VTK's order, each of shape ``(3, ...)``.
     aims
         Dihedral angles, degrees, and scaled Jacobians that are 1, of shapes that fit.
+    least
+        The limit of the check, degrees.
     """
     a, b, c, d = corners
     sides = [b - a, c - a, d - a, c - b, d - b, d - c]
@@ -86,10 +91,18 @@ def measure(corners: list[Points], aims: tuple[Values, Values]) -> Values:
             np.maximum, [-_dot(normals[i], normals[j]) / (sizes[i] * sizes[j]) for i, j in combinations(range(4), 2)]
         )
         product = reduce(np.maximum, [lengths[i] * lengths[j] * lengths[k] for i, j, k in _CORNERS])
-        jacobian = np.sqrt(2.0) * six / product / aims[1]
-    angle = np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))) / aims[0]
+        jacobian = _staged(np.sqrt(2.0) * six / product, aims[1], aims[1])
+    angle = _staged(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))), np.minimum(least, aims[0]), aims[0])
     found = np.where(six > 0.0, np.minimum(np.minimum(jacobian, angle), 1.0), np.minimum(jacobian, 0.0))
     result: Values = np.nan_to_num(found, nan=-1.0)
+    return result
+
+
+def _staged(found: Values, limit: Values, aim: Values) -> Values:
+    """A half at a limit and 1 at an aim, linear between and below."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        above = 0.5 + 0.5 * (found - limit) / (aim - limit)
+        result: Values = np.where(found < limit, 0.5 * found / limit, np.where(aim > limit, above, 1.0))
     return result
 
 
@@ -136,14 +149,23 @@ class Part:
         The largest dihedral angle possible, degrees, on faces (vertices ascending) in the region on that side, where it is below the goal.
     goal
         What each tetrahedron is to reach.
+    needles
+        The largest scaled Jacobian possible, on either side, on faces of a small angle (vertices ascending) where it is below the goal.
     """
 
     def __init__(
-        self, points: Points, tetrahedra: Cells, regions: Labels, forced: dict[tuple[Triangle, int], float], goal: Goal
+        self,
+        points: Points,
+        tetrahedra: Cells,
+        regions: Labels,
+        forced: dict[tuple[Triangle, int], float],
+        goal: Goal,
+        needles: dict[Triangle, float] | None = None,
     ) -> None:
         self.points = [*points]
         self.goal = goal
         self.forced = forced
+        self.needles = needles or {}
         self.tetrahedra: dict[int, Tetrahedron] = {}
         self.region: dict[int, int] = {}
         self.value: dict[int, float] = {}
@@ -186,12 +208,13 @@ class Part:
                 if bound is not None:
                     low, flat = self.goal.beside(bound)
                     angle[k], jacobian[k] = min(angle[k], low), min(jacobian[k], flat)
+                jacobian[k] = min(jacobian[k], _NEARLY * self.needles.get(face, np.inf))
         return angle, jacobian
 
     def _values(self, cells: list[Tetrahedron], regions: list[int]) -> Values:
         corners = np.array([[self.points[v] for v in cell] for cell in cells])
         faces = [list(combinations(sorted(cell), 3)) for cell in cells]
-        return measure([corners[:, k].T for k in range(4)], self._aims(faces, regions))
+        return measure([corners[:, k].T for k in range(4)], self._aims(faces, regions), self.goal.least)
 
     def bad(self) -> list[int]:
         """Tetrahedra below the goal, or what the surface allows of it; the worst first."""
@@ -232,7 +255,9 @@ class Part:
         corners = np.array([[self.points[v] for v in face] for face, _ in faces])
         own = np.array([[apex in face for face, _ in faces] for apex in apexes])
         tips = np.array([self.points[v] for v in apexes])
-        values = measure([*(corners[:, k].T[:, None, :] for k in (0, 2, 1)), tips.T[:, :, None]], self._plain)
+        values = measure(
+            [*(corners[:, k].T[:, None, :] for k in (0, 2, 1)), tips.T[:, :, None]], self._plain, self.goal.least
+        )
         values[own] = 1.0
         for k in np.flatnonzero(values.min(axis=1) > 0.0):
             cells = [(face[0], face[2], face[1], apexes[k]) for face, _ in faces if apexes[k] not in face]
@@ -249,7 +274,7 @@ class Part:
         place, best, values = start, -np.inf, np.empty(0)
         for _ in range(_STEPS):
             tried = place + step * _DIRECTIONS
-            found = measure([*base, tried.T[:, :, None]], aims)
+            found = measure([*base, tried.T[:, :, None]], aims, self.goal.least)
             least = found.min(axis=1)
             k = int(least.argmax())
             if least[k] > best:

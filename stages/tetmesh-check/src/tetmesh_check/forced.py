@@ -3,6 +3,7 @@
 A tetrahedron that stands on a facet with dihedral angles of at least X at the facet's three edges contains the *roof* of the facet: the
 flat tetrahedron whose three other faces rise from its edges at X. Where another facet cuts into the roof, no tetrahedron on that side of the
 facet has such angles, whoever makes it. The side is *forced*, and the largest X whose roof is free is what its tetrahedron can reach at most.
+A facet with a small angle of its own forces both sides: no tetrahedron on it has large dihedral angles and a large scaled Jacobian at once.
 """
 
 from __future__ import annotations
@@ -157,6 +158,34 @@ def forced_sides(points: Points, triangles: Cells, angle: float) -> ForcedSides:
     least = np.full(len(sides), angle)
     np.minimum.at(least, which.ravel(), bound)
     return ForcedSides(sides // 2, sides % 2, least)
+
+
+def largest_jacobians(points: Points, triangles: Cells, angle: float) -> Values:
+    """Give the largest scaled Jacobian of a tetrahedron on each triangle with no dihedral angle below a given one, shape ``(m,)``.
+
+    At a corner with the angle a the third edge rises at some angle e over the triangle, and the scaled Jacobian is at most sqrt(2) sin a sin e.
+    The dihedral angle d at that edge is largest where it rises over the bisector: tan(a/2) = sin e tan(d/2) in the right spherical triangle.
+    So an edge that rises steeply makes the one small, and one that does not the other.
+
+    Parameters
+    ----------
+    points
+        Positions, mm, shape ``(n, 3)``.
+    triangles
+        Vertex indices, shape ``(m, 3)``; each has an area.
+    angle
+        Dihedral angle, degrees, below 180; with 0 all are allowed.
+    """
+    corners = points[triangles]
+    ahead, back = np.roll(corners, -1, axis=1) - corners, np.roll(corners, 1, axis=1) - corners
+    doubled = np.linalg.norm(np.cross(ahead, back), axis=2)
+    product = np.linalg.norm(ahead, axis=2) * np.linalg.norm(back, axis=2)
+    sine, cosine = doubled / product, _dot(ahead, back) / product
+    # tan(a/2) = sin a / (1 + cos a)
+    with np.errstate(divide="ignore"):
+        rise = np.minimum(1.0, sine / (1.0 + cosine) / np.tan(np.radians(angle / 2.0)))
+    largest: Values = (np.sqrt(2.0) * sine * rise).min(axis=1)
+    return largest
 
 
 def _free_angles(frames: _Frames, cuts: NDArray[np.int64], angle: float) -> Values:

@@ -38,6 +38,8 @@ class ComplexTask:
     """Where its triangles allow no tetrahedra within the limits."""
     beyond_goal: ForcedSides
     """Where they allow none that reaches the goal of mending."""
+    needles: Labels
+    """Triangles on which none within the limit of the dihedral angle reaches that of the scaled Jacobian, by their number, shape ``(k,)``."""
     goal: Goal
     field: SizingField
     """Edge lengths, without the factor."""
@@ -107,7 +109,7 @@ def _measured(
     task: ComplexTask, points: Points, tetrahedra: Cells, found: Conformity, quality: TetrahedronQuality
 ) -> FilledComplex:
     standing = _standing(task.sides, found)
-    return FilledComplex(points, tetrahedra, quality, found, standing, _forced(task, standing, len(tetrahedra)))
+    return FilledComplex(points, tetrahedra, quality, found, standing, _forced(task, standing, found, len(tetrahedra)))
 
 
 def _standing(sides: ForcedSides, found: Conformity) -> Labels:
@@ -135,8 +137,23 @@ def _mend(task: ComplexTask, filled: FilledComplex, results: dict[str, Any]) -> 
     return after
 
 
-def _forced(task: ComplexTask, standing: Labels, count: int) -> Forced:
-    """The tetrahedra on forced sides, by what they are kept from.
+def on_needles(needles: Labels, found: Conformity) -> Labels:
+    """Give the tetrahedra on either side of triangles of a small angle.
+
+    Parameters
+    ----------
+    needles
+        Numbers of the triangles, shape ``(k,)``.
+    found
+        How the tetrahedra fit the interfaces.
+    """
+    both = np.concatenate([found.behind[needles], found.before[needles]])
+    there: Labels = both[both != NOBODY]
+    return there
+
+
+def _forced(task: ComplexTask, standing: Labels, found: Conformity, count: int) -> Forced:
+    """The tetrahedra on forced sides and on triangles of a small angle, by what they are kept from.
 
     In a corner at an edge with the dihedral angle b, where the faces on it have the angles s and t, six times the volume over the product of
     the three edges is sin b sin s sin t, so that the scaled Jacobian is at most sqrt(2) sin b.
@@ -146,6 +163,7 @@ def _forced(task: ComplexTask, standing: Labels, count: int) -> Forced:
     kept.dihedral[standing[there]] = True
     flat = np.sqrt(2.0) * np.sin(np.radians(task.sides.bound)) < task.limits.min_scaled_jacobian
     kept.jacobian[standing[there & flat]] = True
+    kept.jacobian[on_needles(task.needles, found)] = True
     return kept
 
 

@@ -16,12 +16,20 @@ from tetmesh_check.drawing import drawing
 from tetmesh_check.errors import StageError
 from tetmesh_check.export import MarkedMesh, Materials, export, export_paths, plain_names
 from tetmesh_check.files import refuse_existing
-from tetmesh_check.forced import INSIDE, ForcedSides, forced_sides
+from tetmesh_check.forced import INSIDE, ForcedSides, forced_sides, largest_jacobians
 from tetmesh_check.forward import Forward, RegionMesh, Source, resolve_source
 from tetmesh_check.materials import NOTHING, Sides
-from tetmesh_check.materials_fill import ComplexTask, FilledComplex, fill_complex, refuse_method
+from tetmesh_check.materials_fill import ComplexTask, FilledComplex, fill_complex, on_needles, refuse_method
 from tetmesh_check.mend import goal_of
-from tetmesh_check.quality import TetrahedronQuality, centres_of, summarize, summarize_all, triangle_quality
+from tetmesh_check.quality import (
+    Labels,
+    TetrahedronQuality,
+    Values,
+    centres_of,
+    summarize,
+    summarize_all,
+    triangle_quality,
+)
 from tetmesh_check.sizing import SizingField
 from tetmesh_check.solve import VolumeMesh, solve_on
 from tetmesh_check.surface import Surface
@@ -79,6 +87,41 @@ def _sides(checked: Complex, limits: Limits, goal: Goal, context: Context) -> tu
     return found, every
 
 
+def _needles(checked: Complex, limits: Limits, context: Context) -> tuple[Labels, Values]:
+    """Find the triangles of so small an angle that no tetrahedron on them keeps both limits of shape, with what they allow; warn of them."""
+    surface = checked.surface
+    possible = largest_jacobians(surface.points, surface.triangles, limits.min_dihedral)
+    found = np.flatnonzero(possible < limits.min_scaled_jacobian)
+    if len(found):
+        sharpest = found[int(possible[found].argmin())]
+        x, y, z = surface.points[surface.triangles[sharpest]].mean(axis=0)
+        context.warn(
+            f"{len(found)} triangles have an angle so small that no tetrahedron on them has both dihedral angles of {limits.min_dihedral:g} "
+            f"degrees and a scaled Jacobian of {limits.min_scaled_jacobian:g} (--min-dihedral, --min-scaled-jacobian), "
+            f"but {possible[sharpest]:.3g} at most, at ({x:.6g}, {y:.6g}, {z:.6g}) mm. "
+            "That is no failure; the report lists the places (forced_by_triangle)"
+        )
+    return found, possible[found]
+
+
+def _on_needles(needles: tuple[Labels, Values], checked: Complex, filled: FilledComplex) -> list[dict[str, Any]]:
+    """What triangles of a small angle force, by tetrahedron: place, material, the scaled Jacobian possible there at most, and what came out."""
+    listed = []
+    for facet, possible in zip(needles[0].tolist(), needles[1].tolist(), strict=True):
+        place = checked.surface.points[checked.surface.triangles[facet]].mean(axis=0)
+        for tetrahedron in on_needles(np.array([facet]), filled.conformity).tolist():
+            listed.append(
+                {
+                    "place_mm": place.tolist(),
+                    "material": checked.sides.names[filled.conformity.regions[tetrahedron]],
+                    "possible_scaled_jacobian": possible,
+                    "min_dihedral": float(filled.quality.min_dihedral[tetrahedron]),
+                    "min_scaled_jacobian": float(filled.quality.scaled_jacobian[tetrahedron]),
+                }
+            )
+    return listed
+
+
 def _forced_tetrahedra(sides: ForcedSides, checked: Complex, filled: FilledComplex) -> list[dict[str, Any]]:
     """What the surface forces, the sharpest first: place, material, the dihedral angle possible there at most, and what came out."""
     centres = centres_of(checked.surface.points, checked.surface.triangles[sides.facet])
@@ -100,7 +143,11 @@ def _forced_tetrahedra(sides: ForcedSides, checked: Complex, filled: FilledCompl
 
 
 def _measure(
-    task: ComplexTask, filled: FilledComplex, sizing: SizingField | None, factor: float, context: Context
+    task: ComplexTask,
+    needles: tuple[Labels, Values],
+    filled: FilledComplex,
+    sizing: tuple[SizingField | None, float],
+    context: Context,
 ) -> VolumeMesh:
     checked = task.checked
     points, tetrahedra, quality = filled.points, filled.tetrahedra, filled.quality
@@ -118,14 +165,16 @@ def _measure(
         "crowded_faces": found.crowded,
         "undecided_tetrahedra": found.undecided,
         "forced_by_surface": _forced_tetrahedra(task.sides, checked, filled),
+        "forced_by_triangle": _on_needles(needles, checked, filled),
         "smallest_elsewhere": {
             "min_dihedral": smallest_elsewhere(filled.quality.min_dihedral, filled.forced.dihedral),
             "scaled_jacobian": smallest_elsewhere(filled.quality.scaled_jacobian, filled.forced.jacobian),
         },
         "regions": _regions(checked, filled),
     }
-    if sizing is not None:
-        wanted = factor * sizing.at(centres_of(points, tetrahedra))
+    field, factor = sizing
+    if field is not None:
+        wanted = factor * field.at(centres_of(points, tetrahedra))
         context.results["volume"]["edge_length_over_target"] = summarize(
             quality.edge_length / wanted, np.linspace(0.0, 3.0, 61)
         )
@@ -299,10 +348,12 @@ def run_materials(
         limits = arguments.limits
         goal = goal_of(limits)
         sides, beyond_goal = _sides(checked, limits, goal, context)
+        needles = _needles(checked, limits, context)
     task = ComplexTask(
         checked=checked,
         sides=sides,
         beyond_goal=beyond_goal,
+        needles=needles[0],
         goal=goal,
         field=sizing[0],
         tet_size_factor=arguments.tet_size_factor,
@@ -313,7 +364,7 @@ def run_materials(
     )
     filled = fill_complex(task, context)
     with context.step("measure quality"):
-        mesh = _measure(task, filled, sizing[1], arguments.tet_size_factor, context)
+        mesh = _measure(task, needles, filled, (sizing[1], arguments.tet_size_factor), context)
     marked = mark_materials(checked.sides, checked.surface, filled)
     context.results["boundary"] = {
         "surface": {

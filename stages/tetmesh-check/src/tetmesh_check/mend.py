@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from tetmesh_check.cavity import Goal, Part, Triangle
 from tetmesh_check.checks import Limits
 from tetmesh_check.conform import NOBODY, Conformity
-from tetmesh_check.forced import ForcedSides
+from tetmesh_check.forced import ForcedSides, largest_jacobians
 from tetmesh_check.quality import Cells, Labels, Points, TetrahedronQuality, signed_tetrahedron_volumes
 
 GOAL_DEGREES = 12.0
@@ -127,7 +127,12 @@ def mend(
     ):
         a, b, c = sorted(triangles[facet].tolist())
         bounds[(a, b, c), int(found.parts[standing])] = bound
-    part = _Neighbourhood(points, tetrahedra, found.parts, below, bounds, goal)
+    possible = largest_jacobians(points, triangles, goal.least)
+    needles: dict[Triangle, float] = {}
+    for facet in np.flatnonzero(possible < goal.min_scaled_jacobian).tolist():
+        a, b, c = sorted(triangles[facet].tolist())
+        needles[a, b, c] = float(possible[facet])
+    part = _Neighbourhood((points, tetrahedra), found.parts, below, (bounds, needles), goal)
     before = part.count()
     for _ in range(ROUNDS):
         if not part.sweep():
@@ -159,17 +164,17 @@ def mend(
 
 
 class _Neighbourhood:
-    """What lies round the bad tetrahedra, with numbers of its own; the arguments are those of :func:`mend`."""
+    """What lies round the bad tetrahedra, with numbers of its own; what is forced as for :class:`.Part`, in those of the whole."""
 
     def __init__(
         self,
-        points: Points,
-        tetrahedra: Cells,
+        mesh: tuple[Points, Cells],
         parts: Labels,
         bad: NDArray[np.bool_],
-        forced: dict[tuple[Triangle, int], float],
+        forced: tuple[dict[tuple[Triangle, int], float], dict[Triangle, float]],
         goal: Goal,
     ) -> None:
+        points, tetrahedra = mesh
         marked = np.zeros(len(points), dtype=np.bool_)
         marked[tetrahedra[bad].ravel()] = True
         near = marked[tetrahedra].any(axis=1)
@@ -182,9 +187,11 @@ class _Neighbourhood:
         place = np.full(len(points), NOBODY, dtype=np.int64)
         place[self._used] = np.arange(len(self._used))
         own = {
-            ((int(place[a]), int(place[b]), int(place[c])), part): bound for ((a, b, c), part), bound in forced.items()
+            ((int(place[a]), int(place[b]), int(place[c])), part): bound
+            for ((a, b, c), part), bound in forced[0].items()
         }
-        self._part = Part(points[self._used], local.reshape(-1, 4), parts[self._near], own, goal)
+        needles = {(int(place[a]), int(place[b]), int(place[c])): bound for (a, b, c), bound in forced[1].items()}
+        self._part = Part(points[self._used], local.reshape(-1, 4), parts[self._near], own, goal, needles)
 
     @property
     def moves(self) -> int:
