@@ -164,3 +164,35 @@ def test_what_the_surface_forces_is_listed_and_judged_apart(tmp_path: Path, run:
     done = run("c.vtp", "-o", "d.vtu", "--report", "d.json", "--solve", "no", "--min-scaled-jacobian", 0.02)
     assert done.returncode == 0, done.stderr
     assert json.loads((tmp_path / "d.json").read_text())["results"]["volume"]["forced_by_surface"] == []
+
+
+@NEEDS_HXT
+def test_what_a_triangle_forces_by_its_own_angle_is_listed_and_judged_by_what_it_allows(
+    tmp_path: Path, run: Run
+) -> None:
+    # a material of one tetrahedron on a triangle with an angle of 2.6 degrees, whose third edge there rises so that its dihedral angle is 5.3
+    half, rise = np.radians(1.3), np.arcsin(np.tan(np.radians(1.3)) / np.tan(np.radians(2.65)))
+    inner = 2.0 * np.array(
+        [
+            [0.0, 0.0, 0.0],
+            [1.0, -np.tan(half), 0.0],
+            [1.0, np.tan(half), 0.0],
+            [0.5 * np.cos(rise), 0.0, 0.5 * np.sin(rise)],
+        ]
+    )
+    points, triangles = sphere(6.0, 3)
+    faces = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]]) + len(points)
+    material = np.repeat([1, 2], [len(triangles), len(faces)])
+    made = Made(np.vstack([points, inner]), np.vstack([triangles, faces]), material, material - 1, ("body", "wedge"))
+    made.save(tmp_path / "c.vtp")
+    done = run("c.vtp", "-o", "c.vtu", "--report", "r.json", "--solve", "no")
+    assert done.returncode == 0, done.stderr
+    assert "an angle so small that no tetrahedron on them has both" in done.stderr
+    volume = json.loads((tmp_path / "r.json").read_text())["results"]["volume"]
+    listed = volume["forced_by_triangle"]
+    assert {entry["material"] for entry in listed} == {"body", "wedge"}
+    for entry in listed:
+        assert entry["possible_scaled_jacobian"] < 0.05
+        assert entry["min_scaled_jacobian"] > 0.5 * entry["possible_scaled_jacobian"]
+        assert entry["min_dihedral"] >= 5.0
+    assert volume["quality"]["scaled_jacobian"]["min"] < 0.05 <= volume["smallest_elsewhere"]["scaled_jacobian"]

@@ -120,6 +120,14 @@ def test_the_page_tells_of_flat_tetrahedra(case: Path) -> None:
     told = {**report, "results": dict(report["results"])}
     told["results"]["volume"] = dict(report["results"]["volume"])
     told["results"]["volume"]["forced_by_surface"] = [{**place, "min_dihedral": 1.62, "min_scaled_jacobian": 0.04}]
+    needle = {
+        **place,
+        "place_mm": [7.5, 0.0, 1.0],
+        "possible_scaled_jacobian": 0.0345,
+        "min_dihedral": 5.5,
+        "min_scaled_jacobian": 0.0312,
+    }
+    told["results"]["volume"]["forced_by_triangle"] = [needle, needle]
     told["results"]["tetrahedralizer"] = {
         **report["results"]["tetrahedralizer"],
         "mended": {
@@ -138,4 +146,6 @@ def test_the_page_tells_of_flat_tetrahedra(case: Path) -> None:
     text = (case / "flat.html").read_text()
     assert "Left out: the reports lack" not in text
     for words in ("Flat tetrahedra", "1.25, 2.50, -3.75", "1.83", "321 tetrahedra", "On 1 sides of triangles"):
+        assert words in text
+    for words in ("2 tetrahedra stand on triangles of so small an angle", "7.50, 0.00, 1.00", "0.0345", "0.0312"):
         assert words in text

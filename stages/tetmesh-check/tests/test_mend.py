@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from complexes import between
 from test_solve import block
 
@@ -75,7 +76,7 @@ def test_values_are_a_half_at_the_limits_of_the_checks_and_1_at_the_goal() -> No
     cells = np.arange(400).reshape(-1, 4)
     quality, found = (
         tetrahedron_quality(points, cells),
-        measure([points[cells[:, k]].T for k in range(4)], (np.array(12.0), np.array(0.05)), 5.0),
+        measure([points[cells[:, k]].T for k in range(4)], Goal(12.0, 0.05, 5.0).plain),
     )
     by_angle = np.interp(quality.min_dihedral, [0.0, 5.0, 12.0], [0.0, 0.5, 1.0])
     flat = quality.scaled_jacobian < 0.05
@@ -84,6 +85,23 @@ def test_values_are_a_half_at_the_limits_of_the_checks_and_1_at_the_goal() -> No
     assert 0.3 < positive.mean() < 0.7
     np.testing.assert_allclose(found[positive], wanted[positive], rtol=1e-6)
     assert (found[~positive] <= 0).all()
+
+
+def test_what_the_checks_still_ask_for_beside_a_forced_side_is_worth_more_than_what_they_do_not() -> None:
+    goal = Goal(12.0, 0.05, 5.0)
+    # where 3 degrees are possible at most the scaled Jacobian is asked for, but no angle; at 1 degree neither; at 9 degrees both
+    assert goal.beside(3.0) == pytest.approx((2.7, 0.05, 0.0, 0.05))
+    assert goal.beside(1.0) == pytest.approx((0.9, 0.9 * np.sqrt(2.0) * np.sin(np.radians(1.0)), 0.0, 0.0))
+    assert goal.beside(9.0) == pytest.approx((8.1, 0.05, 5.0, 0.05))
+    assert goal.beside(5.2) == pytest.approx((5.0, 0.05, 5.0, 0.05))
+    points, cells = sliver(0.02)
+    jacobian = float(tetrahedron_quality(points, cells[:1]).scaled_jacobian[0])
+    angle = float(tetrahedron_quality(points, cells[:1]).min_dihedral[0])
+    regions = np.ones(5, dtype=np.int64)
+    # on a needle that allows twice its scaled Jacobian it lies between a half and 1, and below a half where its angle fails the check
+    for least, low, high in ((0.9 * angle, 0.5, 1.0), (1.1 * angle, 0.0, 0.5)):
+        part = Part(points, cells, regions, {}, Goal(1.2 * angle, 4.0 * jacobian, least), {(0, 1, 2): 2.0 * jacobian})
+        assert low < part.value[0] < high
 
 
 def crooked() -> tuple[Points, Cells, Labels, Cells, Sides]:

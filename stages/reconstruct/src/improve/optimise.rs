@@ -62,7 +62,7 @@ impl Pass {
         }
     }
 
-    /// The same where sheets meet in junction curves.
+    /// [`Self::most_in_vain`] where sheets meet in junction curves.
     fn most_in_vain_at_junctions(&self) -> usize {
         if self.means == Means::Move { self.most_in_vain } else { self.most_in_vain.min(MOST_IN_VAIN_AT_JUNCTIONS) }
     }
@@ -231,9 +231,9 @@ mod tests {
         let vertices = [DVec3::ZERO, DVec3::X, DVec3::Y, DVec3::Z].to_vec();
         let mesh = TriangleMesh { vertices, triangles: vec![[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]] };
         let field = CubicSpline::new(&sampled([5; 3], DVec3::ONE, ball(DVec3::ZERO, 1.0)));
-        // of the first triangle no corner is free, of the others one
+        // of the first triangle no corner is free, and all lie on the other sheet, too; of the others one is
         let freedom = vec![Freedom::Point, Freedom::Curve, Freedom::None, Freedom::Sheet];
-        let surface = Surface::of_sheets(&mesh, vec![0; 4], freedom, &field, &|_| 1.0);
+        let surface = Surface::of_sheets(&mesh, vec![0, 1, 1, 1], freedom, &field, &|_| 1.0);
         let tried = |means: Means, triangle: u32, quality: f64| {
             let pass = Pass { means, limits: Limits::new(0.15, [0.5, 1.6]), bar: FIT, most_in_vain: MOST_IN_VAIN };
             pass.may_help(&surface, triangle, quality)

@@ -93,9 +93,11 @@ impl Surface<'_> {
         self.triangles[triangle as usize].iter().any(|&v| v != u32::MAX && !self.is_free(v))
     }
 
-    /// Whether no corner of a triangle is free.
+    /// Whether all corners of a triangle, which none may be moved off, lie on other sheets as well: on junction curves.
     pub(super) fn is_between_curves(&self, triangle: u32) -> bool {
-        self.triangles[triangle as usize].iter().all(|&v| v != u32::MAX && !self.is_free(v))
+        let own = self.sheet[triangle as usize];
+        let is_on_others = |v: u32| self.around[v as usize].iter().any(|&t| self.sheet[t as usize] != own);
+        self.triangles[triangle as usize].iter().all(|&v| v != u32::MAX && !self.is_free(v) && is_on_others(v))
     }
 
     /// How many more triangles than six a vertex has; one that is not free in the sheet of a triangle at it, more than sixths of a turn in the angle there.

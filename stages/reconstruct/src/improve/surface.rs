@@ -228,17 +228,17 @@ impl<'a> Surface<'a> {
         (b - a).cross(c - a).normalize_or_zero()
     }
 
-    /// Quality of a triangle as it is now, or as it would be with a side of length h in the place of one that is short and stays ([`Self::side`]).
+    /// Quality of a triangle as it is now, or as it would be with a side of length h in the place of one that is short and stays ([`Self::side`]), if with that
+    /// no triangle as high as it is could pass the check.
     pub(super) fn quality(&self, triangle: u32) -> f64 {
         let corners = self.triangles[triangle as usize];
         let [a, b, c] = corners.map(|v| self.positions[v as usize]);
-        let longest = a.distance(b).max(b.distance(c)).max(c.distance(a));
+        let longest = || a.distance(b).max(b.distance(c)).max(c.distance(a));
         for k in 0..3 {
-            let ends = [corners[k], corners[(k + 1) % 3]];
-            // the third corner may be so near to the side that a better place is nearer still
-            if self.is_short_side(ends[0], ends[1])
-                && 2.0 * self.length(ends[0], ends[1]) < POOR * longest
-                && let Some((p, q)) = self.stretched(ends[0], ends[1])
+            let (from, to) = (corners[k], corners[(k + 1) % 3]);
+            // a third corner may be so near to the side that a better place is nearer still
+            if let Some((p, q)) = self.stretched(from, to)
+                && 2.0 * self.length(from, to) < POOR * longest()
             {
                 return quality_of(p, q, self.positions[corners[(k + 2) % 3] as usize]);
             }
@@ -262,7 +262,7 @@ impl<'a> Surface<'a> {
         is_point(a) && is_point(b) && self.relative_length(a, b) < SHORT_SIDE
     }
 
-    /// The ends of a side by which its triangles are judged. Where it is short and stays, it counts as of length h, so that the third corner is drawn to the height of
+    /// The ends of a side by which a place for the third corner is looked for. Where it is short and stays, it counts as of length h, so that the third corner is drawn to the height of
     /// a good triangle, and not towards the side, where it would spoil the other triangles round it.
     pub(super) fn side(&self, a: u32, b: u32) -> (DVec3, DVec3) {
         self.stretched(a, b).unwrap_or_else(|| (self.positions[a as usize], self.positions[b as usize]))

@@ -1,10 +1,10 @@
 //! The triangles between materials as one mesh, and the closed surface of each material in it.
 
 use super::complex::Complex;
+use super::prepare::onto;
 use super::segments::{Segment, segment};
 use crate::labelled::Facet;
 use crate::pinched::{fans, part_sheets};
-use crate::prepare::ON_SURFACE;
 use glam::DVec3;
 use isoparticles_field::materials::{Indicators, MaterialId, Stratum};
 use isoparticles_mesh::TriangleMesh;
@@ -44,22 +44,24 @@ impl Interfaces {
         (Self { mesh: TriangleMesh { vertices, triangles }, between, segments, joined }, dimensions)
     }
 
-    /// Parts the sheets of two materials that touch in a vertex, as those of one object are; returns the number of vertices added, which lie on sheets and come last.
+    /// Parts the sheets of two materials that touch in a vertex, as those of one object are; returns how many such vertices there were. Those that are added lie on
+    /// sheets, and come last.
     pub fn part_sheets(&mut self, indicators: &dyn Indicators) -> usize {
         let meets = self.materials_at_vertices();
         let mut around = vec![Vec::new(); meets.len()];
         for (t, corners) in (0..).zip(&self.mesh.triangles) {
             corners.iter().filter(|&&v| meets[v as usize].len() == 2).for_each(|&v| around[v as usize].push(t));
         }
-        let mut added = 0;
+        let mut parted = 0;
         for (v, around) in (0..).zip(around).filter(|(_, around): &(u32, Vec<u32>)| !around.is_empty()) {
             if fans(&self.mesh, v, &around).len() > 1 {
-                let (sheet, voxel) = (self.between[around[0] as usize], indicators.voxel());
-                let project = |p: DVec3| indicators.project_onto_sheet(sheet, p, voxel, ON_SURFACE * voxel);
-                added += part_sheets(&mut self.mesh, &[(v, around)], project);
+                let [inside, outside] = self.between[around[0] as usize];
+                let project = |p: DVec3| onto(indicators, Stratum::sheet(inside, outside), p, indicators.voxel());
+                part_sheets(&mut self.mesh, &[(v, around)], project);
+                parted += 1;
             }
         }
-        added
+        parted
     }
 
     /// All edges in order, lower vertex first, with their triangles, ascending.

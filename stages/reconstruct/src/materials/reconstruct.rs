@@ -65,9 +65,12 @@ pub fn reconstruct(
     })?;
     let Refinement { complex, report: mut refined, .. } = refinement;
     let (mut interfaces, mut dimensions) = Interfaces::of(&complex, &facets);
-    if refined.unresolved.contains_key(&Reason::Vertex) {
+    if let Some(left) = refined.unresolved.remove(&Reason::Vertex) {
         refined.parted = interfaces.part_sheets(indicators);
         dimensions.resize(interfaces.mesh.vertices.len(), 2);
+        if left > refined.parted {
+            refined.unresolved.insert(Reason::Vertex, left - refined.parted);
+        }
     }
     drop(phase);
 

@@ -40,7 +40,9 @@ pub struct RefineReport {
     pub bypassed: usize,
     /// Segments that were no edges between their materials, and are one with others nearer than `ONE_CURVE` that are.
     pub united: usize,
-    /// Vertices added where sheets of the same two materials still touch in a point: each gets its own.
+    /// Segments that were no edges between their materials, and join two places that their curve passes by others.
+    pub superfluous: usize,
+    /// Vertices in which sheets of the same two materials still touched: each sheet gets its own.
     pub parted: usize,
     /// Violations left, by what is violated: only points nearer to others than the smallest radius could mend them.
     pub unresolved: BTreeMap<Reason, usize>,

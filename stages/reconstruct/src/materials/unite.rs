@@ -1,6 +1,6 @@
 //! What lies nearer together than `ONE_CURVE` is one, which points cannot tell: when none are added any more, the strata of the complex are brought in line with its tetrahedra
 //! there. Edges on which three or four materials meet become segments of the curve that passes their ends; segments beside others of their curve, which are edges, are one with
-//! these; and a vertex at a facet of a sheet that passes it is on that sheet, too.
+//! these; segments between places that their curve passes by others, however long, are too many; and a vertex at a facet of a sheet that passes it is on that sheet, too.
 
 use super::complex::Complex;
 use super::refine::Refinement;
@@ -34,8 +34,9 @@ impl Refinement<'_> {
             _ => None,
         });
         for group in groups(missing.collect()) {
-            if is_one_with_others(complex, &group) || is_superfluous(complex, &group) {
-                self.report.united += group.len();
+            let is_superfluous = is_superfluous(complex, &group);
+            if is_superfluous || is_one_with_others(complex, &group) {
+                *(if is_superfluous { &mut self.report.superfluous } else { &mut self.report.united }) += group.len();
                 for pair in group {
                     complex.segments.remove(pair, complex.labelled.points());
                 }
@@ -110,10 +111,10 @@ fn is_one_with_others(complex: &Complex, group: &[Segment]) -> bool {
 /// edges. Where two ways of a curve come near to each other, it may have been followed from one to the other.
 fn is_superfluous(complex: &Complex, group: &[Segment]) -> bool {
     let &[pair] = group else { return false };
-    let curve = complex.segments.curve(pair);
+    let Some(curve) = complex.segments.curve(pair).filter(|curve| curve.dimension() == 1) else { return false };
     let is_right = |other: &Segment| {
-        let own = complex.segments.curve(*other).filter(|_| *other != pair && complex.segments.curve(*other) == curve);
-        own.is_some_and(|own| complex.wrong_segment(*other, own, complex.at_edge(*other)).is_none())
+        let is_of_curve = *other != pair && complex.segments.curve(*other) == Some(curve);
+        is_of_curve && complex.wrong_segment(*other, curve, complex.at_edge(*other)).is_none()
     };
     let is_passed = |&v: &u32| complex.segments.at(v).filter(is_right).count() > 1;
     let is_plain = complex.at_edge(pair).is_none_or(|start| complex.wrong_plain_edge(pair, start).is_none());

@@ -12,6 +12,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import reduce
 from itertools import combinations
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,6 +35,16 @@ _STEPS = 10
 """Steps of the search for a place: the first is a third of the mean edge, and each that finds nothing better halves it."""
 
 
+class Aims(NamedTuple):
+    """What tetrahedra are to reach, of shapes that fit theirs, and the limits of the checks, 0 where the surface allows none to keep them."""
+
+    angle: Values
+    """Dihedral angle, degrees."""
+    jacobian: Values
+    least_angle: Values
+    least_jacobian: Values
+
+
 @dataclass(frozen=True)
 class Goal:
     """What a tetrahedron is to reach."""
@@ -44,40 +55,48 @@ class Goal:
     least: float = 0.0
     """Degrees that are asked for wherever the surface allows them: the limit of the check."""
 
-    def beside(self, bound: float) -> tuple[float, float]:
-        """What to aim at where the surface allows no larger dihedral angle, degrees, and the scaled Jacobian.
+    @property
+    def plain(self) -> Aims:
+        """Where the surface forces nothing."""
+        return Aims(
+            *(np.array(x) for x in (self.min_dihedral, self.min_scaled_jacobian, self.least, self.min_scaled_jacobian))
+        )
 
-        Nine tenths of what is possible at best (there the scaled Jacobian is at most sqrt(2) sin of the angle), or the limit of the check if
-        that can be reached.
+    def beside(self, bound: float) -> tuple[float, float, float, float]:
+        """What to aim at, and what the checks ask for, where the surface allows no larger dihedral angle: in the order of :class:`Aims`.
+
+        The aim is nine tenths of what is possible at best (there the scaled Jacobian is at most sqrt(2) sin of the angle), or the limit of the
+        check if that can be reached.
 
         Parameters
         ----------
         bound
             The largest possible, degrees.
         """
-        angle = max(_NEARLY * bound, min(bound, self.least))
-        flat = _NEARLY * np.sqrt(2.0) * np.sin(np.radians(bound))
-        return min(self.min_dihedral, angle), min(self.min_scaled_jacobian, float(flat))
+        least = self.least if bound >= self.least else 0.0
+        angle = min(self.min_dihedral, max(_NEARLY * bound, least))
+        flat = float(np.sqrt(2.0) * np.sin(np.radians(bound)))
+        if flat < self.min_scaled_jacobian:
+            return angle, _NEARLY * flat, least, 0.0
+        return angle, self.min_scaled_jacobian, least, self.min_scaled_jacobian
 
 
 _NEARLY = 0.9
 """Share of what is possible at a forced side that is aimed at: all of it would take the one tetrahedron that fills the place exactly."""
 
 
-def measure(corners: list[Points], aims: tuple[Values, Values], least: float = 0.0) -> Values:
+def measure(corners: list[Points], aims: Aims) -> Values:
     """How near a tetrahedron comes to its aims, at most 1; below a half where a check would fail, and not above 0 where it is not positive.
 
     Of dihedral angle and scaled Jacobian the smaller counts. Where an aim cannot be reached, as beside a triangle of a small angle, none is so
-    bought with a failed check: an angle of the limit is worth a half, and all that is below the scaled Jacobian's limit, its aim, less.
+    bought with a failed check: what is at its limit is worth a half, and what lies below it less.
 
     Parameters
     ----------
     corners
         Positions of the four vertices in VTK's order, each of shape ``(3, ...)``.
     aims
-        Dihedral angles, degrees, and scaled Jacobians that are 1, of shapes that fit.
-    least
-        The limit of the check, degrees.
+        What is worth 1, and the limits.
     """
     a, b, c, d = corners
     sides = [b - a, c - a, d - a, c - b, d - b, d - c]
@@ -91,8 +110,8 @@ def measure(corners: list[Points], aims: tuple[Values, Values], least: float = 0
             np.maximum, [-_dot(normals[i], normals[j]) / (sizes[i] * sizes[j]) for i, j in combinations(range(4), 2)]
         )
         product = reduce(np.maximum, [lengths[i] * lengths[j] * lengths[k] for i, j, k in _CORNERS])
-        jacobian = _staged(np.sqrt(2.0) * six / product, aims[1], aims[1])
-    angle = _staged(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))), np.minimum(least, aims[0]), aims[0])
+        jacobian = _staged(np.sqrt(2.0) * six / product, aims.least_jacobian, aims.jacobian)
+    angle = _staged(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))), aims.least_angle, aims.angle)
     found = np.where(six > 0.0, np.minimum(np.minimum(jacobian, angle), 1.0), np.minimum(jacobian, 0.0))
     result: Values = np.nan_to_num(found, nan=-1.0)
     return result
@@ -171,7 +190,6 @@ class Part:
         self.value: dict[int, float] = {}
         self.moves = 0
         self._hopeless: set[int] = set()
-        self._plain = (np.array(goal.min_dihedral), np.array(goal.min_scaled_jacobian))
         self._next = 0
         self._of_vertex: dict[int, set[int]] = {}
         self._of_face: dict[Triangle, list[int]] = {}
@@ -198,23 +216,24 @@ class Part:
         for face in combinations(sorted(cell), 3):
             self._of_face[face].remove(number)
 
-    def _aims(self, faces: list[list[Triangle]], regions: list[int]) -> tuple[Values, Values]:
+    def _aims(self, faces: list[list[Triangle]], regions: list[int]) -> Aims:
         """What tetrahedra with these faces are to reach, by tetrahedron."""
-        angle = np.full(len(faces), self.goal.min_dihedral)
-        jacobian = np.full(len(faces), self.goal.min_scaled_jacobian)
+        aims = Aims(*(np.full(len(faces), x) for x in self.goal.plain))
         for k, (own, region) in enumerate(zip(faces, regions, strict=True)):
             for face in own:
                 bound = self.forced.get((face, region))
                 if bound is not None:
-                    low, flat = self.goal.beside(bound)
-                    angle[k], jacobian[k] = min(angle[k], low), min(jacobian[k], flat)
-                jacobian[k] = min(jacobian[k], _NEARLY * self.needles.get(face, np.inf))
-        return angle, jacobian
+                    for values, allowed in zip(aims, self.goal.beside(bound), strict=True):
+                        values[k] = min(values[k], allowed)
+                possible = self.needles.get(face)
+                if possible is not None:
+                    aims.jacobian[k], aims.least_jacobian[k] = min(aims.jacobian[k], _NEARLY * possible), 0.0
+        return aims
 
     def _values(self, cells: list[Tetrahedron], regions: list[int]) -> Values:
         corners = np.array([[self.points[v] for v in cell] for cell in cells])
         faces = [list(combinations(sorted(cell), 3)) for cell in cells]
-        return measure([corners[:, k].T for k in range(4)], self._aims(faces, regions), self.goal.least)
+        return measure([corners[:, k].T for k in range(4)], self._aims(faces, regions))
 
     def bad(self) -> list[int]:
         """Tetrahedra below the goal, or what the surface allows of it; the worst first."""
@@ -255,9 +274,7 @@ class Part:
         corners = np.array([[self.points[v] for v in face] for face, _ in faces])
         own = np.array([[apex in face for face, _ in faces] for apex in apexes])
         tips = np.array([self.points[v] for v in apexes])
-        values = measure(
-            [*(corners[:, k].T[:, None, :] for k in (0, 2, 1)), tips.T[:, :, None]], self._plain, self.goal.least
-        )
+        values = measure([*(corners[:, k].T[:, None, :] for k in (0, 2, 1)), tips.T[:, :, None]], self.goal.plain)
         values[own] = 1.0
         for k in np.flatnonzero(values.min(axis=1) > 0.0):
             cells = [(face[0], face[2], face[1], apexes[k]) for face, _ in faces if apexes[k] not in face]
@@ -274,7 +291,7 @@ class Part:
         place, best, values = start, -np.inf, np.empty(0)
         for _ in range(_STEPS):
             tried = place + step * _DIRECTIONS
-            found = measure([*base, tried.T[:, :, None]], aims, self.goal.least)
+            found = measure([*base, tried.T[:, :, None]], aims)
             least = found.min(axis=1)
             k = int(least.argmax())
             if least[k] > best:

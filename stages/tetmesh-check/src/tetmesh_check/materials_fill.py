@@ -18,7 +18,7 @@ from tetmesh_check.fill import Method
 from tetmesh_check.forced import INSIDE, ForcedSides
 from tetmesh_check.hxt import HxtSettings, fill_complex_by_gmsh
 from tetmesh_check.mend import mend
-from tetmesh_check.quality import Cells, Labels, Points, TetrahedronQuality, tetrahedron_quality
+from tetmesh_check.quality import Cells, Labels, Points, TetrahedronQuality, Values, tetrahedron_quality
 from tetmesh_check.sizing import SizingField, world_grid
 from tetmesh_check.volume import orient_positive
 from tetmesh_check.worker import TimeLimit, TimeLimitError, UnavailableError, WorkerResult
@@ -27,6 +27,9 @@ ATTEMPTS = (HxtSettings(), HxtSettings(algorithm="delaunay"))
 """What is tried in turn, until an attempt keeps all interfaces: HXT, and Gmsh's older Delaunay, which takes some complexes that HXT does not.
 ``--method hxt`` leaves the last out. Single tetrahedra beyond the limits of shape are no reason to make all anew: they are
 mended (:mod:`.mend`)."""
+
+_FAIR = 0.5
+"""Share of the scaled Jacobian possible on a triangle of a small angle that is asked for; mending aims at nine tenths."""
 
 
 @dataclass(frozen=True)
@@ -38,8 +41,8 @@ class ComplexTask:
     """Where its triangles allow no tetrahedra within the limits."""
     beyond_goal: ForcedSides
     """Where they allow none that reaches the goal of mending."""
-    needles: Labels
-    """Triangles on which none within the limit of the dihedral angle reaches that of the scaled Jacobian, by their number, shape ``(k,)``."""
+    needles: tuple[Labels, Values]
+    """Numbers of the triangles on which none within the limit of the dihedral angle reaches that of the scaled Jacobian, and what one can."""
     goal: Goal
     field: SizingField
     """Edge lengths, without the factor."""
@@ -109,7 +112,7 @@ def _measured(
     task: ComplexTask, points: Points, tetrahedra: Cells, found: Conformity, quality: TetrahedronQuality
 ) -> FilledComplex:
     standing = _standing(task.sides, found)
-    return FilledComplex(points, tetrahedra, quality, found, standing, _forced(task, standing, found, len(tetrahedra)))
+    return FilledComplex(points, tetrahedra, quality, found, standing, _forced(task, standing, found, quality))
 
 
 def _standing(sides: ForcedSides, found: Conformity) -> Labels:
@@ -137,33 +140,37 @@ def _mend(task: ComplexTask, filled: FilledComplex, results: dict[str, Any]) -> 
     return after
 
 
-def on_needles(needles: Labels, found: Conformity) -> Labels:
-    """Give the tetrahedra on either side of triangles of a small angle.
+def on_needles(task: ComplexTask, found: Conformity) -> tuple[Labels, Labels]:
+    """Give the tetrahedra on triangles of a small angle, and for each which of these it stands on, the sharpest first.
 
     Parameters
     ----------
-    needles
-        Numbers of the triangles, shape ``(k,)``.
+    task
+        Where the triangles are told.
     found
         How the tetrahedra fit the interfaces.
     """
-    both = np.concatenate([found.behind[needles], found.before[needles]])
-    there: Labels = both[both != NOBODY]
-    return there
+    order = np.argsort(task.needles[1], kind="stable")
+    beside = np.stack([side[task.needles[0][order]] for side in (found.behind, found.before)], axis=1)
+    there = beside != NOBODY
+    return beside[there], np.repeat(order, there.sum(axis=1))
 
 
-def _forced(task: ComplexTask, standing: Labels, found: Conformity, count: int) -> Forced:
+def _forced(task: ComplexTask, standing: Labels, found: Conformity, quality: TetrahedronQuality) -> Forced:
     """The tetrahedra on forced sides and on triangles of a small angle, by what they are kept from.
 
     In a corner at an edge with the dihedral angle b, where the faces on it have the angles s and t, six times the volume over the product of
-    the three edges is sin b sin s sin t, so that the scaled Jacobian is at most sqrt(2) sin b.
+    the three edges is sin b sin s sin t, so that the scaled Jacobian is at most sqrt(2) sin b. A tetrahedron on a triangle of a small angle is
+    to have half of what is possible there.
     """
-    kept = Forced(np.zeros(count, dtype=np.bool_), np.zeros(count, dtype=np.bool_))
+    kept = Forced(*(np.zeros(quality.volume.size, dtype=np.bool_) for _ in range(2)))
     there = standing != NOBODY
     kept.dihedral[standing[there]] = True
     flat = np.sqrt(2.0) * np.sin(np.radians(task.sides.bound)) < task.limits.min_scaled_jacobian
     kept.jacobian[standing[there & flat]] = True
-    kept.jacobian[on_needles(task.needles, found)] = True
+    tetrahedra, which = on_needles(task, found)
+    fair = quality.scaled_jacobian[tetrahedra] >= _FAIR * task.needles[1][which]
+    kept.jacobian[tetrahedra[fair]] = True
     return kept
 
 

@@ -104,22 +104,20 @@ def _needles(checked: Complex, limits: Limits, context: Context) -> tuple[Labels
     return found, possible[found]
 
 
-def _on_needles(needles: tuple[Labels, Values], checked: Complex, filled: FilledComplex) -> list[dict[str, Any]]:
-    """What triangles of a small angle force, by tetrahedron: place, material, the scaled Jacobian possible there at most, and what came out."""
-    listed = []
-    for facet, possible in zip(needles[0].tolist(), needles[1].tolist(), strict=True):
-        place = checked.surface.points[checked.surface.triangles[facet]].mean(axis=0)
-        for tetrahedron in on_needles(np.array([facet]), filled.conformity).tolist():
-            listed.append(
-                {
-                    "place_mm": place.tolist(),
-                    "material": checked.sides.names[filled.conformity.regions[tetrahedron]],
-                    "possible_scaled_jacobian": possible,
-                    "min_dihedral": float(filled.quality.min_dihedral[tetrahedron]),
-                    "min_scaled_jacobian": float(filled.quality.scaled_jacobian[tetrahedron]),
-                }
-            )
-    return listed
+def _on_needles(task: ComplexTask, filled: FilledComplex) -> list[dict[str, Any]]:
+    """What triangles of a small angle force on either side, the sharpest first: place, material, what is possible, and what came out."""
+    surface, (facets, possible) = task.checked.surface, task.needles
+    centres = centres_of(surface.points, surface.triangles[facets])
+    return [
+        {
+            "place_mm": centres[k].tolist(),
+            "material": task.checked.sides.names[filled.conformity.regions[tetrahedron]],
+            "possible_scaled_jacobian": float(possible[k]),
+            "min_dihedral": float(filled.quality.min_dihedral[tetrahedron]),
+            "min_scaled_jacobian": float(filled.quality.scaled_jacobian[tetrahedron]),
+        }
+        for tetrahedron, k in zip(*(found.tolist() for found in on_needles(task, filled.conformity)), strict=True)
+    ]
 
 
 def _forced_tetrahedra(sides: ForcedSides, checked: Complex, filled: FilledComplex) -> list[dict[str, Any]]:
@@ -143,11 +141,7 @@ def _forced_tetrahedra(sides: ForcedSides, checked: Complex, filled: FilledCompl
 
 
 def _measure(
-    task: ComplexTask,
-    needles: tuple[Labels, Values],
-    filled: FilledComplex,
-    sizing: tuple[SizingField | None, float],
-    context: Context,
+    task: ComplexTask, filled: FilledComplex, sizing: SizingField | None, factor: float, context: Context
 ) -> VolumeMesh:
     checked = task.checked
     points, tetrahedra, quality = filled.points, filled.tetrahedra, filled.quality
@@ -165,16 +159,15 @@ def _measure(
         "crowded_faces": found.crowded,
         "undecided_tetrahedra": found.undecided,
         "forced_by_surface": _forced_tetrahedra(task.sides, checked, filled),
-        "forced_by_triangle": _on_needles(needles, checked, filled),
+        "forced_by_triangle": _on_needles(task, filled),
         "smallest_elsewhere": {
             "min_dihedral": smallest_elsewhere(filled.quality.min_dihedral, filled.forced.dihedral),
             "scaled_jacobian": smallest_elsewhere(filled.quality.scaled_jacobian, filled.forced.jacobian),
         },
         "regions": _regions(checked, filled),
     }
-    field, factor = sizing
-    if field is not None:
-        wanted = factor * field.at(centres_of(points, tetrahedra))
+    if sizing is not None:
+        wanted = factor * sizing.at(centres_of(points, tetrahedra))
         context.results["volume"]["edge_length_over_target"] = summarize(
             quality.edge_length / wanted, np.linspace(0.0, 3.0, 61)
         )
@@ -353,7 +346,7 @@ def run_materials(
         checked=checked,
         sides=sides,
         beyond_goal=beyond_goal,
-        needles=needles[0],
+        needles=needles,
         goal=goal,
         field=sizing[0],
         tet_size_factor=arguments.tet_size_factor,
@@ -364,7 +357,7 @@ def run_materials(
     )
     filled = fill_complex(task, context)
     with context.step("measure quality"):
-        mesh = _measure(task, needles, filled, (sizing[1], arguments.tet_size_factor), context)
+        mesh = _measure(task, filled, sizing[1], arguments.tet_size_factor, context)
     marked = mark_materials(checked.sides, checked.surface, filled)
     context.results["boundary"] = {
         "surface": {

@@ -100,14 +100,14 @@ def _currents(case: Case) -> str:
     )
 
 
-def _forced_rows(case: Case) -> list[tuple[str, ...]]:
+def _forced_rows(case: Case, by: str, possible: str) -> list[tuple[str, ...]]:
     return [
         (
             escape(entry["material"]),
             ", ".join(f"{x:.2f}" for x in entry["place_mm"]),
-            *(number(entry[key]) for key in ("possible_degrees", "min_dihedral", "min_scaled_jacobian")),
+            *(number(entry[key]) for key in (possible, "min_dihedral", "min_scaled_jacobian")),
         )
-        for entry in dig(case.results, "volume", "forced_by_surface") or []
+        for entry in dig(case.results, "volume", by) or []
     ]
 
 
@@ -124,7 +124,7 @@ def _flat(case: Case) -> str:
             f"surface allows of them; mended where they lay, {after} are left. The smallest angle that it does not force below the limit "
             f"was {smallest} degrees and is {now} now.</p>"
         )
-    rows = _forced_rows(case)
+    rows = _forced_rows(case, "forced_by_surface", "possible_degrees")
     if rows:
         limit = dig(case.reports, STAGES[-1], "parameters", "min_dihedral")
         words = "" if limit is None else f" of {number(limit)} degrees"
@@ -135,6 +135,14 @@ def _flat(case: Case) -> str:
             f"triangles meet them at less or lie close before them, as where a thin layer ends. The smallest angle that came out "
             f"is of {number(smallest)} degrees. That is no failure of the tetrahedra.</p>"
             f"{_long_table(head, rows, 'places')}"
+        )
+    rows = _forced_rows(case, "forced_by_triangle", "possible_scaled_jacobian")
+    if rows:
+        head = ("material", "place, mm", "possible scaled Jacobian", "smallest dihedral angle", "scaled Jacobian")
+        parts.append(
+            f"<p>{number(len(rows))} tetrahedra stand on triangles of so small an angle that none can have both the dihedral angles and the "
+            f"scaled Jacobian that are asked for, whoever makes it. That is no failure of the tetrahedra.</p>"
+            f"{_long_table(head, rows, 'needles')}"
         )
     return f"<h3>Flat tetrahedra</h3>{''.join(parts)}" if parts else ""
 
