@@ -13,6 +13,9 @@ use isoparticles_volume::Image;
 use rayon::prelude::*;
 use serde::Serialize;
 
+/// Smallest radius ratio that passes, unless `--min-radius-ratio` says otherwise.
+pub const MIN_RADIUS_RATIO: f64 = 0.3;
+
 /// What a mesh is compared with, and the bars it must reach. All are optional.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct CheckOptions<'a> {

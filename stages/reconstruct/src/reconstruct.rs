@@ -9,7 +9,7 @@
 //! worst triangles are lifted by local moves that break no criterion. At last everything a simulation counts on is checked anew, on the
 //! mesh as it is and against F as it was.
 
-use crate::check::{CheckOptions, CheckReport, check};
+use crate::check::{CheckOptions, CheckReport, MIN_RADIUS_RATIO, check};
 use crate::held::one_of_each_component;
 use crate::improve::{ImproveOptions, ImproveReport, improve_holding};
 use crate::join::{Joined, join};
@@ -77,7 +77,7 @@ impl Default for Options {
             improve_rounds: 3,
             keeps_voxels: false,
             open_border: false,
-            min_radius_ratio: Some(0.3),
+            min_radius_ratio: Some(MIN_RADIUS_RATIO),
             max_vertex_distance: 1e-4,
         }
     }

@@ -1,6 +1,6 @@
 //! The program: options, reading, the steps in order, the checks, writing.
 
-use crate::check::CheckReport;
+use crate::check::{CheckReport, MIN_RADIUS_RATIO};
 use crate::finish::attributes;
 use crate::offending::offending;
 use crate::points_alone;
@@ -111,7 +111,7 @@ impl Args {
 
     /// The bar for the smallest radius ratio.
     pub(crate) fn radius_ratio_bar(&self) -> Option<f64> {
-        self.min_radius_ratio.or(self.distfield.as_ref().map(|_| 0.3))
+        self.min_radius_ratio.or(self.distfield.as_ref().map(|_| MIN_RADIUS_RATIO))
     }
 }
 

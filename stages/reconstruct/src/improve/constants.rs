@@ -11,7 +11,7 @@ pub(super) const AIM_ANGLES: [f64; 2] = [28.0, 105.0];
 /// A side between two junction points, shorter than this part of h, makes every triangle on it poor: with two sides of h its radius ratio is at most twice that, 0.3.
 pub(super) const SHORT_SIDE: f64 = 0.15;
 /// Quality below which a triangle fails the check by default (`--min-radius-ratio`): nothing is spared on it, at junction curves either.
-pub(super) const POOR: f64 = 0.3;
+pub(super) const POOR: f64 = crate::check::MIN_RADIUS_RATIO;
 /// Quality that the worst triangles are brought to in so far as a few failures allow, and below which smoothing for the sake of the mean brings none.
 pub(super) const GOOD: f64 = 0.9;
 /// No triangle of a higher radius ratio is held back by its smallest angle, and none by more than 0.03 by its largest one.

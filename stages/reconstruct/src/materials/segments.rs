@@ -22,7 +22,7 @@ pub struct Bypass {
     curve: Stratum,
     /// Whether these were adopted: the one is where both were.
     were_adopted: [bool; 2],
-    /// Whether the one was, and is no more.
+    /// Whether the one was.
     was_adopted: bool,
     /// Whether there was none yet.
     is_new: bool,
@@ -117,13 +117,16 @@ impl Segments {
             return None;
         }
         let were_adopted = old.map(|pair| self.remove(pair, points));
+        let was_adopted = self.adopted.contains(&pair);
         if known.is_none() {
             self.add(pair, curve, points);
-            self.adopted.insert(pair);
         }
         // as when one is split, what was there from the start stays so
-        let is_firm = were_adopted != [true; 2];
-        let was_adopted = is_firm && self.adopted.remove(&pair);
+        if were_adopted != [true; 2] {
+            self.adopted.remove(&pair);
+        } else if known.is_none() {
+            self.adopted.insert(pair);
+        }
         Some(Bypass { pair, point, curve, were_adopted, was_adopted, is_new: known.is_none() })
     }
 
