@@ -4,7 +4,7 @@ use crate::bits::Bits;
 use crate::cap::BorderBox;
 use crate::closest::distance_to_zero_set;
 use crate::fit::{FitReport, pin_zero_set};
-use crate::junctions::{Junction, junctions, make_agree};
+use crate::junctions::{junctions, make_agree};
 use crate::keep::{Dropped, Keep, drop_parts};
 use crate::samples::{Implicit, project, surface_samples};
 use crate::topology::Parts;
@@ -76,24 +76,19 @@ pub struct Redistanced {
     pub changed: Option<usize>,
 }
 
-/// Makes other choices at junctions.
-pub type Choose<'a> = &'a (dyn Fn(&mut [Junction]) + Sync);
-
 /// What is asked of F beside its surface.
 #[derive(Clone, Copy)]
-pub struct Demands<'a> {
-    /// Makes other choices at junctions than the source's own saddles.
-    pub choose: Option<Choose<'a>>,
+pub struct Demands {
     /// Distance beyond which that will do, in voxels (mean spacing); no less than the band with exact distances.
     pub limit: f64,
     /// Conjugate-gradient steps that pin the zero set, at most.
     pub pin_steps: usize,
 }
 
-impl Default for Demands<'_> {
-    /// The source's own choices, and distances everywhere.
+impl Default for Demands {
+    /// Distances everywhere.
     fn default() -> Self {
-        Self { choose: None, limit: f64::INFINITY, pin_steps: MOST_PIN_STEPS }
+        Self { limit: f64::INFINITY, pin_steps: MOST_PIN_STEPS }
     }
 }
 
@@ -165,17 +160,10 @@ pub fn redistance_with(
     let band = (BAND * voxel).max(1.5 * nodes.geometry.spacing.max_element());
 
     let step = monitor.phase("surface samples");
-    let chosen = |nodes: &Image<f32>| {
-        let mut choices = junctions(nodes);
-        if let Some(choose) = demands.choose {
-            choose(&mut choices);
-        }
-        choices
-    };
-    let mut choices = chosen(&nodes);
+    let mut choices = junctions(&nodes);
     let dropped = drop_parts(&mut nodes, margin, &choices, keep)?;
     if dropped.nodes.is_some() {
-        choices = chosen(&nodes);
+        choices = junctions(&nodes);
     }
     let mesh = marching_cubes(&nodes, 0.0);
     if mesh.triangles.is_empty() {

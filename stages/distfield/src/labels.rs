@@ -10,7 +10,7 @@
 use crate::closest::distance_to_samples;
 use crate::field::{Demands, LeastDistances, Redistanced, Source, redistance_with};
 use crate::flow::{BAND, band, smooth};
-use crate::junctions::{junctions, make_agree, plain_choices};
+use crate::junctions::{junctions, plain_choices};
 use crate::keep::{Dropped, drop_parts};
 use crate::mask::Mask;
 use crate::runs::Runs;
@@ -103,23 +103,14 @@ pub fn from_mask_with(
     let flowed = smooth(binary, &sides, &[], options.smoothing_steps, monitor)?;
     let voxel = flowed.geometry.min_spacing();
     let (near, far) = ((options.clearance.usual * voxel) as f32, (JUNCTION_DISTANCE * voxel) as f32);
-    let mut choices = junctions(&flowed);
-    if let Some(choose) = demands.choose {
-        choose(&mut choices);
-    }
-    let bounds = plain_choices(&choices, |n| sides.least(n), near, far);
-    let mut nodes = smooth(flowed, &sides, &bounds, options.smoothing_steps.min(JUNCTION_STEPS), monitor)?;
+    let bounds = plain_choices(&junctions(&flowed), |n| sides.least(n), near, far);
+    let nodes = smooth(flowed, &sides, &bounds, options.smoothing_steps.min(JUNCTION_STEPS), monitor)?;
     check_something_is_left(&nodes, options.tightening)?;
     let smallest = SMALLEST_CLEARANCE * voxel as f32;
     let at = |n: usize| match bounds.binary_search_by_key(&n, |bound| bound.node) {
         Ok(bound) => bounds[bound].least.max(smallest),
         Err(_) => sides.least(n).max(smallest),
     };
-    if demands.choose.is_some() {
-        // choices that are not the flow's own; those that even so remain are told of F
-        make_agree(&mut nodes.data, &choices, &at);
-    }
-    drop(choices);
     let source = Source { spline: BrickSpline::new(&nodes), cap: None };
     drop(step);
     let most = bounds.iter().map(|bound| bound.least).fold(sides.most().max(smallest), f32::max);

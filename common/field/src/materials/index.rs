@@ -7,6 +7,8 @@ use super::{Indicators, MOST_MATERIALS, Material, MaterialId, Near, far};
 use crate::spline::{Jet, Stencil};
 use glam::DVec3;
 use isoparticles_volume::Geometry;
+use rayon::prelude::*;
+use std::collections::BTreeMap;
 
 /// In place of a material that fills a brick where none does: all that are there are known.
 const NONE: u16 = u16::MAX;
@@ -139,6 +141,16 @@ impl Materials {
             (first, std::array::from_fn(count))
         };
         many.map(extent).collect()
+    }
+
+    /// Adds to what indicators are at nodes of the grid ([`Indicator::add_at_nodes`]), mm; what is known where stays.
+    pub fn add_at_nodes(&mut self, changes: &BTreeMap<MaterialId, Vec<([usize; 3], f64)>>) {
+        let size = self.geometry.size;
+        self.indicators.par_iter_mut().enumerate().for_each(|(id, indicator)| {
+            if let Some(own) = changes.get(&MaterialId(id as u16)) {
+                indicator.add_at_nodes(own, size);
+            }
+        });
     }
 
     /// Memory that it takes, bytes.

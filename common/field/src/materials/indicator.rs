@@ -19,6 +19,24 @@ pub const BLOCK: usize = CELLS * CELLS * CELLS;
 /// cells read, has another sign.
 pub const KNOWN_VOXELS: usize = 2;
 
+/// Nodes from a sample up to which coefficients are taken to depend on it: beyond, by less than 2e-5 of it.
+const CARDINAL_REACH: usize = 8;
+
+/// Blocks along an axis that these lie in, at most.
+const CARDINAL_BLOCKS: usize = 2 * CARDINAL_REACH / CELLS + 1;
+
+/// Coefficient, so many nodes from it along an axis, of the cubic spline that is one at a node and zero at all others: from the pole of the inverse filter (Unser, Aldroubi and Eden 1993, part II).
+fn cardinal_coefficient(nodes: usize) -> f64 {
+    let root = 3f64.sqrt();
+    root * (root - 2.0).powi(nodes as i32)
+}
+
+/// A node and its mirror images beyond both ends of an axis of so many nodes, where there are any: splines are mirrored at the border of the grid.
+fn mirrored(node: usize, nodes: usize) -> [Option<isize>; 3] {
+    let (node, last) = (node as isize, nodes as isize - 1);
+    [Some(node), (node > 0).then_some(-node), (node < last).then_some(2 * last - node)]
+}
+
 /// Bricks along each axis of a grid.
 pub fn bricks_along(size: [usize; 3]) -> [usize; 3] {
     size.map(|n| n.saturating_sub(1).div_ceil(CELLS).max(1))
@@ -181,6 +199,45 @@ impl Indicator {
             let (first, end) = (self.first[a], self.first[a] + self.size[a]);
             (cell[a] > first || first == 0) && cell[a] >= first && (cell[a] + 2 < end || end == size[a])
         })
+    }
+
+    /// Adds to what it is at some nodes of the shared grid of `size`, mm, and to no other node: the spline goes through the new samples, and is what it was but within a few
+    /// voxels. What lies beyond the box or is not known is left out.
+    pub fn add_at_nodes(&mut self, changes: &[([usize; 3], f64)], size: [usize; 3]) {
+        let along = bricks_along(size).map(|n| n + 1);
+        let places = places(&self.bricks, bricks_along(size));
+        // block c holds nodes 4 c - 1 to 4 c + 2
+        let first_block = |node: usize| (node + 1).saturating_sub(CARDINAL_REACH) / CELLS;
+        for &(node, change) in changes {
+            let first = node.map(first_block);
+            let weights: [[f64; CARDINAL_BLOCKS * CELLS]; 3] = std::array::from_fn(|a| {
+                let own = self.first[a] + 1..self.first[a] + self.size[a] + 1;
+                let images = mirrored(node[a], size[a]);
+                std::array::from_fn(|n| {
+                    let at = first[a] * CELLS + n;
+                    let distances = images.iter().flatten().map(|image| (at as isize - 1).abs_diff(*image));
+                    let of_images = distances.filter(|&d| d <= CARDINAL_REACH).map(cardinal_coefficient);
+                    if own.contains(&at) { of_images.sum() } else { 0.0 }
+                })
+            });
+            for block in 0..CARDINAL_BLOCKS.pow(3) {
+                let at = [
+                    block % CARDINAL_BLOCKS,
+                    block / CARDINAL_BLOCKS % CARDINAL_BLOCKS,
+                    block / CARDINAL_BLOCKS.pow(2),
+                ];
+                let [x, y, z] = std::array::from_fn(|a| first[a] + at[a]);
+                if x >= along[0] || y >= along[1] || z >= along[2] {
+                    continue;
+                }
+                let Ok(number) = places.binary_search(&(((z * along[1] + y) * along[0] + x) as u32)) else { continue };
+                for (c, to) in self.coefficients[number * BLOCK..][..BLOCK].iter_mut().enumerate() {
+                    let within = [c % CELLS, c / CELLS % CELLS, c / (CELLS * CELLS)];
+                    let weight: f64 = (0..3).map(|a| weights[a][at[a] * CELLS + within[a]]).product();
+                    *to += (change * weight) as f32;
+                }
+            }
+        }
     }
 
     /// Memory that it takes, bytes.

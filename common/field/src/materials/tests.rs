@@ -5,6 +5,7 @@ use crate::random::uniform;
 use crate::spline::CubicSpline;
 use glam::DVec3;
 use isoparticles_volume::{Geometry, Image};
+use std::collections::BTreeMap;
 
 pub(super) const IDS: [MaterialId; 4] = [MaterialId(0), MaterialId(1), MaterialId(2), MaterialId(3)];
 
@@ -282,4 +283,31 @@ fn sheets_are_real_where_their_clearance_is_positive() {
         }
     }
     assert!(real > 200 && not > 500, "{real} real, {not} not");
+}
+
+#[test]
+fn what_is_added_at_nodes_is_at_no_other() {
+    // in the middle of the grid and at its border, where the spline is mirrored
+    for (centre, node) in [(CENTRE, [16, 12, 12]), (DVec3::new(-1.0, 12.0, 12.0), [1, 14, 16])] {
+        let before = sampled(&nested(centre), 1.0);
+        let at = |[i, j, k]: [usize; 3]| DVec3::new(i as f64, j as f64, k as f64);
+        let id = before.near(at(node)).first().expect("known");
+        let mut materials = before.clone();
+        materials.add_at_nodes(&BTreeMap::from([(id, vec![(node, 0.5)])]));
+        let change = |p: DVec3| materials.value_gradient(id, p).0 - before.value_gradient(id, p).0;
+        let mut known = 0;
+        for n in 0..729 {
+            let other = [(node[0] + n % 9).saturating_sub(4), node[1] + n / 9 % 9 - 4, node[2] + n / 81 - 4];
+            let expected = if other == node { 0.5 } else { 0.0 };
+            // where it is not known, the difference of two infinities
+            let found = change(at(other));
+            known += usize::from(!found.is_nan());
+            assert!(found.is_nan() || (found - expected).abs() < 1e-5, "{found} at {other:?}");
+        }
+        assert!(known > 300, "{known}");
+        // the cubic spline that is one at a node and zero at all others, half-way between two
+        assert!((change(at(node) + 0.5 * DVec3::Y) / 0.5 - 0.6005).abs() < 1e-4);
+        let pairs = materials.indicators().iter().zip(before.indicators()).enumerate();
+        assert!(pairs.filter(|(n, _)| *n != id.index()).all(|(_, (now, then))| now == then));
+    }
 }

@@ -2,11 +2,11 @@
 //! with the largest box and with the area of all borders.
 
 use super::choice::Chosen;
+use super::contacts::{Contacts, keep_contacts, owners};
 use super::grid::{Extent, LabelGrid};
 use super::scaled::{Levels, Made};
 use crate::changes::Changes;
 use crate::field::{Demands, Redistanced};
-use crate::junctions::{Junction, junctions};
 use crate::labels::{LabelOptions, from_mask_with};
 use crate::scale::Scale;
 use crate::topology::Parts;
@@ -14,16 +14,13 @@ use crate::{Border, Clearance, Keep};
 use isoparticles_field::materials::{Indicator, Material, MaterialId, Materials};
 use isoparticles_stage::error::{Error, Result};
 use isoparticles_stage::monitor::{Counter, Interrupted, Monitor, Phase, Silent};
-use isoparticles_volume::{Geometry, Image};
+use isoparticles_volume::Image;
 use rayon::prelude::*;
-use std::collections::HashMap;
 
-/// Distance up to which indicators are made, in voxels: what is known of one reaches two to three voxels and a brick of four cells from its border.
-const LIMIT: f64 = 7.0;
-
-/// Conjugate-gradient steps that pin each border, at most: sheets lie where two indicators are equal, between their zero sets, so that these need not be pinned to the last
-/// digit. With 160 as for one object `brain_parcellation` takes 165 processor seconds, with 40 it takes 89.
-const PIN_STEPS: usize = 40;
+/// What is asked of each indicator: distances up to 7 voxels, for what is known of one reaches two to three voxels and a brick of four cells from its border; and fewer conjugate-gradient steps that pin the
+/// border than for one object, since sheets lie where two indicators are equal, between their zero sets, so that these need not be pinned to the last digit. With 160 as for one object
+/// `brain_parcellation` takes 165 processor seconds, with 40 it takes 89.
+const DEMANDS: Demands = Demands { limit: 7.0, pin_steps: 40 };
 
 /// How labels become indicators.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -57,6 +54,8 @@ pub struct Extracted {
     pub materials: Materials,
     /// What is known of each, by their numbers.
     pub tallies: Vec<Tally>,
+    /// What was made plain where several meet.
+    pub contacts: Contacts,
 }
 
 /// Lets nobody see the phases of single materials, but stops when asked to.
@@ -75,12 +74,6 @@ impl Monitor for Quiet<'_> {
         Box::new(Silent)
     }
 }
-
-/// Faces of four nodes at which two materials alternate, by their first and last node in the padded grid, with the one whose corners are joined.
-///
-/// The first of the two that is made decides by its own saddle, and the other is made to fit: where one is joined the other is parted. Of three materials at a
-/// face none need be told.
-type Alternating = HashMap<[usize; 2], MaterialId>;
 
 /// Makes the indicators.
 ///
@@ -109,7 +102,6 @@ pub fn extract(
     order.sort_by_key(|&id| (std::cmp::Reverse(box_size(&extents[id])), id));
     let mut made: Vec<Option<(Indicator, Vec<u32>)>> = vec![None; extents.len()];
     let mut tallies = vec![Tally::default(); extents.len()];
-    let mut alternating = Alternating::new();
     let levels = options.scale.map(|scale| Levels::new(grid, &extents, scale, monitor)).transpose()?;
     let progress = monitor.counter("materials", Some(extents.len() as u64));
     for id in std::iter::once(0).chain(order) {
@@ -124,9 +116,7 @@ pub fn extract(
             let made = match (&levels, options.scale) {
                 // an outside without voxels is what lies beyond the volume, at any scale
                 (Some(levels), Some(scale)) if extents[id].count > 0 => one.scaled(levels, scale, &Quiet(monitor)),
-                _ => one
-                    .make(options, &mut alternating, &Quiet(monitor))
-                    .map(|(own, tally)| (Some(own), one.cropped().0, tally)),
+                _ => one.make(options, &Quiet(monitor)).map(|(own, tally)| (Some(own), one.cropped().0, tally)),
             };
             let (own, first, tally) =
                 made.map_err(|error| Error { what: format!("material '{name}': {}", error.what), ..error })?;
@@ -145,14 +135,16 @@ pub fn extract(
     let parts: Vec<(Material, Indicator, Vec<u32>)> = table
         .filter_map(|(material, made)| made.map(|(indicator, negative)| (material, indicator, negative)))
         .collect();
-    let materials = Materials::new(padded, parts).map_err(|error| {
+    let mut materials = Materials::new(padded, parts).map_err(|error| {
         Error::input(
             format!("the indicators do not fit together: {error}"),
             "nothing can be read of them",
             "crop the volume, or name fewer materials",
         )
     })?;
-    Ok(Extracted { materials, tallies })
+    let owners = owners(&materials);
+    let contacts = keep_contacts(&mut materials, &owners, monitor)?;
+    Ok(Extracted { materials, tallies, contacts })
 }
 
 /// One material to be made; the outside as the complement of all others together, so that the border of a volume with one material has one indicator and
@@ -184,8 +176,7 @@ impl One<'_> {
         scale: Scale,
         monitor: &dyn Monitor,
     ) -> Result<(Option<Image<f32>>, [usize; 3], Tally)> {
-        let demands = Demands { choose: None, limit: LIMIT, pin_steps: PIN_STEPS };
-        let Made { result, first, changes } = levels.indicator(self.id, scale.length, &demands, monitor)?;
+        let Made { result, first, changes } = levels.indicator(self.id, scale.length, &DEMANDS, monitor)?;
         let Some(Redistanced { mut field, parts_before, parts_after, undecided, .. }) = result else {
             return Ok((None, first, Tally::default()));
         };
@@ -204,12 +195,7 @@ impl One<'_> {
         }
     }
 
-    fn make(
-        &self,
-        options: &MaterialOptions,
-        alternating: &mut Alternating,
-        monitor: &dyn Monitor,
-    ) -> Result<(Image<f32>, Tally)> {
+    fn make(&self, options: &MaterialOptions, monitor: &dyn Monitor) -> Result<(Image<f32>, Tally)> {
         let (low, high) = self.cropped();
         let id = self.id;
         let is_outside = id == MaterialId::OUTSIDE;
@@ -222,49 +208,10 @@ impl One<'_> {
             tightening: 0.0,
             keep: Keep::All,
         };
-        let geometry = mask.geometry.padded(options.margin);
-        let known = &*alternating;
-        let choose = |found: &mut [Junction]| {
-            found.par_iter_mut().for_each(|junction| {
-                if let Some(joined) = known.get(&self.ends(&geometry, junction)) {
-                    junction.joined = *joined == id;
-                }
-            });
-        };
-        let demands = Demands { choose: Some(&choose), limit: LIMIT, pin_steps: PIN_STEPS };
-        let result = from_mask_with(mask, &options, &demands, monitor)?;
+        let result = from_mask_with(mask, &options, &DEMANDS, monitor)?;
         let Redistanced { mut field, parts_before, parts_after, changed, undecided, .. } = result;
         self.turn(&mut field);
-        for junction in junctions(&field) {
-            if let Some(other) = self.alternates(&field.geometry, &junction) {
-                let joined = if junction.joined { id } else { other };
-                alternating.entry(self.ends(&field.geometry, &junction)).or_insert(joined);
-            }
-        }
         let parts = [parts_before, parts_after];
         Ok((field, Tally { voxels: 0, parts, changed: changed.unwrap_or(0), undecided, changes: None }))
-    }
-
-    /// A node of the box in the padded grid.
-    fn node(&self, geometry: &Geometry, node: usize) -> [usize; 3] {
-        let [nx, ny, _] = geometry.size;
-        let first = self.cropped().0;
-        [first[0] + node % nx, first[1] + node / nx % ny, first[2] + node / (nx * ny)]
-    }
-
-    /// First and last node of the face of a junction in the padded grid.
-    fn ends(&self, geometry: &Geometry, junction: &Junction) -> [usize; 2] {
-        let size = self.grid.padded().size;
-        let nodes = junction.inside.into_iter().chain(junction.outside).map(|node| {
-            let [i, j, k] = self.node(geometry, node);
-            (k * size[1] + j) * size[0] + i
-        });
-        nodes.fold([usize::MAX, 0], |[first, last], node| [first.min(node), last.max(node)])
-    }
-
-    /// The other material at a junction, where there is one only.
-    fn alternates(&self, geometry: &Geometry, junction: &Junction) -> Option<MaterialId> {
-        let [a, b] = junction.outside.map(|node| self.grid.at(self.node(geometry, node)));
-        (a == b && a != self.id).then_some(a)
     }
 }

@@ -4,6 +4,7 @@
 //! came out: the material of every node, volumes, areas, junctions, voxel centres that changed; [`program`] is what the stage does with it.
 
 pub mod choice;
+pub mod contacts;
 pub mod extract;
 pub mod grid;
 pub mod islands;

@@ -1,6 +1,7 @@
 //! What `distfield --material` does: from the volume to the file, the report and the checks.
 
 use super::choice::{Chosen, resolve};
+use super::contacts::Contacts;
 use super::extract::{Extracted, MaterialOptions, Quiet, Tally, extract};
 use super::grid::LabelGrid;
 use super::islands::remove_islands;
@@ -52,7 +53,7 @@ pub fn run(args: &Args, mut volume: Volume, output: &Path, context: &Context) ->
         smoothing_steps: args.smoothing_steps.into(),
         scale,
     };
-    let Extracted { materials, tallies } = extract(&grid, &chosen, &options, context)?;
+    let Extracted { materials, tallies, contacts } = extract(&grid, &chosen, &options, context)?;
     let geometry = materials.geometry();
     let step = context.step("materials checked");
     let found = survey(&materials, geometry, &grid, tallies.len(), context)?;
@@ -66,6 +67,15 @@ pub fn run(args: &Args, mut volume: Volume, output: &Path, context: &Context) ->
     context.report("voxels_changed", changed);
     context.report("state_bytes", materials.bytes());
     describe(&materials, &tallies, &found, context);
+    let Contacts { crossed, undecided, raised, .. } = contacts;
+    context.summary("contacts made, decided", format!("{crossed}, {undecided} ({raised} samples raised)"));
+    context.report("contacts", json!(contacts));
+    if contacts.left > 0 {
+        context.warn(format!(
+            "at {} places between voxels that touch a third material lies, which no raise of its indicator takes away",
+            contacts.left
+        ));
+    }
     if let Some(scale) = scale {
         tell_changes(&materials, &tallies, scale, context);
     }

@@ -1,0 +1,316 @@
+//! Materials touch where their nodes do, and nothing comes between them that is not there.
+//!
+//! Each indicator is made by itself, and recedes where its material stands out by a voxel: at a hole of one voxel in a thin layer both neighbours do, and the layer's own indicator is the smallest between
+//! them. The mesh would have a film there that the labels do not have, and lack the junction curve round the hole; where it just is not the smallest, a tube of a tenth of a voxel runs between two
+//! holes. So the middles of edges, faces and cells of the grid whose corners are of several materials are looked at:
+//!
+//! - No other material than those of the corners may be the smallest there, or near to it; on an edge, both of its materials come before all others.
+//! - Where the corners of a face differ along all four edges, those of either diagonal may touch (or be joined, where they are of one material); and where two opposite corners of a cell are all that a
+//!   material has of it, they may be joined or not. What the indicators say stands, and by more than a hair.
+//!
+//! An indicator that comes too near is raised at the corners that are not its own, where another is smaller already: no node changes its material.
+
+use glam::DVec3;
+use isoparticles_field::materials::{CELLS, Indicators, MaterialId, Materials, Near, bricks_along};
+use isoparticles_stage::error::Result;
+use isoparticles_stage::monitor::Monitor;
+use isoparticles_volume::Geometry;
+use rayon::prelude::*;
+use serde::Serialize;
+use std::collections::{BTreeMap, BTreeSet};
+
+/// How much larger an indicator is at such a middle than those that come before it, in voxels.
+const CLEARANCE: f64 = 0.2;
+
+/// What a raise aims at, over that: the last rounds would otherwise bring less and less.
+const AIM: f64 = 1.25;
+
+/// How far a sample is raised in all, at most, in voxels: where raises next to each other call for one another, without end, the steeper indicator would bring sheets ever nearer to nodes.
+const MOST_RAISE: f64 = 1.0;
+
+/// Value half-way between two nodes of the cubic spline that is one at one of them and zero at all others: what a raise at one of two nodes brings to their middle.
+const HALF_WAY: f64 = 0.6005;
+
+/// Nodes beyond which a raise changes nothing that counts: that spline is below 0.002 there.
+const REACH: usize = 4;
+
+/// Rounds of raises, at most: one of them lowers what lies two nodes on by a seventh.
+const MOST_ROUNDS: usize = 40;
+
+/// What was found where several materials meet.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+pub struct Contacts {
+    /// Middles where a material came too near that is of none of the corners, or on an edge of neither.
+    pub crossed: usize,
+    /// Middles where it was a matter of less than the clearance which opposite corners touch.
+    pub undecided: usize,
+    /// Samples of indicators that were raised.
+    pub raised: usize,
+    /// Middles where such a material is the smallest still, or on an edge comes before one of the two.
+    pub left: usize,
+}
+
+/// The material of each node, x fastest.
+pub fn owners(materials: &Materials) -> Vec<u16> {
+    let geometry = materials.geometry();
+    let [nx, ny, _] = geometry.size;
+    let node = |n: usize| DVec3::from_array([n % nx, n / nx % ny, n / (nx * ny)].map(|n| n as f64));
+    let all = (0..geometry.voxel_count()).into_par_iter();
+    all.map(|n| materials.material_at(geometry.index_to_grid(node(n))).0).collect()
+}
+
+/// Raises indicators such that materials touch where their nodes do; `owners` are the materials of the nodes, x fastest.
+///
+/// # Errors
+/// When the run is interrupted.
+pub fn keep_contacts(materials: &mut Materials, owners: &[u16], monitor: &dyn Monitor) -> Result<Contacts> {
+    let _step = monitor.phase("contacts");
+    let size = materials.geometry().size;
+    let places = Places::of(materials, owners);
+    let mut lacks = places.lacking(materials, owners, |_| true);
+    let undecided = lacks.iter().filter(|lack| lack.is_undecided).count();
+    let mut contacts = Contacts { crossed: lacks.len() - undecided, undecided, ..Contacts::default() };
+    // so far, by material and node
+    let mut raised: BTreeMap<(MaterialId, [usize; 3]), f64> = BTreeMap::new();
+    let most = MOST_RAISE * materials.voxel();
+    for _ in 0..MOST_ROUNDS {
+        monitor.check()?;
+        let mut raises: BTreeMap<(MaterialId, [usize; 3]), f64> = BTreeMap::new();
+        for lack in &lacks {
+            for &node in &lack.corners {
+                let raise = raises.entry((lack.material, node)).or_insert(0.0);
+                *raise = raise.max(lack.raise);
+            }
+        }
+        let mut changes: BTreeMap<MaterialId, Vec<([usize; 3], f64)>> = BTreeMap::new();
+        let mut changed = BTreeSet::new();
+        for ((id, node), raise) in raises {
+            let so_far = raised.entry((id, node)).or_insert(0.0);
+            let raise = raise.min(most - *so_far);
+            if raise > 0.0 {
+                *so_far += raise;
+                changes.entry(id).or_default().push((node, raise));
+                changed.extend(bricks_near(node, size));
+            }
+        }
+        if changes.is_empty() {
+            break;
+        }
+        materials.add_at_nodes(&changes);
+        lacks = places.lacking(materials, owners, |brick| changed.contains(&brick));
+        if lacks.is_empty() {
+            // what lies beyond the reach adds up
+            lacks = places.lacking(materials, owners, |_| true);
+        }
+    }
+    contacts.raised = raised.len();
+    contacts.left =
+        places.lacking(materials, owners, |_| true).iter().filter(|lack| lack.is_lost && !lack.is_undecided).count();
+    Ok(contacts)
+}
+
+/// The bricks whose cells lie near a node.
+fn bricks_near(node: [usize; 3], size: [usize; 3]) -> impl Iterator<Item = usize> {
+    let [bx, by, bz] = bricks_along(size);
+    let span = move |a: usize, bricks: usize| {
+        node[a].saturating_sub(REACH) / CELLS..=((node[a] + REACH) / CELLS).min(bricks - 1)
+    };
+    span(2, bz).flat_map(move |z| span(1, by).flat_map(move |y| span(0, bx).map(move |x| (z * by + y) * bx + x)))
+}
+
+/// An edge, face or cell of the grid: its first corner, x fastest, and the axes along which it extends, a bit each.
+#[derive(Clone, Copy)]
+struct Place {
+    node: usize,
+    axes: u8,
+    /// The corner that decides, where the corners leave open what touches ([`Corners::deciding`]), before any indicator was raised: raises next to each other would turn it to and fro.
+    deciding: u8,
+}
+
+/// An indicator that comes too near.
+struct Lack {
+    material: MaterialId,
+    /// The corners that are not its own.
+    corners: Vec<[usize; 3]>,
+    /// By how much it is to be larger at them, mm.
+    raise: f64,
+    /// Whether this is about what the corners leave open.
+    is_undecided: bool,
+    /// Whether it does come before what it should come after.
+    is_lost: bool,
+}
+
+/// The corners of a place with their materials.
+struct Corners {
+    nodes: [[usize; 3]; 8],
+    materials: [MaterialId; 8],
+    count: usize,
+}
+
+impl Corners {
+    fn of(place: Place, owners: &[u16], geometry: &Geometry) -> Self {
+        let [nx, ny, _] = geometry.size;
+        let n = place.node;
+        let first = [n % nx, n / nx % ny, n / (nx * ny)];
+        let mut found = Self { nodes: [[0; 3]; 8], materials: [MaterialId::OUTSIDE; 8], count: 0 };
+        for corner in (0..8).filter(|corner| corner & !place.axes == 0) {
+            let node: [usize; 3] = std::array::from_fn(|a| first[a] + usize::from(corner >> a & 1));
+            found.nodes[found.count] = node;
+            found.materials[found.count] = MaterialId(owners[geometry.linear(node[0], node[1], node[2])]);
+            found.count += 1;
+        }
+        found
+    }
+
+    fn materials(&self) -> &[MaterialId] {
+        &self.materials[..self.count]
+    }
+
+    fn are_of_one(&self) -> bool {
+        self.materials().iter().all(|&id| id == self.materials[0])
+    }
+
+    fn has(&self, id: MaterialId) -> bool {
+        self.materials().contains(&id)
+    }
+
+    /// Whether no edge of a face has the same material at both ends: those of either diagonal may touch, or be joined where they are one.
+    fn is_open_face(&self) -> bool {
+        let own = self.materials();
+        own.len() == 4 && [[0, 1], [1, 3], [3, 2], [2, 0]].iter().all(|&[a, b]| own[a] != own[b])
+    }
+
+    /// Whether two opposite corners of a cell are all that a material has of it: they may be joined or not.
+    fn is_across(&self, id: MaterialId) -> bool {
+        let own = self.materials();
+        let is_own = |n: usize| own[n] == id;
+        own.len() == 8 && (0..8).filter(|&n| is_own(n)).count() == 2 && (0..4).any(|n| is_own(n) && is_own(7 - n))
+    }
+
+    /// Whether the corners leave open what touches at the middle.
+    fn are_open(&self) -> bool {
+        self.is_open_face() || self.materials().iter().any(|&id| self.is_across(id))
+    }
+
+    /// The indicators that are known at the middle.
+    fn near(&self, materials: &Materials) -> Near {
+        let [first, last] = [self.nodes[0], self.nodes[self.count - 1]];
+        let middle = DVec3::from_array(std::array::from_fn(|a| 0.5 * (first[a] + last[a]) as f64));
+        materials.near(materials.geometry().index_to_grid(middle))
+    }
+
+    /// The corner that decides at the middle: of a face the first one of the diagonal whose larger indicator is the smaller, of a cell that with the smallest.
+    fn deciding(&self, materials: &Materials) -> u8 {
+        let near = self.near(materials);
+        let value = |n: u8| value_of(&near, self.materials[usize::from(n)]);
+        if self.count == 4 {
+            return u8::from(value(1).max(value(2)) < value(0).max(value(3)));
+        }
+        (0..self.count as u8).min_by(|&a, &b| value(a).total_cmp(&value(b))).unwrap_or(0)
+    }
+}
+
+/// The edges, faces and cells at which something may come too near, brick by brick.
+struct Places {
+    all: Vec<Place>,
+    /// Bricks in which several materials are known, and where their places end.
+    bricks: Vec<(usize, usize)>,
+}
+
+impl Places {
+    fn of(materials: &Materials, owners: &[u16]) -> Self {
+        let geometry = materials.geometry();
+        let (size, bricks) = (geometry.size, bricks_along(geometry.size));
+        let of_brick = |brick: usize| {
+            let known: Vec<MaterialId> = materials.known_in(brick).map(|(id, _)| id).collect();
+            let first =
+                [brick % bricks[0], brick / bricks[0] % bricks[1], brick / (bricks[0] * bricks[1])].map(|n| n * CELLS);
+            let mut places = Vec::new();
+            for c in 0..CELLS * CELLS * CELLS {
+                let node = [first[0] + c % CELLS, first[1] + c / CELLS % CELLS, first[2] + c / (CELLS * CELLS)];
+                for axes in 1..8u8 {
+                    if (0..3).any(|a| node[a] + usize::from(axes >> a & 1) >= size[a]) {
+                        continue;
+                    }
+                    let place = Place { node: geometry.linear(node[0], node[1], node[2]), axes, deciding: 0 };
+                    let corners = Corners::of(place, owners, geometry);
+                    let is_open = corners.are_open();
+                    if !corners.are_of_one() && (is_open || known.iter().any(|&id| !corners.has(id))) {
+                        let deciding = if is_open { corners.deciding(materials) } else { 0 };
+                        places.push(Place { deciding, ..place });
+                    }
+                }
+            }
+            (brick, places)
+        };
+        // where there are but two materials in all, each is the other's negative
+        let least = if materials.table().len() > 2 { 2 } else { usize::MAX };
+        let of_many = (0..materials.fill().len()).into_par_iter().filter(|&n| materials.known_in(n).len() >= least);
+        let found: Vec<(usize, Vec<Place>)> = of_many.map(of_brick).collect();
+        let mut own = Self { all: Vec::new(), bricks: Vec::new() };
+        for (brick, places) in found {
+            own.all.extend(places);
+            own.bricks.push((brick, own.all.len()));
+        }
+        own
+    }
+
+    /// What comes too near in the bricks that are chosen.
+    fn lacking(&self, materials: &Materials, owners: &[u16], is_chosen: impl Fn(usize) -> bool + Sync) -> Vec<Lack> {
+        let in_brick = |n: usize| {
+            let (brick, end) = self.bricks[n];
+            let start = n.checked_sub(1).map_or(0, |before| self.bricks[before].1);
+            let chosen = if is_chosen(brick) { start..end } else { start..start };
+            let known: Vec<MaterialId> = materials.known_in(brick).map(|(id, _)| id).collect();
+            let mut lacks = Vec::new();
+            for &place in &self.all[chosen] {
+                lacking_at(place, owners, materials, &known, &mut lacks);
+            }
+            lacks
+        };
+        (0..self.bricks.len()).into_par_iter().flat_map_iter(in_brick).collect()
+    }
+}
+
+/// What comes too near at a place; `known` are the materials that are known in its brick.
+fn lacking_at(place: Place, owners: &[u16], materials: &Materials, known: &[MaterialId], lacks: &mut Vec<Lack>) {
+    let corners = Corners::of(place, owners, materials.geometry());
+    let near = corners.near(materials);
+    let clearance = CLEARANCE * materials.voxel();
+    // of a raise at a corner
+    let share = HALF_WAY.powi(corners.count.ilog2() as i32);
+    let mut keep_above = |id: MaterialId, limit: f64, is_undecided: bool| {
+        let value = value_of(&near, id);
+        if value < limit + clearance {
+            let not_own = (0..corners.count).filter(|&n| corners.materials[n] != id);
+            let nodes: Vec<[usize; 3]> = not_own.map(|n| corners.nodes[n]).collect();
+            let raise = (limit + AIM * clearance - value) / (share * nodes.len() as f64);
+            lacks.push(Lack { material: id, corners: nodes, raise, is_undecided, is_lost: value < limit });
+        }
+    };
+    let values = || corners.materials().iter().map(|&id| value_of(&near, id));
+    let largest = values().fold(f64::NEG_INFINITY, f64::max);
+    let limit = if corners.count == 2 { largest } else { values().fold(f64::INFINITY, f64::min) };
+    if !limit.is_finite() {
+        return;
+    }
+    known.iter().filter(|&&id| !corners.has(id)).for_each(|&id| keep_above(id, limit, false));
+    if !corners.are_open() {
+        return;
+    }
+    let deciding = usize::from(place.deciding);
+    let touching = [deciding, corners.count - 1 - deciding].map(|n| corners.materials[n]);
+    let limit = touching.map(|id| value_of(&near, id)).into_iter().fold(f64::NEG_INFINITY, f64::max);
+    let smallest = corners.materials[deciding];
+    let is_after = |id: MaterialId| match corners.count {
+        4 => !touching.contains(&id),
+        _ => id != smallest && (corners.is_across(smallest) || corners.is_across(id)),
+    };
+    let limit = if corners.count == 4 { limit } else { value_of(&near, smallest) };
+    known.iter().filter(|&&id| corners.has(id) && is_after(id)).for_each(|&id| keep_above(id, limit, true));
+}
+
+/// An indicator at a place; infinite where it is not known.
+fn value_of(near: &Near, material: MaterialId) -> f64 {
+    near.entries().iter().find(|(id, _)| *id == material).map_or(f64::INFINITY, |(_, value)| *value)
+}
