@@ -59,7 +59,8 @@ fn materials_become_one_mesh_that_keeps_every_voxel() {
     look(&file("surface.vtp")).expect_success("check_materials.py");
     let kept: serde_json::Value = serde_json::from_slice(&std::fs::read(&json).expect("figures")).expect("JSON");
     let figure = |name: &str| kept[name].as_f64().unwrap_or(f64::NAN);
-    assert_eq!(figure("junctions_kept_percent"), 100.0, "{kept}");
+    assert_eq!((figure("junctions_lost"), figure("junctions_kept_percent")), (0.0, 100.0), "{kept}");
+    assert!(figure("contacts_interrupted") == 0.0 && figure("contacts") > 100.0, "{kept}");
     assert!(figure("radius_ratio_smallest") > 0.45 && figure("radius_ratio_mean") > 0.95, "{kept}");
     assert!(figure("angle_smallest") > 22.0 && figure("dihedral_smallest") > 8.0, "{kept}");
 

@@ -143,7 +143,7 @@ pub fn extract(
         )
     })?;
     let owners = owners(&materials);
-    let contacts = keep_contacts(&mut materials, &owners, monitor)?;
+    let contacts = keep_contacts(&mut materials, &owners, options.scale.is_some(), monitor)?;
     Ok(Extracted { materials, tallies, contacts })
 }
 

@@ -70,9 +70,10 @@ def _renewed(found: Conformity, triangles: Cells, gone: Labels, new: Cells, part
     material = np.zeros(int(found.parts.max()) + 1, dtype=np.int64)
     material[found.parts] = found.regions
     owner: dict[tuple[int, ...], int] = {}
-    for k, (cell, part) in enumerate(zip(np.sort(new, axis=1).tolist(), parts.tolist(), strict=True)):
+    first = int(kept.sum())
+    for k, (cell, part) in enumerate(zip(np.sort(new, axis=1).tolist(), parts.tolist(), strict=True), start=first):
         for left in range(4):
-            owner[(*cell[:left], *cell[left + 1 :], part)] = int(kept.sum()) + k
+            owner[(*cell[:left], *cell[left + 1 :], part)] = k
 
     def of(beside: Labels) -> Labels:
         result = np.where(beside == NOBODY, NOBODY, number[beside])
