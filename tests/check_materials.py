@@ -2,9 +2,10 @@
 
     python tests/check_materials.py CASE.surface.vtp LABELS.vti [--volume CASE.volume.vtu] [--json FILE]
 
-LABELS.vti is what `distfield VOLUME --write-volume LABELS.vti` writes. Every voxel centre's material is found by following lines of
-voxel centres through the triangles, from outside in; junctions are compared by place; triangles and tetrahedra are measured. Nothing here is
-shared with the programs that made the files. The last line is `PASSED` or names what differs; exit code 1 then.
+LABELS.vti is what `distfield VOLUME --write-volume LABELS.vti` writes; or, where `--smallest-island` has given voxels to others, its file of
+the indicators, which says the material of each node (whether that is the labels', `distfield` alone has checked then). Every voxel centre's material is found by following lines of voxel centres through the
+triangles, from outside in; junctions are compared by place; triangles and tetrahedra are measured. Nothing here is shared with the programs
+that made the files. The last line is `PASSED` or names what differs; exit code 1 then.
 """
 
 from __future__ import annotations
@@ -43,6 +44,8 @@ def note(data: pv.DataSet, name: str) -> Any:
 
 def materials_of(labels: pv.ImageData, table: list[dict[str, Any]]) -> Integers:
     """The material of each voxel, shape (nx, ny, nz)."""
+    if "material" in labels.point_data:
+        return np.asarray(labels.point_data["material"]).reshape(labels.dimensions, order="F").astype(np.int64)
     values = np.asarray(labels.point_data["values"]).reshape(labels.dimensions, order="F").astype(np.int64)
     materials = np.zeros(labels.dimensions, dtype=np.int64)
     for number, row in enumerate(table):

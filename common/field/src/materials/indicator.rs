@@ -31,10 +31,16 @@ fn cardinal_coefficient(nodes: usize) -> f64 {
     root * (root - 2.0).powi(nodes as i32)
 }
 
-/// A node and its mirror images beyond both ends of an axis of so many nodes, where there are any: splines are mirrored at the border of the grid.
-fn mirrored(node: usize, nodes: usize) -> [Option<isize>; 3] {
+/// A node and those of its mirror images, beyond the ends of an axis of so many nodes, that are near enough to the axis to count: splines are mirrored at the border of the grid, again and again.
+fn mirrored(node: usize, nodes: usize) -> Vec<isize> {
     let (node, last) = (node as isize, nodes as isize - 1);
-    [Some(node), (node > 0).then_some(-node), (node < last).then_some(2 * last - node)]
+    let reach = CARDINAL_REACH as isize;
+    let period = (2 * last).max(1);
+    let all = (-reach / period - 1..=reach / period + 1).flat_map(|k| [node + k * period, k * period - node]);
+    let mut images: Vec<isize> = all.filter(|image| (-reach..=last + reach).contains(image)).collect();
+    images.sort_unstable();
+    images.dedup();
+    images
 }
 
 /// Bricks along each axis of a grid.
@@ -215,7 +221,7 @@ impl Indicator {
                 let images = mirrored(node[a], size[a]);
                 std::array::from_fn(|n| {
                     let at = first[a] * CELLS + n;
-                    let distances = images.iter().flatten().map(|image| (at as isize - 1).abs_diff(*image));
+                    let distances = images.iter().map(|image| (at as isize - 1).abs_diff(*image));
                     let of_images = distances.filter(|&d| d <= CARDINAL_REACH).map(cardinal_coefficient);
                     if own.contains(&at) { of_images.sum() } else { 0.0 }
                 })

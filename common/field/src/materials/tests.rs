@@ -288,7 +288,8 @@ fn sheets_are_real_where_their_clearance_is_positive() {
 #[test]
 fn what_is_added_at_nodes_is_at_no_other() {
     // in the middle of the grid and at its border, where the spline is mirrored
-    for (centre, node) in [(CENTRE, [16, 12, 12]), (DVec3::new(-1.0, 12.0, 12.0), [1, 14, 16])] {
+    let at_borders = [(DVec3::new(-1.0, 12.0, 12.0), [1, 14, 16]), (DVec3::new(25.0, 12.0, 12.0), [23, 14, 16])];
+    for (centre, node) in [(CENTRE, [16, 12, 12])].into_iter().chain(at_borders) {
         let before = sampled(&nested(centre), 1.0);
         let at = |[i, j, k]: [usize; 3]| DVec3::new(i as f64, j as f64, k as f64);
         let id = before.near(at(node)).first().expect("known");
@@ -297,7 +298,7 @@ fn what_is_added_at_nodes_is_at_no_other() {
         let change = |p: DVec3| materials.value_gradient(id, p).0 - before.value_gradient(id, p).0;
         let mut known = 0;
         for n in 0..729 {
-            let other = [(node[0] + n % 9).saturating_sub(4), node[1] + n / 9 % 9 - 4, node[2] + n / 81 - 4];
+            let other = [(node[0] + n % 9).saturating_sub(4).min(24), node[1] + n / 9 % 9 - 4, node[2] + n / 81 - 4];
             let expected = if other == node { 0.5 } else { 0.0 };
             // where it is not known, the difference of two infinities
             let found = change(at(other));
@@ -309,5 +310,24 @@ fn what_is_added_at_nodes_is_at_no_other() {
         assert!((change(at(node) + 0.5 * DVec3::Y) / 0.5 - 0.6005).abs() < 1e-4);
         let pairs = materials.indicators().iter().zip(before.indicators()).enumerate();
         assert!(pairs.filter(|(n, _)| *n != id.index()).all(|(_, (now, then))| now == then));
+    }
+}
+
+#[test]
+fn a_sample_is_added_to_on_axes_of_few_nodes() {
+    // of 1 to 9 nodes along x, which are mirrored many times within the reach of a sample
+    for nodes in 1..10 {
+        let geometry = Geometry::axis_aligned([nodes, 9, 9], DVec3::ONE);
+        let image = |added: f64| {
+            Image::sampled(geometry.clone(), |p| {
+                (p.y - 4.2 + if p.distance(DVec3::new(0.0, 4.0, 4.0)) < 0.5 { added } else { 0.0 }) as f32
+            })
+        };
+        let (mut found, _) = Indicator::new(&image(0.0), [0; 3], geometry.size, false);
+        let (expected, _) = Indicator::new(&image(0.1), [0; 3], geometry.size, false);
+        found.add_at_nodes(&[([0, 4, 4], 0.1)], geometry.size);
+        let largest =
+            found.coefficients().iter().zip(expected.coefficients()).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
+        assert!(largest < 1e-5, "{nodes} nodes: {largest}");
     }
 }

@@ -19,7 +19,7 @@ use rayon::prelude::*;
 use serde::Serialize;
 use std::collections::{BTreeMap, BTreeSet};
 
-/// How much larger an indicator is at such a middle than those that come before it, in voxels: without a scale, and with one, when edges are longer than two voxels. `thorax_labels` at h = 6 mm (`--scale-for-size 6`) with 0.2 and
+/// How much larger an indicator is at such a middle than those that come before it, in voxels: without a scale, and with one, when edges are to be longer and what lies between them counts for less. `thorax_labels` at h = 6 mm (`--scale-for-size 6`) with 0.2 and
 /// 0.4: two segments of junction curves missing and none; at 3 mm the smallest radius ratio is 0.31 and 0.42. `frog_tissue_labels` at sizes by default, without a scale, with 0.2, 0.3 and 0.4: none, one and one triangle that curves
 /// force, the smallest 0.51, 0.23 and 0.16; `brain_parcellation` with 0.2 and 0.3: 13 and 15.
 const CLEARANCE: [f64; 2] = [0.2, 0.4];
@@ -33,23 +33,25 @@ const MOST_RAISE: f64 = 1.0;
 /// Value half-way between two nodes of the cubic spline that is one at one of them and zero at all others: what a raise at one of two nodes brings to their middle.
 const HALF_WAY: f64 = 0.6005;
 
-/// Nodes beyond which a raise changes nothing that counts: that spline is below 0.002 there.
+/// Nodes beyond which a raise changes nothing that counts: that spline is below 0.003 there.
 const REACH: usize = 4;
 
-/// Rounds of raises, at most: one of them lowers what lies two nodes on by a seventh.
+/// Rounds of raises, at most: each lowers what lies between the next two nodes by a seventh of it, and raises what other indicators are compared with. Real volumes take six to thirteen.
 const MOST_ROUNDS: usize = 40;
 
 /// What was found where several materials meet.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct Contacts {
-    /// Middles where a material came too near that is of none of the corners, or on an edge of neither.
+    /// Materials that came too near at a middle whose corners are all of others: places, each times the materials.
     pub crossed: usize,
-    /// Middles where it was a matter of less than the clearance which opposite corners touch.
+    /// The same where it was a matter of less than the clearance which opposite corners touch.
     pub undecided: usize,
     /// Samples of indicators that were raised.
     pub raised: usize,
-    /// Middles where such a material is the smallest still, or on an edge comes before one of the two.
+    /// Those that even so come before what they should come after.
     pub left: usize,
+    /// Others that are nearer than the clearance still, and decisions that are a matter of less than that, since no sample is raised without end.
+    pub near: usize,
 }
 
 /// The material of each node, x fastest.
@@ -111,8 +113,9 @@ pub fn keep_contacts(
         }
     }
     contacts.raised = raised.len();
-    contacts.left =
-        places.lacking(materials, owners, |_| true).iter().filter(|lack| lack.is_lost && !lack.is_undecided).count();
+    lacks = places.lacking(materials, owners, |_| true);
+    contacts.left = lacks.iter().filter(|lack| lack.is_lost && !lack.is_undecided).count();
+    contacts.near = lacks.len() - contacts.left;
     Ok(contacts)
 }
 
@@ -234,9 +237,13 @@ impl Places {
             let known: Vec<MaterialId> = materials.known_in(brick).map(|(id, _)| id).collect();
             let first =
                 [brick % bricks[0], brick / bricks[0] % bricks[1], brick / (bricks[0] * bricks[1])].map(|n| n * CELLS);
+            // a cell's far nodes are the next brick's, but at the end of the grid
+            let is_last = |a: usize| first[a] + CELLS + 1 == size[a];
+            let nodes: [usize; 3] = std::array::from_fn(|a| CELLS + usize::from(is_last(a)));
             let mut places = Vec::new();
-            for c in 0..CELLS * CELLS * CELLS {
-                let node = [first[0] + c % CELLS, first[1] + c / CELLS % CELLS, first[2] + c / (CELLS * CELLS)];
+            for c in 0..nodes.iter().product() {
+                let within = [c % nodes[0], c / nodes[0] % nodes[1], c / (nodes[0] * nodes[1])];
+                let node: [usize; 3] = std::array::from_fn(|a| first[a] + within[a]);
                 for axes in 1..8u8 {
                     if (0..3).any(|a| node[a] + usize::from(axes >> a & 1) >= size[a]) {
                         continue;

@@ -38,11 +38,11 @@ pub struct MaterialOptions {
 pub struct Tally {
     /// Voxels of the material.
     pub voxels: usize,
-    /// Parts of its voxels, and of what its indicator is negative in; those of the outside are of its complement.
+    /// Parts of its voxels, and of what its indicator is negative in before contacts are made plain; those of the outside are of its complement.
     pub parts: [Parts; 2],
     /// Voxel centres that the indicator alone puts on the other side.
     pub changed: usize,
-    /// Places where two parts touch along an edge and the indicator does not join or part them as it should.
+    /// Places where two parts touch along an edge and the indicator, by itself, does not join or part them as its voxels' flow does.
     pub undecided: usize,
     /// What a scale changed; `None` without one, and where nothing is left of the material.
     pub changes: Option<Changes>,

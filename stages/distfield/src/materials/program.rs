@@ -67,13 +67,15 @@ pub fn run(args: &Args, mut volume: Volume, output: &Path, context: &Context) ->
     context.report("voxels_changed", changed);
     context.report("state_bytes", materials.bytes());
     describe(&materials, &tallies, &found, context);
-    let Contacts { crossed, undecided, raised, .. } = contacts;
-    context.summary("contacts made, decided", format!("{crossed}, {undecided} ({raised} samples raised)"));
+    let Contacts { crossed, undecided, raised, left, near } = contacts;
+    context.summary(
+        "contacts made, decided",
+        format!("{crossed}, {undecided} ({raised} samples raised, {near} left too near)"),
+    );
     context.report("contacts", json!(contacts));
-    if contacts.left > 0 {
+    if left > 0 {
         context.warn(format!(
-            "at {} places between voxels that touch a third material lies, which no raise of its indicator takes away",
-            contacts.left
+            "at {left} places between nodes a material that none of them has is the smallest: no raise takes it away"
         ));
     }
     if let Some(scale) = scale {
