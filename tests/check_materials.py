@@ -3,9 +3,10 @@
     python tests/check_materials.py CASE.surface.vtp LABELS.vti [--volume CASE.volume.vtu] [--json FILE]
 
 LABELS.vti is what `distfield VOLUME --write-volume LABELS.vti` writes; or, where `--smallest-island` has given voxels to others, its file of
-the indicators, which says the material of each node (whether that is the labels', `distfield` alone has checked then). Every voxel centre's material is found by following lines of voxel centres through the
-triangles, from outside in; junctions are compared by place; triangles and tetrahedra are measured. Nothing here is shared with the programs
-that made the files. The last line is `PASSED` or names what differs; exit code 1 then.
+the indicators, which says the material of each node (whether that is the labels', `distfield` alone has checked then). Every voxel centre's
+material is found by following lines of voxel centres through the triangles, from outside in; junctions are compared by place; triangles and
+tetrahedra are measured. Nothing else here is shared with the programs that made the files. The last line is `PASSED` or names what differs;
+exit code 1 then.
 """
 
 from __future__ import annotations
