@@ -299,7 +299,7 @@ def look(surface: pv.PolyData, labels: pv.ImageData, volume: pv.UnstructuredGrid
         "contacts_interrupted": interrupted,
         "contacts": contacts,
         "junctions_lost": junctions - kept,
-        "junctions_kept_percent": 100.0 * kept / max(junctions, 1),
+        "junctions_kept_percent": 100.0 * (kept + open_kept) / max(junctions + open_junctions, 1),
         "junctions_left_open": open_junctions,
         "junctions_left_open_that_are_there": open_kept,
         "junctions_spurious_percent": 100.0 * (1.0 - real / max(edges, 1)),

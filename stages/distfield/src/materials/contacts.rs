@@ -55,7 +55,7 @@ pub struct Contacts {
 }
 
 /// The material of each node, x fastest.
-pub fn owners(materials: &Materials) -> Vec<u16> {
+fn owners(materials: &Materials) -> Vec<u16> {
     let geometry = materials.geometry();
     let [nx, ny, _] = geometry.size;
     let node = |n: usize| DVec3::from_array([n % nx, n / nx % ny, n / (nx * ny)].map(|n| n as f64));
@@ -63,17 +63,16 @@ pub fn owners(materials: &Materials) -> Vec<u16> {
     all.map(|n| materials.material_at(geometry.index_to_grid(node(n))).0).collect()
 }
 
-/// Raises indicators such that materials touch where their nodes do; `owners` are the materials of the nodes, x fastest. Where a scale smooths, more is asked for.
+/// Raises indicators such that materials touch where their nodes do. Where a scale smooths, more is asked for. Of two materials each is the other's negative, and both stay as they are.
 ///
 /// # Errors
 /// When the run is interrupted.
-pub fn keep_contacts(
-    materials: &mut Materials,
-    owners: &[u16],
-    is_scaled: bool,
-    monitor: &dyn Monitor,
-) -> Result<Contacts> {
+pub fn keep_contacts(materials: &mut Materials, is_scaled: bool, monitor: &dyn Monitor) -> Result<Contacts> {
+    if materials.table().len() < 3 {
+        return Ok(Contacts::default());
+    }
     let _step = monitor.phase("contacts");
+    let owners = &owners(materials)[..];
     let size = materials.geometry().size;
     let places = Places::of(materials, owners, CLEARANCE[usize::from(is_scaled)] * materials.voxel());
     let mut lacks = places.lacking(materials, owners, |_| true);
@@ -113,7 +112,10 @@ pub fn keep_contacts(
         }
     }
     contacts.raised = raised.len();
-    lacks = places.lacking(materials, owners, |_| true);
+    if !lacks.is_empty() {
+        // also of what was left as it was in the last round
+        lacks = places.lacking(materials, owners, |_| true);
+    }
     contacts.left = lacks.iter().filter(|lack| lack.is_lost && !lack.is_undecided).count();
     contacts.near = lacks.len() - contacts.left;
     Ok(contacts)
@@ -259,9 +261,7 @@ impl Places {
             }
             (brick, places)
         };
-        // where there are but two materials in all, each is the other's negative
-        let least = if materials.table().len() > 2 { 2 } else { usize::MAX };
-        let of_many = (0..materials.fill().len()).into_par_iter().filter(|&n| materials.known_in(n).len() >= least);
+        let of_many = (0..materials.fill().len()).into_par_iter().filter(|&n| materials.known_in(n).len() > 1);
         let found: Vec<(usize, Vec<Place>)> = of_many.map(of_brick).collect();
         let mut own = Self { clearance, all: Vec::new(), bricks: Vec::new() };
         for (brick, places) in found {

@@ -2,7 +2,7 @@
 //! with the largest box and with the area of all borders.
 
 use super::choice::Chosen;
-use super::contacts::{Contacts, keep_contacts, owners};
+use super::contacts::{Contacts, keep_contacts};
 use super::grid::{Extent, LabelGrid};
 use super::scaled::{Levels, Made};
 use crate::changes::Changes;
@@ -142,8 +142,7 @@ pub fn extract(
             "crop the volume, or name fewer materials",
         )
     })?;
-    let owners = owners(&materials);
-    let contacts = keep_contacts(&mut materials, &owners, options.scale.is_some(), monitor)?;
+    let contacts = keep_contacts(&mut materials, options.scale.is_some(), monitor)?;
     Ok(Extracted { materials, tallies, contacts })
 }
 
