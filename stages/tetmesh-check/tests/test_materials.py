@@ -14,12 +14,13 @@ from complexes import Made, cells_of_a_block, nested_balls, sectors_of_a_ball
 from conftest import NEEDS_HXT, Run, ball, fake_library, tetrahedra, write_sizing
 from test_solve import block
 
-from tetmesh_check.conform import NOBODY, conform
+from tetmesh_check.conform import NOBODY, conform, outside_of
 from tetmesh_check.export import plain_names
 from tetmesh_check.field_data import text_of
 from tetmesh_check.materials import Sides
 from tetmesh_check.quality import signed_tetrahedron_volumes, tetrahedron_quality
 from tetmesh_check.surface import read_surface
+from tetmesh_check.topology import tetrahedron_boundary
 
 
 def results_of(path: Path) -> dict:
@@ -49,6 +50,28 @@ def test_regions_are_found_by_the_triangles_alone() -> None:
         there = owner != NOBODY
         shared = (cells[owner[there]][:, :, None] == triangles[there][:, None, :]).any(axis=1).all(axis=1)
         assert shared.all()
+
+
+def test_the_outside_is_known_from_the_triangles() -> None:
+    points, cells, triangles, sides = halves()
+    # and a tetrahedron that touches nothing, whose triangles are wound the other way
+    apart = np.arange(4) + len(points)
+    faces = apart[[[0, 1, 2], [0, 3, 1], [1, 3, 2], [0, 2, 3]]]
+    three = Sides(np.append(sides.inside, [0] * 4), np.append(sides.outside, [1] * 4), sides.table)
+    cells, triangles = np.concatenate([cells, [apart]]), np.concatenate([triangles, faces])
+    found = conform(cells, triangles, three)
+    assert found.faults == 0
+    wanted, outside = tetrahedron_boundary(cells), outside_of(found, triangles)
+    np.testing.assert_array_equal(outside.bodies, wanted.bodies)
+    assert outside.bodies.max() == 1
+
+    def faces_with_owners(triangles: np.ndarray, owners: np.ndarray) -> set[tuple[int, ...]]:
+        first = np.argmin(triangles, axis=1)
+        turned = triangles[np.arange(len(triangles))[:, None], (first[:, None] + np.arange(3)) % 3]
+        return {(*face, owner) for face, owner in zip(turned.tolist(), owners.tolist(), strict=True)}
+
+    assert faces_with_owners(outside.triangles, outside.owners) == faces_with_owners(wanted.triangles, wanted.owners)
+    assert len(outside.triangles) == 4 + 48
 
 
 def test_what_does_not_fit_is_counted() -> None:

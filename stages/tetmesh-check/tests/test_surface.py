@@ -237,7 +237,7 @@ def test_boundary_and_bodies_of_tetrahedra() -> None:
 def test_boundary_with_many_vertices_is_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
     cells = np.random.default_rng(2).permuted(np.tile(np.arange(40), (90, 1)), axis=1)[:, :4]
     few = tetrahedron_boundary(cells)
-    monkeypatch.setattr(topology_module, "_MAX_COUNT_IN_ONE_KEY", 0)
+    monkeypatch.setattr(topology_module, "_KEY_BITS", 12)
     many = tetrahedron_boundary(cells)
     np.testing.assert_array_equal(many.triangles, few.triangles)
     np.testing.assert_array_equal(many.owners, few.owners)

@@ -12,7 +12,7 @@ import numpy as np
 
 from tetmesh_check.materials import NOTHING, Sides
 from tetmesh_check.quality import Cells, Labels
-from tetmesh_check.topology import connected_components, faces_of, number_faces
+from tetmesh_check.topology import Boundary, connected_components, equal_faces, outward_faces
 
 NOBODY = -1
 """In place of a tetrahedron that is not there."""
@@ -65,24 +65,31 @@ def conform(tetrahedra: Cells, triangles: Cells, sides: Sides) -> Conformity:
         Their materials.
     """
     size, count = len(tetrahedra), len(triangles)
+    order, same = equal_faces(tetrahedra, triangles)
+    starts = np.flatnonzero(np.concatenate([[True], ~same]))
+    uses = np.diff(starts, append=len(order))
+    # where a triangle is, and what is equal to it
+    at = np.flatnonzero(order >= 4 * size)
+    group = np.searchsorted(starts, at, side="right") - 1
+    at_triangle, found = np.zeros(len(order), dtype=np.bool_), []
+    for k in range(int(uses[group].max(initial=0))):
+        there = k < uses[group]
+        place = starts[group[there]] + k
+        at_triangle[place] = True
+        found.append(np.stack([order[place], order[at[there]] - 4 * size]))
+    faces, triangle = np.concatenate([np.empty((2, 0), dtype=np.int64), *found], axis=1)
+    faces, triangle = faces[faces < 4 * size], triangle[faces < 4 * size]
+    added = int((uses == 1).sum() - (uses[group] == 1).sum())
+    np.subtract.at(uses, group, 1)
+    crowded = int((uses > 2).sum())
+
+    links = np.flatnonzero(same & ~at_triangle[:-1])
     # face number f belongs to tetrahedron f modulo their number
-    faces = faces_of(tetrahedra)
-    number = number_faces(np.concatenate([faces, triangles.T], axis=1))
-    total = int(number.max(initial=-1)) + 1
-    of_face, of_triangle = number[: 4 * size], number[4 * size :]
-    uses = np.bincount(of_face, minlength=total)
-    triangle_of = np.full(total, NOBODY, dtype=np.int64)
-    triangle_of[of_triangle] = np.arange(count)
+    parts = connected_components(size, np.stack([order[links] % size, order[links + 1] % size], 1))
 
-    order = np.argsort(of_face, kind="stable")
-    same = of_face[order[1:]] == of_face[order[:-1]]
-    same &= triangle_of[of_face[order[1:]]] == NOBODY
-    parts = connected_components(size, np.stack([order[:-1][same] % size, order[1:][same] % size], 1))
-
-    at = np.flatnonzero(triangle_of[of_face] != NOBODY)
-    triangle, tetrahedron = triangle_of[of_face[at]], at % size
+    tetrahedron = faces % size
     # the outward face of a tetrahedron behind a triangle is wound like it
-    is_behind = _odd(faces[:, at]) == _odd(triangles.T)[triangle]
+    is_behind = _odd(outward_faces(tetrahedra, faces)[0]) == _odd(triangles.T)[triangle]
     behind, before = np.full(count, NOBODY, dtype=np.int64), np.full(count, NOBODY, dtype=np.int64)
     behind[triangle[is_behind]] = tetrahedron[is_behind]
     before[triangle[~is_behind]] = tetrahedron[~is_behind]
@@ -101,14 +108,35 @@ def conform(tetrahedra: Cells, triangles: Cells, sides: Sides) -> Conformity:
         right: Labels = (found == wanted) & ((owner == NOBODY) == (wanted == NOTHING))
         return right
 
-    alone = (uses == 1) & (triangle_of == NOBODY)
     return Conformity(
         regions,
         parts,
         behind,
         before,
         missing=int((~(fits(behind, sides.inside) & fits(before, sides.outside))).sum()),
-        added=int(alone.sum()),
-        crowded=int((uses > 2).sum()),
+        added=added,
+        crowded=crowded,
         undecided=int((regions == NOTHING).sum()),
+    )
+
+
+def outside_of(found: Conformity, triangles: Cells) -> Boundary:
+    """Find the outside of a mesh without a fault, and its bodies, from what is known of its triangles and parts.
+
+    Parameters
+    ----------
+    found
+        How it fits the interfaces.
+    triangles
+        Those of the interfaces, shape ``(k, 3)``.
+    """
+    assert found.faults == 0, "only then are all faces at the border triangles"
+    last, first = np.flatnonzero(found.before == NOBODY), np.flatnonzero(found.behind == NOBODY)
+    joined = (found.before != NOBODY) & (found.behind != NOBODY)
+    links = np.stack([found.parts[found.behind[joined]], found.parts[found.before[joined]]], 1)
+    bodies = connected_components(int(found.parts.max()) + 1, links)
+    return Boundary(
+        np.concatenate([triangles[last], triangles[first][:, ::-1]]),
+        np.concatenate([found.behind[last], found.before[first]]),
+        bodies[found.parts],
     )

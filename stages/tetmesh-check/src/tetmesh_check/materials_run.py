@@ -10,7 +10,7 @@ import numpy as np
 from tetmesh_check.cavity import Goal
 from tetmesh_check.checks import Check, Forced, Limits, conclude, shape_checks, smallest_elsewhere, verdict
 from tetmesh_check.complex import Complex, check_complex, describe_complex
-from tetmesh_check.conform import NOBODY
+from tetmesh_check.conform import NOBODY, outside_of
 from tetmesh_check.context import Context
 from tetmesh_check.drawing import drawing
 from tetmesh_check.errors import StageError
@@ -145,8 +145,8 @@ def _measure(
 ) -> VolumeMesh:
     checked = task.checked
     points, tetrahedra, quality = filled.points, filled.tetrahedra, filled.quality
-    outside = tetrahedron_boundary(tetrahedra)
     found = filled.conformity
+    outside = outside_of(found, checked.surface.triangles) if found.faults == 0 else tetrahedron_boundary(tetrahedra)
     context.results["volume"] = {
         "points": len(points),
         "tetrahedra": len(tetrahedra),

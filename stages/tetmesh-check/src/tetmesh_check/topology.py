@@ -45,8 +45,12 @@ def members_of(labels: Labels, count: int) -> list[Labels]:
     return np.split(order, np.searchsorted(labels[order], np.arange(1, count)))
 
 
-_MAX_COUNT_IN_ONE_KEY = 1 << 21
-"""Vertices so few that three of their numbers fit one number of 64 bits."""
+_KEY_BITS = 63
+"""Of a number that a face is sorted by. Two of its vertices are in it whole, and of the third as much as there is room for."""
+_WITHOUT = ((1, 2, 3), (0, 2, 3), (0, 1, 3), (0, 1, 2))
+"""The corners of a tetrahedron without one of them."""
+_FACE_WITHOUT = np.array([2, 3, 1, 0])
+"""Which of :data:`.OUTWARD_FACES` each corner is not on."""
 
 
 @dataclass(frozen=True)
@@ -163,12 +167,13 @@ def tetrahedron_boundary(tetrahedra: Cells) -> Boundary:
         Vertex indices in VTK order, shape ``(m, 4)``.
     """
     size = len(tetrahedra)
-    faces = faces_of(tetrahedra)
-    order, same = _equal_faces(faces)
-    alone = np.sort(order[np.concatenate([[True], ~same]) & np.concatenate([~same, [True]])])
+    order, same = equal_faces(tetrahedra)
+    found = order[np.concatenate([[True], ~same]) & np.concatenate([~same, [True]])]
+    triangles, place = outward_faces(tetrahedra, found)
+    first = np.argsort(place * size + found % size)
     # face number f belongs to tetrahedron f modulo their number
     links = np.stack([order[:-1][same] % size, order[1:][same] % size], 1)
-    return Boundary(faces[:, alone].T, alone % size, connected_components(size, links))
+    return Boundary(triangles[:, first].T, found[first] % size, connected_components(size, links))
 
 
 def outside_of_part(tetrahedra: Cells, part: Labels, on_boundary: NDArray[np.bool_]) -> tuple[Cells, Labels]:
@@ -195,7 +200,7 @@ def outside_of_part(tetrahedra: Cells, part: Labels, on_boundary: NDArray[np.boo
     candidate[tetrahedra[others]] = True
     faces = faces_of(tetrahedra[part])
     near = np.flatnonzero(candidate[faces[0]] & candidate[faces[1]] & candidate[faces[2]])
-    order, same = _equal_faces(faces[:, near])
+    order, same = _in_order([_ascending(faces[:, near])])
     alone = near[np.sort(order[np.concatenate([[True], ~same]) & np.concatenate([~same, [True]])])]
     return faces[:, alone].T, part[alone % len(part)]
 
@@ -212,6 +217,27 @@ def faces_of(tetrahedra: Cells) -> Cells:
     return np.stack([np.concatenate([corners[face[k]] for face in OUTWARD_FACES]) for k in range(3)])
 
 
+def outward_faces(tetrahedra: Cells, numbers: Labels) -> tuple[Cells, Labels]:
+    """Give faces by the numbers that :func:`equal_faces` gives them.
+
+    Parameters
+    ----------
+    tetrahedra
+        Vertex indices in VTK order, shape ``(m, 4)``.
+    numbers
+        Those of the faces, shape ``(k,)``.
+
+    Returns
+    -------
+    tuple
+        Their vertices by rows, wound to point out of positive tetrahedra, shape ``(3, k)``, and which of :data:`.OUTWARD_FACES` each is.
+    """
+    own = tetrahedra[numbers % len(tetrahedra)]
+    left_out = np.take_along_axis(np.argsort(own, axis=1), (numbers // len(tetrahedra))[:, None], axis=1)
+    place = _FACE_WITHOUT[left_out[:, 0]]
+    return np.take_along_axis(own, np.array(OUTWARD_FACES)[place], axis=1).T, place
+
+
 def number_faces(faces: Cells) -> Labels:
     """Give faces with the same vertices, in any order, equal numbers, from 0 on; shape ``(n,)``.
 
@@ -220,26 +246,70 @@ def number_faces(faces: Cells) -> Labels:
     faces
         Vertex indices by rows, shape ``(3, n)``.
     """
-    order, same = _equal_faces(faces)
+    order, same = _in_order([_ascending(faces)])
     number = np.zeros(len(order), dtype=np.int64)
     number[order[1:]] = np.cumsum(~same)
     return number
 
 
-def _equal_faces(faces: Cells) -> tuple[Labels, NDArray[np.bool_]]:
-    """Order of faces in which equal ones follow each other, and whether each is equal to the one after it."""
+def equal_faces(tetrahedra: Cells, triangles: Cells | None = None) -> tuple[Labels, NDArray[np.bool_]]:
+    """Find an order of faces in which equal ones follow each other.
+
+    Face ``k m + t`` is that of tetrahedron ``t`` without its vertex that is the ``k``-th by number, and face ``4 m + i`` is triangle ``i``.
+
+    Parameters
+    ----------
+    tetrahedra
+        Vertex indices, shape ``(m, 4)``.
+    triangles
+        Others beside their faces, shape ``(n, 3)``.
+
+    Returns
+    -------
+    tuple
+        The order, shape ``(4 m + n,)``, and whether each is equal to the one after it.
+    """
+    corners = np.sort(tetrahedra.astype(np.int32 if tetrahedra.max(initial=0) < 1 << 31 else np.int64), axis=1).T
+    faces = [corners[list(kept)] for kept in _WITHOUT]
+    return _in_order(faces if triangles is None else [*faces, _ascending(triangles.T)])
+
+
+def _ascending(faces: Cells) -> Cells:
+    """Each column in ascending order, shape ``(3, n)``."""
     a, b, c = faces
     low, high = np.minimum(np.minimum(a, b), c), np.maximum(np.maximum(a, b), c)
-    middle = a + b + c - low - high
-    count = int(faces.max(initial=0)) + 1
-    pair = low * count + middle
-    if count <= _MAX_COUNT_IN_ONE_KEY:
-        key = pair * count + high
-        order = np.argsort(key)
-        key = key[order]
-        return order, key[1:] == key[:-1]
-    order = np.lexsort((high, pair))
-    return order, (np.diff(pair[order]) == 0) & (np.diff(high[order]) == 0)
+    return np.stack([low, a + b + c - low - high, high])
+
+
+def _in_order(faces: list[Cells]) -> tuple[Labels, NDArray[np.bool_]]:
+    """As :func:`equal_faces`, of several arrays ``(3, n)`` of ascending columns."""
+    width = max(int(part.max(initial=0)).bit_length() for part in faces)
+    rest = min(width, max(0, _KEY_BITS - 2 * width))
+    key = np.empty(sum(part.shape[1] for part in faces), dtype=np.int64)
+    start = 0
+    for low, middle, high in faces:
+        own = key[start : start + len(low)]
+        own[:] = low
+        for more, bits in ((middle, width), (high & ((1 << rest) - 1), rest)):
+            own <<= bits
+            own |= more
+        start += len(low)
+    order = np.argsort(key)
+    key = key[order]
+    same = key[1:] == key[:-1]
+    if rest < width:
+        last = np.concatenate([part[2] for part in faces])[order]
+        differ = last[1:] != last[:-1]
+        mixed = np.flatnonzero(same & differ)
+        if len(mixed):
+            # those whose keys are equal by chance, in order among themselves
+            run = np.concatenate([[0], np.cumsum(~same)])
+            at = np.flatnonzero(np.isin(run, run[mixed]))
+            inner = at[np.lexsort((last[at], run[at]))]
+            order[at], last[at] = order[inner], last[inner]
+            differ = last[1:] != last[:-1]
+        same &= ~differ
+    return order, same
 
 
 def _number_rows(rows: Points | Cells) -> Labels:
