@@ -3,8 +3,8 @@
 //! meet are worked on side by side; what a patch commits is one commit of the whole.
 
 use super::constants::{
-    AIM, BATCH, EASY, FIT, MOST_FIT_REMESHED_IN_VAIN, MOST_IN_VAIN, MOST_IN_VAIN_ABOVE_EASY, MOST_IN_VAIN_AT_JUNCTIONS,
-    MOST_PAIRS_IN_VAIN, POOR, REACHES, RINGS,
+    AIM, ATTEMPTS, ATTEMPTS_AT_JUNCTIONS, BATCH, EASY, FIT, MOST_FIT_REMESHED_IN_VAIN, MOST_IN_VAIN,
+    MOST_IN_VAIN_ABOVE_EASY, MOST_IN_VAIN_AT_JUNCTIONS, MOST_PAIRS_IN_VAIN, POOR, REACHES, RINGS,
 };
 use super::guard::Limits;
 use super::lift::{lift, lift_by_two};
@@ -68,7 +68,8 @@ impl Pass {
     }
 }
 
-/// What was tried in vain, by triangle: the number of commits at the time, lest it be tried again before anything has changed there.
+/// What was tried in vain, by triangle: the number of commits at the time, lest it be tried again before anything has changed there; remeshing beside junction curves, before the
+/// triangle itself has.
 type Failures = HashMap<u32, u32>;
 
 /// Lifts the triangles below a quality, `rounds` times at most: by moves within the limits; those not fit for finite elements by moves within the
@@ -135,6 +136,7 @@ fn drain(surface: &mut Surface, pass: &Pass, failures: &mut Failures, step: Step
         is_tried.then_some(Reverse((rank, t)))
     };
     let has_junctions = surface.freedom.iter().any(|&freedom| freedom != Freedom::Sheet);
+    let attempts = if has_junctions { ATTEMPTS_AT_JUNCTIONS } else { ATTEMPTS };
     let most_in_vain = |rank: u64| {
         let is_poor = f64::from_bits(rank) < POOR;
         if has_junctions && !is_poor { pass.most_in_vain_at_junctions() } else { pass.most_in_vain }
@@ -153,7 +155,11 @@ fn drain(surface: &mut Surface, pass: &Pass, failures: &mut Failures, step: Step
         {
             queue.pop();
             let is_current = surface.is_alive(t) && rank(surface, &at_nodes, t) == bits;
-            let is_hopeless = || failures.get(&t).is_some_and(|&commits| surface.is_unchanged_since(t, commits));
+            let is_as_it_was = |&commits: &u32| match pass.means {
+                Means::Remesh { .. } if has_junctions => !surface.has_changed_since(t, commits),
+                _ => surface.is_unchanged_since(t, commits),
+            };
+            let is_hopeless = || failures.get(&t).is_some_and(is_as_it_was);
             if is_current && !batch.contains(&t) && !is_hopeless() {
                 batch.push(t);
             }
@@ -170,7 +176,7 @@ fn drain(surface: &mut Surface, pass: &Pass, failures: &mut Failures, step: Step
             let is_better = match pass.means {
                 Means::Move => lift(&mut patch.surface, local, &pass.limits, pass.bar),
                 Means::TwoMoves => lift_by_two(&mut patch.surface, local, &pass.limits, pass.bar),
-                Means::Remesh { reach } => remesh(&mut patch.surface, local, reach, &pass.limits, pass.bar),
+                Means::Remesh { reach } => remesh(&mut patch.surface, local, (reach, attempts), &pass.limits, pass.bar),
             };
             is_better.then(|| (patch.turned_nodes(surface), patch.edits(surface)))
         };

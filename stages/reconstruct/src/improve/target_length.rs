@@ -7,8 +7,8 @@
 //! component is a patch without a rim.
 
 use super::constants::{
-    ATTEMPTS, CHORD, FINEST, GRADATIONS, LONG, MOST_TRIANGLES, PATCH_LENGTHS, RIM, RINGS_OF_LENGTH, ROUNDS, SHORT,
-    SHORTER, STRAYS, TARGET, TURNED,
+    CHORD, FINEST, GRADATIONS, LONG, MOST_TRIANGLES, PATCH_LENGTHS, RIM, RINGS_OF_LENGTH, ROUNDS, SHORT, SHORTER,
+    STRAYS, TARGET, TURNED,
 };
 use super::guard::{Limits, Rule, commit_or_rollback};
 use super::lift::{After, lift, make};
@@ -67,15 +67,21 @@ pub(super) fn region(surface: &Surface, triangle: u32, reach: f64) -> Bounds {
     Bounds { low: place.centre - half, high: place.centre + half }
 }
 
-/// Remeshes the patch round a triangle and commits the first outcome that the guard lets pass by the loosened limits, less the vertices that it can do
-/// without; false where none did.
-pub(super) fn remesh(surface: &mut Surface, triangle: u32, reach: f64, limits: &Limits, bar: f64) -> bool {
+/// Remeshes the patch round a triangle, `attempts` times at most with each gradation, and commits the first outcome that the guard lets pass by the loosened limits, less the vertices that
+/// it can do without; false where none did.
+pub(super) fn remesh(
+    surface: &mut Surface,
+    triangle: u32,
+    (reach, attempts): (f64, usize),
+    limits: &Limits,
+    bar: f64,
+) -> bool {
     let (place, loosened) = (Place::of(surface, triangle, reach), &limits.loosened());
     let Some(free) = free_vertices(surface, triangle, &place) else { return false };
     let mut demands = demands_of_curvature(surface, &free, &place);
     demands.extend(demands_of_nodes(surface, &place));
     let mut demands = GRADATIONS.map(|_| Some(demands.clone()));
-    for _ in 0..ATTEMPTS {
+    for _ in 0..attempts {
         for (gradation, demands) in GRADATIONS.into_iter().zip(&mut demands) {
             let Some(asked) = demands else { continue };
             let h = surface.size;

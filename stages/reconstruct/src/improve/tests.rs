@@ -3,7 +3,7 @@
 use super::patch::Patch;
 use super::*;
 use crate::check::{CheckOptions, CheckReport, check};
-use constants::{FIT, REACHES};
+use constants::{ATTEMPTS, FIT, REACHES};
 use isoparticles_field::marching_cubes::marching_cubes;
 use isoparticles_field::random::uniform;
 use isoparticles_mesh::shapes;
@@ -194,7 +194,7 @@ fn a_remeshed_patch_makes_its_triangle_fit_and_leaves_the_rest_alone() {
         }
         let [a, b, c] = surface.corners(worst);
         let centre = (a + b + c) / 3.0;
-        assert!(target_length::remesh(&mut surface, worst, REACHES[0], &limits, FIT), "h {h}");
+        assert!(target_length::remesh(&mut surface, worst, (REACHES[0], ATTEMPTS), &limits, FIT), "h {h}");
         let alive = || (0..surface.triangles.len() as u32).filter(|&t| surface.is_alive(t));
         let near = |t: &u32| surface.corners(*t).iter().any(|p| p.distance(centre) < h);
         assert!(alive().filter(near).all(|t| surface.quality(t) > least), "h {h}");
@@ -474,7 +474,7 @@ fn the_result_does_not_depend_on_the_number_of_threads() {
                 let [mut lifted, mut patched] = [(); 2].map(|()| Surface::new(&mesh, &scene.field, &size));
                 let is_unfit = |t: &u32| patched.quality(*t) < FIT;
                 if let Some(unfit) = (0..mesh.triangles.len() as u32).find(is_unfit) {
-                    target_length::remesh(&mut patched, unfit, REACHES[0], &limits, FIT);
+                    target_length::remesh(&mut patched, unfit, (REACHES[0], ATTEMPTS), &limits, FIT);
                 }
                 optimise::optimise(&mut lifted, &limits, 0.7, 3, &|| Ok(()), &mut tally).expect("nothing stops it");
                 [lifted.into_mesh(), patched.into_mesh()]

@@ -162,9 +162,14 @@ impl Surface<'_> {
             .all(|&v| self.around[v as usize].iter().all(|&t| self.changed_at[t as usize] <= commits))
     }
 
-    /// Whether a triangle is not as it was before the first commit.
+    /// Whether a triangle is not as it was after the given number of commits.
+    pub(in crate::improve) fn has_changed_since(&self, triangle: u32, commits: u32) -> bool {
+        self.changed_at[triangle as usize] > commits
+    }
+
+    /// The same from the first commit on.
     pub(in crate::improve) fn has_changed(&self, triangle: u32) -> bool {
-        self.changed_at[triangle as usize] > 0
+        self.has_changed_since(triangle, 0)
     }
 
     /// Whether what the edits since the last commit made lies in the region, if there is one.
