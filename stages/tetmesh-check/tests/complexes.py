@@ -11,7 +11,6 @@ import pyvista as pv
 from test_solve import block
 
 from tetmesh_check.quality import OUTWARD_FACES
-from tetmesh_check.topology import number_faces
 
 
 @dataclass(frozen=True)
@@ -67,7 +66,7 @@ def between(points: np.ndarray, tetrahedra: np.ndarray, regions: np.ndarray, nam
     regions = regions[regions > 0]
     faces = np.concatenate([kept[:, face] for face in OUTWARD_FACES])
     owner = np.tile(np.arange(len(kept)), 4)
-    number = number_faces(faces.T)
+    number = np.unique(np.sort(faces, axis=1), axis=0, return_inverse=True)[1].ravel()
     high, low = np.zeros(number.max() + 1, dtype=np.int64), np.full(number.max() + 1, 1 << 30)
     np.maximum.at(high, number, regions[owner])
     np.minimum.at(low, number, regions[owner])

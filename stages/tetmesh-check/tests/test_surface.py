@@ -234,10 +234,11 @@ def test_boundary_and_bodies_of_tetrahedra() -> None:
         assert set(triangle) < set(cells[owner].tolist())
 
 
-def test_boundary_with_many_vertices_is_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("bits", [12, 14])
+def test_boundary_with_many_vertices_is_the_same(bits: int, monkeypatch: pytest.MonkeyPatch) -> None:
     cells = np.random.default_rng(2).permuted(np.tile(np.arange(40), (90, 1)), axis=1)[:, :4]
     few = tetrahedron_boundary(cells)
-    monkeypatch.setattr(topology_module, "_KEY_BITS", 12)
+    monkeypatch.setattr(topology_module, "_KEY_BITS", bits)
     many = tetrahedron_boundary(cells)
     np.testing.assert_array_equal(many.triangles, few.triangles)
     np.testing.assert_array_equal(many.owners, few.owners)

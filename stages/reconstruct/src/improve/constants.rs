@@ -148,8 +148,8 @@ pub(super) const REACHES: [f64; 4] = [1.6, 2.5, 4.0, 6.0];
 pub(super) const GRADATIONS: [f64; 3] = [0.45, 0.3, 0.6];
 /// Times that a patch is remeshed with each, the next with what the outcome of the one before asks for.
 pub(super) const ATTEMPTS: usize = 4;
-/// The same on sheets that meet in junction curves, which no remeshing moves: of 31 patches that were remeshed with success 29 were by then (`thorax_labels` at 3 mm, `frog_tissue_labels` at 50,000 vertices), and
-/// each in vain costs up to four seconds with four.
+/// The same on sheets that meet in junction curves, which no remeshing moves: of 31 patches that were remeshed with success 29 were after two (`thorax_labels` at 3 mm, `frog_tissue_labels` at 50,000 vertices), and
+/// with four one in vain costs up to four seconds.
 pub(super) const ATTEMPTS_AT_JUNCTIONS: usize = 2;
 /// The target length is this share of the radius of curvature, at which triangles near to equilateral stray and fold little (Amenta and Bern
 /// 1999), no less than this share of the length at the rim, and no less than this one where the patch ends.

@@ -68,8 +68,8 @@ impl Pass {
     }
 }
 
-/// What was tried in vain, by triangle: the number of commits at the time, lest it be tried again before anything has changed there; remeshing beside junction curves, before the
-/// triangle itself has.
+/// What was tried in vain, by triangle: the number of commits at the time, lest it be tried again before anything has changed there; remeshing, where sheets meet in junction
+/// curves, before the triangle itself has.
 type Failures = HashMap<u32, u32>;
 
 /// Lifts the triangles below a quality, `rounds` times at most: by moves within the limits; those not fit for finite elements by moves within the

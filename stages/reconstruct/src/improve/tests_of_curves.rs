@@ -91,6 +91,12 @@ fn a_vertex_slides_along_its_curve_to_where_the_worst_of_all_three_sheets_is_bes
     assert!(place.truncate().length() == 0.0 && (place.z - 2.0).abs() < 0.02, "{place}");
     assert!(commit_or_rollback(&mut surface, &LIMITS, Rule::Lift { bar: 0.9 }).is_some());
     assert!(!slide(&mut surface, 2), "there is no better place");
+    // triangles next to those at the vertex are as they were, but what is round them is not
+    let at_vertex = |t: u32| surface.triangles[t as usize].contains(&2);
+    let all = 0..surface.triangles.len() as u32;
+    assert!(all.clone().all(|t| surface.has_changed_since(t, 0) == at_vertex(t) && !surface.has_changed_since(t, 1)));
+    assert!(all.clone().any(|t| !surface.has_changed_since(t, 0) && !surface.is_unchanged_since(t, 0)));
+    assert!(all.into_iter().any(|t| surface.is_unchanged_since(t, 0)));
 }
 
 #[test]

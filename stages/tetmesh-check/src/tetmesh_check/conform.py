@@ -60,7 +60,7 @@ def conform(tetrahedra: Cells, triangles: Cells, sides: Sides) -> Conformity:
     tetrahedra
         Vertex indices in VTK order, positive, shape ``(m, 4)``.
     triangles
-        Those of the interfaces, in the same vertices, shape ``(k, 3)``.
+        Those of the interfaces, in the same vertices, none twice, shape ``(k, 3)``.
     sides
         Their materials.
     """
@@ -78,7 +78,9 @@ def conform(tetrahedra: Cells, triangles: Cells, sides: Sides) -> Conformity:
         at_triangle[place] = True
         found.append(np.stack([order[place], order[at[there]] - 4 * size]))
     faces, triangle = np.concatenate([np.empty((2, 0), dtype=np.int64), *found], axis=1)
-    faces, triangle = faces[faces < 4 * size], triangle[faces < 4 * size]
+    first = np.argsort(faces, kind="stable")
+    first = first[faces[first] < 4 * size]
+    faces, triangle = faces[first], triangle[first]
     added = int((uses == 1).sum() - (uses[group] == 1).sum())
     np.subtract.at(uses, group, 1)
     crowded = int((uses > 2).sum())

@@ -46,7 +46,7 @@ def members_of(labels: Labels, count: int) -> list[Labels]:
 
 
 _KEY_BITS = 63
-"""Of a number that a face is sorted by. Two of its vertices are in it whole, and of the third as much as there is room for."""
+"""Of a number that a face is sorted by. Two of its vertices (up to 2^31) are in it whole, and of the third as much as there is room for."""
 _WITHOUT = ((1, 2, 3), (0, 2, 3), (0, 1, 3), (0, 1, 2))
 """The corners of a tetrahedron without one of them."""
 _FACE_WITHOUT = np.array([2, 3, 1, 0])
@@ -238,20 +238,6 @@ def outward_faces(tetrahedra: Cells, numbers: Labels) -> tuple[Cells, Labels]:
     return np.take_along_axis(own, np.array(OUTWARD_FACES)[place], axis=1).T, place
 
 
-def number_faces(faces: Cells) -> Labels:
-    """Give faces with the same vertices, in any order, equal numbers, from 0 on; shape ``(n,)``.
-
-    Parameters
-    ----------
-    faces
-        Vertex indices by rows, shape ``(3, n)``.
-    """
-    order, same = _in_order([_ascending(faces)])
-    number = np.zeros(len(order), dtype=np.int64)
-    number[order[1:]] = np.cumsum(~same)
-    return number
-
-
 def equal_faces(tetrahedra: Cells, triangles: Cells | None = None) -> tuple[Labels, NDArray[np.bool_]]:
     """Find an order of faces in which equal ones follow each other.
 
@@ -267,7 +253,7 @@ def equal_faces(tetrahedra: Cells, triangles: Cells | None = None) -> tuple[Labe
     Returns
     -------
     tuple
-        The order, shape ``(4 m + n,)``, and whether each is equal to the one after it.
+        The order, shape ``(4 m + n,)``, and whether each but the last is equal to the one after it.
     """
     corners = np.sort(tetrahedra.astype(np.int32 if tetrahedra.max(initial=0) < 1 << 31 else np.int64), axis=1).T
     faces = [corners[list(kept)] for kept in _WITHOUT]
