@@ -491,6 +491,10 @@ fn what_cannot_be_meant_is_refused() {
         (&["--material", "all", "--labels", "1"], "cannot be used with"),
         (&["--material", "all", "--iso", "1"], "cannot be used with"),
         (&["--material", "all", "--scale-for-vertices", "3"], "3 is not in"),
+        (
+            &["--material", "all", "--scale", "200"],
+            "at a scale of 200.0000 mm all others fill the volume from border to border",
+        ),
         (&["--material", "all", "--tightening", "1"], "do not take it yet"),
         (&["--material", "all", "--keep", "largest"], "do not take it yet"),
     ] {

@@ -298,7 +298,7 @@ fn failed_at_scale(materials: &Materials, tallies: &[Tally], found: &Survey) -> 
         return Vec::new();
     }
     vec![format!(
-        "the volumes of {} materials changed by more than {:.0} %: too much of them is thinner than a mesh of that scale tells apart ({})",
+        "the volumes of {} materials changed by more than {:.0} %: too much of them is thinner than a mesh of that scale tells apart (a finer mesh keeps more, and --keep-thin what is thin): {}",
         changed.len(),
         100.0 * SCALED_VOLUME_LIMITS.1,
         listed(&changed)

@@ -18,7 +18,7 @@ use crate::{Border, Inside, Keep, Redistanced};
 use isoparticles_field::marching_cubes::marching_cubes;
 use isoparticles_field::materials::MaterialId;
 use isoparticles_mesh::measure::measure;
-use isoparticles_stage::error::Result;
+use isoparticles_stage::error::{Error, Result};
 use isoparticles_stage::monitor::Monitor;
 use isoparticles_volume::{Geometry, Image, Voxels};
 use rayon::prelude::*;
@@ -244,7 +244,7 @@ impl<'a> Levels<'a> {
     /// The indicator of a material that has voxels; that of the outside is of all others together.
     ///
     /// # Errors
-    /// When its parts are too many to be told apart, or the run is interrupted.
+    /// When its parts are too many to be told apart, when it fills the volume, or the run is interrupted.
     pub fn indicator(&self, id: MaterialId, scale: f64, demands: &Demands, monitor: &dyn Monitor) -> Result<Made> {
         let is_outside = id == MaterialId::OUTSIDE;
         let grid = self.grid;
@@ -252,6 +252,14 @@ impl<'a> Levels<'a> {
         let mut above = self.above(id.index());
         if is_outside {
             above.par_iter_mut().for_each(|above| *above = -*above);
+        }
+        if above.par_iter().all(|&above| above > 0.0) {
+            let all = if is_outside { "all others fill" } else { "it fills" };
+            return Err(Error::input(
+                format!("at a scale of {scale:.4} mm {all} the volume from border to border"),
+                "nothing is told apart at so large a scale",
+                "give a smaller --scale or --scale-for-size, or more --scale-for-vertices",
+            ));
         }
         let inside = |number: u16| (number == id.0) != is_outside;
         let last: [usize; 3] = std::array::from_fn(|a| first[a] + geometry.size[a] - 1);
