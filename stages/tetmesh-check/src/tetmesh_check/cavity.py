@@ -132,14 +132,9 @@ def _staged(found: Values, limit: Values, aim: Values) -> Values:
     return result
 
 
-def _lack(values: Values) -> float:
-    """What some tetrahedra lack together, so that one bad one does not give way to many that are nearly as bad."""
-    return float(np.square(1.0 - values).sum())
-
-
-def _failing(values: Values) -> float:
-    """What some tetrahedra lack together of the limits of the checks, 0 where none fails."""
-    return float(np.square(np.maximum(0.0, _AT_LIMIT - values)).sum())
+def _lack(values: Values, bar: float = 1.0) -> float:
+    """What some tetrahedra lack together to a bar, so that one bad one does not give way to many that are nearly as bad."""
+    return float(np.square(np.maximum(0.0, bar - values)).sum())
 
 
 def _ascending(face: Triangle) -> Triangle:
@@ -340,7 +335,7 @@ class Part:
                 better = least >= before.min() + MARGIN and _lack(values) < _lack(before)
                 if better and (chosen is None or least > chosen[0]):
                     chosen = (least, filling)
-                failing, was = _failing(values), _failing(before)
+                failing, was = _lack(values, _AT_LIMIT), _lack(before, _AT_LIMIT)
                 if (
                     failing < (1.0 - _EASED) * was
                     and least >= before.min()

@@ -168,7 +168,7 @@ def tetrahedron_boundary(tetrahedra: Cells) -> Boundary:
     """
     size = len(tetrahedra)
     order, same = equal_faces(tetrahedra)
-    found = order[np.concatenate([[True], ~same]) & np.concatenate([~same, [True]])]
+    found = _alone(order, same)
     triangles, place = outward_faces(tetrahedra, found)
     first = np.argsort(place * size + found % size)
     # face number f belongs to tetrahedron f modulo their number
@@ -200,8 +200,8 @@ def outside_of_part(tetrahedra: Cells, part: Labels, on_boundary: NDArray[np.boo
     candidate[tetrahedra[others]] = True
     faces = faces_of(tetrahedra[part])
     near = np.flatnonzero(candidate[faces[0]] & candidate[faces[1]] & candidate[faces[2]])
-    order, same = _in_order([_ascending(faces[:, near])])
-    alone = near[np.sort(order[np.concatenate([[True], ~same]) & np.concatenate([~same, [True]])])]
+    order, same = _in_order([np.sort(faces[:, near], axis=0)])
+    alone = near[np.sort(_alone(order, same))]
     return faces[:, alone].T, part[alone % len(part)]
 
 
@@ -257,14 +257,13 @@ def equal_faces(tetrahedra: Cells, triangles: Cells | None = None) -> tuple[Labe
     """
     corners = np.sort(tetrahedra.astype(np.int32 if tetrahedra.max(initial=0) < 1 << 31 else np.int64), axis=1).T
     faces = [corners[list(kept)] for kept in _WITHOUT]
-    return _in_order(faces if triangles is None else [*faces, _ascending(triangles.T)])
+    return _in_order(faces if triangles is None else [*faces, np.sort(triangles, axis=1).T])
 
 
-def _ascending(faces: Cells) -> Cells:
-    """Each column in ascending order, shape ``(3, n)``."""
-    a, b, c = faces
-    low, high = np.minimum(np.minimum(a, b), c), np.maximum(np.maximum(a, b), c)
-    return np.stack([low, a + b + c - low - high, high])
+def _alone(order: Labels, same: NDArray[np.bool_]) -> Labels:
+    """Faces that are equal to no other."""
+    found: Labels = order[np.concatenate([[True], ~same]) & np.concatenate([~same, [True]])]
+    return found
 
 
 def _in_order(faces: list[Cells]) -> tuple[Labels, NDArray[np.bool_]]:
