@@ -4,6 +4,7 @@ use crate::spline::CubicSpline;
 use crate::surface_integral::integrate;
 use glam::DVec3;
 use isoparticles_volume::Image;
+use rayon::prelude::*;
 use std::f64::consts::PI;
 
 /// Target edge length h over the grid frame of a distance field.
@@ -68,6 +69,17 @@ impl SizingField {
     /// Number of particles that settle on F = 0: the integral of [`Self::lattice_density`].
     pub fn predicted_count(&self, surface: &CubicSpline) -> f64 {
         integrate(surface, |point, normal| self.lattice_density(point, normal))
+    }
+
+    /// The same on triangles, those of marching cubes say, that follow F = 0 as far as its samples tell: enough to judge by, and quicker.
+    pub fn count_on(&self, points: &[DVec3], triangles: &[[u32; 3]]) -> f64 {
+        let on = |corners: &[u32; 3]| {
+            let [a, b, c] = corners.map(|v| points[v as usize]);
+            let doubled = (b - a).cross(c - a);
+            0.5 * doubled.length() * self.lattice_density((a + b + c) / 3.0, doubled.normalize_or_zero())
+        };
+        // added up in order, whatever the threads
+        triangles.par_iter().map(on).collect::<Vec<f64>>().iter().sum()
     }
 }
 

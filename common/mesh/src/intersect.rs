@@ -13,21 +13,7 @@ use robust::{Coord, Coord3D};
 /// All pairs of triangles (lower index first, ascending) that have more in common than the vertices they share.
 pub fn self_intersections(mesh: &TriangleMesh) -> Vec<[u32; 2]> {
     let boxes: Vec<Bounds> = (0..mesh.triangles.len()).into_par_iter().map(|t| Bounds::of(&mesh.corners(t))).collect();
-    let tree = BoxTree::new(boxes.clone());
-    boxes
-        .par_iter()
-        .enumerate()
-        .flat_map_iter(|(t, bounds)| {
-            let mut pairs = Vec::new();
-            tree.overlapping(bounds, |other| {
-                if (other as usize) > t && triangles_cross(mesh, t, other as usize) {
-                    pairs.push([t as u32, other]);
-                }
-            });
-            pairs.sort_unstable();
-            pairs
-        })
-        .collect()
+    BoxTree::new(&boxes).pairs(|a, b| triangles_cross(mesh, a as usize, b as usize))
 }
 
 /// Whether two different triangles of a mesh have more in common than the vertices they share.

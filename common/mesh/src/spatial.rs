@@ -1,8 +1,9 @@
 //! What is near: a tree of axis-aligned boxes, for finding the few of many simplices that come near a given one, and cubic bins, for points that come and go.
 //!
-//! The boxes are sorted along a Morton curve and paired up level by level; nothing but the input decides the
+//! The boxes are sorted along a Morton curve and taken together by eights, level by level, so that lanes look at eight at once; nothing but the input decides the
 //! shape of the tree or the order of the answers, so results are the same whatever the number of threads.
 
+use fearless_simd::{Level, Simd, dispatch, f64x8, prelude::*};
 use glam::DVec3;
 use rayon::prelude::*;
 use std::collections::HashMap;
@@ -57,20 +58,72 @@ impl Bounds {
     }
 }
 
-const LEAF: usize = 4;
+/// Boxes that one lane operation looks at.
+const LANES: usize = 8;
 
-/// Tree of boxes.
+/// Eight boxes that follow each other, filled up with empty ones.
+#[derive(Clone, Copy, Debug)]
+struct Eight {
+    /// Coordinates, axis by axis.
+    low: [[f64; LANES]; 3],
+    high: [[f64; LANES]; 3],
+}
+
+impl Eight {
+    /// Of some boxes, eight at most, with the box round them.
+    fn of(boxes: impl Iterator<Item = Bounds>) -> (Self, Bounds) {
+        let mut new = Self { low: [[f64::INFINITY; LANES]; 3], high: [[f64::NEG_INFINITY; LANES]; 3] };
+        let mut whole = Bounds::EMPTY;
+        for (lane, own) in boxes.enumerate() {
+            (0..3).for_each(|axis| {
+                (new.low[axis][lane], new.high[axis][lane]) = (own.low[axis], own.high[axis]);
+            });
+            whole = whole.merged(own);
+        }
+        (new, whole)
+    }
+
+    /// One of them.
+    fn at(&self, lane: usize) -> Bounds {
+        let place = |from: &[[f64; LANES]; 3]| DVec3::from_array([0, 1, 2].map(|axis| from[axis][lane]));
+        Bounds { low: place(&self.low), high: place(&self.high) }
+    }
+
+    /// Bits of those that meet a box, touching included.
+    #[inline(always)]
+    fn meeting<S: Simd>(&self, simd: S, other: &Bounds) -> u64 {
+        let mut meets = u64::MAX;
+        for axis in 0..3 {
+            let below = f64x8::simd_from(simd, self.low[axis]).simd_le(other.high[axis]);
+            let above = f64x8::simd_from(simd, self.high[axis]).simd_ge(other.low[axis]);
+            meets &= below.to_bitmask() & above.to_bitmask();
+        }
+        meets
+    }
+}
+
+/// Tree of boxes, eight to a box.
 #[derive(Clone, Debug)]
 pub struct BoxTree {
+    /// Numbers of the boxes along a Morton curve.
     order: Vec<u32>,
-    boxes: Vec<Bounds>,
-    /// `levels[0]` bounds each [`LEAF`] boxes in `order`, each further level pairs of the one before.
-    levels: Vec<Vec<Bounds>>,
+    /// From the boxes in that order to the eight or less that hold everything.
+    levels: Vec<Vec<Eight>>,
+    /// The boxes round the eights of the first level.
+    outlines: Vec<Bounds>,
+}
+
+/// Pairs of boxes, and eights on the way to them.
+#[derive(Default)]
+struct Found {
+    pairs: Vec<[u32; 2]>,
+    near: Vec<u32>,
+    next: Vec<u32>,
 }
 
 impl BoxTree {
     /// Builds the tree over some boxes.
-    pub fn new(boxes: Vec<Bounds>) -> Self {
+    pub fn new(boxes: &[Bounds]) -> Self {
         let whole = boxes.iter().fold(Bounds::EMPTY, |a, &b| a.merged(b));
         let scale = (whole.high - whole.low).max(DVec3::splat(f64::MIN_POSITIVE)).recip() * 2_097_151.0;
         let mut keys: Vec<(u64, u32)> = boxes
@@ -83,36 +136,75 @@ impl BoxTree {
             .collect();
         keys.par_sort_unstable();
         let order: Vec<u32> = keys.into_iter().map(|(_, i)| i).collect();
-        let leaves: Vec<Bounds> = order
-            .par_chunks(LEAF)
-            .map(|chunk| chunk.iter().fold(Bounds::EMPTY, |a, &i| a.merged(boxes[i as usize])))
-            .collect();
-        let mut levels = vec![leaves];
-        while levels[levels.len() - 1].len() > 1 {
-            let below = &levels[levels.len() - 1];
-            levels.push(below.par_chunks(2).map(|pair| pair.iter().fold(Bounds::EMPTY, |a, &b| a.merged(b))).collect());
+        let (first, outlines): (Vec<Eight>, Vec<Bounds>) =
+            order.par_chunks(LANES).map(|chunk| Eight::of(chunk.iter().map(|&i| boxes[i as usize]))).unzip();
+        let mut levels = vec![first];
+        let mut below = outlines.clone();
+        while below.len() > 1 {
+            let (level, above) = below.par_chunks(LANES).map(|chunk| Eight::of(chunk.iter().copied())).unzip();
+            levels.push(level);
+            below = above;
         }
-        Self { order, boxes, levels }
+        Self { order, levels, outlines }
     }
 
-    /// Calls `found` with the number of every box that meets the given one.
-    pub fn overlapping(&self, query: &Bounds, mut found: impl FnMut(u32)) {
-        if self.order.is_empty() {
-            return;
+    /// All pairs of boxes that meet, touching included, and pass a test, lower number first, ascending.
+    pub fn pairs(&self, test: impl Fn(u32, u32) -> bool + Sync) -> Vec<[u32; 2]> {
+        let of_eight = |found: &mut Found, eight: usize| {
+            self.find_pairs(eight, found);
+            found.pairs.iter().copied().filter(|&[a, b]| test(a, b)).collect::<Vec<_>>()
+        };
+        let eights = (0..self.outlines.len()).into_par_iter();
+        let mut pairs: Vec<[u32; 2]> = eights.map_init(Found::default, of_eight).flatten_iter().collect();
+        pairs.par_sort_unstable();
+        pairs
+    }
+
+    /// Whether any pair of boxes that meet, touching included, passes a test, which is given the lower number first.
+    pub fn any_pair(&self, mut test: impl FnMut(u32, u32) -> bool) -> bool {
+        let mut found = Found::default();
+        (0..self.outlines.len()).any(|eight| {
+            self.find_pairs(eight, &mut found);
+            found.pairs.iter().any(|&[a, b]| test(a, b))
+        })
+    }
+
+    /// The pairs of boxes that meet, of which the first in order is in an eight.
+    fn find_pairs(&self, eight: usize, found: &mut Found) {
+        dispatch!(Level::new(), simd => self.find_pairs_by(simd, eight, found));
+    }
+
+    #[inline(always)]
+    fn find_pairs_by<S: Simd>(&self, simd: S, eight: usize, found: &mut Found) {
+        let Found { pairs, near, next } = found;
+        pairs.clear();
+        near.clear();
+        near.push(0);
+        let (first, above) = self.levels.split_first().expect("a tree has a level");
+        for level in above.iter().rev() {
+            next.clear();
+            for &n in &*near {
+                let mut meets = level[n as usize].meeting(simd, &self.outlines[eight]);
+                while meets != 0 {
+                    next.push(n * LANES as u32 + meets.trailing_zeros());
+                    meets &= meets - 1;
+                }
+            }
+            std::mem::swap(near, next);
         }
-        let mut stack = vec![(self.levels.len() - 1, 0usize)];
-        while let Some((level, i)) = stack.pop() {
-            if !self.levels[level][i].meets(query) {
-                continue;
-            }
-            if level > 0 {
-                let below = self.levels[level - 1].len();
-                stack.extend((2 * i..(2 * i + 2).min(below)).rev().map(|child| (level - 1, child)));
-                continue;
-            }
-            for &item in &self.order[i * LEAF..((i + 1) * LEAF).min(self.order.len())] {
-                if self.boxes[item as usize].meets(query) {
-                    found(item);
+        let number = |eight: usize, lane: usize| self.order[eight * LANES + lane];
+        for lane in 0..LANES.min(self.order.len() - eight * LANES) {
+            let own = first[eight].at(lane);
+            for other in near.iter().map(|&n| n as usize).filter(|&n| n >= eight) {
+                let mut meets = first[other].meeting(simd, &own);
+                if other == eight {
+                    // those after it
+                    meets &= u64::MAX << 1 << lane;
+                }
+                while meets != 0 {
+                    let (a, b) = (number(eight, lane), number(other, meets.trailing_zeros() as usize));
+                    pairs.push([a.min(b), a.max(b)]);
+                    meets &= meets - 1;
                 }
             }
         }
@@ -184,32 +276,30 @@ mod tests {
     }
 
     #[test]
-    fn finds_what_a_scan_of_all_boxes_finds() {
-        for count in [0usize, 1, 3, 4, 5, 300] {
-            let boxes: Vec<Bounds> = (0..count as u64)
-                .map(|n| {
-                    let at = |s: u64| DVec3::new(uniform(s, 0, n), uniform(s, 1, n), uniform(s, 2, n));
-                    let low = at(1);
-                    Bounds { low, high: low + at(2) * 0.2 }
-                })
-                .collect();
-            let tree = BoxTree::new(boxes.clone());
-            for query in &boxes {
-                let mut found = Vec::new();
-                tree.overlapping(query, |i| found.push(i));
-                found.sort_unstable();
-                let expected: Vec<u32> = (0..count as u32).filter(|&i| boxes[i as usize].meets(query)).collect();
-                assert_eq!(found, expected);
+    fn finds_the_pairs_that_a_scan_of_all_boxes_finds() {
+        for count in [0usize, 1, 3, 8, 9, 64, 65, 700] {
+            let at = |s: u64, n: u64| DVec3::new(uniform(s, 0, n), uniform(s, 1, n), uniform(s, 2, n));
+            let box_of = |n: u64| Bounds { low: at(1, n), high: at(1, n) + at(2, n) * 0.2 };
+            let boxes: Vec<Bounds> = (0..count as u64).map(box_of).collect();
+            let tree = BoxTree::new(&boxes);
+            let pairs = (0..count as u32).flat_map(|a| (a + 1..count as u32).map(move |b| [a, b]));
+            let meet = |&[a, b]: &[u32; 2]| boxes[a as usize].meets(&boxes[b as usize]);
+            let expected: Vec<[u32; 2]> = pairs.filter(meet).collect();
+            assert_eq!(tree.pairs(|_, _| true), expected, "{count} boxes");
+            assert_eq!(
+                tree.pairs(|a, b| (a + b) % 3 == 0).len(),
+                expected.iter().filter(|p| (p[0] + p[1]) % 3 == 0).count()
+            );
+            for pair in expected.iter().step_by(7) {
+                assert!(tree.any_pair(|a, b| [a, b] == *pair), "{pair:?} of {count} boxes");
             }
+            assert!(!tree.any_pair(|a, b| expected.binary_search(&[a, b]).is_err()), "a pair that does not meet");
         }
     }
 
     #[test]
     fn coinciding_and_flat_boxes_are_all_found() {
         let boxes = vec![Bounds { low: DVec3::ONE, high: DVec3::ONE }; 9];
-        let tree = BoxTree::new(boxes.clone());
-        let mut found = 0;
-        tree.overlapping(&boxes[0], |_| found += 1);
-        assert_eq!(found, 9);
+        assert_eq!(BoxTree::new(&boxes).pairs(|_, _| true).len(), 36);
     }
 }

@@ -1,6 +1,6 @@
 //! The program around [`crate::sampling`] and [`crate::vertices`]: options, files, report.
 
-use crate::sampling::{BYTES_PER_PARTICLE, COMPONENT_MINIMUM, Summary, asked_for, seed_surface, seed_vertices};
+use crate::sampling::{BYTES_PER_PARTICLE, COMPONENT_MINIMUM, Summary, seed_surface, seed_vertices};
 use crate::vertices::{BYTES_PER_NODE, FINEST, vertices};
 use clap::{Parser, ValueEnum};
 use isoparticles_field::marching_cubes::marching_cubes;
@@ -130,7 +130,7 @@ fn by_poisson_disks(
 ) -> Result<(ParticleSet, Summary)> {
     let step = context.step("marching cubes");
     let mesh = marching_cubes(distance, 0.0);
-    check_prediction(args, || asked_for(&mesh, sizing), context)?;
+    check_prediction(args, || sizing.count_on(&mesh.vertices, &mesh.triangles), context)?;
     drop(step);
     let scaled = args.count.map(|count| sizing.scaled((predicted(sizing, surface, context) / count as f64).sqrt()));
     Ok(seed_surface(&mesh, surface, (scaled.as_ref().unwrap_or(sizing), sizing), context.seed(), context)?)

@@ -55,16 +55,6 @@ pub(crate) struct Candidates {
     pub(crate) component: Vec<u32>,
 }
 
-/// Particles that the sizes ask for on the triangles of marching cubes, which are F = 0 as far as its samples tell: enough to judge by, and quicker than [`SizingField::predicted_count`].
-pub fn asked_for(mesh: &TriangleMesh, sizing: &SizingField) -> f64 {
-    let on = |t: usize| {
-        let (centre, doubled) = centre_and_normal(mesh, t);
-        0.5 * doubled.length() * sizing.lattice_density(centre, doubled.normalize_or_zero())
-    };
-    // added up in order, whatever the threads
-    (0..mesh.triangles.len()).into_par_iter().map(on).collect::<Vec<f64>>().iter().sum()
-}
-
 /// Seeds the surface F = 0, which the triangles of marching cubes follow, with as many particles as `spread` asks for; they keep the sizes of `sizing`, which is the same but for a factor
 /// where their number is given (the paper's Table 3). The result depends on the arguments alone.
 ///

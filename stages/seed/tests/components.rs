@@ -6,7 +6,7 @@ use isoparticles_field::sizing::SizingField;
 use isoparticles_field::spline::CubicSpline;
 use isoparticles_field::topology::FieldComponents;
 use isoparticles_mesh::components::of_vertices;
-use isoparticles_seed::sampling::{COMPONENT_MINIMUM, Summary, asked_for, seed_surface, seed_vertices};
+use isoparticles_seed::sampling::{COMPONENT_MINIMUM, Summary, seed_surface, seed_vertices};
 use isoparticles_seed::vertices::vertices;
 use isoparticles_stage::monitor::{Interrupted, Silent};
 use isoparticles_volume::{Geometry, Image};
@@ -98,7 +98,9 @@ fn the_number_goes_by_one_field_and_the_sizes_by_the_other() {
     assert!((ratio / 4.0 - 1.0).abs() < 0.1, "{ratio} times as many, not 4");
     // 4 pi R^2 2 / (sqrt(3) h^2)
     let want = 4.0 * std::f64::consts::PI * 81.0 * 2.0 / (3f64.sqrt() * f64::from(H * H));
-    for (count, off) in [(asked_for(&mesh, &sizing), 0.02), (sizing.predicted_count(&surface), 0.01)] {
+    for (count, off) in
+        [(sizing.count_on(&mesh.vertices, &mesh.triangles), 0.02), (sizing.predicted_count(&surface), 0.01)]
+    {
         assert!((count / want - 1.0).abs() < off, "{count}, not {want}");
     }
 }

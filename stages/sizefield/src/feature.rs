@@ -49,6 +49,15 @@ pub enum Bumps {
     AreShape,
 }
 
+/// What the samples are measured for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Purpose {
+    /// To be told where one size is too large: by their feature sizes alone.
+    OneSize,
+    /// A size for each, which curvature and the component have a say in, too.
+    Grading,
+}
+
 /// Samples of F = 0 with what was found at each.
 #[derive(Clone, Debug)]
 pub struct Features {
@@ -56,7 +65,7 @@ pub struct Features {
     pub points: Vec<DVec3>,
     /// Unit normals, outward.
     pub normals: Vec<DVec3>,
-    /// Largest principal curvature in magnitude, per mm; of the surface under the noise where there is some.
+    /// Largest principal curvature in magnitude, per mm; of the surface under the noise where there is some. None for [`Purpose::OneSize`].
     pub curvature: Vec<f64>,
     /// Distance to the medial axis, inside or outside, mm; at sharp places no larger than the radius of curvature. Where there is
     /// noise, that of the surface under it.
@@ -65,9 +74,9 @@ pub struct Features {
     pub noise: Vec<f64>,
     /// Triangles between the samples (marching cubes, projected).
     pub triangles: Vec<[u32; 3]>,
-    /// Component of F = 0 that each sample lies on; [`NO_COMPONENT`] where it cannot be told.
+    /// Component of F = 0 that each sample lies on; [`NO_COMPONENT`] where it cannot be told. None for [`Purpose::OneSize`].
     pub component: Vec<u32>,
-    /// Area of each component, mm squared.
+    /// Area of each component, mm squared; for [`Purpose::OneSize`] to first order in the edge of the topology's cells.
     pub component_area: Vec<f64>,
 }
 
@@ -79,7 +88,7 @@ impl Features {
         surface: &CubicSpline,
         components: &FieldComponents,
         largest: f64,
-        bumps: Bumps,
+        (bumps, purpose): (Bumps, Purpose),
     ) -> Self {
         let mesh = marching_cubes(image, 0.0);
         let spacing = image.geometry.mean_spacing();
@@ -114,12 +123,21 @@ impl Features {
                 None => largest_curvature(&tensors[i], normals[i]),
             })
             .collect();
-        let curvature = averaged_curvature(tensors, &normals, &smoothed.patches, &incidence);
+        let curvature = match purpose {
+            Purpose::OneSize => Vec::new(),
+            Purpose::Grading => averaged_curvature(tensors, &normals, &smoothed.patches, &incidence),
+        };
         drop(incidence);
         let feature_size = feature_sizes(&points, &normals, &sharp, &smoothed, image, largest);
-        let at = |(&p, &n)| components.at(surface, p, n).unwrap_or(NO_COMPONENT);
-        let component: Vec<u32> = points.par_iter().zip(&normals).map(at).collect();
-        let component_area = component_areas(&points, &mesh.triangles, &component, components.all());
+        let (component, component_area) = match purpose {
+            Purpose::OneSize => (Vec::new(), components.all().iter().map(|component| component.area).collect()),
+            Purpose::Grading => {
+                let at = |(&p, &n)| components.at(surface, p, n).unwrap_or(NO_COMPONENT);
+                let component: Vec<u32> = points.par_iter().zip(&normals).map(at).collect();
+                let areas = component_areas(&points, &mesh.triangles, &component, components.all());
+                (component, areas)
+            }
+        };
         Self {
             points,
             normals,

@@ -1,6 +1,6 @@
 //! The program around [`crate::size_field`]: options, files, defaults from the data, report.
 
-use crate::feature::{Bumps, Features};
+use crate::feature::{Bumps, Features, Purpose};
 use crate::limits::{TooSmall, check_count, check_size, too_small, too_small_told};
 use crate::materials::GivenSize;
 use crate::region::{Refinement, SizedNode};
@@ -210,7 +210,8 @@ pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
     let origin: DistanceMeta = meta::typed(&args.input, &field.meta, "distfield")?;
     let is_smooth = origin.source == Some(Source::Labels) || origin.is_scaled();
     let bumps = if one_size.is_some() || is_smooth { Bumps::AreShape } else { Bumps::MayBeNoise };
-    let features = Features::new(&field.image, &surface, &components, largest, bumps);
+    let purpose = if one_size.is_some() { Purpose::OneSize } else { Purpose::Grading };
+    let features = Features::new(&field.image, &surface, &components, largest, (bumps, purpose));
     drop(step);
     if features.triangles.is_empty() {
         return Err(Error::input(
@@ -252,7 +253,7 @@ pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
     // one size was chosen by its count
     let known = args.vertices.filter(|_| one_size.is_some()).map(|vertices| predicted_for(vertices as f64));
     let step = context.step("predict the count");
-    let predicted = known.unwrap_or_else(|| sizing.predicted_count(&surface));
+    let predicted = known.unwrap_or_else(|| sizing.count_on(&features.points, &features.triangles));
     drop(step);
     let meta = describe(&features, &sizing, predicted, (largest, &small), context);
     check_count(&args.input, meta.predicted_count, geometry.voxel_count(), context)?;

@@ -3,7 +3,7 @@
 use glam::DVec3;
 use isoparticles_field::spline::CubicSpline;
 use isoparticles_field::topology::FieldComponents;
-use isoparticles_sizefield::feature::{Bumps, Features};
+use isoparticles_sizefield::feature::{Bumps, Features, Purpose};
 use isoparticles_sizefield::region::Ball;
 use isoparticles_sizefield::{Parameters, size_field};
 use isoparticles_stage::monitor::Silent;
@@ -26,7 +26,13 @@ fn sampled(n: usize, f: impl Fn(DVec3) -> f64) -> Image<f32> {
 fn features(image: &Image<f32>) -> Features {
     let surface = CubicSpline::new(image);
     let components = FieldComponents::new(&surface, &Silent).expect("not interrupted");
-    Features::new(image, &surface, &components, image.geometry.upper_corner().length(), Bumps::MayBeNoise)
+    Features::new(
+        image,
+        &surface,
+        &components,
+        image.geometry.upper_corner().length(),
+        (Bumps::MayBeNoise, Purpose::Grading),
+    )
 }
 
 /// Largest relative error of the local feature size against `truth` (point relative to the volume's centre).

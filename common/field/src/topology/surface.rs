@@ -28,6 +28,8 @@ pub(super) struct Surface {
     corners: Vec<u32>,
     /// The voxels with polygons, ascending, each with the component of all of them, [`SEVERAL`] where there is more than one.
     voxels: Vec<(u64, u32)>,
+    /// Where the voxels of each row along x begin in that list, and the end of the last row's.
+    rows: Vec<u32>,
     /// The cells that are neither certain nor halved, ascending.
     pub(super) undecided: Vec<Cell>,
 }
@@ -96,7 +98,8 @@ impl Surface {
             count += u32::from(first == crossing);
         }
         let components = components(&positions, &component_of, count as usize, &slices);
-        let voxels = slices.par_iter().flat_map_iter(|own| own.voxels(&component_of)).collect();
+        let voxels: Vec<(u64, u32)> = slices.par_iter().flat_map_iter(|own| own.voxels(&component_of)).collect();
+        let rows = rows(&voxels, cells.size());
         let mut new = Self {
             positions,
             component_of,
@@ -105,6 +108,7 @@ impl Surface {
             ends: Vec::new(),
             corners: Vec::new(),
             voxels,
+            rows,
             undecided: Vec::new(),
         };
         for own in slices {
@@ -151,14 +155,12 @@ impl Surface {
         let size = cells.size().map(|n| n as u64);
         let inside =
             row.map(|voxel| voxel.at.map(u64::from)).filter(move |at| (0..3).all(|axis| at[axis] < size[axis]));
-        let mut rest = &self.voxels[..];
         inside.filter_map(move |[i, j, k]| {
-            let number = (k * size[1] + j) * size[0] + i;
-            // those of a row follow each other closely
-            let near = rest.partition_point(|(own, _)| *own < number);
-            rest = &rest[near..];
-            let found = rest.first().filter(|(own, _)| *own == number)?;
-            Some(Some(found.1).filter(|&component| component != SEVERAL))
+            let row = k * size[1] + j;
+            let number = row * size[0] + i;
+            let [from, to] = [row, row + 1].map(|row| self.rows[row as usize] as usize);
+            let found = self.voxels[from..to].binary_search_by_key(&number, |&(own, _)| own).ok()?;
+            Some(Some(self.voxels[from + found].1).filter(|&component| component != SEVERAL))
         })
     }
 
@@ -302,6 +304,14 @@ impl Slice {
         }
         voxels
     }
+}
+
+/// Where the voxels of each row along x begin among some of a volume, which ascend, and the end of the last row's.
+fn rows(voxels: &[(u64, u32)], size: [usize; 3]) -> Vec<u32> {
+    let mut rows = vec![0; size[1] * size[2] + 1];
+    voxels.iter().for_each(|(voxel, _)| rows[*voxel as usize / size[0] + 1] += 1);
+    (1..rows.len()).for_each(|row| rows[row] += rows[row - 1]);
+    rows
 }
 
 /// The place of a cell that is not halved in the order of all: by voxel, x fastest, and within it as the halves follow each other.

@@ -84,7 +84,7 @@ pub(super) const HOPELESS_BEFORE_SETTLINGS: [f64; 3] = [-0.30, -0.008, -0.002];
 // --- sweeps over the whole mesh ---
 
 /// Side of a block over the mean length of the edges: some thousands of triangles, and an eighth of the vertices across its faces.
-pub(super) const BLOCK: f64 = 50.0;
+pub(super) const BLOCK: f64 = 35.0;
 /// Times that the four vertices of a flip are smoothed before it is judged.
 pub(super) const SWEEPS_OF_FLIP: usize = 2;
 /// Change of the summed quality of the triangles touched, after a sweep of that kind, below which a flip is given up: 18,210 of 19,752 flips in vain are below it after the

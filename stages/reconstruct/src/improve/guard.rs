@@ -10,7 +10,7 @@ use super::surface::{Facts, Surface};
 use glam::DVec3;
 use isoparticles_mesh::intersect::corners_cross;
 use isoparticles_mesh::quality::radius_ratio;
-use isoparticles_mesh::spatial::Bounds;
+use isoparticles_mesh::spatial::{Bounds, BoxTree};
 
 /// What a move must respect; where the surface was worse before, it must not get any worse.
 #[derive(Clone, Copy, Debug)]
@@ -329,13 +329,13 @@ fn cross(surface: &Surface, first: u32, second: u32) -> bool {
 }
 
 impl Surface<'_> {
-    /// Whether any triangle that has changed crosses another, in a surface whose grid holds all.
+    /// Whether any triangle that has changed crosses another.
     pub(super) fn crosses_in_all(&self) -> bool {
-        let Some(grid) = &self.grid else { return false };
-        let changed = (0..self.triangles.len() as u32).filter(|&t| self.is_alive(t) && self.has_changed(t));
-        changed.into_iter().any(|t| {
-            let is_first = |other: u32| other > t || other < t && !self.has_changed(other);
-            grid.any(&self.bounds(t), |other, _| is_first(other) && cross(self, t, other))
+        let alive: Vec<u32> = (0..self.triangles.len() as u32).filter(|&t| self.is_alive(t)).collect();
+        let boxes: Vec<Bounds> = alive.iter().map(|&t| self.bounds(t)).collect();
+        BoxTree::new(&boxes).any_pair(|a, b| {
+            let (a, b) = (alive[a as usize], alive[b as usize]);
+            (self.has_changed(a) || self.has_changed(b)) && cross(self, a, b)
         })
     }
 }

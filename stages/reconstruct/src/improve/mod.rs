@@ -46,6 +46,7 @@ use isoparticles_mesh::quality::{QualitySummary, summarise};
 use isoparticles_stage::error::{Error, Result};
 use isoparticles_volume::{Geometry, Image};
 use nodes::NodeSides;
+use rayon::prelude::*;
 use serde::Serialize;
 pub use sheets::{Freedom, Sheets};
 use surface::Surface;
@@ -254,13 +255,19 @@ pub fn improve_sheets(
         project_all(&mut surface, tally);
     }
 
-    report.off_surface = (0..surface.positions.len()).filter(|&v| is_off_surface(&surface, v)).count();
+    report.off_surface = off_surface(&surface).len();
     report.nodes_on_wrong_side =
         wrong_before.zip(surface.sides.as_ref().map(NodeSides::wrong_count)).map(|(before, after)| [before, after]);
     (*mesh, sheets.of_triangle, sheets.numbers) = surface.into_sheets();
     report.after = summarise(mesh);
     report.below_target = below(mesh);
     Ok(report)
+}
+
+/// The vertices that do not lie on F = 0, ascending.
+fn off_surface(surface: &Surface) -> Vec<u32> {
+    let numbers = 0..surface.positions.len() as u32;
+    numbers.into_par_iter().filter(|&v| is_off_surface(surface, v as usize)).collect()
 }
 
 fn is_off_surface(surface: &Surface, v: usize) -> bool {
@@ -275,9 +282,7 @@ fn is_off_surface(surface: &Surface, v: usize) -> bool {
 /// Brings vertices that do not lie on F = 0 there; one that cannot get there gives way to a neighbour that does.
 fn project_all(surface: &mut Surface, tally: &mut Tally) {
     let limits = &Limits::FOR_PROJECTION;
-    let off: Vec<u32> =
-        (0..surface.positions.len()).filter(|&v| is_off_surface(surface, v)).map(|v| v as u32).collect();
-    for v in off {
+    for v in off_surface(surface) {
         if surface.frozen[v as usize] || surface.degree(v) == 0 {
             continue;
         }

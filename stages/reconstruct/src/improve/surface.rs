@@ -402,11 +402,12 @@ pub(super) fn edges_of<'t>(triangles: impl IntoIterator<Item = &'t [u32; 3]>) ->
 
 fn typical_extent(mesh: &TriangleMesh) -> f64 {
     let mut extents: Vec<f64> = (0..mesh.triangles.len())
+        .into_par_iter()
         .map(|t| {
             let b = Bounds::of(&mesh.corners(t));
             (b.high - b.low).max_element()
         })
         .collect();
-    extents.sort_unstable_by(f64::total_cmp);
-    extents.get(extents.len() / 4).copied().unwrap_or(1.0)
+    let quarter = extents.len() / 4;
+    if extents.is_empty() { 1.0 } else { *extents.select_nth_unstable_by(quarter, f64::total_cmp).1 }
 }

@@ -46,6 +46,8 @@ pub(super) fn sweep(
     };
     let mut todo = vec![true; surface.positions.len()];
     let mut tallies = Vec::new();
+    // filled anew when all blocks are done
+    let grid = surface.grid.take().map(|grid| grid.emptied());
     let side = BLOCK * mean_edge(surface);
     for shift in [0.0, 0.5 * side] {
         let blocks = blocks(surface, &todo, side, shift);
@@ -55,14 +57,13 @@ pub(super) fn sweep(
                 let mut part = Patch::of(surface, &block.region, block.triangles.clone());
                 part.keep_free(|v| block.free.binary_search(&v).is_ok());
                 let todo = part.pick(&todo);
-                if looks_at_each {
-                    part.fill_grid(surface);
+                if looks_at_each && let Some(grid) = &grid {
+                    part.surface.fill_grid(grid.emptied());
                 }
                 Ok::<_, isoparticles_stage::error::Error>((work(&mut part.surface, &todo)?, part))
             };
             // triangles hardly ever come to cross: it is enough to look at the end, and to begin again where they do
             let (mut tally, mut part) = worked(false)?;
-            part.fill_grid(surface);
             if part.surface.crosses_in_all() {
                 (tally, part) = worked(true)?;
             }
@@ -74,6 +75,9 @@ pub(super) fn sweep(
             tallies.push(tally);
         }
         blocks.iter().flat_map(|block| &block.free).for_each(|&v| todo[v as usize] = false);
+    }
+    if let Some(grid) = grid {
+        surface.fill_grid(grid);
     }
     if todo.contains(&true) {
         tallies.push(work(surface, &todo)?);
@@ -322,7 +326,6 @@ mod tests {
             let to = field.project(from + steps * h * aside, RADIUS, 1e-6).expect("F = 0 is near");
             part.surface.move_vertex(17, to);
             part.surface.commit_as_it_is();
-            part.fill_grid(&whole);
             assert_eq!(part.surface.crosses_in_all(), crosses, "{steps} h aside");
         }
     }
