@@ -34,7 +34,7 @@ const WINDOW: f64 = 2.0;
 const LEAST_WINDOW: f64 = 2.0;
 
 /// Rounds that find the level. After six the volumes of heart and lungs are kept to 0.1 %.
-const ROUNDS: usize = 6;
+const ROUNDS: usize = 4;
 
 /// Furthest that the level moves in a round.
 const LONGEST_STEP: f64 = 0.15;

@@ -78,7 +78,7 @@ impl Default for Parameters {
     fn default() -> Self {
         Self {
             max_passes: 150,
-            defect_tolerance: 5e-3,
+            defect_tolerance: 7.5e-3,
             energy_tolerance: None,
             energy_window: 5,
             rest_share: 2e-3,

@@ -92,7 +92,7 @@ pub(super) const SWEEPS_OF_FLIP: usize = 2;
 pub(super) const HOPELESS_AFTER_SWEEP: f64 = -0.05;
 /// Visits of vertices by smoothing, beside one a vertex for each sweep asked for, after which it ends also where it still gains: up to 15,000 vertices it has come to rest by then. The lungs' 79,000 with
 /// 50,000, 100,000, 150,000 and 300,000: mean radius ratio 0.9909, 0.9914, 0.9917 and 0.9922, improvement 1.07, 1.07, 1.21 and 1.54 s.
-pub(super) const VISITS: usize = 100_000;
+pub(super) const VISITS: usize = 50_000;
 /// Deviation from F = 0 that sweeps may bring about, over the ordinary one. Where vertices are taken away: those of bone asked for 1,000, and the volume that a gyroid thinner than h
 /// loses by that, at 1: 1,182, 0.8 %; 1.67: 1,095; 2: 1,075, 4.9 %; 2.1: 1,062, 4.0 %; 2.2: 1,043, 5.1 %. Where vertices move and edges are flipped, which may fold as far as [`LOOSE_FOLD`] where F folds (that leaves
 /// 73 degrees within, as between the faces of a regular tetrahedron; [`LOOSE_FOLD_OF_F`] makes flatter tetrahedra of `heart_ct` at 20,000): at [`PRICE_OF_DEVIATION`].
