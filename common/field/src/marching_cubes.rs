@@ -6,6 +6,7 @@
 //! cells that share a face always draw the same segments on it; the segments link up into loops, and a loop is cut into
 //! triangles without any diagonal on a cell face. Hence every edge lies in exactly two triangles.
 
+use fearless_simd::{Level, Simd, dispatch, f32x16, prelude::*};
 use glam::DVec3;
 use isoparticles_mesh::TriangleMesh;
 use isoparticles_volume::Image;
@@ -19,8 +20,6 @@ const CLEARANCE: f64 = 1e-3;
 /// Slices that one task triangulates.
 const SLICES_PER_TASK: usize = 8;
 
-const NONE: u32 = u32::MAX;
-
 /// The surface between the samples below `iso` (inside) and the others, in the grid frame (mm).
 ///
 /// Triangles are counter-clockwise seen from the larger values. Values equal to `iso` count as outside, and so do
@@ -31,7 +30,7 @@ pub fn marching_cubes(image: &Image<f32>, iso: f32) -> TriangleMesh {
     if nx < 2 || ny < 2 || nz < 2 {
         return TriangleMesh::default();
     }
-    let grid = Grid { image, iso };
+    let grid = Grid { image, iso, inside: Inside::of(image, iso) };
     let slices: Vec<Vec<DVec3>> = (0..nz).into_par_iter().map(|k| grid.slice_vertices(k)).collect();
     let mut offsets = Vec::with_capacity(nz);
     let mut total = 0u32;
@@ -58,6 +57,69 @@ pub fn marching_cubes(image: &Image<f32>, iso: f32) -> TriangleMesh {
 struct Grid<'a> {
     image: &'a Image<f32>,
     iso: f32,
+    inside: Inside,
+}
+
+/// A bit for each node that is inside, rows along x from whole words on: most words of a row have nothing crossed in them.
+struct Inside {
+    words: Vec<u64>,
+    /// Words of a row.
+    width: usize,
+}
+
+/// Nodes of a word.
+const WORD: usize = u64::BITS as usize;
+
+/// Nodes that one lane operation compares.
+const LANES: usize = 16;
+
+impl Inside {
+    fn of(image: &Image<f32>, iso: f32) -> Self {
+        let nx = image.geometry.size[0];
+        let width = nx.div_ceil(WORD);
+        let mut words = vec![0; width * image.data.len() / nx];
+        let instructions = Level::new();
+        words.par_chunks_mut(width).zip(image.data.par_chunks(nx)).for_each(|(words, row)| {
+            dispatch!(instructions, simd => mark(simd, row, iso, words));
+        });
+        Self { words, width }
+    }
+
+    /// The words of a row, its number being j + ny k.
+    fn row(&self, row: usize) -> &[u64] {
+        &self.words[row * self.width..][..self.width]
+    }
+}
+
+/// Sets the bits of what is below `iso` in a row, in words that are zero.
+#[inline(always)]
+fn mark<S: Simd>(simd: S, row: &[f32], iso: f32, words: &mut [u64]) {
+    let (whole, rest) = row.as_chunks::<LANES>();
+    for (n, values) in whole.iter().enumerate() {
+        words[n * LANES / WORD] |= f32x16::simd_from(simd, *values).simd_lt(iso).to_bitmask() << (n * LANES % WORD);
+    }
+    for (n, &value) in (whole.len() * LANES..).zip(rest) {
+        words[n / WORD] |= u64::from(value < iso) << (n % WORD);
+    }
+}
+
+/// The bits of a word of a row, and of those one node on, of which the last of the row has none.
+fn with_next(row: &[u64], word: usize) -> (u64, u64) {
+    let next = row.get(word + 1).copied().unwrap_or(0);
+    (row[word], row[word] >> 1 | next << (WORD - 1))
+}
+
+/// The places of the bits that are set, ascending.
+fn each_bit(mut bits: u64, mut visit: impl FnMut(usize)) {
+    while bits != 0 {
+        visit(bits.trailing_zeros() as usize);
+        bits &= bits - 1;
+    }
+}
+
+/// The first so many bits of a word, all of them at most.
+fn first_bits(count: usize) -> u64 {
+    if count >= WORD { u64::MAX } else { (1 << count) - 1 }
 }
 
 /// Triangles of some slices of cells; indices from the number of edge vertices on count `centres`.
@@ -67,43 +129,37 @@ struct Part {
     centres: Vec<DVec3>,
 }
 
-/// Vertex numbers on the three grid edges that leave each node of a slice upwards, x fastest.
+/// Vertex numbers on the three grid edges that leave each node of a slice upwards, x fastest; any number on those that are not crossed.
 struct SliceNumbers {
     on_edge: Vec<[u32; 3]>,
 }
 
 impl Grid<'_> {
     /// Visits the crossed grid edges that start in slice `k`, in the order of the vertex numbers.
-    fn each_crossing(&self, k: usize, mut visit: impl FnMut(usize, usize, usize, f32, f32)) {
+    fn each_crossing(&self, k: usize, mut visit: impl FnMut(usize, usize, usize)) {
         let [nx, ny, nz] = self.image.geometry.size;
-        let data = &self.image.data;
         for j in 0..ny {
-            let row = (k * ny + j) * nx;
-            for i in 0..nx {
-                let a = data[row + i];
-                let inside = a < self.iso;
-                let mut edge = |axis: usize, end: usize| {
-                    let b = data[end];
-                    if (b < self.iso) != inside {
-                        visit(i, j, axis, a, b);
-                    }
-                };
-                if i + 1 < nx {
-                    edge(0, row + i + 1);
-                }
-                if j + 1 < ny {
-                    edge(1, row + i + nx);
-                }
-                if k + 1 < nz {
-                    edge(2, row + i + nx * ny);
-                }
+            let row = k * ny + j;
+            let own = self.inside.row(row);
+            let along_y = if j + 1 < ny { self.inside.row(row + 1) } else { own };
+            let along_z = if k + 1 < nz { self.inside.row(row + ny) } else { own };
+            for word in 0..own.len() {
+                let (at, next) = with_next(own, word);
+                let first = word * WORD;
+                let crossed = [(at ^ next) & first_bits(nx - 1 - first), at ^ along_y[word], at ^ along_z[word]];
+                each_bit(crossed[0] | crossed[1] | crossed[2], |bit| {
+                    (0..3).filter(|&axis| crossed[axis] >> bit & 1 == 1).for_each(|axis| visit(first + bit, j, axis));
+                });
             }
         }
     }
 
     fn slice_vertices(&self, k: usize) -> Vec<DVec3> {
+        let [nx, ny, _] = self.image.geometry.size;
         let mut vertices = Vec::new();
-        self.each_crossing(k, |i, j, axis, a, b| {
+        self.each_crossing(k, |i, j, axis| {
+            let at = (k * ny + j) * nx + i;
+            let [a, b] = [at, at + [1, nx, nx * ny][axis]].map(|n| self.image.data[n]);
             let t = (f64::from(self.iso) - f64::from(a)) / (f64::from(b) - f64::from(a));
             let t = if t.is_finite() { t.clamp(CLEARANCE, 1.0 - CLEARANCE) } else { 0.5 };
             let index = DVec3::new(i as f64, j as f64, k as f64) + DVec3::AXES[axis] * t;
@@ -112,38 +168,40 @@ impl Grid<'_> {
         vertices
     }
 
-    fn slice_numbers(&self, k: usize, offset: u32) -> SliceNumbers {
-        let [nx, ny, _] = self.image.geometry.size;
-        let mut on_edge = vec![[NONE; 3]; nx * ny];
+    /// Writes the numbers on the crossed edges of slice `k`, from `offset` on; the others stay what they are.
+    fn number(&self, k: usize, offset: u32, numbers: &mut SliceNumbers) {
+        let nx = self.image.geometry.size[0];
         let mut next = offset;
-        self.each_crossing(k, |i, j, axis, _, _| {
-            on_edge[j * nx + i][axis] = next;
+        self.each_crossing(k, |i, j, axis| {
+            numbers.on_edge[j * nx + i][axis] = next;
             next += 1;
         });
-        SliceNumbers { on_edge }
     }
 
     fn triangulate(&self, slices: &[usize], offsets: &[u32], total: u32, vertices: &[DVec3]) -> Part {
         let [nx, ny, _] = self.image.geometry.size;
         let table = table();
         let mut part = Part::default();
-        let mut lower = self.slice_numbers(slices[0], offsets[slices[0]]);
+        let [mut lower, mut upper] = [0, 1].map(|_| SliceNumbers { on_edge: vec![[0; 3]; nx * ny] });
+        self.number(slices[0], offsets[slices[0]], &mut lower);
         for &k in slices {
-            let upper = self.slice_numbers(k + 1, offsets[k + 1]);
-            for j in 0..ny - 1 {
-                let mut case = self.column(0, j, k) << 4;
-                for i in 0..nx - 1 {
-                    case = case >> 4 | self.column(i + 1, j, k) << 4;
-                    if case == 0 || case == 255 {
-                        continue;
-                    }
+            self.number(k + 1, offsets[k + 1], &mut upper);
+            for (j, word) in (0..ny - 1).flat_map(|j| (0..self.inside.width).map(move |word| (j, word))) {
+                // y fastest, as the corners of a cell are numbered
+                let rows = [0, 1, ny, ny + 1].map(|n| with_next(self.inside.row(k * ny + j + n), word));
+                let any = rows.iter().fold(0, |all, (at, next)| all | at | next);
+                let every = rows.iter().fold(u64::MAX, |all, (at, next)| all & at & next);
+                each_bit(any & !every & first_bits(nx - 1 - word * WORD), |bit| {
+                    let i = word * WORD + bit;
+                    let corner = |n: usize, bits: u64| (bits >> bit & 1) << n;
+                    let case: u64 = (0..4).map(|n| corner(n, rows[n].0) | corner(n + 4, rows[n].1)).sum();
                     let number = |e: u8| {
                         let edge = EDGES[usize::from(e)];
                         let [di, dj, dk] = offset(edge.corner);
                         let slice = if dk == 0 { &lower } else { &upper };
                         slice.on_edge[(j + dj) * nx + i + di][edge.axis]
                     };
-                    let case = &table[usize::from(case)];
+                    let case = &table[case as usize];
                     let variant = self.joined_faces(&case.ambiguous, (k * ny + j) * nx + i);
                     for piece in &case.variants[variant] {
                         match piece {
@@ -161,9 +219,9 @@ impl Grid<'_> {
                             }
                         }
                     }
-                }
+                });
             }
-            lower = upper;
+            std::mem::swap(&mut lower, &mut upper);
         }
         part
     }
@@ -180,14 +238,6 @@ impl Grid<'_> {
             usize::from(inside_corners_are_joined([a, c], [b, d])) << n
         });
         joined.sum()
-    }
-
-    /// Inside bits of the four nodes at (i, j..j+2, k..k+2), y fastest.
-    fn column(&self, i: usize, j: usize, k: usize) -> u8 {
-        let [nx, ny, _] = self.image.geometry.size;
-        let at = (k * ny + j) * nx + i;
-        let bit = |n: usize| u8::from(self.image.data[n] < self.iso);
-        bit(at) | bit(at + nx) << 1 | bit(at + nx * ny) << 2 | bit(at + nx * ny + nx) << 3
     }
 }
 

@@ -112,6 +112,7 @@ impl Redistanced {
 
 impl Implicit for Source {
     /// First-order distance to the surface, cut at the border, and its gradient.
+    #[inline(always)]
     fn value_gradient(&self, grid: DVec3) -> (f64, DVec3) {
         let (f, g) = self.spline.value_gradient(grid);
         self.cap
@@ -121,6 +122,7 @@ impl Implicit for Source {
 }
 
 /// Value over slope; where there is no slope, far away on the side of the value (zero being outside).
+#[inline(always)]
 pub(crate) fn first_order_distance(value: f64, slope: f64) -> f64 {
     if slope > 1e-12 {
         value / slope

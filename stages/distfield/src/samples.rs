@@ -2,6 +2,7 @@
 //! by Newton steps along the gradient (Eq. 5 with its sign mended). Distances are measured to them, and
 //! [`crate::fit`] pins the zero set of F on them.
 
+use fearless_simd::{Level, dispatch};
 use glam::DVec3;
 use isoparticles_mesh::TriangleMesh;
 use isoparticles_volume::Image;
@@ -19,6 +20,9 @@ impl<T: Fn(DVec3) -> (f64, DVec3) + Sync> Implicit for T {
     }
 }
 
+/// Samples that one task finds.
+const CHUNK: usize = 256;
+
 /// Newton steps allowed to a sample.
 const STEPS: usize = 12;
 
@@ -35,13 +39,26 @@ const REACH: f64 = 0.75;
 /// left out.
 pub fn surface_samples<I: Implicit>(implicit: &I, image: &Image<f32>, mesh: &TriangleMesh) -> Vec<DVec3> {
     let voxel = image.geometry.min_spacing();
-    let vertices = mesh
-        .vertices
-        .par_iter()
-        .map(|&v| project(implicit, v, voxel).unwrap_or_else(|| bisect_edge(implicit, image, v)));
-    let centres = mesh.triangles.par_iter().filter_map(|t| {
-        let centre = t.iter().map(|&v| mesh.vertices[v as usize]).sum::<DVec3>() / 3.0;
-        project(implicit, centre, voxel)
+    let instructions = Level::new();
+    // loops, and no closures for each: those would not be compiled for the instructions at hand
+    let vertices = mesh.vertices.par_chunks(CHUNK).flat_map_iter(|chunk| {
+        let mut found = Vec::with_capacity(chunk.len());
+        dispatch!(instructions, _simd => {
+            for &v in chunk {
+                found.push(project(implicit, v, voxel).unwrap_or_else(|| bisect_edge(implicit, image, v)));
+            }
+        });
+        found
+    });
+    let centres = mesh.triangles.par_chunks(CHUNK).flat_map_iter(|chunk| {
+        let mut found = Vec::with_capacity(chunk.len());
+        dispatch!(instructions, _simd => {
+            for [a, b, c] in chunk {
+                let [a, b, c] = [a, b, c].map(|v| mesh.vertices[*v as usize]);
+                found.extend(project(implicit, (a + b + c) / 3.0, voxel));
+            }
+        });
+        found
     });
     let mut samples: Vec<DVec3> = vertices.collect();
     samples.par_extend(centres);
@@ -49,6 +66,7 @@ pub fn surface_samples<I: Implicit>(implicit: &I, image: &Image<f32>, mesh: &Tri
 }
 
 /// The point on the zero set near `start`; `None` when it is more than `REACH` voxels away or the gradient vanishes.
+#[inline(always)]
 pub fn project<I: Implicit>(implicit: &I, start: DVec3, voxel: f64) -> Option<DVec3> {
     let mut p = start;
     for _ in 0..STEPS {

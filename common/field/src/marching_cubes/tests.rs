@@ -1,6 +1,7 @@
 //! Marching cubes on shapes of known topology, area and volume.
 
 use super::*;
+use crate::random::uniform;
 use isoparticles_volume::Geometry;
 use proptest::prelude::*;
 use std::collections::HashMap;
@@ -128,6 +129,38 @@ fn empty_full_and_flat_images_have_no_surface() {
     for (size, value) in [([4, 4, 4], 1.0), ([4, 4, 4], -1.0), ([1, 4, 4], -1.0)] {
         let mesh = marching_cubes(&sampled(size, DVec3::ONE, |_| value), 0.0);
         assert!(mesh.triangles.is_empty() && mesh.vertices.is_empty());
+    }
+}
+
+#[test]
+fn rows_of_any_number_of_words_have_a_vertex_on_every_crossed_edge() {
+    for nx in [3, 15, 16, 17, 63, 64, 65, 128, 131] {
+        let size = [nx, 6, 5];
+        let mut field = sampled(size, DVec3::ONE, |_| 1.0);
+        let inner = |n: usize, axis: usize| n > 0 && n + 1 < size[axis];
+        let all = || (0..nx * 30).map(|n| [n % nx, n / nx % 6, n / nx / 6]);
+        for (n, [i, j, k]) in all().enumerate().filter(|(_, [i, j, k])| inner(*i, 0) && inner(*j, 1) && inner(*k, 2)) {
+            let random = uniform(7, nx as u64, n as u64) as f32;
+            let at = field.geometry.linear(i, j, k);
+            // not a number is outside
+            field.data[at] = if random > 0.95 { f32::NAN } else { random - 0.5 };
+        }
+        let is_inside = |[i, j, k]: [usize; 3]| field.data[field.geometry.linear(i, j, k)] < 0.0;
+        let crossed = |from: [usize; 3]| {
+            (0..3)
+                .filter(|&axis| {
+                    let mut to = from;
+                    to[axis] += 1;
+                    to[axis] < size[axis] && is_inside(from) != is_inside(to)
+                })
+                .count()
+        };
+        let mesh = marching_cubes(&field, 0.0);
+        check_closed(&mesh);
+        // those of loops that are cut round an extra vertex lie within cells
+        let off_grid = |x: f64| x != x.round();
+        let on_edges = mesh.vertices.iter().filter(|v| v.to_array().into_iter().filter(|&x| off_grid(x)).count() == 1);
+        assert_eq!(on_edges.count(), all().map(crossed).sum::<usize>(), "rows of {nx}");
     }
 }
 

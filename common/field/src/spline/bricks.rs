@@ -146,8 +146,8 @@ impl BrickSpline {
         &self.geometry
     }
 
-    /// F and its gradient at a grid position (clamped to the volume).
-    #[inline]
+    /// F and its gradient at a grid position (clamped to the volume). Inlined, so that it is compiled for the instructions that the caller has.
+    #[inline(always)]
     pub fn value_gradient(&self, grid: DVec3) -> (f64, DVec3) {
         match self.brick(grid) {
             Ok((stencil, brick)) => stencil.value_gradient(brick, self.geometry.spacing),
@@ -165,7 +165,7 @@ impl BrickSpline {
     }
 
     /// The stencil of a place and the coefficients of its brick, or the sign of the spline.
-    #[inline]
+    #[inline(always)]
     fn brick(&self, grid: DVec3) -> Result<(Stencil, &[f32]), f64> {
         let stencil = Stencil::new(&self.geometry, grid);
         let at = stencil.cell().map(|n| n / CELLS);

@@ -48,7 +48,7 @@ impl Stencil {
     }
 
     /// The same, for coefficients of a block of `side` in each direction whose first is one below `first` along each axis.
-    #[inline]
+    #[inline(always)]
     pub(super) fn within_block(mut self, first: [usize; 3], side: usize) -> Self {
         for (at, first) in [&mut self.ix, &mut self.iy, &mut self.iz].into_iter().zip(first) {
             *at = at.map(|n| n + 1 - first);

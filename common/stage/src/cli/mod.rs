@@ -119,11 +119,14 @@ pub fn exit_code(result: &Result<Outcome>) -> u8 {
     }
 }
 
+/// Stack of a thread, bytes: that of the main thread on Linux.
+const STACK: usize = 8 << 20;
+
 /// Runs a stage program: reads the command line, sets up threads and signals, checks the outputs, does the work, prints
 /// the closing table and the error, writes the report and returns the exit code.
-pub fn run_stage<A: clap::Parser + StageArgs>(
+pub fn run_stage<A: clap::Parser + StageArgs + Sync>(
     tool: &'static str,
-    run: impl FnOnce(&A, &Context) -> Result<Outcome>,
+    run: impl FnOnce(&A, &Context) -> Result<Outcome> + Send,
 ) -> ExitCode {
     let words: Vec<String> = std::env::args_os().skip(1).map(|word| word.to_string_lossy().into_owned()).collect();
     if let Some(code) = shell::told(&words.iter().map(String::as_str).collect::<Vec<_>>(), A::command) {
@@ -147,7 +150,9 @@ pub fn run_stage<A: clap::Parser + StageArgs>(
     }
     let context = Context::new(tool, command_line, common, args.parameters()).with_outputs(outputs);
     interrupt::install();
-    let result = report.and_then(|()| prepare(&args, &context)).and_then(|()| run(&args, &context));
+    let ready = report.and_then(|()| prepare(&args, &context));
+    // on a thread of the pool: from any other, each of thousands of parallel loops would put it to sleep and wake it up again
+    let result = ready.and_then(|()| rayon::scope(|_| run(&args, &context)));
     let result = context.close(result);
     ExitCode::from(exit_code(&result))
 }
@@ -182,7 +187,9 @@ fn same_file(a: &Path, b: &Path) -> bool {
 /// Everything that can be refused before the work starts.
 fn prepare<A: StageArgs>(args: &A, context: &Context) -> Result<()> {
     let common = args.common();
-    if common.threads > 0 && rayon::ThreadPoolBuilder::new().num_threads(common.threads).build_global().is_err() {
+    // 0 is a thread for each core
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(common.threads).stack_size(STACK);
+    if pool.build_global().is_err() {
         context.verbose("the thread pool was set up already; --threads has no effect");
     }
     let outputs = args.outputs();
