@@ -4,6 +4,7 @@ use crate::cap::BorderBox;
 use crate::crop::{CutFaces, VoxelBox};
 use crate::field::{Demands, LeastDistances, Redistanced, Source, first_order_distance, redistance_with};
 use crate::{Border, Inside, Keep};
+use fearless_simd::{Level, dispatch};
 use glam::DVec3;
 use isoparticles_field::spline::{BrickSplineBuilder, Coefficients, CubicSpline, Layer, SlabFilter};
 use isoparticles_stage::error::{Error, Result};
@@ -225,22 +226,30 @@ impl Input {
         let ([nx, ny, nz], [px, py, _]) = (self.geometry.size, padded.size);
         let own = &mut data[layer.own.start * px * py..layer.own.end * px * py];
         let below = DVec3::Z * (layer.slices.start as f64 * padded.spacing.z);
+        let instructions = Level::new();
         own.par_chunks_mut(px).enumerate().for_each(|(row, values)| {
             let (j, k) = (row % py, layer.own.start + row / py);
             let within = (margin..margin + ny).contains(&j) && (margin..margin + nz).contains(&k);
             if within {
                 self.copy_signed(k - margin, (j - margin) * nx, &mut values[margin..margin + nx]);
             }
-            for (i, value) in values.iter_mut().enumerate() {
-                let node = padded.index_to_grid(DVec3::new(i as f64, j as f64, k as f64));
-                if !within || !(margin..margin + nx).contains(&i) {
-                    *value = slab.value(node - below) as f32;
+            dispatch!(instructions, _simd => {
+                for (i, value) in values.iter_mut().enumerate() {
+                    let node = padded.index_to_grid(DVec3::new(i as f64, j as f64, k as f64));
+                    let is_beyond = !within || !(margin..margin + nx).contains(&i);
+                    let cap = cap.filter(|cap| !cap.is_deep(node));
+                    if is_beyond || cap.is_some() {
+                        let (f, gradient) = slab.value_gradient(node - below);
+                        if is_beyond {
+                            *value = f as f32;
+                        }
+                        if let Some(cap) = cap {
+                            let distance = first_order_distance(f64::from(*value), gradient.length());
+                            *value = cap.intersect(node, distance, DVec3::ZERO).0 as f32;
+                        }
+                    }
                 }
-                if let Some(cap) = cap.filter(|cap| !cap.is_deep(node)) {
-                    let slope = slab.value_gradient(node - below).1.length();
-                    *value = cap.intersect(node, first_order_distance(f64::from(*value), slope), DVec3::ZERO).0 as f32;
-                }
-            }
+            });
         });
     }
 }
