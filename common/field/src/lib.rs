@@ -25,6 +25,7 @@ pub mod energy;
 pub mod marching_cubes;
 pub mod materials;
 pub mod neighbours;
+mod node_bits;
 pub mod particle_set;
 pub mod random;
 pub mod sizing;

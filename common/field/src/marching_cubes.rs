@@ -6,7 +6,7 @@
 //! cells that share a face always draw the same segments on it; the segments link up into loops, and a loop is cut into
 //! triangles without any diagonal on a cell face. Hence every edge lies in exactly two triangles.
 
-use fearless_simd::{Level, Simd, dispatch, f32x16, prelude::*};
+use crate::node_bits::{NodeBits, Side, WORD, each_bit, first_bits, shifted};
 use glam::DVec3;
 use isoparticles_mesh::TriangleMesh;
 use isoparticles_volume::Image;
@@ -30,7 +30,7 @@ pub fn marching_cubes(image: &Image<f32>, iso: f32) -> TriangleMesh {
     if nx < 2 || ny < 2 || nz < 2 {
         return TriangleMesh::default();
     }
-    let grid = Grid { image, iso, inside: Inside::of(image, iso) };
+    let grid = Grid { image, iso, inside: NodeBits::of(&image.data, nx, Side::Below, iso) };
     let slices: Vec<Vec<DVec3>> = (0..nz).into_par_iter().map(|k| grid.slice_vertices(k)).collect();
     let mut offsets = Vec::with_capacity(nz);
     let mut total = 0u32;
@@ -57,69 +57,8 @@ pub fn marching_cubes(image: &Image<f32>, iso: f32) -> TriangleMesh {
 struct Grid<'a> {
     image: &'a Image<f32>,
     iso: f32,
-    inside: Inside,
-}
-
-/// A bit for each node that is inside, rows along x from whole words on: most words of a row have nothing crossed in them.
-struct Inside {
-    words: Vec<u64>,
-    /// Words of a row.
-    width: usize,
-}
-
-/// Nodes of a word.
-const WORD: usize = u64::BITS as usize;
-
-/// Nodes that one lane operation compares.
-const LANES: usize = 16;
-
-impl Inside {
-    fn of(image: &Image<f32>, iso: f32) -> Self {
-        let nx = image.geometry.size[0];
-        let width = nx.div_ceil(WORD);
-        let mut words = vec![0; width * image.data.len() / nx];
-        let instructions = Level::new();
-        words.par_chunks_mut(width).zip(image.data.par_chunks(nx)).for_each(|(words, row)| {
-            dispatch!(instructions, simd => mark(simd, row, iso, words));
-        });
-        Self { words, width }
-    }
-
-    /// The words of a row, its number being j + ny k.
-    fn row(&self, row: usize) -> &[u64] {
-        &self.words[row * self.width..][..self.width]
-    }
-}
-
-/// Sets the bits of what is below `iso` in a row, in words that are zero.
-#[inline(always)]
-fn mark<S: Simd>(simd: S, row: &[f32], iso: f32, words: &mut [u64]) {
-    let (whole, rest) = row.as_chunks::<LANES>();
-    for (n, values) in whole.iter().enumerate() {
-        words[n * LANES / WORD] |= f32x16::simd_from(simd, *values).simd_lt(iso).to_bitmask() << (n * LANES % WORD);
-    }
-    for (n, &value) in (whole.len() * LANES..).zip(rest) {
-        words[n / WORD] |= u64::from(value < iso) << (n % WORD);
-    }
-}
-
-/// The bits of a word of a row, and of those one node on, of which the last of the row has none.
-fn with_next(row: &[u64], word: usize) -> (u64, u64) {
-    let next = row.get(word + 1).copied().unwrap_or(0);
-    (row[word], row[word] >> 1 | next << (WORD - 1))
-}
-
-/// The places of the bits that are set, ascending.
-fn each_bit(mut bits: u64, mut visit: impl FnMut(usize)) {
-    while bits != 0 {
-        visit(bits.trailing_zeros() as usize);
-        bits &= bits - 1;
-    }
-}
-
-/// The first so many bits of a word, all of them at most.
-fn first_bits(count: usize) -> u64 {
-    if count >= WORD { u64::MAX } else { (1 << count) - 1 }
+    /// Most words of a row have nothing crossed in them.
+    inside: NodeBits,
 }
 
 /// Triangles of some slices of cells; indices from the number of edge vertices on count `centres`.
@@ -144,7 +83,7 @@ impl Grid<'_> {
             let along_y = if j + 1 < ny { self.inside.row(row + 1) } else { own };
             let along_z = if k + 1 < nz { self.inside.row(row + ny) } else { own };
             for word in 0..own.len() {
-                let (at, next) = with_next(own, word);
+                let (at, next) = (own[word], shifted(own, word, 1));
                 let first = word * WORD;
                 let crossed = [(at ^ next) & first_bits(nx - 1 - first), at ^ along_y[word], at ^ along_z[word]];
                 each_bit(crossed[0] | crossed[1] | crossed[2], |bit| {
@@ -186,9 +125,12 @@ impl Grid<'_> {
         self.number(slices[0], offsets[slices[0]], &mut lower);
         for &k in slices {
             self.number(k + 1, offsets[k + 1], &mut upper);
-            for (j, word) in (0..ny - 1).flat_map(|j| (0..self.inside.width).map(move |word| (j, word))) {
+            for (j, word) in (0..ny - 1).flat_map(|j| (0..self.inside.width()).map(move |word| (j, word))) {
                 // y fastest, as the corners of a cell are numbered
-                let rows = [0, 1, ny, ny + 1].map(|n| with_next(self.inside.row(k * ny + j + n), word));
+                let rows = [0, 1, ny, ny + 1].map(|n| {
+                    let row = self.inside.row(k * ny + j + n);
+                    (row[word], shifted(row, word, 1))
+                });
                 let any = rows.iter().fold(0, |all, (at, next)| all | at | next);
                 let every = rows.iter().fold(u64::MAX, |all, (at, next)| all & at & next);
                 each_bit(any & !every & first_bits(nx - 1 - word * WORD), |bit| {

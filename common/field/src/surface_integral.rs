@@ -7,7 +7,7 @@
 
 use crate::spline::CubicSpline;
 use crate::spline::bezier::{BezierPoints, ORDER};
-use crate::topology::sign_changes;
+use crate::topology::Signs;
 use glam::DVec3;
 use rayon::prelude::*;
 
@@ -28,11 +28,11 @@ const ACCURACY: f64 = 1e-7;
 /// number of threads.
 pub fn integrate(surface: &CubicSpline, density: impl Fn(DVec3, DVec3) -> f64 + Sync) -> f64 {
     let size = surface.geometry().size.map(|n| n.saturating_sub(1));
+    let signs = Signs::of(surface);
     let layers: Vec<f64> = (0..size[2])
         .into_par_iter()
         .map(|k| {
-            let changes = sign_changes(surface, size, k, 0);
-            let cells = (0..changes.len()).filter(|&n| changes[n]).map(|n| [n % size[0], n / size[0], k]);
+            let cells = signs.changes(k, 0).into_iter().map(|n| [n % size[0], n / size[0], k]);
             let crossed = cells.filter_map(|cell| Some((cell, surface.bezier_points_round_zero(cell)?)));
             crossed.map(|(cell, points)| integrate_cell(surface, cell, &points, &density)).sum()
         })

@@ -98,7 +98,8 @@ impl CubicSpline {
         distance_estimate(value, gradient)
     }
 
-    /// F, gradient and Hessian at a grid position (clamped to the volume).
+    /// F, gradient and Hessian at a grid position (clamped to the volume). Inlined as [`Self::value_gradient`] is, to be compiled for the caller's instructions.
+    #[inline(always)]
     pub fn jet(&self, grid: DVec3) -> Jet {
         Stencil::new(&self.geometry, grid).jet(&self.coefficients, self.geometry.spacing)
     }

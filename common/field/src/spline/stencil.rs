@@ -118,7 +118,7 @@ impl Stencil {
     }
 
     /// Value, gradient and Hessian.
-    #[inline]
+    #[inline(always)]
     pub(crate) fn jet(&self, coefficients: &[f32], s: DVec3) -> Jet {
         let (x, y, z) = (&self.x, &self.y, &self.z);
         // derivatives by y and z that are still to be summed over x: none, y, z, yy, zz, yz

@@ -1,6 +1,7 @@
 //! The cells of the volume, halved where F = 0 is not certain in them, until it is or they are as small as they get.
 
 use super::bernstein::Bernstein;
+use super::signs::Signs;
 use super::watch::{Interrupted, Watch};
 use crate::spline::CubicSpline;
 use glam::DVec3;
@@ -115,7 +116,8 @@ impl Cells {
     /// one of less than half its size: the balance that the surface of the cells' corner signs needs to be F = 0 but for an isotopy.
     pub(super) fn new(field: &CubicSpline, watch: &Watch<'_>) -> Result<Self, Interrupted> {
         let size = field.geometry().size.map(|n| n.saturating_sub(1));
-        let states = |k| watch.slice().map(|()| states_of_slice(field, size, k));
+        let signs = Signs::of(field);
+        let states = |k| watch.slice().map(|()| states_of_slice(field, &signs, size, k));
         let slices = (0..size[2]).into_par_iter().map(states).collect::<Result<Vec<_>, _>>()?;
         let mut new = Self { size, voxels: Vec::new(), halves: Vec::new() };
         for (voxels, halves) in slices {
@@ -354,14 +356,14 @@ fn halves_of_graph(field: &CubicSpline, cell: Cell) -> [State; 8] {
 }
 
 /// The states of the voxel cells of a slice, and of the halves of those that are halved.
-fn states_of_slice(field: &CubicSpline, size: [usize; 3], k: usize) -> (Vec<State>, Vec<[State; 8]>) {
-    let may_change = sign_changes(field, size, k, 0);
+fn states_of_slice(field: &CubicSpline, signs: &Signs, size: [usize; 3], k: usize) -> (Vec<State>, Vec<[State; 8]>) {
     let mut halving = Halving::default();
-    let state = |(n, may_change): (usize, bool)| {
-        let crossed = may_change.then(|| Bernstein::of_crossed_cell(field, [n % size[0], n / size[0], k])).flatten();
-        crossed.map_or(State::Clear, |whole| halving.voxel(&whole))
-    };
-    let states = may_change.into_iter().enumerate().map(state).collect();
+    let mut states = vec![State::Clear; size[0] * size[1]];
+    for n in signs.changes(k, 0) {
+        if let Some(whole) = Bernstein::of_crossed_cell(field, [n % size[0], n / size[0], k]) {
+            states[n] = halving.voxel(&whole);
+        }
+    }
     (states, halving.halves)
 }
 
@@ -414,27 +416,4 @@ impl Halving {
         }
         State::Halved(number as u32)
     }
-}
-
-/// Whether the spline coefficients that the voxel cells of a slice, and those around each as many as said, read have both signs: where they have one,
-/// F has no other there, which is a mean of them (convex hull property). The cheapest test comes first.
-pub(crate) fn sign_changes(field: &CubicSpline, size: [usize; 3], k: usize, around: usize) -> Vec<bool> {
-    let [nx, ny, nz] = field.geometry().size;
-    let signs = |c: f32| u8::from(c > 0.0) | u8::from(c < 0.0) << 1;
-    // the coefficients that mirroring at the border adds are among the others
-    let reach = |cell: usize, n: usize| cell.saturating_sub(1 + around)..(cell + 3 + around).min(n);
-    let mut along_z = vec![3u8; nx * ny];
-    for slice in reach(k, nz).map(|k| &field.coefficients()[k * nx * ny..][..nx * ny]) {
-        along_z.iter_mut().zip(slice).for_each(|(all, &c)| *all &= signs(c));
-    }
-    let mut changes = Vec::with_capacity(size[0] * size[1]);
-    let mut row = vec![3u8; nx];
-    for j in 0..size[1] {
-        row.fill(3);
-        for other in reach(j, ny) {
-            row.iter_mut().zip(&along_z[other * nx..]).for_each(|(all, &own)| *all &= own);
-        }
-        changes.extend((0..size[0]).map(|i| row[reach(i, nx)].iter().fold(3, |all, &own| all & own) == 0));
-    }
-    changes
 }

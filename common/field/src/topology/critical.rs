@@ -5,9 +5,10 @@
 //! (2004) mesh implicit surfaces by that rule. A point on the wrong side says where the mesh lacks points.
 
 use super::bernstein::Bernstein;
-use super::cells::sign_changes;
+use super::signs::Signs;
 use super::watch::{Interrupted, Watch};
 use crate::spline::CubicSpline;
+use fearless_simd::{Level, dispatch};
 use glam::{DMat3, DVec3};
 use isoparticles_file::monitor::Silent;
 use rayon::prelude::*;
@@ -73,16 +74,22 @@ pub(super) fn all(field: &CubicSpline, watch: &Watch<'_>) -> Result<Vec<Critical
     let size = geometry.size;
     let voxel = geometry.mean_spacing();
     let cells = [0, 1, 2].map(|axis| size[axis].saturating_sub(1));
+    let (signs, instructions) = (Signs::of(field), Level::new());
     let in_slice = |k: usize| {
         watch.slice()?;
-        let may_change = sign_changes(field, cells, k, 1).into_iter().enumerate();
-        let near = may_change.filter(|(_, change)| *change).map(|(n, _)| [n % cells[0], n / cells[0], k]);
-        let flat = near.filter(|cell| {
-            let index = DVec3::from_array(cell.map(|n| n as f64 + 0.5));
-            may_be_flat(field, geometry.index_to_grid(index), voxel)
-                && Bernstein::of_cell(field, *cell).may_be_critical()
+        let near = signs.changes(k, 1);
+        let mut flat = Vec::new();
+        dispatch!(instructions, _simd => {
+            for cell in near.into_iter().map(|n| [n % cells[0], n / cells[0], k]) {
+                let index = DVec3::from_array(cell.map(|n| n as f64 + 0.5));
+                if may_be_flat(field, geometry.index_to_grid(index), voxel) {
+                    flat.push(cell);
+                }
+            }
         });
-        let starts = flat.flat_map(|cell| STARTS.map(|offset| DVec3::from_array(cell.map(|n| n as f64)) + offset));
+        flat.retain(|&cell| Bernstein::of_cell(field, cell).may_be_critical());
+        let starts =
+            flat.into_iter().flat_map(|cell| STARTS.map(|offset| DVec3::from_array(cell.map(|n| n as f64)) + offset));
         Ok(starts.filter_map(|index| newton(field, geometry.index_to_grid(index), REACH * voxel)).collect::<Vec<_>>())
     };
     let places = (0..cells[2]).into_par_iter().map(in_slice).collect::<Result<Vec<_>, _>>()?;
@@ -115,6 +122,7 @@ fn keep_apart(points: &mut [DVec3], limit: f64, axis: usize, uncut: usize, apart
 }
 
 /// Whether the gradient may vanish in the cell round a point: by the Hessian there, with a margin for its change.
+#[inline(always)]
 fn may_be_flat(field: &CubicSpline, p: DVec3, voxel: f64) -> bool {
     let jet = field.jet(p);
     let hessian = jet.hessian.to_cols_array().iter().map(|x| x * x).sum::<f64>().sqrt();

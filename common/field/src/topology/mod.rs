@@ -17,6 +17,7 @@ mod cells;
 mod critical;
 mod locate;
 mod polygons;
+mod signs;
 mod surface;
 #[cfg(test)]
 mod tests;
@@ -25,13 +26,13 @@ mod watch;
 
 use crate::spline::CubicSpline;
 use cells::Cells;
-pub(crate) use cells::sign_changes;
 pub use critical::{CriticalPoint, critical_points};
 use glam::DVec3;
 use isoparticles_file::monitor::{Interrupted, Monitor, Silent};
 use isoparticles_mesh::TriangleMesh;
 use isoparticles_mesh::spatial::Bounds;
 use serde::Serialize;
+pub(crate) use signs::Signs;
 use surface::Surface;
 pub use undecided::{Group, Groups, Undecided, UndecidedKind};
 use watch::Watch;

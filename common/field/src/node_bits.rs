@@ -1,0 +1,139 @@
+//! A bit for each node of a grid, in rows of whole words: what changes from node to node is found for 64 of them at once.
+
+use fearless_simd::{Level, Simd, dispatch, f32x16, prelude::*};
+use rayon::prelude::*;
+
+/// Nodes of a word.
+pub(crate) const WORD: usize = u64::BITS as usize;
+
+/// Nodes that one lane operation compares.
+const LANES: usize = 16;
+
+/// Which values are marked.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Side {
+    Below,
+    Above,
+}
+
+/// The bits, rows along x from whole words on; those beyond the end of a row are zero.
+pub(crate) struct NodeBits {
+    words: Vec<u64>,
+    width: usize,
+}
+
+impl NodeBits {
+    /// Marks the values (x fastest, rows of `nx`) on one side of a level; none that is not a number.
+    pub(crate) fn of(values: &[f32], nx: usize, side: Side, level: f32) -> Self {
+        let width = nx.div_ceil(WORD);
+        let mut words = vec![0; width * values.len() / nx];
+        let instructions = Level::new();
+        words.par_chunks_mut(width).zip(values.par_chunks(nx)).for_each(|(words, row)| {
+            dispatch!(instructions, simd => mark(simd, row, side, level, words));
+        });
+        Self { words, width }
+    }
+
+    /// Words of a row.
+    pub(crate) fn width(&self) -> usize {
+        self.width
+    }
+
+    /// The words of a row, its number being j + ny k.
+    pub(crate) fn row(&self, row: usize) -> &[u64] {
+        self.rows(row, 1)
+    }
+
+    /// The words of some rows that follow each other.
+    pub(crate) fn rows(&self, first: usize, count: usize) -> &[u64] {
+        &self.words[first * self.width..][..count * self.width]
+    }
+}
+
+/// Sets bits of a row in words that are zero.
+#[inline(always)]
+fn mark<S: Simd>(simd: S, row: &[f32], side: Side, level: f32, words: &mut [u64]) {
+    let (whole, rest) = row.as_chunks::<LANES>();
+    for (n, values) in whole.iter().enumerate() {
+        let values = f32x16::simd_from(simd, *values);
+        let marked = match side {
+            Side::Below => values.simd_lt(level),
+            Side::Above => values.simd_gt(level),
+        };
+        words[n * LANES / WORD] |= marked.to_bitmask() << (n * LANES % WORD);
+    }
+    for (n, &value) in (whole.len() * LANES..).zip(rest) {
+        let is_marked = match side {
+            Side::Below => value < level,
+            Side::Above => value > level,
+        };
+        words[n / WORD] |= u64::from(is_marked) << (n % WORD);
+    }
+}
+
+/// The bits of the nodes so many behind those of a word of a row, ones beyond its ends; less than a word.
+pub(crate) fn shifted(row: &[u64], word: usize, by: isize) -> u64 {
+    let at = |word: Option<usize>| word.and_then(|word| row.get(word)).copied().unwrap_or(u64::MAX);
+    let own = row[word];
+    match by {
+        0 => own,
+        1.. => own >> by | at(word.checked_add(1)) << (WORD as isize - by),
+        _ => own << -by | at(word.checked_sub(1)) >> (WORD as isize + by),
+    }
+}
+
+/// Visits the places of the bits that are set, ascending.
+pub(crate) fn each_bit(mut bits: u64, mut visit: impl FnMut(usize)) {
+    while bits != 0 {
+        visit(bits.trailing_zeros() as usize);
+        bits &= bits - 1;
+    }
+}
+
+/// The first so many bits of a word, all of them at most.
+pub(crate) fn first_bits(count: usize) -> u64 {
+    if count >= WORD { u64::MAX } else { (1 << count) - 1 }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::random::uniform;
+
+    #[test]
+    fn every_node_has_its_bit_and_none_beyond_the_row() {
+        for nx in [1, 15, 16, 17, 63, 64, 65, 150] {
+            let value = |n: usize| match uniform(3, nx as u64, n as u64) {
+                high if high > 0.9 => f32::NAN,
+                other => (8.0 * other).floor() as f32,
+            };
+            let values: Vec<f32> = (0..5 * nx).map(value).collect();
+            for (side, is_marked) in
+                [(Side::Below, (|v| v < 4.0) as fn(f32) -> bool), (Side::Above, (|v| v > 4.0) as fn(f32) -> bool)]
+            {
+                let bits = NodeBits::of(&values, nx, side, 4.0);
+                for row in 0..5 {
+                    let mut found = Vec::new();
+                    for (word, &own) in bits.row(row).iter().enumerate() {
+                        each_bit(own, |bit| found.push(word * WORD + bit));
+                    }
+                    let expected: Vec<usize> = (0..nx).filter(|i| is_marked(values[row * nx + i])).collect();
+                    assert_eq!(found, expected, "row {row} of {nx}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn shifted_words_are_those_of_nodes_farther_on() {
+        let row = [0x8000_0000_0000_0001, 0x5555_0000_ffff_0003, 0x0f];
+        let bit = |n: isize| n < 0 || n >= 192 || row[n as usize / WORD] >> (n as usize % WORD) & 1 == 1;
+        for by in -5..=5 {
+            for n in 0..192 {
+                let found = shifted(&row, n as usize / WORD, by) >> (n as usize % WORD) & 1 == 1;
+                assert_eq!(found, bit(n + by), "{n} and {by} more");
+            }
+        }
+        assert_eq!([first_bits(0), first_bits(3), first_bits(64), first_bits(99)], [0, 7, u64::MAX, u64::MAX]);
+    }
+}
