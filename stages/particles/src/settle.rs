@@ -142,6 +142,10 @@ const BALANCE_WINDOW: usize = 14;
 /// On levels before that of h density control is at rest when it adds and deletes no more than this share of the particles a pass.
 const COARSE_REST: f64 = 5e-2;
 
+/// The most passes without density control at the end of such a level, whose lattice the next one moves on anyway: with 10 and 3 the lungs of `thorax_labels` (79,000 particles, h = 1.64 mm) take 1.67 and 1.44 s, and their mesh has a
+/// mean radius ratio of 0.9907 and 0.9901; `heart_label` at h = 2.1 mm 0.43 and 0.38 s, 0.9888 and 0.9887.
+const COARSE_CLOSING_PASSES: u64 = 3;
+
 /// Every so many passes the particles are put in order of place again; checkpoints are written between.
 pub const REORDER_INTERVAL: u64 = 10;
 
@@ -269,10 +273,12 @@ pub(crate) fn settle_level<S: Implicit>(
     let mut pass = records.last().map_or(level.before, |r| r.pass);
     let end = level.before + level.max_passes;
     let mut closing = closing_since(&records, parameters);
-    engine.controls_density_until(end.saturating_sub(parameters.closing_passes));
-    while pass < end && closing.is_none_or(|since| pass < since + parameters.closing_passes) {
+    let most = if level.scale > 1.0 { COARSE_CLOSING_PASSES } else { u64::MAX };
+    let closing_passes = parameters.closing_passes.min(most);
+    engine.controls_density_until(end.saturating_sub(closing_passes));
+    while pass < end && closing.is_none_or(|since| pass < since + closing_passes) {
         pass += 1;
-        let quiet = closing.is_some() || pass + parameters.closing_passes > end;
+        let quiet = closing.is_some() || pass + closing_passes > end;
         let outcome = engine.pass(pass, !quiet)?;
         let record = PassRecord {
             pass,
