@@ -429,9 +429,9 @@ mod tests {
     fn passes_go_on_while_defects_get_fewer_and_density_control_is_at_work() {
         let parameters = Parameters::default();
         let closing = |records: &[PassRecord]| closing_since(records, &parameters);
-        // 1 % a pass, then nothing from pass 20 on: the window of ten passes still sees 0.5 % at pass 24
+        // 1 % a pass, then nothing from pass 20 on: the window of ten passes still sees 0.8 % at pass 22
         let falling = |pass: u64| (900.0 * 0.99f64.powi(pass.min(20) as i32)) as usize;
-        assert_eq!(closing(&records(falling, 0, 1.0)), Some(26));
+        assert_eq!(closing(&records(falling, 0, 1.0)), Some(23));
         assert_eq!(closing(&records(|pass| 900 - 9 * pass as usize, 0, 1.0)), None);
         assert_eq!(closing(&records(|_| 300, 0, 1.0)), Some(11), "the first pass that has a window behind it");
         assert_eq!(closing(&records(|pass| 300 + pass as usize, 0, 1.0)), Some(11));

@@ -97,11 +97,14 @@ impl<'a> Surface<'a> {
     /// Takes a well-formed mesh of one sheet over.
     #[cfg(test)]
     pub(super) fn new(mesh: &TriangleMesh, field: &'a dyn Sheets, size: Size<'a>) -> Self {
-        Self::of_sheets(mesh, vec![0; mesh.triangles.len()], vec![Freedom::Sheet; mesh.vertices.len()], field, size)
+        let (sheet, freedom) = (vec![0; mesh.triangles.len()], vec![Freedom::Sheet; mesh.vertices.len()]);
+        let mut new = Self::of_sheets(mesh, sheet, freedom, field, size);
+        new.refill_grid();
+        new
     }
 
     /// The same of several sheets, with the sheet of each triangle and how each vertex may move. One that is said to lie on a curve whose triangles
-    /// do not end in it, those of each of three sheets by themselves, stays.
+    /// do not end in it, those of each of three sheets by themselves, stays. Nothing is in the grid yet ([`Self::refill_grid`]).
     pub(super) fn of_sheets(
         mesh: &TriangleMesh,
         sheet: Vec<u32>,
@@ -140,8 +143,15 @@ impl<'a> Surface<'a> {
         let is_open = |v: u32| surface.is_free(v) && !surface.is_closed_fan(v);
         surface.frozen = (0..mesh.vertices.len() as u32).into_par_iter().map(is_open).collect();
         surface.facts = (0..mesh.triangles.len() as u32).into_par_iter().map(|t| surface.measure(t)).collect();
-        surface.fill_grid(TriangleGrid::new(whole, typical_extent(mesh)));
+        surface.grid = Some(TriangleGrid::new(whole, typical_extent(mesh)));
         surface
+    }
+
+    /// Puts the triangles, all committed, into its grid, whatever is in it.
+    pub(super) fn refill_grid(&mut self) {
+        if let Some(grid) = self.grid.take() {
+            self.fill_grid(grid.emptied());
+        }
     }
 
     /// Puts the triangles, all committed, into a grid that is empty, and takes that as its own.
