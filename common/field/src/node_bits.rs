@@ -127,7 +127,7 @@ mod tests {
     #[test]
     fn shifted_words_are_those_of_nodes_farther_on() {
         let row = [0x8000_0000_0000_0001, 0x5555_0000_ffff_0003, 0x0f];
-        let bit = |n: isize| n < 0 || n >= 192 || row[n as usize / WORD] >> (n as usize % WORD) & 1 == 1;
+        let bit = |n: isize| !(0..192).contains(&n) || row[n as usize / WORD] >> (n as usize % WORD) & 1 == 1;
         for by in -5..=5 {
             for n in 0..192 {
                 let found = shifted(&row, n as usize / WORD, by) >> (n as usize % WORD) & 1 == 1;
