@@ -26,6 +26,9 @@ impl NodeBits {
     /// Marks the values (x fastest, rows of `nx`) on one side of a level; none that is not a number.
     pub(crate) fn of(values: &[f32], nx: usize, side: Side, level: f32) -> Self {
         let width = nx.div_ceil(WORD);
+        if values.is_empty() {
+            return Self { words: Vec::new(), width };
+        }
         let mut words = vec![0; width * values.len() / nx];
         let instructions = Level::new();
         words.par_chunks_mut(width).zip(values.par_chunks(nx)).for_each(|(words, row)| {

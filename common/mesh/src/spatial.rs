@@ -61,7 +61,10 @@ impl Bounds {
 /// Boxes that one lane operation looks at.
 const LANES: usize = 8;
 
-/// Eight boxes that follow each other, filled up with empty ones.
+/// Boxes for which the work is not worth sharing.
+const FEW: usize = 1 << 14;
+
+/// Eight boxes that follow each other, filled up with ones that meet nothing: their coordinates are no numbers.
 #[derive(Clone, Copy, Debug)]
 struct Eight {
     /// Coordinates, axis by axis.
@@ -72,7 +75,7 @@ struct Eight {
 impl Eight {
     /// Of some boxes, eight at most, with the box round them.
     fn of(boxes: impl Iterator<Item = Bounds>) -> (Self, Bounds) {
-        let mut new = Self { low: [[f64::INFINITY; LANES]; 3], high: [[f64::NEG_INFINITY; LANES]; 3] };
+        let mut new = Self { low: [[f64::NAN; LANES]; 3], high: [[f64::NAN; LANES]; 3] };
         let mut whole = Bounds::EMPTY;
         for (lane, own) in boxes.enumerate() {
             (0..3).for_each(|axis| {
@@ -128,20 +131,29 @@ impl BoxTree {
         let scale = (whole.high - whole.low).max(DVec3::splat(f64::MIN_POSITIVE)).recip() * 2_097_151.0;
         let mut keys: Vec<(u64, u32)> = boxes
             .par_iter()
+            .with_min_len(FEW)
             .enumerate()
             .map(|(i, b)| {
                 let cell = (b.centre() - whole.low) * scale;
                 (spread(cell.x as u64) | spread(cell.y as u64) << 1 | spread(cell.z as u64) << 2, i as u32)
             })
             .collect();
-        keys.par_sort_unstable();
+        if keys.len() < FEW {
+            keys.sort_unstable()
+        } else {
+            keys.par_sort_unstable()
+        }
         let order: Vec<u32> = keys.into_iter().map(|(_, i)| i).collect();
-        let (first, outlines): (Vec<Eight>, Vec<Bounds>) =
-            order.par_chunks(LANES).map(|chunk| Eight::of(chunk.iter().map(|&i| boxes[i as usize]))).unzip();
+        let (first, outlines): (Vec<Eight>, Vec<Bounds>) = order
+            .par_chunks(LANES)
+            .with_min_len(FEW / LANES)
+            .map(|chunk| Eight::of(chunk.iter().map(|&i| boxes[i as usize])))
+            .unzip();
         let mut levels = vec![first];
         let mut below = outlines.clone();
         while below.len() > 1 {
-            let (level, above) = below.par_chunks(LANES).map(|chunk| Eight::of(chunk.iter().copied())).unzip();
+            let (level, above) =
+                below.par_chunks(LANES).with_min_len(FEW / LANES).map(|chunk| Eight::of(chunk.iter().copied())).unzip();
             levels.push(level);
             below = above;
         }

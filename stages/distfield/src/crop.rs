@@ -23,7 +23,7 @@ pub type CutFaces = [[bool; 2]; 3];
 
 /// Room of a spline, in voxels. Its mirror puts other voxels beyond a face than those that were there. Where they differ by d, a spline differs n nodes from the face by less
 /// than d sqrt(3) z^(n + 1) / (1 - z), z = 2 - sqrt(3) (from the prefilter's impulse response, Unser 1999); for the n = 7 that are between the surface and the
-/// face by 6e-5 d. A difference of ten times what values change by from voxel to voxel at the surface moves it by 0.0006 voxel, about what the zero set is pinned to.
+/// face by 6e-5 d. A difference of ten times what values change by from voxel to voxel at the surface moves it by 0.0006 voxel, less than the zero set is pinned to.
 const SPLINE_ROOM: usize = 8;
 
 /// A box of voxels.

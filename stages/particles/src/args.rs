@@ -114,7 +114,7 @@ pub struct Args {
             1: they do not wait", |p| p.rest_share))]
     rest_share: Option<f64>,
     #[arg(long, value_name = "N", help_heading = METHOD,
-        help = told("Passes without density control at the end, so that the last newcomers settle", |p| p.closing_passes))]
+        help = told("Passes without density control at the end, so that the last newcomers settle; on levels before the last no more than 3", |p| p.closing_passes))]
     closing_passes: Option<u64>,
     #[arg(long, value_name = "E", value_parser = positive, help_heading = METHOD,
         help = told("Energy that density control aims at, 0.554 to 7.84; by default that of the hexagonal lattice of edge h by Eq. 1. Another one \

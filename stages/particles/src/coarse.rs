@@ -214,6 +214,7 @@ fn pick(from: &ParticleSet, sizes: &[f64], chosen: &[u32]) -> ParticleSet {
 mod tests {
     use super::*;
     use crate::cpu::OnCpu;
+    use crate::settle::COARSE_CLOSING_PASSES;
     use isoparticles_field::random::uniform;
     use isoparticles_field::sizing::SizingField;
     use isoparticles_field::spline::CubicSpline;
@@ -309,6 +310,26 @@ mod tests {
                 records.iter().find(|r| r.scale == scale && r.pass % 10 == 0).expect("a checkpoint on each level");
             run(3, &seeds, &fields, Some(middle.pass));
         }
+    }
+
+    #[test]
+    fn coarse_levels_close_with_few_passes() {
+        let (surface, sizing, seeds) = ball();
+        let fields = Fields { surface: &surface, sizing: &sizing };
+        // up to the closing passes of the first level all is the same
+        let first_level = |closing_passes: u64| {
+            let parameters = Parameters { closing_passes, levels: 2, ..Parameters::default() };
+            let mut passes = 0;
+            settle_levels(&seeds, None, &fields, &parameters, &OnCpu(&parameters), &mut |record, _| {
+                passes += u64::from(record.scale > 1.0);
+                Ok(())
+            })
+            .unwrap();
+            passes
+        };
+        let without = first_level(0);
+        assert!(without < Parameters::default().coarse_passes, "{without}: the stop test ends the level");
+        assert_eq!([2, 10].map(first_level), [without + 2, without + COARSE_CLOSING_PASSES]);
     }
 
     #[test]

@@ -36,7 +36,7 @@ pub struct Parameters {
     pub delete_above: f64,
     /// Whether particles may be added at all (off: the paper's synthetic test, Table 3; then all settle on one level).
     pub allow_insert: bool,
-    /// Passes without density control at the end, so that the last newcomers settle.
+    /// Passes without density control at the end, so that the last newcomers settle; on levels before the last no more than three.
     pub closing_passes: u64,
     /// Two particles interact only if the dot product of their normals exceeds this.
     pub normal_agreement: f64,
@@ -144,7 +144,7 @@ const COARSE_REST: f64 = 5e-2;
 
 /// The most passes without density control at the end of such a level, whose lattice the next one moves on anyway: with 10 and 3 the lungs of `thorax_labels` (79,000 particles, h = 1.64 mm) take 1.67 and 1.44 s, and their mesh has a
 /// mean radius ratio of 0.9907 and 0.9901; `heart_label` at h = 2.1 mm 0.43 and 0.38 s, 0.9888 and 0.9887.
-const COARSE_CLOSING_PASSES: u64 = 3;
+pub(crate) const COARSE_CLOSING_PASSES: u64 = 3;
 
 /// Every so many passes the particles are put in order of place again; checkpoints are written between.
 pub const REORDER_INTERVAL: u64 = 10;

@@ -253,7 +253,13 @@ pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
     // one size was chosen by its count
     let known = args.vertices.filter(|_| one_size.is_some()).map(|vertices| predicted_for(vertices as f64));
     let step = context.step("predict the count");
-    let predicted = known.unwrap_or_else(|| sizing.count_on(&features.points, &features.triangles));
+    // triangles pass over what is finer than they are, which a smooth surface has nothing of; a number that is asked for is found by the exact count
+    let by_triangles = is_smooth && args.vertices.is_none();
+    let counted = || match by_triangles {
+        true => sizing.count_on(&features.points, &features.triangles),
+        false => sizing.predicted_count(&surface),
+    };
+    let predicted = known.unwrap_or_else(counted);
     drop(step);
     let meta = describe(&features, &sizing, predicted, (largest, &small), context);
     check_count(&args.input, meta.predicted_count, geometry.voxel_count(), context)?;

@@ -24,15 +24,13 @@ fn sampled(n: usize, f: impl Fn(DVec3) -> f64) -> Image<f32> {
 }
 
 fn features(image: &Image<f32>) -> Features {
+    features_for(Purpose::Grading, image)
+}
+
+fn features_for(purpose: Purpose, image: &Image<f32>) -> Features {
     let surface = CubicSpline::new(image);
     let components = FieldComponents::new(&surface, &Silent).expect("not interrupted");
-    Features::new(
-        image,
-        &surface,
-        &components,
-        image.geometry.upper_corner().length(),
-        (Bumps::MayBeNoise, Purpose::Grading),
-    )
+    Features::new(image, &surface, &components, image.geometry.upper_corner().length(), (Bumps::MayBeNoise, purpose))
 }
 
 /// Largest relative error of the local feature size against `truth` (point relative to the volume's centre).
@@ -52,6 +50,20 @@ fn ball() {
     let image = sampled(48, |p| p.length() - 12.0);
     let error = worst(&image, &features(&image), |_| 12.0);
     assert!(error < 0.03, "{error}");
+}
+
+#[test]
+fn for_one_size_the_feature_sizes_are_the_same_and_areas_nearly_so() {
+    let image = sampled(56, |p| {
+        let apart = |x: f64, radius: f64| (p - DVec3::X * x).length() - radius;
+        apart(-10.0, 12.0).min(apart(16.0, 6.0))
+    });
+    let [graded, one] = [Purpose::Grading, Purpose::OneSize].map(|purpose| features_for(purpose, &image));
+    assert_eq!((&graded.points, &graded.feature_size), (&one.points, &one.feature_size));
+    assert_eq!((graded.component_area.len(), one.component_area.len()), (2, 2));
+    for (graded, one) in graded.component_area.iter().zip(&one.component_area) {
+        assert!((one / graded - 1.0).abs() < 0.02, "{one}, not {graded}");
+    }
 }
 
 #[test]

@@ -29,7 +29,7 @@ impl Signs {
         let over_slices = [&self.positive, &self.negative].map(over_slices);
         let shifts = -(1 + around as isize)..=2 + around as isize;
         let mut changes = Vec::new();
-        for j in 0..ny - 1 {
+        for j in 0..ny.saturating_sub(1) {
             let over_rows = over_slices.each_ref().map(|words| {
                 let mut row = all_of(reach(j, ny), |row| &words[row * width..][..width]);
                 // what is beyond the last node counts for nothing

@@ -332,6 +332,9 @@ impl Surface<'_> {
     /// Whether any triangle that has changed crosses another.
     pub(super) fn crosses_in_all(&self) -> bool {
         let alive: Vec<u32> = (0..self.triangles.len() as u32).filter(|&t| self.is_alive(t)).collect();
+        if !alive.iter().any(|&t| self.has_changed(t)) {
+            return false;
+        }
         let boxes: Vec<Bounds> = alive.iter().map(|&t| self.bounds(t)).collect();
         BoxTree::new(&boxes).any_pair(|a, b| {
             let (a, b) = (alive[a as usize], alive[b as usize]);

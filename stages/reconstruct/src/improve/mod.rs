@@ -244,7 +244,7 @@ pub fn improve_sheets(
     let off = off_surface(&surface);
     // sweeps begin without a grid, and fill it at their end
     if !off.is_empty() || options.remesh_rounds > 0 || options.relaxation_sweeps == 0 {
-        surface.refill_grid();
+        surface.fill_grid();
     }
     project_all(&mut surface, off, tally);
     for _ in 0..options.remesh_rounds {

@@ -48,8 +48,8 @@ impl<'a> Patch<'a> {
 
     /// Gives it a grid, so that from now on nothing is committed that crosses another triangle.
     pub(super) fn fill_grid(&mut self, whole: &Surface) {
-        if let Some(grid) = &whole.grid {
-            self.surface.fill_grid(grid.emptied());
+        if whole.grid.is_some() {
+            self.surface.fill_grid();
         }
     }
 

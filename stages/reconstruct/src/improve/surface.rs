@@ -83,6 +83,8 @@ pub(super) struct Surface<'a> {
     pub(super) facts: Vec<Facts>,
     /// Committed triangles by place; `None` while commits are not looked at for triangles that cross ([`Surface::crosses_in_all`] does that at the end).
     pub(super) grid: Option<TriangleGrid>,
+    /// The grid with nothing in it.
+    empty: TriangleGrid,
     /// Guard of the grid nodes, where asked for.
     pub(super) sides: Option<NodeSides<'a>>,
     /// What is changed must lie within, where this is a part of another surface.
@@ -99,12 +101,12 @@ impl<'a> Surface<'a> {
     pub(super) fn new(mesh: &TriangleMesh, field: &'a dyn Sheets, size: Size<'a>) -> Self {
         let (sheet, freedom) = (vec![0; mesh.triangles.len()], vec![Freedom::Sheet; mesh.vertices.len()]);
         let mut new = Self::of_sheets(mesh, sheet, freedom, field, size);
-        new.refill_grid();
+        new.fill_grid();
         new
     }
 
     /// The same of several sheets, with the sheet of each triangle and how each vertex may move. One that is said to lie on a curve whose triangles
-    /// do not end in it, those of each of three sheets by themselves, stays. Nothing is in the grid yet ([`Self::refill_grid`]).
+    /// do not end in it, those of each of three sheets by themselves, stays. It has no grid yet ([`Self::fill_grid`]).
     pub(super) fn of_sheets(
         mesh: &TriangleMesh,
         sheet: Vec<u32>,
@@ -118,7 +120,6 @@ impl<'a> Surface<'a> {
                 around[v as usize].push(t as u32);
             }
         }
-        let whole = Bounds::of(&mesh.vertices);
         let mut surface = Self {
             field,
             size,
@@ -131,6 +132,7 @@ impl<'a> Surface<'a> {
             around,
             facts: Vec::new(),
             grid: None,
+            empty: TriangleGrid::new(Bounds::of(&mesh.vertices), typical_extent(mesh)),
             sides: None,
             region: None,
             log: Vec::new(),
@@ -143,19 +145,12 @@ impl<'a> Surface<'a> {
         let is_open = |v: u32| surface.is_free(v) && !surface.is_closed_fan(v);
         surface.frozen = (0..mesh.vertices.len() as u32).into_par_iter().map(is_open).collect();
         surface.facts = (0..mesh.triangles.len() as u32).into_par_iter().map(|t| surface.measure(t)).collect();
-        surface.grid = Some(TriangleGrid::new(whole, typical_extent(mesh)));
         surface
     }
 
-    /// Puts the triangles, all committed, into its grid, whatever is in it.
-    pub(super) fn refill_grid(&mut self) {
-        if let Some(grid) = self.grid.take() {
-            self.fill_grid(grid.emptied());
-        }
-    }
-
-    /// Puts the triangles, all committed, into a grid that is empty, and takes that as its own.
-    pub(super) fn fill_grid(&mut self, mut grid: TriangleGrid) {
+    /// Puts the triangles, all committed, into a new grid.
+    pub(super) fn fill_grid(&mut self) {
+        let mut grid = self.empty.emptied();
         for t in (0..self.triangles.len() as u32).filter(|&t| self.is_alive(t)) {
             grid.insert(t, self.bounds(t));
         }
@@ -178,6 +173,7 @@ impl<'a> Surface<'a> {
             field: self.field,
             size: self.size,
             grid: None,
+            empty: self.empty.emptied(),
             positions,
             target: vertices.iter().map(|&v| self.target[v as usize]).collect(),
             triangles: triangles.iter().map(corners).collect(),

@@ -47,7 +47,7 @@ pub(super) fn sweep(
     let mut todo = vec![true; surface.positions.len()];
     let mut tallies = Vec::new();
     // filled anew when all blocks are done
-    let grid = surface.grid.take().map(|grid| grid.emptied());
+    surface.grid = None;
     let side = BLOCK * mean_edge(surface);
     for shift in [0.0, 0.5 * side] {
         let blocks = blocks(surface, &todo, side, shift);
@@ -57,8 +57,8 @@ pub(super) fn sweep(
                 let mut part = Patch::of(surface, &block.region, block.triangles.clone());
                 part.keep_free(|v| block.free.binary_search(&v).is_ok());
                 let todo = part.pick(&todo);
-                if looks_at_each && let Some(grid) = &grid {
-                    part.surface.fill_grid(grid.emptied());
+                if looks_at_each {
+                    part.surface.fill_grid();
                 }
                 Ok::<_, isoparticles_stage::error::Error>((work(&mut part.surface, &todo)?, part))
             };
@@ -76,9 +76,7 @@ pub(super) fn sweep(
         }
         blocks.iter().flat_map(|block| &block.free).for_each(|&v| todo[v as usize] = false);
     }
-    if let Some(grid) = grid {
-        surface.fill_grid(grid);
-    }
+    surface.fill_grid();
     if todo.contains(&true) {
         tallies.push(work(surface, &todo)?);
     }

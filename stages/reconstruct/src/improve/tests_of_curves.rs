@@ -84,7 +84,7 @@ const LIMITS: Limits = Limits::new(0.15, [0.3, 2.0]);
 fn a_vertex_slides_along_its_curve_to_where_the_worst_of_all_three_sheets_is_best() {
     let (mesh, sheets, freedom) = fan(&[0.0, 1.0, 2.4, 3.0, 4.0]);
     let mut surface = Surface::of_sheets(&mesh, sheets, freedom, &HalfPlanes, &|_| 1.0);
-    surface.refill_grid();
+    surface.fill_grid();
     assert!(surface.curve_through(2).is_some_and(|curve| curve.ends == [1, 3] && curve.sheets == [0, 1, 2]));
     assert!(!slide(&mut surface, 0) && !slide(&mut surface, 7), "what is held stays");
     assert!(slide(&mut surface, 2));
@@ -105,7 +105,7 @@ fn a_vertex_gives_way_to_a_neighbour_on_its_curve_with_a_triangle_of_each_sheet(
     let (mesh, sheets, freedom) = fan(&[0.0, 1.0, 1.2, 2.0, 3.0]);
     let count = mesh.triangles.len();
     let mut surface = Surface::of_sheets(&mesh, sheets, freedom, &HalfPlanes, &|_| 1.0);
-    surface.refill_grid();
+    surface.fill_grid();
     assert!(!collapse_along(&mut surface, 3, 1), "no neighbours");
     assert!(!collapse_along(&mut surface, 1, 0), "what is held stays");
     assert!(collapse_along(&mut surface, 1, 2));
