@@ -124,7 +124,10 @@ impl Features {
             })
             .collect();
         let curvature = match purpose {
-            Purpose::OneSize => Vec::new(),
+            Purpose::OneSize => {
+                drop(tensors);
+                Vec::new()
+            }
             Purpose::Grading => averaged_curvature(tensors, &normals, &smoothed.patches, &incidence),
         };
         drop(incidence);
