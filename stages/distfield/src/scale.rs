@@ -33,8 +33,9 @@ const WINDOW: f64 = 2.0;
 /// Least width of the window, voxels: in a smaller one the steps of labels are what is kept.
 const LEAST_WINDOW: f64 = 2.0;
 
-/// Rounds that find the level. Between four and six the voxels inside change by 0.03 % at most (heart and lungs, ribs at a scale of two voxels; lungs at eight), while the level goes on following the voxels' steps, by 0.01 a round.
-const ROUNDS: usize = 4;
+/// Rounds that find the level, after those in which it may go as far as it is let. Of plain parts, with four in place of six in all, the voxels inside change by 0.03 % at most (heart and lungs, ribs at a scale of two voxels; lungs at
+/// eight); a rod that is kept has twice its volume after four, and 0.83 of it after six.
+const ROUNDS: usize = 2;
 
 /// Furthest that the level moves in a round.
 const LONGEST_STEP: f64 = 0.15;
@@ -295,7 +296,8 @@ pub(crate) fn level_set(occupancy: &Occupancy, sigma: DVec3, keep_thin: bool) ->
     let window = sigma.to_array().map(|sigma| (WINDOW * sigma).max(LEAST_WINDOW));
     let least = if keep_thin { LEAST_LEVEL_THIN } else { LEAST_LEVEL };
     let mut level = vec![0.5f32; smoothed.len()];
-    for _ in 0..ROUNDS {
+    let rounds = ((0.5 - least) / LONGEST_STEP).ceil() as usize + ROUNDS;
+    for _ in 0..rounds {
         let mut excess = vec![0.0f32; smoothed.len()];
         let mut density = vec![0.0f32; smoothed.len()];
         let rows = excess.par_chunks_mut(size[0]).zip(density.par_chunks_mut(size[0]));
