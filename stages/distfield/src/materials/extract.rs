@@ -18,7 +18,7 @@ use isoparticles_volume::Image;
 use rayon::prelude::*;
 
 /// What is asked of each indicator: distances up to 7 voxels, for what is known of one reaches two to three voxels and a brick of four cells from its border; and fewer conjugate-gradient steps that pin the
-/// border than for one object, since sheets lie where two indicators are equal, between their zero sets, so that these need not be pinned to the last digit; most take all of them. With 160 as for one object
+/// border than for one object, since sheets lie where two indicators are equal, between their zero sets, so that these need not be pinned to the last digit. With 160 as for one object
 /// `brain_parcellation` takes 165 processor seconds, with 40 it takes 89.
 const DEMANDS: Demands = Demands { limit: 7.0, pinned: 0.0005, pin_steps: 40 };
 

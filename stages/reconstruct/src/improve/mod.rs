@@ -241,25 +241,22 @@ pub fn improve_sheets(
 
     let limits = Limits::new(options.max_deviation, options.length_range);
     let tally = &mut report.moves;
-    let off = off_surface(&surface);
+    project_all(&mut surface, tally);
     // sweeps begin without a grid, and fill it at their end
-    if !off.is_empty() || options.remesh_rounds > 0 || options.relaxation_sweeps == 0 {
+    if surface.grid.is_none() && (options.remesh_rounds > 0 || options.relaxation_sweeps == 0) {
         surface.fill_grid();
     }
-    project_all(&mut surface, off, tally);
     for _ in 0..options.remesh_rounds {
         step()?;
         remesh::round(&mut surface, &limits, tally);
-        let off = off_surface(&surface);
-        project_all(&mut surface, off, tally);
+        project_all(&mut surface, tally);
     }
     if options.relaxation_sweeps > 0 {
         sweep::sweep(&mut surface, &limits, options.relaxation_sweeps, options.thins, step, tally)?;
     }
     if options.rounds > 0 {
         optimise::optimise(&mut surface, &limits, options.target, options.rounds, step, tally)?;
-        let off = off_surface(&surface);
-        project_all(&mut surface, off, tally);
+        project_all(&mut surface, tally);
     }
 
     report.off_surface = off_surface(&surface).len();
@@ -286,9 +283,13 @@ fn is_off_surface(surface: &Surface, v: usize) -> bool {
     value.abs() > ON_SURFACE * voxel * gradient.length()
 }
 
-/// Brings vertices that do not lie on F = 0 there; one that cannot get there gives way to a neighbour that does.
-fn project_all(surface: &mut Surface, off: Vec<u32>, tally: &mut Tally) {
+/// Brings vertices that do not lie on F = 0 there, on a surface with a grid, which it gets where there are any; one that cannot get there gives way to a neighbour that does.
+fn project_all(surface: &mut Surface, tally: &mut Tally) {
     let limits = &Limits::FOR_PROJECTION;
+    let off = off_surface(surface);
+    if !off.is_empty() && surface.grid.is_none() {
+        surface.fill_grid();
+    }
     for v in off {
         if surface.frozen[v as usize] || surface.degree(v) == 0 {
             continue;
