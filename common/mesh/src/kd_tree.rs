@@ -60,44 +60,52 @@ impl KdTree {
         (index != u32::MAX).then(|| (index as usize, squared.sqrt()))
     }
 
-    /// Calls `found` with the index and place of every point closer than `radius`, in no order. False when more than so many leaves would have
-    /// to be looked at; some are then missing.
-    pub fn each_within(&self, query: DVec3, radius: f64, leaves: usize, found: &mut impl FnMut(u32, DVec3)) -> bool {
-        let mut left = leaves;
-        self.visit(query, radius * radius, &mut left, found, 0..self.points.len(), 0)
+    /// Calls `found` with the index and place of every point in a ball, given by its centre and radius, the likeliest parts first. It may answer with a
+    /// ball inside that one, and hears then of the points in that one alone. False when more than so many leaves would have to be looked at; some points
+    /// are then missing.
+    pub fn each_within(
+        &self,
+        ball: (DVec3, f64),
+        leaves: usize,
+        found: &mut impl FnMut(u32, DVec3) -> Option<(DVec3, f64)>,
+    ) -> bool {
+        let mut visit = Visit { centre: ball.0, squared: ball.1 * ball.1, leaves };
+        self.is_empty() || self.visit(&mut visit, found, 0..self.points.len(), 0)
     }
 
     fn visit(
         &self,
-        query: DVec3,
-        squared: f64,
-        leaves: &mut usize,
-        found: &mut impl FnMut(u32, DVec3),
+        visit: &mut Visit,
+        found: &mut impl FnMut(u32, DVec3) -> Option<(DVec3, f64)>,
         part: Range<usize>,
         number: usize,
     ) -> bool {
-        if part.is_empty() || distance_squared(&self.boxes[number], query) >= squared {
-            return true;
-        }
-        let mut look = |range: Range<usize>| {
+        let mut look = |visit: &mut Visit, range: Range<usize>| {
             for at in range {
-                if self.points[at].distance_squared(query) < squared {
-                    found(self.index[at], self.points[at]);
+                if self.points[at].distance_squared(visit.centre) < visit.squared
+                    && let Some((centre, radius)) = found(self.index[at], self.points[at])
+                {
+                    (visit.centre, visit.squared) = (centre, radius * radius);
                 }
             }
         };
         if part.len() <= LEAF {
-            let is_allowed = *leaves > 0;
+            let is_allowed = visit.leaves > 0;
             if is_allowed {
-                *leaves -= 1;
-                look(part);
+                visit.leaves -= 1;
+                look(visit, part);
             }
             return is_allowed;
         }
         let middle = middle(&part);
-        look(middle..middle + 1);
-        self.visit(query, squared, leaves, found, part.start..middle, 2 * number + 1)
-            && self.visit(query, squared, leaves, found, middle + 1..part.end, 2 * number + 2)
+        look(visit, middle..middle + 1);
+        let far = |visit: &Visit, number: usize| distance_squared(&self.boxes[number], visit.centre);
+        let (left, right) = ((part.start..middle, 2 * number + 1), (middle + 1..part.end, 2 * number + 2));
+        let is_left_first = far(visit, left.1) <= far(visit, right.1);
+        let halves = if is_left_first { [left, right] } else { [right, left] };
+        halves
+            .into_iter()
+            .all(|(part, number)| far(visit, number) >= visit.squared || self.visit(visit, found, part, number))
     }
 
     /// Searches a part of the tree, which has points.
@@ -149,6 +157,15 @@ fn middle(part: &Range<usize>) -> usize {
 
 fn distance_squared(bounds: &Bounds, query: DVec3) -> f64 {
     (bounds.low - query).max(query - bounds.high).max(DVec3::ZERO).length_squared()
+}
+
+/// A look at the points in a ball under way.
+struct Visit {
+    centre: DVec3,
+    /// Its radius squared.
+    squared: f64,
+    /// Leaves that may still be looked at.
+    leaves: usize,
 }
 
 /// A search under way.
@@ -210,9 +227,10 @@ mod tests {
                 assert!(tree.nearest_within(q, 0.5 * want).is_none());
                 let radius = 1.7 * want;
                 let mut found = Vec::new();
-                assert!(tree.each_within(q, radius, usize::MAX, &mut |n, p| {
+                assert!(tree.each_within((q, radius), usize::MAX, &mut |n, p| {
                     assert_eq!(p, points[n as usize]);
                     found.push(n);
+                    None
                 }));
                 found.sort_unstable();
                 let near = |n: &u32| points[*n as usize].distance_squared(q) < radius * radius;
@@ -235,10 +253,9 @@ mod tests {
         let (_, near) = tree.nearest_of_leaves(centre, f64::INFINITY, 20).unwrap();
         assert!(near >= exact && near < exact + 2e-3, "{near} against {exact}");
         assert!(tree.nearest_of_leaves(centre, 9.0, 20).is_none());
-        assert!(
-            !tree.each_within(centre, 10.1, 20, &mut |_, _| {}) && tree.each_within(centre, 9.0, 20, &mut |_, _| {})
-        );
+        let is_done = |tree: &KdTree, ball: (DVec3, f64)| tree.each_within(ball, 20, &mut |_, _| None);
+        assert!(!is_done(&tree, (centre, 10.1)) && is_done(&tree, (centre, 9.0)));
         let empty = KdTree::new(&[]);
-        assert!(empty.nearest(DVec3::ZERO).is_none() && empty.each_within(DVec3::ZERO, 1.0, 1, &mut |_, _| {}));
+        assert!(empty.nearest(DVec3::ZERO).is_none() && is_done(&empty, (DVec3::ZERO, 1.0)));
     }
 }

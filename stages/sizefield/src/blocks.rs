@@ -5,7 +5,7 @@
 //! Chacon and Vladimirsky 2012). Blocks are coloured as a chessboard: those of one colour change at the same time and see none of each other,
 //! so that the result does not depend on the number of threads.
 
-use crate::gradation::{Scheme, Values};
+use crate::gradation::{NodeSet, Scheme, Values};
 use rayon::prelude::*;
 use std::collections::VecDeque;
 
@@ -32,6 +32,8 @@ pub(crate) struct Blocks<'a> {
     scheme: &'a Scheme,
     values: &'a Values,
     blocks: Vec<Block>,
+    /// Whether the march ends when the nodes that are asked for have their values.
+    ends: bool,
 }
 
 /// Part of the grid, with the nodes that are to lower their neighbours in it: its own, and those next to it.
@@ -44,12 +46,14 @@ struct Block {
     beside: [[Option<usize>; 2]; 3],
     /// Black or white.
     colour: usize,
+    /// Places of its nodes that are asked for and may still be lowered.
+    asked: Vec<u16>,
     queue: Queue,
 }
 
 impl<'a> Blocks<'a> {
-    /// Cuts a grid of `size` into blocks; all nodes of finite value are queued.
-    pub(crate) fn new(size: [usize; 3], scheme: &'a Scheme, values: &'a Values) -> Self {
+    /// Cuts a grid of `size` into blocks; all nodes of finite value are queued. Some nodes may be all that is `asked` for.
+    pub(crate) fn new(size: [usize; 3], scheme: &'a Scheme, values: &'a Values, asked: Option<&NodeSet>) -> Self {
         let count = size.map(|n| n.div_ceil(SIDE));
         let step = [1, count[0], count[0] * count[1]];
         let width = BUCKET * scheme.rise.iter().copied().fold(f64::INFINITY, f64::min);
@@ -62,35 +66,55 @@ impl<'a> Blocks<'a> {
                     [(place[a] > 0).then(|| n - step[a]), (place[a] + 1 < count[a]).then(|| n + step[a])]
                 }),
                 colour: place.iter().sum::<usize>() % 2,
+                asked: Vec::new(),
                 queue: Queue::new(width),
             };
+            if let Some(asked) = asked {
+                let first = place.map(|n| SIDE * n);
+                let number = |[i, j, k]: [usize; 3]| {
+                    first[0] + i - 1 + size[0] * (first[1] + j - 1 + size[1] * (first[2] + k - 1))
+                };
+                block.asked =
+                    block.own().filter(|&place| asked.contains(number(place))).map(|p| index(p) as u16).collect();
+            }
             block.queue.sources = block.sources(scheme, values);
             block
         };
         let blocks = (0..count.iter().product()).into_par_iter().map(block).collect();
-        Self { scheme, values, blocks }
+        Self { scheme, values, blocks, ends: asked.is_some() }
     }
 
-    /// Marches until all nodes below `enough` have their values.
-    pub(crate) fn march(mut self, enough: f64) {
+    /// Marches until all nodes that are asked for have their values.
+    pub(crate) fn march(mut self) {
         // one call into the pool of threads, not one for every turn
         rayon::scope(|_| {
             while let Some(first) = self.blocks.iter().filter_map(|block| block.queue.first()).min() {
-                if self.blocks[0].queue.least(first) >= enough {
+                if self.ends && !self.is_any_above(first) {
                     break;
                 }
                 for colour in 0..2 {
-                    self.turn(colour, first + AT_A_TIME, enough);
+                    self.turn(colour, first + AT_A_TIME);
                 }
             }
         });
     }
 
-    /// Marches the blocks of a colour over the buckets before `end`, as far as they are below `enough`.
-    fn turn(&mut self, colour: usize, end: u64, enough: f64) {
+    /// Whether any node that is asked for is above the least value of a bucket; those that are not are not asked for any more.
+    fn is_any_above(&mut self, bucket: u64) -> bool {
+        let (scheme, values, reached) = (self.scheme, self.values, self.blocks[0].queue.least(bucket));
+        self.blocks.par_iter_mut().for_each(|block| {
+            let mut asked = std::mem::take(&mut block.asked);
+            asked.retain(|&at| f64::from(values.get(block.node(scheme, place(u32::from(at))))) > reached);
+            block.asked = asked;
+        });
+        self.blocks.iter().any(|block| !block.asked.is_empty())
+    }
+
+    /// Marches the blocks of a colour over the buckets before `end`.
+    fn turn(&mut self, colour: usize, end: u64) {
         let (scheme, values) = (self.scheme, self.values);
         let of_colour = self.blocks.par_iter_mut().filter(|block| block.colour == colour);
-        let sent: Vec<Vec<Message>> = of_colour.map(|block| block.march(scheme, values, end, enough)).collect();
+        let sent: Vec<Vec<Message>> = of_colour.map(|block| block.march(scheme, values, end)).collect();
         for (block, (at, value)) in sent.into_iter().flatten() {
             self.blocks[block].queue.push(at, value);
         }
@@ -101,6 +125,12 @@ impl Block {
     /// Number of the node at a place.
     fn node(&self, scheme: &Scheme, [i, j, k]: [usize; 3]) -> usize {
         self.origin + i + j * scheme.strides[1] + k * scheme.strides[2]
+    }
+
+    /// Places of its own nodes.
+    fn own(&self) -> impl Iterator<Item = [usize; 3]> {
+        let [nx, ny, nz] = self.size;
+        (1..=nz).flat_map(move |k| (1..=ny).flat_map(move |j| (1..=nx).map(move |i| [i, j, k])))
     }
 
     /// Nodes of finite value in the block and next to it, by falling values.
@@ -116,10 +146,10 @@ impl Block {
         sources
     }
 
-    /// Marches over the buckets before `end`, as far as they are below `enough`; returns what the blocks next to it are to know.
-    fn march(&mut self, scheme: &Scheme, values: &Values, end: u64, enough: f64) -> Vec<Message> {
+    /// Marches over the buckets before `end`; returns what the blocks next to it are to know.
+    fn march(&mut self, scheme: &Scheme, values: &Values, end: u64) -> Vec<Message> {
         let mut messages = Vec::new();
-        while let Some(first) = self.queue.first().filter(|&first| first < end && self.queue.least(first) < enough) {
+        while let Some(first) = self.queue.first().filter(|&first| first < end) {
             for (at, value) in self.queue.take(first) {
                 let place = place(at);
                 let node = self.node(scheme, place);

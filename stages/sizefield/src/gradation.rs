@@ -5,7 +5,7 @@
 //! small h to large (Sethian 1996) with a queue of buckets (Yatziv, Bartesaghi and Sapiro 2006); a node that a later
 //! one of its bucket still lowers is queued again, so the order within a bucket does not matter.
 //!
-//! The grid is marched block by block (`blocks.rs`), some buckets at a time.
+//! The grid is marched block by block (`blocks.rs`), some buckets at a time, and as far as is asked for.
 
 use crate::blocks::Blocks;
 use isoparticles_volume::Image;
@@ -14,14 +14,34 @@ use std::sync::atomic::{AtomicU32, Ordering::Relaxed};
 /// A node is lowered when it gains more than this share.
 const LEAST_GAIN: f64 = 1e-6;
 
-/// Lowers h to the steady state; infinite values are filled in. Nodes that come to no less than `enough` may be left as
-/// they are: they lower none that is below it. The result does not depend on the number of threads.
-pub fn limit_gradient(h: &mut Image<f32>, delta: f64, enough: f64) {
+/// Lowers h to the steady state; infinite values are filled in. Where some nodes are all that is `asked` for, these are in it afterwards, and others may be above it.
+/// The result does not depend on the number of threads.
+pub fn limit_gradient(h: &mut Image<f32>, delta: f64, asked: Option<&NodeSet>) {
     let size = h.geometry.size;
     let scheme = Scheme::new(size, (h.geometry.spacing * delta).to_array());
     let values = Values::new(std::mem::take(&mut h.data), size);
-    Blocks::new(size, &scheme, &values).march(enough);
+    Blocks::new(size, &scheme, &values, asked).march();
     h.data = values.into_data(size);
+}
+
+/// Some nodes of a grid, a bit for each.
+pub struct NodeSet(Vec<u64>);
+
+impl NodeSet {
+    /// None of so many.
+    pub fn new(count: usize) -> Self {
+        Self(vec![0; count.div_ceil(u64::BITS as usize)])
+    }
+
+    /// Adds one by its number.
+    pub fn insert(&mut self, node: usize) {
+        self.0[node / u64::BITS as usize] |= 1 << (node % u64::BITS as usize);
+    }
+
+    /// Whether one is among them.
+    pub fn contains(&self, node: usize) -> bool {
+        self.0[node / u64::BITS as usize] >> (node % u64::BITS as usize) & 1 == 1
+    }
 }
 
 /// h at the nodes with a border of infinite values round them, to be set by one thread while others read it elsewhere.
@@ -149,7 +169,7 @@ mod tests {
         let mut h = Image::filled(geometry.clone(), 100.0f32);
         let source = DVec3::new(20.0, 18.0, 16.0);
         h.data[geometry.linear(20, 18, 16)] = 2.0;
-        limit_gradient(&mut h, 0.4, f64::INFINITY);
+        limit_gradient(&mut h, 0.4, None);
         for (i, j, k) in [(40, 18, 16), (20, 0, 16), (20, 18, 0), (35, 30, 16), (2, 3, 30)] {
             let distance = ((DVec3::new(i as f64, j as f64, k as f64) - source) * geometry.spacing).length();
             let want = 2.0 + 0.4 * distance;
@@ -188,7 +208,7 @@ mod tests {
         let on = |threads: usize| {
             let mut h = h.clone();
             let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-            pool.install(|| limit_gradient(&mut h, 0.4, f64::INFINITY));
+            pool.install(|| limit_gradient(&mut h, 0.4, None));
             h.data
         };
         let alone = on(1);
@@ -200,13 +220,34 @@ mod tests {
     }
 
     #[test]
+    fn the_nodes_asked_for_come_to_the_same_values_as_with_all_others() {
+        let geometry = Geometry::axis_aligned([70, 51, 44], DVec3::new(1.0, 0.8, 1.3));
+        let mut h = Image::filled(geometry.clone(), f32::INFINITY);
+        let mut asked = NodeSet::new(h.data.len());
+        // a sheet with sizes that differ by more than it is wide, so that most come from afar
+        for (i, j) in (0..70).flat_map(|i| (0..51).map(move |j| (i, j))) {
+            let node = geometry.linear(i, j, 20);
+            h.data[node] = (1.0 + 30.0 * uniform(1, 0, (i / 9 + 100 * (j / 7)) as u64)) as f32;
+            asked.insert(node);
+        }
+        let mut whole = h.clone();
+        limit_gradient(&mut whole, 0.4, None);
+        let changed = h.data.iter().zip(&whole.data).filter(|(before, after)| before.is_finite() && before > after);
+        assert!(changed.count() > 2000);
+        limit_gradient(&mut h, 0.4, Some(&asked));
+        assert!((0..h.data.len()).filter(|&n| asked.contains(n)).all(|n| h.data[n] == whole.data[n]));
+        let left = h.data.iter().filter(|value| value.is_infinite()).count();
+        assert!(left > h.data.len() / 10, "{left} of {} were left alone", h.data.len());
+    }
+
+    #[test]
     fn values_on_the_edge_of_a_bucket_are_handed_on() {
         // a value that f32 rounds down into the bucket before its own was once taken for an outdated one
         for (delta, first) in [(0.4, 4.0f32), (0.4, 9.2), (0.3, 1.2), (0.7, 1.0), (0.25, 0.75)] {
             let geometry = Geometry::axis_aligned([60, 3, 3], DVec3::ONE);
             let mut h = Image::filled(geometry.clone(), f32::INFINITY);
             (0..3).for_each(|k| (0..3).for_each(|j| h.data[geometry.linear(0, j, k)] = first));
-            limit_gradient(&mut h, delta, f64::INFINITY);
+            limit_gradient(&mut h, delta, None);
             for (n, &got) in h.data.iter().enumerate() {
                 let want = f64::from(first) + delta * (n % 60) as f64;
                 assert!((f64::from(got) / want - 1.0).abs() < 1e-4, "delta {delta}, node {n}: {got}, not {want}");
@@ -223,7 +264,7 @@ mod tests {
             h.data[n] = if i < 10 { 1.0 + 0.1 * i as f32 } else { 50.0 };
         }
         let before = h.clone();
-        limit_gradient(&mut h, 0.4, f64::INFINITY);
+        limit_gradient(&mut h, 0.4, None);
         for i in 0..30 {
             let want = if i < 10 { f64::from(before.at(i, 2, 2)) } else { 1.9 + 0.2 * (i as f64 - 9.0) };
             assert!((f64::from(h.at(i, 2, 2)) - want).abs() < 1e-5);

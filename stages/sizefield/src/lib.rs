@@ -20,6 +20,7 @@ pub mod vertices;
 use averages::average;
 use feature::Features;
 use glam::DVec3;
+use gradation::NodeSet;
 use isoparticles_field::sizing::SizingField;
 use isoparticles_mesh::incidence::Incidence;
 use isoparticles_volume::{Geometry, Image};
@@ -100,37 +101,44 @@ pub(crate) fn graded_field(
     parameters: &Parameters,
     most: &[f64],
 ) -> SizingField {
-    let largest = wanted.iter().copied().filter(|size| size.is_finite()).fold(0.0, f64::max);
-    let graded = spread(samples, wanted, parameters, largest);
+    let mut near = NodeSet::new(samples.geometry.voxel_count());
+    samples.points.iter().flat_map(|&p| cell_nodes(samples.geometry, p)).for_each(|node| near.insert(node));
+    let graded = spread(samples, wanted, parameters, Some(&near));
     let mut smooth: Vec<f64> = samples.points.par_iter().map(|&p| graded.at(p)).collect();
     drop(graded);
     smooth_over_surface(&mut smooth, &Incidence::new(samples.triangles, samples.points.len()));
     smooth.iter_mut().zip(most).for_each(|(size, most)| *size = size.min(*most));
-    spread(samples, &smooth, parameters, f64::INFINITY)
+    spread(samples, &smooth, parameters, None)
 }
 
 /// Gives the nodes of each triangle's cell the smallest size at its corners, so that trilinear h there is no larger, and
-/// grades the rest, as far as it is below `enough`.
-fn spread(samples: &Samples<'_>, sizes: &[f64], parameters: &Parameters, enough: f64) -> SizingField {
+/// grades the rest, as far as the nodes that are `asked` for need it if there are any.
+fn spread(samples: &Samples<'_>, sizes: &[f64], parameters: &Parameters, asked: Option<&NodeSet>) -> SizingField {
     let geometry = samples.geometry;
     let mut h = Image::filled(geometry.clone(), f32::INFINITY);
     for t in samples.triangles {
         let size = t.iter().map(|&v| sizes[v as usize]).fold(f64::INFINITY, f64::min) as f32;
         let centre = t.iter().map(|&v| samples.points[v as usize]).sum::<DVec3>() / 3.0;
-        let index = geometry.grid_to_index(centre);
-        let base: [usize; 3] =
-            std::array::from_fn(|a| (index[a].max(0.0) as usize).min(geometry.size[a].saturating_sub(2)));
-        for corner in 0..8 {
-            let at: [usize; 3] = std::array::from_fn(|a| (base[a] + (corner >> a & 1)).min(geometry.size[a] - 1));
-            let node = geometry.linear(at[0], at[1], at[2]);
+        for node in cell_nodes(geometry, centre) {
             h.data[node] = h.data[node].min(size);
         }
     }
     for &(node, size) in &parameters.refined {
         h.data[node] = h.data[node].min(size as f32);
     }
-    gradation::limit_gradient(&mut h, parameters.delta, enough);
+    gradation::limit_gradient(&mut h, parameters.delta, asked);
     SizingField::new(h)
+}
+
+/// The nodes of the cell at a place, of the nearest one outside the grid.
+fn cell_nodes(geometry: &Geometry, p: DVec3) -> [usize; 8] {
+    let index = geometry.grid_to_index(p);
+    let base: [usize; 3] =
+        std::array::from_fn(|a| (index[a].max(0.0) as usize).min(geometry.size[a].saturating_sub(2)));
+    std::array::from_fn(|corner| {
+        let at: [usize; 3] = std::array::from_fn(|a| (base[a] + (corner >> a & 1)).min(geometry.size[a] - 1));
+        geometry.linear(at[0], at[1], at[2])
+    })
 }
 
 /// Smooths the sizes along the surface, without letting any grow far.

@@ -8,8 +8,8 @@
 //! reads 0.4 % too large). And where there is noise ([`crate::noise`]), a ball whose cap between the two points is no higher than
 //! twice the noise tells of a bump of it.
 //!
-//! The distance field tells a ball that is surely too large without any search, so that only the last steps look at samples. Balls that touch the
-//! surface at one sample in one direction lie inside each other, so that one look finds the samples for all further steps.
+//! The distance field tells a ball that is surely too large without any search, and so does the sample that the ball beside it touches. Balls that touch
+//! the surface at one sample in one direction lie inside each other, so that one look, during which the ball shrinks, finds the smallest.
 
 use glam::DVec3;
 use isoparticles_field::sizing::trilinear;
@@ -23,15 +23,11 @@ pub const MIN_SEPARATION_ANGLE: f64 = 40.0 * std::f64::consts::PI / 180.0;
 /// A ball is pruned whose cap between the touching points is lower than this many times the noise.
 const PLAIN_BUMP: f64 = 2.0;
 
-/// Leaves of the tree of samples that one look for a sample inside a ball may take: a ball that fits the surface all round has
-/// every sample at its rim.
+/// Leaves of the tree of samples that one look may take: a ball that fits the surface all round has every sample at its rim.
 const MOST_LEAVES: usize = 400;
 
-/// The same for a look for all samples inside a ball.
-const MOST_LEAVES_FOR_ALL: usize = 100;
-
-/// A ball is shrunk so many times at most.
-const MOST_STEPS: usize = 60;
+/// Samples on end, neighbours mostly, whose balls begin with the sample that the one before touches.
+const RUN: usize = 64;
 
 /// A ball is surely not empty when its radius exceeds the distance field at its centre by half the diagonal of a cell (what
 /// interpolation may take off the tip of a cone) and this share of the largest spacing (for the error of the samples).
@@ -55,65 +51,70 @@ pub struct Surface<'a> {
 /// Centres of the medial balls of both sides of every sample, pruned. `largest` bounds the radius looked for (mm).
 pub fn medial_points(surface: &Surface<'_>, largest: f64) -> Vec<[Option<DVec3>; 2]> {
     let tree = KdTree::new(surface.points);
-    (0..surface.points.len())
-        .into_par_iter()
-        .map_init(Vec::new, |inside, i| {
+    let count = surface.points.len();
+    let of_run = |start: usize| -> Vec<[Option<DVec3>; 2]> {
+        let mut hints = [None; 2];
+        let mut of_sample = |i: usize| {
             let normal = surface.normals[i];
-            [normal, -normal].map(|direction| surface.shrink(&tree, i, direction, largest, inside))
-        })
-        .collect()
-}
-
-/// A sample as the balls see it that touch the surface at another one, in one direction.
-struct Seen {
-    /// Offset along that direction, mm.
-    height: f64,
-    /// Squared distance, mm squared.
-    squared: f64,
-    index: u32,
-}
-
-impl Seen {
-    /// Squared distance from the centre of the ball of a radius, less that radius squared.
-    fn beyond(&self, radius: f64) -> f64 {
-        self.squared - 2.0 * self.height * radius
-    }
-
-    /// Radius of the ball that has the sample on it.
-    fn radius(&self) -> f64 {
-        0.5 * self.squared / self.height
-    }
+            [(0, normal), (1, -normal)].map(|(side, direction)| {
+                let ball = surface.largest_empty(&tree, i, direction, largest, hints[side]);
+                hints[side] = ball.map(|(_, touching)| touching);
+                ball.and_then(|(radius, touching)| surface.kept_centre(i, direction, radius, touching))
+            })
+        };
+        (start..count.min(start + RUN)).map(&mut of_sample).collect()
+    };
+    // by index, so that a run is the same on any number of threads
+    let runs: Vec<usize> = (0..count).step_by(RUN).collect();
+    runs.into_par_iter().flat_map_iter(of_run).collect()
 }
 
 impl Surface<'_> {
-    /// Centre of the largest empty ball that touches sample i and lies in `direction`, unless it is pruned or larger than
-    /// `largest`.
-    fn shrink(&self, tree: &KdTree, i: usize, direction: DVec3, largest: f64, inside: &mut Vec<Seen>) -> Option<DVec3> {
-        let p = self.points[i];
-        let seen = |q: u32, at: DVec3| {
+    /// The radius of the largest ball that touches the surface at sample i, lies in `direction` and has no other sample deeper in it than the blur, so far as to touch the
+    /// sample that stops it, and that sample; `None` where none does up to the radius `largest`. `hint` is a sample that may be the one.
+    fn largest_empty(
+        &self,
+        tree: &KdTree,
+        i: usize,
+        direction: DVec3,
+        largest: f64,
+        hint: Option<usize>,
+    ) -> Option<(f64, usize)> {
+        let (p, blur) = (self.points[i], self.blur[i]);
+        // the ball that has a sample just as deep in it as may be: q is in the ball of radius r by d where |q - p|^2 - 2 r direction . (q - p) + r^2 = (r - d)^2
+        let fitting = |at: DVec3| {
             let offset = at - p;
-            Seen { height: direction.dot(offset), squared: offset.length_squared(), index: q }
+            0.5 * (offset.length_squared() - blur * blur) / (direction.dot(offset) - blur)
         };
-        let (mut radius, mut touching) = (self.upper_bound(p, direction, largest), None);
-        for _ in 0..MOST_STEPS {
-            let (centre, empty) = (p + direction * radius, radius - self.blur[i]);
-            let Some((q, _)) = tree.nearest_of_leaves(centre, empty, MOST_LEAVES) else { break };
-            let next = seen(q as u32, self.points[q]);
-            if next.height <= 0.0 {
-                break;
-            }
-            (radius, touching) = (next.radius(), Some(q));
-            inside.clear();
-            let (centre, empty) = (p + direction * radius, radius - self.blur[i]);
-            if tree.each_within(centre, empty, MOST_LEAVES_FOR_ALL, &mut |q, at| inside.push(seen(q, at))) {
-                // a smaller ball lies inside this one, and so do the samples in it
-                (radius, touching) = shrink_to_fit(inside, radius, self.blur[i], touching);
-                break;
-            }
+        let mut ball = (largest, None::<usize>);
+        let place = |radius: f64| (p + direction * radius, radius - blur);
+        let shrink = |(radius, touching): &mut (f64, Option<usize>), q: usize, at: DVec3| {
+            let fits = fitting(at);
+            let is_smaller = fits < *radius || (fits == *radius && touching.is_none_or(|touching| q < touching));
+            let is_ahead = direction.dot(at - p) > blur && fits > 0.0;
+            (is_ahead && is_smaller).then(|| {
+                (*radius, *touching) = (fits, Some(q));
+                place(fits)
+            })
+        };
+        let hinted = hint.filter(|&hint| hint != i).and_then(|hint| shrink(&mut ball, hint, self.points[hint]));
+        if hinted.is_none() {
+            ball.0 = self.upper_bound(p, direction, largest);
         }
-        let q = touching?;
+        tree.each_within(place(ball.0), MOST_LEAVES, &mut |q, at| shrink(&mut ball, q as usize, at));
+        // the ball that just touches it
+        let touched = |q: usize| {
+            let offset = self.points[q] - p;
+            (0.5 * offset.length_squared() / direction.dot(offset), q)
+        };
+        ball.1.map(touched)
+    }
+
+    /// Centre of the ball that touches the surface at sample i and at another, in `direction`, unless it is pruned.
+    fn kept_centre(&self, i: usize, direction: DVec3, radius: f64, touching: usize) -> Option<DVec3> {
+        let p = self.points[i];
         let centre = p + direction * radius;
-        let angle = (p - centre).angle_between(self.points[q] - centre);
+        let angle = (p - centre).angle_between(self.points[touching] - centre);
         let height = radius * (1.0 - (0.5 * angle).cos());
         (angle >= MIN_SEPARATION_ANGLE && height >= PLAIN_BUMP * self.noise[i]).then_some(centre)
     }
@@ -142,23 +143,4 @@ impl Surface<'_> {
         }
         high
     }
-}
-
-/// Shrinks a ball of which the samples inside are known until none lies deeper in it than `blur` (mm): to the one nearest to its
-/// centre, again and again. Returns its radius and the sample that it then touches, `touching` where it holds none.
-fn shrink_to_fit(inside: &[Seen], mut radius: f64, blur: f64, mut touching: Option<usize>) -> (f64, Option<usize>) {
-    for _ in 0..MOST_STEPS {
-        let nearer = |a: &Seen, b: &Seen| {
-            let (near, far) = (a.beyond(radius), b.beyond(radius));
-            near < far || (near == far && a.index < b.index)
-        };
-        let nearest = inside.iter().reduce(|best, next| if nearer(next, best) { next } else { best });
-        let Some(nearest) = nearest else { break };
-        let is_inside = nearest.beyond(radius) < blur * (blur - 2.0 * radius);
-        if !is_inside || nearest.height <= 0.0 {
-            break;
-        }
-        (radius, touching) = (nearest.radius(), Some(nearest.index as usize));
-    }
-    (radius, touching)
 }

@@ -172,6 +172,6 @@ fn free_distances(geometry: &Geometry, complex: &Complex) -> Image<f32> {
             free.data[geometry.linear(at[0], at[1], at[2])] = 0.0;
         }
     }
-    limit_gradient(&mut free, 1.0, f64::INFINITY);
+    limit_gradient(&mut free, 1.0, None);
     free
 }

@@ -180,8 +180,9 @@ fn lines_from<I: Indicators + ?Sized>(indicators: &I, corner: DVec3, curve: Stra
         }
         let mut hear = |a: DVec3, b: DVec3| {
             let reach = (0.5 + PASSED) * a.distance(b);
-            tree.each_within(a.midpoint(b), reach, usize::MAX, &mut |n, place| {
+            tree.each_within((a.midpoint(b), reach), usize::MAX, &mut |n, place| {
                 is_passed[n as usize] |= follow::is_passed(place, a, b);
+                None
             });
             true
         };
