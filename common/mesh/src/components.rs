@@ -1,5 +1,11 @@
 //! Disjoint sets, and the connected components of a mesh's vertices that they give.
 
+use rayon::prelude::*;
+use std::sync::atomic::{AtomicU32, Ordering::Relaxed};
+
+/// Triangles that one thread joins at a time.
+const CHUNK: usize = 1 << 12;
+
 /// Number of a vertex that belongs to no triangle, and so to no component.
 pub const NO_COMPONENT: u32 = u32::MAX;
 
@@ -33,19 +39,49 @@ impl DisjointSets {
     }
 }
 
+/// The same, joined by several threads at once: a root is hung below a smaller one by a comparison and exchange, as in Jayanti and Tarjan 2016.
+struct SharedSets(Vec<AtomicU32>);
+
+impl SharedSets {
+    fn find(&self, x: u32) -> u32 {
+        let mut x = x;
+        loop {
+            let parent = self.0[x as usize].load(Relaxed);
+            let above = self.0[parent as usize].load(Relaxed);
+            if above == parent {
+                return parent;
+            }
+            // in vain where another thread was here; it has halved the path then
+            let _ = self.0[x as usize].compare_exchange_weak(parent, above, Relaxed, Relaxed);
+            x = above;
+        }
+    }
+
+    fn join(&self, a: u32, b: u32) {
+        loop {
+            let (a, b) = (self.find(a), self.find(b));
+            let (root, other) = (a.min(b), a.max(b));
+            if root == other || self.0[other as usize].compare_exchange(other, root, Relaxed, Relaxed).is_ok() {
+                return;
+            }
+        }
+    }
+}
+
 /// Component of each vertex (joined through triangles), numbered in the order of their first vertices, and how many there
 /// are; [`NO_COMPONENT`] for vertices of no triangle.
 pub fn of_vertices(count: usize, triangles: &[[u32; 3]]) -> (Vec<u32>, usize) {
-    let mut sets = DisjointSets::new(count);
-    let mut number = vec![NO_COMPONENT; count];
+    let sets = SharedSets((0..count as u32).map(AtomicU32::new).collect());
+    let used: Vec<AtomicU32> = (0..count).map(|_| AtomicU32::new(NO_COMPONENT)).collect();
     const USED: u32 = 0;
-    for &[a, b, c] in triangles {
+    triangles.par_iter().with_min_len(CHUNK).for_each(|&[a, b, c]| {
         sets.join(a, b);
         sets.join(b, c);
         for v in [a, b, c] {
-            number[v as usize] = USED;
+            used[v as usize].store(USED, Relaxed);
         }
-    }
+    });
+    let mut number: Vec<u32> = used.into_iter().map(AtomicU32::into_inner).collect();
     let mut components = 0;
     for v in 0..count {
         if number[v] == NO_COMPONENT {
@@ -72,6 +108,31 @@ mod tests {
         let (number, count) = of_vertices(8, &[[4, 5, 6], [0, 2, 3], [2, 3, 0]]);
         assert_eq!((number, count), (vec![0, NO_COMPONENT, 0, 0, 1, 1, 1, NO_COMPONENT], 2));
         assert_eq!(of_vertices(0, &[]), (vec![], 0));
+    }
+
+    #[test]
+    fn components_of_many_are_those_of_one_set_after_the_other() {
+        // strips of triangles of different lengths, in no order
+        let count = 60_000u32;
+        let mut triangles: Vec<[u32; 3]> =
+            (0..count - 2).filter(|n| n % 997 < 900 && n % 31 < 29).map(|n| [n, n + 1, n + 2]).collect();
+        triangles.sort_by_key(|t| t[0].wrapping_mul(0x9e37_79b9));
+        let mut sets = DisjointSets::new(count as usize);
+        for [a, b, c] in &triangles {
+            sets.join(*a, *b);
+            sets.join(*b, *c);
+        }
+        let is_used = |v: u32| triangles.iter().flatten().any(|&u| u == v);
+        let (number, components) = of_vertices(count as usize, &triangles);
+        let firsts: Vec<u32> =
+            (0..count).filter(|&v| sets.find(v) == v && number[v as usize] != NO_COMPONENT).collect();
+        assert!(components == firsts.len() && components > 60, "{components}");
+        for v in 0..count {
+            let expected = firsts.iter().position(|&first| first == sets.find(v));
+            assert_eq!(number[v as usize], expected.map_or(NO_COMPONENT, |n| n as u32), "{v}");
+        }
+        let unused = (0..count).filter(|&v| number[v as usize] == NO_COMPONENT).take(50);
+        assert!(unused.into_iter().all(|v| !is_used(v)));
     }
 
     #[test]

@@ -9,6 +9,9 @@ use serde::Serialize;
 /// Number of equal bins of the radius-ratio histogram over [0, 1].
 pub const HISTOGRAM_BINS: usize = 50;
 
+/// Triangles looked at by one thread at a time.
+const CHUNK: usize = 1 << 12;
+
 /// A triangle counts as having no area when its area is at most this share of the mean.
 pub const ZERO_AREA_SHARE: f64 = 1e-12;
 
@@ -93,6 +96,30 @@ pub struct QualitySummary {
     pub edge_length_max: f64,
 }
 
+/// Angles and sides of some triangles: the smallest and the largest, and the sum of the lengths.
+struct Sides {
+    angles: [f64; 2],
+    lengths: [f64; 2],
+    total: f64,
+}
+
+impl Sides {
+    fn of(mesh: &TriangleMesh, triangles: &[[u32; 3]]) -> Self {
+        let mut all = Self { angles: [f64::INFINITY, 0.0], lengths: [f64::INFINITY, 0.0], total: 0.0 };
+        for corners in triangles {
+            let [a, b, c] = corners.map(|v| mesh.vertices[v as usize]);
+            for angle in angles(a, b, c) {
+                all.angles = [all.angles[0].min(angle), all.angles[1].max(angle)];
+            }
+            for length in [a.distance(b), b.distance(c), c.distance(a)] {
+                all.lengths = [all.lengths[0].min(length), all.lengths[1].max(length)];
+                all.total += length;
+            }
+        }
+        all
+    }
+}
+
 /// Summarises the shapes of all triangles; all zeros for an empty mesh.
 pub fn summarise(mesh: &TriangleMesh) -> QualitySummary {
     if mesh.triangles.is_empty() {
@@ -119,17 +146,12 @@ pub fn summarise(mesh: &TriangleMesh) -> QualitySummary {
     summary.radius_ratio_p5 = percentile(&ratios, 5.0);
     summary.radius_ratio_median = percentile(&ratios, 50.0);
     let mut total_length = 0.0;
-    for t in 0..mesh.triangles.len() {
-        let [a, b, c] = mesh.corners(t);
-        for angle in angles(a, b, c) {
-            summary.angle_min = summary.angle_min.min(angle);
-            summary.angle_max = summary.angle_max.max(angle);
-        }
-        for length in [a.distance(b), b.distance(c), c.distance(a)] {
-            summary.edge_length_min = summary.edge_length_min.min(length);
-            summary.edge_length_max = summary.edge_length_max.max(length);
-            total_length += length;
-        }
+    for part in mesh.triangles.par_chunks(CHUNK).map(|triangles| Sides::of(mesh, triangles)).collect::<Vec<_>>() {
+        summary.angle_min = summary.angle_min.min(part.angles[0]);
+        summary.angle_max = summary.angle_max.max(part.angles[1]);
+        summary.edge_length_min = summary.edge_length_min.min(part.lengths[0]);
+        summary.edge_length_max = summary.edge_length_max.max(part.lengths[1]);
+        total_length += part.total;
     }
     if summary.angle_min.is_infinite() {
         summary.angle_min = 0.0;

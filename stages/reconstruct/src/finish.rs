@@ -6,9 +6,9 @@ use isoparticles_field::energy::{SUPPORT, pair_energy, scaled_distance};
 use isoparticles_field::neighbours::NeighbourLists;
 use isoparticles_field::spline::CubicSpline;
 use isoparticles_mesh::TriangleMesh;
+use isoparticles_mesh::components::{self, NO_COMPONENT};
 use isoparticles_mesh::quality::radius_ratios;
 use isoparticles_mesh::surface::{DataArray, Surface};
-use isoparticles_mesh::topology::analyse;
 use isoparticles_stage::meta::CapPlane;
 use isoparticles_volume::Geometry;
 use rayon::prelude::*;
@@ -41,11 +41,8 @@ pub fn attributes(mesh: &TriangleMesh, field: &CubicSpline, sizes: &[f64], caps:
             near.of(i).iter().map(pair).sum()
         })
         .collect();
-    let component_of_triangle = analyse(mesh).component_of_triangle;
-    let mut component = vec![-1i64; mesh.vertices.len()];
-    for (t, &c) in mesh.triangles.iter().zip(&component_of_triangle) {
-        t.iter().for_each(|&v| component[v as usize] = i64::from(c));
-    }
+    let (component, _) = components::of_vertices(mesh.vertices.len(), &mesh.triangles);
+    let component = component.into_iter().map(|c| if c == NO_COMPONENT { -1 } else { i64::from(c) }).collect();
     let deviation = (0..mesh.triangles.len())
         .into_par_iter()
         .map(|t| {

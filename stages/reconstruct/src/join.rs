@@ -54,6 +54,7 @@ pub(crate) fn join(
         max_deviation: options.max_deviation,
         open_border: options.open_border,
     };
+    let phase = monitor.phase("refine");
     let mut refinement = Refinement::of(delaunay, points, spline, topology, limits);
     if let Some(samples) = options.guarded(samples) {
         refinement.keep_nodes(samples);
@@ -62,17 +63,16 @@ pub(crate) fn join(
         monitor.note(&|| format!("{count} points"));
         Ok(monitor.check()?)
     };
-    let phase = monitor.phase("refine");
-    let mut facets = refinement.run(&mut hear)?;
+    let (mut facets, defects) = refinement.run(&mut hear)?;
+    let (mut pinched, mut cocone) = (defects.vertices, None);
     drop(phase);
-    let mut cocone = None;
     if options.method == Method::TightCocone {
         let _phase = monitor.phase("cocone");
         let (by_cocones, report) = cocones(&mut refinement, options.max_rounds, &mut hear)?;
+        pinched = refinement.object.defects(&by_cocones).vertices;
         (facets, cocone) = (by_cocones, Some(report));
     }
     let (mut mesh, used) = compact(refinement.object.points(), &facets);
-    let pinched: Vec<(u32, Vec<u32>)> = refinement.object.defects(&facets).vertices;
     let mut parted = 0;
     if !pinched.is_empty() {
         let number = |v: u32| used.binary_search(&v).expect("a vertex of a facet is in the mesh") as u32;

@@ -150,7 +150,7 @@ pub fn reconstruct(
         join(delaunay, &points, &spline, &topology, field, options, monitor)?;
 
     let phase = monitor.phase("improve");
-    let tree = KdTree::new(&sizes.0);
+    let tree = if sizing.is_none() { KdTree::new(&sizes.0) } else { KdTree::default() };
     let size_near = |p: DVec3| tree.nearest(p).map_or(spline.geometry().mean_spacing(), |(v, _)| sizes.1[v]);
     let size = |p: DVec3| sizing.map_or_else(|| size_near(p), |h| h.at(p));
     let how = ImproveOptions {

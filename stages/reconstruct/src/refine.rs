@@ -173,11 +173,11 @@ impl<'a> Refinement<'a> {
     }
 
     /// Adds points until nothing is violated, there is no room for more, or `max_rounds` are over. `step` hears the number of points and may stop
-    /// the loop with an error. Returns the facets.
+    /// the loop with an error. Returns the facets, and what is left amiss in them.
     ///
     /// # Errors
     /// Those of `step` and of the triangulation.
-    pub fn run(&mut self, mut step: impl FnMut(usize) -> Result<()>) -> Result<Vec<Facet>> {
+    pub fn run(&mut self, mut step: impl FnMut(usize) -> Result<()>) -> Result<(Vec<Facet>, Defects)> {
         let step: &mut dyn FnMut(usize) -> Result<()> = &mut step;
         let mut rounds_left = self.options.max_rounds;
         let mut node_rounds_left = self.options.max_rounds;
@@ -214,7 +214,7 @@ impl<'a> Refinement<'a> {
             }
             if mended == 0 {
                 self.tell(&defects, wrong_sided.len());
-                return Ok(facets);
+                return Ok((facets, defects));
             }
         }
     }

@@ -25,7 +25,7 @@ fn surface(scene: &Scene, spacing: f64) -> (TriangleMesh, Defects, RefineReport,
     let mut points = surface_points(scene, spacing);
     let topology = FieldTopology::new(&scene.field);
     let mut refinement = Refinement::new(&mut points, &scene.field, &topology, RefineOptions::default()).unwrap();
-    let facets = refinement.run(|_| Ok(())).unwrap();
+    let (facets, _) = refinement.run(|_| Ok(())).unwrap();
     let defects = refinement.object.defects(&facets);
     (
         compact(refinement.object.restricted.points(), &facets).0,
@@ -139,7 +139,7 @@ fn sheets_that_touch_in_a_saddle_of_f_are_parted() {
         let options = RefineOptions { max_rounds: 0, ..RefineOptions::default() };
         let mut refinement = Refinement::new(&mut points, &scene.field, &topology, options).unwrap();
         let before = refinement.object.defects(&refinement.object.facets());
-        let facets = refinement.run(|_| Ok(())).unwrap();
+        let (facets, _) = refinement.run(|_| Ok(())).unwrap();
         let after = refinement.object.defects(&facets);
         assert!(after.is_manifold(), "at spacing {spacing}: {:?}", refinement.report);
         assert_eq!(refinement.report.parted_pinches > 0, !before.is_manifold());
@@ -155,7 +155,7 @@ fn what_a_closed_surface_goes_round_is_found_and_can_change_sides() {
         let mut points = surface_points(&scene, 1.4);
         let topology = FieldTopology::new(&scene.field);
         let mut refinement = Refinement::new(&mut points, &scene.field, &topology, RefineOptions::default()).unwrap();
-        let facets = refinement.run(|_| Ok(())).unwrap();
+        let (facets, _) = refinement.run(|_| Ok(())).unwrap();
         let is_one = |f: &Facet| {
             let p = refinement.object.restricted.points()[f.vertices[0] as usize];
             if is_cavity { p.distance(scenes::CENTRE) < 9.25 } else { p.x < 15.6 }
@@ -250,7 +250,7 @@ fn a_component_without_particles_is_found_and_sampled() {
     let mut points = SurfacePoints { positions, sizes, ..SurfacePoints::default() };
     let topology = FieldTopology::new(&scene.field);
     let mut refinement = Refinement::new(&mut points, &scene.field, &topology, RefineOptions::default()).unwrap();
-    let facets = refinement.run(|_| Ok(())).unwrap();
+    let (facets, _) = refinement.run(|_| Ok(())).unwrap();
     let defects = refinement.object.defects(&facets);
     assert!(defects.is_empty() && defects.component_count == 2);
     let sampled = refinement.report.inserted[&Reason::Missing];
@@ -282,7 +282,7 @@ fn grid_aligned_and_repeated_particles_are_no_trouble() {
     let mut points = prepare(&particles, &scene.field).unwrap();
     let topology = FieldTopology::new(&scene.field);
     let mut refinement = Refinement::new(&mut points, &scene.field, &topology, RefineOptions::default()).unwrap();
-    let facets = refinement.run(|_| Ok(())).unwrap();
+    let (facets, _) = refinement.run(|_| Ok(())).unwrap();
     let defects = refinement.object.defects(&facets);
     assert!(defects.is_empty() && defects.component_count == 1, "{:?}", refinement.report);
     assert_eq!(points.report.crowded, positions.len(), "{:?}", points.report);
