@@ -1,6 +1,6 @@
 //! From triangulated points on F = 0 to a mesh: the facets by either method.
 
-use crate::pinched::part_sheets;
+use crate::pinched::{part_sheets, with_triangles};
 use crate::prepare::{ON_SURFACE, SurfacePoints};
 use crate::reconstruct::{Method, Options};
 use crate::refine::{RefineOptions, RefineReport, Refinement};
@@ -76,7 +76,7 @@ pub(crate) fn join(
     let mut parted = 0;
     if !pinched.is_empty() {
         let number = |v: u32| used.binary_search(&v).expect("a vertex of a facet is in the mesh") as u32;
-        let pinched: Vec<_> = pinched.into_iter().map(|(v, around)| (number(v), around)).collect();
+        let pinched = with_triangles(&mesh, pinched.into_iter().map(|(v, _)| number(v)));
         let voxel = spline.geometry().mean_spacing();
         parted = part_sheets(&mut mesh, &pinched, |p| spline.project(p, voxel, ON_SURFACE * voxel));
     }
@@ -122,7 +122,8 @@ pub(crate) fn cocone_of(refinement: &Refinement) -> Result<(Vec<Facet>, CoconeRe
     tight_cocone(delaunay, Some(&normals))
 }
 
-/// The mesh of the facets with the vertices that they use, and the point behind each vertex.
+/// The mesh of the facets with the vertices that they use, and the point behind each vertex. Its triangles begin with their lowest vertex and are in the order of their vertices, so that
+/// nothing later depends on the numbers of tetrahedra, and what is near in space is mostly near in memory.
 pub(crate) fn compact(points: &[DVec3], facets: &[Facet]) -> (TriangleMesh, Vec<u32>) {
     let mut number = vec![u32::MAX; points.len()];
     facets.iter().flat_map(|f| f.vertices).for_each(|v| number[v as usize] = 0);
@@ -130,9 +131,13 @@ pub(crate) fn compact(points: &[DVec3], facets: &[Facet]) -> (TriangleMesh, Vec<
     for (n, &v) in used.iter().enumerate() {
         number[v as usize] = n as u32;
     }
-    let mesh = TriangleMesh {
-        vertices: used.iter().map(|&v| points[v as usize]).collect(),
-        triangles: facets.iter().map(|f| f.vertices.map(|v| number[v as usize])).collect(),
+    let corners = |facet: &Facet| {
+        let mut corners = facet.vertices.map(|v| number[v as usize]);
+        let lowest = (0..3).min_by_key(|&k| corners[k]).unwrap_or(0);
+        corners.rotate_left(lowest);
+        corners
     };
-    (mesh, used)
+    let mut triangles: Vec<[u32; 3]> = facets.par_iter().map(corners).collect();
+    triangles.par_sort_unstable();
+    (TriangleMesh { vertices: used.iter().map(|&v| points[v as usize]).collect(), triangles }, used)
 }

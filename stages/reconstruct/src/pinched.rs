@@ -42,16 +42,20 @@ pub fn part_sheets(
 
 /// The vertices of a closed mesh that have more than one fan of triangles, each with the triangles at it.
 pub fn pinched_vertices(mesh: &TriangleMesh) -> Vec<(u32, Vec<u32>)> {
-    let mut pinched: BTreeMap<u32, Vec<u32>> =
-        analyse(mesh).non_manifold_vertices.into_iter().map(|v| (v, Vec::new())).collect();
+    with_triangles(mesh, analyse(mesh).non_manifold_vertices)
+}
+
+/// A few vertices, ascending, each with the triangles at it.
+pub(crate) fn with_triangles(mesh: &TriangleMesh, vertices: impl IntoIterator<Item = u32>) -> Vec<(u32, Vec<u32>)> {
+    let mut all: BTreeMap<u32, Vec<u32>> = vertices.into_iter().map(|v| (v, Vec::new())).collect();
     for (t, triangle) in mesh.triangles.iter().enumerate() {
         for v in triangle {
-            if let Some(around) = pinched.get_mut(v) {
+            if let Some(around) = all.get_mut(v) {
                 around.push(t as u32);
             }
         }
     }
-    pinched.into_iter().collect()
+    all.into_iter().collect()
 }
 
 /// The triangles at a vertex, by the fans that they form across their edges.

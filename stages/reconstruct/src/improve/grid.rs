@@ -5,6 +5,7 @@
 
 use glam::DVec3;
 use isoparticles_mesh::spatial::Bounds;
+use rayon::prelude::*;
 use std::collections::HashMap;
 use std::hash::{BuildHasherDefault, Hasher};
 
@@ -13,13 +14,21 @@ const LEVELS: usize = 32;
 /// Cells an axis can have in one level.
 const CELLS: f64 = (1 << 19) as f64;
 
+/// Parts of the cells that are filled side by side, and triangles from which on they are.
+const PARTS: usize = 16;
+const MANY: usize = 1 << 14;
+
+/// Triangles of each cell.
+type Cells = HashMap<u64, Vec<u32>, BuildHasherDefault<KeyHasher>>;
+
 /// Triangles by place and size.
 #[derive(Clone)]
 pub(super) struct TriangleGrid {
     origin: DVec3,
     finest: f64,
     population: [usize; LEVELS],
-    cells: HashMap<u64, Vec<u32>, BuildHasherDefault<KeyHasher>>,
+    /// One part, or [`PARTS`] by the key.
+    cells: Vec<Cells>,
     boxes: Vec<Bounds>,
 }
 
@@ -33,14 +42,45 @@ impl TriangleGrid {
             origin: whole.low - extent,
             finest,
             population: [0; LEVELS],
-            cells: HashMap::default(),
+            cells: vec![Cells::default()],
             boxes: Vec::new(),
         }
     }
 
     /// An empty grid of the same cells.
     pub(super) fn emptied(&self) -> Self {
-        Self { population: [0; LEVELS], cells: HashMap::default(), boxes: Vec::new(), ..*self }
+        Self { population: [0; LEVELS], cells: vec![Cells::default()], boxes: Vec::new(), ..*self }
+    }
+
+    /// A grid of the same cells with the triangles of these boxes in it, [`Bounds::EMPTY`] where there is none.
+    pub(super) fn filled(&self, boxes: Vec<Bounds>) -> Self {
+        let mut grid = self.emptied();
+        if boxes.len() < MANY {
+            let all = (0..).zip(&boxes).filter(|(_, bounds)| **bounds != Bounds::EMPTY);
+            all.for_each(|(t, bounds)| grid.insert(t, *bounds));
+            return grid;
+        }
+        let home = |bounds: &Bounds| grid.home(grid.level(bounds), bounds);
+        let key = |bounds: &Bounds| (*bounds != Bounds::EMPTY).then(|| home(bounds));
+        let keys: Vec<Option<u64>> = boxes.par_iter().map(key).collect();
+        keys.iter().flatten().for_each(|key| grid.population[level_of(*key)] += 1);
+        let part = |number: usize| {
+            let mut cells = Cells::default();
+            for (t, key) in (0..).zip(&keys) {
+                if let Some(key) = key.filter(|&key| part_of(key) == number) {
+                    cells.entry(key).or_default().push(t);
+                }
+            }
+            cells
+        };
+        grid.cells = (0..PARTS).into_par_iter().map(part).collect();
+        grid.boxes = boxes;
+        grid
+    }
+
+    /// The part that a cell is in.
+    fn part(&self, key: u64) -> usize {
+        if self.cells.len() == 1 { 0 } else { part_of(key) }
     }
 
     /// Puts a triangle in.
@@ -52,14 +92,18 @@ impl TriangleGrid {
         self.boxes[slot] = bounds;
         let level = self.level(&bounds);
         self.population[level] += 1;
-        self.cells.entry(self.home(level, &bounds)).or_default().push(triangle);
+        let key = self.home(level, &bounds);
+        let part = self.part(key);
+        self.cells[part].entry(key).or_default().push(triangle);
     }
 
     /// Takes a triangle out that was put in.
     pub(super) fn remove(&mut self, triangle: u32) {
         let bounds = self.boxes[triangle as usize];
         let level = self.level(&bounds);
-        if let Some(cell) = self.cells.get_mut(&self.home(level, &bounds))
+        let key = self.home(level, &bounds);
+        let part = self.part(key);
+        if let Some(cell) = self.cells[part].get_mut(&key)
             && let Some(at) = cell.iter().position(|&t| t == triangle)
         {
             cell.remove(at);
@@ -77,7 +121,8 @@ impl TriangleGrid {
             for z in low[2]..=high[2] {
                 for y in low[1]..=high[1] {
                     for x in low[0]..=high[0] {
-                        let Some(cell) = self.cells.get(&key(level, [x, y, z])) else { continue };
+                        let key = key(level, [x, y, z]);
+                        let Some(cell) = self.cells[self.part(key)].get(&key) else { continue };
                         let hit = |&t: &u32| {
                             let bounds = &self.boxes[t as usize];
                             bounds.meets(query) && test(t, bounds)
@@ -113,6 +158,15 @@ impl TriangleGrid {
 
 fn key(level: usize, [x, y, z]: [u64; 3]) -> u64 {
     (level as u64) << 57 | z << 38 | y << 19 | x
+}
+
+fn level_of(key: u64) -> usize {
+    (key >> 57) as usize
+}
+
+/// The part of a cell, of many.
+fn part_of(key: u64) -> usize {
+    (key.wrapping_mul(0x9e37_79b9_7f4a_7c15) >> 32) as usize % PARTS
 }
 
 /// Mixes one 64-bit key; the order of the map is never looked at.
@@ -152,22 +206,34 @@ mod tests {
             })
             .collect();
         let whole = boxes.iter().fold(Bounds::EMPTY, |a, &b| a.merged(b));
-        let mut grid = TriangleGrid::new(whole, 0.02);
+        let mut one_by_one = TriangleGrid::new(whole, 0.02);
         for (t, &b) in boxes.iter().enumerate() {
-            grid.insert(t as u32, b);
+            one_by_one.insert(t as u32, b);
         }
-        for t in (0..400).step_by(3) {
-            grid.remove(t);
-        }
-        for query in &boxes {
-            let mut found = Vec::new();
-            grid.any(query, |t, _| {
-                found.push(t);
-                false
-            });
-            found.sort_unstable();
-            let expected: Vec<u32> = (0..400).filter(|&t| t % 3 != 0 && boxes[t as usize].meets(query)).collect();
-            assert_eq!(found, expected);
+        // the others of those filled at once are nowhere
+        let at_once = |count: usize| {
+            let mut more = boxes.clone();
+            more.resize(count, Bounds::EMPTY);
+            one_by_one.filled(more)
+        };
+        for mut grid in [at_once(400), at_once(MANY), one_by_one.clone()] {
+            for t in (0..400).step_by(3) {
+                grid.remove(t);
+            }
+            for t in (0..400).step_by(6) {
+                grid.insert(t, boxes[t as usize]);
+            }
+            for query in &boxes {
+                let mut found = Vec::new();
+                grid.any(query, |t, _| {
+                    found.push(t);
+                    false
+                });
+                found.sort_unstable();
+                let is_in = |t: u32| t % 3 != 0 || t % 6 == 0;
+                let expected: Vec<u32> = (0..400).filter(|&t| is_in(t) && boxes[t as usize].meets(query)).collect();
+                assert_eq!(found, expected);
+            }
         }
     }
 }

@@ -4,6 +4,12 @@ use super::constants::{FIRST_MOVES, LEAST_GAIN};
 use super::guard::{Limits, Rule, commit_or_rollback, gain, progress};
 use super::moves::{Move, moves_near, relocate_all};
 use super::surface::Surface;
+use rayon::prelude::*;
+
+/// Triangles of a surface up to which moves with relocations, a tenth of a millisecond each, are rated on copies of it side by side: more take as long to copy.
+const MOST_COPIED: usize = 1000;
+/// Moves that are worth a copy.
+const MOVES_A_COPY: usize = 4;
 
 /// What follows a move before it is judged.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -23,19 +29,10 @@ pub(super) fn lift(surface: &mut Surface, triangle: u32, limits: &Limits, bar: f
 
 /// Commits the move that gains most, of those that the guard lets pass.
 fn lift_by_best(surface: &mut Surface, candidates: &[Move], after: After, limits: &Limits, bar: f64) -> bool {
-    let mut rated: Vec<(f64, Move)> = Vec::new();
     // relocations that follow bring a vertex all the way
-    for &candidate in candidates.iter().filter(|m| after == After::Nothing || !m.is_partial()) {
-        if make(surface, candidate, after) {
-            let gain = gain(surface, bar);
-            if gain > LEAST_GAIN {
-                rated.push((gain, candidate));
-            }
-        }
-        surface.rollback();
-    }
-    // stable: the order of the moves among equals
-    rated.sort_by(|a, b| b.0.total_cmp(&a.0));
+    let candidates: Vec<Move> =
+        candidates.iter().filter(|m| after == After::Nothing || !m.is_partial()).copied().collect();
+    let rated = rated(surface, &candidates, after, |made| Some(gain(made, bar)).filter(|&gain| gain > LEAST_GAIN));
     rated.into_iter().any(|(_, candidate)| {
         let made = make(surface, candidate, after);
         let kept = made && commit_or_rollback(surface, limits, Rule::Lift { bar }).is_some();
@@ -55,32 +52,15 @@ pub(super) fn lift_by_two(surface: &mut Surface, triangle: u32, limits: &Limits,
         return true;
     }
     let after = After::Relocations;
-    let mut firsts: Vec<(f64, Move)> = Vec::new();
-    for candidate in near {
-        if make(surface, candidate, after) {
-            firsts.push((progress(surface, bar), candidate));
-        }
-        surface.rollback();
-    }
-    firsts.sort_by(|a, b| b.0.total_cmp(&a.0));
+    let firsts = rated(surface, &near, after, |made| Some(progress(made, bar)));
     for (_, first) in firsts.into_iter().take(FIRST_MOVES) {
         make(surface, first, after);
-        let made = surface.mark();
         let touched = surface.touched().into_iter().filter(|&t| surface.is_alive(t));
         let worst = touched.min_by(|&a, &b| surface.quality(a).total_cmp(&surface.quality(b)));
         let corners = worst.map(|t| surface.triangles[t as usize]);
-        let mut rated: Vec<(f64, Move)> = Vec::new();
-        for candidate in whole(corners.into_iter().collect()) {
-            if make(surface, candidate, after) {
-                let gain = gain(surface, bar);
-                if gain > LEAST_GAIN {
-                    rated.push((gain, candidate));
-                }
-            }
-            surface.rollback_to(made);
-        }
-        rated.sort_by(|a, b| b.0.total_cmp(&a.0));
-        for (_, second) in rated {
+        let seconds = whole(corners.into_iter().collect());
+        let gains = |made: &Surface| Some(gain(made, bar)).filter(|&gain| gain > LEAST_GAIN);
+        for (_, second) in rated(surface, &seconds, after, gains) {
             surface.rollback();
             if make(surface, first, after)
                 && make(surface, second, after)
@@ -92,6 +72,36 @@ pub(super) fn lift_by_two(surface: &mut Surface, triangle: u32, limits: &Limits,
         surface.rollback();
     }
     false
+}
+
+/// Moves with what a measure says of the surface that each makes, the largest first, and those left out of which it says nothing; each is taken back.
+fn rated(
+    surface: &mut Surface,
+    candidates: &[Move],
+    after: After,
+    measure: impl Fn(&Surface) -> Option<f64> + Sync,
+) -> Vec<(f64, Move)> {
+    let rate = |surface: &mut Surface, candidate: Move| {
+        let before = surface.mark();
+        let rate = make(surface, candidate, after).then(|| measure(surface)).flatten();
+        surface.rollback_to(before);
+        rate.map(|rate| (rate, candidate))
+    };
+    let copies = rayon::current_num_threads().min(candidates.len() / MOVES_A_COPY);
+    let is_small = after == After::Relocations && surface.triangles.len() <= MOST_COPIED;
+    let mut rated: Vec<(f64, Move)> = if is_small && copies > 1 {
+        let chunks = candidates.par_chunks(candidates.len().div_ceil(copies));
+        let rate_all = |chunk: &[Move]| {
+            let mut copy = surface.clone();
+            chunk.iter().filter_map(|&candidate| rate(&mut copy, candidate)).collect::<Vec<_>>()
+        };
+        chunks.flat_map_iter(rate_all).collect()
+    } else {
+        candidates.iter().filter_map(|&candidate| rate(surface, candidate)).collect()
+    };
+    // stable: the order of the moves among equals
+    rated.sort_by(|a, b| b.0.total_cmp(&a.0));
+    rated
 }
 
 /// Makes a move, with what is to follow; false where it cannot be made.

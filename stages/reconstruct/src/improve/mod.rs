@@ -218,7 +218,7 @@ pub fn improve_sheets(
             "reconstruct it again; if it comes from a file, the file is damaged",
         ));
     }
-    if let Some(p) = mesh.vertices.iter().find(|&&p| !(size(p) > 0.0 && size(p).is_finite())) {
+    if let Some(p) = mesh.vertices.par_iter().find_first(|&&p| !(size(p) > 0.0 && size(p).is_finite())) {
         return Err(Error::input(
             format!("the target edge length at {p} is {}", size(*p)),
             "edge lengths are measured against it",

@@ -1,6 +1,6 @@
 //! A part of the surface as a surface of its own: what is done there, in however many commits, is one transaction of the whole, or none.
 
-use super::surface::{DEAD, Size, Surface};
+use super::surface::{DEAD, Facts, Size, Surface};
 use glam::DVec3;
 use isoparticles_mesh::spatial::Bounds;
 use rayon::prelude::*;
@@ -101,8 +101,9 @@ impl<'a> Patch<'a> {
     /// What was changed in the part since it was taken.
     pub(super) fn edits(self, whole: &Surface) -> Edits {
         let part = self.surface;
-        let old = self.vertices.iter().zip(&part.positions);
-        let moved = old.filter(|&(&v, &p)| whole.positions[v as usize] != p).map(|(&v, &p)| (v, p)).collect();
+        let old = self.vertices.iter().zip(part.positions.iter().zip(&part.target));
+        let is_moved = |&(&v, (&p, _)): &(&u32, (&DVec3, &f64))| whole.positions[v as usize] != p;
+        let moved = old.filter(is_moved).map(|(&v, (&p, &target))| (v, p, target)).collect();
         let mut number = self.vertices;
         let first_added = whole.positions.len() as u32;
         let mut added = Vec::new();
@@ -110,18 +111,25 @@ impl<'a> Patch<'a> {
             // one that is gone again has no triangle to name it
             number.push(first_added + added.len() as u32);
             if !part.around[v].is_empty() {
-                added.push(part.positions[v]);
+                added.push((part.positions[v], part.target[v]));
             }
         }
-        let mut edits = Edits { first_added, moved, added, retriangled: Vec::new(), new_triangles: Vec::new() };
+        let (retriangled, new_triangles, facts) = Default::default();
+        let mut edits = Edits { first_added, moved, added, retriangled, new_triangles, facts };
         for (t, corners) in part.triangles.iter().enumerate() {
             let corners = if *corners == DEAD { DEAD } else { corners.map(|v| number[v as usize]) };
+            let facts = part.facts[t];
             match self.triangles.get(t) {
-                Some(&global) if whole.triangles[global as usize] != corners => {
-                    edits.retriangled.push((global, corners));
+                Some(&global) => {
+                    if whole.triangles[global as usize] != corners {
+                        edits.retriangled.push((global, corners));
+                    }
+                    if part.has_changed(t as u32) {
+                        edits.facts.push((global, facts));
+                    }
                 }
-                None if corners != DEAD => edits.new_triangles.push((corners, part.sheet[t])),
-                _ => {}
+                None if corners != DEAD => edits.new_triangles.push((corners, part.sheet[t], facts)),
+                None => {}
             }
         }
         edits
@@ -132,37 +140,49 @@ impl<'a> Patch<'a> {
 pub(super) struct Edits {
     /// The number of the first added vertex: of vertices in the surface when the changes were found.
     first_added: u32,
-    /// Vertices and where they go.
-    moved: Vec<(u32, DVec3)>,
-    /// Places of vertices that follow the last one of the surface.
-    added: Vec<DVec3>,
+    /// Vertices, where they go, and the target length there as the part has it.
+    moved: Vec<(u32, DVec3, f64)>,
+    /// Places and target lengths of vertices that follow the last one of the surface.
+    added: Vec<(DVec3, f64)>,
     /// Triangles and their new corners, [`DEAD`] where they go.
     retriangled: Vec<(u32, [u32; 3])>,
-    /// Corners and sheets of triangles that come.
-    new_triangles: Vec<([u32; 3], u32)>,
+    /// Corners, sheets and facts of triangles that come.
+    new_triangles: Vec<([u32; 3], u32, Facts)>,
+    /// Facts of the other triangles that the part has changed.
+    facts: Vec<(u32, Facts)>,
 }
 
 impl Edits {
     /// Makes the changes in the surface that the part was taken from, which must be as it was then where the part was; nothing is committed.
     pub(super) fn make(self, whole: &mut Surface) {
+        let size = whole.size;
+        self.make_with(whole, |p, _| size(p));
+    }
+
+    /// The same, with the target length at a place by that of the part.
+    fn make_with(self, whole: &mut Surface, target: impl Fn(DVec3, f64) -> f64) {
         let shift = whole.positions.len() as u32 - self.first_added;
         let number = |v: u32| if v >= self.first_added && v != u32::MAX { v + shift } else { v };
-        self.moved.into_iter().for_each(|(v, p)| whole.move_vertex(v, p));
-        for p in self.added {
-            whole.add_vertex(p);
+        self.moved.into_iter().for_each(|(v, p, own)| whole.move_vertex_of(v, p, target(p, own)));
+        for (p, own) in self.added {
+            whole.add_vertex_of(p, target(p, own));
         }
         self.retriangled.into_iter().for_each(|(t, corners)| whole.set_triangle(t, corners.map(number)));
-        for (corners, sheet) in self.new_triangles {
+        for (corners, sheet, _) in self.new_triangles {
             whole.add_triangle(corners.map(number), sheet);
         }
     }
 
-    /// Makes and commits changes that were judged in the part; the triangles touched. `nodes` are the grid nodes that they carry to the other side.
-    pub(super) fn commit(self, whole: &mut Surface, nodes: &[usize]) -> Vec<u32> {
-        self.make(whole);
+    /// Makes and commits changes that were committed in the part, of the same target lengths; the triangles touched. `nodes` are the grid nodes that they carry to the other side.
+    pub(super) fn commit(mut self, whole: &mut Surface, nodes: &[usize]) -> Vec<u32> {
+        let first_new = whole.triangles.len() as u32;
+        let new = (first_new..).zip(&self.new_triangles).map(|(t, &(_, _, facts))| (t, facts));
+        let (touched, facts): (Vec<u32>, Vec<Facts>) = std::mem::take(&mut self.facts).into_iter().chain(new).unzip();
+        self.make_with(whole, |_, own| own);
         if let Some(sides) = &mut whole.sides {
             sides.turn(nodes);
         }
-        whole.commit_as_it_is()
+        whole.commit(&touched, &facts);
+        touched
     }
 }

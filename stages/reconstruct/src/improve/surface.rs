@@ -13,6 +13,7 @@ use super::sheets::{Freedom, Sheets};
 use glam::DVec3;
 use isoparticles_field::spline::distance_estimate;
 use isoparticles_mesh::TriangleMesh;
+use isoparticles_mesh::incidence::Incidence;
 use isoparticles_mesh::spatial::Bounds;
 use rayon::prelude::*;
 
@@ -114,12 +115,8 @@ impl<'a> Surface<'a> {
         field: &'a dyn Sheets,
         size: Size<'a>,
     ) -> Self {
-        let mut around = vec![Vec::new(); mesh.vertices.len()];
-        for (t, corners) in mesh.triangles.iter().enumerate() {
-            for &v in corners {
-                around[v as usize].push(t as u32);
-            }
-        }
+        let incidence = Incidence::new(&mesh.triangles, mesh.vertices.len());
+        let around = (0..mesh.vertices.len() as u32).into_par_iter().map(|v| incidence.of(v).to_vec()).collect();
         let mut surface = Self {
             field,
             size,
@@ -150,11 +147,9 @@ impl<'a> Surface<'a> {
 
     /// Puts the triangles, all committed, into a new grid.
     pub(super) fn fill_grid(&mut self) {
-        let mut grid = self.empty.emptied();
-        for t in (0..self.triangles.len() as u32).filter(|&t| self.is_alive(t)) {
-            grid.insert(t, self.bounds(t));
-        }
-        self.grid = Some(grid);
+        let bounds = |t: u32| self.is_alive(t).then(|| self.bounds(t)).unwrap_or(Bounds::EMPTY);
+        let boxes = (0..self.triangles.len() as u32).into_par_iter().map(bounds).collect();
+        self.grid = Some(self.empty.filled(boxes));
     }
 
     /// A copy of some triangles (ascending) on some vertices (ascending) to try moves on, with the facts of the whole. It has no grid and guards no

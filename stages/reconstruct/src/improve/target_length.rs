@@ -21,6 +21,7 @@ use super::{Tally, remesh};
 use glam::DVec3;
 use isoparticles_field::curvature::curvature_tensor;
 use isoparticles_mesh::spatial::Bounds;
+use rayon::prelude::*;
 
 /// A place that asks for short edges.
 #[derive(Clone, Copy, Debug)]
@@ -67,48 +68,54 @@ pub(super) fn region(surface: &Surface, triangle: u32, reach: f64) -> Bounds {
     Bounds { low: place.centre - half, high: place.centre + half }
 }
 
-/// Remeshes the patch round a triangle, `attempts` times at most with each gradation, and commits the first outcome that the guard lets pass by the loosened limits, less the vertices that
+/// How a patch is remeshed.
+#[derive(Clone, Copy)]
+pub(super) struct How {
+    /// Its radius over the length of the edges there.
+    pub(super) reach: f64,
+    /// Times at most with each gradation.
+    pub(super) attempts: usize,
+    /// Whether all gradations are tried at the same time: where no other patch is worked on, so that what is done in vain costs no time.
+    pub(super) side_by_side: bool,
+}
+
+/// Remeshes the patch round a triangle, and commits the first outcome that the guard lets pass by the loosened limits, less the vertices that
 /// it can do without; false where none did.
-pub(super) fn remesh(
-    surface: &mut Surface,
-    triangle: u32,
-    (reach, attempts): (f64, usize),
-    limits: &Limits,
-    bar: f64,
-) -> bool {
-    let (place, loosened) = (Place::of(surface, triangle, reach), &limits.loosened());
+pub(super) fn remesh(surface: &mut Surface, triangle: u32, how: How, limits: &Limits, bar: f64) -> bool {
+    let (place, loosened) = (Place::of(surface, triangle, how.reach), &limits.loosened());
     let Some(free) = free_vertices(surface, triangle, &place) else { return false };
     let mut demands = demands_of_curvature(surface, &free, &place);
     demands.extend(demands_of_nodes(surface, &place));
     let mut demands = GRADATIONS.map(|_| Some(demands.clone()));
-    for _ in 0..attempts {
+    let outcome = |surface: &Surface, gradation: f64, asked: &Option<Vec<Demand>>| {
+        let (asked, h) = (asked.as_ref()?, surface.size);
+        let target = |p: DVec3| {
+            let asked = asked.iter().fold(place.length, |least, d| least.min(d.length + gradation * p.distance(d.at)));
+            h(p).min(asked.max(place.least(p, gradation)))
+        };
+        let patch = remeshed(surface, &free, &target, loosened)?;
+        let mut more = demands_of_outcome(&patch.surface);
+        more.extend(demands_of_nodes(&patch.surface, &place));
+        Some((patch.edits(surface), more))
+    };
+    for _ in 0..how.attempts {
+        let at_once = |surface: &Surface| {
+            let all = GRADATIONS.into_par_iter().zip(&demands);
+            all.map(|(gradation, asked)| outcome(surface, gradation, asked)).collect::<Vec<_>>()
+        };
+        let mut known = if how.side_by_side { at_once(surface) } else { Vec::new() }.into_iter();
         for (gradation, demands) in GRADATIONS.into_iter().zip(&mut demands) {
-            let Some(asked) = demands else { continue };
-            let h = surface.size;
-            let target = |p: DVec3| {
-                let asked =
-                    asked.iter().fold(place.length, |least, d| least.min(d.length + gradation * p.distance(d.at)));
-                h(p).min(asked.max(place.least(p, gradation)))
-            };
-            let more = match remeshed(surface, &free, &target, loosened) {
-                Some(patch) => {
-                    let mut more = demands_of_outcome(&patch.surface);
-                    more.extend(demands_of_nodes(&patch.surface, &place));
-                    patch.edits(surface).make(surface);
-                    if let Some(touched) = commit_or_rollback(surface, loosened, Rule::Lift { bar }) {
-                        coarsen(surface, touched, place.length, limits);
-                        return true;
-                    }
-                    more
-                }
-                None => Vec::new(),
-            };
-            // the same again would end the same
-            if more.is_empty() {
-                *demands = None;
-            } else {
-                asked.extend(more);
+            let outcome = known.next().unwrap_or_else(|| outcome(surface, gradation, demands));
+            let more = outcome.map_or_else(Vec::new, |(edits, more)| {
+                edits.make(surface);
+                more
+            });
+            if let Some(touched) = commit_or_rollback(surface, loosened, Rule::Lift { bar }) {
+                coarsen(surface, touched, place.length, limits);
+                return true;
             }
+            // the same again would end the same
+            *demands = demands.take().filter(|_| !more.is_empty()).map(|asked| [asked, more].concat());
         }
     }
     false

@@ -1,6 +1,7 @@
 //! Meshes with bad triangles on analytic surfaces: what comes out must be better and still everything it was.
 
 use super::patch::Patch;
+use super::target_length::How;
 use super::*;
 use crate::check::{CheckOptions, CheckReport, check};
 use constants::{ATTEMPTS, FIT, REACHES};
@@ -9,6 +10,9 @@ use isoparticles_field::random::uniform;
 use isoparticles_mesh::shapes;
 use isoparticles_mesh::spatial::Bounds;
 use isoparticles_volume::Geometry;
+
+/// One patch by itself.
+const SMALLEST: How = How { reach: REACHES[0], attempts: ATTEMPTS, side_by_side: true };
 
 pub(super) fn sampled(size: [usize; 3], spacing: DVec3, f: impl Fn(DVec3) -> f64) -> Image<f32> {
     let geometry = Geometry::axis_aligned(size, spacing);
@@ -194,7 +198,7 @@ fn a_remeshed_patch_makes_its_triangle_fit_and_leaves_the_rest_alone() {
         }
         let [a, b, c] = surface.corners(worst);
         let centre = (a + b + c) / 3.0;
-        assert!(target_length::remesh(&mut surface, worst, (REACHES[0], ATTEMPTS), &limits, FIT), "h {h}");
+        assert!(target_length::remesh(&mut surface, worst, SMALLEST, &limits, FIT), "h {h}");
         let alive = || (0..surface.triangles.len() as u32).filter(|&t| surface.is_alive(t));
         let near = |t: &u32| surface.corners(*t).iter().any(|p| p.distance(centre) < h);
         assert!(alive().filter(near).all(|t| surface.quality(t) > least), "h {h}");
@@ -273,6 +277,7 @@ fn patches_that_do_not_meet_add_their_vertices_side_by_side() {
             let v = (0..patch.surface.positions.len()).min_by(|a, b| near(a).total_cmp(&near(b))).expect("vertices");
             let (u, _) = patch.surface.link(v as u32).next().expect("neighbours");
             moves::split(&mut patch.surface, v as u32, u).expect("an edge");
+            patch.surface.commit_as_it_is();
             patch.edits(&surface)
         })
         .into();
@@ -474,7 +479,7 @@ fn the_result_does_not_depend_on_the_number_of_threads() {
                 let [mut lifted, mut patched] = [(); 2].map(|()| Surface::new(&mesh, &scene.field, &size));
                 let is_unfit = |t: &u32| patched.quality(*t) < FIT;
                 if let Some(unfit) = (0..mesh.triangles.len() as u32).find(is_unfit) {
-                    target_length::remesh(&mut patched, unfit, (REACHES[0], ATTEMPTS), &limits, FIT);
+                    target_length::remesh(&mut patched, unfit, SMALLEST, &limits, FIT);
                 }
                 optimise::optimise(&mut lifted, &limits, 0.7, 3, &|| Ok(()), &mut tally).expect("nothing stops it");
                 [lifted.into_mesh(), patched.into_mesh()]

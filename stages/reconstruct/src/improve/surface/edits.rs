@@ -3,22 +3,31 @@
 use super::{Change, DEAD, Facts, Surface};
 use crate::improve::sheets::Freedom;
 use glam::DVec3;
-use rayon::prelude::*;
 
 impl Surface<'_> {
     /// Moves a vertex.
     pub(in crate::improve) fn move_vertex(&mut self, vertex: u32, to: DVec3) {
+        self.move_vertex_of(vertex, to, (self.size)(to));
+    }
+
+    /// The same where the target length there is known.
+    pub(in crate::improve) fn move_vertex_of(&mut self, vertex: u32, to: DVec3, target: f64) {
         let v = vertex as usize;
         self.log.push(Change::Moved { vertex, from: self.positions[v], target: self.target[v] });
         self.positions[v] = to;
-        self.target[v] = (self.size)(to);
+        self.target[v] = target;
     }
 
     /// Adds a vertex.
     pub(in crate::improve) fn add_vertex(&mut self, at: DVec3) -> u32 {
+        self.add_vertex_of(at, (self.size)(at))
+    }
+
+    /// The same where the target length there is known.
+    pub(in crate::improve) fn add_vertex_of(&mut self, at: DVec3, target: f64) -> u32 {
         self.log.push(Change::VertexAdded);
         self.positions.push(at);
-        self.target.push((self.size)(at));
+        self.target.push(target);
         self.around.push(Vec::new());
         self.frozen.push(false);
         self.freedom.push(Freedom::Sheet);
@@ -178,10 +187,11 @@ impl Surface<'_> {
         self.region.is_none_or(|region| corners.all(|p| region.encloses(p)))
     }
 
-    /// Makes the edits since the last commit final, which were judged elsewhere; the triangles touched.
+    /// Makes the edits since the last commit final without a judgement; the triangles touched.
+    #[cfg(test)]
     pub(in crate::improve) fn commit_as_it_is(&mut self) -> Vec<u32> {
         let touched = self.touched();
-        let facts: Vec<Facts> = touched.par_iter().map(|&t| self.measure(t)).collect();
+        let facts: Vec<Facts> = touched.iter().map(|&t| self.measure(t)).collect();
         self.commit(&touched, &facts);
         touched
     }
