@@ -230,7 +230,7 @@ mod tests {
                     false
                 });
                 found.sort_unstable();
-                let is_in = |t: u32| t % 3 != 0 || t % 6 == 0;
+                let is_in = |t: u32| !t.is_multiple_of(3) || t.is_multiple_of(6);
                 let expected: Vec<u32> = (0..400).filter(|&t| is_in(t) && boxes[t as usize].meets(query)).collect();
                 assert_eq!(found, expected);
             }

@@ -147,7 +147,7 @@ impl<'a> Surface<'a> {
 
     /// Puts the triangles, all committed, into a new grid.
     pub(super) fn fill_grid(&mut self) {
-        let bounds = |t: u32| self.is_alive(t).then(|| self.bounds(t)).unwrap_or(Bounds::EMPTY);
+        let bounds = |t: u32| if self.is_alive(t) { self.bounds(t) } else { Bounds::EMPTY };
         let boxes = (0..self.triangles.len() as u32).into_par_iter().map(bounds).collect();
         self.grid = Some(self.empty.filled(boxes));
     }
