@@ -1,6 +1,7 @@
 //! The triangles at each vertex, and by them edges, fans and Euler characteristics. Found by counting, not by sorting: the refinement asks
 //! for all of them in each of its rounds.
 
+use crate::buckets::Buckets;
 use rayon::prelude::*;
 
 /// Vertices whose edges are counted by one thread at a time.
@@ -26,41 +27,9 @@ pub struct Incidence<'a> {
 impl<'a> Incidence<'a> {
     /// Of triangles whose vertices are below `vertex_count`.
     pub fn new(triangles: &'a [[u32; 3]], vertex_count: usize) -> Self {
-        // each thread looks at all triangles, for vertices of its own
-        let share = vertex_count.div_ceil(rayon::current_num_threads()).max(CHUNK);
-        let mut starts = vec![0u32; vertex_count + 1];
-        starts[..vertex_count].par_chunks_mut(share).enumerate().for_each(|(n, counts)| {
-            let first = n * share;
-            for &v in triangles.iter().flatten() {
-                if let Some(count) = counts.get_mut((v as usize).wrapping_sub(first)) {
-                    *count += 1;
-                }
-            }
-        });
-        let mut sum = 0;
-        for start in &mut starts {
-            sum += std::mem::replace(start, sum);
-        }
-        let mut at_vertex = vec![0u32; sum as usize];
-        let mut rest = at_vertex.as_mut_slice();
-        let mut parts = Vec::new();
-        for first in (0..vertex_count).step_by(share) {
-            let bounds = &starts[first..=vertex_count.min(first + share)];
-            let (own, others) = rest.split_at_mut((bounds[bounds.len() - 1] - bounds[0]) as usize);
-            parts.push((first, bounds, own));
-            rest = others;
-        }
-        parts.into_par_iter().for_each(|(first, bounds, own)| {
-            let mut next: Vec<u32> = bounds[..bounds.len() - 1].iter().map(|start| start - bounds[0]).collect();
-            for (t, triangle) in triangles.iter().enumerate() {
-                for &v in triangle {
-                    if let Some(next) = next.get_mut((v as usize).wrapping_sub(first)) {
-                        own[*next as usize] = t as u32;
-                        *next += 1;
-                    }
-                }
-            }
-        });
+        let Buckets { starts, items } = Buckets::new(triangles.as_flattened(), vertex_count);
+        // an item is a corner
+        let at_vertex = items.into_par_iter().map(|corner| corner / 3).collect();
         Self { triangles, starts, at_vertex }
     }
 

@@ -16,6 +16,7 @@
 
 use glam::DVec3;
 
+pub mod buckets;
 pub mod components;
 mod error;
 pub mod incidence;

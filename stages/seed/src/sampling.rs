@@ -9,6 +9,7 @@ use isoparticles_field::sizing::SizingField;
 use isoparticles_field::spline::CubicSpline;
 use isoparticles_field::topology::FieldComponents;
 use isoparticles_mesh::TriangleMesh;
+use isoparticles_mesh::buckets::parts_mut;
 use isoparticles_stage::monitor::{Interrupted, Monitor};
 use rayon::prelude::*;
 
@@ -129,7 +130,7 @@ fn on_every_component(
         not_projected += lost;
     }
     let (positions, normals): (Vec<_>, Vec<_>) = kept.into_iter().map(|(p, g)| (p, g.normalize())).unzip();
-    let sizes = positions.iter().map(|&p| sizing.at(p)).collect();
+    let sizes = positions.par_iter().map(|&p| sizing.at(p)).collect();
     let set = ParticleSet {
         geometry: surface.geometry().clone(),
         energies: vec![0.0; positions.len()],
@@ -195,13 +196,22 @@ pub(crate) fn sample(
             part
         })
         .collect();
-    let mut all = Candidates::default();
-    for part in parts {
-        all.points.extend(part.points);
-        all.normals.extend(part.normals);
-        all.sizes.extend(part.sizes);
-        all.component.extend(part.component);
+    Candidates {
+        points: joined(&parts, |part| &part.points),
+        normals: joined(&parts, |part| &part.normals),
+        sizes: joined(&parts, |part| &part.sizes),
+        component: joined(&parts, |part| &part.component),
     }
+}
+
+/// A list of all parts in one, copied by all threads.
+fn joined<T: Copy + Default + Send + Sync>(
+    parts: &[Candidates],
+    list: impl Fn(&Candidates) -> &Vec<T> + Sync,
+) -> Vec<T> {
+    let mut all = vec![T::default(); parts.iter().map(|part| list(part).len()).sum()];
+    let places = parts_mut(&mut all, parts.iter().map(|part| list(part).len()));
+    places.into_par_iter().zip(parts).for_each(|(own, part)| own.copy_from_slice(list(part)));
     all
 }
 
@@ -209,8 +219,8 @@ pub(crate) fn sample(
 /// Whom they would remove is found for many at a time, on all threads; that some of these are removed by others of them is found out after.
 pub(crate) fn eliminate(candidates: &Candidates, seed: u64, crowd: impl Fn(usize, usize) -> bool + Sync) -> Vec<u32> {
     let bins = LevelBins::new(&candidates.points, &candidates.sizes, DISK_RADIUS);
-    let mut order: Vec<(u64, u32)> =
-        (0..candidates.points.len()).map(|i| (random::bits(seed ^ 0x5eed, 0, i as u64), i as u32)).collect();
+    let numbers = (0..candidates.points.len()).into_par_iter();
+    let mut order: Vec<(u64, u32)> = numbers.map(|i| (random::bits(seed ^ 0x5eed, 0, i as u64), i as u32)).collect();
     order.par_sort_unstable();
     let crowded_by = |i: u32| {
         let at = i as usize;

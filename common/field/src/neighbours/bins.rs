@@ -2,8 +2,12 @@
 
 use super::WIDENING;
 use glam::{DVec3, IVec3};
+use isoparticles_mesh::buckets::{Buckets, parts_mut};
 use rayon::prelude::*;
 use std::ops::Range;
+
+/// Rows of bins that one thread sorts at a time.
+const ROWS: usize = 1 << 8;
 
 /// Most bins along an axis of a level.
 const MOST_BINS: f64 = 1024.0;
@@ -81,32 +85,25 @@ impl Level {
         }
         let bins = grid.bins << level as i32;
         let rows = [bins.y, bins.z];
-        let keyed: Vec<(u32, u32, u32)> = members
-            .iter()
-            .map(|&i| {
-                let b = grid.bin_of(level, points[i as usize]);
-                ((b.z * rows[0] + b.y) as u32, b.x as u32, i)
-            })
-            .collect();
-        // a counting sort by row, then each row by itself
-        let mut ends = vec![0u32; (rows[0] * rows[1]) as usize + 1];
-        for &(row, ..) in &keyed {
-            ends[row as usize + 1] += 1;
-        }
-        for row in 1..ends.len() {
-            ends[row] += ends[row - 1];
-        }
-        let starts = ends.clone();
-        let mut entries = vec![(0, 0); keyed.len()];
-        for (row, bin, i) in keyed {
-            let at = &mut ends[row as usize];
-            entries[*at as usize] = (bin, i);
-            *at += 1;
-        }
-        for row in starts.windows(2) {
-            entries[row[0] as usize..row[1] as usize].sort_unstable();
-        }
-        let (bins, points) = entries.into_iter().unzip();
+        let place = |&i: &u32| {
+            let bin = grid.bin_of(level, points[i as usize]);
+            ((bin.z * rows[0] + bin.y) as u32, bin.x as u32)
+        };
+        let (row_of, bin_of): (Vec<u32>, Vec<u32>) = members.par_iter().map(place).unzip();
+        // by row, then each row by itself
+        let Buckets { starts, items } = Buckets::new(&row_of, (rows[0] * rows[1]) as usize);
+        let mut entries: Vec<(u32, u32)> =
+            items.into_par_iter().map(|item| (bin_of[item as usize], members[item as usize])).collect();
+        let row_ends = |rows: &[u32]| (rows[rows.len() - 1] - rows[0]) as usize;
+        let some: Vec<&[u32]> =
+            (0..starts.len() - 1).step_by(ROWS).map(|n| &starts[n..starts.len().min(n + ROWS + 1)]).collect();
+        let parts = parts_mut(&mut entries, some.iter().map(|rows| row_ends(rows)));
+        parts.into_par_iter().zip(some).for_each(|(own, rows)| {
+            for row in rows.windows(2) {
+                own[(row[0] - rows[0]) as usize..(row[1] - rows[0]) as usize].sort_unstable();
+            }
+        });
+        let (bins, points) = entries.into_par_iter().unzip();
         Self { rows, starts, bins, points }
     }
 
@@ -137,10 +134,9 @@ impl LevelBins {
     /// positive and finite.
     pub fn new(points: &[DVec3], sizes: &[f64], reach: f64) -> Self {
         let grid = Grid::new(points, sizes, reach);
-        let mut members: Vec<Vec<u32>> = vec![Vec::new(); grid.levels];
-        for (i, &h) in sizes.iter().enumerate() {
-            members[grid.level_of(h)].push(i as u32);
-        }
+        let level_of: Vec<u32> = sizes.par_iter().map(|&h| grid.level_of(h) as u32).collect();
+        let Buckets { starts, items } = Buckets::new(&level_of, grid.levels);
+        let members: Vec<&[u32]> = starts.windows(2).map(|own| &items[own[0] as usize..own[1] as usize]).collect();
         let levels = members.par_iter().enumerate().map(|(l, members)| Level::new(&grid, l, members, points)).collect();
         Self { reach, grid, levels }
     }

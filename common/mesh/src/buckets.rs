@@ -1,0 +1,84 @@
+//! Items in buckets, by a counting sort on all threads.
+
+use rayon::prelude::*;
+
+/// Buckets that one thread fills at the least.
+const LEAST_SHARE: usize = 1 << 12;
+
+/// Items by the bucket that each is in.
+pub struct Buckets {
+    /// Where the items of each bucket start, and one more.
+    pub starts: Vec<u32>,
+    /// The items, ascending in each bucket.
+    pub items: Vec<u32>,
+}
+
+impl Buckets {
+    /// Sorts the items 0, 1, ... by their buckets, of which there are `count`.
+    pub fn new(bucket_of: &[u32], count: usize) -> Self {
+        // each thread looks at all items, for buckets of its own
+        let share = count.div_ceil(rayon::current_num_threads()).max(LEAST_SHARE);
+        let mut starts = vec![0u32; count + 1];
+        starts[..count].par_chunks_mut(share).enumerate().for_each(|(n, counts)| {
+            for &bucket in bucket_of {
+                if let Some(count) = counts.get_mut((bucket as usize).wrapping_sub(n * share)) {
+                    *count += 1;
+                }
+            }
+        });
+        let mut sum = 0;
+        for start in &mut starts {
+            sum += std::mem::replace(start, sum);
+        }
+        let mut items = vec![0u32; sum as usize];
+        let firsts = (0..count).step_by(share);
+        let bounds: Vec<&[u32]> = firsts.map(|first| &starts[first..=count.min(first + share)]).collect();
+        let parts = parts_mut(&mut items, bounds.iter().map(|bounds| (bounds[bounds.len() - 1] - bounds[0]) as usize));
+        parts.into_par_iter().zip(&bounds).enumerate().for_each(|(n, (own, bounds))| {
+            let mut next: Vec<u32> = bounds[..bounds.len() - 1].iter().map(|start| start - bounds[0]).collect();
+            for (item, &bucket) in (0..).zip(bucket_of) {
+                if let Some(next) = next.get_mut((bucket as usize).wrapping_sub(n * share)) {
+                    own[*next as usize] = item;
+                    *next += 1;
+                }
+            }
+        });
+        Self { starts, items }
+    }
+}
+
+/// Parts of a list that follow each other, of these lengths, to be changed side by side.
+pub fn parts_mut<T>(list: &mut [T], lengths: impl IntoIterator<Item = usize>) -> Vec<&mut [T]> {
+    let mut rest = list;
+    let mut parts = Vec::new();
+    for length in lengths {
+        let (own, others) = rest.split_at_mut(length);
+        parts.push(own);
+        rest = others;
+    }
+    parts
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn items_come_in_order_on_any_number_of_threads() {
+        let count = 3 * LEAST_SHARE + 17;
+        let bucket_of: Vec<u32> = (0..40_000u64).map(|n| (n * n * 7 % count as u64) as u32).collect();
+        let mut expected: Vec<(u32, u32)> = bucket_of.iter().copied().zip(0..).collect();
+        expected.sort_unstable();
+        for threads in [1, 3, 8] {
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("threads");
+            let made = pool.install(|| Buckets::new(&bucket_of, count));
+            assert_eq!(made.items, expected.iter().map(|own| own.1).collect::<Vec<_>>());
+            for bucket in 0..count {
+                let own = &made.items[made.starts[bucket] as usize..made.starts[bucket + 1] as usize];
+                assert!(own.iter().all(|&item| bucket_of[item as usize] as usize == bucket), "{bucket}");
+            }
+        }
+        let none = Buckets::new(&[], 0);
+        assert_eq!((none.starts, none.items), (vec![0], vec![]));
+    }
+}
