@@ -6,13 +6,14 @@
 //! max(h) (its own stated limitation) makes the fine regions pay for the coarse ones.
 
 mod bins;
+mod elimination;
 mod tree;
 
 pub use bins::{LevelBins, space_order};
+pub use elimination::eliminate;
 use fearless_simd::{Level as Instructions, Simd, dispatch};
 use glam::DVec3;
 use rayon::prelude::*;
-use std::collections::BTreeSet;
 use std::ops::Range;
 use tree::{Candidates, LANES, Tree};
 
@@ -35,7 +36,7 @@ pub struct NeighbourLists {
 }
 
 /// Lists of some points, in order.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 struct Lists {
     /// Where each begins, and the end of the last.
     starts: Vec<u32>,
@@ -46,19 +47,31 @@ impl NeighbourLists {
     /// Lists, for each point i, the others j nearer than `reach * min(h_i, h_j)` that `accept(i, j)` lets pass. Sizes must be positive and finite. It is quickest where the points
     /// are in order of place ([`space_order`]).
     pub fn new(points: &[DVec3], sizes: &[f64], reach: f64, accept: impl Fn(usize, usize) -> bool + Sync) -> Self {
+        Self::default().anew(points, sizes, reach, accept)
+    }
+
+    /// The same in the memory of these lists, which are gone.
+    #[must_use]
+    pub fn anew(
+        self,
+        points: &[DVec3],
+        sizes: &[f64],
+        reach: f64,
+        accept: impl Fn(usize, usize) -> bool + Sync,
+    ) -> Self {
         let tree = Tree::new(points, sizes, reach);
         if tree.is_compact {
-            return Self::of_tree(&tree, points, sizes, reach, accept);
+            return self.of_tree(&tree, points, sizes, reach, accept);
         }
         let order = space_order(points, sizes, reach);
         let place_of = |n: &u32| points[*n as usize];
         let (points, sizes): (Vec<DVec3>, Vec<f64>) = order.iter().map(|n| (place_of(n), sizes[*n as usize])).unzip();
         let number = |n: usize| order[n] as usize;
         let tree = Tree::new(&points, &sizes, reach);
-        let ordered = Self::of_tree(&tree, &points, &sizes, reach, |i, j| accept(number(i), number(j)));
+        let ordered = Self::default().of_tree(&tree, &points, &sizes, reach, |i, j| accept(number(i), number(j)));
         let mut rank = vec![0; order.len()];
         order.iter().enumerate().for_each(|(n, &i)| rank[i as usize] = n);
-        Self::of_chunks(order.len(), |range, lists| {
+        self.of_chunks(order.len(), |range, lists| {
             for i in range {
                 lists.members.extend(ordered.of(rank[i]).iter().map(|&j| order[j as usize]));
                 lists.starts.push(lists.members.len() as u32);
@@ -67,28 +80,32 @@ impl NeighbourLists {
     }
 
     fn of_tree(
+        self,
         tree: &Tree,
         points: &[DVec3],
         sizes: &[f64],
         reach: f64,
         accept: impl Fn(usize, usize) -> bool + Sync,
     ) -> Self {
-        Self::of_chunks(points.len(), |range, lists| {
+        self.of_chunks(points.len(), |range, lists| {
             dispatch!(Instructions::new(), simd => append_lists(simd, range, tree, points, sizes, reach, &accept, lists));
         })
     }
 
     /// Lists of so many points, made a chunk at a time.
-    fn of_chunks(count: usize, append: impl Fn(Range<usize>, &mut Lists) + Sync) -> Self {
-        let lists_of = |chunk: usize| {
+    fn of_chunks(mut self, count: usize, append: impl Fn(Range<usize>, &mut Lists) + Sync) -> Self {
+        self.count = count;
+        self.chunks.resize_with(count.div_ceil(CHUNK), Lists::default);
+        self.chunks.par_iter_mut().enumerate().for_each(|(chunk, lists)| {
             let range = chunk * CHUNK..count.min((chunk + 1) * CHUNK);
-            let mut lists =
-                Lists { starts: Vec::with_capacity(range.len() + 1), members: Vec::with_capacity(range.len() * 20) };
+            lists.starts.clear();
+            lists.starts.reserve(range.len() + 1);
+            lists.members.clear();
+            lists.members.reserve(range.len() * 20);
             lists.starts.push(0);
-            append(range, &mut lists);
-            lists
-        };
-        Self { count, chunks: (0..count.div_ceil(CHUNK)).into_par_iter().map(lists_of).collect() }
+            append(range, lists);
+        });
+        self
     }
 
     /// Neighbours of point i.
@@ -137,13 +154,16 @@ impl NeighbourLists {
                 seen
             })
             .collect();
-        let mut colour = Vec::with_capacity(blocks);
+        let mut colour: Vec<usize> = Vec::with_capacity(blocks);
         let mut classes: Vec<Vec<u32>> = Vec::new();
+        // the last block that has seen each colour
+        let mut seen_by: Vec<usize> = Vec::new();
         for (block, seen) in seen.iter().enumerate() {
-            let taken: BTreeSet<usize> = seen.iter().map(|&other| colour[other as usize]).collect();
-            let free = (0..classes.len()).find(|c| !taken.contains(c)).unwrap_or(classes.len());
+            seen.iter().for_each(|&other| seen_by[colour[other as usize]] = block);
+            let free = seen_by.iter().position(|&last| last != block).unwrap_or(classes.len());
             if free == classes.len() {
                 classes.push(Vec::new());
+                seen_by.push(usize::MAX);
             }
             classes[free].push(block as u32);
             colour.push(free);

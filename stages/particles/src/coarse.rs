@@ -10,7 +10,7 @@ use crate::implicit::Implicit;
 use crate::settle::{Engine, Level, Parameters, PassRecord, Summary, settle_level};
 use crate::state::Fields;
 use glam::DVec3;
-use isoparticles_field::neighbours::NeighbourLists;
+use isoparticles_field::neighbours::{NeighbourLists, eliminate};
 use isoparticles_field::particle_set::ParticleSet;
 use isoparticles_field::random::bits;
 use isoparticles_stage::error::Result;
@@ -98,7 +98,7 @@ pub(crate) fn settle_levels(
 /// A part of the seeds, as many as a lattice of edge `scale` h has, evenly spread, with their sizes times `scale`.
 fn thinned(seeds: &ParticleSet, fields: &Fields, scale: f64, parameters: &Parameters) -> ParticleSet {
     let mut order: Vec<u32> = (0..seeds.positions.len() as u32).collect();
-    order.sort_by_key(|&i| (bits(parameters.seed, u64::MAX, u64::from(i)), i));
+    order.par_sort_unstable_by_key(|&i| (bits(parameters.seed, u64::MAX, u64::from(i)), i));
     let sizes: Vec<f64> = seeds.positions.par_iter().map(|&p| scale * fields.sizing.at(p)).collect();
     let room = ROOM * parameters.spacing();
     let taken =
@@ -143,7 +143,7 @@ fn split(
     let sizes: Vec<f64> = all.positions.par_iter().map(|&p| scale * fields.sizing.at(p)).collect();
     let mut order: Vec<u32> = (0..edges as u32).collect();
     let mut rest: Vec<u32> = (edges as u32..all.positions.len() as u32).collect();
-    rest.sort_by_key(|&i| (bits(parameters.seed, u64::MAX, u64::from(i)), i));
+    rest.par_sort_unstable_by_key(|&i| (bits(parameters.seed, u64::MAX, u64::from(i)), i));
     order.extend(rest);
     let room = |i: usize| edge * if i < edges { ROOM_ON_LATTICE } else { ROOM_FOR_MORE };
     let most = ROOM_FOR_MORE * edge;
@@ -162,23 +162,11 @@ fn take_with_room(
     order: &[u32],
     agreement: f64,
     most: f64,
-    room: impl Fn(usize) -> f64,
+    room: impl Fn(usize) -> f64 + Sync,
 ) -> Vec<u32> {
-    let near = NeighbourLists::new(points, sizes, most, |i, j| normals[i].dot(normals[j]) > agreement);
-    let mut state = vec![false; points.len()];
-    let mut taken = Vec::new();
-    for &i in order {
-        let at = i as usize;
-        let free = near.of(at).iter().map(|&j| j as usize).all(|j| {
-            let reach = room(at) * sizes[at].min(sizes[j]);
-            !state[j] || points[j].distance_squared(points[at]) >= reach * reach
-        });
-        if free {
-            state[at] = true;
-            taken.push(i);
-        }
-    }
-    taken
+    eliminate(points, sizes, most, order, |i, j, squared| {
+        squared < (room(j) * sizes[i].min(sizes[j])).powi(2) && normals[i].dot(normals[j]) > agreement
+    })
 }
 
 /// No particles yet.

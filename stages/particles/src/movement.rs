@@ -15,6 +15,7 @@ use crate::state::{Fields, State};
 use fearless_simd::{Level, Simd, dispatch};
 use glam::DVec3;
 use isoparticles_field::neighbours::BLOCK;
+use isoparticles_mesh::buckets::parts_mut;
 use rayon::prelude::*;
 use std::ops::Range;
 
@@ -56,21 +57,38 @@ pub(crate) fn pass<S: Implicit>(state: &mut State, fields: &Fields<S>) -> Moves 
                 block_steps(settled, fields, near, members_of(settled, block))
             })
             .collect();
-        for (&block, steps) in class.iter().zip(&steps) {
-            for (i, step) in members_of(state, block).zip(steps) {
-                let set = &mut state.set;
-                set.lambdas[i] = step.lambda;
-                moves.tries += step.tries as usize;
-                moves.moved += usize::from(step.moved);
-                set.positions[i] = step.position;
-                set.normals[i] = step.normal;
-                set.sizes[i] = step.size;
-                state.records[i] = Record::new(step.position, step.size);
-            }
+        let ranges: Vec<Range<usize>> = class.iter().map(|&block| members_of(state, block)).collect();
+        let set = &mut state.set;
+        let places = ranges_mut(&mut set.positions, &ranges).into_par_iter().zip(ranges_mut(&mut set.normals, &ranges));
+        let others = ranges_mut(&mut set.sizes, &ranges).into_par_iter().zip(ranges_mut(&mut set.lambdas, &ranges));
+        let records = ranges_mut(&mut state.records, &ranges);
+        places.zip(others).zip(records).zip(&steps).for_each(
+            |((((positions, normals), (sizes, lambdas)), records), steps)| {
+                for (k, step) in steps.iter().enumerate() {
+                    (positions[k], normals[k]) = (step.position, step.normal);
+                    (sizes[k], lambdas[k]) = (step.size, step.lambda);
+                    records[k] = Record::new(step.position, step.size);
+                }
+            },
+        );
+        for step in steps.iter().flatten() {
+            moves.tries += step.tries as usize;
+            moves.moved += usize::from(step.moved);
         }
     }
     state.classes = classes;
     moves
+}
+
+/// Parts of a list, in their order, to be changed side by side.
+fn ranges_mut<'l, T>(list: &'l mut [T], ranges: &[Range<usize>]) -> Vec<&'l mut [T]> {
+    let mut end = 0;
+    let lengths = ranges.iter().flat_map(|range| {
+        let gap = range.start - end;
+        end = range.end;
+        [gap, range.len()]
+    });
+    parts_mut(list, lengths).into_iter().skip(1).step_by(2).collect()
 }
 
 /// Moves some particles one after the other, by the best instructions that the processor has.

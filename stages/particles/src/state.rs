@@ -116,8 +116,8 @@ impl State {
 
     /// Keeps the particles named by `order`, in that order; those that are held must come first, all of them. The lists are still the former ones.
     pub(crate) fn take(&mut self, order: &[u32]) {
-        fn pick<T: Copy>(from: &mut Vec<T>, order: &[u32]) {
-            *from = order.iter().map(|&i| from[i as usize]).collect();
+        fn pick<T: Copy + Send + Sync>(from: &mut Vec<T>, order: &[u32]) {
+            *from = order.par_iter().map(|&i| from[i as usize]).collect();
         }
         let set = &mut self.set;
         pick(&mut set.positions, order);
@@ -150,13 +150,14 @@ impl State {
             (true, true) => false,
         };
         let (positions, sizes) = (&self.set.positions, &self.set.sizes);
+        let former = std::mem::take(&mut self.neighbours);
         self.neighbours = if strata.is_empty() {
-            NeighbourLists::new(positions, sizes, LISTED, agree)
+            former.anew(positions, sizes, LISTED, agree)
         } else {
-            NeighbourLists::new(positions, sizes, LISTED, meet)
+            former.anew(positions, sizes, LISTED, meet)
         };
-        let places = self.set.positions.iter().zip(&self.set.sizes);
-        self.records = places.map(|(&position, &size)| Record::new(position, size)).collect();
+        let places = positions.par_iter().zip(sizes);
+        places.map(|(&position, &size)| Record::new(position, size)).collect_into_vec(&mut self.records);
     }
 
     /// Whether particle i has one that is held in its first ring.

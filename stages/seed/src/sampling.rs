@@ -2,7 +2,7 @@
 
 use crate::vertices::Vertices;
 use glam::DVec3;
-use isoparticles_field::neighbours::LevelBins;
+use isoparticles_field::neighbours;
 use isoparticles_field::particle_set::ParticleSet;
 use isoparticles_field::random;
 use isoparticles_field::sizing::SizingField;
@@ -21,11 +21,6 @@ pub const BYTES_PER_PARTICLE: f64 = 1300.0;
 /// Disk radius over h at which this sampling has the density of the hexagonal lattice of spacing h (random disks jam at a
 /// covered share of 0.55 where the lattice covers 0.91; measured at this oversampling).
 pub(crate) const DISK_RADIUS: f64 = 0.71;
-/// Parts of the random order whose candidates are looked round at the same time. A disk holds some twenty, so about a twelfth of those of the first part are looked
-/// round in vain, and hardly any later.
-const TURNS: usize = 256;
-/// Fewest candidates of such a part, so that all threads have something to do.
-const LEAST_TURN: usize = 256;
 /// Fewest particles a component is seeded with.
 pub const COMPONENT_MINIMUM: usize = 12;
 
@@ -216,41 +211,14 @@ fn joined<T: Copy + Default + Send + Sync>(
 }
 
 /// Candidates that stay when, in random order, each one kept removes all nearer than the disk radius on its own sheet, as far as they `crowd` each other.
-/// Whom they would remove is found for many at a time, on all threads; that some of these are removed by others of them is found out after.
 pub(crate) fn eliminate(candidates: &Candidates, seed: u64, crowd: impl Fn(usize, usize) -> bool + Sync) -> Vec<u32> {
-    let bins = LevelBins::new(&candidates.points, &candidates.sizes, DISK_RADIUS);
     let numbers = (0..candidates.points.len()).into_par_iter();
     let mut order: Vec<(u64, u32)> = numbers.map(|i| (random::bits(seed ^ 0x5eed, 0, i as u64), i as u32)).collect();
     order.par_sort_unstable();
-    let crowded_by = |i: u32| {
-        let at = i as usize;
-        let (p, h, n) = (candidates.points[at], candidates.sizes[at], candidates.normals[at]);
-        let (widest, mut near) = (DISK_RADIUS * h, Vec::new());
-        bins.visit(p, h, |number| {
-            let j = number as usize;
-            let squared = p.distance_squared(candidates.points[j]);
-            if squared < widest * widest {
-                let radius = DISK_RADIUS * h.min(candidates.sizes[j]);
-                if squared < radius * radius && candidates.normals[j].dot(n) > 0.0 && crowd(at, j) {
-                    near.push(number);
-                }
-            }
-        });
-        near
-    };
-    let mut gone = vec![false; candidates.points.len()];
-    let mut kept = Vec::new();
-    for turn in order.chunks((order.len() / TURNS).max(LEAST_TURN)) {
-        let open: Vec<u32> = turn.iter().map(|&(_, i)| i).filter(|&i| !gone[i as usize]).collect();
-        let crowded: Vec<Vec<u32>> = open.par_iter().map(|&i| crowded_by(i)).collect();
-        for (i, crowded) in open.into_iter().zip(crowded) {
-            if !gone[i as usize] {
-                kept.push(i);
-                crowded.into_iter().for_each(|j| gone[j as usize] = true);
-            }
-        }
-    }
-    kept
+    let order: Vec<u32> = order.into_par_iter().map(|(_, i)| i).collect();
+    neighbours::eliminate(&candidates.points, &candidates.sizes, DISK_RADIUS, &order, |i, j, _| {
+        candidates.normals[j].dot(candidates.normals[i]) > 0.0 && crowd(i, j)
+    })
 }
 
 /// Seeds for the triangles of component number `c`, about twice [`COMPONENT_MINIMUM`].
