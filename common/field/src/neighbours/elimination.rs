@@ -58,7 +58,7 @@ mod tests {
         for (count, contrast) in [(0u64, 1.0), (1, 1.0), (3000, 1.0), (2000, 9.0)] {
             let points: Vec<DVec3> =
                 (0..count).map(|n| DVec3::new(uniform(1, 0, n), uniform(1, 1, n), uniform(1, 2, n))).collect();
-            let sizes: Vec<f64> = (0..count).map(|n| 0.03 * contrast.powf(uniform(1, 3, n))).collect();
+            let sizes: Vec<f64> = (0..count).map(|n| 0.03 * f64::powf(contrast, uniform(1, 3, n))).collect();
             let mut order: Vec<u32> = (0..count as u32).collect();
             order.sort_by_key(|&i| bits(2, 0, u64::from(i)));
             let reach = 1.7;
