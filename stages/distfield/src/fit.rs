@@ -10,14 +10,15 @@ use crate::bits::{Bits, Numbering};
 use fearless_simd::{Level, Simd, dispatch, f32x4, f32x8, prelude::*};
 use glam::DVec3;
 use isoparticles_field::spline::SlabFilter;
+use isoparticles_mesh::buckets::parts_mut;
 use isoparticles_volume::{Geometry, Image};
 use rayon::prelude::*;
 use serde::Serialize;
 use std::ops::Range;
 
 /// Slices of spline coefficients whose samples one task gathers; the reach of a sample is three slices more, so that
-/// every second task can run at the same time.
-const SLAB: usize = 6;
+/// every second task can run at the same time. No more, or a small volume has too few for all threads.
+const SLAB: usize = 3;
 
 /// Slices whose coefficients are gathered at a time.
 const GATHERED: usize = 32;
@@ -37,17 +38,24 @@ struct Cell {
 struct Sampling {
     /// The weights of the four coefficients along each axis, of each sample, cell by cell.
     weights: Vec<[[f32; 4]; 3]>,
-    cells: Vec<Cell>,
     slabs: Vec<Slab>,
     unknowns: usize,
 }
 
 /// What lies in some slices.
 struct Slab {
-    cells: Range<usize>,
+    cells: Vec<Cell>,
     samples: Range<usize>,
     /// The coefficients that the samples touch.
     unknowns: Range<usize>,
+}
+
+impl Slab {
+    /// The cells, each with its samples.
+    fn cells(&self) -> impl Iterator<Item = (&Cell, Range<usize>)> {
+        let ends = self.cells.iter().skip(1).map(|next| next.first as usize).chain([self.samples.end]);
+        self.cells.iter().zip(ends).map(|(cell, end)| (cell, cell.first as usize..end))
+    }
 }
 
 /// What the fit did.
@@ -160,48 +168,36 @@ impl Sampling {
             .collect();
         // within a cell in the order of the samples
         order.par_sort_unstable();
-        let mut cells: Vec<Cell> = Vec::new();
-        let mut weights = Vec::with_capacity(order.len());
-        for same_cell in order.chunk_by(|a, b| a.0 == b.0) {
-            let rows = row_starts(same_cell[0].0, nx, ny).map(|n| number.number(n) as u32);
-            cells.push(Cell { rows, first: weights.len() as u32 });
-            for &(_, sample) in same_cell {
-                let place = cell(geometry, samples[sample as usize]).map_or(DVec3::ZERO, |(_, place)| place);
-                weights.push(place.as_vec3().to_array().map(weights_at));
-            }
-        }
-        cells.shrink_to_fit();
         let slices_before = |k: usize| number.number(k * nx * ny);
-        let slabs = (0..nz.div_ceil(SLAB))
-            .map(|s| {
-                let (first, end) = (s * SLAB, ((s + 1) * SLAB).min(nz));
-                let before = |k: usize| order.partition_point(|&(at, _)| at < k * nx * ny);
-                let samples = before(first)..before(end);
-                let cell_at = |sample: usize| cells.partition_point(|cell| (cell.first as usize) < sample);
-                let unknowns = slices_before(first.saturating_sub(1))..slices_before((end + 2).min(nz));
-                Slab { cells: cell_at(samples.start)..cell_at(samples.end), samples, unknowns }
-            })
-            .collect();
-        Self { weights, cells, slabs, unknowns: number.count }
-    }
-
-    /// The cells of a slab, each with its samples.
-    fn cells(&self, slab: &Slab) -> impl Iterator<Item = (&Cell, Range<usize>)> {
-        let end = |n: usize| self.cells.get(n + 1).map_or(self.weights.len(), |next| next.first as usize);
-        slab.cells.clone().map(move |n| (&self.cells[n], self.cells[n].first as usize..end(n)))
+        let before = |k: usize| order.partition_point(|&(at, _)| at < k * nx * ny);
+        let bounds: Vec<usize> = (0..=nz.div_ceil(SLAB)).map(|s| before((s * SLAB).min(nz))).collect();
+        let mut weights = vec![[[0.0; 4]; 3]; order.len()];
+        let parts = parts_mut(&mut weights, bounds.windows(2).map(|own| own[1] - own[0]));
+        let slab = |(s, weights): (usize, &mut [[[f32; 4]; 3]])| {
+            let own = &order[bounds[s]..bounds[s + 1]];
+            for (weights, &(_, sample)) in weights.iter_mut().zip(own) {
+                let place = cell(geometry, samples[sample as usize]).map_or(DVec3::ZERO, |(_, place)| place);
+                *weights = place.as_vec3().to_array().map(weights_at);
+            }
+            let mut cells = Vec::with_capacity(own.chunk_by(|a, b| a.0 == b.0).count());
+            let mut first = bounds[s];
+            for same_cell in own.chunk_by(|a, b| a.0 == b.0) {
+                let rows = row_starts(same_cell[0].0, nx, ny).map(|n| number.number(n) as u32);
+                cells.push(Cell { rows, first: first as u32 });
+                first += same_cell.len();
+            }
+            let unknowns = slices_before((s * SLAB).saturating_sub(1))..slices_before(((s + 1) * SLAB + 2).min(nz));
+            Slab { cells, samples: bounds[s]..bounds[s + 1], unknowns }
+        };
+        let slabs = parts.into_par_iter().enumerate().map(slab).collect();
+        Self { weights, slabs, unknowns: number.count }
     }
 
     /// F at the samples.
     fn apply(&self, coefficients: &[f32], values: &mut [f32]) {
-        let mut rest = values;
-        let mut tasks = Vec::new();
-        for slab in &self.slabs {
-            let (mine, after) = rest.split_at_mut(slab.samples.len());
-            tasks.push((slab, mine));
-            rest = after;
-        }
+        let parts = parts_mut(values, self.slabs.iter().map(|slab| slab.samples.len()));
         let instructions = Level::new();
-        tasks.into_par_iter().for_each(|(slab, mine)| {
+        self.slabs.par_iter().zip(parts).for_each(|(slab, mine)| {
             dispatch!(instructions, simd => self.apply_to_slab(simd, slab, coefficients, mine));
         });
     }
@@ -209,7 +205,7 @@ impl Sampling {
     /// Two samples at a time, each in half a register.
     #[inline(always)]
     fn apply_to_slab<S: Simd>(&self, simd: S, slab: &Slab, coefficients: &[f32], values: &mut [f32]) {
-        for (cell, samples) in self.cells(slab) {
+        for (cell, samples) in slab.cells() {
             let mut read = [f32x8::splat(simd, 0.0); 16];
             for (twofold, &row) in read.iter_mut().zip(&cell.rows) {
                 *twofold = twice(simd, four(simd, &coefficients[row as usize..]));
@@ -235,7 +231,7 @@ impl Sampling {
     /// The transpose of [`Sampling::apply`], or of the map with all entries squared; even slabs first, then odd ones, so that
     /// tasks never meet.
     fn apply_transposed(&self, values: &[f32], coefficients: &mut [f32], squared: bool) {
-        coefficients.fill(0.0);
+        coefficients.par_chunks_mut(CHUNK).for_each(|part| part.fill(0.0));
         for parity in 0..2 {
             let mut tasks = Vec::new();
             let (mut rest, mut done) = (&mut *coefficients, 0);
@@ -262,7 +258,7 @@ impl Sampling {
         coefficients: &mut [f32],
         squared: bool,
     ) {
-        for (cell, samples) in self.cells(slab) {
+        for (cell, samples) in slab.cells() {
             // two rows of coefficients to a register
             let mut sums = [f32x8::splat(simd, 0.0); 8];
             for sample in samples {
