@@ -24,8 +24,8 @@ const WIDENING: f64 = 1e-9;
 /// core, and a few thousand points make enough blocks for all cores.
 pub const BLOCK: usize = 128;
 
-/// Points whose lists are made and kept together: some for each core, and a multiple of [`BLOCK`] and of [`LANES`].
-const CHUNK: usize = 16 * BLOCK;
+/// Points whose lists are made and kept together: a few thousand points make enough for all cores; a multiple of [`BLOCK`] and of [`LANES`].
+const CHUNK: usize = 4 * BLOCK;
 
 /// Neighbours of every point.
 #[derive(Clone, Debug, Default)]
@@ -33,6 +33,8 @@ pub struct NeighbourLists {
     count: usize,
     /// The lists of [`CHUNK`] points each.
     chunks: Vec<Lists>,
+    /// What the next lists are made by, in the same memory.
+    tree: Tree,
 }
 
 /// Lists of some points, in order.
@@ -53,15 +55,16 @@ impl NeighbourLists {
     /// The same in the memory of these lists, which are gone.
     #[must_use]
     pub fn anew(
-        self,
+        mut self,
         points: &[DVec3],
         sizes: &[f64],
         reach: f64,
         accept: impl Fn(usize, usize) -> bool + Sync,
     ) -> Self {
-        let tree = Tree::new(points, sizes, reach);
+        let tree = std::mem::take(&mut self.tree).anew(points, sizes, reach);
         if tree.is_compact {
-            return self.of_tree(&tree, points, sizes, reach, accept);
+            let lists = self.of_tree(&tree, points, sizes, reach, accept);
+            return Self { tree, ..lists };
         }
         let order = space_order(points, sizes, reach);
         let place_of = |n: &u32| points[*n as usize];

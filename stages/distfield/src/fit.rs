@@ -378,16 +378,16 @@ mod tests {
     use super::*;
     use isoparticles_field::random::uniform;
 
-    /// The map of 500 samples in a grid of one slab, and numbers for its coefficients and samples.
+    /// The map of 500 samples in a grid of a few slabs, and numbers for its coefficients and samples.
     fn scene() -> (Sampling, Vec<f32>, Vec<f32>) {
-        let geometry = Geometry::axis_aligned([9, 8, 6], DVec3::new(1.0, 0.5, 2.0));
+        let geometry = Geometry::axis_aligned([9, 8, 9], DVec3::new(1.0, 0.5, 2.0));
         let random = |n: usize, k: u64| uniform(3, k, n as u64);
         let place = |n: usize| {
             DVec3::from_array(std::array::from_fn(|a| 1.0 + random(n, a as u64) * (geometry.size[a] as f64 - 3.0)))
         };
         let samples: Vec<DVec3> = (0..500).map(|n| geometry.index_to_grid(place(n))).collect();
         let sampling = Sampling::new(&geometry, &samples, &touched_coefficients(&geometry, &samples));
-        assert_eq!((sampling.slabs.len(), sampling.weights.len()), (1, samples.len()));
+        assert_eq!((sampling.slabs.len(), sampling.weights.len()), (3, samples.len()));
         let numbers = |count: usize, k: u64| (0..count).map(|n| random(n, k) as f32 - 0.5).collect();
         let (coefficients, values) = (numbers(sampling.unknowns, 5), numbers(samples.len(), 6));
         (sampling, coefficients, values)
@@ -416,9 +416,11 @@ mod tests {
         let (sampling, coefficients, values) = scene();
         let by = |level: Level| {
             let (mut at_samples, mut back) = (vec![0.0; values.len()], vec![0.0; coefficients.len()]);
-            let slab = &sampling.slabs[0];
-            dispatch!(level, simd => sampling.apply_to_slab(simd, slab, &coefficients, &mut at_samples));
-            dispatch!(level, simd => sampling.apply_transposed_to_slab(simd, slab, &values, &mut back, false));
+            for slab in &sampling.slabs {
+                let (at_own, own) = (&mut at_samples[slab.samples.clone()], &mut back[slab.unknowns.clone()]);
+                dispatch!(level, simd => sampling.apply_to_slab(simd, slab, &coefficients, at_own));
+                dispatch!(level, simd => sampling.apply_transposed_to_slab(simd, slab, &values, own, false));
+            }
             (at_samples, back)
         };
         assert_eq!(by(Level::new()), by(Level::baseline()));

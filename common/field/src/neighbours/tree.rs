@@ -10,7 +10,7 @@ use rayon::prelude::*;
 pub(super) const LANES: usize = 8;
 
 /// Eight points that follow each other, filled up with points infinitely far.
-#[derive(Clone, Copy)]
+#[derive(Clone, Copy, Debug)]
 struct Run {
     /// Coordinates, axis by axis.
     place: [[f64; LANES]; 3],
@@ -23,7 +23,7 @@ impl Run {
 }
 
 /// Eight boxes that follow each other, of runs or of eights of boxes, filled up with empty ones.
-#[derive(Clone, Copy)]
+#[derive(Clone, Copy, Debug)]
 struct Boxes {
     low: [[f64; LANES]; 3],
     high: [[f64; LANES]; 3],
@@ -32,7 +32,7 @@ struct Boxes {
 }
 
 /// One of [`Boxes`].
-#[derive(Clone, Copy)]
+#[derive(Clone, Copy, Debug)]
 struct Outline {
     bounds: Bounds,
     /// The longest reach in it.
@@ -53,6 +53,7 @@ impl Outline {
 }
 
 /// Points in their order, in a tree of boxes of eight each. Queries are quick where points that follow each other are near each other.
+#[derive(Clone, Debug, Default)]
 pub(super) struct Tree {
     runs: Vec<Run>,
     /// The box of each run.
@@ -65,6 +66,12 @@ pub(super) struct Tree {
 
 impl Tree {
     pub(super) fn new(points: &[DVec3], sizes: &[f64], reach: f64) -> Self {
+        Self::default().anew(points, sizes, reach)
+    }
+
+    /// The same in the memory of this one, which is gone.
+    pub(super) fn anew(self, points: &[DVec3], sizes: &[f64], reach: f64) -> Self {
+        let Self { mut runs, mut boxes, .. } = self;
         let run = |(n, (points, sizes)): (usize, (&[DVec3], &[f64]))| {
             let mut run = Run::NOBODY;
             let mut all = Outline::EMPTY;
@@ -76,8 +83,8 @@ impl Tree {
             }
             (run, all)
         };
-        let (runs, boxes): (Vec<Run>, Vec<Outline>) =
-            points.par_chunks(LANES).zip(sizes.par_chunks(LANES)).enumerate().map(run).unzip();
+        let all = points.par_chunks(LANES).zip(sizes.par_chunks(LANES)).enumerate();
+        all.map(run).unzip_into_vecs(&mut runs, &mut boxes);
         let (first, eights): (Vec<Boxes>, Vec<Outline>) = boxes.par_chunks(LANES).map(Boxes::of).unzip();
         let is_small =
             |boxes: &[Outline], most: f64| boxes.iter().map(Outline::extent).sum::<f64>() <= most * boxes.len() as f64;
