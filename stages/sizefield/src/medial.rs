@@ -23,8 +23,9 @@ pub const MIN_SEPARATION_ANGLE: f64 = 40.0 * std::f64::consts::PI / 180.0;
 /// A ball is pruned whose cap between the touching points is lower than this many times the noise.
 const PLAIN_BUMP: f64 = 2.0;
 
-/// Leaves of the tree of samples that one look may take: a ball that fits the surface all round has every sample at its rim.
-const MOST_LEAVES: usize = 400;
+/// Leaves of the tree of samples that one look may take, the likeliest first: a ball that fits the surface all round has every sample at its rim. With 400 the sizes of `lungs_label_big` 2 ask for 238,911
+/// particles, with 100 for 238,902; a ball of 256^3 takes 4.7 and 3.5 s.
+const MOST_LEAVES: usize = 100;
 
 /// Samples on end, neighbours mostly, whose balls begin with the sample that the one before touches.
 const RUN: usize = 64;
