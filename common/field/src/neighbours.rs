@@ -256,6 +256,25 @@ mod tests {
     }
 
     #[test]
+    fn lists_in_the_memory_of_others_are_those_made_afresh() {
+        let mut lists = NeighbourLists::default();
+        for (count, contrast, is_ordered) in
+            [(3000, 1.0, true), (700, 9.0, true), (1500, 1.0, false), (0, 1.0, true), (5000, 3.0, true)]
+        {
+            let (mut points, mut sizes) = scene(count, contrast);
+            if is_ordered {
+                let order = space_order(&points, &sizes, 1.9);
+                points = order.iter().map(|&i| points[i as usize]).collect();
+                sizes = order.iter().map(|&i| sizes[i as usize]).collect();
+            }
+            let fresh = NeighbourLists::new(&points, &sizes, 1.9, |_, _| true);
+            lists = lists.anew(&points, &sizes, 1.9, |_, _| true);
+            assert_eq!((lists.len(), lists.mean_count()), (fresh.len(), fresh.mean_count()));
+            assert!((0..points.len()).all(|i| lists.of(i) == fresh.of(i)), "{count} at contrast {contrast}");
+        }
+    }
+
+    #[test]
     fn places_are_told_all_points_within_reach_at_any_contrast() {
         for (count, contrast) in [(0, 1.0), (1, 1.0), (500, 1.0), (500, 3.0), (800, 27.0), (800, 1e-4), (800, 1e4)] {
             let (points, sizes) = scene(count, contrast);

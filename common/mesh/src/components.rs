@@ -122,17 +122,18 @@ mod tests {
             sets.join(*a, *b);
             sets.join(*b, *c);
         }
-        let is_used = |v: u32| triangles.iter().flatten().any(|&u| u == v);
-        let (number, components) = of_vertices(count as usize, &triangles);
-        let firsts: Vec<u32> =
-            (0..count).filter(|&v| sets.find(v) == v && number[v as usize] != NO_COMPONENT).collect();
-        assert!(components == firsts.len() && components > 60, "{components}");
-        for v in 0..count {
-            let expected = firsts.iter().position(|&first| first == sets.find(v));
-            assert_eq!(number[v as usize], expected.map_or(NO_COMPONENT, |n| n as u32), "{v}");
+        let mut is_used = vec![false; count as usize];
+        triangles.iter().flatten().for_each(|&v| is_used[v as usize] = true);
+        let firsts: Vec<u32> = (0..count).filter(|&v| sets.find(v) == v && is_used[v as usize]).collect();
+        let number_of =
+            |v: u32, sets: &mut DisjointSets| firsts.binary_search(&sets.find(v)).map_or(NO_COMPONENT, |n| n as u32);
+        let expected: Vec<u32> = (0..count).map(|v| number_of(v, &mut sets)).collect();
+        assert!(firsts.len() > 60 && expected.contains(&NO_COMPONENT));
+        for threads in [1, 3] {
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("threads");
+            let found = pool.install(|| of_vertices(count as usize, &triangles));
+            assert_eq!(found, (expected.clone(), firsts.len()));
         }
-        let unused = (0..count).filter(|&v| number[v as usize] == NO_COMPONENT).take(50);
-        assert!(unused.into_iter().all(|v| !is_used(v)));
     }
 
     #[test]

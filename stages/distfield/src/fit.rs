@@ -17,7 +17,7 @@ use serde::Serialize;
 use std::ops::Range;
 
 /// Slices of spline coefficients whose samples one task gathers; the reach of a sample is three slices more, so that
-/// every second task can run at the same time. No more, or a small volume has too few for all threads.
+/// every second task can run at the same time. No less, or they would meet, and no more, or a small volume has too few for all threads.
 const SLAB: usize = 3;
 
 /// Slices whose coefficients are gathered at a time.

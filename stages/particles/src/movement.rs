@@ -249,6 +249,14 @@ mod tests {
     }
 
     #[test]
+    fn parts_of_a_list_are_those_of_their_ranges() {
+        let mut list: Vec<usize> = (0..20).collect();
+        let ranges = [2..2, 2..5, 5..6, 9..9, 12..20, 20..20];
+        let found: Vec<Vec<usize>> = ranges_mut(&mut list, &ranges).into_iter().map(|part| part.to_vec()).collect();
+        assert_eq!(found, ranges.map(|range| range.collect::<Vec<_>>()));
+    }
+
+    #[test]
     fn newton_step_solves_the_damped_system() {
         let h = [3.0, 0.7, 2.0];
         let x = damped_newton(&h, [0.4, -0.9], 0.25);

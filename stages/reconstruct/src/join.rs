@@ -123,7 +123,7 @@ pub(crate) fn cocone_of(refinement: &Refinement) -> Result<(Vec<Facet>, CoconeRe
 }
 
 /// The mesh of the facets with the vertices that they use, and the point behind each vertex. Its triangles begin with their lowest vertex and are in the order of their vertices, so that
-/// nothing later depends on the numbers of tetrahedra, and what is near in space is mostly near in memory.
+/// nothing that is made of it depends on the numbers of tetrahedra, and what is near in space is mostly near in memory.
 pub(crate) fn compact(points: &[DVec3], facets: &[Facet]) -> (TriangleMesh, Vec<u32>) {
     let mut number = vec![u32::MAX; points.len()];
     facets.iter().flat_map(|f| f.vertices).for_each(|v| number[v as usize] = 0);

@@ -20,6 +20,7 @@ const AT_A_TIME: u64 = 8;
 
 /// Along each axis of a block with the nodes next to it.
 const WIDE: usize = SIDE + 2;
+const _: () = assert!(WIDE * WIDE * WIDE <= 1 << 16, "places that are asked for have 16 bits");
 
 /// A node by its place in the block with the nodes next to it, and the value that it was queued with.
 type Queued = (u32, f32);

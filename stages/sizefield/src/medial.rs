@@ -100,7 +100,7 @@ impl Surface<'_> {
         };
         let hinted = hint.filter(|&hint| hint != i).and_then(|hint| shrink(&mut ball, hint, self.points[hint]));
         if hinted.is_none() {
-            ball.0 = self.upper_bound(p, direction, largest);
+            ball.0 = self.upper_bound(i, direction, largest);
         }
         tree.each_within(place(ball.0), MOST_LEAVES, &mut |q, at| shrink(&mut ball, q as usize, at));
         // the ball that just touches it
@@ -122,9 +122,9 @@ impl Surface<'_> {
 
     /// A radius of which the distance field says that the ball holds samples, little above the largest empty one; `largest`
     /// where it does not say so.
-    fn upper_bound(&self, p: DVec3, direction: DVec3, largest: f64) -> f64 {
-        let geometry = &self.distance.geometry;
-        let sure = 0.5 * geometry.spacing.length() + SURE * geometry.spacing.max_element();
+    fn upper_bound(&self, i: usize, direction: DVec3, largest: f64) -> f64 {
+        let (p, geometry) = (self.points[i], &self.distance.geometry);
+        let sure = 0.5 * geometry.spacing.length() + SURE * geometry.spacing.max_element() + self.blur[i];
         let corner = geometry.upper_corner();
         let is_full = |radius: f64| {
             let centre = p + direction * radius;
@@ -143,5 +143,54 @@ impl Surface<'_> {
             if is_full(middle) == Some(true) { high = middle } else { low = middle }
         }
         high
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use isoparticles_field::random::uniform;
+    use isoparticles_volume::Geometry;
+
+    #[test]
+    fn the_sample_that_stops_a_ball_is_that_of_a_plain_search_with_and_without_a_hint() {
+        // two balls, the larger rippled
+        let centres = [(DVec3::new(12.0, 12.0, 12.0), 7.0), (DVec3::new(24.0, 12.0, 12.5), 3.0)];
+        let distance = |p: DVec3| {
+            centres.iter().map(|(centre, radius)| p.distance(*centre) - radius).fold(f64::INFINITY, f64::min)
+        };
+        let image = Image::sampled(Geometry::axis_aligned([32, 25, 25], DVec3::ONE), |p| distance(p) as f32);
+        let (mut points, mut normals) = (Vec::new(), Vec::new());
+        for n in 0..700u64 {
+            let (centre, radius) = centres[usize::from(n >= 500)];
+            let (z, turn) = (2.0 * uniform(1, 0, n) - 1.0, std::f64::consts::TAU * uniform(1, 1, n));
+            let way = DVec3::new((1.0 - z * z).sqrt() * turn.cos(), (1.0 - z * z).sqrt() * turn.sin(), z);
+            points.push(centre + (radius + 0.05 * uniform(1, 2, n)) * way);
+            normals.push(way);
+        }
+        let (blur, noise) = (vec![0.02; points.len()], vec![0.0; points.len()]);
+        let surface = Surface { points: &points, normals: &normals, blur: &blur, noise: &noise, distance: &image };
+        let tree = KdTree::new(&points);
+        let mut stopped = 0;
+        for i in 0..points.len() {
+            for direction in [normals[i], -normals[i]] {
+                let offsets = (0..points.len()).filter(|&q| q != i).map(|q| (q, points[q] - points[i]));
+                let fits = offsets.filter(|(_, offset)| direction.dot(*offset) > blur[i]).map(|(q, offset)| {
+                    (0.5 * (offset.length_squared() - blur[i] * blur[i]) / (direction.dot(offset) - blur[i]), q)
+                });
+                let least = fits.filter(|(fits, _)| *fits > 0.0).min_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+                let want = least.filter(|(fits, _)| *fits <= 20.0).map(|(_, q)| q);
+                for hint in [None, Some((i + 1) % points.len()), Some((i + 350) % points.len()), want] {
+                    let found = surface.largest_empty(&tree, i, direction, 20.0, hint);
+                    assert_eq!(found.map(|(_, q)| q), want, "sample {i}, hint {hint:?}");
+                    if let Some((radius, q)) = found {
+                        let centre = points[i] + radius * direction;
+                        assert!((centre.distance(points[q]) - radius).abs() < 1e-9 * radius);
+                    }
+                }
+                stopped += usize::from(want.is_some());
+            }
+        }
+        assert!(stopped > points.len() && stopped < 2 * points.len(), "{stopped}");
     }
 }

@@ -32,7 +32,7 @@ fn lift_by_best(surface: &mut Surface, candidates: &[Move], after: After, limits
     // relocations that follow bring a vertex all the way
     let candidates: Vec<Move> =
         candidates.iter().filter(|m| after == After::Nothing || !m.is_partial()).copied().collect();
-    let rated = rated(surface, &candidates, after, |made| Some(gain(made, bar)).filter(|&gain| gain > LEAST_GAIN));
+    let rated = rated(surface, &candidates, after, gain_above(bar));
     rated.into_iter().any(|(_, candidate)| {
         let made = make(surface, candidate, after);
         let kept = made && commit_or_rollback(surface, limits, Rule::Lift { bar }).is_some();
@@ -59,8 +59,7 @@ pub(super) fn lift_by_two(surface: &mut Surface, triangle: u32, limits: &Limits,
         let worst = touched.min_by(|&a, &b| surface.quality(a).total_cmp(&surface.quality(b)));
         let corners = worst.map(|t| surface.triangles[t as usize]);
         let seconds = whole(corners.into_iter().collect());
-        let gains = |made: &Surface| Some(gain(made, bar)).filter(|&gain| gain > LEAST_GAIN);
-        for (_, second) in rated(surface, &seconds, after, gains) {
+        for (_, second) in rated(surface, &seconds, after, gain_above(bar)) {
             surface.rollback();
             if make(surface, first, after)
                 && make(surface, second, after)
@@ -72,6 +71,11 @@ pub(super) fn lift_by_two(surface: &mut Surface, triangle: u32, limits: &Limits,
         surface.rollback();
     }
     false
+}
+
+/// What the edits since the last commit gain, where that counts.
+fn gain_above(bar: f64) -> impl Fn(&Surface) -> Option<f64> + Sync {
+    move |made| Some(gain(made, bar)).filter(|&gain| gain > LEAST_GAIN)
 }
 
 /// Moves with what a measure says of the surface that each makes, the largest first, and those left out of which it says nothing; each is taken back.

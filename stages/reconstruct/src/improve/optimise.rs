@@ -176,7 +176,8 @@ fn drain(surface: &mut Surface, pass: &Pass, failures: &mut Failures, step: Step
                 Means::Move => lift(&mut patch.surface, local, &pass.limits, pass.bar),
                 Means::TwoMoves => lift_by_two(&mut patch.surface, local, &pass.limits, pass.bar),
                 Means::Remesh { reach } => {
-                    let how = How { reach, attempts, side_by_side: chosen.len() == 1 };
+                    let side_by_side = chosen.len() == 1 && rayon::current_num_threads() > 1;
+                    let how = How { reach, attempts, side_by_side };
                     remesh(&mut patch.surface, local, how, &pass.limits, pass.bar)
                 }
             };

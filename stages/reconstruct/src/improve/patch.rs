@@ -179,6 +179,10 @@ impl Edits {
         let new = (first_new..).zip(&self.new_triangles).map(|(t, &(_, _, facts))| (t, facts));
         let (touched, facts): (Vec<u32>, Vec<Facts>) = std::mem::take(&mut self.facts).into_iter().chain(new).unzip();
         self.make_with(whole, |_, own| own);
+        debug_assert!(
+            whole.touched().iter().all(|t| touched.binary_search(t).is_ok()),
+            "the part had not committed all"
+        );
         if let Some(sides) = &mut whole.sides {
             sides.turn(nodes);
         }

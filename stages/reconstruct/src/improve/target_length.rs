@@ -75,7 +75,7 @@ pub(super) struct How {
     pub(super) reach: f64,
     /// Times at most with each gradation.
     pub(super) attempts: usize,
-    /// Whether all gradations are tried at the same time: where no other patch is worked on, so that what is done in vain costs no time.
+    /// Whether all gradations are tried at the same time, to the same result: where no other patch is worked on, so that threads are free for what may be in vain.
     pub(super) side_by_side: bool,
 }
 
