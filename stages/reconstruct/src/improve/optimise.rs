@@ -73,8 +73,8 @@ impl Pass {
 type Failures = HashMap<u32, u32>;
 
 /// Lifts the triangles below a quality, `rounds` times at most: by moves within the limits; those not fit for finite elements by moves within the
-/// loosened limits, by remeshing and by two moves in a row; then those below [`AIM`] by two moves and by remeshing, and all of them by one, by two and by
-/// remeshing, in so far as a few failures allow.
+/// loosened limits, by remeshing and by two moves in a row; then those below [`AIM`] by two moves, and all of them by one, by two and by
+/// remeshing, in so far as a few failures allow; and what is still below [`AIM`] by remeshing farther round.
 /// `step` is called before each batch and may stop it.
 ///
 /// # Errors
@@ -108,11 +108,11 @@ pub(super) fn optimise(
         remesh(largest),
         two_moves(within, AIM),
         two_moves(loosened, AIM),
-        pass(Means::Remesh { reach: small }, *limits, target.min(farther_below), MOST_FIT_REMESHED_IN_VAIN),
         pass(Means::Move, *limits, target, MOST_IN_VAIN_ABOVE_EASY),
         two_moves(within, target),
         two_moves(loosened, EASY),
         pass(Means::Remesh { reach: smallest }, *limits, target, MOST_FIT_REMESHED_IN_VAIN),
+        pass(Means::Remesh { reach: small }, *limits, target.min(farther_below), MOST_FIT_REMESHED_IN_VAIN),
     ];
     let mut failures: Vec<Failures> = passes.iter().map(|_| Failures::new()).collect();
     for _ in 0..rounds {
