@@ -165,7 +165,7 @@ pub(crate) fn sample(
     seed: u64,
 ) -> Candidates {
     const CHUNK: usize = 4096;
-    let parts: Vec<Candidates> = members
+    let mut parts: Vec<Candidates> = members
         .par_chunks(CHUNK)
         .map(|chunk| {
             let mut part = Candidates::default();
@@ -192,21 +192,22 @@ pub(crate) fn sample(
         })
         .collect();
     Candidates {
-        points: joined(&parts, |part| &part.points),
-        normals: joined(&parts, |part| &part.normals),
-        sizes: joined(&parts, |part| &part.sizes),
-        component: joined(&parts, |part| &part.component),
+        points: joined(&mut parts, |part| &mut part.points),
+        normals: joined(&mut parts, |part| &mut part.normals),
+        sizes: joined(&mut parts, |part| &mut part.sizes),
+        component: joined(&mut parts, |part| &mut part.component),
     }
 }
 
-/// A list of all parts in one, copied by all threads.
+/// A list of all parts in one, copied by all threads; it is taken from them, so that one list at a time is there twice.
 fn joined<T: Copy + Default + Send + Sync>(
-    parts: &[Candidates],
-    list: impl Fn(&Candidates) -> &Vec<T> + Sync,
+    parts: &mut [Candidates],
+    list: impl Fn(&mut Candidates) -> &mut Vec<T>,
 ) -> Vec<T> {
-    let mut all = vec![T::default(); parts.iter().map(|part| list(part).len()).sum()];
-    let places = parts_mut(&mut all, parts.iter().map(|part| list(part).len()));
-    places.into_par_iter().zip(parts).for_each(|(own, part)| own.copy_from_slice(list(part)));
+    let lists: Vec<Vec<T>> = parts.iter_mut().map(|part| std::mem::take(list(part))).collect();
+    let mut all = vec![T::default(); lists.iter().map(Vec::len).sum()];
+    let places = parts_mut(&mut all, lists.iter().map(Vec::len));
+    places.into_par_iter().zip(lists).for_each(|(own, list)| own.copy_from_slice(&list));
     all
 }
 

@@ -92,8 +92,10 @@ impl Level {
         let (row_of, bin_of): (Vec<u32>, Vec<u32>) = members.par_iter().map(place).unzip();
         // by row, then each row by itself
         let Buckets { starts, items } = Buckets::new(&row_of, (rows[0] * rows[1]) as usize);
+        drop(row_of);
         let mut entries: Vec<(u32, u32)> =
             items.into_par_iter().map(|item| (bin_of[item as usize], members[item as usize])).collect();
+        drop(bin_of);
         let row_ends = |rows: &[u32]| (rows[rows.len() - 1] - rows[0]) as usize;
         let some: Vec<&[u32]> =
             (0..starts.len() - 1).step_by(ROWS).map(|n| &starts[n..starts.len().min(n + ROWS + 1)]).collect();
@@ -136,6 +138,7 @@ impl LevelBins {
         let grid = Grid::new(points, sizes, reach);
         let level_of: Vec<u32> = sizes.par_iter().map(|&h| grid.level_of(h) as u32).collect();
         let Buckets { starts, items } = Buckets::new(&level_of, grid.levels);
+        drop(level_of);
         let members: Vec<&[u32]> = starts.windows(2).map(|own| &items[own[0] as usize..own[1] as usize]).collect();
         let levels = members.par_iter().enumerate().map(|(l, members)| Level::new(&grid, l, members, points)).collect();
         Self { reach, grid, levels }
