@@ -1,6 +1,7 @@
 //! Items in buckets, by a counting sort on all threads: each looks at all items, which takes a fraction of the time of a scattered write.
 
 use rayon::prelude::*;
+use std::ops::Range;
 
 /// Buckets that one thread fills at the least.
 const LEAST_SHARE: usize = 1 << 12;
@@ -60,9 +61,28 @@ pub fn parts_mut<T>(list: &mut [T], lengths: impl IntoIterator<Item = usize>) ->
     parts
 }
 
+/// Parts of a list, ascending and apart, to be changed side by side.
+pub fn ranges_mut<'l, T>(list: &'l mut [T], ranges: &[Range<usize>]) -> Vec<&'l mut [T]> {
+    let mut end = 0;
+    let lengths = ranges.iter().flat_map(|range| {
+        let gap = range.start - end;
+        end = range.end;
+        [gap, range.len()]
+    });
+    parts_mut(list, lengths).into_iter().skip(1).step_by(2).collect()
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn parts_of_a_list_are_those_of_their_ranges() {
+        let mut list: Vec<usize> = (0..20).collect();
+        let ranges = [2..2, 2..5, 5..6, 9..9, 12..20, 20..20];
+        let found: Vec<Vec<usize>> = ranges_mut(&mut list, &ranges).into_iter().map(|part| part.to_vec()).collect();
+        assert_eq!(found, ranges.map(|range| range.collect::<Vec<_>>()));
+    }
 
     #[test]
     fn items_come_in_order_on_any_number_of_threads() {

@@ -10,7 +10,7 @@ use crate::bits::{Bits, Numbering};
 use fearless_simd::{Level, Simd, dispatch, f32x4, f32x8, prelude::*};
 use glam::DVec3;
 use isoparticles_field::spline::SlabFilter;
-use isoparticles_mesh::buckets::parts_mut;
+use isoparticles_mesh::buckets::{parts_mut, ranges_mut};
 use isoparticles_volume::{Geometry, Image};
 use rayon::prelude::*;
 use serde::Serialize;
@@ -233,17 +233,10 @@ impl Sampling {
     fn apply_transposed(&self, values: &[f32], coefficients: &mut [f32], squared: bool) {
         coefficients.par_chunks_mut(CHUNK).for_each(|part| part.fill(0.0));
         for parity in 0..2 {
-            let mut tasks = Vec::new();
-            let (mut rest, mut done) = (&mut *coefficients, 0);
-            for slab in self.slabs.iter().skip(parity).step_by(2) {
-                let (_, after) = rest.split_at_mut(slab.unknowns.start - done);
-                let (mine, after) = after.split_at_mut(slab.unknowns.len());
-                tasks.push((slab, mine));
-                rest = after;
-                done = slab.unknowns.end;
-            }
+            let slabs: Vec<&Slab> = self.slabs.iter().skip(parity).step_by(2).collect();
+            let ranges: Vec<Range<usize>> = slabs.iter().map(|slab| slab.unknowns.clone()).collect();
             let instructions = Level::new();
-            tasks.into_par_iter().for_each(|(slab, mine)| {
+            slabs.into_par_iter().zip(ranges_mut(coefficients, &ranges)).for_each(|(slab, mine)| {
                 dispatch!(instructions, simd => self.apply_transposed_to_slab(simd, slab, values, mine, squared));
             });
         }

@@ -1,6 +1,7 @@
 //! Nodes in runs along x: what lies in a band round a surface takes a few runs a row, and values at those nodes alone take the room of the
 //! band, not that of the grid.
 
+use isoparticles_mesh::buckets::parts_mut;
 use rayon::prelude::*;
 
 /// Consecutive nodes of a row.
@@ -155,15 +156,10 @@ impl Runs {
     }
 
     /// Cuts values at the nodes of the runs into those of each slice.
-    pub fn slices<'a, T>(&self, mut values: &'a mut [T]) -> Vec<&'a mut [T]> {
+    pub fn slices<'a, T>(&self, values: &'a mut [T]) -> Vec<&'a mut [T]> {
         let [_, ny, nz] = self.size;
         let before = |row: usize| self.runs.get(self.start[row]).map_or(self.count, |run| run.number);
-        let cut = |k: usize| {
-            let (slice, rest) = std::mem::take(&mut values).split_at_mut(before((k + 1) * ny) - before(k * ny));
-            values = rest;
-            slice
-        };
-        (0..nz).map(cut).collect()
+        parts_mut(values, (0..nz).map(|k| before((k + 1) * ny) - before(k * ny)))
     }
 
     /// Values at the nodes of the runs.

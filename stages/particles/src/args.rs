@@ -2,7 +2,7 @@
 //! the defaults do: an option that is not given has the value of one or of the other.
 
 use crate::constants::{LARGEST_SPACING, LEAST_SPACING};
-use crate::settle::{Binning, Order, Parameters, REORDER_INTERVAL};
+use crate::settle::{Binning, COARSE_CLOSING_PASSES, Order, Parameters, REORDER_INTERVAL};
 use clap::{Parser, ValueEnum};
 use isoparticles_field::energy::lattice_energy;
 use isoparticles_stage::cli::values::{above_one, positive, share};
@@ -114,7 +114,8 @@ pub struct Args {
             1: they do not wait", |p| p.rest_share))]
     rest_share: Option<f64>,
     #[arg(long, value_name = "N", help_heading = METHOD,
-        help = told("Passes without density control at the end, so that the last newcomers settle; on levels before the last no more than 3", |p| p.closing_passes))]
+        help = told(&format!("Passes without density control at the end, so that the last newcomers settle; on levels before the last no more than {COARSE_CLOSING_PASSES}"),
+            |p| p.closing_passes))]
     closing_passes: Option<u64>,
     #[arg(long, value_name = "E", value_parser = positive, help_heading = METHOD,
         help = told("Energy that density control aims at, 0.554 to 7.84; by default that of the hexagonal lattice of edge h by Eq. 1. Another one \

@@ -15,7 +15,7 @@ use crate::state::{Fields, State};
 use fearless_simd::{Level, Simd, dispatch};
 use glam::DVec3;
 use isoparticles_field::neighbours::BLOCK;
-use isoparticles_mesh::buckets::parts_mut;
+use isoparticles_mesh::buckets::ranges_mut;
 use rayon::prelude::*;
 use std::ops::Range;
 
@@ -78,17 +78,6 @@ pub(crate) fn pass<S: Implicit>(state: &mut State, fields: &Fields<S>) -> Moves 
     }
     state.classes = classes;
     moves
-}
-
-/// Parts of a list, in their order, to be changed side by side.
-fn ranges_mut<'l, T>(list: &'l mut [T], ranges: &[Range<usize>]) -> Vec<&'l mut [T]> {
-    let mut end = 0;
-    let lengths = ranges.iter().flat_map(|range| {
-        let gap = range.start - end;
-        end = range.end;
-        [gap, range.len()]
-    });
-    parts_mut(list, lengths).into_iter().skip(1).step_by(2).collect()
 }
 
 /// Moves some particles one after the other, by the best instructions that the processor has.
@@ -246,14 +235,6 @@ mod tests {
         println!("moves up to {farthest} h, unseen pairs from {nearest} h");
         assert!(farthest > 0.2 && farthest < FARTHEST_MOVE, "moves up to {farthest} h");
         assert!(nearest > UNSEEN_DISTANCE, "{nearest} h apart and not in each other's lists");
-    }
-
-    #[test]
-    fn parts_of_a_list_are_those_of_their_ranges() {
-        let mut list: Vec<usize> = (0..20).collect();
-        let ranges = [2..2, 2..5, 5..6, 9..9, 12..20, 20..20];
-        let found: Vec<Vec<usize>> = ranges_mut(&mut list, &ranges).into_iter().map(|part| part.to_vec()).collect();
-        assert_eq!(found, ranges.map(|range| range.collect::<Vec<_>>()));
     }
 
     #[test]

@@ -131,7 +131,7 @@ fn spread(samples: &Samples<'_>, sizes: &[f64], parameters: &Parameters, asked: 
 }
 
 /// The nodes of the cell at a place, of the nearest one outside the grid.
-fn cell_nodes(geometry: &Geometry, p: DVec3) -> [usize; 8] {
+pub(crate) fn cell_nodes(geometry: &Geometry, p: DVec3) -> [usize; 8] {
     let index = geometry.grid_to_index(p);
     let base: [usize; 3] =
         std::array::from_fn(|a| (index[a].max(0.0) as usize).min(geometry.size[a].saturating_sub(2)));

@@ -55,7 +55,7 @@ pub fn medial_points(surface: &Surface<'_>, largest: f64) -> Vec<[Option<DVec3>;
     let count = surface.points.len();
     let of_run = |start: usize| -> Vec<[Option<DVec3>; 2]> {
         let mut hints = [None; 2];
-        let mut of_sample = |i: usize| {
+        let of_sample = |i: usize| {
             let normal = surface.normals[i];
             [(0, normal), (1, -normal)].map(|(side, direction)| {
                 let ball = surface.largest_empty(&tree, i, direction, largest, hints[side]);
@@ -63,7 +63,7 @@ pub fn medial_points(surface: &Surface<'_>, largest: f64) -> Vec<[Option<DVec3>;
                 ball.and_then(|(radius, touching)| surface.kept_centre(i, direction, radius, touching))
             })
         };
-        (start..count.min(start + RUN)).map(&mut of_sample).collect()
+        (start..count.min(start + RUN)).map(of_sample).collect()
     };
     // by index, so that a run is the same on any number of threads
     let runs: Vec<usize> = (0..count).step_by(RUN).collect();

@@ -155,15 +155,13 @@ fn blocks(surface: &Surface, todo: &[bool], side: f64, before: f64) -> Vec<Block
         rows.flat_map(move |(y, z)| (low[0]..=high[0]).map(move |x| (number([x, y, z]), t)))
     };
     let numbers = |count: usize| (0..count as u32).into_par_iter();
-    let with_work = numbers(surface.positions.len()).filter(|&v| todo[v as usize]).filter_map(home);
-    let mut with_work: Vec<u64> = with_work.map(|(number, _)| number).collect();
-    with_work.par_sort_unstable();
-    with_work.dedup();
-    let has_work = |(number, _): &(u64, u32)| with_work.binary_search(number).is_ok();
-    let mut vertices: Vec<(u64, u32)> = numbers(surface.positions.len()).filter_map(home).filter(has_work).collect();
-    let alive = numbers(surface.triangles.len()).filter(|&t| surface.is_alive(t));
-    let mut triangles: Vec<(u64, u32)> = alive.flat_map_iter(|t| homes(t).filter(has_work)).collect();
+    let mut vertices: Vec<(u64, u32)> = numbers(surface.positions.len()).filter_map(home).collect();
     vertices.par_sort_unstable();
+    let has_work = |own: &&[(u64, u32)]| own.iter().any(|&(_, v)| todo[v as usize]);
+    let with_work: Vec<&[(u64, u32)]> = vertices.chunk_by(|a, b| a.0 == b.0).filter(has_work).collect();
+    let is_in_one = |(number, _): &(u64, u32)| with_work.binary_search_by_key(number, |own| own[0].0).is_ok();
+    let alive = numbers(surface.triangles.len()).filter(|&t| surface.is_alive(t));
+    let mut triangles: Vec<(u64, u32)> = alive.flat_map_iter(|t| homes(t).filter(is_in_one)).collect();
     triangles.par_sort_unstable();
     let block = |own: &[(u64, u32)]| {
         let (number, first) = own[0];
@@ -175,7 +173,7 @@ fn blocks(surface: &Surface, todo: &[bool], side: f64, before: f64) -> Vec<Block
             triangles: meeting.map(|&(_, t)| t).collect(),
         }
     };
-    vertices.chunk_by(|a, b| a.0 == b.0).map(block).collect()
+    with_work.into_iter().map(block).collect()
 }
 
 /// Mean length of the sides of the triangles; 1 where there are none.

@@ -1,6 +1,7 @@
 //! What the shape of sheets asks for: their curvature, and how thick the materials are on both sides.
 
 use crate::averages::average;
+use crate::cell_nodes;
 use crate::feature::{CURVATURE_ROUNDS, SHARP};
 use crate::gradation::limit_gradient;
 use glam::{DMat3, DVec3, Mat3};
@@ -164,13 +165,7 @@ impl<'a, I: Indicators> Ways<'a, I> {
 fn free_distances(geometry: &Geometry, complex: &Complex) -> Image<f32> {
     let mut free = Image::filled(geometry.clone(), f32::INFINITY);
     for vertex in &complex.vertices {
-        let index = geometry.grid_to_index(vertex.position);
-        let base: [usize; 3] =
-            std::array::from_fn(|a| (index[a].max(0.0) as usize).min(geometry.size[a].saturating_sub(2)));
-        for corner in 0..8 {
-            let at: [usize; 3] = std::array::from_fn(|a| (base[a] + (corner >> a & 1)).min(geometry.size[a] - 1));
-            free.data[geometry.linear(at[0], at[1], at[2])] = 0.0;
-        }
+        cell_nodes(geometry, vertex.position).into_iter().for_each(|node| free.data[node] = 0.0);
     }
     limit_gradient(&mut free, 1.0, None);
     free
