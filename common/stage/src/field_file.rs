@@ -10,6 +10,7 @@ use crate::output::write_atomically;
 use isoparticles_file::history::History;
 use isoparticles_volume::vtk_xml::{Document, Payload, VtkFile, ascii_json};
 use isoparticles_volume::{Geometry, Image, vti};
+use rayon::prelude::*;
 use serde::Serialize;
 use serde_json::Value;
 use std::path::Path;
@@ -152,8 +153,9 @@ fn wrong_kind(path: &Path, expected: FieldKind, what: &str) -> Error {
 /// Distances must be finite, edge lengths positive as well.
 fn check_values(path: &Path, kind: FieldKind, data: &[f32]) -> Result<()> {
     let is_bad = |value: &&f32| !value.is_finite() || (kind == FieldKind::Sizing && **value <= 0.0);
-    let count = data.iter().filter(is_bad).count();
-    let Some(first) = data.iter().find(is_bad) else { return Ok(()) };
+    let bad: Vec<&f32> = data.par_iter().filter(is_bad).collect();
+    let Some(first) = bad.first() else { return Ok(()) };
+    let count = bad.len();
     let why = match kind {
         FieldKind::Distance => "distances are finite numbers",
         FieldKind::Sizing => "target edge lengths are finite and greater than zero",

@@ -76,3 +76,29 @@ fn the_ends_of_what_is_wanted_are_counted_from_the_start_of_the_range() {
     assert_eq!(values.ends_of_labels(0..5, |_| true), Some((0, 4)));
     assert_eq!(values.ends_of_labels(1..4, |_| true), None);
 }
+
+#[test]
+fn what_all_threads_read_of_a_file_is_what_one_reader_finds() {
+    let folder = tempfile::tempdir().expect("folder");
+    let path = folder.path().join("values.raw");
+    // several chunks and a part of one
+    let all = [
+        Voxels::U8((0..700_001).map(|n| (n * 7 / 3) as u8).collect()),
+        Voxels::I16((0..300_007).map(|n| (n * 11) as i16).collect()),
+        Voxels::F64((0..70_003).map(|n| 1.0 / f64::from(n - 5)).collect()),
+        Voxels::F32(Vec::new()),
+    ];
+    for voxels in all {
+        for (endian, start) in [(Endian::Little, 0), (Endian::Big, 13)] {
+            let mut bytes = vec![0xaa; start];
+            voxels.write_to(&mut bytes, endian).expect("written");
+            std::fs::write(&path, &bytes).expect("written");
+            let read = |start: u64, count| Voxels::read_file(&path, start, voxels.scalar_type(), endian, count);
+            assert_eq!(read(start as u64, voxels.len()).expect("read"), voxels);
+            let error = read(start as u64, voxels.len() + 1).expect_err("one more than there are");
+            assert_eq!(error.kind(), std::io::ErrorKind::UnexpectedEof);
+            assert!(error.to_string().contains(&format!("{} of {}", voxels.len(), voxels.len() + 1)), "{error}");
+            assert!(read(u64::MAX, 1).is_err() && read(0, usize::MAX).is_err());
+        }
+    }
+}

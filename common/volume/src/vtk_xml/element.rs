@@ -138,7 +138,11 @@ impl VtkFile {
             let text = format!("{} bytes where {expected} are needed", reader.length);
             return Err(wrong(std::io::Error::other(text)));
         }
-        Voxels::read_from(&mut reader, scalar, self.layout.endian, count).map_err(wrong)
+        let values = match self.plain_bytes(array) {
+            Some(start) => Voxels::read_file(&self.path, start, scalar, self.layout.endian, count),
+            None => Voxels::read_from(&mut reader, scalar, self.layout.endian, count),
+        };
+        values.map_err(wrong)
     }
 
     /// Reads an array of numbers whose length the file tells.
@@ -179,15 +183,27 @@ impl VtkFile {
         scalar_of(name).ok_or_else(|| self.array_error(array, &std::io::Error::other(format!("its type is {name}"))))
     }
 
+    /// Where an array begins in the file, and whether it is base64; `None` where it is in the XML, or nowhere.
+    fn place(&self, array: &Element) -> Appended {
+        let offset = array.attribute("offset").and_then(|text| text.parse::<u64>().ok())?;
+        let (start, base64) = self.appended.filter(|_| array.attribute("format") == Some("appended"))?;
+        Some((start.checked_add(offset)?, base64))
+    }
+
+    /// Where the numbers of an array begin that lie in the file as they are.
+    fn plain_bytes(&self, array: &Element) -> Option<u64> {
+        let (position, base64) = self.place(array)?;
+        let header = if self.layout.wide_header { 8 } else { 4 };
+        position.checked_add(header).filter(|_| !base64 && !self.layout.compressed)
+    }
+
     fn reader<'a>(&self, array: &'a Element) -> std::io::Result<ArrayReader<'a>> {
         if array.attribute("format") == Some("binary") {
             return ArrayReader::new(Box::new(array.text.as_bytes()), true, self.layout);
         }
-        let offset = array.attribute("offset").and_then(|text| text.parse::<u64>().ok());
-        let (Some((start, base64)), Some(offset)) = (self.appended, offset) else {
+        let Some((position, base64)) = self.place(array) else {
             return Err(std::io::Error::other("it has no data"));
         };
-        let position = start.checked_add(offset).ok_or_else(|| std::io::Error::other("its offset is too large"))?;
         let mut reader = BufReader::with_capacity(1 << 17, File::open(&self.path)?);
         reader.seek(SeekFrom::Start(position))?;
         ArrayReader::new(Box::new(reader), base64, self.layout)
