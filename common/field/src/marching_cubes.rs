@@ -11,6 +11,7 @@ use glam::DVec3;
 use isoparticles_mesh::TriangleMesh;
 use isoparticles_volume::Image;
 use rayon::prelude::*;
+use std::collections::BTreeSet;
 use std::sync::OnceLock;
 
 /// Vertices keep this distance (in edge lengths) from the grid nodes, so that no triangle collapses where a
@@ -327,37 +328,44 @@ fn loops(case: u8, variant: usize) -> Vec<Vec<u8>> {
 
 fn cut(cycle: Vec<u8>) -> Piece {
     let mut triangles = Vec::new();
-    if cut_without_face_diagonals(&cycle, &mut triangles) { Piece::Triangles(triangles) } else { Piece::Fan(cycle) }
+    if cut_without_face_diagonals(&cycle, &mut triangles, &mut BTreeSet::new()) {
+        Piece::Triangles(triangles)
+    } else {
+        Piece::Fan(cycle)
+    }
 }
 
-/// Cuts off ears until a triangle is left, going back where only diagonals on a cell face remain.
-fn cut_without_face_diagonals(cycle: &[u8], triangles: &mut Vec<[u8; 3]>) -> bool {
+/// Cuts off ears until a triangle is left, going back where only diagonals on a cell face remain; `given_up` holds what of the cycle was left then.
+fn cut_without_face_diagonals(cycle: &[u8], triangles: &mut Vec<[u8; 3]>, given_up: &mut BTreeSet<Vec<u8>>) -> bool {
     if let &[a, b, c] = cycle {
         triangles.push([a, b, c]);
         return true;
     }
+    if given_up.contains(cycle) {
+        return false;
+    }
     let n = cycle.len();
     for ear in 0..n {
         let (before, after) = (cycle[(ear + n - 1) % n], cycle[(ear + 1) % n]);
-        if share_a_face(before, after) {
+        if faces_of(before) & faces_of(after) != 0 {
             continue;
         }
         triangles.push([before, cycle[ear], after]);
         let rest: Vec<u8> = cycle.iter().copied().filter(|&e| e != cycle[ear]).collect();
-        if cut_without_face_diagonals(&rest, triangles) {
+        if cut_without_face_diagonals(&rest, triangles, given_up) {
             return true;
         }
         triangles.pop();
     }
+    given_up.insert(cycle.to_vec());
     false
 }
 
-fn share_a_face(a: u8, b: u8) -> bool {
-    let ends = |e: u8| {
-        let edge = EDGES[usize::from(e)];
-        [edge.corner, edge.corner | AXIS_BIT[edge.axis]]
-    };
-    faces().any(|face| [ends(a), ends(b)].iter().flatten().all(|corner| face.contains(corner)))
+/// A bit for each of the two faces of the cell that an edge lies on.
+fn faces_of(edge: u8) -> u8 {
+    let Edge { corner, axis } = EDGES[usize::from(edge)];
+    let face = |across: usize| 1 << (2 * across + usize::from(corner & AXIS_BIT[across] != 0));
+    (0..3).filter(|&across| across != axis).map(face).sum()
 }
 
 #[cfg(test)]

@@ -21,7 +21,7 @@ impl SizingField {
 
     /// The field whose edge lengths are `factor` times as long.
     pub fn scaled(&self, factor: f64) -> Self {
-        let data = self.image.data.iter().map(|&h| (factor * f64::from(h)) as f32).collect();
+        let data = self.image.data.par_iter().map(|&h| (factor * f64::from(h)) as f32).collect();
         Self { image: Image { geometry: self.image.geometry.clone(), data } }
     }
 

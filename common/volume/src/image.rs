@@ -2,6 +2,7 @@
 
 use crate::geometry::Geometry;
 use glam::DVec3;
+use rayon::prelude::*;
 
 /// Values on a regular grid, x fastest.
 #[derive(Clone, Debug, PartialEq)]
@@ -12,10 +13,11 @@ pub struct Image<T> {
     pub data: Vec<T>,
 }
 
-impl<T: Copy> Image<T> {
+impl<T: Copy + Send + Sync> Image<T> {
     /// An image filled with one value.
     pub fn filled(geometry: Geometry, value: T) -> Self {
-        let data = vec![value; geometry.voxel_count()];
+        // on all threads, because the memory is new
+        let data = (0..geometry.voxel_count()).into_par_iter().map(|_| value).collect();
         Self { geometry, data }
     }
 

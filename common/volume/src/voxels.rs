@@ -290,7 +290,7 @@ impl Voxels {
     /// Which voxels carry one of the labels.
     pub fn label_mask(&self, labels: &[i64]) -> Vec<bool> {
         each_type!(self, values => values
-            .iter()
+            .par_iter()
             .map(|&value| Number::to_label(value).is_some_and(|label| labels.contains(&label)))
             .collect())
     }
@@ -487,15 +487,16 @@ fn fill(reader: &mut dyn Read, bytes: &mut [u8]) -> std::io::Result<usize> {
 }
 
 /// Distinct values as labels, or the first value that is none.
-fn distinct<T: Number + PartialEq + std::fmt::Display>(values: &[T]) -> std::result::Result<Vec<i64>, String> {
+fn distinct<T: Number + PartialEq + std::fmt::Display + Sync>(values: &[T]) -> std::result::Result<Vec<i64>, String> {
+    let of_part = |values: &[T]| {
+        // labels come in long runs
+        let runs = values.chunk_by(|a, b| a == b).map(|run| run[0]);
+        runs.map(|value| value.to_label().ok_or_else(|| value.to_string())).collect()
+    };
+    let parts: Vec<std::result::Result<BTreeSet<i64>, String>> = values.par_chunks(1 << 16).map(of_part).collect();
     let mut labels = BTreeSet::new();
-    let mut last = None;
-    for &value in values {
-        // Labels come in long runs.
-        if last != Some(value) {
-            labels.insert(value.to_label().ok_or_else(|| value.to_string())?);
-            last = Some(value);
-        }
+    for part in parts {
+        labels.append(&mut part?);
     }
     Ok(labels.into_iter().collect())
 }

@@ -53,6 +53,23 @@ impl Bits {
         self.words.iter_mut().zip(&other.words).for_each(|(own, other)| *own |= other);
     }
 
+    /// All nodes that are one of these numbers after one of the set; none of them may be beyond the grid.
+    pub fn moved(&self, numbers: [usize; 4]) -> Self {
+        // of a set that begins with nothing
+        let before = |word: usize, back: usize| word.checked_sub(back).map_or(0, |word| self.words[word]);
+        let mut words = vec![0; self.words.len()];
+        words.par_chunks_mut(CHUNK / 64).enumerate().for_each(|(chunk, words)| {
+            for (w, to) in (chunk * CHUNK / 64..).zip(words) {
+                for number in numbers {
+                    let (back, up) = (number / 64, number % 64);
+                    *to |= before(w, back) << up;
+                    *to |= before(w, back + 1).checked_shr(64 - up as u32).unwrap_or(0);
+                }
+            }
+        });
+        Self { words }
+    }
+
     /// Takes away the nodes of another set over the same grid.
     pub fn subtract(&mut self, other: &Self) {
         self.words.iter_mut().zip(&other.words).for_each(|(own, other)| *own &= !other);
@@ -153,6 +170,19 @@ mod tests {
         bits.subtract(&even);
         assert!((0..300).all(|n| both.holds(n) == (truth[n] || n % 2 == 0)));
         assert!((0..300).all(|n| bits.holds(n) == (truth[n] && n % 2 != 0)));
+    }
+
+    #[test]
+    fn a_set_is_moved_up_by_several_numbers_at_once() {
+        let holds = |n: usize| n < 600 && (n % 11 == 3 || (60..70).contains(&n));
+        let bits = Bits::of(1000, holds);
+        for numbers in [[0, 1, 2, 3], [0, 63, 64, 65], [0, 130, 260, 390], [400, 399, 128, 1]] {
+            let moved = bits.moved(numbers);
+            for n in 0..1000 {
+                let is_there = numbers.iter().any(|&number| n.checked_sub(number).is_some_and(holds));
+                assert_eq!(moved.holds(n), is_there, "{n} by {numbers:?}");
+            }
+        }
     }
 
     #[test]

@@ -128,21 +128,30 @@ fn cell(geometry: &Geometry, sample: DVec3) -> Option<(usize, DVec3)> {
 /// Numbers the coefficients that the samples touch.
 fn touched_coefficients(geometry: &Geometry, samples: &[DVec3]) -> Numbering {
     let [nx, ny, _] = geometry.size;
+    let corners = samples.par_chunks(CHUNK).map(|samples| {
+        let mut corners: Vec<usize> =
+            samples.iter().filter_map(|&p| cell(geometry, p)).map(|(at, _)| corner(at, nx, ny)).collect();
+        // samples that follow each other often share a cell
+        corners.dedup();
+        corners
+    });
     let mut touched = Bits::none(geometry.voxel_count());
-    // samples that follow each other often share a cell
-    let mut last = usize::MAX;
-    for (at, _) in samples.iter().filter_map(|&p| cell(geometry, p)) {
-        if std::mem::replace(&mut last, at) == at {
-            continue;
-        }
-        row_starts(at, nx, ny).into_iter().for_each(|row| touched.insert(row..row + 4));
+    for corner in corners.collect::<Vec<_>>().into_iter().flatten() {
+        touched.insert(corner..corner + 1);
     }
-    Numbering::new(touched)
+    // four along each axis; a corner lies so deep within the grid that none of them is in another row or slice
+    let four = |step: usize| [0, step, 2 * step, 3 * step];
+    Numbering::new(touched.moved(four(1)).moved(four(nx)).moved(four(nx * ny)))
+}
+
+/// First node of the four along each axis that the spline reads in the cell whose lowest node is `at`.
+fn corner(at: usize, nx: usize, ny: usize) -> usize {
+    at - 1 - nx - nx * ny
 }
 
 /// First nodes of the 16 rows of four that the spline reads in the cell whose lowest node is `at`.
 fn row_starts(at: usize, nx: usize, ny: usize) -> [usize; 16] {
-    let corner = at - 1 - nx - nx * ny;
+    let corner = corner(at, nx, ny);
     std::array::from_fn(|n| corner + (n % 4) * nx + (n / 4) * nx * ny)
 }
 

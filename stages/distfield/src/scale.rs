@@ -268,8 +268,12 @@ pub(crate) fn area_at_faces(geometry: &Geometry, cut: CutFaces, is_inside: impl 
 
 /// Values in a box of a grid.
 fn crop(from: &[u8], whole: [usize; 3], first: [usize; 3], size: [usize; 3]) -> Vec<u8> {
-    let rows = (0..size[1] * size[2]).map(|row| (row % size[1] + first[1], row / size[1] + first[2]));
-    rows.flat_map(|(j, k)| &from[(k * whole[1] + j) * whole[0] + first[0]..][..size[0]]).copied().collect()
+    let mut values = vec![0; size.iter().product()];
+    values.par_chunks_mut(size[0]).enumerate().for_each(|(row, values)| {
+        let (j, k) = (row % size[1] + first[1], row / size[1] + first[2]);
+        values.copy_from_slice(&from[(k * whole[1] + j) * whole[0] + first[0]..][..size[0]]);
+    });
+    values
 }
 
 /// Copies what two boxes of one grid have in common, given the first voxel of each in that.
@@ -295,11 +299,10 @@ pub(crate) fn level_set(occupancy: &Occupancy, sigma: DVec3, keep_thin: bool) ->
     smooth(&mut smoothed, size, sigma.to_array());
     let window = sigma.to_array().map(|sigma| (WINDOW * sigma).max(LEAST_WINDOW));
     let least = if keep_thin { LEAST_LEVEL_THIN } else { LEAST_LEVEL };
-    let mut level = vec![0.5f32; smoothed.len()];
+    let mut level: Vec<f32> = smoothed.par_iter().map(|_| 0.5).collect();
     let rounds = ((0.5 - least) / LONGEST_STEP).ceil() as usize + ROUNDS;
+    let [mut excess, mut density] = [0, 1].map(|_| vec![0.0f32; smoothed.len()]);
     for _ in 0..rounds {
-        let mut excess = vec![0.0f32; smoothed.len()];
-        let mut density = vec![0.0f32; smoothed.len()];
         let rows = excess.par_chunks_mut(size[0]).zip(density.par_chunks_mut(size[0]));
         rows.enumerate().for_each(|(row, (excess, density))| {
             let first = row * size[0];

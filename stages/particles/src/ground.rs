@@ -22,30 +22,16 @@ pub(crate) enum Ground {
 }
 
 impl Ground {
-    /// Reads a distance field, or the indicators of many materials, for seeds that have strata or not.
+    /// Reads a distance field, or the indicators of many materials.
     ///
     /// # Errors
-    /// When it cannot be read, or the seeds are of the other kind.
-    pub(crate) fn read(path: &Path, is_materials: bool, (seeds, have_strata): (&Path, bool)) -> Result<Self> {
-        let mismatch = |found: &str, given: &str, why: &str| {
-            let what = format!("{}: holds particles of {found}, but {} holds {given}", seeds.display(), path.display());
-            Error::input(what, why, "give the file that the seeds were made from, or run seed again")
-        };
-        match (is_materials, have_strata) {
-            (true, false) => {
-                let why = "none of them says which interface it lies on";
-                Err(mismatch("one object", "the indicators of many materials", why))
-            }
-            (false, true) => {
-                let why = "each of them lies on an interface of two materials, or where more meet";
-                Err(mismatch("many materials", "the distance field of one object", why))
-            }
-            (true, true) => Ok(Self::Materials(read_materials(path)?)),
-            (false, false) => {
-                let distance = read_field(path, FieldKind::Distance)?;
-                Ok(Self::Object { surface: CubicSpline::new(&distance.image), history: distance.history })
-            }
+    /// When it cannot be read.
+    pub(crate) fn read(path: &Path, is_materials: bool) -> Result<Self> {
+        if is_materials {
+            return Ok(Self::Materials(read_materials(path)?));
         }
+        let distance = read_field(path, FieldKind::Distance)?;
+        Ok(Self::Object { surface: CubicSpline::new(&distance.image), history: distance.history })
     }
 
     /// The grid.
@@ -70,6 +56,28 @@ impl Ground {
             Self::Object { .. } => "F = 0",
             Self::Materials(_) => "their interface",
         }
+    }
+}
+
+/// Refuses seeds that have strata for one object, and others for many materials.
+///
+/// # Errors
+/// When the one is given with the other.
+pub(crate) fn check_kind((ground, is_materials): (&Path, bool), (seeds, have_strata): (&Path, bool)) -> Result<()> {
+    let mismatch = |found: &str, given: &str, why: &str| {
+        let what = format!("{}: holds particles of {found}, but {} holds {given}", seeds.display(), ground.display());
+        Err(Error::input(what, why, "give the file that the seeds were made from, or run seed again"))
+    };
+    match (is_materials, have_strata) {
+        (true, false) => {
+            let why = "none of them says which interface it lies on";
+            mismatch("one object", "the indicators of many materials", why)
+        }
+        (false, true) => {
+            let why = "each of them lies on an interface of two materials, or where more meet";
+            mismatch("many materials", "the distance field of one object", why)
+        }
+        _ => Ok(()),
     }
 }
 

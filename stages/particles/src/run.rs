@@ -5,7 +5,7 @@ use crate::checkpoint::{Progress, cpu_engine, keep, resume};
 use crate::coarse::{MakeEngine, settle_levels};
 use crate::cpu::{CpuEngine, OnCpu, settle_sheets_with};
 use crate::gpu::{self, Choice, DeviceReport, Gpu, GpuEngine};
-use crate::ground::{Ground, check_levels};
+use crate::ground::{Ground, check_kind, check_levels};
 use crate::implicit::Sheets;
 use crate::log::Log;
 use crate::settle::{Engine, Order, Parameters, PassRecord};
@@ -165,19 +165,20 @@ pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
     let parameters = args.settling(gpu.is_some(), many);
     args.check(&parameters, gpu.is_some())?;
     let step = context.step("read");
-    let seeds = read_particles(seeds_file, &[ParticleKind::Seeds, ParticleKind::Particles])?;
-    let (ground, sizing) = rayon::join(
-        || Ground::read(distance_file, many, (seeds_file, seeds.strata.is_some())),
-        || read_field(sizing_file, FieldKind::Sizing),
+    let (seeds, (ground, sizing)) = rayon::join(
+        || read_particles(seeds_file, &[ParticleKind::Seeds, ParticleKind::Particles]),
+        || rayon::join(|| Ground::read(distance_file, many), || read_field(sizing_file, FieldKind::Sizing)),
     );
+    let seeds = seeds?;
+    check_kind((distance_file, many), (seeds_file, seeds.strata.is_some()))?;
     let (ground, sizing) = (ground?, sizing?);
     check_same_grid((distance_file, ground.geometry()), (sizing_file, &sizing.image.geometry))?;
     check_same_grid((distance_file, ground.geometry()), (seeds_file, &seeds.particles.geometry))?;
-    let inputs = [
-        context.add_input(seeds_file, Some(seeds.history.clone()))?,
-        context.add_input(distance_file, ground.history())?,
-        context.add_input(sizing_file, sizing.history.clone())?,
-    ];
+    let inputs = context.add_inputs([
+        (seeds_file, Some(seeds.history.clone())),
+        (distance_file, ground.history()),
+        (sizing_file, sizing.history.clone()),
+    ])?;
     let count = seeds.particles.positions.len();
     context.check_memory(
         BYTES_PER_PARTICLE * count as f64,

@@ -189,12 +189,14 @@ pub(crate) fn read_settled(args: &Args, context: &Context) -> Result<ParticleSet
 
 fn on_field(args: &Args, distfield: &Path, context: &Context) -> Result<Outcome> {
     let step = context.step("read");
-    let particles = read_settled(args, context)?;
-    let (field, sizing) = rayon::join(
-        || read_field(distfield, FieldKind::Distance),
-        || args.sizefield.as_deref().map(|path| read_field(path, FieldKind::Sizing)).transpose(),
+    let (particles, (field, sizing)) = rayon::join(
+        || read_settled(args, context),
+        || {
+            let sizing = || args.sizefield.as_deref().map(|path| read_field(path, FieldKind::Sizing)).transpose();
+            rayon::join(|| read_field(distfield, FieldKind::Distance), sizing)
+        },
     );
-    let (field, sizing) = (field?, sizing?);
+    let (particles, field, sizing) = (particles?, field?, sizing?);
     check_same_grid((&args.particles, &particles.geometry), (distfield, &field.image.geometry))?;
     let count = particles.positions.len();
     context.check_memory(

@@ -81,8 +81,7 @@ pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
     );
     let (distance, sizing) = (distance?, sizing?);
     check_same_grid((&args.distfield, &distance.image.geometry), (&args.sizefield, &sizing.image.geometry))?;
-    context.add_input(&args.distfield, distance.history.clone())?;
-    context.add_input(&args.sizefield, sizing.history.clone())?;
+    context.add_inputs([(&args.distfield, distance.history.clone()), (&args.sizefield, sizing.history.clone())])?;
     let surface = CubicSpline::new(&distance.image);
     drop(step);
     context.check_interrupt()?;

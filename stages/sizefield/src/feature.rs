@@ -92,18 +92,13 @@ impl Features {
     ) -> Self {
         let mesh = marching_cubes(image, 0.0);
         let spacing = image.geometry.mean_spacing();
-        let measured: Vec<(DVec3, DVec3, DMat3)> = mesh
-            .vertices
-            .par_iter()
-            .map(|&v| {
-                let p = surface.project(v, 1.5 * spacing, 1e-6 * spacing).unwrap_or(v);
-                let jet = surface.jet(p);
-                (p, jet.gradient.normalize_or_zero(), curvature_tensor(&jet))
-            })
-            .collect();
-        let points: Vec<DVec3> = measured.iter().map(|m| m.0).collect();
-        let normals: Vec<DVec3> = measured.iter().map(|m| m.1).collect();
-        let tensors: Vec<DMat3> = measured.iter().map(|m| m.2).collect();
+        let measure = |&v: &DVec3| {
+            let p = surface.project(v, 1.5 * spacing, 1e-6 * spacing).unwrap_or(v);
+            let jet = surface.jet(p);
+            ((p, jet.gradient.normalize_or_zero()), curvature_tensor(&jet))
+        };
+        let ((points, normals), tensors): ((Vec<DVec3>, Vec<DVec3>), Vec<DMat3>) =
+            mesh.vertices.par_iter().map(measure).unzip();
         let incidence = Incidence::new(&mesh.triangles, points.len());
         let smoothed = match bumps {
             Bumps::AreShape => Smoothed::none(points.len()),
@@ -202,8 +197,8 @@ fn feature_sizes(
 ) -> Vec<f64> {
     let spacing = image.geometry.mean_spacing();
     let under = |i: usize| smoothed.patches[i].map_or((points[i], normals[i]), |patch| (patch.point, patch.normal));
-    let (points, normals): (Vec<DVec3>, Vec<DVec3>) = (0..points.len()).map(under).unzip();
-    let blur: Vec<f64> = smoothed.noise.iter().map(|noise| (LEFT_OVER * noise).max(BLUR * spacing)).collect();
+    let (points, normals): (Vec<DVec3>, Vec<DVec3>) = (0..points.len()).into_par_iter().map(under).unzip();
+    let blur: Vec<f64> = smoothed.noise.par_iter().map(|noise| (LEFT_OVER * noise).max(BLUR * spacing)).collect();
     let surface = Surface { points: &points, normals: &normals, blur: &blur, noise: &smoothed.noise, distance: image };
     let balls = medial_points(&surface, largest);
     let axis = KdTree::new(&balls.iter().flatten().flatten().copied().collect::<Vec<_>>());

@@ -67,7 +67,8 @@ impl Smoothed {
 
     /// No noise anywhere.
     pub fn none(samples: usize) -> Self {
-        Self { patches: vec![None; samples], noise: vec![0.0; samples] }
+        // by all threads: the memory of patches is new
+        Self { patches: (0..samples).into_par_iter().map(|_| None).collect(), noise: vec![0.0; samples] }
     }
 }
 

@@ -19,6 +19,7 @@ use isoparticles_stage::materials_file::is_materials;
 use isoparticles_stage::meta::{self, DistanceMeta, SizeMeta, Source};
 use isoparticles_stage::quality::Quality;
 use isoparticles_volume::{Geometry, Image};
+use rayon::prelude::*;
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
 
@@ -377,7 +378,7 @@ fn describe(
     (largest, small): (f64, &[TooSmall]),
     context: &Context,
 ) -> SizeMeta {
-    let mut at_surface: Vec<f64> = features.points.iter().map(|&p| sizing.at(p)).collect();
+    let mut at_surface: Vec<f64> = features.points.par_iter().map(|&p| sizing.at(p)).collect();
     let mut feature_size = features.feature_size.clone();
     let notes = [
         ("size_at_surface", percentiles(&mut at_surface)),
@@ -402,7 +403,7 @@ fn describe(
 
 /// Minimum, percentiles and maximum by name; sorts the values.
 pub(crate) fn percentiles(values: &mut [f64]) -> Value {
-    values.sort_by(f64::total_cmp);
+    values.par_sort_unstable_by(f64::total_cmp);
     let at = |percent: usize| values[(values.len() - 1) * percent / 100];
     json!({ "min": at(0), "p1": at(1), "p5": at(5), "median": at(50), "p95": at(95), "max": at(100) })
 }

@@ -105,8 +105,8 @@ impl Cell {
 pub(super) struct Cells {
     /// Voxel cells along each axis.
     size: [usize; 3],
-    /// The state of each voxel cell, x fastest.
-    voxels: Vec<Packed>,
+    /// The state of each voxel cell, x fastest, slice by slice.
+    voxels: Vec<Vec<Packed>>,
     /// The states of the halves of halved cells.
     halves: Vec<[Packed; 8]>,
 }
@@ -119,14 +119,20 @@ impl Cells {
         let signs = Signs::of(field);
         let states = |k| watch.slice().map(|()| states_of_slice(field, &signs, size, k));
         let slices = (0..size[2]).into_par_iter().map(states).collect::<Result<Vec<_>, _>>()?;
-        let mut new = Self { size, voxels: Vec::new(), halves: Vec::new() };
-        for (voxels, halves) in slices {
-            let shift = new.halves.len() as u32;
+        let halves_before = slices.iter().scan(0, |next, (_, halves)| {
+            let before = *next;
+            *next += halves.len() as u32;
+            Some(before)
+        });
+        let halves_before: Vec<u32> = halves_before.collect();
+        let packed = slices.into_par_iter().zip(halves_before).map(|((voxels, halves), before)| {
             let shifted =
-                |state| Packed::from(if let State::Halved(n) = state { State::Halved(n + shift) } else { state });
-            new.voxels.extend(voxels.into_iter().map(shifted));
-            new.halves.extend(halves.into_iter().map(|own| own.map(shifted)));
-        }
+                |state| Packed::from(if let State::Halved(n) = state { State::Halved(n + before) } else { state });
+            let voxels = voxels.into_iter().map(shifted).collect();
+            (voxels, halves.into_iter().map(|own| own.map(shifted)).collect::<Vec<_>>())
+        });
+        let (voxels, halves): (Vec<_>, Vec<_>) = packed.unzip();
+        let mut new = Self { size, voxels, halves: halves.concat() };
         let halved: Vec<Cell> = (0..size[2] as u32).into_par_iter().flat_map_iter(|k| new.halved_in_slice(k)).collect();
         new.balance(field, halved);
         Ok(new)
@@ -143,7 +149,7 @@ impl Cells {
         if (0..3).any(|axis| voxel[axis] >= self.size[axis]) {
             return None;
         }
-        let mut state = self.voxels[(voxel[2] * self.size[1] + voxel[1]) * self.size[0] + voxel[0]];
+        let mut state = self.voxels[voxel[2]][voxel[1] * self.size[0] + voxel[0]];
         let mut level = 0;
         while let Some(halves) = state.halves()
             && level < cell.level
@@ -194,8 +200,8 @@ impl Cells {
         };
         near(2).any(|k| {
             near(1).any(|j| {
-                let row = (k * self.size[1] + j) * self.size[0];
-                self.voxels[row + near(0).start..row + near(0).end].iter().any(|s| s.halves().is_some())
+                let row = j * self.size[0];
+                self.voxels[k][row + near(0).start..row + near(0).end].iter().any(|s| s.halves().is_some())
             })
         })
     }
@@ -204,7 +210,7 @@ impl Cells {
     pub(super) fn crossed_in_slice(&self, k: u32) -> Vec<(Cell, State)> {
         let mut found = Vec::new();
         for (j, i) in (0..self.size[1] as u32).flat_map(|j| (0..self.size[0] as u32).map(move |i| (j, i))) {
-            let state = self.voxels[(k as usize * self.size[1] + j as usize) * self.size[0] + i as usize].into();
+            let state = self.voxels[k as usize][j as usize * self.size[0] + i as usize].into();
             let voxel = Cell { level: 0, at: [i, j, k] };
             match state {
                 State::Clear => {}
@@ -237,8 +243,7 @@ impl Cells {
     /// The halved cells in a slice of voxels.
     fn halved_in_slice(&self, k: u32) -> Vec<Cell> {
         let mut found = Vec::new();
-        let first = k as usize * self.size[1] * self.size[0];
-        for (n, state) in self.voxels[first..first + self.size[1] * self.size[0]].iter().enumerate() {
+        for (n, state) in self.voxels[k as usize].iter().enumerate() {
             if let Some(halves) = state.halves() {
                 let at = [n % self.size[0], n / self.size[0]].map(|n| n as u32);
                 self.halved_in(Cell { level: 0, at: [at[0], at[1], k] }, halves, &mut found);
@@ -325,7 +330,7 @@ impl Cells {
         self.halves.push(halves.map(Packed::from));
         if cell.level == 0 {
             let [i, j, k] = cell.at.map(|n| n as usize);
-            self.voxels[(k * self.size[1] + j) * self.size[0] + i] = new;
+            self.voxels[k][j * self.size[0] + i] = new;
         } else if let Some((_, State::Halved(n))) = self.find(cell.within(cell.level - 1)) {
             self.halves[n as usize][cell.octant()] = new;
         }

@@ -6,6 +6,7 @@ use crate::error::{Error, Result};
 use indicatif::MultiProgress;
 use isoparticles_file::history::{History, Input};
 use isoparticles_file::monitor::Monitor;
+use rayon::prelude::*;
 use serde_json::Value;
 use std::io::{IsTerminal, Write};
 use std::path::{Path, PathBuf};
@@ -156,17 +157,29 @@ impl Context {
     /// Hashes an input file and notes it, with the history that it carries, for the history and the report; its hash. Fails if the
     /// file cannot be read, or is to be replaced by an output of this run.
     pub fn add_input(&self, path: &Path, history: Option<History>) -> Result<String> {
-        if self.outputs.iter().any(|output| super::same_file(output, path)) {
-            return Err(Error::input(
-                format!("{}: is both an input and an output", path.display()),
-                "the input would be replaced",
-                "give the output another name",
-            ));
-        }
-        let input = Input::of_file(path, history)?;
-        let hash = input.blake3.clone();
-        self.state().inputs.push(input);
+        let [hash] = self.add_inputs([(path, history)])?;
         Ok(hash)
+    }
+
+    /// The same for several, which are hashed side by side and noted in this order.
+    pub fn add_inputs<const N: usize>(&self, inputs: [(&Path, Option<History>); N]) -> Result<[String; N]> {
+        for (path, _) in &inputs {
+            if self.outputs.iter().any(|output| super::same_file(output, path)) {
+                return Err(Error::input(
+                    format!("{}: is both an input and an output", path.display()),
+                    "the input would be replaced",
+                    "give the output another name",
+                ));
+            }
+        }
+        let hashed = inputs.into_par_iter().map(|(path, history)| Input::of_file(path, history));
+        let mut hashes = [const { String::new() }; N];
+        for (hash, input) in hashes.iter_mut().zip(hashed.collect::<Vec<_>>()) {
+            let input = input?;
+            hash.clone_from(&input.blake3);
+            self.state().inputs.push(input);
+        }
+        Ok(hashes)
     }
 
     /// The history of what this run writes. Call it after the parameters and inputs are known.

@@ -62,11 +62,13 @@ impl Payload<'_> {
 }
 
 fn write_f32(values: &[f32], file: &mut dyn Write) -> io::Result<()> {
-    let mut buffer = Vec::with_capacity(1 << 16);
-    for chunk in values.chunks(1 << 14) {
-        buffer.clear();
-        buffer.extend(chunk.iter().flat_map(|value| value.to_le_bytes()));
-        file.write_all(&buffer)?;
+    // a write at a time that an interrupt need not wait for
+    for chunk in values.chunks(1 << 18) {
+        if cfg!(target_endian = "little") {
+            file.write_all(bytemuck::cast_slice(chunk))?;
+        } else {
+            file.write_all(&chunk.iter().flat_map(|value| value.to_le_bytes()).collect::<Vec<u8>>())?;
+        }
     }
     Ok(())
 }
