@@ -9,6 +9,7 @@
 use crate::node_bits::{NodeBits, Side, WORD, each_bit, first_bits, shifted};
 use glam::DVec3;
 use isoparticles_mesh::TriangleMesh;
+use isoparticles_mesh::buckets::joined;
 use isoparticles_volume::Image;
 use rayon::prelude::*;
 use std::collections::BTreeSet;
@@ -39,19 +40,25 @@ pub fn marching_cubes(image: &Image<f32>, iso: f32) -> TriangleMesh {
         offsets.push(total);
         total += slice.len() as u32;
     }
-    let mut vertices = slices.concat();
+    let mut vertices = joined(&slices);
     drop(slices);
 
     let cells: Vec<usize> = (0..nz - 1).collect();
-    let parts: Vec<Part> =
+    let mut parts: Vec<Part> =
         cells.par_chunks(SLICES_PER_TASK).map(|chunk| grid.triangulate(chunk, &offsets, total, &vertices)).collect();
-    let mut triangles = Vec::with_capacity(parts.iter().map(|part| part.triangles.len()).sum());
-    for part in parts {
-        let shift = vertices.len() as u32 - total;
-        let shifted = |v: u32| if v < total { v } else { v + shift };
-        triangles.extend(part.triangles.into_iter().map(|t| t.map(shifted)));
-        vertices.extend(part.centres);
-    }
+    let before = parts.iter().scan(0, |next, part| {
+        let before = *next;
+        *next += part.centres.len() as u32;
+        Some(before)
+    });
+    let before: Vec<u32> = before.collect();
+    parts.par_iter_mut().zip(before).for_each(|(part, before)| {
+        let shifted = |v: u32| if v < total { v } else { v + before };
+        part.triangles.iter_mut().for_each(|t| *t = t.map(shifted));
+    });
+    let (triangles, centres): (Vec<_>, Vec<_>) = parts.into_iter().map(|part| (part.triangles, part.centres)).unzip();
+    vertices.extend(centres.into_iter().flatten());
+    let triangles = joined(&triangles);
     TriangleMesh { vertices, triangles }
 }
 

@@ -1,4 +1,5 @@
-//! Items in buckets, by a counting sort on all threads: each looks at all items, which takes a fraction of the time of a scattered write.
+//! Lists in parts, on all threads: joined, parted, and items in buckets by a counting sort in which each thread looks at all items, which takes a fraction of the
+//! time of a scattered write.
 
 use rayon::prelude::*;
 use std::ops::Range;
@@ -49,6 +50,17 @@ impl Buckets {
     }
 }
 
+/// All lists in one, in their order.
+pub fn joined<T: Copy + Default + Send + Sync>(lists: &[Vec<T>]) -> Vec<T> {
+    // new memory costs more than what is written there, and is taken by all threads as well
+    let count: usize = lists.iter().map(Vec::len).sum();
+    let mut all: Vec<T> = (0..count).into_par_iter().map(|_| T::default()).collect();
+    parts_mut(&mut all, lists.iter().map(Vec::len)).into_par_iter().zip(lists).for_each(|(own, list)| {
+        own.copy_from_slice(list);
+    });
+    all
+}
+
 /// Parts of a list that follow each other, of these lengths, to be changed side by side.
 pub fn parts_mut<T>(list: &mut [T], lengths: impl IntoIterator<Item = usize>) -> Vec<&mut [T]> {
     let mut rest = list;
@@ -82,6 +94,13 @@ mod tests {
         let ranges = [2..2, 2..5, 5..6, 9..9, 12..20, 20..20];
         let found: Vec<Vec<usize>> = ranges_mut(&mut list, &ranges).into_iter().map(|part| part.to_vec()).collect();
         assert_eq!(found, ranges.map(|range| range.collect::<Vec<_>>()));
+    }
+
+    #[test]
+    fn lists_follow_each_other_in_one() {
+        let lists: Vec<Vec<u32>> = (0..40).map(|n| (n * n..n * n + n % 7 * 100).collect()).collect();
+        assert_eq!(joined(&lists), lists.concat());
+        assert!(joined::<u32>(&[]).is_empty());
     }
 
     #[test]

@@ -5,6 +5,7 @@
 use fearless_simd::{Level, dispatch};
 use glam::DVec3;
 use isoparticles_mesh::TriangleMesh;
+use isoparticles_mesh::buckets::joined;
 use isoparticles_volume::Image;
 use rayon::prelude::*;
 
@@ -41,7 +42,7 @@ pub fn surface_samples<I: Implicit>(implicit: &I, image: &Image<f32>, mesh: &Tri
     let voxel = image.geometry.min_spacing();
     let instructions = Level::new();
     // loops, and no closures for each: those would not be compiled for the instructions at hand
-    let vertices = mesh.vertices.par_chunks(CHUNK).flat_map_iter(|chunk| {
+    let vertices = mesh.vertices.par_chunks(CHUNK).map(|chunk| {
         let mut found = Vec::with_capacity(chunk.len());
         dispatch!(instructions, _simd => {
             for &v in chunk {
@@ -50,7 +51,7 @@ pub fn surface_samples<I: Implicit>(implicit: &I, image: &Image<f32>, mesh: &Tri
         });
         found
     });
-    let centres = mesh.triangles.par_chunks(CHUNK).flat_map_iter(|chunk| {
+    let centres = mesh.triangles.par_chunks(CHUNK).map(|chunk| {
         let mut found = Vec::with_capacity(chunk.len());
         dispatch!(instructions, _simd => {
             for [a, b, c] in chunk {
@@ -60,9 +61,7 @@ pub fn surface_samples<I: Implicit>(implicit: &I, image: &Image<f32>, mesh: &Tri
         });
         found
     });
-    let mut samples: Vec<DVec3> = vertices.collect();
-    samples.par_extend(centres);
-    samples
+    joined(&vertices.chain(centres).collect::<Vec<Vec<DVec3>>>())
 }
 
 /// The point on the zero set near `start`; `None` when it is more than `REACH` voxels away or the gradient vanishes.

@@ -13,7 +13,7 @@ use isoparticles_mesh::surface::{Simplices, Surface, check_surface_name, write_s
 use isoparticles_stage::cli::values::share;
 use isoparticles_stage::cli::{CHECKS, CommonArgs, Context, FILES, METHOD, Outcome, StageArgs, particles_bytes};
 use isoparticles_stage::error::{Error, Kind, Result};
-use isoparticles_stage::field_file::{Field, FieldKind, check_same_grid, read_field};
+use isoparticles_stage::field_file::{FieldKind, check_same_grid, read_field};
 use isoparticles_stage::materials_file::is_materials;
 use isoparticles_stage::meta::{self, Border, DistanceMeta, SurfaceMeta};
 use isoparticles_stage::particle_file::{ParticleKind, read_particles};
@@ -204,10 +204,16 @@ fn on_field(args: &Args, distfield: &Path, context: &Context) -> Result<Outcome>
         &format!("{}: {count} particles", args.particles.display()),
         "make fewer of them: sizefield --min-size, --scale or --quality coarse",
     )?;
-    context.add_input(distfield, field.history.clone())?;
     let sizing = match (&args.sizefield, sizing) {
-        (Some(path), Some(sizing)) => Some(checked_sizing(path, sizing, (distfield, &field.image.geometry), context)?),
-        _ => None,
+        (Some(path), Some(sizing)) => {
+            check_same_grid((path, &sizing.image.geometry), (distfield, &field.image.geometry))?;
+            context.add_inputs([(distfield, field.history.clone()), (path, sizing.history)])?;
+            Some(SizingField::new(sizing.image))
+        }
+        _ => {
+            context.add_input(distfield, field.history.clone())?;
+            None
+        }
     };
     let told: DistanceMeta = meta::typed(distfield, &field.meta, "distfield")?;
     drop(step);
@@ -279,12 +285,9 @@ pub(crate) fn write(
     Ok(Outcome::from_failed_checks(failed))
 }
 
+/// Reads a size field that lies on the grid of a distance field, one of the inputs.
 pub(crate) fn read_sizing(path: &Path, distance: (&Path, &Geometry), context: &Context) -> Result<SizingField> {
-    checked_sizing(path, read_field(path, FieldKind::Sizing)?, distance, context)
-}
-
-/// Takes a size field that lies on the grid of a distance field among the inputs.
-fn checked_sizing(path: &Path, field: Field, distance: (&Path, &Geometry), context: &Context) -> Result<SizingField> {
+    let field = read_field(path, FieldKind::Sizing)?;
     check_same_grid((path, &field.image.geometry), distance)?;
     context.add_input(path, field.history)?;
     Ok(SizingField::new(field.image))

@@ -9,7 +9,7 @@ use isoparticles_field::sizing::SizingField;
 use isoparticles_field::spline::CubicSpline;
 use isoparticles_field::topology::FieldComponents;
 use isoparticles_mesh::TriangleMesh;
-use isoparticles_mesh::buckets::parts_mut;
+use isoparticles_mesh::buckets::joined;
 use isoparticles_stage::monitor::{Interrupted, Monitor};
 use rayon::prelude::*;
 
@@ -70,8 +70,8 @@ pub fn seed_surface(
     let all = sample(mesh, &every, |_| 0, density, |p| spread.at(p), seed);
     monitor.check()?;
     let mut chosen = eliminate(&all, seed, |_, _| true);
-    chosen.sort_unstable();
-    let picked: Vec<_> = chosen.into_iter().map(|i| (all.points[i as usize], all.normals[i as usize])).collect();
+    chosen.par_sort_unstable();
+    let picked: Vec<_> = chosen.into_par_iter().map(|i| (all.points[i as usize], all.normals[i as usize])).collect();
     monitor.check()?;
     Ok(on_every_component(&components, surface, sizing, &picked, seed))
 }
@@ -192,23 +192,19 @@ pub(crate) fn sample(
         })
         .collect();
     Candidates {
-        points: joined(&mut parts, |part| &mut part.points),
-        normals: joined(&mut parts, |part| &mut part.normals),
-        sizes: joined(&mut parts, |part| &mut part.sizes),
-        component: joined(&mut parts, |part| &mut part.component),
+        points: taken(&mut parts, |part| &mut part.points),
+        normals: taken(&mut parts, |part| &mut part.normals),
+        sizes: taken(&mut parts, |part| &mut part.sizes),
+        component: taken(&mut parts, |part| &mut part.component),
     }
 }
 
-/// A list of all parts in one, copied by all threads; it is taken from them, so that one list at a time is there twice.
-fn joined<T: Copy + Default + Send + Sync>(
+/// A list of all parts in one; it is taken from them, so that one list at a time is there twice.
+fn taken<T: Copy + Default + Send + Sync>(
     parts: &mut [Candidates],
     list: impl Fn(&mut Candidates) -> &mut Vec<T>,
 ) -> Vec<T> {
-    let lists: Vec<Vec<T>> = parts.iter_mut().map(|part| std::mem::take(list(part))).collect();
-    let mut all = vec![T::default(); lists.iter().map(Vec::len).sum()];
-    let places = parts_mut(&mut all, lists.iter().map(Vec::len));
-    places.into_par_iter().zip(lists).for_each(|(own, list)| own.copy_from_slice(&list));
-    all
+    joined(&parts.iter_mut().map(|part| std::mem::take(list(part))).collect::<Vec<_>>())
 }
 
 /// Candidates that stay when, in random order, each one kept removes all nearer than the disk radius on its own sheet, as far as they `crowd` each other.
