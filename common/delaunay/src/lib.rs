@@ -174,6 +174,12 @@ impl Delaunay {
         all.filter(|(_, t)| t.vertices[0] != DEAD).map(|(i, t)| (i as u32, t.vertices))
     }
 
+    /// The same for all threads.
+    pub fn par_tetrahedra(&self) -> impl ParallelIterator<Item = (u32, [u32; 4])> + '_ {
+        let all = self.cells.tetrahedra.par_iter().enumerate();
+        all.filter(|(_, t)| t.vertices[0] != DEAD).map(|(i, t)| (i as u32, t.vertices))
+    }
+
     /// The finite tetrahedra, as (number, vertices).
     pub fn finite_tetrahedra(&self) -> impl Iterator<Item = (u32, [u32; 4])> + '_ {
         self.tetrahedra().filter(|(_, vertices)| !vertices.contains(&INFINITE))

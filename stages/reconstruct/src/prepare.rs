@@ -19,6 +19,9 @@ const LONGEST_MOVE: f64 = 1.0;
 /// Two particles nearer than this part of the smaller h would only make slivers; one of them goes.
 const TOO_CLOSE: f64 = 0.05;
 
+/// The edges of a tetrahedron, by the places of their vertices in it.
+const EDGES: [[usize; 2]; 6] = [[0, 1], [0, 2], [0, 3], [1, 2], [1, 3], [2, 3]];
+
 /// Points on the surface, with their target edge lengths.
 #[derive(Clone, Debug, Default)]
 pub struct SurfacePoints {
@@ -90,16 +93,18 @@ impl SurfacePoints {
     fn crowded(&self, delaunay: &Delaunay) -> Vec<u32> {
         let mut gone: BTreeSet<u32> =
             (0..self.positions.len() as u32).filter(|&v| delaunay.duplicate_of(v).is_some()).collect();
-        let is_short = |a: u32, b: u32| {
+        let is_short = |&(a, b): &(u32, u32)| {
+            // the vertex at infinity has the largest number of all
+            if b == INFINITE {
+                return false;
+            }
             let (a, b) = (a as usize, b as usize);
             let limit = TOO_CLOSE * self.sizes[a].min(self.sizes[b]);
-            a < b && self.positions[a].distance(self.positions[b]) < limit && !self.are_strangers(a, b)
+            self.positions[a].distance(self.positions[b]) < limit && !self.are_strangers(a, b)
         };
-        let mut short: Vec<(u32, u32)> = delaunay
-            .tetrahedra()
-            .flat_map(|(_, t)| (0..16usize).map(move |k| (t[k / 4], t[k % 4])))
-            .filter(|&(a, b)| a != INFINITE && b != INFINITE && is_short(a, b))
-            .collect();
+        let edges = |(_, t): (u32, [u32; 4])| EDGES.map(|ends| ends.map(|n| t[n])).map(|[a, b]| (a.min(b), a.max(b)));
+        let mut short: Vec<(u32, u32)> =
+            delaunay.par_tetrahedra().flat_map_iter(|t| edges(t).into_iter().filter(is_short)).collect();
         short.sort_unstable();
         short.dedup();
         for (a, b) in short {
