@@ -4,8 +4,8 @@
 use crate::buckets::Buckets;
 use rayon::prelude::*;
 
-/// Vertices whose edges are counted by one thread at a time.
-const CHUNK: usize = 1 << 14;
+/// Vertices whose edges are counted by one thread at a time: a few thousand make enough for all.
+const CHUNK: usize = 1 << 11;
 
 /// Memory of [`Incidence::fans_at`], to be used again for the next vertex.
 #[derive(Default)]
