@@ -47,6 +47,11 @@ impl Packed {
     fn halves(self) -> Option<usize> {
         (self.0 as usize).checked_sub(PLAIN.len())
     }
+
+    /// Counts the halves, of a halved cell, after so many others.
+    fn count_on(&mut self, before: u32) {
+        self.0 += if self.halves().is_some() { before } else { 0 };
+    }
 }
 
 impl From<State> for Packed {
@@ -118,20 +123,17 @@ impl Cells {
         let size = field.geometry().size.map(|n| n.saturating_sub(1));
         let signs = Signs::of(field);
         let states = |k| watch.slice().map(|()| states_of_slice(field, &signs, size, k));
-        let slices = (0..size[2]).into_par_iter().map(states).collect::<Result<Vec<_>, _>>()?;
+        let mut slices = (0..size[2]).into_par_iter().map(states).collect::<Result<Vec<_>, _>>()?;
         let halves_before = slices.iter().scan(0, |next, (_, halves)| {
             let before = *next;
             *next += halves.len() as u32;
             Some(before)
         });
         let halves_before: Vec<u32> = halves_before.collect();
-        let packed = slices.into_par_iter().zip(halves_before).map(|((voxels, halves), before)| {
-            let shifted =
-                |state| Packed::from(if let State::Halved(n) = state { State::Halved(n + before) } else { state });
-            let voxels = voxels.into_iter().map(shifted).collect();
-            (voxels, halves.into_iter().map(|own| own.map(shifted)).collect::<Vec<_>>())
+        slices.par_iter_mut().zip(halves_before).for_each(|((voxels, halves), before)| {
+            voxels.iter_mut().chain(halves.as_flattened_mut()).for_each(|state| state.count_on(before));
         });
-        let (voxels, halves): (Vec<_>, Vec<_>) = packed.unzip();
+        let (voxels, halves): (Vec<_>, Vec<_>) = slices.into_iter().unzip();
         let mut new = Self { size, voxels, halves: halves.concat() };
         let halved: Vec<Cell> = (0..size[2] as u32).into_par_iter().flat_map_iter(|k| new.halved_in_slice(k)).collect();
         new.balance(field, halved);
@@ -361,15 +363,15 @@ fn halves_of_graph(field: &CubicSpline, cell: Cell) -> [State; 8] {
 }
 
 /// The states of the voxel cells of a slice, and of the halves of those that are halved.
-fn states_of_slice(field: &CubicSpline, signs: &Signs, size: [usize; 3], k: usize) -> (Vec<State>, Vec<[State; 8]>) {
+fn states_of_slice(field: &CubicSpline, signs: &Signs, size: [usize; 3], k: usize) -> (Vec<Packed>, Vec<[Packed; 8]>) {
     let mut halving = Halving::default();
-    let mut states = vec![State::Clear; size[0] * size[1]];
+    let mut states = vec![Packed::from(State::Clear); size[0] * size[1]];
     for n in signs.changes(k, 0) {
         if let Some(whole) = Bernstein::of_crossed_cell(field, [n % size[0], n / size[0], k]) {
-            states[n] = halving.voxel(&whole);
+            states[n] = halving.voxel(&whole).into();
         }
     }
-    (states, halving.halves)
+    (states, halving.halves.into_iter().map(|own| own.map(Packed::from)).collect())
 }
 
 /// Halves cells.
