@@ -229,7 +229,7 @@ ifeq ($(NO_BUILD),)
 endif
 
 # One wheel with all of it, for `pip install`: target/wheel/isoparticles-*.whl. ISOPARTICLES_BIN of hatch_build.py are the programs without
-# their debug information; auditwheel names the oldest Linux that they run on.
+# their symbols; auditwheel names the oldest Linux that they run on.
 WHEEL = $(CARGO_TARGET_DIR)/wheel
 WHEEL_PROGRAMS = distfield sizefield seed particles reconstruct phantom isoparticles-case
 wheel: build env $(WHEEL)/venv/.made completions

@@ -174,7 +174,7 @@ impl Delaunay {
         all.filter(|(_, t)| t.vertices[0] != DEAD).map(|(i, t)| (i as u32, t.vertices))
     }
 
-    /// The same for all threads.
+    /// The same as a parallel iterator.
     pub fn par_tetrahedra(&self) -> impl ParallelIterator<Item = (u32, [u32; 4])> + '_ {
         let all = self.cells.tetrahedra.par_iter().enumerate();
         all.filter(|(_, t)| t.vertices[0] != DEAD).map(|(i, t)| (i as u32, t.vertices))

@@ -9,7 +9,7 @@
 use crate::node_bits::{NodeBits, Side, WORD, each_bit, first_bits, shifted};
 use glam::DVec3;
 use isoparticles_mesh::TriangleMesh;
-use isoparticles_mesh::buckets::joined;
+use isoparticles_mesh::buckets::{joined, starts_of};
 use isoparticles_volume::Image;
 use rayon::prelude::*;
 use std::collections::BTreeSet;
@@ -34,31 +34,21 @@ pub fn marching_cubes(image: &Image<f32>, iso: f32) -> TriangleMesh {
     }
     let grid = Grid { image, iso, inside: NodeBits::of(&image.data, nx, Side::Below, iso) };
     let slices: Vec<Vec<DVec3>> = (0..nz).into_par_iter().map(|k| grid.slice_vertices(k)).collect();
-    let mut offsets = Vec::with_capacity(nz);
-    let mut total = 0u32;
-    for slice in &slices {
-        offsets.push(total);
-        total += slice.len() as u32;
-    }
-    let mut vertices = joined(&slices);
-    drop(slices);
+    let offsets = starts_of(slices.iter().map(Vec::len));
+    let mut vertices = joined(slices);
+    let total = vertices.len() as u32;
 
     let cells: Vec<usize> = (0..nz - 1).collect();
     let mut parts: Vec<Part> =
         cells.par_chunks(SLICES_PER_TASK).map(|chunk| grid.triangulate(chunk, &offsets, total, &vertices)).collect();
-    let before = parts.iter().scan(0, |next, part| {
-        let before = *next;
-        *next += part.centres.len() as u32;
-        Some(before)
-    });
-    let before: Vec<u32> = before.collect();
-    parts.par_iter_mut().zip(before).for_each(|(part, before)| {
+    let centres_before = starts_of(parts.iter().map(|part| part.centres.len()));
+    parts.par_iter_mut().zip(centres_before).for_each(|(part, before)| {
         let shifted = |v: u32| if v < total { v } else { v + before };
         part.triangles.iter_mut().for_each(|t| *t = t.map(shifted));
     });
     let (triangles, centres): (Vec<_>, Vec<_>) = parts.into_iter().map(|part| (part.triangles, part.centres)).unzip();
     vertices.extend(centres.into_iter().flatten());
-    let triangles = joined(&triangles);
+    let triangles = joined(triangles);
     TriangleMesh { vertices, triangles }
 }
 
@@ -342,7 +332,8 @@ fn cut(cycle: Vec<u8>) -> Piece {
     }
 }
 
-/// Cuts off ears until a triangle is left, going back where only diagonals on a cell face remain; `given_up` holds what of the cycle was left then.
+/// Cuts off ears until a triangle is left, going back where only diagonals on a cell face remain; `given_up` holds
+/// remainders of the cycle that are known to have no such cut.
 fn cut_without_face_diagonals(cycle: &[u8], triangles: &mut Vec<[u8; 3]>, given_up: &mut BTreeSet<Vec<u8>>) -> bool {
     if let &[a, b, c] = cycle {
         triangles.push([a, b, c]);

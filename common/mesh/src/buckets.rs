@@ -50,14 +50,22 @@ impl Buckets {
     }
 }
 
-/// All lists in one, in their order.
-pub fn joined<T: Copy + Default + Send + Sync>(lists: &[Vec<T>]) -> Vec<T> {
-    // new memory costs more than what is written there, and is taken by all threads as well
-    let count: usize = lists.iter().map(Vec::len).sum();
-    let mut all: Vec<T> = (0..count).into_par_iter().map(|_| T::default()).collect();
-    parts_mut(&mut all, lists.iter().map(Vec::len)).into_par_iter().zip(lists).for_each(|(own, list)| {
-        own.copy_from_slice(list);
+/// Where parts of these lengths begin that follow each other.
+pub fn starts_of(lengths: impl IntoIterator<Item = usize>) -> Vec<u32> {
+    let starts = lengths.into_iter().scan(0, |next, length| {
+        let start = *next;
+        *next += length as u32;
+        Some(start)
     });
+    starts.collect()
+}
+
+/// All lists in one, in their order. They and it are in memory at the same time.
+pub fn joined<T: Copy + Default + Send + Sync>(lists: Vec<Vec<T>>) -> Vec<T> {
+    // new memory costs more than what is written there, and is taken by all threads as well
+    let lengths: Vec<usize> = lists.iter().map(Vec::len).collect();
+    let mut all: Vec<T> = (0..lengths.iter().sum()).into_par_iter().map(|_| T::default()).collect();
+    parts_mut(&mut all, lengths).into_par_iter().zip(lists).for_each(|(own, list)| own.copy_from_slice(&list));
     all
 }
 
@@ -99,8 +107,11 @@ mod tests {
     #[test]
     fn lists_follow_each_other_in_one() {
         let lists: Vec<Vec<u32>> = (0..40).map(|n| (n * n..n * n + n % 7 * 100).collect()).collect();
-        assert_eq!(joined(&lists), lists.concat());
-        assert!(joined::<u32>(&[]).is_empty());
+        assert_eq!(joined(lists.clone()), lists.concat());
+        assert!(joined::<u32>(Vec::new()).is_empty());
+        let starts = starts_of(lists.iter().map(Vec::len));
+        let begins = |n: usize| lists[..n].concat().len() as u32;
+        assert_eq!(starts, (0..lists.len()).map(begins).collect::<Vec<_>>());
     }
 
     #[test]

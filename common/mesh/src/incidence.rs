@@ -4,7 +4,7 @@
 use crate::buckets::Buckets;
 use rayon::prelude::*;
 
-/// Vertices whose edges are counted by one thread at a time: a few thousand make enough for all.
+/// Vertices whose edges are counted by one thread at a time: so few that those of a small mesh make a chunk for each.
 const CHUNK: usize = 1 << 11;
 
 /// Memory of [`Incidence::fans_at`], to be used again for the next vertex.

@@ -153,9 +153,11 @@ fn wrong_kind(path: &Path, expected: FieldKind, what: &str) -> Error {
 /// Distances must be finite, edge lengths positive as well.
 fn check_values(path: &Path, kind: FieldKind, data: &[f32]) -> Result<()> {
     let is_bad = |value: &&f32| !value.is_finite() || (kind == FieldKind::Sizing && **value <= 0.0);
-    let bad: Vec<&f32> = data.par_iter().filter(is_bad).collect();
-    let Some(first) = bad.first() else { return Ok(()) };
-    let count = bad.len();
+    let count: usize = data.par_chunks(1 << 16).map(|part| part.iter().filter(is_bad).count()).sum();
+    if count == 0 {
+        return Ok(());
+    }
+    let first = data.iter().find(is_bad).unwrap_or(&f32::NAN);
     let why = match kind {
         FieldKind::Distance => "distances are finite numbers",
         FieldKind::Sizing => "target edge lengths are finite and greater than zero",

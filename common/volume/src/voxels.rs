@@ -68,6 +68,9 @@ pub enum Voxels {
     F64(Vec<f64>),
 }
 
+/// Bytes of a file that one thread reads at a time: opening it once more takes a hundredth of the time that this takes.
+const CHUNK: usize = 1 << 20;
+
 /// Runs the same expression on the vector inside, whatever its type.
 macro_rules! each_type {
     ($voxels:expr, $values:ident => $body:expr) => {
@@ -131,8 +134,7 @@ impl ScalarType {
     }
 }
 
-/// A Rust number that [`Voxels`] can hold.
-/// How many values are there where `count` should be.
+/// The error that a file ends after `found` of `count` values.
 fn ends_early(found: usize, count: usize) -> std::io::Error {
     std::io::Error::new(std::io::ErrorKind::UnexpectedEof, format!("it ends after {found} of {count} values"))
 }
@@ -155,6 +157,7 @@ macro_rules! coded {
 }
 coded!(i8, u8, i16, u16, i32, u32, i64, u64, f32, f64);
 
+/// A Rust number that [`Voxels`] can hold.
 trait Number: Copy {
     fn to_label(self) -> Option<i64>;
     fn single(self) -> f32;
@@ -359,12 +362,12 @@ impl Voxels {
 
     /// Reads `count` values; memory grows with what has really been read, never with what a header promised.
     pub fn read_from(reader: &mut dyn Read, scalar: ScalarType, endian: Endian, count: usize) -> std::io::Result<Self> {
-        const CHUNK: usize = 1 << 17;
+        const VALUES: usize = 1 << 17;
         with_type!(scalar, Value, variant => {
             let mut values: Vec<Value> = Vec::new();
             while values.len() < count {
                 let first = values.len();
-                values.resize(count.min(first + CHUNK), Value::default());
+                values.resize(count.min(first + VALUES), Value::default());
                 let chunk = &mut values[first..];
                 let bytes: &mut [u8] = bytemuck::cast_slice_mut(chunk);
                 let got = fill(reader, bytes)?;
@@ -385,8 +388,6 @@ impl Voxels {
         endian: Endian,
         count: usize,
     ) -> std::io::Result<Self> {
-        // opening the file once more takes a hundredth of the time that this takes
-        const CHUNK: usize = 1 << 20;
         let there = std::fs::metadata(path)?.len().saturating_sub(start) / scalar.bytes() as u64;
         if there < count as u64 {
             return Err(ends_early(there as usize, count));
@@ -493,10 +494,10 @@ fn distinct<T: Number + PartialEq + std::fmt::Display + Sync>(values: &[T]) -> s
         let runs = values.chunk_by(|a, b| a == b).map(|run| run[0]);
         runs.map(|value| value.to_label().ok_or_else(|| value.to_string())).collect()
     };
-    let parts: Vec<std::result::Result<BTreeSet<i64>, String>> = values.par_chunks(1 << 16).map(of_part).collect();
+    let parts: Vec<std::result::Result<BTreeSet<i64>, String>> = values.par_chunks(1 << 20).map(of_part).collect();
     let mut labels = BTreeSet::new();
     for part in parts {
-        labels.append(&mut part?);
+        labels.extend(part?);
     }
     Ok(labels.into_iter().collect())
 }

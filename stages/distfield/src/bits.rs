@@ -174,11 +174,12 @@ mod tests {
 
     #[test]
     fn a_set_is_moved_up_by_several_numbers_at_once() {
-        let holds = |n: usize| n < 600 && (n % 11 == 3 || (60..70).contains(&n));
-        let bits = Bits::of(1000, holds);
-        for numbers in [[0, 1, 2, 3], [0, 63, 64, 65], [0, 130, 260, 390], [400, 399, 128, 1]] {
+        let (held, count) = (2 * CHUNK, 3 * CHUNK + 1000);
+        let holds = |n: usize| n < held && (n % 11 == 3 || n % CHUNK < 70);
+        let bits = Bits::of(count, holds);
+        for numbers in [[0, 1, 2, 3], [0, 63, 64, 65], [0, 130, 260, 390], [1, 128, CHUNK - 1, CHUNK + 65]] {
             let moved = bits.moved(numbers);
-            for n in 0..1000 {
+            for n in 0..count {
                 let is_there = numbers.iter().any(|&number| n.checked_sub(number).is_some_and(holds));
                 assert_eq!(moved.holds(n), is_there, "{n} by {numbers:?}");
             }

@@ -61,7 +61,7 @@ pub fn surface_samples<I: Implicit>(implicit: &I, image: &Image<f32>, mesh: &Tri
         });
         found
     });
-    joined(&vertices.chain(centres).collect::<Vec<Vec<DVec3>>>())
+    joined(vertices.chain(centres).collect())
 }
 
 /// The point on the zero set near `start`; `None` when it is more than `REACH` voxels away or the gradient vanishes.

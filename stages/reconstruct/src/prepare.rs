@@ -19,8 +19,10 @@ const LONGEST_MOVE: f64 = 1.0;
 /// Two particles nearer than this part of the smaller h would only make slivers; one of them goes.
 const TOO_CLOSE: f64 = 0.05;
 
-/// The edges of a tetrahedron, by the places of their vertices in it.
-const EDGES: [[usize; 2]; 6] = [[0, 1], [0, 2], [0, 3], [1, 2], [1, 3], [2, 3]];
+/// The edges of a tetrahedron, the lower vertex first.
+fn edges(t: [u32; 4]) -> [(u32, u32); 6] {
+    [[0, 1], [0, 2], [0, 3], [1, 2], [1, 3], [2, 3]].map(|ends| ends.map(|n| t[n])).map(|[a, b]| (a.min(b), a.max(b)))
+}
 
 /// Points on the surface, with their target edge lengths.
 #[derive(Clone, Debug, Default)]
@@ -102,9 +104,8 @@ impl SurfacePoints {
             let limit = TOO_CLOSE * self.sizes[a].min(self.sizes[b]);
             self.positions[a].distance(self.positions[b]) < limit && !self.are_strangers(a, b)
         };
-        let edges = |(_, t): (u32, [u32; 4])| EDGES.map(|ends| ends.map(|n| t[n])).map(|[a, b]| (a.min(b), a.max(b)));
-        let mut short: Vec<(u32, u32)> =
-            delaunay.par_tetrahedra().flat_map_iter(|t| edges(t).into_iter().filter(is_short)).collect();
+        let short = delaunay.par_tetrahedra().flat_map_iter(|(_, t)| edges(t).into_iter().filter(is_short));
+        let mut short: Vec<(u32, u32)> = short.collect();
         short.sort_unstable();
         short.dedup();
         for (a, b) in short {
@@ -120,10 +121,8 @@ impl SurfacePoints {
 /// duplicate, or two, do not pass for it; zero for duplicates.
 fn spacings(delaunay: &Delaunay) -> Vec<f64> {
     let mut nearest = vec![[f64::INFINITY; 3]; delaunay.points().len()];
-    let mut edges: Vec<(u32, u32)> = delaunay
-        .finite_tetrahedra()
-        .flat_map(|(_, t)| (0..4).flat_map(move |i| (0..i).map(move |j| (t[i].min(t[j]), t[i].max(t[j])))))
-        .collect();
+    let finite = delaunay.par_tetrahedra().filter(|(_, t)| !t.contains(&INFINITE));
+    let mut edges: Vec<(u32, u32)> = finite.flat_map_iter(|(_, t)| edges(t)).collect();
     edges.par_sort_unstable();
     edges.dedup();
     for (a, b) in edges {

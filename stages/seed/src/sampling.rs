@@ -204,7 +204,7 @@ fn taken<T: Copy + Default + Send + Sync>(
     parts: &mut [Candidates],
     list: impl Fn(&mut Candidates) -> &mut Vec<T>,
 ) -> Vec<T> {
-    joined(&parts.iter_mut().map(|part| std::mem::take(list(part))).collect::<Vec<_>>())
+    joined(parts.iter_mut().map(|part| std::mem::take(list(part))).collect())
 }
 
 /// Candidates that stay when, in random order, each one kept removes all nearer than the disk radius on its own sheet, as far as they `crowd` each other.

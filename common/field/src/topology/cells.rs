@@ -5,6 +5,7 @@ use super::signs::Signs;
 use super::watch::{Interrupted, Watch};
 use crate::spline::CubicSpline;
 use glam::DVec3;
+use isoparticles_mesh::buckets::starts_of;
 use rayon::prelude::*;
 
 /// Halvings of any voxel. A neck, gap or speck of radius r at a critical point is certain in cells of edge e once e < r / sqrt 3, where F and
@@ -124,12 +125,7 @@ impl Cells {
         let signs = Signs::of(field);
         let states = |k| watch.slice().map(|()| states_of_slice(field, &signs, size, k));
         let mut slices = (0..size[2]).into_par_iter().map(states).collect::<Result<Vec<_>, _>>()?;
-        let halves_before = slices.iter().scan(0, |next, (_, halves)| {
-            let before = *next;
-            *next += halves.len() as u32;
-            Some(before)
-        });
-        let halves_before: Vec<u32> = halves_before.collect();
+        let halves_before = starts_of(slices.iter().map(|(_, halves)| halves.len()));
         slices.par_iter_mut().zip(halves_before).for_each(|((voxels, halves), before)| {
             voxels.iter_mut().chain(halves.as_flattened_mut()).for_each(|state| state.count_on(before));
         });

@@ -183,16 +183,19 @@ impl VtkFile {
         scalar_of(name).ok_or_else(|| self.array_error(array, &std::io::Error::other(format!("its type is {name}"))))
     }
 
-    /// Where an array begins in the file, and whether it is base64; `None` where it is in the XML, or nowhere.
-    fn place(&self, array: &Element) -> Appended {
-        let offset = array.attribute("offset").and_then(|text| text.parse::<u64>().ok())?;
-        let (start, base64) = self.appended.filter(|_| array.attribute("format") == Some("appended"))?;
-        Some((start.checked_add(offset)?, base64))
+    /// Where an appended array begins in the file, and whether it is base64.
+    fn place(&self, array: &Element) -> std::io::Result<(u64, bool)> {
+        let offset = array.attribute("offset").and_then(|text| text.parse::<u64>().ok());
+        let (Some((start, base64)), Some(offset)) = (self.appended, offset) else {
+            return Err(std::io::Error::other("it has no data"));
+        };
+        let position = start.checked_add(offset).ok_or_else(|| std::io::Error::other("its offset is too large"))?;
+        Ok((position, base64))
     }
 
     /// Where the numbers of an array begin that lie in the file as they are.
     fn plain_bytes(&self, array: &Element) -> Option<u64> {
-        let (position, base64) = self.place(array)?;
+        let (position, base64) = self.place(array).ok().filter(|_| array.attribute("format") != Some("binary"))?;
         let header = if self.layout.wide_header { 8 } else { 4 };
         position.checked_add(header).filter(|_| !base64 && !self.layout.compressed)
     }
@@ -201,9 +204,7 @@ impl VtkFile {
         if array.attribute("format") == Some("binary") {
             return ArrayReader::new(Box::new(array.text.as_bytes()), true, self.layout);
         }
-        let Some((position, base64)) = self.place(array) else {
-            return Err(std::io::Error::other("it has no data"));
-        };
+        let (position, base64) = self.place(array)?;
         let mut reader = BufReader::with_capacity(1 << 17, File::open(&self.path)?);
         reader.seek(SeekFrom::Start(position))?;
         ArrayReader::new(Box::new(reader), base64, self.layout)

@@ -62,7 +62,7 @@ impl Payload<'_> {
 }
 
 fn write_f32(values: &[f32], file: &mut dyn Write) -> io::Result<()> {
-    // a write at a time that an interrupt need not wait for
+    // in parts of a MiB, so that an interrupt is noticed between them
     for chunk in values.chunks(1 << 18) {
         if cfg!(target_endian = "little") {
             file.write_all(bytemuck::cast_slice(chunk))?;
