@@ -1,7 +1,10 @@
 //! Values of one of the ten scalar types that volumes are made of, and their bytes.
 
+mod coded;
+
 use crate::error::{Error, Result};
 use crate::image::reverse_slices;
+use coded::Coded;
 use rayon::prelude::*;
 use std::collections::BTreeSet;
 use std::fs::File;
@@ -68,7 +71,7 @@ pub enum Voxels {
     F64(Vec<f64>),
 }
 
-/// Bytes of a file that one thread reads at a time: opening it once more takes a hundredth of the time that this takes.
+/// Bytes of a file that are read at a time, by each thread where there are several: opening it once more takes a hundredth of the time that this takes.
 const CHUNK: usize = 1 << 20;
 
 /// Runs the same expression on the vector inside, whatever its type.
@@ -138,24 +141,6 @@ impl ScalarType {
 fn ends_early(found: usize, count: usize) -> std::io::Error {
     std::io::Error::new(std::io::ErrorKind::UnexpectedEof, format!("it ends after {found} of {count} values"))
 }
-
-/// Numbers as they lie in files.
-trait Coded: Sized {
-    /// Makes numbers of the bytes that were read into their places.
-    fn arrange(values: &mut [Self], endian: Endian);
-}
-
-macro_rules! coded {
-    ($($type:ty),*) => {$(impl Coded for $type {
-        fn arrange(values: &mut [Self], endian: Endian) {
-            match endian {
-                Endian::Little => values.iter_mut().for_each(|value| *value = Self::from_le_bytes(value.to_ne_bytes())),
-                Endian::Big => values.iter_mut().for_each(|value| *value = Self::from_be_bytes(value.to_ne_bytes())),
-            }
-        }
-    })*};
-}
-coded!(i8, u8, i16, u16, i32, u32, i64, u64, f32, f64);
 
 /// A Rust number that [`Voxels`] can hold.
 trait Number: Copy {
@@ -362,12 +347,11 @@ impl Voxels {
 
     /// Reads `count` values; memory grows with what has really been read, never with what a header promised.
     pub fn read_from(reader: &mut dyn Read, scalar: ScalarType, endian: Endian, count: usize) -> std::io::Result<Self> {
-        const VALUES: usize = 1 << 17;
         with_type!(scalar, Value, variant => {
             let mut values: Vec<Value> = Vec::new();
             while values.len() < count {
                 let first = values.len();
-                values.resize(count.min(first + VALUES), Value::default());
+                values.resize(count.min(first + CHUNK / size_of::<Value>()), Value::default());
                 let chunk = &mut values[first..];
                 let bytes: &mut [u8] = bytemuck::cast_slice_mut(chunk);
                 let got = fill(reader, bytes)?;
