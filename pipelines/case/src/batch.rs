@@ -22,6 +22,9 @@ use std::time::{Duration, Instant};
 /// Folder within OUT for the logs of the rows; no case can have its name ([`crate::name::check`]).
 pub(crate) const LOGS: &str = ".batch";
 
+/// What a line begins with that is no row.
+const COMMENT: char = '#';
+
 /// Keys that hold for the whole batch, and so cannot be columns.
 const FOR_ALL: [&str; 3] = ["CASE", "OUT", "VERBOSITY"];
 
@@ -172,13 +175,16 @@ impl Batch<'_> {
         };
         let text = std::fs::read_to_string(self.list)
             .map_err(|error| Error::file(self.list, "read", &error, "check LIST; it is a CSV file"))?;
-        let header = text.lines().find(|line| !line.trim().is_empty() && !line.starts_with('#')).unwrap_or_default();
+        let text = with_plain_lines(&text);
+        let header =
+            text.lines().find(|line| !line.trim().is_empty() && !line.starts_with(COMMENT)).unwrap_or_default();
         // Spreadsheets of many countries part columns by semicolons.
         let delimiter = [',', ';', '\t'].into_iter().find(|mark| header.contains(*mark)).unwrap_or(',');
         let mut reader = csv::ReaderBuilder::new()
             .delimiter(delimiter as u8)
             .trim(csv::Trim::All)
-            .comment(Some(b'#'))
+            .comment(Some(COMMENT as u8))
+            .flexible(true)
             .from_reader(text.as_bytes());
         let check = "write a header with names such as INPUT,LABELS,SIZE and as many cells in every row";
         let columns: Vec<String> =
@@ -197,10 +203,15 @@ impl Batch<'_> {
         let mut rows: Vec<Row> = Vec::new();
         for record in reader.records() {
             let record = record.map_err(|error| bad(error.to_string(), check))?;
-            let line = record.position().map_or(0, csv::Position::line);
-            if record.iter().any(|cell| !cell.is_empty()) {
-                rows.push(self.row(line, columns.iter().map(String::as_str).zip(&record)));
+            if record.iter().all(str::is_empty) {
+                continue;
             }
+            let line = line_of(&text, record.position().map_or(0, |at| at.byte() as usize));
+            if record.len() != columns.len() {
+                let what = format!("a row has {} cells, the header {} (line: {line})", record.len(), columns.len());
+                return Err(bad(what, check));
+            }
+            rows.push(self.row(line, columns.iter().map(String::as_str).zip(&record)));
         }
         if rows.is_empty() {
             return Err(bad("has no rows".to_owned(), check));
@@ -305,6 +316,18 @@ impl Batch<'_> {
     }
 }
 
+/// The text with LF at the end of each line and no byte order mark.
+fn with_plain_lines(text: &str) -> String {
+    text.trim_start_matches('\u{feff}').replace("\r\n", "\n").replace('\r', "\n")
+}
+
+/// The line, from 1, of the record that the reader finds from `byte` on; the reader skips empty lines and comments.
+fn line_of(text: &str, byte: usize) -> u64 {
+    let lines = text[byte..].split('\n');
+    let skipped = lines.take_while(|line| line.is_empty() || line.starts_with(COMMENT)).count();
+    (1 + text[..byte].matches('\n').count() + skipped) as u64
+}
+
 /// Columns that a list may have.
 pub fn columns() -> impl Iterator<Item = &'static str> {
     KEYS.iter().map(|key| key.name).filter(|name| !FOR_ALL.contains(name))
@@ -393,4 +416,33 @@ pub(crate) fn write_summary(path: &Path, endings: &[Ending]) -> Result<()> {
         endings.iter().try_for_each(|ending| writer.serialize(ending)).map_err(std::io::Error::other)?;
         writer.flush()
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Line and name of each row of a list, or the error.
+    fn lines(list: &str) -> Result<Vec<(u64, String)>> {
+        let folder = tempfile::tempdir().expect("folder");
+        let path = folder.path().join("cases.csv");
+        std::fs::write(&path, list).expect("written");
+        let batch = Batch { list: &path, common: &[], known: &[], goal: "mesh", limit: None };
+        Ok(batch.read()?.into_iter().map(|row| (row.line, row.name)).collect())
+    }
+
+    #[test]
+    fn rows_have_the_lines_that_an_editor_shows() {
+        let list =
+            "# a comment\n\nNAME,INPUT,ISO\na,v.nrrd,1\n\n# \"another\n\n\"b\nb\",v.nrrd,2\n , ,\n\"c\",v.nrrd,3\n";
+        let expected = [(4, "a"), (8, "b\nb"), (11, "c")].map(|(line, name)| (line, name.to_owned()));
+        for end in ["\n", "\r\n", "\r"] {
+            for mark in ["", "\u{feff}"] {
+                let list = format!("{mark}{}", list.replace('\n', end));
+                assert_eq!(lines(&list).expect("a list"), expected, "{list:?}");
+            }
+        }
+        let error = lines("NAME,INPUT\r\n\r\n# one\r\na,v.nrrd,1\r\n").expect_err("a cell too many");
+        assert!(error.what.contains("3 cells") && error.what.contains("line: 4"), "{error}");
+    }
 }
