@@ -18,6 +18,9 @@ const LISTED: usize = 20;
 /// Level of what is taken away, at most.
 const CLEARLY_OUTSIDE: f32 = 0.05;
 
+/// Share of the volume before: parts and ends that are less together are specks.
+pub const SPECKS: f64 = 1e-3;
+
 /// What happened to a part of the object.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 #[serde(rename_all = "kebab-case")]
@@ -73,6 +76,8 @@ pub struct Changes {
     pub euler: [i64; 2],
     /// How many events of each kind.
     pub counts: BTreeMap<Kind, usize>,
+    /// Volume of all events of each kind, mm^3.
+    pub volumes: BTreeMap<Kind, f64>,
     /// The events of the largest volumes, by kind.
     pub events: Vec<Event>,
 }
@@ -120,8 +125,9 @@ impl Changes {
         events.extend(reaching_out(&old, &new, geometry, scale, Kind::Shortened)?);
         events.extend(reaching_out(&new, &old, geometry, scale, Kind::Filled)?);
         events.sort_by(|a, b| a.kind.cmp(&b.kind).then(b.volume.total_cmp(&a.volume)));
-        let mut counts = BTreeMap::new();
+        let (mut counts, mut volumes) = (BTreeMap::new(), BTreeMap::new());
         events.retain(|event| {
+            *volumes.entry(event.kind).or_insert(0.0) += event.volume;
             let number = counts.entry(event.kind).or_insert(0);
             *number += 1;
             *number <= LISTED
@@ -137,8 +143,19 @@ impl Changes {
             components,
             euler: [euler(&old, geometry.size), euler(&new, geometry.size)],
             counts,
+            volumes,
             events,
         }))
+    }
+
+    /// How many events of a kind there are.
+    pub fn count(&self, kind: Kind) -> usize {
+        self.counts.get(&kind).copied().unwrap_or(0)
+    }
+
+    /// Volume of the parts and thin ends that are gone, mm^3.
+    pub fn lost(&self) -> f64 {
+        [Kind::Gone, Kind::Shortened].iter().filter_map(|kind| self.volumes.get(kind)).sum()
     }
 }
 

@@ -1,6 +1,6 @@
 //! How much of the data is kept: the options `--scale` and those that choose it, and what is told about it.
 
-use crate::changes::{Changes, Event, Kind};
+use crate::changes::{Changes, Event, Kind, SPECKS};
 use crate::crop::{Grid, VoxelBox, cut_in_turn};
 use crate::mask::Mask;
 use crate::occupancy::Occupancy;
@@ -264,18 +264,15 @@ fn tell(changes: &Changes, length: f64, context: &Context) {
             Kind::Shortened => "thin ends are gone",
             Kind::Filled => "narrow gaps are filled",
         };
-        let said = format!("at a scale of {length:.4} mm {what} ({count}): {}{more}", named.join("; "));
-        let voxel_small = events.iter().all(|event| event.volume < length.powi(3) * SMALL);
-        if voxel_small && matches!(kind, Kind::Gone) {
+        let (volume, named) = (changes.volumes.get(&kind).copied().unwrap_or(0.0), named.join("; "));
+        let said = format!("at a scale of {length:.4} mm {what} ({count}, {volume:.4} mm^3 together): {named}{more}");
+        if kind == Kind::Gone && changes.lost() < SPECKS * changes.volume_before {
             context.info(said);
         } else {
             context.warn(format!("{said}; a smaller --scale or --keep-thin keeps more"));
         }
     }
 }
-
-/// Volume of what may go without a warning, in cubes of the scale: specks.
-const SMALL: f64 = 0.1;
 
 fn event_told(event: &Event) -> String {
     let [x, y, z] = event.place;

@@ -15,6 +15,7 @@ use isoparticles_field::spline::CubicSpline;
 use isoparticles_stage::field_file::{FieldKind, read_field};
 use isoparticles_stage::materials_file::read_materials;
 use isoparticles_stage::monitor::Silent;
+use isoparticles_tests::nrrd;
 use isoparticles_tests::skip::real_volume;
 use isoparticles_volume::{Geometry, Volume, Voxels, read_volume};
 use serde_json::json;
@@ -316,6 +317,48 @@ fn a_scale_leaves_materials_their_places_however_far_the_outside_is() {
         let change = made.survey.volumes[id] / (made.extracted.tallies[id].voxels as f64 * 1.04) - 1.0;
         assert!(change.abs() < 0.05, "{id}: {change}");
     }
+}
+
+#[test]
+fn lost_parts_of_each_material_are_warned_of_with_their_volume() {
+    let folder = tempfile::tempdir().expect("folder");
+    let at = |name: &str| folder.path().join(name).to_str().expect("text").to_owned();
+    let (input, output, report) = (at("in.nrrd"), at("out.vti"), at("report.json"));
+    // two blocks, with four and 24 voxels of theirs on their own
+    let size = [60, 30, 30];
+    let is_in = |at: usize, low: usize, high: usize| (low..high).contains(&at);
+    let labels = (0..60 * 30 * 30).map(|n: usize| {
+        let (i, j, k) = (n % 60, n / 60 % 30, n / 1800);
+        match i {
+            3..23 if is_in(j, 3, 23) && is_in(k, 3, 23) => 1,
+            33..49 if is_in(j, 3, 19) && is_in(k, 3, 19) => 2,
+            5 | 9 if k == 27 && (j == 5 || j == 9) => 1,
+            33..57 if i % 2 == 1 && k == 26 && (j == 24 || j == 28) => 2,
+            _ => 0,
+        }
+    });
+    let (geometry, labels) = (Geometry::axis_aligned(size, DVec3::ONE), nrrd::Voxels::U8(labels.collect()));
+    nrrd::write(Path::new(&input), &geometry, nrrd::FileSpace::Lps, &labels, true).expect("written");
+    let run = distfield(&[
+        &input,
+        "-o",
+        &output,
+        "--material",
+        "big=1",
+        "--material",
+        "small=2",
+        "--scale",
+        "4",
+        "--report",
+        &report,
+    ]);
+    assert_eq!(run.status.code(), Some(0), "{}", String::from_utf8_lossy(&run.stderr));
+    let report: serde_json::Value = serde_json::from_slice(&std::fs::read(&report).expect("a report")).expect("JSON");
+    let warnings: Vec<&str> =
+        report["warnings"].as_array().expect("warnings").iter().filter_map(|w| w.as_str()).collect();
+    let told = |words: &str| assert!(warnings.iter().any(|warning| warning.contains(words)), "{words}: {warnings:?}");
+    told("'small' loses 24 parts, 24.0000 mm^3, 0.58 % of it");
+    told("less than 0.1 % of each material: 'big' 4 parts, 4.0000 mm^3");
 }
 
 #[test]

@@ -7,7 +7,7 @@ use super::grid::LabelGrid;
 use super::islands::remove_islands;
 use super::scaled::edge_length;
 use super::survey::{Survey, distance_limit, survey};
-use crate::changes::Kind;
+use crate::changes::{Changes, Kind, SPECKS};
 use crate::crop::{VoxelBox, room_of_labels};
 use crate::run::{Args, SCALED_VOLUME_LIMITS, THIN_CLEARANCE, VOLUME_LIMITS, take_out, tell_grid};
 use crate::scale::{Scale, room_round};
@@ -129,7 +129,7 @@ fn remove_small(grid: &mut LabelGrid, chosen: &mut Chosen, least: usize, context
 }
 
 /// Options that many materials do not take yet.
-fn check_options(args: &Args) -> Result<()> {
+pub(crate) fn check_options(args: &Args) -> Result<()> {
     let refused = |option: &str, why: &str| {
         Err(Error::input(
             format!("{option} with --material"),
@@ -265,30 +265,57 @@ fn volumes_changed(materials: &Materials, tallies: &[Tally], found: &Survey, lim
         .collect()
 }
 
-/// Says which parts of which materials a scale took away, broke and joined.
+/// Says which parts of which materials a scale broke and joined, and what each material lost.
 fn tell_changes(materials: &Materials, tallies: &[Tally], scale: Scale, context: &Context) {
+    let at_scale = format!("at a scale of {:.4} mm", scale.length);
+    let changed = || {
+        let names = materials.table().iter().map(|material| material.name.as_str());
+        names.zip(tallies).skip(1).filter_map(|(name, tally)| Some((name, tally.changes.as_ref()?)))
+    };
     for (kind, what) in [
         (Kind::Broken, "in several pieces"),
-        (Kind::Gone, "parts of them gone"),
         (Kind::Joined, "parts of them joined"),
-        (Kind::Shortened, "thin ends of them gone"),
         (Kind::Filled, "narrow gaps of them filled"),
     ] {
-        let count = |tally: &Tally| tally.changes.as_ref().and_then(|changes| changes.counts.get(&kind)).copied();
-        let named: Vec<String> = (1..tallies.len())
-            .filter_map(|id| Some(format!("'{}' ({})", materials.table()[id].name, count(&tallies[id])?)))
-            .collect();
+        let counted = changed().map(|(name, changes)| (name, changes.count(kind)));
+        let named: Vec<String> =
+            counted.filter(|(_, count)| *count > 0).map(|(name, count)| format!("'{name}' ({count})")).collect();
         if !named.is_empty() {
-            let told = format!(
-                "at a scale of {:.4} mm {} materials have {what}: {}; the report has their places",
-                scale.length,
-                named.len(),
-                listed(&named)
-            );
-            // specks are gone at every scale
-            if kind == Kind::Gone { context.info(told) } else { context.warn(told) }
+            let (count, listed) = (named.len(), listed(&named));
+            context.warn(format!("{at_scale} {count} materials have {what}: {listed}; the report has their places"));
         }
     }
+    let losses = changed().filter(|(_, changes)| changes.lost() > 0.0).collect();
+    tell_losses(losses, &at_scale, context);
+}
+
+/// Warns of what materials lost at a scale, one by one; of specks, which are less than [`SPECKS`] of each, together.
+fn tell_losses(losses: Vec<(&str, &Changes)>, at_scale: &str, context: &Context) {
+    let mut specks = Vec::new();
+    for (name, changes) in losses {
+        let counted = [(Kind::Gone, "parts"), (Kind::Shortened, "thin ends")];
+        let counted = counted.map(|(kind, what)| (changes.count(kind), what)).into_iter().filter(|(n, _)| *n > 0);
+        let lost = counted.map(|(count, what)| format!("{count} {what}")).collect::<Vec<_>>().join(" and ");
+        let told = format!("{lost}, {:.4} mm^3", changes.lost());
+        let share = changes.lost() / changes.volume_before;
+        if share < SPECKS {
+            specks.push((changes.lost(), format!("'{name}' {told}")));
+        } else {
+            let percent = 100.0 * share;
+            context
+                .warn(format!("{at_scale} '{name}' loses {told}, {percent:.2} % of it; the report has their places"));
+        }
+    }
+    if specks.is_empty() {
+        return;
+    }
+    specks.sort_by(|a, b| b.0.total_cmp(&a.0));
+    let named: Vec<&str> = specks.iter().take(SHOWN).map(|(_, told)| told.as_str()).collect();
+    let rest = &specks[named.len()..];
+    let volume: f64 = rest.iter().map(|(volume, _)| volume).sum();
+    let more = if rest.is_empty() { String::new() } else { format!("; {} more, {volume:.4} mm^3", rest.len()) };
+    let (percent, named) = (100.0 * SPECKS, named.join("; "));
+    context.warn(format!("{at_scale} specks are lost, less than {percent:.1} % of each material: {named}{more}"));
 }
 
 /// A scale keeps volumes, not voxels.
