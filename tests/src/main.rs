@@ -2,6 +2,7 @@
 
 use clap::Parser;
 use glam::{DMat3, DVec3};
+use isoparticles_stage::cli::check;
 use isoparticles_stage::error::{Error, Result};
 use isoparticles_tests::nrrd::{self, FileSpace, Voxels};
 use isoparticles_tests::scene::{self, Options, Scene, Shape, Truth};
@@ -89,6 +90,9 @@ enum Type {
 }
 
 fn main() -> ExitCode {
+    if let Some(code) = check::asked("phantom", |_: &Arguments, known| Ok(known)) {
+        return code;
+    }
     match run(&Arguments::parse()) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {

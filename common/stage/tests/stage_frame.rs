@@ -3,6 +3,7 @@
 //!
 //! This test has no harness, so that it can start itself as that program.
 
+use isoparticles_stage::cli::check::Known;
 use isoparticles_stage::cli::shell::CommandLine;
 use isoparticles_stage::cli::{CommonArgs, Context, Outcome, StageArgs, run_stage};
 use isoparticles_stage::error::{Error, Result};
@@ -40,6 +41,10 @@ impl StageArgs for Args {
 
     fn parameters(&self) -> serde_json::Value {
         serde_json::json!({"mode": self.mode, "size": self.size})
+    }
+
+    fn check_options(&self, known: Known) -> Result<Known> {
+        if self.mode == "refused" { Err(Error::input("--mode refused", "it is", "choose another")) } else { Ok(known) }
     }
 }
 
@@ -91,6 +96,7 @@ fn main() -> ExitCode {
         return run_stage::<Args>("trial", run);
     }
     exit_codes_and_files();
+    options_are_checked_without_work();
     what_shells_and_man_read();
     same_bytes();
     the_report();
@@ -170,6 +176,28 @@ fn exit_codes_and_files() {
     }
     assert_eq!(start(&["--version"], folder.path()).status.code(), Some(0));
     assert_eq!(names(folder.path()), ["a", "b", "c", "in.txt"]);
+}
+
+fn options_are_checked_without_work() {
+    let folder = workplace();
+    let check = |arguments: &[&str]| {
+        let known = r#"{"materials":["outside","a"],"volume":false}"#;
+        let output = start(&[&["--check-options", known], arguments].concat(), folder.path());
+        let [told, errors] = [output.stdout, output.stderr].map(|text| String::from_utf8_lossy(&text).into_owned());
+        (output.status.code(), told, errors)
+    };
+    let (code, told, errors) = check(&["absent.txt", "-o", "a", "--report", "r.json"]);
+    assert_eq!((code, errors.as_str()), (Some(0), ""));
+    let known: Known = serde_json::from_str(&told).expect("what is known, for the next stage");
+    assert_eq!(known.materials.expect("names"), ["outside", "a"]);
+    for (wrong, words) in [("--sise=3", "unexpected argument '--sise'"), ("--size=x", "invalid value 'x'")] {
+        let (code, told, errors) = check(&["in.txt", "-o", "a", wrong]);
+        assert_eq!((code, told.as_str()), (Some(2), ""));
+        let lines: Vec<&str> = errors.lines().collect();
+        assert!(lines.len() == 3 && lines[0].starts_with("error: ") && lines[0].contains(words), "{errors}");
+    }
+    assert_eq!(check(&["in.txt", "-o", "a", "--mode", "refused"]).0, Some(2), "what the stage itself refuses");
+    assert_eq!(names(folder.path()), ["in.txt"]);
 }
 
 fn what_shells_and_man_read() {

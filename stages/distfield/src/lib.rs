@@ -12,6 +12,7 @@
 pub mod bits;
 pub mod cap;
 pub mod changes;
+mod check;
 pub mod choose;
 pub mod closest;
 pub mod crop;

@@ -10,6 +10,7 @@ use crate::scalar::{ScalarOptions, from_voxels};
 use crate::scale::room_round;
 use crate::selection::{Selection, noted};
 use crate::{Border, Clearance, Inside, Keep, Redistanced};
+use isoparticles_stage::cli::check::Known;
 use isoparticles_stage::cli::{CommonArgs, Context, FILES, METHOD, Outcome, StageArgs};
 use isoparticles_stage::error::{Error, Result};
 use isoparticles_stage::field_file::{FieldKind, write_field};
@@ -196,6 +197,10 @@ impl StageArgs for Args {
             parameters["series"] = json!(series);
         }
         parameters
+    }
+
+    fn check_options(&self, known: Known) -> Result<Known> {
+        crate::check::check(self, known)
     }
 }
 

@@ -2,9 +2,11 @@
 //! the defaults do: an option that is not given has the value of one or of the other.
 
 use crate::constants::{LARGEST_SPACING, LEAST_SPACING};
+use crate::ground::check_levels;
 use crate::settle::{Binning, COARSE_CLOSING_PASSES, Order, Parameters, REORDER_INTERVAL};
 use clap::{Parser, ValueEnum};
 use isoparticles_field::energy::lattice_energy;
+use isoparticles_stage::cli::check::Known;
 use isoparticles_stage::cli::values::{above_one, positive, share};
 use isoparticles_stage::cli::{CommonArgs, FILES, METHOD, StageArgs};
 use isoparticles_stage::error::{Error, Result};
@@ -243,6 +245,17 @@ impl StageArgs for Args {
     fn parameters(&self) -> Value {
         // levels and order follow the backend, which is not known yet, unless they are given
         json!(self.settling(self.backend == Backend::Gpu, false))
+    }
+
+    fn check_options(&self, known: Known) -> Result<Known> {
+        let many = known.is_many() == Some(true);
+        if many {
+            check_levels(self.levels)?;
+        }
+        // where auto finds a GPU more goes together
+        let may_use_gpu = self.backend != Backend::Cpu;
+        self.check(&self.settling(may_use_gpu, many), may_use_gpu)?;
+        Ok(known)
     }
 }
 

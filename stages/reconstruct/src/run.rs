@@ -10,6 +10,7 @@ use isoparticles_field::particle_set::ParticleSet;
 use isoparticles_field::sizing::SizingField;
 use isoparticles_mesh::point_cloud::is_point_cloud;
 use isoparticles_mesh::surface::{Simplices, Surface, check_surface_name, write_simplices, write_surface};
+use isoparticles_stage::cli::check::Known;
 use isoparticles_stage::cli::values::share;
 use isoparticles_stage::cli::{CHECKS, CommonArgs, Context, FILES, METHOD, Outcome, StageArgs, particles_bytes};
 use isoparticles_stage::error::{Error, Kind, Result};
@@ -142,6 +143,16 @@ impl StageArgs for Args {
             "min_radius_ratio": self.radius_ratio_bar(), "max_vertex_distance": self.max_vertex_distance,
         })
     }
+
+    fn check_options(&self, known: Known) -> Result<Known> {
+        check_surface_name(&self.output)?;
+        match (&self.distfield, known.is_many()) {
+            (Some(field), Some(true)) => crate::materials::run::check_method(self, field)?,
+            (Some(field), Some(false)) => check_each(self, field)?,
+            _ => {}
+        }
+        Ok(known)
+    }
 }
 
 /// Runs the stage.
@@ -166,13 +177,23 @@ pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
             "leave out --distfield and give --method tight-cocone, or give the particles made from the field",
         )),
         (Some(field), _) if is_materials(field) => crate::materials::run::run(args, field, context),
-        (Some(field), _) if args.each.is_some() => Err(Error::input(
-            format!("{}: is the distance field of one object", field.display()),
-            "--each writes the surfaces of many materials",
-            "leave out --each, or give the file that distfield --material writes",
-        )),
-        (Some(field), _) => on_field(args, field, context),
+        (Some(field), _) => {
+            check_each(args, field)?;
+            on_field(args, field, context)
+        }
     }
+}
+
+/// Refuses `--each` for one object.
+fn check_each(args: &Args, field: &Path) -> Result<()> {
+    if args.each.is_none() {
+        return Ok(());
+    }
+    Err(Error::input(
+        format!("{}: is the distance field of one object", field.display()),
+        "--each writes the surfaces of many materials",
+        "leave out --each, or give the file that distfield --material writes",
+    ))
 }
 
 /// Reads the particles with a warning where they are not settled, and notes them as an input.

@@ -2,7 +2,7 @@
 
 use crate::feature::{Bumps, Features, Purpose};
 use crate::limits::{TooSmall, check_count, check_size, too_small, too_small_told};
-use crate::materials::GivenSize;
+use crate::materials::{Given, GivenSize};
 use crate::region::{Refinement, SizedNode};
 use crate::vertices::{predicted_for, scaled_to_vertices, size_for_vertices};
 use crate::{MIN_PARTICLES, Parameters, size_field, uniform_field, wanted_sizes};
@@ -11,6 +11,7 @@ use glam::DVec3;
 use isoparticles_field::sizing::SizingField;
 use isoparticles_field::spline::CubicSpline;
 use isoparticles_field::topology::FieldComponents;
+use isoparticles_stage::cli::check::Known;
 use isoparticles_stage::cli::values::{not_negative, positive};
 use isoparticles_stage::cli::{CommonArgs, Context, FILES, METHOD, Outcome, StageArgs};
 use isoparticles_stage::error::{Error, Result};
@@ -143,11 +144,38 @@ impl StageArgs for Args {
         }
         parameters
     }
+
+    fn check_options(&self, known: Known) -> Result<Known> {
+        if let (Some(min), Some(max)) = (self.min_size, self.max_size) {
+            check_bounds((min, max), "")?;
+        }
+        for file in self.refine.iter().filter_map(Refinement::file) {
+            std::fs::metadata(file).map_err(|error| Error::file(file, "read", &error, "check its name in --refine"))?;
+        }
+        match &known.materials {
+            Some(names) if names.is_empty() => self.refuse_sizes()?,
+            Some(names) => drop(Given::new(&self.size, names)?),
+            None => {}
+        }
+        Ok(known)
+    }
 }
 
 impl Args {
     pub(crate) fn quality(&self) -> Quality {
         self.quality.unwrap_or(Quality::Medium)
+    }
+
+    /// Refuses edge lengths of materials, of which one object has none.
+    fn refuse_sizes(&self) -> Result<()> {
+        match self.size.first() {
+            None => Ok(()),
+            Some(given) => Err(Error::input(
+                format!("--size {given} for one object"),
+                "one object has no materials to name",
+                "give --uniform or --min-size and --max-size, or a file that distfield --material writes",
+            )),
+        }
     }
 
     /// What is asked for, by the quality where nothing is given, and the deviation, mm; h is at most `largest` (mm) by default.
@@ -186,13 +214,7 @@ pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
     if is_materials(&args.input) {
         return crate::materials::run(args, context);
     }
-    if let Some(given) = args.size.first() {
-        return Err(Error::input(
-            format!("--size {given} for one object"),
-            format!("{} holds one object, which has no materials to name", args.input.display()),
-            "give --uniform or --min-size and --max-size, or a file that distfield --material writes",
-        ));
-    }
+    args.refuse_sizes()?;
     let step = context.step("read");
     let field = read_field(&args.input, FieldKind::Distance)?;
     context.add_input(&args.input, field.history.clone())?;
@@ -302,16 +324,7 @@ fn resolve(
     let diagonal = (high - low).length();
     let (parameters, deviation) = args.parameters_with(voxel, defaults.max_size_diagonals * diagonal, refined);
     let (min_size, max_size) = (parameters.min_size, parameters.max_size);
-    if parameters.min_size > parameters.max_size {
-        return Err(Error::input(
-            format!("--min-size {} is above --max-size {}", parameters.min_size, parameters.max_size),
-            "no edge length fulfils both",
-            format!(
-                "give a smallest edge length below the largest; {}",
-                describe_extent(args.input.as_path(), low, high)
-            ),
-        ));
-    }
+    check_bounds((min_size, max_size), &format!("; {}", describe_extent(args.input.as_path(), low, high)))?;
     let quality = args.quality().name();
     let of_voxel = |share: f64| format!("{share} of the voxel spacing {voxel:.4} mm, quality {quality}");
     let of_diagonal =
@@ -340,6 +353,18 @@ fn resolve(
         ));
     }
     Ok(parameters)
+}
+
+/// Refuses a smallest edge length above the largest, mm; `more` is added to what the user can do.
+pub(crate) fn check_bounds((min, max): (f64, f64), more: &str) -> Result<()> {
+    if min <= max {
+        return Ok(());
+    }
+    Err(Error::input(
+        format!("--min-size {min} is above --max-size {max}"),
+        "no edge length fulfils both",
+        format!("give a smallest edge length below the largest{more}"),
+    ))
 }
 
 fn describe_extent(path: &Path, low: DVec3, high: DVec3) -> String {

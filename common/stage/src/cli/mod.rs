@@ -3,6 +3,7 @@
 //! A stage derives `clap::Parser` for its own options, flattens [`CommonArgs`] into them, implements [`StageArgs`]
 //! and hands its work to [`run_stage`].
 
+pub mod check;
 mod command_line;
 mod context;
 pub mod interrupt;
@@ -88,6 +89,15 @@ pub trait StageArgs {
     /// The stage's parameters as they apply, defaults included, as a JSON object without output paths; the seed is
     /// added by [`run_stage`]. What is resolved later goes through [`Context::set_parameter`].
     fn parameters(&self) -> serde_json::Value;
+
+    /// Refuses the options that a run would refuse, before any work; returns what is known, with
+    /// what the options add.
+    ///
+    /// # Errors
+    /// As a run with these options would.
+    fn check_options(&self, known: check::Known) -> Result<check::Known> {
+        Ok(known)
+    }
 }
 
 /// How a run that wrote its output ended.
@@ -130,6 +140,9 @@ pub fn run_stage<A: clap::Parser + StageArgs + Sync>(
 ) -> ExitCode {
     let words: Vec<String> = std::env::args_os().skip(1).map(|word| word.to_string_lossy().into_owned()).collect();
     if let Some(code) = shell::told(&words.iter().map(String::as_str).collect::<Vec<_>>(), A::command) {
+        return code;
+    }
+    if let Some(code) = check::asked(tool, A::check_options) {
         return code;
     }
     let args = match A::try_parse() {

@@ -77,6 +77,17 @@ impl Chosen {
     }
 }
 
+/// The names of the materials, the outside first, as far as the choices tell them without the
+/// volume; none of no choice.
+pub fn names(choices: &[Choice]) -> Option<Vec<String>> {
+    let name = |choice: &Choice| match choice {
+        Choice::All => None,
+        Choice::Named(name) | Choice::Labels(name, _) => Some(name.clone()),
+    };
+    let outside = (!choices.is_empty()).then(|| OUTSIDE.to_owned()).map(Some);
+    outside.into_iter().chain(choices.iter().map(name)).collect()
+}
+
 /// The materials that the choices make of a volume.
 ///
 /// # Errors

@@ -289,7 +289,8 @@ fn tell_changes(materials: &Materials, tallies: &[Tally], scale: Scale, context:
     tell_losses(losses, &at_scale, context);
 }
 
-/// Warns of what materials lost at a scale, one by one; of specks, which are less than [`SPECKS`] of each, together.
+/// Warns of what materials lost at a scale, one by one; of specks, which are less than [`SPECKS`]
+/// of each, together.
 fn tell_losses(losses: Vec<(&str, &Changes)>, at_scale: &str, context: &Context) {
     let mut specks = Vec::new();
     for (name, changes) in losses {

@@ -20,19 +20,25 @@ use serde_json::{Map, json};
 use std::collections::BTreeSet;
 use std::path::Path;
 
+/// Refuses the method that many materials do not take.
+pub(crate) fn check_method(args: &Args, path: &Path) -> Result<()> {
+    if args.method != Method::TightCocone {
+        return Ok(());
+    }
+    Err(Error::input(
+        format!("{}: holds the indicators of many materials", path.display()),
+        "--method tight-cocone knows one object and its outside",
+        "leave out --method",
+    ))
+}
+
 /// Runs the stage on the indicators of many materials.
 ///
 /// # Errors
 /// On files that cannot be read or written or do not belong together, on particles that are not on their strata, on options that one object alone understands,
 /// and when interrupted.
 pub fn run(args: &Args, path: &Path, context: &Context) -> Result<Outcome> {
-    if args.method == Method::TightCocone {
-        return Err(Error::input(
-            format!("{}: holds the indicators of many materials", path.display()),
-            "--method tight-cocone knows one object and its outside",
-            "leave out --method",
-        ));
-    }
+    check_method(args, path)?;
     check_offenders(args)?;
     let step = context.step("read");
     let kinds = [ParticleKind::Particles, ParticleKind::Seeds, ParticleKind::Checkpoint];

@@ -1,6 +1,6 @@
 //! `--size`: an edge length for a material or an interface by name.
 
-use isoparticles_field::materials::{MaterialId, Materials, Stratum};
+use isoparticles_field::materials::{MaterialId, Stratum};
 use isoparticles_stage::error::{Error, Result};
 use serde::{Serialize, Serializer};
 use std::fmt;
@@ -44,33 +44,33 @@ impl Serialize for GivenSize {
 
 /// The edge lengths that sheets are given.
 #[derive(Clone, Debug, Default)]
-pub(super) struct Given {
+pub(crate) struct Given {
     materials: Vec<(MaterialId, f64)>,
     sheets: Vec<(Stratum, f64)>,
 }
 
 impl Given {
-    /// Finds the names among the materials.
+    /// Finds the names among those of the materials, by number.
     ///
     /// # Errors
     /// When there is none of a name.
-    pub(super) fn new(sizes: &[GivenSize], materials: &Materials) -> Result<Self> {
+    pub(crate) fn new(sizes: &[GivenSize], names: &[String]) -> Result<Self> {
         let mut given = Self::default();
+        let named = |name: &str| names.iter().position(|other| other == name).map(|n| MaterialId(n as u16));
         for own in sizes {
             let unknown = || {
-                let names: Vec<&str> = materials.table().iter().map(|material| material.name.as_str()).collect();
                 Error::input(
                     format!("--size {own}: there is no such material or interface"),
                     "no edge length can be given to what is not there",
                     format!("give one of these, or two with a slash between: {}", names.join(", ")),
                 )
             };
-            if let Some(id) = materials.named(&own.name) {
+            if let Some(id) = named(&own.name) {
                 given.materials.push((id, own.size));
                 continue;
             }
             let pairs = own.name.match_indices('/').map(|(at, _)| (&own.name[..at], &own.name[at + 1..]));
-            let pair = pairs.filter_map(|(a, b)| materials.named(a).zip(materials.named(b))).find(|(a, b)| a != b);
+            let pair = pairs.filter_map(|(a, b)| named(a).zip(named(b))).find(|(a, b)| a != b);
             let (a, b) = pair.ok_or_else(unknown)?;
             given.sheets.push((Stratum::sheet(a, b), own.size));
         }

@@ -8,5 +8,6 @@ mod given;
 mod lines;
 mod program;
 
+pub(crate) use given::Given;
 pub use given::GivenSize;
 pub(crate) use program::run;

@@ -4,7 +4,7 @@ use super::features::{StrataFeatures, measure};
 use super::given::Given;
 use super::lines;
 use crate::limits::check_count;
-use crate::run::{Args, Defaults, percentiles, refined_nodes};
+use crate::run::{Args, Defaults, check_bounds, percentiles, refined_nodes};
 use crate::vertices::{scaled_to_count, size_for_count};
 use crate::{Parameters, SMALLEST_SHARE, Samples, graded_field};
 use glam::DVec3;
@@ -26,7 +26,8 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome> {
     let materials = &file.materials;
     let geometry = materials.geometry();
     context.add_input(&args.input, file.history.clone())?;
-    let given = Given::new(&args.size, materials)?;
+    let names: Vec<String> = materials.table().iter().map(|material| material.name.clone()).collect();
+    let given = Given::new(&args.size, &names)?;
     let refined = refined_nodes(args, geometry, context)?;
     drop(step);
     context.check_interrupt()?;
@@ -201,13 +202,7 @@ fn resolve(args: &Args, materials: &Materials, refined: Vec<(usize, f64)>, conte
     let voxel = materials.voxel();
     let quality = args.quality().name();
     let (parameters, deviation) = args.parameters_with(voxel, f64::INFINITY, refined);
-    if parameters.min_size > parameters.max_size {
-        return Err(Error::input(
-            format!("--min-size {} is above --max-size {}", parameters.min_size, parameters.max_size),
-            "no edge length fulfils both",
-            "give a smallest edge length below the largest",
-        ));
-    }
+    check_bounds((parameters.min_size, parameters.max_size), "")?;
     for (name, value, is_given) in [
         ("epsilon", parameters.epsilon, args.epsilon.is_some()),
         ("delta", parameters.delta, args.delta.is_some()),

@@ -1,0 +1,39 @@
+//! What can be refused before any work: options that do not go together, and, where the volume is
+//! there, an object that it does not have.
+
+use crate::choose::Object;
+use crate::input::check_kind;
+use crate::materials::choice::{names, resolve};
+use crate::materials::program::check_options;
+use crate::run::Args;
+use isoparticles_stage::cli::Context;
+use isoparticles_stage::cli::check::Known;
+use isoparticles_stage::error::{Error, Result};
+use isoparticles_volume::{ReadOptions, read_volume_with};
+
+/// Checks the options, and adds the names of the materials to what is known.
+///
+/// # Errors
+/// On options that many materials do not take; on a volume that cannot be read, and labels, names,
+/// materials or an iso value that it does not have.
+pub(crate) fn check(args: &Args, known: Known) -> Result<Known> {
+    if !args.material.is_empty() {
+        check_options(args)?;
+    }
+    if !known.volume {
+        return Ok(Known { materials: names(&args.material), ..known });
+    }
+    let volume = read_volume_with(&args.input, &ReadOptions { series: args.series.as_deref() })?;
+    let about_file = |error: Error| Error { what: format!("{}: {}", args.input.display(), error.what), ..error };
+    check_kind(args, &volume, &Context::silent("distfield")).map_err(about_file)?;
+    let mut materials = Vec::new();
+    if !args.material.is_empty() {
+        let chosen = resolve(&args.material, &volume).map_err(about_file)?;
+        materials = chosen.table.into_iter().map(|material| material.name).collect();
+    } else if let Some(labels) = &args.labels {
+        labels.resolve(&volume).map_err(about_file)?;
+    } else if let Some(iso) = args.iso {
+        Object::Iso(iso, args.inside).locate(volume).map_err(about_file)?;
+    }
+    Ok(Known { materials: Some(materials), ..known })
+}
