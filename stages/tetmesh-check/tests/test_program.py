@@ -333,6 +333,42 @@ def test_the_command_line_is_told_to_the_command_that_calls_this_stage(run: Run)
     assert "%" not in options["unit"]["help"]
 
 
+ONE = {"materials": [], "volume": True}
+MANY = {"materials": ["outside", "heart", "lungs"], "volume": True}
+UNKNOWN = {"materials": None, "volume": False}
+
+
+@pytest.mark.parametrize(
+    ("known", "options", "told"),
+    [
+        (ONE, "--export stl,feb", "'stl' is none of inp"),
+        (ONE, "--min-dihedral 90", "--min-dihedral"),
+        (ONE, "--order 2 --distfield f.vti --export carp", "--export carp with --order 2"),
+        (ONE, "--labels-volume nowhere.nrrd", "nowhere.nrrd: cannot read"),
+        (ONE, "--source heart", "that of one object"),
+        (MANY, "--source haert", "'haert' is none of the materials of the surface: heart, lungs"),
+        (MANY, "--method tetgen", "takes one object"),
+        (UNKNOWN, "--conductivity heart=2 --no-such-option", "--no-such-option"),
+        (UNKNOWN, "--source haert", None),
+        pytest.param(MANY, "--source heart --conductivity lungs=0.2", None, marks=NEEDS_HXT),
+        (ONE, "--export feb", None),
+    ],
+)
+def test_options_are_checked_without_files(
+    tmp_path: Path, run: Run, known: dict[str, object], options: str, told: str | None
+) -> None:
+    word = json.dumps(known)
+    checked = run("--check-options", word, "s.surface.vtp", "-o", "s.volume.vtu", *options.split())
+    if told is None:
+        assert (checked.returncode, json.loads(checked.stdout)) == (0, known), checked.stderr
+    else:
+        assert checked.returncode == 2
+        assert checked.stderr.startswith("error: ")
+        assert told in checked.stderr
+        assert "what to do" in checked.stderr
+    assert not list(tmp_path.iterdir())
+
+
 def test_command_line_of_the_history_does_not_depend_on_folders() -> None:
     first = canonical_command_line(
         ["/a/s.vtp", "-o", "/a/v.vtu", "-vv", "--threads=4", "--force", "--seed", "3"], [Path("/a/v.vtu")]

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import argparse
+import json
 import math
 import sys
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from tetmesh_check import __version__, command_line
 from tetmesh_check.context import TOOL, CommonArguments, Context, Interruptible, canonical_command_line
@@ -14,6 +16,9 @@ from tetmesh_check.errors import StageError, unexpected
 from tetmesh_check.files import check_report, refuse_existing, same_file
 from tetmesh_check.memory import number_of_bytes
 from tetmesh_check.parsing import Parser, formats, named_number, number, source_of_current, whole
+
+if TYPE_CHECKING:
+    from tetmesh_check.pipeline import Arguments
 
 _DESCRIPTION = """\
 Fills a closed triangle surface with tetrahedra (fTetWild, or HXT of Gmsh where that is installed), graded by the size field h of
@@ -292,6 +297,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     if words == [command_line.WORD]:
         print(command_line.told(build_parser()))
         return 0
+    if words[:1] == [command_line.CHECK_OPTIONS]:
+        return _check_options(words[1], words[2:])
     parsed = build_parser().parse_args(words)
     failed: list[str] = []
     error: StageError | None = None
@@ -347,13 +354,46 @@ def main(argv: Sequence[str] | None = None) -> int:
         return int(context.close(failed, error))
 
 
-def _run(parsed: argparse.Namespace, context: Context) -> list[str]:
+def _check_options(known: str, words: list[str]) -> int:
+    """Refuse what a run would refuse; print what is known of the case for the next stage."""
+    parsed = build_parser().parse_args(words)
+    from tetmesh_check import hxt, tetgen, tetwild
+    from tetmesh_check.fill import Method
+    from tetmesh_check.forward import check_names
+    from tetmesh_check.materials_run import refuse_arguments
+    from tetmesh_check.worker import refuse_missing
+
+    workers = {Method.FTETWILD: tetwild.WORKER, Method.HXT: hxt.WORKER, Method.TETGEN: tetgen.WORKER}
+
+    materials = json.loads(known)["materials"]
+    try:
+        arguments = _arguments(parsed)
+        if materials:
+            refuse_arguments(arguments)
+        method = Method.HXT if materials else arguments.method
+        if method in workers:
+            refuse_missing(workers[method])
+        if arguments.labels_volume is not None and not arguments.labels_volume.exists():
+            raise StageError.file(
+                arguments.labels_volume, "read", FileNotFoundError("it is not there"), "check --labels-volume"
+            )
+        if materials is not None:
+            # the first is the outside
+            check_names(arguments.forward, materials[1:])
+    except StageError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return int(error.code)
+    print(known)
+    return 0
+
+
+def _arguments(parsed: argparse.Namespace) -> Arguments:
+    """Collect what the user asked for; refuse what does not go together."""
     # pyvista takes a second to load; --help and usage errors need not wait for it
     from tetmesh_check.checks import Limits
     from tetmesh_check.fill import Method
     from tetmesh_check.forward import ForwardArguments
-    from tetmesh_check.pictures import PICTURES
-    from tetmesh_check.pipeline import Arguments, run
+    from tetmesh_check.pipeline import Arguments
     from tetmesh_check.solve import SolveMode, SolveSettings
 
     arguments = Arguments(
@@ -378,7 +418,6 @@ def _run(parsed: argparse.Namespace, context: Context) -> list[str]:
         if parsed.source is None
         else ForwardArguments(dict(parsed.conductivity), *parsed.source),
     )
-    context.parameters.update(arguments.parameters())
     if arguments.output.suffix != ".vtu":
         raise StageError(
             f"{arguments.output}: does not end in .vtu",
@@ -386,6 +425,15 @@ def _run(parsed: argparse.Namespace, context: Context) -> list[str]:
             "name the output NAME.volume.vtu",
         )
     arguments.refuse_order()
+    return arguments
+
+
+def _run(parsed: argparse.Namespace, context: Context) -> list[str]:
+    from tetmesh_check.pictures import PICTURES
+    from tetmesh_check.pipeline import run
+
+    arguments = _arguments(parsed)
+    context.parameters.update(arguments.parameters())
     outputs = [arguments.output, *arguments.other_paths()]
     for source in (arguments.surface, arguments.sizefield, arguments.distfield, arguments.labels_volume):
         if source is not None and any(same_file(source, output) for output in outputs):

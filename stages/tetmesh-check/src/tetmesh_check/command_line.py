@@ -6,6 +6,10 @@ import argparse
 import json
 from pathlib import Path
 
+CHECK_OPTIONS = "--check-options"
+"""First word of a command line that is only checked; what is known of the case follows as JSON: the
+twin of ``Known`` in common/stage/src/cli/check.rs."""
+
 WORD = "--command-line"
 """Alone on the command line, it asks for this; it stands beside the options, because the stage cannot run without its files."""
 

@@ -9,7 +9,7 @@ currents on both sides of a triangle, from the gradients alone, differ by the er
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -82,6 +82,43 @@ class Forward:
     mesh: RegionMesh
 
 
+def check_names(arguments: ForwardArguments, names: Sequence[str]) -> None:
+    """Refuse names that no material has, and a conductivity without a source.
+
+    Parameters
+    ----------
+    arguments
+        What the user asked for.
+    names
+        The names of the materials; empty for one object.
+
+    Raises
+    ------
+    StageError
+        If there is no material of such a name, one object only, or a conductivity without a source.
+    """
+    given = [*arguments.conductivity, *([] if arguments.source is None else [arguments.source])]
+    if given and not names:
+        raise StageError(
+            "--conductivity and --source name materials, and the surface is that of one object",
+            "currents through tissues of different conductivity need a mesh of all of them",
+            "give the surface of many materials, or leave them out",
+        )
+    for name in given:
+        if name not in names:
+            raise StageError(
+                f"'{name}' is none of the materials of the surface: {', '.join(names)}",
+                "--conductivity and --source take their names",
+                "check the name",
+            )
+    if given and arguments.source is None:
+        raise StageError(
+            "--conductivity was given without --source",
+            "without a current there is no potential to solve for",
+            "add --source NAME, the material in which the current arises, such as the heart",
+        )
+
+
 def resolve_source(arguments: ForwardArguments, sides: Sides | None) -> Source | None:
     """Find the materials that the user named; ``None`` where no source was given.
 
@@ -97,29 +134,10 @@ def resolve_source(arguments: ForwardArguments, sides: Sides | None) -> Source |
     StageError
         If there is no material of such a name, one object only, or a conductivity without a source.
     """
-    given = [*arguments.conductivity, *([] if arguments.source is None else [arguments.source])]
-    if not given:
+    numbers = {} if sides is None else {sides.names[number]: number for number in sides.present}
+    check_names(arguments, list(numbers))
+    if arguments.source is None or sides is None:
         return None
-    if sides is None:
-        raise StageError(
-            "--conductivity and --source name materials, and the surface is that of one object",
-            "currents through tissues of different conductivity need a mesh of all of them",
-            "give the surface of many materials, or leave them out",
-        )
-    numbers = {sides.names[number]: number for number in sides.present}
-    for name in given:
-        if name not in numbers:
-            raise StageError(
-                f"'{name}' is none of the materials of the surface: {', '.join(numbers)}",
-                "--conductivity and --source take their names",
-                "check the name",
-            )
-    if arguments.source is None:
-        raise StageError(
-            "--conductivity was given without --source",
-            "without a current there is no potential to solve for",
-            "add --source NAME, the material in which the current arises, such as the heart",
-        )
     conductivity = np.full(len(sides.table), DEFAULT_CONDUCTIVITY)
     for name, value in arguments.conductivity.items():
         conductivity[numbers[name]] = value

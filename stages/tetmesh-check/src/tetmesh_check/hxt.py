@@ -30,7 +30,7 @@ LENGTH_FACTOR = 0.66
 """What the edge lengths are multiplied by for HXT, which drops new vertices that are nearer than that to another: without this,
 the edges came out 1.36 to 1.41 times as long as asked for; with it, 1.00 to 1.02 times (medians of four surfaces)."""
 
-_WORKER = Worker(
+WORKER = Worker(
     name="HXT",
     module="tetmesh_check.hxt_worker",
     library="gmsh",
@@ -83,7 +83,7 @@ def fill_by_hxt(
         See :func:`.run_worker`, also for the errors.
     """
     arrays = {"labels": components.labels, "bodies": components.bodies()}
-    return _fill(_WORKER, arrays, surface, grid, settings, log, limit, context)
+    return _fill(WORKER, arrays, surface, grid, settings, log, limit, context)
 
 
 def fill_complex_by_gmsh(
@@ -108,7 +108,7 @@ def fill_complex_by_gmsh(
     """
     bounds, sheet = shells.sheets()
     worker = replace(
-        _WORKER, name=_NAMES[settings.algorithm], when_it_fails=_COMPLEX_FAILS, when_it_is_empty=_COMPLEX_FAILS
+        WORKER, name=_NAMES[settings.algorithm], when_it_fails=_COMPLEX_FAILS, when_it_is_empty=_COMPLEX_FAILS
     )
     return _fill(worker, {"sheet": sheet, "bounds": bounds}, surface, grid, settings, log, limit, context)
 

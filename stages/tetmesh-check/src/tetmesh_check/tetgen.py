@@ -25,7 +25,7 @@ MIN_DIHEDRAL = 10.0
 _NEAR = 1e-3
 """How far into a cavity the point lies that tells of it, over the length of the triangle that it lies before."""
 
-_WORKER = Worker(
+WORKER = Worker(
     name="TetGen",
     module="tetmesh_check.tetgen_worker",
     library="tetgen",
@@ -100,7 +100,7 @@ def fill_by_tetgen(
         "triangles": surface.triangles,
         "cavities": cavity_points(surface, components),
     }
-    result = run_worker(_WORKER, arrays, settings, log, limit, context)
+    result = run_worker(WORKER, arrays, settings, log, limit, context)
     result.summary.update(
         max_volume=settings.max_volume,
         max_radius_edge_ratio=settings.max_radius_edge_ratio,

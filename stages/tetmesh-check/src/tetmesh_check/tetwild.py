@@ -17,7 +17,7 @@ _PASS = re.compile(r"/+ pass (\d+) /+")
 _COUNT = re.compile(r"#t = (\d+)")
 _ENERGY = re.compile(r"max_energy = ([0-9.eE+-]+)")
 
-_WORKER = Worker(
+WORKER = Worker(
     name="fTetWild",
     module="tetmesh_check.tetwild_worker",
     library="pytetwild",
@@ -67,7 +67,7 @@ def fill_by_tetwild(
         "background_tetrahedra": background.tetrahedra.astype(np.int32),
         "background_values": background.values,
     }
-    result = run_worker(_WORKER, arrays, settings, log, limit, context)
+    result = run_worker(WORKER, arrays, settings, log, limit, context)
     energy, passes = last_match(_ENERGY, result.said), last_match(_PASS, result.said)
     result.summary.update(
         passes=int(passes) + 1 if passes is not None else 0,

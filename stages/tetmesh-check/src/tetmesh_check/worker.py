@@ -10,6 +10,7 @@ from __future__ import annotations
 import ctypes
 import importlib
 import importlib.metadata
+import importlib.util
 import json
 import os
 import re
@@ -96,6 +97,22 @@ class WorkerResult:
     """What it wrote into its log."""
     summary: dict[str, Any]
     """For the report: its library's version and the time it took, s, or what was mended."""
+
+
+def refuse_missing(worker: Worker) -> None:
+    """Refuse a tetrahedralizer whose library is not installed.
+
+    Parameters
+    ----------
+    worker
+        The tetrahedralizer.
+    """
+    if importlib.util.find_spec(worker.library) is None:
+        raise UnavailableError(
+            f"{worker.name} is not available: there is no Python package {worker.library}",
+            "it is the tetrahedralizer that is to fill the surface",
+            worker.when_it_is_missing,
+        )
 
 
 def last_match(pattern: re.Pattern[str], text: str) -> str | None:
