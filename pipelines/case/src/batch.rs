@@ -4,10 +4,11 @@
 //! cannot be made is told and the next one begun. What a row made before holds, as for any case: a batch that was stopped goes
 //! on where it was. The end is `OUT/batch.csv` with a line a row, and the index over all of them.
 
+use crate::check::Answers;
 use crate::folder::CaseFolder;
 use crate::keys::{self, KEYS};
 use crate::program::{self, Ended};
-use crate::run::{Case, out, problem};
+use crate::run::{Case, out, problem, stage_of_goal};
 use crate::settings::Settings;
 use crate::stages::{Programs, Volume};
 use crate::status::{FORMAT, Problem, Stage, State, Status, VERSION, Verdict};
@@ -135,7 +136,8 @@ impl Batch<'_> {
     pub fn make(&self, programs: &Programs) -> Result<Vec<Ending>> {
         let settings = Settings::read(&[], self.common, None, self.known)?;
         let out = out(&settings);
-        let rows = self.read()?;
+        let rows = self.checked(programs)?;
+        tell_refused(&rows);
         let logs = out.join(LOGS);
         // What an earlier batch left of rows that are perhaps no more.
         let _ = std::fs::remove_dir_all(&logs);
@@ -166,6 +168,21 @@ impl Batch<'_> {
             refused.filter(|path| path.extension().is_some_and(|it| it == "json")).collect();
         refused.sort();
         index::write(&out, refused, programs)
+    }
+
+    /// The rows of the list, each asked whether the stages take its options.
+    pub(crate) fn checked(&self, programs: &Programs) -> Result<Vec<Row>> {
+        let mut rows = self.read()?;
+        let goal = stage_of_goal(self.goal).unwrap_or_default();
+        let mut answers = Answers::default();
+        for row in &mut rows {
+            if let Ok(case) = &row.case
+                && let Err(error) = answers.check(case, goal, programs)
+            {
+                row.case = Err(error);
+            }
+        }
+        Ok(rows)
     }
 
     /// The rows of the list.
@@ -282,7 +299,7 @@ impl Batch<'_> {
                         }
                         None
                     }
-                    _ => Some(last_error(&log)),
+                    _ => Some(last_error_in(&log)),
                 }
             }
         };
@@ -321,7 +338,8 @@ fn with_plain_lines(text: &str) -> String {
     text.trim_start_matches('\u{feff}').replace("\r\n", "\n").replace('\r', "\n")
 }
 
-/// The line, from 1, of the record that the reader finds from `byte` on; the reader skips empty lines and comments.
+/// The line, from 1, of the record that the reader finds from `byte` on; the reader skips empty
+/// lines and comments.
 fn line_of(text: &str, byte: usize) -> u64 {
     let lines = text[byte..].split('\n');
     let skipped = lines.take_while(|line| line.is_empty() || line.starts_with(COMMENT)).count();
@@ -359,6 +377,15 @@ pub fn closing(endings: &[Ending]) -> String {
     text
 }
 
+/// Tells which rows cannot be made, before any is begun.
+pub(crate) fn tell_refused(rows: &[Row]) {
+    for row in rows {
+        if let Err(error) = &row.case {
+            eprintln!("line {} of the list, {}: error: {error}", row.line, row.name);
+        }
+    }
+}
+
 fn tell(ending: &Ending, position: usize, total: usize) {
     println!("[{position}/{total}] {:<24} {:<12} {:>7.1} s", ending.name, ending.verdict, ending.seconds);
 }
@@ -393,20 +420,22 @@ pub(crate) fn refused_status(row: &Row, error: &Problem) -> Status {
 }
 
 /// The last error in three parts that a log holds.
-pub(crate) fn last_error(log: &Path) -> Problem {
-    let text = std::fs::read_to_string(log).unwrap_or_default();
+pub(crate) fn last_error_in(log: &Path) -> Problem {
+    last_error(&std::fs::read_to_string(log).unwrap_or_default()).unwrap_or_else(|| Problem {
+        what: "ended without a word of why".to_owned(),
+        why: "nothing was made".to_owned(),
+        next: format!("read {}", log.display()),
+    })
+}
+
+/// The last error in three parts of what a program said.
+pub(crate) fn last_error(text: &str) -> Option<Problem> {
     let lines: Vec<&str> = text.lines().collect();
-    let Some(at) = lines.iter().rposition(|line| line.starts_with("error: ")) else {
-        return Problem {
-            what: "ended without a word of why".to_owned(),
-            why: "nothing was made".to_owned(),
-            next: format!("read {}", log.display()),
-        };
-    };
+    let at = lines.iter().rposition(|line| line.starts_with("error: "))?;
     let part = |start: &str| {
         lines[at..].iter().find_map(|line| line.trim_start().strip_prefix(start)).unwrap_or_default().to_owned()
     };
-    Problem { what: part("error: "), why: part("why it matters: "), next: part("what to do: ") }
+    Some(Problem { what: part("error: "), why: part("why it matters: "), next: part("what to do: ") })
 }
 
 /// Writes a line a row.

@@ -103,7 +103,9 @@ pub fn rows(batch: &Batch<'_>, programs: &Programs) -> Result<Vec<String>> {
             Error::input(format!("line {}: {error}", row.line), "the row cannot be put into JSON", "report this bug")
         })
     };
-    batch.read()?.iter().map(told).collect()
+    let rows = batch.checked(programs)?;
+    batch::tell_refused(&rows);
+    rows.iter().map(told).collect()
 }
 
 /// Takes away the marks of the stages that do not hold.
@@ -174,9 +176,9 @@ fn text(word: OsString) -> String {
 ///
 /// # Errors
 /// When the list cannot be meant, or the summary cannot be written.
-pub fn summary(batch: &Batch<'_>) -> Result<Vec<Ending>> {
+pub fn summary(batch: &Batch<'_>, programs: &Programs) -> Result<Vec<Ending>> {
     let out = out(&Settings::read(&[], batch.common, None, batch.known)?);
-    let rows = batch.read()?;
+    let rows = batch.checked(programs)?;
     let refusals = out.join(LOGS);
     let _ = std::fs::remove_dir_all(&refusals);
     std::fs::create_dir_all(&refusals)
@@ -209,7 +211,7 @@ fn ending(batch: &Batch<'_>, row: &Row, out: &Path) -> Result<Ending> {
                 }
                 (_, Err(error)) => problem(&error),
                 (None, Ok(())) => match log {
-                    Some(log) => batch::last_error(&log),
+                    Some(log) => batch::last_error_in(&log),
                     None => {
                         ending.verdict = batch::word(Verdict::Interrupted);
                         Problem {
@@ -356,7 +358,7 @@ mod tests {
             told(batch);
             assert_eq!(marks.map(|mark| mark.exists()), [true, false], "the size field is not there");
 
-            let endings = summary(batch).expect("the summary");
+            let endings = summary(batch, &programs()).expect("the summary");
             let found: Vec<_> = endings.iter().map(|it| (it.name.as_str(), it.verdict.as_str())).collect();
             assert_eq!(found, [("one", "interrupted"), ("two", "error"), ("half", "interrupted")]);
             assert_eq!(endings[0].headline, "was not begun");

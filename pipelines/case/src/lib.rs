@@ -6,6 +6,7 @@
 //! of the case that the last run neither made nor confirmed is not there. The Makefile calls the program of this crate.
 
 pub mod batch;
+pub mod check;
 pub mod cluster;
 pub mod folder;
 pub mod front;

@@ -134,7 +134,7 @@ fn go(arguments: Arguments) -> Result<u8> {
                 }
                 Ok(0)
             }
-            "summary" => close_batch(&batch, &cluster::summary(&batch)?, &programs),
+            "summary" => close_batch(&batch, &cluster::summary(&batch, &programs)?, &programs),
             _ => close_batch(&batch, &batch.make(&programs)?, &programs),
         };
     }

@@ -4,7 +4,7 @@ use isoparticles_stage::error::{Error, Result};
 use std::ffi::OsString;
 use std::fs::File;
 use std::path::Path;
-use std::process::{Child, Command, ExitStatus};
+use std::process::{Child, Command, ExitStatus, Output};
 use std::sync::Once;
 use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 use std::time::{Duration, Instant};
@@ -80,6 +80,24 @@ pub fn run_logged(program: &Path, arguments: &[OsString], log: File, limit: Opti
     run_command(command, limit)
 }
 
+/// Runs a program to its end and gives what it said.
+///
+/// # Errors
+/// When it cannot be started.
+pub fn output(program: &Path, arguments: &[OsString]) -> Result<Output> {
+    let mut command = Command::new(program);
+    command.args(arguments).stdin(std::process::Stdio::null());
+    command.output().map_err(|error| not_started(program, &error))
+}
+
+fn not_started(program: &Path, error: &std::io::Error) -> Error {
+    Error::input(
+        format!("{}: cannot be started: {error}", program.display()),
+        "it makes the next result of the case",
+        "build it (make build env), or say where it is (BIN=..., TETMESH_CHECK=...)",
+    )
+}
+
 fn run_command(mut command: Command, limit: Option<Duration>) -> Result<(Ended, bool)> {
     command.stdin(std::process::Stdio::null());
     #[cfg(unix)]
@@ -88,13 +106,7 @@ fn run_command(mut command: Command, limit: Option<Duration>) -> Result<(Ended, 
         use std::os::unix::process::CommandExt;
         command.process_group(0);
     }
-    let mut child = command.spawn().map_err(|error| {
-        Error::input(
-            format!("{}: cannot be started: {error}", command.get_program().display()),
-            "it makes the next result of the case",
-            "build it (make build env), or say where it is (BIN=..., TETMESH_CHECK=...)",
-        )
-    })?;
+    let mut child = command.spawn().map_err(|error| not_started(Path::new(command.get_program()), &error))?;
     RUNNING.store(child.id(), Ordering::SeqCst);
     if stop_requested() {
         interrupt(child.id());

@@ -6,9 +6,10 @@ use crate::program::{self, Ended};
 use crate::settings::Settings;
 use crate::stages::{Plan, Planned, Programs, Volume, plan};
 use crate::status::{FORMAT, Input, Problem, Stage, State, Status, VERSION, Verdict};
-use crate::{name, verdict};
+use crate::{check, name, verdict};
 use isoparticles_stage::error::{Error, Result};
 use std::io::Write;
+use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
@@ -105,15 +106,29 @@ pub fn make(case: &Case, goal: &str, programs: &Programs) -> Result<Status> {
     if let Some(before) = &before {
         refuse_another_volume(case, before, &plan)?;
     }
+    let to_run = to_run(folder, goal, &plan, before.as_ref());
+    check::planned(plan.stages.get(to_run.clone()).unwrap_or_default(), case, before.as_ref())?;
     let _lock = match _lock {
         Some(lock) => lock,
         None => folder.lock()?,
     };
     program::listen();
-    let mut run = Run::begin(case, goal, plan, before)?;
+    let mut run = Run::begin(case, goal, to_run, plan, before)?;
     run.go()?;
     run.finish(programs)?;
     Ok(run.status)
+}
+
+/// The stages that have to run, by position: from the first whose result does not hold up to the
+/// goal.
+fn to_run(folder: &CaseFolder, goal: &str, plan: &Plan, before: Option<&Status>) -> Range<usize> {
+    let holds = |planned: &Planned| {
+        let earlier = before.and_then(|status| status.stage(planned.name()));
+        earlier.is_some_and(|stage| stage.state == State::Done && stage.key == planned.key && folder.is_intact(stage))
+    };
+    let first = plan.stages.iter().position(|planned| !holds(planned)).unwrap_or(plan.stages.len());
+    let goal = plan.stages.iter().position(|planned| planned.name() == goal);
+    first..goal.map_or(plan.stages.len(), |position| position + 1)
 }
 
 /// Refuses to put the results of one volume in place of those of another.
@@ -149,23 +164,16 @@ struct Run<'a> {
     case: &'a Case,
     plan: Plan,
     status: Status,
-    /// The first stage to run, by position; behind the last where all is made.
-    next: usize,
-    /// Position of the stage to come to.
-    last: usize,
+    /// The stages to run, by position; empty where all is made.
+    to_run: Range<usize>,
 }
 
 impl<'a> Run<'a> {
     /// Finds out what still holds, marks the rest stale and takes it away.
-    fn begin(case: &'a Case, goal: &str, plan: Plan, before: Option<Status>) -> Result<Self> {
+    fn begin(case: &'a Case, goal: &str, to_run: Range<usize>, plan: Plan, before: Option<Status>) -> Result<Self> {
         let folder = &case.folder;
         let earlier = |planned: &Planned| before.as_ref().and_then(|status| status.stage(planned.name()));
-        let holds = |planned: &Planned| {
-            earlier(planned)
-                .is_some_and(|stage| stage.state == State::Done && stage.key == planned.key && folder.is_intact(stage))
-        };
-        let next = plan.stages.iter().position(|planned| !holds(planned)).unwrap_or(plan.stages.len());
-        let last = plan.stages.iter().position(|planned| planned.name() == goal).unwrap_or(plan.stages.len() - 1);
+        let next = to_run.start;
         let mut stages = Vec::new();
         for (position, planned) in plan.stages.iter().enumerate() {
             stages.push(match earlier(planned) {
@@ -196,7 +204,7 @@ impl<'a> Run<'a> {
             planned.name() == "particles" && earlier(planned).is_some_and(|stage| stage.key == planned.key)
         });
         let checkpoint = checkpoint.is_some();
-        let mut run = Self { case, plan, status, next, last };
+        let mut run = Self { case, plan, status, to_run };
         run.remove_stale(before.as_ref(), checkpoint)?;
         Ok(run)
     }
@@ -211,7 +219,7 @@ impl<'a> Run<'a> {
                 || (stage.stage == "phantom" && self.case.volume != Volume::Phantom)
         };
         let stale: Vec<&Belongings> = STAGES.iter().filter(|stage| !holds(stage)).collect();
-        if stale.iter().any(|stage| !folder.made_before(stage, earlier(stage)).is_empty()) || self.next <= self.last {
+        if stale.iter().any(|stage| !folder.made_before(stage, earlier(stage)).is_empty()) || !self.to_run.is_empty() {
             self.status.page = None;
             self.write()?;
             folder.remove(&folder.file_name(PAGE))?;
@@ -230,11 +238,11 @@ impl<'a> Run<'a> {
 
     /// Runs the stages that have to run, until one fails.
     fn go(&mut self) -> Result<()> {
-        let confirmed: Vec<&str> = self.plan.stages[..self.next].iter().map(Planned::name).collect();
+        let confirmed: Vec<&str> = self.plan.stages[..self.to_run.start].iter().map(Planned::name).collect();
         if !confirmed.is_empty() {
             say(&format!("up to date: {}", confirmed.join(", ")));
         }
-        for position in self.next..=self.last {
+        for position in self.to_run.clone() {
             if program::stop_requested() {
                 self.status.stages[position].state = State::Interrupted;
                 break;

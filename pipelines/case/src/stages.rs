@@ -155,6 +155,18 @@ pub fn program_of(stage: &str, programs: &Programs) -> (PathBuf, Vec<PathBuf>) {
     }
 }
 
+/// The program of a stage and its command line, over a volume in the folder.
+#[must_use]
+pub fn command_of(
+    stage: &str,
+    folder: &CaseFolder,
+    settings: &Settings,
+    programs: &Programs,
+) -> (PathBuf, Vec<OsString>) {
+    let (words, _) = arguments(stage, folder, &Volume::Phantom, options(stage, settings), settings);
+    (program_of(stage, programs).0, words)
+}
+
 /// The key of a stage's further options.
 pub(crate) fn options_key(stage: &str) -> &'static str {
     match stage {

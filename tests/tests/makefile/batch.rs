@@ -101,6 +101,21 @@ fn what_fails_is_told_and_the_rest_is_made() {
     assert_eq!(case.times(), before, "what was made holds");
 }
 
+/// What a later stage refuses is told before the first row begins, and takes nothing away.
+#[test]
+fn refused_options_are_told_before_the_first_row() {
+    let case = Case::new();
+    let list = "NAME,INPUT,ISO,SIZE,SIZEFIELD_OPTIONS\r\ngood,ball.nrrd,100,4,\r\nbad,ball.nrrd,100,4,\r\n";
+    run(&mut batch(&case, list, &[])).expect_success("the list");
+    let bad = list.replace("bad,ball.nrrd,100,4,", "bad,ball.nrrd,100,4,--sise 3");
+    let ended = run(&mut batch(&case, &bad, &[]));
+    let told = ended.stderr.find("line 3 of the list, bad: error: sizefield: ").expect("told at once");
+    assert!(ended.stderr[told..].contains("--sise"), "{}", ended.stderr);
+    assert_eq!(verdicts(&case), expected([("good", "passed"), ("bad", "error")]));
+    assert!(!ended.stdout.contains("bad.log"), "it was not begun: {}", ended.stdout);
+    assert!(case.out().join("bad/bad.surface.vtp").exists(), "the surface of the run before");
+}
+
 #[test]
 fn a_list_that_cannot_be_meant_is_refused_before_any_work() {
     let case = Case::new();
@@ -132,8 +147,10 @@ fn a_case_that_takes_too_long_is_stopped() {
     let programs = case.linked_programs();
     let real = |name: &str| super::support::binaries().join(name).display().to_string();
     let slow = |seconds: u32| {
-        let script =
-            format!("case \"$*\" in *slow*) exec sleep {seconds};; *) exec '{}' \"$@\";; esac\n", real("sizefield"));
+        let script = format!(
+            "case \"$*\" in --check-options*) echo \"$2\";; *slow*) exec sleep {seconds};; *) exec '{}' \"$@\";; esac\n",
+            real("sizefield")
+        );
         executable(&programs.join("sizefield"), &script);
     };
     slow(600);

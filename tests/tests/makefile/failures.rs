@@ -2,7 +2,7 @@
 //! could be taken for a result of this one.
 
 use super::support::{listing, run};
-use super::{Case, PARAMETERS, executable};
+use super::{Case, PARAMETERS, TAKES_ALL, executable};
 
 #[test]
 fn a_failing_first_stage_has_a_page_and_stands_in_the_index() {
@@ -77,7 +77,7 @@ fn the_output_of_a_failed_check_is_kept_aside() {
     let case = Case::new();
     let programs = case.linked_programs();
     // A stand-in for sizefield that writes its output and says that a check failed.
-    executable(&programs.join("sizefield"), "echo made > \"$3\"\nexit 1\n");
+    executable(&programs.join("sizefield"), &format!("{TAKES_ALL}echo made > \"$3\"\nexit 1\n"));
     let bin = format!("BIN={}", programs.display());
     let ended = case.surface(&["ISO=100", "VERBOSITY=-q", &bin]);
     assert_eq!(ended.code, Some(2), "{}", ended.stderr);
@@ -100,13 +100,14 @@ fn a_program_that_crashes_is_told_in_three_parts() {
     let bin = format!("BIN={}", programs.display());
     let seed = programs.join("seed");
     for (script, words) in [("kill -9 $$\n", "signal 9"), ("exit 2\n", "exit code 2"), ("exit 0\n", "is not there")] {
-        executable(&seed, script);
+        executable(&seed, &format!("{TAKES_ALL}{script}"));
         let ended = case.surface(&["ISO=100", "SIZE=2.5", "VERBOSITY=-q", &bin]);
         ended.expect_error(2, &["seed", words]);
         assert_eq!(case.states()["seed"], "error");
     }
     std::fs::remove_file(&seed).unwrap();
     case.surface(&["ISO=100", "SIZE=2.5", "VERBOSITY=-q", &bin]).expect_error(2, &["seed", "cannot be started"]);
+    assert_eq!(case.states()["seed"], "error", "nothing was begun");
 }
 
 /// However the last stage ends, nothing of an earlier run is left that could be taken for its result.
@@ -178,14 +179,14 @@ fn a_result_that_a_killed_run_still_wrote_is_made_and_told_again() {
     let case = Case::new();
     let programs = case.linked_programs();
     let orphan = "echo orphan > \"${3%sizefield.vti}seeds.bin\"";
-    executable(&programs.join("sizefield"), &format!("echo made > \"$3\"\n{orphan}\n"));
-    executable(&programs.join("seed"), "echo made > \"$4\"\n");
+    executable(&programs.join("sizefield"), &format!("{TAKES_ALL}echo made > \"$3\"\n{orphan}\n"));
+    executable(&programs.join("seed"), &format!("{TAKES_ALL}echo made > \"$4\"\n"));
     let bin = format!("BIN={}", programs.display());
     run(&mut case.command("seed", &["ISO=100", "SIZE=2.5", "VERBOSITY=-q", &bin])).expect_success("make seed");
     assert_eq!(case.text("seeds.bin"), "made\n");
     assert_eq!(case.status()["stages"][2]["outputs"][0], "ball.seeds.bin");
     // a failure leaves none of it
-    executable(&programs.join("seed"), "exit 2\n");
+    executable(&programs.join("seed"), &format!("{TAKES_ALL}exit 2\n"));
     run(&mut case.command("seed", &["ISO=100", "SIZE=2", "VERBOSITY=-q", &bin])).expect_error(2, &["seed"]);
     assert!(!case.has("seeds.bin"));
 }

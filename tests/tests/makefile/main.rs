@@ -10,6 +10,7 @@ mod cluster;
 mod failures;
 mod materials;
 mod names;
+mod options;
 mod reruns;
 
 use glam::DVec3;
@@ -160,7 +161,9 @@ impl StandIn {
         let programs = [
             (
                 "",
-                "code=$(cat \"$0.code\" 2>/dev/null || echo 0)\n[ $code = 2 ] || echo $code > \"$out\"\n\
+                "case \"$*\" in --check-options*stl*) echo 'error: stl is no format' >&2; exit 2;; \
+                 --check-options*) echo \"$2\"; exit 0;; esac\n\
+                 code=$(cat \"$0.code\" 2>/dev/null || echo 0)\n[ $code = 2 ] || echo $code > \"$out\"\n\
                  mkdir -p \"$pictures\"; echo drawn > \"$pictures/cut.png\"; echo mesh > \"${out%.vtu}.inp\"\n\
                  [ $code = 1 ] && checks='\"too flat\"'\n\
                  echo \"{\\\"failed_checks\\\": [$checks], \\\"warnings\\\": []}\" > \"$report\"; exit $code\n",
@@ -182,6 +185,9 @@ impl StandIn {
         format!("TETMESH_CHECK={}/tetmesh-check", self.folder.path().display())
     }
 }
+
+/// What a stand-in for a stage does first: it takes any options.
+const TAKES_ALL: &str = "[ \"$1\" = --check-options ] && { echo \"$2\"; exit 0; }\n";
 
 /// Writes a shell script that can be run.
 fn executable(path: &Path, script: &str) {

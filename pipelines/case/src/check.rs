@@ -1,0 +1,99 @@
+//! Asks the programs of the stages whether they take their command lines, before anything is
+//! removed or started (`--check-options` of each stage).
+
+use crate::batch::last_error;
+use crate::folder::{CaseFolder, STAGES, report_name};
+use crate::program;
+use crate::run::Case;
+use crate::stages::{Planned, Programs, Volume, command_of};
+use crate::status::{State, Status};
+use isoparticles_stage::cli::check::{CHECK_OPTIONS, Known};
+use isoparticles_stage::error::{Error, Result};
+use std::collections::BTreeMap;
+use std::ffi::OsString;
+use std::path::{Path, PathBuf};
+
+/// Asks the stages that are about to run. Where no earlier result would be lost, a volume without
+/// the object that is asked for is left to the run, which makes a page about it.
+///
+/// # Errors
+/// What the first stage says that refuses its command line.
+pub fn planned(stages: &[Planned], case: &Case, before: Option<&Status>) -> Result<()> {
+    let made = |stage: &str| !stages.iter().any(|planned| planned.name() == stage);
+    // a phantom from an earlier run may be another one
+    let volume = matches!(case.volume, Volume::At(_)) || made("phantom");
+    let materials = if made("distfield") { materials_made(&case.folder) } else { None };
+    let mut known = Known { materials, volume };
+    let may_lose = before.is_some_and(|status| status.stages.iter().any(|stage| stage.state == State::Done));
+    for planned in stages {
+        let asked = |known: &Known| ask(planned.name(), &planned.program, &planned.arguments, known);
+        known = match asked(&known) {
+            Err(_) if known.volume && !may_lose => asked(&Known { volume: false, ..known })?,
+            answer => answer?,
+        };
+    }
+    Ok(())
+}
+
+/// The names of the materials that `distfield` made, by its report.
+fn materials_made(folder: &CaseFolder) -> Option<Vec<String>> {
+    let text = std::fs::read(folder.path.join(report_name("distfield"))).ok()?;
+    let report: serde_json::Value = serde_json::from_slice(&text).ok()?;
+    let table = report["parameters"]["materials"].as_array().map(Vec::as_slice).unwrap_or_default();
+    table.iter().map(|material| material["name"].as_str().map(str::to_owned)).collect()
+}
+
+/// Answers of stages by their command lines: cases of a list differ in few options.
+#[derive(Default)]
+pub struct Answers(BTreeMap<(PathBuf, Vec<OsString>, String), Result<Known>>);
+
+impl Answers {
+    /// Asks the stages of a case as far as `goal` about its options alone, without its volume and
+    /// its folder.
+    ///
+    /// # Errors
+    /// What the first stage says that refuses its options.
+    pub fn check(&mut self, case: &Case, goal: &str, programs: &Programs) -> Result<()> {
+        // in place of the case's own folder, so that equal options are equal command lines
+        let folder = CaseFolder::new(Path::new("OUT"), "NAME");
+        let mut known = Known::default();
+        for stage in STAGES.iter().map(|stage| stage.stage) {
+            if stage == "phantom" && case.volume != Volume::Phantom {
+                continue;
+            }
+            let (program, arguments) = command_of(stage, &folder, &case.settings, programs);
+            // a program that is not there is told by the run
+            if program.exists() {
+                let told = serde_json::json!(known).to_string();
+                let answer = self.0.entry((program.clone(), arguments.clone(), told));
+                known = answer.or_insert_with(|| ask(stage, &program, &arguments, &known)).clone()?;
+            }
+            if stage == goal {
+                break;
+            }
+        }
+        Ok(())
+    }
+}
+
+/// Asks one stage.
+fn ask(stage: &str, program: &Path, arguments: &[OsString], known: &Known) -> Result<Known> {
+    let mut words = vec![CHECK_OPTIONS.into(), serde_json::json!(known).to_string().into()];
+    words.extend_from_slice(arguments);
+    let output = program::output(program, &words)?;
+    if output.status.success()
+        && let Ok(known) = serde_json::from_slice(&output.stdout)
+    {
+        return Ok(known);
+    }
+    let told = last_error(&String::from_utf8_lossy(&output.stderr));
+    let Some(error) = told else {
+        return Err(Error::input(
+            format!("{stage}: makes nothing with its options ({})", output.status),
+            "nothing was removed or started",
+            format!("see {} --help", program.display()),
+        ));
+    };
+    let why = format!("{}; nothing was removed or started", error.why);
+    Err(Error::input(format!("{stage}: {}", error.what), why, error.next))
+}
