@@ -3,9 +3,6 @@
 use std::fmt;
 use std::path::{Path, PathBuf};
 
-/// Most labels that a text lists.
-const MOST_LISTED: usize = 40;
-
 /// What is wrong with a volume. The text says which file, value and place; [`Error::reason`] why that matters and [`Error::remedy`] what can
 /// be done.
 #[derive(Debug, thiserror::Error)]
@@ -43,14 +40,6 @@ pub enum Error {
     NotALabel {
         /// The value.
         value: String,
-    },
-    /// Labels that no voxel has.
-    #[error("no voxel has the label {}", listed(missing))]
-    LabelsMissing {
-        /// Those labels.
-        missing: Vec<i64>,
-        /// The labels that there are.
-        present: Vec<i64>,
     },
     /// No segment has this name.
     #[error("no segment is called '{name}'")]
@@ -140,7 +129,7 @@ impl Error {
             Self::NotAVolume { .. } => "a volume is needed: a scan or a label map",
             Self::Series { .. } => "a volume is made from the slices of one series",
             Self::NotALabel { .. } => "labels are whole numbers",
-            Self::LabelsMissing { .. } | Self::SegmentMissing { .. } => "there would be nothing to extract for it",
+            Self::SegmentMissing { .. } => "there would be nothing to extract for it",
             Self::SegmentAmbiguous { .. } => "it is not clear which one is meant",
             Self::LabelAmbiguous { .. } => {
                 "segments of different layers may overlap, so that the number does not say which one is meant"
@@ -163,7 +152,6 @@ impl Error {
                 format!("choose one by its description, number or UID: {}", present.join("; "))
             }
             Self::NotALabel { .. } => "give a label volume, or extract an iso value instead of labels".to_owned(),
-            Self::LabelsMissing { present, .. } => format!("choose among the labels present: {}", listed(present)),
             Self::SegmentMissing { present, .. } if present.is_empty() => {
                 "the file gives its labels no names: choose them by number".to_owned()
             }
@@ -189,12 +177,4 @@ pub(crate) fn bad(
     remedy: impl Into<String>,
 ) -> Error {
     isoparticles_file::error::Error::contents(path, problem, reason, remedy).into()
-}
-
-fn listed(labels: &[i64]) -> String {
-    let mut shown: Vec<String> = labels.iter().take(MOST_LISTED).map(i64::to_string).collect();
-    if labels.len() > shown.len() {
-        shown.push(format!("... ({} in all)", labels.len()));
-    }
-    shown.join(", ")
 }

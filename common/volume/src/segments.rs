@@ -82,7 +82,7 @@ impl Volume {
     ///
     /// # Errors
     /// When several layers hold the label, so that its number does not say which one is meant, and when a value is no label. A label
-    /// that occurs nowhere is taken to be in the first layer; [`Volume::check_labels`] refuses it.
+    /// that occurs nowhere is taken to be in the first layer.
     pub fn label_numbered(&self, label: i64) -> Result<LayerLabel> {
         if self.more_layers.is_empty() {
             return Ok(LayerLabel { layer: 0, label });
@@ -116,17 +116,6 @@ impl Volume {
             }
         }
         mask
-    }
-
-    /// Fails when one of the labels does not occur in its layer, and says which ones do.
-    pub fn check_labels(&self, labels: &[LayerLabel]) -> Result<()> {
-        for (layer, voxels) in self.layers().enumerate() {
-            let of_layer: Vec<i64> = labels.iter().filter(|at| at.layer == layer).map(|at| at.label).collect();
-            if !of_layer.is_empty() {
-                voxels.check_labels(&of_layer)?;
-            }
-        }
-        Ok(())
     }
 
     /// Names with their numbers, for a message.
@@ -169,8 +158,7 @@ mod tests {
         assert!(error.remedy().contains("'Lung' (1 of layer 0), 'vessel' (1 of layer 1)"), "{error}");
         let error = volume.segment_named("liver").expect_err("not there");
         assert!(error.remedy().contains("'heart'"), "{error}");
-        let missing = volume.label_numbered(9).expect("nowhere");
-        assert!(volume.check_labels(&[missing]).expect_err("missing").remedy().contains("0, 1, 2"));
+        assert_eq!(volume.label_numbered(9).expect("nowhere"), LayerLabel { layer: 0, label: 9 });
         let twice = Volume { segments: [volume.segments.clone(), volume.segments.clone()].concat(), ..volume };
         assert!(twice.segment_named("heart").is_err());
     }

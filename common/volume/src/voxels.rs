@@ -288,16 +288,6 @@ impl Voxels {
         each_type!(self, values => values.iter().for_each(|&value| visit(Number::to_label(value))));
     }
 
-    /// Fails when one of the labels does not occur, and says which ones do.
-    pub fn check_labels(&self, labels: &[i64]) -> Result<()> {
-        let present = self.label_set()?;
-        let missing: Vec<i64> = labels.iter().copied().filter(|label| present.binary_search(label).is_err()).collect();
-        if missing.is_empty() {
-            return Ok(());
-        }
-        Err(Error::LabelsMissing { missing, present })
-    }
-
     /// Puts slices of `length` values into the opposite order ([`reverse_slices`]).
     pub fn reverse_slices(&mut self, length: usize) {
         each_type!(self, values => reverse_slices(values, length));

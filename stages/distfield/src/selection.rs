@@ -64,7 +64,10 @@ impl Selection {
                     at if present.contains(&at) => vec![at],
                     _ => Vec::new(),
                 },
-                Item::Name(name) => vec![named(name, volume, &present)?],
+                Item::Name(name) => {
+                    let at = named(name, volume, &present)?;
+                    present.iter().copied().filter(|other| *other == at).collect()
+                }
             };
             if found.is_empty() {
                 missing.push(item);
@@ -141,11 +144,18 @@ fn missing_error(missing: &[Item], volume: &Volume, present: &[LayerLabel]) -> E
             Item::All => "other than 0".to_owned(),
             Item::Number(label) => label.to_string(),
             Item::Range(first, last) => format!("from {first} to {last}"),
-            Item::Name(name) => format!("'{name}'"),
+            Item::Name(name) => {
+                volume.segment_named(name).map_or_else(|_| format!("'{name}'"), |at| listed(volume, &[at]))
+            }
         })
         .collect();
+    no_voxel(&told.join(", "), volume, present)
+}
+
+/// The error about labels, in words, that no voxel has.
+pub(crate) fn no_voxel(labels: &str, volume: &Volume, present: &[LayerLabel]) -> Error {
     Error::input(
-        format!("no voxel has the label {}", told.join(", ")),
+        format!("no voxel has the label {labels}"),
         "there would be nothing to extract for it",
         format!("choose among the labels present: {}", listed(volume, present)),
     )
@@ -192,7 +202,7 @@ mod tests {
     fn volume() -> Volume {
         let segment = |name: &str, label| Segment { name: name.to_owned(), at: LayerLabel { layer: 0, label } };
         Volume {
-            segments: vec![segment("left lung", 2), segment("Heart", 3), segment("all", 7)],
+            segments: vec![segment("left lung", 2), segment("Heart", 3), segment("all", 7), segment("lost", 9)],
             ..Volume::new(Geometry::axis_aligned([2, 2, 2], DVec3::ONE), Voxels::I16(vec![0, 1, 2, 3, 5, 5, -4, 7]))
         }
     }
@@ -229,6 +239,7 @@ mod tests {
     fn what_is_not_there_is_told_with_what_is() {
         for (text, what, next) in [
             ("9", "no voxel has the label 9", "2 'left lung', 3 'Heart'"),
+            ("heart, Lost", "no voxel has the label 9 'lost'", "2 'left lung', 3 'Heart'"),
             ("1,77", "no voxel has the label 77", "-4, 0, 1"),
             ("8..9", "from 8 to 9", "-4, 0, 1"),
             ("left lnug", "no segment is called 'left lnug'", "did you mean 'left lung'?"),

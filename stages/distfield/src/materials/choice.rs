@@ -1,6 +1,6 @@
 //! Materials as a user names them: `lung=2+3`, `heart` where the file has that name, or `all`.
 
-use crate::selection::{Selection, listed};
+use crate::selection::{Selection, listed, no_voxel};
 use isoparticles_field::materials::{MOST_MATERIALS, Material, MaterialId};
 use isoparticles_stage::error::{Error, Result};
 use isoparticles_volume::{LayerLabel, Volume};
@@ -162,11 +162,7 @@ fn of_name(name: &str, volume: &Volume, present: &[LayerLabel]) -> Result<LayerL
     let found = volume.segment_named(name);
     match found {
         Ok(at) if present.contains(&at) => Ok(at),
-        Ok(at) => Err(Error::input(
-            format!("--material {name}: no voxel has its label {}", at.label),
-            "a material without voxels has no border",
-            format!("choose among the labels present: {}", listed(volume, present)),
-        )),
+        Ok(at) => Err(no_voxel(&listed(volume, &[at]), volume, present)),
         Err(error) => Err(Error {
             what: match error {
                 isoparticles_volume::Error::SegmentAmbiguous { .. } => {
@@ -251,7 +247,7 @@ mod tests {
             (&["a=1", "a=2"], "the name 'a' was given before", "a=1"),
             (&["a=1", "b=2+1"], "label 1 is of the material 'a' already", "a=1"),
             (&["spleen"], "no label of that name", "2 'left lung'"),
-            (&["lost"], "no voxel has its label 9", "2 'left lung'"),
+            (&["lost"], "no voxel has the label 9 'lost'", "2 'left lung'"),
             (&["a=left lnug"], "no segment is called 'left lnug'", "did you mean 'left lung'?"),
         ] {
             let error = table(choices).expect_err(choices[0]);
