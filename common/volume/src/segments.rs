@@ -41,12 +41,18 @@ impl Volume {
         std::iter::once(&self.voxels).chain(&self.more_layers)
     }
 
+    /// What is assumed of NaN among labels, in words, if there is any.
+    pub fn nan_remark(&self) -> Option<String> {
+        let count: usize = self.layers().map(Voxels::nan_count).sum();
+        (count > 0).then(|| format!("{count} voxels are NaN and taken as background (label 0)"))
+    }
+
     /// The name of a label, if the file gives one.
     pub fn name_of(&self, at: LayerLabel) -> Option<&str> {
         self.segments.iter().find(|segment| segment.at == at).map(|segment| segment.name.as_str())
     }
 
-    /// Every label with its layer, in increasing order. Fails when a value is not a whole number.
+    /// Every label with its layer, in increasing order, NaN as 0. Fails when another value is not a whole number.
     pub fn label_set(&self) -> Result<Vec<LayerLabel>> {
         let mut all = Vec::new();
         for (layer, voxels) in self.layers().enumerate() {

@@ -144,6 +144,7 @@ fn ends_early(found: usize, count: usize) -> std::io::Error {
 
 /// A Rust number that [`Voxels`] can hold.
 trait Number: Copy {
+    /// The value as a label: a whole number as it is, NaN as 0.
     fn to_label(self) -> Option<i64>;
     fn single(self) -> f32;
     fn double(self) -> f64;
@@ -169,13 +170,13 @@ macro_rules! integer_number {
 integer_number!(i8, u8, i16, u16, i32, u32, i64, u64);
 
 /// Whole numbers up to 2^53; beyond it not every whole number is a float any more, so none of them is a label.
-fn float_label(value: f64) -> Option<i64> {
+fn whole_number(value: f64) -> Option<i64> {
     (value.fract() == 0.0 && value.abs() <= 9_007_199_254_740_992.0).then_some(value as i64)
 }
 
 impl Number for f32 {
     fn to_label(self) -> Option<i64> {
-        float_label(self.into())
+        f64::from(self).to_label()
     }
     fn single(self) -> f32 {
         self
@@ -190,7 +191,8 @@ impl Number for f32 {
 
 impl Number for f64 {
     fn to_label(self) -> Option<i64> {
-        float_label(self)
+        // SPM and AFNI mark voxels outside of a mask by NaN
+        if self.is_nan() { Some(0) } else { whole_number(self) }
     }
     fn single(self) -> f32 {
         self as f32
@@ -261,16 +263,16 @@ impl Voxels {
         (low <= high).then_some((low, high))
     }
 
-    /// Number of NaN and infinite values.
-    pub fn non_finite_count(&self) -> usize {
+    /// Number of NaN values, which as labels are background.
+    pub fn nan_count(&self) -> usize {
         match self {
-            Self::F32(values) => values.iter().filter(|value| !value.is_finite()).count(),
-            Self::F64(values) => values.iter().filter(|value| !value.is_finite()).count(),
+            Self::F32(values) => values.par_iter().filter(|value| value.is_nan()).count(),
+            Self::F64(values) => values.par_iter().filter(|value| value.is_nan()).count(),
             _ => 0,
         }
     }
 
-    /// The distinct values in increasing order. Fails when a value is not a whole number.
+    /// The distinct values in increasing order, NaN as 0. Fails when another value is not a whole number.
     pub fn label_set(&self) -> Result<Vec<i64>> {
         each_type!(self, values => distinct(values)).map_err(|value| Error::NotALabel { value })
     }
@@ -423,7 +425,7 @@ impl Voxels {
     /// Adds a value written as text; false if it is no value of this type. Whole numbers may be written as `3.0`.
     pub fn push_text(&mut self, text: &str) -> bool {
         each_type!(self, values => {
-            let parsed = text.parse().ok().or_else(|| text.parse::<f64>().ok()?.to_label()?.to_string().parse().ok());
+            let parsed = text.parse().ok().or_else(|| whole_number(text.parse().ok()?)?.to_string().parse().ok());
             parsed.map(|value| values.push(value)).is_some()
         })
     }

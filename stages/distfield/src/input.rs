@@ -35,11 +35,14 @@ impl KindChoice {
 }
 
 /// Refuses labels of a scan and an iso value of labels, unless `--kind` insists; warns where the kind is a guess, and of masks, whose iso value
-/// is sound but for the voxel centres next to the surface.
+/// is sound but for the voxel centres next to the surface. Of labels it tells the number of NaN.
 ///
 /// # Errors
 /// As said.
 pub fn check_kind(args: &Args, volume: &Volume, context: &Context) -> Result<()> {
+    if args.iso.is_none() {
+        volume.nan_remark().iter().for_each(|remark| context.warn(remark));
+    }
     if args.kind != KindChoice::Auto {
         return Ok(());
     }

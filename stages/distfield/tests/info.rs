@@ -177,6 +177,28 @@ fn labels_named_in_any_way_are_the_same_object() {
 }
 
 #[test]
+fn nan_among_labels_is_background_and_told() {
+    let case = Case::new(labels);
+    let plain = isoparticles_volume::read_volume(&case.input).expect("a volume");
+    let values: Vec<f32> = plain.voxels.to_f32().into_iter().map(|v| if v == 0.0 { f32::NAN } else { v }).collect();
+    let count = values.iter().filter(|value| value.is_nan()).count();
+    case.field(&["--labels", "2,3"]);
+    let read = || read_field(&case.folder.path().join("f.vti"), FieldKind::Distance).expect("a field").image;
+    let expected = read();
+    let voxels = isoparticles_volume::Voxels::F32(values);
+    let raw = isoparticles_volume::nrrd::Encoding::Raw;
+    isoparticles_volume::nrrd::write_nrrd(&case.input, &plain.geometry, &voxels, raw).expect("written");
+    let run = case.run(&["--labels", "2,3"]);
+    let told = String::from_utf8_lossy(&run.stderr);
+    assert_eq!(run.status.code(), Some(0), "{told}");
+    assert!(told.contains(&format!("{count} voxels are NaN and taken as background")), "{told}");
+    assert_eq!(read(), expected);
+    let info = case.info(&[]);
+    assert_eq!((&info["kind"], &info["certain"]), (&"labels".into(), &true.into()));
+    assert!(info["remarks"].to_string().contains("NaN"), "{info}");
+}
+
+#[test]
 fn a_volume_that_is_mostly_lost_is_a_failed_check() {
     // rods of one voxel
     let rods = Case::new(|radius, n| i16::from(radius < 12.0 && n % 5 == 0 && n / 36 % 4 == 0));

@@ -33,7 +33,11 @@ fn bytes_come_back_in_both_orders() {
 fn labels_are_whole_numbers() {
     assert_eq!(Voxels::F32(vec![2.0, 0.0, 2.0, -3.0]).label_set().expect("whole"), [-3, 0, 2]);
     assert_eq!(Voxels::U16(vec![7, 7, 1]).label_mask(&[7]), [true, true, false]);
-    for bad in [1.5, f64::NAN, f64::INFINITY, 1e300] {
+    let background = Voxels::F32(vec![f32::NAN, 3.0, f32::NAN, 0.0]);
+    assert_eq!((background.label_set().expect("whole"), background.nan_count()), (vec![0, 3], 2));
+    assert_eq!(background.label_mask(&[0]), [true, false, true, true]);
+    assert!(!Voxels::empty(ScalarType::U8).push_text("nan"));
+    for bad in [1.5, f64::INFINITY, 1e300] {
         assert!(Voxels::F64(vec![0.0, bad]).label_set().is_err(), "{bad}");
     }
     assert!(Voxels::U64(vec![u64::MAX]).label_set().is_err());
@@ -43,7 +47,6 @@ fn labels_are_whole_numbers() {
 fn the_range_leaves_out_what_is_not_finite() {
     let voxels = Voxels::F32(vec![f32::NAN, -2.0, 5.0, f32::INFINITY]);
     assert_eq!(voxels.range(), Some((-2.0, 5.0)));
-    assert_eq!(voxels.non_finite_count(), 2);
     assert_eq!(Voxels::F64(vec![f64::NAN]).range(), None);
 }
 
@@ -70,9 +73,9 @@ fn the_ends_of_what_is_wanted_are_counted_from_the_start_of_the_range() {
     assert_eq!(values.ends_of_values(0..5, |value| value > 0.4), Some((0, 3)));
     assert_eq!(values.ends_of_values(1..3, |value| value > 0.4), Some((1, 1)));
     assert_eq!(values.ends_of_values(4..5, |value| value > 0.4), None);
-    // what is no whole number is no label
+    // NaN is the label 0, and what is no whole number none
     assert_eq!(values.ends_of_labels(0..5, |_| true), Some((0, 4)));
-    assert_eq!(values.ends_of_labels(1..4, |_| true), None);
+    assert_eq!(values.ends_of_labels(1..4, |_| true), Some((0, 0)));
 }
 
 #[test]

@@ -62,7 +62,8 @@ impl Rule {
         match self {
             Self::Above(iso) => u16::from(value > *iso),
             Self::Below(iso) => u16::from(value < *iso),
-            _ if value.fract() == 0.0 => self.of_label(value as i64),
+            // NaN is background
+            _ if value.fract() == 0.0 || value.is_nan() => self.of_label(value as i64),
             _ => OUTSIDE,
         }
     }

@@ -61,8 +61,8 @@ pub fn judge(survey: &Survey, named: usize) -> Judgement {
     if survey.fractions > 0 {
         return is(Kind::Scan, true, format!("{} voxels hold values that are not whole numbers", survey.fractions));
     }
-    if survey.non_finite > 0 {
-        return is(Kind::Scan, true, format!("{} voxels are NaN or infinite", survey.non_finite));
+    if survey.non_finite > survey.nan {
+        return is(Kind::Scan, true, format!("{} voxels are infinite", survey.non_finite - survey.nan));
     }
     match survey.distinct() {
         Some(1) => return is(Kind::Labels, false, "every voxel has the same value".into()),
@@ -183,6 +183,34 @@ mod tests {
         mask[200] = 0.25;
         assert_eq!(judge(&of(mask), 0).kind, Kind::Scan);
         assert!(!judge(&of(vec![7.0; 512]), 0).certain);
+    }
+
+    #[test]
+    fn nan_is_background_of_labels_and_padding_of_scans() {
+        let geometry = Geometry::axis_aligned(SIZE, DVec3::ONE);
+        let with = |value: fn(f64, u64) -> f32| {
+            let counter = std::cell::Cell::new(0);
+            let image = Image::sampled(geometry.clone(), |p| {
+                counter.set(counter.get() + 1);
+                value(radius(p), counter.get())
+            });
+            judge(&Survey::of(&Voxels::F32(image.data), &geometry), 0)
+        };
+        let mask = with(|r, _| if r < 14.0 { 1.0 } else { f32::NAN });
+        assert!(mask.kind == Kind::Labels && mask.certain && mask.reason.contains("mask"), "{mask:?}");
+        let labels = with(|r, _| {
+            if r < 9.0 {
+                1.0
+            } else if r < 14.0 {
+                2.0
+            } else {
+                f32::NAN
+            }
+        });
+        assert!(labels.kind == Kind::Labels && labels.certain, "{labels:?}");
+        let scan = with(|r, n| if r < 14.0 { (900.0 + 20.0 * noise(n)).round() as f32 } else { f32::NAN });
+        assert!(scan.kind == Kind::Scan && scan.certain, "{scan:?}");
+        assert_eq!(with(|r, _| if r < 14.0 { 1.0 } else { f32::INFINITY }).kind, Kind::Scan);
     }
 
     /// Between labels that were enlarged by interpolation the values of none of them stand; there is no more than a guess then.

@@ -140,6 +140,7 @@ pub fn examine(volume: &Volume, wishes: &Wishes, monitor: &dyn Monitor) -> Resul
     let step = monitor.phase("labels");
     let labels = if judgement.kind == Kind::Labels { label_table(volume)? } else { Vec::new() };
     drop(step);
+    let nan_remark = volume.nan_remark().filter(|_| judgement.kind == Kind::Labels);
     let mut objects = Vec::new();
     for (what, options, why, layers) in candidates(volume, wishes, &values, judgement.kind, &labels) {
         monitor.check()?;
@@ -170,7 +171,7 @@ pub fn examine(volume: &Volume, wishes: &Wishes, monitor: &dyn Monitor) -> Resul
         values,
         labels,
         objects,
-        remarks: volume.remarks.clone(),
+        remarks: volume.remarks.iter().cloned().chain(nan_remark).collect(),
     })
 }
 

@@ -21,9 +21,12 @@ pub struct Survey {
     pub range: Option<[f64; 2]>,
     /// NaN and infinite values.
     pub non_finite: usize,
+    /// Those of them that are NaN.
+    pub nan: usize,
     /// Values that are not whole numbers.
     pub fractions: usize,
-    /// Every value with the number of its voxels, in increasing order; `None` where some are not whole or there are too many.
+    /// Every value but NaN with the number of its voxels, in increasing order; `None` where some are not whole or there are
+    /// too many.
     #[serde(skip)]
     pub values: Option<Vec<(i64, usize)>>,
     /// How often neighbours along an axis differ (the last two of three voxels in a row).
@@ -54,9 +57,11 @@ impl Survey {
         each!(I8, U8, I16, U16, I32, U32, I64, U64, F32, F64)
     }
 
-    /// Number of distinct values, where they were counted.
+    /// Number of distinct values, where they were counted; NaN, which is background among labels, counts as 0.
     pub fn distinct(&self) -> Option<usize> {
-        self.values.as_ref().map(Vec::len)
+        let values = self.values.as_ref()?;
+        let has_zero = self.nan == 0 || values.iter().any(|(value, _)| *value == 0);
+        Some(values.len() + usize::from(!has_zero))
     }
 
     /// The share of jumps that follow another one: near 1 where every voxel differs from its neighbours, near 0 where values come in pieces.
@@ -66,7 +71,9 @@ impl Survey {
 }
 
 /// A value of a voxel.
-trait Cell: Copy + PartialEq + Send + Sync {
+trait Cell: Copy + Send + Sync {
+    /// Whether two values are the same; NaN is the same as NaN.
+    fn same(self, other: Self) -> bool;
     /// Rounded, for integers beyond 2^53.
     fn double(self) -> f64;
     /// As a whole number, if it is one that fits.
@@ -75,6 +82,9 @@ trait Cell: Copy + PartialEq + Send + Sync {
 
 macro_rules! whole_cell {
     ($($type:ty),*) => {$(impl Cell for $type {
+        fn same(self, other: Self) -> bool {
+            self == other
+        }
         fn double(self) -> f64 {
             self as f64
         }
@@ -87,6 +97,9 @@ whole_cell!(i8, u8, i16, u16, i32, u32, i64, u64);
 
 macro_rules! float_cell {
     ($($type:ty),*) => {$(impl Cell for $type {
+        fn same(self, other: Self) -> bool {
+            self == other || (self.is_nan() && other.is_nan())
+        }
         fn double(self) -> f64 {
             self.into()
         }
@@ -105,20 +118,29 @@ struct Slice {
     low: f64,
     high: f64,
     non_finite: usize,
+    nan: usize,
     fractions: usize,
     jumps: usize,
     double_jumps: usize,
 }
 
 impl Slice {
-    const NOTHING: Self =
-        Self { low: f64::INFINITY, high: f64::NEG_INFINITY, non_finite: 0, fractions: 0, jumps: 0, double_jumps: 0 };
+    const NOTHING: Self = Self {
+        low: f64::INFINITY,
+        high: f64::NEG_INFINITY,
+        non_finite: 0,
+        nan: 0,
+        fractions: 0,
+        jumps: 0,
+        double_jumps: 0,
+    };
 
     fn and(self, other: Self) -> Self {
         Self {
             low: self.low.min(other.low),
             high: self.high.max(other.high),
             non_finite: self.non_finite + other.non_finite,
+            nan: self.nan + other.nan,
             fractions: self.fractions + other.fractions,
             jumps: self.jumps + other.jumps,
             double_jumps: self.double_jumps + other.double_jumps,
@@ -134,6 +156,7 @@ impl Slice {
                 self.fractions += usize::from(double.fract() != 0.0);
             } else {
                 self.non_finite += 1;
+                self.nan += usize::from(double.is_nan());
             }
         }
     }
@@ -141,7 +164,7 @@ impl Slice {
     fn count_jumps<T: Cell>(&mut self, a: &[T], b: &[T], c: &[T]) {
         let (mut jumps, mut doubles) = (0u32, 0u32);
         for ((a, b), c) in a.iter().zip(b).zip(c) {
-            let (first, second) = (u32::from(a != b), u32::from(b != c));
+            let (first, second) = (u32::from(!a.same(*b)), u32::from(!b.same(*c)));
             jumps += second;
             doubles += first & second;
         }
@@ -173,11 +196,12 @@ fn survey<T: Cell>(values: &[T], [nx, ny, nz]: [usize; 3]) -> Survey {
         })
         .reduce(|| Slice::NOTHING, Slice::and);
     let range = (whole.low <= whole.high).then_some([whole.low, whole.high]);
-    let is_whole = whole.fractions == 0 && whole.non_finite == 0;
+    let is_whole = whole.fractions == 0 && whole.non_finite == whole.nan;
     let counted = range.filter(|_| is_whole).and_then(|range| count_whole(values, range));
     Survey {
         range,
         non_finite: whole.non_finite,
+        nan: whole.nan,
         fractions: whole.fractions,
         jumps: whole.jumps,
         double_jumps: whole.double_jumps,
@@ -186,7 +210,7 @@ fn survey<T: Cell>(values: &[T], [nx, ny, nz]: [usize; 3]) -> Survey {
     }
 }
 
-/// Voxels of each value, all of which are whole.
+/// Voxels of each value, all of which are whole or NaN.
 fn count_whole<T: Cell>(values: &[T], [low, high]: [f64; 2]) -> Option<Vec<(i64, usize)>> {
     if high - low < MOST_DISTINCT as f64 {
         let first = low as i64;
@@ -207,7 +231,7 @@ fn count_whole<T: Cell>(values: &[T], [low, high]: [f64; 2]) -> Option<Vec<(i64,
     let few = |counts: HashMap<i64, usize>| (counts.len() <= MOST_DISTINCT).then_some(counts);
     let count = |chunk: &[T]| {
         let mut counts = HashMap::new();
-        for value in chunk {
+        for value in chunk.iter().filter(|value| !value.double().is_nan()) {
             *counts.entry(value.whole()?).or_insert(0) += 1;
             if counts.len() > MOST_DISTINCT {
                 return None;
@@ -290,6 +314,6 @@ mod tests {
         assert_eq!(survey.range, Some([0.5, 3.5]));
         assert_eq!(survey.histogram.counts.iter().sum::<usize>(), 6);
         let none = Survey::of(&Voxels::F32(vec![f32::NAN; 8]), &geometry);
-        assert_eq!((none.range, none.non_finite), (None, 8));
+        assert_eq!((none.range, none.non_finite, none.nan), (None, 8, 8));
     }
 }
