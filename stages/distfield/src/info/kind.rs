@@ -1,8 +1,10 @@
 //! Whether a volume is a scan or holds labels.
 //!
-//! Labels come in pieces of one value each, so that along an axis a change of value rarely follows on another one. A scan's values
-//! change from voxel to voxel, by noise or across the edges of what it shows, also where much of it is saturated or padded.
-//! Whether values are few tells less: a scan of 8 bits has 256, a parcellation may have more.
+//! Labels come in pieces of one value each, so that along an axis a change of value rarely follows
+//! on another one. A scan's values change from voxel to voxel, by noise or across the edges of what
+//! it shows, also where much of it is saturated or padded. Whether values are few tells less: a
+//! scan of 8 bits has 256, a parcellation may have more. In a scan of few levels values come in
+//! pieces as well, but a piece borders on pieces of the next level.
 
 use super::survey::Survey;
 use serde::Serialize;
@@ -37,13 +39,20 @@ pub struct Judgement {
     pub reason: String,
 }
 
-/// Share of changes of value that follow on another change, above which a volume is a scan. The label maps of the shared volumes have at most 0.28
-/// (`brain_parcellation`), the scans at least 0.91 (`thorax_ct_native_u8`); the middle between is taken. `double_jumps` over `jumps` of
-/// `distfield VOLUME --info --json -`.
-const SCAN_ABOVE: f64 = 0.6;
+/// Shares of changes of value that follow on another change at which these alone do not tell: below
+/// it are label maps, above it scans. The label maps of the shared volumes have at most 0.28
+/// (`brain_parcellation`), the scans at least 0.91 (`thorax_ct_native_u8`); scans in 8 to 64 levels
+/// have 0.30 to 0.83. `double_jumps` over `jumps` of `distfield VOLUME --info --json -`.
+const UNCLEAR: std::ops::Range<f64> = 0.29..0.75;
 
-/// Between these shares the kind is a guess: half way from [`SCAN_ABOVE`] to what the shared volumes have.
-const UNCLEAR: std::ops::Range<f64> = 0.45..0.75;
+/// In a scan of few levels, levels that are next to each other in value touch in space: 0.69 and
+/// more of the single changes of scans in 8 to 64 levels are steps from one level to the next, at
+/// most 0.25 of those of label maps with more than 8 labels.
+const STEPS_ABOVE: f64 = 0.5;
+
+/// Levels below which steps tell nothing: of three labels two of three pairs are next to each
+/// other, and layers from the outside in are often numbered in turn.
+const FEWEST_LEVELS: usize = 8;
 
 /// Labels that one volume may well hold; the finest atlases of the brain have some hundreds. More in large pieces may also be a scan that was
 /// enlarged by repeating voxels.
@@ -75,17 +84,24 @@ pub fn judge(survey: &Survey, named: usize) -> Judgement {
         None => "very many distinct whole numbers".to_owned(),
     };
     let percent = 100.0 * share;
-    let is_enough = survey.jumps >= FEW_JUMPS && !UNCLEAR.contains(&share);
-    if share > SCAN_ABOVE {
+    let is_enough = survey.jumps >= FEW_JUMPS;
+    let is_clear = is_enough && !UNCLEAR.contains(&share);
+    let are_levels = survey.distinct().is_some_and(|distinct| distinct >= FEWEST_LEVELS);
+    if share >= UNCLEAR.end {
         let reason = format!(
             "{values} that change from voxel to voxel: {percent:.0} % of the changes along an axis follow on another one"
         );
-        is(Kind::Scan, is_enough, reason)
+        is(Kind::Scan, is_clear, reason)
+    } else if share >= UNCLEAR.start && are_levels && survey.step_share() > STEPS_ABOVE {
+        let steps = 100.0 * survey.step_share();
+        let reason =
+            format!("{values} in levels: {steps:.0} % of the single changes along an axis go to the next value");
+        is(Kind::Scan, false, reason)
     } else {
         let reason = format!(
             "{values} in pieces of one value each: only {percent:.0} % of the changes along an axis follow on another one"
         );
-        is(Kind::Labels, is_enough && survey.distinct().is_some_and(|distinct| distinct <= MANY_LABELS), reason)
+        is(Kind::Labels, is_clear && survey.distinct().is_some_and(|distinct| distinct <= MANY_LABELS), reason)
     }
 }
 
@@ -139,6 +155,24 @@ mod tests {
             // ten values, most of which are clipped at 0, leave a doubt
             assert!(judgement.certain || name == "eight bits, dark", "{name}: {judgement:?}");
         }
+    }
+
+    #[test]
+    fn a_scan_in_few_levels_is_a_scan() {
+        let edge = |p: DVec3| 1.0 / (1.0 + ((radius(p) - 14.0) / 3.0).exp());
+        // steps of 62.5, rounded down as in a file of whole numbers
+        let levels = |count: f64, spread: f64| {
+            judged(move |p, n| {
+                let value = (edge(p) + spread * noise(n)).clamp(0.0, 1.0);
+                ((value * (count - 1.0)).round() * 62.5) as i16
+            })
+        };
+        for (count, spread) in [(33.0, 0.03), (33.0, 0.015), (16.0, 0.04), (64.0, 0.01)] {
+            let judgement = levels(count, spread);
+            assert_eq!(judgement.kind, Kind::Scan, "{count} levels, noise {spread}: {judgement:?}");
+        }
+        let nested = judged(|p, _| [0, 1, 2, 2, 3, 3, 3, 4][(radius(p) / 1.01) as usize % 8]);
+        assert_eq!(nested.kind, Kind::Labels, "{nested:?}");
     }
 
     #[test]

@@ -33,6 +33,9 @@ pub struct Survey {
     pub jumps: usize,
     /// How often the first two of those three differ as well.
     pub double_jumps: usize,
+    /// How often the first two of those three are the same, and the third has the next larger or
+    /// smaller value that occurs; 0 where the values were not counted.
+    pub steps: usize,
     /// Voxels by value.
     pub histogram: Histogram,
 }
@@ -67,6 +70,12 @@ impl Survey {
     /// The share of jumps that follow another one: near 1 where every voxel differs from its neighbours, near 0 where values come in pieces.
     pub fn double_share(&self) -> f64 {
         self.double_jumps as f64 / self.jumps.max(1) as f64
+    }
+
+    /// The share of the other jumps that go to the next value that occurs: near 1 where values come
+    /// in levels.
+    pub fn step_share(&self) -> f64 {
+        self.steps as f64 / (self.jumps - self.double_jumps).max(1) as f64
     }
 }
 
@@ -173,28 +182,15 @@ impl Slice {
     }
 }
 
-fn survey<T: Cell>(values: &[T], [nx, ny, nz]: [usize; 3]) -> Survey {
-    let whole = (0..nz)
-        .into_par_iter()
-        .map(|k| {
-            let row = |j: usize, k: usize| &values[(k * ny + j) * nx..][..nx];
-            let mut slice = Slice::NOTHING;
-            for j in 0..ny {
-                let own = row(j, k);
-                slice.count_values(own);
-                if nx > 2 {
-                    slice.count_jumps(own, &own[1..], &own[2..]);
-                }
-                if j > 1 {
-                    slice.count_jumps(row(j - 2, k), row(j - 1, k), own);
-                }
-                if k > 1 {
-                    slice.count_jumps(row(j, k - 2), row(j, k - 1), own);
-                }
-            }
-            slice
-        })
-        .reduce(|| Slice::NOTHING, Slice::and);
+fn survey<T: Cell>(values: &[T], size: [usize; 3]) -> Survey {
+    let [nx, ny, nz] = size;
+    let count_slice = |k: usize| {
+        let mut slice = Slice::NOTHING;
+        slice.count_values(&values[k * nx * ny..][..nx * ny]);
+        each_triple(values, size, k, |a, b, c| slice.count_jumps(a, b, c));
+        slice
+    };
+    let whole = (0..nz).into_par_iter().map(count_slice).reduce(|| Slice::NOTHING, Slice::and);
     let range = (whole.low <= whole.high).then_some([whole.low, whole.high]);
     let is_whole = whole.fractions == 0 && whole.non_finite == whole.nan;
     let counted = range.filter(|_| is_whole).and_then(|range| count_whole(values, range));
@@ -205,9 +201,44 @@ fn survey<T: Cell>(values: &[T], [nx, ny, nz]: [usize; 3]) -> Survey {
         fractions: whole.fractions,
         jumps: whole.jumps,
         double_jumps: whole.double_jumps,
+        steps: counted.as_deref().map_or(0, |counted| steps(values, size, counted)),
         histogram: range.map_or_else(Histogram::default, |range| histogram(values, range, counted.as_deref())),
         values: counted,
     }
+}
+
+/// Visits three voxels in a row along each axis, the last of them in slice k: rows of the first,
+/// second and third.
+fn each_triple<T>(values: &[T], [nx, ny, _]: [usize; 3], k: usize, mut visit: impl FnMut(&[T], &[T], &[T])) {
+    let row = |j: usize, k: usize| &values[(k * ny + j) * nx..][..nx];
+    for j in 0..ny {
+        let own = row(j, k);
+        if nx > 2 {
+            visit(own, &own[1..], &own[2..]);
+        }
+        if j > 1 {
+            visit(row(j - 2, k), row(j - 1, k), own);
+        }
+        if k > 1 {
+            visit(row(j, k - 2), row(j, k - 1), own);
+        }
+    }
+}
+
+/// How often two voxels of one value are followed by one of the next value in the list.
+fn steps<T: Cell>(values: &[T], size: [usize; 3], counted: &[(i64, usize)]) -> usize {
+    let rank =
+        |value: T| value.whole().and_then(|value| counted.binary_search_by_key(&value, |(value, _)| *value).ok());
+    let is_step = |b: T, c: T| rank(b).zip(rank(c)).is_some_and(|(b, c)| b.abs_diff(c) == 1);
+    let of_slice = |k: usize| {
+        let mut count = 0;
+        each_triple(values, size, k, |a, b, c| {
+            let triples = a.iter().zip(b).zip(c).filter(|((a, b), c)| a.same(**b) && !b.same(**c));
+            count += triples.filter(|((_, b), c)| is_step(**b, **c)).count();
+        });
+        count
+    };
+    (0..size[2]).into_par_iter().map(of_slice).sum()
 }
 
 /// Voxels of each value, all of which are whole or NaN.
@@ -299,11 +330,24 @@ mod tests {
             assert_eq!(survey.values, Some(vec![(-3, 6), (7, 12), (1_000_000, 6)]));
             assert_eq!(survey.histogram.counts.iter().sum::<usize>(), 24);
             // along x all four differ from the next, two of three in a row; along y and z nothing changes
-            assert_eq!((survey.jumps, survey.double_jumps), (12, 12));
+            assert_eq!((survey.jumps, survey.double_jumps, survey.steps), (12, 12, 0));
         }
         let narrow = Survey::of(&Voxels::I8(numbers.iter().map(|&n| n.min(9) as i8).collect()), &geometry);
         assert_eq!(narrow.histogram.counts.len(), 13);
         assert_eq!(narrow.histogram.counts[10], 12, "{:?}", narrow.histogram);
+    }
+
+    #[test]
+    fn steps_go_to_the_next_value_that_occurs() {
+        let geometry = Geometry::axis_aligned([7, 1, 1], DVec3::ONE);
+        for (row, steps, share) in [
+            ([0, 0, 62, 62, 125, 125, 125], 2, 1.0),
+            ([0, 0, 125, 125, 62, 62, 62], 1, 0.5),
+            ([0, 0, 62, 125, 125, 62, 0], 2, 1.0),
+        ] {
+            let survey = Survey::of(&Voxels::I16(row.to_vec()), &geometry);
+            assert_eq!((survey.steps, survey.step_share()), (steps, share), "{row:?}");
+        }
     }
 
     #[test]
