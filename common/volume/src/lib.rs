@@ -32,6 +32,7 @@ mod nifti;
 pub mod nrrd;
 mod read;
 mod segments;
+mod units;
 mod volume;
 mod voxel_data;
 mod voxels;

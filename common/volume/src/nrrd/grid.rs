@@ -6,6 +6,7 @@ use crate::error::Result;
 use crate::error::bad;
 use crate::geometry::{Geometry, Space};
 use crate::limit::{geometry_from_steps, voxel_count};
+use crate::units::millimetres;
 use glam::DVec3;
 use std::path::Path;
 
@@ -35,6 +36,8 @@ pub(super) fn grid(path: &Path, header: &Header, is_segmentation: bool) -> Resul
             "give a 3-D volume",
         ));
     }
+    let mut remarks = Vec::new();
+    let to_lps = to_lps * unit_lengths(path, header, axes, vectors.is_some(), &mut remarks)?;
     if let Some(vectors) = vectors {
         let origin = match header.field("space origin") {
             Some(text) => vector(text).and_then(|v| v).ok_or_else(|| field_error(path, "space origin", text))?,
@@ -47,13 +50,73 @@ pub(super) fn grid(path: &Path, header: &Header, is_segmentation: bool) -> Resul
         };
         let steps = [step(axes[0])?, step(axes[1])?, step(axes[2])?];
         let geometry = geometry_from_steps(path, size, steps, origin * to_lps, space)?;
-        return Ok(Grid { geometry, remarks: Vec::new(), layer_axis });
+        return Ok(Grid { geometry, remarks, layer_axis });
     }
-    let mut remarks = Vec::new();
     let (spacing, origin) = plain_spacing(path, header, axes, &mut remarks)?;
     let steps = [DVec3::X * spacing.x, DVec3::Y * spacing.y, DVec3::Z * spacing.z];
     let geometry = geometry_from_steps(path, size, steps.map(|step| step * to_lps), origin * to_lps, space)?;
     Ok(Grid { geometry, remarks, layer_axis })
+}
+
+/// Words that stand for no unit.
+const NO_UNIT: [&str; 6] = ["none", "unknown", "?", "???", "pixel", "voxel"];
+
+/// Millimetres of the unit along each axis of the world: `space units` hold for `space directions`,
+/// `units` for `spacings`, and each for the other where that is missing.
+fn unit_lengths(
+    path: &Path,
+    header: &Header,
+    axes: [usize; 3],
+    has_vectors: bool,
+    remarks: &mut Vec<String>,
+) -> Result<DVec3> {
+    let names = if has_vectors { ["space units", "units"] } else { ["units", "space units"] };
+    let Some((name, text)) = names.iter().find_map(|name| Some((*name, header.field(name)?))) else {
+        return Ok(DVec3::ONE);
+    };
+    let words = quoted_words(text);
+    let places = if name == "units" { axes } else { [0, 1, 2] };
+    let mut lengths = DVec3::ONE;
+    for (axis, place) in places.into_iter().enumerate() {
+        // one word alone holds for all axes
+        let word = words.get(if words.len() == 1 { 0 } else { place }).ok_or_else(|| field_error(path, name, text))?;
+        let lower = word.to_lowercase();
+        match millimetres(word) {
+            Some(length) => lengths[axis] = length,
+            None if word.trim().is_empty() => {}
+            None if NO_UNIT.contains(&lower.trim_end_matches('s')) => {
+                let remark = format!("the header gives lengths in '{word}', which is no unit: they are taken as mm");
+                remarks.extend(Some(remark).filter(|remark| !remarks.contains(remark)));
+            }
+            None => {
+                return Err(bad(
+                    path,
+                    format!("gives lengths in '{word}' ('{name}' in its header)"),
+                    "that is no unit that is known, and every length would be wrong by an unknown factor",
+                    "write mm, cm, m, um, nm or inches there, or delete the field if the lengths are in mm",
+                ));
+            }
+        }
+    }
+    if has_vectors && name == "units" && lengths != DVec3::splat(lengths.x) {
+        return Err(field_error(path, name, text));
+    }
+    Ok(lengths)
+}
+
+/// The words of a field, with or without quotes.
+fn quoted_words(text: &str) -> Vec<&str> {
+    let mut rest = text.trim();
+    let mut words = Vec::new();
+    while !rest.is_empty() {
+        let (word, tail) = match rest.strip_prefix('"') {
+            Some(inner) => inner.split_once('"').unwrap_or((inner, "")),
+            None => rest.split_once(char::is_whitespace).unwrap_or((rest, "")),
+        };
+        words.push(word);
+        rest = tail.trim_start();
+    }
+    words
 }
 
 /// The world's name, the signs that turn it into LPS, and whether its vectors have a fourth component for time.
@@ -206,4 +269,60 @@ fn plain_spacing(path: &Path, header: &Header, axes: [usize; 3], remarks: &mut V
         }
     }
     Ok((spacing, origin))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Spacing and origin of a grid of 2 x 3 x 4 voxels with these lines in its header, and the
+    /// remarks.
+    fn read(lines: &str) -> Result<(DVec3, DVec3, Vec<String>)> {
+        let path = Path::new("test.nrrd");
+        let text = format!("NRRD0004\ntype: uchar\ndimension: 3\nsizes: 2 3 4\nencoding: raw\n{lines}");
+        let header = Header::read(path, &mut text.as_bytes())?;
+        let Grid { geometry, remarks, .. } = grid(path, &header, false)?;
+        Ok((geometry.spacing, geometry.origin, remarks))
+    }
+
+    const VECTORS: &str =
+        "space: RAS\nspace directions: (2000,0,0) (0,2000,0) (0,0,3000)\nspace origin: (1000,0,500)\n";
+
+    #[test]
+    fn units_are_converted_to_millimetres() {
+        let near = |a: DVec3, b: [f64; 3]| a.abs_diff_eq(DVec3::from_array(b), 1e-12);
+        for units in [
+            "space units: \"microns\" \"microns\" \"microns\"",
+            "space units: um um um",
+            "space units: \"\u{b5}m\" \"um\" \"micrometers\"",
+            "units: \"um\" \"um\" \"um\"",
+            "units: \"m\" \"m\" \"m\"\nspace units: \"um\" \"um\" \"um\"",
+        ] {
+            let (spacing, origin, remarks) = read(&format!("{VECTORS}{units}\n")).expect(units);
+            assert!(near(spacing, [2.0, 2.0, 3.0]) && near(origin, [-1.0, 0.0, 0.5]), "{units}: {spacing} {origin}");
+            assert!(remarks.is_empty(), "{remarks:?}");
+        }
+        let plain = "spacings: 0.001 0.001 2\naxis mins: 0.01 0 0\n";
+        let (spacing, origin, _) = read(&format!("{plain}units: \"m\" \"m\" \"mm\"\n")).expect("plain");
+        assert!(near(spacing, [1.0, 1.0, 2.0]) && near(origin, [10.5, 0.5, 1.0]), "{spacing} {origin}");
+        let (spacing, ..) = read("spacings: 0.1 0.1 0.2\nspace dimension: 3\nspace units: cm cm cm\n").expect("cm");
+        assert!(near(spacing, [1.0, 1.0, 2.0]), "{spacing}");
+        assert!(near(read(&format!("{VECTORS}space units: \"\" \"\" \"\"\n")).expect("none").0, [2e3, 2e3, 3e3]));
+    }
+
+    #[test]
+    fn what_is_no_unit_is_told_and_unknown_units_are_refused() {
+        let (spacing, _, remarks) = read("spacings: 1 1 2\nunits: \"pixels\" \"pixels\" \"pixels\"\n").expect("read");
+        assert_eq!(spacing, DVec3::new(1.0, 1.0, 2.0));
+        assert!(remarks.len() == 1 && remarks[0].contains("'pixels'"), "{remarks:?}");
+        for wrong in [
+            "space units: \"furlong\" \"furlong\" \"furlong\"",
+            "space units: s s s",
+            "units: mm mm um",
+            "units: mm mm",
+        ] {
+            let error = read(&format!("{VECTORS}{wrong}\n")).expect_err(wrong);
+            assert!(error.to_string().contains("units") && !error.remedy().is_empty(), "{wrong}: {error}");
+        }
+    }
 }

@@ -1,0 +1,39 @@
+//! Units of length, as the headers of volumes name them.
+
+/// How many mm a unit has; `None` for a word that is no unit of length.
+pub(crate) fn millimetres(name: &str) -> Option<f64> {
+    let name = name.trim().to_lowercase().replace("metre", "meter");
+    // plurals of words, not of symbols: ms are milliseconds
+    let stem = if name.chars().count() > 3 { name.trim_end_matches('s') } else { &name };
+    Some(match stem {
+        "mm" | "millimeter" => 1.0,
+        "cm" | "centimeter" => 10.0,
+        "dm" | "decimeter" => 100.0,
+        "m" | "meter" => 1000.0,
+        // micro is U+00B5 or U+03BC, and neither where a file in Latin-1 is read as UTF-8
+        "um" | "\u{b5}m" | "\u{3bc}m" | "\u{fffd}m" | "micron" | "micrometer" => 1e-3,
+        "nm" | "nanometer" => 1e-6,
+        "in" | "inch" | "inche" => 25.4,
+        _ => return None,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::millimetres;
+
+    #[test]
+    fn lengths_are_known_by_symbol_and_by_word() {
+        for (length, names) in [
+            (1.0, "mm|MM|millimeter|Millimetres"),
+            (10.0, "cm|centimeters"),
+            (1000.0, "m|meter|metres"),
+            (1e-3, "um|\u{b5}m|\u{3bc}m|micron|microns|micrometers|Micrometre"),
+            (1e-6, "nm|nanometers"),
+            (25.4, "in|inch|inches"),
+        ] {
+            names.split('|').for_each(|name| assert_eq!(millimetres(name), Some(length), "{name}"));
+        }
+        assert!(["s", "ms", "", "pixel", "furlong"].iter().all(|name| millimetres(name).is_none()));
+    }
+}
