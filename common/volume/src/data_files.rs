@@ -2,16 +2,20 @@
 
 use crate::error::{Error, Result};
 use crate::voxel_data::DataFiles;
-use crate::{meta_image, nrrd};
+use crate::{meta_image, nifti, nrrd};
 use std::fs::File;
 use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
 
-/// The files that hold the voxels of a detached NRRD or MetaImage header, in order; none for any other file.
+/// The files that hold the voxels of a detached NRRD or MetaImage header, in order, and the other
+/// file of a NIfTI pair; none for any other file.
 ///
 /// # Errors
 /// When the header cannot be read.
 pub fn data_files(path: &Path) -> Result<Vec<PathBuf>> {
+    if let Some(other) = nifti::partner(path) {
+        return Ok(vec![other]);
+    }
     let unreadable = |error: std::io::Error| Error::file(path, "read", error, "check the name of the volume");
     let mut reader = BufReader::new(File::open(path).map_err(unreadable)?);
     let start = reader.fill_buf().map_err(unreadable)?;

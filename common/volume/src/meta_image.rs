@@ -20,6 +20,9 @@ use std::path::Path;
 /// Longest header that is read; a list of 100,000 file names fits.
 const MOST_HEADER_BYTES: u64 = 16 << 20;
 
+/// Most dimensions that are looked at; MetaIO has no more than 10.
+const MOST_DIMENSIONS: usize = 10;
+
 /// Fields that a header may start with: ITK starts with the first one, other programs leave it out.
 const FIRST_FIELDS: [&str; 3] = ["ObjectType", "NDims", "Comment"];
 
@@ -36,11 +39,11 @@ pub(crate) fn read_meta_image(path: &Path) -> Result<Volume> {
     let file = File::open(path).map_err(|error| Error::file(path, "read", error, "check the name of the volume"))?;
     let mut reader = BufReader::new(file);
     let header = Header::read(path, &mut reader)?;
-    let (geometry, remarks) = header.geometry()?;
+    let (geometry, mut remarks) = header.geometry()?;
     let layout = header.layout()?;
     let count = geometry.voxel_count();
     check_memory(path, (count as u64).saturating_mul(layout.scalar.bytes() as u64))?;
-    let voxels = read_voxels(path, &layout, count, reader)?;
+    let voxels = read_voxels(path, &layout, count, reader, &mut remarks)?;
     Ok(Volume { remarks, ..Volume::new(geometry, voxels) })
 }
 
@@ -138,6 +141,15 @@ impl<'a> Header<'a> {
         numbers.filter(|numbers| numbers.len() == count).ok_or_else(|| self.error(name))
     }
 
+    fn no_volume(&self, dimension: usize) -> Error {
+        bad(
+            self.path,
+            format!("has {dimension} dimensions (sizes {})", self.field("DimSize").unwrap_or("unknown")),
+            "a surface is extracted from a volume with three",
+            "write one 3-D volume to a file of its own",
+        )
+    }
+
     fn geometry(&self) -> Result<(Geometry, Vec<String>)> {
         if let Some(kind) = self.field("ObjectType").filter(|kind| !kind.eq_ignore_ascii_case("image")) {
             return Err(bad(
@@ -148,16 +160,15 @@ impl<'a> Header<'a> {
             ));
         }
         let dimension: usize = self.need("NDims")?.parse().map_err(|_| self.error("NDims"))?;
-        if dimension != 3 {
-            return Err(bad(
-                self.path,
-                format!("has {dimension} dimensions (sizes {})", self.field("DimSize").unwrap_or("unknown")),
-                "a surface is extracted from a volume with three",
-                "write one 3-D volume to a file of its own",
-            ));
+        if !(3..=MOST_DIMENSIONS).contains(&dimension) {
+            return Err(self.no_volume(dimension));
         }
-        let size = self.numbers::<usize>("DimSize", 3)?;
-        let size = [size[0], size[1], size[2]];
+        let sizes = self.numbers::<usize>("DimSize", dimension)?;
+        // one volume of a series in time
+        if sizes[3..].iter().any(|&n| n != 1) {
+            return Err(self.no_volume(dimension));
+        }
+        let size = [sizes[0], sizes[1], sizes[2]];
         voxel_count(self.path, size)?;
         if size.contains(&1) {
             return Err(bad(
@@ -169,21 +180,21 @@ impl<'a> Header<'a> {
         }
         let mut remarks = Vec::new();
         let spacing = match self.first_of(&["ElementSpacing", "ElementSize"]) {
-            Some((name, _)) => DVec3::from_slice(&self.numbers::<f64>(name, 3)?),
+            Some((name, _)) => DVec3::from_slice(&self.numbers::<f64>(name, dimension)?),
             None => {
                 remarks.push("the header has no spacing; 1 mm is assumed".to_owned());
                 DVec3::ONE
             }
         };
         let matrix = match self.first_of(&["TransformMatrix", "Rotation", "Orientation"]) {
-            Some((name, _)) => self.numbers::<f64>(name, 9)?,
-            None => vec![1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0],
+            Some((name, _)) => self.numbers::<f64>(name, dimension * dimension)?,
+            None => (0..dimension * dimension).map(|n| f64::from(n % (dimension + 1) == 0)).collect(),
         };
         let origin = match self.first_of(&["Offset", "Position", "Origin"]) {
-            Some((name, _)) => DVec3::from_slice(&self.numbers::<f64>(name, 3)?),
+            Some((name, _)) => DVec3::from_slice(&self.numbers::<f64>(name, dimension)?),
             None => DVec3::ZERO,
         };
-        let steps = [0, 1, 2].map(|axis| DVec3::from_slice(&matrix[3 * axis..3 * axis + 3]) * spacing[axis]);
+        let steps = [0, 1, 2].map(|axis| DVec3::from_slice(&matrix[dimension * axis..]) * spacing[axis]);
         Ok((geometry_from_steps(self.path, size, steps, origin, Space::Lps)?, remarks))
     }
 
@@ -215,6 +226,12 @@ impl<'a> Header<'a> {
         Ok(Layout { scalar, coding, endian, line_skip: 0, byte_skip, files: self.files()? })
     }
 
+    /// The third number of `DimSize`.
+    fn slices(&self) -> Result<usize> {
+        let words = self.field("DimSize").unwrap_or("").split_whitespace();
+        { words }.nth(2).and_then(|word| word.parse().ok()).ok_or_else(|| self.error("DimSize"))
+    }
+
     /// Resolves `ElementDataFile`: `LOCAL`, one name, `LIST [dimension]`, or `pattern first last step`.
     fn files(&self) -> Result<DataFiles> {
         let field = self.need("ElementDataFile")?;
@@ -226,7 +243,7 @@ impl<'a> Header<'a> {
             ["LIST", ..] => return Err(self.error("ElementDataFile")),
             [pattern, numbers @ ..] if pattern.contains('%') && (1..=3).contains(&numbers.len()) => {
                 let numbers: Option<Vec<i64>> = numbers.iter().map(|word| word.parse().ok()).collect();
-                let slices = self.numbers::<i64>("DimSize", 3)?[2];
+                let slices = self.slices()? as i64;
                 let range = match numbers.as_deref() {
                     Some([low]) => low.checked_add(slices - 1).map(|high| (*low, high, 1)),
                     Some([low, high]) => Some((*low, *high, 1)),
@@ -239,7 +256,7 @@ impl<'a> Header<'a> {
             // a single name may hold spaces
             _ => vec![field.to_owned()],
         };
-        let slices = self.numbers::<usize>("DimSize", 3)?[2];
+        let slices = self.slices()?;
         if names.len() == 1 || names.len() == slices {
             return Ok(DataFiles::Named(names));
         }
@@ -303,6 +320,19 @@ mod tests {
         {
             assert!(files(wrong).is_err(), "{wrong}");
         }
+    }
+
+    #[test]
+    fn a_series_of_one_volume_is_a_volume() {
+        let text = "ObjectType = Image\nNDims = 4\nDimSize = 2 3 4 1\nElementSpacing = 1 2 3 9\nOffset = 5 6 7 8\n\
+                    TransformMatrix = 0 1 0 0 -1 0 0 0 0 0 1 0 0 0 0 1\nElementType = MET_SHORT\nElementDataFile = LOCAL\n";
+        let (geometry, remarks) = header(text).and_then(|header| header.geometry()).expect("a volume");
+        assert_eq!((geometry.size, geometry.spacing), ([2, 3, 4], DVec3::new(1.0, 2.0, 3.0)));
+        assert_eq!((geometry.origin, geometry.directions.y_axis), (DVec3::new(5.0, 6.0, 7.0), DVec3::NEG_X));
+        assert!(remarks.is_empty() && header(text).and_then(|header| header.layout()).is_ok());
+        let two = text.replace("2 3 4 1", "2 3 4 2");
+        let error = header(&two).and_then(|header| header.geometry()).expect_err("two volumes");
+        assert!(error.to_string().contains("4 dimensions (sizes 2 3 4 2)"), "{error}");
     }
 
     #[test]

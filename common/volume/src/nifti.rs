@@ -1,4 +1,5 @@
-//! NIfTI-1 volumes (`.nii`, `.nii.gz`), the format of neuroimaging: right, anterior, superior, turned into LPS here.
+//! NIfTI-1 volumes (`.nii`, `.nii.gz`, pairs of `.hdr` and `.img`), the format of neuroimaging:
+//! right, anterior, superior, turned into LPS here.
 //!
 //! The `nifti` crate reads the header; the voxels are read here, so that memory grows with what is really there.
 
@@ -9,16 +10,21 @@ use crate::error::{Error, Result};
 use crate::geometry::{Geometry, Space};
 use crate::limit::{geometry_from_steps, voxel_count};
 use crate::volume::Volume;
+use crate::voxel_data::{Coding, Stream, goes_on_remark};
 use crate::voxels::{Endian, ScalarType, Voxels};
 use glam::{DMat3, DQuat, DVec3};
 use isoparticles_file::limit::check_memory;
 use nifti::NiftiHeader;
 use std::fs::File;
 use std::io::{self, BufRead, BufReader, Read};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 /// Bytes of a NIfTI-1 header.
 const HEADER_BYTES: u64 = 348;
+
+/// Where the voxels of a single file start: behind the header and four bytes that say whether
+/// extensions follow.
+const FIRST_VOXEL: u64 = 352;
 
 /// Whether the first bytes of a file, not compressed, are those of a NIfTI header.
 pub(crate) fn is_nifti(start: &[u8]) -> bool {
@@ -30,19 +36,36 @@ pub(crate) fn is_nifti(start: &[u8]) -> bool {
 pub(crate) fn is_compressed_nifti(path: &Path, start: &[u8]) -> bool {
     let first = || -> io::Result<[u8; 4]> {
         let mut first = [0; 4];
-        flate2::bufread::MultiGzDecoder::new(BufReader::new(File::open(path)?)).read_exact(&mut first)?;
+        open(path)?.read_exact(&mut first)?;
         Ok(first)
     };
     start.starts_with(&[0x1f, 0x8b]) && first().is_ok_and(|first| is_nifti(&first))
 }
 
+/// The file of a pair that is not `path`: the voxels in `.img` of a header in `.hdr`, or the header
+/// of these voxels.
+pub(crate) fn partner(path: &Path) -> Option<PathBuf> {
+    let name = path.file_name()?.to_str()?;
+    let plain = name.strip_suffix(".gz").unwrap_or(name);
+    let (stem, other) = match plain.strip_suffix(".hdr") {
+        Some(stem) => (stem, "img"),
+        None => (plain.strip_suffix(".img")?, "hdr"),
+    };
+    let beside = ["", ".gz"].map(|end| path.with_file_name(format!("{stem}.{other}{end}")));
+    beside.into_iter().find(|path| path.is_file())
+}
+
+/// The bytes of a file, those of gzip decompressed.
+fn open(path: &Path) -> io::Result<Stream<BufReader<File>>> {
+    let mut file = BufReader::with_capacity(1 << 17, File::open(path)?);
+    let is_compressed = file.fill_buf()?.starts_with(&[0x1f, 0x8b]);
+    Ok(Stream::new(file, if is_compressed { Coding::Gzip } else { Coding::Raw }))
+}
+
 /// Reads a NIfTI-1 volume with one number a voxel.
 pub(crate) fn read_nifti(path: &Path) -> Result<Volume> {
     let cannot = |error: io::Error| Error::file(path, "read", error, "copy or download the file again");
-    let mut file = BufReader::with_capacity(1 << 17, File::open(path).map_err(cannot)?);
-    let compressed = file.fill_buf().map_err(cannot)?.starts_with(&[0x1f, 0x8b]);
-    let mut reader: Box<dyn Read> =
-        if compressed { Box::new(flate2::bufread::MultiGzDecoder::new(file)) } else { Box::new(file) };
+    let mut reader = open(path).map_err(cannot)?;
     let mut start = Vec::new();
     Read::take(&mut reader, HEADER_BYTES).read_to_end(&mut start).map_err(cannot)?;
     let header = header(path, &start)?;
@@ -51,36 +74,69 @@ pub(crate) fn read_nifti(path: &Path) -> Result<Volume> {
     let count = geometry.voxel_count();
     check_memory(path, count as u64 * scalar.bytes() as u64)?;
     let endian = if header.endianness == nifti::Endianness::Little { Endian::Little } else { Endian::Big };
-    let skip = f64::from(header.vox_offset) - HEADER_BYTES as f64;
+    let is_pair = header.magic == *PAIR;
+    let (mut offset, voxels_path) =
+        (f64::from(header.vox_offset), if is_pair { voxels_beside(path)? } else { path.into() });
+    if is_pair {
+        reader = open(&voxels_path).map_err(cannot)?;
+    } else if offset < HEADER_BYTES as f64 {
+        remarks.push(format!(
+            "the header has the voxels start at byte {offset}, within itself; they are read from byte {FIRST_VOXEL} on"
+        ));
+        offset = FIRST_VOXEL as f64;
+    }
+    let skip = offset - if is_pair { 0.0 } else { HEADER_BYTES as f64 };
     let read = skip_to_voxels(&mut reader, skip)
-        .and_then(|between| Ok((between, read_voxels(&mut reader, scalar, endian, count)?)));
-    let (between, voxels) = read.map_err(|error| {
+        .and_then(|between| Ok((between, Voxels::read_from(&mut reader, scalar, endian, count)?)))
+        .and_then(|(between, voxels)| Ok((between, voxels, reader.has_more()? || reader.leaves_bytes()?)));
+    let (between, voxels, goes_on) = read.map_err(|error| {
         let next = "copy or download the file again";
         match error.kind() {
             io::ErrorKind::UnexpectedEof | io::ErrorKind::InvalidData => {
                 let promised = format!("its header promises {count} voxels of type {}", scalar.name());
-                bad(path, format!("the data is not as the header says: {error}"), promised, next)
+                bad(&voxels_path, format!("the data is not as the header says: {error}"), promised, next)
             }
             _ => cannot(error),
         }
     })?;
+    if goes_on {
+        remarks.push(goes_on_remark(&voxels_path));
+    }
     let segments = names::names(&between, endian, &mut remarks);
     let voxels = scaled(voxels, header.scl_slope, header.scl_inter, &mut remarks);
     Ok(Volume { segments, remarks, ..Volume::new(geometry, voxels) })
 }
+
+/// What a header of a pair ends with.
+const PAIR: &[u8; 4] = b"ni1\0";
 
 fn header(path: &Path, start: &[u8]) -> Result<NiftiHeader> {
     let next = "convert it to a single NIfTI-1 file (.nii or .nii.gz) or to NRRD";
     if start.len() >= 4 && is_nifti(start) && (start[0] == 0x1c || start[3] == 0x1c) {
         return Err(bad(path, "is a NIfTI-2 file", "NIfTI-1 is read", next));
     }
-    let header = NiftiHeader::from_reader(start).map_err(|error| {
-        bad(path, format!("has no NIfTI-1 header: {error}"), "it is damaged or something else", next)
-    })?;
-    if &header.magic != b"n+1\0" {
-        return Err(bad(path, "has its voxels in another file (.hdr and .img)", "single NIfTI-1 files are read", next));
+    if start.get(344..348).is_some_and(|magic| magic != b"n+1\0" && magic != PAIR) {
+        return Err(bad(
+            path,
+            "is an Analyze 7.5 header, not NIfTI",
+            "it does not say which side is left, and programs differ on that",
+            next,
+        ));
     }
-    Ok(header)
+    NiftiHeader::from_reader(start)
+        .map_err(|error| bad(path, format!("has no NIfTI-1 header: {error}"), "it is damaged or something else", next))
+}
+
+/// The file with the voxels of a header in a file of its own.
+fn voxels_beside(path: &Path) -> Result<PathBuf> {
+    partner(path).ok_or_else(|| {
+        bad(
+            path,
+            "is the header of a NIfTI pair whose voxels are missing",
+            "they are in a file of the same name that ends with .img or .img.gz",
+            "put that file beside it",
+        )
+    })
 }
 
 fn scalar_type(path: &Path, header: &NiftiHeader) -> Result<ScalarType> {
@@ -142,7 +198,11 @@ fn geometry(path: &Path, header: &NiftiHeader) -> Result<(Geometry, Vec<String>)
         3 => 0.001,
         _ => 1.0,
     };
-    let (steps, origin, space) = if header.sform_code > 0 {
+    let has_steps = sform(header).0.determinant().abs() > 0.0;
+    if header.sform_code > 0 && !has_steps {
+        remarks.push("the sform of the header has no directions and is passed over".to_owned());
+    }
+    let (steps, origin, space) = if header.sform_code > 0 && has_steps {
         sform(header)
     } else if header.qform_code > 0 {
         qform(header)
@@ -202,14 +262,6 @@ fn skip_to_voxels(reader: &mut dyn Read, skip: f64) -> io::Result<Vec<u8>> {
     if reader.limit() > 0 { Err(io::ErrorKind::UnexpectedEof.into()) } else { Ok(between) }
 }
 
-fn read_voxels(reader: &mut dyn Read, scalar: ScalarType, endian: Endian, count: usize) -> io::Result<Voxels> {
-    let voxels = Voxels::read_from(reader, scalar, endian, count)?;
-    if reader.read(&mut [0])? > 0 {
-        return Err(io::Error::new(io::ErrorKind::InvalidData, "more data behind the last voxel"));
-    }
-    Ok(voxels)
-}
-
 /// Applies the header's slope and intercept, if they change anything.
 fn scaled(voxels: Voxels, slope: f32, intercept: f32, remarks: &mut Vec<String>) -> Voxels {
     let plain = slope == 0.0 || !slope.is_finite() || !intercept.is_finite() || (slope == 1.0 && intercept == 0.0);
@@ -226,3 +278,6 @@ fn scaled(voxels: Voxels, slope: f32, intercept: f32, remarks: &mut Vec<String>)
         _ => Voxels::F64(voxels.to_f64().into_iter().map(|x| x * slope + intercept).collect()),
     }
 }
+
+#[cfg(test)]
+mod tests;

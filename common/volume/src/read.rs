@@ -43,6 +43,9 @@ pub fn read_volume_with(path: &Path, options: &ReadOptions<'_>) -> Result<Volume
     if path.is_dir() {
         return dicom::read_folder(path, options.series);
     }
+    // the voxels of a pair are read by its header
+    let header = nifti::partner(path).filter(|other| other.to_string_lossy().trim_end_matches(".gz").ends_with(".hdr"));
+    let path = header.as_deref().unwrap_or(path);
     let start = start(path)?;
     let read = match format(path, &start)? {
         Format::Nrrd => nrrd::read_nrrd,

@@ -1,4 +1,7 @@
-//! The voxels behind a text header, as NRRD and MetaImage have them: attached or in one or more data files, in one of six encodings.
+//! The voxels behind a text header, as NRRD and MetaImage have them: attached or in one or more
+//! data files, in one of six encodings.
+
+mod stream;
 
 use crate::error::bad;
 use crate::error::{Error, Result};
@@ -6,6 +9,7 @@ use crate::voxels::{Endian, ScalarType, Voxels};
 use std::fs::File;
 use std::io::{self, BufRead, BufReader, ErrorKind, Read, Seek, SeekFrom};
 use std::path::Path;
+pub(crate) use stream::Stream;
 
 /// How the voxels are put into bytes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -49,13 +53,21 @@ pub(crate) struct Layout {
     pub(crate) coding: Coding,
     pub(crate) endian: Option<Endian>,
     pub(crate) line_skip: u64,
-    /// Bytes before the first voxel; a negative number counts from the end of raw data ([`place_raw`]).
+    /// Bytes before the first voxel, of data that is decoded; a negative number counts from the
+    /// end: -1 for voxels that end with the data, -n for n - 1 bytes behind them.
     pub(crate) byte_skip: i64,
     pub(crate) files: DataFiles,
 }
 
-/// Reads `count` voxels; `attached` stands right after the layout.
-pub(crate) fn read_voxels(path: &Path, layout: &Layout, count: usize, attached: BufReader<File>) -> Result<Voxels> {
+/// Reads `count` voxels; `attached` stands right after the layout. Bytes behind the end of
+/// compressed data are a remark.
+pub(crate) fn read_voxels(
+    path: &Path,
+    layout: &Layout,
+    count: usize,
+    attached: BufReader<File>,
+    remarks: &mut Vec<String>,
+) -> Result<Voxels> {
     if layout.endian.is_none() && layout.scalar.bytes() > 1 && layout.coding != Coding::Text {
         return Err(bad(
             path,
@@ -64,16 +76,16 @@ pub(crate) fn read_voxels(path: &Path, layout: &Layout, count: usize, attached: 
             "add the byte order to the header ('endian: little' or big in NRRD)",
         ));
     }
-    if layout.byte_skip < 0 && layout.coding != Coding::Raw {
+    if layout.byte_skip < 0 && layout.coding == Coding::Text {
         return Err(bad(
             path,
-            format!("skips {} bytes of data that is not raw", layout.byte_skip),
-            "skipping from the end needs a known size",
+            format!("skips {} bytes of text", layout.byte_skip),
+            "numbers in text have no known length to count from the end",
             "correct the header",
         ));
     }
     match &layout.files {
-        DataFiles::Attached => read_part(path, layout, count, attached),
+        DataFiles::Attached => read_part(path, layout, count, attached, remarks),
         DataFiles::Named(names) => {
             let folder = path.parent().unwrap_or(Path::new(""));
             if names.is_empty() || !count.is_multiple_of(names.len()) {
@@ -90,7 +102,7 @@ pub(crate) fn read_voxels(path: &Path, layout: &Layout, count: usize, attached: 
                 let file = File::open(&part_path).map_err(|error| {
                     Error::file(&part_path, "read", error, format!("{} names it: put it in its place", path.display()))
                 })?;
-                let part = read_part(&part_path, layout, count / names.len(), BufReader::new(file))?;
+                let part = read_part(&part_path, layout, count / names.len(), BufReader::new(file), remarks)?;
                 match &mut whole {
                     None => whole = Some(part),
                     Some(whole) => whole.append(part),
@@ -101,37 +113,55 @@ pub(crate) fn read_voxels(path: &Path, layout: &Layout, count: usize, attached: 
     }
 }
 
-/// Reads the voxels of one file from where the reader stands, and checks that nothing follows them.
-fn read_part(path: &Path, layout: &Layout, count: usize, mut reader: BufReader<File>) -> Result<Voxels> {
-    let read = |reader: &mut BufReader<File>| -> io::Result<Voxels> {
-        skip_lines(reader, layout.line_skip)?;
-        let endian = layout.endian.unwrap_or(Endian::Little);
-        let expected = count as u64 * layout.scalar.bytes() as u64;
-        match layout.coding {
-            Coding::Raw => {
-                place_raw(reader, layout.byte_skip, expected)?;
-                Voxels::read_from(reader, layout.scalar, endian, count)
-            }
-            Coding::Gzip => {
-                let mut decoder = flate2::bufread::MultiGzDecoder::new(reader);
-                read_stream(&mut decoder, layout, endian, count)
-            }
-            Coding::Bzip2 => {
-                let mut decoder = bzip2::bufread::MultiBzDecoder::new(reader);
-                read_stream(&mut decoder, layout, endian, count)
-            }
-            Coding::Zlib => {
-                let mut decoder = flate2::bufread::ZlibDecoder::new(reader);
-                read_stream(&mut decoder, layout, endian, count)
-            }
-            Coding::Hex => read_stream(&mut HexReader { inner: reader }, layout, endian, count),
-            Coding::Text => {
-                skip_bytes(reader, layout.byte_skip.unsigned_abs())?;
-                read_text(reader, layout.scalar, count)
-            }
-        }
-    };
-    read(&mut reader).map_err(|error| data_error(path, layout, count, error))
+/// Reads the voxels of one file from where the reader stands.
+fn read_part(
+    path: &Path,
+    layout: &Layout,
+    count: usize,
+    mut reader: BufReader<File>,
+    remarks: &mut Vec<String>,
+) -> Result<Voxels> {
+    let (voxels, goes_on) =
+        read_values(&mut reader, layout, count).map_err(|error| data_error(path, layout, count, error))?;
+    if goes_on {
+        remarks.push(goes_on_remark(path));
+    }
+    Ok(voxels)
+}
+
+/// The remark on a file with more data than its voxels.
+pub(crate) fn goes_on_remark(path: &Path) -> String {
+    format!("{} goes on behind the last voxel; what follows is not read", path.display())
+}
+
+/// The voxels, and whether bytes follow the end of compressed data. More data than voxels is an
+/// error.
+fn read_values(reader: &mut BufReader<File>, layout: &Layout, count: usize) -> io::Result<(Voxels, bool)> {
+    skip_lines(reader, layout.line_skip)?;
+    if layout.coding == Coding::Text {
+        skip_bytes(reader, layout.byte_skip.unsigned_abs())?;
+        return Ok((read_text(reader, layout.scalar, count)?, false));
+    }
+    let start = reader.stream_position()?;
+    let mut skip = layout.byte_skip.unsigned_abs();
+    if layout.byte_skip < 0 {
+        // the length is known once all is decoded
+        let length = io::copy(&mut Stream::new(&mut *reader, layout.coding), &mut io::sink())?;
+        let needed = (count as u64).saturating_mul(layout.scalar.bytes() as u64).saturating_add(skip - 1);
+        skip = length.checked_sub(needed).ok_or_else(|| {
+            io::Error::new(ErrorKind::UnexpectedEof, format!("{length} bytes where {needed} are needed"))
+        })?;
+        reader.seek(SeekFrom::Start(start))?;
+    }
+    let mut stream = Stream::new(&mut *reader, layout.coding);
+    skip_bytes(&mut stream, skip)?;
+    let voxels = Voxels::read_from(&mut stream, layout.scalar, layout.endian.unwrap_or(Endian::Little), count)?;
+    if layout.byte_skip < 0 {
+        io::copy(&mut stream, &mut io::sink())?;
+    } else if stream.has_more()? {
+        return Err(trailing("more data"));
+    }
+    Ok((voxels, stream.leaves_bytes()?))
 }
 
 /// What is wrong with the data, in words.
@@ -151,6 +181,10 @@ fn data_error(path: &Path, layout: &Layout, count: usize, error: io::Error) -> E
     }
 }
 
+fn trailing(what: &str) -> io::Error {
+    io::Error::new(ErrorKind::InvalidData, format!("{what} behind the last voxel"))
+}
+
 fn skip_lines(reader: &mut impl BufRead, lines: u64) -> io::Result<()> {
     for _ in 0..lines {
         if reader.skip_until(b'\n')? == 0 {
@@ -165,77 +199,6 @@ fn skip_bytes(reader: &mut impl Read, bytes: u64) -> io::Result<()> {
         return Ok(());
     }
     Err(io::Error::new(ErrorKind::UnexpectedEof, "it ends within the bytes to skip"))
-}
-
-/// Moves to the first voxel of raw data. The rest of the file must be the voxels and nothing more, except that a negative
-/// skip counts from the end: -1 for voxels that end with the file, -n for n - 1 bytes behind them.
-fn place_raw(reader: &mut BufReader<File>, skip: i64, expected: u64) -> io::Result<()> {
-    let here = reader.stream_position()?;
-    let length = reader.get_ref().metadata()?.len();
-    let short =
-        |found: u64| io::Error::new(ErrorKind::UnexpectedEof, format!("{found} bytes where {expected} are needed"));
-    if skip < 0 {
-        let behind = skip.unsigned_abs() - 1;
-        let from_here = length.saturating_sub(here).saturating_sub(behind);
-        let start = length.checked_sub(behind).and_then(|end| end.checked_sub(expected)).filter(|&start| start >= here);
-        let start = start.ok_or_else(|| short(from_here))?;
-        reader.seek(SeekFrom::Start(start))?;
-        return Ok(());
-    }
-    let found = length.saturating_sub(here).saturating_sub(skip.unsigned_abs());
-    if found < expected {
-        return Err(short(found));
-    }
-    if found > expected {
-        return Err(trailing(&format!("{} bytes", found - expected)));
-    }
-    reader.seek(SeekFrom::Start(here + skip.unsigned_abs()))?;
-    Ok(())
-}
-
-/// Reads a stream to its end: skipped bytes, voxels, nothing else.
-fn read_stream(reader: &mut dyn Read, layout: &Layout, endian: Endian, count: usize) -> io::Result<Voxels> {
-    let mut reader = reader;
-    skip_bytes(&mut reader, layout.byte_skip.unsigned_abs())?;
-    let voxels = Voxels::read_from(reader, layout.scalar, endian, count)?;
-    if reader.read(&mut [0])? > 0 { Err(trailing("more data")) } else { Ok(voxels) }
-}
-
-fn trailing(what: &str) -> io::Error {
-    io::Error::new(ErrorKind::InvalidData, format!("{what} behind the last voxel"))
-}
-
-/// Turns pairs of hexadecimal digits into bytes.
-struct HexReader<R> {
-    inner: R,
-}
-
-impl<R: BufRead> HexReader<R> {
-    /// The next digit, white space left out; `None` at the end.
-    fn digit(&mut self) -> io::Result<Option<u8>> {
-        loop {
-            let Some(&byte) = self.inner.fill_buf()?.first() else { return Ok(None) };
-            self.inner.consume(1);
-            if byte.is_ascii_whitespace() {
-                continue;
-            }
-            let value = char::from(byte).to_digit(16);
-            let value = value.ok_or_else(|| io::Error::new(ErrorKind::InvalidData, "not a hexadecimal digit"))?;
-            return Ok(Some(value as u8));
-        }
-    }
-}
-
-impl<R: BufRead> Read for HexReader<R> {
-    fn read(&mut self, bytes: &mut [u8]) -> io::Result<usize> {
-        for (position, byte) in bytes.iter_mut().enumerate() {
-            let Some(high) = self.digit()? else { return Ok(position) };
-            let low = self.digit()?;
-            let low = low.ok_or_else(|| io::Error::new(ErrorKind::UnexpectedEof, "it ends within a byte"))?;
-            *byte = 16 * high + low;
-        }
-        Ok(bytes.len())
-    }
 }
 
 /// Reads numbers in text, parted by white space or commas.
@@ -300,3 +263,6 @@ pub(crate) fn numbered_names(format: &str, low: i64, high: i64, step: i64) -> Op
     };
     Some((0..=count).map(name).collect())
 }
+
+#[cfg(test)]
+mod tests;

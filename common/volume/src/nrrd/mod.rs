@@ -24,7 +24,7 @@ pub fn read_nrrd(path: &Path) -> Result<Volume> {
     let mut reader = BufReader::new(file);
     let header = header::Header::read(path, &mut reader)?;
     let is_segmentation = segments::is_segmentation(&header);
-    let grid::Grid { geometry, remarks, layer_axis } = grid::grid(path, &header, is_segmentation)?;
+    let grid::Grid { geometry, mut remarks, layer_axis } = grid::grid(path, &header, is_segmentation)?;
     let layers = layer_axis.map_or(1, |axis| header.sizes[axis]);
     let segments = segments::segments(path, &header, layers)?;
     let voxels = geometry.voxel_count();
@@ -40,7 +40,7 @@ pub fn read_nrrd(path: &Path) -> Result<Volume> {
     // parted into layers, the voxels are there twice for a moment
     let copies = if layers > 1 { 2 } else { 1 };
     check_memory(path, (count as u64).saturating_mul(copies * header.layout.scalar.bytes() as u64))?;
-    let all = read_voxels(path, &header.layout, count, reader)?;
+    let all = read_voxels(path, &header.layout, count, reader, &mut remarks)?;
     let Some(axis) = layer_axis else { return Ok(Volume { remarks, segments, ..Volume::new(geometry, all) }) };
     let mut more_layers = all.part(header.sizes[..axis].iter().product(), layers);
     let first = more_layers.remove(0);
