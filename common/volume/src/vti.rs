@@ -64,14 +64,7 @@ pub fn geometry(path: &Path, file: &VtkFile) -> Result<Geometry> {
         samples as usize
     });
     voxel_count(path, size)?;
-    if size.contains(&1) {
-        return Err(bad(
-            path,
-            format!("is a flat image of {} x {} x {} voxels", size[0], size[1], size[2]),
-            "a surface is extracted from a volume with at least two voxels along each axis",
-            "give a 3-D volume",
-        ));
-    }
+    check_not_flat(path, size)?;
     let origin = DVec3::from_slice(&numbers("Origin", &[0.0; 3])?);
     let spacing = DVec3::from_slice(&numbers("Spacing", &[1.0; 3])?);
     let direction = numbers("Direction", &[1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0])?;
@@ -130,30 +123,66 @@ pub fn write_volume(path: &Path, volume: &Volume, history: &History) -> Result<(
     Ok(write_atomically(path, |file| document.write(file))?)
 }
 
-/// Reads an image with one number a voxel as a volume: its active scalars, or its only array; and the layers and names that
-/// [`write_volume`] wrote.
+/// The one array of scalars of a kind of data: the active one, or the only one.
+fn scalars(arrays: Option<&Element>) -> Option<&Element> {
+    let arrays = arrays?;
+    let active = arrays.attribute("Scalars").and_then(|name| arrays.array(name));
+    let mut single = arrays.children.iter().filter(|array| VtkFile::components(array) == 1);
+    let only = single.next().filter(|_| single.next().is_none());
+    active.or(only).filter(|array| VtkFile::components(array) == 1)
+}
+
+/// The grid of the centres of the cells of an image, given that of its points.
+fn cell_centres(path: &Path, points: &Geometry) -> Result<Geometry> {
+    let size = points.size.map(|n| n - 1);
+    let steps = [0, 1, 2].map(|axis| points.directions.col(axis) * points.spacing[axis]);
+    let origin = points.grid_to_world(0.5 * points.spacing);
+    check_not_flat(path, size)?;
+    geometry_from_steps(path, size, steps, origin, points.space)
+}
+
+fn check_not_flat(path: &Path, size: [usize; 3]) -> Result<()> {
+    if !size.contains(&1) {
+        return Ok(());
+    }
+    Err(bad(
+        path,
+        format!("is a flat image of {} x {} x {} voxels", size[0], size[1], size[2]),
+        "a surface is extracted from a volume with at least two voxels along each axis",
+        "give a 3-D volume",
+    ))
+}
+
+/// Reads an image with one number a voxel as a volume: its active scalars, or its only array, on
+/// its points or else on its cells; and the layers and names that [`write_volume`] wrote.
 pub(crate) fn read_vti(path: &Path) -> Result<Volume> {
     let file = VtkFile::open(path)?;
-    let geometry = geometry(path, &file)?;
+    let mut geometry = geometry(path, &file)?;
     let image = file.data_set("ImageData")?;
-    let arrays = file.piece("ImageData")?.child("PointData");
-    let active = arrays.and_then(|arrays| arrays.array(arrays.attribute("Scalars")?));
-    let single: Vec<&Element> =
-        arrays.iter().flat_map(|arrays| &arrays.children).filter(|array| VtkFile::components(array) == 1).collect();
-    let array = active.or(if let [only] = single.as_slice() { Some(*only) } else { None });
-    let array = array.filter(|array| VtkFile::components(array) == 1).ok_or_else(|| {
-        let names: Vec<&str> =
-            arrays.iter().flat_map(|arrays| &arrays.children).filter_map(|array| array.attribute("Name")).collect();
-        bad(
-            path,
-            format!("has no single scalar array on its points (arrays: {})", names.join(", ")),
-            "a surface is extracted from one number a voxel",
-            "save it with one scalar point array, or make that array the active one",
-        )
-    })?;
+    let piece = file.piece("ImageData")?;
+    let (arrays, on_cells) = (piece.child("PointData"), piece.child("CellData"));
+    let mut remarks = Vec::new();
+    let array = match (scalars(arrays), scalars(on_cells)) {
+        (Some(array), _) => array,
+        (None, Some(array)) => {
+            geometry = cell_centres(path, &geometry)?;
+            remarks.push("the values are on the cells of the image: each cell is read as a voxel".to_owned());
+            array
+        }
+        (None, None) => {
+            let all = arrays.iter().chain(&on_cells).flat_map(|arrays| &arrays.children);
+            let names: Vec<&str> = all.filter_map(|array| array.attribute("Name")).collect();
+            return Err(bad(
+                path,
+                format!("has no single scalar array on its points or cells (arrays: {})", names.join(", ")),
+                "a surface is extracted from one number a voxel",
+                "save it with one scalar array, or make that array the active one",
+            ));
+        }
+    };
     let count = geometry.voxel_count();
     let voxels: Voxels = file.numbers(array, count)?;
-    let mut volume = Volume::new(geometry, voxels);
+    let mut volume = Volume { remarks, ..Volume::new(geometry, voxels) };
     if file.text(image, "isoparticles_kind")?.as_deref() == Some(KIND) {
         while let Some(layer) = arrays.and_then(|arrays| arrays.array(&layer_name(volume.layer_count()))) {
             volume.more_layers.push(file.numbers(layer, count)?);
@@ -170,6 +199,43 @@ mod tests {
     use super::*;
     use crate::read::read_volume;
     use crate::segments::LayerLabel;
+
+    #[test]
+    fn values_on_cells_are_voxels_at_their_centres() {
+        let folder = tempfile::tempdir().expect("folder");
+        let path = folder.path().join("v.vti");
+        let write = |extent: &str, arrays: &str| {
+            let text = format!(
+                "<VTKFile type=\"ImageData\" version=\"1.0\" byte_order=\"LittleEndian\"><ImageData \
+                 WholeExtent=\"{extent}\" Origin=\"10 0 0\" Spacing=\"2 1 4\" Direction=\"0 -1 0 1 0 0 0 0 1\"><Piece \
+                 Extent=\"{extent}\">{arrays}</Piece></ImageData></VTKFile>"
+            );
+            std::fs::write(&path, text).expect("written");
+        };
+        let array = |name: &str, values: &str| {
+            format!("<DataArray type=\"UInt8\" Name=\"{name}\" format=\"ascii\">{values}</DataArray>")
+        };
+        let values = "1 2 3 4 5 6 7 8 9 10 11 12";
+        for scalars in ["", " Scalars=\"labels\""] {
+            let cells = format!("<PointData></PointData><CellData{scalars}>{}</CellData>", array("labels", values));
+            write("1 3 0 3 0 2", &cells);
+            let volume = read_volume(&path).expect("read");
+            assert_eq!(volume.voxels, Voxels::U8((1..13).collect()));
+            assert_eq!((volume.geometry.size, volume.geometry.spacing), ([2, 3, 2], DVec3::new(2.0, 1.0, 4.0)));
+            // the first point is one step along x from the origin, which the directions turn to y
+            assert!(volume.geometry.origin.abs_diff_eq(DVec3::new(9.5, 3.0, 2.0), 1e-12), "{}", volume.geometry.origin);
+            assert!(volume.remarks[0].contains("cells"), "{:?}", volume.remarks);
+        }
+        // an array on the points comes first
+        let points =
+            format!("<PointData>{}</PointData><CellData>{}</CellData>", array("p", "1 2 3 4 5 6 7 8"), array("c", "9"));
+        write("0 1 0 1 0 1", &points);
+        assert_eq!(read_volume(&path).expect("points").voxels, Voxels::U8((1..9).collect()));
+        write("0 1 0 2 0 2", &format!("<CellData>{}</CellData>", array("c", "1 2 3 4")));
+        assert!(read_volume(&path).expect_err("flat").to_string().contains("flat image of 1 x 2 x 2"));
+        write("0 1 0 1 0 1", "<PointData></PointData>");
+        assert!(read_volume(&path).expect_err("none").to_string().contains("points or cells"));
+    }
 
     #[test]
     fn a_volume_comes_back_as_it_is() {
