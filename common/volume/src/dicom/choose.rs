@@ -1,26 +1,44 @@
 //! Which series of a folder is meant.
 
-use super::slice::{SeriesName, Slice};
+use super::slice::{Picture, SeriesName, Slice};
 use crate::error::bad;
 use crate::error::{Error, Result};
 use std::collections::BTreeMap;
 use std::path::Path;
 
-/// The slices of the series that `wanted` names by its UID, its number or its description, or those of the only series; and how many other
-/// series there are.
-pub(super) fn choose(folder: &Path, slices: Vec<Slice>, wanted: Option<&str>) -> Result<(Vec<Slice>, usize)> {
-    let mut all: BTreeMap<String, Vec<Slice>> = BTreeMap::new();
-    for slice in slices {
-        all.entry(slice.series.uid.clone()).or_default().push(slice);
+/// The images of a series that are of one kind of DICOM object: what a stack is made of.
+type Group = Vec<Picture>;
+
+/// The slices that are meant, their kind of DICOM object, and remarks on what was passed over.
+/// `wanted` names a series by its UID, its number or its description. Where several are meant, the
+/// only one that is a stack of slices is taken.
+pub(super) fn choose(
+    folder: &Path,
+    pictures: Vec<Picture>,
+    wanted: Option<&str>,
+) -> Result<(Vec<Slice>, String, Vec<String>)> {
+    let mut all: BTreeMap<(String, String), Group> = BTreeMap::new();
+    for picture in pictures {
+        all.entry((picture.series.uid.clone(), picture.class.clone())).or_default().push(picture);
     }
-    let found: Vec<&String> =
-        all.iter().filter(|(_, slices)| is_meant(&slices[0].series, wanted)).map(|(uid, _)| uid).collect();
-    let uid = match found.as_slice() {
-        [uid] => (*uid).clone(),
-        found => return Err(refuse(folder, &all, wanted, found.len())),
+    let groups: Vec<Group> = all.into_values().collect();
+    let meant: Vec<usize> = (0..groups.len()).filter(|&n| is_meant(&groups[n][0].series, wanted)).collect();
+    let stacks: Vec<usize> = meant.iter().copied().filter(|&n| is_stack(&groups[n])).collect();
+    let chosen = match (meant.as_slice(), stacks.as_slice()) {
+        ([one], _) | (_, [one]) => *one,
+        (_, []) => return Err(refuse(folder, &groups, wanted, meant.len())),
+        _ => return Err(refuse(folder, &groups, wanted, stacks.len())),
     };
-    let others = all.len() - 1;
-    Ok((all.remove(&uid).unwrap_or_default(), others))
+    let (mut slices, mut class, mut remarks) = (Vec::new(), String::new(), Vec::new());
+    for (n, group) in groups.into_iter().enumerate() {
+        if n == chosen {
+            class = group[0].class.clone();
+            slices = group.into_iter().map(|picture| picture.slice).collect::<Result<_>>()?;
+        } else {
+            remarks.push(format!("another series in the folder was left out: {}", described(&group)));
+        }
+    }
+    Ok((slices, class, remarks))
 }
 
 fn is_meant(series: &SeriesName, wanted: Option<&str>) -> bool {
@@ -29,8 +47,21 @@ fn is_meant(series: &SeriesName, wanted: Option<&str>) -> bool {
     })
 }
 
-fn refuse(folder: &Path, all: &BTreeMap<String, Vec<Slice>>, wanted: Option<&str>, found: usize) -> Error {
-    if all.is_empty() {
+/// Whether all images are slices, and several.
+fn is_stack(group: &Group) -> bool {
+    group.len() > 1 && group.iter().all(|picture| picture.slice.is_ok())
+}
+
+/// A series in words, with what keeps it from being a stack.
+fn described(group: &Group) -> String {
+    let SeriesName { uid, number, description, modality } = &group[0].series;
+    let why = group.iter().find_map(|picture| picture.slice.as_ref().err());
+    let why = why.map_or_else(String::new, |error| format!(": {error}"));
+    format!("'{description}' ({modality}, number {number}, {} files, UID {uid}){why}", group.len())
+}
+
+fn refuse(folder: &Path, groups: &[Group], wanted: Option<&str>, found: usize) -> Error {
+    if groups.is_empty() {
         return bad(
             folder,
             "has DICOM files, but none with an image",
@@ -38,12 +69,6 @@ fn refuse(folder: &Path, all: &BTreeMap<String, Vec<Slice>>, wanted: Option<&str
             "give the folder that the slices lie in",
         );
     }
-    let listed: Vec<String> = all
-        .values()
-        .map(|slices| {
-            let SeriesName { uid, number, description, modality } = &slices[0].series;
-            format!("'{description}' ({modality}, number {number}, {} slices, UID {uid})", slices.len())
-        })
-        .collect();
+    let listed = groups.iter().map(described).collect();
     Error::Series { path: folder.to_path_buf(), wanted: wanted.map(str::to_owned), matching: found, present: listed }
 }

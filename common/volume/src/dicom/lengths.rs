@@ -1,32 +1,26 @@
 //! Whether the elements of a DICOM file lie within it: dicom-rs 0.10 takes the memory for a value before it reads it, up to 4 GiB. Its own lazy reader finds
 //! the elements here, and no value is read.
 
+use super::source::{self, PREAMBLE, START, Source};
 use dicom_encoding::decode::{Decode, explicit_le::ExplicitVRLittleEndianDecoder};
 use dicom_encoding::transfer_syntax::TransferSyntaxIndex;
 use dicom_object::FileMetaTable;
 use dicom_parser::StatefulDecode;
 use dicom_parser::dataset::{LazyDataToken, lazy_read::LazyDataSetReader};
 use dicom_transfer_syntax_registry::TransferSyntaxRegistry;
-use std::fs::File;
 use std::io::{self, BufReader, Read, Seek, SeekFrom};
 use std::path::Path;
-
-/// Bytes before the letters DICM, and with them.
-const PREAMBLE: u64 = 128;
-const START: u64 = PREAMBLE + 4;
 
 /// Whether all elements can be followed to the end of the file and none promises more bytes than it has.
 ///
 /// # Errors
 /// When the file cannot be read.
 pub(super) fn lie_within(path: &Path) -> io::Result<bool> {
-    let file = File::open(path)?;
-    let end = file.metadata()?.len();
-    let mut reader = BufReader::new(file);
+    let (mut reader, end) = source::open(path)?;
     if !file_group_lies_within(&mut reader, end)? {
         return Ok(false);
     }
-    reader.seek(SeekFrom::Start(PREAMBLE))?;
+    reader.seek(SeekFrom::Start(PREAMBLE as u64))?;
     let Ok(group) = FileMetaTable::from_reader(&mut reader) else { return Ok(true) };
     let Some(syntax) = TransferSyntaxRegistry.get(group.transfer_syntax()) else { return Ok(true) };
     let Ok(mut elements) = LazyDataSetReader::new_with_ts(reader, syntax) else { return Ok(true) };
@@ -49,8 +43,8 @@ pub(super) fn lie_within(path: &Path) -> io::Result<bool> {
 }
 
 /// The same of the file's own group, which is written in one way in all files and says in its first element how long it is.
-fn file_group_lies_within(reader: &mut BufReader<File>, end: u64) -> io::Result<bool> {
-    reader.seek(SeekFrom::Start(START))?;
+fn file_group_lies_within(reader: &mut BufReader<Box<dyn Source>>, end: u64) -> io::Result<bool> {
+    reader.seek(SeekFrom::Start(START as u64))?;
     let decoder = ExplicitVRLittleEndianDecoder::default();
     let mut group_end = None;
     while group_end.is_none_or(|at| reader.stream_position().is_ok_and(|position| position < at)) {

@@ -7,6 +7,7 @@ mod choose;
 mod lengths;
 mod rle;
 mod slice;
+mod source;
 mod stack;
 
 use crate::error::bad;
@@ -14,30 +15,27 @@ use crate::error::{Error, Result};
 use crate::volume::Volume;
 use crate::voxels::Voxels;
 use isoparticles_file::limit::check_memory;
-use slice::{Found, Slice};
+use slice::{Found, Picture};
 use std::io::Read;
 use std::path::{Path, PathBuf};
 
-/// Where a DICOM file says what it is, behind a preamble that may hold anything.
-const MAGIC: std::ops::Range<usize> = 128..132;
-
 /// Whether the first bytes of a file are those of a DICOM file.
 pub(crate) fn is_dicom(start: &[u8]) -> bool {
-    start.get(MAGIC) == Some(b"DICM")
+    source::missing(start).is_some()
 }
 
 /// Reads the series of a folder that `wanted` names, or the only one.
 pub(crate) fn read_folder(folder: &Path, wanted: Option<&str>) -> Result<Volume> {
     let files = dicom_files(folder)?;
-    let (mut slices, mut no_images) = (Vec::new(), Vec::new());
+    let (mut pictures, mut no_images) = (Vec::new(), Vec::new());
     for path in &files {
-        match Slice::read(path)? {
-            Found::Image(slice) => slices.push(*slice),
+        match Picture::read(path)? {
+            Found::Image(picture) => pictures.push(*picture),
             Found::NoImage { path, class } => no_images.push((path, class)),
         }
     }
-    let (series, others) = choose::choose(folder, slices, wanted)?;
-    if let Some((path, _)) = no_images.iter().find(|(_, class)| series.iter().any(|slice| slice.class == *class)) {
+    let (series, own_class, mut remarks) = choose::choose(folder, pictures, wanted)?;
+    if let Some((path, _)) = no_images.iter().find(|(_, class)| *class == own_class) {
         return Err(bad(
             path,
             "is of the kind of the slices, but its header ends before the image",
@@ -52,11 +50,7 @@ pub(crate) fn read_folder(folder: &Path, wanted: Option<&str>) -> Result<Volume>
     for slice in &stack.slices {
         voxels.extend_from_f64(slice.values()?);
     }
-    let mut remarks = Vec::new();
-    if others > 0 {
-        remarks.push(format!("{others} other series in the folder were left out"));
-    }
-    remarks.extend(stack.remark());
+    remarks.extend(stack.remarks());
     Ok(Volume { remarks, ..Volume::new(stack.geometry, voxels) })
 }
 
@@ -96,7 +90,7 @@ fn dicom_files(folder: &Path) -> Result<Vec<PathBuf>> {
 /// Whether a file starts as DICOM files do. A file that cannot be read is none; if a slice is lost by that, the stack has a gap.
 fn is_dicom_file(path: &Path) -> bool {
     let mut start = Vec::new();
-    let read = std::fs::File::open(path).and_then(|file| file.take(MAGIC.end as u64).read_to_end(&mut start));
+    let read = std::fs::File::open(path).and_then(|file| file.take(source::START as u64).read_to_end(&mut start));
     read.is_ok() && is_dicom(&start)
 }
 

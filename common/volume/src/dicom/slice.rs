@@ -1,6 +1,6 @@
 //! One slice: what its header says of its place and its numbers, and its pixels.
 
-use super::{lengths, rle};
+use super::{lengths, rle, source};
 use crate::error::bad;
 use crate::error::{Error, Result};
 use crate::voxels::ScalarType;
@@ -8,18 +8,26 @@ use dicom_dictionary_std::tags;
 use dicom_object::{DefaultDicomObject, OpenFileOptions, Tag};
 use dicom_pixeldata::PixelDecoder;
 use glam::DVec3;
+use std::io::BufReader;
 use std::path::{Path, PathBuf};
 
 /// Transfer syntax of pixels in [`rle`].
 const RLE_LOSSLESS: &str = "1.2.840.10008.1.2.5";
 
-/// The header of a file that holds an image.
-#[derive(Clone, Debug)]
-pub(super) struct Slice {
-    pub(super) path: PathBuf,
+/// A file that holds an image, which may be a slice of a volume.
+#[derive(Debug)]
+pub(super) struct Picture {
     /// What kind of DICOM object it is (SOP class).
     pub(super) class: String,
     pub(super) series: SeriesName,
+    /// The slice, or why it is none.
+    pub(super) slice: Result<Slice>,
+}
+
+/// The header of a file that holds one slice.
+#[derive(Clone, Debug)]
+pub(super) struct Slice {
+    pub(super) path: PathBuf,
     pub(super) columns: usize,
     pub(super) rows: usize,
     /// World vector from a pixel to the next one in its row, mm.
@@ -33,8 +41,8 @@ pub(super) struct Slice {
 
 /// What a DICOM file turned out to be.
 pub(super) enum Found {
-    /// A slice.
-    Image(Box<Slice>),
+    /// An image.
+    Image(Box<Picture>),
     /// A report, a directory, contours; or a slice whose header is cut short.
     NoImage { path: PathBuf, class: String },
 }
@@ -62,7 +70,7 @@ pub(super) struct Pixels {
     intercept: f64,
 }
 
-impl Slice {
+impl Picture {
     /// Reads the header of a DICOM file.
     pub(super) fn read(path: &Path) -> Result<Found> {
         let is_whole = lengths::lie_within(path)
@@ -77,13 +85,25 @@ impl Slice {
         }
         let object = OpenFileOptions::new()
             .read_until(tags::PIXEL_DATA)
-            .open_file(path)
+            .from_reader(opened(path)?)
             .map_err(|error| damaged(path, &error))?;
         let header = Header { path, object: &object };
         let class = object.meta().media_storage_sop_class_uid().trim_end_matches(['\0', ' ']).to_owned();
         let (Some(rows), Some(columns)) = (header.whole(tags::ROWS)?, header.whole(tags::COLUMNS)?) else {
             return Ok(Found::NoImage { path: path.to_path_buf(), class });
         };
+        let series = SeriesName {
+            uid: header.text(tags::SERIES_INSTANCE_UID),
+            number: header.text(tags::SERIES_NUMBER),
+            description: header.text(tags::SERIES_DESCRIPTION),
+            modality: header.text(tags::MODALITY),
+        };
+        Ok(Found::Image(Box::new(Self { class, series, slice: Slice::of(&header, rows, columns) })))
+    }
+}
+
+impl Slice {
+    fn of(header: &Header<'_>, rows: usize, columns: usize) -> Result<Self> {
         header.check_plain()?;
         let orientation = header.numbers::<6>(tags::IMAGE_ORIENTATION_PATIENT, "ImageOrientationPatient")?;
         let position = header.numbers::<3>(tags::IMAGE_POSITION_PATIENT, "ImagePositionPatient")?;
@@ -95,29 +115,21 @@ impl Slice {
         if !is_unit(row) || !is_unit(column) || row.dot(column).abs() > 1e-3 {
             return Err(header.meaningless("ImageOrientationPatient", &format!("{orientation:?}")));
         }
-        let series = SeriesName {
-            uid: header.text(tags::SERIES_INSTANCE_UID),
-            number: header.text(tags::SERIES_NUMBER),
-            description: header.text(tags::SERIES_DESCRIPTION),
-            modality: header.text(tags::MODALITY),
-        };
-        Ok(Found::Image(Box::new(Self {
-            path: path.to_path_buf(),
-            class,
-            series,
+        Ok(Self {
+            path: header.path.to_path_buf(),
             columns,
             rows,
             along_row: row.normalize() * spacing[1],
             along_column: column.normalize() * spacing[0],
             position: DVec3::from_array(position),
             pixels: header.pixels()?,
-        })))
+        })
     }
 
     /// Reads and decodes the pixels, and turns them into values, row by row.
     pub(super) fn values(&self) -> Result<Vec<f64>> {
         let path = &self.path;
-        let object = dicom_object::open_file(path).map_err(|error| damaged(path, &error))?;
+        let object = dicom_object::from_reader(opened(path)?).map_err(|error| damaged(path, &error))?;
         let syntax = object.meta().transfer_syntax().trim_end_matches('\0').to_owned();
         let stored = if syntax == RLE_LOSSLESS {
             let fragments = object.get(tags::PIXEL_DATA).and_then(|element| element.fragments());
@@ -314,6 +326,11 @@ impl Header<'_> {
         let is_signed = self.whole(tags::PIXEL_REPRESENTATION)? == Some(1);
         Ok(Pixels { bytes: allocated / 8, bits: bits as u32, high_bit: high_bit as u32, is_signed, slope, intercept })
     }
+}
+
+fn opened(path: &Path) -> Result<BufReader<Box<dyn source::Source>>> {
+    let opened = source::open(path).map(|(reader, _)| reader);
+    opened.map_err(|error| Error::file(path, "read", error, "copy or export the file again"))
 }
 
 fn damaged(path: &Path, error: &impl std::error::Error) -> Error {

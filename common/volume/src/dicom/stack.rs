@@ -9,9 +9,14 @@ use crate::voxels::ScalarType;
 use glam::DVec3;
 use std::path::Path;
 
-/// How far, as a part of the distance of the slices, a slice may lie from its place in an even stack. Positions in files are often rounded
-/// to a hundredth of a mm, 1 % of a thin slice; a missing slice is off by 50 % and more.
-const LARGEST_SHIFT: f64 = 0.05;
+/// How far, as a part of the distance of the slices, a slice may lie from its place in an even
+/// stack: a tenth of a voxel, as far as the surface of labels keeps from voxel centres. Where one
+/// slice is missing, a slice is off by half and more.
+const LARGEST_SHIFT: f64 = 0.1;
+
+/// Shifts above this part are told: positions rounded to a hundredth of a mm are off by 0.5 % where
+/// slices are 1 mm apart.
+const TOLD_SHIFT: f64 = 0.01;
 
 /// Positions closer than this part of the mean distance are one and the same place.
 const SAME_PLACE: f64 = 0.01;
@@ -23,6 +28,8 @@ const LARGEST_TURN: f64 = 1e-3;
 pub(super) struct Stack {
     pub(super) slices: Vec<Slice>,
     pub(super) geometry: Geometry,
+    /// The largest distance of a slice from its place, as a part of the distance of the slices.
+    shift: f64,
 }
 
 impl Stack {
@@ -45,23 +52,24 @@ impl Stack {
         let normal = first.along_row.cross(first.along_column).normalize_or_zero();
         slices.sort_by(|a, b| a.position.dot(normal).total_cmp(&b.position.dot(normal)));
         let places: Vec<f64> = slices.iter().map(|slice| slice.position.dot(normal)).collect();
-        check_gaps(&slices, &places)?;
+        check_doubles(&slices, &places)?;
         let start = slices[0].position;
         let step = (slices[slices.len() - 1].position - start) / (slices.len() - 1) as f64;
-        for (n, slice) in slices.iter().enumerate() {
-            let shift = slice.position - (start + step * n as f64);
-            if shift.length() > LARGEST_SHIFT * step.length() {
-                return Err(bad(
-                    &slice.path,
-                    format!("lies {:.3} mm beside its place in the stack", shift.length()),
-                    "the voxels of a volume lie on one regular grid",
-                    "resample the series, for example in 3D Slicer, which knows stacks that are not regular",
-                ));
-            }
+        let shift_of = |n: usize| (slices[n].position - (start + step * n as f64)).length() / step.length();
+        let farthest = (0..slices.len()).max_by(|&a, &b| shift_of(a).total_cmp(&shift_of(b))).unwrap_or(0);
+        let shift = shift_of(farthest);
+        if shift > LARGEST_SHIFT {
+            check_gaps(&slices, &places)?;
+            return Err(bad(
+                &slices[farthest].path,
+                format!("lies {:.3} mm beside its place in the stack", shift * step.length()),
+                "the voxels of a volume lie on one regular grid",
+                "resample the series, for example in 3D Slicer, which knows stacks that are not regular",
+            ));
         }
         let steps = [first.along_row, first.along_column, step];
         let geometry = geometry_from_steps(folder, size, steps, start, Space::Lps)?;
-        Ok(Self { slices, geometry })
+        Ok(Self { slices, geometry, shift })
     }
 
     /// How stored pixels become values in the slices.
@@ -69,16 +77,25 @@ impl Stack {
         Pixels::common_type(self.slices.iter().map(|slice| slice.pixels))
     }
 
-    /// What is done to the stored numbers, in words.
-    pub(super) fn remark(&self) -> Option<String> {
+    /// What is done to the stored numbers, and how uneven the stack is, in words.
+    pub(super) fn remarks(&self) -> Vec<String> {
         let first = self.slices[0].pixels;
-        match self.slices.iter().all(|slice| slice.pixels == first) {
+        let uneven = (self.shift > TOLD_SHIFT).then(|| {
+            format!(
+                "the slices are unevenly spaced: up to {:.1} % of their distance beside their places on the even grid that is \
+                 taken, {:.4} mm apart",
+                100.0 * self.shift,
+                self.geometry.spacing.z
+            )
+        });
+        let numbers = match self.slices.iter().all(|slice| slice.pixels == first) {
             true => first.remark(),
             false => Some(
                 "the values are the stored ones times a slope plus an intercept that differ from slice to slice"
                     .to_owned(),
             ),
-        }
+        };
+        uneven.into_iter().chain(numbers).collect()
     }
 }
 
@@ -105,19 +122,29 @@ fn check_alike(first: &Slice, slices: &[Slice]) -> Result<()> {
     Ok(())
 }
 
-/// Fails where a slice is missing or there twice.
-fn check_gaps(slices: &[Slice], places: &[f64]) -> Result<()> {
-    let gaps: Vec<f64> = places.windows(2).map(|pair| pair[1] - pair[0]).collect();
-    let mean = (places[places.len() - 1] - places[0]) / gaps.len() as f64;
-    let name = |n: usize| slices[n].path.file_name().unwrap_or_default().to_string_lossy().into_owned();
-    if let Some(n) = gaps.iter().position(|&gap| gap <= SAME_PLACE * mean) {
+/// The name of a slice's file.
+fn name(slices: &[Slice], n: usize) -> String {
+    slices[n].path.file_name().unwrap_or_default().to_string_lossy().into_owned()
+}
+
+/// Fails where a slice is there twice.
+fn check_doubles(slices: &[Slice], places: &[f64]) -> Result<()> {
+    let mean = (places[places.len() - 1] - places[0]) / (places.len() - 1) as f64;
+    if let Some(n) = places.windows(2).position(|pair| pair[1] - pair[0] <= SAME_PLACE * mean) {
         return Err(bad(
             &slices[n + 1].path,
-            format!("lies in the same place as {}, {:.3} mm along the normal", name(n), places[n]),
+            format!("lies in the same place as {}, {:.3} mm along the normal", name(slices, n), places[n]),
             "the series holds more than one volume (points in time, echoes), or a slice twice",
             "put the slices of one volume into a folder of their own",
         ));
     }
+    Ok(())
+}
+
+/// Names the gap of an uneven stack that differs from the usual one; none where the slices are
+/// shifted sideways.
+fn check_gaps(slices: &[Slice], places: &[f64]) -> Result<()> {
+    let gaps: Vec<f64> = places.windows(2).map(|pair| pair[1] - pair[0]).collect();
     let mut sorted = gaps.clone();
     sorted.sort_by(f64::total_cmp);
     let usual = sorted[(sorted.len() - 1) / 2];
@@ -127,8 +154,8 @@ fn check_gaps(slices: &[Slice], places: &[f64]) -> Result<()> {
     let is_multiple = missing >= 1.0 && (times - times.round()).abs() <= 2.0 * LARGEST_SHIFT;
     let between = format!(
         "between {} and {} ({:.3} and {:.3} mm along the normal)",
-        name(n),
-        name(n + 1),
+        name(slices, n),
+        name(slices, n + 1),
         places[n],
         places[n + 1]
     );

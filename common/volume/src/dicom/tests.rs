@@ -143,17 +143,96 @@ fn one_of_several_series_is_chosen_by_name_number_or_uid() {
     let error = read_volume(folder.path()).expect_err("two series");
     assert!(
         error.to_string().contains("2 series")
-            && error.remedy().contains("'Lung, sharp' (CT, number 8, 3 slices, UID 1.2.9)"),
+            && error.remedy().contains("'Lung, sharp' (CT, number 8, 3 files, UID 1.2.9)"),
         "{error}"
     );
     let choose = |series: &str| read_volume_with(folder.path(), &ReadOptions { series: Some(series) });
     for name in ["lung, SHARP", "8", "1.2.9"] {
         let volume = choose(name).expect(name);
         assert_eq!(volume.geometry.size, [3, 2, 3]);
-        assert!(volume.remarks[0].contains("1 other series"));
+        assert!(volume.remarks[0].contains("left out: '") && volume.remarks.len() == 1, "{:?}", volume.remarks);
     }
     let error = choose("abdomen").expect_err("not there");
     assert!(error.to_string().contains("no series 'abdomen'") && error.remedy().contains("Thorax 1.0"), "{error}");
+}
+
+/// A stack of the CT of [`stack`] and two files beside it: a colour picture and a segmentation of
+/// many frames.
+fn mixed() -> Vec<Elements> {
+    let mut slices = stack();
+    let mut picture = slices[0].clone();
+    texts(&mut picture, VR::UI, &[(tags::SERIES_INSTANCE_UID, "1.2.99")]);
+    texts(&mut picture, VR::LO, &[(tags::SERIES_DESCRIPTION, "screen")]);
+    numbers(&mut picture, &[(tags::SAMPLES_PER_PIXEL, 3)]);
+    picture.remove(&tags::IMAGE_POSITION_PATIENT);
+    let mut frames = slices[0].clone();
+    texts(&mut frames, VR::UI, &[(tags::SERIES_INSTANCE_UID, "1.2.100")]);
+    texts(&mut frames, VR::CS, &[(tags::MODALITY, "SEG")]);
+    texts(&mut frames, VR::IS, &[(tags::NUMBER_OF_FRAMES, "19"), (tags::SERIES_NUMBER, "300")]);
+    slices.extend([picture, frames]);
+    slices
+}
+
+#[test]
+fn what_cannot_be_a_volume_does_not_keep_a_series_from_being_read() {
+    let expected = read_volume(folder_of(&stack()).path()).expect("a volume");
+    let folder = folder_of(&mixed());
+    for series in [None, Some("thorax 1.0"), Some("7"), Some("1.2.3")] {
+        let volume = read_volume_with(folder.path(), &ReadOptions { series }).unwrap_or_else(|error| panic!("{error}"));
+        assert_eq!((&volume.voxels, &volume.geometry), (&expected.voxels, &expected.geometry), "{series:?}");
+        let remarks = volume.remarks.join("; ");
+        assert!(volume.remarks.len() == 2 && remarks.contains("'screen' (CT, number 7"), "{remarks}");
+        assert!(remarks.contains("(SEG, number 300") && remarks.contains("19 frames"), "{remarks}");
+    }
+    let error = read_volume_with(folder.path(), &ReadOptions { series: Some("300") }).expect_err("a segmentation");
+    assert!(error.to_string().contains("holds 19 frames"), "{error}");
+    // a single slice is no stack: a localizer beside the series
+    let mut slices = stack();
+    let mut localizer = slices[0].clone();
+    texts(&mut localizer, VR::UI, &[(tags::SERIES_INSTANCE_UID, "1.2.4")]);
+    slices.push(localizer);
+    assert_eq!(read_volume(folder_of(&slices).path()).expect("a volume").voxels, expected.voxels);
+}
+
+#[test]
+fn files_without_preamble_or_file_group_are_read() {
+    let expected = read_volume(folder_of(&stack()).path()).expect("a volume");
+    // the preamble; the letters DICM as well; the file's own group as well
+    for kept in ["DICM", "group", "data set"] {
+        let folder = folder_of(&stack());
+        for n in 0..3 {
+            let path = folder.path().join(format!("slice{n}.dcm"));
+            let bytes = std::fs::read(&path).expect("bytes");
+            let group_length = u32::from_le_bytes(bytes[140..144].try_into().expect("four"));
+            let from = match kept {
+                "DICM" => 128,
+                "group" => 132,
+                _ => 144 + group_length as usize,
+            };
+            std::fs::write(&path, &bytes[from..]).expect("written");
+        }
+        let volume = read_volume(folder.path()).unwrap_or_else(|error| panic!("{kept}: {error}"));
+        assert_eq!(volume, expected, "{kept}");
+        let error = read_volume(&folder.path().join("slice0.dcm")).expect_err("one file");
+        assert!(matches!(error, Error::NotAVolume { content: crate::error::Content::DicomSlice, .. }), "{error}");
+    }
+}
+
+#[test]
+fn an_uneven_stack_within_a_tenth_of_its_distance_is_read() {
+    let at = |middle: f64| {
+        let mut slices = stack();
+        texts(&mut slices[1], VR::DS, &[(tags::IMAGE_POSITION_PATIENT, &format!("-10\\20\\{middle}"))]);
+        read_volume(folder_of(&slices).path())
+    };
+    for (middle, told) in [(2.5, None), (2.52, None), (2.5325, Some("1.3 %")), (2.7, Some("8.0 %"))] {
+        let volume = at(middle).unwrap_or_else(|error| panic!("{error}"));
+        assert_eq!(volume.geometry.spacing.z, 2.5);
+        let remarks = volume.remarks.join("; ");
+        assert_eq!(remarks.contains("unevenly spaced"), told.is_some(), "{middle}: {remarks}");
+        assert!(told.is_none_or(|told| remarks.contains(told)), "{middle}: {remarks}");
+    }
+    assert!(at(2.8).expect_err("12 %").to_string().contains("unevenly spaced"));
 }
 
 /// A change of a sound stack, and what the error about it says.
@@ -205,7 +284,7 @@ fn a_file_cut_short_anywhere_is_an_error() {
     let path = folder.path().join("slice1.dcm");
     let whole = std::fs::read(&path).expect("bytes");
     // cut before the letters DICM it would be no DICOM file
-    for length in MAGIC.end..whole.len() {
+    for length in source::START..whole.len() {
         std::fs::write(&path, &whole[..length]).expect("cut");
         let error = read_volume(folder.path()).expect_err("cut short");
         assert!(!error.reason().is_empty() && !error.remedy().is_empty(), "cut to {length} bytes: {error}");

@@ -1,0 +1,78 @@
+//! The bytes of a DICOM file, with the start that the standard demands where a program left it out.
+
+use dicom_dictionary_std::uids;
+use std::fs::File;
+use std::io::{self, BufReader, Cursor, Read, Seek, SeekFrom};
+use std::path::Path;
+
+/// Bytes of the preamble, which may hold anything, and with the letters DICM behind it.
+pub(super) const PREAMBLE: usize = 128;
+pub(super) const START: usize = PREAMBLE + 4;
+
+/// Tag of the first element of a file's own group, and of the group that a data set begins with, in
+/// little-endian order.
+const FILE_GROUP: &[u8] = &[2, 0, 0, 0];
+const FIRST_GROUP: &[u8] = &[8, 0];
+
+/// Largest length of a data set's first element: character sets, dates and identifiers take no
+/// more.
+const LARGEST_LENGTH: u8 = 64;
+
+/// What a file lacks before its first byte, given the first bytes that it has; `None` where these
+/// are not those of a DICOM file. A data set without a file's own group is in little-endian order,
+/// its types explicit or not.
+pub(super) fn missing(start: &[u8]) -> Option<Vec<u8>> {
+    let preamble = || vec![0; PREAMBLE];
+    if start.get(PREAMBLE..START) == Some(b"DICM") {
+        return Some(Vec::new());
+    }
+    if start.starts_with(b"DICM") {
+        return Some(preamble());
+    }
+    let whole = [preamble(), b"DICM".to_vec()].concat();
+    if start.starts_with(FILE_GROUP) && start.get(4..6) == Some(b"UL") {
+        return Some(whole);
+    }
+    let begins = start.starts_with(FIRST_GROUP) && start.get(3) == Some(&0);
+    let syntax = match start.get(4..8).filter(|_| begins)? {
+        [a, b, length, 0] if a.is_ascii_uppercase() && b.is_ascii_uppercase() && *length <= LARGEST_LENGTH => {
+            uids::EXPLICIT_VR_LITTLE_ENDIAN
+        }
+        [length, 0, 0, 0] if *length <= LARGEST_LENGTH => uids::IMPLICIT_VR_LITTLE_ENDIAN,
+        _ => return None,
+    };
+    Some([whole, file_group(syntax)].concat())
+}
+
+/// A file's own group that says nothing but the transfer syntax.
+fn file_group(syntax: &str) -> Vec<u8> {
+    let mut name = syntax.as_bytes().to_vec();
+    name.resize(name.len().next_multiple_of(2), 0);
+    let mut element = b"\x02\x00\x10\x00UI".to_vec();
+    element.extend((name.len() as u16).to_le_bytes());
+    element.extend(name);
+    let length = (element.len() as u32).to_le_bytes();
+    [b"\x02\x00\x00\x00UL\x04\x00", &length[..], &element].concat()
+}
+
+/// What dicom-rs reads from.
+pub(super) trait Source: Read + Seek {}
+impl<T: Read + Seek> Source for T {}
+
+/// Opens a file, and says how many bytes there are with what it lacks. Only a file that lacks
+/// something is held in memory.
+pub(super) fn open(path: &Path) -> io::Result<(BufReader<Box<dyn Source>>, u64)> {
+    let mut file = File::open(path)?;
+    let mut start = Vec::new();
+    Read::take(&mut file, START as u64).read_to_end(&mut start)?;
+    file.seek(SeekFrom::Start(0))?;
+    let mut bytes = missing(&start).unwrap_or_default();
+    let end = bytes.len() as u64 + file.metadata()?.len();
+    let source: Box<dyn Source> = if bytes.is_empty() {
+        Box::new(file)
+    } else {
+        file.read_to_end(&mut bytes)?;
+        Box::new(Cursor::new(bytes))
+    };
+    Ok((BufReader::new(source), end))
+}
