@@ -6,7 +6,7 @@
 //! scan of 8 bits has 256, a parcellation may have more. In a scan of few levels values come in
 //! pieces as well, but a piece borders on pieces of the next level.
 
-use super::survey::Survey;
+use super::survey::{Survey, UNCLEAR};
 use serde::Serialize;
 
 /// What the values of a volume mean.
@@ -39,15 +39,9 @@ pub struct Judgement {
     pub reason: String,
 }
 
-/// Shares of changes of value that follow on another change at which these alone do not tell: below
-/// it are label maps, above it scans. The label maps of the shared volumes have at most 0.28
-/// (`brain_parcellation`), the scans at least 0.91 (`thorax_ct_native_u8`); scans in 8 to 64 levels
-/// have 0.30 to 0.83. `double_jumps` over `jumps` of `distfield VOLUME --info --json -`.
-const UNCLEAR: std::ops::Range<f64> = 0.29..0.75;
-
-/// In a scan of few levels, levels that are next to each other in value touch in space: 0.69 and
-/// more of the single changes of scans in 8 to 64 levels are steps from one level to the next, at
-/// most 0.25 of those of label maps with more than 8 labels.
+/// In a scan of few levels, levels that are next to each other in value touch in space: 0.54 and
+/// more of the changes of scans in 8 to 128 levels go to the next value, at most 0.3 of those of
+/// label maps with more than 8 labels. `steps` over `jumps` of `--info --json -`.
 const STEPS_ABOVE: f64 = 0.5;
 
 /// Levels below which steps tell nothing: of three labels two of three pairs are next to each
@@ -94,8 +88,7 @@ pub fn judge(survey: &Survey, named: usize) -> Judgement {
         is(Kind::Scan, is_clear, reason)
     } else if share >= UNCLEAR.start && are_levels && survey.step_share() > STEPS_ABOVE {
         let steps = 100.0 * survey.step_share();
-        let reason =
-            format!("{values} in levels: {steps:.0} % of the single changes along an axis go to the next value");
+        let reason = format!("{values} in levels: {steps:.0} % of the changes along an axis go to the next value");
         is(Kind::Scan, false, reason)
     } else {
         let reason = format!(
