@@ -1,4 +1,4 @@
-"""Where the surface allows no good tetrahedra: found by its triangles, counted, and no failure of the mesh."""
+"""Where the surface allows no good tetrahedra: found by its triangles, listed, and a failure unless accepted."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import pytest
 from complexes import Made, sphere
 from conftest import NEEDS_HXT, Run
 
-from tetmesh_check.checks import Forced, Limits, shape_checks, well_shaped
+from tetmesh_check.checks import Check, Forced, Limits, shape_checks, well_shaped
 from tetmesh_check.forced import INSIDE, OUTSIDE, forced_sides, largest_jacobians
 from tetmesh_check.quality import tetrahedron_quality
 
@@ -113,22 +113,31 @@ def test_no_tetrahedron_on_a_forced_side_is_better_than_the_bound() -> None:
     assert 0.9 * bound < quality.min_dihedral.max() <= bound + 1e-9
 
 
-def test_forced_tetrahedra_are_no_failure_and_others_are() -> None:
+def test_forced_tetrahedra_fail_unless_accepted() -> None:
     points = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.2, 0.2, 0.02], [0.3, 0.3, 1.0]])
     quality = tetrahedron_quality(points, np.array([[0, 1, 2, 3], [0, 1, 2, 4]]))
     only = np.array([True, False])
-    forced, limits = Forced(only, only), Limits(min_dihedral=12.0)
-    assert well_shaped(quality, limits, forced)
-    assert not well_shaped(quality, limits)
-    assert not well_shaped(quality, limits, Forced(~only, ~only))
-    checks = {check.name: check for check in shape_checks(quality, limits, forced)}
-    assert all(check.passed for check in checks.values())
-    assert checks["min_dihedral"].value == pytest.approx(quality.min_dihedral[1])
-    assert "1 tetrahedra (down to" in checks["min_dihedral"].words
-    assert not any(check.passed for check in shape_checks(quality, limits) if check.name != "positive_volumes")
-    # a volume is asked of them, too
+
+    def judged(forced: Forced | None, accept: bool) -> dict[str, Check]:
+        limits = Limits(min_dihedral=12.0, accept_forced=accept)
+        return {check.name: check for check in shape_checks(quality, limits, forced)}
+
+    assert not well_shaped(quality, Limits(min_dihedral=12.0))
+    strict, accepting = (judged(Forced(only, only), accept)["min_dihedral"] for accept in (False, True))
+    assert strict.value == accepting.value == pytest.approx(quality.min_dihedral[0])
+    assert strict.as_dict()["verdict"] == "fail"
+    assert "1 of them forced by triangles" in strict.words
+    assert "SCALE" in strict.words
+    assert "--accept-forced" in strict.words
+    assert accepting.as_dict()["verdict"] == "warning"
+    assert accepting.words.startswith("fit but for 1 accepted tetrahedra: ")
+    # what no triangle forces is not accepted
+    for forced in (None, Forced(~only, ~only)):
+        assert judged(forced, True)["min_dihedral"].as_dict()["verdict"] == "fail"
+    # nor is a tetrahedron without volume
     flat = tetrahedron_quality(np.vstack([points, [0.2, 0.2, 0.0]]), np.array([[0, 1, 2, 5], [0, 1, 2, 4]]))
-    assert not well_shaped(flat, limits, forced)
+    positive = shape_checks(flat, Limits(accept_forced=True), Forced(only, only))[0]
+    assert (positive.name, positive.passed) == ("positive_volumes", False)
 
 
 def flat_tetrahedron_in_a_ball(degrees: float) -> Made:
@@ -144,12 +153,17 @@ def flat_tetrahedron_in_a_ball(degrees: float) -> Made:
 
 
 @NEEDS_HXT
-def test_what_the_surface_forces_is_listed_and_judged_apart(tmp_path: Path, run: Run) -> None:
+def test_what_the_surface_forces_is_listed_and_fails_unless_accepted(tmp_path: Path, run: Run) -> None:
     flat_tetrahedron_in_a_ball(6.0).save(tmp_path / "c.vtp")
-    words = ("c.vtp", "-o", "c.vtu", "--report", "r.json", "--solve", "no")
-    done = run(*words, "--min-dihedral", 6.5, "--min-scaled-jacobian", 0.02)
-    assert done.returncode == 0, done.stderr
+    words = ("c.vtp", "-o", "c.vtu", "--report", "r.json", "--solve", "no", "--force")
+    limits = ("--min-dihedral", 6.5, "--min-scaled-jacobian", 0.02)
+    done = run(*words, *limits)
+    assert done.returncode == 1, done.stderr
     assert "on 2 triangles no tetrahedron can have dihedral angles of 6.5 degrees" in done.stderr
+    assert "1 of them forced by triangles of the surface" in done.stderr
+    done = run(*words, *limits, "--accept-forced")
+    assert done.returncode == 0, done.stderr
+    assert "warning: fit but for 1 accepted tetrahedra: the smallest dihedral angle is 6 degrees" in done.stderr
     results = json.loads((tmp_path / "r.json").read_text())["results"]
     volume, listed = results["volume"], results["volume"]["forced_by_surface"]
     assert [entry["material"] for entry in listed] == ["wedge", "wedge"]
@@ -185,7 +199,8 @@ def test_what_a_triangle_forces_by_its_own_angle_is_listed_and_judged_by_what_it
     material = np.repeat([1, 2], [len(triangles), len(faces)])
     made = Made(np.vstack([points, inner]), np.vstack([triangles, faces]), material, material - 1, ("body", "wedge"))
     made.save(tmp_path / "c.vtp")
-    done = run("c.vtp", "-o", "c.vtu", "--report", "r.json", "--solve", "no")
+    assert run("c.vtp", "-o", "d.vtu", "--solve", "no").returncode == 1
+    done = run("c.vtp", "-o", "c.vtu", "--report", "r.json", "--solve", "no", "--accept-forced")
     assert done.returncode == 0, done.stderr
     assert "an angle so small that no tetrahedron on them has both" in done.stderr
     volume = json.loads((tmp_path / "r.json").read_text())["results"]["volume"]

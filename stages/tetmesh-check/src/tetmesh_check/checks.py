@@ -12,6 +12,16 @@ from tetmesh_check.context import Context
 from tetmesh_check.quality import TetrahedronQuality, Values
 from tetmesh_check.topology import Topology
 
+FIT_BUT_FOR = "fit but for "
+"""Beginning of the warning that names accepted elements; the verdict of the case and its page repeat it."""
+REMEDY = (
+    "a scale (SCALE, or SIZE or VERTICES without SCALE=0) or smaller edges (SIZE, MIN_SIZE, more VERTICES) remove them, "
+    "--accept-forced (ACCEPT_FORCED=yes) accepts them"
+)
+"""What removes elements that the triangles of the surface force below a limit."""
+FORCED_LISTS = "forced_by_surface, forced_by_triangle"
+"""Lists of the report that give the places of forced tetrahedra."""
+
 
 @dataclass(frozen=True)
 class Limits:
@@ -25,6 +35,8 @@ class Limits:
     """Largest difference between the volume of the tetrahedra and that inside the surface, percent."""
     max_distance: float | None = None
     """Largest distance between the boundary of the tetrahedra and the surface, either way, mm; default twice the envelope."""
+    accept_forced: bool = False
+    """Whether tetrahedra below a limit of shape pass where the surface forces them below it."""
 
     def distance(self, envelope: float) -> float:
         """Give the largest distance for an envelope, mm."""
@@ -47,10 +59,17 @@ class Check:
     """What it is compared with."""
     words: str
     """The verdict as a sentence."""
+    accepted: int = 0
+    """Elements beyond the limit that pass because the user accepts them."""
+
+    @property
+    def doubtful(self) -> bool:
+        """Whether it is worth a warning, and no failure."""
+        return self.accepted > 0 if self.passed else not self.required
 
     def as_dict(self) -> dict[str, Any]:
         """Write the check for the report, with ``verdict`` one of pass, warning, fail."""
-        verdict = "pass" if self.passed else "fail" if self.required else "warning"
+        verdict = "warning" if self.doubtful else "pass" if self.passed else "fail"
         return {**asdict(self), "verdict": verdict}
 
 
@@ -77,7 +96,7 @@ class Measurements:
 
 @dataclass(frozen=True)
 class Forced:
-    """Tetrahedra that the surface keeps from a limit of shape, whoever makes them: no failure of theirs."""
+    """Tetrahedra that the surface keeps from a limit of shape, whoever makes them."""
 
     dihedral: NDArray[np.bool_]
     """Which cannot reach the smallest dihedral angle, shape ``(m,)``."""
@@ -104,8 +123,8 @@ def smallest_elsewhere(values: NDArray[np.float64], forced: NDArray[np.bool_]) -
     return float(values.min(where=~forced, initial=np.inf))
 
 
-def well_shaped(quality: TetrahedronQuality, limits: Limits, forced: Forced | None = None) -> bool:
-    """Whether every tetrahedron is positive, and within the limits of shape where the surface allows that.
+def well_shaped(quality: TetrahedronQuality, limits: Limits) -> bool:
+    """Whether every tetrahedron is positive and within the limits of shape.
 
     Parameters
     ----------
@@ -113,14 +132,11 @@ def well_shaped(quality: TetrahedronQuality, limits: Limits, forced: Forced | No
         The measures.
     limits
         What is demanded.
-    forced
-        Which the surface keeps from it; without it none.
     """
-    forced = forced or Forced.none(quality.volume.size)
     return bool(
         quality.volume.min() > 0
-        and smallest_elsewhere(quality.min_dihedral, forced.dihedral) >= limits.min_dihedral
-        and smallest_elsewhere(quality.scaled_jacobian, forced.jacobian) >= limits.min_scaled_jacobian
+        and quality.min_dihedral.min() >= limits.min_dihedral
+        and quality.scaled_jacobian.min() >= limits.min_scaled_jacobian
     )
 
 
@@ -139,20 +155,23 @@ def shape_checks(quality: TetrahedronQuality, limits: Limits, forced: Forced | N
     limits
         What is demanded.
     forced
-        Which the surface keeps from it; without it none. They are counted in the words, and judged by nothing but their volume.
+        Which the surface keeps from it; without it none. They fail, too, unless the limits accept them.
     """
     forced = forced or Forced.none(quality.volume.size)
     not_positive = int((quality.volume <= 0).sum())
 
     def judged(name: str, what: str, values: Values, kept: NDArray[np.bool_], limit: float, unit: str) -> Check:
-        smallest, below = smallest_elsewhere(values, kept), int(((values < limit) & ~kept).sum())
-        beside = ""
-        if kept.any():
-            beside = f" but for {int(kept.sum())} tetrahedra (down to {values[kept].min():.3g}) that the surface forces to be below the limit"
-        words = (
-            f"the smallest {what} is {smallest:.3g}{unit}{beside}; {below} tetrahedra are below the limit of {limit:g}"
-        )
-        return verdict(name, below == 0, smallest, limit, words)
+        below = values < limit
+        count, on_surface = int(below.sum()), int((below & kept).sum())
+        words = f"the smallest {what} is {values.min():.3g}{unit}; {count} tetrahedra are below the limit of {limit:g}"
+        if on_surface:
+            words += f", {on_surface} of them forced by triangles of the surface ({FORCED_LISTS} in the report)"
+        accepted = on_surface if limits.accept_forced else 0
+        if accepted:
+            words = f"{FIT_BUT_FOR}{accepted} accepted tetrahedra: {words}"
+        elif on_surface:
+            words += f": {REMEDY}"
+        return Check(name, count == accepted, True, float(values.min()), limit, words, accepted)
 
     return [
         verdict(
@@ -270,6 +289,6 @@ def conclude(checks: list[Check], quality: TetrahedronQuality, context: Context)
         ("dihedral angle", f"{quality.min_dihedral.min():.1f} to {quality.max_dihedral.max():.1f} degrees"),
     ]
     for check in checks:
-        if not check.passed and not check.required:
+        if check.doubtful:
             context.warn(check.words)
     return [check.words for check in checks if check.required and not check.passed]

@@ -187,6 +187,12 @@ def build_parser() -> argparse.ArgumentParser:
         help="largest distance between boundary and surface, either way, mm (default twice the envelope)",
     )
 
+    checks.add_argument(
+        "--accept-forced",
+        action="store_true",
+        help="many materials: pass tetrahedra below a limit of shape that triangles of the surface force below it; the verdict counts them",
+    )
+
     solve = parser.add_argument_group(
         "Solve",
         "Problems solved on the tetrahedra with linear elements (scikit-fem) and conjugate gradients with multigrid (PyAMG): Poisson's "
@@ -412,7 +418,13 @@ def _arguments(parsed: argparse.Namespace) -> Arguments:
         stop_energy=parsed.stop_energy,
         max_passes=parsed.max_passes,
         max_seconds=parsed.max_seconds,
-        limits=Limits(parsed.min_dihedral, parsed.min_scaled_jacobian, parsed.max_volume_change, parsed.max_distance),
+        limits=Limits(
+            parsed.min_dihedral,
+            parsed.min_scaled_jacobian,
+            parsed.max_volume_change,
+            parsed.max_distance,
+            parsed.accept_forced,
+        ),
         solve=SolveSettings(SolveMode(parsed.solve), parsed.solve_seconds, parsed.compare_seconds),
         forward=ForwardArguments(dict(parsed.conductivity))
         if parsed.source is None

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from tetmesh_check.cavity import Goal
-from tetmesh_check.checks import Check, Forced, Limits, conclude, shape_checks, smallest_elsewhere, verdict
+from tetmesh_check.checks import REMEDY, Check, Forced, Limits, conclude, shape_checks, smallest_elsewhere, verdict
 from tetmesh_check.complex import Complex, check_complex, describe_complex
 from tetmesh_check.conform import NOBODY, outside_of
 from tetmesh_check.context import Context
@@ -81,8 +81,7 @@ def _sides(checked: Complex, limits: Limits, goal: Goal, context: Context) -> tu
         context.warn(
             f"on {len(found.facet)} triangles no tetrahedron can have dihedral angles of {limits.min_dihedral:g} degrees (--min-dihedral), "
             f"since others meet them at less or lie close before them; the sharpest place, {found.bound[sharpest]:.3g} degrees, is in "
-            f"{sides.names[material[sharpest]]} at ({x:.6g}, {y:.6g}, {z:.6g}) mm. That is no failure; the report lists the places "
-            "(forced_by_surface)"
+            f"{sides.names[material[sharpest]]} at ({x:.6g}, {y:.6g}, {z:.6g}) mm. The report lists the places (forced_by_surface); {REMEDY}"
         )
     return found, every
 
@@ -98,8 +97,8 @@ def _needles(checked: Complex, limits: Limits, context: Context) -> tuple[Labels
         context.warn(
             f"{len(found)} triangles have an angle so small that no tetrahedron on them has both dihedral angles of {limits.min_dihedral:g} "
             f"degrees and a scaled Jacobian of {limits.min_scaled_jacobian:g} (--min-dihedral, --min-scaled-jacobian), "
-            f"but {possible[sharpest]:.3g} at most, at ({x:.6g}, {y:.6g}, {z:.6g}) mm. "
-            "That is no failure; the report lists the places (forced_by_triangle)"
+            f"but {possible[sharpest]:.3g} at most, at ({x:.6g}, {y:.6g}, {z:.6g}) mm. The report lists the places (forced_by_triangle); "
+            f"{REMEDY}"
         )
     return found, possible[found]
 

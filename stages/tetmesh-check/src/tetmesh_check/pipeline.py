@@ -135,6 +135,7 @@ class Arguments:
             "min_scaled_jacobian": self.limits.min_scaled_jacobian,
             "max_volume_change": self.limits.max_volume_change,
             "max_distance": self.limits.max_distance,
+            **({"accept_forced": True} if self.limits.accept_forced else {}),
             "solve": self.solve.mode,
             **({} if self.order == 1 else {"order": self.order}),
             **({} if self.forward.source is None else {"forward": asdict(self.forward)}),

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from tetmesh_check.checks import REMEDY
+
 _SHAPE = "raise the smallest edge length (MIN_SIZE), or try the other tetrahedralizer (TETMESH_OPTIONS='--method hxt' or 'ftetwild')"
 _DISTANCE = "narrow the envelope (TETMESH_OPTIONS='--envelope MM'), or keep the surface as it is with '--method hxt'"
 ADVICE: dict[str, str] = {
@@ -48,7 +50,9 @@ def advice_for(name: str, words: str) -> str:
     words
         What is said of it.
     """
+    lowered = words.lower()
+    if "forced by" in lowered:
+        return REMEDY
     if name in ADVICE:
         return ADVICE[name]
-    lowered = words.lower()
     return next((advice for word, advice in _WORDS if word in lowered), "see the stage's report, and docs/tuning.md")

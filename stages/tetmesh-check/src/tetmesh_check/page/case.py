@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from tetmesh_check.checks import FIT_BUT_FOR
 from tetmesh_check.errors import StageError
 
 STAGES = ("distfield", "sizefield", "seed", "particles", "reconstruct", "tetmesh-check")
@@ -131,6 +132,11 @@ class Case:
         return [(stage.name, words) for stage in self.stages for words in stage.warnings]
 
     @property
+    def accepted(self) -> list[str]:
+        """Elements beyond a limit that the user accepts, such as ``3 accepted tetrahedra: why``."""
+        return [words.removeprefix(FIT_BUT_FOR) for _, words in self.warnings if words.startswith(FIT_BUT_FOR)]
+
+    @property
     def failures(self) -> list[tuple[str, str]]:
         """Stage and words of every check that failed."""
         return [(stage.name, words) for stage in self.stages for words in stage.failed_checks]
@@ -166,6 +172,8 @@ class Case:
             tail = f", {warned}" if self.warnings else ""
             return f"{'Not fit for simulation' if whole else 'Not as it should be'}: {words}{tail}"
         fit = "Fit for simulation" if whole else f"Made as far as {self.goal}"
+        if self.accepted:
+            return f"{fit}, but for {' and '.join(self.accepted)}; {warned}"
         if self.warnings:
             return f"{fit}, {warned}"
         return f"{fit}: all {len(self.checks)} checks passed" if self.checks else f"{fit}: nothing to warn of"

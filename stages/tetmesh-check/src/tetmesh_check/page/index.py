@@ -95,6 +95,8 @@ def _tag(case: Case) -> str:
     words = _TAGS.get(case.verdict, "no mesh")
     if case.goal not in ("mesh", STAGES[-1]):
         words = {"fit": "made", "not fit": "not as it should be", "no mesh": "not made"}.get(words, words)
+    if case.accepted:
+        words += " but for accepted elements"
     if case.verdict in ("passed", "warning") and case.warnings:
         words += f", {count_of(len(case.warnings), 'warning')}"
     if case.verdict == "error" and case.broken:

@@ -133,7 +133,7 @@ def _flat(case: Case) -> str:
         parts.append(
             f"<p>On {number(len(rows))} sides of triangles no tetrahedron can reach the limit{words}, whoever makes it, since other "
             f"triangles meet them at less or lie close before them, as where a thin layer ends. The smallest angle that came out "
-            f"is of {number(smallest)} degrees. That is no failure of the tetrahedra.</p>"
+            f"is of {number(smallest)} degrees.</p>"
             f"{_long_table(head, rows, 'places')}"
         )
     rows = _forced_rows(case, "forced_by_triangle", "possible_scaled_jacobian")
@@ -141,7 +141,7 @@ def _flat(case: Case) -> str:
         head = ("material", "place, mm", "possible scaled Jacobian", "smallest dihedral angle", "scaled Jacobian")
         parts.append(
             f"<p>{number(len(rows))} tetrahedra stand on triangles of so small an angle that none can have both the dihedral angles and the "
-            f"scaled Jacobian that are asked for, whoever makes it. That is no failure of the tetrahedra.</p>"
+            f"scaled Jacobian that are asked for, whoever makes it.</p>"
             f"{_long_table(head, rows, 'needles')}"
         )
     return f"<h3>Flat tetrahedra</h3>{''.join(parts)}" if parts else ""
