@@ -62,6 +62,8 @@ pub struct Options {
     pub open_border: bool,
     /// Smallest radius ratio that passes; `None`: any.
     pub min_radius_ratio: Option<f64>,
+    /// Whether triangles below it pass where junction curves force them below it.
+    pub accept_forced: bool,
     /// Farthest from F = 0 that a vertex may lie, voxels (geometric mean spacing).
     pub max_vertex_distance: f64,
 }
@@ -78,6 +80,7 @@ impl Default for Options {
             keeps_voxels: false,
             open_border: false,
             min_radius_ratio: Some(MIN_RADIUS_RATIO),
+            accept_forced: false,
             max_vertex_distance: 1e-4,
         }
     }

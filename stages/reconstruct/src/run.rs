@@ -80,6 +80,9 @@ pub struct Args {
     /// Smallest radius ratio that passes, 0 to 1 [default: 0.3 with a distance field; without it any passes]
     #[arg(long, value_name = "RATIO", value_parser = share, help_heading = CHECKS)]
     pub min_radius_ratio: Option<f64>,
+    /// Many materials: pass triangles below --min-radius-ratio that junction curves force below it; the verdict counts them
+    #[arg(long, help_heading = CHECKS)]
+    pub accept_forced: bool,
     /// Farthest from F = 0 that a vertex may lie, voxels (geometric mean spacing), above 0
     #[arg(long, value_name = "VOXELS", default_value_t = 1e-4, value_parser = positive, help_heading = CHECKS)]
     pub max_vertex_distance: f64,
@@ -105,6 +108,7 @@ impl Args {
             relaxation_sweeps: usize::from(self.relaxation_sweeps),
             improve_rounds: usize::from(self.improve_rounds),
             min_radius_ratio: self.radius_ratio_bar(),
+            accept_forced: self.accept_forced,
             max_vertex_distance: self.max_vertex_distance,
             ..Options::default()
         }
@@ -140,7 +144,7 @@ impl StageArgs for Args {
         json!({
             "method": method, "max_deviation": self.max_deviation, "max_rounds": self.max_rounds,
             "improve_below": self.improve_below, "relaxation_sweeps": self.relaxation_sweeps, "improve_rounds": self.improve_rounds,
-            "min_radius_ratio": self.radius_ratio_bar(), "max_vertex_distance": self.max_vertex_distance,
+            "min_radius_ratio": self.radius_ratio_bar(), "accept_forced": self.accept_forced, "max_vertex_distance": self.max_vertex_distance,
         })
     }
 

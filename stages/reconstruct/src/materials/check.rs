@@ -20,6 +20,10 @@ use rayon::prelude::*;
 use serde::Serialize;
 use std::collections::BTreeMap;
 
+/// What removes triangles that the junction curves force below the demanded radius ratio.
+const REMEDY: &str = "a scale (SCALE, or SIZE or VERTICES without SCALE=0) or smaller edges (SIZE, MIN_SIZE, more VERTICES) remove them, \
+                      --accept-forced (ACCEPT_FORCED=yes) accepts them";
+
 /// What a complex is compared with, and the bars it must reach.
 pub struct CheckOptions<'a> {
     /// The indicators, in the mesh's frame (the grid frame).
@@ -32,6 +36,8 @@ pub struct CheckOptions<'a> {
     pub keeps_nodes: bool,
     /// Smallest radius ratio allowed.
     pub min_radius_ratio: Option<f64>,
+    /// Whether triangles below it pass where the junction curves force them below it.
+    pub accept_forced: bool,
     /// Farthest that a vertex may lie from each of its sheets, voxels. One at which more than four materials meet, which hardly any data let meet in a point, may lie
     /// [`COINCIDENT`] off, and one through which a curve passes that is one with another, `ONE_CURVE`.
     pub max_vertex_distance: f64,
@@ -81,8 +87,10 @@ pub struct Offenders {
     pub zero_area: Vec<u32>,
     /// Crossing pairs of triangles.
     pub crossing: Vec<[u32; 2]>,
-    /// Triangles below the demanded radius ratio.
+    /// Triangles below the demanded radius ratio, without those that the junction curves force.
     pub poor: Vec<u32>,
+    /// Triangles below the demanded radius ratio that the junction curves force; none where these are accepted.
+    pub forced: Vec<u32>,
     /// Vertices too far from a sheet of theirs.
     pub distant: Vec<u32>,
     /// Grid nodes, by their numbers, in another material.
@@ -138,7 +146,7 @@ pub struct ComplexReport {
     pub centroid_distance: DistanceSummary,
     /// Shapes of all triangles.
     pub quality: QualitySummary,
-    /// Triangles below the demanded radius ratio that the junction curves force, which is no failure.
+    /// Triangles below the demanded radius ratio that the junction curves force, the worst first.
     pub poor_between_curves: Vec<ForcedTriangle>,
     /// The smallest radius ratio of the others.
     pub smallest_elsewhere: f64,
@@ -151,6 +159,18 @@ pub struct ComplexReport {
     pub offenders: Offenders,
     /// The checks that failed, in words.
     pub failed: Vec<String>,
+}
+
+impl ComplexReport {
+    /// The triangles that the junction curves force below the demanded radius ratio, in words, with the place of the worst.
+    pub fn forced(&self) -> Option<String> {
+        let worst = self.poor_between_curves.first()?;
+        let (count, ratio, [x, y, z]) = (self.poor_between_curves.len(), worst.radius_ratio, worst.place);
+        Some(format!(
+            "{count} poor triangles forced by the junction curves, which meet there at small angles, turn within h, or are far shorter than \
+             h (smallest radius ratio {ratio:.4} at {x:.6} {y:.6} {z:.6} mm; `poor_between_curves` in the report lists them)"
+        ))
+    }
 }
 
 /// Checks interfaces against everything in `options`.
@@ -192,8 +212,12 @@ pub fn check(interfaces: &Interfaces, options: &CheckOptions) -> ComplexReport {
             ForcedTriangle { place: place.to_array(), radius_ratio: ratios[t as usize] }
         };
         report.poor_between_curves = between_curves.iter().map(told).collect();
+        report.poor_between_curves.sort_by(|a, b| a.radius_ratio.total_cmp(&b.radius_ratio));
         let left = (0..ratios.len()).filter(|&t| between_curves.binary_search(&(t as u32)).is_err());
         report.smallest_elsewhere = left.map(|t| ratios[t]).fold(1.0, f64::min);
+        if !options.accept_forced {
+            offenders.forced = between_curves;
+        }
     }
     report.bad_edges = offenders.edges.len();
     report.spurious_junction_edges = offenders.spurious.len();
@@ -371,6 +395,11 @@ fn failed(report: &ComplexReport, offenders: &Offenders, options: &CheckOptions)
     {
         let (count, smallest) = (offenders.poor.len(), report.smallest_elsewhere);
         failed.push(format!("{count} triangles with a radius ratio below {limit} (smallest {smallest:.4})"));
+    }
+    if !options.accept_forced
+        && let Some(forced) = report.forced()
+    {
+        failed.push(format!("{forced}: {REMEDY}"));
     }
     if !offenders.distant.is_empty() {
         let (count, limit, farthest) =

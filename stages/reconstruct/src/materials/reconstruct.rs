@@ -98,6 +98,7 @@ pub fn reconstruct(
         nodes: &nodes,
         keeps_nodes: options.keeps_voxels,
         min_radius_ratio: options.min_radius_ratio,
+        accept_forced: options.accept_forced,
         max_vertex_distance: options.max_vertex_distance,
     };
     let checked = check(&interfaces, &how);

@@ -9,7 +9,7 @@ use crate::run::{Args, check_offenders, read_sizing, write};
 use isoparticles_field::materials::{Material, MaterialId};
 use isoparticles_mesh::quality::radius_ratios;
 use isoparticles_mesh::surface::{DataArray, Simplices, Surface, write_surface};
-use isoparticles_stage::cli::{Context, Outcome, particles_bytes};
+use isoparticles_stage::cli::{Context, FIT_BUT_FOR, Outcome, particles_bytes};
 use isoparticles_stage::error::{Error, Result};
 use isoparticles_stage::field_file::check_same_grid;
 use isoparticles_stage::materials_file::read_materials;
@@ -109,6 +109,11 @@ pub fn run(args: &Args, path: &Path, context: &Context) -> Result<Outcome> {
         write_each(folder, args, &made, table, &geometry, context)?;
     }
     let failed = made.checked.failed.clone();
+    if failed.is_empty()
+        && let Some(forced) = made.checked.forced()
+    {
+        context.warn(format!("{FIT_BUT_FOR}{} accepted triangles: {forced}", made.checked.poor_between_curves.len()));
+    }
     write(args, context, &surface, &meta, offending(&made, &geometry), failed)
 }
 
@@ -189,7 +194,8 @@ fn file_name(name: &str, id: MaterialId, taken: &mut BTreeSet<String>) -> String
 }
 
 /// What is behind the failed checks of a complex: 1 edge in the wrong number of triangles, 2 junction edge on no curve, 3 edge at which a material is not closed, 4
-/// pinched vertex, 5 distant vertex, 6 grid node in another material, 8 no area, 9 crossing, 10 poor shape, 12 missing segment.
+/// pinched vertex, 5 distant vertex, 6 grid node in another material, 8 no area, 9 crossing, 10 poor shape, 12 missing segment, 13
+/// poor shape forced by junction curves.
 fn offending(made: &Reconstruction, geometry: &Geometry) -> Option<Simplices> {
     let found = &made.checked.offenders;
     let mut offending = Offending::new(&made.interfaces.mesh, geometry);
@@ -204,6 +210,7 @@ fn offending(made: &Reconstruction, geometry: &Geometry) -> Option<Simplices> {
     offending.triangles(&found.zero_area, 8);
     offending.crossing(&found.crossing, 9);
     offending.triangles(&found.poor, 10);
+    offending.triangles(&found.forced, 13);
     offending.simplices()
 }
 
@@ -262,13 +269,6 @@ fn describe(checked: &ComplexReport, context: &Context) {
         format!("mean {:.4}, smallest {:.4}", quality.radius_ratio_mean, quality.radius_ratio_min),
     );
     context.summary("angles, degrees", format!("{:.1} to {:.1}", quality.angle_min, quality.angle_max));
-    if !checked.poor_between_curves.is_empty() {
-        let (count, smallest) = (checked.poor_between_curves.len(), checked.smallest_elsewhere);
-        context.warn(format!(
-            "{count} poor triangles are forced by the junction curves, which meet there at small angles, turn within h, or are far shorter than h: they stay as they \
-             are, and the report lists them (`poor_between_curves`); the smallest radius ratio elsewhere is {smallest:.4}"
-        ));
-    }
     context.summary(
         "distance from the sheets, voxels",
         format!(

@@ -1,6 +1,6 @@
 //! Complexes of shapes that are known, against the truth.
 
-use super::check::{CheckOptions, check};
+use super::check::{CheckOptions, ComplexReport, check};
 use super::complex::Complex;
 use super::interfaces::Interfaces;
 use super::nodes::Nodes;
@@ -415,6 +415,7 @@ fn each_check_finds_what_is_damaged() {
         nodes: &nodes,
         keeps_nodes: true,
         min_radius_ratio: Some(0.3),
+        accept_forced: false,
         max_vertex_distance: 1e-4,
     };
     let failed = |damage: &dyn Fn(&mut Interfaces)| {
@@ -467,5 +468,37 @@ fn each_check_finds_what_is_damaged() {
     for (what, damage) in damages {
         let found = failed(damage);
         assert!(found.contains(what), "{what}: {found}");
+    }
+}
+
+#[test]
+fn triangles_forced_by_curves_fail_unless_accepted() {
+    let scene = scenes::sectors();
+    let made = made(&scene, &scene.analytic, 3.0, true);
+    let nodes = Nodes::new(&scene.geometry(1.0), &scene.analytic);
+    let table = scene.table();
+    let checked = |accept_forced: bool| {
+        let options = CheckOptions {
+            indicators: &scene.analytic,
+            table: &table,
+            nodes: &nodes,
+            keeps_nodes: true,
+            min_radius_ratio: Some(1.0),
+            accept_forced,
+            max_vertex_distance: 1e-4,
+        };
+        check(&made.interfaces, &options)
+    };
+    let [strict, accepting] = [false, true].map(checked);
+    let count = strict.poor_between_curves.len();
+    assert!(count > 0 && strict.poor_between_curves.is_sorted_by_key(|t| t.radius_ratio));
+    assert_eq!((strict.offenders.forced.len(), accepting.offenders.forced.len()), (count, 0));
+    let said = format!("{count} poor triangles forced by the junction curves");
+    let told = |report: &ComplexReport| report.failed.iter().filter(|text| text.contains(&said)).count();
+    assert_eq!((told(&strict), told(&accepting)), (1, 0), "{:?}", strict.failed);
+    let words = strict.failed.iter().find(|text| text.contains(&said)).expect("counted");
+    let [x, y, z] = strict.poor_between_curves[0].place;
+    for part in [&format!("{x:.6} {y:.6} {z:.6} mm"), "SCALE", "--accept-forced"] {
+        assert!(words.contains(part), "{words}");
     }
 }
