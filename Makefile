@@ -33,7 +33,7 @@ THREADS ?=
 # What a case may set (pipelines/case/src/keys.rs says what each is). The command line comes before the case's file; the
 # environment has no say, because names as plain as NAME or SIZE may mean something else there.
 KEYS := NAME INPUT PHANTOM SERIES ISO LABELS MATERIALS INSIDE BORDER SCALE EPSILON DELTA SIZE MIN_SIZE MAX_SIZE VERTICES QUALITY COUNT SEED \
-        BACKEND TET_ORDER MAX_MEMORY DISTFIELD_OPTIONS SIZEFIELD_OPTIONS PARTICLES_OPTIONS RECONSTRUCT_OPTIONS TETMESH_OPTIONS
+        BACKEND TET_ORDER ACCEPT_FORCED MAX_MEMORY DISTFIELD_OPTIONS SIZEFIELD_OPTIONS PARTICLES_OPTIONS RECONSTRUCT_OPTIONS TETMESH_OPTIONS
 $(foreach key,$(KEYS) CASE CASES,$(if $(filter environment,$(origin $(key))),$(eval undefine $(key))))
 # What this file knows besides.
 OTHERS := CASE CASES LIST TIME_LIMIT PROFILE CLUSTER_OPTIONS SNAKEMAKE SNAKEMAKE_VENV BIN NO_BUILD CARGO CARGO_TARGET_DIR VENV TETMESH_CHECK HXT DATA OUT VERBOSITY THREADS PARTS GOAL SIZES \
@@ -142,6 +142,7 @@ Parameters of a case, with the stages' defaults where left out; they come before
   SERIES=...    of a folder of DICOM files, where it holds several
   THREADS=...   CPU threads [all]                        MAX_MEMORY=.. the most a stage may ask for
   TET_ORDER=2   quadratic tetrahedra beside the linear ones, their mid-edge nodes on the surface
+  ACCEPT_FORCED=yes  pass elements that the surface of many materials forces below a limit; the verdict counts them
   HXT=no        without Gmsh: large surfaces take hours
 Results: OUT/NAME/NAME.{distfield.vti,sizefield.vti,seeds.bin,particles.bin,surface.vtp,volume.vtu,report.json,report.html},
 the truth about them in NAME.status.json and, for several cases, OUT/index.html and OUT/index.csv

@@ -37,7 +37,7 @@ const fn key(name: &'static str, form: Form, what: &'static str) -> Key {
 }
 
 /// All keys, in the order in which they are told.
-pub const KEYS: [Key; 32] = [
+pub const KEYS: [Key; 33] = [
     key("CASE", Form::Text, "a file of pipelines/"),
     key("NAME", Form::Text, "the name of the results"),
     key("INPUT", Form::Text, "the volume to mesh"),
@@ -63,6 +63,11 @@ pub const KEYS: [Key; 32] = [
         "TET_ORDER",
         Form::OneOf(&["1", "2"]),
         "the order of the tetrahedra; 2: with nodes amid the edges, those of the surface on it",
+    ),
+    key(
+        "ACCEPT_FORCED",
+        Form::OneOf(&["yes", "no"]),
+        "whether elements that the surface forces below a limit pass; the verdict counts them",
     ),
     key("MAX_MEMORY", Form::Text, "the most memory that a stage may ask for, such as 8G"),
     key("DISTFIELD_OPTIONS", Form::Words, "more options of distfield"),

@@ -240,6 +240,9 @@ fn options(stage: &str, settings: &Settings) -> Vec<String> {
     if stage == "distfield" {
         words.extend(materials(settings.get("MATERIALS").unwrap_or_default()));
     }
+    if ["reconstruct", "tetmesh-check"].contains(&stage) && settings.get("ACCEPT_FORCED") == Some("yes") {
+        words.push("--accept-forced".to_owned());
+    }
     words.extend(more);
     words
 }
@@ -327,6 +330,18 @@ mod tests {
         let options = options("tetmesh-check", &settings);
         let (words, _) = arguments("tetmesh-check", &folder, &Volume::Phantom, options, &settings);
         words.iter().map(|word| word.to_string_lossy().into_owned()).collect::<Vec<_>>().join(" ")
+    }
+
+    #[test]
+    fn accept_forced_reaches_both_stages_with_limits() {
+        let settings = |word: &str| Settings::read(&[word.to_owned()], &[], None, &[]).expect("fit together");
+        let accepting = |word: &str| {
+            let settings = settings(word);
+            let accepts = |stage: &&str| options(stage, &settings).contains(&"--accept-forced".to_owned());
+            STAGES.iter().map(|belongings| belongings.stage).filter(accepts).collect::<Vec<_>>()
+        };
+        assert_eq!(accepting("ACCEPT_FORCED=yes"), ["reconstruct", "tetmesh-check"]);
+        assert!(accepting("ACCEPT_FORCED=no").is_empty());
     }
 
     #[test]

@@ -2,6 +2,7 @@
 
 use crate::folder::CaseFolder;
 use crate::status::{Stage, State, Status, Verdict};
+use isoparticles_stage::cli::FIT_BUT_FOR;
 use std::fmt::Write;
 
 /// The verdict over the stages of a status, and the same in one sentence.
@@ -33,7 +34,12 @@ pub fn of(status: &Status) -> (Verdict, String) {
         "particles" => "The particles are settled",
         _ => "The volume is made",
     };
-    match stages.iter().map(|stage| stage.warnings.len()).sum() {
+    let warnings = || stages.iter().flat_map(|stage| &stage.warnings);
+    let accepted: Vec<&str> = warnings().filter_map(|words| words.strip_prefix(FIT_BUT_FOR)).collect();
+    if !accepted.is_empty() {
+        return (Verdict::Warning, format!("{result}; {FIT_BUT_FOR}{}.", accepted.join(" and ")));
+    }
+    match warnings().count() {
         0 => (Verdict::Passed, format!("{result}; every check passed.")),
         1 => (Verdict::Warning, format!("{result}; every check passed, with a warning.")),
         count => (Verdict::Warning, format!("{result}; every check passed, with {count} warnings.")),
@@ -105,5 +111,35 @@ pub fn exit_code(status: &Status) -> u8 {
             if gpu { 3 } else { 2 }
         }
         Verdict::Interrupted | Verdict::Running => 130,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::collections::BTreeMap;
+
+    #[test]
+    fn the_verdict_names_accepted_elements() {
+        let mut stage = Stage::nothing("tetmesh-check", State::Done);
+        let mut status = Status {
+            format: String::new(),
+            version: 1,
+            name: "case".to_owned(),
+            goal: "mesh".to_owned(),
+            verdict: Verdict::Running,
+            headline: String::new(),
+            inputs: Vec::new(),
+            parameters: BTreeMap::new(),
+            stages: vec![stage.clone()],
+            page: None,
+            page_key: String::new(),
+        };
+        assert_eq!(of(&status).0, Verdict::Passed);
+        stage.warnings = vec!["another".to_owned(), format!("{FIT_BUT_FOR}2 accepted tetrahedra: flat")];
+        status.stages = vec![stage];
+        let (verdict, headline) = of(&status);
+        assert_eq!(verdict, Verdict::Warning);
+        assert!(headline.ends_with("made; fit but for 2 accepted tetrahedra: flat."), "{headline}");
     }
 }
