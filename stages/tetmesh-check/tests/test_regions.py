@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import csv
 import json
+import re
 import shutil
 import subprocess
 import sys
@@ -14,13 +16,17 @@ import meshio
 import numpy as np
 import pytest
 import pyvista as pv
+from complexes import nested_balls
 from conftest import NEEDS_DISTFIELD, NEEDS_HXT, Run, ball, write_nrrd
 from test_solve import block
 from vtkmodules.vtkIOXdmf2 import vtkXdmfReader
 
 from tetmesh_check.errors import StageError
-from tetmesh_check.export import MarkedMesh, export
+from tetmesh_check.export import MarkedMesh, Materials, export, plain_names
+from tetmesh_check.field_data import text_of
 from tetmesh_check.labels import read_label_volume
+from tetmesh_check.materials import Sides
+from tetmesh_check.materials_run import interface_names
 from tetmesh_check.parsing import FORMATS
 from tetmesh_check.quality import signed_tetrahedron_volumes
 from tetmesh_check.regions import (
@@ -166,7 +172,7 @@ def test_exported_files_are_read_back(tmp_path: Path) -> None:
         "b.boundary.vtp", "b.volume.boundary.h5", "b.volume.boundary.xdmf", "b.volume.elem", "b.volume.feb",
         "b.volume.h5", "b.volume.inp", "b.volume.lon", "b.volume.med", "b.volume.mesh-complete.exterior.vtp", "b.volume.mesh-complete.mesh.vtu",
         "b.volume.msh", "b.volume.msh2",
-        "b.volume.pts", "b.volume.vtk", "b.volume.xdmf",
+        "b.volume.pts", "b.volume.regions.csv", "b.volume.vtk", "b.volume.xdmf",
     ]  # fmt: skip
 
     abaqus = meshio.read(tmp_path / "b.volume.inp")
@@ -220,6 +226,99 @@ def test_exported_files_are_read_back(tmp_path: Path) -> None:
     for triangle, owner in zip(at, owners, strict=True):
         assert set(triangle) <= set(mesh.tetrahedra[owner])
     np.testing.assert_array_equal(surface.cell_data["region"], mesh.regions[owners])
+
+
+def table_of(path: Path) -> list[dict[str, str]]:
+    """Rows of the table of regions that comes with every export."""
+    with path.open(encoding="utf-8", newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def test_negative_labels_have_groups_of_their_own(tmp_path: Path) -> None:
+    block = marked_block()
+    mesh = replace(block, regions=np.where(block.regions == 2, -5, 7))
+    for kind in FORMATS:
+        export(mesh, tmp_path / "b.volume.vtu", "b", kind)
+    counts = {"region_minus_5": int((mesh.regions == -5).sum()), "region_7": int((mesh.regions == 7).sum())}
+    for name in ("b.volume.msh", "b.volume.msh2"):
+        gmsh = meshio.read(tmp_path / name, "gmsh")
+        tags = gmsh.cell_data_dict["gmsh:physical"]["tetra"]
+        groups = {name: tag for name, (tag, dimension) in gmsh.field_data.items() if dimension == 3}
+        assert min(groups.values()) > 0
+        assert groups["region_7"] == 7
+        assert {name: int((tags == tag).sum()) for name, tag in groups.items()} == counts
+    assert {row["name"]: row["labels"] for row in table_of(tmp_path / "b.volume.regions.csv")} == {
+        "region_minus_5": "-5",
+        "region_7": "7",
+    }
+
+
+def materials_of_block(names: tuple[str, str], labels: tuple[int, int]) -> MarkedMesh:
+    """The block as two materials, each with one label; the lower half is the first."""
+    block = marked_block()
+    entries = [{"name": name, "labels": [{"layer": 0, "label": k}]} for name, k in zip(names, labels, strict=True)]
+    table = [{"name": "outside", "labels": []}, *entries]
+    plain = plain_names([entry["name"] for entry in table])
+    materials = Materials(
+        table, dict(enumerate(plain)), {1: "inner", 2: "outer"}, np.full(len(block.boundary), -1, dtype=np.int64)
+    )
+    return replace(block, regions=np.where(block.regions == 2, 1, 2), materials=materials)
+
+
+def test_every_export_tells_the_labels_of_its_regions(tmp_path: Path) -> None:
+    mesh = materials_of_block(("left, lung", "Heart"), (7, 9))
+    told = [
+        {"region": 1, "name": "left_lung", "material": "left, lung", "labels": [7]},
+        {"region": 2, "name": "Heart", "material": "Heart", "labels": [9]},
+    ]
+    for kind in FORMATS:
+        folder = tmp_path / kind
+        folder.mkdir()
+        export(mesh, folder / "b.volume.vtu", "b", kind)
+        assert table_of(folder / "b.volume.regions.csv") == [
+            {key: str(value).strip("[]") for key, value in row.items()} for row in told
+        ]
+    for name in ("vtk/b.volume.vtk", "simvascular/b.volume.mesh-complete.mesh.vtu", "vtp/b.boundary.vtp"):
+        assert json.loads(text_of(pv.read(tmp_path / name), "regions") or "") == told
+    information = ElementTree.parse(tmp_path / "xdmf/b.volume.xdmf").getroot().find("Domain/Grid/Information")
+    assert information is not None
+    assert json.loads(information.get("Value", "")) == told
+    assert meshio.read(tmp_path / "xdmf/b.volume.xdmf").field_data["Heart"].tolist() == [2, 3]
+    assert "** region 2: Heart, labels 9\n" in (tmp_path / "inp/b.volume.inp").read_text()
+    assert "<!-- region 2: Heart, labels 9 -->" in (tmp_path / "feb/b.volume.feb").read_text()
+
+
+@pytest.mark.parametrize(
+    "names",
+    [("Volume", "Rest"), ("VOLUME", "volume"), ("nodes", "All"), ("a b", "A_b"), ("x" * 90 + "1", "x" * 90 + "2")],
+)
+def test_every_material_has_sets_of_its_own(tmp_path: Path, names: tuple[str, str]) -> None:
+    mesh = materials_of_block(names, (1, 2))
+    for kind in ("inp", "msh2", "feb", "med"):
+        export(mesh, tmp_path / "b.volume.vtu", "b", kind)
+    abaqus = meshio.read(tmp_path / "b.volume.inp")
+    own = [mesh.region_name(number).upper() for number in (1, 2)]
+    assert len({*own, "VOLUME", "NODES", "ALL"}) == 5
+    assert max(map(len, own)) <= 80
+    for number, name in enumerate(own, 1):
+        np.testing.assert_array_equal(abaqus.cell_sets[name][0], np.flatnonzero(mesh.regions == number))
+    text = (tmp_path / "b.volume.inp").read_text()
+    sets = re.findall(r"ELSET=(\w+)", text)
+    assert len(sets) == len(set(sets)) == 3
+    gmsh = meshio.read(tmp_path / "b.volume.msh2", "gmsh")
+    assert len(gmsh.field_data) == 4
+    febio = ElementTree.parse(tmp_path / "b.volume.feb").getroot()
+    assert len({str(part.get("name")).lower() for part in febio.iterfind("Mesh/*")}) == 5
+
+
+def test_an_interface_called_like_a_material_has_a_name_of_its_own() -> None:
+    names = ("a", "b", "b_to_a")
+    made = nested_balls((3.0, 2.0, 1.0), (1, 1, 1), names)
+    table = [{"name": name, "labels": []} for name in ("outside", *names)]
+    regions = plain_names([str(entry["name"]) for entry in table])
+    pairs, _ = Sides(made.inside, made.outside, table).pairs()
+    called = interface_names(regions, pairs)
+    assert called == ["a_to_outside", "b_to_a_2", "b_to_a_to_b"]
 
 
 def test_cardiac_and_vascular_solvers_find_their_files(tmp_path: Path) -> None:
@@ -383,7 +482,8 @@ def test_regions_and_exports_from_the_command_line(tmp_path: Path, run: Run) -> 
     assert done.returncode == 0, done.stderr
     results = json.loads((tmp_path / "r.json").read_text())["results"]
     assert results["exports"] == [
-        "ball.volume.inp", "ball.volume.msh", "ball.volume.h5", "ball.volume.xdmf", "ball.volume.boundary.h5", "ball.volume.boundary.xdmf",
+        "ball.volume.inp", "ball.volume.regions.csv", "ball.volume.msh",
+        "ball.volume.h5", "ball.volume.xdmf", "ball.volume.boundary.h5", "ball.volume.boundary.xdmf",
         "ball.boundary.vtp",
     ]  # fmt: skip
     grid = pv.read(tmp_path / "ball.volume.vtu")

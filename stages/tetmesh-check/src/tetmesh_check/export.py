@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import csv
 import io
 import json
 import re
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterable
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -29,6 +30,10 @@ if TYPE_CHECKING:
 
 NAMES = {SURFACE: "surface", CAP: "cap"}
 """What the parts of the boundary are called in sets and groups."""
+RESERVED = ("volume", "nodes", "all")
+"""Names of sets that are no region's: all elements in ``inp``, all nodes in ``feb``, everything in CalculiX's own viewer."""
+LONGEST_NAME = 80
+"""Characters of the name of a set in CalculiX and of a group in MED."""
 
 
 @dataclass(frozen=True)
@@ -45,25 +50,46 @@ class Materials:
     """Tetrahedron before each triangle of the interfaces, shape ``(k,)``; -1 where the outside is."""
 
 
-def plain_names(names: list[str]) -> list[str]:
+def plain_names(names: list[str], taken: Iterable[str] = RESERVED) -> list[str]:
     """Write names with letters, digits and underscores alone, no two the same but for the case of letters.
 
     Parameters
     ----------
     names
         Any names.
+    taken
+        Names that none of them may have.
     """
+    used = {name.lower() for name in taken}
     plain: list[str] = []
     for name in names:
         word = re.sub(r"[^A-Za-z0-9_]+", "_", name).strip("_") or "material"
-        word = word if word[0].isalpha() else f"m_{word}"
-        used = {other.lower() for other in plain}
+        unique = word = (word if word[0].isalpha() else f"m_{word}")[:LONGEST_NAME]
         number = 2
-        unique = word
         while unique.lower() in used:
-            unique, number = f"{word}_{number}", number + 1
+            ending = f"_{number}"
+            unique, number = word[: LONGEST_NAME - len(ending)] + ending, number + 1
+        used.add(unique.lower())
         plain.append(unique)
     return plain
+
+
+@dataclass(frozen=True)
+class Region:
+    """A row of the table of regions."""
+
+    region: int
+    """Number of its tetrahedra."""
+    name: str
+    """Name in sets and groups."""
+    material: str
+    """Name in the volume."""
+    labels: list[int]
+    """Its labels in the volume; none where they are not known."""
+
+    def words(self) -> str:
+        """The row in words, ASCII."""
+        return f"region {self.region}: {self.name}, labels {' '.join(map(str, self.labels)) or 'unknown'}"
 
 
 @dataclass(frozen=True)
@@ -88,6 +114,8 @@ class MarkedMesh:
     """Nodes amid the edges of each tetrahedron in VTK order, shape ``(m, 6)``; ``None`` where all edges are straight."""
     boundary_middle: Cells | None = None
     """Nodes amid the edges of each triangle of the boundary, shape ``(k, 3)``."""
+    labels: list[int] | None = None
+    """Labels of the one region of an object, empty where they are not known; ``None`` where the regions are labels or materials."""
 
     @property
     def elements(self) -> Cells:
@@ -106,7 +134,18 @@ class MarkedMesh:
 
     def region_name(self, label: int) -> str:
         """What a region is called in sets and groups."""
-        return f"region_{label}" if self.materials is None else self.materials.regions[label]
+        return f"region_{label}".replace("-", "minus_") if self.materials is None else self.materials.regions[label]
+
+    def region_table(self) -> list[Region]:
+        """What each number of a region stands for, ascending."""
+        return [self._region(number) for number in np.unique(self.regions).tolist()]
+
+    def _region(self, number: int) -> Region:
+        name = self.region_name(number)
+        if self.materials is None:
+            return Region(number, name, name, [number] if self.labels is None else self.labels)
+        entry = self.materials.table[number]
+        return Region(number, name, str(entry["name"]), [one["label"] for one in entry.get("labels", [])])
 
     def mark_name(self, mark: int) -> str:
         """What a part of the boundary, or an interface, is called in sets and groups."""
@@ -131,6 +170,28 @@ class MarkedMesh:
         marks[self.faces[self.marks == CAP]] = CAP
         marks[self.faces[self.marks == SURFACE]] = SURFACE
         return marks
+
+
+def add_regions(dataset: pv.DataSet, mesh: MarkedMesh) -> None:
+    """Put the table of regions into the field data, as JSON in the text ``regions``.
+
+    Parameters
+    ----------
+    dataset
+        Where it goes.
+    mesh
+        Whose regions they are.
+    """
+    add_text(dataset, "regions", json.dumps([asdict(row) for row in mesh.region_table()]))
+
+
+def _regions_csv(mesh: MarkedMesh, path: Path) -> None:
+    """The table of regions, a row a region; several labels are separated by spaces."""
+    with path.open("w", encoding="utf-8", newline="") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(["region", "name", "material", "labels"])
+        for row in mesh.region_table():
+            writer.writerow([row.region, row.name, row.material, " ".join(map(str, row.labels))])
 
 
 def _rows(values: Points | Cells | Labels, form: str) -> str:
@@ -162,7 +223,10 @@ def _abaqus(mesh: MarkedMesh, path: Path) -> None:
     The surface of an interface consists of faces of the elements behind it.
     """
     kind = "C3D4" if mesh.middle is None else "C3D10"
-    parts = [f"*HEADING\nisoparticles\n*NODE\n{_abaqus_nodes(mesh.points)}*ELEMENT, TYPE={kind}, ELSET=VOLUME\n"]
+    regions = "".join(f"** {row.words()}\n" for row in mesh.region_table())
+    parts = [
+        f"*HEADING\nisoparticles\n{regions}*NODE\n{_abaqus_nodes(mesh.points)}*ELEMENT, TYPE={kind}, ELSET=VOLUME\n"
+    ]
     parts.append(_numbered(1, mesh.elements + 1))
     for label in np.unique(mesh.regions).tolist():
         parts.append(
@@ -209,12 +273,13 @@ def _febio(mesh: MarkedMesh, path: Path) -> None:
     for mark in np.unique(mesh.marks).tolist():
         own = mesh.faces[mesh.marks == mark]
         parts.append(f'<Surface name="{mesh.mark_name(mark)}">\n{elements(triangle, 1, own)}</Surface>\n')
+    regions = "".join(f"<!-- {row.words()} -->\n" for row in mesh.region_table())
     names = map(mesh.region_name, labels)
     domains = "".join(f'<SolidDomain name="{name}" mat="{name}"/>\n' for name in names)
     path.write_text(
         f"""<?xml version="1.0" encoding="ISO-8859-1"?>
 <febio_spec version="4.0"><Module type="solid"/>
-<Material>
+{regions}<Material>
 {materials}</Material>
 <Mesh>
 <Nodes name="nodes">
@@ -265,6 +330,7 @@ def _vtk(mesh: MarkedMesh, path: Path) -> None:
     grid = unstructured(mesh)
     grid.cell_data["region"] = mesh.regions.astype(np.int32)
     grid.point_data["boundary"] = mesh.point_marks().astype(np.int32)
+    add_regions(grid, mesh)
     writer = vtkUnstructuredGridWriter()
     writer.SetFileName(str(path))
     writer.SetFileVersion(42)
@@ -280,6 +346,7 @@ def _simvascular_volume(mesh: MarkedMesh, path: Path) -> None:
     grid.point_data["GlobalNodeID"] = np.arange(1, len(mesh.points) + 1, dtype=np.int32)
     grid.cell_data["GlobalElementID"] = np.arange(1, len(mesh.tetrahedra) + 1, dtype=np.int32)
     grid.cell_data["ModelRegionID"] = mesh.regions.astype(np.int32)
+    add_regions(grid, mesh)
     grid.save(path)
 
 
@@ -309,6 +376,7 @@ def _triangles(mesh: MarkedMesh, path: Path) -> None:
         surface.cell_data["region_before"] = np.where(before < 0, NOTHING, mesh.regions[before])
         add_text(surface, "materials", json.dumps(mesh.materials.table))
     surface.point_data["point"] = used
+    add_regions(surface, mesh)
     surface.save(path)
 
 
@@ -326,14 +394,15 @@ _WRITE: dict[str, dict[str, Callable[[MarkedMesh, Path], None]]] = {
         "volume.mesh-complete.exterior.vtp": _simvascular_boundary,
     },
 }
-"""The files of each format but XDMF, ``NAME.`` before each, and what writes them. All but the boundary begin with ``volume``, by which the
+"""The files of each format but XDMF, ``NAME.`` before each, and what writes them; the table of regions comes
+with each. All but the boundary begin with ``volume``, by which the
 rest of the project knows them as results of this stage."""
 
 _PER_MM = {"mm": 1.0, "m": 1e-3, "um": 1e3}
 
 
-def export_paths(output: Path, name: str, kind: str, many: bool = False) -> list[Path]:
-    """Files of one format, beside the volume mesh.
+def export_paths(output: Path, name: str, kinds: tuple[str, ...], many: bool = False) -> list[Path]:
+    """Files of some formats, beside the volume mesh, each once.
 
     Parameters
     ----------
@@ -341,18 +410,19 @@ def export_paths(output: Path, name: str, kind: str, many: bool = False) -> list
         The volume mesh.
     name
         Name of the case.
-    kind
-        One of :data:`.FORMATS`.
+    kinds
+        Of :data:`.FORMATS`.
     many
         Whether there are many materials.
     """
-    return [output.with_name(f"{name}.{ending}") for ending in _files(name, kind, many)]
+    endings = dict.fromkeys(ending for kind in kinds for ending in _files(name, kind, many))
+    return [output.with_name(f"{name}.{ending}") for ending in endings]
 
 
 def _files(name: str, kind: str, many: bool) -> dict[str, Callable[[MarkedMesh, Path], None]]:
+    written: dict[str, Callable[[MarkedMesh, Path], None]] = {"volume.regions.csv": _regions_csv}
     if kind != "xdmf":
-        return _WRITE[kind]
-    written: dict[str, Callable[[MarkedMesh, Path], None]] = {}
+        return _WRITE[kind] | written
     for stem, grid in (("volume", elements), (f"volume.{'interfaces' if many else 'boundary'}", facets)):
         numbers = f"{stem}.h5"
         written[numbers] = partial(write_numbers, grid=grid)

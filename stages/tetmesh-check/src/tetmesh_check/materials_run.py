@@ -14,7 +14,7 @@ from tetmesh_check.conform import NOBODY, outside_of
 from tetmesh_check.context import Context
 from tetmesh_check.drawing import drawing
 from tetmesh_check.errors import StageError
-from tetmesh_check.export import MarkedMesh, Materials, export, export_paths, plain_names
+from tetmesh_check.export import RESERVED, MarkedMesh, Materials, export, export_paths, plain_names
 from tetmesh_check.files import refuse_existing
 from tetmesh_check.forced import INSIDE, ForcedSides, forced_sides, largest_jacobians
 from tetmesh_check.forward import Forward, RegionMesh, Source, resolve_source
@@ -22,6 +22,7 @@ from tetmesh_check.materials import NOTHING, Sides
 from tetmesh_check.materials_fill import ComplexTask, FilledComplex, fill_complex, on_needles, refuse_method
 from tetmesh_check.mend import goal_of
 from tetmesh_check.quality import (
+    Cells,
     Labels,
     TetrahedronQuality,
     Values,
@@ -173,6 +174,19 @@ def _measure(
     return VolumeMesh(points, tetrahedra, quality.volume, outside)
 
 
+def interface_names(names: list[str], pairs: Cells) -> list[str]:
+    """Names of interfaces in sets and groups, none that of a region.
+
+    Parameters
+    ----------
+    names
+        Those of the regions by number.
+    pairs
+        Numbers of the inside and of the outside of each interface.
+    """
+    return plain_names([f"{names[a]}_to_{names[b]}" for a, b in pairs.tolist()], [*RESERVED, *names])
+
+
 def mark_materials(sides: Sides, surface: Surface, filled: FilledComplex) -> MarkedMesh:
     """Name the regions and the interfaces of a mesh for export.
 
@@ -190,7 +204,7 @@ def mark_materials(sides: Sides, surface: Surface, filled: FilledComplex) -> Mar
     materials = Materials(
         table=sides.table,
         regions={number: names[number] for number in sides.present},
-        pairs={k: f"{names[a]}_to_{names[b]}" for k, (a, b) in enumerate(pairs.tolist(), 1)},
+        pairs=dict(enumerate(interface_names(names, pairs), 1)),
         before=filled.conformity.before,
     )
     return MarkedMesh(
@@ -324,9 +338,7 @@ def run_materials(
     assert surface.sides is not None, "the caller looked"
     refuse_arguments(arguments)
     source: Source | None = resolve_source(arguments.forward, surface.sides)
-    exported = [
-        path for kind in arguments.exports for path in export_paths(arguments.output, arguments.name, kind, many=True)
-    ]
+    exported = export_paths(arguments.output, arguments.name, arguments.exports, many=True)
     refuse_existing(exported, context.common.force)
     with context.step("check surface"):
         checked = check_complex(arguments.surface, surface)

@@ -21,18 +21,23 @@ _NODES = np.array([0, 1, 2, 3, 4, 5, 6, 7, 9, 8])
 """Nodes of a tetrahedron in Gmsh's order: of the last two nodes amid edges VTK has the other one first."""
 
 
-def _numbers(mesh: MarkedMesh) -> tuple[dict[int, str], dict[int, str], Labels]:
-    """Regions and parts of the boundary, numbers with names, and of which part each triangle is.
+def _numbers(mesh: MarkedMesh) -> tuple[dict[int, str], Labels, dict[int, str], Labels]:
+    """Regions: numbers with names, and of which each tetrahedron is; parts of the boundary and triangles likewise.
 
+    Gmsh leaves out groups of a number below 1. Such a region has the first numbers above all regions, and its name tells its label.
     The parts have numbers above those of the regions, because GetDP does not tell a region from a surface of its number: to each mark
     is added the first power of ten above all regions, so that with the one region 1 ``surface`` is 11 and ``cap`` 12.
     """
-    regions = {label: mesh.region_name(label) for label in np.unique(mesh.regions).tolist()}
+    labels, which = np.unique(mesh.regions, return_inverse=True)
+    tags = labels.copy()
+    below = labels < 1
+    tags[below] = max(int(labels.max()), 0) + 1 + np.arange(below.sum())
+    regions = {tag: mesh.region_name(label) for tag, label in zip(tags.tolist(), labels.tolist(), strict=True)}
     above = 10
     while above <= max(regions):
         above *= 10
     parts = {above + mark: mesh.mark_name(mark) for mark in np.unique(mesh.marks).tolist()}
-    return regions, parts, above + mesh.marks
+    return regions, tags[which.ravel()], parts, above + mesh.marks
 
 
 def write_msh2(mesh: MarkedMesh, path: Path) -> None:
@@ -45,8 +50,8 @@ def write_msh2(mesh: MarkedMesh, path: Path) -> None:
     path
         The file.
     """
-    regions, parts, of_faces = _numbers(mesh)
-    tags = [mesh.regions.astype(np.int32), of_faces.astype(np.int32)]
+    regions, of_tetrahedra, parts, of_faces = _numbers(mesh)
+    tags = [of_tetrahedra.astype(np.int32), of_faces.astype(np.int32)]
     tetrahedron, triangle = mesh.kinds
     groups = {name: np.array([number, 3]) for number, name in regions.items()}
     groups.update({name: np.array([number, 2]) for number, name in parts.items()})
@@ -69,10 +74,10 @@ def write_msh(mesh: MarkedMesh, path: Path) -> None:
     path
         The file.
     """
-    regions, of_boundary, of_faces = _numbers(mesh)
+    regions, of_tetrahedra, of_boundary, of_faces = _numbers(mesh)
     elements = mesh.elements[:, _NODES[: mesh.elements.shape[1]]]
     parts = [(2, number, mesh.faces[of_faces == number]) for number in of_boundary]
-    parts += [(3, number, elements[mesh.regions == number]) for number in regions]
+    parts += [(3, number, elements[of_tetrahedra == number]) for number in regions]
     names = [f'2 {number} "{name}"' for number, name in of_boundary.items()]
     names += [f'3 {number} "{name}"' for number, name in regions.items()]
     sections = {

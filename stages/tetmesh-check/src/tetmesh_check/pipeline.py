@@ -95,7 +95,7 @@ class Arguments:
 
     def export_paths(self) -> list[Path]:
         """The files of other formats that are written, too."""
-        return [path for kind in self.exports for path in export_paths(self.output, self.name, kind)]
+        return export_paths(self.output, self.name, self.exports)
 
     def other_paths(self) -> list[Path]:
         """All files that are written beside the volume mesh, but for pictures."""
@@ -254,7 +254,8 @@ def _mark(surface: Surface, mesh: VolumeMesh, labels: LabelVolume | None, contex
         "surface": {"triangles": int((~cap).sum()), "area_mm2": float(areas[~cap].sum())},
         "cap": {"triangles": int(cap.sum()), "area_mm2": float(areas[cap].sum())},
     }
-    return MarkedMesh(mesh.points, mesh.tetrahedra, regions, outside, mesh.boundary.owners, marks)
+    known = None if labels is not None else meshed_labels(surface.history) or []
+    return MarkedMesh(mesh.points, mesh.tetrahedra, regions, outside, mesh.boundary.owners, marks, labels=known)
 
 
 def _curve(marked: MarkedMesh, field: DistanceField, arguments: Arguments, context: Context) -> Quadratic:

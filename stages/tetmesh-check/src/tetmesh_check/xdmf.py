@@ -6,11 +6,12 @@ opens the HDF5 file of the description's own name whatever stands in it.
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
-from xml.sax.saxutils import escape
+from xml.sax.saxutils import escape, quoteattr
 
 import h5py
 import numpy as np
@@ -112,6 +113,11 @@ def write_description(
         f'<Attribute Name="{name}" AttributeType="Scalar" Center="{place}">{item(numbers, what, shown.arrays[what])}</Attribute>\n'
         for (name, place), what in shown.data.items()
     )
+    table = mesh.region_table()
+    # the text is in the form in which meshio reads names of tags: key, dimension, number
+    names = "".join(f'<map key="{row.name}" dim="3">{row.region}</map>' for row in table)
+    regions = quoteattr(json.dumps([asdict(row) for row in table]))
+    information = f'<Information Name="regions" Value={regions}><![CDATA[<main>{names}</main>]]></Information>\n'
     cells = shown.arrays[shown.cells]
     count, nodes = cells.shape
     path.write_text(
@@ -119,7 +125,7 @@ def write_description(
 <Xdmf Version="3.0"><Domain><Grid Name="{shown.name}" GridType="Uniform">
 <Geometry GeometryType="XYZ">{item(points, "points", mesh.points)}</Geometry>
 <Topology TopologyType="{_KINDS[nodes]}" NumberOfElements="{count}">{item(numbers, shown.cells, cells)}</Topology>
-{attributes}</Grid></Domain></Xdmf>
+{attributes}{information}</Grid></Domain></Xdmf>
 """,
         encoding="utf-8",
     )
