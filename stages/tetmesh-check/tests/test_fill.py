@@ -9,9 +9,9 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 import pyvista as pv
-from conftest import ball, tetrahedra
+from conftest import Run, ball, tetrahedra
 
-from tetmesh_check import cli, fill, mend
+from tetmesh_check import cli, fill, mend, worker
 from tetmesh_check.errors import StageError
 from tetmesh_check.tetwild import TetwildSettings
 from tetmesh_check.worker import WorkerResult
@@ -163,3 +163,24 @@ def test_the_report_tells_who_failed_last(tmp_path: Path, monkeypatch: pytest.Mo
     told, _, points = program(tmp_path, monkeypatch, [NO_LUCK], [NO_LUCK])
     assert told["method"] == "ftetwild"
     assert len(points) == 0
+
+
+@pytest.mark.parametrize("size", [1e-7, 1.0, 1e5])
+def test_surfaces_of_any_size_are_filled_alike(tmp_path: Path, run: Run, size: float) -> None:
+    ball(10.0 * size, 3).save(tmp_path / "ball.vtp")
+    done = run("ball.vtp", "-o", "ball.vtu", "--solve", "no", "--method", "ftetwild", "--report", "r.json")
+    assert done.returncode == 0, done.stderr
+    results = json.loads((tmp_path / "r.json").read_text())["results"]
+    exact = ball(10.0, 3).volume * size**3
+    assert results["volume"]["volume_mm3"] == pytest.approx(exact, rel=0.01)
+    assert results["distance_mm"]["boundary_to_surface"]["max"] < 0.1 * size
+    assert 10_000 < results["volume"]["tetrahedra"] < 40_000
+
+
+def test_the_scale_for_tetrahedralizers_is_exact_and_spares_usual_boxes() -> None:
+    for diagonal in (1.0, 30.0, 1000.0):
+        assert worker.scale_of(np.array([[0.0, 0.0, 0.0], [0.0, 0.0, diagonal]])) == 1.0
+    for diagonal in (1e-9, 0.99, 1001.0, 1e9):
+        scale = worker.scale_of(np.array([[0.0, 0.0, 0.0], [0.0, 0.0, diagonal]]))
+        assert np.frexp(scale)[0] == 0.5
+        assert 50.0 < scale * diagonal < 200.0

@@ -42,6 +42,7 @@ WORKER = Worker(
     when_it_is_empty="try --method ftetwild",
     when_it_is_missing="install it with stages/tetmesh-check/setup-env.sh (make env), which also says which system "
     "libraries it lacks, or use --method ftetwild",
+    powers={"points": 1, "sizing": 1, "sizing_origin": 1, "sizing_spacing": 1},
 )
 
 _NAMES = {"hxt": "HXT", "delaunay": "Gmsh's Delaunay"}

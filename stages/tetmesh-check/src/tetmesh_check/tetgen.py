@@ -34,6 +34,7 @@ WORKER = Worker(
     when_it_is_empty="try --method hxt or --method ftetwild",
     when_it_is_missing="it is AGPL-3.0-or-later, so that only you can decide to have it: python -m pip install --require-hashes -r "
     "stages/tetmesh-check/requirements-tetgen.lock; or use --method hxt",
+    powers={"points": 1, "cavities": 1, "max_volume": 3},
 )
 
 

@@ -25,6 +25,7 @@ WORKER = Worker(
     when_it_fails="try a larger --tet-size-factor or a larger --envelope, or a machine with more memory",
     when_it_is_empty="the envelope may be larger than the object: try a smaller --envelope",
     when_it_is_missing="the environment is not whole: make it again with stages/tetmesh-check/setup-env.sh",
+    powers={"points": 1, "background_points": 1, "background_values": 1, "edge_length": 1},
 )
 
 

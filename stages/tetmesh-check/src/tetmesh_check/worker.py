@@ -12,6 +12,7 @@ import importlib
 import importlib.metadata
 import importlib.util
 import json
+import math
 import os
 import re
 import signal
@@ -68,6 +69,8 @@ class Worker:
     """What to try when it returns nothing."""
     when_it_is_missing: str
     """How to get its library."""
+    powers: dict[str, int]
+    """Arrays and settings that are lengths (1) or volumes (3), by the power of the unit of length."""
 
 
 @dataclass(frozen=True)
@@ -113,6 +116,20 @@ def refuse_missing(worker: Worker) -> None:
             "it is the tetrahedralizer that is to fill the surface",
             worker.when_it_is_missing,
         )
+
+
+def scale_of(points: Points) -> float:
+    """Factor that brings a box to a diagonal of order 100, a power of 2, so that it is exact; 1 for diagonals from 1 to 1000.
+
+    Tetrahedralizers have absolute tolerances: fTetWild strays from a box of 1e-5.
+
+    Parameters
+    ----------
+    points
+        What the box is of, shape ``(n, 3)``.
+    """
+    diagonal = float(np.linalg.norm(np.ptp(points, axis=0)))
+    return 1.0 if 1.0 <= diagonal <= 1000.0 else float(2.0 ** round(math.log2(100.0 / diagonal)))
 
 
 def last_match(pattern: re.Pattern[str], text: str) -> str | None:
@@ -222,7 +239,11 @@ def run_worker(
     """
     with tempfile.TemporaryDirectory(prefix="tetmesh-check-") as folder:
         job, result = Path(folder) / "job.npz", Path(folder) / "result.npz"
-        np.savez(job, settings=np.array(json.dumps(asdict(settings))), **arrays)
+        scale = scale_of(arrays["points"])
+        told: dict[str, Any] = {**asdict(settings), **arrays}
+        told.update({name: scale**power * told[name] for name, power in worker.powers.items() if name in told})
+        given = {name: told.pop(name) for name in asdict(settings)}
+        np.savez(job, settings=np.array(json.dumps(given)), **told)
         started = time.monotonic()
         try:
             stream = log.open("ab")
@@ -248,7 +269,7 @@ def run_worker(
         if process.returncode != 0 or not result.is_file():
             raise _how_it_ended(worker, process.returncode, log)
         with np.load(result) as loaded:
-            points = loaded["points"].astype(np.float64)
+            points = loaded["points"].astype(np.float64) / scale
             tetrahedra = loaded["tetrahedra"].astype(np.int64)
     if len(tetrahedra) == 0:
         raise StageError(
