@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import errno
 import json
+import tempfile
 from pathlib import Path
 from typing import NamedTuple
 
@@ -11,7 +13,7 @@ import pytest
 import pyvista as pv
 from conftest import Run, ball, tetrahedra
 
-from tetmesh_check import cli, fill, mend, worker
+from tetmesh_check import cli, fill, mend, tetwild, worker
 from tetmesh_check.errors import StageError
 from tetmesh_check.tetwild import TetwildSettings
 from tetmesh_check.worker import WorkerResult
@@ -163,6 +165,35 @@ def test_the_report_tells_who_failed_last(tmp_path: Path, monkeypatch: pytest.Mo
     told, _, points = program(tmp_path, monkeypatch, [NO_LUCK], [NO_LUCK])
     assert told["method"] == "ftetwild"
     assert len(points) == 0
+
+
+FULL = OSError(errno.ENOSPC, "No space left on device")
+
+
+def test_a_full_folder_of_temporary_files_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    ball().save(tmp_path / "ball.vtp")
+    (tmp_path / "full").mkdir()
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path / "full"))
+
+    def no_room(*_arguments: object, **_more: object) -> None:
+        raise FULL
+
+    words = [str(tmp_path / "ball.vtp"), "-o", str(tmp_path / "ball.vtu"), "--solve", "no", "-q"]
+    monkeypatch.setattr("tetmesh_check.worker.np.savez", no_room)
+    assert cli.main(words) == 2
+    said = capsys.readouterr().err
+    assert f"{tmp_path / 'full'}: cannot hold temporary files: No space left on device" in said
+    assert "TMPDIR" in said
+    assert "ball.vtu" not in said
+
+
+def test_a_worker_without_room_for_its_result_blames_the_temporary_folder(tmp_path: Path) -> None:
+    log = tmp_path / "log"
+    log.write_text("No space left on device\n")
+    error = worker._how_it_ended(tetwild._WORKER, worker._NO_ROOM, log)
+    assert error.what.startswith(f"{tempfile.gettempdir()}: cannot hold temporary files: No space")
 
 
 @pytest.mark.parametrize("size", [1e-7, 1.0, 1e5])

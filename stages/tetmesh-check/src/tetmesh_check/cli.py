@@ -6,6 +6,7 @@ import argparse
 import json
 import math
 import sys
+import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -346,8 +347,14 @@ def main(argv: Sequence[str] | None = None) -> int:
         except StageError as problem:
             error = problem
         except OSError as problem:
-            name = Path(problem.filename) if problem.filename else parsed.output
-            error = StageError.file(name, "use", problem, "check its permissions and the free space of the disk")
+            # an error without a name may be of any file, also of one in TMPDIR
+            name = Path(problem.filename or "a file that the system does not name")
+            error = StageError.file(
+                name,
+                "use",
+                problem,
+                f"check permissions and free space in {parsed.output.parent} and {tempfile.gettempdir()} (TMPDIR)",
+            )
         except MemoryError:
             error = StageError(
                 "there is not enough memory",

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable
+import tempfile
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import blake3
@@ -109,6 +111,44 @@ def same_file(first: Path, second: Path) -> bool:
         The names.
     """
     return first.resolve() == second.resolve()
+
+
+def temporary_error(reason: str) -> StageError:
+    """Build the error for the folder of temporary files.
+
+    Parameters
+    ----------
+    reason
+        What the operating system says.
+    """
+    return StageError(
+        f"{tempfile.gettempdir()}: cannot hold temporary files: {reason}",
+        "meshes and volumes pass through this folder from one program to the other",
+        "free space there, or set TMPDIR to another folder",
+    )
+
+
+@contextmanager
+def temporary_folder(prefix: str) -> Iterator[Path]:
+    """Make a folder for temporary files, which is removed at the end; an error of the system in it names the place.
+
+    Parameters
+    ----------
+    prefix
+        How its name begins.
+
+    Raises
+    ------
+    StageError
+        If the folder cannot be made or the disk is full.
+    """
+    try:
+        with tempfile.TemporaryDirectory(prefix=prefix) as folder:
+            yield Path(folder)
+    except OSError as error:
+        if error.filename and not Path(error.filename).is_relative_to(tempfile.gettempdir()):
+            raise
+        raise temporary_error(error.strerror or str(error)) from error
 
 
 def write_atomically(path: Path, write: Callable[[Path], None]) -> None:

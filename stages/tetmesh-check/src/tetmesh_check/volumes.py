@@ -7,7 +7,6 @@ import os
 import shutil
 import subprocess
 import sys
-import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -18,6 +17,7 @@ from numpy.typing import NDArray
 
 from tetmesh_check.errors import StageError
 from tetmesh_check.field_data import text_of
+from tetmesh_check.files import temporary_folder
 from tetmesh_check.quality import Points
 from tetmesh_check.surface import read_dataset
 
@@ -109,8 +109,8 @@ def read_volume(path: Path, series: str | None = None) -> InputVolume:
     StageError
         If it cannot be read, or is no volume.
     """
-    with tempfile.TemporaryDirectory(prefix="isoparticles-") as folder:
-        target = Path(folder) / "volume.vti"
+    with temporary_folder("isoparticles-") as folder:
+        target = folder / "volume.vti"
         _convert(path, target, series)
         image = read_dataset(target)
     if not isinstance(image, pv.ImageData):

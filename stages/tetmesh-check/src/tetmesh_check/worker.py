@@ -18,7 +18,6 @@ import re
 import signal
 import subprocess
 import sys
-import tempfile
 import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
@@ -29,6 +28,7 @@ import numpy as np
 
 from tetmesh_check.context import Context
 from tetmesh_check.errors import StageError
+from tetmesh_check.files import temporary_error, temporary_folder
 from tetmesh_check.quality import Cells, Points
 
 Fill = Callable[[Any, dict[str, Any], dict[str, Any]], tuple[Any, Any]]
@@ -39,6 +39,8 @@ _GRACE_SECONDS = 2.0
 _TAIL_BYTES = 4096
 _UNAVAILABLE = 3
 """Exit code of a worker whose library cannot be imported."""
+_NO_ROOM = 4
+"""Exit code of a worker that cannot write into the folder of temporary files; its last words are the reason."""
 _PR_SET_PDEATHSIG = 1
 _LINE_BUFFERED = 1
 
@@ -168,6 +170,8 @@ def _how_it_ended(worker: Worker, code: int, log: Path) -> StageError:
             "it is the tetrahedralizer that was to fill the surface; nothing was written",
             worker.when_it_is_missing,
         )
+    if code == _NO_ROOM:
+        return temporary_error(_last_words(log))
     if code < 0:
         name = signal.Signals(-code).name if -code in {int(s) for s in signal.Signals} else f"signal {-code}"
         hint = " (often: out of memory)" if -code == signal.SIGKILL else ""
@@ -237,8 +241,8 @@ def run_worker(
     StageError
         If it crashes, fails, returns nothing, or takes longer than its limit; the process is ended then.
     """
-    with tempfile.TemporaryDirectory(prefix="tetmesh-check-") as folder:
-        job, result = Path(folder) / "job.npz", Path(folder) / "result.npz"
+    with temporary_folder("tetmesh-check-") as folder:
+        job, result = folder / "job.npz", folder / "result.npz"
         scale = scale_of(arrays["points"])
         told: dict[str, Any] = {**asdict(settings), **arrays}
         told.update({name: scale**power * told[name] for name, power in worker.powers.items() if name in told})
@@ -309,9 +313,13 @@ def serve(library: str, fill: Fill) -> None:
     except (ImportError, OSError) as error:
         print(f"{type(error).__name__}: {error}", flush=True)
         raise SystemExit(_UNAVAILABLE) from None
-    with np.load(job) as stored:
-        arrays: dict[str, Any] = dict(stored)
-    points, tetrahedra = fill(loaded, arrays, json.loads(str(arrays.pop("settings"))))
-    temporary = result.with_name("part.npz")
-    np.savez(temporary, points=points, tetrahedra=tetrahedra)
-    temporary.replace(result)
+    try:
+        with np.load(job) as stored:
+            arrays: dict[str, Any] = dict(stored)
+        points, tetrahedra = fill(loaded, arrays, json.loads(str(arrays.pop("settings"))))
+        temporary = result.with_name("part.npz")
+        np.savez(temporary, points=points, tetrahedra=tetrahedra)
+        temporary.replace(result)
+    except OSError as error:
+        print(error.strerror or error, flush=True)
+        raise SystemExit(_NO_ROOM) from None
