@@ -232,8 +232,9 @@ def test_a_volume_that_cannot_be_read_does_not_stop_the_page(
 
 
 @NEEDS_DISTFIELD
-@pytest.mark.parametrize("labels", [False, True])
-def test_the_input_is_read_as_the_stages_read_it(case: Path, tmp_path: Path, labels: bool) -> None:
+@pytest.mark.parametrize("kind", ["scan", "labels", "materials"])
+def test_the_input_is_read_as_the_stages_read_it(case: Path, tmp_path: Path, kind: str) -> None:
+    labels = kind != "scan"
     scan = volume_with_ball(labels=labels)
     path = write_nrrd(
         tmp_path / "v.nrrd", scan.values, space="right-anterior-superior",
@@ -250,12 +251,18 @@ def test_the_input_is_read_as_the_stages_read_it(case: Path, tmp_path: Path, lab
     }
     report["results"] = {"meta": {"source": "labels" if labels else "scalar"}}
     report["parameters"] = {"labels": [2]} if labels else {"iso": 110.0}
+    if kind == "materials":
+        entries = [{"name": name, "labels": [{"layer": 0, "label": k}]} for name, k in (("outside", 0), ("ball", 2))]
+        report |= {"results": {"materials": []}, "parameters": {"materials": entries}}
     (folder / "reports" / "distfield.json").write_text(json.dumps(report))
     inputs = [{"role": "volume", "path": str(path), "bytes": 1, "hash": "c0ffee"}]
     elements = made(write_status(folder, "a&b", inputs=inputs), tmp_path / "x.html")
     assert "The mesh in the volume" in elements.words
     assert "towards L, P, S" in elements.words
     assert ("labels: 2 beside 0" in elements.words) == labels
+    assert ("Colours are labels" in elements.words) == labels
+    rows = re.findall(r"<tr>.*?</tr>", (tmp_path / "x.html").read_text())
+    assert sum(row.endswith("<td>yes</td></tr>") for row in rows) == labels
     outlines = [str(a["d"]) for a in elements.of("path") if a.get("class") == "over"]
     assert len(outlines) == 3
     assert all(len(line) > 200 for line in outlines)

@@ -53,7 +53,10 @@ def document(title: str, body: str, scripts: Sequence[str] = ()) -> str:
 
 def _meshed_labels(case: Case) -> set[int]:
     """The labels of the first layer that ``distfield`` took, by its report; empty where it took an iso value, or nobody says."""
-    labels = dig(case.reports, "distfield", "parameters", "labels")
+    parameters = dig(case.reports, "distfield", "parameters")
+    # the first material is the outside
+    materials = (dig(parameters, "materials") or [])[1:]
+    labels = dig(parameters, "labels") or [entry for material in materials for entry in material["labels"]]
     found = set()
     for entry in labels if isinstance(labels, list) else []:
         if isinstance(entry, int):
@@ -65,8 +68,10 @@ def _meshed_labels(case: Case) -> set[int]:
 
 def _is_labels(case: Case) -> bool:
     """Whether the volume holds labels, by what was done with it, or was to be."""
+    if dig(case.reports, "distfield", "parameters", "materials"):
+        return True
     source = dig(case.reports, "distfield", "results", "meta", "source")
-    return bool(source == "labels") if source else "LABELS" in case.parameters
+    return bool(source == "labels") if source else not {"LABELS", "MATERIALS"}.isdisjoint(case.parameters)
 
 
 def anatomy(case: Case, surface: pv.PolyData | None) -> str:
