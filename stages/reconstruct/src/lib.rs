@@ -39,5 +39,6 @@ mod scenes;
 mod tests;
 pub mod tight_cocone;
 pub mod verdict;
+mod volumes;
 
 pub use reconstruct::{Method, Options, Reconstruction, reconstruct};

@@ -6,6 +6,7 @@ use crate::offending::offending;
 use crate::points_alone;
 use crate::prepare::PrepareReport;
 use crate::reconstruct::{Method, Options, Reconstruction, reconstruct};
+use crate::volumes;
 use isoparticles_field::particle_set::ParticleSet;
 use isoparticles_field::sizing::SizingField;
 use isoparticles_mesh::point_cloud::is_point_cloud;
@@ -249,7 +250,9 @@ fn on_field(args: &Args, distfield: &Path, context: &Context) -> Result<Outcome>
     tell(&made, context);
 
     let surface = attributes(&made.mesh, &made.field, &made.sizes, &told.cap_planes);
-    let notes = [("topology", json!(made.topology)), ("refine", json!(made.refined))];
+    let volumes = json!(volumes::of_object(&told, made.checked.volume));
+    context.report("volumes", volumes.clone());
+    let notes = [("topology", json!(made.topology)), ("refine", json!(made.refined)), ("volumes", volumes)];
     let meta = SurfaceMeta {
         version: meta::VERSION,
         source: told.source,

@@ -6,6 +6,7 @@ use super::reconstruct::{Reconstruction, reconstruct};
 use crate::offending::Offending;
 use crate::reconstruct::Method;
 use crate::run::{Args, check_offenders, read_sizing, write};
+use crate::volumes::of_materials;
 use isoparticles_field::materials::{Material, MaterialId};
 use isoparticles_mesh::quality::radius_ratios;
 use isoparticles_mesh::surface::{DataArray, Simplices, Surface, write_surface};
@@ -84,7 +85,10 @@ pub fn run(args: &Args, path: &Path, context: &Context) -> Result<Outcome> {
     tell(&made, context);
 
     let surface = attributes(&made, &geometry);
+    let volumes = json!(of_materials(&told, &made.checked.materials));
+    context.report("volumes", volumes.clone());
     let mut notes = Map::new();
+    notes.insert("volumes".to_owned(), volumes);
     notes.insert("refine".to_owned(), json!(made.refined));
     notes.insert(
         "interfaces".to_owned(),

@@ -1,0 +1,70 @@
+//! Volumes by material, mm^3, one row of a table that the surface carries to `tetmesh-check`: of the voxels and of F, as
+//! `distfield` tells them in its notes, and of the mesh.
+
+use super::materials::check::MaterialReport;
+use isoparticles_stage::meta::{DistanceMeta, MaterialsMeta};
+use serde::Serialize;
+use serde_json::Value;
+
+/// The volumes of the object, or of a material.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub(crate) struct Volumes {
+    /// Name of the material; `object` where it is the only one.
+    name: String,
+    /// Of the voxels, without the parts that were left out on purpose; none of a scalar volume.
+    voxels_mm3: Option<f64>,
+    /// Of F < 0.
+    field_mm3: Option<f64>,
+    /// Inside the mesh.
+    mesh_mm3: f64,
+}
+
+/// The row of one object, whose mesh has the volume `mesh_mm3`.
+pub(crate) fn of_object(told: &DistanceMeta, mesh_mm3: f64) -> Vec<Volumes> {
+    let dropped = told.notes.get("dropped").and_then(|dropped| dropped["volume"].as_f64()).unwrap_or(0.0);
+    let voxels_mm3 = told.volume_before.map(|volume| volume - dropped);
+    let field_mm3 = told.notes.get("volume").and_then(Value::as_f64);
+    vec![Volumes { name: "object".to_owned(), voxels_mm3, field_mm3, mesh_mm3 }]
+}
+
+/// A row for each material but the outside.
+pub(crate) fn of_materials(told: &MaterialsMeta, meshes: &[MaterialReport]) -> Vec<Volumes> {
+    let table = told.notes.get("table").and_then(Value::as_array).map_or(&[][..], Vec::as_slice);
+    let row = |entry: &Value| {
+        let name = entry["name"].as_str().filter(|_| entry["number"] != 0)?;
+        let mesh = meshes.iter().find(|mesh| mesh.name == name)?;
+        let [voxels_mm3, field_mm3] = ["volume_before", "volume"].map(|key| entry[key].as_f64());
+        Some(Volumes { name: name.to_owned(), voxels_mm3, field_mm3, mesh_mm3: mesh.volume })
+    };
+    table.iter().filter_map(row).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use serde_json::json;
+
+    #[test]
+    fn rows_have_the_volumes_that_the_field_tells() {
+        let told = json!({"volume_before": 12.0, "volume": 11.5, "dropped": {"volume": 2.0}});
+        let told: DistanceMeta = serde_json::from_value(told).expect("a note");
+        let row = |name: &str, voxels_mm3, field_mm3, mesh_mm3| Volumes {
+            name: name.to_owned(),
+            voxels_mm3,
+            field_mm3,
+            mesh_mm3,
+        };
+        assert_eq!(of_object(&told, 9.0), [row("object", Some(10.0), Some(11.5), 9.0)]);
+        assert_eq!(of_object(&DistanceMeta::default(), 9.0), [row("object", None, None, 9.0)]);
+
+        let table = json!({"table": [
+            {"name": "outside", "number": 0, "volume": 5.0},
+            {"name": "bone", "number": 1, "volume_before": 3.0, "volume": 3.5},
+            {"name": "lost", "number": 2, "volume_before": 1.0, "volume": 0.0},
+        ]});
+        let told: MaterialsMeta = serde_json::from_value(table).expect("a note");
+        let mesh = |name: &str, volume| MaterialReport { name: name.to_owned(), volume, ..MaterialReport::default() };
+        let meshes = [mesh("outside", -3.2), mesh("bone", 3.2)];
+        assert_eq!(of_materials(&told, &meshes), [row("bone", Some(3.0), Some(3.5), 3.2)]);
+    }
+}
