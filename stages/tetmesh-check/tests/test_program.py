@@ -60,7 +60,7 @@ def test_ball_with_graded_sizing(tmp_path: Path, run: Run) -> None:
     assert (report["outcome"], report["exit_code"], report["failed_checks"]) == ("passed", 0, [])
     results = report["results"]
     assert set(results) == {
-        "surface", "sizing", "tetrahedralizer", "volume", "distance_mm", "solve", "boundary", "exports", "checks",
+        "surface", "sizing", "tetrahedralizer", "volume", "volumes", "distance_mm", "solve", "boundary", "exports", "checks",
     }  # fmt: skip
     assert results["volume"]["tetrahedra"] == len(cells)
     assert results["tetrahedralizer"]["method"] == history["parameters"]["method"] == "ftetwild"

@@ -36,6 +36,7 @@ from tetmesh_check.solve import VolumeMesh, solve_on
 from tetmesh_check.surface import Surface
 from tetmesh_check.topology import members_of, tetrahedron_boundary
 from tetmesh_check.volume import write_volume
+from tetmesh_check.volume_table import volume_table
 
 if TYPE_CHECKING:
     from tetmesh_check.pipeline import Arguments
@@ -166,6 +167,8 @@ def _measure(
         },
         "regions": _regions(checked, filled),
     }
+    filling = {entry["name"]: entry["volume_mm3"] for entry in context.results["volume"]["regions"]}
+    context.results["volumes"] = volume_table(checked.surface.volumes, filling)
     if sizing is not None:
         wanted = factor * sizing.at(centres_of(points, tetrahedra))
         context.results["volume"]["edge_length_over_target"] = summarize(

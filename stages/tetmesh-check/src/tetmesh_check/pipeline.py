@@ -39,6 +39,7 @@ from tetmesh_check.spline import DistanceField, read_distance_field
 from tetmesh_check.surface import Surface, check_surface, read_surface
 from tetmesh_check.topology import Topology, changed_triangles, measure_topology, tetrahedron_boundary
 from tetmesh_check.volume import write_quadratic, write_volume
+from tetmesh_check.volume_table import volume_table
 
 MAX_SHARE_OUTSIDE = 0.05
 """Share of the tetrahedra outside the label volume above which there is a warning."""
@@ -199,6 +200,7 @@ def _measure(
             },
             "boundary_quality": summarize_all(triangle_quality(points, boundary)),
         }
+        context.results["volumes"] = volume_table(surface.volumes, {"object": float(quality.volume.sum())})
         if sizing is not None:
             wanted = arguments.tet_size_factor * sizing.at(centres_of(points, tetrahedra))
             context.results["volume"]["edge_length_over_target"] = summarize(

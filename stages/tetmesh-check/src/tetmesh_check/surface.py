@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +20,7 @@ from tetmesh_check.materials import Sides, read_sides
 from tetmesh_check.polydata import from_polydata
 from tetmesh_check.quality import Cells, Points
 from tetmesh_check.topology import Topology, measure_topology
+from tetmesh_check.volume_table import told_volumes
 
 _TOOLS = "reconstruct writes surfaces that pass; another program's needs repairing first"
 
@@ -40,6 +41,8 @@ class Surface:
     """Whether each triangle lies where the border of the volume cut the object, shape ``(m,)``; ``None`` if nobody says."""
     sides: Sides | None = None
     """The materials on both sides of each triangle; ``None`` for the surface of one object."""
+    volumes: list[dict[str, Any]] = field(default_factory=list)
+    """Volumes by material that the surface tells of, mm^3 (:mod:`.volume_table`)."""
 
     @property
     def bounding_box_diagonal(self) -> float:
@@ -142,7 +145,7 @@ def read_surface(path: Path) -> Surface:
         triangles = triangles[distinct]
         cap = None if cap is None else cap[distinct]
         sides = None if sides is None else sides.of(distinct)
-    return Surface(points, triangles, history_of(dataset), merged, cap, sides)
+    return Surface(points, triangles, history_of(dataset), merged, cap, sides, told_volumes(dataset))
 
 
 def check_surface(path: Path, surface: Surface) -> tuple[Topology, Components]:

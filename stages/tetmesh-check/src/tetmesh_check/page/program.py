@@ -122,6 +122,7 @@ def page(case: Case, folder: Path) -> str:
     writers: list[tuple[str, Callable[[], str]]] = [
         ("what went wrong", lambda: sections.trouble(case)),
         ("checks", lambda: sections.checks(case)),
+        ("volumes", lambda: regions.volumes(case)),
         ("the mesh in the volume", lambda: anatomy(case, surface)),
         ("in three dimensions", lambda: view(view_meshes(surface, case.volume), anatomical)),
         ("pictures", lambda: sections.pictures(case)),

@@ -1,4 +1,4 @@
-"""The part of the page about many materials: what each is made of, and what lies between them."""
+"""The parts of the page about regions: their volumes, and of many materials what each is made of and what lies between them."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from tetmesh_check.colours import region_colours
 from tetmesh_check.page.case import STAGES, Case, dig
 from tetmesh_check.page.charts import number
 from tetmesh_check.page.html import section, table
+from tetmesh_check.volume_table import COLUMNS, with_changes
 
 _MANY = 24
 """Rows that are shown at once; the rest is there to be opened."""
@@ -145,6 +146,30 @@ def _flat(case: Case) -> str:
             f"{_long_table(head, rows, 'needles')}"
         )
     return f"<h3>Flat tetrahedra</h3>{''.join(parts)}" if parts else ""
+
+
+def volumes(case: Case) -> str:
+    """Write a row a material: volumes of voxels, F, surface mesh and tetrahedra; nothing where they are not known.
+
+    Parameters
+    ----------
+    case
+        The case.
+    """
+    told = case.results.get("volumes") or dig(case.reports, "reconstruct", "results", "volumes") or []
+    rows = []
+    for row in map(with_changes, told):
+        changes = row["change_percent"]
+        cells = [
+            "-" if row.get(key) is None else number(row[key]) + (f" ({changes[key]:+.2f} %)" if key in changes else "")
+            for key in COLUMNS
+        ]
+        rows.append((escape(str(row["name"])), *cells))
+    if not rows:
+        return ""
+    words = "<p>In percent: the difference from the voxels, or from F where the volume holds no labels.</p>"
+    head = ("material", *(f"{name}, mm\u00b3" for name in COLUMNS.values()))
+    return section("Volumes", _long_table(head, rows, "materials") + words)
 
 
 def materials(case: Case) -> str:
