@@ -6,6 +6,7 @@ use crate::object::component_at;
 use isoparticles_field::spline::CubicSpline;
 use isoparticles_field::topology::{FieldTopology, TopologySummary};
 use isoparticles_mesh::TriangleMesh;
+use isoparticles_stage::cli::values::place;
 use rayon::prelude::*;
 use serde::Serialize;
 
@@ -70,9 +71,9 @@ impl TopologyReport {
         if self.joining_triangles > 0 {
             failed.push(format!("{} triangles that join different components of F = 0", self.joining_triangles));
         }
-        if let Some([x, y, z]) = self.missing.first() {
+        if let Some(first) = self.missing.first() {
             let count = self.missing.len();
-            failed.push(format!("{count} components of F = 0 are missing, the first at {x:.3} {y:.3} {z:.3} mm"));
+            failed.push(format!("{count} components of F = 0 are missing, the first at {} mm", place(*first)));
         }
         if self.superfluous > 0 {
             failed.push(format!("{} components that F = 0 does not have", self.superfluous));
@@ -110,7 +111,6 @@ impl Difference {
     }
 
     fn told(&self) -> String {
-        let [x, y, z] = self.place;
         let range = |[own, least, most]: [i64; 3]| {
             if least == most { own.to_string() } else { format!("{own} ({least} to {most})") }
         };
@@ -119,7 +119,8 @@ impl Difference {
             count => format!(", by {count} undecided places"),
         };
         format!(
-            "at {x:.3} {y:.3} {z:.3} mm: {} components with Euler characteristic {} where F = 0 has {} with {}{by}",
+            "at {} mm: {} components with Euler characteristic {} where F = 0 has {} with {}{by}",
+            place(self.place),
             self.mesh.components,
             self.mesh.euler,
             range(self.components.map(|n| n as i64)),

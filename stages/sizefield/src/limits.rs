@@ -3,6 +3,7 @@
 
 use isoparticles_field::sizing::SizingField;
 use isoparticles_field::topology::Component;
+use isoparticles_stage::cli::values::{place, significant};
 use isoparticles_stage::cli::{Context, particles_bytes};
 use isoparticles_stage::error::{Error, Result};
 use serde::Serialize;
@@ -42,14 +43,14 @@ pub fn too_small(components: &[Component], sizing: &SizingField) -> Vec<TooSmall
 /// The same in words, of so many components in all; `None` where there are none.
 pub fn too_small_told(found: &[TooSmall], components: usize) -> Option<String> {
     let smallest = found.iter().min_by(|a, b| a.size.total_cmp(&b.size))?;
-    let [x, y, z] = smallest.place;
     Some(format!(
-        "{} of {components} components are too small for their h, the smallest {:.3} mm across where h is {:.3} mm, at {x:.2} {y:.2} {z:.2} mm (world); \
+        "{} of {components} components are too small for their h, the smallest {} mm across where h is {} mm, at {} mm (world); \
          seed gives them extra particles, and a mesh may have them badly: a smaller h there (--refine, --min-size, --epsilon), or distfield without \
          what is so small (--keep, --scale), suits them better",
         found.len(),
-        smallest.size,
-        smallest.h,
+        significant(smallest.size),
+        significant(smallest.h),
+        place(smallest.place),
     ))
 }
 
@@ -70,8 +71,11 @@ pub fn check_size(path: &Path, size: f64, area: f64) -> Result<()> {
             "{}: h = {size} mm is too large for the object: {count:.1} particles on its largest part",
             path.display()
         ),
-        format!("fewer than {FEWEST} do not make a closed surface; the largest part has an area of {area:.4} mm^2"),
-        format!("give a size below {largest:.3} mm; {would_do:.2} mm gives about 100 vertices"),
+        format!(
+            "fewer than {FEWEST} do not make a closed surface; the largest part has an area of {} mm^2",
+            significant(area)
+        ),
+        format!("give a size below {} mm; {} mm gives about 100 vertices", significant(largest), significant(would_do)),
     ))
 }
 
@@ -128,6 +132,6 @@ mod tests {
         assert!(check_size(path, 10.9, area).is_ok());
         let error = check_size(path, 500.0, area).expect_err("too large");
         assert!(error.what.contains("h = 500 mm") && error.what.contains("0.0 particles"), "{error}");
-        assert!(error.next.contains("below 10.99") && error.next.contains("3.81 mm gives about 100"), "{error}");
+        assert!(error.next.contains("below 10.99") && error.next.contains("3.8093 mm gives about 100"), "{error}");
     }
 }

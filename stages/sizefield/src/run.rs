@@ -12,7 +12,7 @@ use isoparticles_field::sizing::SizingField;
 use isoparticles_field::spline::CubicSpline;
 use isoparticles_field::topology::FieldComponents;
 use isoparticles_stage::cli::check::Known;
-use isoparticles_stage::cli::values::{not_negative, positive};
+use isoparticles_stage::cli::values::{not_negative, place, positive, significant};
 use isoparticles_stage::cli::{CommonArgs, Context, FILES, METHOD, Outcome, StageArgs};
 use isoparticles_stage::error::{Error, Result};
 use isoparticles_stage::field_file::{Field, FieldKind, read_field, write_field};
@@ -262,7 +262,7 @@ pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
         }
     };
     if let (Some(size), Some(vertices)) = (one_size, args.vertices) {
-        context.info(format!("h: {size:.4} mm ({vertices} vertices)"));
+        context.info(format!("h: {} mm ({vertices} vertices)", significant(size)));
         context.set_parameter("uniform", size);
     }
     drop(step);
@@ -326,9 +326,12 @@ fn resolve(
     let (min_size, max_size) = (parameters.min_size, parameters.max_size);
     check_bounds((min_size, max_size), &format!("; {}", describe_extent(args.input.as_path(), low, high)))?;
     let quality = args.quality().name();
-    let of_voxel = |share: f64| format!("{share} of the voxel spacing {voxel:.4} mm, quality {quality}");
-    let of_diagonal =
-        format!("{} of the object's diagonal {diagonal:.4} mm, quality {quality}", defaults.max_size_diagonals);
+    let of_voxel = |share: f64| format!("{share} of the voxel spacing {} mm, quality {quality}", significant(voxel));
+    let of_diagonal = format!(
+        "{} of the object's diagonal {} mm, quality {quality}",
+        defaults.max_size_diagonals,
+        significant(diagonal)
+    );
     for (name, value, given, reason) in [
         ("epsilon", parameters.epsilon, args.epsilon, format!("quality {quality}")),
         ("delta", parameters.delta, args.delta, format!("quality {quality}")),
@@ -336,7 +339,8 @@ fn resolve(
         ("largest h, mm", max_size, args.max_size, of_diagonal),
         ("deviation, mm", deviation, args.max_deviation, of_voxel(defaults.deviation_voxels)),
     ] {
-        context.info(format!("{name}: {value:.4} ({})", if given.is_some() { "given" } else { &reason }));
+        let reason = if given.is_some() { "given" } else { &reason };
+        context.info(format!("{name}: {} ({reason})", significant(value)));
     }
     context.set_parameter("epsilon", parameters.epsilon);
     context.set_parameter("delta", parameters.delta);
@@ -369,7 +373,8 @@ pub(crate) fn check_bounds((min, max): (f64, f64), more: &str) -> Result<()> {
 
 fn describe_extent(path: &Path, low: DVec3, high: DVec3) -> String {
     let extent = high - low;
-    format!("the surface in {} measures {:.3} x {:.3} x {:.3} mm", path.display(), extent.x, extent.y, extent.z)
+    let extent = extent.to_array().map(significant).join(" x ");
+    format!("the surface in {} measures {extent} mm", path.display())
 }
 
 /// Slices this much thicker than voxels are wide leave ripple on a clean surface that scatters as noise does.
@@ -390,7 +395,8 @@ fn noise_told(noise: &[f64], spacing: DVec3) -> Option<String> {
         format!("ripple of slices {thickness:.1} times as thick as voxels are wide, or noise")
     };
     Some(format!(
-        "{what}, {mean:.4} mm high (root mean square) on {:.1} % of the surface, is not taken for shape",
+        "{what}, {} mm high (root mean square) on {:.1} % of the surface, is not taken for shape",
+        significant(mean),
         100.0 * found.len() as f64 / noise.len() as f64
     ))
 }
@@ -420,8 +426,10 @@ fn describe(
     };
     context.summary("components", features.component_area.len());
     context.summary("predicted particles", predicted.round());
-    context
-        .summary("h at the surface (mm)", format!("{:.4} to {:.4}", at_surface[0], at_surface[at_surface.len() - 1]));
+    context.summary(
+        "h at the surface (mm)",
+        [at_surface[0], at_surface[at_surface.len() - 1]].map(significant).join(" to "),
+    );
     context.report("fields", json!(meta));
     meta
 }
@@ -443,11 +451,11 @@ fn warn_if_too_coarse(features: &Features, size: f64, context: &Context) {
         .min_by(|&a, &b| features.feature_size[a].total_cmp(&features.feature_size[b]))
         .unwrap_or(0);
     context.warn(format!(
-        "h = {size} mm is larger than the local feature size on {:.1} % of the surface (smallest {:.3} mm, at grid \
-         position {:.2} mm); thin parts may not be caught",
+        "h = {size} mm is larger than the local feature size on {:.1} % of the surface (smallest {} mm, at grid \
+         position {} mm); thin parts may not be caught",
         100.0 * coarse as f64 / features.points.len() as f64,
-        features.feature_size[worst],
-        features.points[worst],
+        significant(features.feature_size[worst]),
+        place(features.points[worst].to_array()),
     ));
 }
 

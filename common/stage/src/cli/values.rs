@@ -1,4 +1,4 @@
-//! Parsers of the numbers that options take, with the bounds said in words.
+//! Parsers of the numbers that options take, with the bounds said in words; and how lengths are printed.
 
 /// A finite number above 0.
 pub fn positive(text: &str) -> Result<f64, String> {
@@ -40,6 +40,16 @@ pub fn bytes(text: &str) -> Result<u64, String> {
     }
 }
 
+/// A length, area or volume as text: four decimals, or below 0.01 four significant digits, so that no small one reads as 0.
+pub fn significant(value: f64) -> String {
+    if value != 0.0 && value.abs() < 0.01 { format!("{value:.3e}") } else { format!("{value:.4}") }
+}
+
+/// A place as text, each coordinate as by [`significant`].
+pub fn place(position: [f64; 3]) -> String {
+    position.map(significant).join(" ")
+}
+
 fn number(text: &str, fits: impl Fn(f64) -> bool, must: &str) -> Result<f64, String> {
     match text.parse::<f64>() {
         Ok(x) if x.is_finite() && fits(x) => Ok(x),
@@ -51,6 +61,12 @@ fn number(text: &str, fits: impl Fn(f64) -> bool, must: &str) -> Result<f64, Str
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn small_lengths_keep_their_digits() {
+        assert_eq!([0.0, 2.5, -0.01, 0.0099].map(significant), ["0.0000", "2.5000", "-0.0100", "9.900e-3"]);
+        assert_eq!(place([1.6e-6, -2.0, 0.0]), "1.600e-6 -2.0000 0.0000");
+    }
 
     #[test]
     fn bounds_are_kept_and_said() {

@@ -16,6 +16,7 @@ use isoparticles_mesh::intersect::self_intersections;
 use isoparticles_mesh::measure::measure;
 use isoparticles_mesh::quality::{QualitySummary, radius_ratios, summarise, zero_area_triangles};
 use isoparticles_mesh::topology::analyse;
+use isoparticles_stage::cli::values::place;
 use rayon::prelude::*;
 use serde::Serialize;
 use std::collections::BTreeMap;
@@ -165,10 +166,10 @@ impl ComplexReport {
     /// The triangles that the junction curves force below the demanded radius ratio, in words, with the place of the worst.
     pub fn forced(&self) -> Option<String> {
         let worst = self.poor_between_curves.first()?;
-        let (count, ratio, [x, y, z]) = (self.poor_between_curves.len(), worst.radius_ratio, worst.place);
+        let (count, ratio, at) = (self.poor_between_curves.len(), worst.radius_ratio, place(worst.place));
         Some(format!(
             "{count} poor triangles forced by the junction curves, which meet there at small angles, turn within h, or are far shorter than \
-             h (smallest radius ratio {ratio:.4} at {x:.6} {y:.6} {z:.6} mm; `poor_between_curves` in the report lists them)"
+             h (smallest radius ratio {ratio:.4} at {at} mm; `poor_between_curves` in the report lists them)"
         ))
     }
 }

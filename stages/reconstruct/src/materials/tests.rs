@@ -14,6 +14,7 @@ use glam::DVec3;
 use isoparticles_field::materials::{Analytic, Indicators, MaterialId, Stratum, ball, half_space, negative};
 use isoparticles_field::particle_set::{ParticleSet, Strata};
 use isoparticles_mesh::measure::measure;
+use isoparticles_stage::cli::values::place;
 use isoparticles_stage::error::Error;
 use isoparticles_stage::monitor::Silent;
 use isoparticles_volume::Geometry;
@@ -497,8 +498,8 @@ fn triangles_forced_by_curves_fail_unless_accepted() {
     let told = |report: &ComplexReport| report.failed.iter().filter(|text| text.contains(&said)).count();
     assert_eq!((told(&strict), told(&accepting)), (1, 0), "{:?}", strict.failed);
     let words = strict.failed.iter().find(|text| text.contains(&said)).expect("counted");
-    let [x, y, z] = strict.poor_between_curves[0].place;
-    for part in [&format!("{x:.6} {y:.6} {z:.6} mm"), "SCALE", "--accept-forced"] {
+    let at = place(strict.poor_between_curves[0].place);
+    for part in [&format!("at {at} mm"), "SCALE", "--accept-forced"] {
         assert!(words.contains(part), "{words}");
     }
 }

@@ -11,6 +11,7 @@ use glam::DVec3;
 use isoparticles_field::materials::complex::Complex;
 use isoparticles_field::materials::{Indicators, MaterialId, Materials, Stratum};
 use isoparticles_field::sizing::SizingField;
+use isoparticles_stage::cli::values::significant;
 use isoparticles_stage::cli::{Context, Outcome};
 use isoparticles_stage::error::{Error, Result};
 use isoparticles_stage::field_file::{FieldKind, write_field};
@@ -48,7 +49,7 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome> {
         (Some(size), _) if is_one_size => Some(size),
         (None, Some(vertices)) if is_one_size => {
             let size = size_for_count(|size| count(&uniform(geometry, size)), vertices as f64);
-            context.info(format!("h: {size:.4} mm ({vertices} vertices)"));
+            context.info(format!("h: {} mm ({vertices} vertices)", significant(size)));
             context.set_parameter("uniform", size);
             Some(size)
         }
@@ -209,8 +210,9 @@ fn resolve(args: &Args, materials: &Materials, refined: Vec<(usize, f64)>, conte
         ("smallest h, mm", parameters.min_size, args.min_size.is_some()),
         ("deviation, mm", deviation, args.max_deviation.is_some()),
     ] {
-        let reason = if is_given { "given".to_owned() } else { format!("quality {quality}, voxel {voxel:.4} mm") };
-        context.info(format!("{name}: {value:.4} ({reason})"));
+        let reason =
+            if is_given { "given".to_owned() } else { format!("quality {quality}, voxel {} mm", significant(voxel)) };
+        context.info(format!("{name}: {} ({reason})", significant(value)));
     }
     context.set_parameter("epsilon", parameters.epsilon);
     context.set_parameter("delta", parameters.delta);
@@ -241,7 +243,7 @@ fn describe(complex: &Complex, sizing: &SizingField, predicted: f64, context: &C
     context.summary("components of interfaces", components);
     context.summary("junction points and curves", format!("{} and {}", complex.points.len(), complex.chains.len()));
     context.summary("predicted particles", predicted.round());
-    context.summary("h at interfaces (mm)", format!("{:.4} to {:.4}", sizes[0], sizes[sizes.len() - 1]));
+    context.summary("h at interfaces (mm)", [sizes[0], sizes[sizes.len() - 1]].map(significant).join(" to "));
     context.report("fields", json!(meta));
     meta
 }
