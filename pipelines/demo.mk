@@ -44,7 +44,8 @@ MIN_SIZE := 2
 #   BACKEND := auto
 #   MAX_MEMORY := 8G
 
-# ACCEPT_FORCED = yes passes elements that the surface of many materials forces below a limit; the verdict counts them.
+# ACCEPT_FORCED = yes passes elements that the surface of many materials forces below a limit;
+# the verdict counts them.
 #   ACCEPT_FORCED := no
 
 # Anything else that a stage's --help offers; RECONSTRUCT_OPTIONS := --method tight-cocone joins the particles the paper's way.

@@ -81,7 +81,8 @@ pub struct Args {
     /// Smallest radius ratio that passes, 0 to 1 [default: 0.3 with a distance field; without it any passes]
     #[arg(long, value_name = "RATIO", value_parser = share, help_heading = CHECKS)]
     pub min_radius_ratio: Option<f64>,
-    /// Many materials: pass triangles below --min-radius-ratio that junction curves force below it; the verdict counts them
+    /// Many materials: pass triangles below --min-radius-ratio that junction curves force below it;
+    /// the verdict counts them
     #[arg(long, help_heading = CHECKS)]
     pub accept_forced: bool,
     /// Farthest from F = 0 that a vertex may lie, voxels (geometric mean spacing), above 0

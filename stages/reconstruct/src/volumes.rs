@@ -1,5 +1,5 @@
-//! Volumes by material, mm^3, one row of a table that the surface carries to `tetmesh-check`: of the voxels and of F, as
-//! `distfield` tells them in its notes, and of the mesh.
+//! Volumes by material, mm^3: of the voxels and of F, as `distfield` tells them in its notes, and of
+//! the mesh. The surface carries the rows to `tetmesh-check`.
 
 use super::materials::check::MaterialReport;
 use isoparticles_stage::meta::{DistanceMeta, MaterialsMeta};

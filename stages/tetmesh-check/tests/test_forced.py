@@ -1,4 +1,4 @@
-"""Where the surface allows no good tetrahedra: found by its triangles, listed, and a failure unless accepted."""
+"""Where the surface allows no good tetrahedra: listed, and a failure unless accepted."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The table of volumes: of voxels, F, surface mesh and tetrahedra, in the report and on the page."""
+"""The table of volumes of voxels, F, surface mesh and tetrahedra, in report and page."""
 
 from __future__ import annotations
 

@@ -31,7 +31,8 @@ pub const FILES: &str = "Files";
 pub const METHOD: &str = "Method";
 /// Help heading of the options that change what is checked, not what is made.
 pub const CHECKS: &str = "Checks";
-/// Beginning of the warning that names elements beyond a limit which the user accepts. The verdict of the case repeats it.
+/// Beginning of the warning that names elements beyond a limit which the user accepts. The verdict
+/// of the case repeats it.
 pub const FIT_BUT_FOR: &str = "fit but for ";
 
 /// How progress is shown.

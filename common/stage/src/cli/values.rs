@@ -1,4 +1,4 @@
-//! Parsers of the numbers that options take, with the bounds said in words; and how lengths are printed.
+//! Parsers of the numbers that options take, with the bounds said in words; how lengths are printed.
 
 /// A finite number above 0.
 pub fn positive(text: &str) -> Result<f64, String> {
@@ -40,7 +40,8 @@ pub fn bytes(text: &str) -> Result<u64, String> {
     }
 }
 
-/// A length, area or volume as text: four decimals, or below 0.01 four significant digits, so that no small one reads as 0.
+/// A length, area or volume as text: four decimals, or below 0.01 four significant digits, so that
+/// no small one reads as 0.
 pub fn significant(value: f64) -> String {
     if value != 0.0 && value.abs() < 0.01 { format!("{value:.3e}") } else { format!("{value:.4}") }
 }

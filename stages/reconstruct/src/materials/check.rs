@@ -90,7 +90,8 @@ pub struct Offenders {
     pub crossing: Vec<[u32; 2]>,
     /// Triangles below the demanded radius ratio, without those that the junction curves force.
     pub poor: Vec<u32>,
-    /// Triangles below the demanded radius ratio that the junction curves force; none where these are accepted.
+    /// Triangles below the demanded radius ratio that the junction curves force; none where these
+    /// are accepted.
     pub forced: Vec<u32>,
     /// Vertices too far from a sheet of theirs.
     pub distant: Vec<u32>,
@@ -163,7 +164,8 @@ pub struct ComplexReport {
 }
 
 impl ComplexReport {
-    /// The triangles that the junction curves force below the demanded radius ratio, in words, with the place of the worst.
+    /// The triangles that the junction curves force below the demanded radius ratio, in words, with
+    /// the place of the worst.
     pub fn forced(&self) -> Option<String> {
         let worst = self.poor_between_curves.first()?;
         let (count, ratio, at) = (self.poor_between_curves.len(), worst.radius_ratio, place(worst.place));

@@ -13,7 +13,7 @@ from tetmesh_check.quality import TetrahedronQuality, Values
 from tetmesh_check.topology import Topology
 
 FIT_BUT_FOR = "fit but for "
-"""Beginning of the warning that names accepted elements; the verdict of the case and its page repeat it."""
+"""Beginning of the warning that names accepted elements; the verdict and the page repeat it."""
 REMEDY = (
     "a scale (SCALE, or SIZE or VERTICES without SCALE=0) or smaller edges (SIZE, MIN_SIZE, more VERTICES) remove them, "
     "--accept-forced (ACCEPT_FORCED=yes) accepts them"
@@ -155,7 +155,7 @@ def shape_checks(quality: TetrahedronQuality, limits: Limits, forced: Forced | N
     limits
         What is demanded.
     forced
-        Which the surface keeps from it; without it none. They fail, too, unless the limits accept them.
+        Which the surface keeps from it; without it none. They fail unless the limits accept them.
     """
     forced = forced or Forced.none(quality.volume.size)
     not_positive = int((quality.volume <= 0).sum())

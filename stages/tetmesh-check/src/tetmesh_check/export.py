@@ -31,7 +31,8 @@ if TYPE_CHECKING:
 NAMES = {SURFACE: "surface", CAP: "cap"}
 """What the parts of the boundary are called in sets and groups."""
 RESERVED = ("volume", "nodes", "all")
-"""Names of sets that are no region's: all elements in ``inp``, all nodes in ``feb``, everything in CalculiX's own viewer."""
+"""Names of sets that are no region's: all elements in ``inp``, all nodes in ``feb``, everything in
+the viewer of CalculiX."""
 LONGEST_NAME = 80
 """Characters of the name of a set in CalculiX and of a group in MED."""
 
@@ -115,7 +116,8 @@ class MarkedMesh:
     boundary_middle: Cells | None = None
     """Nodes amid the edges of each triangle of the boundary, shape ``(k, 3)``."""
     labels: list[int] | None = None
-    """Labels of the one region of an object, empty where they are not known; ``None`` where the regions are labels or materials."""
+    """Labels of the one region of an object, empty where they are not known; ``None`` where the
+    regions are labels or materials."""
 
     @property
     def elements(self) -> Cells:
@@ -394,9 +396,9 @@ _WRITE: dict[str, dict[str, Callable[[MarkedMesh, Path], None]]] = {
         "volume.mesh-complete.exterior.vtp": _simvascular_boundary,
     },
 }
-"""The files of each format but XDMF, ``NAME.`` before each, and what writes them; the table of regions comes
-with each. All but the boundary begin with ``volume``, by which the
-rest of the project knows them as results of this stage."""
+"""The files of each format but XDMF, ``NAME.`` before each, and what writes them; the table of
+regions comes with each. All but the boundary begin with ``volume``, by which the rest of the
+project knows them as results of this stage."""
 
 _PER_MM = {"mm": 1.0, "m": 1e-3, "um": 1e3}
 

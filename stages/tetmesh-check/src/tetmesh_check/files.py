@@ -130,7 +130,7 @@ def temporary_error(reason: str) -> StageError:
 
 @contextmanager
 def temporary_folder(prefix: str) -> Iterator[Path]:
-    """Make a folder for temporary files, which is removed at the end; an error of the system in it names the place.
+    """Make a folder for temporary files and remove it at the end; errors in it name the place.
 
     Parameters
     ----------

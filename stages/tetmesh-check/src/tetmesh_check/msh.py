@@ -22,9 +22,10 @@ _NODES = np.array([0, 1, 2, 3, 4, 5, 6, 7, 9, 8])
 
 
 def _numbers(mesh: MarkedMesh) -> tuple[dict[int, str], Labels, dict[int, str], Labels]:
-    """Regions: numbers with names, and of which each tetrahedron is; parts of the boundary and triangles likewise.
+    """Numbers and names of the regions, the number of each tetrahedron; likewise of the boundary.
 
-    Gmsh leaves out groups of a number below 1. Such a region has the first numbers above all regions, and its name tells its label.
+    Gmsh leaves out groups of a number below 1. Such a region has a number above all regions, and its
+    name tells its label.
     The parts have numbers above those of the regions, because GetDP does not tell a region from a surface of its number: to each mark
     is added the first power of ten above all regions, so that with the one region 1 ``surface`` is 11 and ``cap`` 12.
     """

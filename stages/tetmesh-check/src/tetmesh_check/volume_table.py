@@ -1,4 +1,4 @@
-"""One table of volumes by material: of the voxels, of F, of the surface mesh and of the tetrahedra."""
+"""One table of volumes by material: of voxels, F, surface mesh and tetrahedra."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ COLUMNS = {
 
 
 def told_volumes(surface: pv.PolyData) -> list[dict[str, Any]]:
-    """Read the rows that ``reconstruct`` leaves in the note of a surface; empty where there are none.
+    """Read the rows that ``reconstruct`` leaves in the note of a surface, if any.
 
     Parameters
     ----------

@@ -40,7 +40,7 @@ _TAIL_BYTES = 4096
 _UNAVAILABLE = 3
 """Exit code of a worker whose library cannot be imported."""
 _NO_ROOM = 4
-"""Exit code of a worker that cannot write into the folder of temporary files; its last words are the reason."""
+"""Exit code of a worker that cannot write temporary files; its last words are the reason."""
 _PR_SET_PDEATHSIG = 1
 _LINE_BUFFERED = 1
 
@@ -72,7 +72,7 @@ class Worker:
     when_it_is_missing: str
     """How to get its library."""
     powers: dict[str, int]
-    """Arrays and settings that are lengths (1) or volumes (3), by the power of the unit of length."""
+    """Arrays and settings that are lengths (1) or volumes (3), by the power of the length unit."""
 
 
 @dataclass(frozen=True)
@@ -121,7 +121,7 @@ def refuse_missing(worker: Worker) -> None:
 
 
 def scale_of(points: Points) -> float:
-    """Factor that brings a box to a diagonal of order 100, a power of 2, so that it is exact; 1 for diagonals from 1 to 1000.
+    """Power of 2 that brings a box to a diagonal of order 100; 1 for diagonals from 1 to 1000.
 
     Tetrahedralizers have absolute tolerances: fTetWild strays from a box of 1e-5.
 

@@ -1,4 +1,4 @@
-"""The parts of the page about regions: their volumes, and of many materials what each is made of and what lies between them."""
+"""The parts of the page about regions: volumes, and of many materials what lies between them."""
 
 from __future__ import annotations
 
@@ -149,7 +149,7 @@ def _flat(case: Case) -> str:
 
 
 def volumes(case: Case) -> str:
-    """Write a row a material: volumes of voxels, F, surface mesh and tetrahedra; nothing where they are not known.
+    """Write the table of volumes, a row a material; nothing where none are known.
 
     Parameters
     ----------
