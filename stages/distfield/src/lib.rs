@@ -2,6 +2,7 @@
 //! of the paper (Kim, Chen and Hansen 2012): negative inside, in mm, and read everywhere as the interpolating cubic
 //! B-spline through its samples.
 //!
+//! [`mod@unshear`] resamples a sheared volume.
 //! [`crop`] takes the object's box out of the volume. [`scalar`] and [`labels`] say what the surface is (labels by [`mask`], [`sides`] and [`flow`], which hold nodes as [`bits`] and
 //! [`runs`]), [`field`] turns it into distances ([`samples`], [`nearest`], [`closest`]), pins the
 //! zero set of the spline on it ([`fit`]), joins and parts what touches as the source does ([`junctions`]) and closes it at
@@ -38,6 +39,7 @@ pub mod scale;
 pub mod selection;
 pub mod sides;
 pub mod topology;
+pub mod unshear;
 
 pub use field::{Redistanced, Shift};
 pub use keep::Keep;

@@ -9,6 +9,7 @@ use crate::materials::{self, Choice};
 use crate::scalar::{ScalarOptions, from_voxels};
 use crate::scale::room_round;
 use crate::selection::{Selection, noted};
+use crate::unshear::{Wanted, unshear};
 use crate::{Border, Clearance, Inside, Keep, Redistanced};
 use isoparticles_stage::cli::check::Known;
 use isoparticles_stage::cli::{CommonArgs, Context, FILES, METHOD, Outcome, StageArgs};
@@ -230,6 +231,7 @@ pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
         return tell(args, &volume, labels, context);
     };
     if !args.material.is_empty() {
+        let volume = unshear(volume, Wanted::Materials(&args.material), args.border, context).map_err(about_file)?;
         return materials::program::run(args, volume, output, context).map_err(about_file);
     }
     let object = match (labels, args.iso) {
@@ -243,6 +245,11 @@ pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
             ));
         }
     };
+    let wanted = match &object {
+        Object::Labels(labels) => Wanted::Labels(labels),
+        Object::Iso(iso, inside) => Wanted::Iso(*iso, *inside),
+    };
+    let volume = unshear(volume, wanted, args.border, context).map_err(about_file)?;
     let margin = usize::from(args.margin);
     let (volume, found) = object.locate(volume).map_err(about_file)?;
     let (mut volume, scale) = choose_scale(&args.scale, volume, &object, args.border, context).map_err(about_file)?;

@@ -16,14 +16,15 @@ pub mod thresholds;
 
 use crate::Inside;
 use boundary::{Boundary, boundaries};
-use classes::{Classes, MOST_CLASSES, Rule};
+use classes::{Classes, MOST_CLASSES, OUTSIDE, Rule};
 use cost::{Cost, cost, default_vertices};
 use isoparticles_stage::error::Result;
 use isoparticles_stage::monitor::Monitor;
-use isoparticles_volume::{Geometry, LayerLabel, Space, Volume};
+use isoparticles_volume::{Geometry, LayerLabel, Shear, Space, Volume, Voxels};
 use kind::{Judgement, Kind, judge};
 use orientation::Orientation;
 use parts::{Parts, parts};
+use rayon::prelude::*;
 use serde::Serialize;
 use survey::Survey;
 use thresholds::{IsoValue, is_hounsfield, iso_values};
@@ -129,6 +130,7 @@ pub struct Object {
 /// When interrupted, and when labels are asked for that are no whole numbers.
 pub fn examine(volume: &Volume, wishes: &Wishes, monitor: &dyn Monitor) -> Result<VolumeInfo> {
     let geometry = &volume.geometry;
+    let shear = Shear::of(geometry);
     let step = monitor.phase("survey");
     let values = Survey::of(&volume.voxels, geometry);
     let mut judgement = judge(&values, volume.segments.len());
@@ -138,7 +140,7 @@ pub fn examine(volume: &Volume, wishes: &Wishes, monitor: &dyn Monitor) -> Resul
     drop(step);
     monitor.check()?;
     let step = monitor.phase("labels");
-    let labels = if judgement.kind == Kind::Labels { label_table(volume)? } else { Vec::new() };
+    let labels = if judgement.kind == Kind::Labels { label_table(volume, shear.as_ref())? } else { Vec::new() };
     drop(step);
     let nan_remark = volume.nan_remark().filter(|_| judgement.kind == Kind::Labels);
     let mut objects = Vec::new();
@@ -146,6 +148,9 @@ pub fn examine(volume: &Volume, wishes: &Wishes, monitor: &dyn Monitor) -> Resul
         monitor.check()?;
         let _step = monitor.phase("objects");
         let classes = Classes::new(geometry, layers, 1);
+        let moved = shear.as_ref().map(|shear| moved(&classes, shear));
+        let classes = unsheared(classes, shear.as_ref().zip(moved.as_ref()));
+        let geometry = classes.geometry;
         let voxels = classes.counts()[1];
         let parts = parts(&classes).map(|parts| parts[0]);
         let boundary = boundaries(&classes, SAMPLE).remove(0);
@@ -171,8 +176,23 @@ pub fn examine(volume: &Volume, wishes: &Wishes, monitor: &dyn Monitor) -> Resul
         values,
         labels,
         objects,
-        remarks: volume.remarks.iter().cloned().chain(nan_remark).collect(),
+        remarks: volume.remarks.iter().cloned().chain(nan_remark).chain(shear.iter().map(Shear::remark)).collect(),
     })
+}
+
+/// Classes moved to orthonormal axes.
+fn moved(classes: &Classes<'_>, shear: &Shear) -> Voxels {
+    let [nx, ny, _] = classes.geometry.size;
+    let mut numbers = vec![OUTSIDE; classes.geometry.voxel_count()];
+    numbers.par_chunks_mut(nx).enumerate().for_each(|(row, own)| classes.copy_row(row % ny, row / ny, own));
+    shear.move_labels(&Voxels::U16(numbers), Some(OUTSIDE.into()))
+}
+
+/// The classes of the moved voxels of a sheared volume, which measures are taken from.
+fn unsheared<'a>(classes: Classes<'a>, moved: Option<(&'a Shear, &'a Voxels)>) -> Classes<'a> {
+    let Some((shear, voxels)) = moved else { return classes };
+    let numbers: Vec<i64> = (1..=classes.count as i64).collect();
+    Classes::new(&shear.geometry, vec![(voxels, Rule::each_of(&numbers))], classes.count)
 }
 
 fn volume_of(voxels: usize, geometry: &Geometry) -> f64 {
@@ -180,15 +200,17 @@ fn volume_of(voxels: usize, geometry: &Geometry) -> f64 {
 }
 
 /// The labels but 0, layer by layer.
-fn label_table(volume: &Volume) -> Result<Vec<LabelInfo>> {
-    let geometry = &volume.geometry;
+fn label_table(volume: &Volume, shear: Option<&Shear>) -> Result<Vec<LabelInfo>> {
     let mut table = Vec::new();
     for (layer, voxels) in volume.layers().enumerate() {
         let mut present = voxels.label_set()?;
         present.retain(|label| *label != 0);
         present.truncate(MOST_CLASSES);
         let sample = (TABLE_SAMPLE / present.len().max(1)).clamp(*LABEL_SAMPLE.start(), *LABEL_SAMPLE.end());
-        let classes = Classes::new(geometry, vec![(voxels, Rule::each_of(&present))], present.len());
+        let classes = Classes::new(&volume.geometry, vec![(voxels, Rule::each_of(&present))], present.len());
+        let moved = shear.map(|shear| moved(&classes, shear));
+        let classes = unsheared(classes, shear.zip(moved.as_ref()));
+        let geometry = classes.geometry;
         let counts = classes.counts();
         let parts = parts(&classes);
         let surfaces: Vec<Boundary> = boundaries(&classes, sample);
@@ -208,7 +230,7 @@ fn label_table(volume: &Volume) -> Result<Vec<LabelInfo>> {
 }
 
 /// What an object is, the options that give it, why it is proposed, and its voxels.
-type Candidate<'a> = (String, String, String, Vec<(&'a isoparticles_volume::Voxels, Rule)>);
+type Candidate<'a> = (String, String, String, Vec<(&'a Voxels, Rule)>);
 
 /// The object meant, or those worth trying.
 fn candidates<'a>(

@@ -1,0 +1,82 @@
+//! Sheared volumes (gantry tilt, sform with shear) are resampled to orthonormal axes before
+//! anything is measured in them. Outside the volume is background, which closes the object where
+//! the volume ends. With an open border the values of the nearest voxels continue there.
+
+use crate::materials::choice::{Choice, resolve};
+use crate::{Border, Inside};
+use isoparticles_stage::cli::Context;
+use isoparticles_stage::error::Result;
+use isoparticles_volume::{LayerLabel, Shear, Volume, Voxels};
+
+/// What is made of a volume.
+#[derive(Clone, Copy)]
+pub enum Wanted<'a> {
+    /// The union of labels.
+    Labels(&'a [LayerLabel]),
+    /// Several materials.
+    Materials(&'a [Choice]),
+    /// One side of an iso value.
+    Iso(f64, Inside),
+}
+
+/// The volume on orthonormal axes; a warning says when it is resampled.
+///
+/// # Errors
+/// When the resampled volume takes more memory than there is, and when a material is not there.
+pub fn unshear(volume: Volume, wanted: Wanted<'_>, border: Border, context: &Context) -> Result<Volume> {
+    let Some(shear) = Shear::of(&volume.geometry) else { return Ok(volume) };
+    let [nx, ny, nz] = shear.geometry.size;
+    let layers = match wanted {
+        Wanted::Iso(..) => vec![4],
+        _ => volume.layers().map(|voxels| voxels.scalar_type().bytes()).collect(),
+    };
+    // beside the layers that are done there are two more of one of them, between the passes
+    let bytes = layers.iter().sum::<usize>() + 2 * layers.iter().max().unwrap_or(&0);
+    context.check_memory(
+        shear.geometry.voxel_count() as f64 * bytes as f64,
+        &format!("a volume of {nx} x {ny} x {nz} voxels that is resampled because its axes are sheared"),
+        "crop the volume to the object, or resample it",
+    )?;
+    let step = context.step("resample");
+    let resampled = match wanted {
+        Wanted::Labels(labels) => moved(&volume, &shear, border, |at| labels.contains(&at)),
+        Wanted::Materials(choices) => {
+            let chosen = resolve(choices, &volume)?;
+            moved(&volume, &shear, border, |at| chosen.number(at) != 0)
+        }
+        Wanted::Iso(iso, inside) => match interpolated(&volume.voxels, &shear, iso, inside, border) {
+            Some(voxels) => vec![voxels],
+            None => return Ok(volume),
+        },
+    };
+    drop(step);
+    context.warn(shear.remark());
+    let mut layers = resampled.into_iter();
+    let first = layers.next().unwrap_or(Voxels::U8(Vec::new()));
+    Ok(Volume { geometry: shear.geometry, voxels: first, more_layers: layers.collect(), ..volume })
+}
+
+/// All layers; outside the volume there is the first label that is not `asked` for.
+fn moved(volume: &Volume, shear: &Shear, border: Border, asked: impl Fn(LayerLabel) -> bool) -> Vec<Voxels> {
+    let layer = |(layer, voxels)| {
+        let outside = (0..).find(|&label| !asked(LayerLabel { layer, label }));
+        shear.move_labels(voxels, outside.filter(|_| border == Border::Cap))
+    };
+    volume.layers().enumerate().map(layer).collect()
+}
+
+/// A scan. Outside the volume, values of the object are mirrored at the iso value: the object ends
+/// half a voxel beyond the last centres. `None` where there is no surface; a later check refuses
+/// that.
+fn interpolated(voxels: &Voxels, shear: &Shear, iso: f64, inside: Inside, border: Border) -> Option<Voxels> {
+    let (low, high) = voxels.range()?;
+    if !(low < iso && iso < high) || voxels.non_finite_count() > 0 {
+        return None;
+    }
+    let beyond = |value: f32| {
+        let past = f64::from(value) - iso;
+        let is_inside = if inside == Inside::Above { past > 0.0 } else { past < 0.0 };
+        if is_inside && border == Border::Cap { (iso - past) as f32 } else { value }
+    };
+    Some(Voxels::F32(shear.interpolate(voxels, beyond)))
+}
