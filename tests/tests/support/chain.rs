@@ -46,6 +46,8 @@ pub struct Wishes {
     pub sizefield: Vec<OsString>,
     /// Options of `particles`.
     pub particles: Vec<OsString>,
+    /// Options of `reconstruct`.
+    pub reconstruct: Vec<OsString>,
 }
 
 impl Wishes {
@@ -61,7 +63,7 @@ impl Wishes {
 
     fn of(distfield: Vec<OsString>, size: Option<f64>) -> Self {
         let sizefield = size.map_or_else(Vec::new, |h| arguments!["--uniform", h.to_string()]);
-        Self { distfield, sizefield, particles: Vec::new() }
+        Self { distfield, sizefield, ..Self::default() }
     }
 }
 
@@ -91,6 +93,7 @@ pub fn surface(volume: &Path, folder: &Path, wishes: &Wishes) -> Files {
     stage("particles", command).expect_success("particles");
     let mut command = arguments![&files.particles, "-o", &files.surface];
     command.extend(fields);
+    command.extend(wishes.reconstruct.clone());
     stage("reconstruct", command).expect_success("reconstruct");
     files
 }

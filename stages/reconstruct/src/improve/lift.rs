@@ -97,9 +97,12 @@ fn rated(
         let chunks = candidates.par_chunks(candidates.len().div_ceil(copies));
         let rate_all = |chunk: &[Move]| {
             let mut copy = surface.clone();
-            chunk.iter().filter_map(|&candidate| rate(&mut copy, candidate)).collect::<Vec<_>>()
+            let rated: Vec<_> = chunk.iter().filter_map(|&candidate| rate(&mut copy, candidate)).collect();
+            (rated, copy.tried - surface.tried)
         };
-        chunks.flat_map_iter(rate_all).collect()
+        let (rated, tried): (Vec<_>, Vec<usize>) = chunks.map(rate_all).unzip();
+        surface.tried += tried.into_iter().sum::<usize>();
+        rated.concat()
     } else {
         candidates.iter().filter_map(|&candidate| rate(surface, candidate)).collect()
     };

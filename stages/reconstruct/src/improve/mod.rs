@@ -121,6 +121,8 @@ pub struct Tally {
     pub double_moves: usize,
     /// Patches round triangles below the limits that were remeshed to follow the curvature of F.
     pub remeshed_patches: usize,
+    /// Transactions on behalf of bad triangles, kept or taken back.
+    pub tried: usize,
 }
 
 /// What came of it.

@@ -2,14 +2,10 @@
 //! patch round it: a single move with relocations, two moves in a row, or the patch remeshed at a smaller target length. Patches that do not
 //! meet are worked on side by side; what a patch commits is one commit of the whole.
 
-use super::constants::{
-    AIM, ATTEMPTS, ATTEMPTS_AT_JUNCTIONS, BATCH, EASY, FIT, MOST_FIT_REMESHED_IN_VAIN, MOST_IN_VAIN,
-    MOST_IN_VAIN_ABOVE_EASY, MOST_IN_VAIN_AT_JUNCTIONS, MOST_PAIRS_IN_VAIN, POOR, REACHES, RINGS,
-};
+use super::constants::{AIM, ATTEMPTS, BATCH, EASY, FIT, MOST_IN_VAIN, POOR, REACHES, RINGS};
 use super::guard::Limits;
 use super::lift::{lift, lift_by_two};
 use super::patch::Patch;
-use super::sheets::Freedom;
 use super::surface::Surface;
 use super::target_length::{How, remesh};
 use super::{Step, Tally};
@@ -48,8 +44,6 @@ struct Pass {
     limits: Limits,
     /// Quality below which a triangle is in the queue.
     bar: f64,
-    /// Triangles tried in vain after which the rest is left as it is.
-    most_in_vain: usize,
 }
 
 impl Pass {
@@ -61,20 +55,56 @@ impl Pass {
             means => means.is_local() || quality < POOR || !surface.is_held(triangle),
         }
     }
+}
 
-    /// [`Self::most_in_vain`] where sheets meet in junction curves.
-    fn most_in_vain_at_junctions(&self) -> usize {
-        if self.means == Means::Move { self.most_in_vain } else { self.most_in_vain.min(MOST_IN_VAIN_AT_JUNCTIONS) }
+/// The work of a pass in all rounds, in transactions, and what it gains. A pass ends when its work in
+/// vain exceeds its useful work by [`MOST_IN_VAIN`]. Useful work raises the number of lifted triangles
+/// to a new maximum, so the number of bad triangles bounds the sum of both.
+#[derive(Default)]
+struct Ledger {
+    useful: usize,
+    in_vain: usize,
+    /// Triangles worked on.
+    triangles: usize,
+    /// Triangles brought above the bar and grid nodes brought to their right side, less triangles that
+    /// fell below it.
+    lifted: isize,
+    most_lifted: isize,
+    /// The number of commits at each failure, by triangle. It is tried again only after a change next
+    /// to it.
+    failures: HashMap<u32, u32>,
+}
+
+impl Ledger {
+    /// The number of triangles to work on at once: as many as the budget allows at the mean cost so far,
+    /// and at least one while any budget is left.
+    fn batch_size(&self) -> usize {
+        let left = (MOST_IN_VAIN + self.useful).saturating_sub(self.in_vain);
+        let mean_cost = (self.useful + self.in_vain).div_ceil(self.triangles.max(1));
+        match (left, mean_cost) {
+            (0, _) => 0,
+            (_, 0) => 1,
+            _ => (left / mean_cost).clamp(1, BATCH),
+        }
+    }
+
+    /// Enters the work on one triangle.
+    fn enter(&mut self, work: usize, lifted: isize) {
+        self.triangles += 1;
+        self.lifted += lifted;
+        if self.lifted > self.most_lifted {
+            self.most_lifted = self.lifted;
+            self.useful += work;
+        } else {
+            self.in_vain += work;
+        }
     }
 }
 
-/// What was tried in vain, by triangle: the number of commits at the time, lest it be tried again before anything has changed there; remeshing, where sheets meet in junction
-/// curves, before the triangle itself has.
-type Failures = HashMap<u32, u32>;
-
 /// Lifts the triangles below a quality, `rounds` times at most: by moves within the limits; those not fit for finite elements by moves within the
 /// loosened limits, by remeshing and by two moves in a row; then those below [`AIM`] by two moves, and all of them by one, by two and by
-/// remeshing, in so far as a few failures allow; and what is still below [`AIM`] by remeshing farther round.
+/// remeshing; and what is still below [`AIM`] by remeshing farther round. Each pass has a budget of
+/// work ([`Ledger`]).
 /// `step` is called before each batch and may stop it.
 ///
 /// # Errors
@@ -88,10 +118,10 @@ pub(super) fn optimise(
     tally: &mut Tally,
 ) -> Result<()> {
     let (loosened, unfit) = (limits.loosened(), target.min(FIT));
-    let pass = |means, limits, bar, most_in_vain| Pass { means, limits, bar, most_in_vain };
-    let remesh = |reach| pass(Means::Remesh { reach }, *limits, unfit, MOST_IN_VAIN);
+    let pass = |means, limits, bar| Pass { means, limits, bar };
+    let remesh = |reach| pass(Means::Remesh { reach }, *limits, unfit);
     let [smallest, small, large, largest] = REACHES;
-    let two_moves = |limits, bar: f64| pass(Means::TwoMoves, limits, target.min(bar), MOST_PAIRS_IN_VAIN);
+    let two_moves = |limits, bar: f64| pass(Means::TwoMoves, limits, target.min(bar));
     // as loose as that, but no farther from F = 0
     let within = Limits { deviation: limits.deviation, ..loosened };
     // few are left so far below the rest, and the smallest ratio is one of theirs: `thorax_labels` 1 at h = 1 mm comes to 0.74 by it in place of 0.62. Of several sheets there
@@ -99,36 +129,38 @@ pub(super) fn optimise(
     let is_one_sheet = surface.sheet.windows(2).all(|pair| pair[0] == pair[1]);
     let farther_below = if is_one_sheet { AIM } else { 0.0 };
     let passes = [
-        pass(Means::Move, *limits, target.min(EASY), usize::MAX),
-        pass(Means::Move, loosened, unfit, usize::MAX),
+        pass(Means::Move, *limits, target.min(EASY)),
+        pass(Means::Move, loosened, unfit),
         remesh(smallest),
         remesh(small),
-        pass(Means::TwoMoves, loosened, unfit, MOST_IN_VAIN),
+        pass(Means::TwoMoves, loosened, unfit),
         remesh(large),
         remesh(largest),
         two_moves(within, AIM),
         two_moves(loosened, AIM),
-        pass(Means::Move, *limits, target, MOST_IN_VAIN_ABOVE_EASY),
+        pass(Means::Move, *limits, target),
         two_moves(within, target),
         two_moves(loosened, EASY),
-        pass(Means::Remesh { reach: smallest }, *limits, target, MOST_FIT_REMESHED_IN_VAIN),
-        pass(Means::Remesh { reach: small }, *limits, target.min(farther_below), MOST_FIT_REMESHED_IN_VAIN),
+        pass(Means::Remesh { reach: smallest }, *limits, target),
+        pass(Means::Remesh { reach: small }, *limits, target.min(farther_below)),
     ];
-    let mut failures: Vec<Failures> = passes.iter().map(|_| Failures::new()).collect();
+    let mut ledgers: Vec<Ledger> = passes.iter().map(|_| Ledger::default()).collect();
     for _ in 0..rounds {
         let commits = surface.commits();
-        for (pass, failures) in passes.iter().zip(&mut failures) {
-            drain(surface, pass, failures, step, tally)?;
+        for (pass, ledger) in passes.iter().zip(&mut ledgers) {
+            drain(surface, pass, ledger, step, tally)?;
         }
         if surface.commits() == commits {
             break;
         }
     }
+    tally.tried += ledgers.iter().map(|ledger| ledger.useful + ledger.in_vain).sum::<usize>();
     Ok(())
 }
 
-/// Tries every triangle below the bar, worst first, and again whatever falls short next to a success.
-fn drain(surface: &mut Surface, pass: &Pass, failures: &mut Failures, step: Step, tally: &mut Tally) -> Result<()> {
+/// Tries every triangle below the bar, worst first, and again whatever falls short next to a success,
+/// within the budget.
+fn drain(surface: &mut Surface, pass: &Pass, ledger: &mut Ledger, step: Step, tally: &mut Tally) -> Result<()> {
     let mut at_nodes = if pass.bar > 0.0 { surface.triangles_at_wrong_nodes() } else { Vec::new() };
     // no triangle has less than 0
     let rank = |surface: &Surface, at_nodes: &[u32], t: u32| {
@@ -140,29 +172,16 @@ fn drain(surface: &mut Surface, pass: &Pass, failures: &mut Failures, step: Step
         let is_tried = rank < pass.bar.to_bits() && pass.may_help(surface, t, f64::from_bits(rank));
         is_tried.then_some(Reverse((rank, t)))
     };
-    let has_junctions = surface.freedom.iter().any(|&freedom| freedom != Freedom::Sheet);
-    let attempts = if has_junctions { ATTEMPTS_AT_JUNCTIONS } else { ATTEMPTS };
-    let most_in_vain = |rank: u64| {
-        let is_poor = f64::from_bits(rank) < POOR;
-        if has_junctions && !is_poor { pass.most_in_vain_at_junctions() } else { pass.most_in_vain }
-    };
     let all = (0..surface.triangles.len() as u32).into_par_iter();
     let mut queue = BinaryHeap::from(all.filter_map(|t| entry(surface, &at_nodes, t)).collect::<Vec<_>>());
     loop {
-        let mut batch = Vec::new();
-        // no more than may fail
-        let may_fail = |rank: u64, batch: &[u32]| failures.len() + batch.len() < most_in_vain(rank);
-        while batch.len() < BATCH
-            && let Some(&Reverse((bits, t))) = queue.peek()
-            && may_fail(bits, &batch)
+        let (mut batch, most) = (Vec::new(), ledger.batch_size());
+        while batch.len() < most
+            && let Some(Reverse((bits, t))) = queue.pop()
         {
-            queue.pop();
             let is_current = surface.is_alive(t) && rank(surface, &at_nodes, t) == bits;
-            let is_as_it_was = |&commits: &u32| match pass.means {
-                Means::Remesh { .. } if has_junctions => !surface.has_changed_since(t, commits),
-                _ => surface.is_unchanged_since(t, commits),
-            };
-            let is_hopeless = || failures.get(&t).is_some_and(is_as_it_was);
+            let is_as_it_was = |&commits: &u32| surface.is_unchanged_since(t, commits);
+            let is_hopeless = || ledger.failures.get(&t).is_some_and(is_as_it_was);
             if is_current && !batch.contains(&t) && !is_hopeless() {
                 batch.push(t);
             }
@@ -172,7 +191,7 @@ fn drain(surface: &mut Surface, pass: &Pass, failures: &mut Failures, step: Step
         }
         step()?;
         let (chosen, others) = apart(surface, &batch, pass.means);
-        let work = |&(t, region): &(u32, Bounds)| {
+        let try_on = |&(t, region): &(u32, Bounds)| {
             let mut patch = Patch::within(surface, &region);
             let local = patch.local(t);
             let is_better = match pass.means {
@@ -180,18 +199,20 @@ fn drain(surface: &mut Surface, pass: &Pass, failures: &mut Failures, step: Step
                 Means::TwoMoves => lift_by_two(&mut patch.surface, local, &pass.limits, pass.bar),
                 Means::Remesh { reach } => {
                     let side_by_side = chosen.len() == 1 && rayon::current_num_threads() > 1;
-                    let how = How { reach, attempts, side_by_side };
+                    let how = How { reach, attempts: ATTEMPTS, side_by_side };
                     remesh(&mut patch.surface, local, how, &pass.limits, pass.bar)
                 }
             };
-            is_better.then(|| (patch.turned_nodes(surface), patch.edits(surface)))
+            (patch.surface.tried, is_better.then(|| (patch.turned_nodes(surface), patch.edits(surface))))
         };
-        let done: Vec<_> = chosen.par_iter().map(work).collect();
+        let done: Vec<_> = chosen.par_iter().map(try_on).collect();
         queue.extend(others.into_iter().filter_map(|t| entry(surface, &at_nodes, t)));
-        for ((t, _), outcome) in chosen.into_iter().zip(done) {
+        for ((t, _), (work, outcome)) in chosen.into_iter().zip(done) {
             match outcome {
                 Some((nodes, edits)) => {
+                    let before = count_below(surface, &edits.touched(), pass.bar) + nodes.len();
                     let touched = edits.commit(surface, &nodes);
+                    ledger.enter(work, before as isize - count_below(surface, &touched, pass.bar) as isize);
                     if touched.iter().any(|t| at_nodes.binary_search(t).is_ok()) {
                         at_nodes = surface.triangles_at_wrong_nodes();
                         queue.extend(at_nodes.iter().filter_map(|&t| entry(surface, &at_nodes, t)));
@@ -204,12 +225,18 @@ fn drain(surface: &mut Surface, pass: &Pass, failures: &mut Failures, step: Step
                     }
                 }
                 None => {
-                    failures.insert(t, surface.commits());
+                    ledger.enter(work, 0);
+                    ledger.failures.insert(t, surface.commits());
                 }
             }
         }
     }
     Ok(())
+}
+
+/// How many of some triangles are below a bar.
+fn count_below(surface: &Surface, triangles: &[u32], bar: f64) -> usize {
+    triangles.iter().filter(|&&t| surface.facts[t as usize].quality < bar).count()
 }
 
 /// The triangles, in order, whose regions do not meet those before, with their regions; and the others.
@@ -232,6 +259,7 @@ fn apart(surface: &Surface, triangles: &[u32], means: Means) -> (Vec<(u32, Bound
 
 #[cfg(test)]
 mod tests {
+    use super::super::sheets::Freedom;
     use super::super::tests::{ball, sampled};
     use super::*;
     use glam::DVec3;
@@ -247,7 +275,7 @@ mod tests {
         let freedom = vec![Freedom::Point, Freedom::Curve, Freedom::None, Freedom::Sheet];
         let surface = Surface::of_sheets(&mesh, vec![0, 1, 1, 1], freedom, &field, &|_| 1.0);
         let tried = |means: Means, triangle: u32, quality: f64| {
-            let pass = Pass { means, limits: Limits::new(0.15, [0.5, 1.6]), bar: FIT, most_in_vain: MOST_IN_VAIN };
+            let pass = Pass { means, limits: Limits::new(0.15, [0.5, 1.6]), bar: FIT };
             pass.may_help(&surface, triangle, quality)
         };
         let [near, far] = [REACHES[0], REACHES[3]].map(|reach| Means::Remesh { reach });

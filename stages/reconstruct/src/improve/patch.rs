@@ -68,6 +68,7 @@ impl<'a> Patch<'a> {
     pub(super) fn with_target(whole: &Surface<'a>, size: Size<'a>) -> Self {
         let mut surface = whole.clone();
         surface.size = size;
+        surface.tried = 0;
         surface.target = surface.positions.par_iter().map(|&p| size(p)).collect();
         surface.facts = (0..surface.triangles.len() as u32).into_par_iter().map(|t| surface.measure(t)).collect();
         let numbers = |count: usize| (0..count as u32).collect();
@@ -171,6 +172,11 @@ impl Edits {
         for (corners, sheet, _) in self.new_triangles {
             whole.add_triangle(corners.map(number), sheet);
         }
+    }
+
+    /// The triangles of the surface that change, without new ones.
+    pub(super) fn touched(&self) -> Vec<u32> {
+        self.facts.iter().map(|&(t, _)| t).collect()
     }
 
     /// Makes and commits changes that were committed in the part, of the same target lengths; the triangles touched. `nodes` are the grid nodes that they carry to the other side.

@@ -91,6 +91,8 @@ pub(super) struct Surface<'a> {
     /// What is changed must lie within, where this is a part of another surface.
     pub(super) region: Option<Bounds>,
     log: Vec<Change>,
+    /// Number of transactions so far, kept or taken back. It measures work independently of threads.
+    pub(super) tried: usize,
     commits: u32,
     /// The number of the last commit that changed each triangle.
     changed_at: Vec<u32>,
@@ -133,6 +135,7 @@ impl<'a> Surface<'a> {
             sides: None,
             region: None,
             log: Vec::new(),
+            tried: 0,
             commits: 0,
             changed_at: vec![0; mesh.triangles.len()],
         };
@@ -180,6 +183,7 @@ impl<'a> Surface<'a> {
             sides: None,
             region: None,
             log: Vec::new(),
+            tried: 0,
             commits: 0,
             changed_at: vec![0; triangles.len()],
         }

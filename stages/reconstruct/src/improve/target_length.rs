@@ -7,8 +7,8 @@
 //! component is a patch without a rim.
 
 use super::constants::{
-    CHORD, FINEST, GRADATIONS, LONG, MOST_TRIANGLES, PATCH_LENGTHS, RIM, RINGS_OF_LENGTH, ROUNDS, SHORT, SHORTER,
-    STRAYS, TARGET, TURNED,
+    CHORD, FINEST, GRADATIONS, LONG, MOST_IN_VAIN, MOST_TRIANGLES, PATCH_LENGTHS, RIM, RINGS_OF_LENGTH, ROUNDS, SHORT,
+    SHORTER, STRAYS, TARGET, TURNED,
 };
 use super::guard::{Limits, Rule, commit_or_rollback};
 use super::lift::{After, lift, make};
@@ -93,11 +93,16 @@ pub(super) fn remesh(surface: &mut Surface, triangle: u32, how: How, limits: &Li
             let asked = asked.iter().fold(place.length, |least, d| least.min(d.length + gradation * p.distance(d.at)));
             h(p).min(asked.max(place.least(p, gradation)))
         };
-        let patch = remeshed(surface, &free, &target, loosened)?;
+        let patch = remeshed(surface, &free, &target, loosened);
+        let tried = patch.surface.tried;
+        if is_too_large(&patch.surface) {
+            return Some((None, Vec::new(), tried));
+        }
         let mut more = demands_of_outcome(&patch.surface);
         more.extend(demands_of_nodes(&patch.surface, &place));
-        Some((patch.edits(surface), more))
+        Some((Some(patch.edits(surface)), more, tried))
     };
+    let before = surface.tried;
     for _ in 0..how.attempts {
         let at_once = |surface: &Surface| {
             let all = GRADATIONS.into_par_iter().zip(&demands);
@@ -106,16 +111,21 @@ pub(super) fn remesh(surface: &mut Surface, triangle: u32, how: How, limits: &Li
         let mut known = if how.side_by_side { at_once(surface) } else { Vec::new() }.into_iter();
         for (gradation, demands) in GRADATIONS.into_iter().zip(&mut demands) {
             let outcome = known.next().unwrap_or_else(|| outcome(surface, gradation, demands));
-            let more = outcome.map_or_else(Vec::new, |(edits, more)| {
+            let (edits, more, tried) = outcome.unwrap_or_default();
+            surface.tried += tried;
+            if let Some(edits) = edits {
                 edits.make(surface);
-                more
-            });
+            }
             if let Some(touched) = commit_or_rollback(surface, loosened, Rule::Lift { bar }) {
                 coarsen(surface, touched, place.length, limits);
                 return true;
             }
             // the same again would end the same
             *demands = demands.take().filter(|_| !more.is_empty()).map(|asked| [asked, more].concat());
+        }
+        // a patch that takes more than a pass may waste is not tried again
+        if surface.tried > before + MOST_IN_VAIN {
+            break;
         }
     }
     false
@@ -171,13 +181,19 @@ pub(super) fn coarsen(surface: &mut Surface, mut triangles: Vec<u32>, length: f6
     }
 }
 
-/// A copy of the surface with the patch remeshed to a target length; `None` where it gets too large.
+/// Whether a patch has more triangles than remeshing may leave.
+fn is_too_large(part: &Surface) -> bool {
+    part.triangles.iter().filter(|t| **t != DEAD).count() > MOST_TRIANGLES
+}
+
+/// A copy of the surface with the patch remeshed to a target length. Remeshing stops where the patch
+/// gets too large.
 fn remeshed<'a>(
     surface: &Surface<'a>,
     free: &[u32],
     target: &'a (dyn Fn(DVec3) -> f64 + Sync),
     limits: &Limits,
-) -> Option<Patch<'a>> {
+) -> Patch<'a> {
     // on the way only the target lengths are short, so that deviation over them may pass any bound
     let limits = &Limits { deviation: f64::INFINITY, lengths: PATCH_LENGTHS, ..*limits };
     let mut patch = Patch::with_target(surface, target);
@@ -185,8 +201,8 @@ fn remeshed<'a>(
     let part = &mut patch.surface;
     for _ in 0..ROUNDS {
         remesh::round(part, limits, &mut Tally::default());
-        if part.triangles.iter().filter(|t| **t != DEAD).count() > MOST_TRIANGLES {
-            return None;
+        if is_too_large(part) {
+            return patch;
         }
     }
     for _ in 0..ROUNDS {
@@ -199,7 +215,7 @@ fn remeshed<'a>(
             break;
         }
     }
-    Some(patch)
+    patch
 }
 
 /// Demands by the curvature of F at corners, sides and centroids of the triangles at some vertices.

@@ -83,6 +83,7 @@ impl Surface<'_> {
 
     /// Takes back everything since a mark.
     pub(in crate::improve) fn rollback_to(&mut self, mark: usize) {
+        self.tried += usize::from(self.log.len() > mark);
         while self.log.len() > mark
             && let Some(change) = self.log.pop()
         {
@@ -199,6 +200,7 @@ impl Surface<'_> {
     /// Makes the edits since the last commit final.
     pub(in crate::improve) fn commit(&mut self, touched: &[u32], facts: &[Facts]) {
         self.commits += 1;
+        self.tried += 1;
         self.changed_at.resize(self.triangles.len(), 0);
         for (&t, &fact) in touched.iter().zip(facts) {
             self.changed_at[t as usize] = self.commits;
