@@ -208,6 +208,7 @@ fn size_is_epsilon_times_local_feature_size() {
             distfield: arguments!["--iso", "0", "--inside", "below"],
             sizefield: arguments!["--epsilon", "0.5", "--delta", "1", "--max-deviation", "0", "--max-size", "100"],
             particles: Vec::new(),
+            reconstruct: Vec::new(),
         };
         let files = chain::fields(&volume, folder.path(), &wishes);
         let sizing = read_field(&files.sizefield, FieldKind::Sizing).expect("sizing field").image;

@@ -70,7 +70,8 @@ fn moved(volume: &Volume, shear: &Shear, border: Border, asked: impl Fn(LayerLab
 /// that.
 fn interpolated(voxels: &Voxels, shear: &Shear, iso: f64, inside: Inside, border: Border) -> Option<Voxels> {
     let (low, high) = voxels.range()?;
-    if !(low < iso && iso < high) || voxels.non_finite_count() > 0 {
+    let is_finite = low.is_finite() && high.is_finite() && voxels.nan_count() == 0;
+    if !(is_finite && low < iso && iso < high) {
         return None;
     }
     let beyond = |value: f32| {

@@ -192,7 +192,7 @@ def test_a_full_folder_of_temporary_files_is_named(
 def test_a_worker_without_room_for_its_result_blames_the_temporary_folder(tmp_path: Path) -> None:
     log = tmp_path / "log"
     log.write_text("No space left on device\n")
-    error = worker._how_it_ended(tetwild._WORKER, worker._NO_ROOM, log)
+    error = worker._how_it_ended(tetwild.WORKER, worker._NO_ROOM, log)
     assert error.what.startswith(f"{tempfile.gettempdir()}: cannot hold temporary files: No space")
 
 
