@@ -123,11 +123,11 @@ pub(super) const RINGS: usize = 4;
 pub(super) const FIRST_MOVES: usize = 4;
 /// Quality below which a single move nearly always helps.
 pub(super) const EASY: f64 = 0.7;
-/// Transactions that a pass may make in vain beyond its useful ones: some 65 single moves, 20 pairs
+/// Transactions that a pass may waste beyond its useful ones: some 65 single moves, 20 pairs
 /// or one patch. With 3,000 and 2,000 `heart_ct` at 20,000 vertices reaches a minimum radius ratio
 /// of 0.754 and 0.601. With 3,000 the eight cubes of `tests/tests/labelled_cubes.rs` take half as
 /// many as with 20,000 for triangles below [`FIT`], and reach a mean of 0.937 in place of 0.935.
-pub(super) const MOST_IN_VAIN: usize = 3_000;
+pub(super) const WASTED_WORK_LIMIT: usize = 3_000;
 
 // --- remeshing of a patch at a smaller length, where F bends within h ---
 

@@ -2,7 +2,7 @@
 //! patch round it: a single move with relocations, two moves in a row, or the patch remeshed at a smaller target length. Patches that do not
 //! meet are worked on side by side; what a patch commits is one commit of the whole.
 
-use super::constants::{AIM, ATTEMPTS, BATCH, EASY, FIT, MOST_IN_VAIN, POOR, REACHES, RINGS};
+use super::constants::{AIM, ATTEMPTS, BATCH, EASY, FIT, POOR, REACHES, RINGS, WASTED_WORK_LIMIT};
 use super::guard::Limits;
 use super::lift::{lift, lift_by_two};
 use super::patch::Patch;
@@ -57,13 +57,13 @@ impl Pass {
     }
 }
 
-/// The work of a pass in all rounds, in transactions, and what it gains. A pass ends when its work in
-/// vain exceeds its useful work by [`MOST_IN_VAIN`]. Useful work raises the number of lifted triangles
-/// to a new maximum, so the number of bad triangles bounds the sum of both.
+/// The work of a pass in all rounds, in transactions, and what it gains. A pass ends when its wasted
+/// work exceeds its useful work by [`WASTED_WORK_LIMIT`]. Useful work raises the number of lifted
+/// triangles to a new maximum, so the number of bad triangles bounds the sum of both.
 #[derive(Default)]
 struct Ledger {
     useful: usize,
-    in_vain: usize,
+    wasted: usize,
     /// Triangles worked on.
     triangles: usize,
     /// Triangles brought above the bar and grid nodes brought to their right side, less triangles that
@@ -79,8 +79,8 @@ impl Ledger {
     /// The number of triangles to work on at once: as many as the budget allows at the mean cost so far,
     /// and at least one while any budget is left.
     fn batch_size(&self) -> usize {
-        let left = (MOST_IN_VAIN + self.useful).saturating_sub(self.in_vain);
-        let mean_cost = (self.useful + self.in_vain).div_ceil(self.triangles.max(1));
+        let left = (WASTED_WORK_LIMIT + self.useful).saturating_sub(self.wasted);
+        let mean_cost = (self.useful + self.wasted).div_ceil(self.triangles.max(1));
         match (left, mean_cost) {
             (0, _) => 0,
             (_, 0) => 1,
@@ -96,7 +96,7 @@ impl Ledger {
             self.most_lifted = self.lifted;
             self.useful += work;
         } else {
-            self.in_vain += work;
+            self.wasted += work;
         }
     }
 }
@@ -154,7 +154,7 @@ pub(super) fn optimise(
             break;
         }
     }
-    tally.tried += ledgers.iter().map(|ledger| ledger.useful + ledger.in_vain).sum::<usize>();
+    tally.tried += ledgers.iter().map(|ledger| ledger.useful + ledger.wasted).sum::<usize>();
     Ok(())
 }
 

@@ -7,8 +7,8 @@
 //! component is a patch without a rim.
 
 use super::constants::{
-    CHORD, FINEST, GRADATIONS, LONG, MOST_IN_VAIN, MOST_TRIANGLES, PATCH_LENGTHS, RIM, RINGS_OF_LENGTH, ROUNDS, SHORT,
-    SHORTER, STRAYS, TARGET, TURNED,
+    CHORD, FINEST, GRADATIONS, LONG, MOST_TRIANGLES, PATCH_LENGTHS, RIM, RINGS_OF_LENGTH, ROUNDS, SHORT, SHORTER,
+    STRAYS, TARGET, TURNED, WASTED_WORK_LIMIT,
 };
 use super::guard::{Limits, Rule, commit_or_rollback};
 use super::lift::{After, lift, make};
@@ -124,7 +124,7 @@ pub(super) fn remesh(surface: &mut Surface, triangle: u32, how: How, limits: &Li
             *demands = demands.take().filter(|_| !more.is_empty()).map(|asked| [asked, more].concat());
         }
         // a patch that takes more than a pass may waste is not tried again
-        if surface.tried > before + MOST_IN_VAIN {
+        if surface.tried > before + WASTED_WORK_LIMIT {
             break;
         }
     }
