@@ -1,10 +1,12 @@
 //! Pins the zero set of the spline through F on samples of the surface.
 //!
-//! The spline through exact distances rings where the distance has a kink within a voxel or two of the surface (thin parts,
-//! noise), and its zero set moves. Here the spline coefficients are changed as little as possible (in the least-squares
-//! sense) such that F vanishes at the samples: conjugate gradients on the normal equations (CGLS, Hestenes and
-//! Stiefel 1952) from zero change, preconditioned by their diagonal and stopped early, which regularises. The steps are in single precision,
-//! which F has as well: what the residual falls by is far from its rounding. Sums over all samples are in double precision.
+//! The spline through exact distances rings where the distance has a kink within a voxel or two of
+//! the surface (thin parts, noise), and its zero set moves. Here the spline coefficients are
+//! changed as little as possible (in the least-squares sense) such that F vanishes at the samples:
+//! conjugate gradients on the normal equations (CGLS, Hestenes and Stiefel 1952) from zero change,
+//! damped and preconditioned by their diagonal. The steps are in single precision, which F has as
+//! well: what the residual falls by is far from its rounding. Sums over all samples are in double
+//! precision.
 
 use crate::bits::{Bits, Numbering};
 use fearless_simd::{Level, Simd, dispatch, f32x4, f32x8, prelude::*};
@@ -25,6 +27,16 @@ const GATHERED: usize = 32;
 
 /// Samples of one partial sum; fixed, so that sums do not depend on the number of threads.
 const CHUNK: usize = 4096;
+
+/// Weight of the squared change of the coefficients, over the mean weight that the samples give a
+/// coefficient. Without it, F shrinks towards zero where no spline vanishes at all samples, and
+/// changes its sign at the corners of the volume. Largest distance of the zero sets where a scan
+/// fills the corners of 36^3 voxels: 0.49 voxel with 0, 0.041 with 0.001, 0.026 with 0.002; 99th
+/// percentile of `heart_ct` at 250: 0.049, 0.049, 0.053.
+const DAMPING: f64 = 0.001;
+
+/// Norm of the gradient, over the first, at which the fit counts as solved.
+const SOLVED: f64 = 0.001;
 
 /// The samples of one voxel cell.
 struct Cell {
@@ -93,6 +105,7 @@ pub fn pin_zero_set(field: &mut Image<f32>, samples: Vec<DVec3>, tolerance: f64,
     let mean = (scale.iter().map(|&s| f64::from(s)).sum::<f64>() / scale.len() as f64) as f32;
     scale.par_iter_mut().for_each(|s| *s = 1.0 / (*s + mean));
 
+    let damping = DAMPING * f64::from(mean);
     let mut change = vec![0.0; sampling.unknowns];
     let mut gradient = vec![0.0; sampling.unknowns];
     sampling.apply_transposed(&residual, &mut gradient, false);
@@ -100,12 +113,14 @@ pub fn pin_zero_set(field: &mut Image<f32>, samples: Vec<DVec3>, tolerance: f64,
     let mut image = vec![0.0; residual.len()];
     let mut norm = dot(&gradient, &direction);
     let (mut after, mut steps) = (before, 0);
-    while steps < most_steps && after > tolerance && norm > 0.0 {
+    let solved = norm * SOLVED * SOLVED;
+    while steps < most_steps && after > tolerance && norm > solved {
         sampling.apply(&direction, &mut image);
-        let alpha = norm / dot(&image, &image);
+        let alpha = norm / (dot(&image, &image) + damping * dot(&direction, &direction));
         add_scaled(&mut change, alpha as f32, &direction);
         add_scaled(&mut residual, -alpha as f32, &image);
         sampling.apply_transposed(&residual, &mut gradient, false);
+        add_scaled(&mut gradient, -damping as f32, &change);
         let next = weighted_norm(&gradient, &scale);
         let beta = (next / norm) as f32;
         norm = next;

@@ -6,6 +6,7 @@ use glam::DVec3;
 use isoparticles_distfield::{Border, Inside, Keep, Redistanced, ScalarOptions, from_scalar};
 use isoparticles_field::marching_cubes::marching_cubes;
 use isoparticles_field::spline::CubicSpline;
+use isoparticles_field::topology::FieldTopology;
 use isoparticles_stage::cli::Context;
 use isoparticles_volume::Image;
 use support::{directions, positions, sampled, topology, volume};
@@ -375,4 +376,15 @@ fn a_gyroid_has_slope_one_off_the_medial_axis() {
     let image = sampled([64; 3], DVec3::ONE, |p| gyroid(p).0 as f32);
     let shape = Shape { name: "gyroid", size: 64, distance: &distance, axis: &|_| f64::INFINITY };
     check_far_field(&shape, &image, 0.0, Border::Open);
+}
+
+#[test]
+fn an_object_in_the_corners_of_the_volume_has_no_voids_there() {
+    let centre = DVec3::splat(17.5);
+    let image = sampled([36; 3], DVec3::ONE, |p| (60.0 * (p.distance(centre) - 10.0)).clamp(-400.0, 400.0) as f32);
+    let result = extract(&image, 0.0, Border::Cap);
+    let topology = FieldTopology::new(&CubicSpline::new(&result.field));
+    let euler: Vec<i64> = topology.components().iter().map(|component| component.euler).collect();
+    assert_eq!((euler, topology.undecided().len()), (vec![2, 2], 0));
+    assert!(result.shift.max < 0.06, "{:?}", result.shift);
 }
