@@ -21,6 +21,7 @@
 //! ```
 
 pub mod curvature;
+pub mod enclosed;
 pub mod energy;
 pub mod marching_cubes;
 pub mod materials;
