@@ -1,7 +1,7 @@
 //! The whole chain as calls, from labels to triangles, without a file: `cargo run --release -p isoparticles-tests --example chain`.
 
 use glam::DVec3;
-use isoparticles_distfield::{Border, Clearance, Keep, LabelOptions, from_labels};
+use isoparticles_distfield::{Border, Keep, LabelOptions, from_labels};
 use isoparticles_field::marching_cubes::marching_cubes;
 use isoparticles_field::spline::CubicSpline;
 use isoparticles_particles::{Fields, Parameters, settle};
@@ -17,14 +17,8 @@ fn main() -> Result<()> {
     let geometry = Geometry::axis_aligned([40, 28, 28], DVec3::ONE);
     let centres = [14.0, 25.0].map(|x| DVec3::new(x, 13.5, 13.5));
     let inside = Image::sampled(geometry, |p| centres.iter().any(|&centre| p.distance(centre) < 9.0));
-    let options = LabelOptions {
-        border: Border::Cap,
-        margin: 5,
-        clearance: Clearance { usual: 0.1, thin: 0.3 },
-        smoothing_steps: 100,
-        tightening: 0.0,
-        keep: Keep::All,
-    };
+    let options =
+        LabelOptions { border: Border::Cap, margin: 5, cut: Default::default(), clearance: 0.05, keep: Keep::All };
     let distance = from_labels(&inside, &options, &Silent)?.field;
     let surface = CubicSpline::new(&distance);
     let sizing = uniform_field(&distance, 2.0);

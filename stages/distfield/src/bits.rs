@@ -48,11 +48,6 @@ impl Bits {
         }
     }
 
-    /// Adds the nodes of another set over the same grid.
-    pub fn unite(&mut self, other: &Self) {
-        self.words.iter_mut().zip(&other.words).for_each(|(own, other)| *own |= other);
-    }
-
     /// All nodes that are one of these numbers after one of the set; none of them may be beyond the grid.
     pub fn moved(&self, numbers: [usize; 4]) -> Self {
         // of a set that begins with nothing
@@ -70,9 +65,45 @@ impl Bits {
         Self { words }
     }
 
-    /// Takes away the nodes of another set over the same grid.
-    pub fn subtract(&mut self, other: &Self) {
-        self.words.iter_mut().zip(&other.words).for_each(|(own, other)| *own &= !other);
+    /// The 64 nodes from `first` on; those beyond the words as `beyond` says.
+    fn word(&self, first: isize, beyond: u64) -> u64 {
+        let (at, up) = (first.div_euclid(64), first.rem_euclid(64) as u32);
+        let word = |at: isize| usize::try_from(at).ok().and_then(|at| self.words.get(at)).copied().unwrap_or(beyond);
+        word(at) >> up | word(at + 1).checked_shl(64 - up).unwrap_or(0)
+    }
+
+    /// The nodes of which one of the 26 neighbours is in the set and another is not, given the
+    /// nodes from one to the next along each axis. Rows follow each other without a border: what is
+    /// near the end of one is near the start of the next. Nodes behind the last one may be set as
+    /// well.
+    pub fn near_the_rest(&self, [along, row, slice]: [usize; 3]) -> Self {
+        let signed = |step: usize, n: isize| step as isize * n;
+        let steps: Vec<isize> =
+            (0..27).map(|n| signed(along, n % 3 - 1) + signed(row, n / 3 % 3 - 1) + signed(slice, n / 9 - 1)).collect();
+        let near = |w: usize| {
+            let first = 64 * w as isize;
+            let any = steps.iter().fold(0, |any, step| any | self.word(first + step, 0));
+            any & !steps.iter().fold(u64::MAX, |all, step| all & self.word(first + step, u64::MAX))
+        };
+        Self { words: (0..self.words.len()).into_par_iter().map(near).collect() }
+    }
+
+    /// Visits the nodes of a range of which the nodes one `step` on are on the other side, and the
+    /// node both steps on is on their own: the first nodes of faces where two parts touch along an
+    /// edge, if the steps are along axes and stay on the grid.
+    pub fn each_alternating(&self, range: Range<usize>, [one, other]: [usize; 2], mut visit: impl FnMut(usize)) {
+        for first in range.clone().step_by(64) {
+            let [own, a, b, both] = [0, one, other, one + other].map(|step| self.word((first + step) as isize, 0));
+            let mut found = (own ^ a) & (own ^ b) & !(own ^ both);
+            while found != 0 {
+                let node = first + found.trailing_zeros() as usize;
+                if node >= range.end {
+                    break;
+                }
+                visit(node);
+                found &= found - 1;
+            }
+        }
     }
 
     /// Number of nodes in the set.
@@ -155,7 +186,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn ranges_are_added_and_sets_united_and_subtracted() {
+    fn ranges_are_added() {
         let mut bits = Bits::of(300, |n| n % 3 == 0);
         let mut truth: Vec<bool> = (0..300).map(|n| n % 3 == 0).collect();
         for range in [0..0, 5..9, 60..200, 63..64, 64..130, 290..300] {
@@ -164,12 +195,35 @@ mod tests {
             assert!((0..300).all(|n| bits.holds(n) == truth[n]));
             assert_eq!(bits.count(), truth.iter().filter(|is_in| **is_in).count());
         }
-        let even = Bits::of(300, |n| n % 2 == 0);
-        let mut both = bits.clone();
-        both.unite(&even);
-        bits.subtract(&even);
-        assert!((0..300).all(|n| both.holds(n) == (truth[n] || n % 2 == 0)));
-        assert!((0..300).all(|n| bits.holds(n) == (truth[n] && n % 2 != 0)));
+    }
+
+    #[test]
+    fn neighbours_and_alternating_faces_are_those_of_the_nodes() {
+        let size = [13usize, 12, 11];
+        let steps = [1, size[0], size[0] * size[1]];
+        let count = steps[2] * size[2];
+        // nothing in the outer layers, so that no row goes on in the next
+        let is_inner = |n: usize| (0..3).all(|a| (2..size[a] - 2).contains(&(n / steps[a] % size[a])));
+        let bits = Bits::of(count, |n| is_inner(n) && isoparticles_field::random::uniform(5, 0, n as u64) < 0.5);
+        let near = bits.near_the_rest(steps);
+        let is_well_in = |n: usize| (0..3).all(|a| (1..size[a] - 1).contains(&(n / steps[a] % size[a])));
+        for n in (0..count).filter(|&n| is_well_in(n)) {
+            let around =
+                (0..27).map(|m| n + m % 3 + m / 3 % 3 * steps[1] + m / 9 * steps[2] - steps.iter().sum::<usize>());
+            let held = around.filter(|&m| bits.holds(m)).count();
+            assert_eq!(near.holds(n), (1..27).contains(&held), "{n}");
+        }
+        for (u, v) in [(0, 1), (1, 2), (2, 0)] {
+            let mut found = Vec::new();
+            bits.each_alternating(70..count, [steps[u], steps[v]], |n| found.push(n));
+            let side = |n: usize| n < count && bits.holds(n);
+            let alternates = |&n: &usize| {
+                let own = side(n);
+                side(n + steps[u]) != own && side(n + steps[v]) != own && side(n + steps[u] + steps[v]) == own
+            };
+            assert_eq!(found, (70..count).filter(alternates).collect::<Vec<_>>());
+            assert!(found.len() > 5);
+        }
     }
 
     #[test]

@@ -2,9 +2,10 @@
 
 use crate::changes::{Changes, Event, Kind, SPECKS};
 use crate::crop::{Grid, VoxelBox, cut_in_turn};
+use crate::field::Demands;
 use crate::mask::Mask;
 use crate::occupancy::Occupancy;
-use crate::scalar::{ScalarOptions, check_scalar, from_voxels};
+use crate::scalar::{ScalarOptions, check_scalar, from_level};
 use crate::scale::{SCALE_OVER_SIZE, Scale, edge_length, scaled};
 use crate::selection::noted;
 use crate::{Border, Inside, Redistanced};
@@ -12,7 +13,7 @@ use isoparticles_stage::cli::values::{not_negative, positive};
 use isoparticles_stage::cli::{Context, METHOD};
 use isoparticles_stage::error::{Error, Result};
 use isoparticles_stage::quality::Quality;
-use isoparticles_volume::{Geometry, Image, LayerLabel, Volume, Voxels};
+use isoparticles_volume::{Geometry, Image, LayerLabel, Volume};
 use serde_json::{Value, json};
 use std::f64::consts::PI;
 
@@ -189,7 +190,7 @@ pub fn choose_scale(
 /// F of the smoothed object, and what to note about it.
 ///
 /// # Errors
-/// Where [`from_voxels`] fails, and when nothing is left.
+/// When nothing is left, and when the run is interrupted.
 pub fn extract_scaled(
     Choice { length, reason }: Choice,
     keep_thin: bool,
@@ -222,8 +223,7 @@ pub fn extract_scaled(
     meta["volume_before"] = json!(smoothed.changes.volume_before);
     meta["scale_changes"] = json!(smoothed.changes);
     let options = ScalarOptions { inside: Inside::Above, cut: cut_in_turn(options.cut, smoothed.cut), ..options };
-    let Image { geometry, data } = smoothed.level;
-    let result = from_voxels(Voxels::F32(data), geometry, 0.0, &options, context)?;
+    let result = from_level(smoothed.level, 0, 0.0, &options, &Demands::default(), context)?;
     Ok((result, meta))
 }
 

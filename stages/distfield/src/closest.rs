@@ -10,19 +10,6 @@ use glam::{DMat3, DVec3, Mat3, Vec3};
 use isoparticles_volume::{Geometry, Image};
 use rayon::prelude::*;
 
-/// Gives every node of `field` the distance (mm) to the nearest of the samples, good to a small part of the sample spacing, within
-/// `limit` mm, and `limit` farther away, negative at the `inside` ones.
-pub fn distance_to_samples(field: &mut Image<f32>, inside: &Bits, samples: &[DVec3], limit: f64) {
-    let Image { geometry, data } = field;
-    let plane = geometry.size[0] * geometry.size[1];
-    nearest_samples(geometry, samples, limit, limit, data, |slab, own| {
-        own.par_iter_mut().enumerate().for_each(|(n, f)| {
-            let sign = if inside.holds(slab.own.start * plane + n) { -1.0 } else { 1.0 };
-            *f = f.sqrt().min(limit as f32).copysign(sign);
-        });
-    });
-}
-
 /// Least determinant of the Hessian of half the squared distance, relative to that to a plane, for a closest point: at less the node is at a
 /// focal point of the surface, where the second order does not tell.
 const LEAST_DETERMINANT: f32 = 0.01;

@@ -3,9 +3,8 @@
 //!
 //! The room is what F near the surface depends on, so that F is there what it is on the whole volume.
 
-use crate::flow::BAND;
 use crate::nearest::STRIDE;
-use isoparticles_volume::{Geometry, LayerLabel, Volume};
+use isoparticles_volume::{LayerLabel, Volume};
 use rayon::prelude::*;
 
 /// Which grid F is made on.
@@ -90,13 +89,6 @@ impl VoxelBox {
     pub fn cut_faces(&self, size: [usize; 3]) -> CutFaces {
         std::array::from_fn(|a| [self.low[a] > 0, self.high[a] + 1 < size[a]])
     }
-}
-
-/// Room round labels that are kept as they are, given the nodes that are added on each face: the flow moves nodes within its band by the values of the second nodes
-/// from them; an open border, which carries on the outermost voxels, has background there.
-pub fn room_of_labels(geometry: &Geometry, margin: usize) -> [usize; 3] {
-    let band = BAND * geometry.mean_spacing() / geometry.spacing;
-    band.to_array().map(|band| ((band + 0.5).floor() as usize + 2).saturating_sub(margin).max(1))
 }
 
 /// Room round what is inside of an iso value.

@@ -9,12 +9,13 @@ use crate::keep::{Dropped, Keep, drop_parts};
 use crate::samples::{Implicit, project, surface_samples};
 use crate::topology::Parts;
 use glam::DVec3;
+use isoparticles_field::enclosed::enclosed_volumes;
 use isoparticles_field::marching_cubes::marching_cubes;
 use isoparticles_field::spline::BrickSpline;
 use isoparticles_mesh::TriangleMesh;
 use isoparticles_stage::error::{Error, Result};
 use isoparticles_stage::monitor::Monitor;
-use isoparticles_volume::Image;
+use isoparticles_volume::{Geometry, Image};
 use rayon::prelude::*;
 use serde::Serialize;
 
@@ -61,10 +62,11 @@ pub struct Redistanced {
     pub dropped: Dropped,
     /// Parts of the source that stay, by marching cubes at its nodes.
     pub parts_before: Parts,
-    /// With tightening: parts of the labels that stay, counted as without it.
-    pub parts_untightened: Option<Parts>,
-    /// Parts of F, by marching cubes.
+    /// Parts of F: their number by marching cubes, their volume from the spline.
     pub parts_after: Parts,
+    /// Volume within each connected surface of F, mm^3, the largest first; those of cavities are
+    /// negative. None where the surface leaves the grid.
+    pub volumes: Vec<f64>,
     /// Distance of the zero sets.
     pub shift: Shift,
     /// Nodes whose |F| was raised to the clearance after the zero set was pinned.
@@ -101,13 +103,6 @@ pub struct LeastDistances<At> {
     pub most: f32,
     /// That of a node.
     pub at: At,
-}
-
-impl Redistanced {
-    /// Parts of the input that stay, before any tightening.
-    pub fn parts_of_input(&self) -> Parts {
-        self.parts_untightened.unwrap_or(self.parts_before)
-    }
 }
 
 impl Implicit for Source {
@@ -196,28 +191,45 @@ pub fn redistance_with(
     let step = monitor.phase("zero set pinned");
     let fit = pin_zero_set(&mut field, samples, demands.pinned * voxel, demands.pin_steps);
     let held_nodes = hold_nodes(&mut field, &inside, &least);
-    let undecided = make_agree(&mut field.data, &choices, &least.at);
+    let undecided = make_agree(&mut field, &choices, &least.at);
     drop(inside);
     drop(step);
     monitor.check()?;
 
     let _step = monitor.phase("result checked");
     let mesh = marching_cubes(&field, 0.0);
-    let parts_after = Parts::of(&mesh);
     let points = checked_points(&mesh);
+    let spline = BrickSpline::new(&field);
+    let mut parts_after = Parts::of(&mesh);
+    let mut volumes = Vec::new();
+    if !leaves_grid(&field) {
+        volumes = enclosed_volumes(&mesh, field.geometry.min_spacing(), |p| spline.value_gradient(p));
+        parts_after.volume = volumes.iter().sum();
+    }
     drop(mesh);
-    let shift = measure_shift(source, &field, &points);
+    volumes.sort_by(|a, b| b.total_cmp(a));
+    let shift = measure_shift(source, &spline, &field.geometry, &points);
     Ok(Redistanced {
         field,
         dropped,
         parts_before,
-        parts_untightened: None,
         parts_after,
+        volumes,
         shift,
         held_nodes,
         undecided,
         fit,
         changed: None,
+    })
+}
+
+/// Whether the object reaches the faces of the grid, as it does through an open border.
+fn leaves_grid(field: &Image<f32>) -> bool {
+    let [nx, ny, nz] = field.geometry.size;
+    let on_face = |i: usize, n: usize| i == 0 || i + 1 == n;
+    field.data.par_chunks(nx).enumerate().any(|(row, values)| {
+        let is_face = on_face(row % ny, ny) || on_face(row / ny, nz);
+        values.iter().enumerate().any(|(i, &f)| f < 0.0 && (is_face || on_face(i, nx)))
     })
 }
 
@@ -245,15 +257,15 @@ fn checked_points(mesh: &TriangleMesh) -> Vec<DVec3> {
     mesh.triangles.iter().step_by(every).map(middle).collect()
 }
 
-/// Distance of the zero set of the spline through `field` to that of the source, at projections of `points`.
-pub fn measure_shift<I: Implicit>(source: &I, field: &Image<f32>, points: &[DVec3]) -> Shift {
-    let spline = BrickSpline::new(field);
-    let voxel = field.geometry.mean_spacing();
+/// Distance of the zero set of a spline on a grid to that of the source, at projections of
+/// `points`.
+fn measure_shift(source: &impl Implicit, spline: &BrickSpline, geometry: &Geometry, points: &[DVec3]) -> Shift {
+    let voxel = geometry.mean_spacing();
     let own = |p: DVec3| spline.value_gradient(p);
     let mut shifts: Vec<f64> = points
         .par_iter()
         .filter_map(|&start| {
-            let p = project(&own, start, field.geometry.min_spacing())?;
+            let p = project(&own, start, geometry.min_spacing())?;
             let (f, g) = source.value_gradient(p);
             let slope = g.length();
             (slope > 0.0).then(|| f.abs() / slope / voxel)

@@ -1,11 +1,11 @@
 //! Places where two parts of the object, or two gaps, touch along an edge only: faces of four nodes whose opposite corners are on
 //! the same side.
 //!
-//! The grid cannot say there whether the parts are joined; the bilinear saddle can, and marching cubes asks it. For
-//! labels the answer is made plain, since the flow tends to leave F near zero at the saddle, which would be a neck or a gap far
-//! below the voxel; for every source, F is made to give the source's answer.
+//! The nodes cannot say there whether the parts are joined. The saddle of the face can, and
+//! marching cubes asks it. F is made to give the answer of its source. The level set of labels
+//! follows a rule ([`crate::labels`]).
 
-use isoparticles_field::marching_cubes::inside_corners_are_joined;
+use isoparticles_field::marching_cubes::saddle_value;
 use isoparticles_volume::Image;
 use rayon::prelude::*;
 
@@ -20,19 +20,12 @@ pub struct Junction {
     pub joined: bool,
 }
 
-/// Least and largest |F| (mm) that keep a node on its side of the choice made at a junction.
-#[derive(Clone, Copy, Debug)]
-pub struct Bound {
-    /// The node.
-    pub node: usize,
-    /// Least |F|.
-    pub least: f32,
-    /// Largest |F|.
-    pub most: f32,
-}
+/// In a pass, nodes of the pair to be joined are multiplied by this, the others divided. The 99th
+/// percentile of the shift of `heart_ct` at 250 is 0.0526 voxel with 1.02 and 0.0493 with 1.005.
+const TIP_FACTOR: f32 = 1.005;
 
 /// Passes over the junctions that make F agree with its source, at most: junctions share nodes.
-const MOST_PASSES: usize = 20;
+const MOST_PASSES: usize = 100;
 
 /// The junctions of an implicit function given at the nodes, negative inside, with the choice its saddles make.
 pub fn junctions(nodes: &Image<f32>) -> Vec<Junction> {
@@ -56,7 +49,7 @@ pub fn junctions(nodes: &Image<f32>) -> Vec<Junction> {
                         if side[0] == side[2] && side[1] == side[3] && side[0] != side[1] {
                             let (even, odd) = ([corners[0], corners[2]], [corners[1], corners[3]]);
                             let (inside, outside) = if side[0] { (even, odd) } else { (odd, even) };
-                            found.push(Junction { inside, outside, joined: is_joined(data, inside, outside) });
+                            found.push(Junction { inside, outside, joined: is_joined(nodes, inside, outside) });
                         }
                     }
                 }
@@ -66,56 +59,28 @@ pub fn junctions(nodes: &Image<f32>) -> Vec<Junction> {
         .collect()
 }
 
-fn is_joined(data: &[f32], inside: [usize; 2], outside: [usize; 2]) -> bool {
-    inside_corners_are_joined(inside.map(|n| f64::from(data[n])), outside.map(|n| f64::from(data[n])))
+fn is_joined(nodes: &Image<f32>, inside: [usize; 2], outside: [usize; 2]) -> bool {
+    saddle_value(nodes, inside, outside) < 0.0
 }
 
-/// Bounds that make the choice at each junction plain: the nodes of the side that is joined keep `far` (mm) from the surface, the
-/// others come as `near` to it as their own `least` distance (mm, of a node) lets them.
-pub fn plain_choices(junctions: &[Junction], least: impl Fn(usize) -> f32, near: f32, far: f32) -> Vec<Bound> {
-    let mut bounds: Vec<Bound> = junctions
-        .iter()
-        .flat_map(|junction| {
-            let (winners, losers) =
-                if junction.joined { (junction.inside, junction.outside) } else { (junction.outside, junction.inside) };
-            let winners = winners.map(|node| Bound { node, least: far, most: f32::INFINITY });
-            let losers = losers.map(|node| Bound { node, least: least(node), most: near.max(least(node)) });
-            winners.into_iter().chain(losers)
-        })
-        .collect();
-    bounds.sort_by_key(|bound| bound.node);
-    bounds.dedup_by(|next, kept| {
-        let same = next.node == kept.node;
-        if same {
-            // a node that wins at one junction and loses at another keeps its distance
-            kept.least = kept.least.max(next.least);
-            kept.most = kept.most.min(next.most).max(kept.least);
-        }
-        same
-    });
-    bounds
-}
-
-/// Changes `field` at junctions where it is not joined as they say, by as little as tips the balance; no |F| falls below
-/// `least`. Returns the number of junctions that still differ.
-pub fn make_agree(field: &mut [f32], junctions: &[Junction], least: &(impl Fn(usize) -> f32 + Sync)) -> usize {
+/// Changes `field` at junctions where it is not joined as they say; no |F| falls below `least`.
+/// Returns the number of junctions that still differ.
+pub fn make_agree(field: &mut Image<f32>, junctions: &[Junction], least: &(impl Fn(usize) -> f32 + Sync)) -> usize {
     let mut differing = 0;
     for _ in 0..MOST_PASSES {
         differing = 0;
-        for junction in junctions {
-            if is_joined(field, junction.inside, junction.outside) == junction.joined {
+        for Junction { inside, outside, joined } in junctions {
+            if is_joined(field, *inside, *outside) == *joined {
                 continue;
             }
             differing += 1;
-            let (winners, losers) =
-                if junction.joined { (junction.inside, junction.outside) } else { (junction.outside, junction.inside) };
-            let product = |nodes: [usize; 2]| f64::from(field[nodes[0]]) * f64::from(field[nodes[1]]);
-            let factor = (1.05 * product(losers) / product(winners)).powf(0.25) as f32;
-            for node in winners {
-                field[node] *= factor;
+            let (winners, losers) = if *joined { (inside, outside) } else { (outside, inside) };
+            for &node in winners {
+                field.data[node] *= TIP_FACTOR;
             }
-            for node in losers {
-                field[node] = (field[node].abs() / factor).max(least(node)).copysign(field[node]);
+            for &node in losers {
+                let value = field.data[node];
+                field.data[node] = (value.abs() / TIP_FACTOR).max(least(node)).copysign(value);
             }
         }
         if differing == 0 {

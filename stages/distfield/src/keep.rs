@@ -143,17 +143,3 @@ pub(crate) fn parts_of_runs(inside: &Runs, size: [usize; 3], junctions: &[Juncti
     }
     Ok((0..count).map(|run| sets.find(run)).collect())
 }
-
-impl Dropped {
-    /// Adds parts that were dropped at another time.
-    pub fn add(&mut self, other: Self) {
-        self.components += other.components;
-        self.volume += other.volume;
-        self.largest = self.largest.max(other.largest);
-        match (&mut self.nodes, other.nodes) {
-            (Some(own), Some(other)) => own.unite(&other),
-            (own @ None, other) => *own = other,
-            (Some(_), None) => {}
-        }
-    }
-}

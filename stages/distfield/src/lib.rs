@@ -2,13 +2,14 @@
 //! of the paper (Kim, Chen and Hansen 2012): negative inside, in mm, and read everywhere as the interpolating cubic
 //! B-spline through its samples.
 //!
-//! [`mod@unshear`] resamples a sheared volume.
-//! [`crop`] takes the object's box out of the volume. [`scalar`] and [`labels`] say what the surface is (labels by [`mask`], [`sides`] and [`flow`], which hold nodes as [`bits`] and
-//! [`runs`]), [`field`] turns it into distances ([`samples`], [`nearest`], [`closest`]), pins the
-//! zero set of the spline on it ([`fit`]), joins and parts what touches as the source does ([`junctions`]) and closes it at
-//! the border ([`cap`]); [`keep`] drops parts, [`topology`] counts what came out and [`run`] is the program.
-//! [`materials`] makes a field for each of many materials.
-//! [`info`] says what a volume is, by which [`input`] refuses what cannot be meant; [`selection`] reads the user's choice of labels.
+//! [`mod@unshear`] resamples a sheared volume. [`crop`] takes the object's box out of the volume.
+//! [`scalar`] and [`labels`] say what the surface is; labels and scales are level sets of smoothed
+//! voxel shares ([`mask`], [`occupancy`], `level`). [`field`] turns the surface into distances
+//! ([`samples`], [`nearest`], [`closest`]), pins the zero set of the spline on it ([`fit`]), joins
+//! what touches as the source does ([`junctions`]) and closes it at the border ([`cap`]). [`keep`]
+//! drops parts, [`topology`] counts what came out and [`run`] is the program. [`materials`] makes a
+//! field for each of many materials. [`info`] says what a volume is, by which [`input`] refuses
+//! what cannot be meant; [`selection`] reads the user's choice of labels.
 
 pub mod bits;
 pub mod cap;
@@ -20,13 +21,13 @@ pub mod crop;
 mod envelope;
 pub mod field;
 pub mod fit;
-pub mod flow;
 pub mod gaussian;
 pub mod info;
 pub mod input;
 pub mod junctions;
 pub mod keep;
 pub mod labels;
+mod level;
 pub mod mask;
 pub mod materials;
 pub mod nearest;
@@ -37,7 +38,6 @@ pub mod samples;
 pub mod scalar;
 pub mod scale;
 pub mod selection;
-pub mod sides;
 pub mod topology;
 pub mod unshear;
 
@@ -62,13 +62,4 @@ pub enum Border {
     Cap,
     /// The surface runs on straight and leaves the volume.
     Open,
-}
-
-/// Least distance of the surface of labels from voxel centres, in voxels (smallest spacing).
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Clearance {
-    /// At most voxels.
-    pub usual: f64,
-    /// At voxels where the object, or the gap between two parts, is one voxel thin.
-    pub thin: f64,
 }

@@ -1,16 +1,16 @@
 //! The program: options, checks of the input, the run, the report.
 
 use crate::choose::{Choice as ScaleChoice, Object, ScaleArgs, choose_scale, extract_scaled};
-use crate::crop::{CutFaces, Grid, VoxelBox, crop, room_of_labels, room_of_spline};
+use crate::crop::{CutFaces, Grid, VoxelBox, crop, room_of_spline};
 use crate::input::{KindChoice, check_kind, check_room, tell};
-use crate::labels::{LabelOptions, from_mask};
+use crate::labels::{LabelOptions, from_mask, room_of_labels};
 use crate::mask::Mask;
 use crate::materials::{self, Choice};
 use crate::scalar::{ScalarOptions, from_voxels};
 use crate::scale::room_round;
 use crate::selection::{Selection, noted};
 use crate::unshear::{Wanted, unshear};
-use crate::{Border, Clearance, Inside, Keep, Redistanced};
+use crate::{Border, Inside, Keep, Redistanced};
 use isoparticles_stage::cli::check::Known;
 use isoparticles_stage::cli::{CommonArgs, Context, FILES, METHOD, Outcome, StageArgs};
 use isoparticles_stage::error::{Error, Result};
@@ -22,11 +22,12 @@ use std::path::{Path, PathBuf};
 
 /// A volume and an iso value, or labels, become the signed distance field F
 ///
-/// F is the implicit function of section 3.1 of the paper (Kim, Chen and Hansen 2012): samples of the signed distance to the
-/// surface in mm, negative inside, read as the cubic B-spline that interpolates them. For a scalar volume the surface is that
-/// of the cubic B-spline through the voxels at the iso value; for labels it is the smoothest one that leaves every voxel
-/// centre on its side (Whitaker 2000). The grid is that of the input, of which --grid object keeps the box of the object, with
-/// --margin more voxels on each face.
+/// F is the implicit function of section 3.1 of the paper (Kim, Chen and Hansen 2012): samples of
+/// the signed distance to the surface in mm, negative inside, read as the cubic B-spline that
+/// interpolates them. For a scalar volume the surface is that of the cubic B-spline through the
+/// voxels at the iso value; for labels it is a smooth one that leaves every voxel centre on its
+/// side and keeps the volume of each place. The grid is that of the input, of which --grid object
+/// keeps the box of the object, with --margin more voxels on each face.
 #[derive(Clone, Debug, clap::Parser)]
 #[command(
     name = "distfield",
@@ -103,19 +104,10 @@ pub struct Args {
     /// Voxels added on each face of the grid, 3 to 64: room for the surface's neighbourhood
     #[arg(long, value_name = "N", default_value_t = 5, value_parser = clap::value_parser!(u16).range(3..=64), help_heading = METHOD)]
     pub margin: u16,
-    /// Labels: least distance of the surface from every voxel centre, in voxels (smallest spacing), 0.01 to 0.3; room for
-    /// the chords of the triangles to come. Where the object or a gap is one voxel thin it is at least 0.3, so that the part stays
-    /// as thick as 0.6 voxel
-    #[arg(long, value_name = "VOXELS", default_value_t = 0.1, value_parser = clearance_in_range, help_heading = METHOD)]
+    /// Labels: least distance of the surface from every voxel centre, in voxels (smallest spacing),
+    /// 0.01 to 0.15; room for the chords of the triangles to come
+    #[arg(long, value_name = "VOXELS", default_value_t = 0.05, value_parser = clearance_in_range, help_heading = METHOD)]
     pub clearance: f64,
-    /// Labels: steps of the smoothing flow, 0 to 10000; 0 leaves the staircase, more makes smoother
-    #[arg(long, value_name = "N", default_value_t = 100, value_parser = clap::value_parser!(u16).range(0..=10000), help_heading = METHOD)]
-    pub smoothing_steps: u16,
-    /// Labels: how far the smoothed surface may leave the staircase of the voxels, in voxels (smallest spacing), 0 to 3. At 0 every voxel
-    /// centre keeps its side; more is smoother where a coarser mask shows, the report says how many voxel centres changed sides, and
-    /// parts and gaps thinner than twice the radius may vanish. Larger radii want more --smoothing-steps
-    #[arg(long, value_name = "RADIUS", default_value_t = 0.0, value_parser = tightening_in_range, conflicts_with = "iso", help_heading = METHOD)]
-    pub tightening: f64,
     /// How much of the data is kept.
     #[command(flatten)]
     pub scale: ScaleArgs,
@@ -126,36 +118,30 @@ pub struct Args {
 
 fn clearance_in_range(text: &str) -> std::result::Result<f64, String> {
     match text.parse::<f64>() {
-        Ok(value) if (0.01..=THIN_CLEARANCE).contains(&value) => Ok(value),
-        _ => Err(format!("{text} is not a number from 0.01 to {THIN_CLEARANCE}")),
+        Ok(value) if (0.01..=MOST_CLEARANCE).contains(&value) => Ok(value),
+        _ => Err(format!("{text} is not a number from 0.01 to {MOST_CLEARANCE}")),
     }
 }
 
-fn tightening_in_range(text: &str) -> std::result::Result<f64, String> {
-    match text.parse::<f64>() {
-        Ok(value) if (0.0..=LARGEST_TIGHTENING).contains(&value) => Ok(value),
-        _ => Err(format!("{text} is not a number from 0 to {LARGEST_TIGHTENING}")),
-    }
-}
+/// Largest clearance, in voxels: the level set aims at twice that, and a layer of one voxel has
+/// half a voxel.
+const MOST_CLEARANCE: f64 = 0.15;
 
-/// Largest tightening radius, in voxels: less than the half-width of the band that is smoothed.
-const LARGEST_TIGHTENING: f64 = 3.0;
-
-/// Clearance at voxels where the object or a gap is one voxel thin.
-pub(crate) const THIN_CLEARANCE: f64 = 0.3;
+/// Surfaces of F whose volumes the file and the report list.
+const LISTED_SURFACES: usize = 100;
 
 /// Shift of the zero set (voxels; mean and 99th percentile) above which the user is warned.
 const SHIFT_LIMITS: (f64, f64) = (0.03, 0.15);
 
-/// Change of the volume of labels, as a share, above which the user is warned, and above which that is a failed check. Balls of six voxels'
-/// diameter and rods of four change by 17 and 25 %, plates of any thickness by up to 40 %, balls and rods of two voxels by 56 to 75 %, a single
-/// voxel by 95 % (`distfield --labels 1` of such masks): beyond the first the object is mostly thinner than the smoothing can hold, beyond the
-/// second most of it is gone.
-pub(crate) const VOLUME_LIMITS: (f64, f64) = (0.25, 0.5);
+/// Change of the volume, as a share, above which the user is warned, and above which that is a
+/// failed check. Layers of one voxel change by up to 8 %, of two by 3 % (test
+/// `thin_layers_and_rods_keep_their_volume`), specks of single voxels by up to 20 %.
+pub(crate) const VOLUME_LIMITS: (f64, f64) = (0.05, 0.25);
 
-/// The same for a scale, which is made to keep the volume: meshes of solid organs with 1,000 vertices change by up to 2.5 %; what changes
-/// by 10 % (ribs and trabecular bone at a few thousand vertices: 20 to 42 %, docs/scale.md) is no mesh of the object.
-pub(crate) const SCALED_VOLUME_LIMITS: (f64, f64) = (0.03, 0.1);
+/// The same for a scale, which is made to keep the volume: meshes of solid organs with 1,000
+/// vertices change by up to 2 %; what changes by 10 % (ribs and trabecular bone at a few thousand
+/// vertices: 20 to 42 %) is no mesh of the object.
+pub(crate) const SCALED_VOLUME_LIMITS: (f64, f64) = (0.02, 0.1);
 
 impl StageArgs for Args {
     fn common(&self) -> &CommonArgs {
@@ -173,13 +159,11 @@ impl StageArgs for Args {
             _ if self.write_volume.is_some() => json!({}),
             _ if !self.material.is_empty() => json!({
                 "material": self.material.iter().map(Choice::to_string).collect::<Vec<_>>(), "border": border,
-                "margin": self.margin, "clearance": self.clearance, "smoothing_steps": self.smoothing_steps,
-                "smallest_island": self.smallest_island,
+                "margin": self.margin, "clearance": self.clearance, "smallest_island": self.smallest_island,
             }),
             (Some(labels), _) => json!({
                 "labels": labels.to_string(), "border": border, "margin": self.margin, "keep": keep,
-                "clearance": self.clearance, "smoothing_steps": self.smoothing_steps,
-                "tightening": self.tightening,
+                "clearance": self.clearance,
             }),
             (None, iso) => {
                 json!({
@@ -254,12 +238,12 @@ pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
     let (volume, found) = object.locate(volume).map_err(about_file)?;
     let (mut volume, scale) = choose_scale(&args.scale, volume, &object, args.border, context).map_err(about_file)?;
     let whole = volume.geometry.clone();
-    let cut =
-        take_out(args, &mut volume, found, room(args, &whole, &object, scale.as_ref()), context).map_err(about_file)?;
+    let cut = take_out(args, &mut volume, found, room(margin, &whole, &object, scale.as_ref()), context)
+        .map_err(about_file)?;
     let options = ScalarOptions { inside: args.inside, border: args.border, margin, cut, keep: args.keep };
     let (result, mut meta) = match (scale, &object) {
         (Some(scale), _) => extract_scaled(scale, args.scale.keep_thin, volume, &object, (args.grid, options), context),
-        (None, Object::Labels(labels)) => extract_labels(args, volume, labels, context),
+        (None, Object::Labels(labels)) => extract_labels(args, volume, labels, cut, context),
         (None, Object::Iso(iso, _)) => extract_iso(volume, *iso, &options, context),
     }
     .map_err(about_file)?;
@@ -270,21 +254,20 @@ pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
     tell_grid(&whole.padded(margin), &result.field.geometry, context);
     meta["margin"] = json!(margin);
     meta["dropped"] = json!(result.dropped);
-    meta["components_before"] = json!(result.parts_of_input().components);
-    meta["cavities_before"] = json!(result.parts_of_input().cavities);
+    meta["components_before"] = json!(result.parts_before.components);
+    meta["cavities_before"] = json!(result.parts_before.cavities);
     meta["components"] = json!(result.parts_after.components);
     meta["cavities"] = json!(result.parts_after.cavities);
     meta["volume"] = json!(result.parts_after.volume);
+    meta["volumes"] = json!(result.volumes.iter().take(LISTED_SURFACES).collect::<Vec<_>>());
     meta["zero_set_shift"] = json!(result.shift);
     let meta = distance_meta(&object, args.border, cap_planes, meta);
     describe(&result, &meta, context);
-    warn_of_lost_parts(&result, args.tightening, context);
 
     let step = context.step("write");
     write_field(output, FieldKind::Distance, &result.field, &meta, &context.history())?;
     drop(step);
-    let unwanted = result.changed.filter(|_| args.tightening == 0.0);
-    let mut failed = failed_checks(&result, unwanted, context);
+    let mut failed = failed_checks(&result, context);
     if let Some(change) = volume_change(&result, &meta) {
         let is_scaled = meta.is_scaled();
         let (limits, reason) = if is_scaled {
@@ -293,10 +276,10 @@ pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
                 "too much of the object is thinner than a mesh of that scale tells apart (a finer mesh or --keep-thin keeps more)",
             )
         } else {
-            (VOLUME_LIMITS, "most of the object is one to four voxels thin, or specks (--keep drops them)")
+            (VOLUME_LIMITS, "much of it is one voxel thin, or specks (--keep drops them)")
         };
         let told = format!("the volume changed by {:+.0} %: {reason}", 100.0 * change);
-        if change.abs() > limits.1 && (is_scaled || unwanted.is_some()) {
+        if change.abs() > limits.1 {
             failed.push(told);
         } else if change.abs() > limits.0 {
             context.warn(told);
@@ -334,12 +317,12 @@ fn distance_meta(object: &Object, border: Border, cap_planes: Vec<CapPlane>, not
 type Extracted = (Redistanced, Value);
 
 /// Voxels round the object that the field near its surface depends on.
-fn room(args: &Args, geometry: &Geometry, object: &Object, scale: Option<&ScaleChoice>) -> [usize; 3] {
+fn room(margin: usize, geometry: &Geometry, object: &Object, scale: Option<&ScaleChoice>) -> [usize; 3] {
     match (scale, object) {
         (Some(scale), Object::Labels(_)) => room_round(0.5 * scale.length / geometry.spacing),
+        (None, Object::Labels(_)) => room_of_labels(margin),
         // a voxel next to those inside has a share as well
         (Some(scale), Object::Iso(..)) => room_round(0.5 * scale.length / geometry.spacing).map(|room| room + 1),
-        (None, Object::Labels(_)) => room_of_labels(geometry, args.margin.into()),
         (None, Object::Iso(..)) => room_of_spline(),
     }
 }
@@ -379,7 +362,13 @@ fn extract_iso(volume: Volume, iso: f64, options: &ScalarOptions, context: &Cont
     Ok((result, meta))
 }
 
-fn extract_labels(args: &Args, volume: Volume, labels: &[LayerLabel], context: &Context) -> Result<Extracted> {
+fn extract_labels(
+    args: &Args,
+    volume: Volume,
+    labels: &[LayerLabel],
+    cut: CutFaces,
+    context: &Context,
+) -> Result<Extracted> {
     let told = noted(labels, &volume);
     context.set_parameter("labels", told.clone());
     let image = Image { data: volume.label_mask(labels), geometry: volume.geometry };
@@ -390,15 +379,14 @@ fn extract_labels(args: &Args, volume: Volume, labels: &[LayerLabel], context: &
     let options = LabelOptions {
         border: args.border,
         margin: usize::from(args.margin),
-        clearance: Clearance { usual: args.clearance, thin: THIN_CLEARANCE },
-        smoothing_steps: usize::from(args.smoothing_steps),
-        tightening: args.tightening,
+        cut,
+        clearance: args.clearance,
         keep: args.keep,
     };
     let result = from_mask(mask, &options, context)?;
     let meta = json!({
-        "source": "labels", "labels": told, "clearance": args.clearance, "smoothing_steps": args.smoothing_steps,
-        "tightening": args.tightening, "volume_before": volume_before, "voxels_changed": result.changed,
+        "source": "labels", "labels": told, "clearance": args.clearance, "volume_before": volume_before,
+        "voxels_changed": result.changed,
     });
     Ok((result, meta))
 }
@@ -429,14 +417,18 @@ fn cap_planes(field: &Image<f32>, whole: &Geometry) -> Vec<CapPlane> {
     planes
 }
 
-/// How much larger the volume within F = 0 is than that of the labels' voxels that were kept, as a share.
+/// How much larger the volume within F = 0 is than that of the labels' voxels that were kept, as a
+/// share; none where an open border leaves the surface open.
 fn volume_change(result: &Redistanced, meta: &DistanceMeta) -> Option<f64> {
+    if result.volumes.is_empty() {
+        return None;
+    }
     let voxels = meta.volume_before? - result.dropped.volume;
     Some(result.parts_after.volume / voxels - 1.0)
 }
 
 fn describe(result: &Redistanced, meta: &DistanceMeta, context: &Context) {
-    let (before, after) = (result.parts_of_input(), result.parts_after);
+    let (before, after) = (result.parts_before, result.parts_after);
     let dropped = &result.dropped;
     if dropped.components > 0 {
         let told = format!(
@@ -476,22 +468,9 @@ fn describe(result: &Redistanced, meta: &DistanceMeta, context: &Context) {
     }
 }
 
-/// Tightening may lose, part and join parts; that is what it was asked for, but to be told.
-fn warn_of_lost_parts(result: &Redistanced, tightening: f64, context: &Context) {
-    let (before, after) = (result.parts_of_input(), result.parts_after);
-    if result.parts_untightened.is_some() && (before.components, before.cavities) != (after.components, after.cavities)
-    {
-        context.warn(format!(
-            "components and cavities: {} and {} in the labels, {} and {} after tightening by {tightening} voxels, which takes away \
-             parts and gaps thinner than twice that; a smaller --tightening keeps more",
-            before.components, before.cavities, after.components, after.cavities
-        ));
-    }
-}
-
-/// Labels are made such that these hold; `unwanted` voxel centres changed sides and should not have. A scalar volume may fold within a voxel, where the count of parts is a matter of
-/// rounding: there a difference is a warning.
-fn failed_checks(result: &Redistanced, unwanted: Option<usize>, context: &Context) -> Vec<String> {
+/// Labels are made such that these hold. A scalar volume may fold within a voxel, where the count
+/// of parts is a matter of rounding: there a difference is a warning.
+fn failed_checks(result: &Redistanced, context: &Context) -> Vec<String> {
     let (before, after) = (result.parts_before, result.parts_after);
     let mut failed = Vec::new();
     if (before.components, before.cavities) != (after.components, after.cavities) {
@@ -505,7 +484,7 @@ fn failed_checks(result: &Redistanced, unwanted: Option<usize>, context: &Contex
             context.warn(difference);
         }
     }
-    if let Some(changed) = unwanted.filter(|&changed| changed > 0) {
+    if let Some(changed) = result.changed.filter(|&changed| changed > 0) {
         failed.push(format!("{changed} voxel centres changed side"));
     }
     failed

@@ -51,28 +51,6 @@ impl Runs {
         })
     }
 
-    /// The nodes of these runs and their six neighbours, which must be on the grid.
-    pub fn dilated(&self) -> Self {
-        let [_, ny, nz] = self.size;
-        Self::of_rows(self.size, |row, spans| {
-            let (j, k) = (row % ny, row / ny);
-            let mut around: Vec<[u32; 2]> = self.row(row).iter().map(|run| [run.first - 1, run.end + 1]).collect();
-            let rows = [(j > 0, row.wrapping_sub(1)), (j + 1 < ny, row + 1)];
-            let slices = [(k > 0, row.wrapping_sub(ny)), (k + 1 < nz, row + ny)];
-            for (_, near) in rows.into_iter().chain(slices).filter(|(is_there, _)| *is_there) {
-                around.extend(self.row(near).iter().map(|run| [run.first, run.end]));
-            }
-            around.sort_unstable();
-            let before = spans.len();
-            for span in around {
-                match spans[before..].last_mut() {
-                    Some(last) if span[0] <= last[1] => last[1] = last[1].max(span[1]),
-                    _ => spans.push(span),
-                }
-            }
-        })
-    }
-
     /// Of the spans (first x index, the one after the last) that `fill` adds for each row.
     fn of_rows(size: [usize; 3], fill: impl Fn(usize, &mut Vec<[u32; 2]>) + Sync) -> Self {
         let [_, ny, nz] = size;
@@ -161,28 +139,6 @@ impl Runs {
         let before = |row: usize| self.runs.get(self.start[row]).map_or(self.count, |run| run.number);
         parts_mut(values, (0..nz).map(|k| before((k + 1) * ny) - before(k * ny)))
     }
-
-    /// Values at the nodes of the runs.
-    pub fn values<T: Copy + Default + Send>(&self, value: impl Fn(usize) -> T + Sync) -> Vec<T> {
-        let [nx, ny, _] = self.size;
-        let mut values = vec![T::default(); self.count];
-        self.slices(&mut values).into_par_iter().enumerate().for_each(|(k, slice)| {
-            let nodes = (k * ny..(k + 1) * ny)
-                .flat_map(|row| self.row(row).iter().flat_map(move |run| run.columns().map(move |i| row * nx + i)));
-            slice.iter_mut().zip(nodes).for_each(|(to, node)| *to = value(node));
-        });
-        values
-    }
-
-    /// Puts values at the nodes of the runs among those of all nodes.
-    pub fn scatter(&self, compact: &[f32], data: &mut [f32]) {
-        data.par_chunks_mut(self.size[0]).enumerate().for_each(|(row, values)| {
-            for run in self.row(row) {
-                let columns = run.columns();
-                values[columns.clone()].copy_from_slice(&compact[run.number..][..columns.len()]);
-            }
-        });
-    }
 }
 
 #[cfg(test)]
@@ -208,12 +164,6 @@ mod tests {
         for n in 0..count {
             assert_eq!(runs.number(n), nodes.binary_search(&n).ok());
         }
-        let data: Vec<f32> = (0..count).map(|n| n as f32).collect();
-        let compact = runs.values(|n| data[n]);
-        assert_eq!(compact, nodes.iter().map(|&n| n as f32).collect::<Vec<_>>());
-        let mut back = vec![-1.0; count];
-        runs.scatter(&compact, &mut back);
-        assert!((0..count).all(|n| back[n] == if is_in(n) { n as f32 } else { -1.0 }));
         let mut numbers: Vec<usize> = (0..runs.count).collect();
         let plane = SIZE[0] * SIZE[1];
         for (k, slice) in runs.slices(&mut numbers).into_iter().enumerate() {
@@ -231,24 +181,6 @@ mod tests {
             let overlap = |a: usize, b: usize| runs.all()[a].columns().any(|i| runs.all()[b].columns().contains(&i));
             let pairs = runs.of_row(row).flat_map(|a| runs.of_row(row + SIZE[1]).map(move |b| (a, b)));
             assert_eq!(found, pairs.filter(|&(a, b)| overlap(a, b)).collect::<Vec<_>>());
-        }
-    }
-
-    #[test]
-    fn dilation_adds_the_six_neighbours() {
-        let [nx, ny, _] = SIZE;
-        let dilated = Runs::of(SIZE, is_in).dilated();
-        let count: usize = SIZE.iter().product();
-        let near = |n: usize| {
-            let steps = [1, nx, nx * ny];
-            is_in(n) || steps.iter().any(|s| n + s < count && is_in(n + s) || n >= *s && is_in(n - s))
-        };
-        for n in 0..count {
-            assert_eq!(dilated.number(n).is_some(), near(n), "node {n}");
-        }
-        // the longest runs: none ends where the next starts
-        for row in 0..SIZE[1] * SIZE[2] {
-            assert!(dilated.row(row).windows(2).all(|pair| pair[0].end < pair[1].first));
         }
     }
 }

@@ -50,30 +50,29 @@ pub fn from_voxels(
     options: &ScalarOptions,
     monitor: &dyn Monitor,
 ) -> Result<Redistanced> {
-    from_voxels_with(voxels, geometry, iso, options, &Demands::default(), monitor)
+    let mut input = Input { voxels, geometry, iso, inside: options.inside, scale: 1.0, padding: 0 };
+    input.scale = power_of_two_below_inverse(input.check()?);
+    input.redistance(CLEARANCE, options, &Demands::default(), monitor)
 }
 
-/// The same with demands of its own.
+/// F of a level set sampled at voxels, positive inside. It may be positive everywhere, and is given
+/// with `padding` nodes beyond each face, none or the margin. Voxel centres keep at least
+/// `clearance` voxels (smallest spacing) of distance.
 ///
 /// # Errors
-/// As [`from_scalar`].
-pub(crate) fn from_voxels_with(
-    voxels: Voxels,
-    geometry: Geometry,
-    iso: f64,
+/// When there is no surface, no part is to stay, or the run is interrupted.
+pub(crate) fn from_level(
+    level: Image<f32>,
+    padding: usize,
+    clearance: f64,
     options: &ScalarOptions,
     demands: &Demands,
     monitor: &dyn Monitor,
 ) -> Result<Redistanced> {
-    let mut input = Input { voxels, geometry, iso, inside: options.inside, scale: 1.0 };
-    input.scale = power_of_two_below_inverse(input.check()?);
-    let step = monitor.phase("input spline");
-    input.voxels.reverse_slices(input.slice_size());
-    let (nodes, source) = input.source(options);
-    let least = (CLEARANCE * nodes.geometry.min_spacing()) as f32;
-    drop(step);
-    let least = LeastDistances { most: least, at: |_| least };
-    redistance_with(nodes, &source, least, (options.keep, options.margin), demands, monitor)
+    let Image { geometry, data } = level;
+    let voxels = Voxels::F32(data);
+    let input = Input { voxels, geometry, iso: 0.0, inside: Inside::Above, scale: 1.0, padding };
+    input.redistance(clearance.max(CLEARANCE), options, demands, monitor)
 }
 
 /// Fails where [`from_voxels`] would, because of the voxels or the iso value; gives the volume back, and the box round the voxels that are inside.
@@ -81,7 +80,7 @@ pub(crate) fn from_voxels_with(
 /// # Errors
 /// As [`from_scalar`].
 pub fn check_scalar(volume: Volume, iso: f64, inside: Inside) -> Result<(Volume, Option<VoxelBox>)> {
-    let input = Input { voxels: volume.voxels, geometry: volume.geometry, iso, inside, scale: 1.0 };
+    let input = Input { voxels: volume.voxels, geometry: volume.geometry, iso, inside, scale: 1.0, padding: 0 };
     input.check()?;
     let object = input.extent();
     Ok((Volume { voxels: input.voxels, geometry: input.geometry, ..volume }, object))
@@ -96,6 +95,8 @@ struct Input {
     inside: Inside,
     /// By which values are multiplied, so that slopes do not depend on the unit of the voxels: a power of two, which costs no digits.
     scale: f64,
+    /// Nodes beyond each face of the volume that the voxels have already: none or the margin.
+    padding: usize,
 }
 
 /// The largest power of two that is at most 1 / `range`, within what is normal in single precision.
@@ -104,6 +105,33 @@ fn power_of_two_below_inverse(range: f64) -> f64 {
 }
 
 impl Input {
+    /// Voxel centres, and nodes beyond a closed border, keep at least `clearance` voxels of
+    /// distance. Nodes beyond an open border keep [`CLEARANCE`].
+    fn redistance(
+        mut self,
+        clearance: f64,
+        options: &ScalarOptions,
+        demands: &Demands,
+        monitor: &dyn Monitor,
+    ) -> Result<Redistanced> {
+        let step = monitor.phase("input spline");
+        self.voxels.reverse_slices(self.slice_size());
+        let (size, margin) = (self.geometry.size.map(|n| n - 2 * self.padding), options.margin);
+        let (nodes, source) = self.source(options);
+        drop(step);
+        let voxel = nodes.geometry.min_spacing();
+        let beyond = if options.border == Border::Cap { clearance } else { CLEARANCE };
+        let [within, beyond] = [clearance, beyond].map(|least| (least * voxel) as f32);
+        let [px, py, _] = nodes.geometry.size;
+        let at = move |n: usize| {
+            let at = [n % px, n / px % py, n / (px * py)];
+            let is_voxel = (0..3).all(|a| (margin..margin + size[a]).contains(&at[a]));
+            if is_voxel { within } else { beyond }
+        };
+        let least = LeastDistances { most: within, at };
+        redistance_with(nodes, &source, least, (options.keep, margin), demands, monitor)
+    }
+
     /// Voxels of one slice.
     fn slice_size(&self) -> usize {
         self.geometry.size[0] * self.geometry.size[1]
@@ -188,15 +216,18 @@ impl Input {
 
     /// The nodes of the object on the padded grid, cut at the border, and its implicit function.
     fn source(mut self, &ScalarOptions { border, margin, cut, .. }: &ScalarOptions) -> (Image<f32>, Source) {
-        let padded = self.geometry.padded(margin);
-        // beyond a face at which the volume was cut there is background, and what the spline's margin makes of noise in it is none of the object
-        let closed = cut.map(|faces| faces.map(|is_cut| is_cut || border == Border::Cap));
+        let to_add = margin - self.padding;
+        let padded = self.geometry.padded(to_add);
+        // Beyond a face at which the volume was cut there is background: what the spline's margin
+        // makes of noise in it is none of the object.
+        let closed =
+            cut.map(|faces| faces.map(|is_cut| if is_cut { self.padding == 0 } else { border == Border::Cap }));
         let is_any = closed.as_flattened().contains(&true);
         let cap = is_any.then(|| BorderBox::new(&padded, margin, closed));
         let mut filter = SlabFilter::new(self.geometry.size);
         let mut builder = BrickSplineBuilder::new(padded.clone());
         let mut nodes = Image { data: vec![0.0; padded.voxel_count()], geometry: padded.clone() };
-        let padding = Padding { size: self.geometry.size, margin, from: straight };
+        let padding = Padding { size: self.geometry.size, margin: to_add, from: straight };
         for layer in BrickSplineBuilder::layers(&padded) {
             let needed = padding.slices(&layer.slices);
             let fill = |k: usize, slice: &mut [f32]| self.copy_signed(k, 0, slice);
@@ -205,9 +236,9 @@ impl Input {
             builder.add(&layer, |j, k| &coefficients[((k - layer.slices.start) * py + j) * px..][..px]);
             let size = [px, py, layer.slices.len()];
             let slab = CubicSpline::from_coefficients(Geometry { size, ..padded.clone() }, coefficients);
-            self.fill_nodes(&mut nodes, &layer, &slab, margin, cap.as_ref());
+            self.fill_nodes(&mut nodes, &layer, &slab, to_add, cap.as_ref());
             // the filter is ahead of the nodes
-            let rest = self.geometry.size[2].saturating_sub(layer.own.end.saturating_sub(margin));
+            let rest = self.geometry.size[2].saturating_sub(layer.own.end.saturating_sub(to_add));
             self.voxels.truncate(rest * self.slice_size());
         }
         (nodes, Source { spline: builder.finish(), cap })

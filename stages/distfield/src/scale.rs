@@ -8,8 +8,8 @@
 use crate::Border;
 use crate::changes::{Changes, remove_crumbs};
 use crate::crop::{CutFaces, Grid, VoxelBox, room_of_spline};
-use crate::gaussian::smooth;
-use crate::occupancy::{Occupancy, WHOLE};
+use crate::level::{Smoothing, level_set};
+use crate::occupancy::Occupancy;
 use glam::DVec3;
 use isoparticles_field::marching_cubes::marching_cubes;
 use isoparticles_mesh::measure::measure;
@@ -27,21 +27,13 @@ pub struct Scale {
     pub keep_thin: bool,
 }
 
-/// Width of the window in which the volume is kept, in standard deviations of the smoothing: what bends within it may be rounded.
-const WINDOW: f64 = 2.0;
-
-/// Least width of the window, voxels: in a smaller one the steps of labels are what is kept.
-const LEAST_WINDOW: f64 = 2.0;
-
-/// Rounds that find the level, after those in which it may go as far as it is let. Of plain parts, with four in place of six in all, the voxels inside change by 0.03 % at most (heart and lungs, ribs at a scale of two voxels; lungs at
-/// eight); a rod that is kept has twice its volume after four, and 0.83 of it after six.
-const ROUNDS: usize = 2;
-
-/// Furthest that the level moves in a round.
-const LONGEST_STEP: f64 = 0.15;
-
-/// Share of a level surface's density that is added to it, so that the level stays where no surface is near. That of a plane is 0.5.
-const REGULAR: f64 = 0.02;
+impl Scale {
+    /// The smoothing on a grid.
+    pub(crate) fn smoothing(&self, geometry: &Geometry) -> Smoothing {
+        let least_level = if self.keep_thin { LEAST_LEVEL_THIN } else { LEAST_LEVEL };
+        Smoothing { sigma: 0.5 * self.length / geometry.spacing, least_level, clearance: None }
+    }
+}
 
 /// Least distance of the level from that of nothing and that of everything. What shows less is thinner than the mesh can carry: a ball of 1.2, a tube of 0.8
 /// standard deviations, round which there is room for twelve vertices and for four.
@@ -86,13 +78,13 @@ impl Boxed {
         let Some(object) = occupancy.extent() else { return Ok(None) };
         let geometry = &occupancy.geometry;
         let sigma = 0.5 * scale.length / geometry.spacing;
-        let kept = object.with_room(room_round(sigma), geometry.size);
+        let kept = object.with_room(room_round(sigma), geometry.size).on_coarse_nodes();
         let (first, size) = (kept.low, kept.size());
         let before = Occupancy {
             geometry: geometry.cropped(first, size),
             shares: crop(&occupancy.shares, geometry.size, first, size),
         };
-        let mut level = level_set(&before, sigma, scale.keep_thin).0;
+        let mut level = level_set(&before, &scale.smoothing(geometry)).above;
         if !scale.keep_thin {
             remove_crumbs(&mut level, &before.geometry, smallest_part(scale.length))?;
         }
@@ -288,55 +280,5 @@ fn paste(from: &Image<f32>, from_first: [usize; 3], to: &mut Image<f32>, to_firs
         };
         let (source, target) = (at(from_first, source), at(to_first, target));
         to.data[target..target + count].copy_from_slice(&from.data[source..source + count]);
-    }
-}
-
-/// The smoothed share less the level that keeps the volume of each place, and that level; `sigma` in voxels.
-pub(crate) fn level_set(occupancy: &Occupancy, sigma: DVec3, keep_thin: bool) -> (Vec<f32>, Vec<f32>) {
-    let size = occupancy.geometry.size;
-    let share = |n: usize| f32::from(occupancy.shares[n]) / f32::from(WHOLE);
-    let mut smoothed: Vec<f32> = (0..occupancy.shares.len()).into_par_iter().map(share).collect();
-    smooth(&mut smoothed, size, sigma.to_array());
-    let window = sigma.to_array().map(|sigma| (WINDOW * sigma).max(LEAST_WINDOW));
-    let least = if keep_thin { LEAST_LEVEL_THIN } else { LEAST_LEVEL };
-    let mut level: Vec<f32> = smoothed.par_iter().map(|_| 0.5).collect();
-    let rounds = ((0.5 - least) / LONGEST_STEP).ceil() as usize + ROUNDS;
-    let [mut excess, mut density] = [0, 1].map(|_| vec![0.0f32; smoothed.len()]);
-    for _ in 0..rounds {
-        let rows = excess.par_chunks_mut(size[0]).zip(density.par_chunks_mut(size[0]));
-        rows.enumerate().for_each(|(row, (excess, density))| {
-            let first = row * size[0];
-            let (own, change) = (&smoothed[first..], change_across(&smoothed, size, row));
-            for (i, (excess, density)) in excess.iter_mut().zip(density).enumerate() {
-                let width = change(i).max(1e-4);
-                let part = 0.5 + (own[i] - level[first + i]) / width;
-                *excess = part.clamp(0.0, 1.0) - share(first + i);
-                *density = if (0.0..1.0).contains(&part) { 1.0 / width } else { 0.0 };
-            }
-        });
-        smooth(&mut excess, size, window);
-        smooth(&mut density, size, window);
-        level.par_iter_mut().zip(&excess).zip(&density).for_each(|((level, excess), density)| {
-            let step = f64::from(*excess) / (f64::from(*density) + REGULAR);
-            let moved = f64::from(*level) + step.clamp(-LONGEST_STEP, LONGEST_STEP);
-            *level = moved.clamp(least, 1.0 - least) as f32;
-        });
-    }
-    smoothed.par_iter_mut().zip(&level).for_each(|(smoothed, level)| *smoothed -= level);
-    (smoothed, level)
-}
-
-/// By how much values differ across each voxel of a row along x: the sum of the slopes along the axes.
-fn change_across(values: &[f32], [nx, ny, nz]: [usize; 3], row: usize) -> impl Fn(usize) -> f32 {
-    let (j, k) = (row % ny, row / ny);
-    let line = move |j: usize, k: usize| &values[(k * ny + j) * nx..][..nx];
-    let own = line(j, k);
-    let along_y = [line(j.saturating_sub(1), k), line((j + 1).min(ny - 1), k)];
-    let along_z = [line(j, k.saturating_sub(1)), line(j, (k + 1).min(nz - 1))];
-    move |i| {
-        let half = |low: f32, high: f32| 0.5 * (high - low).abs();
-        half(own[i.saturating_sub(1)], own[(i + 1).min(nx - 1)])
-            + half(along_y[0][i], along_y[1][i])
-            + half(along_z[0][i], along_z[1][i])
     }
 }

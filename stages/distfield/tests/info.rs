@@ -200,7 +200,7 @@ fn nan_among_labels_is_background_and_told() {
 
 #[test]
 fn a_volume_that_is_mostly_lost_is_a_failed_check() {
-    // rods of one voxel
+    // rods of one voxel, too near to each other to be told apart
     let rods = Case::new(|radius, n| i16::from(radius < 12.0 && n % 5 == 0 && n / 36 % 4 == 0));
     let run = rods.run(&["--labels", "1"]);
     let told = String::from_utf8_lossy(&run.stderr);

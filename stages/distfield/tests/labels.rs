@@ -4,7 +4,7 @@ mod support;
 
 use glam::DVec3;
 use isoparticles_distfield::field::{LeastDistances, Source, redistance};
-use isoparticles_distfield::{Border, Clearance, Keep, LabelOptions, Redistanced, from_labels};
+use isoparticles_distfield::{Border, Keep, LabelOptions, Redistanced, from_labels};
 use isoparticles_field::spline::{BrickSpline, CubicSpline};
 use isoparticles_stage::cli::Context;
 use isoparticles_volume::Image;
@@ -12,18 +12,12 @@ use support::{directions, sampled, topology, volume};
 
 const MARGIN: usize = 4;
 
-const OPTIONS: LabelOptions = LabelOptions {
-    border: Border::Cap,
-    margin: MARGIN,
-    clearance: Clearance { usual: 0.1, thin: 0.3 },
-    smoothing_steps: 100,
-    tightening: 0.0,
-    keep: Keep::All,
-};
+const OPTIONS: LabelOptions =
+    LabelOptions { border: Border::Cap, margin: MARGIN, cut: [[false; 2]; 3], clearance: 0.05, keep: Keep::All };
 
 fn extract(mask: &Image<bool>) -> Redistanced {
     let result = from_labels(mask, &OPTIONS, &Context::silent("distfield")).expect("a surface");
-    let least = (OPTIONS.clearance.usual * mask.geometry.min_spacing()) as f32;
+    let least = (OPTIONS.clearance * mask.geometry.min_spacing()) as f32;
     let [nx, ny, _] = mask.geometry.size;
     for (n, &inside) in mask.data.iter().enumerate() {
         let f = result.field.at(n % nx + MARGIN, n / nx % ny + MARGIN, n / (nx * ny) + MARGIN);
@@ -150,25 +144,90 @@ fn single_voxels_and_the_border_are_kept() {
 }
 
 #[test]
-fn parts_that_touch_along_an_edge_are_plainly_joined_or_parted() {
-    let mask = sampled([18, 18, 14], DVec3::ONE, |p| {
-        let in_box = |low: DVec3| (p - low).min_element() >= 0.0 && (p - low).max_element() < 5.0;
-        in_box(DVec3::new(4.0, 4.0, 4.0)) || in_box(DVec3::new(9.0, 9.0, 5.0))
+fn parts_that_touch_along_an_edge_are_joined() {
+    let mask = sampled([30, 30, 30], DVec3::ONE, |p| {
+        let in_block =
+            |low: f64| [p.x, p.y].iter().all(|&x| (low..low + 10.0).contains(&x)) && (5.0..25.0).contains(&p.z);
+        in_block(5.0) || in_block(15.0)
     });
     let result = extract(&mask);
-    assert_eq!(result.undecided, 0);
-    assert_eq!(result.parts_before.components, result.parts_after.components);
-    // with tightening the parts of the input are those of the flow without it
-    let options = LabelOptions { tightening: 0.5, ..OPTIONS };
-    let tightened = from_labels(&mask, &options, &Context::silent("distfield")).expect("a surface");
-    assert_eq!(tightened.parts_of_input().components, result.parts_before.components);
+    assert_eq!((result.undecided, result.parts_after.components), (0, 1));
+    assert_eq!(topology(&result.field).components[0].genus, Some(0));
     let spline = CubicSpline::new(&result.field);
-    for z in [6.0, 7.0, 8.0] {
-        let f = spline.value(DVec3::new(8.5, 8.5, z) + DVec3::splat(MARGIN as f64));
-        println!("F between the boxes at z = {z}: {f}");
-        assert!(f.abs() > 0.05, "F = {f} at the edge that the boxes share");
-        assert_eq!(f < 0.0, result.parts_after.components == 1);
+    for z in 5..25 {
+        let edge = DVec3::new(14.5, 14.5, f64::from(z)) + DVec3::splat(MARGIN as f64);
+        assert!(spline.value(edge) < -0.01, "F = {} at z = {z}", spline.value(edge));
     }
+}
+
+#[test]
+fn parts_that_touch_at_a_corner_are_apart() {
+    let mask = sampled([22, 22, 22], DVec3::ONE, |p| {
+        [4.0, 11.0].iter().any(|&low| p.min_element() >= low && p.max_element() < low + 7.0)
+    });
+    assert_eq!(extract(&mask).parts_after.components, 2);
+}
+
+/// Relative error of the volume of F.
+fn swelling(mask: &Image<bool>) -> f64 {
+    let voxels = mask.data.iter().filter(|inside| **inside).count() as f64;
+    extract(mask).parts_after.volume / (voxels * mask.geometry.spacing.element_product()) - 1.0
+}
+
+#[test]
+fn thin_layers_and_rods_keep_their_volume() {
+    let normals = [DVec3::Z, DVec3::new(1.0, 1.0, 0.0), DVec3::new(8.0, 3.0, 1.0)].map(DVec3::normalize);
+    for (thickness, limit) in [(1.0, 0.08), (2.0, 0.03), (3.0, 0.01)] {
+        for normal in normals {
+            let centre = DVec3::new(15.5, 15.5, if thickness == 2.0 { 15.5 } else { 15.0 });
+            let plate = sampled([32; 3], DVec3::ONE, |p| {
+                (p - centre).dot(normal).abs() < 0.5 * thickness + 1e-9 && p.distance(centre) < 11.5
+            });
+            let change = swelling(&plate);
+            println!("plate of {thickness} across {normal:.2}: {:+.2} %", 100.0 * change);
+            assert!(change.abs() < limit, "plate of {thickness} across {normal}: {change}");
+        }
+        let rod = sampled([14, 14, 40], DVec3::ONE, |p| {
+            [p.x, p.y].iter().all(|x| (5.0..5.0 + thickness).contains(x)) && (5.0..35.0).contains(&p.z)
+        });
+        let shell =
+            sampled([40; 3], DVec3::ONE, |p| (12.0 - thickness..12.0).contains(&p.distance(DVec3::splat(19.5))));
+        for (what, mask) in [("rod", rod), ("shell", shell)] {
+            let change = swelling(&mask);
+            println!("{what} of {thickness}: {:+.2} %", 100.0 * change);
+            assert!(change.abs() < limit, "{what} of {thickness}: {change}");
+        }
+    }
+}
+
+/// Where F vanishes along a line through a point (index position of the mask), in voxels from
+/// there.
+fn crossing(result: &Redistanced, index: DVec3, direction: DVec3) -> f64 {
+    let spline = CubicSpline::new(&result.field);
+    let at =
+        |t: f64| spline.value(result.field.geometry.index_to_grid(index + DVec3::splat(MARGIN as f64) + direction * t));
+    let (mut low, mut high) = (-0.9, 0.9);
+    let inside = at(low) < 0.0;
+    for _ in 0..40 {
+        let middle = 0.5 * (low + high);
+        if (at(middle) < 0.0) == inside { low = middle } else { high = middle }
+    }
+    low
+}
+
+#[test]
+fn flat_faces_and_caps_stay_flat() {
+    let cube = extract(&sampled([34; 3], DVec3::ONE, |p| p.min_element() >= 7.0 && p.max_element() < 27.0));
+    let cylinder =
+        extract(&sampled([32, 32, 40], DVec3::ONE, |p| (p.truncate() - glam::DVec2::splat(15.5)).length() < 12.0));
+    let mut largest = [0.0f64; 2];
+    for (x, y) in (12..=21).flat_map(|x| (12..=21).map(move |y| (f64::from(x), f64::from(y)))) {
+        let face = crossing(&cube, DVec3::new(x, y, 6.5), DVec3::Z);
+        let cap = crossing(&cylinder, DVec3::new(x, y, -0.5), DVec3::Z);
+        largest = [largest[0].max(face.abs()), largest[1].max(cap.abs())];
+    }
+    println!("largest distance from half-way: face {:.3}, cap {:.3} voxel", largest[0], largest[1]);
+    assert!(largest[0] < 0.09 && largest[1] < 0.02, "{largest:?}");
 }
 
 /// A ball, a smaller one, and specks of one voxel, one of which touches the large ball across an edge.
@@ -203,58 +262,6 @@ fn small_parts_are_dropped_and_told() {
     assert!(error.what.contains("--keep 5000"), "{error}");
 }
 
-/// A ball whose mask is twice as coarse as the grid, as segmentations often are: a tightening radius takes the steps off, and the surface
-/// stays within the radius of them.
-#[test]
-fn tightening_smooths_further_than_the_voxel_centres_allow() {
-    let (radius, centre) = (14.0, DVec3::splat(18.2));
-    let coarse = |p: DVec3| (0.5 * p).floor() * 2.0 + DVec3::splat(0.5);
-    let mask = sampled([37, 37, 37], DVec3::ONE, |p| coarse(p).distance(centre) < radius);
-    let mut roughness = Vec::new();
-    for tightening in [0.0, 0.8, 1.5] {
-        let options = LabelOptions { tightening, ..OPTIONS };
-        let result = from_labels(&mask, &options, &Context::silent("distfield")).expect("a surface");
-        let spline = CubicSpline::new(&result.field);
-        let radii: Vec<f64> = directions(2000)
-            .map(|direction| {
-                let at = |r: f64| spline.value(centre + DVec3::splat(MARGIN as f64) + direction * r);
-                let (mut low, mut high) = (0.5 * radius, 1.5 * radius);
-                for _ in 0..40 {
-                    let middle = 0.5 * (low + high);
-                    if at(middle) < 0.0 { low = middle } else { high = middle }
-                }
-                low
-            })
-            .collect();
-        let mean = radii.iter().sum::<f64>() / 2000.0;
-        let rms = (radii.iter().map(|r| (r - mean).powi(2)).sum::<f64>() / 2000.0).sqrt();
-        let [nx, ny, _] = mask.geometry.size;
-        let side = |n: usize| result.field.at(n % nx + MARGIN, n / nx % ny + MARGIN, n / (nx * ny) + MARGIN) < 0.0;
-        let changed = mask.data.iter().enumerate().filter(|&(n, &m)| side(n) != m).count();
-        let volume = volume(&result.field) / mask.data.iter().filter(|m| **m).count() as f64 - 1.0;
-        println!(
-            "tightening {tightening}: rms {rms:.3} voxel, {changed} voxels changed, volume {:+.2} %",
-            100.0 * volume
-        );
-        assert_eq!(changed > 0, tightening > 0.0);
-        assert!(volume.abs() < 0.01, "tightening {tightening}: volume {volume}");
-        // the staircase of the mask lies within a coarse voxel's diagonal of the ball
-        let farthest = radii.iter().map(|r| (r - radius).abs()).fold(0.0, f64::max);
-        assert!(farthest < 3f64.sqrt() + tightening, "tightening {tightening}: {farthest} voxel off");
-        roughness.push(rms);
-    }
-    // measured 0.36, 0.20 and 0.20: 0.8 voxel is all that these steps ask for
-    assert!(roughness[1..].iter().all(|rms| *rms < 0.75 * roughness[0]), "{roughness:?}");
-}
-
-#[test]
-fn tightening_that_leaves_nothing_is_refused() {
-    let speck = sampled([9, 9, 9], DVec3::ONE, |p| p == DVec3::splat(4.0));
-    let options = LabelOptions { tightening: 2.0, ..OPTIONS };
-    let error = from_labels(&speck, &options, &Context::silent("distfield")).err().expect("nothing is left");
-    assert!(error.next.contains("--tightening"), "{error}");
-}
-
 #[test]
 fn parts_at_an_open_border_count_their_own_voxels_alone() {
     let block = |p: DVec3, low: [f64; 3], high: [f64; 3]| {
@@ -271,17 +278,12 @@ fn parts_at_an_open_border_count_their_own_voxels_alone() {
     assert_eq!(kept, 64);
 }
 
-/// A hole of one voxel in an object that fills the volume and has an open border: the flow closes it.
 #[test]
-fn tightening_that_leaves_no_surface_is_refused() {
+fn a_hole_of_one_voxel_stays_in_a_full_volume_with_an_open_border() {
     let hole = sampled([9, 9, 9], DVec3::ONE, |p| p != DVec3::splat(4.0));
-    let context = Context::silent("distfield");
     let open = LabelOptions { border: Border::Open, ..OPTIONS };
-    let kept = from_labels(&hole, &open, &context).expect("the hole");
+    let kept = from_labels(&hole, &open, &Context::silent("distfield")).expect("the hole");
     assert_eq!(kept.parts_after.cavities, 1);
-    let error =
-        from_labels(&hole, &LabelOptions { tightening: 2.0, ..open }, &context).err().expect("no surface is left");
-    assert!(error.what.contains("closes every gap") && error.next.contains("--tightening"), "{error}");
 }
 
 #[test]

@@ -65,7 +65,7 @@ fn labels_come_to_the_same_bytes_on_any_number_of_threads() {
     let fields = ["1", "2", "3"].map(|threads| {
         let output = folder.path().join(format!("f{threads}.vti"));
         let (input, path) = (input.to_str().expect("text"), output.to_str().expect("text"));
-        let options = ["--labels", "1", "--tightening", "0.8", "--keep", "largest", "--threads", threads];
+        let options = ["--labels", "1", "--keep", "largest", "--threads", threads];
         let run = distfield(&[&[input, "-o", path][..], &options[..]].concat());
         assert_eq!(run.status.code(), Some(0), "{}", String::from_utf8_lossy(&run.stderr));
         read_field(&output, FieldKind::Distance).expect("a field").image.data
@@ -205,66 +205,17 @@ fn real_volumes_keep_their_zero_set_and_parts() {
     }
 }
 
-/// The radius that lets voxel centres change sides: what the report and the exit code then say.
 #[test]
-fn tightening_tells_how_many_voxels_changed_and_is_for_labels_only() {
+fn a_label_that_fills_the_volume_is_a_block_at_any_scale() {
     let folder = tempfile::tempdir().expect("folder");
-    let (input, output) = (folder.path().join("in.nrrd"), folder.path().join("f.vti"));
-    // a mask twice as coarse as the grid
-    write_nrrd(&input, [13, 13, 13], |i, j, k| f32::from(radius(i / 2 * 2, j / 2 * 2, k / 2 * 2) < 5.0));
-    let (input, output) = (input.to_str().expect("text"), output.to_str().expect("text"));
-    let changed = |radius: &str| {
-        let run = distfield(&[input, "-o", output, "--labels", "1", "--tightening", radius, "--force"]);
-        assert_eq!(run.status.code(), Some(0), "{}", String::from_utf8_lossy(&run.stderr));
-        let meta = read_field(Path::new(output), FieldKind::Distance).expect("a field").meta;
-        assert_eq!(meta["tightening"].as_f64(), radius.parse().ok());
-        meta["voxels_changed"].as_u64().expect("a number")
-    };
-    assert_eq!(changed("0"), 0);
-    assert!(changed("0.8") > 0);
-    let refused = distfield(&[input, "-o", output, "--labels", "1", "--tightening", "7", "--force"]);
-    assert_eq!(refused.status.code(), Some(2));
-    let refused = distfield(&[input, "-o", output, "--iso", "0.5", "--tightening", "0.8", "--force"]);
-    assert_eq!(refused.status.code(), Some(2));
-}
-
-/// What tightening took away is told; what --keep dropped has no part in it.
-#[test]
-fn tightening_counts_parts_and_voxels_against_the_labels_that_stay() {
-    let folder = tempfile::tempdir().expect("folder");
-    let (input, output) = (folder.path().join("in.nrrd"), folder.path().join("f.vti"));
-    let run = |is_more: fn(usize, usize, usize) -> bool, keep: &str| {
-        write_nrrd(&input, [32, 24, 24], |i, j, k| {
-            let in_ball = [i, j, k].map(|n| (n as f32 - 11.0).powi(2)).iter().sum::<f32>() < 81.0;
-            f32::from(in_ball || is_more(i, j, k))
-        });
-        let (input, output) = (input.to_str().expect("text"), output.to_str().expect("text"));
-        // the same grid, so that the same numbers are added up
-        let options = ["--labels", "1", "--tightening", "1.5", "--keep", keep, "--grid", "volume", "--force"];
-        let run = distfield(&[&[input, "-o", output][..], &options].concat());
-        let told = String::from_utf8_lossy(&run.stderr).into_owned();
-        assert_eq!(run.status.code(), Some(0), "{told}");
-        (read_field(Path::new(output), FieldKind::Distance).expect("a field").meta, told)
-    };
-    let warning = "after tightening by 1.5 voxels";
-
-    let (alone, told) = run(|_, _, _| false, "all");
-    assert!(!told.contains(warning), "{told}");
-    assert!(alone["voxels_changed"].as_u64() > Some(0), "{alone}");
-
-    // a block of 2 x 2 x 2 voxels and a single voxel vanish in the flow
-    let (lost, told) = run(
-        |i, j, k| (26..28).contains(&i) && (4..6).contains(&j) && (4..6).contains(&k) || (i, j, k) == (27, 18, 18),
-        "all",
-    );
-    assert_eq!((&lost["components_before"], &lost["components"]), (&3.into(), &1.into()), "{lost}");
-    assert!(told.contains(warning) && told.contains("3 and 0 in the labels, 1 and 0"), "{told}");
-
-    // a block of 5 x 5 x 5 voxels, which the flow makes smaller, is dropped
-    let (kept, told) = run(|i, j, k| (25..30).contains(&i) && (3..8).contains(&j) && (3..8).contains(&k), "largest");
-    assert!(!told.contains(warning), "{told}");
-    assert_eq!((&kept["components_before"], &kept["components"]), (&1.into(), &1.into()), "{kept}");
-    assert_eq!(kept["dropped"]["volume"], 125.0);
-    assert_eq!(kept["voxels_changed"], alone["voxels_changed"]);
-    assert_eq!(kept["volume"], alone["volume"]);
+    let (input, output) = (folder.path().join("full.nrrd"), folder.path().join("f.vti"));
+    write_nrrd(&input, [16, 16, 16], |_, _, _| 1.0);
+    let (input, path) = (input.to_str().expect("text"), output.to_str().expect("text"));
+    for scale in [&[][..], &["--scale-for-size", "2"], &["--scale-for-vertices", "300"]] {
+        let run = distfield(&[&[input, "-o", path, "--labels", "1", "--force"], scale].concat());
+        assert_eq!(run.status.code(), Some(0), "{scale:?}: {}", String::from_utf8_lossy(&run.stderr));
+        let meta = read_field(&output, FieldKind::Distance).expect("a field").meta;
+        let volume = meta["volume"].as_f64().expect("a volume");
+        assert!((volume / 4096.0 - 1.0).abs() < 0.005, "{scale:?}: {volume}");
+    }
 }

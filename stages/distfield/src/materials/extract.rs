@@ -6,11 +6,12 @@ use super::contacts::{Contacts, keep_contacts};
 use super::grid::{Extent, LabelGrid};
 use super::scaled::{Levels, Made};
 use crate::changes::Changes;
+use crate::crop::VoxelBox;
 use crate::field::{Demands, Redistanced};
-use crate::labels::{LabelOptions, from_mask_with};
+use crate::labels::{LabelOptions, from_mask_with, room_of_labels};
 use crate::scale::Scale;
 use crate::topology::Parts;
-use crate::{Border, Clearance, Keep};
+use crate::{Border, Keep};
 use isoparticles_field::materials::{Indicator, Material, MaterialId, Materials};
 use isoparticles_stage::error::{Error, Result};
 use isoparticles_stage::monitor::{Counter, Interrupted, Monitor, Phase, Silent};
@@ -25,10 +26,8 @@ const DEMANDS: Demands = Demands { limit: 7.0, pinned: 0.0005, pin_steps: 40 };
 /// How labels become indicators.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MaterialOptions {
-    /// Least distance of each border from voxel centres.
-    pub clearance: Clearance,
-    /// Steps of the flow; 0 leaves the staircase.
-    pub smoothing_steps: usize,
+    /// Least distance of each border from voxel centres, in voxels (smallest spacing).
+    pub clearance: f64,
     /// What is smoothed away, in place of all this; `None` keeps every voxel centre.
     pub scale: Option<Scale>,
 }
@@ -42,7 +41,8 @@ pub struct Tally {
     pub parts: [Parts; 2],
     /// Voxel centres that the indicator alone puts on the other side.
     pub changed: usize,
-    /// Places where two parts touch along an edge and the indicator, by itself, does not join or part them as its voxels' flow does.
+    /// Places where two parts touch along an edge and the indicator, by itself, does not join or
+    /// part them as its level set does.
     pub undecided: usize,
     /// What a scale changed; `None` without one, and where nothing is left of the material.
     pub changes: Option<Changes>,
@@ -116,7 +116,7 @@ pub fn extract(
             let made = match (&levels, options.scale) {
                 // an outside without voxels is what lies beyond the volume, at any scale
                 (Some(levels), Some(scale)) if extents[id].count > 0 => one.scaled(levels, scale, &Quiet(monitor)),
-                _ => one.make(options, &Quiet(monitor)).map(|(own, tally)| (Some(own), one.cropped().0, tally)),
+                _ => one.make(options, &Quiet(monitor)).map(|(own, tally)| (Some(own), one.kept().low, tally)),
             };
             let (own, first, tally) =
                 made.map_err(|error| Error { what: format!("material '{name}': {}", error.what), ..error })?;
@@ -155,17 +155,11 @@ struct One<'a> {
 }
 
 impl One<'_> {
-    /// First and last voxel of the box that is looked at. An open border carries on what the outermost voxels of the box have: elsewhere these must be
-    /// of other materials.
-    fn cropped(&self) -> ([usize; 3], [usize; 3]) {
+    /// The box that is looked at: that of the voxels, with the room that their smoothed shares
+    /// reach.
+    fn kept(&self) -> VoxelBox {
         let Extent { low, high, .. } = self.extent;
-        match self.grid.border {
-            Border::Cap => (low, high),
-            Border::Open => {
-                let last = self.grid.geometry.size;
-                (low.map(|n| n.saturating_sub(1)), std::array::from_fn(|a| (high[a] + 1).min(last[a] - 1)))
-            }
-        }
+        VoxelBox { low, high }.with_room(room_of_labels(self.grid.margin), self.grid.geometry.size).on_coarse_nodes()
     }
 
     /// The indicator at a scale with the first voxel of its box; none where nothing is left.
@@ -195,19 +189,28 @@ impl One<'_> {
     }
 
     fn make(&self, options: &MaterialOptions, monitor: &dyn Monitor) -> Result<(Image<f32>, Tally)> {
-        let (low, high) = self.cropped();
-        let id = self.id;
-        let is_outside = id == MaterialId::OUTSIDE;
-        let mask = self.grid.mask(low, high, |number| if is_outside { number != id.0 } else { number == id.0 });
+        let kept = self.kept();
+        let (size, id, numbers) = (kept.size(), self.id.0, &self.grid.numbers);
+        let is_outside = self.id == MaterialId::OUTSIDE;
+        let mask = self.grid.mask(kept.low, kept.high, |number| (number == id) != is_outside);
+        let number = |n: usize| {
+            let [i, j, k] = [n % size[0], n / size[0] % size[1], n / (size[0] * size[1])];
+            numbers[self.grid.geometry.linear(kept.low[0] + i, kept.low[1] + j, kept.low[2] + k)]
+        };
+        // where two materials alternate round an edge, the one named first is joined; the outside
+        // never
+        let gives_way = |[a, b]: [usize; 2]| {
+            let other = number(a);
+            !is_outside && other == number(b) && (1..id).contains(&other)
+        };
         let options = LabelOptions {
             border: self.grid.border,
             margin: self.grid.margin,
+            cut: kept.cut_faces(self.grid.geometry.size),
             clearance: options.clearance,
-            smoothing_steps: options.smoothing_steps,
-            tightening: 0.0,
             keep: Keep::All,
         };
-        let result = from_mask_with(mask, &options, &DEMANDS, monitor)?;
+        let result = from_mask_with(mask, gives_way, &options, &DEMANDS, monitor)?;
         let Redistanced { mut field, parts_before, parts_after, changed, undecided, .. } = result;
         self.turn(&mut field);
         let parts = [parts_before, parts_after];

@@ -8,10 +8,11 @@ use super::islands::remove_islands;
 use super::scaled::edge_length;
 use super::survey::{Survey, distance_limit, survey};
 use crate::changes::{Changes, Kind, SPECKS};
-use crate::crop::{VoxelBox, room_of_labels};
-use crate::run::{Args, SCALED_VOLUME_LIMITS, THIN_CLEARANCE, VOLUME_LIMITS, take_out, tell_grid};
+use crate::crop::VoxelBox;
+use crate::labels::LABEL_ROOM;
+use crate::run::{Args, SCALED_VOLUME_LIMITS, VOLUME_LIMITS, take_out, tell_grid};
 use crate::scale::{Scale, room_round};
-use crate::{Border, Clearance, Keep};
+use crate::{Border, Keep};
 use isoparticles_field::materials::{MaterialId, Materials};
 use isoparticles_stage::cli::{Context, Outcome};
 use isoparticles_stage::error::{Error, Result};
@@ -38,21 +39,15 @@ pub fn run(args: &Args, mut volume: Volume, output: &Path, context: &Context) ->
     let scale = scale(args, &volume, &chosen, context)?;
     let whole = volume.geometry.padded(args.margin.into());
     let found = VoxelBox::of_labels(&volume, |label| chosen.number(label) != MaterialId::OUTSIDE.0);
-    let room = scale.map_or_else(
-        || room_of_labels(&volume.geometry, args.margin.into()),
-        |scale| room_round(0.5 * scale.length / volume.geometry.spacing),
-    );
+    // a face of the grid counts as a border of the volume: the outside lies between
+    let room = scale.map_or([LABEL_ROOM; 3], |scale| room_round(0.5 * scale.length / volume.geometry.spacing));
     take_out(args, &mut volume, found, room, context)?;
     let mut grid = LabelGrid::new(&volume, &chosen, args.border, args.margin.into())?;
     drop((volume, step));
     remove_small(&mut grid, &mut chosen, args.smallest_island as usize, context);
     context.set_parameter("materials", json!(chosen.table));
     tell_grid(&whole, &grid.padded(), context);
-    let options = MaterialOptions {
-        clearance: Clearance { usual: args.clearance, thin: THIN_CLEARANCE },
-        smoothing_steps: args.smoothing_steps.into(),
-        scale,
-    };
+    let options = MaterialOptions { clearance: args.clearance, scale };
     let Extracted { materials, tallies, contacts } = extract(&grid, &chosen, &options, context)?;
     let geometry = materials.geometry();
     let step = context.step("materials checked");
@@ -137,9 +132,6 @@ pub(crate) fn check_options(args: &Args) -> Result<()> {
             format!("leave {option} out, or make one object of some labels with --labels"),
         ))
     };
-    if args.tightening > 0.0 {
-        return refused("--tightening", "what one material gives up no other would take");
-    }
     if args.keep != Keep::All {
         return refused("--keep", "--smallest-island VOXELS gives small components to the materials round them");
     }

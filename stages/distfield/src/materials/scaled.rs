@@ -9,18 +9,19 @@
 use super::grid::{Extent, LabelGrid};
 use crate::bits::{Bits, Numbering};
 use crate::changes::{Changes, remove_crumbs};
-use crate::crop::CutFaces;
+use crate::crop::{CutFaces, VoxelBox};
 use crate::field::Demands;
+use crate::level::{LevelSet, level_set};
 use crate::occupancy::Occupancy;
-use crate::scalar::{ScalarOptions, from_voxels_with};
-use crate::scale::{Scale, area_at_faces, edge_length_by, level_set, room_round, smallest_part};
+use crate::scalar::{ScalarOptions, from_level};
+use crate::scale::{Scale, area_at_faces, edge_length_by, room_round, smallest_part};
 use crate::{Border, Inside, Keep, Redistanced};
 use isoparticles_field::marching_cubes::marching_cubes;
 use isoparticles_field::materials::MaterialId;
 use isoparticles_mesh::measure::measure;
 use isoparticles_stage::error::{Error, Result};
 use isoparticles_stage::monitor::Monitor;
-use isoparticles_volume::{Geometry, Image, Voxels};
+use isoparticles_volume::{Geometry, Image};
 use rayon::prelude::*;
 
 /// What one unit of a level is stored as: levels lie between -1 and 1, and a step moves a border by less than a thousandth of the Gaussian's width.
@@ -253,7 +254,7 @@ impl<'a> Levels<'a> {
         if is_outside {
             above.par_iter_mut().for_each(|above| *above = -*above);
         }
-        if above.par_iter().all(|&above| above > 0.0) {
+        if grid.border == Border::Open && above.par_iter().all(|&above| above > 0.0) {
             let all = if is_outside { "all others fill" } else { "it fills" };
             return Err(Error::input(
                 format!("at a scale of {scale:.4} mm {all} the volume from border to border"),
@@ -276,7 +277,7 @@ impl<'a> Levels<'a> {
             cut: CutFaces::default(),
             keep: Keep::All,
         };
-        let result = from_voxels_with(Voxels::F32(above), geometry, 0.0, &options, demands, monitor)?;
+        let result = from_level(Image { geometry, data: above }, 0, 0.0, &options, demands, monitor)?;
         Ok(Made { result: Some(result), first, changes: Some(changes) })
     }
 }
@@ -299,13 +300,13 @@ pub fn edge_length(
 /// The smoothed share of a material, less the level that keeps its volume.
 fn smoothed(grid: &LabelGrid, id: MaterialId, extent: &Extent, scale: Scale) -> Level {
     let whole = grid.geometry.size;
-    let sigma = 0.5 * scale.length / grid.geometry.spacing;
-    let room = room_round(sigma);
-    let first: [usize; 3] = std::array::from_fn(|a| extent.low[a].saturating_sub(room[a]));
-    let last: [usize; 3] = std::array::from_fn(|a| (extent.high[a] + room[a]).min(whole[a] - 1));
+    let smoothing = scale.smoothing(&grid.geometry);
+    let room = room_round(smoothing.sigma);
+    let VoxelBox { low: first, high: last } =
+        VoxelBox { low: extent.low, high: extent.high }.with_room(room, whole).on_coarse_nodes();
     let occupancy = Occupancy::of_mask(&grid.mask(first, last, |number| number == id.0));
     let size = occupancy.geometry.size;
-    let (above, level) = level_set(&occupancy, sigma, scale.keep_thin);
+    let LevelSet { above, level } = level_set(&occupancy, &smoothing);
     let above = above.into_par_iter().map(|value| (value.clamp(-1.0, 1.0) * UNIT).round() as i16).collect();
     let off = level.into_par_iter().map(|level| ((level - 0.5).abs() * 255.0).round() as u8).collect();
     Level { first, size, above, off }

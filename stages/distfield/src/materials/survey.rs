@@ -3,11 +3,14 @@
 
 use super::grid::LabelGrid;
 use crate::Border;
+use crate::crop::VoxelBox;
 use glam::DVec3;
+use isoparticles_field::enclosed::enclosed_volumes;
+use isoparticles_field::marching_cubes::marching_cubes;
 use isoparticles_field::materials::{Indicators, KNOWN_VOXELS, MaterialId};
 use isoparticles_stage::error::Result;
 use isoparticles_stage::monitor::Monitor;
-use isoparticles_volume::Geometry;
+use isoparticles_volume::{Geometry, Image};
 use rayon::prelude::*;
 use serde::Serialize;
 use std::collections::BTreeMap;
@@ -62,16 +65,15 @@ pub fn distance_limit(geometry: &Geometry) -> f64 {
 struct Sums {
     /// Of each pair: area in mm^2, crossings.
     pairs: BTreeMap<[MaterialId; 2], (f64, usize)>,
-    /// Of each material: volume, mm^3, nodes and what crossings add.
-    volumes: BTreeMap<MaterialId, f64>,
     junctions: Junctions,
 }
 
 /// Looks at every node of the padded grid and the edges between them.
 ///
-/// The area of a sheet is that of the grid's faces it crosses, each weighted by the share |n_a| of its unit normal along the edge that crosses it: the
-/// faces across axis a that a piece dA of the sheet crosses have the area |n_a| dA, and the squares of n_a sum to one. The volume of a material is its voxels', and at
-/// each crossing the part of the edge between its middle and the sheet.
+/// The area of a sheet is that of the grid's faces it crosses, each weighted by the share |n_a| of
+/// its unit normal along the edge that crosses it: the faces across axis a that a piece dA of the
+/// sheet crosses have the area |n_a| dA, and the squares of n_a sum to one. The volume of a
+/// material is what its indicator's place among the others encloses.
 ///
 /// # Errors
 /// When the run is interrupted.
@@ -86,6 +88,12 @@ pub fn survey(
     let plane = nx * ny;
     let limit = distance_limit(geometry) as f32;
     let (mut material, mut distance) = (vec![0u16; geometry.voxel_count()], vec![0.0f32; geometry.voxel_count()]);
+    // beyond an open border interfaces go on straight, but are none of the volume's
+    let counted: [Range<usize>; 3] = std::array::from_fn(|a| match grid.border {
+        Border::Cap => 0..geometry.size[a],
+        Border::Open => grid.margin..geometry.size[a] - grid.margin,
+    });
+    let counted_at = |node: [usize; 3]| (0..3).all(|a| counted[a].contains(&node[a]));
     let place = |i: usize, j: usize, k: usize| geometry.index_to_grid(DVec3::new(i as f64, j as f64, k as f64));
     let slices = material.par_chunks_mut(plane).zip(distance.par_chunks_mut(plane)).enumerate();
     let changed: Vec<BTreeMap<MaterialId, usize>> = slices
@@ -98,7 +106,7 @@ pub fn survey(
                 *material = own.0;
                 *distance = (near.interface_distance() as f32).min(limit);
                 let label = grid.at([i, j, k]);
-                if label != own {
+                if label != own && counted_at([i, j, k]) {
                     *changed.entry(label).or_default() += 1;
                 }
             }
@@ -106,11 +114,6 @@ pub fn survey(
         })
         .collect();
     monitor.check()?;
-    // beyond an open border the sheets go on, but are none of the volume's
-    let counted: [Range<usize>; 3] = std::array::from_fn(|a| match grid.border {
-        Border::Cap => 0..geometry.size[a],
-        Border::Open => grid.margin..geometry.size[a] - grid.margin,
-    });
     let slices = counted[2].clone().into_par_iter();
     let sums: Vec<Sums> = slices.map(|k| slice_sums(indicators, geometry, &material, &counted, k)).collect();
     monitor.check()?;
@@ -125,23 +128,97 @@ pub fn survey(
             let sum = pairs.entry(pair).or_default();
             *sum = (sum.0 + area, sum.1 + crossings);
         }
-        for (id, volume) in slice.volumes {
-            survey.volumes[id.index()] += volume;
-        }
         let (all, own) = (&mut survey.junctions, slice.junctions);
         all.edges_of_three += own.edges_of_three;
         all.edges_of_four += own.edges_of_four;
         all.corners += own.corners;
     }
-    let [vx, vy, vz] = grid.geometry.size;
-    for (j, k) in (0..vz).flat_map(|k| (0..vy).map(move |j| (j, k))) {
-        let start = ((k + grid.margin) * ny + j + grid.margin) * nx + grid.margin;
-        material[start..start + vx].iter().for_each(|&number| survey.volumes[usize::from(number)] += voxel);
+    let extents = node_extents(&material, geometry.size, &counted, materials);
+    for (id, extent) in extents.into_iter().enumerate().skip(1) {
+        monitor.check()?;
+        if let Some(extent) = extent {
+            let near = NodesNear { geometry, material: &material, distance: &distance, counted: &counted };
+            survey.volumes[id] = near.volume(indicators, MaterialId(id as u16), extent);
+        }
     }
+    survey.volumes[0] = grid.geometry.voxel_count() as f64 * voxel - survey.volumes[1..].iter().sum::<f64>();
     let told = |(materials, (area, crossings))| Interface { materials, area, crossings };
     survey.interfaces = pairs.into_iter().map(told).collect();
     (survey.material, survey.interface_distance) = (material, distance);
     Ok(survey)
+}
+
+/// The boxes of the nodes of each material, of those that are counted.
+fn node_extents(
+    material: &[u16],
+    [nx, ny, _]: [usize; 3],
+    counted: &[Range<usize>; 3],
+    materials: usize,
+) -> Vec<Option<VoxelBox>> {
+    let mut extents: Vec<Option<VoxelBox>> = vec![None; materials];
+    for (k, j) in counted[2].clone().flat_map(|k| counted[1].clone().map(move |j| (k, j))) {
+        let mut first = counted[0].start;
+        let row = &material[(k * ny + j) * nx..][counted[0].clone()];
+        for run in row.chunk_by(|a, b| a == b) {
+            let own = VoxelBox { low: [first, j, k], high: [first + run.len() - 1, j, k] };
+            let extent = &mut extents[usize::from(run[0])];
+            *extent = Some(extent.map_or(own, |extent| extent.around(own)));
+            first += run.len();
+        }
+    }
+    extents
+}
+
+/// What is known of the nodes of the padded grid.
+struct NodesNear<'a> {
+    geometry: &'a Geometry,
+    material: &'a [u16],
+    /// Half the difference of the two smallest indicators, mm.
+    distance: &'a [f32],
+    /// The nodes that are counted.
+    counted: &'a [Range<usize>; 3],
+}
+
+impl NodesNear<'_> {
+    /// Volume (mm^3) of a material whose nodes lie in `extent`, closed half a voxel beyond the
+    /// nodes that are counted.
+    fn volume(&self, indicators: &impl Indicators, id: MaterialId, extent: VoxelBox) -> f64 {
+        // a node more on each face, which may be beyond the grid
+        let size = extent.size().map(|n| n + 2);
+        let first = DVec3::from_array(extent.low.map(|n| n as f64 - 1.0));
+        let nodes = Geometry { size, ..self.geometry.clone() };
+        let value = |n: usize| {
+            let at = [n % size[0], n / size[0] % size[1], n / (size[0] * size[1])];
+            let at: [usize; 3] = std::array::from_fn(|a| (extent.low[a] + at[a]).wrapping_sub(1));
+            let nearest: [usize; 3] = std::array::from_fn(|a| {
+                let Range { start, end } = self.counted[a];
+                if at[a] == usize::MAX { start } else { at[a].clamp(start, end - 1) }
+            });
+            let node = self.geometry.linear(nearest[0], nearest[1], nearest[2]);
+            let is_own = nearest == at && self.material[node] == id.0;
+            if is_own { -self.distance[node] } else { self.distance[node] }
+        };
+        let data = (0..nodes.voxel_count()).into_par_iter().map(value).collect();
+        let mesh = marching_cubes(&Image { geometry: nodes, data }, 0.0);
+        let border = |end: bool| {
+            DVec3::from_array(std::array::from_fn(|a| {
+                if end { self.counted[a].end as f64 - 0.5 } else { self.counted[a].start as f64 - 0.5 }
+            })) * self.geometry.spacing
+        };
+        let (low, high) = (border(false), border(true));
+        let first = first * self.geometry.spacing;
+        let value_gradient = |p: DVec3| {
+            let p = p + first;
+            let near = indicators.near(p);
+            let other = near.entries().iter().map(|(other, _)| *other).find(|other| *other != id);
+            let own =
+                other.map_or((f64::NEG_INFINITY, DVec3::ZERO), |other| indicators.difference_gradient(id, other, p));
+            (0..3)
+                .flat_map(|a| [(low[a] - p[a], -DVec3::AXES[a]), (p[a] - high[a], DVec3::AXES[a])])
+                .fold(own, |most, face| if face.0 > most.0 { face } else { most })
+        };
+        enclosed_volumes(&mesh, self.geometry.spacing.max_element(), value_gradient).iter().sum()
+    }
 }
 
 /// What lies in a slice and between it and the next, of the nodes that are counted.
@@ -215,9 +292,5 @@ impl Sums {
         let weight = gradient.try_normalize().map_or(1.0 / 3f64.sqrt(), |normal| normal[axis].abs());
         let pair = self.pairs.entry([i.min(j), i.max(j)]).or_default();
         *pair = (pair.0 + face * weight, pair.1 + 1);
-        // a third for each axis: each of them alone gives the volume
-        let moved = face * geometry.spacing[axis] * (share - 0.5) / 3.0;
-        *self.volumes.entry(i).or_default() += moved;
-        *self.volumes.entry(j).or_default() -= moved;
     }
 }

@@ -25,8 +25,8 @@ ADVICE: dict[str, str] = {
 """By the name of the check in the report of ``tetmesh-check``."""
 _THIN = "smaller edges where walls are thin (MIN_SIZE), or RECONSTRUCT_OPTIONS='--method tight-cocone'"
 _WORDS: tuple[tuple[str, str], ...] = (
-    ("components and cavities", "parts vanished or joined: less smoothing (DISTFIELD_OPTIONS without --tightening, or a smaller one)"),
-    ("voxel centres changed side", "less smoothing (DISTFIELD_OPTIONS without --tightening, or a smaller one)"),
+    ("components and cavities", "parts vanished or joined: please report the volume as a bug"),
+    ("voxel centres changed side", "please report the volume as a bug"),
     ("components where the isosurface has", "smaller edges (SIZE, MIN_SIZE), or drop small parts first (DISTFIELD_OPTIONS='--keep largest')"),
     ("radius ratio below", "see 'worst 1 %' in the 3-D view; a gentler grading (DELTA=0.3) or smaller edges there (MIN_SIZE) help"),
     ("farther than", "smaller edges (MIN_SIZE); RECONSTRUCT_OPTIONS='--max-vertex-distance' says what is allowed"),
