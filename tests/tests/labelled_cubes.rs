@@ -1,4 +1,5 @@
-//! Labelled cubes of a few voxels: their junction points crowd together, so that no move lifts the worst triangles.
+//! Labelled cubes of a few voxels: their junction points crowd together, so that no move lifts the
+//! worst triangles.
 
 mod support;
 
@@ -7,7 +8,8 @@ use isoparticles_tests::nrrd::{self, FileSpace, Voxels};
 use isoparticles_volume::Geometry;
 use support::chain::{self, Wishes};
 
-/// Meshes `count`^3 cubes of `width`^3 voxels, a label each. Returns the transactions that the optimiser tried.
+/// Meshes `count`^3 cubes of `width`^3 voxels, a label each. Returns the transactions that the
+/// optimiser tried.
 fn tried(count: usize, width: usize) -> u64 {
     let folder = tempfile::tempdir().expect("folder");
     let (volume, report) = (folder.path().join("cubes.nrrd"), folder.path().join("reconstruct.json"));

@@ -30,10 +30,10 @@ const TOLERANCE: f64 = 0.03;
 /// Vertices and triangles that one task takes.
 const CHUNK: usize = 1024;
 
-/// Volumes (mm^3) within the zero set of an implicit function (negative inside) by the components of
-/// `mesh`, in the order of [`components::of_vertices`]; those of cavities are negative.
-/// `value_gradient` takes points in the frame of the mesh. No vertex is farther than `near` (mm) from
-/// the surface. The result does not depend on the number of threads.
+/// Volumes (mm^3) within the zero set of an implicit function (negative inside) by the components
+/// of `mesh`, in the order of [`components::of_vertices`]; those of cavities are negative.
+/// `value_gradient` takes points in the frame of the mesh. No vertex is farther than `near` (mm)
+/// from the surface. The result does not depend on the number of threads.
 pub fn enclosed_volumes(
     mesh: &TriangleMesh,
     near: f64,

@@ -52,7 +52,8 @@ impl Volume {
         self.segments.iter().find(|segment| segment.at == at).map(|segment| segment.name.as_str())
     }
 
-    /// Every label with its layer, in increasing order, NaN as 0. Fails when another value is not a whole number.
+    /// Every label with its layer, in increasing order, NaN as 0. Fails when another value is not a
+    /// whole number.
     pub fn label_set(&self) -> Result<Vec<LayerLabel>> {
         let mut all = Vec::new();
         for (layer, voxels) in self.layers().enumerate() {

@@ -272,7 +272,8 @@ impl Voxels {
         }
     }
 
-    /// The distinct values in increasing order, NaN as 0. Fails when another value is not a whole number.
+    /// The distinct values in increasing order, NaN as 0. Fails when another value is not a whole
+    /// number.
     pub fn label_set(&self) -> Result<Vec<i64>> {
         each_type!(self, values => distinct(values)).map_err(|value| Error::NotALabel { value })
     }

@@ -156,8 +156,8 @@ impl<'a> Around<'a> {
 impl Shape {
     /// Share of the voxel in which the value is above zero, and how much of it a unit of the value
     /// adds, by eight parts of the voxel. The value in each is a plane that changes by `width`
-    /// across the part. `mixed` gives the mixed second differences: without them, a rod of 2 by 2 voxels is
-    /// off by 3 %.
+    /// across the part. `mixed` gives the mixed second differences: without them, a rod of 2 by 2
+    /// voxels is off by 3 %.
     #[inline(always)]
     fn part_above(&self, mixed: impl FnOnce() -> [f32; 3]) -> (f32, f32) {
         let reach: f32 = (0..3).map(|a| 0.5 * (self.slope[a].abs() + self.bend[a].abs())).sum();

@@ -1,5 +1,5 @@
-//! Volumes by material, mm^3: of the voxels and of F, as `distfield` tells them in its notes, and of
-//! the mesh. The surface carries the rows to `tetmesh-check`.
+//! Volumes by material, mm^3: of the voxels and of F, as `distfield` tells them in its notes, and
+//! of the mesh. The surface carries the rows to `tetmesh-check`.
 
 use super::materials::check::MaterialReport;
 use isoparticles_stage::meta::{DistanceMeta, MaterialsMeta};

@@ -1,4 +1,5 @@
-//! Parsers of the numbers that options take, with the bounds said in words; how lengths are printed.
+//! Parsers of the numbers that options take, with the bounds said in words; how lengths are
+//! printed.
 
 /// A finite number above 0.
 pub fn positive(text: &str) -> Result<f64, String> {

@@ -31,8 +31,8 @@ pub struct Survey {
     pub nan: usize,
     /// Values that are not whole numbers.
     pub fractions: usize,
-    /// Every value but NaN with the number of its voxels, in increasing order; `None` where some are not whole or there are
-    /// too many.
+    /// Every value but NaN with the number of its voxels, in increasing order; `None` where some
+    /// are not whole or there are too many.
     #[serde(skip)]
     pub values: Option<Vec<(i64, usize)>>,
     /// How often neighbours along an axis differ (the last two of three voxels in a row).
@@ -66,7 +66,8 @@ impl Survey {
         each!(I8, U8, I16, U16, I32, U32, I64, U64, F32, F64)
     }
 
-    /// Number of distinct values, where they were counted; NaN, which is background among labels, counts as 0.
+    /// Number of distinct values, where they were counted; NaN, which is background among labels,
+    /// counts as 0.
     pub fn distinct(&self) -> Option<usize> {
         let values = self.values.as_ref()?;
         let has_zero = self.nan == 0 || values.iter().any(|(value, _)| *value == 0);

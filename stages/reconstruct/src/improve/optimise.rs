@@ -57,27 +57,27 @@ impl Pass {
     }
 }
 
-/// The work of a pass in all rounds, in transactions, and what it gains. A pass ends when its wasted
-/// work exceeds its useful work by [`WASTED_WORK_LIMIT`]. Useful work raises the number of lifted
-/// triangles to a new maximum, so the number of bad triangles bounds the sum of both.
+/// The work of a pass in all rounds, in transactions, and what it gains. A pass ends when its
+/// wasted work exceeds its useful work by [`WASTED_WORK_LIMIT`]. Useful work raises the number of
+/// lifted triangles to a new maximum, so the number of bad triangles bounds the sum of both.
 #[derive(Default)]
 struct Ledger {
     useful: usize,
     wasted: usize,
     /// Triangles worked on.
     triangles: usize,
-    /// Triangles brought above the bar and grid nodes brought to their right side, less triangles that
-    /// fell below it.
+    /// Triangles brought above the bar and grid nodes brought to their right side, less triangles
+    /// that fell below it.
     lifted: isize,
     most_lifted: isize,
-    /// The number of commits at each failure, by triangle. It is tried again only after a change next
-    /// to it.
+    /// The number of commits at each failure, by triangle. It is tried again only after a change
+    /// next to it.
     failures: HashMap<u32, u32>,
 }
 
 impl Ledger {
-    /// The number of triangles to work on at once: as many as the budget allows at the mean cost so far,
-    /// and at least one while any budget is left.
+    /// The number of triangles to work on at once: as many as the budget allows at the mean cost so
+    /// far, and at least one while any budget is left.
     fn batch_size(&self) -> usize {
         let left = (WASTED_WORK_LIMIT + self.useful).saturating_sub(self.wasted);
         let mean_cost = (self.useful + self.wasted).div_ceil(self.triangles.max(1));
@@ -158,8 +158,8 @@ pub(super) fn optimise(
     Ok(())
 }
 
-/// Tries every triangle below the bar, worst first, and again whatever falls short next to a success,
-/// within the budget.
+/// Tries every triangle below the bar, worst first, and again whatever falls short next to a
+/// success, within the budget.
 fn drain(surface: &mut Surface, pass: &Pass, ledger: &mut Ledger, step: Step, tally: &mut Tally) -> Result<()> {
     let mut at_nodes = if pass.bar > 0.0 { surface.triangles_at_wrong_nodes() } else { Vec::new() };
     // no triangle has less than 0

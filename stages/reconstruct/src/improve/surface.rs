@@ -91,7 +91,8 @@ pub(super) struct Surface<'a> {
     /// What is changed must lie within, where this is a part of another surface.
     pub(super) region: Option<Bounds>,
     log: Vec<Change>,
-    /// Number of transactions so far, kept or taken back. It measures work independently of threads.
+    /// Number of transactions so far, kept or taken back. It measures work independently of
+    /// threads.
     pub(super) tried: usize,
     commits: u32,
     /// The number of the last commit that changed each triangle.

@@ -186,8 +186,8 @@ fn is_too_large(part: &Surface) -> bool {
     part.triangles.iter().filter(|t| **t != DEAD).count() > MOST_TRIANGLES
 }
 
-/// A copy of the surface with the patch remeshed to a target length. Remeshing stops where the patch
-/// gets too large.
+/// A copy of the surface with the patch remeshed to a target length. Remeshing stops where the
+/// patch gets too large.
 fn remeshed<'a>(
     surface: &Surface<'a>,
     free: &[u32],

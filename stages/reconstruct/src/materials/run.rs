@@ -197,9 +197,10 @@ fn file_name(name: &str, id: MaterialId, taken: &mut BTreeSet<String>) -> String
     numbered
 }
 
-/// What is behind the failed checks of a complex: 1 edge in the wrong number of triangles, 2 junction edge on no curve, 3 edge at which a material is not closed, 4
-/// pinched vertex, 5 distant vertex, 6 grid node in another material, 8 no area, 9 crossing, 10 poor shape, 12 missing segment, 13
-/// poor shape forced by junction curves.
+/// What is behind the failed checks of a complex: 1 edge in the wrong number of triangles, 2
+/// junction edge on no curve, 3 edge at which a material is not closed, 4 pinched vertex, 5 distant
+/// vertex, 6 grid node in another material, 8 no area, 9 crossing, 10 poor shape, 12 missing
+/// segment, 13 poor shape forced by junction curves.
 fn offending(made: &Reconstruction, geometry: &Geometry) -> Option<Simplices> {
     let found = &made.checked.offenders;
     let mut offending = Offending::new(&made.interfaces.mesh, geometry);
