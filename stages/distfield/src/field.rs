@@ -134,21 +134,6 @@ pub(crate) fn first_order_distance(value: f64, slope: f64) -> f64 {
 /// # Errors
 /// When the source has no zero set, no part of the object is to stay, or the run is interrupted.
 pub fn redistance(
-    nodes: Image<f32>,
-    source: &Source,
-    least: LeastDistances<impl Fn(usize) -> f32 + Sync>,
-    keep: Keep,
-    margin: usize,
-    monitor: &dyn Monitor,
-) -> Result<Redistanced> {
-    redistance_with(nodes, source, least, (keep, margin), &Demands::default(), monitor)
-}
-
-/// The same with demands of its own.
-///
-/// # Errors
-/// As [`redistance`].
-pub fn redistance_with(
     mut nodes: Image<f32>,
     source: &Source,
     least: LeastDistances<impl Fn(usize) -> f32 + Sync>,

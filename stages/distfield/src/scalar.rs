@@ -2,7 +2,7 @@
 
 use crate::cap::BorderBox;
 use crate::crop::{CutFaces, VoxelBox};
-use crate::field::{Demands, LeastDistances, Redistanced, Source, first_order_distance, redistance_with};
+use crate::field::{Demands, LeastDistances, Redistanced, Source, first_order_distance, redistance};
 use crate::{Border, Inside, Keep};
 use fearless_simd::{Level, dispatch};
 use glam::DVec3;
@@ -129,7 +129,7 @@ impl Input {
             if is_voxel { within } else { beyond }
         };
         let least = LeastDistances { most: within, at };
-        redistance_with(nodes, &source, least, (options.keep, margin), demands, monitor)
+        redistance(nodes, &source, least, (options.keep, margin), demands, monitor)
     }
 
     /// Voxels of one slice.

@@ -3,7 +3,7 @@
 mod support;
 
 use glam::DVec3;
-use isoparticles_distfield::field::{LeastDistances, Source, redistance};
+use isoparticles_distfield::field::{Demands, LeastDistances, Source, redistance};
 use isoparticles_distfield::{Border, Keep, LabelOptions, Redistanced, from_labels};
 use isoparticles_field::spline::{BrickSpline, CubicSpline};
 use isoparticles_stage::cli::Context;
@@ -293,7 +293,8 @@ fn a_source_without_a_zero_set_is_refused() {
         let source = Source { spline: BrickSpline::new(&nodes), cap: None };
         let silent = Context::silent("distfield");
         let least = LeastDistances { most: 1e-3, at: |_| 1e-3 };
-        let error = redistance(nodes, &source, least, Keep::All, 0, &silent).err().expect("no surface");
+        let error =
+            redistance(nodes, &source, least, (Keep::All, 0), &Demands::default(), &silent).err().expect("no surface");
         assert!(error.what.contains("no surface"), "{error}");
     }
 }
