@@ -128,8 +128,9 @@ pub(crate) fn first_order_distance(value: f64, slope: f64) -> f64 {
     }
 }
 
-/// Re-distances a source. The signs of `nodes`, which becomes F, say which nodes are inside (negative), zero being outside; its values
-/// where marching cubes starts from. `margin` nodes on each face are none of the input's.
+/// Re-distances a source. The signs of `nodes` say which nodes are inside (negative); zero is outside.
+/// Marching cubes starts from its values, and it becomes F. The `margin` nodes on each face are beyond
+/// the input.
 ///
 /// # Errors
 /// When the source has no zero set, no part of the object is to stay, or the run is interrupted.

@@ -34,9 +34,9 @@ pub(crate) fn room_of_labels(margin: usize) -> [usize; 3] {
     [LABEL_ROOM.saturating_sub(margin); 3]
 }
 
-/// Clearance aimed at in the level set, over that of F: the level set has it to first order only.
-/// With 1, F has to be raised at 8,824 voxel centres of `heart_label`, which moves its zero set by
-/// 0.008 voxel in the mean; with 2 at one, and the zero set moves by 0.002.
+/// Clearance aimed at in the level set, over that of F. The level set meets it to first order only:
+/// with 1, F would have to be raised at thousands of voxel centres of `heart_label`, which moves its
+/// zero set.
 const CLEARANCE_FACTOR: f64 = 2.0;
 
 /// How labels become a surface.

@@ -79,15 +79,15 @@ pub(crate) struct LevelSet {
 
 /// Widths of the windows in which the level starts and in which the volume is kept, in standard
 /// deviations of the smoothing. Wider ones leave flat faces less flat near their edges, narrower
-/// ones follow the staircase (test `flat_faces_stay_flat_and_balls_round`).
+/// ones follow the staircase (tests `flat_faces_and_caps_stay_flat`, `a_binary_ball_becomes_round`).
 const WINDOWS: [f64; 2] = [1.33, 2.67];
 
-/// Rounds of sources and of volume. Of a ball, a cube, plates, rods and shells, and of
-/// `heart_label`, no voxel centre is short of its side after six; [`Sources::hold`] moves those of
-/// rougher masks.
+/// Rounds of sources and of volume. After six, plates, rods and shells have their volume (test
+/// `thin_layers_and_rods_keep_their_volume`). [`Sources::hold`] moves the centres that still lack
+/// distance.
 const ROUNDS: usize = 6;
 
-/// Furthest that the level moves in a round.
+/// Maximum change of the level in a round.
 const LONGEST_STEP: f64 = 0.1;
 
 /// Density that is added to that of the surface, so that the step stays finite where there is no
@@ -185,7 +185,7 @@ impl Shape {
     }
 }
 
-/// The level set of some shares.
+/// The level set of voxel shares.
 pub(crate) fn level_set(occupancy: &Occupancy, smoothing: &Smoothing) -> LevelSet {
     let mut work = Work::new(occupancy, smoothing);
     let mut sources = smoothing.clearance.as_ref().map(|clearance| Sources::new(occupancy, clearance));
