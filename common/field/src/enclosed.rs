@@ -12,8 +12,13 @@ use isoparticles_mesh::{TriangleMesh, components};
 use rayon::prelude::*;
 
 /// Height of the surface over the middle of an edge, as a part of its length, at which the edge is
-/// divided.
-const FLAT: f64 = 0.06;
+/// divided. With 0.1 the volume of a ball of 0.9 voxel is off by 0.07 %, with 0.13 by 0.11 % (test
+/// `balls_and_rods_have_their_volumes`).
+const FLAT: f64 = 0.1;
+
+/// The volume over a triangle with corners on a sphere is its area times the height over its edges
+/// times 1 + 10.7 (height / edge)^2, by the solid angle of the spherical triangle, to next order.
+const SPHERE: f64 = 10.7;
 
 /// Divisions of an edge, at most.
 const DIVISIONS: u32 = 3;
@@ -53,8 +58,16 @@ pub fn enclosed_volumes(
         found
     });
     let vertices: Vec<Vertex> = vertices.collect();
-    let integral = |t: &[u32; 3]| surface.integral(t.map(|v| vertices[v as usize]), DIVISIONS);
-    let integrals: Vec<f64> = mesh.triangles.par_iter().map(integral).collect();
+    let integrals = mesh.triangles.par_chunks(CHUNK).flat_map_iter(|chunk| {
+        let (mut found, mut open) = (Vec::with_capacity(chunk.len()), Vec::new());
+        dispatch!(instructions, _simd => {
+            for triangle in chunk {
+                found.push(surface.integral(triangle.map(|v| vertices[v as usize]), &mut open));
+            }
+        });
+        found
+    });
+    let integrals: Vec<f64> = integrals.collect();
     let mut found = vec![0.0; count];
     for (t, own) in mesh.triangles.iter().zip(integrals) {
         found[component[t[0] as usize] as usize] += own;
@@ -95,31 +108,44 @@ impl<F: Fn(DVec3) -> (f64, DVec3)> Surface<F> {
         Vertex { place: start, normal: DVec3::ZERO }
     }
 
-    /// The part of a triangle.
-    fn integral(&self, corners: [Vertex; 3], divisions: u32) -> f64 {
-        let [a, b, c] = corners;
-        let edges = [[a, b], [b, c], [c, a]];
-        let heights = edges.map(|[p, q]| (q.normal - p.normal).dot(q.place - p.place) / 8.0);
-        let middle = |n: usize| {
-            let [p, q] = edges[n];
-            let bends = heights[n].abs() > FLAT * p.place.distance(q.place);
-            (divisions > 0 && bends).then(|| self.project(0.5 * (p.place + q.place)))
-        };
-        let parts = |parts: &[[Vertex; 3]]| parts.iter().map(|&part| self.integral(part, divisions - 1)).sum();
-        match [middle(0), middle(1), middle(2)] {
-            [None, None, None] => {
-                let area = 0.5 * (b.place - a.place).cross(c.place - a.place).length();
-                let below = a.place.dot(b.place.cross(c.place)) / 6.0;
-                below + area * heights.iter().sum::<f64>() / 3.0
+    /// The volume between the origin and the surface over a triangle; `open` is room to work in.
+    #[inline(always)]
+    fn integral(&self, corners: [Vertex; 3], open: &mut Vec<([Vertex; 3], u32)>) -> f64 {
+        let mut sum = 0.0;
+        open.push((corners, DIVISIONS));
+        while let Some((corners, divisions)) = open.pop() {
+            let [a, b, c] = corners;
+            let edges = [[a, b], [b, c], [c, a]];
+            let heights = edges.map(|[p, q]| (q.normal - p.normal).dot(q.place - p.place) / 8.0);
+            let mut middles = [None; 3];
+            for ((middle, [p, q]), height) in middles.iter_mut().zip(edges).zip(heights) {
+                if divisions > 0 && height.abs() > FLAT * p.place.distance(q.place) {
+                    let over = height * (p.normal + q.normal).normalize_or_zero();
+                    *middle = Some(self.project(0.5 * (p.place + q.place) + over));
+                }
             }
-            [Some(ab), Some(bc), Some(ca)] => parts(&[[a, ab, ca], [ab, b, bc], [ca, bc, c], [ab, bc, ca]]),
-            [Some(ab), None, None] => parts(&[[a, ab, c], [ab, b, c]]),
-            [None, Some(bc), None] => parts(&[[a, b, bc], [a, bc, c]]),
-            [None, None, Some(ca)] => parts(&[[a, b, ca], [ca, b, c]]),
-            [Some(ab), Some(bc), None] => parts(&[[ab, b, bc], [a, ab, bc], [a, bc, c]]),
-            [None, Some(bc), Some(ca)] => parts(&[[ca, bc, c], [a, b, bc], [a, bc, ca]]),
-            [Some(ab), None, Some(ca)] => parts(&[[a, ab, ca], [ab, b, c], [ab, c, ca]]),
+            let mut parts = |parts: &[[Vertex; 3]]| open.extend(parts.iter().map(|&part| (part, divisions - 1)));
+            match middles {
+                [None, None, None] => {
+                    let area = 0.5 * (b.place - a.place).cross(c.place - a.place).length();
+                    let below = a.place.dot(b.place.cross(c.place)) / 6.0;
+                    let mut height = 0.0;
+                    for (h, [p, q]) in heights.into_iter().zip(edges) {
+                        height +=
+                            h * (1.0 + SPHERE * h * h / p.place.distance_squared(q.place).max(f64::MIN_POSITIVE)) / 3.0;
+                    }
+                    sum += below + area * height;
+                }
+                [Some(ab), Some(bc), Some(ca)] => parts(&[[a, ab, ca], [ab, b, bc], [ca, bc, c], [ab, bc, ca]]),
+                [Some(ab), None, None] => parts(&[[a, ab, c], [ab, b, c]]),
+                [None, Some(bc), None] => parts(&[[a, b, bc], [a, bc, c]]),
+                [None, None, Some(ca)] => parts(&[[a, b, ca], [ca, b, c]]),
+                [Some(ab), Some(bc), None] => parts(&[[ab, b, bc], [a, ab, bc], [a, bc, c]]),
+                [None, Some(bc), Some(ca)] => parts(&[[ca, bc, c], [a, b, bc], [a, bc, ca]]),
+                [Some(ab), None, Some(ca)] => parts(&[[a, ab, ca], [ab, b, c], [ab, c, ca]]),
+            }
         }
+        sum
     }
 }
 
