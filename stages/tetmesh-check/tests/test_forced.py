@@ -10,7 +10,7 @@ import pytest
 from complexes import Made, sphere
 from conftest import NEEDS_HXT, Run
 
-from tetmesh_check.checks import Check, Forced, Limits, shape_checks, well_shaped
+from tetmesh_check.checks import Check, Forced, Limits, poor_tetrahedra, shape_checks, well_shaped
 from tetmesh_check.forced import INSIDE, OUTSIDE, forced_sides, largest_jacobians
 from tetmesh_check.quality import tetrahedron_quality
 
@@ -115,7 +115,8 @@ def test_no_tetrahedron_on_a_forced_side_is_better_than_the_bound() -> None:
 
 def test_forced_tetrahedra_fail_unless_accepted() -> None:
     points = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.2, 0.2, 0.02], [0.3, 0.3, 1.0]])
-    quality = tetrahedron_quality(points, np.array([[0, 1, 2, 3], [0, 1, 2, 4]]))
+    tetrahedra = np.array([[0, 1, 2, 3], [0, 1, 2, 4]])
+    quality = tetrahedron_quality(points, tetrahedra)
     only = np.array([True, False])
 
     def judged(forced: Forced | None, accept: bool) -> dict[str, Check]:
@@ -134,6 +135,11 @@ def test_forced_tetrahedra_fail_unless_accepted() -> None:
     # what no triangle forces is not accepted
     for forced in (None, Forced(~only, ~only)):
         assert judged(forced, True)["min_dihedral"].as_dict()["verdict"] == "fail"
+    # and its place is listed
+    assert "poor_tetrahedra" in judged(None, False)["min_dihedral"].words
+    listed = poor_tetrahedra(points, tetrahedra, quality, Limits(min_dihedral=12.0))
+    assert [entry["place_mm"] for entry in listed] == [pytest.approx([0.3, 0.3, 0.005])]
+    assert listed[0]["min_dihedral"] == quality.min_dihedral[0]
     # nor is a tetrahedron without volume
     flat = tetrahedron_quality(np.vstack([points, [0.2, 0.2, 0.0]]), np.array([[0, 1, 2, 5], [0, 1, 2, 4]]))
     positive = shape_checks(flat, Limits(accept_forced=True), Forced(only, only))[0]

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tetmesh_check.context import Context
-from tetmesh_check.quality import TetrahedronQuality, Values
+from tetmesh_check.quality import Cells, Points, TetrahedronQuality, Values, centres_of
 from tetmesh_check.topology import Topology
 
 FIT_BUT_FOR = "fit but for "
@@ -140,6 +140,36 @@ def well_shaped(quality: TetrahedronQuality, limits: Limits) -> bool:
     )
 
 
+def poor_tetrahedra(
+    points: Points, tetrahedra: Cells, quality: TetrahedronQuality, limits: Limits
+) -> list[dict[str, Any]]:
+    """List the tetrahedra below a limit of shape for the report, the flattest first.
+
+    Parameters
+    ----------
+    points
+        Positions, mm, shape ``(n, 3)``.
+    tetrahedra
+        Corners, shape ``(m, 4)``.
+    quality
+        The measures.
+    limits
+        What is demanded.
+    """
+    below = (quality.min_dihedral < limits.min_dihedral) | (quality.scaled_jacobian < limits.min_scaled_jacobian)
+    poor = np.flatnonzero(below)
+    poor = poor[np.argsort(quality.min_dihedral[poor], kind="stable")]
+    centres = centres_of(points, tetrahedra[poor])
+    return [
+        {
+            "place_mm": place.tolist(),
+            "min_dihedral": float(quality.min_dihedral[tetrahedron]),
+            "min_scaled_jacobian": float(quality.scaled_jacobian[tetrahedron]),
+        }
+        for tetrahedron, place in zip(poor, centres, strict=True)
+    ]
+
+
 def verdict(name: str, passed: bool, value: float, limit: float, words: str, required: bool = True) -> Check:
     """Make a check; the arguments are its fields."""
     return Check(name, bool(passed), required, float(value), float(limit), words)
@@ -171,6 +201,8 @@ def shape_checks(quality: TetrahedronQuality, limits: Limits, forced: Forced | N
             words = f"{FIT_BUT_FOR}{accepted} accepted tetrahedra: {words}"
         elif on_surface:
             words += f": {REMEDY}"
+        elif count:
+            words += " (poor_tetrahedra in the report lists their places)"
         return Check(name, count == accepted, True, float(values.min()), limit, words, accepted)
 
     return [

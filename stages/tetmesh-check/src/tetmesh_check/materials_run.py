@@ -8,7 +8,17 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from tetmesh_check.cavity import Goal
-from tetmesh_check.checks import REMEDY, Check, Forced, Limits, conclude, shape_checks, smallest_elsewhere, verdict
+from tetmesh_check.checks import (
+    REMEDY,
+    Check,
+    Forced,
+    Limits,
+    conclude,
+    poor_tetrahedra,
+    shape_checks,
+    smallest_elsewhere,
+    verdict,
+)
 from tetmesh_check.complex import Complex, check_complex, describe_complex
 from tetmesh_check.conform import NOBODY, outside_of
 from tetmesh_check.context import Context
@@ -159,6 +169,7 @@ def _measure(
         "interface_triangles": {"missing": found.missing, "added": found.added},
         "crowded_faces": found.crowded,
         "undecided_tetrahedra": found.undecided,
+        "poor_tetrahedra": poor_tetrahedra(points, tetrahedra, quality, task.limits),
         "forced_by_surface": _forced_tetrahedra(task.sides, checked, filled),
         "forced_by_triangle": _on_needles(task, filled),
         "smallest_elsewhere": {

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from tetmesh_check.checks import Limits, Measurements, conclude, run_checks
+from tetmesh_check.checks import Limits, Measurements, conclude, poor_tetrahedra, run_checks
 from tetmesh_check.components import Components
 from tetmesh_check.context import Context
 from tetmesh_check.distance import distances_both_ways, summarize_distances
@@ -191,6 +191,7 @@ def _measure(
             "bodies": bodies,
             "volume_mm3": float(quality.volume.sum()),
             "quality": summarize_all(quality),
+            "poor_tetrahedra": poor_tetrahedra(points, tetrahedra, quality, arguments.limits),
             "boundary_kept": missing == added == 0,
             "boundary_triangles": {"missing": missing, "added": added},
             "boundary_topology": {
