@@ -51,7 +51,7 @@ SLURM_OPTIONS = (
     "--slurm-init-seconds-before-status-checks 3 --seconds-between-status-checks 3 "
     "--groups distfield=row sizefield=row seed=row particles=row reconstruct=row tetmesh_check=row"
 )
-"""What Snakemake is told for a Slurm without accounting; small cases, a job each (docs/cluster.md)."""
+"""What Snakemake is told for a Slurm without accounting; small cases, a job each (docs/user/cluster.md)."""
 COLUMNS = ("NAME", "INPUT", "ISO", "LABELS", "SIZE", "VERTICES")
 SHARE_BEFORE = 1.0 / 3.0
 """Part of the rows that is done when the interrupt comes."""

@@ -1,5 +1,5 @@
 #!/bin/sh
-# The table of docs/tuning.md: `make surface CASE=demo` with one variable changed at a time; needs `make build` before.
+# The table of docs/user/size.md: `make surface CASE=demo` with one variable changed at a time; needs `make build` before.
 set -eu
 work=${1:-out/tuning}
 row() {

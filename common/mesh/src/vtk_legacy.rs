@@ -1,6 +1,6 @@
 //! VTK's legacy files (`.vtk`), by vtkio: surfaces for programs that know no other VTK format, and points from such programs.
 //!
-//! What vtkio is not used for, and why, is told in docs/formats.md.
+//! What vtkio is not used for, and why, is told in docs/developer/formats.md.
 
 use crate::point_cloud::is_normals;
 use crate::surface::{DataArray, Surface, provenance};

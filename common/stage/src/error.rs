@@ -6,7 +6,7 @@ use isoparticles_volume::Content;
 use std::fmt::Display;
 use std::path::Path;
 
-/// How a stage ends; the exit codes are in docs/architecture.md.
+/// How a stage ends; the exit codes are in docs/developer/architecture.md.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Kind {
     /// Bad usage or input: exit code 2.

@@ -104,7 +104,7 @@ mod tests {
     fn the_command_line_is_sound_and_takes_what_the_documents_show() {
         command(&[]).debug_assert();
         let line = "isoparticles mesh ct.nii.gz --labels 1,2 --border open --iso -500 -o out";
-        command(&[]).try_get_matches_from(line.split(' ')).expect("as docs/install.md has it");
+        command(&[]).try_get_matches_from(line.split(' ')).expect("as docs/user/install.md has it");
         assert!(command(&[]).try_get_matches_from(["isoparticles", "mesh", "ct.nrrd", "--border", "closed"]).is_err());
     }
 

@@ -1,4 +1,4 @@
-//! `NAME.status.json`: the truth about a case, from which its page and the index are made (docs/formats.md).
+//! `NAME.status.json`: the truth about a case, from which its page and the index are made (docs/developer/formats.md).
 
 use isoparticles_stage::error::{Error, Result};
 use isoparticles_stage::output::write_atomically;

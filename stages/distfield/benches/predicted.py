@@ -2,7 +2,7 @@
 
     python stages/distfield/benches/predicted.py [--bin target/release] [--data ../shared/data]
 
-The vertices made are those of docs/performance.md (real volumes, method restricted). The last line has the factor by which the constants
+The vertices made are those of docs/developer/performance.md (real volumes, method restricted). The last line has the factor by which the constants
 GRADATION_LABELS and GRADATION_SCAN of src/info/cost.rs would have to be multiplied for the logarithms to have the mean 0, by kind.
 """
 

@@ -34,7 +34,7 @@ pub enum Backend {
         particles --list-adapters",
     after_help = "Example:\n  particles heart.seeds.bin --distfield heart.distfield.vti --sizefield heart.sizefield.vti \\\n      \
         -o heart.particles.bin --log heart.passes.csv\n\n\
-        Paper: section 3, Eq. 1 to 5 and Algorithm 1. --as-printed settles as its text says, but for misprints (docs/method.md); its \
+        Paper: section 3, Eq. 1 to 5 and Algorithm 1. --as-printed settles as its text says, but for misprints (docs/developer/method.md); its \
         ideal energy 3.462, six times the ideal distance, asks for a lattice of 0.657 h with 2.3 times the particles."
 )]
 pub struct Args {
@@ -160,7 +160,7 @@ impl Args {
     ///
     /// On a GPU a pass over few particles costs nearly as much as one over many, and each change of level up to a second of the host: on one level
     /// the raw mean radius ratio is 0.970 in 0.123 s on the heart (three: 0.962 in 0.127 s), on the ribcage 0.972 in 0.193 s (0.967 in 0.309 s;
-    /// docs/performance.md, "Quality for the time"). Of many materials, particles of coarse levels would meet those that are held at the spacing of h.
+    /// docs/developer/performance.md, "Quality for the time"). Of many materials, particles of coarse levels would meet those that are held at the spacing of h.
     pub(crate) fn settling(&self, on_gpu: bool, many: bool) -> Parameters {
         let base = if self.as_printed { Parameters::as_printed() } else { Parameters::default() };
         let levels = if on_gpu || many { 1 } else { base.levels };

@@ -101,7 +101,7 @@ pub(crate) const PASS_TOLERANCE: f64 = 1e-5;
 ///
 /// It stands at one spacing from its parent, in the middle of the widest gap between two neighbours. In the lattice that gap is 60 degrees, and the newcomer
 /// is 2 sin(15 degrees) = 0.518 of it from both: at more than that a particle with six neighbours never gets one, and places with too few particles stay.
-/// Measured (docs/method.md): at 0.45 the count comes nearest to the predicted one; at 0.513, where the energy of one pair (Eq. 1) is what
+/// Measured (docs/developer/method.md): at 0.45 the count comes nearest to the predicted one; at 0.513, where the energy of one pair (Eq. 1) is what
 /// density control deletes at, it falls by 1.3 %, at 0.7 by 10 %, and triangles are no better for it.
 pub(crate) const NEWCOMER_DISTANCE: f64 = 0.45;
 

@@ -83,7 +83,7 @@ impl Default for Parameters {
             energy_window: 5,
             rest_share: 2e-3,
             ideal_energy: energy::ideal_energy(),
-            // the printed 0.75 and 1.35 leave larger gaps: 0.92 of the ideal energy on a heart in place of 0.94 (docs/method.md)
+            // the printed 0.75 and 1.35 leave larger gaps: 0.92 of the ideal energy on a heart in place of 0.94 (docs/developer/method.md)
             add_below: 0.8,
             delete_above: 1.25,
             allow_insert: true,

@@ -16,7 +16,7 @@ use rayon::prelude::*;
 /// Candidates for each particle that the sizing field asks for.
 pub(crate) const OVERSAMPLING: f64 = 8.0;
 /// Bytes at once for each particle that is seeded: its candidates, with their order and bins. Measured as the growth of the peak memory from 8,514 to
-/// 99,084 particles on one grid (`make bench-stages`, table in `docs/performance.md`): 660; doubled, because vectors grow by doubling.
+/// 99,084 particles on one grid (`make bench-stages`, table in `docs/developer/performance.md`): 660; doubled, because vectors grow by doubling.
 pub const BYTES_PER_PARTICLE: f64 = 1300.0;
 /// Disk radius over h at which this sampling has the density of the hexagonal lattice of spacing h (random disks jam at a
 /// covered share of 0.55 where the lattice covers 0.91; measured at this oversampling).

@@ -6,7 +6,7 @@ use isoparticles_field::spline::CubicSpline;
 use isoparticles_volume::Image;
 
 /// Vertices of the finished surface over what the size field predicts: 0.948 to 0.965 on four solid organs of 1,000 to 75,000 vertices, 0.914 to 0.975 on four thin objects, where
-/// chords shorten and refinement adds (docs/scale.md).
+/// chords shorten and refinement adds (docs/developer/scale.md).
 const FINISHED_OVER_PREDICTED: f64 = 0.95;
 
 /// Rounds that find the factor: the count goes with the inverse square of it but for the slope of h, which the factor changes, too.

@@ -28,7 +28,7 @@ impl Context {
 }
 
 /// Most memory that the stages hold for so many particles on a grid of so many nodes, bytes: `reconstruct` needs most, up to 1,403 bytes a particle
-/// (`docs/performance.md`, real volumes), and 15.5 a node (`stages/distfield/benches/costs.py`).
+/// (`docs/developer/performance.md`, real volumes), and 15.5 a node (`stages/distfield/benches/costs.py`).
 pub fn particles_bytes(particles: f64, nodes: usize) -> f64 {
     1403.0 * particles + 15.5 * nodes as f64
 }

@@ -119,7 +119,7 @@ impl Outcome {
     }
 }
 
-/// Exit code of a run; what each number means is in docs/architecture.md.
+/// Exit code of a run; what each number means is in docs/developer/architecture.md.
 pub fn exit_code(result: &Result<Outcome>) -> u8 {
     match result {
         Ok(Outcome::Passed) => 0,

@@ -11,7 +11,7 @@ use isoparticles_volume::Geometry;
 use serde::Serialize;
 
 /// Edge length over the radius of mean curvature, and over the thickness. Of a grid of values for these two, [`STAIRCASE`] and the radius [`BALL`], those
-/// that leave the least scatter (a factor of 1.3) between predicted and made vertices of the fourteen surfaces that `docs/performance.md` lists;
+/// that leave the least scatter (a factor of 1.3) between predicted and made vertices of the fourteen surfaces that `docs/developer/performance.md` lists;
 /// `stages/distfield/benches/predicted.py` compares, and tells the factors of gradation.
 const EDGE_OVER_RADIUS: f64 = 0.30;
 const EDGE_OVER_THICKNESS: f64 = 0.20;
@@ -51,7 +51,7 @@ struct Rates {
 /// nodes, or in sizefield, by vertices: 12 bytes a node for F, its coefficients and h, and 820 to 1,160 a vertex on eight shared volumes (`costs.py --volumes`;
 /// 551 on `heart_ct`). `triangles`: bytes a vertex of
 /// `thorax_ct_native_u8`. `tetrahedra`: seconds elapsed of the torso's lungs and ribs, 11.7 for 36,514 vertices and 19.5 for 99,084, and 896 and 2,050 MiB
-/// for 55,626 and 292,825 vertices of `heart` and `ribs` (all three of `docs/performance.md`).
+/// for 55,626 and 292,825 vertices of `heart` and `ribs` (all three of `docs/developer/performance.md`).
 const RATES: [Rates; 4] = [
     Rates {
         stage: "fields",
@@ -63,7 +63,7 @@ const RATES: [Rates; 4] = [
     Rates { stage: "tetrahedra", seconds: [7.0, 0.0, 0.0, 125.0], bytes: &[[6.3e8, 0.0, 0.0, 5100.0]] },
 ];
 
-/// Bytes a node that distfield takes above its input's own: 5.98 for labels, 5.16 for scalars of 512^3 (`docs/performance.md`, memory of distfield).
+/// Bytes a node that distfield takes above its input's own: 5.98 for labels, 5.16 for scalars of 512^3 (`docs/developer/performance.md`, memory of distfield).
 const DISTFIELD_BYTES: f64 = 6.0;
 
 /// Edge lengths besides the default that are told, in mean voxels.

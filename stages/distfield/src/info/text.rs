@@ -133,7 +133,7 @@ impl VolumeInfo {
         writeln!(
             out,
             "  Vertices are predicted from balls of {BALL} voxels round sampled faces; time is processor time of all threads\n  \
-             together, at the rates that docs/tuning.md gives with their machine."
+             together, at the rates that docs/user/size.md gives with their machine."
         )
     }
 }

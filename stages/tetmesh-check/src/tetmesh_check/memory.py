@@ -12,7 +12,7 @@ BYTES_AT_LEAST = 600 * 2**20
 """What the packages take before there is a mesh: see :data:`BYTES_PER_VERTEX`."""
 BYTES_PER_VERTEX = 5100
 """Bytes for each vertex of the surface. Both are the line through 896 MiB for the 55,626 vertices of `heart` and 2,050 MiB for the 292,825
-of `ribs`, with 15 to 20 tetrahedra a vertex (docs/performance.md, real volumes, `make CASE=heart` and `make CASE=ribs`)."""
+of `ribs`, with 15 to 20 tetrahedra a vertex (docs/developer/performance.md, real volumes, `make CASE=heart` and `make CASE=ribs`)."""
 
 _UNITS = {"": 0, "k": 1, "m": 2, "g": 3, "t": 4}
 

@@ -55,4 +55,4 @@ def advice_for(name: str, words: str) -> str:
         return REMEDY
     if name in ADVICE:
         return ADVICE[name]
-    return next((advice for word, advice in _WORDS if word in lowered), "see the stage's report, and docs/tuning.md")
+    return next((advice for word, advice in _WORDS if word in lowered), "see the stage's report, and docs/user/size.md")
