@@ -1,5 +1,5 @@
-//! Delaunay triangulation of a file of points by this crate, timed, and the points themselves: the program that
-//! `compare.sh` runs beside `cgal.cpp`.
+//! Makes test point sets, and times the Delaunay triangulation of a point file by this crate.
+//! `compare.sh` runs this program beside `cgal.cpp`.
 //!
 //! ```text
 //! bench_delaunay points PARTICLES.bin FILE     positions of settled particles
@@ -9,9 +9,10 @@
 //! bench_delaunay cube N FILE                   random points in a cube
 //! bench_delaunay FILE [THREADS]                triangulates; THREADS 0 or left out: all cores
 //! ```
-//! FILE holds little-endian doubles, three a point. The last form prints one line of `key=value` words: points,
-//! vertices, finite cells, seconds from the points in memory to the triangulation, those of all threads together, and
-//! the growth of the peak memory meanwhile, bytes.
+//! FILE holds little-endian doubles, three per point. The last form prints one line of `key=value`
+//! pairs: points, vertices, finite cells, wall-clock seconds of the triangulation (file reading
+//! excluded), processor seconds summed over all threads, and the growth of the peak memory in
+//! bytes.
 
 use glam::DVec3;
 use isoparticles_delaunay::Delaunay;
@@ -20,7 +21,8 @@ use isoparticles_stage::particle_file::{ParticleKind, read_particles};
 use std::path::Path;
 use std::process::ExitCode;
 
-/// Square of the radius of the sphere of [`cospherical`], the product of the odd primes to 23: 64,512 integer points lie on it.
+/// Square of the radius of the sphere of [`cospherical`]: the product of the odd primes up to 23.
+/// 64,512 integer points lie on that sphere.
 const SQUARED_RADIUS: i64 = 111_546_435;
 
 type Failure = Box<dyn std::error::Error>;
@@ -72,17 +74,19 @@ fn triangulate(file: &str, threads: usize) -> Result<(), Failure> {
     Ok(())
 }
 
-/// A line of `/proc/self/status`, in bytes; 0 where there is none.
+/// The value of one line of `/proc/self/status`, converted from KiB to bytes; 0 if there is none.
 fn memory(key: &str) -> u64 {
     let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
     let line = status.lines().find_map(|line| line.strip_prefix(key)).unwrap_or_default();
     line.split_whitespace().next().and_then(|number| number.parse::<u64>().ok()).unwrap_or(0) * 1024
 }
 
-/// Processor time of all threads of this process, to a hundredth of a second; 0 where nothing is known.
+/// Processor time of all threads of this process in seconds, with a resolution of 0.01 s; 0 if
+/// unknown.
 fn processor_seconds() -> f64 {
     let status = std::fs::read_to_string("/proc/self/stat").unwrap_or_default();
-    // the name of the program, in parentheses, may hold spaces; user and system time are the 12th and 13th word after it
+    // The program name, in parentheses, may contain spaces. User and system time are the 12th and
+    // 13th words after it, in ticks of 0.01 s.
     let after = status.rsplit(')').next().unwrap_or_default();
     after.split_whitespace().skip(11).take(2).filter_map(|ticks| ticks.parse::<f64>().ok()).sum::<f64>() / 100.0
 }

@@ -1,29 +1,30 @@
-//! Why points cannot be triangulated.
+//! Errors of the triangulation.
 
 use glam::DVec3;
 
 /// Why points cannot be triangulated.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum Error {
-    /// A coordinate is NaN, infinite or larger than 1e50, where the exact predicates would overflow.
+    /// A coordinate is NaN, infinite or above 1e50 in absolute value. Larger coordinates would
+    /// overflow the exact predicates.
     #[error("point {0} has a coordinate that is not finite or larger than 1e50")]
     Coordinate(DVec3),
     /// Fewer than four distinct points.
     #[error("only {0} distinct points to triangulate")]
     TooFew(usize),
-    /// All points, this many, lie on one line.
+    /// All points lie on one line. The value is the number of points.
     #[error("all {0} points lie on one line")]
     Collinear(usize),
-    /// All points, this many, lie in one plane.
+    /// All points lie in one plane. The value is the number of points.
     #[error("all {0} points lie in one plane")]
     Coplanar(usize),
-    /// More points than 32 bits number.
+    /// More points than 32-bit indices can number.
     #[error("{0} points to triangulate, more than 32 bits number")]
     TooManyPoints(usize),
-    /// More tetrahedra than 30 bits number.
+    /// More tetrahedra than 30-bit indices can number.
     #[error("more than {0} tetrahedra between the points")]
     TooManyTetrahedra(usize),
 }
 
-/// Result of anything that triangulates.
+/// Result of a triangulation.
 pub type Result<T> = std::result::Result<T, Error>;

@@ -1,5 +1,9 @@
-//! Finding the tetrahedron of a point by a walk, and inserting the point: remove all tetrahedra whose sphere holds it,
-//! and join the walls of the cavity to it.
+//! Point location by walking, and point insertion after Bowyer (1981) and Watson (1981). An
+//! insertion removes all tetrahedra whose circumsphere contains the point, and connects the faces
+//! of the resulting cavity ("walls") to the point.
+//!
+//! A [`Cells`] is a whole triangulation or one region of it (see [`super::regions`]). In a region,
+//! an operation that would cross a cut fails with [`Beyond`].
 
 use super::predicates::{in_sphere_perturbed, orientation};
 use super::{DEAD, FACETS, INFINITE, Tetrahedron};
@@ -10,20 +14,22 @@ const UNKNOWN: u8 = 0;
 const IN_CONFLICT: u8 = 1;
 const KEPT: u8 = 2;
 
-/// In the place of a neighbour: from here on upwards, what lies beyond a cut is not there. The first cut has the largest
-/// number.
+/// Values from here upwards mark a neighbour beyond a cut, which this region does not hold. The
+/// outermost cut has the largest value.
 const ELSEWHERE: u32 = u32::MAX - 255;
 
-/// The cut, counted from the first one, beyond which lies what an insertion would need.
+/// The depth of a cut (0 for the outermost). As an error: the operation needs tetrahedra beyond
+/// this cut.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) struct Beyond(pub(super) u32);
 
 impl Beyond {
-    /// In the place of a neighbour.
+    /// The marker stored in place of a neighbour across this cut.
     pub(super) fn neighbour(self) -> u32 {
         u32::MAX - self.0
     }
 
+    /// Fails if a neighbour entry marks a cut.
     #[inline]
     pub(super) fn check(neighbour: u32) -> std::result::Result<(), Self> {
         if neighbour < ELSEWHERE { Ok(()) } else { Err(Self(u32::MAX - neighbour)) }
@@ -32,40 +38,42 @@ impl Beyond {
 
 type Reached<T> = std::result::Result<T, Beyond>;
 
-/// No facet: the place through which a walk has entered its first tetrahedron.
+/// No facet: a walk has not entered its first tetrahedron through a facet.
 const NOWHERE: usize = 4;
 
-/// Most places for tetrahedra before an insertion: numbers have 30 bits, and no cavity takes the rest.
+/// Maximum number of tetrahedra before an insertion. Indices have 30 bits, so 2^29 of them remain
+/// for the new tetrahedra of one cavity.
 const MOST_TETRAHEDRA: usize = 1 << 29;
 
-/// Walls of a cavity above which shared edges are found by sorting instead of a table of all pairs of their vertices.
+/// Maximum number of walls for which shared edges are found with a table of all vertex pairs;
+/// larger cavities sort the edges. 252 walls have 128 vertices, so the table takes 64 KiB.
 const WALLS_FOR_A_TABLE: usize = 252;
 
 /// A facet between the tetrahedra in conflict and the others.
 #[derive(Clone, Copy, Debug)]
 struct Wall {
-    /// The other side of the facet, as tetrahedron and place.
+    /// The facet as seen from outside the cavity: tetrahedron * 4 + facet place.
     outside: u32,
-    /// Counter-clockwise seen from there.
+    /// Counter-clockwise as seen from the outer tetrahedron.
     vertices: [u32; 3],
 }
 
-/// Lists that live from one insertion to the next, to spare allocations.
+/// Buffers that are reused between insertions to avoid allocations.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Workspace {
-    /// What is known about each tetrahedron during an insertion; all `UNKNOWN` between insertions.
+    /// State of each tetrahedron during an insertion; all `UNKNOWN` between insertions.
     states: Vec<u8>,
     conflict: Vec<u32>,
     kept: Vec<u32>,
     walls: Vec<Wall>,
     created: Vec<u32>,
-    /// Number of each vertex among those of the cavity, `numbered` being the first of this insertion; the vertex at
-    /// infinity comes first.
+    /// Local number of each cavity vertex, plus `numbered`. Index 0 is the vertex at infinity,
+    /// index v + 1 is vertex v. Smaller values are left over from earlier insertions.
     numbers: Vec<u32>,
     numbered: u32,
-    /// For each pair of numbers, the facet over the edge from one to the other.
+    /// For each ordered pair of local numbers, the facet at the edge from one to the other.
     table: Vec<u32>,
-    /// The same as a list, for large cavities.
+    /// The same as a sortable list, for large cavities.
     edges: Vec<(u32, u32, u32)>,
 }
 
@@ -86,13 +94,13 @@ impl Workspace {
             + self.edges.capacity() * size_of::<(u32, u32, u32)>()
     }
 
-    /// Joins the created tetrahedra, each made of the new vertex and a wall, over the edges of the walls. Every edge
-    /// belongs to two walls, which run through it in opposite directions.
+    /// Links the created tetrahedra, each made of the new vertex and a wall, across the wall edges.
+    /// Every edge belongs to two walls, which traverse it in opposite directions.
     fn join(&mut self, tetrahedra: &mut [Tetrahedron], vertices: usize) {
         if self.walls.len() > WALLS_FOR_A_TABLE {
             return self.join_by_sorting(tetrahedra);
         }
-        // the walls are a triangulated sphere
+        // the walls form a triangulated sphere: V = F / 2 + 2
         let side = self.walls.len() / 2 + 2;
         if self.table.len() < side * side {
             self.table.resize(side * side, 0);
@@ -129,6 +137,8 @@ impl Workspace {
         self.numbered = next;
     }
 
+    /// As [`Workspace::join`], for any number of walls: sorting brings the two entries of each edge
+    /// together.
     fn join_by_sorting(&mut self, tetrahedra: &mut [Tetrahedron]) {
         self.edges.clear();
         for (wall, &number) in self.walls.iter().zip(&self.created) {
@@ -150,11 +160,11 @@ fn place_of_infinity(vertices: &[u32; 4]) -> Option<usize> {
     vertices.iter().position(|&v| v == INFINITE)
 }
 
-/// The points that are triangulated, as the tetrahedra name them.
+/// The points of the triangulation, indexed by tetrahedron vertices.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Sites<'a> {
     pub(super) points: &'a [DVec3],
-    /// The caller's index of each; empty when it is the same.
+    /// The caller's index of each point; empty if the indices are the same.
     pub(super) named: &'a [u32],
 }
 
@@ -163,13 +173,15 @@ impl Sites<'_> {
         self.points[v as usize]
     }
 
-    /// Rank in the symbolic perturbation: the caller's indices, thoroughly mixed (an odd factor leaves them distinct), because
-    /// ranks that run along a surface or a grid make fans of long cells of cospherical points.
+    /// Rank in the symbolic perturbation: a hash of the caller's index (an odd factor keeps the
+    /// ranks distinct). Ranks that increase along a surface or grid would turn cospherical points
+    /// into fans of long cells.
     fn rank(&self, v: u32) -> u32 {
         let index = if self.named.is_empty() { v } else { self.named[v as usize] };
         index.wrapping_mul(0x9e37_79b9)
     }
 
+    /// Whether the perturbed circumsphere of a tetrahedron contains vertex `v` at `point`.
     #[inline]
     fn sphere_holds(&self, vertices: &[u32; 4], v: u32, point: DVec3) -> bool {
         let [a, b, c, d] = *vertices;
@@ -178,11 +190,12 @@ impl Sites<'_> {
     }
 }
 
-/// Tetrahedra joined by their facets: all of a triangulation, or those of a region of it. There, some facets lead
-/// beyond a cut, and what would need to go through them is refused.
+/// Tetrahedra connected across their facets: a whole triangulation, or one region of it. In a
+/// region, some facets lie on a cut, and operations that would cross them fail.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Cells {
     pub(super) tetrahedra: Vec<Tetrahedron>,
+    /// Numbers of removed tetrahedra, to be reused.
     pub(super) free: Vec<u32>,
     /// Where the next walk starts.
     pub(super) last: u32,
@@ -190,19 +203,20 @@ pub(super) struct Cells {
 }
 
 impl Cells {
-    /// Tetrahedra of another triangulation, without gaps.
+    /// The given tetrahedra, none of which is dead.
     pub(super) fn of(tetrahedra: Vec<Tetrahedron>) -> Self {
         let states = vec![UNKNOWN; tetrahedra.len()];
         Self { tetrahedra, work: Workspace { states, ..Workspace::default() }, ..Self::default() }
     }
 
-    /// Makes room for more tetrahedra.
+    /// Reserves memory for more tetrahedra.
     pub(super) fn reserve(&mut self, more: usize) {
         self.tetrahedra.reserve(more);
         self.work.states.reserve(more);
     }
 
-    /// These and others, whose numbers go on where these end, with room for some more. Facets that lead beyond a cut still do.
+    /// Appends the tetrahedra of `others`, with their numbers offset by the length of `self`.
+    /// Reserves memory for `spare` more. Facets on a cut stay marked.
     pub(super) fn joined_by(mut self, mut others: Self, spare: usize) -> Self {
         let offset = self.tetrahedra.len() as u32;
         others.work = Workspace::default();
@@ -216,24 +230,25 @@ impl Cells {
         self
     }
 
-    /// Whether a number names a tetrahedron.
+    /// Whether a number denotes a live tetrahedron.
     pub(super) fn is_alive(&self, t: u32) -> bool {
         self.tetrahedra[t as usize].vertices[0] != DEAD
     }
 
-    /// The first tetrahedron and its four ghosts.
+    /// Creates the first tetrahedron and its four ghosts.
     pub(super) fn start(&mut self, simplex: [u32; 4]) {
-        // the ghost over facet i has the number i + 1 and meets it in its first place
+        // the ghost at facet i has number i + 1, and the facet has place 0 there
         self.tetrahedra.push(Tetrahedron { vertices: simplex, neighbours: [1, 2, 3, 4].map(|ghost| ghost << 2) });
         for (i, facet) in FACETS.iter().enumerate() {
-            // seen from beyond the facet it turns counter-clockwise: swapped, and infinity in the first place,
-            // the ghost has the orientation of a finite tetrahedron
+            // Seen from outside, the facet is counter-clockwise. Swapping two vertices and putting
+            // infinity first gives the ghost the orientation of a finite tetrahedron.
             let [p, q, r] = *facet;
             let place = |of: usize, vertex: usize| {
                 let [p, q, r] = FACETS[of];
                 [p, r, q].iter().position(|&k| k == vertex).map_or(0, |k| k + 1)
             };
-            // it meets the ghost over facet k in the facet without the vertex k, which lacks i there
+            // this ghost meets the ghost at facet k in the facet opposite vertex k; there, it is
+            // opposite i
             let ghost = |k: usize| (k as u32 + 1) << 2 | place(k, i) as u32;
             self.tetrahedra.push(Tetrahedron {
                 vertices: [INFINITE, simplex[p], simplex[r], simplex[q]],
@@ -244,9 +259,9 @@ impl Cells {
         self.last = 0;
     }
 
-    /// Walks to the tetrahedron that holds a point, or to a ghost whose hull triangle has it strictly beyond. The walk
-    /// ends: in a Delaunay triangulation the tetrahedra are ordered front to back as seen from any point. An error
-    /// where it leads beyond a cut.
+    /// Walks to the tetrahedron that contains a point, or to a ghost if the point lies strictly
+    /// outside the hull. The walk terminates, because the tetrahedra of a Delaunay triangulation
+    /// are ordered front to back as seen from any point. Fails if the walk crosses a cut.
     pub(super) fn locate(&self, sites: Sites<'_>, point: DVec3, start: u32) -> Reached<u32> {
         let mut t = start;
         let Tetrahedron { vertices, neighbours } = &self.tetrahedra[t as usize];
@@ -279,8 +294,10 @@ impl Cells {
         }
     }
 
-    /// Whether the sphere of a tetrahedron holds a vertex; for a ghost, whether its half-space does, the open hull plane
-    /// belonging to it where the sphere of the finite neighbour holds the vertex. An error when that one lies beyond a cut.
+    /// Whether a tetrahedron is in conflict with a vertex: its circumsphere contains the vertex.
+    /// For a ghost, the open half-space beyond its hull triangle replaces the sphere. A vertex in
+    /// the plane of that triangle is tested against the sphere of the finite neighbour. Fails if
+    /// that neighbour lies beyond a cut.
     #[inline]
     fn conflicts(&self, sites: Sites<'_>, t: u32, v: u32, point: DVec3) -> Reached<bool> {
         let vertices = &self.tetrahedra[t as usize].vertices;
@@ -304,7 +321,7 @@ impl Cells {
         Ok(sites.sphere_holds(&self.tetrahedra[(finite >> 2) as usize].vertices, v, point))
     }
 
-    /// Whether there are numbers left for the tetrahedra of another vertex.
+    /// Fails if too few tetrahedron numbers remain for another insertion.
     pub(super) fn check_room(&self) -> Result<()> {
         if self.tetrahedra.len() <= MOST_TETRAHEDRA {
             return Ok(());
@@ -312,8 +329,8 @@ impl Cells {
         Err(Error::TooManyTetrahedra(MOST_TETRAHEDRA))
     }
 
-    /// Inserts a vertex whose point lies in a located tetrahedron and differs from all others. An error, and nothing
-    /// done, when tetrahedra beyond a cut are needed.
+    /// Inserts a vertex whose point differs from all others, given the tetrahedron that contains
+    /// it. Fails and changes nothing if the cavity extends beyond a cut.
     pub(super) fn insert_at(&mut self, sites: Sites<'_>, v: u32, located: u32) -> Reached<()> {
         let mut work = std::mem::take(&mut self.work);
         let dug = self.dig(sites, v, located, &mut work);
@@ -328,8 +345,8 @@ impl Cells {
         dug
     }
 
-    /// Finds the tetrahedra in conflict with a vertex, and the walls of the cavity that they leave. An error when some of
-    /// them lie beyond a cut.
+    /// Finds the tetrahedra in conflict with a vertex by breadth-first search, and the walls of
+    /// their cavity. Fails if the cavity extends beyond a cut.
     fn dig(&self, sites: Sites<'_>, v: u32, located: u32, work: &mut Workspace) -> Reached<()> {
         let point = sites.at(v);
         work.conflict.clear();
@@ -363,8 +380,8 @@ impl Cells {
         Ok(())
     }
 
-    /// Joins the walls of the cavity to the vertex, in the places of the tetrahedra removed, and what is made to each
-    /// other.
+    /// Connects the walls of the cavity to the vertex and links the new tetrahedra to each other.
+    /// Reuses the numbers of the removed tetrahedra.
     fn fill(&mut self, v: u32, vertices: usize, work: &mut Workspace) {
         work.created.clear();
         let mut vacant = work.conflict.iter().copied();

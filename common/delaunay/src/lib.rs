@@ -1,21 +1,25 @@
-//! Delaunay triangulation of points in space: incremental insertion (Bowyer 1981, Watson 1981) along a Hilbert curve
-//! in rounds, with exact predicates, large rounds on several threads.
+//! Three-dimensional Delaunay triangulation by incremental insertion (Bowyer 1981, Watson 1981)
+//! with exact predicates. Points are inserted in rounds along a Hilbert curve; large rounds run on
+//! several threads.
 //!
-//! The convex hull is closed by *ghost* tetrahedra that join each hull triangle to a vertex at infinity
-//! ([`INFINITE`]), so every tetrahedron has four neighbours and nothing needs a case of its own at the border. Points
-//! on one sphere, in one plane or on one line, on a grid or given twice are all in order: in-sphere ties are broken by
-//! a symbolic perturbation (see [`predicates`]) that depends on the index of the points alone, so the triangulation of a
-//! given list of points is unique, whatever the order of insertion. Only input whose points all lie in one plane is
-//! refused, because it has no tetrahedra.
+//! *Ghost* tetrahedra connect each hull triangle to a vertex at infinity ([`INFINITE`]), so every
+//! tetrahedron has four neighbours and the boundary needs no special cases. Cospherical, coplanar
+//! and collinear points, grids and duplicates are all allowed. A symbolic perturbation (see
+//! [`predicates`]) breaks in-sphere ties. It depends only on the point indices, so the
+//! triangulation of a given point list is unique for any insertion order. Only input whose points
+//! all lie in one plane is refused, because it has no tetrahedra.
 //!
-//! The same points give the same tetrahedra with the same numbers on any number of threads. Half a million points of a
-//! surface take about as long as CGAL's triangulation does (`make bench-delaunay` puts both in one table).
+//! The same points give the same tetrahedra with the same numbers on any number of threads. For
+//! half a million surface points the speed is about that of CGAL (`make bench-delaunay` compares
+//! both).
 //!
 //! ```
 //! use glam::DVec3;
 //! use isoparticles_delaunay::{Delaunay, Insertion};
 //!
-//! let corners: Vec<DVec3> = (0..8u8).map(|n| DVec3::new(f64::from(n & 1), f64::from(n >> 1 & 1), f64::from(n >> 2))).collect();
+//! let corners: Vec<DVec3> = (0..8u8)
+//!     .map(|n| DVec3::new(f64::from(n & 1), f64::from(n >> 1 & 1), f64::from(n >> 2)))
+//!     .collect();
 //! let mut cube = Delaunay::new(&corners)?;
 //! let volume = |d: &Delaunay| -> f64 {
 //!     let at = |v: u32| d.points()[v as usize];
@@ -24,7 +28,7 @@
 //! };
 //! assert!((volume(&cube) - 1.0).abs() < 1e-12);
 //!
-//! // A further point, and the tetrahedra that its insertion made.
+//! // Insert another point, and look at the tetrahedra that it created.
 //! assert_eq!(cube.insert(DVec3::splat(0.5), None)?, Insertion::New(8));
 //! assert!(cube.created().iter().all(|&t| cube.vertices(t).contains(&8)));
 //! assert!((volume(&cube) - 1.0).abs() < 1e-12);
@@ -52,62 +56,63 @@ use regions::Cutting;
 /// The vertex at infinity, in the vertex list of ghost tetrahedra.
 pub const INFINITE: u32 = u32::MAX;
 
-/// In the first place of the vertex list of a tetrahedron that is no longer there.
+/// First vertex of a removed tetrahedron.
 const DEAD: u32 = u32::MAX - 1;
 
 /// Largest coordinate: its fifth power, the degree of the in-sphere determinant, is still finite.
 const LARGEST_COORDINATE: f64 = 1e50;
 
-/// Coordinates nearer to zero than this are taken as zero, so that the exact predicates never underflow.
+/// Coordinates closer to zero than this are set to zero, so that the exact predicates never
+/// underflow.
 const SMALLEST_COORDINATE: f64 = 1e-40;
 
 #[derive(Clone, Copy, Debug)]
 struct Tetrahedron {
     vertices: [u32; 4],
-    /// Across the facet opposite to the vertex at `i`: number of the neighbour times 4, plus the place that the facet has
-    /// there.
+    /// Entry i describes the neighbour across the facet opposite vertex i: its number times 4, plus
+    /// the place of the facet in the neighbour.
     neighbours: [u32; 4],
 }
 
-/// What became of a point given to [`Delaunay::insert`].
+/// Result of [`Delaunay::insert`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Insertion {
-    /// It is a new vertex with this index.
+    /// The point is a new vertex with this index.
     New(u32),
-    /// There was already a vertex at this very place.
+    /// A vertex with this index already has exactly these coordinates.
     Duplicate(u32),
 }
 
-/// Counts and bytes, for reports.
+/// Tetrahedron counts and memory use, for reports.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct MemoryUse {
-    /// Bytes that the triangulation holds, spare capacity included.
+    /// Bytes allocated by the triangulation, including spare capacity.
     pub bytes: usize,
-    /// Tetrahedra, ghosts included.
+    /// Number of tetrahedra, including ghosts.
     pub tetrahedra: usize,
-    /// Places kept for tetrahedra, free ones included.
+    /// Number of tetrahedron slots, including free ones.
     pub slots: usize,
 }
 
-/// Delaunay triangulation of a set of points, open to further points.
+/// Delaunay triangulation of a set of points. More points can be inserted.
 #[derive(Clone, Debug)]
 pub struct Delaunay {
     points: Vec<DVec3>,
-    /// For every point, the first one at the same place.
+    /// For every point, the first point with the same coordinates.
     first: Vec<u32>,
     vertex_count: usize,
     cells: Cells,
-    /// A tetrahedron at each vertex.
+    /// One tetrahedron at each vertex; `u32::MAX` for duplicates.
     incident: Vec<u32>,
 }
 
 impl Delaunay {
-    /// Triangulates points (any unit), on all cores where there are many. The same points give the same tetrahedra with the
-    /// same numbers on any number of threads.
+    /// Triangulates points (any unit), using all cores for large sets. The same points give the
+    /// same tetrahedra with the same numbers on any number of threads.
     ///
     /// # Errors
-    /// Fewer than four distinct points, all points in one plane, a coordinate that is not finite or larger than 1e50,
-    /// more than 2^29 tetrahedra on the way.
+    /// If there are fewer than four distinct points or all points lie in one plane. If a coordinate
+    /// is not finite or exceeds 1e50. If more than 2^29 tetrahedra are needed on the way.
     pub fn new(points: &[DVec3]) -> Result<Self> {
         Self::with_cutting(points, Cutting::USUAL)
     }
@@ -119,7 +124,8 @@ impl Delaunay {
         }
         let Order { order, rounds, first } = order::insertion_order(&points);
         let seeds = first_simplex(&points, &order)?;
-        // the points in the order of insertion, for locality; named by the caller's indices again at the end
+        // Store the points in insertion order for locality. The caller's indices are restored at
+        // the end.
         let sorted: Vec<DVec3> = order.iter().map(|&i| points[i as usize]).collect();
         let mut cells = regions::triangulate(Sites { points: &sorted, named: &order }, &rounds, seeds, cutting)?;
         drop(sorted);
@@ -136,39 +142,41 @@ impl Delaunay {
         Ok(built)
     }
 
-    /// The points, those given twice included; indices are those of the input, then of the insertions.
+    /// All points, duplicates included: those of the input, then the inserted ones.
     pub fn points(&self) -> &[DVec3] {
         &self.points
     }
 
-    /// Distinct points.
+    /// Number of distinct points.
     pub fn vertex_count(&self) -> usize {
         self.vertex_count
     }
 
-    /// The first point at the same place as this one, when that is another one; such a point is in no tetrahedron.
+    /// The first point with the same coordinates, if that is another point. Duplicates are in no
+    /// tetrahedron.
     pub fn duplicate_of(&self, point: u32) -> Option<u32> {
         let first = self.first[point as usize];
         (first != point).then_some(first)
     }
 
-    /// One more than the largest tetrahedron number in use; numbers below it may be free.
+    /// One more than the largest tetrahedron number in use. Some numbers below it may be free.
     pub fn slot_count(&self) -> usize {
         self.cells.tetrahedra.len()
     }
 
-    /// Whether a number names a tetrahedron (it does not when that one was removed).
+    /// Whether a number denotes a tetrahedron; false if that one was removed.
     pub fn is_alive(&self, tetrahedron: u32) -> bool {
         self.cells.tetrahedra[tetrahedron as usize].vertices[0] != DEAD
     }
 
-    /// Whether a tetrahedron joins a hull triangle to infinity.
+    /// Whether a tetrahedron connects a hull triangle to infinity.
     pub fn is_ghost(&self, tetrahedron: u32) -> bool {
         self.cells.tetrahedra[tetrahedron as usize].vertices.contains(&INFINITE)
     }
 
-    /// All tetrahedra, ghosts included (they have [`INFINITE`] among their vertices), as (number, vertices). Finite ones
-    /// have positive volume; a ghost would have it with any point beyond its hull triangle in the place of infinity.
+    /// All tetrahedra as (number, vertices). Finite ones have positive volume. Ghosts contain
+    /// [`INFINITE`]; replacing it with any point beyond the hull triangle gives a positive volume,
+    /// too.
     pub fn tetrahedra(&self) -> impl Iterator<Item = (u32, [u32; 4])> + '_ {
         let all = self.cells.tetrahedra.iter().enumerate();
         all.filter(|(_, t)| t.vertices[0] != DEAD).map(|(i, t)| (i as u32, t.vertices))
@@ -190,24 +198,26 @@ impl Delaunay {
         self.cells.tetrahedra[tetrahedron as usize].vertices
     }
 
-    /// Neighbours of a tetrahedron; the one at `i` lies across the facet opposite to the vertex at `i`.
+    /// Neighbours of a tetrahedron; neighbour i lies across the facet opposite vertex i.
     pub fn neighbours(&self, tetrahedron: u32) -> [u32; 4] {
         self.cells.tetrahedra[tetrahedron as usize].neighbours.map(|n| n >> 2)
     }
 
-    /// The facet of a tetrahedron opposite to its vertex at `i`, counter-clockwise seen from outside the tetrahedron.
+    /// The facet of a tetrahedron opposite its vertex i, counter-clockwise as seen from outside the
+    /// tetrahedron.
     pub fn facet(&self, tetrahedron: u32, i: usize) -> [u32; 3] {
         let v = self.vertices(tetrahedron);
         FACETS[i].map(|k| v[k])
     }
 
-    /// Some tetrahedron at a vertex; `None` for a duplicate.
+    /// One tetrahedron at a vertex; `None` for a duplicate.
     pub fn incident(&self, vertex: u32) -> Option<u32> {
         self.incident.get(vertex as usize).copied().filter(|&t| t != u32::MAX)
     }
 
-    /// Centre of the sphere through a tetrahedron, reckoned relative to one of its vertices and with the exact volume, so
-    /// that a thin tetrahedron gives a far point rather than a wrong one; `None` for a ghost or beyond the numbers.
+    /// Circumcentre of a tetrahedron. Computed relative to one of its vertices and with the exact
+    /// volume, so a thin tetrahedron gives a distant centre instead of a wrong one. `None` for a
+    /// ghost or if the centre is not finite.
     pub fn circumcentre(&self, tetrahedron: u32) -> Option<DVec3> {
         let v = self.vertices(tetrahedron);
         if v.contains(&INFINITE) || v[0] == DEAD {
@@ -216,7 +226,7 @@ impl Delaunay {
         circumcentre(v.map(|i| self.points[i as usize]))
     }
 
-    /// Bytes held, and tetrahedra.
+    /// Memory use and tetrahedron counts.
     pub fn memory(&self) -> MemoryUse {
         let words = self.first.capacity() + self.cells.free.capacity() + self.incident.capacity();
         MemoryUse {
@@ -229,11 +239,11 @@ impl Delaunay {
         }
     }
 
-    /// Adds a point. `near` names a vertex to start looking from; without it, the last insertion is taken.
-    /// The tetrahedra made are then in [`Delaunay::created`].
+    /// Inserts a point. The search starts at the vertex `near`, or at the last insertion if it is
+    /// `None`. [`Delaunay::created`] then lists the new tetrahedra.
     ///
     /// # Errors
-    /// A coordinate that is not finite or larger than 1e50; more than 2^29 tetrahedra.
+    /// If a coordinate is not finite or exceeds 1e50, or if there are more than 2^29 tetrahedra.
     pub fn insert(&mut self, point: DVec3, near: Option<u32>) -> Result<Insertion> {
         let point = admissible(point)?;
         self.cells.check_room()?;
@@ -256,6 +266,7 @@ impl Delaunay {
         Ok(Insertion::New(v))
     }
 
+    /// Records a tetrahedron as the incident one of each of its finite vertices.
     fn note_incident(&mut self, t: u32) {
         let vertices = self.cells.tetrahedra[t as usize].vertices;
         if vertices[0] != DEAD {
@@ -265,19 +276,21 @@ impl Delaunay {
         }
     }
 
-    /// Tetrahedra made by the last insertion, ghosts included; they may bear the numbers of removed ones.
+    /// Tetrahedra created by the last insertion, including ghosts. They may reuse the numbers of
+    /// removed ones.
     pub fn created(&self) -> &[u32] {
         self.cells.work.created()
     }
 }
 
-/// Why nothing lies beyond a cut.
+/// Why operations on a whole triangulation never meet a cut.
 const WHOLE: &str = "a whole triangulation has all tetrahedra";
 
-/// Facet opposite to each vertex of a positive tetrahedron, counter-clockwise seen from outside.
+/// Facet opposite each vertex of a positively oriented tetrahedron, counter-clockwise as seen from
+/// outside.
 const FACETS: [[usize; 3]; 4] = [[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]];
 
-/// Centre of the sphere through four points; `None` when it is not finite.
+/// Centre of the sphere through four points; `None` if it is not finite.
 pub fn circumcentre([a, b, c, d]: [DVec3; 4]) -> Option<DVec3> {
     let (u, v, w) = (b - a, c - a, d - a);
     let volume = volume(a, b, c, d);
@@ -294,7 +307,8 @@ fn admissible(p: DVec3) -> Result<DVec3> {
     Ok(DVec3::from_array(p.to_array().map(|x| if x.abs() < SMALLEST_COORDINATE { 0.0 } else { x })))
 }
 
-/// Places in the order of four points that do not lie in one plane.
+/// Positions in the insertion order of four points that do not lie in one plane, positively
+/// oriented.
 fn first_simplex(points: &[DVec3], order: &[u32]) -> Result<[u32; 4]> {
     let at = |place: usize| points[order[place] as usize];
     if order.len() < 4 {

@@ -1,27 +1,27 @@
-//! The order in which points are inserted: rounds, each eight times as large as the one before, and each along a Hilbert
-//! curve (biased randomised insertion order of Amenta, Choi and Rote, 2003), so that a walk from the last insertion is
-//! short and no arrangement of the input is a bad one.
+//! The order of insertion: a biased randomised insertion order (Amenta, Choi and Rote, 2003). Each
+//! round is about eight times as large as the one before and follows a Hilbert curve. The walk from
+//! the last insertion is then short for any arrangement of the input.
 
 use glam::DVec3;
 use rayon::prelude::*;
 
-/// Bits of the Hilbert index along each axis.
+/// Bits of the Hilbert index per axis; three axes fit in 64 bits.
 const LEVELS: u32 = 20;
 
-/// Points below which there is a single round.
+/// Fewer points than this are inserted in a single round.
 const SMALLEST_ROUND: usize = 1000;
 
-/// How points are to be inserted.
+/// The insertion order of a set of points.
 pub(super) struct Order {
-    /// The distinct points.
+    /// Indices of the distinct points, in the order of insertion.
     pub(super) order: Vec<u32>,
-    /// Where each round ends in that order.
+    /// Where each round ends in `order`.
     pub(super) rounds: Vec<usize>,
-    /// For every point, the first one at the same place (itself as a rule).
+    /// For every point, the first point with the same coordinates (usually itself).
     pub(super) first: Vec<u32>,
 }
 
-/// Insertion order of points.
+/// Computes the insertion order of points.
 pub(super) fn insertion_order(points: &[DVec3]) -> Order {
     let low = points.iter().copied().reduce(DVec3::min).unwrap_or_default();
     let high = points.iter().copied().reduce(DVec3::max).unwrap_or_default();
@@ -39,7 +39,7 @@ pub(super) fn insertion_order(points: &[DVec3]) -> Order {
     along.par_sort_unstable();
     let mut first: Vec<u32> = (0..points.len() as u32).collect();
     let mut distinct: Vec<u32> = Vec::with_capacity(points.len());
-    // equal points share a cell; within one, bring them together by coordinates
+    // Equal points share a Hilbert cell. Sorting the cell by coordinates makes them adjacent.
     for group in along.chunk_by_mut(|a, b| a.0 == b.0) {
         if group.len() > 1 {
             group.sort_unstable_by(|a, b| {
@@ -64,7 +64,7 @@ pub(super) fn insertion_order(points: &[DVec3]) -> Order {
     // a point is in the last round with probability 7/8, in the one before with 7/64, and so on
     let round_of = |i: u32| rounds.saturating_sub(well_mixed(i).trailing_ones() / 3);
     for round in 0..=rounds {
-        // every other round runs backwards, so that it starts where the last one ended
+        // every other round runs backwards, so that it starts where the previous one ended
         let members = distinct.iter().copied().filter(|&i| round_of(i) == round);
         let start = order.len();
         order.extend(members);
@@ -76,16 +76,19 @@ pub(super) fn insertion_order(points: &[DVec3]) -> Order {
     Order { order, rounds: ends, first }
 }
 
-/// 64 bits that look random but depend on the index alone (the finaliser of SplitMix64, Steele, Lea and Flood 2014).
+/// 64 bits that look random but depend only on the index: the finaliser of SplitMix64 (Steele, Lea
+/// and Flood 2014).
 fn well_mixed(index: u32) -> u64 {
-    // any start will do; this one keeps the numbers of the tetrahedra what they were
+    // The offset is arbitrary. Changing it changes the insertion order, and so the numbers of the
+    // tetrahedra.
     let x = 0x134a_bdb5_a05c_6011_u64.wrapping_add(u64::from(index));
     let x = (x ^ (x >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
     let x = (x ^ (x >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
     x ^ (x >> 31)
 }
 
-/// Position of a cell along the three-dimensional Hilbert curve (transposition method of Skilling, 2004).
+/// Position of a cell along the three-dimensional Hilbert curve (Skilling's transposition method,
+/// 2004).
 fn hilbert_index(mut x: [u32; 3]) -> u64 {
     let top = 1u32 << (LEVELS - 1);
     let mut q = top;

@@ -1,29 +1,32 @@
-//! Orientation and in-sphere tests that are always right: a floating-point filter first, then integers (see
-//! `exact.rs`), then, where those would have too many bits, the exact adaptive predicates of Shewchuk (crate `robust`);
-//! and for exact in-sphere ties the symbolic perturbation of Devillers and Teillaud (2003).
+//! Exact orientation and in-sphere tests. A floating-point filter decides most cases, then integers
+//! (`exact.rs`). If these would have too many bits, Shewchuk's adaptive predicates (crate `robust`)
+//! decide. Exact in-sphere ties are broken by the symbolic perturbation of Devillers and Teillaud
+//! (2003).
 //!
-//! Filter bounds: a determinant is a sum of monomials, each of which passes through a known number of roundings. With
-//! differences of coordinates bounded by (mx, my, mz), the orientation has 6 monomials and at most 8 roundings on a
-//! path, hence an error of at most 6 * 8 * 2^-53 * mx my mz; the in-sphere determinant has 72 monomials and at most 16
-//! roundings, hence 72 * 16 * 2^-53 * mx my mz m^2 with m the largest of the three; a first, coarser bound puts the length
-//! of the longest difference in the place of all of them. The constants below are rounded up
-//! by more than the roundings of the bound itself can take away.
+//! Filter bounds: a determinant is a sum of monomials, each of which passes through a known number
+//! of roundings. Let (mx, my, mz) bound the coordinate differences, and m be the largest of the
+//! three. The orientation has 6 monomials with at most 8 roundings each, so its error is at most
+//! 6 * 8 * 2^-53 * mx my mz. The in-sphere determinant has 72 monomials with at most 16 roundings
+//! each: 72 * 16 * 2^-53 * mx my mz m^2. A coarser bound is tried first, with the length of the
+//! longest difference in place of mx, my, mz and m. The constants below are rounded up by more than
+//! the rounding errors of the bounds themselves.
 
 use super::exact;
 use glam::DVec3;
 use robust::Coord3D;
 
-/// 48 * 2^-53 = 5.33e-15, rounded up.
+/// Error bound of the orientation: 48 * 2^-53 = 5.33e-15, rounded up.
 const ORIENTATION_BOUND: f64 = 5.5e-15;
-/// 1152 * 2^-53 = 1.279e-13, rounded up.
+/// Error bound of the in-sphere determinant: 1152 * 2^-53 = 1.279e-13, rounded up.
 const IN_SPHERE_BOUND: f64 = 1.3e-13;
 
 fn coordinates(p: DVec3) -> Coord3D<f64> {
     Coord3D { x: p.x, y: p.y, z: p.z }
 }
 
-/// Number with the sign of (b - a) x (c - a) . (d - a), exactly: positive when b, c, d turn counter-clockwise seen from
-/// the side that a is not on, as VTK orders a tetrahedron. Its size means nothing: see [`volume`].
+/// A number with the exact sign of (b - a) x (c - a) . (d - a). Positive if b, c, d turn
+/// counter-clockwise as seen from the side opposite a, VTK's order for a tetrahedron. Only the sign
+/// is meaningful; see [`volume`] for the value.
 #[inline]
 pub fn orientation(a: DVec3, b: DVec3, c: DVec3, d: DVec3) -> f64 {
     let (u, v, w) = (b - a, c - a, d - a);
@@ -36,8 +39,8 @@ pub fn orientation(a: DVec3, b: DVec3, c: DVec3, d: DVec3) -> f64 {
     orientation_of_flat(a, b, c, d)
 }
 
-/// (b - a) x (c - a) . (d - a), six times the volume of the tetrahedron, right to some digits however flat it is, and with the
-/// exact sign.
+/// (b - a) x (c - a) . (d - a), six times the volume of the tetrahedron. The sign is exact, and the
+/// value has a small relative error however flat the tetrahedron is.
 pub fn volume(a: DVec3, b: DVec3, c: DVec3, d: DVec3) -> f64 {
     -robust::orient3d(coordinates(a), coordinates(b), coordinates(c), coordinates(d))
 }
@@ -48,8 +51,8 @@ fn orientation_of_flat(a: DVec3, b: DVec3, c: DVec3, d: DVec3) -> f64 {
     exact::orientation_sign(&[a, b, c, d]).unwrap_or_else(|| volume(a, b, c, d))
 }
 
-/// Number with the sign of the in-sphere determinant, exactly: positive when e lies inside the sphere through a
-/// positively oriented tetrahedron, zero when on it.
+/// A number with the exact sign of the in-sphere determinant. Positive if e lies inside the sphere
+/// through the positively oriented tetrahedron a, b, c, d; zero if e lies on it.
 #[inline]
 pub fn in_sphere(a: DVec3, b: DVec3, c: DVec3, d: DVec3, e: DVec3) -> f64 {
     let (p, q, r, s) = (a - e, b - e, c - e, d - e);
@@ -73,7 +76,7 @@ pub fn in_sphere(a: DVec3, b: DVec3, c: DVec3, d: DVec3, e: DVec3) -> f64 {
     in_sphere_near_zero(determinant, [a, b, c, d, e])
 }
 
-/// The same where the coarse bound does not decide.
+/// As [`in_sphere`], for determinants that the coarse bound cannot decide.
 #[cold]
 #[inline(never)]
 fn in_sphere_near_zero(determinant: f64, [a, b, c, d, e]: [DVec3; 5]) -> f64 {
@@ -90,10 +93,11 @@ fn in_sphere_near_zero(determinant: f64, [a, b, c, d, e]: [DVec3; 5]) -> f64 {
     exact::in_sphere_sign(&[a, b, c, d, e]).unwrap_or_else(expansion)
 }
 
-/// Whether `points[4]` lies inside the sphere through the positively oriented `points[0..4]`, never undecided: of
-/// points exactly on a sphere, each is thought lifted from the paraboloid by an infinitesimal amount, larger by orders
-/// for a larger rank. Every point keeps its lift, so the answers together describe one regular triangulation, whose
-/// cells are never flat and whose cavities are star-shaped. Ranks are distinct, and so are the points.
+/// Whether `points[4]` lies inside the sphere through the positively oriented `points[0..4]`; there
+/// are no ties. Points exactly on the sphere are lifted from the paraboloid by infinitesimal
+/// amounts, larger by orders of magnitude for larger ranks. Since each point keeps its lift, all
+/// answers describe one regular triangulation. Its cells are never flat, and its cavities are
+/// star-shaped. Points and ranks must be distinct.
 #[inline]
 pub fn in_sphere_perturbed(points: &[DVec3; 5], ranks: impl FnOnce() -> [u32; 5]) -> bool {
     let [a, b, c, d, e] = *points;
@@ -106,10 +110,11 @@ fn break_tie(points: &[DVec3; 5], ranks: [u32; 5]) -> bool {
     let [a, b, c, d, e] = *points;
     let mut largest = None;
     for _ in 0..5 {
-        // the next rank below; as a rule, the largest decides
+        // the point with the next lower rank; usually, the first one already decides
         let below = (0..5).filter(|&i| largest.is_none_or(|above| ranks[i] < ranks[above]));
         largest = below.max_by_key(|&i| ranks[i]);
-        // lifting a vertex raises the plane at e by e's barycentric coordinate, so it has the sign of that
+        // Lifting a vertex raises the plane at e by e's barycentric coordinate for that vertex, so
+        // the result has the sign of that coordinate.
         let sign = match largest {
             Some(0) => orientation(e, b, c, d),
             Some(1) => orientation(a, e, c, d),
@@ -124,7 +129,7 @@ fn break_tie(points: &[DVec3; 5], ranks: [u32; 5]) -> bool {
     false
 }
 
-/// Whether three points lie on one line, exactly.
+/// Whether three points lie on one line; exact.
 pub fn collinear(a: DVec3, b: DVec3, c: DVec3) -> bool {
     let flat = |i: usize, j: usize| {
         let at = |p: DVec3| robust::Coord { x: p[i], y: p[j] };
@@ -154,7 +159,7 @@ mod tests {
 
     #[test]
     fn the_filter_never_contradicts_the_exact_predicates() {
-        // tiny offsets from degenerate positions are where a wrong bound would show
+        // a wrong bound would show at tiny offsets from degenerate positions
         for n in 0..20_000u64 {
             let q = |k: u64| {
                 let coarse = (point(1, 5 * n + k) * 4.0).floor();
@@ -168,8 +173,8 @@ mod tests {
         }
     }
 
-    /// The sphere of a tetrahedron and that of its neighbour must tell the same story: e in conflict with abcd exactly
-    /// when d is in conflict with the tetrahedron of abc and e on the other side.
+    /// The test must be symmetric in two neighbours: e is in conflict with abcd exactly if d is in
+    /// conflict with the tetrahedron of abc and e.
     #[test]
     fn perturbed_test_is_symmetric() {
         let mut ties = 0;

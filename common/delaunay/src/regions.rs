@@ -1,38 +1,40 @@
-//! Rounds of insertions on all cores: the triangulation is cut along a plane into two regions, each with its own
-//! tetrahedra, those are cut again, and in each of the last regions a thread inserts the points that lie there. A
-//! point whose cavity would reach into another region is put off until the two are one again. So no tetrahedron
-//! next to another region is ever removed, and putting them together only means renumbering one of them. The coarse
-//! rounds come first, so that most cavities are small by then.
+//! Inserts rounds of points on all cores. A plane cuts the triangulation into two regions with
+//! their own tetrahedra, recursively, and one thread per region inserts the points in it. A point
+//! whose cavity would extend into another region is postponed until the two regions are merged.
+//! Tetrahedra next to another region are therefore never removed, and merging only renumbers one of
+//! the two. Coarse rounds come first, so most cavities are small in the rounds that are cut.
 //!
-//! Where the cuts are, and with them the numbers of the tetrahedra, does not depend on the number of threads.
+//! The cuts, and so the tetrahedron numbers, do not depend on the number of threads.
 
 use super::insert::{Beyond, Cells, Sites};
 use super::{DEAD, INFINITE, Tetrahedron};
 use crate::error::Error;
 use glam::DVec3;
 
-/// How far to cut.
+/// Limits of the recursive cutting.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Cutting {
-    /// Points of a region from which it is cut.
+    /// A region is cut only if at least this many points are to be inserted in it.
     pub(super) points: usize,
-    /// Most cuts on the way to a region.
+    /// Maximum number of nested cuts.
     pub(super) depth: u32,
 }
 
 impl Cutting {
-    /// 377,000 particles of a ribcage, in two regions (from 200,000 points on), four, eight and sixteen (from 20,000 on): 3.3 s on one of 16 cores in two and 3.5 in eight, with the
-    /// topology of F, which is found beside it; on all 16 1.32 s, 1.04, 0.77 and 0.74.
+    /// Measured on 377,000 particles of a ribcage, with the topology of F computed alongside. On 16
+    /// cores, 2, 4, 8 and 16 regions take 1.32, 1.04, 0.77 and 0.74 s. (Two regions are cut from
+    /// 200,000 points on, sixteen from 20,000.) On one core, 2 regions take 3.3 s and 8 take 3.5 s.
     pub(super) const USUAL: Self = Self { points: 20_000, depth: 3 };
 }
 
-/// Smallest share of the points on one side of a cut.
+/// Minimum share of the points on each side of a cut; with less, the region is not cut.
 const SMALLEST_SHARE: f64 = 0.1;
 
-/// Points from which the plane of a cut is found.
+/// The plane of a cut is the median of at most this many points.
 const SAMPLE: usize = 10_000;
 
-/// Triangulates sites, given in the order of insertion with the ends of its rounds, from a first tetrahedron on.
+/// Triangulates points that are given in insertion order. `rounds` holds the end of each round, and
+/// `seeds` the vertices of the first tetrahedron.
 pub(super) fn triangulate(
     sites: Sites<'_>,
     rounds: &[usize],
@@ -52,32 +54,33 @@ pub(super) fn triangulate(
     Ok(cells)
 }
 
-/// What came of the points of a region.
+/// Result of inserting the points of a region.
 struct Inserted {
-    /// Those that wait until a cut is undone.
+    /// Postponed points, with the cut that must be undone first.
     put_off: Vec<(u32, Beyond)>,
-    /// New numbers of the tetrahedra that were there before and still are; `None` when they kept theirs.
+    /// New numbers of the tetrahedra that existed before and still exist; `None` if the numbers are
+    /// unchanged.
     renumbered: Option<Vec<u32>>,
 }
 
-/// What a region was cut from, to find points there when a walk leaves the region.
+/// The triangulation that a region was cut from, for locating points if a walk leaves the region.
 struct Outer<'a> {
     whole: &'a Cells,
     places: &'a [Place],
     side: usize,
-    /// The cut between the sides.
+    /// The cut between the two sides.
     cut: Beyond,
     up: Option<&'a Self>,
 }
 
 impl Outer<'_> {
-    /// Where the walks start, from the inside out.
+    /// The start of the walk at each level, innermost first.
     fn starts(&self) -> Vec<u32> {
         std::iter::successors(Some(self), |outer| outer.up).map(|outer| outer.whole.last).collect()
     }
 
-    /// The tetrahedron of the region, by its first number, that held a point before anything was inserted. An error when it
-    /// is in another region, whose business the point is then.
+    /// The tetrahedron of the region that contained a point before any insertion, by its original
+    /// number. Fails if it is in another region; the point then has to be postponed.
     fn find(&self, sites: Sites<'_>, point: DVec3, starts: &mut [u32]) -> Result<u32, Beyond> {
         let (start, further) = starts.split_first_mut().ok_or(self.cut)?;
         let walked = self.whole.locate(sites, point, *start);
@@ -86,7 +89,7 @@ impl Outer<'_> {
     }
 }
 
-/// Inserts points into a region (a whole triangulation has nothing `outer`), on all cores.
+/// Inserts points into a region on all cores. `outer` is `None` for a whole triangulation.
 fn insert_all(
     cells: &mut Cells,
     sites: Sites<'_>,
@@ -101,7 +104,8 @@ fn insert_all(
         Cut::new(cells, sites, &members, depth)
     };
     let Some(Cut { mut regions, places, seams }) = cut else {
-        // at once: what vectors leave behind when they grow in a thread stays with its allocator
+        // Reserve once: memory freed by a vector that grows in a thread would stay with the
+        // thread's allocator.
         cells.reserve(members.len() * 8);
         let put_off = insert_in_order(cells, sites, members, outer, None)?;
         return Ok(Inserted { put_off, renumbered: None });
@@ -118,7 +122,7 @@ fn insert_all(
     let [(low, _), (high, _)] = regions;
     let all: Vec<(u32, Beyond)> = done.iter().flat_map(|inserted| &inserted.put_off).copied().collect();
     let offset = low.tetrahedra.len() as u32;
-    // number in the whole again of a tetrahedron that a region began with
+    // number after merging of a tetrahedron that a region started with
     let number = |side: usize, number: u32| {
         let number = done[side].renumbered.as_ref().map_or(number, |new| new[number as usize]);
         if side == 0 { number } else { number + offset }
@@ -139,7 +143,7 @@ fn insert_all(
     Ok(Inserted { put_off, renumbered: Some(renumbered) })
 }
 
-/// Inserts points one after the other, and gives back those that need tetrahedra beyond a cut.
+/// Inserts points one by one. Returns those that need tetrahedra beyond a cut.
 fn insert_in_order(
     cells: &mut Cells,
     sites: Sites<'_>,
@@ -165,12 +169,12 @@ fn insert_in_order(
     Ok(put_off)
 }
 
-/// Where a tetrahedron went when the whole was cut: number there, times two, plus the side.
+/// Where a tetrahedron went in a cut: its number in the region times 2, plus the side.
 #[derive(Clone, Copy)]
 struct Place(u32);
 
 impl Place {
-    /// Of a number that was free.
+    /// For an unused tetrahedron number.
     const NONE: Self = Self(u32::MAX);
 
     fn new(side: usize, number: u32) -> Self {
@@ -186,17 +190,18 @@ impl Place {
     }
 }
 
-/// A triangulation, or a region of one, in two halves.
+/// A triangulation or region, cut into two halves.
 struct Cut {
-    /// Tetrahedra, and the points to insert.
+    /// The tetrahedra of each half and the points to insert there.
     regions: [(Cells, Vec<u32>); 2],
     places: Vec<Place>,
-    /// The facets between the two, as each side names them.
+    /// The facets on the cut, as (tetrahedron * 4 + place) on both sides.
     seams: Vec<[u32; 2]>,
 }
 
 impl Cut {
-    /// Cuts across the longest extent of the points to insert; `None` where one side would have next to nothing.
+    /// Cuts at the median of the points to insert, across their longest extent. `None` if one side
+    /// would have less than [`SMALLEST_SHARE`] of the points, or no tetrahedra.
     fn new(cells: &Cells, sites: Sites<'_>, members: &[u32], depth: Beyond) -> Option<Self> {
         let at = |v: u32| sites.points[v as usize];
         let mut sample: Vec<DVec3> = members.iter().step_by(members.len() / SAMPLE + 1).map(|&v| at(v)).collect();

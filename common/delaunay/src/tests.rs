@@ -1,4 +1,5 @@
-//! The triangulation against brute force and against what topology demands, on input of every degenerate kind.
+//! Tests the triangulation against brute force and topological invariants on all kinds of
+//! degenerate input.
 
 use super::*;
 use isoparticles_field::random::uniform;
@@ -21,7 +22,7 @@ fn grid(n: usize) -> Vec<DVec3> {
     points
 }
 
-/// Integer points exactly on one sphere: all signed permutations of a few triples with the same sum of squares.
+/// Integer points exactly on one sphere of radius 21.
 fn cospherical() -> Vec<DVec3> {
     let mut set = BTreeSet::new();
     for x in -21i32..=21 {
@@ -45,8 +46,8 @@ fn torus(count: u64) -> Vec<DVec3> {
         .collect()
 }
 
-/// Neighbours agree, cells are positive, each vertex is present, and the complex with its vertex at infinity has the
-/// Euler characteristic of the 3-sphere.
+/// Neighbours agree, cells have positive volume, and every vertex is present. With the vertex at
+/// infinity, the triangulation has the Euler characteristic of the 3-sphere.
 fn check_structure(d: &Delaunay) {
     let mut seen = HashSet::new();
     let (mut edges, mut facets, mut cells) = (HashSet::new(), HashSet::new(), 0);
@@ -82,7 +83,7 @@ fn check_structure(d: &Delaunay) {
     }
 }
 
-/// No point strictly inside any sphere, none strictly beyond any hull triangle.
+/// No point lies strictly inside any circumsphere or strictly outside any hull triangle.
 fn check_spheres(d: &Delaunay) {
     for (t, v) in d.tetrahedra() {
         let corners = |p: DVec3| v.map(|i| if i == INFINITE { p } else { d.points()[i as usize] });
@@ -121,7 +122,7 @@ fn random_points_in_a_cube() {
     check_spheres(&d);
     let large = Delaunay::new(&cube(20_000)).unwrap();
     check_structure(&large);
-    // Poisson points have 6.77 cells a vertex in the mean; the hull takes some away
+    // Poisson points have 6.77 cells per vertex on average; the hull reduces this
     let ratio = large.finite_tetrahedra().count() as f64 / 20_000.0;
     assert!((6.3..6.8).contains(&ratio), "{ratio} cells a vertex");
 }
@@ -212,7 +213,7 @@ fn later_insertions_give_the_triangulation_of_the_whole() {
     }
 }
 
-/// Cut as often as there are a few points to insert.
+/// Cuts regions down to a few points.
 const FINELY: Cutting = Cutting { points: 40, depth: 6 };
 
 #[test]
@@ -261,7 +262,8 @@ fn regions_are_open_to_later_insertions() {
     assert_eq!(cells(&grown), cells(&Delaunay::new(&points).unwrap()));
 }
 
-/// A cavity with more walls than the table of its edges has room for: the centre of a sphere sees all of it.
+/// The centre of a sphere sees the whole sphere, so its cavity has more walls than the edge table
+/// can hold.
 #[test]
 fn large_cavities() {
     let on_sphere = |n: u64| {
@@ -301,7 +303,7 @@ fn scales_from_tiny_to_huge() {
 
 #[test]
 fn circumcentre_of_a_thin_cell_is_at_its_distance() {
-    // four points near a circle of radius 1 in the plane z = 0, the last one lifted by 1e-9
+    // four points near a circle of radius 1 in the plane z = 0; the last one is lifted by `far`
     let p = |angle: f64, z: f64| DVec3::new(angle.cos(), angle.sin(), z);
     for far in [1e-3, 1e-6, 1e-9] {
         let corners = [p(0.0, 0.0), p(1.0, 0.0), p(2.5, 0.0), p(4.0, 0.0) * (1.0 + far) + DVec3::Z * far];
@@ -315,7 +317,8 @@ fn circumcentre_of_a_thin_cell_is_at_its_distance() {
 
 #[test]
 fn circumcentre_of_a_cell_flat_up_to_rounding_is_far_away_in_any_unit() {
-    // quads in a tilted plane: what is left of their volume is rounding of the coordinates, too little for the filter
+    // Quads in a tilted plane. Their volume is only the rounding of the coordinates, below the
+    // bound of the filter.
     let (u, v) = (DVec3::new(0.9, 0.2, -0.3).normalize(), DVec3::new(0.1, 0.7, 0.6));
     let mut undecided = 0;
     for k in 0..200u64 {
@@ -331,7 +334,7 @@ fn circumcentre_of_a_cell_flat_up_to_rounding_is_far_away_in_any_unit() {
         undecided += 1;
         let Some(centre) = circumcentre(corners) else { continue };
         assert!(centre.length() > 1e6, "{centre}");
-        // powers of two scale without rounding
+        // scaling by powers of two is exact
         for scale in [2f64.powi(-10), 2f64.powi(-3), 2f64.powi(10)] {
             assert_eq!(circumcentre(corners.map(|p| p * scale)), Some(centre * scale));
         }

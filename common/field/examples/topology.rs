@@ -1,5 +1,6 @@
-//! The topology of F = 0 of distance fields, with its time and a digest of the whole answer, to compare builds by: `cargo run --release -p
-//! isoparticles-field --example topology -- F.vti [more.vti]`.
+//! Prints the topology of F = 0 for distance fields, the time it took, and digests of the complete
+//! result for comparing two builds of the code:
+//! `cargo run --release -p isoparticles-field --example topology -- F.vti [more.vti]`.
 
 use isoparticles_field::spline::CubicSpline;
 use isoparticles_field::topology::FieldTopology;
@@ -21,7 +22,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
             let (_, normal) = field.value_gradient(*p);
             topology.component_at(&field, *p, normal)
         };
-        // one in a hundred, projected
+        // looks up the component of one sample in a hundred, after projecting it onto F = 0
         let every = samples.iter().flatten().step_by(100);
         let found: Vec<_> = every.filter_map(|p| field.project(*p, 1.0, 1e-9)).map(|p| place(&p)).collect();
         let summary = topology.summary();
@@ -48,7 +49,8 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     Ok(())
 }
 
-/// Floats print so that they read back the same: equal text is equal bits.
+/// Hash of debug output. Floats print with enough digits to read back exactly, so equal text means
+/// equal bits.
 fn digest(text: &str) -> u64 {
     let mut hasher = DefaultHasher::new();
     text.hash(&mut hasher);

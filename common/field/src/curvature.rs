@@ -1,10 +1,12 @@
-//! Curvature of the level sets of F, from its derivatives (Goldman, *Curvature formulas for implicit curves and surfaces*, 2005).
+//! Curvature of the level sets of F from its gradient and Hessian (Goldman, *Curvature formulas for
+//! implicit curves and surfaces*, 2005).
 
 use crate::spline::{FLATTEST, Jet};
 use glam::{DMat3, DVec3};
 
-/// Curvature tensor of the level set through a point, per mm: the Hessian over the slope, restricted to the tangent plane; none where F is flat. Its
-/// eigenvalues are 0 (along the normal) and the two principal curvatures, positive on a ball.
+/// Curvature tensor of the level set through a point, per mm: the Hessian over the gradient's
+/// length, restricted to the tangent plane. Its eigenvalues are 0 (along the normal) and the two
+/// principal curvatures, positive on a ball. Zero where the gradient is shorter than [`FLATTEST`].
 pub fn curvature_tensor(jet: &Jet) -> DMat3 {
     let slope = jet.gradient.length();
     if slope < FLATTEST {
@@ -15,7 +17,8 @@ pub fn curvature_tensor(jet: &Jet) -> DMat3 {
     across * jet.hessian * across * (1.0 / slope)
 }
 
-/// Largest principal curvature in magnitude, per mm, of a curvature tensor on a surface with normal n.
+/// Absolute value of the principal curvature of larger magnitude, per mm, given the curvature
+/// tensor of a surface with unit normal n.
 pub fn largest_curvature(tensor: &DMat3, n: DVec3) -> f64 {
     let u = n.any_orthonormal_vector();
     let v = n.cross(u);
@@ -38,11 +41,11 @@ mod tests {
     #[test]
     fn on_a_ball_and_on_a_cylinder_curvature_is_what_it_is() {
         let p = DVec3::new(3.0, -2.0, 6.0);
-        // F = |p|^2, a level set of which is a ball of radius 7
+        // F = |p|^2: the level set through p is a ball of radius 7
         let ball = Jet { value: 0.0, gradient: 2.0 * p, hessian: DMat3::from_diagonal(DVec3::splat(2.0)) };
         assert!((mean_curvature(&ball) - 1.0 / 7.0).abs() < 1e-12);
         assert!((largest_curvature(&curvature_tensor(&ball), p / 7.0) - 1.0 / 7.0).abs() < 1e-12);
-        // F = x^2 + y^2
+        // F = x^2 + y^2: a cylinder along z
         let flat = p.with_z(0.0);
         let hessian = DMat3::from_diagonal(DVec3::new(2.0, 2.0, 0.0));
         let cylinder = Jet { value: 0.0, gradient: 2.0 * flat, hessian };

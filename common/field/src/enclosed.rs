@@ -1,44 +1,46 @@
-//! Volume within an implicit surface, by the connected components of a mesh of it.
+//! Volumes enclosed by an implicit surface, one for each connected component of a mesh of it.
 //!
-//! The vertices are moved onto the surface. The normals at the ends of an edge give the height of
-//! the surface over its middle, and these heights the volume between a triangle and the surface,
-//! which is quadratic over the triangle. Edges that bend too much are divided. The decision depends
-//! on the edge alone, so that the triangles stay a closed surface. Parts of the surface missing
-//! from the mesh are ignored.
+//! The mesh vertices are moved onto the surface. The normals at the ends of an edge give the height
+//! of the surface over the edge's middle. These heights give the volume between a triangle and the
+//! surface, which is taken to be quadratic over the triangle. Edges over which the surface bends
+//! too much are divided; the decision depends on the edge alone, so the triangles remain a closed
+//! surface. Parts of the surface missing from the mesh are ignored.
 
 use fearless_simd::{Level, dispatch};
 use glam::DVec3;
 use isoparticles_mesh::{TriangleMesh, components};
 use rayon::prelude::*;
 
-/// Height of the surface over the middle of an edge, as a part of its length, at which the edge is
-/// divided. With 0.1 the volume of a ball of 0.9 voxel is off by 0.07 %, with 0.13 by 0.11 % (test
+/// An edge is divided if the height of the surface over its middle exceeds this fraction of its
+/// length. With 0.1 the volume of a ball of 0.9 voxel is off by 0.07 %, with 0.13 by 0.11 % (test
 /// `balls_and_rods_have_their_volumes`).
 const FLAT: f64 = 0.1;
 
-/// The volume over a triangle with corners on a sphere is its area times the height over its edges
-/// times 1 + 10.7 (height / edge)^2, by the solid angle of the spherical triangle, to next order.
+/// Over a triangle with corners on a sphere, the volume is the area times the height over the edges
+/// times 1 + 10.7 (height / edge)^2, to next order, by the solid angle of the spherical triangle.
 const SPHERE: f64 = 10.7;
 
-/// Divisions of an edge, at most.
+/// Maximum number of times an edge is divided.
 const DIVISIONS: u32 = 3;
 
-/// Maximum number of Newton steps and their maximum length, over the distance from the surface that
-/// vertices may have; a point that does not converge is not moved.
+/// Maximum number of Newton steps of a projection. A point that does not converge is not moved.
 const STEPS: usize = 4;
+/// Maximum length of a Newton step, as a fraction of the maximum distance `near` of a vertex from
+/// the surface.
 const LONGEST_STEP: f64 = 0.3;
 
-/// Last step of a projection, over the longest. Newton's method squares the error: the distance
-/// that is left is 1e-4 of a voxel.
+/// A projection has converged once a step is shorter than this fraction of the longest step.
+/// Newton's method squares the error, so the remaining distance is 1e-4 of a voxel (with `near` one
+/// voxel).
 const TOLERANCE: f64 = 0.03;
 
-/// Vertices and triangles that one task takes.
+/// Vertices, or triangles, per parallel task.
 const CHUNK: usize = 1024;
 
-/// Volumes (mm^3) within the zero set of an implicit function (negative inside) by the components
-/// of `mesh`, in the order of [`components::of_vertices`]; those of cavities are negative.
-/// `value_gradient` takes points in the frame of the mesh. No vertex is farther than `near` (mm)
-/// from the surface. The result does not depend on the number of threads.
+/// Volumes (mm^3) enclosed by the zero set of an implicit function (negative inside), one per
+/// component of `mesh`, in the order of [`components::of_vertices`]; those of cavities are
+/// negative. `value_gradient` takes points in the frame of the mesh. No vertex may be farther than
+/// `near` (mm) from the surface. The result does not depend on the number of threads.
 pub fn enclosed_volumes(
     mesh: &TriangleMesh,
     near: f64,
@@ -47,7 +49,8 @@ pub fn enclosed_volumes(
     let (component, count) = components::of_vertices(mesh.vertices.len(), &mesh.triangles);
     let surface = Surface { value_gradient, longest: LONGEST_STEP * near };
     let instructions = Level::new();
-    // loops, and no closures for each: those would not be compiled for the instructions at hand
+    // plain loops instead of closures, which `dispatch!` would not compile for the instruction set
+    // at hand
     let vertices = mesh.vertices.par_chunks(CHUNK).flat_map_iter(|chunk| {
         let mut found = Vec::with_capacity(chunk.len());
         dispatch!(instructions, _simd => {
@@ -75,7 +78,7 @@ pub fn enclosed_volumes(
     found
 }
 
-/// A point of the surface and its unit normal; zero where there is none.
+/// A point of the surface and its unit normal; the normal is zero where the projection failed.
 #[derive(Clone, Copy)]
 struct Vertex {
     place: DVec3,
@@ -89,7 +92,8 @@ struct Surface<F> {
 }
 
 impl<F: Fn(DVec3) -> (f64, DVec3)> Surface<F> {
-    /// The point of the surface that Newton's method finds from a point near to it.
+    /// The point of the surface that Newton's method reaches from `start`; if it does not converge,
+    /// `start` itself with a zero normal.
     #[inline(always)]
     fn project(&self, start: DVec3) -> Vertex {
         let mut place = start;
@@ -108,7 +112,8 @@ impl<F: Fn(DVec3) -> (f64, DVec3)> Surface<F> {
         Vertex { place: start, normal: DVec3::ZERO }
     }
 
-    /// The volume between the origin and the surface over a triangle; `open` is room to work in.
+    /// Signed volume (mm^3) between the origin and the part of the surface over a triangle. `open`
+    /// is scratch space.
     #[inline(always)]
     fn integral(&self, corners: [Vertex; 3], open: &mut Vec<([Vertex; 3], u32)>) -> f64 {
         let mut sum = 0.0;
@@ -171,7 +176,7 @@ mod tests {
             assert_eq!(found.len(), 1);
             assert!((found[0] / volume - 1.0).abs() < 1e-3, "{radius}: {}", found[0] / volume);
         }
-        // a rod of a voxel's cross section with round ends
+        // a rod whose cross section has the area of a voxel's face, with round ends
         let radius = PI.sqrt().recip();
         let rod = |p: DVec3| {
             let nearest = DVec3::new(p.x.clamp(5.0, 15.0), 10.0, 10.0);

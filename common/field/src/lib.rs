@@ -1,10 +1,13 @@
-//! Implicit surfaces F = 0 and the fields on them.
+//! Implicit surfaces F = 0 and the fields on them, after Kim, Chen and Hansen 2012.
 //!
-//! [`spline`] is F itself: the cubic B-spline through samples of a signed distance, negative inside, with its analytic derivatives, of which [`curvature`] is made.
-//! [`sizing`] holds the target edge length h, [`energy`] the particles' energy (Eq. 1, 2 and 4 of Kim, Chen and Hansen 2012) and
-//! [`neighbours`] who is near whom; [`topology`] tells the components, Euler characteristics and critical points of F, [`marching_cubes`] makes a
-//! mesh of F = 0, and [`random`] counts its random numbers, so that nothing depends on the order of evaluation.
-//! [`materials`] holds one such function for each of many materials.
+//! - [`spline`]: F itself, the cubic B-spline through samples of a signed distance (negative
+//!   inside), with analytic derivatives; [`curvature`] is computed from these.
+//! - [`sizing`]: the target edge length h. [`energy`]: the particle energy (Eq. 1, 2 and 4).
+//! - [`neighbours`]: neighbour search. [`random`]: counter-based random numbers, independent of the
+//!   order of evaluation.
+//! - [`topology`]: components, Euler characteristics and critical points of F.
+//! - [`marching_cubes`]: a triangle mesh of F = 0.
+//! - [`materials`]: one such function for each of many materials.
 //!
 //! ```
 //! use glam::DVec3;
@@ -12,7 +15,8 @@
 //! use isoparticles_volume::{Geometry, Image};
 //!
 //! let centre = DVec3::splat(8.0);
-//! let distance = Image::sampled(Geometry::axis_aligned([17; 3], DVec3::ONE), |p| (p.distance(centre) - 5.0) as f32);
+//! let geometry = Geometry::axis_aligned([17; 3], DVec3::ONE);
+//! let distance = Image::sampled(geometry, |p| (p.distance(centre) - 5.0) as f32);
 //! let f = CubicSpline::new(&distance);
 //! let on_surface = f.project(DVec3::new(12.0, 9.0, 8.0), 2.0, 1e-6).expect("it is near");
 //! assert!((on_surface.distance(centre) - 5.0).abs() < 0.01);

@@ -1,11 +1,11 @@
-//! Marching cubes (Lorensen and Cline 1987): a closed, manifold first triangulation of F = iso, from which the stages
-//! take seeds, components and dense samples of the surface.
+//! Marching cubes (Lorensen and Cline 1987): a closed, manifold triangulation of F = iso. The
+//! stages use it for seeds, components and dense samples of the surface.
 //!
-//! The case table is not typed in but derived. Where only two opposite corners of a cell face are
+//! The case table is computed, not typed in. Where only two opposite corners of a cell face are
 //! inside, the sign at the saddle of the face decides whether they are joined across it (Nielson
 //! and Hamann 1991). The value there is that of a quadratic interpolant: the bilinear one breaks
 //! diagonal layers that are one voxel thin. Two cells that share a face always draw the same
-//! segments on it; the segments link up into loops, and a loop is cut into triangles without any
+//! segments on it. The segments link up into loops, and each loop is cut into triangles without a
 //! diagonal on a cell face. Hence every edge lies in exactly two triangles.
 
 use crate::node_bits::{NodeBits, Side, WORD, each_bit, first_bits, shifted};
@@ -17,18 +17,19 @@ use rayon::prelude::*;
 use std::collections::BTreeSet;
 use std::sync::OnceLock;
 
-/// Vertices keep this distance (in edge lengths) from the grid nodes, so that no triangle collapses where a
-/// sample equals the iso value.
+/// Minimum distance (in edge lengths) of vertices from the grid nodes. No triangle degenerates
+/// where a sample equals the iso value.
 const CLEARANCE: f64 = 1e-3;
 
-/// Slices that one task triangulates.
+/// Slices of cells per parallel task.
 const SLICES_PER_TASK: usize = 8;
 
 /// The surface between the samples below `iso` (inside) and the others, in the grid frame (mm).
 ///
-/// Triangles are counter-clockwise seen from the larger values. Values equal to `iso` count as outside, and so do
-/// NaNs. The mesh is closed unless inside samples lie on the border of the image, and then ends there; its edges and
-/// vertices are manifold. The order of vertices and triangles does not depend on the number of threads.
+/// Triangles are counter-clockwise seen from the larger values. Values equal to `iso` count as
+/// outside, and so do NaNs. The mesh is closed unless inside samples lie on the border of the
+/// image, where it ends. Its edges and vertices are manifold. The order of vertices and triangles
+/// does not depend on the number of threads.
 pub fn marching_cubes(image: &Image<f32>, iso: f32) -> TriangleMesh {
     let [nx, ny, nz] = image.geometry.size;
     if nx < 2 || ny < 2 || nz < 2 {
@@ -57,24 +58,27 @@ pub fn marching_cubes(image: &Image<f32>, iso: f32) -> TriangleMesh {
 struct Grid<'a> {
     image: &'a Image<f32>,
     iso: f32,
-    /// Most words of a row have nothing crossed in them.
+    /// Which nodes are inside. Most 64-bit words contain no crossing and are skipped as a whole.
     inside: NodeBits,
 }
 
-/// Triangles of some slices of cells; indices from the number of edge vertices on count `centres`.
+/// Triangles in some slices of cells. Vertex indices from the number of edge vertices on refer to
+/// `centres`.
 #[derive(Default)]
 struct Part {
     triangles: Vec<[u32; 3]>,
     centres: Vec<DVec3>,
 }
 
-/// Vertex numbers on the three grid edges that leave each node of a slice upwards, x fastest; any number on those that are not crossed.
+/// Vertex numbers on the three grid edges that start at each node of a slice, x fastest. Entries of
+/// edges that are not crossed are arbitrary.
 struct SliceNumbers {
     on_edge: Vec<[u32; 3]>,
 }
 
 impl Grid<'_> {
-    /// Visits the crossed grid edges that start in slice `k`, in the order of the vertex numbers.
+    /// Calls `visit(i, j, axis)` for the crossed grid edges that start in slice `k`, in the order
+    /// of the vertex numbers.
     fn each_crossing(&self, k: usize, mut visit: impl FnMut(usize, usize, usize)) {
         let [nx, ny, nz] = self.image.geometry.size;
         for j in 0..ny {
@@ -107,7 +111,8 @@ impl Grid<'_> {
         vertices
     }
 
-    /// Writes the numbers on the crossed edges of slice `k`, from `offset` on; the others stay what they are.
+    /// Writes the vertex numbers of slice `k`, starting at `offset`. Entries of edges that are not
+    /// crossed stay unchanged.
     fn number(&self, k: usize, offset: u32, numbers: &mut SliceNumbers) {
         let nx = self.image.geometry.size[0];
         let mut next = offset;
@@ -168,7 +173,8 @@ impl Grid<'_> {
         part
     }
 
-    /// One bit for each ambiguous face of the cell at `base`: whether its inside corners are joined.
+    /// One bit for each ambiguous face of the cell whose lowest node is `base`: whether its inside
+    /// corners are joined.
     fn joined_faces(&self, ambiguous: &[[u8; 4]], base: usize) -> usize {
         let [nx, ny, _] = self.image.geometry.size;
         let node = |corner: u8| {
@@ -183,11 +189,12 @@ impl Grid<'_> {
     }
 }
 
-/// The value at the saddle of a cell face, given its two pairs of opposite nodes. It is that of the
-/// bilinear interpolant, corrected by the mean second differences along the two axes; those across
-/// the border count as zero. Below the iso value, the inside corners are joined across the face.
+/// Value at the saddle of a cell face, given its two pairs of opposite nodes. It is that of the
+/// bilinear interpolant, corrected by the mean second differences along the two axes; second
+/// differences across the image border count as zero. Below the iso value, the inside corners are
+/// joined across the face.
 pub fn saddle_value(image: &Image<f32>, diagonal: [usize; 2], other: [usize; 2]) -> f64 {
-    // in one order, so that both cells of the face get the same bits
+    // sorted, so that both cells of the face compute the same bits
     let mut nodes = [diagonal[0], diagonal[1], other[0], other[1]];
     nodes.sort_unstable();
     let [a, b, c, d] = nodes.map(|n| f64::from(image.data[n]));
@@ -202,12 +209,12 @@ pub fn saddle_value(image: &Image<f32>, diagonal: [usize; 2], other: [usize; 2])
 }
 
 /// The value midway between two nodes is their mean minus this times their mean second difference.
-/// It gives each of them the weight of 0.6 that it has in the cubic spline; the next ones have
-/// -0.13 there, and here -0.1.
+/// With 0.2 each of the two nodes has the weight of 0.6 that it has in the cubic spline; the next
+/// nodes have -0.1, where the spline has -0.13.
 pub const MIDPOINT_BEND: f64 = 0.2;
 
-/// Second difference at a node between those `stride` nodes before and after it; zero on the
-/// border.
+/// Second difference at a node along the axis on which neighbours are `stride` nodes apart; zero on
+/// the image border.
 fn second_difference(image: &Image<f32>, node: usize, stride: usize) -> f64 {
     let [nx, ny, nz] = image.geometry.size;
     let (step, count) =
@@ -220,12 +227,13 @@ fn second_difference(image: &Image<f32>, node: usize, stride: usize) -> f64 {
     value(node - step) + value(node + step) - 2.0 * value(node)
 }
 
-// ---- the case table -------------------------------------------------------------------------------------------
+// ---- the case table ----------------------------------------------------------------------------
 
-/// Bit of a corner number that holds its offset along x, y and z: columns of fixed x are four neighbouring bits.
+/// Bit of a corner number that holds its offset along x, y and z. The four corners of one x are
+/// four neighbouring bits.
 const AXIS_BIT: [u8; 3] = [4, 1, 2];
 
-/// Offsets of a corner of the cell.
+/// Offset of a corner along each axis, 0 or 1.
 fn offset(corner: u8) -> [usize; 3] {
     AXIS_BIT.map(|bit| usize::from(corner & bit != 0))
 }
@@ -256,16 +264,18 @@ const fn edges() -> [Edge; 12] {
     list
 }
 
-/// One loop of the contour in a cell, as edges of the cell.
+/// One closed loop of the contour in a cell, as edges of the cell.
 enum Piece {
     Triangles(Vec<[u8; 3]>),
-    /// No diagonals exist that avoid the cell faces: triangles round an extra vertex at the mean of the loop.
+    /// Triangles around an extra vertex at the mean of the loop, where every triangulation has a
+    /// diagonal on a cell face.
     Fan(Vec<u8>),
 }
 
-/// What to draw for one pattern of inside corners.
+/// The contour for one pattern of inside corners.
 struct Case {
-    /// Faces whose inside corners (the first and third) lie opposite each other, in the order of the bits of a variant.
+    /// Faces with two opposite inside corners (the first and third), in the order of the bits of a
+    /// variant.
     ambiguous: Vec<[u8; 4]>,
     /// The contour for each choice of joined ambiguous faces.
     variants: Vec<Vec<Piece>>,
@@ -283,7 +293,7 @@ fn table() -> &'static [Case] {
     })
 }
 
-/// Faces with two opposite corners inside, turned so that these are the first and the third.
+/// Faces with two opposite corners inside, rotated so that these are the first and the third.
 fn ambiguous_faces(case: u8) -> Vec<[u8; 4]> {
     let pattern = |face: [u8; 4]| face.map(|corner| case >> corner & 1 == 1);
     faces()
@@ -311,8 +321,8 @@ fn faces() -> impl Iterator<Item = [u8; 4]> {
     })
 }
 
-/// Closed loops of the contour on the surface of the cell, the inside on a fixed hand. The bits of `variant` say which of the
-/// ambiguous faces join their inside corners.
+/// Closed loops of the contour on the surface of the cell, with the inside always on the same hand.
+/// The bits of `variant` say which ambiguous faces join their inside corners.
 fn loops(case: u8, variant: usize) -> Vec<Vec<u8>> {
     let inside = |corner: u8| case >> corner & 1 == 1;
     let mut next = [None; 12];
@@ -327,13 +337,14 @@ fn loops(case: u8, variant: usize) -> Vec<Vec<u8>> {
             if !inside(face[start]) || inside(face[(start + 3) % 4]) {
                 continue;
             }
-            // a run of inside corners from `start` to `end`: one segment cuts it off from the rest ...
+            // a run of inside corners from `start` to `end`: one segment cuts it off from the
+            // rest ...
             let mut end = start;
             while inside(face[(end + 1) % 4]) {
                 end = (end + 1) % 4;
             }
             if joined {
-                // ... or runs on to where the opposite run ends, cutting off the outside corner before it
+                // ... or, on a joined face, cuts off the outside corner before `start`
                 end = (end + 2) % 4;
             }
             let entering = edge_between(face[(start + 3) % 4], face[start]);
@@ -365,8 +376,9 @@ fn cut(cycle: Vec<u8>) -> Piece {
     }
 }
 
-/// Cuts off ears until a triangle is left, going back where only diagonals on a cell face remain; `given_up` holds
-/// remainders of the cycle that are known to have no such cut.
+/// Cuts off ears until one triangle is left, without diagonals on a cell face; backtracks where
+/// only such diagonals remain. `given_up` holds remainders of the cycle that are known to fail.
+/// Returns whether it succeeded.
 fn cut_without_face_diagonals(cycle: &[u8], triangles: &mut Vec<[u8; 3]>, given_up: &mut BTreeSet<Vec<u8>>) -> bool {
     if let &[a, b, c] = cycle {
         triangles.push([a, b, c]);
@@ -392,7 +404,7 @@ fn cut_without_face_diagonals(cycle: &[u8], triangles: &mut Vec<[u8; 3]>, given_
     false
 }
 
-/// A bit for each of the two faces of the cell that an edge lies on.
+/// One bit for each of the two faces of the cell that contain an edge.
 fn faces_of(edge: u8) -> u8 {
     let Edge { corner, axis } = EDGES[usize::from(edge)];
     let face = |across: usize| 1 << (2 * across + usize::from(corner & AXIS_BIT[across] != 0));

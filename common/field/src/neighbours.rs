@@ -1,9 +1,10 @@
-//! Who lies near whom: fixed-radius queries over points whose radii differ.
+//! Neighbour search over points with individual radii of interaction.
 //!
-//! [`NeighbourLists`] lists the neighbours of every point by a tree of boxes over the points in order of place, eight to a box: all of a query's work is on
-//! lanes that follow each other in memory. [`LevelBins`] answers for places that are no points, by a grid of bins for each octave of h.
-//! Either way a query looks at no more where h is graded, whatever its contrast, where the paper's one global bin edge
-//! max(h) (its own stated limitation) makes the fine regions pay for the coarse ones.
+//! [`NeighbourLists`] lists the neighbours of every point. It uses a tree of boxes over the points
+//! in spatial order, eight to a box, so that queries run on SIMD lanes over contiguous memory.
+//! [`LevelBins`] answers queries at arbitrary positions, with one grid of bins for each octave of
+//! h. The cost of a query does not depend on the contrast of h. The paper's single bin edge max(h),
+//! a limitation that it states, makes fine regions pay for coarse ones.
 
 mod bins;
 mod elimination;
@@ -17,14 +18,16 @@ use rayon::prelude::*;
 use std::ops::Range;
 use tree::{Candidates, LANES, Tree};
 
-/// Bins and boxes are wider than reaches by this share, so that rounding puts no interaction beyond the next.
+/// Relative widening of bins and boxes, so that rounding puts no interaction beyond the next one.
 const WIDENING: f64 = 1e-9;
 
-/// Points of a block of [`NeighbourLists::independent_blocks`]: what a pass reads of so many and those around them stays in the first caches of a
-/// core, and a few thousand points make enough blocks for all cores.
+/// Points per block of [`NeighbourLists::independent_blocks`]. The data that a pass reads for a
+/// block and its surroundings stays in the first caches of a core, and a few thousand points make
+/// enough blocks for all cores.
 pub const BLOCK: usize = 128;
 
-/// Points whose lists are made and kept together: a few thousand points make enough for all cores; a multiple of [`BLOCK`] and of [`LANES`].
+/// Points whose lists are made and stored together. A few thousand points make enough chunks for
+/// all cores. A multiple of [`BLOCK`] and of [`LANES`].
 const CHUNK: usize = 4 * BLOCK;
 
 /// Neighbours of every point.
@@ -33,26 +36,27 @@ pub struct NeighbourLists {
     count: usize,
     /// The lists of [`CHUNK`] points each.
     chunks: Vec<Lists>,
-    /// What the next lists are made by, in the same memory.
+    /// The tree that made the lists; the next lists reuse its memory.
     tree: Tree,
 }
 
-/// Lists of some points, in order.
+/// Lists of consecutive points.
 #[derive(Clone, Debug, Default)]
 struct Lists {
-    /// Where each begins, and the end of the last.
+    /// Start of each list, and the end of the last.
     starts: Vec<u32>,
     members: Vec<u32>,
 }
 
 impl NeighbourLists {
-    /// Lists, for each point i, the others j nearer than `reach * min(h_i, h_j)` that `accept(i, j)` lets pass. Sizes must be positive and finite. It is quickest where the points
-    /// are in order of place ([`space_order`]).
+    /// Lists, for each point i, the others j that are nearer than `reach * min(h_i, h_j)` and for
+    /// which `accept(i, j)` holds. Sizes must be positive and finite. Fastest if the points are in
+    /// spatial order ([`space_order`]).
     pub fn new(points: &[DVec3], sizes: &[f64], reach: f64, accept: impl Fn(usize, usize) -> bool + Sync) -> Self {
         Self::default().anew(points, sizes, reach, accept)
     }
 
-    /// The same in the memory of these lists, which are gone.
+    /// As [`Self::new`], but reuses the memory of these lists, which are dropped.
     #[must_use]
     pub fn anew(
         mut self,
@@ -95,7 +99,7 @@ impl NeighbourLists {
         })
     }
 
-    /// Lists of so many points, made a chunk at a time.
+    /// Makes the lists of `count` points, chunk by chunk.
     fn of_chunks(mut self, count: usize, append: impl Fn(Range<usize>, &mut Lists) + Sync) -> Self {
         self.count = count;
         self.chunks.resize_with(count.div_ceil(CHUNK), Lists::default);
@@ -133,10 +137,12 @@ impl NeighbourLists {
         self.chunks.iter().map(|lists| lists.members.len()).sum::<usize>() as f64 / self.count.max(1) as f64
     }
 
-    /// Cuts the points into blocks of [`BLOCK`] consecutive ones, and the blocks into classes: no point of a block has a neighbour in another block
-    /// of its class (greedy colouring, the smallest free colour). So the blocks of one class can be worked on at the same time, the points of
-    /// a block one after the other, without one seeing the other move, whatever the contrast of h: the paper's rule (section 4) that no overlapping
-    /// neighbourhoods run together. The points should be in order of place ([`space_order`]).
+    /// Divides the points into blocks of [`BLOCK`] consecutive ones, and the blocks into classes,
+    /// so that no point has a neighbour in another block of its class (greedy colouring, smallest
+    /// free colour). The blocks of a class can run at the same time, each point by point: no block
+    /// reads a point that another one moves, whatever the contrast of h. This is the paper's rule
+    /// (section 4) that overlapping neighbourhoods must not run together. The points should be in
+    /// spatial order ([`space_order`]).
     pub fn independent_blocks(&self) -> Vec<Vec<u32>> {
         let blocks = self.len().div_ceil(BLOCK);
         let seen: Vec<Vec<u32>> = (0..blocks)
@@ -146,7 +152,7 @@ impl NeighbourLists {
                 let own = block * BLOCK..self.len().min((block + 1) * BLOCK);
                 for j in own.flat_map(|i| self.of(i)) {
                     let other = j / BLOCK as u32;
-                    // the blocks after this one have no colour yet
+                    // later blocks have no colour yet
                     if other != last && (other as usize) < block {
                         seen.push(other);
                     }
@@ -159,7 +165,7 @@ impl NeighbourLists {
             .collect();
         let mut colour: Vec<usize> = Vec::with_capacity(blocks);
         let mut classes: Vec<Vec<u32>> = Vec::new();
-        // the last block that has seen each colour
+        // the last block with a neighbour in each colour
         let mut seen_by: Vec<usize> = Vec::new();
         for (block, seen) in seen.iter().enumerate() {
             seen.iter().for_each(|&other| seen_by[colour[other as usize]] = block);
@@ -175,7 +181,7 @@ impl NeighbourLists {
     }
 }
 
-/// Appends the lists of some points that begin with a run.
+/// Appends the lists of the points in `range`, which starts with a run.
 #[inline(always)]
 #[expect(clippy::too_many_arguments, reason = "a closure's body, so that it is compiled for each instruction set")]
 fn append_lists<S: Simd>(

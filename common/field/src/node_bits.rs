@@ -1,29 +1,32 @@
-//! A bit for each node of a grid, in rows of whole words: what changes from node to node is found for 64 of them at once.
+//! One bit for each node of a grid, in rows of whole words: 64 nodes are compared with their
+//! neighbours at once.
 
 use fearless_simd::{Level, Simd, dispatch, f32x16, prelude::*};
 use rayon::prelude::*;
 
-/// Nodes of a word.
+/// Nodes per word.
 pub(crate) const WORD: usize = u64::BITS as usize;
 
 /// Nodes that one lane operation compares.
 const LANES: usize = 16;
 
-/// Which values are marked.
+/// The side of a level on which values are marked.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Side {
     Below,
     Above,
 }
 
-/// The bits, rows along x from whole words on; those beyond the end of a row are zero.
+/// The bits of all nodes. Each row along x starts with a new word; bits beyond the end of a row are
+/// zero.
 pub(crate) struct NodeBits {
     words: Vec<u64>,
     width: usize,
 }
 
 impl NodeBits {
-    /// Marks the values (x fastest, rows of `nx`) on one side of a level; none that is not a number.
+    /// Marks the values (x fastest, rows of `nx`) strictly on one side of a level. NaN is never
+    /// marked.
     pub(crate) fn of(values: &[f32], nx: usize, side: Side, level: f32) -> Self {
         let width = nx.div_ceil(WORD);
         if values.is_empty() {
@@ -37,23 +40,23 @@ impl NodeBits {
         Self { words, width }
     }
 
-    /// Words of a row.
+    /// Words per row.
     pub(crate) fn width(&self) -> usize {
         self.width
     }
 
-    /// The words of a row, its number being j + ny k.
+    /// The words of a row, whose number is j + ny k.
     pub(crate) fn row(&self, row: usize) -> &[u64] {
         self.rows(row, 1)
     }
 
-    /// The words of some rows that follow each other.
+    /// The words of some consecutive rows.
     pub(crate) fn rows(&self, first: usize, count: usize) -> &[u64] {
         &self.words[first * self.width..][..count * self.width]
     }
 }
 
-/// Sets bits of a row in words that are zero.
+/// Sets the bits of a row; `words` must be zero.
 #[inline(always)]
 fn mark<S: Simd>(simd: S, row: &[f32], side: Side, level: f32, words: &mut [u64]) {
     let (whole, rest) = row.as_chunks::<LANES>();
@@ -74,7 +77,8 @@ fn mark<S: Simd>(simd: S, row: &[f32], side: Side, level: f32, words: &mut [u64]
     }
 }
 
-/// The bits of the nodes so many behind those of a word of a row, ones beyond its ends; less than a word.
+/// The bits of the nodes that follow those of a word of a row at a distance of `by` nodes, less
+/// than a word. Bits beyond the ends of the row are one.
 pub(crate) fn shifted(row: &[u64], word: usize, by: isize) -> u64 {
     let at = |word: Option<usize>| word.and_then(|word| row.get(word)).copied().unwrap_or(u64::MAX);
     let own = row[word];
@@ -85,7 +89,7 @@ pub(crate) fn shifted(row: &[u64], word: usize, by: isize) -> u64 {
     }
 }
 
-/// Visits the places of the bits that are set, ascending.
+/// Calls `visit` with the place of every bit that is set, ascending.
 pub(crate) fn each_bit(mut bits: u64, mut visit: impl FnMut(usize)) {
     while bits != 0 {
         visit(bits.trailing_zeros() as usize);
@@ -93,7 +97,7 @@ pub(crate) fn each_bit(mut bits: u64, mut visit: impl FnMut(usize)) {
     }
 }
 
-/// The first so many bits of a word, all of them at most.
+/// The first `count` bits of a word, all of them at most.
 pub(crate) fn first_bits(count: usize) -> u64 {
     if count >= WORD { u64::MAX } else { (1 << count) - 1 }
 }

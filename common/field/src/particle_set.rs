@@ -1,4 +1,4 @@
-//! The particles: what `seed` makes, `particles` settles and `reconstruct` joins into a mesh.
+//! The particles that `seed` creates, `particles` settles and `reconstruct` joins into a mesh.
 
 use crate::materials::Stratum;
 use glam::DVec3;
@@ -16,21 +16,23 @@ pub struct ParticleSet {
     pub normals: Vec<DVec3>,
     /// Target edge length h at each particle, mm.
     pub sizes: Vec<f64>,
-    /// Energy of each particle (Eq. 1); zero where not computed yet.
+    /// Energy of each particle (Eq. 1); zero if not computed yet.
     pub energies: Vec<f64>,
     /// Levenberg-Marquardt damping of each particle.
     pub lambdas: Vec<f64>,
 }
 
-/// Where the particles of many materials live, beside their [`ParticleSet`], in the same order: junction points first, then those on junction
-/// curves, then those on sheets.
+/// Strata of the particles of many materials, in the order of their [`ParticleSet`]: first junction
+/// points, then particles on junction curves, then particles on material interfaces.
 ///
-/// On a sheet the normal is that of the sheet, from the material of the higher number to that of the lower; on a curve it is the tangent; at a point it is zero.
+/// On an interface, the normal points from the material of the higher number to that of the lower.
+/// On a curve it is the tangent, at a junction point it is zero.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Strata {
     /// The stratum of each particle.
     pub of: Vec<Stratum>,
-    /// Pairs of particles that follow each other on a junction curve, its ends (junction points, or where it meets the border of the volume) included. A
-    /// closed curve of one particle has none, one of two has two.
+    /// Pairs of consecutive particles on a junction curve, its ends included (junction points, or
+    /// particles on the border of the volume). A closed curve of one particle has no pair, one of
+    /// two particles has two.
     pub segments: Vec<[u32; 2]>,
 }

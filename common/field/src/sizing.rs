@@ -1,4 +1,5 @@
-//! The sizing field h: target edge length, read by trilinear interpolation, and how many particles it asks for.
+//! The sizing field h: the target edge length, interpolated trilinearly, and the number of
+//! particles that it predicts.
 
 use crate::spline::CubicSpline;
 use crate::surface_integral::integrate;
@@ -19,7 +20,7 @@ impl SizingField {
         Self { image }
     }
 
-    /// The field whose edge lengths are `factor` times as long.
+    /// The field with all edge lengths multiplied by `factor`.
     pub fn scaled(&self, factor: f64) -> Self {
         let data = self.image.data.par_iter().map(|&h| (factor * f64::from(h)) as f32).collect();
         Self { image: Image { geometry: self.image.geometry.clone(), data } }
@@ -36,14 +37,14 @@ impl SizingField {
         trilinear(&self.image, grid)
     }
 
-    /// Edge length (mm) and its gradient (dimensionless) at a grid position. The gradient is that of the trilinear cell,
-    /// so it jumps from cell to cell.
+    /// Edge length (mm) and its gradient (dimensionless) at a grid position. The gradient is that
+    /// of the trilinear cell, so it jumps from cell to cell.
     #[inline(always)]
     pub fn value_gradient(&self, grid: DVec3) -> (f64, DVec3) {
         let cell = Cell::around(&self.image, grid);
         let value = |x: usize, y: usize, z: usize| cell.value([x, y, z]);
         let [tx, ty, tz] = cell.fraction;
-        // along x first: the four edges of the cell
+        // along x first: the values on the four edges of the cell
         let (e00, e10) = (mix(value(0, 0, 0), value(1, 0, 0), tx), mix(value(0, 1, 0), value(1, 1, 0), tx));
         let (e01, e11) = (mix(value(0, 0, 1), value(1, 0, 1), tx), mix(value(0, 1, 1), value(1, 1, 1), tx));
         let slope = |y: usize, z: usize| value(1, y, z) - value(0, y, z);
@@ -55,12 +56,14 @@ impl SizingField {
         (mix(mix(e00, e10, ty), mix(e01, e11, ty), tz), gradient / self.image.geometry.spacing)
     }
 
-    /// Particles for each mm squared of a surface with this unit normal at a grid position: 2 / (sqrt(3) e^2), the density of the
-    /// hexagonal lattice of edge e.
+    /// Particles per mm^2 of a surface with this unit normal at a grid position: 2 / (sqrt(3) e^2),
+    /// the density of the hexagonal lattice of edge e.
     ///
-    /// Two particles keep the distance of the smaller of their two h (Eq. 2). So a step up the slope of h is h long, and along a direction in
-    /// which h has the slope s, h grows by the factor 1 + s with each step: there is one to every h ln(1 + s) / s on average. With the slope
-    /// s |cos t| in the direction t, e is the mean of that over all directions, in closed form h (asin s / s) (1 - asin s / pi).
+    /// Two particles keep the distance of the smaller of their two h (Eq. 2). A step up the slope
+    /// of h is therefore h long. Along a direction in which h has the slope s, h grows by the
+    /// factor 1 + s with each step, so the mean step is h ln(1 + s) / s. In the direction t the
+    /// slope is s |cos t|, and e is the mean over all directions: h (asin s / s) (1 - asin s / pi)
+    /// in closed form.
     pub fn lattice_density(&self, grid: DVec3, normal: DVec3) -> f64 {
         let (h, gradient) = self.value_gradient(grid);
         2.0 / (3f64.sqrt() * (h * edge_over_size(gradient.reject_from_normalized(normal).length())).powi(2))
@@ -71,14 +74,15 @@ impl SizingField {
         integrate(surface, |point, normal| self.lattice_density(point, normal))
     }
 
-    /// The same on triangles, those of marching cubes say, that follow F = 0 as far as its samples tell: enough to judge by, and quicker.
+    /// The same on triangles that follow F = 0, for example those of marching cubes. Faster, but it
+    /// misses whatever lies between the samples.
     pub fn count_on(&self, points: &[DVec3], triangles: &[[u32; 3]]) -> f64 {
         let on = |corners: &[u32; 3]| {
             let [a, b, c] = corners.map(|v| points[v as usize]);
             let doubled = (b - a).cross(c - a);
             0.5 * doubled.length() * self.lattice_density((a + b + c) / 3.0, doubled.normalize_or_zero())
         };
-        // added up in order, whatever the threads
+        // summed in order, so that the number of threads does not matter
         triangles.par_iter().map(on).collect::<Vec<f64>>().iter().sum()
     }
 }
@@ -92,7 +96,8 @@ pub fn trilinear(image: &Image<f32>, grid: DVec3) -> f64 {
     mix(mix(along_x(0, 0), along_x(1, 0), ty), mix(along_x(0, 1), along_x(1, 1), ty), tz)
 }
 
-/// Mean edge of the lattice over h where h has this slope along the surface; slopes above 1 count as 1.
+/// Mean edge of the lattice over h, where h has this slope along the surface. Slopes above 1 count
+/// as 1.
 fn edge_over_size(slope: f64) -> f64 {
     if slope < 1e-6 {
         return 1.0;
@@ -106,7 +111,7 @@ fn mix(a: f64, b: f64, t: f64) -> f64 {
     a + (b - a) * t
 }
 
-/// The eight voxels round a position.
+/// The eight voxels around a position.
 struct Cell {
     /// Their values: at x and x + 1 in each of the four rows along x, y fastest.
     rows: [[f64; 2]; 4],
@@ -125,7 +130,7 @@ impl Cell {
         for axis in 0..3 {
             let last = (g.size[axis] - 1) as f64;
             let x = index[axis].clamp(0.0, last);
-            // positive: the cast rounds down
+            // not negative, so the cast rounds down
             base[axis] = (x as usize).min(g.size[axis].saturating_sub(2));
             fraction[axis] = x - base[axis] as f64;
             // an axis of one voxel has no neighbour to blend with
@@ -173,7 +178,7 @@ mod tests {
             );
             assert!((gradient - want).length() < 2e-5, "{p}: {gradient}, not {want}");
         }
-        // clamped outside
+        // clamped outside the volume
         assert_eq!(field.at(DVec3::splat(-3.0)), field.at(DVec3::ZERO));
         assert_eq!(field.at(2.0 * geometry.upper_corner()), field.at(geometry.upper_corner()));
     }
@@ -206,7 +211,7 @@ mod tests {
         let area = 4.0 * PI * radius * radius;
         for slope in [0.0, 0.1, 0.3] {
             let size = |x: f64| 4.0 + slope * x;
-            // rings of the ball between planes of one height have one area
+            // bands of a sphere between planes of equal spacing have equal areas
             let rings = 2000;
             let want: f64 = (0..rings)
                 .map(|n| -1.0 + (2.0 * f64::from(n) + 1.0) / f64::from(rings))

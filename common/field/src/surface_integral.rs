@@ -1,9 +1,11 @@
 //! Integrals over F = 0 from its crossings with straight lines (Cauchy and Crofton).
 //!
-//! Lines along an axis a, one to every area s, cross a piece of surface of area A and unit normal n on average A |n_a| / s times. So the sum of
-//! s |n_a| over the crossings with lines along all three axes has the mean A (n_x^2 + n_y^2 + n_z^2) = A. The spline is a cubic along a
-//! line within a cell, whose roots are found exactly. So sheets, folds and specks that lie between the nodes count, which the triangles of
-//! marching cubes pass over: on a noisy volume those have a tenth less area than F = 0.
+//! Take lines along an axis a, one per area s of the plane across it. They cross a piece of surface
+//! of area A and unit normal n on average A |n_a| / s times. The sum of s |n_a| over the crossings
+//! with lines along all three axes therefore has the mean A (n_x^2 + n_y^2 + n_z^2) = A. Along a
+//! line within a cell the spline is a cubic, all of whose roots are found. Folds and specks between
+//! the nodes thus count. The triangles of marching cubes miss them: on a noisy volume, a tenth of
+//! the area of F = 0.
 
 use crate::spline::CubicSpline;
 use crate::spline::bezier::{BezierPoints, ORDER};
@@ -11,21 +13,23 @@ use crate::topology::Signs;
 use glam::DVec3;
 use rayon::prelude::*;
 
-/// Lines along each axis through a cell, in each of the two directions across. With two the area of a staircase of labels came out a hundredth too
-/// large, with three as with five.
+/// Lines along each axis through a cell, in each of the two transverse directions. With two, the
+/// area of a staircase of labels is 1 % too large; three and five agree.
 const LINES: usize = 3;
 
-/// Halvings of a line within a cell after which what may still be several roots is taken for one (or for none).
+/// Maximum number of bisections of a line within a cell. If the points of an interval still change
+/// sign several times, it counts as one root (odd) or none (even).
 const HALVINGS: u32 = 12;
 
-/// Steps that find a root, at most: each halves what is left where Newton's method does not do better.
+/// Maximum number of steps that find a root. Each halves the interval where Newton's method does
+/// not do better.
 const STEPS: usize = 30;
 
-/// How closely a root is found, as a part of a cell.
+/// Accuracy of a root, as a fraction of a cell.
 const ACCURACY: f64 = 1e-7;
 
-/// Integral of `density(point, unit normal)` over F = 0, within the volume; points in the grid frame (mm). The result does not depend on the
-/// number of threads.
+/// Integral of `density(point, unit normal)` over F = 0, within the volume; points in the grid
+/// frame (mm). The result does not depend on the number of threads.
 pub fn integrate(surface: &CubicSpline, density: impl Fn(DVec3, DVec3) -> f64 + Sync) -> f64 {
     let size = surface.geometry().size.map(|n| n.saturating_sub(1));
     let signs = Signs::of(surface);
@@ -40,7 +44,7 @@ pub fn integrate(surface: &CubicSpline, density: impl Fn(DVec3, DVec3) -> f64 + 
     layers.iter().sum()
 }
 
-/// The part of a cell.
+/// The integral over one cell.
 fn integrate_cell(
     surface: &CubicSpline,
     cell: [usize; 3],
@@ -86,20 +90,21 @@ fn have_one_sign(points: &[f64]) -> bool {
     negative == 0 || negative == points.len()
 }
 
-/// The Bézier points of a cell by their places along the axis after the given one, the one after that, and the given one.
+/// The Bézier points of a cell, indexed by the axis after the given one, the axis after that, and
+/// the given one.
 fn turn(points: &BezierPoints, axis: usize) -> [[[f64; ORDER]; ORDER]; ORDER] {
     let stride = |axis: usize| ORDER.pow(axis as u32 % 3);
     let [t, u, v] = [axis, axis + 1, axis + 2].map(stride);
     std::array::from_fn(|i| std::array::from_fn(|j| std::array::from_fn(|k| points[u * i + v * j + t * k])))
 }
 
-/// Sum of four points with weights.
+/// Weighted sum of four rows of points.
 #[inline]
 fn blend([a, b, c, d]: &[[f64; 4]; 4], weights: [f64; 4]) -> [f64; 4] {
     std::array::from_fn(|n| weights[0] * a[n] + weights[1] * b[n] + weights[2] * c[n] + weights[3] * d[n])
 }
 
-/// The four cubic Bernstein polynomials.
+/// The four cubic Bernstein polynomials at t.
 fn bernstein(t: f64) -> [f64; 4] {
     let s = 1.0 - t;
     [s * s * s, 3.0 * s * s * t, 3.0 * s * t * t, t * t * t]
@@ -111,14 +116,14 @@ fn slopes(t: f64) -> [f64; 4] {
     [-3.0 * s * s, 3.0 * s * (s - 2.0 * t), 3.0 * t * (2.0 * s - t), 3.0 * t * t]
 }
 
-/// Sum of four numbers with weights.
+/// Weighted sum of four numbers.
 #[inline]
 fn sum_of(points: [f64; 4], weights: [f64; 4]) -> f64 {
     weights[0] * points[0] + weights[1] * points[1] + weights[2] * points[2] + weights[3] * points[3]
 }
 
-/// Calls `found` with every root of a cubic between `low` and `high`, whose Bézier points are given there: halved until the points
-/// change their sign once at most.
+/// Calls `found` with every root between `low` and `high` of a cubic, given by its Bézier points
+/// there. Bisects until the points change sign at most once.
 fn each_root(points: [f64; 4], low: f64, high: f64, halvings: u32, found: &mut impl FnMut(f64)) {
     let changes = points.windows(2).filter(|pair| (pair[0] < 0.0) != (pair[1] < 0.0)).count();
     if changes == 1 || (halvings == 0 && changes % 2 == 1) {
@@ -139,8 +144,8 @@ fn halves([a, b, c, d]: [f64; 4]) -> [[f64; 4]; 2] {
     [[a, ab, abc, middle], [middle, bcd, cd, d]]
 }
 
-/// The root in [0, 1] of a cubic with Bézier points that change their sign once: Newton's method, with bisection where that would leave the
-/// interval in which the root is.
+/// The root in [0, 1] of a cubic whose Bézier points change sign once: Newton's method, with
+/// bisection where that would leave the interval that contains the root.
 fn single_root([a, b, c, d]: [f64; 4]) -> f64 {
     let (c1, c2, c3) = (3.0 * (b - a), 3.0 * (a - 2.0 * b + c), d - a + 3.0 * (b - c));
     let (mut low, mut high) = (0.0, 1.0);
@@ -180,7 +185,7 @@ mod tests {
             let r = 3.0 + 0.4 * n as f64;
             let surface = spline([20, 40, 20], DVec3::new(1.0, 0.5, 1.0), |p| p.distance(centre) - r);
             let area = integrate(&surface, |_, _| 1.0) / (4.0 * PI * r * r);
-            // the flux of the place through the surface is three times the volume
+            // the flux of the position through the surface is three times the volume
             let flux = integrate(&surface, |p, normal| (p - centre).dot(normal)) / (4.0 * PI * r.powi(3));
             println!("radius {r}: area {area}, flux {flux}");
             assert!((area - 1.0).abs() < 0.005 && (flux - 1.0).abs() < 0.005, "radius {r}: area {area}, flux {flux}");
@@ -199,11 +204,11 @@ mod tests {
         assert_eq!(integrate(&spline([12; 3], DVec3::ONE, |p| p.z + 1.0), |_, _| 1.0), 0.0);
     }
 
-    /// Sheets less than a voxel apart, between the nodes: marching cubes sees none of them.
+    /// Two parts of F = 0 less than a voxel apart, between the nodes: marching cubes sees neither.
     #[test]
     fn what_lies_between_the_nodes_counts() {
         let mut image = Image::filled(Geometry::axis_aligned([9, 9, 10], DVec3::ONE), 1.0f32);
-        // along z the spline dips below zero between the two middle ones
+        // along z the spline dips below zero between the two middle nodes
         for (n, value) in image.data.iter_mut().enumerate() {
             *value = [20.0, 10.0, 5.0, 2.0, 0.1, 0.1, 2.0, 5.0, 10.0, 20.0][n / 81];
         }

@@ -1,84 +1,85 @@
-//! What can go wrong with a file.
+//! Errors of file access, with a reason and a remedy for the user.
 
 use std::io;
 use std::path::{Path, PathBuf};
 
-/// What is wrong with a file. The text says which file and what; [`Error::reason`] why that matters and [`Error::remedy`] what can be done.
+/// An error of file access. The text names the file and the problem, [`Error::reason`] states why
+/// it matters, and [`Error::remedy`] what to do.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum Error {
-    /// The operating system does not let the file be used.
+    /// The operating system refuses access to a file or folder.
     #[error("{}: cannot {doing}: {source}", path.display())]
     System {
         /// The file or folder.
         path: PathBuf,
-        /// What was tried, such as "read".
+        /// The failed operation, such as "read".
         doing: String,
-        /// What the operating system says.
+        /// The error of the operating system.
         source: io::Error,
-        /// What can be done.
+        /// What to do.
         remedy: String,
     },
-    /// The file cannot be written; nothing half written is left.
+    /// The file cannot be written; no partial file is left.
     #[error("{}: cannot write: {source}", path.display())]
     Write {
         /// The file.
         path: PathBuf,
-        /// What the operating system says.
+        /// The error of the operating system.
         source: io::Error,
     },
-    /// A file is to be written where a folder is.
+    /// A folder has the name of the output file.
     #[error("{}: is a folder", path.display())]
     Folder {
         /// The folder.
         path: PathBuf,
     },
-    /// A file is there that may not be replaced.
+    /// The output file already exists and may not be replaced.
     #[error("{}: exists already", path.display())]
     Exists {
         /// The file.
         path: PathBuf,
     },
-    /// The run was asked to stop while the file was written; nothing half written is left.
+    /// The run was interrupted while writing the file; no partial file is left.
     #[error("{}: interrupted while writing", path.display())]
     Interrupted {
         /// The file.
         path: PathBuf,
     },
-    /// A header promises more than there is memory for.
+    /// A header promises more data than there is free memory.
     #[error("{}: its header promises {} MiB of voxels", path.display(), promised >> 20)]
     TooLarge {
         /// The file.
         path: PathBuf,
-        /// What the header promises, bytes.
+        /// Bytes that the header promises.
         promised: u64,
-        /// Memory that can be had, bytes.
+        /// Free memory in bytes.
         available: u64,
     },
-    /// The file is not what its format demands, or not what is needed.
+    /// The contents violate the file format or are not what the program needs.
     #[error("{}: {problem}", path.display())]
     Contents {
         /// The file.
         path: PathBuf,
-        /// What is at fault, with its value and its place.
+        /// The problem, with the offending value and its place.
         problem: String,
         /// Why that matters.
         reason: String,
-        /// What can be done.
+        /// What to do.
         remedy: String,
     },
 }
 
-/// Result of work on a file.
+/// Result of a file operation.
 pub type Result<T> = std::result::Result<T, Error>;
 
 impl Error {
-    /// The operating system's error on a file.
+    /// An operating-system error; `doing` is the failed operation, such as "read".
     pub fn system(path: &Path, doing: &str, source: io::Error, remedy: impl Into<String>) -> Self {
         Self::System { path: path.to_path_buf(), doing: doing.to_owned(), source, remedy: remedy.into() }
     }
 
-    /// What a file holds is not usable.
+    /// An error in the contents of a file.
     pub fn contents(
         path: &Path,
         problem: impl std::fmt::Display,
@@ -93,7 +94,7 @@ impl Error {
         }
     }
 
-    /// Why it matters.
+    /// Why the error matters.
     pub fn reason(&self) -> String {
         match self {
             Self::System { .. } => "the file is needed".to_owned(),
@@ -106,7 +107,7 @@ impl Error {
         }
     }
 
-    /// What can be done.
+    /// What to do about the error.
     pub fn remedy(&self) -> String {
         let remedy = match self {
             Self::System { remedy, .. } | Self::Contents { remedy, .. } => remedy,

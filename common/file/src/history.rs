@@ -1,46 +1,50 @@
-//! The history that every output carries: what made it, with which parameters, from what.
+//! The history that every output file carries: the program, its parameters and its input files,
+//! each with its own history.
 //!
-//! It holds nothing that varies between two equal runs: no times, no folders, no thread counts, no output names.
+//! Two equal runs give equal histories: these contain no times, folders, thread counts or output
+//! names.
 
 use crate::error::{Error, Result};
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 
-/// What made a file.
+/// How a file was made.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct History {
-    /// Name of the stage.
+    /// Name of the stage program.
     pub tool: String,
-    /// Its version.
+    /// Version of the stage program.
     pub version: String,
-    /// Its command line, with file names for paths and without the options that do not change the result.
+    /// Command line of the program. Paths are reduced to file names, and options that do not affect
+    /// the result are left out.
     pub command_line: String,
-    /// Parameters as they applied, defaults and seed included.
+    /// All parameters in effect, including defaults and the seed.
     pub parameters: serde_json::Value,
-    /// What it was made from.
+    /// The input files.
     pub inputs: Vec<Input>,
 }
 
-/// A file that something was made from.
+/// An input file of a run.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Input {
     /// File name, without folders.
     pub path: String,
-    /// BLAKE3 hash of its bytes, in hexadecimal.
+    /// BLAKE3 hash of the contents in hexadecimal; see [`hash_file`].
     pub blake3: String,
-    /// Its own history, where it carries one.
+    /// The input's own history, if it carries one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub history: Option<Box<History>>,
 }
 
 impl Input {
-    /// Hashes a file.
+    /// Hashes a file or folder.
     pub fn of_file(path: &Path, history: Option<History>) -> Result<Self> {
         Ok(Self { path: file_name(path), blake3: hash_file(path)?, history: history.map(Box::new) })
     }
 }
 
-/// BLAKE3 hash of a file's bytes, in hexadecimal; of a folder (a DICOM series), that of the names and hashes of the files in it, by name.
+/// BLAKE3 hash of a file in hexadecimal. For a folder (a DICOM series), hashes the names and hashes
+/// of the files directly in it, sorted by name.
 pub fn hash_file(path: &Path) -> Result<String> {
     if path.is_dir() {
         return hash_folder(path);

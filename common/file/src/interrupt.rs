@@ -1,15 +1,16 @@
-//! The flag that says that the run shall stop. A stage program sets it on SIGINT and SIGTERM; whatever writes files looks at it.
+//! The flag that requests a run to stop. Stage programs set it on SIGINT and SIGTERM; code that
+//! writes files checks it.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 
 static INTERRUPTED: AtomicBool = AtomicBool::new(false);
 
-/// Asks the run to stop; returns whether it had been asked before.
+/// Requests the run to stop. Returns whether that was already requested.
 pub fn request() -> bool {
     INTERRUPTED.swap(true, Ordering::SeqCst)
 }
 
-/// Whether the run shall stop.
+/// Whether the run should stop.
 pub fn requested() -> bool {
     INTERRUPTED.load(Ordering::Relaxed)
 }

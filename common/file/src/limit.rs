@@ -1,13 +1,14 @@
-//! Refuses what does not fit in memory before it is allocated.
+//! Refuses data that does not fit in memory before it is allocated.
 
 use crate::error::{Error, Result};
 use crate::memory::available_memory;
 use std::path::Path;
 
-/// Refuses `bytes` more of memory when the machine cannot give them.
+/// Checks that `bytes` more memory can be allocated for the file `path`. Always succeeds if the
+/// free memory is unknown.
 ///
 /// # Errors
-/// When less than that is free.
+/// If less memory is free.
 pub fn check_memory(path: &Path, bytes: u64) -> Result<()> {
     match available_memory() {
         Some(available) if bytes > available => {

@@ -1,13 +1,14 @@
-//! Memory: how much there is, and how much this process has used. Linux tells; elsewhere nothing is known.
+//! Free memory of the machine and peak memory of this process. Known on Linux only.
 
 use std::fs::read_to_string;
 
-/// Most memory this process has held at once, in bytes.
+/// Peak resident memory of this process in bytes; `None` if unknown.
 pub fn peak_memory() -> Option<u64> {
     kibibytes_of("/proc/self/status", "VmHWM:")
 }
 
-/// Memory that can still be had without swapping, in bytes: the machine's, or the control group's where that is less.
+/// Memory available without swapping, in bytes: the minimum of the machine's and the control
+/// group's. `None` if unknown.
 pub fn available_memory() -> Option<u64> {
     let machine = kibibytes_of("/proc/meminfo", "MemAvailable:");
     let number = |path: &str| read_to_string(path).ok()?.trim().parse::<u64>().ok();
@@ -20,7 +21,7 @@ pub fn available_memory() -> Option<u64> {
     }
 }
 
-/// The number of kibibytes on the line of a `/proc` file that starts with `key`, in bytes.
+/// The value of the line of a `/proc` file that starts with `key`, converted from KiB to bytes.
 fn kibibytes_of(path: &str, key: &str) -> Option<u64> {
     let text = read_to_string(path).ok()?;
     let line = text.lines().find_map(|line| line.strip_prefix(key))?;

@@ -1,41 +1,45 @@
-//! How work tells how far it is, and learns that it shall stop: one way for every algorithm, whoever watches.
+//! How algorithms report progress and learn of a request to stop, independent of the program around
+//! them.
 
-/// The work was asked to stop.
+/// The computation was interrupted.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{by}: interrupted")]
 pub struct Interrupted {
-    /// Name of the program or of the work.
+    /// Name of the program or computation.
     pub by: String,
 }
 
-/// Watches over a piece of work. Algorithms take `&dyn Monitor`; [`Silent`] is for those whom nobody watches.
+/// Receives the progress of a computation. Algorithms take `&dyn Monitor`; use [`Silent`] if no
+/// reports are needed.
 pub trait Monitor: Sync {
-    /// Fails when the work shall stop; long loops call it every so often.
+    /// Fails if the computation should stop. Long loops call this regularly.
     ///
     /// # Errors
-    /// [`Interrupted`].
+    /// [`Interrupted`] if a stop was requested.
     fn check(&self) -> Result<(), Interrupted>;
 
-    /// A part of the work begins, such as "triangulate"; it ends when the value is dropped.
+    /// Starts a phase of the computation, such as "triangulate". It ends when the returned value is
+    /// dropped.
     fn phase<'a>(&'a self, name: &str) -> Box<dyn Phase + 'a>;
 
-    /// A detail for those who want to hear everything; made only where they do.
+    /// A detail for verbose output. `_detail` is called only if it is shown.
     fn note(&self, _detail: &dyn Fn() -> String) {}
 
-    /// Something is counted, with a percentage where the total is known; it ends when the value is dropped.
+    /// Starts a counter. It shows a percentage if `total` is known, and ends when the returned
+    /// value is dropped.
     fn counter<'a>(&'a self, label: &str, total: Option<u64>) -> Box<dyn Counter + 'a>;
 }
 
-/// A part of the work that lasts until it is dropped.
+/// A phase of the computation, which lasts until this is dropped.
 pub trait Phase {}
 
-/// Counts what has been done.
+/// Counts completed work.
 pub trait Counter: Sync {
-    /// Adds to it. Cheap, but call it once a slice or a chunk, not once a voxel.
+    /// Adds to the count. Cheap, but call it per slice or chunk, not per voxel.
     fn add(&self, amount: u64);
 }
 
-/// Nobody watches, and the work is never stopped.
+/// A monitor that reports nothing and never interrupts.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Silent;
 

@@ -1,4 +1,5 @@
-//! Outputs: checked before the work starts, written to a temporary name beside the target, and renamed when complete.
+//! Output files: checked before the computation starts, written to a temporary file beside the
+//! target, and renamed when complete.
 
 use crate::error::{Error, Result};
 use crate::interrupt;
@@ -7,10 +8,11 @@ use std::io::{self, BufWriter, Write};
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
 
-/// Temporary files that exist now, so that the second interrupt can remove them.
+/// The temporary files that currently exist, for removal after a second interrupt.
 static TEMPORARIES: Mutex<Vec<PathBuf>> = Mutex::new(Vec::new());
 
-/// Refuses an output that exists (without `force`) or whose folder cannot be written to.
+/// Fails if the output exists (unless `force` is set), is a folder, or lies in a folder that cannot
+/// be written to.
 pub fn check_output(path: &Path, force: bool) -> Result<()> {
     if path.is_dir() {
         return Err(Error::Folder { path: path.to_path_buf() });
@@ -24,8 +26,9 @@ pub fn check_output(path: &Path, force: bool) -> Result<()> {
     temporary_beside(path).map(drop).map_err(|source| Error::Write { path: path.to_path_buf(), source })
 }
 
-/// Writes a file so that it appears under its name only when it is complete; nothing is left after an error, an
-/// interrupt or a full disk.
+/// Writes a file atomically: it appears under its name only when it is complete. After an error, an
+/// interrupt or a full disk, the old file is unchanged and no temporary file is left. Devices and
+/// pipes are written directly.
 pub fn write_atomically(path: &Path, write: impl FnOnce(&mut dyn Write) -> io::Result<()>) -> Result<()> {
     let attempt = if is_special(path) { write_through(path, write) } else { write_and_rename(path, write) };
     attempt.map_err(|error| {
@@ -37,16 +40,16 @@ pub fn write_atomically(path: &Path, write: impl FnOnce(&mut dyn Write) -> io::R
     })
 }
 
-/// Removes the temporary files of this process; for the way out after a second interrupt.
+/// Removes the temporary files of this process. Called before exiting after a second interrupt.
 pub fn remove_temporaries() {
     for path in temporaries().drain(..) {
-        // Whatever is gone already needs no removing.
+        // a file that no longer exists needs no removal
         let _ = std::fs::remove_file(path);
     }
 }
 
 fn write_and_rename(path: &Path, write: impl FnOnce(&mut dyn Write) -> io::Result<()>) -> io::Result<()> {
-    // A link stays a link; what it points to is replaced.
+    // A symbolic link is kept; its target is replaced.
     let target = path.canonicalize().unwrap_or_else(|_| path.to_path_buf());
     let path = target.as_path();
     let temporary = temporary_beside(path)?;
@@ -60,7 +63,7 @@ fn write_and_rename(path: &Path, write: impl FnOnce(&mut dyn Write) -> io::Resul
     result
 }
 
-/// Devices and pipes cannot be renamed to; they are written straight through.
+/// Writes to a device or pipe, which cannot be replaced by renaming.
 fn write_through(path: &Path, write: impl FnOnce(&mut dyn Write) -> io::Result<()>) -> io::Result<()> {
     fill(&File::options().write(true).open(path)?, write)
 }
@@ -80,7 +83,8 @@ fn temporary_beside(path: &Path) -> io::Result<tempfile::NamedTempFile> {
     builder.prefix(".isoparticles-").suffix(".partial");
     #[cfg(unix)]
     {
-        // Like any other new file: readable as the user's umask says, not by the owner alone.
+        // Use the permissions of the user's umask, as for any new file; tempfile's default is owner
+        // only.
         use std::os::unix::fs::PermissionsExt;
         builder.permissions(std::fs::Permissions::from_mode(0o666));
     }
@@ -95,8 +99,8 @@ fn temporaries() -> std::sync::MutexGuard<'static, Vec<PathBuf>> {
     TEMPORARIES.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// A file that stops taking data when the user interrupts. Reports and last checkpoints, whose writing starts after the
-/// interrupt, are let through.
+/// A file that refuses data after an interrupt. Files that are opened after the interrupt (reports
+/// and final checkpoints) still accept data.
 struct Stoppable<'a> {
     file: &'a File,
     stopped_before: bool,

@@ -1,25 +1,27 @@
-//! Lists in parts, on all threads: joined, parted, and items in buckets by a counting sort in which each thread looks at all items, which takes a fraction of the
-//! time of a scattered write.
+//! Parallel helpers for lists: concatenation, splitting into parts, and sorting items into buckets.
+//! The bucket sort is a counting sort in which each thread reads all items but writes only its own
+//! buckets. That takes a fraction of the time of scattered writes.
 
 use rayon::prelude::*;
 use std::ops::Range;
 
-/// Buckets that one thread fills at the least.
+/// Minimum number of buckets per thread.
 const LEAST_SHARE: usize = 1 << 12;
 
-/// Items by the bucket that each is in.
+/// Items sorted by bucket.
 pub struct Buckets {
-    /// Where the items of each bucket start, and one more.
+    /// Start of each bucket in `items`, followed by the number of items.
     pub starts: Vec<u32>,
-    /// The items, ascending in each bucket.
+    /// The items, in ascending order within each bucket.
     pub items: Vec<u32>,
 }
 
 impl Buckets {
-    /// Sorts the items 0, 1, ... by their buckets, which are below `count`.
+    /// Sorts the items 0, 1, ... by their buckets. All entries of `bucket_of` must be below
+    /// `count`.
     pub fn new(bucket_of: &[u32], count: usize) -> Self {
         debug_assert!(bucket_of.iter().all(|&bucket| (bucket as usize) < count), "a bucket is not below {count}");
-        // each thread looks at all items, for buckets of its own
+        // each thread reads all items and handles its own range of buckets
         let share = count.div_ceil(rayon::current_num_threads()).max(LEAST_SHARE);
         let mut starts = vec![0u32; count + 1];
         starts[..count].par_chunks_mut(share).enumerate().for_each(|(n, counts)| {
@@ -50,7 +52,7 @@ impl Buckets {
     }
 }
 
-/// Where parts of these lengths begin that follow each other.
+/// Start offsets of consecutive parts of the given lengths.
 pub fn starts_of(lengths: impl IntoIterator<Item = usize>) -> Vec<u32> {
     let starts = lengths.into_iter().scan(0, |next, length| {
         let start = *next;
@@ -60,16 +62,16 @@ pub fn starts_of(lengths: impl IntoIterator<Item = usize>) -> Vec<u32> {
     starts.collect()
 }
 
-/// All lists in one, in their order. They and it are in memory at the same time.
+/// Concatenates all lists in order. The lists and the result are in memory at the same time.
 pub fn joined<T: Copy + Default + Send + Sync>(lists: Vec<Vec<T>>) -> Vec<T> {
-    // new memory costs more than what is written there, and is taken by all threads as well
+    // First access to new memory is slower than the copy itself, so all threads share it, too.
     let lengths: Vec<usize> = lists.iter().map(Vec::len).collect();
     let mut all: Vec<T> = (0..lengths.iter().sum()).into_par_iter().map(|_| T::default()).collect();
     parts_mut(&mut all, lengths).into_par_iter().zip(lists).for_each(|(own, list)| own.copy_from_slice(&list));
     all
 }
 
-/// Parts of a list that follow each other, of these lengths, to be changed side by side.
+/// Splits a list into consecutive mutable parts of the given lengths.
 pub fn parts_mut<T>(list: &mut [T], lengths: impl IntoIterator<Item = usize>) -> Vec<&mut [T]> {
     let mut rest = list;
     let mut parts = Vec::new();
@@ -81,7 +83,7 @@ pub fn parts_mut<T>(list: &mut [T], lengths: impl IntoIterator<Item = usize>) ->
     parts
 }
 
-/// Parts of a list, ascending and apart, to be changed side by side.
+/// Mutable parts of a list. The ranges must be ascending and disjoint.
 pub fn ranges_mut<'l, T>(list: &'l mut [T], ranges: &[Range<usize>]) -> Vec<&'l mut [T]> {
     let mut end = 0;
     let lengths = ranges.iter().flat_map(|range| {

@@ -1,15 +1,16 @@
-//! Disjoint sets, and the connected components of a mesh's vertices that they give.
+//! Disjoint sets, and the connected components of a mesh computed with them.
 
 use rayon::prelude::*;
 use std::sync::atomic::{AtomicU32, Ordering::Relaxed};
 
-/// Triangles that one thread joins at a time.
+/// Minimum number of triangles that one thread joins at a time.
 const CHUNK: usize = 1 << 12;
 
-/// Number of a vertex that belongs to no triangle, and so to no component.
+/// Component of a vertex that belongs to no triangle.
 pub const NO_COMPONENT: u32 = u32::MAX;
 
-/// Union-find with path halving; the smallest member represents a set, so that the order of joining does not matter.
+/// Union-find with path halving. The smallest member represents a set, so the result does not
+/// depend on the order of joining.
 #[derive(Clone, Debug)]
 pub struct DisjointSets {
     parent: Vec<u32>,
@@ -21,7 +22,7 @@ impl DisjointSets {
         Self { parent: (0..count as u32).collect() }
     }
 
-    /// The smallest member of the set that x belongs to.
+    /// The smallest member of the set that contains x.
     pub fn find(&mut self, x: u32) -> u32 {
         let mut x = x;
         while self.parent[x as usize] != x {
@@ -32,14 +33,15 @@ impl DisjointSets {
         x
     }
 
-    /// Makes one set of those of a and b.
+    /// Merges the sets of a and b.
     pub fn join(&mut self, a: u32, b: u32) {
         let (a, b) = (self.find(a), self.find(b));
         self.parent[a.max(b) as usize] = a.min(b);
     }
 }
 
-/// The same, joined by several threads at once: a root is hung below a smaller one by a comparison and exchange, as in Jayanti and Tarjan 2016.
+/// As [`DisjointSets`], for concurrent joins: a compare-and-exchange attaches a root to a smaller
+/// root, as in Jayanti and Tarjan 2016.
 struct SharedSets(Vec<AtomicU32>);
 
 impl SharedSets {
@@ -51,7 +53,8 @@ impl SharedSets {
             if above == parent {
                 return parent;
             }
-            // in vain where another thread was here; it has halved the path then
+            // A failure is harmless: another thread has changed the parent, or the exchange failed
+            // spuriously.
             let _ = self.0[x as usize].compare_exchange_weak(parent, above, Relaxed, Relaxed);
             x = above;
         }
@@ -68,8 +71,8 @@ impl SharedSets {
     }
 }
 
-/// Component of each vertex (joined through triangles), numbered in the order of their first vertices, and how many there
-/// are; [`NO_COMPONENT`] for vertices of no triangle.
+/// Component of each vertex (connected through triangles), and the number of components. They are
+/// numbered in the order of their first vertices. Vertices of no triangle get [`NO_COMPONENT`].
 pub fn of_vertices(count: usize, triangles: &[[u32; 3]]) -> (Vec<u32>, usize) {
     let sets = SharedSets((0..count as u32).map(AtomicU32::new).collect());
     let used: Vec<AtomicU32> = (0..count).map(|_| AtomicU32::new(NO_COMPONENT)).collect();
@@ -87,7 +90,7 @@ pub fn of_vertices(count: usize, triangles: &[[u32; 3]]) -> (Vec<u32>, usize) {
         if number[v] == NO_COMPONENT {
             continue;
         }
-        // the root is the first of its set, so its number is known when the others ask for it
+        // the root is the smallest member, so it is numbered before all others
         let root = sets.find(v as u32) as usize;
         if root == v {
             number[v] = components;
@@ -112,7 +115,7 @@ mod tests {
 
     #[test]
     fn components_of_many_are_those_of_one_set_after_the_other() {
-        // strips of triangles of different lengths, in no order
+        // strips of triangles of different lengths, in scrambled order
         let count = 60_000u32;
         let mut triangles: Vec<[u32; 3]> =
             (0..count - 2).filter(|n| n % 997 < 900 && n % 31 < 29).map(|n| [n, n + 1, n + 2]).collect();

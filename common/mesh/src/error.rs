@@ -1,26 +1,26 @@
-//! What can go wrong with the file of a surface or of points.
+//! Errors of surface and point files.
 
 use std::fmt::Display;
 use std::path::Path;
 
-/// What is wrong with the file of a surface or of points. The text says which file and what; [`Error::reason`] why that matters and
-/// [`Error::remedy`] what can be done.
+/// An error of a surface or point file. The text names the file and the problem, [`Error::reason`]
+/// states why it matters, and [`Error::remedy`] what to do.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum Error {
-    /// It cannot be read or written, is damaged, or is not what is needed.
+    /// The file cannot be read or written, is damaged, or is not of the required kind.
     #[error(transparent)]
     File(#[from] isoparticles_file::error::Error),
-    /// The same, of a part that volumes have as well: VTK's XML.
+    /// An error in VTK XML, which surfaces and volumes share.
     #[error(transparent)]
     Vtk(#[from] isoparticles_volume::Error),
 }
 
-/// Result of work on such a file.
+/// Result of an operation on a surface or point file.
 pub type Result<T> = std::result::Result<T, Error>;
 
 impl Error {
-    /// Why it matters.
+    /// Why the error matters.
     pub fn reason(&self) -> String {
         match self {
             Self::File(error) => error.reason(),
@@ -28,7 +28,7 @@ impl Error {
         }
     }
 
-    /// What can be done.
+    /// What to do about the error.
     pub fn remedy(&self) -> String {
         match self {
             Self::File(error) => error.remedy(),
@@ -37,7 +37,7 @@ impl Error {
     }
 }
 
-/// What a file holds is not usable.
+/// An error in the contents of a file.
 pub(crate) fn bad(path: &Path, problem: impl Display, reason: impl Into<String>, remedy: impl Into<String>) -> Error {
     isoparticles_file::error::Error::contents(path, problem, reason, remedy).into()
 }

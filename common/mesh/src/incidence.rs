@@ -1,34 +1,35 @@
-//! The triangles at each vertex, and by them edges, fans and Euler characteristics. Found by counting, not by sorting: the refinement asks
-//! for all of them in each of its rounds.
+//! The triangles at each vertex, and from them edges, fans and Euler characteristics. Computed by
+//! counting instead of sorting, because the refinement needs them in every round.
 
 use crate::buckets::Buckets;
 use rayon::prelude::*;
 
-/// Vertices whose edges are counted by one thread at a time: so few that those of a small mesh make a chunk for each.
+/// Vertices whose edges one thread counts at a time. Small enough that a small mesh still gives
+/// several chunks.
 const CHUNK: usize = 1 << 11;
 
-/// Memory of [`Incidence::fans_at`], to be used again for the next vertex.
+/// Buffers of [`Incidence::fans_at`], reused from vertex to vertex.
 #[derive(Default)]
 pub struct FanWork {
-    /// (other end of an edge at the vertex, place of its triangle).
+    /// (other end of an edge at the vertex, local index of its triangle).
     ends: Vec<(u32, u32)>,
-    /// Fan of each triangle.
+    /// Fan of each triangle at the vertex.
     fan: Vec<u32>,
 }
 
-/// The triangles at each vertex of a list of triangles.
+/// The triangles at each vertex of a triangle list.
 pub struct Incidence<'a> {
     triangles: &'a [[u32; 3]],
-    /// Where the triangles of each vertex start in `at_vertex`, and one more.
+    /// Start of each vertex in `at_vertex`, followed by its length.
     starts: Vec<u32>,
     at_vertex: Vec<u32>,
 }
 
 impl<'a> Incidence<'a> {
-    /// Of triangles whose vertices are below `vertex_count`.
+    /// Indexes the triangles; all their vertices must be below `vertex_count`.
     pub fn new(triangles: &'a [[u32; 3]], vertex_count: usize) -> Self {
         let Buckets { starts, items } = Buckets::new(triangles.as_flattened(), vertex_count);
-        // an item is a corner
+        // an item is a corner: 3 * triangle + place
         let at_vertex = items.into_par_iter().map(|corner| corner / 3).collect();
         Self { triangles, starts, at_vertex }
     }
@@ -44,12 +45,13 @@ impl<'a> Incidence<'a> {
         &self.at_vertex[self.starts[v] as usize..self.starts[v + 1] as usize]
     }
 
-    /// Vertices, those of no triangle included.
+    /// Number of vertices, including those of no triangle.
     pub fn vertex_count(&self) -> usize {
         self.starts.len() - 1
     }
 
-    /// Tells `hear` each edge from a vertex to one of a larger number, with its triangles, all in ascending order.
+    /// Calls `hear` for each edge from `vertex` to a vertex of larger index, with (other end,
+    /// triangle) for each of its triangles. All are in ascending order.
     fn edges_from(&self, vertex: u32, ends: &mut Vec<(u32, u32)>, mut hear: impl FnMut(u32, &[(u32, u32)])) {
         ends.clear();
         for &t in self.of(vertex) {
@@ -60,9 +62,10 @@ impl<'a> Incidence<'a> {
         ends.chunk_by(|a, b| a.0 == b.0).for_each(|edge| hear(edge[0].0, edge));
     }
 
-    /// Number of fans of triangles at a vertex, joined across the edges at it that lie in two triangles: one for a vertex of a manifold, none
-    /// for a vertex of no triangle. Edges in another number of triangles join nothing and go to `other_edge`, by their other ends,
-    /// with their triangles.
+    /// Number of triangle fans at a vertex. Triangles belong to one fan if edges at the vertex
+    /// connect them that lie in exactly two triangles. A manifold vertex has one fan, an unused
+    /// vertex none. All other edges at the vertex are passed to `other_edge`, as the other end and
+    /// the triangles.
     pub fn fans_at(
         &self,
         vertex: u32,
@@ -94,7 +97,9 @@ impl<'a> Incidence<'a> {
         count
     }
 
-    /// Euler characteristic V - E + F of each class of triangles; `class` gives that of each triangle, below `classes`.
+    /// Euler characteristic V - E + F of each class of triangles. `class` holds the class of each
+    /// triangle and must be below `classes`. A vertex or edge counts once in each class that uses
+    /// it.
     pub fn euler_characteristics(&self, class: &[u32], classes: usize) -> Vec<i64> {
         let chunks = (0..self.vertex_count()).into_par_iter().step_by(CHUNK);
         let sums = chunks.map(|first| {

@@ -1,8 +1,10 @@
-//! A balanced k-d tree over points, for nearest-neighbour queries (Bentley 1975), with the smallest box round the points of every part.
+//! A balanced k-d tree over points for nearest-neighbour queries (Bentley 1975), with the bounding
+//! box of the points of every node.
 //!
-//! The points are reordered in place into an implicit median tree, so the tree costs one index and some ten bytes of boxes a point and stands any
-//! number of equal coordinates (points on grid planes are the rule here, and some published trees refuse them). The boxes leave out the
-//! space that the points of a surface do not fill: a ball that touches a surface comes near few of them.
+//! The points are reordered into an implicit median tree, so the tree needs one index and about ten
+//! bytes of boxes per point. It handles any number of equal coordinates, which are common here
+//! because points lie on grid planes. The boxes exclude the empty space around surface points, so a
+//! ball that touches a surface meets few of them.
 
 use crate::spatial::Bounds;
 use glam::DVec3;
@@ -10,17 +12,17 @@ use std::ops::Range;
 
 const LEAF: usize = 12;
 
-/// Static tree over a set of points.
+/// A k-d tree over a fixed set of points.
 #[derive(Clone, Debug, Default)]
 pub struct KdTree {
     points: Vec<DVec3>,
     index: Vec<u32>,
-    /// Box round each part; the halves of part n are 2 n + 1 and 2 n + 2.
+    /// Bounding box of each node; the children of node n are 2 n + 1 and 2 n + 2.
     boxes: Vec<Bounds>,
 }
 
 impl KdTree {
-    /// Builds the tree; answers name points by their index in `points`.
+    /// Builds the tree. Results refer to points by their index in `points`.
     pub fn new(points: &[DVec3]) -> Self {
         let mut order: Vec<u32> = (0..points.len() as u32).collect();
         split(points, &mut order);
@@ -35,12 +37,13 @@ impl KdTree {
         self.points.len()
     }
 
-    /// Whether there is no point.
+    /// Whether there are no points.
     pub fn is_empty(&self) -> bool {
         self.points.is_empty()
     }
 
-    /// Index and distance of the nearest point; `None` for an empty tree. The lowest index wins a tie.
+    /// Index and distance of the nearest point; `None` for an empty tree. The lowest index wins a
+    /// tie.
     pub fn nearest(&self, query: DVec3) -> Option<(usize, f64)> {
         self.nearest_within(query, f64::INFINITY)
     }
@@ -50,9 +53,9 @@ impl KdTree {
         self.nearest_of_leaves(query, radius, usize::MAX)
     }
 
-    /// As [`KdTree::nearest_within`], but no more than so many leaves are looked at, the likeliest first: where all points are
-    /// about equally far, as at the centre of a ball, an exact search would look at every one. The answer is then a point
-    /// nearly as near as the nearest.
+    /// As [`KdTree::nearest_within`], but visits at most `leaves` leaves, closest first, so the
+    /// result may be only approximately nearest. If all points are about equally far, as from the
+    /// centre of a ball, an exact search would visit every leaf.
     pub fn nearest_of_leaves(&self, query: DVec3, radius: f64, leaves: usize) -> Option<(usize, f64)> {
         let mut search = Search { query, best: (u32::MAX, radius * radius), leaves };
         self.search(&mut search, 0..self.points.len(), 0);
@@ -60,9 +63,10 @@ impl KdTree {
         (index != u32::MAX).then(|| (index as usize, squared.sqrt()))
     }
 
-    /// Calls `found` with the index and place of every point in a ball, given by its centre and radius, the likeliest parts first. It may answer with a
-    /// ball inside that one, and hears then of the points in that one alone. False when more than so many leaves would have to be looked at; some points
-    /// are then missing.
+    /// Calls `found` with the index and position of every point in a ball (centre, radius), closest
+    /// nodes first. `found` may return a smaller ball inside the current one, which the search then
+    /// continues with. Returns false if more than `leaves` leaves would have to be visited; some
+    /// points are then missing.
     pub fn each_within(
         &self,
         ball: (DVec3, f64),
@@ -108,7 +112,7 @@ impl KdTree {
             .all(|(part, number)| far(visit, number) >= visit.squared || self.visit(visit, found, part, number))
     }
 
-    /// Searches a part of the tree, which has points.
+    /// Searches one node, which must not be empty.
     fn search(&self, search: &mut Search, part: Range<usize>, number: usize) {
         if search.leaves == 0 {
             return;
@@ -125,14 +129,14 @@ impl KdTree {
         let (left, right) = (half(part.start..middle, 2 * number + 1), half(middle + 1..part.end, 2 * number + 2));
         let halves = if left.0 <= right.0 { [left, right] } else { [right, left] };
         for (squared, part, number) in halves {
-            // a point as far as the best may have a lower index
+            // a point at the same distance may have a lower index
             if squared <= search.best.1 {
                 self.search(search, part, number);
             }
         }
     }
 
-    /// Sets the boxes of a part and of its parts.
+    /// Sets the boxes of a node and of its descendants, and returns the box of the node.
     fn bound(&mut self, part: Range<usize>, number: usize) -> Bounds {
         let bounds = if part.len() <= LEAF {
             Bounds::of(&self.points[part])
@@ -150,7 +154,7 @@ impl KdTree {
     }
 }
 
-/// The point of a part that stands between its halves.
+/// Index of the point that separates the two children of a node.
 fn middle(part: &Range<usize>) -> usize {
     part.start + part.len() / 2
 }
@@ -159,21 +163,21 @@ fn distance_squared(bounds: &Bounds, query: DVec3) -> f64 {
     (bounds.low - query).max(query - bounds.high).max(DVec3::ZERO).length_squared()
 }
 
-/// A look at the points in a ball under way.
+/// State of [`KdTree::each_within`].
 struct Visit {
     centre: DVec3,
-    /// Its radius squared.
+    /// Squared radius of the ball.
     squared: f64,
-    /// Leaves that may still be looked at.
+    /// Number of leaves that may still be visited.
     leaves: usize,
 }
 
-/// A search under way.
+/// State of a nearest-point search.
 struct Search {
     query: DVec3,
     /// Index and squared distance of the nearest point so far.
     best: (u32, f64),
-    /// Leaves that may still be looked at.
+    /// Number of leaves that may still be visited.
     leaves: usize,
 }
 
@@ -187,7 +191,7 @@ impl Search {
     }
 }
 
-/// Orders the points of every part by the axis along which they reach the farthest, up to its middle.
+/// Splits the points recursively at the median of the axis with the largest extent.
 fn split(points: &[DVec3], order: &mut [u32]) {
     if order.len() <= LEAF {
         return;

@@ -1,12 +1,14 @@
-//! The triangle mesh that the pipeline hands on, and everything it is judged by.
+//! Triangle meshes: the data structure, quality measures, validity checks and file formats.
 //!
-//! [`quality`] and [`measure`] give the figures of the paper's Table 1 (radius ratio 2r/R, angles, areas);
-//! [`topology`], [`intersect`] and [`inside`] say exactly, by exact predicates, whether a mesh is what a simulation
-//! may be run on. [`spatial`] and [`kd_tree`] find what is near, [`components`] what hangs together; [`surface`] and [`point_cloud`] read
-//! and write the files.
+//! [`quality`] and [`measure`] compute the figures of the paper's Table 1 (radius ratio 2r/R,
+//! angles, areas). [`topology`], [`intersect`] and [`inside`] check with exact predicates whether a
+//! mesh is valid for simulation. [`spatial`] and [`kd_tree`] are search structures, and
+//! [`components`] finds connected components. [`surface`] and [`point_cloud`] read and write files.
 //!
 //! ```
-//! use isoparticles_mesh::{measure::measure, quality::radius_ratios, shapes::icosphere, topology::analyse};
+//! use isoparticles_mesh::{
+//!     measure::measure, quality::radius_ratios, shapes::icosphere, topology::analyse,
+//! };
 //!
 //! let ball = icosphere(10.0, 3);
 //! assert_eq!(analyse(&ball).components.len(), 1);
@@ -35,7 +37,7 @@ mod vtk_legacy;
 
 pub use error::{Error, Result};
 
-/// Indexed triangles, counter-clockwise seen from outside.
+/// Indexed triangles, counter-clockwise as seen from outside.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct TriangleMesh {
     /// Vertex positions.
@@ -45,13 +47,14 @@ pub struct TriangleMesh {
 }
 
 impl TriangleMesh {
-    /// The three corners of a triangle.
+    /// Positions of the three corners of a triangle.
     #[inline]
     pub fn corners(&self, triangle: usize) -> [DVec3; 3] {
         self.triangles[triangle].map(|v| self.vertices[v as usize])
     }
 
-    /// Whether every coordinate is a number and every index names a vertex: what the other checks take for granted.
+    /// Whether all coordinates are finite and all indices refer to a vertex. The other checks
+    /// assume both.
     pub fn is_well_formed(&self) -> bool {
         let count = self.vertices.len();
         self.vertices.iter().all(|p| p.is_finite()) && self.triangles.iter().flatten().all(|&v| (v as usize) < count)

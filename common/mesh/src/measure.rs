@@ -4,12 +4,12 @@ use super::TriangleMesh;
 use glam::DVec3;
 use serde::Serialize;
 
-/// Area (mm^2) and signed volume (mm^3, positive when the triangles face outward).
+/// Area (mm^2) and signed volume (mm^3, positive if the triangles face outward).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct Measure {
     /// Area, mm^2.
     pub area: f64,
-    /// Signed volume, mm^3; means something only for a closed surface.
+    /// Signed volume, mm^3; meaningful only for a closed surface.
     pub volume: f64,
 }
 
@@ -23,7 +23,8 @@ pub fn measure(mesh: &TriangleMesh) -> Measure {
 /// (`Topology::component_of_triangle` of [`super::topology`]).
 pub fn measure_components(mesh: &TriangleMesh, component_of_triangle: &[u32], count: usize) -> Vec<Measure> {
     let mut measures = vec![Measure::default(); count];
-    // a reference point on the component keeps the volume of a small part far from the origin accurate
+    // A reference point on the component keeps the volume of a small part far from the origin
+    // accurate.
     let mut references: Vec<Option<DVec3>> = vec![None; count];
     for (t, &component) in component_of_triangle.iter().enumerate() {
         let [a, b, c] = mesh.corners(t);
@@ -55,7 +56,8 @@ mod tests {
 
     #[test]
     fn a_fine_sphere_approaches_the_analytic_measure() {
-        // an inscribed icosphere of level n loses a share of about 0.83 / 4^n of the volume, half that of the area
+        // An inscribed icosphere of level n loses a share of about 0.83 / 4^n of the volume, and
+        // half that share of the area.
         let got = measure(&shapes::icosphere(2.0, 5));
         let (area, volume) = (16.0 * PI, 32.0 / 3.0 * PI);
         assert!((got.area / area - 1.0).abs() < 1e-3, "{got:?}");

@@ -1,5 +1,5 @@
-//! Point clouds from elsewhere: PLY (ASCII or binary), text of `x y z [nx ny nz]` lines (`.xyz`), and the points of VTK's files, of
-//! polygons (`.vtp`) or legacy (`.vtk`), with normals where the file has them.
+//! Reads point clouds: PLY (ASCII or binary), text with lines `x y z [nx ny nz]` (`.xyz`), and the
+//! points of VTK files (`.vtp` and legacy `.vtk`). Normals are read if the file has them.
 
 use crate::error::bad;
 use crate::error::{Error, Result};
@@ -11,35 +11,37 @@ use isoparticles_volume::Space;
 use isoparticles_volume::vtk_xml::VtkFile;
 use std::path::Path;
 
-/// Points in the file's own coordinates, in its order.
+/// Points in the coordinates and order of the file.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PointCloud {
-    /// Positions; all of them finite.
+    /// Positions; all are finite.
     pub positions: Vec<DVec3>,
-    /// A normal for each point, of the length that the file gives it, zero where it is not a number; `None` without normals.
+    /// A normal per point, not normalised; zero if the file's normal is not finite. `None` if the
+    /// file has no normals.
     pub normals: Option<Vec<DVec3>>,
-    /// What the axes mean, where the file says so.
+    /// The world frame, if the file states it.
     pub space: Space,
-    /// How the file was made, where it says so.
+    /// How the file was made, if it states that.
     pub history: Option<History>,
 }
 
 impl PointCloud {
-    /// A cloud of a file that says nothing of its axes and origin.
+    /// A point cloud from a file that does not state its frame or history.
     fn unplaced(positions: Vec<DVec3>, normals: Option<Vec<DVec3>>) -> Self {
         Self { positions, normals, space: Space::Unnamed, history: None }
     }
 }
 
-/// Whether the ending of a file's name is that of a point cloud.
+/// Whether the file name has the extension of a point cloud.
 pub fn is_point_cloud(path: &Path) -> bool {
     format(path).is_some()
 }
 
-/// Reads a point cloud by the ending of its name.
+/// Reads a point cloud; the file extension decides the format.
 ///
 /// # Errors
-/// When the ending is another, the file cannot be read, is damaged, has no points, or a coordinate is not a finite number.
+/// If the extension is unknown, if the file cannot be read, is damaged or has no points, or if a
+/// coordinate is not finite.
 pub fn read_point_cloud(path: &Path) -> Result<PointCloud> {
     let bytes = || {
         std::fs::read(path)
@@ -88,7 +90,7 @@ fn unusable(path: &Path, what: &str) -> Error {
     )
 }
 
-/// Whether an array of point data has the name of normals.
+/// Whether a point array is named as normals are.
 pub(crate) fn is_normals(name: &str) -> bool {
     name.eq_ignore_ascii_case("normals") || name.eq_ignore_ascii_case("normal")
 }
@@ -148,7 +150,7 @@ fn read_vtp(path: &Path) -> Result<PointCloud> {
     Ok(PointCloud { positions, normals, space: space.unwrap_or(Space::Unnamed), history })
 }
 
-/// How the numbers of a PLY file are written.
+/// How a PLY file stores its numbers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Encoding {
     Ascii,
@@ -156,7 +158,7 @@ enum Encoding {
     BigEndian,
 }
 
-/// A number type of PLY.
+/// A number type of PLY, with its size in bytes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum PlyScalar {
     Signed(usize),
@@ -185,7 +187,7 @@ impl PlyScalar {
         }
     }
 
-    /// The number in bytes of which the least significant comes first.
+    /// The value of a number given by its little-endian bytes, padded with zeros.
     fn value(self, little: [u8; 8]) -> f64 {
         let whole = u64::from_le_bytes(little);
         match self {
@@ -200,7 +202,7 @@ impl PlyScalar {
     }
 }
 
-/// A group of records in a PLY file.
+/// An element of a PLY file: a group of equal records.
 struct PlyElement {
     name: String,
     count: usize,
@@ -208,11 +210,11 @@ struct PlyElement {
     has_lists: bool,
 }
 
-/// What the header of a PLY file promises.
+/// The header of a PLY file.
 struct PlyHeader {
     encoding: Encoding,
     elements: Vec<PlyElement>,
-    /// Where the data starts.
+    /// Length of the header in bytes; the data follows it.
     length: usize,
 }
 
@@ -290,17 +292,17 @@ fn ply_points(bytes: &[u8]) -> std::result::Result<PointCloud, String> {
     Ok(PointCloud::unplaced(positions, directions.map(|_| normals)))
 }
 
-/// The records of an element, one after the other.
+/// Iterates over the records of an element.
 enum Rows<'a> {
     Words(std::str::SplitAsciiWhitespace<'a>),
     Bytes(&'a [u8], Encoding),
 }
 
 impl<'a> Rows<'a> {
-    /// Goes to the records of element number `at`; refuses more of them than the data has room for.
+    /// Skips to the records of element number `at`. Fails if the data is too short for its records.
     fn new(header: &PlyHeader, at: usize, data: &'a [u8]) -> std::result::Result<Self, String> {
         let is_text = header.encoding == Encoding::Ascii;
-        // a number of text takes two bytes at least, but for the last
+        // in text, every number but the last takes at least two bytes
         let width =
             |e: &PlyElement| e.properties.iter().map(|(_, s)| if is_text { 2 } else { s.bytes() }).sum::<usize>();
         let size = |e: &PlyElement| e.count.checked_mul(width(e));

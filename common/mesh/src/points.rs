@@ -1,4 +1,5 @@
-//! Points with a number each, out of VTK's polygon (`.vtp`) and unstructured (`.vtu`) files; their cells do not matter.
+//! Reads points with one number each from VTK polygon (`.vtp`) and unstructured (`.vtu`) files.
+//! Cells are ignored.
 
 use crate::error::bad;
 use crate::error::{Error, Result};
@@ -6,10 +7,12 @@ use glam::DVec3;
 use isoparticles_volume::vtk_xml::{Element, VtkFile};
 use std::path::Path;
 
-/// Reads the points (in the file's coordinates, the world) and the values of a point array, which must be finite and above 0.
+/// Reads the points (in the world coordinates of the file) and the values of the point array
+/// `name`. All values must be finite and positive.
 ///
 /// # Errors
-/// When the file is of another sort, cannot be read, lacks the array, or has values that are not usable.
+/// If the file cannot be read or has the wrong type, or if the array is missing or has invalid
+/// values.
 pub fn read_sized_points(path: &Path, name: &str) -> Result<Vec<(DVec3, f64)>> {
     let file = VtkFile::open(path)?;
     let is_unstructured = path.extension().is_some_and(|ending| ending.eq_ignore_ascii_case("vtu"));
@@ -37,7 +40,7 @@ pub fn read_sized_points(path: &Path, name: &str) -> Result<Vec<(DVec3, f64)>> {
     }
 }
 
-/// The positions of a piece's points, at least one; `unusable` makes the error.
+/// The point positions of a piece, which must not be empty. `unusable` makes the error.
 pub(crate) fn positions(file: &VtkFile, piece: &Element, unusable: impl Fn(&str) -> Error) -> Result<Vec<DVec3>> {
     let count = piece.attribute("NumberOfPoints").and_then(|text| text.parse::<usize>().ok());
     let count = count.filter(|&count| count > 0).ok_or_else(|| unusable("has no points"))?;

@@ -1,5 +1,6 @@
-//! Shape of triangles: the radius ratio 2r/R of the paper's Table 1 (1 for an equilateral triangle, 0 for a
-//! degenerate one), angles, areas, edge lengths, and their distribution over a mesh.
+//! Quality of triangles: the radius ratio 2r/R of the paper's Table 1 (1 for an equilateral
+//! triangle, 0 for a degenerate one), angles, areas, edge lengths, and their distribution over a
+//! mesh.
 
 use super::TriangleMesh;
 use glam::DVec3;
@@ -9,13 +10,13 @@ use serde::Serialize;
 /// Number of equal bins of the radius-ratio histogram over [0, 1].
 pub const HISTOGRAM_BINS: usize = 50;
 
-/// Triangles looked at by one thread at a time.
+/// Number of triangles that one thread handles at a time.
 const CHUNK: usize = 1 << 12;
 
-/// A triangle counts as having no area when its area is at most this share of the mean.
+/// A triangle counts as degenerate if its area is at most this share of the mean area.
 pub const ZERO_AREA_SHARE: f64 = 1e-12;
 
-/// Twice the inradius over the circumradius: 8 A^2 / (s a b c) with s half the perimeter; 0 when degenerate.
+/// Radius ratio 2r/R of a triangle: 8 A^2 / (s a b c) with s half the perimeter; 0 if degenerate.
 #[inline]
 pub fn radius_ratio(a: DVec3, b: DVec3, c: DVec3) -> f64 {
     let lengths = [b.distance(c), c.distance(a), a.distance(b)];
@@ -25,12 +26,13 @@ pub fn radius_ratio(a: DVec3, b: DVec3, c: DVec3) -> f64 {
     if ratio.is_finite() { ratio } else { 0.0 }
 }
 
-/// Area of a triangle.
+/// Area of a triangle in squared units of the coordinates.
 pub fn area(a: DVec3, b: DVec3, c: DVec3) -> f64 {
     0.5 * (b - a).cross(c - a).length()
 }
 
-/// The three interior angles in degrees, at `a`, `b` and `c`; NaN where an edge has no length.
+/// The three interior angles in degrees, at `a`, `b` and `c`; NaN at the ends of an edge of length
+/// zero.
 pub fn angles(a: DVec3, b: DVec3, c: DVec3) -> [f64; 3] {
     let at = |p: DVec3, q: DVec3, r: DVec3| {
         let (u, v) = (q - p, r - p);
@@ -50,7 +52,7 @@ pub fn radius_ratios(mesh: &TriangleMesh) -> Vec<f64> {
         .collect()
 }
 
-/// Triangles whose area is (next to) nothing compared with the mean area.
+/// Triangles whose area is at most [`ZERO_AREA_SHARE`] of the mean area.
 pub fn zero_area_triangles(mesh: &TriangleMesh) -> Vec<u32> {
     let areas: Vec<f64> = (0..mesh.triangles.len())
         .into_par_iter()
@@ -63,14 +65,14 @@ pub fn zero_area_triangles(mesh: &TriangleMesh) -> Vec<u32> {
     (0..areas.len() as u32).filter(|&t| areas[t as usize] <= limit).collect()
 }
 
-/// Distribution of the shapes of a mesh's triangles.
+/// Quality statistics of the triangles of a mesh.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct QualitySummary {
     /// Number of triangles.
     pub triangles: usize,
     /// Mean radius ratio.
     pub radius_ratio_mean: f64,
-    /// Smallest radius ratio.
+    /// Minimum radius ratio.
     pub radius_ratio_min: f64,
     /// 0.1th percentile of the radius ratio.
     pub radius_ratio_p01: f64,
@@ -84,19 +86,19 @@ pub struct QualitySummary {
     pub share_below_half: f64,
     /// Triangles in each of [`HISTOGRAM_BINS`] equal bins of the radius ratio over [0, 1].
     pub radius_ratio_histogram: Vec<usize>,
-    /// Smallest angle, degrees.
+    /// Minimum angle, degrees.
     pub angle_min: f64,
-    /// Largest angle, degrees.
+    /// Maximum angle, degrees.
     pub angle_max: f64,
-    /// Shortest side of a triangle, mm.
+    /// Minimum edge length, mm.
     pub edge_length_min: f64,
-    /// Mean over the sides of all triangles (an inner edge counts twice), mm.
+    /// Mean edge length over all triangles (an inner edge counts twice), mm.
     pub edge_length_mean: f64,
-    /// Longest side of a triangle, mm.
+    /// Maximum edge length, mm.
     pub edge_length_max: f64,
 }
 
-/// Angles and sides of some triangles: the smallest and the largest, and the sum of the lengths.
+/// Minimum and maximum of the angles and edge lengths of some triangles, and the total length.
 struct Sides {
     angles: [f64; 2],
     lengths: [f64; 2],
@@ -120,7 +122,7 @@ impl Sides {
     }
 }
 
-/// Summarises the shapes of all triangles; all zeros for an empty mesh.
+/// Quality statistics of all triangles; all zeros for an empty mesh.
 pub fn summarise(mesh: &TriangleMesh) -> QualitySummary {
     if mesh.triangles.is_empty() {
         return QualitySummary { radius_ratio_histogram: vec![0; HISTOGRAM_BINS], ..QualitySummary::default() };
@@ -160,12 +162,12 @@ pub fn summarise(mesh: &TriangleMesh) -> QualitySummary {
     summary
 }
 
-/// Mean of the values (0 of none), summed in order.
+/// Mean of the values, summed in order; 0 for no values.
 pub fn mean(values: &[f64]) -> f64 {
     if values.is_empty() { 0.0 } else { values.iter().sum::<f64>() / values.len() as f64 }
 }
 
-/// Percentile (0 to 100) of ascending values, linear between neighbours; 0 of none.
+/// Percentile (0 to 100) of ascending values, interpolated linearly; 0 for no values.
 pub fn percentile(ascending: &[f64], percent: f64) -> f64 {
     if ascending.is_empty() {
         return 0.0;

@@ -1,12 +1,13 @@
-//! Meshes of known shape and topology (icosphere, torus, box): references for tests and simple starting meshes.
+//! Meshes of known shape and topology (icosphere, torus, box), for tests and as simple initial
+//! meshes.
 
 use super::TriangleMesh;
 use glam::DVec3;
 use std::collections::HashMap;
 use std::f64::consts::TAU;
 
-/// A sphere about the origin: an icosahedron whose triangles are cut in four `levels` times (20 * 4^levels
-/// triangles), vertices exactly at `radius`, facing outward.
+/// A sphere about the origin: an icosahedron whose triangles are split into four `levels` times. It
+/// has 20 * 4^levels triangles that face outward, and all vertices at distance `radius`.
 pub fn icosphere(radius: f64, levels: usize) -> TriangleMesh {
     let golden = 0.5 * (1.0 + 5f64.sqrt());
     let mut vertices = Vec::new();
@@ -17,7 +18,7 @@ pub fn icosphere(radius: f64, levels: usize) -> TriangleMesh {
     }
     let side = 2.0;
     let mut triangles = Vec::new();
-    // the faces are the triples of vertices one side apart from each other
+    // the faces are all triples of vertices at mutual distance `side`
     for a in 0..12u32 {
         for b in a + 1..12 {
             for c in b + 1..12 {
@@ -71,7 +72,8 @@ pub fn torus(ring_radius: f64, tube_radius: f64, around: usize, across: usize) -
     mesh
 }
 
-/// A box with one corner at the origin and the opposite one at `size`, twelve triangles facing outward.
+/// A box with one corner at the origin and the opposite corner at `size`; twelve triangles, facing
+/// outward.
 pub fn cuboid(size: DVec3) -> TriangleMesh {
     let vertices =
         (0..8u32).map(|c| DVec3::new(f64::from(c & 1), f64::from(c >> 1 & 1), f64::from(c >> 2 & 1)) * size).collect();
@@ -80,7 +82,7 @@ pub fn cuboid(size: DVec3) -> TriangleMesh {
     TriangleMesh { vertices, triangles }
 }
 
-/// Several meshes as one, vertices in order, none of them welded.
+/// Concatenates meshes without merging vertices.
 pub fn union(parts: &[TriangleMesh]) -> TriangleMesh {
     let mut whole = TriangleMesh::default();
     for part in parts {

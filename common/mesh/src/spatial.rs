@@ -1,51 +1,53 @@
-//! What is near: a tree of axis-aligned boxes, for finding the few of many simplices that come near a given one, and cubic bins, for points that come and go.
+//! Spatial search: a tree of axis-aligned boxes that finds the pairs of boxes that meet, and cubic
+//! bins for points that are added and removed.
 //!
-//! The boxes are sorted along a Morton curve and taken together by eights, level by level, so that lanes look at eight at once; nothing but the input decides the
-//! shape of the tree or the order of the answers, so results are the same whatever the number of threads.
+//! The boxes are sorted along a Morton curve and grouped by eight, level by level, so that SIMD
+//! instructions test eight boxes at once. The tree and the order of the results depend only on the
+//! input, not on the number of threads.
 
 use fearless_simd::{Level, Simd, dispatch, f64x8, prelude::*};
 use glam::DVec3;
 use rayon::prelude::*;
 use std::collections::HashMap;
 
-/// Axis-aligned box.
+/// Axis-aligned bounding box.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Bounds {
-    /// Smallest coordinates.
+    /// Minimum coordinates.
     pub low: DVec3,
-    /// Largest coordinates.
+    /// Maximum coordinates.
     pub high: DVec3,
 }
 
 impl Bounds {
-    /// The box that holds nothing.
+    /// The empty box.
     pub const EMPTY: Self = Self { low: DVec3::INFINITY, high: DVec3::NEG_INFINITY };
 
-    /// Smallest box around some points.
+    /// The smallest box around some points.
     #[inline]
     pub fn of(points: &[DVec3]) -> Self {
         points.iter().fold(Self::EMPTY, |b, &p| Self { low: b.low.min(p), high: b.high.max(p) })
     }
 
-    /// Smallest box around two.
+    /// The smallest box around two boxes.
     #[inline]
     pub fn merged(self, other: Self) -> Self {
         Self { low: self.low.min(other.low), high: self.high.max(other.high) }
     }
 
-    /// Whether two boxes have a point in common, touching included.
+    /// Whether two boxes intersect; touching counts.
     #[inline]
     pub fn meets(&self, other: &Self) -> bool {
         self.low.cmple(other.high).all() && other.low.cmple(self.high).all()
     }
 
-    /// Whether a point lies within or on the border.
+    /// Whether a point lies in the box or on its border.
     #[inline]
     pub fn holds(&self, p: DVec3) -> bool {
         self.low.cmple(p).all() && p.cmple(self.high).all()
     }
 
-    /// Whether a point lies within, not on the border.
+    /// Whether a point lies strictly inside the box.
     #[inline]
     pub fn encloses(&self, p: DVec3) -> bool {
         self.low.cmplt(p).all() && p.cmplt(self.high).all()
@@ -58,22 +60,22 @@ impl Bounds {
     }
 }
 
-/// Boxes that one lane operation looks at.
+/// Number of boxes that one SIMD operation tests.
 const LANES: usize = 8;
 
-/// Boxes for which the work is not worth sharing.
+/// Minimum number of boxes per task; below it, the work stays on one thread.
 const FEW: usize = 1 << 14;
 
-/// Eight boxes that follow each other, filled up with ones that meet nothing: their coordinates are no numbers.
+/// Eight consecutive boxes. Unused places hold NaN coordinates, which meet nothing.
 #[derive(Clone, Copy, Debug)]
 struct Eight {
-    /// Coordinates, axis by axis.
+    /// Minimum coordinates, axis by axis.
     low: [[f64; LANES]; 3],
     high: [[f64; LANES]; 3],
 }
 
 impl Eight {
-    /// Of some boxes, eight at most, with the box round them.
+    /// At most eight boxes, and the box around all of them.
     fn of(boxes: impl Iterator<Item = Bounds>) -> (Self, Bounds) {
         let mut new = Self { low: [[f64::NAN; LANES]; 3], high: [[f64::NAN; LANES]; 3] };
         let mut whole = Bounds::EMPTY;
@@ -86,13 +88,13 @@ impl Eight {
         (new, whole)
     }
 
-    /// One of them.
+    /// One of the eight boxes.
     fn at(&self, lane: usize) -> Bounds {
         let place = |from: &[[f64; LANES]; 3]| DVec3::from_array([0, 1, 2].map(|axis| from[axis][lane]));
         Bounds { low: place(&self.low), high: place(&self.high) }
     }
 
-    /// Bits of those that meet a box, touching included.
+    /// Bit mask of the boxes that meet another box; touching counts.
     #[inline(always)]
     fn meeting<S: Simd>(&self, simd: S, other: &Bounds) -> u64 {
         let mut meets = u64::MAX;
@@ -105,18 +107,18 @@ impl Eight {
     }
 }
 
-/// Tree of boxes, eight to a box.
+/// Tree of boxes in which every node has up to eight children.
 #[derive(Clone, Debug)]
 pub struct BoxTree {
-    /// Numbers of the boxes along a Morton curve.
+    /// Indices of the boxes, in the order of the Morton curve.
     order: Vec<u32>,
-    /// From the boxes in that order to the eight or less that hold everything.
+    /// The levels of the tree, from the sorted boxes up to the root.
     levels: Vec<Vec<Eight>>,
-    /// The boxes round the eights of the first level.
+    /// The boxes around the groups of eight of the first level.
     outlines: Vec<Bounds>,
 }
 
-/// Pairs of boxes, and eights on the way to them.
+/// The pairs found, and the buffers of the search.
 #[derive(Default)]
 struct Found {
     pairs: Vec<[u32; 2]>,
@@ -160,7 +162,8 @@ impl BoxTree {
         Self { order, levels, outlines }
     }
 
-    /// All pairs of boxes that meet, touching included, and pass a test, lower number first, ascending.
+    /// All pairs of boxes that meet (touching counts) and pass `test`. Lower index first, in
+    /// ascending order.
     pub fn pairs(&self, test: impl Fn(u32, u32) -> bool + Sync) -> Vec<[u32; 2]> {
         let of_eight = |found: &mut Found, eight: usize| {
             self.find_pairs(eight, found);
@@ -172,7 +175,8 @@ impl BoxTree {
         pairs
     }
 
-    /// Whether any pair of boxes that meet, touching included, passes a test, which is given the lower number first.
+    /// Whether any pair of boxes that meet (touching counts) passes `test`. It receives the lower
+    /// index first.
     pub fn any_pair(&self, mut test: impl FnMut(u32, u32) -> bool) -> bool {
         let mut found = Found::default();
         (0..self.outlines.len()).any(|eight| {
@@ -181,7 +185,7 @@ impl BoxTree {
         })
     }
 
-    /// The pairs of boxes that meet, of which the first in order is in an eight.
+    /// Finds the pairs of boxes that meet, with the first box (in Morton order) in group `eight`.
     fn find_pairs(&self, eight: usize, found: &mut Found) {
         dispatch!(Level::new(), simd => self.find_pairs_by(simd, eight, found));
     }
@@ -210,7 +214,7 @@ impl BoxTree {
             for other in near.iter().map(|&n| n as usize).filter(|&n| n >= eight) {
                 let mut meets = first[other].meeting(simd, &own);
                 if other == eight {
-                    // those after it
+                    // only the boxes after this one
                     meets &= u64::MAX << 1 << lane;
                 }
                 while meets != 0 {
@@ -223,7 +227,7 @@ impl BoxTree {
     }
 }
 
-/// Values at points, in cubic bins.
+/// Values at points, stored in cubic bins.
 #[derive(Clone, Debug)]
 pub struct Bins<T> {
     side: f64,
@@ -231,7 +235,7 @@ pub struct Bins<T> {
 }
 
 impl<T: PartialEq> Bins<T> {
-    /// No values yet, in bins of a side above 0.
+    /// Empty bins with the given positive side length.
     pub fn new(side: f64) -> Self {
         Self { side, bins: HashMap::new() }
     }
@@ -245,13 +249,14 @@ impl<T: PartialEq> Bins<T> {
         self.bins.entry(self.bin(p)).or_default().push(value);
     }
 
-    /// Takes a value at a point away.
+    /// Removes a value at a point.
     pub fn remove(&mut self, p: DVec3, value: &T) {
         let bin = self.bin(p);
         self.bins.entry(bin).or_default().retain(|other| other != value);
     }
 
-    /// The values in the bin of a point and in the 26 around it: all whose points are nearer than the side, and some others, always in the same order.
+    /// The values in the bin of a point and in its 26 neighbours, in a fixed order. Contains all
+    /// values at points closer than the side length, and some others.
     pub fn near(&self, p: DVec3) -> impl Iterator<Item = &T> {
         let at = self.bin(p);
         let around = (0..27).map(move |n| [at[0] + n % 3 - 1, at[1] + n / 3 % 3 - 1, at[2] + n / 9 - 1]);
@@ -259,7 +264,7 @@ impl<T: PartialEq> Bins<T> {
     }
 }
 
-/// Spreads the low 21 bits to every third place.
+/// Spreads the low 21 bits of x to every third bit.
 fn spread(x: u64) -> u64 {
     let mut x = x & 0x1f_ffff;
     x = (x | x << 32) & 0x001f_0000_0000_ffff;

@@ -1,27 +1,29 @@
-//! Whether a mesh is a surface: edges in exactly two oppositely oriented triangles, one fan of triangles round every
-//! vertex, components, Euler characteristic and genus; with the offending simplices, not only their numbers.
+//! Topology of a triangle mesh: whether every edge lies in exactly two oppositely oriented
+//! triangles, and every vertex has one fan of triangles. Also finds components, Euler
+//! characteristic and genus. Lists the offending vertices, edges and triangles.
 
 use super::TriangleMesh;
 use crate::components::{self, DisjointSets, NO_COMPONENT};
 use rayon::prelude::*;
 use serde::Serialize;
 
-/// Topology of one component (vertices joined through triangles).
+/// Topology of one component (vertices connected through triangles).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct ComponentTopology {
-    /// Vertices.
+    /// Number of vertices.
     pub vertices: usize,
-    /// Edges.
+    /// Number of edges.
     pub edges: usize,
-    /// Triangles.
+    /// Number of triangles.
     pub triangles: usize,
-    /// Vertices - edges + triangles.
+    /// Euler characteristic: vertices - edges + triangles.
     pub euler: i64,
     /// Number of handles; `None` unless the component is a closed, oriented manifold.
     pub genus: Option<i64>,
 }
 
-/// Topology of a mesh. Edges are given by their vertices, lower index first, and all lists are ascending.
+/// Topology of a mesh. Edges are given by their vertices, lower index first. All lists are
+/// ascending.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Topology {
     /// Number of different edges.
@@ -30,33 +32,35 @@ pub struct Topology {
     pub open_edges: Vec<[u32; 2]>,
     /// Edges in more than two triangles.
     pub non_manifold_edges: Vec<[u32; 2]>,
-    /// Edges that both of their two triangles run through in the same direction.
+    /// Edges that both of their triangles traverse in the same direction.
     pub badly_oriented_edges: Vec<[u32; 2]>,
     /// Vertices whose triangles form more than one fan.
     pub non_manifold_vertices: Vec<u32>,
     /// Vertices of no triangle.
     pub unused_vertices: Vec<u32>,
-    /// Triangles that name a vertex more than once.
+    /// Triangles with a repeated vertex.
     pub collapsed_triangles: Vec<u32>,
-    /// Triangles over the same three vertices as an earlier one.
+    /// Triangles with the same three vertices as an earlier one.
     pub duplicate_triangles: Vec<u32>,
-    /// Component of each vertex, numbered by their lowest vertex; [`NO_COMPONENT`] for an unused one.
+    /// Component of each vertex, numbered by their lowest vertices; [`NO_COMPONENT`] for an unused
+    /// vertex.
     pub component_of_vertex: Vec<u32>,
     /// Component of each triangle.
     pub component_of_triangle: Vec<u32>,
     /// The components.
     pub components: Vec<ComponentTopology>,
-    /// Used vertices - edges + triangles of the whole mesh.
+    /// Euler characteristic of the whole mesh: used vertices - edges + triangles.
     pub euler: i64,
 }
 
 impl Topology {
-    /// Closed: every edge is in exactly two triangles that run through it in opposite directions.
+    /// Whether every edge lies in exactly two triangles that traverse it in opposite directions.
     pub fn is_watertight(&self) -> bool {
         self.open_edges.is_empty() && self.non_manifold_edges.is_empty() && self.badly_oriented_edges.is_empty()
     }
 
-    /// Watertight, one fan round every vertex, and no triangle twice or collapsed.
+    /// Whether the mesh is watertight, has one fan at every vertex, and has no duplicate or
+    /// collapsed triangles.
     pub fn is_closed_manifold(&self) -> bool {
         self.is_watertight()
             && self.non_manifold_vertices.is_empty()
@@ -65,7 +69,7 @@ impl Topology {
     }
 }
 
-/// Analyses a mesh whose indices all name a vertex ([`TriangleMesh::is_well_formed`]).
+/// Analyses a mesh. It must be well-formed ([`TriangleMesh::is_well_formed`]).
 pub fn analyse(mesh: &TriangleMesh) -> Topology {
     let mut topology = Topology { duplicate_triangles: duplicates(mesh), ..Topology::default() };
     for (t, &[a, b, c]) in mesh.triangles.iter().enumerate() {
@@ -76,7 +80,8 @@ pub fn analyse(mesh: &TriangleMesh) -> Topology {
     find_components(mesh, &mut topology);
 
     let sides = sorted_sides(mesh);
-    // the corners of a vertex are joined where their triangles share an edge: one set left means one fan
+    // The corners at a vertex are joined if their triangles share an edge. One remaining set means
+    // one fan.
     let mut fans = DisjointSets::new(3 * mesh.triangles.len());
     let mut faulty = vec![false; topology.components.len()];
     let mut from = 0;
@@ -110,7 +115,7 @@ pub fn analyse(mesh: &TriangleMesh) -> Topology {
     let mut fan_count = vec![0u32; mesh.vertices.len()];
     for corner in 0..3 * mesh.triangles.len() as u32 {
         let vertex = mesh.triangles[corner as usize / 3][corner as usize % 3];
-        // a corner that repeats its triangle's vertex is no fan of its own
+        // a corner that repeats a vertex of its triangle does not count as a fan
         if fans.find(corner) == corner && corner_of(mesh, corner / 3, vertex) == corner {
             fan_count[vertex as usize] += 1;
         }
@@ -133,7 +138,7 @@ pub fn analyse(mesh: &TriangleMesh) -> Topology {
     topology
 }
 
-/// One side of a triangle under the key of its edge.
+/// One side of a triangle, with the sort key of its edge.
 struct Side {
     key: u64,
     triangle: u32,
@@ -157,7 +162,7 @@ fn sorted_sides(mesh: &TriangleMesh) -> Vec<Side> {
     sides
 }
 
-/// Corner number of the first place where a triangle names a vertex.
+/// Corner number (3 * triangle + place) of the first occurrence of a vertex in a triangle.
 fn corner_of(mesh: &TriangleMesh, triangle: u32, vertex: u32) -> u32 {
     let corners = mesh.triangles[triangle as usize];
     3 * triangle + u32::from(corners[0] != vertex) * (1 + u32::from(corners[1] != vertex))

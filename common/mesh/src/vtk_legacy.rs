@@ -1,6 +1,7 @@
-//! VTK's legacy files (`.vtk`), by vtkio: surfaces for programs that know no other VTK format, and points from such programs.
+//! Legacy VTK files (`.vtk`), using vtkio: writes surfaces for programs that support no other VTK
+//! format, and reads points that such programs wrote.
 //!
-//! What vtkio is not used for, and why, is told in docs/developer/formats.md.
+//! docs/developer/formats.md explains what vtkio is not used for.
 
 use crate::point_cloud::is_normals;
 use crate::surface::{DataArray, Surface, provenance};
@@ -13,13 +14,14 @@ use vtkio::model::{
     VertexNumbers, Vtk,
 };
 
-/// Points with their normals, where the file has them: positions as they stand, zero for a normal that is not finite.
+/// Points and their normals, if the file has them. Normals are neither normalised nor checked.
 pub(crate) type Points = (Vec<DVec3>, Option<Vec<DVec3>>);
 
-/// The points of polygons (`POLYDATA`) or cells (`UNSTRUCTURED_GRID`), with the point data `Normals` or `normal`; text or binary.
+/// Reads the points of `POLYDATA` or `UNSTRUCTURED_GRID`, and the point data `Normals` or `normal`.
+/// The file may be text or binary.
 ///
 /// # Errors
-/// What is wrong with the bytes, in words.
+/// A description of the problem.
 pub(crate) fn read_points(bytes: &[u8]) -> Result<Points, String> {
     let file = Vtk::parse_legacy_be(bytes).map_err(|error| format!("is no legacy VTK file: {error}"))?;
     let (points, data) = match file.data {
@@ -57,7 +59,7 @@ fn normals(attribute: &Attribute, count: usize) -> Option<Vec<DVec3>> {
     vectors(buffer).filter(|normals| normals.len() == count)
 }
 
-/// Writes a surface as binary `POLYDATA` with its data; the format has no room for the history.
+/// Writes a surface as binary `POLYDATA` with its data. The format has no place for the history.
 pub(crate) fn write(file: &mut dyn Write, surface: &Surface, history: &History) -> io::Result<()> {
     let triangles = &surface.mesh.triangles;
     let piece = PolyDataPiece {
@@ -88,13 +90,15 @@ fn attribute(array: &DataArray) -> Attribute {
     let attribute = match array.components {
         3 if name.eq_ignore_ascii_case("normals") => Attribute::normals(name),
         3 => Attribute::vectors(name),
-        // four at most, by the format; ours have one
+        // the format allows up to four components; arrays of this project have one
         components => Attribute::scalars(name, u32::try_from(components).unwrap_or(u32::MAX)),
     };
     attribute.with_data(data)
 }
 
-/// Numbers as programs of any age read them: 64-bit integers have a name of their own in every version of the format.
+/// Converts numbers to types that all programs can read. The name of the 64-bit integer type
+/// differs between versions of the format, so these become 32-bit integers, or doubles if they do
+/// not fit.
 fn buffer(values: &Voxels) -> IOBuffer {
     match values {
         Voxels::F32(values) => IOBuffer::F32(values.clone()),

@@ -1,17 +1,19 @@
-//! What the user of a stage reads of an error: what happened (file, value), why it matters, what to do next.
+//! User-facing errors of the stages in three parts: what happened (file, value), why it matters,
+//! and what to do next.
 //!
-//! The libraries have errors of their own, which know nothing of programs and options; here they become these three parts.
+//! Libraries have their own errors, which do not depend on programs and options. They are converted
+//! here.
 
 use isoparticles_volume::Content;
 use std::fmt::Display;
 use std::path::Path;
 
-/// How a stage ends; the exit codes are in docs/developer/architecture.md.
+/// How a stage fails; docs/developer/architecture.md lists the exit codes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Kind {
     /// Bad usage or input: exit code 2.
     Input,
-    /// No usable GPU where one was demanded: exit code 3.
+    /// No usable GPU although one was required: exit code 3.
     Gpu,
     /// Interrupted: exit code 130.
     Interrupted,
@@ -23,7 +25,7 @@ pub enum Kind {
 pub struct Error {
     /// How the program should exit.
     pub kind: Kind,
-    /// What happened: the file and the value.
+    /// What happened, with the file and the value.
     pub what: String,
     /// Why the stage cannot go on.
     pub why: String,
@@ -31,7 +33,7 @@ pub struct Error {
     pub next: String,
 }
 
-/// Result of anything that can fail in a stage.
+/// Result of a fallible operation in a stage.
 pub type Result<T> = std::result::Result<T, Error>;
 
 impl Error {
@@ -111,7 +113,7 @@ impl From<isoparticles_mesh::Error> for Error {
     }
 }
 
-/// Which stage takes a file that is no volume, and what to give in its place.
+/// The stage that accepts a file that is not a volume, and the file to use instead.
 fn taken_by(content: Content) -> Option<&'static str> {
     const SURFACE: &str = "tetmesh-check fills a closed .vtp surface with tetrahedra, and 'reconstruct --method tight-cocone' takes the \
                            points of .vtp and .ply files; for distfield, give the volume that the surface was made from";

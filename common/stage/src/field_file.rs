@@ -1,8 +1,9 @@
-//! The fields between the stages: signed distance and target edge length, as VTK image files.
+//! Reads and writes the fields that stages exchange, signed distance and target edge length, as VTK
+//! image files.
 //!
-//! The file places the grid in the world (Origin, Spacing and Direction), so that ParaView and pyvista show it where it
-//! belongs; its field data carries the exact geometry, a note of what was measured, and the history. A file that was edited
-//! and saved again by pyvista is read as well, whatever is left of that.
+//! Origin, Spacing and Direction place the grid in the world for ParaView and pyvista. The field
+//! data holds the exact geometry, metadata of the stage, and the history. Files that pyvista edited
+//! and saved again are read, too, even if that field data is incomplete.
 
 use crate::error::{Error, Result};
 use crate::materials_file;
@@ -15,22 +16,23 @@ use serde::Serialize;
 use serde_json::Value;
 use std::path::Path;
 
-/// Version of the field files that is written. Version 1 had VTK's strings where there are bytes now.
+/// Version of the field files that are written. Version 1 stored texts as VTK strings instead of
+/// bytes.
 const VERSION: u32 = 2;
 /// Versions that are read.
 const READ_VERSIONS: [u32; 2] = [1, VERSION];
 
-/// Which field a file holds.
+/// The type of a field.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum FieldKind {
-    /// Signed distance to the surface in mm, negative inside: made by `distfield`.
+    /// Signed distance to the surface in mm, negative inside; written by `distfield`.
     Distance,
-    /// Target edge length h in mm: made by `sizefield`.
+    /// Target edge length h in mm; written by `sizefield`.
     Sizing,
 }
 
 impl FieldKind {
-    /// Name of the file kind, which is the stage that makes it.
+    /// Name of the file kind: the stage that writes it.
     pub fn name(self) -> &'static str {
         match self {
             Self::Distance => "distfield",
@@ -47,20 +49,20 @@ impl FieldKind {
     }
 }
 
-/// A field as read.
+/// The contents of a field file.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Field {
-    /// Its values and geometry.
+    /// Values and geometry.
     pub image: Image<f32>,
-    /// What the stage that made it noted; null in a file that another program wrote.
+    /// Metadata of the stage that made it; null in a file of another program.
     pub meta: Value,
-    /// Its history, if it carries one.
+    /// The history, if the file carries one.
     pub history: Option<History>,
-    /// Which field it is.
+    /// The type of the field.
     pub kind: FieldKind,
 }
 
-/// Writes a field; values must be finite. Fails if the file cannot be written.
+/// Writes a field, whose values must be finite. Fails if the file cannot be written.
 pub fn write_field(
     path: &Path,
     kind: FieldKind,
@@ -70,7 +72,7 @@ pub fn write_field(
 ) -> Result<()> {
     let mut document = Document::new("ImageData");
     vti::open_image(&mut document, &image.geometry);
-    // keys in order, whatever the order of the fields
+    // sort the keys, independent of the order of the struct fields
     let meta = serde_json::to_value(meta).unwrap_or(Value::Null);
     let texts = [("geometry", ascii_json(&image.geometry)), ("meta", ascii_json(&meta))];
     document.identity(kind.name(), VERSION, &texts, history);
@@ -80,7 +82,8 @@ pub fn write_field(
     write_atomically(path, |file| document.write(file))
 }
 
-/// Reads a field of the expected kind.
+/// Reads a field. Fails if it is not of the expected kind, has an unknown version or has invalid
+/// values.
 pub fn read_field(path: &Path, expected: FieldKind) -> Result<Field> {
     let file = VtkFile::open(path)?;
     let image = file.data_set("ImageData")?;
@@ -119,7 +122,8 @@ pub fn read_field(path: &Path, expected: FieldKind) -> Result<Field> {
     Ok(Field { image: Image { geometry, data }, meta, history, kind: expected })
 }
 
-/// Fails unless two fields live on the same grid, but for the rounding of files that went through another program.
+/// Fails unless two fields have the same grid. Allows for the rounding of files that another
+/// program has saved.
 pub fn check_same_grid(first: (&Path, &Geometry), second: (&Path, &Geometry)) -> Result<()> {
     if vti::same_grid(first.1, second.1) {
         return Ok(());
@@ -150,7 +154,7 @@ fn wrong_kind(path: &Path, expected: FieldKind, what: &str) -> Error {
     )
 }
 
-/// Distances must be finite, edge lengths positive as well.
+/// Distances must be finite; edge lengths must be finite and positive.
 fn check_values(path: &Path, kind: FieldKind, data: &[f32]) -> Result<()> {
     let is_bad = |value: &&f32| !value.is_finite() || (kind == FieldKind::Sizing && **value <= 0.0);
     let count: usize = data.par_chunks(1 << 16).map(|part| part.iter().filter(is_bad).count()).sum();

@@ -1,7 +1,8 @@
-//! What makes a program a stage of isoparticles.
+//! The frame of the stage programs of isoparticles.
 //!
-//! [`cli`] has the options that every stage has, its exit codes, progress and report; [`error`] the error in three parts that a user
-//! reads; [`field_file`], [`materials_file`] and [`particle_file`] the files that go from stage to stage, and [`meta`] what these say beside their values.
+//! [`cli`] has the common options, exit codes, progress and report. [`error`] has the user-facing
+//! errors in three parts. [`field_file`], [`materials_file`] and [`particle_file`] are the files
+//! that stages exchange, and [`meta`] is the metadata in them.
 //!
 //! ```no_run
 //! use isoparticles_stage::cli::{CommonArgs, Context, Outcome, StageArgs, run_stage};

@@ -1,7 +1,9 @@
-//! The indicators of many materials between the stages, as a VTK image file.
+//! Reads and writes the indicators of several materials, which stages exchange as a VTK image file.
 //!
-//! ParaView and pyvista show the material of each node and its distance from the next interface; the field data holds the indicators themselves: bricks and
-//! coefficients of each material, one behind the other in the order of the table, and what fills the bricks. They are read back bit for bit.
+//! For ParaView and pyvista, the point data holds the material of each node and its distance from
+//! the nearest interface. The field data holds the indicators: the bricks and coefficients of all
+//! materials, concatenated in the order of the table, and the values that fill the bricks.
+//! Indicators are read back bit for bit.
 
 use crate::error::{Error, Result};
 use crate::field_file::FieldKind;
@@ -20,7 +22,7 @@ pub const KIND: &str = "materials";
 /// Version of the layout.
 const VERSION: u32 = 1;
 
-/// What each node is shown with, x fastest.
+/// The point data of each node for display, x fastest.
 #[derive(Clone, Copy, Debug)]
 pub struct Shown<'a> {
     /// Number of the material.
@@ -29,14 +31,14 @@ pub struct Shown<'a> {
     pub interface_distance: &'a [f32],
 }
 
-/// Materials as read.
+/// The contents of a materials file.
 #[derive(Clone, Debug, PartialEq)]
 pub struct MaterialsFile {
-    /// The indicators with names and labels.
+    /// The indicators, with names and labels.
     pub materials: Materials,
-    /// What the stage that made them noted.
+    /// Metadata of the stage that made them.
     pub meta: Value,
-    /// Their history, if the file carries one.
+    /// The history, if the file carries one.
     pub history: Option<History>,
 }
 
@@ -45,13 +47,13 @@ pub struct MaterialsFile {
 struct Row {
     #[serde(flatten)]
     material: Material,
-    /// First node of its box.
+    /// First node of the material's box.
     first: [usize; 3],
-    /// Nodes of its box.
+    /// Number of nodes of the box along each axis.
     size: [usize; 3],
-    /// Whether what lies beyond the box is inside.
+    /// Whether everything outside the box is inside the material.
     surrounds: bool,
-    /// How many bricks and coefficients are its own.
+    /// Number of bricks of this material; its number of coefficients follows.
     bricks: usize,
     coefficients: usize,
 }
@@ -59,7 +61,7 @@ struct Row {
 /// Writes materials. Fails if the file cannot be written.
 ///
 /// # Panics
-/// When there is not one number a node to show.
+/// If `shown` does not have one value per node.
 pub fn write_materials(
     path: &Path,
     materials: &Materials,
@@ -104,7 +106,8 @@ pub fn write_materials(
     write_atomically(path, |file| document.write(file))
 }
 
-/// Whether a file holds the indicators of many materials; a file that cannot be read as a VTK image holds none.
+/// Whether a file holds the indicators of several materials. False if it cannot be read as a VTK
+/// image.
 pub fn is_materials(path: &Path) -> bool {
     let kind = || {
         let file = VtkFile::open(path).ok()?;
@@ -113,10 +116,10 @@ pub fn is_materials(path: &Path) -> bool {
     kind().as_deref() == Some(KIND)
 }
 
-/// Reads materials; what is shown of the nodes is left.
+/// Reads materials. The point data for display is ignored.
 ///
 /// # Errors
-/// When the file is of another kind or version, is damaged, or does not fit in memory.
+/// If the file has another kind or version, is damaged, or does not fit in memory.
 pub fn read_materials(path: &Path) -> Result<MaterialsFile> {
     let file = VtkFile::open(path)?;
     let image = file.data_set("ImageData")?;
@@ -192,7 +195,7 @@ fn damaged(path: &Path, what: &str) -> Error {
     )
 }
 
-/// What is said where one object is needed.
+/// The error for a file with several materials where a single object is needed.
 pub(crate) fn not_one_object(path: &Path, expected: FieldKind) -> Error {
     Error::of_file(
         path,

@@ -1,8 +1,8 @@
-//! What one stage tells the next, beside the values of its file: typed, versioned, and read for ever.
+//! Typed and versioned metadata that stages store in their files, next to the values.
 //!
-//! Each struct is the `meta` of one file. What the next stage acts on has a field here; what is only told to people is in `notes`.
-//! A file that another program wrote or saved again has no such note, and one from before there were versions lacks the fields that
-//! came later: all of them may be missing.
+//! Each struct is the `meta` of one file type. Later stages use the named fields; `notes` is
+//! information for people only. Files of other programs have no metadata, and files without a
+//! version lack some fields, so every field may be missing.
 
 use crate::error::{Error, Result};
 use isoparticles_field::materials::Material;
@@ -11,155 +11,157 @@ use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value};
 use std::path::Path;
 
-/// Version of the structs of this module that is written; 0 stands for files from before there were versions.
+/// Version of the metadata that is written; 0 stands for files without a version.
 pub const VERSION: u32 = 1;
 
-/// What a surface was made from.
+/// The source of a surface.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Source {
-    /// Labels, each voxel centre on its side.
+    /// Labels, which fix the side of each voxel centre.
     Labels,
-    /// The values of a scan and an iso value.
+    /// The values of a scan and an isovalue.
     Scalar,
-    /// Points alone.
+    /// Points only.
     Points,
 }
 
-/// What was done where the object meets the border of the volume.
+/// Treatment of the object at the border of the volume.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Border {
-    /// It was closed there by a plane.
+    /// Closed by a plane.
     Cap,
-    /// It was left open.
+    /// Left open.
     Open,
 }
 
-/// Which face of the volume.
+/// One of the two faces of the volume along an axis.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Side {
-    /// Where the index is lowest.
+    /// The face with the lowest index.
     Low,
-    /// Where the index is highest.
+    /// The face with the highest index.
     High,
 }
 
-/// A plane at which the object was cut where it meets the border of the volume.
+/// A plane that closes the object at the border of the volume.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct CapPlane {
-    /// Axis of the grid frame that it is orthogonal to, 0 to 2.
+    /// Axis of the grid frame that is normal to the plane, 0 to 2.
     pub axis: usize,
-    /// The face that it closes.
+    /// The face of the volume that it closes.
     pub side: Side,
-    /// Where it cuts that axis, grid frame, mm.
+    /// Position of the plane along that axis, grid frame, mm.
     pub position: f64,
 }
 
-/// What `distfield` tells of F.
+/// Metadata that `distfield` stores with F.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct DistanceMeta {
-    /// Version of this struct.
+    /// Version of the metadata.
     pub version: u32,
-    /// What F was made from.
+    /// The source of F.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub source: Option<Source>,
-    /// What was done at the border.
+    /// Treatment of the border.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub border: Option<Border>,
     /// The planes that close the object.
     pub cap_planes: Vec<CapPlane>,
-    /// Length below which shape was smoothed away, mm; none or 0 where every voxel centre was kept.
+    /// Length scale of the smoothing, mm. None or 0 if every voxel centre was kept.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub scale: Option<f64>,
-    /// Volume of what was read, mm^3, where it is known.
+    /// Volume of the input object, mm^3, if known.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub volume_before: Option<f64>,
-    /// For people.
+    /// Information for people.
     #[serde(flatten)]
     pub notes: Map<String, Value>,
 }
 
 impl DistanceMeta {
-    /// Whether shape was smoothed away, voxel centres and all.
+    /// Whether the object was smoothed, so that voxel centres may be on the other side than their
+    /// labels.
     pub fn is_scaled(&self) -> bool {
         self.scale.is_some_and(|scale| scale > 0.0)
     }
 
-    /// Whether every voxel centre keeps the side that its label gives it.
+    /// Whether every voxel centre stays on the side of its label.
     pub fn keeps_voxels(&self) -> bool {
         self.source == Some(Source::Labels) && !self.is_scaled()
     }
 }
 
-/// What `distfield` tells of the indicators of many materials, beside what they are made of.
+/// Metadata that `distfield` stores with the indicators of several materials.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct MaterialsMeta {
-    /// Version of this struct.
+    /// Version of the metadata.
     pub version: u32,
-    /// What was done at the border.
+    /// Treatment of the border.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub border: Option<Border>,
-    /// Nodes on each face of the grid that are none of the volume's.
+    /// Number of grid nodes that pad each face of the volume.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub margin: Option<usize>,
-    /// Distance (mm) at which `interface_distance` ends.
+    /// Upper bound of `interface_distance`, mm.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub distance_limit: Option<f64>,
-    /// Length below which shape was smoothed away, mm; none where every voxel centre was kept.
+    /// Length scale of the smoothing, mm; none if every voxel centre was kept.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub scale: Option<f64>,
-    /// For people: the table of materials, pairs that touch, junctions.
+    /// Information for people: the table of materials, the pairs that touch, and the junctions.
     #[serde(flatten)]
     pub notes: Map<String, Value>,
 }
 
-/// What `sizefield` tells of h.
+/// Metadata that `sizefield` stores with h.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct SizeMeta {
-    /// Version of this struct.
+    /// Version of the metadata.
     pub version: u32,
-    /// Components of the surface.
+    /// Number of components of the surface.
     pub components: usize,
-    /// Particles that h asks for.
+    /// Number of particles predicted from h.
     pub predicted_count: f64,
-    /// For people: how h, the local feature size and the noise are distributed.
+    /// Information for people: the distributions of h, of the local feature size and of the noise.
     #[serde(flatten)]
     pub notes: Map<String, Value>,
 }
 
-/// What `reconstruct` tells of a surface.
+/// Metadata that `reconstruct` stores with a surface.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct SurfaceMeta {
-    /// Version of this struct.
+    /// Version of the metadata.
     pub version: u32,
-    /// What it was made from.
+    /// The source of the surface.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub source: Option<Source>,
-    /// What was done at the border.
+    /// Treatment of the border.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub border: Option<Border>,
-    /// Checks that it failed, in words.
+    /// The failed checks, in words.
     pub failed_checks: Vec<String>,
-    /// Components that it should have.
+    /// Expected number of components.
     pub components: usize,
-    /// The materials by their numbers, where they are many: `material_inside` and `material_outside` of the triangles name them.
+    /// The materials in the order of their numbers, if there are several. The triangle data
+    /// `material_inside` and `material_outside` refer to them.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub materials: Vec<Material>,
-    /// For people.
+    /// Information for people.
     #[serde(flatten)]
     pub notes: Map<String, Value>,
 }
 
-/// The typed form of what a file carries; null is the note of a file that carries none.
+/// Converts the `meta` of a file to its type. Null gives the default.
 ///
 /// # Errors
-/// When the note does not mean what this program takes it for, or is of a later version.
+/// If the metadata has the wrong type or a later version.
 pub fn typed<T: DeserializeOwned + Default>(path: &Path, meta: &Value, stage: &str) -> Result<T> {
     if meta.is_null() {
         return Ok(T::default());

@@ -1,21 +1,21 @@
-//! Outputs of a stage: there whole or not at all, with the errors that a user reads.
+//! Atomic writing of a stage's outputs, with user-facing errors.
 
 use crate::error::Result;
 use std::io::{self, Write};
 use std::path::Path;
 
-/// Refuses an output that exists (without `force`) or whose folder cannot be written to.
+/// Fails if an output exists (unless `force` is set) or if its folder cannot be written to.
 ///
 /// # Errors
-/// In three parts.
+/// An error in three parts.
 pub fn check_output(path: &Path, force: bool) -> Result<()> {
     Ok(isoparticles_file::output::check_output(path, force)?)
 }
 
-/// Writes a file so that it appears under its name only when it is complete ([`isoparticles_file::output::write_atomically`]).
+/// Writes a file atomically; see [`isoparticles_file::output::write_atomically`].
 ///
 /// # Errors
-/// In three parts.
+/// An error in three parts.
 pub fn write_atomically(path: &Path, write: impl FnOnce(&mut dyn Write) -> io::Result<()>) -> Result<()> {
     Ok(isoparticles_file::output::write_atomically(path, write)?)
 }

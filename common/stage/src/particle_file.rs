@@ -1,8 +1,10 @@
-//! Particles between the stages: bincode inside a container that tells its kind, version, length and checksum.
+//! Reads and writes the particles that stages exchange: a bincode payload in a container with kind,
+//! version, length and checksum.
 //!
-//! Container: 8 bytes magic, then little endian: kind (u32), format version (u32), length of the payload (u64), BLAKE3 hash
-//! of the payload (32 bytes), payload. Payload: bincode (fixed-width little-endian integers) of the particle set, the JSON
-//! texts of meta and history, and bytes that belong to the checkpoint alone; in version 2, that of many materials, their strata behind all this.
+//! Container, little-endian: magic (8 bytes), kind (u32), format version (u32), length of the
+//! payload (u64), BLAKE3 hash of the payload (32 bytes), payload. Payload: the particle set, the
+//! JSON texts of meta and history, and extra bytes of checkpoints, in bincode with fixed-width
+//! little-endian integers. In version 2 (several materials), the strata follow.
 
 use crate::error::{Error, Result};
 use crate::output::write_atomically;
@@ -16,21 +18,21 @@ use std::io::Read;
 use std::path::Path;
 
 const MAGIC: [u8; 8] = *b"ISOPART\n";
-/// Version of the container that is written for one object.
+/// Container version that is written for a single object.
 const VERSION: u32 = 1;
-/// Version of the container that is written for many materials.
+/// Container version that is written for several materials.
 const VERSION_OF_STRATA: u32 = 2;
-/// Bytes in front of the payload.
+/// Size of the header before the payload, in bytes.
 const HEADER_BYTES: usize = 56;
 
-/// What the particles in a file are.
+/// The type of the particles in a file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ParticleKind {
-    /// First particles, made by `seed`.
+    /// Initial particles, written by `seed`.
     Seeds,
-    /// Settled particles, made by `particles`.
+    /// Settled particles, written by `particles`.
     Particles,
-    /// Half-settled particles with the state to go on from, made by `particles`.
+    /// Particles that are not yet settled, with the state to resume; written by `particles`.
     Checkpoint,
 }
 
@@ -46,7 +48,7 @@ impl ParticleKind {
         }
     }
 
-    /// The stage that makes it.
+    /// The stage that writes it.
     pub fn stage(self) -> &'static str {
         match self {
             Self::Seeds => "seed",
@@ -63,20 +65,20 @@ impl ParticleKind {
     }
 }
 
-/// A particle file as read.
+/// The contents of a particle file.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ParticleFile {
-    /// What the particles are.
+    /// The type of the particles.
     pub kind: ParticleKind,
     /// The particles.
     pub particles: ParticleSet,
-    /// The strata that they live on, where they are of many materials.
+    /// The strata of the particles; `None` for a single object.
     pub strata: Option<Strata>,
-    /// What the stage that made it noted.
+    /// Metadata of the stage that made the file.
     pub meta: Value,
-    /// Its history.
+    /// The history.
     pub history: History,
-    /// Bytes that only the stage that wrote them understands; empty but in checkpoints.
+    /// Bytes that only the writing stage interprets; empty except in checkpoints.
     pub extra: Vec<u8>,
 }
 
@@ -88,7 +90,8 @@ struct PayloadOut<'a> {
     extra: &'a [u8],
 }
 
-/// The texts as bytes, which are as long in the file: for a text bincode takes the memory that its length asks for before it looks at what is there.
+/// The payload with its texts as bytes, which have the same encoding. For a text, bincode allocates
+/// the promised length before it checks how much data there is.
 #[derive(Deserialize)]
 struct PayloadIn {
     particles: ParticleSet,
@@ -101,7 +104,7 @@ fn configuration() -> impl bincode::config::Config {
     bincode::config::standard().with_fixed_int_encoding().with_little_endian()
 }
 
-/// Writes particles.
+/// Writes the particles of a single object.
 pub fn write_particles(
     path: &Path,
     kind: ParticleKind,
@@ -112,7 +115,7 @@ pub fn write_particles(
     write_particles_with(path, kind, particles, meta, history, &[])
 }
 
-/// Writes particles with bytes that belong to the checkpoint alone.
+/// Writes the particles of a single object, with extra bytes for a checkpoint.
 pub fn write_particles_with(
     path: &Path,
     kind: ParticleKind,
@@ -124,7 +127,7 @@ pub fn write_particles_with(
     write(path, kind, (particles, None), meta, history, extra)
 }
 
-/// Writes particles of many materials.
+/// Writes the particles of several materials.
 pub fn write_material_particles(
     path: &Path,
     kind: ParticleKind,
@@ -136,7 +139,7 @@ pub fn write_material_particles(
     write(path, kind, (particles, Some(strata)), meta, history, &[])
 }
 
-/// Writes particles of many materials with bytes that belong to the checkpoint alone.
+/// Writes the particles of several materials, with extra bytes for a checkpoint.
 pub fn write_material_particles_with(
     path: &Path,
     kind: ParticleKind,
@@ -182,7 +185,7 @@ fn write(
     })
 }
 
-/// Reads particles of one of the accepted kinds.
+/// Reads particles. Fails if they are not of one of the accepted kinds, or if the file is damaged.
 pub fn read_particles(path: &Path, accepted: &[ParticleKind]) -> Result<ParticleFile> {
     let cannot = |error: std::io::Error| Error::file(path, "read", &error, "check the name of the particle file");
     let mut file = std::fs::File::open(path).map_err(cannot)?;
@@ -254,7 +257,7 @@ pub fn read_particles(path: &Path, accepted: &[ParticleKind]) -> Result<Particle
     Ok(ParticleFile { kind, particles: decoded.particles, strata, meta, history, extra: decoded.extra })
 }
 
-/// What every stage may rely on: as many of each as there are particles, all of them finite, sizes positive.
+/// Checks what all stages rely on: arrays of equal length, finite values and positive sizes.
 fn check_particles(set: &ParticleSet) -> std::result::Result<(), &'static str> {
     let count = set.positions.len();
     let lengths = [set.normals.len(), set.sizes.len(), set.energies.len(), set.lambdas.len()];
@@ -273,7 +276,8 @@ fn check_particles(set: &ParticleSet) -> std::result::Result<(), &'static str> {
     Ok(())
 }
 
-/// What every stage may rely on: a stratum for each particle, the lower ones first, and segments between particles on junction curves.
+/// Checks what all stages rely on: one stratum per particle, strata of lower dimension first, and
+/// segments whose ends lie on junction curves or points.
 fn check_strata(strata: &Strata, count: usize) -> std::result::Result<(), &'static str> {
     if strata.of.len() != count {
         return Err("has strata of other particles than its own");

@@ -1,18 +1,19 @@
-//! How fine a mesh is asked for, in one word: what `distfield` chooses its scale by and `sizefield` its defaults.
+//! The fineness of a mesh in one word. `distfield` chooses its length scale and `sizefield` its
+//! defaults by it.
 
-/// How fine a mesh is asked for.
+/// Fineness of a mesh.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 pub enum Quality {
-    /// About a quarter of the triangles: a first look.
+    /// About a quarter of the triangles, for a first look.
     Coarse,
-    /// What the data can carry.
+    /// As fine as the data supports.
     Medium,
-    /// About three times the triangles: smoother than the data.
+    /// About three times the triangles, smoother than the data.
     Fine,
 }
 
 impl Quality {
-    /// As on the command line.
+    /// The name on the command line.
     #[must_use]
     pub fn name(self) -> &'static str {
         match self {
@@ -22,7 +23,8 @@ impl Quality {
         }
     }
 
-    /// Smallest h over the mean voxel spacing: finer triangles than 0.75 of it say nothing about the data.
+    /// Minimum h in mean voxel spacings. Triangles below 0.75 voxels add no information about the
+    /// data.
     #[must_use]
     pub fn smallest_size_voxels(self) -> f64 {
         match self {

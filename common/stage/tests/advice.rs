@@ -1,4 +1,5 @@
-//! What the libraries refuse, in the words of the programs: which stage takes the file, which option helps.
+//! Tests the user-facing errors for files that are not volumes: they name the stage that takes the
+//! file, or the option that helps.
 
 use isoparticles_stage::error::Error;
 use isoparticles_volume::read_volume;

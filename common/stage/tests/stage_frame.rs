@@ -1,5 +1,5 @@
-//! The contract of every stage program, tried on a small program of its own: exit codes, outputs kept or whole, the report,
-//! the same bytes from the same input, and the way out after a signal.
+//! Tests the frame that all stage programs share, with a small program: exit codes, complete or
+//! unchanged outputs, the report, reproducible bytes, and the behaviour after a signal.
 //!
 //! This test has no harness, so that it can start itself as that program.
 
@@ -227,7 +227,7 @@ fn what_shells_and_man_read() {
     assert_eq!(names(folder.path()), ["in.txt"]);
 }
 
-/// Neither the folder, nor the output's name, nor the thread count, nor the time is in the output.
+/// The output does not depend on the folder, the output's name, the number of threads, or the time.
 fn same_bytes() {
     let (first, second) = (workplace(), workplace());
     let input = second.path().join("in.txt");
@@ -264,7 +264,7 @@ fn the_report() {
 #[cfg(unix)]
 fn a_signal_leaves_nothing_half_written() {
     use std::io::{BufRead, BufReader};
-    // "deaf" never looks at the flag: the second signal ends it.
+    // "deaf" never checks the flag, so only the second signal ends it
     for (mode, signals) in
         [("wait", &["INT"][..]), ("wait", &["TERM"]), ("endless", &["INT"]), ("deaf", &["INT", "TERM"])]
     {
@@ -275,7 +275,7 @@ fn a_signal_leaves_nothing_half_written() {
         let mut lines = BufReader::new(child.stderr.take().expect("stderr")).lines();
         assert_eq!(lines.next().expect("a line").expect("text"), "ready");
         for signal in signals {
-            // the shell's own kill: a program of that name is not everywhere
+            // use the shell's built-in kill; not every system has a program of that name
             let status = Command::new("sh").args(["-c", &format!("kill -{signal} {}", child.id())]).status();
             assert!(status.expect("sh").success());
             std::thread::sleep(Duration::from_millis(100));
@@ -288,7 +288,7 @@ fn a_signal_leaves_nothing_half_written() {
     }
 }
 
-/// A limit on the size of files stands in for a full disk.
+/// Simulates a full disk by a limit on the file size.
 #[cfg(unix)]
 fn a_full_disk_leaves_nothing_half_written() {
     let folder = workplace();

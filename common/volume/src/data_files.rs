@@ -1,4 +1,5 @@
-//! Which other files a volume's header names, so that a change of one of them is a change of the volume.
+//! Finds the other files that belong to a volume's header, so that callers notice when one of them
+//! changes.
 
 use crate::error::{Error, Result};
 use crate::voxel_data::DataFiles;
@@ -7,11 +8,11 @@ use std::fs::File;
 use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
 
-/// The files that hold the voxels of a detached NRRD or MetaImage header, in order, and the other
-/// file of a NIfTI pair; none for any other file.
+/// The files that hold the voxels of a detached NRRD or MetaImage header, in order, or the other
+/// file of a NIfTI pair. Empty for any other file.
 ///
 /// # Errors
-/// When the header cannot be read.
+/// If the header cannot be read.
 pub fn data_files(path: &Path) -> Result<Vec<PathBuf>> {
     if let Some(other) = nifti::partner(path) {
         return Ok(vec![other]);

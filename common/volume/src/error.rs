@@ -1,25 +1,25 @@
-//! What can go wrong with a volume.
+//! Errors of reading and writing volumes.
 
 use std::fmt;
 use std::path::{Path, PathBuf};
 
-/// What is wrong with a volume. The text says which file, value and place; [`Error::reason`] why that matters and [`Error::remedy`] what can
-/// be done.
+/// An error of a volume. The text names the file, the value and the place, [`Error::reason`] states
+/// why it matters, and [`Error::remedy`] what to do.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum Error {
-    /// Its file cannot be read or written, is damaged, or is not what its format demands.
+    /// The file cannot be read or written, is damaged, or violates its format.
     #[error(transparent)]
     File(#[from] isoparticles_file::error::Error),
-    /// The file is known, but holds no volume.
+    /// The file has a known format that is not a volume.
     #[error("{}: is {content}", path.display())]
     NotAVolume {
         /// The file.
         path: PathBuf,
-        /// What it holds.
+        /// The contents of the file.
         content: Content,
     },
-    /// The folder does not hold one series that is meant, but none or several.
+    /// The number of matching series in the folder is not one.
     #[error("{}: {}", path.display(), match wanted {
         None => format!("holds {matching} series"),
         Some(wanted) if *matching == 0 => format!("holds no series '{wanted}'"),
@@ -28,14 +28,14 @@ pub enum Error {
     Series {
         /// The folder.
         path: PathBuf,
-        /// What was asked for, if anything.
+        /// The requested series, if any.
         wanted: Option<String>,
-        /// How many series are meant by that.
+        /// Number of matching series.
         matching: usize,
-        /// All series of the folder, in words.
+        /// Descriptions of all series in the folder.
         present: Vec<String>,
     },
-    /// A value is no whole number, so it is no label.
+    /// A value is not an integer, so it is not a label.
     #[error("the volume holds the value {value}, which is no label")]
     NotALabel {
         /// The value.
@@ -46,7 +46,7 @@ pub enum Error {
     SegmentMissing {
         /// The name.
         name: String,
-        /// The segments that there are, in words; empty where the file names none.
+        /// The existing segments, as text; empty if the file names none.
         present: String,
     },
     /// Several segments have this name.
@@ -54,9 +54,9 @@ pub enum Error {
     SegmentAmbiguous {
         /// The name.
         name: String,
-        /// How many have it.
+        /// Number of segments with this name.
         count: usize,
-        /// Those, in words.
+        /// These segments, as text.
         present: String,
     },
     /// Several layers hold the label.
@@ -64,35 +64,35 @@ pub enum Error {
     LabelAmbiguous {
         /// The label.
         label: i64,
-        /// Layers that hold it.
+        /// Number of layers that hold it.
         found: usize,
-        /// All layers.
+        /// Number of all layers.
         layers: usize,
-        /// The segments with this number, in words.
+        /// The segments with this label, as text.
         present: String,
     },
 }
 
-/// What a file holds that is no volume.
+/// The contents of a file that is not a volume.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Content {
-    /// First particles, as the program `seed` writes them.
+    /// Initial particles, written by `seed`.
     Seeds,
-    /// Settled particles, as the program `particles` writes them.
+    /// Settled particles, written by `particles`.
     Particles,
-    /// A checkpoint of the program `particles`.
+    /// A checkpoint, written by `particles`.
     Checkpoint,
     /// Polygons in VTK's XML format.
     SurfaceVtk,
     /// An unstructured grid in VTK's XML format.
     TetrahedraVtk,
-    /// VTK's older text format.
+    /// VTK's legacy format.
     LegacyVtk,
-    /// A surface or points in PLY.
+    /// A surface or points in the PLY format.
     SurfacePly,
-    /// A surface in STL.
+    /// A surface in the STL format.
     SurfaceStl,
-    /// A surface in OBJ.
+    /// A surface in the OBJ format.
     SurfaceObj,
     /// One file of a DICOM series.
     DicomSlice,
@@ -115,11 +115,11 @@ impl fmt::Display for Content {
     }
 }
 
-/// Result of work on a volume.
+/// Result of an operation on a volume.
 pub type Result<T> = std::result::Result<T, Error>;
 
 impl Error {
-    /// Why it matters.
+    /// Why the error matters.
     pub fn reason(&self) -> String {
         let reason = match self {
             Self::File(error) => return error.reason(),
@@ -138,7 +138,7 @@ impl Error {
         reason.to_owned()
     }
 
-    /// What can be done.
+    /// What to do about the error.
     pub fn remedy(&self) -> String {
         match self {
             Self::File(error) => error.remedy(),
@@ -163,13 +163,13 @@ impl Error {
         }
     }
 
-    /// The operating system's error on a file.
+    /// An operating-system error; `doing` is the failed operation, such as "read".
     pub(crate) fn file(path: &Path, doing: &str, source: std::io::Error, remedy: impl Into<String>) -> Self {
         isoparticles_file::error::Error::system(path, doing, source, remedy).into()
     }
 }
 
-/// What a file holds is not usable.
+/// An error in the contents of a file.
 pub(crate) fn bad(
     path: &Path,
     problem: impl fmt::Display,

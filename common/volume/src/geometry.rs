@@ -1,30 +1,33 @@
-//! World geometry of a volume: the only place that turns grid positions into world positions.
+//! World geometry of a volume. This is the only module that converts grid positions to world
+//! positions.
 //!
-//! Three frames: *index* (voxel centres at whole numbers), *grid* (index times spacing; axis aligned,
-//! right-handed, origin at the centre of voxel (0, 0, 0); what every stage computes in) and *world* (LPS
-//! millimetres when the file names an anatomical space, as ITK and 3D Slicer have it; else the file's own).
+//! There are three frames. *Index*: voxel centres have integer coordinates. *Grid*: index times
+//! spacing; axis-aligned, right-handed, with the origin at the centre of voxel (0, 0, 0). All
+//! stages compute in it. *World*: LPS in millimetres, as in ITK and 3D Slicer, if the file names an
+//! anatomical space; otherwise the file's own frame.
 
 use glam::{DMat3, DVec3};
 use serde::{Deserialize, Serialize};
 
-/// The world frame that a volume's directions and origin are given in.
+/// The world frame of a volume's directions and origin.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Space {
-    /// Left, posterior, superior: DICOM's and ITK's world; RAS and LAS files are converted to it on reading.
+    /// Left, posterior, superior: the world frame of DICOM and ITK. RAS and LAS files are converted
+    /// to it when read.
     Lps,
-    /// The file names no anatomical space; its numbers are taken as they are.
+    /// The file names no anatomical space; its coordinates are used unchanged.
     Unnamed,
 }
 
 /// Size, spacing, directions, origin and space of a regular grid.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Geometry {
-    /// Voxels along each axis, x fastest.
+    /// Number of voxels along each axis, x fastest.
     pub size: [usize; 3],
-    /// Distance of neighbouring voxel centres along each axis, in mm; positive.
+    /// Distance between neighbouring voxel centres along each axis, in mm; positive.
     pub spacing: DVec3,
-    /// Unit vectors of the three grid axes in the world, one per column; its determinant is negative for a
-    /// left-handed volume.
+    /// Unit vectors of the three grid axes in the world, one per column. The determinant is
+    /// negative for a left-handed volume.
     pub directions: DMat3,
     /// World position of the centre of voxel (0, 0, 0), in mm.
     pub origin: DVec3,
@@ -71,22 +74,24 @@ impl Geometry {
         self.directions.inverse() * (world - self.origin)
     }
 
-    /// World direction of a grid-frame normal (the inverse transpose, for directions that are not orthogonal).
+    /// World direction of a grid-frame normal. Uses the inverse transpose, because directions may
+    /// not be orthogonal.
     pub fn normal_to_world(&self, normal: DVec3) -> DVec3 {
         (self.directions.inverse().transpose() * normal).normalize_or_zero()
     }
 
-    /// Whether the way to the world mirrors, so that triangle windings must be turned round.
+    /// Whether the map to the world mirrors, so that the order of triangle vertices must be
+    /// reversed.
     pub fn is_left_handed(&self) -> bool {
         self.directions.determinant() < 0.0
     }
 
-    /// Smallest spacing, in mm.
+    /// Minimum spacing, in mm.
     pub fn min_spacing(&self) -> f64 {
         self.spacing.min_element()
     }
 
-    /// Geometric mean spacing, in mm: what this project calls "a voxel" when it measures length.
+    /// Geometric mean of the spacings, in mm. This is the length of "a voxel" in this project.
     pub fn mean_spacing(&self) -> f64 {
         (self.spacing.x * self.spacing.y * self.spacing.z).cbrt()
     }
@@ -97,13 +102,14 @@ impl Geometry {
         self.index_to_grid(DVec3::new(self.size[0] as f64 - 1.0, self.size[1] as f64 - 1.0, self.size[2] as f64 - 1.0))
     }
 
-    /// The same grid with `margin` more voxels on every face (grid positions shift by `margin * spacing`).
+    /// The same grid with `margin` more voxels on every face. Grid positions shift by
+    /// `margin * spacing`.
     pub fn padded(&self, margin: usize) -> Self {
         let shift = self.index_to_grid(DVec3::splat(-(margin as f64)));
         Self { size: self.size.map(|n| n + 2 * margin), origin: self.grid_to_world(shift), ..self.clone() }
     }
 
-    /// The grid of a box of `size` voxels from the voxel `first` on.
+    /// The grid of a box of `size` voxels that starts at the voxel `first`.
     pub fn cropped(&self, first: [usize; 3], size: [usize; 3]) -> Self {
         let corner = self.index_to_grid(DVec3::from_array(first.map(|n| n as f64)));
         Self { size, origin: self.grid_to_world(corner), ..self.clone() }

@@ -7,21 +7,21 @@ use rayon::prelude::*;
 /// Values on a regular grid, x fastest.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Image<T> {
-    /// Where the voxels are.
+    /// Grid of the voxels.
     pub geometry: Geometry,
-    /// One value a voxel, x fastest.
+    /// One value per voxel, x fastest.
     pub data: Vec<T>,
 }
 
 impl<T: Copy + Send + Sync> Image<T> {
     /// An image filled with one value.
     pub fn filled(geometry: Geometry, value: T) -> Self {
-        // on all threads, because the memory is new
+        // on all threads, because the first access to new memory is slow
         let data = (0..geometry.voxel_count()).into_par_iter().map(|_| value).collect();
         Self { geometry, data }
     }
 
-    /// Samples of a function of the position in the grid frame, mm.
+    /// Samples a function of the position in the grid frame (mm) at every voxel centre.
     pub fn sampled(geometry: Geometry, f: impl Fn(DVec3) -> T) -> Self {
         let [nx, ny, nz] = geometry.size;
         let mut data = Vec::with_capacity(geometry.voxel_count());
@@ -39,8 +39,9 @@ impl<T: Copy + Send + Sync> Image<T> {
     }
 }
 
-/// Puts slices of `length` values into the opposite order, each as it is. What is used from the first slice on then lies from the end on, where a
-/// vector can give back what has been used.
+/// Reverses the order of slices of `length` values, but not the values within a slice. A consumer
+/// that starts with the first slice then takes slices from the end, where a vector can release
+/// memory.
 pub fn reverse_slices<T>(values: &mut [T], length: usize) {
     let count = values.len() / length;
     for n in 0..count / 2 {

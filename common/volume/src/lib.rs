@@ -1,17 +1,19 @@
-//! Medical volumes: voxels of their own type on a grid with its place in the world.
+//! Medical volumes: voxels of their original type on a grid with a position in the world.
 //!
-//! [`read_volume`] reads NRRD, 3D Slicer's segmentations, NIfTI, MetaImage, VTK images and folders of DICOM slices. Lengths are in the
-//! volume's physical units (mm) and positions in the *grid frame* (index times spacing, axis aligned, right-handed) unless a name says
-//! otherwise; [`Geometry`] is the one place that knows the way from there to the world.
+//! [`read_volume`] reads NRRD, 3D Slicer segmentations, NIfTI, MetaImage, VTK images and folders of
+//! DICOM slices. Lengths are in physical units (mm). Positions are in the *grid frame* (index times
+//! spacing, axis-aligned, right-handed) unless stated otherwise. [`Geometry`] converts them to the
+//! world.
 //!
-//! [`vtk_xml`] reads and writes VTK's XML files of any kind, and [`vti`] the images among them: other crates put their own files together
-//! from these.
+//! [`vtk_xml`] reads and writes VTK XML files of any kind, and [`vti`] reads and writes the images
+//! among them. Other crates build their file formats on these two.
 //!
 //! ```
 //! use glam::DVec3;
 //! use isoparticles_volume::{Geometry, Voxels, nrrd, read_volume};
 //!
-//! let path = std::env::temp_dir().join(format!("isoparticles-example-{}.nrrd", std::process::id()));
+//! let path =
+//!     std::env::temp_dir().join(format!("isoparticles-example-{}.nrrd", std::process::id()));
 //! let geometry = Geometry::axis_aligned([2, 2, 2], DVec3::new(0.5, 0.5, 1.5));
 //! nrrd::write_nrrd(&path, &geometry, &Voxels::I16((0..8).collect()), nrrd::Encoding::Gzip)?;
 //! let volume = read_volume(&path)?;

@@ -1,4 +1,4 @@
-//! Checks the size and the geometry that a file claims.
+//! Checks the sizes and the geometry in a file header.
 
 use crate::error::Result;
 use crate::error::bad;
@@ -6,7 +6,7 @@ use crate::geometry::{Geometry, Space};
 use glam::{DMat3, DVec3};
 use std::path::Path;
 
-/// Number of voxels for sizes from a header: three axes, none of them zero, no overflow.
+/// Number of voxels for the sizes of a header. Fails if a size is zero or the product overflows.
 pub(crate) fn voxel_count(path: &Path, size: [usize; 3]) -> Result<usize> {
     if size.contains(&0) {
         return Err(bad(path, format!("a size is zero: {size:?}"), "there are no voxels", "check how it was written"));
@@ -17,7 +17,9 @@ pub(crate) fn voxel_count(path: &Path, size: [usize; 3]) -> Result<usize> {
     })
 }
 
-/// A geometry from the vectors between neighbouring voxels along the three axes, in the world.
+/// A geometry from the world vectors between neighbouring voxels along the three axes. Fails if a
+/// spacing is not between 1e-9 and 1e6 mm, if the origin is not finite or beyond 1e9 mm, or if the
+/// axes are (nearly) coplanar.
 pub(crate) fn geometry_from_steps(
     path: &Path,
     size: [usize; 3],

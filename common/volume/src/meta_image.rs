@@ -1,7 +1,9 @@
-//! MetaImage (`.mha`; `.mhd` with its data beside it), the format of ITK. Its world is LPS.
+//! Reads MetaImage (`.mha`, or `.mhd` with separate data files), the format of ITK. Its world frame
+//! is LPS.
 //!
-//! Read as ITK reads it: `TransformMatrix` holds the direction of one axis after the other, `Offset` the centre of the first voxel;
-//! `AnatomicalOrientation` says again what they say, and `CenterOfRotation` nothing about the grid.
+//! Fields are interpreted as in ITK. `TransformMatrix` holds the directions of the axes, one after
+//! another, and `Offset` the centre of the first voxel. `AnatomicalOrientation` is redundant, and
+//! `CenterOfRotation` does not affect the grid.
 
 use crate::error::bad;
 use crate::error::{Error, Result};
@@ -17,16 +19,16 @@ use std::fs::File;
 use std::io::{BufRead, BufReader, Read};
 use std::path::Path;
 
-/// Longest header that is read; a list of 100,000 file names fits.
+/// Maximum header size in bytes; a list of 100,000 file names fits.
 const MOST_HEADER_BYTES: u64 = 16 << 20;
 
-/// Most dimensions that are looked at; MetaIO has no more than 10.
+/// Maximum number of dimensions; the limit of MetaIO is 10.
 const MOST_DIMENSIONS: usize = 10;
 
-/// Fields that a header may start with: ITK starts with the first one, other programs leave it out.
+/// Fields that a header may start with. ITK starts with the first; other programs omit it.
 const FIRST_FIELDS: [&str; 3] = ["ObjectType", "NDims", "Comment"];
 
-/// Whether the first bytes of a file are those of a MetaImage header.
+/// Whether a file with these first bytes is a MetaImage.
 pub(crate) fn is_meta_image(start: &[u8]) -> bool {
     FIRST_FIELDS.iter().any(|field| {
         let rest = start.strip_prefix(field.as_bytes());
@@ -34,7 +36,7 @@ pub(crate) fn is_meta_image(start: &[u8]) -> bool {
     })
 }
 
-/// Reads a MetaImage volume with one number a voxel.
+/// Reads a MetaImage volume with one number per voxel.
 pub(crate) fn read_meta_image(path: &Path) -> Result<Volume> {
     let file = File::open(path).map_err(|error| Error::file(path, "read", error, "check the name of the volume"))?;
     let mut reader = BufReader::new(file);
@@ -47,22 +49,23 @@ pub(crate) fn read_meta_image(path: &Path) -> Result<Volume> {
     Ok(Volume { remarks, ..Volume::new(geometry, voxels) })
 }
 
-/// Where the header says that the voxels are.
+/// The data files that the header names.
 pub(crate) fn data_files(path: &Path, reader: &mut impl BufRead) -> Result<DataFiles> {
     Header::read(path, reader)?.files()
 }
 
-/// The lines of a header.
+/// The fields of a header.
 struct Header<'a> {
     path: &'a Path,
-    /// By name; names differ in nothing but their letters, not in case.
+    /// Values by field name; names are case-sensitive.
     fields: BTreeMap<String, String>,
-    /// What follows `ElementDataFile = LIST`.
+    /// The lines after `ElementDataFile = LIST`.
     list: Vec<String>,
 }
 
 impl<'a> Header<'a> {
-    /// Reads the header and leaves the reader behind `ElementDataFile`, which is always the last field.
+    /// Reads the header. The reader then stands after `ElementDataFile`, which is always the last
+    /// field.
     fn read(path: &'a Path, reader: &mut impl BufRead) -> Result<Self> {
         let mut header = Self { path, fields: BTreeMap::new(), list: Vec::new() };
         let mut reader = Read::take(reader, MOST_HEADER_BYTES);
@@ -103,7 +106,7 @@ impl<'a> Header<'a> {
         self.fields.get(name).map(String::as_str)
     }
 
-    /// The first of several names that is there, with its value.
+    /// The first of several fields that is present, with its value.
     fn first_of(&self, names: &[&'static str]) -> Option<(&'static str, &str)> {
         names.iter().find_map(|&name| self.field(name).map(|text| (name, text)))
     }
@@ -124,7 +127,7 @@ impl<'a> Header<'a> {
         })
     }
 
-    /// A field of yes or no.
+    /// A boolean field; false if it is missing.
     fn is(&self, name: &str) -> Result<bool> {
         match self.field(name).map(str::to_lowercase).as_deref() {
             None => Ok(false),
@@ -134,7 +137,7 @@ impl<'a> Header<'a> {
         }
     }
 
-    /// The numbers of a field.
+    /// The `count` numbers of a field.
     fn numbers<T: std::str::FromStr>(&self, name: &str, count: usize) -> Result<Vec<T>> {
         let words = self.field(name).unwrap_or("").split_whitespace();
         let numbers: Option<Vec<T>> = words.map(|word| word.parse().ok()).collect();
@@ -164,7 +167,7 @@ impl<'a> Header<'a> {
             return Err(self.no_volume(dimension));
         }
         let sizes = self.numbers::<usize>("DimSize", dimension)?;
-        // one volume of a series in time
+        // a series in time with a single volume is accepted
         if sizes[3..].iter().any(|&n| n != 1) {
             return Err(self.no_volume(dimension));
         }
@@ -216,7 +219,7 @@ impl<'a> Header<'a> {
         };
         let order = self.first_of(&["BinaryDataByteOrderMSB", "ElementByteOrderMSB"]);
         let is_big = order.map_or(Ok(false), |(name, _)| self.is(name))?;
-        // as in NRRD, -1 says that the voxels end with the file
+        // as in NRRD, -1 means that the voxels end at the end of the file
         let byte_skip =
             self.field("HeaderSize").map_or(Ok(0), |text| text.parse().map_err(|_| self.error("HeaderSize")))?;
         if byte_skip < -1 {
@@ -226,13 +229,14 @@ impl<'a> Header<'a> {
         Ok(Layout { scalar, coding, endian, line_skip: 0, byte_skip, files: self.files()? })
     }
 
-    /// The third number of `DimSize`.
+    /// The number of slices: the third number of `DimSize`.
     fn slices(&self) -> Result<usize> {
         let words = self.field("DimSize").unwrap_or("").split_whitespace();
         { words }.nth(2).and_then(|word| word.parse().ok()).ok_or_else(|| self.error("DimSize"))
     }
 
-    /// Resolves `ElementDataFile`: `LOCAL`, one name, `LIST [dimension]`, or `pattern first last step`.
+    /// Resolves `ElementDataFile`: `LOCAL`, a file name, `LIST [dimension]`, or `pattern first last
+    /// step`.
     fn files(&self) -> Result<DataFiles> {
         let field = self.need("ElementDataFile")?;
         let words: Vec<&str> = field.split_whitespace().collect();
@@ -253,7 +257,7 @@ impl<'a> Header<'a> {
                 let names = range.and_then(|(low, high, step)| numbered_names(pattern, low, high, step));
                 names.ok_or_else(|| self.error("ElementDataFile"))?
             }
-            // a single name may hold spaces
+            // a file name may contain spaces
             _ => vec![field.to_owned()],
         };
         let slices = self.slices()?;
@@ -269,7 +273,7 @@ impl<'a> Header<'a> {
     }
 }
 
-/// MetaIO's names; its `LONG` has 32 bits on every machine.
+/// MetaIO's type names; its `LONG` always has 32 bits.
 fn scalar_type(name: &str) -> Option<ScalarType> {
     Some(match name {
         "MET_CHAR" => ScalarType::I8,

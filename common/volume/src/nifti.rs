@@ -1,7 +1,8 @@
-//! NIfTI-1 volumes (`.nii`, `.nii.gz`, pairs of `.hdr` and `.img`), the format of neuroimaging:
-//! right, anterior, superior, turned into LPS here.
+//! Reads NIfTI-1 volumes (`.nii`, `.nii.gz`, pairs of `.hdr` and `.img`), the format of
+//! neuroimaging. Its world frame is RAS, which is converted to LPS here.
 //!
-//! The `nifti` crate reads the header; the voxels are read here, so that memory grows with what is really there.
+//! The `nifti` crate reads the header. This module reads the voxels itself, so that memory grows
+//! only with the data that is present.
 
 mod names;
 
@@ -19,20 +20,20 @@ use std::fs::File;
 use std::io::{self, BufRead, BufReader, Read};
 use std::path::{Path, PathBuf};
 
-/// Bytes of a NIfTI-1 header.
+/// Size of a NIfTI-1 header in bytes.
 const HEADER_BYTES: u64 = 348;
 
-/// Where the voxels of a single file start: behind the header and four bytes that say whether
+/// Default offset of the voxels in a single file: the header and four bytes that tell whether
 /// extensions follow.
 const FIRST_VOXEL: u64 = 352;
 
-/// Whether the first bytes of a file, not compressed, are those of a NIfTI header.
+/// Whether an uncompressed file with these first bytes has a NIfTI header.
 pub(crate) fn is_nifti(start: &[u8]) -> bool {
-    // The header says its own length, in the byte order of the file.
+    // the header starts with its own size: 348 (NIfTI-1) or 540 (NIfTI-2), in the file's byte order
     matches!(start.get(..4), Some([0x5c, 1, 0, 0] | [0, 0, 1, 0x5c] | [0x1c, 2, 0, 0] | [0, 0, 2, 0x1c]))
 }
 
-/// Whether a file, of which the first bytes are given, holds a NIfTI header behind gzip.
+/// Whether a file with the first bytes `start` is a NIfTI file compressed with gzip.
 pub(crate) fn is_compressed_nifti(path: &Path, start: &[u8]) -> bool {
     let first = || -> io::Result<[u8; 4]> {
         let mut first = [0; 4];
@@ -42,8 +43,8 @@ pub(crate) fn is_compressed_nifti(path: &Path, start: &[u8]) -> bool {
     start.starts_with(&[0x1f, 0x8b]) && first().is_ok_and(|first| is_nifti(&first))
 }
 
-/// The file of a pair that is not `path`: the voxels in `.img` of a header in `.hdr`, or the header
-/// of these voxels.
+/// The other file of a pair: the `.img` file of voxels for a `.hdr` header, or the header for the
+/// voxels. `None` if there is no such file.
 pub(crate) fn partner(path: &Path) -> Option<PathBuf> {
     let name = path.file_name()?.to_str()?;
     let plain = name.strip_suffix(".gz").unwrap_or(name);
@@ -55,14 +56,14 @@ pub(crate) fn partner(path: &Path) -> Option<PathBuf> {
     beside.into_iter().find(|path| path.is_file())
 }
 
-/// The bytes of a file, those of gzip decompressed.
+/// The bytes of a file; gzip is decompressed.
 fn open(path: &Path) -> io::Result<Stream<BufReader<File>>> {
     let mut file = BufReader::with_capacity(1 << 17, File::open(path)?);
     let is_compressed = file.fill_buf()?.starts_with(&[0x1f, 0x8b]);
     Ok(Stream::new(file, if is_compressed { Coding::Gzip } else { Coding::Raw }))
 }
 
-/// Reads a NIfTI-1 volume with one number a voxel.
+/// Reads a NIfTI-1 volume with one number per voxel.
 pub(crate) fn read_nifti(path: &Path) -> Result<Volume> {
     let cannot = |error: io::Error| Error::file(path, "read", error, "copy or download the file again");
     let mut reader = open(path).map_err(cannot)?;
@@ -107,7 +108,7 @@ pub(crate) fn read_nifti(path: &Path) -> Result<Volume> {
     Ok(Volume { segments, remarks, ..Volume::new(geometry, voxels) })
 }
 
-/// What a header of a pair ends with.
+/// The magic number at the end of the header of a pair.
 const PAIR: &[u8; 4] = b"ni1\0";
 
 fn header(path: &Path, start: &[u8]) -> Result<NiftiHeader> {
@@ -127,7 +128,7 @@ fn header(path: &Path, start: &[u8]) -> Result<NiftiHeader> {
         .map_err(|error| bad(path, format!("has no NIfTI-1 header: {error}"), "it is damaged or something else", next))
 }
 
-/// The file with the voxels of a header in a file of its own.
+/// The voxel file of a separate header.
 fn voxels_beside(path: &Path) -> Result<PathBuf> {
     partner(path).ok_or_else(|| {
         bad(
@@ -167,7 +168,8 @@ fn scalar_type(path: &Path, header: &NiftiHeader) -> Result<ScalarType> {
     })
 }
 
-/// Geometry in LPS and mm: from the sform where there is one, else from the qform, else from the plain spacings.
+/// Geometry in LPS and mm, from the sform if there is one, else from the qform, else from the voxel
+/// spacings.
 fn geometry(path: &Path, header: &NiftiHeader) -> Result<(Geometry, Vec<String>)> {
     let dimension = usize::from(header.dim[0]);
     if !(1..=7).contains(&dimension) {
@@ -225,7 +227,7 @@ fn pixel_spacing(header: &NiftiHeader) -> DVec3 {
     DVec3::new(header.pixdim[1].into(), header.pixdim[2].into(), header.pixdim[3].into())
 }
 
-/// Steps between voxels and origin from the three rows of the sform.
+/// Vectors between voxels, and the origin, from the three rows of the sform.
 fn sform(header: &NiftiHeader) -> (DMat3, DVec3, Space) {
     let row = |row: [f32; 4]| row.map(f64::from);
     let (x, y, z) = (row(header.srow_x), row(header.srow_y), row(header.srow_z));
@@ -233,10 +235,11 @@ fn sform(header: &NiftiHeader) -> (DMat3, DVec3, Space) {
     (DMat3::from_cols(column(0), column(1), column(2)), column(3), Space::Lps)
 }
 
-/// The same from the quaternion of the qform.
+/// Vectors between voxels, and the origin, from the quaternion of the qform.
 fn qform(header: &NiftiHeader) -> (DMat3, DVec3, Space) {
     let vector = DVec3::new(header.quatern_b.into(), header.quatern_c.into(), header.quatern_d.into());
-    // The first component is not stored; rounding may leave the other three slightly longer than one.
+    // The first component is not stored. Rounding may make the other three slightly longer than
+    // one.
     let quaternion = DQuat::from_xyzw(vector.x, vector.y, vector.z, (1.0 - vector.length_squared()).max(0.0).sqrt());
     let rotation = DMat3::from_quat(quaternion.normalize());
     let mut spacing = pixel_spacing(header);
@@ -247,10 +250,11 @@ fn qform(header: &NiftiHeader) -> (DMat3, DVec3, Space) {
     (rotation * DMat3::from_diagonal(spacing), origin, Space::Lps)
 }
 
-/// Most bytes of extensions that are looked at: the names of 65,535 labels take 250 bytes each.
+/// Maximum number of bytes of extensions that are read: names of 65,535 labels with 250 bytes each.
 const MOST_EXTENSIONS: u64 = 1 << 24;
 
-/// What lies between the header and the voxels, `skip` bytes: extensions, of which the first [`MOST_EXTENSIONS`] are given.
+/// Skips the `skip` bytes between header and voxels. Returns the extensions there, up to
+/// [`MOST_EXTENSIONS`] bytes.
 fn skip_to_voxels(reader: &mut dyn Read, skip: f64) -> io::Result<Vec<u8>> {
     if !(0.0..1e9).contains(&skip) {
         return Err(io::Error::new(io::ErrorKind::InvalidData, "the voxels start within the header"));
@@ -262,7 +266,7 @@ fn skip_to_voxels(reader: &mut dyn Read, skip: f64) -> io::Result<Vec<u8>> {
     if reader.limit() > 0 { Err(io::ErrorKind::UnexpectedEof.into()) } else { Ok(between) }
 }
 
-/// Applies the header's slope and intercept, if they change anything.
+/// Applies the slope and intercept of the header, if they change anything.
 fn scaled(voxels: Voxels, slope: f32, intercept: f32, remarks: &mut Vec<String>) -> Voxels {
     let plain = slope == 0.0 || !slope.is_finite() || !intercept.is_finite() || (slope == 1.0 && intercept == 0.0);
     if plain {
@@ -271,7 +275,7 @@ fn scaled(voxels: Voxels, slope: f32, intercept: f32, remarks: &mut Vec<String>)
     remarks.push(format!("the values are the stored ones times {slope} plus {intercept}, as the header says"));
     let (slope, intercept) = (f64::from(slope), f64::from(intercept));
     match voxels.scalar_type() {
-        // Half the memory, where no digit is lost that was there.
+        // single precision takes half the memory and keeps all digits of these types
         ScalarType::I8 | ScalarType::U8 | ScalarType::I16 | ScalarType::U16 | ScalarType::F32 => {
             Voxels::F32(voxels.to_f32().into_iter().map(|x| (f64::from(x) * slope + intercept) as f32).collect())
         }

@@ -1,5 +1,5 @@
-//! The one way into the program for volumes: which reader a file wants is told by its first bytes, and by its name only where the bytes
-//! do not say.
+//! Reads volumes of all formats. The first bytes of a file decide its format; the file name is used
+//! only if they do not.
 
 use crate::error::bad;
 use crate::error::{Content, Error, Result};
@@ -8,17 +8,19 @@ use crate::{dicom, meta_image, nifti, nrrd, vti};
 use std::io::Read;
 use std::path::Path;
 
-/// Bytes that are looked at: behind the 128 bytes at the start of a DICOM file, and far enough into an XML file.
+/// Number of bytes that decide the format: beyond the 128-byte preamble of DICOM, and far enough
+/// into an XML file.
 const START_BYTES: u64 = 512;
 
-/// What the user says beside the name of the file.
+/// Options of reading a volume.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct ReadOptions<'a> {
-    /// Which series of a folder of DICOM files: its description, its number or its UID. Not needed where there is one.
+    /// The series in a folder of DICOM files: description, number or UID. Not needed if there is
+    /// only one.
     pub series: Option<&'a str>,
 }
 
-/// Formats of volumes, as told by the first bytes.
+/// The formats of volumes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Format {
     Nrrd,
@@ -27,23 +29,25 @@ enum Format {
     VtkImage,
 }
 
-/// Reads a volume: NRRD, 3D Slicer's segmentation, MetaImage, NIfTI, VTK image, or a folder of DICOM slices.
+/// Reads a volume: NRRD, 3D Slicer segmentation, MetaImage, NIfTI, VTK image, or a folder of DICOM
+/// slices.
 ///
 /// # Errors
-/// When the file cannot be read, is no volume with one number a voxel, is damaged or cut short, or does not fit in memory.
+/// If the file cannot be read, is not a volume with one number per voxel, is damaged or cut short,
+/// or does not fit in memory.
 pub fn read_volume(path: &Path) -> Result<Volume> {
     read_volume_with(path, &ReadOptions::default())
 }
 
-/// The same with options.
+/// As [`read_volume`], with options.
 ///
 /// # Errors
-/// As [`read_volume`], and when a series is asked for that is not there, or of a file that has no series.
+/// As [`read_volume`]. Also if the requested series does not exist, or if the file has no series.
 pub fn read_volume_with(path: &Path, options: &ReadOptions<'_>) -> Result<Volume> {
     if path.is_dir() {
         return dicom::read_folder(path, options.series);
     }
-    // the voxels of a pair are read by its header
+    // a pair of files is read by its header
     let header = nifti::partner(path).filter(|other| other.to_string_lossy().trim_end_matches(".gz").ends_with(".hdr"));
     let path = header.as_deref().unwrap_or(path);
     let start = start(path)?;
@@ -75,7 +79,7 @@ fn start(path: &Path) -> Result<Vec<u8>> {
     Ok(start)
 }
 
-/// Which format a file has; an error for everything that is no volume.
+/// The format of a file. Fails if it is not a volume.
 fn format(path: &Path, start: &[u8]) -> Result<Format> {
     let name = path.to_string_lossy().to_lowercase();
     let ends = |endings: &[&str]| endings.iter().any(|ending| name.ends_with(ending));
@@ -115,7 +119,7 @@ fn format(path: &Path, start: &[u8]) -> Result<Format> {
     ))
 }
 
-/// What a file is that looks like one but holds no volume.
+/// The contents of a file that has a known format but is not a volume.
 fn no_volume(start: &[u8], ends: &impl Fn(&[&str]) -> bool) -> Option<Content> {
     let has = |word: &[u8]| start.windows(word.len()).any(|window| window == word);
     if dicom::is_dicom(start) {

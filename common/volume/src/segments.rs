@@ -1,31 +1,32 @@
-//! What labels are called, and the layers that let segments overlap.
+//! Names of labels, and the layers that let segments overlap.
 //!
-//! 3D Slicer writes segments that overlap into several layers: one label volume each, on the same grid. A label then means something
-//! within its layer alone; [`LayerLabel`] says both. A volume with one layer is the ordinary case and costs nothing more.
+//! 3D Slicer writes overlapping segments into several layers: label volumes on the same grid. A
+//! label is then unique only within its layer, so [`LayerLabel`] holds both. Most volumes have a
+//! single layer.
 
 use crate::error::{Error, Result};
 use crate::volume::Volume;
 use crate::voxels::Voxels;
 use serde::{Deserialize, Serialize};
 
-/// Most names that an error message lists.
+/// Maximum number of names that an error message lists.
 const MOST_LISTED: usize = 40;
 
-/// A label and the layer that it lies in.
+/// A label and its layer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 pub struct LayerLabel {
-    /// The layer, counted from 0; 0 in a volume with one layer.
+    /// The layer, counted from 0.
     pub layer: usize,
-    /// The label, a value of that layer's voxels.
+    /// The label: a voxel value in that layer.
     pub label: i64,
 }
 
-/// A label with a name.
+/// A named label.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Segment {
-    /// What it is called, such as `left lung`.
+    /// Name, such as `left lung`.
     pub name: String,
-    /// Where it lies.
+    /// Label and layer.
     #[serde(flatten)]
     pub at: LayerLabel,
 }
@@ -41,19 +42,19 @@ impl Volume {
         std::iter::once(&self.voxels).chain(&self.more_layers)
     }
 
-    /// What is assumed of NaN among labels, in words, if there is any.
+    /// A remark on the treatment of NaN labels, if there are any.
     pub fn nan_remark(&self) -> Option<String> {
         let count: usize = self.layers().map(Voxels::nan_count).sum();
         (count > 0).then(|| format!("{count} voxels are NaN and taken as background (label 0)"))
     }
 
-    /// The name of a label, if the file gives one.
+    /// The name of a label, if the file contains one.
     pub fn name_of(&self, at: LayerLabel) -> Option<&str> {
         self.segments.iter().find(|segment| segment.at == at).map(|segment| segment.name.as_str())
     }
 
-    /// Every label with its layer, in increasing order, NaN as 0. Fails when another value is not a
-    /// whole number.
+    /// All labels with their layers, in ascending order; NaN counts as 0. Fails if any other value
+    /// is not an integer.
     pub fn label_set(&self) -> Result<Vec<LayerLabel>> {
         let mut all = Vec::new();
         for (layer, voxels) in self.layers().enumerate() {
@@ -62,10 +63,11 @@ impl Volume {
         Ok(all)
     }
 
-    /// The segment of a name, letter by letter or else in other case.
+    /// The segment with a name. If there is no exact match, upper and lower case are not
+    /// distinguished.
     ///
     /// # Errors
-    /// When no segment has the name, or more than one has it; the error lists what there is.
+    /// If no segment or more than one matches; the error lists the candidates.
     pub fn segment_named(&self, name: &str) -> Result<LayerLabel> {
         let exact: Vec<&Segment> = self.segments.iter().filter(|segment| segment.name == name).collect();
         let found = if exact.is_empty() {
@@ -85,11 +87,12 @@ impl Volume {
         }
     }
 
-    /// Where a label lies, for a label given as a number.
+    /// The layer of a label that is given by its number. A label that does not occur is assigned to
+    /// the first layer.
     ///
     /// # Errors
-    /// When several layers hold the label, so that its number does not say which one is meant, and when a value is no label. A label
-    /// that occurs nowhere is taken to be in the first layer.
+    /// If several layers contain the label, so that the number is ambiguous, or if a value is not a
+    /// label.
     pub fn label_numbered(&self, label: i64) -> Result<LayerLabel> {
         if self.more_layers.is_empty() {
             return Ok(LayerLabel { layer: 0, label });
@@ -111,7 +114,7 @@ impl Volume {
         }
     }
 
-    /// Which voxels carry one of the labels, in any layer: the union where segments overlap.
+    /// Marks the voxels that have one of the labels in any layer.
     pub fn label_mask(&self, labels: &[LayerLabel]) -> Vec<bool> {
         let of_layer =
             |layer: usize| -> Vec<i64> { labels.iter().filter(|at| at.layer == layer).map(|at| at.label).collect() };
@@ -125,7 +128,7 @@ impl Volume {
         mask
     }
 
-    /// Names with their numbers, for a message.
+    /// Lists segments with their labels, for a message.
     fn listed<'a>(&self, segments: impl IntoIterator<Item = &'a Segment>) -> String {
         let of = |segment: &Segment| match self.more_layers.is_empty() {
             true => format!("'{}' ({})", segment.name, segment.at.label),
@@ -145,7 +148,7 @@ mod tests {
     use crate::geometry::Geometry;
     use glam::DVec3;
 
-    /// Two layers: lung 1 and heart 2, and a vessel 1 that lies in both.
+    /// Two layers: lung (1) and heart (2), and a vessel (1) that overlaps both.
     fn overlapping() -> Volume {
         let segment = |name: &str, layer, label| Segment { name: name.to_owned(), at: LayerLabel { layer, label } };
         Volume {

@@ -1,11 +1,12 @@
-//! Moves a volume from a sheared grid (gantry tilt, sform with shear) to an orthonormal one.
+//! Resamples a volume from a sheared grid (gantry tilt, sform with shear) to an orthonormal grid.
 //!
-//! Gram-Schmidt gives the new axes: x is kept, y stays within the slices, z is their normal. Every
-//! slice stays a slice, so that a move is at most two passes of one dimension: along y by an amount
-//! for each slice, then along x by an amount for each row. A voxel keeps its volume.
+//! The new axes result from Gram-Schmidt: x is kept, y stays in the slice plane, and z is its
+//! normal. Slices remain slices, so at most two one-dimensional passes suffice. The first shifts
+//! each slice along y, and the second shifts each row along x. The volume of a voxel does not
+//! change.
 //!
-//! [`Shear::interpolate`] moves measured values by the cubic kernel of Keys (1981),
-//! [`Shear::move_labels`] moves labels.
+//! [`Shear::interpolate`] resamples measured values with the cubic kernel of Keys (1981), and
+//! [`Shear::move_labels`] resamples labels.
 
 mod labels;
 
@@ -15,35 +16,35 @@ use glam::{DMat3, DVec3};
 use rayon::prelude::*;
 
 /// Shear that shifts the far end of the volume by less than this is ignored, in voxels. Headers
-/// hold rounded directions: 1e-4 of 500 voxels is half of it.
+/// hold rounded directions: an error of 1e-4 over 500 voxels is half of this.
 const IGNORED_SHIFT: f64 = 0.1;
 
-/// The way from a sheared grid to an orthonormal one that covers it.
+/// The transformation from a sheared grid to an orthonormal grid that covers it.
 #[derive(Clone, Debug)]
 pub struct Shear {
     /// The orthonormal grid.
     pub geometry: Geometry,
-    /// Largest difference of the angle between two old axes from a right angle, degrees.
+    /// Maximum deviation of the angle between two old axes from a right angle, degrees.
     pub degrees: f64,
     passes: Vec<Pass>,
 }
 
-/// Moves rows along one axis.
+/// Shifts the rows along one axis.
 #[derive(Clone, Copy, Debug)]
 struct Pass {
-    /// 0 or 1.
+    /// The axis, 0 or 1.
     axis: usize,
-    /// Voxels before and after it.
+    /// Grid size before and after the pass.
     from: [usize; 3],
     to: [usize; 3],
-    /// Row `o` of slice `k` moves up by `start + per_row * o + per_slice * k` voxels.
+    /// Shift of row `o` of slice `k` in voxels: `start + per_row * o + per_slice * k`.
     start: f64,
     per_row: f64,
     per_slice: f64,
 }
 
 impl Shear {
-    /// That of a grid; `None` where the grid is orthonormal or as good as that.
+    /// The transformation of a grid; `None` if the grid is orthonormal within `IGNORED_SHIFT`.
     pub fn of(geometry: &Geometry) -> Option<Self> {
         let [d0, d1, d2] = [0, 1, 2].map(|axis| geometry.directions.col(axis));
         let x = d0.normalize();
@@ -54,7 +55,7 @@ impl Shear {
         let [nx, ny, nz] = geometry.size;
         let kept =
             |shift: f64, count: usize| if shift.abs() * (count as f64 - 1.0) < IGNORED_SHIFT { 0.0 } else { shift };
-        // shifts in voxels: of x with y, of x with z, of y with z
+        // shifts in voxels: x per row, x per slice, y per slice
         let xy = kept(geometry.spacing.y * d1.dot(x) / spacing.x, ny);
         let xz = kept(geometry.spacing.z * d2.dot(x) / spacing.x, nz);
         let yz = kept(geometry.spacing.z * d2.dot(y) / spacing.y, nz);
@@ -69,7 +70,7 @@ impl Shear {
         let between = [nx, ny + (high_y - low_y) as usize, nz];
         let size = [nx + (high_x - low_x) as usize, between[1], nz];
         let along_y = Pass { axis: 1, from: geometry.size, to: between, start: -low_y, per_row: 0.0, per_slice: yz };
-        // a row of the first pass lay at row + low_y - yz * slice before it
+        // before the first pass, a row was at row + low_y - yz * slice
         let along_x =
             Pass { axis: 0, from: between, to: size, start: xy * low_y - low_x, per_row: xy, per_slice: xz - xy * yz };
         let passes = [(along_y, yz != 0.0), (along_x, xy != 0.0 || xz != 0.0)];
@@ -88,7 +89,7 @@ impl Shear {
         })
     }
 
-    /// What is done to the volume, in words for the user.
+    /// Describes the resampling for the user.
     pub fn remark(&self) -> String {
         let ([nx, ny, nz], [sx, sy, sz]) = (self.geometry.size, self.geometry.spacing.to_array());
         format!(
@@ -98,28 +99,28 @@ impl Shear {
         )
     }
 
-    /// The voxels on the orthonormal grid by cubic interpolation within the slices. Outside the
-    /// volume they are `beyond` of the nearest voxel.
+    /// Resamples values to the orthonormal grid by cubic interpolation within the slices. Outside
+    /// the volume, the value is `beyond` of the nearest voxel.
     pub fn interpolate(&self, voxels: &Voxels, beyond: impl Fn(f32) -> f32 + Sync) -> Vec<f32> {
         self.passes.iter().fold(voxels.to_f32(), |values, pass| pass.interpolate(&values, &beyond))
     }
 }
 
 impl Pass {
-    /// Where the voxels of a row come from, as `(first, part)`: voxel n lies between the old voxels
-    /// `n - first` and `n - first + 1`, by the share `part` beyond the former.
+    /// The source of the voxels of a row, as `(first, part)`. Voxel n lies between the old voxels
+    /// `n - first` and `n - first + 1`, at the fraction `part` of the way.
     fn shift(&self, row: isize, slice: isize) -> (isize, f64) {
         let shift = snapped(self.start + self.per_row * row as f64 + self.per_slice * slice as f64);
         let first = shift.ceil();
         (first as isize, first - shift)
     }
 
-    /// Rows of a slice.
+    /// Number of rows in a slice.
     fn rows(&self) -> usize {
         self.from[1 - self.axis]
     }
 
-    /// Index of a voxel of a grid of `size` by its place in its row, its row and its slice.
+    /// Index of a voxel in a grid of `size`, given its position in its row, its row and its slice.
     #[inline]
     fn linear(&self, size: [usize; 3], n: usize, row: usize, k: usize) -> usize {
         let (i, j) = if self.axis == 0 { (n, row) } else { (row, n) };
@@ -151,15 +152,15 @@ impl Pass {
     }
 }
 
-/// A shift in voxels without rounding errors: whole where it is nearly so.
+/// A shift in voxels, rounded to an integer if it is within 1e-6 of it.
 fn snapped(shift: f64) -> f64 {
     if (shift - shift.round()).abs() < 1e-6 { shift.round() } else { shift }
 }
 
-/// Weights of the voxels -1, 0, 1 and 2 at a place between 0 and 1: the cubic convolution of Keys
-/// (1981) with a = -1/2, exact for polynomials of second degree. F = 0 of a scan of a ball of 14 mm
-/// (point spread of 0.8 mm, voxels of 1 mm sheared by 30 degrees) encloses 11,454 mm^3 with it,
-/// 11,446 with linear interpolation, and 11,456 unsheared.
+/// Weights of the voxels -1, 0, 1 and 2 at a position t from 0 to 1: the cubic convolution of Keys
+/// (1981) with a = -1/2. It is exact for polynomials of second degree. Measured on the scan of a
+/// ball of 14 mm (point spread 0.8 mm, voxels of 1 mm sheared by 30 degrees): F = 0 encloses
+/// 11,454 mm^3 with it, 11,446 mm^3 with linear interpolation, and 11,456 mm^3 unsheared.
 fn keys(t: f64) -> [f32; 4] {
     let (t2, t3) = (t * t, t * t * t);
     [-0.5 * t + t2 - 0.5 * t3, 1.0 - 2.5 * t2 + 1.5 * t3, 0.5 * t + 2.0 * t2 - 1.5 * t3, 0.5 * (t3 - t2)]

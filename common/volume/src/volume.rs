@@ -1,31 +1,33 @@
-//! Volumes as they come from a file: voxels of their own type on a grid with its geometry.
+//! Volumes as read from a file: voxels of their original type on a grid.
 
 use crate::geometry::Geometry;
 use crate::segments::Segment;
 use crate::voxels::Voxels;
 
-/// A volume as read: x fastest, with the way to the world.
+/// A volume, x fastest, with its geometry.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Volume {
-    /// Where the voxels are.
+    /// Grid of the voxels.
     pub geometry: Geometry,
-    /// Their values; the first layer where there are several.
+    /// Voxel values; those of the first layer if there are several.
     pub voxels: Voxels,
-    /// The layers behind the first one, each on the same grid: where segments may overlap. Empty but for 3D Slicer's `.seg.nrrd`.
+    /// The other layers, on the same grid, for segments that overlap. Only 3D Slicer's `.seg.nrrd`
+    /// and `.vti` files made from it have such layers.
     pub more_layers: Vec<Voxels>,
-    /// Labels that the file gives a name, in the file's order.
+    /// The named labels, in the order of the file.
     pub segments: Vec<Segment>,
-    /// What the reader had to assume, in words for the user.
+    /// Assumptions of the reader, as text for the user.
     pub remarks: Vec<String>,
 }
 
 impl Volume {
-    /// A volume of one layer without names and remarks; `voxels` has one value a voxel of `geometry`.
+    /// A volume with one layer and without names and remarks. `voxels` has one value per voxel of
+    /// `geometry`.
     pub fn new(geometry: Geometry, voxels: Voxels) -> Self {
         Self { geometry, voxels, more_layers: Vec::new(), segments: Vec::new(), remarks: Vec::new() }
     }
 
-    /// Keeps a box of `size` voxels from the voxel `first` on, in all layers, in place.
+    /// Crops all layers in place to the box of `size` voxels that starts at the voxel `first`.
     pub fn crop(&mut self, first: [usize; 3], size: [usize; 3]) {
         let whole = self.geometry.size;
         for voxels in std::iter::once(&mut self.voxels).chain(&mut self.more_layers) {

@@ -1,5 +1,5 @@
-//! The voxels behind a text header, as NRRD and MetaImage have them: attached or in one or more
-//! data files, in one of six encodings.
+//! Reads the voxels that a text header (NRRD, MetaImage) describes: attached or in separate data
+//! files, in one of six encodings.
 
 mod stream;
 
@@ -11,7 +11,7 @@ use std::io::{self, BufRead, BufReader, ErrorKind, Read, Seek, SeekFrom};
 use std::path::Path;
 pub(crate) use stream::Stream;
 
-/// How the voxels are put into bytes.
+/// Encoding of the voxels.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Coding {
     Raw,
@@ -22,16 +22,16 @@ pub(crate) enum Coding {
     Zlib,
 }
 
-/// Where the voxels are.
+/// Location of the voxels.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) enum DataFiles {
     /// After the header, in the same file.
     Attached,
-    /// In these files, one after the other, named relative to the layout.
+    /// In these files, in order. Names are relative to the folder of the header.
     Named(Vec<String>),
 }
 
-/// One line of a header without its end; `None` at the end of the file.
+/// One line of a header without its line end; `None` at the end of the file.
 pub(crate) fn read_line(path: &Path, reader: &mut impl BufRead) -> Result<Option<String>> {
     let mut line = Vec::new();
     reader
@@ -46,21 +46,21 @@ pub(crate) fn read_line(path: &Path, reader: &mut impl BufRead) -> Result<Option
     Ok(Some(String::from_utf8_lossy(&line).into_owned()))
 }
 
-/// What a header says of the voxels' bytes.
+/// The layout of the voxel data, as described by a header.
 #[derive(Clone, Debug)]
 pub(crate) struct Layout {
     pub(crate) scalar: ScalarType,
     pub(crate) coding: Coding,
     pub(crate) endian: Option<Endian>,
     pub(crate) line_skip: u64,
-    /// Bytes before the first voxel, of data that is decoded; a negative number counts from the
-    /// end: -1 for voxels that end with the data, -n for n - 1 bytes behind them.
+    /// Number of decoded bytes before the first voxel. Negative numbers count from the end: -1 if
+    /// the voxels end with the data, -n if n - 1 bytes follow them.
     pub(crate) byte_skip: i64,
     pub(crate) files: DataFiles,
 }
 
-/// Reads `count` voxels; `attached` stands right after the layout. Bytes behind the end of
-/// compressed data are a remark.
+/// Reads `count` voxels. The reader `attached` stands right after the header. Bytes after the end
+/// of compressed data give a remark.
 pub(crate) fn read_voxels(
     path: &Path,
     layout: &Layout,
@@ -113,7 +113,7 @@ pub(crate) fn read_voxels(
     }
 }
 
-/// Reads the voxels of one file from where the reader stands.
+/// Reads the voxels of one file, from the current position of the reader.
 fn read_part(
     path: &Path,
     layout: &Layout,
@@ -134,8 +134,8 @@ pub(crate) fn goes_on_remark(path: &Path) -> String {
     format!("{} goes on behind the last voxel; what follows is not read", path.display())
 }
 
-/// The voxels, and whether bytes follow the end of compressed data. More data than voxels is an
-/// error.
+/// The voxels, and whether bytes follow the end of compressed data. Fails if there is more data
+/// than voxels.
 fn read_values(reader: &mut BufReader<File>, layout: &Layout, count: usize) -> io::Result<(Voxels, bool)> {
     skip_lines(reader, layout.line_skip)?;
     if layout.coding == Coding::Text {
@@ -145,7 +145,7 @@ fn read_values(reader: &mut BufReader<File>, layout: &Layout, count: usize) -> i
     let start = reader.stream_position()?;
     let mut skip = layout.byte_skip.unsigned_abs();
     if layout.byte_skip < 0 {
-        // the length is known once all is decoded
+        // the length is known only after decoding everything
         let length = io::copy(&mut Stream::new(&mut *reader, layout.coding), &mut io::sink())?;
         let needed = (count as u64).saturating_mul(layout.scalar.bytes() as u64).saturating_add(skip - 1);
         skip = length.checked_sub(needed).ok_or_else(|| {
@@ -164,7 +164,7 @@ fn read_values(reader: &mut BufReader<File>, layout: &Layout, count: usize) -> i
     Ok((voxels, stream.leaves_bytes()?))
 }
 
-/// What is wrong with the data, in words.
+/// Describes an error of the data.
 fn data_error(path: &Path, layout: &Layout, count: usize, error: io::Error) -> Error {
     let promised = format!("the header promises {count} voxels of type {} in this file", layout.scalar.name());
     match error.kind() {
@@ -201,13 +201,14 @@ fn skip_bytes(reader: &mut impl Read, bytes: u64) -> io::Result<()> {
     Err(io::Error::new(ErrorKind::UnexpectedEof, "it ends within the bytes to skip"))
 }
 
-/// Reads numbers in text, parted by white space or commas.
+/// Reads numbers in text, separated by white space or commas.
 fn read_text(reader: &mut impl BufRead, scalar: ScalarType, count: usize) -> io::Result<Voxels> {
     let mut voxels = Voxels::empty(scalar);
     let mut line = Vec::new();
     loop {
         line.clear();
-        // A line without end is read in pieces; a number is never cut, because a piece goes on to the next separator.
+        // A very long line is read in pieces. Each piece extends to the next separator, so numbers
+        // are never cut.
         Read::take(&mut *reader, 1 << 16).read_until(b'\n', &mut line)?;
         if line.len() == 1 << 16 {
             while let Some(&byte) = reader.fill_buf()?.first() {
@@ -244,7 +245,8 @@ fn is_separator(byte: u8) -> bool {
     byte.is_ascii_whitespace() || byte == b','
 }
 
-/// The names that a `printf` pattern with one integer gives, from `low` to `high`; `None` where the pattern or the range has no meaning.
+/// The file names of a `printf` pattern with one integer from `low` to `high`. `None` if the
+/// pattern or range is invalid.
 pub(crate) fn numbered_names(format: &str, low: i64, high: i64, step: i64) -> Option<Vec<String>> {
     let (prefix, rest) = format.split_once('%')?;
     let end = rest.find(|c: char| !c.is_ascii_digit())?;

@@ -1,4 +1,4 @@
-//! Values of one of the ten scalar types that volumes are made of, and their bytes.
+//! Voxel values of ten scalar types, and their encoding as bytes.
 
 mod coded;
 
@@ -37,7 +37,7 @@ pub enum ScalarType {
     F64,
 }
 
-/// Order of the bytes of a number.
+/// Byte order of a number.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Endian {
     /// Least significant byte first.
@@ -71,10 +71,11 @@ pub enum Voxels {
     F64(Vec<f64>),
 }
 
-/// Bytes of a file that are read at a time, by each thread where there are several: opening it once more takes a hundredth of the time that this takes.
+/// Number of bytes read at a time, by each thread if there are several. Opening the file again for
+/// each chunk takes about 1 % of the time to read it.
 const CHUNK: usize = 1 << 20;
 
-/// Runs the same expression on the vector inside, whatever its type.
+/// Evaluates an expression on the inner vector, for any type.
 macro_rules! each_type {
     ($voxels:expr, $values:ident => $body:expr) => {
         match $voxels {
@@ -92,7 +93,7 @@ macro_rules! each_type {
     };
 }
 
-/// Runs the same expression with the named type and variant.
+/// Evaluates an expression with the Rust type and the `Voxels` variant of a scalar type.
 macro_rules! with_type {
     ($scalar:expr, $type:ident, $variant:ident => $body:expr) => {
         with_type!(@arms $scalar, $type, $variant, $body;
@@ -110,7 +111,7 @@ macro_rules! with_type {
 }
 
 impl ScalarType {
-    /// Bytes of one value.
+    /// Size of one value in bytes.
     pub fn bytes(self) -> usize {
         match self {
             Self::I8 | Self::U8 => 1,
@@ -120,7 +121,7 @@ impl ScalarType {
         }
     }
 
-    /// Name of the type, such as `int16`, as NRRD and numpy have it.
+    /// Name of the type as in NRRD and numpy, such as `int16`.
     pub fn name(self) -> &'static str {
         match self {
             Self::I8 => "int8",
@@ -137,14 +138,14 @@ impl ScalarType {
     }
 }
 
-/// The error that a file ends after `found` of `count` values.
+/// The error for a file that ends after `found` of `count` values.
 fn ends_early(found: usize, count: usize) -> std::io::Error {
     std::io::Error::new(std::io::ErrorKind::UnexpectedEof, format!("it ends after {found} of {count} values"))
 }
 
 /// A Rust number that [`Voxels`] can hold.
 trait Number: Copy {
-    /// The value as a label: a whole number as it is, NaN as 0.
+    /// The value as a label: integers unchanged, NaN as 0; `None` for other values.
     fn to_label(self) -> Option<i64>;
     fn single(self) -> f32;
     fn double(self) -> f64;
@@ -169,7 +170,8 @@ macro_rules! integer_number {
 }
 integer_number!(i8, u8, i16, u16, i32, u32, i64, u64);
 
-/// Whole numbers up to 2^53; beyond it not every whole number is a float any more, so none of them is a label.
+/// Integers up to 2^53. Larger values are not labels, because floats cannot represent all integers
+/// beyond.
 fn whole_number(value: f64) -> Option<i64> {
     (value.fract() == 0.0 && value.abs() <= 9_007_199_254_740_992.0).then_some(value as i64)
 }
@@ -191,7 +193,7 @@ impl Number for f32 {
 
 impl Number for f64 {
     fn to_label(self) -> Option<i64> {
-        // SPM and AFNI mark voxels outside of a mask by NaN
+        // SPM and AFNI mark voxels outside a mask with NaN
         if self.is_nan() { Some(0) } else { whole_number(self) }
     }
     fn single(self) -> f32 {
@@ -242,7 +244,8 @@ impl Voxels {
         each_type!(self, values => values.iter().map(|&value| value.single()).collect())
     }
 
-    /// Writes the values from `first` on as 32-bit floating-point numbers (integers beyond 2^24 are rounded) until `to` is full.
+    /// Writes the values from index `first` as 32-bit floating-point numbers until `to` is full.
+    /// Integers beyond 2^24 are rounded.
     pub fn copy_as_f32(&self, first: usize, to: &mut [f32]) {
         let range = first..first + to.len();
         each_type!(self, values => to.iter_mut().zip(&values[range]).for_each(|(to, &value)| *to = value.single()));
@@ -253,7 +256,7 @@ impl Voxels {
         each_type!(self, values => values.iter().map(|&value| value.double()).collect())
     }
 
-    /// Smallest and largest finite value; `None` where no value is finite.
+    /// Minimum and maximum of the finite values; `None` if no value is finite.
     pub fn range(&self) -> Option<(f64, f64)> {
         let (low, high) = each_type!(self, values => values
             .iter()
@@ -263,7 +266,7 @@ impl Voxels {
         (low <= high).then_some((low, high))
     }
 
-    /// Number of NaN values, which as labels are background.
+    /// Number of NaN values; as labels, they are background.
     pub fn nan_count(&self) -> usize {
         match self {
             Self::F32(values) => values.par_iter().filter(|value| value.is_nan()).count(),
@@ -272,13 +275,13 @@ impl Voxels {
         }
     }
 
-    /// The distinct values in increasing order, NaN as 0. Fails when another value is not a whole
-    /// number.
+    /// The distinct values in ascending order; NaN counts as 0. Fails if any other value is not an
+    /// integer.
     pub fn label_set(&self) -> Result<Vec<i64>> {
         each_type!(self, values => distinct(values)).map_err(|value| Error::NotALabel { value })
     }
 
-    /// Which voxels carry one of the labels.
+    /// Marks the values that are one of the labels.
     pub fn label_mask(&self, labels: &[i64]) -> Vec<bool> {
         each_type!(self, values => values
             .par_iter()
@@ -286,17 +289,18 @@ impl Voxels {
             .collect())
     }
 
-    /// Visits the label of each value in order; `None` where a value is not a whole number.
+    /// Visits the label of each value in order; `None` for a value that is not an integer.
     pub fn each_label(&self, mut visit: impl FnMut(Option<i64>)) {
         each_type!(self, values => values.iter().for_each(|&value| visit(Number::to_label(value))));
     }
 
-    /// Puts slices of `length` values into the opposite order ([`reverse_slices`]).
+    /// Reverses the order of slices of `length` values; see [`reverse_slices`].
     pub fn reverse_slices(&mut self, length: usize) {
         each_type!(self, values => reverse_slices(values, length));
     }
 
-    /// The first and the last of the values in `range` that are labels for which `wanted` is true, counted from the start of the range.
+    /// Positions of the first and last value in `range` whose label satisfies `wanted`, counted
+    /// from the start of the range. `None` if there is none.
     pub fn ends_of_labels(&self, range: Range<usize>, wanted: impl Fn(i64) -> bool) -> Option<(usize, usize)> {
         each_type!(self, values => {
             // labels come in long runs
@@ -308,7 +312,8 @@ impl Voxels {
         })
     }
 
-    /// The first and the last of the values in `range` for which `wanted` is true, as 32-bit floating-point numbers, counted from the start of the range.
+    /// Positions of the first and last value in `range` that satisfies `wanted` as a 32-bit
+    /// floating-point number, counted from the start of the range. `None` if there is none.
     pub fn ends_of_values(&self, range: Range<usize>, wanted: impl Fn(f32) -> bool) -> Option<(usize, usize)> {
         each_type!(self, values => {
             let values = &values[range];
@@ -317,8 +322,8 @@ impl Voxels {
         })
     }
 
-    /// Keeps the values of a box of `to` voxels from the voxel `first` on, of a grid of `size` voxels, x fastest; in place, and the rest of the memory is given
-    /// back.
+    /// Crops a grid of `size` voxels (x fastest) in place to the box of `to` voxels that starts at
+    /// the voxel `first`. Releases the remaining memory.
     pub fn crop(&mut self, size: [usize; 3], first: [usize; 3], to: [usize; 3]) {
         each_type!(self, values => {
             for row in 0..to[1] * to[2] {
@@ -330,7 +335,7 @@ impl Voxels {
         self.truncate(to.iter().product());
     }
 
-    /// Drops all values but the first `count`, and gives their memory back.
+    /// Keeps the first `count` values and releases the remaining memory.
     pub fn truncate(&mut self, count: usize) {
         each_type!(self, values => {
             values.truncate(count);
@@ -338,7 +343,8 @@ impl Voxels {
         });
     }
 
-    /// Reads `count` values; memory grows with what has really been read, never with what a header promised.
+    /// Reads `count` values. Memory grows with the data that is present, not with what a header
+    /// promises.
     pub fn read_from(reader: &mut dyn Read, scalar: ScalarType, endian: Endian, count: usize) -> std::io::Result<Self> {
         with_type!(scalar, Value, variant => {
             let mut values: Vec<Value> = Vec::new();
@@ -357,7 +363,8 @@ impl Voxels {
         })
     }
 
-    /// Reads `count` values that lie in a file from byte `start` on, on all threads. As with [`Self::read_from`] no memory is taken for what is not there.
+    /// Reads `count` values of a file from byte `start`, on all threads. As in [`Self::read_from`],
+    /// no memory is allocated for missing data.
     pub fn read_file(
         path: &Path,
         start: u64,
@@ -383,12 +390,12 @@ impl Voxels {
         })
     }
 
-    /// No values of a type.
+    /// An empty vector of a type.
     pub fn empty(scalar: ScalarType) -> Self {
         with_type!(scalar, Value, variant => variant(Vec::<Value>::new()))
     }
 
-    /// Adds the values of another vector of the same type; values of another type are left out.
+    /// Appends the values of another vector of the same type. Values of another type are ignored.
     pub fn append(&mut self, other: Self) {
         macro_rules! arms {
             ($($variant:ident),*) => {
@@ -401,12 +408,12 @@ impl Voxels {
         arms!(I8, U8, I16, U16, I32, U32, I64, U64, F32, F64);
     }
 
-    /// Adds numbers, rounded to what the type holds.
+    /// Appends numbers, converted to this type.
     pub fn extend_from_f64(&mut self, numbers: Vec<f64>) {
         each_type!(self, values => numbers.into_iter().for_each(|number| values.push(Number::rounded(number))));
     }
 
-    /// Parts values that go round among `layers` layers, `run` values of each at a time.
+    /// Splits values into `layers` layers that are interleaved in runs of `run` values.
     pub fn part(self, run: usize, layers: usize) -> Vec<Self> {
         macro_rules! arms {
             ($($variant:ident),*) => {
@@ -423,7 +430,8 @@ impl Voxels {
         arms!(I8, U8, I16, U16, I32, U32, I64, U64, F32, F64)
     }
 
-    /// Adds a value written as text; false if it is no value of this type. Whole numbers may be written as `3.0`.
+    /// Appends a value given as text; false if it does not fit the type. Integers may be written as
+    /// `3.0`.
     pub fn push_text(&mut self, text: &str) -> bool {
         each_type!(self, values => {
             let parsed = text.parse().ok().or_else(|| whole_number(text.parse().ok()?)?.to_string().parse().ok());
@@ -450,7 +458,7 @@ impl Voxels {
     }
 }
 
-/// Reads until `bytes` is full or the data ends; returns how many bytes there were.
+/// Reads until `bytes` is full or the data ends; returns the number of bytes read.
 fn fill(reader: &mut dyn Read, bytes: &mut [u8]) -> std::io::Result<usize> {
     let mut got = 0;
     while got < bytes.len() {
@@ -464,7 +472,7 @@ fn fill(reader: &mut dyn Read, bytes: &mut [u8]) -> std::io::Result<usize> {
     Ok(got)
 }
 
-/// Distinct values as labels, or the first value that is none.
+/// The distinct labels, or the first value that is not a label.
 fn distinct<T: Number + PartialEq + std::fmt::Display + Sync>(values: &[T]) -> std::result::Result<Vec<i64>, String> {
     let of_part = |values: &[T]| {
         // labels come in long runs

@@ -1,7 +1,9 @@
-//! VTK's XML files, as far as this program needs them: one piece, point and cell arrays, field data.
+//! Reads and writes the subset of VTK's XML files that this project needs: a single piece, point
+//! and cell arrays, and field data.
 //!
-//! Written with raw appended data, which VTK, ParaView and pyvista read and which keeps every bit. Read in all the ways
-//! that these programs write: ASCII, base64 and raw, plain or zlib-compressed, both byte orders, 32- and 64-bit headers.
+//! Files are written with raw appended data, which VTK, ParaView and pyvista read and which is
+//! exact. All variants that these programs write are read: ASCII, base64 and raw; uncompressed or
+//! zlib; both byte orders; 32- and 64-bit headers.
 
 mod decode;
 mod element;
@@ -28,7 +30,7 @@ fn vtk_name(scalar: ScalarType) -> &'static str {
     }
 }
 
-/// The scalar type of VTK's name.
+/// The scalar type with a VTK name.
 fn scalar_of(name: &str) -> Option<ScalarType> {
     use ScalarType::{F32, F64, I8, I16, I32, I64, U8, U16, U32, U64};
     [I8, U8, I16, U16, I32, U32, I64, U64, F32, F64].into_iter().find(|&scalar| vtk_name(scalar) == name)

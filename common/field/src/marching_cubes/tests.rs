@@ -61,7 +61,8 @@ fn sphere_torus_and_two_balls_have_their_topology_area_and_volume() {
     let sphere = marching_cubes(&sampled(size, spacing, |p| p.distance(centre) - 8.0), 0.0);
     assert_eq!(check_closed(&sphere), 2);
     let (area, volume) = measure(&sphere);
-    // a chord mesh of a ball of 13 to 20 voxels is too small by a few times (h/R)^2/8
+    // a mesh of chords of a ball with a radius of 13 to 20 voxels is too small by a few times
+    // (h/R)^2/8
     assert!((area / (4.0 * PI * 64.0) - 1.0).abs() < 4e-3, "area {area}");
     assert!((volume / (4.0 / 3.0 * PI * 512.0) - 1.0).abs() < 4e-3, "volume {volume}");
 
@@ -114,8 +115,8 @@ fn the_table_covers_every_crossed_edge_once() {
 
 #[test]
 fn the_saddle_decides_whether_diagonal_neighbours_are_joined() {
-    // the saddle has 0.3 of the outside value less 0.35: the balance is at 7/6, of the bilinear
-    // interpolant at 1/2
+    // the saddle value is 0.3 times the outside value minus 0.35, zero at 7/6; that of the bilinear
+    // interpolant is zero at 1/2
     for (outside, components) in [(1.1, 1), (1.2, 2)] {
         let diagonal = |p: DVec3| {
             let touches = p == DVec3::new(2.0, 2.0, 2.0) || p == DVec3::new(3.0, 3.0, 2.0);
@@ -144,7 +145,7 @@ fn rows_of_any_number_of_words_have_a_vertex_on_every_crossed_edge() {
         for (n, [i, j, k]) in all().enumerate().filter(|(_, [i, j, k])| inner(*i, 0) && inner(*j, 1) && inner(*k, 2)) {
             let random = uniform(7, nx as u64, n as u64) as f32;
             let at = field.geometry.linear(i, j, k);
-            // not a number is outside
+            // NaN counts as outside
             field.data[at] = if random > 0.95 { f32::NAN } else { random - 0.5 };
         }
         let is_inside = |[i, j, k]: [usize; 3]| field.data[field.geometry.linear(i, j, k)] < 0.0;
@@ -159,7 +160,8 @@ fn rows_of_any_number_of_words_have_a_vertex_on_every_crossed_edge() {
         };
         let mesh = marching_cubes(&field, 0.0);
         check_closed(&mesh);
-        // those of loops that are cut round an extra vertex lie within cells
+        // only vertices on grid edges have exactly one fractional coordinate; centres of fans lie
+        // within cells
         let off_grid = |x: f64| x != x.round();
         let on_edges = mesh.vertices.iter().filter(|v| v.to_array().into_iter().filter(|&x| off_grid(x)).count() == 1);
         assert_eq!(on_edges.count(), all().map(crossed).sum::<usize>(), "rows of {nx}");

@@ -1,20 +1,21 @@
-//! Indicators that are functions: balls, half spaces, and what maxima and minima make of them. For tests, and for the same algorithms on shapes that are known.
+//! Indicators given as functions: balls, half spaces, and their unions, intersections and
+//! complements. They serve tests on shapes with known strata.
 
 use super::{Indicators, MaterialId, Near};
 use crate::spline::Jet;
 use glam::{DMat3, DVec3};
 
-/// A function with its derivatives at a grid position, mm.
+/// A function of the grid position (mm) with its derivatives.
 type Function = Box<dyn Fn(DVec3) -> Jet + Send + Sync>;
 
-/// Indicators given as functions, one a material.
+/// Indicators given as functions, one per material.
 pub struct Analytic {
     functions: Vec<Function>,
     voxel: f64,
 }
 
 impl Analytic {
-    /// Of functions that change over lengths of a `voxel` (mm).
+    /// `voxel` (mm) is the length scale of the functions ([`Indicators::voxel`]).
     pub fn new(functions: Vec<Function>, voxel: f64) -> Self {
         Self { functions, voxel }
     }
@@ -46,7 +47,7 @@ impl Indicators for Analytic {
     }
 }
 
-/// Signed distance of a ball.
+/// Signed distance (mm) from a ball, negative inside.
 pub fn ball(centre: DVec3, radius: f64) -> Function {
     Box::new(move |p| {
         let (away, length) = (p - centre, p.distance(centre));
@@ -57,12 +58,13 @@ pub fn ball(centre: DVec3, radius: f64) -> Function {
     })
 }
 
-/// Signed distance of what lies below a plane through a point, by its unit normal.
+/// Signed distance (mm) from the plane through `point`, negative on the side opposite to the unit
+/// normal.
 pub fn half_space(point: DVec3, normal: DVec3) -> Function {
     Box::new(move |p| Jet { value: (p - point).dot(normal), gradient: normal, hessian: DMat3::ZERO })
 }
 
-/// The larger of two functions: the intersection of what they are negative in.
+/// Maximum of two functions: the intersection of the regions where they are negative.
 pub fn maximum(a: Function, b: Function) -> Function {
     Box::new(move |p| {
         let (a, b) = (a(p), b(p));
@@ -70,12 +72,12 @@ pub fn maximum(a: Function, b: Function) -> Function {
     })
 }
 
-/// The smaller of two functions: the union of what they are negative in.
+/// Minimum of two functions: the union of the regions where they are negative.
 pub fn minimum(a: Function, b: Function) -> Function {
     negative(maximum(negative(a), negative(b)))
 }
 
-/// The negative of a function: the complement of what it is negative in.
+/// Negative of a function: the complement of the region where it is negative.
 pub fn negative(a: Function) -> Function {
     Box::new(move |p| {
         let Jet { value, gradient, hessian } = a(p);

@@ -1,10 +1,10 @@
-//! What can be wrong with the parts that indicators of materials are put together from.
+//! Errors from assembling material indicators out of stored parts.
 
-/// The parts do not belong together.
+/// The parts do not fit together.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum Error {
-    /// A box does not lie in the grid.
+    /// A box does not lie within the grid.
     #[error("a box of {size:?} nodes at {first:?} does not lie in the grid of {grid:?} nodes")]
     Box {
         /// First node of the box.
@@ -14,7 +14,7 @@ pub enum Error {
         /// Nodes of the grid.
         grid: [usize; 3],
     },
-    /// Bricks are not in ascending order, or beyond the last.
+    /// Brick numbers are not ascending, or exceed the number of bricks.
     #[error("the numbers of the bricks do not ascend within the {count} bricks of the grid")]
     Bricks {
         /// Bricks of the grid.
@@ -23,37 +23,37 @@ pub enum Error {
     /// There are too many or too few coefficients.
     #[error("{found} coefficients where the bricks read {expected}")]
     Coefficients {
-        /// How many there are.
+        /// Number of coefficients given.
         found: usize,
-        /// How many there should be.
+        /// Number of coefficients required.
         expected: usize,
     },
-    /// A coefficient is no number.
+    /// A coefficient is not finite.
     #[error("a coefficient is {value}")]
     NotFinite {
         /// The coefficient.
         value: f32,
     },
-    /// The fill of the bricks is not that of this grid and these materials.
+    /// The fill of the bricks does not fit the grid or the materials.
     #[error(
         "{found} materials of bricks, up to number {largest:?}, where there are {bricks} bricks and {materials} materials"
     )]
     Fill {
-        /// How many there are.
+        /// Number of bricks with a fill.
         found: usize,
-        /// The largest of them.
+        /// Largest material number among them.
         largest: Option<u16>,
         /// Bricks of the grid.
         bricks: usize,
-        /// Materials.
+        /// Number of materials.
         materials: usize,
     },
-    /// More materials than can be numbered, or none.
+    /// There are no materials, or more than can be numbered.
     #[error("{found} materials; from 1 to {most} are understood")]
     Count {
-        /// How many there are.
+        /// Number of materials given.
         found: usize,
-        /// How many there may be.
+        /// Maximum number of materials.
         most: usize,
     },
     /// The grid has more bricks than can be numbered.

@@ -1,4 +1,5 @@
-//! The indicators of all materials of a volume, and the index that tells which of them are known at a place.
+//! The indicators of all materials of a volume, and the index of the materials that are known in
+//! each brick of cells.
 
 use super::error::Error;
 use super::indicator::{CELLS, Indicator, bricks_along};
@@ -10,10 +11,11 @@ use isoparticles_volume::Geometry;
 use rayon::prelude::*;
 use std::collections::BTreeMap;
 
-/// In place of a material that fills a brick where none does: all that are there are known.
+/// Fill of a brick without a filling material: all materials present in it are known there.
 const NONE: u16 = u16::MAX;
 
-/// The two indicators of a sheet are taken to differ by less than this share of a voxel at a place on it: far more than any projection leaves.
+/// Maximum difference, in voxels, that is assumed between the two indicators at a position on their
+/// interface. Projections leave far less.
 pub const ON_SHEET: f64 = 0.01;
 
 /// A material that is known in a brick.
@@ -24,16 +26,18 @@ struct Entry {
     brick: u32,
 }
 
-/// The indicators of all materials, each known near its own border, on one grid.
+/// The indicators of all materials on one grid, each known near its own border.
 ///
-/// A look-up costs what the materials near the place cost: an index tells of each brick of 4 x 4 x 4 cells which are known in it, and which one fills it
-/// otherwise. Memory goes with the area of the interfaces: 14 coefficients of 4 bytes deep on average on each side.
+/// The cost of a look-up is proportional to the number of materials near the position. An index
+/// holds, for each brick of 4 x 4 x 4 cells, the materials known in it and the material that fills
+/// it otherwise. Memory is proportional to the area of the interfaces: on each side a layer of 14
+/// coefficients of 4 bytes on average.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Materials {
     geometry: Geometry,
     table: Vec<Material>,
     indicators: Vec<Indicator>,
-    /// Where the entries of each brick start, and the end.
+    /// First entry of each brick, and the end.
     start: Vec<u32>,
     entries: Vec<Entry>,
     /// The material that fills each brick, or [`NONE`].
@@ -41,10 +45,11 @@ pub struct Materials {
 }
 
 impl Materials {
-    /// Puts indicators together; `negative` are the bricks all over which one is negative ([`Indicator::new`] gives both).
+    /// Assembles the materials. The last item of each is the list of bricks in which its indicator
+    /// is negative throughout ([`Indicator::new`] returns both).
     ///
     /// # Errors
-    /// When there are none or too many.
+    /// If there are no materials, too many, or a brick number beyond the grid.
     pub fn new(geometry: Geometry, materials: Vec<(Material, Indicator, Vec<u32>)>) -> Result<Self, Error> {
         let count = bricks_along(geometry.size).iter().product::<usize>();
         let mut fill = vec![NONE; count];
@@ -56,10 +61,11 @@ impl Materials {
         Self::from_parts(geometry, materials.into_iter().map(|(material, own, _)| (material, own)).collect(), fill)
     }
 
-    /// Puts together what [`Self::indicators`] and [`Self::fill`] gave.
+    /// Assembles the materials from stored parts, as returned by [`Self::indicators`] and
+    /// [`Self::fill`].
     ///
     /// # Errors
-    /// When the parts do not belong together.
+    /// If the parts do not fit together.
     pub fn from_parts(
         geometry: Geometry,
         materials: Vec<(Material, Indicator)>,
@@ -106,32 +112,35 @@ impl Materials {
         &self.geometry
     }
 
-    /// Names and labels of the materials, by their numbers.
+    /// Names and labels of the materials, indexed by material number.
     pub fn table(&self) -> &[Material] {
         &self.table
     }
 
-    /// The indicators, by their numbers.
+    /// The indicators, indexed by material number.
     pub fn indicators(&self) -> &[Indicator] {
         &self.indicators
     }
 
-    /// The number of the material that fills each brick where it is not known, x fastest; 65535 where none does.
+    /// The number of the material that fills each brick where no indicator is known, x fastest;
+    /// 65535 if none does.
     pub fn fill(&self) -> &[u16] {
         &self.fill
     }
 
-    /// The materials that are known in a brick (its number goes x fastest), ascending, each with the number of the brick among those of its indicator.
+    /// The materials that are known in a brick (numbered x fastest), ascending, each with the
+    /// number of the brick among those of its indicator.
     pub fn known_in(&self, brick: usize) -> impl ExactSizeIterator<Item = (MaterialId, usize)> + Clone + '_ {
         self.known(brick).iter().map(|entry| (MaterialId(entry.material), entry.brick as usize))
     }
 
-    /// The material of a name.
+    /// The material with the given name.
     pub fn named(&self, name: &str) -> Option<MaterialId> {
         self.table.iter().position(|material| material.name == name).map(|n| MaterialId(n as u16))
     }
 
-    /// The bricks in which more than one material is known, so that all strata lie in them: first cell, and cells along each axis.
+    /// The bricks in which more than one material is known, as first cell and number of cells along
+    /// each axis. They contain all strata.
     pub fn bricks_of_many(&self) -> Vec<([usize; 3], [usize; 3])> {
         let [bx, by, _] = bricks_along(self.geometry.size);
         let many = (0..self.fill.len()).filter(|&brick| self.known(brick).len() > 1);
@@ -143,7 +152,8 @@ impl Materials {
         many.map(extent).collect()
     }
 
-    /// Adds to what indicators are at nodes of the grid ([`Indicator::add_at_nodes`]), mm; what is known where stays.
+    /// Adds to indicators at nodes of the grid ([`Indicator::add_at_nodes`]), mm. The set of known
+    /// bricks does not change.
     pub fn add_at_nodes(&mut self, changes: &BTreeMap<MaterialId, Vec<([usize; 3], f64)>>) {
         let size = self.geometry.size;
         self.indicators.par_iter_mut().enumerate().for_each(|(id, indicator)| {
@@ -153,7 +163,7 @@ impl Materials {
         });
     }
 
-    /// Memory that it takes, bytes.
+    /// Memory in bytes.
     pub fn bytes(&self) -> usize {
         let index = size_of_val(self.start.as_slice())
             + size_of_val(self.entries.as_slice())
@@ -161,7 +171,7 @@ impl Materials {
         self.indicators.iter().map(Indicator::bytes).sum::<usize>() + index
     }
 
-    /// Which brick a stencil's cell lies in.
+    /// Number of the brick that contains a stencil's cell.
     #[inline(always)]
     fn brick(&self, stencil: &Stencil) -> usize {
         let [i, j, k] = stencil.cell().map(|n| n / CELLS);
@@ -174,14 +184,16 @@ impl Materials {
         &self.entries[self.start[brick] as usize..self.start[brick + 1] as usize]
     }
 
-    /// The coefficients that a stencil reads of a material, or whether the place is inside it, far from its border.
+    /// The coefficients of a material that a stencil reads; otherwise whether the position is
+    /// inside it, far from its border.
     #[inline(always)]
     fn gathered(&self, entry: Entry, stencil: &Stencil) -> Result<[f32; 64], bool> {
         let indicator = &self.indicators[usize::from(entry.material)];
         indicator.gather(entry.brick, stencil, self.geometry.size).ok_or(indicator.surrounds())
     }
 
-    /// The stencil of a place and the coefficients of a material, or whether the place is inside it, far from its border.
+    /// The stencil of a position and the coefficients of a material; otherwise whether the position
+    /// is inside it, far from its border.
     #[inline]
     fn of(&self, id: MaterialId, grid: DVec3) -> Result<(Stencil, [f32; 64]), bool> {
         let stencil = Stencil::new(&self.geometry, grid);
@@ -189,7 +201,8 @@ impl Materials {
         self.read(id, brick, &stencil).map(|read| (stencil.gathered(), read))
     }
 
-    /// The coefficients that a stencil reads of a material in a brick, or whether the place is inside it, far from its border.
+    /// The coefficients of a material that a stencil reads in a brick; otherwise whether the
+    /// position is inside it, far from its border.
     #[inline(always)]
     fn read(&self, id: MaterialId, brick: usize, stencil: &Stencil) -> Result<[f32; 64], bool> {
         match self.known(brick).iter().find(|entry| entry.material == id.0) {
@@ -229,7 +242,7 @@ impl Indicators for Materials {
         }
     }
 
-    /// The coefficients of the two are subtracted, and summed once.
+    /// Subtracts the coefficients of the two materials, so that the spline is summed only once.
     #[inline(always)]
     fn difference_gradient(&self, i: MaterialId, j: MaterialId, grid: DVec3) -> (f64, DVec3) {
         let stencil = Stencil::new(&self.geometry, grid);
@@ -251,11 +264,11 @@ impl Indicators for Materials {
         let is_own = |material: u16| material == own[0].0 || material == own[1].0;
         let is_filled_by_other = self.fill[brick] != NONE && !is_own(self.fill[brick]);
         let mut others = self.known(brick).iter().filter(|entry| !is_own(entry.material)).peekable();
-        // most bricks know no third material, and no indicator is summed there
+        // in most bricks no third material is known, and no indicator needs to be summed
         if others.peek().is_none() && !is_filled_by_other {
             return true;
         }
-        // a spline is nowhere below the least of the coefficients that it reads
+        // a spline is nowhere below the minimum of the coefficients that it reads
         let own_value = || Some(stencil.clone().gathered().value(&self.read(own[0], brick, &stencil).ok()?));
         let is_far = |limit: f64| {
             others.all(|&entry| match self.gathered(entry, &stencil) {

@@ -1,37 +1,46 @@
-//! The indicator of one material near its border: coefficients of a cubic B-spline in blocks, on a box of the grid that all materials share.
+//! The indicator of one material near its border: cubic B-spline coefficients in blocks, within a
+//! box of the grid that all materials share.
 //!
-//! [`crate::spline::BrickSpline`] holds every coefficient in each brick that reads it, 1.7 times on average, and lies on a grid of its own. Here each is
-//! held once, and the blocks of all materials lie on one lattice, so that one index tells which materials are known at a place.
+//! [`crate::spline::BrickSpline`] stores a coefficient in every brick that reads it, 1.7 times on
+//! average, and has its own grid. Here each coefficient is stored once, and the blocks of all
+//! materials lie on one lattice. One index then lists the materials that are known at a position.
 
 use super::error::Error;
 use crate::spline::{CubicSpline, Stencil};
 use isoparticles_volume::Image;
 use rayon::prelude::*;
 
-/// Cells of a brick along each axis, and coefficients of a block. Small ones follow the border closely: 14 coefficients deep on average, where
-/// bricks of 16 cells hold 37 (22 cells, each coefficient 1.7 times).
+/// Cells of a brick, and coefficients of a block, along each axis. Small bricks follow the border
+/// closely: the stored layer is 14 coefficients thick on average. Bricks of 16 cells would store 37
+/// (22 cells, each coefficient 1.7 times).
 pub const CELLS: usize = 4;
 
-/// Coefficients of a block.
+/// Coefficients per block.
 pub const BLOCK: usize = CELLS * CELLS * CELLS;
 
-/// How near to its own zero set an indicator is known at least, in voxels: a brick is known where a coefficient of it, or of the two cells beyond what its
-/// cells read, has another sign.
+/// Minimum distance from its zero set up to which an indicator is known, in voxels. A brick is
+/// known if the coefficients that its cells, or cells up to two beyond, read do not all have one
+/// sign.
 pub const KNOWN_VOXELS: usize = 2;
 
-/// Nodes from a sample up to which coefficients are taken to depend on it: beyond, by less than 2e-5 of it.
+/// Distance, in nodes, up to which coefficients are taken to depend on a sample. Beyond it, a
+/// coefficient changes by less than 2e-5 of the sample's change.
 const CARDINAL_REACH: usize = 8;
 
-/// Blocks along an axis that these lie in, at most.
+/// Maximum number of blocks along an axis that contain these coefficients.
 const CARDINAL_BLOCKS: usize = 2 * CARDINAL_REACH / CELLS + 1;
 
-/// Coefficient, so many nodes from it along an axis, of the cubic spline that is one at a node and zero at all others: from the pole of the inverse filter (Unser, Aldroubi and Eden 1993, part II).
+/// Coefficient, `nodes` nodes from the centre along an axis, of the cubic spline that is one at a
+/// node and zero at all others. From the pole of the inverse filter (Unser, Aldroubi and Eden 1993,
+/// part II).
 fn cardinal_coefficient(nodes: usize) -> f64 {
     let root = 3f64.sqrt();
     root * (root - 2.0).powi(nodes as i32)
 }
 
-/// A node and those of its mirror images, beyond the ends of an axis of so many nodes, that are near enough to the axis to count: splines are mirrored at the border of the grid, again and again.
+/// A node on an axis of `nodes` nodes and its mirror images beyond the ends, as far as they lie
+/// within [`CARDINAL_REACH`] of the axis. Splines are mirrored repeatedly at both borders of the
+/// grid.
 fn mirrored(node: usize, nodes: usize) -> Vec<isize> {
     let (node, last) = (node as isize, nodes as isize - 1);
     let reach = CARDINAL_REACH as isize;
@@ -48,8 +57,8 @@ pub fn bricks_along(size: [usize; 3]) -> [usize; 3] {
     size.map(|n| n.saturating_sub(1).div_ceil(CELLS).max(1))
 }
 
-/// The blocks that the cells of a brick read, in x fastest order. Block c holds the coefficients of the nodes 4 c - 1 to 4 c + 2 along each axis, so that a
-/// cell of brick b reads blocks b and b + 1.
+/// The blocks that the cells of a brick read, x fastest. Block c holds the coefficients of the
+/// nodes 4 c - 1 to 4 c + 2 along each axis, so a cell of brick b reads blocks b and b + 1.
 fn blocks_of(brick: u32, bricks: [usize; 3]) -> [u32; 8] {
     let [bx, by, _] = bricks;
     let n = brick as usize;
@@ -60,44 +69,46 @@ fn blocks_of(brick: u32, bricks: [usize; 3]) -> [u32; 8] {
     })
 }
 
-/// The indicator of one material: its own signed distance, mm, negative inside, known within a few voxels of its zero set.
+/// The indicator of one material: its signed distance, mm, negative inside, known within a few
+/// voxels of its zero set.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Indicator {
     /// First node of its box in the shared grid.
     first: [usize; 3],
     /// Nodes of its box.
     size: [usize; 3],
-    /// Whether what lies beyond the box is inside.
+    /// Whether everything beyond the box is inside.
     surrounds: bool,
     /// Numbers of the bricks that are known, ascending.
     bricks: Vec<u32>,
     /// The blocks that each brick reads.
     blocks: Vec<[u32; 8]>,
-    /// Coefficients, block by block in ascending order of their places.
+    /// Coefficients, block by block in ascending order of block position.
     coefficients: Vec<f32>,
 }
 
-/// What an [`Indicator`] is made of, as files hold it.
+/// The fields of an [`Indicator`] that files store.
 #[derive(Clone, Debug, PartialEq)]
 pub struct IndicatorParts {
     /// First node of its box in the shared grid.
     pub first: [usize; 3],
     /// Nodes of its box.
     pub size: [usize; 3],
-    /// Whether what lies beyond the box is inside.
+    /// Whether everything beyond the box is inside.
     pub surrounds: bool,
     /// Numbers of the bricks that are known, x fastest, ascending.
     pub bricks: Vec<u32>,
-    /// Coefficients, 64 a block.
+    /// Coefficients, 64 per block.
     pub coefficients: Vec<f32>,
 }
 
 impl Indicator {
-    /// Of the signed distance (mm, negative inside) at the nodes of a box of the grid of `size`, whose first node is `first`; `surrounds` says whether what
-    /// lies beyond the box is inside. Gives the bricks all over which it is negative as well.
+    /// The indicator of signed distances (mm, negative inside) at the nodes of a box, whose first
+    /// node is `first`, in a grid of `size` nodes. `surrounds` says whether everything beyond the
+    /// box is inside. Also returns the bricks in which the indicator is negative throughout.
     ///
     /// # Panics
-    /// When the box does not lie within the grid.
+    /// If the box does not lie within the grid.
     pub fn new(samples: &Image<f32>, first: [usize; 3], size: [usize; 3], surrounds: bool) -> (Self, Vec<u32>) {
         let own = samples.geometry.size;
         assert!((0..3).all(|a| first[a] + own[a] <= size[a]), "a box of the grid");
@@ -135,7 +146,8 @@ impl Indicator {
         (Self { first, size: own, surrounds, bricks: known, blocks, coefficients }, negative)
     }
 
-    /// An indicator that is positive, or negative, everywhere: of a material without border.
+    /// An indicator that is positive everywhere, or negative if `inside`: that of a material
+    /// without border.
     pub fn constant(inside: bool) -> Self {
         Self {
             first: [0; 3],
@@ -147,10 +159,10 @@ impl Indicator {
         }
     }
 
-    /// Puts together an indicator of a grid of `size` from what its methods gave of it.
+    /// Assembles an indicator of a grid of `size` nodes from its stored parts.
     ///
     /// # Errors
-    /// When the parts do not belong together.
+    /// If the parts do not fit together.
     pub fn from_parts(parts: IndicatorParts, size: [usize; 3]) -> Result<Self, Error> {
         let bricks = bricks_along(size);
         let count = bricks.iter().product::<usize>();
@@ -173,12 +185,12 @@ impl Indicator {
         Ok(Self { first, size, surrounds, bricks, blocks, coefficients })
     }
 
-    /// First node of its box in the shared grid, and the nodes of that.
+    /// First node of its box in the shared grid, and number of nodes of the box.
     pub fn extent(&self) -> ([usize; 3], [usize; 3]) {
         (self.first, self.size)
     }
 
-    /// Whether what lies beyond the box is inside.
+    /// Whether everything beyond the box is inside.
     pub fn surrounds(&self) -> bool {
         self.surrounds
     }
@@ -188,17 +200,18 @@ impl Indicator {
         &self.bricks
     }
 
-    /// The eight blocks that each of these bricks reads, x fastest: block c of the grid holds the coefficients of the nodes 4 c - 1 to 4 c + 2 along each axis.
+    /// The eight blocks that each of these bricks reads, x fastest. Block c of the grid holds the
+    /// coefficients of the nodes 4 c - 1 to 4 c + 2 along each axis.
     pub fn blocks(&self) -> &[[u32; 8]] {
         &self.blocks
     }
 
-    /// The coefficients, 64 a block.
+    /// The coefficients, 64 per block.
     pub fn coefficients(&self) -> &[f32] {
         &self.coefficients
     }
 
-    /// Whether all that a cell of the shared grid of `size` reads lies in the box.
+    /// Whether all coefficients that a cell reads lie in the box; the shared grid has `size` nodes.
     #[inline(always)]
     pub fn is_within(&self, cell: [usize; 3], size: [usize; 3]) -> bool {
         (0..3).all(|a| {
@@ -207,8 +220,9 @@ impl Indicator {
         })
     }
 
-    /// Adds to what it is at some nodes of the shared grid of `size`, mm, and to no other node: the spline goes through the new samples, and is what it was but within a few
-    /// voxels. What lies beyond the box or is not known is left out.
+    /// Adds to the samples at some nodes of the shared grid of `size` nodes, mm, and leaves all
+    /// others unchanged: the spline interpolates the new samples and changes only within a few
+    /// voxels. Coefficients beyond the box, or in bricks that are not known, are not updated.
     pub fn add_at_nodes(&mut self, changes: &[([usize; 3], f64)], size: [usize; 3]) {
         let along = bricks_along(size).map(|n| n + 1);
         let places = places(&self.bricks, bricks_along(size));
@@ -246,15 +260,16 @@ impl Indicator {
         }
     }
 
-    /// Memory that it takes, bytes.
+    /// Memory in bytes.
     pub fn bytes(&self) -> usize {
         size_of_val(self.bricks.as_slice())
             + size_of_val(self.blocks.as_slice())
             + size_of_val(self.coefficients.as_slice())
     }
 
-    /// The 64 coefficients that a stencil of the shared grid of `size` reads in the known brick of that number, x fastest; `None` where it reaches
-    /// beyond the box.
+    /// The 64 coefficients that a stencil reads in a known brick, given by its number among those
+    /// known, x fastest. `None` if the stencil reaches beyond the box. The shared grid has `size`
+    /// nodes.
     #[inline(always)]
     pub(super) fn gather(&self, brick: u32, stencil: &Stencil, size: [usize; 3]) -> Option<[f32; 64]> {
         let cell = stencil.cell();
@@ -266,7 +281,7 @@ impl Indicator {
             let start = cell[axis] / CELLS * CELLS;
             stencil.indices()[axis].map(|n| n + 1 - start)
         });
-        // rows that are not mirrored at the border of the grid lie side by side in two blocks
+        // rows that are not mirrored at the border of the grid are contiguous across two blocks
         Some(match x {
             [0, 1, 2, 3] => self.rows::<0>(blocks, y, z),
             [1, 2, 3, 4] => self.rows::<1>(blocks, y, z),
@@ -276,7 +291,8 @@ impl Indicator {
         })
     }
 
-    /// The four coefficients along x from place `FIRST` of the first block on, at these places along y and z in the two blocks along each.
+    /// The 64 coefficients at four consecutive indices along x, from `FIRST` on, and at the given
+    /// indices along y and z. Indices count through the two blocks along each axis.
     #[inline(always)]
     fn rows<const FIRST: usize>(&self, blocks: &[u32; 8], y: [usize; 4], z: [usize; 4]) -> [f32; 64] {
         let mut gathered = [0.0; 64];
@@ -299,7 +315,8 @@ impl Indicator {
         gathered
     }
 
-    /// The coefficients at these places along each axis in the two blocks along each.
+    /// The 64 coefficients at the given indices along each axis, which count through the two blocks
+    /// along it.
     fn scattered(&self, blocks: &[u32; 8], places: [[usize; 4]; 3]) -> [f32; 64] {
         let [x, y, z] = places.map(|along| along.map(|n| (n / CELLS, n % CELLS)));
         let mut gathered = [0.0; 64];
@@ -316,7 +333,7 @@ impl Indicator {
     }
 }
 
-/// Places of the blocks that some bricks read, ascending.
+/// Positions of the blocks that some bricks read, ascending.
 fn places(known: &[u32], bricks: [usize; 3]) -> Vec<u32> {
     let mut places: Vec<u32> = known.iter().flat_map(|&brick| blocks_of(brick, bricks)).collect();
     places.sort_unstable();
@@ -324,18 +341,18 @@ fn places(known: &[u32], bricks: [usize; 3]) -> Vec<u32> {
     places
 }
 
-/// The numbers of the blocks that each brick reads.
+/// Indices among `places` of the blocks that each brick reads.
 fn numbered(known: &[u32], places: &[u32], bricks: [usize; 3]) -> Vec<[u32; 8]> {
     let number = |place: u32| places.partition_point(|&other| other < place) as u32;
     known.iter().map(|&brick| blocks_of(brick, bricks).map(number)).collect()
 }
 
-/// Which signs the coefficients have, in cubes of [`CELLS`] nodes of the shared grid.
+/// The signs of the coefficients in cubes of [`CELLS`] nodes per axis of the shared grid.
 struct BrickSigns {
-    /// First cube of those that the box meets, and their number, along each axis.
+    /// First cube that overlaps the box, and number of such cubes, along each axis.
     first: [usize; 3],
     count: [usize; 3],
-    /// Whether any coefficient of each is at most zero, and whether any is at least zero.
+    /// For each cube, whether any coefficient is at most zero, and whether any is at least zero.
     signs: Vec<(bool, bool)>,
     /// First and last node of the box.
     low: [usize; 3],
@@ -369,7 +386,8 @@ impl BrickSigns {
         Self { first, count, signs: signs.collect(), low, high, bricks: bricks_along(size) }
     }
 
-    /// The signs in the cubes of a brick and all around it; `None` where no cell of the brick lies in the box.
+    /// The signs in the cubes of a brick and all cubes adjacent to it; `None` if no cell of the
+    /// brick lies in the box.
     fn around(&self, brick: [usize; 3]) -> Option<(bool, bool)> {
         let has_cell = (0..3).all(|a| {
             let (start, end) = (brick[a] * CELLS, (brick[a] + 1) * CELLS);

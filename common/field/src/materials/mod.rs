@@ -1,10 +1,15 @@
-//! Many materials in one space: one smooth indicator F_m for each, the outside included, and the strata where materials meet.
+//! Many materials in one space: one smooth indicator F_m for each, the outside included, and the
+//! strata where materials meet.
 //!
-//! After Meyer, Whitaker, Kirby, Ledergerber and Pfister (Particle-based Sampling and Meshing of Surfaces in Multimaterial Volumes, IEEE TVCG 14(6),
-//! 2008), with signed distances (mm, negative inside) for indicators: the material at a place is the one with the smallest, so that there are neither
-//! gaps nor overlaps. Where the two smallest are equal is a *sheet*, where three are a *junction curve*, where four are a *junction point*.
+//! After Meyer, Whitaker, Kirby, Ledergerber and Pfister (Particle-based Sampling and Meshing of
+//! Surfaces in Multimaterial Volumes, IEEE TVCG 14(6), 2008), with signed distances (mm, negative
+//! inside) as indicators. The material at a position is the one with the smallest indicator, so
+//! there are neither gaps nor overlaps. The two smallest indicators are equal on a material
+//! interface (*sheet* in the code), the three smallest on a *junction curve*, the four smallest at
+//! a *junction point*. All three are *strata*.
 //!
-//! [`Indicators`] is what the algorithms ask, [`Materials`] answers from samples on a grid, [`Analytic`] from functions.
+//! [`Indicators`] is the interface for algorithms. [`Materials`] implements it for samples on a
+//! grid, [`Analytic`] for functions.
 
 mod analytic;
 pub mod complex;
@@ -33,32 +38,34 @@ use serde::{Deserialize, Serialize};
 pub struct MaterialId(pub u16);
 
 impl MaterialId {
-    /// What lies outside all that was named.
+    /// The outside: everything that no other material covers.
     pub const OUTSIDE: Self = Self(0);
 
-    /// As an index of the table.
+    /// The number as an index of the table.
     pub fn index(self) -> usize {
         usize::from(self.0)
     }
 }
 
-/// Most materials, the outside included; the last number means none.
+/// Maximum number of materials, the outside included. The number 65535 itself means none.
 pub const MOST_MATERIALS: usize = u16::MAX as usize;
 
-/// What a material is called and made of.
+/// Name and labels of a material.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Material {
     /// Its name.
     pub name: String,
-    /// Labels of the volume that it is made of.
+    /// Labels of the volume that belong to it.
     pub labels: Vec<LayerLabel>,
 }
 
-/// Most indicators that are told of a place: more meet nowhere but in noise, where the largest are left out.
+/// Maximum number of indicators returned for one position. More materials meet only in noise; the
+/// largest indicators are dropped there.
 pub const MOST_NEAR: usize = 8;
 
-/// The indicators that are known at a place, smallest first; of equal ones that of the lower number. Minus infinity stands for a material that fills the place,
-/// farther from its border than is known.
+/// The indicators known at a position, smallest first; equal ones by material number. Minus
+/// infinity stands for a material that fills the surroundings, farther from its border than its
+/// indicator is known.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Near {
     entries: [(MaterialId, f64); MOST_NEAR],
@@ -72,7 +79,7 @@ impl Default for Near {
 }
 
 impl Near {
-    /// Adds an indicator; the largest is dropped where there is no room.
+    /// Adds an indicator; if there is no room, the largest is dropped.
     #[inline]
     pub fn insert(&mut self, id: MaterialId, value: f64) {
         let is_before = |other: &(MaterialId, f64)| (value, id) < (other.1, other.0);
@@ -95,7 +102,8 @@ impl Near {
         self.entries().first().map(|(id, _)| *id)
     }
 
-    /// Half the difference of the two smallest indicators, mm: the distance from the nearest sheet, to first order. Infinite where only one is known.
+    /// Half the difference of the two smallest indicators, mm: the distance to the nearest
+    /// interface, to first order. Infinite if fewer than two are known.
     pub fn interface_distance(&self) -> f64 {
         match self.entries() {
             [(_, first), (_, second), ..] => 0.5 * (second - first),
@@ -104,18 +112,19 @@ impl Near {
     }
 }
 
-/// A jet of a function that is far from zero: infinite, without slope.
+/// The jet of an indicator far from its border: infinite, with zero derivatives.
 pub(crate) fn far(inside: bool) -> Jet {
     let value = if inside { f64::NEG_INFINITY } else { f64::INFINITY };
     Jet { value, gradient: DVec3::ZERO, hessian: DMat3::ZERO }
 }
 
-/// The indicators F_m of some materials: signed distances, mm, negative inside, derivatives per mm; positions in the grid frame, mm. An indicator that is not known
-/// at a place counts as infinite by its sign there, without slope.
+/// The indicators F_m of some materials: signed distances, mm, negative inside, with derivatives
+/// per mm; positions in the grid frame, mm. An indicator that is not known at a position is
+/// infinite there, with its sign and zero derivatives.
 ///
-/// The methods that have a body are the geometry of strata, the same for all indicators.
+/// The provided methods are the geometry of strata, the same for all indicators.
 pub trait Indicators: Sync {
-    /// The indicators that are known at a place, smallest first.
+    /// The indicators that are known at a position, smallest first.
     fn near(&self, grid: DVec3) -> Near;
 
     /// F_m and its gradient.
@@ -124,15 +133,17 @@ pub trait Indicators: Sync {
     /// F_m, gradient and Hessian.
     fn jet(&self, id: MaterialId, grid: DVec3) -> Jet;
 
-    /// Length over which indicators can be trusted to be smooth, mm: the mean spacing of voxels. No step of a projection is longer than half of it.
+    /// Length over which indicators are smooth, mm: the mean voxel spacing. Projection steps are
+    /// limited to half of it.
     fn voxel(&self) -> f64;
 
-    /// The material at a place: that with the smallest indicator.
+    /// The material at a position: the one with the smallest indicator, or the outside if none is
+    /// known.
     fn material_at(&self, grid: DVec3) -> MaterialId {
         self.near(grid).first().unwrap_or(MaterialId::OUTSIDE)
     }
 
-    /// The difference of two indicators as a function of its own.
+    /// The difference of two indicators as a function.
     fn sheet(&self, i: MaterialId, j: MaterialId) -> Sheet<'_, Self>
     where
         Self: Sized,
@@ -140,7 +151,8 @@ pub trait Indicators: Sync {
         Sheet { indicators: self, i, j }
     }
 
-    /// G_ij = (F_i - F_j) / 2, mm, negative where i is nearer, with gradient and Hessian: slope near 1 on a sheet, since F_j is about -F_i there.
+    /// G_ij = (F_i - F_j) / 2, mm, negative where i is nearer, with gradient and Hessian. Its slope
+    /// is near 1 on an interface, since F_j is about -F_i there.
     fn difference(&self, i: MaterialId, j: MaterialId, grid: DVec3) -> Jet {
         let (a, b) = (self.jet(i, grid), self.jet(j, grid));
         Jet {
@@ -156,14 +168,16 @@ pub trait Indicators: Sync {
         strata::half_difference(self.value_gradient(i, grid), self.value_gradient(j, grid))
     }
 
-    /// Whether the sheet of two materials is real at a place on it: its [`Self::clearance`] is positive.
+    /// Whether the interface of two materials is real at a position on it: its [`Self::clearance`]
+    /// is positive.
     #[inline(always)]
     fn is_real_sheet(&self, own: [MaterialId; 2], grid: DVec3) -> bool {
         self.clearance(grid, &own) > 0.0
     }
 
-    /// How real a stratum of the materials `own` is at a place, mm: the smallest indicator of all others less the largest of their own. Positive where these are the
-    /// smallest; infinite where no other is known, minus infinity where one of their own is not.
+    /// Clearance of the stratum of the materials `own` at a position, mm: the smallest indicator of
+    /// all others minus the largest of their own. The stratum is real where this is positive.
+    /// Infinite where no other is known, minus infinity where one of their own is not.
     fn clearance(&self, grid: DVec3, own: &[MaterialId]) -> f64 {
         let near = self.near(grid);
         let others = near.entries().iter().filter(|(id, _)| !own.contains(id));
@@ -173,9 +187,11 @@ pub trait Indicators: Sync {
         if largest == f64::INFINITY { f64::NEG_INFINITY } else { smallest - largest }
     }
 
-    /// The point of the sheet of two materials near `start`, by Newton steps along the gradient of G_ij. `limit` is the longest total move (mm); `None` when the
-    /// point runs away, the gradient vanishes or an indicator is not known, or when [`crate::spline::PROJECTION_STEPS`] do not bring the sheet, to first
-    /// order, nearer than `tolerance` (mm). Whether the two are the smallest there, [`Self::clearance`] tells.
+    /// Projects `start` onto the interface of two materials by Newton steps along the gradient of
+    /// G_ij. `limit` is the longest total move (mm). `None` if the position moves farther, the
+    /// gradient vanishes, an indicator is not known, or [`crate::spline::PROJECTION_STEPS`] do not
+    /// bring it within `tolerance` (mm) of the interface, to first order. Whether the two materials
+    /// are the smallest there is not checked ([`Self::clearance`]).
     fn project_onto_sheet(&self, own: [MaterialId; 2], start: DVec3, limit: f64, tolerance: f64) -> Option<DVec3> {
         strata::project(self.voxel(), start, limit, tolerance, |p| {
             let (value, gradient) = self.difference_gradient(own[0], own[1], p);
@@ -184,8 +200,8 @@ pub trait Indicators: Sync {
         .map(|(p, ())| p)
     }
 
-    /// As [`Self::project_onto_sheet`], with the gradient of G_ij at the place reached; `None` too where the sheet is not real, because another material is as
-    /// near there as the two ([`Self::is_real_sheet`]).
+    /// As [`Self::project_onto_sheet`], with the gradient of G_ij at the position reached. `None`
+    /// also if the interface is not real there ([`Self::is_real_sheet`]).
     #[inline(always)]
     fn place_on_sheet(&self, own: [MaterialId; 2], start: DVec3, limit: f64, tolerance: f64) -> Option<(DVec3, DVec3)> {
         let place = strata::project(self.voxel(), start, limit, tolerance, |p| {
@@ -195,8 +211,9 @@ pub trait Indicators: Sync {
         place.filter(|&(p, _)| self.is_real_sheet(own, p))
     }
 
-    /// The point of the junction curve of three materials near `start`: Gauss-Newton on G_ij = G_ik = 0, by steps of the least length. Limit and tolerance as for
-    /// [`Self::project_onto_sheet`]; `None` too where the sheets are tangent ([`LEAST_SQUARED_SINE`]).
+    /// Projects `start` onto the junction curve of three materials: Gauss-Newton on G_ij = G_ik = 0
+    /// with steps of minimum length. Limit and tolerance as in [`Self::project_onto_sheet`]. `None`
+    /// also if the interfaces are tangent ([`LEAST_SQUARED_SINE`]).
     fn project_onto_curve(&self, own: [MaterialId; 3], start: DVec3, limit: f64, tolerance: f64) -> Option<DVec3> {
         strata::project(self.voxel(), start, limit, tolerance, |p| {
             let [first, second, third] = own.map(|id| self.value_gradient(id, p));
@@ -206,8 +223,9 @@ pub trait Indicators: Sync {
         .map(|(p, ())| p)
     }
 
-    /// The junction point of four materials near `start`: Newton's method on G_ij = G_ik = G_il = 0. Limit and tolerance as for
-    /// [`Self::project_onto_sheet`]; `None` too where the curves are tangent ([`LEAST_SQUARED_SINE`]).
+    /// Projects `start` onto the junction point of four materials: Newton's method on
+    /// G_ij = G_ik = G_il = 0. Limit and tolerance as in [`Self::project_onto_sheet`]. `None` also
+    /// if the curves are tangent ([`LEAST_SQUARED_SINE`]).
     fn project_onto_point(&self, own: [MaterialId; 4], start: DVec3, limit: f64, tolerance: f64) -> Option<DVec3> {
         strata::project(self.voxel(), start, limit, tolerance, |p| {
             let [first, others @ ..] = own.map(|id| self.value_gradient(id, p));

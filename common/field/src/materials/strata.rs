@@ -1,21 +1,23 @@
-//! Strata: sheets, junction curves and junction points, as zero sets of the differences G_ij = (F_i - F_j) / 2, and the steps towards them.
+//! Strata (material interfaces, junction curves and junction points) as zero sets of the
+//! differences G_ij = (F_i - F_j) / 2, and the Newton steps towards them.
 
 use super::{Indicators, MaterialId};
 use crate::spline::{Jet, LEAST_SQUARED_GRADIENT, PROJECTION_STEPS};
 use glam::{DMat3, DVec3};
 
-/// Least squared sine of the angle between two sheets, and between a curve and a third sheet, at which they are taken to cross: 0.6 degrees, at which a step of
-/// a hundredth of a voxel across goes a voxel along.
+/// Minimum squared sine of the angle between two interfaces, and between a curve and a third
+/// interface, for which they count as crossing. At this angle, 0.6 degrees, a step of a hundredth
+/// of a voxel across moves a voxel along.
 pub const LEAST_SQUARED_SINE: f64 = 1e-4;
 
-/// The difference G_ij = (F_i - F_j) / 2 of two indicators, as a function of its own: mm, negative where i is nearer; zero on the sheet of the two, as far as
-/// no third material is nearer.
+/// The difference G_ij = (F_i - F_j) / 2 of two indicators as a function: mm, negative where i is
+/// nearer. It is zero on the interface of the two, which is real where no third material is nearer.
 #[derive(Debug)]
 pub struct Sheet<'a, I: ?Sized> {
     pub(super) indicators: &'a I,
     /// The material on the negative side.
     pub i: MaterialId,
-    /// That on the positive side.
+    /// The material on the positive side.
     pub j: MaterialId,
 }
 
@@ -30,12 +32,12 @@ impl<I: Indicators + ?Sized> Sheet<'_, I> {
         self.indicators.difference(self.i, self.j, grid)
     }
 
-    /// The point of the sheet near `start` ([`Indicators::project_onto_sheet`]).
+    /// Projects `start` onto the interface ([`Indicators::project_onto_sheet`]).
     pub fn project(&self, start: DVec3, limit: f64, tolerance: f64) -> Option<DVec3> {
         self.indicators.project_onto_sheet([self.i, self.j], start, limit, tolerance)
     }
 
-    /// How real the sheet is at a place ([`Indicators::clearance`]).
+    /// Clearance of the interface at a position, mm ([`Indicators::clearance`]).
     pub fn clearance(&self, grid: DVec3) -> f64 {
         self.indicators.clearance(grid, &[self.i, self.j])
     }
@@ -47,7 +49,9 @@ pub(super) fn half_difference(a: (f64, DVec3), b: (f64, DVec3)) -> (f64, DVec3) 
     (0.5 * (a.0 - b.0), 0.5 * (a.1 - b.1))
 }
 
-/// Follows steps until one is no longer than `tolerance`, or for too long or too far; gives the place with what the last step told of it.
+/// Repeats steps until one is no longer than `tolerance` (mm). Returns the position and the extra
+/// result of the last step. `None` after [`PROJECTION_STEPS`], or if the position is `limit` (mm)
+/// or more from `start`.
 #[inline(always)]
 pub(super) fn project<T>(
     voxel: f64,
@@ -63,7 +67,7 @@ pub(super) fn project<T>(
             return Some((p, told));
         }
         p += step.clamp_length_max(0.5 * voxel);
-        // also refuses what is not a number
+        // also rejects NaN
         if p.distance_squared(start).partial_cmp(&(limit * limit)) != Some(std::cmp::Ordering::Less) {
             return None;
         }
@@ -71,7 +75,7 @@ pub(super) fn project<T>(
     None
 }
 
-/// Whether a squared slope is steep enough, and a number.
+/// Whether a squared slope is steep enough, and finite.
 #[inline(always)]
 fn is_steep(squared: f64) -> bool {
     squared > LEAST_SQUARED_GRADIENT && squared.is_finite()
@@ -84,7 +88,8 @@ pub(super) fn sheet_step(value: f64, gradient: DVec3) -> Option<DVec3> {
     (is_steep(squared) && value.is_finite()).then(|| gradient * (-value / squared))
 }
 
-/// The shortest step onto the crossing of the tangent planes of two functions: -J^T (J J^T)^-1 G.
+/// The shortest step onto the intersection of the tangent planes of two functions:
+/// `-J^T (J J^T)^-1 G`.
 pub(super) fn curve_step([(u, a), (v, b)]: [(f64, DVec3); 2]) -> Option<DVec3> {
     let (aa, bb, ab) = (a.length_squared(), b.length_squared(), a.dot(b));
     let determinant = aa * bb - ab * ab;
@@ -93,7 +98,7 @@ pub(super) fn curve_step([(u, a), (v, b)]: [(f64, DVec3); 2]) -> Option<DVec3> {
     (crosses && both).then(|| (a * (v * ab - u * bb) + b * (u * ab - v * aa)) / determinant)
 }
 
-/// The Newton step onto the crossing of the tangent planes of three functions.
+/// The Newton step onto the intersection of the tangent planes of three functions.
 pub(super) fn point_step(rows: [(f64, DVec3); 3]) -> Option<DVec3> {
     let [a, b, c] = rows.map(|(_, gradient)| gradient);
     let squares = [a, b, c].map(DVec3::length_squared);

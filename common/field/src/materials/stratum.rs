@@ -1,22 +1,26 @@
-//! Which materials meet at a place: the name of a sheet, a junction curve or a junction point.
+//! The materials that meet at a position, which identify a material interface, a junction curve or
+//! a junction point.
 
 use super::MaterialId;
 use serde::{Deserialize, Serialize};
 
-/// The materials that meet on a stratum, two on a sheet, three on a junction curve, four at a junction point; ascending.
+/// The materials that meet on a stratum, ascending: two on an interface, three on a junction curve,
+/// four at a junction point.
 ///
-/// A junction point of more than four (labels at a corner of many voxels) is named by four of them.
+/// A junction point of more than four materials (labels at a corner of many voxels) is named by
+/// four of them.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 pub struct Stratum {
-    /// Ascending; [`NONE`] behind the last.
+    /// Ascending, padded with [`NONE`].
     ids: [MaterialId; 4],
 }
 
-/// In the places of a stratum that has fewer than four materials; no material has this number.
+/// Padding for fewer than four materials; no material has this number.
 const NONE: MaterialId = MaterialId(u16::MAX);
 
 impl Stratum {
-    /// The stratum of some materials in any order; `None` unless they are two to four different ones.
+    /// The stratum of some materials in any order; `None` unless they are two to four different
+    /// ones.
     pub fn new(materials: &[MaterialId]) -> Option<Self> {
         let mut ids = [NONE; 4];
         ids.get_mut(..materials.len())?.copy_from_slice(materials);
@@ -24,16 +28,16 @@ impl Stratum {
         Self { ids }.is_valid().then_some(Self { ids })
     }
 
-    /// The sheet between two different materials.
+    /// The interface of two different materials.
     ///
     /// # Panics
-    /// When they are the same.
+    /// If they are the same.
     pub fn sheet(a: MaterialId, b: MaterialId) -> Self {
         assert_ne!(a, b, "a material has no sheet with itself");
         Self { ids: [a.min(b), a.max(b), NONE, NONE] }
     }
 
-    /// Whether the numbers are of two to four materials, ascending: what a reader of files checks.
+    /// Whether the numbers are of two to four materials, ascending; checked when files are read.
     pub fn is_valid(&self) -> bool {
         let count = self.count();
         (2..=4).contains(&count) && self.ids[..count].is_sorted_by(|a, b| a < b)
@@ -44,24 +48,25 @@ impl Stratum {
         &self.ids[..self.count()]
     }
 
-    /// How many meet: 2, 3 or 4.
+    /// Number of materials: 2, 3 or 4.
     pub fn count(&self) -> usize {
         self.ids.iter().position(|&id| id == NONE).unwrap_or(4)
     }
 
-    /// 2 of a sheet, 1 of a junction curve, 0 of a junction point.
+    /// 2 for an interface, 1 for a junction curve, 0 for a junction point.
     pub fn dimension(&self) -> usize {
         4 - self.count()
     }
 
-    /// The stratum of its materials and those of another; `None` where they are more than four.
+    /// The stratum of the materials of both; `None` if there are more than four.
     pub fn joined(&self, other: &Self) -> Option<Self> {
         let mut ids = self.materials().to_vec();
         ids.extend(other.materials().iter().filter(|&&id| !self.has(id)));
         Self::new(&ids)
     }
 
-    /// The junction curves on which it lies, each of three of its materials; a curve's own alone.
+    /// The junction curves that it lies on, each of three of its materials. A curve lies on itself,
+    /// an interface on none.
     pub fn curves(&self) -> impl Iterator<Item = Self> + use<> {
         let ids = self.ids;
         let three = move |skipped: usize| [0, 1, 2].map(|n| ids[n + usize::from(n >= skipped)]);
@@ -74,7 +79,8 @@ impl Stratum {
         self.materials().contains(&id)
     }
 
-    /// Whether this stratum may lie on the border of `other`, or is the same: all materials of that meet here.
+    /// Whether this stratum has all materials of `other`: it can lie on the border of `other`, or
+    /// equals it.
     pub fn is_on(&self, other: &Self) -> bool {
         other.materials().iter().all(|&id| self.has(id))
     }

@@ -1,4 +1,5 @@
-//! Indicators whose strata are known: nested balls, sectors of a ball, four regions of a cube; as functions and as samples.
+//! Indicators with known strata: nested balls, sectors of a ball, four regions of a cube; as
+//! functions and as samples.
 
 use super::*;
 use crate::random::uniform;
@@ -9,13 +10,14 @@ use std::collections::BTreeMap;
 
 pub(super) const IDS: [MaterialId; 4] = [MaterialId(0), MaterialId(1), MaterialId(2), MaterialId(3)];
 
-/// A ball of 5 mm in one of 9 mm; the outside round them.
+/// A ball of radius 5 mm within one of radius 9 mm, surrounded by the outside.
 pub(super) fn nested(centre: DVec3) -> Analytic {
     let shell = maximum(ball(centre, 9.0), negative(ball(centre, 5.0)));
     Analytic::new(vec![negative(ball(centre, 9.0)), shell, ball(centre, 5.0)], 1.0)
 }
 
-/// Three sectors of 120 degrees of a ball of 8 mm round the z axis through a point; the outside round them.
+/// Three sectors of 120 degrees of a ball of radius 8 mm, around the z axis through its centre,
+/// surrounded by the outside.
 pub(super) fn sectors(centre: DVec3) -> Analytic {
     let normal =
         |turns: f64| DVec3::new(-(turns * std::f64::consts::TAU).sin(), (turns * std::f64::consts::TAU).cos(), 0.0);
@@ -26,7 +28,7 @@ pub(super) fn sectors(centre: DVec3) -> Analytic {
     Analytic::new(vec![negative(ball(centre, 8.0)), sector(0.1), sector(1.1), sector(2.1)], 1.0)
 }
 
-/// Four regions that meet at a point, each round the direction of a corner of a tetrahedron.
+/// Four regions that meet at a point, each around the direction of a corner of a tetrahedron.
 pub(super) fn corners(point: DVec3) -> Analytic {
     let ways = [DVec3::ONE, DVec3::new(1.0, -1.0, -1.0), DVec3::new(-1.0, 1.0, -1.0), DVec3::new(-1.0, -1.0, 1.0)];
     let region = |own: DVec3| {
@@ -36,14 +38,15 @@ pub(super) fn corners(point: DVec3) -> Analytic {
     Analytic::new(ways.map(region).into(), 1.0)
 }
 
-/// Balls of different sizes, all through a point: smooth indicators, four of which are equal there.
+/// Balls of different sizes whose surfaces all pass through a point: smooth indicators, all equal
+/// there.
 fn balls(point: DVec3) -> Analytic {
     let ball_towards = |x: f64, y: f64, z: f64| ball(point + DVec3::new(x, y, z), DVec3::new(x, y, z).length());
     let four = [(7.0, 6.0, 8.0), (9.0, -8.0, -6.0), (-6.0, 9.0, -9.0), (-8.0, -7.0, 7.0)];
     Analytic::new(four.map(|(x, y, z)| ball_towards(x, y, z)).into(), 1.0)
 }
 
-/// The same from samples `spacing` mm apart on a cube of 24 mm.
+/// The indicators from samples `spacing` mm apart on a cube of 24 mm.
 pub(super) fn sampled(analytic: &Analytic, spacing: f64) -> Materials {
     let nodes = (24.0 / spacing).round() as usize + 1;
     let geometry = Geometry::axis_aligned([nodes; 3], DVec3::splat(spacing));
@@ -70,7 +73,7 @@ fn the_smallest_indicator_names_the_material() {
         for p in (0..5000).map(place) {
             let (truth, found) = (analytic.near(p), materials.near(p));
             assert_eq!(analytic.material_at(p), truth.first().expect("some"));
-            // away from sheets and kinks the spline is as good as the function
+            // away from interfaces and kinks the spline is as good as the function
             if truth.interface_distance() > 0.4 {
                 assert_eq!(materials.material_at(p), analytic.material_at(p), "at {p}: {found:?} {truth:?}");
             }
@@ -156,9 +159,9 @@ fn junction_curves_are_met() {
         let own = [IDS[1], IDS[2], IDS[3]];
         let p = analytic.project_onto_curve(own, start, 2.0, 1e-9).expect("near the axis");
         assert!((p - CENTRE).truncate().length() < 1e-9, "{p}");
-        // the step is the shortest: along the curve nothing moves
+        // the step is the shortest: nothing moves along the curve
         assert!((p.z - start.z).abs() < 1e-9);
-        // where the ball ends, three sectors do not meet alone
+        // the curve is real only within the ball
         assert_eq!(analytic.clearance(p, &own) > 0.0, (p.z - CENTRE.z).abs() < 8.0);
     }
     // the kink of sampled sectors lies on the curve itself
@@ -202,11 +205,11 @@ fn what_is_not_near_is_not_met() {
     let materials = sampled(&analytic, 0.5);
     // the centre is far from the outside
     assert_eq!(materials.project_onto_sheet([IDS[0], IDS[1]], CENTRE, 30.0, 1e-6), None);
-    // a limit is a limit
+    // the interface is 1 mm from the start
     let start = CENTRE + DVec3::X * 10.0;
     assert!(materials.project_onto_sheet([IDS[0], IDS[1]], start, 1.2, 1e-6).is_some());
     assert_eq!(materials.project_onto_sheet([IDS[0], IDS[1]], start, 0.8, 1e-6), None);
-    // concentric sheets have no curve in common
+    // concentric interfaces have no curve in common
     assert_eq!(analytic.project_onto_curve([IDS[0], IDS[1], IDS[2]], start, 5.0, 1e-6), None);
     assert_eq!(materials.clearance(CENTRE, &[IDS[0], IDS[2]]), f64::NEG_INFINITY);
     assert!(materials.clearance(CENTRE, &[IDS[2]]) > 5.0);
@@ -300,13 +303,13 @@ fn what_is_added_at_nodes_is_at_no_other() {
         for n in 0..729 {
             let other = [(node[0] + n % 9).saturating_sub(4).min(24), node[1] + n / 9 % 9 - 4, node[2] + n / 81 - 4];
             let expected = if other == node { 0.5 } else { 0.0 };
-            // where it is not known, the difference of two infinities
+            // if not known, the difference of two infinities is NaN
             let found = change(at(other));
             known += usize::from(!found.is_nan());
             assert!(found.is_nan() || (found - expected).abs() < 1e-5, "{found} at {other:?}");
         }
         assert!(known > 300, "{known}");
-        // the cubic spline that is one at a node and zero at all others, half-way between two
+        // midway between two nodes: the cubic spline that is one at a node and zero at all others
         assert!((change(at(node) + 0.5 * DVec3::Y) / 0.5 - 0.6005).abs() < 1e-4);
         let pairs = materials.indicators().iter().zip(before.indicators()).enumerate();
         assert!(pairs.filter(|(n, _)| *n != id.index()).all(|(_, (now, then))| now == then));
@@ -315,7 +318,7 @@ fn what_is_added_at_nodes_is_at_no_other() {
 
 #[test]
 fn a_sample_is_added_to_on_axes_of_few_nodes() {
-    // of 1 to 9 nodes along x, which are mirrored many times within the reach of a sample
+    // 1 to 9 nodes along x: a sample reaches many mirror images
     for nodes in 1..10 {
         let geometry = Geometry::axis_aligned([nodes, 9, 9], DVec3::ONE);
         let image = |added: f64| {

@@ -1,4 +1,5 @@
-//! A grid of bins for each octave of h: which points may interact with a place, whatever the contrast of h, and an order of points along a curve through space.
+//! One grid of bins for each octave of h, which finds the points that may interact with a position;
+//! and a spatial order of points along a Morton curve.
 
 use super::WIDENING;
 use glam::{DVec3, IVec3};
@@ -6,22 +7,22 @@ use isoparticles_mesh::buckets::{Buckets, parts_mut};
 use rayon::prelude::*;
 use std::ops::Range;
 
-/// Rows of bins that one thread sorts at a time.
+/// Rows of bins that are sorted per parallel task.
 const ROWS: usize = 1 << 8;
 
-/// Most bins along an axis of a level.
+/// Maximum number of bins along an axis of a level.
 const MOST_BINS: f64 = 1024.0;
 
-/// Where the bins of every level lie.
+/// Position and size of the bins of every level.
 #[derive(Clone, Debug)]
 struct Grid {
-    /// Of every level's first bin.
+    /// Lowest corner of the first bin, the same on every level.
     origin: DVec3,
-    /// Edge of the bins of level 0, those of the largest points.
+    /// Edge of the bins of level 0, which hold the largest points.
     edge: f64,
     /// Size of the largest point.
     largest: f64,
-    /// Number of levels; the last holds all smaller points, too.
+    /// Number of levels; the last also holds all smaller points.
     levels: usize,
     /// Bins of level 0 along each axis.
     bins: IVec3,
@@ -37,7 +38,7 @@ impl Grid {
             return Self { origin: DVec3::ZERO, edge: 1.0, largest, levels: 0, bins: IVec3::ZERO };
         }
         let extent = (high - low).max_element();
-        // wider bins are right as well, and the table of rows stays small where a few points are tiny
+        // wider bins are correct, too; they keep the table of rows small if a few points are tiny
         let edge = (reach * largest * (1.0 + WIDENING)).max(extent / MOST_BINS);
         let allowed = (edge * MOST_BINS / extent.max(edge)).log2().floor();
         let levels = (largest / smallest).log2().floor().min(allowed) as usize + 1;
@@ -58,9 +59,10 @@ impl Grid {
     }
 }
 
-/// Points in bins, one grid of bins for each octave of size: a point of size h goes to the level of its octave of h, whose bins are as wide as the longest reach in that
-/// octave, so a query looks at no more than 27 bins a level. In a level the points are sorted
-/// by bin, x fastest: the three bins of a row are one contiguous run, found by bisection from a table of rows.
+/// Points in bins, with one grid of bins (level) for each octave of size. The bins of a level are
+/// as wide as the longest reach in its octave, so a query visits at most 27 bins per level. The
+/// points of a level are sorted by bin, x fastest: the three bins of a row are one contiguous run,
+/// found by bisection within the row.
 #[derive(Clone, Debug)]
 pub struct LevelBins {
     reach: f64,
@@ -90,7 +92,7 @@ impl Level {
             ((bin.z * rows[0] + bin.y) as u32, bin.x as u32)
         };
         let (row_of, bin_of): (Vec<u32>, Vec<u32>) = members.par_iter().map(place).unzip();
-        // by row, then each row by itself
+        // divide into rows, then sort each row
         let Buckets { starts, items } = Buckets::new(&row_of, (rows[0] * rows[1]) as usize);
         drop(row_of);
         let mut entries: Vec<(u32, u32)> =
@@ -109,7 +111,7 @@ impl Level {
         Self { rows, starts, bins, points }
     }
 
-    /// Calls `visit` with every run of entries in the bins from `low` to `high`.
+    /// Calls `visit` with every run of entries in the bins from `low` to `high`, inclusive.
     #[inline]
     fn runs(&self, low: IVec3, high: IVec3, mut visit: impl FnMut(Range<usize>)) {
         if self.points.is_empty() || high.min_element() < 0 {
@@ -132,8 +134,8 @@ impl Level {
 }
 
 impl LevelBins {
-    /// Bins the points; two points interact when nearer than `reach` times the smaller of their sizes. Sizes must be
-    /// positive and finite.
+    /// Bins the points. Two points interact if they are nearer than `reach` times the smaller of
+    /// their sizes. Sizes must be positive and finite.
     pub fn new(points: &[DVec3], sizes: &[f64], reach: f64) -> Self {
         let grid = Grid::new(points, sizes, reach);
         let level_of: Vec<u32> = sizes.par_iter().map(|&h| grid.level_of(h) as u32).collect();
@@ -144,11 +146,12 @@ impl LevelBins {
         Self { reach, grid, levels }
     }
 
-    /// Calls `visit` with every point that may lie within `reach * min(size, its size)` of `centre` (and a few more: the
-    /// caller measures). The order is fixed: by level, bin, index.
+    /// Calls `visit` with every point that may lie within `reach * min(size, its size)` of
+    /// `centre`, and with some that do not; the caller checks the distance. The order is fixed: by
+    /// level, bin, index.
     pub fn visit(&self, centre: DVec3, size: f64, mut visit: impl FnMut(u32)) {
         for (l, level) in self.levels.iter().enumerate() {
-            // by a little more than the reach, against rounding
+            // slightly more than the reach, against rounding
             let radius = (self.reach * size * (1.0 + WIDENING)).min(self.grid.edge_of(l));
             let (low, high) = (self.grid.bin_of(l, centre - radius), self.grid.bin_of(l, centre + radius));
             level.runs(low, high, |run| level.points[run].iter().for_each(|&i| visit(i)));
@@ -156,7 +159,9 @@ impl LevelBins {
     }
 }
 
-/// An order of the points in which neighbours lie near each other: along a Morton curve over quarters of the smallest reaches, or of a thousandth of the extent where that is more.
+/// An order of the points in which neighbours are close to each other: along a Morton curve whose
+/// cells are a quarter of the finest bins. Those are about as wide as the smallest reaches, or a
+/// thousandth of the extent if that is more.
 pub fn space_order(points: &[DVec3], sizes: &[f64], reach: f64) -> Vec<u32> {
     let grid = Grid::new(points, sizes, reach);
     let mut keyed: Vec<(u64, u32)> = points

@@ -1,4 +1,5 @@
-//! A tree of boxes over points in their order, eight to a box: who may be near the points of a box, by lanes.
+//! A tree of boxes over points in their order, eight to a box. It finds the points that may be near
+//! those of a box, on SIMD lanes.
 
 use super::WIDENING;
 use fearless_simd::{Simd, f64x8, prelude::*};
@@ -6,10 +7,10 @@ use glam::DVec3;
 use isoparticles_mesh::spatial::Bounds;
 use rayon::prelude::*;
 
-/// Points that one lane operation works on.
+/// Points per lane operation.
 pub(super) const LANES: usize = 8;
 
-/// Eight points that follow each other, filled up with points infinitely far.
+/// Eight consecutive points, padded with points infinitely far away.
 #[derive(Clone, Copy, Debug)]
 struct Run {
     /// Coordinates, axis by axis.
@@ -22,12 +23,12 @@ impl Run {
     const NOBODY: Self = Self { place: [[f64::INFINITY; LANES]; 3], reach: [0.0; LANES], number: [u32::MAX; LANES] };
 }
 
-/// Eight boxes that follow each other, of runs or of eights of boxes, filled up with empty ones.
+/// Eight consecutive boxes, of runs or of groups of eight boxes, padded with empty ones.
 #[derive(Clone, Copy, Debug)]
 struct Boxes {
     low: [[f64; LANES]; 3],
     high: [[f64; LANES]; 3],
-    /// The longest reach in each.
+    /// The longest reach in each box.
     reach: [f64; LANES],
 }
 
@@ -46,21 +47,23 @@ impl Outline {
         Self { bounds: self.bounds.merged(other.bounds), reach: self.reach.max(other.reach) }
     }
 
-    /// Along its longest side, in reaches.
+    /// Length of its longest side, in reaches.
     fn extent(&self) -> f64 {
         (self.bounds.high - self.bounds.low).max_element() / self.reach
     }
 }
 
-/// Points in their order, in a tree of boxes of eight each. Queries are quick where points that follow each other are near each other.
+/// Points in their order, in a tree of boxes with eight children each. Queries are fast if
+/// consecutive points are close to each other.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Tree {
     runs: Vec<Run>,
     /// The box of each run.
     boxes: Vec<Outline>,
-    /// Whether runs, and eights of runs, are about as small as points on a surface in order of place have them, most of them.
+    /// Whether runs, and groups of eight runs, are on average about as small as those of points on
+    /// a surface in spatial order.
     pub(super) is_compact: bool,
-    /// From the boxes of runs to the eight or less that hold everything.
+    /// The boxes by level, from those of runs up to the at most eight that hold everything.
     levels: Vec<Vec<Boxes>>,
 }
 
@@ -69,7 +72,7 @@ impl Tree {
         Self::default().anew(points, sizes, reach)
     }
 
-    /// The same in the memory of this one, which is gone.
+    /// As [`Self::new`], but reuses the memory of this tree, which is dropped.
     pub(super) fn anew(self, points: &[DVec3], sizes: &[f64], reach: f64) -> Self {
         let Self { mut runs, mut boxes, .. } = self;
         let run = |(n, (points, sizes)): (usize, (&[DVec3], &[f64]))| {
@@ -78,7 +81,7 @@ impl Tree {
             for (lane, (&p, &h)) in points.iter().zip(sizes).enumerate() {
                 (0..3).for_each(|axis| run.place[axis][lane] = p[axis]);
                 (run.reach[lane], run.number[lane]) = (reach * h, (n * LANES + lane) as u32);
-                // by a little more than the reach, against rounding
+                // slightly more than the reach, against rounding
                 all = all.merged(Outline { bounds: Bounds { low: p, high: p }, reach: reach * h * (1.0 + WIDENING) });
             }
             (run, all)
@@ -99,7 +102,8 @@ impl Tree {
         Self { runs, boxes, is_compact, levels }
     }
 
-    /// The runs with points that may be within reach of those of a box, ascending, into the first of two lists; the second is for boxes on the way.
+    /// Finds the runs with points that may be within reach of those of a box, ascending, in
+    /// `found`. `next` is scratch space.
     #[inline(always)]
     fn near<S: Simd>(&self, simd: S, of: &Outline, found: &mut Vec<u32>, next: &mut Vec<u32>) {
         found.clear();
@@ -119,7 +123,7 @@ impl Tree {
 }
 
 impl Boxes {
-    /// Some boxes, and the one around them.
+    /// Packs some boxes; also returns the box around them.
     fn of(boxes: &[Outline]) -> (Self, Outline) {
         let mut new =
             Self { low: [[f64::INFINITY; LANES]; 3], high: [[f64::NEG_INFINITY; LANES]; 3], reach: [0.0; LANES] };
@@ -131,14 +135,16 @@ impl Boxes {
         (new, boxes.iter().copied().fold(Outline::EMPTY, Outline::merged))
     }
 
-    /// Bits of the boxes no farther from another along any axis than the smaller of the two reaches.
+    /// Bits of the boxes whose distance from another along every axis is at most the smaller of the
+    /// two reaches.
     #[inline(always)]
     fn meet<S: Simd>(&self, simd: S, other: &Outline) -> u64 {
         meet(simd, [&self.low, &self.high], &self.reach, other)
     }
 }
 
-/// Bits of the boxes (lowest and highest corners) no farther from another along any axis than the smaller of the two reaches.
+/// Bits of the boxes (lowest and highest corners) whose distance from another along every axis is
+/// at most the smaller of the two reaches.
 #[inline(always)]
 fn meet<S: Simd>(simd: S, [low, high]: [&[[f64; LANES]; 3]; 2], reach: &[f64; LANES], other: &Outline) -> u64 {
     let reach = f64x8::simd_from(simd, *reach).min(other.reach);
@@ -155,7 +161,7 @@ fn meet<S: Simd>(simd: S, [low, high]: [&[[f64; LANES]; 3]; 2], reach: &[f64; LA
 #[derive(Default)]
 pub(super) struct Candidates {
     runs: Vec<Run>,
-    /// Runs of the tree, and boxes on the way to them.
+    /// Runs of the tree, and scratch space for the search.
     near: [Vec<u32>; 2],
     /// Numbers of the points near another, with room for eight more.
     found: Vec<u32>,
@@ -187,9 +193,11 @@ impl Candidates {
         self.found.resize(self.found.len().max(count + LANES), 0);
     }
 
-    /// The candidates nearer to `p` than the smaller of the two reaches, the point itself included, ascending.
+    /// The candidates nearer to `p` than the smaller of the two reaches, `p` itself included,
+    /// ascending.
     ///
-    /// Each lane is written whether it is near or not, and the next one over it where it is not: a branch for each would be a guess, wrong every other time.
+    /// Every lane is written, and the next near one overwrites a lane that is not near. A branch
+    /// per lane would be mispredicted every other time.
     #[inline(always)]
     pub(super) fn near<S: Simd>(&mut self, simd: S, p: DVec3, radius: f64) -> &[u32] {
         let mut count = 0;
@@ -210,8 +218,10 @@ impl Candidates {
     }
 }
 
-/// Points whose runs extend on average farther than so many reaches are put in order first; those of particles in order of place extend 1.7 to 2.1.
+/// If runs extend farther than this many reaches on average, the points are sorted into spatial
+/// order first. Runs of particles in spatial order extend 1.7 to 2.1 reaches.
 const MOST_EXTENT: f64 = 4.0;
 
-/// The same of eight runs: on a surface they have eight times the area of one, and sqrt 8 times its extent.
+/// The same for eight runs: on a surface they have eight times the area of one, and sqrt 8 times
+/// its extent.
 const MOST_EXTENT_OF_EIGHT: f64 = 12.0;

@@ -1,18 +1,20 @@
-//! F in a cell between eight neighbouring nodes, by its Bézier points.
+//! The Bézier points of F in a cell between eight neighbouring nodes.
 
 use super::{CubicSpline, mirror};
 
 /// Points along each axis.
 pub(crate) const ORDER: usize = 4;
 
-/// The points of a cell, x fastest. F lies between the least and the largest of them (the convex hull property), and those at the eight corners are F there.
+/// The Bézier points of a cell, x fastest. F lies between their minimum and maximum (convex hull
+/// property); the corner points are the values of F there.
 pub(crate) type BezierPoints = [f64; ORDER * ORDER * ORDER];
 
-/// Rounding in what is made of them by conversions and halvings, as a part of the largest: a sum of some hundred products.
+/// Bound on the rounding error of conversions and halvings, relative to the largest point. It
+/// allows for a sum of some hundred products.
 pub(crate) const ROUNDING: f64 = 256.0 * f64::EPSILON;
 
 impl CubicSpline {
-    /// The points of the cell whose lowest corner is a node.
+    /// The Bézier points of the cell whose lowest node is given.
     pub(crate) fn bezier_points(&self, cell: [usize; 3]) -> BezierPoints {
         let mut points = self.coefficients_of_cell(cell);
         along::<{ ORDER * ORDER }>(&mut points);
@@ -21,7 +23,9 @@ impl CubicSpline {
         points
     }
 
-    /// The same; `None` where F is surely of one sign all over the cell, its border included. That is asked after each axis: what comes out lies between what went in.
+    /// As [`Self::bezier_points`], but `None` if F is surely of one sign throughout the cell, its
+    /// border included. This is tested after each axis: each conversion yields weighted means of
+    /// its input.
     pub(crate) fn bezier_points_round_zero(&self, cell: [usize; 3]) -> Option<BezierPoints> {
         let mut points = self.coefficients_of_cell(cell);
         for convert in [along::<{ ORDER * ORDER }>, along::<ORDER>, along::<1>] {
@@ -63,7 +67,8 @@ pub(crate) fn is_of_one_sign(points: &BezierPoints) -> bool {
     low > slack || high < -slack
 }
 
-/// From the coefficients of a uniform cubic B-spline to Bézier points, along the axis whose neighbours are so many places apart: known when compiling, so that the loops unroll.
+/// Converts coefficients of a uniform cubic B-spline to Bézier points, along the axis on which
+/// neighbours are `STRIDE` places apart. A constant stride lets the compiler unroll the loops.
 fn along<const STRIDE: usize>(points: &mut BezierPoints) {
     for outer in (0..points.len()).step_by(ORDER * STRIDE) {
         for first in outer..outer + STRIDE {
@@ -76,7 +81,7 @@ fn along<const STRIDE: usize>(points: &mut BezierPoints) {
     }
 }
 
-/// Least and most of some numbers, in lanes that do not wait for each other.
+/// Minimum and maximum of some numbers, in independent lanes.
 pub(crate) fn range<const COUNT: usize>(values: &[f64; COUNT]) -> (f64, f64) {
     const LANES: usize = 8;
     let less = |a: f64, b: f64| if a < b { a } else { b };

@@ -1,4 +1,5 @@
-//! The spline near its zero set alone: coefficients in bricks, so that a large image costs no more memory than its surface.
+//! The spline near its zero set only: coefficients in bricks, so that memory is proportional to the
+//! surface of a large image, not to its volume.
 
 use super::Jet;
 use super::prefilter::SlabFilter;
@@ -14,17 +15,19 @@ const CELLS: usize = 16;
 /// Coefficients that the cells of a brick read, along each axis.
 const SIDE: usize = CELLS + 3;
 
-/// Every brick that comes this near to the zero set is held, in voxels.
+/// All bricks within this distance of the zero set are stored, in voxels.
 const REACH: usize = 3;
 
-/// In place of the number of a brick that is not held: the spline is negative, or positive, all over it.
+/// Markers in place of the number of a brick that is not stored: the spline is negative, or
+/// positive, throughout it.
 const NEGATIVE: u32 = u32::MAX;
 const POSITIVE: u32 = u32::MAX - 1;
 
-/// An interpolating cubic B-spline that is held only within a few voxels of its zero set; positions in the grid frame, derivatives per mm.
+/// An interpolating cubic B-spline that is stored only within a few voxels of its zero set.
+/// Positions in the grid frame, derivatives per mm.
 ///
-/// A spline lies within the range of the coefficients that it reads, so a brick of cells with coefficients of one sign holds no zero.
-/// There the spline counts as 1 or -1, without slope.
+/// A spline lies within the range of the coefficients that it reads, so a brick whose coefficients
+/// have one sign contains no zero. There the spline counts as 1 or -1, with zero derivatives.
 #[derive(Clone, Debug)]
 pub struct BrickSpline {
     geometry: Geometry,
@@ -34,16 +37,16 @@ pub struct BrickSpline {
     coefficients: Vec<f32>,
 }
 
-/// One layer of bricks.
+/// One layer of bricks along z.
 #[derive(Clone, Debug)]
 pub struct Layer {
     /// Slices whose coefficients the layer is made from.
     pub slices: Range<usize>,
-    /// The slices of its own; every slice is some layer's.
+    /// Slices that belong to the layer; every slice belongs to exactly one.
     pub own: Range<usize>,
 }
 
-/// Makes a [`BrickSpline`] layer by layer.
+/// Builds a [`BrickSpline`] layer by layer.
 pub struct BrickSplineBuilder {
     spline: BrickSpline,
 }
@@ -65,7 +68,8 @@ impl BrickSplineBuilder {
         })
     }
 
-    /// Adds the next layer, given the coefficients of its slices: those at a y and a z index, along x.
+    /// Adds the next layer. `row(j, k)` returns the coefficients along x at y index j and z index
+    /// k, for the slices of the layer.
     pub fn add<'a>(&mut self, layer: &Layer, row: impl Fn(usize, usize) -> &'a [f32] + Sync) {
         let size = self.spline.geometry.size;
         let [nx, ny, _] = size;
@@ -85,7 +89,7 @@ impl BrickSplineBuilder {
         }
     }
 
-    /// The spline, when all layers are there.
+    /// The spline, once all layers have been added.
     pub fn finish(mut self) -> BrickSpline {
         self.spline.coefficients.shrink_to_fit();
         self.spline
@@ -96,7 +100,8 @@ fn bricks_along(nodes: usize) -> usize {
     nodes.saturating_sub(1).div_ceil(CELLS).max(1)
 }
 
-/// The coefficients of the brick whose lowest cell is `first`, on a grid of `size`; its sign where it is far from the zero set.
+/// The coefficients of the brick whose lowest cell is `first`, on a grid of `size` nodes; its sign
+/// if it is far from the zero set.
 fn brick<'a>(size: [usize; 3], first: [usize; 3], row: &impl Fn(usize, usize) -> &'a [f32]) -> Result<Vec<f32>, u32> {
     let around = [0, 1, 2].map(|a| first[a].saturating_sub(1 + REACH)..(first[a] + CELLS + 2 + REACH).min(size[a]));
     let (mut low, mut high) = (f32::INFINITY, f32::NEG_INFINITY);
@@ -113,7 +118,7 @@ fn brick<'a>(size: [usize; 3], first: [usize; 3], row: &impl Fn(usize, usize) ->
     if high < 0.0 {
         return Err(NEGATIVE);
     }
-    // beyond the grid nothing is read
+    // entries beyond the grid are never read
     let mut brick = vec![0.0; SIDE * SIDE * SIDE];
     let held = [0, 1, 2].map(|a| first[a].saturating_sub(1)..(first[a] + CELLS + 2).min(size[a]));
     for k in held[2].clone() {
@@ -146,7 +151,8 @@ impl BrickSpline {
         &self.geometry
     }
 
-    /// F and its gradient at a grid position (clamped to the volume). Inlined, so that it is compiled for the instructions that the caller has.
+    /// F and its gradient at a grid position (clamped to the volume). Inlined, so that it is
+    /// compiled for the caller's instruction set.
     #[inline(always)]
     pub fn value_gradient(&self, grid: DVec3) -> (f64, DVec3) {
         match self.brick(grid) {
@@ -164,7 +170,8 @@ impl BrickSpline {
         }
     }
 
-    /// The stencil of a place and the coefficients of its brick, or the sign of the spline.
+    /// The stencil of a position and the coefficients of its brick; the sign of the spline if the
+    /// brick is not stored.
     #[inline(always)]
     fn brick(&self, grid: DVec3) -> Result<(Stencil, &[f32]), f64> {
         let stencil = Stencil::new(&self.geometry, grid);

@@ -1,8 +1,9 @@
-//! The implicit function F: the interpolating cubic B-spline through samples on a grid, with analytic gradient and
-//! Hessian.
+//! The implicit function F: the interpolating cubic B-spline through samples on a grid, with
+//! analytic gradient and Hessian.
 //!
-//! The coefficients come from the exact recursive prefilter (Unser, Aldroubi and Eden 1993; pole sqrt(3) - 2,
-//! mirror boundary), so that F takes the sample values at the samples; without it a ball shrinks by 1/(3R) voxel.
+//! The coefficients come from the exact recursive prefilter (Unser, Aldroubi and Eden 1993; pole
+//! sqrt(3) - 2, mirror boundary), so F takes the sample values at the samples. Without it, a ball
+//! of radius R voxels shrinks by 1/(3R) voxel.
 
 use glam::{DMat3, DVec3};
 use isoparticles_volume::{Geometry, Image};
@@ -19,17 +20,19 @@ pub use prefilter::{Coefficients, SlabFilter};
 pub(crate) use stencil::Stencil;
 use stencil::mirror;
 
-/// Newton steps that a projection onto F = 0 may take.
+/// Maximum number of Newton steps of a projection onto F = 0.
 pub const PROJECTION_STEPS: usize = 25;
 
-/// A projection gives up where the square of the gradient is no larger than this (F is a distance: 1 nearly everywhere).
+/// A projection fails where the squared gradient is at most this. F is a distance: its slope is 1
+/// nearly everywhere.
 pub const LEAST_SQUARED_GRADIENT: f64 = 1e-8;
 
 /// Interpolating cubic B-spline over a grid; positions in the grid frame, derivatives per mm.
 #[derive(Clone, Debug)]
 pub struct CubicSpline {
     geometry: Geometry,
-    /// Mean spacing, mm: a cube root, which projections ask for by the million.
+    /// Mean spacing, mm. Stored because it takes a cube root, and projections need it millions of
+    /// times.
     voxel: f64,
     coefficients: Vec<f32>,
 }
@@ -46,7 +49,7 @@ pub struct Jet {
 }
 
 impl CubicSpline {
-    /// Prefilters the samples of an image.
+    /// The spline through the samples of an image.
     pub fn new(image: &Image<f32>) -> Self {
         let mut coefficients = image.data.clone();
         let [nx, ny, nz] = image.geometry.size;
@@ -60,7 +63,7 @@ impl CubicSpline {
         Self::from_coefficients(image.geometry.clone(), coefficients)
     }
 
-    /// Takes coefficients as they are (already prefiltered).
+    /// The spline of coefficients that are already prefiltered.
     pub fn from_coefficients(geometry: Geometry, coefficients: Vec<f32>) -> Self {
         assert_eq!(geometry.voxel_count(), coefficients.len(), "one coefficient a voxel");
         Self { voxel: geometry.mean_spacing(), geometry, coefficients }
@@ -98,15 +101,17 @@ impl CubicSpline {
         distance_estimate(value, gradient)
     }
 
-    /// F, gradient and Hessian at a grid position (clamped to the volume). Inlined as [`Self::value_gradient`] is, to be compiled for the caller's instructions.
+    /// F, gradient and Hessian at a grid position (clamped to the volume). Inlined, so that it is
+    /// compiled for the caller's instruction set.
     #[inline(always)]
     pub fn jet(&self, grid: DVec3) -> Jet {
         Stencil::new(&self.geometry, grid).jet(&self.coefficients, self.geometry.spacing)
     }
 
-    /// Moves a point onto F = 0 by Newton steps along the gradient (Eq. 5 with its sign mended). `limit` is the
-    /// longest total move (mm); `None` when the point runs away, or the gradient vanishes, or [`PROJECTION_STEPS`] are not
-    /// enough to reach |F| <= `tolerance` (mm).
+    /// Moves a point onto F = 0 by Newton steps along the gradient (Eq. 5 with its sign corrected).
+    /// `limit` is the longest total move (mm). `None` if the point moves farther, the gradient
+    /// vanishes, or [`PROJECTION_STEPS`] do not bring |F| and the first-order distance down to
+    /// `tolerance` (mm).
     pub fn project(&self, start: DVec3, limit: f64, tolerance: f64) -> Option<DVec3> {
         self.project_with_gradient(start, limit, tolerance).map(|(p, _)| p)
     }
@@ -119,7 +124,7 @@ impl CubicSpline {
         for _ in 0..PROJECTION_STEPS {
             let (f, g) = self.value_gradient(p);
             let g2 = g.length_squared();
-            // also refuses a gradient that is not a number
+            // also rejects a gradient that is NaN
             if g2.partial_cmp(&LEAST_SQUARED_GRADIENT) != Some(std::cmp::Ordering::Greater) {
                 return None;
             }
@@ -135,11 +140,13 @@ impl CubicSpline {
     }
 }
 
-/// Slope below which a gradient says nothing about a distance: where F is flat the estimate is large, but a number.
+/// Minimum gradient length by which values are divided. A shorter gradient says nothing about a
+/// distance; the limit keeps the estimate finite where F is flat.
 pub const FLATTEST: f64 = 1e-12;
 
-/// First-order distance from F = 0, mm, of a point with this value and gradient of F, negative inside: F / |grad F| (Taubin 1994). Exact
-/// where F is linear or a distance; elsewhere its error is of second order in the distance.
+/// First-order distance from F = 0, mm, of a point with this value and gradient of F, negative
+/// inside: F / |grad F| (Taubin 1994). Exact where F is linear or a distance; elsewhere its error
+/// is of second order in the distance.
 pub fn distance_estimate(value: f64, gradient: DVec3) -> f64 {
     value / gradient.length().max(FLATTEST)
 }

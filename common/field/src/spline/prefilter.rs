@@ -1,4 +1,5 @@
-//! The recursive prefilter, of a whole image or slab by slab.
+//! The recursive prefilter that turns samples into spline coefficients, for a whole image or slab
+//! by slab.
 
 use super::stencil::mirror;
 use rayon::prelude::*;
@@ -7,17 +8,20 @@ use std::ops::Range;
 
 const POLE: f64 = -0.267_949_192_431_122_7; // sqrt(3) - 2
 
-/// Slices beyond a slab that its coefficients are made from: what lies farther away weighs less than 1e-9, beyond single precision.
+/// Slices beyond a slab that its coefficients are computed from. Slices farther away have weights
+/// below 1e-9, beyond single precision.
 const HALO: usize = 16;
 
-/// Nodes whose coefficients are made at a time: as a bound on the memory, and so that smaller images are filtered as a whole.
+/// Minimum number of nodes whose coefficients are computed at a time. It bounds the memory; smaller
+/// images are filtered as a whole.
 const NODES_AT_A_TIME: usize = 8 << 20;
 
-/// Rows along x that are filtered side by side: one alone waits for each sum before the next.
+/// Rows along x that are filtered side by side. A single row waits for each sum before the next.
 const ROWS: usize = 8;
 
-/// Prefilters an image that is given slice by slice and hands out the coefficients of some slices at a time, so that those of the whole
-/// image need not be held. They are those of [`super::CubicSpline`] to the rounding of single precision, on any number of threads.
+/// Prefilters an image that is given slice by slice and returns the coefficients of some slices at
+/// a time, so that those of the whole image need not be stored. They equal those of
+/// [`super::CubicSpline`] up to single-precision rounding, on any number of threads.
 pub struct SlabFilter {
     size: [usize; 3],
     /// Slices that are filtered along x and y, from `first` on.
@@ -30,27 +34,28 @@ pub struct SlabFilter {
 pub struct Coefficients {
     /// The slices.
     slices: Range<usize>,
-    /// One plane of constant y each, x fastest, then z.
+    /// One plane per y index, x fastest, then z.
     planes: Vec<Vec<f32>>,
     nx: usize,
 }
 
 impl Coefficients {
-    /// Those at y index `j` and z index `k`, along x.
+    /// The coefficients along x at y index `j` and z index `k`.
     pub fn row(&self, j: usize, k: usize) -> &[f32] {
         &self.planes[j][(k - self.slices.start) * self.nx..][..self.nx]
     }
 }
 
 impl SlabFilter {
-    /// For an image of `size`.
+    /// For an image of `size` nodes.
     pub fn new(size: [usize; 3]) -> Self {
         let held = Coefficients { slices: 0..0, planes: Vec::new(), nx: size[0] };
         Self { size, slices: VecDeque::new(), first: 0, held }
     }
 
-    /// Coefficients of the slices in `range` at least. Ranges are to be asked for in the order of their starts. `fill` writes the samples of
-    /// one slice (x fastest); each is asked for once at most, those of a call after those of the calls before.
+    /// Coefficients of at least the slices in `range`. Ranges must be requested in the order of
+    /// their starts. `fill` writes the samples of one slice (x fastest). It is called at most once
+    /// per slice, and each call to this function fills slices after those of earlier calls.
     pub fn coefficients(&mut self, range: Range<usize>, fill: impl Fn(usize, &mut [f32]) + Sync) -> &Coefficients {
         if self.held.slices.start > range.start || self.held.slices.end < range.end {
             let [nx, ny, nz] = self.size;
@@ -103,7 +108,8 @@ pub(super) fn filter_slice(slice: &mut [f32], nx: usize, ny: usize, scratch: &mu
     filter_block(slice, nx, ny, scratch);
 }
 
-/// Prefilters across slices; gives those in `range`, as one plane of constant y each (x fastest, then z).
+/// Prefilters across slices; returns those in `range`, as one plane per y index each (x fastest,
+/// then z).
 pub(super) fn filter_across(slices: &[&[f32]], nx: usize, range: Range<usize>) -> Vec<Vec<f32>> {
     let (nz, ny) = (slices.len(), slices[0].len() / nx);
     let filter = |(plane, scratch): &mut (Vec<f32>, Vec<f64>), j: usize| {
@@ -118,7 +124,7 @@ pub(super) fn filter_across(slices: &[&[f32]], nx: usize, range: Range<usize>) -
     (0..ny).into_par_iter().map_init(room, filter).collect()
 }
 
-/// Puts planes of constant y into slices of constant z.
+/// Copies planes of constant y into slices of constant z.
 pub(super) fn scatter(planes: &[Vec<f32>], nx: usize, to: &mut [f32]) {
     to.par_chunks_mut(nx * planes.len()).enumerate().for_each(|(k, slice)| {
         for (row, plane) in slice.chunks_mut(nx).zip(planes) {
@@ -127,7 +133,8 @@ pub(super) fn scatter(planes: &[Vec<f32>], nx: usize, to: &mut [f32]) {
     });
 }
 
-/// Prefilters `count` lines of `length` samples that lie `width` apart in a block (`width` lines side by side).
+/// Prefilters `width` lines of `length` samples that lie side by side: consecutive samples of a
+/// line are `width` apart.
 fn filter_block(block: &mut [f32], width: usize, length: usize, scratch: &mut [f64]) {
     for (to, from) in scratch.iter_mut().zip(block.iter()) {
         *to = 6.0 * f64::from(*from);
@@ -138,7 +145,7 @@ fn filter_block(block: &mut [f32], width: usize, length: usize, scratch: &mut [f
     }
 }
 
-/// The same of six times the samples, in place.
+/// The same in place, for samples that are already multiplied by six.
 fn filter_lines(scratch: &mut [f64], width: usize, length: usize) {
     if length < 2 {
         scratch.iter_mut().for_each(|sample| *sample /= 6.0);

@@ -1,15 +1,17 @@
-//! Which coefficients a place reads, their weights, and the sums of value, gradient and Hessian.
+//! The coefficients that F depends on at a position, their weights, and the sums for value,
+//! gradient and Hessian.
 
 use super::Jet;
 use glam::{DMat3, DVec3};
 use isoparticles_volume::Geometry;
 
-/// B-spline weights and their first and second derivatives (per index) for the four samples around a cell.
+/// B-spline weights and their first and second derivatives (per index) for the four samples around
+/// a cell.
 type Weights = ([f64; 4], [f64; 4], [f64; 4]);
 
 #[derive(Clone)]
 pub(crate) struct Stencil {
-    /// The cell that the place lies in: its lowest node.
+    /// Lowest node of the cell that contains the position.
     cell: [usize; 3],
     x: Weights,
     y: Weights,
@@ -29,7 +31,7 @@ impl Stencil {
         let axis = |a: usize| {
             let n = g.size[a];
             let x = index[a].clamp(0.0, (n - 1) as f64);
-            // positive: the cast rounds down
+            // not negative, so the cast rounds down
             let base = (x as usize).min(n.saturating_sub(2));
             let t = x - base as f64;
             let at: [usize; 4] = std::array::from_fn(|k| mirror(base as isize + k as isize - 1, n));
@@ -41,13 +43,14 @@ impl Stencil {
         Self { cell: [i, j, k], x, y, z, ix, iy, iz, nx: g.size[0], ny: g.size[1] }
     }
 
-    /// The cell that the place lies in: its lowest node.
+    /// Lowest node of the cell that contains the position.
     #[inline]
     pub(crate) fn cell(&self) -> [usize; 3] {
         self.cell
     }
 
-    /// The same, for coefficients of a block of `side` in each direction whose first is one below `first` along each axis.
+    /// The same stencil for a block of `side` coefficients along each axis, the first of which
+    /// belongs to the node before `first` along each axis.
     #[inline(always)]
     pub(super) fn within_block(mut self, first: [usize; 3], side: usize) -> Self {
         for (at, first) in [&mut self.ix, &mut self.iy, &mut self.iz].into_iter().zip(first) {
@@ -63,7 +66,7 @@ impl Stencil {
         [self.ix, self.iy, self.iz]
     }
 
-    /// The same, for the 64 coefficients that it reads put side by side, x fastest.
+    /// The same stencil for the 64 coefficients that it reads, stored contiguously, x fastest.
     #[inline]
     pub(crate) fn gathered(mut self) -> Self {
         (self.ix, self.iy, self.iz) = ([0, 1, 2, 3], [0, 1, 2, 3], [0, 1, 2, 3]);
@@ -85,20 +88,22 @@ impl Stencil {
         dot(&self.x.0, &value)
     }
 
-    /// Value and gradient: sums over y, then z, of four coefficients along x at a time, and over x at the end. Inlined, so that it is compiled
-    /// for the instructions that the caller has; no operation is fused, so that the bits are the same by any.
+    /// Value and gradient. Sums over y, then z, of four coefficients along x at a time; over x at
+    /// the end. Inlined, so that it is compiled for the caller's instruction set. No operation is
+    /// fused, so every instruction set gives the same bits.
     #[inline(always)]
     pub(crate) fn value_gradient(&self, coefficients: &[f32], spacing: DVec3) -> (f64, DVec3) {
         self.sums(spacing, |b, c| self.row(coefficients, b, c))
     }
 
-    /// The same of the 64 coefficients that it reads, put side by side, x fastest.
+    /// The same of the 64 coefficients that it reads, stored contiguously, x fastest.
     #[inline(always)]
     pub(crate) fn value_gradient_of(&self, coefficients: &[f64; 64], spacing: DVec3) -> (f64, DVec3) {
         self.sums(spacing, |b, c| std::array::from_fn(|a| coefficients[16 * c + 4 * b + a]))
     }
 
-    /// Value and gradient of the coefficients whose rows along x are given by their y and z index in the stencil.
+    /// Value and gradient, given the rows of coefficients along x by their y and z index in the
+    /// stencil.
     #[inline(always)]
     fn sums(&self, spacing: DVec3, row: impl Fn(usize, usize) -> [f64; 4]) -> (f64, DVec3) {
         let (mut value, mut by_y, mut by_z) = ([0.0; 4], [0.0; 4], [0.0; 4]);

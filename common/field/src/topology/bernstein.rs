@@ -1,8 +1,10 @@
-//! The spline within one cell in Bernstein form: what is certain of F there from the range of a few numbers.
+//! The spline within one cell in Bernstein form, which bounds F and its derivatives by the range of
+//! a few numbers.
 //!
-//! A polynomial lies within the range of its Bernstein coefficients (the convex hull property), and so do its derivatives within
-//! that of their differences. Halving a cell halves the coefficients' distance from the polynomial twice, so that whatever is not
-//! degenerate becomes certain in the end.
+//! A polynomial lies within the range of its Bernstein coefficients (convex hull property), and its
+//! derivatives lie within the range of the coefficients' differences. Each halving of a cell
+//! divides the distance between coefficients and polynomial by four, so everything that is not
+//! degenerate becomes certain eventually.
 
 use crate::spline::CubicSpline;
 use crate::spline::bezier::{BezierPoints, ORDER, ROUNDING, is_of_one_sign, range};
@@ -12,17 +14,17 @@ use crate::spline::bezier::{BezierPoints, ORDER, ROUNDING, is_of_one_sign, range
 pub(super) struct Bernstein(BezierPoints);
 
 impl Bernstein {
-    /// In the cell between eight neighbouring samples, given by the lowest.
+    /// F in the voxel cell whose lowest sample is given.
     pub(super) fn of_cell(field: &CubicSpline, cell: [usize; 3]) -> Self {
         Self(field.bezier_points(cell))
     }
 
-    /// The same, `None` where F has one sign all over the cell.
+    /// The same; `None` if F has one sign throughout the cell.
     pub(super) fn of_crossed_cell(field: &CubicSpline, cell: [usize; 3]) -> Option<Self> {
         field.bezier_points_round_zero(cell).map(Self)
     }
 
-    /// In the eight halves; bit `a` of the number of each says which along axis `a`.
+    /// F in the eight octants; bit `a` of an octant's number is its half along axis `a`.
     pub(super) fn octants(&self) -> [Self; 8] {
         let mut all = [const { Self([0.0; _]) }; 8];
         all[0].0 = self.0;
@@ -32,7 +34,9 @@ impl Bernstein {
         all
     }
 
-    /// The first half of a list becomes their lower halves along the axis whose neighbours are so many places apart, and the second half the upper ones: de Casteljau at the middle.
+    /// De Casteljau's subdivision at the middle, along the axis on which neighbours are `STRIDE`
+    /// places apart. The first half of the list becomes its lower halves, the second half its upper
+    /// halves.
     fn halve<const STRIDE: usize>(all: &mut [Self]) {
         let (lower, upper) = all.split_at_mut(all.len() / 2);
         for (Self(lower), Self(upper)) in lower.iter_mut().zip(upper) {
@@ -51,8 +55,8 @@ impl Bernstein {
         }
     }
 
-    /// The range of the derivative of F along each axis (in units that differ from axis to axis by nothing but the voxel's edges), rounding
-    /// included.
+    /// The range of the derivative of F along each axis, rounding included. The unit is the same on
+    /// all axes up to the voxel's edge lengths.
     fn slopes(&self) -> [(f64, f64); 3] {
         let (low, high) = range(&self.0);
         let slack = low.abs().max(high.abs()) * ROUNDING;
@@ -78,16 +82,17 @@ impl Bernstein {
         self.slopes().iter().all(|&(low, high)| low <= 0.0 && high >= 0.0)
     }
 
-    /// Whether F has one sign all over the cell, its border included.
+    /// Whether F has one sign throughout the cell, its border included.
     pub(super) fn is_clear(&self) -> bool {
         is_of_one_sign(&self.0)
     }
 
-    /// Whether the gradients (per index) at any two places of the cell differ by less than a right angle: condition C1 of Plantinga and
-    /// Vegter. F = 0 is a graph in such a cell, over the plane across any of the gradients.
+    /// Whether the gradients (per index) at any two positions of the cell differ by less than a
+    /// right angle: condition C1 of Plantinga and Vegter. F = 0 is then a graph in the cell, over
+    /// the plane perpendicular to any of the gradients.
     pub(super) fn is_graph(&self) -> bool {
         let least = self.slopes().map(|(low, high)| {
-            // the least product of two numbers between them
+            // the minimum product of two numbers within the range
             if low > 0.0 {
                 low * low
             } else if high < 0.0 {

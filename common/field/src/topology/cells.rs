@@ -1,4 +1,5 @@
-//! The cells of the volume, halved where F = 0 is not certain in them, until it is or they are as small as they get.
+//! Octree over the voxel cells of the volume. Cells are subdivided into octants (`halves` in the
+//! code) where F = 0 is not certain, until it is or the finest level is reached.
 
 use super::bernstein::Bernstein;
 use super::signs::Signs;
@@ -8,31 +9,34 @@ use glam::DVec3;
 use isoparticles_mesh::buckets::starts_of;
 use rayon::prelude::*;
 
-/// Halvings of any voxel. A neck, gap or speck of radius r at a critical point is certain in cells of edge e once e < r / sqrt 3, where F and
-/// its second-order part differ little: a sixteenth of a voxel does for all but the finest that are to be told.
+/// Level to which every uncertain voxel cell is subdivided. A neck, gap or speck of radius r at a
+/// critical point is certain in cells of edge e < r / sqrt 3, where F and its second-order part
+/// differ little. A sixteenth of a voxel suffices for all but the finest features down to
+/// `RESOLUTION`.
 pub(super) const BASE: u8 = 4;
 
-/// Most halvings of a voxel: those finest ones are told as well, unless they are finer than a fiftieth of a voxel.
+/// Finest level. It also decides the finest features, down to a fiftieth of a voxel.
 pub(super) const DEPTH: u8 = 7;
 
-/// Cells are halved more than [`BASE`] times while no more than so many of a voxel are uncertain. Where F = 0 meets itself in a point that
-/// number stays the same from level to level (9,237 cells at 662 such places of a noisy scan at [`BASE`], 14 a place); it doubles along a curve and
-/// grows fourfold over a sheet, where halving leads nowhere.
+/// Cells are subdivided beyond [`BASE`] while at most this many cells of a voxel are uncertain.
+/// Where F = 0 meets itself in a point, the number stays the same from level to level: 14 per place
+/// (9,237 cells at 662 such places of a noisy scan, at [`BASE`]). It doubles along a curve and
+/// grows fourfold over a surface, where subdivision does not help.
 const UNCERTAIN: usize = 64;
 
 /// Finest cells along the edge of a voxel.
 pub(super) const FINE: u64 = 1 << DEPTH;
 
-/// What is known of F in a cell.
+/// State of F in a cell.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum State {
-    /// One sign all over it.
+    /// F has one sign throughout the cell.
     Clear,
-    /// F = 0 is a graph in it, if it is there at all.
+    /// F = 0 is a graph in the cell, if it passes through it at all.
     Graph,
-    /// Too small to be halved, and neither.
+    /// Neither, and not subdivided further.
     Undecided,
-    /// Halved: the number of its halves.
+    /// Subdivided, with the index of its octants.
     Halved(u32),
 }
 
@@ -40,16 +44,16 @@ pub(super) enum State {
 #[derive(Clone, Copy)]
 struct Packed(u32);
 
-/// States that are no numbers of halves.
+/// States without octants, by their packed number.
 const PLAIN: [State; 3] = [State::Clear, State::Graph, State::Undecided];
 
 impl Packed {
-    /// The number of the halves, of a halved cell.
+    /// Index of the octants of a subdivided cell.
     fn halves(self) -> Option<usize> {
         (self.0 as usize).checked_sub(PLAIN.len())
     }
 
-    /// Counts the halves, of a halved cell, after so many others.
+    /// Shifts the index of the octants of a subdivided cell by `before`.
     fn count_on(&mut self, before: u32) {
         self.0 += if self.halves().is_some() { before } else { 0 };
     }
@@ -72,7 +76,8 @@ impl From<Packed> for State {
     }
 }
 
-/// A cell: its edge is a voxel's halved `level` times, and `at` counts such edges along each axis.
+/// A cell. Its edge is a voxel's edge halved `level` times, and `at` counts such edges along each
+/// axis.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) struct Cell {
     pub(super) level: u8,
@@ -80,18 +85,18 @@ pub(super) struct Cell {
 }
 
 impl Cell {
-    /// One of its halves.
+    /// One of its octants.
     pub(super) fn half(self, octant: usize) -> Self {
         let bit = |axis: usize| (octant >> axis & 1) as u32;
         Self { level: self.level + 1, at: [0, 1, 2].map(|axis| 2 * self.at[axis] + bit(axis)) }
     }
 
-    /// The cell of a lower level that holds it.
+    /// The cell of a lower level that contains it.
     pub(super) fn within(self, level: u8) -> Self {
         Self { level, at: self.at.map(|n| n >> (self.level - level)) }
     }
 
-    /// Which half of the next larger cell it is.
+    /// Its octant number in the next larger cell.
     fn octant(self) -> usize {
         (0..3).map(|axis| (self.at[axis] as usize & 1) << axis).sum()
     }
@@ -111,15 +116,16 @@ impl Cell {
 pub(super) struct Cells {
     /// Voxel cells along each axis.
     size: [usize; 3],
-    /// The state of each voxel cell, x fastest, slice by slice.
+    /// The state of each voxel cell, slice by slice, x fastest.
     voxels: Vec<Vec<Packed>>,
-    /// The states of the halves of halved cells.
+    /// The states of the octants of subdivided cells.
     halves: Vec<[Packed; 8]>,
 }
 
 impl Cells {
-    /// Halves cells where F = 0 is not certain, and next to much smaller ones, so that no cell that F = 0 may pass through shares an edge with
-    /// one of less than half its size: the balance that the surface of the cells' corner signs needs to be F = 0 but for an isotopy.
+    /// Subdivides cells where F = 0 is not certain, and cells next to much smaller ones. Afterwards
+    /// no cell that F = 0 may pass through shares an edge with one of less than half its size. The
+    /// surface given by the signs at the cell corners needs this balance to be isotopic to F = 0.
     pub(super) fn new(field: &CubicSpline, watch: &Watch<'_>) -> Result<Self, Interrupted> {
         let size = field.geometry().size.map(|n| n.saturating_sub(1));
         let signs = Signs::of(field);
@@ -141,7 +147,8 @@ impl Cells {
         self.size
     }
 
-    /// The cell itself or, where that is larger, the one it lies in that is not halved; `None` beyond the volume.
+    /// The cell itself, or the larger cell without octants that contains it; with its state. `None`
+    /// beyond the volume.
     pub(super) fn find(&self, cell: Cell) -> Option<(Cell, State)> {
         let voxel = cell.within(0).at.map(|n| n as usize);
         if (0..3).any(|axis| voxel[axis] >= self.size[axis]) {
@@ -158,19 +165,20 @@ impl Cells {
         Some((cell.within(level), state.into()))
     }
 
-    /// The finest cell that a point (grid frame, mm) lies in, or next to beyond the volume.
+    /// The finest cell that contains a point (grid frame, mm), or the closest one if the point is
+    /// beyond the volume.
     pub(super) fn finest_at(&self, field: &CubicSpline, point: DVec3) -> Cell {
         let fine = (point / field.geometry().spacing * FINE as f64).floor();
         let last = self.size.map(|n| (n as u64 * FINE) as f64 - 1.0);
         Cell { level: DEPTH, at: [0, 1, 2].map(|axis| fine[axis].min(last[axis]).max(0.0) as u32) }
     }
 
-    /// Whether a cell, some edges of its own away, is halved.
+    /// Whether the cell at an offset, in edges of `cell`, is subdivided.
     pub(super) fn is_halved(&self, cell: Cell, away: [i64; 3]) -> bool {
         self.halves(cell, away).is_some()
     }
 
-    /// The number of the halves of a cell some edges of its own away, if it is halved.
+    /// Index of the octants of the cell at an offset, in edges of `cell`, if it is subdivided.
     pub(super) fn halves(&self, cell: Cell, away: [i64; 3]) -> Option<u32> {
         let cell = moved(cell, away)?;
         match self.find(cell)? {
@@ -179,18 +187,18 @@ impl Cells {
         }
     }
 
-    /// The number of the halves of one of some halves, if it is halved.
+    /// Index of the octants of an octant, if it is subdivided.
     pub(super) fn halves_of_half(&self, halves: u32, octant: usize) -> Option<u32> {
         self.halves[halves as usize][octant].halves().map(|halves| halves as u32)
     }
 
-    /// Which of some halves are halved, bit by bit.
+    /// Which octants are subdivided, bit by bit.
     pub(super) fn which_half_halved(&self, halves: u32) -> u8 {
         let bit = |(n, half): (usize, &Packed)| u8::from(half.halves().is_some()) << n;
         self.halves[halves as usize].iter().enumerate().map(bit).sum()
     }
 
-    /// Whether one of the 27 voxel cells round one of them is halved.
+    /// Whether a voxel cell or one of the 26 around it is subdivided.
     pub(super) fn any_halved_round(&self, voxel: Cell) -> bool {
         let near = |axis: usize| {
             let at = voxel.at[axis] as usize;
@@ -204,7 +212,8 @@ impl Cells {
         })
     }
 
-    /// The cells of a slice of voxels that F = 0 may pass through, in the order of the voxels.
+    /// The cells without octants in a slice of voxels that F = 0 may pass through, in the order of
+    /// the voxels.
     pub(super) fn crossed_in_slice(&self, k: u32) -> Vec<(Cell, State)> {
         let mut found = Vec::new();
         for (j, i) in (0..self.size[1] as u32).flat_map(|j| (0..self.size[0] as u32).map(move |i| (j, i))) {
@@ -219,7 +228,8 @@ impl Cells {
         found
     }
 
-    /// The same within one cell, which may be halved or a part of one that is not.
+    /// Adds the same within one cell. For a part of a larger cell without octants, adds that larger
+    /// cell.
     pub(super) fn crossed_in(&self, cell: Cell, found: &mut Vec<(Cell, State)>) {
         match self.find(cell) {
             Some((_, State::Halved(halves))) => self.crossed_in_halves(cell, halves, found),
@@ -238,7 +248,7 @@ impl Cells {
         }
     }
 
-    /// The halved cells in a slice of voxels.
+    /// The subdivided cells in a slice of voxels.
     fn halved_in_slice(&self, k: u32) -> Vec<Cell> {
         let mut found = Vec::new();
         for (n, state) in self.voxels[k as usize].iter().enumerate() {
@@ -250,7 +260,7 @@ impl Cells {
         found
     }
 
-    /// A halved cell, and those in it.
+    /// A subdivided cell, and those within it.
     fn halved_in(&self, cell: Cell, halves: usize, found: &mut Vec<Cell>) {
         found.push(cell);
         for (octant, half) in self.halves[halves].iter().enumerate() {
@@ -260,7 +270,8 @@ impl Cells {
         }
     }
 
-    /// Halves cells in which F = 0 is a graph, and what keeps the balance; returns the voxels that have changed, ascending.
+    /// Subdivides cells in which F = 0 is a graph, and others that the balance requires. Returns
+    /// the voxels that have changed, in ascending order.
     pub(super) fn refine(&mut self, field: &CubicSpline, cells: &[Cell]) -> Vec<[u32; 3]> {
         self.halve_all(field, cells);
         let mut changed = self.balance(field, cells.to_vec());
@@ -271,12 +282,13 @@ impl Cells {
         changed
     }
 
-    /// Keeps the balance round the halves of some halved cells; returns the cells that it halves.
+    /// Restores the balance around the octants of some subdivided cells; returns the cells that it
+    /// subdivides.
     fn balance(&mut self, field: &CubicSpline, halved: Vec<Cell>) -> Vec<Cell> {
         let mut by_level: Vec<Vec<Cell>> = vec![Vec::new(); usize::from(DEPTH)];
         halved.into_iter().for_each(|cell| by_level[usize::from(cell.level)].push(cell));
         let mut all = Vec::new();
-        // cells of no more than half the size of the largest are next to none that is too large
+        // octants of voxel cells have no neighbour that is too large
         for level in (1..DEPTH).rev() {
             let mut active = std::mem::take(&mut by_level[usize::from(level)]);
             while !active.is_empty() {
@@ -291,14 +303,15 @@ impl Cells {
                 self.halve_all(field, &large);
                 large.iter().for_each(|cell| by_level[usize::from(cell.level)].push(*cell));
                 all.extend(large);
-                // what was too large by far is so once more
+                // a neighbour far too large is still too large after one subdivision
                 active = found.into_iter().map(|(cell, _)| cell).collect();
             }
         }
         all
     }
 
-    /// The cells that F = 0 is a graph in, more than twice the size of a halved cell's halves that F = 0 may pass through, and next to these.
+    /// The cells to be subdivided around the octants of `whole`: they touch an octant that F = 0
+    /// may pass through, are more than twice its size, and F = 0 is a graph in them.
     fn too_large_beside(&self, whole: Cell) -> Vec<Cell> {
         let mut large = Vec::new();
         let Some(halves) = self.halves(whole, [0; 3]) else { return large };
@@ -317,7 +330,7 @@ impl Cells {
         large
     }
 
-    /// Halves cells in which F = 0 is a graph.
+    /// Subdivides cells in which F = 0 is a graph.
     fn halve_all(&mut self, field: &CubicSpline, cells: &[Cell]) {
         let halves: Vec<[State; 8]> = cells.par_iter().map(|&cell| halves_of_graph(field, cell)).collect();
         cells.iter().zip(halves).for_each(|(&cell, halves)| self.halve(cell, halves));
@@ -335,7 +348,7 @@ impl Cells {
     }
 }
 
-/// A cell as many edges of its own away as said, unless that is below zero.
+/// The cell at an offset in its own edges; `None` if a coordinate is negative.
 pub(super) fn moved(cell: Cell, away: [i64; 3]) -> Option<Cell> {
     let mut at = [0; 3];
     for axis in 0..3 {
@@ -344,7 +357,7 @@ pub(super) fn moved(cell: Cell, away: [i64; 3]) -> Option<Cell> {
     Some(Cell { at, ..cell })
 }
 
-/// The ways to a cell itself and to the 26 around it.
+/// The offsets of a cell itself and of the 26 around it.
 pub(super) fn around() -> impl Iterator<Item = [i64; 3]> {
     (0..27).map(|n| [n % 3 - 1, n / 3 % 3 - 1, n / 9 - 1])
 }
@@ -354,11 +367,11 @@ fn halves_of_graph(field: &CubicSpline, cell: Cell) -> [State; 8] {
     for level in 1..=cell.level {
         own = own.octants()[cell.within(level).octant()].clone();
     }
-    // a part of a graph is one
+    // a part of a graph is a graph
     own.octants().each_ref().map(|half| if half.is_clear() { State::Clear } else { State::Graph })
 }
 
-/// The states of the voxel cells of a slice, and of the halves of those that are halved.
+/// The states of the voxel cells of a slice, and of the octants of those that are subdivided.
 fn states_of_slice(field: &CubicSpline, signs: &Signs, size: [usize; 3], k: usize) -> (Vec<Packed>, Vec<[Packed; 8]>) {
     let mut halving = Halving::default();
     let mut states = vec![Packed::from(State::Clear); size[0] * size[1]];
@@ -370,16 +383,17 @@ fn states_of_slice(field: &CubicSpline, signs: &Signs, size: [usize; 3], k: usiz
     (states, halving.halves.into_iter().map(|own| own.map(Packed::from)).collect())
 }
 
-/// Halves cells.
+/// Subdivides one voxel cell after another.
 #[derive(Default)]
 struct Halving {
     halves: Vec<[State; 8]>,
-    /// The finest cells of the present voxel that are uncertain: which half of which cell each is, and F in it.
+    /// The uncertain cells of the finest level so far in the current voxel: index of the octants,
+    /// octant number, and F.
     uncertain: Vec<(usize, usize, Bernstein)>,
 }
 
 impl Halving {
-    /// The state of a whole voxel cell, F in which is given.
+    /// The state of a whole voxel cell, given F in it.
     fn voxel(&mut self, whole: &Bernstein) -> State {
         let state = self.state(whole, 0);
         for level in BASE + 1..=DEPTH {
@@ -406,7 +420,7 @@ impl Halving {
         }
     }
 
-    /// Halves a cell into cells of a level.
+    /// Subdivides a cell into octants of the given level.
     fn halved(&mut self, own: &Bernstein, level: u8) -> State {
         let number = self.halves.len();
         self.halves.push([State::Clear; 8]);

@@ -1,8 +1,10 @@
-//! Critical points of F next to F = 0: where necks, gaps, handles and specks of the isosurface open and close.
+//! Critical points of F near F = 0: where necks, gaps, handles and specks of the isosurface open
+//! and close.
 //!
-//! By Morse theory the topology of F = 0 is settled by the critical points of F and the sides that they lie on. A mesh near F = 0 with
-//! each of them on the side where F has it has none too many handles there and none too few; Boissonnat, Cohen-Steiner and Vegter
-//! (2004) mesh implicit surfaces by that rule. A point on the wrong side says where the mesh lacks points.
+//! By Morse theory, the critical points of F and the side of F = 0 on which each lies determine the
+//! topology of F = 0. A mesh near F = 0 with every critical point on its correct side has the
+//! correct handles there. Boissonnat, Cohen-Steiner and Vegter (2004) mesh implicit surfaces by
+//! this rule. A critical point on the wrong side shows where the mesh lacks points.
 
 use super::bernstein::Bernstein;
 use super::signs::Signs;
@@ -14,13 +16,15 @@ use isoparticles_file::monitor::Silent;
 use rayon::prelude::*;
 use std::cmp::Ordering;
 
-/// Newton steps towards a critical point.
+/// Maximum number of Newton steps towards a critical point.
 const STEPS: usize = 30;
 
-/// A search starts in a cell whose gradient is shorter than what the Hessian changes over so many voxels,
+/// A search starts in a cell if the gradient at its middle is shorter than the Hessian's norm times
+/// this many voxels.
 const MARGIN: f64 = 2.0;
 
-/// at the middle and in each octant of the cell, lest one of several critical points be missed.
+/// Starting points of searches in a cell, as fractions of its edges: the middle, and one per
+/// octant, so that several critical points in a cell are found.
 const STARTS: [DVec3; 9] = [
     DVec3::splat(0.5),
     DVec3::new(0.2, 0.2, 0.2),
@@ -33,34 +37,36 @@ const STARTS: [DVec3; 9] = [
     DVec3::new(0.8, 0.8, 0.8),
 ];
 
-/// A search that leaves its cell by this many voxels belongs to another.
+/// A search is abandoned if it moves farther than this along an axis, in voxels; a search from
+/// another cell finds that point.
 const REACH: f64 = 1.0;
 
-/// Critical points this near to each other, in voxels, are one.
+/// Critical points closer to each other than this, in voxels, are one.
 const SAME: f64 = 1e-3;
 
 /// A critical point of F.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CriticalPoint {
-    /// Place, grid frame, mm.
+    /// Position, grid frame, mm.
     pub position: DVec3,
     /// F there, mm.
     pub value: f64,
-    /// The eigenvectors of the Hessian along which F = 0 is met, times the distance to it by the second-order
-    /// expansion (mm); zero in the other directions.
+    /// For each eigenvector of the Hessian, the vector along it to F = 0 by the second-order
+    /// expansion (mm); zero if F = 0 is not met in that direction.
     pub ways: [DVec3; 3],
-    /// The shortest of these distances: about the radius of the neck, gap or speck, mm.
+    /// The minimum of these distances, mm: about the radius of the neck, gap or speck.
     pub radius: f64,
 }
 
 impl CriticalPoint {
-    /// Whether F = 0 is met all around: an extremum within a speck or a cavity.
+    /// Whether F = 0 is met in all directions: an extremum within a speck or a cavity.
     pub fn is_enclosed(&self) -> bool {
         self.ways.iter().all(|way| *way != DVec3::ZERO)
     }
 }
 
-/// The critical points of F within a few voxels of F = 0 whose neck, gap or speck has at least a radius (mm).
+/// The critical points of F within a few voxels of F = 0 whose neck, gap or speck has at least the
+/// radius `smallest` (mm).
 pub fn critical_points(field: &CubicSpline, smallest: f64) -> Vec<CriticalPoint> {
     let watch = Watch::new(&Silent, 0);
     let mut found = all(field, &watch).unwrap_or_default();
@@ -100,8 +106,10 @@ pub(super) fn all(field: &CubicSpline, watch: &Watch<'_>) -> Result<Vec<Critical
     Ok(apart.into_par_iter().filter_map(|p| describe(field, p)).collect())
 }
 
-/// Adds, of points nearer to each other than a limit, the first to others. They are cut into groups wherever no two neighbours along an axis are that
-/// near, `uncut` axes before having given no cut: points in a plane, as the mirror planes of symmetric objects have them, are told apart along another axis.
+/// Adds points to `apart`, of those nearer to each other than `limit` only the first. Points are
+/// divided into groups wherever neighbours along an axis are at least `limit` apart; `uncut` counts
+/// the axes since the last division. Points in a plane, such as a mirror plane of a symmetric
+/// object, are divided along another axis.
 fn keep_apart(points: &mut [DVec3], limit: f64, axis: usize, uncut: usize, apart: &mut Vec<DVec3>) {
     if points.len() == 1 || uncut == 3 {
         points.sort_unstable_by(|a, b| a.to_array().partial_cmp(&b.to_array()).unwrap_or(Ordering::Equal));
@@ -121,7 +129,8 @@ fn keep_apart(points: &mut [DVec3], limit: f64, axis: usize, uncut: usize, apart
     }
 }
 
-/// Whether the gradient may vanish in the cell round a point: by the Hessian there, with a margin for its change.
+/// Whether the gradient may vanish in the cell around a point: by the Hessian there, with a margin
+/// for its change.
 #[inline(always)]
 fn may_be_flat(field: &CubicSpline, p: DVec3, voxel: f64) -> bool {
     let jet = field.jet(p);
@@ -129,7 +138,8 @@ fn may_be_flat(field: &CubicSpline, p: DVec3, voxel: f64) -> bool {
     jet.gradient.length() < MARGIN * hessian * voxel
 }
 
-/// The critical point that Newton's iteration finds within a box of half-width `reach` (mm).
+/// The critical point that Newton's iteration finds within a box of half-width `reach` (mm) around
+/// `start`.
 fn newton(field: &CubicSpline, start: DVec3, reach: f64) -> Option<DVec3> {
     let upper = field.geometry().upper_corner();
     let mut p = start;
@@ -151,7 +161,8 @@ fn newton(field: &CubicSpline, start: DVec3, reach: f64) -> Option<DVec3> {
     None
 }
 
-/// How F = 0 lies round a critical point.
+/// Describes F = 0 around a critical point; `None` if the second-order expansion meets it in no
+/// direction.
 fn describe(field: &CubicSpline, position: DVec3) -> Option<CriticalPoint> {
     let jet = field.jet(position);
     let mut radius = f64::INFINITY;
@@ -168,7 +179,7 @@ fn describe(field: &CubicSpline, position: DVec3) -> Option<CriticalPoint> {
     radius.is_finite().then_some(CriticalPoint { position, value: jet.value, ways, radius })
 }
 
-/// Eigenvalues and unit eigenvectors of a symmetric matrix, by Jacobi's rotations.
+/// Eigenvalues and unit eigenvectors of a symmetric matrix, by Jacobi rotations.
 fn eigen(matrix: DMat3) -> [(f64, DVec3); 3] {
     let mut a = matrix.to_cols_array_2d();
     let mut v = DMat3::IDENTITY.to_cols_array_2d();
@@ -202,7 +213,8 @@ mod tests {
 
     #[test]
     fn the_neck_of_a_quadric_is_where_it_is() {
-        // splines reproduce quadratic functions; what the border of the grid adds has died away in its middle
+        // splines reproduce quadratic functions; the effect of the grid's border has decayed in the
+        // middle
         let (centre, radii) = (DVec3::new(11.37, 12.21, 11.84), [0.2, 0.3]);
         let turn = DMat3::from_rotation_z(0.4);
         let scene = Scene::new([24; 3], DVec3::ONE, |p| {
@@ -218,7 +230,7 @@ mod tests {
         assert!(lengths[0] == 0.0 && (lengths[2] - radii[1]).abs() < 1e-3, "{neck:?}");
         let along_y = neck.ways.iter().find(|w| (w.length() - radii[0]).abs() < 1e-3).expect("a way");
         assert!((turn * *along_y).normalize().y.abs() > 0.9999, "{along_y}");
-        // both ends of a way lie on F = 0
+        // the ways end on F = 0
         for way in neck.ways.iter().filter(|w| **w != DVec3::ZERO) {
             assert!(scene.field.value(neck.position + *way).abs() < 1e-3, "{way}");
         }
@@ -227,7 +239,7 @@ mod tests {
 
     #[test]
     fn points_on_a_mirror_plane_are_found_once() {
-        // four balls round an axis, mirrored in planes through samples and at angles to each other
+        // four balls around an axis, mirrored in planes through samples and at angles to each other
         let scene = Scene::new([33; 3], DVec3::ONE, |p| {
             let balls = [(1.0, 1.0), (-1.0, 1.0), (1.0, -1.0), (-1.0, -1.0)];
             let away = |(x, y)| p.distance(DVec3::new(16.0 + 6.0 * x, 16.0 + 6.0 * y, 16.0)) - 5.0;
@@ -239,7 +251,7 @@ mod tests {
             let is_same = |other: &CriticalPoint| other.position.distance(c.position) < SAME;
             assert!(!found[..n].iter().any(is_same), "{c:?} is there twice");
         }
-        // the same points in any order, with some a hair beside
+        // the same points in another order, with slightly shifted copies
         let points: Vec<DVec3> = found.iter().map(|c| c.position).collect();
         let beside = |p: &DVec3| [*p, *p + DVec3::new(1e-9, -1e-9, 2e-9), *p - DVec3::splat(1e-9)];
         let mut many: Vec<DVec3> = points.iter().rev().flat_map(beside).collect();

@@ -1,38 +1,42 @@
-//! Which component of F = 0 a point on it belongs to: that of a crossing which a way on F = 0 leads to.
+//! The component of F = 0 to which a point on it belongs: that of a crossing to which a path on
+//! F = 0 leads.
 //!
-//! The polygons are F = 0 but for an isotopy, so that in a cell with several sheets nearby F = 0 may bulge into cells whose polygons are another
-//! sheet's. Where all polygons around are of one component, so is the point; elsewhere the way there is walked.
+//! The polygons equal F = 0 only up to isotopy. Where several parts of the surface are close
+//! together, F = 0 may bulge into cells whose polygons belong to another part. If all polygons
+//! around a point are of one component, so is the point; otherwise a walk on F = 0 decides.
 
 use super::cells::{Cell, Cells, around, moved};
 use super::surface::Surface;
 use crate::spline::CubicSpline;
 use glam::DVec3;
 
-/// A step of a walk, in edges of the cell that it starts in: F = 0 is a graph in cells that are certain, and turns by less than a right angle in
-/// as much as a whole one.
+/// Maximum step of a walk, in edges of the cell at its start. In certain cells F = 0 is a graph and
+/// turns by less than a right angle over a whole edge.
 const STEP: f64 = 0.25;
 
-/// Least cosine between the normals at both ends of a step; one that turns more is halved,
+/// Minimum cosine between the normals at both ends of a step; a step that turns more is halved.
 const AGREEMENT: f64 = 0.8;
 
-/// so many times at most.
+/// Maximum number of times that a step is halved.
 const HALVINGS: usize = 6;
 
-/// Steps of a walk: four times what the way through three cells takes.
+/// Maximum number of steps of a walk: four times as many as a path through three cells takes.
 const STEPS: usize = 48;
 
-/// Nothing but what is nearly straight above a point is left to walk to where the tangential part of the way is less than this part.
+/// A walk fails if the tangential part of the remaining path is less than this fraction of it: the
+/// target lies almost straight above or below the surface.
 const STEEP: f64 = 0.2;
 
-/// Walks to crossings of each component near a point.
+/// Maximum number of walks to crossings of each component near a point.
 const WALKS: usize = 4;
 
-/// How exactly points lie on F = 0, in edges of a cell.
+/// Tolerance of projections onto F = 0, in edges of a cell.
 const TOLERANCE: f64 = 1e-6;
 
 impl Surface {
-    /// The component that a point on F = 0 (grid frame, mm) belongs to, `normal` being grad F there; `None` where none of the crossings around it
-    /// can be reached and they are of several components, or there are none.
+    /// The component of a point on F = 0 (grid frame, mm), given grad F there as `normal`. `None`
+    /// if there are no crossings around it, or if they are of several components and no walk
+    /// reaches one.
     pub(super) fn component_at(&self, field: &CubicSpline, cells: &Cells, point: DVec3, normal: DVec3) -> Option<u32> {
         let (own, _) = cells.find(cells.finest_at(field, point))?;
         if let Some(only) = self.only_component_round(cells, own.within(0)) {
@@ -66,7 +70,8 @@ impl Surface {
         }
     }
 
-    /// The one component, if any, that has all crossings in a voxel cell and those around it; `None` where there are several.
+    /// The single component of all crossings in a voxel cell and those around it: `Some(None)` if
+    /// there are no crossings, `None` if there are several components.
     fn only_component_round(&self, cells: &Cells, voxel: Cell) -> Option<Option<u32>> {
         let mut only = None;
         for (j, k) in (-1..=1).flat_map(|k| (-1..=1).map(move |j| (j, k))) {
@@ -92,14 +97,14 @@ impl Surface {
     }
 }
 
-/// Whether a way on F = 0, as straight as that goes, leads from a point on it to a crossing.
+/// Whether a path on F = 0, as straight as possible, leads from a point on it to a crossing.
 fn is_joined(field: &CubicSpline, cells: &Cells, point: DVec3, normal: DVec3, crossing: DVec3) -> bool {
     let spacing = field.geometry().spacing.min_element();
     let edge_at = |p: DVec3| {
         let cell = cells.find(cells.finest_at(field, p)).map_or(0, |(cell, _)| cell.level);
         spacing / f64::from(1u32 << cell)
     };
-    // the crossing is where it is to first order
+    // the crossing lies on F = 0 to first order only
     let edge = edge_at(crossing);
     let Some((to, end_normal)) = field.project_with_gradient(crossing, edge, TOLERANCE * edge) else { return false };
     let end_normal = end_normal.normalize_or_zero();

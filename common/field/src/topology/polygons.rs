@@ -1,8 +1,10 @@
-//! The surface that the signs of F at the corners of the cells tell of, as polygons: where it crosses the edges of the cells, and how it
-//! passes through them. No triangle is made; components and Euler characteristics need none.
+//! The surface given by the signs of F at the corners of the cells, as polygons: where it crosses
+//! the edges of the cells, and how it passes through them. No triangles are made; components and
+//! Euler characteristics need none.
 //!
-//! An edge is as short as the smallest cell at it, and a face as small as the smaller of the two cells at it, so that all cells see
-//! the same crossings and the polygons form a closed surface (but for the border of the volume).
+//! An edge is as short as the smallest cell at it, and a face as small as the smaller of its two
+//! cells. All cells thus see the same crossings, and the polygons form a closed surface, except at
+//! the border of the volume.
 
 use super::cells::{Cell, Cells, DEPTH, FINE, around};
 use crate::spline::CubicSpline;
@@ -10,17 +12,19 @@ use glam::DVec3;
 use std::ops::Range;
 use std::sync::OnceLock;
 
-/// Values of F that are remembered, at most; a power of two.
+/// Maximum number of values of F in the cache; a power of two.
 const REMEMBERED: usize = 1 << 14;
 
-/// 2^64 over the golden ratio: its products spread numbers over the upper bits (Knuth's multiplicative hashing), of which these are kept.
+/// 2^64 over the golden ratio. Products with it spread numbers over the upper bits (Knuth's
+/// multiplicative hashing), of which [`SHIFT`] keeps as many as the cache needs.
 const SPREAD: u64 = 0x9e37_79b9_7f4a_7c15;
 const SHIFT: u32 = 64 - REMEMBERED.trailing_zeros();
 
-/// A crossing keeps this part of an edge from its ends.
+/// Minimum distance of a crossing from the ends of its edge, as a fraction of the edge.
 const CLEARANCE: f64 = 1e-3;
 
-/// The bits of a cell and of the 26 around it in a block of four cells along each axis, x fastest, the lowest of them at the lowest bit.
+/// The bits of a cell and of the 26 around it in a block of four cells along each axis, x fastest,
+/// with the lowest of them at the lowest bit.
 const AROUND: u64 = 0x0000_0777_0777_0777;
 
 /// The bit in such a block of each of the cells that [`around`] gives.
@@ -34,10 +38,12 @@ const BLOCK_BIT: [u32; 27] = {
     bits
 };
 
-/// Where the surface crosses an edge of the cells: a number for the edge, ascending with its lower end, x fastest.
+/// A crossing of the surface with an edge of the cells: a number for the edge, ascending with its
+/// lower end, x fastest.
 pub(super) type Crossing = u64;
 
-/// What the numbers of crossings whose edges begin in one slice of voxels differ by at most; their first is a multiple of it.
+/// Size of the range of crossing numbers for the edges that begin in one slice of voxels. Each
+/// range starts at a multiple of it.
 pub(super) fn crossings_in_slice(cells: &Cells) -> u64 {
     let [x, y, _] = corners(cells);
     x * y * FINE * 3 * (u64::from(DEPTH) + 1)
@@ -51,19 +57,19 @@ fn corners(cells: &Cells) -> [u64; 3] {
 /// The polygons of the surface in some cells.
 #[derive(Default)]
 pub(super) struct Polygons {
-    /// The cells that have any.
+    /// The cells that contain polygons.
     pub(super) cells: Vec<OfCell>,
-    /// End of each polygon in the list below; some may be no cell's any more.
+    /// End of each polygon in `corners`. Some polygons may no longer belong to a cell.
     ends: Vec<u32>,
-    /// The crossings of each, counter-clockwise seen from outside the object.
+    /// The crossings of each polygon, counter-clockwise seen from outside the object.
     corners: Vec<Crossing>,
-    /// Sides that lie on the border of the volume, by their first crossing.
+    /// Sides that lie on the border of the volume, each by its first crossing.
     at_border: Vec<Crossing>,
 }
 
 /// The polygons of one cell.
 pub(super) struct OfCell {
-    /// The place of the cell in the order of all.
+    /// The position of the cell in the order of all cells.
     pub(super) order: u64,
     pub(super) cell: Cell,
     polygons: Range<u32>,
@@ -71,7 +77,7 @@ pub(super) struct OfCell {
 }
 
 impl OfCell {
-    /// How many there are.
+    /// Number of polygons.
     pub(super) fn count(&self) -> usize {
         self.polygons.len()
     }
@@ -86,7 +92,8 @@ impl Polygons {
         })
     }
 
-    /// The sides of a cell's polygons that lie on the border of the volume, by their first crossing.
+    /// The sides of a cell's polygons that lie on the border of the volume, each by its first
+    /// crossing.
     pub(super) fn at_border(&self, cell: &OfCell) -> &[Crossing] {
         &self.at_border[cell.at_border.start as usize..cell.at_border.end as usize]
     }
@@ -103,20 +110,22 @@ pub(super) struct Reader<'a> {
     present: Cell,
     /// Which of its corners are inside, bit by bit, x fastest.
     inside: u8,
-    /// Which cells of its size in the block of four along each axis that holds it and those around it are halved, bit by bit, x fastest.
+    /// Which cells are subdivided in a block of four cells of its size along each axis, bit by bit,
+    /// x fastest. The block contains the cell and those around it.
     halved: u64,
     /// The lowest cell of that block, and the level of its cells.
     block: [i64; 3],
     block_level: u8,
-    /// Whether neither it nor one around it is halved.
+    /// Whether neither the cell nor one around it is subdivided.
     is_even: bool,
-    /// The halves of the cells of its size around it, and of it itself, where it is not even.
+    /// Indices of the octants of the cells of its size around it, and of itself, if it is not even.
     near: [Option<u32>; 27],
-    /// Of each level, the cell that was asked for last, and the halves of those of its size around it.
+    /// For each level, the cell requested last, and the octant indices of the cells of its size
+    /// around it.
     larger: Vec<Option<(Cell, [Option<u32>; 27])>>,
-    /// Sides of the polygons of a cell.
+    /// Sides of the polygons of a cell; kept to reuse the memory.
     sides: Vec<[Crossing; 2]>,
-    /// Crossings round a face.
+    /// Crossings around a face; kept to reuse the memory.
     crossings: Vec<(Crossing, bool)>,
 }
 
@@ -143,12 +152,12 @@ impl<'a> Reader<'a> {
         }
     }
 
-    /// Adds the polygons in a cell, one for each closed way of the surface over its faces, to others.
+    /// Adds the polygons in a cell, one for each closed path of the surface over its faces.
     pub(super) fn polygons(&mut self, cell: Cell, order: u64, all: &mut Polygons) {
         self.present = cell;
         self.look_around(cell);
         self.inside = self.corners_inside(cell);
-        // no edge of it is cut up
+        // all corners are on one side and no edge is subdivided, so nothing crosses it
         if self.is_even && (self.inside == 0 || self.inside == u8::MAX) {
             return;
         }
@@ -206,7 +215,7 @@ impl<'a> Reader<'a> {
         self.sides = sides;
     }
 
-    /// Looks which cells of a cell's size around it, and it itself, are halved.
+    /// Determines which of the cells of a cell's size around it, and itself, are subdivided.
     fn look_around(&mut self, cell: Cell) {
         if cell.level == 0 {
             self.block = cell.at.map(|n| i64::from(n) - 1);
@@ -222,7 +231,7 @@ impl<'a> Reader<'a> {
         }
         let whole = cell.within(cell.level - 1);
         let block = whole.at.map(|n| 2 * i64::from(n) - 1);
-        // the other halves of the same cell have seen the same block
+        // the octants of one cell share the block
         if self.block != block || self.block_level != cell.level {
             self.halved = 0;
             for (n, halves) in self.halves_round(whole).into_iter().enumerate() {
@@ -231,7 +240,8 @@ impl<'a> Reader<'a> {
                 while rest != 0 {
                     let octant = rest.trailing_zeros() as usize;
                     rest &= rest - 1;
-                    // one more than its place in the block, which holds of a cell beside only the halves that touch
+                    // counted from one before the block; of a neighbouring cell the block holds
+                    // only the adjacent octants
                     let place = [n % 3, n / 3 % 3, n / 9].map(|way| 2 * way);
                     let place = [0, 1, 2].map(|axis| place[axis] + (octant >> axis & 1));
                     if place.iter().all(|place| (1..=4).contains(place)) {
@@ -246,7 +256,8 @@ impl<'a> Reader<'a> {
         self.is_even = self.halved & (AROUND << (low[0] + 4 * low[1] + 16 * low[2])) == 0;
     }
 
-    /// The halves of a cell and of those of its size around it, where they are halved, in the order of [`around`].
+    /// Indices of the octants of a cell and of those of its size around it, if subdivided, in the
+    /// order of [`around`].
     fn halves_round(&mut self, cell: Cell) -> [Option<u32>; 27] {
         let level = usize::from(cell.level);
         if let Some((known, halves)) = self.larger[level]
@@ -280,8 +291,8 @@ impl<'a> Reader<'a> {
         (0..8).map(is_inside).enumerate().map(|(n, is_inside)| u8::from(is_inside) << n).sum()
     }
 
-    /// The sides of polygons on a face of cells, which is across an axis, with the object on the left seen from below along that axis; `face`
-    /// is the cell behind it.
+    /// Adds the sides of polygons on a face of cells that is perpendicular to an axis. The object
+    /// is on the left, seen from below along that axis. `face` is the cell on the upper side.
     fn face(&mut self, face: Cell, axis: usize, sides: &mut Vec<[Crossing; 2]>) {
         let (u, v) = ((axis + 1) % 3, (axis + 2) % 3);
         let mut before = [0; 3];
@@ -292,7 +303,7 @@ impl<'a> Reader<'a> {
             }
             return;
         }
-        // round the face, with whether each crossing enters the object
+        // around the face, with whether each crossing enters the object
         let mut crossings = std::mem::take(&mut self.crossings);
         crossings.clear();
         let shifted = |axis: usize| {
@@ -305,7 +316,8 @@ impl<'a> Reader<'a> {
         self.edge(shifted(v), u, false, &mut crossings);
         self.edge(face, v, false, &mut crossings);
         let count = crossings.len();
-        // of several ways to join the crossings, that which has the middle of the face on its side
+        // if there are several ways to join the crossings, the sign at the middle of the face
+        // decides
         let cuts_off_object = count > 2 && {
             let mut middle = face.corner().map(|n| n as f64);
             middle[u] += face.edge() as f64 / 2.0;
@@ -320,7 +332,8 @@ impl<'a> Reader<'a> {
         self.crossings = crossings;
     }
 
-    /// The crossings on an edge of cells, which is along an axis and starts at the lowest corner of `edge`, in the order asked for.
+    /// Adds the crossings on an edge of cells along an axis, which starts at the lowest corner of
+    /// `edge`, forward or backward.
     fn edge(&mut self, edge: Cell, axis: usize, forward: bool, crossings: &mut Vec<(Crossing, bool)>) {
         let (u, v) = ((axis + 1) % 3, (axis + 2) % 3);
         let is_own = edge.level == self.present.level;
@@ -348,7 +361,8 @@ impl<'a> Reader<'a> {
         }
     }
 
-    /// Whether one of the four cells at an edge of the present cell is halved; the edge is across two axes.
+    /// Whether one of the four cells at an edge of the present cell is subdivided. The edge is
+    /// perpendicular to the two axes `across`.
     fn is_own_edge_halved(&self, edge: Cell, across: [usize; 2]) -> bool {
         let bit = self.bit(edge.at.map(i64::from));
         let [u, v] = across.map(|axis| 1 << (2 * axis));
@@ -374,7 +388,7 @@ impl<'a> Reader<'a> {
         halves.is_some()
     }
 
-    /// The bit of a cell of the present one's size in the block round it.
+    /// The bit, in the block, of a cell of the present cell's size.
     fn bit(&self, at: [i64; 3]) -> u32 {
         (0..3).map(|axis| ((at[axis] - self.block[axis]) as u32) << (2 * axis)).sum()
     }
@@ -394,7 +408,8 @@ impl<'a> Reader<'a> {
         self.field.geometry().index_to_grid(fine / FINE as f64)
     }
 
-    /// F at a corner: a function of the corner alone, so that all cells agree on its sign.
+    /// F at a corner, from the cache if possible. It depends on the corner alone, so all cells
+    /// agree on its sign.
     fn value(&mut self, corner: [u64; 3]) -> f64 {
         let number = self.number(corner);
         let slot = (number.wrapping_mul(SPREAD) >> SHIFT) as usize;
@@ -424,19 +439,22 @@ impl<'a> Reader<'a> {
     }
 }
 
-/// The number in the order of [`around`] of the cell at a place next to one of its size.
+/// The index, in the order of [`around`], of the cell at position `at`, which is next to `cell` and
+/// of its size.
 fn number_around(cell: Cell, at: [i64; 3]) -> usize {
     let way = |axis: usize| (at[axis] - i64::from(cell.at[axis]) + 1) as usize;
     (way(2) * 3 + way(1)) * 3 + way(0)
 }
 
-/// The number of a crossing on the edge of a level from a corner, given by its number, along an axis.
+/// The number of the crossing on an edge of a level, which starts at a corner (given by its number)
+/// and runs along an axis.
 fn crossing(corner: u64, axis: u64, level: u8) -> Crossing {
     (corner * 3 + axis) * (u64::from(DEPTH) + 1) + u64::from(level)
 }
 
-/// The polygons of a cell none of whose edges is cut up, by its corners inside; `None` where corners inside lie opposite each other on a face. In
-/// place of a crossing there is an edge: three bits for its lower end, x first, and then its axis.
+/// The polygons of a cell none of whose edges is subdivided, indexed by its inside corners. `None`
+/// if inside corners are opposite each other on a face. Each crossing is replaced by an edge: three
+/// bits for its lower end, x first, and then its axis.
 fn even_cells() -> &'static [Option<Polygons>; 256] {
     static EVEN: OnceLock<[Option<Polygons>; 256]> = OnceLock::new();
     EVEN.get_or_init(|| std::array::from_fn(even_cell))
@@ -447,7 +465,7 @@ fn even_cell(inside: usize) -> Option<Polygons> {
     for (axis, far) in (0..3).flat_map(|axis| [(axis, 0), (axis, 1)]) {
         let (u, v) = ((axis + 1) % 3, (axis + 2) % 3);
         let corner = far << axis;
-        // the edges in the order and the directions in which any face is gone round
+        // the edges in the order and the directions in which the sides of any face are read
         let edges = [(corner, u, true), (corner | 1 << u, v, true), (corner | 1 << v, u, false), (corner, v, false)];
         let mut crossings = edges.into_iter().filter_map(|(corner, axis, is_forward)| {
             let [from, to] = [corner, corner | 1 << axis].map(|corner| inside >> corner & 1 == 1);
@@ -467,7 +485,8 @@ fn even_cell(inside: usize) -> Option<Polygons> {
     Some(polygons)
 }
 
-/// Adds the closed ways that sides form, each crossing being the start of one of them and the end of another.
+/// Adds the closed paths that sides form. Each crossing is the start of one side and the end of
+/// another.
 fn add_closed_ways(sides: &mut Vec<[Crossing; 2]>, all: &mut Polygons) {
     while let Some([start, mut end]) = sides.pop() {
         all.corners.push(start);

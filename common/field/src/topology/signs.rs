@@ -1,4 +1,5 @@
-//! Cells that F = 0 may pass through, by the signs of the spline coefficients: the cheapest test, which comes first.
+//! The cells that F = 0 may pass through, by the signs of the spline coefficients: the cheapest
+//! test, which is applied first.
 
 use crate::node_bits::{NodeBits, Side, WORD, each_bit, first_bits, shifted};
 use crate::spline::CubicSpline;
@@ -18,12 +19,14 @@ impl Signs {
         Self { size, positive: of(Side::Above), negative: of(Side::Below) }
     }
 
-    /// The voxel cells of a slice, by their numbers in it (x fastest), ascending, for which the coefficients that they and those around each as many as said read do not all have one sign: where
-    /// they do, F has no other there, which is a mean of them (convex hull property).
+    /// The voxel cells of a slice for which the coefficients do not all have one sign, by their
+    /// numbers in the slice (x fastest), ascending. Coefficients are those read by the cell and by
+    /// the cells up to `around` beyond it. If they have one sign, so has F, which is a mean of them
+    /// (convex hull property).
     pub(crate) fn changes(&self, k: usize, around: usize) -> Vec<usize> {
         let [nx, ny, nz] = self.size;
         let width = self.positive.width();
-        // the coefficients that mirroring at the border adds are among the others
+        // mirroring at the border reads only coefficients that are already among these
         let reach = |cell: usize, n: usize| cell.saturating_sub(1 + around)..(cell + 3 + around).min(n);
         let over_slices = |bits: &NodeBits| all_of(reach(k, nz), |slice| bits.rows(slice * ny, ny));
         let over_slices = [&self.positive, &self.negative].map(over_slices);
@@ -32,7 +35,7 @@ impl Signs {
         for j in 0..ny.saturating_sub(1) {
             let over_rows = over_slices.each_ref().map(|words| {
                 let mut row = all_of(reach(j, ny), |row| &words[row * width..][..width]);
-                // what is beyond the last node counts for nothing
+                // bits beyond the last node are set, so that they do not count
                 row[width - 1] |= !first_bits(nx - (width - 1) * WORD);
                 row
             });
@@ -49,7 +52,7 @@ impl Signs {
     }
 }
 
-/// The bits that are set in all of some runs of words, of which there is at least one.
+/// The bits that are set in all of some runs of words. There must be at least one run.
 fn all_of<'w>(mut runs: Range<usize>, words: impl Fn(usize) -> &'w [u64]) -> Vec<u64> {
     let mut all = runs.next().map_or_else(Vec::new, |run| words(run).to_vec());
     runs.for_each(|run| all.iter_mut().zip(words(run)).for_each(|(all, own)| *all &= own));

@@ -1,5 +1,5 @@
-//! All polygons of the surface that the cells tell of, put together: components, their Euler characteristics and sizes, and which
-//! crossings each cell has.
+//! Assembles the polygons of all cells into the surface: components, their Euler characteristics
+//! and sizes, and the crossings in each cell.
 
 use super::cells::{BASE, Cell, Cells, DEPTH, State, around, moved};
 use super::polygons::{Crossing, OfCell, Polygons, Reader, crossings_in_slice};
@@ -14,32 +14,34 @@ use std::collections::BTreeMap;
 
 /// The polygons of a volume.
 pub(super) struct Surface {
-    /// Where each crossing is, grid frame, mm.
+    /// Position of each crossing, grid frame, mm.
     pub(super) positions: Vec<DVec3>,
-    /// Component of each.
+    /// Component of each crossing.
     pub(super) component_of: Vec<u32>,
     /// The components, in the order of their first crossings.
     pub(super) components: Vec<Component>,
-    /// The cells with polygons by their place in the order of all, ascending, each with the end of its polygons in the list below.
+    /// The cells with polygons, by position in the order of all cells, ascending; each with the end
+    /// of its polygons in `ends`.
     cells: Vec<(u64, u32)>,
-    /// The end of each polygon in the list below.
+    /// The end of each polygon in `corners`.
     ends: Vec<u32>,
     /// Crossings of the polygons.
     corners: Vec<u32>,
-    /// The voxels with polygons, ascending, each with the component of all of them, [`SEVERAL`] where there is more than one.
+    /// The voxels with polygons, ascending, each with the component of all of them, or [`SEVERAL`].
     voxels: Vec<(u64, u32)>,
-    /// Where the voxels of each row along x begin in that list, and the end of the last row's.
+    /// Start of each row of voxels along x in that list, and the end of the last.
     rows: Vec<u32>,
-    /// The cells that are neither certain nor halved, ascending.
+    /// The cells that are neither certain nor subdivided, ascending.
     pub(super) undecided: Vec<Cell>,
 }
 
-/// In place of a component's number.
+/// Marker in place of a component's number where there are several components.
 const SEVERAL: u32 = u32::MAX;
 
 impl Surface {
-    /// Reads the surface, and halves cells on the way that have several polygons. One of these may be a loop round a corner of smaller cells beside:
-    /// whether it closes there, or opens into another of them, shows when it is halved.
+    /// Reads the surface, and subdivides cells that contain several polygons. One of these may be a
+    /// loop around a corner of smaller neighbouring cells; only subdivision shows whether it closes
+    /// or joins another polygon.
     pub(super) fn new(field: &CubicSpline, cells: &mut Cells, watch: &Watch<'_>) -> Result<Self, Interrupted> {
         let (mut slices, undecided) = read_all(field, cells, watch)?;
         loop {
@@ -72,7 +74,7 @@ impl Surface {
         Ok(Self::of(field, cells, &slices, undecided))
     }
 
-    /// Puts polygons together, which are given by slices of voxels.
+    /// Assembles polygons that are given by slices of voxels.
     pub(super) fn of(field: &CubicSpline, cells: &Cells, slices: &[Polygons], mut undecided: Vec<Cell>) -> Self {
         let crossings = Crossings::new(cells, slices);
         let positions: Vec<DVec3> = crossings
@@ -93,7 +95,7 @@ impl Surface {
         let mut count = 0;
         for crossing in 0..positions.len() as u32 {
             let first = sets.find(crossing);
-            // the first of a component has its number before the others ask for it
+            // the first crossing of a component is numbered before the others look it up
             component_of[crossing as usize] = if first == crossing { count } else { component_of[first as usize] };
             count += u32::from(first == crossing);
         }
@@ -146,7 +148,8 @@ impl Surface {
         mesh
     }
 
-    /// The component of all polygons in each of some voxels of a row, ascending, that have any; `None` where there are several.
+    /// For each voxel of a row that has polygons, ascending, the component of all of them; `None`
+    /// if there are several.
     pub(super) fn components_of_voxels(
         &self,
         cells: &Cells,
@@ -177,7 +180,7 @@ impl Surface {
     }
 }
 
-/// The polygons in all cells as they are, by slices of voxels, and the cells that are undecided.
+/// The polygons in all cells as they are, by slices of voxels, and the undecided cells.
 pub(super) fn read_all(
     field: &CubicSpline,
     cells: &Cells,
@@ -204,11 +207,11 @@ fn read(field: &CubicSpline, cells: &Cells, crossed: &[(Cell, State)], all: &mut
 
 /// All crossings, ascending, by the slices of voxels in which their edges begin.
 struct Crossings {
-    /// The crossings of each slice, and of what lies on the border behind the last.
+    /// The crossings of each slice, and of the border behind the last.
     by_slice: Vec<Vec<Crossing>>,
-    /// How many there are before each slice.
+    /// Number of crossings before each slice.
     before: Vec<u32>,
-    /// What the numbers of crossings in one slice differ by at most.
+    /// Size of the range of crossing numbers in one slice.
     span: u64,
 }
 
@@ -225,7 +228,7 @@ impl Crossings {
                 seen
             })
             .collect();
-        // a slice sees its own, and those on the plane to the next
+        // a slice sees its own crossings, and those on the plane to the next
         let by_slice: Vec<Vec<Crossing>> = (0..=seen.len())
             .into_par_iter()
             .map(|k| {
@@ -248,16 +251,16 @@ impl Crossings {
         Self { by_slice, before, span }
     }
 
-    /// The place of a crossing among all.
+    /// The index of a crossing among all.
     fn index(&self, crossing: Crossing) -> u32 {
         let slice = (crossing / self.span) as usize;
         self.before[slice] + self.by_slice[slice].partition_point(|&other| other < crossing) as u32
     }
 }
 
-/// The polygons of a slice of voxels, their crossings by their places among all.
+/// The polygons of a slice of voxels, with crossings by their indices among all.
 struct Slice {
-    /// The place of each cell in the order of all, and the end of its polygons.
+    /// The position of each cell in the order of all cells, and the end of its polygons.
     cells: Vec<(u64, u32)>,
     /// The end of each polygon.
     ends: Vec<u32>,
@@ -306,7 +309,8 @@ impl Slice {
     }
 }
 
-/// Where the voxels of each row along x begin among some of a volume, which ascend, and the end of the last row's.
+/// Start of each row along x among the voxels of a volume, which ascend, and the end of the last
+/// row.
 fn rows(voxels: &[(u64, u32)], size: [usize; 3]) -> Vec<u32> {
     let mut rows = vec![0; size[1] * size[2] + 1];
     voxels.iter().for_each(|(voxel, _)| rows[*voxel as usize / size[0] + 1] += 1);
@@ -314,7 +318,8 @@ fn rows(voxels: &[(u64, u32)], size: [usize; 3]) -> Vec<u32> {
     rows
 }
 
-/// The place of a cell that is not halved in the order of all: by voxel, x fastest, and within it as the halves follow each other.
+/// The position of a cell without octants in the order of all cells: by voxel, x fastest, and
+/// within it by octants.
 fn order(cells: &Cells, cell: Cell) -> u64 {
     let [nx, ny, _] = cells.size().map(|n| n as u64);
     let voxel = cell.within(0).at.map(u64::from);

@@ -21,7 +21,8 @@ impl Scene {
         Self { field: CubicSpline::new(&image) }
     }
 
-    /// The Euler characteristics of the components of a triangulation from samples that are `fine` times as dense, ascending.
+    /// The Euler characteristics, ascending, of the components of a triangulation of samples that
+    /// are `fine` times as dense.
     fn by_samples(&self, fine: usize) -> Vec<i64> {
         let own = self.field.geometry();
         let size = own.size.map(|n| (n - 1) * fine + 1);
@@ -72,7 +73,8 @@ pub(super) fn shell() -> Scene {
     Scene::new([32; 3], DVec3::ONE, |p| (p.distance(CENTRE) - 9.25).abs() - 1.25)
 }
 
-/// Gyroid inside a ball of radius 13; single nodes off its rim hang on to it by necks thinner than a voxel.
+/// Gyroid inside a ball of radius 13; single nodes off its rim are attached by necks thinner than a
+/// voxel.
 pub(super) fn gyroid() -> Scene {
     Scene::new([36; 3], DVec3::ONE, |p| {
         let q = (p - DVec3::splat(17.6)) * 0.45;
@@ -82,7 +84,7 @@ pub(super) fn gyroid() -> Scene {
     })
 }
 
-/// Torus of radii 5 and 4.8, its hole 0.4 voxel wide and off the nodes.
+/// Torus of radii 5 and 4.8, with a hole 0.4 voxel wide that lies off the nodes.
 fn pierced() -> Scene {
     let (ring, tube) = (5.0, 4.8);
     Scene::new([28; 3], DVec3::ONE, |p| {
@@ -92,7 +94,7 @@ fn pierced() -> Scene {
     })
 }
 
-/// Two balls whose saddle has a value of F, mm.
+/// Two balls with the given value of F (mm) at the saddle between them.
 fn touching(value: f64) -> Scene {
     let balls = |level: f64| {
         let [a, b] = [9.3, 21.8].map(|x| DVec3::new(x, 15.4, 15.6));
@@ -122,7 +124,7 @@ fn known_shapes_have_their_components_and_euler_characteristics() {
         assert_eq!(summary.components_between, [expected.len(); 2]);
         assert_eq!(summary.euler_between, [expected.iter().sum::<i64>(); 2]);
     }
-    // the samples alone do not have the hole
+    // the samples alone do not show the hole
     assert_eq!(pierced().by_samples(1), [2]);
 }
 
@@ -131,7 +133,8 @@ fn sizes_are_those_of_the_shapes() {
     let within = |measured: f64, truth: f64, part: f64| (measured - truth).abs() < part * truth.abs();
     let topology = torus().topology();
     let torus = &topology.components()[0];
-    // chords of a voxel on a tube of radius 4 lose 1/96 of its section twice
+    // chords of a voxel on a tube of radius 4 lose 1/96 of its section; the limit is almost three
+    // times that
     assert!(within(torus.volume, 2842.4, 0.03), "{torus:?}");
     assert!(within(torus.area, 1421.2, 0.03), "{torus:?}");
     assert!((torus.bounds.high - torus.bounds.low - DVec3::new(26.0, 26.0, 8.0)).abs().max_element() < 0.1);
@@ -157,7 +160,7 @@ fn points_belong_to_the_sheet_that_they_lie_on() {
     }
 }
 
-/// A smooth union of a few balls, tori and thin plates, some with samples of noise.
+/// A smooth union of a few balls, tori and thin plates, some with noise on the samples.
 fn random(seed: u64) -> Scene {
     let u = |k: u64| uniform(78, seed, k);
     let parts: Vec<(DVec3, f64, f64)> = (0..4u64)
@@ -186,7 +189,7 @@ fn random_scenes_have_the_topology_of_much_denser_samples() {
     for seed in 0..12 {
         let scene = random(seed);
         let topology = scene.topology();
-        // five samples a voxel may miss what is finer than that, the cells may not
+        // five samples per voxel may miss finer features, the cells may not
         let (summary, dense) = (topology.summary(), scene.by_samples(5));
         let [least, most] = summary.components_between;
         assert!((least..=most).contains(&dense.len()), "scene {seed}: {summary:?} and {}", dense.len());
@@ -223,7 +226,7 @@ fn what_touches_is_undecided_and_what_nearly_touches_is_not() {
 
 #[test]
 fn a_speck_between_the_samples_is_a_component() {
-    // F is above 0 at all samples, and below it in the middle of a cell
+    // F is positive at all samples, and negative in the middle of a cell
     let scene = Scene::new([12; 3], DVec3::ONE, |p| 0.4 * (p.distance_squared(DVec3::new(5.5, 5.45, 5.52)) - 0.3));
     assert_eq!(scene.by_samples(1), Vec::<i64>::new());
     let topology = scene.topology();
@@ -262,8 +265,9 @@ fn neighbours_that_f_may_pass_through_differ_by_one_level_at_most() {
 
 #[test]
 fn a_sheet_that_bulges_through_a_face_of_a_large_cell_into_smaller_ones_stays_in_one_piece() {
-    // a dome whose top is 0.05 above the middle of a face; grad F turns in the cell above, which is halved, and not in that below. The middle
-    // of the face is a corner of the smaller cells alone, and the larger one sees a loop round it beside the foot of the dome.
+    // A dome with its top 0.05 above the middle of a face. Grad F turns in the cell above, which is
+    // subdivided, and not in that below. The middle of the face is a corner of the smaller cells
+    // only; the larger cell sees a loop around it, beside the foot of the dome.
     let top = DVec3::new(7.5, 7.5, 7.0);
     let scene = Scene::new([16; 3], DVec3::ONE, |p| {
         let d = p - top;
@@ -273,7 +277,7 @@ fn a_sheet_that_bulges_through_a_face_of_a_large_cell_into_smaller_ones_stays_in
     let beside = [[7, 7, 6], [7, 7, 7]].map(|at| cells.find(cells::Cell { level: 0, at }).map(|(_, state)| state));
     assert_eq!(beside[0], Some(cells::State::Graph));
     assert!(matches!(beside[1], Some(cells::State::Halved(_))), "{beside:?}");
-    // closed by a lid in the larger cell, the dome would be a component by itself
+    // closed by a lid in the larger cell, the dome would be a separate component
     let (polygons, undecided) = surface::read_all(&scene.field, &cells, &unwatched()).expect("not interrupted");
     let with_lid = Surface::of(&scene.field, &cells, &polygons, undecided);
     assert_eq!(sorted(with_lid.components.iter().map(|c| c.euler)), [1, 1, 2]);
@@ -282,7 +286,8 @@ fn a_sheet_that_bulges_through_a_face_of_a_large_cell_into_smaller_ones_stays_in
     assert_eq!((euler(&scene.topology()), scene.by_samples(5)), (vec![1, 1], vec![1, 1]));
 }
 
-/// A speck of a radius, and on demand a sheet 1.3 voxels beside it. Splines reproduce cubic functions; what the border of the grid adds has died away.
+/// A speck of the given radius, optionally with a second surface 1.3 voxels beside it. Splines
+/// reproduce cubic functions; the effect of the grid's border has decayed.
 fn speck(radius: f64, has_sheet: bool) -> FieldTopology {
     cubic(radius, if has_sheet { 0.3 } else { 0.0 })
 }
@@ -298,7 +303,8 @@ fn cubic(radius: f64, bend: f64) -> FieldTopology {
 
 #[test]
 fn a_component_as_fine_as_what_is_told_may_be_missing_or_joined_to_the_next() {
-    // by the second-order expansion it is just large enough to be told, by the crossings of its cells it is not
+    // by the second-order expansion it is just large enough to be decided, by the crossings of its
+    // cells it is not
     let radius = 1.003 * RESOLUTION;
     let topology = speck(radius, false);
     let [place] = topology.undecided() else { panic!("{:?}", topology.undecided()) };
@@ -317,7 +323,7 @@ fn a_component_as_fine_as_what_is_told_may_be_missing_or_joined_to_the_next() {
     assert_eq!((group.component_count.clone(), group.euler.clone()), (1..=2, 1..=3));
     assert!(group.may_be(2, 3) && group.may_be(1, 1) && !group.may_be(2, 1) && !group.may_be(1, 3));
 
-    // larger ones are told
+    // larger ones are decided
     assert_eq!(speck(1.1 * RESOLUTION, true).undecided(), []);
 }
 
@@ -325,7 +331,7 @@ fn a_component_as_fine_as_what_is_told_may_be_missing_or_joined_to_the_next() {
 fn only_a_speck_may_vanish_and_not_what_has_its_extremum_next_to_its_border() {
     let topology = speck(0.5 * RESOLUTION, false);
     assert!(topology.groups().may_vanish(0) && topology.undecided()[0].kind == UndecidedKind::Speck);
-    // the same, but it opens into the sheet beside it
+    // the same, but it opens into the surface beside it
     let topology = cubic(0.9 * RESOLUTION, 1.78);
     assert_eq!(topology.components().len(), 1);
     assert!(topology.critical_points().iter().any(|c| c.is_enclosed() && c.radius < RESOLUTION));

@@ -1,4 +1,5 @@
-//! Places where the topology of F = 0 is not told, or finer than is asked of a mesh, and what the topology may be up to them.
+//! Places where the topology of F = 0 is undecided or finer than a mesh must reproduce, and the
+//! topologies that these places allow.
 
 use super::cells::{BASE, Cell, Cells, around, moved};
 use super::critical::CriticalPoint;
@@ -12,12 +13,13 @@ use serde::Serialize;
 use std::collections::BTreeMap;
 use std::ops::RangeInclusive;
 
-/// A place where a mesh may have another topology than F.
+/// A place where the topology of a mesh may differ from that of F.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Undecided {
     /// The critical point of F there, or the middle of the place; grid frame, mm.
     pub place: [f64; 3],
-    /// Twice the radius of the neck, gap or speck, or the longest extent along an axis of the grid, mm.
+    /// Twice the radius of the neck, gap or speck, or the longest extent along an axis of the grid,
+    /// mm.
     pub size: f64,
     /// F there, mm.
     pub value: f64,
@@ -26,46 +28,50 @@ pub struct Undecided {
     /// Components that it touches, ascending.
     #[serde(skip)]
     pub components: Vec<u32>,
-    /// A box round it, grid frame, mm.
+    /// Bounding box, grid frame, mm.
     #[serde(skip)]
     pub bounds: Bounds,
 }
 
-/// What is at an undecided place. All but the last are critical points of F whose value tells what F has there; on the other side of F = 0
-/// they would change it in one way.
+/// Kind of an undecided place. All but the last are critical points of F whose value shows what F
+/// has there. With the critical point on the other side of F = 0, the topology would change in one
+/// known way.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum UndecidedKind {
-    /// Two sheets, which may be joined.
+    /// Two parts of the surface, which may be joined.
     Gap,
-    /// A neck of the object or of what surrounds it, which may be cut.
+    /// A neck of the object or of its surroundings, which may be cut.
     Neck,
     /// An extremum of F within a speck or a cavity, which may be missing.
     Speck,
-    /// Cells in which F = 0 is not certain, with this many critical points: two where none were found, as when two are about to cancel. Also a
-    /// component finer than [`RESOLUTION`] in a flat F, which counts as one.
+    /// Cells in which F = 0 is not certain, with this number of critical points. It is two if none
+    /// were found, as when two are about to cancel. Also a component finer than [`RESOLUTION`]
+    /// where F is flat; it counts as one.
     Uncertain(usize),
 }
 
-/// Components that undecided places may join, or one by itself, and what it may be, however these are had.
+/// Components that undecided places may join, or a single component, and the topologies that are
+/// allowed for them.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Group {
-    /// How many components go with each Euler characteristic, from the lowest on in steps of two.
+    /// Allowed numbers of components for each Euler characteristic, from the lowest on in steps of
+    /// two.
     counts: Vec<RangeInclusive<usize>>,
-    /// Its components, ascending; none where all that it may be is a speck.
+    /// Its components, ascending; none if the group is only a possible speck.
     pub components: Vec<u32>,
-    /// How many components it may be.
+    /// Allowed numbers of components.
     pub component_count: RangeInclusive<usize>,
-    /// Euler characteristics that it may have.
+    /// Allowed Euler characteristics.
     pub euler: RangeInclusive<i64>,
     /// The undecided places in it, ascending.
     pub undecided: Vec<u32>,
 }
 
 impl Group {
-    /// Whether it may be so many components with an Euler characteristic, of all together.
+    /// Whether it may consist of this number of components with this total Euler characteristic.
     pub fn may_be(&self, component_count: usize, euler: i64) -> bool {
-        // a surface that ends at the border may have any that lies between
+        // a surface that ends at the border may have any value in between
         let above = euler - self.euler.start();
         [above.div_euclid(2), (above + 1).div_euclid(2)].into_iter().any(|step| {
             let counts = usize::try_from(step).ok().and_then(|step| self.counts.get(step));
@@ -88,7 +94,7 @@ impl Groups {
         &self.all
     }
 
-    /// The group of a component; `None` of a number that is no component's.
+    /// The group of a component; `None` if there is no component of that number.
     pub fn of(&self, component: u32) -> Option<u32> {
         self.group_of.get(component as usize).copied()
     }
@@ -98,7 +104,7 @@ impl Groups {
         self.may_vanish[component as usize]
     }
 
-    /// How components and places group.
+    /// Groups components and undecided places.
     pub(super) fn new(components: &[Component], places: &[Undecided]) -> Self {
         let mut sets = DisjointSets::new(components.len());
         let mut may_vanish = vec![false; components.len()];
@@ -159,46 +165,50 @@ impl Groups {
     }
 }
 
-/// What places may change: for each change of the Euler characteristic, in steps of two, by how much that of the number of components may go with it.
+/// The changes that places allow: for each change of the Euler characteristic, in steps of two, the
+/// range of the change of the number of components.
 #[derive(Clone)]
 struct Changes {
-    /// Steps that lower the Euler characteristic, at most.
+    /// Maximum number of steps by which the Euler characteristic decreases.
     removed: usize,
-    /// Least and most change of the number of components, from the lowest Euler characteristic on.
+    /// Minimum and maximum change of the number of components, from the lowest Euler characteristic
+    /// on.
     counts: Vec<[i64; 2]>,
 }
 
 impl Default for Changes {
-    /// None.
+    /// No change.
     fn default() -> Self {
         Self { removed: 0, counts: vec![[0, 0]] }
     }
 }
 
 impl Changes {
-    /// At a place, which joins components that no place before has joined, or not. A tube in place of two disks has an Euler characteristic lower by
-    /// two, and joins two components or is a handle.
+    /// The changes at a place. `is_joining` says whether it joins components that no earlier place
+    /// has joined. A tube in place of two disks lowers the Euler characteristic by two; it joins
+    /// two components or is a handle.
     fn at(place: &Undecided, is_joining: bool) -> Self {
         let none = [0, 0];
-        // what places before have joined may be apart all the same, and then this one joins it
+        // components joined by earlier places may nevertheless be separate, and then this place
+        // joins them
         let joined = [-i64::from(place.components.len() > 1), -i64::from(is_joining)];
         let joins = Self { removed: 1, counts: vec![joined, none] };
         match place.kind {
             UndecidedKind::Gap => joins,
             UndecidedKind::Neck => Self { removed: 0, counts: vec![none, [0, 1]] },
             UndecidedKind::Speck => Self { removed: 1, counts: vec![[-1, -1], none] },
-            // one critical point can do no more than join two
+            // a single critical point can at most join two components
             UndecidedKind::Uncertain(1) if place.components.len() > 1 => joins,
             UndecidedKind::Uncertain(critical_points) => {
                 let n = critical_points as i64;
-                // each of the points does one step up or down, or nothing
+                // each of the critical points makes one step up or down, or none
                 let counts = (-n..=n).map(|up| [-(n - up) / 2, (n + up) / 2]).collect();
                 Self { removed: critical_points, counts }
             }
         }
     }
 
-    /// These and others.
+    /// The changes that both allow together.
     fn and(&self, other: &Self) -> Self {
         let mut counts = vec![[i64::MAX, i64::MIN]; self.counts.len() + other.counts.len() - 1];
         for (n, own) in self.counts.iter().enumerate() {
@@ -210,13 +220,15 @@ impl Changes {
     }
 }
 
-/// Whether a component is as fine all over as at an extremum in it: its volume over its area is half its thickness if it is a plate, and less in any other shape.
+/// Whether a component is as fine throughout as at an extremum in it. Volume over area is half the
+/// thickness of a plate, and less for any other shape.
 fn is_thin(component: &Component, resolution: f64) -> bool {
     component.volume.abs() < resolution * component.area
 }
 
-/// The undecided places: clusters of cells in which F = 0 is not certain, in the order of their lowest cells, and then all critical points
-/// elsewhere whose neck, gap or speck is finer than [`RESOLUTION`], in their order, and components as fine.
+/// The undecided places. First clusters of cells in which F = 0 is not certain, by their lowest
+/// cells. Then all other critical points whose neck, gap or speck is finer than [`RESOLUTION`], in
+/// their order, and components as fine.
 pub(super) fn places(
     field: &CubicSpline,
     cells: &Cells,
@@ -258,8 +270,9 @@ pub(super) fn places(
     places
 }
 
-/// The place of a component finer than [`RESOLUTION`] whose critical point does not tell so, because F is nearly flat there. A mesh that has its
-/// points beside it may have it, lack it, or join it to the nearest.
+/// The place of a component finer than [`RESOLUTION`] whose critical point does not show it,
+/// because F is nearly flat there. A mesh may contain it, lack it, or join it to the nearest
+/// component.
 fn at_fine_component(field: &CubicSpline, cells: &Cells, surface: &Surface, n: u32, own: &Component) -> Undecided {
     let around = surface.crossings_round(cells, cells.finest_at(field, own.place).within(0));
     let others = around.into_iter().filter(|&crossing| surface.component_of[crossing as usize] != n);
@@ -278,7 +291,8 @@ fn at_fine_component(field: &CubicSpline, cells: &Cells, surface: &Surface, n: u
     }
 }
 
-/// The place at a critical point; `None` at an extremum in a component that is no speck: whichever side of a mesh it lies on, the component is there.
+/// The place at a critical point. `None` for an extremum in a component that is no speck: the
+/// component exists whichever side of a mesh the extremum is on.
 fn at_critical_point(field: &CubicSpline, cells: &Cells, surface: &Surface, c: &CriticalPoint) -> Option<Undecided> {
     let ways: Vec<DVec3> = c.ways.into_iter().filter(|way| *way != DVec3::ZERO).collect();
     let component = |way: DVec3| {
@@ -310,7 +324,7 @@ fn at_critical_point(field: &CubicSpline, cells: &Cells, surface: &Surface, c: &
     })
 }
 
-/// A cluster of cells in which F = 0 is not certain.
+/// The place of a cluster of cells in which F = 0 is not certain.
 fn uncertain(field: &CubicSpline, cells: &Cells, surface: &Surface, own: &[Cell], critical_points: usize) -> Undecided {
     let edge = field.geometry().spacing / f64::from(1u32 << BASE);
     let low = |cell: &Cell| DVec3::from_array(cell.at.map(f64::from)) * edge;

@@ -1,8 +1,9 @@
-//! Surfaces out of the pipeline: `.vtp` (everything, read back bit for bit), and `.ply`, `.stl`, `.obj` and legacy
-//! `.vtk` for other programs.
+//! Surface files: `.vtp` (with all data, read back bit for bit), and `.ply`, `.stl`, `.obj` and
+//! legacy `.vtk` for other programs.
 //!
-//! What is written here is in *world* coordinates, with the windings as they are given. The caller maps the mesh from the
-//! grid frame and turns the triangles round where the volume is left-handed: [`Surface::from_grid`] does both.
+//! Files are in *world* coordinates, and triangles are written with the given orientation.
+//! [`Surface::from_grid`] maps a mesh from the grid frame to the world, and reverses the triangles
+//! if the volume is left-handed.
 
 mod interchange;
 mod vtp;
@@ -24,53 +25,53 @@ use std::path::Path;
 /// Values on the vertices or triangles of a surface.
 #[derive(Clone, Debug, PartialEq)]
 pub struct DataArray {
-    /// Name, as pyvista and ParaView show it.
+    /// Name, as displayed by pyvista and ParaView.
     pub name: String,
-    /// Numbers a vertex or triangle.
+    /// Number of components per vertex or triangle.
     pub components: usize,
-    /// All numbers, those of one vertex or triangle side by side.
+    /// All values; the components of one vertex or triangle are adjacent.
     pub values: Voxels,
 }
 
 impl DataArray {
-    /// One number each.
+    /// An array of one number per vertex or triangle.
     pub fn scalars(name: &str, values: Vec<f64>) -> Self {
         Self { name: name.to_owned(), components: 1, values: Voxels::F64(values) }
     }
 
-    /// One whole number each.
+    /// An array of one integer per vertex or triangle.
     pub fn integers(name: &str, values: Vec<i64>) -> Self {
         Self { name: name.to_owned(), components: 1, values: Voxels::I64(values) }
     }
 
-    /// One vector each.
+    /// An array of one vector per vertex or triangle.
     pub fn vectors(name: &str, vectors: &[DVec3]) -> Self {
         let values = vectors.iter().flat_map(|vector| vector.to_array()).collect();
         Self { name: name.to_owned(), components: 3, values: Voxels::F64(values) }
     }
 
-    /// How many vertices or triangles it has values for.
+    /// Number of vertices or triangles that have values.
     pub fn tuples(&self) -> usize {
         self.values.len() / self.components.max(1)
     }
 }
 
-/// A surface in the world, with what is known at its vertices and triangles.
+/// A surface in world coordinates, with data on its vertices and triangles.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Surface {
-    /// Vertices in world coordinates (mm); triangles counter-clockwise seen from outside.
+    /// Vertices in world coordinates (mm). Triangles are counter-clockwise as seen from outside.
     pub mesh: TriangleMesh,
     /// Values on the vertices.
     pub point_data: Vec<DataArray>,
     /// Values on the triangles.
     pub cell_data: Vec<DataArray>,
-    /// The world frame that the vertices are in.
+    /// The world frame of the vertices.
     pub space: Space,
 }
 
 impl Surface {
-    /// Takes a mesh from the grid frame to the world, with the triangles turned round if the volume is left-handed, so
-    /// that they stay counter-clockwise seen from outside.
+    /// Maps a mesh from the grid frame to the world. Reverses the triangles if the volume is
+    /// left-handed, so that they stay counter-clockwise as seen from outside.
     pub fn from_grid(mesh: &TriangleMesh, geometry: &Geometry) -> Self {
         let turn = geometry.is_left_handed();
         let triangles = mesh.triangles.iter().map(|&[a, b, c]| if turn { [a, c, b] } else { [a, b, c] }).collect();
@@ -80,33 +81,34 @@ impl Surface {
     }
 }
 
-/// Points, segments and triangles to look at, such as the places where a check failed. World coordinates.
+/// Points, segments and triangles for display, such as the places where a check failed. World
+/// coordinates.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Simplices {
     /// Positions.
     pub points: Vec<DVec3>,
-    /// Points to show, as indices.
+    /// Points to display, as indices.
     pub vertices: Vec<u32>,
     /// Segments, as indices.
     pub edges: Vec<[u32; 2]>,
     /// Triangles, as indices.
     pub triangles: Vec<[u32; 3]>,
-    /// Values on all of these, vertices first, then edges, then triangles: the reason, for example.
+    /// Values on all of these (vertices, then edges, then triangles), for example the failed check.
     pub cell_data: Vec<DataArray>,
 }
 
-/// A surface file as read.
+/// The contents of a surface file.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SurfaceFile {
     /// The surface.
     pub surface: Surface,
-    /// What the stage that made it noted.
+    /// Metadata of the stage that made it; null if there is none.
     pub meta: Value,
     /// Its history, if it carries one.
     pub history: Option<History>,
 }
 
-/// The formats, by the ending of the file's name.
+/// The formats, by file extension.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Format {
     Vtp,
@@ -116,7 +118,8 @@ enum Format {
     Vtk,
 }
 
-/// Fails unless the ending of the name is one that [`write_surface`] knows; to be asked before the work starts.
+/// Fails unless [`write_surface`] supports the file extension. Call it before the computation
+/// starts.
 pub fn check_surface_name(path: &Path) -> Result<()> {
     format(path).map(drop)
 }
@@ -137,7 +140,8 @@ fn format(path: &Path) -> Result<Format> {
     }
 }
 
-/// Writes a surface in the format that its name tells. Only `.vtp` keeps all the data; `.stl` keeps 32-bit positions.
+/// Writes a surface; the file extension decides the format. Only `.vtp` keeps all the data; `.stl`
+/// keeps 32-bit positions. Fails if an array or index does not match the mesh.
 pub fn write_surface(path: &Path, surface: &Surface, meta: &Value, history: &History) -> Result<()> {
     let format = format(path)?;
     let counts = (surface.mesh.vertices.len(), surface.mesh.triangles.len());
@@ -164,7 +168,7 @@ pub fn write_simplices(path: &Path, simplices: &Simplices, history: &History) ->
     vtp::write_simplices(path, simplices, history)
 }
 
-/// Arrays must have a value for every vertex or triangle.
+/// Fails unless every array has a value for every vertex or triangle.
 fn check_arrays(path: &Path, arrays: &[DataArray], count: usize) -> Result<()> {
     match arrays.iter().find(|array| array.values.len() != count * array.components) {
         None => Ok(()),
@@ -200,7 +204,7 @@ mod tests {
         }
     }
 
-    /// A tetrahedron, outward in the grid frame.
+    /// A tetrahedron that faces outward in the grid frame.
     fn tetrahedron() -> TriangleMesh {
         TriangleMesh {
             vertices: vec![DVec3::ZERO, DVec3::X, DVec3::Y, DVec3::Z * (1.0 / 3.0)],

@@ -1,4 +1,4 @@
-//! VTK polygon files: 64-bit positions, so that vertices stay where they were put, and all data.
+//! VTK polygon files with 64-bit positions, so that vertices are stored exactly, and with all data.
 
 use super::{DataArray, Simplices, Surface, SurfaceFile, check_indices};
 use crate::TriangleMesh;
@@ -13,10 +13,11 @@ use serde_json::Value;
 use std::path::Path;
 
 const KIND: &str = "surface";
-/// Version of the surface files that is written. Version 1 had VTK's strings where there are bytes now; both are read.
+/// Version of the surface files that are written. Version 1 stored texts as VTK strings instead of
+/// bytes; both versions are read.
 const VERSION: u32 = 2;
 
-/// Cells of one sort: the indices of all, and how many each has.
+/// Cells of one type: all their vertex indices, and the number of vertices per cell.
 struct Cells<'a> {
     section: &'static str,
     indices: &'a [u32],
@@ -129,7 +130,7 @@ pub fn read_surface(path: &Path) -> Result<SurfaceFile> {
     Ok(SurfaceFile { surface, meta, history })
 }
 
-/// The polygons of a piece, all of which must be triangles.
+/// The polygons of a piece. Fails unless all are triangles.
 fn triangles<'a>(
     path: &Path,
     file: &VtkFile,
@@ -146,7 +147,7 @@ fn triangles<'a>(
     Ok(indices.as_chunks::<3>().0.to_vec())
 }
 
-/// Whole numbers from 0; `None` for what is none.
+/// Integers from 0 to `u32::MAX`; `None` for any other number.
 fn whole(values: Voxels) -> Vec<Option<u32>> {
     values
         .to_f64()

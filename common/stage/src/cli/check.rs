@@ -1,40 +1,39 @@
-//! `STAGE --check-options KNOWN ...`: would the stage refuse this command line? Nothing is written,
-//! and nothing is read but the volume, where it is known to be there.
+//! `STAGE --check-options KNOWN ...` checks whether the stage would refuse a command line. It
+//! writes nothing, and reads only the volume, if that is known to exist.
 //!
-//! The program that runs the stages of a case asks each of them before it removes or starts
-//! anything. Like `--command-line` the words stand beside the options, not among them. The exit
-//! code is that of the refused run, or 0.
+//! isoparticles-case runs this for every stage of a case before it removes or starts anything. Like
+//! `--command-line`, this word is not one of the options. The exit code is that of the refused run,
+//! or 0.
 
 use super::{Outcome, exit_code};
 use crate::error::{Error, Result};
 use serde::{Deserialize, Serialize};
 use std::process::ExitCode;
 
-/// First word of a command line that is only checked; what is known of the case follows as JSON
-/// ([`Known`]).
+/// First word of a command line that is only checked. The second word is a [`Known`] as JSON.
 pub const CHECK_OPTIONS: &str = "--check-options";
 
-/// What is known of a case before its stages run. Each stage prints it on stdout for the next one,
-/// with what it adds.
+/// What is known of a case before its stages run. Each stage prints it on stdout for the next
+/// stage, with its own additions.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Known {
-    /// Names of the materials, the outside first; empty for one object, `None` where only the
-    /// volume tells.
+    /// Names of the materials, the outside first. Empty for a single object; `None` if the names
+    /// depend on a volume that has not been read.
     pub materials: Option<Vec<String>>,
-    /// Whether the volume on the command line is there and may be read.
+    /// Whether the volume on the command line exists and may be read.
     pub volume: bool,
 }
 
 impl Known {
-    /// Whether the case has many materials; `None` where that is not known.
+    /// Whether the case has several materials; `None` if unknown.
     #[must_use]
     pub fn is_many(&self) -> Option<bool> {
         self.materials.as_ref().map(|names| !names.is_empty())
     }
 }
 
-/// Checks a command line that begins with [`CHECK_OPTIONS`] and gives the exit code; `None` for any
-/// other command line.
+/// Checks a command line that begins with [`CHECK_OPTIONS`] and returns the exit code. Returns
+/// `None` for any other command line.
 pub fn asked<A: clap::Parser>(tool: &str, check: impl FnOnce(&A, Known) -> Result<Known>) -> Option<ExitCode> {
     let mut words = std::env::args_os().skip(1);
     if words.next()? != CHECK_OPTIONS {
@@ -57,7 +56,7 @@ pub fn asked<A: clap::Parser>(tool: &str, check: impl FnOnce(&A, Known) -> Resul
     Some(ExitCode::from(exit_code(&checked.map(|_| Outcome::Passed))))
 }
 
-/// A usage error of clap in three parts, on one line each.
+/// Converts a usage error of clap to an error in three parts, each on one line.
 fn usage(tool: &str, error: &clap::Error) -> Error {
     let text = error.to_string();
     let end = ["\n\nUsage:", "\n\nFor more information"].iter().filter_map(|part| text.find(part)).min();

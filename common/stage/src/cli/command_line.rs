@@ -1,10 +1,10 @@
-//! The command line as the history of an output keeps it.
+//! The canonical command line, as recorded in the history of an output.
 
 use isoparticles_file::history::file_name;
 use std::path::{Path, PathBuf};
 
-/// The command line as the history keeps it: `OUTPUT` for the names in `outputs`, file names for the other paths, and
-/// none of the shared options that do not change the result.
+/// The command line as recorded in the history. The paths in `outputs` become `OUTPUT`, and other
+/// paths become file names. Shared options that do not affect the result are left out.
 pub(super) fn canonical_command_line(
     tool: &str,
     arguments: impl Iterator<Item = String>,

@@ -1,4 +1,4 @@
-//! What a running stage says, times, counts and reports.
+//! The context of a running stage: messages, timing, progress, history and report.
 
 use super::report::Report;
 use super::{CommonArgs, Outcome, Progress, ProgressMode, interrupt};
@@ -13,10 +13,10 @@ use std::path::{Path, PathBuf};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::Instant;
 
-/// Version of every stage (they are released together).
+/// Version of all stages, which are released together.
 const VERSION: &str = env!("CARGO_PKG_VERSION");
 
-/// Handed to a stage for the length of one run.
+/// Passed to a stage for the duration of one run.
 pub struct Context {
     /// Name of the stage.
     pub tool: &'static str,
@@ -29,7 +29,7 @@ pub struct Context {
     state: Mutex<State>,
 }
 
-/// What is gathered during a run.
+/// Data collected during a run, for the history, the report and the closing table.
 #[derive(Default)]
 struct State {
     parameters: serde_json::Map<String, Value>,
@@ -40,7 +40,7 @@ struct State {
     closing: Vec<(String, String)>,
 }
 
-/// Measures one step of the work until it is dropped.
+/// Measures the time of one step until it is dropped.
 #[must_use = "the step ends when this is dropped"]
 pub struct Step<'a> {
     context: &'a Context,
@@ -69,7 +69,7 @@ impl Context {
         }
     }
 
-    /// The same, with the files that the run will write, none of which may be an input.
+    /// Sets the files that the run will write. None of them may be an input.
     pub(super) fn with_outputs(mut self, outputs: Vec<PathBuf>) -> Self {
         self.outputs = outputs;
         self
@@ -107,12 +107,13 @@ impl Context {
         self.state().warnings.push(message);
     }
 
-    /// Starts the clock of a step; it stops when the returned value is dropped. Steps of one name add up.
+    /// Starts timing a step, until the returned value is dropped. The times of steps with the same
+    /// name are added.
     pub fn step(&self, name: impl Into<String>) -> Step<'_> {
         Step { context: self, name: name.into(), started: Instant::now() }
     }
 
-    /// Shows progress of a piece of work, with a percentage when `total` is known.
+    /// Shows the progress of a computation, with a percentage if `total` is known.
     pub fn progress(&self, total: Option<u64>, label: &str) -> Progress {
         if self.common.quiet {
             return Progress::nothing(label, total);
@@ -127,41 +128,43 @@ impl Context {
         }
     }
 
-    /// Whether the user has asked to stop.
+    /// Whether the user has requested a stop.
     pub fn interrupted(&self) -> bool {
         interrupt::requested()
     }
 
-    /// Fails (exit code 130) when the user has asked to stop; long loops call it every so often.
+    /// Fails (exit code 130) if the user has requested a stop. Long loops call this regularly.
     pub fn check_interrupt(&self) -> Result<()> {
         Ok(Monitor::check(self)?)
     }
 
-    /// Puts a result into the report, under `results`.
+    /// Adds a value to the `results` of the report.
     pub fn report(&self, key: impl Into<String>, value: impl Into<Value>) {
         self.state().results.insert(key.into(), value.into());
     }
 
-    /// Puts a line into the closing table and into the report: the adapter used, the number of particles and the like.
+    /// Adds a line to the closing table and to the report, such as the adapter or the number of
+    /// particles.
     pub fn summary(&self, key: impl Into<String>, value: impl ToString) {
         let (key, value) = (key.into(), value.to_string());
         self.state().results.insert(key.clone(), Value::String(value.clone()));
         self.state().closing.push((key, value));
     }
 
-    /// Sets a parameter that was resolved during the run, for the history and the report.
+    /// Sets a parameter that was determined during the run, for the history and the report.
     pub fn set_parameter(&self, key: impl Into<String>, value: impl Into<Value>) {
         self.state().parameters.insert(key.into(), value.into());
     }
 
-    /// Hashes an input file and notes it, with the history that it carries, for the history and the report; its hash. Fails if the
-    /// file cannot be read, or is to be replaced by an output of this run.
+    /// Hashes an input file and returns the hash. Records the file and its history for the history
+    /// and the report. Fails if the file cannot be read or is an output of this run.
     pub fn add_input(&self, path: &Path, history: Option<History>) -> Result<String> {
         let [hash] = self.add_inputs([(path, history)])?;
         Ok(hash)
     }
 
-    /// The same for several, which are hashed side by side and noted in this order.
+    /// As [`Context::add_input`], for several files. They are hashed in parallel and recorded in
+    /// this order.
     pub fn add_inputs<const N: usize>(&self, inputs: [(&Path, Option<History>); N]) -> Result<[String; N]> {
         for (path, _) in &inputs {
             if self.outputs.iter().any(|output| super::same_file(output, path)) {
@@ -182,7 +185,7 @@ impl Context {
         Ok(hashes)
     }
 
-    /// The history of what this run writes. Call it after the parameters and inputs are known.
+    /// The history for the outputs of this run. Call it after all parameters and inputs are known.
     pub fn history(&self) -> History {
         let state = self.state();
         History {
@@ -194,8 +197,8 @@ impl Context {
         }
     }
 
-    /// Prints the closing table and the error, and writes the report. A report that cannot be written turns a run that
-    /// went well into an error.
+    /// Prints the closing table, writes the report and prints the error. If the report cannot be
+    /// written, a successful run becomes an error.
     pub(super) fn close(&self, result: Result<Outcome>) -> Result<Outcome> {
         if result.is_ok() {
             self.info(self.closing_table());
@@ -250,7 +253,7 @@ impl Context {
     }
 
     fn print(&self, text: &str) {
-        // A closed stderr must not end the run.
+        // a closed stderr must not end the run
         self.bars.suspend(|| {
             let _ = writeln!(std::io::stderr(), "{text}");
         });

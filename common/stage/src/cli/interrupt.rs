@@ -1,4 +1,5 @@
-//! SIGINT, SIGTERM and SIGHUP ask the run to stop. Long loops look at the flag; the second signal ends the program at once.
+//! SIGINT, SIGTERM and SIGHUP request the run to stop; long loops check the flag. The second signal
+//! ends the program at once.
 
 use isoparticles_file::output;
 use std::sync::Once;
@@ -7,7 +8,7 @@ pub use isoparticles_file::interrupt::requested;
 
 static INSTALL: Once = Once::new();
 
-/// Starts to listen for SIGINT, SIGTERM and SIGHUP (once in a process).
+/// Installs the handler for SIGINT, SIGTERM and SIGHUP, once per process.
 pub fn install() {
     INSTALL.call_once(|| {
         let handler = || {
@@ -16,7 +17,7 @@ pub fn install() {
                 std::process::exit(130);
             }
         };
-        // Without a handler the default action of the signal applies: the program ends, which is what was asked for.
+        // If the handler cannot be installed, the signal's default action ends the program.
         let _ = ctrlc::set_handler(handler);
     });
 }

@@ -1,14 +1,16 @@
-//! Memory: work that is expected to take more than there is, or more than is allowed, is refused before it starts.
+//! Refuses runs that are expected to need more memory than available or allowed, before they start.
 
 use super::Context;
 use crate::error::{Error, Result};
 use isoparticles_file::memory::available_memory;
 
 impl Context {
-    /// Refuses work that is expected to take more memory than `--max-memory`, or than the machine has free.
+    /// Refuses a run that is expected to need more memory than `--max-memory`, or than the machine
+    /// has free.
     ///
     /// # Errors
-    /// When `needed` bytes are more than that; `what` says of what (a file and a figure), `next` how to need less.
+    /// If `needed` bytes exceed the limit. `what` states the cause (a file and a number), `next`
+    /// how to need less.
     pub fn check_memory(&self, needed: f64, what: &str, next: &str) -> Result<()> {
         let (limit, whose) = match (self.common.max_memory, available_memory()) {
             (Some(limit), _) => (limit, "--max-memory allows"),
@@ -27,15 +29,16 @@ impl Context {
     }
 }
 
-/// Most memory that the stages hold for so many particles on a grid of so many nodes, bytes: `reconstruct` needs most, up to 1,403 bytes a particle
-/// (`docs/developer/performance.md`, real volumes), and 15.5 a node (`stages/distfield/benches/costs.py`).
+/// Maximum memory of the stages in bytes, for a number of particles and of grid nodes.
+/// `reconstruct` needs most: up to 1,403 bytes per particle (real volumes in
+/// `docs/developer/performance.md`) and 15.5 bytes per node (`stages/distfield/benches/costs.py`).
 pub fn particles_bytes(particles: f64, nodes: usize) -> f64 {
     1403.0 * particles + 15.5 * nodes as f64
 }
 
 const GIB: f64 = (1u64 << 30) as f64;
 
-/// Bytes as a person reads them.
+/// A number of bytes in GiB or MiB, for messages.
 fn in_words(bytes: f64) -> String {
     if bytes >= GIB { format!("{:.1} GiB", bytes / GIB) } else { format!("{:.0} MiB", bytes / (1u64 << 20) as f64) }
 }

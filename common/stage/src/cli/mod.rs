@@ -1,7 +1,7 @@
-//! What every stage program shares: the common options, the exit codes, and the frame that a run happens in.
+//! Shared parts of all stage programs: common options, exit codes, and the frame of a run.
 //!
-//! A stage derives `clap::Parser` for its own options, flattens [`CommonArgs`] into them, implements [`StageArgs`]
-//! and hands its work to [`run_stage`].
+//! A stage derives `clap::Parser` for its options, flattens [`CommonArgs`] into them, implements
+//! [`StageArgs`], and passes its main function to [`run_stage`].
 
 pub mod check;
 mod command_line;
@@ -23,56 +23,57 @@ use crate::output;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
-/// Help heading of the block of options that every stage has.
+/// Help heading of the options that every stage has.
 pub const SHARED_OPTIONS: &str = "Shared options";
-/// Help heading of the files a stage reads and writes.
+/// Help heading of the input and output files of a stage.
 pub const FILES: &str = "Files";
-/// Help heading of the options that change the result.
+/// Help heading of the options that affect the result.
 pub const METHOD: &str = "Method";
-/// Help heading of the options that change what is checked, not what is made.
+/// Help heading of the options that affect only the checks.
 pub const CHECKS: &str = "Checks";
-/// Beginning of the warning that names elements beyond a limit which the user accepts. The verdict
-/// of the case repeats it.
+/// Start of a warning about elements that violate a limit but that the user accepts. The verdict of
+/// the case repeats such warnings.
 pub const FIT_BUT_FOR: &str = "fit but for ";
 
-/// How progress is shown.
+/// How to show progress.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum)]
 pub enum ProgressMode {
-    /// A bar on a terminal, else lines.
+    /// A bar on a terminal, otherwise lines.
     #[default]
     Auto,
     /// A bar that is redrawn in place.
     Bar,
     /// A plain line every few seconds.
     Lines,
-    /// Nothing.
+    /// No progress.
     None,
 }
 
-// The options that every stage has, under the same names.
+// The options of every stage, with the same names.
 #[expect(missing_docs, reason = "clap prints a doc comment of flattened options as the description of the program")]
 #[derive(Clone, Debug, Default, clap::Args)]
 pub struct CommonArgs {
-    /// Say more on stderr (-vv: still more)
+    /// Print more to stderr (-vv: even more)
     #[arg(short, long, action = clap::ArgAction::Count, help_heading = SHARED_OPTIONS)]
     pub verbose: u8,
-    /// Print only warnings and errors, and no progress
+    /// Print only warnings and errors, no progress
     #[arg(short, long, conflicts_with = "verbose", help_heading = SHARED_OPTIONS)]
     pub quiet: bool,
-    /// Replace outputs that exist already; without it they are kept and the run is refused
+    /// Replace existing outputs; without this option they are kept and the run is refused
     #[arg(long, help_heading = SHARED_OPTIONS)]
     pub force: bool,
-    /// CPU threads to use, 0 for all cores; the result does not depend on it
+    /// Number of CPU threads, 0 for all cores; does not affect the result
     #[arg(long, value_name = "N", default_value_t = 0, help_heading = SHARED_OPTIONS)]
     pub threads: usize,
-    /// Most memory that the run may take, such as 8G or 500M: when more is expected it is refused before it starts, with
-    /// the figure [default: what the machine has free]
+    /// Maximum memory of the run, such as 8G or 500M; a run that is expected to need more is
+    /// refused before it starts [default: the free memory of the machine]
     #[arg(long, value_name = "BYTES", value_parser = values::bytes, help_heading = SHARED_OPTIONS)]
     pub max_memory: Option<u64>,
-    /// Seed of the random numbers, any whole number from 0; the same seed gives the same bytes
+    /// Seed of the random numbers, an integer from 0; the same seed gives the same output bytes
     #[arg(long, value_name = "N", default_value_t = 1, help_heading = SHARED_OPTIONS)]
     pub seed: u64,
-    /// Write what was done, measured and checked to this JSON file (always replaced)
+    /// Write a JSON report of all parameters, measurements and checks to this file (always
+    /// replaced)
     #[arg(long, value_name = "FILE.json", help_heading = SHARED_OPTIONS)]
     pub report: Option<PathBuf>,
     /// How to show progress on stderr
@@ -80,46 +81,48 @@ pub struct CommonArgs {
     pub progress: ProgressMode,
 }
 
-/// What [`run_stage`] needs to know of a stage's options.
+/// The properties of a stage's options that [`run_stage`] needs.
 pub trait StageArgs {
-    /// The flattened shared options.
+    /// The shared options.
     fn common(&self) -> &CommonArgs;
 
-    /// The files this run will write (not the report). They are checked before the work starts, and left out of the
-    /// history, so that the same input gives the same bytes whatever the output is called.
+    /// The files that this run will write, without the report. They are checked before the run
+    /// starts. The history does not contain them, so the same input gives the same bytes for any
+    /// output name.
     fn outputs(&self) -> Vec<PathBuf>;
 
-    /// The stage's parameters as they apply, defaults included, as a JSON object without output paths; the seed is
-    /// added by [`run_stage`]. What is resolved later goes through [`Context::set_parameter`].
+    /// The parameters in effect, including defaults, as a JSON object without output paths.
+    /// [`run_stage`] adds the seed. Parameters that are determined later are set with
+    /// [`Context::set_parameter`].
     fn parameters(&self) -> serde_json::Value;
 
-    /// Refuses the options that a run would refuse, before any work; returns what is known, with
-    /// what the options add.
+    /// Checks the options as a run would, but before any computation. Returns `known`, with what
+    /// the options add to it.
     ///
     /// # Errors
-    /// As a run with these options would.
+    /// If a run with these options would fail.
     fn check_options(&self, known: check::Known) -> Result<check::Known> {
         Ok(known)
     }
 }
 
-/// How a run that wrote its output ended.
+/// Outcome of a run that wrote its output.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Outcome {
-    /// Everything is as it should be: exit code 0.
+    /// All checks passed: exit code 0.
     Passed,
-    /// The output is there, but these checks failed: exit code 1.
+    /// The output was written, but these checks failed: exit code 1.
     ChecksFailed(Vec<String>),
 }
 
 impl Outcome {
-    /// `Passed` when there is no failed check.
+    /// `Passed` if there are no failed checks.
     pub fn from_failed_checks(failed: Vec<String>) -> Self {
         if failed.is_empty() { Self::Passed } else { Self::ChecksFailed(failed) }
     }
 }
 
-/// Exit code of a run; what each number means is in docs/developer/architecture.md.
+/// Exit code of a run; docs/developer/architecture.md lists all of them.
 pub fn exit_code(result: &Result<Outcome>) -> u8 {
     match result {
         Ok(Outcome::Passed) => 0,
@@ -132,11 +135,11 @@ pub fn exit_code(result: &Result<Outcome>) -> u8 {
     }
 }
 
-/// Stack of a thread, bytes: that of the main thread on Linux.
+/// Stack size of each thread in bytes: that of the main thread on Linux.
 const STACK: usize = 8 << 20;
 
-/// Runs a stage program: reads the command line, sets up threads and signals, checks the outputs, does the work, prints
-/// the closing table and the error, writes the report and returns the exit code.
+/// Runs a stage program. Parses the command line, sets up threads and signals, checks the outputs,
+/// calls `run`, prints the closing table and errors, writes the report, and returns the exit code.
 pub fn run_stage<A: clap::Parser + StageArgs + Sync>(
     tool: &'static str,
     run: impl FnOnce(&A, &Context) -> Result<Outcome> + Send,
@@ -151,7 +154,8 @@ pub fn run_stage<A: clap::Parser + StageArgs + Sync>(
     let args = match A::try_parse() {
         Ok(args) => args,
         Err(error) => {
-            // clap sends help and version to stdout and usage errors to stderr; a closed pipe is no failure of ours.
+            // clap prints help and version to stdout and usage errors to stderr; ignore a closed
+            // pipe
             let _ = error.print();
             return ExitCode::from(if error.use_stderr() { 2 } else { 0 });
         }
@@ -161,25 +165,26 @@ pub fn run_stage<A: clap::Parser + StageArgs + Sync>(
     let mut common = args.common().clone();
     let report = check_report(common.report.as_deref(), &outputs);
     if report.is_err() {
-        // Not even to tell of the error may a file be replaced that is no report.
+        // do not replace a file that is not a report, not even to report this error
         common.report = None;
     }
     let context = Context::new(tool, command_line, common, args.parameters()).with_outputs(outputs);
     interrupt::install();
     let ready = report.and_then(|()| prepare(&args, &context));
-    // on a thread of the pool: from any other, each of thousands of parallel loops would put it to sleep and wake it up again
+    // Run on a thread of the pool. A thread outside the pool would be suspended and woken again by
+    // each of thousands of parallel loops.
     let result = ready.and_then(|()| rayon::scope(|_| run(&args, &context)));
     let result = context.close(result);
     ExitCode::from(exit_code(&result))
 }
 
-/// Refuses a report that would replace an output of this run, or a file that is no report.
+/// Refuses a report path that would replace an output of this run or a file that is not a report.
 fn check_report(report: Option<&Path>, outputs: &[PathBuf]) -> Result<()> {
     let Some(path) = report else { return Ok(()) };
     output::check_output(path, true)?;
     let mut start = [b'{'];
     if path.is_file() {
-        // An empty file leaves the brace; nothing is lost with it.
+        // an empty file leaves the initial brace, so it may be replaced
         let _ = std::fs::File::open(path).and_then(|mut file| std::io::Read::read(&mut file, &mut start));
     }
     if outputs.iter().any(|output| output == path || same_file(output, path)) || start != [b'{'] {
@@ -192,7 +197,7 @@ fn check_report(report: Option<&Path>, outputs: &[PathBuf]) -> Result<()> {
     Ok(())
 }
 
-/// Whether two names are those of one existing file.
+/// Whether two paths refer to the same existing file.
 fn same_file(a: &Path, b: &Path) -> bool {
     match (a.canonicalize(), b.canonicalize()) {
         (Ok(a), Ok(b)) => a == b,
@@ -200,10 +205,10 @@ fn same_file(a: &Path, b: &Path) -> bool {
     }
 }
 
-/// Everything that can be refused before the work starts.
+/// Sets up the threads, and checks everything that can be refused before the run starts.
 fn prepare<A: StageArgs>(args: &A, context: &Context) -> Result<()> {
     let common = args.common();
-    // 0 is a thread for each core
+    // 0 means one thread per core
     let pool = rayon::ThreadPoolBuilder::new().num_threads(common.threads).stack_size(STACK);
     if pool.build_global().is_err() {
         context.verbose("the thread pool was set up already; --threads has no effect");

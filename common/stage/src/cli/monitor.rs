@@ -1,4 +1,5 @@
-//! A running stage as the monitor of its algorithms: times on the closing table, progress on the terminal, signals.
+//! Implements [`Monitor`] for the context of a stage: phases appear in the closing table, counters
+//! as progress on the terminal, and signals interrupt.
 
 use super::{Context, Progress, Step, interrupt};
 use isoparticles_file::monitor::{Counter, Interrupted, Monitor, Phase};

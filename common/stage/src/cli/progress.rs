@@ -1,4 +1,5 @@
-//! Honest progress on stderr: a percentage where the total is known, else what has been done and how long it took.
+//! Progress on stderr: a percentage if the total is known, otherwise the message and the elapsed
+//! time.
 
 use indicatif::{MultiProgress, ProgressBar, ProgressStyle};
 use std::io::Write;
@@ -6,10 +7,10 @@ use std::sync::Mutex;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
-/// Time between two lines of progress.
+/// Time between two progress lines.
 const LINE_INTERVAL: Duration = Duration::from_secs(5);
 
-/// Progress of one piece of work; may be shared by threads. It ends when it is dropped.
+/// Progress of one computation, which threads may share. It ends when it is dropped.
 pub struct Progress {
     label: String,
     total: Option<u64>,
@@ -57,19 +58,19 @@ impl Progress {
         Self { label: label.to_owned(), total, done: AtomicU64::new(0), started: Instant::now(), shown }
     }
 
-    /// Adds `amount` to what has been done. Cheap, but call it once a slice or a chunk, not once a voxel.
+    /// Adds `amount` to the completed work. Cheap, but call it per slice or chunk, not per voxel.
     pub fn add(&self, amount: u64) {
         let done = self.done.fetch_add(amount, Ordering::Relaxed).saturating_add(amount);
         self.show(done);
     }
 
-    /// Sets what has been done.
+    /// Sets the amount of completed work.
     pub fn set(&self, done: u64) {
         self.done.store(done, Ordering::Relaxed);
         self.show(done);
     }
 
-    /// Sets the text beside the figure, such as "iteration 12, energy 0.712, 11209 particles".
+    /// Sets the text next to the percentage, such as "iteration 12, energy 0.712, 11209 particles".
     pub fn message(&self, text: impl Into<String>) {
         match &self.shown {
             Shown::Bar(bar) => bar.set_message(text.into()),
@@ -108,7 +109,7 @@ impl Drop for Progress {
     }
 }
 
-/// One line of plain progress.
+/// One plain progress line.
 fn line(label: &str, total: Option<u64>, done: u64, elapsed: Duration, message: &str) -> String {
     let mut text = match total {
         Some(total) if total > 0 => format!("{label}: {:.0} %", 100.0 * done.min(total) as f64 / total as f64),

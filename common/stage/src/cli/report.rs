@@ -7,7 +7,7 @@ use isoparticles_file::history::History;
 use serde_json::{Map, Value, json};
 use std::path::Path;
 
-/// Everything that a report says.
+/// The contents of a report.
 pub(super) struct Report<'a> {
     pub(super) history: &'a History,
     pub(super) threads: usize,
@@ -19,7 +19,7 @@ pub(super) struct Report<'a> {
 }
 
 impl Report<'_> {
-    /// Writes the report; also after an interrupt.
+    /// Writes the report, even after an interrupt.
     pub(super) fn write(&self, path: &Path) -> Result<()> {
         let text = serde_json::to_string_pretty(&self.json()).map_err(|error| {
             Error::input(

@@ -1,8 +1,10 @@
-//! What shells and `man` read of a program, made of its own command line: `--completions SHELL [SUBCOMMAND]`, `--man-page [SUBCOMMAND]` and
-//! `--command-line`, alone on the command line.
+//! Shell completions, manual pages and a machine-readable description of the options, made from
+//! clap's definition of the command line: `--completions SHELL [SUBCOMMAND]`, `--man-page
+//! [SUBCOMMAND]` and `--command-line`. Each must be alone on the command line.
 //!
-//! They stand beside the options, not among them, because a stage cannot run without its files; `make completions` calls them. By `--command-line` a stage, in
-//! whichever language, tells the command that calls it what may follow its name ([`CommandLine`]).
+//! These words are not options, because a stage cannot run without its files. `make completions`
+//! calls them. With `--command-line`, a stage in any language describes its options to a calling
+//! program ([`CommandLine`]).
 
 use crate::error::Error;
 use clap::{Arg, ArgAction, Command, ValueEnum, ValueHint};
@@ -11,34 +13,34 @@ use serde::{Deserialize, Serialize};
 use std::io::Write;
 use std::process::ExitCode;
 
-/// What a stage may be given, as JSON between programs.
+/// The options of a stage, exchanged between programs as JSON.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct CommandLine {
     /// Name of the program.
     pub name: String,
-    /// Its options; files that have no name of an option are not told one by one.
+    /// The options; positional files are not listed.
     pub options: Vec<StageOption>,
 }
 
 /// An option of a stage.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct StageOption {
-    /// Its name, without dashes.
+    /// Long name, without dashes.
     pub long: String,
-    /// Its letter, if it has one.
+    /// Short name, if there is one.
     pub short: Option<char>,
-    /// What follows it, such as `<mm>`; none for a switch.
+    /// Placeholder of the value, such as `<mm>`; none for a switch.
     pub value: Option<String>,
-    /// The words that may follow it; empty where anything may.
+    /// Allowed values; empty if any value is allowed.
     pub words: Vec<String>,
-    /// Whether a file or a folder follows it.
+    /// Whether the value is a file or folder.
     pub is_path: bool,
-    /// What it is for.
+    /// Help text.
     pub help: String,
 }
 
 impl CommandLine {
-    /// That of a program which clap reads the command line of.
+    /// The options of a program that parses its command line with clap.
     fn of(command: &Command) -> Self {
         let told = |arg: &Arg| {
             let value = arg.get_value_names().and_then(|names| names.first()).map(ToString::to_string);
@@ -58,10 +60,10 @@ impl CommandLine {
         }
     }
 
-    /// The same as a subcommand of another program, its files included.
+    /// This description as a subcommand of another program, including its files.
     #[must_use]
     pub fn command(&self) -> Command {
-        // clap keeps names for as long as the program runs, which here is to print them
+        // clap keeps names until the program ends, which is right after printing them
         let kept = |text: &str| -> &'static str { text.to_owned().leak() };
         let arg = |option: &StageOption| {
             let arg = Arg::new(kept(&option.long)).long(kept(&option.long)).help(option.help.clone());
@@ -79,15 +81,16 @@ impl CommandLine {
     }
 }
 
-/// What says of a value that it is a path.
+/// The hints that mark a value as a path.
 const PATHS: [ValueHint; 3] = [ValueHint::AnyPath, ValueHint::FilePath, ValueHint::DirPath];
 
-/// Whether nothing follows an option. Help and version, which clap has of itself, are in every program.
+/// Whether an option takes no value. Every program has the help and version switches of clap.
 fn is_switch(arg: &Arg) -> bool {
     matches!(arg.get_action(), ArgAction::SetTrue | ArgAction::SetFalse | ArgAction::Count)
 }
 
-/// Prints what the words of the command line ask for, and gives the exit code; `None` when they ask for something else.
+/// Prints what the command line requests and returns the exit code. Returns `None` if it requests
+/// none of the above.
 pub fn told(words: &[&str], command: impl FnOnce() -> Command) -> Option<ExitCode> {
     let text = match *words {
         ["--man-page"] => man_page(command(), None),
@@ -106,7 +109,7 @@ pub fn told(words: &[&str], command: impl FnOnce() -> Command) -> Option<ExitCod
         },
         _ => return None,
     };
-    // A closed pipe is no failure of ours.
+    // ignore a closed pipe
     let _ = std::io::stdout().write_all(&text);
     Some(ExitCode::SUCCESS)
 }
@@ -120,8 +123,8 @@ fn unknown(shell: &str) -> Error {
     )
 }
 
-/// The script that completes the program's options in a shell, or those of one of its subcommands as of a program of that name; empty where
-/// there is no such subcommand.
+/// Completion script for the options of the program, or of one of its subcommands as if that were a
+/// program. Empty if there is no such subcommand.
 fn completions(shell: Shell, command: Command, subcommand: Option<&str>) -> Vec<u8> {
     let command = match subcommand {
         Some(name) => command.find_subcommand(name).cloned(),
@@ -135,7 +138,8 @@ fn completions(shell: Shell, command: Command, subcommand: Option<&str>) -> Vec<
     text
 }
 
-/// The program's page of the manual, or that of one of its subcommands, in roff; empty where there is no such subcommand.
+/// Manual page of the program or one of its subcommands, in roff. Empty if there is no such
+/// subcommand.
 fn man_page(mut command: Command, subcommand: Option<&str>) -> Vec<u8> {
     command.build();
     let page = match subcommand {

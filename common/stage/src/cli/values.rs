@@ -1,27 +1,27 @@
-//! Parsers of the numbers that options take, with the bounds said in words; how lengths are
-//! printed.
+//! Parsers of numeric option values, with errors that state the bounds, and formatting of lengths.
 
-/// A finite number above 0.
+/// Parses a finite number above 0.
 pub fn positive(text: &str) -> Result<f64, String> {
     number(text, |x| x > 0.0, "must be finite and above 0")
 }
 
-/// A finite number, 0 or above.
+/// Parses a finite number from 0.
 pub fn not_negative(text: &str) -> Result<f64, String> {
     number(text, |x| x >= 0.0, "must be finite and not below 0")
 }
 
-/// A number from 0 to 1.
+/// Parses a number from 0 to 1.
 pub fn share(text: &str) -> Result<f64, String> {
     number(text, |x| (0.0..=1.0).contains(&x), "must be from 0 to 1")
 }
 
-/// A finite number above 1.
+/// Parses a finite number above 1.
 pub fn above_one(text: &str) -> Result<f64, String> {
     number(text, |x| x > 1.0, "must be finite and above 1")
 }
 
-/// A number of bytes above 0, with K, M, G or T for powers of 1024: `8G`, `500M`, `1.5GiB`.
+/// Parses a number of bytes above 0; K, M, G and T stand for powers of 1024: `8G`, `500M`,
+/// `1.5GiB`.
 pub fn bytes(text: &str) -> Result<u64, String> {
     let must = "must be a number of bytes above 0, such as 8G or 500M";
     let lower = text.trim().to_ascii_lowercase();
@@ -41,13 +41,13 @@ pub fn bytes(text: &str) -> Result<u64, String> {
     }
 }
 
-/// A length, area or volume as text: four decimals, or below 0.01 four significant digits, so that
-/// no small one reads as 0.
+/// A length, area or volume as text, with four decimals. Below 0.01 it has four significant digits
+/// instead, so that small values do not become 0.
 pub fn significant(value: f64) -> String {
     if value != 0.0 && value.abs() < 0.01 { format!("{value:.3e}") } else { format!("{value:.4}") }
 }
 
-/// A place as text, each coordinate as by [`significant`].
+/// A position as text, with each coordinate formatted by [`significant`].
 pub fn place(position: [f64; 3]) -> String {
     position.map(significant).join(" ")
 }

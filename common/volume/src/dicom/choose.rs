@@ -1,4 +1,4 @@
-//! Which series of a folder is meant.
+//! Chooses the series to read from a folder of DICOM images.
 
 use super::slice::{Picture, SeriesName, Slice};
 use crate::error::bad;
@@ -6,12 +6,13 @@ use crate::error::{Error, Result};
 use std::collections::BTreeMap;
 use std::path::Path;
 
-/// The images of a series that are of one kind of DICOM object: what a stack is made of.
+/// The images of one series that have the same kind of DICOM object (SOP class). A stack is made
+/// from one group.
 type Group = Vec<Picture>;
 
-/// The slices that are meant, their kind of DICOM object, and remarks on what was passed over.
-/// `wanted` names a series by its UID, its number or its description. Where several are meant, the
-/// only one that is a stack of slices is taken.
+/// Returns the chosen slices, their SOP class, and remarks on the series that were left out.
+/// `wanted` is the UID, number or description of a series. If several groups match, the only one
+/// that is a stack of slices is chosen. Fails if there is none or more than one.
 pub(super) fn choose(
     folder: &Path,
     pictures: Vec<Picture>,
@@ -47,12 +48,12 @@ fn is_meant(series: &SeriesName, wanted: Option<&str>) -> bool {
     })
 }
 
-/// Whether all images are slices, and several.
+/// Whether the group has several images and all of them are slices.
 fn is_stack(group: &Group) -> bool {
     group.len() > 1 && group.iter().all(|picture| picture.slice.is_ok())
 }
 
-/// A series in words, with what keeps it from being a stack.
+/// Describes a series, and why it is not a stack.
 fn described(group: &Group) -> String {
     let SeriesName { uid, number, description, modality } = &group[0].series;
     let why = group.iter().find_map(|picture| picture.slice.as_ref().err());

@@ -1,5 +1,6 @@
-//! Whether the elements of a DICOM file lie within it: dicom-rs 0.10 takes the memory for a value before it reads it, up to 4 GiB. Its own lazy reader finds
-//! the elements here, and no value is read.
+//! Checks that the elements of a DICOM file lie within the file. dicom-rs 0.10 allocates memory for
+//! a value before it reads it, up to 4 GiB. This check uses the lazy reader of dicom-rs, which
+//! finds the elements without reading their values.
 
 use super::source::{self, PREAMBLE, START, Source};
 use dicom_encoding::decode::{Decode, explicit_le::ExplicitVRLittleEndianDecoder};
@@ -11,10 +12,11 @@ use dicom_transfer_syntax_registry::TransferSyntaxRegistry;
 use std::io::{self, BufReader, Read, Seek, SeekFrom};
 use std::path::Path;
 
-/// Whether all elements can be followed to the end of the file and none promises more bytes than it has.
+/// Whether all elements can be followed to the end of the file, and none of them is longer than the
+/// rest of the file.
 ///
 /// # Errors
-/// When the file cannot be read.
+/// If the file cannot be read.
 pub(super) fn lie_within(path: &Path) -> io::Result<bool> {
     let (mut reader, end) = source::open(path)?;
     if !file_group_lies_within(&mut reader, end)? {
@@ -25,7 +27,7 @@ pub(super) fn lie_within(path: &Path) -> io::Result<bool> {
     let Some(syntax) = TransferSyntaxRegistry.get(group.transfer_syntax()) else { return Ok(true) };
     let Ok(mut elements) = LazyDataSetReader::new_with_ts(reader, syntax) else { return Ok(true) };
     while let Some(token) = elements.advance() {
-        // beyond what it cannot follow, the reader of values may
+        // the reader of values may continue where the lazy reader cannot
         let Ok(token) = token else { return Ok(false) };
         let (length, position) = match &token {
             LazyDataToken::LazyValue { header, decoder } => (header.len.0, decoder.position()),
@@ -42,7 +44,8 @@ pub(super) fn lie_within(path: &Path) -> io::Result<bool> {
     Ok(true)
 }
 
-/// The same of the file's own group, which is written in one way in all files and says in its first element how long it is.
+/// As [`lie_within`], for the file meta group. Its encoding is the same in all files, and its first
+/// element holds its length.
 fn file_group_lies_within(reader: &mut BufReader<Box<dyn Source>>, end: u64) -> io::Result<bool> {
     reader.seek(SeekFrom::Start(START as u64))?;
     let decoder = ExplicitVRLittleEndianDecoder::default();
@@ -78,7 +81,7 @@ mod tests {
         lie_within(&path).expect("read")
     }
 
-    /// A file's own group with a transfer syntax, and elements behind it.
+    /// A file meta group with a transfer syntax, followed by elements.
     fn dicom(syntax: &[u8], elements: &[u8]) -> Vec<u8> {
         let mut bytes = [vec![0; 128], b"DICM".to_vec()].concat();
         bytes.extend(b"\x02\x00\x00\x00UL\x04\x00");
@@ -90,7 +93,8 @@ mod tests {
         bytes
     }
 
-    /// Fuzzing, 1: bytes of no given length under another tag than that of pixels, in whose items dicom-rs reads elements.
+    /// Found by fuzzing (1): bytes of undefined length under a tag other than pixel data. dicom-rs
+    /// reads elements in their items.
     #[test]
     fn elements_in_items_of_bytes_lie_within_as_well() {
         let says = |length: u32| {
@@ -103,7 +107,8 @@ mod tests {
         assert!(!says(0xff00_0058) && says(0));
     }
 
-    /// Fuzzing, 3: the name of the transfer syntax ends with more zeros than one, and dicom-rs takes it for what it is without them.
+    /// Found by fuzzing (3): the name of the transfer syntax ends with several zeros, which
+    /// dicom-rs ignores.
     #[test]
     fn elements_are_read_as_dicom_rs_reads_them() {
         let says = |length: u32| {
@@ -112,11 +117,12 @@ mod tests {
             elements.extend([b' '; 0x4353]);
             lies_within(&dicom(b"1.2.840.10008.1.2\0\0\0", &elements))
         };
-        // as an explicit element the length would begin with the letters CS and say 2
+        // read as an explicit element, the length would start with the letters CS and be 2
         assert!(!says(0x0002_5343) && says(0x4352));
     }
 
-    /// Fuzzing, 4: an element in an item that the lazy reader cannot follow, and the reader of values takes for one of 2 GiB.
+    /// Found by fuzzing (4): an element in an item that the lazy reader cannot follow. The reader
+    /// of values takes it for one of 2 GiB.
     #[test]
     fn what_cannot_be_followed_does_not_lie_within() {
         assert!(!lies_within(include_bytes!("../../tests/data/found/4.dcm")));

@@ -1,7 +1,8 @@
-//! A folder of DICOM files: the slices of one series become a volume. The world is LPS.
+//! Reads a folder of DICOM files: the slices of one series become a volume. The world frame is LPS.
 //!
-//! Headers and pixels are decoded by dicom-rs. What the slices mean together is decided here: which series ([`choose`]), in which order and
-//! how far apart ([`stack`]), in which type of number ([`Pixels`](slice::Pixels)).
+//! dicom-rs decodes headers and pixels. This module chooses the series ([`choose`]), sorts the
+//! slices and determines their distance ([`stack`]), and chooses the number type
+//! ([`Pixels`](slice::Pixels)).
 
 mod choose;
 mod lengths;
@@ -19,12 +20,12 @@ use slice::{Found, Picture};
 use std::io::Read;
 use std::path::{Path, PathBuf};
 
-/// Whether the first bytes of a file are those of a DICOM file.
+/// Whether a file with these first bytes is a DICOM file.
 pub(crate) fn is_dicom(start: &[u8]) -> bool {
     source::missing(start).is_some()
 }
 
-/// Reads the series of a folder that `wanted` names, or the only one.
+/// Reads the series that `wanted` selects from a folder, or the only series.
 pub(crate) fn read_folder(folder: &Path, wanted: Option<&str>) -> Result<Volume> {
     let files = dicom_files(folder)?;
     let (mut pictures, mut no_images) = (Vec::new(), Vec::new());
@@ -54,7 +55,7 @@ pub(crate) fn read_folder(folder: &Path, wanted: Option<&str>) -> Result<Volume>
     Ok(Volume { remarks, ..Volume::new(stack.geometry, voxels) })
 }
 
-/// The DICOM files of a folder, sorted by name; not those of the folders in it.
+/// The DICOM files directly in a folder, sorted by name.
 fn dicom_files(folder: &Path) -> Result<Vec<PathBuf>> {
     let cannot = |error: std::io::Error| Error::file(folder, "read", error, "check the name of the folder");
     let mut files = Vec::new();
@@ -87,7 +88,8 @@ fn dicom_files(folder: &Path) -> Result<Vec<PathBuf>> {
     ))
 }
 
-/// Whether a file starts as DICOM files do. A file that cannot be read is none; if a slice is lost by that, the stack has a gap.
+/// Whether a file starts like a DICOM file. False if it cannot be read; a missing inner slice is
+/// then found as a gap in the stack.
 fn is_dicom_file(path: &Path) -> bool {
     let mut start = Vec::new();
     let read = std::fs::File::open(path).and_then(|file| file.take(source::START as u64).read_to_end(&mut start));

@@ -1,4 +1,4 @@
-//! One slice: what its header says of its place and its numbers, and its pixels.
+//! Reads one slice: position and number format from its header, and its pixels.
 
 use super::{lengths, rle, source};
 use crate::error::bad;
@@ -11,16 +11,16 @@ use glam::DVec3;
 use std::io::BufReader;
 use std::path::{Path, PathBuf};
 
-/// Transfer syntax of pixels in [`rle`].
+/// Transfer syntax of pixels that [`rle`] decodes.
 const RLE_LOSSLESS: &str = "1.2.840.10008.1.2.5";
 
-/// A file that holds an image, which may be a slice of a volume.
+/// A file that contains an image, which may be a slice of a volume.
 #[derive(Debug)]
 pub(super) struct Picture {
-    /// What kind of DICOM object it is (SOP class).
+    /// Kind of DICOM object (SOP class UID).
     pub(super) class: String,
     pub(super) series: SeriesName,
-    /// The slice, or why it is none.
+    /// The slice, or why the image is not a slice.
     pub(super) slice: Result<Slice>,
 }
 
@@ -30,24 +30,24 @@ pub(super) struct Slice {
     pub(super) path: PathBuf,
     pub(super) columns: usize,
     pub(super) rows: usize,
-    /// World vector from a pixel to the next one in its row, mm.
+    /// World vector from a pixel to the next pixel in its row, mm.
     pub(super) along_row: DVec3,
-    /// World vector from a pixel to the next one in its column, mm.
+    /// World vector from a pixel to the next pixel in its column, mm.
     pub(super) along_column: DVec3,
     /// World position of the centre of the first pixel, mm.
     pub(super) position: DVec3,
     pub(super) pixels: Pixels,
 }
 
-/// What a DICOM file turned out to be.
+/// The contents of a DICOM file.
 pub(super) enum Found {
     /// An image.
     Image(Box<Picture>),
-    /// A report, a directory, contours; or a slice whose header is cut short.
+    /// A report, a directory or contours, or a slice whose header is cut short.
     NoImage { path: PathBuf, class: String },
 }
 
-/// What a series is called.
+/// The identification of a series.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) struct SeriesName {
     pub(super) uid: String,
@@ -56,14 +56,15 @@ pub(super) struct SeriesName {
     pub(super) modality: String,
 }
 
-/// How stored pixels become values: their width and sign, and the slope and intercept of the modality (Hounsfield units in a CT).
+/// How stored pixels are converted to values: width, sign, and the rescale slope and intercept (to
+/// Hounsfield units in a CT).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Pixels {
-    /// Bytes that a pixel is stored in: 1, 2 or 4.
+    /// Bytes per stored pixel: 1, 2 or 4.
     bytes: usize,
-    /// Bits that count, of those that are stored.
+    /// Number of significant bits.
     bits: u32,
-    /// The highest of them; bits above it may hold overlays.
+    /// The highest significant bit; bits above it may hold overlays.
     high_bit: u32,
     is_signed: bool,
     slope: f64,
@@ -107,7 +108,7 @@ impl Slice {
         header.check_plain()?;
         let orientation = header.numbers::<6>(tags::IMAGE_ORIENTATION_PATIENT, "ImageOrientationPatient")?;
         let position = header.numbers::<3>(tags::IMAGE_POSITION_PATIENT, "ImagePositionPatient")?;
-        // the first number is the distance of the rows, the second that of the columns
+        // the first number is the distance between rows, the second that between columns
         let spacing = header.numbers::<2>(tags::PIXEL_SPACING, "PixelSpacing")?;
         let (row, column) = (DVec3::from_slice(&orientation[..3]), DVec3::from_slice(&orientation[3..]));
         // directions are decimal text, which some programs round to four digits
@@ -126,7 +127,7 @@ impl Slice {
         })
     }
 
-    /// Reads and decodes the pixels, and turns them into values, row by row.
+    /// Reads and decodes the pixels and converts them to values, row by row.
     pub(super) fn values(&self) -> Result<Vec<f64>> {
         let path = &self.path;
         let object = dicom_object::from_reader(opened(path)?).map_err(|error| damaged(path, &error))?;
@@ -154,10 +155,10 @@ impl Slice {
         )
     }
 
-    /// The stored numbers in decoded bytes, which are in the order of this machine.
+    /// The stored numbers in the decoded bytes, which are in native byte order.
     fn numbers(&self, bytes: &[u8]) -> Result<Vec<u64>> {
         let (count, width) = (self.rows * self.columns, self.pixels.bytes);
-        // an odd number of bytes is padded to an even one
+        // decoders pad an odd number of bytes to an even number
         if !(bytes.len() == count * width || bytes.len() == (count * width).next_multiple_of(2)) {
             return Err(bad(
                 &self.path,
@@ -188,7 +189,7 @@ impl Pixels {
         whole as f64 * self.slope + self.intercept
     }
 
-    /// Smallest and largest value that there can be.
+    /// Minimum and maximum of the possible values.
     fn range(&self) -> (f64, f64) {
         let (low, high) = match self.is_signed {
             true => (-(2f64.powi(self.bits as i32 - 1)), 2f64.powi(self.bits as i32 - 1) - 1.0),
@@ -202,7 +203,8 @@ impl Pixels {
         self.slope.fract() == 0.0 && self.intercept.fract() == 0.0
     }
 
-    /// The smallest type that holds every value of all slices without rounding, or single precision where values are no whole numbers.
+    /// The smallest type that holds all values of all slices exactly; single precision if values
+    /// are not integers.
     pub(super) fn common_type(all: impl Iterator<Item = Self> + Clone) -> ScalarType {
         if !all.clone().all(|pixels| pixels.is_whole()) {
             return ScalarType::F32;
@@ -220,7 +222,7 @@ impl Pixels {
         }
     }
 
-    /// What is done to the stored numbers, in words, if anything is.
+    /// Describes the conversion of the stored numbers, if there is any.
     pub(super) fn remark(&self) -> Option<String> {
         (self.slope != 1.0 || self.intercept != 0.0).then(|| {
             format!("the values are the stored ones times {} plus {}, as the slices say", self.slope, self.intercept)
@@ -228,20 +230,20 @@ impl Pixels {
     }
 }
 
-/// A header with the file it came from.
+/// A header and the path of its file.
 struct Header<'a> {
     path: &'a Path,
     object: &'a DefaultDicomObject,
 }
 
 impl Header<'_> {
-    /// Text of an element, empty where it is not there.
+    /// Text of an element; empty if the element is missing.
     fn text(&self, tag: Tag) -> String {
         let text = self.object.get(tag).and_then(|element| element.to_str().ok());
         text.map_or_else(String::new, |text| text.trim_matches([' ', '\0']).to_owned())
     }
 
-    /// A whole number from 0 that is not greater than 16 bits hold; `None` where it is not there.
+    /// An integer from 0 to 65,535; `None` if the element is missing.
     fn whole(&self, tag: Tag) -> Result<Option<usize>> {
         let Some(element) = self.object.get(tag) else { return Ok(None) };
         match element.to_int::<u16>() {
@@ -250,7 +252,7 @@ impl Header<'_> {
         }
     }
 
-    /// `COUNT` finite numbers of an element that must be there.
+    /// `COUNT` finite numbers of a required element.
     fn numbers<const COUNT: usize>(&self, tag: Tag, name: &str) -> Result<[f64; COUNT]> {
         let Some(element) = self.object.get(tag) else {
             return Err(bad(
@@ -266,7 +268,7 @@ impl Header<'_> {
             .ok_or_else(|| self.meaningless(name, &self.text(tag)))
     }
 
-    /// One number, or what stands for it where it is not there.
+    /// A number, or `default` if the element is missing.
     fn number_or(&self, tag: Tag, name: &str, default: f64) -> Result<f64> {
         match self.object.get(tag) {
             None => Ok(default),
@@ -284,7 +286,7 @@ impl Header<'_> {
         )
     }
 
-    /// Fails unless the file is one slice with one number a pixel.
+    /// Fails unless the file is a single slice with one number per pixel.
     fn check_plain(&self) -> Result<()> {
         let frames = self.text(tags::NUMBER_OF_FRAMES);
         if !matches!(frames.as_str(), "" | "1") {
@@ -342,7 +344,7 @@ fn damaged(path: &Path, error: &impl std::error::Error) -> Error {
     )
 }
 
-/// The causes of an error, one after the other.
+/// An error and all its causes as one text.
 fn reason(error: &dyn std::error::Error) -> String {
     let mut text = error.to_string();
     let mut source = error.source();

@@ -1,26 +1,27 @@
-//! The bytes of a DICOM file, with the start that the standard demands where a program left it out.
+//! The bytes of a DICOM file. Adds the start that the standard requires if the writing program left
+//! it out.
 
 use dicom_dictionary_std::uids;
 use std::fs::File;
 use std::io::{self, BufReader, Cursor, Read, Seek, SeekFrom};
 use std::path::Path;
 
-/// Bytes of the preamble, which may hold anything, and with the letters DICM behind it.
+/// Length of the preamble, whose contents are arbitrary. The letters DICM follow it.
 pub(super) const PREAMBLE: usize = 128;
 pub(super) const START: usize = PREAMBLE + 4;
 
-/// Tag of the first element of a file's own group, and of the group that a data set begins with, in
-/// little-endian order.
+/// Tag of the first element of the file meta group, and the group number that a data set starts
+/// with. Both are little-endian.
 const FILE_GROUP: &[u8] = &[2, 0, 0, 0];
 const FIRST_GROUP: &[u8] = &[8, 0];
 
-/// Largest length of a data set's first element: character sets, dates and identifiers take no
-/// more.
+/// Maximum length of the first element of a data set. Character sets, dates and identifiers are not
+/// longer.
 const LARGEST_LENGTH: u8 = 64;
 
-/// What a file lacks before its first byte, given the first bytes that it has; `None` where these
-/// are not those of a DICOM file. A data set without a file's own group is in little-endian order,
-/// its types explicit or not.
+/// The bytes missing before the start of a file, given its first bytes. `None` if these are not the
+/// start of a DICOM file. A data set without a file meta group is little-endian, with explicit or
+/// implicit types.
 pub(super) fn missing(start: &[u8]) -> Option<Vec<u8>> {
     let preamble = || vec![0; PREAMBLE];
     if start.get(PREAMBLE..START) == Some(b"DICM") {
@@ -44,7 +45,7 @@ pub(super) fn missing(start: &[u8]) -> Option<Vec<u8>> {
     Some([whole, file_group(syntax)].concat())
 }
 
-/// A file's own group that says nothing but the transfer syntax.
+/// A file meta group that contains only the transfer syntax.
 fn file_group(syntax: &str) -> Vec<u8> {
     let mut name = syntax.as_bytes().to_vec();
     name.resize(name.len().next_multiple_of(2), 0);
@@ -55,12 +56,12 @@ fn file_group(syntax: &str) -> Vec<u8> {
     [b"\x02\x00\x00\x00UL\x04\x00", &length[..], &element].concat()
 }
 
-/// What dicom-rs reads from.
+/// The source that dicom-rs reads from.
 pub(super) trait Source: Read + Seek {}
 impl<T: Read + Seek> Source for T {}
 
-/// Opens a file, and says how many bytes there are with what it lacks. Only a file that lacks
-/// something is held in memory.
+/// Opens a file. Returns the reader and the number of bytes, including the added start. Only a file
+/// with an added start is held in memory.
 pub(super) fn open(path: &Path) -> io::Result<(BufReader<Box<dyn Source>>, u64)> {
     let mut file = File::open(path)?;
     let mut start = Vec::new();

@@ -1,4 +1,5 @@
-//! Slices in their order: the grid that they make, if they make one.
+//! Sorts slices and determines the grid that they form; refuses slices that do not form a regular
+//! grid.
 
 use super::slice::{Pixels, Slice};
 use crate::error::Result;
@@ -9,31 +10,32 @@ use crate::voxels::ScalarType;
 use glam::DVec3;
 use std::path::Path;
 
-/// How far, as a part of the distance of the slices, a slice may lie from its place in an even
-/// stack: a tenth of a voxel, as far as the surface of labels keeps from voxel centres. Where one
-/// slice is missing, a slice is off by half and more.
+/// Maximum distance of a slice from its place in an even stack, in slice distances. If a slice is
+/// missing, some slice is off by at least half a distance.
 const LARGEST_SHIFT: f64 = 0.1;
 
-/// Shifts above this part are told: positions rounded to a hundredth of a mm are off by 0.5 % where
-/// slices are 1 mm apart.
+/// Shifts above this are reported, in slice distances. Positions rounded to 0.01 mm are off by 0.5
+/// % for slices 1 mm apart.
 const TOLD_SHIFT: f64 = 0.01;
 
-/// Positions closer than this part of the mean distance are one and the same place.
+/// Positions closer than this, in mean slice distances, count as equal.
 const SAME_PLACE: f64 = 0.01;
 
-/// Largest difference of the pixel vectors of two slices, as a part of their length: rounding in the text of the headers.
+/// Maximum difference between the pixel vectors of two slices, relative to their length. Allows for
+/// rounding in the text of the headers.
 const LARGEST_TURN: f64 = 1e-3;
 
-/// The slices of a volume from the first to the last, and its grid.
+/// The slices of a volume from the first to the last, and their grid.
 pub(super) struct Stack {
     pub(super) slices: Vec<Slice>,
     pub(super) geometry: Geometry,
-    /// The largest distance of a slice from its place, as a part of the distance of the slices.
+    /// Maximum distance of a slice from its place, in slice distances.
     shift: f64,
 }
 
 impl Stack {
-    /// Sorts slices by their position along the normal of their planes, and checks that they are evenly spaced.
+    /// Sorts slices by their position along the slice normal. Fails unless they are evenly spaced
+    /// and have the same size and orientation.
     pub(super) fn new(folder: &Path, mut slices: Vec<Slice>) -> Result<Self> {
         let Some(first) = slices.first().cloned() else {
             return Err(bad(folder, "holds no slice", "a volume is made of slices", "give another folder"));
@@ -72,12 +74,12 @@ impl Stack {
         Ok(Self { slices, geometry, shift })
     }
 
-    /// How stored pixels become values in the slices.
+    /// The number type that holds the values of all slices.
     pub(super) fn scalar_type(&self) -> ScalarType {
         Pixels::common_type(self.slices.iter().map(|slice| slice.pixels))
     }
 
-    /// What is done to the stored numbers, and how uneven the stack is, in words.
+    /// Describes the conversion of the stored numbers, and how uneven the stack is.
     pub(super) fn remarks(&self) -> Vec<String> {
         let first = self.slices[0].pixels;
         let uneven = (self.shift > TOLD_SHIFT).then(|| {
@@ -99,7 +101,7 @@ impl Stack {
     }
 }
 
-/// Fails unless all slices have the same size, pixels and orientation.
+/// Fails unless all slices have the same size, pixel spacing and orientation.
 fn check_alike(first: &Slice, slices: &[Slice]) -> Result<()> {
     let differs = |a: DVec3, b: DVec3| (a - b).length() > LARGEST_TURN * a.length();
     for slice in slices {
@@ -127,7 +129,7 @@ fn name(slices: &[Slice], n: usize) -> String {
     slices[n].path.file_name().unwrap_or_default().to_string_lossy().into_owned()
 }
 
-/// Fails where a slice is there twice.
+/// Fails if two slices have the same position.
 fn check_doubles(slices: &[Slice], places: &[f64]) -> Result<()> {
     let mean = (places[places.len() - 1] - places[0]) / (places.len() - 1) as f64;
     if let Some(n) = places.windows(2).position(|pair| pair[1] - pair[0] <= SAME_PLACE * mean) {
@@ -141,8 +143,8 @@ fn check_doubles(slices: &[Slice], places: &[f64]) -> Result<()> {
     Ok(())
 }
 
-/// Names the gap of an uneven stack that differs from the usual one; none where the slices are
-/// shifted sideways.
+/// Fails with the position of the first gap that differs from the median gap. Succeeds if there is
+/// none, that is, if the slices are shifted sideways.
 fn check_gaps(slices: &[Slice], places: &[f64]) -> Result<()> {
     let gaps: Vec<f64> = places.windows(2).map(|pair| pair[1] - pair[0]).collect();
     let mut sorted = gaps.clone();

@@ -1,4 +1,4 @@
-//! What makes a series a volume, and what does not. The files are written here, by dicom-rs itself.
+//! Tests which DICOM series become volumes and which are refused. dicom-rs writes the test files.
 
 use super::*;
 use crate::geometry::Space;
@@ -9,7 +9,7 @@ use dicom_object::{FileMetaTableBuilder, InMemDicomObject, Tag};
 use glam::DVec3;
 use std::collections::BTreeMap;
 
-/// Elements of a file.
+/// The elements of a file.
 type Elements = BTreeMap<Tag, (VR, PrimitiveValue)>;
 
 fn texts(elements: &mut Elements, vr: VR, all: &[(Tag, &str)]) {
@@ -20,7 +20,8 @@ fn numbers(elements: &mut Elements, all: &[(Tag, u16)]) {
     elements.extend(all.iter().map(|&(tag, number)| (tag, (VR::US, PrimitiveValue::from(number)))));
 }
 
-/// A slice of 3 x 2 pixels of 12 bits in 16, rows along x 0.5 mm apart and columns along y 0.75 mm apart.
+/// A slice of 3 x 2 pixels with 12 of 16 bits. Pixels are 0.5 mm apart in a row (along x) and
+/// 0.75 mm apart in a column (along y).
 fn slice(position: DVec3, pixels: [u16; 6]) -> Elements {
     let mut elements = Elements::new();
     let place = position.to_array().map(|number| number.to_string()).join("\\");
@@ -57,7 +58,7 @@ fn write(path: &Path, elements: &Elements) {
     InMemDicomObject::from_element_iter(all).with_meta(meta).expect("a file").write_to_file(path).expect("written");
 }
 
-/// Three slices 2.5 mm apart, the highest in the file that is first by name.
+/// Three slices 2.5 mm apart. The file that is first by name has the highest position.
 fn stack() -> Vec<Elements> {
     (0..3u16)
         .map(|n| {
@@ -98,7 +99,7 @@ fn slope_intercept_sign_and_overlay_bits() {
         for elements in &mut slices {
             texts(elements, VR::DS, &[(tags::RESCALE_SLOPE, slope), (tags::RESCALE_INTERCEPT, intercept)]);
             numbers(elements, &[(tags::PIXEL_REPRESENTATION, signed)]);
-            // the highest bits are an overlay's, not the pixel's
+            // the highest bits belong to an overlay, not to the pixel
             let pixels = [0xf000u16, 0x0001, 0x0fff, 0x0800, 0x07ff, 0x1002];
             elements.insert(tags::PIXEL_DATA, (VR::OW, PrimitiveValue::U16(pixels.as_slice().into())));
         }
@@ -156,8 +157,8 @@ fn one_of_several_series_is_chosen_by_name_number_or_uid() {
     assert!(error.to_string().contains("no series 'abdomen'") && error.remedy().contains("Thorax 1.0"), "{error}");
 }
 
-/// A stack of the CT of [`stack`] and two files beside it: a colour picture and a segmentation of
-/// many frames.
+/// The CT of [`stack`] and two files beside it: a colour picture and a segmentation with many
+/// frames.
 fn mixed() -> Vec<Elements> {
     let mut slices = stack();
     let mut picture = slices[0].clone();
@@ -186,7 +187,7 @@ fn what_cannot_be_a_volume_does_not_keep_a_series_from_being_read() {
     }
     let error = read_volume_with(folder.path(), &ReadOptions { series: Some("300") }).expect_err("a segmentation");
     assert!(error.to_string().contains("holds 19 frames"), "{error}");
-    // a single slice is no stack: a localizer beside the series
+    // a single slice, such as a localizer beside the series, is not a stack
     let mut slices = stack();
     let mut localizer = slices[0].clone();
     texts(&mut localizer, VR::UI, &[(tags::SERIES_INSTANCE_UID, "1.2.4")]);
@@ -197,7 +198,7 @@ fn what_cannot_be_a_volume_does_not_keep_a_series_from_being_read() {
 #[test]
 fn files_without_preamble_or_file_group_are_read() {
     let expected = read_volume(folder_of(&stack()).path()).expect("a volume");
-    // the preamble; the letters DICM as well; the file's own group as well
+    // missing: the preamble; also the letters DICM; also the file meta group
     for kept in ["DICM", "group", "data set"] {
         let folder = folder_of(&stack());
         for n in 0..3 {
@@ -235,7 +236,7 @@ fn an_uneven_stack_within_a_tenth_of_its_distance_is_read() {
     assert!(at(2.8).expect_err("12 %").to_string().contains("unevenly spaced"));
 }
 
-/// A change of a sound stack, and what the error about it says.
+/// A modification of a valid stack, and the expected part of the error message.
 type Fault = (&'static str, fn(&mut Vec<Elements>));
 
 #[test]
@@ -283,7 +284,7 @@ fn a_file_cut_short_anywhere_is_an_error() {
     let folder = folder_of(&stack());
     let path = folder.path().join("slice1.dcm");
     let whole = std::fs::read(&path).expect("bytes");
-    // cut before the letters DICM it would be no DICOM file
+    // a file that is cut before the letters DICM is not a DICOM file
     for length in source::START..whole.len() {
         std::fs::write(&path, &whole[..length]).expect("cut");
         let error = read_volume(folder.path()).expect_err("cut short");

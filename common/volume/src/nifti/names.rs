@@ -1,15 +1,19 @@
-//! Names of labels in the extensions behind a NIfTI header: the label table of Connectome Workbench, which TotalSegmentator writes as well.
+//! Label names in the extensions of a NIfTI header: the label table of Connectome Workbench, which
+//! TotalSegmentator writes, too.
 //!
-//! An extension is its length in bytes and a code, 32 bits each, and text; of which code, the two programs do not agree. The table is XML: `<Label Key="5" ...>liver</Label>`.
+//! An extension consists of its length in bytes, a code (32 bits each) and text. The two programs
+//! use different codes, so the code is ignored. The table is XML: `<Label Key="5"
+//! ...>liver</Label>`.
 
 use crate::segments::{LayerLabel, Segment};
 use crate::voxels::Endian;
 use quick_xml::events::Event;
 
-/// Bytes of an extension's length and code.
+/// Size of an extension's length and code in bytes.
 const HEAD: usize = 8;
 
-/// The names in all extensions, of the bytes between header and voxels: first whether there are any, in four bytes. A table that cannot be read is a remark.
+/// The label names in all extensions. `bytes` are those between header and voxels; the first four
+/// tell whether there are extensions. A table that cannot be read gives a remark.
 pub(super) fn names(bytes: &[u8], endian: Endian, remarks: &mut Vec<String>) -> Vec<Segment> {
     let mut segments = Vec::new();
     let Some((flag, mut rest)) = bytes.split_at_checked(4) else { return segments };
@@ -34,7 +38,7 @@ pub(super) fn names(bytes: &[u8], endian: Endian, remarks: &mut Vec<String>) -> 
     segments
 }
 
-/// The labels of a table that have a number and a name.
+/// The labels of a table that have both a number and a name.
 fn table(text: &str) -> Result<Vec<Segment>, String> {
     let mut reader = quick_xml::Reader::from_str(text);
     let (mut segments, mut open): (Vec<Segment>, Option<(Option<i64>, String)>) = (Vec::new(), None);
@@ -87,7 +91,7 @@ mod tests {
             assert!(remarks.is_empty());
             let silent = [vec![0; 4], extension(TABLE, endian)].concat();
             assert!(names(&silent, endian, &mut remarks).is_empty());
-            // cut off anywhere
+            // cut short anywhere
             (0..bytes.len()).for_each(|end| assert!(names(&bytes[..end], endian, &mut remarks).is_empty(), "{end}"));
         }
     }
@@ -99,7 +103,7 @@ mod tests {
         let bytes = [vec![1, 0, 0, 0], extension(&damaged, Endian::Little)].concat();
         assert!(names(&bytes, Endian::Little, &mut remarks).is_empty());
         assert_eq!(remarks.len(), 1, "{remarks:?}");
-        // a length that leads nowhere
+        // an invalid length
         for length in [0u32, 7, 4_000_000_000] {
             let bytes = [&[1, 0, 0, 0][..], &length.to_le_bytes(), &[0; 12]].concat();
             assert!(names(&bytes, Endian::Little, &mut remarks).is_empty());

@@ -1,4 +1,4 @@
-//! Headers that leave something out, and voxels in a file of their own.
+//! Tests incomplete headers and separate voxel files.
 
 use crate::data_files::data_files;
 use crate::read::read_volume;
@@ -7,8 +7,8 @@ use crate::voxels::Voxels;
 use glam::DVec3;
 use std::path::Path;
 
-/// A header of 2 x 2 x 2 bytes, 2 mm apart, with these two codes of qform and sform and no numbers
-/// in the sform.
+/// A header of 2 x 2 x 2 bytes, 2 mm apart, with the given qform and sform codes. The sform numbers
+/// are zero.
 fn header(offset: f32, qform: i16, sform: i16, magic: &[u8; 4]) -> Vec<u8> {
     let mut header = vec![0u8; 348];
     let mut put = |at: usize, bytes: &[u8]| header[at..at + bytes.len()].copy_from_slice(bytes);
@@ -22,7 +22,7 @@ fn header(offset: f32, qform: i16, sform: i16, magic: &[u8; 4]) -> Vec<u8> {
     put(108, &offset.to_le_bytes());
     put(252, &qform.to_le_bytes());
     put(254, &sform.to_le_bytes());
-    // the qform puts the first voxel at 3, 4, 5 in RAS
+    // the qform places the first voxel at (3, 4, 5) in RAS
     [3f32, 4.0, 5.0].into_iter().enumerate().for_each(|(axis, at)| put(268 + 4 * axis, &at.to_le_bytes()));
     put(344, magic);
     header
@@ -81,7 +81,7 @@ fn a_pair_is_read_by_either_of_its_names() {
     assert_eq!(read_volume(&head).expect("by its header"), volume);
     assert_eq!(data_files(&head).expect("files"), std::slice::from_ref(&body));
     assert_eq!(data_files(&body).expect("files"), std::slice::from_ref(&head));
-    // Analyze 7.5 has no magic
+    // Analyze 7.5 headers have no magic number
     std::fs::write(&head, header(0.0, 1, 0, &[0; 4])).expect("written");
     let error = read_volume(&body).expect_err("Analyze");
     assert!(error.to_string().contains("Analyze 7.5") && !error.remedy().is_empty(), "{error}");

@@ -1,5 +1,5 @@
-//! From the axes of an NRRD header to the one geometry of this program: which axes are spatial, how far apart their
-//! samples are, where they point in the world.
+//! Converts the axes of an NRRD header to a [`Geometry`]: which axes are spatial, their spacings,
+//! and their directions in the world.
 
 use super::header::{Header, field_error};
 use crate::error::Result;
@@ -10,16 +10,16 @@ use crate::units::millimetres;
 use glam::DVec3;
 use std::path::Path;
 
-/// What the axes of a header say.
+/// The grid that a header describes.
 pub(super) struct Grid {
     pub(super) geometry: Geometry,
-    /// What had to be assumed.
+    /// Assumptions that were made.
     pub(super) remarks: Vec<String>,
-    /// The axis that counts the layers of a segmentation, if it has more than one.
+    /// The axis of a segmentation's layers, if there is more than one layer.
     pub(super) layer_axis: Option<usize>,
 }
 
-/// Reads the axes. A segmentation may have an axis of layers.
+/// Converts the axes of a header. A segmentation may have an axis of layers.
 pub(super) fn grid(path: &Path, header: &Header, is_segmentation: bool) -> Result<Grid> {
     let kinds = header.words(path, "kinds")?;
     let (space, to_lps, has_time) = world(path, header)?;
@@ -58,11 +58,11 @@ pub(super) fn grid(path: &Path, header: &Header, is_segmentation: bool) -> Resul
     Ok(Grid { geometry, remarks, layer_axis })
 }
 
-/// Words that stand for no unit.
+/// Words that mean that there is no unit.
 const NO_UNIT: [&str; 6] = ["none", "unknown", "?", "???", "pixel", "voxel"];
 
-/// Millimetres of the unit along each axis of the world: `space units` hold for `space directions`,
-/// `units` for `spacings`, and each for the other where that is missing.
+/// Unit length in mm along each world axis. `space units` apply to `space directions`, and `units`
+/// to `spacings`; each replaces the other if that is missing.
 fn unit_lengths(
     path: &Path,
     header: &Header,
@@ -78,7 +78,7 @@ fn unit_lengths(
     let places = if name == "units" { axes } else { [0, 1, 2] };
     let mut lengths = DVec3::ONE;
     for (axis, place) in places.into_iter().enumerate() {
-        // one word alone holds for all axes
+        // a single word applies to all axes
         let word = words.get(if words.len() == 1 { 0 } else { place }).ok_or_else(|| field_error(path, name, text))?;
         let lower = word.to_lowercase();
         match millimetres(word) {
@@ -119,7 +119,8 @@ fn quoted_words(text: &str) -> Vec<&str> {
     words
 }
 
-/// The world's name, the signs that turn it into LPS, and whether its vectors have a fourth component for time.
+/// The world frame, the signs that convert it to LPS, and whether its vectors have a fourth
+/// component for time.
 fn world(path: &Path, header: &Header) -> Result<(Space, DVec3, bool)> {
     if let Some(text) = header.field("space dimension") {
         return if text == "3" {
@@ -162,7 +163,8 @@ fn vectors(path: &Path, header: &Header, text: &str) -> Result<Vec<Option<DVec3>
     if vectors.len() == header.sizes.len() { Ok(vectors) } else { Err(field_error(path, "space directions", text)) }
 }
 
-/// `(x,y,z)` or `(x,y,z,t)`, of which time is left out; `Some(None)` for `none` and for vectors of NaN.
+/// Parses `(x,y,z)` or `(x,y,z,t)`, ignoring t. Gives `Some(None)` for `none` and for vectors of
+/// NaN, and `None` for a syntax error.
 fn vector(word: &str) -> Option<Option<DVec3>> {
     if word.eq_ignore_ascii_case("none") {
         return Some(None);
@@ -179,10 +181,11 @@ fn vector(word: &str) -> Option<Option<DVec3>> {
     }
 }
 
-/// What a header says of its axes: their kinds, their vectors, and whether these have a component for time.
+/// The axes of a header: their kinds, their vectors, and whether these have a component for time.
 type Axes<'a> = (Option<&'a [&'a str]>, Option<&'a [Option<DVec3>]>, bool);
 
-/// The three axes that span the volume, and that of the layers of a segmentation. Other axes may be there if they have one sample.
+/// The three spatial axes, and the axis of a segmentation's layers. Other axes are allowed if they
+/// have a single sample.
 fn spatial_axes(
     path: &Path,
     header: &Header,
@@ -228,7 +231,8 @@ fn spatial_axes(
     Ok((axes, layer_axis))
 }
 
-/// Spacing and origin of a header without `space directions`: from `spacings`, `axis mins` and `axis maxs`.
+/// Spacing and origin of a header without `space directions`, from `spacings`, `axis mins` and
+/// `axis maxs`.
 fn plain_spacing(path: &Path, header: &Header, axes: [usize; 3], remarks: &mut Vec<String>) -> Result<(DVec3, DVec3)> {
     let pick = |numbers: Option<Vec<f64>>| {
         let all = numbers.map_or([f64::NAN; 3], |numbers| axes.map(|axis| numbers[axis]));
@@ -239,7 +243,7 @@ fn plain_spacing(path: &Path, header: &Header, axes: [usize; 3], remarks: &mut V
     let high = pick(header.numbers(path, "axis maxs")?);
     let centers = header.words(path, "centers")?;
     let is_cell = |axis: usize| {
-        // Teem takes samples as centres of cells unless the header says nodes.
+        // as in Teem, samples are cell-centred unless the header says node
         centers.as_ref().is_none_or(|words| !words[axes[axis]].eq_ignore_ascii_case("node"))
     };
     for axis in 0..3 {
@@ -275,8 +279,7 @@ fn plain_spacing(path: &Path, header: &Header, axes: [usize; 3], remarks: &mut V
 mod tests {
     use super::*;
 
-    /// Spacing and origin of a grid of 2 x 3 x 4 voxels with these lines in its header, and the
-    /// remarks.
+    /// Spacing, origin and remarks of a grid of 2 x 3 x 4 voxels with the given header lines.
     fn read(lines: &str) -> Result<(DVec3, DVec3, Vec<String>)> {
         let path = Path::new("test.nrrd");
         let text = format!("NRRD0004\ntype: uchar\ndimension: 3\nsizes: 2 3 4\nencoding: raw\n{lines}");

@@ -1,5 +1,5 @@
-//! The text at the top of an NRRD file, line by line; what the lines mean together is for [`super::grid`], [`super::segments`] and
-//! [`crate::voxel_data`].
+//! Parses the text header of an NRRD file, line by line. [`super::grid`], [`super::segments`] and
+//! [`crate::voxel_data`] interpret the fields.
 
 use crate::error::bad;
 use crate::error::{Error, Result};
@@ -9,24 +9,25 @@ use std::collections::BTreeMap;
 use std::io::{BufRead, Read};
 use std::path::Path;
 
-/// Longest header that is read; a list of 100,000 file names fits.
+/// Maximum header size in bytes; a list of 100,000 file names fits.
 const MOST_HEADER_BYTES: u64 = 16 << 20;
-/// Most axes that NRRD allows.
+/// Maximum number of axes that NRRD allows.
 const MOST_AXES: usize = 16;
 
-/// What a header says.
+/// The contents of a header.
 #[derive(Clone, Debug)]
 pub(super) struct Header {
     pub(super) sizes: Vec<usize>,
     pub(super) layout: Layout,
-    /// All fields, as they stand, by lower-case name.
+    /// All fields, unparsed, by lower-case name.
     pub(super) fields: BTreeMap<String, String>,
     /// The key/value pairs.
     pub(super) pairs: BTreeMap<String, String>,
 }
 
 impl Header {
-    /// Reads the header and leaves the reader at the first byte after its blank line.
+    /// Reads the header. The reader then stands at the first byte after the blank line that ends
+    /// it.
     pub(super) fn read(path: &Path, reader: &mut impl BufRead) -> Result<Self> {
         let Fields { fields, pairs, list } = read_fields(path, reader)?;
         let get = |name: &str| fields.get(name).map(String::as_str);
@@ -73,19 +74,19 @@ impl Header {
         Ok(Self { sizes, layout, fields, pairs })
     }
 
-    /// A field as it stands in the header.
+    /// A field as text.
     pub(super) fn field(&self, name: &str) -> Option<&str> {
         self.fields.get(name).map(String::as_str)
     }
 
-    /// A field with one word an axis.
+    /// A field with one word per axis.
     pub(super) fn words(&self, path: &Path, name: &str) -> Result<Option<Vec<&str>>> {
         let Some(text) = self.field(name) else { return Ok(None) };
         let words: Vec<&str> = text.split_whitespace().collect();
         if words.len() == self.sizes.len() { Ok(Some(words)) } else { Err(field_error(path, name, text)) }
     }
 
-    /// A field with one number an axis, which may be NaN.
+    /// A field with one number per axis, which may be NaN.
     pub(super) fn numbers(&self, path: &Path, name: &str) -> Result<Option<Vec<f64>>> {
         self.words(path, name)?.map(|words| words.iter().map(|word| number(path, name, word)).collect()).transpose()
     }
@@ -94,11 +95,11 @@ impl Header {
 /// The lines of a header.
 #[derive(Default)]
 struct Fields {
-    /// By lower-case name.
+    /// Values by lower-case field name.
     fields: BTreeMap<String, String>,
-    /// Pairs of `key:=value`.
+    /// Key/value pairs (`key:=value`).
     pairs: BTreeMap<String, String>,
-    /// The names of a `data file: LIST`.
+    /// The names after `data file: LIST`.
     list: Vec<String>,
 }
 
@@ -159,7 +160,7 @@ fn read_fields(path: &Path, reader: &mut impl BufRead) -> Result<Fields> {
     Ok(Fields { fields, pairs, list })
 }
 
-/// The field names that may be written in two ways.
+/// Maps alternative spellings of field names to one spelling.
 fn canonical_name(name: &str) -> &str {
     match name {
         "datafile" => "data file",
@@ -210,7 +211,8 @@ fn scalar_type(path: &Path, name: &str) -> Result<ScalarType> {
     })
 }
 
-/// Resolves `data file`: nothing or `LOCAL` (attached), one name, `LIST [subdim]`, or `format min max step [subdim]`.
+/// Resolves `data file`: missing or `LOCAL` (attached), a file name, `LIST [subdim]`, or `format
+/// min max step [subdim]`.
 fn data_files(path: &Path, field: Option<&str>, list: Vec<String>, sizes: &[usize]) -> Result<DataFiles> {
     let Some(field) = field else { return Ok(DataFiles::Attached) };
     let words: Vec<&str> = field.split_whitespace().collect();
@@ -226,10 +228,10 @@ fn data_files(path: &Path, field: Option<&str>, list: Vec<String>, sizes: &[usiz
             (names, rest.first().map(|word| number(path, "data file", word)).transpose()?)
         }
         [] => return Err(field_error(path, "data file", field)),
-        // A single name may hold spaces.
+        // a file name may contain spaces
         _ => return Ok(DataFiles::Named(vec![field.to_owned()])),
     };
-    // Without a sub-dimension each file is one slice along the slowest axis.
+    // without a sub-dimension, each file is one slice along the slowest axis
     let dimension = sizes.len();
     let part_dimension: usize = part_dimension.unwrap_or(dimension - 1);
     let fits = match part_dimension {

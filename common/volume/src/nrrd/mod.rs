@@ -1,6 +1,8 @@
-//! NRRD ("nearly raw raster data"), the format of Teem and 3D Slicer: attached (`.nrrd`) and detached (`.nhdr`) headers.
+//! Reads and writes NRRD ("nearly raw raster data"), the format of Teem and 3D Slicer, with
+//! attached (`.nrrd`) and detached (`.nhdr`) headers.
 //!
-//! Follows Teem's description of the format, versions 1 to 5. Anatomical spaces are converted to LPS here, once.
+//! Follows Teem's specification of the format, versions 1 to 5. Anatomical spaces are converted to
+//! LPS here.
 
 mod grid;
 mod header;
@@ -18,7 +20,8 @@ use std::fs::File;
 use std::io::{BufRead, BufReader};
 use std::path::Path;
 
-/// Reads an NRRD volume with three spatial axes and one number a voxel, or a segmentation of 3D Slicer with its layers.
+/// Reads an NRRD volume with three spatial axes and one number per voxel, or a 3D Slicer
+/// segmentation with its layers.
 pub fn read_nrrd(path: &Path) -> Result<Volume> {
     let file = File::open(path).map_err(|error| Error::file(path, "read", error, "check the name of the volume"))?;
     let mut reader = BufReader::new(file);
@@ -37,7 +40,7 @@ pub fn read_nrrd(path: &Path) -> Result<Volume> {
             "the header is damaged: write the file again",
         )
     })?;
-    // parted into layers, the voxels are there twice for a moment
+    // splitting the voxels into layers needs a second copy
     let copies = if layers > 1 { 2 } else { 1 };
     check_memory(path, (count as u64).saturating_mul(copies * header.layout.scalar.bytes() as u64))?;
     let all = read_voxels(path, &header.layout, count, reader, &mut remarks)?;
@@ -47,7 +50,7 @@ pub fn read_nrrd(path: &Path) -> Result<Volume> {
     Ok(Volume { remarks, segments, more_layers, ..Volume::new(geometry, first) })
 }
 
-/// Where the header says that the voxels are.
+/// The data files that the header names.
 pub(crate) fn data_files(path: &Path, reader: &mut impl BufRead) -> Result<DataFiles> {
     Ok(header::Header::read(path, reader)?.layout.files)
 }

@@ -1,4 +1,5 @@
-//! The segments of 3D Slicer's `.seg.nrrd`, which stand in key/value pairs: `Segment0_Name`, `Segment0_LabelValue`, `Segment0_Layer`.
+//! The segments of a 3D Slicer segmentation (`.seg.nrrd`). They are stored in key/value pairs:
+//! `Segment0_Name`, `Segment0_LabelValue`, `Segment0_Layer`.
 
 use super::header::{Header, field_error};
 use crate::error::Result;
@@ -6,7 +7,7 @@ use crate::error::bad;
 use crate::segments::{LayerLabel, Segment};
 use std::path::Path;
 
-/// Whether the header names segments.
+/// Whether the header contains segments.
 pub(super) fn is_segmentation(header: &Header) -> bool {
     header.pairs.keys().any(|key| number_of(key).is_some())
 }
@@ -16,8 +17,9 @@ fn number_of(key: &str) -> Option<u64> {
     key.strip_prefix("Segment")?.strip_suffix("_Name")?.parse().ok()
 }
 
-/// The segments in the order of their numbers, for a file of so many layers. Before Slicer 4.11 each segment had a layer of its own and
-/// the label 1, and the header said neither.
+/// The segments in the order of their numbers, for a file with `layers` layers. Files from before
+/// Slicer 4.11 contain neither label values nor layers: each segment has its own layer and the
+/// label 1.
 pub(super) fn segments(path: &Path, header: &Header, layers: usize) -> Result<Vec<Segment>> {
     let mut numbers: Vec<u64> = header.pairs.keys().filter_map(|key| number_of(key)).collect();
     numbers.sort_unstable();

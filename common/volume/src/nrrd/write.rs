@@ -6,17 +6,17 @@ use crate::voxels::{Endian, Voxels};
 use isoparticles_file::output::write_atomically;
 use std::path::Path;
 
-/// How the voxels are written.
+/// Encoding of the voxels.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Encoding {
-    /// As they lie in memory, little endian.
+    /// Uncompressed, little-endian.
     Raw,
-    /// The same, compressed.
+    /// Little-endian, compressed with gzip.
     #[default]
     Gzip,
 }
 
-/// Writes a volume as NRRD with an attached header; `voxels` has one value a voxel of `geometry`.
+/// Writes a volume as NRRD with an attached header. `voxels` has one value per voxel of `geometry`.
 pub fn write_nrrd(path: &Path, geometry: &Geometry, voxels: &Voxels, encoding: Encoding) -> Result<()> {
     let header = header(geometry, voxels, encoding);
     Ok(write_atomically(path, |mut file| {

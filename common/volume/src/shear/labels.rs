@@ -1,38 +1,38 @@
-//! Labels on the orthonormal grid.
+//! Resamples labels to the orthonormal grid.
 //!
-//! A new voxel lies between two old ones of its row. Where these have the same label it has that
-//! label. Where they differ, rounding would shift each slice by up to half a voxel and roughen
-//! every surface. Instead these voxels are ranked by the labels round them. In every slice each
-//! label gets the first of them, as many as linear interpolation gives it.
+//! A new voxel lies between two old voxels of its row. If both have the same label, it gets that
+//! label. If they differ, rounding would shift each slice by up to half a voxel and roughen every
+//! surface. Instead, these voxels are ranked by the labels around them. In every slice, each label
+//! gets the highest-ranked ones, as many as linear interpolation assigns to it.
 
 use super::{Pass, Shear};
 use crate::voxels::Voxels;
 use rayon::prelude::*;
 
-/// Weights along each axis in the vote: a binomial of five voxels. On masks of balls of 14 and 8
-/// mm, voxels of 1 mm sheared by 30 degrees, F = 0 of `distfield --labels 1` is off by 0.064 and
-/// 0.076 mm (root mean square) with it, by 0.158 and 0.164 mm with rounding, and by 0.052 mm on
-/// unsheared grids.
+/// Weights along each axis for the ranking: a binomial filter of five voxels. Measured on masks of
+/// balls of 14 and 8 mm, with voxels of 1 mm sheared by 30 degrees: F = 0 of `distfield --labels 1`
+/// deviates by 0.064 and 0.076 mm (root mean square) with it. Rounding gives 0.158 and 0.164 mm,
+/// and unsheared grids 0.052 mm.
 const VOTE: [f64; 5] = [0.0625, 0.25, 0.375, 0.25, 0.0625];
 
-/// Voxels that they reach on each side.
+/// Reach of the weights on each side, voxels.
 const REACH: isize = VOTE.len() as isize / 2;
 
-/// A new voxel between two labels.
+/// A new voxel between two old voxels with different labels.
 struct Open<T> {
-    /// Its place in the slice.
+    /// Index in the slice.
     at: usize,
     /// The two labels, the one with the lower key first.
     pair: [T; 2],
-    /// How much more of the first label lies round it.
+    /// Weighted excess of the first label over the second in the neighbourhood.
     score: f64,
     /// Share of the first label by linear interpolation.
     share: f64,
 }
 
-/// A value of a voxel that stands for itself.
+/// A voxel value that is used as a label.
 trait Label: Copy + PartialEq + Send + Sync {
-    /// A number that differs where labels do (up to 2^53).
+    /// A key that is unique for labels up to 2^53.
     fn key(self) -> u64;
 }
 
@@ -46,8 +46,8 @@ macro_rules! labels {
 labels!(i8, u8, i16, u16, i32, u32, i64, u64, f32, f64);
 
 impl Shear {
-    /// The labels on the orthonormal grid. Outside the volume it is `beyond`, or what the nearest
-    /// voxel is.
+    /// Resamples labels to the orthonormal grid. Outside the volume, the label is `beyond`, or that
+    /// of the nearest voxel if `beyond` is `None`.
     pub fn move_labels(&self, voxels: &Voxels, beyond: Option<i64>) -> Voxels {
         macro_rules! each {
             ($($variant:ident $type:ty),*) => { match voxels { $(Voxels::$variant(values) => {
@@ -62,7 +62,7 @@ impl Shear {
     }
 }
 
-/// Labels before a pass.
+/// The labels before a pass.
 struct Old<'a, T> {
     pass: &'a Pass,
     values: &'a [T],
@@ -78,7 +78,7 @@ impl<T: Label> Old<'_, T> {
         }
     }
 
-    /// How much more of label `a` than of `b` lies round a new voxel.
+    /// Weighted excess of label `a` over label `b` around a new voxel.
     fn vote(&self, [a, b]: [T; 2], n: usize, row: usize, k: usize) -> f64 {
         let side = |label: T| f64::from(u8::from(label == a)) - f64::from(u8::from(label == b));
         let mut sum = 0.0;
@@ -111,7 +111,7 @@ impl Pass {
                     let (at, place) = (n as isize - first, self.linear(self.to, n, row, 0));
                     let [a, b] = [at, at + 1].map(|n| old.at(n, row, k));
                     slice[place] = if part < 0.5 { a } else { b };
-                    // a run of one voxel is rounded, so that it keeps its length
+                    // a run of one voxel is rounded instead, so that it keeps its length
                     let is_thin = || old.at(at - 1, row, k) != a || old.at(at + 2, row, k) != b;
                     if a.key() != b.key() && part > 0.0 && !is_thin() {
                         let (pair, share) = if a.key() < b.key() { ([a, b], 1.0 - part) } else { ([b, a], part) };
@@ -125,8 +125,8 @@ impl Pass {
     }
 }
 
-/// Gives the first label of each pair the voxels with the highest scores, as many as its shares add
-/// up to.
+/// Assigns the first label of each pair to the voxels with the highest scores; their number is the
+/// rounded sum of the shares.
 fn share_out<T: Label>(slice: &mut [T], mut open: Vec<Open<T>>) {
     let key = |open: &Open<T>| open.pair.map(Label::key);
     open.sort_by(|a, b| key(a).cmp(&key(b)).then(b.score.total_cmp(&a.score)).then(a.at.cmp(&b.at)));

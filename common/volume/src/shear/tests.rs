@@ -3,7 +3,8 @@ use crate::geometry::Space;
 use crate::image::Image;
 use std::collections::BTreeMap;
 
-/// A grid of which y leans with z by `lean` and, turned in the world, x with y and z by `others`.
+/// A grid whose z axis leans along y by `lean`. The y and z axes lean along x by `others`. The grid
+/// is rotated in the world.
 fn sheared(size: [usize; 3], lean: f64, others: [f64; 2]) -> Geometry {
     let turn = DMat3::from_axis_angle(DVec3::new(0.6, 0.0, 0.8), 0.7);
     let steps = [DVec3::X, DVec3::new(others[0], 1.0, 0.0), DVec3::new(others[1], lean, 1.0)];
@@ -16,7 +17,7 @@ fn sheared(size: [usize; 3], lean: f64, others: [f64; 2]) -> Geometry {
     }
 }
 
-/// Values of a function of the world.
+/// Samples a function of the world position.
 fn sampled<T: Copy + Send + Sync>(geometry: &Geometry, value: impl Fn(DVec3) -> T) -> Vec<T> {
     Image::sampled(geometry.clone(), |grid| value(geometry.grid_to_world(grid))).data
 }
@@ -69,7 +70,7 @@ fn the_new_grid_is_orthonormal_and_covers_the_old_one() {
 
 #[test]
 fn labels_keep_their_voxels_and_roundness() {
-    // the ball of the report: an ellipsoid of 11,536 voxels of 1 mm^3 in the world
+    // a ball in index coordinates: an ellipsoid of 11,536 voxels of 1 mm^3 in the world
     let old = sheared([40, 40, 40], TILT, [0.0, 0.0]);
     let ball = |index: DVec3| index.distance_squared(DVec3::splat(19.5)) <= 196.0;
     let mask = Image::sampled(old.clone(), |grid| u8::from(ball(old.grid_to_index(grid)))).data;
@@ -78,7 +79,7 @@ fn labels_keep_their_voxels_and_roundness() {
     let moved = shear.move_labels(&Voxels::U8(mask), Some(0));
     assert_eq!(counts(&moved)[&1], 11_536);
     let Voxels::U8(moved) = moved else { panic!("another type") };
-    // 126 voxels are on the wrong side of the ellipsoid; rounding leaves 310
+    // 126 voxels are on the wrong side of the ellipsoid; with rounding, 310 are
     let right = sampled(&shear.geometry, |world| u8::from(ball(old.grid_to_index(old.world_to_grid(world)))));
     let wrong = moved.iter().zip(&right).filter(|(a, b)| a != b).count();
     assert!(wrong < 150, "{wrong} voxels differ");
@@ -88,7 +89,7 @@ fn labels_keep_their_voxels_and_roundness() {
 fn labels_of_every_layer_and_thin_parts_stay() {
     let old = sheared([30, 26, 24], -0.8, [0.45, 0.3]);
     let centre = middle(&old);
-    // shells and cores of several labels, and single voxels and a sheet of one voxel
+    // shells and a core with different labels, a single voxel, and a line of one voxel per slice
     let label = |world: DVec3| [-5i16, 300, 7, 0][((world.distance(centre) / 3.0) as usize).min(3)];
     let mut labels = sampled(&old, label);
     labels[old.linear(3, 3, 2)] = 42;

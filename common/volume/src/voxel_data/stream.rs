@@ -1,24 +1,24 @@
-//! The bytes of a file as its encoding gives them.
+//! Decodes the bytes of a file.
 
 use super::Coding;
 use bzip2::bufread::BzDecoder;
 use flate2::bufread::{GzDecoder, ZlibDecoder};
 use std::io::{self, BufRead, ErrorKind, Read};
 
-/// Decodes as it reads. Members of gzip and bzip2 follow each other; as in these programs, bytes
-/// that start no member end the data.
+/// A decoding reader. gzip and bzip2 data may consist of several members. As in these programs, the
+/// data ends at bytes that do not start a member.
 pub(crate) enum Stream<R> {
     Plain(R),
     Hex(HexReader<R>),
     Zlib(ZlibDecoder<R>),
     Gzip(GzDecoder<R>),
     Bzip2(BzDecoder<R>),
-    /// Behind the last member.
+    /// After the last member.
     End(Option<R>),
 }
 
 impl<R: BufRead> Stream<R> {
-    /// Starts where the reader stands. Text has no bytes to decode and is left as it is.
+    /// Starts at the current position of the reader. Text is passed through unchanged.
     pub(crate) fn new(reader: R, coding: Coding) -> Self {
         match coding {
             Coding::Raw | Coding::Text => Self::Plain(reader),
@@ -29,7 +29,7 @@ impl<R: BufRead> Stream<R> {
         }
     }
 
-    /// Whether there is more data behind what was read. Checksums are compared where there is not.
+    /// Whether more data follows. At the end of the data, this also verifies the checksum.
     pub(crate) fn has_more(&mut self) -> io::Result<bool> {
         Ok(self.read(&mut [0])? > 0)
     }
@@ -77,13 +77,13 @@ impl<R: BufRead> Read for Stream<R> {
     }
 }
 
-/// Turns pairs of hexadecimal digits into bytes.
+/// Converts pairs of hexadecimal digits to bytes.
 pub(crate) struct HexReader<R> {
     inner: R,
 }
 
 impl<R: BufRead> HexReader<R> {
-    /// The next digit, white space left out; `None` at the end.
+    /// The next digit, ignoring white space; `None` at the end.
     fn digit(&mut self) -> io::Result<Option<u8>> {
         loop {
             let Some(&byte) = self.inner.fill_buf()?.first() else { return Ok(None) };

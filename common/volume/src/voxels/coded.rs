@@ -1,10 +1,10 @@
-//! Numbers of the ten scalar types as they lie in files, in either byte order.
+//! Conversion of the ten scalar types from the byte order of a file.
 
 use super::Endian;
 
-/// Numbers as they lie in files.
+/// A number type that files store.
 pub(super) trait Coded: Sized {
-    /// Makes numbers of the bytes that were read into their places.
+    /// Converts values in place from raw file bytes with the given byte order.
     fn arrange(values: &mut [Self], endian: Endian);
 }
 

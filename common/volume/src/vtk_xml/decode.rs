@@ -1,13 +1,14 @@
-//! The bytes of one array: base64 or raw, plain or in zlib blocks, behind a header that says how long it is.
+//! Decodes the bytes of one array: base64 or raw, uncompressed or in zlib blocks, after a header
+//! with its length.
 
 use crate::voxels::Endian;
 use std::io::{self, BufRead, Read};
 
-/// How the arrays of a file are laid out.
+/// The layout of the arrays in a file.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Layout {
     pub(super) endian: Endian,
-    /// Whether the numbers of array headers have 64 bits, not 32.
+    /// Whether the numbers in array headers have 64 bits instead of 32.
     pub(super) wide_header: bool,
     pub(super) compressed: bool,
 }
@@ -16,11 +17,11 @@ pub(super) struct Layout {
 pub(super) struct ArrayReader<'a> {
     source: Box<dyn Read + 'a>,
     blocks: Option<Blocks>,
-    /// Bytes of the array, as its header says.
+    /// Length of the decoded array in bytes, according to its header.
     pub(super) length: u64,
 }
 
-/// What is left of a compressed array.
+/// The remaining blocks of a compressed array.
 struct Blocks {
     compressed: std::vec::IntoIter<u64>,
     block_bytes: u64,
@@ -28,7 +29,7 @@ struct Blocks {
 }
 
 impl<'a> ArrayReader<'a> {
-    /// Starts to read an array whose header comes next in `source`.
+    /// Starts reading an array at its header.
     pub(super) fn new(source: Box<dyn BufRead + 'a>, base64: bool, layout: Layout) -> io::Result<Self> {
         let mut source: Box<dyn Read + 'a> =
             if base64 { Box::new(Base64Reader { inner: source, held: [0; 3], from: 3 }) } else { source };
@@ -62,7 +63,8 @@ impl Read for ArrayReader<'_> {
             let mut compressed = Read::take(&mut self.source, compressed_bytes);
             let mut decoder = flate2::read::ZlibDecoder::new(&mut compressed);
             let mut block = Vec::new();
-            // A block that is longer than the header says is damaged; the limit keeps it from filling the memory.
+            // A block longer than its header says is damaged; the limit prevents it from filling
+            // the memory.
             Read::take(&mut decoder, blocks.block_bytes).read_to_end(&mut block)?;
             io::copy(&mut compressed, &mut io::sink())?;
             blocks.current = io::Cursor::new(block);
@@ -70,7 +72,7 @@ impl Read for ArrayReader<'_> {
     }
 }
 
-/// One number of an array's header.
+/// One number of an array header.
 fn header_number(source: &mut dyn Read, layout: Layout) -> io::Result<u64> {
     let mut wide = [0; 8];
     let mut narrow = [0; 4];
@@ -87,8 +89,8 @@ fn header_number(source: &mut dyn Read, layout: Layout) -> io::Result<u64> {
     })
 }
 
-/// Decodes base64 group by group. Padding ends a group, not the stream, because VTK encodes the header of a compressed
-/// array apart from its data.
+/// Decodes base64 in groups of four digits. Padding ends a group but not the stream, because VTK
+/// encodes the header of a compressed array separately from its data.
 struct Base64Reader<R> {
     inner: R,
     held: [u8; 3],
@@ -129,7 +131,7 @@ impl<R: BufRead> Base64Reader<R> {
             return Err(io::Error::new(io::ErrorKind::InvalidData, "its base64 text is damaged"));
         }
         let [_, a, b, c] = (bits << (6 * padding)).to_be_bytes();
-        // The bytes that are there go to the end of `held`, where reading starts at `from`.
+        // the decoded bytes are at the end of `held`, from index `from`
         (self.held, self.from) = match padding {
             0 => ([a, b, c], 0),
             1 => ([0, a, b], 1),

@@ -1,4 +1,4 @@
-//! Reads the XML of a VTK file into elements, and finds the data that is appended to it.
+//! Parses the XML of a VTK file into elements, and locates the appended data.
 
 use super::decode::{ArrayReader, Layout};
 use super::scalar_of;
@@ -12,50 +12,50 @@ use std::fs::File;
 use std::io::{BufRead, BufReader, Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
 
-/// Deepest nesting that is read; VTK's own files need six levels.
+/// Maximum nesting depth; VTK's own files need six levels.
 const MOST_DEPTH: usize = 32;
 
-/// An element with everything inside it.
+/// An XML element with its contents.
 #[derive(Clone, Debug, Default)]
 pub struct Element {
-    /// Its name.
+    /// Tag name.
     pub name: String,
-    /// Its attributes by name.
+    /// Attributes by name.
     pub attributes: BTreeMap<String, String>,
-    /// The elements within it, in their order.
+    /// Child elements, in order.
     pub children: Vec<Element>,
-    /// The text within it, beside its children.
+    /// Text directly in the element.
     pub text: String,
 }
 
 impl Element {
-    /// The first child of a name.
+    /// The first child with a tag name.
     pub fn child(&self, name: &str) -> Option<&Element> {
         self.children.iter().find(|child| child.name == name)
     }
 
-    /// An attribute.
+    /// The value of an attribute.
     pub fn attribute(&self, name: &str) -> Option<&str> {
         self.attributes.get(name).map(String::as_str)
     }
 
-    /// The array of a name among the children.
+    /// The child with a `Name` attribute of this value.
     pub fn array(&self, name: &str) -> Option<&Element> {
         self.children.iter().find(|child| child.attribute("Name") == Some(name))
     }
 }
 
-/// A VTK XML file: its elements, and the way to its data.
+/// A VTK XML file: its elements, and access to its data.
 pub struct VtkFile {
     path: PathBuf,
-    /// The element `VTKFile`.
+    /// The `VTKFile` element.
     pub root: Element,
     layout: Layout,
     appended: Appended,
 }
 
 impl VtkFile {
-    /// Opens a file and reads its XML, not yet its arrays.
+    /// Opens a file and parses its XML, but does not read arrays.
     pub fn open(path: &Path) -> Result<Self> {
         let file = File::open(path).map_err(|error| Error::file(path, "read", error, "check the name of the file"))?;
         let (head, appended) = read_head(path, &mut BufReader::with_capacity(1 << 16, file))?;
@@ -82,7 +82,7 @@ impl VtkFile {
         Ok(Self { path: path.to_path_buf(), root, layout, appended })
     }
 
-    /// The data set inside, such as `ImageData`.
+    /// The data set element, such as `ImageData`. Fails if the file contains another data set.
     pub fn data_set(&self, kind: &str) -> Result<&Element> {
         self.root.child(kind).ok_or_else(|| {
             let found = self.root.attribute("type").unwrap_or("nothing that is known");
@@ -95,7 +95,7 @@ impl VtkFile {
         })
     }
 
-    /// The one piece of a data set.
+    /// The piece of a data set. Fails unless there is exactly one.
     pub fn piece(&self, kind: &str) -> Result<&Element> {
         let data_set = self.data_set(kind)?;
         match data_set.children.iter().filter(|child| child.name == "Piece").collect::<Vec<_>>().as_slice() {
@@ -114,10 +114,10 @@ impl VtkFile {
         array.attribute("NumberOfComponents").and_then(|text| text.parse().ok()).unwrap_or(1).max(1)
     }
 
-    /// Reads an array of `count` numbers.
+    /// Reads an array of `count` numbers. Fails if its length differs.
     pub fn numbers(&self, array: &Element, count: usize) -> Result<Voxels> {
         let scalar = self.scalar(array)?;
-        // a count that overflows is more than any memory holds
+        // saturate: no memory can hold a count that overflows
         let expected = (count as u64).saturating_mul(scalar.bytes() as u64);
         check_memory(&self.path, expected)?;
         let wrong = |error: std::io::Error| self.array_error(array, &error);
@@ -145,7 +145,7 @@ impl VtkFile {
         values.map_err(wrong)
     }
 
-    /// Reads an array of numbers whose length the file tells.
+    /// Reads an array of numbers; the file gives its length.
     pub fn all_numbers(&self, array: &Element) -> Result<Voxels> {
         let scalar = self.scalar(array)?;
         if array.attribute("format").unwrap_or("ascii") == "ascii" {
@@ -155,7 +155,8 @@ impl VtkFile {
         self.numbers(array, usize::try_from(length / scalar.bytes() as u64).unwrap_or(usize::MAX))
     }
 
-    /// The text in a field-data array, if it is there: its bytes as numbers, or, in files of format version 1, a string.
+    /// The text in a field-data array, if there is one. It is stored as bytes, or as a VTK string
+    /// in format version 1.
     pub fn text(&self, data_set: &Element, name: &str) -> Result<Option<String>> {
         let Some(array) = data_set.child("FieldData").and_then(|field| field.array(name)) else { return Ok(None) };
         if !matches!(array.attribute("type"), Some("UInt8" | "String")) {
@@ -183,7 +184,7 @@ impl VtkFile {
         scalar_of(name).ok_or_else(|| self.array_error(array, &std::io::Error::other(format!("its type is {name}"))))
     }
 
-    /// Where an appended array begins in the file, and whether it is base64.
+    /// Position of an appended array in the file, and whether it is base64.
     fn place(&self, array: &Element) -> std::io::Result<(u64, bool)> {
         let offset = array.attribute("offset").and_then(|text| text.parse::<u64>().ok());
         let (Some((start, base64)), Some(offset)) = (self.appended, offset) else {
@@ -193,7 +194,7 @@ impl VtkFile {
         Ok((position, base64))
     }
 
-    /// Where the numbers of an array begin that lie in the file as they are.
+    /// Position of an array's numbers in the file, if they are raw and uncompressed.
     fn plain_bytes(&self, array: &Element) -> Option<u64> {
         let (position, base64) = self.place(array).ok().filter(|_| array.attribute("format") != Some("binary"))?;
         let header = if self.layout.wide_header { 8 } else { 4 };
@@ -220,13 +221,13 @@ impl VtkFile {
     }
 }
 
-/// Where the appended data starts, and whether it is base64.
+/// Position of the appended data, and whether it is base64.
 type Appended = Option<(u64, bool)>;
 
-/// Reads the XML up to the appended data; returns both.
+/// Reads the XML up to the appended data. Returns the XML and the position of the data.
 fn read_head(path: &Path, reader: &mut impl BufRead) -> Result<(Vec<u8>, Appended)> {
     const TAG: &[u8] = b"<AppendedData";
-    // The XML of a file with appended data is short; beyond this the arrays are in the XML itself.
+    // XML with appended data is short. A larger head means that the arrays are in the XML itself.
     const SHORT: usize = 64 << 20;
     let mut head = Vec::new();
     let mut searched = 0usize;
@@ -249,7 +250,7 @@ fn read_head(path: &Path, reader: &mut impl BufRead) -> Result<(Vec<u8>, Appende
             continue;
         };
         searched = start;
-        // The tag itself may lie across two chunks.
+        // the tag may continue in the next chunk
         let Some(underscore) = head[start..].iter().position(|&byte| byte == b'_') else { continue };
         let tag = String::from_utf8_lossy(&head[start..start + underscore]).into_owned();
         let base64 = !tag.contains("\"raw\"") && !tag.contains("'raw'");
@@ -259,7 +260,8 @@ fn read_head(path: &Path, reader: &mut impl BufRead) -> Result<(Vec<u8>, Appende
     }
 }
 
-/// Builds the tree of elements. The end of the text closes what is open, because the appended data is cut off.
+/// Builds the tree of elements. Elements that are open at the end of the text are closed, because
+/// the text ends before the appended data.
 fn parse(path: &Path, head: &[u8]) -> Result<Element> {
     let damaged = |what: String| {
         bad(

@@ -1,4 +1,4 @@
-//! Writes a VTK XML document with raw appended data.
+//! Writes VTK XML documents with raw appended data.
 
 use super::vtk_name;
 use crate::voxels::{Endian, ScalarType, Voxels};
@@ -6,17 +6,17 @@ use isoparticles_file::history::History;
 use std::fmt::Write as _;
 use std::io::{self, Write};
 
-/// What an array holds.
+/// The contents of an array.
 pub enum Payload<'a> {
-    /// 32-bit numbers that the caller keeps.
+    /// Borrowed 32-bit floating-point numbers.
     F32(&'a [f32]),
-    /// The same in several pieces, one behind the other.
+    /// Borrowed 32-bit floating-point numbers in several consecutive pieces.
     F32Pieces(Vec<&'a [f32]>),
     /// Numbers of any type.
     Values(Voxels),
-    /// Numbers of any type that the caller keeps.
+    /// Borrowed numbers of any type.
     Voxels(&'a Voxels),
-    /// A text, written as its bytes: strings of VTK's own type are not read everywhere (meshio stops at them).
+    /// A text, written as bytes. Not all programs read VTK's string type (meshio fails on it).
     Text(String),
 }
 
@@ -62,7 +62,7 @@ impl Payload<'_> {
 }
 
 fn write_f32(values: &[f32], file: &mut dyn Write) -> io::Result<()> {
-    // in parts of a MiB, so that an interrupt is noticed between them
+    // in parts of 1 MiB, so that an interrupt is noticed between them
     for chunk in values.chunks(1 << 18) {
         if cfg!(target_endian = "little") {
             file.write_all(bytemuck::cast_slice(chunk))?;
@@ -73,7 +73,7 @@ fn write_f32(values: &[f32], file: &mut dyn Write) -> io::Result<()> {
     Ok(())
 }
 
-/// A document under construction: the XML so far and the data that will follow it.
+/// A document under construction: the XML so far, and the data to append.
 pub struct Document<'a> {
     text: String,
     open: Vec<&'static str>,
@@ -82,7 +82,7 @@ pub struct Document<'a> {
 }
 
 impl<'a> Document<'a> {
-    /// Starts a document of a data-set type such as `ImageData`.
+    /// Starts a document of a data set type such as `ImageData`.
     pub fn new(data_set: &str) -> Self {
         let text = format!(
             "<?xml version=\"1.0\"?>\n<VTKFile type=\"{data_set}\" version=\"1.0\" byte_order=\"LittleEndian\" \
@@ -97,7 +97,7 @@ impl<'a> Document<'a> {
         self.text.push('<');
         self.text.push_str(name);
         for (key, value) in attributes {
-            // Writing to a string does not fail.
+            // writing to a string does not fail
             let _ = write!(self.text, " {key}=\"{}\"", escape(value));
         }
         self.text.push_str(">\n");
@@ -112,7 +112,7 @@ impl<'a> Document<'a> {
         }
     }
 
-    /// Adds an array with a number of components a tuple.
+    /// Adds an array with `components` numbers per tuple.
     pub fn array(&mut self, name: &str, components: usize, payload: Payload<'a>) {
         self.indent();
         let _ = write!(self.text, "<DataArray type=\"{}\" Name=\"{}\"", payload.type_name(), escape(name));
@@ -127,12 +127,12 @@ impl<'a> Document<'a> {
         self.payloads.push(payload);
     }
 
-    /// Adds the field data that every file of this program carries.
+    /// Adds the field data that identifies every file of this project: kind, version and history.
     pub fn identity(&mut self, kind: &str, version: u32, texts: &[(&str, String)], history: &History) {
         self.identity_with(kind, version, texts, Vec::new(), history);
     }
 
-    /// The same, with arrays of its own.
+    /// As [`Document::identity`], with additional arrays.
     pub fn identity_with(
         &mut self,
         kind: &str,
@@ -154,7 +154,7 @@ impl<'a> Document<'a> {
         self.close();
     }
 
-    /// Writes the document.
+    /// Closes all open elements and writes the document.
     pub fn write(mut self, file: &mut dyn Write) -> io::Result<()> {
         while !self.open.is_empty() {
             self.close();
@@ -174,16 +174,16 @@ impl<'a> Document<'a> {
     }
 }
 
-/// JSON in plain ASCII, which every reader of VTK strings understands.
+/// JSON in plain ASCII, which all readers of VTK strings accept.
 pub fn ascii_json(value: &impl serde::Serialize) -> String {
-    // Values of this program have string keys and finite or null numbers, so that this cannot fail.
+    // This cannot fail: the values have string keys, and their numbers are finite or null.
     let json = serde_json::to_string(value).unwrap_or_else(|_| "null".to_owned());
     let mut text = String::with_capacity(json.len());
     for c in json.chars() {
         if c.is_ascii() {
             text.push(c);
         } else {
-            // Outside ASCII there are only the contents of JSON strings.
+            // non-ASCII characters occur only in JSON strings
             for unit in c.encode_utf16(&mut [0; 2]) {
                 let _ = write!(text, "\\u{unit:04x}");
             }

@@ -1,36 +1,40 @@
-//! The pieces of the strata in a block of cells.
+//! Marching tetrahedra in one block of grid cells: interface triangles, and the vertices of
+//! junction curves and junction points. Edges that pass through a further material are bisected
+//! first. Vertices have names by which neighbouring blocks are joined.
 
 use super::lattice::{Lattice, Piece, Place, TETRAHEDRA, UNIT, half_way, number, pieces, rank};
 use crate::materials::{Indicators, MaterialId, Near, Stratum};
 use glam::{DVec3, DVec4};
 use std::collections::BTreeMap;
 
-/// How far from its ends a sheet is to be, both distances over the length of an edge between nodes of one material, for nothing to cross it: one for indicators of
-/// slope one.
+/// An edge between nodes of one material is taken to cross nothing if the interface distances of
+/// its ends sum to more than this multiple of its length. A factor of one suffices for indicators
+/// of slope one; 1.25 leaves a margin for steeper ones.
 const FAR: f64 = 1.25;
 
 /// A vertex of the complex.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Vertex {
-    /// Where it lies, grid frame, mm.
+    /// Position, grid frame, mm.
     pub position: DVec3,
     /// The materials that meet there.
     pub stratum: Stratum,
 }
 
-/// A triangle of a sheet.
+/// A triangle of a material interface.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Triangle {
-    /// Its corners, counter-clockwise seen from the material of the lower number.
+    /// Vertex indices, counter-clockwise seen from the material of the lower number.
     pub corners: [u32; 3],
     /// The two materials.
     pub sheet: Stratum,
 }
 
-/// The names of the corners of the simplex that a vertex lies in, ascending, with the largest number where there are fewer than four.
+/// Identifies a vertex: the numbers of the nodes at the corners of its simplex, ascending, padded
+/// with the largest number where there are fewer than four.
 pub(super) type Name = [u128; 4];
 
-/// What a block holds; corners are numbers of its own vertices.
+/// The result for one block. Triangle corners are indices of its own vertices.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Part {
     /// Names of the vertices, ascending.
@@ -39,7 +43,7 @@ pub(super) struct Part {
     pub(super) triangles: Vec<Triangle>,
 }
 
-/// What is known of a node.
+/// The sampled values at a node.
 struct Known {
     near: Near,
     own: MaterialId,
@@ -50,22 +54,23 @@ struct Known {
 #[derive(Clone, Copy)]
 struct Node {
     place: Place,
-    /// Its number among those that are known.
+    /// Index of its sampled values in the block.
     known: usize,
     own: MaterialId,
 }
 
-/// A block of cells of the grid and what is known of the lattice's nodes in it.
+/// A block of grid cells, with the lattice nodes sampled so far.
 struct Block<'a, I: ?Sized> {
     lattice: Lattice<'a>,
     indicators: &'a I,
-    /// Its first node of the grid, and its nodes along each axis.
+    /// First grid node, and number of grid nodes along each axis.
     first: [usize; 3],
     size: [usize; 3],
-    /// What was asked so far: of the grid's nodes in order, then of those between them.
+    /// Nodes sampled so far: the grid nodes in order, then those in between, whose indices
+    /// `between` holds.
     known: Vec<Option<Known>>,
     between: BTreeMap<u128, usize>,
-    /// Whether the edges between nodes of the grid are to be halved, by their first nodes and directions, as far as was asked.
+    /// Cached answers of `is_halved` for edges between grid nodes, by lower node and direction.
     halved: Vec<Option<bool>>,
 }
 
@@ -77,7 +82,7 @@ impl<'a, I: Indicators + ?Sized> Block<'a, I> {
         Self { lattice, indicators, first, size, known, between: BTreeMap::new(), halved: vec![None; 8 * nodes] }
     }
 
-    /// The number of a node of the grid.
+    /// Index of a grid node in `known`; `None` for a node between grid nodes.
     fn of_grid(&self, place: Place) -> Option<usize> {
         let is_of_grid = place.iter().all(|n| n.is_multiple_of(UNIT));
         let [i, j, k]: [usize; 3] = std::array::from_fn(|a| (place[a] / UNIT) as usize - self.first[a]);
@@ -102,12 +107,12 @@ impl<'a, I: Indicators + ?Sized> Block<'a, I> {
         Node { place, known, own: own.own }
     }
 
-    /// What is known of a node.
+    /// The sampled values at a node.
     fn of(&self, node: Node) -> Option<&Known> {
         self.known[node.known].as_ref()
     }
 
-    /// Whether an edge is to be halved: because it passes through a material that neither end is of.
+    /// Whether an edge is to be bisected, because it passes through a material of neither end.
     fn is_halved(&mut self, a: Node, b: Node) -> bool {
         if half_way(a.place, b.place).is_none() {
             return false;
@@ -124,7 +129,9 @@ impl<'a, I: Indicators + ?Sized> Block<'a, I> {
         told
     }
 
-    /// Whether an edge is seen to pass through a material that neither end is of.
+    /// Whether a sample on the edge is of a material of neither end. The sample lies where the two
+    /// ends' indicators, linear in between, are equal, or at the midpoint if both ends are of one
+    /// material.
     fn passes_another(&self, a: Node, b: Node) -> bool {
         let (Some(from), Some(to)) = (self.of(a), self.of(b)) else { return false };
         let share = if a.own == b.own {
@@ -142,7 +149,8 @@ impl<'a, I: Indicators + ?Sized> Block<'a, I> {
     }
 }
 
-/// Shares of two nodes in the place between them where the indicators of two materials, linear between them, are equal; half each where one is not known.
+/// Weights of two nodes at the point between them where the indicators of two materials, linear in
+/// between, are equal; 0.5 each if one is unknown.
 fn equal_between(nodes: [&Known; 2], of: [MaterialId; 2]) -> [f64; 2] {
     let [from, to] = nodes.map(|node| value(&node.near, of[1]) - value(&node.near, of[0]));
     let sum = from - to;
@@ -154,12 +162,12 @@ fn equal_between(nodes: [&Known; 2], of: [MaterialId; 2]) -> [f64; 2] {
     }
 }
 
-/// The indicator of a material among those near; infinite where it is not known.
+/// Indicator of a material among those sampled at a node, mm; infinite if unknown.
 fn value(near: &Near, id: MaterialId) -> f64 {
     near.entries().iter().find(|(known, _)| *known == id).map_or(f64::INFINITY, |(_, value)| *value)
 }
 
-/// What the cells of the grid from `first` on, `count` along each axis, hold.
+/// The pieces in the grid cells from `first` on, `count` along each axis.
 pub(super) fn part<I: Indicators + ?Sized>(
     lattice: Lattice<'_>,
     indicators: &I,
@@ -178,7 +186,7 @@ pub(super) fn part<I: Indicators + ?Sized>(
     found.into_part()
 }
 
-/// What was found so far, by names.
+/// Vertices and triangles found so far, by names.
 #[derive(Default)]
 struct Found {
     vertices: Vec<(Name, Vertex)>,
@@ -186,7 +194,7 @@ struct Found {
 }
 
 impl Found {
-    /// Adds what a cell of the grid holds.
+    /// Adds the pieces in one grid cell.
     fn cell<I: Indicators + ?Sized>(&mut self, block: &mut Block<'_, I>, cell: [usize; 3]) {
         let corner = |c: u8| std::array::from_fn(|a| UNIT * (cell[a] as u32 + u32::from(c >> a & 1)));
         let corners: [Node; 8] = std::array::from_fn(|c| block.node(corner(c as u8)));
@@ -203,7 +211,8 @@ impl Found {
         }
     }
 
-    /// Adds what a tetrahedron holds, after its edges have been halved that are to be: the first of them, and so on with both halves.
+    /// Adds the pieces in a tetrahedron. If any of its edges is to be bisected, bisects the one of
+    /// highest [`rank`] and recurses into both halves.
     fn tetrahedron<I: Indicators + ?Sized>(&mut self, block: &mut Block<'_, I>, nodes: [Node; 4]) {
         let mut longest = None;
         for (a, b) in (0..4).flat_map(|a| (a + 1..4).map(move |b| (a, b))) {
@@ -236,7 +245,7 @@ impl Found {
         });
     }
 
-    /// Adds a vertex and returns its name and place.
+    /// Adds a vertex; returns its name and its position (grid frame, mm).
     fn vertex<I: Indicators + ?Sized>(&mut self, block: &Block<'_, I>, corners: &Corners, own: u8) -> (Name, DVec3) {
         let (name, position) = (corners.name(own), corners.position(block, own));
         if let Some(stratum) = corners.stratum(own) {
@@ -245,7 +254,7 @@ impl Found {
         (name, position)
     }
 
-    /// Adds a piece of a sheet as one or two triangles.
+    /// Adds a piece of a material interface as one or two triangles.
     fn sheet<I: Indicators + ?Sized>(&mut self, block: &Block<'_, I>, corners: &Corners, of: [usize; 2], own: [u8; 4]) {
         let ids = of.map(|corner| corners.nodes[corner].own);
         let sheet = Stratum::sheet(ids[0], ids[1]);
@@ -265,7 +274,7 @@ impl Found {
         let mut add = |corners: [(Name, DVec3); 3]| self.triangles.push((corners.map(|corner| corner.0), sheet));
         match count {
             3 => add([a, b, c]),
-            // along the shorter diagonal
+            // split along the shorter diagonal
             _ if a.1.distance_squared(c.1) <= b.1.distance_squared(d.1) => {
                 [[a, b, c], [a, c, d]].into_iter().for_each(add);
             }
@@ -284,13 +293,14 @@ impl Found {
     }
 }
 
-/// The corners of a tetrahedron, by ascending numbers, so that it does not matter from which tetrahedron an edge or a face is looked at.
+/// The corners of a tetrahedron, sorted by node number, so that all tetrahedra that share an edge
+/// or a face compute the same results for it.
 struct Corners {
     nodes: [Node; 4],
 }
 
 impl Corners {
-    /// Some corners (bits), and how many.
+    /// The corners selected by bits, and their number.
     fn chosen(&self, own: u8) -> ([Node; 4], usize) {
         let (mut chosen, mut count) = (self.nodes, 0);
         for corner in (0..4).filter(|corner| own >> corner & 1 == 1) {
@@ -305,21 +315,23 @@ impl Corners {
         std::array::from_fn(|n| if n < count { number(chosen[n].place) } else { u128::MAX })
     }
 
-    /// The materials of some corners.
+    /// The materials of the selected corners.
     fn stratum(&self, own: u8) -> Option<Stratum> {
         let (chosen, count) = self.chosen(own);
         Stratum::new(&chosen.map(|node| node.own)[..count])
     }
 
-    /// Middle of some corners, in steps: there no piece has lost its shape, so that it tells sides.
+    /// Mean of the selected corners, in lattice steps. Pieces do not degenerate at these positions,
+    /// so they determine the orientation.
     fn middle(&self, own: u8) -> DVec3 {
         let (chosen, count) = self.chosen(own);
         let corner = |node: &Node| DVec3::from_array(node.place.map(f64::from));
         chosen[..count].iter().map(corner).sum::<DVec3>() / count.max(1) as f64
     }
 
-    /// Where the indicators of some corners' materials, linear between the corners, are equal; the nearest place to that among the corners where it lies beyond
-    /// them, and their middle where an indicator is not known.
+    /// Position (grid frame, mm) where the indicators of the selected corners' materials, linear
+    /// between the corners, are equal. Negative weights are set to zero, which keeps it between the
+    /// corners. The mean of the corners if an indicator is unknown.
     fn position<I: Indicators + ?Sized>(&self, block: &Block<'_, I>, own: u8) -> DVec3 {
         let (chosen, count) = self.chosen(own);
         let (Some(a), Some(b), Some(c), Some(d)) =
@@ -332,7 +344,8 @@ impl Corners {
             let [first, second] = equal_between([a, b], [chosen[0].own, chosen[1].own]);
             return a.position * first + b.position * second;
         }
-        // at each corner the indicators of all, less the first
+        // for each further material and corner: its indicator there minus that of the first
+        // material
         let mut rows = [[0.0; 4]; 3];
         for (c, known) in known[..count].iter().enumerate() {
             let first = value(&known.near, chosen[0].own);
@@ -355,7 +368,7 @@ impl Corners {
     }
 }
 
-/// The vector at right angles to three others: their minors.
+/// The vector perpendicular to three others, by their minors.
 fn normal_to(rows: [[f64; 4]; 3]) -> [f64; 4] {
     std::array::from_fn(|left| {
         let minor = rows.map(|row| {

@@ -1,5 +1,7 @@
-//! Junction curves as chains of vertices between junction points. The vertices that the lattice has of them are brought onto true curves, and these are followed from there
-//! ([`Follower`]), so that what is one curve is one chain, whatever the lattice joined.
+//! Junction curves as chains of vertices between junction points. The lattice vertices on curves
+//! and points are projected onto the true strata, and each curve is followed from there
+//! ([`Follower`]). One curve thus becomes one chain, regardless of how the lattice connects its
+//! vertices.
 
 use super::follow::{self, Follower, LONGEST, PASSED, Stop, TOLERANCE, UNDERCUT};
 use super::{Complex, Vertex};
@@ -11,29 +13,34 @@ use isoparticles_mesh::spatial::Bins;
 use rayon::prelude::*;
 use std::collections::{BTreeMap, BTreeSet};
 
-/// How far a vertex of a curve or a point may be from where the lattice has it, in voxels.
+/// Maximum distance between a lattice vertex and its projection onto a curve or point, in voxels.
 const FARTHEST: f64 = 1.0;
 
-/// Junction points of the same four materials are one, if a chain shorter than this (voxels) joins them. Of the 26,530 chains that join such points in
-/// `brain_parcellation`, 2,326 are shorter than a tenth, and from there on there are 500 to 600 to each tenth: what crowds near zero is one point that the lattice meets twice.
-/// No particles fit between those a quarter apart, a third of the smallest h.
+/// Junction points of the same four materials are merged if a chain shorter than this (voxels)
+/// joins them. Of the 26,530 chains that join such points in `brain_parcellation`, 2,326 are
+/// shorter than 0.1 voxel, and each further tenth holds 500 to 600. The peak near zero is junction
+/// points that the lattice finds twice. A chain of 0.25 voxel, a third of the smallest h, has no
+/// room for particles.
 const MERGED_WITHIN: f64 = 0.25;
 
-/// Junction points nearer than this (voxels) are one, where more than four materials meet: of the curves that end there each meets it by three other materials, and
-/// which of them leave it is decided that far away. Labels say nothing of where materials meet within a fiftieth of a voxel.
+/// Junction points closer than this (voxels) are one. Where more than four materials meet, each
+/// curve ends with three further materials, and whether a curve leaves such a point is decided at
+/// this distance. Labels do not determine where materials meet to within a fiftieth of a voxel.
 pub const COINCIDENT: f64 = 0.02;
 
-/// Closed curves shorter than this (voxels) are left out: two materials that touch on less than a fiftieth of the face of a voxel.
+/// Closed curves shorter than this (voxels) are dropped: they enclose a contact of less than a
+/// fiftieth of a voxel face.
 const SPECK: f64 = 0.5;
 
-/// Where a chain ends.
+/// End of a chain.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum End {
     /// At the junction point of that number.
     Point(u32),
-    /// At the border of the grid, with its last vertex; or where the curve cannot be followed on.
+    /// At the border of the grid, on which its last vertex lies; or where the curve could not be
+    /// followed further.
     Border,
-    /// Nowhere: it returns to its first vertex.
+    /// No end: the chain is closed and returns to its first vertex.
     Closed,
 }
 
@@ -42,14 +49,14 @@ pub enum End {
 pub struct Chain {
     /// The three materials.
     pub curve: Stratum,
-    /// Its vertices in order, junction points not included.
+    /// Its vertices in order, without junction points.
     pub vertices: Vec<u32>,
-    /// What comes before the first vertex and after the last.
+    /// The ends before the first vertex and after the last.
     pub ends: [End; 2],
 }
 
 impl Chain {
-    /// Whether it has no ends.
+    /// Whether it is a closed curve.
     pub fn is_closed(&self) -> bool {
         self.ends[0] == End::Closed
     }
@@ -66,20 +73,21 @@ impl Chain {
 pub struct Junction {
     /// The four materials.
     pub stratum: Stratum,
-    /// Where it lies, grid frame, mm.
+    /// Position, grid frame, mm.
     pub position: DVec3,
 }
 
-/// What became of a vertex on its way to its stratum.
+/// Result of projecting a vertex onto its stratum.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Met {
     Yes,
-    /// Met, where another material is nearer.
+    /// Projected, but another material is nearer there.
     NotClear,
     No,
 }
 
-/// Finds the chains and points of indicators on a grid that ends at `corner`, with the vertices of the lattice as places to begin at.
+/// Finds the chains and junction points of `indicators`, starting from the lattice vertices in
+/// `complex`. `corner` is the last corner of the grid, mm.
 pub(super) fn trace<I: Indicators + ?Sized>(complex: &mut Complex, indicators: &I, corner: DVec3) {
     let met = project(complex, indicators, corner);
     let mut starts: BTreeMap<Stratum, Vec<DVec3>> = BTreeMap::new();
@@ -134,7 +142,8 @@ pub(super) fn trace<I: Indicators + ?Sized>(complex: &mut Complex, indicators: &
     complex.tally.specks = before - complex.chains.len();
 }
 
-/// Brings the vertices of curves and points onto these, and tells what became of all.
+/// Projects the vertices of curves and points onto their strata; returns the result for each
+/// vertex.
 fn project<I: Indicators + ?Sized>(complex: &mut Complex, indicators: &I, corner: DVec3) -> Vec<Met> {
     let voxel = indicators.voxel();
     let (limit, tolerance) = (FARTHEST * voxel, TOLERANCE * voxel);
@@ -159,15 +168,15 @@ fn project<I: Indicators + ?Sized>(complex: &mut Complex, indicators: &I, corner
 /// A curve that was followed.
 struct Line {
     curve: Stratum,
-    /// Without junction points.
+    /// Positions along it, without junction points.
     places: Vec<DVec3>,
-    /// Whether they follow each other along the tangent.
+    /// Whether the positions are in the order of the tangent.
     is_along: bool,
-    /// How it ends before the first place and after the last.
+    /// How it ends before the first position and after the last.
     ends: [Stop; 2],
 }
 
-/// The curves of three materials through some places on them, each once.
+/// The curves of three materials through the given positions on them, each once.
 fn lines_from<I: Indicators + ?Sized>(indicators: &I, corner: DVec3, curve: Stratum, starts: &[DVec3]) -> Vec<Line> {
     let &[i, j, k] = curve.materials() else { return Vec::new() };
     let follower = Follower { indicators, corner, own: [i, j, k], undercut: UNDERCUT };
@@ -192,7 +201,7 @@ fn lines_from<I: Indicators + ?Sized>(indicators: &I, corner: DVec3, curve: Stra
     lines
 }
 
-/// All threes of some materials, each ascending.
+/// All triples of the given materials, each ascending.
 fn triples(ids: &[MaterialId]) -> Vec<[MaterialId; 3]> {
     let mut ids = ids.to_vec();
     ids.sort_unstable();
@@ -201,20 +210,21 @@ fn triples(ids: &[MaterialId]) -> Vec<[MaterialId; 3]> {
     pairs.flat_map(|(b, c)| (0..b).map(move |a| [a, b, c])).map(|own| own.map(|n| ids[n])).collect()
 }
 
-/// The junction points at which curves were found to end, each place once.
+/// Junction points at which curves end, each position once.
 struct Points {
-    /// Places nearer than this are one, mm.
+    /// Positions closer than this are one point, mm.
     reach: f64,
-    /// Places that Newton's method met from the lattice: nearer to the truth where a curve could not be followed to its very end.
+    /// Lattice vertices projected by Newton's method. These are more accurate than the end of a
+    /// curve that could not be followed to its very end.
     met: KdTree,
     met_places: Vec<DVec3>,
     all: Vec<Junction>,
-    /// Their numbers by place.
+    /// Numbers of the points, binned by position.
     bins: Bins<u32>,
 }
 
 impl Points {
-    /// The number of the point at a place.
+    /// The number of the point at a position, which is added if it is new.
     fn number(&mut self, position: DVec3, stratum: Stratum) -> u32 {
         let is_here = |n: &&u32| self.all[**n as usize].position.distance(position) < self.reach;
         if let Some(&number) = self.bins.near(position).find(is_here) {
@@ -228,21 +238,23 @@ impl Points {
     }
 }
 
-/// Curves that were followed, on their way into a complex.
+/// Adds followed curves to a complex.
 struct Assembly<'a> {
     complex: &'a mut Complex,
     points: Points,
-    /// Which curves leave which point, along the tangent or against it.
+    /// Which curves leave which point, along the tangent (true) or against it.
     leaving: BTreeSet<(u32, Stratum, bool)>,
-    /// Those that are in it.
+    /// Curves that have been added.
     known: Known,
-    /// Pairs of points that are one.
+    /// Pairs of points to be merged.
     same: Vec<[u32; 2]>,
 }
 
 impl Assembly<'_> {
-    /// Adds a curve; its first end is the point `from`, if there is one. A curve that is there already is not added: a point from which one leaves that ends, as it is there,
-    /// at another point next to it, is that point. Where four materials are all but equal along a curve, Newton's method meets their point at several places of it.
+    /// Adds a curve; its first end is the point `from`, if given. A curve that the complex already
+    /// has is not added. If the existing chain ends at another point of the same materials close to
+    /// `from`, the two points are marked as one: where four materials are almost equal along a
+    /// curve, Newton's method finds their point at several positions.
     fn add(&mut self, line: Line, from: Option<u32>) {
         let position = |point: u32| self.points.all[point as usize].position;
         let end = |stop: Stop| if let Stop::Point(place, _) = stop { Some(place) } else { None };
@@ -285,7 +297,7 @@ impl Assembly<'_> {
         self.complex.chains.push(Chain { curve: line.curve, vertices, ends });
     }
 
-    /// Follows the curves from points that no place of the lattice lies on.
+    /// Follows the curves that leave known points but pass through no lattice vertex.
     fn complete<I: Indicators + ?Sized>(&mut self, indicators: &I, corner: DVec3) {
         let voxel = indicators.voxel();
         let mut next = 0;
@@ -311,27 +323,29 @@ impl Assembly<'_> {
     }
 }
 
-/// The steps of the curves in a complex, by place.
+/// The steps of the curves in a complex, for look-up by position.
 #[derive(Default)]
 struct Known {
     voxel: f64,
-    /// Of each curve its steps along the tangent, by their middles, with the number of the chain.
+    /// For each curve its steps in the direction of the tangent, binned by midpoint, with the
+    /// chain's number.
     steps: BTreeMap<Stratum, Bins<(u32, [DVec3; 2])>>,
 }
 
 impl Known {
-    /// The steps of a path in the direction of the tangent.
+    /// The steps of a path, in the direction of the tangent.
     fn along(path: &[DVec3], is_along: bool) -> impl Iterator<Item = [DVec3; 2]> + '_ {
         path.windows(2).map(move |step| if is_along { [step[0], step[1]] } else { [step[1], step[0]] })
     }
 
-    /// Takes note of a chain.
+    /// Adds the steps of a chain.
     fn add(&mut self, chain: u32, curve: Stratum, path: &[DVec3], is_along: bool) {
         let bins = self.steps.entry(curve).or_insert_with(|| Bins::new(2.0 * LONGEST * self.voxel));
         Self::along(path, is_along).for_each(|[a, b]| bins.add(a.midpoint(b), (chain, [a, b])));
     }
 
-    /// The chain that a path runs along, in the same direction, but for what lies within [`MERGED_WITHIN`] of its ends, or a third of its length.
+    /// The existing chain that a path follows in the same direction. The path's ends are ignored,
+    /// over [`MERGED_WITHIN`] or a third of its length, whichever is less.
     fn chain_along(&self, curve: Stratum, path: &[DVec3], is_along: bool) -> Option<u32> {
         let bins = self.steps.get(&curve)?;
         let length: f64 = path.windows(2).map(|step| step[0].distance(step[1])).sum();
@@ -364,7 +378,9 @@ impl Known {
     }
 }
 
-/// Merges the points that are one (`same`) and those of the same materials that short chains join, leaves out these chains, and lets those pass that need no end any more.
+/// Merges junction points: the pairs in `same`, and points of the same materials joined by a short
+/// chain, which is dropped. A point at which every curve can continue is removed, and its chains
+/// are joined through it.
 fn merge_points(complex: &mut Complex, same: &[[u32; 2]], voxel: f64) {
     let mut sets = DisjointSets::new(complex.points.len());
     same.iter().for_each(|&[a, b]| sets.join(a, b));
@@ -429,7 +445,8 @@ fn merge_points(complex: &mut Complex, same: &[[u32; 2]], voxel: f64) {
     complex.chains = left.into_iter().flatten().map(renumbered).collect();
 }
 
-/// Joins the chains that end at a point, two and two of the same curve, so that they pass through it. `same` tells what has become one chain.
+/// Joins the chains that end at a point in pairs of the same curve. `same` maps joined chains to
+/// the one that remains.
 fn pass(own: u32, ends: &[u32], left: &mut [Option<Chain>], same: &mut DisjointSets) {
     loop {
         let mut numbers: Vec<u32> = ends.iter().map(|&n| same.find(n)).collect();

@@ -1,57 +1,69 @@
-//! Junction curves followed step by step, from a place on one to where it ends.
+//! Follows junction curves step by step from a position on them to their ends: a predictor step
+//! along the tangent, then Newton's method back onto the curve. Positions are in the grid frame,
+//! mm.
 
 use super::chains::COINCIDENT;
 use crate::materials::{Indicators, MaterialId, Stratum};
 use glam::DVec3;
 
-/// Longest and shortest step along a curve, in voxels. A step is halved until the curve turns by no more than [`LEAST_COSINE`] on it.
+/// Longest step along a curve, in voxels. A step is halved until the curve turns by no more than
+/// [`LEAST_COSINE`] over it.
 pub(super) const LONGEST: f64 = 0.2;
+/// Shortest step along a curve, in voxels.
 const SHORTEST: f64 = 1e-3;
 
-/// Cosine between the tangents at both ends of a step: with 37 degrees a chord lies a twelfth of a step off its arc.
+/// Minimum cosine between the tangents at both ends of a step. At this angle, 37 degrees, a chord
+/// lies a twelfth of its length off the arc.
 const LEAST_COSINE: f64 = 0.8;
 
-/// Farthest that Newton's method may go from where the tangent leads, over the length of the step.
+/// Longest Newton correction after a step, as a fraction of the step's length. The step must also
+/// advance by more than this fraction.
 const ASIDE: f64 = 0.5;
 
-/// A place is passed where it lies nearer to a step than this share of its length.
+/// A position is passed by a step if its distance from the step is at most this fraction of the
+/// step's length.
 pub(super) const PASSED: f64 = 0.25;
 
-/// A fourth material that is so little farther (voxels) is as near.
+/// Maximum clearance (voxels) of a fourth material that counts as equally near where a curve cannot
+/// be followed further.
 const EQUAL: f64 = 2.0 * SHORTEST;
 
-/// The end of a way is reached where the curve ends so near to it, in voxels: at a junction point.
+/// A path has reached its target position if a step ends within this distance of it, in voxels. A
+/// curve that ends at a junction point does so.
 const AT_AN_END: f64 = 0.01;
 
-/// More steps than any curve has: 100,000 voxels.
+/// Maximum number of steps: 100,000 voxels at the longest step, more than any curve has.
 const MOST_STEPS: usize = 1 << 19;
 
-/// How closely points and curves are met, in voxels.
+/// Tolerance of projections onto points and curves, in voxels.
 pub(super) const TOLERANCE: f64 = 1e-7;
 
-/// How far another material may undercut those of a place for it to count as real, in voxels: rounding, and what Newton's method leaves.
+/// A stratum is real at a position unless another material undercuts its own by more than this
+/// (voxels). It covers rounding and the residual of Newton's method.
 pub(super) const UNDERCUT: f64 = 1e-6;
 
-/// A place beyond the border of the grid goes back and forth between border and curve so often: each turn leaves the share that the cosine squared of the angle between
-/// the two says.
+/// Alternating projections between the border of the grid and the curve, for a position beyond the
+/// border. Each multiplies the error by the squared cosine of the angle between the two.
 const TURNS_AT_BORDER: usize = 12;
 
 /// How a curve ends.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Stop {
-    /// A fourth material gets as near: the place, and the four.
+    /// At a junction point, where a fourth material is equally near: its position and the four
+    /// materials.
     Point(DVec3, Stratum),
-    /// The grid ends.
+    /// At the border of the grid.
     Border,
     /// Where it began.
     Start,
-    /// Two of its sheets become tangent, so that it cannot be told where it goes on.
+    /// Where it cannot be followed further, because two of its interfaces become tangent.
     Lost,
-    /// It was not to be followed any farther.
+    /// Where the callback stopped it.
     Told,
 }
 
-/// The places along a closed junction curve from one of them on, three at least; `None` where it does not return there.
+/// Positions along a closed junction curve, starting with `from`; at least three. `None` if the
+/// curve does not return there.
 pub fn way_round<I: Indicators + ?Sized>(
     indicators: &I,
     curve: Stratum,
@@ -65,8 +77,10 @@ pub fn way_round<I: Indicators + ?Sized>(
     (ends == [Stop::Start; 2] && way.len() >= 3).then_some(way)
 }
 
-/// The ways along a junction curve from one of its places to another, both included, in the grid that ends at `corner`: of the two directions those that lead
-/// there within `longest` (mm), the shorter one first. What another material undercuts by less than [`COINCIDENT`] is passed: places a step apart do not show it.
+/// Paths along a junction curve from one of its positions to another, both included, in the grid
+/// that ends at `corner`. There is at most one for each direction, shorter than `longest` (mm) and
+/// sorted by length. Parts that another material undercuts by less than [`COINCIDENT`] are passed,
+/// since positions a step apart do not resolve them.
 pub fn ways_along<I: Indicators + ?Sized>(
     indicators: &I,
     curve: Stratum,
@@ -99,7 +113,7 @@ pub fn ways_along<I: Indicators + ?Sized>(
     ways.into_iter().map(|(_, places)| places).collect()
 }
 
-/// The first of [`ways_along`].
+/// The shortest path of [`ways_along`].
 pub fn way_along<I: Indicators + ?Sized>(
     indicators: &I,
     curve: Stratum,
@@ -110,8 +124,9 @@ pub fn way_along<I: Indicators + ?Sized>(
     ways_along(indicators, curve, corner, ends, longest).into_iter().next()
 }
 
-/// The way along a junction curve from one of its places, which is included, in that of its two directions that is nearer to `heading`: for `longest` (mm), or to where the curve ends or
-/// cannot be followed.
+/// Path along a junction curve from one of its positions, which is included, in the direction
+/// closer to `heading`. It ends after `longest` (mm), or where the curve ends or cannot be
+/// followed.
 pub fn way_from<I: Indicators + ?Sized>(
     indicators: &I,
     curve: Stratum,
@@ -130,24 +145,25 @@ pub fn way_from<I: Indicators + ?Sized>(
     std::iter::once(from).chain(places).collect()
 }
 
-/// The curves of three materials.
+/// Follows the curves of three materials.
 pub(super) struct Follower<'a, I: ?Sized> {
     pub(super) indicators: &'a I,
     /// The last corner of the grid, mm.
     pub(super) corner: DVec3,
     pub(super) own: [MaterialId; 3],
-    /// How far another material may undercut them on the way, in voxels.
+    /// How far another material may undercut the three on the way, in voxels.
     pub(super) undercut: f64,
 }
 
 impl<I: Indicators + ?Sized> Follower<'_, I> {
-    /// The unit tangent at a place on a curve: of one direction all along it, by the order of the materials.
+    /// The unit tangent at a position on a curve. The order of the materials fixes its direction
+    /// along the whole curve.
     pub(super) fn tangent(&self, place: DVec3) -> DVec3 {
         let gradient = |other: MaterialId| self.indicators.difference_gradient(self.own[0], other, place).1;
         gradient(self.own[1]).cross(gradient(self.own[2])).normalize_or_zero()
     }
 
-    /// The place of a curve near another, in the grid.
+    /// Projects a position onto the curve, within the grid. `limit` (mm) is the longest total move.
     pub(super) fn onto(&self, place: DVec3, limit: f64) -> Option<DVec3> {
         let tolerance = TOLERANCE * self.indicators.voxel();
         let onto = |p: DVec3| self.indicators.project_onto_curve(self.own, p, limit, tolerance);
@@ -164,18 +180,19 @@ impl<I: Indicators + ?Sized> Follower<'_, I> {
         p == p.clamp(DVec3::ZERO, self.corner)
     }
 
-    /// Whether two ways from `starts`, both lost, are so on the same spot: at a turn too sharp to be followed.
+    /// Whether two paths that were both lost end at the same spot, at a turn too sharp to be
+    /// followed. `starts` are their starting positions, or one that both share.
     fn meet(&self, starts: &[DVec3], forth: &[DVec3], back: &[DVec3]) -> bool {
         let last = |way: &[DVec3], start: usize| *way.last().unwrap_or(&starts[start]);
         last(forth, 0).distance(last(back, starts.len() - 1)) < AT_AN_END * self.indicators.voxel()
     }
 
-    /// Whether no other material is nearer at a place on a curve.
+    /// Whether no other material is nearer at a position on a curve.
     pub(super) fn is_real(&self, place: DVec3) -> bool {
         self.indicators.clearance(place, &self.own) >= -self.undercut * self.indicators.voxel()
     }
 
-    /// The place a step further, if the curve turns little on the way.
+    /// The position one step further; `None` if the curve turns too much on the way.
     fn ahead(&self, place: DVec3, tangent: DVec3, sign: f64, step: f64) -> Option<DVec3> {
         let limit = ASIDE * step;
         let tolerance = TOLERANCE * self.indicators.voxel();
@@ -184,15 +201,18 @@ impl<I: Indicators + ?Sized> Follower<'_, I> {
         (is_smooth && (found - place).dot(tangent) > ASIDE * step).then_some(found)
     }
 
-    /// Whether the curve is real a little from a junction point, along its tangent or against it.
+    /// Whether the curve is real at a small distance from a junction point, along its tangent or
+    /// against it.
     pub(super) fn leaves(&self, point: DVec3, is_along: bool) -> bool {
         let (step, sign) = (COINCIDENT * self.indicators.voxel(), if is_along { 1.0 } else { -1.0 });
         let next = self.ahead(point, sign * self.tangent(point), sign, step);
         next.is_some_and(|p| self.indicators.clearance(p, &self.own) > 0.0)
     }
 
-    /// Follows a curve from a place on it, along its tangent (`sign` 1) or against it (-1): the places behind the first, and how it ends; a junction point and the border are
-    /// no such places, and the first is none. `hear` is told both ends of every step, and whether to go on is what it answers.
+    /// Follows a curve from a position on it, along its tangent (`sign` 1) or against it (-1).
+    /// Returns the positions after `start`, and how the curve ends; a final position on the border
+    /// is included, a junction point is not. `hear` receives both ends of every step and returns
+    /// whether to go on.
     pub(super) fn follow(
         &self,
         start: DVec3,
@@ -239,7 +259,8 @@ impl<I: Indicators + ?Sized> Follower<'_, I> {
         (places, Stop::Lost)
     }
 
-    /// How a curve ends at a place from which it cannot be followed: where a fourth material is as near, indicators have kinks, and this is the junction point.
+    /// How a curve ends at a position from which it cannot be followed. If a fourth material is
+    /// equally near, the indicators have a kink there, and the position is the junction point.
     fn stop_at(&self, place: DVec3) -> Stop {
         let near = self.indicators.near(place);
         let fourth = near.entries().iter().find(|(id, _)| !self.own.contains(id));
@@ -249,8 +270,10 @@ impl<I: Indicators + ?Sized> Follower<'_, I> {
         point.map_or(Stop::Lost, |stratum| Stop::Point(place, stratum))
     }
 
-    /// Follows a curve from a place on it both ways: the places along its tangent, which of them the first one is, and how it ends before the first and behind the last. A curve
-    /// that is lost both ways on the same spot is closed, with a turn too sharp to be followed.
+    /// Follows a curve both ways from `start`. Returns the positions in the order of the tangent,
+    /// the index of `start` among them, and how the curve ends before the first and after the last.
+    /// A curve that is lost both ways at the same spot counts as closed, with a turn too sharp to
+    /// be followed.
     pub(super) fn follow_both_ways(
         &self,
         start: DVec3,
@@ -270,7 +293,7 @@ impl<I: Indicators + ?Sized> Follower<'_, I> {
         (places, before, ends)
     }
 
-    /// The junction point between two places of a curve, of which the second is no longer real.
+    /// The junction point between two positions of a curve, the second of which is no longer real.
     fn point_between(&self, place: DVec3, beyond: DVec3, step: f64) -> Option<(DVec3, Stratum)> {
         let near = self.indicators.near(beyond);
         let (fourth, _) = near.entries().iter().find(|(id, _)| !self.own.contains(id))?;
@@ -286,12 +309,12 @@ impl<I: Indicators + ?Sized> Follower<'_, I> {
     }
 }
 
-/// Whether a place lies beside a step.
+/// Whether a position lies beside a step.
 pub(super) fn is_passed(place: DVec3, a: DVec3, b: DVec3) -> bool {
     distance_from_step(place, a, b) <= PASSED * a.distance(b)
 }
 
-/// Distance of a place from a step, mm.
+/// Distance of a position from a step, mm.
 pub(super) fn distance_from_step(place: DVec3, a: DVec3, b: DVec3) -> f64 {
     let (way, squared) = (b - a, a.distance_squared(b));
     let share = if squared > 0.0 { ((place - a).dot(way) / squared).clamp(0.0, 1.0) } else { 0.0 };

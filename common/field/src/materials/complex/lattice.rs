@@ -1,13 +1,15 @@
-//! The tetrahedra between the nodes of a grid, and what the materials at their corners say.
+//! The tetrahedral lattice between the nodes of a grid, and the pieces of strata in a tetrahedron
+//! by the materials at its corners.
 
 use crate::materials::MaterialId;
 use glam::DVec3;
 use isoparticles_volume::Geometry;
 
-/// Steps from a node of the grid to the next: edges are halved no farther than to one step along an axis.
+/// Lattice steps between neighbouring grid nodes. Edges are bisected down to one step along an
+/// axis, three times at most.
 pub(super) const UNIT: u32 = 8;
 
-/// A place in steps.
+/// A lattice position, in steps.
 pub(super) type Place = [u32; 3];
 
 /// The lattice of a grid.
@@ -17,54 +19,57 @@ pub(super) struct Lattice<'a> {
 }
 
 impl Lattice<'_> {
-    /// Where a place lies, grid frame, mm.
+    /// A lattice position in the grid frame, mm.
     pub(super) fn position(&self, place: Place) -> DVec3 {
         self.geometry.index_to_grid(DVec3::from_array(place.map(f64::from)) / f64::from(UNIT))
     }
 }
 
-/// A place as one number; of places one of which is nowhere beyond the other, that has the smaller number.
+/// A lattice position as one number, ordered by z, then y, then x.
 pub(super) fn number(place: Place) -> u128 {
     let [x, y, z] = place.map(u128::from);
     z << 64 | y << 32 | x
 }
 
-/// The place half-way between two, if it has whole steps.
+/// The midpoint of two lattice positions, if it has whole steps.
 pub(super) fn half_way(a: Place, b: Place) -> Option<Place> {
     let is_even = (0..3).all(|axis| a[axis].abs_diff(b[axis]).is_multiple_of(2));
     is_even.then(|| std::array::from_fn(|axis| a[axis].midpoint(b[axis])))
 }
 
-/// Squared length in steps, and the ends: of edges that are to be halved, the one that is halved first has the largest of these. An order of all edges, so
-/// that a face is cut alike from both sides.
+/// Order in which edges are bisected, highest first: by squared length in steps, then by the
+/// numbers of the ends. It is a total order, so that a face is cut alike from both sides.
 pub(super) fn rank(a: Place, b: Place) -> (u32, [u128; 2]) {
     let squared = (0..3).map(|axis| a[axis].abs_diff(b[axis]).pow(2)).sum();
     let (a, b) = (number(a), number(b));
     (squared, [a.min(b), a.max(b)])
 }
 
-/// Offsets (bits of x, y, z) of the corners of Kuhn's tetrahedra: the ways from the lowest node of a cell to the highest along three of its edges. Those
-/// of neighbouring cells fit.
+/// Corner offsets (bits of x, y, z) of Kuhn's tetrahedra: the paths from the lowest node of a cell
+/// to the highest along three of its edges. Those of neighbouring cells fit together.
 pub(super) const TETRAHEDRA: [[u8; 4]; 6] =
     [[0, 1, 3, 7], [0, 1, 5, 7], [0, 2, 3, 7], [0, 2, 6, 7], [0, 4, 5, 7], [0, 4, 6, 7]];
 
-/// A piece of a stratum within a tetrahedron. Its corners are sets of the tetrahedron's corners (bits): two for a point on an edge, three for one on a face, four for
-/// the one inside.
+/// A piece of a stratum within a tetrahedron. Each of its corners is a set of the tetrahedron's
+/// corners (bits): two for a point on an edge, three for one on a face, four for the one inside.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Piece {
-    /// Part of the sheet of two materials, given by a corner of each: three or four corners (the last is zero where there are three).
+    /// Part of the interface of two materials, given by a tetrahedron corner of each: three or four
+    /// corners (the last is zero where there are three).
     Sheet { of: [usize; 2], corners: [u8; 4] },
-    /// Part of the curve of three materials.
+    /// Part of the junction curve of three materials.
     Curve { ends: [u8; 2] },
 }
 
-/// Tells the pieces of a tetrahedron by the materials of its corners (Nielson and Franke 1997).
+/// Passes the pieces of a tetrahedron to `hear`, by the materials of its corners (Nielson and
+/// Franke 1997).
 pub(super) fn pieces(of: [MaterialId; 4], mut hear: impl FnMut(Piece)) {
     let bit = |corner: usize| 1u8 << corner;
     let same = |a: usize, b: usize| of[a] == of[b];
     let pair = (0..4).flat_map(|a| (a + 1..4).map(move |b| [a, b])).find(|&[a, b]| same(a, b));
     let Some([a, b]) = pair else {
-        // four materials: a quarter of each sheet's boundary lies on two faces, with the point inside
+        // four materials: each interface is a quadrilateral from an edge over two faces to the
+        // point inside
         for i in 0..4 {
             for j in i + 1..4 {
                 let edge = bit(i) | bit(j);
@@ -99,7 +104,7 @@ pub(super) fn pieces(of: [MaterialId; 4], mut hear: impl FnMut(Piece)) {
     }
 }
 
-/// The two corners of a tetrahedron that are not these.
+/// The other two corners of a tetrahedron.
 fn others([a, b]: [usize; 2]) -> [usize; 2] {
     let mut left = (0..4).filter(|&n| n != a && n != b);
     [left.next().unwrap_or(0), left.next().unwrap_or(0)]

@@ -1,4 +1,5 @@
-//! Areas and lengths of the complex, and how many particles an edge length asks for on it.
+//! Areas and lengths of the complex, and the number of particles that an edge length h predicts on
+//! it.
 
 use super::{Chain, Complex, End, Triangle};
 use crate::materials::Stratum;
@@ -7,15 +8,16 @@ use glam::DVec3;
 use rayon::prelude::*;
 use std::collections::BTreeMap;
 
-/// Triangles that are added up one after the other.
+/// Triangles that are summed one after the other; the sum does not depend on the number of threads.
 const CHUNK: usize = 1 << 14;
 
-/// A particle on a junction curve stands for half a particle's area on each of the three sheets that meet there, so that three halves of the lattice's particles
-/// are one.
+/// Lattice particles that one particle on a junction curve replaces: it stands for half a
+/// particle's area on each of three interfaces.
 const SAVED_ON_CURVES: f64 = 1.5;
 
 impl Complex {
-    /// The places along a chain, its ends included; of a closed one without returning to the first.
+    /// Positions along a chain, its ends included. A closed chain does not repeat its first
+    /// position.
     pub fn line(&self, chain: &Chain) -> Vec<DVec3> {
         let end = |end: End| match end {
             End::Point(point) => Some(self.points[point as usize].position),
@@ -25,7 +27,7 @@ impl Complex {
         end(chain.ends[0]).into_iter().chain(inner).chain(end(chain.ends[1])).collect()
     }
 
-    /// The same, with the first place again at the end of a closed one.
+    /// As [`Self::line`], but a closed chain ends with its first position.
     fn whole_line(&self, chain: &Chain) -> Vec<DVec3> {
         let mut line = self.line(chain);
         if chain.is_closed() {
@@ -39,12 +41,12 @@ impl Complex {
         self.whole_line(chain).windows(2).map(|pair| pair[0].distance(pair[1])).sum()
     }
 
-    /// The corners of a triangle.
+    /// Corner positions of a triangle, mm.
     pub fn corners(&self, triangle: &Triangle) -> [DVec3; 3] {
         triangle.corners.map(|v| self.vertices[v as usize].position)
     }
 
-    /// Area of each sheet, mm^2.
+    /// Area of each material interface, mm^2.
     pub fn areas(&self) -> BTreeMap<Stratum, f64> {
         let mut areas = BTreeMap::new();
         for triangle in &self.triangles {
@@ -62,7 +64,9 @@ impl Complex {
         lengths
     }
 
-    /// How many particles settle on all strata: those of the lattice on sheets ([`SizingField::lattice_density`]), less what those on their borders stand for.
+    /// Number of particles that settle on all strata: those of the lattice on the interfaces
+    /// ([`SizingField::lattice_density`]), minus those that curve particles replace, plus those on
+    /// curves and points.
     pub fn predicted_count(&self, sizing: &SizingField) -> f64 {
         let on_triangle = |triangle: &Triangle| {
             let doubled = self.doubled(triangle);
@@ -77,7 +81,7 @@ impl Complex {
         (sums.iter().sum::<f64>() + (1.0 - SAVED_ON_CURVES) * along).max(0.0) + self.points.len() as f64
     }
 
-    /// The normal of a triangle, as long as twice its area.
+    /// Normal of a triangle, with twice its area as length, mm^2.
     fn doubled(&self, triangle: &Triangle) -> DVec3 {
         let [a, b, c] = self.corners(triangle);
         (b - a).cross(c - a)

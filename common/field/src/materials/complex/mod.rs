@@ -1,10 +1,14 @@
-//! The discrete complex of the strata: triangles of sheets, chains of junction curves, junction points; from the indicators alone.
+//! The discrete complex of the strata: triangles of material interfaces, chains of junction curves,
+//! and junction points, computed from the indicators alone.
 //!
-//! Marching tetrahedra of many materials (Nielson and Franke, Computing the Separating Surface for Segmented Data, IEEE Visualization 1997): each cell of a
-//! lattice is cut into Kuhn's six tetrahedra, which fit those of the cells beside it. The materials at the corners of a tetrahedron decide: an edge
-//! between two is crossed by their sheet once, a face between three by their curve, a tetrahedron of four holds a point. So the complex is
-//! closed, with curves as the borders of sheets and points as the ends of curves, whatever the indicators are. Where curves and points lie, the indicators
-//! tell by Newton's method; the vertices of sheets stay where the linear functions between the corners are equal, second order in the spacing.
+//! Marching tetrahedra of many materials (Nielson and Franke, Computing the Separating Surface for
+//! Segmented Data, IEEE Visualization 1997): each cell is cut into Kuhn's six tetrahedra, which fit
+//! those of the neighbouring cells. The materials at the corners decide. An edge between two
+//! materials crosses their interface once, a face between three crosses their curve, and a
+//! tetrahedron of four holds a junction point. The complex is therefore closed for any indicators:
+//! curves bound interfaces, and points end curves. Newton's method moves curves and points onto the
+//! true strata. Interface vertices stay where the linear functions between the corners are equal,
+//! with an error of second order in the spacing.
 
 mod cells;
 mod chains;
@@ -26,55 +30,57 @@ use lattice::Lattice;
 use rayon::prelude::*;
 use serde::Serialize;
 
-/// What became of the vertices on the way from the lattice to the strata.
+/// Counts of lattice vertices and curves that were projected, dropped or merged.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct Tally {
-    /// Junction points of the lattice.
+    /// Junction points found on the lattice.
     pub points: usize,
-    /// Those of which Newton's method found none near.
+    /// Lattice junction points that Newton's method could not project.
     pub points_not_projected: usize,
-    /// Those where a fifth material is nearer.
+    /// Lattice junction points projected to where a fifth material is nearer.
     pub points_not_clear: usize,
-    /// Vertices of junction curves.
+    /// Vertices of junction curves found on the lattice.
     pub curve_vertices: usize,
-    /// Those of which no curve was found near.
+    /// Lattice curve vertices that could not be projected onto their curve.
     pub curve_vertices_not_projected: usize,
-    /// Those where a fourth material is nearer.
+    /// Lattice curve vertices projected to where a fourth material is nearer.
     pub curve_vertices_not_clear: usize,
-    /// Ends of curves that could not be followed on.
+    /// Curve ends at which the curve could not be followed further.
     pub curves_lost: usize,
     /// Junction points that were merged with another one of the same materials.
     pub points_merged: usize,
-    /// Junction points that vanished, since the curves that were left at them pass through.
+    /// Junction points that were removed, because the curves that end there continue through them.
     pub points_passed: usize,
-    /// Junction points where not just one curve of each three of their materials ends.
+    /// Junction points where not exactly one curve of each three of their materials ends.
     pub points_irregular: usize,
-    /// Closed curves that were left out, since they are far shorter than a voxel or not met anywhere.
+    /// Closed curves that were dropped, because they are far shorter than a voxel.
     pub specks: usize,
 }
 
 /// The strata of the materials of a volume, as a mesh.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Complex {
-    /// Places on sheets, curves and points; those of sheets are on the lattice's edges, the others on the strata.
+    /// Vertices on interfaces, curves and points. Interface vertices lie on lattice edges, the
+    /// others on their strata where Newton's method converged.
     pub vertices: Vec<Vertex>,
-    /// The sheets.
+    /// The material interfaces.
     pub triangles: Vec<Triangle>,
     /// The junction curves.
     pub chains: Vec<Chain>,
     /// The junction points.
     pub points: Vec<Junction>,
-    /// What became of them on the way.
+    /// Counts from the projection and the tracing.
     pub tally: Tally,
 }
 
 impl Complex {
-    /// Of the indicators of a volume. The same on any number of threads.
+    /// The complex of the materials of a volume. It does not depend on the number of threads.
     pub fn new(materials: &Materials) -> Self {
         Self::of_bricks(materials, materials.geometry(), &materials.bricks_of_many())
     }
 
-    /// The same of indicators on a grid, within some boxes of its cells (first cell, and cells along each axis) that hold all strata.
+    /// The complex of any indicators on a grid, within boxes of cells (first cell, and cells along
+    /// each axis) that contain all strata.
     pub fn of_bricks<I: Indicators + ?Sized>(
         indicators: &I,
         geometry: &Geometry,
@@ -89,9 +95,10 @@ impl Complex {
         complex
     }
 
-    /// The component of each triangle: of those of one sheet, joined by vertices; numbered in the order of their first triangles. And how many there are.
+    /// The component of each triangle, and the number of components. Triangles of one interface
+    /// that share a vertex belong together; components are numbered by their first triangles.
     pub fn sheet_components(&self) -> (Vec<u32>, usize) {
-        // a vertex of a curve or a point stands once for each sheet at it
+        // a vertex on a curve or a point counts once for each interface at it
         let is_shared = |v: u32| self.vertices[v as usize].stratum.dimension() < 2;
         let mut shared: Vec<(u32, Stratum)> = self
             .triangles
@@ -125,7 +132,7 @@ impl Complex {
     }
 }
 
-/// The parts as one, each vertex once.
+/// Joins the parts, with each vertex once.
 fn joined(parts: Vec<Part>) -> (Vec<Vertex>, Vec<Triangle>) {
     let named = parts.iter().flat_map(|part| part.names.iter().copied().zip(part.vertices.iter().copied()));
     let mut all: Vec<(Name, Vertex)> = named.collect();

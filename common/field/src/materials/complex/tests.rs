@@ -1,4 +1,5 @@
-//! Complexes of shapes that are known: how many sheets, curves and points there are, where they lie, how long and large they are.
+//! Complexes of known shapes: number, position, length and area of their interfaces, curves and
+//! points.
 
 use super::*;
 use crate::materials::tests::{CENTRE, IDS, corners, nested, sampled, sectors};
@@ -9,12 +10,12 @@ use glam::{DVec2, DVec3};
 use isoparticles_volume::Image;
 use std::f64::consts::PI;
 
-/// The cube of 24 mm on which the shapes lie, its nodes `spacing` apart.
+/// The cube of 24 mm that contains the shapes, with nodes `spacing` mm apart.
 fn grid(spacing: f64) -> Geometry {
     Geometry::axis_aligned([(24.0 / spacing).round() as usize + 1; 3], DVec3::splat(spacing))
 }
 
-/// The complex of functions, on all cells of the grid, two boxes of them.
+/// The complex of functions on all cells of the grid, which are divided into two boxes.
 fn exact(analytic: &Analytic, spacing: f64) -> Complex {
     let grid = grid(spacing);
     let cells = grid.size.map(|n| n - 1);
@@ -39,7 +40,8 @@ fn sum(a: Function, b: Function) -> Function {
     })
 }
 
-/// Two balls of 5 mm that overlap, cut at the plane between: a circle of 3 mm round it. Where two of three are equal the differences have no kink.
+/// Two overlapping balls of radius 5 mm, divided by the plane between them: the curve is a circle
+/// of radius 3 mm. The differences have no kink where two of the three are equal.
 fn touching() -> Analytic {
     let way = DVec3::new(2.0, -1.0, 1.5).normalize();
     let side = |way: DVec3| scaled(half_space(CENTRE, way), 0.5);
@@ -48,7 +50,8 @@ fn touching() -> Analytic {
     Analytic::new(vec![outside, side(-way), side(way)], 1.0)
 }
 
-/// A lens of two balls of 10 mm whose centres are 12 mm apart, in the plane between two materials: a circle of 8 mm.
+/// A lens of two balls of radius 10 mm with centres 12 mm apart, in the plane between two
+/// materials: the curve is a circle of radius 8 mm.
 fn lens() -> Analytic {
     let way = DVec3::new(0.3, 0.2, 1.0).normalize();
     let side = |way: DVec3| scaled(half_space(CENTRE, way), 0.5);
@@ -56,7 +59,7 @@ fn lens() -> Analytic {
     Analytic::new(vec![side(way), side(-way), sum(minimum(side(way), side(-way)), own)], 1.0)
 }
 
-/// Three sectors of 120 degrees of a ball of 8 mm, as smooth as they can be.
+/// Three sectors of 120 degrees of a ball of radius 8 mm, with indicators as smooth as possible.
 fn smooth_sectors() -> Analytic {
     let way = |n: f64| DVec2::from_angle((n / 3.0 + 0.1) * std::f64::consts::TAU).extend(0.0);
     let wedge = |n: f64| scaled(half_space(CENTRE, -way(n)), 0.5);
@@ -70,7 +73,8 @@ fn stratum(ids: &[usize]) -> Stratum {
     Stratum::new(&ids.iter().map(|&n| IDS[n]).collect::<Vec<_>>()).expect("valid")
 }
 
-/// Every sheet edge that is none of a curve has two triangles of the sheet, and every edge of a curve's vertices three.
+/// Checks that two triangles of an interface meet at each of its edges, except along curves and the
+/// border.
 fn is_closed(complex: &Complex) {
     let mut edges = std::collections::BTreeMap::new();
     for triangle in &complex.triangles {
@@ -88,7 +92,8 @@ fn is_closed(complex: &Complex) {
     }
 }
 
-/// Triangles whose normal does not point from the material of the higher number to that of the lower.
+/// Number of triangles whose normal does not point from the material of the higher number to that
+/// of the lower.
 fn turned(complex: &Complex, indicators: &impl Indicators) -> usize {
     let is_turned = |triangle: &&Triangle| {
         let [a, b, c] = complex.corners(triangle);
@@ -152,9 +157,10 @@ fn three_sectors_of_a_ball_meet_along_four_curves_between_two_points() {
     assert!(coarse[0] < 1e-6 && fine[0] < 1e-6, "points {coarse:?} {fine:?}");
     // curves are followed in steps of the same length on any lattice
     assert!(coarse[1] < 1e-4 && fine[1] < 1e-4, "lengths {coarse:?} {fine:?}");
-    // triangles next to curves may fold by a little
+    // triangles next to curves may fold slightly
     assert!(coarse[2] < 2.5e-3 && fine[2] < 2e-3, "areas {coarse:?} {fine:?}");
-    // of samples each indicator is its own distance, whose kinks the spline rounds, so that places go with the spacing
+    // each sampled indicator is its own distance, whose kinks the spline rounds: positions converge
+    // with the spacing
     let of_samples = |spacing: f64| errors(&Complex::new(&sampled(&sectors(CENTRE), spacing)));
     let (coarse, fine) = (of_samples(1.0), of_samples(0.5));
     assert!(coarse.iter().zip([0.4, 0.05, 0.05]).all(|(error, most)| *error < most), "sampled: {coarse:?}");
@@ -173,7 +179,8 @@ fn four_regions_of_a_cube_meet_at_a_point_where_curves_from_the_border_end() {
             ends.sort_by_key(|end| *end == End::Border);
             assert_eq!(ends, [End::Point(0), End::Border]);
             for v in &chain.vertices {
-                // along the direction that three corners of a tetrahedron are equally far from
+                // curves run along directions that are equally far from three corners of the
+                // tetrahedron
                 let away = (complex.vertices[*v as usize].position - CENTRE).abs();
                 assert!(away.max_element() - away.min_element() < most.max(1e-3), "{away}");
             }
@@ -203,7 +210,8 @@ fn touching_balls_and_a_lens_have_one_closed_curve() {
 
 #[test]
 fn a_layer_thinner_than_a_cell_is_not_passed_over() {
-    // a slanted layer of 0.4 mm, which edges of the lattice of 1.5 mm pass through between nodes of the materials on both sides
+    // a slanted layer of 0.4 mm, crossed by lattice edges of 1.5 mm between nodes of the materials
+    // on both sides
     let way = DVec3::new(0.4, -0.5, 0.8).normalize();
     let low = half_space(CENTRE - 0.2 * way, way);
     let high = half_space(CENTRE + 0.2 * way, -way);
@@ -235,7 +243,8 @@ fn threads_make_no_difference() {
 
 #[test]
 fn a_junction_point_of_curves_that_all_but_coincide_is_met_once() {
-    // four quarters round an axis, of which two opposite ones grow along it, so slowly that all four are equal to a fiftieth of a voxel a voxel away
+    // four quarters around an axis; two opposite ones grow along it, so slowly that a voxel away
+    // all four are equal to within a fiftieth of a voxel
     let along = DVec3::new(0.2, 0.1, 1.0).normalize();
     let (across, other) = along.any_orthonormal_pair();
     let quarter = |n: u32| {
