@@ -1,14 +1,20 @@
 #!/usr/bin/env python3
-"""distfield beside scikit-fmm and SimpleITK: error, time and memory on the same inputs in one run, as a markdown table.
+"""Compares distfield with scikit-fmm and SimpleITK: error, time and memory on the same inputs.
+
+Prints a markdown table.
 
     python -m venv VENV && VENV/bin/pip install -r stages/distfield/benches/requirements.txt
-    VENV/bin/python stages/distfield/benches/compare.py [--bin target/release] [--size 128] [--threads 2]
+    VENV/bin/python stages/distfield/benches/compare.py [--bin target/release] [--size 128]
+        [--threads 2]
 
-A ball and a torus, whose distance is known, as a scalar volume (a scanner's edge) and as binary labels. Every method runs in a
-process of its own; time is that of the computation without reading and writing, memory the peak of the process. All errors
-are in voxels, against the exact distance: of the zero set (linear on grid edges), of F within 2.5 voxels of the surface
-(root mean square and largest), and of F anywhere (largest). AntiAliasBinary gives a level set with distances in three layers
-only, so the last figure says nothing about it. SignedMaurer takes the centres of the voxels on the object's rim as the surface.
+The objects are a ball and a torus with known distances, each as a scalar volume (with a scanner's
+edge) and as binary labels. Every method runs in a separate process. Time excludes reading and
+writing; memory is the peak of the process.
+
+Errors are in voxels, against the exact distance: of the zero set (linear on grid edges, root mean
+square), of F within 2.5 voxels of the surface (root mean square and maximum), and of F anywhere
+(maximum). AntiAliasBinary computes distances in three layers only, so the last figure does not
+apply to it. SignedMaurer takes the centres of the object's boundary voxels as the surface.
 """
 
 import argparse
@@ -22,12 +28,12 @@ import time
 
 import numpy as np
 
-EDGE = 2.0  # half-width of the scalar volumes' edge, voxels
+EDGE = 2.0  # half-width of the edge of scalar volumes, voxels
 BAND = 2.5  # voxels
 
 
 def truth(shape, size):
-    """Signed distance (negative inside), x fastest in memory: an array of (z, y, x)."""
+    """Signed distance in voxels, negative inside: an array of shape (z, y, x)."""
     z, y, x = np.meshgrid(*[np.arange(size, dtype=np.float64)] * 3, indexing="ij")
     centre = 0.5 * (size - 1) + np.array([0.137, 0.291, -0.173])
     x, y, z = x - centre[0], y - centre[1], z - centre[2]
@@ -37,7 +43,7 @@ def truth(shape, size):
 
 
 def values(kind, distance):
-    """The volume that the methods see; the object is above 0.5."""
+    """The input volume of the methods; the object is above 0.5."""
     if kind == "labels":
         return (distance < 0).astype(np.uint8)
     return (0.5 * (1 - np.tanh(distance / EDGE))).astype(np.float32)
@@ -52,7 +58,7 @@ def write_nrrd(path, volume):
 
 
 def read_vti(path):
-    """The distances in a field file of distfield, and how many voxels more it has on each face."""
+    """The distances in a field file of distfield: an array of shape (z, y, x), margin included."""
     with open(path, "rb") as file:
         data = file.read()
     start = data.index(b"<AppendedData")
@@ -67,12 +73,12 @@ def read_vti(path):
 
 
 def compute(method, volume, threads):
-    """Signed distance by another program, and the seconds that it took."""
+    """Signed distance by another program (voxels), and its time in seconds."""
     if method == "scikit-fmm":
         import skfmm
 
         start = time.perf_counter()
-        # a step from 0 to 1 is 0.5 on the face between the voxels, as is a scanner's edge
+        # the level 0.5 lies on the face between voxels 0 and 1, as on a scanner's edge
         return skfmm.distance(0.5 - volume.astype(np.float64), dx=1.0), time.perf_counter() - start
     import SimpleITK as sitk
 
@@ -87,13 +93,13 @@ def compute(method, volume, threads):
 
 
 def errors(field, distance):
-    """Root-mean-square error of the zero set; root mean square and largest of F in the band; largest of F."""
+    """Errors in voxels: rms of the zero set; rms and maximum of F in the band; maximum of F."""
     squares, count = 0.0, 0
     for axis in range(3):
         low, high = [np.moveaxis(field, axis, 0)[s] for s in (slice(None, -1), slice(1, None))]
         low_d, high_d = [np.moveaxis(distance, axis, 0)[s] for s in (slice(None, -1), slice(1, None))]
         crossed = (low < 0) != (high < 0)
-        # both fields are all but linear over an edge
+        # both fields are nearly linear along an edge
         share = low[crossed] / (low[crossed] - high[crossed])
         off = low_d[crossed] + share * (high_d[crossed] - low_d[crossed])
         squares, count = squares + np.sum(off**2), count + off.size
@@ -103,7 +109,7 @@ def errors(field, distance):
 
 
 def peak_memory():
-    """Peak memory of this process, bytes (Linux): what distfield reports of itself, too."""
+    """Peak memory of this process, bytes (Linux); distfield reports the same quantity."""
     with open("/proc/self/status") as file:
         return 1024 * int(re.search(r"VmHWM:\s+(\d+)", file.read()).group(1))
 

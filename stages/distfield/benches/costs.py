@@ -1,10 +1,16 @@
-"""Processor time and memory of the stages on phantoms, from which the rates of src/info/cost.rs come.
+"""Measures time and memory of the stages on phantoms, and fits the rates of src/info/cost.rs.
 
     python stages/distfield/benches/costs.py [--bin target/release] [--volumes VOLUME;OPTION ...]
 
-With volumes: a row of a table for each, what `distfield --info` predicts and, in brackets, what was measured. Without: one line a case and group of stages: nodes of the padded grid, faces between voxels, vertices, processor seconds (user and system), peak memory.
-Then the rates, by least squares of relative errors over the cases: seconds for a million nodes, faces and vertices, bytes for each.
-Needs numpy; run it where nothing else runs.
+With --volumes it prints one table row per volume: the predictions of `distfield --info` and, in
+brackets, the measured values.
+
+Without --volumes it prints one line per phantom and group of stages: nodes of the padded grid,
+faces between voxels, vertices, processor seconds (user and system) and peak memory. The rates
+follow, by least squares of relative errors over the phantoms: seconds per million nodes, faces and
+vertices, and bytes for each.
+
+Needs numpy. Run it on an otherwise idle machine.
 """
 
 import argparse
@@ -29,7 +35,10 @@ GROUPS = {"fields": (1, 1, 0), "particles": (1, 0, 1), "triangles": (1, 0, 1)}
 
 
 def measured(command: list[str]) -> tuple[float, int]:
-    """Processor seconds and peak memory in bytes of a program; exit code 1 (a check failed) is no failure here."""
+    """Processor seconds and peak memory (bytes) of a program.
+
+    Exit code 1 (a failed check) is accepted.
+    """
     with subprocess.Popen([str(word) for word in command], stdout=subprocess.DEVNULL) as process:
         _, status, usage = os.wait4(process.pid, 0)
         process.returncode = os.waitstatus_to_exitcode(status)
@@ -39,7 +48,7 @@ def measured(command: list[str]) -> tuple[float, int]:
 
 
 def predicted(binaries: Path, volume: Path, option: str) -> dict:
-    """What `distfield --info` says of a volume and one object in it."""
+    """The JSON of `distfield --info` for a volume and one object in it."""
     told = subprocess.run(
         [binaries / "distfield", volume, "--info", "--json", "-", "-q", option], check=True, capture_output=True
     )
@@ -47,7 +56,7 @@ def predicted(binaries: Path, volume: Path, option: str) -> dict:
 
 
 def run(binaries: Path, folder: Path, volume: Path, option: str, sizes: str) -> tuple[dict, dict[str, list[float]]]:
-    """What is predicted, and by group: nodes, faces, vertices, processor seconds and peak memory."""
+    """The prediction, and by group: nodes, faces, vertices, processor seconds, peak bytes."""
     f, s, seeds, p, mesh = (folder / name for name in ("f.vti", "s.vti", "seeds.bin", "p.bin", "m.vtp"))
     report = folder / "r.json"
     info = predicted(binaries, volume, option)
@@ -78,7 +87,7 @@ def run(binaries: Path, folder: Path, volume: Path, option: str, sizes: str) -> 
 
 
 def row(binaries: Path, volume: Path, option: str) -> str:
-    """Predicted beside measured, for one object of a volume."""
+    """A table row of predicted and measured values for one object of a volume."""
     with tempfile.TemporaryDirectory() as folder:
         info, found = run(binaries, Path(folder), volume, option, "")
     cost = info["objects"][0]["cost"]

@@ -1,9 +1,10 @@
-"""Vertices that `distfield --info` predicts beside those that the chain has made, for the shared volumes.
+"""Compares vertex counts predicted by `distfield --info` with those of meshes of shared volumes.
 
     python stages/distfield/benches/predicted.py [--bin target/release] [--data ../shared/data]
 
-The vertices made are those of docs/developer/performance.md (real volumes, method restricted). The last line has the factor by which the constants
-GRADATION_LABELS and GRADATION_SCAN of src/info/cost.rs would have to be multiplied for the logarithms to have the mean 0, by kind.
+The vertex counts of the meshes come from docs/developer/performance.md (real volumes, method
+restricted). The last lines give, for label maps and for scans, the factor for the constants
+GRADATION_LABELS and GRADATION_SCAN of src/info/cost.rs that makes the mean log ratio zero.
 """
 
 import argparse
@@ -50,7 +51,7 @@ def main() -> None:
         low, high = cost["vertices_range"]
         ratios[info["kind"]].append(math.log(made / predicted))
         print(f"| `{name}` | `{option}` | {predicted:,} | {low:,} to {high:,} | {made:,} | {predicted / made:.2f} | {seconds:.1f} |")
-    # the smallest has too few vertices for its factor to mean anything
+    # the first case has too few vertices for a meaningful ratio
     del ratios["labels"][0]
     for kind, logs in ratios.items():
         mean = sum(logs) / len(logs)

@@ -1,12 +1,17 @@
-"""Remesh a surface by another program to a number of vertices.
+"""Remesh a surface with another program to a given number of vertices.
 
-    python remesh_peers.py PROGRAM JOB.npz RESULT.npz    # an interpreter with peers.lock; scale.py calls it
+    python remesh_peers.py PROGRAM JOB.npz RESULT.npz
 
-PROGRAM: botsch (gpytoolbox), cgal (isotropic remeshing, by compas_cgal), mmg (mmgpy), pymeshlab (isotropic explicit remeshing), instant-meshes
-(pyinstantmeshes), acvd (pyacvd), each with its defaults but for what is said below, or none: the surface as it is.
+scale.py calls this with an interpreter that has the packages of peers.lock.
 
-JOB: ``points, triangles, vertices``; RESULT: ``points, triangles, seconds`` (of the last try) and ``bytes``, the peak memory of
-this process. One edge length everywhere, found by trying until the vertices are within 3 % of those wanted.
+PROGRAM is botsch (gpytoolbox), cgal (isotropic remeshing, by compas_cgal), mmg (mmgpy), pymeshlab
+(isotropic explicit remeshing), instant-meshes (pyinstantmeshes), acvd (pyacvd), or none, which
+returns the surface unchanged. Programs use their defaults except as noted at the functions below.
+
+JOB has the arrays ``points, triangles, vertices``. RESULT has ``points, triangles``, the
+``seconds`` of the last try, and ``bytes``, the peak memory of this process. The edge length is
+uniform. It is adjusted until the number of vertices is within 3 % of the goal, in at most six
+tries.
 """
 
 from __future__ import annotations
@@ -24,7 +29,7 @@ CLOSE = 0.03
 
 
 def botsch(points: np.ndarray, triangles: np.ndarray, length: float) -> tuple[np.ndarray, np.ndarray]:
-    """Botsch and Kobbelt's remeshing; ten iterations, with projection."""
+    """Botsch and Kobbelt's remeshing, ten iterations, with projection."""
     from gpytoolbox import remesh_botsch
 
     return remesh_botsch(points, triangles.astype(np.int32), ITERATIONS, length, True)
@@ -38,9 +43,10 @@ def cgal(points: np.ndarray, triangles: np.ndarray, length: float) -> tuple[np.n
 
 
 def mmg(points: np.ndarray, triangles: np.ndarray, length: float) -> tuple[np.ndarray, np.ndarray]:
-    """MMGS with one size.
+    """MMGS with a uniform size.
 
-    It may leave the surface by an edge length, since its default refines by curvature; and there are no ridges on blurred labels.
+    The tolerance ``hausd`` is one edge length, because the default refines by curvature. The ridge
+    angle is 180 degrees, because blurred labels have no ridges.
     """
     from mmgpy import MmgMeshS
 
@@ -61,7 +67,7 @@ def pymeshlab(points: np.ndarray, triangles: np.ndarray, length: float) -> tuple
 
 
 def instant_meshes(points: np.ndarray, triangles: np.ndarray, length: float) -> tuple[np.ndarray, np.ndarray]:
-    """Instant Meshes: triangles, extrinsic, the same result every time."""
+    """Instant Meshes: triangles, extrinsic, deterministic."""
     from pyinstantmeshes import remesh
 
     return remesh(
@@ -71,7 +77,7 @@ def instant_meshes(points: np.ndarray, triangles: np.ndarray, length: float) -> 
 
 
 def acvd(points: np.ndarray, triangles: np.ndarray, length: float) -> tuple[np.ndarray, np.ndarray]:
-    """Voronoi clusters of the surface, subdivided until a cluster has a dozen vertices."""
+    """Voronoi clusters of the surface, which is subdivided until a cluster has twelve vertices."""
     import pyvista as pv
     from pyacvd import Clustering
 
@@ -96,19 +102,19 @@ PROGRAMS = {
 
 
 def main() -> None:
-    """Tries edge lengths; the last try is the result."""
+    """Tries edge lengths and writes the result of the last try."""
     program = sys.argv[1]
     with np.load(sys.argv[2]) as job:
         points, triangles, wanted = job["points"].astype(np.float64), job["triangles"], int(job["vertices"])
     corners = points[triangles]
     area = 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1).sum()
-    # two triangles a vertex, all equilateral
+    # for two equilateral triangles per vertex
     length = float(np.sqrt(area / wanted * 2.0 / np.sqrt(3.0)))
     for _ in range(TRIES):
         started = time.monotonic()
         made, cells = (points, triangles) if program == "none" else PROGRAMS[program](points, triangles, length)
         seconds = time.monotonic() - started
-        # not that of getrusage, which begins with what the calling process had
+        # ru_maxrss of getrusage would include the memory of the calling process
         told = re.search(r"VmHWM:\s+(\d+) kB", Path("/proc/self/status").read_text())
         peak = 1024 * int(told.group(1)) if told else 0
         result = Path(sys.argv[3]).with_name(f"part.{program}.npz")

@@ -1,32 +1,38 @@
-"""Meshes of a few sizes from one volume: what `--scale-for-vertices` and `--vertices` make of it.
+"""Meshes volumes at several vertex counts (`--scale-for-vertices`, `--vertices`); prints a table.
 
-    scale.py @solid.txt @thin.txt [--vertices 1000 5000 20000 75000] [--backend gpu] [--no-distances]
-        [--tetrahedra .venv/bin/tetmesh-check] [--peers .venv-bench/bin/python]
+    scale.py @solid.txt @thin.txt [--vertices 1000 5000 20000 75000] [--backend gpu]
+        [--no-distances] [--tetrahedra .venv/bin/tetmesh-check] [--peers .venv-bench/bin/python]
 
-CASE is NAME=VOLUME;DISTFIELD OPTIONS[;SIZEFIELD OPTIONS]; @FILE stands for the lines of a file but for those that start with #
-(solid.txt and thin.txt beside this program); $NAME for a variable of the environment (DATA: the folder of the real volumes). Run
-it with the Python of `make env`; without distances any Python 3.11 does.
+CASE is NAME=VOLUME;DISTFIELD OPTIONS[;SIZEFIELD OPTIONS]. @FILE inserts the lines of a file,
+without those that start with # (solid.txt and thin.txt in this folder). $NAME inserts an
+environment variable (DATA is the folder of the real volumes). Run it with the Python of `make env`;
+with --no-distances any Python 3.11 suffices.
 
-A row of ours is one run from the volume to the checked surface; "components" are those of the mesh, with what happened to those of
-the data; "s" is from the volume on and, in brackets, from the smoothed field on. With --tetrahedra the surface goes through
-tetmesh-check with all its default checks: number of tetrahedra and exit code. With --peers PYTHON (an interpreter with
-peers.lock: `make bench-scale` makes it) rows of other remeshers (--programs) stand below ours: each on
-marching cubes of the same smoothed field, to as many vertices as ours within 3 %; their seconds are marching cubes and the last
-try. Their angles, ratios and volumes are computed here, ours are those of the report. "Crossing" are pairs of triangles that cut
-through each other.
-Marching cubes and surface nets themselves have the vertices that the grid gives.
+Rows of isoparticles: one run from the volume to the checked surface. "components" counts the
+components of the mesh, followed by the changes to those of the data. "s" is the time from the
+volume and, in brackets, from the smoothed field. With --tetrahedra, tetmesh-check meshes the
+surface with all its default checks; the column has the number of tetrahedra and the exit code.
 
-A case with a --scale of its own keeps it for every number of vertices, and its distance is that from the zero set of that field
-(@remeshers.txt).
+Rows of other remeshers (--programs), with --peers PYTHON (an interpreter with the packages of
+peers.lock, which `make bench-scale` creates): each remeshes the marching-cubes surface of the same
+smoothed field to the same number of vertices within 3 %. Their seconds cover marching cubes and the
+last try. Their angles, ratios and volumes are computed here; those of isoparticles come from the
+report. "crossing" counts pairs of intersecting triangles. Marching cubes and surface nets have the
+number of vertices that the grid gives.
 
-With --as-given scale and edge length are those of the case's options (@peers.txt: `make bench-peers`), and a peer goes by itself from
-the label map on: read by VTK, the label's indicator blurred by a Gaussian of half the scale, marching cubes at a half, the last try.
-Seconds are then from volume to triangles; ours are followed by those of each stage, with reading and writing.
+A case whose options include --scale keeps that scale for all vertex counts, and distances are
+measured from the zero set of its field (@remeshers.txt).
 
-The distance is that of the vertices and centroids of the mesh from
-the surface at scale 0, which keeps every voxel centre on its side: mean, 99th percentile and largest, in mm. "Lost" is how far
-that surface lies from the smoothed one, the 99th percentile and largest: what is gone is far from what is left. Volume is that of
-the mesh against that of the voxels.
+With --as-given, scale and edge length come from the options of the case (@peers.txt: `make
+bench-peers`), and the peers start from the label map: VTK reads it, the label's indicator is
+blurred by a Gaussian of half the scale, marching cubes runs at level 0.5, and the last try follows.
+Seconds then run from the volume to the triangles. Those of isoparticles include reading and writing
+and are followed by those of each stage.
+
+"distance" is that of the mesh's vertices and centroids from the surface at scale 0, which keeps
+every voxel centre on its side: mean, 99th percentile and maximum, mm. "lost" is the distance of
+that surface from the smoothed one: 99th percentile and maximum, mm; it is large where parts
+vanished. "volume" is that of the mesh relative to that of the voxels.
 """
 
 from __future__ import annotations
@@ -46,12 +52,12 @@ if TYPE_CHECKING:
 
 
 class RefusedError(Exception):
-    """A stage made nothing, and said why."""
+    """A stage failed without output; the message is its error."""
 
 
 @dataclass
 class Case:
-    """A surface in a volume, and the folder and programs to work with."""
+    """A surface in a volume, with the programs, the work folder and the options of the run."""
 
     name: str
     volume: str
@@ -79,11 +85,11 @@ class Case:
         return done.returncode, json.loads(report.read_text(encoding="utf-8"))
 
     def file(self, key: str, ending: str) -> str:
-        """Path of a file of a run."""
+        """Path of an output file of a run."""
         return str(self.work / f"{self.name}.{key}.{ending}")
 
     def exact(self) -> pv.ImageData:
-        """Distance field at scale 0."""
+        """Distance field of the case's distfield options (at scale 0 without a --scale)."""
         path = self.file("exact", "distfield.vti")
         if not Path(path).exists():
             self.run("exact", "distfield", self.volume, *self.distfield, "-o", path)
@@ -93,7 +99,7 @@ class Case:
 
 
 def sample(field: pv.ImageData, points: np.ndarray) -> np.ndarray:
-    """Trilinear values of a distance field at points in the world."""
+    """Trilinear values (mm) of a distance field at points in the world."""
     import numpy as np
     from scipy.ndimage import map_coordinates
 
@@ -112,7 +118,7 @@ def exact_surface(field: pv.ImageData) -> np.ndarray:
 
 
 def distances(case: Case, surface: str, distfield: str) -> tuple[str, str]:
-    """How far a mesh lies from the surface at scale 0, and that from the smoothed one, mm."""
+    """Distances (mm) of a mesh from the surface at scale 0, and of that from the smoothed one."""
     import numpy as np
     import pyvista as pv
 
@@ -126,7 +132,7 @@ def distances(case: Case, surface: str, distfield: str) -> tuple[str, str]:
 
 @dataclass
 class Mesh:
-    """What a row says of a mesh."""
+    """The measurements of a mesh shown in a row."""
 
     vertices: int
     ratio_mean: float
@@ -139,7 +145,7 @@ class Mesh:
 
 
 def measured(points: np.ndarray, triangles: np.ndarray) -> Mesh:
-    """Measures a mesh of another program; the radius ratio is twice that of the inscribed circle to the other."""
+    """Measures a mesh of another program; the radius ratio is 2 * inradius / circumradius."""
     import numpy as np
     from scipy.sparse import coo_matrix
     from scipy.sparse.csgraph import connected_components
@@ -194,7 +200,10 @@ def line(case: Case, vertices: int, program: str, mesh: Mesh, before: float, cel
 
 
 def row(case: Case, vertices: int) -> tuple[str, float, int]:
-    """Our row, of 0 vertices as the case's options have it; with it the volume of the voxels and the vertices of our mesh."""
+    """Row of isoparticles, the volume of the voxels (mm^3) and the number of vertices.
+
+    With 0 vertices, scale and edge length come from the options of the case.
+    """
     key = str(vertices)
     sizes_for = ["--vertices", key] if vertices else []
     scale_for = ["--scale-for-vertices", key] if vertices and "--scale" not in case.distfield else []
@@ -245,7 +254,7 @@ def row(case: Case, vertices: int) -> tuple[str, float, int]:
 
 
 def tetrahedra(case: Case, key: str, surface: str, sizefield: str) -> str:
-    """Fills a surface with tetrahedra and checks them: how many, and the exit code."""
+    """Number of tetrahedra that tetmesh-check makes of a surface, and its exit code."""
     if case.tetmesh_check is None:
         return "-"
     volume = case.file(key, "volume.vtu")
@@ -256,7 +265,10 @@ def tetrahedra(case: Case, key: str, surface: str, sizefield: str) -> str:
 
 
 def blurred(case: Case) -> pv.ImageData:
-    """The indicator of the case's label, blurred by a Gaussian of half its scale, with a voxel of nothing round it."""
+    """One minus the label's blurred indicator, padded by one voxel.
+
+    The standard deviation of the Gaussian is half the scale.
+    """
     import numpy as np
     import pyvista as pv
     from scipy.ndimage import gaussian_filter
@@ -268,13 +280,13 @@ def blurred(case: Case) -> pv.ImageData:
     indicator = gaussian_filter(np.pad(values == label, 1).astype(np.float32), sigma)
     origin = np.array(volume.origin) - volume.spacing
     made = pv.ImageData(dimensions=indicator.shape[::-1], spacing=volume.spacing, origin=origin)
-    # outside is above, as in a distance field
+    # larger outside, as a distance field
     made["outside"] = 1.0 - indicator.ravel()
     return made
 
 
 def peer_row(case: Case, vertices: int, ours: int, before: float, program: str) -> str:
-    """Row of another remesher on the smoothed field of our row, to as many vertices as ours."""
+    """Row of another remesher on the same smoothed field, with `ours` vertices within 3 %."""
     import numpy as np
     import pyvista as pv
 
@@ -321,7 +333,7 @@ def peer_row(case: Case, vertices: int, ours: int, before: float, program: str) 
 
 
 def nets(field: pv.ImageData, level: float) -> pv.PolyData:
-    """VTK's surface nets of what lies below a level, smoothed as is its default."""
+    """VTK's surface nets of the region below a level, with its default smoothing."""
     import numpy as np
     import pyvista as pv
 
@@ -332,7 +344,7 @@ def nets(field: pv.ImageData, level: float) -> pv.PolyData:
 
 
 AS_THEY_ARE = ("marching-cubes", "surface-nets")
-"""What has as many vertices as the grid gives."""
+"""Methods whose number of vertices is given by the grid."""
 PEERS = {
     "marching-cubes": "marching cubes (VTK)",
     "surface-nets": "surface nets (VTK)",
@@ -371,7 +383,7 @@ def main() -> None:
         "| object | asked for | program | scale, mm | vertices | exit code | radius ratio, mean / smallest | angles, degrees | distance, mm"
         " | lost, mm | volume, % | components | crossing | tetrahedra | s | MiB |\n" + "|---" * 16 + "|"
     )
-    # files of cases have comments
+    # case files have comment lines
     for text in (text for text in arguments.cases if not text.startswith("#")):
         name, _, rest = text.partition("=")
         volume, distfield, sizefield = [*os.path.expandvars(rest).split(";"), ""][:3]

@@ -1,9 +1,13 @@
-//! One bit a node, and their count up to a node.
+//! Bit sets over the nodes of a grid, and rank queries on them.
+//!
+//! [`Bits`] holds one bit per node (x fastest) and offers the neighbourhood tests that contacts and
+//! band searches need. [`Numbering`] counts the nodes of a set before a given node, so that values
+//! at the nodes of the set fit in a compact array.
 
 use rayon::prelude::*;
 use std::ops::Range;
 
-/// Nodes that one task looks at; a multiple of 64.
+/// Nodes per parallel task; a multiple of 64, so that tasks own whole words.
 const CHUNK: usize = 1 << 14;
 
 /// A set of nodes.
@@ -13,7 +17,7 @@ pub struct Bits {
 }
 
 impl Bits {
-    /// Those of the first `count` nodes for which `holds` does.
+    /// The nodes n of the first `count` nodes for which `holds(n)` is true.
     pub fn of(count: usize, holds: impl Fn(usize) -> bool + Sync) -> Self {
         let mut words = vec![0u64; count.div_ceil(64)];
         words.par_chunks_mut(CHUNK / 64).enumerate().for_each(|(chunk, words)| {
@@ -27,7 +31,7 @@ impl Bits {
         Self { words }
     }
 
-    /// None of the first `count` nodes.
+    /// An empty set over the first `count` nodes.
     pub fn none(count: usize) -> Self {
         Self { words: vec![0; count.div_ceil(64)] }
     }
@@ -48,9 +52,10 @@ impl Bits {
         }
     }
 
-    /// All nodes that are one of these numbers after one of the set; none of them may be beyond the grid.
+    /// The union of four copies of the set, each shifted up by one of `numbers`. No shifted node
+    /// may lie beyond the grid.
     pub fn moved(&self, numbers: [usize; 4]) -> Self {
-        // of a set that begins with nothing
+        // words before the first one are empty
         let before = |word: usize, back: usize| word.checked_sub(back).map_or(0, |word| self.words[word]);
         let mut words = vec![0; self.words.len()];
         words.par_chunks_mut(CHUNK / 64).enumerate().for_each(|(chunk, words)| {
@@ -65,17 +70,18 @@ impl Bits {
         Self { words }
     }
 
-    /// The 64 nodes from `first` on; those beyond the words as `beyond` says.
+    /// The 64 bits from node `first` on. Words outside the set read as `beyond`.
     fn word(&self, first: isize, beyond: u64) -> u64 {
         let (at, up) = (first.div_euclid(64), first.rem_euclid(64) as u32);
         let word = |at: isize| usize::try_from(at).ok().and_then(|at| self.words.get(at)).copied().unwrap_or(beyond);
         word(at) >> up | word(at + 1).checked_shl(64 - up).unwrap_or(0)
     }
 
-    /// The nodes of which one of the 26 neighbours is in the set and another is not, given the
-    /// nodes from one to the next along each axis. Rows follow each other without a border: what is
-    /// near the end of one is near the start of the next. Nodes behind the last one may be set as
-    /// well.
+    /// The nodes whose neighbourhood of 27 nodes (the node itself included) is mixed: at least one
+    /// node is in the set and at least one is not. The arguments are the strides along x, y and z.
+    ///
+    /// Rows are taken as contiguous: the node after the end of a row is the start of the next row.
+    /// Bits after the last node may be set as well.
     pub fn near_the_rest(&self, [along, row, slice]: [usize; 3]) -> Self {
         let signed = |step: usize, n: isize| step as isize * n;
         let steps: Vec<isize> =
@@ -88,9 +94,9 @@ impl Bits {
         Self { words: (0..self.words.len()).into_par_iter().map(near).collect() }
     }
 
-    /// Visits the nodes of a range of which the nodes one `step` on are on the other side, and the
-    /// node both steps on is on their own: the first nodes of faces where two parts touch along an
-    /// edge, if the steps are along axes and stay on the grid.
+    /// Visits the nodes of a range that start an alternating face: both nodes one step away are on
+    /// the other side, and the node both steps away is on the side of the first. There two parts
+    /// touch along an edge. The steps must be along axes and stay on the grid.
     pub fn each_alternating(&self, range: Range<usize>, [one, other]: [usize; 2], mut visit: impl FnMut(usize)) {
         for first in range.clone().step_by(64) {
             let [own, a, b, both] = [0, one, other, one + other].map(|step| self.word((first + step) as isize, 0));
@@ -112,25 +118,25 @@ impl Bits {
     }
 }
 
-/// Bits that are set.
+/// Number of bits set.
 fn ones(words: &[u64]) -> usize {
     words.iter().map(|word| word.count_ones() as usize).sum()
 }
 
-/// Words between two counts of a [`Numbering`].
+/// Words per stored count of a [`Numbering`].
 const BLOCK: usize = 8;
 
-/// Numbers the nodes of a set, in ascending order.
+/// Maps the nodes of a set to consecutive numbers, in ascending order.
 pub struct Numbering {
     bits: Bits,
-    /// Nodes of the set before each block of words.
+    /// Number of nodes of the set before each block of [`BLOCK`] words.
     before: Vec<usize>,
-    /// Nodes of the set.
+    /// Number of nodes in the set.
     pub count: usize,
 }
 
 impl Numbering {
-    /// Of the nodes in `bits`.
+    /// Numbers the nodes in `bits`.
     pub fn new(bits: Bits) -> Self {
         let mut count = 0;
         let mut before = Vec::with_capacity(bits.words.len().div_ceil(BLOCK));
@@ -141,7 +147,7 @@ impl Numbering {
         Self { bits, before, count }
     }
 
-    /// Nodes of the set before `node`, which is its number if it is in the set.
+    /// Number of nodes of the set below `node`. For a node of the set this is its number.
     pub fn number(&self, node: usize) -> usize {
         let word = node / 64;
         if word == self.bits.words.len() {
@@ -152,12 +158,12 @@ impl Numbering {
         self.before[block] + ones(&self.bits.words[block * BLOCK..word]) + below.count_ones() as usize
     }
 
-    /// The number of a node, if it is in the set.
+    /// The number of a node, or `None` if it is not in the set.
     pub fn find(&self, node: usize) -> Option<usize> {
         self.bits.holds(node).then(|| self.number(node))
     }
 
-    /// Visits the nodes of the set in a range, in ascending order, with their numbers.
+    /// Visits the nodes of the set in a range, in ascending order: `visit(node, number)`.
     pub fn each(&self, range: Range<usize>, mut visit: impl FnMut(usize, usize)) {
         if range.is_empty() {
             return;
@@ -202,7 +208,7 @@ mod tests {
         let size = [13usize, 12, 11];
         let steps = [1, size[0], size[0] * size[1]];
         let count = steps[2] * size[2];
-        // nothing in the outer layers, so that no row goes on in the next
+        // the outer two layers are empty, so that no row continues in the next one
         let is_inner = |n: usize| (0..3).all(|a| (2..size[a] - 2).contains(&(n / steps[a] % size[a])));
         let bits = Bits::of(count, |n| is_inner(n) && isoparticles_field::random::uniform(5, 0, n as u64) < 0.5);
         let near = bits.near_the_rest(steps);

@@ -1,12 +1,13 @@
-//! Closing the object where it meets the border of the volume: intersection with the box of the voxels, its edges rounded.
+//! Closes the object at the border of the volume: intersection of its signed distance with the box
+//! of the voxels, with rounded edges.
 //!
-//! The box reaches half a voxel beyond the outermost voxel centres and the rounding radius is half a voxel, so that the
-//! surface between voxel centres stays as it was.
+//! The box reaches half a voxel beyond the outermost voxel centres, and the edges have a fillet of
+//! half a voxel. The surface between voxel centres is therefore unchanged.
 
 use glam::DVec3;
 use isoparticles_volume::Geometry;
 
-/// The box of the voxels of the input, in the frame of the padded grid.
+/// The box of the input's voxels, in the grid frame of the padded grid (mm).
 #[derive(Clone, Debug)]
 pub struct BorderBox {
     low: DVec3,
@@ -16,8 +17,8 @@ pub struct BorderBox {
 }
 
 impl BorderBox {
-    /// The box of an input of which `padded` is the grid with `margin` more voxels on each face. Across the faces that are not `closed` (two an axis, the
-    /// low one first) it goes on for ever.
+    /// The box of an input whose grid, with `margin` more voxels on each face, is `padded`. The box
+    /// is unbounded across the faces that are not `closed` (two per axis, low face first).
     pub fn new(padded: &Geometry, margin: usize, closed: [[bool; 2]; 3]) -> Self {
         let first = padded.index_to_grid(DVec3::splat(margin as f64 - 0.5));
         let mut low = first;
@@ -30,7 +31,8 @@ impl BorderBox {
         Self { low, high, radius: 0.5 * padded.min_spacing(), reach: padded.spacing.max_element() }
     }
 
-    /// Signed distance of the object (`value`) intersected with the box, and its gradient.
+    /// Signed distance (mm) and gradient of the intersection of the object with the box. `value`
+    /// and `gradient` are those of the object at the point `grid`.
     pub fn intersect(&self, grid: DVec3, value: f64, gradient: DVec3) -> (f64, DVec3) {
         let (below, above) = (self.low - grid, grid - self.high);
         let mut result = (value, gradient);
@@ -41,17 +43,18 @@ impl BorderBox {
         result
     }
 
-    /// Whether a point is so far inside that the box leaves the surface there and in the cells around as it is.
+    /// Whether a point is more than three voxels (maximum spacing) inside the box. The box then
+    /// changes neither the surface there nor that in the neighbouring cells.
     pub fn is_deep(&self, grid: DVec3) -> bool {
         (self.low - grid).max(grid - self.high).max_element() < -3.0 * self.reach
     }
 
-    /// Whether the box leaves the surface at a point as it is.
+    /// Whether the box leaves the surface at a point unchanged.
     pub fn leaves(&self, grid: DVec3) -> bool {
         (self.low - grid).max(grid - self.high).max_element() <= -self.radius
     }
 
-    /// Larger of two signed distances, with a circular fillet where both are above minus the radius.
+    /// Maximum of two signed distances, with a circular fillet where both exceed minus the radius.
     fn rounded_maximum(&self, a: (f64, DVec3), b: (f64, DVec3)) -> (f64, DVec3) {
         let (u, v) = (a.0 + self.radius, b.0 + self.radius);
         if u > 0.0 && v > 0.0 {
@@ -78,10 +81,10 @@ mod tests {
         let (value, direction) = border.intersect(first, 0.0, gradient);
         assert_eq!(value, 0.0);
         assert_eq!(direction, gradient);
-        // deep inside the object, the border is the surface
+        // deep inside the object the face of the box is the surface
         let (value, direction) = border.intersect(first - DVec3::X * 0.35, -5.0, gradient);
         assert!(value.abs() < 1e-12 && direction == -DVec3::X);
-        // past a right-angled edge the distance is that to the fillet
+        // beyond a right-angled edge the distance is that to the fillet
         let corner = DVec3::new(border.low.x - 1.0, border.low.y - 1.0, 20.0);
         let (value, _) = border.intersect(corner, -9.0, gradient);
         let r = 0.35;

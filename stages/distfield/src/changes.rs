@@ -1,5 +1,8 @@
-//! What `--scale` changed: the volume, the voxel centres that changed side and how deep they lay, and the parts that went, came apart or were joined,
-//! each with its place.
+//! What `--scale` changes: volume, voxel centres that change side and their depth, and parts that
+//! vanish, break, merge, lose thin ends or have gaps filled.
+//!
+//! Input: the occupancy before smoothing and the level set after it, on one grid. Output:
+//! [`Changes`], with the position of each event. Parts are sets of voxels connected through faces.
 
 use crate::bits::Bits;
 use crate::keep::parts_of_runs;
@@ -12,13 +15,13 @@ use rayon::prelude::*;
 use serde::Serialize;
 use std::collections::{BTreeMap, BTreeSet};
 
-/// Events that the report lists, of each kind; all are counted.
+/// Events listed in the report, for each kind. All events are counted.
 const LISTED: usize = 20;
 
-/// Level of what is taken away, at most.
+/// Level of removed parts: at most minus this value.
 const CLEARLY_OUTSIDE: f32 = 0.05;
 
-/// Share of the volume before: parts and ends that are less together are specks.
+/// Losses below this share of the original volume are reported as specks.
 pub const SPECKS: f64 = 1e-3;
 
 /// What happened to a part of the object.
@@ -29,63 +32,67 @@ pub enum Kind {
     Broken,
     /// A part is gone.
     Gone,
-    /// Several parts are one.
+    /// Several parts are merged.
     Joined,
-    /// What reached further out of a part than the scale is gone.
+    /// A piece of a part that reached farther from the rest than the scale is gone.
     Shortened,
     /// A gap deeper than the scale is filled.
     Filled,
 }
 
-/// Something that happened, and where.
+/// A change to a part, with its position.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Event {
-    /// What.
+    /// The kind of change.
     pub kind: Kind,
-    /// Volume of what is gone or filled, of the part that is broken, or of the parts that are joined, by the count of voxels, mm^3.
+    /// Volume by voxel count, mm^3: of the voxels lost or filled, of the part that broke, or of the
+    /// merged part. For shortened ends and filled gaps, only voxels deeper than half the scale
+    /// count.
     pub volume: f64,
-    /// Where: the mean of its voxel centres in the world, mm.
+    /// Mean of the voxel centres, in the world, mm.
     pub place: [f64; 3],
-    /// Pieces of what is broken, parts of what is joined, else 1.
+    /// Number of pieces of a broken part, or of parts that merged; otherwise 1.
     pub pieces: usize,
 }
 
-/// Depth below the surface of the voxels (their faces), mm.
+/// Distances of changed voxel centres from the original voxel surface (voxel faces), mm.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct Depth {
     /// Mean.
     pub mean: f64,
     /// 99th percentile.
     pub p99: f64,
-    /// Largest.
+    /// Maximum.
     pub max: f64,
 }
 
-/// All that changed.
+/// The difference between the object before and after smoothing.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Changes {
-    /// Volume before, mm^3.
+    /// Volume of the whole object before smoothing, mm^3.
     pub volume_before: f64,
-    /// Voxel centres that changed side.
+    /// Number of voxel centres that changed side.
     pub voxels_changed: usize,
-    /// How deep those lay.
+    /// Distances of these centres from the original surface.
     pub depth: Depth,
-    /// Parts before and after, by voxels with a face in common.
+    /// Number of parts before and after; voxels are connected through faces.
     pub components: [usize; 2],
-    /// Euler characteristic of the solid (components less handles, and cavities) before and after, of voxels with a face in common.
+    /// Euler characteristic of the solid (components - handles + cavities) before and after; voxels
+    /// are connected through faces.
     pub euler: [i64; 2],
-    /// How many events of each kind.
+    /// Number of events of each kind.
     pub counts: BTreeMap<Kind, usize>,
-    /// Volume of all events of each kind, mm^3.
+    /// Total volume of the events of each kind, mm^3.
     pub volumes: BTreeMap<Kind, f64>,
-    /// The events of the largest volumes, by kind.
+    /// The events of largest volume, at most 20 of each kind.
     pub events: Vec<Event>,
 }
 
-/// Takes away the parts where `level` is above zero whose volume (count of voxels, mm^3) is less than `smallest`, unless all are.
+/// Removes the parts of `level > 0` whose volume (voxel count, mm^3) is below `smallest`. If all
+/// parts are smaller, none is removed.
 ///
 /// # Errors
-/// When the parts are too many to be told apart.
+/// When there are too many runs of voxels to label the parts.
 pub fn remove_crumbs(level: &mut [f32], geometry: &Geometry, smallest: f64) -> Result<()> {
     let inside = Runs::of(geometry.size, |n| level[n] > 0.0);
     let part = parts_of_runs(&inside, geometry.size, &[])?;
@@ -106,10 +113,12 @@ pub fn remove_crumbs(level: &mut [f32], geometry: &Geometry, smallest: f64) -> R
 }
 
 impl Changes {
-    /// What is different where `level` is above zero; `None` if it is so nowhere. `volume` is that of the whole object before, mm^3.
+    /// Compares the occupancy before smoothing with `level > 0`. Returns `None` if `level` is
+    /// positive nowhere. `volume` is that of the whole object before smoothing (mm^3), `scale` the
+    /// scale (mm).
     ///
     /// # Errors
-    /// When the parts are too many to be told apart.
+    /// When there are too many runs of voxels to label the parts.
     pub fn between(before: &Occupancy, level: &[f32], volume: f64, scale: f64) -> Result<Option<Self>> {
         let geometry = &before.geometry;
         let count = level.len();
@@ -148,12 +157,12 @@ impl Changes {
         }))
     }
 
-    /// How many events of a kind there are.
+    /// Number of events of a kind.
     pub fn count(&self, kind: Kind) -> usize {
         self.counts.get(&kind).copied().unwrap_or(0)
     }
 
-    /// Volume of the parts and thin ends that are gone, mm^3.
+    /// Total volume of vanished parts and lost thin ends, mm^3.
     pub fn lost(&self) -> f64 {
         [Kind::Gone, Kind::Shortened].iter().filter_map(|kind| self.volumes.get(kind)).sum()
     }
@@ -164,7 +173,8 @@ fn index(size: [usize; 3], n: usize) -> [usize; 3] {
     [n % size[0], n / size[0] % size[1], n / (size[0] * size[1])]
 }
 
-/// Distance (mm) of a voxel's centre to the nearest voxel on the other side.
+/// Distance (mm) from the centre of voxel `n` to the nearest voxel on the other side, measured to
+/// the box of that voxel. Searches cubic shells of growing radius.
 fn depth(old: &Bits, geometry: &Geometry, n: usize) -> f64 {
     let (size, spacing) = (geometry.size, geometry.spacing);
     let (at, side) = (index(size, n), old.holds(n));
@@ -176,7 +186,7 @@ fn depth(old: &Bits, geometry: &Geometry, n: usize) -> f64 {
             for j in span(1) {
                 let is_shell = k.abs_diff(at[2]) == reach || j.abs_diff(at[1]) == reach;
                 let step = if is_shell { 1 } else { 2 * reach };
-                // within the shell's inner rows its two ends alone are new
+                // inside the shell only the two end voxels of a row are new
                 let first = if is_shell { *span(0).start() as isize } else { at[0] as isize - reach as isize };
                 for i in (first..=*span(0).end() as isize).step_by(step).filter(|&i| i >= 0) {
                     let near = [i as usize, j, k];
@@ -192,7 +202,7 @@ fn depth(old: &Bits, geometry: &Geometry, n: usize) -> f64 {
     best
 }
 
-/// Voxels of a part, added up.
+/// Voxel count and sum of positions of a part.
 #[derive(Clone, Copy, Default)]
 struct Sum {
     voxels: usize,
@@ -218,7 +228,7 @@ impl Sum {
     }
 }
 
-/// Parts of a set, by their first runs, with what they sum up to.
+/// The connected parts of a set, each named by its first run, with their sums.
 struct Parts {
     runs: Runs,
     part: Vec<u32>,
@@ -238,7 +248,7 @@ impl Parts {
     }
 }
 
-/// Parts that are gone, in pieces or joined, and how many there were and are.
+/// Events for parts that vanished, broke or merged, and the number of parts before and after.
 fn compare_parts(old: &Bits, new: &Bits, geometry: &Geometry) -> Result<(Vec<Event>, [usize; 2])> {
     let [_, ny, nz] = geometry.size;
     let (before, after) = (Parts::of(old, geometry.size)?, Parts::of(new, geometry.size)?);
@@ -268,8 +278,10 @@ fn compare_parts(old: &Bits, new: &Bits, geometry: &Geometry) -> Result<(Vec<Eve
     Ok((events, [before.sums.len(), after.sums.len()]))
 }
 
-/// Regions of voxels that are in `from` and not in `kept`, and further than the scale (mm) from the latter, step by step through them; parts of
-/// which nothing is kept are left out.
+/// Regions of `from` without `kept` that reach farther than `scale` (mm) from `kept`. Distance
+/// counts steps between face neighbours within the region, at the mean spacing. The volume of an
+/// event is that of the voxels farther than half the scale. Parts with no voxel in `kept` are left
+/// out.
 fn reaching_out(from: &Bits, kept: &Bits, geometry: &Geometry, scale: f64, kind: Kind) -> Result<Vec<Event>> {
     let size = geometry.size;
     let gone = Runs::of(size, |n| from.holds(n) && !kept.holds(n));
@@ -322,7 +334,8 @@ fn reaching_out(from: &Bits, kept: &Bits, geometry: &Geometry, scale: f64, kind:
     Ok(far.values().filter(|(_, reaches)| *reaches).map(|(sum, _)| sum.event(kind, 1, geometry)).collect())
 }
 
-/// Euler characteristic of the complex of the voxel centres inside: vertices less edges between neighbours, plus squares, less cubes.
+/// Euler characteristic of the cubical complex on the inside voxel centres: vertices - edges +
+/// squares - cubes.
 fn euler(inside: &Bits, size: [usize; 3]) -> i64 {
     let [nx, ny, nz] = size;
     let slices = (0..nz).into_par_iter().map(|k| {

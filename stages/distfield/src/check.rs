@@ -1,5 +1,5 @@
-//! What can be refused before any work: options that do not go together, and, where the volume is
-//! there, an object that it does not have.
+//! Checks that need no computation: options that conflict, and, if the volume can be read, labels,
+//! names and iso values that it does not contain.
 
 use crate::choose::Object;
 use crate::input::check_kind;
@@ -11,11 +11,11 @@ use isoparticles_stage::cli::check::Known;
 use isoparticles_stage::error::{Error, Result};
 use isoparticles_volume::{ReadOptions, read_volume_with};
 
-/// Checks the options, and adds the names of the materials to what is known.
+/// Checks the options and adds the names of the materials to `known`.
 ///
 /// # Errors
-/// On options that many materials do not take; on a volume that cannot be read, and labels, names,
-/// materials or an iso value that it does not have.
+/// When `--material` is combined with an option it does not support; when the volume cannot be
+/// read; when labels, names, materials or the iso value are not in the volume.
 pub(crate) fn check(args: &Args, known: Known) -> Result<Known> {
     if !args.material.is_empty() {
         check_options(args)?;

@@ -1,4 +1,7 @@
-//! How much of the data is kept: the options `--scale` and those that choose it, and what is told about it.
+//! Choice of the smoothing scale: `--scale`, the options that derive it from an edge length, a
+//! vertex count or a quality, and the messages about what the scale changed.
+//!
+//! The scale is twice the standard deviation of the Gaussian, in mm. Scale 0 means no smoothing.
 
 use crate::changes::{Changes, Event, Kind, SPECKS};
 use crate::crop::{Grid, VoxelBox, cut_in_turn};
@@ -17,42 +20,50 @@ use isoparticles_volume::{Geometry, Image, LayerLabel, Volume};
 use serde_json::{Value, json};
 use std::f64::consts::PI;
 
-/// How much of the data the surface keeps.
+/// Options that set how much of the data the surface keeps.
 #[derive(Clone, Debug, Default, clap::Args)]
 pub struct ScaleArgs {
-    /// Smooth away what is smaller than this, mm: a Gaussian of half of it, and the volume of each place kept. 0 keeps every voxel
-    /// centre of labels on its side, and a scalar volume's own isosurface. What that changed is reported [default: 0]
+    /// Smooth away details smaller than this length, mm. Smooths by a Gaussian with a standard
+    /// deviation of half this length and keeps the local volume. With 0, every voxel centre of a
+    /// label map keeps its side, and a scalar volume keeps its isosurface. Changes are reported
+    /// [default: 0]
     #[arg(long, value_name = "MM", value_parser = not_negative, help_heading = METHOD)]
     pub scale: Option<f64>,
-    /// Choose the scale for a mesh of this edge length, mm: 1.6 times as long where voxel steps would show, else 0
+    /// Choose the scale for a mesh of this edge length, mm: 1.6 times the edge length if that
+    /// exceeds 0.75 voxel (voxel steps would show), otherwise 0
     #[arg(long, value_name = "MM", value_parser = positive, conflicts_with = "scale", help_heading = METHOD)]
     pub scale_for_size: Option<f64>,
     /// Choose the scale for a mesh of this number of vertices
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(4..), conflicts_with_all = ["scale", "scale_for_size"],
         help_heading = METHOD)]
     pub scale_for_vertices: Option<u64>,
-    /// Choose the scale for the smallest h of `sizefield --quality`: coarse is above the voxel steps, the others are not
+    /// Choose the scale for the minimum h of `sizefield --quality`: `coarse` (1.5 voxels) gives a
+    /// scale above 0; `medium` and `fine` give 0
     #[arg(long, value_enum, value_name = "HOW", conflicts_with_all = ["scale", "scale_for_size", "scale_for_vertices"], help_heading = METHOD)]
     pub quality: Option<Quality>,
-    /// Keep parts and gaps that are thinner than a mesh of the scale's edge length tells apart; they want a smaller h there
+    /// Keep parts and gaps too thin for a mesh of the scale's edge length; such places need a
+    /// smaller h
     #[arg(long, help_heading = METHOD)]
     pub keep_thin: bool,
 }
 
-/// Edge lengths up to this many voxels (mean spacing) follow the steps of voxels, longer ones are spoilt by them. Mean and smallest radius ratio on `heart_label` at
-/// 0.65 voxel 0.984 / 0.69 without scale and 0.984 / 0.63 with, at 1.25 voxels 0.955 / 0.55 and 0.984 / 0.71; with on `tooth_ct` at 0.8 voxel 0.988 / 0.83.
+/// Maximum edge length, in voxels (mean spacing), of a mesh that follows the voxel steps well.
+/// Longer edges need smoothing. Mean / minimum radius ratio on `heart_label`: at 0.65 voxel 0.984 /
+/// 0.69 without a scale and 0.984 / 0.63 with one; at 1.25 voxels 0.955 / 0.55 and 0.984 / 0.71. On
+/// `tooth_ct` with a scale, at 0.8 voxel: 0.988 / 0.83.
 const FINE_ENOUGH: f64 = 0.75;
 
-/// A scale and why it is that.
+/// A scale and the reason for it.
 pub struct Choice {
-    /// mm.
+    /// The scale, mm; 0 for none.
     pub length: f64,
-    /// In words.
+    /// The reason, as text for the user.
     pub reason: String,
 }
 
 impl Choice {
-    /// That for an edge length (mm), `whose` in words, with voxels of that spacing.
+    /// The scale for an edge length (mm). `whose` describes the length in the reason; `voxel` is
+    /// the mean spacing (mm).
     fn for_length(length: f64, whose: &str, voxel: f64) -> Self {
         let limit = format!("than {FINE_ENOUGH} of a voxel of {voxel:.4} mm");
         if length > FINE_ENOUGH * voxel {
@@ -64,7 +75,7 @@ impl Choice {
     }
 }
 
-/// Which object of a volume is meant.
+/// The object to extract from a volume.
 pub enum Object {
     /// The union of labels.
     Labels(Vec<LayerLabel>),
@@ -73,10 +84,11 @@ pub enum Object {
 }
 
 impl Object {
-    /// The box round it in a volume, which is given back; none where no voxel is inside.
+    /// The bounding box of the object's voxels, `None` if no voxel is inside. Returns the volume as
+    /// well.
     ///
     /// # Errors
-    /// Of a scalar volume, where its voxels or the iso value leave no surface.
+    /// For a scalar volume, when its voxels or the iso value give no surface.
     pub fn locate(&self, volume: Volume) -> Result<(Volume, Option<VoxelBox>)> {
         match self {
             Self::Labels(labels) => {
@@ -89,7 +101,7 @@ impl Object {
 }
 
 impl ScaleArgs {
-    /// What of them belongs to the parameters of a run; nothing of a run without any.
+    /// Adds the options that were given to the parameters of a run.
     pub fn add_to(&self, parameters: &mut Value) {
         let given = [
             ("scale", self.scale.map(Value::from)),
@@ -105,13 +117,14 @@ impl ScaleArgs {
         }
     }
 
-    /// Whether any scale above 0 may come of them.
+    /// Whether the options can give a scale above 0.
     pub(crate) fn is_given(&self) -> bool {
         let chosen = self.scale_for_size.is_some() || self.scale_for_vertices.is_some() || self.quality.is_some();
         self.scale.is_some_and(|scale| scale > 0.0) || chosen
     }
 
-    /// The scale that an edge length, a quality or the user asks for; none where it takes the object's area to tell.
+    /// The scale from an edge length, a quality or `--scale`. `None` for `--scale-for-vertices`,
+    /// which needs the area of the object.
     pub(crate) fn choose_by_length(&self, geometry: &Geometry) -> Option<Choice> {
         let voxel = geometry.mean_spacing();
         if let Some(size) = self.scale_for_size {
@@ -126,10 +139,12 @@ impl ScaleArgs {
         self.scale_for_vertices.is_none().then_some(given)
     }
 
-    /// The scale for a number of vertices, given how to find their edge length (mm): of how many, and whether thin parts are kept. `volume` is that of what is meshed, mm^3.
+    /// The scale for `--scale-for-vertices`. `edge_length` returns the edge length (mm) for a
+    /// number of vertices; its second argument says whether thin parts are kept. `volume` is the
+    /// volume of the object, mm^3.
     ///
     /// # Errors
-    /// Where the edge length cannot be found, and when nothing is left.
+    /// When the edge length cannot be found, and when nothing is left of the object.
     pub(crate) fn choose_by_area(
         &self,
         geometry: &Geometry,
@@ -144,9 +159,9 @@ impl ScaleArgs {
     }
 }
 
-/// What to say where a scale leaves nothing of an object of that volume, mm^3.
+/// The error for a scale that leaves nothing of an object of `volume` mm^3.
 fn nothing_left(by: &str, volume: f64) -> Error {
-    // of a ball of that volume
+    // surface area of a ball of that volume
     let area = (36.0 * PI * volume * volume).cbrt();
     let size = (2.0 * area / (3f64.sqrt() * 100.0)).sqrt();
     Error::input(
@@ -156,10 +171,11 @@ fn nothing_left(by: &str, volume: f64) -> Error {
     )
 }
 
-/// The scale that the options ask for, told to the user; none where every voxel centre, or the isosurface itself, is kept. The volume is given back.
+/// Chooses the scale and reports it to the user. `None` means no smoothing. Returns the volume as
+/// well.
 ///
 /// # Errors
-/// Where the check of scalars fails, and when nothing is left.
+/// When the scalar volume gives no surface, and when nothing is left of the object.
 pub fn choose_scale(
     args: &ScaleArgs,
     volume: Volume,
@@ -187,10 +203,10 @@ pub fn choose_scale(
     Ok((volume, (choice.length > 0.0).then_some(choice)))
 }
 
-/// F of the smoothed object, and what to note about it.
+/// Smooths the object and computes F, with notes for the output file.
 ///
 /// # Errors
-/// When nothing is left, and when the run is interrupted.
+/// When nothing is left of the object, and when the run is interrupted.
 pub fn extract_scaled(
     Choice { length, reason }: Choice,
     keep_thin: bool,
@@ -237,10 +253,10 @@ fn occupancy(volume: &Volume, object: &Object) -> Occupancy {
     }
 }
 
-/// Events of a kind that are named on the terminal.
+/// Events named on the terminal, for each kind.
 const NAMED: usize = 3;
 
-/// Says what the scale changed.
+/// Reports the changes: a summary, and a message for each kind of event.
 fn tell(changes: &Changes, length: f64, context: &Context) {
     let depth = changes.depth;
     context.summary(

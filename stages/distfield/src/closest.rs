@@ -1,6 +1,9 @@
-//! Signed distance from closest points: every node knows its nearest surface sample ([`crate::nearest`]); in a band round the surface
-//! Newton's method then finds the closest point of the zero set itself, and farther out the surface round the sample is taken to
-//! second order, after a walk over the surface where the foot lies too far from the sample for that.
+//! Signed distance from closest points.
+//!
+//! Every node has a nearest surface sample ([`crate::nearest`]). Within a band around the surface,
+//! Newton's method finds the closest point on the zero set. Farther out, the surface near the
+//! sample is approximated to second order. If the foot of the node is too far from the sample for
+//! that, steps over the surface first find a nearer point.
 
 use crate::bits::Bits;
 use crate::field::Source;
@@ -10,25 +13,32 @@ use glam::{DMat3, DVec3, Mat3, Vec3};
 use isoparticles_volume::{Geometry, Image};
 use rayon::prelude::*;
 
-/// Least determinant of the Hessian of half the squared distance, relative to that to a plane, for a closest point: at less the node is at a
-/// focal point of the surface, where the second order does not tell.
+/// Minimum determinant of the Hessian of half the squared distance, relative to that of a plane, at
+/// a closest point. Below it the node is near a focal point of the surface, where the second-order
+/// approximation fails.
 const LEAST_DETERMINANT: f32 = 0.01;
 
-/// Steps from patch to patch towards the closest point, at most.
+/// Maximum number of steps from patch to patch towards the closest point.
 const MOST_WALKS: usize = 8;
 
-/// Longest step of them, in voxels.
+/// Maximum length of such a step, in voxels (minimum spacing).
 const LONGEST_WALK: f32 = 2.0;
 
-/// How far from the sample the foot of a node may lie for the surface round the sample to be taken to second order, in voxels.
+/// Maximum distance between a sample and the foot of a node for the second-order approximation, in
+/// voxels (minimum spacing).
 const PATCH_REACH: f64 = 1.5;
 
-/// A step of Newton's method as short as this (voxels) is the last one: what remains is of the order of its square.
+/// Newton's method stops after a step this short, in voxels (minimum spacing). The remaining error
+/// is of the order of its square.
 const LAST_STEP: f64 = 1e-3;
 
-/// The distance (mm) of every node to the surface of `source`, of which `samples` is a dense sampling, negative at the `inside` ones. Exact
-/// within `band` mm, by Newton's method for the closest point; beyond, the distance to the surface round the nearest sample, and from `limit` mm on, which
-/// may be infinite and is no less than `band`, that.
+/// Signed distance (mm) of every node to the surface of `source`, negative at the `inside` nodes.
+/// `samples` are dense samples of the surface.
+///
+/// Within `band` mm, Newton's method finds the closest point. Beyond it, the distance is that to
+/// the second-order surface at the nearest sample. If that sample lies on the cap, steps along
+/// tangent planes find a nearer point instead. Distances are clamped to `limit` mm, which may be
+/// infinite and is at least `band`.
 pub fn distance_to_zero_set(
     geometry: Geometry,
     inside: &Bits,
@@ -37,7 +47,8 @@ pub fn distance_to_zero_set(
     band: f64,
     limit: f64,
 ) -> Image<f32> {
-    // zeros take no memory until they are written over, slab by slab, while the coarse grid of the nearest samples shrinks
+    // the zeroed allocation takes no memory until written, slab by slab, while the coarse grid of
+    // nearest samples shrinks
     let mut data = vec![0.0; geometry.voxel_count()];
     let patches: Vec<Patch> = samples.par_iter().map(|&p| Patch::new(source, p)).collect();
     let surface = Surface { source, samples, patches, band, reach: PATCH_REACH * geometry.min_spacing() };
@@ -55,19 +66,20 @@ pub fn distance_to_zero_set(
     Image { geometry, data }
 }
 
-/// A surface and what is known of it at its samples.
+/// The surface, its samples and the second-order patch at each sample.
 struct Surface<'a> {
     source: &'a Source,
     samples: &'a [DVec3],
     patches: Vec<Patch>,
-    /// Within this distance, in mm, closest points are found by Newton's method.
+    /// Distance within which Newton's method finds closest points, mm.
     band: f64,
-    /// How far from a sample its patch is asked, in mm.
+    /// Maximum distance between a sample and a foot on its patch, mm.
     reach: f64,
 }
 
 impl Surface<'_> {
-    /// Distance of a node whose nearest sample is `squared` mm squared away; infinite where there is no sample.
+    /// Distance (mm) of the node `at`, whose nearest sample is at the squared distance `squared`
+    /// (mm^2); infinite if the node has no sample.
     fn distance(&self, geometry: &Geometry, slab: &Slab, at: [usize; 3], squared: f32) -> f32 {
         let mut sample = slab.sample[geometry.linear(at[0], at[1], at[2] - slab.first)];
         if sample == NONE {
@@ -98,7 +110,7 @@ impl Surface<'_> {
         distance as f32
     }
 
-    /// The sample nearest to a node, of its own and those of the nodes around.
+    /// The sample nearest to a node, among its own and those of the 26 nodes around it.
     fn nearest_around(&self, geometry: &Geometry, slab: &Slab, at: [usize; 3], node: DVec3) -> u32 {
         let range = |axis: usize| at[axis].saturating_sub(1)..(at[axis] + 2).min(geometry.size[axis]);
         let own = slab.sample[geometry.linear(at[0], at[1], at[2] - slab.first)];
@@ -120,11 +132,12 @@ impl Surface<'_> {
     }
 }
 
-/// The surface round a point of it, to second order.
+/// Second-order approximation of the surface at a point.
 struct Patch {
-    /// Unit normal, outward.
+    /// Outward unit normal.
     normal: Vec3,
-    /// Curvature tensor (Goldman 2005), per mm: its diagonal and xy, yz, zx; NaN where the surface is cut at the border.
+    /// Curvature tensor (Goldman 2005), 1/mm: xx, yy, zz, xy, yz, zx. NaN where the border box cuts
+    /// the surface.
     shape: [f32; 6],
 }
 
@@ -142,18 +155,19 @@ impl Patch {
         Self { normal: normal.as_vec3(), shape: [x.x, y.y, z.z, x.y, y.z, x.z] }
     }
 
-    /// The curvature tensor, where there is one.
+    /// The curvature tensor; `None` where it is not defined.
     fn curvature(&self) -> Option<Mat3> {
         let [xx, yy, zz, xy, yz, zx] = self.shape;
         let shape = Mat3::from_cols(Vec3::new(xx, xy, zx), Vec3::new(xy, yy, yz), Vec3::new(zx, yz, zz));
         shape.is_finite().then_some(shape)
     }
 
-    /// The way along the tangent plane to the foot of a node, given the way to it from the patch's point. `None` where the surface bends
-    /// so strongly that this point is no closest one.
+    /// Vector in the tangent plane from the patch's point to the foot of a node, given the vector
+    /// to the node. `None` where the surface bends so strongly that the point is not a closest one.
     ///
-    /// With the node at height D over the tangent plane and t aside of the normal, the closest point of the surface -u.Su/2 is at
-    /// u = (I + D S)^-1 t; S maps the tangent plane to itself, so the inverse is that of a 2 x 2 matrix (Cayley-Hamilton).
+    /// With the node at height D above the tangent plane and offset t within it, the closest point
+    /// of the surface -u.Su/2 is at u = (I + D S)^-1 t. S maps the tangent plane to itself, so the
+    /// inverse is that of a 2 x 2 matrix (Cayley-Hamilton).
     fn foot(&self, to_node: Vec3) -> Option<Vec3> {
         let shape = self.curvature()?;
         let height = to_node.dot(self.normal);
@@ -166,8 +180,9 @@ impl Patch {
         is_minimum.then(|| (aside * (1.0 + trace) - shape * aside * height) / determinant)
     }
 
-    /// Distance of a node to the patch, given the way to it from the patch's point; `None` where the patch does not tell: it is to
-    /// be asked no farther away than `reach` (mm). The foot u is nearer than the patch's point by t.u in the square.
+    /// Distance (mm) of a node to the patch, given the vector from the patch's point to the node.
+    /// `None` where the foot u is undefined or farther than `reach` (mm) from the patch's point.
+    /// The squared distance to the foot is that to the patch's point minus t.u.
     fn distance(&self, to_node: Vec3, reach: f32) -> Option<f32> {
         let foot = self.foot(to_node)?;
         let squared = (to_node.length_squared() - to_node.dot(foot)).max(0.0);
@@ -175,8 +190,9 @@ impl Patch {
     }
 }
 
-/// Distance of `node` to the surface, from a point `start` of it that is nearly the closest, but not so nearly that the surroundings of
-/// `start` tell: walks over the surface, from patch to patch, as long as that comes nearer.
+/// Distance (mm) of `node` to the surface, from an approximate closest point `start` whose patch
+/// does not contain the foot. Steps over the surface from patch to patch while the distance
+/// decreases.
 fn walk(source: &Source, node: DVec3, start: DVec3, reach: f32) -> f64 {
     let voxel = source.spline.geometry().min_spacing();
     let (mut p, mut nearest) = (start, node.distance(start));
@@ -186,7 +202,7 @@ fn walk(source: &Source, node: DVec3, start: DVec3, reach: f32) -> f64 {
         if let Some(distance) = patch.distance(to_node, reach) {
             return nearest.min(distance.into());
         }
-        // where the point is no closest one, any way downhill
+        // if the point is not a closest one, take any descent direction
         let step = patch.foot(to_node).unwrap_or_else(|| to_node - patch.normal * to_node.dot(patch.normal));
         let Some(next) = project(source, p + step.clamp_length_max(LONGEST_WALK * voxel as f32).as_dvec3(), voxel)
         else {
@@ -201,8 +217,8 @@ fn walk(source: &Source, node: DVec3, start: DVec3, reach: f32) -> f64 {
     nearest
 }
 
-/// Distance of `node` to the surface, from a point `start` of it on the cap: slides along the tangent plane towards the foot of
-/// the node and back onto the surface, as long as that comes nearer.
+/// Distance (mm) of `node` to the surface, from a point `start` on the cap: moves along the tangent
+/// plane towards the foot of the node and back onto the surface, while the distance decreases.
 fn slide(source: &Source, node: DVec3, start: DVec3) -> f64 {
     let voxel = source.spline.geometry().min_spacing();
     let (mut p, mut best) = (start, node.distance(start));
@@ -221,10 +237,10 @@ fn slide(source: &Source, node: DVec3, start: DVec3) -> f64 {
     best
 }
 
-/// Distance of `node` to the zero set, from a point `start` of it that is nearly the closest.
+/// Distance (mm) of `node` to the zero set, from an approximate closest point `start`.
 ///
-/// Newton's method on the Lagrange conditions p - node + lambda grad f = 0, f(p) = 0; where it does not come nearer
-/// than `start`, there is no answer.
+/// Newton's method on the Lagrange conditions p - node + lambda grad f = 0, f(p) = 0. Returns
+/// `None` if it does not converge to a point nearer than `start`.
 fn refine(source: &Source, node: DVec3, start: DVec3) -> Option<f64> {
     let spline = &source.spline;
     let voxel = spline.geometry().min_spacing();
@@ -261,7 +277,7 @@ fn refine(source: &Source, node: DVec3, start: DVec3) -> Option<f64> {
     None
 }
 
-/// Sylvester's criterion, with room to rounding.
+/// Sylvester's criterion, with thresholds above zero to exclude nearly singular matrices.
 fn is_positive_definite(m: &DMat3) -> bool {
     let two = m.x_axis.x * m.y_axis.y - m.x_axis.y * m.y_axis.x;
     m.x_axis.x > 0.05 && two > 0.0025 && m.determinant() > 1e-4

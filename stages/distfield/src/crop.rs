@@ -1,28 +1,36 @@
-//! Which voxels F is made of: those of the box of the object with some room round it, clipped at the volume's border. All that comes later sees that box as the
-//! volume; where a face of it is no border of the volume, nothing but background lies beyond.
+//! The box of voxels on which F is computed: the bounding box of the object with some room, clipped
+//! at the border of the volume. Later steps treat this box as the volume. Beyond a face of the box
+//! that is not a border of the volume there is only background.
 //!
-//! The room is what F near the surface depends on, so that F is there what it is on the whole volume.
+//! The room covers the voxels that F near the surface depends on, so that F there equals F on the
+//! whole volume to the accuracy given at `SPLINE_ROOM`.
 
 use crate::nearest::STRIDE;
 use isoparticles_volume::{LayerLabel, Volume};
 use rayon::prelude::*;
 
-/// Which grid F is made on.
+/// The grid on which F is computed.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum)]
 pub enum Grid {
-    /// The box of the object, with room round it.
+    /// The bounding box of the object, with room around it.
     #[default]
     Object,
     /// The whole volume.
     Volume,
 }
 
-/// Which of the two faces across each axis of a box of voxels, the low one first, are no border of the volume.
+/// For each axis, whether the low and the high face of a box of voxels is a cut through the volume
+/// rather than a border of it.
 pub type CutFaces = [[bool; 2]; 3];
 
-/// Room of a spline, in voxels. Its mirror puts other voxels beyond a face than those that were there. Where they differ by d, a spline differs n nodes from the face by less
-/// than d sqrt(3) z^(n + 1) / (1 - z), z = 2 - sqrt(3) (from the prefilter's impulse response, Unser 1999); for the n = 7 that are between the surface and the
-/// face by 6e-5 d. A difference of ten times what values change by from voxel to voxel at the surface moves it by 0.0006 voxel, less than the zero set is pinned to.
+/// Room for a spline, in voxels.
+///
+/// The spline mirrors the voxels at the faces of the box. If the mirrored values differ from the
+/// true ones by d, the spline n nodes from the face differs by less than d sqrt(3) z^(n + 1) / (1 -
+/// z), with z = 2 - sqrt(3) (impulse response of the prefilter, Unser 1999). Between the surface
+/// and the face there are n = 7 nodes, which gives 6e-5 d. If d is ten times the change of the
+/// values over one voxel at the surface, the surface moves by 0.0006 voxel. That is less than the
+/// tolerance to which the zero set is pinned (0.001 voxel).
 const SPLINE_ROOM: usize = 8;
 
 /// A box of voxels.
@@ -35,7 +43,8 @@ pub struct VoxelBox {
 }
 
 impl VoxelBox {
-    /// The box round what there is in each row along x: the first and the last voxel of row j + size y * k, if any.
+    /// The bounding box of the voxels that `row` reports: the first and the last x index in row j +
+    /// size y * k, if any.
     pub fn of_rows(size: [usize; 3], row: impl Fn(usize) -> Option<(usize, usize)> + Sync) -> Option<Self> {
         let [_, ny, nz] = size;
         let rows = (0..ny * nz).into_par_iter().with_min_len(ny).filter_map(|at| {
@@ -46,7 +55,7 @@ impl VoxelBox {
         rows.reduce_with(Self::around)
     }
 
-    /// The box round the labels of a volume for which `wanted` is true.
+    /// The bounding box of the voxels whose label satisfies `wanted`, over all layers.
     pub fn of_labels(volume: &Volume, wanted: impl Fn(LayerLabel) -> bool + Sync) -> Option<Self> {
         let size = volume.geometry.size;
         let layers = volume.layers().enumerate().filter_map(|(layer, voxels)| {
@@ -58,7 +67,7 @@ impl VoxelBox {
         layers.reduce(Self::around)
     }
 
-    /// The box round two.
+    /// The bounding box of two boxes.
     pub fn around(self, other: Self) -> Self {
         Self {
             low: std::array::from_fn(|a| self.low[a].min(other.low[a])),
@@ -66,7 +75,7 @@ impl VoxelBox {
         }
     }
 
-    /// With more voxels on each face, within a grid of `size` voxels.
+    /// The box extended by `room` voxels on each face, clipped to a grid of `size` voxels.
     pub fn with_room(self, room: [usize; 3], size: [usize; 3]) -> Self {
         Self {
             low: std::array::from_fn(|a| self.low[a].saturating_sub(room[a])),
@@ -74,8 +83,9 @@ impl VoxelBox {
         }
     }
 
-    /// With its first voxels moved down to where the far field's coarse grid has nodes, so that this is a part of that of the whole volume: with
-    /// other nodes F of `heart_label` differs within a voxel of the surface by 8e-4 voxel (root mean square), with these by 2e-5.
+    /// The box with its low corner moved down to a node of the far field's coarse grid, so that
+    /// this grid coincides with that of the whole volume. Otherwise F of `heart_label` within a
+    /// voxel of the surface differs by 8e-4 voxel (root mean square); with it, by 2e-5.
     pub fn on_coarse_nodes(self) -> Self {
         Self { low: self.low.map(|n| n - n % STRIDE), ..self }
     }
@@ -85,23 +95,23 @@ impl VoxelBox {
         std::array::from_fn(|a| self.high[a] + 1 - self.low[a])
     }
 
-    /// Its faces that are no border of a grid of `size` voxels.
+    /// The faces of the box that are not borders of a grid of `size` voxels.
     pub fn cut_faces(&self, size: [usize; 3]) -> CutFaces {
         std::array::from_fn(|a| [self.low[a] > 0, self.high[a] + 1 < size[a]])
     }
 }
 
-/// Room round what is inside of an iso value.
+/// Room around the voxels inside an iso value.
 pub fn room_of_spline() -> [usize; 3] {
     [SPLINE_ROOM; 3]
 }
 
-/// The faces that were cut at one time or another, the second box lying in the first.
+/// The faces cut by either of two successive crops, the second box lying in the first.
 pub fn cut_in_turn(first: CutFaces, second: CutFaces) -> CutFaces {
     std::array::from_fn(|a| [first[a][0] || second[a][0], first[a][1] || second[a][1]])
 }
 
-/// Crops a volume to a box; tells the faces at which it was cut.
+/// Crops a volume to a box; returns the faces at which it was cut.
 pub fn crop(volume: &mut Volume, kept: VoxelBox) -> CutFaces {
     let whole = volume.geometry.size;
     volume.crop(kept.low, kept.size());

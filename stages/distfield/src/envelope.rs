@@ -1,14 +1,20 @@
-//! The nearest of the samples that some nodes of a grid have, for all of its nodes: along one axis after the other a node takes what is
-//! nearest of the samples in its line. Over the line the squared distance to a sample is a parabola, and the nearest ones are those of the lower
-//! envelope (Felzenszwalb and Huttenlocher 2012), each found once: a node costs the same however far the surface is.
+//! Nearest samples for all nodes of a grid, from samples known at some of them.
+//!
+//! One axis after the other, every node takes the nearest of the samples on its line. Along a line
+//! the squared distance to a sample is a parabola, and the nearest samples form the lower envelope
+//! of the parabolas (Felzenszwalb and Huttenlocher 2012). The cost per node does not depend on the
+//! distance to the surface.
 
 use crate::nearest::NONE;
 use glam::Vec3;
 use isoparticles_volume::Geometry;
 use rayon::prelude::*;
 
-/// Gives every node (x fastest) the nearest of the samples whose numbers the nodes have; [`NONE`] stays where no node has one. Samples in the grid
-/// frame. What a line hands on is nearest to nodes of its own, so where samples lie off the nodes that have them another may be nearer by as much.
+/// Replaces the sample number of every node (x fastest) by that of the nearest sample that any node
+/// has. If no node has one, all stay [`NONE`]. Samples are in the grid frame (mm).
+///
+/// The result is exact if every sample lies on the node that holds its number. Otherwise a nearer
+/// sample can be missed, by a distance of the order of the offsets.
 pub(crate) fn spread(geometry: &Geometry, samples: &[Vec3], sample: &mut [u32]) {
     let [nx, ny, _] = geometry.size;
     let spacing = geometry.spacing;
@@ -33,35 +39,36 @@ pub(crate) fn spread(geometry: &Geometry, samples: &[Vec3], sample: &mut [u32]) 
     });
 }
 
-/// Squared distance (mm squared) to a sample along a line.
+/// Squared distance (mm^2) to a sample along a line.
 #[derive(Clone, Copy)]
 struct Parabola {
     number: u32,
-    /// Where it is least, mm.
+    /// Position of the minimum on the line, mm.
     centre: f64,
-    /// What it is there.
+    /// Minimum value, mm^2.
     least: f64,
 }
 
 impl Parabola {
-    /// Along the first of the axes; the line lies at the places `at` on the other two.
+    /// The parabola along the first of the axes, on the line at the positions `at` (mm) of the
+    /// other two.
     fn new(samples: &[Vec3], number: u32, [along, u, v]: [usize; 3], at: [f64; 2]) -> Self {
         let place = samples[number as usize].as_dvec3();
         Self { number, centre: place[along], least: (place[u] - at[0]).powi(2) + (place[v] - at[1]).powi(2) }
     }
 }
 
-/// Room for the samples of a line.
+/// Work space for one line.
 #[derive(Default)]
 struct Envelope {
     column: Vec<u32>,
     all: Vec<Parabola>,
-    /// The parabolas that are the lowest somewhere, and from where on, mm.
+    /// The parabolas of the lower envelope, each with the position (mm) at which it begins.
     lowest: Vec<(Parabola, f64)>,
 }
 
 impl Envelope {
-    /// Fills each column of some rows.
+    /// Fills each column across the rows.
     fn fill_across(&mut self, rows: &mut [&mut [u32]], spacing: f64, parabola: impl Fn(usize, u32) -> Parabola) {
         let width = rows.first().map_or(0, |row| row.len());
         let mut column = std::mem::take(&mut self.column);
@@ -74,7 +81,7 @@ impl Envelope {
         self.column = column;
     }
 
-    /// Gives every node of a line the nearest of the samples that are there.
+    /// Replaces the numbers on a line by those of the nearest samples present on it.
     fn fill(&mut self, line: &mut [u32], spacing: f64, parabola: impl Fn(u32) -> Parabola) {
         self.all.clear();
         let mut last = NONE;
@@ -84,7 +91,7 @@ impl Envelope {
                 last = number;
             }
         }
-        // neighbours may have each other's samples
+        // centres may be out of order: a sample need not lie on the node that holds it
         if !self.all.is_sorted_by(|a, b| a.centre <= b.centre) {
             self.all.sort_by(|a, b| a.centre.total_cmp(&b.centre));
         }
@@ -114,7 +121,8 @@ impl Envelope {
     }
 }
 
-/// Where on the line the second parabola, whose centre is no lower, becomes the lower one: everywhere or nowhere if they have one centre.
+/// Position on the line at which the second parabola, whose centre is not smaller, becomes the
+/// lower one. With equal centres it is minus infinity (lower everywhere) or infinity (nowhere).
 fn crossing(first: Parabola, second: Parabola) -> f64 {
     if first.centre == second.centre {
         return if second.least < first.least { f64::NEG_INFINITY } else { f64::INFINITY };
@@ -131,10 +139,10 @@ mod tests {
 
     #[test]
     fn every_node_has_the_nearest_sample() {
-        // exactly where samples lie on their nodes; by twice as much as they lie off them, along two axes, where not
+        // exact where samples lie on their nodes; otherwise within twice the offset
         for (n, count, off) in [(0u64, 1, 0.0), (1, 7, 0.0), (2, 60, 0.0), (3, 60, 0.1)] {
             let geometry = Geometry::axis_aligned([13, 9, 11], DVec3::new(1.0, 0.7, 1.6));
-            // one sample at a node of its own, so that none is left out
+            // at most one sample per node, so that none is lost
             let mut sample = vec![NONE; geometry.voxel_count()];
             let mut samples = Vec::new();
             for s in 0..count {

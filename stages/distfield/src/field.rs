@@ -1,4 +1,9 @@
-//! From an implicit function to F: samples of its zero set, signed distance, and the zero set pinned.
+//! From an implicit function to F: signed distance with a pinned zero set.
+//!
+//! [`redistance`] samples the zero set of a source ([`crate::samples`]), measures the distance of
+//! every node to it ([`crate::closest`]), and changes the result so that the zero set of its cubic
+//! spline lies on the samples ([`crate::fit`]). It then compares the zero sets of F and of the
+//! source.
 
 use crate::bits::Bits;
 use crate::cap::BorderBox;
@@ -19,94 +24,104 @@ use isoparticles_volume::{Geometry, Image};
 use rayon::prelude::*;
 use serde::Serialize;
 
-/// The zero set counts as pinned at this root-mean-square of F at the samples, in voxels: a tenth of what a remesher strays from the triangles that it is given. Half of it halves the mean distance of the zero sets in twice the
-/// steps: ribcage of `thorax_labels`, `--scale 3`, 0.0004 voxel in 138 steps (1.24 s), 0.0007 in 60 (0.64 s); `tooth_ct` at 600 0.0005 in 117 and 0.0009 in 54.
+/// Tolerance of the pinned zero set: root mean square of F at the samples, in voxels (mean
+/// spacing). It is a tenth of a remesher's deviation from its input triangles. Half of it halves
+/// the mean distance between the zero sets and doubles the steps: ribcage of `thorax_labels` with
+/// `--scale 3`, 0.0004 voxel in 138 steps (1.24 s) and 0.0007 in 60 (0.64 s); `tooth_ct` at 600,
+/// 0.0005 in 117 and 0.0009 in 54.
 const PINNED: f64 = 0.001;
 
-/// Conjugate-gradient steps that pin the zero set, at most. Smooth surfaces need about 10; noise, where the surface
-/// folds within a voxel, takes them all.
+/// Maximum number of conjugate-gradient steps that pin the zero set. Smooth surfaces need about 10.
+/// Noise, where the surface folds within a voxel, uses all of them.
 const MOST_PIN_STEPS: usize = 160;
 
-/// Half-width of the band with exact distances, in voxels.
+/// Half-width of the band in which Newton's method finds the closest points, in voxels (mean
+/// spacing). It is at least 1.5 times the maximum spacing.
 const BAND: f64 = 4.0;
 
-/// Points at which the result is compared with its source, at most.
+/// Maximum number of points at which the zero sets of F and of its source are compared.
 const CHECKED_POINTS: usize = 200_000;
 
-/// A source to re-distance: an implicit function near its zero set.
+/// The implicit function of the surface to re-distance; its values are used near the zero set only.
 pub struct Source {
-    /// The spline whose zero set is the surface (before it is cut at the border).
+    /// The spline whose zero set is the surface, without the cut at the border.
     pub spline: BrickSpline,
-    /// The box that closes the object, if any.
+    /// The box that closes the object at the border, if any.
     pub cap: Option<BorderBox>,
 }
 
-/// How far the zero set of F is from that of its source, to first order (value over slope), in voxels (mean spacing).
+/// Distance between the zero sets of F and of its source, to first order (value over slope), in
+/// voxels (mean spacing).
 #[derive(Clone, Copy, Debug, Default, Serialize)]
 pub struct Shift {
     /// Mean over the surface.
     pub mean: f64,
     /// 99th percentile.
     pub p99: f64,
-    /// Largest.
+    /// Maximum.
     pub max: f64,
-    /// Points it was measured at.
+    /// Number of points compared.
     pub points: usize,
 }
 
-/// F with what is known about it.
+/// F and measurements of it.
 pub struct Redistanced {
-    /// Signed distance samples, in mm, negative inside.
+    /// Samples of the signed distance, mm, negative inside.
     pub field: Image<f32>,
-    /// Parts that were dropped, before anything else was counted.
+    /// Parts that were dropped before the counts below.
     pub dropped: Dropped,
-    /// Parts of the source that stay, by marching cubes at its nodes.
+    /// Parts of the source after dropping, counted on the marching-cubes mesh of its nodes.
     pub parts_before: Parts,
-    /// Parts of F: their number by marching cubes, their volume from the spline.
+    /// Parts of F: counted on its marching-cubes mesh, with the volume enclosed by the spline.
     pub parts_after: Parts,
-    /// Volume within each connected surface of F, mm^3, the largest first; those of cavities are
-    /// negative. None where the surface leaves the grid.
+    /// Volume enclosed by each connected surface of F, mm^3, in descending order; negative for
+    /// cavities. Empty if the surface leaves the grid.
     pub volumes: Vec<f64>,
-    /// Distance of the zero sets.
+    /// Distance between the zero sets of F and of its source.
     pub shift: Shift,
-    /// Nodes whose |F| was raised to the clearance after the zero set was pinned.
+    /// Number of nodes whose |F| was raised to the minimum after pinning.
     pub held_nodes: usize,
-    /// Places where two parts touch along an edge and F does not join or part them as the source does.
+    /// Number of ambiguous faces (two parts touching along an edge) at which F connects the parts
+    /// differently from its source.
     pub undecided: usize,
-    /// How the zero set was pinned.
+    /// Report of the fit that pins the zero set.
     pub fit: FitReport,
-    /// Labels: voxel centres that F puts on the other side, those of dropped parts aside.
+    /// For labels: number of voxel centres that F puts on the other side, without those of dropped
+    /// parts.
     pub changed: Option<usize>,
 }
 
-/// What is asked of F beside its surface.
+/// Accuracy required of F.
 #[derive(Clone, Copy)]
 pub struct Demands {
-    /// Distance beyond which that will do, in voxels (mean spacing); no less than the band with exact distances.
+    /// Distance at which F is clamped, in voxels (mean spacing). At least the half-width of the
+    /// band is used.
     pub limit: f64,
-    /// The zero set counts as pinned at this root-mean-square of F at the samples, in voxels.
+    /// Tolerance of the pinned zero set: root mean square of F at the samples, in voxels (mean
+    /// spacing).
     pub pinned: f64,
-    /// Conjugate-gradient steps that pin the zero set, at most.
+    /// Maximum number of conjugate-gradient steps that pin the zero set.
     pub pin_steps: usize,
 }
 
 impl Default for Demands {
-    /// Distances everywhere.
+    /// Unclamped distances, `PINNED` and `MOST_PIN_STEPS`.
     fn default() -> Self {
         Self { limit: f64::INFINITY, pinned: PINNED, pin_steps: MOST_PIN_STEPS }
     }
 }
 
-/// Least |F| at the nodes, in mm.
+/// Minimum |F| at the nodes, mm.
 pub struct LeastDistances<At> {
-    /// The largest of them.
+    /// Maximum of `at` over all nodes, mm.
     pub most: f32,
-    /// That of a node.
+    /// Minimum |F| at a node, mm.
     pub at: At,
 }
 
 impl Implicit for Source {
-    /// First-order distance to the surface, cut at the border, and its gradient.
+    /// First-order distance to the surface (mm), cut at the border, and its gradient. Without a
+    /// box, value and gradient of the spline.
     #[inline(always)]
     fn value_gradient(&self, grid: DVec3) -> (f64, DVec3) {
         let (f, g) = self.spline.value_gradient(grid);
@@ -116,7 +131,8 @@ impl Implicit for Source {
     }
 }
 
-/// Value over slope; where there is no slope, far away on the side of the value (zero being outside).
+/// Value over slope. If the slope vanishes, a distance of 1e6 mm with the sign of the value; zero
+/// counts as outside.
 #[inline(always)]
 pub(crate) fn first_order_distance(value: f64, slope: f64) -> f64 {
     if slope > 1e-12 {
@@ -128,12 +144,14 @@ pub(crate) fn first_order_distance(value: f64, slope: f64) -> f64 {
     }
 }
 
-/// Re-distances a source. The signs of `nodes` say which nodes are inside (negative); zero is outside.
-/// Marching cubes starts from its values, and it becomes F. The `margin` nodes on each face are beyond
-/// the input.
+/// Computes F from a source.
+///
+/// `nodes` are values of the source at the nodes; negative is inside, zero and positive outside.
+/// Marching cubes runs on them, and their memory is freed afterwards. The outermost `margin` nodes
+/// on each face lie beyond the input.
 ///
 /// # Errors
-/// When the source has no zero set, no part of the object is to stay, or the run is interrupted.
+/// When the source has no zero set, no part is kept, or the run is interrupted.
 pub fn redistance(
     mut nodes: Image<f32>,
     source: &Source,
@@ -162,7 +180,7 @@ pub fn redistance(
     let samples = surface_samples(source, &nodes, &mesh);
     let parts_before = Parts::of(&mesh);
     drop(mesh);
-    // only the signs are needed from here on (a value of -0 is outside)
+    // from here on only the signs are needed (a value of -0 is outside)
     let inside = Bits::of(nodes.data.len(), |n| nodes.data[n] < 0.0);
     let geometry = nodes.geometry;
     drop(nodes.data);
@@ -209,7 +227,7 @@ pub fn redistance(
     })
 }
 
-/// Whether the object reaches the faces of the grid, as it does through an open border.
+/// Whether the object reaches the faces of the grid, as it can with an open border.
 fn leaves_grid(field: &Image<f32>) -> bool {
     let [nx, ny, nz] = field.geometry.size;
     let on_face = |i: usize, n: usize| i == 0 || i + 1 == n;
@@ -219,7 +237,8 @@ fn leaves_grid(field: &Image<f32>) -> bool {
     })
 }
 
-/// Keeps every node its least distance away from zero on its side; returns how many had to be moved.
+/// Raises |F| at every node to its minimum, with the sign of the node's side. Returns how many
+/// nodes changed.
 fn hold_nodes(field: &mut Image<f32>, inside: &Bits, least: &LeastDistances<impl Fn(usize) -> f32 + Sync>) -> usize {
     let moved = field.data.par_iter_mut().enumerate().map(|(n, f)| {
         let sign = if inside.holds(n) { -1.0 } else { 1.0 };
@@ -236,15 +255,16 @@ fn hold_nodes(field: &mut Image<f32>, inside: &Bits, least: &LeastDistances<impl
     moved.sum()
 }
 
-/// An edge midpoint of each triangle, or of every so many where there are more than enough: places that the fit has not seen.
+/// An edge midpoint of every triangle, or of every n-th one to stay within [`CHECKED_POINTS`]. The
+/// fit does not use these points.
 fn checked_points(mesh: &TriangleMesh) -> Vec<DVec3> {
     let middle = |t: &[u32; 3]| 0.5 * (mesh.vertices[t[0] as usize] + mesh.vertices[t[1] as usize]);
     let every = mesh.triangles.len().div_ceil(CHECKED_POINTS).max(1);
     mesh.triangles.iter().step_by(every).map(middle).collect()
 }
 
-/// Distance of the zero set of a spline on a grid to that of the source, at projections of
-/// `points`.
+/// Distance between the zero set of a spline on a grid and that of the source, at the projections
+/// of `points` onto the former.
 fn measure_shift(source: &impl Implicit, spline: &BrickSpline, geometry: &Geometry, points: &[DVec3]) -> Shift {
     let voxel = geometry.mean_spacing();
     let own = |p: DVec3| spline.value_gradient(p);

@@ -1,12 +1,13 @@
 //! Pins the zero set of the spline through F on samples of the surface.
 //!
 //! The spline through exact distances rings where the distance has a kink within a voxel or two of
-//! the surface (thin parts, noise), and its zero set moves. Here the spline coefficients are
-//! changed as little as possible (in the least-squares sense) such that F vanishes at the samples:
-//! conjugate gradients on the normal equations (CGLS, Hestenes and Stiefel 1952) from zero change,
-//! damped and preconditioned by their diagonal. The steps are in single precision, which F has as
-//! well: what the residual falls by is far from its rounding. Sums over all samples are in double
-//! precision.
+//! the surface (thin parts, noise), and its zero set moves. This module changes the spline
+//! coefficients as little as possible, in the least-squares sense, such that F vanishes at the
+//! samples. It applies conjugate gradients to the normal equations (CGLS, Hestenes and Stiefel
+//! 1952), starting from zero change, with damping and a diagonal preconditioner.
+//!
+//! Vectors are in single precision, like F; the residual stays well above their rounding error.
+//! Sums over all samples are in double precision.
 
 use crate::bits::{Bits, Numbering};
 use fearless_simd::{Level, Simd, dispatch, f32x4, f32x8, prelude::*};
@@ -18,77 +19,81 @@ use rayon::prelude::*;
 use serde::Serialize;
 use std::ops::Range;
 
-/// Slices of spline coefficients whose samples one task gathers; the reach of a sample is three slices more, so that
-/// every second task can run at the same time. No less, or they would meet, and no more, or a small volume has too few for all threads.
+/// Slices of cells per parallel task. Their samples read three more slices of coefficients, 2
+/// `SLAB` in all, so that every second task can run at the same time. With fewer slices such tasks
+/// would overlap; with more, a small volume gives too few tasks for all threads.
 const SLAB: usize = 3;
 
-/// Slices whose coefficients are gathered at a time.
+/// Slices of coefficients computed at a time.
 const GATHERED: usize = 32;
 
-/// Samples of one partial sum; fixed, so that sums do not depend on the number of threads.
+/// Samples per partial sum. The size is fixed so that sums do not depend on the number of threads.
 const CHUNK: usize = 4096;
 
-/// Weight of the squared change of the coefficients, over the mean weight that the samples give a
-/// coefficient. Without it, F shrinks towards zero where no spline vanishes at all samples, and
-/// changes its sign at the corners of the volume. Largest distance of the zero sets where a scan
-/// fills the corners of 36^3 voxels: 0.49 voxel with 0, 0.041 with 0.001, 0.026 with 0.002; 99th
-/// percentile of `heart_ct` at 250: 0.049, 0.049, 0.053.
+/// Weight of the squared change of the coefficients, relative to the mean weight that the samples
+/// give a coefficient.
+///
+/// Without damping, F shrinks towards zero where no spline vanishes at all samples, and changes
+/// sign in the corners of the volume. Measured for 0, 0.001 and 0.002: the maximum distance between
+/// the zero sets of a scan that fills the corners of 36^3 voxels is 0.49, 0.041 and 0.026 voxel;
+/// the 99th percentile on `heart_ct` at 250 is 0.049, 0.049 and 0.053 voxel.
 const DAMPING: f64 = 0.001;
 
-/// Norm of the gradient, over the first, at which the fit counts as solved.
+/// The fit stops when the norm of the gradient falls below this share of its initial value.
 const SOLVED: f64 = 0.001;
 
-/// The samples of one voxel cell.
+/// A voxel cell that contains samples.
 struct Cell {
-    /// The 16 rows of four neighbouring coefficients that they read.
+    /// Numbers of the first coefficients of the 16 rows of four that the cell reads.
     rows: [u32; 16],
-    /// The first of them; the next cell's is the end.
+    /// Index of the cell's first sample. The samples end where those of the next cell start.
     first: u32,
 }
 
 /// The linear map from the coefficients near the surface to F at the samples.
 struct Sampling {
-    /// The weights of the four coefficients along each axis, of each sample, cell by cell.
+    /// For each sample, the weights of the four coefficients along each axis; sorted by cell.
     weights: Vec<[[f32; 4]; 3]>,
     slabs: Vec<Slab>,
     unknowns: usize,
 }
 
-/// What lies in some slices.
+/// The cells, samples and coefficients of [`SLAB`] slices.
 struct Slab {
     cells: Vec<Cell>,
     samples: Range<usize>,
-    /// The coefficients that the samples touch.
+    /// Range of the coefficients that the samples read.
     unknowns: Range<usize>,
 }
 
 impl Slab {
-    /// The cells, each with its samples.
+    /// The cells with the ranges of their samples.
     fn cells(&self) -> impl Iterator<Item = (&Cell, Range<usize>)> {
         let ends = self.cells.iter().skip(1).map(|next| next.first as usize).chain([self.samples.end]);
         self.cells.iter().zip(ends).map(|(cell, end)| (cell, cell.first as usize..end))
     }
 }
 
-/// What the fit did.
+/// Report of the fit.
 #[derive(Clone, Copy, Debug, Default, Serialize)]
 pub struct FitReport {
-    /// Root-mean-square of F at the samples before, in mm.
+    /// Root mean square of F at the samples before the fit, mm.
     pub before: f64,
-    /// The same after.
+    /// Root mean square after the fit, mm.
     pub after: f64,
-    /// Conjugate-gradient steps.
+    /// Number of conjugate-gradient steps.
     pub steps: usize,
 }
 
-/// Changes the samples of `field` (mm, signed distance) near the surface so that the cubic spline through them vanishes at
-/// `samples`, to a root-mean-square of `tolerance` mm, in at most `most_steps` steps.
+/// Changes the samples of `field` (signed distance, mm) near the surface so that the cubic spline
+/// through them vanishes at `samples`. Stops at a root mean square of `tolerance` mm or after
+/// `most_steps` steps.
 pub fn pin_zero_set(field: &mut Image<f32>, samples: Vec<DVec3>, tolerance: f64, most_steps: usize) -> FitReport {
     let number = touched_coefficients(&field.geometry, &samples);
     if number.count == 0 {
         return FitReport::default();
     }
-    // before the samples are sorted, since it takes slabs of the field
+    // before the samples are sorted: filtering the field in slabs needs memory
     let start = gather(field, &number);
     let sampling = Sampling::new(&field.geometry, &samples, &number);
     drop(samples);
@@ -99,7 +104,8 @@ pub fn pin_zero_set(field: &mut Image<f32>, samples: Vec<DVec3>, tolerance: f64,
     let root_mean_square = |r: &[f32]| (dot(r, r) / r.len() as f64).sqrt();
     let before = root_mean_square(&residual);
 
-    // Half diagonal, half identity: the diagonal alone would give coefficients that hardly touch the surface free rein.
+    // Preconditioner: the diagonal plus its mean. The diagonal alone would let coefficients with
+    // little weight change freely.
     let mut scale = vec![0.0; sampling.unknowns];
     sampling.apply_transposed(&vec![1.0; residual.len()], &mut scale, true);
     let mean = (scale.iter().map(|&s| f64::from(s)).sum::<f64>() / scale.len() as f64) as f32;
@@ -132,7 +138,9 @@ pub fn pin_zero_set(field: &mut Image<f32>, samples: Vec<DVec3>, tolerance: f64,
     FitReport { before, after, steps }
 }
 
-/// The cell that a sample lies in (its lowest node) and where in it; `None` near the rim of the grid, where a row of coefficients ends.
+/// The lowest node of the cell that contains a sample, and the position of the sample within the
+/// cell (0 to 1 along each axis). `None` near the faces of the grid, where the cell does not have
+/// four coefficients along each axis.
 fn cell(geometry: &Geometry, sample: DVec3) -> Option<(usize, DVec3)> {
     let index = geometry.grid_to_index(sample);
     let base = index.floor();
@@ -140,13 +148,13 @@ fn cell(geometry: &Geometry, sample: DVec3) -> Option<(usize, DVec3)> {
     inner.then(|| (geometry.linear(base.x as usize, base.y as usize, base.z as usize), index - base))
 }
 
-/// Numbers the coefficients that the samples touch.
+/// Numbers the coefficients that the samples read.
 fn touched_coefficients(geometry: &Geometry, samples: &[DVec3]) -> Numbering {
     let [nx, ny, _] = geometry.size;
     let corners = samples.par_chunks(CHUNK).map(|samples| {
         let mut corners: Vec<usize> =
             samples.iter().filter_map(|&p| cell(geometry, p)).map(|(at, _)| corner(at, nx, ny)).collect();
-        // samples that follow each other often share a cell
+        // consecutive samples often lie in the same cell
         corners.dedup();
         corners
     });
@@ -154,23 +162,27 @@ fn touched_coefficients(geometry: &Geometry, samples: &[DVec3]) -> Numbering {
     for corner in corners.collect::<Vec<_>>().into_iter().flatten() {
         touched.insert(corner..corner + 1);
     }
-    // four along each axis; a corner lies so deep within the grid that none of them is in another row or slice
+    // four coefficients along each axis; the corner is deep enough in the grid that all of them are
+    // in the same row and slice
     let four = |step: usize| [0, step, 2 * step, 3 * step];
     Numbering::new(touched.moved(four(1)).moved(four(nx)).moved(four(nx * ny)))
 }
 
-/// First node of the four along each axis that the spline reads in the cell whose lowest node is `at`.
+/// First node of the block of 4^3 coefficients that the spline reads in the cell with lowest node
+/// `at`.
 fn corner(at: usize, nx: usize, ny: usize) -> usize {
     at - 1 - nx - nx * ny
 }
 
-/// First nodes of the 16 rows of four that the spline reads in the cell whose lowest node is `at`.
+/// First nodes of the 16 rows of four coefficients that the spline reads in the cell with lowest
+/// node `at`.
 fn row_starts(at: usize, nx: usize, ny: usize) -> [usize; 16] {
     let corner = corner(at, nx, ny);
     std::array::from_fn(|n| corner + (n % 4) * nx + (n / 4) * nx * ny)
 }
 
-/// Cubic B-spline weights of the four coefficients round a cell.
+/// Cubic B-spline weights of four consecutive coefficients, at the position t (0 to 1) between the
+/// second and the third.
 #[inline(always)]
 fn weights_at(t: f32) -> [f32; 4] {
     let u = 1.0 - t;
@@ -183,14 +195,14 @@ fn weights_at(t: f32) -> [f32; 4] {
 }
 
 impl Sampling {
-    /// Sorts the samples by cell.
+    /// Sorts the samples by cell and computes their weights.
     fn new(geometry: &Geometry, samples: &[DVec3], number: &Numbering) -> Self {
         let [nx, ny, nz] = geometry.size;
         let mut order: Vec<(usize, u32)> = (0..samples.len())
             .into_par_iter()
             .filter_map(|n| cell(geometry, samples[n]).map(|(at, _)| (at, n as u32)))
             .collect();
-        // within a cell in the order of the samples
+        // within a cell, samples keep their order
         order.par_sort_unstable();
         let slices_before = |k: usize| number.number(k * nx * ny);
         let before = |k: usize| order.partition_point(|&(at, _)| at < k * nx * ny);
@@ -217,7 +229,7 @@ impl Sampling {
         Self { weights, slabs, unknowns: number.count }
     }
 
-    /// F at the samples.
+    /// Computes F at the samples from the coefficients.
     fn apply(&self, coefficients: &[f32], values: &mut [f32]) {
         let parts = parts_mut(values, self.slabs.iter().map(|slab| slab.samples.len()));
         let instructions = Level::new();
@@ -226,7 +238,7 @@ impl Sampling {
         });
     }
 
-    /// Two samples at a time, each in half a register.
+    /// Processes two samples at a time, each in half a register.
     #[inline(always)]
     fn apply_to_slab<S: Simd>(&self, simd: S, slab: &Slab, coefficients: &[f32], values: &mut [f32]) {
         for (cell, samples) in slab.cells() {
@@ -252,8 +264,8 @@ impl Sampling {
         }
     }
 
-    /// The transpose of [`Sampling::apply`], or of the map with all entries squared; even slabs first, then odd ones, so that
-    /// tasks never meet.
+    /// Applies the transpose of [`Sampling::apply`], or of the map with all entries squared. Even
+    /// slabs come first, then odd ones, so that parallel tasks never write the same coefficient.
     fn apply_transposed(&self, values: &[f32], coefficients: &mut [f32], squared: bool) {
         coefficients.par_chunks_mut(CHUNK).for_each(|part| part.fill(0.0));
         for parity in 0..2 {
@@ -276,7 +288,7 @@ impl Sampling {
         squared: bool,
     ) {
         for (cell, samples) in slab.cells() {
-            // two rows of coefficients to a register
+            // two rows of coefficients per register
             let mut sums = [f32x8::splat(simd, 0.0); 8];
             for sample in samples {
                 let [wx, wy, wz] = &self.weights[sample];
@@ -308,7 +320,8 @@ impl Sampling {
     }
 }
 
-/// Four numbers in a register: a row of coefficients, of which a larger one holds two. No operation is fused and each sum has one order, so the lanes give the same bits by any instruction set.
+/// Loads four numbers into a register. No operation is fused and every sum has a fixed order, so
+/// the result has the same bits on any instruction set.
 #[inline(always)]
 fn four<S: Simd>(simd: S, from: &[f32]) -> f32x4<S> {
     f32x4::from_slice(simd, &from[..4])
@@ -324,13 +337,13 @@ fn twice<S: Simd>(simd: S, own: f32x4<S>) -> f32x8<S> {
     joined(simd, own, own)
 }
 
-/// One number in four lanes, another in the others.
+/// One number in the four low lanes, another in the four high lanes.
 #[inline(always)]
 fn splats<S: Simd>(simd: S, low: f32, high: f32) -> f32x8<S> {
     joined(simd, f32x4::splat(simd, low), f32x4::splat(simd, high))
 }
 
-/// The numbered coefficients of the spline through a field.
+/// The spline coefficients of a field at the numbered nodes.
 fn gather(field: &Image<f32>, number: &Numbering) -> Vec<f32> {
     let [nx, ny, nz] = field.geometry.size;
     let plane = nx * ny;
@@ -347,7 +360,7 @@ fn gather(field: &Image<f32>, number: &Numbering) -> Vec<f32> {
     compact
 }
 
-/// Adds the values at the nodes of a change of spline coefficients.
+/// Adds a change of spline coefficients to the samples of the field.
 fn add_change(field: &mut Image<f32>, number: &Numbering, change: &[f32]) {
     let [nx, ny, nz] = field.geometry.size;
     let node_weight = |offset: isize| if offset == 0 { 4.0 / 6.0 } else { 1.0 / 6.0 };
@@ -374,7 +387,7 @@ fn dot(a: &[f32], b: &[f32]) -> f64 {
     chunked_sum(a, b, |a, b| a * b)
 }
 
-/// Sum of squares, each times its weight.
+/// Sum of the squares of `a`, each multiplied by its weight.
 fn weighted_norm(a: &[f32], weight: &[f32]) -> f64 {
     chunked_sum(a, weight, |a, w| a * a * w)
 }
@@ -395,7 +408,7 @@ mod tests {
     use super::*;
     use isoparticles_field::random::uniform;
 
-    /// The map of 500 samples in a grid of a few slabs, and numbers for its coefficients and samples.
+    /// The map of 500 samples in a grid of three slabs, with random coefficients and sample values.
     fn scene() -> (Sampling, Vec<f32>, Vec<f32>) {
         let geometry = Geometry::axis_aligned([9, 8, 9], DVec3::new(1.0, 0.5, 2.0));
         let random = |n: usize, k: u64| uniform(3, k, n as u64);
@@ -418,7 +431,8 @@ mod tests {
         sampling.apply_transposed(&values, &mut back, false);
         let (one, other) = (dot(&at_samples, &values), dot(&coefficients, &back));
         assert!((one - other).abs() < 1e-4 * dot(&at_samples, &at_samples).sqrt(), "{one} {other}");
-        // each sample's weights add up to one, and so do their squares to the same on either way
+        // The weights of a sample sum to one. The sum of all squared weights agrees with a direct
+        // sum.
         sampling.apply(&vec![1.0; coefficients.len()], &mut at_samples);
         assert!(at_samples.iter().all(|v| (v - 1.0).abs() < 1e-5));
         sampling.apply_transposed(&vec![1.0; values.len()], &mut back, true);

@@ -1,24 +1,28 @@
-//! Gaussian smoothing of an image in time that does not depend on its width, mirrored at the faces of the voxel box.
+//! Gaussian smoothing of an image, mirrored at the faces of the voxel box. The time does not depend
+//! on the width of the Gaussian.
 //!
-//! Along each axis a box of fractional width is applied a few times (Gwosdek, Grewenig, Bruhn and Weickert, "Theoretical foundations of
-//! Gaussian convolution by extended box filtering", 2011), which has the variance of the Gaussian exactly. Mirroring half a voxel beyond the
-//! outermost voxel centres keeps a constant constant, and what meets a face at a right angle as it is.
+//! Along each axis, a box filter of fractional width is applied `BOXES` times (Gwosdek, Grewenig,
+//! Bruhn and Weickert, "Theoretical foundations of Gaussian convolution by extended box filtering",
+//! 2011). The result has exactly the variance of the Gaussian. The mirror lies half a voxel beyond
+//! the outermost voxel centres. It preserves constants, and surfaces that meet a face at a right
+//! angle.
 
 use fearless_simd::{Level, dispatch};
 use rayon::prelude::*;
 
-/// Boxes for one Gaussian. With four of them the smoothed edge of a half space is within 0.007 of that of the Gaussian
-/// (`four_boxes_are_nearly_a_gaussian`).
+/// Box filters per Gaussian. With four, the smoothed edge of a half space deviates by at most 0.007
+/// from that of a Gaussian (`four_boxes_are_nearly_a_gaussian`).
 const BOXES: usize = 4;
 const _: () = assert!(BOXES.is_multiple_of(2), "each box swaps a line and its room: the result would be in the room");
 
-/// Columns that are smoothed side by side.
+/// Columns smoothed together, one per SIMD lane.
 const LANES: usize = 16;
 
-/// Rows along the second axis that one task takes when it smooths along the third.
+/// Rows along the second axis per parallel task when smoothing along the third axis.
 const ROWS: usize = 4;
 
-/// One box: `reach` whole samples on each side of the middle, and one more on each side with the weight `end`.
+/// One box filter: weight `middle` for the sample and `reach` samples on each side, and weight
+/// `end` for the next sample on each side.
 #[derive(Clone, Copy, Debug)]
 struct ExtendedBox {
     reach: usize,
@@ -27,7 +31,8 @@ struct ExtendedBox {
 }
 
 impl ExtendedBox {
-    /// The box of which [`BOXES`] have the variance of a Gaussian of this standard deviation, in voxels.
+    /// The box filter of which [`BOXES`] applications have the variance of a Gaussian with standard
+    /// deviation `sigma`, in voxels.
     fn new(sigma: f64) -> Self {
         let variance = sigma * sigma / BOXES as f64;
         let reach = (0.5 * ((12.0 * variance + 1.0).sqrt() - 1.0)).floor().max(0.0);
@@ -38,11 +43,14 @@ impl ExtendedBox {
     }
 }
 
-/// Columns of a line each, side by side.
+/// [`LANES`] columns side by side.
 type Line = Vec<[f64; LANES]>;
 
-/// Smooths lines in `line`, by the widest instructions that there are (no operation is fused, so the result is the same by any); `room` is for the results between. Where everything
-/// within the reach of all boxes is zero, so is the result: only the stretches between are worked on, which are short where a band round a surface is all there is.
+/// Smooths the columns in `line` with the widest SIMD instructions available; `room` is work space.
+/// No operation is fused, so the result is the same on any instruction set.
+///
+/// The result is zero wherever all values within reach of all boxes are zero. Only the stretches
+/// between are processed, which are short when the values form a band around a surface.
 fn smooth_lines(line: &mut Line, room: &mut Line, kernel: ExtendedBox) {
     let reach = BOXES * (kernel.reach + 1);
     let is_zero = |at: &[f64; LANES]| at.iter().all(|&value| value == 0.0);
@@ -50,7 +58,7 @@ fn smooth_lines(line: &mut Line, room: &mut Line, kernel: ExtendedBox) {
     while let Some(first) = line[from..].iter().position(|at| !is_zero(at)) {
         let first = from + first;
         let mut end = first + 1;
-        // on to the first gap that is not filled from both its sides
+        // extend to the first gap that neither side fills
         while let Some(next) = line[end..].iter().take(2 * reach).position(|at| !is_zero(at)) {
             end += next + 1;
         }
@@ -91,7 +99,7 @@ fn smooth_side_by_side<'a>(mut line: &'a mut [[f64; LANES]], mut room: &'a mut [
     }
 }
 
-/// Smooths along rows: entry i of each of the `rows` belongs to line i.
+/// Smooths across rows: line i consists of entry i of each row.
 fn smooth_across(rows: &mut [&mut [f32]], kernel: ExtendedBox) {
     let width = rows.first().map_or(0, |row| row.len());
     let (mut line, mut room) = (vec![[0.0; LANES]; rows.len()], vec![[0.0; LANES]; rows.len()]);
@@ -107,7 +115,7 @@ fn smooth_across(rows: &mut [&mut [f32]], kernel: ExtendedBox) {
     }
 }
 
-/// Smooths each of up to [`LANES`] rows along itself.
+/// Smooths up to [`LANES`] rows, each along itself.
 fn smooth_along(rows: &mut [f32], length: usize, kernel: ExtendedBox) {
     let (mut line, mut room) = (vec![[0.0; LANES]; length], vec![[0.0; LANES]; length]);
     for (lane, row) in rows.chunks(length).enumerate() {
@@ -119,8 +127,8 @@ fn smooth_along(rows: &mut [f32], length: usize, kernel: ExtendedBox) {
     }
 }
 
-/// Smooths values on a grid, x fastest, by a Gaussian of these standard deviations along the axes, in voxels. The result does not depend on
-/// the number of threads.
+/// Smooths values on a grid (x fastest) by a Gaussian with standard deviations `sigma` along the
+/// axes, in voxels. The result does not depend on the number of threads.
 pub fn smooth(data: &mut [f32], size: [usize; 3], sigma: [f64; 3]) {
     let [nx, ny, _] = size;
     let kernels = sigma.map(ExtendedBox::new);
@@ -140,7 +148,8 @@ pub fn smooth(data: &mut [f32], size: [usize; 3], sigma: [f64; 3]) {
 mod tests {
     use super::*;
 
-    /// Standard deviations along the axes of what became of one bright voxel, and its sum.
+    /// Smooths one voxel of value 1; returns the standard deviations of the result along the axes
+    /// and its sum.
     fn spread(size: [usize; 3], sigma: [f64; 3]) -> ([f64; 3], f64) {
         let mut data = vec![0.0; size.iter().product()];
         let centre = size.map(|n| n / 2);
@@ -172,7 +181,7 @@ mod tests {
         let (size, sigma) = ([121, 1, 1], 6.0);
         let mut data: Vec<f32> = (0..121).map(|n| if n >= 60 { 1.0 } else { 0.0 }).collect();
         smooth(&mut data, size, [sigma; 3]);
-        // the integral of the Gaussian by small steps
+        // integral of the Gaussian, by the midpoint rule
         let density = |x: f64| (-0.5 * (x / sigma).powi(2)).exp() / (sigma * std::f64::consts::TAU.sqrt());
         let mut integral = 0.0;
         let mut worst = 0.0f64;
@@ -191,7 +200,8 @@ mod tests {
         for (sigma, gaps) in [(0.4, 3), (2.0, 7), (2.0, 40), (6.0, 90)] {
             let kernel = ExtendedBox::new(sigma);
             let mut line: Line = vec![[0.0; LANES]; 211];
-            // from the border on, beside each other, within and beyond each other's reach, in single lanes
+            // nonzero values at the border, adjacent, within and beyond each other's reach, in
+            // single lanes
             for (n, at) in [0, 1, gaps, 2 * gaps + 1, 209 - gaps, 205].into_iter().enumerate() {
                 line[at][n % LANES] = 1.0 + n as f64;
             }
@@ -212,7 +222,7 @@ mod tests {
             smooth(&mut data, size, [3.0, 9.0, 0.4]);
             assert!(data.iter().all(|value| (value - 2.5).abs() < 1e-5));
         }
-        // a step along x, the same at every y and z, stays the same at every y and z
+        // a step along x that is the same at every y and z stays so
         let size = [24, 6, 5];
         let mut data: Vec<f32> = (0..720).map(|n| if n % 24 < 11 { 1.0 } else { 0.0 }).collect();
         smooth(&mut data, size, [2.0; 3]);

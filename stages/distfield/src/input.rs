@@ -1,4 +1,5 @@
-//! What is refused before any work: labels of a scan, an iso value of labels, more memory than there is. And `--info`, which makes nothing.
+//! Checks of the input before any work: labels of a scan, an iso value of a label map, a field that
+//! exceeds the available memory. Also runs `--info`, which prints a survey and computes no field.
 
 use crate::info::cost::distfield_bytes;
 use crate::info::kind::{Kind, judge};
@@ -12,19 +13,19 @@ use isoparticles_volume::{LayerLabel, Volume};
 use std::io::Write;
 use std::path::Path;
 
-/// What `--kind` says.
+/// Values of `--kind`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 pub enum KindChoice {
-    /// Judged by the values.
+    /// Judge by the values.
     Auto,
-    /// Measured values.
+    /// A scan: measured values.
     Scan,
-    /// Numbers of materials.
+    /// A label map: numbers of materials.
     Labels,
 }
 
 impl KindChoice {
-    /// The kind, unless it is to be judged.
+    /// The kind, or `None` if it is to be judged.
     pub fn given(self) -> Option<Kind> {
         match self {
             Self::Auto => None,
@@ -34,11 +35,12 @@ impl KindChoice {
     }
 }
 
-/// Refuses labels of a scan and an iso value of labels, unless `--kind` insists; warns where the kind is a guess, and of masks, whose iso value
-/// is sound but for the voxel centres next to the surface. Of labels it tells the number of NaN.
+/// Refuses labels of a scan and an iso value of a label map, unless `--kind` is given. Warns where
+/// the kind is uncertain, and for an iso value of a mask, where voxel centres next to the surface
+/// can change side. For labels it also warns of NaN voxels.
 ///
 /// # Errors
-/// As said.
+/// When the kind of the volume is certain and does not match the option.
 pub fn check_kind(args: &Args, volume: &Volume, context: &Context) -> Result<()> {
     if args.iso.is_none() {
         volume.nan_remark().iter().for_each(|remark| context.warn(remark));
@@ -87,13 +89,13 @@ pub fn check_kind(args: &Args, volume: &Volume, context: &Context) -> Result<()>
     }
 }
 
-/// Refuses so many voxels along each axis if their field takes more memory than there is.
+/// Refuses a field on `voxels` plus the margin if it needs more memory than is available.
 ///
 /// # Errors
-/// As said, with the figure.
+/// When the memory does not suffice; the message has the figure.
 pub fn check_room(args: &Args, voxels: [usize; 3], context: &Context) -> Result<()> {
     let [nx, ny, nz] = voxels.map(|n| n + 2 * usize::from(args.margin));
-    // what the volume takes itself is taken already
+    // the memory of the volume itself is already in use
     let needed = distfield_bytes(nx * ny * nz);
     context.check_memory(
         needed,
@@ -102,10 +104,10 @@ pub fn check_room(args: &Args, voxels: [usize; 3], context: &Context) -> Result<
     )
 }
 
-/// Prints what the volume is.
+/// Prints the survey of the volume, as text or as JSON.
 ///
 /// # Errors
-/// When the JSON file or stdout cannot be written, and when interrupted.
+/// When the JSON file or stdout cannot be written, and when the run is interrupted.
 pub fn tell(args: &Args, volume: &Volume, labels: Option<Vec<LayerLabel>>, context: &Context) -> Result<Outcome> {
     let wishes = Wishes { labels, iso: args.iso.map(|iso| (iso, args.inside)), kind: args.kind.given() };
     let info = examine(volume, &wishes, context)?;

@@ -1,33 +1,35 @@
-//! Places where two parts of the object, or two gaps, touch along an edge only: faces of four nodes whose opposite corners are on
-//! the same side.
+//! Ambiguous faces: faces of four nodes whose opposite corners are on the same side, so that two
+//! parts of the object, or two gaps, touch along an edge only.
 //!
-//! The nodes cannot say there whether the parts are joined. The saddle of the face can, and
-//! marching cubes asks it. F is made to give the answer of its source. The level set of labels
-//! follows a rule ([`crate::labels`]).
+//! The signs at the nodes do not say whether the parts are connected there. Marching cubes decides
+//! by the saddle of the face. [`make_agree`] changes F so that its saddles decide as those of its
+//! source. For labels, the level set follows a rule ([`crate::labels`]).
 
 use isoparticles_field::marching_cubes::saddle_value;
 use isoparticles_volume::Image;
 use rayon::prelude::*;
 
-/// Four nodes of a grid face, opposite ones on the same side.
+/// An ambiguous face: four nodes of a grid face, opposite ones on the same side.
 #[derive(Clone, Copy, Debug)]
 pub struct Junction {
-    /// The nodes inside the object.
+    /// The two nodes inside the object.
     pub inside: [usize; 2],
-    /// The nodes outside.
+    /// The two nodes outside.
     pub outside: [usize; 2],
-    /// Whether the inside nodes are joined across the face.
+    /// Whether the inside nodes are connected across the face.
     pub joined: bool,
 }
 
-/// In a pass, nodes of the pair to be joined are multiplied by this, the others divided. The 99th
-/// percentile of the shift of `heart_ct` at 250 is 0.0526 voxel with 1.02 and 0.0493 with 1.005.
+/// In each pass the nodes of the pair to be connected are multiplied by this factor and the others
+/// divided by it. The 99th percentile of the shift of the zero set on `heart_ct` at 250 is 0.0526
+/// voxel with 1.02 and 0.0493 with 1.005.
 const TIP_FACTOR: f32 = 1.005;
 
-/// Passes over the junctions that make F agree with its source, at most: junctions share nodes.
+/// Maximum number of passes over the faces; several are needed because faces share nodes.
 const MOST_PASSES: usize = 100;
 
-/// The junctions of an implicit function given at the nodes, negative inside, with the choice its saddles make.
+/// The ambiguous faces of an implicit function given at the nodes (negative inside), each decided
+/// by its saddle.
 pub fn junctions(nodes: &Image<f32>) -> Vec<Junction> {
     let [nx, ny, nz] = nodes.geometry.size;
     let (data, stride) = (&nodes.data, [1, nx, nx * ny]);
@@ -63,8 +65,8 @@ fn is_joined(nodes: &Image<f32>, inside: [usize; 2], outside: [usize; 2]) -> boo
     saddle_value(nodes, inside, outside) < 0.0
 }
 
-/// Changes `field` at junctions where it is not joined as they say; no |F| falls below `least`.
-/// Returns the number of junctions that still differ.
+/// Changes `field` at ambiguous faces whose saddle disagrees with `joined`. No |F| falls below
+/// `least`. Returns the number of faces that still disagree.
 pub fn make_agree(field: &mut Image<f32>, junctions: &[Junction], least: &(impl Fn(usize) -> f32 + Sync)) -> usize {
     let mut differing = 0;
     for _ in 0..MOST_PASSES {

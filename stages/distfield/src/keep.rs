@@ -1,7 +1,8 @@
-//! Which parts of the object stay: all, the largest, or those of some volume at least.
+//! Selection of the parts of the object to keep (`--keep`): all, the largest, or those above a
+//! volume.
 //!
-//! Parts are counted as marching cubes joins them: nodes that share a grid edge, and opposite corners of a grid face that its saddle
-//! joins ([`crate::junctions`]).
+//! Parts are connected as in marching cubes: nodes that share a grid edge, and opposite corners of
+//! a grid face that its saddle connects ([`crate::junctions`]).
 
 use crate::bits::Bits;
 use crate::junctions::Junction;
@@ -17,7 +18,7 @@ use std::str::FromStr;
 pub enum Keep {
     /// Every part.
     All,
-    /// The part of the largest volume; of equal ones, the one that comes first in the volume.
+    /// The part of largest volume; of equal ones, the first in the volume.
     Largest,
     /// Parts of at least this volume, mm^3.
     Volume(f64),
@@ -46,32 +47,34 @@ impl std::fmt::Display for Keep {
     }
 }
 
-/// Parts that were dropped.
+/// The parts that were dropped.
 #[derive(Clone, Debug, Default, Serialize)]
 pub struct Dropped {
-    /// How many parts.
+    /// Number of parts.
     pub components: usize,
-    /// Their volume by the count of nodes, mm^3.
+    /// Their total volume by node count, mm^3.
     pub volume: f64,
-    /// Volume of the largest of them, mm^3.
+    /// Volume of the largest dropped part, mm^3.
     pub largest: f64,
-    /// The nodes that were inside them, if there are any.
+    /// The nodes of these parts; `None` if no part was dropped.
     #[serde(skip)]
     pub nodes: Option<Bits>,
 }
 
-/// Turns the nodes (negative inside) of the parts that are not to stay to the outside. Nodes within `margin` of the grid's faces, which an open
-/// border puts there, belong to parts but are no volume of theirs.
+/// Moves the nodes of dropped parts to the outside (`nodes` is negative inside). Nodes within
+/// `margin` of the grid's faces, which an open border adds, belong to parts but do not count
+/// towards their volume.
 ///
 /// # Errors
-/// When no part is as large as asked for, or the parts are too many to be told apart.
+/// When no part is as large as required, or when there are too many runs of nodes to label the
+/// parts.
 pub fn drop_parts(nodes: &mut Image<f32>, margin: usize, junctions: &[Junction], keep: Keep) -> Result<Dropped> {
     if keep == Keep::All {
         return Ok(Dropped::default());
     }
     let inside = Runs::of(nodes.geometry.size, |n| nodes.data[n] < 0.0);
     let part = parts_of_runs(&inside, nodes.geometry.size, junctions)?;
-    // nodes of each part, counted at its first run
+    // number of nodes of each part, stored at its first run
     let mut count = vec![0usize; part.len()];
     let [nx, ny, nz] = nodes.geometry.size;
     let own = |n: usize, size: usize| (margin..size - margin).contains(&n);
@@ -118,7 +121,7 @@ pub fn drop_parts(nodes: &mut Image<f32>, margin: usize, junctions: &[Junction],
     Ok(dropped)
 }
 
-/// The first run of the part that each run belongs to.
+/// For each run, the first run of its part.
 pub(crate) fn parts_of_runs(inside: &Runs, size: [usize; 3], junctions: &[Junction]) -> Result<Vec<u32>> {
     let [_, ny, nz] = size;
     let Ok(count) = u32::try_from(inside.all().len()) else {

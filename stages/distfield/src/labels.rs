@@ -1,10 +1,12 @@
-//! Labels: a smooth surface that keeps every voxel centre on its side and the volume of each place.
+//! Label maps: a smooth surface that keeps every voxel centre on its side and preserves the local
+//! volume.
 //!
-//! The shares of the voxels, all or nothing, are smoothed by `SIGMA`, and the level set that
-//! keeps their volume is taken (`level.rs`). Sources keep every voxel centre on its side by a
-//! clearance, in the place of the constrained flow of Whitaker (2000), reference 19 of the paper.
+//! The occupancy of the voxels, 0 or 1, is smoothed by a Gaussian of `SIGMA`, and a level set
+//! that preserves its volume is taken (`level.rs`). Correction sources keep every voxel centre on
+//! its side by a clearance. This replaces the constrained flow of Whitaker (2000), reference 19 of
+//! the paper.
 //!
-//! Parts that touch along an edge are joined; parts that touch at a corner are not.
+//! Parts that touch along an edge are connected; parts that touch at a corner only are not.
 
 use crate::bits::Bits;
 use crate::crop::CutFaces;
@@ -24,45 +26,47 @@ use rayon::prelude::*;
 /// of 20 voxels has a radius error of 0.06 voxel (root mean square) with 1.5 and of 0.065 with 1.3.
 pub(crate) const SIGMA: DVec3 = DVec3::splat(1.5);
 
-/// Nodes round the labels that the surface depends on: with five, F is that of the whole volume to
-/// 0.01 voxel (test `the_field_of_an_object_in_a_corner_is_that_of_the_whole_volume`), with four it
-/// is not.
+/// Nodes around the labels on which the surface depends. With five, F equals that of the whole
+/// volume to 0.01 voxel (test `the_field_of_an_object_in_a_corner_is_that_of_the_whole_volume`);
+/// with four it does not.
 pub(crate) const LABEL_ROOM: usize = 5;
 
-/// Voxels kept round the labels beyond those that the margin adds.
+/// Voxels to keep around the labels in addition to the margin.
 pub(crate) fn room_of_labels(margin: usize) -> [usize; 3] {
     [LABEL_ROOM.saturating_sub(margin); 3]
 }
 
-/// Clearance aimed at in the level set, over that of F. The level set meets it to first order only:
-/// with 1, F would have to be raised at thousands of voxel centres of `heart_label`, which moves its
-/// zero set.
+/// Clearance of the level set over that of F. The level set meets its clearance to first order
+/// only. With a factor of 1, F would have to be raised at thousands of voxel centres of
+/// `heart_label`, which moves its zero set.
 const CLEARANCE_FACTOR: f64 = 2.0;
 
-/// How labels become a surface.
+/// Options that turn labels into a surface.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LabelOptions {
-    /// What happens at the border of the volume.
+    /// Treatment of the object at the border of the volume.
     pub border: Border,
     /// Voxels added on each face.
     pub margin: usize,
-    /// Faces of the voxels that are no border of the volume: an open border is closed there.
+    /// Faces of the grid that are cuts rather than borders of the volume; there an open border is
+    /// closed.
     pub cut: CutFaces,
-    /// Least distance of the surface from voxel centres, in voxels (smallest spacing).
+    /// Minimum distance of the surface from voxel centres, in voxels (minimum spacing).
     pub clearance: f64,
     /// Parts of the object to keep.
     pub keep: Keep,
 }
 
-/// F of the union of some labels: `inside` is true at their voxels.
+/// F of the union of some labels; `inside` is true at their voxels.
 ///
 /// # Errors
-/// When no voxel is inside, or with an open border all are, or when the run is interrupted.
+/// When no voxel is inside, when all are and the border is open, when no part is kept, or when the
+/// run is interrupted.
 pub fn from_labels(inside: &Image<bool>, options: &LabelOptions, monitor: &dyn Monitor) -> Result<Redistanced> {
     from_mask(Mask::from(inside), options, monitor)
 }
 
-/// The same of a mask.
+/// F of a mask.
 ///
 /// # Errors
 /// As [`from_labels`].
@@ -70,8 +74,8 @@ pub fn from_mask(inside: Mask, options: &LabelOptions, monitor: &dyn Monitor) ->
     from_mask_with(inside, |_| false, options, &Demands::default(), monitor)
 }
 
-/// The same with demands of its own. Where two parts touch along an edge, `gives_way` gets the two
-/// outside voxels at the edge; true joins these instead.
+/// F of a mask, at a given accuracy. Where two parts touch along an edge, `gives_way` is called
+/// with the two outside voxels at the edge; if it returns true, these are connected instead.
 ///
 /// # Errors
 /// As [`from_labels`].
@@ -113,7 +117,7 @@ pub(crate) fn from_mask_with(
     Ok(result)
 }
 
-/// Voxel centres that F puts on the other side; those of parts that were dropped changed side on purpose.
+/// Number of voxel centres that F puts on the other side, without those of dropped parts.
 fn changed_voxels(inside: &Bits, result: &Redistanced, margin: usize) -> usize {
     let Redistanced { field, dropped, .. } = result;
     let [px, py, pz] = field.geometry.size;

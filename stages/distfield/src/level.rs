@@ -1,16 +1,16 @@
-//! The level set of the smoothed voxel shares that keeps the volume of each place.
+//! A level set of the smoothed occupancy that preserves the local volume.
 //!
-//! The share of each voxel that is inside (0 to 1) is smoothed by a Gaussian. At level 1/2 planes
-//! stay, convex surfaces shrink, and thin parts vanish. The level therefore varies in space such
-//! that the volume within a window is that of the shares. It starts as the mean of the smoothed
-//! shares on the voxel faces between inside and outside, and is corrected by the difference of the
-//! volumes.
+//! The occupancy of each voxel (its share that is inside, 0 to 1) is smoothed by a Gaussian. At
+//! level 1/2 planes stay in place, convex surfaces shrink, and thin parts vanish. The level
+//! therefore varies in space such that the volume within a window equals that of the occupancy. It
+//! starts as the mean of the smoothed occupancy on the voxel faces between inside and outside, and
+//! is then corrected by the difference of the volumes.
 //!
 //! With a clearance, every voxel centre keeps its side: sources are added at violating centres and
 //! spread over their neighbours, so that the surface stays smooth there. Contacts are kept in the
 //! same way.
 //!
-//! All lengths are in voxels along each axis: the staircase has the grid's spacing, so thick slices
+//! All lengths are in voxels along each axis. The staircase has the grid's spacing, so thick slices
 //! need a wider Gaussian in mm.
 
 use crate::bits::Bits;
@@ -23,39 +23,38 @@ use isoparticles_field::marching_cubes::MIDPOINT_BEND;
 use rayon::prelude::*;
 use std::f64::consts::TAU;
 
-/// How shares become a level set.
+/// Parameters of the level set.
 pub(crate) struct Smoothing {
-    /// Standard deviations of the Gaussian, voxels.
+    /// Standard deviations of the Gaussian along the axes, voxels.
     pub sigma: DVec3,
-    /// Least distance of the level from 0 and from 1; parts that show less vanish. With 0 the level
-    /// has no limits.
+    /// Minimum distance of the level from 0 and from 1. Parts whose smoothed occupancy stays below
+    /// it vanish. With 0 the level is unbounded.
     pub least_level: f64,
-    /// Least distance of the surface from voxel centres, in voxels (smallest spacing); `None` lets
-    /// centres change sides.
+    /// Distance to be kept from voxel centres; `None` lets centres change sides.
     pub clearance: Option<Clearance>,
 }
 
-/// What the surface keeps: its distance from voxel centres, and contacts.
+/// Constraints on the surface: its distance from voxel centres, and contacts.
 pub(crate) struct Clearance {
-    /// Minimum distance from every voxel centre, in voxels (smallest spacing).
+    /// Minimum distance from every voxel centre, in voxels (minimum spacing).
     pub distance: f64,
-    /// Where parts touch along edges.
+    /// The contacts to keep.
     pub contacts: Vec<Contact>,
 }
 
 /// A point between voxel centres of both sides whose side is prescribed: the middle of a grid edge
 /// where two parts touch, or a grid corner that such edges share.
 pub(crate) struct Contact {
-    /// The lowest of the voxels round it.
+    /// The lowest of the voxels around it.
     first: usize,
-    /// The axes along which they are neighbours: two or three.
+    /// The axes along which these voxels are neighbours: two or three.
     across: [bool; 3],
-    /// Whether it is inside.
+    /// Whether the point is inside.
     is_inside: bool,
 }
 
 impl Contact {
-    /// The voxels round the place: four or eight.
+    /// The voxels around the point: four or eight.
     fn voxels(&self, size: [usize; 3]) -> impl Iterator<Item = usize> {
         let (stride, across, first) = (strides(size), self.across, self.first);
         let axes = move |n: usize| (0..3).filter(move |axis| n >> axis & 1 == 1);
@@ -64,42 +63,42 @@ impl Contact {
     }
 }
 
-/// Nodes from one to the next along each axis.
+/// Index strides along the axes.
 fn strides([nx, ny, _]: [usize; 3]) -> [usize; 3] {
     [1, nx, nx * ny]
 }
 
 /// A level set on a grid of voxels, x fastest.
 pub(crate) struct LevelSet {
-    /// The smoothed share less the level: positive inside.
+    /// The smoothed occupancy minus the level: positive inside.
     pub above: Vec<f32>,
-    /// The level, 0 to 1; empty where it has no limits.
+    /// The level, 0 to 1; empty if it is unbounded.
     pub level: Vec<f32>,
 }
 
-/// Widths of the windows in which the level starts and in which the volume is kept, in standard
-/// deviations of the smoothing. Wider ones leave flat faces less flat near their edges, narrower
-/// ones follow the staircase (tests `flat_faces_and_caps_stay_flat`, `a_binary_ball_becomes_round`).
+/// Standard deviations of the two windows, over that of the smoothing: for the initial level and
+/// for the volume. Wider windows leave flat faces less flat near their edges; narrower ones follow
+/// the staircase (tests `flat_faces_and_caps_stay_flat`, `a_binary_ball_becomes_round`).
 const WINDOWS: [f64; 2] = [1.33, 2.67];
 
-/// Rounds of sources and of volume. After six, plates, rods and shells have their volume (test
-/// `thin_layers_and_rods_keep_their_volume`). [`Sources::hold`] moves the centres that still lack
-/// distance.
+/// Rounds of source and volume corrections. After six rounds, plates, rods and shells have their
+/// volume (test `thin_layers_and_rods_keep_their_volume`). [`Sources::hold`] moves the centres that
+/// are still too near to the surface.
 const ROUNDS: usize = 6;
 
 /// Maximum change of the level in a round.
 const LONGEST_STEP: f64 = 0.1;
 
-/// Density that is added to that of the surface, so that the step stays finite where there is no
-/// surface. A plane in the middle of the window has 0.37.
+/// Added to the density of the surface, so that the step stays finite where there is no surface. A
+/// plane in the middle of the window has a density of 0.37.
 const LEAST_DENSITY: f64 = 0.002;
 
-/// Minimum slope, over that of a plane. In the middle of a thin part and of a contact the slope is
-/// zero.
+/// Minimum slope used for distances, over that of a plane. The slope vanishes in the middle of a
+/// thin part and of a contact.
 const LEAST_SLOPE: f64 = 0.15;
 
-/// The values round a node, mirrored half a voxel beyond the faces of the grid: slopes and second
-/// differences along the axes.
+/// Value, slopes and second differences along the axes at a voxel. Values are mirrored half a voxel
+/// beyond the faces of the grid.
 #[derive(Clone, Copy)]
 struct Shape {
     own: f32,
@@ -107,12 +106,12 @@ struct Shape {
     bend: [f32; 3],
 }
 
-/// The rows of values round a row.
+/// A row of values and the rows around it.
 struct Around<'a> {
     own: &'a [f32],
     y: [&'a [f32]; 2],
     z: [&'a [f32]; 2],
-    /// Those that are neighbours along both.
+    /// The rows that are neighbours along both y and z.
     yz: [[&'a [f32]; 2]; 2],
 }
 
@@ -140,7 +139,7 @@ impl<'a> Around<'a> {
         Shape { own, slope, bend }
     }
 
-    /// Mixed second differences: across x and y, y and z, z and x.
+    /// Mixed second differences: xy, yz, zx.
     #[inline(always)]
     fn mixed(&self, i: usize) -> [f32; 3] {
         let x = [i.saturating_sub(1), (i + 1).min(self.own.len() - 1)];
@@ -154,10 +153,12 @@ impl<'a> Around<'a> {
 }
 
 impl Shape {
-    /// Share of the voxel in which the value is above zero, and how much of it a unit of the value
-    /// adds, by eight parts of the voxel. The value in each is a plane that changes by `width`
-    /// across the part. `mixed` gives the mixed second differences: without them, a rod of 2 by 2
-    /// voxels is off by 3 %.
+    /// Share of the voxel in which the value is above zero, and the derivative of this share by the
+    /// value.
+    ///
+    /// The voxel is divided into eight parts. In each, the value is taken as a plane that changes
+    /// by `width` across the part. `mixed` gives the mixed second differences; without them, the
+    /// volume of a rod of 2 by 2 voxels is off by 3 %.
     #[inline(always)]
     fn part_above(&self, mixed: impl FnOnce() -> [f32; 3]) -> (f32, f32) {
         let reach: f32 = (0..3).map(|a| 0.5 * (self.slope[a].abs() + self.bend[a].abs())).sum();
@@ -167,7 +168,7 @@ impl Shape {
         let [xy, yz, zx] = mixed();
         let across = [[0.0, xy, zx], [xy, 0.0, yz], [zx, yz, 0.0]];
         let (mut part, mut density) = (0.0, 0.0);
-        // the mean over a part of half a voxel's length, which is off the value in its middle
+        // mean of the value over a part of half a voxel, which differs from the value in its middle
         let mean = self.own + self.bend.iter().sum::<f32>() / 96.0;
         for corner in 0..8 {
             let (mut value, mut width) = (mean, 1e-4);
@@ -185,7 +186,7 @@ impl Shape {
     }
 }
 
-/// The level set of voxel shares.
+/// The level set of an occupancy.
 pub(crate) fn level_set(occupancy: &Occupancy, smoothing: &Smoothing) -> LevelSet {
     let mut work = Work::new(occupancy, smoothing);
     let mut sources = smoothing.clearance.as_ref().map(|clearance| Sources::new(occupancy, clearance));
@@ -221,8 +222,8 @@ impl<'a> Work<'a> {
         work
     }
 
-    /// The mean of the smoothed shares on the faces between voxels of different sides, within a
-    /// window; a half where there is none.
+    /// Mean of the smoothed occupancy on the faces between voxels of different sides, within a
+    /// window; 0.5 where there are no such faces.
     fn first_level(&self) -> Blocks<f32> {
         let Self { occupancy, above, size, .. } = self;
         let [nx, ny, nz] = *size;
@@ -251,7 +252,7 @@ impl<'a> Work<'a> {
         sums.map(|[sum, count]| if count > 1e-6 { sum / count } else { 0.5 })
     }
 
-    /// Moves the level by the volume that the level set has too much or lacks within the window.
+    /// Corrects the level by the excess or deficit of volume within the window.
     fn keep_volume(&mut self) {
         let (occupancy, above, size) = (self.occupancy, &self.above, self.size);
         let mut sums = Blocks::of(size, |row| {
@@ -267,12 +268,12 @@ impl<'a> Work<'a> {
         self.raise_level(&steps);
     }
 
-    /// Slope of the smoothed shares at a plane, per voxel.
+    /// Slope of the smoothed occupancy at a plane, per voxel.
     fn plane_slope(&self) -> f64 {
         1.0 / (TAU.sqrt() * self.smoothing.sigma.max_element())
     }
 
-    /// Raises the level by interpolated block values, within its limits.
+    /// Raises the level by interpolated block values, within its bounds.
     fn raise_level(&mut self, steps: &Blocks<f32>) {
         let nx = self.size[0];
         let [least, most] = [self.smoothing.least_level as f32, 1.0 - self.smoothing.least_level as f32];
@@ -294,7 +295,7 @@ impl<'a> Work<'a> {
     }
 }
 
-/// Values of blocks of two voxels along each axis: windows are several voxels wide.
+/// Values on blocks of two voxels along each axis; windows are several voxels wide.
 struct Blocks<T> {
     /// Voxels along each axis.
     voxels: [usize; 3],
@@ -307,7 +308,8 @@ fn blocks_along(voxels: [usize; 3]) -> [usize; 3] {
 }
 
 impl Blocks<[f32; 2]> {
-    /// Sums of two values of each voxel: `values` gives them for a row, by the place in it.
+    /// Sums of two values per voxel. `values(row)` returns a function of the x index that gives
+    /// them.
     fn of<Row: Fn(usize) -> [f32; 2]>(voxels: [usize; 3], values: impl Fn(usize) -> Row + Sync) -> Self {
         let [nx, ny, nz] = voxels;
         let [bx, by, bz] = blocks_along(voxels);
@@ -328,8 +330,8 @@ impl Blocks<[f32; 2]> {
         Self { voxels, values: sums }
     }
 
-    /// Smooths both by a Gaussian of these standard deviations, voxels; binning into blocks already
-    /// adds a variance of 0.25.
+    /// Smooths both values by a Gaussian with standard deviations `sigma`, voxels. Binning into
+    /// blocks already adds a variance of 0.25.
     fn smooth(&mut self, sigma: DVec3) {
         let size = blocks_along(self.voxels);
         let sigma = sigma.to_array().map(|sigma| 0.5 * (sigma * sigma - 0.25).max(0.25).sqrt());
@@ -346,7 +348,7 @@ impl Blocks<[f32; 2]> {
 }
 
 impl Blocks<f32> {
-    /// The value at a voxel, linear between the centres of blocks.
+    /// The value at a voxel, by trilinear interpolation between block centres.
     #[inline(always)]
     fn at(&self, row: usize, i: usize) -> f32 {
         let ny = self.voxels[1];
@@ -375,15 +377,15 @@ fn share(occupancy: &Occupancy, voxel: usize) -> f32 {
 /// Corrections to the level set near voxel centres that are on the wrong side of the surface or too
 /// near to it.
 struct Sources<'a> {
-    /// The voxels next to others of the other side, corners included.
+    /// Voxels with a voxel of the other side among their 26 neighbours.
     near: Runs,
-    /// What is added on the voxel's own side, at least zero.
+    /// Source at each of these voxels, towards its own side; at least zero.
     added: Vec<f32>,
-    /// Least distance from the surface, mm.
+    /// Minimum distance from the surface, mm.
     least: f32,
     contacts: &'a [Contact],
-    /// How far the middle of a contact is from its least value, at the nodes that it joins;
-    /// positive where it is short of it.
+    /// For the voxels of contacts: how much they must rise so that the value at the contact reaches
+    /// its minimum; negative if it exceeds it. Minus infinity at voxels without a contact.
     short: Vec<f32>,
 }
 
@@ -398,14 +400,14 @@ impl<'a> Sources<'a> {
         Self { added: all(0.0), short: all(f32::NEG_INFINITY), near, least, contacts: &clearance.contacts }
     }
 
-    /// The slope at places where there is none, in the middle of thin parts and of contacts, per
-    /// mm.
+    /// Slope (per mm) assumed where the actual slope is smaller: in the middle of thin parts and of
+    /// contacts.
     fn least_slope(work: &Work) -> f64 {
         LEAST_SLOPE * work.plane_slope() / work.occupancy.geometry.spacing.max_element()
     }
 
-    /// Measures how far each contact is from its minimum value, and passes the maximum to its
-    /// voxels.
+    /// Computes how much the voxels of each contact must rise for its minimum value, and stores the
+    /// maximum over the contacts of a voxel.
     fn look_at_contacts(&mut self, work: &Work) {
         self.short.fill(f32::NEG_INFINITY);
         let wanted = self.least * Self::least_slope(work) as f32;
@@ -429,9 +431,9 @@ impl<'a> Sources<'a> {
         }
     }
 
-    /// Calls `each` with the number within the slice, the voxel and the lack of every near voxel of
-    /// a slice: how far its value is from that of its least distance, positive where it is short of
-    /// it.
+    /// Calls `each(number, voxel, lack)` for the near voxels of slice `k`. `number` counts them
+    /// within the slice. `lack` is how far the value falls short of that at the minimum distance;
+    /// positive if it is too small.
     fn each_lack(&self, work: &Work, k: usize, mut each: impl FnMut(usize, usize, f32)) {
         let [nx, ny, _] = work.size;
         let spacing = work.occupancy.geometry.spacing;
@@ -455,8 +457,8 @@ impl<'a> Sources<'a> {
         }
     }
 
-    /// Adds sources where voxel centres lack distance, and takes them away where they have too
-    /// much.
+    /// Adds sources at voxel centres that are too near to the surface, and reduces them at centres
+    /// that are farther away than required.
     fn grow(&mut self, work: &mut Work) {
         self.look_at_contacts(work);
         let lacking = self.lacking(work);
@@ -469,7 +471,7 @@ impl<'a> Sources<'a> {
             .map(|(k, added)| {
                 let mut changes = Vec::new();
                 own.each_lack(work, k, |number, n, lack| {
-                    // how much sources of one at all that lack distance would raise it
+                    // how much unit sources at all violating voxels would raise this one
                     let gain: f32 = near_pairs(n, work.size)
                         .filter(|&(near, _)| lacking.holds(near))
                         .map(|(_, weight)| weight)
@@ -491,7 +493,7 @@ impl<'a> Sources<'a> {
         });
     }
 
-    /// The voxels that lack distance.
+    /// The voxels that are too near to the surface.
     fn lacking(&self, work: &Work) -> Bits {
         let slices = (0..work.size[2]).into_par_iter().map(|k| {
             let mut found = Vec::new();
@@ -509,8 +511,8 @@ impl<'a> Sources<'a> {
         lacking
     }
 
-    /// Puts the voxel centres and contacts that still lack distance where they have it, and the
-    /// centres beyond the reach of sources on their side.
+    /// Moves the remaining violating voxel centres and contacts to their minimum distance. Also
+    /// corrects centres on the wrong side that no source reaches.
     fn hold(&mut self, work: &mut Work) {
         let occupancy = work.occupancy;
         for _ in 0..HOLDS {
@@ -541,27 +543,27 @@ impl<'a> Sources<'a> {
     }
 }
 
-/// How much the middle of an edge rises where its two own voxels rise by one: 0.5 by the mean, 0.4
-/// by their second differences and -0.2 by those of the others.
+/// How much the middle of an edge rises if the two voxels on its side rise by one: 0.5 from the
+/// mean, 0.4 from their second differences and -0.2 from those of the other two.
 const GAIN_AT_CONTACT: f32 = 0.7;
 
-/// Passes that hold voxel centres and contacts, at most: neighbours change each other's slopes and
-/// second differences.
+/// Maximum number of passes that hold voxel centres and contacts. Neighbours change each other's
+/// slopes and second differences.
 const HOLDS: usize = 6;
 
-/// Value of a voxel on the wrong side that has no voxel of the other side beside it. Between specks
-/// a few voxels apart the smoothed shares can exceed the level.
+/// Value given to a voxel on the wrong side that has no voxel of the other side beside it. Between
+/// specks a few voxels apart, the smoothed occupancy can exceed the level.
 const CLEAR_VALUE: f32 = 0.1;
 
-/// Kernel of a unit source, by distance in voxels along one axis: a Gaussian of 0.75 voxel. The
-/// weights of the three axes multiply.
+/// Kernel of a unit source by distance in voxels along one axis: a Gaussian with standard deviation
+/// 0.75. The weights of the three axes multiply.
 const SPREAD: [f32; 3] = [0.532, 0.219, 0.015];
 
-/// What a source of one raises its own voxel by.
+/// How much a unit source raises its own voxel.
 const OWN_WEIGHT: f32 = SPREAD[0] * SPREAD[0] * SPREAD[0];
 
-/// A voxel and its 26 neighbours on the grid, with what a source of one at the voxel raises each
-/// by.
+/// A voxel and its 26 neighbours on the grid, each with the amount by which a unit source at
+/// `voxel` raises it.
 fn near_pairs(voxel: usize, [nx, ny, nz]: [usize; 3]) -> impl Iterator<Item = (usize, f32)> {
     let at = [voxel % nx, voxel / nx % ny, voxel / (nx * ny)];
     (0..27).filter_map(move |n| {
@@ -572,8 +574,8 @@ fn near_pairs(voxel: usize, [nx, ny, nz]: [usize; 3]) -> impl Iterator<Item = (u
     })
 }
 
-/// The places along an axis that a source raises, with their weights; those beyond the ends are
-/// mirrored.
+/// The positions along an axis that a source raises, with their weights. Positions beyond the ends
+/// are mirrored.
 fn spread_along(at: usize, count: usize) -> [(usize, f32); 5] {
     std::array::from_fn(|n| {
         let to = (at + n).checked_sub(2).unwrap_or(1 - (at + n).min(1));
@@ -582,7 +584,7 @@ fn spread_along(at: usize, count: usize) -> [(usize, f32); 5] {
     })
 }
 
-/// Raises the voxels of slice `k` by sources, each given by its voxel and its change.
+/// Adds sources, each given by its voxel and its strength, to the voxels of slice `k`.
 fn spread(sources: &[(usize, f32)], k: usize, [nx, ny, nz]: [usize; 3], slice: &mut [f32]) {
     for &(n, change) in sources {
         let across: f32 = spread_along(n / (nx * ny), nz).iter().filter(|to| to.0 == k).map(|to| to.1).sum();
@@ -594,9 +596,9 @@ fn spread(sources: &[(usize, f32)], k: usize, [nx, ny, nz]: [usize; 3], slice: &
     }
 }
 
-/// The contacts of a mask: the inside is joined, unless `gives_way` is true of the two outside
-/// voxels at an edge. A grid corner shared by several contacts takes their side; otherwise only a
-/// row of bridges joins the parts.
+/// The contacts of a mask. Inside parts are connected, unless `gives_way` is true for the two
+/// outside voxels at an edge. A grid corner shared by several contacts of the same side takes their
+/// side; without it, only a row of separate bridges would connect the parts.
 pub(crate) fn contacts(mask: &Mask, gives_way: impl Fn([usize; 2]) -> bool + Sync) -> Vec<Contact> {
     let size = mask.geometry.size;
     let [nx, ny, nz] = size;

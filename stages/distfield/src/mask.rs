@@ -1,4 +1,4 @@
-//! Which nodes of a label map are inside the object, one bit each.
+//! Mask of a label map: the nodes inside the object, one bit each.
 
 use crate::bits::Bits;
 use crate::crop::CutFaces;
@@ -20,8 +20,8 @@ impl From<&Image<bool>> for Mask {
 }
 
 impl Mask {
-    /// The same with `margin` more nodes on each face: outside ones beyond a face at which the
-    /// volume was cut, copies of the nearest node beyond the others.
+    /// The mask with `margin` more nodes on each face. Beyond a face at which the volume was cut
+    /// they are outside; beyond the other faces they copy the nearest node.
     pub fn padded(&self, margin: usize, cut: CutFaces) -> Self {
         let [nx, ny, nz] = self.geometry.size;
         let geometry = self.geometry.padded(margin);

@@ -1,10 +1,12 @@
-//! The nearest surface sample of every node, or one nearly as near: samples are handed on from node to node (a vector distance
-//! transform after Danielsson 1980).
+//! The nearest surface sample, or nearly the nearest, for every node: samples propagate from node
+//! to node (a vector distance transform after Danielsson 1980).
 //!
-//! Far from the surface many samples are about equally near, each nearest to a region thinner than a voxel, and what is handed on in
-//! few steps strays. So the far field is that of a grid of every second node, whose samples are found line by line (`envelope.rs`):
-//! every node is offered those of the coarse nodes round it, and the ones far away ask those of the slices next to them alone. That is done slab
-//! by slab, so that only the coarse grid is held as a whole.
+//! Far from the surface many samples are about equally near, each nearest to a region thinner than
+//! a voxel, and propagation in few steps becomes inaccurate. The far field therefore comes from a
+//! grid of every second node, whose nearest samples are found line by line (`envelope.rs`). Every
+//! node tests the samples of the coarse nodes around it. Nodes far away then take samples from the
+//! adjacent slices only. The fine grid is processed in slabs, so that only the coarse grid is in
+//! memory as a whole.
 
 use crate::envelope::spread;
 use glam::{DVec3, Vec3};
@@ -12,37 +14,44 @@ use isoparticles_volume::{Geometry, reverse_slices};
 use rayon::prelude::*;
 use std::ops::Range;
 
-/// In place of the number of a sample where a node has none.
+/// Marks a node without a sample.
 pub const NONE: u32 = u32::MAX;
 
-/// Nodes of the grid to one of the coarse grid, along each axis.
+/// Ratio of the spacings of the coarse grid and the grid, along each axis.
 pub(crate) const STRIDE: usize = 2;
 
-/// How much farther away than asked for nodes ask those of their own slice as well, in voxels (largest spacing): twice the half-width of the band that
-/// is exact (`crate::field`), within which F of three volumes changed by 0.004 voxel (root mean square) when those beyond asked nobody.
+/// Nodes farther from the surface than `near` plus this many voxels (maximum spacing) take no
+/// samples from other nodes of their own slice. With `near` the half-width of the exact band of
+/// `crate::field` (4 voxels), that is twice the half-width. On three volumes, F within this
+/// distance changed by 0.004 voxel (root mean square) when nodes beyond it took no samples from
+/// neighbours.
 const FAR_BEYOND: f64 = 4.0;
 
-/// Nodes of a slab, about: a bound on the memory; smaller grids are one slab.
+/// Approximate number of nodes of a slab; it bounds the memory. Smaller grids are one slab.
 const SLAB: usize = 10 << 20;
 
-/// Slices of a slab, at least.
+/// Minimum number of slices of a slab.
 const LEAST_SLICES: usize = 8;
 
-/// The nearest samples of the nodes of some slices.
+/// The nearest samples of the nodes in a range of slices.
 pub struct Slab {
-    /// The slices of the grid that this is about.
+    /// The slices of the grid that the slab computes.
     pub own: Range<usize>,
-    /// The first slice that is there: the one before, or its first.
+    /// Index of the first slice in `sample`: one before `own`, if there is one.
     pub first: usize,
-    /// Numbers of the samples of the nodes (x fastest), or [`NONE`], of the slices from `first` on, up to a few beyond its own.
+    /// Sample numbers of the nodes (x fastest), or [`NONE`], from slice `first` to a few slices
+    /// beyond `own`.
     pub sample: Vec<u32>,
 }
 
-/// Hands out the nearest sample of every node within `limit` mm of the surface, slab by slab from the first slice to the last; farther away
-/// some other sample or none. Where the limit is infinite, samples up to `near` mm away are the nearest ones, others nearly.
+/// Computes the nearest sample of every node within `limit` mm of the surface, slab by slab from
+/// the first slice to the last. Nodes farther away get some sample or none. If the limit is
+/// infinite, samples up to `near` mm away are the nearest ones, and those farther away are nearly
+/// the nearest.
 ///
-/// `values` has a place for each node. `visit` is given those of the slab's own nodes, which then hold the squared distances (mm squared) to their
-/// samples, infinite where there is none; what it puts there stays.
+/// `values` has one entry per node. For each slab, `visit` receives the entries of the slab's own
+/// nodes, which hold the squared distances (mm^2) to their samples, infinite where there is none.
+/// Values that `visit` writes there stay.
 pub fn nearest_samples(
     geometry: &Geometry,
     samples: &[DVec3],
@@ -59,7 +68,7 @@ pub fn nearest_samples(
     let by_slice = fine.by_slice();
     let [nx, ny, nz] = geometry.size;
     let plane = nx * ny;
-    // a sample is handed on from a corner of its cell, which may be a voxel farther away
+    // a sample propagates from a corner of its cell, which may be a voxel farther away
     let ahead = (limit.min(near) / geometry.spacing.z).ceil() as usize + 1;
     let slices = (SLAB / plane).max(LEAST_SLICES);
     let mut slab = Slab { own: 0..0, first: 0, sample: Vec::new() };
@@ -88,7 +97,7 @@ pub fn nearest_samples(
 }
 
 impl Slab {
-    /// Keeps the samples of `slices` alone.
+    /// Keeps the samples of `slices` only.
     fn keep(&mut self, slices: Range<usize>, plane: usize) {
         let range = (slices.start - self.first) * plane..(slices.end - self.first) * plane;
         self.sample.copy_within(range.clone(), 0);
@@ -97,36 +106,36 @@ impl Slab {
     }
 }
 
-/// Nearest samples of nodes (x fastest), and their squared distances.
+/// Nearest samples of nodes (x fastest), with their squared distances.
 struct Nearest<'a> {
     /// Number of the sample, or [`NONE`].
     sample: &'a mut [u32],
-    /// Squared distance (mm squared); infinite where there is no sample.
+    /// Squared distance, mm^2; infinite where there is no sample.
     squared: &'a mut [f32],
 }
 
 impl Nearest<'_> {
-    /// Planes of constant z, or rows along x, `length` nodes each.
+    /// Chunks of `length` nodes: slices of constant z, or rows along x.
     fn chunks(&mut self, length: usize) -> impl IndexedParallelIterator<Item = (&mut [u32], &mut [f32])> {
         self.sample.par_chunks_mut(length).zip(self.squared.par_chunks_mut(length))
     }
 }
 
-/// The nearest samples of the nodes of the coarse grid. Slices lie from the last to the first, so that those that have been passed are at the
-/// end, where their memory can be given back.
+/// The nearest samples of the nodes of the coarse grid. Slices are stored from the last to the
+/// first, so that slices no longer needed are at the end and their memory can be freed.
 struct Coarse {
     geometry: Geometry,
     sample: Vec<u32>,
 }
 
 impl Coarse {
-    /// Those of the row at y index `j` and z index `k`, along x.
+    /// The samples of the row at y index `j` and z index `k`.
     fn row(&self, j: usize, k: usize) -> &[u32] {
         let [nx, ny, nz] = self.geometry.size;
         &self.sample[((nz - 1 - k) * ny + j) * nx..][..nx]
     }
 
-    /// Gives up the slices that no node of the whole grid from slice `k` on needs.
+    /// Frees the slices that are not needed by nodes of the fine grid from slice `k` on.
     fn forget_below(&mut self, k: usize) {
         let [nx, ny, nz] = self.geometry.size;
         self.sample.truncate(nz.saturating_sub(k / STRIDE) * nx * ny);
@@ -134,22 +143,23 @@ impl Coarse {
     }
 }
 
-/// Numbers of the samples slice by slice of the grid.
+/// Sample numbers sorted by slice of the grid.
 struct BySlice {
     start: Vec<usize>,
     numbers: Vec<u32>,
 }
 
-/// The samples on their way over a grid.
+/// A distance transform: samples that propagate over a grid or a slab of it.
 #[derive(Clone, Copy)]
 struct Transform<'a> {
     geometry: &'a Geometry,
-    /// The slice of the whole grid that comes first.
+    /// Index in the whole grid of the first slice.
     first: usize,
     samples: &'a [Vec3],
-    /// Squared distance (mm squared) up to which a node is asked.
+    /// Squared distance (mm^2) beyond which a node's sample does not propagate.
     limit: f32,
-    /// Squared distance (mm squared) beyond which a node asks no other of its slice: its sample is from the coarse grid.
+    /// Squared distance (mm^2) beyond which a node takes no sample from its own slice: its sample
+    /// comes from the coarse grid.
     far: f32,
 }
 
@@ -158,7 +168,7 @@ impl Transform<'_> {
         self.geometry.index_to_grid(DVec3::new(i as f64, j as f64, (self.first + k) as f64)).as_vec3()
     }
 
-    /// The nearest samples of the nodes of a coarse grid over the whole grid.
+    /// The nearest samples of the nodes of a coarse grid that covers the whole grid.
     fn coarse(&self) -> Coarse {
         let geometry = Geometry {
             size: self.geometry.size.map(|n| (n - 1).div_ceil(STRIDE) + 1),
@@ -177,13 +187,14 @@ impl Transform<'_> {
         Coarse { geometry, sample }
     }
 
-    /// The cell that a sample lies in: its lowest node, in the whole grid.
+    /// Lowest node, in the whole grid, of the cell that contains a sample.
     fn cell(&self, sample: Vec3) -> [usize; 3] {
         let index = sample * self.geometry.spacing.recip().as_vec3();
         [0, 1, 2].map(|a| index[a].max(0.0) as usize)
     }
 
-    /// Numbers of the samples by the slice of their cell, ascending in each; those beyond the last slice are the last one's.
+    /// Sample numbers sorted by the slice of their cell, ascending within a slice. Samples beyond
+    /// the last slice count to the last.
     fn by_slice(&self) -> BySlice {
         let nz = self.geometry.size[2];
         let slice = |sample: Vec3| self.cell(sample)[2].min(nz - 1);
@@ -200,8 +211,8 @@ impl Transform<'_> {
         BySlice { start, numbers }
     }
 
-    /// Gives a node the sample of another where that is nearer than its own. Most often it is the same one, so the node's place is asked for only
-    /// when it is not.
+    /// Replaces a node's sample by that of another node if it is nearer. The two are usually the
+    /// same, so the node's position is computed only if they differ.
     #[inline(always)]
     fn take(&self, place: impl Fn() -> Vec3, own: &mut (u32, f32), other: (u32, f32)) {
         if other.0 == own.0 || other.0 == NONE || other.1 > self.limit {
@@ -213,7 +224,7 @@ impl Transform<'_> {
         }
     }
 
-    /// The squared distances of the nodes to the samples that they have.
+    /// Computes the squared distances (mm^2) of the nodes to their samples.
     fn measure(&self, sample: &[u32], squared: &mut [f32]) {
         let [nx, ny, _] = self.geometry.size;
         squared.par_chunks_mut(nx).zip(sample.par_chunks(nx)).enumerate().for_each(|(row, (squared, sample))| {
@@ -246,7 +257,7 @@ impl Transform<'_> {
         });
     }
 
-    /// Every node takes the nearest of the samples of the coarse nodes round it.
+    /// Every node takes the nearest of the samples of the coarse nodes around it.
     fn take_from_coarse(&self, nearest: &mut Nearest, coarse: &Coarse) {
         let [nx, ny, _] = self.geometry.size;
         let around = |n: usize| [n / STRIDE, n.div_ceil(STRIDE)];
@@ -267,7 +278,7 @@ impl Transform<'_> {
         });
     }
 
-    /// Hands samples on all over the grid.
+    /// Propagates samples over the whole grid.
     fn hand_on(&self, nearest: &mut Nearest) {
         self.within_planes(nearest);
         self.between_planes(nearest, true);
@@ -275,7 +286,8 @@ impl Transform<'_> {
         self.within_planes(nearest);
     }
 
-    /// Hands samples on within each plane of constant z: from row to row both ways, each row along itself both ways.
+    /// Propagates samples within each slice of constant z: from row to row in both directions, and
+    /// along each row in both directions.
     fn within_planes(&self, nearest: &mut Nearest) {
         let [nx, ny, _] = self.geometry.size;
         nearest.chunks(nx * ny).enumerate().for_each(|(k, (sample, squared))| {
@@ -284,7 +296,7 @@ impl Transform<'_> {
             for (j, before) in rows.chain(back) {
                 let mut ask = |i: usize, others: Range<usize>| {
                     let mut own = (sample[j * nx + i], squared[j * nx + i]);
-                    // no sample at all is infinitely far
+                    // a node without a sample is infinitely far
                     if own.0 != NONE && own.1 > self.far {
                         return;
                     }
@@ -304,7 +316,8 @@ impl Transform<'_> {
         });
     }
 
-    /// Hands samples on from slice to slice: each node asks the nine nearest nodes of the slice before.
+    /// Propagates samples from slice to slice: each node tests the samples of the nine nearest
+    /// nodes of the previous slice.
     fn between_planes(&self, nearest: &mut Nearest, upward: bool) {
         let [nx, ny, nz] = self.geometry.size;
         let plane = nx * ny;
@@ -328,7 +341,7 @@ impl Transform<'_> {
                     for near_j in j.saturating_sub(1)..(j + 2).min(ny) {
                         for near_i in i.saturating_sub(1)..(i + 2).min(nx) {
                             let near = near_j * nx + near_i;
-                            // neighbours often have one sample
+                            // neighbours often have the same sample
                             if std::mem::replace(&mut tried, from_sample[near]) != from_sample[near] {
                                 self.take(|| self.node(i, j, k), &mut own, (from_sample[near], from_squared[near]));
                             }

@@ -1,6 +1,9 @@
-//! What share of each voxel is inside the object: all or nothing for labels, to first order for a scalar volume. That, and not the intensity, is
-//! what is smoothed: the surface of a scale of nothing is then the isosurface whatever lies far above or below the iso value (metal, air), and
-//! labels and scalars go one way.
+//! Occupancy: the share of each voxel that is inside the object. It is 0 or 1 for labels, and a
+//! first-order estimate for a scalar volume.
+//!
+//! A scale smooths the occupancy rather than the intensity. At scale 0 the surface is therefore the
+//! isosurface, regardless of values far above or below the iso value (metal, air), and labels and
+//! scalar volumes are handled alike.
 
 use crate::Inside;
 use crate::crop::VoxelBox;
@@ -8,30 +11,30 @@ use crate::mask::Mask;
 use isoparticles_volume::{Geometry, Voxels};
 use rayon::prelude::*;
 
-/// The share of a voxel that is inside as a whole.
+/// Occupancy of a voxel that is entirely inside.
 pub const WHOLE: u8 = u8::MAX;
 
-/// Smallest share of a voxel whose centre is inside.
+/// Minimum occupancy of a voxel whose centre is inside.
 const CENTRE_INSIDE: u8 = WHOLE / 2 + 1;
 
-/// Shares of the voxels of a grid that are inside.
+/// Occupancy of the voxels of a grid.
 pub struct Occupancy {
     /// The grid.
     pub geometry: Geometry,
-    /// The shares, 0 to [`WHOLE`].
+    /// Occupancy of each voxel (x fastest), 0 to [`WHOLE`].
     pub shares: Vec<u8>,
 }
 
 impl Occupancy {
-    /// Of the union of labels.
+    /// Occupancy of a mask, 0 or [`WHOLE`].
     pub fn of_mask(mask: &Mask) -> Self {
         let mut shares = vec![0; mask.geometry.voxel_count()];
         shares.par_iter_mut().enumerate().for_each(|(n, share)| *share = if mask.inside.holds(n) { WHOLE } else { 0 });
         Self { geometry: mask.geometry.clone(), shares }
     }
 
-    /// Of one side of an iso value: where the value changes by w across a voxel, v of it above the iso value at its centre, 1/2 + v / w of the voxel is
-    /// above.
+    /// Occupancy of one side of an iso value. A voxel whose centre is v above the iso value, and
+    /// across which the value changes by w, is above the iso value in the share 1/2 + v / w.
     pub fn of_scalar(voxels: &Voxels, geometry: &Geometry, iso: f64, inside: Inside) -> Self {
         let [nx, ny, nz] = geometry.size;
         let plane = nx * ny;
@@ -75,7 +78,8 @@ impl Occupancy {
         sum as f64 / f64::from(WHOLE) * self.geometry.spacing.element_product()
     }
 
-    /// The same on voxels twice as long along each axis; those at the upper faces may reach beyond the grid.
+    /// The occupancy on voxels twice as long along each axis. Those at the upper faces may reach
+    /// beyond the grid.
     pub fn halved(&self) -> Self {
         let [nx, ny, nz] = self.geometry.size;
         let size = self.geometry.size.map(|n| n.div_ceil(2));
@@ -96,7 +100,7 @@ impl Occupancy {
         Self { geometry: Geometry { size, spacing: 2.0 * self.geometry.spacing, ..self.geometry.clone() }, shares }
     }
 
-    /// The box that holds all that is inside, if anything is.
+    /// The bounding box of all voxels that are partly inside; `None` if there are none.
     pub fn extent(&self) -> Option<VoxelBox> {
         let nx = self.geometry.size[0];
         VoxelBox::of_rows(self.geometry.size, |row| {
@@ -107,8 +111,13 @@ impl Occupancy {
     }
 }
 
-/// How much a value changes across its voxel, given those of the neighbours along each axis (all less the iso value): to those beyond the surface, and no more than
-/// that along the other axes, so that metal or air farther off has no say; 0 where no neighbour is beyond the surface.
+/// Change of the value across its voxel, summed over the axes. All values are relative to the iso
+/// value; `neighbours` has two per axis.
+///
+/// Along an axis with a neighbour beyond the surface, the change is the difference from that
+/// neighbour. Along the other axes it is the smaller difference, at most the maximum of the former,
+/// so that metal or air farther away has no effect. The result is 0 if no neighbour is beyond the
+/// surface.
 fn change_across(own: f64, neighbours: &[[f64; 2]; 3]) -> f64 {
     let beyond = |pair: &[f64; 2]| {
         pair.iter().filter(|&&near| near * own <= 0.0).map(|near| (near - own).abs()).fold(0.0, f64::max)

@@ -1,5 +1,5 @@
-//! Nodes in runs along x: what lies in a band round a surface takes a few runs a row, and values at those nodes alone take the room of the
-//! band, not that of the grid.
+//! Sets of nodes stored as runs along x. A band around a surface has a few runs per row, and values
+//! at its nodes need memory for the band only, not for the whole grid.
 
 use isoparticles_mesh::buckets::parts_mut;
 use rayon::prelude::*;
@@ -11,14 +11,14 @@ pub struct Run {
     pub first: u32,
     /// x index after its last node.
     pub end: u32,
-    /// Number of its first node among those of all runs, in ascending order.
+    /// Number of its first node, counting the nodes of all runs in ascending order.
     pub number: usize,
 }
 
-/// A set of nodes of a grid, as the longest runs that it consists of.
+/// A set of nodes of a grid, as maximal runs.
 pub struct Runs {
     size: [usize; 3],
-    /// Where the runs of each row start, and their count.
+    /// Index of the first run of each row, and the total number of runs.
     start: Vec<usize>,
     runs: Vec<Run>,
     /// Number of nodes.
@@ -51,7 +51,7 @@ impl Runs {
         })
     }
 
-    /// Of the spans (first x index, the one after the last) that `fill` adds for each row.
+    /// Runs from the spans (first x index, index after the last) that `fill` adds for each row.
     fn of_rows(size: [usize; 3], fill: impl Fn(usize, &mut Vec<[u32; 2]>) + Sync) -> Self {
         let [_, ny, nz] = size;
         let slice = |k: usize| {
@@ -93,7 +93,8 @@ impl Runs {
         &self.runs[self.of_row(row)]
     }
 
-    /// Visits the runs in ascending order with their indices in [`Self::all`] and the ranges of their nodes.
+    /// Visits the runs in ascending order: `visit(index, nodes)`, with the index in [`Self::all`]
+    /// and the range of node indices.
     pub fn each_in_nodes(&self, mut visit: impl FnMut(usize, std::ops::Range<usize>)) {
         let [nx, ny, nz] = self.size;
         for row in 0..ny * nz {
@@ -104,7 +105,8 @@ impl Runs {
         }
     }
 
-    /// Visits the pairs of a run of one row and a run of another that have an x index in common, by their indices in [`Self::all`].
+    /// Visits the pairs of a run in `row` and a run in `other` that share an x index, by their
+    /// indices in [`Self::all`].
     pub fn each_touching(&self, row: usize, other: usize, mut visit: impl FnMut(usize, usize)) {
         let (mut own, mut near) = (self.of_row(row), self.of_row(other));
         while !own.is_empty() && !near.is_empty() {
@@ -120,20 +122,21 @@ impl Runs {
         }
     }
 
-    /// Index in [`Self::all`] of the run that a node is in.
+    /// Index in [`Self::all`] of the run that contains a node.
     pub fn find(&self, node: usize) -> Option<usize> {
         let (row, i) = (node / self.size[0], (node % self.size[0]) as u32);
         let at = self.start[row] + self.row(row).partition_point(|run| run.end <= i);
         (at < self.start[row + 1] && self.runs[at].first <= i).then_some(at)
     }
 
-    /// Number of a node among those of the runs, in ascending order; `None` where it is in none.
+    /// Number of a node, counting the nodes of all runs in ascending order; `None` if it is in no
+    /// run.
     pub fn number(&self, node: usize) -> Option<usize> {
         let run = self.runs[self.find(node)?];
         Some(run.number + node % self.size[0] - run.first as usize)
     }
 
-    /// Cuts values at the nodes of the runs into those of each slice.
+    /// Splits values at the nodes of the runs into one part per slice.
     pub fn slices<'a, T>(&self, values: &'a mut [T]) -> Vec<&'a mut [T]> {
         let [_, ny, nz] = self.size;
         let before = |row: usize| self.runs.get(self.start[row]).map_or(self.count, |run| run.number);
@@ -147,7 +150,7 @@ mod tests {
 
     const SIZE: [usize; 3] = [23, 9, 7];
 
-    /// Off the rim of the grid, by chance.
+    /// Random nodes, none on the faces of the grid.
     fn is_in(n: usize) -> bool {
         let [nx, ny, nz] = SIZE;
         let at = [n % nx, n / nx % ny, n / (nx * ny)];

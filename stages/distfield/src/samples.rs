@@ -1,6 +1,7 @@
-//! Dense samples of the zero set of an implicit function: marching-cubes vertices and triangle centres, moved onto it
-//! by Newton steps along the gradient (Eq. 5 with its sign mended). Distances are measured to them, and
-//! [`crate::fit`] pins the zero set of F on them.
+//! Dense samples of the zero set of an implicit function: marching-cubes vertices and triangle
+//! centres, moved onto the zero set by Newton steps along the gradient (Eq. 5 of the paper, with
+//! the sign corrected). Distances are measured to these samples, and [`crate::fit`] pins the zero
+//! set of F on them.
 
 use fearless_simd::{Level, dispatch};
 use glam::DVec3;
@@ -9,9 +10,9 @@ use isoparticles_mesh::buckets::joined;
 use isoparticles_volume::Image;
 use rayon::prelude::*;
 
-/// An implicit function, negative inside: value and gradient (per mm) at a grid position.
+/// An implicit function, negative inside.
 pub trait Implicit: Sync {
-    /// Value and gradient.
+    /// Value and gradient (per mm) at a position in the grid frame (mm).
     fn value_gradient(&self, grid: DVec3) -> (f64, DVec3);
 }
 
@@ -21,27 +22,30 @@ impl<T: Fn(DVec3) -> (f64, DVec3) + Sync> Implicit for T {
     }
 }
 
-/// Samples that one task finds.
+/// Samples per parallel task.
 const CHUNK: usize = 256;
 
-/// Newton steps allowed to a sample.
+/// Maximum number of Newton steps per sample.
 const STEPS: usize = 12;
 
-/// A sample is on the surface when it is this near to it, in voxels (first order: |f| over its slope).
+/// A sample is on the surface if its first-order distance |f| / slope is at most this, in voxels
+/// (minimum spacing).
 const TOLERANCE: f64 = 1e-6;
 
-/// Longest way of a sample from its place on the marching-cubes mesh, in voxels; beyond, it is off to another sheet.
+/// Maximum distance of a sample from its start on the marching-cubes mesh, in voxels (minimum
+/// spacing). Beyond it, the sample has moved to another part of the surface.
 const REACH: f64 = 0.75;
 
 /// Samples of the zero set of `implicit`, from its marching-cubes mesh at the nodes of `image`.
 ///
-/// Vertices come first, one sample each and in their order; a vertex that Newton loses is found by
-/// bisection on its grid edge, where the sign change guarantees a zero. Centres of triangles follow; lost ones are
-/// left out.
+/// The first samples are the vertices, one each and in their order. If Newton's method fails for a
+/// vertex, bisection finds a zero on its grid edge, where the sign changes. Triangle centres
+/// follow; those for which Newton's method fails are left out.
 pub fn surface_samples<I: Implicit>(implicit: &I, image: &Image<f32>, mesh: &TriangleMesh) -> Vec<DVec3> {
     let voxel = image.geometry.min_spacing();
     let instructions = Level::new();
-    // loops, and no closures for each: those would not be compiled for the instructions at hand
+    // loops instead of closures per item: closures would not be compiled for the dispatched
+    // instructions
     let vertices = mesh.vertices.par_chunks(CHUNK).map(|chunk| {
         let mut found = Vec::with_capacity(chunk.len());
         dispatch!(instructions, _simd => {
@@ -64,7 +68,8 @@ pub fn surface_samples<I: Implicit>(implicit: &I, image: &Image<f32>, mesh: &Tri
     joined(vertices.chain(centres).collect())
 }
 
-/// The point on the zero set near `start`; `None` when it is more than `REACH` voxels away or the gradient vanishes.
+/// The point of the zero set near `start`. `None` if it is more than `REACH` voxels away, if the
+/// gradient vanishes, or if Newton's method does not converge. `voxel` is the minimum spacing, mm.
 #[inline(always)]
 pub fn project<I: Implicit>(implicit: &I, start: DVec3, voxel: f64) -> Option<DVec3> {
     let mut p = start;
@@ -86,7 +91,8 @@ pub fn project<I: Implicit>(implicit: &I, start: DVec3, voxel: f64) -> Option<DV
     None
 }
 
-/// Zero of the implicit function on the grid edge that holds the marching-cubes vertex `v`.
+/// Zero of the implicit function on the grid edge that contains the marching-cubes vertex `v`.
+/// Returns `v` if the function has the same sign at both ends.
 fn bisect_edge<I: Implicit>(implicit: &I, image: &Image<f32>, v: DVec3) -> DVec3 {
     let geometry = &image.geometry;
     let index = geometry.grid_to_index(v);
@@ -98,7 +104,7 @@ fn bisect_edge<I: Implicit>(implicit: &I, image: &Image<f32>, v: DVec3) -> DVec3
     let (mut low, mut high) = (geometry.index_to_grid(low), geometry.index_to_grid(high));
     let inside = implicit.value_gradient(low).0 < 0.0;
     if inside == (implicit.value_gradient(high).0 < 0.0) {
-        // an extra vertex within a cell, or an end that is on the surface to rounding
+        // an extra vertex within a cell, or an end on the surface to rounding
         return v;
     }
     for _ in 0..40 {

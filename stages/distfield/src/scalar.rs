@@ -1,4 +1,9 @@
-//! Scalar volumes: the surface is the zero set of the input's own interpolating cubic B-spline minus the iso value.
+//! Scalar volumes: the surface is the zero set of the interpolating cubic B-spline through the
+//! input, minus the iso value.
+//!
+//! [`from_voxels`] checks the voxels and the iso value, evaluates the spline on the padded grid,
+//! closes the object at the border ([`crate::cap`]) and computes F ([`redistance`]). Level sets of
+//! labels and scales take the same path (`from_level`).
 
 use crate::cap::BorderBox;
 use crate::crop::{CutFaces, VoxelBox};
@@ -13,33 +18,37 @@ use isoparticles_volume::{Geometry, Image, Volume, Voxels};
 use rayon::prelude::*;
 use std::ops::Range;
 
-/// Least |F| at a node, in voxels: what a sample equal to the iso value is pushed outwards by.
+/// Minimum |F| at a node, in voxels (minimum spacing). Nodes equal to the iso value get this value,
+/// on the outside.
 const CLEARANCE: f64 = 1e-3;
 
-/// How an isosurface becomes F.
+/// Options that turn an isosurface into F.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ScalarOptions {
     /// Side of the iso value that the object is on.
     pub inside: Inside,
-    /// What happens at the border of the volume.
+    /// Treatment of the object at the border of the volume.
     pub border: Border,
     /// Voxels added on each face.
     pub margin: usize,
-    /// Faces of the voxels that are no border of the volume: an open border is closed there.
+    /// Faces of the grid that are cuts rather than borders of the volume; there an open border is
+    /// closed.
     pub cut: CutFaces,
     /// Parts of the object to keep.
     pub keep: Keep,
 }
 
-/// F of a scalar volume: zero where the spline through `image` equals `iso`, on the padded grid.
+/// F of a scalar volume, on the padded grid: zero where the spline through `image` equals `iso`.
 ///
 /// # Errors
-/// When the volume holds NaN or infinite voxels, is constant, or the iso value is outside its range; when no part is to stay.
+/// When the volume has NaN or infinite voxels, is constant, or its range does not contain the iso
+/// value; when no part is kept; when the run is interrupted.
 pub fn from_scalar(image: Image<f32>, iso: f64, options: &ScalarOptions, monitor: &dyn Monitor) -> Result<Redistanced> {
     from_voxels(Voxels::F32(image.data), image.geometry, iso, options, monitor)
 }
 
-/// The same of voxels of any type. They are taken over, so that their memory is free again when the distances are made.
+/// F of a scalar volume of any voxel type. Takes ownership of the voxels, so that their memory is
+/// free before distances are computed.
 ///
 /// # Errors
 /// As [`from_scalar`].
@@ -55,12 +64,12 @@ pub fn from_voxels(
     input.redistance(CLEARANCE, options, &Demands::default(), monitor)
 }
 
-/// F of a level set sampled at voxels, positive inside. It may be positive everywhere, and is given
-/// with `padding` nodes beyond each face, none or the margin. Voxel centres keep at least
-/// `clearance` voxels (smallest spacing) of distance.
+/// F of a level set sampled at voxels, positive inside; it may be positive everywhere. `padding` is
+/// the number of nodes that the samples already have beyond each face: 0 or the margin. Voxel
+/// centres keep at least `clearance` voxels (minimum spacing) of distance.
 ///
 /// # Errors
-/// When there is no surface, no part is to stay, or the run is interrupted.
+/// When there is no surface, no part is kept, or the run is interrupted.
 pub(crate) fn from_level(
     level: Image<f32>,
     padding: usize,
@@ -75,10 +84,11 @@ pub(crate) fn from_level(
     input.redistance(clearance.max(CLEARANCE), options, demands, monitor)
 }
 
-/// Fails where [`from_voxels`] would, because of the voxels or the iso value; gives the volume back, and the box round the voxels that are inside.
+/// Checks the voxels and the iso value as [`from_voxels`] does. Returns the volume and the bounding
+/// box of the voxels that are inside.
 ///
 /// # Errors
-/// As [`from_scalar`].
+/// As [`from_scalar`], for the voxels and the iso value.
 pub fn check_scalar(volume: Volume, iso: f64, inside: Inside) -> Result<(Volume, Option<VoxelBox>)> {
     let input = Input { voxels: volume.voxels, geometry: volume.geometry, iso, inside, scale: 1.0, padding: 0 };
     input.check()?;
@@ -86,27 +96,31 @@ pub fn check_scalar(volume: Volume, iso: f64, inside: Inside) -> Result<(Volume,
     Ok((Volume { voxels: input.voxels, geometry: input.geometry, ..volume }, object))
 }
 
-/// The volume and which surface of it is meant. After its check its slices lie from the last to the first, so that those that have become nodes
-/// are at the end, where their memory can be given back.
+/// A volume and the surface to extract from it. After the check, slices are stored from the last to
+/// the first, so that slices already turned into nodes are at the end and their memory can be
+/// freed.
 struct Input {
     voxels: Voxels,
     geometry: Geometry,
     iso: f64,
     inside: Inside,
-    /// By which values are multiplied, so that slopes do not depend on the unit of the voxels: a power of two, which costs no digits.
+    /// Factor applied to the values, so that slopes do not depend on their unit. A power of two
+    /// loses no digits.
     scale: f64,
-    /// Nodes beyond each face of the volume that the voxels have already: none or the margin.
+    /// Number of nodes that the voxels already have beyond each face of the volume: 0 or the
+    /// margin.
     padding: usize,
 }
 
-/// The largest power of two that is at most 1 / `range`, within what is normal in single precision.
+/// The largest power of two that is at most 1 / `range`, limited to normal single-precision
+/// numbers.
 fn power_of_two_below_inverse(range: f64) -> f64 {
     2f64.powi((-range.log2()).floor().clamp(-126.0, 126.0) as i32)
 }
 
 impl Input {
-    /// Voxel centres, and nodes beyond a closed border, keep at least `clearance` voxels of
-    /// distance. Nodes beyond an open border keep [`CLEARANCE`].
+    /// Computes F. Voxel centres, and nodes beyond a closed border, keep a distance of at least
+    /// `clearance` voxels; nodes beyond an open border keep [`CLEARANCE`].
     fn redistance(
         mut self,
         clearance: f64,
@@ -137,7 +151,8 @@ impl Input {
         self.geometry.size[0] * self.geometry.size[1]
     }
 
-    /// Refuses volumes with voxels that are not numbers, or without an isosurface; the difference of the largest and the smallest voxel.
+    /// Refuses volumes with NaN or infinite voxels or without an isosurface. Returns the range of
+    /// the values.
     fn check(&self) -> Result<f64> {
         let plane = self.slice_size();
         let slices: Vec<Summary> = (0..self.geometry.size[2])
@@ -156,7 +171,7 @@ impl Input {
         Ok(f64::from(whole.high) - f64::from(whole.low))
     }
 
-    /// The box round the voxels that are inside.
+    /// The bounding box of the voxels that are inside.
     fn extent(&self) -> Option<VoxelBox> {
         let nx = self.geometry.size[0];
         VoxelBox::of_rows(self.geometry.size, |row| {
@@ -203,7 +218,8 @@ impl Input {
         ))
     }
 
-    /// Voxels of slice `k` from the one with the number `first` in it on, less the iso value, negative inside.
+    /// Copies voxels of slice `k`, starting at voxel `first` of the slice, minus the iso value and
+    /// scaled; negative inside.
     fn copy_signed(&self, k: usize, first: usize, to: &mut [f32]) {
         let first = (self.geometry.size[2] - 1 - k) * self.slice_size() + first;
         let sign = match self.inside {
@@ -214,12 +230,14 @@ impl Input {
         to.iter_mut().for_each(|v| *v = (sign * self.scale * (f64::from(*v) - self.iso)) as f32);
     }
 
-    /// The nodes of the object on the padded grid, cut at the border, and its implicit function.
+    /// Values of the object at the nodes of the padded grid, cut at the border, and its implicit
+    /// function. Consumes the voxels slice by slice.
     fn source(mut self, &ScalarOptions { border, margin, cut, .. }: &ScalarOptions) -> (Image<f32>, Source) {
         let to_add = margin - self.padding;
         let padded = self.geometry.padded(to_add);
-        // Beyond a face at which the volume was cut there is background: what the spline's margin
-        // makes of noise in it is none of the object.
+        // Beyond a face at which the volume was cut there is only background. The box there removes
+        // spurious parts that the spline makes of noise in the margin. Padded samples have their
+        // own margin.
         let closed =
             cut.map(|faces| faces.map(|is_cut| if is_cut { self.padding == 0 } else { border == Border::Cap }));
         let is_any = closed.as_flattened().contains(&true);
@@ -237,14 +255,15 @@ impl Input {
             let size = [px, py, layer.slices.len()];
             let slab = CubicSpline::from_coefficients(Geometry { size, ..padded.clone() }, coefficients);
             self.fill_nodes(&mut nodes, &layer, &slab, to_add, cap.as_ref());
-            // the filter is ahead of the nodes
+            // the filter has already read the slices of these nodes
             let rest = self.geometry.size[2].saturating_sub(layer.own.end.saturating_sub(to_add));
             self.voxels.truncate(rest * self.slice_size());
         }
         (nodes, Source { spline: builder.finish(), cap })
     }
 
-    /// Values at the nodes of a layer: the voxels, and beyond them those of the spline; near the border cut.
+    /// Sets the nodes of a layer: the voxels, and beyond them the values of the spline. Near the
+    /// border, first-order distances cut by the box.
     fn fill_nodes(
         &self,
         nodes: &mut Image<f32>,
@@ -285,7 +304,7 @@ impl Input {
     }
 }
 
-/// Range of the finite values, and the others.
+/// Range of the finite values, and count of the others.
 struct Summary {
     low: f32,
     high: f32,
@@ -300,7 +319,7 @@ impl Default for Summary {
 }
 
 impl Summary {
-    /// Of values of which the first has the number `first`.
+    /// Summary of values; the first one has the index `first` in the volume.
     fn of(values: &[f32], first: usize) -> Self {
         let mut summary = Self::default();
         for (n, &value) in values.iter().enumerate() {
@@ -314,7 +333,7 @@ impl Summary {
         summary
     }
 
-    /// Of both; `self` comes first.
+    /// Summary of both; `self` comes first.
     fn and(self, other: Self) -> Self {
         Self {
             low: self.low.min(other.low),
@@ -325,9 +344,11 @@ impl Summary {
     }
 }
 
-/// Where a coefficient on the padded grid comes from (index less margin, size -> index). The spline's own mirror boundary gives the first
-/// coefficient beyond the border, and constant ones after it continue the surface straight: between voxel centres the padded spline
-/// is the input's.
+/// Source index of a coefficient on the padded grid, from its index minus the margin and the size.
+///
+/// The mirror boundary of the spline gives the first coefficient beyond the border. All further
+/// ones repeat it, which continues the surface straight. Between voxel centres the padded spline
+/// equals that of the input.
 fn straight(i: isize, n: usize) -> usize {
     let last = n as isize - 1;
     let nearest = if i < 0 {
@@ -340,7 +361,7 @@ fn straight(i: isize, n: usize) -> usize {
     nearest.clamp(0, last) as usize
 }
 
-/// The way from a grid to that with more voxels on each face.
+/// Extension of a grid by `margin` voxels on each face.
 struct Padding {
     size: [usize; 3],
     margin: usize,
@@ -352,13 +373,13 @@ impl Padding {
         (self.from)(padded as isize - self.margin as isize, self.size[axis])
     }
 
-    /// The slices that the padded slices in `range` come from.
+    /// Range of the slices from which the padded slices in `range` are made.
     fn slices(&self, range: &Range<usize>) -> Range<usize> {
         let sources = || range.clone().map(|k| self.source(2, k));
         sources().min().unwrap_or(0)..sources().max().unwrap_or(0) + 1
     }
 
-    /// The padded slices in `range`, given those that they come from.
+    /// The padded slices in `range`, from the coefficients of their source slices.
     fn pad(&self, slices: &Coefficients, range: &Range<usize>) -> Vec<f32> {
         let [nx, ny, _] = self.size;
         let (px, py) = (nx + 2 * self.margin, ny + 2 * self.margin);

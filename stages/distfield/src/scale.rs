@@ -1,9 +1,11 @@
-//! `--scale`: a surface with as much of the data as a coarse mesh can carry.
+//! `--scale`: a surface with as much detail as a coarse mesh can represent.
 //!
-//! The share of each voxel that is inside is smoothed by a Gaussian of half the scale. Where the surface is curved or the object thin, half of the
-//! smoothed share is not where the surface was: balls shrink, small parts and thin walls vanish. So the level that is taken varies from
-//! place to place such that the volume within a window of the scale is kept: parts keep their volume one by one, tubes and walls their thickness, as
-//! far as the smoothed share still shows them. What it does not show is gone, and [`crate::changes`] tells what and where.
+//! The occupancy of each voxel is smoothed by a Gaussian with a standard deviation of half the
+//! scale. Where the surface is curved or the object thin, the level 1/2 is displaced: balls shrink,
+//! small parts and thin walls vanish. The level therefore varies in space such that the volume
+//! within a window is kept (`level.rs`). Parts keep their volume individually, tubes and walls
+//! their thickness, as long as the smoothed occupancy still shows them. Parts that it does not show
+//! vanish; [`crate::changes`] reports which and where.
 
 use crate::Border;
 use crate::changes::{Changes, remove_crumbs};
@@ -18,54 +20,60 @@ use isoparticles_volume::{Geometry, Image};
 use rayon::prelude::*;
 use std::f64::consts::{LN_2, PI};
 
-/// What is to be smoothed away.
+/// Parameters of the smoothing.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Scale {
-    /// Twice the standard deviation of the Gaussian, mm.
+    /// The scale: twice the standard deviation of the Gaussian, mm.
     pub length: f64,
-    /// Whether parts are kept that are thinner than such a mesh tells apart.
+    /// Whether parts are kept that are too thin for a mesh of the matching edge length.
     pub keep_thin: bool,
 }
 
 impl Scale {
-    /// The smoothing on a grid.
+    /// The smoothing parameters on a grid.
     pub(crate) fn smoothing(&self, geometry: &Geometry) -> Smoothing {
         let least_level = if self.keep_thin { LEAST_LEVEL_THIN } else { LEAST_LEVEL };
         Smoothing { sigma: 0.5 * self.length / geometry.spacing, least_level, clearance: None }
     }
 }
 
-/// Least distance of the level from that of nothing and that of everything. What shows less is thinner than the mesh can carry: a ball of 1.2, a tube of 0.8
-/// standard deviations, round which there is room for twelve vertices and for four.
+/// Minimum distance of the level from 0 and from 1. Parts with a lower smoothed occupancy vanish:
+/// balls of radius below 1.2 and tubes of radius below 0.8 standard deviations. A mesh of the
+/// scale's edge length would have about twelve vertices on such a ball, and four around such a
+/// tube.
 const LEAST_LEVEL: f64 = 0.3;
 
-/// The same where thin parts are to be kept: tubes of a quarter of a standard deviation, walls of a tenth.
+/// The same with `--keep-thin`: tubes of radius below 0.25 and walls thinner than 0.08 standard
+/// deviations vanish.
 const LEAST_LEVEL_THIN: f64 = 0.03;
 
-/// Radius of the balls that are dropped, in scales: a mesh of the edge length that the scale is for ([`SCALE_OVER_SIZE`]) has 9 vertices round it.
+/// Radius of the balls below whose volume parts are dropped, in scales. A mesh of the scale's edge
+/// length ([`SCALE_OVER_SIZE`]) has about 9 vertices on such a ball.
 const CRUMB_RADIUS: f64 = 0.5;
 
-/// The scale that a mesh wants, over its edge length. `heart_label` (1.5 mm voxels) with h = 3.5 and 1.75 mm: mean and smallest radius ratio 0.985 / 0.69 and
-/// 0.970 / 0.59 at 1, 0.989 / 0.67 and 0.981 / 0.72 at 1.4, 0.985 / 0.72 and 0.985 / 0.81 at 1.8, where 99 % of the voxels that changed side still
-/// lay at the surface.
+/// Scale for a mesh, over its edge length. Mean / minimum radius ratio on `heart_label` (1.5 mm
+/// voxels) with h = 3.5 and 1.75 mm: 0.985 / 0.69 and 0.970 / 0.59 at 1, 0.989 / 0.67 and 0.981 /
+/// 0.72 at 1.4, 0.985 / 0.72 and 0.985 / 0.81 at 1.8. At 1.8, 99 % of the voxels that changed side
+/// still lay at the surface.
 pub const SCALE_OVER_SIZE: f64 = 1.6;
 
-/// How far round the object shares are smoothed, in standard deviations: beyond, the mean share of a half space is 0.001.
+/// Distance around the object over which the occupancy is smoothed, in standard deviations. At this
+/// distance the smoothed occupancy of a half space is 0.001.
 const REACH: f64 = 3.0;
 
 /// The smoothed object.
 pub struct Scaled {
-    /// Zero on its surface, positive inside.
+    /// Zero on the surface of the smoothed object, positive inside.
     pub level: Image<f32>,
-    /// Faces of that image that are none of the grid that was smoothed.
+    /// Faces of the grid of `level` that are cuts through the grid that was smoothed.
     pub cut: CutFaces,
-    /// What is not as it was.
+    /// What the smoothing changed.
     pub changes: Changes,
 }
 
-/// The box round an object, smoothed.
+/// The smoothed object in its bounding box.
 struct Boxed {
-    /// Its first voxel in the volume.
+    /// Index in the volume of the first voxel of the box.
     first: [usize; 3],
     before: Occupancy,
     /// Zero on the surface, positive inside.
@@ -73,7 +81,7 @@ struct Boxed {
 }
 
 impl Boxed {
-    /// `None` if there is no object.
+    /// Smooths the object in its bounding box; `None` if there is no object.
     fn new(occupancy: &Occupancy, scale: Scale) -> Result<Option<Self>> {
         let Some(object) = occupancy.extent() else { return Ok(None) };
         let geometry = &occupancy.geometry;
@@ -91,7 +99,8 @@ impl Boxed {
         Ok(Some(Self { first, before, level }))
     }
 
-    /// Area of its surface, mm^2, in a volume of `size` voxels; with that which closes it at the border of the volume, where something does.
+    /// Area of the surface, mm^2. `size` is the number of voxels of the volume. With
+    /// [`Border::Cap`], the faces that close the object at the border of the volume are included.
     fn area(self, border: Border, size: [usize; 3]) -> f64 {
         let Self { first, before: Occupancy { geometry, .. }, level } = self;
         let high = std::array::from_fn(|a| first[a] + geometry.size[a] - 1);
@@ -104,20 +113,21 @@ impl Boxed {
     }
 }
 
-/// Voxels round an object that its smoothed share reaches; `sigma` in voxels.
+/// Number of voxels around an object that its smoothed occupancy reaches; `sigma` in voxels.
 pub(crate) fn room_round(sigma: DVec3) -> [usize; 3] {
     sigma.to_array().map(|sigma| (REACH * sigma).ceil() as usize + 2)
 }
 
-/// Volume (mm^3) below which a part is dropped.
+/// Volume (mm^3) below which parts are dropped, for a scale in mm.
 pub(crate) fn smallest_part(scale: f64) -> f64 {
     4.0 / 3.0 * PI * (CRUMB_RADIUS * scale).powi(3)
 }
 
-/// Smooths an object; the level is that of the grid asked for. `None` if nothing is left of it.
+/// Smooths an object. `grid` selects the grid of the result. `None` if nothing is left of the
+/// object.
 ///
 /// # Errors
-/// When its parts are too many to be told apart.
+/// When there are too many runs of voxels to label the parts.
 pub fn scaled(occupancy: Occupancy, scale: Scale, grid: Grid) -> Result<Option<Scaled>> {
     let (geometry, volume) = (occupancy.geometry.clone(), occupancy.volume());
     let Some(Boxed { first, before, level }) = Boxed::new(&occupancy, scale)? else { return Ok(None) };
@@ -140,10 +150,10 @@ pub fn scaled(occupancy: Occupancy, scale: Scale, grid: Grid) -> Result<Option<S
     Ok(Some(Scaled { level: image, cut, changes }))
 }
 
-/// Level where no share is smoothed: half a share below the surface.
+/// Value of the level set where no occupancy is smoothed: occupancy 0 minus a level of 1/2.
 const BEYOND: f32 = -0.5;
 
-/// The box round what is above zero.
+/// The bounding box of the voxels above zero.
 fn round_level(level: &[f32], size: [usize; 3]) -> Option<VoxelBox> {
     VoxelBox::of_rows(size, |row| {
         let values = &level[row * size[0]..(row + 1) * size[0]];
@@ -155,24 +165,27 @@ fn add(a: [usize; 3], b: [usize; 3]) -> [usize; 3] {
     std::array::from_fn(|axis| a[axis] + b[axis])
 }
 
-/// Standard deviation of the smoothing, in voxels, down to which areas are measured on a coarser grid.
+/// Areas are measured on the coarsest grid on which the standard deviation of the smoothing is at
+/// least this many voxels.
 const COARSE_SIGMA: f64 = 1.5;
 
-/// Voxels of the coarsest grid, at least.
+/// Grids of more than eight times this many voxels are halved again.
 const FEWEST_VOXELS: usize = 10_000;
 
-/// Rounds of scale and area that find an edge length, at most, and how near to each other two of them end the search.
+/// Maximum number of iterations that find an edge length, and the tolerance of the relative
+/// difference between the assumed edge length and the one that the area gives.
 const AREA_ROUNDS: (usize, f64) = (10, 0.01);
 
-/// Edge lengths below this many voxels are not looked for: there is no object.
+/// Edge lengths below this many voxels end the search: nothing is left of the object.
 const SMALLEST_SHARE: f64 = 0.02;
 
-/// A grid that halves its resolution, so that areas at large scales are measured on few voxels.
+/// A grid that can be halved in resolution, so that areas at large scales are measured on few
+/// voxels.
 pub(crate) trait Coarser: Sized {
     /// The grid.
     fn geometry(&self) -> &Geometry;
 
-    /// The same on voxels twice as long along each axis.
+    /// The grid on voxels twice as long along each axis.
     fn halved(&self) -> Self;
 }
 
@@ -186,11 +199,11 @@ impl Coarser for Occupancy {
     }
 }
 
-/// The edge length (mm) of which a mesh of the object smoothed for it has about so many vertices. `None` if there is no object, or nothing
-/// left of it.
+/// The edge length (mm) for which a mesh of the smoothed object has about `vertices` vertices.
+/// `None` if there is no object or nothing is left of it.
 ///
 /// # Errors
-/// When its parts are too many to be told apart.
+/// When there are too many runs of voxels to label the parts.
 pub fn edge_length(occupancy: &Occupancy, border: Border, vertices: f64, keep_thin: bool) -> Result<Option<f64>> {
     let area = |grid: &Occupancy, scale: Scale| {
         Ok(Boxed::new(grid, scale)?.map_or(0.0, |boxed| boxed.area(border, grid.geometry.size)))
@@ -198,10 +211,11 @@ pub fn edge_length(occupancy: &Occupancy, border: Border, vertices: f64, keep_th
     edge_length_by(occupancy, area, vertices, keep_thin)
 }
 
-/// The same by what area (mm^2) there is on a grid at a scale: the root of ln (length that the area gives / length), by secants.
+/// The edge length for a number of vertices, given the area (mm^2) on a grid at a scale. The secant
+/// method finds the root of ln(length from the area / length).
 ///
 /// # Errors
-/// Where that area cannot be told.
+/// When the area cannot be computed.
 pub(crate) fn edge_length_by<G: Coarser>(
     finest: &G,
     area: impl Fn(&G, Scale) -> Result<f64>,
@@ -225,11 +239,12 @@ pub(crate) fn edge_length_by<G: Coarser>(
             return Ok(Some(found));
         }
         let step = if off.abs() < LN_2 {
-            // the area does not grow with the scale, so that the slope is -1 at most
+            // the area does not grow with the scale, so the slope is at most -1
             let slope = last.map_or(-1.0, |(last, last_off)| ((off - last_off) / (length / last).ln()).min(-1.0));
             -off / slope
         } else {
-            // all of the area goes where the scale is above the thickness of everything: not too far at a time
+            // the area vanishes once the scale exceeds the thickness of all parts, so steps are
+            // limited
             0.5 * off.clamp(-2.0 * LN_2, 2.0 * LN_2)
         };
         last = off.is_finite().then_some((length, off));
@@ -241,7 +256,7 @@ pub(crate) fn edge_length_by<G: Coarser>(
     Ok((length >= smallest).then_some(length))
 }
 
-/// Area (mm^2) of those faces of a grid of voxels that are not `cut` where the object is.
+/// Area (mm^2) of the object on the faces of a voxel grid that are not `cut`.
 pub(crate) fn area_at_faces(geometry: &Geometry, cut: CutFaces, is_inside: impl Fn(usize) -> bool) -> f64 {
     let size = geometry.size;
     let at_face = |(axis, end): (usize, usize)| {
@@ -258,7 +273,7 @@ pub(crate) fn area_at_faces(geometry: &Geometry, cut: CutFaces, is_inside: impl 
     faces.filter(|&(axis, end)| !cut[axis][end]).map(at_face).sum()
 }
 
-/// Values in a box of a grid.
+/// The values in a box of a grid.
 fn crop(from: &[u8], whole: [usize; 3], first: [usize; 3], size: [usize; 3]) -> Vec<u8> {
     let mut values = vec![0; size.iter().product()];
     values.par_chunks_mut(size[0]).enumerate().for_each(|(row, values)| {
@@ -268,7 +283,8 @@ fn crop(from: &[u8], whole: [usize; 3], first: [usize; 3], size: [usize; 3]) -> 
     values
 }
 
-/// Copies what two boxes of one grid have in common, given the first voxel of each in that.
+/// Copies the intersection of two boxes of one grid, given the index in that grid of the first
+/// voxel of each.
 fn paste(from: &Image<f32>, from_first: [usize; 3], to: &mut Image<f32>, to_first: [usize; 3]) {
     let (source, target) = (from.geometry.size, to.geometry.size);
     let low: [usize; 3] = std::array::from_fn(|a| from_first[a].max(to_first[a]));

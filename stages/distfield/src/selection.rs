@@ -1,13 +1,13 @@
-//! Labels as a user names them: `1,2`, `2..5`, `all`, or by the names that the file gives them.
+//! Parses and resolves labels given by the user: `1,2`, `2..5`, `all`, or names from the file.
 
 use isoparticles_stage::error::{Error, Result};
 use isoparticles_volume::{LayerLabel, Volume};
 use std::str::FromStr;
 
-/// Labels that an error message lists, at most.
+/// Maximum number of labels listed in an error message.
 const MOST_LISTED: usize = 40;
 
-/// A choice of labels, to be resolved once the volume is known.
+/// A choice of labels; the volume resolves it.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Selection {
     text: String,
@@ -39,17 +39,18 @@ enum Item {
     Name(String),
 }
 
-/// Labels as a file notes them: numbers alone say it all where there is one layer.
+/// Labels as JSON for the output file: plain numbers if the volume has one layer, otherwise with
+/// layers.
 #[must_use]
 pub fn noted(labels: &[LayerLabel], volume: &Volume) -> serde_json::Value {
     if volume.layer_count() == 1 { labels.iter().map(|at| at.label).collect() } else { serde_json::json!(labels) }
 }
 
 impl Selection {
-    /// The labels, in the order in which they are named, each once.
+    /// The selected labels, in the order of the selection, each once.
     ///
     /// # Errors
-    /// When a label, a range or a name is not in the volume, and when a value of the volume is no label.
+    /// When a label, range or name is not in the volume, and when a voxel value is not a label.
     pub fn resolve(&self, volume: &Volume) -> Result<Vec<LayerLabel>> {
         let present = volume.label_set()?;
         let mut chosen: Vec<LayerLabel> = Vec::new();
@@ -78,7 +79,8 @@ impl Selection {
         if missing.is_empty() { Ok(chosen) } else { Err(missing_error(&missing, volume, &present)) }
     }
 
-    /// The parts: separated by commas, and within these by blanks where what stands there is no name of the file.
+    /// Splits the selection at commas. A piece that is not a name in the file is split at blanks,
+    /// if all its words are numbers, ranges, `all` or names in the file.
     fn items(&self, volume: &Volume) -> Vec<Item> {
         let is_name = |text: &str| {
             let lower = text.to_lowercase();
@@ -102,7 +104,7 @@ impl Selection {
     }
 }
 
-/// A number, a range, `all`, or else a name.
+/// Parses a word as a number, a range, `all`, or otherwise a name.
 fn item(word: &str) -> Item {
     if word.eq_ignore_ascii_case("all") {
         return Item::All;
@@ -128,7 +130,7 @@ fn named(name: &str, volume: &Volume, present: &[LayerLabel]) -> Result<LayerLab
         .iter()
         .map(|segment| (distance(&segment.name.to_lowercase(), &name.to_lowercase()), segment))
         .min_by_key(|(distance, _)| *distance)
-        // more than a third of the letters changed is another word
+        // beyond a third of the letters, the name counts as another word
         .filter(|(distance, segment)| 3 * distance <= segment.name.chars().count().max(name.chars().count()));
     let next = match nearest {
         Some((_, segment)) => format!("did you mean '{}'? Labels: {}", segment.name, listed(volume, present)),
@@ -152,7 +154,7 @@ fn missing_error(missing: &[Item], volume: &Volume, present: &[LayerLabel]) -> E
     no_voxel(&told.join(", "), volume, present)
 }
 
-/// The error about labels, in words, that no voxel has.
+/// The error for labels, given as text, that no voxel has.
 pub(crate) fn no_voxel(labels: &str, volume: &Volume, present: &[LayerLabel]) -> Error {
     Error::input(
         format!("no voxel has the label {labels}"),
@@ -161,7 +163,7 @@ pub(crate) fn no_voxel(labels: &str, volume: &Volume, present: &[LayerLabel]) ->
     )
 }
 
-/// Labels with their names.
+/// Labels with their names, as text.
 pub(crate) fn listed(volume: &Volume, present: &[LayerLabel]) -> String {
     let of = |at: &LayerLabel| {
         let layer = if volume.layer_count() > 1 { format!(" of layer {}", at.layer) } else { String::new() };
@@ -177,7 +179,7 @@ pub(crate) fn listed(volume: &Volume, present: &[LayerLabel]) -> String {
     shown.join(", ")
 }
 
-/// Letters to insert, delete or replace to make one word of the other (Levenshtein).
+/// Edit distance of two words (Levenshtein): letters to insert, delete or replace.
 fn distance(a: &str, b: &str) -> usize {
     let b: Vec<char> = b.chars().collect();
     let mut row: Vec<usize> = (0..=b.len()).collect();
@@ -225,7 +227,7 @@ mod tests {
             ("left lung", vec![2]),
             ("Left Lung, heart 1", vec![2, 3, 1]),
             ("heart", vec![3]),
-            // a name of the file comes first
+            // a name in the file takes precedence
             ("all", vec![7]),
         ] {
             assert_eq!(chosen(text).expect(text), labels, "{text}");

@@ -1,21 +1,22 @@
-//! What the surface is made of: parts and cavities, and the volume they enclose.
+//! Parts and cavities of a surface, and the volume that it encloses.
 
 use isoparticles_mesh::{TriangleMesh, components};
 use serde::Serialize;
 
-/// Parts of a closed surface.
+/// Counts of the parts of a closed surface.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct Parts {
-    /// Connected surfaces that bound a part of the object from outside.
+    /// Connected surfaces that bound a part of the object from the outside.
     pub components: usize,
     /// Connected surfaces that bound a cavity.
     pub cavities: usize,
-    /// Enclosed volume, cavities taken off, in cubic mm.
+    /// Enclosed volume without cavities, mm^3.
     pub volume: f64,
 }
 
 impl Parts {
-    /// Counts the connected surfaces of an outward-oriented mesh; those with negative volume are cavities.
+    /// Counts the connected surfaces of an outward-oriented mesh. Those with negative volume are
+    /// cavities.
     pub fn of(mesh: &TriangleMesh) -> Self {
         let (component, count) = components::of_vertices(mesh.vertices.len(), &mesh.triangles);
         let mut volume = vec![0.0; count];

@@ -1,6 +1,8 @@
-//! Sheared volumes (gantry tilt, sform with shear) are resampled to orthonormal axes before
-//! anything is measured in them. Outside the volume is background, which closes the object where
-//! the volume ends. With an open border the values of the nearest voxels continue there.
+//! Resamples sheared volumes (gantry tilt, sform with shear) to orthonormal axes before anything is
+//! measured.
+//!
+//! Outside the volume there is background, which closes the object at the volume's border. With an
+//! open border, the values of the nearest voxels continue there.
 
 use crate::materials::choice::{Choice, resolve};
 use crate::{Border, Inside};
@@ -8,7 +10,7 @@ use isoparticles_stage::cli::Context;
 use isoparticles_stage::error::Result;
 use isoparticles_volume::{LayerLabel, Shear, Volume, Voxels};
 
-/// What is made of a volume.
+/// The object to be extracted, which decides how to resample.
 #[derive(Clone, Copy)]
 pub enum Wanted<'a> {
     /// The union of labels.
@@ -19,10 +21,11 @@ pub enum Wanted<'a> {
     Iso(f64, Inside),
 }
 
-/// The volume on orthonormal axes; a warning says when it is resampled.
+/// The volume on orthonormal axes. Warns if it is resampled.
 ///
 /// # Errors
-/// When the resampled volume takes more memory than there is, and when a material is not there.
+/// When the resampled volume exceeds the available memory, and when a material is not in the
+/// volume.
 pub fn unshear(volume: Volume, wanted: Wanted<'_>, border: Border, context: &Context) -> Result<Volume> {
     let Some(shear) = Shear::of(&volume.geometry) else { return Ok(volume) };
     let [nx, ny, nz] = shear.geometry.size;
@@ -30,7 +33,7 @@ pub fn unshear(volume: Volume, wanted: Wanted<'_>, border: Border, context: &Con
         Wanted::Iso(..) => vec![4],
         _ => volume.layers().map(|voxels| voxels.scalar_type().bytes()).collect(),
     };
-    // beside the layers that are done there are two more of one of them, between the passes
+    // between the passes there are two more copies of one layer
     let bytes = layers.iter().sum::<usize>() + 2 * layers.iter().max().unwrap_or(&0);
     context.check_memory(
         shear.geometry.voxel_count() as f64 * bytes as f64,
@@ -56,7 +59,8 @@ pub fn unshear(volume: Volume, wanted: Wanted<'_>, border: Border, context: &Con
     Ok(Volume { geometry: shear.geometry, voxels: first, more_layers: layers.collect(), ..volume })
 }
 
-/// All layers; outside the volume there is the first label that is not `asked` for.
+/// Resamples all layers of a label map. Outside the volume, a closed border has the lowest label
+/// that is not `asked` for.
 fn moved(volume: &Volume, shear: &Shear, border: Border, asked: impl Fn(LayerLabel) -> bool) -> Vec<Voxels> {
     let layer = |(layer, voxels)| {
         let outside = (0..).find(|&label| !asked(LayerLabel { layer, label }));
@@ -65,9 +69,9 @@ fn moved(volume: &Volume, shear: &Shear, border: Border, asked: impl Fn(LayerLab
     volume.layers().enumerate().map(layer).collect()
 }
 
-/// A scan. Outside the volume, values of the object are mirrored at the iso value: the object ends
-/// half a voxel beyond the last centres. `None` where there is no surface; a later check refuses
-/// that.
+/// Resamples a scan. Outside the volume, a closed border mirrors the values of the object at the
+/// iso value, so that the object ends half a voxel beyond the last voxel centres. `None` if there
+/// is no surface; a later check refuses that.
 fn interpolated(voxels: &Voxels, shear: &Shear, iso: f64, inside: Inside, border: Border) -> Option<Voxels> {
     let (low, high) = voxels.range()?;
     let is_finite = low.is_finite() && high.is_finite() && voxels.nan_count() == 0;

@@ -1,4 +1,5 @@
-//! `--grid object` against `--grid volume`: the same field near the surface at the same place in the world, and only true borders of the volume count as such.
+//! `--grid object` against `--grid volume`: the field near the surface is the same at the same
+//! position in the world, and only borders of the volume count as borders.
 
 use glam::{DMat3, DVec3};
 use isoparticles_field::materials::Indicators;
@@ -10,16 +11,16 @@ use std::path::Path;
 use std::process::{Command, Output};
 use tempfile::TempDir;
 
-/// Difference of F within three voxels of the surface, in voxels: the 99th percentile, and the
-/// largest within one voxel. Nodes in the groove between the two balls are as far from one as from
-/// the other: 0.022 at one of them.
+/// Tolerances of F, in voxels (mean spacing): for the 99th percentile of the differences within
+/// three voxels of the surface, and for the maximum within one voxel. Nodes in the groove between
+/// the two balls are equally far from both; one of them differs by 0.022.
 const SAME: (f64, f64) = (0.006, 0.03);
 
 fn distfield(arguments: &[&str]) -> Output {
     Command::new(env!("CARGO_BIN_EXE_distfield")).args(arguments).output().expect("the program runs")
 }
 
-/// A volume whose axes are turned in the world and whose first voxel lies at negative places.
+/// A volume with rotated axes and negative coordinates at its first voxel.
 fn oblique(size: [usize; 3], spacing: DVec3) -> Geometry {
     let directions = DMat3::from_axis_angle(DVec3::new(1.0, 2.0, -0.5).normalize(), 0.6);
     Geometry {
@@ -30,7 +31,7 @@ fn oblique(size: [usize; 3], spacing: DVec3) -> Geometry {
     }
 }
 
-/// A folder with a volume of which each voxel has the value of a function of its place in the grid frame, in mm.
+/// A folder with a volume whose voxel values are a function of the position in the grid frame, mm.
 fn folder(geometry: &Geometry, value: impl Fn(DVec3) -> f32) -> TempDir {
     let folder = tempfile::tempdir().expect("folder");
     let image = Image::sampled(geometry.clone(), value);
@@ -55,7 +56,7 @@ fn both(folder: &Path, options: &[&str]) -> [Field; 2] {
     })
 }
 
-/// The node of the larger grid at which the first of the smaller one lies in the world.
+/// The node of the larger grid that coincides in the world with the first node of the smaller one.
 fn place_of(small: &Geometry, large: &Geometry) -> [usize; 3] {
     assert_eq!((small.spacing, small.directions, small.space), (large.spacing, large.directions, large.space));
     let at = large.grid_to_index(large.world_to_grid(small.origin));
@@ -63,7 +64,7 @@ fn place_of(small: &Geometry, large: &Geometry) -> [usize; 3] {
     at.round().to_array().map(|n| n as usize)
 }
 
-/// Fails where the fields differ near the surface, or an inside node is on the larger grid alone.
+/// Fails if the fields differ near the surface, or if the smaller grid misses an inside node.
 fn assert_same([whole, part]: &[Field; 2], what: &str) {
     let (large, small) = (&whole.image.geometry, &part.image.geometry);
     let first = place_of(small, large);
@@ -93,14 +94,14 @@ fn assert_same([whole, part]: &[Field; 2], what: &str) {
     );
 }
 
-/// Fails where the notes of the fields differ.
+/// Fails if the notes of the fields differ.
 fn assert_same_notes([whole, part]: &[Field; 2], what: &str) {
     for key in ["components", "cavities", "volume_before"] {
         assert_eq!(whole.meta[key], part.meta[key], "{what}: {key}");
     }
 }
 
-/// Two balls that grow into each other, 9 and 6 mm in radius, in a corner of a volume: below zero inside.
+/// Two intersecting balls of 9 and 6 mm radius in a corner of a volume; negative inside.
 fn two_balls(p: DVec3) -> f64 {
     let (a, b) = (DVec3::new(30.0, 31.0, 29.0), DVec3::new(39.0, 36.0, 33.0));
     (p.distance(a) - 9.0).min(p.distance(b) - 6.0)
@@ -134,13 +135,13 @@ fn the_field_of_an_object_in_a_corner_is_that_of_the_whole_volume() {
 #[test]
 fn only_true_borders_of_the_volume_cap_the_object_or_let_it_run_on() {
     let geometry = oblique([60, 70, 66], DVec3::ONE);
-    // half a ball at the lower x and the upper z border
+    // a ball cut by the low x and the high z border
     let centre = DVec3::new(0.0, 30.0, 60.0);
     let labels = folder(&geometry, |p| if p.distance(centre) < 12.3 { 1.0 } else { 0.0 });
     for border in ["cap", "open"] {
         let fields = both(labels.path(), &["--labels", "1", "--border", border]);
         assert_same(&fields, border);
-        // the planes at the same places in the world
+        // cap planes at the same positions in the world
         let planes = fields.each_ref().map(|field| {
             let planes = field.meta["cap_planes"].as_array().expect("a list").clone();
             let place = |plane: &serde_json::Value| {
@@ -154,7 +155,7 @@ fn only_true_borders_of_the_volume_cap_the_object_or_let_it_run_on() {
         assert_eq!(planes[0], planes[1], "{border}");
         assert_eq!(planes[0].len(), if border == "cap" { 2 } else { 0 }, "{border}");
     }
-    // an object that fills the rest of the volume meets all its borders
+    // an object that fills the rest of the volume touches all borders
     let [whole, part] = both(
         folder(&geometry, |p| p.distance(DVec3::splat(30.0)) as f32).path(),
         &["--iso", "12.3", "--inside", "above"],
@@ -164,7 +165,7 @@ fn only_true_borders_of_the_volume_cap_the_object_or_let_it_run_on() {
 
 #[test]
 fn noise_beyond_the_box_is_none_of_the_object_with_an_open_border() {
-    // beside the ball voxels alternate just below the iso value, where a spline overshoots
+    // around the ball, voxels alternate just below the iso value, where a spline overshoots
     let noisy = |p: DVec3| {
         let alternates = if (p.x + p.y + p.z) as i64 % 2 == 0 { 99.9 } else { -400.0 };
         if two_balls(p) < 0.0 { 300.0 } else { alternates }

@@ -1,4 +1,5 @@
-//! `--info`, and what is refused by the same judgement: labels of a scan, an iso value of labels, more memory than allowed.
+//! `--info`, and the checks based on the same judgement: labels of a scan, an iso value of labels,
+//! and more memory than allowed are refused.
 
 use isoparticles_stage::field_file::{Field, FieldKind, read_field};
 use isoparticles_tests::skip::real_volume;
@@ -27,13 +28,13 @@ fn write_nrrd(path: &Path, size: [usize; 3], value: impl Fn(f64, usize) -> i16) 
     std::fs::write(path, bytes).expect("written");
 }
 
-/// A scan: a ball of 12 mm at 100, its edge as wide as a scanner's, and noise.
+/// A scan: a ball with a scanner's edge, which has the value 100 at a radius of 12 mm, and noise.
 fn scan(radius: f64, n: usize) -> i16 {
     let noise = ((n * 7919) % 31) as f64 - 15.0;
     (200.0 / (1.0 + ((radius - 12.0) / 0.9).exp()) + noise) as i16
 }
 
-/// Labels: a ball of 3 in a shell of 2, and a speck of 9.
+/// Labels: a ball of label 3 in a shell of label 2, and one voxel of label 9.
 fn labels(radius: f64, n: usize) -> i16 {
     match radius {
         _ if n == 0 => 9,
@@ -62,14 +63,14 @@ impl Case {
         distfield(&[&files[..], options].concat())
     }
 
-    /// Runs it, to a field.
+    /// Runs the program and checks that it succeeds.
     #[track_caller]
     fn field(&self, options: &[&str]) {
         let run = self.run(options);
         assert_eq!(run.status.code(), Some(0), "{options:?}: {}", String::from_utf8_lossy(&run.stderr));
     }
 
-    /// Runs it, and checks that it is refused with these words, and nothing made.
+    /// Runs the program and checks that it fails with these words and writes no output.
     #[track_caller]
     fn refused(&self, options: &[&str], words: &[&str]) {
         let run = self.run(options);
@@ -103,13 +104,13 @@ fn info_tells_what_a_label_map_is() {
     assert!((volume / (4.0 / 3.0 * std::f64::consts::PI * 512.0) - 1.0).abs() < 0.05, "{volume}");
     assert_eq!(table[2]["parts"], serde_json::json!({ "count": 1, "largest": 1 }));
 
-    // the object that is asked for, by any kind of name
+    // the area of an object chosen by label, and a choice by range
     let ball = &case.info(&["--labels", "3"])["objects"][0];
     let area = ball["cost"]["area"].as_f64().expect("an area");
     assert!((area / (4.0 * std::f64::consts::PI * 64.0) - 1.0).abs() < 0.1, "{area}");
     assert_eq!(case.info(&["--labels", "2..5"])["objects"][0]["options"], "LABELS=2,3");
 
-    // the text, and the JSON beside it in a file
+    // the text on stdout, and the JSON in a file
     let json = case.folder.path().join("info.json");
     let input = case.input.to_str().expect("text");
     let run = distfield(&[input, "--info", "--json", json.to_str().expect("text")]);
@@ -200,7 +201,7 @@ fn nan_among_labels_is_background_and_told() {
 
 #[test]
 fn a_volume_that_is_mostly_lost_is_a_failed_check() {
-    // rods of one voxel, too near to each other to be told apart
+    // rods of one voxel, too close together to be resolved
     let rods = Case::new(|radius, n| i16::from(radius < 12.0 && n % 5 == 0 && n / 36 % 4 == 0));
     let run = rods.run(&["--labels", "1"]);
     let told = String::from_utf8_lossy(&run.stderr);
@@ -217,7 +218,7 @@ fn a_field_that_takes_more_memory_than_allowed_is_refused_with_the_figure() {
 
 #[test]
 fn every_shared_volume_is_taken_for_what_it_is() {
-    // lungs_label_big is left out: 165 million voxels
+    // lungs_label_big is left out because it has 165 million voxels
     for (name, kind) in [
         ("brain_parcellation", "labels"),
         ("frog_tissue_labels", "labels"),

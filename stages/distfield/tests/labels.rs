@@ -1,4 +1,4 @@
-//! Label maps: smoothness, volume, no voxel centre on the wrong side, thin parts.
+//! Label maps: smoothness, volume, sides of voxel centres, thin parts.
 
 mod support;
 
@@ -27,7 +27,7 @@ fn extract(mask: &Image<bool>) -> Redistanced {
     result
 }
 
-/// Root-mean-square error of the radius along rays, and relative error of the volume.
+/// Root-mean-square error of the radius along rays (mm), and relative error of the volume.
 fn ball_errors(radius: f64, spacing: DVec3) -> (f64, f64) {
     let size = ((2.0 * radius + 4.0 * spacing.max_element()) / spacing).ceil();
     let centre = (0.5 * size + DVec3::new(0.13, -0.21, 0.37)) * spacing;
@@ -71,7 +71,7 @@ fn thick_slices_are_smoothed_as_well() {
     assert!(volume.abs() < 0.005, "volume off by {volume}");
 }
 
-/// Thickness of F < 0 along a direction through a point (index position of the mask), in voxels.
+/// Thickness of F < 0 along a direction through a point (index position in the mask), in voxels.
 fn thickness(result: &Redistanced, index: DVec3, direction: DVec3) -> f64 {
     let spline = CubicSpline::new(&result.field);
     let geometry = &result.field.geometry;
@@ -115,7 +115,7 @@ fn parts_one_voxel_thin_keep_their_components_their_genus_and_half_a_voxel() {
         let found = topology(&ring.field);
         assert_eq!((found.components.len(), found.components[0].genus), (1, Some(1)));
 
-        // two blocks with a gap of one voxel stay apart by half a voxel
+        // two blocks one voxel apart keep a gap of more than half a voxel
         let blocks = extract(&sampled(size, spacing, |p| {
             let i = index(p);
             (4.0..=15.0).contains(&i.y) && (4.0..=15.0).contains(&i.z) && (3.0..=15.0).contains(&i.x) && i.x != 9.0
@@ -168,7 +168,7 @@ fn parts_that_touch_at_a_corner_are_apart() {
     assert_eq!(extract(&mask).parts_after.components, 2);
 }
 
-/// Relative error of the volume of F.
+/// Relative error of the volume of F against that of the voxels.
 fn swelling(mask: &Image<bool>) -> f64 {
     let voxels = mask.data.iter().filter(|inside| **inside).count() as f64;
     extract(mask).parts_after.volume / (voxels * mask.geometry.spacing.element_product()) - 1.0
@@ -200,8 +200,8 @@ fn thin_layers_and_rods_keep_their_volume() {
     }
 }
 
-/// Where F vanishes along a line through a point (index position of the mask), in voxels from
-/// there.
+/// Position of the zero of F on a line through a point (index position in the mask), in voxels from
+/// the point.
 fn crossing(result: &Redistanced, index: DVec3, direction: DVec3) -> f64 {
     let spline = CubicSpline::new(&result.field);
     let at =
@@ -223,20 +223,20 @@ fn flat_faces_and_caps_stay_flat() {
     };
     let cylinder =
         extract(&sampled([32, 32, 40], DVec3::ONE, |p| (p.truncate() - glam::DVec2::splat(15.5)).length() < 12.0));
-    // over a square of the face at the lower end of z
+    // maximum over a square of the face at the low end of z
     let largest = |result: &Redistanced, [first, last]: [i32; 2], z: f64| {
         let places =
             (first..=last).flat_map(|x| (first..=last).map(move |y| DVec3::new(f64::from(x), f64::from(y), z)));
         places.map(|place| crossing(result, place, DVec3::Z).abs()).fold(0.0, f64::max)
     };
-    // the nearest places are 5.5 and 10.5 voxels from the edges
+    // the positions nearest to the edges are 5.5 and 10.5 voxels from them
     let faces = [largest(&cube(20.0), [12, 21], 6.5), largest(&cube(40.0), [17, 36], 6.5)];
     let cap = largest(&cylinder, [12, 21], -0.5);
     println!("largest distance from half-way, voxels: faces {:.3} {:.3}, cap {cap:.3}", faces[0], faces[1]);
     assert!(faces[0] < 0.07 && faces[1] < 0.05 && cap < 0.02, "{faces:?} {cap}");
 }
 
-/// A ball, a smaller one, and specks of one voxel, one of which touches the large ball across an edge.
+/// A ball, a smaller ball, and two single voxels.
 #[test]
 fn small_parts_are_dropped_and_told() {
     let mask = sampled([30, 20, 20], DVec3::ONE, |p| {
@@ -245,7 +245,7 @@ fn small_parts_are_dropped_and_told() {
     });
     let volume =
         |x: f64| mask.data.iter().enumerate().filter(|&(n, &m)| m && ((n % 30) as f64 - x).abs() < 6.5).count();
-    // less a speck each
+    // without one single voxel each
     let (large, small) = (volume(8.0) as f64 - 1.0, volume(22.0) as f64 - 1.0);
     assert!(large > 800.0 && (100.0..200.0).contains(&small));
     for (keep, components, gone) in [
@@ -258,7 +258,7 @@ fn small_parts_are_dropped_and_told() {
         let result = from_labels(&mask, &options, &Context::silent("distfield")).expect("a surface");
         assert_eq!((result.parts_before.components, result.parts_after.components), (components, components), "{keep}");
         assert_eq!((result.dropped.components, result.dropped.volume), (4 - components, gone), "{keep}");
-        // where nothing was dropped every voxel keeps its side
+        // voxels of parts that were not dropped keep their side
         let inside = result.field.data.iter().filter(|f| **f < 0.0).count();
         assert_eq!(inside + gone as usize, mask.data.iter().filter(|m| **m).count(), "{keep}");
         assert_eq!(result.dropped.nodes.as_ref().map_or(0, |nodes| nodes.count()), gone as usize);

@@ -1,4 +1,5 @@
-//! Many materials: every voxel centre keeps its own, whatever touches; materials touch where their voxels do; areas and volumes; the file and the program.
+//! Many materials: voxel centres keep their material, materials touch where their voxels do, areas
+//! and volumes, scales, the output file and the program.
 
 mod support;
 
@@ -52,7 +53,8 @@ fn volume(size: [usize; 3], label: impl Fn([usize; 3]) -> u8) -> Volume {
 }
 
 impl Made {
-    /// Every indicator known at a node is negative where the node is its own and nowhere else, by the clearance; the survey says the same.
+    /// Checks that every indicator known at a node is negative exactly at its own nodes, by the
+    /// clearance, and that the survey agrees.
     fn keeps_every_voxel(&self, what: &str) {
         let materials = &self.extracted.materials;
         let geometry = materials.geometry();
@@ -61,7 +63,7 @@ impl Made {
         for n in 0..geometry.voxel_count() {
             let node = [n % nx, n / nx % ny, n / (nx * ny)];
             let own = self.grid.at(node);
-            // beyond an open border interfaces go on straight, and the nodes there have no labels
+            // beyond an open border interfaces continue straight, and nodes there have no labels
             let is_voxel = (0..3).all(|a| (MARGIN..geometry.size[a] - MARGIN).contains(&node[a]));
             if self.grid.border == Border::Open && !is_voxel {
                 continue;
@@ -77,7 +79,7 @@ impl Made {
         assert!(self.survey.changed.iter().all(|&count| count == 0), "{what}");
         for (tally, material) in self.extracted.tallies.iter().zip(materials.table()) {
             assert_eq!(tally.changed, 0, "{what}: {material:?}");
-            // where every cell is ambiguous, parts are a matter of rounding
+            // where every cell is ambiguous, rounding decides the number of parts
             if ["checkerboard", "noise", "brain"].iter().any(|hard| what.contains(hard)) {
                 continue;
             }
@@ -90,8 +92,10 @@ impl Made {
         }
     }
 
-    /// At the middles of edges, faces and cells of the grid none comes first that no corner has, and on edges none before either of the two. Counts the edges between two materials, those of them near which a third is
-    /// known, faces whose corners differ along all four edges, and those of them at which it is a matter of less than a tenth of a voxel which diagonal touches.
+    /// Checks the middles of grid edges, faces and cells: the first material must be that of a
+    /// corner, and on edges the first two must be those of both ends. Returns counts: edges between
+    /// two materials; those with a third material known nearby; faces whose corners differ along
+    /// all four edges; those whose diagonals differ by less than 0.1 voxel.
     fn keeps_contacts(&self, what: &str) -> [usize; 4] {
         let materials = &self.extracted.materials;
         let geometry = materials.geometry();
@@ -135,7 +139,7 @@ impl Made {
         }
         let Contacts { left, near, .. } = self.extracted.contacts;
         assert!(wrong <= left && near >= counts[3], "{what}: {wrong}, {left} left, {near} near, {counts:?}");
-        // at random labels a few places are left, and told
+        // with random labels a few places remain, and are reported
         assert!(left == 0 || what.contains("noise") && left < 10, "{what}: {left} left");
         counts
     }
@@ -196,7 +200,7 @@ fn every_voxel_centre_keeps_its_material_whatever_touches() {
             let made = make(volume([12; 3], &label), border);
             made.keeps_every_voxel(&format!("{what}, {border:?}"));
             let [_, _, open, narrow] = made.keeps_contacts(what);
-            // in a checkerboard every raise calls for others
+            // in a checkerboard every raise makes others necessary
             let most = if what == "a checkerboard" { open / 3 } else { open / 20 };
             assert!(narrow <= most, "{what}: {narrow} of {open}");
             if what == "two that alternate" {
@@ -205,7 +209,7 @@ fn every_voxel_centre_keeps_its_material_whatever_touches() {
             if what == "eight in a block" {
                 assert!(made.survey.junctions.edges_of_four >= 24 && made.survey.junctions.corners >= 7);
             }
-            // what one gives another takes
+            // the volumes add up: one material loses what another gains
             let voxel = made.grid.geometry.spacing.element_product();
             let sum: f64 = made.survey.volumes.iter().sum();
             assert!((sum / (1728.0 * voxel) - 1.0).abs() < 1e-9, "{what}: {sum}");
@@ -221,7 +225,7 @@ fn a_thin_layer_stays() {
         _ => 3,
     };
     let made = make(volume([14; 3], layer), Border::Open);
-    // 0.6 voxel thick at least, over the whole layer
+    // at least 0.6 voxel thick over the whole layer
     let thin = 14.0 * 14.0 * 1.0 * 0.8 * 0.6 * 1.3;
     assert!(made.survey.volumes[2] > thin, "{} of {thin}", made.survey.volumes[2]);
     let pairs: Vec<_> = made.survey.interfaces.iter().map(|pair| pair.materials.map(|id| id.0)).collect();
@@ -231,7 +235,7 @@ fn a_thin_layer_stays() {
     }
 }
 
-/// The error of areas and volumes of two nested balls at a spacing, as shares.
+/// Relative errors of the areas and volumes of two nested balls at a spacing (mm).
 fn nested_errors(spacing: f64) -> (f64, f64) {
     let nodes = (24.0 / spacing) as usize + 1;
     let geometry = Geometry::axis_aligned([nodes; 3], DVec3::splat(spacing));
@@ -256,7 +260,8 @@ fn areas_and_volumes_converge() {
     assert!(coarse.1 < 0.02 && fine.1 < 0.001, "volumes {coarse:?} {fine:?}");
 }
 
-/// A ball of three sectors, 1 to 3, round the z axis in an outside, and a speck, 4, away from it.
+/// A ball of three sectors, 1 to 3, around the z axis, in the outside; and a block of eight voxels,
+/// 4, apart from it.
 fn sectors(size: usize, radius: f64) -> Volume {
     let centre = 0.5 * (size as f64 - 1.0) + 0.13;
     volume([size; 3], |at| {
@@ -282,11 +287,11 @@ fn a_scale_keeps_the_volumes_of_all_and_smooths_their_borders() {
         assert!(change.abs() < 0.025, "{id}: {change}");
         assert!(made.extracted.tallies[id].changes.as_ref().is_some_and(|changes| changes.voxels_changed > 0));
     }
-    // the speck is gone, and its place is the outside's
+    // the small block is gone, and the outside has its place
     assert_eq!((made.survey.volumes[4], kept.extracted.tallies[4].voxels), (0.0, 8));
     assert!(made.extracted.tallies[4].changes.is_none());
-    // the border of the ball has the normals of a ball, where the voxels' steps show without a scale; the edges of the sectors are rounded, which the
-    // places next to them make up for
+    // With the scale, the border of the ball has the normals of a ball; without it, voxel steps
+    // show. The edges of the sectors are rounded, and the places next to them compensate.
     let rough = |made: &Made| {
         let materials = &made.extracted.materials;
         let centre = materials.geometry().index_to_grid(DVec3::splat(0.5 * 39.0 + 0.13 + MARGIN as f64));
@@ -311,7 +316,7 @@ fn a_scale_keeps_the_volumes_of_all_and_smooths_their_borders() {
     let ball = volume([40; 3], |[i, j, k]| u8::from(labels[(k * 40 + j) * 40 + i] > 0.0));
     let [smooth, stepped, one] = [&made, &kept, &scaled(ball, 5.0)].map(rough);
     assert!(smooth < 0.6 * stepped && smooth < 2.0 * one, "{smooth} {stepped} {one}");
-    // the three meet on the axis all the same
+    // the three sectors still meet on the axis
     let materials = &made.extracted.materials;
     let axis = materials.geometry().index_to_grid(DVec3::splat(0.5 * 39.0 + 0.13 + MARGIN as f64));
     let own = [1, 2, 3].map(MaterialId);
@@ -323,7 +328,8 @@ fn a_scale_keeps_the_volumes_of_all_and_smooths_their_borders() {
 
 #[test]
 fn a_scale_leaves_materials_their_places_however_far_the_outside_is() {
-    // the outside in one corner, and slabs across the rest: two materials, far from it, meet the border of the volume
+    // the outside in one corner, and slabs across the rest: two materials far from the outside
+    // touch the border of the volume
     let slabs = volume([48, 16, 16], |[i, j, k]| if i < 8 && j < 8 && k < 8 { 0 } else { 1 + (i / 16) as u8 });
     let made = scaled(slabs, 3.0);
     for id in 0..4 {
@@ -337,7 +343,7 @@ fn lost_parts_of_each_material_are_warned_of_with_their_volume() {
     let folder = tempfile::tempdir().expect("folder");
     let at = |name: &str| folder.path().join(name).to_str().expect("text").to_owned();
     let (input, output, report) = (at("in.nrrd"), at("out.vti"), at("report.json"));
-    // two blocks, with four and 24 voxels of theirs on their own
+    // two blocks, with 4 and 24 separate voxels of the same labels
     let size = [60, 30, 30];
     let is_in = |at: usize, low: usize, high: usize| (low..high).contains(&at);
     let labels = (0..60 * 30 * 30).map(|n: usize| {
@@ -422,7 +428,7 @@ fn one_material_at_a_scale_is_what_one_object_is() {
 
 #[test]
 fn pieces_of_real_volumes_keep_every_voxel() {
-    // where many labels meet; the whole volumes take minutes
+    // pieces where many labels meet; the whole volumes take minutes
     let mut decided_by_little = 0;
     for (name, first, least) in
         [("thorax_labels.nrrd", [110, 90, 80], 3), ("brain_parcellation.nrrd", [70, 110, 110], 12)]
@@ -498,7 +504,7 @@ fn the_program_writes_a_file_that_is_read_back_on_any_number_of_threads() {
     assert_eq!(names, ["outside", "left", "right", "rest"]);
     assert_eq!((&file.meta["version"], &file.meta["border"]), (&json!(1), &json!("cap")));
     assert_eq!(file.history.expect("history").inputs.len(), 1);
-    // what the nodes are shown with is what the indicators say
+    // the displayed material of the nodes agrees with the indicators
     let shown = read_volume(Path::new(&output)).expect("the active scalars");
     let numbers = shown.voxels.to_f32();
     let [nx, ny, _] = shown.geometry.size;
@@ -513,11 +519,11 @@ fn the_program_writes_a_file_that_is_read_back_on_any_number_of_threads() {
     assert!(file.materials.clearance(p, &own) > 0.0);
     assert!((p.x - 12.5).abs() < 0.3 && (p.distance(DVec3::splat(12.6)) - 5.0).abs() < 0.5, "{p}");
 
-    // a stage that takes one object
+    // a reader for one object refuses the file
     let error = read_field(Path::new(&output), FieldKind::Distance).expect_err("many materials");
     assert!(error.what.contains("many materials") && error.next.contains("--labels"), "{error}");
 
-    // damaged at any place, it is refused or read, without a panic
+    // a damaged file is refused or read, without a panic
     let whole = std::fs::read(&output).expect("bytes");
     let damaged = PathBuf::from(at("damaged.vti"));
     for n in 0..120u64 {
@@ -525,7 +531,7 @@ fn the_program_writes_a_file_that_is_read_back_on_any_number_of_threads() {
         if n % 3 == 0 {
             bytes.truncate((uniform(7, 0, n) * whole.len() as f64) as usize);
         } else {
-            // the head says most
+            // most fields are in the header
             let reach = if n % 3 == 1 { whole.len().min(12_000) } else { whole.len() };
             let at = (uniform(7, 1, n) * reach as f64) as usize;
             bytes[at] = (uniform(7, 2, n) * 256.0) as u8;

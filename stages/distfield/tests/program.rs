@@ -1,4 +1,5 @@
-//! The program: files in and out, exit codes, bad input, real volumes where they are found.
+//! The program: input and output files, exit codes, bad input, and real volumes if they are
+//! available.
 
 use isoparticles_stage::field_file::{FieldKind, read_field};
 use isoparticles_tests::skip::real_volume;
@@ -48,7 +49,7 @@ fn a_volume_becomes_a_field_with_its_story() {
     assert!(field.meta["cap_planes"].as_array().is_some_and(Vec::is_empty), "the ball meets no face");
     assert_eq!(field.history.expect("history").inputs.len(), 1);
 
-    // the same bytes with another number of threads; an existing output is kept without --force
+    // The same bytes with another number of threads. An existing output is kept without --force.
     let first = std::fs::read(output).expect("bytes");
     assert_eq!(distfield(&[input, "-o", output, "--iso", "6"]).status.code(), Some(2));
     assert_eq!(distfield(&[input, "-o", output, "--iso", "6", "--threads", "2", "--force"]).status.code(), Some(0));
@@ -59,7 +60,7 @@ fn a_volume_becomes_a_field_with_its_story() {
 fn labels_come_to_the_same_bytes_on_any_number_of_threads() {
     let folder = tempfile::tempdir().expect("folder");
     let input = folder.path().join("in.nrrd");
-    // a ball with a speck beside it, on more nodes than one thread takes at a time
+    // a ball and a separate voxel, on more nodes than one task takes
     let ball = |n: [usize; 3]| n.map(|n| (n as f32 - 19.3).powi(2)).iter().sum::<f32>() < 196.0;
     write_nrrd(&input, [40, 40, 40], |i, j, k| f32::from(u8::from(ball([i, j, k]) || [i, j, k] == [36, 36, 36])));
     let fields = ["1", "2", "3"].map(|threads| {
@@ -95,7 +96,7 @@ fn a_scale_of_nothing_changes_nothing_and_a_chosen_one_says_why() {
         (&["--scale", "5"][..], 5.0, 5.0),
         (&["--scale-for-size", "4"], 6.4, 6.4),
         (&["--quality", "coarse"], 2.4, 2.4),
-        // six faces of 21 x 21, with rounded edges
+        // six faces of 21 x 21 mm, with rounded edges
         (&["--scale-for-vertices", "200"], 5.5, 6.3),
     ] {
         let (field, said) = run(options);
@@ -182,7 +183,7 @@ fn bad_input_ends_with_code_2_a_message_in_three_parts_and_no_output() {
 
 #[test]
 fn real_volumes_keep_their_zero_set_and_parts() {
-    // the parts of noisy volumes hang together by threads finer than the grid
+    // parts of noisy volumes are connected by threads finer than the grid
     for (name, option, value, is_plain) in [
         ("tooth_ct.nrrd", "--iso", "600", true),
         ("tooth_ct.nrrd", "--iso", "1000", true),

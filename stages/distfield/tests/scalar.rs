@@ -1,4 +1,5 @@
-//! Scalar volumes against analytic truth: distance, zero set, slope, border, iso values that voxels take.
+//! Scalar volumes against analytic truth: distance, zero set, slope, border, and voxels equal to
+//! the iso value.
 
 mod support;
 
@@ -19,7 +20,8 @@ fn extract(image: &Image<f32>, iso: f64, border: Border) -> Redistanced {
     from_scalar(image.clone(), iso, &options, &Context::silent("distfield")).expect("a surface")
 }
 
-/// Largest error of F in the band of 2.5 voxels and anywhere, in voxels; `distance` is the truth on the input's grid frame.
+/// Maximum error of F within 2.5 voxels of the surface and anywhere, in voxels. `distance` is the
+/// true distance in the grid frame of the input.
 fn distance_errors(result: &Redistanced, distance: impl Fn(DVec3) -> f64) -> (f64, f64) {
     let geometry = &result.field.geometry;
     let shift = geometry.spacing * MARGIN as f64;
@@ -35,12 +37,12 @@ fn distance_errors(result: &Redistanced, distance: impl Fn(DVec3) -> f64) -> (f6
 fn a_ball_has_exact_distances_and_slope_one() {
     let spacing = DVec3::new(0.8, 1.0, 0.9);
     let centre = DVec3::new(12.3, 12.1, 12.6);
-    // a quadratic, which the spline reproduces; far from a distance
+    // a quadratic function, which the spline reproduces and which is not a distance
     let image = sampled([31, 25, 29], spacing, |p| (100.0 - (p - centre).length_squared()) as f32);
     let result = extract(&image, 36.0, Border::Cap);
     let (band, all) = distance_errors(&result, |p| p.distance(centre) - 8.0);
     println!("ball: band error {band:.5}, largest {all:.3} voxel, {:?}", result.shift);
-    // measured 0.010
+    // measured anywhere: 0.010
     assert!(band < 0.002, "band error {band}");
     assert!(all < 0.02, "largest error {all}");
     assert!(result.shift.mean < 1e-3 && result.shift.p99 < 2e-3, "{:?}", result.shift);
@@ -74,16 +76,16 @@ fn an_ellipsoid_and_a_torus_have_exact_distances() {
     let image = sampled([33, 33, 19], DVec3::ONE, |p| (20.0 - to_tube(p).powi(2)) as f32);
     let result = extract(&image, 4.0, Border::Cap);
     let (band, _) = distance_errors(&result, |p| {
-        // nodes near the tube's own centre line are on the medial axis
+        // nodes near the centre line of the tube are on the medial axis
         let d = to_tube(p) - 4.0;
         if d < -2.0 { f64::INFINITY } else { d }
     });
-    // measured 0.012: the torus is no polynomial, so the input's spline is not quite a torus
+    // measured 0.012: a torus is no polynomial, so the input's spline is not exactly a torus
     assert!(band < 0.015, "torus: band error {band}");
     assert_eq!(topology(&result.field).components[0].genus, Some(1));
 }
 
-/// Signed distance to an ellipsoid: bisection on the Lagrange multiplier of the closest point.
+/// Signed distance to an ellipsoid: bisection for the Lagrange multiplier of the closest point.
 fn ellipsoid_distance(p: DVec3, axes: DVec3) -> f64 {
     let q = p.abs().max(DVec3::splat(1e-9));
     let at = |t: f64| q * axes * axes / (axes * axes + DVec3::splat(t));
@@ -110,9 +112,11 @@ fn a_gyroid_through_the_border_keeps_its_zero_set() {
     for border in [Border::Cap, Border::Open] {
         let image = sampled([30, 30, 30], DVec3::ONE, f);
         let result = extract(&image, 0.0, border);
-        // Measured 0.0029 and 0.030 where cut, 0.0019 and 0.034 where not. The edges of the cap are rounded by half a voxel, which no
-        // spline on this grid carries: the shift of the cut one is 0.017 before the fit, 0.0026 at best (after 110 of its steps), and 0.018 where
-        // 640 steps take F to 0.0003 at the samples, as between them new sheets appear. It all lies within a voxel of the cap.
+        // Mean and 99th percentile measured: 0.0029 and 0.030 with the cap, 0.0019 and 0.034
+        // without. The edges of the cap are rounded by half a voxel, which no spline on this grid
+        // can represent. The mean with the cap is 0.017 before the fit and 0.0026 at best, after
+        // 110 steps. It is 0.018 after 640 steps, when F at the samples is 0.0003 but new surfaces
+        // appear between them. All of this lies within a voxel of the cap.
         assert!(result.shift.mean < 0.005 && result.shift.p99 < 0.05, "{border:?}: {:?}", result.shift);
         let inner = shift_within(&result, &image, 1.0);
         println!("gyroid, {border:?}: {:?}, {inner:?} 1.5 voxels from the border", result.shift);
@@ -122,8 +126,8 @@ fn a_gyroid_through_the_border_keeps_its_zero_set() {
     }
 }
 
-/// Mean and 99th percentile of how far (voxels) the zero set of F lies from that of the image's spline, at least `inset` voxels within the
-/// outermost voxel centres.
+/// Mean and 99th percentile of the distance, in voxels, from the zero set of F to that of the
+/// image's spline, at least `inset` voxels inside the outermost voxel centres.
 fn shift_within(result: &Redistanced, image: &Image<f32>, inset: f64) -> (f64, f64) {
     let (own, source) = (CubicSpline::new(&result.field), CubicSpline::new(image));
     let margin = image.geometry.spacing * MARGIN as f64;
@@ -166,12 +170,13 @@ fn a_cylinder_is_closed_at_the_border() {
     assert!(found.is_closed_manifold());
     assert_eq!(found.components.len(), 1);
     assert_eq!(found.components[0].genus, Some(0));
-    // radius 6, height 20 (caps half a voxel beyond the outermost centres), less the fillets of radius 0.5
+    // radius 6, height 20 (caps half a voxel beyond the outermost centres), minus fillets of radius
+    // 0.5
     let fillet = (1.0 - std::f64::consts::FRAC_PI_4) * 0.25 * 2.0 * std::f64::consts::PI * 6.0;
     let truth = std::f64::consts::PI * 36.0 * 20.0 - 2.0 * fillet;
     let found = volume(&result.field);
     assert!((found / truth - 1.0).abs() < 0.015, "volume {found}, should be {truth}");
-    // between voxel centres the side is where it was
+    // between voxel centres the side surface is unchanged
     let spline = CubicSpline::new(&result.field);
     for n in 0..200 {
         let angle = f64::from(n) * 0.1;
@@ -185,7 +190,7 @@ fn a_cylinder_is_closed_at_the_border() {
 
 #[test]
 fn an_iso_value_that_voxels_take_simply_works() {
-    // whole numbers, with many voxels exactly at the iso value
+    // integer values, many of them equal to the iso value
     let image = sampled([21, 21, 21], DVec3::ONE, |p| (20.0 - (p - DVec3::splat(10.0)).length()).round() as f32);
     assert!(image.data.iter().filter(|v| **v == 13.0).count() > 300);
     let result = extract(&image, 13.0, Border::Cap);
@@ -236,11 +241,11 @@ fn a_part_that_is_dropped_leaves_the_distance_of_the_other() {
     assert!((result.dropped.volume / volume - 1.0).abs() < 0.1, "{:?}", result.dropped.volume);
     let (band, all) = distance_errors(&result, |p| p.distance(left) - 6.0);
     println!("the ball that stays: band error {band:.4}, largest {all:.3} voxel");
-    // the spline rings a little where the two distances meet and at the tip of the cone
+    // the spline rings slightly where the two distances meet and at the tip of the cone
     assert!(band < 0.02 && all < 0.1, "band error {band}, largest {all}");
 }
 
-/// A power of two costs no digits, so that all is the same to the last bit.
+/// Units that are powers of two lose no digits, so that the results agree to the last bit.
 #[test]
 fn the_unit_of_the_voxels_does_not_matter() {
     let image = sampled([24, 24, 24], DVec3::ONE, |p| (8.0 - p.distance(DVec3::new(11.3, 11.9, 11.6))) as f32);
@@ -253,23 +258,23 @@ fn the_unit_of_the_voxels_does_not_matter() {
     }
 }
 
-/// A shape with its truth.
+/// A shape with its exact distances.
 struct Shape<'a> {
     name: &'a str,
     size: usize,
-    /// Signed distance, voxels; not a number where it is not known.
+    /// Signed distance, voxels; NaN where it is not known.
     distance: &'a dyn Fn(DVec3) -> f64,
     /// Distance to the medial axis, voxels.
     axis: &'a dyn Fn(DVec3) -> f64,
 }
 
-/// An edge like a scanner's.
+/// The value of an edge with a scanner's width at a distance (voxels) from it.
 fn edge(distance: f64) -> f32 {
     (0.5 - 0.5 * (distance / 2.0).tanh()) as f32
 }
 
-/// Distances everywhere, and the slope of the spline at the nodes and between them, four voxels off the medial axis: nearer, the
-/// spline rounds the kink.
+/// Checks the distances everywhere, and the slope of the spline at the nodes and between them, at
+/// least four voxels from the medial axis. Nearer to it, the spline rounds the kink.
 fn check_far_field(shape: &Shape, image: &Image<f32>, iso: f64, border: Border) {
     let Shape { name, size, distance, axis } = *shape;
     let result = extract(image, iso, border);
@@ -277,7 +282,7 @@ fn check_far_field(shape: &Shape, image: &Image<f32>, iso: f64, border: Border) 
     let margin = DVec3::splat(MARGIN as f64);
     let (mut band, mut all, mut slope, mut checked) = (0.0f64, 0.0f64, 0.0f64, 0);
     for node in positions(&image.geometry) {
-        // the spline is mirrored at the border of F, and so rings within three voxels of it
+        // the spline is mirrored at the border of F, and rings within three voxels of it
         let is_inner = node.min_element() >= 0.0 && node.max_element() <= size as f64 - 2.0;
         for p in [node, node + DVec3::new(0.5, 0.31, 0.44)] {
             let truth = distance(p);
@@ -294,7 +299,7 @@ fn check_far_field(shape: &Shape, image: &Image<f32>, iso: f64, border: Border) 
     }
     println!("{name}: band error {band:.4}, largest {all:.4} voxel, slope off by {slope:.4}, {:?}", result.shift);
     assert!(checked > 10_000, "{name}: {checked} places");
-    // measured: 0.0043, 0.014 and 0.018 at most
+    // measured maxima: 0.0043, 0.014 and 0.018
     assert!(band < 0.01 && all < 0.02, "{name}: band error {band}, largest {all}");
     assert!(slope < 0.02, "{name}: slope off by {slope}");
     assert!(result.shift.mean < 0.002, "{name}: {:?}", result.shift);
@@ -328,14 +333,15 @@ fn an_ellipsoid_has_slope_one_off_the_medial_axis() {
     let centre = DVec3::new(31.7, 31.4, 31.6);
     let axes = DVec3::new(27.0, 21.0, 16.0);
     let distance = |p: DVec3| ellipsoid_distance(p - centre, axes);
-    // the inner medial axis is an ellipse in the plane of the two longer axes, as far as the focal points
+    // The inner medial axis is an ellipse in the plane of the two longer axes; its semi-axes end at
+    // focal points.
     let disc = DVec3::new(axes.x - axes.z.powi(2) / axes.x, axes.y - axes.z.powi(2) / axes.y, 1e-4);
     let axis = |p: DVec3| ellipsoid_distance(p - centre, disc).abs();
     let image = sampled([64; 3], DVec3::ONE, |p| edge(distance(p)));
     check_far_field(&Shape { name: "ellipsoid", size: 64, distance: &distance, axis: &axis }, &image, 0.5, Border::Cap);
 }
 
-/// Wave number of the coarse gyroid, per voxel; its curvature is that at most.
+/// Wave number of the coarse gyroid, per voxel; also the maximum of its curvature.
 const WAVE: f64 = 0.05;
 
 /// A gyroid, positive inside, and its gradient.
@@ -345,7 +351,7 @@ fn gyroid(p: DVec3) -> (f64, DVec3) {
     (sx * cy + sy * cz + sz * cx, gradient)
 }
 
-/// The point of the gyroid near a place: Newton's method along the gradient.
+/// The point of the gyroid near a position, by Newton's method along the gradient.
 fn onto_gyroid(mut p: DVec3) -> DVec3 {
     for _ in 0..6 {
         let (value, gradient) = gyroid(p);
@@ -354,11 +360,13 @@ fn onto_gyroid(mut p: DVec3) -> DVec3 {
     p
 }
 
-/// Signed distance to the gyroid; not a number beyond `farthest` voxels, or where the foot is not well within the volume: the input's
-/// spline is mirrored at its border, as the gyroid is not, and its zero set differs there.
+/// Signed distance to the gyroid, voxels. NaN beyond `farthest` voxels, and where the foot is not
+/// well within the volume: the input's spline is mirrored at its border, and its zero set differs
+/// there.
 fn gyroid_distance(node: DVec3, farthest: f64) -> f64 {
     let mut foot = onto_gyroid(node);
-    // slides along tangent planes; each step shrinks what is left at least by the height over the radius of curvature
+    // Moves along tangent planes. Each step reduces the error at least by the factor height /
+    // radius of curvature.
     for _ in 0..60 {
         let normal = gyroid(foot).1.normalize();
         let way = node - foot;
@@ -371,7 +379,8 @@ fn gyroid_distance(node: DVec3, farthest: f64) -> f64 {
 
 #[test]
 fn a_gyroid_has_slope_one_off_the_medial_axis() {
-    // up to here a foot is five voxels or more from a focal point, and the two sides of a channel are farther apart
+    // within this distance a foot is at least five voxels from a focal point, and the two sides of
+    // a channel are farther apart
     let distance = |node: DVec3| gyroid_distance(node, 1.0 / WAVE - 5.0);
     let image = sampled([64; 3], DVec3::ONE, |p| gyroid(p).0 as f32);
     let shape = Shape { name: "gyroid", size: 64, distance: &distance, axis: &|_| f64::INFINITY };

@@ -1,4 +1,5 @@
-//! `--scale` against analytic truth: what is large keeps its place and volume, what is small goes and is named.
+//! `--scale` against analytic truth: large parts keep their position and volume, small parts vanish
+//! and are reported.
 
 mod support;
 
@@ -20,7 +21,7 @@ fn smoothed(inside: &Image<bool>, length: f64, keep_thin: bool) -> Scaled {
     scaled(occupancy, Scale { length, keep_thin }, Grid::Volume).expect("few parts").expect("something is left")
 }
 
-/// Negative inside, as F is.
+/// The level set with the sign of F: negative inside.
 fn field(scaled: &Scaled) -> Image<f32> {
     Image { data: scaled.level.data.iter().map(|value| -value).collect(), geometry: scaled.level.geometry.clone() }
 }
@@ -33,15 +34,16 @@ fn a_ball_keeps_its_radius_on_any_spacing() {
     for length in [3.0, 8.0, 14.0] {
         let found = smoothed(&inside, length, false);
         let ratio = (volume(&field(&found)) / found.changes.volume_before).cbrt();
-        // a plain Gaussian at one half would take off 2 %, 6 % at the largest
+        // a Gaussian at level 1/2 shrinks the radius by (sigma / radius)^2 to first order: 1, 7 and
+        // 22 %
         assert!((ratio - 1.0).abs() < 0.004, "scale {length}: {ratio} of the radius");
-        // and it is as far out everywhere
+        // the radius is right in all directions
         let level = |share: f64, way: DVec3| trilinear(&found.level, centre + share * radius * way);
         assert!(directions(500).all(|way| level(0.96, way) > 0.0 && level(1.04, way) < 0.0), "scale {length}");
         assert_eq!(found.changes.components, [1, 1]);
         assert_eq!(found.changes.euler, [1, 1]);
         assert!(found.changes.events.is_empty(), "{:?}", found.changes.events);
-        // only voxels whose faces are the surface change side
+        // only voxels at the surface change side
         assert!(found.changes.depth.max < 1.1, "{:?}", found.changes.depth);
     }
 }
@@ -51,7 +53,8 @@ fn a_plane_stays_where_the_volume_cuts_it() {
     let inside = sampled([30, 26, 28], DVec3::new(1.0, 1.2, 0.9), |p| p.z < 12.0);
     let found = smoothed(&inside, 7.0, false);
     assert_eq!(found.changes.voxels_changed, 0);
-    // the level is the same all over each plane, at the faces of the volume as in the middle, and zero halfway between two voxel centres
+    // the level is constant on each plane, also at the faces of the volume, and zero halfway
+    // between two voxel centres
     for (k, slice) in found.level.data.chunks(30 * 26).enumerate() {
         assert!(slice.iter().all(|value| (value - slice[0]).abs() < 2e-5), "slice {k}");
     }
@@ -106,7 +109,8 @@ fn thin_parts_stay_where_they_are_to_be_kept() {
     let kept = smoothed(&inside, 9.0, true);
     assert_eq!(kept.changes.components, [2, 2]);
     assert_eq!(topology(&field(&kept)).components.len(), 2);
-    // four fifths of its volume at least, by the count of voxels: its ends are rounded (measured: 473 of 567)
+    // At least four fifths of the volume by voxel count, since the ends are rounded (measured: 473
+    // of 567).
     let rod = |holds: &dyn Fn(usize) -> bool| (0..inside.data.len()).filter(|&n| n % 64 > 26 && holds(n)).count();
     let (before, after) = (rod(&|n| inside.data[n]), rod(&|n| kept.level.data[n] > 0.0));
     assert!(after.abs_diff(before) * 5 < before, "{before} voxels before, {after} after");
@@ -116,7 +120,7 @@ fn thin_parts_stay_where_they_are_to_be_kept() {
 fn a_scalar_volume_goes_the_way_of_labels() {
     let centre = DVec3::splat(20.2);
     let ball = |p: DVec3| 13.0 - (p - centre).length();
-    // bright metal and a dark hole in the world outside change nothing
+    // bright metal and a dark hole away from the object have no effect
     let values =
         sampled([42; 3], DVec3::ONE, |p| ball(p).clamp(-3.0, 2.0) as f32 * if ball(p) < -2.0 { 1e4 } else { 1.0 });
     for inside in [Inside::Above, Inside::Below] {
@@ -149,7 +153,8 @@ fn the_edge_length_is_that_of_the_area() {
 
 #[test]
 fn what_closes_an_object_at_the_border_counts_for_its_edge_length_where_it_is_closed() {
-    // half a ball, the other half beyond the first slice: half a voxel beyond its centres it is closed
+    // half a ball whose other half lies beyond the first slice; closed half a voxel beyond its
+    // centres
     let half = Occupancy::of_mask(&Mask::from(&sampled([60, 60, 40], DVec3::ONE, |p| {
         (p - DVec3::new(30.0, 30.0, -0.5)).length() < 20.0
     })));
@@ -163,7 +168,7 @@ fn what_closes_an_object_at_the_border_counts_for_its_edge_length_where_it_is_cl
 
 #[test]
 fn an_edge_length_that_smooths_much_of_the_area_away_still_has_the_vertices_asked_for() {
-    // rods of several radii: the thinner ones go one after the other as the scale grows
+    // rods of several radii: the thinner ones vanish one after the other as the scale grows
     let rods: Vec<(f64, f64, f64)> = (0..6)
         .flat_map(|i| {
             (0..6).map(move |j| {

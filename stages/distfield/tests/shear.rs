@@ -8,11 +8,10 @@ use serde_json::Value;
 use std::path::Path;
 use std::process::Command;
 
-/// Voxels of the ball of radius 14 that is sheared, each of 1 mm^3.
+/// Number of voxels, each of 1 mm^3, of the sheared ball of radius 14.
 const VOXELS: f64 = 11_536.0;
 
-/// 40^3 voxels of 1 mm^3 whose slices are shifted along y as by a gantry that is tilted by 30
-/// degrees.
+/// 40^3 voxels of 1 mm^3 whose slices are shifted along y, as by a gantry tilt of 30 degrees.
 fn sheared() -> Geometry {
     let step = DVec3::new(0.0, 30f64.to_radians().tan(), 1.0);
     Geometry {
@@ -22,7 +21,7 @@ fn sheared() -> Geometry {
     }
 }
 
-/// Voxels by their distance from `centre` in index space.
+/// Voxel values by their distance from `centre` in index space.
 fn by_distance(centre: DVec3, value: impl Fn(f64) -> f64) -> Vec<f64> {
     let index = |n: usize| DVec3::new((n % 40) as f64, (n / 40 % 40) as f64, (n / 1600) as f64);
     (0..64_000).map(|n| value(index(n).distance(centre))).collect()
@@ -32,7 +31,7 @@ fn mask(centre: DVec3) -> Voxels {
     Voxels::U8(by_distance(centre, |r| f64::from(u8::from(r <= 14.0))).into_iter().map(|v| v as u8).collect())
 }
 
-/// What the program says, as the report or as the JSON of `--info`.
+/// Runs the program; returns its report, or the JSON of `--info`.
 fn distfield(folder: &Path, voxels: &Voxels, words: &[&str]) -> Value {
     write_nrrd(&folder.join("v.nrrd"), &sheared(), voxels, Encoding::Gzip).expect("written");
     let run = Command::new(env!("CARGO_BIN_EXE_distfield")).current_dir(folder).arg("v.nrrd").args(words).output();
@@ -48,7 +47,7 @@ fn assert_near(found: &Value, due: f64, tolerance: f64) {
     assert!((found / due - 1.0).abs() < tolerance, "{found}, due {due}");
 }
 
-/// Volume of F of a run.
+/// Volume of F, from the report.
 fn volume_of_f(report: &Value) -> &Value {
     &report["results"]["meta"]["volume"]
 }
@@ -87,7 +86,7 @@ fn sheared_materials_keep_their_voxels() {
 #[test]
 fn a_sheared_scan_has_its_volume_in_the_world() {
     let folder = tempfile::tempdir().expect("folder");
-    // of 1 mm^3 for each unit of volume in index space, as the shear keeps it
+    // the shear preserves volume, so a unit of volume in index space is 1 mm^3
     let ball = 4.0 / 3.0 * std::f64::consts::PI * 14f64.powi(3);
     let scan = by_distance(DVec3::splat(19.5), |r| 100.0 * (14.0 - r));
     let scan = Voxels::I16(scan.into_iter().map(|value| value as i16).collect());
@@ -104,7 +103,7 @@ fn an_object_is_closed_where_the_sheared_volume_ends() {
     let count = by_distance(cut, |r| f64::from(u8::from(r <= 14.0))).iter().sum::<f64>();
     let report = distfield(folder.path(), &mask(cut), &[&["--labels", "1"], &FIELD[..]].concat());
     assert_near(volume_of_f(&report), count, 0.01);
-    // the background of the mask, too, which is label 0
+    // also the background of the mask, which is label 0
     let report = distfield(folder.path(), &mask(cut), &[&["--labels", "0"], &FIELD[..]].concat());
     assert_near(&report["results"]["meta"]["volume_before"], 64_000.0 - count, 0.005);
     let scan = Voxels::F32(by_distance(cut, |r| 14.0 - r).into_iter().map(|value| value as f32).collect());

@@ -1,4 +1,5 @@
-//! Materials as a user names them: `lung=2+3`, `heart` where the file has that name, or `all`.
+//! Parses and resolves materials given by the user: `lung=2+3`, `heart` if the file has that name,
+//! or `all`.
 
 use crate::selection::{Selection, listed, no_voxel};
 use isoparticles_field::materials::{MOST_MATERIALS, Material, MaterialId};
@@ -7,20 +8,20 @@ use isoparticles_volume::{LayerLabel, Volume};
 use std::collections::BTreeMap;
 use std::str::FromStr;
 
-/// Name of what no other material has.
+/// Name of the material of all labels that no other material has.
 pub const OUTSIDE: &str = "outside";
 
-/// Materials that an error message lists, at most.
+/// Maximum number of materials listed in an error message.
 const MOST_LISTED: usize = 40;
 
-/// One `--material`, to be resolved once the volume is known.
+/// One `--material` option; the volume resolves it.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Choice {
-    /// One material for each label but 0 that no other choice names.
+    /// One material for each label except 0 that no other choice names.
     All,
-    /// The label of that name in the file.
+    /// The label that has this name in the file.
     Named(String),
-    /// A material of that name, of these labels.
+    /// A material with this name, made of these labels.
     Labels(String, Vec<Selection>),
 }
 
@@ -65,20 +66,20 @@ impl std::fmt::Display for Choice {
 /// The materials of a volume, the outside first.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Chosen {
-    /// Names and labels, by their numbers.
+    /// Names and labels, indexed by material number.
     pub table: Vec<Material>,
     number: BTreeMap<LayerLabel, u16>,
 }
 
 impl Chosen {
-    /// The number of the material of a label; 0 where it is of none.
+    /// The number of the material of a label; 0 if it belongs to none.
     pub fn number(&self, label: LayerLabel) -> u16 {
         self.number.get(&label).copied().unwrap_or(MaterialId::OUTSIDE.0)
     }
 }
 
-/// The names of the materials, the outside first, as far as the choices tell them without the
-/// volume; none of no choice.
+/// The names of the materials, the outside first. Empty without choices. `None` if a choice is
+/// `all`, whose names depend on the volume.
 pub fn names(choices: &[Choice]) -> Option<Vec<String>> {
     let name = |choice: &Choice| match choice {
         Choice::All => None,
@@ -88,10 +89,11 @@ pub fn names(choices: &[Choice]) -> Option<Vec<String>> {
     outside.into_iter().chain(choices.iter().map(name)).collect()
 }
 
-/// The materials that the choices make of a volume.
+/// Resolves the choices for a volume.
 ///
 /// # Errors
-/// When a label or name is not there, a name is given twice, or a label is in two materials.
+/// When a label or name is not in the volume, a name is given twice, a label is in two materials,
+/// or the number of materials is 0 or too large.
 pub fn resolve(choices: &[Choice], volume: &Volume) -> Result<Chosen> {
     let present = volume.label_set()?;
     let mut named: Vec<Material> = Vec::new();
@@ -157,7 +159,7 @@ pub fn resolve(choices: &[Choice], volume: &Volume) -> Result<Chosen> {
     Ok(Chosen { table: std::iter::once(outside).chain(named).collect(), number })
 }
 
-/// The label of a name that the file gives, where voxels have it.
+/// The label with this name in the file, if any voxel has it.
 fn of_name(name: &str, volume: &Volume, present: &[LayerLabel]) -> Result<LayerLabel> {
     let found = volume.segment_named(name);
     match found {
@@ -176,7 +178,8 @@ fn of_name(name: &str, volume: &Volume, present: &[LayerLabel]) -> Result<LayerL
     }
 }
 
-/// The file's own name of a label, or `label_N`; with its number behind it where another material has that name.
+/// The name of a label in the file, or `label_N`. If another material has that name, the label
+/// number is appended.
 fn unused_name(at: LayerLabel, volume: &Volume, named: &[Material]) -> String {
     let is_free = |name: &str| name != OUTSIDE && named.iter().all(|other| other.name != name);
     let number = if volume.layer_count() > 1 { format!("{}_{}", at.layer, at.label) } else { at.label.to_string() };

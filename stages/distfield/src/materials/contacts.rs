@@ -1,14 +1,21 @@
-//! Materials touch where their nodes do, and nothing comes between them that is not there.
+//! Contacts: corrects the indicators so that materials touch exactly where their nodes do.
 //!
-//! Each indicator is made by itself, and recedes where its material stands out by a voxel: at a hole of one voxel in a thin layer both neighbours do, and the layer's own indicator is the smallest between
-//! them. The mesh would have a film there that the labels do not have, and lack the junction curve round the hole; where it just is not the smallest, a tube of a tenth of a voxel runs between two
-//! holes. So the middles of edges, faces and cells of the grid whose corners are of several materials are looked at:
+//! Each indicator is computed on its own and recedes where its material protrudes by a voxel. At a
+//! hole of one voxel in a thin layer both neighbours recede, so that the layer's indicator can be
+//! the smallest between them. The mesh then has a film that the labels do not have, and lacks the
+//! junction curve around the hole. Where the layer's indicator is only slightly larger, a tube of a
+//! tenth of a voxel connects two holes. The indicators are therefore checked at the middles of grid
+//! edges, faces and cells whose corners belong to several materials:
 //!
-//! - No other material than those of the corners may be the smallest there, or near to it; on an edge, both of its materials come before all others.
-//! - Where the corners of a face differ along all four edges, those of either diagonal may touch (or be joined, where they are of one material); and where two opposite corners of a cell are all that a
-//!   material has of it, they may be joined or not. What the indicators say stands, and by more than a hair.
+//! - No material other than those of the corners may have the smallest indicator there, or come
+//!   close to it. On an edge, both of its materials must precede all others.
+//! - If the corners of a face differ along all four edges, either diagonal may touch, or be
+//!   connected if its corners are of one material. If two opposite corners of a cell are all that a
+//!   material has of the cell, they may be connected or not. The indicators decide, but with a
+//!   margin.
 //!
-//! An indicator that comes too near is raised at the corners that are not its own, where another is smaller already: no node changes its material.
+//! An indicator that comes too close is raised at the corners of other materials, where another
+//! indicator is smaller already. No node changes its material.
 
 use glam::DVec3;
 use isoparticles_field::materials::{CELLS, Indicators, MaterialId, Materials, Near, bricks_along};
@@ -19,38 +26,52 @@ use rayon::prelude::*;
 use serde::Serialize;
 use std::collections::{BTreeMap, BTreeSet};
 
-/// How much larger an indicator is at such a middle than those that come before it, in voxels: without a scale, and with one, when edges are to be longer and what lies between them counts for less. `thorax_labels` at h = 6 mm (`--scale-for-size 6`) with 0.2 and
-/// 0.4: two segments of junction curves missing and none; at 3 mm the smallest radius ratio is 0.31 and 0.42. `frog_tissue_labels` at sizes by default, without a scale, with 0.2, 0.3 and 0.4: none, one and one triangle that curves
-/// force, the smallest 0.51, 0.23 and 0.16; `brain_parcellation` with 0.2 and 0.3: 13 and 15.
+/// Margin by which an indicator must exceed those that precede it at such a middle, in voxels (mean
+/// spacing): without a scale, and with one, when mesh edges are longer and details between nodes
+/// matter less.
+///
+/// `thorax_labels` with `--scale-for-size 6` (h = 6 mm): two segments of junction curves are
+/// missing with 0.2 and none with 0.4. At 3 mm the minimum radius ratio is 0.31 and 0.42. Default
+/// sizes without a scale: on `frog_tissue_labels`, 0.2, 0.3 and 0.4 give 0, 1 and 1 triangles
+/// forced by curves and a minimum ratio of 0.51, 0.23 and 0.16; on `brain_parcellation`, 0.2 and
+/// 0.3 give 13 and 15 such triangles.
 const CLEARANCE: [f64; 2] = [0.2, 0.4];
 
-/// What a raise aims at, over that: the last rounds would otherwise bring less and less.
+/// Margin that a raise aims at, over the required one. Without the excess, the last rounds converge
+/// slowly.
 const AIM: f64 = 1.25;
 
-/// How far a sample is raised in all, at most, in voxels: where raises next to each other call for one another, without end, the steeper indicator would bring sheets ever nearer to nodes.
+/// Maximum total raise of a sample, in voxels (mean spacing). Adjacent raises can feed back
+/// indefinitely; the steeper indicator would then move interfaces ever closer to nodes.
 const MOST_RAISE: f64 = 1.0;
 
-/// Value half-way between two nodes of the cubic spline that is one at one of them and zero at all others: what a raise at one of two nodes brings to their middle.
+/// Value midway between two nodes of the cubic spline that is one at one of them and zero at all
+/// other nodes: the effect at the middle of a unit raise at one node.
 const HALF_WAY: f64 = 0.6005;
 
-/// Nodes beyond which a raise changes nothing that counts: that spline is below 0.003 there.
+/// Number of nodes beyond which the effect of a raise is neglected: the spline of a unit raise is
+/// below 0.003 there.
 const REACH: usize = 4;
 
-/// Rounds of raises, at most: each lowers what lies between the next two nodes by a seventh of it, and raises what other indicators are compared with. Real volumes take six to thirteen.
+/// Maximum number of rounds of raises. A raise lowers its indicator between the next two nodes by
+/// 13 % of the raise (the value there of the spline of a unit raise), and raises values that other
+/// indicators are compared with. Real volumes take six to thirteen rounds.
 const MOST_ROUNDS: usize = 40;
 
-/// What was found where several materials meet.
+/// Report of the contacts.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct Contacts {
-    /// Materials that came too near at a middle whose corners are all of others: places, each times the materials.
+    /// Number of pairs of a middle and a material that no corner has and that was too close there,
+    /// before the raises.
     pub crossed: usize,
-    /// The same where it was a matter of less than the clearance which opposite corners touch.
+    /// Number of open decisions whose margin was too small before the raises.
     pub undecided: usize,
-    /// Samples of indicators that were raised.
+    /// Number of indicator samples raised.
     pub raised: usize,
-    /// Those that even so come before what they should come after.
+    /// Number of indicators that still precede one that should precede them, without open
+    /// decisions.
     pub left: usize,
-    /// Others that are nearer than the clearance still, and decisions that are a matter of less than that, since no sample is raised without end.
+    /// Number of other indicators and decisions with too small a margin after the raises.
     pub near: usize,
 }
 
@@ -63,7 +84,9 @@ fn owners(materials: &Materials) -> Vec<u16> {
     all.map(|n| materials.material_at(geometry.index_to_grid(node(n))).0).collect()
 }
 
-/// Raises indicators such that materials touch where their nodes do. Where a scale smooths, more is asked for. Of two materials each is the other's negative, and both stay as they are.
+/// Raises indicators so that materials touch where their nodes do. With a scale the margin is
+/// larger. With only two materials each indicator is the negative of the other, and both stay
+/// unchanged.
 ///
 /// # Errors
 /// When the run is interrupted.
@@ -78,7 +101,7 @@ pub fn keep_contacts(materials: &mut Materials, is_scaled: bool, monitor: &dyn M
     let mut lacks = places.lacking(materials, owners, |_| true);
     let undecided = lacks.iter().filter(|lack| lack.is_undecided).count();
     let mut contacts = Contacts { crossed: lacks.len() - undecided, undecided, ..Contacts::default() };
-    // so far, by material and node
+    // total raise by material and node
     let mut raised: BTreeMap<(MaterialId, [usize; 3]), f64> = BTreeMap::new();
     let most = MOST_RAISE * materials.voxel();
     for _ in 0..MOST_ROUNDS {
@@ -107,13 +130,13 @@ pub fn keep_contacts(materials: &mut Materials, is_scaled: bool, monitor: &dyn M
         materials.add_at_nodes(&changes);
         lacks = places.lacking(materials, owners, |brick| changed.contains(&brick));
         if lacks.is_empty() {
-            // what lies beyond the reach adds up
+            // raises beyond `REACH` can add up
             lacks = places.lacking(materials, owners, |_| true);
         }
     }
     contacts.raised = raised.len();
     if !lacks.is_empty() {
-        // also of what was left as it was in the last round
+        // recheck everything, including bricks unchanged in the last round
         lacks = places.lacking(materials, owners, |_| true);
     }
     contacts.left = lacks.iter().filter(|lack| lack.is_lost && !lack.is_undecided).count();
@@ -121,7 +144,7 @@ pub fn keep_contacts(materials: &mut Materials, is_scaled: bool, monitor: &dyn M
     Ok(contacts)
 }
 
-/// The bricks whose cells lie near a node.
+/// The bricks with cells near a node.
 fn bricks_near(node: [usize; 3], size: [usize; 3]) -> impl Iterator<Item = usize> {
     let [bx, by, bz] = bricks_along(size);
     let span = move |a: usize, bricks: usize| {
@@ -130,29 +153,31 @@ fn bricks_near(node: [usize; 3], size: [usize; 3]) -> impl Iterator<Item = usize
     span(2, bz).flat_map(move |z| span(1, by).flat_map(move |y| span(0, bx).map(move |x| (z * by + y) * bx + x)))
 }
 
-/// An edge, face or cell of the grid: its first corner, x fastest, and the axes along which it extends, a bit each.
+/// An edge, face or cell of the grid: its first corner (x fastest), and a bit for each axis along
+/// which it extends.
 #[derive(Clone, Copy)]
 struct Place {
     node: usize,
     axes: u8,
-    /// The corner that decides, where the corners leave open what touches ([`Corners::deciding`]), before any indicator was raised: raises next to each other would turn it to and fro.
+    /// The corner that decides an open contact ([`Corners::deciding`]). It is chosen before any
+    /// raise; otherwise adjacent raises could alternate it.
     deciding: u8,
 }
 
-/// An indicator that comes too near.
+/// An indicator that comes too close at a middle.
 struct Lack {
     material: MaterialId,
-    /// The corners that are not its own.
+    /// The corners of other materials.
     corners: Vec<[usize; 3]>,
-    /// By how much it is to be larger at them, mm.
+    /// Required raise at each of these corners, mm.
     raise: f64,
-    /// Whether this is about what the corners leave open.
+    /// Whether this concerns an open decision.
     is_undecided: bool,
-    /// Whether it does come before what it should come after.
+    /// Whether the indicator is smaller than one that should precede it.
     is_lost: bool,
 }
 
-/// The corners of a place with their materials.
+/// The corners of an edge, face or cell, with their materials.
 struct Corners {
     nodes: [[usize; 3]; 8],
     materials: [MaterialId; 8],
@@ -186,32 +211,35 @@ impl Corners {
         self.materials().contains(&id)
     }
 
-    /// Whether no edge of a face has the same material at both ends: those of either diagonal may touch, or be joined where they are one.
+    /// Whether both ends of every edge of a face differ in material. Then either diagonal may
+    /// touch, or be connected if its corners are of one material.
     fn is_open_face(&self) -> bool {
         let own = self.materials();
         own.len() == 4 && [[0, 1], [1, 3], [3, 2], [2, 0]].iter().all(|&[a, b]| own[a] != own[b])
     }
 
-    /// Whether two opposite corners of a cell are all that a material has of it: they may be joined or not.
+    /// Whether a material has exactly two opposite corners of a cell, which may be connected or
+    /// not.
     fn is_across(&self, id: MaterialId) -> bool {
         let own = self.materials();
         let is_own = |n: usize| own[n] == id;
         own.len() == 8 && (0..8).filter(|&n| is_own(n)).count() == 2 && (0..4).any(|n| is_own(n) && is_own(7 - n))
     }
 
-    /// Whether the corners leave open what touches at the middle.
+    /// Whether the corners leave open which materials touch at the middle.
     fn are_open(&self) -> bool {
         self.is_open_face() || self.materials().iter().any(|&id| self.is_across(id))
     }
 
-    /// The indicators that are known at the middle.
+    /// The indicators known at the middle.
     fn near(&self, materials: &Materials) -> Near {
         let [first, last] = [self.nodes[0], self.nodes[self.count - 1]];
         let middle = DVec3::from_array(std::array::from_fn(|a| 0.5 * (first[a] + last[a]) as f64));
         materials.near(materials.geometry().index_to_grid(middle))
     }
 
-    /// The corner that decides at the middle: of a face the first one of the diagonal whose larger indicator is the smaller, of a cell that with the smallest.
+    /// The deciding corner at the middle. Of a face, it is the first corner of the diagonal whose
+    /// larger indicator is smaller. Of a cell, it is the corner with the smallest indicator.
     fn deciding(&self, materials: &Materials) -> u8 {
         let near = self.near(materials);
         let value = |n: u8| value_of(&near, self.materials[usize::from(n)]);
@@ -222,12 +250,12 @@ impl Corners {
     }
 }
 
-/// The edges, faces and cells at which something may come too near, brick by brick.
+/// The edges, faces and cells at which an indicator may come too close, by brick.
 struct Places {
-    /// What is asked for at each, mm.
+    /// Required margin, mm.
     clearance: f64,
     all: Vec<Place>,
-    /// Bricks in which several materials are known, and where their places end.
+    /// Bricks in which several materials are known, each with the end of its range in `all`.
     bricks: Vec<(usize, usize)>,
 }
 
@@ -239,7 +267,7 @@ impl Places {
             let known: Vec<MaterialId> = materials.known_in(brick).map(|(id, _)| id).collect();
             let first =
                 [brick % bricks[0], brick / bricks[0] % bricks[1], brick / (bricks[0] * bricks[1])].map(|n| n * CELLS);
-            // a cell's far nodes are the next brick's, but at the end of the grid
+            // the far nodes of a cell belong to the next brick, except at the end of the grid
             let is_last = |a: usize| first[a] + CELLS + 1 == size[a];
             let nodes: [usize; 3] = std::array::from_fn(|a| CELLS + usize::from(is_last(a)));
             let mut places = Vec::new();
@@ -271,7 +299,7 @@ impl Places {
         own
     }
 
-    /// What comes too near in the bricks that are chosen.
+    /// The indicators that come too close in the chosen bricks.
     fn lacking(&self, materials: &Materials, owners: &[u16], is_chosen: impl Fn(usize) -> bool + Sync) -> Vec<Lack> {
         let in_brick = |n: usize| {
             let (brick, end) = self.bricks[n];
@@ -288,7 +316,8 @@ impl Places {
     }
 }
 
-/// What comes too near at a place; `known` are the materials that are known in its brick.
+/// Finds the indicators that come too close at a place. `known` lists the materials known in its
+/// brick.
 fn lacking_at(
     place: Place,
     clearance: f64,
@@ -298,7 +327,7 @@ fn lacking_at(
 ) {
     let corners = Corners::of(place, owners, materials.geometry());
     let near = corners.near(materials);
-    // of a raise at a corner
+    // effect at the middle of a unit raise at one corner
     let share = HALF_WAY.powi(corners.count.ilog2() as i32);
     let mut keep_above = |id: MaterialId, limit: f64, is_undecided: bool| {
         let value = value_of(&near, id);
@@ -331,7 +360,7 @@ fn lacking_at(
     known.iter().filter(|&&id| corners.has(id) && is_after(id)).for_each(|&id| keep_above(id, limit, true));
 }
 
-/// An indicator at a place; infinite where it is not known.
+/// Value of an indicator (mm) among those near a place; infinite if it is not known there.
 fn value_of(near: &Near, material: MaterialId) -> f64 {
     near.entries().iter().find(|(id, _)| *id == material).map_or(f64::INFINITY, |(_, value)| *value)
 }

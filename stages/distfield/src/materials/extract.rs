@@ -1,5 +1,9 @@
-//! From the voxels of all materials to an indicator of each, by the method of one object ([`crate::labels`]) on the box of each, one after the other: memory goes
-//! with the largest box and with the area of all borders.
+//! From the material of each voxel to one indicator (signed distance) per material.
+//!
+//! Each indicator is computed on the bounding box of its material by the method for one object
+//! ([`crate::labels`], or [`super::scaled`] with a scale), one after the other. Peak memory depends
+//! on the largest box and on the area of all interfaces. [`keep_contacts`] then corrects the
+//! indicators where several materials meet.
 
 use super::choice::Chosen;
 use super::contacts::{Contacts, keep_contacts};
@@ -18,47 +22,53 @@ use isoparticles_stage::monitor::{Counter, Interrupted, Monitor, Phase, Silent};
 use isoparticles_volume::Image;
 use rayon::prelude::*;
 
-/// What is asked of each indicator: distances up to 7 voxels, for what is known of one reaches two to three voxels and a brick of four cells from its border; and fewer conjugate-gradient steps that pin the
-/// border than for one object, since sheets lie where two indicators are equal, between their zero sets, so that these need not be pinned to the last digit. With 160 as for one object
-/// `brain_parcellation` takes 165 processor seconds, with 40 it takes 89.
+/// Accuracy required of each indicator.
+///
+/// Distances up to 7 voxels: an indicator is known two to three voxels from its zero set, plus a
+/// brick of four cells. Fewer conjugate-gradient steps than for one object suffice. Interfaces lie
+/// where two indicators are equal, between their zero sets, which therefore need not be pinned to
+/// the last digit. `brain_parcellation` takes 165 s of processor time with 160 steps, as for one
+/// object, and 89 s with 40.
 const DEMANDS: Demands = Demands { limit: 7.0, pinned: 0.0005, pin_steps: 40 };
 
-/// How labels become indicators.
+/// Options that turn labels into indicators.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MaterialOptions {
-    /// Least distance of each border from voxel centres, in voxels (smallest spacing).
+    /// Minimum distance of each border from voxel centres, in voxels (minimum spacing). Not used
+    /// with a scale.
     pub clearance: f64,
-    /// What is smoothed away, in place of all this; `None` keeps every voxel centre.
+    /// The scale to smooth with; `None` keeps every voxel centre in its material.
     pub scale: Option<Scale>,
 }
 
-/// What is known of one material's indicator.
+/// Measurements of one material's indicator.
 #[derive(Clone, Debug, Default)]
 pub struct Tally {
-    /// Voxels of the material.
+    /// Number of voxels of the material.
     pub voxels: usize,
-    /// Parts of its voxels, and of what its indicator is negative in before contacts are made plain; those of the outside are of its complement.
+    /// Parts of the voxels, and of the region where the indicator is negative before contacts are
+    /// corrected. For the outside, those of its complement.
     pub parts: [Parts; 2],
-    /// Voxel centres that the indicator alone puts on the other side.
+    /// Number of voxel centres where the indicator has the wrong sign.
     pub changed: usize,
-    /// Places where two parts touch along an edge and the indicator, by itself, does not join or
-    /// part them as its level set does.
+    /// Number of ambiguous faces (two parts touching along an edge) at which the indicator connects
+    /// the parts differently from its level set.
     pub undecided: usize,
-    /// What a scale changed; `None` without one, and where nothing is left of the material.
+    /// Changes by the scale; `None` without a scale, and if nothing is left of the material.
     pub changes: Option<Changes>,
 }
 
-/// The indicators of all materials and what is known of each.
+/// The indicators of all materials, with measurements.
 pub struct Extracted {
     /// The indicators.
     pub materials: Materials,
-    /// What is known of each, by their numbers.
+    /// Measurements of each material, by number.
     pub tallies: Vec<Tally>,
-    /// What was made plain where several meet.
+    /// Report of the contacts.
     pub contacts: Contacts,
 }
 
-/// Lets nobody see the phases of single materials, but stops when asked to.
+/// Hides progress counters of single materials; phases and interrupts pass through.
 pub(super) struct Quiet<'a>(pub(super) &'a dyn Monitor);
 
 impl Monitor for Quiet<'_> {
@@ -75,10 +85,11 @@ impl Monitor for Quiet<'_> {
     }
 }
 
-/// Makes the indicators.
+/// Computes the indicators.
 ///
 /// # Errors
-/// When a material has no border, or the run is interrupted.
+/// When a material has no voxel or no border, when the indicators do not fit together, or when the
+/// run is interrupted.
 pub fn extract(
     grid: &LabelGrid,
     chosen: &Chosen,
@@ -94,10 +105,10 @@ pub fn extract(
             "leave it out; another material or layer may have taken its voxels",
         ));
     }
-    // the outside by all others together, whose box holds all boxes
+    // the outside is computed from the union of all others, whose box contains all boxes
     let all = extents[1..].iter().copied().reduce(Extent::joined).unwrap_or(extents[0]);
     let box_size = |extent: &Extent| (0..3).map(|a| extent.high[a] + 1 - extent.low[a]).product::<usize>();
-    // the largest first, as long as there is room: what is kept of each adds up
+    // the largest first, while memory is free: the results accumulate
     let mut order: Vec<usize> = (1..extents.len()).collect();
     order.sort_by_key(|&id| (std::cmp::Reverse(box_size(&extents[id])), id));
     let mut made: Vec<Option<(Indicator, Vec<u32>)>> = vec![None; extents.len()];
@@ -114,7 +125,7 @@ pub fn extract(
         } else {
             let one = One { grid, id: MaterialId(id as u16), extent };
             let made = match (&levels, options.scale) {
-                // an outside without voxels is what lies beyond the volume, at any scale
+                // an outside without voxels is the space beyond the volume, at any scale
                 (Some(levels), Some(scale)) if extents[id].count > 0 => one.scaled(levels, scale, &Quiet(monitor)),
                 _ => one.make(options, &Quiet(monitor)).map(|(own, tally)| (Some(own), one.kept().low, tally)),
             };
@@ -123,7 +134,7 @@ pub fn extract(
             tallies[id] = tally;
             match own {
                 Some(own) => Indicator::new(&own, first, padded.size, id == 0),
-                // all others together are gone, or the material is
+                // nothing is left of the material, or of the union of all others
                 None => (Indicator::constant(id == 0), Vec::new()),
             }
         };
@@ -146,8 +157,8 @@ pub fn extract(
     Ok(Extracted { materials, tallies, contacts })
 }
 
-/// One material to be made; the outside as the complement of all others together, so that the border of a volume with one material has one indicator and
-/// its negative.
+/// One material to compute. The outside is the complement of the union of all others, so that a
+/// volume with one material has one indicator and its negative.
 struct One<'a> {
     grid: &'a LabelGrid,
     id: MaterialId,
@@ -155,14 +166,14 @@ struct One<'a> {
 }
 
 impl One<'_> {
-    /// The box that is looked at: that of the voxels, with the room that their smoothed shares
-    /// reach.
+    /// The box to compute: that of the voxels with the room that their smoothed occupancy reaches.
     fn kept(&self) -> VoxelBox {
         let Extent { low, high, .. } = self.extent;
         VoxelBox { low, high }.with_room(room_of_labels(self.grid.margin), self.grid.geometry.size).on_coarse_nodes()
     }
 
-    /// The indicator at a scale with the first voxel of its box; none where nothing is left.
+    /// The indicator at a scale, with the first voxel of its box. `None` if nothing is left of the
+    /// material.
     fn scaled(
         &self,
         levels: &Levels,
@@ -174,14 +185,14 @@ impl One<'_> {
             return Ok((None, first, Tally::default()));
         };
         self.turn(&mut field);
-        // of the data, not of what was smoothed
+        // parts of the voxels, not of the smoothed object
         let components = changes.as_ref().map_or(parts_before.components, |changes| changes.components[0]);
         let before = Parts { components, ..parts_before };
         let tally = Tally { voxels: 0, parts: [before, parts_after], changed: 0, undecided, changes };
         Ok((Some(field), first, tally))
     }
 
-    /// What was made of the outside is made of all others together.
+    /// Negates the field of the outside, which was computed from the union of all others.
     fn turn(&self, field: &mut Image<f32>) {
         if self.id == MaterialId::OUTSIDE {
             field.data.par_iter_mut().for_each(|f| *f = -*f);
@@ -197,8 +208,8 @@ impl One<'_> {
             let [i, j, k] = [n % size[0], n / size[0] % size[1], n / (size[0] * size[1])];
             numbers[self.grid.geometry.linear(kept.low[0] + i, kept.low[1] + j, kept.low[2] + k)]
         };
-        // where two materials alternate round an edge, the one named first is joined; the outside
-        // never
+        // where two materials alternate around an edge, the one named first is connected; the
+        // outside never is
         let gives_way = |[a, b]: [usize; 2]| {
             let other = number(a);
             !is_outside && other == number(b) && (1..id).contains(&other)

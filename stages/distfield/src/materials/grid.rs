@@ -1,4 +1,4 @@
-//! The material of every voxel, and of the nodes beyond the border.
+//! The material of every voxel, and of the nodes beyond the border of the volume.
 
 use super::choice::Chosen;
 use crate::mask::Mask;
@@ -10,26 +10,27 @@ use isoparticles_volume::{Geometry, LayerLabel, Volume};
 use rayon::prelude::*;
 use std::collections::BTreeMap;
 
-/// The material of every voxel of a volume, and of the nodes of the padded grid round it.
+/// The material of every voxel of a volume, and of the nodes of the padded grid around it.
 pub struct LabelGrid {
     /// The volume's grid.
     pub geometry: Geometry,
-    /// Number of the material of each voxel, x fastest.
+    /// Material number of each voxel, x fastest.
     pub numbers: Vec<u16>,
-    /// What the nodes beyond the border are: outside, or what the nearest voxel is.
+    /// Treatment of nodes beyond the border: closed gives the outside, open gives the nearest
+    /// voxel's material.
     pub border: Border,
     /// Nodes added on each face.
     pub margin: usize,
 }
 
-/// The box of the voxels of a material, and their number.
+/// The bounding box of a material's voxels, and their number.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Extent {
     /// First voxel along each axis.
     pub low: [usize; 3],
     /// Last voxel along each axis.
     pub high: [usize; 3],
-    /// Voxels of the material.
+    /// Number of voxels of the material.
     pub count: usize,
 }
 
@@ -45,7 +46,7 @@ impl Extent {
         self.count += columns.len();
     }
 
-    /// The box round two.
+    /// The bounding box of both, with the sum of the counts.
     pub fn joined(self, other: Self) -> Self {
         Self {
             low: std::array::from_fn(|a| self.low[a].min(other.low[a])),
@@ -56,10 +57,10 @@ impl Extent {
 }
 
 impl LabelGrid {
-    /// The materials that were chosen, of the voxels of a volume.
+    /// Maps the labels of a volume to the chosen materials.
     ///
     /// # Errors
-    /// When layers that overlap give one voxel to two materials.
+    /// When overlapping layers give one voxel to two materials.
     pub fn new(volume: &Volume, chosen: &Chosen, border: Border, margin: usize) -> Result<Self> {
         let mut numbers = vec![0u16; volume.voxels.len()];
         let mut overlaps: BTreeMap<(u16, u16), usize> = BTreeMap::new();
@@ -117,7 +118,7 @@ impl LabelGrid {
         MaterialId(self.numbers[self.geometry.linear(voxel[0], voxel[1], voxel[2])])
     }
 
-    /// The boxes of the materials, by their numbers.
+    /// The bounding boxes of all materials, by number.
     pub fn extents(&self, materials: usize) -> Vec<Extent> {
         let [nx, ny, _] = self.geometry.size;
         let mut extents = vec![Extent::NONE; materials];
@@ -131,7 +132,7 @@ impl LabelGrid {
         extents
     }
 
-    /// The voxels of a box for which `holds` is true of their material's number.
+    /// Mask of the voxels of a box whose material number satisfies `holds`.
     pub fn mask(&self, low: [usize; 3], high: [usize; 3], holds: impl Fn(u16) -> bool + Sync) -> Mask {
         let size: [usize; 3] = std::array::from_fn(|a| high[a] + 1 - low[a]);
         let geometry = self.geometry.cropped(low, size);
@@ -149,7 +150,8 @@ impl Coarser for LabelGrid {
         &self.geometry
     }
 
-    /// Each voxel is of the material that most of its eight are of, of as many the one that comes first along x, y and z.
+    /// Each coarse voxel gets the most frequent material of its eight voxels; of equally frequent
+    /// ones, the first along x, y and z.
     fn halved(&self) -> Self {
         let [nx, ny, nz] = self.geometry.size;
         let size = self.geometry.size.map(|n| n.div_ceil(2));

@@ -1,4 +1,5 @@
-//! Islands: components of a material of a few voxels, which a segmentation leaves behind. They go to the materials round them.
+//! Islands: components of a few voxels that a segmentation leaves behind. They are given to the
+//! materials around them (`--smallest-island`).
 
 use super::grid::LabelGrid;
 use glam::DVec3;
@@ -9,38 +10,42 @@ use serde::Serialize;
 use std::collections::BTreeMap;
 use std::ops::Range;
 
-/// The islands that a material had.
+/// The islands of one material.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Islands {
-    /// The number that the material had.
+    /// Number of the material in the original table.
     #[serde(skip)]
     pub material: MaterialId,
     /// Its name.
     pub name: String,
-    /// Whether it had nothing else, and is gone.
+    /// Whether the material had only islands and was removed.
     #[serde(rename = "all")]
     pub is_all: bool,
-    /// How many there were.
+    /// Number of islands.
     pub count: usize,
-    /// Their voxels.
+    /// Total number of voxels.
     pub voxels: usize,
-    /// Voxels of the largest.
+    /// Number of voxels of the largest island.
     pub largest: usize,
-    /// A voxel centre of the largest, world, mm.
+    /// Centre of a voxel of the largest island, in the world, mm.
     pub place: [f64; 3],
 }
 
-/// Voxels of one material that follow each other in a row.
+/// Consecutive voxels of one material in a row.
 #[derive(Clone, Copy)]
 struct Run {
-    /// The number of the first voxel, and of the one after the last.
+    /// Index of the first voxel, and of the one after the last.
     voxels: [usize; 2],
     material: u16,
 }
 
-/// Gives the components of every material (the outside included) of fewer than `least` voxels to the material that they share the most faces with, the lower number
-/// of two; voxels of one component share faces. Of islands that touch each other those next to a larger component go first. A material of islands alone leaves the
-/// table, and those behind it move up. Returns the islands by material, in the order of the table as it was.
+/// Gives every component of fewer than `least` voxels to the material with which it shares the most
+/// faces; of equal ones, to the lower number. Components of the outside count as well. Voxels of
+/// one component are connected through faces.
+///
+/// Where islands touch each other, those next to a larger component go first. A material of islands
+/// only leaves the table, and those behind it move up. Returns the islands by material, in the
+/// order of the original table.
 pub fn remove_islands(grid: &mut LabelGrid, table: &mut Vec<Material>, least: usize) -> Vec<Islands> {
     let mut found: BTreeMap<u16, Islands> = BTreeMap::new();
     while remove_outermost(grid, least, &mut found) {}
@@ -61,11 +66,11 @@ pub fn remove_islands(grid: &mut LabelGrid, table: &mut Vec<Material>, least: us
     islands
 }
 
-/// Gives the islands next to larger components away; false where there were none.
+/// Gives away the islands next to larger components. Returns false if there were none.
 fn remove_outermost(grid: &mut LabelGrid, least: usize, found: &mut BTreeMap<u16, Islands>) -> bool {
     let (runs, start) = runs(grid);
     let [nx, ny, _] = grid.geometry.size;
-    // the rows behind and above: those before and below have been there
+    // the preceding rows along y and z, so that each pair of rows is visited once
     let neighbours =
         |row: usize| [(!row.is_multiple_of(ny)).then(|| row - 1), row.checked_sub(ny)].into_iter().flatten();
     let mut sets = DisjointSets::new(runs.len());
@@ -78,7 +83,7 @@ fn remove_outermost(grid: &mut LabelGrid, least: usize, found: &mut BTreeMap<u16
     let mut size = vec![0usize; runs.len()];
     runs.iter().zip(&component).for_each(|(run, &of)| size[of as usize] += run.voxels[1] - run.voxels[0]);
     let is_small = |run: usize| size[component[run] as usize] < least;
-    // faces that each island shares with the materials of larger components
+    // number of faces that each island shares with materials of larger components
     let mut faces: BTreeMap<u32, BTreeMap<u16, usize>> = BTreeMap::new();
     let mut share = |island: usize, other: usize, count: usize| {
         if is_small(island) && !is_small(other) {
@@ -93,7 +98,7 @@ fn remove_outermost(grid: &mut LabelGrid, least: usize, found: &mut BTreeMap<u16
     for row in start.windows(2) {
         (row[0] + 1..row[1]).for_each(|next| contact(next - 1, next, 1));
     }
-    // of as many faces the lower number
+    // of equal numbers of faces, the lower material number
     let heir = |faces: &BTreeMap<u16, usize>| faces.iter().rev().max_by_key(|(_, count)| **count).map(|(&id, _)| id);
     let heirs: BTreeMap<u32, u16> = faces.iter().filter_map(|(&island, faces)| Some((island, heir(faces)?))).collect();
     for (run, of) in runs.iter().zip(&component) {
@@ -123,7 +128,7 @@ fn remove_outermost(grid: &mut LabelGrid, least: usize, found: &mut BTreeMap<u16
     !heirs.is_empty()
 }
 
-/// The runs of all rows, and where those of each row start.
+/// The runs of all rows, and the index of the first run of each row.
 fn runs(grid: &LabelGrid) -> (Vec<Run>, Vec<usize>) {
     let (mut runs, mut start) = (Vec::new(), vec![0]);
     let mut first = 0;
@@ -137,7 +142,7 @@ fn runs(grid: &LabelGrid) -> (Vec<Run>, Vec<usize>) {
     (runs, start)
 }
 
-/// Visits the pairs of runs of neighbouring rows that share faces, with the number of these.
+/// Visits the pairs of runs in adjacent rows that share faces, with the number of shared faces.
 fn each_contact<N: Iterator<Item = usize>>(
     runs: &[Run],
     start: &[usize],
@@ -169,7 +174,7 @@ mod tests {
     use crate::Border;
     use isoparticles_volume::Geometry;
 
-    /// A grid of rows, slices apart by empty strings; '.' is the outside.
+    /// A grid from rows of characters; empty strings separate slices, '.' is the outside.
     fn grid(rows: &[&str]) -> (LabelGrid, Vec<Material>) {
         let slices: Vec<&[&str]> = rows.split(|row| row.is_empty()).collect();
         let size = [slices[0][0].len(), slices[0].len(), slices.len()];
@@ -182,7 +187,8 @@ mod tests {
 
     #[test]
     fn islands_go_to_the_material_they_share_the_most_faces_with() {
-        // one voxel each of 1 in the outside, of 2 in the ones, and of the outside in the ones, between both and at their end
+        // single voxels: 1 in the outside, 2 in 1, and the outside in 1, between 1 and 2, and at
+        // the end of 1
         let (mut given, mut table) = grid(&["...1....", "111.1122", "12111.22", "1111111."]);
         let found = remove_islands(&mut given, &mut table, 3);
         let (expected, _) = grid(&["........", "11111122", "11111122", "11111111"]);

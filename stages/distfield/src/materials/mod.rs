@@ -1,7 +1,11 @@
-//! Many materials: labels become one smooth indicator each, the outside included (Meyer, Whitaker, Kirby, Ledergerber and Pfister 2008).
+//! Many materials: labels become one smooth indicator each, including the outside (Meyer, Whitaker,
+//! Kirby, Ledergerber and Pfister 2008).
 //!
-//! [`choice`] says which labels make which material, [`mod@extract`] makes the indicators one after the other by the method of one object, at a scale from what [`scaled`] smooths, [`survey`] looks at what
-//! came out: the material of every node, volumes, areas, junctions, voxel centres that changed; [`program`] is what the stage does with it.
+//! [`choice`] maps labels to materials and [`grid`] maps voxels to them; [`islands`] removes small
+//! components. [`mod@extract`] computes the indicators one after the other by the method for one
+//! object; with a scale, from the smoothed occupancy of [`scaled`]. [`contacts`] corrects them
+//! where several materials meet. [`survey`] measures the result: material of every node, volumes,
+//! areas, junctions, changed voxel centres. [`program`] runs the stage.
 
 pub mod choice;
 pub mod contacts;

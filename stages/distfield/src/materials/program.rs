@@ -1,4 +1,5 @@
-//! What `distfield --material` does: from the volume to the file, the report and the checks.
+//! `distfield --material`: reads the volume, computes and surveys the indicators, writes the file
+//! and the report, and runs the checks.
 
 use super::choice::{Chosen, resolve};
 use super::contacts::Contacts;
@@ -22,16 +23,17 @@ use isoparticles_volume::Volume;
 use serde_json::{Map, Value, json};
 use std::path::Path;
 
-/// Materials and pairs that the closing table shows; the report has all.
+/// Number of materials and pairs shown in the closing table; the report has all.
 const SHOWN: usize = 12;
 
-/// Names that a warning or a failed check lists.
+/// Number of names listed in a warning or a failed check.
 const NAMED: usize = 3;
 
-/// Makes the indicators of the materials that were asked for, and writes them.
+/// Computes the indicators of the chosen materials and writes them.
 ///
 /// # Errors
-/// On choices that the volume does not have, options that materials do not take yet, files that cannot be written, and when interrupted.
+/// When the choices are not in the volume, an option is not supported with materials, files cannot
+/// be written, or the run is interrupted.
 pub fn run(args: &Args, mut volume: Volume, output: &Path, context: &Context) -> Result<Outcome> {
     check_options(args)?;
     let step = context.step("materials read");
@@ -39,7 +41,7 @@ pub fn run(args: &Args, mut volume: Volume, output: &Path, context: &Context) ->
     let scale = scale(args, &volume, &chosen, context)?;
     let whole = volume.geometry.padded(args.margin.into());
     let found = VoxelBox::of_labels(&volume, |label| chosen.number(label) != MaterialId::OUTSIDE.0);
-    // a face of the grid counts as a border of the volume: the outside lies between
+    // a face of the grid counts as a border of the volume: only the outside lies beyond
     let room = scale.map_or([LABEL_ROOM; 3], |scale| room_round(0.5 * scale.length / volume.geometry.spacing));
     take_out(args, &mut volume, found, room, context)?;
     let mut grid = LabelGrid::new(&volume, &chosen, args.border, args.margin.into())?;
@@ -99,7 +101,7 @@ pub fn run(args: &Args, mut volume: Volume, output: &Path, context: &Context) ->
     Ok(Outcome::from_failed_checks(failed))
 }
 
-/// Gives islands to the materials round them, and tells of it.
+/// Gives islands to the materials around them, and reports them.
 fn remove_small(grid: &mut LabelGrid, chosen: &mut Chosen, least: usize, context: &Context) {
     if least < 2 {
         return;
@@ -123,7 +125,7 @@ fn remove_small(grid: &mut LabelGrid, chosen: &mut Chosen, least: usize, context
     }
 }
 
-/// Options that many materials do not take yet.
+/// Refuses options that are not supported with many materials.
 pub(crate) fn check_options(args: &Args) -> Result<()> {
     let refused = |option: &str, why: &str| {
         Err(Error::input(
@@ -138,7 +140,7 @@ pub(crate) fn check_options(args: &Args) -> Result<()> {
     Ok(())
 }
 
-/// The scale that the options ask for; none where every voxel centre is kept.
+/// The scale from the options; `None` if every voxel centre is kept.
 fn scale(args: &Args, volume: &Volume, chosen: &Chosen, context: &Context) -> Result<Option<Scale>> {
     if !args.scale.is_given() {
         return Ok(None);
@@ -162,7 +164,7 @@ fn scale(args: &Args, volume: &Volume, chosen: &Chosen, context: &Context) -> Re
     Ok((choice.length > 0.0).then_some(Scale { length: choice.length, keep_thin: args.scale.keep_thin }))
 }
 
-/// What the file and the report say of the materials.
+/// Notes on the materials, for the output file and the report.
 fn notes(materials: &Materials, tallies: &[Tally], found: &Survey) -> Map<String, Value> {
     let voxel = materials.geometry().spacing.element_product();
     let row = |(id, tally): (usize, &Tally)| {
@@ -178,11 +180,12 @@ fn notes(materials: &Materials, tallies: &[Tally], found: &Survey) -> Map<String
             "undecided_junctions": tally.undecided,
             "state_bytes": materials.indicators()[id].bytes(),
         });
-        // those of the outside are of all others together
+        // those of the outside refer to the union of all others
         if id != MaterialId::OUTSIDE.index() {
             row["components_before"] = json!(before.components);
             row["components"] = json!(after.components);
-            // a scale says what it joined and parted by the parts of the voxels
+            // with a scale, `scale_changes` reports what was joined and broken, by parts of the
+            // voxels
             row["cavities_before"] = tally.changes.as_ref().map_or(json!(before.cavities), |_| Value::Null);
             row["cavities"] = json!(after.cavities);
         }
@@ -243,7 +246,8 @@ fn describe(materials: &Materials, tallies: &[Tally], found: &Survey, context: &
     }
 }
 
-/// The materials whose volumes changed by more than a share, the largest first, in words.
+/// The materials whose volumes changed by more than the share `limit`, as text, largest material
+/// first.
 fn volumes_changed(materials: &Materials, tallies: &[Tally], found: &Survey, limit: f64) -> Vec<String> {
     let voxel = materials.geometry().spacing.element_product();
     let mut changed: Vec<(usize, f64)> = (1..tallies.len())
@@ -257,7 +261,7 @@ fn volumes_changed(materials: &Materials, tallies: &[Tally], found: &Survey, lim
         .collect()
 }
 
-/// Says which parts of which materials a scale broke and joined, and what each material lost.
+/// Warns which materials have broken or joined parts or filled gaps at a scale, and what each lost.
 fn tell_changes(materials: &Materials, tallies: &[Tally], scale: Scale, context: &Context) {
     let at_scale = format!("at a scale of {:.4} mm", scale.length);
     let changed = || {
@@ -281,8 +285,8 @@ fn tell_changes(materials: &Materials, tallies: &[Tally], scale: Scale, context:
     tell_losses(losses, &at_scale, context);
 }
 
-/// Warns of what materials lost at a scale, one by one; of specks, which are less than [`SPECKS`]
-/// of each, together.
+/// Warns of the losses of each material at a scale. Losses below the share [`SPECKS`] of a material
+/// are combined in one warning.
 fn tell_losses(losses: Vec<(&str, &Changes)>, at_scale: &str, context: &Context) {
     let mut specks = Vec::new();
     for (name, changes) in losses {
@@ -311,7 +315,7 @@ fn tell_losses(losses: Vec<(&str, &Changes)>, at_scale: &str, context: &Context)
     context.warn(format!("{at_scale} specks are lost, less than {percent:.1} % of each material: {named}{more}"));
 }
 
-/// A scale keeps volumes, not voxels.
+/// The failed checks of a run with a scale, which preserves volumes but not voxels.
 fn failed_at_scale(materials: &Materials, tallies: &[Tally], found: &Survey) -> Vec<String> {
     let changed = volumes_changed(materials, tallies, found, SCALED_VOLUME_LIMITS.1);
     if changed.is_empty() {
@@ -330,7 +334,7 @@ fn listed(names: &[String]) -> String {
     format!("{}{more}", names[..names.len().min(NAMED)].join(", "))
 }
 
-/// Materials are made such that these hold.
+/// The failed checks of a run without a scale; the method is designed to satisfy them.
 fn failed_checks(materials: &Materials, tallies: &[Tally], found: &Survey) -> Vec<String> {
     let mut failed = Vec::new();
     let of = |is_bad: &dyn Fn(usize) -> bool| -> Vec<String> {

@@ -1,10 +1,13 @@
-//! `--scale` with many materials: the share of each material is smoothed and its level set such that its volume is kept from place to place, as that of one object
-//! is ([`crate::scale`]); what a material is above its level tells whose a place is.
+//! `--scale` with many materials. The occupancy of each material is smoothed and a level set
+//! preserves its local volume, as for one object ([`crate::scale`]). Comparing how far each
+//! material is above its level gives the material at each position, without gaps or overlaps.
 //!
-//! Where two materials alone are near, the share of one is what the other lacks, and so is its level: both ways give the same surface, that of one
-//! object. Where three meet, each has a border of its own. A corner of a material is rounded, and its level is far from a half there; a straight border that two
-//! others meet at is as it was, and its level is a half. So between two materials the border of the one whose level is nearer to a half holds: an organ of
-//! several parts is as smooth round them as one of one part. There are neither gaps nor overlaps at any scale.
+//! Where only two materials are near, their occupancies sum to one, and so do their levels: both
+//! give the same surface, that of one object. Where three meet, each has its own border. A corner
+//! of a material is rounded, and its level there is far from 1/2. A straight border on which two
+//! others meet is unchanged, and its level is 1/2. Between two materials, the border whose level is
+//! nearer to 1/2 therefore has more weight. The outer border of an organ of several materials is
+//! then as smooth as that of a single material.
 
 use super::grid::{Extent, LabelGrid};
 use crate::bits::{Bits, Numbering};
@@ -24,55 +27,61 @@ use isoparticles_stage::monitor::Monitor;
 use isoparticles_volume::{Geometry, Image};
 use rayon::prelude::*;
 
-/// What one unit of a level is stored as: levels lie between -1 and 1, and a step moves a border by less than a thousandth of the Gaussian's width.
+/// Integer steps per unit of a stored value; values lie between -1 and 1. One step moves a border
+/// by less than a thousandth of the Gaussian's width.
 const UNIT: f32 = i16::MAX as f32;
 
-/// Level where a material is not, and of parts that are too small for the scale.
+/// Value where a material is absent, and of parts that are too small for the scale.
 const NOWHERE: i16 = i16::MIN;
 
-/// A third material counts where its smoothed share is more than a hundredth of a level of a half: the levels of the two others are not each other's negative there.
+/// A third material counts as near above this value: at a level of 1/2 its smoothed occupancy is
+/// then above 0.01. The values of the two others are no longer each other's negative there.
 const IS_NEAR: i16 = -((0.49 * UNIT) as i16);
 
-/// Materials that are told apart where more than two are near.
+/// Maximum number of materials stored where more than two are near.
 const MOST: usize = 4;
 
-/// How far from a half the level of a rounded border is: a right-angled edge has 0.3, a ball of six standard deviations' radius 0.43. On a ball of three
-/// sectors the normals are off those of a ball by 1.2 degrees (root mean square, away from the edges), 2.2 where both borders have the same say, 0.7 where the
-/// ball is one object (test `a_scale_keeps_the_volumes_of_all_and_smooths_their_borders`).
+/// Deviation of the level from 1/2 that counts as a rounded border. For comparison, the level is
+/// 0.3 at a right-angled edge and 0.43 on a ball of radius six standard deviations.
+///
+/// On a ball of three sectors, normals deviate from those of a ball by 1.2 degrees (root mean
+/// square, away from the edges), by 2.2 if both borders have equal weight, and by 0.7 if the ball
+/// is one object (test `a_scale_keeps_the_volumes_of_all_and_smooths_their_borders`).
 const ROUNDED: f32 = 0.1;
 
-/// What is known of a material at a voxel.
+/// A material at a voxel.
 #[derive(Clone, Copy)]
 struct Share {
     material: u16,
-    /// The smoothed share less the level, in [`UNIT`]s.
+    /// The smoothed occupancy minus the level, in 1 / [`UNIT`].
     above: i16,
-    /// How far the level is from a half, in 255ths.
+    /// Distance of the level from 1/2, in 1/255.
     off: u8,
 }
 
 const NOBODY: Share = Share { material: u16::MAX, above: NOWHERE, off: 0 };
 
-/// The border between two materials: positive where the first is.
+/// The border between two materials: positive where the first one is.
 fn between(a: Share, b: Share) -> f32 {
-    // the say of the first: squares of what each level is off, in units of a rounded one
+    // weight of the first, from the squared deviations of both levels in units of `ROUNDED`
     let off = |share: Share| (f32::from(share.off) / 255.0 / ROUNDED).powi(2);
     let say = 1.0 / (1.0 + (off(a) - off(b)).exp());
     (say * f32::from(a.above) - (1.0 - say) * f32::from(b.above)) / UNIT
 }
 
-/// The smoothed share of a material less the level that keeps its volume, round where it is.
+/// The smoothed occupancy of a material minus the level that preserves its volume, in a box around
+/// it.
 struct Level {
     first: [usize; 3],
     size: [usize; 3],
-    /// In [`UNIT`]s.
+    /// In 1 / [`UNIT`].
     above: Vec<i16>,
-    /// How far the level is from a half, in 255ths.
+    /// Distance of the level from 1/2, in 1/255.
     off: Vec<u8>,
 }
 
 impl Level {
-    /// For each row of the box, the numbers of its first voxel in the grid and in the box.
+    /// For each row of the box, the index of its first voxel in the grid and in the box.
     fn rows(&self, grid: [usize; 3]) -> impl Iterator<Item = (usize, usize)> + use<> {
         let (first, size) = (self.first, self.size);
         (0..size[1] * size[2]).map(move |row| {
@@ -82,38 +91,41 @@ impl Level {
     }
 }
 
-/// The three highest of a voxel and whose the highest is; of equal ones that of the lower number.
+/// The three highest values at a voxel, and the material of the highest; of equal ones, the lower
+/// number.
 #[derive(Clone, Copy)]
 struct Highest {
     material: u16,
     above: [i16; 3],
 }
 
-/// The levels of all materials.
+/// The level sets of all materials on the grid of the volume.
 pub struct Levels<'a> {
     grid: &'a LabelGrid,
     levels: Vec<Level>,
     highest: Vec<Highest>,
-    /// Where more than two materials are near, and those that are, the nearest first.
+    /// The voxels where more than two materials are near, and up to [`MOST`] of these materials,
+    /// the highest value first.
     several: Numbering,
     near: Vec<[Share; MOST]>,
 }
 
-/// The indicator of a material at a scale.
+/// The indicator of one material at a scale.
 pub struct Made {
-    /// F and what is known of it; `None` where nothing is left of the material.
+    /// F and its measurements; `None` if nothing is left of the material.
     pub result: Option<Redistanced>,
-    /// First voxel of its box.
+    /// Index of the first voxel of its box.
     pub first: [usize; 3],
-    /// What the scale changed; `None` where nothing is left.
+    /// Changes by the scale; `None` if nothing is left of the material.
     pub changes: Option<Changes>,
 }
 
 impl<'a> Levels<'a> {
-    /// Smooths the shares of all materials; `extents` are their boxes.
+    /// Smooths the occupancies of all materials, whose bounding boxes are `extents`.
     ///
     /// # Errors
-    /// When the parts of one are too many to be told apart, or the run is interrupted.
+    /// When there are too many runs of voxels to label the parts of a material, or the run is
+    /// interrupted.
     pub fn new(grid: &'a LabelGrid, extents: &[Extent], scale: Scale, monitor: &dyn Monitor) -> Result<Self> {
         let nothing = Highest { material: 0, above: [NOWHERE; 3] };
         let highest = vec![nothing; grid.numbers.len()];
@@ -125,7 +137,7 @@ impl<'a> Levels<'a> {
             let level = if extent.count == 0 {
                 Level { first: [0; 3], size: [0; 3], above: Vec::new(), off: Vec::new() }
             } else {
-                // the indicator of the outside is of all others, wherever they are
+                // the indicator of the outside is computed from all others, wherever they are
                 let whole = Extent { low: [0; 3], high: grid.geometry.size.map(|n| n - 1), count: extent.count };
                 smoothed(grid, MaterialId(id as u16), if id == 0 { &whole } else { extent }, scale)
             };
@@ -144,7 +156,7 @@ impl<'a> Levels<'a> {
         Ok(new)
     }
 
-    /// Finds the highest of each voxel, and all that are near where more than two are.
+    /// Finds the highest values of each voxel, and all near materials where more than two are near.
     fn compare(&mut self) {
         let Self { grid, levels, highest, several, near } = self;
         let size = grid.geometry.size;
@@ -178,7 +190,8 @@ impl<'a> Levels<'a> {
         }
     }
 
-    /// How far a material is above all others at a voxel, of whose shares it has `own`: positive where it is.
+    /// How far the material of `own` is above all others at a voxel; positive where the voxel
+    /// belongs to it.
     fn above_others(&self, voxel: usize, own: Share) -> f32 {
         if let Some(number) = self.several.find(voxel) {
             let others =
@@ -190,7 +203,7 @@ impl<'a> Levels<'a> {
         0.5 * (f32::from(own.above) - f32::from(other)) / UNIT
     }
 
-    /// The same at all voxels of the box of a material.
+    /// The values of [`Self::above_others`] at all voxels of a material's box.
     fn above(&self, id: usize) -> Vec<f32> {
         let level = &self.levels[id];
         let rows: Vec<(usize, usize)> = level.rows(self.grid.geometry.size).collect();
@@ -204,7 +217,8 @@ impl<'a> Levels<'a> {
         rows.par_iter().flat_map_iter(row).collect()
     }
 
-    /// Gives the parts of a material that are smaller than `smallest` (mm^3) to others, unless all are.
+    /// Removes the parts of a material that are smaller than `smallest` (mm^3), unless all are
+    /// smaller. Other materials take their voxels.
     fn remove_crumbs(&mut self, id: usize, smallest: f64) -> Result<()> {
         let before = self.above(id);
         let mut after = before.clone();
@@ -218,7 +232,8 @@ impl<'a> Levels<'a> {
         Ok(())
     }
 
-    /// Area of all interfaces, mm^2, each pair counted once; with those that close the materials at the border of the volume, where it does.
+    /// Area of all interfaces, mm^2, each pair counted once. With a closed border, the faces that
+    /// close the materials at the border of the volume are included.
     pub fn area(&self) -> f64 {
         let of = |id: usize| {
             let geometry = self.geometry(id);
@@ -236,16 +251,18 @@ impl<'a> Levels<'a> {
         inner + border
     }
 
-    /// The grid of the box of a material.
+    /// The grid of a material's box.
     fn geometry(&self, id: usize) -> Geometry {
         let level = &self.levels[id];
         self.grid.geometry.cropped(level.first, level.size)
     }
 
-    /// The indicator of a material that has voxels; that of the outside is of all others together.
+    /// The indicator of a material that has voxels. For the outside, the indicator of the union of
+    /// all others is computed; the caller negates it.
     ///
     /// # Errors
-    /// When its parts are too many to be told apart, when it fills the volume, or the run is interrupted.
+    /// When there are too many runs of voxels to label its parts, when it fills the volume and the
+    /// border is open, or when the run is interrupted.
     pub fn indicator(&self, id: MaterialId, scale: f64, demands: &Demands, monitor: &dyn Monitor) -> Result<Made> {
         let is_outside = id == MaterialId::OUTSIDE;
         let grid = self.grid;
@@ -282,7 +299,8 @@ impl<'a> Levels<'a> {
     }
 }
 
-/// The edge length (mm) of which a mesh of all materials smoothed for it has about so many vertices, by the area of their interfaces. `None` if nothing is left of them.
+/// The edge length (mm) for which a mesh of all smoothed materials has about `vertices` vertices,
+/// from the area of their interfaces. `None` if nothing is left of them.
 ///
 /// # Errors
 /// As [`Levels::new`].
@@ -297,7 +315,7 @@ pub fn edge_length(
     edge_length_by(grid, area, vertices, keep_thin)
 }
 
-/// The smoothed share of a material, less the level that keeps its volume.
+/// Smooths the occupancy of a material and subtracts the level that preserves its volume.
 fn smoothed(grid: &LabelGrid, id: MaterialId, extent: &Extent, scale: Scale) -> Level {
     let whole = grid.geometry.size;
     let smoothing = scale.smoothing(&grid.geometry);

@@ -1,5 +1,6 @@
-//! What the indicators make of the volume: the material of every node and its distance from the next one, volumes of materials and areas of their interfaces,
-//! places where three and four meet, and voxel centres that changed.
+//! Measures the indicators: material of every node and its distance from the nearest interface,
+//! volumes of materials, areas of interfaces, counts of junctions, and voxel centres that changed
+//! material.
 
 use super::grid::LabelGrid;
 use crate::Border;
@@ -16,64 +17,67 @@ use serde::Serialize;
 use std::collections::BTreeMap;
 use std::ops::Range;
 
-/// Two materials that touch.
+/// The interface of two materials.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Interface {
     /// The materials, the lower number first.
     pub materials: [MaterialId; 2],
-    /// Area of the sheet, mm^2.
+    /// Area of the interface, mm^2.
     pub area: f64,
-    /// Grid edges that it crosses.
+    /// Number of grid edges that it crosses.
     pub crossings: usize,
 }
 
-/// Where three and more materials meet, by the nodes: grid faces are crossed by junction curves, cells hold junction points.
+/// Counts of places where three or more materials meet, from the nodes. Junction curves cross grid
+/// faces; grid cells contain junction points.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct Junctions {
-    /// Grid faces whose corners are of three materials.
+    /// Grid faces whose corners have three materials.
     pub edges_of_three: usize,
-    /// Grid faces whose corners are of four.
+    /// Grid faces whose corners have four materials.
     pub edges_of_four: usize,
-    /// Grid cells whose corners are of four materials or more.
+    /// Grid cells whose corners have four or more materials.
     pub corners: usize,
 }
 
-/// What was found.
+/// The result of a survey.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Survey {
-    /// Number of the material of each node, x fastest.
+    /// Material number of each node, x fastest.
     pub material: Vec<u16>,
-    /// Half the difference of the two smallest indicators at each node, mm, no more than [`distance_limit`].
+    /// Half the difference of the two smallest indicators at each node, mm, at most
+    /// [`distance_limit`].
     pub interface_distance: Vec<f32>,
-    /// Voxel centres of each material that another one has taken.
+    /// For each material, number of its voxel centres that another material has taken.
     pub changed: Vec<usize>,
-    /// Volume of each material, mm^3; of the outside that within the volume's own voxels alone.
+    /// Volume of each material, mm^3; of the outside, within the voxels of the volume only.
     pub volumes: Vec<f64>,
-    /// The pairs that touch.
+    /// The pairs of materials that touch.
     pub interfaces: Vec<Interface>,
-    /// Where more than two meet.
+    /// Places where more than two materials meet.
     pub junctions: Junctions,
 }
 
-/// Distance (mm) from which on two indicators are not both known everywhere.
+/// Distance (mm) from an interface up to which both of its indicators are known everywhere.
 pub fn distance_limit(geometry: &Geometry) -> f64 {
     KNOWN_VOXELS as f64 * geometry.min_spacing()
 }
 
-/// What the sheets add up to in some slices.
+/// Sums over some slices.
 #[derive(Default)]
 struct Sums {
-    /// Of each pair: area in mm^2, crossings.
+    /// For each pair: area (mm^2) and number of crossings.
     pairs: BTreeMap<[MaterialId; 2], (f64, usize)>,
     junctions: Junctions,
 }
 
-/// Looks at every node of the padded grid and the edges between them.
+/// Surveys the nodes of the padded grid and the edges between them.
 ///
-/// The area of a sheet is that of the grid's faces it crosses, each weighted by the share |n_a| of
-/// its unit normal along the edge that crosses it: the faces across axis a that a piece dA of the
-/// sheet crosses have the area |n_a| dA, and the squares of n_a sum to one. The volume of a
-/// material is what its indicator's place among the others encloses.
+/// The area of an interface is a sum over the grid edges that it crosses: the area of the dual
+/// face, times |n_a|, the component of the unit normal along the edge. A piece dA of the interface
+/// covers the area |n_a| dA of the faces across axis a, and the squares of n_a sum to one. The
+/// volume of a material is the volume enclosed by the surface on which its indicator equals the
+/// smallest of the others.
 ///
 /// # Errors
 /// When the run is interrupted.
@@ -88,7 +92,7 @@ pub fn survey(
     let plane = nx * ny;
     let limit = distance_limit(geometry) as f32;
     let (mut material, mut distance) = (vec![0u16; geometry.voxel_count()], vec![0.0f32; geometry.voxel_count()]);
-    // beyond an open border interfaces go on straight, but are none of the volume's
+    // beyond an open border interfaces continue straight, but do not belong to the volume
     let counted: [Range<usize>; 3] = std::array::from_fn(|a| match grid.border {
         Border::Cap => 0..geometry.size[a],
         Border::Open => grid.margin..geometry.size[a] - grid.margin,
@@ -148,7 +152,7 @@ pub fn survey(
     Ok(survey)
 }
 
-/// The boxes of the nodes of each material, of those that are counted.
+/// The bounding boxes of the counted nodes of each material; `None` if it has none.
 fn node_extents(
     material: &[u16],
     [nx, ny, _]: [usize; 3],
@@ -169,21 +173,21 @@ fn node_extents(
     extents
 }
 
-/// What is known of the nodes of the padded grid.
+/// Survey data of the nodes of the padded grid.
 struct NodesNear<'a> {
     geometry: &'a Geometry,
     material: &'a [u16],
     /// Half the difference of the two smallest indicators, mm.
     distance: &'a [f32],
-    /// The nodes that are counted.
+    /// Range of the counted nodes along each axis.
     counted: &'a [Range<usize>; 3],
 }
 
 impl NodesNear<'_> {
-    /// Volume (mm^3) of a material whose nodes lie in `extent`, closed half a voxel beyond the
-    /// nodes that are counted.
+    /// Volume (mm^3) of a material whose nodes lie in `extent`. It is closed half a voxel beyond
+    /// the counted nodes.
     fn volume(&self, indicators: &impl Indicators, id: MaterialId, extent: VoxelBox) -> f64 {
-        // a node more on each face, which may be beyond the grid
+        // one more node on each face, possibly beyond the grid
         let size = extent.size().map(|n| n + 2);
         let first = DVec3::from_array(extent.low.map(|n| n as f64 - 1.0));
         let nodes = Geometry { size, ..self.geometry.clone() };
@@ -221,7 +225,7 @@ impl NodesNear<'_> {
     }
 }
 
-/// What lies in a slice and between it and the next, of the nodes that are counted.
+/// Sums over the counted nodes of slice `k` and the edges to the next slice.
 fn slice_sums(
     indicators: &impl Indicators,
     geometry: &Geometry,
@@ -252,7 +256,7 @@ fn slice_sums(
     sums
 }
 
-/// How many different numbers there are.
+/// Number of distinct values.
 fn distinct<const N: usize>(mut numbers: [u16; N]) -> usize {
     if numbers.iter().all(|number| *number == numbers[0]) {
         return 1;
@@ -262,7 +266,7 @@ fn distinct<const N: usize>(mut numbers: [u16; N]) -> usize {
 }
 
 impl Sums {
-    /// Counts a face of the grid by the materials of its corners.
+    /// Counts a grid face by the materials of its corners.
     fn add_face(&mut self, corners: [u16; 4]) {
         match distinct(corners) {
             3 => self.junctions.edges_of_three += 1,
@@ -271,7 +275,7 @@ impl Sums {
         }
     }
 
-    /// Adds the sheet between a node and the next one along an axis.
+    /// Adds the interface between a node and the next one along an axis.
     fn add_crossing(
         &mut self,
         indicators: &impl Indicators,
@@ -285,7 +289,7 @@ impl Sums {
         let start = geometry.index_to_grid(DVec3::from_array(at.map(|n| n as f64)));
         let value = |p: DVec3| indicators.difference_gradient(i, j, p).0;
         let (low, high) = (value(start), value(start + step));
-        // negative at the node itself, positive at the next, unless one of the two is not known there
+        // negative at the node, positive at the next, unless an indicator is not known there
         let share = if low < 0.0 && high > 0.0 && (high - low).is_finite() { low / (low - high) } else { 0.5 };
         let (_, gradient) = indicators.difference_gradient(i, j, start + step * share);
         let face = geometry.spacing.element_product() / geometry.spacing[axis];
