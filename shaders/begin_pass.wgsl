@@ -1,14 +1,16 @@
-// What the kernels of a pass know of it. A pass may be handed over while the one before it is at work: then the number of its particles is known here alone, and where
-// that is more than the pass was made for, or the one before has to be done again, it is of no particle and changes nothing that the host goes back to.
+// Writes the parameters of a pass for its kernels. The host may submit a pass before it has read
+// the result of the previous one; then only the device knows the number of particles. If the
+// previous pass must be repeated, or left more particles than this pass has room for, the count
+// becomes 0. The pass then leaves its input unchanged.
 
 struct Planned {
     number: u32,
-    // Particles, or AS_LEFT: as many as the pass before has left.
+    // Number of particles, or AS_LEFT: as many as the previous pass left.
     count: u32,
     allow_insert: u32,
-    // Particles that the pass was made for.
+    // Particles that this pass has room for.
     room: u32,
-    // The longest list that there was room for in the pass before, and the classes that it was made for.
+    // Room of the lists, and number of classes, of the previous pass.
     list_room: u32,
     classes: u32,
     unused_1: u32,
@@ -34,7 +36,7 @@ fn begin_pass() {
     begun[0] = planned.number;
     begun[1] = count;
     begun[2] = planned.allow_insert;
-    // flags of all particles and of their newcomers
+    // one flag for each particle and one for its newcomer
     begun_scan[0] = 2u * count;
     begun_scan[1] = (2u * count + BLOCK) / BLOCK;
 }

@@ -1,4 +1,5 @@
-// Counting sort into bins, first step: the bin of each particle and how many each bin has.
+// Counting sort into bins, step 1: the bin of each particle, and the number of particles in each
+// bin.
 
 @group(0) @binding(2) var<storage, read> listed_place: array<vec4<f32>>;
 @group(0) @binding(3) var<storage, read_write> bin_of: array<u32>;

@@ -1,5 +1,6 @@
-// Classes, first half of a round: each particle without a class proposes one that none of its neighbours has: at random among
-// the first sixteen, or one of the next few, so that the rest stay empty (a class costs a dispatch) unless there are crowds.
+// Classes, first half of a round: each particle without a class proposes one that none of its
+// neighbours has. The choice is random among the first sixteen, or among the next three free ones
+// if these are taken. So the higher classes mostly stay empty; each class in use costs a dispatch.
 
 @group(0) @binding(3) var<storage, read> classes: array<u32>;
 @group(0) @binding(4) var<storage, read_write> proposed_classes: array<u32>;
@@ -36,7 +37,7 @@ fn class_propose(
     }
     var choice = UNCLASSED;
     if free != 0u {
-        // the n-th of the free ones
+        // the n-th free class
         var n = random_bits(0xc0000000u + 16u * now.number + round.number, i) % min(choices, countOneBits(free));
         while n > 0u {
             free &= free - 1u;

@@ -1,4 +1,4 @@
-// The members of the classes, class by class. Their order within a class does not matter: none sees another.
+// The members of the classes, class by class, in any order within a class: members do not interact.
 
 @group(0) @binding(3) var<storage, read> classes: array<u32>;
 @group(0) @binding(4) var<storage, read_write> class_counts: array<atomic<u32>>;

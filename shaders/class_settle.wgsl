@@ -1,5 +1,6 @@
-// Classes, second half of a round: of neighbours that proposed the same class the one of highest priority gets it. Whoever is
-// left without a class after the last round rests until the lists are made anew.
+// Classes, second half of a round: of neighbours that propose the same class, the one with the
+// highest priority gets it. A particle without a class after the last round does not move until the
+// lists are rebuilt.
 
 @group(0) @binding(3) var<storage, read_write> classes: array<u32>;
 @group(0) @binding(4) var<storage, read> proposed_classes: array<u32>;

@@ -1,4 +1,4 @@
-// Where each class begins among the members, and how many workgroups will move it (indirect dispatch).
+// The first member of each class, and the number of workgroups that move it (indirect dispatch).
 
 @group(0) @binding(4) var<storage, read_write> class_counts: array<u32>;
 @group(0) @binding(5) var<storage, read_write> class_starts: array<u32>;
@@ -12,12 +12,12 @@ fn class_starts_kernel() {
     for (var c = 0u; c < CLASSES; c++) {
         let count = class_counts[c];
         class_starts[c] = start;
-        // from here on the next free slot
+        // class_scatter uses this as the next free slot
         class_counts[c] = start;
         start += count;
         used = select(used, c + 1u, count > 0u);
         let workgroups = (count + TEAMS - 1u) / TEAMS;
-        // at most ROW along x; the rest goes along y
+        // at most ROW workgroups along x, the rest along y
         class_arguments[3u * c] = min(workgroups, ROW);
         class_arguments[3u * c + 1u] = (workgroups + ROW - 1u) / ROW;
         class_arguments[3u * c + 2u] = 1u;

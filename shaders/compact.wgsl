@@ -1,5 +1,6 @@
-// Density control, last step: the particles that stay and the newcomers, in order, into the other set of buffers than that which the pass began from. Does nothing
-// when the lists did not fit: the host then redoes the pass. Where it redoes the pass for want of classes, nobody goes back to what is written here.
+// Density control, last step: writes the kept particles and the newcomers, in order, to the set of
+// listed buffers that the pass did not begin from. Does nothing if a list was truncated; the host
+// then repeats the pass. If the host repeats it for lack of classes, this output is ignored.
 
 @group(0) @binding(2) var<storage, read_write> listed_place: array<vec4<f32>>;
 @group(0) @binding(3) var<storage, read> keep: array<u32>;

@@ -1,6 +1,8 @@
-// Density control, a round of deletion: of particles where the surface is oversampled and that see each other the one of highest
-// energy goes. (The CPU takes them one by one, that of the highest energy first. Rounds with the energies relieved in between come to the same where few are
-// above the limit; from a start several times too dense a round takes one of the many that see each other, and far fewer go in a pass than on the CPU.)
+// Density control, one round of deletion: of oversampled particles that interact, the one with the
+// highest energy is deleted. The CPU deletes them one by one in the order of energy. A few rounds
+// with updated energies give the same result where few particles exceed the limit. In a start
+// several times too dense, a round deletes only one of many interacting particles, so far fewer go
+// in a pass than on the CPU.
 //
 // Twin: `delete` in stages/particles/src/density.rs
 
@@ -9,7 +11,7 @@
 @group(0) @binding(13) var<storage, read_write> marks: array<atomic<u32>>;
 @group(0) @binding(14) var<storage, read_write> touched: array<atomic<u32>>;
 
-// Whether particle j was there when this round began.
+// Whether particle j still existed when this round began.
 fn was_there(j: u32) -> bool {
     let mark = atomicLoad(&marks[j]);
     return mark == 0u || mark == round.number;

@@ -1,16 +1,17 @@
-// The energy of every particle (Eq. 1), whether it is a lattice defect, and a clean slate for density control.
+// The energy (Eq. 1) and lattice-defect flag of every particle. Also resets the marks of density
+// control. Particles next to a held one are not counted as defects.
 //
 // Twin: `measure` in stages/particles/src/state.rs
 
 @group(0) @binding(8) var<storage, read> place: array<vec4<f32>>;
 @group(0) @binding(9) var<storage, read> normal: array<vec4<f32>>;
 @group(0) @binding(12) var<storage, read_write> energies: array<f32>;
-// 0: stays; n: deleted in round n.
+// 0: kept; n: deleted in round n.
 @group(0) @binding(13) var<storage, read_write> marks: array<u32>;
 // The last round in which a neighbour was deleted.
 @group(0) @binding(14) var<storage, read_write> touched: array<u32>;
 
-// Steps tried, with STEP_TAKEN and LATTICE_DEFECT.
+// Number of steps tried, and the flags STEP_TAKEN and LATTICE_DEFECT.
 @group(0) @binding(15) var<storage, read_write> outcome: array<u32>;
 
 @compute @workgroup_size(NARROW)

@@ -1,6 +1,7 @@
-// Density control, who is kept and who comes: of newcomers whose parents are neighbours one a pass, and of newcomers nearer than
-// newcomer_distance to each other; the one whose parent draws the highest number. Writes the flags whose prefix sum gives everybody's
-// next place: first the old ones, then the newcomers.
+// Density control: which particles are kept and which newcomers are inserted. Of newcomers whose
+// parents are neighbours, or that are nearer than newcomer_distance to each other, only the one
+// whose parent draws the highest number is inserted. Writes flags whose prefix sum gives the next
+// index of every particle: kept particles first, then newcomers.
 //
 // Twin: `insert` in stages/particles/src/density.rs
 
@@ -17,8 +18,9 @@ fn beats(j: u32, i: u32) -> bool {
     return other > own || (other == own && j < i);
 }
 
-// Whether the newcomer of i is too near to one that beats it. Parents lie in the bins of where they were when the lists were made: since then
-// they have moved by REBUILD_MOVE and FARTHEST_MOVE of their h at most, and the projection leaves a newcomer within two spacings of its parent.
+// Whether the newcomer of i is too near to one that beats it. The bins hold the parents' positions
+// at the time of the sort. Since then parents have moved by at most REBUILD_MOVE + FARTHEST_MOVE of
+// their h, and the projection leaves a newcomer within two spacings of its parent.
 fn is_too_near(i: u32) -> bool {
     let own = newcomer_place[i];
     let facing = newcomer_normal[i];

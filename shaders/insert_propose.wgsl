@@ -1,5 +1,6 @@
-// Density control, insertion: a particle where the surface is undersampled proposes a newcomer at one spacing of the lattice in the middle of its widest gap, on the surface,
-// where it has room.
+// Density control, insertion: each undersampled particle proposes a newcomer. It stands on the
+// surface, one lattice spacing away, in the middle of the widest gap between neighbours, if it
+// keeps its minimum distances there.
 //
 // Twin: `propose`, `place_in_widest_gap` in stages/particles/src/density.rs
 
@@ -11,32 +12,34 @@
 @group(0) @binding(15) var<storage, read_write> newcomer_place: array<vec4<f32>>;
 @group(0) @binding(16) var<storage, read_write> newcomer_normal: array<vec4<f32>>;
 
-// The angle under which particle i sees neighbour j in the tangent plane; beyond a turn when j does not count.
+// The direction of neighbour j from the particle in the tangent plane, radians; 2 TAU if j is
+// deleted or beyond the second ring.
 fn angle_of(own: vec4<f32>, plane: Plane, j: u32) -> f32 {
     let offset = place[j].xyz - own.xyz;
     let edge = parameters.spacing_in_h * own.w;
-    // the second ring of a lattice is as many of its edges away as the support is h
+    // the second ring is SUPPORT lattice edges away
     if marks[j] != 0u || dot(offset, offset) >= SUPPORT * SUPPORT * edge * edge {
         return 2.0 * TAU;
     }
     return atan2(dot(plane.v, offset), dot(plane.u, offset));
 }
 
-// The middle of the widest gap, the first of equal ones, by a team that shares out the neighbours.
+// The direction of the middle of the widest gap, by a team that shares the neighbours. Of equal
+// gaps the first in the list counts.
 fn widest_gap(own: vec4<f32>, plane: Plane, list: List, lane: u32) -> f32 {
     var lowest = TAU;
     for (var k = lane; k < list.length; k += TEAM) {
         lowest = min(lowest, angle_of(own, plane, member(list, k)));
     }
     lowest = -team_best(vec4(-lowest, 0.0, 0.0, 0.0), lane).x;
-    // width, place in the list, direction
+    // width, index in the list, direction
     var widest = vec4(0.0);
     for (var k = lane; k < list.length; k += TEAM) {
         let angle = angle_of(own, plane, member(list, k));
         if angle > TAU {
             continue;
         }
-        // the next one round; of equal angles the later in the list is the next
+        // the next neighbour counter-clockwise; of equal angles, the later in the list
         var next = lowest + TAU;
         for (var m = 0u; m < list.length; m++) {
             let other = angle_of(own, plane, member(list, m));
@@ -81,7 +84,7 @@ fn propose(i: u32, lane: u32) {
     }
 }
 
-// Those of the workgroup's NARROW particles that lack neighbours, in any order.
+// The undersampled particles among the workgroup's NARROW particles, in any order.
 var<workgroup> lacking: array<u32, NARROW>;
 var<workgroup> lacking_count: atomic<u32>;
 
@@ -104,7 +107,7 @@ fn insert_propose(
         }
     }
     workgroupBarrier();
-    // few particles are: one invocation each would leave a subgroup waiting for one of its lanes
+    // few particles are undersampled: with one invocation each, most lanes would be idle
     let count = atomicLoad(&lacking_count);
     for (var k = local / TEAM; k < count; k += TEAMS) {
         propose(lacking[k], local % TEAM);

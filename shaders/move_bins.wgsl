@@ -1,9 +1,11 @@
-// One pass of movement for the bins of one colour, as sections 4.1, 5.1 and 5.2 of the paper have it: a workgroup works for a bin, whose particles move one after the
-// other, and its lanes share out the neighbours of the one that moves.
+// One pass of movement for the bins of one colour (sections 4.1, 5.1 and 5.2 of the paper). One
+// workgroup processes a bin: its particles move one after the other, and its lanes share the
+// neighbours of the particle that moves.
 //
-// Every third bin along each axis has one colour, so there are 27. No conflict: a list reaches no farther than a bin is wide, so what a workgroup reads lies in its bin and
-// the 26 round it, and what it writes in its bin; between two bins of a colour there are two others, so no such neighbourhoods meet. That holds until the
-// next sort wherever the particles go meanwhile: bins and lists are those of the last sort.
+// Every third bin along each axis has the same colour, so there are 27 colours. There are no
+// conflicts: lists reach no farther than one bin edge, so a workgroup writes its bin and reads the
+// 27 bins around it. Two bins of a colour have two others between them, so these neighbourhoods are
+// disjoint. This holds until the next sort, because bins and lists do not change before it.
 
 @group(0) @binding(5) var<storage, read> bin_starts: array<u32>;
 
@@ -25,7 +27,7 @@ fn move_bins(
     let end = bin_starts[bin + 1u];
     for (var i = bin_starts[bin]; i < end; i++) {
         move_particle(i, lane);
-        // the next one sees where this one has gone to
+        // the next particle reads this one's new position
         storageBarrier();
     }
 }

@@ -1,7 +1,8 @@
-// One pass of movement for one class of particles: sections 3.2.1 and 3.2.2 and Algorithm 1 of the paper, a team of lanes for each particle.
+// One pass of movement for one class of particles (sections 3.2.1 and 3.2.2, Algorithm 1 of the
+// paper), with a team of lanes for each particle.
 //
-// No conflict: a particle reads itself and its listed neighbours and writes
-// itself. Members of one class are in no list of each other, so within a dispatch nobody reads what another writes.
+// There are no conflicts: a particle reads itself and its listed neighbours and writes itself, and
+// no two members of a class are in each other's lists.
 //
 // Twin: `pass` in stages/particles/src/movement.rs
 

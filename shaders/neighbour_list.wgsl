@@ -1,4 +1,5 @@
-// Makes the neighbour lists, four members at a time. Their lengths are counted to the end, also where the room is too small.
+// Builds the neighbour lists, four members at a time. The lengths count all neighbours, even those
+// that exceed the room of a list.
 //
 // Twin: `NeighbourLists` in common/field/src/neighbours.rs
 
@@ -6,7 +7,7 @@
 @group(0) @binding(11) var<storage, read_write> lists: array<vec4<u32>>;
 
 var<private> particle: u32;
-// The last members found, the newest in w.
+// The last four members found, the newest in w.
 var<private> last_four: vec4<u32>;
 
 fn found(n: u32, j: u32) {
@@ -31,7 +32,7 @@ fn neighbour_list(
     list_lengths[i] = length;
     let rest = length % 4u;
     if rest > 0u && length < parameters.list_room {
-        // those left over go to the front of their four
+        // moves the remaining one to three members to the front of their group of four
         let four = select(select(vec4(last_four.w), last_four.zwzw, rest == 2u), last_four.yzwy, rest == 3u);
         lists[list_slot(i, length)] = four;
     }

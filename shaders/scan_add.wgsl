@@ -1,4 +1,4 @@
-// Exclusive prefix sums, third of three kernels: adds the start of its block to every number.
+// Exclusive prefix sum, kernel 3 of 3: adds the start of each block to its numbers.
 
 @group(0) @binding(3) var<storage, read_write> scan_output: array<u32>;
 @group(0) @binding(4) var<storage, read_write> scan_sums: array<u32>;

@@ -1,4 +1,5 @@
-// Exclusive prefix sums, first of three kernels: within blocks of BLOCK numbers. The last number of the result is the total.
+// Exclusive prefix sum, kernel 1 of 3: within blocks of BLOCK numbers. The last number is the
+// total.
 
 @group(0) @binding(2) var<storage, read> scan_input: array<u32>;
 @group(0) @binding(3) var<storage, read_write> scan_output: array<u32>;

@@ -1,4 +1,5 @@
-// Exclusive prefix sums, second of three kernels: one workgroup turns the sums of the blocks into their starts.
+// Exclusive prefix sum, kernel 2 of 3: one workgroup turns the sums of the blocks into their
+// starts.
 
 @group(0) @binding(4) var<storage, read_write> scan_sums: array<u32>;
 

@@ -1,7 +1,7 @@
-// Totals of a pass, second step: one workgroup adds up the blocks and writes the words that the host reads.
+// Totals of a pass, step 2: one workgroup sums the blocks and writes the words that the host reads.
 
 @group(0) @binding(6) var<storage, read> block_totals: array<Totals>;
-// What each of the words is says stages/particles/src/gpu/constants.rs.
+// stages/particles/src/gpu/constants.rs documents the words.
 @group(0) @binding(15) var<storage, read_write> words: array<u32>;
 
 @compute @workgroup_size(WIDE)

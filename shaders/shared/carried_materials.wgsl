@@ -1,9 +1,11 @@
-// What goes with a particle of many materials beside its normal (normal.w): 16 times the number of its stratum, and the power of ten of its
-// damping from 0.001 on, or HELD_CODE. A whole number below 2^24, so that f32 holds it exactly. Strata of particles that are held are numbered behind the sheets, one each.
+// Data that a particle of many materials carries in normal.w: 16 s + c, where s is the number of
+// its stratum. The code c is log10(damping / 0.001), or HELD_CODE for a held particle. The value is
+// a whole number below 2^24, so f32 holds it exactly. Material interfaces have the first numbers.
+// After them each held particle has its own number.
 //
 // Twin: `rebuild_lists` in stages/particles/src/state.rs
 
-// Made by stages/particles/src/gpu/differences.rs, which says what is where.
+// Made by stages/particles/src/gpu/differences.rs, which documents the layout.
 @group(0) @binding(28) var<storage, read> materials_index: array<vec4<u32>>;
 
 fn damping_of(carried: f32) -> f32 {
@@ -23,15 +25,18 @@ fn is_held(carried: f32) -> bool {
     return (u32(carried) & 15u) == HELD_CODE;
 }
 
-// The materials of a particle's stratum, ascending; 65535 behind the last.
+// The materials of a particle's stratum in ascending order, padded with 65535.
 fn materials_of(carried: f32) -> vec4<u32> {
     return materials_index[materials_index[0].x + (u32(carried) >> 4u)];
 }
 
+// Whether a junction stratum (`lower`) lies on the interface of two materials (`sheet`).
 fn is_on(lower: vec4<u32>, sheet: vec4<u32>) -> bool {
     return any(lower == vec4(sheet.x)) && any(lower == vec4(sheet.y));
 }
 
+// Whether two particles interact. Held particles interact with all particles of the interfaces that
+// they border, whatever the normals, and not with each other.
 fn see_each_other(a: vec4<f32>, b: vec4<f32>) -> bool {
     if is_held(a.w) {
         return !is_held(b.w) && is_on(materials_of(a.w), materials_of(b.w));

@@ -1,4 +1,5 @@
-// What goes with a particle beside its normal, of one object: its damping alone (normal.w). Whose normals agree see each other.
+// Data that a particle of one object carries in normal.w: its damping. Two particles interact if
+// their normals agree.
 
 fn damping_of(carried: f32) -> f32 {
     return carried;

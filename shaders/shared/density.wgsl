@@ -1,4 +1,5 @@
-// Where the surface is oversampled and where undersampled: section 3.3 of the paper with Witkin and Heckbert's bias.
+// Tests for over- and undersampling (section 3.3 of the paper), with the random bias of Witkin and
+// Heckbert: the excess or lack of energy, times a random number, must exceed the threshold.
 //
 // Twin: `delete`, `insert` in stages/particles/src/density.rs
 

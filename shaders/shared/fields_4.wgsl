@@ -1,5 +1,6 @@
-// Access to the two fields where each is cut into up to four slabs of parameters.slab_length voxels, because it is larger than
-// the adapter lets one binding be. A slab is a run of the linear index, so it cuts along z.
+// Access to the coefficients of F and the samples of h where they exceed the largest binding of the
+// adapter. Each is cut into up to four slabs of parameters.slab_length values by linear index, so
+// the cuts run along z.
 
 @group(0) @binding(20) var<storage, read> surface_0: array<f32>;
 @group(0) @binding(21) var<storage, read> surface_1: array<f32>;

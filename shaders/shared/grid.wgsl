@@ -1,5 +1,6 @@
-// Where a position lies in the voxel grid, and the sizing field h by trilinear interpolation. Device positions are in mm from the
-// centre of voxel parameters.centre, a whole voxel, so that the fraction within a cell loses nothing to the voxel's number.
+// The cell of the voxel grid that contains a position, and h by trilinear interpolation. Device
+// positions are in mm from the centre of voxel parameters.centre. That origin is a whole voxel, so
+// the fraction within a cell keeps full precision.
 //
 // Twin: `SizingField`, `value_gradient` in common/field/src/sizing.rs
 
@@ -8,7 +9,7 @@ struct Cell {
     fraction: vec3<f32>,
 }
 
-// The cell of a position, clamped to the grid.
+// The cell of a position and the fraction within it, clamped to the grid.
 fn cell_at(position: vec3<f32>) -> Cell {
     let index = position * parameters.inverse_spacing;
     let whole = floor(index);
@@ -18,7 +19,7 @@ fn cell_at(position: vec3<f32>) -> Cell {
     let outside = (base < vec3(0)) | (base >= last);
     base = clamp(base, vec3(0), last);
     fraction = select(fraction, vec3(0.0), outside);
-    // the last sample is the end of the last cell
+    // beyond the last sample: the far end of the last cell
     let top = max(last - 1, vec3(0));
     fraction = select(fraction, vec3(1.0), base > top);
     return Cell(min(base, top), fraction);

@@ -1,4 +1,4 @@
-// Neighbour lists: each has room for list_room members, so that they are made in one walk over the bins.
+// Neighbour lists. Each has room for list_room members, so that one walk over the bins fills them.
 
 @group(0) @binding(10) var<storage, read> list_lengths: array<u32>;
 @group(0) @binding(11) var<storage, read> lists: array<vec4<u32>>;
@@ -8,7 +8,8 @@ struct List {
     length: u32,
 }
 
-// The list of particle i. One that outgrows its room is cut off; the host sees it and redoes the pass.
+// The list of particle i. A list that exceeds its room is truncated; the host detects this and
+// repeats the pass.
 fn list_of(i: u32) -> List {
     return List(i, min(list_lengths[i], parameters.list_room));
 }

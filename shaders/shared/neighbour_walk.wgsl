@@ -1,4 +1,5 @@
-// Visits the neighbours of a particle in a fixed order: by level, bin, place. The kernel says what is done with each.
+// Visits the neighbours of a particle in a fixed order: by level, bin and index. The kernel defines
+// `found`, which is called for each.
 //
 // Twin: `visit` in common/field/src/neighbours/bins.rs
 
@@ -6,15 +7,16 @@
 @group(0) @binding(8) var<storage, read> place: array<vec4<f32>>;
 @group(0) @binding(9) var<storage, read> normal: array<vec4<f32>>;
 
-// Calls found(n, j) for the n-th neighbour j of particle i: nearer than SUPPORT (1 + SKIN) min(h_i, h_j), and one that it sees.
-// Returns how many there are.
+// Calls found(n, j) for the n-th neighbour j of particle i, and returns the number of neighbours. A
+// neighbour is nearer than SUPPORT (1 + SKIN) min(h_i, h_j) and interacts with i.
 fn walk_neighbours(i: u32) -> u32 {
     let own = place[i];
     let facing = normal[i];
     let reach = SUPPORT * (1.0 + SKIN);
     var count = 0u;
     for (var level = 0u; level < parameters.level_count; level++) {
-        // a bin edge is at least this, so these are at most 3 bins along each axis; a little more makes up for rounding
+        // a bin edge is at least this radius, so at most 3 bins along each axis; the factor covers
+        // rounding
         let radius = 1.00001 * reach * min(own.w, parameters.levels[level].largest);
         let low = bin_coordinate(own.xyz - radius, level);
         let high = bin_coordinate(own.xyz + radius, level);

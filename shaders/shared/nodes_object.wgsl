@@ -1,4 +1,4 @@
-// The coefficients of F at nodes of the grid.
+// The coefficients of F at grid nodes, for one object. The checks of third materials always pass.
 
 fn choose_surface(carried: f32) {}
 

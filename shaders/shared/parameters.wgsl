@@ -1,11 +1,11 @@
-// What every kernel knows of the run: grid, levels of bins, limits. Made by stages/particles/src/gpu/parameters.rs, whose
-// tests compare this layout with naga's.
+// Parameters of the run for every kernel: grid, levels of bins, limits.
+// stages/particles/src/gpu/parameters.rs makes them, and its tests compare this layout with naga's.
 
-// Bins of the particles of one octave of h.
+// Bins of the particles of one octave of h; edges in mm.
 struct Level {
     edge: f32,
     inverse_edge: f32,
-    // Largest h of the level, mm.
+    // Maximum h of the level, mm.
     largest: f32,
     // Number of its first bin.
     first_bin: u32,
@@ -16,9 +16,9 @@ struct Level {
 struct Parameters {
     grid_size: vec3<u32>,
     level_count: u32,
-    // mm
+    // Voxel spacing, mm.
     spacing: vec3<f32>,
-    // |F| that counts as zero, mm.
+    // Tolerance of |F| = 0, mm.
     tolerance: f32,
     inverse_spacing: vec3<f32>,
     // Longest single step of a projection, mm.
@@ -33,14 +33,15 @@ struct Parameters {
     ideal_energy: f32,
     add_below: f32,
     delete_above: f32,
-    // h is cut off here, mm; no point of the surface has a larger one.
+    // Upper bound of h on the surface, mm; interpolated sizes are clamped to it.
     largest_size: f32,
     bin_total: u32,
-    // Members that there is room for in each neighbour list.
+    // Members that each neighbour list has room for.
     list_room: u32,
     seed: u32,
     initial_lambda: f32,
-    // Of the lattice that the particles are to form, all in h: its edge; what is nearer is in the first ring; what a newcomer keeps from others, and from its parent.
+    // Lengths in units of h: edge of the target lattice, radius of the first ring, and the minimum
+    // distances of a newcomer from other particles and from its parent.
     spacing_in_h: f32,
     first_ring: f32,
     newcomer_distance: f32,
@@ -48,10 +49,10 @@ struct Parameters {
     levels: array<Level, MOST_LEVELS>,
 }
 
-// What changes from pass to pass.
+// Values that change from pass to pass.
 struct Pass {
     number: u32,
-    // Particles.
+    // Number of particles.
     count: u32,
     allow_insert: u32,
     unused: u32,
@@ -60,7 +61,7 @@ struct Pass {
 @group(0) @binding(0) var<uniform> parameters: Parameters;
 @group(0) @binding(1) var<uniform> now: Pass;
 
-// Number of this invocation or workgroup when the work is spread over two dimensions of workgroups.
+// Linear number of a workgroup of a two-dimensional dispatch.
 fn flat_group(group: vec3<u32>, groups: vec3<u32>) -> u32 {
     return group.y * groups.x + group.x;
 }

@@ -1,4 +1,4 @@
-// The projection onto F = 0, or onto a sheet (Eq. 5 with its sign mended), by a team.
+// Projection onto F = 0, or onto a material interface, by a team (Eq. 5 with its sign corrected).
 //
 // Twin: `project_with_gradient` in common/field/src/spline/mod.rs
 
@@ -9,7 +9,8 @@ struct Projected {
     size: f32,
 }
 
-// What a step of the projection says: 0 go on, 1 arrived, 2 lost. `field` is gradient per mm and value.
+// State of a projection: 0 continue, 1 converged, 2 failed (gradient too small). `field` holds the
+// gradient (per mm) and the value.
 fn projection_state(field: vec4<f32>) -> u32 {
     let squared = dot(field.xyz, field.xyz);
     if !(squared > LEAST_SQUARED_GRADIENT) {
@@ -18,14 +19,16 @@ fn projection_state(field: vec4<f32>) -> u32 {
     return select(0u, 1u, abs(field.w) <= parameters.tolerance * min(sqrt(squared), 1.0));
 }
 
+// The Newton step of Eq. 5, limited to projection_step, mm.
 fn projection_motion(field: vec4<f32>) -> vec3<f32> {
     let motion = field.xyz * (-field.w / dot(field.xyz, field.xyz));
     let distance = length(motion);
     return motion * select(1.0, parameters.projection_step / distance, distance > parameters.projection_step);
 }
 
-// Of many materials no third one may be as near as the two at the place that is reached: the differences from those that may be are read there by the loop that
-// has come there, since a text of its own for them would take registers from every step.
+// Projects `start`; the total move is at most `limit`, mm. With many materials, no third material
+// may be as close as the two at the end point. The same loop evaluates the differences from such
+// materials, because a separate copy of the code would cost registers in every step.
 fn project(start: vec3<f32>, limit: f32, lane: u32) -> Projected {
     var there = Projected(start, false, vec3(0.0), 0.0);
     var is_there = false;

@@ -1,5 +1,5 @@
-// Counter-based random numbers: a pure function of seed, stream and counter (the 32-bit sibling of common/field/src/random.rs; the
-// mixer is the PCG hash of Jarzynski and Olano 2020).
+// Counter-based random numbers: a pure function of seed, stream and counter. The mixer is the PCG
+// hash of Jarzynski and Olano (2020). common/field/src/random.rs is the 64-bit version.
 
 fn mix_bits(x: u32) -> u32 {
     let state = x * 747796405u + 2891336453u;
@@ -16,7 +16,8 @@ fn random_uniform(stream: u32, counter: u32) -> f32 {
     return f32(random_bits(stream, counter) >> 8u) * 5.9604645e-8;
 }
 
-// Streams of pass n: 4n deletion, 4n + 1 insertion, 4n + 2 the newcomers' order; classes use the upper half.
+// Streams of pass n: 4n deletion, 4n + 1 insertion, 4n + 2 order of the newcomers. Classes use the
+// upper half.
 fn stream_of(kind: u32) -> u32 {
     return 4u * now.number + kind;
 }

@@ -1,4 +1,4 @@
-// The number of a round or class: what tells apart dispatches of one kernel within a pass.
+// The number of a round, class or colour; it distinguishes the dispatches of one kernel in a pass.
 
 struct Round {
     number: u32,

@@ -1,7 +1,8 @@
-// What a prefix sum adds up. One invocation takes EACH numbers, one workgroup a block of WIDE * EACH.
+// Parameters of a prefix sum. One invocation takes EACH numbers, one workgroup a block of WIDE *
+// EACH.
 
 struct Scan {
-    // Numbers to add up; the result has one more.
+    // Length of the input; the result has one number more.
     length: u32,
     blocks: u32,
     unused_1: u32,

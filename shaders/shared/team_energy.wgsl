@@ -1,4 +1,4 @@
-// Energy of a particle with its derivatives, by a team whose lanes share out the neighbours.
+// Energy of a particle and its derivatives, by a team whose lanes share the neighbours.
 //
 // Twin: `jet` in stages/particles/src/neighbourhood.rs
 // Twin: `energy` in stages/particles/src/neighbourhood.rs
@@ -6,14 +6,15 @@
 
 struct Jet {
     energy: f32,
-    // In the tangent plane, per mm; with the part of the particle's own h, which changes with its place.
+    // In the tangent plane, per mm, with the derivative through the particle's own h.
     gradient: vec2<f32>,
     // Entries uu, uv, vv, per mm squared, h held fixed.
     hessian: vec3<f32>,
 }
 
-// A lane's first three neighbours: most lists are no longer than three times a team of eight. They are looked at in every try, and asking for
-// all of them at once spares waiting for each. Far away where the list is shorter.
+// The first three neighbours of a lane, (position, h); missing ones are far away. Most lists have
+// at most three times as many members as a team of eight lanes. Every try reads them, so they are
+// loaded once and together.
 struct Nearest {
     a: vec4<f32>,
     b: vec4<f32>,
@@ -35,7 +36,7 @@ fn nearest_neighbours(list: List, lane: u32) -> Nearest {
     );
 }
 
-// Energy, gradient (2) and derivative by the particle's size; Hessian (3).
+// first: energy, gradient (2) and derivative by the particle's size; second: Hessian (3).
 struct Terms {
     first: vec4<f32>,
     second: vec4<f32>,
@@ -68,7 +69,7 @@ fn add_pair(sum: Terms, own: vec4<f32>, plane: Plane, other: vec4<f32>) -> Terms
 }
 
 fn team_jet(own: vec4<f32>, plane: Plane, list: List, nearest: Nearest, lane: u32) -> Jet {
-    // asked for before it is needed, so that the memory answers meanwhile
+    // loaded before it is needed, to hide the latency
     let slope = sizing_at(own.xyz).xyz;
     var sum = Terms(vec4(0.0), vec4(0.0));
     sum = add_pair(sum, own, plane, nearest.a);

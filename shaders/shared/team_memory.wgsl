@@ -1,9 +1,9 @@
-// A team of TEAM lanes, a workgroup, works for one particle. Sums go through workgroup memory in a fixed order: for adapters without
-// subgroups of 32.
+// A team is a workgroup of TEAM lanes that works for one particle. Sums go through workgroup memory
+// in a fixed order. For adapters without subgroups of 32 lanes.
 
 var<workgroup> team_scratch: array<vec4<f32>, TEAM>;
 
-// The sum over the team's lanes, the same bits in each.
+// The sum over the team's lanes, with the same bits in each lane.
 fn team_sum(value: vec4<f32>, lane: u32) -> vec4<f32> {
     workgroupBarrier();
     team_scratch[lane] = value;
@@ -15,7 +15,7 @@ fn team_sum(value: vec4<f32>, lane: u32) -> vec4<f32> {
     return sum;
 }
 
-// Of the team's values that of the largest x, and of these that of the least y; the same bits in each lane.
+// The team's value with the largest x, and of equal ones the smallest y; the same in each lane.
 fn team_best(value: vec4<f32>, lane: u32) -> vec4<f32> {
     workgroupBarrier();
     team_scratch[lane] = value;

@@ -1,11 +1,13 @@
-// A particle's step by a team: sections 3.2.1 and 3.2.2 and Algorithm 1 of the paper. Damped Newton step in the tangent plane, projection onto F = 0 (Eq. 5), the
-// energy test; lambda grows tenfold until a step is good. The team reads the particle and its listed neighbours and writes the particle.
+// Movement of one particle by a team (sections 3.2.1 and 3.2.2, Algorithm 1 of the paper): a damped
+// Newton step in the tangent plane, projection onto F = 0 (Eq. 5) and the energy test. lambda grows
+// tenfold until a step lowers the energy. The team reads the particle and its listed neighbours and
+// writes the particle.
 //
 // Twin: `step` in stages/particles/src/movement.rs
 
 @group(0) @binding(8) var<storage, read_write> place: array<vec4<f32>>;
 @group(0) @binding(9) var<storage, read_write> normal: array<vec4<f32>>;
-// Steps tried, with STEP_TAKEN.
+// Number of steps tried, and the flag STEP_TAKEN.
 @group(0) @binding(12) var<storage, read_write> outcome: array<u32>;
 
 fn move_particle(i: u32, lane: u32) {
@@ -14,7 +16,7 @@ fn move_particle(i: u32, lane: u32) {
     let list = list_of(i);
     let plane = tangent_plane(facing.xyz);
     let nearest = nearest_neighbours(list, lane);
-    // most steps end in the cell's brick: what is to be known of it is asked for here, so that the memory answers meanwhile
+    // most steps end in the same brick: its record is loaded early, to hide the latency
     choose_surface(facing.w);
     ask_for_cell(cell_at(own.xyz));
     let jet = team_jet(own, plane, list, nearest, lane);
@@ -39,7 +41,7 @@ fn move_particle(i: u32, lane: u32) {
                     moved = true;
                     if lane == 0u {
                         place[i] = candidate;
-                        // the first try was good: less damping the next time
+                        // accepted at the first try: less damping in the next pass
                         let damping = select(lambda, max(LAMBDA_FALL * lambda, LEAST_LAMBDA), tries == 1u);
                         normal[i] = vec4(there.normal, with_damping(facing.w, damping));
                     }

@@ -1,7 +1,8 @@
-// A team of lanes of one subgroup works for one particle; a workgroup is TEAMS of them. Sums go by butterfly, in which each
-// step adds the same two numbers in both lanes, so that every lane ends with the same bits. TEAM is a power of two.
+// A team is a part of a subgroup that works for one particle; a workgroup holds TEAMS of them.
+// Butterfly sums add the same two numbers in both lanes of a pair, so every lane gets the same
+// bits. TEAM is a power of two.
 
-// The sum over the team's lanes, the same bits in each.
+// The sum over the team's lanes, with the same bits in each lane.
 fn team_sum(value: vec4<f32>, lane: u32) -> vec4<f32> {
     var sum = value;
     for (var step = TEAM / 2u; step > 0u; step >>= 1u) {
@@ -10,7 +11,7 @@ fn team_sum(value: vec4<f32>, lane: u32) -> vec4<f32> {
     return sum;
 }
 
-// Of the team's values that of the largest x, and of these that of the least y; the same bits in each lane.
+// The team's value with the largest x, and of equal ones the smallest y; the same in each lane.
 fn team_best(value: vec4<f32>, lane: u32) -> vec4<f32> {
     var best = value;
     for (var step = TEAM / 2u; step > 0u; step >>= 1u) {

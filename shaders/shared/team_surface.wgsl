@@ -1,6 +1,6 @@
-// F by a team: the 64 taps are spread over its lanes, each lane's written out (see two_taps).
+// F by a team: the 64 taps are spread over its lanes, without loops (see two_taps).
 
-// The gradient of F (xyz, per mm) and F (w).
+// The gradient of F (xyz, per mm) and F (w, mm).
 fn surface_at(position: vec3<f32>, lane: u32) -> vec4<f32> {
     let cell = cell_at(position);
     open_cell(cell);

@@ -1,13 +1,13 @@
-// Totals of a pass, added up in a fixed order.
+// Totals of a pass, summed in a fixed order.
 
 struct Totals {
     energy: f32,
-    // Longest way of a particle since the lists were made, over its h.
+    // Maximum distance that a particle has moved since the lists were made, in units of its h.
     longest_way: f32,
     moved: u32,
     tries: u32,
     defects: u32,
-    // Members of all lists, and of the longest.
+    // Members of all lists, and of the longest one.
     listed: u32,
     longest_list: u32,
 }
@@ -26,7 +26,7 @@ fn add_totals(a: Totals, b: Totals) -> Totals {
     );
 }
 
-// The sum over a workgroup of WIDE, in lane 0.
+// The total over a workgroup of WIDE, in lane 0.
 fn total_of_group(own: Totals, lane: u32) -> Totals {
     partial[lane] = own;
     workgroupBarrier();

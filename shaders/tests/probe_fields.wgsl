@@ -1,4 +1,5 @@
-// For the tests: F, or G of its sheet, with its gradient, and h with its gradient, at the particles' places, by a team each; and whether its sheet is real there.
+// Test kernel: F (or G of the interface) and h with their gradients at the particles, one team
+// each. Also whether the projection accepts the interface there.
 
 @group(0) @binding(8) var<storage, read> place: array<vec4<f32>>;
 @group(0) @binding(9) var<storage, read> normal: array<vec4<f32>>;

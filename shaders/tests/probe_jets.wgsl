@@ -1,4 +1,5 @@
-// For the tests: energy, gradient and Hessian of each particle, and F with its gradient, by a team each.
+// Test kernel: energy, gradient and Hessian of each particle, and F with its gradient, one team
+// each.
 
 @group(0) @binding(8) var<storage, read> place: array<vec4<f32>>;
 @group(0) @binding(9) var<storage, read> normal: array<vec4<f32>>;

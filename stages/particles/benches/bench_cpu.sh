@@ -1,17 +1,18 @@
 #!/bin/sh
-# The particles stage on the CPU: microseconds a particle and pass, with one h and with h of a contrast (`make bench-particles`).
-# Fields and seeds are those of bench_gpu.sh.
+# Measures the particles stage on the CPU (`make bench-particles`): microseconds per particle and
+# pass, with constant h and with graded h. Fields and seeds are those of bench_gpu.sh.
 #
-#   bench_cpu.sh [--bin FOLDER] [--beside PROGRAM] [--work FOLDER] [--contrasts "C ..."] [--count N] [--passes N] [--threads "N ..."] [--rounds N]
+#   bench_cpu.sh [--bin FOLDER] [--beside PROGRAM] [--work FOLDER] [--contrasts "C ..."]
+#                [--count N] [--passes N] [--threads "N ..."] [--rounds N]
 #
-# --bin        where the programs are                                                     [target/release]
-# --beside     an older program `particles`, run in turn with the one in --bin
-# --work       where fields, seeds and results go; what is there already is used as it is [out/bench-gpu]
-# --contrasts  largest over smallest h on a ball, refined at one side                     [1 27]
-# --count      particles of each run, whatever its contrast                               [60000]
-# --passes     passes of each run                                                         [50]
-# --threads    numbers of threads                                                         [1 2]
-# --rounds     times that everything is run; the least is told, as other work only adds   [3]
+# --bin        folder of the programs                                       [target/release]
+# --beside     another program `particles`, run in turn with the one in --bin
+# --work       folder of fields, seeds and results; existing ones are used  [out/bench-gpu]
+# --contrasts  maximum over minimum h on a ball that is refined at one side          [1 27]
+# --count      particles of each run, for every contrast                            [60000]
+# --passes     passes of each run                                                      [50]
+# --threads    numbers of threads                                                     [1 2]
+# --rounds     repetitions; the minimum is printed, since other load only adds time     [3]
 set -eu
 
 bin=${BIN:-target/release}
@@ -36,14 +37,15 @@ while [ $# -gt 0 ]; do
 done
 "$(dirname "$0")/bench_gpu.sh" --bin "$bin" --work "$work" --prepare --sizes "" --contrasts "$contrasts" --count "$count"
 
-# number FILE KEY: the first number of that key in a report.
+# number FILE KEY: the first number with that key in a report.
 number() { sed -n "s/^ *\"$2\": *\"\{0,1\}\([-+.0-9eE]*\).*/\1/p" "$1" | head -n 1; }
 # settle FILE: seconds of the step settle.
 settle() { awk '/"name": "settle"/ { found = 1 } found && /"seconds"/ { gsub(/[^0-9.eE+-]/, "", $2); print $2; exit }' "$1"; }
-# processor FILE: user seconds of the last run, from what `times` said before and after it (second lines: the children's).
+# processor FILE: user seconds of a run, from the output of `times` before and after it
+# (the second lines are those of the children).
 processor() { awk 'NR % 2 == 0 { split($1, t, /[ms]/); s[++n] = 60 * t[1] + t[2] } END { print s[2] - s[1] }' "$1"; }
 
-# row CONTRAST PROGRAM THREADS: the best of all rounds.
+# row CONTRAST PROGRAM THREADS: prints the minimum over all rounds.
 row() {
     report=$work/cpu.json times=$work/cpu.times
     for round in $(seq "$rounds"); do

@@ -1,20 +1,21 @@
 #!/bin/sh
-# The particles stage on the GPU against one CPU thread, on the same particles in one run (`make bench-gpu`).
-# Needs nothing but the stage programs; on a machine without the fields' sources, bring a folder made elsewhere with --prepare.
+# Measures the particles stage on the GPU and on one CPU thread, with the same particles
+# (`make bench-gpu`). Needs only the stage programs. On a machine without the sources of the
+# fields, use a folder that another machine has made with --prepare.
 #
 #   bench_gpu.sh [--bin FOLDER] [--work FOLDER] [--prepare] [--adapter NAME] [--no-cpu]
 #                [--sizes "H ..."] [--contrasts "C ..."] [--count N] [--passes N] [--options "..."]
 #
-# --bin        where the programs are                                                     [target/release]
-# --work       where fields, seeds and results go; what is there already is used as it is [out/bench-gpu]
-# --prepare    make fields and seeds, and stop
+# --bin        folder of the programs                                       [target/release]
+# --work       folder of fields, seeds and results; existing ones are used  [out/bench-gpu]
+# --prepare    make fields and seeds only
 # --adapter    part of the GPU's name (a software renderer must be named)
 # --no-cpu     leave out the CPU runs
 # --sizes      uniform target edge lengths, mm, on the torso phantom's ribcage
 #              [1.9 1.205 0.852 0.682: about 60, 150, 300 and 468 thousand particles]
-# --contrasts  largest over smallest h of graded runs on a ball, refined at one side     [1 3 9 27]
-# --count      particles of each graded run, whatever its contrast                        [150000]
-# --passes     passes of each run                                                         [50]
+# --contrasts  maximum over minimum h of graded runs on a ball, refined at one side  [1 3 9 27]
+# --count      particles of each graded run, for every contrast                    [150000]
+# --passes     passes of each run                                                      [50]
 # --options    further options of the GPU runs
 set -eu
 
@@ -46,7 +47,7 @@ done
 mkdir -p "$work"
 ribs=$work/ribs.distfield.vti ball=$work/ball.distfield.vti
 
-# fields NAME DISTANCE OPTIONS...: makes the size field and the seeds of a run unless they are there.
+# fields NAME DISTANCE OPTIONS...: makes the sizing field and the seeds of a run if missing.
 fields() {
     name=$1 distance=$2
     shift 2
@@ -54,14 +55,15 @@ fields() {
     [ -e "$work/$name.seeds.bin" ] || "$bin/seed" "$distance" "$work/$name.sizefield.vti" -o "$work/$name.seeds.bin" -q
 }
 
-# number FILE KEY: the first number of that key in a report.
+# number FILE KEY: the first number with that key in a report.
 number() { sed -n "s/^ *\"$2\": *\"\{0,1\}\([-+.0-9eE]*\).*/\1/p" "$1" | head -n 1; }
 # total FILE: seconds of the whole process (the outermost key).
 total() { sed -n 's/^  "seconds": *\([-+.0-9eE]*\).*/\1/p' "$1" | head -n 1; }
 # settle FILE: seconds of the step settle.
 settle() { awk '/"name": "settle"/ { found = 1 } found && /"seconds"/ { gsub(/[^0-9.eE+-]/, "", $2); print $2; exit }' "$1"; }
 
-# graded CONTRAST: fields of a run on the ball whose h spans the contrast; the smallest h is sought that gives the count.
+# graded CONTRAST: makes the fields of a run on the ball with that ratio of h. Five iterations
+# find the minimum h that gives the count.
 graded() {
     least=0.3
     [ ! -e "$work/contrast-$1-$count.seeds.bin" ] || return 0
@@ -79,7 +81,7 @@ graded() {
     fields "contrast-$1-$count" "$ball"
 }
 
-# row NAME DISTANCE: runs both backends and prints a line of the table.
+# row NAME DISTANCE: runs both backends and prints a row of the table.
 row() {
     name=$1 distance=$2
     common="$work/$name.seeds.bin --distfield $distance --sizefield $work/$name.sizefield.vti --force --progress none -q"
@@ -114,7 +116,8 @@ if [ ! -e "$ball" ] && [ -n "$contrasts" ]; then
     "$bin/phantom" ball --size 128 -o "$work/ball.nrrd" --force
     "$bin/distfield" "$work/ball.nrrd" --iso 100 -o "$ball" -q
 fi
-# where the ball is refined: on its surface, mm (`phantom ball --size 128 --truth`: centre 63.6, 63.8, 63.3, radius 44.45)
+# where the ball is refined: on its surface, mm
+# (`phantom ball --size 128 --truth`: centre 63.6, 63.8, 63.3, radius 44.45)
 pole=108.1,63.8,63.3
 for h in $sizes; do fields "uniform-$h" "$ribs" --uniform "$h"; done
 for c in $contrasts; do graded "$c"; done

@@ -1,18 +1,21 @@
 #!/usr/bin/env python3
-"""Quality of the triangles that settled particles make: over passes and time, or on both backends.
+"""Measures the quality of triangles made from settled particles: by passes, backend or method.
 
-    quality.py passes CASE ... [--passes 5 10 20 ...] [--levels 1 3]    CSV: quality after so many passes on each level
-    quality.py backends CASE ... [--jobs N]                             table: CPU against GPU, default parameters
-    quality.py counts CASE ... [--jobs N]                               table: predicted count against the settled one
-    quality.py surfaces CASE ... [--jobs N]                             table: what reconstruct makes of them, by both methods
-    quality.py plot CSV PICTURE                                         draws the CSV (needs matplotlib)
+    quality.py passes CASE ... [--passes 5 10 ...] [--levels 1 3]  CSV: quality by number of passes
+    quality.py backends CASE ... [--jobs N]      table: CPU and GPU with default parameters
+    quality.py counts CASE ... [--jobs N]        table: predicted and settled counts
+    quality.py surfaces CASE ... [--jobs N]      table: surfaces of both methods of reconstruct
+    quality.py plot CSV PICTURE                  plot of the CSV (needs matplotlib)
 
-CASE is NAME=VOLUME;DISTFIELD OPTIONS[;SIZEFIELD OPTIONS]; VOLUME is a file, or the words for `phantom` that make one:
+CASE is NAME=VOLUME;DISTFIELD OPTIONS[;SIZEFIELD OPTIONS]. VOLUME is a file, or the arguments of
+`phantom` that make one:
     torus="torus --size 128;--iso 100;--uniform 1.2"    heart="heart.nrrd;--labels 1"
-@FILE stands for the lines of a file but for those that start with # (phantoms.txt, volumes.txt and volumes-large.txt beside this program); $NAME for a variable of the environment.
+@FILE stands for the lines of a file that do not start with # (phantoms.txt, volumes.txt and
+volumes-large.txt beside this program), and $NAME for an environment variable.
 
-Passes are those of all levels together; runs of no more than ten on a level have no density control there. "raw" are the Delaunay triangles of the particles as they are, "full" those after reconstruct has improved them. Time is the device's
-where there is one, else that of the settling.
+Passes include those of all levels. Runs of at most ten passes on a level have no density control
+there. "raw" are the Delaunay triangles of the particles without improvement, "full" those after
+reconstruct has improved them. Time is that of the device if there is one, else of the settling.
 """
 
 from __future__ import annotations
@@ -34,7 +37,7 @@ RAW = ["--relaxation-sweeps", "0", "--improve-rounds", "0"]
 
 @dataclass
 class Case:
-    """A surface with its size field and seeds, and the folder and programs to work with."""
+    """A surface with its sizing field and seeds, the programs, and the working folder."""
 
     name: str
     volume: str
@@ -44,11 +47,11 @@ class Case:
     work: Path
 
     def file(self, ending: str) -> str:
-        """Path of one of the case's files."""
+        """Returns the path of one of the case's files."""
         return str(self.work / f"{self.name}.{ending}")
 
     def run(self, program: str, *arguments: str, allowed: tuple[int, ...] = (0,)) -> dict[str, Any]:
-        """Runs a stage and returns its report."""
+        """Runs a stage and returns its report. Exits the program on another exit code."""
         report = self.file(f"{program}.json")
         command = [str(self.programs / program), *arguments, "--force", "-q", "--report", report]
         done = subprocess.run(command, check=False, stderr=subprocess.PIPE, text=True)
@@ -59,7 +62,7 @@ class Case:
         return loaded
 
     def prepare(self) -> None:
-        """Makes fields and seeds unless they are there."""
+        """Makes fields and seeds if they do not exist."""
         if Path(self.file("seeds.bin")).exists():
             return
         volume = self.volume
@@ -71,7 +74,7 @@ class Case:
         self.run("seed", self.file("distfield.vti"), self.file("sizefield.vti"), "-o", self.file("seeds.bin"))
 
     def settle(self, *options: str) -> dict[str, Any]:
-        """Settles the seeds; returns particles, passes, seconds, share of lattice defects and a hash of the file."""
+        """Settles the seeds; returns counts, seconds, the share of lattice defects and a hash."""
         report = self.run(
             "particles", self.file("seeds.bin"), "--distfield", self.file("distfield.vti"), "--sizefield",
             self.file("sizefield.vti"), "-o", self.file("bin"), "--log", self.file("csv"), *options,
@@ -91,20 +94,20 @@ class Case:
         }
 
     def surface(self, *options: str) -> dict[str, Any]:
-        """The report of `reconstruct` on the settled particles."""
+        """Runs `reconstruct` on the settled particles and returns its report."""
         return self.run(
             "reconstruct", self.file("bin"), "--distfield", self.file("distfield.vti"), "--sizefield",
             self.file("sizefield.vti"), "-o", self.file("vtp"), *options, allowed=(0, 1),
         )  # fmt: skip
 
     def quality(self, *options: str) -> tuple[float, float]:
-        """Mean and smallest radius ratio of the triangles of the settled particles."""
+        """Returns the mean and minimum radius ratio of the triangles of the settled particles."""
         quality = self.surface(*options)["results"]["check"]["quality"]
         return quality["radius_ratio_mean"], quality["radius_ratio_min"]
 
 
 def over_passes(cases: list[Case], arguments: argparse.Namespace) -> None:
-    """Prints a line for each case, number of levels and of passes."""
+    """Prints a line for each case, number of levels and number of passes."""
     writer = csv.writer(sys.stdout, lineterminator="\n")
     writer.writerow(["case", "levels", "passes", "particles", "seconds", "lattice defects", "mean", "smallest"])
     for case in cases:
@@ -121,7 +124,7 @@ def over_passes(cases: list[Case], arguments: argparse.Namespace) -> None:
 
 
 def compare(case: Case, backends: list[str], adapter: str | None, raw_only: bool) -> str:
-    """A row of the table of [`over_backends`]."""
+    """Returns a row of the table of `over_backends`."""
     case.prepare()
     counts, passes, defects, raw, full, notes = [], [], [], [], [], []
     for backend in backends:
@@ -140,7 +143,7 @@ def compare(case: Case, backends: list[str], adapter: str | None, raw_only: bool
 
 
 def over_backends(cases: list[Case], arguments: argparse.Namespace) -> None:
-    """Prints a row for each case, CPU and GPU side by side."""
+    """Prints a row for each case, with CPU and GPU side by side."""
     backends = ["cpu"] if arguments.backend == "cpu" else ["cpu", "gpu"]
     again = " two GPU runs |" if "gpu" in backends else ""
     print(f"| surface | particles, {', '.join(backends)} | passes | lattice defects, % | raw, mean / smallest | full |{again}")
@@ -152,7 +155,7 @@ def over_backends(cases: list[Case], arguments: argparse.Namespace) -> None:
 
 
 def counted(case: Case, backend: str) -> str:
-    """A row of the table of [`over_counts`]."""
+    """Returns a row of the table of `over_counts`."""
     case.prepare()
     with open(case.file("sizefield.json"), encoding="utf-8") as file:
         predicted = float(json.load(file)["results"]["fields"]["predicted_count"])
@@ -163,7 +166,7 @@ def counted(case: Case, backend: str) -> str:
 
 
 def over_counts(cases: list[Case], arguments: argparse.Namespace) -> None:
-    """Prints a row for each case: what `sizefield` predicts, how many particles settle."""
+    """Prints a row for each case: predicted count of `sizefield` and settled count."""
     print("| surface | predicted | settled | off by, % | passes | lattice defects, % |\n" + "|---" * 6 + "|")
     with concurrent.futures.ThreadPoolExecutor(arguments.jobs) as pool:
         rows = [pool.submit(counted, case, arguments.backend) for case in cases]
@@ -172,7 +175,7 @@ def over_counts(cases: list[Case], arguments: argparse.Namespace) -> None:
 
 
 def surfaces(case: Case, backend: str) -> str:
-    """Two rows of the table of [`over_surfaces`]."""
+    """Returns two rows of the table of `over_surfaces`."""
     case.prepare()
     case.settle("--backend", backend)
     rows = []
@@ -198,7 +201,7 @@ def surfaces(case: Case, backend: str) -> str:
 
 
 def over_surfaces(cases: list[Case], arguments: argparse.Namespace) -> None:
-    """Prints two rows for each case: what each method of `reconstruct` makes of its settled particles."""
+    """Prints two rows for each case: the surfaces of both methods of `reconstruct`."""
     print(
         "| surface | method | exit code | vertices | components | Euler characteristic | radius ratio, mean / smallest | angles, degrees"
         " | points added, rounds | grid nodes on the wrong side | s |\n" + "|---" * 11 + "|"
@@ -210,7 +213,7 @@ def over_surfaces(cases: list[Case], arguments: argparse.Namespace) -> None:
 
 
 def plot(table: Path, picture: Path) -> None:
-    """Draws mean and smallest radius ratio over time and passes, a column for each case."""
+    """Plots mean and minimum radius ratio over time, with a column for each case."""
     import matplotlib.pyplot as plt
     from matplotlib import ticker
 
@@ -244,7 +247,7 @@ def plot(table: Path, picture: Path) -> None:
 
 
 def main() -> None:
-    """Reads the command line."""
+    """Parses the command line and runs the task."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter, fromfile_prefix_chars="@"
     )
@@ -265,7 +268,7 @@ def main() -> None:
         return
     arguments.work.mkdir(parents=True, exist_ok=True)
     cases = []
-    # files of cases have comments
+    # case files contain comment lines
     for text in (text for text in arguments.cases if not text.startswith("#")):
         name, _, rest = text.partition("=")
         volume, distfield, sizefield = [*os.path.expandvars(rest).split(";"), ""][:3]

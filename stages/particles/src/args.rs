@@ -1,5 +1,6 @@
-//! The options of the program, and the parameters that they make. Those of the printed method stand in one place, [`Parameters::as_printed`], as
-//! the defaults do: an option that is not given has the value of one or of the other.
+//! Command-line options of the program, and the [`Parameters`] that they give. An option that is
+//! not given takes its value from [`Parameters::default`] or, with `--as-printed`, from
+//! [`Parameters::as_printed`].
 
 use crate::constants::{LARGEST_SPACING, LEAST_SPACING};
 use crate::ground::check_levels;
@@ -17,9 +18,9 @@ use std::path::PathBuf;
 /// Where the particles are moved.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum Backend {
-    /// A real GPU if there is one, else the CPU.
+    /// The first real GPU, or the CPU if there is none.
     Auto,
-    /// A GPU, or an error with exit code 3.
+    /// A GPU; without one the program ends with exit code 3.
     Gpu,
     /// All CPU cores (see --threads).
     Cpu,
@@ -50,37 +51,42 @@ pub struct Args {
     /// Particle file to write
     #[arg(short, long, value_name = "P.bin", help_heading = FILES, required_unless_present = "list_adapters")]
     pub(crate) output: Option<PathBuf>,
-    /// One line a pass: energy, count, inserted, deleted, lattice defects, time, level and more; CSV, or JSON lines when it ends in .jsonl
+    /// Write one line per pass: energy, count, inserted, deleted, lattice defects, time, level and
+    /// more. CSV, or JSON lines if the name ends in .jsonl
     #[arg(long, value_name = "FILE", help_heading = FILES)]
     pub(crate) log: Option<PathBuf>,
-    /// Keep the particles in this file every --checkpoint-interval passes
+    /// Write a checkpoint to this file every --checkpoint-interval passes
     #[arg(long, value_name = "FILE", help_heading = FILES)]
     pub(crate) checkpoint: Option<PathBuf>,
-    /// Go on from the checkpoint if it is there; the result is that of an unbroken run, byte for byte
+    /// Continue from the checkpoint if it exists; the result equals that of an uninterrupted run,
+    /// byte for byte
     #[arg(long, requires = "checkpoint", help_heading = FILES)]
     pub(crate) resume: bool,
     /// Passes between checkpoints; a multiple of 10
     #[arg(long, value_name = "N", default_value_t = 10, value_parser = interval, help_heading = FILES)]
     pub(crate) checkpoint_interval: u64,
-    /// Where to move the particles; gpu ends with exit code 3 where there is none
+    /// Where to move the particles; gpu ends with exit code 3 if there is no GPU
     #[arg(long, value_enum, default_value_t = Backend::Auto, help_heading = METHOD)]
     pub(crate) backend: Backend,
-    /// GPU to use: part of its name, in any case (see --list-adapters); software renderers are used only when named
+    /// GPU to use: part of its name, case-insensitive (see --list-adapters). Software renderers are
+    /// used only when named
     #[arg(long, value_name = "NAME", help_heading = METHOD)]
     pub(crate) adapter: Option<String>,
-    /// Print the adapters of this machine on stdout and end
+    /// Print the adapters of this machine on stdout and exit
     #[arg(long, help_heading = METHOD)]
     pub(crate) list_adapters: bool,
-    /// Measure each kernel of the GPU by timestamp queries, for the report and the closing table
+    /// Measure the time of each GPU kernel with timestamp queries, for the report and the closing
+    /// table
     #[arg(long, help_heading = METHOD)]
     pub(crate) profile: bool,
     /// Never use subgroup operations
     #[arg(long, hide = true)]
     pub(crate) no_subgroups: bool,
-    /// Lanes that work for one particle
+    /// Number of lanes that work for one particle
     #[arg(long, hide = true, value_parser = clap::builder::PossibleValuesParser::new(["8", "16", "32"]))]
     pub(crate) team: Option<String>,
-    /// The printed method: all values that stand as printed below, but where an option is given. On the CPU without --order bins
+    /// Use the method as printed: every value marked "printed" below, except where an option is
+    /// given. On the CPU without --order bins
     #[arg(long, help_heading = METHOD)]
     as_printed: bool,
     #[arg(long, value_enum, help_heading = METHOD,
@@ -92,11 +98,12 @@ pub struct Args {
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..), help_heading = METHOD,
         help = told("Most passes on the last level, that of h", |p| p.max_passes))]
     max_passes: Option<u64>,
-    /// Settle first at 2^(LEVELS - 1) times h, split the edges, and so on down to h; 1 to 4, 1: at h alone
-    /// [default: 3 on the CPU, 1 on a GPU and for many materials; printed: 1]
+    /// Number of levels, 1 to 4: settle at 2^(N - 1) times h first, split the edges, and
+    /// repeat down to h; 1 settles at h alone [default: 3 on the CPU, 1 on a GPU and for many
+    /// materials; printed: 1]
     #[arg(long, value_name = "N", help_heading = METHOD, value_parser = clap::value_parser!(u32).range(1..=4))]
     pub(crate) levels: Option<u32>,
-    /// Most passes on each level but the last
+    /// Maximum number of passes on each level before the last
     #[arg(long, value_name = "N", default_value_t = Parameters::default().coarse_passes, help_heading = METHOD,
         value_parser = clap::value_parser!(u64).range(1..))]
     coarse_passes: u64,
@@ -136,7 +143,7 @@ pub struct Args {
     common: CommonArgs,
 }
 
-/// The help of an option, with its default and its printed value.
+/// Help text of an option, with its default and its printed value.
 fn told<T: Display>(text: &str, value: impl Fn(&Parameters) -> T) -> String {
     format!("{text} [default: {}; printed: {}]", value(&Parameters::default()), value(&Parameters::as_printed()))
 }
@@ -146,7 +153,7 @@ fn name(value: impl ValueEnum) -> String {
     value.to_possible_value().map_or_else(String::new, |value| value.get_name().to_owned())
 }
 
-/// Parses a number of passes between checkpoints.
+/// Parses the number of passes between checkpoints: a positive multiple of [`REORDER_INTERVAL`].
 fn interval(text: &str) -> std::result::Result<u64, String> {
     match text.parse::<u64>() {
         Ok(n) if n > 0 && n.is_multiple_of(REORDER_INTERVAL) => Ok(n),
@@ -156,18 +163,20 @@ fn interval(text: &str) -> std::result::Result<u64, String> {
 }
 
 impl Args {
-    /// How to settle, on a GPU or not, one object or many materials. What is not given is as printed or by default.
+    /// The parameters for a GPU or the CPU, for one object or many materials.
     ///
-    /// On a GPU a pass over few particles costs nearly as much as one over many, and each change of level up to a second of the host: on one level
-    /// the raw mean radius ratio is 0.970 in 0.123 s on the heart (three: 0.962 in 0.127 s), on the ribcage 0.972 in 0.193 s (0.967 in 0.309 s;
-    /// docs/developer/performance.md, "Quality for the time"). Of many materials, particles of coarse levels would meet those that are held at the spacing of h.
+    /// Levels: on a GPU a pass over few particles costs nearly as much as one over many, and each
+    /// change of level costs up to a second on the host. On the heart one level gives a raw mean
+    /// radius ratio of 0.970 in 0.123 s (three: 0.962 in 0.127 s), on the ribcage 0.972 in 0.193 s
+    /// (0.967 in 0.309 s; docs/developer/performance.md, "Quality for the time"). With many
+    /// materials, held particles have the spacing of h, which does not fit coarse levels.
     pub(crate) fn settling(&self, on_gpu: bool, many: bool) -> Parameters {
         let base = if self.as_printed { Parameters::as_printed() } else { Parameters::default() };
         let levels = if on_gpu || many { 1 } else { base.levels };
-        // the CPU's blocks are another order
+        // the CPU moves blocks, which is yet another order
         let order = self.order.unwrap_or(if on_gpu { base.order } else { Order::Classes });
         let binning = if order == Order::Bins { Binning::Uniform } else { base.binning };
-        // a test that is asked for comes before the other's printed or default value
+        // an explicit defect tolerance replaces the printed energy test
         let printed_test = base.energy_tolerance.filter(|_| self.defect_tolerance.is_none());
         Parameters {
             max_passes: self.max_passes.unwrap_or(base.max_passes),
@@ -189,10 +198,11 @@ impl Args {
         }
     }
 
-    /// Refuses what does not go together.
+    /// Rejects combinations of options that are not supported.
     ///
     /// # Errors
-    /// When the ideal energy asks for a lattice that the lists and steps are not made for, or the order of bins is asked for without a GPU or with graded bins.
+    /// If the lattice of the ideal energy is outside the range of the lists and steps, or if the
+    /// order of bins is requested without a GPU or with graded bins.
     pub(crate) fn check(&self, parameters: &Parameters, on_gpu: bool) -> Result<()> {
         let energy = parameters.ideal_energy;
         let [least, largest] = [LARGEST_SPACING, LEAST_SPACING].map(lattice_energy);
@@ -234,7 +244,7 @@ impl StageArgs for Args {
 
     fn outputs(&self) -> Vec<PathBuf> {
         let mut outputs: Vec<PathBuf> = self.output.clone().into_iter().collect();
-        // a resumed run goes on with its own log and checkpoint
+        // a resumed run continues its own log and checkpoint
         if !self.resume {
             outputs.extend(self.log.clone());
             outputs.extend(self.checkpoint.clone());
@@ -243,7 +253,7 @@ impl StageArgs for Args {
     }
 
     fn parameters(&self) -> Value {
-        // levels and order follow the backend, which is not known yet, unless they are given
+        // unless given, levels and order depend on the backend, which is not known yet
         json!(self.settling(self.backend == Backend::Gpu, false))
     }
 
@@ -252,7 +262,7 @@ impl StageArgs for Args {
         if many {
             check_levels(self.levels)?;
         }
-        // where auto finds a GPU more goes together
+        // `auto` may find a GPU, which supports more combinations
         let may_use_gpu = self.backend != Backend::Cpu;
         self.check(&self.settling(may_use_gpu, many), may_use_gpu)?;
         Ok(known)
@@ -265,7 +275,7 @@ mod tests {
     use isoparticles_field::energy::{PRINTED_IDEAL_ENERGY, ideal_energy, lattice_spacing};
     use isoparticles_stage::error::Kind;
 
-    /// The options after those of the files.
+    /// Parses the options given after the file arguments.
     fn given(options: &str) -> Args {
         let files = "particles s.bin --distfield f.vti --sizefield h.vti -o p.bin";
         Args::try_parse_from(format!("{files} {options}").split_whitespace()).expect(options)
@@ -309,7 +319,7 @@ mod tests {
             ..printed
         };
         assert_eq!(given(others).settling(true, false), wanted);
-        // a stop test that is given is the one
+        // an explicit stop test replaces the printed one
         assert_eq!(given("--as-printed --defect-tolerance 0.01").settling(true, false).energy_tolerance, None);
         assert_eq!(given("--order bins").settling(true, false).binning, Binning::Uniform);
     }

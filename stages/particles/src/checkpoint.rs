@@ -1,4 +1,5 @@
-//! Checkpoints: half-settled particles with the log so far, and whether they belong to a run.
+//! Checkpoints: particles in the middle of a run with the log up to then. [`resume`] checks that a
+//! checkpoint belongs to the run: same inputs, same parameters.
 
 use crate::settle::{Engine, Parameters, PassRecord};
 use isoparticles_field::particle_set::{ParticleSet, Strata};
@@ -11,26 +12,26 @@ use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 use std::path::Path;
 
-/// What a checkpoint carries besides the particles.
+/// Contents of a checkpoint besides the particles.
 #[derive(Serialize, Deserialize)]
 pub(crate) struct Progress {
-    /// How the particles are settled.
+    /// Parameters of the run.
     pub parameters: Parameters,
     /// Hashes of seeds, distance field and sizing field.
     pub inputs: [String; 3],
-    /// The log.
+    /// The records of all passes so far.
     pub records: Vec<PassRecord>,
     /// Backend, and the adapter if there is one.
     #[serde(default = "cpu_engine")]
     pub engine: String,
 }
 
-/// What moved the particles of a checkpoint that does not say.
+/// Name of the CPU engine; also the default for checkpoints without an engine.
 pub(crate) fn cpu_engine() -> String {
     "cpu".to_owned()
 }
 
-/// Writes the checkpoint; `segments` are those of many materials' seeds.
+/// Writes the checkpoint. `segments` are the curve segments in the seeds of many materials.
 pub(crate) fn keep(
     path: &Path,
     engine: &mut dyn Engine,
@@ -55,7 +56,8 @@ pub(crate) fn keep(
     }
 }
 
-/// Reads a checkpoint and makes sure that it belongs to this run: the particles with their strata, if they are of many materials, and the log.
+/// Reads a checkpoint and checks that it belongs to this run. Returns the particles, their strata
+/// (many materials only) and the log. A checkpoint of another device only causes a warning.
 pub(crate) fn resume(
     path: &Path,
     parameters: &Parameters,

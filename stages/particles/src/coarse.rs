@@ -1,8 +1,10 @@
-//! Coarse-to-fine placement: settle few particles at a multiple of h, split the edges between them, settle at h.
+//! Coarse-to-fine placement: settle few particles at a multiple of h, split the edges between them,
+//! and repeat down to h.
 //!
-//! Where lattices that grew from different places meet, lines of vertices of degree five and seven remain, and passes mend
-//! them slowly. A coarse lattice has few such places, its passes cost a fraction, and splitting its edges keeps its
-//! orientation: the fine lattice starts with few defects and needs few passes.
+//! Where lattice patches of different orientation meet, lines of vertices of degree five and seven
+//! remain, and passes remove them slowly. A coarse lattice has few such lines and its passes are
+//! cheap. Splitting its edges keeps its orientation, so the fine lattice starts with few defects
+//! and needs few passes.
 
 use crate::constants::INITIAL_LAMBDA;
 use crate::gpu::DeviceReport;
@@ -17,31 +19,33 @@ use isoparticles_stage::error::Result;
 use isoparticles_volume::Geometry;
 use rayon::prelude::*;
 
-/// Seeds nearer than this many edge lengths to one that was taken before are passed over when they are thinned: as many are left
-/// as the hexagonal lattice has (points taken at random until no room is left at spacing r are 0.70 / r^2 a unit of area, the
-/// lattice of edge h has 1.155 / h^2).
+/// Thinning of seeds: a seed nearer than this many edge lengths to an accepted one is skipped. The
+/// value leaves as many as the hexagonal lattice has. Random sequential selection at distance r
+/// keeps 0.70 / r^2 points per unit area, the lattice of edge h has 1.155 / h^2, and 0.70 / 0.776^2
+/// = 1.16.
 const ROOM: f64 = 0.776;
 
-/// The same for the middles of edges, which lie on a lattice already.
+/// The same distance for midpoints of edges. These lie on a lattice already, one edge length apart.
 const ROOM_ON_LATTICE: f64 = 0.6;
 
-/// The same for seeds that are to fill what the lattice left bare.
+/// The same distance for seeds that fill areas which the coarse lattice leaves empty.
 const ROOM_FOR_MORE: f64 = 0.9;
 
-/// Edges of a lattice of edge h are shorter than this many h: longer than the first ring, since edges round a lattice defect are stretched, and
-/// those that cross another are sorted out.
+/// Two particles of a lattice of edge h may share an edge if they are nearer than this many h. The
+/// limit exceeds the first ring ([`crate::constants::FIRST_RING`]) because edges around lattice
+/// defects are stretched. Crossing edges are rejected separately.
 const EDGE: f64 = 1.45;
 
-/// Makes the engine of a level.
+/// Creates the engine of a level.
 pub(crate) trait MakeEngine {
-    /// An engine over these particles and fields.
+    /// Creates an engine for these particles and fields.
     fn make<'f>(&self, set: ParticleSet, fields: &'f Fields<'f>) -> Result<Box<dyn Engine + 'f>>
     where
         Self: 'f;
 }
 
-/// Settles particles level by level, from `2^(levels - 1) h` down to h. `seeds` are at the density of h; `resumed` holds the
-/// particles after the passes already run, and the records of those.
+/// Settles particles level by level, from `2^(levels - 1) h` down to h. `seeds` have the density of
+/// h. `resumed` holds the particles after the passes already run, and the records of those passes.
 pub(crate) fn settle_levels(
     seeds: &ParticleSet,
     resumed: Option<(ParticleSet, &[PassRecord])>,
@@ -95,7 +99,8 @@ pub(crate) fn settle_levels(
     unreachable!("the last level is that of h")
 }
 
-/// A part of the seeds, as many as a lattice of edge `scale` h has, evenly spread, with their sizes times `scale`.
+/// Selects an evenly spread subset of the seeds with the density of a lattice of edge `scale` h,
+/// and multiplies their sizes by `scale`.
 fn thinned(seeds: &ParticleSet, fields: &Fields, scale: f64, parameters: &Parameters) -> ParticleSet {
     let mut order: Vec<u32> = (0..seeds.positions.len() as u32).collect();
     order.par_sort_unstable_by_key(|&i| (bits(parameters.seed, u64::MAX, u64::from(i)), i));
@@ -106,8 +111,9 @@ fn thinned(seeds: &ParticleSet, fields: &Fields, scale: f64, parameters: &Parame
     pick(seeds, &sizes, &taken)
 }
 
-/// A particle at the middle of each edge between neighbours, and seeds where there is still room (parts of the surface too
-/// small for the coarse lattice).
+/// Makes the particles of the next level: the coarse ones, one at the middle of each edge, and
+/// seeds where there is still room (parts of the surface that are too small for the coarse
+/// lattice).
 fn split(
     coarse: &ParticleSet,
     seeds: &ParticleSet,
@@ -124,7 +130,7 @@ fn split(
     let middle_of = |i: usize, j: usize| {
         let middle = points[i].midpoint(points[j]);
         let half = 0.25 * points[i].distance_squared(points[j]);
-        // the edges of a lattice are those whose ball holds no third particle (Gabriel's graph)
+        // lattice edges are those whose diametral ball holds no third particle (Gabriel graph)
         let crossed = near.of(i).iter().any(|&k| k as usize != j && points[k as usize].distance_squared(middle) < half);
         if crossed { None } else { fields.project(None, middle, half.sqrt(), 1e-5 * spacing) }
     };
@@ -153,8 +159,8 @@ fn split(
     pick(&all, &sizes, &taken)
 }
 
-/// Takes particles in the order given, passing over those nearer than `room` edge lengths (at most `most`) to one taken before on
-/// the same sheet.
+/// Selects particles greedily in the given order. A particle is skipped if it is nearer than `room`
+/// edge lengths (at most `most`) to a selected one whose normal agrees.
 fn take_with_room(
     points: &[DVec3],
     normals: &[DVec3],
@@ -169,7 +175,7 @@ fn take_with_room(
     })
 }
 
-/// No particles yet.
+/// A set without particles.
 pub(crate) fn empty(geometry: &Geometry) -> ParticleSet {
     ParticleSet {
         geometry: geometry.clone(),
@@ -210,7 +216,7 @@ mod tests {
 
     const CENTRE: DVec3 = DVec3::splat(19.5);
 
-    /// A ball of radius 12 with h = 1 and twice as many seeds as a lattice has.
+    /// A ball of radius 12 with h = 1 and about twice as many seeds as the lattice has particles.
     fn ball() -> (CubicSpline, SizingField, ParticleSet) {
         let geometry = Geometry::axis_aligned([40; 3], DVec3::ONE);
         let mut image = Image::filled(geometry.clone(), 0.0f32);
@@ -266,7 +272,7 @@ mod tests {
             let lattice = 4.0 * std::f64::consts::PI * 144.0 * 2.0 / (3f64.sqrt() * scale * scale);
             let ratio = thin.positions.len() as f64 / lattice;
             println!("{ratio} of the lattice at {scale}");
-            // a choice among so few leaves gaps that density control fills
+            // random selection among so few leaves gaps that density control fills
             assert!((0.7..1.1).contains(&ratio), "{ratio} of the lattice at {scale}");
             assert!(thin.sizes.iter().all(|&h| h == scale));
         }
@@ -282,7 +288,7 @@ mod tests {
         assert!([4.0, 2.0, 1.0].iter().all(|&scale| records.iter().any(|r| r.scale == scale)));
         let counts = (at_once.positions.len() as f64, by_levels.positions.len() as f64);
         assert!((counts.0 / counts.1 - 1.0).abs() < 0.05, "{counts:?}");
-        // Measured: 0.77 at once, 0.94 by levels.
+        // measured: 0.77 on one level, 0.94 on three
         let shares = (regular(&at_once), regular(&by_levels));
         println!("six neighbours: {} at once, {} by levels", shares.0, shares.1);
         assert!(shares.1 > shares.0 + 0.03, "{shares:?}");
@@ -304,7 +310,7 @@ mod tests {
     fn coarse_levels_close_with_few_passes() {
         let (surface, sizing, seeds) = ball();
         let fields = Fields { surface: &surface, sizing: &sizing };
-        // up to the closing passes of the first level all is the same
+        // both runs are identical up to the closing passes of the first level
         let first_level = |closing_passes: u64| {
             let parameters = Parameters { closing_passes, levels: 2, ..Parameters::default() };
             let mut passes = 0;

@@ -1,51 +1,70 @@
-//! The numbers that decide how particles settle, each with its reason, once for the CPU and for the kernels, whose text is
-//! composed with declarations made from these (`gpu/constants.rs`).
+//! Constants of the particle dynamics, each with its derivation or measurement. The CPU code and
+//! the kernels share them: `gpu/constants.rs` declares them in the text of every kernel.
 //!
-//! # What the lists miss
+//! # Reach of the neighbour lists
 //!
-//! A particle interacts with those in its list, and the classes that may move together (of particles on the GPU, of blocks of particles on the CPU) are made from
-//! the lists: no two members of a class are in each other's list, so none reads what another writes, *whatever the steps are*. What the length of the steps decides is how
-//! near two particles can come while neither is in the other's list. A GPU's lists reach `SUPPORT (1 + SKIN)` times the smaller h; they are
-//! made anew before a pass once a particle has moved by more than [`REBUILD_MOVE`] h; in a pass none moves by more than [`FARTHEST_MOVE`] h.
-//! So at the end of any pass two that do not see each other are no nearer than
+//! A particle interacts with the members of its list. The lists also define the independent classes
+//! (of particles on the GPU, of blocks of particles on the CPU). No two members of a class are in
+//! each other's lists, so no member reads what another writes, whatever the step length. The step
+//! length decides how near two particles can come while neither is in the other's list.
+//!
+//! A GPU's lists reach `SUPPORT (1 + SKIN)` times the smaller h. They are rebuilt before a pass if
+//! a particle has moved by more than [`REBUILD_MOVE`] h since the last time. In one pass a particle
+//! moves by at most [`FARTHEST_MOVE`] h. So after any pass, where h is constant, two particles that
+//! are not in each other's lists are at least this far apart (`UNSEEN_DISTANCE`, in h):
 //!
 //! ```text
-//! SUPPORT (1 + SKIN) - 2 (REBUILD_MOVE + FARTHEST_MOVE)  =  2.252 - 2 (0.1 + 0.5)  =  1.052  h        (UNSEEN_DISTANCE)
+//! SUPPORT (1 + SKIN) - 2 (REBUILD_MOVE + FARTHEST_MOVE)  =  2.252 - 2 (0.1 + 0.5)  =  1.052
 //! ```
 //!
-//! where h is even: farther than neighbours in the lattice. The CPU's are made anew before every pass, and reach that far and two moves ([`LISTED`], 2.052 h): while density control is at work they are made
-//! anew in every pass either way, and shorter ones are made and read in less time. The bound that must hold is that of the first ring, 1 h: then such a pair can
-//! neither collide nor have more energy than two neighbours have in the lattice, and the lists made before the next pass hold it. The
-//! bound asks for the worst twice: both go head on, and the projection takes each as far again as its step. On a surface that is flat within
-//! h the projection adds next to nothing, the bound is 2.252 - 2 (0.1 + 0.25) = 1.55 h, and the energy that is missed (Eq. 1 at d = 0.896) is
-//! at most 0.2 % of a particle's. Where h changes by g a mm, the larger of two may move by its own h: `SUPPORT (1 + SKIN) (1 - 0.6 g) - 1.2` times the smaller
-//! h, 0.65 at g = 0.3 (on the CPU 2.052 (1 - 0.5 g) - 1, 0.74).
+//! The CPU rebuilds its lists before every pass, so they need to reach only this distance plus two
+//! moves ([`LISTED`], 2.052 h). Density control requires new lists in every pass anyway, and
+//! shorter lists are faster to build and to read.
 //!
-//! # Lattices of another spacing
+//! The bound must exceed the first ring, 1 h. Then an unlisted pair cannot collide or have more
+//! energy than two lattice neighbours, and the lists of the next pass contain it. The bound is
+//! pessimistic: both particles move head-on, and the projection moves each as far as its step does.
+//! On a surface that is flat within h the projection adds almost nothing. There the bound is
+//! 2.252 - 2 (0.1 + 0.25) = 1.55 h. The missed energy (Eq. 1 at d = 0.896) is then at most 0.2 % of
+//! a particle's energy.
 //!
-//! The lattice that an ideal energy other than that of Eq. 1 asks for has another spacing than h ([`Parameters::spacing`](crate::Parameters::spacing): 0.657 h for the
-//! printed 3.462). What is a length of the lattice ([`FIRST_RING`], [`NEWCOMER_DISTANCE`], [`PARENT_DISTANCE`], where a newcomer stands) is that many *spacings*; what
-//! is about steps and lists stays in h. The bounds above hold for spacings from [`LEAST_SPACING`] to [`LARGEST_SPACING`].
+//! Where h has the gradient g (mm per mm), the larger of the two may move by its own h. The bound
+//! is then `SUPPORT (1 + SKIN) (1 - 0.6 g) - 1.2` times the smaller h, 0.65 at g = 0.3. On the CPU
+//! it is 2.052 (1 - 0.5 g) - 1, 0.74 at g = 0.3.
+//!
+//! # Lattices with another spacing
+//!
+//! With an ideal energy other than that of Eq. 1 the lattice spacing is not h
+//! ([`Parameters::spacing`](crate::Parameters::spacing): 0.657 h for the printed 3.462). Lengths of
+//! the lattice scale with the *spacing*: [`FIRST_RING`], [`NEWCOMER_DISTANCE`], [`PARENT_DISTANCE`]
+//! and the place of a newcomer. Lengths of steps and lists scale with h. The bounds above hold for
+//! spacings from [`LEAST_SPACING`] to [`LARGEST_SPACING`].
 
 use isoparticles_field::energy::SUPPORT;
 
-/// A GPU's neighbour lists reach this much farther than the support, as a share of it, so that they stay good while particles move: at the start
-/// of a pass they are complete, since `SUPPORT SKIN` = 0.52 h is more than the 2 [`REBUILD_MOVE`] by which two may have come nearer.
+/// Margin of a GPU's neighbour lists beyond the support, as a share of the support. The lists are
+/// complete at the start of a pass: `SUPPORT SKIN` = 0.52 h exceeds 2 [`REBUILD_MOVE`] = 0.2 h, by
+/// which two particles may have approached each other.
 pub(crate) const SKIN: f64 = 0.3;
 
-/// A GPU's lists are made anew once a particle has moved by this share of its h since they were made.
+/// A GPU's lists are rebuilt once a particle has moved by this share of its h since the last time.
+/// Upper bound: half of `SUPPORT SKIN`, 0.26.
 pub(crate) const REBUILD_MOVE: f64 = 0.1;
 
-/// Longest step in the tangent plane in one pass, as a share of h (the paper's bound is h).
+/// Longest step in the tangent plane in one pass, as a share of h (the paper's bound is h). With
+/// a quarter, [`UNSEEN_DISTANCE`] stays above 1.
 pub(crate) const LONGEST_STEP: f64 = 0.25;
 
-/// Farthest that a particle may be from its place before a pass, as a share of h: the projection may add as much as the step.
+/// Maximum distance that a particle may move in one pass, as a share of h: the projection may add
+/// as much as the step.
 pub(crate) const FARTHEST_MOVE: f64 = 2.0 * LONGEST_STEP;
 
-/// Two particles that are not in each other's lists are farther apart than this many h after any pass, where h is even.
+/// Minimum distance, in h, of two particles that are not in each other's lists, after any pass
+/// where h is constant.
 pub(crate) const UNSEEN_DISTANCE: f64 = SUPPORT * (1.0 + SKIN) - 2.0 * (REBUILD_MOVE + FARTHEST_MOVE);
 
-/// The CPU's neighbour lists reach this many times the smaller h.
+/// Reach of the CPU's neighbour lists, in units of the smaller h: [`UNSEEN_DISTANCE`] plus one move
+/// of each particle.
 pub(crate) const LISTED: f64 = UNSEEN_DISTANCE + 2.0 * FARTHEST_MOVE;
 
 const _: () = assert!(
@@ -57,53 +76,62 @@ const _: () = assert!(
     "a pass could start with lists that miss an interaction"
 );
 
-/// Largest spacing of a lattice in h, that of the ideal energy 0.554: neighbours in it must be nearer than particles that do not see each other.
+/// Maximum lattice spacing, in h (ideal energy 0.554): lattice neighbours must be nearer than
+/// unlisted particles can come.
 pub(crate) const LARGEST_SPACING: f64 = UNSEEN_DISTANCE;
 
-/// Smallest spacing of a lattice in h, that of the ideal energy 7.84: a pass must not take a particle past the next one. A GPU's lists have 18.4 over the squared spacing
-/// members, 74 here, and 32 classes move on the GPU: of denser ones many would rest.
+/// Minimum lattice spacing, in h (ideal energy 7.84): a pass must not move a particle past its
+/// neighbour. A GPU's lists have 18.4 / spacing^2 members, 74 here, but there are only 32 classes,
+/// so in denser lattices many particles would not move.
 pub(crate) const LEAST_SPACING: f64 = FARTHEST_MOVE;
 
-/// Neighbours on the hexagonal lattice are nearer than this many spacings (of h), and the next ring is farther: the geometric mean of
-/// the two radii, 1 and sqrt(3).
+/// Radius that separates the first from the second ring of the hexagonal lattice, in spacings: the
+/// geometric mean of the two radii, 1 and sqrt(3).
 pub(crate) const FIRST_RING: f64 = 1.316_074_012_952_492_5;
 
-/// Neighbours in the first ring of the hexagonal lattice; a particle with another number is a lattice defect.
+/// Neighbours in the first ring of the hexagonal lattice. A particle with another number is a
+/// lattice defect.
 pub(crate) const LATTICE_NEIGHBOURS: u32 = 6;
 
-/// Levenberg-Marquardt damping of a particle that has not moved yet (0.1 in the program that the paper compares with).
+/// Levenberg-Marquardt damping of a particle that has not moved yet (0.1 in the program that the
+/// paper compares with).
 pub const INITIAL_LAMBDA: f64 = 0.1;
 
-/// Smallest damping.
+/// Minimum damping. It multiplies diag(H) by 1.001, so the step is nearly the undamped Newton step.
 pub(crate) const LEAST_LAMBDA: f64 = 1e-3;
 
-/// A particle whose damping reaches this stays where it is in this pass.
+/// A particle whose damping reaches this limit does not move in the pass: the step would be 1e-4 of
+/// a Newton step.
 pub(crate) const LARGEST_LAMBDA: f64 = 1e4;
 
-/// Damping grows by this factor when a try fails.
+/// Factor by which the damping grows after a failed try (Algorithm 1).
 pub(crate) const LAMBDA_GROWTH: f64 = 10.0;
 
-/// Damping falls by this factor when the first try succeeds.
+/// Factor by which the damping falls after a successful first try (Algorithm 1).
 pub(crate) const LAMBDA_FALL: f64 = 0.1;
 
-/// Smallest eigenvalue of the Hessian in the tangent plane, as a share of the larger: a step is no longer than twenty times what the
-/// stiffer direction would take.
+/// Minimum eigenvalue of the Hessian in the tangent plane, as a share of the larger one. It limits
+/// the step along the softer direction to 20 times the step that the stiffer direction would take.
 pub(crate) const EIGENVALUE_FLOOR: f64 = 0.05;
 
-/// The projection of a step may move a particle by this share of h in all.
+/// Maximum distance that the projection may add to a step, as a share of h.
 pub(crate) const PROJECTION_REACH: f64 = 0.5;
 
-/// |F| after a step, as a share of the voxel spacing; the particles are put onto F = 0 to more digits at the end.
+/// Tolerance of |F| after a step, as a share of the voxel spacing. After the last pass,
+/// `settle::finish` projects with a tolerance of 1e-8.
 pub(crate) const PASS_TOLERANCE: f64 = 1e-5;
 
-/// A newcomer keeps this share of the lattice's spacing (h) from everybody on its sheet, other newcomers included; the lattice makes room for it in the next
-/// passes.
+/// Minimum distance of a newcomer from all particles of its interface, other newcomers included, as
+/// a share of the lattice spacing. The passes that follow make room for it.
 ///
-/// It stands at one spacing from its parent, in the middle of the widest gap between two neighbours. In the lattice that gap is 60 degrees, and the newcomer
-/// is 2 sin(15 degrees) = 0.518 of it from both: at more than that a particle with six neighbours never gets one, and places with too few particles stay.
-/// Measured (docs/developer/method.md): at 0.45 the count comes nearest to the predicted one; at 0.513, where the energy of one pair (Eq. 1) is what
-/// density control deletes at, it falls by 1.3 %, at 0.7 by 10 %, and triangles are no better for it.
+/// A newcomer stands one spacing from its parent, in the middle of the widest gap between two
+/// neighbours. In the lattice a gap has 60 degrees, so the newcomer is 2 sin(15 degrees) = 0.518
+/// spacings from both neighbours. With a larger minimum, a particle with six neighbours never gets
+/// a newcomer, and undersampled places remain. Measured (docs/developer/method.md): at 0.45 the
+/// count is nearest to the predicted one. At 0.513, where the energy of one pair equals the
+/// deletion limit (Eq. 1), the count falls by 1.3 %, and at 0.7 by 10 %, with no better triangles.
 pub(crate) const NEWCOMER_DISTANCE: f64 = 0.45;
 
-/// A newcomer that the projection takes nearer than this to its parent, as a share of the lattice's spacing, is none.
+/// Minimum distance of a newcomer from its parent after the projection, as a share of the lattice
+/// spacing. A nearer newcomer is rejected.
 pub(crate) const PARENT_DISTANCE: f64 = 0.6;

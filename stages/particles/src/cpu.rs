@@ -1,4 +1,5 @@
-//! Settling on the CPU: the engine of a pass, and the ways into the loop for one object and for many materials.
+//! Settling on the CPU: the engine of a pass, and the entry points for one object and for many
+//! materials.
 
 use crate::coarse::{MakeEngine, settle_levels};
 use crate::density::{self, Limits};
@@ -16,8 +17,9 @@ pub(crate) mod scenes;
 #[cfg(test)]
 mod tests;
 
-/// Settles particles on the CPU, on the threads of the current pool. `resumed` holds the particles after the passes already
-/// run, and the records of those; `observe` sees each new record, can ask for the particles, and may end the run with an error.
+/// Settles particles on the CPU, with the threads of the current rayon pool. `resumed` holds the
+/// particles after the passes already run, and the records of those passes. `observe` receives each
+/// new record, may read the particles, and may end the run with an error.
 pub fn settle(
     seeds: &ParticleSet,
     resumed: Option<(ParticleSet, &[PassRecord])>,
@@ -29,11 +31,12 @@ pub fn settle(
     Ok((set, summary))
 }
 
-/// Particles of many materials, with the strata that they live on.
+/// Particles of many materials, with their strata.
 pub type OnStrata = (ParticleSet, Strata);
 
-/// Settles the particles on the sheets of many materials, as [`settle`] does those of one object, but on one level: those of junction points and curves are
-/// held, come first, and stay as they are. A particle that is not on its sheet is removed, at the beginning or when it is found.
+/// Settles the particles of many materials on their interfaces, like [`settle`] for one object, but
+/// on one level. Particles of junction points and curves come first; they are held, so they do not
+/// change. A particle that is not on its interface is removed, at the start or at the end.
 pub fn settle_sheets<I: Indicators>(
     seeds: &OnStrata,
     resumed: Option<(OnStrata, &[PassRecord])>,
@@ -46,7 +49,7 @@ pub fn settle_sheets<I: Indicators>(
     Ok((settled, summary))
 }
 
-/// As [`settle_sheets`], on the engine that is made for the particles and their strata.
+/// Like [`settle_sheets`], on the engine that `make` creates for the particles and their strata.
 pub(crate) fn settle_sheets_with<'e, S: Implicit>(
     make: impl FnOnce(ParticleSet, Vec<Stratum>) -> Result<Box<dyn Engine + 'e>>,
     seeds: &OnStrata,
@@ -75,7 +78,7 @@ pub(crate) fn settle_sheets_with<'e, S: Implicit>(
     Ok((settled, summary, engine.device_report()))
 }
 
-/// Makes engines that move the particles on the CPU.
+/// Creates engines that move the particles on the CPU.
 pub(crate) struct OnCpu<'a>(pub &'a Parameters);
 
 impl MakeEngine for OnCpu<'_> {
@@ -87,7 +90,7 @@ impl MakeEngine for OnCpu<'_> {
     }
 }
 
-/// Moves the particles on the CPU.
+/// Engine that moves the particles on the CPU.
 pub(crate) struct CpuEngine<'a, S> {
     state: State,
     fields: &'a Fields<'a, S>,
@@ -111,7 +114,8 @@ impl<S: Implicit> Engine for CpuEngine<'_, S> {
     fn pass(&mut self, pass: u64, density: bool) -> Result<PassOutcome> {
         let (state, parameters) = (&mut self.state, &self.parameters);
         if pass % REORDER_INTERVAL == 1 {
-            // also what a resumed run starts with: checkpoints are only written just before
+            // a resumed run starts in this order too, because checkpoints are written only just
+            // before
             state.sort_by_place();
         }
         state.rebuild();

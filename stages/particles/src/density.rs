@@ -1,9 +1,10 @@
 //! Density control: section 3.3 of the paper.
 //!
-//! Where the energy says that the surface is oversampled a particle goes; where it says that it is undersampled one is added, in the
-//! widest gap between the neighbours. The random bias of Witkin and Heckbert keeps neighbours from acting all at once; on top of
-//! it the energies are kept up to date while the pass goes on, so that the first deletion relieves the others (without
-//! that, a dense seeding loses far too many particles in one pass).
+//! A particle whose energy is too high (oversampling) is deleted. A particle whose energy is too
+//! low (undersampling) gets a newcomer in the widest gap between its neighbours. The random bias of
+//! Witkin and Heckbert keeps neighbours from acting simultaneously. In addition, each deletion
+//! updates the energies of the neighbours immediately; otherwise a dense seeding loses far too many
+//! particles in one pass.
 
 use crate::constants::{INITIAL_LAMBDA, NEWCOMER_DISTANCE, PARENT_DISTANCE, PASS_TOLERANCE};
 use crate::implicit::Implicit;
@@ -15,7 +16,7 @@ use isoparticles_field::neighbours::NeighbourLists;
 use isoparticles_field::random::uniform;
 use rayon::prelude::*;
 
-/// When to add and delete, as shares of the ideal energy.
+/// Limits for adding and deleting: the ideal energy, and shares of it.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Limits {
     pub ideal_energy: f64,
@@ -23,14 +24,15 @@ pub(crate) struct Limits {
     pub delete_above: f64,
 }
 
-/// What a pass of density control did.
+/// Number of particles that one pass of density control added and deleted.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Changes {
     pub inserted: usize,
     pub deleted: usize,
 }
 
-/// Deletes, then inserts; energies must be up to date on entry. The lists are still the former ones after it. `allow_insert` is off in the paper's synthetic test.
+/// Deletes, then inserts. The energies must be up to date on entry. The neighbour lists are not
+/// updated. `allow_insert` is off in the paper's synthetic test.
 pub(crate) fn control<S: Implicit>(
     state: &mut State,
     fields: &Fields<S>,
@@ -46,7 +48,7 @@ pub(crate) fn control<S: Implicit>(
     let gone = deleted.iter().filter(|&&d| d).count();
     let inserted = newcomers.len();
     if gone + inserted > 0 {
-        // each newcomer next to its parent: so the order stays one of place
+        // insert each newcomer next to its parent, which keeps the spatial order
         let mut order = Vec::with_capacity(deleted.len() + inserted);
         let mut newcomers = newcomers.iter().zip(deleted.len() as u32..).peekable();
         for (i, &is_deleted) in deleted.iter().enumerate() {
@@ -62,7 +64,8 @@ pub(crate) fn control<S: Implicit>(
     Changes { inserted, deleted: gone }
 }
 
-/// Marks particles for deletion, those of the highest energy first.
+/// Marks particles for deletion, in descending order of energy, and updates the energies of their
+/// neighbours.
 fn delete(state: &State, energies: &mut [f64], limits: &Limits, seed: u64, pass: u64) -> Vec<bool> {
     let set = &state.set;
     let mut deleted = vec![false; state.len()];
@@ -72,7 +75,7 @@ fn delete(state: &State, energies: &mut [f64], limits: &Limits, seed: u64, pass:
     oversampled.sort_by(|&a, &b| energies[b as usize].total_cmp(&energies[a as usize]).then(a.cmp(&b)));
     for i in oversampled {
         let i = i as usize;
-        // Witkin and Heckbert's bias: the excess, times a random number, must exceed the threshold's
+        // bias of Witkin and Heckbert: the excess, times a random number, must exceed the threshold
         let excess = energies[i] / limits.ideal_energy - 1.0;
         if uniform(seed, 2 * pass, i as u64) * excess <= limits.delete_above - 1.0 {
             continue;
@@ -87,19 +90,22 @@ fn delete(state: &State, energies: &mut [f64], limits: &Limits, seed: u64, pass:
     deleted
 }
 
-/// A particle that may be added.
+/// Candidate for insertion.
 pub(crate) struct Newcomer {
-    /// Who proposes it.
+    /// Index of the particle that proposes it.
     parent: usize,
     pub position: DVec3,
     normal: DVec3,
     pub size: f64,
 }
 
-/// Adds particles (at the end of the set) where the energy is low and a gap has room; says which, in the order of their parents.
+/// Adds particles at the end of the set where the energy is low and a gap has room. Returns them in
+/// the order of their parents.
 ///
-/// Of newcomers whose parents are neighbours one comes in a pass, and of newcomers nearer than [`NEWCOMER_DISTANCE`] spacings to each other on the
-/// same sheet; here the one whose parent has the smallest index, on the GPU the one whose parent draws the highest number.
+/// At most one is added in a pass among newcomers whose parents are neighbours, and among newcomers
+/// of the same interface that are nearer than [`NEWCOMER_DISTANCE`] spacings to each other. Here
+/// the parent with the smallest index wins; on the GPU it is the parent that draws the highest
+/// number.
 fn insert<S: Implicit>(
     state: &mut State,
     fields: &Fields<S>,
@@ -114,7 +120,7 @@ fn insert<S: Implicit>(
     let newcomers: Vec<Newcomer> = (state.held..before)
         .into_par_iter()
         .filter(|&i| {
-            // Witkin and Heckbert's bias once more
+            // bias of Witkin and Heckbert, as in `delete`
             let lack = 1.0 - energies[i] / limits.ideal_energy;
             let bar = 1.0 - limits.add_below;
             !deleted[i] && lack > bar && uniform(seed, 2 * pass + 1, i as u64) * lack > bar
@@ -149,7 +155,8 @@ fn insert<S: Implicit>(
     newcomers.into_iter().filter(|_| chosen.next() == Some(true)).collect()
 }
 
-/// The newcomer in the widest gap of particle i, if it is on the surface there and keeps [`NEWCOMER_DISTANCE`] spacings from everybody.
+/// The newcomer in the widest gap of particle i. `None` if the projection fails or if the newcomer
+/// is nearer than [`NEWCOMER_DISTANCE`] spacings to a listed particle.
 pub(crate) fn propose<S: Implicit>(state: &State, fields: &Fields<S>, deleted: &[bool], i: usize) -> Option<Newcomer> {
     let (position, normal, size) = place_in_widest_gap(state, fields, deleted, i)?;
     let set = &state.set;
@@ -164,7 +171,8 @@ pub(crate) fn propose<S: Implicit>(state: &State, fields: &Fields<S>, deleted: &
     has_room.then_some(Newcomer { parent: i, position, normal, size })
 }
 
-/// The point at one spacing from particle i in the middle of the widest gap between its neighbours, as far as the second ring of the lattice, on the surface.
+/// Position, normal and h at one spacing from particle i, in the middle of the widest gap between
+/// its neighbours within the second ring, projected onto the surface.
 fn place_in_widest_gap<S: Implicit>(
     state: &State,
     fields: &Fields<S>,
@@ -212,12 +220,14 @@ mod tests {
     use crate::settle::Parameters;
     use std::collections::HashSet;
 
-    /// A pass of density control over scattered particles: the newcomers and all particles after.
+    /// Runs density control over scattered particles; returns the newcomers and all particles
+    /// afterwards.
     fn controlled(scene: &Scene, pass: u64) -> (Vec<usize>, State) {
         let parameters = Parameters::default();
         let mut state = State::new(scene.seeds.clone(), parameters.normal_agreement);
         state.measure();
-        // what is deleted makes room for others, and the test could not tell who was there
+        // no deletion: a deleted particle makes room for newcomers, and the test could not check
+        // distances from it
         let limits =
             Limits { ideal_energy: parameters.ideal_energy, add_below: parameters.add_below, delete_above: 1e9 };
         let before: HashSet<_> = state.set.positions.iter().map(|p| p.to_array().map(f64::to_bits)).collect();

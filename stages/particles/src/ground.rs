@@ -1,4 +1,4 @@
-//! What a run settles on, as it is read: one object or many materials, and what does not go together.
+//! Reads the surface of a run, one object or many materials, and rejects inputs that do not match.
 
 use isoparticles_field::spline::CubicSpline;
 use isoparticles_stage::error::{Error, Result};
@@ -8,16 +8,16 @@ use isoparticles_stage::materials_file::{MaterialsFile, read_materials};
 use isoparticles_volume::Geometry;
 use std::path::Path;
 
-/// What the particles live on.
+/// The surface that the particles lie on.
 pub(crate) enum Ground {
     /// F = 0 of one object.
     Object {
         /// F.
         surface: CubicSpline,
-        /// How it was made, if its file tells.
+        /// History of the file, if it has one.
         history: Option<History>,
     },
-    /// The sheets of many materials.
+    /// The interfaces of many materials.
     Materials(MaterialsFile),
 }
 
@@ -25,7 +25,7 @@ impl Ground {
     /// Reads a distance field, or the indicators of many materials.
     ///
     /// # Errors
-    /// When it cannot be read.
+    /// If the file cannot be read.
     pub(crate) fn read(path: &Path, is_materials: bool) -> Result<Self> {
         if is_materials {
             return Ok(Self::Materials(read_materials(path)?));
@@ -34,7 +34,7 @@ impl Ground {
         Ok(Self::Object { surface: CubicSpline::new(&distance.image), history: distance.history })
     }
 
-    /// The grid.
+    /// The voxel grid.
     pub(crate) fn geometry(&self) -> &Geometry {
         match self {
             Self::Object { surface, .. } => surface.geometry(),
@@ -42,7 +42,7 @@ impl Ground {
         }
     }
 
-    /// How the file was made, if it tells.
+    /// History of the file, if it has one.
     pub(crate) fn history(&self) -> Option<History> {
         match self {
             Self::Object { history, .. } => history.clone(),
@@ -50,7 +50,7 @@ impl Ground {
         }
     }
 
-    /// What particles lie on, in words.
+    /// Name of the surface, for messages.
     pub(crate) fn name(&self) -> &'static str {
         match self {
             Self::Object { .. } => "F = 0",
@@ -59,10 +59,10 @@ impl Ground {
     }
 }
 
-/// Refuses seeds that have strata for one object, and others for many materials.
+/// Rejects seeds with strata for one object, and seeds without strata for many materials.
 ///
 /// # Errors
-/// When the one is given with the other.
+/// If seeds and field do not match.
 pub(crate) fn check_kind((ground, is_materials): (&Path, bool), (seeds, have_strata): (&Path, bool)) -> Result<()> {
     let mismatch = |found: &str, given: &str, why: &str| {
         let what = format!("{}: holds particles of {found}, but {} holds {given}", seeds.display(), ground.display());
@@ -81,10 +81,10 @@ pub(crate) fn check_kind((ground, is_materials): (&Path, bool), (seeds, have_str
     }
 }
 
-/// Refuses several levels for many materials.
+/// Rejects several levels for many materials.
 ///
 /// # Errors
-/// When more than one is asked for.
+/// If `levels` is larger than 1.
 pub(crate) fn check_levels(levels: Option<u32>) -> Result<()> {
     match levels.filter(|&levels| levels > 1) {
         None => Ok(()),

@@ -1,19 +1,23 @@
-//! What particles live on: F = 0 of one object, or the sheets between many materials.
+//! The implicit surfaces of particles: F = 0 of one object, or the interfaces of many materials.
 
 use glam::DVec3;
 use isoparticles_field::materials::{Indicators, MaterialId, Stratum};
 use isoparticles_field::spline::CubicSpline;
 
-/// The zero sets that particles live on. One object has one, and its particles are of no stratum; of many materials the stratum names it.
+/// Zero sets that particles lie on. One object has a single zero set, and its particles have no
+/// stratum. With many materials the stratum selects the interface.
 pub trait Implicit: Sync {
-    /// The point near `start` of the zero set of a stratum, by Newton steps (Eq. 5), with the gradient there. `limit` is the longest total move (mm), `tolerance`
-    /// the distance from the zero set that is allowed (mm). `None` when there is none, or when it is not of the stratum.
+    /// Projects `start` onto the zero set of a stratum by Newton steps (Eq. 5). Returns the point
+    /// and the gradient there. `limit` is the maximum total move (mm), `tolerance` the allowed
+    /// distance from the zero set (mm). `None` if the projection fails or the point is not on the
+    /// stratum.
     fn project(&self, stratum: Option<Stratum>, start: DVec3, limit: f64, tolerance: f64) -> Option<(DVec3, DVec3)>;
 
-    /// Whether the zero set of a stratum is real at a place on it: no other material is nearer there.
+    /// Whether the zero set of a stratum is real at a place on it: no other material is nearer
+    /// there.
     fn is_real(&self, stratum: Option<Stratum>, place: DVec3) -> bool;
 
-    /// Smallest edge of a voxel, mm: tolerances are shares of it.
+    /// Minimum voxel edge, mm; tolerances are shares of it.
     fn min_spacing(&self) -> f64;
 }
 
@@ -33,7 +37,7 @@ impl Implicit for CubicSpline {
     }
 }
 
-/// The sheets between materials, where the indicators of two are equal and the smallest.
+/// The material interfaces: places where the indicators of two materials are equal and minimal.
 #[derive(Debug)]
 pub struct Sheets<'a, I> {
     indicators: &'a I,
@@ -41,13 +45,14 @@ pub struct Sheets<'a, I> {
 }
 
 impl<'a, I: Indicators> Sheets<'a, I> {
-    /// Of the materials whose indicators these are, with the smallest edge of a voxel (mm).
+    /// `indicators` are those of all materials, `min_spacing` is the minimum voxel edge (mm).
     pub fn new(indicators: &'a I, min_spacing: f64) -> Self {
         Self { indicators, min_spacing }
     }
 }
 
-/// The two materials of a sheet, that on the negative side of G first: the one with the higher number, so that the gradient points to the lower.
+/// The two materials of an interface; G is negative in the first. The first has the higher number,
+/// so the gradient points to the lower one.
 #[inline(always)]
 fn sides(stratum: Option<Stratum>) -> Option<[MaterialId; 2]> {
     match stratum?.materials() {

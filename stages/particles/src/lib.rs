@@ -1,7 +1,9 @@
-//! The `particles` stage: settles particles on F = 0 until they form a near-hexagonal lattice of local spacing h.
+//! The `particles` stage: settles particles on F = 0 until they form a near-hexagonal lattice of
+//! local spacing h.
 //!
-//! Section 3 of Kim, Chen and Hansen 2012: neighbours, energy, damped Newton steps, projection, density control and the stop
-//! test. Same seeds, fields and parameters give the same bytes for any number of threads on the CPU, and on one GPU adapter.
+//! Implements section 3 of Kim, Chen and Hansen 2012: neighbours, energy, damped Newton steps,
+//! projection, density control and the stop test. The same seeds, fields and parameters give the
+//! same bytes for any number of threads on the CPU, and in every run on one GPU adapter.
 
 pub mod args;
 mod checkpoint;

@@ -1,4 +1,4 @@
-//! The log of the run: one line a pass, as CSV or as JSON lines.
+//! The log of a run: one line per pass, as CSV or JSON lines.
 
 use crate::settle::PassRecord;
 use isoparticles_stage::error::{Error, Result};
@@ -6,7 +6,7 @@ use std::fs::File;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
-/// An open log, written line by line so that it can be followed.
+/// An open log; each line is written at once.
 pub(crate) struct Log {
     path: PathBuf,
     file: File,
@@ -14,7 +14,8 @@ pub(crate) struct Log {
 }
 
 impl Log {
-    /// Starts a log with the records of the passes already run. JSON lines when the name ends in `.jsonl`.
+    /// Creates a log with the records of the passes already run. JSON lines if the name ends in
+    /// `.jsonl`, else CSV.
     pub(crate) fn create(path: &Path, records: &[PassRecord]) -> Result<Self> {
         let file = File::create(path).map_err(|e| failed(path, &e))?;
         let mut log = Self { path: path.into(), file, json_lines: path.extension().is_some_and(|e| e == "jsonl") };
@@ -27,7 +28,7 @@ impl Log {
         Ok(log)
     }
 
-    /// Adds a line.
+    /// Appends the line of one pass.
     pub(crate) fn write(&mut self, r: &PassRecord) -> Result<()> {
         let line = if self.json_lines {
             serde_json::json!(r).to_string()

@@ -1,9 +1,11 @@
 //! One pass of movement: sections 3.2.1 and 3.2.2 and Algorithm 1 of the paper.
 //!
-//! A particle takes the damped Newton step of its energy in the tangent plane of F, is projected back onto F = 0
-//! (Eq. 5) and stays there if its energy has fallen; otherwise lambda grows tenfold and it tries again. The particles of a
-//! block move one after the other, the blocks of an independent class at the same time: none of them sees another, so the pass is the
-//! Gauss-Seidel sweep of the paper in an order of our own, with the same result for any number of threads.
+//! A particle takes the damped Newton step of its energy in the tangent plane of F and is projected
+//! back onto F = 0 (Eq. 5). The step is accepted if it lowers the energy; otherwise lambda grows
+//! tenfold and the particle tries again. The particles of a block move one after the other, and the
+//! blocks of an independent class at the same time. Blocks of a class do not interact, so the pass
+//! is the paper's Gauss-Seidel sweep in another order, with the same result for any number of
+//! threads.
 
 use crate::constants::{
     EIGENVALUE_FLOOR, FARTHEST_MOVE, LAMBDA_FALL, LAMBDA_GROWTH, LARGEST_LAMBDA, LEAST_LAMBDA, LONGEST_STEP,
@@ -19,16 +21,16 @@ use isoparticles_mesh::buckets::ranges_mut;
 use rayon::prelude::*;
 use std::ops::Range;
 
-/// What a pass of movement did.
+/// Statistics of a pass of movement.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Moves {
     /// Particles that took a step.
     pub moved: usize,
-    /// Steps tried, refused ones included.
+    /// Steps tried, including rejected ones.
     pub tries: usize,
 }
 
-/// The next place of a particle.
+/// New place of a particle.
 #[derive(Clone, Copy)]
 pub(crate) struct Step {
     pub position: DVec3,
@@ -39,13 +41,13 @@ pub(crate) struct Step {
     pub moved: bool,
 }
 
-/// The particles of a block but those that are held.
+/// The particles of a block, without held ones.
 fn members_of(state: &State, block: u32) -> Range<usize> {
     let end = state.len().min((block as usize + 1) * BLOCK);
     (block as usize * BLOCK).max(state.held).min(end)..end
 }
 
-/// Moves every particle once that is not held.
+/// Moves every particle that is not held once.
 pub(crate) fn pass<S: Implicit>(state: &mut State, fields: &Fields<S>) -> Moves {
     let mut moves = Moves::default();
     let classes = std::mem::take(&mut state.classes);
@@ -80,7 +82,7 @@ pub(crate) fn pass<S: Implicit>(state: &mut State, fields: &Fields<S>) -> Moves 
     moves
 }
 
-/// Moves some particles one after the other, by the best instructions that the processor has.
+/// Moves particles one after the other, with the best SIMD instructions of the processor.
 fn block_steps<S: Implicit>(
     state: &State,
     fields: &Fields<S>,
@@ -88,7 +90,7 @@ fn block_steps<S: Implicit>(
     members: Range<usize>,
 ) -> Vec<Step> {
     let mut steps = Vec::with_capacity(members.len());
-    // the block's own particles as they move; the others stand still meanwhile
+    // records of the block's own particles, updated as they move; all others stand still meanwhile
     let mut own = state.records[members.clone()].to_vec();
     let first = members.start;
     dispatch!(Level::new(), simd => {
@@ -105,13 +107,13 @@ fn block_steps<S: Implicit>(
     steps
 }
 
-/// The next place of one particle.
+/// The step of a single particle.
 #[cfg(test)]
 pub(crate) fn step_alone<S: Implicit>(state: &State, fields: &Fields<S>, i: usize) -> Step {
     block_steps(state, fields, &mut Neighbourhood::default(), i..i + 1)[0]
 }
 
-/// Finds the next place of particle i among the neighbours gathered (Algorithm 1).
+/// Finds the next place of particle i (Algorithm 1); `near` holds its neighbours.
 #[inline(always)]
 fn step<L: Simd, S: Implicit>(simd: L, state: &State, fields: &Fields<S>, near: &Neighbourhood, i: usize) -> Step {
     let set = &state.set;
@@ -122,7 +124,7 @@ fn step<L: Simd, S: Implicit>(simd: L, state: &State, fields: &Fields<S>, near: 
     if jet.energy == 0.0 {
         return result;
     }
-    // Eq. 4, and the part of the particle's own h, which changes with its place; the Hessian holds h fixed
+    // Eq. 4, plus the derivative through the particle's own h; the Hessian holds h fixed
     let along_size = plane.coordinates(fields.sizing.value_gradient(position).1);
     let force = [0, 1].map(|a| jet.gradient[a] + jet.by_size * along_size[a]);
     if (force[0] * force[0] + force[1] * force[1]).sqrt() * size < 1e-12 * jet.energy {
@@ -145,7 +147,7 @@ fn step<L: Simd, S: Implicit>(simd: L, state: &State, fields: &Fields<S>, near: 
         }
         lambda *= LAMBDA_GROWTH;
     }
-    // Algorithm 1: lambda goes back to what it was
+    // Algorithm 1: lambda is reset
     result
 }
 
@@ -180,8 +182,8 @@ impl TangentPlane {
     }
 }
 
-/// Replaces the eigenvalues of a symmetric 2 x 2 matrix by their magnitudes (bounded away from zero), so that the Newton
-/// step always leads downhill.
+/// Replaces the eigenvalues of a symmetric 2 x 2 matrix (entries uu, uv, vv) by their magnitudes,
+/// bounded away from zero, so that the Newton step leads downhill.
 #[inline(always)]
 fn positive_definite(m: [f64; 3]) -> [f64; 3] {
     let [a, b, c] = m;
@@ -192,13 +194,13 @@ fn positive_definite(m: [f64; 3]) -> [f64; 3] {
     if half <= 1e-12 * mean.abs() {
         return [l, 0.0, l];
     }
-    // eigenvector of the high value is (cos t, sin t)
+    // the eigenvector of the high value is (cos t, sin t)
     let (cos2, sin2) = (0.5 * (a - c) / half, b / half);
     let (middle, spread) = (0.5 * (l + h), 0.5 * (h - l));
     [middle + spread * cos2, spread * sin2, middle - spread * cos2]
 }
 
-/// Solves (H + lambda diag H) x = -g (Eq. 3; the single H holds the sum over the neighbours).
+/// Solves (H + lambda diag H) x = -g (Eq. 3, where H is the sum over the neighbours).
 #[inline(always)]
 fn damped_newton(h: &[f64; 3], g: [f64; 2], lambda: f64) -> [f64; 2] {
     let (a, b, c) = (h[0] * (1.0 + lambda), h[1], h[2] * (1.0 + lambda));
@@ -214,7 +216,7 @@ mod tests {
 
     #[test]
     fn particles_that_do_not_see_each_other_stay_beyond_the_first_ring() {
-        // twice as many as the lattice has, at random places: the longest steps that there are
+        // twice as many as the lattice has, at random places, which gives the longest steps
         let scene = Scene::ball(1600, 1.6);
         let fields = scene.fields();
         let mut state = State::new(scene.seeds.clone(), 0.0);

@@ -1,6 +1,5 @@
-//! The neighbours of one particle, laid out for eight pairs at a time, and the sums of Eq. 1 to 4 over them.
-//!
-//! Pair by pair and with the tangent as printed, the same sums are in `reference.rs`, for the tests.
+//! The neighbours of one particle in SIMD layout, and the sums of Eq. 1 to 4 over them. For the
+//! tests, `reference.rs` computes the same sums pair by pair with the exact functions.
 
 use crate::constants::FIRST_RING;
 use crate::movement::TangentPlane;
@@ -8,10 +7,10 @@ use fearless_simd::{Simd, f64x8, prelude::*};
 use glam::DVec3;
 use isoparticles_field::energy::{Pairs, SUPPORT, sum};
 
-/// Pairs that one lane operation works on, by any instruction set: so sums have one order.
+/// Pairs per SIMD operation, for every instruction set, so that sums have one order.
 const LANES: usize = 8;
 
-/// What others read of a particle, in half a cache line: position, and the reciprocal of h.
+/// Data of a particle that its neighbours read: position and 1/h, in half a cache line.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Record {
     position: DVec3,
@@ -24,14 +23,14 @@ impl Record {
     }
 }
 
-/// Eight neighbours: how far they are from the particle along x, y and z, and the reciprocals of their h.
+/// Eight neighbours: their offsets from the particle (x, y, z), and 1/h of each.
 #[derive(Clone, Copy)]
 struct Block {
     offset: [[f64; LANES]; 3],
     inverse_size: [f64; LANES],
 }
 
-/// What fills up a block: farther than any support.
+/// Padding of incomplete blocks: beyond any support.
 const NOBODY: Block = Block { offset: [[1e100; LANES]; 3], inverse_size: [1.0; LANES] };
 
 /// The neighbours of one particle.
@@ -40,7 +39,7 @@ pub(crate) struct Neighbourhood {
     blocks: Vec<Block>,
 }
 
-/// Energy of a particle in its tangent plane.
+/// Energy of a particle and its derivatives in the tangent plane.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct PlaneJet {
     pub energy: f64,
@@ -48,12 +47,12 @@ pub(crate) struct PlaneJet {
     pub gradient: [f64; 2],
     /// Second derivatives uu, uv and vv, h held fixed.
     pub hessian: [f64; 3],
-    /// Derivative by the particle's own h.
+    /// Derivative with respect to the particle's own h.
     pub by_size: f64,
 }
 
 impl Neighbourhood {
-    /// Looks at the neighbours in `list` from a place, given what is known of each.
+    /// Loads the neighbours in `list`, relative to `place`; `record_of` gives the data of each.
     #[inline(always)]
     pub(crate) fn gather(&mut self, record_of: impl Fn(usize) -> Record, list: &[u32], place: DVec3) {
         self.blocks.clear();
@@ -67,7 +66,7 @@ impl Neighbourhood {
                 }
                 block.inverse_size[lane] = record.inverse_size;
             };
-            // a loop of known length is unrolled, and the loads go out side by side
+            // a loop of fixed length is unrolled, and its loads are issued together
             if let Ok(members) = <&[u32; LANES]>::try_from(members) {
                 for (lane, &j) in members.iter().enumerate() {
                     set(lane, j);
@@ -81,7 +80,8 @@ impl Neighbourhood {
         }
     }
 
-    /// Squared scaled distances (Eq. 2) of a block from a particle of this reciprocal h, with the offsets and the reciprocals of the reaches.
+    /// Squared scaled distances (Eq. 2) of a block from a particle with this 1/h, and intermediate
+    /// values. `moved` is the particle's displacement since `gather`.
     #[inline(always)]
     fn distances<S: Simd>(simd: S, block: &Block, moved: DVec3, inverse_size: f64) -> Distances<S> {
         let along = |axis: usize| f64x8::simd_from(simd, block.offset[axis]) - moved[axis];
@@ -93,7 +93,7 @@ impl Neighbourhood {
         Distances { offset, theirs, inverse_reach, squared }
     }
 
-    /// Energy (Eq. 1) of the particle, `moved` by so much and then of size h.
+    /// Energy (Eq. 1) of the particle after a displacement by `moved`, with size h there.
     #[inline(always)]
     pub(crate) fn energy<S: Simd>(&self, simd: S, moved: DVec3, size: f64) -> f64 {
         let mut energy = f64x8::splat(simd, 0.0);
@@ -103,7 +103,8 @@ impl Neighbourhood {
         sum(energy)
     }
 
-    /// Energy of the particle, of size h, and the number of its neighbours in the first ring of a lattice of this spacing, in h.
+    /// Energy of the particle, of size h, and the number of its neighbours in the first ring of a
+    /// lattice with this spacing (in h).
     #[inline(always)]
     pub(crate) fn energy_and_ring<S: Simd>(&self, simd: S, size: f64, spacing: f64) -> (f64, u32) {
         let radius = FIRST_RING * spacing / SUPPORT;
@@ -118,8 +119,9 @@ impl Neighbourhood {
 
     /// Energy of the particle, of size h, with its derivatives in its tangent plane.
     ///
-    /// The second derivative along a pair is that of Eq. 4, the one across it the first derivative over the distance: with the offset o and the distance r,
-    /// the Hessian is `across I + (along - across) o o^T / r^2`, of which the plane sees the components of o along u and v.
+    /// `along` is the second derivative along a pair (Eq. 4), `across` the first derivative over
+    /// the distance. With the offset o and the distance r, the Hessian is `across I + (along -
+    /// across) o o^T / r^2`. In the plane, o is replaced by its components along u and v.
     #[inline(always)]
     pub(crate) fn jet<S: Simd>(&self, simd: S, plane: &TangentPlane, size: f64) -> PlaneJet {
         let zero = f64x8::splat(simd, 0.0);
@@ -134,10 +136,10 @@ impl Neighbourhood {
             let (first, second) = pairs.derivatives();
             let per_area = inverse_reach * inverse_reach;
             let across = first * pairs.reciprocal * per_area;
-            // over r^2 = d^2 / per_area
+            // divided by r^2 = d^2 / per_area
             let stretch = (second * per_area - across) * (pairs.reciprocal * pairs.reciprocal * per_area);
             energy += pairs.energy();
-            // offsets lead to the neighbour: away from it is the other way
+            // offsets point to the neighbour, gradients away from it
             gu -= across * u;
             gv -= across * v;
             let (su, sv) = (stretch * u, stretch * v);
@@ -145,7 +147,8 @@ impl Neighbourhood {
             uv += su * v;
             vv += sv * v;
             isotropic += across;
-            // d falls as the smaller h grows: it is the particle's own unless the neighbour's is smaller
+            // d depends on the smaller h, which is the particle's own unless the neighbour's is
+            // smaller
             let own = theirs.simd_le(1.0 / size);
             by_size -= own.select(first * pairs.scaled, zero);
         }
@@ -159,10 +162,10 @@ impl Neighbourhood {
     }
 }
 
-/// How far a block of neighbours is.
+/// Distances of a block of neighbours.
 struct Distances<S: Simd> {
     offset: [f64x8<S>; 3],
-    /// Reciprocals of the neighbours' h.
+    /// 1/h of the neighbours.
     theirs: f64x8<S>,
     inverse_reach: f64x8<S>,
     squared: f64x8<S>,
@@ -193,7 +196,7 @@ mod tests {
                 near.gather(|j| state.records[j], state.neighbours.of(i), p);
                 let jet = dispatch!(Level::new(), simd => near.jet(simd, &plane, h));
                 assert!((jet.energy - energy).abs() < 1e-11 * (1.0 + energy), "{i}: {energy} {jet:?}");
-                // the parts of a force cancel: relative to the Hessian times h
+                // the terms of a force cancel, so the error is relative to the Hessian times h
                 let scale = 1.0 + jet.hessian[0].abs().max(jet.hessian[2].abs()) * h;
                 let along_size = plane.coordinates(fields.sizing.value_gradient(p).1);
                 for (a, want) in plane.coordinates(gradient).into_iter().enumerate() {
@@ -203,7 +206,7 @@ mod tests {
                 for (found, want) in jet.hessian.iter().zip(plane.restrict(&hessian)) {
                     assert!((found - want).abs() < 1e-10 * scale / h, "{i}: {hessian} {jet:?}");
                 }
-                // elsewhere, and of another size
+                // at another place, with another size
                 let random = |stream| uniform(9, stream, i as u64) - 0.5;
                 let moved = 0.4 * h * DVec3::new(random(0), random(1), random(2));
                 let size = h * (1.0 + 0.2 * random(3));

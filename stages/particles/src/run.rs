@@ -1,4 +1,5 @@
-//! The program around [`crate::settle`]: files, log by pass, checkpoints. Its options are in `args.rs`.
+//! The program around [`crate::settle`]: reads the files, settles, writes log, checkpoints and
+//! results. The options are in `args.rs`.
 
 use crate::args::{Args, Backend};
 use crate::checkpoint::{Progress, cpu_engine, keep, resume};
@@ -21,10 +22,11 @@ use isoparticles_stage::particle_file::{ParticleKind, read_particles, write_mate
 use serde_json::json;
 use std::cell::Cell;
 
-/// Bytes at once for each particle on the CPU, besides the fields: 190 to 510 for the phantoms of `stages/distfield/benches/costs.py`.
+/// Maximum memory per particle on the CPU, bytes, without the fields. Measured: 190 to 510 for the
+/// phantoms of `stages/distfield/benches/costs.py`.
 const BYTES_PER_PARTICLE: f64 = 510.0;
 
-/// Opens the GPU that the options ask for; `None` means the CPU.
+/// Opens the GPU that the options select; `None` means the CPU.
 fn open_gpu(args: &Args, context: &Context) -> Result<Option<Gpu>> {
     let choice = Choice {
         name: args.adapter.clone(),
@@ -38,7 +40,7 @@ fn open_gpu(args: &Args, context: &Context) -> Result<Option<Gpu>> {
         Backend::Gpu => Gpu::open(&choice)?,
         Backend::Auto => match Gpu::open(&choice) {
             Ok(gpu) => gpu,
-            // a named adapter is a demand
+            // a named adapter must be used, so there is no fallback
             Err(error) if args.adapter.is_some() => return Err(error),
             Err(error) => {
                 context.verbose(format!("no GPU is used: {}", error.what));
@@ -54,18 +56,18 @@ fn open_gpu(args: &Args, context: &Context) -> Result<Option<Gpu>> {
     Ok(Some(gpu))
 }
 
-/// Makes the engine that the options ask for.
+/// Creates the engines that the options select.
 struct Engines<'a> {
     gpu: Option<&'a Gpu>,
     parameters: &'a Parameters,
-    /// Whether the CPU may take over what the GPU cannot hold.
+    /// Whether the CPU may replace the GPU if that cannot hold the data.
     may_fall_back: bool,
     fell_back: Cell<bool>,
     context: &'a Context,
 }
 
 impl<'a> Engines<'a> {
-    /// The engine on the GPU, unless the CPU is to move the particles.
+    /// The engine on the GPU; `None` if the CPU has to move the particles.
     fn on_gpu<'f>(&self, make: impl FnOnce(&'a Gpu) -> Result<GpuEngine<'f>>) -> Result<Option<GpuEngine<'f>>> {
         let Some(gpu) = self.gpu.filter(|_| !self.fell_back.get()) else { return Ok(None) };
         match make(gpu) {
@@ -79,7 +81,7 @@ impl<'a> Engines<'a> {
         }
     }
 
-    /// An engine over particles of many materials.
+    /// An engine for the particles of many materials.
     fn make_for_materials<'f>(
         &self,
         materials: &Materials,
@@ -110,7 +112,7 @@ impl MakeEngine for Engines<'_> {
     }
 }
 
-/// Prints the adapters, one a line.
+/// Prints the adapters, one per line.
 fn list_adapters() {
     let adapters = gpu::adapters();
     for adapter in &adapters {
@@ -121,7 +123,7 @@ fn list_adapters() {
     }
 }
 
-/// Puts what the device did into the closing table and the report.
+/// Writes the device statistics to the closing table and the report.
 fn tell(report: &DeviceReport, context: &Context) {
     context.summary("adapter", &report.adapter);
     context.summary("device time", format!("{:.3} s", report.device_seconds));
@@ -148,12 +150,12 @@ fn tell(report: &DeviceReport, context: &Context) {
     context.report("device", json!(report));
 }
 
-/// Settles the particles.
+/// Runs the program: reads, settles and writes the particles.
 pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
     let (Some(seeds_file), Some(distance_file), Some(sizing_file), Some(output)) =
         (&args.seeds, &args.distfield, &args.sizefield, &args.output)
     else {
-        // the files may be left out only for this
+        // the files are optional only with --list-adapters
         list_adapters();
         return Ok(Outcome::Passed);
     };
@@ -213,7 +215,7 @@ pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
     let engines = Engines {
         gpu: gpu.as_ref(),
         parameters: &parameters,
-        // the order of bins is a GPU's
+        // only a GPU supports the order of bins
         may_fall_back: args.backend == Backend::Auto && args.adapter.is_none() && parameters.order == Order::Classes,
         fell_back: Cell::new(false),
         context,

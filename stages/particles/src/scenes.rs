@@ -8,7 +8,7 @@ use isoparticles_field::sizing::SizingField;
 use isoparticles_field::spline::CubicSpline;
 use isoparticles_volume::{Geometry, Image};
 
-/// A surface with its size field and seeds.
+/// A surface with its sizing field and seeds.
 pub(crate) struct Scene {
     pub surface: CubicSpline,
     pub sizing: SizingField,
@@ -20,7 +20,8 @@ impl Scene {
         Fields { surface: &self.surface, sizing: &self.sizing }
     }
 
-    /// Samples F and h (of the position from the centre), and scatters `count` points over F = 0 from random starts.
+    /// Samples F and h, both given as functions of the position relative to the centre. Projects up
+    /// to `count` points onto F = 0 from `start` of random directions.
     pub(crate) fn new(
         size: [usize; 3],
         spacing: DVec3,
@@ -62,13 +63,14 @@ impl Scene {
         Self { surface, sizing, seeds }
     }
 
-    /// A ball of radius 12 with the same h everywhere.
+    /// A ball of radius 12 with constant h.
     pub(crate) fn ball(count: u64, h: f64) -> Self {
         Self::new([34; 3], DVec3::ONE, |p| p.length() - 12.0, |_| h, count, |d| 12.0 * d)
     }
 
-    /// Four particles on each of eight meridians of a ball, spaced h, 2.35 h, h: the inner two are not in each other's lists and send their
-    /// newcomers, of h, towards each other.
+    /// Four particles on each of eight meridians of a ball, with gaps of h, 2.35 h and h. The inner
+    /// two are not in each other's lists and place their newcomers, at distance h, towards each
+    /// other.
     pub(crate) fn meeting_newcomers() -> Self {
         let mut scene = Self::ball(0, 1.6);
         let centre = 0.5 * scene.surface.geometry().upper_corner();

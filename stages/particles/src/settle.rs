@@ -1,4 +1,5 @@
-//! The loop of Figure 1 of the paper: move, measure, control the density, until nothing improves any more.
+//! The main loop (Figure 1 of the paper): move, measure, control the density, and repeat until a
+//! stop test or the pass limit ends it. The engines that run a pass are in `cpu.rs` and `gpu/`.
 
 use crate::gpu::DeviceReport;
 use crate::implicit::Implicit;
@@ -12,65 +13,73 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use std::time::Instant;
 
-/// How to settle.
+/// Parameters of a run.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct Parameters {
-    /// Most passes on the last level, that of h (the only one where `levels` is 1).
+    /// Maximum number of passes on the last level, that of h (the only level if `levels` is 1).
     pub max_passes: u64,
-    /// Stop when the share of [`PassRecord::lattice_defects`] falls by less than this share of itself a pass, on average over
-    /// [`DEFECT_WINDOW`] passes, and density control is nearly at rest.
+    /// Stop when the share of [`PassRecord::lattice_defects`] falls by less than this share of
+    /// itself per pass, averaged over [`DEFECT_WINDOW`] passes, and density control is nearly at
+    /// rest.
     pub defect_tolerance: f64,
-    /// If given, stop by the paper's test instead (E_min): when the mean relative change of the energy per particle a pass, over
-    /// `energy_window` passes, is below this and density control is nearly at rest.
+    /// If given, use the paper's stop test instead (E_min): stop when the mean relative change per
+    /// pass of the energy per particle, over `energy_window` passes, is below this and density
+    /// control is nearly at rest.
     pub energy_tolerance: Option<f64>,
-    /// Passes over which that change is averaged; 1: from one pass to the next, as printed.
+    /// Passes over which the energy test averages; 1 compares consecutive passes, as printed.
     pub energy_window: usize,
-    /// Density control is nearly at rest when it adds and deletes no more than this share of the particles a pass; from 1 on no stop test waits for that.
+    /// Density control is nearly at rest when it adds and deletes at most this share of the
+    /// particles per pass. With 1 or more, the stop tests ignore it.
     pub rest_share: f64,
-    /// Energy of a particle that has just enough neighbours (E_ideal), from 0.554 to 7.84 ([`Parameters::spacing`]).
+    /// Energy of a particle with the ideal number of neighbours (E_ideal), 0.554 to 7.84. It
+    /// determines [`Parameters::spacing`].
     pub ideal_energy: f64,
     /// Add a particle where E < this times E_ideal.
     pub add_below: f64,
     /// Delete a particle where E > this times E_ideal.
     pub delete_above: f64,
-    /// Whether particles may be added at all (off: the paper's synthetic test, Table 3; then all settle on one level).
+    /// Whether particles may be added (off in the paper's synthetic test, Table 3; then there is
+    /// one level).
     pub allow_insert: bool,
-    /// Passes without density control at the end, so that the last newcomers settle; on levels before the last no more than three.
+    /// Passes without density control at the end, in which the last newcomers settle. At most three
+    /// on levels before the last.
     pub closing_passes: u64,
     /// Two particles interact only if the dot product of their normals exceeds this.
     pub normal_agreement: f64,
     /// Seed of the random bias of density control.
     pub seed: u64,
-    /// Levels of coarse-to-fine placement: the first settles at `2^(levels - 1)` times h, the last at h.
+    /// Number of levels of coarse-to-fine placement: the first settles at `2^(levels - 1)` times h,
+    /// the last at h.
     pub levels: u32,
-    /// Most passes on each level but the last.
+    /// Maximum number of passes on each level before the last.
     pub coarse_passes: u64,
     /// Bins of a GPU's neighbour search.
     pub binning: Binning,
-    /// In which order a GPU moves the particles of a pass.
+    /// Order in which a GPU moves the particles of a pass.
     pub order: Order,
 }
 
-/// How the bins of a GPU's neighbour search are made.
+/// Bins of a GPU's neighbour search.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Binning {
-    /// A level of bins for each octave of h
+    /// One level of bins for each octave of h
     #[default]
     Graded,
-    /// One level for everything, as wide as the largest h asks for (the paper's)
+    /// One level for all particles, with the bin width that the largest h needs (the paper's)
     Uniform,
 }
 
-/// In which order a GPU moves the particles of a pass.
+/// Order in which a GPU moves the particles of a pass.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Order {
-    /// Classes of particles none of which sees another, one class after the other
+    /// Independent classes of particles (no two members interact), one class after the other
     #[default]
     Classes,
-    /// Bins in 27 colours, one colour after the other, and the particles of a bin one after the other (the paper's; with uniform bins)
+    /// Bins in 27 colours, one colour after the other, and the particles of a bin one after the
+    /// other (the paper's; needs uniform bins)
     Bins,
 }
 
@@ -83,7 +92,8 @@ impl Default for Parameters {
             energy_window: 5,
             rest_share: 2e-3,
             ideal_energy: energy::ideal_energy(),
-            // the printed 0.75 and 1.35 leave larger gaps: 0.92 of the ideal energy on a heart in place of 0.94 (docs/developer/method.md)
+            // the printed 0.75 and 1.35 leave larger gaps: on a heart 0.92 of the ideal energy
+            // instead of 0.94 (docs/developer/method.md)
             add_below: 0.8,
             delete_above: 1.25,
             allow_insert: true,
@@ -99,8 +109,9 @@ impl Default for Parameters {
 }
 
 impl Parameters {
-    /// The printed method: at most 50 passes on one level, the printed stop test, limits and ideal energy, density control to the last pass, one bin size, and the
-    /// order of coloured bins, which is a GPU's alone. All else is as by default.
+    /// The method as printed: at most 50 passes on one level, the printed stop test, limits and
+    /// ideal energy, density control up to the last pass, one bin size, and the order of coloured
+    /// bins (GPU only). Everything else has its default.
     pub fn as_printed() -> Self {
         Self {
             max_passes: 50,
@@ -118,38 +129,45 @@ impl Parameters {
         }
     }
 
-    /// Edge, in h, of the hexagonal lattice whose particles have the ideal energy by Eq. 1: 1 by default, 0.657 for the printed 3.462. Newcomers are placed, and lattice
-    /// defects told, by it.
+    /// Edge, in h, of the hexagonal lattice whose particles have the ideal energy by Eq. 1: 1 by
+    /// default, 0.657 for the printed 3.462. It scales the places of newcomers and the first ring
+    /// that defines lattice defects.
     pub fn spacing(&self) -> f64 {
         energy::lattice_spacing(self.ideal_energy)
     }
 
-    /// Levels that the particles settle on.
+    /// Number of levels that the particles settle on.
     pub(crate) fn level_count(&self) -> u32 {
-        // the way from a level to the next adds particles
+        // splitting between levels adds particles
         if self.allow_insert { self.levels.max(1) } else { 1 }
     }
 }
 
-/// Passes over which the test by lattice defects averages.
+/// Passes over which the stop test by lattice defects averages.
 pub const DEFECT_WINDOW: usize = 10;
 
-/// Passes over which the counts are averaged that tell whether density control adds and deletes in balance: where h does not suit the surface (coarse
-/// against its curvature, or on voxel steps) the same places fill and empty for ever. With 20, 14 and 10 `heart_ct` at 75,000 vertices takes 3.8, 3.2 and 2.9 s, and its mesh has a mean
-/// radius ratio of 0.9859, 0.9856 and 0.9855; `heart_label` at h = 1.4 voxels 0.50, 0.38 and 0.32 s, 0.9899, 0.9892 and 0.9889.
+/// Passes over which the test for balanced density control averages its counts. Where h does not
+/// suit the surface (coarse against its curvature, or on voxel steps), the same places fill and
+/// empty indefinitely. Measured with 20, 14 and 10 passes: `heart_ct` at 75,000 vertices takes 3.8,
+/// 3.2 and 2.9 s with a mean radius ratio of 0.9859, 0.9856 and 0.9855. `heart_label` at h = 1.4
+/// voxels takes 0.50, 0.38 and 0.32 s with 0.9899, 0.9892 and 0.9889.
 const BALANCE_WINDOW: usize = 14;
 
-/// On levels before that of h density control is at rest when it adds and deletes no more than this share of the particles a pass.
+/// On levels before the last, density control is at rest when it adds and deletes at most this
+/// share of the particles per pass. The next level replaces most of them anyway.
 const COARSE_REST: f64 = 5e-2;
 
-/// The most passes without density control at the end of such a level, whose lattice the next one moves on anyway: with 10 and 3 the lungs of `thorax_labels` (79,000 particles, h = 1.64 mm) take 1.67 and 1.44 s, and their mesh has a
-/// mean radius ratio of 0.9907 and 0.9901; `heart_label` at h = 2.1 mm 0.43 and 0.38 s, 0.9888 and 0.9887.
+/// Maximum number of passes without density control at the end of a level before the last, whose
+/// lattice the next level moves anyway. Measured with 10 and 3: the lungs of `thorax_labels`
+/// (79,000 particles, h = 1.64 mm) take 1.67 and 1.44 s with a mean radius ratio of 0.9907 and
+/// 0.9901. `heart_label` at h = 2.1 mm takes 0.43 and 0.38 s with 0.9888 and 0.9887.
 pub(crate) const COARSE_CLOSING_PASSES: u64 = 3;
 
-/// Every so many passes the particles are put in order of place again; checkpoints are written between.
+/// Passes between two sorts of the particles by place. Checkpoints are written just before a sort.
 pub const REORDER_INTERVAL: u64 = 10;
 
-/// One line of the log. Of many materials all numbers are of the particles on sheets: those of junction points and curves are held.
+/// One line of the log. With many materials, all numbers refer to the particles on interfaces,
+/// without the held ones of junction points and curves.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct PassRecord {
     /// Number of the pass, from 1.
@@ -162,37 +180,37 @@ pub struct PassRecord {
     pub inserted: usize,
     /// Particles deleted.
     pub deleted: usize,
-    /// Particles removed because they could not be kept on the surface: none in a pass, since a step that cannot be projected is
-    /// not taken.
+    /// Particles removed because they left the surface. Always zero in a pass, since a step that
+    /// cannot be projected is rejected.
     pub escaped: usize,
     /// Particles that took a step.
     pub moved: usize,
-    /// Steps tried for each particle, refused ones included.
+    /// Mean number of steps tried per particle, including rejected ones.
     pub tries_per_particle: f64,
     /// Mean number of listed neighbours.
     pub neighbours: f64,
-    /// Particles that do not have exactly six neighbours in the first ring, after the movement.
+    /// Particles without exactly six neighbours in the first ring, after the movement.
     pub lattice_defects: usize,
-    /// Seconds since the first pass of this run.
+    /// Seconds since the first pass on this level in this run.
     pub seconds: f64,
-    /// Edge length of the level that the pass was on, in units of h.
+    /// Edge length of the level of the pass, in units of h.
     pub scale: f64,
 }
 
-/// How the run ended.
+/// Result of a run.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Summary {
-    /// Passes run, those of a resumed run included.
+    /// Passes run, including those before a resume.
     pub passes: u64,
-    /// Whether the stop test ended it (else the pass limit did).
+    /// Whether the stop test ended the run (otherwise the pass limit).
     pub settled: bool,
-    /// Particles of the last level that could not be put onto the surface to the last digit.
+    /// Particles of the last level that the final projection could not place on the surface.
     pub escaped: usize,
     /// Final energy per particle over E_ideal.
     pub energy_ratio: f64,
 }
 
-/// What a pass did, besides what the driver knows.
+/// Result of one pass by an engine.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct PassOutcome {
     /// Sum of the particles' energies after the movement (Eq. 1).
@@ -205,32 +223,35 @@ pub struct PassOutcome {
     pub deleted: usize,
     /// Particles that took a step.
     pub moved: usize,
-    /// Steps tried for each particle, refused ones included.
+    /// Mean number of steps tried per particle, including rejected ones.
     pub tries_per_particle: f64,
     /// Mean number of listed neighbours.
     pub neighbours: f64,
-    /// Particles that do not have exactly six neighbours in the first ring, after the movement.
+    /// Particles without exactly six neighbours in the first ring, after the movement.
     pub lattice_defects: usize,
 }
 
-/// What moves the particles: the CPU or a GPU. A pass starts afresh from the particles every [`REORDER_INTERVAL`] passes, so that a
-/// run resumed there equals an unbroken one.
+/// Moves the particles, on the CPU or on a GPU. Every [`REORDER_INTERVAL`] passes an engine sorts
+/// the particles and rebuilds all derived data, so that a run resumed there equals an uninterrupted
+/// one.
 pub trait Engine {
-    /// Moves every particle once, measures the energy and, if `density` is set, controls the density.
+    /// Moves every particle once, measures the energy and, if `density` is set, controls the
+    /// density.
     fn pass(&mut self, pass: u64, density: bool) -> Result<PassOutcome>;
 
-    /// Says that no pass after this one controls the density: up to it an engine may begin a pass before its turn.
+    /// Announces that no pass after this one controls the density. Up to it an engine may start the
+    /// next pass early.
     fn controls_density_until(&mut self, _pass: u64) {}
 
-    /// The particles as they are.
+    /// A copy of the particles.
     fn particles(&mut self) -> Result<ParticleSet>;
 
-    /// The strata that they live on; none of one object.
+    /// The strata of the particles; empty for one object.
     fn strata(&self) -> &[Stratum] {
         &[]
     }
 
-    /// What a device did, if there is one.
+    /// Statistics of the device, if there is one.
     fn device_report(&self) -> Option<DeviceReport> {
         None
     }
@@ -240,13 +261,14 @@ pub trait Engine {
 pub(crate) struct Level {
     /// Edge length in units of h.
     pub scale: f64,
-    /// Passes on the levels before.
+    /// Number of passes on the earlier levels.
     pub before: u64,
-    /// Most passes on this level.
+    /// Maximum number of passes on this level.
     pub max_passes: u64,
 }
 
-/// Settles on one level, that of h, on any engine; the particles are put onto F = 0 to the last digit on the CPU at the end.
+/// Settles on one level, that of h, with any engine. At the end the CPU projects the particles onto
+/// F = 0 to a tolerance of 1e-8 voxels.
 pub fn settle_with<S: Implicit>(
     engine: &mut dyn Engine,
     fields: &Fields<S>,
@@ -259,7 +281,7 @@ pub fn settle_with<S: Implicit>(
     Ok((state.set, summary))
 }
 
-/// As [`settle_with`], on one of several levels; `resumed` holds its records.
+/// Like [`settle_with`], on one of several levels; `resumed` holds the records of this level.
 pub(crate) fn settle_level<S: Implicit>(
     engine: &mut dyn Engine,
     fields: &Fields<S>,
@@ -310,12 +332,12 @@ pub(crate) fn settle_level<S: Implicit>(
     Ok((state, summary))
 }
 
-/// The pass after which nothing more was found to improve (density control rests from then on), if any.
+/// The pass at which the stop test is met, if any. From then on density control is off.
 fn closing_since(records: &[PassRecord], parameters: &Parameters) -> Option<u64> {
     let window = if parameters.energy_tolerance.is_some() { parameters.energy_window.max(1) } else { DEFECT_WINDOW };
     (window..records.len()).find_map(|last| {
         let (old, new) = (&records[last - window], &records[last]);
-        // per particle: a falling count must not pass for an improvement, nor mask a change for the worse
+        // per particle, so that a changing count neither looks like an improvement nor hides one
         let before_control = |r: &PassRecord| (r.count + r.deleted - r.inserted).max(1) as f64;
         let change = |quantity: &dyn Fn(&PassRecord) -> f64| {
             let (old, new) = (quantity(old) / before_control(old), quantity(new) / before_control(new));
@@ -326,15 +348,16 @@ fn closing_since(records: &[PassRecord], parameters: &Parameters) -> Option<u64>
             None => new.lattice_defects == 0 || change(&|r| r.lattice_defects as f64) < parameters.defect_tolerance,
         };
         let churn = records[last + 1 - window..=last].iter().map(|r| r.inserted + r.deleted).sum::<usize>();
-        // what a coarse level adds and deletes is nearly all settled anew on the next
+        // the next level settles most of what a coarse level adds and deletes again
         let allowed = if new.scale > 1.0 { parameters.rest_share.max(COARSE_REST) } else { parameters.rest_share };
         let rest = allowed >= 1.0 || churn as f64 <= allowed * window as f64 * new.count as f64;
         ((settled && rest) || is_balanced(&records[..=last], parameters)).then_some(new.pass)
     })
 }
 
-/// Whether density control has come to add as many as it deletes while lattice defects get no fewer: by the same tolerances, but of the means of
-/// [`BALANCE_WINDOW`] passes and those before.
+/// Whether density control adds as many particles as it deletes while lattice defects do not
+/// decrease. Uses `defect_tolerance` and `rest_share`, for means over the last [`BALANCE_WINDOW`]
+/// passes and over as many before.
 fn is_balanced(records: &[PassRecord], parameters: &Parameters) -> bool {
     let window = BALANCE_WINDOW;
     let Some(before) = records.len().checked_sub(2 * window) else { return false };
@@ -349,8 +372,9 @@ fn is_balanced(records: &[PassRecord], parameters: &Parameters) -> bool {
     parameters.energy_tolerance.is_none() && falls < parameters.defect_tolerance && is_at_rest
 }
 
-/// Puts every particle that is not held onto F = 0, or its sheet, to the last useful digit and removes those that cannot be; says how many. They are put in order of place first, as a
-/// run that is resumed after its last pass has them.
+/// Projects every particle that is not held onto F = 0, or its interface, to a tolerance of 1e-8
+/// voxels, and removes those that fail. Returns the number removed. Sorts the particles by place
+/// first, so that a run resumed after its last pass gives the same result.
 fn finish<S: Implicit>(state: &mut State, fields: &Fields<S>) -> usize {
     state.sort_by_place();
     let spacing = fields.surface.min_spacing();
@@ -383,7 +407,8 @@ fn finish<S: Implicit>(state: &mut State, fields: &Fields<S>) -> usize {
 mod tests {
     use super::*;
 
-    /// Records of 1000 particles with so many lattice defects, and `churn` particles added a pass.
+    /// Records of 1000 particles with the given number of lattice defects, and `churn` particles
+    /// added per pass.
     fn records(defects: impl Fn(u64) -> usize, churn: usize, scale: f64) -> Vec<PassRecord> {
         let record = |pass| PassRecord {
             pass,
@@ -405,7 +430,7 @@ mod tests {
     #[test]
     fn additions_and_deletions_in_balance_end_the_run() {
         let parameters = Parameters::default();
-        // 1 % come and as many go each pass, five times what rest allows
+        // 1 % are added and 1 % deleted in each pass, ten times the rest share
         let in_balance = |defects: &dyn Fn(u64) -> usize, growth: usize| -> Vec<PassRecord> {
             let balanced = |r: PassRecord| PassRecord {
                 deleted: r.inserted - growth,
@@ -415,7 +440,7 @@ mod tests {
             records(defects, 10, 1.0).into_iter().map(balanced).collect()
         };
         assert_eq!(closing_since(&in_balance(&|_| 100, 0), &parameters), Some(2 * BALANCE_WINDOW as u64));
-        // defects still fall by 1 % a pass, or the count still grows by 0.5 %
+        // defects still fall by 1 % per pass, or the count still grows by 0.5 % per pass
         assert_eq!(
             closing_since(&in_balance(&|pass| (1000.0 * 0.99f64.powi(pass as i32)) as usize, 0), &parameters),
             None
@@ -429,14 +454,15 @@ mod tests {
     fn passes_go_on_while_defects_get_fewer_and_density_control_is_at_work() {
         let parameters = Parameters::default();
         let closing = |records: &[PassRecord]| closing_since(records, &parameters);
-        // 1 % a pass, then nothing from pass 20 on: the window of ten passes still sees 0.8 % at pass 22
+        // 1 % per pass, then nothing from pass 20 on: the window of ten passes still has 0.8 % at
+        // pass 22
         let falling = |pass: u64| (900.0 * 0.99f64.powi(pass.min(20) as i32)) as usize;
         assert_eq!(closing(&records(falling, 0, 1.0)), Some(23));
         assert_eq!(closing(&records(|pass| 900 - 9 * pass as usize, 0, 1.0)), None);
         assert_eq!(closing(&records(|_| 300, 0, 1.0)), Some(11), "the first pass that has a window behind it");
         assert_eq!(closing(&records(|pass| 300 + pass as usize, 0, 1.0)), Some(11));
         assert_eq!(closing(&records(|_| 0, 0, 1.0)), Some(11));
-        // a particle a pass is 0.1 %, three are too many at h and few on a coarse level
+        // one particle per pass is 0.1 %; three are too many at h but few enough on a coarse level
         assert_eq!(closing(&records(|_| 300, 1, 1.0)), Some(11));
         assert_eq!(closing(&records(|_| 300, 3, 1.0)), None);
         assert_eq!(closing(&records(|_| 300, 3, 2.0)), Some(11));
@@ -452,7 +478,7 @@ mod tests {
         assert_eq!(test(0.0015), Some(6));
         assert_eq!(test(0.0), None, "0 runs all passes");
         let mut falling = records(|_| 300, 0, 1.0);
-        // as printed: from one pass to the next, and whatever density control does
+        // as printed: consecutive passes, and density control is ignored
         let busy = records(|_| 300, 500, 1.0);
         let closing = |parameters: &Parameters| closing_since(&busy, parameters);
         assert_eq!(closing(&Parameters::as_printed()), Some(2));

@@ -1,4 +1,5 @@
-//! The particles while they move: positions with what depends on them, and who interacts with whom.
+//! State of the particles while they move: positions and dependent values, neighbour lists, and the
+//! classes that may move together.
 
 use crate::constants::{FIRST_RING, LATTICE_NEIGHBOURS, LISTED};
 use crate::implicit::Implicit;
@@ -12,19 +13,20 @@ use isoparticles_field::sizing::SizingField;
 use isoparticles_field::spline::CubicSpline;
 use rayon::prelude::*;
 
-/// Particles that one thread measures at a time.
+/// Particles per task of [`State::measure`].
 const CHUNK: usize = 256;
 
-/// The implicit function and the sizing field that the particles live on.
+/// The implicit function and the sizing field of a run.
 pub struct Fields<'a, S = CubicSpline> {
-    /// F, or the sheets of many materials.
+    /// F, or the interfaces of many materials.
     pub surface: &'a S,
     /// h.
     pub sizing: &'a SizingField,
 }
 
 impl<S: Implicit> Fields<'_, S> {
-    /// Projects a point onto F = 0, or onto the sheet that is its stratum (Eq. 5); returns position, unit normal and h there.
+    /// Projects a point onto F = 0, or onto the interface of its stratum (Eq. 5). Returns position,
+    /// unit normal and h there. `limit` and `tolerance` as in [`Implicit::project`].
     #[inline(always)]
     pub(crate) fn project(
         &self,
@@ -41,49 +43,51 @@ impl<S: Implicit> Fields<'_, S> {
 /// Particles, their neighbour lists and the classes that may move together.
 pub(crate) struct State {
     pub set: ParticleSet,
-    /// The stratum of each particle; empty of one object.
+    /// The stratum of each particle; empty for one object.
     pub strata: Vec<Stratum>,
-    /// How many particles are held, the first ones: those of junction points and curves. They are never moved, deleted or given newcomers, and nothing is
-    /// counted of them; those on the sheets around them see them. None of one object.
+    /// Number of held particles, which come first: those of junction points and curves; zero for
+    /// one object. They are never moved, deleted or given newcomers, and do not enter the
+    /// statistics. Particles on the adjoining interfaces interact with them.
     pub held: usize,
-    /// Normals with a smaller dot product belong to different sheets: such particles do not interact.
+    /// Normals with a smaller dot product belong to different parts of the surface; such particles
+    /// do not interact.
     pub normal_agreement: f64,
-    /// Edge of the lattice that they are to form, in h ([`crate::Parameters::spacing`]).
+    /// Edge of the target lattice, in h ([`crate::Parameters::spacing`]).
     pub spacing: f64,
     pub neighbours: NeighbourLists,
-    /// Position and h of every particle, as the sums over neighbours read them.
+    /// Position and 1/h of every particle, for the sums over neighbours.
     pub records: Vec<Record>,
     /// Classes of blocks of particles ([`NeighbourLists::independent_blocks`]).
     pub classes: Vec<Vec<u32>>,
 }
 
 impl State {
-    /// The particles of one object, in order of place.
+    /// The particles of one object, sorted by place, with lists.
     #[cfg(test)]
     pub(crate) fn new(set: ParticleSet, normal_agreement: f64) -> Self {
         Self::unlisted(set, normal_agreement).in_order()
     }
 
-    /// The particles in the order they have, without lists, that are to form a lattice of spacing h.
+    /// The particles in their given order, without lists, for a lattice of spacing h.
     pub(crate) fn unlisted(set: ParticleSet, normal_agreement: f64) -> Self {
         let (neighbours, records) = (NeighbourLists::default(), Vec::new());
         let (classes, strata) = (Vec::new(), Vec::new());
         Self { set, strata, held: 0, normal_agreement, spacing: 1.0, neighbours, records, classes }
     }
 
-    /// The same particles, to form a lattice of this spacing, in h.
+    /// Sets the spacing of the target lattice, in h.
     pub(crate) fn at_spacing(self, spacing: f64) -> Self {
         Self { spacing, ..self }
     }
 
-    /// The same particles on these strata, lower ones first; none are those of one object.
+    /// Sets the strata, those of junctions first; empty for one object.
     pub(crate) fn on(mut self, strata: Vec<Stratum>) -> Self {
         self.held = strata.partition_point(|stratum| stratum.dimension() < 2);
         self.strata = strata;
         self
     }
 
-    /// The same particles in order of place, with lists and classes.
+    /// Sorts the particles by place and builds lists and classes.
     #[cfg(test)]
     pub(crate) fn in_order(mut self) -> Self {
         self.sort_by_place();
@@ -91,13 +95,13 @@ impl State {
         self
     }
 
-    /// The stratum of particle i; of one object it has none.
+    /// The stratum of particle i; `None` for one object.
     #[inline(always)]
     pub(crate) fn stratum(&self, i: usize) -> Option<Stratum> {
         self.strata.get(i).copied()
     }
 
-    /// How many particles are not held.
+    /// Number of particles that are not held.
     pub(crate) fn movable(&self) -> usize {
         self.len() - self.held
     }
@@ -106,7 +110,8 @@ impl State {
         self.set.positions.len()
     }
 
-    /// Orders the particles by place, so that neighbours lie near each other in memory. Those that are held stay in front as they are.
+    /// Sorts the particles by place, so that neighbours are close in memory. Held particles keep
+    /// their order at the front.
     pub(crate) fn sort_by_place(&mut self) {
         let held = self.held;
         let order = space_order(&self.set.positions[held..], &self.set.sizes[held..], LISTED);
@@ -114,7 +119,8 @@ impl State {
         self.take(&order);
     }
 
-    /// Keeps the particles named by `order`, in that order; those that are held must come first, all of them. The lists are still the former ones.
+    /// Keeps the particles with the indices in `order`, in that order. It must begin with all held
+    /// particles. The lists are not updated.
     pub(crate) fn take(&mut self, order: &[u32]) {
         fn pick<T: Copy + Send + Sync>(from: &mut Vec<T>, order: &[u32]) {
             *from = order.par_iter().map(|&i| from[i as usize]).collect();
@@ -130,14 +136,15 @@ impl State {
         }
     }
 
-    /// Makes lists and classes anew.
+    /// Rebuilds lists and classes.
     pub(crate) fn rebuild(&mut self) {
         self.rebuild_lists();
         self.classes = self.neighbours.independent_blocks();
     }
 
-    /// Makes the lists anew, for energies only. Particles see each other where their normals agree; of many materials those of one sheet alone, and on each sheet
-    /// those that are held on its border: these keep the sheets apart.
+    /// Rebuilds the lists only, which suffices for energies. Particles interact where their normals
+    /// agree. With many materials they must also be on the same interface, or one of them is held
+    /// on the border of the other's interface. Held particles thus separate the interfaces.
     pub(crate) fn rebuild_lists(&mut self) {
         let normals = &self.set.normals;
         let agreement = self.normal_agreement;
@@ -160,7 +167,7 @@ impl State {
         places.map(|(&position, &size)| Record::new(position, size)).collect_into_vec(&mut self.records);
     }
 
-    /// Whether particle i has one that is held in its first ring.
+    /// Whether a held particle is in the first ring of particle i.
     fn is_at_border(&self, i: usize) -> bool {
         let (positions, sizes) = (&self.set.positions, &self.set.sizes);
         let held = self.neighbours.of(i).iter().map(|&j| j as usize).filter(|&j| j < self.held);
@@ -168,8 +175,9 @@ impl State {
         held.into_iter().any(|j| positions[i].distance(positions[j]) < radius * sizes[i].min(sizes[j]))
     }
 
-    /// Recomputes every particle's energy (Eq. 1) and looks for lattice defects: next to a border of a sheet the lattice cannot have its six neighbours
-    /// wherever the border bends, and nobody is counted there. Those that are held have no energy of their own.
+    /// Recomputes every particle's energy (Eq. 1) and counts lattice defects. Particles next to the
+    /// border of an interface are not counted: where the border bends, the lattice cannot have six
+    /// neighbours. Held particles have energy zero.
     pub(crate) fn measure(&mut self) -> Measures {
         let mut energies = std::mem::take(&mut self.set.energies);
         energies.resize(self.len(), 0.0);
@@ -200,11 +208,11 @@ impl State {
     }
 }
 
-/// What a pass is judged by.
+/// Measurements of a pass.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Measures {
     /// Sum of the particles' energies, added in a fixed order.
     pub energy: f64,
-    /// Particles that do not have exactly six neighbours in the first ring.
+    /// Particles without exactly six neighbours in the first ring.
     pub lattice_defects: usize,
 }

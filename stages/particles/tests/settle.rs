@@ -1,4 +1,5 @@
-//! Settling on analytic surfaces: density, evenness, sheets that must not see each other, repeatability, resuming.
+//! Settles particles on analytic surfaces: density, evenness, thin walls, repeatability and
+//! resuming.
 
 use glam::DVec3;
 use isoparticles_field::energy::{PRINTED_IDEAL_ENERGY, SUPPORT, ideal_energy, lattice_spacing};
@@ -26,7 +27,8 @@ fn sampled(f: impl Fn(DVec3) -> f64) -> Image<f32> {
     Image { geometry, data }
 }
 
-/// Random points near the surface, projected onto it.
+/// Projects up to `count` points near the surface onto it; `start` maps random directions to
+/// points.
 fn seeds(surface: &CubicSpline, sizing: &SizingField, count: u64, start: impl Fn(DVec3) -> DVec3) -> ParticleSet {
     let centre = 0.5 * surface.geometry().upper_corner();
     let mut set = ParticleSet {
@@ -54,7 +56,7 @@ fn uniform_size(image: &Image<f32>, h: f64) -> SizingField {
     SizingField::new(Image::filled(image.geometry.clone(), h as f32))
 }
 
-/// Distance of each particle to its nearest neighbour, over the smaller h of the two (as Eq. 2 scales it).
+/// Distance of each particle to its nearest neighbour, over the smaller h of the two (as in Eq. 2).
 fn nearest(set: &ParticleSet) -> Vec<f64> {
     (0..set.positions.len())
         .map(|i| {
@@ -147,7 +149,7 @@ fn graded_sizes_are_followed() {
     let (set, _) =
         settle(&seeds(&surface, &sizing, 900, |d| 12.0 * d), None, &fields, &Parameters::default(), |_, _| Ok(()))
             .unwrap();
-    // area of the ball between x and x + dx is 2 pi R dx, and h is linear in x
+    // the area of the ball between x and x + dx is 2 pi R dx, and h is linear in x
     let centre = 0.5 * image.geometry.upper_corner();
     for (low, high) in [(-12.0, -6.0), (-6.0, 0.0), (0.0, 6.0), (6.0, 12.0)] {
         let steps = 600;
@@ -198,7 +200,8 @@ fn the_result_depends_neither_on_threads_nor_on_a_break() {
     assert!((records[19].energy / records[19].count as f64 / ideal_energy() - 1.0).abs() < 0.3);
 }
 
-/// On smooth balls, where h is steep, on balls little larger than h, and on a surface with folds and specks smaller than a voxel.
+/// Smooth balls, steep h, balls little larger than h, and a surface with folds and specks smaller
+/// than a voxel.
 #[test]
 fn as_many_settle_as_are_predicted() {
     let ball = |radius: f64| sampled(move |p| p.length() - radius);
@@ -217,7 +220,8 @@ fn as_many_settle_as_are_predicted() {
         println!("{} settle, {predicted:.1} are predicted", set.positions.len());
         set.positions.len() as f64 / predicted
     };
-    // measured: 0.947, 1.027, 1.023, 0.940, 0.953, 0.954, 0.954; density control comes to rest a few per cent below the ideal energy
+    // measured: 0.947, 1.027, 1.023, 0.940, 0.953, 0.954, 0.954; density control ends a few per
+    // cent below the ideal energy
     for (image, radius, h) in [
         (&ball(12.0), 12.0, &even(1.2) as &dyn Fn(DVec3) -> f64),
         (&ball(12.0), 12.0, &steep(0.15)),
@@ -232,7 +236,8 @@ fn as_many_settle_as_are_predicted() {
     }
 }
 
-/// A ball of radius 12 with even h, its vertices of marching cubes as seeds, and how many particles its lattice of edge h has.
+/// A ball of radius 12 with constant h, its marching-cubes vertices as seeds, and the number of
+/// particles that the lattice of edge h has.
 fn ball_at_vertices(h: f64) -> (CubicSpline, SizingField, ParticleSet, f64) {
     let image = sampled(|p| p.length() - 12.0);
     let (surface, sizing) = (CubicSpline::new(&image), uniform_size(&image, h));
@@ -254,7 +259,8 @@ fn the_printed_ideal_energy_gets_its_own_lattice() {
     let spacing = lattice_spacing(PRINTED_IDEAL_ENERGY);
     let (surface, sizing, _, lattice) = ball_at_vertices(1.6);
     let fields = Fields { surface: &surface, sizing: &sizing };
-    // all of them are newcomers but for the few seeds, or many of the seeds are deleted; on several levels and on one
+    // few seeds, so that most particles are newcomers; too many seeds, so that many are deleted;
+    // one level and three
     for (count, levels) in [(60, 1), (4000, 1), (816, 3)] {
         let parameters = Parameters { ideal_energy: PRINTED_IDEAL_ENERGY, levels, ..Parameters::default() };
         let start = seeds(&surface, &sizing, count, |d| 12.0 * d);
@@ -300,7 +306,8 @@ fn the_printed_method_deletes_a_share_of_the_vertices_and_ends_near_its_energy()
         assert!(parameters.allow_insert || inserted == 0);
         assert!(summary.settled && summary.passes <= 50, "{summary:?}");
         assert!((summary.energy_ratio - 1.0).abs() < 0.2, "{summary:?}");
-        // no closing passes: the last pass may still add and delete, and is the one that the test looked at
+        // no closing passes: the last pass may still add and delete, and it is the one that met the
+        // stop test
         assert_eq!(records.len() as u64, summary.passes);
     }
 }

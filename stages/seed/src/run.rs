@@ -16,17 +16,19 @@ use isoparticles_volume::Image;
 use serde_json::{Value, json};
 use std::path::PathBuf;
 
-/// Where seeds come from.
+/// Source of the seeds.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum, serde::Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum From {
-    /// Random places at the density that the sizing field asks for.
+    /// Random places at the density of the sizing field.
     PoissonDisk,
-    /// All vertices of marching cubes over the distance field, as in the paper: density control deletes what is too many.
+    /// All vertices of marching cubes over the distance field, as in the paper; density control
+    /// deletes the surplus.
     MarchingCubes,
 }
 
-/// First particles on the isosurface F = 0, on every component, near the density that the sizing field asks for
+/// Places the first particles on the isosurface F = 0, on every component, near the density of the
+/// sizing field
 #[derive(Debug, Parser)]
 #[command(
     name = "seed",
@@ -44,11 +46,12 @@ pub struct Args {
     /// Particle file to write
     #[arg(short, long, value_name = "seeds.bin", help_heading = FILES)]
     pub(crate) output: PathBuf,
-    /// Where the seeds come from (one object)
+    /// Source of the seeds (one object only)
     #[arg(long, value_enum, default_value_t = From::PoissonDisk, help_heading = METHOD)]
     pub(crate) from: From,
-    /// Seed about this many particles instead of what the sizing field asks for (each component gets some all the same); of the
-    /// vertices of marching cubes so many, spread evenly, from a finer grid where there are fewer
+    /// Seed about this many particles instead of the number that the sizing field requires, 4 or
+    /// more (each component still gets some). With --from marching-cubes exactly this many
+    /// vertices, spread evenly, from a finer grid if there are fewer
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(4..), help_heading = METHOD)]
     pub(crate) count: Option<u64>,
     #[command(flatten)]
@@ -69,7 +72,7 @@ impl StageArgs for Args {
     }
 }
 
-/// Seeds the surface.
+/// Runs the program: reads the fields, seeds the surface, writes seeds and report.
 pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
     if is_materials(&args.distfield) {
         return crate::materials::run(args, context);
@@ -171,17 +174,18 @@ fn at_vertices(
     Ok(seed_vertices(&found, surface, sizing, context.seed(), context)?)
 }
 
-/// The exact count, as a step of its own.
+/// The exact predicted count, as a step in the report.
 fn predicted(sizing: &SizingField, surface: &CubicSpline, context: &Context) -> f64 {
     let _step = context.step("predict the count");
     sizing.predicted_count(surface)
 }
 
-/// Refuses sizes that are larger than the object, or ask for more particles than memory holds; how many they ask for is asked only where their number is not given.
+/// Rejects sizes larger than the object, and counts that exceed the memory. Without --count, the
+/// count is `predicted`.
 pub(crate) fn check_prediction(args: &Args, predicted: impl FnOnce() -> f64, context: &Context) -> Result<()> {
     let sizes = args.sizefield.display();
     let count = args.count.map_or_else(predicted, |count| count as f64);
-    // no surface at all has an error of its own
+    // a missing surface has its own error message
     if count > 0.0 && count < COMPONENT_MINIMUM as f64 && args.count.is_none() {
         return Err(Error::input(
             format!(

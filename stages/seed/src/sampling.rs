@@ -1,4 +1,5 @@
-//! Poisson-disk sampling of the isosurface at the spacing that the sizing field asks for; and what all seeds go through, those at vertices too.
+//! Poisson-disk sampling of the isosurface with the spacing of the sizing field. All seeds, also
+//! those at vertices, are then projected, and every component gets a minimum of particles.
 
 use crate::vertices::Vertices;
 use glam::DVec3;
@@ -13,35 +14,39 @@ use isoparticles_mesh::buckets::joined;
 use isoparticles_stage::monitor::{Interrupted, Monitor};
 use rayon::prelude::*;
 
-/// Candidates for each particle that the sizing field asks for.
+/// Candidates per particle that the sizing field requires.
 pub(crate) const OVERSAMPLING: f64 = 8.0;
-/// Bytes at once for each particle that is seeded: its candidates, with their order and bins. Measured as the growth of the peak memory from 8,514 to
-/// 99,084 particles on one grid (`make bench-stages`, table in `docs/developer/performance.md`): 660; doubled, because vectors grow by doubling.
+/// Memory per seeded particle, bytes: its candidates with their order and bins. Measured: the peak
+/// memory grows by 660 per particle from 8,514 to 99,084 particles on one grid (`make
+/// bench-stages`, table in `docs/developer/performance.md`). Doubled, because vectors grow by
+/// doubling.
 pub const BYTES_PER_PARTICLE: f64 = 1300.0;
-/// Disk radius over h at which this sampling has the density of the hexagonal lattice of spacing h (random disks jam at a
-/// covered share of 0.55 where the lattice covers 0.91; measured at this oversampling).
+/// Disk radius, in h, at which this sampling has the density of the hexagonal lattice of spacing h.
+/// Random disks jam at a covered share of 0.55, the lattice covers 0.91. Measured at this
+/// oversampling.
 pub(crate) const DISK_RADIUS: f64 = 0.71;
-/// Fewest particles a component is seeded with.
+/// Minimum number of particles per component. Fewer do not make a closed surface of
+/// near-equilateral triangles; an icosahedron has 12 vertices.
 pub const COMPONENT_MINIMUM: usize = 12;
 
-/// What the seeding did.
+/// Statistics of the seeding.
 #[derive(Clone, Copy, Debug, Default, serde::Serialize)]
 pub struct Summary {
     /// Components of the isosurface.
     pub components: usize,
-    /// Components that got extra particles, because the sizing field asked for fewer than they need.
+    /// Components that got extra particles because the sizing field gave them fewer than they need.
     pub underpopulated_components: usize,
-    /// Seeds dropped because they could not be projected onto F = 0.
+    /// Seeds dropped because the projection onto F = 0 failed.
     pub not_projected: usize,
-    /// Of seeds at the vertices of marching cubes: how many vertices there are.
+    /// Number of vertices of marching cubes, for seeds at vertices.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub vertices: Option<usize>,
-    /// Cells of the grid that these are from, along each edge of a voxel.
+    /// Cells of their grid along each edge of a voxel.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub refinement: Option<usize>,
 }
 
-/// Points on triangles, of which some are chosen.
+/// Random points on triangles, from which seeds are selected.
 #[derive(Default)]
 pub(crate) struct Candidates {
     pub(crate) points: Vec<DVec3>,
@@ -51,11 +56,12 @@ pub(crate) struct Candidates {
     pub(crate) component: Vec<u32>,
 }
 
-/// Seeds the surface F = 0, which the triangles of marching cubes follow, with as many particles as `spread` asks for; they keep the sizes of `sizing`, which is the same but for a factor
-/// where their number is given (the paper's Table 3). The result depends on the arguments alone.
+/// Seeds the surface F = 0, sampled on the triangles of marching cubes, at the density of `spread`.
+/// The particles get their sizes from `sizing`, which differs from `spread` by a factor if the
+/// count is given (the paper's Table 3). The result depends only on the arguments.
 ///
 /// # Errors
-/// When the monitor says so.
+/// If the monitor interrupts.
 pub fn seed_surface(
     mesh: &TriangleMesh,
     surface: &CubicSpline,
@@ -76,10 +82,11 @@ pub fn seed_surface(
     Ok(on_every_component(&components, surface, sizing, &picked, seed))
 }
 
-/// Seeds the surface F = 0 at [`vertices`](crate::vertices::vertices) of marching cubes, without thinning them: the paper's seeds, of which density control deletes what is too many.
+/// Seeds the surface F = 0 at [`vertices`](crate::vertices::vertices) of marching cubes, without
+/// thinning them. These are the paper's seeds; density control deletes the surplus.
 ///
 /// # Errors
-/// When the monitor says so.
+/// If the monitor interrupts.
 pub fn seed_vertices(
     vertices: &Vertices,
     surface: &CubicSpline,
@@ -99,7 +106,8 @@ fn components_of(surface: &CubicSpline, monitor: &dyn Monitor) -> Result<FieldCo
     FieldComponents::new(surface, monitor)
 }
 
-/// Brings the points picked onto F = 0. Components that get fewer than [`COMPONENT_MINIMUM`] of them are sampled on their own, at a spacing that their area allows.
+/// Projects the selected points onto F = 0. Components with fewer than [`COMPONENT_MINIMUM`] points
+/// are sampled again on their own, at a spacing that fits their area.
 fn on_every_component(
     components: &FieldComponents,
     surface: &CubicSpline,
@@ -138,7 +146,8 @@ fn on_every_component(
     (set, Summary { components, underpopulated_components, not_projected, ..Summary::default() })
 }
 
-/// Brings points with their normals onto F = 0, each with grad F there; those that do not get there on their own side are only counted.
+/// Projects points with their normals onto F = 0. Returns those that end with a gradient on the
+/// side of their normal, each with grad F, and the number of the others.
 fn onto_surface(surface: &CubicSpline, picked: &[(DVec3, DVec3)]) -> (Vec<(DVec3, DVec3)>, usize) {
     let spacing = surface.geometry().mean_spacing();
     let project = |&(p, n): &(DVec3, DVec3)| {
@@ -149,13 +158,14 @@ fn onto_surface(surface: &CubicSpline, picked: &[(DVec3, DVec3)]) -> (Vec<(DVec3
     (found, lost)
 }
 
-/// Centroid, and the normal as long as twice the area.
+/// Centroid, and the normal with twice the area as its length.
 pub(crate) fn centre_and_normal(mesh: &TriangleMesh, triangle: usize) -> (DVec3, DVec3) {
     let [a, b, c] = mesh.triangles[triangle].map(|v| mesh.vertices[v as usize]);
     ((a + b + c) / 3.0, (b - a).cross(c - a))
 }
 
-/// Random points on the triangles named by `members`, `density(centre, unit normal)` of them to each mm squared.
+/// Random points on the triangles in `members`, `density(centre, unit normal)` of them per mm
+/// squared.
 pub(crate) fn sample(
     mesh: &TriangleMesh,
     members: &[u32],
@@ -174,7 +184,7 @@ pub(crate) fn sample(
                 let (centre, doubled) = centre_and_normal(mesh, t);
                 let normal = doubled.normalize_or_zero();
                 let wanted = 0.5 * doubled.length() * density(centre, normal);
-                // rounded up or down at random, so that the mean is kept
+                // rounded up or down at random, which keeps the mean
                 let count = (wanted + random::uniform(seed, 0, t as u64)).floor() as u64;
                 let [a, b, c] = mesh.triangles[t].map(|v| mesh.vertices[v as usize]);
                 for n in 0..count {
@@ -199,7 +209,8 @@ pub(crate) fn sample(
     }
 }
 
-/// A list of all parts in one; it is taken from them, so that one list at a time is there twice.
+/// Joins one list of all parts. It is moved out of them, so that only one list at a time exists
+/// twice.
 fn taken<T: Copy + Default + Send + Sync>(
     parts: &mut [Candidates],
     list: impl Fn(&mut Candidates) -> &mut Vec<T>,
@@ -207,7 +218,8 @@ fn taken<T: Copy + Default + Send + Sync>(
     joined(parts.iter_mut().map(|part| std::mem::take(list(part))).collect())
 }
 
-/// Candidates that stay when, in random order, each one kept removes all nearer than the disk radius on its own sheet, as far as they `crowd` each other.
+/// Selects candidates in random order. Each selected one removes all others within the disk radius
+/// that have an agreeing normal and for which `crowd` is true.
 pub(crate) fn eliminate(candidates: &Candidates, seed: u64, crowd: impl Fn(usize, usize) -> bool + Sync) -> Vec<u32> {
     let numbers = (0..candidates.points.len()).into_par_iter();
     let mut order: Vec<(u64, u32)> = numbers.map(|i| (random::bits(seed ^ 0x5eed, 0, i as u64), i as u32)).collect();
@@ -218,7 +230,7 @@ pub(crate) fn eliminate(candidates: &Candidates, seed: u64, crowd: impl Fn(usize
     })
 }
 
-/// Seeds for the triangles of component number `c`, about twice [`COMPONENT_MINIMUM`].
+/// Seeds for the triangles in `members` of component `c`, about twice [`COMPONENT_MINIMUM`].
 pub(crate) fn sample_alone(mesh: &TriangleMesh, members: &[u32], seed: u64, c: u64) -> Vec<(DVec3, DVec3)> {
     let area: f64 = members.iter().map(|&t| 0.5 * centre_and_normal(mesh, t as usize).1.length()).sum();
     let density = 2.0 * COMPONENT_MINIMUM as f64 / area;

@@ -1,5 +1,5 @@
-//! Seeds as the paper takes them (section 3.1): the vertices of marching cubes over F, all of them, or as many as are asked for (the synthetic
-//! test of Table 3, "a user defined number of particles").
+//! Seeds at the vertices of marching cubes over F (section 3.1 of the paper): all of them, or a
+//! given number (the synthetic test of Table 3, "a user defined number of particles").
 
 use glam::DVec3;
 use isoparticles_field::marching_cubes::marching_cubes;
@@ -10,31 +10,33 @@ use isoparticles_stage::monitor::{Interrupted, Monitor};
 use isoparticles_volume::{Geometry, Image};
 use rayon::prelude::*;
 
-/// Finest grid that is tried for a number of vertices: so many cells of it along each edge of a voxel. The ribcage of the torso phantom has 170,480 vertices on its own
-/// grid and 684,588 on one twice as fine, more than twice the most of Table 3.
+/// Finest grid that is tried to reach a number of vertices, in cells along each edge of a voxel.
+/// The ribcage of the torso phantom has 170,480 vertices on its own grid and 684,588 on one twice
+/// as fine, more than twice the maximum of Table 3.
 pub const FINEST: usize = 4;
 
-/// Bytes at once for each node of a finer grid: its value, and the vertices and triangles near it (`seed` on that ribcage with `--count 300000`: 362 MiB at 47.5 million
-/// nodes, 7 each).
+/// Memory per node of a finer grid, bytes: its value, and the vertices and triangles near it.
+/// Measured with `seed --count 300000` on that ribcage: 362 MiB at 47.5 million nodes, 7 each.
 pub(crate) const BYTES_PER_NODE: f64 = 8.0;
 
 /// Vertices of marching cubes, as seeds.
 #[derive(Clone, Debug, Default)]
 pub struct Vertices {
-    /// Each with the normal of its triangles, which need not be of length 1.
+    /// Positions (grid frame, mm), each with an outward normal of any length.
     pub points: Vec<(DVec3, DVec3)>,
-    /// Cells of the grid that they are from, along each edge of a voxel.
+    /// Cells of their grid along each edge of a voxel.
     pub refinement: usize,
-    /// How many that grid has.
+    /// Number of vertices of that grid.
     pub available: usize,
 }
 
-/// The vertices of marching cubes over the samples of F, in the mesh's order. With `count` so many of them, spread evenly; where there are not as many, those of a grid
-/// two, three or [`FINEST`] times as fine, sampled from the spline, after `has_room` was asked for so many nodes. What is returned has fewer points than `count` where even
-/// the finest grid has fewer.
+/// The vertices of marching cubes over the samples of F, in the order of the mesh. With `count`,
+/// that many of them, spread evenly. If there are fewer, the vertices come from a grid two, three
+/// or [`FINEST`] times as fine, sampled from the spline, after `has_room` has approved its number
+/// of nodes. The result has fewer than `count` points if even the finest grid has fewer.
 ///
 /// # Errors
-/// When the monitor says so, or `has_room` for the nodes of a finer grid.
+/// If the monitor interrupts, or if `has_room` rejects the nodes of a finer grid.
 pub fn vertices<E: From<Interrupted>>(
     distance: &Image<f32>,
     surface: &CubicSpline,
@@ -63,7 +65,7 @@ pub fn vertices<E: From<Interrupted>>(
     Ok(Vertices { points, refinement, available })
 }
 
-/// The grid with so many cells along each edge of a voxel.
+/// The grid with `refinement` cells along each edge of a voxel.
 fn refined(voxels: &Geometry, refinement: usize) -> Geometry {
     let size = voxels.size.map(|n| (n - 1) * refinement + 1);
     Geometry { size, spacing: voxels.spacing / refinement as f64, ..voxels.clone() }
@@ -82,7 +84,7 @@ fn sampled(surface: &CubicSpline, geometry: Geometry) -> Image<f32> {
     Image { geometry, data }
 }
 
-/// The vertices, each with the sum of the normals of its triangles, as long as their areas.
+/// The vertices, each with the area-weighted sum of the normals of its triangles.
 fn with_normals(mesh: &TriangleMesh) -> Vec<(DVec3, DVec3)> {
     let mut normals = vec![DVec3::ZERO; mesh.vertices.len()];
     for triangle in &mesh.triangles {
@@ -95,7 +97,8 @@ fn with_normals(mesh: &TriangleMesh) -> Vec<(DVec3, DVec3)> {
     mesh.vertices.iter().copied().zip(normals).collect()
 }
 
-/// So many of the points, the smaller number: every so manieth along a curve that fills space, so that each place gives its share. In the order of the points.
+/// Selects `count` of the points, evenly spaced along a space-filling curve, so that every region
+/// gets its share. `count` must be below their number. The indices are in ascending order.
 fn spread(points: &[DVec3], spacing: f64, count: usize) -> Vec<u32> {
     let along = space_order(points, &vec![spacing; points.len()], 1.0);
     let mut chosen: Vec<u32> = (0..count).map(|n| along[(2 * n + 1) * points.len() / (2 * count)]).collect();
@@ -108,7 +111,7 @@ mod tests {
     use super::*;
     use isoparticles_stage::monitor::Silent;
 
-    /// The vertices, with room for all.
+    /// The vertices, with a memory check that always passes.
     fn taken(image: &Image<f32>, surface: &CubicSpline, count: Option<usize>) -> Vertices {
         vertices(image, surface, count, |_| Ok::<_, Interrupted>(()), &Silent).unwrap()
     }
@@ -135,7 +138,7 @@ mod tests {
             distinct.sort_unstable();
             distinct.dedup();
             assert_eq!(distinct.len(), count, "a vertex was taken twice");
-            // every octant gets its share of all vertices, nearer than a random choice would
+            // the share of each octant is nearer to that of all vertices than for a random choice
             let share = |points: &[(DVec3, DVec3)], octant: usize| {
                 let inside = |p: DVec3| (0..3).all(|a| (p[a] > centre[a]) == ((octant >> a) & 1 == 1));
                 points.iter().filter(|(p, _)| inside(*p)).count() as f64 / points.len() as f64

@@ -1,4 +1,5 @@
-//! Every component of F = 0 gets particles, whether marching cubes sees it or not, and wherever the seeds come from.
+//! Tests that every component of F = 0 gets particles, whether marching cubes resolves it or not,
+//! for both sources of seeds.
 
 use glam::DVec3;
 use isoparticles_field::marching_cubes::marching_cubes;
@@ -15,7 +16,8 @@ use isoparticles_volume::{Geometry, Image};
 const SIZE: [usize; 3] = [40, 24, 24];
 const H: f32 = 2.0;
 
-/// Seeds of a function, with how many there are on each component of it: a Poisson-disk sample, or the vertices of marching cubes.
+/// Seeds a function by a Poisson-disk sample or at the vertices of marching cubes. Returns the
+/// statistics and the number of seeds on each component.
 fn seeded(function: impl Fn(DVec3) -> f64, at_vertices: bool) -> (Summary, Vec<usize>) {
     let geometry = Geometry::axis_aligned(SIZE, DVec3::ONE);
     let image = Image::sampled(geometry.clone(), |p| function(p) as f32);
@@ -69,7 +71,7 @@ fn there_are_as_many_seeds_as_vertices_of_marching_cubes_and_all_lie_on_the_surf
 
 #[test]
 fn two_balls_that_marching_cubes_joins_are_two() {
-    // neighbouring samples lie in one ball each, and F is above 0 between them
+    // adjacent samples lie in different balls, and F > 0 between them
     let distance = |p: DVec3| {
         let ball = |x: f64| p.distance(DVec3::new(x, 12.0, 12.0)) - 7.05;
         ball(11.0).min(ball(26.0))

@@ -1,10 +1,11 @@
-//! Averages along the surface, from triangle to triangle.
+//! Averages of vertex values over adjacent triangles, along the surface.
 
 use isoparticles_mesh::incidence::Incidence;
 use rayon::prelude::*;
 use std::ops::{Add, Mul};
 
-/// Replaces the value of each vertex by the mean over the triangles at it, round by round. The result does not depend on the number of threads.
+/// Replaces the value of each vertex by the mean over its triangles, `rounds` times. The result
+/// does not depend on the number of threads. Vertices without triangles keep their values.
 pub(crate) fn average<T>(surface: &Incidence<'_>, values: &mut [T], zero: T, rounds: usize)
 where
     T: Copy + Add<Output = T> + Mul<f64, Output = T> + Send + Sync,
@@ -32,7 +33,7 @@ mod tests {
 
     #[test]
     fn a_value_becomes_the_mean_of_the_triangles_at_it() {
-        // two triangles on one edge, and a vertex of none
+        // two triangles with a common edge, and a vertex without triangles
         let triangles = [[0, 1, 2], [2, 1, 3]];
         let mut values = [3.0, 0.0, 6.0, 9.0, 7.0];
         let surface = Incidence::new(&triangles, 5);

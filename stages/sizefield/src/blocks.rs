@@ -1,31 +1,32 @@
-//! Marching in blocks of the grid, which fit the cache of a core and are marched at the same time.
+//! Gradation by marching in blocks of the grid, which fit the cache of a core and run in parallel.
 //!
-//! A front that runs over the whole grid finds nothing of it in the cache when it comes back with the next bucket. So each block has a
-//! queue of its own and takes some buckets at a time, and what it changes at its faces is handed to the blocks next to it (two-scale methods:
-//! Chacon and Vladimirsky 2012). Blocks are coloured as a chessboard: those of one colour change at the same time and see none of each other,
-//! so that the result does not depend on the number of threads.
+//! A front that runs over the whole grid finds none of it in the cache when the next bucket begins.
+//! Each block therefore has its own queue and processes several buckets at a time. Changes at its
+//! faces are sent to the adjacent blocks (two-scale methods: Chacon and Vladimirsky 2012). Blocks
+//! are coloured like a chessboard. Blocks of one colour run in parallel and do not read each
+//! other's values, so the result does not depend on the number of threads.
 
 use crate::gradation::{NodeSet, Scheme, Values};
 use rayon::prelude::*;
 use std::collections::VecDeque;
 
-/// Nodes of a block along each axis.
+/// Nodes of a block along each axis. With its border a block has 34^3 values (157 kB).
 const SIDE: usize = 32;
 
-/// Width of a bucket over the least change of h from a node to the next.
+/// Width of a bucket, as a share of the minimum change of h between adjacent nodes.
 const BUCKET: f64 = 0.5;
 
-/// Buckets that a block takes at a time, before it hears from the others.
+/// Buckets that a block processes before it receives messages from other blocks.
 const AT_A_TIME: u64 = 8;
 
-/// Along each axis of a block with the nodes next to it.
+/// Nodes of a block along each axis, with one border node on each side.
 const WIDE: usize = SIDE + 2;
 const _: () = assert!(WIDE * WIDE * WIDE <= 1 << 16, "places that are asked for have 16 bits");
 
-/// A node by its place in the block with the nodes next to it, and the value that it was queued with.
+/// A node by its index in the block with border, and the value that it was queued with.
 type Queued = (u32, f32);
 
-/// The number of a block, and a node for its queue.
+/// The number of the receiving block, and a node for its queue.
 type Message = (usize, Queued);
 
 /// The blocks of a grid.
@@ -33,27 +34,28 @@ pub(crate) struct Blocks<'a> {
     scheme: &'a Scheme,
     values: &'a Values,
     blocks: Vec<Block>,
-    /// Whether the march ends when the nodes that are asked for have their values.
+    /// Whether the march ends once all requested nodes have their final values.
     ends: bool,
 }
 
-/// Part of the grid, with the nodes that are to lower their neighbours in it: its own, and those next to it.
+/// A part of the grid with its own nodes and a border of nodes of the adjacent blocks.
 struct Block {
-    /// Number, on the grid with its border, of the node before the first along each axis.
+    /// Number, on the grid with border, of the node before the first along each axis.
     origin: usize,
-    /// Own nodes along each axis, which have the places from 1 on.
+    /// Own nodes along each axis; their places begin at 1.
     size: [usize; 3],
     /// Numbers of the blocks before and after it along each axis.
     beside: [[Option<usize>; 2]; 3],
-    /// Black or white.
+    /// Colour of the chessboard, 0 or 1.
     colour: usize,
-    /// Places of its nodes that are asked for and may still be lowered.
+    /// Indices of its requested nodes that may still be lowered.
     asked: Vec<u16>,
     queue: Queue,
 }
 
 impl<'a> Blocks<'a> {
-    /// Cuts a grid of `size` into blocks; all nodes of finite value are queued. Some nodes may be all that is `asked` for.
+    /// Divides a grid of `size` into blocks and queues all nodes with finite values. With `asked`,
+    /// only these nodes need final values.
     pub(crate) fn new(size: [usize; 3], scheme: &'a Scheme, values: &'a Values, asked: Option<&NodeSet>) -> Self {
         let count = size.map(|n| n.div_ceil(SIDE));
         let step = [1, count[0], count[0] * count[1]];
@@ -85,9 +87,10 @@ impl<'a> Blocks<'a> {
         Self { scheme, values, blocks, ends: asked.is_some() }
     }
 
-    /// Marches until all nodes that are asked for have their values.
+    /// Marches until all requested nodes have their final values, or all nodes if none are
+    /// requested.
     pub(crate) fn march(mut self) {
-        // one call into the pool of threads, not one for every turn
+        // one call into the thread pool instead of one per turn
         rayon::scope(|_| {
             while let Some(first) = self.blocks.iter().filter_map(|block| block.queue.first()).min() {
                 if self.ends && !self.is_any_above(first) {
@@ -100,7 +103,8 @@ impl<'a> Blocks<'a> {
         });
     }
 
-    /// Whether any node that is asked for is above the least value of a bucket; those that are not are not asked for any more.
+    /// Whether a requested node has a value above the lower end of a bucket. Nodes that have not
+    /// are final, and are removed from the requested ones.
     fn is_any_above(&mut self, bucket: u64) -> bool {
         let (scheme, values, reached) = (self.scheme, self.values, self.blocks[0].queue.least(bucket));
         self.blocks.par_iter_mut().for_each(|block| {
@@ -128,13 +132,13 @@ impl Block {
         self.origin + i + j * scheme.strides[1] + k * scheme.strides[2]
     }
 
-    /// Places of its own nodes.
+    /// Places of the block's own nodes.
     fn own(&self) -> impl Iterator<Item = [usize; 3]> {
         let [nx, ny, nz] = self.size;
         (1..=nz).flat_map(move |k| (1..=ny).flat_map(move |j| (1..=nx).map(move |i| [i, j, k])))
     }
 
-    /// Nodes of finite value in the block and next to it, by falling values.
+    /// Nodes with finite values in the block and its border, in descending order of value.
     fn sources(&self, scheme: &Scheme, values: &Values) -> Vec<Queued> {
         let around = |axis: usize| 0..self.size[axis] + 2;
         let mut sources = Vec::new();
@@ -147,14 +151,15 @@ impl Block {
         sources
     }
 
-    /// Marches over the buckets before `end`; returns what the blocks next to it are to know.
+    /// Marches over the buckets before `end`; returns the messages to adjacent blocks.
     fn march(&mut self, scheme: &Scheme, values: &Values, end: u64) -> Vec<Message> {
         let mut messages = Vec::new();
         while let Some(first) = self.queue.first().filter(|&first| first < end) {
             for (at, value) in self.queue.take(first) {
                 let place = place(at);
                 let node = self.node(scheme, place);
-                // a node that has been lowered since is queued once more
+                // a node that was lowered after this entry is queued again, so the entry is
+                // outdated
                 if values.get(node) >= value {
                     self.lower_neighbours(scheme, values, (place, node, value), &mut messages);
                 }
@@ -163,7 +168,7 @@ impl Block {
         messages
     }
 
-    /// Lowers the own nodes among the neighbours of a node, given its place, number and value.
+    /// Lowers the block's own nodes among the neighbours of a node (place, number, value).
     #[inline]
     fn lower_neighbours(
         &mut self,
@@ -198,7 +203,7 @@ impl Block {
         }
     }
 
-    /// Queues a node here and in the blocks that it lies next to.
+    /// Queues a node in this block and in the blocks in whose border it lies.
     #[inline]
     fn lowered(&mut self, place: [usize; 3], value: f32, messages: &mut Vec<Message>) {
         self.queue.push(index(place), value);
@@ -217,26 +222,26 @@ impl Block {
     }
 }
 
-/// A place in a block with the nodes next to it, as one number.
+/// Index of a place in a block with border.
 fn index([i, j, k]: [usize; 3]) -> u32 {
     (i + WIDE * (j + WIDE * k)) as u32
 }
 
-/// The place again.
+/// Place of an index.
 fn place(index: u32) -> [usize; 3] {
     let index = index as usize;
     [index % WIDE, index / WIDE % WIDE, index / (WIDE * WIDE)]
 }
 
-/// Nodes in buckets of their values.
+/// Nodes in buckets by value.
 struct Queue {
     width: f64,
-    /// One over that.
+    /// 1 / width.
     rate: f64,
-    /// The nodes that had a value at first, by falling values.
+    /// The initial nodes, in descending order of value.
     sources: Vec<Queued>,
-    /// The others: buckets from number `start` on, the first of them not empty. All lie within a few buckets, because a node is at most a
-    /// step above the one that lowered it.
+    /// The other nodes: buckets from number `start`, the first of them not empty. A node is at most
+    /// one step above the one that lowered it, so few buckets are in use.
     buckets: VecDeque<Vec<Queued>>,
     start: u64,
 }
@@ -250,7 +255,7 @@ impl Queue {
         (f64::from(value) * self.rate) as u64
     }
 
-    /// Least value in a bucket.
+    /// Lower end of a bucket.
     fn least(&self, bucket: u64) -> f64 {
         bucket as f64 * self.width
     }
@@ -262,7 +267,7 @@ impl Queue {
         source.into_iter().chain(start).min()
     }
 
-    /// Takes the nodes of the first bucket.
+    /// Removes and returns the nodes of the first bucket.
     fn take(&mut self, first: u64) -> Vec<Queued> {
         let is_started = self.start == first && !self.buckets.is_empty();
         let mut nodes = if is_started { std::mem::take(&mut self.buckets[0]) } else { Vec::new() };

@@ -1,6 +1,6 @@
-//! Which samples of the surface a triangle's edge joins.
+//! Adjacency of surface samples by triangle edges.
 
-/// Neighbours of every sample, in one array.
+/// The neighbours of every sample, in one array.
 #[derive(Clone, Debug)]
 pub struct Connections {
     start: Vec<u32>,
@@ -8,10 +8,11 @@ pub struct Connections {
 }
 
 impl Connections {
-    /// The edges of triangles over so many samples.
+    /// The edges of the triangles over `samples` samples.
     pub fn new(samples: usize, triangles: &[[u32; 3]]) -> Self {
-        // an edge lies in two triangles that run along it in opposite directions, so one direction of each triangle's edges gives
-        // every neighbour once; at the rim of an open surface one of the two is missing, which a walk can do without
+        // the two triangles of an edge run along it in opposite directions, so one direction per
+        // triangle gives every neighbour once; at the rim of an open surface one of the two is
+        // missing
         let mut start = vec![0u32; samples + 1];
         for t in triangles {
             t.iter().for_each(|&v| start[v as usize + 1] += 1);

@@ -1,7 +1,7 @@
-//! The surface seen at dense samples: local feature size, curvature, and the edge length they ask for.
+//! Measures the surface at dense samples: local feature size, curvature and components.
 //!
-//! Local feature size is the distance from the surface to its medial axis (Amenta and Bern 1999), the basis of the
-//! epsilon-sampling of Meyer, Kirby and Whitaker 2007 (the paper's reference 15).
+//! Local feature size is the distance to the medial axis (Amenta and Bern 1999). It is the basis of
+//! the epsilon-sampling of Meyer, Kirby and Whitaker 2007 (reference 15 of the paper).
 
 use crate::averages::average;
 use crate::connections::Connections;
@@ -19,70 +19,77 @@ use isoparticles_mesh::kd_tree::KdTree;
 use isoparticles_volume::Image;
 use rayon::prelude::*;
 
-/// Rounds of averaging that take ripple out of the curvature: a spline through samples of a steep edge rings, and its second
-/// derivatives tell of that as much as of the shape. On a ball of radius 19 voxels whose edge is two voxels wide the largest
-/// curvature read is 2.1 / R without averaging and 1.25 / R with it.
+/// Rounds of averaging that remove ripple from the curvature. A spline through samples of a steep
+/// edge rings, which affects its second derivatives as much as the shape does. Measured on a ball
+/// of radius 19 voxels with an edge two voxels wide: the maximum curvature is 2.1 / R without
+/// averaging and 1.25 / R with it.
 pub(crate) const CURVATURE_ROUNDS: usize = 8;
 
-/// Radius of curvature (voxels) below which it bounds the feature size: there ripple is small beside it, and the pruned end of
-/// the medial axis behind a tip is not.
+/// Radius of curvature, in voxels, below which it bounds the feature size. At such radii ripple is
+/// comparatively small, while the pruned end of the medial axis behind a tip is not.
 pub(crate) const SHARP: f64 = 5.0;
 
-/// How deep a sample may lie inside a medial ball (voxels) before the ball counts as not empty: ripple of that height next to
-/// the touching point would shrink balls to nothing. More takes a part off the feature size (2.5 % on the ball at 0.03).
+/// Depth, in voxels, to which samples may lie inside a medial ball. Without it, ripple next to the
+/// touching point would shrink balls to nothing. A larger value reduces the feature size (2.5 % on
+/// the ball at 0.03).
 const BLUR: f64 = 0.01;
 
-/// The same where there is noise, as a share of it: what is left of it in the patches under it. At 0.3 the 5th percentile of the feature
-/// size of a noisy ball of 19 voxels fell from 18 to 7.5 (without the pruning of bumps); at 1 it is as at 0.6.
+/// The same depth where there is noise, as a share of the noise: the part that remains in the
+/// patches. At 0.3 the 5th percentile of the feature size of a noisy ball of 19 voxels fell from 18
+/// to 7.5 (without pruning of bumps); 1 gives the same as 0.6.
 const LEFT_OVER: f64 = 0.6;
 
-/// Leaves of the tree of the axis that one look for its nearest point may take: the axis of a ball is a cloud of points, all
-/// of them about equally far.
+/// Maximum number of leaves of the axis tree that one nearest-point query visits. The axis of a
+/// ball is a cloud of points at nearly equal distances.
 const MOST_LEAVES: usize = 400;
 
-/// What small bumps of the surface are.
+/// Meaning of small bumps of the surface.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Bumps {
-    /// They may be noise of a scalar volume, which is looked for and is no shape.
+    /// They may be noise of a scalar volume, which is detected and not treated as shape.
     MayBeNoise,
-    /// Shape, which is to be measured as it is: on labels each is there because a voxel centre is on its side.
+    /// They are shape and are measured as they are: on labels, each bump has a voxel centre on its
+    /// side.
     AreShape,
 }
 
-/// What the samples are measured for.
+/// Purpose of the measurement.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Purpose {
-    /// To be told where one size is too large: by their feature sizes alone.
+    /// To find where a constant h is too large; needs feature sizes only.
     OneSize,
-    /// A size for each, which curvature and the component have a say in, too.
+    /// To size each sample; needs curvature and components too.
     Grading,
 }
 
-/// Samples of F = 0 with what was found at each.
+/// Samples of F = 0 with their measurements.
 #[derive(Clone, Debug)]
 pub struct Features {
     /// Positions on F = 0, grid frame, mm.
     pub points: Vec<DVec3>,
     /// Unit normals, outward.
     pub normals: Vec<DVec3>,
-    /// Largest principal curvature in magnitude, per mm; of the surface under the noise where there is some. None for [`Purpose::OneSize`].
+    /// Maximum principal curvature in magnitude, per mm; that of the surface under the noise where
+    /// there is some. Empty for [`Purpose::OneSize`].
     pub curvature: Vec<f64>,
-    /// Distance to the medial axis, inside or outside, mm; at sharp places no larger than the radius of curvature. Where there is
-    /// noise, that of the surface under it.
+    /// Distance to the medial axis, inside or outside, mm; at sharp places at most the radius of
+    /// curvature. Where there is noise, that of the surface under it.
     pub feature_size: Vec<f64>,
-    /// How high noise stands that is not taken for shape, root mean square, mm.
+    /// Height of the noise that is not treated as shape, root mean square, mm.
     pub noise: Vec<f64>,
     /// Triangles between the samples (marching cubes, projected).
     pub triangles: Vec<[u32; 3]>,
-    /// Component of F = 0 that each sample lies on; [`NO_COMPONENT`] where it cannot be told. None for [`Purpose::OneSize`].
+    /// Component of F = 0 of each sample; [`NO_COMPONENT`] if it cannot be determined. Empty for
+    /// [`Purpose::OneSize`].
     pub component: Vec<u32>,
-    /// Area of each component, mm squared; for [`Purpose::OneSize`] to first order in the edge of the topology's cells.
+    /// Area of each component, mm squared; for [`Purpose::OneSize`] to first order in the edge of
+    /// the topology's cells.
     pub component_area: Vec<f64>,
 }
 
 impl Features {
-    /// Samples F = 0 at the projected vertices of marching cubes and measures them. Feature sizes above `largest` (mm) are
-    /// not told apart from it. Empty where there is no surface.
+    /// Samples F = 0 at the projected vertices of marching cubes and measures it. Feature sizes are
+    /// limited to `largest` (mm). Empty if there is no surface.
     pub fn new(
         image: &Image<f32>,
         surface: &CubicSpline,
@@ -108,12 +115,12 @@ impl Features {
                 Smoothed::new(&samples, &incidence, spacing)
             }
         };
-        // averaged, the curvature of a tip would be that of its surroundings
+        // not averaged: the curvature of a tip would become that of its surroundings
         let sharp: Vec<f64> = (0..points.len())
             .into_par_iter()
             .map(|i| match &smoothed.patches[i] {
                 Some(patch) => largest_curvature(&patch.curvature, patch.normal),
-                // beside noise F itself tells of noise
+                // next to a noisy place, the derivatives of F are noisy too
                 None if smoothed.noise[i] > 0.0 => 0.0,
                 None => largest_curvature(&tensors[i], normals[i]),
             })
@@ -149,7 +156,8 @@ impl Features {
     }
 }
 
-/// The area of each component, mm squared: of its triangles, or where it has none, as between the samples, what is known of it.
+/// The area of each component, mm squared: of its triangles, or the topology's estimate if it has
+/// none (components between the samples).
 fn component_areas(points: &[DVec3], triangles: &[[u32; 3]], component: &[u32], all: &[Component]) -> Vec<f64> {
     let mut areas = vec![0.0; all.len()];
     for t in triangles {
@@ -161,8 +169,8 @@ fn component_areas(points: &[DVec3], triangles: &[[u32; 3]], component: &[u32], 
     areas
 }
 
-/// Largest principal curvature (per mm) from the tensors of F, averaged along the surface; where there is noise, from those of the
-/// patches under it.
+/// Maximum principal curvature (per mm) from the tensors of F, averaged along the surface; where
+/// there is noise, from the tensors of the patches.
 fn averaged_curvature(
     mut tensors: Vec<DMat3>,
     normals: &[DVec3],
@@ -186,7 +194,8 @@ fn averaged_curvature(
     curvature
 }
 
-/// Distance to the medial axis of the surface under the noise, mm; where the curvature `sharp` is high, no more than its radius.
+/// Distance to the medial axis of the surface under the noise, mm; where the curvature `sharp` is
+/// high, at most its radius.
 fn feature_sizes(
     points: &[DVec3],
     normals: &[DVec3],

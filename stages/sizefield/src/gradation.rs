@@ -1,21 +1,22 @@
 //! Gradation: lowers h until |grad h| <= delta everywhere.
 //!
-//! The paper's predecessor runs an upwind scheme that only lowers h, time step by time step; its steady state,
-//! h(x) = min over y of h0(y) + delta |x - y|, is an Eikonal problem with boundary values. It is solved by marching from
-//! small h to large (Sethian 1996) with a queue of buckets (Yatziv, Bartesaghi and Sapiro 2006); a node that a later
-//! one of its bucket still lowers is queued again, so the order within a bucket does not matter.
+//! The paper's predecessor runs an upwind scheme in time steps that only lowers h. Its steady
+//! state, h(x) = min over y of h0(y) + delta |x - y|, is an Eikonal problem with boundary values.
+//! This module solves it by marching from small h to large (Sethian 1996) with a bucket queue
+//! (Yatziv, Bartesaghi and Sapiro 2006). A node that is lowered again by a later node of its bucket
+//! is queued again, so the order within a bucket does not matter.
 //!
-//! The grid is marched block by block (`blocks.rs`), some buckets at a time, and as far as is asked for.
+//! The grid is marched block by block (`blocks.rs`), several buckets at a time.
 
 use crate::blocks::Blocks;
 use isoparticles_volume::Image;
 use std::sync::atomic::{AtomicU32, Ordering::Relaxed};
 
-/// A node is lowered when it gains more than this share.
+/// Minimum relative gain for which a node is lowered.
 const LEAST_GAIN: f64 = 1e-6;
 
-/// Lowers h to the steady state; infinite values are filled in. Where some nodes are all that is `asked` for, these are in it afterwards, and others may be above it.
-/// The result does not depend on the number of threads.
+/// Lowers h to the steady state and fills in infinite values. With `asked`, only these nodes reach
+/// it; others may be above it. The result does not depend on the number of threads.
 pub fn limit_gradient(h: &mut Image<f32>, delta: f64, asked: Option<&NodeSet>) {
     let size = h.geometry.size;
     let scheme = Scheme::new(size, (h.geometry.spacing * delta).to_array());
@@ -24,31 +25,33 @@ pub fn limit_gradient(h: &mut Image<f32>, delta: f64, asked: Option<&NodeSet>) {
     h.data = values.into_data(size);
 }
 
-/// Some nodes of a grid, a bit for each.
+/// A set of grid nodes, one bit each.
 pub struct NodeSet(Vec<u64>);
 
 impl NodeSet {
-    /// None of so many.
+    /// The empty set of a grid with `count` nodes.
     pub fn new(count: usize) -> Self {
         Self(vec![0; count.div_ceil(u64::BITS as usize)])
     }
 
-    /// Adds one by its number.
+    /// Adds a node by its number.
     pub fn insert(&mut self, node: usize) {
         self.0[node / u64::BITS as usize] |= 1 << (node % u64::BITS as usize);
     }
 
-    /// Whether one is among them.
+    /// Whether the set contains a node.
     pub fn contains(&self, node: usize) -> bool {
         self.0[node / u64::BITS as usize] >> (node % u64::BITS as usize) & 1 == 1
     }
 }
 
-/// h at the nodes with a border of infinite values round them, to be set by one thread while others read it elsewhere.
+/// h at the nodes, with a border of infinite values. One thread may set a value while others read
+/// elsewhere.
 pub(crate) struct Values(Vec<AtomicU32>);
 
 impl Values {
-    /// Takes the values of a grid; they are moved in place, so that there is one copy of them at any time.
+    /// Takes the values of a grid and moves them in place, so that only one copy exists at any
+    /// time.
     fn new(mut data: Vec<f32>, [nx, ny, nz]: [usize; 3]) -> Self {
         let row_start = Self::row_start([nx, ny]);
         let total = (nx + 2) * (ny + 2) * (nz + 2);
@@ -77,12 +80,12 @@ impl Values {
         data
     }
 
-    /// Where a row of the grid starts on that with the border.
+    /// Index of the first node of a row on the grid with border.
     fn row_start([nx, ny]: [usize; 2]) -> impl Fn(usize) -> usize {
         move |row| ((row / ny + 1) * (ny + 2) + row % ny + 1) * (nx + 2) + 1
     }
 
-    /// Value of a node, by its number on the grid with the border.
+    /// Value of a node, by its number on the grid with border.
     #[inline]
     pub(crate) fn get(&self, at: usize) -> f32 {
         f32::from_bits(self.0[at].load(Relaxed))
@@ -94,13 +97,13 @@ impl Values {
     }
 }
 
-/// The Godunov scheme of |grad h| = delta on a grid with a border of one node.
+/// Godunov scheme of |grad h| = delta on a grid with a border of one node.
 pub(crate) struct Scheme {
-    /// From a node to the next along each axis.
+    /// Index difference of adjacent nodes along each axis.
     pub(crate) strides: [usize; 3],
-    /// Change of h from a node to the next along each axis.
+    /// Maximum change of h between adjacent nodes along each axis, mm.
     pub(crate) rise: [f64; 3],
-    /// One over the square of that.
+    /// 1 / rise^2.
     weight: [f64; 3],
 }
 
@@ -110,7 +113,8 @@ impl Scheme {
         Self { strides, rise, weight: rise.map(|rise| 1.0 / (rise * rise)) }
     }
 
-    /// Lowers a node to what its neighbours allow, where that is below its value. Returns what it is set to.
+    /// Lowers a node to the value that its neighbours allow, if that is below its value. Returns
+    /// the new value.
     #[inline]
     pub(crate) fn lower(&self, h: &Values, at: usize) -> Option<f32> {
         let smaller = |axis: usize| {
@@ -118,7 +122,7 @@ impl Scheme {
             f64::from(if before < after { before } else { after })
         };
         let smaller = [smaller(0), smaller(1), smaller(2)];
-        // nearly always there is nothing to gain, which costs no root to see
+        // nearly always there is nothing to gain; this test needs no square root
         let worth = f64::from(h.get(at)) * (1.0 - LEAST_GAIN);
         let steepness = |axis: usize| {
             let drop = if smaller[axis] < worth { worth - smaller[axis] } else { 0.0 };
@@ -132,18 +136,20 @@ impl Scheme {
         })
     }
 
-    /// Solves sum over axes of (max(u - a, 0) / rise)^2 = 1 for u. At least one value is finite.
+    /// Solves sum over axes of (max(u - a, 0) / rise)^2 = 1 for u. At least one value must be
+    /// finite.
     #[inline]
     fn upwind(&self, [x, y, z]: [f64; 3]) -> f64 {
         let ordered = |a: (f64, f64), b: (f64, f64)| if b.0 < a.0 { (b, a) } else { (a, b) };
         let (x, y) = ordered((x, self.weight[0]), (y, self.weight[1]));
         let (y, z) = ordered(y, (z, self.weight[2]));
         let ((least, wa), y) = ordered(x, y);
-        // p u^2 - 2 q u + r = 1 over the axes that take part, from the least value on: one takes part when the others alone would come above it
+        // p u^2 - 2 q u + r = 1 over the active axes, in ascending order of value; an axis is
+        // active if the solution of the previous ones exceeds its value
         let (mut p, mut q, mut r) = (wa, 0.0, 0.0);
         for (value, weight) in [y, z] {
             let over = value - least;
-            // by the left side at this value, which is no number at an infinite one
+            // the left side at this value; NaN if the value is infinite, which ends the loop
             let takes_part = p * over * over - 2.0 * q * over + r < 1.0;
             if !takes_part {
                 break;
@@ -174,13 +180,13 @@ mod tests {
             let distance = ((DVec3::new(i as f64, j as f64, k as f64) - source) * geometry.spacing).length();
             let want = 2.0 + 0.4 * distance;
             let got = f64::from(h.at(i, j, k));
-            // a point source is the first-order scheme's worst case: it errs towards larger values (measured: 4.9 % at the
-            // far corner)
+            // a point source is the worst case of the first-order scheme, which errs towards larger
+            // values (measured: 4.9 % at the far corner)
             assert!(got >= want - 1e-4 && got < 1.06 * want, "{i} {j} {k}: {got}, not {want}");
         }
     }
 
-    /// Sweeps over all nodes, again and again, end at the same values as the march does in blocks.
+    /// Repeated sweeps over all nodes end at the same values as the march in blocks.
     #[test]
     fn blocks_come_to_the_steady_state_of_plain_sweeps() {
         let size = [71, 40, 35];
@@ -192,7 +198,7 @@ mod tests {
         }
         let scheme = Scheme::new(size, (geometry.spacing * 0.4).to_array());
         let swept = Values::new(h.data.clone(), size);
-        // no value is left in the border
+        // all finite values are inside the border
         let finite = |values: &[f32]| values.iter().filter(|value| value.is_finite()).count();
         let bordered: Vec<f32> = (0..swept.0.len()).map(|n| swept.get(n)).collect();
         assert_eq!(finite(&bordered), finite(&h.data));
@@ -202,7 +208,7 @@ mod tests {
             .collect();
         let is_reached = |n: usize| scheme.strides.iter().any(|s| swept.get(n - s).min(swept.get(n + s)).is_finite());
         let lower = |n: usize| is_reached(n) && scheme.lower(&swept, n).is_some();
-        // each pair of sweeps looks at every node, whatever the first changes
+        // each pair of sweeps visits every node, even if the first changes something
         while nodes.iter().filter(|&&n| lower(n)).count() + nodes.iter().rev().filter(|&&n| lower(n)).count() > 0 {}
         let want = swept.into_data(size);
         let on = |threads: usize| {
@@ -214,7 +220,7 @@ mod tests {
         let alone = on(1);
         assert!(alone == on(4), "the values depend on the number of threads");
         for (n, (&got, &want)) in alone.iter().zip(&want).enumerate() {
-            // both end where no node gains a millionth
+            // both end when no node gains a millionth
             assert!((got / want - 1.0).abs() < 2e-5, "node {n}: {got}, not {want}");
         }
     }
@@ -224,7 +230,7 @@ mod tests {
         let geometry = Geometry::axis_aligned([70, 51, 44], DVec3::new(1.0, 0.8, 1.3));
         let mut h = Image::filled(geometry.clone(), f32::INFINITY);
         let mut asked = NodeSet::new(h.data.len());
-        // a sheet with sizes that differ by more than it is wide, so that most come from afar
+        // a plane whose sizes vary by more than its width, so that most final values come from afar
         for (i, j) in (0..70).flat_map(|i| (0..51).map(move |j| (i, j))) {
             let node = geometry.linear(i, j, 20);
             h.data[node] = (1.0 + 30.0 * uniform(1, 0, (i / 9 + 100 * (j / 7)) as u64)) as f32;
@@ -242,7 +248,7 @@ mod tests {
 
     #[test]
     fn values_on_the_edge_of_a_bucket_are_handed_on() {
-        // a value that f32 rounds down into the bucket before its own was once taken for an outdated one
+        // regression: a value that f32 rounds into the previous bucket must not count as outdated
         for (delta, first) in [(0.4, 4.0f32), (0.4, 9.2), (0.3, 1.2), (0.7, 1.0), (0.25, 0.75)] {
             let geometry = Geometry::axis_aligned([60, 3, 3], DVec3::ONE);
             let mut h = Image::filled(geometry.clone(), f32::INFINITY);

@@ -1,7 +1,8 @@
-//! The `sizefield` stage: target edge length h from local feature size and curvature, then gradation.
+//! The `sizefield` stage: computes the target edge length h from local feature size and curvature,
+//! and limits its gradient.
 //!
-//! Section 3.1 of Kim, Chen and Hansen 2012 and Meyer, Kirby and Whitaker 2007: h0 = epsilon times the local feature
-//! size at the surface, bounded by curvature, then |grad h| <= delta.
+//! Section 3.1 of Kim, Chen and Hansen 2012, and Meyer, Kirby and Whitaker 2007: h0 = epsilon times
+//! the local feature size at the surface, bounded by curvature, then |grad h| <= delta.
 
 mod averages;
 mod blocks;
@@ -27,46 +28,50 @@ use isoparticles_volume::{Geometry, Image};
 use rayon::prelude::*;
 use region::SizedNode;
 
-/// Rounds of averaging over the surface that smooth the graded h, and the most that h may grow by. Particles settle badly
-/// where h is rough: on a label map at voxel scale this lifts the mean radius ratio by 0.01.
+/// Rounds of averaging that smooth the graded h along the surface, and the maximum factor by which
+/// they may enlarge h. Particles settle badly where h is rough: on a label map at voxel scale,
+/// smoothing raises the mean radius ratio by 0.01.
 const SMOOTHING: (usize, f64) = (6, 1.3);
 
-/// Share of the smallest h that h never falls below, not even on a speck.
+/// Lower bound of h on small components, as a share of the minimum h.
 const SMALLEST_SHARE: f64 = 0.25;
 
-/// Fewest particles that a component is given room for.
+/// Number of particles that h leaves room for on every component, down to [`SMALLEST_SHARE`].
 const MIN_PARTICLES: f64 = 32.0;
 
-/// What asks for which edge length. Lengths in mm.
+/// Parameters of the sizing field. Lengths in mm.
 #[derive(Clone, Debug)]
 pub struct Parameters {
     /// h0 = epsilon times local feature size.
     pub epsilon: f64,
     /// Bound on |grad h|.
     pub delta: f64,
-    /// Smallest h.
+    /// Minimum h.
     pub min_size: f64,
-    /// Largest h at the surface.
+    /// Maximum h at the surface.
     pub max_size: f64,
-    /// Largest distance of a triangle's centre from the surface that curvature may cause: h0 <= sqrt(6 deviation R).
+    /// Maximum distance of a triangle's centre from the surface due to curvature: h0 <= sqrt(6
+    /// deviation R).
     pub max_deviation: f64,
-    /// Smallest number of particles a component of the surface may end up with.
+    /// Minimum number of particles of each component of the surface.
     pub min_particles: f64,
-    /// Factor on what all of the above ask for.
+    /// Factor on the result of all of the above.
     pub scale: f64,
-    /// Nodes at which the user wants no larger h than this (mm), whatever the smallest h is elsewhere.
+    /// Nodes at which the user limits h to a value (mm), regardless of the minimum h.
     pub refined: Vec<SizedNode>,
 }
 
-/// Edge length that each sample asks for.
+/// Edge length of each sample before gradation, mm.
 pub fn wanted_sizes(features: &Features, parameters: &Parameters) -> Vec<f64> {
     (0..features.points.len())
         .map(|i| {
             let by_feature = parameters.epsilon * features.feature_size[i];
-            // centre of an equilateral triangle of edge h inscribed in a ball of radius R: h^2 / (6 R) below the surface
+            // the centre of an equilateral triangle of edge h inscribed in a ball of radius R lies
+            // h^2 / (6 R) below the surface
             let by_deviation = (6.0 * parameters.max_deviation / features.curvature[i].max(1e-12)).sqrt();
             let area = features.component_area.get(features.component[i] as usize).copied().unwrap_or(f64::INFINITY);
-            // specks may be smaller than any triangle that says something about the data; a few must do there
+            // a small component may be below the resolution of the data; it gets at least a few
+            // triangles
             let by_component = (2.0 * area / (3f64.sqrt() * parameters.min_particles))
                 .sqrt()
                 .max(SMALLEST_SHARE * parameters.min_size);
@@ -76,15 +81,15 @@ pub fn wanted_sizes(features: &Features, parameters: &Parameters) -> Vec<f64> {
         .collect()
 }
 
-/// The sizing field on the grid of the distance field: what the samples ask for, graded, smoothed along the surface, and
-/// graded into the volume.
+/// The sizing field on the grid of the distance field: the sizes of the samples, graded, smoothed
+/// along the surface, and graded into the volume.
 pub fn size_field(distance: &Image<f32>, features: &Features, parameters: &Parameters) -> SizingField {
     let wanted = wanted_sizes(features, parameters);
     let samples = Samples { geometry: &distance.geometry, points: &features.points, triangles: &features.triangles };
     graded_field(&samples, &wanted, parameters, &[])
 }
 
-/// A surface whose samples ask for sizes, on a grid.
+/// A triangulated surface and the grid of its sizing field.
 pub(crate) struct Samples<'a> {
     /// The grid.
     pub(crate) geometry: &'a Geometry,
@@ -94,7 +99,8 @@ pub(crate) struct Samples<'a> {
     pub(crate) triangles: &'a [[u32; 3]],
 }
 
-/// What the samples want, graded, smoothed along the surface, and graded into the volume. Smoothing lifts none above its own of the values in `most`, if there are any.
+/// The field of the sizes `wanted` by the samples: graded, smoothed along the surface, and graded
+/// into the volume. Smoothing does not lift a sample above its value in `most`, which may be empty.
 pub(crate) fn graded_field(
     samples: &Samples<'_>,
     wanted: &[f64],
@@ -111,8 +117,8 @@ pub(crate) fn graded_field(
     spread(samples, &smooth, parameters, None)
 }
 
-/// Gives the nodes of each triangle's cell the smallest size at its corners, so that trilinear h there is no larger, and
-/// grades the rest, as far as the nodes that are `asked` for need it if there are any.
+/// Gives the nodes of each triangle's cell the minimum size of its corners, so that trilinear h is
+/// no larger there. Then grades the remaining nodes, or at least those in `asked`.
 fn spread(samples: &Samples<'_>, sizes: &[f64], parameters: &Parameters, asked: Option<&NodeSet>) -> SizingField {
     let geometry = samples.geometry;
     let mut h = Image::filled(geometry.clone(), f32::INFINITY);
@@ -130,7 +136,7 @@ fn spread(samples: &Samples<'_>, sizes: &[f64], parameters: &Parameters, asked: 
     SizingField::new(h)
 }
 
-/// The nodes of the cell at a place, of the nearest one outside the grid.
+/// The nodes of the cell at a place; outside the grid, of the nearest cell.
 pub(crate) fn cell_nodes(geometry: &Geometry, p: DVec3) -> [usize; 8] {
     let index = geometry.grid_to_index(p);
     let base: [usize; 3] =
@@ -141,7 +147,7 @@ pub(crate) fn cell_nodes(geometry: &Geometry, p: DVec3) -> [usize; 8] {
     })
 }
 
-/// Smooths the sizes along the surface, without letting any grow far.
+/// Smooths the sizes along the surface, with the growth limited by [`SMOOTHING`].
 fn smooth_over_surface(sizes: &mut [f64], incidence: &Incidence<'_>) {
     let limit: Vec<f64> = sizes.iter().map(|h| SMOOTHING.1 * h).collect();
     for _ in 0..SMOOTHING.0 {

@@ -1,5 +1,5 @@
-//! What is refused before the later stages start: an edge longer than the object, and more particles than memory holds. And what is told: components
-//! that are too small for their h.
+//! Checks before the later stages: rejects an edge length larger than the object and counts that
+//! exceed the memory. Reports components that are too small for their h.
 
 use isoparticles_field::sizing::SizingField;
 use isoparticles_field::topology::Component;
@@ -9,11 +9,12 @@ use isoparticles_stage::error::{Error, Result};
 use serde::Serialize;
 use std::path::Path;
 
-/// Particles that the largest part must be given by one edge length: `seed` gives a closed part at least so many (a lattice of twelve
-/// is the icosahedron, the coarsest in which five triangles meet everywhere), and fewer make no shape.
+/// Minimum number of particles of the largest component with a constant h. `seed` gives every
+/// component at least as many, and fewer do not make a closed surface. Twelve vertices make an
+/// icosahedron, the coarsest surface with five triangles at each vertex.
 const FEWEST: f64 = 12.0;
 
-/// Particles that h asks for on a mm^2.
+/// Particles of the hexagonal lattice of spacing h per mm^2.
 fn density(h: f64) -> f64 {
     2.0 / (3f64.sqrt() * h * h)
 }
@@ -23,13 +24,14 @@ fn density(h: f64) -> f64 {
 pub struct TooSmall {
     /// A place next to it, world, mm.
     pub place: [f64; 3],
-    /// Its longest extent along an axis of the grid, mm.
+    /// Its maximum extent along an axis of the grid, mm.
     pub size: f64,
     /// h there, mm.
     pub h: f64,
 }
 
-/// The components of F = 0 that h gives fewer particles than make a closed surface, in their order.
+/// The components of F = 0 to which h gives fewer particles than a closed surface needs, in their
+/// order.
 pub fn too_small(components: &[Component], sizing: &SizingField) -> Vec<TooSmall> {
     let told = |component: &Component| {
         let h = sizing.at(component.place);
@@ -40,7 +42,7 @@ pub fn too_small(components: &[Component], sizing: &SizingField) -> Vec<TooSmall
     components.iter().filter_map(told).collect()
 }
 
-/// The same in words, of so many components in all; `None` where there are none.
+/// Message about components that are too small, out of `components`; `None` if there are none.
 pub fn too_small_told(found: &[TooSmall], components: usize) -> Option<String> {
     let smallest = found.iter().min_by(|a, b| a.size.total_cmp(&b.size))?;
     Some(format!(
@@ -54,16 +56,16 @@ pub fn too_small_told(found: &[TooSmall], components: usize) -> Option<String> {
     ))
 }
 
-/// Refuses one edge length that gives even the largest part of the surface, of `area` mm^2, too few particles.
+/// Rejects a constant h that gives even the largest component, of `area` mm^2, too few particles.
 ///
 /// # Errors
-/// As said, with an edge length that would do.
+/// If there are too few; the message names a suitable edge length.
 pub fn check_size(path: &Path, size: f64, area: f64) -> Result<()> {
     let count = area * density(size);
     if count >= FEWEST {
         return Ok(());
     }
-    // with room for a shape: a hundred vertices
+    // room for a shape: about 100 vertices
     let would_do = (area * density(1.0) / 100.0).sqrt();
     let largest = (area * density(1.0) / FEWEST).sqrt();
     Err(Error::input(
@@ -79,10 +81,10 @@ pub fn check_size(path: &Path, size: f64, area: f64) -> Result<()> {
     ))
 }
 
-/// Refuses sizes that ask for more particles than there is memory for in the stages to come.
+/// Rejects sizes that need more particles than the memory allows in later stages.
 ///
 /// # Errors
-/// As said, with the figures.
+/// If the memory does not suffice; the message has the figures.
 pub fn check_count(path: &Path, predicted: f64, nodes: usize, context: &Context) -> Result<()> {
     context.check_memory(
         particles_bytes(predicted, nodes),
@@ -105,7 +107,7 @@ mod tests {
 
     #[test]
     fn a_component_too_small_for_its_h_is_named_though_no_sample_is_in_it() {
-        // a ball, and a speck between the samples
+        // a ball, and a small component between the samples
         let geometry = Geometry::axis_aligned([32, 24, 24], DVec3::ONE);
         let (ball, speck) = (DVec3::new(9.0, 12.0, 12.0), DVec3::new(24.5, 12.45, 12.52));
         let distance = |p: DVec3| (p.distance(ball) - 6.0).min(0.4 * (p.distance_squared(speck) - 0.3)) as f32;

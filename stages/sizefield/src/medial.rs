@@ -1,15 +1,19 @@
-//! Points of the medial axis, by the shrinking-ball algorithm (Ma, Bae and Choi 2012) on dense samples of the surface.
+//! Points of the medial axis by the shrinking-ball algorithm (Ma, Bae and Choi 2012), on dense
+//! samples of the surface.
 //!
-//! A ball that touches the surface at a sample is shrunk until no other sample lies inside it; its centre is then on the
-//! medial axis, inside or outside the object. Each sample gives two balls. Two kinds of balls are pruned, because the part of the axis that
-//! they stand for moves with every small change of the surface (the axis of a surface and of one next to it differ by just such
-//! branches: Chazal and Lieutier 2005). A ball that touches the surface at two points seen from its centre under a
-//! small angle tells of ripple, or of the last bit before an end of the axis; what that takes off an end is small (the tip of an ellipsoid
-//! reads 0.4 % too large). And where there is noise ([`crate::noise`]), a ball whose cap between the two points is no higher than
-//! twice the noise tells of a bump of it.
+//! A ball that touches the surface at a sample is shrunk until no other sample lies inside it. Its
+//! centre is then on the medial axis, inside or outside the object, so each sample gives two balls.
+//! Balls of unstable branches of the axis are pruned (Chazal and Lieutier 2005), by two criteria:
 //!
-//! The distance field tells a ball that is surely too large without any search, and so does the sample that the ball beside it touches. Balls that touch
-//! the surface at one sample in one direction lie inside each other, so that one look, during which the ball shrinks, finds the smallest.
+//! - The two touching points are seen from the centre under a small angle. Such a ball belongs to
+//!   ripple or to the last bit of an end of the axis. Pruning shortens ends only slightly: the
+//!   feature size at the tip of an ellipsoid is 0.4 % too large.
+//! - Where there is noise ([`crate::noise`]), the cap of the ball between the two points is no
+//!   higher than twice the noise. Such a ball belongs to a bump of the noise.
+//!
+//! Two upper bounds of the radius save time: the distance field, and the sample that the previous
+//! ball touches. Balls that touch the surface at one sample from one side are nested, so a single
+//! query that shrinks the ball finds the smallest.
 
 use glam::DVec3;
 use isoparticles_field::sizing::trilinear;
@@ -17,21 +21,27 @@ use isoparticles_mesh::kd_tree::KdTree;
 use isoparticles_volume::Image;
 use rayon::prelude::*;
 
-/// Balls whose two touching points are seen from the centre under less than this (radians) are pruned.
+/// Balls are pruned if the centre sees their two touching points under less than this angle
+/// (radians).
 pub const MIN_SEPARATION_ANGLE: f64 = 40.0 * std::f64::consts::PI / 180.0;
 
-/// A ball is pruned whose cap between the touching points is lower than this many times the noise.
+/// Balls are pruned if their cap between the touching points is lower than this many times the
+/// noise.
 const PLAIN_BUMP: f64 = 2.0;
 
-/// Leaves of the tree of samples that one look may take, the likeliest first: a ball that fits the surface all round has every sample at its rim. With 400 the sizes of `lungs_label_big` 2 ask for 238,911
-/// particles, with 100 for 238,902; a ball of 256^3 takes 4.7 and 3.5 s.
+/// Maximum number of leaves of the sample tree that one query visits, the most likely first. A ball
+/// that fits the surface all around has every sample at its rim. Measured with 400 and 100: the
+/// sizes of `lungs_label_big` 2 give 238,911 and 238,902 particles, and a ball of 256^3 takes 4.7
+/// and 3.5 s.
 const MOST_LEAVES: usize = 100;
 
-/// Samples on end, neighbours mostly, whose balls begin with the sample that the one before touches.
+/// Consecutive samples, mostly neighbours, whose balls start with the sample that the previous ball
+/// touches.
 const RUN: usize = 64;
 
-/// A ball is surely not empty when its radius exceeds the distance field at its centre by half the diagonal of a cell (what
-/// interpolation may take off the tip of a cone) and this share of the largest spacing (for the error of the samples).
+/// A ball is surely not empty if its radius exceeds the distance field at its centre by half the
+/// diagonal of a cell plus this share of the largest spacing. The first term covers the
+/// interpolation error at the tip of a cone, the second the errors of the samples.
 const SURE: f64 = 0.2;
 
 /// The samples of the surface and their distance field.
@@ -40,16 +50,17 @@ pub struct Surface<'a> {
     pub points: &'a [DVec3],
     /// Unit normals, outward.
     pub normals: &'a [DVec3],
-    /// How deep other samples may lie inside the ball of each (mm) without shrinking it: next to the touching point that is ripple
-    /// or what is left of the noise, not shape.
+    /// Depth (mm) to which other samples may lie inside the ball of each without shrinking it. Next
+    /// to the touching point, such samples are ripple or remaining noise, not shape.
     pub blur: &'a [f64],
-    /// How high noise stands at each (mm).
+    /// Height of the noise at each (mm).
     pub noise: &'a [f64],
     /// Signed distance, mm.
     pub distance: &'a Image<f32>,
 }
 
-/// Centres of the medial balls of both sides of every sample, pruned. `largest` bounds the radius looked for (mm).
+/// Centres of the medial balls on both sides of every sample; `None` where pruned or not found.
+/// `largest` is the maximum radius (mm).
 pub fn medial_points(surface: &Surface<'_>, largest: f64) -> Vec<[Option<DVec3>; 2]> {
     let tree = KdTree::new(surface.points);
     let count = surface.points.len();
@@ -65,14 +76,16 @@ pub fn medial_points(surface: &Surface<'_>, largest: f64) -> Vec<[Option<DVec3>;
         };
         (start..count.min(start + RUN)).map(of_sample).collect()
     };
-    // by index, so that a run is the same on any number of threads
+    // by index, so that runs do not depend on the number of threads
     let runs: Vec<usize> = (0..count).step_by(RUN).collect();
     runs.into_par_iter().flat_map_iter(of_run).collect()
 }
 
 impl Surface<'_> {
-    /// The radius of the largest ball that touches the surface at sample i, lies in `direction` and has no other sample deeper in it than the blur, so far as to touch the
-    /// sample that stops it, and that sample; `None` where none does up to the radius `largest`. `hint` is a sample that may be the one.
+    /// The largest ball that touches the surface at sample i, lies in `direction`, and has no other
+    /// sample deeper inside than the blur. Returns the radius at which it touches the limiting
+    /// sample, and that sample; `None` if no sample limits it up to the radius `largest`. `hint` is
+    /// a sample that may be the limiting one.
     fn largest_empty(
         &self,
         tree: &KdTree,
@@ -82,7 +95,8 @@ impl Surface<'_> {
         hint: Option<usize>,
     ) -> Option<(f64, usize)> {
         let (p, blur) = (self.points[i], self.blur[i]);
-        // the ball that has a sample just as deep in it as may be: q is in the ball of radius r by d where |q - p|^2 - 2 r direction . (q - p) + r^2 = (r - d)^2
+        // radius r of the ball with q at depth d:
+        // |q - p|^2 - 2 r direction . (q - p) + r^2 = (r - d)^2
         let fitting = |at: DVec3| {
             let offset = at - p;
             0.5 * (offset.length_squared() - blur * blur) / (direction.dot(offset) - blur)
@@ -103,7 +117,7 @@ impl Surface<'_> {
             ball.0 = self.upper_bound(i, direction, largest);
         }
         tree.each_within(place(ball.0), MOST_LEAVES, &mut |q, at| shrink(&mut ball, q as usize, at));
-        // the ball that just touches it
+        // the ball that just touches the sample
         let touched = |q: usize| {
             let offset = self.points[q] - p;
             (0.5 * offset.length_squared() / direction.dot(offset), q)
@@ -111,7 +125,8 @@ impl Surface<'_> {
         ball.1.map(touched)
     }
 
-    /// Centre of the ball that touches the surface at sample i and at another, in `direction`, unless it is pruned.
+    /// Centre of the ball that touches the surface at sample i and at another, in `direction`;
+    /// `None` if it is pruned.
     fn kept_centre(&self, i: usize, direction: DVec3, radius: f64, touching: usize) -> Option<DVec3> {
         let p = self.points[i];
         let centre = p + direction * radius;
@@ -120,8 +135,8 @@ impl Surface<'_> {
         (angle >= MIN_SEPARATION_ANGLE && height >= PLAIN_BUMP * self.noise[i]).then_some(centre)
     }
 
-    /// A radius of which the distance field says that the ball holds samples, little above the largest empty one; `largest`
-    /// where it does not say so.
+    /// A radius for which the distance field shows that the ball contains samples, a little above
+    /// that of the largest empty ball. Returns `largest` if the field shows no such radius.
     fn upper_bound(&self, i: usize, direction: DVec3, largest: f64) -> f64 {
         let (p, geometry) = (self.points[i], &self.distance.geometry);
         let sure = 0.5 * geometry.spacing.length() + SURE * geometry.spacing.max_element() + self.blur[i];
@@ -154,7 +169,7 @@ mod tests {
 
     #[test]
     fn the_sample_that_stops_a_ball_is_that_of_a_plain_search_with_and_without_a_hint() {
-        // two balls, the larger rippled
+        // two balls, both with random bumps
         let centres = [(DVec3::new(12.0, 12.0, 12.0), 7.0), (DVec3::new(24.0, 12.0, 12.5), 3.0)];
         let distance = |p: DVec3| {
             centres.iter().map(|(centre, radius)| p.distance(*centre) - radius).fold(f64::INFINITY, f64::min)

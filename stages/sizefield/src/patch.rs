@@ -1,29 +1,32 @@
-//! Least-squares patches of the surface: a quadric over the tangent plane, fitted to the samples round one of them.
+//! Least-squares patches of the surface: a quadric over the tangent plane, fitted to the samples
+//! around one of them.
 //!
-//! A jet of the surface by least squares (Cazals and Pouget 2005), of second order. What a patch misses its samples by is
-//! noise, or shape finer than the patch.
+//! This is a second-order jet fit (Cazals and Pouget 2005). The residual of a patch is noise, or
+//! shape finer than the patch.
 
 use crate::connections::Connections;
 use glam::{DMat3, DVec2, DVec3};
 
-/// Samples whose normal is more than this far from that of the middle one (cosine) are not of the patch.
+/// Minimum cosine between the normal of a sample and that of the central one; others are on another
+/// part of the surface.
 const SAME_SHEET: f64 = 0.5;
 
-/// Fewest samples that a patch is fitted to; it has six unknowns.
+/// Minimum number of samples of a patch, which has six unknowns.
 const FEWEST: usize = 9;
 
 const UNKNOWNS: usize = 6;
 
-/// The surface round a sample, to second order.
+/// The surface around a sample, to second order.
 #[derive(Clone, Copy, Debug)]
 pub struct Patch {
-    /// The point of the patch straight over the sample, grid frame, mm.
+    /// The point of the patch above the sample along the mean normal, grid frame, mm.
     pub point: DVec3,
     /// Unit normal there, outward.
     pub normal: DVec3,
-    /// Curvature tensor there, per mm: its eigenvalues are 0 (along the normal) and the principal curvatures, positive on a ball.
+    /// Curvature tensor there, per mm: its eigenvalues are 0 (along the normal) and the principal
+    /// curvatures, positive on a ball.
     pub curvature: DMat3,
-    /// Weighted root-mean-square of what the samples are off the patch, mm.
+    /// Weighted root mean square of the samples' distances from the patch, mm.
     pub residual: f64,
 }
 
@@ -33,11 +36,11 @@ pub struct Samples<'a> {
     pub points: &'a [DVec3],
     /// Unit normals, outward.
     pub normals: &'a [DVec3],
-    /// Who is joined with whom by a triangle's edge.
+    /// Adjacency by triangle edges.
     pub connections: &'a Connections,
 }
 
-/// Marks of the samples that a walk has seen, so that each is taken once.
+/// Marks of the samples visited in a walk, so that each is visited once.
 pub struct Marks {
     seen: Vec<u32>,
     now: u32,
@@ -45,15 +48,15 @@ pub struct Marks {
 }
 
 impl Marks {
-    /// Room for so many samples.
+    /// Marks for `samples` samples.
     pub fn new(samples: usize) -> Self {
         Self { seen: vec![0; samples], now: 0, found: Vec::new() }
     }
 }
 
 impl Samples<'_> {
-    /// Fits a patch to the samples within `radius` (mm) of sample i that are connected with it; `None` where they are too few or
-    /// do not tell.
+    /// Fits a patch to the samples within `radius` (mm) of sample i that are connected with it;
+    /// `None` if they are too few or the system is singular.
     pub fn patch(&self, i: usize, radius: f64, marks: &mut Marks) -> Option<Patch> {
         self.gather(i, radius, marks);
         if marks.found.len() < FEWEST {
@@ -95,7 +98,8 @@ impl Samples<'_> {
         })
     }
 
-    /// The samples within `radius` of sample i on its sheet that it is connected with through such samples.
+    /// Collects the samples within `radius` of sample i, with a similar normal, that are connected
+    /// with it through such samples.
     fn gather(&self, i: usize, radius: f64, marks: &mut Marks) {
         marks.now += 1;
         marks.found.clear();
@@ -118,8 +122,8 @@ impl Samples<'_> {
     }
 }
 
-/// 1, u, v and the three of second order. Those are stretched by (r^2 + z^2) / r^2, with which a ball, whose height is z = (r^2 + z^2) k / 2,
-/// fits without an error.
+/// 1, u, v and the three second-order terms. These are stretched by (r^2 + z^2) / r^2, so that a
+/// ball fits without error: its height is z = (r^2 + z^2) k / 2.
 fn basis(at: DVec2, height: f64) -> [f64; UNKNOWNS] {
     let stretch = 1.0 + height * height / at.length_squared().max(1e-6).max(height * height);
     [1.0, at.x, at.y, 0.5 * stretch * at.x * at.x, stretch * at.x * at.y, 0.5 * stretch * at.y * at.y]
@@ -135,7 +139,8 @@ fn tensor([t1, t2]: [DVec3; 2], [l, m, n]: [f64; 3]) -> DMat3 {
     outer(d1, d1) * l + (outer(d1, d2) + outer(d2, d1)) * m + outer(d2, d2) * n
 }
 
-/// Solves a symmetric positive system with its right side as the last column, by elimination; `None` where it is singular.
+/// Solves a symmetric positive definite system by elimination, with the right side as the last
+/// column; `None` if it is singular.
 fn solve(mut rows: [[f64; UNKNOWNS + 1]; UNKNOWNS]) -> Option<[f64; UNKNOWNS]> {
     for at in 0..UNKNOWNS {
         let pivot = rows[at];
@@ -162,7 +167,8 @@ mod tests {
     use super::*;
     use isoparticles_field::random::uniform;
 
-    /// Points of a grid over the plane lifted onto a surface with its normals, and a patch at the middle one.
+    /// Lifts the points of a plane grid onto a surface, offset along its normals by `moved`, and
+    /// fits a patch at the central one. Returns it with the exact normal.
     fn patch_of(
         radius: f64,
         surface: impl Fn(f64, f64) -> (DVec3, DVec3),
@@ -196,7 +202,7 @@ mod tests {
         }
     }
 
-    /// Largest difference of the curvature, times the radius, from that of a ball.
+    /// Maximum error of the curvature relative to that of a ball.
     fn off_ball(patch: &Patch, r: f64) -> f64 {
         let (u, v) = patch.normal.any_orthonormal_pair();
         let at = |a: DVec3, b: DVec3| r * a.dot(patch.curvature * b);
@@ -229,7 +235,7 @@ mod tests {
     fn the_residual_is_the_noise_and_a_wide_patch_averages_it() {
         let noise = |n: usize| 0.35 * (uniform(5, 0, n as u64) - 0.5);
         let (patch, normal) = patch_of(6.0, ball(20.0), noise);
-        // even noise of this width has a standard deviation of 0.101
+        // uniform noise of this width has a standard deviation of 0.101
         assert!((patch.residual / 0.101 - 1.0).abs() < 0.15, "{patch:?}");
         assert!(off_ball(&patch, 20.0) < 0.2 && patch.normal.dot(normal) > 0.9998, "{patch:?}");
     }

@@ -1,5 +1,5 @@
-//! Where the user wants smaller triangles: the paper's wish (section 7) to add particles where they matter. Balls, the voxels of
-//! a mask volume, or points with a size each; h grows from there at the rate delta.
+//! User-defined refinement: balls, the voxels of a mask volume, or points with sizes (section 7 of
+//! the paper: more particles at places of interest). h grows from there with the slope delta.
 
 use glam::DVec3;
 use isoparticles_mesh::points::read_sized_points;
@@ -10,7 +10,7 @@ use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
-/// A place to refine, as the user names it.
+/// A region to refine, as given by the user.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Refinement {
@@ -18,12 +18,12 @@ pub enum Refinement {
     Ball(Ball),
     /// The voxels of a volume that are not zero.
     Mask {
-        /// The volume, on any grid; it is placed by its world coordinates.
+        /// The volume, on any grid; placed by its world coordinates.
         file: PathBuf,
-        /// Largest h in it, mm.
+        /// Maximum h in it, mm.
         size: f64,
     },
-    /// Points with an array `h`, the largest h round each in mm.
+    /// Points with an array `h`, the maximum h around each in mm.
     Points {
         /// The file (.vtp or .vtu), in world coordinates.
         file: PathBuf,
@@ -37,11 +37,11 @@ pub struct Ball {
     pub centre: DVec3,
     /// Radius, mm.
     pub radius: f64,
-    /// Largest h in it, mm.
+    /// Maximum h in it, mm.
     pub size: f64,
 }
 
-/// A node of the grid, and the largest h there in mm.
+/// A node of the grid, and the maximum h there in mm.
 pub type SizedNode = (usize, f64);
 
 const FORMS: &str = "write it as ball:X,Y,Z,RADIUS=H (mm), mask:FILE=H (mm) or points:FILE";
@@ -49,7 +49,7 @@ const FORMS: &str = "write it as ball:X,Y,Z,RADIUS=H (mm), mask:FILE=H (mm) or p
 impl FromStr for Refinement {
     type Err = String;
 
-    /// Reads `ball:X,Y,Z,RADIUS=H`, `mask:FILE=H` or `points:FILE`.
+    /// Parses `ball:X,Y,Z,RADIUS=H`, `mask:FILE=H` or `points:FILE`.
     fn from_str(text: &str) -> std::result::Result<Self, String> {
         let form = || FORMS.to_owned();
         let number = |t: &str| t.trim().parse::<f64>().ok().filter(|x| x.is_finite()).ok_or_else(form);
@@ -74,7 +74,7 @@ impl FromStr for Refinement {
 }
 
 impl Refinement {
-    /// The file that it names, if any.
+    /// The file of the region, if any.
     pub fn file(&self) -> Option<&Path> {
         match self {
             Self::Ball(_) => None,
@@ -82,10 +82,10 @@ impl Refinement {
         }
     }
 
-    /// The nodes of a grid that it refines.
+    /// The grid nodes that the region refines.
     ///
     /// # Errors
-    /// When its file cannot be read, or when it lies outside the grid.
+    /// If its file cannot be read, or if it lies outside the grid.
     pub fn nodes(&self, geometry: &Geometry) -> Result<Vec<SizedNode>> {
         let nodes = match self {
             Self::Ball(ball) => ball.nodes(geometry).map(|node| (node, ball.size)).collect(),
@@ -114,7 +114,8 @@ impl Refinement {
     }
 }
 
-/// Nodes whose nearest voxel of a mask is not zero, and those round each such voxel's centre (voxels may be smaller than the grid's).
+/// Nodes whose nearest voxel of a mask is not zero, and the nodes around the centre of each such
+/// voxel (voxels may be smaller than those of the grid).
 fn mask_nodes(file: &Path, geometry: &Geometry) -> Result<Vec<usize>> {
     let volume = read_volume(file)?;
     let (mask, place) = (volume.voxels.to_f32(), volume.geometry);
@@ -138,13 +139,13 @@ fn mask_nodes(file: &Path, geometry: &Geometry) -> Result<Vec<usize>> {
     Ok(nodes)
 }
 
-/// Grid position of a voxel.
+/// Position of a voxel in the grid frame.
 fn position(geometry: &Geometry, n: usize) -> DVec3 {
     let [nx, ny, _] = geometry.size;
     geometry.index_to_grid(DVec3::new((n % nx) as f64, (n / nx % ny) as f64, (n / (nx * ny)) as f64))
 }
 
-/// The nodes of the cell that holds a grid position; none outside the grid.
+/// The nodes of the cell that contains a position in the grid frame; none outside the grid.
 fn nodes_around(geometry: &Geometry, grid: DVec3) -> impl Iterator<Item = usize> {
     let index = geometry.grid_to_index(grid);
     let is_within = (0..3).all(|a| index[a] >= 0.0 && index[a] <= (geometry.size[a] - 1) as f64);
@@ -156,13 +157,14 @@ fn nodes_around(geometry: &Geometry, grid: DVec3) -> impl Iterator<Item = usize>
 }
 
 impl Ball {
-    /// The nodes of a grid that lie in the ball, at the least those around its centre; none when it lies outside the grid.
+    /// The grid nodes in the ball, at least those around its centre; none if it lies outside the
+    /// grid.
     pub fn nodes<'a>(&self, geometry: &'a Geometry) -> impl Iterator<Item = usize> + 'a {
         let centre = geometry.world_to_grid(self.centre);
         let reach = self.radius.max(geometry.spacing.length());
         let low = geometry.grid_to_index(centre - reach).ceil();
         let high = geometry.grid_to_index(centre + reach).floor();
-        // casts saturate: what lies before the first node gives an empty range, too
+        // casts saturate, so positions before the first node give an empty range too
         let range = move |a: usize| low[a].max(0.0) as usize..((high[a] + 1.0).max(0.0) as usize).min(geometry.size[a]);
         let along = move |j, k| range(0).map(move |i| [i, j, k]);
         let grid = range(2).flat_map(move |k| range(1).flat_map(move |j| along(j, k)));
@@ -211,7 +213,7 @@ mod tests {
         assert!(elsewhere.nodes(&geometry).unwrap_err().what.contains("outside the grid of F"));
     }
 
-    /// A mask on a grid of its own: turned by a quarter about z, finer and shifted.
+    /// A mask on its own grid: rotated by 90 degrees about z, finer and shifted.
     #[test]
     fn a_mask_is_placed_by_its_world_coordinates() {
         let folder = tempfile::tempdir().unwrap();
@@ -237,7 +239,8 @@ mod tests {
             inputs: Vec::new(),
         };
         write_field(&file, FieldKind::Distance, &mask, &serde_json::Value::Null, &history).unwrap();
-        // in the world: x from 12 - 11.5 * 0.4 to 12 - 1.5 * 0.4, y from 3 + 4.5 * 0.4 to 3 + 14.5 * 0.4, z from 5.4 to 7.4
+        // world extent: x from 12 - 11.5 * 0.4 to 12 - 1.5 * 0.4,
+        // y from 3 + 4.5 * 0.4 to 3 + 14.5 * 0.4, z from 5.4 to 7.4
         let (low, high) = (DVec3::new(7.4, 4.8, 5.4), DVec3::new(11.4, 8.8, 7.4));
         let geometry = Geometry::axis_aligned([20, 20, 20], DVec3::ONE);
         let found = Refinement::Mask { file: file.clone(), size: 0.5 }.nodes(&geometry).unwrap();

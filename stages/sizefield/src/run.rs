@@ -24,16 +24,16 @@ use rayon::prelude::*;
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
 
-/// The defaults of one quality.
+/// Default parameters of a quality.
 pub(crate) struct Defaults {
     pub(crate) epsilon: f64,
     pub(crate) delta: f64,
-    /// Smallest h over the mean voxel spacing.
+    /// Minimum h over the mean voxel spacing.
     pub(crate) min_size_voxels: f64,
-    /// Largest h over the diagonal of the object's bounding box.
+    /// Maximum h over the diagonal of the object's bounding box.
     pub(crate) max_size_diagonals: f64,
-    /// Deviation over the mean voxel spacing: 0.1 is also the distance that distfield keeps between the surface of labels and
-    /// the voxel centres, each of which the triangles must pass on its own side.
+    /// Deviation over the mean voxel spacing. 0.1 is also the distance that distfield keeps between
+    /// the surface of labels and the voxel centres, which the triangles must not cross.
     pub(crate) deviation_voxels: f64,
 }
 
@@ -47,7 +47,7 @@ impl Defaults {
             deviation_voxels: 0.1,
         };
         match quality {
-            // the deviation goes with the square of h
+            // the deviation is proportional to h squared
             Quality::Coarse => Self { epsilon: 1.0, max_size_diagonals: 0.2, deviation_voxels: 0.4, ..medium },
             Quality::Medium => medium,
             Quality::Fine => {
@@ -57,10 +57,12 @@ impl Defaults {
     }
 }
 
-/// Medial balls are looked for up to this radius, over the diagonal of the volume; larger features ask for no other h.
+/// Maximum radius of medial balls, over the diagonal of the volume. Larger features do not change
+/// h.
 const LARGEST_FEATURE_DIAGONALS: f64 = 0.25;
 
-/// Target edge length h (mm) over the grid of a distance field, from local feature size and curvature
+/// Computes the target edge length h (mm) on the grid of a distance field, from local feature size
+/// and curvature
 #[derive(Debug, Parser)]
 #[command(
     name = "sizefield",
@@ -72,50 +74,55 @@ pub struct Args {
     /// Distance field, or the indicators of many materials, made by distfield
     #[arg(value_name = "F.vti", help_heading = FILES)]
     pub(crate) input: PathBuf,
-    /// Sizing field to write; a plain image of h in mm that may be edited and used in its place
+    /// Sizing field to write: an image of h in mm, which may be edited or replaced by another image
     #[arg(short, long, value_name = "S.vti", help_heading = FILES)]
     pub(crate) output: PathBuf,
-    /// Sets the defaults of the five options below: coarse has about a quarter of the triangles, fine about three times as many;
-    /// medium is what the data can carry
-    /// [default: medium]
+    /// Set the defaults of the next five options. coarse gives about a quarter of the triangles,
+    /// fine about three times as many; medium matches the resolution of the data [default: medium]
     #[arg(long, value_enum, value_name = "HOW", help_heading = METHOD)]
     pub(crate) quality: Option<Quality>,
     /// Edge length over local feature size, above 0 (the paper's epsilon); smaller is finer
     /// [default: 0.5; coarse 1, fine 0.25]
     #[arg(long, value_name = "RATIO", value_parser = positive, help_heading = METHOD)]
     pub(crate) epsilon: Option<f64>,
-    /// Largest change of h per mm of distance, above 0 (the paper's delta); smaller grades more gently
-    /// [default: 0.4; fine 0.3]
+    /// Maximum change of h per mm of distance, above 0 (the paper's delta); smaller grades more
+    /// gently [default: 0.4; fine 0.3]
     #[arg(long, value_name = "SLOPE", value_parser = positive, help_heading = METHOD)]
     pub(crate) delta: Option<f64>,
-    /// Smallest h, in mm [default: 0.75 of the mean voxel spacing; coarse 1.5, fine 0.5]
+    /// Minimum h, in mm [default: 0.75 of the mean voxel spacing; coarse 1.5, fine 0.5]
     #[arg(long, value_name = "MM", value_parser = positive, help_heading = METHOD)]
     pub(crate) min_size: Option<f64>,
-    /// Largest h at the surface, in mm [default: a tenth of the diagonal of the object's bounding box; coarse 0.2, fine 0.05]
+    /// Maximum h at the surface, in mm [default: 0.1 of the diagonal of the object's bounding box;
+    /// coarse 0.2, fine 0.05]
     #[arg(long, value_name = "MM", value_parser = positive, help_heading = METHOD)]
     pub(crate) max_size: Option<f64>,
-    /// Bound h so that curvature puts no triangle's centre farther than this from the surface, in mm; 0 for no bound
-    /// [default: 0.1 of the mean voxel spacing; coarse 0.4, fine 0.04]
+    /// Maximum distance of a triangle's centre from the surface due to curvature, in mm, which
+    /// bounds h; 0 for no bound [default: 0.1 of the mean voxel spacing; coarse 0.4, fine 0.04]
     #[arg(long, value_name = "MM", value_parser = not_negative, help_heading = METHOD)]
     pub(crate) max_deviation: Option<f64>,
-    /// Multiply what all of the above ask for, before it is graded, above 0; 2 gives about a quarter of the triangles
+    /// Multiply h from all of the above options by this factor, above 0, before it is graded; 2
+    /// gives about a quarter of the triangles
     #[arg(long, value_name = "FACTOR", default_value_t = 1.0, value_parser = positive, help_heading = METHOD)]
     pub(crate) scale: f64,
-    /// Of many materials: this h (mm) on all interfaces of a material, or on that of two, in place of what its shape asks for; the smaller one where two
-    /// meet, graded by delta. May be given several times
+    /// Many materials only: set h (mm) on all interfaces of a material, or on the interface of two,
+    /// instead of h from the shape. Where several apply, the pair comes first, then the smaller h;
+    /// graded by delta. May be given several times
     #[arg(long, value_name = "NAME=H|NAME/NAME=H", help_heading = METHOD)]
     pub(crate) size: Vec<GivenSize>,
-    /// The same h everywhere, in mm, in place of all of the above; of many materials, where no --size is given
+    /// Use the same h everywhere, in mm, instead of all of the above; with many materials, on
+    /// interfaces without a --size
     #[arg(long, value_name = "MM", value_parser = positive, help_heading = METHOD,
         conflicts_with_all = ["quality", "epsilon", "delta", "min_size", "max_size", "max_deviation", "scale"])]
     pub(crate) uniform: Option<f64>,
-    /// Choose h so that the settled surface has about this number of vertices (within 5 %): one h everywhere, or, with any of the options above, what
-    /// they ask for times one factor. With small parts or grading there may be more
+    /// Choose h so that the settled surface has about this number of vertices (within 5 %), 4 or
+    /// more: a constant h or, with any of the options above, their h times one factor. Small parts
+    /// or grading may give more
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(4..), conflicts_with_all = ["uniform", "scale", "size"], help_heading = METHOD)]
     pub(crate) vertices: Option<u64>,
-    /// Make h no larger than H (mm) within RADIUS of a place, or where the voxels of a mask volume (of any geometry) are not zero, or
-    /// no larger than the point array `h` at the points of a .vtp or .vtu file. All in world coordinates, mm; h grows
-    /// from there by delta. May be given several times, and goes below --min-size
+    /// Limit h to H (mm) within RADIUS of a place, or where the voxels of a mask volume (on any
+    /// grid) are not zero, or to the point array `h` at the points of a .vtp or .vtu file. All in
+    /// world coordinates, mm; h grows from there by delta. May be given several times, and may go
+    /// below --min-size
     #[arg(long, value_name = "ball:X,Y,Z,RADIUS=H|mask:FILE=H|points:FILE", help_heading = METHOD, conflicts_with = "uniform")]
     pub(crate) refine: Vec<Refinement>,
     #[command(flatten)]
@@ -166,7 +173,7 @@ impl Args {
         self.quality.unwrap_or(Quality::Medium)
     }
 
-    /// Refuses edge lengths of materials, of which one object has none.
+    /// Rejects `--size` for one object, which has no named materials.
     fn refuse_sizes(&self) -> Result<()> {
         match self.size.first() {
             None => Ok(()),
@@ -178,7 +185,8 @@ impl Args {
         }
     }
 
-    /// What is asked for, by the quality where nothing is given, and the deviation, mm; h is at most `largest` (mm) by default.
+    /// The parameters, with defaults of the quality for options that are not given, and the
+    /// deviation, mm. `largest` (mm) is the default of the maximum h.
     pub(crate) fn parameters_with(&self, voxel: f64, largest: f64, refined: Vec<SizedNode>) -> (Parameters, f64) {
         let defaults = Defaults::of(self.quality());
         let min_size = self.min_size.unwrap_or(defaults.min_size_voxels * voxel);
@@ -196,20 +204,20 @@ impl Args {
         (parameters, deviation)
     }
 
-    /// Whether anything is asked for that makes h differ from place to place.
+    /// Whether any option is given that makes h vary from place to place.
     pub(crate) fn is_graded(&self) -> bool {
         let lengths = [self.epsilon, self.delta, self.min_size, self.max_size, self.max_deviation];
         self.quality.is_some() || lengths.iter().any(Option::is_some) || !self.refine.is_empty()
     }
 
-    /// The one edge length everywhere, if that is what is asked for.
+    /// The constant h if the options select one.
     fn one_size(&self, distance: &Image<f32>, surface: &CubicSpline) -> Option<f64> {
         let for_vertices = |vertices: u64| size_for_vertices(distance, surface, vertices as f64);
         self.uniform.or_else(|| self.vertices.filter(|_| !self.is_graded()).map(for_vertices))
     }
 }
 
-/// Makes the sizing field.
+/// Computes and writes the sizing field.
 pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
     if is_materials(&args.input) {
         return crate::materials::run(args, context);
@@ -227,9 +235,10 @@ pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
     let geometry = &field.image.geometry;
     let largest = LARGEST_FEATURE_DIAGONALS * geometry.upper_corner().length();
     let one_size = args.one_size(&field.image, &surface);
-    // of one size it is only asked where features are smaller; a ball of the axis is empty of surface, so that its centre is nearer than h only where its radius is
+    // a constant h is compared only with smaller features, and the centre of an empty ball is
+    // nearer than h only if its radius is
     let largest = one_size.map_or(largest, |size| largest.min(size));
-    // one size is asked whether it catches the surface as it is, bumps of noise included
+    // for a constant h, the question is whether it resolves the surface as it is, including noise
     let origin: DistanceMeta = meta::typed(&args.input, &field.meta, "distfield")?;
     let is_smooth = origin.source == Some(Source::Labels) || origin.is_scaled();
     let bumps = if one_size.is_some() || is_smooth { Bumps::AreShape } else { Bumps::MayBeNoise };
@@ -273,10 +282,11 @@ pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
     if let Some(told) = too_small_told(&small, components.all().len()) {
         context.warn(told);
     }
-    // one size was chosen by its count
+    // a constant h from --vertices has a known count
     let known = args.vertices.filter(|_| one_size.is_some()).map(|vertices| predicted_for(vertices as f64));
     let step = context.step("predict the count");
-    // triangles pass over what is finer than they are, which a smooth surface has nothing of; a number that is asked for is found by the exact count
+    // the count on triangles ignores details finer than they are, which a smooth surface lacks; a
+    // requested number needs the exact count
     let by_triangles = is_smooth && args.vertices.is_none();
     let counted = || match by_triangles {
         true => sizing.count_on(&features.points, &features.triangles),
@@ -295,7 +305,7 @@ pub fn run(args: &Args, context: &Context) -> Result<Outcome> {
     Ok(Outcome::Passed)
 }
 
-/// The nodes that `--refine` names, and their files among the inputs.
+/// The nodes of all `--refine` options; adds their files to the inputs.
 pub(crate) fn refined_nodes(args: &Args, geometry: &Geometry, context: &Context) -> Result<Vec<SizedNode>> {
     let mut refined = Vec::new();
     for refinement in &args.refine {
@@ -309,7 +319,7 @@ pub(crate) fn refined_nodes(args: &Args, geometry: &Geometry, context: &Context)
     Ok(refined)
 }
 
-/// Fills in what the options leave to the data, and says why.
+/// Fills in parameters that depend on the data, and reports their origin.
 fn resolve(
     args: &Args,
     field: &Field,
@@ -359,7 +369,7 @@ fn resolve(
     Ok(parameters)
 }
 
-/// Refuses a smallest edge length above the largest, mm; `more` is added to what the user can do.
+/// Rejects a minimum edge length above the maximum (mm); `more` is appended to the advice.
 pub(crate) fn check_bounds((min, max): (f64, f64), more: &str) -> Result<()> {
     if min <= max {
         return Ok(());
@@ -377,11 +387,13 @@ fn describe_extent(path: &Path, low: DVec3, high: DVec3) -> String {
     format!("the surface in {} measures {extent} mm", path.display())
 }
 
-/// Slices this much thicker than voxels are wide leave ripple on a clean surface that scatters as noise does.
+/// Ratio of slice thickness to voxel width from which slices leave ripple on a clean surface that
+/// scatters like noise.
 const THICK_SLICES: f64 = 1.5;
 
-/// Says on what share of the surface the features are measured under noise, and how high that stands. The patches cannot tell noise
-/// from the ripple that thick slices leave on a clean surface, so both are named where `spacing` (mm) tells of such.
+/// Message about the share of the surface that is measured under noise, and the height of the
+/// noise. The patches cannot distinguish noise from the ripple of thick slices, so the message
+/// names both if `spacing` (mm) indicates such slices.
 fn noise_told(noise: &[f64], spacing: DVec3) -> Option<String> {
     let found: Vec<f64> = noise.iter().copied().filter(|&noise| noise > 0.0).collect();
     if found.is_empty() {
@@ -401,7 +413,8 @@ fn noise_told(noise: &[f64], spacing: DVec3) -> Option<String> {
     ))
 }
 
-/// Puts figures of the field into the report and the closing table; returns what the file carries.
+/// Writes figures of the field to the report and the closing table; returns the metadata of the
+/// file.
 fn describe(
     features: &Features,
     sizing: &SizingField,
@@ -441,7 +454,7 @@ pub(crate) fn percentiles(values: &mut [f64]) -> Value {
     json!({ "min": at(0), "p1": at(1), "p5": at(5), "median": at(50), "p95": at(95), "max": at(100) })
 }
 
-/// A uniform size may be too coarse for thin parts: says where the worst place is.
+/// Warns if a constant h is too coarse for thin parts, with the place of the minimum feature size.
 fn warn_if_too_coarse(features: &Features, size: f64, context: &Context) {
     let coarse = features.feature_size.iter().filter(|&&lfs| size > lfs).count();
     if coarse == 0 {

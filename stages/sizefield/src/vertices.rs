@@ -1,32 +1,35 @@
-//! `--vertices`: an edge length, or a factor on a graded field, of which the finished surface has a given number of vertices.
+//! `--vertices`: finds the constant h, or the factor on a graded field, for which the finished
+//! surface has a given number of vertices.
 
 use crate::uniform_field;
 use isoparticles_field::sizing::SizingField;
 use isoparticles_field::spline::CubicSpline;
 use isoparticles_volume::Image;
 
-/// Vertices of the finished surface over what the size field predicts: 0.948 to 0.965 on four solid organs of 1,000 to 75,000 vertices, 0.914 to 0.975 on four thin objects, where
-/// chords shorten and refinement adds (docs/developer/scale.md).
+/// Ratio of the vertices of the finished surface to the count that the sizing field predicts.
+/// Measured: 0.948 to 0.965 on four solid organs of 1,000 to 75,000 vertices, 0.914 to 0.975 on
+/// four thin objects, where chords shorten and refinement adds vertices (docs/developer/scale.md).
 const FINISHED_OVER_PREDICTED: f64 = 0.95;
 
-/// Rounds that find the factor: the count goes with the inverse square of it but for the slope of h, which the factor changes, too.
+/// Iterations for the factor of a graded field. The count follows its inverse square except for the
+/// slope of h, which the factor changes too.
 const ROUNDS: usize = 3;
 
-/// The same where one edge length is looked for, and the count does not go with its inverse square alone because of junction curves.
+/// Iterations for a constant h with many materials, where junction curves change the count too.
 const ROUNDS_OF_ONE_SIZE: usize = 6;
 
-/// The edge length, mm, that gives a surface so many vertices.
+/// The constant h, mm, that gives a surface with this number of vertices.
 pub fn size_for_vertices(distance: &Image<f32>, surface: &CubicSpline, vertices: f64) -> f64 {
     let at_one = uniform_field(distance, 1.0).predicted_count(surface);
     (FINISHED_OVER_PREDICTED * at_one / vertices).sqrt()
 }
 
-/// What [`size_for_vertices`] of so many predicts.
+/// The predicted count for [`size_for_vertices`] with this number of vertices.
 pub(crate) fn predicted_for(vertices: f64) -> f64 {
     vertices / FINISHED_OVER_PREDICTED
 }
 
-/// The same with the count that an edge length asks for, which falls with it.
+/// Like [`size_for_vertices`], for a function that gives the count of an edge length.
 pub(crate) fn size_for_count(count: impl Fn(f64) -> f64, vertices: f64) -> f64 {
     let mut size = 1.0;
     for _ in 0..ROUNDS_OF_ONE_SIZE {
@@ -35,12 +38,12 @@ pub(crate) fn size_for_count(count: impl Fn(f64) -> f64, vertices: f64) -> f64 {
     size
 }
 
-/// A size field times the factor that gives the surface so many vertices.
+/// The sizing field times the factor that gives a surface with this number of vertices.
 pub fn scaled_to_vertices(sizing: SizingField, surface: &CubicSpline, vertices: f64) -> SizingField {
     scaled_to_count(sizing, |sizing| sizing.predicted_count(surface), vertices)
 }
 
-/// The same with the count that a size field asks for.
+/// Like [`scaled_to_vertices`], for a function that gives the count of a sizing field.
 pub(crate) fn scaled_to_count(sizing: SizingField, count: impl Fn(&SizingField) -> f64, vertices: f64) -> SizingField {
     let mut factor = 1.0;
     let mut scaled = sizing.clone();

@@ -1,4 +1,4 @@
-//! Local feature size and gradation against analytic truth.
+//! Compares local feature size and gradation with analytic values.
 
 use glam::DVec3;
 use isoparticles_field::spline::CubicSpline;
@@ -33,7 +33,8 @@ fn features_for(purpose: Purpose, image: &Image<f32>) -> Features {
     Features::new(image, &surface, &components, image.geometry.upper_corner().length(), (Bumps::MayBeNoise, purpose))
 }
 
-/// Largest relative error of the local feature size against `truth` (point relative to the volume's centre).
+/// Maximum relative error of the local feature size against `truth` (of the point relative to the
+/// volume's centre).
 fn worst(image: &Image<f32>, found: &Features, truth: impl Fn(DVec3) -> f64) -> f64 {
     let centre = 0.5 * image.geometry.upper_corner();
     assert!(found.points.len() > 1000);
@@ -69,7 +70,7 @@ fn for_one_size_the_feature_sizes_are_the_same_and_areas_nearly_so() {
 #[test]
 fn torus() {
     let image = sampled(56, |p| (p.truncate().length() - 13.0).hypot(p.z) - 5.0);
-    // the tube's centre circle; the hole's axis is 8 away at the nearest
+    // the nearest axis is the tube's centre circle; the axis of the hole is at least 8 away
     let error = worst(&image, &features(&image), |_| 5.0);
     assert!(error < 0.03, "{error}");
 }
@@ -104,7 +105,8 @@ fn slab() {
 
 #[test]
 fn ellipsoid_tip_is_bounded_by_its_curvature() {
-    // distance-like implicit of an ellipsoid with half axes 16, 8, 8: b^2 / a = 4 at the tips
+    // distance-like implicit function of an ellipsoid with half axes 16, 8, 8: b^2 / a = 4 at the
+    // tips
     let image = sampled(56, |p| {
         let (q, r) = (p / DVec3::new(16.0, 8.0, 8.0), p / DVec3::new(256.0, 64.0, 64.0));
         q.length() * (q.length() - 1.0) / r.length().max(1e-3)
@@ -139,7 +141,7 @@ fn the_field_asks_for_epsilon_times_feature_size_and_is_graded() {
     assert!(largest_slope(field.image()) <= 0.3 * 1.01);
 }
 
-/// Largest |grad h| by the upwind differences that the paper's scheme limits.
+/// Maximum |grad h| by the upwind differences that the paper's scheme limits.
 fn largest_slope(h: &Image<f32>) -> f64 {
     let (size, spacing) = (h.geometry.size, h.geometry.spacing);
     let mut largest = 0.0f64;
@@ -157,7 +159,7 @@ fn largest_slope(h: &Image<f32>) -> f64 {
     largest
 }
 
-/// Halving epsilon, or doubling the mesh's fineness by the factor, asks for four times the particles of a smooth organ.
+/// Halving epsilon, or halving the scale, gives four times the particles on a smooth organ.
 #[test]
 fn the_count_goes_with_the_inverse_square_of_epsilon_and_of_the_scale() {
     let image = sampled(56, |p| {
@@ -206,14 +208,16 @@ fn a_region_is_refined_and_h_grows_from_it_by_delta() {
     };
     let field = size_field(&image, &found, &parameters);
     assert!((field.at(pole) / 0.8 - 1.0).abs() < 1e-3, "{}", field.at(pole));
-    // 4 mm beyond the ball, outwards; marching errs towards larger values, and the ball's rim is a staircase
+    // 4 mm beyond the ball, outwards; marching errs towards larger values, and the ball's rim is a
+    // staircase
     let beyond = field.at(pole + DVec3::new(7.0, 0.0, 0.0));
     assert!((beyond / (0.8 + 0.3 * 4.0) - 1.0).abs() < 0.06, "{beyond}");
     let far = field.at(centre - DVec3::new(12.0, 0.0, 0.0));
     assert!((far / 3.0 - 1.0).abs() < 0.03, "{far}");
 }
 
-/// Where all places ask for one size, the nodes round the surface all get one, also those that marching stops before.
+/// With the same size at all samples, all nodes around the surface get it, even those that the
+/// march stops before.
 #[test]
 fn h_is_set_wherever_it_is_read_at_the_surface() {
     for (spacing, delta) in
@@ -225,7 +229,7 @@ fn h_is_set_wherever_it_is_read_at_the_surface() {
         let mut data = Vec::with_capacity(geometry.voxel_count());
         for n in 0..geometry.voxel_count() {
             let at = DVec3::new((n % 30) as f64, (n / 30 % 28) as f64, (n / 840) as f64);
-            // rough, so that samples leave the cell of their triangle when they are moved onto F = 0
+            // rough, so that the projection moves samples out of the cell of their triangle
             let bump = 1.5 * spacing.min_element() * (isoparticles_field::random::uniform(7, 0, n as u64) - 0.5);
             data.push((geometry.index_to_grid(at).distance(centre) - radius + bump) as f32);
         }

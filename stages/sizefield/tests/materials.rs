@@ -1,4 +1,5 @@
-//! h of many materials through the program: one size, sizes by name, and what the shape of layers and balls asks for.
+//! Runs the program with many materials: constant h, sizes by name, and h from the shape of layers
+//! and balls.
 
 use glam::DVec3;
 use isoparticles_field::materials::{
@@ -15,13 +16,13 @@ use std::process::{Command, Output};
 
 const CENTRE: DVec3 = DVec3::new(20.1, 19.8, 20.3);
 
-/// A ball of 8 mm in one of 14 mm; the outside round them.
+/// A ball of radius 8 mm inside one of 14 mm, and the outside.
 fn nested() -> Analytic {
     let shell = maximum(ball(CENTRE, 14.0), negative(ball(CENTRE, 8.0)));
     Analytic::new(vec![negative(ball(CENTRE, 14.0)), shell, ball(CENTRE, 8.0)], 1.0)
 }
 
-/// Two quarters and a half of a ball of 14 mm, which meet along its axis.
+/// Two quarters and a half of a ball of radius 14 mm, which meet along its axis.
 fn wedges() -> Analytic {
     let all = || ball(CENTRE, 14.0);
     let part = |x: DVec3, y: DVec3| maximum(all(), maximum(half_space(CENTRE, x), half_space(CENTRE, y)));
@@ -47,7 +48,7 @@ fn sizefield(arguments: &[&str]) -> Output {
     Command::new(env!("CARGO_BIN_EXE_sizefield")).args(arguments).output().expect("the program runs")
 }
 
-/// h of a file and what it says, with some options.
+/// The sizing field and its metadata for some options.
 fn sized(folder: &Path, analytic: &Analytic, options: &[&str]) -> (SizingField, Value) {
     let at = |name: &str| folder.join(name).to_str().expect("text").to_owned();
     let [input, output] = ["case.materials.vti", "case.sizefield.vti"].map(at);
@@ -58,7 +59,7 @@ fn sized(folder: &Path, analytic: &Analytic, options: &[&str]) -> (SizingField, 
     (SizingField::new(field.image), field.meta)
 }
 
-/// Smallest and largest h on a ball round the centre.
+/// Minimum and maximum h on a sphere around the centre.
 fn on_ball(h: &SizingField, radius: f64) -> (f64, f64) {
     let ways = (0..500).map(|n| {
         let (z, angle) = (1.0 - (f64::from(n) + 0.5) / 250.0, 2.399_963 * f64::from(n));
@@ -77,7 +78,7 @@ fn one_size_is_everywhere_and_the_count_is_that_of_the_areas() {
     let expected = 2.0 / 3f64.sqrt() * area / 2.25;
     assert!((meta["predicted_count"].as_f64().expect("a count") / expected - 1.0).abs() < 0.02, "{meta}");
     assert_eq!(meta["components"], 2);
-    // so many vertices, of which the finished mesh has 0.95 of those predicted
+    // of the predicted count, the finished mesh has 0.95
     let (_, meta) = sized(folder.path(), &nested(), &["--vertices", "1000"]);
     let predicted = meta["predicted_count"].as_f64().expect("a count");
     assert!((0.95 * predicted / 1000.0 - 1.0).abs() < 0.002, "{predicted}");
@@ -90,7 +91,7 @@ fn materials_and_interfaces_are_sized_by_name() {
     let ((low, high), (outer_low, outer_high)) = (on_ball(&h, 8.0), on_ball(&h, 14.0));
     assert!(low > 0.99 && high < 1.3, "{low} {high}");
     assert!(outer_low > 2.5 && outer_high < 3.3, "{outer_low} {outer_high}");
-    // the pair goes before the material
+    // the pair takes precedence over the material
     let (h, _) = sized(folder.path(), &nested(), &["--uniform", "3", "--size", "shell=2", "--size", "core/shell=1.5"]);
     assert!(on_ball(&h, 8.0).1 < 1.9 && on_ball(&h, 14.0).0 > 1.95);
     let run = sizefield(&[

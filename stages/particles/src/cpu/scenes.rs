@@ -1,4 +1,5 @@
-//! Bodies of several materials whose strata are known, with particles on their junctions in closed form and scattered ones on their sheets.
+//! Test bodies of several materials with known strata: particles on their junctions in closed form,
+//! and scattered particles on their interfaces.
 
 use crate::coarse::empty;
 use crate::constants::INITIAL_LAMBDA;
@@ -16,24 +17,25 @@ use std::f64::consts::{PI, TAU};
 /// Centre of every body, mm.
 pub(crate) const CENTRE: DVec3 = DVec3::new(12.1, 11.8, 12.3);
 
-/// Radius of the ball that is cut up, mm.
+/// Radius of the outer ball, mm.
 pub(crate) const RADIUS: f64 = 8.0;
 
-/// Indicators with h, seeds, and what each sheet is like.
+/// Indicators with h, seeds and the expected interfaces.
 pub(crate) struct Body {
     pub indicators: Analytic,
     pub sizing: SizingField,
     pub seeds: OnStrata,
-    /// Each sheet with its area (mm^2) and the length of its border (mm).
+    /// Each interface with its area (mm^2) and the length of its border (mm).
     pub sheets: Vec<(Stratum, f64, f64)>,
 }
 
-/// The stratum of some materials.
+/// The stratum of the given materials.
 pub(crate) fn stratum(ids: &[u16]) -> Stratum {
     Stratum::new(&ids.iter().map(|&id| MaterialId(id)).collect::<Vec<_>>()).expect("two to four materials")
 }
 
-/// A curve by its stratum, length and place at each share of its length, with the particles at its ends.
+/// A junction curve: stratum, length (mm), the indices of the particles at its ends, and its points
+/// by the share of its length.
 struct Curve {
     on: Stratum,
     length: f64,
@@ -42,7 +44,8 @@ struct Curve {
 }
 
 impl Body {
-    /// Puts points and curves first, then `count` particles on the sheets nearest to random places.
+    /// Adds the particles of points and curves first, then projects random points until `count`
+    /// particles lie on interfaces.
     fn new(
         indicators: Analytic,
         h: f64,
@@ -95,7 +98,7 @@ impl Body {
         Self { indicators, sizing, seeds: (set, strata), sheets }
     }
 
-    /// The same indicators as samples on the grid of h.
+    /// The same indicators, sampled on the grid of h.
     pub(crate) fn sampled(&self) -> Materials {
         let geometry = self.sizing.image().geometry.clone();
         let parts = self.indicators.ids().map(|id| {
@@ -106,7 +109,8 @@ impl Body {
         Materials::new(geometry.clone(), parts.collect()).expect("parts of one grid")
     }
 
-    /// Particles that the lattice has on each sheet within its border: by Pick's theorem, half a cell less for each on the border, and one more where there is one.
+    /// Number of particles that the lattice has inside the border of each interface. By Pick's
+    /// theorem, each border particle takes half a cell, and a border adds one.
     pub(crate) fn lattice_counts(&self) -> Vec<(Stratum, f64)> {
         let h = self.sizing.at(CENTRE);
         let count = |area: f64, border: f64| {
@@ -116,7 +120,7 @@ impl Body {
     }
 }
 
-/// A ball of 5 mm in one of [`RADIUS`]: two sheets without junctions.
+/// A ball of radius 5 mm inside one of [`RADIUS`]: two interfaces without junctions.
 pub(crate) fn nested(h: f64, count: usize) -> Body {
     let shell = maximum(ball(CENTRE, RADIUS), negative(ball(CENTRE, 5.0)));
     let indicators = Analytic::new(vec![negative(ball(CENTRE, RADIUS)), shell, ball(CENTRE, 5.0)], 1.0);
@@ -124,9 +128,10 @@ pub(crate) fn nested(h: f64, count: usize) -> Body {
     Body::new(indicators, h, &[], &[], sheets, count)
 }
 
-/// Three sectors of 120 degrees of a ball round an axis along z: the axis and three meridians meet at two poles.
+/// A ball cut into three sectors of 120 degrees around an axis along z. The axis and three
+/// meridians are junction curves that meet at the two poles.
 pub(crate) fn sectors(h: f64, count: usize) -> Body {
-    // of the planes between the sectors
+    // angles of the planes between the sectors
     let turns = [0.1, 1.1, 2.1].map(|n: f64| n / 3.0 * TAU);
     let normal = |turn: f64| DVec3::new(-turn.sin(), turn.cos(), 0.0);
     let sector = |n: usize| {
@@ -159,7 +164,8 @@ pub(crate) fn sectors(h: f64, count: usize) -> Body {
     Body::new(indicators, h, &points, &curves, sheets, count)
 }
 
-/// Four regions of a ball that meet at its centre, each round the direction of a corner of a tetrahedron: one point inside, four on the surface.
+/// A ball cut into four regions that meet at its centre, each around the direction of a
+/// tetrahedron's corner: one junction point inside, four on the surface.
 pub(crate) fn corners(h: f64, count: usize) -> Body {
     let ways = [DVec3::ONE, DVec3::new(1.0, -1.0, -1.0), DVec3::new(-1.0, 1.0, -1.0), DVec3::new(-1.0, -1.0, 1.0)];
     let region = |own: DVec3| {
@@ -169,7 +175,7 @@ pub(crate) fn corners(h: f64, count: usize) -> Body {
     let mut functions = vec![negative(ball(CENTRE, RADIUS))];
     functions.extend(ways.map(region));
     let indicators = Analytic::new(functions, 1.0);
-    // where all regions but one meet, opposite to that one
+    // the ray on which all regions but one meet, opposite to that one
     let ray = |without: usize| -ways[without].normalize();
     let others = |without: &[usize]| (0..4).filter(|n| !without.contains(n)).map(|n| n as u16 + 1).collect::<Vec<_>>();
     let mut points = vec![(stratum(&[1, 2, 3, 4]), CENTRE)];

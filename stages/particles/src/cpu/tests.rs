@@ -1,4 +1,4 @@
-//! Many materials on shapes that are known: who stays where, how many, and what moves them.
+//! Tests with many materials on known shapes: places, counts and forces of the particles.
 
 use super::scenes::{Body, CENTRE, RADIUS, corners, nested, sectors, stratum};
 use super::*;
@@ -19,12 +19,12 @@ fn parameters() -> Parameters {
     Parameters { levels: 1, ..Parameters::default() }
 }
 
-/// How many particles are held.
+/// Number of held particles.
 fn held((_, strata): &OnStrata) -> usize {
     strata.of.iter().filter(|on| on.dimension() < 2).count()
 }
 
-/// How far particle i is from the nearest of those that `count`, in h.
+/// Distance, in h, of particle i to the nearest particle for which `counts` is true.
 fn nearest((set, strata): &OnStrata, i: usize, counts: impl Fn(usize) -> bool) -> f64 {
     let apart = |j: usize| set.positions[i].distance(set.positions[j]) / set.sizes[i].min(set.sizes[j]);
     (0..strata.of.len()).filter(|&j| j != i && counts(j)).map(apart).fold(f64::INFINITY, f64::min)
@@ -73,8 +73,10 @@ fn sheets_are_filled_to_their_borders_and_nobody_crosses_them() {
     }
 }
 
-/// On a plane with a straight border the first rows are those of the lattice: as many in each as on the border, 0.866 h apart. Single particles lie beside it where the lattice has a
-/// defect (2 to 3 % of the first row by more than 0.12 of the way, in half of all runs one), so this is told by runs of several seeds.
+/// On a plane with a straight border, the first rows have as many particles as the border and are
+/// 0.866 h apart. Lattice defects displace single particles: in half of all runs one, and 2 to 3 %
+/// of the first row by more than 0.12 of the row distance. The test therefore averages over several
+/// seeds.
 #[test]
 fn rows_along_a_straight_border_are_those_of_the_lattice() {
     let body = sectors(1.0, 700);
@@ -114,7 +116,7 @@ fn rows_along_a_straight_border_are_those_of_the_lattice() {
     assert!(of_row.iter().all(|count| (count - 10.0).abs() < 0.5), "{of_row:?}");
 }
 
-/// Who repels whom, told pair by pair.
+/// Energy of particle i at `place`, by a direct sum over all particles that interact with it.
 fn energy_of((set, strata): &OnStrata, i: usize, place: DVec3) -> f64 {
     let meets = |j: usize| match strata.of[j].dimension() {
         2 => strata.of[j] == strata.of[i] && set.normals[j].dot(set.normals[i]) > 0.0,
@@ -146,7 +148,7 @@ fn forces_are_differences_of_the_energy_among_those_that_are_held_and_others() {
         for way in [plane.u, plane.v] {
             let step = 1e-6 * way;
             let difference = (energy_of(&body.seeds, i, p + step) - energy_of(&body.seeds, i, p - step)) / 2e-6;
-            // pairs closer than a tenth of h have energies that no difference resolves
+            // pairs closer than a tenth of h have energies that no difference quotient resolves
             if here < 5.0 {
                 assert!((gradient.dot(way) - difference).abs() < 1e-4 * (1.0 + here), "{i}: {gradient} {difference}");
             }
@@ -193,7 +195,7 @@ fn newcomers_keep_their_distance_from_those_that_are_held_and_come_on_every_shee
 fn particles_off_their_sheet_are_removed() {
     let mut body = sectors(1.0, 700);
     let count = body.seeds.1.of.len();
-    // beyond the axis the plane between two sectors runs through the third; and outside of the ball
+    // beyond the axis, where the plane between two sectors lies in the third; and outside the ball
     let on = body.seeds.1.of[count - 1];
     for p in [CENTRE + RADIUS * 1.2 * DVec3::X, CENTRE + RADIUS * 1.2 * DVec3::Y] {
         let (set, strata) = &mut body.seeds;

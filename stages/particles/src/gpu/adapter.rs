@@ -1,19 +1,21 @@
-//! Which adapters there are, choosing one, and opening it with the limits that it has (not wgpu's defaults).
+//! Adapters of this machine: enumeration, selection, and opening with the adapter's own limits (not
+//! wgpu's defaults).
 
 use super::kernels::Kernels;
 use isoparticles_stage::error::{Error, Result};
 use std::fmt;
 use std::sync::{Arc, Mutex, PoisonError};
 
-/// Memory is taken from the driver in blocks that grow from this size (the host's half as large): wgpu's own first blocks are so large
-/// that touching the host's took a tenth of a run.
+/// Sizes of the driver's memory blocks: they grow from 16 to 256 MiB on the device, and from half
+/// of that on the host. With wgpu's default sizes, the first touch of host memory took a tenth of a
+/// run.
 const MEMORY_BLOCKS: wgpu::MemoryHints =
     wgpu::MemoryHints::Manual { suballocated_device_memory_block_size: 16 << 20..256 << 20 };
 
-/// What is known of an adapter before it is opened.
+/// Properties of an adapter that are known before it is opened.
 #[derive(Clone, Debug)]
 pub struct AdapterSummary {
-    /// Name by the driver.
+    /// Name given by the driver.
     pub name: String,
     /// `discrete`, `integrated`, `virtual`, `software` or `other`.
     pub kind: &'static str,
@@ -21,11 +23,11 @@ pub struct AdapterSummary {
     pub backend: String,
     /// Driver and its version.
     pub driver: String,
-    /// Largest buffer, bytes.
+    /// Maximum buffer size, bytes.
     pub largest_buffer: u64,
-    /// Largest part of a buffer that a kernel can see, bytes.
+    /// Maximum size of a binding, bytes.
     pub largest_binding: u64,
-    /// Smallest and largest subgroup, lanes.
+    /// Minimum and maximum subgroup size, lanes.
     pub subgroup: [u32; 2],
 }
 
@@ -45,18 +47,20 @@ impl fmt::Display for AdapterSummary {
     }
 }
 
-/// Which adapter to take.
+/// Criteria for the selection of an adapter.
 #[derive(Clone, Debug, Default)]
 pub struct Choice {
-    /// Part of its name, in any case. Without it a real GPU is taken, a discrete one first; software renderers only by name.
+    /// Part of its name, case-insensitive. Without a name the first real GPU is selected, discrete
+    /// ones first; software renderers are selected only by name.
     pub name: Option<String>,
-    /// Never use subgroup operations (to find out whether a driver has them wrong).
+    /// Never use subgroup operations (to test for faulty drivers).
     pub no_subgroups: bool,
-    /// Lanes that work for one particle where subgroup operations are used: 8, 16 or 32.
+    /// Lanes per particle if subgroup operations are used: 8, 16 or 32.
     pub team: Option<u32>,
-    /// Measure each kernel by timestamp queries.
+    /// Measure each kernel with timestamp queries.
     pub profile: bool,
-    /// Cut fields into slabs no larger than this, bytes, even where a binding could be (tests of the slabs).
+    /// Cut fields into slabs of at most this size, bytes, even if larger bindings are possible (for
+    /// tests).
     pub largest_slab: Option<u64>,
 }
 
@@ -65,22 +69,23 @@ pub struct Gpu {
     pub(crate) device: wgpu::Device,
     pub(crate) queue: wgpu::Queue,
     pub(crate) limits: wgpu::Limits,
-    /// Largest slab of a field, bytes.
+    /// Maximum slab of a field, bytes.
     pub(crate) largest_slab: u64,
-    /// Lanes of a team where subgroup operations are used.
+    /// Lanes of a team if subgroup operations are used.
     pub(crate) subgroup_team: Option<u32>,
     /// Whether timestamp queries are on.
     pub(crate) timestamps: bool,
     summary: AdapterSummary,
-    /// The first error that came outside any call's result.
+    /// The first error that the device reported outside of a call's result.
     failure: Arc<Mutex<Option<String>>>,
-    /// The kernels, compiled once for fields in one slab and once for more.
+    /// The compiled kernels: for one or several slabs, for one object or many materials.
     kernels: Mutex<[Option<Arc<Kernels>>; 4]>,
 }
 
 fn instance() -> wgpu::Instance {
     let mut descriptor = wgpu::InstanceDescriptor::new_without_display_handle();
-    // The dispatches are sized by our own kernels, within the limits; checking them again would cost a pass each.
+    // Validation of indirect dispatches is off: the kernels keep their sizes within the limits, and
+    // each validation would cost an extra pass.
     descriptor.flags = wgpu::InstanceFlags::ALLOW_UNDERLYING_NONCOMPLIANT_ADAPTER;
     wgpu::Instance::new(descriptor)
 }
@@ -105,7 +110,7 @@ fn summary(adapter: &wgpu::Adapter) -> AdapterSummary {
     }
 }
 
-/// The adapters of this machine, in the order in which they are preferred.
+/// The adapters of this machine, in order of preference.
 pub fn adapters() -> Vec<AdapterSummary> {
     found(&instance()).iter().map(summary).collect()
 }
@@ -123,7 +128,8 @@ fn found(instance: &wgpu::Instance) -> Vec<wgpu::Adapter> {
 }
 
 impl Gpu {
-    /// Opens the adapter of choice; exit code 3 when there is none or it cannot be opened.
+    /// Opens the selected adapter. If there is none or it cannot be opened, the error has exit code
+    /// 3.
     pub fn open(choice: &Choice) -> Result<Self> {
         let instance = instance();
         let all = found(&instance);
@@ -204,7 +210,8 @@ impl Gpu {
         })
     }
 
-    /// The kernels for fields in one slab, or in several, of one object or of many materials.
+    /// The kernels for fields in one slab or in several, for one object or many materials; compiled
+    /// on first use.
     pub(super) fn kernels(&self, several: bool, materials: bool) -> Result<Arc<Kernels>> {
         let mut known = self.kernels.lock().unwrap_or_else(PoisonError::into_inner);
         let place = &mut known[usize::from(several) + 2 * usize::from(materials)];
@@ -216,7 +223,7 @@ impl Gpu {
         Ok(kernels)
     }
 
-    /// What is known of the adapter.
+    /// Properties of the adapter.
     pub fn summary(&self) -> &AdapterSummary {
         &self.summary
     }
@@ -226,7 +233,7 @@ impl Gpu {
         self.timestamps
     }
 
-    /// The limits in words, for verbose mode.
+    /// The limits as text, for verbose mode.
     pub fn limits_in_words(&self) -> String {
         format!(
             "limits: {} storage buffers a kernel, {} bytes of workgroup memory, subgroups of {} to {}; sums by {}",
@@ -241,7 +248,7 @@ impl Gpu {
         )
     }
 
-    /// Fails when the device has reported an error since it was opened.
+    /// Returns an error if the device has reported one since it was opened.
     pub(crate) fn check(&self) -> Result<()> {
         match &*self.failure.lock().unwrap_or_else(PoisonError::into_inner) {
             Some(text) => Err(self.failed(text)),
@@ -249,19 +256,19 @@ impl Gpu {
         }
     }
 
-    /// Waits for the device to finish what it was given.
+    /// Waits until the device has finished all submissions.
     pub(crate) fn wait(&self) -> Result<()> {
         self.wait_for(None)
     }
 
-    /// Waits for the device to finish a submission, or all that it was given.
+    /// Waits until the device has finished a submission, or all if `None`.
     pub(crate) fn wait_for(&self, submission: Option<&wgpu::SubmissionIndex>) -> Result<()> {
         let until = wgpu::PollType::Wait { submission_index: submission.cloned(), timeout: None };
         self.device.poll(until).map_err(|error| self.failed(&error.to_string()))?;
         self.check()
     }
 
-    /// The error for a device that failed.
+    /// The error for a failure of the device.
     pub(crate) fn failed(&self, what: &str) -> Error {
         Error::gpu(
             format!("{}: {what}", self.summary.name),

@@ -1,5 +1,6 @@
-//! The commands of one pass, encoded into one command buffer, with a timestamp around each kernel when profiling. Encoding
-//! takes the host as long as a small pass takes the device, so the next pass is encoded while the device works on this one.
+//! Encodes the commands of one pass into one command buffer, with a timestamp before and after each
+//! kernel when profiling. Encoding takes the host as long as a small pass takes the device, so the
+//! next pass is encoded while the device works.
 
 use super::adapter::Gpu;
 use super::kernels::Kernels;
@@ -7,14 +8,15 @@ use super::memory::{read_staging, staging};
 use isoparticles_stage::error::Result;
 use std::collections::BTreeMap;
 
-/// Workgroups along the first axis of a dispatch, the most that every adapter takes; the rest goes along the second.
+/// Workgroups along the first axis of a dispatch: the maximum that every adapter supports. Further
+/// ones go along the second axis.
 pub(crate) const ROW: u32 = 65_535;
 
-/// One step on the device.
+/// One command of a pass.
 pub(crate) enum Command<'a> {
-    /// Runs a kernel over so many workgroups.
+    /// Runs a kernel over the given number of workgroups.
     Run { kernel: &'static str, group: &'a wgpu::BindGroup, workgroups: u32 },
-    /// Runs a kernel over as many workgroups as the device has put into a buffer.
+    /// Runs a kernel over the number of workgroups that a buffer on the device holds.
     RunIndirect { kernel: &'static str, group: &'a wgpu::BindGroup, arguments: &'a wgpu::Buffer, offset: u64 },
     /// Copies the first bytes of one buffer to another.
     Copy { from: &'a wgpu::Buffer, to: &'a wgpu::Buffer, bytes: u64 },
@@ -31,18 +33,18 @@ impl Command<'_> {
     }
 }
 
-/// Time and runs by kernel.
+/// Time and number of dispatches of each kernel.
 #[derive(Default)]
 pub(crate) struct Profile {
     queries: Option<(wgpu::QuerySet, wgpu::Buffer, wgpu::Buffer)>,
-    /// Seconds and dispatches by kernel.
+    /// Seconds and dispatches of each kernel.
     pub times: BTreeMap<&'static str, (f64, u64)>,
 }
 
-/// Dispatches that one profiled pass may have.
+/// Maximum number of dispatches with timestamps in one pass; further ones are not measured.
 const MOST_QUERIES: u32 = 512;
 
-/// Commands that can be submitted, once.
+/// Commands that can be submitted once.
 pub(crate) struct Encoded {
     buffer: wgpu::CommandBuffer,
     /// The kernels that have timestamps, in order.
@@ -83,7 +85,7 @@ pub(crate) fn encode(gpu: &Gpu, kernels: &Kernels, commands: &[Command<'_>], pro
                 let Some(kernel) = command.kernel() else { continue };
                 let timestamp_writes =
                     profile.queries.as_ref().filter(|_| timed.len() < MOST_QUERIES as usize).map(|q| {
-                        // a pass for each, so that its two stamps are its own
+                        // a separate compute pass, because timestamps belong to passes
                         pass = None;
                         let at = 2 * timed.len() as u32;
                         timed.push(kernel);
@@ -121,13 +123,14 @@ pub(crate) fn encode(gpu: &Gpu, kernels: &Kernels, commands: &[Command<'_>], pro
     Encoded { buffer: encoder.finish(), timed }
 }
 
-/// Hands encoded commands to the device; returns what can be waited for, and the kernels whose timestamps [`Profile::collect`] will find.
+/// Submits encoded commands. Returns the submission to wait for, and the kernels whose timestamps
+/// [`Profile::collect`] reads.
 pub(crate) fn submit(gpu: &Gpu, encoded: Encoded) -> (wgpu::SubmissionIndex, Vec<&'static str>) {
     (gpu.queue.submit([encoded.buffer]), encoded.timed)
 }
 
 impl Profile {
-    /// Waits for the device and adds up the timestamps of what was submitted last.
+    /// Waits for the device and adds the timestamps of the last submission.
     pub(crate) fn collect(&mut self, gpu: &Gpu, timed: &[&'static str]) -> Result<()> {
         let Some((_, _, host)) = &self.queries else { return Ok(()) };
         let stamps: Vec<u64> = read_staging(gpu, host, 16 * timed.len() as u64, None)?;

@@ -1,5 +1,6 @@
-//! Constants of the kernels. They stand once, in Rust: every kernel's text begins with a declaration of each under its Rust name, made
-//! here from its value. A second copy in a `.wgsl` file would be a redefinition, which naga refuses.
+//! Constants of the kernels, defined once in Rust. The text of every kernel begins with their
+//! declarations, under their Rust names. A second definition in a `.wgsl` file is a redefinition
+//! error in naga.
 
 use super::commands::ROW;
 use super::differences::{INDEX_BRICKS, MORE_SHEETS, NEVER_REAL};
@@ -13,26 +14,28 @@ use isoparticles_field::energy::{LEAST_SCALED_DISTANCE, SUPPORT};
 use isoparticles_field::spline::{LEAST_SQUARED_GRADIENT, PROJECTION_STEPS};
 use std::f64::consts::{FRAC_PI_2, TAU};
 
-/// Invocations in a workgroup of a kernel that looks at neighbours, one a particle.
+/// Workgroup size of kernels with one invocation per particle that read neighbours.
 pub(crate) const NARROW: u32 = 64;
-/// Invocations in a workgroup of a kernel that shares a sum.
+/// Workgroup size of kernels with workgroup-wide sums.
 pub(crate) const WIDE: u32 = 256;
-/// Numbers that an invocation of a prefix sum or of the totals takes.
+/// Numbers per invocation of a prefix sum or of the totals.
 pub(crate) const EACH: u32 = 8;
-/// Numbers that a workgroup of these takes.
+/// Numbers per workgroup of a prefix sum or of the totals.
 pub(crate) const BLOCK: u32 = WIDE * EACH;
 
-/// Classes of particles that may move together: the bits of a word.
+/// Maximum number of classes: one for each bit of a word.
 pub(crate) const CLASSES: u32 = 32;
-/// The class of a particle that has none.
+/// Class of a particle that has none.
 pub(crate) const UNCLASSED: u32 = u32::MAX;
 
-/// Every so manieth bin along each axis has one colour, so that two bins lie between two of a colour and the 27 bins round one share none with the 27 round the
-/// other. What a bin's particles may touch must lie in those 27: see [`BIN_REACH`].
+/// Bins of one colour are this far apart along each axis, so two other bins lie between them. The
+/// 27 bins around one and the 27 around the other are then disjoint. All that the particles of a
+/// bin read or write must lie in these 27 bins; see [`BIN_REACH`].
 pub(crate) const COLOUR_STRIDE: u32 = 3;
 
-/// Least edge of a bin, in the largest h of its level: the reach of the lists. So all that is in the lists of a bin's particles is in that bin and the next ones, and two bins of a colour
-/// touch no common particle. (In print the edge is max(h), from which interactions reach on into the bin after the next.)
+/// Minimum edge of a bin, in the largest h of its level: the reach of the neighbour lists. The list
+/// members of a bin's particles are then in that bin and the adjacent ones. In the paper the edge
+/// is max(h), so interactions reach two bins away.
 pub(crate) const BIN_REACH: f64 = SUPPORT * (1.0 + SKIN);
 
 const _: () = assert!(
@@ -40,63 +43,69 @@ const _: () = assert!(
     "a particle could go in a pass to where it interacts with those beyond the next bin"
 );
 
-/// In the word `outcome` of a particle, beside the number of steps tried: that one was taken.
+/// Flag in the word `outcome` of a particle: it took a step. The low bits hold the number of steps
+/// tried.
 const STEP_TAKEN: u32 = 1 << 31;
-/// In the same word: that the particle is a lattice defect.
+/// Flag in the same word: the particle is a lattice defect.
 const LATTICE_DEFECT: u32 = 1 << 30;
 
-/// In place of the power of ten of its damping, of a particle that is held: larger than any.
+/// Damping code of a held particle (see `shaders/shared/carried_materials.wgsl`); larger than all
+/// powers of ten in use.
 pub(crate) const HELD_CODE: u32 = 15;
 
-/// In place of the number of a brick: none is open.
+/// Brick number if no brick is open.
 const NO_BRICK: u32 = u32::MAX;
 
-/// Of the third materials at a place on a sheet: none is as near as the two.
+/// Result of the checks of third materials: none is as close as the two of the interface.
 const CHECKS_PASS: u32 = 0;
-/// One is.
+/// Result of the checks: a third material is as close.
 const CHECKS_FAIL: u32 = 1;
-/// One is to be looked at.
+/// Result of the checks: one more must be evaluated.
 const CHECKS_GO_ON: u32 = 2;
 
-/// A particle rests when its step promises to lower its energy by less than this share: f32 could not tell.
+/// A particle does not move if its step would lower the energy by less than this share, which is
+/// near the resolution of f32.
 const REST: f64 = 1e-6;
-/// Gap between the eigenvalues of a Hessian below which they count as equal, as a share of their mean: f32 has no direction for it.
+/// Two eigenvalues of a Hessian count as equal if their gap is below this share of their mean: f32
+/// does not resolve their directions.
 const EQUAL_EIGENVALUES: f64 = 1e-6;
 
-/// The words that the host reads after a pass: energy, bits of an f32.
+/// Index of a word that the host reads after a pass: energy, bits of an f32.
 pub(crate) const WORD_ENERGY: usize = 0;
-/// Particles that took a step.
+/// Word: particles that took a step.
 pub(crate) const WORD_MOVED: usize = 1;
-/// Steps tried.
+/// Word: steps tried.
 pub(crate) const WORD_TRIES: usize = 2;
-/// Longest way since the lists were made over h, bits of an f32.
+/// Word: maximum move since the lists were made, in h, bits of an f32.
 pub(crate) const WORD_LONGEST_WAY: usize = 3;
-/// Members of all lists.
+/// Word: members of all lists.
 pub(crate) const WORD_LISTED: usize = 4;
-/// Particles after density control.
+/// Word: particles after density control.
 pub(crate) const WORD_COUNT: usize = 5;
-/// Particles kept of the old ones.
+/// Word: particles that density control kept.
 pub(crate) const WORD_KEPT: usize = 6;
-/// Lattice defects.
+/// Word: lattice defects.
 pub(crate) const WORD_DEFECTS: usize = 7;
-/// Members of the longest list.
+/// Word: members of the longest list.
 pub(crate) const WORD_LONGEST_LIST: usize = 8;
-/// One more than the number of the last class that has particles.
+/// Word: one more than the number of the last class with particles.
 pub(crate) const WORD_CLASSES: usize = 9;
-/// How many words there are.
+/// Number of words.
 pub(crate) const WORDS: usize = 10;
 
-/// In place of the number of a pass's particles: as many as the pass before has left, which the host does not know yet.
+/// Particle count of a pass that is not known to the host yet: as many as the previous pass left.
 pub(crate) const AS_LEFT: u32 = u32::MAX;
 
-/// Particles whose neighbour lists lie side by side: as many as work together on most adapters.
+/// Particles whose neighbour lists are interleaved: the subgroup size of most adapters.
 pub(crate) const LIST_TILE: u32 = 32;
 
-/// Members that each neighbour list has room for at first. Those of a lattice have 18 (its first three rings are nearer than `SUPPORT (1 + SKIN)`), and none of the seeds of
-/// `make bench-gpu` has more than this. Crowds, and particles at junctions of many sheets, have: then all get more room and the pass is done again.
+/// Initial room of each neighbour list. In the lattice a list has 18 members (three rings are
+/// within `SUPPORT (1 + SKIN)`), and none of the seeds of `make bench-gpu` has more than 32. If a
+/// list is longer (crowds, junctions of many interfaces), all lists get more room and the pass is
+/// repeated.
 pub(crate) const FIRST_LIST_ROOM: u32 = 32;
 
-/// Value of a constant, of the type that it has in WGSL.
+/// Value of a constant, with its WGSL type.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) enum Value {
     Real(f32),
@@ -173,7 +182,7 @@ pub(crate) fn constants(variant: Variant) -> Vec<(&'static str, Value)> {
     all
 }
 
-/// Their declarations in WGSL, one a line.
+/// Their declarations in WGSL, one per line.
 pub(crate) fn declarations(variant: Variant) -> String {
     constants(variant)
         .iter()

@@ -1,53 +1,62 @@
-//! What the device knows of many materials: not their indicators, but half the difference G = (F_high - F_low) / 2 of every two materials whose sheet has particles, where
-//! both are known, and where a third material may be as near as the two, half the difference from that.
+//! Data of many materials on the device: half differences of indicators, G = (F_high - F_low) / 2.
+//! They are stored for every two materials whose interface has particles, where both are known.
+//! Where a third material may be as close, its difference from the higher material is stored too.
 //!
-//! So a particle reads one coefficient a node as that of one object does, and finds where they lie by two looks into the index, which hold as long as it stays in
-//! its brick of 4 x 4 x 4 cells: first the brick's entry, then a record, which names the eight blocks of coefficients that the brick reads. Of most cells
-//! the record knows that the sheet is real all over them. Blocks hold each coefficient once; the two indicators of a sheet would take twice as much.
+//! A particle thus reads one coefficient per node, as with one object. Two look-ups find the
+//! coefficients: the brick's entry, then a record with the eight blocks of coefficients that the
+//! brick reads. They stay valid within the brick of 4 x 4 x 4 cells. For most cells the record
+//! states that the interface is real everywhere. The two indicators of an interface would need
+//! twice the memory.
 //!
-//! The index is made of fours of words:
+//! The index consists of groups of four words:
 //!
-//! - at 0: where the strata begin, and three words of no use;
-//! - from [`INDEX_BRICKS`] on for each brick of the grid, x fastest, its entry: twice the number of a sheet or [`NO_SHEET`] and the place of its record, the sheet that is likeliest
-//!   to be met there first; in place of the second [`MORE_SHEETS`] and the place of a further entry where there are more than two;
-//! - those further entries;
-//! - records, four fours each: the blocks, x fastest; then of the brick's 64 cells those where both are known and those where a third material may be as near (two words of
-//!   bits each); place of the first check, how many there are or [`NEVER_REAL`], and two words of no use;
-//! - checks: place of the record of the difference between a third material and the higher of the two (it is positive where the sheet is real), whether that
-//!   difference is the negative of what is held, and the cells where the third may be as near; where it is not known in one of these, that lies inside it;
-//! - strata: the four materials of each, 65535 behind the last.
+//! - group 0: index of the first stratum, and three unused words;
+//! - from [`INDEX_BRICKS`], one entry for each brick of the grid, x fastest. It holds two pairs of
+//!   the number of an interface (or [`NO_SHEET`]) and the index of its record, the most likely one
+//!   first. If there are more than two, the second pair is [`MORE_SHEETS`] and the index of the
+//!   next entry;
+//! - the further entries;
+//! - records of four groups each. Groups 0 and 1: the blocks, x fastest. Group 2: bit masks of the
+//!   brick's 64 cells, where both materials are known and where a third material may be as close
+//!   (two words each). Group 3: index of the first check, number of checks or [`NEVER_REAL`], and
+//!   two unused words;
+//! - checks: index of the record of the difference between a third material and the higher of the
+//!   two (positive where the interface is real); whether the stored difference has the opposite
+//!   sign; mask of the cells where the third material may be as close. A cell of the mask where the
+//!   third is not known lies inside it;
+//! - strata: the four materials of each, padded with 65535.
 
 use isoparticles_field::materials::{BLOCK, CELLS, Indicator, Indicators, MaterialId, Materials, ON_SHEET, Stratum};
 use rayon::prelude::*;
 
-/// Where the first entries of the bricks begin.
+/// Index of the first brick entry.
 pub(crate) const INDEX_BRICKS: usize = 1;
-/// In place of the number of a sheet: there is none.
+/// Marks an empty slot of an entry.
 const NO_SHEET: u32 = u32::MAX;
-/// In place of the number of a sheet: there are more in another entry.
+/// Marks the link to the next entry.
 pub(crate) const MORE_SHEETS: u32 = u32::MAX - 1;
-/// In place of the number of checks: another material fills the brick, so no sheet is real in it.
+/// Number of checks if another material fills the brick, so that no interface is real in it.
 pub(crate) const NEVER_REAL: u32 = u32::MAX;
 
-/// In place of a material that fills a brick where none does, and behind the last material of a stratum.
+/// Fill of a brick that no material fills, and padding of strata.
 const NO_MATERIAL: u16 = u16::MAX;
 
 /// Nodes that the cells of a brick read along each axis.
 const NODES: usize = CELLS + 3;
 
-/// Coefficients and the index that finds them.
+/// Coefficients, and the index that locates them.
 pub(super) struct Differences {
     pub coefficients: Vec<f32>,
     pub index: Vec<[u32; 4]>,
 }
 
-/// Two materials in a brick in which both are known.
+/// Two materials in a brick where both are known.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 struct Pair {
     low: u16,
     high: u16,
     brick: u32,
-    /// Numbers of the brick among those of the two.
+    /// Numbers of the brick among the bricks of each material.
     numbers: [u32; 2],
 }
 
@@ -62,24 +71,25 @@ impl Pair {
     }
 }
 
-/// A third material in a brick of a sheet.
+/// A third material in a brick of an interface.
 struct Check {
     pair: Pair,
     is_negative: bool,
-    /// One bit for each cell where it may be as near as the two.
+    /// One bit for each cell in which it may be as close as the two.
     near: u64,
 }
 
-/// What is to be known of a sheet in a brick.
+/// An interface in a brick.
 struct Entry {
     sheet: u32,
     pair: Pair,
-    /// `None`: no sheet is real in the brick.
+    /// `None`: the interface is nowhere real in the brick.
     checks: Option<Vec<Check>>,
 }
 
 impl Differences {
-    /// Of particles on these strata, of which the first are as many sheets, ascending.
+    /// For particles on these strata; the first `sheets` of them are interfaces, in ascending
+    /// order.
     pub(super) fn new(materials: &Materials, strata: &[Stratum], sheets: usize) -> Self {
         let bricks = materials.fill().len();
         let entries: Vec<Entry> = (0..bricks)
@@ -92,11 +102,11 @@ impl Differences {
         pairs.dedup();
         let (coefficients, blocks) = coefficients(materials, &pairs);
 
-        // in the order in which the head of this file has the parts
+        // in the order of the layout in the module comment
         let mut index = vec![[0; 4]; INDEX_BRICKS];
         index.resize(INDEX_BRICKS + bricks, [NO_SHEET, 0, NO_SHEET, 0]);
         let of_bricks = || entries.chunk_by(|a, b| a.pair.brick == b.pair.brick);
-        // an entry names two sheets, or one and where the next entry is
+        // an entry names two interfaces, or one and the next entry
         let further: usize = of_bricks().map(|sheets| sheets.len().saturating_sub(2)).sum();
         let first_record = index.len() + further;
         let record_of = |pair: &Pair| {
@@ -139,7 +149,7 @@ impl Differences {
     }
 }
 
-/// The sheets whose two materials are known in a brick, that which is likeliest to be met there first.
+/// The interfaces whose two materials are both known in a brick, the most likely one first.
 fn entries_of(materials: &Materials, sheets: &[Stratum], brick: usize) -> Vec<Entry> {
     let known = materials.known_in(brick);
     let mut entries = Vec::new();
@@ -161,7 +171,7 @@ fn entries_of(materials: &Materials, sheets: &[Stratum], brick: usize) -> Vec<En
             entries.push(Entry { sheet: sheet as u32, pair, checks });
         }
     }
-    // the sheet of the two smallest in the middle
+    // sort key: the larger of the two indicators in the middle of the brick
     let farther = |entry: &Entry| {
         let [low, high] = entry.pair.indicators(materials);
         let [a, b] = entry.pair.numbers.map(|number| number as usize);
@@ -171,8 +181,9 @@ fn entries_of(materials: &Materials, sheets: &[Stratum], brick: usize) -> Vec<En
     entries
 }
 
-/// One bit for each cell of a brick in which a third material may be as near as the two of a sheet are on it. Elsewhere it is not: a spline is nowhere below the least of
-/// its coefficients, here of the third's indicator less the mean of the two, which on the sheet is either of them.
+/// One bit for each cell of a brick in which a third material may be as close as the two of an
+/// interface. A spline is nowhere below the minimum of its coefficients. The test uses those of the
+/// third indicator minus the mean of the two, which on the interface equals each of them.
 fn near_cells(materials: &Materials, pair: &Pair, (third, number): (MaterialId, usize)) -> u64 {
     let indicator = &materials.indicators()[usize::from(third.0)];
     let [low, high] = pair.indicators(materials);
@@ -183,7 +194,8 @@ fn near_cells(materials: &Materials, pair: &Pair, (third, number): (MaterialId, 
             coefficient(indicator, number, node) - 0.5 * (coefficient(low, a, node) + coefficient(high, b, node))
         })
         .collect();
-    // over the four nodes that a cell reads along x, then y, then z, each of which becomes the slowest axis
+    // minimum over the four nodes that a cell reads, along x, y and z in turn; each pass makes its
+    // axis the slowest
     for _ in 0..3 {
         let rows = least.len() / NODES;
         least = (0..CELLS * rows)
@@ -200,14 +212,15 @@ fn near_cells(materials: &Materials, pair: &Pair, (third, number): (MaterialId, 
     known_cells(materials, pair) & (bits & within | beyond)
 }
 
-/// The coefficient of an indicator at a node of a brick, of those that its cells read.
+/// Coefficient of an indicator at a node that the cells of a brick read.
 fn coefficient(indicator: &Indicator, brick: usize, node: [usize; 3]) -> f32 {
     let [x, y, z] = node.map(|n| (n / CELLS, n % CELLS));
     let block = indicator.blocks()[brick][4 * z.0 + 2 * y.0 + x.0] as usize;
     indicator.coefficients()[BLOCK * block + (z.1 * CELLS + y.1) * CELLS + x.1]
 }
 
-/// One bit for each cell of a brick, x fastest, all that it reads of an indicator lies in whose box.
+/// One bit for each cell of a brick, x fastest: whether all nodes that it reads lie in the box of
+/// the indicator.
 fn cells_within(materials: &Materials, indicator: &Indicator, brick: u32) -> u64 {
     let size = materials.geometry().size;
     let [bx, by, _] = isoparticles_field::materials::bricks_along(size);
@@ -219,17 +232,19 @@ fn cells_within(materials: &Materials, indicator: &Indicator, brick: u32) -> u64
     })
 }
 
-/// One bit for each cell of a brick where both materials are known.
+/// One bit for each cell of a brick in which both materials are known.
 fn known_cells(materials: &Materials, pair: &Pair) -> u64 {
     pair.indicators(materials)
         .iter()
         .fold(u64::MAX, |bits, indicator| bits & cells_within(materials, indicator, pair.brick))
 }
 
-/// Of two materials: the blocks of either that each block of their difference comes from, and the numbers of the blocks that each brick reads.
+/// For two materials: the two source blocks of each block of their difference, and the blocks that
+/// each brick reads.
 type Part = (Vec<[u32; 2]>, Vec<[u32; 8]>);
 
-/// The coefficients of the differences in blocks, and those that each pair reads; `pairs` ascend.
+/// The coefficients of the differences in blocks, and the eight blocks that each pair reads.
+/// `pairs` must be sorted.
 fn coefficients(materials: &Materials, pairs: &[Pair]) -> (Vec<f32>, Vec<[u32; 8]>) {
     let runs: Vec<&[Pair]> = pairs.chunk_by(|a, b| (a.low, a.high) == (b.low, b.high)).collect();
     let parts: Vec<Part> = runs
@@ -279,7 +294,7 @@ fn words_of(cells: u64) -> [u32; 2] {
     [cells as u32, (cells >> 32) as u32]
 }
 
-/// The materials of a stratum; 65535 behind the last.
+/// The materials of a stratum, padded with 65535.
 fn materials_of(stratum: &Stratum) -> [u32; 4] {
     let mut ids = [u32::from(NO_MATERIAL); 4];
     ids.iter_mut().zip(stratum.materials()).for_each(|(to, id)| *to = u32::from(id.0));

@@ -1,12 +1,14 @@
-//! A Vulkan layer of Mesa (device_select) asks the display which adapter drives it, and its Wayland library complains on stderr where
-//! there is none (`error: XDG_RUNTIME_DIR is invalid or not set`), as on every server. Nothing here needs a display, or an
-//! order of adapters that comes from one.
+//! Avoids an error message of Mesa's Vulkan layer device_select. The layer queries the display for
+//! the adapter that drives it. Without a display, as on servers, its Wayland library prints
+//! `error: XDG_RUNTIME_DIR is invalid or not set` on stderr. The adapter order of this program does
+//! not depend on a display.
 
-/// Where no Wayland display can be, starts this program anew without that layer, in the same process and with the same arguments: its
-/// own switch is a variable of the environment, which a running process may not set for itself.
+/// If there is no Wayland display, restarts this program in the same process, with the same
+/// arguments and without that layer. The layer is switched off by an environment variable, which a
+/// running process cannot safely set for itself.
 ///
-/// Nothing happens where the user steers the layer (`MESA_VK_DEVICE_SELECT`, `NODEVICE_SELECT`), or where the program cannot be
-/// started anew: the complaint does no harm.
+/// Does nothing if the user controls the layer (`MESA_VK_DEVICE_SELECT`, `NODEVICE_SELECT`) or if
+/// the restart fails; the message is harmless.
 pub fn leave_alone() {
     #[cfg(target_os = "linux")]
     {
@@ -20,12 +22,12 @@ pub fn leave_alone() {
         if let Ok(program) = std::env::current_exe() {
             let mut arguments = std::env::args_os();
             let name = arguments.next().unwrap_or_else(|| program.clone().into_os_string());
-            // Only comes back when it fails.
+            // Returns only if it fails.
             let _ = std::process::Command::new(program).arg0(name).args(arguments).env(SWITCH, "1").exec();
         }
     }
 }
 
-/// Switches the layer off; it says so in its own description (`disable_environment`).
+/// Variable that switches the layer off (`disable_environment` in the layer's manifest).
 #[cfg(target_os = "linux")]
 const SWITCH: &str = "NODEVICE_SELECT";

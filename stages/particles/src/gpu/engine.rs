@@ -1,8 +1,9 @@
-//! The particles on the device, and their way there and back.
+//! The particles on the device, and their transfer to it and back.
 //!
-//! Between passes the state is in one of two places. In the *sorted* buffers (`place`, `normal`) particles lie bin by bin, the
-//! neighbour lists and classes point into them, and movement changes them in place. Density control writes its result
-//! into one of two sets of *listed* buffers, from which the next pass sorts again (`passes.rs`).
+//! Between passes the state is in one of two places. In the *sorted* buffers (`place`, `normal`)
+//! the particles are in the order of the bins. Neighbour lists and classes refer to these, and
+//! movement changes them in place. Density control writes its result to one of two sets of *listed*
+//! buffers, from which the next pass sorts again (`passes.rs`).
 
 use super::adapter::Gpu;
 use super::commands::Profile;
@@ -27,58 +28,59 @@ use std::collections::HashMap;
 use std::sync::Arc;
 use std::time::Instant;
 
-/// Moves the particles on a GPU.
+/// Engine that moves the particles on a GPU.
 pub struct GpuEngine<'a> {
     pub(super) gpu: &'a Gpu,
     pub(super) kernels: Arc<Kernels>,
     pub(super) memory: Memory,
-    /// By label, round and the first of the other buffers.
+    /// Bind groups by label, round and the first alias.
     pub(super) groups: HashMap<(&'static str, u32, &'static str), wgpu::BindGroup>,
-    /// Where the host reads the words of a pass, by the set that it began from.
+    /// Staging buffers for the words of a pass, by the set of listed buffers that it began from.
     pub(super) words: [wgpu::Buffer; 2],
     pub(super) geometry: Geometry,
     pub(super) carried: Carried,
-    /// The strata of the particles as they came back last.
+    /// The strata of the particles at the last readback.
     pub(super) strata: Vec<Stratum>,
     pub(super) settling: Parameters,
     pub(super) levels: Levels,
     slab_length: u32,
     pub(super) count: u32,
-    /// Particles that there is room for.
+    /// Particles that the buffers have room for.
     pub(super) rows: u32,
     /// Members that each list has room for.
     pub(super) list_room: u32,
     /// Whether the state is in the listed buffers.
     pub(super) listed: bool,
-    /// In which set of them it is, or was last.
+    /// The set of listed buffers that holds the state, or held it last.
     pub(super) set: usize,
     /// Whether a particle has moved too far for the lists.
     pub(super) stale: bool,
-    /// Classes that passes are made for: a few more than were in use, since each costs a dispatch.
+    /// Classes that passes dispatch: a few more than were in use, since each costs a dispatch.
     pub(super) classes: u32,
-    /// By how much the number of particles changed in the last pass.
+    /// Change of the number of particles in the last pass.
     pub(super) changed: u32,
     /// No pass after this one controls the density.
     pub(super) last_control: u64,
     pub(super) profile: Profile,
-    /// Commands for the next pass.
+    /// Commands encoded for the next pass.
     pub(super) ahead: Option<Ahead>,
-    /// The next pass, handed over before its turn.
+    /// The next pass, if it was submitted early.
     pub(super) flight: Option<Flight>,
     started: Instant,
-    /// Seconds so far; what has no place of its own stays zero until [`GpuEngine::report`].
+    /// Times so far; [`GpuEngine::report`] fills in the other fields.
     pub(super) spent: DeviceReport,
 }
 
 impl<'a> GpuEngine<'a> {
-    /// Puts fields and particles onto the device.
+    /// Uploads fields and particles.
     pub fn new(gpu: &'a Gpu, fields: &Fields, set: &ParticleSet, settling: &Parameters) -> Result<Self> {
         let levels = Levels::new(fields, settling.binning == Binning::Graded);
         let ground = Ground::object(fields.surface);
         Self::over(gpu, &ground, (fields.sizing, levels), (set, &[]), Carried::default(), settling)
     }
 
-    /// Puts the differences of many materials, h and particles with their strata, those that are held first, onto the device.
+    /// Uploads the differences of many materials, h, and particles with their strata. Held
+    /// particles must come first.
     pub(crate) fn of_materials(
         gpu: &'a Gpu,
         (materials, sizing): (&Materials, &SizingField),
@@ -195,8 +197,9 @@ impl<'a> GpuEngine<'a> {
         Ok(())
     }
 
-    /// Makes every buffer that holds something by particle. The listed ones have room for twice as many: a pass adds at most one newcomer for each
-    /// particle, so density control can never run over.
+    /// Creates all buffers with an entry per particle. The listed buffers have room for twice as
+    /// many: a pass adds at most one newcomer per particle, so density control cannot overflow
+    /// them.
     fn make_room(&mut self, rows: u32) -> Result<()> {
         let none = wgpu::BufferUsages::empty();
         for name in ["place", "normal", "place_at_listing", "newcomer_place", "newcomer_normal"] {
@@ -231,9 +234,10 @@ impl<'a> GpuEngine<'a> {
         self.make_lists(self.list_room)
     }
 
-    /// Makes the neighbour lists with room for so many members each.
+    /// Creates the neighbour lists with room for `members` each. Fails if they exceed the adapter's
+    /// limits.
     pub(super) fn make_lists(&mut self, members: u32) -> Result<()> {
-        // they lie in fours
+        // members are stored in groups of four
         self.list_room = members.next_multiple_of(4);
         let all = u64::from(self.list_room) * u64::from(self.rows.next_multiple_of(LIST_TILE));
         if all > u64::from(u32::MAX) || 4 * all > self.gpu.limits.max_storage_buffer_binding_size {
@@ -251,7 +255,7 @@ impl<'a> GpuEngine<'a> {
         self.gpu.queue.write_buffer(self.memory.get(name), 0, bytes);
     }
 
-    /// Makes room for growth: the state must be in the listed buffers.
+    /// Enlarges the buffers; the state must be in the listed buffers.
     pub(super) fn grow(&mut self) -> Result<()> {
         let bytes = 16 * u64::from(self.count);
         let mut kept = Vec::new();
@@ -267,7 +271,7 @@ impl<'a> GpuEngine<'a> {
         Ok(())
     }
 
-    /// The particles as they are.
+    /// Downloads the particles.
     pub(super) fn bring_back(&mut self) -> Result<ParticleSet> {
         let begun = Instant::now();
         let names = if self.listed { listed(self.set) } else { ["place", "normal"] };
@@ -291,7 +295,7 @@ impl<'a> GpuEngine<'a> {
         Ok(set)
     }
 
-    /// What the device did, from the upload to the last readback.
+    /// Statistics of the device, from the upload to the last readback.
     pub(super) fn report(&self) -> DeviceReport {
         let mut kernels: Vec<_> = self
             .profile
@@ -311,7 +315,7 @@ impl<'a> GpuEngine<'a> {
     }
 }
 
-/// Numbers in each slab of a field of so many: all of them where one binding holds the field.
+/// Values in each slab of a field with `voxels` values: all of them if one binding holds the field.
 fn slab_length(gpu: &Gpu, voxels: u64) -> Result<u32> {
     let most = gpu.largest_slab / 4;
     if voxels > 4 * most || voxels > u64::from(u32::MAX) {

@@ -1,4 +1,4 @@
-//! The compute pipelines, made once, and the bind groups that tie them to buffers.
+//! The compute pipelines, compiled once, and their bind groups.
 
 use super::adapter::Gpu;
 use super::memory::Memory;
@@ -8,10 +8,11 @@ use rayon::prelude::*;
 use std::collections::HashMap;
 use std::num::NonZeroU64;
 
-/// Bytes between the numbers in the buffer `round`: uniform offsets are multiples of this on every adapter.
+/// Bytes between the numbers in the buffer `round`: uniform offsets are multiples of this on every
+/// adapter.
 pub(crate) const ROUND_STRIDE: u64 = 256;
 
-/// A pipeline and what it binds.
+/// A pipeline and its bindings.
 pub(crate) struct Kernel {
     pub pipeline: wgpu::ComputePipeline,
     layout: wgpu::BindGroupLayout,
@@ -28,19 +29,19 @@ impl Kernels {
     pub(crate) fn new(gpu: &Gpu, slabs: bool, materials: bool) -> Result<Self> {
         let variant = Variant { slabs, subgroup_team: gpu.subgroup_team, materials };
         let all: Vec<_> = sources().collect();
-        // drivers take their time over each
+        // in parallel, because drivers compile slowly
         let kernels = all.par_iter().map(|s| (s.name, kernel(gpu, s.name, s.compose(variant)))).collect();
         gpu.check()?;
         Ok(Self { kernels })
     }
 
-    /// A pipeline.
+    /// The pipeline of a kernel.
     pub(crate) fn get(&self, name: &str) -> &Kernel {
         &self.kernels[name]
     }
 
-    /// Ties a kernel to its buffers. `aliases` gives other buffers for some of its names; `round` picks the number that the kernel
-    /// sees as `round`.
+    /// Creates the bind group of a kernel. `aliases` maps names of the kernel to other buffers;
+    /// `round` selects the number that the kernel sees as `round`.
     pub(crate) fn bind(
         &self,
         gpu: &Gpu,
@@ -112,7 +113,7 @@ fn kernel(gpu: &Gpu, name: &'static str, text: String) -> Kernel {
         layout: Some(&pipeline_layout),
         module: &module,
         entry_point: None,
-        // no kernel reads workgroup memory that it has not written
+        // no kernel reads workgroup memory before it has written it
         compilation_options: wgpu::PipelineCompilationOptions {
             zero_initialize_workgroup_memory: false,
             ..wgpu::PipelineCompilationOptions::default()

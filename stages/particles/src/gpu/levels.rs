@@ -1,9 +1,9 @@
-//! Levels of bins by octave of h, laid out once a run from the fields near the surface, so that they do not depend on the
-//! particles and a resumed run has the same ones.
+//! Levels of bins, one for each octave of h. They are laid out once per run from the fields near
+//! the surface. So they do not depend on the particles, and a resumed run has the same levels.
 //!
-//! Level k holds the particles with h up to `largest / 2^k` that do not fit level k + 1. Its bins are as wide as the reach of its
-//! neighbour lists, [`BIN_REACH`] largest / 2^k, so a query sees at most 27 bins of it. One level for everything is the
-//! paper's global bin edge.
+//! Level k holds the particles with h up to `largest / 2^k` that are too large for level k + 1. Its
+//! bins are as wide as the reach of its neighbour lists, [`BIN_REACH`] largest / 2^k, so a query
+//! visits at most 27 of its bins. A single level is the paper's global bin edge.
 
 use super::constants::BIN_REACH;
 use super::parameters::{MOST_LEVELS, device_origin};
@@ -13,15 +13,15 @@ use isoparticles_field::sizing::SizingField;
 use isoparticles_volume::Geometry;
 use rayon::prelude::*;
 
-/// Most bins in a level; wider bins are right as well.
+/// Maximum number of bins in a level; beyond it bins are wider, which gives the same results.
 const MOST_BINS: f64 = 4e6;
 
-/// One level.
+/// One level of bins.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Level {
     /// Edge of a bin, mm.
     pub edge: f32,
-    /// Largest h, mm.
+    /// Maximum h, mm.
     pub largest: f32,
     /// Number of the first bin.
     pub first_bin: u32,
@@ -61,7 +61,7 @@ impl Range {
 }
 
 impl Levels {
-    /// Lays out the levels; `graded` off makes one.
+    /// Lays out the levels near the surface; one level if `graded` is false.
     pub(crate) fn new(fields: &Fields, graded: bool) -> Self {
         let near = near_surface(fields, 2.0 * fields.surface.geometry().spacing.length());
         let range = if near.largest > 0.0 { near } else { near_surface(fields, f64::INFINITY) };
@@ -92,7 +92,7 @@ impl Levels {
         )
     }
 
-    /// Levels over a box.
+    /// `count` levels over a box; `largest` is the largest h (mm).
     pub(crate) fn over(low: Vec3, high: Vec3, largest: f32, count: usize) -> Self {
         let extent = (high - low).as_dvec3().max(DVec3::splat(f64::MIN_POSITIVE));
         let mut first_bin = 0;
@@ -113,13 +113,14 @@ impl Levels {
         Self { origin: low, levels }
     }
 
-    /// Bins in all.
+    /// Number of bins in all levels.
     pub(crate) fn bin_total(&self) -> u32 {
         self.levels.last().map_or(0, |l| l.first_bin + l.bins.element_product())
     }
 }
 
-/// Range over the voxels with |F| up to `band`: the spline's coefficients serve as F, which they are up to a small part of a voxel.
+/// Range over the voxels with |F| <= `band`. Uses the spline coefficients as F, from which they
+/// differ by a small part of a voxel.
 fn near_surface(fields: &Fields, band: f64) -> Range {
     let geometry = fields.surface.geometry();
     let [nx, ny, _] = geometry.size;

@@ -1,4 +1,5 @@
-//! What the device knows of the implicit function: the spline of one object, or the differences of many materials with the strata of the particles.
+//! The implicit surface on the device: the spline of one object, or the differences of many
+//! materials with the strata of the particles.
 
 use super::constants::HELD_CODE;
 use super::differences::Differences;
@@ -10,51 +11,54 @@ use isoparticles_stage::error::{Error, Result};
 use isoparticles_volume::Geometry;
 use std::borrow::Cow;
 
-/// Strata and particles that are held are numbered below this: 16 times the number is a whole number that f32 holds exactly.
+/// Maximum number of interfaces and held particles: 16 times the number must be a whole number that
+/// f32 holds exactly (below 2^24).
 const MOST_STRATA: usize = 1 << 20;
 
-/// The coefficients on the device, and what finds them.
+/// The coefficients on the device, and the index that locates them.
 pub(super) struct Ground<'a> {
     pub geometry: &'a Geometry,
-    /// Of F, or of the differences between materials.
+    /// Coefficients of F, or of the differences between materials.
     pub coefficients: Cow<'a, [f32]>,
-    /// Of many materials: what finds the differences.
+    /// Index of the differences; `None` for one object.
     pub index: Option<Vec<[u32; 4]>>,
 }
 
 impl<'a> Ground<'a> {
-    /// Of one object.
+    /// For one object.
     pub(super) fn object(surface: &'a CubicSpline) -> Self {
         let coefficients = Cow::Borrowed(surface.coefficients());
         Self { geometry: surface.geometry(), coefficients, index: None }
     }
 
-    /// Of many materials, for particles on these strata.
+    /// For many materials, with particles on the strata of `carried`.
     pub(super) fn materials(materials: &'a Materials, carried: &Carried) -> Self {
         let Differences { coefficients, index } = Differences::new(materials, &carried.strata, carried.sheets);
         Self { geometry: materials.geometry(), coefficients: Cow::Owned(coefficients), index: Some(index) }
     }
 }
 
-/// What goes with each particle beside its normal: its damping, and of many materials its stratum.
+/// Data that each particle carries beside its normal: its damping and, with many materials, its
+/// stratum.
 ///
-/// Of many materials it is 16 times the number of the stratum, and the power of ten of the damping, or [`HELD_CODE`]. Sheets are numbered first, ascending, then
-/// each particle that is held has a number of its own, by which it is put back in its place.
+/// With many materials the value is 16 times the number of the stratum, plus the power of ten of
+/// the damping or [`HELD_CODE`]. Interfaces are numbered first, in ascending order. Then each held
+/// particle has its own number, which restores its index after a readback.
 #[derive(Debug, Default)]
 pub(super) struct Carried {
-    /// The strata by their numbers; none of one object.
+    /// The strata by number; empty for one object.
     strata: Vec<Stratum>,
-    /// How many of them are sheets.
+    /// Number of interfaces among them.
     sheets: usize,
-    /// The particles that are held, as they are.
+    /// The held particles, unchanged; `None` for one object.
     held: Option<ParticleSet>,
 }
 
 impl Carried {
-    /// Numbers the strata of many materials' particles, those that are held first.
+    /// Numbers the strata of the particles of many materials. Held particles must come first.
     ///
     /// # Errors
-    /// When there are too many to number.
+    /// If there are more strata and held particles than numbers.
     pub(super) fn new(set: &ParticleSet, of: &[Stratum]) -> Result<Self> {
         let held = of.partition_point(|stratum| stratum.dimension() < 2);
         let mut strata = of[held..].to_vec();
@@ -80,12 +84,12 @@ impl Carried {
         Ok(Self { strata, sheets, held: Some(first(set)) })
     }
 
-    /// How many particles are held.
+    /// Number of held particles.
     pub(super) fn held(&self) -> usize {
         self.strata.len() - self.sheets
     }
 
-    /// What goes with particle i of a damping; `of` are the strata of all.
+    /// Carried value of particle i with damping `lambda`; `of` holds the strata of all particles.
     pub(super) fn of(&self, i: usize, lambda: f64, of: &[Stratum]) -> f32 {
         if self.held.is_none() {
             return lambda as f32;
@@ -98,7 +102,8 @@ impl Carried {
         (16 * number + power as u32) as f32
     }
 
-    /// The particles that came back, those that are held first and as they were, with their strata; of one object as they are.
+    /// Restores the order after a readback: held particles first and unchanged, then the others,
+    /// with their strata. With one object the particles stay as they are.
     pub(super) fn put_back(&self, mut set: ParticleSet) -> (ParticleSet, Vec<Stratum>) {
         let Some(held) = &self.held else { return (set, Vec::new()) };
         let mut all = held.clone();

@@ -1,4 +1,4 @@
-//! Buffers by name, what they take, and the way of their contents to and from the host.
+//! Named buffers on the device, their memory, and transfers to and from the host.
 
 use super::adapter::Gpu;
 use isoparticles_stage::error::{Error, Result};
@@ -17,7 +17,7 @@ const PLAIN: wgpu::BufferUsages =
     wgpu::BufferUsages::STORAGE.union(wgpu::BufferUsages::COPY_SRC).union(wgpu::BufferUsages::COPY_DST);
 
 impl Memory {
-    /// Makes (or replaces) a storage buffer of at least `bytes` bytes; `extra` are further uses.
+    /// Creates or replaces a storage buffer of at least `bytes` bytes; `extra` adds usages.
     pub(crate) fn make(&mut self, gpu: &Gpu, name: &str, bytes: u64, extra: wgpu::BufferUsages) -> Result<()> {
         let size = bytes.max(16).next_multiple_of(16);
         if size > gpu.limits.max_buffer_size.min(gpu.limits.max_storage_buffer_binding_size) {
@@ -57,27 +57,27 @@ impl Memory {
         Ok(())
     }
 
-    /// Lets go of a buffer.
+    /// Releases a buffer.
     pub(crate) fn remove(&mut self, name: &str) {
         if let Some(old) = self.buffers.remove(name) {
             self.bytes -= old.size();
         }
     }
 
-    /// A buffer.
+    /// The buffer with this name; panics if there is none.
     pub(crate) fn get(&self, name: &str) -> &wgpu::Buffer {
         self.buffers.get(name).unwrap_or_else(|| panic!("no kernel may name a buffer that was not made: {name}"))
     }
 
-    /// Most bytes held at one time.
+    /// Maximum of the bytes held at one time.
     pub(crate) fn peak(&self) -> u64 {
         self.peak
     }
 }
 
-/// Copies a run of values into a buffer, a batch of pieces at a time and the pieces on all threads. Most of the time goes into the
-/// first touch of staging memory, so the device is waited for between batches and its staging memory used again; nor is a second
-/// copy of a whole field ever held.
+/// Copies values into a buffer, in batches of 12 pieces of 512 KiB, with the pieces of a batch on
+/// all threads. The first touch of staging memory dominates the time. The wait between batches lets
+/// wgpu reuse that memory, so that no second copy of a whole field is held.
 pub(crate) fn upload<T: bytemuck::NoUninit + Sync>(gpu: &Gpu, buffer: &wgpu::Buffer, values: &[T]) -> Result<()> {
     const PIECE_BYTES: usize = 1 << 19;
     const BATCH: usize = 12;
@@ -108,7 +108,7 @@ pub(crate) fn download<T: bytemuck::AnyBitPattern>(gpu: &Gpu, buffer: &wgpu::Buf
     read_staging(gpu, &staging, bytes, None)
 }
 
-/// A buffer that the host can read.
+/// A buffer that the host can map for reading.
 pub(crate) fn staging(gpu: &Gpu, bytes: u64) -> wgpu::Buffer {
     gpu.device.create_buffer(&wgpu::BufferDescriptor {
         label: Some("staging"),
@@ -118,7 +118,7 @@ pub(crate) fn staging(gpu: &Gpu, bytes: u64) -> wgpu::Buffer {
     })
 }
 
-/// Waits for the device to finish a submission, or all that it was given, and reads the first bytes of a staging buffer.
+/// Waits for a submission, or for all if `None`, and reads the first bytes of a staging buffer.
 pub(crate) fn read_staging<T: bytemuck::AnyBitPattern>(
     gpu: &Gpu,
     staging: &wgpu::Buffer,

@@ -1,8 +1,10 @@
-//! The GPU backend: sections 4 and 5 of the paper with wgpu and the WGSL kernels of `/shaders`.
+//! The GPU backend: sections 4 and 5 of the paper, with wgpu and the WGSL kernels of `/shaders`.
 //!
-//! The particles stay on the device from the first pass to the last; the host reads a few words a pass. Each kernel is named
-//! as its file and has its twin in the CPU code: lists in `isoparticles_field::neighbours`, energy in `energy`,
-//! fields in `spline` and `sizing` there, movement and density control beside this folder. The constants are those of the CPU code.
+//! The particles stay on the device from the first pass to the last; the host reads a few words per
+//! pass. Each kernel has the name of its file and a twin in the CPU code. The twins of the lists
+//! are in `isoparticles_field::neighbours`, of the energy in `energy`, and of the fields in
+//! `spline` and `sizing`. Movement and density control are beside this folder. Both backends share
+//! the constants.
 
 mod adapter;
 mod commands;

@@ -1,5 +1,5 @@
-//! What the kernels know of the run, as the bytes of `shaders/shared/parameters.wgsl`: a list of named words in the order of
-//! the WGSL struct, whose layout the tests compare with naga's.
+//! Uniform blocks of the kernels, as bytes: named words in the order of the WGSL structs
+//! (`shaders/shared/parameters.wgsl`). The tests compare the layouts with naga's.
 
 use super::constants::BLOCK;
 use super::levels::Levels;
@@ -8,14 +8,14 @@ use crate::settle::Parameters;
 use glam::{DVec3, UVec3};
 use isoparticles_volume::Geometry;
 
-/// Levels that the shaders have room for.
+/// Maximum number of levels; size of an array in the shaders.
 pub(crate) const MOST_LEVELS: usize = 12;
 
 /// Named words of a uniform block, in order and without gaps.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Block {
     words: Vec<u32>,
-    /// Name and first byte of each member.
+    /// Name and byte offset of each member.
     pub members: Vec<(&'static str, usize)>,
 }
 
@@ -30,30 +30,32 @@ impl Block {
         self.whole(name, values.into_iter().map(f32::to_bits))
     }
 
-    /// The bytes.
+    /// The block as bytes.
     pub(crate) fn bytes(&self) -> &[u8] {
         bytemuck::cast_slice(&self.words)
     }
 }
 
-/// Where device positions have their origin: the centre of this voxel, a whole one near the middle of the grid, so that f32
-/// positions are as fine as they can be and the fraction within a cell is exact.
+/// Origin of device positions: the centre of this voxel, near the middle of the grid. Near the
+/// middle, f32 positions have the best resolution; at a whole voxel, the fraction within a cell is
+/// exact.
 pub(crate) fn centre_voxel(geometry: &Geometry) -> UVec3 {
     UVec3::from_array(geometry.size.map(|n| n as u32 / 2))
 }
 
-/// The same in the grid frame, mm.
+/// The same origin in the grid frame, mm.
 pub(crate) fn device_origin(geometry: &Geometry) -> DVec3 {
     geometry.index_to_grid(centre_voxel(geometry).as_dvec3())
 }
 
-/// |F| that counts as zero on the device, mm: the tolerance of the CPU's passes, or what f32 positions can tell.
+/// Tolerance of |F| = 0 on the device, mm: that of the CPU's passes, or the resolution of f32
+/// positions if that is coarser.
 pub(crate) fn tolerance(geometry: &Geometry) -> f64 {
     let resolution = geometry.upper_corner().max_element() * f64::from(f32::EPSILON);
     (PASS_TOLERANCE * geometry.min_spacing()).max(2.0 * resolution)
 }
 
-/// What stays the same for a whole run.
+/// Block `Parameters`: values that are constant for a run.
 pub(crate) fn run_block(
     geometry: &Geometry,
     levels: &Levels,
@@ -102,7 +104,8 @@ pub(crate) fn run_block(
     block
 }
 
-/// What the host knows of a pass when it hands it over; of this `shaders/begin_pass.wgsl` makes what the pass's kernels are told.
+/// Block `Planned`: values of a pass that the host knows at submission. `shaders/begin_pass.wgsl`
+/// derives those of the kernels.
 pub(crate) fn plan_block(
     number: u64,
     count: u32,
@@ -121,7 +124,7 @@ pub(crate) fn plan_block(
         .whole("unused_2", [0])
 }
 
-/// What the kernels know of a pass, as `shaders/begin_pass.wgsl` makes it.
+/// Block `Pass`, which `shaders/begin_pass.wgsl` writes.
 #[cfg(test)]
 pub(crate) fn pass_block(number: u64, count: u32, allow_insert: bool) -> Block {
     Block::default()
@@ -131,7 +134,7 @@ pub(crate) fn pass_block(number: u64, count: u32, allow_insert: bool) -> Block {
         .whole("unused", [0])
 }
 
-/// Numbers that a prefix sum adds up, and the blocks that it works in.
+/// Block `Scan` of a prefix sum over `length` numbers.
 pub(crate) fn scan_block(length: u32) -> Block {
     Block::default()
         .whole("length", [length])
@@ -140,7 +143,7 @@ pub(crate) fn scan_block(length: u32) -> Block {
         .whole("unused_2", [0])
 }
 
-/// Blocks of a prefix sum of so many numbers: the result has one more.
+/// Number of blocks of a prefix sum over `length` numbers; the result has one number more.
 pub(crate) fn scan_blocks(length: u32) -> u32 {
     (length + 1).div_ceil(BLOCK)
 }

@@ -1,8 +1,11 @@
-//! A pass over the particles on the device: handed over, waited for, done again where a list had no room.
+//! Runs passes on the device: submits them, waits for them, and repeats those whose lists or
+//! classes overflowed.
 //!
-//! A pass that controls the density begins from one set of listed buffers and leaves its result in the other, so it can be handed over before the host has read
-//! what the pass before it did: the device goes from one to the next without waiting, and the number of particles goes with it (`shaders/begin_pass.wgsl`). Where that pass
-//! was not to be (the run ends, the lists had no room, more particles came than it was made for), what it began from is still there.
+//! A pass with density control reads one set of listed buffers and writes the other. It can
+//! therefore be submitted before the host has read the result of the previous pass, so the device
+//! does not idle. The number of particles stays on the device (`shaders/begin_pass.wgsl`). If such
+//! a pass turns out to be invalid, its input is still intact. That happens if the run ends, if
+//! lists overflowed, or if there are more particles than the pass has room for.
 
 use super::commands::{Command, Encoded, encode, submit};
 use super::constants::{
@@ -21,22 +24,23 @@ use isoparticles_field::particle_set::ParticleSet;
 use isoparticles_stage::error::Result;
 use std::time::Instant;
 
-/// Classes that passes are made for beyond those in use: crowds come and go, and a pass that needs more is done again.
+/// Classes dispatched beyond those in use. The number in use varies with crowds, and a pass that
+/// needs more must be repeated.
 const CLASSES_TO_SPARE: u32 = 2;
 
-/// Commands of the next pass, made while the device works.
+/// Commands of the next pass, encoded while the device works.
 pub(super) struct Ahead {
     plan: Plan,
-    /// Particles that they are made for.
+    /// Particles that the commands have room for.
     room: u32,
     encoded: Encoded,
 }
 
-/// A pass that was handed over.
+/// A submitted pass.
 pub(super) struct Flight {
     pass: u64,
     plan: Plan,
-    /// Particles that it was made for.
+    /// Particles that the pass has room for.
     room: u32,
     submission: wgpu::SubmissionIndex,
     /// The kernels that have timestamps.
@@ -44,7 +48,7 @@ pub(super) struct Flight {
 }
 
 impl GpuEngine<'_> {
-    /// Runs steps alone; returns the words that the host reads.
+    /// Runs single steps and returns the words that the host reads.
     #[cfg(test)]
     pub(super) fn run_steps(&mut self, pass: u64, steps: Vec<Step>, sort: bool) -> Result<Vec<u32>> {
         let plan = Plan { sort, bring: sort && !self.listed, density: false, set: self.set, classes: CLASSES };
@@ -55,12 +59,14 @@ impl GpuEngine<'_> {
         self.wait_for(&flight)
     }
 
-    /// Particles that a pass is made for whose number is not known yet: one in sixteen may come, and there are never more than there is room for.
+    /// Room for a pass with an unknown number of particles: 1/16 more than now, limited by the
+    /// buffers. A pass that exceeds it is discarded and run in turn.
     fn room_ahead(&self) -> u32 {
         (self.count + self.count / 16 + 64).min(self.rows)
     }
 
-    /// Commands of a pass for at least `least` particles, made for `room` where none are ready.
+    /// Commands of a pass for at least `least` particles: those already encoded if they fit, else
+    /// new ones for `room` particles.
     fn commands(&mut self, plan: Plan, least: u32, room: u32) -> Ahead {
         let ready = self.ahead.take().filter(|ahead| ahead.plan == plan && least <= ahead.room);
         ready.unwrap_or_else(|| self.make_commands(plan, room))
@@ -72,7 +78,8 @@ impl GpuEngine<'_> {
         Ahead { plan, room, encoded }
     }
 
-    /// Encodes steps, after bringing the particles back to the listed buffers if the plan says so.
+    /// Encodes steps, after copying the particles back to the listed buffers if the plan requires
+    /// it.
     fn encode(&mut self, steps: &[Step], plan: Plan, room: u32) -> Encoded {
         let key = |step: &Step| (step.label, step.round, step.aliases.first().map_or("", |alias| alias.1));
         for step in steps {
@@ -109,7 +116,8 @@ impl GpuEngine<'_> {
         encode(self.gpu, &self.kernels, &commands, &mut self.profile)
     }
 
-    /// Hands a pass over `count` particles to the device; `before` is the pass before, where that is still at work.
+    /// Submits a pass over `count` particles; `before` is the plan of the previous pass, which may
+    /// still be running.
     fn hand_over(&self, pass: u64, ahead: Ahead, count: u32, before: Plan) -> Result<Flight> {
         let Ahead { plan, room, encoded } = ahead;
         let rooms = (self.list_room, before.classes);
@@ -120,7 +128,7 @@ impl GpuEngine<'_> {
         Ok(Flight { pass, plan, room, submission, timed })
     }
 
-    /// Hands over a pass at its turn.
+    /// Submits a pass after the previous one has ended.
     fn set_off(&mut self, pass: u64, plan: Plan) -> Result<Flight> {
         let begun = Instant::now();
         let commands = self.commands(plan, self.count, self.count);
@@ -129,7 +137,8 @@ impl GpuEngine<'_> {
         Ok(flight)
     }
 
-    /// While the device works on a pass: hands over the next one if it is certain enough to be, and makes the commands of the one after.
+    /// While the device works on a pass: submits the next one if that is likely to be valid, and
+    /// encodes the one after it.
     fn look_ahead(&mut self, now: &Flight) -> Result<()> {
         let after = |plan: Plan, pass: u64| {
             let density = plan.density && pass < self.last_control;
@@ -139,10 +148,11 @@ impl GpuEngine<'_> {
         };
         let next = after(now.plan, now.pass);
         let mut to_make = next;
-        // timestamps are of one pass at a time
+        // timestamp queries support only one pass at a time
         if next.density && self.flight.is_none() && self.changed <= self.count / 16 && !self.gpu.timestamps {
             let one_after = after(next, now.pass + 1);
-            // those ready were made a pass ago, when there may have been fewer: half of the room to spare is enough
+            // existing commands are one pass old and may have less room: half of the spare room
+            // suffices
             let least = self.count.midpoint(self.room_ahead());
             let commands = self.commands(next, least, self.room_ahead());
             self.flight = Some(self.hand_over(now.pass + 1, commands, AS_LEFT, now.plan)?);
@@ -154,14 +164,14 @@ impl GpuEngine<'_> {
         Ok(())
     }
 
-    /// Waits for a pass to end; returns its words.
+    /// Waits for a pass and returns its words.
     fn wait_for(&self, flight: &Flight) -> Result<Vec<u32>> {
         read_staging(self.gpu, &self.words[flight.plan.set], 4 * WORDS as u64, Some(&flight.submission))
     }
 
-    /// Does a pass until its lists have room; returns its plan and words.
+    /// Runs a pass, and repeats it until its lists and classes suffice. Returns its plan and words.
     fn fly(&mut self, pass: u64, density: bool) -> Result<(Plan, Vec<u32>)> {
-        // one that was not to be is cast away
+        // discard an early submission that does not match this pass
         let ready = self.flight.take().filter(|flight| density && flight.pass == pass);
         let sort = density || self.listed || self.stale || pass % REORDER_INTERVAL == 1;
         let mut plan = Plan { sort, bring: sort && !self.listed, density, set: self.set, classes: self.classes };
@@ -176,14 +186,14 @@ impl GpuEngine<'_> {
             let words = self.wait_for(&flight)?;
             self.spent.wait_seconds += waiting.elapsed().as_secs_f64();
             let (longest, classes) = (words[WORD_LONGEST_LIST], words[WORD_CLASSES]);
-            // the device asks the same where the next pass begins (begin_pass.wgsl)
+            // begin_pass.wgsl makes the same test for the next pass
             if longest <= self.list_room && classes <= flight.plan.classes {
                 if classes + CLASSES_TO_SPARE / 2 > self.classes || self.classes == CLASSES {
                     self.classes = (classes + CLASSES_TO_SPARE).min(CLASSES);
                 }
                 return Ok((flight.plan, words));
             }
-            // what the pass has done is cast away, and what was to follow it has done nothing
+            // the output of this pass is discarded; passes submitted after it did nothing
             (self.flight, self.listed, self.classes) = (None, true, CLASSES);
             (plan.bring, plan.classes) = (false, CLASSES);
             if longest > self.list_room {

@@ -1,45 +1,46 @@
-//! What the device did and where its time went, for the report.
+//! Statistics of the device and its times, for the report.
 
 /// Time of one kernel over a whole run.
 #[derive(Clone, Debug, serde::Serialize)]
 pub struct KernelTime {
-    /// Its name, which is its file's.
+    /// Name of the kernel and of its file.
     pub kernel: &'static str,
     /// Seconds on the device.
     pub seconds: f64,
-    /// Dispatches.
+    /// Number of dispatches.
     pub dispatches: u64,
 }
 
-/// What the device did, for the report.
+/// Statistics of the device, for the report.
 #[derive(Clone, Debug, Default, serde::Serialize)]
 pub struct DeviceReport {
     /// Name of the adapter.
     pub adapter: String,
-    /// Seconds from the start of the upload to the end of the last readback, kernels compiled beforehand.
+    /// Seconds from the start of the upload to the end of the last readback, without compilation.
     pub device_seconds: f64,
-    /// Of these: the host's time to make the buffers and hand over fields and particles.
+    /// Part of it: host time to create buffers and upload fields and particles.
     pub upload_seconds: f64,
-    /// Of these: the host's time to encode and hand over passes while the device has nothing to do.
+    /// Part of it: host time to encode and submit passes while the device is idle.
     pub encode_seconds: f64,
-    /// Of these: the host's time waiting for passes. What it does for the next pass while the device works is in none of these parts.
+    /// Part of it: host time waiting for passes. Host work on the next pass while the device works
+    /// is in none of these parts.
     pub wait_seconds: f64,
-    /// Of these: to bring the particles back.
+    /// Part of it: download of the particles.
     pub readback_seconds: f64,
-    /// Seconds that opening the adapter's kernels took.
+    /// Seconds to compile the kernels.
     pub compile_seconds: f64,
-    /// Most bytes of buffers at one time.
+    /// Maximum bytes of buffers at one time.
     pub peak_device_bytes: u64,
-    /// Levels of bins.
+    /// Number of levels of bins.
     pub levels: usize,
-    /// Bins in all levels.
+    /// Number of bins in all levels.
     pub bins: u32,
-    /// Time by kernel, the longest first; empty unless asked for.
+    /// Time by kernel, the longest first; empty unless requested.
     pub kernels: Vec<KernelTime>,
 }
 
 impl DeviceReport {
-    /// This level's report with those of the levels before it.
+    /// The sum of this level's report and that of the earlier levels.
     pub(crate) fn after(mut self, before: Self) -> Self {
         self.device_seconds += before.device_seconds;
         self.upload_seconds += before.upload_seconds;

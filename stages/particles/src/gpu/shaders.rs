@@ -1,8 +1,9 @@
-//! The texts of the kernels: the constants, which stand in Rust, the shared pieces that the kernel uses, and its own file, end to end.
+//! Composes the text of each kernel: constants declared from Rust, the shared pieces that the
+//! kernel uses, and its own file.
 
 use super::constants::declarations;
 
-/// How a kernel is made up.
+/// Composition of a kernel.
 pub(crate) struct Source {
     /// Name of the kernel and of its file.
     pub name: &'static str,
@@ -11,7 +12,7 @@ pub(crate) struct Source {
     text: &'static str,
 }
 
-/// A shared piece; all but texts depend on the adapter or on what the particles live on.
+/// A shared piece. All except `Text` depend on the adapter or on the kind of surface.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Piece {
     Text(&'static str),
@@ -19,13 +20,13 @@ enum Piece {
     Fields,
     /// Sums over the lanes of a team.
     Team,
-    /// What goes with a particle beside its normal, of one object or of many materials.
+    /// Data beside the normal, for one object or many materials.
     Carried,
-    /// The coefficients of F, or those of the sheets of many materials.
+    /// Coefficients of F, or of the differences of many materials.
     Nodes,
 }
 
-/// What of the texts depends on the adapter and on what the particles live on.
+/// Properties of the adapter and of the surface that select pieces.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Variant {
     /// Whether the fields are cut into slabs.
@@ -37,9 +38,9 @@ pub(crate) struct Variant {
 }
 
 impl Variant {
-    /// Lanes of a team and teams of a workgroup.
+    /// Lanes of a team, and teams of a workgroup.
     pub(crate) fn team(self) -> (u32, u32) {
-        // a team that sums through workgroup memory has a workgroup of its own; others share one of 128 lanes
+        // a team that sums through workgroup memory is a workgroup; others share one of 128 lanes
         self.subgroup_team.map_or((32, 1), |lanes| (lanes, 128 / lanes))
     }
 }
@@ -71,7 +72,7 @@ macro_rules! source {
     };
 }
 
-/// Every kernel.
+/// All kernels except those of the tests.
 const SOURCES: &[Source] = &[
     source!("begin_pass", &[]),
     source!("scan_blocks", &[SCAN]),
@@ -159,7 +160,7 @@ const SOURCES: &[Source] = &[
     source!("compact", &[PARAMETERS]),
 ];
 
-/// Kernels that only the tests run: they show what the shared pieces compute.
+/// Kernels of the tests, which expose what the shared pieces compute.
 #[cfg(test)]
 pub(crate) const PROBES: &[Source] = &[
     source!(
@@ -188,14 +189,14 @@ pub(crate) const PROBES: &[Source] = &[
 #[cfg(not(test))]
 const PROBES: &[Source] = &[];
 
-/// Every kernel, those of the tests included where they are built.
+/// Every kernel, including those of the tests in test builds.
 pub(crate) fn sources() -> impl Iterator<Item = &'static Source> {
     SOURCES.iter().chain(PROBES)
 }
 
 impl Source {
-    /// What this kernel makes of a variant: a bin has a workgroup of one team, as wide as the subgroup, whatever team suits those that share a workgroup. Its particles
-    /// wait for each other, and more lanes make each of them quicker.
+    /// The variant for this kernel. In `move_bins` a bin has a workgroup of one team as wide as the
+    /// subgroup: its particles move one after the other, and more lanes make each step faster.
     pub(crate) fn variant(&self, variant: Variant) -> Variant {
         match self.name {
             "move_bins" => Variant { subgroup_team: variant.subgroup_team.map(|_| 32), ..variant },
@@ -203,7 +204,7 @@ impl Source {
         }
     }
 
-    /// The whole text for an adapter.
+    /// The complete text for a variant.
     pub(crate) fn compose(&self, variant: Variant) -> String {
         let variant = self.variant(variant);
         let mut text = declarations(variant);
@@ -236,7 +237,7 @@ impl Source {
 pub(crate) struct Binding {
     /// Its number in group 0.
     pub number: u32,
-    /// Name of the variable, which is the name of the buffer.
+    /// Name of the variable and of the buffer.
     pub name: String,
     /// How it is used.
     pub access: Access,
@@ -250,7 +251,8 @@ pub(crate) enum Access {
     ReadWrite,
 }
 
-/// The buffers that a text declares, read off its lines `@group(0) @binding(n) var<...> name: type;`.
+/// The buffers that a text declares, parsed from its lines `@group(0) @binding(n) var<...> name:
+/// type;`.
 pub(crate) fn bindings(text: &str) -> Vec<Binding> {
     text.lines()
         .filter_map(|line| {

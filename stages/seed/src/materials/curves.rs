@@ -1,4 +1,4 @@
-//! Particles at junction points and along junction curves.
+//! Places particles at junction points and along junction curves.
 
 use super::{between, is_length};
 use glam::DVec3;
@@ -8,41 +8,46 @@ use isoparticles_field::particle_set::Strata;
 use isoparticles_field::sizing::SizingField;
 use std::collections::BTreeSet;
 
-/// Longest step along a curve over h: where rounding would leave a longer one, there is one particle more.
+/// Longest step along a curve, in h. Rounding the number of steps gives steps of up to 1.5 h; if a
+/// step would exceed this limit, the curve gets one more.
 const LONGEST_STEP: f64 = 1.3;
 
-/// A closed curve shorter than h and than so many voxels gets one particle, as three would be nearer to each other than any triangle says something of the data.
+/// A closed curve shorter than h and than this many voxels gets one particle instead of a ring of
+/// three: it is below the resolution of the data.
 const TINY_VOXELS: f64 = 2.0;
 
-/// Fewest particles of other closed curves: fewer make no ring.
+/// Minimum number of particles on other closed curves: fewer make no ring.
 const RING: usize = 3;
 
-/// A particle nearer than this share of a step to the one before it is left out: the curve is shorter than its chain there.
+/// A particle nearer than this share of a step to the previous one is skipped. The curve is then
+/// shorter than its chain.
 const NEAREST: f64 = 0.3;
 
-/// Particles nearer than this (voxels) are at one place: on a chain that the lattice alone has.
+/// Particles nearer than this, in voxels, count as coincident. They occur on chains that exist only
+/// in the grid complex.
 const COINCIDENT: f64 = 0.01;
 
-/// How far a particle may be from the chain, and how closely it meets its curve, in voxels.
+/// Maximum distance from the chain to the curve, and tolerance of the projection, in voxels.
 const FARTHEST: f64 = 1.0;
 const TOLERANCE: f64 = 1e-7;
 
-/// The particles at points, in the order of the complex, and on curves behind them.
+/// The particles at junction points, in the order of the complex, followed by those on curves.
 #[derive(Clone, Debug, Default)]
 pub struct Curves {
     /// Positions, grid frame, mm.
     pub positions: Vec<DVec3>,
-    /// Zero at points, the tangent on curves.
+    /// Zero at points, unit tangent on curves.
     pub normals: Vec<DVec3>,
-    /// Edge lengths, mm: h, but no longer than the steps to the neighbours.
+    /// Edge lengths, mm: h, limited to the longest step to a neighbour.
     pub sizes: Vec<f64>,
-    /// Where they live.
+    /// Strata of the particles, and the segments of the curves.
     pub strata: Strata,
-    /// Places that were left out, since no curve of their materials is met near them.
+    /// Places that were skipped because the projection onto their curve failed.
     pub not_projected: usize,
 }
 
-/// Places particles at the points and along the chains of a complex.
+/// Places particles at the points and along the chains of a complex. Spacings follow `spread`,
+/// sizes `sizing`.
 pub fn seed_curves<I: Indicators>(
     indicators: &I,
     complex: &Complex,
@@ -54,7 +59,7 @@ pub fn seed_curves<I: Indicators>(
         found.normals.push(DVec3::ZERO);
         found.strata.of.push(point.stratum);
     }
-    // joined by a step already: a second curve between them needs a particle of its own
+    // pairs of points with a one-step curve; a second such curve needs a particle in between
     let mut joined = BTreeSet::new();
     for chain in &complex.chains {
         let line = complex.line(chain);
@@ -78,7 +83,8 @@ pub fn seed_curves<I: Indicators>(
 }
 
 impl Curves {
-    /// Adds the particles of a chain, so many steps along it, none nearer than `nearest` there (mm) to the one before.
+    /// Adds the particles of a chain, `steps` steps along it. A particle is skipped if it is nearer
+    /// than `nearest` at its place (mm) to the previous one or to an end.
     fn add<I: Indicators>(
         &mut self,
         indicators: &I,
@@ -136,7 +142,7 @@ impl Curves {
         }
     }
 
-    /// Sizes: h, but no longer than the longest step to a neighbour.
+    /// Sets the sizes: h, limited to the longest step to a neighbour.
     fn set_sizes(&mut self, sizing: &SizingField) {
         let mut longest = vec![0.0f64; self.positions.len()];
         for segment in &self.strata.segments {
@@ -153,10 +159,10 @@ impl Curves {
     }
 }
 
-/// A line with the metric ds / h.
+/// A polyline with the metric ds / h.
 struct Along {
     line: Vec<DVec3>,
-    /// The integral of ds / h up to each place.
+    /// The integral of ds / h up to each vertex.
     sums: Vec<f64>,
 }
 
@@ -178,7 +184,7 @@ impl Along {
         self.sums.last().copied().unwrap_or(0.0)
     }
 
-    /// The place at a share of the integral, and the way on from there.
+    /// The place at a share of the integral, and the direction of the line there.
     fn at(&self, share: f64) -> (DVec3, DVec3) {
         let wanted = share * self.total();
         let after = self.sums.partition_point(|&sum| sum < wanted).clamp(1, self.line.len().max(2) - 1);

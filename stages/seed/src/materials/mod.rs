@@ -1,7 +1,9 @@
-//! First particles of many materials: at junction points, along junction curves, on sheets.
+//! Seeds many materials: at junction points, along junction curves and on interfaces.
 //!
-//! After Meyer, Whitaker, Kirby, Ledergerber and Pfister 2008 the strata are sampled by their dimension, each with the lower ones held fixed. Points and curves are done
-//! here for good: particles at equal distances in the metric ds / h along a curve are where the one-dimensional energy is least. Sheets are sampled as one object is.
+//! The strata are sampled in the order of their dimension, each with the lower ones held fixed
+//! (Meyer, Whitaker, Kirby, Ledergerber and Pfister 2008). Particles at points and on curves are
+//! final: equal distances in the metric ds / h minimize the one-dimensional energy. Interfaces are
+//! sampled like the surface of one object.
 
 mod curves;
 mod program;
@@ -17,31 +19,32 @@ use isoparticles_field::materials::complex::Complex;
 use isoparticles_field::particle_set::{ParticleSet, Strata};
 use isoparticles_field::sizing::SizingField;
 
-/// What the seeding did.
+/// Statistics of the seeding.
 #[derive(Clone, Copy, Debug, Default, serde::Serialize)]
 pub struct Summary {
-    /// Particles at junction points, on curves and on sheets.
+    /// Particles at junction points, on junction curves and on interfaces.
     pub particles: [usize; 3],
-    /// Junction curves, and those of them that are closed.
+    /// Junction curves.
     pub curves: usize,
-    /// Closed ones.
+    /// Closed junction curves.
     pub closed_curves: usize,
-    /// Components of sheets.
+    /// Components of interfaces.
     pub components: usize,
-    /// Components that got extra particles, because the sizing field asked for fewer than they need.
+    /// Components that got extra particles because the sizing field gave them fewer than they need.
     pub underpopulated_components: usize,
-    /// Particles that the sizing field asks for ([`Complex::predicted_count`]).
+    /// Number of particles by the sizing field ([`Complex::predicted_count`]).
     pub predicted_count: f64,
-    /// Seeds dropped because they could not be projected onto their stratum, or because another material is nearer there.
+    /// Seeds dropped because the projection onto their stratum failed or another material is nearer
+    /// there.
     pub not_projected: usize,
-    /// Components of sheets that were left out, since they are far smaller than a voxel's face.
+    /// Components of interfaces that were skipped because they are far smaller than a voxel's face.
     pub specks: usize,
-    /// Components of sheets that got no particle, since no place on them could be met.
+    /// Components of interfaces without a particle, because every projection failed.
     pub bare_components: usize,
 }
 
-/// Seeds all strata of a complex; `spread` is the field that spacings follow, `sizing` that which particles get their sizes from. The result depends on the
-/// arguments alone.
+/// Seeds all strata of a complex. Spacings follow `spread`; particles get their sizes from
+/// `sizing`. The result depends only on the arguments.
 pub fn seed_strata(
     materials: &Materials,
     complex: &Complex,
@@ -75,12 +78,12 @@ pub fn seed_strata(
     (set, strata, summary)
 }
 
-/// Whether a number is a length that a curve can be divided by.
+/// Whether a number is a valid length: finite and positive.
 fn is_length(h: f64) -> bool {
     h.is_finite() && h > 0.0
 }
 
-/// A place along a line at a share of its step.
+/// The point at a share of the way from a to b.
 fn between(a: DVec3, b: DVec3, share: f64) -> DVec3 {
     a + (b - a) * share
 }

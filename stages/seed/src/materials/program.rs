@@ -11,7 +11,7 @@ use isoparticles_stage::materials_file::read_materials;
 use isoparticles_stage::particle_file::{ParticleKind, write_material_particles};
 use serde_json::json;
 
-/// Seeds the strata of many materials.
+/// Reads the files, seeds the strata of many materials, and writes seeds and report.
 pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome> {
     if args.from == From::MarchingCubes {
         return Err(Error::input(

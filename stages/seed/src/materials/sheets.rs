@@ -1,4 +1,4 @@
-//! Particles on sheets.
+//! Places particles on material interfaces.
 
 use super::Curves;
 use crate::sampling::{
@@ -12,48 +12,50 @@ use isoparticles_field::sizing::SizingField;
 use isoparticles_mesh::TriangleMesh;
 use rayon::prelude::*;
 
-/// How near to particles of its border a particle of a sheet may be, over h.
+/// Minimum distance of a particle on an interface from particles of its border, in h.
 const FROM_BORDER: f64 = DISK_RADIUS;
 
-/// How far from the triangles their sheet may be, and how closely it is met, in voxels, as for one object.
+/// Maximum distance from the triangles to their interface, and tolerance of the projection, in
+/// voxels; as for one object.
 const FARTHEST: f64 = 1.5;
 const TOLERANCE: f64 = 1e-6;
 
-/// Parts of sheets with a border that are smaller than this (squares of a voxel) get no particle: their border is a closed curve shorter than half a voxel, which
-/// the complex leaves out, or hardly longer.
+/// Components with a border that are smaller than this area, in squared voxels, get no particle.
+/// Their border is a closed curve shorter than half a voxel, which the complex omits, or little
+/// longer.
 const SPECK: f64 = 0.05;
 
-/// The particles on sheets.
+/// The particles on interfaces.
 #[derive(Clone, Debug, Default)]
 pub struct Sheets {
     /// Positions, grid frame, mm.
     pub positions: Vec<DVec3>,
-    /// Unit normals, from the material of the higher number to that of the lower.
+    /// Unit normals, from the material with the higher number to that with the lower.
     pub normals: Vec<DVec3>,
     /// Edge lengths h, mm.
     pub sizes: Vec<f64>,
-    /// The sheet of each.
+    /// The interface of each.
     pub of: Vec<Stratum>,
-    /// Components of the sheets, those of them that h would leave without particles of their own, and those that stay so.
+    /// Number of components of the interfaces.
     pub components: usize,
-    /// See above.
+    /// Components that h leaves without enough particles, so that they were sampled on their own.
     pub crowded: usize,
-    /// See above.
+    /// Components that have no particle even then.
     pub bare: usize,
-    /// Components far smaller than a voxel's face, which were left out.
+    /// Components far smaller than a voxel's face, which were skipped.
     pub specks: usize,
-    /// Places that were left out, since their sheet is not met near them, or a third material is nearer there.
+    /// Places that were skipped because the projection failed or a third material is nearer there.
     pub not_projected: usize,
 }
 
-/// A particle on a sheet.
+/// A particle on an interface.
 struct Placed {
     position: DVec3,
     normal: DVec3,
     component: u32,
 }
 
-/// Samples the sheets of a complex, with the particles at points and on curves held.
+/// Samples the interfaces of a complex, with the particles at points and on curves held fixed.
 pub fn seed_sheets<I: Indicators>(
     indicators: &I,
     complex: &Complex,
@@ -127,7 +129,9 @@ impl Sheets {
     }
 }
 
-/// The place on a sheet near a point of a triangle with this normal, and the normal there; `None` where it is not met or not real, or faces the other way.
+/// Projects a point of a triangle with this normal onto an interface; returns the point and the
+/// unit normal there. `None` if the projection fails, if another material is nearer, or if the
+/// normal points to the other side.
 fn met<I: Indicators>(indicators: &I, sheet: Stratum, point: DVec3, normal: DVec3) -> Option<(DVec3, DVec3)> {
     let &[low, high] = sheet.materials() else { return None };
     let voxel = indicators.voxel();
@@ -137,7 +141,7 @@ fn met<I: Indicators>(indicators: &I, sheet: Stratum, point: DVec3, normal: DVec
     (is_real && own.dot(normal) > 0.0).then_some((position, own))
 }
 
-/// The particles at points and on curves, which hold those on sheets off.
+/// The particles at points and on curves, from which those on interfaces keep a distance.
 struct Border<'a> {
     curves: &'a Curves,
     sizes: Vec<f64>,
@@ -151,7 +155,7 @@ impl<'a> Border<'a> {
         Self { curves, sizes, bins }
     }
 
-    /// The candidates that are far enough from the particles of their own sheets' borders.
+    /// The candidates that are far enough from the particles on the borders of their interfaces.
     fn beyond(&self, all: Candidates, sheet_of: &[Stratum]) -> Candidates {
         let is_beyond = |i: usize| {
             let (p, h, sheet) = (all.points[i], all.sizes[i], &sheet_of[all.component[i] as usize]);
@@ -173,7 +177,7 @@ impl<'a> Border<'a> {
         }
     }
 
-    /// The one that is farthest from the particles of its sheet's border.
+    /// The particle that is farthest from the particles on the border of its interface.
     fn farthest(&self, own: Vec<Placed>, sheet: Stratum) -> Option<Placed> {
         let border: Vec<DVec3> = (0..self.curves.positions.len())
             .filter(|&j| self.curves.strata.of[j].is_on(&sheet))

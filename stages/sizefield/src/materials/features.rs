@@ -1,4 +1,4 @@
-//! What the shape of sheets asks for: their curvature, and how thick the materials are on both sides.
+//! Measures material interfaces: their curvature, and the thickness of the materials on both sides.
 
 use crate::averages::average;
 use crate::cell_nodes;
@@ -16,29 +16,33 @@ use rayon::prelude::*;
 use std::collections::BTreeMap;
 use std::ops::{Add, Mul};
 
-/// How far from a third material (voxels, by the clearance) the curvature of a sheet is taken: nearer, indicators have rounded kinks.
+/// Minimum clearance, in voxels, at which the curvature of an interface is used. Nearer to a third
+/// material, the indicators have rounded kinks.
 const CLEAR: f64 = 1.0;
 
-/// A layer is taken for the wedge between two sheets that meet, and not for a thin one, if the curve where they do is nearer than this many times its thickness:
-/// angles above 27 degrees.
+/// A layer counts as the wedge between two interfaces that meet, and not as thin, if their junction
+/// curve is nearer than this many times the thickness. These are angles above atan(1/2) = 27
+/// degrees.
 const WEDGE: f64 = 2.0;
 
-/// Steps across a material, in voxels: the shortest, which is also how far from a sheet the way begins.
+/// Minimum step across a material, in voxels; also the first step away from an interface.
 const LEAST_STEP: f64 = 0.1;
 
-/// Share of the distances that are known across which a step goes, since they are so to first order alone.
+/// Share of a known distance that a step covers. Distances are accurate to first order only.
 const TRUSTED: f64 = 0.8;
 
-/// What was measured at each vertex of a complex.
+/// Measurements at each vertex of a complex.
 #[derive(Clone, Debug, Default)]
 pub(super) struct StrataFeatures {
-    /// Largest principal curvature in magnitude, per mm, averaged along the sheet; zero near junction curves.
+    /// Maximum principal curvature in magnitude, per mm, averaged along the interface; zero near
+    /// junction curves.
     pub(super) curvature: Vec<f64>,
-    /// Half the thickness of the thinner material, mm; at sharp places no larger than the radius of curvature. Infinite at junctions, and beyond what was looked for.
+    /// Half the thickness of the thinner material, mm; at sharp places at most the radius of
+    /// curvature. Infinite at junctions and above the limit of the search.
     pub(super) feature_size: Vec<f64>,
 }
 
-/// A symmetric tensor, in single precision since there are millions.
+/// A symmetric tensor in single precision, because there are millions.
 #[derive(Clone, Copy)]
 struct Tensor(Mat3);
 
@@ -58,7 +62,7 @@ impl Mul<f64> for Tensor {
     }
 }
 
-/// Measures the sheets of a complex; thickness above `largest` (mm) is not looked for.
+/// Measures the interfaces of a complex. Thickness above `largest` (mm) is reported as infinite.
 pub(super) fn measure<I: Indicators>(
     indicators: &I,
     geometry: &Geometry,
@@ -98,7 +102,7 @@ pub(super) fn measure<I: Indicators>(
     StrataFeatures { curvature, feature_size }
 }
 
-/// The two materials of a vertex on a sheet.
+/// The two materials of a vertex on an interface.
 fn sheet(vertex: &Vertex) -> Option<(MaterialId, MaterialId)> {
     match *vertex.stratum.materials() {
         [low, high] => Some((low, high)),
@@ -106,10 +110,10 @@ fn sheet(vertex: &Vertex) -> Option<(MaterialId, MaterialId)> {
     }
 }
 
-/// Ways across the materials, from one sheet to the next.
+/// Ray marching across the materials, from one interface to the next.
 struct Ways<'a, I> {
     indicators: &'a I,
-    /// No more than the distance from the nearest sheet, mm.
+    /// Lower bound of the distance to the nearest interface, mm.
     free: Image<f32>,
     /// The vertices of each junction curve.
     curves: BTreeMap<Stratum, KdTree>,
@@ -126,8 +130,9 @@ impl<'a, I: Indicators> Ways<'a, I> {
         Self { indicators, free: free_distances(geometry, complex), curves, largest }
     }
 
-    /// The thickness of the thinner of the two materials of a sheet at a place, mm, along the normal (from `high` to `low`); infinite where it is above the
-    /// largest, or where the way ends at a sheet that meets this one nearby.
+    /// Thickness (mm) of the thinner of the two materials of an interface at a place, along the
+    /// normal (which points from `high` to `low`). Infinite if it exceeds the limit, or if the ray
+    /// ends at an interface that meets this one nearby.
     fn thinner(&self, place: DVec3, normal: DVec3, (low, high): (MaterialId, MaterialId)) -> f64 {
         let sides = [(normal, low, high), (-normal, high, low)];
         let thickness = |(way, across, behind): (DVec3, MaterialId, MaterialId)| {
@@ -139,7 +144,8 @@ impl<'a, I: Indicators> Ways<'a, I> {
         sides.into_iter().map(thickness).fold(f64::INFINITY, f64::min)
     }
 
-    /// Length of the way across a material, mm, and the material behind it; `None` where it is longer than the largest.
+    /// Length of the ray across a material, mm, and the material behind it; `None` if it exceeds
+    /// the limit or leaves the grid.
     fn way_across(&self, place: DVec3, way: DVec3, across: MaterialId) -> Option<(f64, MaterialId)> {
         let voxel = self.indicators.voxel();
         let corner = self.free.geometry.upper_corner();
@@ -161,7 +167,8 @@ impl<'a, I: Indicators> Ways<'a, I> {
     }
 }
 
-/// At each node no more than the distance from the nearest sheet, mm: zero at the nodes of all cells that a sheet crosses.
+/// Lower bound of the distance to the nearest interface at each node, mm: zero at the nodes of all
+/// cells that an interface crosses.
 fn free_distances(geometry: &Geometry, complex: &Complex) -> Image<f32> {
     let mut free = Image::filled(geometry.clone(), f32::INFINITY);
     for vertex in &complex.vertices {

@@ -6,10 +6,10 @@ use serde::{Serialize, Serializer};
 use std::fmt;
 use std::str::FromStr;
 
-/// An edge length for what has a name.
+/// An edge length for a name.
 #[derive(Clone, Debug, PartialEq)]
 pub struct GivenSize {
-    /// Name of a material, or of two with a slash between.
+    /// Name of a material, or names of two materials separated by a slash.
     name: String,
     /// Edge length, mm.
     size: f64,
@@ -18,7 +18,7 @@ pub struct GivenSize {
 impl FromStr for GivenSize {
     type Err = String;
 
-    /// Reads `NAME=H` or `NAME/NAME=H`.
+    /// Parses `NAME=H` or `NAME/NAME=H`.
     fn from_str(text: &str) -> std::result::Result<Self, String> {
         let form = || "write it as NAME=H or NAME/NAME=H (mm)".to_owned();
         let (name, size) = text.rsplit_once('=').filter(|(name, _)| !name.is_empty()).ok_or_else(form)?;
@@ -42,7 +42,7 @@ impl Serialize for GivenSize {
     }
 }
 
-/// The edge lengths that sheets are given.
+/// The edge lengths given for materials and interfaces.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Given {
     materials: Vec<(MaterialId, f64)>,
@@ -50,10 +50,10 @@ pub(crate) struct Given {
 }
 
 impl Given {
-    /// Finds the names among those of the materials, by number.
+    /// Looks up the names; `names` are those of the materials, by number.
     ///
     /// # Errors
-    /// When there is none of a name.
+    /// If a name is unknown.
     pub(crate) fn new(sizes: &[GivenSize], names: &[String]) -> Result<Self> {
         let mut given = Self::default();
         let named = |name: &str| names.iter().position(|other| other == name).map(|n| MaterialId(n as u16));
@@ -77,7 +77,8 @@ impl Given {
         Ok(given)
     }
 
-    /// The edge length of a sheet, mm: what it is given itself, else the smaller one of its materials'.
+    /// The edge length of an interface, mm: its own if given, else the smaller one of its two
+    /// materials.
     pub(super) fn of(&self, sheet: &Stratum) -> Option<f64> {
         let smallest = |sizes: &mut dyn Iterator<Item = f64>| sizes.min_by(f64::total_cmp);
         let own = smallest(&mut self.sheets.iter().filter(|(other, _)| other == sheet).map(|(_, size)| *size));

@@ -1,21 +1,22 @@
-//! What junction curves ask for.
+//! Bounds on h from junction curves: their curvature and length.
 
 use glam::DVec3;
 use isoparticles_field::materials::complex::{Complex, End};
 
-/// Half the length (voxels) of the piece of a curve that its curvature is measured on: the vertices of a chain are a voxel apart or less.
+/// Half the length, in voxels, of the piece of a curve for which curvature is measured. Vertices of
+/// a chain are at most one voxel apart.
 const REACH: f64 = 1.5;
 
-/// Steps that a curve between two junction points, and a closed one, is to have.
+/// Minimum number of steps on a curve between two junction points, and on a closed curve.
 const STEPS: [f64; 2] = [2.0, 6.0];
 
-/// Edge length that a radius of curvature (mm) asks for, by the same measures as a sheet: its share `epsilon`, and the height of a chord above the curve, which
-/// for h is h^2 / (8 R).
+/// Edge length for a radius of curvature (mm), by the same two measures as on interfaces: the share
+/// `epsilon` of the radius, and the height of a chord above the curve, h^2 / (8 R).
 fn by_radius(radius: f64, epsilon: f64, max_deviation: f64) -> f64 {
     (epsilon * radius).min((8.0 * max_deviation * radius).sqrt())
 }
 
-/// Lowers the sizes (mm) of the vertices of junction curves to what these ask for.
+/// Lowers the sizes (mm) of the vertices of junction curves to these bounds.
 pub(super) fn lower(complex: &Complex, voxel: f64, epsilon: f64, max_deviation: f64, sizes: &mut [f64]) {
     for chain in &complex.chains {
         let line = complex.line(chain);
@@ -34,7 +35,8 @@ pub(super) fn lower(complex: &Complex, voxel: f64, epsilon: f64, max_deviation: 
     }
 }
 
-/// Radius of the circle through a place of a line and those at least `reach` before and behind it, mm; infinite where the line ends before.
+/// Radius of the circle through a vertex of a line and the vertices at least `reach` before and
+/// behind it, mm; infinite if the line ends earlier.
 fn radius(line: &[DVec3], at: usize, is_closed: bool, reach: f64) -> f64 {
     let count = line.len();
     let beyond = |forth: bool| {

@@ -1,7 +1,8 @@
-//! The target edge length of many materials: one h on the grid that all share.
+//! The target edge length h of many materials, on one grid.
 //!
-//! As for one object h goes by the shape: of sheets by their curvature and by how thick the layers on both sides are, of junction curves by their curvature and
-//! length. Sheets meet at junction curves with angles that the data decides, so that layers are thin there of necessity: what touches does not count.
+//! As for one object, h follows the shape: on interfaces the curvature and the thickness of the
+//! layers on both sides, on junction curves the curvature and length. Interfaces meet at junction
+//! curves with given angles, so layers are necessarily thin there. Such wedges are ignored.
 
 mod features;
 mod given;

@@ -1,4 +1,4 @@
-//! The program around the sizes of many materials: options, files, report.
+//! The program for many materials: options, files, report.
 
 use super::features::{StrataFeatures, measure};
 use super::given::Given;
@@ -20,7 +20,7 @@ use isoparticles_stage::meta::{self, SizeMeta};
 use isoparticles_volume::{Geometry, Image};
 use serde_json::json;
 
-/// Makes the sizing field of many materials.
+/// Computes and writes the sizing field of many materials.
 pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome> {
     let step = context.step("read");
     let file = read_materials(&args.input)?;
@@ -80,7 +80,7 @@ fn uniform(geometry: &Geometry, size: f64) -> SizingField {
     SizingField::new(Image::filled(geometry.clone(), size as f32))
 }
 
-/// h by the shape of the strata, and by what some of them are given.
+/// h from the shape of the strata, and from the sizes given with `--size`.
 fn by_shape(
     args: &Args,
     materials: &Materials,
@@ -99,7 +99,7 @@ fn by_shape(
         }
         None => {
             let step = context.step("measure features");
-            // thicker layers ask for no smaller h than the largest
+            // thicker layers would need an h above the maximum
             let thickest = 2.0 * largest.largest() / parameters.epsilon;
             let features = measure(materials, materials.geometry(), complex, thickest);
             drop(step);
@@ -125,7 +125,7 @@ fn by_shape(
     Ok(graded_field(&samples, &wanted, &parameters, &most))
 }
 
-/// What curvature and thickness ask for on sheets.
+/// Sets the sizes of interface vertices from curvature and thickness.
 fn by_features(
     complex: &Complex,
     features: &StrataFeatures,
@@ -134,14 +134,16 @@ fn by_features(
     wanted: &mut [f64],
 ) {
     for (n, vertex) in complex.vertices.iter().enumerate().filter(|(_, vertex)| vertex.stratum.count() == 2) {
-        // as for one object: the centre of an equilateral triangle of edge h lies h^2 / (6 R) below the surface
+        // as for one object: the centre of an equilateral triangle of edge h lies h^2 / (6 R) below
+        // the surface
         let by_deviation = (6.0 * parameters.max_deviation / features.curvature[n].max(1e-12)).sqrt();
         let by_feature = parameters.epsilon * features.feature_size[n];
         wanted[n] = by_feature.min(by_deviation).min(largest.of(&vertex.stratum));
     }
 }
 
-/// The smallest h of each vertex, and the largest that leaves a closed sheet its particles, whatever the smallest is.
+/// The minimum h of each vertex, and the maximum that leaves a closed interface its minimum number
+/// of particles. The maximum takes precedence.
 fn smallest_sizes(complex: &Complex, parameters: &Parameters) -> Vec<(f64, f64)> {
     let (component, count) = complex.sheet_components();
     let mut areas = vec![(0.0, true); count];
@@ -163,7 +165,7 @@ fn smallest_sizes(complex: &Complex, parameters: &Parameters) -> Vec<(f64, f64)>
     sizes
 }
 
-/// The largest h of each material, by its own extent.
+/// The maximum h of each material, from its own extent.
 struct LargestSizes(Vec<f64>);
 
 impl LargestSizes {
@@ -187,7 +189,7 @@ impl LargestSizes {
         )
     }
 
-    /// Of a sheet: the smaller one of its materials', the outside not counted.
+    /// For an interface: the smaller value of its materials, without the outside.
     fn of(&self, sheet: &Stratum) -> f64 {
         let named = sheet.materials().iter().filter(|&&id| id != MaterialId::OUTSIDE);
         named.map(|id| self.0[id.index()]).fold(f64::INFINITY, f64::min)
@@ -198,7 +200,7 @@ impl LargestSizes {
     }
 }
 
-/// Fills in what the options leave to the data, and says why.
+/// Fills in parameters that depend on the data, and reports their origin.
 fn resolve(args: &Args, materials: &Materials, refined: Vec<(usize, f64)>, context: &Context) -> Result<Parameters> {
     let voxel = materials.voxel();
     let quality = args.quality().name();
@@ -222,7 +224,8 @@ fn resolve(args: &Args, materials: &Materials, refined: Vec<(usize, f64)>, conte
     Ok(parameters)
 }
 
-/// Puts figures of the field into the report and the closing table; returns what the file carries.
+/// Writes figures of the field to the report and the closing table; returns the metadata of the
+/// file.
 fn describe(complex: &Complex, sizing: &SizingField, predicted: f64, context: &Context) -> SizeMeta {
     let mut sizes: Vec<f64> = complex.vertices.iter().map(|vertex| sizing.at(vertex.position)).collect();
     let (_, components) = complex.sheet_components();

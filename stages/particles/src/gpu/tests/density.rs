@@ -1,4 +1,5 @@
-//! Movement of one class and every kernel of density control against twins that do the same, one particle after the other.
+//! Compares the movement of one class or colour, and every kernel of density control, with
+//! sequential twins.
 
 use super::any_gpu;
 use super::fields::{lists, sorted};
@@ -22,12 +23,12 @@ use crate::state::State;
 use glam::{DVec3, UVec3, Vec3};
 use isoparticles_field::energy::{SUPPORT, pair_energy, scaled_distance};
 
-/// The pass that the random numbers are those of.
+/// Pass number of the random numbers.
 const PASS: u32 = 7;
-/// Decisions this near to a threshold may fall either way in f32.
+/// Decisions within this relative distance of a threshold may differ in f32.
 const EDGE: f64 = 1e-5;
 
-/// The twin of `shaders/shared/random.wgsl`.
+/// Twin of `shaders/shared/random.wgsl`.
 fn random_bits(stream: u32, counter: u32) -> u32 {
     fn mix(x: u32) -> u32 {
         let state = x.wrapping_mul(747_796_405).wrapping_add(2_891_336_453);
@@ -41,11 +42,11 @@ fn random_uniform(kind: u32, counter: usize) -> f64 {
     f64::from(random_bits(4 * PASS + kind, counter as u32) >> 8) / f64::from(1 << 24)
 }
 
-/// The particles on the device, their lists, and what a kernel made of them.
+/// The particles on the device, their lists, and access to the results of kernels.
 struct Rig<'a> {
     gpu: &'a Gpu,
     engine: GpuEngine<'a>,
-    /// xyz from the device's origin, and h.
+    /// xyz relative to the device's origin, and h.
     places: Vec<[f32; 4]>,
     lists: Vec<Vec<u32>>,
 }
@@ -87,7 +88,7 @@ impl<'a> Rig<'a> {
         scaled_distance(at(i).distance(at(j)), f64::from(self.places[i][3]), f64::from(self.places[j][3]))
     }
 
-    /// The state as the CPU sees it, with its own lists.
+    /// The state on the CPU, with its own lists.
     fn state(&mut self) -> State {
         let mut state = State::unlisted(self.engine.particles().unwrap(), Parameters::default().normal_agreement);
         state.rebuild();
@@ -95,12 +96,12 @@ impl<'a> Rig<'a> {
     }
 }
 
-/// Yes, no, or too near to a threshold to tell.
+/// Whether value > threshold; `None` if it is too near to decide.
 fn beyond(value: f64, threshold: f64) -> Option<bool> {
     ((value - threshold).abs() > EDGE * (1.0 + threshold.abs())).then_some(value > threshold)
 }
 
-/// Whether both hold; unknown only where it matters.
+/// Logical and; `None` only if the undecided operand matters.
 fn both(a: Option<bool>, b: Option<bool>) -> Option<bool> {
     if a == Some(false) || b == Some(false) { Some(false) } else { a.and(b) }
 }
@@ -119,7 +120,7 @@ fn undersampled(energy: f32, i: usize) -> Option<bool> {
     both(beyond(lack, bar), beyond(random_uniform(1, i) * lack, bar))
 }
 
-/// Random points on a torus whose h is graded: more than a lattice has.
+/// Random points on a torus with graded h: more than the lattice has.
 fn too_many() -> Scene {
     Scene::bumpy_torus(2100)
 }
@@ -154,7 +155,7 @@ fn one_class_moves_as_on_the_cpu_and_nobody_else_does() {
         assert!(now <= was * (1.0 + 1e-4), "{i}: energy {was} -> {now}");
     }
     assert!(members > 40 && moved * 10 > members * 9, "{moved} of {members} moved");
-    // a step whose energy test is a close call may be refused on one side and not on the other
+    // a step with a close energy test may be rejected on one side only
     assert!(alike * 100 >= members * 98, "{alike} of {members} went where the CPU sends them");
 }
 
@@ -181,7 +182,8 @@ fn bins_of_one_colour_move_one_particle_after_the_other_and_nobody_else_does() {
         }
         members += range.len();
         moved += range.clone().filter(|&i| after[i] != rig.places[i]).count();
-        // the particles of the bin in series, on the CPU: each sees those before it where they have gone
+        // the CPU moves the particles of the bin in series: each sees the new places of those
+        // before it
         for i in range {
             let wanted = movement::step_alone(&state, &fields, i);
             let found = origin + Vec3::from_slice(&after[i]).as_dvec3();
@@ -218,7 +220,8 @@ fn rounds_of_deletion_are_those_of_the_twin() {
                 assert_eq!(marks[i], was[i], "{i} was deleted before");
                 continue;
             }
-            // goes if the surface is oversampled there, and it is not for one of higher energy within reach
+            // deleted if oversampled, unless an interacting particle of higher energy is
+            // oversampled too
             let mut wanted = oversampled(energies[i], i);
             for j in rig.list(i).filter(|&j| was[j] == 0) {
                 let worse = energies[j] > energies[i] || (energies[j] == energies[i] && j < i);
@@ -248,7 +251,7 @@ fn rounds_of_deletion_are_those_of_the_twin() {
 #[test]
 fn newcomers_are_those_of_the_twin_and_everybody_finds_a_place() {
     let Some(gpu) = any_gpu("insertion", Choice::default()) else { return };
-    // far fewer than a lattice has: newcomers come near each other
+    // far fewer than the lattice has, so that newcomers come near each other
     let tori = (120..420).step_by(60).map(Scene::bumpy_torus);
     let balls = (40..400).step_by(20).map(|n| Scene::ball(n, 1.6));
     let by_distance: usize =
@@ -256,7 +259,8 @@ fn newcomers_are_those_of_the_twin_and_everybody_finds_a_place() {
     assert!(by_distance >= 3, "{by_distance} newcomers gave way to another's over a distance: too few for a test");
 }
 
-/// Compares all steps of insertion; says how many newcomers gave way to one beyond the next neighbours.
+/// Compares all steps of insertion. Returns how many newcomers were rejected because of one beyond
+/// the direct neighbours.
 fn insertion(gpu: &Gpu, scene: &Scene) -> usize {
     let mut rig = Rig::new(gpu, scene);
     let (state, fields) = (rig.state(), scene.fields());
@@ -287,7 +291,7 @@ fn insertion(gpu: &Gpu, scene: &Scene) -> usize {
         differ += usize::from(!alike);
     }
     assert!(made > 10, "{made} newcomers: too few for a test");
-    // two gaps of the same width, to f32, or room that is a close call
+    // two gaps may have the same width in f32, and a minimum distance may be a close call
     assert!(differ * 100 <= made, "{differ} of {made} proposals differ");
 
     rig.run("insert_choose", 0);
@@ -360,7 +364,8 @@ fn totals_are_those_of_the_particles() {
     }
 }
 
-/// Whether f32 may see a neighbour of particle i on the other side of the first ring.
+/// Whether f32 may place a neighbour of particle i on the other side of the first ring or of the
+/// support.
 fn on_the_edge(state: &State, i: usize) -> bool {
     let set = &state.set;
     state.neighbours.of(i).iter().any(|&j| {

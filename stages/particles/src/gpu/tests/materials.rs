@@ -1,4 +1,5 @@
-//! Many materials on the device: as many on each sheet as on the CPU, on their sheets, and the same on every run.
+//! Tests of many materials on the device: counts as on the CPU, particles on their interfaces, and
+//! the same result in every run.
 
 use super::any_gpu;
 use crate::cpu::scenes::{Body, corners, nested, sectors};
@@ -108,7 +109,8 @@ fn differences_and_their_reality_are_those_of_the_cpu() {
             let (mut set, strata) = (body.seeds.0.clone(), &body.seeds.1.of);
             let held = strata.partition_point(|on| on.dimension() < 2);
             let own = |n: usize| [strata[n].materials()[1], strata[n].materials()[0]];
-            // on its sheet, whatever is nearer there, or anywhere
+            // one third anywhere, the others on their interface, even where another material is
+            // nearer
             let corner = set.geometry.upper_corner();
             for n in held..strata.len() {
                 let at = |axis| isoparticles_field::random::uniform(3, axis, n as u64);
@@ -144,7 +146,7 @@ fn differences_and_their_reality_are_those_of_the_cpu() {
     }
 }
 
-/// What `probe_fields` says of the particles as they were put onto the device.
+/// Output of `probe_fields` for the particles as uploaded.
 fn probe_listed(gpu: &Gpu, engine: &mut GpuEngine<'_>) -> Vec<[f32; 4]> {
     let bytes = 48 * u64::from(engine.count);
     engine.memory.make(gpu, "probed", bytes, wgpu::BufferUsages::empty()).unwrap();

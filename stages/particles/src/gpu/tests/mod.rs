@@ -1,5 +1,5 @@
-//! Tests of the kernels against their CPU twins. Those that need an adapter take the first one there is, lavapipe as well, and
-//! say so when there is none.
+//! Tests of the kernels against their CPU twins. Tests that need an adapter use the first one,
+//! including software adapters such as lavapipe; without one they print that they skip.
 
 mod density;
 mod fields;
@@ -11,7 +11,7 @@ mod shaders;
 
 use super::adapter::{Choice, Gpu, adapters};
 
-/// The first adapter, or `None` with a line that says what is skipped.
+/// Opens the first adapter. Without one prints what is skipped and returns `None`.
 fn any_gpu(what: &str, choice: Choice) -> Option<Gpu> {
     let Some(first) = adapters().into_iter().next() else {
         isoparticles_tests::skip::skip(what, "no Vulkan, Metal or DX12 adapter (Mesa's lavapipe would do)");

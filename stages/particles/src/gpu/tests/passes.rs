@@ -1,4 +1,5 @@
-//! The whole backend: same lattice as the CPU's, same bytes on every run, whether broken off or not.
+//! Tests of the whole backend: the same lattice as on the CPU, and the same bytes in every run,
+//! also after a resume.
 
 use super::any_gpu;
 use crate::cpu::settle;
@@ -15,7 +16,7 @@ fn settled(gpu: &Gpu, scene: &Scene, parameters: &Parameters) -> (ParticleSet, S
     settle_with(&mut engine, &fields, parameters, &[], |_, _| Ok(())).unwrap()
 }
 
-/// Within 1 % in count and energy.
+/// Asserts that count and energy agree within 1 %.
 fn alike(a: &(ParticleSet, Summary), b: &(ParticleSet, Summary), what: &str) {
     let count = a.0.positions.len() as f64 / b.0.positions.len() as f64;
     let energy = a.1.energy_ratio / b.1.energy_ratio;
@@ -35,7 +36,7 @@ fn the_lattice_is_that_of_the_cpu() {
     };
     let parameters = Parameters { max_passes: 25, seed: 5, ..first.clone() };
     for (mut scene, what) in [(Scene::ball(1500, 1.2), "ball"), (Scene::bumpy_torus(1300), "graded torus")] {
-        // from seeds about as even as those of the seed stage: chance has less of a say than from random ones
+        // seeds about as even as those of the seed stage, to reduce the influence of chance
         scene.seeds = settle(&scene.seeds, None, &scene.fields(), &first, |_, _| Ok(())).unwrap().0;
         let on_cpu = settle(&scene.seeds, None, &scene.fields(), &parameters, |_, _| Ok(())).unwrap();
         let graded = settled(&gpu, &scene, &parameters);
@@ -109,7 +110,8 @@ fn every_run_gives_the_same_bytes_also_a_resumed_one_and_one_in_slabs() {
 #[test]
 fn passes_before_their_turn_are_no_different() {
     let Some(gpu) = any_gpu("passes before their turn", Choice::default()) else { return };
-    // more come in a pass than the next was made for, and lists and classes that have to be made again
+    // counts for which a pass outgrows the room of the next one, and for which lists and classes
+    // overflow
     for count in [1, 60, 700, 3000] {
         let scene = Scene::ball(count, 1.6);
         let parameters = Parameters { max_passes: 16, levels: 1, closing_passes: 3, ..Parameters::default() };
@@ -118,7 +120,7 @@ fn passes_before_their_turn_are_no_different() {
         let mut in_turn = GpuEngine::new(&gpu, &fields, &scene.seeds, &parameters).unwrap();
         ahead.controls_density_until(13);
         for pass in 1..=16 {
-            // density control ends sooner than was said
+            // density control ends earlier than announced
             let density = pass <= 9;
             let [a, b] = [&mut ahead, &mut in_turn].map(|engine| engine.pass(pass, density).unwrap());
             assert_eq!(format!("{a:?}"), format!("{b:?}"), "pass {pass} from {count}");
@@ -133,7 +135,7 @@ fn passes_before_their_turn_are_no_different() {
 fn crowds_and_lonely_ones_end_as_the_lattice() {
     let Some(gpu) = any_gpu("density control", Choice::default()) else { return };
     let lattice = 4.0 * std::f64::consts::PI * 144.0 * 2.0 / (3f64.sqrt() * 1.6 * 1.6);
-    // 3000 is three times too many: the lists outgrow their first room
+    // 3000 is three times too many: the lists outgrow their initial room
     for count in [40, 3000] {
         let parameters = Parameters { max_passes: 60, ..Parameters::default() };
         let (set, summary) = settled(&gpu, &Scene::ball(count, 1.6), &parameters);
@@ -154,7 +156,7 @@ fn no_particle_and_one_are_no_different() {
         assert_eq!(summary.energy_ratio, 0.0, "nobody to repel it");
         assert!(set.positions.iter().zip(&scene.seeds.positions).all(|(p, q)| p.distance(*q) < 1e-4), "it stays");
     }
-    // a lonely one brings others until the ball is full
+    // a single particle gets newcomers until the ball is full
     let growing = Parameters { max_passes: 40, ..Parameters::default() };
     let (set, _) = settled(&gpu, &Scene::ball(1, 1.6), &growing);
     assert!(set.positions.len() > 100, "{} after 40 passes", set.positions.len());
@@ -190,7 +192,7 @@ fn a_lost_device_is_an_error_with_exit_code_3_and_the_run_goes_on_elsewhere() {
     assert_eq!(error.kind, isoparticles_stage::error::Kind::Gpu, "{error}");
     assert!(error.next.contains("--resume"), "{error}");
     assert_eq!(records.len(), 12, "no pass after the loss counts");
-    // from the last checkpoint, on a device opened anew
+    // from the last checkpoint, on a reopened device
     let (records, set) = kept.unwrap();
     let Some(gpu) = any_gpu("a device opened anew", Choice::default()) else { return };
     let mut engine = GpuEngine::new(&gpu, &fields, &set, &parameters).unwrap();

@@ -1,4 +1,4 @@
-//! Prefix sums and the sort into bins: exact, for any count, on any number of workgroups.
+//! Prefix sums and the sort into bins are exact, for any count and any number of workgroups.
 
 use super::any_gpu;
 use crate::gpu::adapter::{Choice, Gpu};
@@ -14,7 +14,7 @@ use isoparticles_field::energy::{pair_energy, scaled_distance};
 use isoparticles_field::random::{bits, uniform};
 use isoparticles_volume::Geometry;
 
-/// Buffers made by hand and single steps over them.
+/// Hand-made buffers, and single steps over them.
 struct Rig {
     gpu: Gpu,
     kernels: Kernels,
@@ -73,7 +73,7 @@ fn prefix_sums_are_exact() {
     }
 }
 
-/// Sorts particles and compares with a stable sort by (level, bin).
+/// Sorts particles and compares the result with a stable sort by (level, bin).
 fn check_sort(rig: &mut Rig, count: usize, largest: f32, contrast: f64, levels: usize) {
     let geometry = Geometry::axis_aligned([9, 9, 9], DVec3::ONE);
     let (low, high) = (Vec3::splat(-4.0), Vec3::splat(4.0));
@@ -155,7 +155,7 @@ fn energies_and_totals_of_more_than_65535_workgroups() {
     let places: Vec<[f32; 4]> =
         (0..count).map(|i| [if i % 2 == 0 { 0.0 } else { distance(i / 2) }, 0.0, 0.0, 0.5]).collect();
     let last = count - 1;
-    // with room for four members each: one four of each particle after the other
+    // with room for four members each, the groups of four of all particles follow each other
     let lengths: Vec<u32> = (0..count).map(|i| u32::from(i < last)).collect();
     let lists: Vec<[u32; 4]> = (0..count.next_multiple_of(LIST_TILE)).map(|i| [i ^ 1; 4]).collect();
     let geometry = Geometry::axis_aligned([9; 3], DVec3::ONE);
@@ -165,7 +165,7 @@ fn energies_and_totals_of_more_than_65535_workgroups() {
     rig.put("now", &words(&pass_block(1, count, true)));
     rig.put("place", &places);
     rig.put("place_at_listing", &places);
-    // of one object nobody looks at what goes with it
+    // with one object, no kernel reads the carried values
     rig.put("normal", &[[0.0f32; 4]]);
     rig.put("list_lengths", &lengths);
     rig.put("lists", &lists);

@@ -1,4 +1,5 @@
-//! What needs no adapter: every text is valid WGSL, and the layouts shared with Rust are naga's.
+//! Tests without an adapter: every text is valid WGSL, and layouts, bindings and constants agree
+//! with naga's.
 
 use crate::gpu::constants::{Value, constants};
 use crate::gpu::levels::Levels;
@@ -78,7 +79,7 @@ fn the_bindings_are_those_that_naga_sees() {
     }
 }
 
-/// Compares the members of a block with those of the struct of this name in a kernel.
+/// Compares the members of a block with those of the struct `name` in a kernel.
 fn same_layout(kernel: &str, name: &str, block: &Block) {
     let source = sources().find(|s| s.name == kernel).unwrap();
     let module = module(&source.compose(VARIANTS[0]), kernel);
